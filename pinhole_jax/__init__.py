@@ -1,0 +1,14 @@
+"""A differentiable pinhole camera that recovers pose and intrinsics from images."""
+
+from ._camera import Camera as Camera
+from ._lens import Lens as Lens
+from ._rays import (
+    camera_rays as camera_rays,
+    generate_rays as generate_rays,
+    project as project,
+    Rays as Rays,
+)
+from ._scene import Mesh as Mesh, Scene as Scene, Spheres as Spheres
+from ._silhouette import silhouette as silhouette
+
+__version__ = "0.1.0"

@@ -1,0 +1,59 @@
+"""The door: what a user hands in becomes arrays of one float type, or an error in words."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+
+def is_concrete(*values: Any) -> bool:
+    """Return whether every value can be looked at now (none is traced by a transformation)."""
+    return not any(isinstance(v, jax.core.Tracer) for v in values)
+
+
+def float_dtype(*values: Any) -> np.dtype:
+    """Return the float type that the arrays among the values ask for.
+
+    Python numbers, lists and integer arrays ask for nothing; with no float array at all the
+    answer is JAX's default (float64 with `jax_enable_x64`, else float32).
+    """
+    dtypes = [v.dtype for v in values if hasattr(v, "dtype") and jnp.issubdtype(v.dtype, jnp.floating)]
+    if not dtypes:
+        return jnp.zeros(()).dtype
+    return jax.dtypes.canonicalize_dtype(np.result_type(*dtypes))
+
+
+def float_array(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.dtype) -> Array:
+    """Return the value as a finite float array of this shape (None: any size), or raise.
+
+    Raises ValueError naming the argument, what was expected and what came. Values that are being
+    traced are checked for shape only.
+    """
+    expected = f"a real array of shape {_words(shape)}" if shape else "a real number"
+    try:
+        array = value if isinstance(value, jax.Array) else np.asarray(value)
+    except ValueError as error:
+        raise ValueError(f"`{name}`: expected {expected}, got {value!r}") from error
+    if not (
+        jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)
+    ):
+        raise ValueError(f"`{name}`: expected {expected}, got dtype {array.dtype}")
+    if len(array.shape) != len(shape) or any(
+        want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
+    ):
+        raise ValueError(f"`{name}`: expected {expected}, got shape {array.shape}")
+    if is_concrete(array) and not np.all(np.isfinite(array)):
+        raise ValueError(f"`{name}`: expected finite values, got {_first_bad(np.asarray(array))}")
+    return jnp.asarray(array, dtype)
+
+
+def _words(shape: tuple[int | None, ...]) -> str:
+    sizes = ["N" if size is None else str(size) for size in shape]
+    return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
+
+
+def _first_bad(array: np.ndarray) -> str:
+    index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0]) if array.ndim else ()
+    return f"{array[index]} at index {index}" if index else f"{array}"

@@ -1,0 +1,163 @@
+"""The camera of Frisvad's note, and the conventions of the whole library.
+
+Source: J. R. Frisvad, "Ray Generation Using a Pinhole Camera Model" (2012).
+
+THE CONVENTIONS
+
+- `e` eye point, `p` view point, `u` up direction: world units. `u` need be neither of unit length
+  nor orthogonal to the view.
+- `phi` vertical field of view, the full angle: rad. `d` camera constant, eye to film: world units.
+- `W, H` resolution, columns and rows: static integers, px.
+- Film: height `h = 2 d tan(phi/2)`, width `w = h W/H`, centred on the view axis.
+- Basis: `v = (p-e)/|p-e|` forward, `b1 = (v x u)/|v x u|` right, `b2 = b1 x v` up.
+- A ray through film point (x, y) has direction `q/|q|` with `q = b1 x + b2 y + v d`.
+- Film coordinates: px, origin at the film's bottom-left corner, x right, y up. Pixel (i, j) is the
+  square [i, i+1] x [j, j+1]; pixel (0, 0) is bottom left; its centre is at (i+1/2, j+1/2).
+- Arrays: shape (H, W), row 0 at the top: `image[H-1-j, i]` is pixel (i, j).
+- A silhouette is coverage: the fraction of each pixel's square that the scene covers, in [0, 1].
+- Gauge: `|p-e|`, `|u|`, `u.v` and (for given phi) `d` change no image: 7 degrees of freedom.
+  `d` has a meaning only while the film's height is held: then `phi = 2 atan(h / (2d))`.
+"""
+
+import operator
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from ._arrays import float_array, float_dtype, is_concrete
+from ._lens import Lens
+from ._safe import normalize
+
+
+class Basis(NamedTuple):
+    """Orthonormal camera axes in world coordinates: `b1` right, `b2` up, `v` forward."""
+
+    b1: Float[Array, "3"]
+    b2: Float[Array, "3"]
+    v: Float[Array, "3"]
+
+
+def basis(e: Float[Array, "3"], p: Float[Array, "3"], u: Float[Array, "3"]) -> Basis:
+    """Return the camera's axes `v`, `b1 = v x u` and `b2 = b1 x v`, normalised (Frisvad, eq. 1-3).
+
+    With `e = p` or `u` parallel to the view there is no basis: its vectors are then null.
+    """
+    v = normalize(p - e)
+    b1 = normalize(jnp.cross(v, normalize(u)))
+    return Basis(b1, jnp.cross(b1, v), v)
+
+
+def film_size(
+    phi: Float[Array, ""], d: Float[Array, ""], W: int, H: int
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Return the film's width and height in world units: `h = 2 d tan(phi/2)`, `w = h W/H`."""
+    h = 2 * d * jnp.tan(phi / 2)
+    return h * (W / H), h
+
+
+class Camera(eqx.Module):
+    """A pinhole camera (e, p, u, phi, d, W, H); see the conventions at the top of this module.
+
+    All of e, p, u, phi and d are differentiable leaves; W and H are static. `lens` is None for the
+    ideal pinhole, or a `Lens` (principal point, pixel aspect).
+
+    Raises ValueError where an argument has another shape or dtype than documented, is not finite,
+    or makes no camera: `e` equal to `p`, `u` parallel to the view, `phi` outside (0, pi), `d <= 0`,
+    `W` or `H` below 1. Arguments that are being traced are checked for shape only.
+    """
+
+    e: Float[Array, "3"]
+    p: Float[Array, "3"]
+    u: Float[Array, "3"]
+    phi: Float[Array, ""]
+    d: Float[Array, ""]
+    W: int = eqx.field(static=True)
+    H: int = eqx.field(static=True)
+    lens: Lens | None
+
+    def __init__(
+        self,
+        e: ArrayLike | list | tuple,
+        p: ArrayLike | list | tuple,
+        u: ArrayLike | list | tuple,
+        phi: ArrayLike,
+        d: ArrayLike = 1.0,
+        W: int = 0,
+        H: int = 0,
+        lens: Lens | None = None,
+    ):
+        dtype = float_dtype(e, p, u, phi, d)
+        self.e = float_array("e", e, (3,), dtype)
+        self.p = float_array("p", p, (3,), dtype)
+        self.u = float_array("u", u, (3,), dtype)
+        self.phi = float_array("phi", phi, (), dtype)
+        self.d = float_array("d", d, (), dtype)
+        self.W = _resolution("W", W)
+        self.H = _resolution("H", H)
+        self.lens = None if lens is None else _cast(lens, dtype)
+        if is_concrete(self.phi) and not 0 < float(self.phi) < np.pi:
+            raise ValueError(f"`phi`: expected an angle in (0, pi) rad, got {float(self.phi)}")
+        if is_concrete(self.d) and not float(self.d) > 0:
+            raise ValueError(f"`d`: expected a positive distance, got {float(self.d)}")
+        if is_concrete(self.e, self.p, self.u):
+            _check_view(*(np.asarray(x) for x in (self.e, self.p, self.u)))
+
+
+def camera_basis(camera: Camera) -> Basis:
+    """Return the camera's axes in world coordinates."""
+    return basis(camera.e, camera.p, camera.u)
+
+
+def focal_px(camera: Camera) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Return the focal length in pixels along x and y: `H / (2 tan(phi/2))`, x times the aspect."""
+    fy = camera.H / (2 * jnp.tan(camera.phi / 2))
+    return (fy if camera.lens is None else fy * camera.lens.aspect), fy
+
+
+def principal_point(camera: Camera) -> Float[Array, "2"]:
+    """Return where the view axis meets the film, in film coordinates (px)."""
+    if camera.lens is None:
+        return jnp.array([camera.W / 2, camera.H / 2], camera.e.dtype)
+    return camera.lens.principal_point
+
+
+def to_camera(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    """Return world points in camera coordinates: (right, up, forward) from the eye.
+
+    The eye is subtracted before anything else, so a scene far from the origin loses nothing more.
+    """
+    x, y, z = (points[..., k] - camera.e[k] for k in range(3))
+    axes = camera_basis(camera)
+    return jnp.stack([b[0] * x + b[1] * y + b[2] * z for b in axes], axis=-1)
+
+
+def _resolution(name: str, value: Any) -> int:
+    try:
+        size = operator.index(value)
+    except TypeError:
+        raise ValueError(f"`{name}`: expected an integer of at least 1, got {value!r}") from None
+    if size < 1:
+        raise ValueError(f"`{name}`: expected an integer of at least 1, got {size}")
+    return size
+
+
+def _cast(lens: Lens, dtype: np.dtype) -> Lens:
+    return eqx.tree_at(
+        lambda x: (x.principal_point, x.aspect),
+        lens,
+        (lens.principal_point.astype(dtype), lens.aspect.astype(dtype)),
+    )
+
+
+def _check_view(e: np.ndarray, p: np.ndarray, u: np.ndarray) -> None:
+    if np.array_equal(e, p):
+        raise ValueError(f"`p`: expected a view point other than the eye `e`, got both at {e}")
+    if not np.any(u):
+        raise ValueError("`u`: expected an up direction, got the null vector")
+    view = (p - e) / np.max(np.abs(p - e))
+    up = u / np.max(np.abs(u))
+    if not np.any(np.abs(np.cross(view, up)) > 4 * np.finfo(e.dtype).eps):
+        raise ValueError(f"`u`: expected a direction not parallel to the view p - e, got u = {u}")

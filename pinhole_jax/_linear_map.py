@@ -1,0 +1,123 @@
+"""A linear map given by two functions: itself and its transpose.
+
+`jax.linear_call` offers this, but without a batching rule (0.10), and a loop of unknown length can
+be differentiated forward but not transposed. With both directions written down, a derivative that is
+a sum over a dynamic number of terms runs under `jvp`, `vjp`, `jacfwd`, `jacrev` and `vmap`.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+from jaxtyping import PyTree
+
+Direction = Callable[[list, list], list]
+
+
+def linear_map(
+    forward: Callable[[Any, Any], Any],
+    transpose: Callable[[Any, Any], Any],
+    residuals: PyTree,
+    linear: PyTree,
+) -> PyTree:
+    """Return forward(residuals, linear), which `transpose(residuals, cotangent)` transposes.
+
+    `forward` must be linear in its second argument; every leaf of `linear` and of the result is a
+    float array. It can be differentiated with respect to `linear` only.
+    """
+    residual_leaves, residual_tree = jax.tree.flatten(residuals)
+    linear_leaves, linear_tree = jax.tree.flatten(linear)
+    out_shapes, out_tree = jax.tree.flatten(jax.eval_shape(forward, residuals, linear))
+
+    def forward_flat(residual: list, x: list) -> list:
+        out = forward(residual_tree.unflatten(residual), linear_tree.unflatten(x))
+        return out_tree.flatten_up_to(out)
+
+    def transpose_flat(residual: list, y: list) -> list:
+        out = transpose(residual_tree.unflatten(residual), out_tree.unflatten(y))
+        return linear_tree.flatten_up_to(out)
+
+    out = _linear_map_p.bind(
+        *residual_leaves,
+        *linear_leaves,
+        forward=forward_flat,
+        transpose=transpose_flat,
+        n_residuals=len(residual_leaves),
+        out_shapes=tuple((x.shape, x.dtype) for x in out_shapes),
+    )
+    return out_tree.unflatten(out)
+
+
+_linear_map_p = Primitive("pinhole_linear_map")
+_linear_map_p.multiple_results = True
+
+
+def _impl(*args, forward: Direction, transpose: Direction, n_residuals: int, out_shapes: tuple):
+    del transpose, out_shapes
+    return forward(list(args[:n_residuals]), list(args[n_residuals:]))
+
+
+def _abstract(*args, forward, transpose, n_residuals, out_shapes):
+    del args, forward, transpose, n_residuals
+    return [jax.core.ShapedArray(shape, dtype) for shape, dtype in out_shapes]
+
+
+def _jvp(primals, tangents, *, n_residuals, **params):
+    if any(type(t) is not ad.Zero for t in tangents[:n_residuals]):
+        raise NotImplementedError(
+            "silhouettes can be differentiated once: second derivatives of coverage are not defined"
+            " by its contour alone (use Gauss-Newton, J^T J, in their place)"
+        )
+    out = _linear_map_p.bind(*primals, n_residuals=n_residuals, **params)
+    moving = [ad.instantiate_zeros(t) for t in tangents[n_residuals:]]
+    tangent_out = _linear_map_p.bind(
+        *primals[:n_residuals], *moving, n_residuals=n_residuals, **params
+    )
+    return out, tangent_out
+
+
+def _transpose(cotangents, *args, forward, transpose, n_residuals, out_shapes):
+    del out_shapes
+    linear = args[n_residuals:]
+    shapes = tuple((x.aval.shape, x.aval.dtype) for x in linear)
+    out = _linear_map_p.bind(
+        *args[:n_residuals],
+        *(ad.instantiate_zeros(c) for c in cotangents),
+        forward=transpose,
+        transpose=forward,
+        n_residuals=n_residuals,
+        out_shapes=shapes,
+    )
+    return [None] * n_residuals + out
+
+
+def _batch(args, dims, *, forward, transpose, n_residuals, out_shapes):
+    size = next(
+        x.shape[d] for x, d in zip(args, dims, strict=True) if d is not None
+    )
+    residuals, linear = args[:n_residuals], args[n_residuals:]
+    axes = list(dims[:n_residuals])
+    moved = [
+        jnp.broadcast_to(x, (size, *x.shape)) if d is None else jnp.moveaxis(x, d, 0)
+        for x, d in zip(linear, dims[n_residuals:], strict=True)
+    ]
+    out = _linear_map_p.bind(
+        *residuals,
+        *moved,
+        forward=jax.vmap(forward, in_axes=(axes, 0), axis_size=size),
+        transpose=jax.vmap(transpose, in_axes=(axes, 0), axis_size=size),
+        n_residuals=n_residuals,
+        out_shapes=tuple(((size, *shape), dtype) for shape, dtype in out_shapes),
+    )
+    return out, [0] * len(out)
+
+
+_linear_map_p.def_impl(_impl)
+_linear_map_p.def_abstract_eval(_abstract)
+ad.primitive_jvps[_linear_map_p] = _jvp
+ad.primitive_transposes[_linear_map_p] = _transpose
+batching.primitive_batchers[_linear_map_p] = _batch
+mlir.register_lowering(_linear_map_p, mlir.lower_fun(_impl, multiple_results=True))

@@ -1,0 +1,174 @@
+"""What a camera looks at: `Mesh`, `Spheres`, `Scene`, and what is worked out once per mesh."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, UInt32
+
+from ._arrays import float_array, float_dtype, is_concrete
+from ._safe import dot
+
+
+class Planes(NamedTuple):
+    """The face planes of a mesh: x is in front of face f where `normal[:, f].(x-centre) > offset[f]`.
+
+    `fingerprint` names the vertices that they were made from.
+    """
+
+    centre: Float[Array, "3"]
+    normal: Float[Array, "3 F"]
+    offset: Float[Array, "F"]
+    fingerprint: UInt32[Array, ""]
+
+
+class Mesh(eqx.Module):
+    """Triangles: `vertices` (V, 3) in world units, `faces` (F, 3) indices of vertices.
+
+    Worked out once, on the host: the edges with the faces on either side. An edge record (a, b)
+    runs as in its first face; the second face, if any, runs through it from b to a, and is -1 at a
+    border. Edges that more than two faces, or two of opposite winding, share have several records.
+    `closed` says that there is no border: closed and consistently wound (per shared vertex index;
+    `load_mesh` merges equal vertices).
+
+    `vertices` may be traced and differentiated, also by way of `eqx.tree_at`; `faces` may not.
+    Raises ValueError for wrong shapes or dtypes, non-finite vertices and indices out of range.
+    """
+
+    vertices: Float[Array, "V 3"]
+    faces: Int[Array, "F 3"]
+    edge_vertices: Int[Array, "E 2"]
+    edge_faces: Int[Array, "E 2"]
+    planes: Planes
+    closed: bool = eqx.field(static=True)
+
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike):
+        self.vertices = float_array("vertices", vertices, (None, 3), float_dtype(vertices))
+        triangles = _face_indices(faces, self.vertices.shape[0])
+        edge_vertices, edge_faces = _edge_records(triangles, self.vertices.shape[0])
+        self.faces = jnp.asarray(triangles)
+        self.edge_vertices = jnp.asarray(edge_vertices)
+        self.edge_faces = jnp.asarray(edge_faces)
+        self.planes = _planes(self.vertices, self.faces)
+        self.closed = bool(np.all(edge_faces >= 0))
+
+
+class Spheres(eqx.Module):
+    """Spheres: `centers` (S, 3) and `radii` (S,), world units, both differentiable.
+
+    Raises ValueError for wrong shapes or dtypes, non-finite values and radii that are not positive.
+    """
+
+    centers: Float[Array, "S 3"]
+    radii: Float[Array, "S"]
+
+    def __init__(self, centers: ArrayLike | list, radii: ArrayLike | list):
+        dtype = float_dtype(centers, radii)
+        self.centers = float_array("centers", centers, (None, 3), dtype)
+        self.radii = float_array("radii", radii, (self.centers.shape[0],), dtype)
+        if is_concrete(self.radii) and not np.all(np.asarray(self.radii) > 0):
+            raise ValueError(f"`radii`: expected positive radii, got {np.min(self.radii)}")
+
+
+class Scene(eqx.Module):
+    """A mesh, spheres, or both; what is left out costs nothing. An empty scene covers nothing."""
+
+    mesh: Mesh | None = None
+    spheres: Spheres | None = None
+
+    def __check_init__(self):
+        if not (self.mesh is None or isinstance(self.mesh, Mesh)):
+            raise ValueError(f"`mesh`: expected a Mesh or None, got {type(self.mesh).__name__}")
+        if not (self.spheres is None or isinstance(self.spheres, Spheres)):
+            raise ValueError(
+                f"`spheres`: expected Spheres or None, got {type(self.spheres).__name__}"
+            )
+
+
+def front_facing(mesh: Mesh, e: Float[Array, "3"]) -> Bool[Array, "F"]:
+    """Return which faces show their front (counter-clockwise) side to the eye; edge-on: False.
+
+    Uses the stored planes; where the vertices are no longer those that the planes were made from
+    (`eqx.tree_at`, an optimiser's update), the planes are made anew, so they are never stale.
+    """
+    vertices, e = jax.lax.stop_gradient((mesh.vertices, e))
+    stored = jax.lax.stop_gradient(mesh.planes)
+    planes = jax.lax.cond(
+        stored.fingerprint == _fingerprint(vertices),
+        lambda: stored,
+        lambda: _planes(vertices, mesh.faces),
+    )
+    eye = e - planes.centre
+    n = planes.normal
+    return n[0] * eye[0] + n[1] * eye[1] + n[2] * eye[2] > planes.offset
+
+
+def bounding_sphere(scene: Scene) -> tuple[Float[Array, "3"], Float[Array, ""]]:
+    """Return centre and radius of a sphere about the scene (the bounding box's, not the least)."""
+    lows, highs = [], []
+    if scene.mesh is not None:
+        lows.append(jnp.min(scene.mesh.vertices, axis=0))
+        highs.append(jnp.max(scene.mesh.vertices, axis=0))
+    if scene.spheres is not None:
+        lows.append(jnp.min(scene.spheres.centers - scene.spheres.radii[:, None], axis=0))
+        highs.append(jnp.max(scene.spheres.centers + scene.spheres.radii[:, None], axis=0))
+    low, high = jnp.min(jnp.stack(lows), axis=0), jnp.max(jnp.stack(highs), axis=0)
+    return (low + high) / 2, jnp.sqrt(jnp.sum((high - low) ** 2)) / 2
+
+
+@jax.jit
+def _planes(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Planes:
+    vertices = jax.lax.stop_gradient(vertices)
+    centre = vertices[0] if vertices.shape[0] else jnp.zeros(3, vertices.dtype)
+    a, b, c = jnp.moveaxis((vertices - centre[None])[faces], 1, 0)
+    normal = jnp.cross(b - a, c - a)
+    return Planes(centre, normal.T, dot(normal, a), _fingerprint(vertices))
+
+
+def _fingerprint(vertices: Float[Array, "V 3"]) -> UInt32[Array, ""]:
+    """Return a checksum of the bits; integer sums do not depend on the order of summation."""
+    bits = jax.lax.bitcast_convert_type(vertices, jnp.uint32).reshape(-1)
+    weight = jnp.arange(bits.shape[0], dtype=jnp.uint32) * jnp.uint32(2654435761) | jnp.uint32(1)
+    return jnp.sum(bits * weight, dtype=jnp.uint32)
+
+
+def _face_indices(faces: Any, V: int) -> np.ndarray:
+    if not is_concrete(faces):
+        raise ValueError("`faces`: expected a concrete array, got a traced one; close over it")
+    array = np.asarray(faces)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"`faces`: expected shape (F, 3), got {array.shape}")
+    if not np.issubdtype(array.dtype, np.integer):
+        raise ValueError(f"`faces`: expected integers, got dtype {array.dtype}")
+    if array.size and not (0 <= array.min() and array.max() < V):
+        raise ValueError(
+            f"`faces`: expected indices from 0 to {V - 1}, got {array.min()} to {array.max()}"
+        )
+    return array.astype(np.int32)
+
+
+def _edge_records(faces: np.ndarray, V: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return (E, 2) vertices and (E, 2) faces of the edge records that `Mesh` documents."""
+    start = faces.ravel().astype(np.int64)
+    end = np.roll(faces, -1, axis=1).ravel().astype(np.int64)
+    face = np.repeat(np.arange(len(faces), dtype=np.int32), 3)
+    proper = start != end
+    start, end, face = start[proper], end[proper], face[proper]
+    directed = (np.minimum(start, end) * V + np.maximum(start, end)) * 2 + (start > end)
+    order = np.argsort(directed, kind="stable")
+    directed, start, end, face = directed[order], start[order], end[order], face[order]
+    # Half-edges of one edge and direction are numbered; the n-th one way pairs with the n-th back.
+    first = np.flatnonzero(np.diff(directed, prepend=-1))
+    rank = np.arange(len(directed)) - np.repeat(first, np.diff(first, append=len(directed)))
+    if np.any(rank):
+        order = np.lexsort((directed & 1, rank, directed >> 1))
+        directed, start, end, face, rank = (x[order] for x in (directed, start, end, face, rank))
+    edge = directed >> 1
+    paired = np.append((edge[1:] == edge[:-1]) & (rank[1:] == rank[:-1]), False)[: len(edge)]
+    head = np.ones(len(edge), bool)
+    head[1:] = ~paired[:-1]
+    other = np.where(paired, np.roll(face, -1), -1)
+    vertices = np.stack([start, end], axis=1)[head].astype(np.int32)
+    return vertices, np.stack([face, other], axis=1)[head].astype(np.int32)
