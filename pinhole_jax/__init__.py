@@ -10,5 +10,6 @@ from ._rays import (
 )
 from ._scene import Mesh as Mesh, Scene as Scene, Spheres as Spheres
 from ._silhouette import silhouette as silhouette
+from ._trace import Hit as Hit, occluded as occluded, trace as trace
 
 __version__ = "0.1.0"

@@ -31,7 +31,8 @@ class Mesh(eqx.Module):
     runs as in its first face; the second face, if any, runs through it from b to a, and is -1 at a
     border. Edges that more than two faces, or two of opposite winding, share have several records.
     `closed` says that there is no border: closed and consistently wound (per shared vertex index;
-    `load_mesh` merges equal vertices).
+    `load_mesh` merges equal vertices). `order` lists the faces along a space-filling curve, for the
+    tracer.
 
     `vertices` may be traced and differentiated, also by way of `eqx.tree_at`; `faces` may not.
     Raises ValueError for wrong shapes or dtypes, non-finite vertices and indices out of range.
@@ -42,6 +43,7 @@ class Mesh(eqx.Module):
     edge_vertices: Int[Array, "E 2"]
     edge_faces: Int[Array, "E 2"]
     planes: Planes
+    order: Int[Array, "F"]
     closed: bool = eqx.field(static=True)
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike):
@@ -52,6 +54,7 @@ class Mesh(eqx.Module):
         self.edge_vertices = jnp.asarray(edge_vertices)
         self.edge_faces = jnp.asarray(edge_faces)
         self.planes = _planes(self.vertices, self.faces)
+        self.order = _morton_order(self.vertices, self.faces)
         self.closed = bool(np.all(edge_faces >= 0))
 
 
@@ -125,6 +128,22 @@ def _planes(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Planes:
     a, b, c = jnp.moveaxis((vertices - centre[None])[faces], 1, 0)
     normal = jnp.cross(b - a, c - a)
     return Planes(centre, normal.T, dot(normal, a), _fingerprint(vertices))
+
+
+@jax.jit
+def _morton_order(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Int[Array, "F"]:
+    """Return the faces sorted by the Morton code (10 bits an axis) of their centroids."""
+    if not (faces.shape[0] and vertices.shape[0]):
+        return jnp.zeros(faces.shape[0], jnp.int32)
+    vertices = jax.lax.stop_gradient(vertices)
+    low, high = jnp.min(vertices, axis=0), jnp.max(vertices, axis=0)
+    centroid = jnp.mean(vertices[faces], axis=1)
+    extent = jnp.maximum(jnp.max(high - low), jnp.finfo(vertices.dtype).tiny)
+    cell = jnp.clip((centroid - low[None]) / extent * 1024, 0, 1023).astype(jnp.uint32)
+    spread = jnp.zeros_like(cell)
+    for bit in range(10):
+        spread |= ((cell >> bit) & 1) << (3 * bit)
+    return jnp.argsort(spread[:, 0] | spread[:, 1] << 1 | spread[:, 2] << 2).astype(jnp.int32)
 
 
 def _fingerprint(vertices: Float[Array, "V 3"]) -> UInt32[Array, ""]:
