@@ -1,7 +1,9 @@
 """A differentiable pinhole camera that recovers pose and intrinsics from images."""
 
 from ._camera import Camera as Camera
+from ._fit import Fit as Fit, fit_camera as fit_camera
 from ._lens import Lens as Lens
+from ._metrics import iou as iou, pose_error as pose_error
 from ._rays import (
     camera_rays as camera_rays,
     generate_rays as generate_rays,

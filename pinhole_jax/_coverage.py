@@ -105,8 +105,7 @@ def piece_counts(m: Monotone, W, H) -> Int[Array, "K"]:
     first, last = _column(x0, W), _column(x1, W)
     weight = m.curves.weight
     count = rows.count + jnp.abs(last - first)
-    right_of_film = (m.low[:, 0] >= W) & (m.high[:, 0] >= W)
-    return jnp.where((weight == 0) | (rows.count == 0) | right_of_film, 0, count)
+    return jnp.where((weight == 0) | (rows.count == 0), 0, count)
 
 
 def split(m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_H: int) -> Pieces:
@@ -137,7 +136,8 @@ def split(m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_
     x0, y0 = _at_row(m, (rows.first + row).astype(dtype))
     x1, y1 = _at_row(m, (rows.first + row + 1).astype(dtype))
     # The film cuts off what lies above and below it.
-    y0, y1 = jnp.clip(y0, 0, H), jnp.clip(y1, 0, H)
+    top = jnp.asarray(H, dtype)
+    y0, y1 = jnp.clip(y0, 0, top), jnp.clip(y1, 0, top)
     c0, c1 = _column(x0, W), _column(x1, W)
     rightward = c1 >= c0
     along = jnp.clip(rank - passed(row), 0, jnp.abs(c1 - c0))

@@ -4,8 +4,9 @@ Both are affine on the film, so a straight edge stays straight. A camera without
 """
 
 import equinox as eqx
-import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
+
+from ._arrays import float_array, float_dtype, is_concrete
 
 
 class Lens(eqx.Module):
@@ -14,17 +15,16 @@ class Lens(eqx.Module):
     - `principal_point`: where the view axis meets the film, in film coordinates (px, origin at the
       film's bottom-left corner, y up). A centred camera has (W/2, H/2).
     - `aspect`: focal length in pixels along x over focal length in pixels along y (`fx / fy`).
+
+    Raises ValueError for wrong shapes, non-finite values and an aspect that is not positive.
     """
 
     principal_point: Float[Array, "2"]
     aspect: Float[Array, ""]
 
     def __init__(self, principal_point: ArrayLike, aspect: ArrayLike = 1.0):
-        self.principal_point = jnp.asarray(principal_point, float)
-        self.aspect = jnp.asarray(aspect, float)
-        if self.principal_point.shape != (2,):
-            raise ValueError(
-                f"`principal_point`: expected shape (2,), got {self.principal_point.shape}"
-            )
-        if self.aspect.shape != ():
-            raise ValueError(f"`aspect`: expected a scalar, got shape {self.aspect.shape}")
+        dtype = float_dtype(principal_point, aspect)
+        self.principal_point = float_array("principal_point", principal_point, (2,), dtype)
+        self.aspect = float_array("aspect", aspect, (), dtype)
+        if is_concrete(self.aspect) and not float(self.aspect) > 0:
+            raise ValueError(f"`aspect`: expected a positive ratio, got {float(self.aspect)}")

@@ -90,18 +90,69 @@ class Scene(eqx.Module):
             )
 
 
+def astype(scene: Scene, dtype: Any) -> Scene:
+    """Return the scene in a float type; planes are made anew where the vertices change."""
+    mesh, spheres = scene.mesh, scene.spheres
+    if mesh is not None and mesh.vertices.dtype != dtype:
+        vertices = mesh.vertices.astype(dtype)
+        planes = _planes(vertices, mesh.faces)
+        mesh = eqx.tree_at(lambda m: (m.vertices, m.planes), mesh, (vertices, planes))
+    if spheres is not None and spheres.radii.dtype != dtype:
+        spheres = jax.tree.map(lambda x: x.astype(dtype), spheres)
+    return Scene(mesh=mesh, spheres=spheres)
+
+
+def padded(scene: Scene) -> Scene:
+    """Return the scene with its mesh's arrays filled up to one of a few sizes.
+
+    What is added is on no contour, so the silhouette is the same, and meshes of similar size share
+    compiled programs. Not for tracing: the faces' order is left out.
+    """
+    if scene.mesh is None or not scene.mesh.edge_faces.shape[0]:
+        return scene
+    mesh = scene.mesh
+
+    def fill(x, axis=0):
+        size = x.shape[axis]
+        step = max(1 << (size.bit_length() - 3), 64)
+        widths = [(0, 0)] * x.ndim
+        widths[axis] = (0, -size % step)
+        return jnp.pad(x, widths)
+
+    vertices, faces = fill(mesh.vertices), fill(mesh.faces)
+    planes = Planes(
+        mesh.planes.centre,
+        fill(mesh.planes.normal, 1),
+        fill(mesh.planes.offset),
+        _fingerprint(vertices),
+    )
+    if not _planes_are_current(mesh):
+        planes = _planes(vertices, faces)
+    order = jnp.zeros(0, jnp.int32)
+    edges = (fill(mesh.edge_vertices), fill(mesh.edge_faces))
+    mesh = eqx.tree_at(
+        lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.planes, m.order),
+        mesh,
+        (vertices, faces, *edges, planes, order),
+    )
+    return Scene(mesh=mesh, spheres=scene.spheres)
+
+
+def _planes_are_current(mesh: Mesh) -> Bool[Array, ""]:
+    return mesh.planes.fingerprint == _fingerprint(mesh.vertices)
+
+
 def front_facing(mesh: Mesh, e: Float[Array, "3"]) -> Bool[Array, "F"]:
     """Return which faces show their front (counter-clockwise) side to the eye; edge-on: False.
 
     Uses the stored planes; where the vertices are no longer those that the planes were made from
     (`eqx.tree_at`, an optimiser's update), the planes are made anew, so they are never stale.
     """
-    vertices, e = jax.lax.stop_gradient((mesh.vertices, e))
-    stored = jax.lax.stop_gradient(mesh.planes)
+    mesh, e = jax.lax.stop_gradient((mesh, e))
     planes = jax.lax.cond(
-        stored.fingerprint == _fingerprint(vertices),
-        lambda: stored,
-        lambda: _planes(vertices, mesh.faces),
+        _planes_are_current(mesh),
+        lambda: mesh.planes,
+        lambda: _planes(mesh.vertices, mesh.faces),
     )
     eye = e - planes.centre
     n = planes.normal

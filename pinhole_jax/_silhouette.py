@@ -14,7 +14,7 @@ from ._camera import Camera
 from ._contour import Selection, contour_weights, mesh_segments, nth, select, sphere_arcs
 from ._coverage import Curves, Pieces, flux, monotone, piece_counts, split
 from ._linear_map import linear_map
-from ._scene import Scene
+from ._scene import Scene, astype
 
 CURVES_AT_A_TIME = 2048
 PIECES_AT_A_TIME = 4096
@@ -36,7 +36,7 @@ def silhouette(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
 
 @eqx.filter_jit
 def _silhouette(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
-    return jnp.clip(winding_image(camera, scene), 0, 1)
+    return jnp.clip(winding_image(camera, astype(scene, camera.e.dtype)), 0, 1)
 
 
 def winding_image(camera: Camera, scene: Scene) -> Float[Array, "H W"]:

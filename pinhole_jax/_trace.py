@@ -15,7 +15,7 @@ from ._bvh import Tree, after, build
 from ._intersect import perpendicular, ray_box, ray_sphere, ray_triangle
 from ._rays import Rays
 from ._safe import normalize
-from ._scene import Scene
+from ._scene import Scene, astype
 
 RAYS_AT_A_TIME = 2048
 
@@ -53,6 +53,7 @@ def occluded(scene: Scene, rays: Rays) -> Bool[Array, "*batch"]:
 
 @eqx.filter_jit
 def _trace(scene: Scene, rays: Rays) -> Hit:
+    scene = astype(scene, rays.direction.dtype)
     flat, shape = _flatten(rays)
     primitive = _search(scene, flat, any_hit=False)
     hit = _meet(scene, flat, primitive)
@@ -62,6 +63,7 @@ def _trace(scene: Scene, rays: Rays) -> Hit:
 @eqx.filter_jit
 def _occluded(scene: Scene, rays: Rays) -> Bool[Array, "*batch"]:
     flat, shape = _flatten(rays)
+    scene = astype(scene, rays.direction.dtype)
     return (_search(scene, flat, any_hit=True) >= 0).reshape(shape)
 
 

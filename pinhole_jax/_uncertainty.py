@@ -1,0 +1,82 @@
+"""What a fit knows: covariance, and the directions in which the image does not change, in words."""
+
+import numpy as np
+
+#: Singular values under this share of the largest count as no information at all ...
+BLIND = {np.dtype(np.float32): 1e-5, np.dtype(np.float64): 1e-9}
+#: ... and under this one as little: a direction worth naming.
+WEAK = 0.03
+
+
+def covariance(
+    triangle: np.ndarray, to_reported: np.ndarray, variance: float, blind: float
+) -> np.ndarray:
+    """Return the covariance (n, n) of the reported parameters.
+
+    `triangle` is R of J = QR for the residuals, `to_reported` the derivative of the reported
+    parameters with respect to the moves, `variance` that of one residual. A parameter that moves
+    along a direction which changes no pixel has infinite variance, and no covariance (NaN).
+    """
+    _, values, directions = np.linalg.svd(triangle)
+    seen = values > blind * max(values[0], np.finfo(values.dtype).tiny)
+    root = to_reported @ directions[seen].T / values[seen]
+    result = variance * (root @ root.T)
+    lost = to_reported @ directions[~seen].T
+    size = np.linalg.norm(to_reported, axis=1, keepdims=True)
+    unknown = np.any(np.abs(lost) > 1e-6 * np.maximum(size, 1e-300), axis=1)
+    result[unknown, :] = np.nan
+    result[:, unknown] = np.nan
+    result[unknown, unknown] = np.inf
+    return result
+
+
+def weak_directions(
+    triangle: np.ndarray, components: list[str], axes: np.ndarray, blind: float
+) -> tuple[bool, tuple[str, ...]]:
+    """Return whether a direction is not seen at all, and each weak direction in words.
+
+    `components` names the moves (in pixels), `axes` (3, 3) are the camera's in world coordinates.
+    """
+    _, values, directions = np.linalg.svd(triangle)
+    top = max(values[0], np.finfo(values.dtype).tiny)
+    share = values / top
+    words = tuple(
+        f"{_words(direction, components, axes)} "
+        + ("is not visible" if s <= blind else f"is nearly free ({s:.1%} of the best-seen move)")
+        for s, direction in zip(share[::-1], directions[::-1], strict=True)
+        if s < WEAK
+    )
+    return bool(share[-1] <= blind), words
+
+
+def _words(direction: np.ndarray, components: list[str], axes: np.ndarray) -> str:
+    """Return what a direction of moves does to the camera."""
+    part = dict(zip(components, direction, strict=True))
+    kinds = {
+        kind: np.array([part.get(f"{kind}_{b}", 0.0) for b in ("b1", "b2", "v")])
+        for kind in ("turn", "shift", "spin")
+    }
+    weight = {kind: float(np.linalg.norm(vector)) for kind, vector in kinds.items()}
+    for name in ("log_distance", "log_focal", "principal_x", "principal_y", "log_aspect"):
+        weight[name] = abs(float(part.get(name, 0.0)))
+    chief = [k for k in sorted(weight, key=lambda k: -weight[k]) if weight[k] > 0.35]
+    names = {
+        "turn": "the turn about the object's axis " + _axis(kinds["turn"] @ axes),
+        "spin": "the camera's turn about the axis " + _axis(kinds["spin"] @ axes),
+        "shift": "the sideways shift",
+        "log_distance": "the distance",
+        "log_focal": "the focal length",
+        "principal_x": "the principal point's x",
+        "principal_y": "the principal point's y",
+        "log_aspect": "the pixel aspect",
+    }
+    named = [names[k] for k in chief]
+    if len(named) < 2:
+        return named[0] if named else "a mixture of all parameters"
+    return " against ".join(named)
+
+
+def _axis(vector: np.ndarray) -> str:
+    unit = vector / max(float(np.linalg.norm(vector)), 1e-300)
+    unit = unit * np.sign(unit[np.argmax(np.abs(unit))] or 1)
+    return "(" + ", ".join(f"{x:.2f}" for x in unit + 0.0) + ")"
