@@ -23,7 +23,7 @@ from ._parameters import (
     reported,
     units,
 )
-from ._residuals import Capacity, Load, Sums, load, residuals
+from ._residuals import Capacity, Load, Sums, residuals
 from ._scene import Scene, astype, bounding_sphere, padded
 from ._target import Level, Pyramid, check_target, pyramid
 from ._uncertainty import BLIND, covariance, weak_directions
@@ -38,6 +38,9 @@ STATUSES = (
     "non_finite",  # NaN or infinity turned up
 )
 
+#: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
+#: larger units make bolder first steps.
+UNIT_PX = 30.0
 #: A step is negligible below this many pixels; on coarse levels, and on the finest.
 COARSE_PX = 0.02
 FINE_PX = {np.dtype(np.float32): 3e-4, np.dtype(np.float64): 1e-7}
@@ -109,16 +112,16 @@ def fit_camera(
     problem = _Problem(padded(astype(scene, dtype)), levels_data, *bounding_sphere(scene))
     start = canonical(camera)
 
-    unit, steps = start, []
-    capacity = _capacity(unit, problem.scene, levels[-1])
+    before, capacity = _look(start, problem, levels[-1], names, _first_capacity(scene, image))
+    unit, after, steps = start, before, []
     for number, level in enumerate(levels):
         tolerance = FINE_PX[dtype] if level is levels[-1] else COARSE_PX
-        unit, n = _descend(unit, problem, level, tolerance, names, capacity, max_steps)
+        tolerance = jnp.asarray(tolerance, dtype)
+        unit, n = _solve(unit, problem, level, tolerance, names, capacity, max_steps)
         steps.append(int(n))
         if progress is not None:
             progress(f"level {number + 1} of {len(levels)}: {int(level.W)} x {int(level.H)}, {n} steps")
-    before = _look(start, problem, levels[-1], names, capacity)
-    after = _look(unit, problem, levels[-1], names, capacity)
+    after, capacity = _look(unit, problem, levels[-1], names, capacity)
     if not float(after.sums.squares) <= float(before.sums.squares):
         unit, after = start, before  # never worse than the start
     return _report(camera, unit, after, names, tuple(steps), max_steps)
@@ -190,8 +193,8 @@ class _Static(eqx.Module):
 
 
 def _move(unit: Camera, problem: _Problem, level: Level, names: tuple[str, ...]) -> Move:
-    unit_px = units(unit, problem.pivot, problem.radius, level.scale, names)
-    return Move(unit, problem.pivot, unit_px)
+    one_px = units(unit, problem.pivot, problem.radius, level.scale, names)
+    return Move(unit, problem.pivot, UNIT_PX * one_px)
 
 
 @eqx.filter_jit
@@ -200,7 +203,7 @@ def _solve(unit: Camera, problem: _Problem, level: Level, tolerance, names, capa
     args = (move, problem, level, _Static(names), _Static(tuple(capacity)))
     solution = optx.least_squares(
         _residual,
-        _LevenbergMarquardt(tolerance),
+        _LevenbergMarquardt(tolerance / UNIT_PX),
         jnp.zeros_like(move.unit),
         args,
         max_steps=max_steps,
@@ -209,37 +212,53 @@ def _solve(unit: Camera, problem: _Problem, level: Level, tolerance, names, capa
     return moved(move, solution.value, names), solution.stats["num_steps"]
 
 
-def _descend(unit, problem, level, tolerance, names, capacity, max_steps):
-    """Return the camera at the bottom of a level, and the steps it took."""
-    tolerance = jnp.asarray(tolerance, problem.radius.dtype)
-    return _solve(unit, problem, level, tolerance, names, capacity, max_steps)
-
-
 @eqx.filter_jit
-def _look(unit: Camera, problem: _Problem, level: Level, names, capacity) -> _View:
+def _view(unit: Camera, problem: _Problem, level: Level, names, capacity) -> _View:
     move = _move(unit, problem, level, names)
     zero = jnp.zeros_like(move.unit)
 
     def at(y):
-        (r, _), sums = residuals(
-            moved(move, y, names), problem.scene, problem.pyramid, level, capacity
-        )
-        return r, (r, sums)
+        camera = moved(move, y, names)
+        (r, _), *rest = residuals(camera, problem.scene, problem.pyramid, level, capacity)
+        return r, (r, *rest)
 
-    jacobian, (r, sums) = jax.jacfwd(at, has_aux=True)(zero)
+    jacobian, (r, sums, load) = jax.jacfwd(at, has_aux=True)(zero)
     q, triangle = jnp.linalg.qr(jacobian)
     to_reported = jax.jacfwd(lambda y: reported(unit, moved(move, y, names), names))(zero)
-    needed = load(unit, problem.scene, level)
-    return _View(triangle, r @ q, sums, needed, to_reported)
+    return _View(triangle, r @ q, sums, load, to_reported)
 
 
-_load = eqx.filter_jit(load)
+def _look(
+    unit: Camera, problem: _Problem, level: Level, names: tuple[str, ...], capacity: Capacity
+) -> tuple[_View, Capacity]:
+    """Return the view at a camera, and capacities with half as much room again as it takes."""
+    while True:
+        view = _view(unit, problem, level, names, capacity)
+        needs = zip(capacity, view.load, strict=True)
+        room = Capacity(*(_room(have, int(need)) for have, need in needs))
+        if room == capacity:
+            return view, capacity
+        capacity = room
 
 
-def _capacity(unit: Camera, scene: Scene, level: Level) -> Capacity:
-    """Return buffer sizes for a fit that starts here: 4 times what is needed, to a power of 2."""
-    needed = _load(unit, scene, level)
-    return Capacity(*(1 << max(4 * int(n) - 1, 255).bit_length() for n in needed))
+def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
+    """Return a guess: some contour edges per root of faces, some pieces per pixel of outline."""
+    faces = 0 if scene.mesh is None else scene.mesh.faces.shape[0]
+    spheres = 0 if scene.spheres is None else scene.spheres.radii.shape[0]
+    inside = image > 0.5
+    outline = sum(int(np.sum(np.diff(inside, axis=k))) for k in (0, 1))
+    return Capacity(
+        edges=_room(1, int(3 * faces**0.5)) if faces else 1,
+        pieces=_room(1, outline + int(3 * faces**0.5)) if faces else 1,
+        arc_pieces=_room(1, outline + 8 * spheres) if spheres else 1,
+    )
+
+
+def _room(have: int, need: int) -> int:
+    """Return `have` if it is 3/2 of `need`, else the next of a few sizes: each costs a compilation."""
+    while 2 * have < 3 * need:
+        have = max(4 * have, 1024)
+    return have
 
 
 def _report(
@@ -292,6 +311,6 @@ def _status(triangle, along, sums: Sums, blind: bool, dtype) -> str:
     cosine = np.max(slope / np.maximum(columns * np.sqrt(sums.squares), 1e-300))
     seen = values[0] * BLIND[dtype]
     newton = np.linalg.pinv(triangle, rcond=float(BLIND[dtype])) @ along if seen > 0 else along
-    if cosine > 1e-4 and np.max(np.abs(newton)) > 10 * FINE_PX[dtype]:
+    if cosine > 1e-4 and UNIT_PX * np.max(np.abs(newton)) > 10 * FINE_PX[dtype]:
         return "max_steps"
     return "rank_deficient" if blind else "converged"

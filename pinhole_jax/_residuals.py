@@ -29,14 +29,6 @@ class Capacity(NamedTuple):
     arc_pieces: int
 
 
-class Load(NamedTuple):
-    """How much of each capacity a view needs."""
-
-    edges: Int[Array, ""]
-    pieces: Int[Array, ""]
-    arc_pieces: Int[Array, ""]
-
-
 class Touched(NamedTuple):
     """The pixels that the contour touches, in raster order; unused slots have `cell` past the end.
 
@@ -51,7 +43,10 @@ class Touched(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Weighted sums over all pixels: squared residual, min and max of coverage and target."""
+    """Weighted sums over all pixels: squared residual, min and max of coverage and target, weight.
+
+    `touched` counts the pixels with weight that the contour touches.
+    """
 
     squares: Float[Array, ""]
     overlap: Float[Array, ""]
@@ -60,31 +55,28 @@ class Sums(NamedTuple):
     touched: Float[Array, ""]
 
 
-def load(camera: Camera, scene: Scene, level: Level) -> Load:
-    """Return what a view of the scene needs at a level."""
-    zero = jnp.int32(0)
-    edges = pieces = arc_pieces = zero
-    if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
-        weights = contour_weights(scene.mesh, camera.e)
-        edges = jnp.sum(weights != 0, dtype=jnp.int32)
-        segments = mesh_segments(camera, scene.mesh.vertices, scene.mesh.edge_vertices, weights)
-        pieces = jnp.sum(piece_counts(monotone(_on(level, segments)), level.W, level.H))
-    if scene.spheres is not None and scene.spheres.radii.shape[0]:
-        arcs = _on(level, sphere_arcs(camera, scene.spheres))
-        arc_pieces = jnp.sum(piece_counts(monotone(arcs), level.W, level.H))
-    return Load(edges, pieces.astype(jnp.int32), arc_pieces.astype(jnp.int32))
+class Load(NamedTuple):
+    """How much of each capacity a view needs; a lower bound once `edges` is over its capacity."""
+
+    edges: Int[Array, ""]
+    pieces: Int[Array, ""]
+    arc_pieces: Int[Array, ""]
+
+    def fits(self, capacity: Capacity) -> Bool[Array, ""]:
+        """Return whether every capacity suffices."""
+        return jnp.all(jnp.stack(self) <= jnp.array(capacity, jnp.int32))
 
 
 def residuals(
     camera: Camera, scene: Scene, pyramid: Pyramid, level: Level, capacity: Capacity
-) -> tuple[tuple[Float[Array, "P"], Float[Array, ""]], Sums]:
-    """Return the weighted residuals at touched pixels, the rest's root sum of squares, and sums.
+) -> tuple[tuple[Float[Array, "P"], Float[Array, ""]], Sums, Load]:
+    """Return the weighted residuals at touched pixels, the rest's root sum of squares, sums, load.
 
     The sum of all squares is the weighted squared distance of the image from the target. The rest
     is constant in the camera to first order. Where a capacity is too small all is NaN, so that a
     solver does not step there.
     """
-    touched, fits = touch(camera, scene, level, capacity)
+    touched, load = touch(camera, scene, level, capacity)
     end = level.H * (level.W + 2)
     here = level_slice(pyramid, level, touched.cell)
     weight = jnp.where(touched.inside, here.weight, 0)
@@ -113,29 +105,28 @@ def residuals(
         weight=total,
         touched=jnp.sum(jnp.where(weight > 0, 1, 0)).astype(total.dtype),
     )
-    ok = jnp.where(fits, 1, jnp.nan).astype(total.dtype)
-    return (difference * ok, jnp.sqrt(jnp.maximum(rest, 0)) * ok), sums
+    ok = jnp.where(load.fits(capacity), 1, jnp.nan).astype(total.dtype)
+    return (difference * ok, jnp.sqrt(jnp.maximum(rest, 0)) * ok), sums, load
 
 
 def touch(
     camera: Camera, scene: Scene, level: Level, capacity: Capacity
-) -> tuple[Touched, Bool[Array, ""]]:
-    """Return the touched pixels of a level, and whether the capacities sufficed."""
-    parts, fits = [], jnp.asarray(True)
+) -> tuple[Touched, Load]:
+    """Return the touched pixels of a level, and what they take of the capacities."""
+    parts, edges = [], jnp.int32(0)
     if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
-        segments, enough = _contour_segments(camera, scene, capacity.edges)
+        segments, edges = _contour_segments(camera, scene, capacity.edges)
         parts.append((_on(level, segments), capacity.pieces))
-        fits &= enough
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
         arcs = _on(level, sphere_arcs(camera, scene.spheres))
         parts.append((arcs, capacity.arc_pieces))
 
     end = level.H * (level.W + 2)
-    cells, heights, areas, changes = [], [], [], []
+    cells, heights, areas, changes, totals = [], [], [], [], {}
     for curves, size in parts:
         m = jax.lax.stop_gradient(monotone(curves))
         upto = jnp.cumsum(piece_counts(m, level.W, level.H))
-        fits &= upto[-1] <= size
+        totals[type(curves)] = upto[-1].astype(jnp.int32)
         slots = jnp.arange(size, dtype=jnp.int32)
         pieces = split(m, upto, slots, level.W, level.H, MAX_ROWS)
         cell = pieces.row * (level.W + 2) + pieces.column + 1
@@ -144,13 +135,15 @@ def touch(
         areas.append(pieces.area)
         own = jax.tree.map(lambda x: x[pieces.curve], curves)  # noqa: B023
         changes.append(flux(own, pieces, level.W))
-    return _by_pixel(*(jnp.concatenate(x) for x in (cells, heights, areas, changes)), level), fits
+    zero = jnp.int32(0)
+    load = Load(edges, totals.get(Segments, zero), totals.get(Arcs, zero))
+    return _by_pixel(*(jnp.concatenate(x) for x in (cells, heights, areas, changes)), level), load
 
 
 def _contour_segments(
     camera: Camera, scene: Scene, size: int
-) -> tuple[Segments, Bool[Array, ""]]:
-    """Return the contour edges in `size` slots, and whether that was enough."""
+) -> tuple[Segments, Int[Array, ""]]:
+    """Return the contour edges in `size` slots, and how many there are."""
     assert scene.mesh is not None
     weights = contour_weights(scene.mesh, camera.e)
     chosen = select(weights != 0)
@@ -160,7 +153,7 @@ def _contour_segments(
     segments = mesh_segments(
         camera, scene.mesh.vertices, scene.mesh.edge_vertices[edge], weight
     )
-    return segments, chosen.count <= size
+    return segments, chosen.count
 
 
 def _on(level: Level, curves: Curves) -> Curves:

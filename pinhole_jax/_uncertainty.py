@@ -5,7 +5,7 @@ import numpy as np
 #: Singular values under this share of the largest count as no information at all ...
 BLIND = {np.dtype(np.float32): 1e-5, np.dtype(np.float64): 1e-9}
 #: ... and under this one as little: a direction worth naming.
-WEAK = 0.03
+WEAK = 0.01
 
 
 def covariance(
