@@ -44,6 +44,9 @@ UNIT_PX = 30.0
 #: A step is negligible below this many pixels; on coarse levels, and on the finest.
 COARSE_PX = 0.02
 FINE_PX = {np.dtype(np.float32): 3e-4, np.dtype(np.float64): 1e-7}
+#: ... or where it would change the residuals by less than this share of their norm: MINPACK's
+#: cosine between residual and Jacobian, some thousandths of the error that noise leaves anyway.
+COSINE = {np.dtype(np.float32): 1e-4, np.dtype(np.float64): 1e-5}
 
 
 class Fit(NamedTuple):
@@ -171,8 +174,16 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
 
     def terminate(self, fn, y, args, options, state, tags):
         del fn, args, options, tags
-        small = jnp.max(jnp.abs(state.y_eval - y)) < self.atol
-        return ~state.first_step & small, state.result
+        step = state.y_eval - y
+        change = state.f_info.jac.mv(step)
+        cosine = COSINE[np.dtype(step.dtype)]
+        flat = _sum_squares(change) <= cosine**2 * _sum_squares(state.f_info.residual)
+        small = jnp.max(jnp.abs(step)) < self.atol
+        return ~state.first_step & (small | flat), state.result
+
+
+def _sum_squares(parts: tuple[Array, ...]) -> Array:
+    return sum((jnp.sum(x * x) for x in parts), jnp.zeros((), parts[0].dtype))
 
 
 def _silent(**kwargs: Any) -> None:
@@ -311,6 +322,6 @@ def _status(triangle, along, sums: Sums, blind: bool, dtype) -> str:
     cosine = np.max(slope / np.maximum(columns * np.sqrt(sums.squares), 1e-300))
     seen = values[0] * BLIND[dtype]
     newton = np.linalg.pinv(triangle, rcond=float(BLIND[dtype])) @ along if seen > 0 else along
-    if cosine > 1e-4 and UNIT_PX * np.max(np.abs(newton)) > 10 * FINE_PX[dtype]:
+    if cosine > 100 * COSINE[dtype] and UNIT_PX * np.max(np.abs(newton)) > 10 * FINE_PX[dtype]:
         return "max_steps"
     return "rank_deficient" if blind else "converged"

@@ -5,7 +5,7 @@ import numpy as np
 #: Singular values under this share of the largest count as no information at all ...
 BLIND = {np.dtype(np.float32): 1e-5, np.dtype(np.float64): 1e-9}
 #: ... and under this one as little: a direction worth naming.
-WEAK = 0.01
+WEAK = 0.03
 
 
 def covariance(
@@ -42,7 +42,7 @@ def weak_directions(
     share = values / top
     words = tuple(
         f"{_words(direction, components, axes)} "
-        + ("is not visible" if s <= blind else f"is nearly free ({s:.1%} of the best-seen move)")
+        + ("is not visible" if s <= blind else f"is nearly free ({s:.1%} as visible as the best-seen move)")
         for s, direction in zip(share[::-1], directions[::-1], strict=True)
         if s < WEAK
     )
@@ -61,7 +61,7 @@ def _words(direction: np.ndarray, components: list[str], axes: np.ndarray) -> st
         weight[name] = abs(float(part.get(name, 0.0)))
     chief = [k for k in sorted(weight, key=lambda k: -weight[k]) if weight[k] > 0.35]
     names = {
-        "turn": "the turn about the object's axis " + _axis(kinds["turn"] @ axes),
+        "turn": "the turn about the axis " + _axis(kinds["turn"] @ axes),
         "spin": "the camera's turn about the axis " + _axis(kinds["spin"] @ axes),
         "shift": "the sideways shift",
         "log_distance": "the distance",

@@ -1,0 +1,253 @@
+"""The command line: `pinhole-jax fit`, `pinhole-jax render`; also `python -m pinhole_jax`."""
+
+import argparse
+import os
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+EPILOG = """\
+camera files are JSON with the parameters of Frisvad's note, world units and radians:
+  {"e": [x, y, z], "p": [x, y, z], "u": [x, y, z], "phi": 0.6, "d": 1, "W": 256, "H": 256}
+eye e, view point p, up u, vertical field of view phi, camera constant d, resolution W x H; "lens"
+may add {"principal_point": [x, y], "aspect": 1} (px, origin at the bottom left, y up).
+Masks are grey images (white is the object), or images whose transparency is the mask.
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit status: 0, 1 if a fit is not to be trusted, 2 on bad input."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.run(options)
+    except (ValueError, OSError) as error:
+        print(f"pinhole-jax {options.command}: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="pinhole-jax",
+        description="A differentiable pinhole camera: recover it from a mask, or render a mask.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    fit = commands.add_parser(
+        "fit",
+        help="recover the camera from a mesh and a mask",
+        description="Recover the camera that sees MESH as MASK, from a start some 20 degrees off.\n"
+        "Writes camera.json and overlay.png, prints parameters with their standard errors.\n"
+        "Exit status: 0 converged, 1 not to be trusted (the status says why), 2 bad input.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    fit.add_argument("mesh", metavar="MESH", help="triangles: obj, ply, stl, glb, gltf or off")
+    fit.add_argument("mask", metavar="MASK", help="image of the camera's size, white on black")
+    fit.add_argument("--camera", required=True, metavar="START.json", help="where to start")
+    fit.add_argument(
+        "--free",
+        default="pose",
+        metavar="NAMES",
+        help="what to fit, with commas: pose (or position, orientation), phi, d, principal_point,"
+        " aspect; the rest stays as in START.json (default: %(default)s)",
+    )
+    fit.add_argument("--weight", metavar="IMAGE", help="grey image: how much each pixel counts")
+    fit.add_argument("--image", metavar="PHOTO", help="what to draw the outline on (default: MASK)")
+    fit.add_argument(
+        "-o", "--output", default="out", metavar="FOLDER", help="(default: %(default)s)"
+    )
+    _add_cache(fit)
+    fit.set_defaults(run=_fit)
+
+    render = commands.add_parser(
+        "render",
+        help="render the mask that a camera sees",
+        description="Render MESH as CAMERA.json sees it: exact coverage, 8 bits.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    render.add_argument("mesh", metavar="MESH", help="triangles: obj, ply, stl, glb, gltf or off")
+    render.add_argument("camera", metavar="CAMERA.json")
+    render.add_argument(
+        "-o", "--output", default="mask.png", metavar="IMAGE", help="(default: %(default)s)"
+    )
+    _add_cache(render)
+    render.set_defaults(run=_render)
+    return parser
+
+
+def _add_cache(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--no-cache",
+        action="store_true",
+        help="do not keep compiled programs in the user's cache folder",
+    )
+
+
+def _fit(options: argparse.Namespace) -> int:
+    clock = _Clock()
+    with _Progress("reading") as progress:
+        _set_up_jax(options)
+        from . import io
+        from ._fit import fit_camera
+        from ._scene import Scene
+        from .plot import overlay
+
+        start = io.load_camera(options.camera)
+        mask = io.load_mask(options.mask)
+        weight = None if options.weight is None else io.load_mask(options.weight) / 255.0
+        picture = mask if options.image is None else io.load_image(options.image)
+        scene = Scene(mesh=io.load_mesh(options.mesh))
+        progress.say("fitting (compiling on the first run)")
+        free = tuple(name.strip() for name in options.free.split(",") if name.strip())
+        fit = fit_camera(scene, mask, start, free, weight=weight, progress=progress.say)
+        progress.say("drawing")
+        drawing = overlay(picture, fit.camera, scene)
+    folder = Path(options.output)
+    io.save_camera(
+        folder / "camera.json",
+        fit.camera,
+        fit={
+            "status": fit.status,
+            "iou": fit.iou,
+            "rms": fit.rms if fit.rms == fit.rms else None,
+            "weak": list(fit.weak),
+            "std": {
+                name: std if std < float("inf") else None
+                for name, std in zip(fit.names, fit.std.tolist(), strict=True)
+            },
+        },
+    )
+    io.save_image(folder / "overlay.png", drawing)
+    print(table(fit))
+    print(f"time       {clock.compiling:.1f} s compile, {clock.elapsed() - clock.compiling:.1f} s run")
+    print(f"written    {folder / 'camera.json'}, {folder / 'overlay.png'}")
+    return 0 if fit.status == "converged" else 1
+
+
+def table(fit: Any) -> str:
+    """Return a fit as a short table: parameter, value, one sigma; status, IoU, what is weak."""
+    import numpy as np
+
+    camera = fit.camera
+    values = {
+        **{f"e_{x}": float(camera.e[k]) for k, x in enumerate("xyz")},
+        "phi": float(camera.phi),
+        "d": float(camera.d),
+    }
+    if camera.lens is not None:
+        values["principal_x"], values["principal_y"] = map(float, camera.lens.principal_point)
+        values["aspect"] = float(camera.lens.aspect)
+    words = {
+        "rotation_b1": "pitch (about b1, right)",
+        "rotation_b2": "yaw (about b2, up)",
+        "rotation_v": "roll (about v, forward)",
+        "phi": "phi, vertical field of view",
+        "principal_x": "principal point x",
+        "principal_y": "principal point y",
+    }
+    lines = [f"{'parameter':<28}{'value':>14}{'one sigma':>14}  unit"]
+    for name, std in zip(fit.names, fit.std, strict=True):
+        angle = name.startswith("rotation") or name == "phi"
+        unit = "deg" if angle else "px" if name.startswith("principal") else "world"
+        unit = "" if name == "aspect" else unit
+        factor = 180 / np.pi if angle else 1.0
+        value = f"{values[name] * factor:.6g}" if name in values else "-"
+        lines.append(f"{words.get(name, name):<28}{value:>14}{std * factor:>14.2g}  {unit}".rstrip())
+    lines.append(f"status     {fit.status}")
+    lines.append(f"IoU        {fit.iou:.4f}   (rms of coverage {fit.rms:.2g})")
+    lines += [f"note       {weak}" for weak in fit.weak]
+    return "\n".join(lines)
+
+
+def _render(options: argparse.Namespace) -> int:
+    with _Progress("rendering"):
+        _set_up_jax(options)
+        from . import io
+        from ._scene import Scene
+        from ._silhouette import silhouette
+
+        camera = io.load_camera(options.camera)
+        scene = Scene(mesh=io.load_mesh(options.mesh))
+        import numpy as np
+
+        image = np.asarray(silhouette(camera, scene))
+    io.save_image(options.output, image)
+    print(f"written    {options.output} ({camera.W} x {camera.H}, {image.mean():.1%} covered)")
+    return 0
+
+
+def _set_up_jax(options: argparse.Namespace) -> None:
+    """Set what an application may and a library may not: float64, a cache of compiled programs."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    if not options.no_cache:
+        home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        jax.config.update("jax_compilation_cache_dir", str(Path(home) / "pinhole_jax"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+class _Clock:
+    """Time since it was made, and how much of it JAX spent tracing and compiling."""
+
+    def __init__(self) -> None:
+        import jax.monitoring
+
+        self.compiling = 0.0
+        self._begin = time.perf_counter()
+        jax.monitoring.register_event_duration_secs_listener(self._listen)
+
+    def _listen(self, event: str, seconds: float, **_: Any) -> None:
+        if event in (
+            "/jax/core/compile/jaxpr_to_mlir_module_duration",
+            "/jax/core/compile/backend_compile_duration",
+            "/jax/core/compile/jaxpr_trace_duration",
+        ):
+            self.compiling += seconds
+
+    def elapsed(self) -> float:
+        return time.perf_counter() - self._begin
+
+
+class _Progress:
+    """A line on the terminal that says what goes on, once it has gone on for a second."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._done = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def say(self, text: str) -> None:
+        self._text = text
+
+    def __enter__(self) -> "_Progress":
+        if sys.stderr.isatty():
+            self._thread = threading.Thread(target=self._run, daemon=True)
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _run(self) -> None:
+        begin = time.perf_counter()
+        shown = False
+        while not self._done.wait(0.2):
+            seconds = time.perf_counter() - begin
+            if seconds > 1:
+                shown = True
+                print(f"\r\x1b[K{seconds:4.0f} s  {self._text}", end="", file=sys.stderr, flush=True)
+        if shown:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,108 @@
+"""Pictures: the recovered outline over the image it was recovered from."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ._camera import Camera
+from ._contour import Segments, contour_weights, mesh_segments, sphere_arcs
+from ._scene import Scene, astype
+
+RED = (230, 30, 60)
+#: Outline points are at most this far apart (px).
+STEP_PX = 2.0
+
+
+def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
+    """Return the silhouette's outline as short segments (start, end) in film coordinates (px).
+
+    Only the parts of the contour with background on their outer side: folds within the object and
+    parts behind it are left out.
+    """
+    start, end, weight = _pieces(camera, scene)
+    length = np.linalg.norm(end - start, axis=1)
+    counts = np.clip(np.ceil(length / STEP_PX), 1, 10_000).astype(int)
+    of = np.repeat(np.arange(len(counts)), counts)
+    first = np.cumsum(counts) - counts
+    part = ((np.arange(len(of)) - first[of]) / counts[of])[:, None]
+    along = (end - start)[of]
+    short = np.stack([start[of] + part * along, start[of] + (part + 1 / counts[of][:, None]) * along], 1)
+    # A point just outside: to the right of the segment's direction.
+    direction = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
+    outside = short.mean(axis=1) + 1e-3 * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
+    visible = _winding(outside, start, end, weight) <= 0
+    return short[visible]
+
+
+def overlay(
+    image: np.ndarray, camera: Camera, scene: Scene, colour: tuple[int, int, int] = RED
+) -> np.ndarray:
+    """Return the image as RGB uint8 with the outline drawn on it, enlarged to some 800 pixels.
+
+    `image` is uint8 (H, W), (H, W, 3) or (H, W, 4), of the camera's size, row 0 on top.
+    """
+    from PIL import Image, ImageDraw
+
+    if image.shape[:2] != (camera.H, camera.W):
+        raise ValueError(
+            f"`image`: expected the camera's size (H, W) = ({camera.H}, {camera.W}),"
+            f" got {image.shape[:2]}"
+        )
+    factor = max(1, round(800 / max(camera.W, camera.H)))
+    fine = 2 * factor  # lines are drawn at twice the size and averaged down: no jagged edges
+    canvas = Image.fromarray(image).convert("RGB")
+    canvas = canvas.resize((camera.W * fine, camera.H * fine), Image.Resampling.NEAREST)
+    draw = ImageDraw.Draw(canvas)
+    corners = outline(camera, scene) * [1, -1] + [0, camera.H]
+    near = np.all((corners > -1e4) & (corners < 1e4), axis=(1, 2))
+    for (x0, y0), (x1, y1) in corners[near] * fine:
+        draw.line([(x0, y0), (x1, y1)], fill=colour, width=4)
+    size = (camera.W * factor, camera.H * factor)
+    return np.asarray(canvas.resize(size, Image.Resampling.BOX))
+
+
+@eqx.filter_jit
+def _segments(camera: Camera, scene: Scene) -> tuple[Segments, Int[Array, "E"]]:
+    mesh = scene.mesh
+    weights = contour_weights(mesh, camera.e)
+    return mesh_segments(camera, mesh.vertices, mesh.edge_vertices, weights), weights
+
+
+def _pieces(camera: Camera, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return starts (n, 2), ends (n, 2) and weights (n,) of the whole contour, ellipses sampled."""
+    scene = astype(scene, camera.e.dtype)
+    parts = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))]
+    if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
+        segments, weights = _segments(camera, Scene(mesh=scene.mesh))
+        on = np.asarray(weights) != 0
+        parts.append(tuple(np.asarray(x, float)[on] for x in segments))
+    if scene.spheres is not None and scene.spheres.radii.shape[0]:
+        arcs = sphere_arcs(camera, scene.spheres)
+        angle = np.linspace(0, 2 * np.pi, 257)
+        circle = np.stack([np.cos(angle), np.sin(angle)])
+        whole = scene.spheres.radii.shape[0]
+        for (l11, l21, l22), centre, weight in zip(
+            np.asarray(arcs.shape[:whole], float),
+            np.asarray(arcs.centre[:whole], float),
+            np.asarray(arcs.weight[:whole], float),
+            strict=True,
+        ):
+            points = centre + (np.array([[l11, 0], [l21, l22]]) @ circle).T
+            parts.append((points[:-1], points[1:], np.full(256, weight)))
+    start, end, weight = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return start[weight != 0], end[weight != 0], weight[weight != 0]
+
+
+def _winding(
+    points: np.ndarray, start: np.ndarray, end: np.ndarray, weight: np.ndarray
+) -> np.ndarray:
+    """Return how many layers lie over each point: signed crossings of the ray to its left."""
+    result = np.zeros(len(points))
+    for begin in range(0, len(points), 512):
+        x, y = points[begin : begin + 512, None].transpose(2, 0, 1)
+        spans = (start[:, 1] <= y) != (end[:, 1] <= y)
+        rise = np.where(start[:, 1] == end[:, 1], 1, end[:, 1] - start[:, 1])
+        at = start[:, 0] + (y - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
+        sign = np.where(end[:, 1] < start[:, 1], 1, -1)
+        result[begin : begin + 512] = np.sum(spans * (at < x) * sign * weight, axis=1)
+    return np.round(result)
