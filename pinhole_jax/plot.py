@@ -8,7 +8,8 @@ from ._camera import Camera
 from ._contour import Segments, contour_weights, mesh_segments, sphere_arcs
 from ._scene import Scene, astype
 
-RED = (230, 30, 60)
+CYAN = (0, 240, 255)
+DARK = (0, 30, 60)
 #: Outline points are at most this far apart (px).
 STEP_PX = 2.0
 
@@ -20,6 +21,9 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     parts behind it are left out.
     """
     start, end, weight = _pieces(camera, scene)
+    turned = weight < 0  # cover on the right: the same contour run the other way
+    start[turned], end[turned] = end[turned], start[turned]
+    weight = np.abs(weight)
     length = np.linalg.norm(end - start, axis=1)
     counts = np.clip(np.ceil(length / STEP_PX), 1, 10_000).astype(int)
     of = np.repeat(np.arange(len(counts)), counts)
@@ -27,7 +31,7 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     part = ((np.arange(len(of)) - first[of]) / counts[of])[:, None]
     along = (end - start)[of]
     short = np.stack([start[of] + part * along, start[of] + (part + 1 / counts[of][:, None]) * along], 1)
-    # A point just outside: to the right of the segment's direction.
+    # A point just outside: to the right, with cover on the left.
     direction = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
     outside = short.mean(axis=1) + 1e-3 * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
     visible = _winding(outside, start, end, weight) <= 0
@@ -35,7 +39,7 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
 
 
 def overlay(
-    image: np.ndarray, camera: Camera, scene: Scene, colour: tuple[int, int, int] = RED
+    image: np.ndarray, camera: Camera, scene: Scene, colour: tuple[int, int, int] = CYAN
 ) -> np.ndarray:
     """Return the image as RGB uint8 with the outline drawn on it, enlarged to some 800 pixels.
 
@@ -48,15 +52,16 @@ def overlay(
             f"`image`: expected the camera's size (H, W) = ({camera.H}, {camera.W}),"
             f" got {image.shape[:2]}"
         )
-    factor = max(1, round(800 / max(camera.W, camera.H)))
+    factor = -(-800 // max(camera.W, camera.H))
     fine = 2 * factor  # lines are drawn at twice the size and averaged down: no jagged edges
     canvas = Image.fromarray(image).convert("RGB")
     canvas = canvas.resize((camera.W * fine, camera.H * fine), Image.Resampling.NEAREST)
     draw = ImageDraw.Draw(canvas)
     corners = outline(camera, scene) * [1, -1] + [0, camera.H]
     near = np.all((corners > -1e4) & (corners < 1e4), axis=(1, 2))
-    for (x0, y0), (x1, y1) in corners[near] * fine:
-        draw.line([(x0, y0), (x1, y1)], fill=colour, width=4)
+    for line, width in ((DARK, 8), (colour, 4)):
+        for segment in corners[near] * fine:
+            draw.line([tuple(point) for point in segment], fill=line, width=width)
     size = (camera.W * factor, camera.H * factor)
     return np.asarray(canvas.resize(size, Image.Resampling.BOX))
 
