@@ -1,6 +1,7 @@
 """A differentiable pinhole camera that recovers pose and intrinsics from images."""
 
-from ._camera import Camera as Camera
+from . import formats as formats, io as io, plot as plot, shapes as shapes
+from ._camera import Camera as Camera, camera_basis as camera_basis
 from ._fit import Fit as Fit, fit_camera as fit_camera
 from ._lens import Lens as Lens
 from ._metrics import iou as iou, pose_error as pose_error
@@ -13,5 +14,6 @@ from ._rays import (
 from ._scene import Mesh as Mesh, Scene as Scene, Spheres as Spheres
 from ._silhouette import silhouette as silhouette
 from ._trace import Hit as Hit, occluded as occluded, trace as trace
+from .io import load_mesh as load_mesh
 
 __version__ = "0.1.0"

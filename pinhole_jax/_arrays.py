@@ -7,6 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+#: What a front door takes: anything that becomes an array, and is checked there in words. (A type
+#: checker's own error would come first and say less.)
+Numbers = Any
+
 
 def is_concrete(*values: Any) -> bool:
     """Return whether every value can be looked at now (none is traced by a transformation)."""

@@ -25,9 +25,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
-from ._arrays import float_array, float_dtype, is_concrete
+from ._arrays import Numbers, float_array, float_dtype, is_concrete
 from ._lens import Lens
 from ._safe import normalize
 
@@ -80,13 +80,13 @@ class Camera(eqx.Module):
 
     def __init__(
         self,
-        e: ArrayLike | list | tuple,
-        p: ArrayLike | list | tuple,
-        u: ArrayLike | list | tuple,
-        phi: ArrayLike,
-        d: ArrayLike = 1.0,
-        W: int = 0,
-        H: int = 0,
+        e: Numbers,
+        p: Numbers,
+        u: Numbers,
+        phi: Numbers,
+        d: Numbers = 1.0,
+        W: Any = 0,
+        H: Any = 0,
         lens: Lens | None = None,
     ):
         dtype = float_dtype(e, p, u, phi, d)

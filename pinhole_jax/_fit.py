@@ -1,6 +1,6 @@
 """`fit_camera`: the camera from a mask, by Levenberg-Marquardt on exact coverage, coarse to fine."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
+from ._arrays import Numbers
 from ._camera import Camera, camera_basis
 from ._parameters import (
     COMPONENTS,
@@ -78,11 +79,11 @@ class Fit(NamedTuple):
 
 def fit_camera(
     scene: Scene,
-    target: ArrayLike,
+    target: Numbers,
     camera: Camera | None,
-    free: str | tuple[str, ...] = ("pose",),
+    free: str | Sequence[str] = ("pose",),
     *,
-    weight: ArrayLike | None = None,
+    weight: Numbers = None,
     max_steps: int = 64,
     progress: Callable[[str], None] | None = None,
 ) -> Fit:

@@ -4,9 +4,9 @@ Both are affine on the film, so a straight edge stays straight. A camera without
 """
 
 import equinox as eqx
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
-from ._arrays import float_array, float_dtype, is_concrete
+from ._arrays import Numbers, float_array, float_dtype, is_concrete
 
 
 class Lens(eqx.Module):
@@ -22,7 +22,7 @@ class Lens(eqx.Module):
     principal_point: Float[Array, "2"]
     aspect: Float[Array, ""]
 
-    def __init__(self, principal_point: ArrayLike, aspect: ArrayLike = 1.0):
+    def __init__(self, principal_point: Numbers, aspect: Numbers = 1.0):
         dtype = float_dtype(principal_point, aspect)
         self.principal_point = float_array("principal_point", principal_point, (2,), dtype)
         self.aspect = float_array("aspect", aspect, (), dtype)

@@ -5,6 +5,7 @@ around the object, shifting it and changing the distance move the outline in way
 Focal length and distance are logarithmic: no step makes them negative.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -38,7 +39,7 @@ REPORTED: dict[str, tuple[str, ...]] = {
 }
 
 
-def check_free(free: str | tuple[str, ...] | list[str]) -> tuple[str, ...]:
+def check_free(free: str | Sequence[str]) -> tuple[str, ...]:
     """Return the names in a fixed order, or raise ValueError for unknown or conflicting ones."""
     names = (free,) if isinstance(free, str) else tuple(free)
     known = ", ".join(COMPONENTS)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from ._arrays import Numbers
 from ._camera import (
     Camera,
     basis,
@@ -25,11 +26,11 @@ class Rays(NamedTuple):
 
 
 def generate_rays(
-    e: Float[Array, "3"],
-    p: Float[Array, "3"],
-    u: Float[Array, "3"],
-    phi: Float[Array, ""],
-    d: Float[Array, ""],
+    e: Numbers,
+    p: Numbers,
+    u: Numbers,
+    phi: Numbers,
+    d: Numbers,
     W: int,
     H: int,
     samples: int | None = None,

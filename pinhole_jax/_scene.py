@@ -6,9 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, UInt32
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from ._arrays import float_array, float_dtype, is_concrete
+from ._arrays import Numbers, float_array, float_dtype, is_concrete
 from ._safe import dot
 
 
@@ -46,7 +46,7 @@ class Mesh(eqx.Module):
     order: Int[Array, "F"]
     closed: bool = eqx.field(static=True)
 
-    def __init__(self, vertices: ArrayLike, faces: ArrayLike):
+    def __init__(self, vertices: Numbers, faces: Numbers):
         self.vertices = float_array("vertices", vertices, (None, 3), float_dtype(vertices))
         triangles = _face_indices(faces, self.vertices.shape[0])
         edge_vertices, edge_faces = _edge_records(triangles, self.vertices.shape[0])
@@ -67,7 +67,7 @@ class Spheres(eqx.Module):
     centers: Float[Array, "S 3"]
     radii: Float[Array, "S"]
 
-    def __init__(self, centers: ArrayLike | list, radii: ArrayLike | list):
+    def __init__(self, centers: Numbers, radii: Numbers):
         dtype = float_dtype(centers, radii)
         self.centers = float_array("centers", centers, (None, 3), dtype)
         self.radii = float_array("radii", radii, (self.centers.shape[0],), dtype)
@@ -78,16 +78,15 @@ class Spheres(eqx.Module):
 class Scene(eqx.Module):
     """A mesh, spheres, or both; what is left out costs nothing. An empty scene covers nothing."""
 
-    mesh: Mesh | None = None
-    spheres: Spheres | None = None
+    mesh: Mesh | None
+    spheres: Spheres | None
 
-    def __check_init__(self):
-        if not (self.mesh is None or isinstance(self.mesh, Mesh)):
-            raise ValueError(f"`mesh`: expected a Mesh or None, got {type(self.mesh).__name__}")
-        if not (self.spheres is None or isinstance(self.spheres, Spheres)):
-            raise ValueError(
-                f"`spheres`: expected Spheres or None, got {type(self.spheres).__name__}"
-            )
+    def __init__(self, mesh: Any = None, spheres: Any = None):
+        if not (mesh is None or isinstance(mesh, Mesh)):
+            raise ValueError(f"`mesh`: expected a Mesh or None, got {type(mesh).__name__}")
+        if not (spheres is None or isinstance(spheres, Spheres)):
+            raise ValueError(f"`spheres`: expected Spheres or None, got {type(spheres).__name__}")
+        self.mesh, self.spheres = mesh, spheres
 
 
 def astype(scene: Scene, dtype: Any) -> Scene:
@@ -201,7 +200,8 @@ def _fingerprint(vertices: Float[Array, "V 3"]) -> UInt32[Array, ""]:
     """Return a checksum of the bits; integer sums do not depend on the order of summation."""
     bits = jax.lax.bitcast_convert_type(vertices, jnp.uint32).reshape(-1)
     weight = jnp.arange(bits.shape[0], dtype=jnp.uint32) * jnp.uint32(2654435761) | jnp.uint32(1)
-    return jnp.sum(bits * weight, dtype=jnp.uint32)
+    mixed = (bits ^ (bits >> 16)) * weight  # round numbers have nothing but zeros in their low bits
+    return jnp.sum(mixed ^ (mixed >> 15), dtype=jnp.uint32)
 
 
 def _face_indices(faces: Any, V: int) -> np.ndarray:

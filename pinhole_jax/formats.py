@@ -2,16 +2,16 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
 
+from ._arrays import Numbers
 from ._camera import Camera
 from ._lens import Lens
 
 
 def from_opencv(
-    K: ArrayLike,
-    R: ArrayLike,
-    t: ArrayLike,
+    K: Numbers,
+    R: Numbers,
+    t: Numbers,
     W: int,
     H: int,
     *,

@@ -1,0 +1,20 @@
+"""JAX made strict: float64, no silent promotion of types or ranks; every test closes its oracle."""
+
+from pathlib import Path
+
+import jax
+import pytest
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+SHARED = Path(__file__).parents[2] / "shared" / "data"
+
+
+@pytest.fixture
+def shared() -> Path:
+    """The folder of real meshes and photos; tests that need it are skipped where it is not."""
+    if not SHARED.exists():
+        pytest.skip(f"no real data at {SHARED}")
+    return SHARED

@@ -1,0 +1,131 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pinhole_jax as pj
+from pinhole_jax._camera import basis, camera_basis, film_size, focal_px, to_camera
+
+E, P, U = [0.0, 0.0, 5.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]
+
+
+def arrays(*values):
+    return [jnp.array(v, float) for v in values]
+
+
+def test_basis_by_hand():
+    # v = (p-e)/|p-e|, b1 = (v x u)/|v x u|, b2 = b1 x v
+    b1, b2, v = basis(*arrays([0, 0, 5], [0, 0, 0], [0, 1, 0]))
+    np.testing.assert_allclose(v, [0, 0, -1])
+    np.testing.assert_allclose(b1, [1, 0, 0])
+    np.testing.assert_allclose(b2, [0, 1, 0])
+
+
+def test_basis_by_hand_with_u_neither_unit_nor_orthogonal():
+    # v = (3,4,0)/5; v x (0,0,7) = (28,-21,0)/5 -> b1 = (4,-3,0)/5; b2 = b1 x v = (0,0,1)
+    b1, b2, v = basis(*arrays([1, 1, 1], [4, 5, 1], [3, 4, 7]))
+    np.testing.assert_allclose(v, [0.6, 0.8, 0], atol=1e-15)
+    np.testing.assert_allclose(b1, [0.8, -0.6, 0], atol=1e-15)
+    np.testing.assert_allclose(b2, [0, 0, 1], atol=1e-15)
+
+
+def test_film_size_by_hand():
+    # h = 2 d tan(phi/2) = 2 * 3 * tan(45 deg) = 6, w = h W/H = 6 * 4/2 = 12
+    w, h = film_size(*arrays(np.pi / 2, 3.0), 4, 2)
+    np.testing.assert_allclose([w, h], [12, 6])
+
+
+def test_focal_length_in_pixels():
+    # H / (2 tan(phi/2)) = 100 / 2
+    camera = pj.Camera(E, P, U, np.pi / 2, W=200, H=100)
+    np.testing.assert_allclose(focal_px(camera), [50, 50])
+    wide = pj.Camera(E, P, U, np.pi / 2, W=200, H=100, lens=pj.Lens([90.0, 40.0], 1.5))
+    np.testing.assert_allclose(focal_px(wide), [75, 50])
+
+
+def test_camera_coordinates_are_right_up_forward():
+    camera = pj.Camera(E, P, U, 0.5, W=4, H=4)
+    np.testing.assert_allclose(to_camera(camera, jnp.array([1.0, 2.0, 2.0])), [1, 2, 3])
+
+
+def test_gauge_changes_no_view():
+    camera = pj.Camera([1, 2, 5], [0, 0.5, 0], [0.1, 1, 0.3], 0.5, W=4, H=4)
+    other = pj.Camera(
+        camera.e, camera.e + 7 * (camera.p - camera.e), 3 * camera.u + camera.p - camera.e, 0.5, 9.0, 4, 4
+    )
+    np.testing.assert_allclose(camera_basis(camera), camera_basis(other), atol=1e-15)
+    points = jnp.array([[0.3, 0.2, 0.1]])
+    np.testing.assert_allclose(pj.project(camera, points), pj.project(other, points), atol=1e-13)
+
+
+def test_positional_order_is_that_of_the_note_and_keywords_work():
+    camera = pj.Camera(E, P, U, 0.5, 2.0, 8, 6)
+    assert (float(camera.phi), float(camera.d), camera.W, camera.H) == (0.5, 2.0, 8, 6)
+    same = pj.Camera(e=E, p=P, u=U, phi=0.5, d=2.0, W=8, H=6)
+    assert jax.tree.structure(camera) == jax.tree.structure(same)
+
+
+def test_resolution_is_static_and_the_rest_are_leaves():
+    camera = pj.Camera(E, P, U, 0.5, W=8, H=6)
+    leaves, tree = jax.tree.flatten(camera)
+    assert [leaf.shape for leaf in leaves] == [(3,), (3,), (3,), (), ()]
+    assert tree.unflatten(leaves).W == 8
+
+
+def test_float_type_follows_the_arguments():
+    assert pj.Camera(E, P, U, 0.5, W=2, H=2).e.dtype == jnp.float64
+    single = pj.Camera(np.array(E, np.float32), np.array(P), U, 0.5, W=2, H=2)
+    assert single.e.dtype == jnp.float64  # p is float64
+    single = pj.Camera(np.array(E, np.float32), P, U, 0.5, W=2, H=2, lens=pj.Lens([1.0, 1.0]))
+    assert {x.dtype for x in jax.tree.leaves(single)} == {np.dtype(np.float32)}
+
+
+GOOD = {"e": E, "p": P, "u": U, "phi": 0.5, "d": 1.0, "W": 4, "H": 4}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"e": [0, 0]}, r"`e`: expected a real array of shape \(3,\), got shape \(2,\)"),
+        ({"p": [[0, 0, 0]]}, r"`p`: expected .* got shape \(1, 3\)"),
+        ({"e": ["a", "b", "c"]}, r"`e`: expected .* got dtype"),
+        ({"e": [[1], [1, 2], 3]}, r"`e`: expected .*, got \[\[1\]"),
+        ({"u": [0, 1j, 0]}, r"`u`: expected .* got dtype complex128"),
+        ({"e": [0, np.nan, 1]}, r"`e`: expected finite values, got nan at index \(1,\)"),
+        ({"phi": np.inf}, r"`phi`: expected finite values, got inf"),
+        ({"phi": [0.5]}, r"`phi`: expected a real number, got shape \(1,\)"),
+        ({"phi": 0.0}, r"`phi`: expected an angle in \(0, pi\) rad, got 0.0"),
+        ({"phi": np.pi}, r"`phi`: expected an angle in \(0, pi\) rad"),
+        ({"phi": -0.5}, r"`phi`: expected an angle in \(0, pi\) rad, got -0.5"),
+        ({"d": 0.0}, r"`d`: expected a positive distance, got 0.0"),
+        ({"p": E}, r"`p`: expected a view point other than the eye `e`"),
+        ({"u": [0, 0, 3]}, r"`u`: expected a direction not parallel to the view"),
+        ({"u": [0, 0, 0]}, r"`u`: expected an up direction, got the null vector"),
+        ({"W": 0}, r"`W`: expected an integer of at least 1, got 0"),
+        ({"H": -3}, r"`H`: expected an integer of at least 1, got -3"),
+        ({"W": 2.5}, r"`W`: expected an integer of at least 1, got 2.5"),
+        ({"H": None}, r"`H`: expected an integer of at least 1, got None"),
+        ({"e": True}, r"`e`: expected .* got dtype bool"),
+    ],
+)
+def test_bad_input_is_said_in_words(change, message):
+    with pytest.raises(ValueError, match=message):
+        pj.Camera(**{**GOOD, **change})
+
+
+@pytest.mark.parametrize(
+    ("point", "aspect", "message"),
+    [
+        ([1.0], 1.0, r"`principal_point`: expected .* got shape \(1,\)"),
+        ([1.0, np.nan], 1.0, r"`principal_point`: expected finite values"),
+        ([1.0, 2.0], 0.0, r"`aspect`: expected a positive ratio, got 0.0"),
+    ],
+)
+def test_bad_lens_is_said_in_words(point, aspect, message):
+    with pytest.raises(ValueError, match=message):
+        pj.Lens(point, aspect)
+
+
+def test_traced_cameras_are_made_without_a_look_at_values():
+    make = jax.jit(lambda e, phi: pj.Camera(e, jnp.zeros(3), jnp.array([0.0, 1, 0]), phi, W=2, H=2))
+    assert make(jnp.array([0.0, 0, 5]), 0.5).W == 2

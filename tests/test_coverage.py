@@ -1,0 +1,97 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+
+from oracles import area_per_pixel
+from pinhole_jax._contour import Arcs, Segments
+from pinhole_jax._coverage import monotone, piece_counts, split
+
+W, H = 7, 5
+
+
+def rasterise(curves) -> np.ndarray:
+    """Sum the pieces as the library does, in plain numpy: (H, W), row 0 on top."""
+    m = monotone(curves)
+    upto = jnp.cumsum(piece_counts(m, W, H))
+    pieces = split(m, upto, jnp.arange(max(int(upto[-1]), 1), dtype=jnp.int32), W, H, H)
+    image = np.zeros((H, W))
+    for row, column, height, area, valid in zip(
+        *(np.asarray(x) for x in (pieces.row, pieces.column, pieces.height, pieces.area, pieces.valid)),
+        strict=True,
+    ):
+        if valid:
+            assert 0 <= row < H
+            if 0 <= column < W:
+                image[row, column] += area
+            image[row, max(column + 1, 0) :] += height
+    return image[::-1]
+
+
+def polygon(points) -> Segments:
+    points = jnp.asarray(points, float)
+    return Segments(points, jnp.roll(points, -1, axis=0), jnp.ones(points.shape[0]))
+
+
+POLYGONS = {
+    "within one pixel": [(2.2, 1.3), (2.8, 1.4), (2.5, 1.9)],
+    "general": [(0.3, 0.2), (6.1, 1.7), (4.2, 4.9), (1.1, 3.3)],
+    "on the grid": [(1, 1), (4, 1), (4, 3), (1, 3)],
+    "diagonal through corners": [(1, 1), (4, 4), (1, 4)],
+    "leaves left": [(-3.5, 1.2), (3.3, 0.4), (2.2, 4.4)],
+    "leaves right": [(4.4, 1.2), (15.3, 2.4), (5.2, 4.4)],
+    "leaves bottom": [(1.4, 2.2), (3.3, -7.4), (5.2, 3.4)],
+    "leaves top": [(1.4, 2.2), (5.3, 2.4), (3.2, 13.4)],
+    "holds the frame": [(-9, -9), (19, -8), (18, 21), (-7, 16)],
+    "cuts the frame's corner": [(-4, 2), (2, -4), (-4, -4)],
+    "left of the frame": [(-4, 1), (-1, 2), (-3, 4)],
+    "right of the frame": [(8, 1), (9, 2), (8.5, 4)],
+    "above the frame": [(1, 6), (3, 7), (2, 9)],
+    "huge": [(-1e6, -3e5), (2e6, 1.1), (-1e6, 4e5)],
+    "thin": [(0.5, 2.5), (6.5, 2.5 + 1e-9), (0.5, 2.5 + 2e-9)],
+}
+
+
+@pytest.mark.parametrize("name", POLYGONS)
+def test_polygons_have_their_exact_area_in_each_pixel(name):
+    points = POLYGONS[name]
+    expected = area_per_pixel(shapely.Polygon(points), W, H)
+    np.testing.assert_allclose(rasterise(polygon(points)), expected, atol=1e-9 if name == "huge" else 1e-13)
+
+
+def test_a_hole_is_a_contour_that_runs_the_other_way():
+    outer, inner = [(0.5, 0.5), (6.5, 0.5), (6.5, 4.5), (0.5, 4.5)], [(2, 1), (3, 4), (5, 2)]
+    both = Segments(*(jnp.concatenate(x) for x in zip(polygon(outer), polygon(inner), strict=True)))
+    expected = area_per_pixel(shapely.Polygon(outer, [inner]), W, H)
+    np.testing.assert_allclose(rasterise(both), expected, atol=1e-13)
+
+
+ELLIPSES = {
+    "circle": ((3.3, 2.4), (1.7, 0.0, 1.7)),
+    "sheared": ((3.1, 2.6), (2.4, 1.3, 0.8)),
+    "sheared the other way": ((3.1, 2.6), (2.0, -1.5, 0.3)),
+    "within one pixel": ((3.5, 2.5), (0.2, 0.1, 0.15)),
+    "touches grid lines": ((3.0, 2.0), (2.0, 0.0, 1.0)),
+    "leaves the frame": ((0.3, 4.6), (2.4, 0.3, 1.8)),
+    "holds the frame": ((3, 2), (30, 5, 40)),
+    "outside": ((-5, 2), (1, 0.5, 1)),
+}
+
+
+@pytest.mark.parametrize("name", ELLIPSES)
+def test_ellipses_have_their_exact_area_in_each_pixel(name):
+    centre, (l11, l21, l22) = ELLIPSES[name]
+    quarter = jnp.arange(4, dtype=jnp.int32)
+    arcs = Arcs(
+        jnp.tile(jnp.array(centre, float), (4, 1)),
+        jnp.tile(jnp.array([l11, l21, l22], float), (4, 1)),
+        quarter,
+        jnp.ones(4),
+    )
+    n = 200_000
+    angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    points = np.array([[l11, 0], [l21, l22]]) @ [np.cos(angle), np.sin(angle)]
+    expected = area_per_pixel(shapely.Polygon(points.T + centre), W, H)
+    # The oracle is a polygon within the ellipse: its sagitta bounds the difference.
+    sagitta = max(l11, abs(l21) + l22) * (np.pi / n) ** 2
+    np.testing.assert_allclose(rasterise(arcs), expected, atol=1e-12 + 2 * sagitta)

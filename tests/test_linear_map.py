@@ -1,0 +1,45 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinhole_jax._linear_map import linear_map
+
+
+def forward(n, x):
+    """Sum_{k<n} (k+1) x, by a loop of unknown length: JAX alone cannot transpose it."""
+    return jax.lax.fori_loop(0, n, lambda k, s: s + (k + 1.0) * x, jnp.zeros_like(x))
+
+
+def apply(n, x):
+    return linear_map(forward, forward, n, x)
+
+
+X = jnp.array([1.0, -2.0, 3.0])
+
+
+def test_value_and_derivatives_in_both_modes():
+    np.testing.assert_array_equal(apply(3, X), 6 * X)
+    np.testing.assert_array_equal(jax.jacfwd(lambda x: apply(3, x))(X), 6 * np.eye(3))
+    np.testing.assert_array_equal(jax.jacrev(lambda x: apply(3, x))(X), 6 * np.eye(3))
+    np.testing.assert_array_equal(jax.jit(jax.grad(lambda x: apply(3, x)[1]))(X), [0, 6, 0])
+
+
+def test_batches_over_residuals_and_over_what_is_linear():
+    counts = jnp.array([1, 2, 3])
+    np.testing.assert_array_equal(
+        jax.vmap(apply, (0, None))(counts, X), np.array([1, 3, 6])[:, None] * np.asarray(X)
+    )
+    np.testing.assert_array_equal(
+        jax.jit(jax.vmap(apply, (None, 1), 1))(2, X[None, :] * jnp.ones((2, 1))), 3 * np.tile(X, (2, 1))
+    )
+    slopes = jax.vmap(jax.grad(lambda x, n: jnp.sum(apply(n, x))), (None, 0))(X, counts)
+    np.testing.assert_array_equal(slopes, np.repeat([[1], [3], [6]], 3, 1))
+
+
+def test_what_is_not_linear_has_no_derivative_and_says_so():
+    def scaled(s):
+        return linear_map(lambda r, x: r * x, lambda r, y: r * y, s, X).sum()
+
+    with pytest.raises(NotImplementedError, match="differentiated once"):
+        jax.grad(scaled)(2.0)

@@ -1,0 +1,31 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinhole_jax._safe import norm, normalize, safe_divide, safe_sqrt
+
+
+@pytest.mark.parametrize(
+    ("function", "at"),
+    [
+        (safe_sqrt, 0.0),
+        (safe_sqrt, -1.0),
+        (lambda x: safe_divide(jnp.ones(()), x), 0.0),
+        (lambda x: norm(jnp.stack([x, x, x])), 0.0),
+        (lambda x: jnp.sum(normalize(jnp.stack([x, x, x]))), 0.0),
+    ],
+)
+def test_singular_points_have_value_and_derivative_zero(function, at):
+    value, slope = jax.value_and_grad(function)(at)
+    assert (float(value), float(slope)) == (0, 0)
+
+
+@pytest.mark.parametrize("scale", [1e-200, 1.0, 1e200])
+def test_norm_neither_under_nor_overflows(scale):
+    np.testing.assert_allclose(norm(scale * jnp.array([3.0, 4, 0])), 5 * scale, rtol=1e-15)
+    np.testing.assert_allclose(normalize(scale * jnp.array([3.0, 4, 0])), [0.6, 0.8, 0])
+
+
+def test_norm_has_the_derivative_of_a_norm():
+    np.testing.assert_allclose(jax.grad(norm)(jnp.array([3.0, 4, 0])), [0.6, 0.8, 0], rtol=1e-15)

@@ -1,0 +1,135 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pinhole_jax as pj
+from pinhole_jax import shapes
+from pinhole_jax._scene import astype, bounding_sphere, front_facing, padded
+
+TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])  # counter-clockwise from outside
+
+
+def test_edges_of_a_closed_mesh_have_two_faces_each_and_run_as_in_the_first():
+    mesh = pj.Mesh(TETRAHEDRON, FACES)
+    assert mesh.closed
+    assert mesh.edge_vertices.shape == (6, 2)
+    for (a, b), (first, second) in zip(
+        mesh.edge_vertices.tolist(), mesh.edge_faces.tolist(), strict=True
+    ):
+        cycle = [FACES[f].tolist() * 2 for f in (first, second)]
+        assert any(cycle[0][k : k + 2] == [a, b] for k in range(3))
+        assert any(cycle[1][k : k + 2] == [b, a] for k in range(3))
+
+
+def test_border_edges_have_one_face():
+    mesh = pj.Mesh(TETRAHEDRON, FACES[:3])
+    assert not mesh.closed
+    assert int(jnp.sum(mesh.edge_faces[:, 1] < 0)) == 3
+
+
+def test_opposite_windings_do_not_pair():
+    flipped = FACES.copy()
+    flipped[3] = flipped[3, ::-1]
+    mesh = pj.Mesh(TETRAHEDRON, flipped)
+    assert not mesh.closed
+    assert mesh.edge_vertices.shape == (9, 2)  # 3 good pairs, 3 edges of 2 records each
+
+
+def test_an_edge_shared_by_four_faces_has_two_records():
+    # Two tetrahedra that share the edge 0-3 alone: each closed by itself, so the whole is closed.
+    other = np.array([[0, 0, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1.0]])
+    vertices = np.concatenate([TETRAHEDRON, other[1:3]])
+    faces = np.concatenate([FACES, np.array([0, 4, 5, 3])[FACES]])
+    mesh = pj.Mesh(vertices, faces)
+    assert mesh.closed
+    records = np.sort(np.asarray(mesh.edge_vertices), axis=1)
+    assert np.sum(np.all(records == [0, 3], axis=1)) == 2
+
+
+def test_front_faces_are_those_whose_outside_is_seen():
+    mesh = pj.Mesh(TETRAHEDRON, FACES)
+    assert front_facing(mesh, jnp.array([5.0, 5, 5])).tolist() == [False, False, False, True]
+    assert front_facing(mesh, jnp.array([0.2, 0.2, -5])).tolist() == [True, False, False, False]
+
+
+def test_planes_are_never_stale():
+    mesh = pj.Mesh(TETRAHEDRON, FACES)
+    turned = eqx.tree_at(lambda m: m.vertices, mesh, -mesh.vertices[:, ::-1])
+    fresh = pj.Mesh(turned.vertices, FACES)
+    for e in jnp.array([[5.0, 5, 5], [-5, -4, -3], [0.2, -3, 0.1]]):
+        assert front_facing(turned, e).tolist() == front_facing(fresh, e).tolist()
+
+
+def test_vertices_may_be_traced_and_faces_may_not():
+    made = jax.jit(lambda v: pj.Mesh(v, FACES).vertices)(jnp.asarray(TETRAHEDRON))
+    np.testing.assert_array_equal(made, TETRAHEDRON)
+    with pytest.raises(ValueError, match="`faces`: expected a concrete array"):
+        jax.jit(lambda f: pj.Mesh(TETRAHEDRON, f).vertices)(jnp.asarray(FACES))
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "message"),
+    [
+        (np.zeros((4, 2)), FACES, r"`vertices`: expected .* shape \(N, 3\), got shape \(4, 2\)"),
+        (TETRAHEDRON * np.nan, FACES, r"`vertices`: expected finite values, got nan at index \(0, 0\)"),
+        (TETRAHEDRON, FACES[:, :2], r"`faces`: expected shape \(F, 3\), got \(4, 2\)"),
+        (TETRAHEDRON, FACES * 1.0, r"`faces`: expected integers, got dtype float64"),
+        (TETRAHEDRON, FACES + 1, r"`faces`: expected indices from 0 to 3, got 1 to 4"),
+        (TETRAHEDRON, FACES - 1, r"`faces`: expected indices from 0 to 3, got -1 to 2"),
+    ],
+)
+def test_bad_meshes_are_said_in_words(vertices, faces, message):
+    with pytest.raises(ValueError, match=message):
+        pj.Mesh(vertices, faces)
+
+
+@pytest.mark.parametrize(
+    ("centers", "radii", "message"),
+    [
+        ([[0, 0]], [1.0], r"`centers`: expected .* got shape \(1, 2\)"),
+        ([[0, 0, 0]], [1.0, 2.0], r"`radii`: expected .* shape \(1,\), got shape \(2,\)"),
+        ([[0, 0, 0]], [0.0], r"`radii`: expected positive radii, got 0.0"),
+        ([[0, np.inf, 0]], [1.0], r"`centers`: expected finite values, got inf"),
+    ],
+)
+def test_bad_spheres_are_said_in_words(centers, radii, message):
+    with pytest.raises(ValueError, match=message):
+        pj.Spheres(centers, radii)
+
+
+def test_bad_scenes_are_said_in_words():
+    with pytest.raises(ValueError, match="`mesh`: expected a Mesh or None, got str"):
+        pj.Scene(mesh="bunny.obj")
+    with pytest.raises(ValueError, match="`spheres`: expected Spheres or None, got list"):
+        pj.Scene(spheres=[1, 2])
+
+
+def test_bounding_sphere_holds_everything():
+    scene = pj.Scene(mesh=pj.Mesh(TETRAHEDRON, FACES), spheres=pj.Spheres([[3.0, 0, 0]], [1.0]))
+    centre, radius = bounding_sphere(scene)
+    np.testing.assert_allclose(centre, [2, 0, 0])
+    np.testing.assert_allclose(radius, np.sqrt(4**2 + 2**2 + 2**2) / 2)
+
+
+def test_padding_and_casting_keep_the_silhouette():
+    scene = pj.Scene(mesh=shapes.bumpy(2))
+    camera = pj.Camera([0.3, 1, 5], [0, 0, 0], [0, 1, 0], 0.6, W=24, H=20)
+    image = pj.silhouette(camera, scene)
+    full = padded(scene)
+    assert full.mesh.faces.shape[0] % 64 == 0
+    np.testing.assert_array_equal(pj.silhouette(camera, full), image)
+    single = astype(scene, jnp.dtype(jnp.float32))
+    assert single.mesh.planes.offset.dtype == jnp.float32
+    np.testing.assert_allclose(pj.silhouette(camera, single), image, atol=1e-5)
+
+
+def test_padding_stale_planes_makes_them_anew():
+    scene = pj.Scene(mesh=shapes.bumpy(1))
+    stretched = eqx.tree_at(lambda s: s.mesh.vertices, scene, scene.mesh.vertices * jnp.array([[2.0, 1, 1]]))
+    fresh = pj.Scene(mesh=pj.Mesh(stretched.mesh.vertices, scene.mesh.faces))
+    e = jnp.array([1.0, 2, 3])
+    F = scene.mesh.faces.shape[0]
+    assert front_facing(padded(stretched).mesh, e)[:F].tolist() == front_facing(fresh.mesh, e).tolist()

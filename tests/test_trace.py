@@ -1,0 +1,225 @@
+"""Hits against Embree (an independent tracer, in float32) and by hand."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+import pinhole_jax as pj
+from oracles import central_difference
+from pinhole_jax import shapes
+from pinhole_jax._bvh import after, build
+from pinhole_jax._intersect import perpendicular, ray_triangle
+
+CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 24, 20)
+
+
+@pytest.fixture(scope="module")
+def rays():
+    """A few thousand rays: some from a camera, some from anywhere to anywhere."""
+    random = np.random.default_rng(0)
+    eye, target = random.normal(size=(2, 1500, 3))
+    eye *= 3 / np.linalg.norm(eye, axis=1, keepdims=True)
+    direction = target * 0.6 - eye
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return pj.Rays(jnp.asarray(eye), jnp.asarray(direction))
+
+
+def edge_distance(vertices, faces, origin, direction, face):
+    """Return how far each ray passes from the edges of a face, over the face's size."""
+    corners = vertices[faces[face]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    t = np.sum(normal * (corners[:, 0] - origin), axis=1) / np.sum(normal * direction, axis=1)
+    point = origin + t[:, None] * direction
+    distances = []
+    for k in range(3):
+        a, b = corners[:, k], corners[:, (k + 1) % 3]
+        distances.append(
+            np.linalg.norm(np.cross(point - a, b - a), axis=1) / np.linalg.norm(b - a, axis=1)
+        )
+    return np.min(distances, axis=0), t
+
+
+@pytest.mark.parametrize("name", ["spot.obj", "bob.obj", "bumpy"])
+def test_same_hits_as_embree(name, rays, request):
+    pytest.importorskip("embreex")
+    from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+    if name == "bumpy":
+        mesh = shapes.bumpy(4)
+    else:
+        mesh = pj.load_mesh(request.getfixturevalue("shared") / "meshes" / name)
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    hit = pj.trace(pj.Scene(mesh=mesh), rays)
+    origin, direction = (np.asarray(x) for x in rays)
+    peer = RayMeshIntersector(trimesh.Trimesh(vertices, faces, process=False))
+    theirs = peer.intersects_first(origin, direction)
+    ours = np.asarray(hit.primitive)
+    assert (ours >= 0).mean() > 0.2
+
+    clear = np.ones(len(ours), bool)
+    for found in (ours, theirs):
+        on = found >= 0
+        distance, _ = edge_distance(vertices, faces, origin[on], direction[on], found[on])
+        clear[on] &= distance > 1e-6
+    assert clear.mean() > 0.99
+    np.testing.assert_array_equal((ours >= 0)[clear], (theirs >= 0)[clear])
+    # Embree's t is float32's: compare with the plane of the face that Embree found, in float64.
+    both = clear & (ours >= 0)
+    _, t = edge_distance(vertices, faces, origin[both], direction[both], theirs[both])
+    np.testing.assert_allclose(np.asarray(hit.t)[both], t, rtol=1e-6)
+
+
+def brute_force(mesh, rays):
+    """Return t and face of each ray by testing every face."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]][None] for k in range(3))
+    axes = perpendicular(rays.direction)
+    spread = lambda x: x[:, None]  # noqa: E731
+    t = ray_triangle(spread(rays.origin), spread(rays.direction), (spread(axes[0]), spread(axes[1])), a, b, c).t
+    face = jnp.argmin(t, axis=1)
+    best = jnp.min(t, axis=1)
+    return best, jnp.where(jnp.isfinite(best), face, -1)
+
+
+@pytest.mark.parametrize("faces", [1, 2, 3, 4, 5, 63, 64, 65])
+def test_the_tree_finds_what_testing_every_face_finds(faces, rays):
+    whole = shapes.bumpy(1)
+    mesh = pj.Mesh(whole.vertices, np.asarray(whole.faces)[:faces])
+    some = pj.Rays(rays.origin[:500], rays.direction[:500])
+    hit = pj.trace(pj.Scene(mesh=mesh), some)
+    t, face = brute_force(mesh, some)
+    np.testing.assert_array_equal(hit.primitive, face)
+    np.testing.assert_allclose(hit.t, t, rtol=1e-14)
+    np.testing.assert_array_equal(pj.occluded(pj.Scene(mesh=mesh), some), face >= 0)
+
+
+def test_depth_first_order_of_the_heap():
+    # Leaves 4..7: after the left subtree comes the right one, after the last nothing (1).
+    assert [int(after(jnp.int32(n))) for n in (2, 3, 4, 5, 6, 7)] == [3, 1, 5, 3, 7, 1]
+
+
+def test_every_face_is_in_one_leaf_and_every_box_holds_its_faces():
+    tree = build(shapes.bumpy(2))
+    assert set(np.unique(tree.faces)) == set(range(320))
+    for leaf in range(tree.leaves):
+        node = leaf + tree.leaves
+        while node:
+            assert np.all(tree.corners[leaf] >= tree.low[node])
+            assert np.all(tree.corners[leaf] <= tree.high[node])
+            node //= 2
+
+
+@pytest.mark.parametrize(("dtype", "offset"), [("float32", 0.0), ("float32", 1.0), ("float64", 1.0)])
+def test_no_ray_leaks_through_edges_or_vertices(dtype, offset):
+    """Rays from within a closed mesh, aimed at vertices and points of edges; also far away."""
+    mesh = shapes.bumpy(2)
+    random = np.random.default_rng(0)
+    away = offset * np.array([148376.0, 1234.0, -223423.0])
+    vertices = (np.asarray(mesh.vertices) + away).astype(dtype)
+    a, b = vertices[np.asarray(mesh.edge_vertices)].transpose(1, 0, 2)
+    along = random.random((4, len(a), 1)).astype(dtype)
+    aims = np.concatenate([vertices, (a + along * (b - a)).reshape(-1, 3)])
+    origin = np.broadcast_to(away.astype(dtype), aims.shape)
+    direction = aims - origin
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    scene = pj.Scene(mesh=pj.Mesh(vertices, np.asarray(mesh.faces)))
+    blocked = pj.occluded(scene, pj.Rays(jnp.asarray(origin), jnp.asarray(direction)))
+    assert int(jnp.sum(~blocked)) == 0
+
+
+def test_a_hit_by_hand():
+    mesh = pj.Mesh([[0, 0, 0], [2, 0, 0], [0, 2, 0.0]], [[0, 1, 2]])
+    rays = pj.Rays(jnp.array([0.5, 0.25, 3.0]), jnp.array([[0.0, 0, -1], [0, 0, 1], [0.6, 0.8, 0]]))
+    hit = pj.trace(pj.Scene(mesh=mesh), rays)
+    np.testing.assert_allclose(hit.t, [3, np.inf, np.inf])
+    assert hit.primitive.tolist() == [0, -1, -1]
+    # (0.5, 0.25) = 0.625 a + 0.25 b + 0.125 c
+    np.testing.assert_allclose(hit.barycentric, [[0.625, 0.25, 0.125], [0] * 3, [0] * 3], atol=1e-15)
+    np.testing.assert_allclose(hit.normal, [[0, 0, 1], [0] * 3, [0] * 3], atol=1e-15)
+
+
+def test_triangles_are_hit_from_both_sides_and_keep_their_normal():
+    mesh = pj.Mesh([[0, 0, 0], [2, 0, 0], [0, 2, 0.0]], [[0, 1, 2]])
+    below = pj.Rays(jnp.array([0.5, 0.25, -3.0]), jnp.array([0.0, 0, 1]))
+    hit = pj.trace(pj.Scene(mesh=mesh), below)
+    np.testing.assert_allclose(hit.t, 3)
+    np.testing.assert_allclose(hit.normal, [0, 0, 1], atol=1e-15)
+
+
+def test_spheres_by_hand():
+    scene = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0], [0, 0, -5]], [1.0, 1.0]))
+    down = jnp.array([0.0, 0, -1])
+    origins = jnp.array([[0.0, 0, 4], [0, 0, 0], [0, 0.6, 4], [0, 1, 4], [0, 1.1, 4], [0, 0, -2]])
+    hit = pj.trace(scene, pj.Rays(origins, jnp.broadcast_to(down, (6, 3))))
+    # From outside; from within (far wall); off centre; grazing; past it; from between the two.
+    np.testing.assert_allclose(hit.t, [3, 1, 3.2, 4, np.inf, 2], rtol=1e-12)
+    assert hit.primitive.tolist() == [0, 0, 0, 0, -1, 1]
+    np.testing.assert_allclose(hit.normal[2], [0, 0.6, 0.8], atol=1e-12)
+
+
+@pytest.mark.parametrize("distance", [1e2, 1e4, 1e6])
+def test_small_spheres_far_away_keep_their_digits_in_float32(distance):
+    # The textbook discriminant b^2 - 4ac loses them all from a distance of some 1e3 radii.
+    origin = jnp.array([0.3, 0.4, distance], jnp.float32)
+    rays = pj.Rays(origin, jnp.array([0, 0, -1], jnp.float32))
+    scene = pj.Scene(spheres=pj.Spheres(np.zeros((1, 3), np.float32), np.ones(1, np.float32)))
+    exact = distance - np.sqrt(0.75)
+    np.testing.assert_allclose(pj.trace(scene, rays).t, exact, rtol=2e-7)
+
+
+def test_the_nearer_of_mesh_and_sphere_is_hit():
+    mesh = pj.Mesh([[-2, -2, 0], [2, -2, 0], [0, 2, 0.0]], [[0, 1, 2]])
+    scene = pj.Scene(mesh=mesh, spheres=pj.Spheres([[0.0, 0, 0]], [0.5]))
+    rays = pj.Rays(jnp.array([[0.0, 0, 4], [1, -1, 4]]), jnp.tile(jnp.array([0.0, 0, -1]), (2, 1)))
+    assert pj.trace(scene, rays).primitive.tolist() == [1, 0]
+
+
+def test_derivatives_of_hits_equal_central_differences():
+    mesh = shapes.bumpy(1)
+    scene = pj.Scene(mesh=mesh, spheres=pj.Spheres([[1.3, 0.9, 0]], [0.4]))
+    rays = pj.camera_rays(CAMERA)
+    hit = pj.trace(scene, rays)
+    on = np.asarray(hit.primitive) >= 0
+    random = np.random.default_rng(0)
+    weights = [jnp.asarray(random.normal(size=s)) for s in ((20, 24), (20, 24, 3), (20, 24, 3))]
+
+    def loss(origin, direction, vertices, centers, radii):
+        moved = eqx.tree_at(
+            lambda s: (s.mesh.vertices, s.spheres.centers, s.spheres.radii),
+            scene,
+            (vertices, centers, radii),
+        )
+        found = pj.trace(moved, pj.Rays(origin, direction))
+        same = jnp.asarray(on) & (found.primitive == hit.primitive)
+        parts = (jnp.where(same, found.t, 0), found.barycentric, found.normal)
+        masks = (same, same[..., None], same[..., None])
+        return sum(jnp.sum(jnp.where(m, w * p, 0)) for m, w, p in zip(masks, weights, parts, strict=True))
+
+    at = [rays.origin, rays.direction, mesh.vertices, scene.spheres.centers, scene.spheres.radii]
+    compiled = jax.jit(loss)
+    slopes = jax.jit(jax.grad(loss, argnums=(0, 1, 2, 3, 4)))(*at)
+    for k, slope in enumerate(slopes):
+        direction = jnp.asarray(random.normal(size=at[k].shape))
+        along = lambda s, k=k, d=direction: compiled(*(x + s * d if n == k else x for n, x in enumerate(at)))  # noqa: E731
+        expected = central_difference(along, 0.0, 1e-7)
+        assert np.all(np.isfinite(slope))
+        np.testing.assert_allclose(jnp.sum(slope * direction), expected, rtol=2e-5, atol=2e-5)
+
+
+def test_grazing_rays_have_finite_derivatives():
+    spheres = pj.Spheres([[0.0, 0, 0]], [1.0])
+    slope = jax.grad(
+        lambda o: pj.trace(pj.Scene(spheres=spheres), pj.Rays(o, jnp.array([0.0, 0, -1]))).t
+    )(jnp.array([0.0, 1.0, 4.0]))
+    assert np.all(np.isfinite(slope))
+
+
+def test_shapes_follow_the_rays_and_no_rays_give_no_hits():
+    scene = pj.Scene(mesh=shapes.bumpy(1))
+    hit = pj.trace(scene, pj.Rays(jnp.zeros(3), jnp.zeros((2, 0, 3))))
+    assert hit.t.shape == (2, 0)
+    batched = jax.vmap(lambda o: pj.trace(scene, pj.Rays(o, jnp.array([0.0, 0, -1]))).t)
+    assert np.all(np.isfinite(batched(jnp.array([[0.0, 0, 4], [0.1, 0, 5]]))))
+    assert pj.trace(pj.Scene(), pj.Rays(jnp.zeros(3), jnp.ones((4, 3)))).primitive.tolist() == [-1] * 4
