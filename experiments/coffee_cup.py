@@ -1,7 +1,8 @@
 """Does it work on a real photo? The camera over a coffee cup, from the cup's outline.
 
 The photo comes with scikit-image (Rachel Michetti, CC0). The cup's mesh is a surface of revolution
-with the proportions of an espresso cup on its saucer (saucer radius 1), the mask a colour threshold.
+with the proportions of an espresso cup on its saucer (saucer radius 1), the mask colour
+thresholds.
 A mesh that is round about its axis cannot tell where the camera stands around it: the fit says so.
 """
 

@@ -19,7 +19,7 @@ Masks are grey images (white is the object), or images whose transparency is the
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0, 1 if a fit is not to be trusted, 2 on bad input."""
+    """Run the command; return 0, 1 for a fit that is not to be trusted, or 2 on bad input."""
     options = _parser().parse_args(arguments)
     try:
         return options.run(options)
@@ -125,7 +125,9 @@ def _fit(options: argparse.Namespace) -> int:
     )
     io.save_image(folder / "overlay.png", drawing)
     print(table(fit))
-    print(f"time       {clock.compiling:.1f} s compile, {clock.elapsed() - clock.compiling:.1f} s run")
+    print(
+        f"time       {clock.compiling:.1f} s compile, {clock.elapsed() - clock.compiling:.1f} s run"
+    )
     print(f"written    {folder / 'camera.json'}, {folder / 'overlay.png'}")
     return 0 if fit.status == "converged" else 1
 
@@ -158,7 +160,9 @@ def table(fit: Any) -> str:
         unit = "" if name == "aspect" else unit
         factor = 180 / np.pi if angle else 1.0
         value = f"{values[name] * factor:.6g}" if name in values else "-"
-        lines.append(f"{words.get(name, name):<28}{value:>14}{std * factor:>14.2g}  {unit}".rstrip())
+        lines.append(
+            f"{words.get(name, name):<28}{value:>14}{std * factor:>14.2g}  {unit}".rstrip()
+        )
     lines.append(f"status     {fit.status}")
     lines.append(f"IoU        {fit.iou:.4f}   (rms of coverage {fit.rms:.2g})")
     lines += [f"note       {weak}" for weak in fit.weak]
@@ -203,13 +207,14 @@ class _Clock:
         self._begin = time.perf_counter()
         jax.monitoring.register_event_duration_secs_listener(self._listen)
 
-    def _listen(self, event: str, seconds: float, **_: Any) -> None:
+    def _listen(self, event: str, duration_secs: float, **kwargs: Any) -> None:
+        del kwargs
         if event in (
             "/jax/core/compile/jaxpr_to_mlir_module_duration",
             "/jax/core/compile/backend_compile_duration",
             "/jax/core/compile/jaxpr_trace_duration",
         ):
-            self.compiling += seconds
+            self.compiling += duration_secs
 
     def elapsed(self) -> float:
         return time.perf_counter() - self._begin
@@ -244,7 +249,9 @@ class _Progress:
             seconds = time.perf_counter() - begin
             if seconds > 1:
                 shown = True
-                print(f"\r\x1b[K{seconds:4.0f} s  {self._text}", end="", file=sys.stderr, flush=True)
+                print(
+                    f"\r\x1b[K{seconds:4.0f} s  {self._text}", end="", file=sys.stderr, flush=True
+                )
         if shown:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 

@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array
 
 #: What a front door takes: anything that becomes an array, and is checked there in words. (A type
@@ -14,7 +15,7 @@ Numbers = Any
 
 def is_concrete(*values: Any) -> bool:
     """Return whether every value can be looked at now (none is traced by a transformation)."""
-    return not any(isinstance(v, jax.core.Tracer) for v in values)
+    return not any(isinstance(v, Tracer) for v in values)
 
 
 def float_dtype(*values: Any) -> np.dtype:
@@ -23,7 +24,9 @@ def float_dtype(*values: Any) -> np.dtype:
     Python numbers, lists and integer arrays ask for nothing; with no float array at all the
     answer is JAX's default (float64 with `jax_enable_x64`, else float32).
     """
-    dtypes = [v.dtype for v in values if hasattr(v, "dtype") and jnp.issubdtype(v.dtype, jnp.floating)]
+    dtypes = [
+        v.dtype for v in values if hasattr(v, "dtype") and jnp.issubdtype(v.dtype, jnp.floating)
+    ]
     if not dtypes:
         return jnp.zeros(()).dtype
     return jax.dtypes.canonicalize_dtype(np.result_type(*dtypes))
@@ -40,9 +43,7 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.
         array = value if isinstance(value, jax.Array) else np.asarray(value)
     except ValueError as error:
         raise ValueError(f"`{name}`: expected {expected}, got {value!r}") from error
-    if not (
-        jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)
-    ):
+    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
         raise ValueError(f"`{name}`: expected {expected}, got dtype {array.dtype}")
     if len(array.shape) != len(shape) or any(
         want is not None and want != got for want, got in zip(shape, array.shape, strict=True)

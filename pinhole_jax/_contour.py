@@ -59,7 +59,7 @@ class Selection(NamedTuple):
 
     words: Array
     before: Int[Array, "words"]
-    count: Int[Array, ""]
+    total: Int[Array, ""]
 
 
 def select(mask: Bool[Array, "E"]) -> Selection:
@@ -134,8 +134,8 @@ def sphere_arcs(camera: Camera, spheres: Spheres) -> Arcs:
 
     The cone from the eye that touches a sphere (centre (x, y, z) in camera coordinates, radius r)
     meets the film in an ellipse with centre `(x, y) z / (z^2 - r^2)` and shape matrix
-    `r^2 ((z^2 - r^2) I + (x, y)(x, y)^T) / (z^2 - r^2)^2`, of which L is the Cholesky factor. Spheres
-    that reach behind the plane through the eye are left out.
+    `r^2 ((z^2 - r^2) I + (x, y)(x, y)^T) / (z^2 - r^2)^2`, of which L is the Cholesky factor.
+    Spheres that reach behind the plane through the eye are left out.
     """
     x, y, z = jnp.moveaxis(to_camera(camera, spheres.centers), -1, 0)
     r = spheres.radii

@@ -69,7 +69,7 @@ def _take(tree, index):
 
 class _Rows(NamedTuple):
     first: Int[Array, "K"]
-    count: Int[Array, "K"]
+    number: Int[Array, "K"]
 
 
 def _rows(m: Monotone, H) -> _Rows:
@@ -101,11 +101,11 @@ def piece_counts(m: Monotone, W, H) -> Int[Array, "K"]:
     """Return how many pixels (with those left and right of the film) each curve meets."""
     rows = _rows(m, H)
     x0, _ = _at_row(m, rows.first.astype(m.low.dtype))
-    x1, _ = _at_row(m, (rows.first + rows.count).astype(m.low.dtype))
+    x1, _ = _at_row(m, (rows.first + rows.number).astype(m.low.dtype))
     first, last = _column(x0, W), _column(x1, W)
     weight = m.curves.weight
-    count = rows.count + jnp.abs(last - first)
-    return jnp.where((weight == 0) | (rows.count == 0), 0, count)
+    count = rows.number + jnp.abs(last - first)
+    return jnp.where((weight == 0) | (rows.number == 0), 0, count)
 
 
 def split(m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_H: int) -> Pieces:
@@ -131,7 +131,7 @@ def split(m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_
     row = jnp.zeros_like(rows.first)
     for bit in reversed(range(max(max_H - 1, 0).bit_length())):
         step = row + (1 << bit)
-        row = jnp.where((step < rows.count) & (passed(step) <= rank), step, row)
+        row = jnp.where((step < rows.number) & (passed(step) <= rank), step, row)
 
     x0, y0 = _at_row(m, (rows.first + row).astype(dtype))
     x1, y1 = _at_row(m, (rows.first + row + 1).astype(dtype))
@@ -170,7 +170,7 @@ def _areas(m: Monotone, start, end, column, W):
 
 
 def flux(curves: Curves, pieces: Pieces, W) -> Float[Array, "P"]:
-    """Return a function of the curves, linear in them, whose derivative is that of each piece's area.
+    """Return a function of the curves, linear in them, with the derivative of each piece's area.
 
     `curves` are those of the pieces (one each). Only its derivative has a meaning: the coefficients
     are held, and it is the length of the piece times the normal velocity of the curve.
@@ -181,7 +181,7 @@ def flux(curves: Curves, pieces: Pieces, W) -> Float[Array, "P"]:
     if isinstance(curves, Segments) and isinstance(held, Segments):
         along = held.b - held.a
         axis = jnp.argmax(jnp.abs(along), axis=1)[:, None]
-        pick = lambda x: jnp.take_along_axis(x, axis, axis=1)[:, 0]  # noqa: E731
+        pick = lambda x: jnp.take_along_axis(x, axis, axis=1)[:, 0]
         length = pick(along)
         s0 = jnp.clip(safe_divide(pick(start - held.a), length), 0, 1)
         s1 = jnp.clip(safe_divide(pick(end - held.a), length), 0, 1)
@@ -232,7 +232,7 @@ def _quarter_ends(arcs: Arcs):
     right = jnp.stack([l11, l21], -1)
     top = jnp.stack([l11 * l21 / half, half], -1)
     extremes = jnp.stack([right, top, -right, -top, right])  # (5, K, 2)
-    at = lambda k: jnp.take_along_axis(extremes, k[None, :, None], axis=0)[0]  # noqa: E731
+    at = lambda k: jnp.take_along_axis(extremes, k[None, :, None], axis=0)[0]
     return arcs.centre + at(arcs.quarter), arcs.centre + at(arcs.quarter + 1)
 
 

@@ -1,4 +1,4 @@
-"""`fit_camera`: the camera from a mask, by Levenberg-Marquardt on exact coverage, coarse to fine."""
+"""`fit_camera`: the camera from a mask, by Levenberg-Marquardt on exact coverage."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -15,8 +15,8 @@ from ._arrays import Numbers
 from ._camera import Camera, camera_basis
 from ._parameters import (
     COMPONENTS,
-    Move,
     REPORTED,
+    Move,
     canonical,
     check_free,
     moved,
@@ -58,8 +58,8 @@ class Fit(NamedTuple):
     - `names`: the fitted parameters, in the order of `covariance` (n, n) and `std` (n,):
       small rotations of the camera about its own axes b1, b2, v (rad), the eye (world units), phi
       (rad), d (world units), the principal point (px).
-    - `covariance` assumes independent pixel noise of one size, estimated from the residuals at the
-      outline; infinite where the mask does not determine a parameter.
+    - `covariance` assumes independent pixel noise of one size, estimated from the residuals of the
+      pixels that the outline touches; infinite where the mask does not determine a parameter.
     - `rms`: root mean square of coverage minus target over all pixels that count; `iou` their
       intersection over union.
     - `steps`: Levenberg-Marquardt steps on each level, coarse to fine.
@@ -124,7 +124,9 @@ def fit_camera(
         unit, n = _solve(unit, problem, level, tolerance, names, capacity, max_steps)
         steps.append(int(n))
         if progress is not None:
-            progress(f"level {number + 1} of {len(levels)}: {int(level.W)} x {int(level.H)}, {n} steps")
+            progress(
+                f"level {number + 1} of {len(levels)}: {int(level.W)} x {int(level.H)}, {n} steps"
+            )
     after, capacity = _look(unit, problem, levels[-1], names, capacity)
     if not float(after.sums.squares) <= float(before.sums.squares):
         unit, after = start, before  # never worse than the start
@@ -170,7 +172,7 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     def __init__(self, atol: Any):
         self.rtol, self.atol, self.norm = 0.0, atol, optx.max_norm
         self.descent = optx.DampedNewtonDescent(linear_solver=lx.QR())
-        self.search = optx.ClassicalTrustRegion()
+        self.search = _TrustRegion()
         self.verbose = _silent
 
     def terminate(self, fn, y, args, options, state, tags):
@@ -183,7 +185,15 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
         return ~state.first_step & (small | flat), state.result
 
 
-def _sum_squares(parts: tuple[Array, ...]) -> Array:
+class _TrustRegion(optx.ClassicalTrustRegion):
+    """optimistix's, with its step size in the problem's float type, not the configuration's."""
+
+    def init(self, y, f_info_struct):
+        state = super().init(y, f_info_struct)
+        return eqx.tree_at(lambda s: s.step_size, state, state.step_size.astype(y.dtype))
+
+
+def _sum_squares(parts: Any) -> Any:
     return sum((jnp.sum(x * x) for x in parts), jnp.zeros((), parts[0].dtype))
 
 
@@ -267,7 +277,7 @@ def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
 
 
 def _room(have: int, need: int) -> int:
-    """Return `have` if it is 3/2 of `need`, else the next of a few sizes: each costs a compilation."""
+    """Return `have` if it is 3/2 of `need`, else the next of a few sizes (each is compiled)."""
     while 2 * have < 3 * need:
         have = max(4 * have, 1024)
     return have
@@ -278,7 +288,7 @@ def _report(
 ) -> Fit:
     fitted = on_film(unit, camera, names)
     triangle, along = np.asarray(view.triangle, float), np.asarray(view.along, float)
-    sums = Sums(*(float(x) for x in view.sums))
+    sums: Any = jax.tree.map(float, view.sums)
     # Film coordinates are in film heights inside the fit: the principal point's come back in px.
     to_reported = np.array(view.to_reported, float)
     labels = tuple(r for name in names for r in REPORTED[name])
@@ -289,8 +299,9 @@ def _report(
     n = len(labels)
     if not finite:
         empty = np.full((n, n), np.nan)
-        return Fit(fitted, "non_finite", labels, empty, np.diag(empty), *(np.nan,) * 2, steps, ())
-    variance = sums.squares / max(sums.touched - n, 1)
+        nan = float("nan")
+        return Fit(fitted, "non_finite", labels, empty, np.diag(empty), nan, nan, steps, ())
+    variance = sums.touched_squares / max(sums.touched - n, 1)
     cov = covariance(triangle, to_reported, variance, BLIND[dtype])
     axes = np.asarray(jnp.stack(camera_basis(unit)), float)
     components = [c for name in names for c in COMPONENTS[name]]
@@ -308,7 +319,7 @@ def _report(
     )
 
 
-def _status(triangle, along, sums: Sums, blind: bool, dtype) -> str:
+def _status(triangle, along, sums: Any, blind: bool, dtype) -> str:
     if sums.overlap <= 0:
         return "no_overlap"
     if sums.touched == 0:

@@ -38,8 +38,8 @@ def ray_triangle(
     Watertight in the sense of Woop, Benthin and Wald (2013): corners are seen from the ray in a
     frame (`axes` from `perpendicular`, and the direction), and the signs of three edge functions
     decide. Each corner's coordinates depend on ray and corner alone, and an edge function is worked
-    out from the edge's lesser end, so two triangles that share an edge never disagree about it, also
-    where the compiler fuses a multiply and an add.
+    out from the edge's lesser end, so two triangles that share an edge never disagree about it,
+    also where the compiler fuses a multiply and an add.
     """
     first, second = axes
     p, q, r = (_seen(origin, direction, first, second, corner) for corner in (a, b, c))

@@ -1,6 +1,6 @@
 """What lies between the ideal pinhole and the pixels: principal point and pixel aspect.
 
-Both are affine on the film, so a straight edge stays straight. A camera without a lens pays nothing.
+Both are affine on the film, so a straight edge stays straight. A camera without one pays nothing.
 """
 
 import equinox as eqx

@@ -1,8 +1,8 @@
 """A linear map given by two functions: itself and its transpose.
 
 `jax.linear_call` offers this, but without a batching rule (0.10), and a loop of unknown length can
-be differentiated forward but not transposed. With both directions written down, a derivative that is
-a sum over a dynamic number of terms runs under `jvp`, `vjp`, `jacfwd`, `jacrev` and `vmap`.
+be differentiated forward but not transposed. With both directions written down, a derivative that
+is a sum over a dynamic number of terms runs under `jvp`, `vjp`, `jacfwd`, `jacrev` and `vmap`.
 """
 
 from collections.abc import Callable
@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import PyTree
@@ -62,7 +63,7 @@ def _impl(*args, forward: Direction, transpose: Direction, n_residuals: int, out
 
 def _abstract(*args, forward, transpose, n_residuals, out_shapes):
     del args, forward, transpose, n_residuals
-    return [jax.core.ShapedArray(shape, dtype) for shape, dtype in out_shapes]
+    return [ShapedArray(shape, dtype) for shape, dtype in out_shapes]
 
 
 def _jvp(primals, tangents, *, n_residuals, **params):
@@ -95,9 +96,7 @@ def _transpose(cotangents, *args, forward, transpose, n_residuals, out_shapes):
 
 
 def _batch(args, dims, *, forward, transpose, n_residuals, out_shapes):
-    size = next(
-        x.shape[d] for x, d in zip(args, dims, strict=True) if d is not None
-    )
+    size = next(x.shape[d] for x, d in zip(args, dims, strict=True) if d is not None)
     residuals, linear = args[:n_residuals], args[n_residuals:]
     axes = list(dims[:n_residuals])
     moved = [

@@ -97,9 +97,7 @@ def moved(move: Move, y: Float[Array, "n"], free: tuple[str, ...]) -> Camera:
     offset = camera.e - move.pivot
     # The pivot as the camera sees it slides sideways and comes nearer; the eye goes the other way.
     reach = norm(offset)
-    aside = reach * (
-        step.get("shift_b1", zero) * axes[0] + step.get("shift_b2", zero) * axes[1]
-    )
+    aside = reach * (step.get("shift_b1", zero) * axes[0] + step.get("shift_b2", zero) * axes[1])
     e = move.pivot + rotate @ ((offset + aside) * jnp.exp(step.get("log_distance", zero)))
     p = e + rotate @ (about_eye @ (camera.p - camera.e))
     u = rotate @ (about_eye @ camera.u)
@@ -142,9 +140,7 @@ def rotation(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """Return the rotation matrix about a vector by its length in rad (Rodrigues)."""
     x, y, z = vector
     zero = jnp.zeros_like(x)
-    skew = jnp.stack(
-        [jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])]
-    )
+    skew = jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
     squared = x * x + y * y + z * z
     angle = safe_sqrt(squared)
     small = squared < 1e-4
@@ -169,8 +165,10 @@ def canonical(camera: Camera) -> Camera:
 
 
 def on_film(unit: Camera, camera: Camera, free: tuple[str, ...]) -> Camera:
-    """Return a canonical camera on the film of `camera`; with a lens if that has one or it is free."""
+    """Return a canonical camera on `camera`'s film, with a lens if that has one or it is free."""
     lens = None
-    if unit.lens is not None and (camera.lens is not None or {"principal_point", "aspect"} & {*free}):
+    if unit.lens is not None and (
+        camera.lens is not None or {"principal_point", "aspect"} & {*free}
+    ):
         lens = Lens(unit.lens.principal_point * camera.H, unit.lens.aspect)
     return Camera(unit.e, unit.p, unit.u, unit.phi, unit.d, camera.W, camera.H, lens)

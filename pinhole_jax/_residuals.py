@@ -45,7 +45,7 @@ class Touched(NamedTuple):
 class Sums(NamedTuple):
     """Weighted sums over all pixels: squared residual, min and max of coverage and target, weight.
 
-    `touched` counts the pixels with weight that the contour touches.
+    `touched` counts the pixels with weight that the contour touches, `touched_squares` is theirs.
     """
 
     squares: Float[Array, ""]
@@ -53,6 +53,7 @@ class Sums(NamedTuple):
     union: Float[Array, ""]
     weight: Float[Array, ""]
     touched: Float[Array, ""]
+    touched_squares: Float[Array, ""]
 
 
 class Load(NamedTuple):
@@ -98,20 +99,20 @@ def residuals(
     ends = level_slice(pyramid, level, jnp.stack([jnp.zeros_like(end), end]))
     mass, total = (x[1] - x[0] for x in (ends.masses, ends.weights))
     held = jax.lax.stop_gradient(difference)
+    touched_squares = jnp.sum(held * held)
     sums = Sums(
-        squares=jnp.sum(held * held) + rest,
+        squares=touched_squares + rest,
         overlap=overlap,
         union=covered_weight + mass - overlap,
         weight=total,
         touched=jnp.sum(jnp.where(weight > 0, 1, 0)).astype(total.dtype),
+        touched_squares=touched_squares,
     )
     ok = jnp.where(load.fits(capacity), 1, jnp.nan).astype(total.dtype)
     return (difference * ok, jnp.sqrt(jnp.maximum(rest, 0)) * ok), sums, load
 
 
-def touch(
-    camera: Camera, scene: Scene, level: Level, capacity: Capacity
-) -> tuple[Touched, Load]:
+def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
     """Return the touched pixels of a level, and what they take of the capacities."""
     parts, edges = [], jnp.int32(0)
     if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
@@ -137,31 +138,26 @@ def touch(
         changes.append(flux(own, pieces, level.W))
     zero = jnp.int32(0)
     load = Load(edges, totals.get(Segments, zero), totals.get(Arcs, zero))
-    return _by_pixel(*(jnp.concatenate(x) for x in (cells, heights, areas, changes)), level), load
+    cell, height, area, change = map(jnp.concatenate, (cells, heights, areas, changes))
+    return _by_pixel(cell, height, area, change, level), load
 
 
-def _contour_segments(
-    camera: Camera, scene: Scene, size: int
-) -> tuple[Segments, Int[Array, ""]]:
+def _contour_segments(camera: Camera, scene: Scene, size: int) -> tuple[Segments, Int[Array, ""]]:
     """Return the contour edges in `size` slots, and how many there are."""
     assert scene.mesh is not None
     weights = contour_weights(scene.mesh, camera.e)
     chosen = select(weights != 0)
     rank = jnp.arange(size, dtype=jnp.int32)
     edge = jnp.minimum(nth(chosen, rank), weights.shape[0] - 1)
-    weight = jnp.where(rank < chosen.count, weights[edge], 0)
-    segments = mesh_segments(
-        camera, scene.mesh.vertices, scene.mesh.edge_vertices[edge], weight
-    )
-    return segments, chosen.count
+    weight = jnp.where(rank < chosen.total, weights[edge], 0)
+    segments = mesh_segments(camera, scene.mesh.vertices, scene.mesh.edge_vertices[edge], weight)
+    return segments, chosen.total
 
 
 def _on(level: Level, curves: Curves) -> Curves:
     """Return curves in a level's pixels."""
     if isinstance(curves, Arcs):
-        return curves._replace(
-            centre=curves.centre * level.scale, shape=curves.shape * level.scale
-        )
+        return curves._replace(centre=curves.centre * level.scale, shape=curves.shape * level.scale)
     return curves._replace(a=curves.a * level.scale, b=curves.b * level.scale)
 
 

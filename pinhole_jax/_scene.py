@@ -13,7 +13,7 @@ from ._safe import dot
 
 
 class Planes(NamedTuple):
-    """The face planes of a mesh: x is in front of face f where `normal[:, f].(x-centre) > offset[f]`.
+    """A mesh's face planes: x is in front of face f where `normal[:, f].(x-centre) > offset[f]`.
 
     `fingerprint` names the vertices that they were made from.
     """
@@ -212,7 +212,7 @@ def _face_indices(faces: Any, V: int) -> np.ndarray:
         raise ValueError(f"`faces`: expected shape (F, 3), got {array.shape}")
     if not np.issubdtype(array.dtype, np.integer):
         raise ValueError(f"`faces`: expected integers, got dtype {array.dtype}")
-    if array.size and not (0 <= array.min() and array.max() < V):
+    if array.size and not (array.min() >= 0 and array.max() < V):
         raise ValueError(
             f"`faces`: expected indices from 0 to {V - 1}, got {array.min()} to {array.max()}"
         )

@@ -63,7 +63,7 @@ def _mesh_chunk(moving: Any, topology: _MeshTopology, first: Array) -> Curves:
     size = min(CURVES_AT_A_TIME, topology.weights.shape[0])
     rank = first + jnp.arange(size, dtype=jnp.int32)
     edge = jnp.minimum(nth(topology.contour, rank), topology.weights.shape[0] - 1)
-    weight = jnp.where(rank < topology.contour.count, topology.weights[edge], 0)
+    weight = jnp.where(rank < topology.contour.total, topology.weights[edge], 0)
     return mesh_segments(camera, vertices, topology.edge_vertices[edge], weight)
 
 
@@ -94,7 +94,7 @@ def _cover(chunk: Callable, moving: Any, topology: Any) -> Float[Array, "H W"]:
 
 @partial(_cover.defjvp, symbolic_zeros=True)
 def _cover_jvp(chunk: Callable, primals: Any, tangents: Any):
-    """The boundary integral, over the same pieces, for the leaves that move; others cost nothing."""
+    """Return the image and its boundary integral for the leaves that move; others cost nothing."""
     moving, topology = primals
     leaves, tree = jax.tree.flatten(moving)
     velocities = tree.flatten_up_to(tangents[0])
@@ -155,7 +155,7 @@ def _fold_pieces(chunk: Callable, moving: Any, topology: Any, add: Callable, sta
     camera: Camera = moving[0]
     W, H = camera.W, camera.H
     size = chunk(moving, topology, jnp.int32(0)).weight.shape[0]
-    count = jnp.int32(size) if topology is None else topology.contour.count
+    count = jnp.int32(size) if topology is None else topology.contour.total
 
     def body(state):
         first, slot, total = state

@@ -125,7 +125,7 @@ def pyramid(
 
 
 def _halved(target: np.ndarray, weight: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return means over n x n blocks from the film's bottom left; blocks cut short weigh nothing."""
+    """Return means over n x n blocks from the film's bottom left; those cut short weigh nothing."""
     H, W = target.shape
     pad = ((-H % n, 0), (0, -W % n))
     blocks = [

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ._bvh import Tree, after, build
 from ._intersect import perpendicular, ray_box, ray_sphere, ray_triangle
 from ._rays import Rays
-from ._safe import normalize
+from ._safe import norm, normalize
 from ._scene import Scene, astype
 
 RAYS_AT_A_TIME = 2048
@@ -23,7 +23,7 @@ RAYS_AT_A_TIME = 2048
 class Hit(NamedTuple):
     """What rays meet first.
 
-    - `t`: distance along the ray in world units (for unit directions); inf on a miss.
+    - `t`: distance along the ray in lengths of its direction (world units if unit); inf on a miss.
     - `primitive`: the face's index, or F + the sphere's; -1 on a miss.
     - `barycentric`: weights of the face's three vertices; 0 for spheres and misses.
     - `normal`: the geometric unit normal, of a face as it is wound, of a sphere outwards; 0 on a
@@ -40,8 +40,8 @@ def trace(scene: Scene, rays: Rays) -> Hit:
     """Return the closest hit of each ray with the scene's triangles (both sides) and spheres.
 
     Differentiable in the rays and in the scene, where the hit primitive stays the same. Watertight:
-    no ray passes between two faces that share an edge. Directions should be of unit length: `t`
-    counts in multiples of them. A ray from inside a sphere meets its far wall.
+    no ray passes between two faces that share an edge. `t` counts in lengths of the direction.
+    A ray from inside a sphere meets its far wall.
     """
     return _trace(scene, rays)
 
@@ -54,23 +54,26 @@ def occluded(scene: Scene, rays: Rays) -> Bool[Array, "*batch"]:
 @eqx.filter_jit
 def _trace(scene: Scene, rays: Rays) -> Hit:
     scene = astype(scene, rays.direction.dtype)
-    flat, shape = _flatten(rays)
+    flat, length, shape = _flatten(rays)
     primitive = _search(scene, flat, any_hit=False)
     hit = _meet(scene, flat, primitive)
+    met = primitive >= 0
+    hit = hit._replace(t=jnp.where(met, jnp.where(met, hit.t, 0) / length, jnp.inf))
     return jax.tree.map(lambda x: x.reshape(shape + x.shape[1:]), hit)
 
 
 @eqx.filter_jit
 def _occluded(scene: Scene, rays: Rays) -> Bool[Array, "*batch"]:
-    flat, shape = _flatten(rays)
+    flat, _, shape = _flatten(rays)
     scene = astype(scene, rays.direction.dtype)
     return (_search(scene, flat, any_hit=True) >= 0).reshape(shape)
 
 
-def _flatten(rays: Rays) -> tuple[Rays, tuple[int, ...]]:
+def _flatten(rays: Rays) -> tuple[Rays, Float[Array, "N"], tuple[int, ...]]:
+    """Return the rays as a list with unit directions, the directions' lengths, and the shape."""
     shape = jnp.broadcast_shapes(rays.origin.shape, rays.direction.shape)[:-1]
-    flat = (jnp.broadcast_to(x, (*shape, 3)).reshape(-1, 3) for x in rays)
-    return Rays(*flat), shape
+    origin, direction = (jnp.broadcast_to(x, (*shape, 3)).reshape(-1, 3) for x in rays)
+    return Rays(origin, normalize(direction)), norm(direction), shape
 
 
 def _search(scene: Scene, rays: Rays, any_hit: bool) -> Int[Array, "N"]:
@@ -117,7 +120,7 @@ def _search_tree(tree: Tree, rays: Rays, best, primitive, any_hit: bool) -> Int[
     inverse = 1 / jnp.where(
         jnp.abs(rays.direction) < tiny, jnp.copysign(tiny, rays.direction), rays.direction
     )
-    spread = lambda x: x[:, None]  # noqa: E731
+    spread = lambda x: x[:, None]
 
     def visit(state):
         node, best, primitive = state
@@ -159,7 +162,7 @@ def _meet(scene: Scene, rays: Rays, primitive: Int[Array, "N"]) -> Hit:
         on_face = (primitive >= 0) & (primitive < faces)
         face = jnp.where(on_face, primitive, 0)
         a, b, c = (scene.mesh.vertices[scene.mesh.faces[face, k]] for k in range(3))
-        axes = jax.lax.stop_gradient(perpendicular(rays.direction))
+        axes = perpendicular(rays.direction)
         t, barycentric = ray_triangle(rays.origin, rays.direction, axes, a, b, c)
         hit = _choose(on_face, t, barycentric, normalize(jnp.cross(b - a, c - a)), hit)
     if scene.spheres is not None and scene.spheres.radii.shape[0]:

@@ -42,7 +42,11 @@ def weak_directions(
     share = values / top
     words = tuple(
         f"{_words(direction, components, axes)} "
-        + ("is not visible" if s <= blind else f"is nearly free ({s:.1%} as visible as the best-seen move)")
+        + (
+            "is not visible"
+            if s <= blind
+            else f"is nearly free ({s:.1%} as visible as the best-seen move)"
+        )
         for s, direction in zip(share[::-1], directions[::-1], strict=True)
         if s < WEAK
     )

@@ -50,7 +50,7 @@ def load_mesh(path: str | os.PathLike) -> Mesh:
     if sum(len(f) for f in faces) == 0:
         raise ValueError(f"`path`: expected a mesh with faces, got {str(path)!r}: none")
     for own, face in zip(vertices, faces, strict=True):
-        if face.size and not (0 <= face.min() and face.max() < len(own)):
+        if face.size and not (face.min() >= 0 and face.max() < len(own)):
             raise ValueError(
                 f"`path`: expected faces with vertices 0 to {len(own) - 1}, got {str(path)!r}:"
                 f" {face.min()} to {face.max()}"

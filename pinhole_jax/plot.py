@@ -6,7 +6,7 @@ from jaxtyping import Array, Float, Int
 
 from ._camera import Camera
 from ._contour import Segments, contour_weights, mesh_segments, sphere_arcs
-from ._scene import Scene, astype
+from ._scene import Mesh, Scene, astype
 
 CYAN = (0, 240, 255)
 DARK = (0, 30, 60)
@@ -30,7 +30,9 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     first = np.cumsum(counts) - counts
     part = ((np.arange(len(of)) - first[of]) / counts[of])[:, None]
     along = (end - start)[of]
-    short = np.stack([start[of] + part * along, start[of] + (part + 1 / counts[of][:, None]) * along], 1)
+    short = np.stack(
+        [start[of] + part * along, start[of] + (part + 1 / counts[of][:, None]) * along], 1
+    )
     # A point just outside: to the right, with cover on the left.
     direction = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
     outside = short.mean(axis=1) + 1e-3 * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
@@ -67,8 +69,7 @@ def overlay(
 
 
 @eqx.filter_jit
-def _segments(camera: Camera, scene: Scene) -> tuple[Segments, Int[Array, "E"]]:
-    mesh = scene.mesh
+def _segments(camera: Camera, mesh: Mesh) -> tuple[Segments, Int[Array, "E"]]:
     weights = contour_weights(mesh, camera.e)
     return mesh_segments(camera, mesh.vertices, mesh.edge_vertices, weights), weights
 
@@ -78,9 +79,10 @@ def _pieces(camera: Camera, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.nd
     scene = astype(scene, camera.e.dtype)
     parts = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))]
     if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
-        segments, weights = _segments(camera, Scene(mesh=scene.mesh))
+        segments, weights = _segments(camera, scene.mesh)
         on = np.asarray(weights) != 0
-        parts.append(tuple(np.asarray(x, float)[on] for x in segments))
+        start, end, weight = (np.asarray(x, float)[on] for x in segments)
+        parts.append((start, end, weight))
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
         arcs = sphere_arcs(camera, scene.spheres)
         angle = np.linspace(0, 2 * np.pi, 257)

@@ -32,9 +32,7 @@ def revolved(profile: np.ndarray, sections: int = 64) -> Mesh:
     if r.shape[0] < 3 or r[0] != 0 or r[-1] != 0 or np.any(r[1:-1] <= 0):
         raise ValueError("`profile`: expected radii 0, then positive ones, then 0")
     angle = 2 * np.pi * np.arange(sections) / sections
-    rings = np.stack(
-        [np.outer(r[1:-1], np.cos(angle)), np.outer(r[1:-1], np.sin(angle))], axis=-1
-    )
+    rings = np.stack([np.outer(r[1:-1], np.cos(angle)), np.outer(r[1:-1], np.sin(angle))], axis=-1)
     heights = np.broadcast_to(z[1:-1, None, None], (*rings.shape[:2], 1))
     points = np.concatenate([rings, heights], axis=-1).reshape(-1, 3)
     n = len(r) - 2

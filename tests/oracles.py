@@ -68,7 +68,7 @@ def central_difference(function, x: np.ndarray, step: float = 1e-5) -> np.ndarra
 
 
 def turned(camera: pj.Camera, axis, degrees: float, distance: float = 1.0, focal: float = 1.0):
-    """Return the camera orbited about the origin, at a multiple of its distance and focal length."""
+    """Return the camera orbited about the origin; distance and focal length are multiples."""
     axis = np.asarray(axis, float) / np.linalg.norm(axis)
     angle = np.deg2rad(degrees)
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])

@@ -51,7 +51,13 @@ def test_camera_coordinates_are_right_up_forward():
 def test_gauge_changes_no_view():
     camera = pj.Camera([1, 2, 5], [0, 0.5, 0], [0.1, 1, 0.3], 0.5, W=4, H=4)
     other = pj.Camera(
-        camera.e, camera.e + 7 * (camera.p - camera.e), 3 * camera.u + camera.p - camera.e, 0.5, 9.0, 4, 4
+        camera.e,
+        camera.e + 7 * (camera.p - camera.e),
+        3 * camera.u + camera.p - camera.e,
+        0.5,
+        9.0,
+        4,
+        4,
     )
     np.testing.assert_allclose(camera_basis(camera), camera_basis(other), atol=1e-15)
     points = jnp.array([[0.3, 0.2, 0.1]])

@@ -12,7 +12,7 @@ from pinhole_jax._contour import contour_weights, mesh_segments, nth, select, sp
 def test_nth_lists_what_select_holds(size, share):
     mask = np.random.default_rng(size).random(size) < share
     chosen = select(jnp.asarray(mask))
-    assert int(chosen.count) == mask.sum()
+    assert int(chosen.total) == mask.sum()
     listed = nth(chosen, jnp.arange(mask.sum(), dtype=jnp.int32))
     np.testing.assert_array_equal(listed, np.flatnonzero(mask))
 

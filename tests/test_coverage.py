@@ -2,8 +2,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-
 from oracles import area_per_pixel
+
 from pinhole_jax._contour import Arcs, Segments
 from pinhole_jax._coverage import monotone, piece_counts, split
 
@@ -17,7 +17,10 @@ def rasterise(curves) -> np.ndarray:
     pieces = split(m, upto, jnp.arange(max(int(upto[-1]), 1), dtype=jnp.int32), W, H, H)
     image = np.zeros((H, W))
     for row, column, height, area, valid in zip(
-        *(np.asarray(x) for x in (pieces.row, pieces.column, pieces.height, pieces.area, pieces.valid)),
+        *(
+            np.asarray(x)
+            for x in (pieces.row, pieces.column, pieces.height, pieces.area, pieces.valid)
+        ),
         strict=True,
     ):
         if valid:
@@ -56,7 +59,9 @@ POLYGONS = {
 def test_polygons_have_their_exact_area_in_each_pixel(name):
     points = POLYGONS[name]
     expected = area_per_pixel(shapely.Polygon(points), W, H)
-    np.testing.assert_allclose(rasterise(polygon(points)), expected, atol=1e-9 if name == "huge" else 1e-13)
+    np.testing.assert_allclose(
+        rasterise(polygon(points)), expected, atol=1e-9 if name == "huge" else 1e-13
+    )
 
 
 def test_a_hole_is_a_contour_that_runs_the_other_way():

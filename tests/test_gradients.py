@@ -5,9 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles import central_difference, mesh_coverage
 
 import pinhole_jax as pj
-from oracles import central_difference, mesh_coverage
 from pinhole_jax import shapes
 
 W, H = 24, 20
@@ -37,14 +37,18 @@ def with_value(camera, name, value):
 @pytest.mark.parametrize("name", ["e", "p", "u", "phi", "d"])
 def test_camera_gradient_equals_central_differences_of_the_polygon_union(mesh, gradients, name):
     def oracle(value):
-        return np.sum(WEIGHT * mesh_coverage(with_value(CAMERA, name, value), mesh.vertices, mesh.faces))
+        return np.sum(
+            WEIGHT * mesh_coverage(with_value(CAMERA, name, value), mesh.vertices, mesh.faces)
+        )
 
     found = np.asarray(getattr(gradients[0], name))
     expected = central_difference(oracle, np.asarray(getattr(CAMERA, name)))
     scale = np.abs(np.asarray(gradients[0].phi))
     assert np.all(np.isfinite(found))
     # 1e-6 relative, of each parameter's own gradient; d moves nothing.
-    np.testing.assert_allclose(found, expected, atol=1e-6 * max(np.abs(expected).max(), 1e-3 * scale))
+    np.testing.assert_allclose(
+        found, expected, atol=1e-6 * max(np.abs(expected).max(), 1e-3 * scale)
+    )
     if name == "d":
         assert float(found) == 0
 
@@ -72,9 +76,9 @@ def test_the_gradient_of_all_vertices_is_minus_that_of_the_camera(gradients):
 
 def test_image_jacobian_equals_per_pixel_differences(mesh):
     scene = pj.Scene(mesh=mesh)
-    image = lambda e: pj.silhouette(with_value(CAMERA, "e", e), scene)  # noqa: E731
+    image = lambda e: pj.silhouette(with_value(CAMERA, "e", e), scene)
     jacobian = jax.jit(jax.jacfwd(image))(CAMERA.e)
-    oracle = lambda e: mesh_coverage(with_value(CAMERA, "e", e), mesh.vertices, mesh.faces)  # noqa: E731
+    oracle = lambda e: mesh_coverage(with_value(CAMERA, "e", e), mesh.vertices, mesh.faces)
     expected = central_difference(oracle, CAMERA.e, 1e-6)
     # Where the contour passes a pixel's corner within the step the difference is of first order.
     error = np.abs(np.asarray(jacobian) - expected).max(axis=2)
@@ -107,7 +111,10 @@ def test_sphere_gradients_equal_central_differences():
 
     def loss(e, phi, centers, radii):
         camera = eqx.tree_at(lambda c: (c.e, c.phi), CAMERA, (e, phi))
-        return jnp.sum(jnp.asarray(WEIGHT) * pj.silhouette(camera, pj.Scene(spheres=pj.Spheres(centers, radii))))
+        return jnp.sum(
+            jnp.asarray(WEIGHT)
+            * pj.silhouette(camera, pj.Scene(spheres=pj.Spheres(centers, radii)))
+        )
 
     compiled = jax.jit(loss)
     values = [np.asarray(CAMERA.e), np.asarray(CAMERA.phi), centers, radii]
@@ -136,14 +143,14 @@ def test_frozen_leaves_cost_no_derivative(mesh):
                 equations += getattr(inner, "eqns", [])
         raise AssertionError("no linear map")
 
-    phi = lambda x: pj.silhouette(with_value(CAMERA, "phi", x), scene)  # noqa: E731
+    phi = lambda x: pj.silhouette(with_value(CAMERA, "phi", x), scene)
     assert inputs(phi, CAMERA.phi) == 1
-    everything = lambda c: pj.silhouette(c, scene)  # noqa: E731
+    everything = lambda c: pj.silhouette(c, scene)
     assert inputs(everything, CAMERA) == 5
 
 
 def test_a_second_derivative_is_refused_in_words(mesh):
     scene = pj.Scene(mesh=mesh)
-    loss = lambda phi: jnp.sum(pj.silhouette(with_value(CAMERA, "phi", phi), scene) ** 2)  # noqa: E731
+    loss = lambda phi: jnp.sum(pj.silhouette(with_value(CAMERA, "phi", phi), scene) ** 2)
     with pytest.raises(NotImplementedError, match="differentiated once"):
         jax.hessian(loss)(CAMERA.phi)

@@ -31,7 +31,8 @@ def test_batches_over_residuals_and_over_what_is_linear():
         jax.vmap(apply, (0, None))(counts, X), np.array([1, 3, 6])[:, None] * np.asarray(X)
     )
     np.testing.assert_array_equal(
-        jax.jit(jax.vmap(apply, (None, 1), 1))(2, X[None, :] * jnp.ones((2, 1))), 3 * np.tile(X, (2, 1))
+        jax.jit(jax.vmap(apply, (None, 1), 1))(2, X[None, :] * jnp.ones((2, 1))),
+        3 * np.tile(X, (2, 1)),
     )
     slopes = jax.vmap(jax.grad(lambda x, n: jnp.sum(apply(n, x))), (None, 0))(X, counts)
     np.testing.assert_array_equal(slopes, np.repeat([[1], [3], [6]], 3, 1))

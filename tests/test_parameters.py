@@ -27,7 +27,9 @@ def move(y, *free):
 
 
 def test_rotation_is_rodrigues():
-    np.testing.assert_allclose(rotation(jnp.array([0, 0, np.pi / 2])) @ jnp.array([1.0, 0, 0]), [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(
+        rotation(jnp.array([0, 0, np.pi / 2])) @ jnp.array([1.0, 0, 0]), [0, 1, 0], atol=1e-15
+    )
     np.testing.assert_array_equal(rotation(jnp.zeros(3)), np.eye(3))
     for size in (1e-9, 1e-2, 0.0099, 3.0):
         R = rotation(size * jnp.array([1.0, 2, 3]))
@@ -37,7 +39,9 @@ def test_rotation_is_rodrigues():
 
 
 def test_a_move_by_nothing_changes_nothing():
-    for before, after in zip(jax.tree.leaves(CAMERA), jax.tree.leaves(move(np.zeros(7), "pose", "phi")), strict=True):
+    for before, after in zip(
+        jax.tree.leaves(CAMERA), jax.tree.leaves(move(np.zeros(7), "pose", "phi")), strict=True
+    ):
         np.testing.assert_allclose(before, after, atol=1e-15)
 
 
@@ -47,7 +51,9 @@ def test_pose_moves_are_rigid_and_keep_the_gauge():
         view = np.asarray(camera.p - camera.e)
         np.testing.assert_allclose(np.linalg.norm(view), np.linalg.norm(CAMERA.p - CAMERA.e))
         np.testing.assert_allclose(np.linalg.norm(camera.u), np.linalg.norm(CAMERA.u))
-        np.testing.assert_allclose(view @ np.asarray(camera.u), (CAMERA.p - CAMERA.e) @ CAMERA.u, rtol=1e-12)
+        np.testing.assert_allclose(
+            view @ np.asarray(camera.u), (CAMERA.p - CAMERA.e) @ CAMERA.u, rtol=1e-12
+        )
     assert float(after.phi) == float(CAMERA.phi)
 
 
@@ -93,7 +99,7 @@ def test_units_move_the_outline_by_about_a_pixel():
     free = ("pose", "phi", "principal_point", "aspect")
     unit = canonical(CAMERA)
     step = units(unit, PIVOT, jnp.asarray(1.0), jnp.asarray(20.0), free)
-    rim = PIVOT + jnp.asarray(np.random.default_rng(0).normal(size=(50, 3)) / 2)
+    rim = PIVOT[None] + jnp.asarray(np.random.default_rng(0).normal(size=(50, 3)) / 2)
 
     def film(y):
         return 20 * pj.project(moved(Move(unit, PIVOT, step), y, free), rim)

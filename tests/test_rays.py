@@ -3,9 +3,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles import central_difference
 
 import pinhole_jax as pj
-from oracles import central_difference
 
 # Looking down -z with y up, 90 degrees: at d = 1 the film is 2 high and, with W/H = 2, 4 wide.
 E, P, U = jnp.array([0.0, 0, 5]), jnp.array([0.0, 0, 0]), jnp.array([0.0, 1, 0])

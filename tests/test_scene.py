@@ -74,7 +74,11 @@ def test_vertices_may_be_traced_and_faces_may_not():
     ("vertices", "faces", "message"),
     [
         (np.zeros((4, 2)), FACES, r"`vertices`: expected .* shape \(N, 3\), got shape \(4, 2\)"),
-        (TETRAHEDRON * np.nan, FACES, r"`vertices`: expected finite values, got nan at index \(0, 0\)"),
+        (
+            TETRAHEDRON * np.nan,
+            FACES,
+            r"`vertices`: expected finite values, got nan at index \(0, 0\)",
+        ),
         (TETRAHEDRON, FACES[:, :2], r"`faces`: expected shape \(F, 3\), got \(4, 2\)"),
         (TETRAHEDRON, FACES * 1.0, r"`faces`: expected integers, got dtype float64"),
         (TETRAHEDRON, FACES + 1, r"`faces`: expected indices from 0 to 3, got 1 to 4"),
@@ -128,8 +132,12 @@ def test_padding_and_casting_keep_the_silhouette():
 
 def test_padding_stale_planes_makes_them_anew():
     scene = pj.Scene(mesh=shapes.bumpy(1))
-    stretched = eqx.tree_at(lambda s: s.mesh.vertices, scene, scene.mesh.vertices * jnp.array([[2.0, 1, 1]]))
+    stretched = eqx.tree_at(
+        lambda s: s.mesh.vertices, scene, scene.mesh.vertices * jnp.array([[2.0, 1, 1]])
+    )
     fresh = pj.Scene(mesh=pj.Mesh(stretched.mesh.vertices, scene.mesh.faces))
     e = jnp.array([1.0, 2, 3])
     F = scene.mesh.faces.shape[0]
-    assert front_facing(padded(stretched).mesh, e)[:F].tolist() == front_facing(fresh.mesh, e).tolist()
+    assert (
+        front_facing(padded(stretched).mesh, e)[:F].tolist() == front_facing(fresh.mesh, e).tolist()
+    )

@@ -1,4 +1,4 @@
-"""Coverage against the union of all projected triangles, and outlines of spheres: shapely, float64."""
+"""Coverage against the union of all projected triangles and of spheres' outlines: shapely."""
 
 import equinox as eqx
 import jax
@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from oracles import area_per_pixel, mesh_coverage, random_camera, sphere_union
 
 import pinhole_jax as pj
-from oracles import area_per_pixel, mesh_coverage, random_camera, sphere_union
 from pinhole_jax import shapes
 
 W, H = 40, 32
@@ -97,14 +97,21 @@ def test_mesh_and_spheres_apart_add_up():
     camera = pj.Camera([0, 0, 8], [0, 0, 0], [0, 1, 0], 0.6, W=W, H=H)
     mesh, spheres = pj.Mesh(vertices, faces), pj.Spheres([[2.0, 1.5, 0]], [0.4])
     both = pj.silhouette(camera, pj.Scene(mesh=mesh, spheres=spheres))
-    one, other = (pj.silhouette(camera, pj.Scene(mesh=m, spheres=s)) for m, s in ((mesh, None), (None, spheres)))
+    one, other = (
+        pj.silhouette(camera, pj.Scene(mesh=m, spheres=s))
+        for m, s in ((mesh, None), (None, spheres))
+    )
     np.testing.assert_allclose(both, one + other, atol=1e-14)
 
 
 def test_an_empty_scene_covers_nothing():
     camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=3, H=2)
     none = pj.Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
-    for scene in (pj.Scene(), pj.Scene(mesh=none), pj.Scene(spheres=pj.Spheres(np.zeros((0, 3)), []))):
+    for scene in (
+        pj.Scene(),
+        pj.Scene(mesh=none),
+        pj.Scene(spheres=pj.Spheres(np.zeros((0, 3)), [])),
+    ):
         np.testing.assert_array_equal(pj.silhouette(camera, scene), np.zeros((2, 3)))
 
 
@@ -167,14 +174,19 @@ def test_it_converges_as_a_supersampled_hard_mask_does():
     assert errors[1] < errors[0] / 4  # a regular grid: error about samples^-3/2
 
 
-@pytest.mark.parametrize(("camera_type", "scene_type"), [("float32", "float32"), ("float32", "float64"), ("float64", "float32")])
+@pytest.mark.parametrize(
+    ("camera_type", "scene_type"),
+    [("float32", "float32"), ("float32", "float64"), ("float64", "float32")],
+)
 def test_float_types_mix_and_the_camera_decides(camera_type, scene_type):
     vertices, faces = bumpy()
     arrays = (np.array(x, camera_type) for x in ([0.3, 1, 5], [0.1, 0, 0], [0.1, 1, 0], 0.6))
     camera = pj.Camera(*arrays, 1.0, W, H)
     image = pj.silhouette(camera, pj.Scene(mesh=pj.Mesh(vertices.astype(scene_type), faces)))
     assert image.dtype == camera_type
-    exact = pj.Camera(*(np.asarray(x, float) for x in (camera.e, camera.p, camera.u, camera.phi)), 1.0, W, H)
+    exact = pj.Camera(
+        *(np.asarray(x, float) for x in (camera.e, camera.p, camera.u, camera.phi)), 1.0, W, H
+    )
     single = "float32" in (camera_type, scene_type)
     expected = mesh_coverage(exact, vertices, faces)
     np.testing.assert_allclose(image, expected, atol=1e-4 if single else 1e-9)
@@ -185,5 +197,5 @@ def test_vmap_over_cameras_is_the_same_as_one_by_one():
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
     camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.1, 1, 0], 0.6, W=W, H=H)
     eyes = camera.e[None] + jnp.array([[0, 0, 0], [0.5, 0, 0], [0, -1, 2.0]])
-    at = lambda e: pj.silhouette(eqx.tree_at(lambda c: c.e, camera, e), scene)  # noqa: E731
+    at = lambda e: pj.silhouette(eqx.tree_at(lambda c: c.e, camera, e), scene)
     np.testing.assert_allclose(jax.vmap(at)(eyes), jnp.stack([at(e) for e in eyes]), atol=1e-14)

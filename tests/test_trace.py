@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from oracles import central_difference
 
 import pinhole_jax as pj
-from oracles import central_difference
 from pinhole_jax import shapes
 from pinhole_jax._bvh import after, build
 from pinhole_jax._intersect import perpendicular, ray_triangle
@@ -76,8 +76,10 @@ def brute_force(mesh, rays):
     """Return t and face of each ray by testing every face."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]][None] for k in range(3))
     axes = perpendicular(rays.direction)
-    spread = lambda x: x[:, None]  # noqa: E731
-    t = ray_triangle(spread(rays.origin), spread(rays.direction), (spread(axes[0]), spread(axes[1])), a, b, c).t
+    spread = lambda x: x[:, None]
+    t = ray_triangle(
+        spread(rays.origin), spread(rays.direction), (spread(axes[0]), spread(axes[1])), a, b, c
+    ).t
     face = jnp.argmin(t, axis=1)
     best = jnp.min(t, axis=1)
     return best, jnp.where(jnp.isfinite(best), face, -1)
@@ -106,12 +108,14 @@ def test_every_face_is_in_one_leaf_and_every_box_holds_its_faces():
     for leaf in range(tree.leaves):
         node = leaf + tree.leaves
         while node:
-            assert np.all(tree.corners[leaf] >= tree.low[node])
-            assert np.all(tree.corners[leaf] <= tree.high[node])
+            assert np.all(np.asarray(tree.corners[leaf]) >= np.asarray(tree.low[node]))
+            assert np.all(np.asarray(tree.corners[leaf]) <= np.asarray(tree.high[node]))
             node //= 2
 
 
-@pytest.mark.parametrize(("dtype", "offset"), [("float32", 0.0), ("float32", 1.0), ("float64", 1.0)])
+@pytest.mark.parametrize(
+    ("dtype", "offset"), [("float32", 0.0), ("float32", 1.0), ("float64", 1.0)]
+)
 def test_no_ray_leaks_through_edges_or_vertices(dtype, offset):
     """Rays from within a closed mesh, aimed at vertices and points of edges; also far away."""
     mesh = shapes.bumpy(2)
@@ -136,7 +140,9 @@ def test_a_hit_by_hand():
     np.testing.assert_allclose(hit.t, [3, np.inf, np.inf])
     assert hit.primitive.tolist() == [0, -1, -1]
     # (0.5, 0.25) = 0.625 a + 0.25 b + 0.125 c
-    np.testing.assert_allclose(hit.barycentric, [[0.625, 0.25, 0.125], [0] * 3, [0] * 3], atol=1e-15)
+    np.testing.assert_allclose(
+        hit.barycentric, [[0.625, 0.25, 0.125], [0] * 3, [0] * 3], atol=1e-15
+    )
     np.testing.assert_allclose(hit.normal, [[0, 0, 1], [0] * 3, [0] * 3], atol=1e-15)
 
 
@@ -169,6 +175,15 @@ def test_small_spheres_far_away_keep_their_digits_in_float32(distance):
     np.testing.assert_allclose(pj.trace(scene, rays).t, exact, rtol=2e-7)
 
 
+def test_t_counts_in_lengths_of_the_direction():
+    scene = pj.Scene(mesh=shapes.bumpy(1), spheres=pj.Spheres([[3.0, 0, 0]], [0.5]))
+    origin = jnp.array([[0.1, 0.2, 5], [3, 0, 5]])
+    along = jnp.array([[0.0, 0, -1], [0, 0, -1]])
+    one, three = (pj.trace(scene, pj.Rays(origin, k * along)) for k in (1.0, 3.0))
+    np.testing.assert_allclose(one.t, 3 * three.t, rtol=1e-14)
+    np.testing.assert_allclose(one.barycentric, three.barycentric, atol=1e-14)
+
+
 def test_the_nearer_of_mesh_and_sphere_is_hit():
     mesh = pj.Mesh([[-2, -2, 0], [2, -2, 0], [0, 2, 0.0]], [[0, 1, 2]])
     scene = pj.Scene(mesh=mesh, spheres=pj.Spheres([[0.0, 0, 0]], [0.5]))
@@ -195,14 +210,18 @@ def test_derivatives_of_hits_equal_central_differences():
         same = jnp.asarray(on) & (found.primitive == hit.primitive)
         parts = (jnp.where(same, found.t, 0), found.barycentric, found.normal)
         masks = (same, same[..., None], same[..., None])
-        return sum(jnp.sum(jnp.where(m, w * p, 0)) for m, w, p in zip(masks, weights, parts, strict=True))
+        return sum(
+            jnp.sum(jnp.where(m, w * p, 0)) for m, w, p in zip(masks, weights, parts, strict=True)
+        )
 
     at = [rays.origin, rays.direction, mesh.vertices, scene.spheres.centers, scene.spheres.radii]
     compiled = jax.jit(loss)
     slopes = jax.jit(jax.grad(loss, argnums=(0, 1, 2, 3, 4)))(*at)
     for k, slope in enumerate(slopes):
         direction = jnp.asarray(random.normal(size=at[k].shape))
-        along = lambda s, k=k, d=direction: compiled(*(x + s * d if n == k else x for n, x in enumerate(at)))  # noqa: E731
+        along = lambda s, k=k, d=direction: compiled(
+            *(x + s * d if n == k else x for n, x in enumerate(at))
+        )
         expected = central_difference(along, 0.0, 1e-7)
         assert np.all(np.isfinite(slope))
         np.testing.assert_allclose(jnp.sum(slope * direction), expected, rtol=2e-5, atol=2e-5)
@@ -222,4 +241,6 @@ def test_shapes_follow_the_rays_and_no_rays_give_no_hits():
     assert hit.t.shape == (2, 0)
     batched = jax.vmap(lambda o: pj.trace(scene, pj.Rays(o, jnp.array([0.0, 0, -1]))).t)
     assert np.all(np.isfinite(batched(jnp.array([[0.0, 0, 4], [0.1, 0, 5]]))))
-    assert pj.trace(pj.Scene(), pj.Rays(jnp.zeros(3), jnp.ones((4, 3)))).primitive.tolist() == [-1] * 4
+    assert (
+        pj.trace(pj.Scene(), pj.Rays(jnp.zeros(3), jnp.ones((4, 3)))).primitive.tolist() == [-1] * 4
+    )

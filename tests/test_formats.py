@@ -1,0 +1,70 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pinhole_jax as pj
+from pinhole_jax import formats
+
+# A turn about y by the angle with cosine 0.8, then 3 units forward.
+R = np.array([[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]])
+T = np.array([0.1, -0.2, 3.0])
+
+
+@pytest.mark.parametrize(("centres", "half"), [("integer", 0.5), ("half", 0.0)])
+@pytest.mark.parametrize(("W", "H"), [(64, 48), (65, 33)])
+def test_opencv_by_hand(centres, half, W, H):
+    K = np.array([[70.0, 0, 30.0], [0, 72.0, 20.0], [0, 0, 1]])
+    camera = formats.from_opencv(K, R, T, W, H, pixel_centres=centres)
+    points = np.array([[0.2, 0.3, 0.4], [-1, 0.5, 0]])
+    x, y, z = (points @ R.T + T).T
+    u, v = 70 * x / z + 30, 72 * y / z + 20  # OpenCV's pixel coordinates, y down
+    film = np.stack([u + half, H - (v + half)], axis=1)
+    np.testing.assert_allclose(pj.project(camera, jnp.asarray(points)), film, atol=1e-12)
+
+
+def test_a_centred_camera_needs_no_lens():
+    K = np.array([[70.0, 0, 31.5], [0, 70.0, 23.5], [0, 0, 1]])
+    assert formats.from_opencv(K, R, T, 64, 48, pixel_centres="integer").lens is None
+    assert formats.from_opencv(K, R, T, 64, 48, pixel_centres="half").lens is not None
+
+
+def test_the_published_reference_mask_of_m3t(shared):
+    """Half a pixel shows: the renderer's masks agree best with centres at integers."""
+    import json
+
+    from pinhole_jax import io
+
+    folder = shared / "renders" / "m3t_renderer"
+    given = json.loads((folder / "camera.json").read_text())
+    bottle = given["objects"]["shampoo"]
+    mask = io.load_image(folder / "silhouette_image.png") == bottle["id"]
+    scene = pj.Scene(mesh=pj.load_mesh(folder / bottle["mesh"]))
+    agreement = {}
+    for centres in ("integer", "half"):
+        camera = formats.from_opencv(
+            given["K"], bottle["R"], bottle["t"], 640, 480, pixel_centres=centres
+        )
+        hard = np.asarray(pj.silhouette(camera, scene)) > 0.5
+        agreement[centres] = np.sum(hard & mask) / np.sum(hard | mask)
+    assert agreement["integer"] > 0.994
+    assert agreement["half"] < 0.992
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"K": np.eye(2)}, "`K`: expected finite numbers of shape"),
+        ({"R": 2 * R}, "`R`: expected a rotation matrix"),
+        ({"R": -R}, "`R`: expected a rotation matrix"),
+        ({"t": [0, 0, np.nan]}, "`t`: expected finite numbers"),
+        (
+            {"pixel_centres": "corner"},
+            "`pixel_centres`: expected 'integer' or 'half', got 'corner'",
+        ),
+        ({"K": np.array([[70.0, 1, 30], [0, 70, 20], [0, 0, 1]])}, "`K`: expected no skew"),
+    ],
+)
+def test_bad_input_is_said_in_words(change, message):
+    good = {"K": np.diag([70.0, 70, 1]), "R": R, "t": T, "W": 64, "H": 48, "pixel_centres": "half"}
+    with pytest.raises(ValueError, match=message):
+        formats.from_opencv(**{**good, **change})

@@ -1,0 +1,144 @@
+"""The command as a user runs it: in a process of its own."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from oracles import turned
+from PIL import Image
+
+import pinhole_jax as pj
+from pinhole_jax import io, shapes
+
+CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
+
+
+def run(*arguments, cache):
+    environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
+    return subprocess.run(
+        [sys.executable, "-m", "pinhole_jax", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    import trimesh
+
+    folder = tmp_path_factory.mktemp("main")
+    mesh = shapes.bumpy(3)
+    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(folder / "bumpy.ply")
+    io.save_camera(folder / "truth.json", CAMERA)
+    io.save_camera(folder / "start.json", turned(CAMERA, [1, 2, 3], 8, 1.05))
+    return folder
+
+
+def test_render_then_fit(folder):
+    cache = folder / "cache"
+    rendered = run(
+        "render",
+        folder / "bumpy.ply",
+        folder / "truth.json",
+        "-o",
+        folder / "mask.png",
+        cache=cache,
+    )
+    assert rendered.returncode == 0, rendered.stderr
+    assert "96 x 80" in rendered.stdout
+    assert io.load_image(folder / "mask.png").shape == (80, 96)
+
+    out = folder / "out"
+    fitted = run(
+        "fit",
+        folder / "bumpy.ply",
+        folder / "mask.png",
+        "--camera",
+        folder / "start.json",
+        "-o",
+        out,
+        cache=cache,
+    )
+    assert fitted.returncode == 0, fitted.stderr
+    assert fitted.stderr == ""  # progress is for terminals
+    for words in (
+        "parameter",
+        "one sigma",
+        "e_x",
+        "status     converged",
+        "IoU",
+        "s compile",
+        "s run",
+    ):
+        assert words in fitted.stdout
+    angle, _ = pj.pose_error(io.load_camera(out / "camera.json"), CAMERA)
+    assert np.rad2deg(angle) < 0.05  # the mask has 8 bits
+    report = json.loads((out / "camera.json").read_text())["fit"]
+    assert report["status"] == "converged"
+    assert io.load_image(out / "overlay.png").shape[1] >= 800
+    assert any(cache.rglob("*"))  # compiled programs are kept
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("fit", "no.ply", "mask.png", "--camera", "start.json"), "expected a mesh file"),
+        (("fit", "bumpy.ply", "no.png", "--camera", "start.json"), "expected an image file"),
+        (
+            ("fit", "bumpy.ply", "small.png", "--camera", "start.json"),
+            "`target`: expected the camera's shape",
+        ),
+        (
+            ("fit", "bumpy.ply", "black.png", "--camera", "start.json"),
+            "`target`: expected a mask that covers",
+        ),
+        (
+            ("fit", "bumpy.ply", "black.png", "--camera", "start.json", "--free", "zoom"),
+            "`free`: expected names",
+        ),
+        (("render", "bumpy.ply", "black.png"), "expected JSON"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(folder, arguments, message):
+    Image.new("L", (9, 9)).save(folder / "small.png")
+    Image.new("L", (96, 80)).save(folder / "black.png")
+    files = [folder / a if "." in a else a for a in arguments]
+    done = run(*files, "-o", folder / "nothing", cache=folder / "cache")
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (folder / "nothing").exists()
+
+
+def test_a_fit_that_is_not_to_be_trusted_has_status_1(folder):
+    behind = pj.Camera([0.3, 1, 5], [0.3, 1, 9], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
+    io.save_camera(folder / "behind.json", behind)
+    mask = (np.asarray(pj.silhouette(CAMERA, pj.Scene(mesh=shapes.bumpy(3)))) > 0.5).astype(
+        np.uint8
+    ) * 255
+    Image.fromarray(mask).save(folder / "hard.png")
+    done = run(
+        "fit",
+        folder / "bumpy.ply",
+        folder / "hard.png",
+        "--camera",
+        folder / "behind.json",
+        "-o",
+        folder / "lost",
+        cache=folder / "cache",
+    )
+    assert done.returncode == 1, done.stderr
+    assert "status     no_overlap" in done.stdout
+
+
+def test_help_says_what_a_camera_file_is(folder):
+    for command in ([], ["fit"], ["render"]):
+        done = run(*command, "--help", cache=folder)
+        assert done.returncode == 0
+        assert '"phi": 0.6' in done.stdout
+        assert max(map(len, done.stdout.splitlines())) <= 100

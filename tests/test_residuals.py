@@ -1,0 +1,99 @@
+"""The compact residuals against the image itself: same squares, same Jacobian, same overlap."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pinhole_jax as pj
+from pinhole_jax import shapes
+from pinhole_jax._parameters import Move, canonical, moved, on_film
+from pinhole_jax._residuals import Capacity, residuals
+from pinhole_jax._target import pyramid
+
+FREE = ("pose", "phi")
+CAPACITY = Capacity(256, 1024, 256)
+
+
+def setting(look_at=(0.0, 0, 0), W=30, H=24, spheres=False, seed=0):
+    random = np.random.default_rng(seed)
+    look_at = np.array(look_at)
+    camera = pj.Camera(np.add(look_at, [0.3, 1, 5]), look_at, [0.1, 1, 0], 0.6, 1.0, W, H)
+    balls = pj.Spheres([[1.2, 0.9, 0], [-1.3, -0.8, 0.5]], [0.3, 0.2]) if spheres else None
+    scene = pj.Scene(mesh=shapes.bumpy(2, bumps=0.006), spheres=balls)
+    target = np.clip(random.random((H, W)) * 1.4 - 0.2, 0, 1)
+    weight = random.random((H, W)) * (random.random((H, W)) > 0.2)
+    return camera, scene, target, weight
+
+
+@pytest.mark.parametrize(
+    ("look_at", "spheres"),
+    [
+        ((0, 0, 0), False),
+        ((1.7, 0, 0), False),
+        ((-1.7, 0, 0), True),
+        ((0, 1.3, 0), True),
+        ((0, -1.3, 0), False),
+    ],
+)
+def test_squares_sums_and_jacobian_are_those_of_the_image(look_at, spheres):
+    camera, scene, target, weight = setting(look_at, spheres=spheres)
+    data, levels = pyramid(target, weight, float)
+    unit = canonical(camera)
+    start = Move(unit, jnp.zeros(3), jnp.full(7, 0.01))
+
+    @jax.jit
+    def compact(y):
+        (r, rest), sums, load = residuals(moved(start, y, FREE), scene, data, levels[-1], CAPACITY)
+        return (r, rest), (sums, load, (r, rest))
+
+    @jax.jit
+    def image(y):
+        return pj.silhouette(on_film(moved(start, y, FREE), camera, FREE), scene)
+
+    zero = jnp.zeros(7)
+    (J, _), (sums, load, (r, rest)) = jax.jacfwd(compact, has_aux=True)(zero)
+    covered, dense = np.asarray(image(zero)), np.asarray(jax.jacfwd(image)(zero)).reshape(-1, 7)
+    difference = np.sqrt(weight) * (covered - target)
+    dense = np.sqrt(weight).reshape(-1, 1) * dense
+    assert bool(load.fits(CAPACITY))
+    np.testing.assert_allclose(jnp.sum(r**2) + rest**2, np.sum(difference**2), rtol=1e-12)
+    np.testing.assert_allclose(sums.squares, np.sum(difference**2), rtol=1e-12)
+    np.testing.assert_allclose(
+        sums.overlap, np.sum(weight * np.minimum(covered, target)), rtol=1e-12
+    )
+    np.testing.assert_allclose(sums.union, np.sum(weight * np.maximum(covered, target)), rtol=1e-12)
+    np.testing.assert_allclose(J.T @ J, dense.T @ dense, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(J.T @ r, dense.T @ difference.ravel(), rtol=1e-9, atol=1e-9)
+
+
+def test_coarse_levels_are_means_of_blocks():
+    camera, scene, _, _ = setting(W=33, H=50)
+    target = np.asarray(pj.silhouette(camera, scene))
+    data, levels = pyramid(target, np.ones_like(target), float, coarsest_px=8)
+    assert [(int(v.W), int(v.H)) for v in levels] == [(9, 13), (17, 25), (33, 50)]
+    for level in levels:  # the target is the scene's own image: nothing is left at any level
+        (r, rest), sums, _ = residuals(canonical(camera), scene, data, level, CAPACITY)
+        np.testing.assert_allclose(r, 0, atol=1e-12)
+        np.testing.assert_allclose(rest, 0, atol=1e-6)
+        assert float(sums.overlap) > 0
+
+
+def test_exact_runs_cost_exactly_nothing_in_float32():
+    camera, scene, _, _ = setting()
+    target = (np.asarray(pj.silhouette(camera, scene)) > 0.5).astype(float)
+    data, levels = pyramid(target, np.ones_like(target), np.float32)
+    camera = jax.tree.map(lambda x: x.astype(jnp.float32), camera)
+    scene = pj.Scene(mesh=pj.Mesh(scene.mesh.vertices.astype(jnp.float32), scene.mesh.faces))
+    (_, rest), _, _ = residuals(canonical(camera), scene, data, levels[-1], CAPACITY)
+    assert float(rest) == 0
+
+
+def test_too_small_a_capacity_is_never_silent():
+    camera, scene, target, weight = setting()
+    data, levels = pyramid(target, weight, float)
+    for short in (Capacity(8, 1024, 0), Capacity(256, 16, 0)):
+        (r, rest), _, load = residuals(canonical(camera), scene, data, levels[-1], short)
+        assert not bool(load.fits(short))
+        assert np.all(np.isnan(r))
+        assert np.isnan(rest)
