@@ -69,8 +69,9 @@ def main() -> None:
     for name, result in results.items():
         worst = max(result["worst_degrees"].values())
         print(
-            f"{name}: {result['converged']} of {result['fits']} converged, worst {worst:.1e} degrees,"
-            f" median {1000 * result['median_s']:.0f} ms (first call {result['first_call_s']:.1f} s)"
+            f"{name}: {result['converged']} of {result['fits']} converged,"
+            f" worst {worst:.1e} degrees, median {1000 * result['median_s']:.0f} ms"
+            f" (first call {result['first_call_s']:.1f} s)"
         )
     results["versions"] = {"jax": jax.__version__, "python": platform.python_version()}
     (folder / "starts.json").write_text(json.dumps(results, indent=1) + "\n")
