@@ -128,10 +128,14 @@ def split(m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_
         x, _ = _at_row(m, (rows.first + j).astype(dtype))
         return j + jnp.abs(_column(x, W) - column_first)
 
-    row = jnp.zeros_like(rows.first)
-    for bit in reversed(range(max(max_H - 1, 0).bit_length())):
-        step = row + (1 << bit)
-        row = jnp.where((step < rows.number) & (passed(step) <= rank), step, row)
+    # A loop, not unrolled: the compiler of jax 0.12 takes minutes over the unrolled chain.
+    bits = max(max_H - 1, 0).bit_length()
+
+    def bisect(k, row):
+        step = row + (jnp.int32(1) << (bits - 1 - k))
+        return jnp.where((step < rows.number) & (passed(step) <= rank), step, row)
+
+    row = jax.lax.fori_loop(0, bits, bisect, jnp.zeros_like(rows.first))
 
     x0, y0 = _at_row(m, (rows.first + row).astype(dtype))
     x1, y1 = _at_row(m, (rows.first + row + 1).astype(dtype))
