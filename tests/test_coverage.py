@@ -1,3 +1,4 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,11 +11,16 @@ from pinhole_jax._coverage import monotone, piece_counts, split
 W, H = 7, 5
 
 
-def rasterise(curves) -> np.ndarray:
-    """Sum the pieces as the library does, in plain numpy: (H, W), row 0 on top."""
+@jax.jit
+def pieces_of(curves):
     m = monotone(curves)
     upto = jnp.cumsum(piece_counts(m, W, H))
-    pieces = split(m, upto, jnp.arange(max(int(upto[-1]), 1), dtype=jnp.int32), W, H, H)
+    return split(m, upto, jnp.arange(128, dtype=jnp.int32), W, H, H)
+
+
+def rasterise(curves) -> np.ndarray:
+    """Sum the pieces as the library does, in plain numpy: (H, W), row 0 on top."""
+    pieces = pieces_of(curves)
     image = np.zeros((H, W))
     for row, column, height, area, valid in zip(
         *(

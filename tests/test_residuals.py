@@ -1,5 +1,6 @@
 """The compact residuals against the image itself: same squares, same Jacobian, same overlap."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,11 +9,13 @@ import pytest
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._parameters import Move, canonical, moved, on_film
-from pinhole_jax._residuals import Capacity, residuals
+from pinhole_jax._residuals import Capacity
+from pinhole_jax._residuals import residuals as _residuals
 from pinhole_jax._target import pyramid
 
 FREE = ("pose", "phi")
 CAPACITY = Capacity(256, 1024, 256)
+residuals = eqx.filter_jit(_residuals)
 
 
 def setting(look_at=(0.0, 0, 0), W=30, H=24, spheres=False, seed=0):
