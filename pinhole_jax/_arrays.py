@@ -29,7 +29,12 @@ def float_dtype(*values: Any) -> np.dtype:
     ]
     if not dtypes:
         return jnp.zeros(()).dtype
-    return jax.dtypes.canonicalize_dtype(np.result_type(*dtypes))
+    # Half precision cannot hold pixel coordinates: it is taken for float32.
+    return jax.dtypes.canonicalize_dtype(np.result_type(np.float32, *map(_at_least_single, dtypes)))
+
+
+def _at_least_single(dtype: Any) -> np.dtype:
+    return np.dtype(np.float32) if np.dtype(dtype).itemsize < 4 else np.dtype(dtype)
 
 
 def float_array(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.dtype) -> Array:

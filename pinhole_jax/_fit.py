@@ -34,11 +34,13 @@ STATUSES = (
     "converged",  # the gradient vanishes, the masks overlap, every direction is determined
     "rank_deficient",  # converged, but some direction changes no pixel: `Fit.weak` names it
     "max_steps",  # stopped while still moving
-    "no_overlap",  # the object's outline and the mask do not overlap
+    "no_overlap",  # object and mask hardly overlap: their IoU is below `LEAST_IOU`
     "saturated",  # the object covers the whole film: there is no outline to follow
     "non_finite",  # NaN or infinity turned up
 )
 
+#: Below this intersection over union a fit has found something else than the object.
+LEAST_IOU = 0.5
 #: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
 #: larger units make bolder first steps.
 UNIT_PX = 30.0
@@ -62,7 +64,8 @@ class Fit(NamedTuple):
       pixels that the outline touches; infinite where the mask does not determine a parameter.
     - `rms`: root mean square of coverage minus target over all pixels that count; `iou` their
       intersection over union.
-    - `steps`: Levenberg-Marquardt steps on each level, coarse to fine.
+    - `steps`: Levenberg-Marquardt steps on each level, coarse to fine; more than one round of
+      levels where the view outgrew its buffers on the way.
     - `weak`: directions that the mask determines badly or not at all, in words.
     """
 
@@ -117,17 +120,17 @@ def fit_camera(
     start = canonical(camera)
 
     before, capacity = _look(start, problem, levels[-1], names, _first_capacity(scene, image))
-    unit, after, steps = start, before, []
-    for number, level in enumerate(levels):
-        tolerance = FINE_PX[dtype] if level is levels[-1] else COARSE_PX
-        tolerance = jnp.asarray(tolerance, dtype)
-        unit, n = _solve(unit, problem, level, tolerance, names, capacity, max_steps)
-        steps.append(int(n))
-        if progress is not None:
-            progress(
-                f"level {number + 1} of {len(levels)}: {int(level.W)} x {int(level.H)}, {n} steps"
-            )
-    after, capacity = _look(unit, problem, levels[-1], names, capacity)
+    unit, after, steps, enough = start, before, [], None
+    while enough != capacity:  # a view that outgrew its buffers: go on from there with larger ones
+        capacity = enough or capacity
+        for level in levels:
+            tolerance = FINE_PX[dtype] if level is levels[-1] else COARSE_PX
+            tolerance = jnp.asarray(tolerance, dtype)
+            unit, n = _solve(unit, problem, level, tolerance, names, capacity, max_steps)
+            steps.append(int(n))
+            if progress is not None:
+                progress(f"{int(level.W)} x {int(level.H)} pixels: {n} steps")
+        after, enough = _look(unit, problem, levels[-1], names, capacity)
     if not float(after.sums.squares) <= float(before.sums.squares):
         unit, after = start, before  # never worse than the start
     return _report(camera, unit, after, names, tuple(steps), max_steps)
@@ -320,20 +323,16 @@ def _report(
 
 
 def _status(triangle, along, sums: Any, blind: bool, dtype) -> str:
-    if sums.overlap <= 0:
+    if not np.any(triangle):
+        return "saturated" if sums.overlap > 0 else "no_overlap"
+    if sums.overlap < LEAST_IOU * sums.union:
         return "no_overlap"
-    if sums.touched == 0:
-        return "saturated"
-    values = np.linalg.svd(triangle, compute_uv=False)
-    if not np.any(values > 0):
-        return "saturated"
     # MINPACK's test: the residual is orthogonal to every column of the Jacobian. At the rounding
     # floor the residual has no direction; there the Newton step must be negligible.
     columns = np.linalg.norm(triangle, axis=0)
     slope = np.abs(triangle.T @ along)
     cosine = np.max(slope / np.maximum(columns * np.sqrt(sums.squares), 1e-300))
-    seen = values[0] * BLIND[dtype]
-    newton = np.linalg.pinv(triangle, rcond=float(BLIND[dtype])) @ along if seen > 0 else along
+    newton = np.linalg.pinv(triangle, rcond=BLIND[dtype]) @ along
     if cosine > 100 * COSINE[dtype] and UNIT_PX * np.max(np.abs(newton)) > 10 * FINE_PX[dtype]:
         return "max_steps"
     return "rank_deficient" if blind else "converged"

@@ -82,6 +82,8 @@ def test_float_type_follows_the_arguments():
     assert pj.Camera(E, P, U, 0.5, W=2, H=2).e.dtype == jnp.float64
     single = pj.Camera(np.array(E, np.float32), np.array(P), U, 0.5, W=2, H=2)
     assert single.e.dtype == jnp.float64  # p is float64
+    half = pj.Camera(jnp.array(E, jnp.bfloat16), P, U, 0.5, W=2, H=2)
+    assert half.e.dtype == jnp.float32
     single = pj.Camera(np.array(E, np.float32), P, U, 0.5, W=2, H=2, lens=pj.Lens([1.0, 1.0]))
     assert {x.dtype for x in jax.tree.leaves(single)} == {np.dtype(np.float32)}
 

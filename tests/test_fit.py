@@ -12,6 +12,7 @@ from oracles import random_camera, turned
 
 import pinhole_jax as pj
 from pinhole_jax import _fit, formats, io, shapes
+from pinhole_jax._residuals import Capacity
 from pinhole_jax._uncertainty import covariance
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
@@ -149,7 +150,7 @@ def test_covariance_is_that_of_refits_under_noise(scene):
 def test_a_start_without_overlap_is_no_success(scene):
     away = pj.Camera([0.3, 1, 5], [3.5, 2, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
     fit = pj.fit_camera(scene, mask_of(CAMERA, scene), away)
-    assert fit.status != "converged" or fit.iou > 0.99
+    assert (fit.status == "converged") == (fit.iou > 0.99)
     behind = pj.Camera([0.3, 1, 5], [0.3, 1, 9], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
     assert pj.fit_camera(scene, mask_of(CAMERA, scene), behind).status == "no_overlap"
 
@@ -178,6 +179,24 @@ def test_meshes_and_images_of_similar_size_share_compiled_programs(scene):
     camera = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 90, 84)
     pj.fit_camera(other, mask_of(camera, other), turned(camera, [1, 2, 3], 5))
     assert programs == [_fit._solve._cached._cache_size(), _fit._view._cached._cache_size()]
+
+
+def test_a_view_that_outgrows_its_buffers_is_fitted_with_larger_ones(monkeypatch, scene):
+    monkeypatch.setattr(_fit, "_first_capacity", lambda *_: Capacity(1024, 1024, 1))
+    truth = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 320, 320)
+    fit = pj.fit_camera(scene, mask_of(truth, scene), turned(truth, [1, 2, 3], 5, 2.5))
+    assert len(fit.steps) == 10  # two rounds of five levels
+    assert fit.status == "converged"
+    assert np.rad2deg(pj.pose_error(fit.camera, truth)[0]) < 1e-6
+
+
+def test_a_wrong_view_that_fits_badly_is_no_success(scene):
+    """The mask of something else: the best camera overlaps it by less than half."""
+    rows, columns = np.mgrid[:80, :96]
+    thin = np.abs(rows - columns + 8) < 2
+    fit = pj.fit_camera(scene, thin, CAMERA, ("orientation",))
+    assert fit.iou < 0.5
+    assert fit.status == "no_overlap"
 
 
 def test_progress_is_told_after_each_level(scene):
