@@ -54,8 +54,11 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.
         want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
     ):
         raise ValueError(f"`{name}`: expected {expected}, got shape {array.shape}")
-    if is_concrete(array) and not np.all(np.isfinite(array)):
-        raise ValueError(f"`{name}`: expected finite values, got {_first_bad(np.asarray(array))}")
+    if is_concrete(array):
+        with np.errstate(over="ignore"):
+            cast = np.asarray(array).astype(dtype)
+        if not np.all(np.isfinite(cast)):
+            raise ValueError(f"`{name}`: expected finite values, got {_first_bad(cast)}")
     return jnp.asarray(array, dtype)
 
 

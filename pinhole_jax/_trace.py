@@ -17,7 +17,7 @@ from ._rays import Rays
 from ._safe import norm, normalize
 from ._scene import Scene, astype
 
-RAYS_AT_A_TIME = 2048
+RAYS_AT_A_TIME = 1024
 
 
 class Hit(NamedTuple):
@@ -122,32 +122,46 @@ def _search_tree(tree: Tree, rays: Rays, best, primitive, any_hit: bool) -> Int[
     )
     spread = lambda x: x[:, None]
 
-    def visit(state):
+    def descend(state):
+        """Go on to the next node, past boxes that are missed; wait at a leaf."""
+        node, _, best = state
+        enter = ray_box(rays.origin, inverse, tree.low[node], tree.high[node], best)
+        at_leaf = enter & (node >= tree.leaves)
+        onward = jnp.where(enter, 2 * node, after(node))
+        onward = jnp.where(onward == 1, 0, onward)
+        return jnp.where(at_leaf, node, onward), at_leaf, best
+
+    def walk(state):
+        """Take every ray to its next leaf, then test the faces there, all rays at once."""
         node, best, primitive = state
+        moving = lambda s: jnp.any((s[0] > 0) & ~s[1])
+        hold = lambda s: jax.tree.map(
+            lambda new, old: jnp.where((s[0] > 0) & ~s[1], new, old), descend(s), s
+        )
+        node, _, _ = jax.lax.while_loop(moving, hold, (node, jnp.zeros_like(node, bool), best))
         active = node > 0
-        enter = ray_box(rays.origin, inverse, tree.low[node], tree.high[node], best) & active
-        is_leaf = node >= tree.leaves
-        leaf = jnp.where(is_leaf, node - tree.leaves, 0)
+        leaf = jnp.where(active, node - tree.leaves, 0)
         a, b, c = (tree.corners[leaf, :, k] for k in range(3))
         t = ray_triangle(
             spread(rays.origin), spread(rays.direction), (spread(axes[0]), spread(axes[1])), a, b, c
         ).t
-        t = jnp.where((enter & is_leaf)[:, None], t, jnp.inf)
+        t = jnp.where(active[:, None], t, jnp.inf)
         nearest = jnp.min(t, axis=1)
-        faces = tree.faces[leaf]
         # Of faces that are hit at the same distance the first in the mesh counts.
-        face = jnp.min(jnp.where(t == nearest[:, None], faces, jnp.iinfo(jnp.int32).max), axis=1)
+        face = jnp.min(
+            jnp.where(t == nearest[:, None], tree.faces[leaf], jnp.iinfo(jnp.int32).max), axis=1
+        )
         closer = (nearest < best) | ((nearest == best) & jnp.isfinite(nearest) & (face < primitive))
         best = jnp.where(closer, nearest, best)
         primitive = jnp.where(closer, face, primitive)
-        down = jnp.where(enter & ~is_leaf, 2 * node, after(node))
-        finished = (down == 1) | (any_hit & (primitive >= 0))
-        return jnp.where(active & ~finished, down, 0), best, primitive
+        onward = after(node)
+        finished = ~active | (onward == 1) | (any_hit & (primitive >= 0))
+        return jnp.where(finished, 0, onward), best, primitive
 
     start = jnp.ones(best.shape[0], jnp.int32)
     if any_hit:
         start = jnp.where(primitive >= 0, 0, start)
-    return jax.lax.while_loop(lambda s: jnp.any(s[0] > 0), visit, (start, best, primitive))[2]
+    return jax.lax.while_loop(lambda s: jnp.any(s[0] > 0), walk, (start, best, primitive))[2]
 
 
 def _meet(scene: Scene, rays: Rays, primitive: Int[Array, "N"]) -> Hit:
