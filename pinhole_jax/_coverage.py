@@ -16,10 +16,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ._contour import Arcs, Segments
-from ._safe import safe_divide, safe_sqrt
-
-Curves = Segments | Arcs
+from ._curves import Arcs, Curves, Segments, bulge, ends, film_at, unit_at
+from ._safe import safe_divide
 
 
 class Pieces(NamedTuple):
@@ -27,6 +25,9 @@ class Pieces(NamedTuple):
 
     `row` counts up from the film's bottom. `column` -1 and W hold what lies left and right of the
     film. `height` is added to the coverage of all pixels to the right, `area` to the pixel's own.
+    `jump` is how many layers there are more right of the piece than left of it, and `passes` says
+    that the curve goes on above the bottom of the row. `enters` says that the curve, in its own
+    direction, comes in from another pixel.
     """
 
     curve: Int[Array, "P"]
@@ -37,27 +38,29 @@ class Pieces(NamedTuple):
     height: Float[Array, "P"]
     area: Float[Array, "P"]
     valid: Bool[Array, "P"]
+    jump: Float[Array, "P"]
+    passes: Bool[Array, "P"]
+    enters: Bool[Array, "P"]
 
 
 class Monotone(NamedTuple):
-    """Curves from a lower end to an upper end; `rising` is +1 where that is their direction."""
+    """Curves from a lower end to an upper end; `rising` is +1 where that is their direction, and
+    `rightward` is +1 where the upper end is the right one, both else -1."""
 
     low: Float[Array, "K 2"]
     high: Float[Array, "K 2"]
     rising: Float[Array, "K"]
+    rightward: Float[Array, "K"]
     curves: Curves
 
 
 def monotone(curves: Curves) -> Monotone:
     """Return the curves ordered by height."""
-    if isinstance(curves, Segments):
-        start, end = curves.a, curves.b
-    else:
-        start, end = _quarter_ends(curves)
-    rising = end[:, 1] >= start[:, 1]
-    low = jnp.where(rising[:, None], start, end)
-    high = jnp.where(rising[:, None], end, start)
-    return Monotone(low, high, jnp.where(rising, 1, -1).astype(low.dtype), curves)
+    start, end = ends(curves)
+    up = end[:, 1] >= start[:, 1]
+    low, high = jnp.where(up[:, None], start, end), jnp.where(up[:, None], end, start)
+    sign = lambda positive: jnp.where(positive, 1, -1).astype(low.dtype)
+    return Monotone(low, high, sign(up), sign(high[:, 0] >= low[:, 0]), curves)
 
 
 def _take(tree, index):
@@ -86,7 +89,7 @@ def _column(x: Float[Array, "K"], W) -> Int[Array, "K"]:
     return jnp.clip(jnp.floor(x), -1, jnp.asarray(W, x.dtype)).astype(jnp.int32)
 
 
-def _at_row(m: Monotone, y: Float[Array, "K"]) -> tuple[Float[Array, "K"], Float[Array, "K"]]:
+def at_row(m: Monotone, y: Float[Array, "K"]) -> tuple[Float[Array, "K"], Float[Array, "K"]]:
     """Return the curve's point at height y, or the end that y lies beyond."""
     between_low = jnp.minimum(m.low[:, 0], m.high[:, 0])
     between_high = jnp.maximum(m.low[:, 0], m.high[:, 0])
@@ -100,8 +103,8 @@ def _at_row(m: Monotone, y: Float[Array, "K"]) -> tuple[Float[Array, "K"], Float
 def piece_counts(m: Monotone, W, H) -> Int[Array, "K"]:
     """Return how many pixels (with those left and right of the film) each curve meets."""
     rows = _rows(m, H)
-    x0, _ = _at_row(m, rows.first.astype(m.low.dtype))
-    x1, _ = _at_row(m, (rows.first + rows.number).astype(m.low.dtype))
+    x0, _ = at_row(m, rows.first.astype(m.low.dtype))
+    x1, _ = at_row(m, (rows.first + rows.number).astype(m.low.dtype))
     first, last = _column(x0, W), _column(x1, W)
     weight = m.curves.weight
     count = rows.number + jnp.abs(last - first)
@@ -121,11 +124,11 @@ def split(m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_
     rows = _rows(m, H)
     dtype = m.low.dtype
 
-    x_first, _ = _at_row(m, rows.first.astype(dtype))
+    x_first, _ = at_row(m, rows.first.astype(dtype))
     column_first = _column(x_first, W)
 
     def passed(j):
-        x, _ = _at_row(m, (rows.first + j).astype(dtype))
+        x, _ = at_row(m, (rows.first + j).astype(dtype))
         return j + jnp.abs(_column(x, W) - column_first)
 
     # A loop, not unrolled: the compiler of jax 0.12 takes minutes over the unrolled chain.
@@ -137,8 +140,8 @@ def split(m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_
 
     row = jax.lax.fori_loop(0, bits, bisect, jnp.zeros_like(rows.first))
 
-    x0, y0 = _at_row(m, (rows.first + row).astype(dtype))
-    x1, y1 = _at_row(m, (rows.first + row + 1).astype(dtype))
+    x0, y0 = at_row(m, (rows.first + row).astype(dtype))
+    x1, y1 = at_row(m, (rows.first + row + 1).astype(dtype))
     # The film cuts off what lies above and below it.
     top = jnp.asarray(H, dtype)
     y0, y1 = jnp.clip(y0, 0, top), jnp.clip(y1, 0, top)
@@ -155,7 +158,11 @@ def split(m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_
     start, end = jnp.stack([x_in, y_in], -1), jnp.stack([x_out, y_out], -1)
     height, area = _areas(m, start, end, column, W)
     height, area = jnp.where(valid, height, 0), jnp.where(valid, area, 0)
-    return Pieces(curve, rows.first + row, column, start, end, height, area, valid)
+    jump = jnp.where(valid, -m.rising * m.curves.weight, 0)
+    number, passes = rows.first + row, m.high[:, 1] > (rows.first + row).astype(dtype)
+    differs = lambda point, own: jnp.any(point != own, axis=1)
+    enters = jnp.where(jump <= 0, differs(start, m.low), differs(end, m.high))
+    return Pieces(curve, number, column, start, end, height, area, valid, jump, passes, enters)
 
 
 def _areas(m: Monotone, start, end, column, W):
@@ -166,37 +173,9 @@ def _areas(m: Monotone, start, end, column, W):
     share = jnp.where(inside, 1 - jnp.clip(middle, 0, 1), jnp.where(column < 0, 1, 0))
     area = height * share
     if isinstance(m.curves, Arcs):
-        area = area + jnp.where(inside, m.curves.weight * _bulge(m.curves, start, end), 0)
+        grown = m.rising * m.curves.weight * bulge(m.curves.frame, start, end)
+        area = area + jnp.where(inside, grown, 0)
     return height, area
-
-
-# --- derivative ----------------------------------------------------------------------------------
-
-
-def flux(curves: Curves, pieces: Pieces, W) -> Float[Array, "P"]:
-    """Return a function of the curves, linear in them, with the derivative of each piece's area.
-
-    `curves` are those of the pieces (one each). Only its derivative has a meaning: the coefficients
-    are held, and it is the length of the piece times the normal velocity of the curve.
-    """
-    inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
-    held = jax.lax.stop_gradient(curves)
-    start, end = jax.lax.stop_gradient((pieces.start, pieces.end))
-    if isinstance(curves, Segments) and isinstance(held, Segments):
-        along = held.b - held.a
-        axis = jnp.argmax(jnp.abs(along), axis=1)[:, None]
-        pick = lambda x: jnp.take_along_axis(x, axis, axis=1)[:, 0]
-        length = pick(along)
-        s0 = jnp.clip(safe_divide(pick(start - held.a), length), 0, 1)
-        s1 = jnp.clip(safe_divide(pick(end - held.a), length), 0, 1)
-        middle = ((s0 + s1) / 2)[:, None]
-        moved = curves.a * (1 - middle) + curves.b * middle
-        value = jnp.abs(s1 - s0) * (along[:, 1] * moved[:, 0] - along[:, 0] * moved[:, 1])
-    elif isinstance(curves, Arcs) and isinstance(held, Arcs):
-        value = _arc_flux(curves, held, start, end)
-    else:  # pragma: no cover
-        raise TypeError(type(curves))
-    return jnp.where(inside, held.weight * value, 0)
 
 
 # --- points of a curve ---------------------------------------------------------------------------
@@ -207,91 +186,12 @@ def _x_at(m: Monotone, y):
         rise = m.high[:, 1] - m.low[:, 1]
         slope = safe_divide(m.high[:, 0] - m.low[:, 0], rise)
         return m.low[:, 0] + (y - m.low[:, 1]) * slope
-    l11, l21, l22 = m.curves.shape.T
-    # Half height of the ellipse; its points at height y are found in the frame whose second axis
-    # is that height (L with rows exchanged).
-    half = jnp.sqrt(l21 * l21 + l22 * l22)
-    t = jnp.clip((y - m.curves.centre[:, 1]) / half, -1, 1)
-    side = jnp.where((m.curves.quarter == 0) | (m.curves.quarter == 3), 1, -1).astype(y.dtype)
-    across = side * safe_sqrt((1 - t) * (1 + t))
-    return m.curves.centre[:, 0] + l11 * (l21 / half * t + l22 / half * across)
+    frame = m.curves.frame
+    return film_at(frame, unit_at(frame, 1, y, m.rising))[:, 0]
 
 
 def _y_at(m: Monotone, x, x0, y0, x1, y1):
     if isinstance(m.curves, Segments):
         return y0 + (x - x0) * safe_divide(y1 - y0, x1 - x0)
-    l11, l21, l22 = m.curves.shape.T
-    t = jnp.clip((x - m.curves.centre[:, 0]) / l11, -1, 1)
-    side = jnp.where(m.curves.quarter < 2, 1, -1).astype(x.dtype)
-    return m.curves.centre[:, 1] + l21 * t + l22 * side * safe_sqrt((1 - t) * (1 + t))
-
-
-# --- ellipses ------------------------------------------------------------------------------------
-
-
-def _quarter_ends(arcs: Arcs):
-    """Return the points where the quarters begin and end: right, top, left, bottom, right."""
-    l11, l21, l22 = arcs.shape.T
-    half = jnp.sqrt(l21 * l21 + l22 * l22)
-    right = jnp.stack([l11, l21], -1)
-    top = jnp.stack([l11 * l21 / half, half], -1)
-    extremes = jnp.stack([right, top, -right, -top, right])  # (5, K, 2)
-    at = lambda k: jnp.take_along_axis(extremes, k[None, :, None], axis=0)[0]
-    return arcs.centre + at(arcs.quarter), arcs.centre + at(arcs.quarter + 1)
-
-
-def _unit(arcs: Arcs, points):
-    """Return w with `centre + L w = point`: a point of the unit circle."""
-    l11, l21, l22 = arcs.shape.T
-    first = (points[:, 0] - arcs.centre[:, 0]) / l11
-    second = (points[:, 1] - arcs.centre[:, 1] - l21 * first) / l22
-    return jnp.stack([first, second], axis=-1)
-
-
-def _turn(w0, w1):
-    """Return the angle between two points of the unit circle, and its half chord."""
-    half = jnp.clip(jnp.sqrt(jnp.sum((w1 - w0) ** 2, axis=-1)) / 2, 0, 1)
-    return 2 * jnp.arcsin(half), half
-
-
-def _bulge(arcs: Arcs, start, end):
-    """Return the area between a piece of an ellipse and its chord: det L (a - sin a) / 2."""
-    angle, half = _turn(_unit(arcs, start), _unit(arcs, end))
-    # a - sin a by its series while a is small, where the difference would cancel.
-    a2 = angle * angle
-    series = angle * a2 / 6 * (1 - a2 / 20 * (1 - a2 / 42 * (1 - a2 / 72 * (1 - a2 / 110))))
-    direct = angle - 2 * half * safe_sqrt(1 - half * half)
-    segment = jnp.where(angle < 0.7, series, direct)
-    return arcs.shape[:, 0] * arcs.shape[:, 2] * segment / 2
-
-
-def _arc_flux(arcs: Arcs, held: Arcs, start, end):
-    """Return the integral of (moving point) x (tangent) over a piece, counter-clockwise.
-
-    With w = (cos, sin) of the angle t, the point is `centre + L w` and its tangent `L J w`; the
-    integrals of w, w w^T over the piece are closed forms about its middle angle.
-    """
-    rising = (held.quarter == 0) | (held.quarter == 3)
-    w0, w1 = _unit(held, start), _unit(held, end)
-    w0, w1 = jnp.where(rising[:, None], w0, w1), jnp.where(rising[:, None], w1, w0)
-    angle, half = _turn(w0, w1)
-    middle = w0 + w1
-    middle = middle / jnp.sqrt(jnp.sum(middle * middle, axis=-1, keepdims=True))
-    c, s = middle[:, 0], middle[:, 1]
-    sine = 2 * half * safe_sqrt(1 - half * half)  # sin(angle)
-    cos2, sin2 = (c - s) * (c + s), 2 * c * s
-    cc = (angle + sine * cos2) / 2  # integral of cos^2
-    ss = (angle - sine * cos2) / 2  # integral of sin^2
-    cs = sine * sin2 / 2  # integral of cos sin
-    int_c, int_s = 2 * half * c, 2 * half * s
-    l11, l21, l22 = held.shape.T
-    # tangent = (-l11 sin, -l21 sin + l22 cos); outward flux = dx tangent_y - dy tangent_x
-    chord_x, chord_y = -l11 * int_s, -l21 * int_s + l22 * int_c
-    d11, d21, d22 = arcs.shape.T
-    return (
-        arcs.centre[:, 0] * chord_y
-        - arcs.centre[:, 1] * chord_x
-        + d11 * (-l21 * cs + l22 * cc)
-        + d21 * (l11 * cs)
-        + d22 * (l11 * ss)
-    )
+    frame = m.curves.frame
+    return film_at(frame, unit_at(frame, 0, x, m.rising * m.rightward))[:, 1]

@@ -13,10 +13,21 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ._camera import Camera
-from ._contour import Arcs, Segments, contour_weights, mesh_segments, nth, select, sphere_arcs
-from ._coverage import Curves, flux, monotone, piece_counts, split
+from ._contour import (
+    ARCS_PER_SPHERE,
+    edge_segments,
+    mesh_contour,
+    nth,
+    rank_in,
+    select,
+    sphere_arcs,
+    surrounding,
+)
+from ._coverage import monotone, piece_counts, split
+from ._curves import Arcs, Curves, Segments, moved, piece_flux, placed
 from ._scene import Scene
 from ._target import Level, Pyramid, level_slice
+from ._union import Crowded, Part, Resolved, fold_cells, marks, overlaps
 
 MAX_ROWS = 1 << 14
 
@@ -112,79 +123,117 @@ def residuals(
     return (difference * ok, jnp.sqrt(jnp.maximum(rest, 0)) * ok), sums, load
 
 
+class _Sorted(NamedTuple):
+    """All pieces, by pixel; `change` is a function whose derivative is that of a piece's area."""
+
+    cell: Int[Array, "P"]
+    height: Float[Array, "P"]
+    area: Float[Array, "P"]
+    marks: Float[Array, "P 6"]
+    change: Float[Array, "P"]
+
+
 def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
     """Return the touched pixels of a level, and what they take of the capacities."""
-    parts, edges = [], jnp.int32(0)
-    if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
-        segments, edges = _contour_segments(camera, scene, capacity.edges)
-        parts.append((_on(level, segments), capacity.pieces))
-    if scene.spheres is not None and scene.spheres.radii.shape[0]:
-        arcs = _on(level, sphere_arcs(camera, scene.spheres))
-        parts.append((arcs, capacity.arc_pieces))
-
+    kinds, totals = _curves(camera, scene, level, capacity), {}
     end = level.H * (level.W + 2)
-    cells, heights, areas, changes, totals = [], [], [], [], {}
-    for curves, size in parts:
+    found = []
+    for part, size in kinds:
+        curves = part.curves(jnp.arange(part.size, dtype=jnp.int32))
         m = jax.lax.stop_gradient(monotone(curves))
         upto = jnp.cumsum(piece_counts(m, level.W, level.H))
-        totals[type(curves)] = upto[-1].astype(jnp.int32)
+        totals[type(curves)] = (part.count, upto[-1].astype(jnp.int32))
         slots = jnp.arange(size, dtype=jnp.int32)
         pieces = split(m, upto, slots, level.W, level.H, MAX_ROWS)
-        cell = pieces.row * (level.W + 2) + pieces.column + 1
-        cells.append(jnp.where(pieces.valid, cell, end))
-        heights.append(pieces.height)
-        areas.append(pieces.area)
+        cell = jnp.where(pieces.valid, pieces.row * (level.W + 2) + pieces.column + 1, end)
         own = jax.tree.map(lambda x: x[pieces.curve], curves)  # noqa: B023
-        changes.append(flux(own, pieces, level.W))
-    zero = jnp.int32(0)
-    load = Load(edges, totals.get(Segments, zero), totals.get(Arcs, zero))
-    cell, height, area, change = map(jnp.concatenate, (cells, heights, areas, changes))
-    return _by_pixel(cell, height, area, change, level), load
+        held = jax.lax.stop_gradient(own)
+        rate = piece_flux(held, pieces.start, pieces.end) * -pieces.jump[:, None, None]
+        inside = pieces.valid & (pieces.column >= 0) & (pieces.column < level.W)
+        change = moved(own, jnp.where(inside[:, None, None], rate, 0))
+        found.append(_Sorted(cell, pieces.height, pieces.area, marks(pieces), change))
+    none = (jnp.int32(0), jnp.int32(0))
+    (edges, edge_pieces), (_, arc_pieces) = (totals.get(k, none) for k in (Segments, Arcs))
+    together = jax.tree.map(lambda *x: jnp.concatenate(x), *found)
+    base = surrounding(camera, scene)
+    touched = _by_pixel(together, [part for part, _ in kinds], base, level)
+    return touched, Load(edges, edge_pieces, arc_pieces)
 
 
-def _contour_segments(camera: Camera, scene: Scene, size: int) -> tuple[Segments, Int[Array, ""]]:
-    """Return the contour edges in `size` slots, and how many there are."""
-    assert scene.mesh is not None
-    weights = contour_weights(scene.mesh, camera.e)
-    chosen = select(weights != 0)
-    rank = jnp.arange(size, dtype=jnp.int32)
-    edge = jnp.minimum(nth(chosen, rank), weights.shape[0] - 1)
-    weight = jnp.where(rank < chosen.total, weights[edge], 0)
-    segments = mesh_segments(camera, scene.mesh.vertices, scene.mesh.edge_vertices[edge], weight)
-    return segments, chosen.total
+def _curves(
+    camera: Camera, scene: Scene, level: Level, capacity: Capacity
+) -> list[tuple[Part, int]]:
+    """Return a level's curves by kind, worked out once, with the room for their pieces."""
+    kinds: list[tuple[Curves, Array, int]] = []
+    if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
+        contour = mesh_contour(camera, scene.mesh)
+        ids = jnp.arange(capacity.edges, dtype=jnp.int32)
+        segments = edge_segments(camera, scene.mesh.vertices, contour, ids)
+        kinds.append((segments, contour.count, capacity.pieces))
+    if scene.spheres is not None and scene.spheres.radii.shape[0]:
+        ids = jnp.arange(ARCS_PER_SPHERE * scene.spheres.radii.shape[0], dtype=jnp.int32)
+        arcs = sphere_arcs(camera, scene.spheres, ids)
+        kinds.append((arcs, jnp.int32(ids.shape[0]), capacity.arc_pieces))
+    parts = []
+    for curves, count, room in kinds:
+        curves = placed(curves, level.scale)
+        take = lambda ids, curves=curves: jax.tree.map(lambda x: x[ids], curves)
+        parts.append((Part(take, count, curves.weight.shape[0]), room))
+    return parts
 
 
-def _on(level: Level, curves: Curves) -> Curves:
-    """Return curves in a level's pixels."""
-    if isinstance(curves, Arcs):
-        return curves._replace(centre=curves.centre * level.scale, shape=curves.shape * level.scale)
-    return curves._replace(a=curves.a * level.scale, b=curves.b * level.scale)
-
-
-def _by_pixel(cell, height, area, change, level: Level) -> Touched:
-    """Return what the pieces add up to in each pixel.
-
-    `change` is a function whose derivative is that of the piece's area; its value cancels.
-    """
-    P = cell.shape[0]
+def _by_pixel(pieces: _Sorted, parts: list[Part], base: Array, level: Level) -> Touched:
+    """Return what the pieces add up to in each pixel, and in crowded ones the union's cover."""
+    P = pieces.cell.shape[0]
     end = level.H * (level.W + 2)
-    order = jnp.argsort(cell)
-    cell, height, area, change = (x[order] for x in (cell, height, area, change))
+    order = jnp.argsort(pieces.cell)
+    cell, height, area, marked, change = (x[order] for x in pieces)
     new = jnp.append(jnp.ones(1, bool), cell[1:] != cell[:-1])
     slot = jnp.cumsum(new) - 1
-    after = jnp.cumsum(height)
+    after = jnp.cumsum(height) + base.astype(height.dtype)
     before = jnp.where(new, after - height, 0)
 
     def gather(x):
-        return jnp.zeros(P, x.dtype).at[slot].add(x)
+        return jnp.zeros((P, *x.shape[1:]), x.dtype).at[slot].add(x)
 
     raw = gather(before + area)
-    change = gather(change)
-    moves = (raw > 0) & (raw < 1)
-    coverage = jnp.clip(raw, 0, 1) + jnp.where(moves, change - jax.lax.stop_gradient(change), 0)
     last = jnp.append(cell[1:] != cell[:-1], jnp.ones(1, bool))
     winding_after = gather(jnp.where(last, after, 0))
     cells = jnp.full(P, end, cell.dtype).at[slot].min(cell)
     column = cells % (level.W + 2)
     inside = (cells < end) & (column > 0) & (column <= level.W)
+    crowded = inside & overlaps(gather(marked), jax.lax.stop_gradient(raw))
+    alone = (raw > 0) & (raw < 1) & ~crowded
+    value, growth = _resolve(cells, crowded, parts, base, level)
+    growth = jnp.where(alone, gather(change), growth)
+    coverage = jnp.where(crowded, value, jnp.clip(raw, 0, 1))
+    coverage = jax.lax.stop_gradient(coverage) + growth - jax.lax.stop_gradient(growth)
     return Touched(cells, inside, coverage, winding_after > 0.5)
+
+
+def _resolve(cells: Array, crowded: Array, parts: list[Part], base: Array, level: Level):
+    """Return the crowded pixels' coverage, and a function whose derivative is its own; else 0."""
+    chosen = select(crowded)
+    last = cells.shape[0] - 1
+
+    def cell(rank):
+        slot = jnp.minimum(nth(chosen, rank), last)
+        row, column = jnp.divmod(cells[slot], level.W + 2)
+        return row, column - 1, slot
+
+    def rank(row, column):
+        wanted = row * (level.W + 2) + column + 1
+        slot = jnp.minimum(jnp.searchsorted(cells, wanted), last)
+        return jnp.where(cells[slot] == wanted, rank_in(chosen, slot), -1)
+
+    def add(total, resolved: Resolved):
+        area, growth = total
+        for part, visible in zip(parts, resolved.visible, strict=True):
+            change = jnp.sum(moved(part.curves(visible.curve), visible.flux), axis=1)
+            growth = growth.at[resolved.place].add(change, mode="drop")
+        return area.at[resolved.place].add(resolved.area, mode="drop"), growth
+
+    zeros = jnp.zeros(cells.shape[0], parts[0].curves(jnp.zeros(1, jnp.int32)).weight.dtype)
+    film = (level.W, level.H, MAX_ROWS)
+    crowd = Crowded(chosen.total, cell, rank)
+    return fold_cells(parts, crowd, *film, base, add, (zeros, zeros), flux=True)

@@ -8,167 +8,233 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ._camera import Camera
-from ._contour import Selection, contour_weights, mesh_segments, nth, select, sphere_arcs
-from ._coverage import Curves, Pieces, flux, monotone, piece_counts, split
+from ._contour import (
+    ARCS_PER_SPHERE,
+    MeshContour,
+    Selection,
+    edge_segments,
+    mesh_contour,
+    nth,
+    rank_in,
+    select,
+    sphere_arcs,
+    surrounding,
+)
+from ._coverage import Pieces
+from ._curves import Curves, moved, piece_flux
 from ._linear_map import linear_map
-from ._scene import Scene, astype
+from ._scene import Scene, Spheres, astype
+from ._union import Crowded, Part, Resolved, fold_cells, fold_curves, fold_pieces, marks, overlaps
 
 CURVES_AT_A_TIME = 2048
-PIECES_AT_A_TIME = 4096
 
 
 def silhouette(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
     """Return the fraction of each pixel's square that the scene covers: (H, W), row 0 on top.
 
-    Exact (box filter, no sampling, no blur) for closed, consistently wound meshes and for spheres,
-    with its exact derivative in forward and reverse mode with respect to the camera, vertices,
-    centers and radii. Cost follows the occluding contour.
+    Exact (box filter, no sampling, no blur) for any scene: the coverage of the union of all
+    projected triangles and spheres, whether meshes are closed or open, wind consistently or not,
+    overlap, reach through the plane of the eye or surround it. An eye inside a closed mesh or a
+    sphere sees everything covered. The cost follows the occluding contour; only pixels where
+    contours overlap pay for telling them apart.
 
-    Not exact yet: pixels in which contours overlap (one part uncovered, another covered twice) and
-    the contours of open or inconsistently wound meshes are summed and clamped to [0, 1]; a mesh
-    or sphere that reaches behind the eye's plane is cut off without its cut.
+    The derivative, in forward and reverse mode, with respect to the camera, vertices, centers and
+    radii is exact as well: the visible contour's normal velocity. Coverage is not differentiable
+    where a face is seen edge-on, where contours coincide over a length, where one runs along a
+    pixel's side, and where a sphere touches the eye; there it is the derivative of the contour as
+    it is (of one of the coinciding pieces), which is a one-sided derivative, and it is finite.
     """
     return _silhouette(camera, scene)
 
 
 @eqx.filter_jit
 def _silhouette(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
-    return jnp.clip(winding_image(camera, astype(scene, camera.e.dtype)), 0, 1)
+    scene = astype(scene, camera.e.dtype)
+    mesh, spheres = scene.mesh, scene.spheres
+    contour, vertices = None, None
+    if mesh is not None and mesh.edge_faces.shape[0]:
+        contour, vertices = mesh_contour(camera, mesh), mesh.vertices
+    if spheres is not None and not spheres.radii.shape[0]:
+        spheres = None
+    if contour is None and spheres is None:
+        return jnp.zeros((camera.H, camera.W), camera.e.dtype)
+    return _image(_Moving(camera, vertices, spheres), _Still(contour, surrounding(camera, scene)))
 
 
-def winding_image(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
-    """Return for each pixel the mean number of layers (front faces of a closed mesh) over it."""
-    total = jnp.zeros((camera.H, camera.W), camera.e.dtype)
-    if scene.mesh is not None and scene.mesh.faces.shape[0]:
-        weights = contour_weights(scene.mesh, camera.e)
-        topology = _MeshTopology(scene.mesh.edge_vertices, weights, select(weights != 0))
-        total = total + _cover(_mesh_chunk, (camera, scene.mesh.vertices), topology)
-    if scene.spheres is not None and scene.spheres.radii.shape[0]:
-        total = total + _cover(_sphere_chunk, (camera, scene.spheres), None)
-    return total
+class _Moving(NamedTuple):
+    """What can be differentiated."""
+
+    camera: Camera
+    vertices: Float[Array, "V 3"] | None
+    spheres: Spheres | None
 
 
-class _MeshTopology(NamedTuple):
-    edge_vertices: Array
-    weights: Array
-    contour: Selection
+class _Still(NamedTuple):
+    """What cannot: which edges are contour, and the number of layers left of the film."""
+
+    contour: MeshContour | None
+    base: Int[Array, ""]
 
 
-def _mesh_chunk(moving: Any, topology: _MeshTopology, first: Array) -> Curves:
-    """Return contour edges number `first` onwards as segments."""
-    camera, vertices = moving
-    size = min(CURVES_AT_A_TIME, topology.weights.shape[0])
-    rank = first + jnp.arange(size, dtype=jnp.int32)
-    edge = jnp.minimum(nth(topology.contour, rank), topology.weights.shape[0] - 1)
-    weight = jnp.where(rank < topology.contour.total, topology.weights[edge], 0)
-    return mesh_segments(camera, vertices, topology.edge_vertices[edge], weight)
+class _Pixels(NamedTuple):
+    """Which pixels one chain of contour crosses, and which are crowded, from the bottom row up."""
+
+    alone: Bool[Array, "N"]
+    crowded: Selection
 
 
-def _sphere_chunk(moving: Any, topology: None, first: Array) -> Curves:
-    """Return all spheres' arcs."""
-    del topology, first
-    return sphere_arcs(*moving)
+def _parts(moving: _Moving, still: _Still) -> list[Part]:
+    """Return the contour's curves by kind."""
+    camera, vertices, spheres = moving
+    parts = []
+    contour = still.contour
+    if contour is not None and vertices is not None:
+        edges = lambda ids: edge_segments(camera, vertices, contour, ids)
+        size = min(CURVES_AT_A_TIME, contour.weights.shape[0])
+        parts.append(Part(edges, contour.count, size))
+    if spheres is not None:
+        number = ARCS_PER_SPHERE * spheres.radii.shape[0]
+        arcs = lambda ids: sphere_arcs(camera, spheres, ids)
+        parts.append(Part(arcs, jnp.int32(number), min(CURVES_AT_A_TIME, number)))
+    return parts
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _cover(chunk: Callable, moving: Any, topology: Any) -> Float[Array, "H W"]:
-    """Return the winding-weighted coverage of the curves that `chunk` lists.
-
-    `moving` is what can be differentiated (a camera first), `topology` what cannot.
-    """
-    camera: Camera = moving[0]
-
-    def add(deltas, first, pieces: Pieces):
-        del first
-        at = jnp.maximum(pieces.column, 0)
-        deltas = deltas.at[pieces.row, at].add(pieces.area, mode="drop")
-        return deltas.at[pieces.row, at + 1].add(pieces.height - pieces.area, mode="drop")
-
-    deltas = jnp.zeros((camera.H, camera.W), camera.e.dtype)
-    deltas = _fold_pieces(chunk, moving, topology, add, deltas)
-    return jnp.flip(_row_sums(deltas), axis=0)
+@jax.custom_jvp
+def _image(moving: _Moving, still: _Still) -> Float[Array, "H W"]:
+    return _resolve(moving, still)[0]
 
 
-@partial(_cover.defjvp, symbolic_zeros=True)
-def _cover_jvp(chunk: Callable, primals: Any, tangents: Any):
+@partial(_image.defjvp, symbolic_zeros=True)
+def _image_jvp(primals: Any, tangents: Any):
     """Return the image and its boundary integral for the leaves that move; others cost nothing."""
-    moving, topology = primals
+    moving, still = primals
     leaves, tree = jax.tree.flatten(moving)
     velocities = tree.flatten_up_to(tangents[0])
     moves = [not isinstance(t, SymbolicZero) for t in velocities]
-    camera: Camera = moving[0]
+    camera: Camera = moving.camera
 
-    def rebuild(still: list, moved: list):
-        still, moved = still.copy(), moved.copy()
-        return tree.unflatten([(moved if m else still).pop(0) for m in moves])
+    def rebuild(held: list, changing: list) -> _Moving:
+        held, changing = held.copy(), changing.copy()
+        return tree.unflatten([(changing if m else held).pop(0) for m in moves])
 
-    def growth(residuals, first, pieces: Pieces):
-        """Return the moving leaves and each piece's area as a function of them."""
-        still, moved, topology = residuals
-
-        def area(moved):
-            curves = chunk(rebuild(still, moved), topology, first)
-            return flux(jax.tree.map(lambda x: x[pieces.curve], curves), pieces, camera.W)
-
-        return moved, area
+    def fold(residuals, add: Callable, start):
+        """Return `start` after add(total, pixel, area, changing) for the visible contour."""
+        held, changing, still, pixels = residuals
+        build = lambda changing: _parts(rebuild(held, changing), still)
+        return _fold_visible(camera, build, changing, still.base, pixels, add, start)
 
     def forward(residuals, velocity):
-        def add(image, first, pieces: Pieces):
-            moved, area = growth(residuals, first, pieces)
-            _, change = jax.jvp(area, (moved,), (velocity,))
-            return image.at[pieces.row, jnp.maximum(pieces.column, 0)].add(change, mode="drop")
+        def add(image, pixel, area, changing):
+            _, change = jax.jvp(area, (changing,), (velocity,))
+            return image.at[pixel].add(change, mode="drop")
 
-        still, moved, topology = residuals
-        image = jnp.zeros((camera.H, camera.W), camera.e.dtype)
-        image = _fold_pieces(chunk, rebuild(still, moved), topology, add, image)
-        return jnp.flip(image, axis=0)
+        return _upright(fold(residuals, add, jnp.zeros(camera.H * camera.W, camera.e.dtype)), camera)
 
     def transpose(residuals, cotangent):
-        cotangent = jnp.flip(cotangent, axis=0)
+        cotangent = jnp.flip(cotangent, axis=0).reshape(-1)
 
-        def add(total, first, pieces: Pieces):
-            moved, area = growth(residuals, first, pieces)
-            _, pull = jax.vjp(area, moved)
-            at_piece = cotangent[pieces.row, jnp.clip(pieces.column, 0, camera.W - 1)]
+        def add(total, pixel, area, changing):
+            _, pull = jax.vjp(area, changing)
+            at_piece = cotangent.at[pixel].get(mode="fill", fill_value=0)
             return jax.tree.map(jnp.add, total, pull(at_piece)[0])
 
-        still, moved, topology = residuals
-        zeros = jax.tree.map(jnp.zeros_like, moved)
-        return _fold_pieces(chunk, rebuild(still, moved), topology, add, zeros)
+        return fold(residuals, add, jax.tree.map(jnp.zeros_like, residuals[1]))
 
-    still = [x for x, m in zip(leaves, moves, strict=True) if not m]
-    moved = [x for x, m in zip(leaves, moves, strict=True) if m]
+    held = [x for x, m in zip(leaves, moves, strict=True) if not m]
+    changing = [x for x, m in zip(leaves, moves, strict=True) if m]
     velocity = [t for t, m in zip(velocities, moves, strict=True) if m]
-    image = _cover(chunk, moving, topology)
-    return image, linear_map(forward, transpose, (still, moved, topology), velocity)
+    image, pixels = _resolve(moving, still)
+    return image, linear_map(forward, transpose, (held, changing, still, pixels), velocity)
 
 
-def _fold_pieces(chunk: Callable, moving: Any, topology: Any, add: Callable, start: Any) -> Any:
-    """Return `start` after `add(total, first, pieces)` over all pieces of all curves.
+def _resolve(moving: _Moving, still: _Still) -> tuple[Float[Array, "H W"], _Pixels]:
+    """Return the image, and which pixels the contour crosses in which way."""
+    camera, parts = moving.camera, _parts(moving, still)
+    W, H, dtype = camera.W, camera.H, camera.e.dtype
 
-    A fixed number of curves, and of their pieces, is held at a time; the loop goes on until none is
-    left, so no view has too many.
+    def chunk(sums, ids, curves):
+        del ids
+
+        def add(sums, pieces: Pieces):
+            deltas, marked = sums
+            at = jnp.maximum(pieces.column, 0)
+            deltas = deltas.at[pieces.row, at].add(pieces.area, mode="drop")
+            deltas = deltas.at[pieces.row, at + 1].add(pieces.height - pieces.area, mode="drop")
+            column = jnp.where(pieces.column < 0, W, pieces.column)
+            return deltas, marked.at[pieces.row, column].add(marks(pieces), mode="drop")
+
+        return fold_pieces(curves, W, H, H, add, sums)
+
+    sums = (jnp.zeros((H, W), dtype), jnp.zeros((H, W, 6), dtype))
+    for part in parts:
+        sums = fold_curves(part, chunk, sums, part.size)
+    winding = _row_sums(sums[0]) + still.base.astype(dtype)
+    crowded = overlaps(sums[1], winding)
+    alone = ~crowded & (winding > 0) & (winding < 1)
+    pixels = _Pixels(alone.reshape(-1), select(crowded.reshape(-1)))
+    image = jnp.where(crowded, 0, jnp.clip(winding, 0, 1)).reshape(-1)
+
+    def add(image, resolved: Resolved):
+        return image.at[resolved.place].add(resolved.area, mode="drop")
+
+    args = (parts, _crowded(pixels.crowded, W), W, H, H, still.base)
+    image = fold_cells(*args, add, image, flux=False)
+    return _upright(image, camera), pixels
+
+
+def _upright(flat: Float[Array, "N"], camera: Camera) -> Float[Array, "H W"]:
+    return jnp.flip(flat.reshape(camera.H, camera.W), axis=0)
+
+
+def _crowded(chosen: Selection, W: int) -> Crowded:
+    def cell(rank):
+        pixel = nth(chosen, rank)
+        return pixel // W, pixel % W, pixel
+
+    return Crowded(chosen.total, cell, lambda row, column: rank_in(chosen, row * W + column))
+
+
+def _fold_visible(
+    camera: Camera, build: Callable, changing: list, base, pixels: _Pixels, add: Callable, start
+):
+    """Return `start` after `add(total, pixel, area, changing)` over the visible contour.
+
+    `area(changing)` is linear in the curves, with the derivative of the pixels' areas.
     """
-    camera: Camera = moving[0]
     W, H = camera.W, camera.H
-    size = chunk(moving, topology, jnp.int32(0)).weight.shape[0]
-    count = jnp.int32(size) if topology is None else topology.contour.total
+    parts = build(changing)
+    for number, part in enumerate(parts):
 
-    def body(state):
-        first, slot, total = state
-        m = monotone(chunk(moving, topology, first))
-        upto = jnp.cumsum(piece_counts(m, W, H))
-        slots = slot + jnp.arange(PIECES_AT_A_TIME, dtype=jnp.int32)
-        total = add(total, first, split(m, upto, slots, W, H, H))
-        last = slot + PIECES_AT_A_TIME >= upto[-1]
-        first = jnp.where(last, first + size, first)
-        return first, jnp.where(last, 0, slot + PIECES_AT_A_TIME), total
+        def chunk(total, ids, curves, part=part, number=number):
+            of = lambda changing: build(changing)[number].curves(jnp.minimum(ids, part.count - 1))
 
-    state = (jnp.int32(0), jnp.int32(0), start)
-    return jax.lax.while_loop(lambda s: s[0] < count, body, state)[2]
+            def single(total, pieces: Pieces):
+                inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
+                pixel = jnp.where(inside, pieces.row * W + pieces.column, 0)
+                seen = inside & pixels.alone[pixel]
+                take = lambda curves: jax.tree.map(lambda x: x[pieces.curve], curves)
+                start, end = pieces.start, pieces.end
+                rate = piece_flux(take(curves), start, end) * -pieces.jump[:, None, None]
+                rate = jnp.where(seen[:, None, None], rate, 0)
+                return add(total, pixel, lambda c: moved(take(of(c)), rate), changing)
+
+            return fold_pieces(curves, W, H, H, single, total)
+
+        start = fold_curves(part, chunk, start, part.size)
+
+    def crowd(total, resolved: Resolved):
+        for number, visible in enumerate(resolved.visible):
+            flux = visible.flux.reshape(-1, *visible.flux.shape[2:])
+            of = lambda c: build(c)[number].curves(visible.curve.reshape(-1))  # noqa: B023
+            place = jnp.broadcast_to(resolved.place[:, None], visible.curve.shape).reshape(-1)
+            total = add(total, place, lambda c: moved(of(c), flux), changing)  # noqa: B023
+        return total
+
+    args = (parts, _crowded(pixels.crowded, W), W, H, H, base)
+    return fold_cells(*args, crowd, start, flux=True)
 
 
 def _row_sums(deltas: Float[Array, "H W"]) -> Float[Array, "H W"]:

@@ -131,7 +131,7 @@ def test_no_number_of_contour_edges_or_pieces_is_too_many(monkeypatch):
     weight = jnp.asarray(np.random.default_rng(0).normal(size=image.shape))
     gradient = eqx.filter_grad(lambda c: jnp.sum(weight * pj.silhouette(c, scene)))(camera)
     monkeypatch.setattr("pinhole_jax._silhouette.CURVES_AT_A_TIME", 16)
-    monkeypatch.setattr("pinhole_jax._silhouette.PIECES_AT_A_TIME", 8)
+    monkeypatch.setattr("pinhole_jax._union.PIECES", 8)
     jax.clear_caches()
     np.testing.assert_allclose(pj.silhouette(camera, scene), image, atol=1e-13)
     again = eqx.filter_grad(lambda c: jnp.sum(weight * pj.silhouette(c, scene)))(camera)

@@ -1,0 +1,286 @@
+"""Coverage of a union, where contours overlap within a pixel.
+
+Winding numbers add up where things overlap, coverage does not. A pixel that one chain of contour
+crosses holds k layers and k+1, and the clamped sum is right. Any other pixel is resolved here: a
+line sweeps it, halting where a piece begins, ends or crosses another, and between two halts the
+pieces keep their order, so what is covered is a row of trapezoids (with arcs for sides). Which
+pieces bound it, and over what part of their length, is all that the derivative needs.
+
+The sweep compares areas, never asks whether two pieces touch: pieces that coincide, end on one
+another or have no length put halts too close to matter, and nothing else. Pieces that are equal are
+merged. A cell with more than `MOST` pieces is cut into smaller cells, depth first, so that memory
+is bounded; at the last cut (`LAST_CUT`) the corner speaks for a cell of 1/65536 px.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ._coverage import Monotone, Pieces, at_row, monotone, piece_counts, split
+from ._curves import Curves, placed
+from ._sweep import MOST, Cells, Visible, empty_cells, insert, sweep
+
+CELLS = 512
+CUT = 4
+PARENTS = CELLS // CUT**2
+LAST_CUT = {"float32": 4, "float64": 8}
+PIECES = 4096
+
+
+class Part(NamedTuple):
+    """Curves of one kind: `curves(ids)` for ids below `count`; `size` is a static chunk of them."""
+
+    curves: Callable[[Int[Array, "K"]], Curves]
+    count: Int[Array, ""]
+    size: int
+
+
+class Crowded(NamedTuple):
+    """Pixels to be resolved, `total` of them.
+
+    `cell(rank)` gives row (from the bottom), column and place of the rank-th; `rank(row, column)`
+    the rank of a pixel, -1 for others.
+    """
+
+    total: Int[Array, ""]
+    cell: Callable[[Int[Array, "K"]], tuple[Array, Array, Array]]
+    rank: Callable[[Int[Array, "K"], Int[Array, "K"]], Int[Array, "K"]]
+
+
+class Resolved(NamedTuple):
+    """Some cells: the pixel's `place`, the `area` that they add to it (px^2), what is visible."""
+
+    place: Int[Array, "C"]
+    area: Float[Array, "C"]
+    visible: list[Visible]
+
+
+class _Stack(NamedTuple):
+    """Cells still to be cut, by depth: the lower left corner (px) and the pixel's place."""
+
+    origin: Float[Array, "L C 2"]
+    place: Int[Array, "L C"]
+    count: Int[Array, "L"]
+
+    def deepest(self) -> Int[Array, ""]:
+        """Return the deepest level that holds cells, 0 if none does."""
+        levels = jnp.arange(self.count.shape[0], dtype=jnp.int32)
+        return jnp.max(jnp.where(self.count > 0, levels, 0))
+
+    def push(self, crowd: Bool[Array, "C"], level: Int[Array, ""], batch: "_Batch") -> "_Stack":
+        """Return the stack less the cells just cut, with the crowded cells on top of a level."""
+        left = jnp.maximum(self.count[batch.level] - PARENTS, 0)
+        count = self.count.at[batch.level].set(left)
+        slot = count[level] + jnp.cumsum(crowd, dtype=jnp.int32) - 1
+        slot = jnp.where(crowd, slot, CELLS)
+        return _Stack(
+            self.origin.at[level, slot].set(batch.origin, mode="drop"),
+            self.place.at[level, slot].set(batch.place, mode="drop"),
+            count.at[level].add(jnp.sum(crowd, dtype=jnp.int32)),
+        )
+
+
+def marks(pieces: Pieces) -> Float[Array, "P 6"]:
+    """Return what `overlaps` sums up for each pixel."""
+    weight = jnp.abs(pieces.jump)
+    dx, dy = jnp.moveaxis(pieces.end - pieces.start, -1, 0)
+    entries = jnp.where(pieces.valid & pieces.enters, 1, 0) + jnp.where(weight > 1.5, 2, 0)
+    up, right = -pieces.jump * dy, -pieces.jump * dx
+    extents = [jnp.abs(up), up, jnp.abs(right), right]
+    return jnp.stack([entries.astype(weight.dtype), weight, *extents], axis=-1)
+
+
+def overlaps(marks: Float[Array, "*N 6"], winding: Float[Array, "*N"]) -> Bool[Array, "*N"]:
+    """Return which pixels may hold a part that is uncovered and one that is covered twice.
+
+    All but those that one chain enters which never turns back, and those with so many layers that
+    the pieces in them cannot take all away.
+    """
+    entries, weight, height, up, width, right = jnp.moveaxis(marks, -1, 0)
+    tiny = 8 * jnp.finfo(winding.dtype).eps
+    straight = (height - jnp.abs(up) <= tiny * (1 + height)) | (
+        width - jnp.abs(right) <= tiny * (1 + width)
+    )
+    return (weight > 0) & ~((entries == 1) & straight) & (winding <= weight)
+
+
+def fold_cells(
+    parts: list[Part],
+    crowded: Crowded,
+    W: Any,
+    H: Any,
+    max_H: int,
+    base: Int[Array, ""],
+    add: Callable[[Any, Resolved], Any],
+    start: Any,
+    flux: bool,
+) -> Any:
+    """Return `start` after `add(total, resolved)` over all crowded pixels, however many.
+
+    `base` is the number of layers left of the film. With `flux` the visible parts are worked out.
+    """
+    dtype = jax.eval_shape(parts[0].curves, jnp.zeros(1, jnp.int32)).weight.dtype
+    depth = LAST_CUT[jnp.dtype(dtype).name]
+
+    def body(state):
+        first, stack, total = state
+        level = stack.deepest()
+        batch = _batch(crowded, first, stack, level, (W, H, max_H))
+        cells, corner = empty_cells(CELLS, dtype), base.astype(dtype)
+        for number, part in enumerate(parts):
+            cells, turns = _fill(cells, number, part, crowded, first, batch)
+            corner = corner + turns
+        curves = [part.curves for part in parts]
+        area, visible = sweep(cells, corner, curves, batch.scale, batch.origin, flux)
+        used, last = batch.place >= 0, level == depth
+        crowd = (cells.count > MOST) & used
+        # Where there are too many pieces even in the last cell, its corner speaks for it.
+        area = jnp.where(crowd, jnp.where(last, jnp.clip(corner, 0, 1), 0), area)
+        size = 1 / (batch.scale * batch.scale)
+        keep = (used & ~crowd)[:, None, None, None]
+        visible = [v._replace(flux=jnp.where(keep, v.flux, 0) * size) for v in visible]
+        place = jnp.where(used, batch.place, jnp.iinfo(jnp.int32).max)
+        total = add(total, Resolved(place, area * size, visible))
+        stack = stack.push(crowd & ~last, jnp.minimum(level + 1, depth), batch)
+        return jnp.where(level == 0, first + CELLS, first), stack, total
+
+    zeros = jnp.zeros((depth + 1, CELLS), dtype)
+    counts = jnp.zeros(depth + 1, jnp.int32)
+    stack = _Stack(jnp.stack([zeros, zeros], axis=-1), zeros.astype(jnp.int32), counts)
+    more = lambda state: (state[0] < crowded.total) | jnp.any(state[1].count > 0)
+    return jax.lax.while_loop(more, body, (jnp.int32(0), stack, start))[2]
+
+
+class _Batch(NamedTuple):
+    """Cells that are resolved together, and the small films on which their pieces are found.
+
+    At level 0 the cells are pixels of the one film; else each film is a cell that is cut.
+    """
+
+    level: Int[Array, ""]
+    scale: Float[Array, ""]
+    films: Float[Array, "F 2"]
+    film: tuple[Any, Any, int]
+    origin: Float[Array, "C 2"]
+    place: Int[Array, "C"]
+
+
+def _batch(crowded: Crowded, first: Array, stack: _Stack, level: Array, film: tuple) -> _Batch:
+    """Return the next cells: of the deepest level that has any, else the next pixels."""
+    W, H, max_H = film
+    dtype = stack.origin.dtype
+    at_pixels = level == 0
+    rank = first + jnp.arange(CELLS, dtype=jnp.int32)
+    row, column, place = crowded.cell(jnp.clip(rank, 0, jnp.maximum(crowded.total - 1, 0)))
+    pixel = jnp.stack([column, row], axis=-1).astype(dtype)
+    place = jnp.where(rank < crowded.total, place, -1)
+
+    slot = stack.count[level] - PARENTS + jnp.arange(PARENTS, dtype=jnp.int32)
+    parent_place = jnp.where(slot >= 0, stack.place[level, jnp.maximum(slot, 0)], -1)
+    parent = stack.origin[level, jnp.maximum(slot, 0)]
+    scale = jnp.asarray(CUT, dtype) ** level.astype(dtype)
+    j, i = (x.astype(dtype) for x in jnp.divmod(jnp.arange(CUT**2, dtype=jnp.int32), CUT))
+    child = parent[:, None] + jnp.stack([i, j], axis=-1)[None] / scale
+    return _Batch(
+        level,
+        scale,
+        jnp.where(at_pixels, 0, parent),
+        (jnp.where(at_pixels, W, CUT), jnp.where(at_pixels, H, CUT), max(max_H, CUT)),
+        jnp.where(at_pixels, pixel, child.reshape(CELLS, 2)),
+        jnp.where(at_pixels, place, jnp.repeat(parent_place, CUT**2)),
+    )
+
+
+# --- which pieces lie in which cell --------------------------------------------------------------
+
+
+def fold_curves(part: Part, add: Callable[[Any, Array, Curves], Any], start: Any, size: int) -> Any:
+    """Return `start` after `add(total, ids, curves)` over all curves, `size` at a time."""
+
+    def body(state):
+        first, total = state
+        ids = first + jnp.arange(size, dtype=jnp.int32)
+        curves = jax.lax.stop_gradient(part.curves(jnp.minimum(ids, part.count - 1)))
+        weight = jnp.where(ids < part.count, curves.weight, 0)
+        return first + size, add(total, ids, curves._replace(weight=weight))
+
+    return jax.lax.while_loop(lambda s: s[0] < part.count, body, (jnp.int32(0), start))[1]
+
+
+def fold_pieces(
+    curves: Curves, W: Any, H: Any, max_H: int, add: Callable[[Any, Pieces], Any], start: Any
+) -> Any:
+    """Return `start` after `add(total, pieces)` over all pieces of some curves."""
+    m = monotone(curves)
+    upto = jnp.cumsum(piece_counts(m, W, H))
+
+    def body(state):
+        slot, total = state
+        slots = slot + jnp.arange(PIECES, dtype=jnp.int32)
+        return slot + PIECES, add(total, split(m, upto, slots, W, H, max_H))
+
+    return jax.lax.while_loop(lambda s: s[0] < upto[-1], body, (jnp.int32(0), start))[1]
+
+
+def _fill(
+    cells: Cells, number: int, part: Part, crowded: Crowded, first: Array, batch: _Batch
+) -> tuple[Cells, Float[Array, "C"]]:
+    """Return the cells with a part's pieces, and what it adds to the corners' winding numbers."""
+    at_pixels = batch.level == 0
+    size = -(-part.size // PARENTS) * PARENTS
+    per_film = jnp.where(at_pixels, size, size // PARENTS)
+    W, H, max_H = batch.film
+    pair = jnp.arange(size, dtype=jnp.int32)
+
+    def body(state):
+        start, cells, corner = state
+        ids = start + pair % per_film
+        curves = jax.lax.stop_gradient(part.curves(jnp.minimum(ids, part.count - 1)))
+        curves = curves._replace(weight=jnp.where(ids < part.count, curves.weight, 0))
+        curves = placed(curves, batch.scale, batch.films[pair // per_film])
+
+        def add(cells, pieces: Pieces):
+            inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
+            row, column = (jnp.where(inside, x, 0) for x in (pieces.row, pieces.column))
+            rank = crowded.rank(row, column)
+            pixel = jnp.where((rank >= first) & (rank < first + CELLS), rank - first, CELLS)
+            child = (pieces.curve // per_film * CUT + row) * CUT + column
+            cell = jnp.where(inside, jnp.where(at_pixels, pixel, child), CELLS)
+            return insert(cells, cell, pieces, ids[pieces.curve], number)
+
+        corner = corner + jax.lax.cond(at_pixels, _pixel_turns, _child_turns, curves, batch.origin)
+        return start + per_film, fold_pieces(curves, W, H, max_H, add, cells), corner
+
+    state = (jnp.int32(0), cells, jnp.zeros(CELLS, batch.origin.dtype))
+    return jax.lax.while_loop(lambda s: s[0] < part.count, body, state)[1:]
+
+
+def _pixel_turns(curves: Curves, corners: Float[Array, "C 2"]) -> Float[Array, "C"]:
+    """Return what curves add to the winding numbers just left of and above points."""
+    m = monotone(curves)
+
+    def at(point):
+        jump, x = _crossing(m, point[1])
+        return jnp.sum(jnp.where(x < point[0], jump, 0))
+
+    return jax.vmap(at)(corners)
+
+
+def _child_turns(curves: Curves, corners: Float[Array, "C 2"]) -> Float[Array, "C"]:
+    """Return the same for the corners of the children, `curves` being those of each film in turn."""
+    lines = jnp.arange(CUT, dtype=corners.dtype)
+    m = monotone(curves)
+    jump, x = jax.vmap(lambda y: _crossing(m, y))(lines)  # (CUT, curves)
+    left = jnp.where(x[..., None] < lines[None, None], jump[..., None], 0)
+    turns = jnp.sum(left.reshape(CUT, PARENTS, -1, CUT), axis=2)
+    return jnp.moveaxis(turns, 1, 0).reshape(CELLS)
+
+
+def _crossing(m: Monotone, y: Float[Array, ""]):
+    """Return by how much the winding jumps where each curve crosses a height, and the abscissae."""
+    crosses = (m.low[:, 1] <= y) & (y < m.high[:, 1])
+    x, _ = at_row(m, jnp.broadcast_to(y, crosses.shape))
+    return jnp.where(crosses, -m.rising * m.curves.weight, 0), x
