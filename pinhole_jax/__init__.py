@@ -8,6 +8,8 @@ from ._camera import Camera as Camera
 from ._camera import camera_basis as camera_basis
 from ._fit import Fit as Fit
 from ._fit import fit_camera as fit_camera
+from ._images import depth as depth
+from ._images import normals as normals
 from ._lens import Lens as Lens
 from ._metrics import iou as iou
 from ._metrics import pose_error as pose_error
