@@ -26,6 +26,7 @@ from ._silhouette import silhouette
 KINKS_ALLOWED = 0.25
 #: A pixel moves where it changes by more than this part of what the image's fastest one does.
 MOVING = 0.02
+RIGHT = ("ok", "moves nothing")
 
 
 class Row(NamedTuple):
@@ -124,7 +125,7 @@ def check_gradients(
         derivative = np.asarray(_forward(image, point, tangent), float)
         images = (np.asarray(middle, float), *_moved(image, fine, direction))
         rows.append(_row(direction, derivative, images, scales, reverse))
-    passed = all(row.verdict in ("ok", "moves nothing") for row in rows)
+    passed = all(row.verdict in RIGHT for row in rows)
     certificate = Certificate(tuple(rows), passed and any(row.verdict == "ok" for row in rows))
     if verbose:
         print(certificate)
@@ -259,7 +260,9 @@ def _cells(row: Row) -> list[str]:
 
 def _summary(certificate: Certificate) -> str:
     rows = certificate.rows
-    wrong = [row.parameter for row in rows if row.verdict not in ("ok", "moves nothing")]
+    wrong = [row.parameter for row in rows if row.verdict not in RIGHT]
+    if wrong and all(row.verdict in ("undecided", *RIGHT) for row in rows):
+        return f"UNDECIDED: at a kink in {', '.join(wrong)}; move the camera a little"
     if wrong:
         return f"FAILED: {len(wrong)} of {len(rows)} derivatives ({', '.join(wrong)})"
     if not certificate.passed:

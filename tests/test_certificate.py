@@ -220,6 +220,21 @@ def test_an_image_that_nothing_moves_is_no_pass():
     assert "FAILED: nothing moves the image" in str(found)
 
 
+def test_a_camera_at_a_kink_is_undecided():
+    """The derivative lies between the slopes to either side, which says little: no pass."""
+    bent = lambda camera, scene: blob(camera, scene) + jnp.abs(camera.e[0] - 0.3)
+    found = pj.check_gradients(camera(), SCENE, bent, verbose=False)
+    assert failures(found) == {"e.x": "undecided"}
+    assert found.rows[0].kinks == W * H
+    assert not found.passed
+    assert str(found).startswith("UNDECIDED: at a kink in e.x; move the camera a little\n")
+    steep = lambda camera, scene: (
+        bent(camera, scene) + 2 * (camera.e[0] - jax.lax.stop_gradient(camera.e[0]))
+    )
+    found = pj.check_gradients(camera(), SCENE, steep, verbose=False)
+    assert failures(found) == {"e.x": "wrong derivative"}
+
+
 def test_the_table():
     image = lambda camera, scene: blob(jax.lax.stop_gradient(camera), scene)
     lines = str(pj.check_gradients(camera(), SCENE, image, directions=1, verbose=False)).split("\n")
