@@ -6,8 +6,12 @@ from . import plot as plot
 from . import shapes as shapes
 from ._camera import Camera as Camera
 from ._camera import camera_basis as camera_basis
+from ._certificate import Certificate as Certificate
+from ._certificate import check_gradients as check_gradients
 from ._fit import Fit as Fit
 from ._fit import fit_camera as fit_camera
+from ._images import depth as depth
+from ._images import normals as normals
 from ._lens import Lens as Lens
 from ._metrics import iou as iou
 from ._metrics import pose_error as pose_error

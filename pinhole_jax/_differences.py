@@ -1,0 +1,91 @@
+"""Central differences of an image, pixel by pixel, that know a kink when they meet one.
+
+Coverage is smooth in the camera almost everywhere. It has a kink (two slopes) where an edge lies
+along a pixel's border or a face is seen edge-on, and a bend where an outline passes a pixel's
+corner. Both spoil a central difference only if they lie within its step, so steps come in pairs of
+h and h/2, and of a pixel's pairs the first counts whose differences agree (Richardson's test).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+#: Steps, in multiples of the first one: pairs of h and h/2.
+STEPS = (1.0, 1 / 2, 1 / 8, 1 / 16)
+
+
+class Scales(NamedTuple):
+    """What follows from the precision of derivatives and differences.
+
+    - `step_px`: how far the first step moves the picture, px.
+    - `tolerance`: of a derivative, relative to the image's largest slope or to `least`.
+    - `reverse`: the same for reverse against forward mode.
+    - `least`: in pixels' value per px of motion. What moves nothing has rounding for differences.
+    - `exact`: the differences are float64's.
+    """
+
+    step_px: float
+    tolerance: float
+    reverse: float
+    least: float
+    exact: bool
+
+    @classmethod
+    def of(cls, derivative: np.dtype, difference: np.dtype, size: int, tolerance: float | None):
+        """Return the scales for two float types and the picture's larger side (px)."""
+        exact = difference == np.float64
+        double = exact and derivative == np.float64
+        if tolerance is None:
+            tolerance = 1e-6 if double else 1e-3 if exact else 0.1
+        # Film coordinates are known to a rounding of the film's width: a step must outweigh that.
+        rounding = 4 * float(np.finfo(difference).eps) * size
+        step_px = rounding ** (1 / 3)
+        least = max(0.02, rounding / (step_px * STEPS[-1]) / tolerance)
+        return cls(step_px, tolerance, 1e-9 if double else 1e-4, least, exact)
+
+
+class Slopes(NamedTuple):
+    """An image's slopes along one direction, per unit of it.
+
+    - `central`: the central difference at the chosen step.
+    - `kink`: where no pair of steps agrees.
+    - `low`, `high`: between what a derivative must lie: at a kink the slopes to either side over
+      the least step, else twice the central difference.
+    """
+
+    central: Float[np.ndarray, "H W"]
+    kink: Bool[np.ndarray, "H W"]
+    low: Float[np.ndarray, "H W"]
+    high: Float[np.ndarray, "H W"]
+
+
+def slopes(
+    middle: Float[np.ndarray, "H W"],
+    up: Float[np.ndarray, "K H W"],
+    down: Float[np.ndarray, "K H W"],
+    step: float,
+    allowed: float,
+) -> Slopes:
+    """Return the slopes of images at x, x + h and x - h, for each h of `step * STEPS`.
+
+    Differences agree that are within `allowed` (per unit of x) of one another. They must agree on
+    the slope, and on the gap between the slopes to either side: that one halves with the step
+    where the image is smooth, and stays where it has a kink at x itself, which central differences
+    of whatever step would average out of sight.
+    """
+    h = step * np.asarray(STEPS)[:, None, None]
+    right, left = (up - middle) / h, (middle - down) / h
+    central, gap = (right + left) / 2, right - left
+    slope, kink = central[-1], np.ones(middle.shape, bool)
+    for k in range(len(STEPS) - 2, -1, -2):  # the largest step that will do has the least rounding
+        agree = np.abs(central[k] - central[k + 1]) <= allowed
+        agree &= np.abs(gap[k] - 2 * gap[k + 1]) <= allowed
+        slope, kink = np.where(agree, central[k + 1], slope), kink & ~agree
+    low, high = np.minimum(left[-1], right[-1]), np.maximum(left[-1], right[-1])
+    return Slopes(slope, kink, np.where(kink, low, slope), np.where(kink, high, slope))
+
+
+def outside(derivative: Float[np.ndarray, "H W"], found: Slopes) -> Float[np.ndarray, "H W"]:
+    """Return how far each pixel's derivative is from what its slopes allow."""
+    return np.maximum(np.maximum(found.low - derivative, derivative - found.high), 0)

@@ -1,0 +1,268 @@
+"""The certificate passes what is right, and names the row where a fault was planted."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.custom_derivatives import linear_call
+
+import pinhole_jax as pj
+from pinhole_jax import shapes
+
+W, H = 32, 24
+LENS = pj.Lens([17.0, 11.0], 1.1)
+
+
+def camera(dtype="float64", lens=None):
+    given = [0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.3
+    return pj.Camera(*(np.asarray(x, dtype) for x in given), W, H, lens)
+
+
+def spheres(dtype="float64"):
+    given = [[1.2, 0.9, 0], [-0.8, -0.5, 0.5]], [0.3, 0.6]
+    return pj.Scene(spheres=pj.Spheres(*(np.asarray(x, dtype) for x in given)))
+
+
+def verdicts(certificate):
+    return {row.parameter: row.verdict for row in certificate.rows}
+
+
+def failures(certificate):
+    return {k: v for k, v in verdicts(certificate).items() if v not in ("ok", "moves nothing")}
+
+
+def blob(camera, scene):
+    """A smooth image that compiles in no time: a light at a vertex or a sphere's center."""
+    point = scene.spheres.centers[0] if scene.mesh is None else scene.mesh.vertices[0]
+    x, y = jnp.moveaxis(pj.project(camera, point), -1, 0)
+    column = jnp.arange(W, dtype=x.dtype) + 0.5
+    row = H - 0.5 - jnp.arange(H, dtype=x.dtype)
+    return jnp.exp(-((column[None] - x) ** 2 + (row[:, None] - y) ** 2) / 40)
+
+
+def test_the_silhouette_of_a_bumpy_mesh_through_a_lens(capsys):
+    found = pj.check_gradients(camera(lens=LENS), pj.Scene(mesh=shapes.bumpy(3)))
+    assert found.passed, found
+    axes = [f"{name}.{axis}" for name in "epu" for axis in "xyz"]
+    lens = ["principal_point.x", "principal_point.y", "aspect"]
+    assert list(verdicts(found)) == [*axes, "phi", "d", *lens, "vertices #1", "vertices #2"]
+    # d moves nothing, and neither does u along the view's own projection of it.
+    assert {k for k, v in verdicts(found).items() if v != "ok"} <= {"d", "u.z", "p.z"}
+    assert all(row.error < 1e-7 and row.reverse < 1e-12 for row in found.rows)
+    assert capsys.readouterr().out == f"{found}\n"
+
+
+def test_the_silhouette_of_spheres_in_float32():
+    """Held against differences in float64, which x64 allows."""
+    found = pj.check_gradients(camera("float32"), spheres("float32"), verbose=False)
+    assert found.passed, found
+    assert {"centers #1", "radii #1"} < set(verdicts(found))
+    assert 1e-9 < max(row.error for row in found.rows) < 1e-4
+    assert max(row.step for row in found.rows) < 1e-5
+
+
+def test_float32_without_x64_takes_longer_steps():
+    with jax.enable_x64(False):
+        found = pj.check_gradients(camera("float32"), spheres("float32"), blob, verbose=False)
+        wrong = lambda camera, scene: blob(jax.lax.stop_gradient(camera), scene)
+        failed = pj.check_gradients(camera("float32"), spheres("float32"), wrong, verbose=False)
+    assert found.passed, found
+    assert min(row.step for row in found.rows) > 1e-4
+    assert {"e.x", "p.y", "phi"} < set(failures(failed))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [32, 256])
+@pytest.mark.parametrize("precision", ["float64", "float32", "float32 without x64"])
+def test_the_silhouette_at_full_size(precision, size, request):
+    """Overlapping contours, spheres before and beside the mesh: takes a minute."""
+    if "slow" not in request.config.getoption("markexpr"):
+        pytest.skip("reduced size: the tests above")
+    dtype = precision[:7]
+    with jax.enable_x64("without" not in precision):
+        scene = pj.Scene(shapes.bumpy(4), spheres(dtype).spheres)
+        view = camera(dtype)
+        view = pj.Camera(view.e, view.p, view.u, view.phi, view.d, size, size)
+        found = pj.check_gradients(view, scene, verbose=False)
+    assert found.passed, found
+
+
+class Gains(eqx.Module):
+    """What a derivative is multiplied by: 1 is right, -1 a flipped sign, 0 a lost piece."""
+
+    parameters: pj.Camera
+    forward: Any
+    reverse: Any
+
+
+@jax.custom_jvp
+def planted(gains, camera, scene):
+    return pj.silhouette(camera, scene)
+
+
+@planted.defjvp
+def _(primals, tangents):
+    gains, camera, scene = primals
+    velocity = jax.tree.map(jnp.multiply, gains.parameters, tangents[1])
+    image, change = jax.jvp(pj.silhouette, (camera, scene), (velocity, tangents[2]))
+    times = lambda gain: lambda gains, x: getattr(gains, gain) * x
+    return image, linear_call(times("forward"), times("reverse"), gains, change)
+
+
+class Faulty(eqx.Module):
+    """A silhouette with a fault; its gains are data, so all faults share one compiled program."""
+
+    gains: Gains
+
+    def __call__(self, camera, scene):
+        return planted(jax.lax.stop_gradient(self.gains), camera, scene)
+
+
+SCENE = spheres()
+
+
+def faulty(parameters=None, pixel=None, forward=1.0, reverse=1.0):
+    gains = Gains(jax.tree.map(jnp.ones_like, camera()), jnp.ones((H, W)), jnp.ones((H, W)))
+    for name, gain in (parameters or {}).items():
+        gains = eqx.tree_at(
+            lambda g, n=name: getattr(g.parameters, n), gains, jnp.asarray(gain, float)
+        )
+    if pixel is not None:
+        change = (gains.forward.at[pixel].set(forward), gains.reverse.at[pixel].set(reverse))
+        gains = eqx.tree_at(lambda g: (g.forward, g.reverse), gains, change)
+    return pj.check_gradients(camera(), SCENE, Faulty(gains), verbose=False)
+
+
+@pytest.fixture(scope="module")
+def weak_pixel():
+    """A pixel of the outline that a sphere covers by no more than a tenth."""
+    cover = np.asarray(pj.silhouette(camera(), SCENE))
+    return tuple(int(i) for i in np.argwhere((cover > 0.02) & (cover < 0.1))[0])
+
+
+def test_no_fault_passes():
+    found = faulty()
+    assert found.passed, found
+    assert not failures(found)
+
+
+@pytest.mark.parametrize("name", ["e", "p", "u", "phi"])
+def test_a_flipped_sign_is_caught_and_named(name):
+    """Of one coordinate, or of phi; no other row is accused."""
+    vector = name != "phi"
+    found = faulty({name: [-1.0, 1, 1] if vector else -1.0})
+    assert not found.passed
+    assert failures(found) == {f"{name}.x" if vector else name: "wrong derivative"}
+    (row,) = (row for row in found.rows if row.verdict == "wrong derivative")
+    np.testing.assert_allclose(row.derivative, -row.difference, rtol=1e-6)
+    np.testing.assert_allclose(row.error, 2, rtol=1e-6)
+
+
+def test_a_sign_flipped_in_one_pixel_is_caught(weak_pixel):
+    found = faulty(pixel=weak_pixel, forward=-1.0, reverse=-1.0)
+    assert {"e.x", "p.y", "u.x", "phi", "centers #1", "radii #1"} <= set(failures(found))
+    assert all(row.pixel == weak_pixel for row in found.rows if row.verdict == "wrong derivative")
+
+
+def test_one_contour_piece_dropped_is_caught(weak_pixel):
+    """One pixel of hundreds, in forward and reverse alike: no sum over the image would tell."""
+    found = faulty(pixel=weak_pixel, forward=0.0, reverse=0.0)
+    assert {"e.x", "p.y", "u.x", "phi", "centers #1", "radii #1"} <= set(failures(found))
+    assert set(failures(found).values()) == {"wrong derivative"}
+    row = next(row for row in found.rows if row.verdict == "wrong derivative")
+    assert row.pixel == weak_pixel
+    assert row.derivative == 0
+    assert abs(row.difference) > 1e-3
+
+
+def test_stop_gradient_is_caught_and_named():
+    def stopped(camera, scene):
+        camera = eqx.tree_at(lambda c: c.u, camera, jax.lax.stop_gradient(camera.u))
+        return blob(camera, scene)
+
+    found = pj.check_gradients(camera(), SCENE, stopped, verbose=False)
+    assert set(failures(found)) >= {"u.x", "u.y"}
+    assert set(failures(found)) <= {"u.x", "u.y", "u.z"}
+    # ... of a silhouette, with the derivative of u held at 0.
+    assert set(failures(faulty({"u": np.zeros(3)}))) == set(failures(found))
+
+
+def test_reverse_mode_that_differs_from_forward_mode(weak_pixel):
+    found = faulty(pixel=weak_pixel, reverse=0.0)
+    assert not found.passed
+    assert set(failures(found).values()) == {"reverse differs"}
+    assert {"e.x", "p.y", "u.x", "phi", "centers #1", "radii #1"} <= set(failures(found))
+
+
+def test_nan_is_a_failure(weak_pixel):
+    found = faulty({"phi": np.nan})
+    assert failures(found)["phi"] == "not finite"
+    found = faulty(pixel=weak_pixel, forward=np.nan)
+    assert set(failures(found).values()) == {"not finite"}
+    assert found.rows[0].pixel == weak_pixel
+    found = faulty(pixel=weak_pixel, reverse=np.nan)
+    assert {k for k, v in verdicts(found).items() if v != "not finite"} == {"d"}
+
+
+def test_an_image_that_is_not_finite_is_no_pass():
+    found = pj.check_gradients(camera(), SCENE, lambda c, s: jnp.log(-blob(c, s)), verbose=False)
+    assert set(verdicts(found).values()) == {"not finite"}
+
+
+def test_an_image_that_nothing_moves_is_no_pass():
+    """Out of the frame all derivatives are 0, and so are the differences: that proves nothing."""
+    found = pj.check_gradients(camera(), SCENE, lambda c, s: jnp.zeros((H, W)), verbose=False)
+    assert set(verdicts(found).values()) == {"moves nothing"}
+    assert not found.passed
+    assert "FAILED: nothing moves the image" in str(found)
+
+
+def test_a_camera_at_a_kink_is_undecided():
+    """The derivative lies between the slopes to either side, which says little: no pass."""
+    bent = lambda camera, scene: blob(camera, scene) + jnp.abs(camera.e[0] - 0.3)
+    found = pj.check_gradients(camera(), SCENE, bent, verbose=False)
+    assert failures(found) == {"e.x": "undecided"}
+    assert found.rows[0].kinks == W * H
+    assert not found.passed
+    assert str(found).startswith("UNDECIDED: at a kink in e.x; move the camera a little\n")
+    steep = lambda camera, scene: (
+        bent(camera, scene) + 2 * (camera.e[0] - jax.lax.stop_gradient(camera.e[0]))
+    )
+    found = pj.check_gradients(camera(), SCENE, steep, verbose=False)
+    assert failures(found) == {"e.x": "wrong derivative"}
+
+
+def test_the_table():
+    image = lambda camera, scene: blob(jax.lax.stop_gradient(camera), scene)
+    lines = str(pj.check_gradients(camera(), SCENE, image, directions=1, verbose=False)).split("\n")
+    assert lines[0].startswith("FAILED: 9 of 13 derivatives (e.x, e.y, e.z, p.x,")
+    assert lines[1].split() == [*pj.Certificate.__annotations__["rows"].__args__[0]._fields]
+    assert len(lines) == 2 + 13
+    at = lines[1].index("verdict")
+    assert {line[at:] for line in lines[2:]} == {"ok", "wrong derivative", "moves nothing"}
+    found = pj.check_gradients(camera(), SCENE, blob, directions=3, verbose=False)
+    assert str(found).startswith("passed: 17 derivatives, forward and reverse\n")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"image": lambda c, s: jnp.zeros((W, H))}, r"`image`: .* \(24, 32\), got .*\(32, 24\)"),
+        ({"image": lambda c, s: jnp.zeros((H, W), int)}, "`image`: .* got int64 of shape"),
+        ({"image": lambda c, s: (blob(c, s),)}, "`image`: .* got tuple"),
+        ({"tolerance": 0.0}, "`tolerance`: expected a positive number, got 0.0"),
+        ({"directions": 0}, "`directions`: expected at least 1, got 0"),
+    ],
+)
+def test_bad_input_is_said_in_words(change, message):
+    arguments = {"camera": camera(), "scene": SCENE, "image": blob, "verbose": False} | change
+    with pytest.raises(ValueError, match=message):
+        pj.check_gradients(**arguments)
+
+
+def test_traced_input_is_said_in_words():
+    with pytest.raises(ValueError, match="`camera`: expected values, got traced ones"):
+        eqx.filter_jit(lambda c: pj.check_gradients(c, SCENE, verbose=False).passed)(camera())

@@ -1,0 +1,204 @@
+"""Depth and normals by hand, against a published renderer, and their derivatives."""
+
+import json
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import central_difference
+
+import pinhole_jax as pj
+from pinhole_jax import formats, shapes
+
+W, H = 16, 12
+CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.3, W, H)
+WALL = np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
+FACES = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return pj.Scene(mesh=shapes.bumpy(1), spheres=pj.Spheres([[1.1, 0.9, 0.2]], [0.4]))
+
+
+def by_hand(camera):
+    """Return the note's ray directions q, not normalised, and the axes, in numpy: (H, W, 3)."""
+    e, p, u = (np.asarray(x) for x in (camera.e, camera.p, camera.u))
+    v = (p - e) / np.linalg.norm(p - e)
+    b1 = np.cross(v, u) / np.linalg.norm(np.cross(v, u))
+    b2 = np.cross(b1, v)
+    h = 2 * float(camera.d) * np.tan(float(camera.phi) / 2)
+    x = ((np.arange(camera.W) + 0.5) / camera.W - 0.5) * h * camera.W / camera.H
+    y = (0.5 - (np.arange(camera.H) + 0.5) / camera.H) * h
+    return b1 * x[None, :, None] + b2 * y[:, None, None] + v * float(camera.d), v
+
+
+def test_a_wall_that_faces_the_camera_has_one_depth():
+    """What is returned is z, not the ray's length: that one grows towards the corners."""
+    camera = pj.Camera([1, 2, 5], [1, 2, 0], [0.3, 1, 0], 0.9, 1.0, W, H)
+    wall = pj.Scene(mesh=pj.Mesh(WALL, FACES))
+    np.testing.assert_allclose(pj.depth(camera, wall), np.full((H, W), 5.0), rtol=1e-14)
+    length = np.asarray(pj.trace(wall, pj.camera_rays(camera)).t)
+    assert length[0, 0] > 5.5
+
+
+def test_a_slanted_wall_in_closed_form():
+    scene = pj.Scene(mesh=pj.Mesh(WALL, FACES))
+    q, v = by_hand(CAMERA)
+    # The wall is the plane z = 0: s q reaches it where e_z + s q_z = 0.
+    s = -5.0 / q[..., 2]
+    np.testing.assert_allclose(pj.depth(CAMERA, scene), s * (q @ v), rtol=1e-13)
+    normal = np.asarray(pj.normals(CAMERA, scene))
+    np.testing.assert_allclose(normal, np.broadcast_to([0.0, 0, 1], (H, W, 3)), atol=1e-15)
+
+
+def test_normals_face_the_eye_whatever_the_winding():
+    for faces in (FACES, FACES[:, ::-1]):
+        normal = pj.normals(CAMERA, pj.Scene(mesh=pj.Mesh(WALL, faces)))
+        np.testing.assert_allclose(normal[..., 2], np.ones((H, W)), atol=1e-15)
+
+
+@pytest.mark.parametrize("radius", [0.7, 9.0])
+def test_a_sphere_in_closed_form(radius):
+    """From outside and, the eye within the larger one, from inside."""
+    center = np.array([0.2, 0.3, -0.4])
+    scene = pj.Scene(spheres=pj.Spheres(center[None], [radius]))
+    q, v = by_hand(CAMERA)
+    offset = np.asarray(CAMERA.e) - center
+    a, b = np.sum(q * q, -1), q @ offset
+    room = b * b - a * (offset @ offset - radius**2)
+    met = room >= 0
+    inside = radius > np.linalg.norm(offset)
+    s = (-b + (1 if inside else -1) * np.sqrt(np.maximum(room, 0))) / a
+    depth, normal = pj.depth(CAMERA, scene), np.asarray(pj.normals(CAMERA, scene))
+    assert 0 < met.sum() < met.size or inside
+    np.testing.assert_allclose(depth, np.where(met, s * (q @ v), np.inf), rtol=1e-12)
+    outwards = (offset + s[..., None] * q) / radius
+    expected = np.where(met[..., None], -outwards if inside else outwards, 0)
+    np.testing.assert_allclose(normal, expected, atol=1e-12)
+    assert np.all(np.sum(normal * q, axis=-1)[met] < 0)
+
+
+def test_a_miss_and_an_empty_scene():
+    away = pj.Camera([0, 0, 5], [0, 0, 9], [0, 1, 0], 0.6, 1.0, W, H)
+    for scene in (pj.Scene(), pj.Scene(mesh=pj.Mesh(WALL, FACES))):
+        assert np.all(np.isposinf(pj.depth(away, scene)))
+        np.testing.assert_array_equal(pj.normals(away, scene), np.zeros((H, W, 3)))
+
+
+def test_the_same_surface_as_the_silhouette(scene):
+    """A pixel that is wholly covered has a depth, one that is wholly free has none."""
+    cover = np.asarray(pj.silhouette(CAMERA, scene))
+    met = np.isfinite(pj.depth(CAMERA, scene))
+    assert np.all(met[cover > 1 - 1e-9])
+    assert not np.any(met[cover < 1e-9])
+    np.testing.assert_allclose(np.linalg.norm(pj.normals(CAMERA, scene), axis=-1), met, atol=1e-14)
+
+
+def test_float32_stays_float32(scene):
+    camera = jax.tree.map(lambda x: x.astype("float32"), CAMERA)
+    coarse, fine = pj.depth(camera, scene), np.asarray(pj.depth(CAMERA, scene))
+    assert coarse.dtype == pj.normals(camera, scene).dtype == "float32"
+    both = np.isfinite(coarse) & np.isfinite(fine)
+    np.testing.assert_allclose(np.asarray(coarse)[both], fine[both], rtol=1e-5)
+
+
+def test_the_published_depth_image_of_m3t(shared):
+    """An OpenGL renderer's two objects, one behind the other, to the step of its 16-bit depth."""
+    from PIL import Image
+
+    folder = shared / "renders" / "m3t_renderer"
+    given = json.loads((folder / "camera.json").read_text())
+    vertices, faces, count = [], [], 0
+    for placed in given["objects"].values():
+        mesh = pj.load_mesh(folder / placed["mesh"])
+        vertices.append(np.asarray(mesh.vertices) @ np.transpose(placed["R"]) + placed["t"])
+        faces.append(np.asarray(mesh.faces) + count)
+        count += len(vertices[-1])
+    scene = pj.Scene(mesh=pj.Mesh(np.concatenate(vertices), np.concatenate(faces)))
+    # A window of the picture, where bottle, toy and background meet.
+    left, top, width, height = 380, 270, 70, 40
+    K = np.array(given["K"]) - [[0, 0, left], [0, 0, top], [0, 0, 0]]
+    camera = formats.from_opencv(K, np.eye(3), np.zeros(3), width, height, pixel_centres="integer")
+    window = np.s_[top : top + height, left : left + width]
+    stored = np.asarray(Image.open(folder / "depth_image.png")).astype(float)[window]
+    ids = np.asarray(Image.open(folder / "silhouette_image.png"))[window]
+    assert set(np.unique(ids)) == {0, 50, 150}
+    near, far = given["z_near"], given["z_far"]
+    theirs = near * far / (far - stored / 65535 * (far - near))
+    step = theirs**2 * (far - near) / (near * far) / 65535
+    ours = np.asarray(pj.depth(camera, scene))
+    met = stored < 65535
+    np.testing.assert_array_equal(np.isfinite(ours), met)
+    error = np.abs(ours - theirs)[met] / step[met]
+    # Rounded to whole steps, about 0.02 mm here: half a step, and little more for its float32.
+    assert np.quantile(error, 0.99) < 0.6
+    assert np.median(error) < 0.3
+    assert error.max() < 5
+
+
+def loss_of(image, scene):
+    """Return a scalar of everything that moves; misses (inf) count nothing."""
+    weight = np.random.default_rng(0).normal(size=(H, W, 3))
+
+    def loss(e, p, u, phi, vertices, centers, radii):
+        camera = eqx.tree_at(lambda c: (c.e, c.p, c.u, c.phi), CAMERA, (e, p, u, phi))
+        moved = eqx.tree_at(
+            lambda s: (s.mesh.vertices, s.spheres.centers, s.spheres.radii),
+            scene,
+            (vertices, centers, radii),
+        )
+        value = image(camera, moved)
+        value = value if value.ndim == 3 else value[..., None]
+        return jnp.sum(jnp.where(jnp.isfinite(value), value, 0) * weight[..., : value.shape[-1]])
+
+    camera = (CAMERA.e, CAMERA.p, CAMERA.u, CAMERA.phi)
+    return jax.jit(loss), (
+        *camera,
+        scene.mesh.vertices,
+        scene.spheres.centers,
+        scene.spheres.radii,
+    )
+
+
+@pytest.mark.parametrize("image", [pj.depth, pj.normals])
+def test_gradients_equal_central_differences(image, scene):
+    loss, values = loss_of(image, scene)
+    gradients = jax.jit(jax.grad(loss, argnums=tuple(range(len(values)))))(*values)
+    random = np.random.default_rng(1)
+    for k, gradient in enumerate(gradients):
+        gradient = np.asarray(gradient)
+        assert np.all(np.isfinite(gradient))
+        moved = np.asarray(values[k])
+        if moved.size <= 3:
+            directions = np.eye(moved.size).reshape(-1, *moved.shape)
+        else:
+            directions = random.normal(size=(3, *moved.shape))
+        for direction in directions:
+
+            def along(s, k=k, moved=moved, direction=direction):
+                arguments = list(values)
+                arguments[k] = jnp.asarray(moved + float(s) * direction)
+                return loss(*arguments)
+
+            expected = central_difference(along, np.asarray(0.0), 1e-6)
+            scale = np.abs(gradient).max() + 1
+            assert abs(np.sum(gradient * direction) - expected) < 1e-6 * scale
+    # Flat normals know nothing of the camera, but the sphere's do; radii and vertices move both.
+    assert all(np.abs(g).max() > 1e-3 for g in gradients)
+
+
+@pytest.mark.parametrize("image", [pj.depth, pj.normals])
+def test_forward_and_reverse_agree(image, scene):
+    loss, values = loss_of(image, scene)
+    random = np.random.default_rng(2)
+    directions = tuple(jnp.asarray(random.normal(size=x.shape)) for x in values)
+    _, forward = jax.jit(lambda v, d: jax.jvp(loss, v, d))(values, directions)
+    reverse = jax.jit(jax.grad(loss, argnums=tuple(range(len(values)))))(*values)
+    products = [
+        np.sum(np.asarray(a) * np.asarray(b)) for a, b in zip(reverse, directions, strict=True)
+    ]
+    np.testing.assert_allclose(forward, sum(products), rtol=1e-10)
+    assert abs(forward) > 0.1
