@@ -134,6 +134,35 @@ def to_camera(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, 
     return jnp.stack([b[0] * x + b[1] * y + b[2] * z for b in axes], axis=-1)
 
 
+class FilmMap(eqx.Module):
+    """World points to the film: `matrix (x - eye)` is (x z, y z, z), film coordinates times depth.
+
+    All that a contour needs of a camera, worked out once.
+    """
+
+    eye: Float[Array, "3"]
+    matrix: Float[Array, "3 3"]
+    W: int = eqx.field(static=True)
+    H: int = eqx.field(static=True)
+
+    def __call__(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+        """Return the homogeneous film points (px times depth, depth) of world points."""
+        return self.turn(*(points[..., k] - self.eye[k] for k in range(3)))
+
+    def turn(self, x: Array, y: Array, z: Array) -> Float[Array, "*batch 3"]:
+        """Return the homogeneous film points of directions from the eye."""
+        return jnp.stack([m[0] * x + m[1] * y + m[2] * z for m in self.matrix], axis=-1)
+
+
+def film_map(camera: Camera) -> FilmMap:
+    """Return the camera as a linear map to the film."""
+    b1, b2, v = camera_basis(camera)
+    fx, fy = focal_px(camera)
+    centre = principal_point(camera)
+    matrix = jnp.stack([fx * b1 + centre[0] * v, fy * b2 + centre[1] * v, v])
+    return FilmMap(camera.e, matrix, camera.W, camera.H)
+
+
 def _resolution(name: str, value: Any) -> int:
     try:
         size = operator.index(value)

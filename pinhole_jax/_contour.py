@@ -14,9 +14,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ._camera import Camera, focal_px, principal_point, to_camera
+from ._camera import FilmMap
 from ._curves import Arcs, Segments, cut_circle
 from ._safe import dot, norm, normalize, safe_divide, safe_sqrt
 from ._scene import Mesh, Scene, Spheres, front_facing
@@ -87,7 +88,7 @@ class _Ends(NamedTuple):
 
 def rank_in(selection: Selection, index: Int[Array, "K"]) -> Int[Array, "K"]:
     """Return which number each index has in the set, -1 if it is not in it."""
-    word, bit = index // 32, (index % 32).astype(jnp.uint32)
+    word, bit = index >> 5, (index & 31).astype(jnp.uint32)
     bits = selection.words[word]
     before = jax.lax.population_count(bits & ((jnp.uint32(1) << bit) - 1)).astype(jnp.int32)
     return jnp.where((bits >> bit) & 1 > 0, selection.before[word] + before, -1)
@@ -102,31 +103,31 @@ class MeshContour(NamedTuple):
     count: Int[Array, ""]
 
 
-def mesh_contour(camera: Camera, mesh: Mesh) -> MeshContour:
+def mesh_contour(film: FilmMap, mesh: Mesh) -> MeshContour:
     """Return which edges are contour, and how many segments they can be seen as."""
-    camera, mesh = jax.lax.stop_gradient((camera, mesh))
-    weights = contour_weights(mesh, camera.e)
+    film, mesh = jax.lax.stop_gradient((film, mesh))
+    weights = contour_weights(mesh, film.eye)
     chosen = select(weights != 0)
-    count = chosen.total * jnp.where(reaches_left(camera, mesh.vertices), 2, 1)
+    count = chosen.total * jnp.where(reaches_left(film, mesh.vertices), 2, 1)
     return MeshContour(mesh.edge_vertices, weights, chosen, count)
 
 
 def edge_segments(
-    camera: Camera, vertices: Float[Array, "V 3"], contour: MeshContour, ids: Int[Array, "K"]
+    film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour, ids: Int[Array, "K"]
 ) -> Segments:
     """Return contour edges in and near the film, then what of them lies left of it; then nothing.
 
     The second half is there only if something may lie on the left.
     """
     total = contour.chosen.total
-    edge = nth(contour.chosen, ids % jnp.maximum(total, 1))
+    edge = nth(contour.chosen, jnp.where(ids >= total, ids - total, ids))
     edge = jnp.minimum(edge, contour.weights.shape[0] - 1)
     weight = jnp.where(ids < contour.count, contour.weights[edge], 0)
-    return mesh_segments(camera, vertices, contour.edge_vertices[edge], weight, ids >= total)
+    return mesh_segments(film, vertices, contour.edge_vertices[edge], weight, ids >= total)
 
 
 def mesh_segments(
-    camera: Camera,
+    film: FilmMap,
     vertices: Float[Array, "V 3"],
     edges: Int[Array, "K 2"],
     weight: Int[Array, "K"],
@@ -138,8 +139,8 @@ def mesh_segments(
     no accuracy. What lies right of the film shows nowhere in it and is left out; what lies left of
     it still bounds the rows: where `beside`, that is returned, as an upright segment on the left.
     """
-    left, right, low, high = -camera.W, 2 * camera.W, -camera.H, 2 * camera.H
-    e = _between_rows(film_homogeneous(camera, vertices[edges]), low, high)
+    left, right, low, high = -film.W, 2 * film.W, -film.H, 2 * film.H
+    e = _between_rows(film(vertices[edges]), low, high)
     weight = jnp.where(e.some, weight, 0).astype(e.a.dtype)
     leftness = [left * p[:, 2] - p[:, 0] for p in (e.a, e.b)]
     rightness = [p[:, 0] - right * p[:, 2] for p in (e.a, e.b)]
@@ -163,18 +164,6 @@ def mesh_segments(
     left_part = Segments(upright(0, e.y_a), upright(1, e.y_b), jnp.where(some, weight, 0))
     choose = lambda x, y: jnp.where(beside.reshape(-1, *(1,) * (x.ndim - 1)), x, y)
     return jax.tree.map(choose, left_part, inside)
-
-
-def film_homogeneous(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-    """Return (x z, y z, z) of world points: film coordinates (px) times depth, and depth."""
-    x, y, z = jnp.moveaxis(to_camera(camera, points), -1, 0)
-    return _to_film(camera, x, y, z)
-
-
-def _to_film(camera: Camera, x, y, z):
-    fx, fy = focal_px(camera)
-    centre = principal_point(camera)
-    return jnp.stack([fx * x + centre[0] * z, fy * y + centre[1] * z, z], axis=-1)
 
 
 def _between_rows(points: Float[Array, "K 2 3"], low: int, high: int) -> _Ends:
@@ -224,7 +213,7 @@ def _height_of_crossing(e: _Ends, beyond: list) -> Float[Array, "K"]:
 ARCS_PER_SPHERE = 6
 
 
-def sphere_arcs(camera: Camera, spheres: Spheres, ids: Int[Array, "K"]) -> Arcs:
+def sphere_arcs(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Arcs:
     """Return parts of the spheres' outlines: id 6 s + k is the k-th monotone arc of sphere s.
 
     Rays touch a sphere (centre c from the eye, radius r) on a circle, in the directions
@@ -232,8 +221,10 @@ def sphere_arcs(camera: Camera, spheres: Spheres, ids: Int[Array, "K"]) -> Arcs:
     e2 perpendicular to c. Their film points are a conic. It is cut where it is level or upright,
     and where it meets the plane through the eye; what is behind is left out.
     """
-    centre = to_camera(camera, spheres.centers[ids // ARCS_PER_SPHERE])
-    distance, radius = norm(centre), spheres.radii[ids // ARCS_PER_SPHERE]
+    sphere = jax.lax.div(ids, jnp.int32(ARCS_PER_SPHERE))
+    part = ids - sphere * ARCS_PER_SPHERE
+    centre = spheres.centers[sphere] - film.eye[None]
+    distance, radius = norm(centre), spheres.radii[sphere]
     outside = jax.lax.stop_gradient(distance > radius)
     distance = jnp.where(outside, distance, 2 * radius)
     tangent = safe_sqrt((distance - radius) * (distance + radius))
@@ -241,13 +232,13 @@ def sphere_arcs(camera: Camera, spheres: Spheres, ids: Int[Array, "K"]) -> Arcs:
     least = jax.lax.stop_gradient(jnp.argmin(jnp.abs(axis), axis=1))
     aside = jax.nn.one_hot(least, 3, dtype=axis.dtype)
     e1 = normalize(aside - axis * dot(aside, axis)[:, None])
-    e2 = jnp.cross(axis, e1)
+    e2 = jnp.cross(e1, axis)  # counter-clockwise as the eye sees it
     sine = (radius / distance)[:, None]
     rays = jnp.stack([axis * (tangent / distance)[:, None], sine * e1, sine * e2], axis=1)
-    frame = _to_film(camera, *jnp.moveaxis(rays, -1, 0))
+    frame = film.turn(*jnp.moveaxis(rays, -1, 0))
     ends = _monotone_stretches(jax.lax.stop_gradient(frame))
     start, end = (
-        jnp.take_along_axis(w, (ids % ARCS_PER_SPHERE)[None, :, None], axis=0)[0] for w in ends
+        jnp.take_along_axis(w, part[None, :, None], axis=0)[0] for w in ends
     )
     middle = _middle(start, end)
     z = dot(frame[..., 2], jnp.concatenate([jnp.ones_like(middle[:, :1]), middle], axis=1))
@@ -265,17 +256,14 @@ def _monotone_stretches(frame: Float[Array, "S 3 3"]):
     cuts, exists = [], []
     for level in levels:
         reach = jnp.sqrt(level[1] ** 2 + level[2] ** 2)
-        there = jnp.abs(level[0]) < reach
         for growing in (1.0, -1.0):
-            sign = jnp.full_like(reach, growing)
-            cuts.append(cut_circle(jnp.moveaxis(level, 0, -1), sign))
-            exists.append(there)
-    cuts, exists = jnp.stack(cuts), jnp.stack(exists)
-    # A cut that is not there repeats the first one that is (there always is one).
+            cuts.append(cut_circle(jnp.moveaxis(level, 0, -1), jnp.full_like(reach, growing)))
+            exists.append(jnp.abs(level[0]) < reach)
+    # The first cut counts in any case: at the point nearest to infinity, if none is there. Cuts
+    # that do not exist repeat it.
+    exists[0] = jnp.ones_like(exists[0])
+    cuts = jnp.where(jnp.stack(exists)[..., None], jnp.stack(cuts), cuts[0][None])
     angle = jnp.arctan2(cuts[..., 1], cuts[..., 0])
-    angle = jnp.where(exists, angle, jnp.max(jnp.where(exists, angle, -jnp.inf), axis=0))
-    cuts = jnp.where(exists[..., None], cuts, jnp.take_along_axis(
-        cuts, jnp.argmax(jnp.where(exists, angle, -jnp.inf), axis=0)[None, :, None], axis=0))
     order = jnp.argsort(angle, axis=0)
     start = jnp.take_along_axis(cuts, order[..., None], axis=0)
     return start, jnp.roll(start, -1, axis=0)
@@ -288,52 +276,53 @@ def _middle(start: Float[Array, "*K 2"], end: Float[Array, "*K 2"]) -> Float[Arr
     return across
 
 
-def surrounding(camera: Camera, scene: Scene) -> Int[Array, ""]:
+def surrounding(film: FilmMap, scene: Scene) -> Int[Array, ""]:
     """Return how many layers lie far to the left of the film, where no curve is.
 
     Not 0 only where the scene reaches through the plane of the eye; `EVERYWHERE` and more if the
     eye is within a closed mesh or a sphere.
     """
     layers = jnp.int32(0)
-    camera, scene = jax.lax.stop_gradient((camera, scene))
+    film, scene = jax.lax.stop_gradient((film, scene))
     if scene.mesh is not None and scene.mesh.faces.shape[0]:
         mesh = scene.mesh
         layers = layers + jax.lax.cond(
-            jnp.any(_corners(camera, mesh.vertices)[:, 2] <= 0),
-            lambda: _layers_on_the_left(mesh, camera).astype(jnp.int32),
+            jnp.any(_corners(film, mesh.vertices)[:, 2] <= 0),
+            lambda: _layers_on_the_left(mesh, film).astype(jnp.int32),
             lambda: jnp.int32(0),
         )
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
-        centre = to_camera(camera, scene.spheres.centers)
-        distance, radius = norm(centre), scene.spheres.radii
+        centre, radius = scene.spheres.centers - film.eye[None], scene.spheres.radii
+        distance = norm(centre)
         tangent = safe_sqrt((distance - radius) * (distance + radius))
-        beside = (-centre[:, 0] >= tangent) & (distance > radius)
+        forward, up = film.matrix[2], film.matrix[1]
+        left = normalize(jnp.cross(up, forward))
+        beside = (dot(centre, left[None]) >= tangent) & (distance > radius)
         within = EVERYWHERE * jnp.sum(distance <= radius, dtype=jnp.int32)
         layers = layers + jnp.sum(beside, dtype=jnp.int32) + within
     return layers
 
 
-def reaches_left(camera: Camera, vertices: Float[Array, "V 3"]) -> Bool[Array, ""]:
+def reaches_left(film: FilmMap, vertices: Float[Array, "V 3"]) -> Bool[Array, ""]:
     """Return whether anything may lie left of the film by more than its width."""
-    corners = _corners(camera, jax.lax.stop_gradient(vertices))
-    x, _, z = jnp.moveaxis(_to_film(camera, *jnp.moveaxis(corners, -1, 0)), -1, 0)
-    return jnp.any(x < -camera.W * z)
+    x, _, z = jnp.moveaxis(_corners(film, jax.lax.stop_gradient(vertices)), -1, 0)
+    return jnp.any(x < -film.W * z)
 
 
-def _corners(camera: Camera, vertices: Float[Array, "V 3"]) -> Float[Array, "8 3"]:
-    """Return the corners of the vertices' bounding box in camera coordinates."""
+def _corners(film: FilmMap, vertices: Float[Array, "V 3"]) -> Float[Array, "8 3"]:
+    """Return the corners of the vertices' bounding box as homogeneous film points."""
     bounds = jnp.stack([jnp.min(vertices, axis=0), jnp.max(vertices, axis=0)])
-    which = jnp.stack(jnp.meshgrid(*[jnp.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
-    return to_camera(camera, jnp.take_along_axis(bounds, which, axis=0))
+    which = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
+    return film(jnp.stack([bounds[which[:, k], k] for k in range(3)], axis=-1))
 
 
-def _layers_on_the_left(mesh: Mesh, camera: Camera) -> Int[Array, ""]:
+def _layers_on_the_left(mesh: Mesh, film: FilmMap) -> Int[Array, ""]:
     """Return how many layers the ray along -x from the eye meets, by signed crossings.
 
     The ray is thought to lie a little below y = 0, and much less in front of z = 0, so that it
     never meets an edge.
     """
-    points = to_camera(camera, mesh.vertices)
+    points = film(mesh.vertices)
     corner = [points[mesh.faces[:, k]] for k in range(3)]
     sides = [_side(corner[k], corner[(k + 1) % 3], mesh.faces, k) for k in range(3)]
     weights = [corner[(k + 2) % 3][:, 0] * sides[k][0] for k in range(3)]
@@ -342,7 +331,7 @@ def _layers_on_the_left(mesh: Mesh, camera: Camera) -> Int[Array, ""]:
     toward = weights[0] + weights[1] + weights[2]
     met &= jnp.where(signs[0] > 0, toward < 0, toward > 0)
     orientation = jnp.where(met, -signs[0], 0)
-    front = front_facing(mesh, camera.e)
+    front = front_facing(mesh, film.eye)
     if not mesh.closed:
         return jnp.sum(jnp.where(front, orientation, -orientation))
     inside = jnp.sum(orientation) != 0

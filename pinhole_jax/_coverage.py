@@ -27,7 +27,8 @@ class Pieces(NamedTuple):
     film. `height` is added to the coverage of all pixels to the right, `area` to the pixel's own.
     `jump` is how many layers there are more right of the piece than left of it, and `passes` says
     that the curve goes on above the bottom of the row. `enters` says that the curve, in its own
-    direction, comes in from another pixel.
+    direction, may come from another pixel: the piece does not begin with the curve, or it begins on
+    the pixel's side.
     """
 
     curve: Int[Array, "P"]
@@ -160,8 +161,12 @@ def split(m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_
     height, area = jnp.where(valid, height, 0), jnp.where(valid, area, 0)
     jump = jnp.where(valid, -m.rising * m.curves.weight, 0)
     number, passes = rows.first + row, m.high[:, 1] > (rows.first + row).astype(dtype)
-    differs = lambda point, own: jnp.any(point != own, axis=1)
-    enters = jnp.where(jump <= 0, differs(start, m.low), differs(end, m.high))
+    corner = jnp.stack([column, number], axis=-1).astype(dtype)
+
+    def beyond(point, own):
+        return jnp.any((point != own) | (point == corner) | (point == corner + 1), axis=1)
+
+    enters = jnp.where(jump <= 0, beyond(start, m.low), beyond(end, m.high))
     return Pieces(curve, number, column, start, end, height, area, valid, jump, passes, enters)
 
 

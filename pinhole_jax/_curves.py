@@ -61,17 +61,24 @@ def ends(curves: Curves) -> tuple[Float[Array, "*K 2"], Float[Array, "*K 2"]]:
     """Return where the curves begin and end (film px); `FAR` stands for infinity."""
     if isinstance(curves, Segments):
         return curves.a, curves.b
-    return tuple(_film_far(_homogeneous(curves.frame, w)) for w in (curves.start, curves.end))
+    return _arc_end(curves.frame, curves.start, 1), _arc_end(curves.frame, curves.end, -1)
 
 
 def _homogeneous(frame: Float[Array, "*#K 3 3"], w: Float[Array, "*K 2"]) -> Float[Array, "*K 3"]:
     return frame[..., 0, :] + frame[..., 1, :] * w[..., :1] + frame[..., 2, :] * w[..., 1:]
 
 
-def _film_far(point: Float[Array, "*K 3"]) -> Float[Array, "*K 2"]:
+def _arc_end(frame: Float[Array, "*K 3 3"], w: Float[Array, "*K 2"], inward: int):
+    """Return the film point of w; at infinity the arc's next points, `inward`, tell the sides."""
+    point = _homogeneous(frame, w)
+    across = jnp.stack([-w[..., 1], w[..., 0]], axis=-1) * inward
+    change = _homogeneous(frame, across) - frame[..., 0, :]
     xy, z = point[..., :2], point[..., 2:]
-    near = z * (FAR / 2) <= jnp.abs(xy)
-    return jnp.where(near, jnp.copysign(FAR, xy), xy / jnp.where(near, 1, z))
+    tiny = 64 * jnp.finfo(w.dtype).eps
+    none = jnp.abs(xy) <= tiny * jnp.max(jnp.abs(frame[..., :2]), axis=-2)
+    far = jnp.copysign(FAR, jnp.where(none, change[..., :2], xy))
+    at_infinity = z <= tiny
+    return jnp.where(at_infinity, far, xy / jnp.where(at_infinity, 1, z))
 
 
 # --- points of an arc ----------------------------------------------------------------------------
@@ -93,8 +100,9 @@ def cut_circle(level: Float[Array, "*K 3"], growing: Float[Array, "*K"]) -> Floa
     """Return w on the unit circle with `level . (1, w_1, w_2) = 0`, growing there or falling."""
     b, x, y = -level[..., 0], level[..., 1], level[..., 2]
     length = jnp.sqrt(x * x + y * y)
-    length = jnp.where(length > 0, length, 1)
-    x, y, b = x / length, y / length, jnp.clip(b / length, -1, 1)
+    found = length > 0
+    length = jnp.where(found, length, 1)
+    x, y, b = jnp.where(found, x / length, 1), y / length, jnp.clip(b / length, -1, 1)
     root = growing * jnp.sqrt((1 - b) * (1 + b))
     return jnp.stack([x * b + y * root, y * b - x * root], axis=-1)
 

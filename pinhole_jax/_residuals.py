@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ._camera import Camera
+from ._camera import Camera, FilmMap, film_map
 from ._contour import (
     ARCS_PER_SPHERE,
     edge_segments,
@@ -135,7 +135,8 @@ class _Sorted(NamedTuple):
 
 def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
     """Return the touched pixels of a level, and what they take of the capacities."""
-    kinds, totals = _curves(camera, scene, level, capacity), {}
+    film = film_map(camera)
+    kinds, totals = _curves(film, scene, level, capacity), {}
     end = level.H * (level.W + 2)
     found = []
     for part, size in kinds:
@@ -155,24 +156,24 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
     none = (jnp.int32(0), jnp.int32(0))
     (edges, edge_pieces), (_, arc_pieces) = (totals.get(k, none) for k in (Segments, Arcs))
     together = jax.tree.map(lambda *x: jnp.concatenate(x), *found)
-    base = surrounding(camera, scene)
+    base = surrounding(film, scene)
     touched = _by_pixel(together, [part for part, _ in kinds], base, level)
     return touched, Load(edges, edge_pieces, arc_pieces)
 
 
 def _curves(
-    camera: Camera, scene: Scene, level: Level, capacity: Capacity
+    film: FilmMap, scene: Scene, level: Level, capacity: Capacity
 ) -> list[tuple[Part, int]]:
     """Return a level's curves by kind, worked out once, with the room for their pieces."""
     kinds: list[tuple[Curves, Array, int]] = []
     if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
-        contour = mesh_contour(camera, scene.mesh)
+        contour = mesh_contour(film, scene.mesh)
         ids = jnp.arange(capacity.edges, dtype=jnp.int32)
-        segments = edge_segments(camera, scene.mesh.vertices, contour, ids)
+        segments = edge_segments(film, scene.mesh.vertices, contour, ids)
         kinds.append((segments, contour.count, capacity.pieces))
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
         ids = jnp.arange(ARCS_PER_SPHERE * scene.spheres.radii.shape[0], dtype=jnp.int32)
-        arcs = sphere_arcs(camera, scene.spheres, ids)
+        arcs = sphere_arcs(film, scene.spheres, ids)
         kinds.append((arcs, jnp.int32(ids.shape[0]), capacity.arc_pieces))
     parts = []
     for curves, count, room in kinds:
@@ -218,8 +219,8 @@ def _resolve(cells: Array, crowded: Array, parts: list[Part], base: Array, level
 
     def cell(rank):
         slot = jnp.minimum(nth(chosen, rank), last)
-        row, column = jnp.divmod(cells[slot], level.W + 2)
-        return row, column - 1, slot
+        row = jax.lax.div(cells[slot], level.W + 2)
+        return row, cells[slot] - row * (level.W + 2) - 1, slot
 
     def rank(row, column):
         wanted = row * (level.W + 2) + column + 1

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Float, Int
 
-from ._camera import Camera
+from ._camera import Camera, FilmMap, film_map
 from ._contour import (
     ARCS_PER_SPHERE,
     MeshContour,
@@ -53,21 +53,21 @@ def silhouette(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
 @eqx.filter_jit
 def _silhouette(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
     scene = astype(scene, camera.e.dtype)
-    mesh, spheres = scene.mesh, scene.spheres
+    film, mesh, spheres = film_map(camera), scene.mesh, scene.spheres
     contour, vertices = None, None
     if mesh is not None and mesh.edge_faces.shape[0]:
-        contour, vertices = mesh_contour(camera, mesh), mesh.vertices
+        contour, vertices = mesh_contour(film, mesh), mesh.vertices
     if spheres is not None and not spheres.radii.shape[0]:
         spheres = None
     if contour is None and spheres is None:
         return jnp.zeros((camera.H, camera.W), camera.e.dtype)
-    return _image(_Moving(camera, vertices, spheres), _Still(contour, surrounding(camera, scene)))
+    return _image(_Moving(film, vertices, spheres), _Still(contour, surrounding(film, scene)))
 
 
 class _Moving(NamedTuple):
     """What can be differentiated."""
 
-    camera: Camera
+    film: FilmMap
     vertices: Float[Array, "V 3"] | None
     spheres: Spheres | None
 
@@ -88,16 +88,16 @@ class _Pixels(NamedTuple):
 
 def _parts(moving: _Moving, still: _Still) -> list[Part]:
     """Return the contour's curves by kind."""
-    camera, vertices, spheres = moving
+    film, vertices, spheres = moving
     parts = []
     contour = still.contour
     if contour is not None and vertices is not None:
-        edges = lambda ids: edge_segments(camera, vertices, contour, ids)
+        edges = lambda ids: edge_segments(film, vertices, contour, ids)
         size = min(CURVES_AT_A_TIME, contour.weights.shape[0])
         parts.append(Part(edges, contour.count, size))
     if spheres is not None:
         number = ARCS_PER_SPHERE * spheres.radii.shape[0]
-        arcs = lambda ids: sphere_arcs(camera, spheres, ids)
+        arcs = lambda ids: sphere_arcs(film, spheres, ids)
         parts.append(Part(arcs, jnp.int32(number), min(CURVES_AT_A_TIME, number)))
     return parts
 
@@ -114,7 +114,7 @@ def _image_jvp(primals: Any, tangents: Any):
     leaves, tree = jax.tree.flatten(moving)
     velocities = tree.flatten_up_to(tangents[0])
     moves = [not isinstance(t, SymbolicZero) for t in velocities]
-    camera: Camera = moving.camera
+    film: FilmMap = moving.film
 
     def rebuild(held: list, changing: list) -> _Moving:
         held, changing = held.copy(), changing.copy()
@@ -124,14 +124,14 @@ def _image_jvp(primals: Any, tangents: Any):
         """Return `start` after add(total, pixel, area, changing) for the visible contour."""
         held, changing, still, pixels = residuals
         build = lambda changing: _parts(rebuild(held, changing), still)
-        return _fold_visible(camera, build, changing, still.base, pixels, add, start)
+        return _fold_visible(film, build, changing, still.base, pixels, add, start)
 
     def forward(residuals, velocity):
         def add(image, pixel, area, changing):
             _, change = jax.jvp(area, (changing,), (velocity,))
             return image.at[pixel].add(change, mode="drop")
 
-        return _upright(fold(residuals, add, jnp.zeros(camera.H * camera.W, camera.e.dtype)), camera)
+        return _upright(fold(residuals, add, jnp.zeros(film.H * film.W, film.eye.dtype)), film)
 
     def transpose(residuals, cotangent):
         cotangent = jnp.flip(cotangent, axis=0).reshape(-1)
@@ -152,8 +152,8 @@ def _image_jvp(primals: Any, tangents: Any):
 
 def _resolve(moving: _Moving, still: _Still) -> tuple[Float[Array, "H W"], _Pixels]:
     """Return the image, and which pixels the contour crosses in which way."""
-    camera, parts = moving.camera, _parts(moving, still)
-    W, H, dtype = camera.W, camera.H, camera.e.dtype
+    film, parts = moving.film, _parts(moving, still)
+    W, H, dtype = film.W, film.H, film.eye.dtype
 
     def chunk(sums, ids, curves):
         del ids
@@ -182,29 +182,30 @@ def _resolve(moving: _Moving, still: _Still) -> tuple[Float[Array, "H W"], _Pixe
 
     args = (parts, _crowded(pixels.crowded, W), W, H, H, still.base)
     image = fold_cells(*args, add, image, flux=False)
-    return _upright(image, camera), pixels
+    return _upright(image, film), pixels
 
 
-def _upright(flat: Float[Array, "N"], camera: Camera) -> Float[Array, "H W"]:
-    return jnp.flip(flat.reshape(camera.H, camera.W), axis=0)
+def _upright(flat: Float[Array, "N"], film: FilmMap) -> Float[Array, "H W"]:
+    return jnp.flip(flat.reshape(film.H, film.W), axis=0)
 
 
 def _crowded(chosen: Selection, W: int) -> Crowded:
     def cell(rank):
         pixel = nth(chosen, rank)
-        return pixel // W, pixel % W, pixel
+        row = jax.lax.div(pixel, jnp.int32(W))
+        return row, pixel - row * W, pixel
 
     return Crowded(chosen.total, cell, lambda row, column: rank_in(chosen, row * W + column))
 
 
 def _fold_visible(
-    camera: Camera, build: Callable, changing: list, base, pixels: _Pixels, add: Callable, start
+    film: FilmMap, build: Callable, changing: list, base, pixels: _Pixels, add: Callable, start
 ):
     """Return `start` after `add(total, pixel, area, changing)` over the visible contour.
 
     `area(changing)` is linear in the curves, with the derivative of the pixels' areas.
     """
-    W, H = camera.W, camera.H
+    W, H = film.W, film.H
     parts = build(changing)
     for number, part in enumerate(parts):
 

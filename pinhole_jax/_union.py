@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ._coverage import Monotone, Pieces, at_row, monotone, piece_counts, split
@@ -182,8 +183,8 @@ def _batch(crowded: Crowded, first: Array, stack: _Stack, level: Array, film: tu
     parent_place = jnp.where(slot >= 0, stack.place[level, jnp.maximum(slot, 0)], -1)
     parent = stack.origin[level, jnp.maximum(slot, 0)]
     scale = jnp.asarray(CUT, dtype) ** level.astype(dtype)
-    j, i = (x.astype(dtype) for x in jnp.divmod(jnp.arange(CUT**2, dtype=jnp.int32), CUT))
-    child = parent[:, None] + jnp.stack([i, j], axis=-1)[None] / scale
+    steps = np.stack(np.divmod(np.arange(CUT**2), CUT)[::-1], axis=-1)
+    child = parent[:, None] + jnp.asarray(steps, dtype)[None] / scale
     return _Batch(
         level,
         scale,
@@ -231,23 +232,23 @@ def _fill(
     """Return the cells with a part's pieces, and what it adds to the corners' winding numbers."""
     at_pixels = batch.level == 0
     size = -(-part.size // PARENTS) * PARENTS
-    per_film = jnp.where(at_pixels, size, size // PARENTS)
+    per_film = jnp.where(at_pixels, jnp.int32(size), jnp.int32(size // PARENTS))
     W, H, max_H = batch.film
     pair = jnp.arange(size, dtype=jnp.int32)
 
     def body(state):
         start, cells, corner = state
-        ids = start + pair % per_film
+        ids = start + jax.lax.rem(pair, per_film)
         curves = jax.lax.stop_gradient(part.curves(jnp.minimum(ids, part.count - 1)))
         curves = curves._replace(weight=jnp.where(ids < part.count, curves.weight, 0))
-        curves = placed(curves, batch.scale, batch.films[pair // per_film])
+        curves = placed(curves, batch.scale, batch.films[jax.lax.div(pair, per_film)])
 
         def add(cells, pieces: Pieces):
             inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
             row, column = (jnp.where(inside, x, 0) for x in (pieces.row, pieces.column))
             rank = crowded.rank(row, column)
             pixel = jnp.where((rank >= first) & (rank < first + CELLS), rank - first, CELLS)
-            child = (pieces.curve // per_film * CUT + row) * CUT + column
+            child = (jax.lax.div(pieces.curve, per_film) * CUT + row) * CUT + column
             cell = jnp.where(inside, jnp.where(at_pixels, pixel, child), CELLS)
             return insert(cells, cell, pieces, ids[pieces.curve], number)
 
