@@ -10,7 +10,7 @@ from oracles import central_difference
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._bvh import after, build
+from pinhole_jax._bvh import mesh_tree, packed
 from pinhole_jax._intersect import perpendicular, ray_triangle
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 24, 20)
@@ -97,20 +97,26 @@ def test_the_tree_finds_what_testing_every_face_finds(faces, rays):
     np.testing.assert_array_equal(pj.occluded(pj.Scene(mesh=mesh), some), face >= 0)
 
 
-def test_depth_first_order_of_the_heap():
-    # Leaves 4..7: after the left subtree comes the right one, after the last nothing (1).
-    assert [int(after(jnp.int32(n))) for n in (2, 3, 4, 5, 6, 7)] == [3, 1, 5, 3, 7, 1]
-
-
 def test_every_face_is_in_one_leaf_and_every_box_holds_its_faces():
-    tree = build(shapes.bumpy(2))
-    assert set(np.unique(tree.faces)) == set(range(320))
-    for leaf in range(tree.leaves):
-        node = leaf + tree.leaves
-        while node:
-            assert np.all(np.asarray(tree.corners[leaf]) >= np.asarray(tree.low[node]))
-            assert np.all(np.asarray(tree.corners[leaf]) <= np.asarray(tree.high[node]))
+    tree = mesh_tree(shapes.bumpy(2))
+    leaves = tree.index.shape[0]
+    assert set(np.unique(tree.index)) == set(range(320))
+    boxes = np.asarray(tree.boxes).reshape(-1, 6)
+    for leaf in range(leaves):
+        corners = np.asarray(tree.data[leaf]).reshape(3, 3, -1)
+        node = leaf + leaves
+        while node > 1:
+            assert np.all(corners.min(axis=(0, 2)) >= boxes[node, :3])
+            assert np.all(corners.max(axis=(0, 2)) <= boxes[node, 3:])
             node //= 2
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.9, 1.0])
+def test_packed_keeps_what_is_wanted_in_order(share):
+    mask = np.random.default_rng(0).random(256) < share
+    values, number = packed(jnp.asarray(mask), jnp.arange(256, dtype=jnp.int32))
+    assert int(number) == mask.sum()
+    np.testing.assert_array_equal(values[: mask.sum()], np.flatnonzero(mask))
 
 
 @pytest.mark.parametrize(
