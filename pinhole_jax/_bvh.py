@@ -31,7 +31,7 @@ class Tree(NamedTuple):
     """
 
     boxes: Float[Array, "leaves 12"]
-    index: Int[Array, "leaves leaf"]
+    primitive: Int[Array, "leaves leaf"]
     data: Float[Array, "leaves columns leaf"]
 
 
@@ -100,14 +100,9 @@ def beams(origin: Float[Array, "packets rays 3"], direction: Float[Array, "packe
     return Beams(columns), jnp.max(least, axis=1) > 0.3
 
 
-def turned(vectors: Float[Array, "*batch 3"], axis, sign) -> tuple[Array, Array, Array]:
+def turned(vectors: Array, axis: Array, sign: Array | int) -> tuple[Array, Array, Array]:
     """Return the components, turned so that `axis` comes last, and that one times `sign`."""
     x, y, z = (vectors[..., k] for k in range(3))
-    return turned_parts(x, y, z, axis, sign)
-
-
-def turned_parts(x, y, z, axis, sign) -> tuple[Array, Array, Array]:
-    """Return the same as `turned` of three arrays."""
     pick = lambda a, b, c: jnp.where(axis == 0, a, jnp.where(axis == 1, b, c))
     return pick(y, z, x), pick(z, x, y), pick(x, y, z) * sign
 
@@ -154,21 +149,21 @@ def packed(mask: Bool[Array, "n"], values: Int[Array, "n"]) -> tuple[Array, Arra
 
 
 class Reached(NamedTuple):
-    """Pairs `packet << bits | leaf node`, ascending from `start`; too many where count > room."""
+    """Pairs `packet << bits | leaf node`, ascending from `start`; too many where number > room."""
 
     pairs: Int[Array, "buffer"]
     start: Int[Array, ""]
-    count: Int[Array, ""]
+    number: Int[Array, ""]
 
 
 def room(tree: Tree) -> int:
     """Return how many pairs `reach` has room for: always enough for one packet."""
-    return max(tree.index.shape[0], 32 * BLOCK)
+    return max(tree.primitive.shape[0], 128 * BLOCK)
 
 
 def node_bits(tree: Tree) -> int:
     """Return how many bits a node's number has."""
-    return tree.index.shape[0].bit_length()
+    return tree.primitive.shape[0].bit_length()
 
 
 def new_buffer(tree: Tree) -> Int[Array, "buffer"]:
@@ -180,7 +175,7 @@ def reach(tree: Tree, beams: Beams, wanted: Bool[Array, "packets"], buffer: Arra
     """Return the leaves that the wanted packets' beams may meet, by packet.
 
     The list goes down the tree a level at a time, between the two halves of the buffer. It stops
-    where it outgrows its room: then `count` is above `room` and fewer packets must be asked for.
+    where it outgrows its room: then `number` is above `room` and fewer packets must be asked for.
     """
     bits, limit, half = node_bits(tree), room(tree), buffer.shape[0] // 2
     root = (jnp.arange(wanted.shape[0], dtype=jnp.int32) << bits) | 1

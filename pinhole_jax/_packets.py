@@ -23,13 +23,13 @@ from ._bvh import (
     reach,
     room,
     turned,
-    turned_parts,
 )
 from ._intersect import sphere_depth, triangle_depth
 
 RAYS = 16  # in a packet
 PACKETS = 2048  # at a time: the tree's parts that they reach stay in the processor's cache
 LANES = 256
+FEW = 2048  # rays: fewer than these all go one by one, for the sake of the compile time
 WIDE = 64  # leaves of a surface that a packet may cover before its rays go one by one
 
 Vectors = Float[Array, "N 3"]
@@ -48,8 +48,10 @@ def first_met(tree: Tree, origin: Vectors, direction: Vectors) -> Int[Array, "N"
     pad = lambda x: jnp.pad(x, ((0, -N % RAYS), (0, 0)), mode="edge").reshape(-1, RAYS, 3)
     origin, direction = pad(origin), pad(direction)
     met = jnp.full((origin.shape[0] + 1, RAYS), -1, jnp.int32)
-    narrow = _is_narrow(tree, origin, direction)
-    met = _search(tree, origin, direction, narrow, met, split=False)
+    narrow = jnp.zeros(origin.shape[0], bool)
+    if N >= FEW:
+        narrow = _is_narrow(tree, origin, direction)
+        met = _search(tree, origin, direction, narrow, met, split=False)
     met = _search(tree, origin, direction, ~narrow, met, split=True)
     return met[:-1].reshape(-1)[:N]
 
@@ -82,7 +84,7 @@ def _is_narrow(tree: Tree, origin, direction) -> Bool[Array, "packets"]:
     low = jnp.minimum(tree.boxes[1, :3], tree.boxes[1, 6:9])[None]
     high = jnp.maximum(tree.boxes[1, 3:6], tree.boxes[1, 9:])[None]
     o_low, o_high, s_low, s_high = (packets.columns[:, 3 * k : 3 * k + 3] for k in range(4))
-    leaf = jnp.max(high - low) / tree.index.shape[0] ** 0.5
+    leaf = jnp.max(high - low) / tree.primitive.shape[0] ** 0.5
     far = jnp.maximum(jnp.max(high - o_low, axis=1), jnp.max(o_high - low, axis=1))
     width = (o_high - o_low) + (s_high - s_low) * jnp.maximum(far, 0)[:, None]
     return common & (jnp.prod(1 + width / jnp.maximum(leaf, 1e-30), axis=1) <= WIDE)
@@ -94,8 +96,9 @@ def _search(tree: Tree, origin, direction, wanted, met, split: bool) -> Int[Arra
     Takes some packets at a time; where they reach more leaves than there is room for, half as many.
     """
     total = wanted.shape[0]
-    most = min(PACKETS, 1 << (31 - node_bits(tree))) // (RAYS if split else 1)
-    size = max(32, min(most, 1 << (total - 1).bit_length()))
+    beams_of_one = RAYS if split else 1
+    most = min(4 * PACKETS if split else PACKETS, 1 << (31 - node_bits(tree)))  # bits of a pair
+    size = max(32, min(most, beams_of_one << (total - 1).bit_length())) // beams_of_one
     some = jnp.arange(-(-total // 32) * 32, dtype=jnp.int32)
     wanted = jnp.pad(wanted, (0, some.shape[0] - total))
     ids, number = packed(wanted, some)
@@ -105,13 +108,13 @@ def _search(tree: Tree, origin, direction, wanted, met, split: bool) -> Int[Arra
         k = jnp.arange(size, dtype=jnp.int32)
         take = (k < step) & (start + k < number)
         row = jnp.where(take, ids[jnp.minimum(start + k, some.shape[0] - 1)], total)
-        rays = [x[jnp.where(take, row, 0)] for x in (origin, direction)]
+        o, d = (x[jnp.where(take, row, 0)] for x in (origin, direction))
         if split:
-            take, rays = jnp.repeat(take, RAYS), [x.reshape(-1, 1, 3) for x in rays]
-        bounds, _ = beams(*rays)
+            take, o, d = jnp.repeat(take, RAYS), o.reshape(-1, 1, 3), d.reshape(-1, 1, 3)
+        bounds, _ = beams(o, d)
         found = reach(tree, bounds, take, buffer)
-        full = found.count > room(tree)
-        hits = _closest(tree, *rays, bounds, found._replace(count=jnp.where(full, 0, found.count)))
+        full = found.number > room(tree)
+        hits = _closest(tree, o, d, bounds, found._replace(number=jnp.where(full, 0, found.number)))
         met = met.at[jnp.where(full, total, row)].set(hits.reshape(size, RAYS))
         start, step = jnp.where(full, start, start + step), jnp.where(full, step // 2, step)
         return start, step, met, found.pairs
@@ -124,7 +127,7 @@ def _search(tree: Tree, origin, direction, wanted, met, split: bool) -> Int[Arra
 def _closest(tree: Tree, origin, direction, bounds: Beams, found: Reached) -> Int[Array, "n rays"]:
     """Return the primitive that each ray of each packet meets first, -1 for none."""
     n, rays = origin.shape[:2]
-    lanes = min(LANES, n)
+    lanes = min(LANES * RAYS // rays, n)
     first = _first_at_least(found, jnp.arange(n + 1, dtype=jnp.int32) << node_bits(tree))
     leaves, order = jax.lax.sort(
         (first[:-1] - first[1:], jnp.arange(n, dtype=jnp.int32)), num_keys=1
@@ -155,7 +158,7 @@ def _first_at_least(found: Reached, keys: Int[Array, "n"]) -> Int[Array, "n"]:
         return jnp.where(less, middle + 1, low), jnp.where(less | (low >= high), high, middle)
 
     steps = found.pairs.shape[0].bit_length()
-    start = (jnp.zeros_like(keys), jnp.full_like(keys, found.count))
+    start = (jnp.zeros_like(keys), jnp.full_like(keys, found.number))
     return jax.lax.fori_loop(0, steps, halve, start)[0]
 
 
@@ -166,7 +169,7 @@ def _loader(tree: Tree, found: Reached, first, number, axis, sign) -> Callable:
     """
     bits = node_bits(tree)
     _, columns, slots = tree.data.shape
-    turn = jnp.stack(turned_parts(*jnp.arange(3, dtype=jnp.int32)[:, None], axis, 1))  # (3, lanes)
+    turn = jnp.stack(turned(jnp.arange(3, dtype=jnp.int32)[None], axis, 1))  # (3, lanes)
     whole = columns // 3
     column = (3 * jnp.arange(whole, dtype=jnp.int32)[:, None, None] + turn[None]).reshape(
         3 * whole, -1
@@ -184,7 +187,9 @@ def _loader(tree: Tree, found: Reached, first, number, axis, sign) -> Callable:
         leaf = jnp.where(has, node - (1 << (bits - 1)), 0)
         at = ((leaf * columns)[None] + column)[:, None] * slots + slot[None]
         data = tree.data.reshape(-1).at[at].get(mode="promise_in_bounds")
-        index = tree.index.reshape(-1).at[leaf[None] * slots + slot].get(mode="promise_in_bounds")
+        index = (
+            tree.primitive.reshape(-1).at[leaf[None] * slots + slot].get(mode="promise_in_bounds")
+        )
         return (data * factor[:, None])[:, None], jnp.where(has[None], index, -1)
 
     return load
@@ -208,7 +213,7 @@ def _lanes(tree: Tree, load: Callable, steps, rays: Float[Array, "5 rays 1 lanes
             best = jnp.minimum(here, best)
         return j + 1, *load(j), depth_of(rays, primitives), index, best, met
 
-    leaf = tree.index.shape[1]
+    leaf = tree.primitive.shape[1]
     shape = (rays.shape[1], leaf, rays.shape[3])
     primitives = jnp.ones((tree.data.shape[1], 1, *shape[1:]), rays.dtype)
     index = jnp.full(shape[1:], -1, jnp.int32)

@@ -99,8 +99,8 @@ def test_the_tree_finds_what_testing_every_face_finds(faces, rays):
 
 def test_every_face_is_in_one_leaf_and_every_box_holds_its_faces():
     tree = mesh_tree(shapes.bumpy(2))
-    leaves = tree.index.shape[0]
-    assert set(np.unique(tree.index)) == set(range(320))
+    leaves = tree.primitive.shape[0]
+    assert set(np.unique(tree.primitive)) == set(range(320))
     boxes = np.asarray(tree.boxes).reshape(-1, 6)
     for leaf in range(leaves):
         corners = np.asarray(tree.data[leaf]).reshape(3, 3, -1)
