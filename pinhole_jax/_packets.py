@@ -27,7 +27,7 @@ from ._bvh import (
 from ._intersect import sphere_depth, triangle_depth
 
 RAYS = 16  # in a packet
-PACKETS = 2048  # at a time: the tree's parts that they reach stay in the processor's cache
+PACKETS = 4096  # at a time: the tree's parts that they reach stay in the processor's cache
 LANES = 256
 FEW = 2048  # rays: fewer than these all go one by one, for the sake of the compile time
 WIDE = 64  # leaves of a surface that a packet may cover before its rays go one by one
@@ -97,7 +97,7 @@ def _search(tree: Tree, origin, direction, wanted, met, split: bool) -> Int[Arra
     """
     total = wanted.shape[0]
     beams_of_one = RAYS if split else 1
-    most = min(4 * PACKETS if split else PACKETS, 1 << (31 - node_bits(tree)))  # bits of a pair
+    most = min(4 * PACKETS if split else PACKETS, 1 << (30 - node_bits(tree)))  # bits of a pair
     size = max(32, min(most, beams_of_one << (total - 1).bit_length())) // beams_of_one
     some = jnp.arange(-(-total // 32) * 32, dtype=jnp.int32)
     wanted = jnp.pad(wanted, (0, some.shape[0] - total))

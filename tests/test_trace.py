@@ -9,7 +9,7 @@ import trimesh
 from oracles import central_difference
 
 import pinhole_jax as pj
-from pinhole_jax import shapes
+from pinhole_jax import _bvh, _packets, shapes
 from pinhole_jax._bvh import mesh_tree, packed
 from pinhole_jax._intersect import perpendicular, ray_triangle
 
@@ -137,6 +137,65 @@ def test_no_ray_leaks_through_edges_or_vertices(dtype, offset):
     scene = pj.Scene(mesh=pj.Mesh(vertices, np.asarray(mesh.faces)))
     blocked = pj.occluded(scene, pj.Rays(jnp.asarray(origin), jnp.asarray(direction)))
     assert int(jnp.sum(~blocked)) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("offset", [0.0, 1.0])
+@pytest.mark.parametrize("tile", [1, 40])
+def test_many_rays_in_packets_and_one_by_one_do_not_leak(request, offset, tile):
+    """Rays aimed at vertices and edges, as they come (one by one) and near together (packets)."""
+    count = 100_000 if "slow" in request.config.option.markexpr else 6_000
+    mesh = shapes.bumpy(3)
+    random = np.random.default_rng(1)
+    away = (offset * np.array([148376.0, 1234.0, -223423.0])).astype("float32")
+    vertices = np.asarray(mesh.vertices, "float32") + away
+    ends = vertices[np.asarray(mesh.edge_vertices)[random.integers(0, 1920, count // tile)]]
+    along = np.sort(random.integers(0, 5, (count // tile, tile, 1)) / np.float32(4), axis=1)
+    along = along.astype("float32")
+    aims = (ends[:, :1] + along * (ends[:, 1:] - ends[:, :1])).reshape(-1, 3)
+    direction = aims - away
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    scene = pj.Scene(mesh=pj.Mesh(vertices, np.asarray(mesh.faces)))
+    blocked = pj.occluded(scene, pj.Rays(jnp.asarray(away), jnp.asarray(direction)))
+    assert int(jnp.sum(~blocked)) == 0
+
+
+@pytest.mark.parametrize("kind", ["image", "anyhow"])
+def test_more_rays_than_are_searched_at_a_time(kind, rays, monkeypatch):
+    """Several chunks, halved where there is no room, in tiles and ray by ray."""
+    monkeypatch.setattr(_packets, "PACKETS", 128)
+    monkeypatch.setattr(_bvh, "BLOCK", 64)
+    for module in (_bvh, _packets):
+        monkeypatch.setattr(module, "room", lambda _: 600)
+    jax.clear_caches()
+    mesh = shapes.bumpy(1)
+    if kind == "image":
+        rays = pj.camera_rays(pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 61, 50))
+    else:
+        rays = jax.tree.map(lambda x: jnp.tile(x, (2, 1)), rays)
+    hit = pj.trace(pj.Scene(mesh=mesh), rays)
+    flat = [jnp.broadcast_to(x, rays.direction.shape).reshape(-1, 3) for x in rays]
+    t, face = brute_force(mesh, pj.Rays(*flat))
+    np.testing.assert_array_equal(hit.primitive.reshape(-1), face)
+    np.testing.assert_allclose(hit.t.reshape(-1), t, rtol=1e-13)
+    jax.clear_caches()
+
+
+def test_batches_of_rays_and_of_vertices(rays):
+    mesh = shapes.bumpy(1)
+    some = pj.Rays(rays.origin[:6], rays.direction[:6])
+
+    def first(vertices, origin, direction):
+        moved = eqx.tree_at(lambda m: m.vertices, mesh, vertices)
+        return pj.trace(pj.Scene(mesh=moved), pj.Rays(origin, direction)).t
+
+    whole = first(mesh.vertices, *some)
+    one_by_one = jax.vmap(first, in_axes=(None, 0, 0))(mesh.vertices, *some)
+    np.testing.assert_allclose(one_by_one, whole, rtol=1e-13)
+    sizes = jnp.array([1.0, 0.5])[:, None, None] * mesh.vertices[None]
+    both = jax.vmap(first, in_axes=(0, None, None))(sizes, *some)
+    np.testing.assert_allclose(both[0], whole, rtol=1e-13)
+    np.testing.assert_allclose(both[1], first(sizes[1], *some), rtol=1e-13)
 
 
 def test_a_hit_by_hand():
