@@ -76,16 +76,6 @@ def nth(selection: Selection, rank: Int[Array, "K"]) -> Int[Array, "K"]:
     return word * 32 + position.astype(jnp.int32)
 
 
-class _Ends(NamedTuple):
-    """The ends of what is left of segments: homogeneous film points, and their heights."""
-
-    a: Float[Array, "K 3"]
-    b: Float[Array, "K 3"]
-    y_a: Float[Array, "K"]
-    y_b: Float[Array, "K"]
-    some: Bool[Array, "K"]
-
-
 def rank_in(selection: Selection, index: Int[Array, "K"]) -> Int[Array, "K"]:
     """Return which number each index has in the set, -1 if it is not in it."""
     word, bit = index >> 5, (index & 31).astype(jnp.uint32)
@@ -112,6 +102,19 @@ def mesh_contour(film: FilmMap, mesh: Mesh) -> MeshContour:
     return MeshContour(mesh.edge_vertices, weights, chosen, count)
 
 
+def edge_lifts(
+    film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour, ids: Int[Array, "*K"]
+) -> Float[Array, "*K 2 3"]:
+    """Return the ends of contour edges as homogeneous film points, differentiably."""
+    return film(vertices[contour.edge_vertices[_edge(contour, ids)]])
+
+
+def _edge(contour: MeshContour, ids: Int[Array, "*K"]) -> Int[Array, "*K"]:
+    total = contour.chosen.total
+    edge = nth(contour.chosen, jnp.where(ids >= total, ids - total, ids))
+    return jnp.minimum(edge, contour.weights.shape[0] - 1)
+
+
 def edge_segments(
     film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour, ids: Int[Array, "K"]
 ) -> Segments:
@@ -119,114 +122,96 @@ def edge_segments(
 
     The second half is there only if something may lie on the left.
     """
-    total = contour.chosen.total
-    edge = nth(contour.chosen, jnp.where(ids >= total, ids - total, ids))
-    edge = jnp.minimum(edge, contour.weights.shape[0] - 1)
-    weight = jnp.where(ids < contour.count, contour.weights[edge], 0)
-    return mesh_segments(film, vertices, contour.edge_vertices[edge], weight, ids >= total)
+    weight = jnp.where(ids < contour.count, contour.weights[_edge(contour, ids)], 0)
+    lift = edge_lifts(film, vertices, contour, ids)
+    # Without the barriers the compiler repeats the gathers in each of the clip's many consumers.
+    lift, weight = jax.lax.optimization_barrier((lift, weight))
+    segments = clipped(lift, weight, ids >= contour.chosen.total, film.W, film.H)
+    return jax.lax.optimization_barrier(segments)
 
 
-def mesh_segments(
-    film: FilmMap,
-    vertices: Float[Array, "V 3"],
-    edges: Int[Array, "K 2"],
+def clipped(
+    lift: Float[Array, "K 2 3"],
     weight: Int[Array, "K"],
     beside: Bool[Array, "K"],
+    W: int,
+    H: int,
 ) -> Segments:
-    """Return the edges as segments on the film, cut off one film's size outside it.
+    """Return edges as segments on the film, cut off one film's size outside it.
 
     Edges are clipped before the division by depth, so those that pass the eye or end behind it lose
     no accuracy. What lies right of the film shows nowhere in it and is left out; what lies left of
     it still bounds the rows: where `beside`, that is returned, as an upright segment on the left.
-    """
-    left, right, low, high = -film.W, 2 * film.W, -film.H, 2 * film.H
-    e = _between_rows(film(vertices[edges]), low, high)
-    weight = jnp.where(e.some, weight, 0).astype(e.a.dtype)
-    leftness = [left * p[:, 2] - p[:, 0] for p in (e.a, e.b)]
-    rightness = [p[:, 0] - right * p[:, 2] for p in (e.a, e.b)]
-    is_left, is_right = ([f > 0 for f in side] for side in (leftness, rightness))
-    y_left, y_right = _height_of_crossing(e, leftness), _height_of_crossing(e, rightness)
-
-    def inner(k, point, y):
-        within = ~is_left[k] & ~is_right[k] & (point[:, 2] > 0)
-        x = point[:, 0] / jnp.where(within, point[:, 2], 1)
-        x = jnp.where(is_left[k], left, jnp.where(is_right[k], right, x))
-        y = jnp.where(is_left[k], y_left, jnp.where(is_right[k], y_right, y))
-        return jnp.stack([x, y], axis=-1)
-
-    def upright(k, y):
-        y = jnp.where(is_left[k], y, y_left)
-        return jnp.stack([jnp.full_like(y, left), y], axis=-1)
-
-    gone = (is_left[0] & is_left[1]) | (is_right[0] & is_right[1])
-    inside = Segments(inner(0, e.a, e.y_a), inner(1, e.b, e.y_b), jnp.where(gone, 0, weight))
-    some = is_left[0] | is_left[1]
-    left_part = Segments(upright(0, e.y_a), upright(1, e.y_b), jnp.where(some, weight, 0))
-    choose = lambda x, y: jnp.where(beside.reshape(-1, *(1,) * (x.ndim - 1)), x, y)
-    return jax.tree.map(choose, left_part, inside)
-
-
-def _between_rows(points: Float[Array, "K 2 3"], low: int, high: int) -> _Ends:
-    """Return the part of each edge seen between two heights of the film; it is in front of the eye.
-
-    A cut end lies at exactly that height. An edge that passes through the eye's x axis leaves for
+    A cut end lies at exactly its bound. An edge that passes through the eye's x axis leaves for
     infinity at the top (`surrounding` decides alike).
     """
-    a, b = points[:, 0], points[:, 1]
-    below = [low * p[:, 2] - p[:, 1] for p in (a, b)]
-    above = [p[:, 1] - high * p[:, 2] for p in (a, b)]
-    at_bottom, at_top = _crossing(below), _crossing(above)
-    cuts = [(jnp.where(f[0] > 0, t, 0), jnp.where(f[1] > 0, t, 1)) for f, t in
-            ((below, at_bottom), (above, at_top))]
-    t0, t1 = jnp.maximum(cuts[0][0], cuts[1][0]), jnp.minimum(cuts[0][1], cuts[1][1])
-    gone = ((below[0] > 0) & (below[1] > 0)) | ((above[0] > 0) & (above[1] > 0)) | (t0 > t1)
-    some = ~gone & ((a[:, 2] > 0) | (b[:, 2] > 0))
+    left, right, low, high = (jnp.asarray(x, lift.dtype) for x in (-W, 2 * W, -H, 2 * H))
+    first = jnp.array([[True, False]])
+    is_low, is_high = (f > 0 for f in _rows_outside(lift, low, high))
+    t_low, t_high = (_crossing(f)[:, None] for f in _rows_outside(lift, low, high))
+    later, sooner = jnp.maximum(t_low, t_high), jnp.minimum(t_low, t_high)
+    both = jnp.where(first, later, sooner)
+    t = jnp.where(is_low & is_high, both, jnp.where(is_low, t_low, t_high))
+    t = jnp.where(is_low | is_high, t, jnp.where(first, 0, 1))
+    at_top = is_high & (~is_low | (t == t_high))
+    spot = lift[:, :1] + t[..., None] * (lift[:, 1:] - lift[:, :1])
+    spot = jnp.where((is_low | is_high)[..., None], spot, lift)
+    x, y, z = jnp.moveaxis(spot, -1, 0)
+    height = jnp.where(at_top, high, jnp.where(is_low, low, safe_divide(y, z)))
+    none = jnp.all(is_low, axis=1) | jnp.all(is_high, axis=1) | (t[:, 0] > t[:, 1])
+    weight = jnp.where(none | jnp.all(lift[..., 2] <= 0, axis=1), 0, weight).astype(lift.dtype)
 
-    def end(k, point, t, top_counts):
-        low_cut, high_cut = below[k] > 0, above[k] > 0
-        spot = jnp.where((low_cut | high_cut)[:, None], a + t[:, None] * (b - a), point)
-        free = ~low_cut & ~high_cut & (point[:, 2] > 0)
-        y = point[:, 1] / jnp.where(free, point[:, 2], 1)
-        top = high_cut & (top_counts | ~low_cut)
-        return spot, jnp.where(top, high, jnp.where(low_cut, low, y))
-
-    spot_a, y_a = end(0, a, t0, cuts[1][0] >= cuts[0][0])
-    spot_b, y_b = end(1, b, t1, cuts[1][1] <= cuts[0][1])
-    return _Ends(spot_a, spot_b, y_a, y_b, jax.lax.stop_gradient(some))
-
-
-def _crossing(f: list) -> Float[Array, "K"]:
-    """Return where along an edge a value given at its ends is 0, if it changes sign."""
-    crosses = (f[0] > 0) != (f[1] > 0)
-    return safe_divide(jnp.where(crosses, f[0], 0), jnp.where(crosses, f[0] - f[1], 1))
+    is_left, is_right = left * z - x > 0, x - right * z > 0
+    y_left, y_right = (_height_of_crossing(f, y, z, height) for f in (left * z - x, x - right * z))
+    inner_x = jnp.where(is_left, left, jnp.where(is_right, right, safe_divide(x, z)))
+    inner_y = jnp.where(is_left, y_left, jnp.where(is_right, y_right, height))
+    outer_y = jnp.where(is_left, height, y_left)
+    beyond = jnp.all(is_left, axis=1) | jnp.all(is_right, axis=1)
+    shown = jnp.where(beside, jnp.any(is_left, axis=1), ~beyond)
+    ends = jnp.stack(
+        [
+            jnp.where(beside[:, None], left, inner_x),
+            jnp.where(beside[:, None], outer_y, inner_y),
+        ],
+        axis=-1,
+    )
+    return Segments(ends[:, 0], ends[:, 1], jnp.where(shown, weight, 0))
 
 
-def _height_of_crossing(e: _Ends, beyond: list) -> Float[Array, "K"]:
+def _rows_outside(lift: Float[Array, "K 2 3"], low: Array, high: Array) -> list:
+    """Return by how much the ends are below and above the rows, times depth."""
+    y, z = lift[..., 1], lift[..., 2]
+    return [low * z - y, y - high * z]
+
+
+def _crossing(f: Float[Array, "K 2"]) -> Float[Array, "K"]:
+    """Return where along an edge a value given at its ends is 0."""
+    return safe_divide(f[:, 0], f[:, 0] - f[:, 1])
+
+
+def _height_of_crossing(beyond, y, z, height) -> Float[Array, "K 1"]:
     """Return the height at which an edge crosses an upright bound, between its ends' heights."""
-    t = _crossing(beyond)
-    y, z = (e.a[:, k] + t * (e.b[:, k] - e.a[:, k]) for k in (1, 2))
-    crosses = ((beyond[0] > 0) != (beyond[1] > 0)) & (z > 0)
-    y = jnp.where(crosses, y / jnp.where(crosses, z, 1), e.y_a)
-    return jnp.clip(y, jnp.minimum(e.y_a, e.y_b), jnp.maximum(e.y_a, e.y_b))
+    t = jnp.clip(_crossing(beyond), 0, 1)
+    y, z = (p[:, 0] + t * (p[:, 1] - p[:, 0]) for p in (y, z))
+    return jnp.clip(safe_divide(y, z), jnp.min(height, axis=1), jnp.max(height, axis=1))[:, None]
 
 
 ARCS_PER_SPHERE = 6
 
 
-def sphere_arcs(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Arcs:
-    """Return parts of the spheres' outlines: id 6 s + k is the k-th monotone arc of sphere s.
+def sphere_frames(
+    film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]
+) -> Float[Array, "K 3 3"]:
+    """Return the frames of the spheres' outlines (see `Arcs`), differentiably; 6 ids to a sphere.
 
     Rays touch a sphere (centre c from the eye, radius r) on a circle, in the directions
     `c t / |c|^2 + (r / |c|) (e1 w_1 + e2 w_2)` of unit length, with t the tangent's length and e1,
-    e2 perpendicular to c. Their film points are a conic. It is cut where it is level or upright,
-    and where it meets the plane through the eye; what is behind is left out.
+    e2 perpendicular to c. Their film points are a conic.
     """
     sphere = jax.lax.div(ids, jnp.int32(ARCS_PER_SPHERE))
-    part = ids - sphere * ARCS_PER_SPHERE
     centre = spheres.centers[sphere] - film.eye[None]
     distance, radius = norm(centre), spheres.radii[sphere]
-    outside = jax.lax.stop_gradient(distance > radius)
-    distance = jnp.where(outside, distance, 2 * radius)
+    distance = jnp.where(jax.lax.stop_gradient(distance > radius), distance, 2 * radius)
     tangent = safe_sqrt((distance - radius) * (distance + radius))
     axis = centre / distance[:, None]
     least = jax.lax.stop_gradient(jnp.argmin(jnp.abs(axis), axis=1))
@@ -235,14 +220,25 @@ def sphere_arcs(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Arcs:
     e2 = jnp.cross(e1, axis)  # counter-clockwise as the eye sees it
     sine = (radius / distance)[:, None]
     rays = jnp.stack([axis * (tangent / distance)[:, None], sine * e1, sine * e2], axis=1)
-    frame = film.turn(*jnp.moveaxis(rays, -1, 0))
-    ends = _monotone_stretches(jax.lax.stop_gradient(frame))
+    return film.turn(*jnp.moveaxis(rays, -1, 0))
+
+
+def sphere_arcs(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Arcs:
+    """Return parts of the spheres' outlines: id 6 s + k is the k-th monotone arc of sphere s.
+
+    The conic is cut where it is level or upright, and where it meets the plane through the eye;
+    what is behind is left out, and so is a sphere that holds the eye.
+    """
+    frame = sphere_frames(film, spheres, ids)
+    sphere = jax.lax.div(ids, jnp.int32(ARCS_PER_SPHERE))
+    part = ids - sphere * ARCS_PER_SPHERE
     start, end = (
-        jnp.take_along_axis(w, part[None, :, None], axis=0)[0] for w in ends
+        jnp.take_along_axis(w, part[None, :, None], axis=0)[0] for w in _monotone_stretches(frame)
     )
     middle = _middle(start, end)
     z = dot(frame[..., 2], jnp.concatenate([jnp.ones_like(middle[:, :1]), middle], axis=1))
-    shown = outside & (jax.lax.stop_gradient(z) > 0) & jnp.any(start != end, axis=-1)
+    outside = norm(spheres.centers[sphere] - film.eye[None]) > spheres.radii[sphere]
+    shown = outside & (z > 0) & jnp.any(start != end, axis=-1)
     return Arcs(frame, start, end, shown.astype(frame.dtype))
 
 

@@ -170,20 +170,44 @@ def bulge(
 
 
 # --- how the area grows as a curve moves ---------------------------------------------------------
+#
+# A curve moves with its lift: the homogeneous ends of a segment's edge, or the frame of an arc.
 
 
-def segment_flux(
-    held: Segments, fraction: Float[Array, "*K"], middle: Float[Array, "*K"]
-) -> Float[Array, "*K 2 2"]:
-    """Return the derivative, by `a` and by `b`, of the area on the left of part of a segment.
+def piece_flux(
+    lift: Float[Array, "K n 3"], curves: Curves, start: Float[Array, "K 2"], end: Float[Array, "K 2"]
+) -> Float[Array, "K n 3"]:
+    """Return the derivative, by the lift, of the area left of a curve's piece from start to end."""
+    if isinstance(curves, Arcs):
+        return arc_flux(lift, _unit(lift, start), _unit(lift, end))
+    dx, dy = jnp.moveaxis(end - start, -1, 0)
+    steep = jnp.abs(dy) > jnp.abs(dx)
+    share = (edge_shares(lift, steep, start) + edge_shares(lift, steep, end)) / 2
+    return edge_flux(lift, steep, jnp.where(steep, dy, -dx)[:, None] * share)
 
-    The part is `fraction` of the segment's length (negative if the left is uncovered), and
-    `middle` the sum of its pieces' fractions times their middles.
+
+def edge_shares(
+    lift: Float[Array, "*K 2 3"], steep: Array, point: Float[Array, "*K 2"]
+) -> Float[Array, "*K 2"]:
+    """Return how much a film point of an edge moves with the edge's ends, over their depth.
+
+    Linear along the edge's image.
     """
-    along = held.b - held.a
-    normal = jnp.stack([along[..., 1], -along[..., 0]], axis=-1)
-    share = jnp.stack([fraction - middle, middle], axis=-1)
-    return share[..., None] * normal[..., None, :]
+    past = lift[..., :2] - point[..., None, :] * lift[..., 2:]  # (*K, end, xy)
+    past = jnp.where(steep[..., None], past[..., 1], past[..., 0])
+    t = jnp.clip(safe_divide(past[..., 0], past[..., 0] - past[..., 1]), 0, 1)
+    z = lift[..., 0, 2] + t * (lift[..., 1, 2] - lift[..., 0, 2])
+    return jnp.stack([safe_divide(1 - t, z), safe_divide(t, z)], axis=-1)
+
+
+def edge_flux(
+    lift: Float[Array, "*K 2 3"], steep: Array, shares: Float[Array, "*K 2"]
+) -> Float[Array, "*K 2 3"]:
+    """Return what area gains by the ends, from the shares' integral over the height of a steep
+    edge (then of what lies left of it) or the width of another (what lies below)."""
+    line = jnp.cross(lift[..., 0, :], lift[..., 1, :])
+    across = jnp.where(steep, line[..., 0], line[..., 1])[..., None]
+    return shares[..., None] * safe_divide(line, across)[..., None, :]
 
 
 def arc_flux(
@@ -199,27 +223,6 @@ def arc_flux(
     return jnp.sum(basis[..., :, None] * normal[..., None, :], axis=-3)
 
 
-def piece_flux(
-    held: Curves, start: Float[Array, "*K 2"], end: Float[Array, "*K 2"]
-) -> Float[Array, "*K n m"]:
-    """Return the flux of the part of a curve between two of its points, in the curve's sense."""
-    if isinstance(held, Segments):
-        s0, s1 = (fraction(held, point) for point in (start, end))
-        return segment_flux(held, s1 - s0, (s1 - s0) * (s0 + s1) / 2)
-    return arc_flux(held.frame, _unit(held.frame, start), _unit(held.frame, end))
-
-
-def fraction(held: Segments, point: Float[Array, "*K 2"]) -> Float[Array, "*K"]:
-    """Return where along a segment, 0 at `a` and 1 at `b`, a point of it lies."""
-    along, offset = held.b - held.a, point - held.a
-    steep = jnp.abs(along[..., 1]) > jnp.abs(along[..., 0])
-    pick = lambda x: jnp.where(steep, x[..., 1], x[..., 0])
-    return jnp.clip(safe_divide(pick(offset), pick(along)), 0, 1)
-
-
-def moved(curves: Curves, flux: Float[Array, "*K n m"]) -> Float[Array, "*K"]:
-    """Return a function linear in the curves whose derivative is the area's: flux, given."""
-    flux = jax.lax.stop_gradient(flux)
-    if isinstance(curves, Segments):
-        return dot(flux[..., 0, :], curves.a) + dot(flux[..., 1, :], curves.b)
-    return jnp.sum(flux * curves.frame, axis=(-2, -1))
+def moved(lift: Float[Array, "*K n 3"], flux: Float[Array, "*K n 3"]) -> Float[Array, "*K"]:
+    """Return a function linear in the lift whose derivative is the area's: `flux`, held."""
+    return jnp.sum(jax.lax.stop_gradient(flux) * lift, axis=(-2, -1))

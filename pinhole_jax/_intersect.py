@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from ._safe import dot, safe_divide, safe_sqrt
 
@@ -37,19 +37,54 @@ def ray_triangle(
 
     Watertight in the sense of Woop, Benthin and Wald (2013): corners are seen from the ray in a
     frame (`axes` from `perpendicular`, and the direction), and the signs of three edge functions
-    decide. Each corner's coordinates depend on ray and corner alone, and an edge function is worked
-    out from the edge's lesser end, so two triangles that share an edge never disagree about it,
-    also where the compiler fuses a multiply and an add.
+    decide. Each corner's coordinates depend on ray and corner alone, and an edge function's sign
+    compares two products of them, so two triangles that share an edge never disagree about it.
     """
     first, second = axes
-    p, q, r = (_seen(origin, direction, first, second, corner) for corner in (a, b, c))
+    seen = [_seen(origin, direction, first, second, corner) for corner in (a, b, c)]
+    t, barycentric = _weighted(*seen)
+    met = _around(*seen) & (t > 0)
+    return Meeting(jnp.where(met, t, jnp.inf), barycentric)
+
+
+def ray_plane(
+    origin: Vector, direction: Vector, axes: tuple[Vector, Vector], a: Vector, b: Vector, c: Vector
+) -> Meeting:
+    """Return where rays that are known to meet triangles do: the same, never inf."""
+    first, second = axes
+    seen = (_seen(origin, direction, first, second, corner) for corner in (a, b, c))
+    return Meeting(*_weighted(*seen))
+
+
+def triangle_depth(
+    ray: Float[Array, "5 *#batch"], corners: Float[Array, "9 *#batch"]
+) -> Float[Array, "*batch"]:
+    """Return how deep rays meet triangles, along the third axis; inf where they do not.
+
+    A ray is its origin and two slopes, (sx, sy): its direction is (sx, sy, 1); corners are nine
+    coordinates. The same test as `ray_triangle`, in a sheared frame: two products a corner.
+    """
+
+    def seen(k: int):
+        x, y, z = (corners[3 * k + i] - ray[i] for i in range(3))
+        return x - ray[3] * z, y - ray[4] * z, z
+
+    p, q, r = (seen(k) for k in range(3))
     u, v, w = _edge(q, r), _edge(r, p), _edge(p, q)
     det = u + v + w
-    inside = ((u >= 0) & (v >= 0) & (w >= 0)) | ((u <= 0) & (v <= 0) & (w <= 0))
-    u, v, w = safe_divide(u, det), safe_divide(v, det), safe_divide(w, det)
-    t = u * p[2] + v * q[2] + w * r[2]
-    met = inside & (det != 0) & (t > 0)
-    return Meeting(jnp.where(met, t, jnp.inf), jnp.stack([u, v, w], axis=-1))
+    depth = (u * p[2] + v * q[2] + w * r[2]) / jnp.where(det == 0, 1, det)
+    return jnp.where(_around(p, q, r) & (det != 0) & (depth > 0), depth, jnp.inf)
+
+
+def sphere_depth(
+    ray: Float[Array, "5 *#batch"], sphere: Float[Array, "4 *#batch"]
+) -> Float[Array, "*batch"]:
+    """Return how deep rays, as in `triangle_depth`, meet spheres (centre and radius)."""
+    length = jnp.sqrt(1 + ray[3] * ray[3] + ray[4] * ray[4])
+    direction = jnp.stack([ray[3] / length, ray[4] / length, 1 / length], axis=-1)
+    offset = jnp.stack([sphere[k] - ray[k] for k in range(3)], axis=-1)
+    origin = jnp.zeros((*(1,) * (offset.ndim - 1), 3), offset.dtype)
+    return ray_sphere(origin, direction, offset, sphere[3]).t / length
 
 
 def _seen(origin: Vector, direction: Vector, first: Vector, second: Vector, corner: Vector):
@@ -58,12 +93,27 @@ def _seen(origin: Vector, direction: Vector, first: Vector, second: Vector, corn
 
 
 def _edge(p, q) -> Array:
-    """Return the doubled area of (ray, p, q); exactly minus that of (ray, q, p)."""
-    swap = (q[0] < p[0]) | ((q[0] == p[0]) & (q[1] < p[1]))
-    ax, bx = jnp.where(swap, q[0], p[0]), jnp.where(swap, p[0], q[0])
-    ay, by = jnp.where(swap, q[1], p[1]), jnp.where(swap, p[1], q[1])
-    area = ax * by - ay * bx
-    return jnp.where(swap, -area, area)
+    """Return the doubled area of (ray, p, q)."""
+    return p[0] * q[1] - p[1] * q[0]
+
+
+def _around(p, q, r) -> Array:
+    """Return whether the ray is in a triangle that it sees, of either winding, or on its edge.
+
+    An edge's sign is taken from its two products, not from their difference: a fused multiply and
+    add would round the two differently, and the edge's two triangles could both lose the ray.
+    """
+    products = [(a[0] * b[1], a[1] * b[0]) for a, b in ((q, r), (r, p), (p, q))]
+    (a, b), (c, d), (e, f) = products
+    return ((a >= b) & (c >= d) & (e >= f)) | ((a <= b) & (c <= d) & (e <= f))
+
+
+def _weighted(p, q, r) -> tuple[Array, Array]:
+    """Return depth and barycentric coordinates of the ray in a triangle that it sees."""
+    u, v, w = _edge(q, r), _edge(r, p), _edge(p, q)
+    det = u + v + w
+    u, v, w = safe_divide(u, det), safe_divide(v, det), safe_divide(w, det)
+    return u * p[2] + v * q[2] + w * r[2], jnp.stack([u, v, w], axis=-1)
 
 
 def ray_sphere(
@@ -87,17 +137,3 @@ def ray_sphere(
     t = jnp.where(least > 0, least, most)
     met = (room >= 0) & (t > 0)
     return Meeting(jnp.where(met, t, jnp.inf), jnp.zeros((*t.shape, 3), t.dtype))
-
-
-def ray_box(
-    origin: Vector, inverse: Vector, low: Vector, high: Vector, limit: Float[Array, "*#batch"]
-) -> Bool[Array, "*batch"]:
-    """Return whether rays can meet something in a box before `limit`; never False by rounding.
-
-    `inverse` is one over the direction, finite. The far end is stretched by the error bound of
-    three roundings (Ize, "Robust BVH Ray Traversal", 2013).
-    """
-    t0, t1 = (low - origin) * inverse, (high - origin) * inverse
-    near = jnp.max(jnp.minimum(t0, t1), axis=-1)
-    far = jnp.min(jnp.maximum(t0, t1), axis=-1) * (1 + 8 * jnp.finfo(origin.dtype).eps)
-    return (near <= far) & (far > 0) & (near <= limit)

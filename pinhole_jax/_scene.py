@@ -54,7 +54,7 @@ class Mesh(eqx.Module):
         self.edge_vertices = jnp.asarray(edge_vertices)
         self.edge_faces = jnp.asarray(edge_faces)
         self.planes = _planes(self.vertices, self.faces)
-        self.order = _morton_order(self.vertices, self.faces)
+        self.order = _face_order(self.vertices, self.faces)
         self.closed = bool(np.all(edge_faces >= 0))
 
 
@@ -180,16 +180,18 @@ def _planes(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Planes:
     return Planes(centre, normal.T, dot(normal, a), _fingerprint(vertices))
 
 
-@jax.jit
-def _morton_order(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Int[Array, "F"]:
-    """Return the faces sorted by the Morton code (10 bits an axis) of their centroids."""
+def _face_order(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Int[Array, "F"]:
     if not (faces.shape[0] and vertices.shape[0]):
         return jnp.zeros(faces.shape[0], jnp.int32)
-    vertices = jax.lax.stop_gradient(vertices)
-    low, high = jnp.min(vertices, axis=0), jnp.max(vertices, axis=0)
-    centroid = jnp.mean(vertices[faces], axis=1)
-    extent = jnp.maximum(jnp.max(high - low), jnp.finfo(vertices.dtype).tiny)
-    cell = jnp.clip((centroid - low[None]) / extent * 1024, 0, 1023).astype(jnp.uint32)
+    return morton_order(jnp.mean(jax.lax.stop_gradient(vertices)[faces], axis=1))
+
+
+@jax.jit
+def morton_order(points: Float[Array, "N 3"]) -> Int[Array, "N"]:
+    """Return the order of at least one point by Morton code, 10 bits an axis."""
+    low, high = jnp.min(points, axis=0), jnp.max(points, axis=0)
+    extent = jnp.maximum(jnp.max(high - low), jnp.finfo(points.dtype).tiny)
+    cell = jnp.clip((points - low[None]) / extent * 1024, 0, 1023).astype(jnp.uint32)
     spread = jnp.zeros_like(cell)
     for bit in range(10):
         spread |= ((cell >> bit) & 1) << (3 * bit)

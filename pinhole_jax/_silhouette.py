@@ -15,19 +15,21 @@ from ._contour import (
     ARCS_PER_SPHERE,
     MeshContour,
     Selection,
+    edge_lifts,
     edge_segments,
     mesh_contour,
     nth,
     rank_in,
     select,
     sphere_arcs,
+    sphere_frames,
     surrounding,
 )
 from ._coverage import Pieces
 from ._curves import Curves, moved, piece_flux
 from ._linear_map import linear_map
 from ._scene import Scene, Spheres, astype
-from ._union import Crowded, Part, Resolved, fold_cells, fold_curves, fold_pieces, marks, overlaps
+from ._union import MARKS, Crowded, Part, Resolved, fold_cells, fold_curves, fold_pieces, marks, overlaps
 
 CURVES_AT_A_TIME = 2048
 
@@ -93,12 +95,14 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
     contour = still.contour
     if contour is not None and vertices is not None:
         edges = lambda ids: edge_segments(film, vertices, contour, ids)
+        lifts = lambda ids: edge_lifts(film, vertices, contour, ids)
         size = min(CURVES_AT_A_TIME, contour.weights.shape[0])
-        parts.append(Part(edges, contour.count, size))
+        parts.append(Part(edges, lifts, contour.count, size))
     if spheres is not None:
         number = ARCS_PER_SPHERE * spheres.radii.shape[0]
         arcs = lambda ids: sphere_arcs(film, spheres, ids)
-        parts.append(Part(arcs, jnp.int32(number), min(CURVES_AT_A_TIME, number)))
+        frames = lambda ids: sphere_frames(film, spheres, ids)
+        parts.append(Part(arcs, frames, jnp.int32(number), min(CURVES_AT_A_TIME, number)))
     return parts
 
 
@@ -168,7 +172,7 @@ def _resolve(moving: _Moving, still: _Still) -> tuple[Float[Array, "H W"], _Pixe
 
         return fold_pieces(curves, W, H, H, add, sums)
 
-    sums = (jnp.zeros((H, W), dtype), jnp.zeros((H, W, 6), dtype))
+    sums = (jnp.zeros((H, W), dtype), jnp.zeros((H, W, MARKS), dtype))
     for part in parts:
         sums = fold_curves(part, chunk, sums, part.size)
     winding = _row_sums(sums[0]) + still.base.astype(dtype)
@@ -210,17 +214,18 @@ def _fold_visible(
     for number, part in enumerate(parts):
 
         def chunk(total, ids, curves, part=part, number=number):
-            of = lambda changing: build(changing)[number].curves(jnp.minimum(ids, part.count - 1))
+            ids = jnp.minimum(ids, part.count - 1)
 
             def single(total, pieces: Pieces):
                 inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
                 pixel = jnp.where(inside, pieces.row * W + pieces.column, 0)
                 seen = inside & pixels.alone[pixel]
-                take = lambda curves: jax.tree.map(lambda x: x[pieces.curve], curves)
-                start, end = pieces.start, pieces.end
-                rate = piece_flux(take(curves), start, end) * -pieces.jump[:, None, None]
-                rate = jnp.where(seen[:, None, None], rate, 0)
-                return add(total, pixel, lambda c: moved(take(of(c)), rate), changing)
+                own = ids[pieces.curve]
+                held = jax.lax.stop_gradient(part.lifts(own))
+                rate = piece_flux(held, curves, pieces.start, pieces.end)
+                rate = jnp.where(seen[:, None, None], -pieces.jump[:, None, None] * rate, 0)
+                area = lambda changing: moved(build(changing)[number].lifts(own), rate)
+                return add(total, pixel, area, changing)
 
             return fold_pieces(curves, W, H, H, single, total)
 
@@ -229,7 +234,7 @@ def _fold_visible(
     def crowd(total, resolved: Resolved):
         for number, visible in enumerate(resolved.visible):
             flux = visible.flux.reshape(-1, *visible.flux.shape[2:])
-            of = lambda c: build(c)[number].curves(visible.curve.reshape(-1))  # noqa: B023
+            of = lambda c: build(c)[number].lifts(visible.curve.reshape(-1))  # noqa: B023
             place = jnp.broadcast_to(resolved.place[:, None], visible.curve.shape).reshape(-1)
             total = add(total, place, lambda c: moved(of(c), flux), changing)  # noqa: B023
         return total

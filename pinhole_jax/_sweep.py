@@ -8,19 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ._coverage import Pieces
-from ._curves import (
-    Arcs,
-    Curves,
-    Segments,
-    arc_flux,
-    cut_circle,
-    film_at,
-    fraction,
-    nodes,
-    placed,
-    segment_flux,
-    unit_at,
-)
+from ._curves import arc_flux, cut_circle, edge_flux, edge_shares, film_at, nodes, unit_at
 from ._safe import safe_divide
 
 #: Pieces of a cell; one with more is cut into smaller cells.
@@ -28,34 +16,32 @@ MOST = 8
 
 
 class Cells(NamedTuple):
-    """Up to `MOST` pieces in each cell, from lower to upper end, in cell units from its corner.
+    """Up to `MOST` pieces in each cell.
 
-    `curve` and `part` name what a piece belongs to; `jump` and `passes` as in `Pieces`. `count`
-    may exceed `MOST`.
+    `piece` is a piece's lower and upper end (x, y, x, y), in cell units from the cell's corner, its
+    `jump`, and whether it `passes`, as in `Pieces`. `owner` is the number of its part, -1 for none,
+    and of its curve there. `count` may exceed `MOST`.
     """
 
-    start: Float[Array, "C M 2"]
-    end: Float[Array, "C M 2"]
-    jump: Float[Array, "C M"]
-    passes: Bool[Array, "C M"]
-    curve: Int[Array, "C M"]
-    part: Int[Array, "C M"]
+    piece: Float[Array, "C M 6"]
+    owner: Int[Array, "C M 2"]
     count: Int[Array, "C"]
 
 
 class Visible(NamedTuple):
-    """For the pieces of one part: whose curve it is, and the derivative of the cell's area by it."""
+    """For the pieces of one part: whose curve it is, and the derivative of the cell's area (px^2)
+    by that curve's lift."""
 
     curve: Int[Array, "C M"]
-    flux: Float[Array, "C M n m"]
+    flux: Float[Array, "C M n 3"]
 
 
 def empty_cells(number: int, dtype) -> Cells:
     """Return cells without pieces."""
-    ends = jnp.zeros((number, MOST, 2), dtype)
-    whole = jnp.zeros((number, MOST), jnp.int32)
     return Cells(
-        ends, ends, ends[..., 0], whole > 0, whole, whole - 1, jnp.zeros(number, jnp.int32)
+        jnp.zeros((number, MOST, 6), dtype),
+        jnp.full((number, MOST, 2), -1, jnp.int32),
+        jnp.zeros(number, jnp.int32),
     )
 
 
@@ -68,45 +54,39 @@ def insert(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, curve: Array, pa
 
 
 def _insert(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, curve: Array, part: int) -> Cells:
-    number = cells.count.shape[0]
-    origin = jnp.stack([pieces.column, pieces.row], axis=-1).astype(pieces.start.dtype)
-    start, end = pieces.start - origin, pieces.end - origin
+    number, dtype = cells.count.shape[0], cells.piece.dtype
+    origin = jnp.stack([pieces.column, pieces.row] * 2, axis=-1).astype(dtype)
+    ends = jnp.concatenate([pieces.start, pieces.end], axis=1) - origin
     # Equal pieces come together by a key made of their ends; if others do, no harm is done.
-    name = start[:, 0] + 0.37 * start[:, 1] + 1.73 * end[:, 0] + 2.91 * end[:, 1]
+    key = jnp.sum(ends * jnp.array([[1, 0.37, 1.73, 2.91]], dtype), axis=1)
     index = jnp.arange(cell.shape[0], dtype=jnp.int32)
-    cell, name, order = jax.lax.sort((cell, name, index), num_keys=2)
-    start, end, jump, passes, curve = (
-        x[order] for x in (start, end, pieces.jump, pieces.passes, curve)
-    )
-    differs = (cell[1:] != cell[:-1]) | jnp.any(
-        (start[1:] != start[:-1]) | (end[1:] != end[:-1]), axis=1
-    )
-    leads = jnp.append(jnp.ones(1, bool), differs)
+    cell, _, order = jax.lax.sort((cell, key, index), num_keys=2)
+    rest = jnp.stack([pieces.jump, pieces.passes.astype(dtype)], axis=1)
+    piece = jnp.concatenate([ends, rest], axis=1)[order]
+    opens = jnp.append(jnp.ones(1, bool), cell[1:] != cell[:-1])
+    differs = jnp.any(piece[1:, :4] != piece[:-1, :4], axis=1)
+    leads = opens | jnp.append(jnp.ones(1, bool), differs)
     leader = jax.lax.cummax(jnp.where(leads, index, 0))
-    jump = jnp.zeros_like(jump).at[leader].add(jump)
+    jump = jnp.zeros(cell.shape[0], dtype).at[leader].add(piece[:, 4])
 
     there = jnp.minimum(cell, number - 1)
-    same = (cells.part[there] == part) & jnp.all(
-        (cells.start[there] == start[:, None]) & (cells.end[there] == end[:, None]), axis=-1
+    same = (cells.owner[there][..., 0] == part) & jnp.all(
+        cells.piece[there][..., :4] == piece[:, None, :4], axis=-1
     )
     known = jnp.any(same, axis=1)
     fresh = leads & ~known & (cell < number)
     one = fresh.astype(jnp.int32)
     newcomers = jnp.cumsum(one, dtype=jnp.int32)
-    opens = jnp.append(jnp.ones(1, bool), cell[1:] != cell[:-1])
     before = jax.lax.cummax(jnp.where(opens, newcomers - one, 0))
-    slot = jnp.where(known, jnp.argmax(same, axis=1).astype(jnp.int32), cells.count[there] + newcomers - 1 - before)
+    slot = cells.count[there] + newcomers - 1 - before
+    slot = jnp.where(known, jnp.argmax(same, axis=1).astype(jnp.int32), slot)
+    # One addition serves both: a fresh piece falls on zeros, a known one adds its jump alone.
+    none = jnp.where(fresh[:, None], piece, 0).at[:, 4].set(jump)
     slot = jnp.where(fresh | (known & leads), slot, MOST)
-    at = (cell, slot)
-    whole = jnp.full_like(curve, part)
-    put = lambda array, value: array.at[cell, jnp.where(fresh, slot, MOST)].set(value, mode="drop")
+    owner = jnp.stack([jnp.full_like(cell, part), curve[order]], axis=1)
     return Cells(
-        put(cells.start, start),
-        put(cells.end, end),
-        cells.jump.at[at].add(jump, mode="drop"),
-        put(cells.passes, passes),
-        put(cells.curve, curve),
-        put(cells.part, whole),
+        cells.piece.at[cell, slot].add(none, mode="drop"),
+        cells.owner.at[cell, jnp.where(fresh, slot, MOST)].set(owner, mode="drop"),
         cells.count.at[cell].add(one, mode="drop"),
     )
 
@@ -129,34 +109,34 @@ class _Lines(NamedTuple):
 
 def _along_x(cells: Cells) -> _Lines:
     """Return the pieces as a line sweeps them that moves to the right."""
-    (x0, y0), (x1, y1) = (jnp.moveaxis(p, -1, 0) for p in (cells.start, cells.end))
+    x0, y0, x1, y1, jump, passes = jnp.moveaxis(cells.piece, -1, 0)
     right = x1 >= x0
-    jump = jnp.where(right, -cells.jump, cells.jump)
-    rises = (y0 == 0) & cells.passes
+    rises = (y0 == 0) & (passes > 0)
+    nothing = jnp.zeros_like(jump)
     return _Lines(
         jnp.minimum(x0, x1),
         jnp.where(right, y0, y1),
         jnp.maximum(x0, x1),
         jnp.where(right, y1, y0),
-        jump,
-        x0,
-        jnp.where(rises, cells.jump, 0),
+        jnp.where(right, -jump, jump),
+        jnp.concatenate([x0, nothing], axis=1),
+        jnp.concatenate([jnp.where(rises, jump, 0), nothing], axis=1),
     )
 
 
 def _along_y(cells: Cells) -> _Lines:
     """Return the pieces as a line sweeps them that moves up."""
-    (x0, y0), (x1, y1) = (jnp.moveaxis(p, -1, 0) for p in (cells.start, cells.end))
-    enters = jnp.where((x0 == 0) & (y0 > 0), -cells.jump, 0)
-    leaves = jnp.where(x1 == 0, cells.jump, 0)
+    x0, y0, x1, y1, jump, _ = jnp.moveaxis(cells.piece, -1, 0)
+    enters = jnp.where((x0 == 0) & (y0 > 0), -jump, 0)
+    leaves = jnp.where(x1 == 0, jump, 0)
     halt, step = jnp.concatenate([y0, y1], axis=1), jnp.concatenate([enters, leaves], axis=1)
-    return _Lines(y0, x0, y1, x1, cells.jump, halt, step)
+    return _Lines(y0, x0, y1, x1, jump, halt, step)
 
 
 def sweep(
     cells: Cells,
     corner: Float[Array, "C"],
-    curves: list[Callable[[Array], Curves]],
+    lifts: list[Callable[[Array], Array]],
     scale: Float[Array, ""],
     origin: Float[Array, "C 2"],
     flux: bool,
@@ -164,82 +144,89 @@ def sweep(
     """Return the covered share of each cell, and (with `flux`) what of each piece bounds it.
 
     `corner` is the winding number at the cells' lower left corners `origin` (px), of which `scale`
-    make a pixel. The cells' area comes from the sweep along x, and so does
-    the flux of pieces flatter than 45 degrees; that of steep ones from a sweep along y.
+    make a pixel; `lifts` are those of the parts' curves. The area comes from the sweep along x, and
+    so does the flux of pieces flatter than 45 degrees; that of steep ones from one along y.
     """
-    kinds, held = [], []
-    for number, of in enumerate(curves):
-        own = cells.part == number
-        ids = jnp.where(own, cells.curve, 0)
-        plain = jax.tree.map(
-            lambda x: x.reshape(*ids.shape, *x.shape[1:]),  # noqa: B023
-            jax.lax.stop_gradient(of(ids.reshape(-1))),
-        )
-        kinds.append((own, ids))
-        held.append(placed(plain, scale, origin[:, None]))
-    arcs = [(own, h.frame) for (own, _), h in zip(kinds, held, strict=True) if isinstance(h, Arcs)]
-    arc = arcs[0] if arcs else None
-
-    across = jnp.abs(cells.end - cells.start)
-    steep = across[..., 1] > across[..., 0]
-    area, flat_seen = _sweep(_along_x(cells), corner, arc, 0, flux)
+    owners, held, arc = [], [], None
+    for number, of in enumerate(lifts):
+        own = cells.owner[..., 0] == number
+        ids = jnp.where(own, cells.owner[..., 1], 0)
+        lift = jax.lax.stop_gradient(of(ids.reshape(-1)))
+        lift = lift.reshape(*ids.shape, *lift.shape[1:])
+        owners.append((own, ids))
+        held.append(lift)
+        if lift.shape[-2] == 3:
+            arc = (own, _placed(lift, scale, origin))
     if not flux:
-        return area, []
-    _, steep_seen = _sweep(_along_y(cells), corner, arc, 1, flux)
+        forward = arc and (*arc, jnp.ones_like(corner)[:, None])
+        return _sweep(_along_x(cells), corner, forward, flux)[0], []
+
+    twice = lambda a, b: jax.tree.map(lambda x, y: jnp.concatenate([x, y]), a, b)
+    swapped = arc and (twice(arc[0], arc[0]), twice(arc[1], arc[1][..., jnp.array([1, 0, 2])]))
+    both = twice(_along_x(cells), _along_y(cells))
+    turn = jnp.repeat(jnp.array([1.0, -1.0], corner.dtype), corner.shape[0])[:, None]
+    area, seen = _sweep(both, twice(corner, corner), swapped and (*swapped, turn), flux)
+    C = corner.shape[0]
+    flat, upright = (jax.tree.map(lambda x, of=of: x[of], seen) for of in (slice(C), slice(C, None)))
+    across = jnp.abs(cells.piece[..., 2:4] - cells.piece[..., :2])
+    steep = across[..., 1] > across[..., 0]
     visible = []
-    for (own, ids), h in zip(kinds, held, strict=True):
-        if isinstance(h, Segments):
-            seen = jnp.where(steep[..., None], steep_seen[0], flat_seen[0])
-            seen = jnp.where(own[..., None], seen, 0)
-            value = _segment_visible(h, cells, steep, seen)
+    for (own, ids), lift in zip(owners, held, strict=True):
+        if lift.shape[-2] == 2:
+            length = jnp.where(steep[..., None], upright[0], flat[0])
+            value = _edge_visible(lift, cells, steep, length, scale, origin)
         else:
-            value = jnp.where(steep[..., None, None], steep_seen[1], flat_seen[1])
-            value = jnp.where(own[..., None, None], value, 0)
-        # The flux is by the curve in cells; the curve in pixels moves 1/scale as much.
-        visible.append(Visible(ids, _unplaced(h, value, scale, origin)))
-    return area, visible
+            back = upright[1][..., jnp.array([1, 0, 2])]
+            value = jnp.where(steep[..., None, None], back, flat[1])
+            value = _unplaced(value, scale, origin)
+        visible.append(Visible(ids, jnp.where(own[..., None, None], value, 0)))
+    return area[:C], visible
 
 
-def _unplaced(curves: Curves, flux: Array, scale: Array, origin: Array) -> Array:
-    """Return the derivative by curves in pixels, from that by the curves `placed` in cells."""
-    _, pull = jax.vjp(lambda c: placed(c, scale, origin[:, None]), curves)
-    if isinstance(curves, Segments):
-        back = Segments(flux[..., 0, :], flux[..., 1, :], jnp.zeros_like(curves.weight))
-        (by,) = pull(back)
-        return jnp.stack([by.a, by.b], axis=-2)
-    zero = jnp.zeros_like(curves.start)
-    (by,) = pull(Arcs(flux, zero, zero, jnp.zeros_like(curves.weight)))
-    return by.frame
+def _placed(frame: Float[Array, "C M 3 3"], scale: Array, origin: Array) -> Array:
+    """Return frames in units of a cell, from its corner."""
+    xy, z = frame[..., :2], frame[..., 2:]
+    return jnp.concatenate([(xy - origin[:, None, None] * z) * scale, z], axis=-1)
 
 
-def _segment_visible(held: Segments, cells: Cells, steep: Array, seen: Array) -> Array:
-    """Return the flux of the visible parts of segments.
+def _unplaced(flux: Float[Array, "C M 3 3"], scale: Array, origin: Array) -> Array:
+    """Return the derivative of px^2 by frames in px, from that of cells by `_placed` frames."""
+    xy = flux[..., :2] / scale
+    z = flux[..., 2:] / (scale * scale) - jnp.sum(xy * origin[:, None, None], -1, keepdims=True)
+    return jnp.concatenate([xy, z], axis=-1)
+
+
+def _edge_visible(lift, cells: Cells, steep: Array, seen: Array, scale: Array, origin: Array):
+    """Return the flux of the visible parts of edges.
 
     `seen` holds the visible length along u, signed by which side is covered, and its first moment.
     """
-    pick = lambda p: jnp.where(steep, p[..., 1], p[..., 0])
-    u0, u1 = pick(cells.start), pick(cells.end)
-    s0, s1 = fraction(held, cells.start), fraction(held, cells.end)
-    slope = safe_divide(s1 - s0, u1 - u0)
-    length = seen[..., 0] * slope
-    middle = seen[..., 0] * s0 * slope + slope * slope * (seen[..., 1] - seen[..., 0] * u0)
-    # Above a flat piece, or left of a steep one, is its left if it runs rightwards, or upwards;
-    # `seen` counts what gains cover going up in v.
-    sign = jnp.where(steep, -1, 1).astype(length.dtype)
-    return segment_flux(held, sign * length, sign * middle)
+    start, end = cells.piece[..., :2], cells.piece[..., 2:4]
+    u0, u1 = (jnp.where(steep, p[..., 1], p[..., 0]) for p in (start, end))
+    at = lambda p: edge_shares(lift, steep, origin[:, None] + p / scale)
+    first, last = at(start), at(end)
+    slope = safe_divide(last - first, (u1 - u0)[..., None])
+    moment = (seen[..., 1] - seen[..., 0] * u0)[..., None]
+    return edge_flux(lift, steep, -(seen[..., :1] * first + slope * moment) / scale)
 
 
-def _sweep(lines: _Lines, corner: Array, arc: tuple | None, axis: int, flux: bool):
-    """Return the covered area, and of each piece what bounds it: moments along u, arcs' flux."""
+def _sweep(lines: _Lines, corner: Array, arc: tuple | None, flux: bool):
+    """Return the covered area, and of each piece what bounds it: moments along u, arcs' flux.
+
+    `arc` says which pieces are arcs, their frames with rows (u, v, 1), and +1 where going from u
+    to v is counter-clockwise, else -1.
+    """
     C, M = lines.u0.shape
     dtype = corner.dtype
-    crossings = _crossings(lines, arc, axis)
+    crossings = _crossings(lines, arc)
     halts = jnp.concatenate([lines.u0, lines.u1, lines.halt, crossings.reshape(C, -1)], axis=1)
     earlier = jnp.arange(M)[:, None] < jnp.arange(M)[None]  # [j, i]: j before i
     grows = jnp.ones_like(lines.u0)
     if arc is not None:
-        own, frame = arc
-        grows = _growing(lines, axis)
+        own, frame, turn = arc
+        # Along the arc's own direction u grows where cover begins going up in v (if u, v turn
+        # counter-clockwise).
+        grows = jnp.where((lines.jump > 0) == (turn > 0), 1, -1).astype(dtype)
 
     def at(u):
         u = u[:, None]
@@ -247,9 +234,9 @@ def _sweep(lines: _Lines, corner: Array, arc: tuple | None, axis: int, flux: boo
         v = lines.v0 + t * (lines.v1 - lines.v0)
         if arc is None:
             return v, None
-        w = unit_at(frame, axis, jnp.broadcast_to(u, v.shape), grows)
+        w = unit_at(frame, 0, jnp.broadcast_to(u, v.shape), grows)
         low, high = jnp.minimum(lines.v0, lines.v1), jnp.maximum(lines.v0, lines.v1)
-        return jnp.where(own, jnp.clip(film_at(frame, w)[..., 1 - axis], low, high), v), w
+        return jnp.where(own, jnp.clip(film_at(frame, w)[..., 1], low, high), v), w
 
     def body(state):
         u, area, seen = state
@@ -275,11 +262,11 @@ def _sweep(lines: _Lines, corner: Array, arc: tuple | None, axis: int, flux: boo
             seen_arc = own & (change != 0) & (width[:, None] > 0)
             w0, w1 = at(jnp.maximum(u, 0))[1], at(u1)[1]
             q = nodes(frame, w0, w1)
-            true = jnp.sum(q.weight * q.point[..., 1 - axis] * q.slope[..., axis], axis=-1)
+            true = jnp.sum(q.weight * q.point[..., 1] * q.slope[..., 0], axis=-1)
             area = area - jnp.sum(jnp.where(seen_arc, change * (true - v * width[:, None]), 0), axis=1)
             if flux:
                 # An arc has its covered side on its left wherever it is visible.
-                turned = jnp.where((grows > 0)[..., None, None], arc_flux(frame, w0, w1), -arc_flux(frame, w0, w1))
+                turned = (grows * turn)[..., None, None] * arc_flux(frame, w0, w1)
                 seen = (seen[0], seen[1] + jnp.where(seen_arc[..., None, None], turned, 0))
         return u1, area, seen
 
@@ -295,16 +282,7 @@ def _covers(layers: Array) -> Array:
     return (layers > 0.5).astype(layers.dtype)
 
 
-def _growing(lines: _Lines, axis: int) -> Array:
-    """Return +1 where u grows along the arc's own direction, -1 where it falls.
-
-    The covered side is on the left: above where the arc runs rightwards, and left where it runs
-    upwards; `jump` is positive where cover begins going up in v.
-    """
-    return jnp.where((lines.jump > 0) == (axis == 0), 1, -1).astype(lines.u0.dtype)
-
-
-def _crossings(lines: _Lines, arc: tuple | None, axis: int) -> Float[Array, "C M M k"]:
+def _crossings(lines: _Lines, arc: tuple | None) -> Float[Array, "C M M k"]:
     """Return the u at which pieces may cross one another; where they do not, some u without harm."""
     u0, v0, u1, v1 = lines.u0, lines.v0, lines.u1, lines.v1
     pair = lambda x: (x[:, :, None], x[:, None])
@@ -320,21 +298,17 @@ def _crossings(lines: _Lines, arc: tuple | None, axis: int) -> Float[Array, "C M
     straight = jnp.where(cross, low + (high - low) * safe_divide(before, before - after), 1)[..., None]
     if arc is None:
         return straight
-    own, frame = arc
+    own, frame, _ = arc
     det = jnp.cross(frame[..., 1, :], frame[..., 2, :])
     covector = safe_divide(det, jnp.sum(det * frame[..., 0, :], axis=-1)[..., None])
-    points = [jnp.stack([u0, v0], -1), jnp.stack([u1, v1], -1)]
-    if axis == 1:
-        points = [p[..., ::-1] for p in points]
-    (ax, ay), (bx, by) = (jnp.moveaxis(p, -1, 0) for p in points)
-    line = jnp.stack([ay - by, bx - ax, ax * by - bx * ay], axis=-1)
+    line = jnp.stack([v0 - v1, u1 - u0, u0 * v1 - u1 * v0], axis=-1)
     other = jnp.where(own[:, None, :, None], covector[:, :, None] - covector[:, None], line[:, None])
     level = jnp.sum(other[..., None, :] * frame[:, :, None], axis=-1)  # (C, arc, other, 3)
     found = []
     for growing in (1.0, -1.0):
         w = cut_circle(level, jnp.full(level.shape[:-1], growing, level.dtype))
         spread = jnp.broadcast_to(frame[:, :, None], (*level.shape[:-1], 3, 3))
-        u = film_at(spread, w)[..., axis]
+        u = film_at(spread, w)[..., 0]
         both = own[:, :, None] & (low < high) & (u > low) & (u < high)
         both &= ~(own[:, None] & ~once)
         found.append(jnp.where(both, u, 1))

@@ -32,9 +32,13 @@ PIECES = 4096
 
 
 class Part(NamedTuple):
-    """Curves of one kind: `curves(ids)` for ids below `count`; `size` is a static chunk of them."""
+    """Curves of one kind: `curves(ids)` for ids below `count`; `size` is a static chunk of them.
+
+    `lifts(ids)` is what the curves move with, differentiably.
+    """
 
     curves: Callable[[Int[Array, "K"]], Curves]
+    lifts: Callable[[Int[Array, "K"]], Float[Array, "K n 3"]]
     count: Int[Array, ""]
     size: int
 
@@ -84,28 +88,55 @@ class _Stack(NamedTuple):
         )
 
 
-def marks(pieces: Pieces) -> Float[Array, "P 6"]:
-    """Return what `overlaps` sums up for each pixel."""
-    weight = jnp.abs(pieces.jump)
-    dx, dy = jnp.moveaxis(pieces.end - pieces.start, -1, 0)
-    entries = jnp.where(pieces.valid & pieces.enters, 1, 0) + jnp.where(weight > 1.5, 2, 0)
-    up, right = -pieces.jump * dy, -pieces.jump * dx
-    extents = [jnp.abs(up), up, jnp.abs(right), right]
-    return jnp.stack([entries.astype(weight.dtype), weight, *extents], axis=-1)
+class Marks(NamedTuple):
+    """What tells a pixel that one chain of contour crosses from one where contours overlap.
 
-
-def overlaps(marks: Float[Array, "*N 6"], winding: Float[Array, "*N"]) -> Bool[Array, "*N"]:
-    """Return which pixels may hold a part that is uncovered and one that is covered twice.
-
-    All but those that one chain enters which never turns back, and those with so many layers that
-    the pieces in them cannot take all away.
+    Sums over the pixel's pieces: how many there are, how many may come in from other pixels, their
+    layers, and their extents without and with sign.
     """
-    entries, weight, height, up, width, right = jnp.moveaxis(marks, -1, 0)
-    tiny = 8 * jnp.finfo(winding.dtype).eps
-    straight = (height - jnp.abs(up) <= tiny * (1 + height)) | (
-        width - jnp.abs(right) <= tiny * (1 + width)
+
+    pieces: Float[Array, "*N"]
+    entries: Float[Array, "*N"]
+    layers: Float[Array, "*N"]
+    height: Float[Array, "*N"]
+    up: Float[Array, "*N"]
+    width: Float[Array, "*N"]
+    right: Float[Array, "*N"]
+
+
+MARKS = len(Marks._fields)
+
+
+def marks(pieces: Pieces) -> Float[Array, "P 7"]:
+    """Return what each piece adds to its pixel's marks."""
+    layers = jnp.abs(pieces.jump)
+    dx, dy = jnp.moveaxis(pieces.end - pieces.start, -1, 0)
+    up, right = -pieces.jump * dy, -pieces.jump * dx
+    flags = [x.astype(layers.dtype) for x in (pieces.valid, pieces.valid & pieces.enters)]
+    return jnp.stack([*flags, layers, jnp.abs(up), up, jnp.abs(right), right], axis=-1)
+
+
+def chain_layers(marks: Float[Array, "*N 7"]) -> Float[Array, "*N"]:
+    """Return how many layers a pixel's contour bounds if it is one chain that never turns back.
+
+    0 where it may be anything else: then parts of the pixel may be uncovered and others covered
+    more than once.
+    """
+    m = Marks(*jnp.moveaxis(marks, -1, 0))
+    tiny = 8 * jnp.finfo(marks.dtype).eps
+    straight = (m.height - jnp.abs(m.up) <= tiny * (1 + m.height)) | (
+        m.width - jnp.abs(m.right) <= tiny * (1 + m.width)
     )
-    return (weight > 0) & ~((entries == 1) & straight) & (winding <= weight)
+    chain = (m.entries == 1) & straight
+    layers = jnp.where(m.layers == m.pieces, 1, jnp.where(m.layers == 2 * m.pieces, 2, 0))
+    return jnp.where(chain, layers, 0).astype(marks.dtype)
+
+
+def overlaps(marks: Float[Array, "*N 7"], winding: Float[Array, "*N"]) -> Bool[Array, "*N"]:
+    """Return which pixels must be resolved: not crossed by one chain of one layer, and with so few
+    layers (`winding`, the mean) that the pieces in them might take all away."""
+    layers = marks[..., Marks._fields.index("layers")]
+    return (layers > 0) & (chain_layers(marks) != 1) & (winding <= layers)
 
 
 def fold_cells(
@@ -134,15 +165,15 @@ def fold_cells(
         for number, part in enumerate(parts):
             cells, turns = _fill(cells, number, part, crowded, first, batch)
             corner = corner + turns
-        curves = [part.curves for part in parts]
-        area, visible = sweep(cells, corner, curves, batch.scale, batch.origin, flux)
+        lifts = [part.lifts for part in parts]
+        area, visible = sweep(cells, corner, lifts, batch.scale, batch.origin, flux)
         used, last = batch.place >= 0, level == depth
         crowd = (cells.count > MOST) & used
         # Where there are too many pieces even in the last cell, its corner speaks for it.
         area = jnp.where(crowd, jnp.where(last, jnp.clip(corner, 0, 1), 0), area)
         size = 1 / (batch.scale * batch.scale)
         keep = (used & ~crowd)[:, None, None, None]
-        visible = [v._replace(flux=jnp.where(keep, v.flux, 0) * size) for v in visible]
+        visible = [v._replace(flux=jnp.where(keep, v.flux, 0)) for v in visible]
         place = jnp.where(used, batch.place, jnp.iinfo(jnp.int32).max)
         total = add(total, Resolved(place, area * size, visible))
         stack = stack.push(crowd & ~last, jnp.minimum(level + 1, depth), batch)

@@ -1,12 +1,20 @@
 """Pictures: the recovered outline over the image it was recovered from."""
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ._camera import Camera
-from ._contour import Segments, contour_weights, mesh_segments, sphere_arcs
-from ._scene import Mesh, Scene, astype
+from ._camera import Camera, film_map
+from ._contour import (
+    ARCS_PER_SPHERE,
+    clipped,
+    contour_weights,
+    sphere_arcs,
+    surrounding,
+)
+from ._curves import Arcs, Segments, film_at
+from ._scene import Mesh, Scene, Spheres, astype
 
 CYAN = (0, 240, 255)
 DARK = (0, 30, 60)
@@ -20,7 +28,9 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     Only the parts of the contour with background on their outer side: folds within the object and
     parts behind it are left out.
     """
+    scene = astype(scene, camera.e.dtype)
     start, end, weight = _pieces(camera, scene)
+    base = int(_layers_on_the_left(camera, scene))
     turned = weight < 0  # cover on the right: the same contour run the other way
     start[turned], end[turned] = end[turned], start[turned]
     weight = np.abs(weight)
@@ -36,7 +46,7 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     # A point just outside: to the right, with cover on the left.
     direction = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
     outside = short.mean(axis=1) + 1e-3 * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
-    visible = _winding(outside, start, end, weight) <= 0
+    visible = _winding(outside, start, end, weight) + base <= 0
     return short[visible]
 
 
@@ -69,35 +79,48 @@ def overlay(
 
 
 @eqx.filter_jit
-def _segments(camera: Camera, mesh: Mesh) -> tuple[Segments, Int[Array, "E"]]:
+def _segments(camera: Camera, mesh: Mesh) -> tuple[Segments, Segments]:
+    """Return all edges as segments in and near the film, and what of them lies left of it."""
+    film = film_map(camera)
     weights = contour_weights(mesh, camera.e)
-    return mesh_segments(camera, mesh.vertices, mesh.edge_vertices, weights), weights
+    lift = film(mesh.vertices[mesh.edge_vertices])
+    parts = (jnp.full(weights.shape, beside) for beside in (False, True))
+    inner, outer = (clipped(lift, weights, part, camera.W, camera.H) for part in parts)
+    return inner, outer
+
+
+@eqx.filter_jit
+def _arcs(camera: Camera, spheres: Spheres) -> Arcs:
+    ids = jnp.arange(ARCS_PER_SPHERE * spheres.radii.shape[0], dtype=jnp.int32)
+    return sphere_arcs(film_map(camera), spheres, ids)
+
+
+@eqx.filter_jit
+def _layers_on_the_left(camera: Camera, scene: Scene) -> Int[Array, ""]:
+    return surrounding(film_map(camera), scene)
 
 
 def _pieces(camera: Camera, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return starts (n, 2), ends (n, 2) and weights (n,) of the whole contour, ellipses sampled."""
-    scene = astype(scene, camera.e.dtype)
+    """Return starts (n, 2), ends (n, 2) and weights (n,) of the whole contour, arcs sampled."""
     parts = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))]
     if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
-        segments, weights = _segments(camera, scene.mesh)
-        on = np.asarray(weights) != 0
-        start, end, weight = (np.asarray(x, float)[on] for x in segments)
-        parts.append((start, end, weight))
+        for segments in _segments(camera, scene.mesh):
+            on = np.asarray(segments.weight) != 0
+            start, end, weight = (np.asarray(x, float)[on] for x in segments)
+            parts.append((start, end, weight))
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
-        arcs = sphere_arcs(camera, scene.spheres)
-        angle = np.linspace(0, 2 * np.pi, 257)
-        circle = np.stack([np.cos(angle), np.sin(angle)])
-        whole = scene.spheres.radii.shape[0]
-        for (l11, l21, l22), centre, weight in zip(
-            np.asarray(arcs.shape[:whole], float),
-            np.asarray(arcs.centre[:whole], float),
-            np.asarray(arcs.weight[:whole], float),
-            strict=True,
-        ):
-            points = centre + (np.array([[l11, 0], [l21, l22]]) @ circle).T
-            parts.append((points[:-1], points[1:], np.full(256, weight)))
+        arcs = _arcs(camera, scene.spheres)
+        begin, until = (np.arctan2(w[:, 1], w[:, 0]) for w in map(np.asarray, arcs[1:3]))
+        turn = (until - begin) % (2 * np.pi)
+        angle = begin[:, None] + turn[:, None] * np.linspace(1e-6, 1 - 1e-6, 65)
+        w = np.stack([np.cos(angle), np.sin(angle)], axis=-1).astype(arcs.frame.dtype)
+        frames = np.broadcast_to(np.asarray(arcs.frame)[:, None], (*angle.shape, 3, 3))
+        points = np.asarray(film_at(jnp.asarray(frames), jnp.asarray(w)), float)
+        points = np.clip(points, -1e9, 1e9)[np.asarray(arcs.weight) != 0]
+        ends = points[:, :-1].reshape(-1, 2), points[:, 1:].reshape(-1, 2)
+        parts.append((*ends, np.ones(len(ends[0]))))
     start, end, weight = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return start[weight != 0], end[weight != 0], weight[weight != 0]
+    return start, end, weight
 
 
 def _winding(

@@ -9,8 +9,8 @@ import trimesh
 from oracles import central_difference
 
 import pinhole_jax as pj
-from pinhole_jax import shapes
-from pinhole_jax._bvh import after, build
+from pinhole_jax import _bvh, _packets, shapes
+from pinhole_jax._bvh import mesh_tree, packed
 from pinhole_jax._intersect import perpendicular, ray_triangle
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 24, 20)
@@ -97,20 +97,26 @@ def test_the_tree_finds_what_testing_every_face_finds(faces, rays):
     np.testing.assert_array_equal(pj.occluded(pj.Scene(mesh=mesh), some), face >= 0)
 
 
-def test_depth_first_order_of_the_heap():
-    # Leaves 4..7: after the left subtree comes the right one, after the last nothing (1).
-    assert [int(after(jnp.int32(n))) for n in (2, 3, 4, 5, 6, 7)] == [3, 1, 5, 3, 7, 1]
-
-
 def test_every_face_is_in_one_leaf_and_every_box_holds_its_faces():
-    tree = build(shapes.bumpy(2))
-    assert set(np.unique(tree.faces)) == set(range(320))
-    for leaf in range(tree.leaves):
-        node = leaf + tree.leaves
-        while node:
-            assert np.all(np.asarray(tree.corners[leaf]) >= np.asarray(tree.low[node]))
-            assert np.all(np.asarray(tree.corners[leaf]) <= np.asarray(tree.high[node]))
+    tree = mesh_tree(shapes.bumpy(2))
+    leaves = tree.primitive.shape[0]
+    assert set(np.unique(tree.primitive)) == set(range(320))
+    boxes = np.asarray(tree.boxes).reshape(-1, 6)
+    for leaf in range(leaves):
+        corners = np.asarray(tree.data[leaf]).reshape(3, 3, -1)
+        node = leaf + leaves
+        while node > 1:
+            assert np.all(corners.min(axis=(0, 2)) >= boxes[node, :3])
+            assert np.all(corners.max(axis=(0, 2)) <= boxes[node, 3:])
             node //= 2
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.9, 1.0])
+def test_packed_keeps_what_is_wanted_in_order(share):
+    mask = np.random.default_rng(0).random(256) < share
+    values, number = packed(jnp.asarray(mask), jnp.arange(256, dtype=jnp.int32))
+    assert int(number) == mask.sum()
+    np.testing.assert_array_equal(values[: mask.sum()], np.flatnonzero(mask))
 
 
 @pytest.mark.parametrize(
@@ -131,6 +137,65 @@ def test_no_ray_leaks_through_edges_or_vertices(dtype, offset):
     scene = pj.Scene(mesh=pj.Mesh(vertices, np.asarray(mesh.faces)))
     blocked = pj.occluded(scene, pj.Rays(jnp.asarray(origin), jnp.asarray(direction)))
     assert int(jnp.sum(~blocked)) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("offset", [0.0, 1.0])
+@pytest.mark.parametrize("tile", [1, 40])
+def test_many_rays_in_packets_and_one_by_one_do_not_leak(request, offset, tile):
+    """Rays aimed at vertices and edges, as they come (one by one) and near together (packets)."""
+    count = 100_000 if "slow" in request.config.option.markexpr else 6_000
+    mesh = shapes.bumpy(3)
+    random = np.random.default_rng(1)
+    away = (offset * np.array([148376.0, 1234.0, -223423.0])).astype("float32")
+    vertices = np.asarray(mesh.vertices, "float32") + away
+    ends = vertices[np.asarray(mesh.edge_vertices)[random.integers(0, 1920, count // tile)]]
+    along = np.sort(random.integers(0, 5, (count // tile, tile, 1)) / np.float32(4), axis=1)
+    along = along.astype("float32")
+    aims = (ends[:, :1] + along * (ends[:, 1:] - ends[:, :1])).reshape(-1, 3)
+    direction = aims - away
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    scene = pj.Scene(mesh=pj.Mesh(vertices, np.asarray(mesh.faces)))
+    blocked = pj.occluded(scene, pj.Rays(jnp.asarray(away), jnp.asarray(direction)))
+    assert int(jnp.sum(~blocked)) == 0
+
+
+@pytest.mark.parametrize("kind", ["image", "anyhow"])
+def test_more_rays_than_are_searched_at_a_time(kind, rays, monkeypatch):
+    """Several chunks, halved where there is no room, in tiles and ray by ray."""
+    monkeypatch.setattr(_packets, "PACKETS", 128)
+    monkeypatch.setattr(_bvh, "BLOCK", 64)
+    for module in (_bvh, _packets):
+        monkeypatch.setattr(module, "room", lambda _: 600)
+    jax.clear_caches()
+    mesh = shapes.bumpy(1)
+    if kind == "image":
+        rays = pj.camera_rays(pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 61, 50))
+    else:
+        rays = jax.tree.map(lambda x: jnp.tile(x, (2, 1)), rays)
+    hit = pj.trace(pj.Scene(mesh=mesh), rays)
+    flat = [jnp.broadcast_to(x, rays.direction.shape).reshape(-1, 3) for x in rays]
+    t, face = brute_force(mesh, pj.Rays(*flat))
+    np.testing.assert_array_equal(hit.primitive.reshape(-1), face)
+    np.testing.assert_allclose(hit.t.reshape(-1), t, rtol=1e-13)
+    jax.clear_caches()
+
+
+def test_batches_of_rays_and_of_vertices(rays):
+    mesh = shapes.bumpy(1)
+    some = pj.Rays(rays.origin[:6], rays.direction[:6])
+
+    def first(vertices, origin, direction):
+        moved = eqx.tree_at(lambda m: m.vertices, mesh, vertices)
+        return pj.trace(pj.Scene(mesh=moved), pj.Rays(origin, direction)).t
+
+    whole = first(mesh.vertices, *some)
+    one_by_one = jax.vmap(first, in_axes=(None, 0, 0))(mesh.vertices, *some)
+    np.testing.assert_allclose(one_by_one, whole, rtol=1e-13)
+    sizes = jnp.array([1.0, 0.5])[:, None, None] * mesh.vertices[None]
+    both = jax.vmap(first, in_axes=(0, None, None))(sizes, *some)
+    np.testing.assert_allclose(both[0], whole, rtol=1e-13)
+    np.testing.assert_allclose(both[1], first(sizes[1], *some), rtol=1e-13)
 
 
 def test_a_hit_by_hand():
