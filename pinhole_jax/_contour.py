@@ -342,8 +342,12 @@ def _side(a, b, faces: Int[Array, "F 3"], k: int):
     swap = faces[:, k] > faces[:, (k + 1) % 3]
     first = jnp.where(swap[:, None], b, a)
     second = jnp.where(swap[:, None], a, b)
-    value = first[:, 1] * second[:, 2] - second[:, 1] * first[:, 2]
-    tie = jnp.where(first[:, 2] != second[:, 2], second[:, 2] - first[:, 2], second[:, 1] - first[:, 1])
-    sign = jnp.sign(jnp.where(value != 0, value, tie)).astype(jnp.int32)
+    # Two rounded products are compared: their difference might be contracted, and unlike 0.
+    left, right = first[:, 1] * second[:, 2], second[:, 1] * first[:, 2]
+    tie = jnp.where(
+        first[:, 2] != second[:, 2], second[:, 2] - first[:, 2], second[:, 1] - first[:, 1]
+    )
+    sign = jnp.where(left != right, jnp.where(left > right, 1, -1), jnp.sign(tie).astype(jnp.int32))
+    value = left - right
     flip = jnp.where(swap, -1, 1)
     return jnp.where(swap, -value, value), sign * flip

@@ -57,7 +57,8 @@ class Touched(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Weighted sums over all pixels: squared residual, min and max of coverage and target, weight.
+    """Weighted sums over all pixels but those left out: squared residual, min and max of coverage
+    and target, weight.
 
     `touched` counts the pixels with weight that the contour touches, `touched_squares` is theirs.
     """
@@ -87,7 +88,8 @@ def residuals(
 ) -> tuple[tuple[Float[Array, "P"], Float[Array, ""]], Sums, Load]:
     """Return the weighted residuals at touched pixels, the rest's root sum of squares, sums, load.
 
-    The sum of all squares is the weighted squared distance of the image from the target. The rest
+    The sum of all squares is the weighted squared distance of the image from the target, but for
+    pixels where contours overlap. The rest
     is constant in the camera to first order. Where a capacity is too small all is NaN, so that a
     solver does not step there.
     """
@@ -111,7 +113,9 @@ def residuals(
         weight * jnp.minimum(coverage, here.target)
     )
     ends = level_slice(pyramid, level, jnp.stack([jnp.zeros_like(end), end]))
-    mass, total = (x[1] - x[0] for x in (ends.masses, ends.weights))
+    out = jnp.where(touched.inside & ~touched.known, here.weight, 0)
+    mass = ends.masses[1] - ends.masses[0] - jnp.sum(out * here.target)
+    total = ends.weights[1] - ends.weights[0] - jnp.sum(out)
     held = jax.lax.stop_gradient(difference)
     touched_squares = jnp.sum(held * held)
     sums = Sums(

@@ -25,20 +25,79 @@ def area_per_pixel(shape, W: int, H: int) -> np.ndarray:
     return area
 
 
-def mesh_union(camera: pj.Camera, vertices, faces):
-    """Return the union of the projected triangles: no facing, no contour, no winding."""
-    film = np.asarray(pj.project(camera, jnp.asarray(vertices)))
-    triangles = shapely.polygons(film[np.asarray(faces)])
-    return shapely.union_all(triangles[shapely.area(triangles) > 0])
+def union_per_pixel(shapes, W: int, H: int) -> np.ndarray:
+    """Return the area of a union of polygons within each pixel's square.
+
+    Shape by shape and pixel by pixel: a union of many at once loses area where edges nearly agree.
+    """
+    shapes = np.asarray(shapes, dtype=object)
+    shapes = shapes[shapely.area(shapes) > 0]
+    squares = pixel_squares(W, H).ravel()
+    area = np.zeros(W * H)
+    square, of = shapely.STRtree(shapes).query(squares, predicate="intersects")
+    area[square[shapely.covers(shapes[of], squares[square])]] = 1
+    left = area[square] == 0
+    square, of = square[left], of[left]
+    parts = shapely.intersection(shapes[of], squares[square])
+    order = np.argsort(square, kind="stable")
+    first = np.flatnonzero(np.diff(square[order], prepend=-1))
+    for group in np.split(order, first[1:]) if len(order) else []:
+        area[square[group[0]]] = shapely.area(shapely.union_all(parts[group]))
+    return area.reshape(H, W)
+
+
+def homogeneous(camera: pj.Camera, points) -> np.ndarray:
+    """Return (x z, y z, z) of world points, from the film coordinates of their directions' sums
+    with the view axis: `project` alone, also for points behind the eye."""
+    e, p = (np.asarray(x, float) for x in (camera.e, camera.p))
+    view = (p - e) / np.linalg.norm(p - e)
+    offset = np.asarray(points, float) - e
+    z = offset @ view
+    # Any point of the plane at depth 1 projects safely; film coordinates are affine there.
+    plane = e + view + offset - z[..., None] * view
+    centre = np.asarray(pj.project(camera, jnp.asarray(e + view)))
+    film = np.asarray(pj.project(camera, jnp.asarray(plane))) - centre
+    return np.concatenate([film + z[..., None] * centre, z[..., None]], axis=-1)
+
+
+def clipped_polygon(corners: np.ndarray, W: int, H: int):
+    """Return what the frame (a pixel larger) shows of a convex polygon of homogeneous points."""
+    for plane in ([1, 0, 1], [0, 1, 1], [-1, 0, W + 1], [0, -1, H + 1]):
+        if not len(corners):
+            return None
+        side, ahead = corners @ plane, np.roll(corners, -1, axis=0)
+        after = np.roll(side, -1)
+        crosses = (side > 0) != (after > 0)
+        t = (side / np.where(crosses, side - after, 1))[:, None]
+        both = np.stack([corners, corners + t * (ahead - corners)], axis=1)
+        corners = both.reshape(-1, 3)[np.stack([side > 0, crosses], axis=1).ravel()]
+    corners = corners[corners[:, 2] > 1e-13] if len(corners) else corners
+    if len(corners) < 3:
+        return None
+    hull = shapely.convex_hull(shapely.multipoints(corners[:, :2] / corners[:, 2:]))
+    return hull if hull.geom_type == "Polygon" else None
+
+
+def mesh_polygons(camera: pj.Camera, vertices, faces) -> list:
+    """Return the projected triangles, clipped at the frame: no facing, no contour, no winding."""
+    triangles = homogeneous(camera, vertices)[np.asarray(faces)]
+    inside = np.ones(len(triangles), bool)
+    for plane in ([1, 0, 1], [0, 1, 1], [-1, 0, camera.W + 1], [0, -1, camera.H + 1], [0, 0, 1]):
+        side = triangles @ plane > 0
+        keep = np.any(side, axis=1)
+        triangles, inside = triangles[keep], inside[keep] & np.all(side, axis=1)[keep]
+    whole = triangles[inside]
+    found = [clipped_polygon(t, camera.W, camera.H) for t in triangles[~inside]]
+    return [*shapely.polygons(whole[..., :2] / whole[..., 2:]), *(p for p in found if p is not None)]
 
 
 def mesh_coverage(camera: pj.Camera, vertices, faces) -> np.ndarray:
-    return area_per_pixel(mesh_union(camera, vertices, faces), camera.W, camera.H)
+    return union_per_pixel(mesh_polygons(camera, vertices, faces), camera.W, camera.H)
 
 
-def sphere_union(camera: pj.Camera, centers, radii, corners: int = 20_000):
-    """Return the union of the spheres' outlines: the circle in space where rays touch the sphere,
-    projected point by point to a polygon of the ellipse's area to 1e-7 relative."""
+def sphere_polygons(camera: pj.Camera, centers, radii, corners: int = 20_000) -> list:
+    """Return the spheres' outlines, clipped at the frame: the circle in space where rays touch the
+    sphere, as a polygon of its image's area to 1e-7 relative."""
     outlines = []
     eye = np.asarray(camera.e, float)
     for center, radius in zip(np.asarray(centers), np.asarray(radii), strict=True):
@@ -51,8 +110,12 @@ def sphere_union(camera: pj.Camera, centers, radii, corners: int = 20_000):
         ring = np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)
         touch = np.sqrt(distance**2 - radius**2)
         points = eye + touch / distance * (touch * axis + radius * ring)
-        outlines.append(shapely.polygons(np.asarray(pj.project(camera, jnp.asarray(points)))))
-    return shapely.union_all(outlines)
+        outlines.append(clipped_polygon(homogeneous(camera, points), camera.W, camera.H))
+    return [outline for outline in outlines if outline is not None]
+
+
+def sphere_union(camera: pj.Camera, centers, radii):
+    return shapely.union_all(sphere_polygons(camera, centers, radii))
 
 
 def central_difference(function, x: np.ndarray, step: float = 1e-5) -> np.ndarray:

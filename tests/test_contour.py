@@ -4,7 +4,9 @@ import pytest
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._contour import contour_weights, mesh_segments, nth, select, sphere_arcs
+from pinhole_jax._camera import film_map
+from pinhole_jax._contour import clipped, contour_weights, nth, rank_in, select, sphere_arcs
+from pinhole_jax._curves import ends, film_at
 
 
 @pytest.mark.parametrize("size", [1, 31, 32, 33, 500])
@@ -35,25 +37,44 @@ def test_the_contour_of_an_open_mesh_counts_both_sides():
     np.testing.assert_array_equal(below, -above)
 
 
-def test_edges_are_cut_in_front_of_the_eye():
-    camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=10, H=10)
-    vertices = jnp.array([[1.0, 0, 0], [1.0, 0, 10], [2.0, 0, 10]])
-    segments = mesh_segments(camera, vertices, jnp.array([[0, 1], [1, 2]]), jnp.array([1, 1]))
-    assert np.all(np.isfinite(segments.b))
-    np.testing.assert_allclose(segments.a[0], pj.project(camera, vertices[0]))
-    assert segments.weight.tolist() == [1, 0]  # the second is wholly behind
+def test_rank_in_is_the_inverse_of_nth():
+    mask = np.random.default_rng(0).random(100) < 0.3
+    ranks = rank_in(select(jnp.asarray(mask)), jnp.arange(100, dtype=jnp.int32))
+    np.testing.assert_array_equal(ranks, np.where(mask, np.cumsum(mask) - 1, -1))
+
+
+def test_edges_are_cut_before_the_eye_and_left_of_the_film():
+    film = film_map(pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], np.pi / 2, W=10, H=10))
+    # In front; passes the eye on the right; behind; leaves the film on the left at height 5.
+    edges = [[[1, 0, 0], [2, 1, 0]], [[1, 0, 0], [1, 0, 10]], [[1, 0, 10], [2, 0, 10]]]
+    lift = film(jnp.array([*edges, [[0, 0, 0], [-50, 0, 0]]], float))
+    one = jnp.ones(4, jnp.int32)
+    inside = clipped(lift, one, one < 0, 10, 10)
+    beside = clipped(lift, one, one > 0, 10, 10)
+    assert inside.weight.tolist() == [1, 1, 0, 1]
+    assert beside.weight.tolist() == [0, 0, 0, 1]
+    np.testing.assert_allclose(inside.a, [[6, 5], [6, 5], inside.a[2], [5, 5]])
+    np.testing.assert_allclose(inside.b[jnp.array([0, 1, 3])], [[7, 6], [20, 5], [-10, 5]])
+    np.testing.assert_allclose([beside.a[3], beside.b[3]], [[-10, 5], [-10, 5]])
+
+
+def arcs_of(camera, spheres):
+    ids = jnp.arange(6 * spheres.radii.shape[0], dtype=jnp.int32)
+    return sphere_arcs(film_map(camera), spheres, ids)
 
 
 def test_the_outline_of_a_sphere_on_the_axis_is_a_circle():
     # At distance 5, radius 3: the cone's half angle has sine 3/5, tangent 3/4.
     camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], np.pi / 2, W=8, H=8)
-    arcs = sphere_arcs(camera, pj.Spheres([[0.0, 0, 0]], [3.0]))
-    np.testing.assert_allclose(arcs.centre, np.full((4, 2), 4.0))
-    np.testing.assert_allclose(arcs.shape, np.tile([3.0, 0, 3.0], (4, 1)), atol=1e-15)
+    arcs = arcs_of(camera, pj.Spheres([[0.0, 0, 0]], [3.0]))
+    shown = np.asarray(arcs.weight) > 0
+    assert 4 <= shown.sum() <= 6
+    for points in (*ends(arcs), film_at(arcs.frame, arcs.start)):
+        np.testing.assert_allclose(np.linalg.norm(points[shown] - 4, axis=1), 3, rtol=1e-14)
 
 
 def test_spheres_behind_the_eye_are_left_out():
     camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=8, H=8)
-    arcs = sphere_arcs(camera, pj.Spheres([[0.0, 0, 9], [0, 0, 0]], [1.0, 1.0]))
-    assert arcs.weight.tolist() == [0, 1] * 4
-    assert np.all(np.isfinite(arcs.shape))
+    arcs = arcs_of(camera, pj.Spheres([[0.0, 0, 9], [0, 0, 0]], [1.0, 1.0]))
+    assert np.all(arcs.weight[:6] == 0)
+    assert np.sum(arcs.weight[6:]) >= 4

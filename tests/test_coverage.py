@@ -5,8 +5,9 @@ import pytest
 import shapely
 from oracles import area_per_pixel
 
-from pinhole_jax._contour import Arcs, Segments
+from pinhole_jax._contour import _monotone_stretches
 from pinhole_jax._coverage import monotone, piece_counts, split
+from pinhole_jax._curves import Arcs, Segments
 
 W, H = 7, 5
 
@@ -92,13 +93,9 @@ ELLIPSES = {
 @pytest.mark.parametrize("name", ELLIPSES)
 def test_ellipses_have_their_exact_area_in_each_pixel(name):
     centre, (l11, l21, l22) = ELLIPSES[name]
-    quarter = jnp.arange(4, dtype=jnp.int32)
-    arcs = Arcs(
-        jnp.tile(jnp.array(centre, float), (4, 1)),
-        jnp.tile(jnp.array([l11, l21, l22], float), (4, 1)),
-        quarter,
-        jnp.ones(4),
-    )
+    frame = jnp.array([[*centre, 1], [l11, l21, 0], [0, l22, 0]], float)[None]
+    start, end = (w[:, 0] for w in _monotone_stretches(frame))
+    arcs = Arcs(jnp.tile(frame, (6, 1, 1)), start, end, jnp.ones(6))
     n = 200_000
     angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
     points = np.array([[l11, 0], [l21, l22]]) @ [np.cos(angle), np.sin(angle)]

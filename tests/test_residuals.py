@@ -11,6 +11,7 @@ from pinhole_jax import shapes
 from pinhole_jax._parameters import Move, canonical, moved, on_film
 from pinhole_jax._residuals import Capacity
 from pinhole_jax._residuals import residuals as _residuals
+from pinhole_jax._residuals import touch
 from pinhole_jax._target import pyramid
 
 FREE = ("pose", "phi")
@@ -27,6 +28,16 @@ def setting(look_at=(0.0, 0, 0), W=30, H=24, spheres=False, seed=0):
     target = np.clip(random.random((H, W)) * 1.4 - 0.2, 0, 1)
     weight = random.random((H, W)) * (random.random((H, W)) > 0.2)
     return camera, scene, target, weight
+
+
+def pixels_kept(camera, scene, level) -> np.ndarray:
+    """Return 0 for the pixels that the residuals leave out, else 1: (H, W)."""
+    touched, _ = jax.jit(touch, static_argnums=3)(camera, scene, level, CAPACITY)
+    kept = np.ones((camera.H, camera.W + 2))
+    cells = np.asarray(touched.cell)[np.asarray(touched.inside & ~touched.known)]
+    kept[np.divmod(cells, camera.W + 2)] = 0
+    assert np.mean(kept == 0) < 0.02
+    return kept[::-1, 1:-1]
 
 
 @pytest.mark.parametrize(
@@ -56,6 +67,7 @@ def test_squares_sums_and_jacobian_are_those_of_the_image(look_at, spheres):
 
     zero = jnp.zeros(7)
     (J, _), (sums, load, (r, rest)) = jax.jacfwd(compact, has_aux=True)(zero)
+    weight = weight * pixels_kept(on_film(canonical(camera), camera, FREE), scene, levels[-1])
     covered, dense = np.asarray(image(zero)), np.asarray(jax.jacfwd(image)(zero)).reshape(-1, 7)
     difference = np.sqrt(weight) * (covered - target)
     dense = np.sqrt(weight).reshape(-1, 1) * dense
