@@ -85,12 +85,12 @@ def rank_in(selection: Selection, index: Int[Array, "K"]) -> Int[Array, "K"]:
 
 
 class MeshContour(NamedTuple):
-    """The contour edges of a mesh; `count` ids for `edge_segments`."""
+    """The contour edges of a mesh; `segments` ids for `edge_segments`."""
 
     edge_vertices: Int[Array, "E 2"]
     weights: Int[Array, "E"]
     chosen: Selection
-    count: Int[Array, ""]
+    segments: Int[Array, ""]
 
 
 def mesh_contour(film: FilmMap, mesh: Mesh) -> MeshContour:
@@ -122,7 +122,7 @@ def edge_segments(
 
     The second half is there only if something may lie on the left.
     """
-    weight = jnp.where(ids < contour.count, contour.weights[_edge(contour, ids)], 0)
+    weight = jnp.where(ids < contour.segments, contour.weights[_edge(contour, ids)], 0)
     lift = edge_lifts(film, vertices, contour, ids)
     # Without the barriers the compiler repeats the gathers in each of the clip's many consumers.
     lift, weight = jax.lax.optimization_barrier((lift, weight))
@@ -199,9 +199,7 @@ def _height_of_crossing(beyond, y, z, height) -> Float[Array, "K 1"]:
 ARCS_PER_SPHERE = 6
 
 
-def sphere_frames(
-    film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]
-) -> Float[Array, "K 3 3"]:
+def sphere_frames(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Float[Array, "K 3 3"]:
     """Return the frames of the spheres' outlines (see `Arcs`), differentiably; 6 ids to a sphere.
 
     Rays touch a sphere (centre c from the eye, radius r) on a circle, in the directions

@@ -116,9 +116,7 @@ def film_at(frame: Float[Array, "*K 3 3"], w: Float[Array, "*K 2"]) -> Float[Arr
 def _unit(frame: Float[Array, "*K 3 3"], point: Float[Array, "*K 2"]) -> Float[Array, "*K 2"]:
     """Return the w of a film point that lies on the curve."""
     level = frame[..., :2] - point[..., None, :] * frame[..., 2:]  # rows 1, w_1, w_2; columns x, y
-    (c0, c1), (a0, a1), (b0, b1) = (
-        (level[..., k, 0], level[..., k, 1]) for k in range(3)
-    )
+    (c0, c1), (a0, a1), (b0, b1) = ((level[..., k, 0], level[..., k, 1]) for k in range(3))
     det = a0 * b1 - a1 * b0
     w = jnp.stack([safe_divide(b0 * c1 - b1 * c0, det), safe_divide(a1 * c0 - a0 * c1, det)], -1)
     length = jnp.sqrt(dot(w, w))[..., None]
@@ -175,7 +173,10 @@ def bulge(
 
 
 def piece_flux(
-    lift: Float[Array, "K n 3"], curves: Curves, start: Float[Array, "K 2"], end: Float[Array, "K 2"]
+    lift: Float[Array, "K n 3"],
+    curves: Curves,
+    start: Float[Array, "K 2"],
+    end: Float[Array, "K 2"],
 ) -> Float[Array, "K n 3"]:
     """Return the derivative, by the lift, of the area left of a curve's piece from start to end."""
     if isinstance(curves, Arcs):

@@ -175,7 +175,7 @@ def _curves(
         ids = jnp.arange(capacity.edges, dtype=jnp.int32)
         segments = edge_segments(film, scene.mesh.vertices, contour, ids)
         lifts = edge_lifts(film, scene.mesh.vertices, contour, ids)
-        kinds.append((segments, lifts, contour.count, capacity.pieces))
+        kinds.append((segments, lifts, contour.segments, capacity.pieces))
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
         ids = jnp.arange(ARCS_PER_SPHERE * scene.spheres.radii.shape[0], dtype=jnp.int32)
         arcs = sphere_arcs(film, scene.spheres, ids)

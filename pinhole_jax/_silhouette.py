@@ -26,10 +26,20 @@ from ._contour import (
     surrounding,
 )
 from ._coverage import Pieces
-from ._curves import Curves, moved, piece_flux
+from ._curves import moved, piece_flux
 from ._linear_map import linear_map
 from ._scene import Scene, Spheres, astype
-from ._union import MARKS, Crowded, Part, Resolved, fold_cells, fold_curves, fold_pieces, marks, overlaps
+from ._union import (
+    MARKS,
+    Crowded,
+    Part,
+    Resolved,
+    fold_cells,
+    fold_curves,
+    fold_pieces,
+    marks,
+    overlaps,
+)
 
 CURVES_AT_A_TIME = 2048
 
@@ -97,7 +107,7 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
         edges = lambda ids: edge_segments(film, vertices, contour, ids)
         lifts = lambda ids: edge_lifts(film, vertices, contour, ids)
         size = min(CURVES_AT_A_TIME, contour.weights.shape[0])
-        parts.append(Part(edges, lifts, contour.count, size))
+        parts.append(Part(edges, lifts, contour.segments, size))
     if spheres is not None:
         number = ARCS_PER_SPHERE * spheres.radii.shape[0]
         arcs = lambda ids: sphere_arcs(film, spheres, ids)
@@ -214,7 +224,7 @@ def _fold_visible(
     for number, part in enumerate(parts):
 
         def chunk(total, ids, curves, part=part, number=number):
-            ids = jnp.minimum(ids, part.count - 1)
+            ids = jnp.minimum(ids, part.total - 1)
 
             def single(total, pieces: Pieces):
                 inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)

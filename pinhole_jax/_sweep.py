@@ -20,12 +20,12 @@ class Cells(NamedTuple):
 
     `piece` is a piece's lower and upper end (x, y, x, y), in cell units from the cell's corner, its
     `jump`, and whether it `passes`, as in `Pieces`. `owner` is the number of its part, -1 for none,
-    and of its curve there. `count` may exceed `MOST`.
+    and of its curve there. `total` may exceed `MOST`.
     """
 
     piece: Float[Array, "C M 6"]
     owner: Int[Array, "C M 2"]
-    count: Int[Array, "C"]
+    total: Int[Array, "C"]
 
 
 class Visible(NamedTuple):
@@ -47,14 +47,14 @@ def empty_cells(number: int, dtype) -> Cells:
 
 def insert(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, curve: Array, part: int) -> Cells:
     """Return the cells with more pieces; `cell` past the end drops one, equal ones are merged."""
-    number = cells.count.shape[0]
+    number = cells.total.shape[0]
     return jax.lax.cond(
         jnp.any(cell < number), lambda: _insert(cells, cell, pieces, curve, part), lambda: cells
     )
 
 
 def _insert(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, curve: Array, part: int) -> Cells:
-    number, dtype = cells.count.shape[0], cells.piece.dtype
+    number, dtype = cells.total.shape[0], cells.piece.dtype
     origin = jnp.stack([pieces.column, pieces.row] * 2, axis=-1).astype(dtype)
     ends = jnp.concatenate([pieces.start, pieces.end], axis=1) - origin
     # Equal pieces come together by a key made of their ends; if others do, no harm is done.
@@ -78,7 +78,7 @@ def _insert(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, curve: Array, p
     one = fresh.astype(jnp.int32)
     newcomers = jnp.cumsum(one, dtype=jnp.int32)
     before = jax.lax.cummax(jnp.where(opens, newcomers - one, 0))
-    slot = cells.count[there] + newcomers - 1 - before
+    slot = cells.total[there] + newcomers - 1 - before
     slot = jnp.where(known, jnp.argmax(same, axis=1).astype(jnp.int32), slot)
     # One addition serves both: a fresh piece falls on zeros, a known one adds its jump alone.
     none = jnp.where(fresh[:, None], piece, 0).at[:, 4].set(jump)
@@ -87,7 +87,7 @@ def _insert(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, curve: Array, p
     return Cells(
         cells.piece.at[cell, slot].add(none, mode="drop"),
         cells.owner.at[cell, jnp.where(fresh, slot, MOST)].set(owner, mode="drop"),
-        cells.count.at[cell].add(one, mode="drop"),
+        cells.total.at[cell].add(one, mode="drop"),
     )
 
 
@@ -157,28 +157,32 @@ def sweep(
         held.append(lift)
         if lift.shape[-2] == 3:
             arc = (own, _placed(lift, scale, origin))
+    one = jnp.ones_like(corner)[:, None]
     if not flux:
-        forward = arc and (*arc, jnp.ones_like(corner)[:, None])
-        return _sweep(_along_x(cells), corner, forward, flux)[0], []
+        lines = _along_x(cells)
+        return _sweep(lines, corner, None if arc is None else _bent(*arc, one, lines), False)[0], []
 
-    twice = lambda a, b: jax.tree.map(lambda x, y: jnp.concatenate([x, y]), a, b)
-    swapped = arc and (twice(arc[0], arc[0]), twice(arc[1], arc[1][..., jnp.array([1, 0, 2])]))
-    both = twice(_along_x(cells), _along_y(cells))
-    turn = jnp.repeat(jnp.array([1.0, -1.0], corner.dtype), corner.shape[0])[:, None]
-    area, seen = _sweep(both, twice(corner, corner), swapped and (*swapped, turn), flux)
+    both = lambda a, b: jax.tree.map(lambda x, y: jnp.concatenate([x, y]), a, b)
+    lines, bent = both(_along_x(cells), _along_y(cells)), None
+    if arc is not None:
+        own, frame = arc
+        frames = both(frame, frame[..., jnp.array([1, 0, 2])])
+        bent = _bent(both(own, own), frames, both(one, -one), lines)
+    area, seen = _sweep(lines, both(corner, corner), bent, True)
     C = corner.shape[0]
-    flat, upright = (jax.tree.map(lambda x, of=of: x[of], seen) for of in (slice(C), slice(C, None)))
+    flat, upright = (
+        jax.tree.map(lambda x, of=of: x[of], seen) for of in (slice(C), slice(C, None))
+    )
     across = jnp.abs(cells.piece[..., 2:4] - cells.piece[..., :2])
     steep = across[..., 1] > across[..., 0]
     visible = []
     for (own, ids), lift in zip(owners, held, strict=True):
         if lift.shape[-2] == 2:
-            length = jnp.where(steep[..., None], upright[0], flat[0])
+            length = jnp.where(steep[..., None], upright.moments, flat.moments)
             value = _edge_visible(lift, cells, steep, length, scale, origin)
         else:
-            back = upright[1][..., jnp.array([1, 0, 2])]
-            value = jnp.where(steep[..., None, None], back, flat[1])
-            value = _unplaced(value, scale, origin)
+            back = upright.arcs[..., jnp.array([1, 0, 2])]
+            value = _unplaced(jnp.where(steep[..., None, None], back, flat.arcs), scale, origin)
         visible.append(Visible(ids, jnp.where(own[..., None, None], value, 0)))
     return area[:C], visible
 
@@ -210,107 +214,149 @@ def _edge_visible(lift, cells: Cells, steep: Array, seen: Array, scale: Array, o
     return edge_flux(lift, steep, -(seen[..., :1] * first + slope * moment) / scale)
 
 
-def _sweep(lines: _Lines, corner: Array, arc: tuple | None, flux: bool):
-    """Return the covered area, and of each piece what bounds it: moments along u, arcs' flux.
+class _Bent(NamedTuple):
+    """Which of the pieces are arcs, their frames with rows (u, v, 1), and their sense.
 
-    `arc` says which pieces are arcs, their frames with rows (u, v, 1), and +1 where going from u
-    to v is counter-clockwise, else -1.
+    Along the arc's own direction u grows where `grows` is 1, and falls where it is -1; `turn` is 1
+    where going from u to v is counter-clockwise, else -1.
     """
-    C, M = lines.u0.shape
-    dtype = corner.dtype
-    crossings = _crossings(lines, arc)
-    halts = jnp.concatenate([lines.u0, lines.u1, lines.halt, crossings.reshape(C, -1)], axis=1)
-    earlier = jnp.arange(M)[:, None] < jnp.arange(M)[None]  # [j, i]: j before i
-    grows = jnp.ones_like(lines.u0)
-    if arc is not None:
-        own, frame, turn = arc
-        # Along the arc's own direction u grows where cover begins going up in v (if u, v turn
-        # counter-clockwise).
-        grows = jnp.where((lines.jump > 0) == (turn > 0), 1, -1).astype(dtype)
 
-    def at(u):
-        u = u[:, None]
-        t = jnp.clip(safe_divide(u - lines.u0, lines.u1 - lines.u0), 0, 1)
-        v = lines.v0 + t * (lines.v1 - lines.v0)
-        if arc is None:
-            return v, None
-        w = unit_at(frame, 0, jnp.broadcast_to(u, v.shape), grows)
-        low, high = jnp.minimum(lines.v0, lines.v1), jnp.maximum(lines.v0, lines.v1)
-        return jnp.where(own, jnp.clip(film_at(frame, w)[..., 1], low, high), v), w
+    own: Bool[Array, "C M"]
+    frame: Float[Array, "C M 3 3"]
+    grows: Float[Array, "C M"]
+    turn: Float[Array, "C 1"]
+
+    def at(self, u: Float[Array, "C"]) -> Float[Array, "C M 2"]:
+        """Return the arcs' points of the unit circle at an abscissa."""
+        return unit_at(self.frame, 0, jnp.broadcast_to(u[:, None], self.grows.shape), self.grows)
+
+
+def _bent(own: Array, frame: Array, turn: Array, lines: _Lines) -> _Bent:
+    # Going up in v, cover begins (jump > 0) at an arc that runs along u, if u, v are turned so.
+    grows = jnp.where((lines.jump > 0) == (turn > 0), 1, -1).astype(frame.dtype)
+    return _Bent(own, frame, grows, turn)
+
+
+class _Seen(NamedTuple):
+    """Of each piece the visible length along u and its first moment, and an arc's flux; signed."""
+
+    moments: Float[Array, "C M 2"]
+    arcs: Float[Array, "C M 3 3"] | None
+
+
+def _sweep(
+    lines: _Lines, corner: Float[Array, "C"], bent: _Bent | None, flux: bool
+) -> tuple[Float[Array, "C"], _Seen | None]:
+    """Return the covered area, and (with `flux`) what of each piece bounds it."""
+    (C, M), dtype = lines.u0.shape, corner.dtype
+    crossings = _straight_crossings(lines) if bent is None else _all_crossings(lines, bent)
+    halts = jnp.concatenate([lines.u0, lines.u1, lines.halt, crossings.reshape(C, -1)], axis=1)
+    earlier = (jnp.arange(M)[:, None] < jnp.arange(M)[None])[None]  # [j, i]: j before i
 
     def body(state):
         u, area, seen = state
-        ahead = jnp.where(halts > u[:, None], halts, 1)
-        u1 = jnp.minimum(jnp.min(ahead, axis=1), 1)
-        middle = (u + u1) / 2
-        m = middle[:, None]
-        active = (lines.u0 <= m) & (m < lines.u1)
-        v, _ = at(middle)
+        u1 = jnp.min(jnp.where(halts > u[:, None], halts, 1), axis=1)
+        u1 = jnp.minimum(u1, 1)
+        middle = ((u + u1) / 2)[:, None]
+        active = (lines.u0 <= middle) & (middle < lines.u1)
+        v = _heights(lines, bent, middle)
         jump = jnp.where(active, lines.jump, 0)
-        first = corner + jnp.sum(jnp.where(lines.halt < m, lines.step, 0), axis=1)
-        lower = (v[:, :, None] < v[:, None]) | ((v[:, :, None] == v[:, None]) & earlier[None])
+        first = corner + jnp.sum(jnp.where(lines.halt < middle, lines.step, 0), axis=1)
+        lower = (v[:, :, None] < v[:, None]) | ((v[:, :, None] == v[:, None]) & earlier)
         below = first[:, None] + jnp.sum(jnp.where(lower, jump[:, :, None], 0), axis=1)
         change = jnp.where(active, _covers(below + jump) - _covers(below), 0)
         top = _covers(first + jnp.sum(jump, axis=1))
-        width = jnp.maximum(u1 - u, 0)
-        length = top - jnp.sum(v * change, axis=1)
-        area = area + width * length
-        if flux:
-            share = change * width[:, None]
-            seen = (seen[0] + jnp.stack([share, share * m], axis=-1), seen[1])
-        if arc is not None:
-            seen_arc = own & (change != 0) & (width[:, None] > 0)
-            w0, w1 = at(jnp.maximum(u, 0))[1], at(u1)[1]
-            q = nodes(frame, w0, w1)
+        width = jnp.maximum(u1 - u, 0)[:, None]
+        under = v * width
+        if bent is not None:
+            w0, w1 = bent.at(u), bent.at(u1)
+            q = nodes(bent.frame, w0, w1)
             true = jnp.sum(q.weight * q.point[..., 1] * q.slope[..., 0], axis=-1)
-            area = area - jnp.sum(jnp.where(seen_arc, change * (true - v * width[:, None]), 0), axis=1)
-            if flux:
+            visible = bent.own & (change != 0) & (width > 0)
+            under = jnp.where(visible, true, under)
+            if seen is not None:
                 # An arc has its covered side on its left wherever it is visible.
-                turned = (grows * turn)[..., None, None] * arc_flux(frame, w0, w1)
-                seen = (seen[0], seen[1] + jnp.where(seen_arc[..., None, None], turned, 0))
+                turned = (bent.grows * bent.turn)[..., None, None] * arc_flux(bent.frame, w0, w1)
+                gain = jnp.where(visible[..., None, None], turned, 0)
+                seen = seen._replace(arcs=seen.arcs + gain)
+        area = area + top * width[:, 0] - jnp.sum(under * change, axis=1)
+        if seen is not None:
+            share = change * width
+            gain = jnp.stack([share, share * middle], axis=-1)
+            seen = seen._replace(moments=seen.moments + gain)
         return u1, area, seen
 
-    seen = None
-    if flux:
-        seen = (jnp.zeros((C, M, 2), dtype), None if arc is None else jnp.zeros((C, M, 3, 3), dtype))
-    start = (jnp.zeros(C, dtype), jnp.zeros(C, dtype), seen)
+    arcs = None if bent is None else jnp.zeros((C, M, 3, 3), dtype)
+    nothing = _Seen(jnp.zeros((C, M, 2), dtype), arcs) if flux else None
+    start = (jnp.zeros(C, dtype), jnp.zeros(C, dtype), nothing)
     _, area, seen = jax.lax.while_loop(lambda s: jnp.any(s[0] < 1), body, start)
     return jnp.clip(area, 0, 1), seen
+
+
+def _heights(lines: _Lines, bent: _Bent | None, u: Float[Array, "C 1"]) -> Float[Array, "C M"]:
+    """Return the pieces' v at an abscissa; at the nearer end where it is beyond one."""
+    t = jnp.clip(safe_divide(u - lines.u0, lines.u1 - lines.u0), 0, 1)
+    v = lines.v0 + t * (lines.v1 - lines.v0)
+    if bent is None:
+        return v
+    low, high = jnp.minimum(lines.v0, lines.v1), jnp.maximum(lines.v0, lines.v1)
+    true = film_at(bent.frame, bent.at(u[:, 0]))[..., 1]
+    return jnp.where(bent.own, jnp.clip(true, low, high), v)
 
 
 def _covers(layers: Array) -> Array:
     return (layers > 0.5).astype(layers.dtype)
 
 
-def _crossings(lines: _Lines, arc: tuple | None) -> Float[Array, "C M M k"]:
-    """Return the u at which pieces may cross one another; where they do not, some u without harm."""
-    u0, v0, u1, v1 = lines.u0, lines.v0, lines.u1, lines.v1
-    pair = lambda x: (x[:, :, None], x[:, None])
-    low, high = jnp.maximum(*pair(u0)), jnp.minimum(*pair(u1))
-    slope = safe_divide(v1 - v0, u1 - u0)
-    gap = lambda u: (pair(v0)[0] + (u - pair(u0)[0]) * pair(slope)[0]) - (
-        pair(v0)[1] + (u - pair(u0)[1]) * pair(slope)[1]
-    )
-    before, after = gap(low), gap(high)
-    M = u0.shape[1]
+def _pairs(x: Array) -> tuple[Array, Array]:
+    return x[:, :, None], x[:, None]
+
+
+def _common(lines: _Lines) -> tuple[Array, Array, Array]:
+    """Return where both pieces of a pair are: from and to; and which pairs to look at once."""
+    M = lines.u0.shape[1]
     once = (jnp.arange(M)[:, None] < jnp.arange(M)[None])[None]
+    return jnp.maximum(*_pairs(lines.u0)), jnp.minimum(*_pairs(lines.u1)), once
+
+
+def _straight_crossings(lines: _Lines) -> Float[Array, "C M M"]:
+    """Return the u at which straight pieces cross; 1 for pairs that do not."""
+    low, high, once = _common(lines)
+    slope = safe_divide(lines.v1 - lines.v0, lines.u1 - lines.u0)
+
+    def gap(u):
+        one, other = (
+            v + (u - u0) * s
+            for v, u0, s in zip(*(_pairs(x) for x in (lines.v0, lines.u0, slope)), strict=True)
+        )
+        return one - other
+
+    before, after = gap(low), gap(high)
     cross = once & (low < high) & ((before < 0) != (after < 0))
-    straight = jnp.where(cross, low + (high - low) * safe_divide(before, before - after), 1)[..., None]
-    if arc is None:
-        return straight
-    own, frame, _ = arc
-    det = jnp.cross(frame[..., 1, :], frame[..., 2, :])
-    covector = safe_divide(det, jnp.sum(det * frame[..., 0, :], axis=-1)[..., None])
+    return jnp.where(cross, low + (high - low) * safe_divide(before, before - after), 1)
+
+
+def _all_crossings(lines: _Lines, bent: _Bent) -> Float[Array, "C M M 3"]:
+    """Return the u at which pieces may cross one another; others without harm, or 1.
+
+    An arc meets a line where the line cuts its circle, and another arc on a line as well: both
+    cones hold the rays whose products with the two axes are in the cosines' ratio.
+    """
+    low, high, once = _common(lines)
+    own, frame = bent.own, bent.frame
+    across = jnp.cross(frame[..., 1, :], frame[..., 2, :])
+    # Times a unit ray: 1 on the cone.
+    cone = safe_divide(across, jnp.sum(across * frame[..., 0, :], axis=-1)[..., None])
+    u0, v0, u1, v1 = lines.u0, lines.v0, lines.u1, lines.v1
     line = jnp.stack([v0 - v1, u1 - u0, u0 * v1 - u1 * v0], axis=-1)
-    other = jnp.where(own[:, None, :, None], covector[:, :, None] - covector[:, None], line[:, None])
-    level = jnp.sum(other[..., None, :] * frame[:, :, None], axis=-1)  # (C, arc, other, 3)
+    met = jnp.where(own[:, None, :, None], cone[:, :, None] - cone[:, None], line[:, None])
+    level = jnp.sum(met[..., None, :] * frame[:, :, None], axis=-1)  # (C, arc, other, 3)
+    spread = jnp.broadcast_to(frame[:, :, None], (*level.shape[:-1], 3, 3))
     found = []
     for growing in (1.0, -1.0):
         w = cut_circle(level, jnp.full(level.shape[:-1], growing, level.dtype))
-        spread = jnp.broadcast_to(frame[:, :, None], (*level.shape[:-1], 3, 3))
         u = film_at(spread, w)[..., 0]
-        both = own[:, :, None] & (low < high) & (u > low) & (u < high)
-        both &= ~(own[:, None] & ~once)
-        found.append(jnp.where(both, u, 1))
-    bent = own[:, :, None] | own[:, None]
-    return jnp.concatenate([jnp.where(bent[..., None], 1, straight), jnp.stack(found, -1)], axis=-1)
+        there = own[:, :, None] & (once | ~own[:, None]) & (u > low) & (u < high)
+        found.append(jnp.where(there, u, 1))
+    straight = jnp.where(own[:, :, None] | own[:, None], 1, _straight_crossings(lines))
+    return jnp.stack([straight, *found], axis=-1)

@@ -32,14 +32,14 @@ PIECES = 4096
 
 
 class Part(NamedTuple):
-    """Curves of one kind: `curves(ids)` for ids below `count`; `size` is a static chunk of them.
+    """Curves of one kind: `curves(ids)` for ids below `total`; `size` is a static chunk of them.
 
     `lifts(ids)` is what the curves move with, differentiably.
     """
 
     curves: Callable[[Int[Array, "K"]], Curves]
     lifts: Callable[[Int[Array, "K"]], Float[Array, "K n 3"]]
-    count: Int[Array, ""]
+    total: Int[Array, ""]
     size: int
 
 
@@ -68,17 +68,17 @@ class _Stack(NamedTuple):
 
     origin: Float[Array, "L C 2"]
     place: Int[Array, "L C"]
-    count: Int[Array, "L"]
+    height: Int[Array, "L"]
 
     def deepest(self) -> Int[Array, ""]:
         """Return the deepest level that holds cells, 0 if none does."""
-        levels = jnp.arange(self.count.shape[0], dtype=jnp.int32)
-        return jnp.max(jnp.where(self.count > 0, levels, 0))
+        levels = jnp.arange(self.height.shape[0], dtype=jnp.int32)
+        return jnp.max(jnp.where(self.height > 0, levels, 0))
 
     def push(self, crowd: Bool[Array, "C"], level: Int[Array, ""], batch: "_Batch") -> "_Stack":
         """Return the stack less the cells just cut, with the crowded cells on top of a level."""
-        left = jnp.maximum(self.count[batch.level] - PARENTS, 0)
-        count = self.count.at[batch.level].set(left)
+        left = jnp.maximum(self.height[batch.level] - PARENTS, 0)
+        count = self.height.at[batch.level].set(left)
         slot = count[level] + jnp.cumsum(crowd, dtype=jnp.int32) - 1
         slot = jnp.where(crowd, slot, CELLS)
         return _Stack(
@@ -168,7 +168,7 @@ def fold_cells(
         lifts = [part.lifts for part in parts]
         area, visible = sweep(cells, corner, lifts, batch.scale, batch.origin, flux)
         used, last = batch.place >= 0, level == depth
-        crowd = (cells.count > MOST) & used
+        crowd = (cells.total > MOST) & used
         # Where there are too many pieces even in the last cell, its corner speaks for it.
         area = jnp.where(crowd, jnp.where(last, jnp.clip(corner, 0, 1), 0), area)
         size = 1 / (batch.scale * batch.scale)
@@ -210,7 +210,7 @@ def _batch(crowded: Crowded, first: Array, stack: _Stack, level: Array, film: tu
     pixel = jnp.stack([column, row], axis=-1).astype(dtype)
     place = jnp.where(rank < crowded.total, place, -1)
 
-    slot = stack.count[level] - PARENTS + jnp.arange(PARENTS, dtype=jnp.int32)
+    slot = stack.height[level] - PARENTS + jnp.arange(PARENTS, dtype=jnp.int32)
     parent_place = jnp.where(slot >= 0, stack.place[level, jnp.maximum(slot, 0)], -1)
     parent = stack.origin[level, jnp.maximum(slot, 0)]
     scale = jnp.asarray(CUT, dtype) ** level.astype(dtype)
@@ -235,11 +235,11 @@ def fold_curves(part: Part, add: Callable[[Any, Array, Curves], Any], start: Any
     def body(state):
         first, total = state
         ids = first + jnp.arange(size, dtype=jnp.int32)
-        curves = jax.lax.stop_gradient(part.curves(jnp.minimum(ids, part.count - 1)))
-        weight = jnp.where(ids < part.count, curves.weight, 0)
+        curves = jax.lax.stop_gradient(part.curves(jnp.minimum(ids, part.total - 1)))
+        weight = jnp.where(ids < part.total, curves.weight, 0)
         return first + size, add(total, ids, curves._replace(weight=weight))
 
-    return jax.lax.while_loop(lambda s: s[0] < part.count, body, (jnp.int32(0), start))[1]
+    return jax.lax.while_loop(lambda s: s[0] < part.total, body, (jnp.int32(0), start))[1]
 
 
 def fold_pieces(
@@ -270,8 +270,8 @@ def _fill(
     def body(state):
         start, cells, corner = state
         ids = start + jax.lax.rem(pair, per_film)
-        curves = jax.lax.stop_gradient(part.curves(jnp.minimum(ids, part.count - 1)))
-        curves = curves._replace(weight=jnp.where(ids < part.count, curves.weight, 0))
+        curves = jax.lax.stop_gradient(part.curves(jnp.minimum(ids, part.total - 1)))
+        curves = curves._replace(weight=jnp.where(ids < part.total, curves.weight, 0))
         curves = placed(curves, batch.scale, batch.films[jax.lax.div(pair, per_film)])
 
         def add(cells, pieces: Pieces):
@@ -287,7 +287,7 @@ def _fill(
         return start + per_film, fold_pieces(curves, W, H, max_H, add, cells), corner
 
     state = (jnp.int32(0), cells, jnp.zeros(CELLS, batch.origin.dtype))
-    return jax.lax.while_loop(lambda s: s[0] < part.count, body, state)[1:]
+    return jax.lax.while_loop(lambda s: s[0] < part.total, body, state)[1:]
 
 
 def _pixel_turns(curves: Curves, corners: Float[Array, "C 2"]) -> Float[Array, "C"]:
@@ -302,7 +302,7 @@ def _pixel_turns(curves: Curves, corners: Float[Array, "C 2"]) -> Float[Array, "
 
 
 def _child_turns(curves: Curves, corners: Float[Array, "C 2"]) -> Float[Array, "C"]:
-    """Return the same for the corners of the children, `curves` being those of each film in turn."""
+    """Return the same for the children's corners; `curves` are those of each film in turn."""
     lines = jnp.arange(CUT, dtype=corners.dtype)
     m = monotone(curves)
     jump, x = jax.vmap(lambda y: _crossing(m, y))(lines)  # (CUT, curves)

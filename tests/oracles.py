@@ -88,7 +88,10 @@ def mesh_polygons(camera: pj.Camera, vertices, faces) -> list:
         triangles, inside = triangles[keep], inside[keep] & np.all(side, axis=1)[keep]
     whole = triangles[inside]
     found = [clipped_polygon(t, camera.W, camera.H) for t in triangles[~inside]]
-    return [*shapely.polygons(whole[..., :2] / whole[..., 2:]), *(p for p in found if p is not None)]
+    return [
+        *shapely.polygons(whole[..., :2] / whole[..., 2:]),
+        *(p for p in found if p is not None),
+    ]
 
 
 def mesh_coverage(camera: pj.Camera, vertices, faces) -> np.ndarray:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import shapely
 import trimesh
-from oracles import mesh_union, sphere_union
+from oracles import mesh_polygons, sphere_union
 
 import pinhole_jax as pj
 from pinhole_jax import plot, shapes
@@ -17,7 +17,7 @@ def test_the_outline_is_that_of_the_polygon_union(name):
     else:
         made = trimesh.creation.torus(1.0, 0.4) if name == "torus" else trimesh.creation.box()
         mesh = pj.Mesh(made.vertices, made.faces)
-    union = mesh_union(CAMERA, mesh.vertices, mesh.faces)
+    union = shapely.union_all(mesh_polygons(CAMERA, mesh.vertices, mesh.faces))
     outline = plot.outline(CAMERA, pj.Scene(mesh=mesh))
     lines = shapely.linestrings(outline)
     np.testing.assert_allclose(np.sum(shapely.length(lines)), union.boundary.length, rtol=0.02)
@@ -42,7 +42,7 @@ def test_the_overlay_draws_on_the_outline_and_nowhere_else(shape):
     assert drawn.shape == (80 * factor, 96 * factor, 3)
     assert max(drawn.shape) >= 800
     changed = np.any(drawn != 200, axis=2)
-    union = mesh_union(CAMERA, scene.mesh.vertices, scene.mesh.faces)
+    union = shapely.union_all(mesh_polygons(CAMERA, scene.mesh.vertices, scene.mesh.faces))
     rows, columns = np.nonzero(changed)
     points = shapely.points((columns + 0.5) / factor, 80 - (rows + 0.5) / factor)
     assert np.max(shapely.distance(points, union.boundary)) < 4 / factor
