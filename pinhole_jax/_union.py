@@ -182,7 +182,7 @@ def fold_cells(
     zeros = jnp.zeros((depth + 1, CELLS), dtype)
     counts = jnp.zeros(depth + 1, jnp.int32)
     stack = _Stack(jnp.stack([zeros, zeros], axis=-1), zeros.astype(jnp.int32), counts)
-    more = lambda state: (state[0] < crowded.total) | jnp.any(state[1].count > 0)
+    more = lambda state: (state[0] < crowded.total) | jnp.any(state[1].height > 0)
     return jax.lax.while_loop(more, body, (jnp.int32(0), stack, start))[2]
 
 

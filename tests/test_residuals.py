@@ -29,9 +29,32 @@ def setting(look_at=(0.0, 0, 0), W=30, H=24, spheres=False, seed=0):
     return camera, scene, target, weight
 
 
+@eqx.filter_jit
+def compact_jacobian(y, start, scene, data, level):
+    """Return the residuals' Jacobian, their sums, load and values."""
+
+    def compact(y):
+        (r, rest), sums, load = _residuals(moved(start, y, FREE), scene, data, level, CAPACITY)
+        return r, (sums, load, (r, rest))
+
+    return jax.jacfwd(compact, has_aux=True)(y)
+
+
+@eqx.filter_jit
+def image_jacobian(y, start, camera, scene):
+    """Return the image, and its Jacobian by the same parameters."""
+
+    def image(y):
+        image = pj.silhouette(on_film(moved(start, y, FREE), camera, FREE), scene)
+        return image, image
+
+    columns, value = jax.jacfwd(image, has_aux=True)(y)
+    return value, columns
+
+
 def pixels_kept(camera, scene, level) -> np.ndarray:
     """Return 0 for the pixels that the residuals leave out, else 1: (H, W)."""
-    touched, _ = jax.jit(touch, static_argnums=3)(camera, scene, level, CAPACITY)
+    touched, _ = eqx.filter_jit(touch)(camera, scene, level, CAPACITY)
     kept = np.ones((camera.H, camera.W + 2))
     cells = np.asarray(touched.cell)[np.asarray(touched.inside & ~touched.known)]
     kept[np.divmod(cells, camera.W + 2)] = 0
@@ -54,20 +77,11 @@ def test_squares_sums_and_jacobian_are_those_of_the_image(look_at, spheres):
     data, levels = pyramid(target, weight, float)
     unit = canonical(camera)
     start = Move(unit, jnp.zeros(3), jnp.full(7, 0.01))
-
-    @jax.jit
-    def compact(y):
-        (r, rest), sums, load = residuals(moved(start, y, FREE), scene, data, levels[-1], CAPACITY)
-        return (r, rest), (sums, load, (r, rest))
-
-    @jax.jit
-    def image(y):
-        return pj.silhouette(on_film(moved(start, y, FREE), camera, FREE), scene)
-
     zero = jnp.zeros(7)
-    (J, _), (sums, load, (r, rest)) = jax.jacfwd(compact, has_aux=True)(zero)
+    J, (sums, load, (r, rest)) = compact_jacobian(zero, start, scene, data, levels[-1])
+    image, columns = image_jacobian(zero, start, camera, scene)
     weight = weight * pixels_kept(on_film(canonical(camera), camera, FREE), scene, levels[-1])
-    covered, dense = np.asarray(image(zero)), np.asarray(jax.jacfwd(image)(zero)).reshape(-1, 7)
+    covered, dense = np.asarray(image), np.asarray(columns).reshape(-1, 7)
     difference = np.sqrt(weight) * (covered - target)
     dense = np.sqrt(weight).reshape(-1, 1) * dense
     assert bool(load.fits(CAPACITY))
