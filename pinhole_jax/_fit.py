@@ -62,8 +62,8 @@ class Fit(NamedTuple):
       (rad), d (world units), the principal point (px).
     - `covariance` assumes independent pixel noise of one size, estimated from the residuals of the
       pixels that the outline touches; infinite where the mask does not determine a parameter.
-    - `rms`: root mean square of coverage minus target over all pixels that count; `iou` their
-      intersection over union.
+    - `rms`: root mean square of coverage minus target over all pixels that count, but for the few
+      where contours overlap; `iou` their intersection over union.
     - `steps`: Levenberg-Marquardt steps on each level, coarse to fine; more than one round of
       levels where the view outgrew its buffers on the way.
     - `weak`: directions that the mask determines badly or not at all, in words.
@@ -100,9 +100,9 @@ def fit_camera(
 
     Levenberg-Marquardt (optimistix) minimises the weighted squared difference of exact coverage and
     target over the camera's pose and log focal length, on images from about 16 pixels across the
-    object up to the full size. Works in the float type of `camera`; runs on concrete arrays, not
-    inside `jit`. The first call compiles (seconds); later ones with scenes and images of similar
-    size do not.
+    object up to the full size. Pixels in which contours overlap are left out. Works in the float
+    type of `camera`; runs on concrete arrays, not inside `jit`. The first call compiles (seconds);
+    later ones with scenes and images of similar size do not.
 
     Raises ValueError for arguments that make no fit; what the solver met is in `Fit.status`.
     """

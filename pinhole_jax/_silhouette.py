@@ -44,14 +44,17 @@ from ._union import (
 CURVES_AT_A_TIME = 2048
 
 
-def silhouette(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
+def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Array, "H W"]:
     """Return the fraction of each pixel's square that the scene covers: (H, W), row 0 on top.
 
     Exact (box filter, no sampling, no blur) for any scene: the coverage of the union of all
     projected triangles and spheres, whether meshes are closed or open, wind consistently or not,
     overlap, reach through the plane of the eye or surround it. An eye inside a closed mesh or a
     sphere sees everything covered. The cost follows the occluding contour; only pixels where
-    contours overlap pay for telling them apart.
+    contours overlap pay for telling them apart. `overlaps=False` (static) says that no two parts of
+    the contour meet in a pixel, as in every view of one convex body: then that code is not even
+    compiled, and where it is not true the layers are summed and clamped. One sphere alone needs no
+    telling.
 
     The derivative, in forward and reverse mode, with respect to the camera, vertices, centers and
     radii is exact as well: the visible contour's normal velocity. Coverage is not differentiable
@@ -59,11 +62,11 @@ def silhouette(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
     pixel's side, and where a sphere touches the eye; there it is the derivative of the contour as
     it is (of one of the coinciding pieces), which is a one-sided derivative, and it is finite.
     """
-    return _silhouette(camera, scene)
+    return _silhouette(camera, scene, overlaps)
 
 
 @eqx.filter_jit
-def _silhouette(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
+def _silhouette(camera: Camera, scene: Scene, overlaps: bool) -> Float[Array, "H W"]:
     scene = astype(scene, camera.e.dtype)
     film, mesh, spheres = film_map(camera), scene.mesh, scene.spheres
     contour, vertices = None, None
@@ -73,7 +76,9 @@ def _silhouette(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
         spheres = None
     if contour is None and spheres is None:
         return jnp.zeros((camera.H, camera.W), camera.e.dtype)
-    return _image(_Moving(film, vertices, spheres), _Still(contour, surrounding(film, scene)))
+    alone = contour is None and spheres is not None and spheres.radii.shape[0] == 1
+    still = _Still(contour, surrounding(film, scene), () if overlaps and not alone else None)
+    return _image(_Moving(film, vertices, spheres), still)
 
 
 class _Moving(NamedTuple):
@@ -85,10 +90,14 @@ class _Moving(NamedTuple):
 
 
 class _Still(NamedTuple):
-    """What cannot: which edges are contour, and the number of layers left of the film."""
+    """What cannot: which edges are contour, and the number of layers left of the film.
+
+    `overlap` is None (and not an empty tuple: both have no leaves) if contours never overlap.
+    """
 
     contour: MeshContour | None
     base: Int[Array, ""]
+    overlap: tuple[()] | None
 
 
 class _Pixels(NamedTuple):
@@ -138,7 +147,7 @@ def _image_jvp(primals: Any, tangents: Any):
         """Return `start` after add(total, pixel, area, changing) for the visible contour."""
         held, changing, still, pixels = residuals
         build = lambda changing: _parts(rebuild(held, changing), still)
-        return _fold_visible(film, build, changing, still.base, pixels, add, start)
+        return _fold_visible(film, build, changing, still, pixels, add, start)
 
     def forward(residuals, velocity):
         def add(image, pixel, area, changing):
@@ -177,16 +186,21 @@ def _resolve(moving: _Moving, still: _Still) -> tuple[Float[Array, "H W"], _Pixe
             at = jnp.maximum(pieces.column, 0)
             deltas = deltas.at[pieces.row, at].add(pieces.area, mode="drop")
             deltas = deltas.at[pieces.row, at + 1].add(pieces.height - pieces.area, mode="drop")
+            if marked is None:
+                return deltas, None
             column = jnp.where(pieces.column < 0, W, pieces.column)
             return deltas, marked.at[pieces.row, column].add(marks(pieces), mode="drop")
 
         return fold_pieces(curves, W, H, H, add, sums)
 
-    sums = (jnp.zeros((H, W), dtype), jnp.zeros((H, W, MARKS), dtype))
+    marked = None if still.overlap is None else jnp.zeros((H, W, MARKS), dtype)
+    sums = (jnp.zeros((H, W), dtype), marked)
     for part in parts:
         sums = fold_curves(part, chunk, sums, part.size)
-    winding = _row_sums(sums[0]) + still.base.astype(dtype)
-    crowded = overlaps(sums[1], winding)
+    deltas, marked = sums
+    winding = _row_sums(deltas) + still.base.astype(dtype)
+    none = jnp.zeros((H, W), bool)
+    crowded = none if marked is None else overlaps(marked, winding)
     alone = ~crowded & (winding > 0) & (winding < 1)
     pixels = _Pixels(alone.reshape(-1), select(crowded.reshape(-1)))
     image = jnp.where(crowded, 0, jnp.clip(winding, 0, 1)).reshape(-1)
@@ -194,8 +208,9 @@ def _resolve(moving: _Moving, still: _Still) -> tuple[Float[Array, "H W"], _Pixe
     def add(image, resolved: Resolved):
         return image.at[resolved.place].add(resolved.area, mode="drop")
 
-    args = (parts, _crowded(pixels.crowded, W), W, H, H, still.base)
-    image = fold_cells(*args, add, image, flux=False)
+    if still.overlap is not None:
+        args = (parts, _crowded(pixels.crowded, W), W, H, H, still.base)
+        image = fold_cells(*args, add, image, flux=False)
     return _upright(image, film), pixels
 
 
@@ -213,7 +228,13 @@ def _crowded(chosen: Selection, W: int) -> Crowded:
 
 
 def _fold_visible(
-    film: FilmMap, build: Callable, changing: list, base, pixels: _Pixels, add: Callable, start
+    film: FilmMap,
+    build: Callable,
+    changing: list,
+    still: _Still,
+    pixels: _Pixels,
+    add: Callable,
+    start,
 ):
     """Return `start` after `add(total, pixel, area, changing)` over the visible contour.
 
@@ -249,7 +270,9 @@ def _fold_visible(
             total = add(total, place, lambda c: moved(of(c), flux), changing)  # noqa: B023
         return total
 
-    args = (parts, _crowded(pixels.crowded, W), W, H, H, base)
+    if still.overlap is None:
+        return start
+    args = (parts, _crowded(pixels.crowded, W), W, H, H, still.base)
     return fold_cells(*args, crowd, start, flux=True)
 
 

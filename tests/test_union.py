@@ -238,6 +238,26 @@ def test_hard_masks_of_an_open_mesh_converge_to_it():
     assert errors[1] < errors[0] / 4  # a regular grid: error about samples^-3/2
 
 
+def test_what_is_known_not_to_overlap_is_compiled_without():
+    camera = next(cameras(1))
+    ball = trimesh.creation.icosphere(2)
+    convex = pj.Scene(mesh=pj.Mesh(ball.vertices, ball.faces))
+    sphere = pj.Scene(spheres=pj.Spheres([[0.1, 0, 0]], [0.7]))
+    program = lambda scene, **known: str(
+        jax.make_jaxpr(lambda c: pj.silhouette(c, scene, **known))(camera)
+    )
+    assert "cummax" in program(convex)
+    assert "cummax" not in program(convex, overlaps=False)
+    assert "cummax" not in program(sphere)
+    expected = mesh_coverage(camera, ball.vertices, ball.faces)
+    image = pj.silhouette(camera, convex, overlaps=False)
+    np.testing.assert_allclose(image, expected, atol=1e-9)
+    expected = union_per_pixel(sphere_polygons(camera, [[0.1, 0, 0]], [0.7]), W, H)
+    np.testing.assert_allclose(pj.silhouette(camera, sphere), expected, atol=2e-6)
+    slope = jax.grad(lambda c: jnp.sum(pj.silhouette(c, sphere)), allow_int=True)(camera)
+    assert np.all(np.isfinite(slope.e))
+
+
 @pytest.fixture(scope="module")
 def mixed():
     vertices, faces = soup(12)
