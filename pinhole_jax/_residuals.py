@@ -5,8 +5,9 @@ touched pixel and of the runs of untouched pixels between them, whose cost is a 
 target's running sums. The work does not depend on the number of pixels, so one compiled program
 serves every level and every image.
 
-Pixels where contours overlap are left out rather than resolved: they are few, what the others say
-is exact, and a fit is several times faster for it.
+Pixels where contours overlap are not resolved: they are few, and a fit is several times faster for
+it. They are clamped, or at a `strict` level left out: then what the others say is exact, but the
+sum of squares jumps where a pixel comes or goes, so that is for the end of a fit to an exact mask.
 """
 
 from typing import NamedTuple
@@ -204,12 +205,11 @@ def _by_pixel(pieces: _Sorted, base: Int[Array, ""], level: Level) -> Touched:
     cells = jnp.full(P, end, cell.dtype).at[slot].min(cell)
     column = cells % (level.W + 2)
     inside = (cells < end) & (column > 0) & (column <= level.W)
-    # A chain that bounds two layers (a fold of an open mesh) has 0 and 2 of them on its sides if
-    # any part of the pixel, or of its left or right side, has less than 1; else they are unknown.
+    # A chain that bounds two layers (a fold of an open mesh) has 0 and 2 of them on its sides for
+    # certain if any part of the pixel, or of its left or right side, has less than 1.
     least = jnp.minimum(winding, jnp.minimum(gather(before), winding_after))
-    layers = chain_layers(marked)
-    fold = (layers == 2) & (least < 1)
-    known = ~overlaps(marked, winding) | fold
+    fold = (chain_layers(marked) == 2) & ((least < 1) | ~level.strict)
+    known = ~overlaps(marked, winding) | fold | ~level.strict
     share = jnp.where(fold, winding / 2, winding)
     moves = known & (share > 0) & (share < 1)
     growth = jnp.where(moves, gather(change) / jnp.where(fold, 2, 1), 0)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 
 class Pyramid(NamedTuple):
@@ -29,12 +29,16 @@ class Pyramid(NamedTuple):
 
 
 class Level(NamedTuple):
-    """One level of a pyramid: where it begins, its size, and its pixels per film height."""
+    """One level of a pyramid: where it begins, its size, and its pixels per film height.
+
+    `strict` says that pixels in which contours overlap are left out, not clamped.
+    """
 
     start: Int[Array, ""]
     W: Int[Array, ""]
     H: Int[Array, ""]
     scale: Float[Array, ""]
+    strict: Bool[Array, ""]
 
 
 def check_image(name: str, image: Any, W: int, H: int) -> np.ndarray:
@@ -116,7 +120,7 @@ def pyramid(
         parts.append(part)
         h, w = image.shape
         scale = jnp.asarray(H / 2**level, dtype)
-        levels.append(Level(jnp.int32(start), jnp.int32(w), jnp.int32(h), scale))
+        levels.append(Level(jnp.int32(start), jnp.int32(w), jnp.int32(h), scale, jnp.bool_(False)))
         start += part.shape[1]
     # A few sizes for all images, so that they share compiled programs.
     room = 1 << (start - 1).bit_length()

@@ -18,3 +18,13 @@ def shared() -> Path:
     if not SHARED.exists():
         pytest.skip(f"no real data at {SHARED}")
     return SHARED
+
+
+@pytest.fixture(scope="module", autouse=True)
+def programs_are_let_go():
+    """Compiled programs hold memory maps, of which a process may have 65530: let go of a module's.
+
+    Without it the compiler aborts in the middle of a long run.
+    """
+    yield
+    jax.clear_caches()
