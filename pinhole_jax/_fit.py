@@ -135,17 +135,18 @@ def fit_camera(
             if progress is not None:
                 progress(f"{int(level.W)} x {int(level.H)} pixels: {n} steps")
         after, enough = _look(unit, problem, levels[-1], names, capacity)
+    if not float(after.sums.squares) <= float(before.sums.squares):
+        unit, after = start, before  # never worse than the start
     if float(after.sums.touched_squares) < EXACT**2 * float(after.sums.touched):
         # The mask is so exact that clamped overlaps would show: once more without them.
         strict = levels[-1]._replace(strict=jnp.bool_(True))
         tolerance = jnp.asarray(FINE_PX[dtype], dtype)
         exact, n = _solve(unit, problem, strict, tolerance, names, capacity, max_steps)
-        view, enough = _look(exact, problem, strict, names, capacity)
-        if int(n) < max_steps and enough == capacity:
-            unit, after = exact, view
-            steps[-1] += int(n)
-    if not float(after.sums.squares) <= float(before.sums.squares):
-        unit, after = start, before  # never worse than the start
+        ends = [exact, unit, start] if int(n) < max_steps else [unit, start]
+        views = [(x, *_look(x, problem, strict, names, capacity)) for x in ends]
+        views = [v for v in views if v[2] == capacity and np.isfinite(float(v[1].sums.squares))]
+        unit, after, _ = min(views, key=lambda v: float(v[1].sums.squares))
+        steps[-1] += int(n)
     return _report(camera, unit, after, names, tuple(steps), max_steps)
 
 
