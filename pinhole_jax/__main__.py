@@ -105,7 +105,9 @@ def _fit(options: argparse.Namespace) -> int:
         scene = Scene(mesh=io.load_mesh(options.mesh))
         progress.say("fitting (compiling on the first run)")
         free = tuple(name.strip() for name in options.free.split(",") if name.strip())
-        fit = fit_camera(scene, mask, start, free, weight=weight, progress=progress.say)
+        fit = fit_camera(
+            scene, mask, start, free, weight=weight, progress=lambda p: progress.say(str(p))
+        )
         progress.say("drawing")
         drawing = overlay(picture, fit.camera, scene)
     folder = Path(options.output)

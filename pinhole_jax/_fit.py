@@ -3,35 +3,25 @@
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
-import lineax as lx
 import numpy as np
-import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from ._arrays import Numbers
-from ._camera import Camera, camera_basis
-from ._parameters import (
-    COMPONENTS,
-    REPORTED,
-    Move,
-    canonical,
-    check_free,
-    moved,
-    on_film,
-    reported,
-    units,
-)
-from ._residuals import Capacity, Load, Sums, residuals
-from ._scene import Scene, astype, bounding_sphere, padded
-from ._target import Level, Pyramid, check_target, pyramid
+from ._arrays import Numbers, float_dtype
+from ._camera import Camera
+from ._parameters import REPORTED, canonical, check_free, components, on_film
+from ._residuals import Sums
+from ._scene import Scene
+from ._search import Mask, axes_of
+from ._solver import COSINE, FINE_PX, UNIT_PX, Found, Solver
+from ._strategy import EXACT, equally_good, everywhere, from_start, turns_freely, without_outliers
+from ._target import Level, check_target
 from ._uncertainty import BLIND, covariance, weak_directions
 
 #: What `Fit.status` may be.
 STATUSES = (
     "converged",  # the gradient vanishes, the masks overlap, every direction is determined
+    "ambiguous",  # converged, but other views explain the mask as well: `Fit.modes` has them
     "rank_deficient",  # converged, but some direction changes no pixel: `Fit.weak` names it
     "max_steps",  # stopped while still moving
     "no_overlap",  # object and mask hardly overlap: their IoU is below `LEAST_IOU`
@@ -41,18 +31,6 @@ STATUSES = (
 
 #: Below this intersection over union a fit has found something else than the object.
 LEAST_IOU = 0.5
-#: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
-#: larger units make bolder first steps.
-UNIT_PX = 30.0
-#: A step is negligible below this many pixels; on coarse levels, and on the finest.
-COARSE_PX = 0.02
-FINE_PX = {np.dtype(np.float32): 3e-4, np.dtype(np.float64): 1e-7}
-#: ... or where it would change the residuals by less than this share of their norm: MINPACK's
-#: cosine between residual and Jacobian, some thousandths of the error that noise leaves anyway.
-COSINE = {np.dtype(np.float32): 1e-4, np.dtype(np.float64): 1e-5}
-#: A mask with a smaller residual (root mean square over the pixels that the outline touches) is
-#: fitted once more without the pixels where contours overlap.
-EXACT = 0.1
 
 
 class Fit(NamedTuple):
@@ -63,13 +41,16 @@ class Fit(NamedTuple):
     - `names`: the fitted parameters, in the order of `covariance` (n, n) and `std` (n,):
       small rotations of the camera about its own axes b1, b2, v (rad), the eye (world units), phi
       (rad), d (world units), the principal point (px).
-    - `covariance` assumes independent pixel noise of one size, estimated from the residuals of the
-      pixels that the outline touches; infinite where the mask does not determine a parameter.
+    - `covariance` assumes independent pixel noise of one size (of variance 1 / weight up to a
+      factor), estimated from the residuals of the pixels that the outline touches, and a mesh
+      without error; infinite where the mask does not determine a parameter. Real masks err together
+      along stretches of their outline: then it is too small.
     - `rms`: root mean square of coverage minus target over all pixels that count, but for the few
-      where contours overlap; `iou` their intersection over union.
+      where contours overlap in an exact mask; `iou` their intersection over union.
     - `steps`: Levenberg-Marquardt steps on each level, coarse to fine; more than one round of
       levels where the view outgrew its buffers on the way.
     - `weak`: directions that the mask determines badly or not at all, in words.
+    - `modes`: other cameras that a search found to explain the mask as well, the best first.
     """
 
     camera: Camera
@@ -81,6 +62,20 @@ class Fit(NamedTuple):
     iou: float
     steps: tuple[int, ...]
     weak: tuple[str, ...]
+    modes: tuple["Fit", ...] = ()
+
+
+class Progress(NamedTuple):
+    """What `progress` is told after each level: the camera so far, the level in px, its steps."""
+
+    camera: Camera
+    W: int
+    H: int
+    steps: int
+
+    def __str__(self) -> str:
+        """Return it as a line."""
+        return f"{self.W} x {self.H} pixels: {self.steps} steps"
 
 
 def fit_camera(
@@ -89,223 +84,101 @@ def fit_camera(
     camera: Camera | None,
     free: str | Sequence[str] = ("pose",),
     *,
+    phi: Numbers = None,
     weight: Numbers = None,
+    outlier_px: float | None = 2.0,
     max_steps: int = 64,
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[Progress], None] | None = None,
 ) -> Fit:
     """Return the camera whose silhouette of the scene is closest to a mask, with error bars.
 
-    - `target`: mask (H, W), row 0 on top: bool, uint8 (0..255) or float (0..1, soft edges welcome).
-    - `camera`: where to start; also all that is not free. Starts some 20 degrees off are pulled in.
+    - `target`: mask (H, W), row 0 on top: bool, uint8 (0..255) or float (0..1, soft edges welcome,
+      noise about that range too).
+    - `camera`: where to start; also all that is not free. Starts some 20 degrees off are pulled in;
+      where what they lead to explains the mask badly, the whole sphere of views is searched. None:
+      search at once; then `phi` (rad) is the field of view, or if it is free a first guess (0.7).
     - `free`: any of pose (or position, orientation), phi, d, principal_point, aspect.
-    - `weight`: (H, W), at least 0: how much each pixel counts.
-    - `max_steps`: a limit for each level. `progress` is called with a line after each level.
+    - `weight`: (H, W), at least 0: how much each pixel counts, 0 where the mask is not to be
+      believed (an occluder). 1 / variance, up to a factor.
+    - `outlier_px`: how far, in px, an outline that is right may lie from the mask's edge. Farther
+      away, at holes, missing and extra parts, pixels lose their weight: at the end of a fit to a
+      mask that is not exact, so that the rest decides. None: plain least squares.
+    - `max_steps`: a limit for each level. `progress` is called with a `Progress` after each level.
 
     Levenberg-Marquardt (optimistix) minimises the weighted squared difference of exact coverage and
     target over the camera's pose and log focal length, on images from about 16 pixels across the
     object up to the full size. Pixels in which contours overlap count as the clamped sum of layers;
     if the mask turns out to be exact to a tenth, they are left out at the end. Works in the float
-    type of `camera`; runs on concrete arrays, not inside `jit`. The first call compiles (seconds);
-    later ones with scenes and images of similar size do not.
+    type of `camera` (or of the scene); runs on concrete arrays, not inside `jit`. The first call
+    compiles (seconds); later ones with scenes and images of similar size do not.
 
     Raises ValueError for arguments that make no fit; what the solver met is in `Fit.status`.
     """
-    if not isinstance(camera, Camera):
-        raise ValueError(f"`camera`: expected a Camera to start from, got {camera!r}")
     if not isinstance(scene, Scene) or (scene.mesh is None and scene.spheres is None):
         raise ValueError("`scene`: expected a Scene with a mesh or spheres, got an empty one")
     if max_steps < 1:
         raise ValueError(f"`max_steps`: expected at least 1, got {max_steps}")
+    if outlier_px is not None and not outlier_px > 0:
+        raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
     names = check_free(free)
+    given = camera
+    if camera is None:
+        camera = _anywhere(scene, target, names, phi)
+    elif not isinstance(camera, Camera):
+        raise ValueError(f"`camera`: expected a Camera to start from or None, got {camera!r}")
+    elif phi is not None:
+        raise ValueError("`phi`: expected None beside a `camera`, which has its own")
     image, weights = check_target(target, weight, camera.W, camera.H)
-    dtype = camera.e.dtype
-    levels_data, levels = pyramid(image, weights, dtype)
-    problem = _Problem(padded(astype(scene, dtype)), levels_data, *bounding_sphere(scene))
-    start = canonical(camera)
+    solver = Solver(scene, image, weights, camera.e.dtype, names, max_steps)
+    mask = Mask(image, weights, camera)
 
-    before, capacity = _look(start, problem, levels[-1], names, _first_capacity(scene, image))
-    unit, after, steps, enough = start, before, [], None
-    while enough != capacity:  # a view that outgrew its buffers: go on from there with larger ones
-        capacity = enough or capacity
-        for level in levels:
-            tolerance = FINE_PX[dtype] if level is levels[-1] else COARSE_PX
-            tolerance = jnp.asarray(tolerance, dtype)
-            unit, n = _solve(unit, problem, level, tolerance, names, capacity, max_steps)
-            steps.append(int(n))
-            if progress is not None:
-                progress(f"{int(level.W)} x {int(level.H)} pixels: {n} steps")
-        after, enough = _look(unit, problem, levels[-1], names, capacity)
-    if not float(after.sums.squares) <= float(before.sums.squares):
-        unit, after = start, before  # never worse than the start
-    if float(after.sums.touched_squares) < EXACT**2 * float(after.sums.touched):
-        # The mask is so exact that clamped overlaps would show: once more without them.
-        strict = levels[-1]._replace(strict=jnp.bool_(True))
-        tolerance = jnp.asarray(FINE_PX[dtype], dtype)
-        exact, n = _solve(unit, problem, strict, tolerance, names, capacity, max_steps)
-        ends = [exact, unit, start] if int(n) < max_steps else [unit, start]
-        views = [(x, *_look(x, problem, strict, names, capacity)) for x in ends]
-        views = [v for v in views if v[2] == capacity and np.isfinite(float(v[1].sums.squares))]
-        unit, after, _ = min(views, key=lambda v: float(v[1].sums.squares))
-        steps[-1] += int(n)
-    return _report(camera, unit, after, names, tuple(steps), max_steps)
+    def told(unit: Camera, level: Level, steps: int) -> None:
+        if progress is not None:
+            at = on_film(unit, camera, names)
+            progress(Progress(at, int(level.W), int(level.H), steps))
+
+    start = None if given is None else canonical(camera)
+    if start is None:
+        found = equally_good(everywhere(solver, mask, told))
+    else:
+        found = from_start(solver, mask, start, told)
+    described = [(f, f.view.sums) for f in found]
+    if outlier_px is not None and found[0].view.touched_misfit > EXACT:
+        described = without_outliers(solver, mask, found, outlier_px, start)
+    fit, *modes = (_report(camera, f, sums, names) for f, sums in described)
+    if modes and fit.status == "converged":
+        fit = fit._replace(status="ambiguous")
+    return fit._replace(modes=tuple(modes))
 
 
-class _Problem(eqx.Module):
-    scene: Scene
-    pyramid: Pyramid
-    pivot: Float[Array, "3"]
-    radius: Float[Array, ""]
-
-    def __init__(self, scene: Scene, pyramid: Pyramid, pivot: Array, radius: Array):
-        dtype = pyramid.target.dtype
-        self.scene, self.pyramid = scene, pyramid
-        self.pivot, self.radius = pivot.astype(dtype), radius.astype(dtype)
-
-
-class _View(NamedTuple):
-    """What is known at one camera: R of J = QR, Q^T r, sums, reported parameters' derivative."""
-
-    triangle: Float[Array, "n n"]
-    along: Float[Array, "n"]
-    sums: Sums
-    load: Load
-    to_reported: Float[Array, "n n"]
-
-
-class _LevenbergMarquardt(optx.AbstractGaussNewton):
-    """optimistix's Levenberg-Marquardt, which also stops when the next step is negligible.
-
-    Its own test compares residuals entry by entry, which change places here from step to step, and
-    never stops while steps are rejected (in float32, at the rounding floor, until `max_steps`).
-    """
-
-    rtol: float
-    atol: Any
-    norm: Callable
-    descent: optx.AbstractDescent
-    search: optx.AbstractSearch
-    verbose: Callable
-
-    def __init__(self, atol: Any):
-        self.rtol, self.atol, self.norm = 0.0, atol, optx.max_norm
-        self.descent = optx.DampedNewtonDescent(linear_solver=lx.QR())
-        self.search = _TrustRegion()
-        self.verbose = _silent
-
-    def terminate(self, fn, y, args, options, state, tags):
-        del fn, args, options, tags
-        step = state.y_eval - y
-        change = state.f_info.jac.mv(step)
-        cosine = COSINE[np.dtype(step.dtype)]
-        flat = _sum_squares(change) <= cosine**2 * _sum_squares(state.f_info.residual)
-        small = jnp.max(jnp.abs(step)) < self.atol
-        return ~state.first_step & (small | flat), state.result
+def _anywhere(scene: Scene, target: Numbers, names: tuple[str, ...], phi: Numbers) -> Camera:
+    """Return a camera of the target's size to begin a search with."""
+    if not turns_freely(names):
+        raise ValueError(
+            f"`camera`: expected a Camera to start from where the pose is not free, got None with"
+            f" free = {names}"
+        )
+    shape = np.shape(target)
+    if len(shape) != 2 or 0 in shape:
+        raise ValueError(f"`target`: expected shape (H, W), got shape {shape}")
+    if phi is None:
+        if not {"phi", "d"} & set(names):
+            raise ValueError(
+                "`phi`: expected the field of view (rad) where there is no `camera` and phi is not"
+                " free, got None"
+            )
+        phi = 0.7
+    dtype = float_dtype(*jax.tree.leaves(scene))
+    e, p, u = (np.array(x, dtype) for x in ([0, 0, 1], [0, 0, 0], [0, 1, 0]))
+    return Camera(e, p, u, np.asarray(phi, dtype), 1.0, shape[1], shape[0])
 
 
-class _TrustRegion(optx.ClassicalTrustRegion):
-    """optimistix's, with its step size in the problem's float type, not the configuration's."""
-
-    def init(self, y, f_info_struct):
-        state = super().init(y, f_info_struct)
-        return eqx.tree_at(lambda s: s.step_size, state, state.step_size.astype(y.dtype))
-
-
-def _sum_squares(parts: Any) -> Any:
-    return sum((jnp.sum(x * x) for x in parts), jnp.zeros((), parts[0].dtype))
-
-
-def _silent(**kwargs: Any) -> None:
-    del kwargs
-
-
-def _residual(y: Float[Array, "n"], args: Any):
-    """The function that optimistix sees: module level and all data in `args`, to compile once."""
-    move, problem, level, names, capacity = args
-    camera = moved(move, y, names.value)
-    return residuals(camera, problem.scene, problem.pyramid, level, Capacity(*capacity.value))[0]
-
-
-class _Static(eqx.Module):
-    """A static value inside a pytree of arguments."""
-
-    value: tuple = eqx.field(static=True)
-
-
-def _move(unit: Camera, problem: _Problem, level: Level, names: tuple[str, ...]) -> Move:
-    one_px = units(unit, problem.pivot, problem.radius, level.scale, names)
-    return Move(unit, problem.pivot, UNIT_PX * one_px)
-
-
-@eqx.filter_jit
-def _solve(unit: Camera, problem: _Problem, level: Level, tolerance, names, capacity, max_steps):
-    move = _move(unit, problem, level, names)
-    args = (move, problem, level, _Static(names), _Static(tuple(capacity)))
-    solution = optx.least_squares(
-        _residual,
-        _LevenbergMarquardt(tolerance / UNIT_PX),
-        jnp.zeros_like(move.unit),
-        args,
-        max_steps=max_steps,
-        throw=False,
-    )
-    return moved(move, solution.value, names), solution.stats["num_steps"]
-
-
-@eqx.filter_jit
-def _view(unit: Camera, problem: _Problem, level: Level, names, capacity) -> _View:
-    move = _move(unit, problem, level, names)
-    zero = jnp.zeros_like(move.unit)
-
-    def at(y):
-        camera = moved(move, y, names)
-        (r, _), *rest = residuals(camera, problem.scene, problem.pyramid, level, capacity)
-        return r, (r, *rest)
-
-    jacobian, (r, sums, load) = jax.jacfwd(at, has_aux=True)(zero)
-    q, triangle = jnp.linalg.qr(jacobian)
-    to_reported = jax.jacfwd(lambda y: reported(unit, moved(move, y, names), names))(zero)
-    return _View(triangle, r @ q, sums, load, to_reported)
-
-
-def _look(
-    unit: Camera, problem: _Problem, level: Level, names: tuple[str, ...], capacity: Capacity
-) -> tuple[_View, Capacity]:
-    """Return the view at a camera, and capacities with half as much room again as it takes."""
-    while True:
-        view = _view(unit, problem, level, names, capacity)
-        needs = zip(capacity, view.load, strict=True)
-        room = Capacity(*(_room(have, int(need)) for have, need in needs))
-        if room == capacity:
-            return view, capacity
-        capacity = room
-
-
-def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
-    """Return a guess: some contour edges per root of faces, some pieces per pixel of outline."""
-    faces = 0 if scene.mesh is None else scene.mesh.faces.shape[0]
-    spheres = 0 if scene.spheres is None else scene.spheres.radii.shape[0]
-    inside = image > 0.5
-    outline = sum(int(np.sum(np.diff(inside, axis=k))) for k in (0, 1))
-    return Capacity(
-        edges=_room(1, int(3 * faces**0.5)) if faces else 1,
-        pieces=_room(1, outline + int(3 * faces**0.5)) if faces else 1,
-        arc_pieces=_room(1, outline + 8 * spheres) if spheres else 1,
-    )
-
-
-def _room(have: int, need: int) -> int:
-    """Return `have` if it is 3/2 of `need`, else the next of a few sizes (each is compiled)."""
-    while 2 * have < 3 * need:
-        have = max(4 * have, 1024)
-    return have
-
-
-def _report(
-    camera: Camera, unit: Camera, view: _View, names: tuple[str, ...], steps, max_steps: int
-) -> Fit:
+def _report(camera: Camera, found: Found, over_all: Sums, names: tuple[str, ...]) -> Fit:
+    unit, view, steps = found
     fitted = on_film(unit, camera, names)
     triangle, along = np.asarray(view.triangle, float), np.asarray(view.along, float)
     sums: Any = jax.tree.map(float, view.sums)
+    whole: Any = jax.tree.map(float, over_all)
     # Film coordinates are in film heights inside the fit: the principal point's come back in px.
     to_reported = np.array(view.to_reported, float)
     labels = tuple(r for name in names for r in REPORTED[name])
@@ -320,26 +193,25 @@ def _report(
         return Fit(fitted, "non_finite", labels, empty, np.diag(empty), nan, nan, steps, ())
     variance = sums.touched_squares / max(sums.touched - n, 1)
     cov = covariance(triangle, to_reported, variance, BLIND[dtype])
-    axes = np.asarray(jnp.stack(camera_basis(unit)), float)
-    components = [c for name in names for c in COMPONENTS[name]]
-    blind, weak = weak_directions(triangle, components, axes, BLIND[dtype])
+    axes = axes_of(unit)
+    blind, weak = weak_directions(triangle, components(names), axes, BLIND[dtype])
     return Fit(
         camera=fitted,
-        status=_status(triangle, along, sums, blind, dtype),
+        status=_status(triangle, along, sums, whole, blind, dtype),
         names=labels,
         covariance=cov,
         std=np.sqrt(np.diag(cov)),
-        rms=float(np.sqrt(sums.squares / sums.weight)),
-        iou=sums.overlap / sums.union if sums.union > 0 else 0.0,
+        rms=float(np.sqrt(whole.squares / whole.weight)),
+        iou=whole.overlap / whole.union if whole.union > 0 else 0.0,
         steps=steps,
         weak=weak,
     )
 
 
-def _status(triangle, along, sums: Any, blind: bool, dtype) -> str:
+def _status(triangle, along, sums: Any, whole: Any, blind: bool, dtype) -> str:
     if not np.any(triangle):
-        return "saturated" if sums.overlap > 0 else "no_overlap"
-    if sums.overlap < LEAST_IOU * sums.union:
+        return "saturated" if whole.overlap > 0 else "no_overlap"
+    if whole.overlap < LEAST_IOU * whole.union:
         return "no_overlap"
     # MINPACK's test: the residual is orthogonal to every column of the Jacobian. At the rounding
     # floor the residual has no direction; there the Newton step must be negligible.

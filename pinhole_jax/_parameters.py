@@ -55,6 +55,11 @@ def check_free(free: str | Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in COMPONENTS if name in names)
 
 
+def components(free: tuple[str, ...]) -> list[str]:
+    """Return the components of a move that these names free."""
+    return [c for name in free for c in COMPONENTS[name]]
+
+
 class Move(NamedTuple):
     """Where a vector of moves starts: the camera, the pivot, and the size of one unit of each."""
 
@@ -77,13 +82,13 @@ def units(
     one_px = 1 / (focal_px(camera)[1] * scale)
     spread = jnp.clip(safe_divide(radius, norm(pivot - camera.e)), 1e-3, 1)
     sizes = {"shift": one_px, "spin": one_px, "principal": 1 / scale}
-    names = [c for name in free for c in COMPONENTS[name]]
+    names = components(free)
     return jnp.stack([sizes.get(c.split("_")[0], one_px / spread) for c in names])
 
 
 def moved(move: Move, y: Float[Array, "n"], free: tuple[str, ...]) -> Camera:
     """Return the camera moved by y (in units of `move.unit`); a rigid motion keeps the gauge."""
-    names = [c for name in free for c in COMPONENTS[name]]
+    names = components(free)
     step = dict(zip(names, y * move.unit, strict=True))
     zero = jnp.zeros_like(y[0])
     camera = move.camera

@@ -158,8 +158,15 @@ def front_facing(mesh: Mesh, e: Float[Array, "3"]) -> Bool[Array, "F"]:
     return n[0] * eye[0] + n[1] * eye[1] + n[2] * eye[2] > planes.offset
 
 
-def bounding_sphere(scene: Scene) -> tuple[Float[Array, "3"], Float[Array, ""]]:
-    """Return centre and radius of a sphere about the scene (the bounding box's, not the least)."""
+class Ball(NamedTuple):
+    """A sphere: `centre` (3,) and `radius`, world units."""
+
+    centre: Any
+    radius: Any
+
+
+def bounding_sphere(scene: Scene) -> Ball:
+    """Return a sphere about the scene (the bounding box's, not the least)."""
     lows, highs = [], []
     if scene.mesh is not None:
         lows.append(jnp.min(scene.mesh.vertices, axis=0))
@@ -168,7 +175,7 @@ def bounding_sphere(scene: Scene) -> tuple[Float[Array, "3"], Float[Array, ""]]:
         lows.append(jnp.min(scene.spheres.centers - scene.spheres.radii[:, None], axis=0))
         highs.append(jnp.max(scene.spheres.centers + scene.spheres.radii[:, None], axis=0))
     low, high = jnp.min(jnp.stack(lows), axis=0), jnp.max(jnp.stack(highs), axis=0)
-    return (low + high) / 2, jnp.sqrt(jnp.sum((high - low) ** 2)) / 2
+    return Ball((low + high) / 2, jnp.sqrt(jnp.sum((high - low) ** 2)) / 2)
 
 
 @jax.jit

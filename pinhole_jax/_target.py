@@ -12,6 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+#: How far floats may reach out of [0, 1]: noise is kept as it is, since clipping would bias a fit.
+NOISE = 1.0
+
 
 class Pyramid(NamedTuple):
     """The levels' pixels, rows from the film's bottom, each row with one cell before and after it.
@@ -62,12 +65,12 @@ def check_image(name: str, image: Any, W: int, H: int) -> np.ndarray:
         raise ValueError(
             f"`{name}`: expected finite values, got {array[row, column]} at [{row}, {column}]"
         )
-    if array.min() < -1e-6 or array.max() > 1 + 1e-6:
+    if array.min() < -NOISE or array.max() > 1 + NOISE:
         raise ValueError(
             f"`{name}`: expected floats in [0, 1], got {array.min():g} to {array.max():g}"
             " (masks of 0..255 are to be uint8)"
         )
-    return np.clip(array, 0, 1)
+    return array
 
 
 def check_target(target: Any, weight: Any, W: int, H: int) -> tuple[np.ndarray, np.ndarray]:
@@ -101,6 +104,25 @@ def _check_weight(weight: Any, W: int, H: int) -> np.ndarray:
     if not (np.all(np.isfinite(array)) and array.min() >= 0):
         raise ValueError("`weight`: expected finite values of at least 0")
     return array
+
+
+def near_an_edge(image: np.ndarray, reach_px: float) -> np.ndarray:
+    """Return (H, W): 1 beside the mask's edge (at 0.5), falling to 0 farther than `reach_px` away.
+
+    Tukey's biweight of the distance between pixel centres.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    inside = image > 0.5
+    far = np.ones(inside.shape, bool)
+    for axis in (0, 1):
+        change = np.diff(inside, axis=axis)
+        for side in ((0, 1), (1, 0)):
+            widths = [(0, 0), (0, 0)]
+            widths[axis] = side
+            far &= ~np.pad(change, widths)
+    distance: Any = distance_transform_edt(far)
+    return np.clip(1 - (distance / (1 + reach_px)) ** 2, 0, 1) ** 2
 
 
 def pyramid(

@@ -4,6 +4,8 @@ import numpy as np
 
 #: Singular values under this share of the largest count as no information at all ...
 BLIND = {np.dtype(np.float32): 1e-5, np.dtype(np.float64): 1e-9}
+#: ... under this one as so little that a turn by it gives no other view ...
+UNSEEN = 1e-3
 #: ... and under this one as little: a direction worth naming.
 WEAK = 0.03
 
@@ -51,6 +53,15 @@ def weak_directions(
         if s < WEAK
     )
     return bool(share[-1] <= blind), words
+
+
+def free_turns(triangle: np.ndarray, components: list[str], axes: np.ndarray) -> np.ndarray:
+    """Return the axes (k, 3), in the world, of turns about the object that hardly show."""
+    turns = [k for k, c in enumerate(components) if c.startswith("turn")]
+    _, values, directions = np.linalg.svd(triangle)
+    hidden = directions[values < UNSEEN * max(values[0], np.finfo(values.dtype).tiny)]
+    _, size, vectors = np.linalg.svd(hidden[:, turns] @ axes if turns else np.zeros((0, 3)))
+    return vectors[: np.sum(size > 0.3)]
 
 
 def _words(direction: np.ndarray, components: list[str], axes: np.ndarray) -> str:

@@ -1,0 +1,265 @@
+"""Levenberg-Marquardt on the pixels that a contour touches, coarse to fine (optimistix)."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from ._camera import Camera
+from ._parameters import Move, moved, reported, units
+from ._residuals import Capacity, Load, Sums, residuals
+from ._scene import Ball, Scene, astype, bounding_sphere, padded
+from ._target import Level, Pyramid, pyramid
+
+#: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
+#: larger units make bolder first steps.
+UNIT_PX = 30.0
+#: A step is negligible below this many pixels; on coarse levels, and on the finest.
+COARSE_PX = 0.02
+FINE_PX = {np.dtype(np.float32): 3e-4, np.dtype(np.float64): 1e-7}
+#: ... or where it would change the residuals by less than this share of their norm: MINPACK's
+#: cosine between residual and Jacobian, some thousandths of the error that noise leaves anyway.
+COSINE = {np.dtype(np.float32): 1e-4, np.dtype(np.float64): 1e-5}
+
+
+class Problem(eqx.Module):
+    """A scene and a target's pyramid; moves are taken about the scene's bounding sphere."""
+
+    scene: Scene
+    pyramid: Pyramid
+    pivot: Float[Array, "3"]
+    radius: Float[Array, ""]
+
+    def __init__(self, scene: Scene, pyramid: Pyramid, ball: Ball):
+        dtype = pyramid.target.dtype
+        self.scene, self.pyramid = scene, pyramid
+        self.pivot, self.radius = (jnp.asarray(x, dtype) for x in ball)
+
+
+class View(NamedTuple):
+    """What is known at one camera: R of J = QR, Q^T r, sums, load, reported parameters' derivative.
+
+    J is the residuals' derivative by the moves, in units of `UNIT_PX` pixels.
+    """
+
+    triangle: Float[Array, "n n"]
+    along: Float[Array, "n"]
+    sums: Sums
+    load: Load
+    to_reported: Float[Array, "n n"]
+
+    @property
+    def squares(self) -> float:
+        """Return the sum of weighted squared residuals."""
+        return float(self.sums.squares)
+
+    @property
+    def touched_misfit(self) -> float:
+        """Return the mean square residual of the touched pixels."""
+        return float(self.sums.touched_squares) / max(float(self.sums.touched), 1.0)
+
+    @property
+    def misfit(self) -> float:
+        """Return the mean square residual of a touched pixel, all squares put on these pixels."""
+        return self.squares / max(float(self.sums.touched), 1.0)
+
+
+class Found(NamedTuple):
+    """A camera (canonical), what is seen there, and the steps taken on each level."""
+
+    unit: Camera
+    view: View
+    steps: tuple[int, ...]
+
+
+class Solver:
+    """One scene and mask; holds the buffers' sizes, which grow where a view outgrows them.
+
+    A mask is `hard` if it is 0 or 1 everywhere. The clamped overlaps would show in one with soft
+    edges, so its last level is the finest once more without them. A hard edge hides them, and there
+    pixels that come and go would make the steps stall.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        image: np.ndarray,
+        weights: np.ndarray,
+        dtype: Any,
+        names: tuple[str, ...],
+        max_steps: int,
+    ):
+        self.dtype, self.names, self.max_steps = np.dtype(dtype), names, max_steps
+        self._image, self._scene = image, padded(astype(scene, dtype))
+        centre, radius = bounding_sphere(scene)
+        self.ball = Ball(np.asarray(centre, float), float(radius))
+        self.capacity = _first_capacity(scene, image)
+        self.hard = bool(np.all((image == 0) | (image == 1)))
+        self.weigh(weights)
+
+    def weigh(self, weights: np.ndarray) -> None:
+        """Set how much each pixel counts."""
+        levels, self.levels = pyramid(self._image, weights, self.dtype)
+        self.finest = self.levels[-1]
+        self.problem = Problem(self._scene, levels, self.ball)
+        if not self.hard:
+            self.levels.append(self.finest._replace(strict=jnp.bool_(True)))
+
+    def look(self, unit: Camera, level: Level) -> View:
+        """Return the view at a camera; capacities get half as much room again as it takes."""
+        while True:
+            view = _view(unit, self.problem, level, self.names, self.capacity)
+            needs = zip(self.capacity, view.load, strict=True)
+            room = Capacity(*(_room(have, int(need)) for have, need in needs))
+            if room == self.capacity:
+                return view
+            self.capacity = room
+
+    def solve(
+        self,
+        unit: Camera,
+        levels: Sequence[Level],
+        told: Callable[[Camera, Level, int], None] | None = None,
+        coarse_px: float = COARSE_PX,
+    ) -> Found:
+        """Return the camera found from level to level, and its view on the last of them."""
+        steps: list[int] = []
+        while True:
+            capacity = self.capacity
+            for level in levels:
+                finest, strict = int(level.start) == int(self.finest.start), bool(level.strict)
+                tolerance = jnp.asarray(FINE_PX[self.dtype] if finest else coarse_px, self.dtype)
+                further, n = _solve(
+                    unit, self.problem, level, tolerance, self.names, capacity, self.max_steps
+                )
+                if strict and int(n) == self.max_steps:
+                    continue  # it stalled
+                unit = further
+                steps.append(int(n))
+                if told is not None:
+                    told(unit, level, int(n))
+            view = self.look(unit, levels[-1])
+            if self.capacity == capacity:
+                return Found(unit, view, tuple(steps))
+            # The view outgrew its buffers on the way: go on from there with larger ones.
+
+
+class _LevenbergMarquardt(optx.AbstractGaussNewton):
+    """optimistix's Levenberg-Marquardt, which also stops when the next step is negligible.
+
+    Its own test compares residuals entry by entry, which change places here from step to step, and
+    never stops while steps are rejected (in float32, at the rounding floor, until `max_steps`).
+    """
+
+    rtol: float
+    atol: Any
+    norm: Callable
+    descent: optx.AbstractDescent
+    search: optx.AbstractSearch
+    verbose: Callable
+
+    def __init__(self, atol: Any):
+        self.rtol, self.atol, self.norm = 0.0, atol, optx.max_norm
+        self.descent = optx.DampedNewtonDescent(linear_solver=lx.QR())
+        self.search = _TrustRegion()
+        self.verbose = _silent
+
+    def terminate(self, fn, y, args, options, state, tags):
+        del fn, args, options, tags
+        step = state.y_eval - y
+        change = state.f_info.jac.mv(step)
+        cosine = COSINE[np.dtype(step.dtype)]
+        flat = _sum_squares(change) <= cosine**2 * _sum_squares(state.f_info.residual)
+        small = jnp.max(jnp.abs(step)) < self.atol
+        return ~state.first_step & (small | flat), state.result
+
+
+class _TrustRegion(optx.ClassicalTrustRegion):
+    """optimistix's, with its step size in the problem's float type, not the configuration's."""
+
+    def init(self, y, f_info_struct):
+        state = super().init(y, f_info_struct)
+        return eqx.tree_at(lambda s: s.step_size, state, state.step_size.astype(y.dtype))
+
+
+def _sum_squares(parts: Any) -> Any:
+    return sum((jnp.sum(x * x) for x in parts), jnp.zeros((), parts[0].dtype))
+
+
+def _silent(**kwargs: Any) -> None:
+    del kwargs
+
+
+def _residual(y: Float[Array, "n"], args: Any):
+    """The function that optimistix sees: module level and all data in `args`, to compile once."""
+    move, problem, level, names, capacity = args
+    camera = moved(move, y, names.value)
+    return residuals(camera, problem.scene, problem.pyramid, level, Capacity(*capacity.value))[0]
+
+
+class _Static(eqx.Module):
+    """A static value inside a pytree of arguments."""
+
+    value: tuple = eqx.field(static=True)
+
+
+def _move(unit: Camera, problem: Problem, level: Level, names: tuple[str, ...]) -> Move:
+    one_px = units(unit, problem.pivot, problem.radius, level.scale, names)
+    return Move(unit, problem.pivot, UNIT_PX * one_px)
+
+
+@eqx.filter_jit
+def _solve(unit: Camera, problem: Problem, level: Level, tolerance, names, capacity, max_steps):
+    move = _move(unit, problem, level, names)
+    args = (move, problem, level, _Static(names), _Static(tuple(capacity)))
+    solution = optx.least_squares(
+        _residual,
+        _LevenbergMarquardt(tolerance / UNIT_PX),
+        jnp.zeros_like(move.unit),
+        args,
+        max_steps=max_steps,
+        throw=False,
+    )
+    return moved(move, solution.value, names), solution.stats["num_steps"]
+
+
+@eqx.filter_jit
+def _view(unit: Camera, problem: Problem, level: Level, names, capacity) -> View:
+    move = _move(unit, problem, level, names)
+    zero = jnp.zeros_like(move.unit)
+
+    def at(y):
+        camera = moved(move, y, names)
+        (r, _), *rest = residuals(camera, problem.scene, problem.pyramid, level, capacity)
+        return r, (r, *rest)
+
+    jacobian, (r, sums, load) = jax.jacfwd(at, has_aux=True)(zero)
+    q, triangle = jnp.linalg.qr(jacobian)
+    to_reported = jax.jacfwd(lambda y: reported(unit, moved(move, y, names), names))(zero)
+    return View(triangle, r @ q, sums, load, to_reported)
+
+
+def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
+    """Return a guess: some contour edges per root of faces, some pieces per pixel of outline."""
+    faces = 0 if scene.mesh is None else scene.mesh.faces.shape[0]
+    spheres = 0 if scene.spheres is None else scene.spheres.radii.shape[0]
+    inside = image > 0.5
+    outline = sum(int(np.sum(np.diff(inside, axis=k))) for k in (0, 1))
+    return Capacity(
+        edges=_room(1, int(3 * faces**0.5)) if faces else 1,
+        pieces=_room(1, outline + int(3 * faces**0.5)) if faces else 1,
+        arc_pieces=_room(1, outline + 8 * spheres) if spheres else 1,
+    )
+
+
+def _room(have: int, need: int) -> int:
+    """Return `have` if it is 3/2 of `need`, else the next of a few sizes (each is compiled)."""
+    while 2 * have < 3 * need:
+        have = max(4 * have, 1024)
+    return have

@@ -1,0 +1,144 @@
+"""Which cameras a fit tries, and which of those that it finds it keeps."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from ._camera import Camera
+from ._parameters import canonical, components
+from ._residuals import Sums
+from ._search import Mask, aimed, angle, axes_of, guesses
+from ._solver import Found, Solver
+from ._target import near_an_edge
+from ._uncertainty import free_turns
+
+#: Mean square residual of a touched pixel with which a fit looks no further, for hard masks (a
+#: hard edge leaves 1/12) and for those with soft edges.
+CONTENT = {True: 0.1, False: 0.01}
+#: A mask that leaves less has no outliers.
+EXACT = 0.01
+#: Two views explain a mask equally well if their sums of squares differ by less than this share.
+EQUAL = 0.05
+#: Cameras this close (rad) are one.
+SAME = np.deg2rad(1.0)
+#: How many guesses a search tries on the coarsest level, how far apart (rad), and how many of the
+#: cameras that they lead to it may follow to finer ones.
+TRIED, APART, FOLLOWED = 16, np.deg2rad(15), 8
+#: A step that is negligible there, in coarse px.
+ROUGH_PX = 0.3
+#: Where the focal length is free, a search tries several: this much times the first guess.
+FOCAL_FACTORS = (1.0, 1.5, 0.67)
+
+Told = Callable[..., None]
+
+
+def turns_freely(names: tuple[str, ...]) -> bool:
+    """Return whether the whole pose is free."""
+    return "pose" in names or {"position", "orientation"} <= {*names}
+
+
+def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> list[Found]:
+    """Return what explains the mask best, the nearest to the start first if several do equally."""
+    before = solver.look(start, solver.levels[-1])
+    begin, free = start, turns_freely(solver.names)
+    if free and float(before.sums.overlap) <= 0.05 * float(before.sums.union):
+        begin = canonical(aimed(mask, solver.problem.scene, solver.ball))
+    found = solver.solve(begin, solver.levels, told)
+    if not found.view.misfit <= before.misfit:
+        found = found._replace(unit=start, view=before)  # never worse than the start
+    if found.view.misfit <= CONTENT[solver.hard] or not free:
+        return [found]
+    several = [found, *everywhere(solver, mask, told, rounds=1)]
+    equal = equally_good(_one_of_each(several, solver.names))
+    return sorted(equal, key=lambda f: angle(f.unit, start))
+
+
+def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> list[Found]:
+    """Return the cameras that a search over all views finds, the best first.
+
+    Further rounds try other guesses, and other focal lengths where that is free, until the mask is
+    explained as well as its kind allows.
+    """
+    found: list[Found] = []
+    sources: dict[float, Iterator[Camera]] = {}
+    focal_is_free = {"phi", "d"} & {*solver.names}
+    for factor in FOCAL_FACTORS[:rounds] if focal_is_free else (1.0,) * rounds:
+        if factor not in sources:
+            sources[factor] = guesses(mask.longer(factor), solver.problem.scene, solver.ball)
+        found = _one_of_each([*found, *_followed(solver, sources[factor], told)], solver.names)
+        if found[0].view.misfit < CONTENT[solver.hard]:
+            break
+    return found
+
+
+def _followed(solver: Solver, likely: Iterator[Camera], told: Told) -> list[Found]:
+    """Return the cameras that the next few guesses lead to."""
+    coarsest, *finer = solver.levels
+    seen: list[Camera] = []
+    found: list[Found] = []
+    for guess in likely:
+        if all(angle(guess, other) > APART for other in seen):
+            found.append(solver.solve(canonical(guess), [coarsest], coarse_px=ROUGH_PX))
+            seen += [guess, found[-1].unit]
+            if len(found) == TRIED:
+                break
+    found = _one_of_each(found, solver.names)[:FOLLOWED]
+    for level in finer:
+        found = [_onward(f, solver.solve(f.unit, [level], told)) for f in found]
+        found = _one_of_each(found, solver.names)
+        found = [f for f in found if f.view.misfit < 4 * found[0].view.misfit + EXACT]
+    return found
+
+
+def equally_good(found: list[Found]) -> list[Found]:
+    """Return those that explain the mask as well as the best does."""
+    best = found[0].view.misfit
+    return [f for f in found if f.view.misfit <= (1 + EQUAL) * best + 1e-6]
+
+
+def without_outliers(
+    solver: Solver, mask: Mask, found: list[Found], outlier_px: float, start: Camera | None
+) -> list[tuple[Found, Sums]]:
+    """Return the cameras fitted to pixels near the mask's edge only, and sums over all pixels.
+
+    At first the surroundings are wide, so that what other stretches of the outline pulled away
+    comes back.
+    """
+    ends = [[f.unit] if start is None else [f.unit, start] for f in found]
+    for reach in (8, 4, 2, 1):
+        solver.weigh(mask.weight * near_an_edge(mask.image, reach * outlier_px))
+        found = [_onward(f, solver.solve(f.unit, [solver.finest])) for f in found]
+    result = []
+    for f, others in zip(found, ends, strict=True):
+        views = [f, *(f._replace(unit=x, view=solver.look(x, solver.finest)) for x in others)]
+        result.append(min(_finite(views), key=lambda f: f.view.squares))
+    solver.weigh(mask.weight)
+    return [(f, solver.look(f.unit, solver.finest).sums) for f in result]
+
+
+def _onward(before: Found, after: Found) -> Found:
+    return after._replace(steps=before.steps + after.steps)
+
+
+def _finite(found: list[Found]) -> list[Found]:
+    return [f for f in found if np.isfinite(f.view.squares)] or found[:1]
+
+
+def _one_of_each(found: list[Found], names: tuple[str, ...]) -> list[Found]:
+    """Return the finite ones, the best first, and of those with the same view the best."""
+    kept: list[Found] = []
+    for f in sorted(_finite(found), key=lambda f: f.view.misfit):
+        if not any(_same(k, f, names) for k in kept):
+            kept.append(f)
+    return kept
+
+
+def _same(a: Found, b: Found, names: tuple[str, ...]) -> bool:
+    """Return whether two cameras look the same way, but for a turn that changes no pixel of a's."""
+    axes_a, axes_b = (axes_of(f.unit) for f in (a, b))
+    turn: Any = axes_a.T @ axes_b - np.eye(3)
+    free = free_turns(np.asarray(a.view.triangle, float), components(names), axes_a)
+    if len(free) > 1:
+        return True
+    return bool(np.linalg.norm(turn @ free[0] if len(free) else turn) < SAME)

@@ -1,0 +1,114 @@
+"""A camera with no start, or a bad one."""
+
+import numpy as np
+import pytest
+import trimesh
+from oracles import turned
+from scipy.spatial.transform import Rotation
+
+import pinhole_jax as pj
+from pinhole_jax import shapes
+from pinhole_jax._search import distances, facing, signatures, sphere_points
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return pj.Scene(mesh=shapes.bumpy(3))
+
+
+def anywhere(seed: int, W: int = 96, H: int = 80) -> pj.Camera:
+    """A camera 5 units from the origin, turned at random, the object not in the middle."""
+    random = np.random.default_rng(seed)
+    axes = Rotation.random(random_state=seed).as_matrix()
+    e = -5 * axes[2] + random.uniform(-0.4, 0.4, 2) @ axes[:2]
+    return pj.Camera(e, e + 5 * axes[2], axes[1], 0.6, 1.0, W, H)
+
+
+def degrees(fit, truth):
+    return np.rad2deg(float(pj.pose_error(fit.camera, truth)[0]))
+
+
+def mask_of(camera, scene):
+    return np.asarray(pj.silhouette(camera, scene))
+
+
+def test_a_roll_is_found_by_correlation():
+    disc = np.hypot(*(np.mgrid[:80, :96] - np.array([[[30]], [[50]]]))) < 12
+    disc[30:, 50:] = False  # three quarters of a disc
+    film = (np.array([200.0, 200.0]), np.array([48.0, 40.0]))
+    one = signatures(disc[None] * 1.0, np.ones((80, 96)), *film)
+    rolled = one._replace(samples=np.roll(one.samples, 9, axis=-1))
+    score = distances(one, rolled)
+    assert np.argmin(score) == 72 - 9
+    assert score.min() < 1e-12
+
+
+def test_facing_turns_to_a_direction():
+    directions = sphere_points(50)
+    axes = facing(directions)
+    squares = axes @ np.swapaxes(axes, 1, 2)
+    np.testing.assert_allclose(squares, np.broadcast_to(np.eye(3), squares.shape), atol=1e-6)
+    np.testing.assert_allclose(np.linalg.det(axes), 1, atol=1e-6)
+    np.testing.assert_allclose(axes[:, 2], directions, atol=1e-12)
+
+
+def test_a_camera_is_found_with_no_start(scene):
+    for seed in range(3):
+        truth = anywhere(seed)
+        fit = pj.fit_camera(scene, mask_of(truth, scene), None, phi=0.6)
+        assert fit.status == "converged"
+        assert fit.modes == ()
+        assert degrees(fit, truth) < 1e-6
+        assert float(fit.camera.phi) == 0.6
+
+
+def test_the_focal_length_may_be_a_guess(scene):
+    truth = anywhere(3)
+    fit = pj.fit_camera(scene, mask_of(truth, scene), None, ("pose", "phi"))
+    assert fit.status == "converged"
+    assert degrees(fit, truth) < 1e-6
+    assert abs(float(fit.camera.phi) - 0.6) < 1e-6
+
+
+@pytest.mark.parametrize("where", ["beside", "behind", "inside", "far", "upside down"])
+def test_a_start_that_shows_nothing_of_the_mask_is_pulled_in(scene, where):
+    truth = anywhere(0)
+    e, p, u = (np.asarray(x) for x in (truth.e, truth.p, truth.u))
+    arrays = {
+        "beside": (e, p + np.array([3, 3, 0]), u),
+        "behind": (e, 2 * e - p, u),
+        "inside": (0 * e, p - e, u),
+        "far": (100 * e, p, u),
+        "upside down": (e, p, -u),
+    }[where]
+    start = pj.Camera(*arrays, 0.6, 1.0, 96, 80)
+    fit = pj.fit_camera(scene, mask_of(truth, scene), start)
+    assert fit.status == "converged"
+    assert degrees(fit, truth) < 1e-6
+
+
+def test_a_box_is_seen_in_four_ways():
+    """Half turns about its three axes change nothing: four cameras, all of them are given."""
+    box = trimesh.creation.box((1.2, 0.8, 2)).subdivide()
+    scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces))
+    truth = anywhere(1)
+    fit = pj.fit_camera(scene, mask_of(truth, scene), None, phi=0.6)
+    assert fit.status == "ambiguous"
+    assert len(fit.modes) == 3
+    views = [fit, *fit.modes]
+    assert min(degrees(f, truth) for f in views) < 1e-4
+    for f in views:
+        assert f.rms < 1e-6
+        np.testing.assert_allclose(pj.silhouette(f.camera, scene), mask_of(truth, scene), atol=1e-4)
+    near = turned(truth, [1, 2, 3], 20)
+    assert degrees(pj.fit_camera(scene, mask_of(truth, scene), near), truth) < 1e-4
+
+
+def test_a_symmetry_is_no_list_of_modes():
+    cylinder = trimesh.creation.cylinder(0.5, 2.0, sections=256)
+    cylinder.vertices[cylinder.vertices[:, 2] > 0, :2] *= 0.6  # a cone's stump: no second axis
+    scene = pj.Scene(mesh=pj.Mesh(cylinder.vertices, cylinder.faces))
+    fit = pj.fit_camera(scene, mask_of(anywhere(2), scene), None, phi=0.6)
+    assert fit.iou > 0.999
+    assert fit.modes == ()
+    assert "the turn about the axis" in fit.weak[0]
