@@ -9,12 +9,16 @@ from ._camera import camera_basis as camera_basis
 from ._certificate import Certificate as Certificate
 from ._certificate import check_gradients as check_gradients
 from ._fit import Fit as Fit
+from ._fit import Progress as Progress
 from ._fit import fit_camera as fit_camera
+from ._fit_cameras import fit_cameras as fit_cameras
 from ._images import depth as depth
 from ._images import normals as normals
 from ._lens import Lens as Lens
 from ._metrics import iou as iou
 from ._metrics import pose_error as pose_error
+from ._observability import Observability as Observability
+from ._observability import observability as observability
 from ._rays import (
     Rays as Rays,
 )

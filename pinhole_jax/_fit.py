@@ -7,15 +7,16 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ._arrays import Numbers, float_dtype
+from ._arrays import Numbers, float_dtype, is_concrete
 from ._camera import Camera
+from ._implicit import through
 from ._parameters import REPORTED, canonical, check_free, components, on_film
 from ._residuals import Sums
 from ._scene import Scene
 from ._search import Mask, axes_of
-from ._solver import COSINE, FINE_PX, UNIT_PX, Found, Solver
+from ._solver import COSINE, FINE_PX, UNIT_PX, Found, Solver, View
 from ._strategy import EXACT, equally_good, everywhere, from_start, turns_freely, without_outliers
-from ._target import Level, check_target
+from ._target import Level, check_target, near_an_edge
 from ._uncertainty import BLIND, covariance, weak_directions
 
 #: What `Fit.status` may be.
@@ -108,9 +109,12 @@ def fit_camera(
     Levenberg-Marquardt (optimistix) minimises the weighted squared difference of exact coverage and
     target over the camera's pose and log focal length, on images from about 16 pixels across the
     object up to the full size. Pixels in which contours overlap count as the clamped sum of layers;
-    if the mask turns out to be exact to a tenth, they are left out at the end. Works in the float
-    type of `camera` (or of the scene); runs on concrete arrays, not inside `jit`. The first call
-    compiles (seconds); later ones with scenes and images of similar size do not.
+    with soft edges in the mask (not 0 and 1 only) they are left out at the end. Works in the float
+    type of `camera` (or of the scene). The first call compiles (seconds); later ones with scenes
+    and images of similar size do not.
+
+    Runs outside `jit` and `vmap`. The camera of the result is differentiable (once, forward and
+    reverse) with respect to scene, target and weight, by the implicit function theorem.
 
     Raises ValueError for arguments that make no fit; what the solver met is in `Fit.status`.
     """
@@ -121,34 +125,57 @@ def fit_camera(
     if outlier_px is not None and not outlier_px > 0:
         raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
     names = check_free(free)
-    given = camera
-    if camera is None:
-        camera = _anywhere(scene, target, names, phi)
-    elif not isinstance(camera, Camera):
+    if camera is not None and not isinstance(camera, Camera):
         raise ValueError(f"`camera`: expected a Camera to start from or None, got {camera!r}")
-    elif phi is not None:
+    if camera is not None and phi is not None:
         raise ValueError("`phi`: expected None beside a `camera`, which has its own")
-    image, weights = check_target(target, weight, camera.W, camera.H)
-    solver = Solver(scene, image, weights, camera.e.dtype, names, max_steps)
-    mask = Mask(image, weights, camera)
+    base = _anywhere(scene, target, names, phi) if camera is None else camera
+
+    def run(inputs: Any) -> tuple[Fit, Callable]:
+        scene, target, weight = inputs
+        image, weights = check_target(target, weight, base.W, base.H)
+        return _fit(scene, Mask(image, weights, base), camera is None, names, settings)
+
+    settings = _Settings(outlier_px, max_steps, progress)
+    inputs = (scene, target, weight)
+    if is_concrete(*jax.tree.leaves(inputs)):
+        return run(inputs)[0]
+    return through(run, inputs, names)
+
+
+class _Settings(NamedTuple):
+    outlier_px: float | None
+    max_steps: int
+    progress: Callable[[Progress], None] | None
+
+
+def _fit(
+    scene: Scene, mask: Mask, anywhere: bool, names: tuple[str, ...], settings: _Settings
+) -> tuple[Fit, Callable[[], np.ndarray]]:
+    """Return the fit, and a function that gives the weights of the pixels that decided."""
+    base = mask.camera
+    solver = Solver(scene, mask.image, mask.weight, base.e.dtype, names, settings.max_steps)
 
     def told(unit: Camera, level: Level, steps: int) -> None:
-        if progress is not None:
-            at = on_film(unit, camera, names)
-            progress(Progress(at, int(level.W), int(level.H), steps))
+        if settings.progress is not None:
+            at = on_film(unit, base, names)
+            settings.progress(Progress(at, int(level.W), int(level.H), steps))
 
-    start = None if given is None else canonical(camera)
+    start = None if anywhere else canonical(base)
     if start is None:
         found = equally_good(everywhere(solver, mask, told))
     else:
         found = from_start(solver, mask, start, told)
     described = [(f, f.view.sums) for f in found]
-    if outlier_px is not None and found[0].view.touched_misfit > EXACT:
-        described = without_outliers(solver, mask, found, outlier_px, start)
-    fit, *modes = (_report(camera, f, sums, names) for f, sums in described)
+    trust = lambda: mask.weight * ~solver.left_out(found[0].unit)
+    reach = settings.outlier_px
+    if reach is not None and found[0].view.touched_misfit > EXACT:
+        described = without_outliers(solver, mask, found, reach, start)
+        trust = lambda: mask.weight * near_an_edge(mask.image, reach)
+    fit, *modes = (report(base, f, sums, names) for f, sums in described)
     if modes and fit.status == "converged":
         fit = fit._replace(status="ambiguous")
-    return fit._replace(modes=tuple(modes))
+    return fit._replace(modes=tuple(modes)), trust
 
 
 def _anywhere(scene: Scene, target: Numbers, names: tuple[str, ...], phi: Numbers) -> Camera:
@@ -173,17 +200,20 @@ def _anywhere(scene: Scene, target: Numbers, names: tuple[str, ...], phi: Number
     return Camera(e, p, u, np.asarray(phi, dtype), 1.0, shape[1], shape[0])
 
 
-def _report(camera: Camera, found: Found, over_all: Sums, names: tuple[str, ...]) -> Fit:
+def report(
+    camera: Camera,
+    found: Found,
+    over_all: Sums,
+    names: tuple[str, ...],
+    variance: float | None = None,
+) -> Fit:
+    """Return what was found, as a user reads it; `variance` of a residual, if known better."""
     unit, view, steps = found
     fitted = on_film(unit, camera, names)
     triangle, along = np.asarray(view.triangle, float), np.asarray(view.along, float)
     sums: Any = jax.tree.map(float, view.sums)
     whole: Any = jax.tree.map(float, over_all)
-    # Film coordinates are in film heights inside the fit: the principal point's come back in px.
-    to_reported = np.array(view.to_reported, float)
-    labels = tuple(r for name in names for r in REPORTED[name])
-    in_px = [label.startswith("principal") for label in labels]
-    to_reported[in_px] *= camera.H
+    labels, to_reported = labels_of(names), to_units(view, names, camera)
     dtype = np.dtype(camera.e.dtype)
     finite = np.all(np.isfinite(triangle)) and np.isfinite(sums.squares)
     n = len(labels)
@@ -191,8 +221,8 @@ def _report(camera: Camera, found: Found, over_all: Sums, names: tuple[str, ...]
         empty = np.full((n, n), np.nan)
         nan = float("nan")
         return Fit(fitted, "non_finite", labels, empty, np.diag(empty), nan, nan, steps, ())
-    variance = sums.touched_squares / max(sums.touched - n, 1)
-    cov = covariance(triangle, to_reported, variance, BLIND[dtype])
+    noise = sums.touched_squares / max(sums.touched - n, 1) if variance is None else variance
+    cov = covariance(triangle, to_reported, noise, BLIND[dtype])
     axes = axes_of(unit)
     blind, weak = weak_directions(triangle, components(names), axes, BLIND[dtype])
     return Fit(
@@ -206,6 +236,21 @@ def _report(camera: Camera, found: Found, over_all: Sums, names: tuple[str, ...]
         steps=steps,
         weak=weak,
     )
+
+
+def labels_of(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the reported parameters of the names that are free."""
+    return tuple(r for name in names for r in REPORTED[name])
+
+
+def to_units(view: View, names: tuple[str, ...], camera: Camera) -> np.ndarray:
+    """Return the derivative of the reported parameters by the solver's moves.
+
+    Film coordinates are in film heights inside the fit: the principal point's come back in px.
+    """
+    to_reported = np.array(view.to_reported, float)
+    to_reported[[label.startswith("principal") for label in labels_of(names)]] *= camera.H
+    return to_reported
 
 
 def _status(triangle, along, sums: Any, whole: Any, blind: bool, dtype) -> str:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from ._camera import Camera
 from ._parameters import Move, moved, reported, units
-from ._residuals import Capacity, Load, Sums, residuals
+from ._residuals import Capacity, Load, Sums, Touched, residuals, touch
 from ._scene import Ball, Scene, astype, bounding_sphere, padded
 from ._target import Level, Pyramid, pyramid
 
@@ -45,7 +45,7 @@ class Problem(eqx.Module):
 class View(NamedTuple):
     """What is known at one camera: R of J = QR, Q^T r, sums, load, reported parameters' derivative.
 
-    J is the residuals' derivative by the moves, in units of `UNIT_PX` pixels.
+    J is the residuals' derivative by the moves, in the solver's units (`UNIT_PX` pixels): `unit`.
     """
 
     triangle: Float[Array, "n n"]
@@ -53,6 +53,7 @@ class View(NamedTuple):
     sums: Sums
     load: Load
     to_reported: Float[Array, "n n"]
+    unit: Float[Array, "n"]
 
     @property
     def squares(self) -> float:
@@ -120,6 +121,16 @@ class Solver:
             if room == self.capacity:
                 return view
             self.capacity = room
+
+    def left_out(self, unit: Camera) -> np.ndarray:
+        """Return the pixels (H, W) that the last level leaves out, since contours overlap there."""
+        level = self.levels[-1]
+        H, W = self._image.shape
+        touched = _touched(unit, self.problem, level, self.capacity)
+        cells = np.asarray(touched.cell)[np.asarray(touched.inside & ~touched.known)]
+        result = np.zeros((H, W + 2), bool)
+        result.flat[cells] = True
+        return result[::-1, 1:-1]
 
     def solve(
         self,
@@ -230,6 +241,17 @@ def _solve(unit: Camera, problem: Problem, level: Level, tolerance, names, capac
 
 
 @eqx.filter_jit
+def _touched(unit: Camera, problem: Problem, level: Level, capacity: Capacity) -> Touched:
+    return touch(unit, problem.scene, level, capacity)[0]
+
+
+@eqx.filter_jit
+def step(unit: Camera, problem: Problem, level: Level, y: Float[Array, "n"], names) -> Camera:
+    """Return the camera moved by y in the solver's units."""
+    return moved(_move(unit, problem, level, names), y, names)
+
+
+@eqx.filter_jit
 def _view(unit: Camera, problem: Problem, level: Level, names, capacity) -> View:
     move = _move(unit, problem, level, names)
     zero = jnp.zeros_like(move.unit)
@@ -242,7 +264,7 @@ def _view(unit: Camera, problem: Problem, level: Level, names, capacity) -> View
     jacobian, (r, sums, load) = jax.jacfwd(at, has_aux=True)(zero)
     q, triangle = jnp.linalg.qr(jacobian)
     to_reported = jax.jacfwd(lambda y: reported(unit, moved(move, y, names), names))(zero)
-    return View(triangle, r @ q, sums, load, to_reported)
+    return View(triangle, r @ q, sums, load, to_reported, move.unit)
 
 
 def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:

@@ -76,7 +76,7 @@ def check_image(name: str, image: Any, W: int, H: int) -> np.ndarray:
 def check_target(target: Any, weight: Any, W: int, H: int) -> tuple[np.ndarray, np.ndarray]:
     """Return target and weight as float64 (H, W), or raise ValueError: a mask must show an edge."""
     image = check_image("target", target, W, H)
-    weights = np.ones((H, W)) if weight is None else _check_weight(weight, W, H)
+    weights = check_weight(weight, W, H)
     counted = image[weights > 0]
     if counted.size == 0:
         raise ValueError("`weight`: expected some pixels to count, got 0 everywhere")
@@ -93,7 +93,10 @@ def check_target(target: Any, weight: Any, W: int, H: int) -> tuple[np.ndarray, 
     return image, weights
 
 
-def _check_weight(weight: Any, W: int, H: int) -> np.ndarray:
+def check_weight(weight: Any, W: int, H: int) -> np.ndarray:
+    """Return weights as float64 (H, W), ones for None, or raise ValueError in words."""
+    if weight is None:
+        return np.ones((H, W))
     array = np.asarray(weight)
     if array.shape != (H, W):
         raise ValueError(f"`weight`: expected shape (H, W) = ({H}, {W}), got {array.shape}")

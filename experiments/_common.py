@@ -1,0 +1,78 @@
+"""What several experiments share: meshes, random cameras, starts that are off."""
+
+import json
+import platform
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import pinhole_jax as pj
+
+SHARED = Path(__file__).parents[2] / "shared" / "data" / "meshes"
+
+
+def meshes(*names: str) -> Iterator[tuple[str, pj.Scene]]:
+    """Yield the bumpy shape and the named files, each of radius 1 about the origin, float32."""
+    for name in ("bumpy", *names):
+        if name == "bumpy":
+            mesh = pj.shapes.bumpy(4)
+        elif (SHARED / name).exists():
+            mesh = pj.load_mesh(SHARED / name)
+        else:
+            print(f"{name}: skipped, there is no {SHARED / name}")
+            continue
+        vertices = np.asarray(mesh.vertices)
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        scaled = (vertices - (low + high) / 2) / (np.linalg.norm(high - low) / 2)
+        yield name.split(".")[0], pj.Scene(mesh=pj.Mesh(scaled.astype(np.float32), mesh.faces))
+
+
+def camera_at(
+    axes: np.ndarray, aside: np.ndarray, distance: float, phi: float, size: int = 256
+) -> pj.Camera:
+    """Return a float32 camera with axes (rows right, up, forward), beside the origin's line."""
+    e = -distance * axes[2] + aside @ axes[:2]
+    e, p, u = (x.astype(np.float32) for x in (e, e + distance * axes[2], axes[1]))
+    return pj.Camera(e, p, u, np.float32(phi), 1.0, size, size)
+
+
+def random_camera(random: np.random.Generator, phi: float = 0.6, size: int = 256) -> pj.Camera:
+    """Return a camera turned at random, the unit sphere across 40 to 90 % of the film."""
+    from scipy.spatial.transform import Rotation
+
+    axes = Rotation.random(random_state=random).as_matrix()
+    distance = random.uniform(1.1, 2.4) / np.sin(phi / 2)
+    return camera_at(axes, random.uniform(-0.1, 0.1, 2), distance, phi, size)
+
+
+def degrees(camera: pj.Camera, truth: pj.Camera) -> float:
+    """Return the angle between two cameras."""
+    return float(np.rad2deg(pj.pose_error(camera, truth)[0]))
+
+
+def run(question: Callable[[], dict], draw: Callable[[dict, Path], None] | None = None) -> None:
+    """Answer a question in float64 mode; write the answer's JSON, and its picture, to a folder."""
+    jax.config.update("jax_enable_x64", True)
+    name = Path(sys.argv[0]).stem
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
+    folder.mkdir(parents=True, exist_ok=True)
+    answer = question()
+    answer["versions"] = {"jax": jax.__version__, "python": platform.python_version()}
+    (folder / f"{name}.json").write_text(json.dumps(answer, indent=1) + "\n")
+    if draw is not None:
+        draw(answer, folder / f"{name}.png")
+
+
+def trials(default: int) -> int:
+    """Return how many trials the command line asks for."""
+    return int(sys.argv[2]) if len(sys.argv) > 2 else default
+
+
+def percentiles(values: Iterable[float]) -> dict[str, float]:
+    """Return median, mean and largest."""
+    array = np.array([*values])
+    kinds = {"median": np.median, "mean": np.mean, "max": np.max}
+    return {name: float(kind(array)) for name, kind in kinds.items()}

@@ -1,0 +1,130 @@
+"""How a fitted camera moves with what it was fitted to: the implicit function theorem.
+
+The fit ends where g = J^T w (image - target) is 0 (J: the image's derivative by the moves of the
+camera), so a change of scene, target or weight moves it by -(dg/dmoves)^-1 dg. That takes the
+image's second derivatives, which coverage does not have as a program; where the residual is not 0
+they are central differences of its exact first derivatives.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ._arrays import is_concrete
+from ._camera import Camera
+from ._parameters import Move, canonical, moved, on_film, units
+from ._scene import Scene, bounding_sphere
+from ._silhouette import silhouette
+
+#: The step of central differences, in px, by float type.
+STEP_PX = {np.dtype(np.float32): 0.1, np.dtype(np.float64): 1e-3}
+#: Below this root mean square over the image the residual's part of the second derivative is left
+#: out: it is as small as that.
+NO_RESIDUAL = 1e-5
+
+Inputs = tuple[Scene, Any, Any]
+
+
+def through(run: Callable[[Inputs], tuple[Any, Callable]], inputs: Inputs, names: tuple) -> Any:
+    """Return what `run` does, with a camera that is differentiable by the scene, target and weight.
+
+    `run` takes these three and returns its result, and a function that gives the weights (H, W) of
+    the pixels that decided.
+    """
+    changing, fixed = eqx.partition(inputs, eqx.is_inexact_array)
+    box: list[Any] = []
+
+    def solve(changing: Any) -> tuple[Camera, Callable]:
+        if not is_concrete(*jax.tree.leaves(changing)):
+            raise ValueError(
+                "`target`, `scene`, `weight`: expected concrete arrays, got traced ones; a fit runs"
+                " outside `jit` and `vmap` (in `grad`, `jvp` and `jacfwd`, if these are outside)"
+            )
+        result, weight = run(eqx.combine(changing, fixed))
+        box.append(result)
+        return result.camera, weight
+
+    @jax.custom_jvp
+    def camera_of(changing: Any) -> Camera:
+        return solve(changing)[0]
+
+    @camera_of.defjvp
+    def _(primals: Any, tangents: Any) -> tuple[Camera, Camera]:
+        camera, weight = solve(primals[0])
+        still = eqx.combine(primals[0], fixed)
+        return camera, _velocity(camera, still, tangents[0], weight(), names)
+
+    camera = camera_of(changing)
+    return box[-1]._replace(camera=camera)
+
+
+def _velocity(
+    camera: Camera, inputs: Inputs, velocity: Inputs, weight: np.ndarray, names: tuple
+) -> Camera:
+    """Return how the camera moves when scene, target and weight do."""
+    scene, target, given_weight = inputs
+    dtype = camera.e.dtype
+    unit = canonical(camera)
+    pivot, radius = (jnp.asarray(x, dtype) for x in bounding_sphere(scene))
+    size = units(unit, pivot, radius, jnp.asarray(camera.H, dtype), names)
+    move = Move(unit, pivot, size)
+    at = (move, camera, scene, names)
+    zero = jnp.zeros_like(move.unit)
+    shown, J = _image(zero, at), _jacobian(zero, at)
+    goal = jnp.asarray(np.asarray(target) / (255 if target.dtype == np.uint8 else 1), dtype)
+    w, difference = jnp.asarray(weight, dtype), shown - goal
+    scene_velocity, target_velocity, weight_velocity = velocity
+    # dg by what changes while the camera stays: linear in the velocities.
+    toward = _along(zero, at, scene_velocity)
+    if target_velocity is not None:
+        toward = toward - target_velocity.astype(dtype)
+    toward = w * toward
+    if weight_velocity is not None:
+        share = np.where(np.asarray(given_weight) > 0, weight / np.asarray(given_weight), 0)
+        toward = toward + jnp.asarray(share, dtype) * weight_velocity.astype(dtype) * difference
+    pull = jnp.einsum("hwn,hw->n", J, toward)
+    bend = jnp.einsum("hwm,hwn,hw->mn", J, J, w)
+    held = w * difference
+    if float(jnp.sqrt(jnp.mean(held * difference))) > NO_RESIDUAL:
+        h = STEP_PX[np.dtype(dtype)]
+        steps = [(h * row, -h * row) for row in jnp.eye(zero.shape[0], dtype=dtype)]
+        bends = [(_slope(a, at, held) - _slope(b, at, held)) / (2 * h) for a, b in steps]
+        pulls = [_along(a, at, scene_velocity) - _along(b, at, scene_velocity) for a, b in steps]
+        bend = bend + jnp.stack(bends)
+        pull = pull + jnp.stack([jnp.sum(held * p) for p in pulls]) / (2 * h)
+    step = -jnp.linalg.pinv((bend + bend.T) / 2, hermitian=True) @ pull
+    return jax.jvp(lambda y: _camera(y, at), (zero,), (step,))[1]
+
+
+def _camera(y: Any, at: Any) -> Camera:
+    move, camera, _, names = at
+    return on_film(moved(move, y, names), camera, names)
+
+
+@eqx.filter_jit
+def _image(y: Any, at: Any) -> Any:
+    """Return the image after a move y; layers are clamped, as in the fit."""
+    return silhouette(_camera(y, at), at[2], overlaps=False)
+
+
+@eqx.filter_jit
+def _jacobian(y: Any, at: Any) -> Any:
+    return jax.jacfwd(lambda y: _image(y, at))(y)
+
+
+@eqx.filter_jit
+def _slope(y: Any, at: Any, held: Any) -> Any:
+    return jax.grad(lambda y: jnp.sum(held * _image(y, at)))(y)
+
+
+@eqx.filter_jit
+def _along(y: Any, at: Any, velocity: Any) -> Any:
+    """Return the image's rate of change where the scene moves with a velocity."""
+    move, camera, scene, names = at
+    solid, fixed = eqx.partition(scene, eqx.is_inexact_array)
+    image = lambda solid: _image(y, (move, camera, eqx.combine(solid, fixed), names))
+    return jax.jvp(image, (solid,), (velocity,))[1]

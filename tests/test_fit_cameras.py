@@ -1,0 +1,188 @@
+"""Many views with shared intrinsics, what can be seen before a fit, and derivatives through one."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import turned
+from scipy.spatial.transform import Rotation
+
+import pinhole_jax as pj
+from pinhole_jax import shapes
+from pinhole_jax._fit_cameras import _others, _reduced, _solved
+from pinhole_jax._solver import View
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return pj.Scene(mesh=shapes.bumpy(3))
+
+
+def truth(seed: int) -> pj.Camera:
+    axes = Rotation.random(random_state=seed).as_matrix()
+    e = -5 * axes[2]
+    return pj.Camera(e, e + 5 * axes[2], axes[1], 0.6, 1.0, 96, 80)
+
+
+TRUTHS = [truth(k) for k in range(3)]
+STARTS = [turned(c, [1, 2, 3], 5, 1.03, 1.04) for c in TRUTHS]
+
+
+@pytest.fixture(scope="module")
+def masks(scene):
+    return [np.asarray(pj.silhouette(c, scene)) for c in TRUTHS]
+
+
+def noisy(masks, sigma=0.02):
+    random = np.random.default_rng(0)
+    return [m + sigma * random.normal(size=m.shape) for m in masks]
+
+
+def test_shared_intrinsics_from_exact_masks(scene, masks):
+    fits = pj.fit_cameras(scene, masks, STARTS)
+    assert len(fits) == 3
+    for fit, camera in zip(fits, TRUTHS, strict=True):
+        assert fit.status == "converged"
+        assert fit.names[-1] == "phi"
+        assert np.rad2deg(pj.pose_error(fit.camera, camera)[0]) < 1e-9
+        assert float(fit.camera.phi) == float(fits[0].camera.phi)
+        assert abs(float(fit.camera.phi) - 0.6) < 1e-9
+
+
+def test_views_help_each_other_and_the_covariance_knows(scene, masks):
+    fits = pj.fit_cameras(scene, noisy(masks), STARTS)
+    alone = [
+        pj.fit_camera(scene, m, s, ("pose", "phi"))
+        for m, s in zip(noisy(masks), STARTS, strict=True)
+    ]
+    phi = [f.std[-1] for f in fits]
+    np.testing.assert_allclose(phi, phi[0], rtol=1e-6)
+    together = sum(f.std[-1] ** -2.0 for f in alone) ** -0.5
+    assert 0.9 < phi[0] / together < 1.1  # information adds up
+    assert abs(float(fits[0].camera.phi) - 0.6) < 4 * phi[0]
+    assert all(np.all(f.std < 1.05 * a.std) for f, a in zip(fits, alone, strict=True))
+    assert all(f.status == "converged" for f in fits)
+
+
+def test_one_view_is_fit_camera(scene, masks):
+    mask = noisy(masks)[0]
+    (one,) = pj.fit_cameras(scene, [mask], STARTS[:1])
+    fit = pj.fit_camera(scene, mask, STARTS[0], ("pose", "phi"))
+    np.testing.assert_allclose(one.camera.e, fit.camera.e, atol=1e-6)
+    np.testing.assert_allclose(one.covariance, fit.covariance, rtol=1e-3)
+
+
+def test_the_arrow_is_solved_as_the_dense_problem_is():
+    random = np.random.default_rng(0)
+    own = np.array([True, True, True, False, False])
+    views = []
+    for _ in range(4):
+        unit = random.uniform(0.5, 2, 5)
+        empty = np.zeros(5)
+        triangle, along = np.triu(random.normal(size=(5, 5))), random.normal(size=5)
+        views.append(View(triangle, along, None, None, empty, unit))  # type: ignore[arg-type]
+    J, r = np.zeros((20, 14)), np.zeros(20)
+    for k, v in enumerate(views):
+        J[5 * k : 5 * k + 5, 3 * k : 3 * k + 3] = v.triangle[:, own]
+        J[5 * k : 5 * k + 5, 12:] = v.triangle[:, ~own] / v.unit[~own]
+        r[5 * k : 5 * k + 5] = v.along
+    dense = np.linalg.lstsq(J, -r, rcond=None)[0]
+    found = _solved(views, own, 0.0)
+    for k, y in enumerate(found):
+        np.testing.assert_allclose(y[own], dense[3 * k : 3 * k + 3], atol=1e-9)
+        np.testing.assert_allclose(y[~own] * views[k].unit[~own], dense[12:], atol=1e-9)
+    rests = [_reduced(v, own, 0.0).rest for v in views]
+    for k, others in enumerate(_others(rests)):
+        expected = sum(x.T @ x for n, x in enumerate(rests) if n != k)
+        np.testing.assert_allclose(others.T @ others, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"targets": []}, r"`targets`: expected at least one mask"),
+        ({"cameras": STARTS[:1]}, r"`cameras`: expected one for each of 3 masks, got 1"),
+        ({"weights": [None]}, r"`weights`: expected one for each of 3 masks, got 1"),
+        ({"shared": "pose", "free": "phi"}, r"`shared`: expected names among phi, d"),
+        ({"shared": "zoom"}, r"`free`: expected names among .* got 'zoom'"),
+    ],
+)
+def test_bad_input_is_said_in_words(scene, masks, change, message):
+    good = {"targets": masks, "cameras": STARTS}
+    with pytest.raises(ValueError, match=message):
+        pj.fit_cameras(scene, **{**good, **change})
+
+
+# --- observability -------------------------------------------------------------------------------
+
+
+def test_what_spheres_leave_free():
+    """DESIGN: one sphere fixes 4 of 7 directions, two 6, three 7."""
+    camera = pj.Camera([0, 0.5, 6], [0, 0, 0], [0, 1, 0], 0.8, 1.0, 96, 80)
+    centers = np.array([[-0.9, 0.3, 0], [0.7, -0.7, 1], [0.6, 0.9, -1]])
+    for n, rank in ((1, 4), (2, 6), (3, 7)):
+        spheres = pj.Spheres(centers[:n], [0.5, 0.4, 0.3][:n])
+        found = pj.observability(camera, pj.Scene(spheres=spheres))
+        assert (found.rank, found.of) == (rank, 7)
+        assert np.any(np.isinf(found.std)) == (rank < 7)
+        hidden = [w for w in found.weak if "is not visible" in w]
+        assert len(hidden) == 7 - rank
+        assert f"{rank} of 7 directions are visible" in str(found)
+
+
+def test_observability_is_what_the_fit_reports(scene, masks):
+    before = pj.observability(TRUTHS[0], scene, noise=0.02)
+    fit = pj.fit_camera(scene, noisy(masks)[0], STARTS[0], ("pose", "phi"))
+    assert before.names == fit.names
+    np.testing.assert_allclose(before.std, fit.std, rtol=0.15)
+    assert "focal length against the distance" in before.weak[0]
+    with pytest.raises(ValueError, match="`noise`: expected a positive standard deviation"):
+        pj.observability(TRUTHS[0], scene, noise=0.0)
+
+
+# --- through the fit -----------------------------------------------------------------------------
+
+POSE_START = eqx.tree_at(lambda c: c.phi, STARTS[0], TRUTHS[0].phi)
+
+
+@pytest.mark.parametrize("kind", ["exact", "noisy", "hard"])
+def test_the_camera_moves_with_the_mesh_as_refits_do(scene, masks, kind):
+    target = {"exact": masks[0], "noisy": noisy(masks)[0], "hard": masks[0] > 0.5}[kind]
+
+    def eye(vertices):
+        moved = pj.Scene(mesh=pj.Mesh(vertices, np.asarray(scene.mesh.faces)))
+        return pj.fit_camera(moved, target, POSE_START).camera.e
+
+    vertices = scene.mesh.vertices
+    wrong = 0.01 * jnp.asarray(np.random.default_rng(1).normal(size=vertices.shape))
+    slope = jax.jvp(eye, (vertices,), (wrong,))[1]
+    h = 1e-3
+    refits = (eye(vertices + h * wrong) - eye(vertices - h * wrong)) / (2 * h)
+    # A fit stops within its tolerance, and the second derivatives of coverage jump.
+    tolerance = {"exact": 1e-4, "noisy": 1e-2, "hard": 3e-2}[kind]
+    np.testing.assert_allclose(slope, refits, atol=tolerance * np.abs(refits).max())
+    gradient = jax.grad(lambda v: eye(v)[0])(vertices)
+    np.testing.assert_allclose(jnp.sum(gradient * wrong), slope[0], rtol=1e-6, atol=1e-12)
+
+
+def test_the_camera_moves_with_target_and_weight_as_refits_do(scene, masks):
+    target, weight = jnp.asarray(noisy(masks)[0]), jnp.ones((80, 96))
+    eye = lambda t, w: pj.fit_camera(scene, t, POSE_START, weight=w).camera.e
+    random = np.random.default_rng(2)
+    changes = [
+        jnp.asarray(random.normal(size=(80, 96))),
+        jnp.asarray(random.uniform(size=(80, 96))),
+    ]
+    for k, change in enumerate(changes):
+        velocity = [change if n == k else jnp.zeros((80, 96)) for n in range(2)]
+        slope = jax.jvp(eye, (target, weight), tuple(velocity))[1]
+        h = (1e-4, 1e-3)[k]
+        ends = [eye(target + s * h * velocity[0], weight + s * h * velocity[1]) for s in (1, -1)]
+        refits = (ends[0] - ends[1]) / (2 * h)
+        np.testing.assert_allclose(slope, refits, atol=1e-4 * np.abs(refits).max())
+
+
+def test_a_fit_under_jit_is_refused_in_words(scene, masks):
+    with pytest.raises(ValueError, match="a fit runs outside `jit` and `vmap`"):
+        jax.jit(lambda t: pj.fit_camera(scene, t, POSE_START).camera.e)(jnp.asarray(masks[0]))
