@@ -57,13 +57,18 @@ def run(question: Callable[[], dict], draw: Callable[[dict, Path], None] | None 
     """Answer a question in float64 mode; write the answer's JSON, and its picture, to a folder."""
     jax.config.update("jax_enable_x64", True)
     name = Path(sys.argv[0]).stem
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
-    folder.mkdir(parents=True, exist_ok=True)
     answer = question()
     answer["versions"] = {"jax": jax.__version__, "python": platform.python_version()}
-    (folder / f"{name}.json").write_text(json.dumps(answer, indent=1) + "\n")
+    (folder() / f"{name}.json").write_text(json.dumps(answer, indent=1) + "\n")
     if draw is not None:
-        draw(answer, folder / f"{name}.png")
+        draw(answer, folder() / f"{name}.png")
+
+
+def folder() -> Path:
+    """Return the folder that the command line names, for results."""
+    path = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
+    path.mkdir(parents=True, exist_ok=True)
+    return path
 
 
 def trials(default: int) -> int:

@@ -40,7 +40,8 @@ def _parser() -> argparse.ArgumentParser:
     fit = commands.add_parser(
         "fit",
         help="recover the camera from a mesh and a mask",
-        description="Recover the camera that sees MESH as MASK, from a start some 20 degrees off.\n"
+        description="Recover the camera that sees MESH as MASK: from a start some 20 degrees off,"
+        " or\nwithout one from the field of view (or, with phi among --free, from nothing).\n"
         "Writes camera.json and overlay.png, prints parameters with their standard errors.\n"
         "Exit status: 0 converged, 1 not to be trusted (the status says why), 2 bad input.",
         epilog=EPILOG,
@@ -48,13 +49,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     fit.add_argument("mesh", metavar="MESH", help="triangles: obj, ply, stl, glb, gltf or off")
     fit.add_argument("mask", metavar="MASK", help="image of the camera's size, white on black")
-    fit.add_argument("--camera", required=True, metavar="START.json", help="where to start")
+    start = fit.add_mutually_exclusive_group()
+    start.add_argument("--camera", metavar="START.json", help="where to start (else: search)")
+    start.add_argument(
+        "--fov", type=float, metavar="DEGREES", help="vertical field of view, to search with"
+    )
     fit.add_argument(
         "--free",
         default="pose",
         metavar="NAMES",
         help="what to fit, with commas: pose (or position, orientation), phi, d, principal_point,"
-        " aspect; the rest stays as in START.json (default: %(default)s)",
+        " aspect; the rest stays as it is at the start (default: %(default)s)",
     )
     fit.add_argument("--weight", metavar="IMAGE", help="grey image: how much each pixel counts")
     fit.add_argument("--image", metavar="PHOTO", help="what to draw the outline on (default: MASK)")
@@ -93,21 +98,25 @@ def _fit(options: argparse.Namespace) -> int:
     clock = _Clock()
     with _Progress("reading") as progress:
         _set_up_jax(options)
+        import numpy as np
+
         from . import io
         from ._fit import fit_camera
         from ._scene import Scene
         from .plot import overlay
 
-        start = io.load_camera(options.camera)
+        free = tuple(name.strip() for name in options.free.split(",") if name.strip())
+        start = None if options.camera is None else io.load_camera(options.camera)
+        if start is None and options.fov is None and not {"phi", "d"} & {*free}:
+            raise ValueError("expected --camera or --fov, or phi among --free, got none of them")
+        phi = None if options.fov is None else options.fov * np.pi / 180
         mask = io.load_mask(options.mask)
         weight = None if options.weight is None else io.load_mask(options.weight) / 255.0
         picture = mask if options.image is None else io.load_image(options.image)
         scene = Scene(mesh=io.load_mesh(options.mesh))
         progress.say("fitting (compiling on the first run)")
-        free = tuple(name.strip() for name in options.free.split(",") if name.strip())
-        fit = fit_camera(
-            scene, mask, start, free, weight=weight, progress=lambda p: progress.say(str(p))
-        )
+        told = lambda level: progress.say(str(level))
+        fit = fit_camera(scene, mask, start, free, phi=phi, weight=weight, progress=told)
         progress.say("drawing")
         drawing = overlay(picture, fit.camera, scene)
     folder = Path(options.output)
@@ -119,6 +128,7 @@ def _fit(options: argparse.Namespace) -> int:
             "iou": fit.iou,
             "rms": fit.rms if fit.rms == fit.rms else None,
             "weak": list(fit.weak),
+            "modes": [io.camera_to_dict(mode.camera) for mode in fit.modes],
             "std": {
                 name: std if std < float("inf") else None
                 for name, std in zip(fit.names, fit.std.tolist(), strict=True)
@@ -168,6 +178,8 @@ def table(fit: Any) -> str:
     lines.append(f"status     {fit.status}")
     lines.append(f"IoU        {fit.iou:.4f}   (rms of coverage {fit.rms:.2g})")
     lines += [f"note       {weak}" for weak in fit.weak]
+    if fit.modes:
+        lines.append(f"note       {len(fit.modes)} other views explain the mask as well")
     return "\n".join(lines)
 
 

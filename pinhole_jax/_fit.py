@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from ._arrays import Numbers, float_dtype, is_concrete
 from ._camera import Camera
+from ._exact import WORTHWHILE, with_overlaps
 from ._implicit import through
 from ._parameters import REPORTED, canonical, check_free, components, on_film
 from ._residuals import Sums
@@ -109,7 +110,8 @@ def fit_camera(
     Levenberg-Marquardt (optimistix) minimises the weighted squared difference of exact coverage and
     target over the camera's pose and log focal length, on images from about 16 pixels across the
     object up to the full size. Pixels in which contours overlap count as the clamped sum of layers;
-    with soft edges in the mask (not 0 and 1 only) they are left out at the end. Works in the float
+    with soft edges in the mask (not 0 and 1 only) they are left out at the end, and if it is noisy
+    they come back, resolved, for the last steps. Works in the float
     type of `camera` (or of the scene). The first call compiles (seconds); later ones with scenes
     and images of similar size do not.
 
@@ -151,8 +153,10 @@ class _Settings(NamedTuple):
 
 def _fit(
     scene: Scene, mask: Mask, anywhere: bool, names: tuple[str, ...], settings: _Settings
-) -> tuple[Fit, Callable[[], np.ndarray]]:
-    """Return the fit, and a function that gives the weights of the pixels that decided."""
+) -> tuple[Fit, Callable[[], tuple[np.ndarray, bool]]]:
+    """Return the fit, and a function that gives the weights of the pixels that decided, and whether
+    overlaps were resolved in them.
+    """
     base = mask.camera
     solver = Solver(scene, mask.image, mask.weight, base.e.dtype, names, settings.max_steps)
 
@@ -166,12 +170,16 @@ def _fit(
         found = equally_good(everywhere(solver, mask, told))
     else:
         found = from_start(solver, mask, start, told)
+    trust = lambda: (mask.weight * ~solver.left_out(found[0].unit), False)
+    low, high = WORTHWHILE
+    if not solver.hard and low < found[0].view.touched_misfit < high:
+        found = [with_overlaps(solver, mask, f) for f in found]
+        trust = lambda: (mask.weight, True)
     described = [(f, f.view.sums) for f in found]
-    trust = lambda: mask.weight * ~solver.left_out(found[0].unit)
     reach = settings.outlier_px
     if reach is not None and found[0].view.touched_misfit > EXACT:
         described = without_outliers(solver, mask, found, reach, start)
-        trust = lambda: mask.weight * near_an_edge(mask.image, reach)
+        trust = lambda: (mask.weight * near_an_edge(mask.image, reach), False)
     fit, *modes = (report(base, f, sums, names) for f, sums in described)
     if modes and fit.status == "converged":
         fit = fit._replace(status="ambiguous")

@@ -19,7 +19,7 @@ from ._fit import Fit, fit_camera, report
 from ._parameters import canonical, check_free, components
 from ._residuals import Capacity
 from ._scene import Scene
-from ._solver import COARSE_PX, COSINE, FINE_PX, UNIT_PX, Found, Solver, View, step
+from ._solver import COARSE_PX, COSINE, FINE_PX, UNIT_PX, Found, Solver, View
 from ._target import Level, check_target
 
 #: What views may share.
@@ -171,11 +171,7 @@ def _descend(
     for n in range(1, max_steps + 1):
         ys = _solved(seen, own, damping)
         trial = [
-            v._replace(
-                unit=step(
-                    v.unit, v.solver.problem, v.level(depth), jnp.asarray(y, dtype), v.solver.names
-                )
-            )
+            v._replace(unit=v.solver.step(v.unit, v.level(depth), y))
             for v, y in zip(views, ys, strict=True)
         ]
         there = look(trial)

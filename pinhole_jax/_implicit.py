@@ -16,9 +16,9 @@ import numpy as np
 
 from ._arrays import is_concrete
 from ._camera import Camera
-from ._parameters import Move, canonical, moved, on_film, units
+from ._exact import At, image, image_and_jacobian
+from ._parameters import Move, canonical, units
 from ._scene import Scene, bounding_sphere
-from ._silhouette import silhouette
 
 #: The step of central differences, in px, by float type.
 STEP_PX = {np.dtype(np.float32): 0.1, np.dtype(np.float64): 1e-3}
@@ -33,7 +33,7 @@ def through(run: Callable[[Inputs], tuple[Any, Callable]], inputs: Inputs, names
     """Return what `run` does, with a camera that is differentiable by the scene, target and weight.
 
     `run` takes these three and returns its result, and a function that gives the weights (H, W) of
-    the pixels that decided.
+    the pixels that decided, and whether overlaps were resolved in them.
     """
     changing, fixed = eqx.partition(inputs, eqx.is_inexact_array)
     box: list[Any] = []
@@ -44,9 +44,9 @@ def through(run: Callable[[Inputs], tuple[Any, Callable]], inputs: Inputs, names
                 "`target`, `scene`, `weight`: expected concrete arrays, got traced ones; a fit runs"
                 " outside `jit` and `vmap` (in `grad`, `jvp` and `jacfwd`, if these are outside)"
             )
-        result, weight = run(eqx.combine(changing, fixed))
+        result, decided = run(eqx.combine(changing, fixed))
         box.append(result)
-        return result.camera, weight
+        return result.camera, decided
 
     @jax.custom_jvp
     def camera_of(changing: Any) -> Camera:
@@ -54,16 +54,22 @@ def through(run: Callable[[Inputs], tuple[Any, Callable]], inputs: Inputs, names
 
     @camera_of.defjvp
     def _(primals: Any, tangents: Any) -> tuple[Camera, Camera]:
-        camera, weight = solve(primals[0])
+        camera, decided = solve(primals[0])
         still = eqx.combine(primals[0], fixed)
-        return camera, _velocity(camera, still, tangents[0], weight(), names)
+        weight, overlaps = decided()
+        return camera, _velocity(camera, still, tangents[0], weight, overlaps, names)
 
     camera = camera_of(changing)
     return box[-1]._replace(camera=camera)
 
 
 def _velocity(
-    camera: Camera, inputs: Inputs, velocity: Inputs, weight: np.ndarray, names: tuple
+    camera: Camera,
+    inputs: Inputs,
+    velocity: Inputs,
+    weight: np.ndarray,
+    overlaps: bool,
+    names: tuple[str, ...],
 ) -> Camera:
     """Return how the camera moves when scene, target and weight do."""
     scene, target, given_weight = inputs
@@ -72,9 +78,9 @@ def _velocity(
     pivot, radius = (jnp.asarray(x, dtype) for x in bounding_sphere(scene))
     size = units(unit, pivot, radius, jnp.asarray(camera.H, dtype), names)
     move = Move(unit, pivot, size)
-    at = (move, camera, scene, names)
+    at = At(move, camera, scene, names, overlaps)
     zero = jnp.zeros_like(move.unit)
-    shown, J = _image(zero, at), _jacobian(zero, at)
+    shown, J = image_and_jacobian(zero, at)
     goal = jnp.asarray(np.asarray(target) / (255 if target.dtype == np.uint8 else 1), dtype)
     w, difference = jnp.asarray(weight, dtype), shown - goal
     scene_velocity, target_velocity, weight_velocity = velocity
@@ -97,34 +103,17 @@ def _velocity(
         bend = bend + jnp.stack(bends)
         pull = pull + jnp.stack([jnp.sum(held * p) for p in pulls]) / (2 * h)
     step = -jnp.linalg.pinv((bend + bend.T) / 2, hermitian=True) @ pull
-    return jax.jvp(lambda y: _camera(y, at), (zero,), (step,))[1]
-
-
-def _camera(y: Any, at: Any) -> Camera:
-    move, camera, _, names = at
-    return on_film(moved(move, y, names), camera, names)
+    return jax.jvp(at.camera, (zero,), (step,))[1]
 
 
 @eqx.filter_jit
-def _image(y: Any, at: Any) -> Any:
-    """Return the image after a move y; layers are clamped, as in the fit."""
-    return silhouette(_camera(y, at), at[2], overlaps=False)
+def _slope(y: Any, at: At, held: Any) -> Any:
+    return jax.grad(lambda y: jnp.sum(held * image(y, at)))(y)
 
 
 @eqx.filter_jit
-def _jacobian(y: Any, at: Any) -> Any:
-    return jax.jacfwd(lambda y: _image(y, at))(y)
-
-
-@eqx.filter_jit
-def _slope(y: Any, at: Any, held: Any) -> Any:
-    return jax.grad(lambda y: jnp.sum(held * _image(y, at)))(y)
-
-
-@eqx.filter_jit
-def _along(y: Any, at: Any, velocity: Any) -> Any:
+def _along(y: Any, at: At, velocity: Any) -> Any:
     """Return the image's rate of change where the scene moves with a velocity."""
-    move, camera, scene, names = at
-    solid, fixed = eqx.partition(scene, eqx.is_inexact_array)
-    image = lambda solid: _image(y, (move, camera, eqx.combine(solid, fixed), names))
-    return jax.jvp(image, (solid,), (velocity,))[1]
+    solid, fixed = eqx.partition(at.scene, eqx.is_inexact_array)
+    shown = lambda solid: image(y, at._replace(scene=eqx.combine(solid, fixed)))
+    return jax.jvp(shown, (solid,), (velocity,))[1]

@@ -8,10 +8,11 @@ from jaxtyping import Float
 
 from ._arrays import Numbers
 from ._camera import Camera
+from ._exact import completed
 from ._fit import labels_of, to_units
 from ._parameters import canonical, check_free, components
 from ._scene import Scene
-from ._search import axes_of
+from ._search import Mask, axes_of
 from ._solver import UNIT_PX, Solver
 from ._target import check_weight
 from ._uncertainty import BLIND, covariance, weak_directions
@@ -67,8 +68,9 @@ def observability(
         raise ValueError(f"`noise`: expected a positive standard deviation, got {noise}")
     names = check_free(free)
     weights = check_weight(weight, camera.W, camera.H)
-    solver = Solver(scene, np.zeros(weights.shape), weights, camera.e.dtype, names, 1)
-    view = solver.look(canonical(camera), solver.finest)
+    image = np.full(weights.shape, 0.25)  # any mask with soft edges: overlaps are left out ...
+    solver = Solver(scene, image, weights, camera.e.dtype, names, 1)
+    view = completed(solver, Mask(image, weights, camera), canonical(camera))  # ... and come back
     triangle, blind = np.asarray(view.triangle, float), BLIND[solver.dtype]
     labels = labels_of(names)
     values = np.linalg.svd(triangle, compute_uv=False)

@@ -15,7 +15,7 @@ from ._camera import Camera
 from ._parameters import Move, moved, reported, units
 from ._residuals import Capacity, Load, Sums, Touched, residuals, touch
 from ._scene import Ball, Scene, astype, bounding_sphere, padded
-from ._target import Level, Pyramid, pyramid
+from ._target import Level, Pyramid, near_an_edge, pyramid
 
 #: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
 #: larger units make bolder first steps.
@@ -97,7 +97,7 @@ class Solver:
         max_steps: int,
     ):
         self.dtype, self.names, self.max_steps = np.dtype(dtype), names, max_steps
-        self._image, self._scene = image, padded(astype(scene, dtype))
+        self._image, self._scene = np.asarray(image, np.float64), padded(astype(scene, dtype))
         centre, radius = bounding_sphere(scene)
         self.ball = Ball(np.asarray(centre, float), float(radius))
         self.capacity = _first_capacity(scene, image)
@@ -109,8 +109,15 @@ class Solver:
         levels, self.levels = pyramid(self._image, weights, self.dtype)
         self.finest = self.levels[-1]
         self.problem = Problem(self._scene, levels, self.ball)
+        far = (weights > 0) & (near_an_edge(self._image, 3.0) == 0)
+        rounded = np.abs(self._image - np.round(self._image))[far]
+        self.floor = float(np.sum(weights[far] * rounded**2))
         if not self.hard:
             self.levels.append(self.finest._replace(strict=jnp.bool_(True)))
+
+    def misfit_above_noise(self, view: View) -> float:
+        """Return the mean square residual of a touched pixel, less that of noise far from edges."""
+        return max(view.squares - self.floor, 0.0) / max(float(view.sums.touched), 1.0)
 
     def look(self, unit: Camera, level: Level) -> View:
         """Return the view at a camera; capacities get half as much room again as it takes."""
@@ -121,6 +128,14 @@ class Solver:
             if room == self.capacity:
                 return view
             self.capacity = room
+
+    def move(self, unit: Camera, level: Level) -> Move:
+        """Return where moves of a camera start, in the solver's units."""
+        return _move(unit, self.problem, level, self.names)
+
+    def step(self, unit: Camera, level: Level, y: np.ndarray) -> Camera:
+        """Return the camera moved by y (n,) in the solver's units."""
+        return _step(unit, self.problem, level, jnp.asarray(y, self.dtype), self.names)
 
     def left_out(self, unit: Camera) -> np.ndarray:
         """Return the pixels (H, W) that the last level leaves out, since contours overlap there."""
@@ -246,7 +261,7 @@ def _touched(unit: Camera, problem: Problem, level: Level, capacity: Capacity) -
 
 
 @eqx.filter_jit
-def step(unit: Camera, problem: Problem, level: Level, y: Float[Array, "n"], names) -> Camera:
+def _step(unit: Camera, problem: Problem, level: Level, y: Float[Array, "n"], names) -> Camera:
     """Return the camera moved by y in the solver's units."""
     return moved(_move(unit, problem, level, names), y, names)
 

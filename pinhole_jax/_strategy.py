@@ -47,7 +47,7 @@ def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> list[Fo
     found = solver.solve(begin, solver.levels, told)
     if not found.view.misfit <= before.misfit:
         found = found._replace(unit=start, view=before)  # never worse than the start
-    if found.view.misfit <= CONTENT[solver.hard] or not free:
+    if solver.misfit_above_noise(found.view) <= CONTENT[solver.hard] or not free:
         return [found]
     several = [found, *everywhere(solver, mask, told, rounds=1)]
     equal = equally_good(_one_of_each(several, solver.names))
@@ -67,7 +67,7 @@ def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> list[
         if factor not in sources:
             sources[factor] = guesses(mask.longer(factor), solver.problem.scene, solver.ball)
         found = _one_of_each([*found, *_followed(solver, sources[factor], told)], solver.names)
-        if found[0].view.misfit < CONTENT[solver.hard]:
+        if solver.misfit_above_noise(found[0].view) < CONTENT[solver.hard]:
             break
     return found
 

@@ -16,6 +16,9 @@ from pinhole_jax import io, shapes
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 
 
+SCENE = pj.Scene(mesh=shapes.bumpy(3))
+
+
 def run(*arguments, cache):
     environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
     return subprocess.run(
@@ -101,6 +104,7 @@ def test_render_then_fit(folder):
             ("fit", "bumpy.ply", "black.png", "--camera", "start.json", "--free", "zoom"),
             "`free`: expected names",
         ),
+        (("fit", "bumpy.ply", "black.png"), "expected --camera or --fov, or phi among --free"),
         (("render", "bumpy.ply", "black.png"), "expected JSON"),
     ],
 )
@@ -118,9 +122,7 @@ def test_bad_input_is_one_line_and_status_2(folder, arguments, message):
 def test_a_fit_that_is_not_to_be_trusted_has_status_1(folder):
     behind = pj.Camera([0.3, 1, 5], [0.3, 1, 9], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
     io.save_camera(folder / "behind.json", behind)
-    mask = (np.asarray(pj.silhouette(CAMERA, pj.Scene(mesh=shapes.bumpy(3)))) > 0.5).astype(
-        np.uint8
-    ) * 255
+    mask = (np.asarray(pj.silhouette(CAMERA, SCENE)) > 0.5).astype(np.uint8) * 255
     Image.fromarray(mask).save(folder / "hard.png")
     done = run(
         "fit",
@@ -128,12 +130,23 @@ def test_a_fit_that_is_not_to_be_trusted_has_status_1(folder):
         folder / "hard.png",
         "--camera",
         folder / "behind.json",
+        "--free",
+        "phi",
         "-o",
         folder / "lost",
         cache=folder / "cache",
     )
     assert done.returncode == 1, done.stderr
     assert "status     no_overlap" in done.stdout
+
+
+def test_a_fit_needs_no_start(folder):
+    io.save_image(folder / "soft.png", np.asarray(pj.silhouette(CAMERA, SCENE)))
+    fov, out = str(np.rad2deg(0.6)), folder / "found"
+    files = (folder / "bumpy.ply", folder / "soft.png")
+    done = run("fit", *files, "--fov", fov, "-o", out, cache=folder / "cache")
+    assert done.returncode == 0, done.stderr
+    assert np.rad2deg(pj.pose_error(io.load_camera(out / "camera.json"), CAMERA)[0]) < 0.05
 
 
 def test_help_says_what_a_camera_file_is(folder):
