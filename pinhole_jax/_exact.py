@@ -57,6 +57,12 @@ def image_and_jacobian(
     return value, jacobian
 
 
+def worthwhile(solver: Solver, view: View) -> bool:
+    """Return whether a mask has soft edges, and so much noise that every pixel should count."""
+    low, high = WORTHWHILE
+    return not solver.hard and low < view.touched_misfit < high
+
+
 def with_overlaps(solver: Solver, mask: Mask, found: Found) -> Found:
     """Return the camera after Gauss-Newton steps in which every pixel counts, and its view."""
     unit, before = found.unit, np.inf
@@ -92,6 +98,7 @@ def completed(solver: Solver, mask: Mask, unit: Camera) -> View:
         "touched": np.sum(out),
         "touched_squares": squares,
     }
-    total = {name: value + more[name] for name, value in view.sums._asdict().items()}
-    triangle, along = (jnp.asarray(x) for x in (table[:n, :n], table[:n, n]))
-    return view._replace(triangle=triangle, along=along, sums=Sums(**total))
+    # NumPy arrays: what is made by jnp inside a derivative is traced.
+    total: dict[str, Any] = {k: float(v) + float(more[k]) for k, v in view.sums._asdict().items()}
+    sums = Sums(**total)
+    return view._replace(triangle=table[:n, :n], along=table[:n, n], sums=sums)

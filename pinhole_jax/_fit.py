@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ._arrays import Numbers, float_dtype, is_concrete
 from ._camera import Camera
-from ._exact import WORTHWHILE, with_overlaps
+from ._exact import with_overlaps, worthwhile
 from ._implicit import through
 from ._parameters import REPORTED, canonical, check_free, components, on_film
 from ._residuals import Sums
@@ -171,8 +171,7 @@ def _fit(
     else:
         found = from_start(solver, mask, start, told)
     trust = lambda: (mask.weight * ~solver.left_out(found[0].unit), False)
-    low, high = WORTHWHILE
-    if not solver.hard and low < found[0].view.touched_misfit < high:
+    if worthwhile(solver, found[0].view):
         found = [with_overlaps(solver, mask, f) for f in found]
         trust = lambda: (mask.weight, True)
     described = [(f, f.view.sums) for f in found]

@@ -15,10 +15,12 @@ import numpy as np
 
 from ._arrays import Numbers
 from ._camera import Camera
+from ._exact import completed, worthwhile
 from ._fit import Fit, fit_camera, report
 from ._parameters import canonical, check_free, components
 from ._residuals import Capacity
 from ._scene import Scene
+from ._search import Mask
 from ._solver import COARSE_PX, COSINE, FINE_PX, UNIT_PX, Found, Solver, View
 from ._target import Level, check_target
 
@@ -73,7 +75,7 @@ def fit_cameras(
     for camera, target, weight in zip(_alike(cameras, common), targets, weights, strict=True):
         image, w = check_target(target, weight, camera.W, camera.H)
         solver = Solver(scene, image, w, camera.e.dtype, names, max_steps)
-        views.append(_One(camera, solver, canonical(camera)))
+        views.append(_One(Mask(image, w, camera), solver, canonical(camera)))
     largest = Capacity(*np.max([v.solver.capacity for v in views], axis=0).tolist())
     for one in views:
         one.solver.capacity = largest
@@ -88,15 +90,21 @@ def fit_cameras(
 
 
 class _One(NamedTuple):
-    """One view: the camera as given, its masks' solver, and the camera so far."""
+    """One view: its mask (with the camera as given), the mask's solver, and the camera so far."""
 
-    camera: Camera
+    mask: Mask
     solver: Solver
     unit: Camera
 
     def level(self, depth: int) -> Level:
         """Return the level this far from the last, or the first."""
         return self.solver.levels[max(len(self.solver.levels) - depth, 0)]
+
+    def look(self, depth: int) -> View:
+        """Return the view on a level; 0 is the last one with every pixel, overlaps resolved."""
+        if depth == 0:
+            return completed(self.solver, self.mask, self.unit)
+        return self.solver.look(self.unit, self.level(depth))
 
 
 def _names(names: str | Sequence[str]) -> tuple[str, ...]:
@@ -166,15 +174,14 @@ def _descend(
     """Return the views after Levenberg-Marquardt on one level, and its number of steps."""
     dtype = views[0].solver.dtype
     tolerance = (FINE_PX[dtype] if depth <= 2 else COARSE_PX) / UNIT_PX
-    look = lambda ones: [v.solver.look(v.unit, v.level(depth)) for v in ones]
-    seen, damping = look(views), 1.0
+    seen, damping = [v.look(depth) for v in views], 1.0
     for n in range(1, max_steps + 1):
         ys = _solved(seen, own, damping)
         trial = [
             v._replace(unit=v.solver.step(v.unit, v.level(depth), y))
             for v, y in zip(views, ys, strict=True)
         ]
-        there = look(trial)
+        there = [v.look(depth) for v in trial]
         before, after = (sum(v.squares for v in s) for s in (seen, there))
         change = sum(
             float(np.sum((np.asarray(v.triangle, float) @ y) ** 2))
@@ -190,10 +197,28 @@ def _descend(
     return views, max_steps
 
 
+def _with_overlaps(views: list[_One], own: np.ndarray) -> tuple[list[_One], list[View]]:
+    """Return the cameras, and views, after Gauss-Newton steps in which every pixel counts."""
+    before, last = np.inf, [v.look(1) for v in views]
+    whole = [0 if worthwhile(v.solver, view) else 1 for v, view in zip(views, last, strict=True)]
+    while not all(whole):
+        last = [v.look(depth) for v, depth in zip(views, whole, strict=True)]
+        ys = _solved(last, own, 0.0)
+        size = max(float(np.max(np.abs(y))) for y in ys) * UNIT_PX
+        if not FINE_PX[views[0].solver.dtype] < size < before:
+            break
+        before = size
+        views = [
+            v._replace(unit=v.solver.step(v.unit, v.solver.finest, y))
+            for v, y in zip(views, ys, strict=True)
+        ]
+    return views, last
+
+
 def _reports(
     views: list[_One], names: tuple[str, ...], own: np.ndarray, steps: tuple[int, ...]
 ) -> tuple[Fit, ...]:
-    seen = [v.solver.look(v.unit, v.level(1)) for v in views]
+    views, seen = _with_overlaps(views, own)
     parts = [_reduced(v, own, 0.0) for v in seen]
     squares, touched = (
         sum(float(x) for x in xs)
@@ -204,7 +229,7 @@ def _reports(
     slope: Any = sum(p.rest.T @ p.left + p.across.T @ p.known for p in parts)
     return tuple(
         report(
-            one.camera,
+            one.mask.camera,
             Found(one.unit, _joint(view, others, slope, own), steps),
             view.sums,
             names,

@@ -135,7 +135,7 @@ class Solver:
 
     def step(self, unit: Camera, level: Level, y: np.ndarray) -> Camera:
         """Return the camera moved by y (n,) in the solver's units."""
-        return _step(unit, self.problem, level, jnp.asarray(y, self.dtype), self.names)
+        return _step(unit, self.problem, level, np.asarray(y, self.dtype), self.names)
 
     def left_out(self, unit: Camera) -> np.ndarray:
         """Return the pixels (H, W) that the last level leaves out, since contours overlap there."""
@@ -261,7 +261,7 @@ def _touched(unit: Camera, problem: Problem, level: Level, capacity: Capacity) -
 
 
 @eqx.filter_jit
-def _step(unit: Camera, problem: Problem, level: Level, y: Float[Array, "n"], names) -> Camera:
+def _step(unit: Camera, problem: Problem, level: Level, y: Any, names) -> Camera:
     """Return the camera moved by y in the solver's units."""
     return moved(_move(unit, problem, level, names), y, names)
 

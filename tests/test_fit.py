@@ -119,7 +119,8 @@ def test_three_spheres_fix_a_pose_and_one_does_not():
     assert fit.status == "converged"
     np.testing.assert_allclose(pj.pose_error(fit.camera, CAMERA), 0, atol=1e-7)
 
-    one = pj.Scene(spheres=pj.Spheres([[0.1, 0.2, 0]], [0.8]))
+    # Two more inside it show nothing (and share the compiled program).
+    one = pj.Scene(spheres=pj.Spheres([[0.1, 0.2, 0]] * 3, [0.8, 0.3, 0.2]))
     fit = pj.fit_camera(one, mask_of(CAMERA, one), start)
     assert fit.status == "rank_deficient"
     assert sum("is not visible" in words for words in fit.weak) == 3
