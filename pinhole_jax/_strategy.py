@@ -19,8 +19,8 @@ CONTENT = {True: 0.1, False: 0.01}
 #: A mask that leaves less has no outliers.
 EXACT = 0.01
 #: A view that a search finds replaces the one near the start if it explains the mask as its kind
-#: allows, or so many times better.
-BETTER = 4.0
+#: allows, or if the intersection over union of that is below this.
+POOR = 0.7
 #: Two views explain a mask equally well if their sums of squares differ by less than this share.
 EQUAL = 0.05
 #: Cameras this close (rad) are one.
@@ -53,9 +53,9 @@ def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> list[Fo
     if solver.misfit_above_noise(found.view) <= CONTENT[solver.hard] or not free:
         return [found]
     others = everywhere(solver, mask, told, rounds=1)
-    level = solver.misfit_above_noise(others[0].view)
-    if level > max(CONTENT[solver.hard], found.view.misfit / BETTER):
-        return [found]  # nothing explains a wrong mask: stay with what is near the start
+    lost = float(found.view.sums.overlap) < POOR * float(found.view.sums.union)
+    if not lost and solver.misfit_above_noise(others[0].view) > CONTENT[solver.hard]:
+        return [found]  # nothing explains a mask that is wrong: stay with what is near the start
     equal = equally_good(_one_of_each([found, *others], solver.names))
     return sorted(equal, key=lambda f: angle(f.unit, start))
 
