@@ -33,6 +33,8 @@ STATUSES = (
 
 #: Below this intersection over union a fit has found something else than the object.
 LEAST_IOU = 0.5
+#: Rounding leaves a root mean square residual of this many machine epsilons in a touched pixel.
+FLOOR = 300
 
 
 class Fit(NamedTuple):
@@ -265,12 +267,15 @@ def _status(triangle, along, sums: Any, whole: Any, blind: bool, dtype) -> str:
         return "saturated" if whole.overlap > 0 else "no_overlap"
     if whole.overlap < LEAST_IOU * whole.union:
         return "no_overlap"
-    # MINPACK's test: the residual is orthogonal to every column of the Jacobian. At the rounding
-    # floor the residual has no direction; there the Newton step must be negligible.
+    # MINPACK's test: the residual is orthogonal to every column of the Jacobian. Near the rounding
+    # floor the residual has no direction; there the Newton step must be negligible, and on it
+    # nothing is left to ask.
     columns = np.linalg.norm(triangle, axis=0)
     slope = np.abs(triangle.T @ along)
     cosine = np.max(slope / np.maximum(columns * np.sqrt(sums.squares), 1e-300))
     newton = np.linalg.pinv(triangle, rcond=BLIND[dtype]) @ along
-    if cosine > 100 * COSINE[dtype] and UNIT_PX * np.max(np.abs(newton)) > 10 * FINE_PX[dtype]:
+    floor = sums.squares <= (FLOOR * np.finfo(dtype).eps) ** 2 * sums.touched
+    still = cosine <= 100 * COSINE[dtype] or UNIT_PX * np.max(np.abs(newton)) <= 10 * FINE_PX[dtype]
+    if not (floor or still):
         return "max_steps"
     return "rank_deficient" if blind else "converged"

@@ -48,7 +48,7 @@ def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> list[Fo
     if free and float(before.sums.overlap) <= 0.05 * float(before.sums.union):
         begin = canonical(aimed(mask, solver.problem.scene, solver.ball))
     found = solver.solve(begin, solver.levels, told)
-    if not found.view.misfit <= before.misfit:
+    if not found.view.squares <= before.squares:
         found = found._replace(unit=start, view=before)  # never worse than the start
     if solver.misfit_above_noise(found.view) <= CONTENT[solver.hard] or not free:
         return [found]
@@ -99,8 +99,9 @@ def _followed(solver: Solver, likely: Iterator[Camera], told: Told) -> list[Foun
 
 def equally_good(found: list[Found]) -> list[Found]:
     """Return those that explain the mask as well as the best does."""
-    best = found[0].view.misfit
-    return [f for f in found if f.view.misfit <= (1 + EQUAL) * best + 1e-6]
+    best = found[0].view
+    enough = (1 + EQUAL) * best.squares + 1e-6 * float(best.sums.touched)
+    return [f for f in found if f.view.squares <= enough]
 
 
 def without_outliers(
@@ -134,7 +135,7 @@ def _finite(found: list[Found]) -> list[Found]:
 def _one_of_each(found: list[Found], names: tuple[str, ...]) -> list[Found]:
     """Return the finite ones, the best first, and of those with the same view the best."""
     kept: list[Found] = []
-    for f in sorted(_finite(found), key=lambda f: f.view.misfit):
+    for f in sorted(_finite(found), key=lambda f: f.view.squares):
         if not any(_same(k, f, names) for k in kept):
             kept.append(f)
     return kept
