@@ -34,7 +34,7 @@ STATUSES = (
 #: Below this intersection over union a fit has found something else than the object.
 LEAST_IOU = 0.5
 #: Rounding leaves a root mean square residual of this many machine epsilons in a touched pixel.
-FLOOR = 300
+FLOOR = 1000
 
 
 class Fit(NamedTuple):

@@ -16,6 +16,8 @@ from ._uncertainty import free_turns
 #: Mean square residual of a touched pixel with which a fit looks no further, for hard masks (a
 #: hard edge leaves 1/12) and for those with soft edges.
 CONTENT = {True: 0.1, False: 0.01}
+#: ... and with which a search for a mask without noise far from its edges (8 bits leave 1e-6).
+CLEAN = 1e-5
 #: A mask that leaves less has no outliers.
 EXACT = 0.01
 #: A view that a search finds replaces the one near the start if it explains the mask as its kind
@@ -63,28 +65,30 @@ def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> list[Fo
 def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> list[Found]:
     """Return the cameras that a search over all views finds, the best first.
 
-    Further rounds try other guesses, and other focal lengths where that is free, until the mask is
-    explained as well as its kind allows.
+    Further rounds try guesses that lie closer together, and other focal lengths where that is free,
+    until the mask is explained as well as its kind allows.
     """
     found: list[Found] = []
-    sources: dict[float, Iterator[Camera]] = {}
+    clean = not solver.hard and rounds > 1 and solver.floor < CLEAN
+    content = CLEAN if clean else CONTENT[solver.hard]
     focal_is_free = {"phi", "d"} & {*solver.names}
-    for factor in FOCAL_FACTORS[:rounds] if focal_is_free else (1.0,) * rounds:
-        if factor not in sources:
-            sources[factor] = guesses(mask.longer(factor), solver.problem.scene, solver.ball)
-        found = _one_of_each([*found, *_followed(solver, sources[factor], told)], solver.names)
-        if solver.misfit_above_noise(found[0].view) < CONTENT[solver.hard]:
+    for n in range(rounds):
+        seen_as = mask.longer(FOCAL_FACTORS[n]) if focal_is_free else mask
+        likely = guesses(seen_as, solver.problem.scene, solver.ball)
+        apart = APART / (1 if focal_is_free else 2**n)
+        found = _one_of_each([*found, *_followed(solver, likely, apart, told)], solver.names)
+        if solver.misfit_above_noise(found[0].view) < content:
             break
     return found
 
 
-def _followed(solver: Solver, likely: Iterator[Camera], told: Told) -> list[Found]:
-    """Return the cameras that the next few guesses lead to."""
+def _followed(solver: Solver, likely: Iterator[Camera], apart: float, told: Told) -> list[Found]:
+    """Return the cameras that the first few guesses, so far apart, lead to."""
     coarsest, *finer = solver.levels
     seen: list[Camera] = []
     found: list[Found] = []
     for guess in likely:
-        if all(angle(guess, other) > APART for other in seen):
+        if all(angle(guess, other) > apart for other in seen):
             found.append(solver.solve(canonical(guess), [coarsest], coarse_px=ROUGH_PX))
             seen += [guess, found[-1].unit]
             if len(found) == TRIED:
