@@ -109,9 +109,7 @@ class Solver:
         levels, self.levels = pyramid(self._image, weights, self.dtype)
         self.finest = self.levels[-1]
         self.problem = Problem(self._scene, levels, self.ball)
-        far = (weights > 0) & (near_an_edge(self._image, 3.0) == 0)
-        rounded = np.abs(self._image - np.round(self._image))[far]
-        self.floor = float(np.sum(weights[far] * rounded**2))
+        self.floor = 0.0 if self.hard else _noise_far_from_edges(self._image, weights)
         if not self.hard:
             self.levels.append(self.finest._replace(strict=jnp.bool_(True)))
 
@@ -280,6 +278,12 @@ def _view(unit: Camera, problem: Problem, level: Level, names, capacity) -> View
     q, triangle = jnp.linalg.qr(jacobian)
     to_reported = jax.jacfwd(lambda y: reported(unit, moved(move, y, names), names))(zero)
     return View(triangle, r @ q, sums, load, to_reported, move.unit)
+
+
+def _noise_far_from_edges(image: np.ndarray, weights: np.ndarray) -> float:
+    """Return the sum of weighted squares by which pixels that are 0 or 1 for certain are not."""
+    far = (weights > 0) & (near_an_edge(image, 3.0) == 0)
+    return float(np.sum(weights[far] * (image - np.round(image))[far] ** 2))
 
 
 def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
