@@ -100,7 +100,10 @@ def draw(answer: dict, path: Path) -> None:
     for panel, group in zip(panels, ("corrupted outline", "blur", "occluder"), strict=True):
         for name, kind in ((n, k) for n in answer if n != "versions" for k in answer[n]):
             if kind.startswith(group):
-                curve, plain = answer[name][kind], kind.removeprefix(group).strip(", (px)")
+                curve, plain = (
+                    answer[name][kind],
+                    kind.removeprefix(group).removeprefix(" (px)").strip(", "),
+                )
                 medians = [v["median"] for v in curve.values()]
                 style = "--" if plain else "-"
                 x = [float(k) for k in curve]

@@ -33,6 +33,8 @@ STATUSES = (
 
 #: Below this intersection over union a fit has found something else than the object.
 LEAST_IOU = 0.5
+#: More than this share of the outline far from the mask's edge is said in words.
+ASTRAY = 0.1
 #: Rounding leaves a root mean square residual of this many machine epsilons in a touched pixel.
 FLOOR = 1000
 
@@ -53,7 +55,8 @@ class Fit(NamedTuple):
       where contours overlap in an exact mask; `iou` their intersection over union.
     - `steps`: Levenberg-Marquardt steps on each level, coarse to fine; more than one round of
       levels where the view outgrew its buffers on the way.
-    - `weak`: directions that the mask determines badly or not at all, in words.
+    - `weak`: directions that the mask determines badly or not at all, in words; last, if so, how
+      much of the outline is far from the mask's edge.
     - `modes`: other cameras that a search found to explain the mask as well, the best first.
     """
 
@@ -234,6 +237,12 @@ def report(
     cov = covariance(triangle, to_reported, noise, BLIND[dtype])
     axes = axes_of(unit)
     blind, weak = weak_directions(triangle, components(names), axes, BLIND[dtype])
+    astray = 1 - sums.touched / max(whole.touched, 1)
+    if astray > ASTRAY:
+        weak += (
+            f"{astray:.0%} of the outline is far from the mask's edge: there the mask, the mesh or"
+            " the camera is wrong",
+        )
     return Fit(
         camera=fitted,
         status=_status(triangle, along, sums, whole, blind, dtype),

@@ -104,6 +104,23 @@ def test_a_box_is_seen_in_four_ways():
     assert degrees(pj.fit_camera(scene, mask_of(truth, scene), near), truth) < 1e-4
 
 
+def test_an_occluder_is_met_by_a_weight_image_and_else_said(scene):
+    truth = anywhere(0)
+    mask, start = mask_of(truth, scene), turned(truth, [1, 2, 3], 5)
+    hidden = np.broadcast_to(np.arange(96) < 48, mask.shape)
+    covered = np.where(hidden, 0, mask)
+    told = pj.fit_camera(scene, covered, start, weight=~hidden * 1.0)
+    assert degrees(told, truth) < 1e-6
+    assert not any("far from the mask's edge" in words for words in told.weak)
+    row, column = np.argwhere((mask > 0.2) & (mask < 0.8))[0]
+    y, x = np.mgrid[:80, :96]
+    bite = np.where(np.hypot(y - row, x - column) < 11, 0, mask)
+    plain = pj.fit_camera(scene, bite, start, outlier_px=None)
+    robust = pj.fit_camera(scene, bite, start)
+    assert degrees(robust, truth) < 0.5 * degrees(plain, truth)
+    assert "of the outline is far from the mask's edge" in robust.weak[-1]
+
+
 def test_a_symmetry_is_no_list_of_modes():
     cylinder = trimesh.creation.cylinder(0.5, 2.0, sections=256)
     cylinder.vertices[cylinder.vertices[:, 2] > 0, :2] *= 0.6  # a cone's stump: no second axis
