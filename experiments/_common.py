@@ -48,6 +48,13 @@ def random_camera(random: np.random.Generator, phi: float = 0.6, size: int = 256
     return camera_at(axes, random.uniform(-0.1, 0.1, 2), distance, phi, size)
 
 
+def orbited(truth: pj.Camera, turn: np.ndarray, far: float) -> pj.Camera:
+    """Return the camera turned about the origin by a rotation (3, 3), `far` times as far away."""
+    axes = np.stack([np.asarray(a, float) for a in pj.camera_basis(truth)]) @ turn.T
+    e = far * (turn @ np.asarray(truth.e, float))
+    return camera_at(axes, axes[:2] @ e, -e @ axes[2], float(truth.phi), truth.W)
+
+
 def degrees(camera: pj.Camera, truth: pj.Camera) -> float:
     """Return the angle between two cameras."""
     return float(np.rad2deg(pj.pose_error(camera, truth)[0]))
@@ -60,7 +67,14 @@ def run(question: Callable[[], dict], draw: Callable[[dict, Path], None] | None 
     answer = question()
     answer["versions"] = {"jax": jax.__version__, "python": platform.python_version()}
     (folder() / f"{name}.json").write_text(json.dumps(answer, indent=1) + "\n")
-    if draw is not None:
+    if draw is None:
+        return
+    try:
+        import matplotlib
+    except ImportError:
+        print("no plot: matplotlib is not installed")
+    else:
+        matplotlib.use("Agg")
         draw(answer, folder() / f"{name}.png")
 
 

@@ -8,7 +8,7 @@ descent, with no search behind it, ends at the camera.
 from pathlib import Path
 
 import numpy as np
-from _common import camera_at, degrees, folder, meshes, random_camera, run, trials
+from _common import degrees, folder, meshes, orbited, random_camera, run, trials
 from PIL import Image, ImageDraw
 
 import pinhole_jax as pj
@@ -24,8 +24,7 @@ def turned(truth: pj.Camera, right: float, up: float, far: float) -> pj.Camera:
 
     axes = np.stack([np.asarray(a, float) for a in pj.camera_basis(truth)])
     turn = Rotation.from_rotvec(np.deg2rad([right, up, 0]) @ axes).as_matrix()
-    e, axes = far * (turn @ np.asarray(truth.e, float)), axes @ turn.T
-    return camera_at(axes, axes[:2] @ e, -e @ axes[2], float(truth.phi))
+    return orbited(truth, turn, far)
 
 
 def animation(scene: pj.Scene, truth: pj.Camera, path: Path) -> int:
@@ -72,9 +71,6 @@ def question() -> dict:
 
 
 def draw(answer: dict, path: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     names = [name for name in answer if name != "versions"]

@@ -52,7 +52,6 @@ def one_bit(scene: pj.Scene) -> dict:
             random = np.random.default_rng(trial)
             truth = random_camera(random, size=size)
             start = start_from(truth, 3, 0.02, random)
-            start = pj.Camera(start.e, start.p, start.u, start.phi, 1.0, size, size)
             mask = np.asarray(pj.silhouette(truth, scene)) > 0.5
             errors.append(degrees(pj.fit_camera(scene, mask, start).camera, truth))
         result[str(size)] = float(np.median(errors))

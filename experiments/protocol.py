@@ -8,7 +8,7 @@ below 5 degrees; means are over all successes.
 import time
 
 import numpy as np
-from _common import camera_at, degrees, meshes, random_camera, run, trials
+from _common import degrees, meshes, orbited, random_camera, run, trials
 
 import pinhole_jax as pj
 
@@ -21,11 +21,7 @@ def start_from(truth: pj.Camera, angle: float, share: float, random) -> pj.Camer
 
     axis = random.normal(size=3)
     turn = Rotation.from_rotvec(np.deg2rad(angle) * axis / np.linalg.norm(axis)).as_matrix()
-    axes = np.stack([np.asarray(a, float) for a in pj.camera_basis(truth)]) @ turn.T
-    e = turn @ np.asarray(truth.e, float)
-    e *= 1 + share * random.choice([-1, 1])
-    distance = -e @ axes[2]
-    return camera_at(axes, axes[:2] @ e, distance, float(truth.phi))
+    return orbited(truth, turn, 1 + share * random.choice([-1, 1]))
 
 
 def question() -> dict:

@@ -91,9 +91,6 @@ def question() -> dict:
 
 
 def draw(answer: dict, path: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     figure, panels = plt.subplots(1, 3, figsize=(12, 3.6), sharey=True)

@@ -66,15 +66,16 @@ def worthwhile(solver: Solver, view: View) -> bool:
 def with_overlaps(solver: Solver, mask: Mask, found: Found) -> Found:
     """Return the camera after Gauss-Newton steps in which every pixel counts, and its view."""
     unit, before = found.unit, np.inf
+    view = completed(solver, mask, unit)
     for _ in range(STEPS):
-        view = completed(solver, mask, unit)
         y = np.linalg.lstsq(np.asarray(view.triangle), -np.asarray(view.along), rcond=None)[0]
         size = float(np.max(np.abs(y))) * UNIT_PX
         # Steps shrink while they mean something. (Sums of squares cannot tell in float32.)
         if not FINE_PX[solver.dtype] < size < before:
             break
         unit, before = solver.step(unit, solver.finest, y), size
-    return found._replace(unit=unit, view=completed(solver, mask, unit))
+        view = completed(solver, mask, unit)
+    return found._replace(unit=unit, view=view)
 
 
 def completed(solver: Solver, mask: Mask, unit: Camera) -> View:

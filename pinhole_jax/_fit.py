@@ -11,13 +11,13 @@ from ._arrays import Numbers, float_dtype, is_concrete
 from ._camera import Camera
 from ._exact import with_overlaps, worthwhile
 from ._implicit import through
-from ._parameters import REPORTED, canonical, check_free, components, on_film
+from ._parameters import REPORTED, canonical, check_free, components, focal_is_free, on_film
 from ._residuals import Sums
-from ._scene import Scene
+from ._scene import Scene, check_scene
 from ._search import Mask, axes_of
 from ._solver import COSINE, FINE_PX, UNIT_PX, Found, Solver, View
 from ._strategy import EXACT, equally_good, everywhere, from_start, turns_freely, without_outliers
-from ._target import Level, check_target, near_an_edge
+from ._target import Level, check_target, edge_distance, near_an_edge
 from ._uncertainty import BLIND, covariance, weak_directions
 
 #: What `Fit.status` may be.
@@ -125,8 +125,7 @@ def fit_camera(
 
     Raises ValueError for arguments that make no fit; what the solver met is in `Fit.status`.
     """
-    if not isinstance(scene, Scene) or (scene.mesh is None and scene.spheres is None):
-        raise ValueError("`scene`: expected a Scene with a mesh or spheres, got an empty one")
+    check_scene(scene)
     if max_steps < 1:
         raise ValueError(f"`max_steps`: expected at least 1, got {max_steps}")
     if outlier_px is not None and not outlier_px > 0:
@@ -183,7 +182,7 @@ def _fit(
     reach = settings.outlier_px
     if reach is not None and found[0].view.touched_misfit > EXACT:
         described = without_outliers(solver, mask, found, reach, start)
-        trust = lambda: (mask.weight * near_an_edge(mask.image, reach), False)
+        trust = lambda: (mask.weight * near_an_edge(edge_distance(mask.image), reach), False)
     fit, *modes = (report(base, f, sums, names) for f, sums in described)
     if modes and fit.status == "converged":
         fit = fit._replace(status="ambiguous")
@@ -201,7 +200,7 @@ def _anywhere(scene: Scene, target: Numbers, names: tuple[str, ...], phi: Number
     if len(shape) != 2 or 0 in shape:
         raise ValueError(f"`target`: expected shape (H, W), got shape {shape}")
     if phi is None:
-        if not {"phi", "d"} & set(names):
+        if not focal_is_free(names):
             raise ValueError(
                 "`phi`: expected the field of view (rad) where there is no `camera` and phi is not"
                 " free, got None"

@@ -17,9 +17,9 @@ from ._arrays import Numbers
 from ._camera import Camera
 from ._exact import completed, worthwhile
 from ._fit import Fit, fit_camera, report
-from ._parameters import canonical, check_free, components
+from ._parameters import as_names, canonical, check_free, components
 from ._residuals import Capacity
-from ._scene import Scene
+from ._scene import Scene, check_scene
 from ._search import Mask
 from ._solver import COARSE_PX, COSINE, FINE_PX, UNIT_PX, Found, Solver, View
 from ._target import Level, check_target
@@ -52,8 +52,9 @@ def fit_cameras(
 
     Raises ValueError for arguments that make no fit; what the solver met is in each `Fit.status`.
     """
-    names = check_free(_names(shared) + _names(free))
-    common = tuple(n for n in names if n in _names(shared))
+    check_scene(scene)
+    names = check_free(as_names(shared) + as_names(free))
+    common = tuple(n for n in names if n in as_names(shared))
     unknown = [n for n in common if n not in SHARED]
     if unknown or not common:
         raise ValueError(f"`shared`: expected names among {', '.join(SHARED)}, got {shared!r}")
@@ -79,9 +80,7 @@ def fit_cameras(
     largest = Capacity(*np.max([v.solver.capacity for v in views], axis=0).tolist())
     for one in views:
         one.solver.capacity = largest
-    own = np.array(
-        [c in components(tuple(n for n in names if n not in common)) for c in components(names)]
-    )
+    own = np.array([name not in common for name in names for _ in components((name,))])
     steps: list[int] = []
     for depth in range(max(len(v.solver.levels) for v in views), 0, -1):
         views, n = _descend(views, depth, own, max_steps)
@@ -105,10 +104,6 @@ class _One(NamedTuple):
         if depth == 0:
             return completed(self.solver, self.mask, self.unit)
         return self.solver.look(self.unit, self.level(depth))
-
-
-def _names(names: str | Sequence[str]) -> tuple[str, ...]:
-    return (names,) if isinstance(names, str) else tuple(names)
 
 
 def _alike(cameras: Sequence[Camera], common: tuple[str, ...]) -> list[Camera]:

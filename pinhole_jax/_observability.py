@@ -11,7 +11,7 @@ from ._camera import Camera
 from ._exact import completed
 from ._fit import labels_of, to_units
 from ._parameters import canonical, check_free, components
-from ._scene import Scene
+from ._scene import Scene, check_scene
 from ._search import Mask, axes_of
 from ._solver import UNIT_PX, Solver
 from ._target import check_weight
@@ -62,8 +62,7 @@ def observability(
     """
     if not isinstance(camera, Camera):
         raise ValueError(f"`camera`: expected a Camera, got {camera!r}")
-    if not isinstance(scene, Scene) or (scene.mesh is None and scene.spheres is None):
-        raise ValueError("`scene`: expected a Scene with a mesh or spheres, got an empty one")
+    check_scene(scene)
     if not noise > 0:
         raise ValueError(f"`noise`: expected a positive standard deviation, got {noise}")
     names = check_free(free)

@@ -39,9 +39,19 @@ REPORTED: dict[str, tuple[str, ...]] = {
 }
 
 
+def as_names(names: str | Sequence[str]) -> tuple[str, ...]:
+    """Return names as a tuple; a string is one name."""
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
+def focal_is_free(free: Sequence[str]) -> bool:
+    """Return whether the focal length is fitted, under either of its names."""
+    return not {"phi", "d"}.isdisjoint(free)
+
+
 def check_free(free: str | Sequence[str]) -> tuple[str, ...]:
     """Return the names in a fixed order, or raise ValueError for unknown or conflicting ones."""
-    names = (free,) if isinstance(free, str) else tuple(free)
+    names = as_names(free)
     known = ", ".join(COMPONENTS)
     for name in names:
         if name not in COMPONENTS:

@@ -89,6 +89,12 @@ class Scene(eqx.Module):
         self.mesh, self.spheres = mesh, spheres
 
 
+def check_scene(scene: Any) -> None:
+    """Raise ValueError unless there is something to look at."""
+    if not isinstance(scene, Scene) or (scene.mesh is None and scene.spheres is None):
+        raise ValueError("`scene`: expected a Scene with a mesh or spheres, got an empty one")
+
+
 def astype(scene: Scene, dtype: Any) -> Scene:
     """Return the scene in a float type; planes are made anew where the vertices change."""
     mesh, spheres = scene.mesh, scene.spheres

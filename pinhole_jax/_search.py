@@ -88,7 +88,7 @@ def facing(direction: np.ndarray) -> np.ndarray:
 
 def distances(mask: Signature, views: Signature) -> np.ndarray:
     """Return (N, ANGLES): mean squared difference of one mask and N views turned by each angle."""
-    area = np.repeat(np.arange(RINGS) + 0.5, ANGLES).reshape(RINGS, ANGLES)
+    area = np.arange(RINGS)[:, None] + 0.5
     known, seen = (s.valid * 1.0 for s in (mask, views))
     target, samples = mask.samples * known, views.samples * seen
 

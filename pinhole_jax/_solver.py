@@ -15,7 +15,7 @@ from ._camera import Camera
 from ._parameters import Move, moved, reported, units
 from ._residuals import Capacity, Load, Sums, Touched, residuals, touch
 from ._scene import Ball, Scene, astype, bounding_sphere, padded
-from ._target import Level, Pyramid, near_an_edge, pyramid
+from ._target import Level, Pyramid, edge_distance, near_an_edge, pyramid
 
 #: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
 #: larger units make bolder first steps.
@@ -102,6 +102,7 @@ class Solver:
         self.ball = Ball(np.asarray(centre, float), float(radius))
         self.capacity = _first_capacity(scene, image)
         self.hard = bool(np.all((image == 0) | (image == 1)))
+        self.floor = 0.0 if self.hard else _noise_far_from_edges(self._image, weights)
         self.weigh(weights)
 
     def weigh(self, weights: np.ndarray) -> None:
@@ -109,7 +110,6 @@ class Solver:
         levels, self.levels = pyramid(self._image, weights, self.dtype)
         self.finest = self.levels[-1]
         self.problem = Problem(self._scene, levels, self.ball)
-        self.floor = 0.0 if self.hard else _noise_far_from_edges(self._image, weights)
         if not self.hard:
             self.levels.append(self.finest._replace(strict=jnp.bool_(True)))
 
@@ -282,7 +282,7 @@ def _view(unit: Camera, problem: Problem, level: Level, names, capacity) -> View
 
 def _noise_far_from_edges(image: np.ndarray, weights: np.ndarray) -> float:
     """Return the sum of weighted squares by which pixels that are 0 or 1 for certain are not."""
-    far = (weights > 0) & (near_an_edge(image, 3.0) == 0)
+    far = (weights > 0) & (near_an_edge(edge_distance(image), 3.0) == 0)
     return float(np.sum(weights[far] * (image - np.round(image))[far] ** 2))
 
 

@@ -1,16 +1,17 @@
 """Which cameras a fit tries, and which of those that it finds it keeps."""
 
 from collections.abc import Callable, Iterator
+from itertools import tee
 from typing import Any
 
 import numpy as np
 
 from ._camera import Camera
-from ._parameters import canonical, components
+from ._parameters import canonical, components, focal_is_free
 from ._residuals import Sums
 from ._search import Mask, aimed, angle, axes_of, guesses
 from ._solver import Found, Solver
-from ._target import near_an_edge
+from ._target import edge_distance, near_an_edge
 from ._uncertainty import free_turns
 
 #: Mean square residual of a touched pixel with which a fit looks no further, for hard masks (a
@@ -71,11 +72,14 @@ def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> list[
     found: list[Found] = []
     clean = not solver.hard and rounds > 1 and solver.floor < CLEAN
     content = CLEAN if clean else CONTENT[solver.hard]
-    focal_is_free = {"phi", "d"} & {*solver.names}
+    free = focal_is_free(solver.names)
+    source = guesses(mask, solver.problem.scene, solver.ball)
     for n in range(rounds):
-        seen_as = mask.longer(FOCAL_FACTORS[n]) if focal_is_free else mask
-        likely = guesses(seen_as, solver.problem.scene, solver.ball)
-        apart = APART / (1 if focal_is_free else 2**n)
+        if free and n:
+            longer = mask.longer(FOCAL_FACTORS[n])
+            source = guesses(longer, solver.problem.scene, solver.ball)
+        source, likely = tee(source)
+        apart = APART / (1 if free else 2**n)
         found = _one_of_each([*found, *_followed(solver, likely, apart, told)], solver.names)
         if solver.misfit_above_noise(found[0].view) < content:
             break
@@ -116,9 +120,10 @@ def without_outliers(
     At first the surroundings are wide, so that what other stretches of the outline pulled away
     comes back.
     """
+    distance = edge_distance(mask.image)
     ends = [[f.unit] if start is None else [f.unit, start] for f in found]
     for reach in (8, 4, 2, 1):
-        solver.weigh(mask.weight * near_an_edge(mask.image, reach * outlier_px))
+        solver.weigh(mask.weight * near_an_edge(distance, reach * outlier_px))
         found = [_onward(f, solver.solve(f.unit, [solver.finest])) for f in found]
     result = []
     for f, others in zip(found, ends, strict=True):

@@ -109,11 +109,8 @@ def check_weight(weight: Any, W: int, H: int) -> np.ndarray:
     return array
 
 
-def near_an_edge(image: np.ndarray, reach_px: float) -> np.ndarray:
-    """Return (H, W): 1 beside the mask's edge (at 0.5), falling to 0 farther than `reach_px` away.
-
-    Tukey's biweight of the distance between pixel centres.
-    """
+def edge_distance(image: np.ndarray) -> np.ndarray:
+    """Return (H, W): px from a pixel to the nearest one beside the mask's edge (at 0.5)."""
     from scipy.ndimage import distance_transform_edt
 
     inside = image > 0.5
@@ -125,6 +122,11 @@ def near_an_edge(image: np.ndarray, reach_px: float) -> np.ndarray:
             widths[axis] = side
             far &= ~np.pad(change, widths)
     distance: Any = distance_transform_edt(far)
+    return distance
+
+
+def near_an_edge(distance: np.ndarray, reach_px: float) -> np.ndarray:
+    """Return Tukey's biweight of `edge_distance`: 1 at 0, and 0 farther than `reach_px` away."""
     return np.clip(1 - (distance / (1 + reach_px)) ** 2, 0, 1) ** 2
 
 
