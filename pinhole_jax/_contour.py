@@ -99,6 +99,8 @@ def mesh_contour(film: FilmMap, mesh: Mesh) -> MeshContour:
     weights = contour_weights(mesh, film.eye)
     chosen = select(weights != 0)
     count = chosen.total * jnp.where(reaches_left(film, mesh.vertices), 2, 1)
+    # Without the barrier the compiler works the weights out anew in each loop that reads some.
+    weights, chosen, count = jax.lax.optimization_barrier((weights, chosen, count))
     return MeshContour(mesh.edge_vertices, weights, chosen, count)
 
 

@@ -30,7 +30,7 @@ from ._coverage import monotone, piece_counts, split
 from ._curves import Arcs, Curves, Segments, moved, piece_flux, placed
 from ._scene import Scene
 from ._target import Level, Pyramid, level_slice
-from ._union import chain_layers, marks, overlaps
+from ._union import Marks, chain_layers, marks, overlaps
 
 MAX_ROWS = 1 << 14
 
@@ -137,7 +137,7 @@ class _Sorted(NamedTuple):
     cell: Int[Array, "P"]
     height: Float[Array, "P"]
     area: Float[Array, "P"]
-    marks: Float[Array, "P 6"]
+    marks: Marks
     change: Float[Array, "P"]
 
 
@@ -190,7 +190,7 @@ def _by_pixel(pieces: _Sorted, base: Int[Array, ""], level: Level) -> Touched:
     P = pieces.cell.shape[0]
     end = level.H * (level.W + 2)
     order = jnp.argsort(pieces.cell)
-    cell, height, area, marked, change = (x[order] for x in pieces)
+    cell, height, area, marked, change = jax.tree.map(lambda x: x[order], pieces)
     new = jnp.append(jnp.ones(1, bool), cell[1:] != cell[:-1])
     slot = jnp.cumsum(new) - 1
     after = jnp.cumsum(height) + base.astype(height.dtype)
@@ -200,7 +200,7 @@ def _by_pixel(pieces: _Sorted, base: Int[Array, ""], level: Level) -> Touched:
     def gather(x):
         return jnp.zeros((P, *x.shape[1:]), x.dtype).at[slot].add(x)
 
-    winding, marked = gather(before + area), gather(marked)
+    winding, marked = gather(before + area), jax.tree.map(gather, marked)
     winding_after = gather(jnp.where(last, after, 0))
     cells = jnp.full(P, end, cell.dtype).at[slot].min(cell)
     column = cells % (level.W + 2)

@@ -154,14 +154,16 @@ def front_facing(mesh: Mesh, e: Float[Array, "3"]) -> Bool[Array, "F"]:
     (`eqx.tree_at`, an optimiser's update), the planes are made anew, so they are never stale.
     """
     mesh, e = jax.lax.stop_gradient((mesh, e))
-    planes = jax.lax.cond(
+
+    def before(planes: Planes) -> Bool[Array, "F"]:
+        eye, n = e - planes.centre, planes.normal
+        return n[0] * eye[0] + n[1] * eye[1] + n[2] * eye[2] > planes.offset
+
+    return jax.lax.cond(
         _planes_are_current(mesh),
-        lambda: mesh.planes,
-        lambda: _planes(mesh.vertices, mesh.faces),
+        lambda: before(mesh.planes),
+        lambda: before(_planes(mesh.vertices, mesh.faces)),
     )
-    eye = e - planes.centre
-    n = planes.normal
-    return n[0] * eye[0] + n[1] * eye[1] + n[2] * eye[2] > planes.offset
 
 
 class Ball(NamedTuple):

@@ -30,8 +30,8 @@ from ._curves import moved, piece_flux
 from ._linear_map import linear_map
 from ._scene import Scene, Spheres, astype
 from ._union import (
-    MARKS,
     Crowded,
+    Marks,
     Part,
     Resolved,
     fold_cells,
@@ -39,6 +39,7 @@ from ._union import (
     fold_pieces,
     marks,
     overlaps,
+    turns,
 )
 
 CURVES_AT_A_TIME = 2048
@@ -101,10 +102,12 @@ class _Still(NamedTuple):
 
 
 class _Pixels(NamedTuple):
-    """Which pixels one chain of contour crosses, and which are crowded, from the bottom row up."""
+    """Which pixels one chain of contour crosses, and which are crowded, from the bottom row up; the
+    winding numbers at the pixels' lower left corners."""
 
     alone: Bool[Array, "N"]
     crowded: Selection
+    corner: Float[Array, "N"]
 
 
 def _parts(moving: _Moving, still: _Still) -> list[Part]:
@@ -182,34 +185,42 @@ def _resolve(moving: _Moving, still: _Still) -> tuple[Float[Array, "H W"], _Pixe
         del ids
 
         def add(sums, pieces: Pieces):
-            deltas, marked = sums
+            deltas, marked, turned = sums
             at = jnp.maximum(pieces.column, 0)
             deltas = deltas.at[pieces.row, at].add(pieces.area, mode="drop")
             deltas = deltas.at[pieces.row, at + 1].add(pieces.height - pieces.area, mode="drop")
             if marked is None:
-                return deltas, None
-            column = jnp.where(pieces.column < 0, W, pieces.column)
-            return deltas, marked.at[pieces.row, column].add(marks(pieces), mode="drop")
+                return deltas, None, None
+            own = pieces.row, jnp.where(pieces.column < 0, W, pieces.column)
+            put = lambda image, value: image.at[own].add(value, mode="drop")
+            marked = jax.tree.map(put, marked, marks(pieces))
+            after = pieces.column + 1
+            return deltas, marked, turned.at[pieces.row, after].add(turns(pieces), mode="drop")
 
         return fold_pieces(curves, W, H, H, add, sums)
 
-    marked = None if still.overlap is None else jnp.zeros((H, W, MARKS), dtype)
-    sums = (jnp.zeros((H, W), dtype), marked)
+    told = still.overlap is not None
+    marked = Marks(jnp.zeros((H, W), dtype), jnp.zeros((H, W), jnp.int32)) if told else None
+    turned = jnp.zeros((H, W), dtype) if told else None
+    sums = (jnp.zeros((H, W), dtype), marked, turned)
     for part in parts:
         sums = fold_curves(part, chunk, sums, part.size)
-    deltas, marked = sums
+    deltas, marked, turned = sums
     winding = _row_sums(deltas) + still.base.astype(dtype)
     none = jnp.zeros((H, W), bool)
     crowded = none if marked is None else overlaps(marked, winding)
     alone = ~crowded & (winding > 0) & (winding < 1)
-    pixels = _Pixels(alone.reshape(-1), select(crowded.reshape(-1)))
+    corner = jnp.zeros(0, dtype)
+    if turned is not None:
+        corner = (_row_sums(turned) + still.base.astype(dtype)).reshape(-1)
+    pixels = _Pixels(alone.reshape(-1), select(crowded.reshape(-1)), corner)
     image = jnp.where(crowded, 0, jnp.clip(winding, 0, 1)).reshape(-1)
 
     def add(image, resolved: Resolved):
         return image.at[resolved.place].add(resolved.area, mode="drop")
 
-    if still.overlap is not None:
-        args = (parts, _crowded(pixels.crowded, W), W, H, H, still.base)
+    if told:
+        args = (parts, _crowded(pixels, W), W, H, H, still.base)
         image = fold_cells(*args, add, image, flux=False)
     return _upright(image, film), pixels
 
@@ -218,11 +229,13 @@ def _upright(flat: Float[Array, "N"], film: FilmMap) -> Float[Array, "H W"]:
     return jnp.flip(flat.reshape(film.H, film.W), axis=0)
 
 
-def _crowded(chosen: Selection, W: int) -> Crowded:
+def _crowded(pixels: _Pixels, W: int) -> Crowded:
+    chosen, corner = pixels.crowded, pixels.corner
+
     def cell(rank):
         pixel = nth(chosen, rank)
         row = jax.lax.div(pixel, jnp.int32(W))
-        return row, pixel - row * W, pixel
+        return row, pixel - row * W, pixel, corner[pixel]
 
     return Crowded(chosen.total, cell, lambda row, column: rank_in(chosen, row * W + column))
 
@@ -272,7 +285,7 @@ def _fold_visible(
 
     if still.overlap is None:
         return start
-    args = (parts, _crowded(pixels.crowded, W), W, H, H, still.base)
+    args = (parts, _crowded(pixels, W), W, H, H, still.base)
     return fold_cells(*args, crowd, start, flux=True)
 
 

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
@@ -16,6 +15,7 @@ from ._parameters import Move, moved, reported, units
 from ._residuals import Capacity, Load, Sums, Touched, residuals, touch
 from ._scene import Ball, Scene, astype, bounding_sphere, padded
 from ._target import Level, Pyramid, edge_distance, near_an_edge, pyramid
+from ._thin_qr import ThinQR, triangle_and_rhs
 
 #: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
 #: larger units make bolder first steps.
@@ -190,7 +190,7 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
 
     def __init__(self, atol: Any):
         self.rtol, self.atol, self.norm = 0.0, atol, optx.max_norm
-        self.descent = optx.DampedNewtonDescent(linear_solver=lx.QR())
+        self.descent = optx.DampedNewtonDescent(linear_solver=ThinQR())
         self.search = _TrustRegion()
         self.verbose = _silent
 
@@ -275,9 +275,9 @@ def _view(unit: Camera, problem: Problem, level: Level, names, capacity) -> View
         return r, (r, *rest)
 
     jacobian, (r, sums, load) = jax.jacfwd(at, has_aux=True)(zero)
-    q, triangle = jnp.linalg.qr(jacobian)
+    triangle, along = triangle_and_rhs(jacobian, r)
     to_reported = jax.jacfwd(lambda y: reported(unit, moved(move, y, names), names))(zero)
-    return View(triangle, r @ q, sums, load, to_reported, move.unit)
+    return View(triangle, along, sums, load, to_reported, move.unit)
 
 
 def _noise_far_from_edges(image: np.ndarray, weights: np.ndarray) -> float:
@@ -302,5 +302,5 @@ def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
 def _room(have: int, need: int) -> int:
     """Return `have` if it is 3/2 of `need`, else the next of a few sizes (each is compiled)."""
     while 2 * have < 3 * need:
-        have = max(4 * have, 1024)
+        have = max(2 * have, 1024)
     return have

@@ -8,8 +8,9 @@ pieces bound it, and over what part of their length, is all that the derivative 
 
 The sweep compares areas, never asks whether two pieces touch: pieces that coincide, end on one
 another or have no length put halts too close to matter, and nothing else. Pieces that are equal are
-merged. A cell with more than `MOST` pieces is cut into smaller cells, depth first, so that memory
-is bounded; at the last cut (`LAST_CUT`) the corner speaks for a cell of 1/65536 px.
+merged. Nearly all cells hold a few pieces (`NARROW`) and are swept together; those with more
+(`WIDE`) are swept a few at a time. A cell with more still is cut into smaller cells, depth first,
+so that memory is bounded; at the last cut (`LAST_CUT`) the corner speaks for a cell of 1/65536 px.
 """
 
 from collections.abc import Callable
@@ -20,15 +21,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ._contour import nth, select
 from ._coverage import Monotone, Pieces, at_row, monotone, piece_counts, split
-from ._curves import Curves, placed
-from ._sweep import MOST, Cells, Visible, empty_cells, insert, sweep
+from ._curves import Curves, ends, placed
+from ._sweep import NARROW, WIDE, Cells, Visible, empty_cells, insert, sweep
 
-CELLS = 512
+CELLS = 256
 CUT = 4
 PARENTS = CELLS // CUT**2
 LAST_CUT = {"float32": 4, "float64": 8}
 PIECES = 4096
+INSERTED = 512
+WIDE_CELLS = 16
 
 
 class Part(NamedTuple):
@@ -46,12 +50,12 @@ class Part(NamedTuple):
 class Crowded(NamedTuple):
     """Pixels to be resolved, `total` of them.
 
-    `cell(rank)` gives row (from the bottom), column and place of the rank-th; `rank(row, column)`
-    the rank of a pixel, -1 for others.
+    `cell(rank)` gives row (from the bottom), column and place of the rank-th, and the winding
+    number at its lower left corner; `rank(row, column)` the rank of a pixel, -1 for others.
     """
 
     total: Int[Array, ""]
-    cell: Callable[[Int[Array, "K"]], tuple[Array, Array, Array]]
+    cell: Callable[[Int[Array, "K"]], tuple[Array, Array, Array, Array]]
     rank: Callable[[Int[Array, "K"], Int[Array, "K"]], Int[Array, "K"]]
 
 
@@ -91,52 +95,63 @@ class _Stack(NamedTuple):
 class Marks(NamedTuple):
     """What tells a pixel that one chain of contour crosses from one where contours overlap.
 
-    Sums over the pixel's pieces: how many there are, how many may come in from other pixels, their
-    layers, and their extents without and with sign.
+    Sums over the pixel's pieces: of their layers, and of 6 counters (`COUNTED`), `BITS` bits each.
     """
 
-    pieces: Float[Array, "*N"]
-    entries: Float[Array, "*N"]
     layers: Float[Array, "*N"]
-    height: Float[Array, "*N"]
-    up: Float[Array, "*N"]
-    width: Float[Array, "*N"]
-    right: Float[Array, "*N"]
+    counters: Int[Array, "*N"]
 
 
-MARKS = len(Marks._fields)
+#: How many pieces there are, may come in from other pixels, rise, fall, go right and left. (What
+#: they would do if all had their covered side on the same hand.)
+COUNTED = ("pieces", "entries", "rise", "fall", "right", "left")
+BITS = 5
 
 
-def marks(pieces: Pieces) -> Float[Array, "P 7"]:
+def marks(pieces: Pieces) -> Marks:
     """Return what each piece adds to its pixel's marks."""
-    layers = jnp.abs(pieces.jump)
     dx, dy = jnp.moveaxis(pieces.end - pieces.start, -1, 0)
     up, right = -pieces.jump * dy, -pieces.jump * dx
-    flags = [x.astype(layers.dtype) for x in (pieces.valid, pieces.valid & pieces.enters)]
-    return jnp.stack([*flags, layers, jnp.abs(up), up, jnp.abs(right), right], axis=-1)
+    tiny = 8 * jnp.finfo(dx.dtype).eps
+    entries = pieces.valid & pieces.enters
+    flags = [pieces.valid, entries, up > tiny, up < -tiny, right > tiny, right < -tiny]
+    counters = sum(flag.astype(jnp.int32) << (BITS * k) for k, flag in enumerate(flags))
+    return Marks(jnp.abs(pieces.jump), jnp.asarray(counters))
 
 
-def chain_layers(marks: Float[Array, "*N 7"]) -> Float[Array, "*N"]:
+def chain_layers(marks: Marks) -> Float[Array, "*N"]:
     """Return how many layers a pixel's contour bounds if it is one chain that never turns back.
 
     0 where it may be anything else: then parts of the pixel may be uncovered and others covered
     more than once.
     """
-    m = Marks(*jnp.moveaxis(marks, -1, 0))
-    tiny = 8 * jnp.finfo(marks.dtype).eps
-    straight = (m.height - jnp.abs(m.up) <= tiny * (1 + m.height)) | (
-        m.width - jnp.abs(m.right) <= tiny * (1 + m.width)
+    most = (1 << BITS) - 1
+    pieces, entries, rise, fall, right, left = (
+        (marks.counters >> (BITS * k)) & most for k in range(len(COUNTED))
     )
-    chain = (m.entries == 1) & straight
-    layers = jnp.where(m.layers == m.pieces, 1, jnp.where(m.layers == 2 * m.pieces, 2, 0))
-    return jnp.where(chain, layers, 0).astype(marks.dtype)
+    straight = (rise == 0) | (fall == 0) | (right == 0) | (left == 0)
+    # A piece has a layer at least: with few layers no counter has run over.
+    chain = (entries == 1) & straight & (marks.layers <= most)
+    pieces = pieces.astype(marks.layers.dtype)
+    layers = jnp.where(marks.layers == pieces, 1, jnp.where(marks.layers == 2 * pieces, 2, 0))
+    return jnp.where(chain, layers, 0).astype(marks.layers.dtype)
 
 
-def overlaps(marks: Float[Array, "*N 7"], winding: Float[Array, "*N"]) -> Bool[Array, "*N"]:
+def overlaps(marks: Marks, winding: Float[Array, "*N"]) -> Bool[Array, "*N"]:
     """Return which pixels must be resolved: not crossed by one chain of one layer, and with so few
     layers (`winding`, the mean) that the pieces in them might take all away."""
-    layers = marks[..., Marks._fields.index("layers")]
+    layers = marks.layers
     return (layers > 0) & (chain_layers(marks) != 1) & (winding <= layers)
+
+
+def turns(pieces: Pieces) -> Float[Array, "P"]:
+    """Return by how much a row's winding number, at its bottom line, jumps at each piece.
+
+    Of the pieces of a curve in a row the first counts, from where the curve enters the row.
+    """
+    row, column = (x.astype(pieces.jump.dtype) for x in (pieces.row, pieces.column))
+    first = (pieces.start[:, 1] <= row) & (pieces.start[:, 0] < column + 1)
+    return jnp.where(pieces.passes & first, pieces.jump, 0)
 
 
 def fold_cells(
@@ -156,27 +171,32 @@ def fold_cells(
     """
     dtype = jax.eval_shape(parts[0].curves, jnp.zeros(1, jnp.int32)).weight.dtype
     depth = LAST_CUT[jnp.dtype(dtype).name]
+    lifts = [part.lifts for part in parts]
 
     def body(state):
         first, stack, total = state
         level = stack.deepest()
-        batch = _batch(crowded, first, stack, level, (W, H, max_H))
-        cells, corner = empty_cells(CELLS, dtype), base.astype(dtype)
+        batch = _batch(crowded, first, stack, level, (W, H, max_H), base)
+        cells, corner = empty_cells(CELLS, dtype), batch.corner
         for number, part in enumerate(parts):
             cells, turns = _fill(cells, number, part, crowded, first, batch)
             corner = corner + turns
-        lifts = [part.lifts for part in parts]
-        area, visible = sweep(cells, corner, lifts, batch.scale, batch.origin, flux)
         used, last = batch.place >= 0, level == depth
-        crowd = (cells.total > MOST) & used
+        cut = used & (cells.total > WIDE) & ~last
         # Where there are too many pieces even in the last cell, its corner speaks for it.
-        area = jnp.where(crowd, jnp.where(last, jnp.clip(corner, 0, 1), 0), area)
-        size = 1 / (batch.scale * batch.scale)
-        keep = (used & ~crowd)[:, None, None, None]
-        visible = [v._replace(flux=jnp.where(keep, v.flux, 0)) for v in visible]
-        place = jnp.where(used, batch.place, jnp.iinfo(jnp.int32).max)
-        total = add(total, Resolved(place, area * size, visible))
-        stack = stack.push(crowd & ~last, jnp.minimum(level + 1, depth), batch)
+        cells = cells._replace(total=jnp.where(cells.total > WIDE, 0, cells.total))
+        swept = _Swept(cells, corner, batch.origin, jnp.where(used & ~cut, batch.place, -1))
+
+        def resolve(total, swept: _Swept):
+            area, visible = sweep(swept.cells, swept.corner, lifts, batch.scale, swept.origin, flux)
+            keep = (swept.place >= 0)[:, None, None, None]
+            visible = [v._replace(flux=jnp.where(keep, v.flux, 0)) for v in visible]
+            place = jnp.where(swept.place >= 0, swept.place, jnp.iinfo(jnp.int32).max)
+            return add(total, Resolved(place, area / (batch.scale * batch.scale), visible))
+
+        total = resolve(total, swept.narrow())
+        total = swept.fold_wide(resolve, total)
+        stack = stack.push(cut, jnp.minimum(level + 1, depth), batch)
         return jnp.where(level == 0, first + CELLS, first), stack, total
 
     zeros = jnp.zeros((depth + 1, CELLS), dtype)
@@ -186,10 +206,41 @@ def fold_cells(
     return jax.lax.while_loop(more, body, (jnp.int32(0), stack, start))[2]
 
 
+class _Swept(NamedTuple):
+    """Cells to be swept, the winding numbers at their corners, `place` -1 where there is none."""
+
+    cells: Cells
+    corner: Float[Array, "C"]
+    origin: Float[Array, "C 2"]
+    place: Int[Array, "C"]
+
+    def narrow(self) -> "_Swept":
+        """Return the cells of at most `NARROW` pieces, at their places among the others."""
+        few = self.cells.total <= NARROW
+        piece = jnp.where(few[:, None, None], self.cells.piece[:, :NARROW], 0)
+        cells = Cells(piece, self.cells.owner[:, :NARROW], self.cells.total)
+        return self._replace(cells=cells, place=jnp.where(few, self.place, -1))
+
+    def fold_wide(self, add: Callable[[Any, "_Swept"], Any], start: Any) -> Any:
+        """Return `start` after `add(total, swept)` over the other cells, a few at a time."""
+        chosen = select(self.cells.total > NARROW)
+
+        def body(state):
+            rank, total = state
+            some = rank + jnp.arange(WIDE_CELLS, dtype=jnp.int32)
+            cell = jnp.minimum(nth(chosen, some), CELLS - 1)
+            taken = jax.tree.map(lambda x: x[cell], self)
+            place = jnp.where(some < chosen.total, taken.place, -1)
+            return rank + WIDE_CELLS, add(total, taken._replace(place=place))
+
+        return jax.lax.while_loop(lambda s: s[0] < chosen.total, body, (jnp.int32(0), start))[1]
+
+
 class _Batch(NamedTuple):
     """Cells that are resolved together, and the small films on which their pieces are found.
 
-    At level 0 the cells are pixels of the one film; else each film is a cell that is cut.
+    At level 0 the cells are pixels of the one film; else each film is a cell that is cut. `corner`
+    is what is known already of the winding numbers at the cells' corners.
     """
 
     level: Int[Array, ""]
@@ -198,15 +249,18 @@ class _Batch(NamedTuple):
     film: tuple[Any, Any, int]
     origin: Float[Array, "C 2"]
     place: Int[Array, "C"]
+    corner: Float[Array, "C"]
 
 
-def _batch(crowded: Crowded, first: Array, stack: _Stack, level: Array, film: tuple) -> _Batch:
+def _batch(
+    crowded: Crowded, first: Array, stack: _Stack, level: Array, film: tuple, base: Array
+) -> _Batch:
     """Return the next cells: of the deepest level that has any, else the next pixels."""
     W, H, max_H = film
     dtype = stack.origin.dtype
     at_pixels = level == 0
     rank = first + jnp.arange(CELLS, dtype=jnp.int32)
-    row, column, place = crowded.cell(jnp.clip(rank, 0, jnp.maximum(crowded.total - 1, 0)))
+    row, column, place, corner = crowded.cell(jnp.clip(rank, 0, jnp.maximum(crowded.total - 1, 0)))
     pixel = jnp.stack([column, row], axis=-1).astype(dtype)
     place = jnp.where(rank < crowded.total, place, -1)
 
@@ -223,6 +277,7 @@ def _batch(crowded: Crowded, first: Array, stack: _Stack, level: Array, film: tu
         (jnp.where(at_pixels, W, CUT), jnp.where(at_pixels, H, CUT), max(max_H, CUT)),
         jnp.where(at_pixels, pixel, child.reshape(CELLS, 2)),
         jnp.where(at_pixels, place, jnp.repeat(parent_place, CUT**2)),
+        jnp.where(at_pixels, corner, base.astype(dtype)),
     )
 
 
@@ -266,44 +321,68 @@ def _fill(
     per_film = jnp.where(at_pixels, jnp.int32(size), jnp.int32(size // PARENTS))
     W, H, max_H = batch.film
     pair = jnp.arange(size, dtype=jnp.int32)
+    film = jax.lax.div(pair, per_film)
+
+    def chunk(state, ids, curves: Curves):
+        near = select((curves.weight != 0) & (at_pixels | _near(curves, batch)))
+
+        def body(state):
+            rank, (cells, corner) = state
+            own = rank + pair - film * per_film
+            one = jnp.minimum(nth(near, own), size - 1)
+            some = jax.tree.map(lambda x: x[one], curves)
+            some = some._replace(weight=jnp.where(own < near.total, some.weight, 0))
+            some = placed(some, batch.scale, batch.films[film])
+
+            def add(cells, pieces: Pieces):
+                inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
+                row, column = (jnp.where(inside, x, 0) for x in (pieces.row, pieces.column))
+                rank = crowded.rank(row, column)
+                pixel = jnp.where((rank >= first) & (rank < first + CELLS), rank - first, CELLS)
+                child = (film[pieces.curve] * CUT + row) * CUT + column
+                cell = jnp.where(inside, jnp.where(at_pixels, pixel, child), CELLS)
+                return _insert_all(cells, cell, pieces, ids[one], number)
+
+            # Pixels know their corners.
+            none = lambda: jnp.zeros_like(corner)
+            corner = corner + jax.lax.cond(at_pixels, none, lambda: _child_turns(some))
+            return rank + per_film, (fold_pieces(some, W, H, max_H, add, cells), corner)
+
+        return jax.lax.while_loop(lambda s: s[0] < near.total, body, (jnp.int32(0), state))[1]
+
+    return fold_curves(part, chunk, (cells, jnp.zeros_like(batch.corner)), size)
+
+
+def _near(curves: Curves, batch: _Batch) -> Bool[Array, "K"]:
+    """Return which curves are in or left of a film of the batch, or close to it (in px)."""
+    start, end = ends(curves)
+    low, high = jnp.minimum(start, end)[:, None], jnp.maximum(start, end)[:, 1:]
+    margin = 0.5
+    bottom = batch.films - margin
+    top = batch.films + CUT / batch.scale + margin
+    beside = (low[..., 1] <= top[None, :, 1]) & (high >= bottom[None, :, 1])
+    return jnp.any(beside & (low[..., 0] <= top[None, :, 0]), axis=1)
+
+
+def _insert_all(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, ids: Array, part: int):
+    """Return the cells with those pieces that have one, `INSERTED` at a time."""
+    chosen = select(cell < CELLS)
 
     def body(state):
-        start, cells, corner = state
-        ids = start + jax.lax.rem(pair, per_film)
-        curves = jax.lax.stop_gradient(part.curves(jnp.minimum(ids, part.total - 1)))
-        curves = curves._replace(weight=jnp.where(ids < part.total, curves.weight, 0))
-        curves = placed(curves, batch.scale, batch.films[jax.lax.div(pair, per_film)])
+        rank, cells = state
+        some = rank + jnp.arange(INSERTED, dtype=jnp.int32)
+        index = jnp.minimum(nth(chosen, some), cell.shape[0] - 1)
+        taken = jax.tree.map(lambda x: x[index], pieces)
+        at = jnp.where(some < chosen.total, cell[index], CELLS)
+        return rank + INSERTED, insert(cells, at, taken, ids[taken.curve], part)
 
-        def add(cells, pieces: Pieces):
-            inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
-            row, column = (jnp.where(inside, x, 0) for x in (pieces.row, pieces.column))
-            rank = crowded.rank(row, column)
-            pixel = jnp.where((rank >= first) & (rank < first + CELLS), rank - first, CELLS)
-            child = (jax.lax.div(pieces.curve, per_film) * CUT + row) * CUT + column
-            cell = jnp.where(inside, jnp.where(at_pixels, pixel, child), CELLS)
-            return insert(cells, cell, pieces, ids[pieces.curve], number)
-
-        corner = corner + jax.lax.cond(at_pixels, _pixel_turns, _child_turns, curves, batch.origin)
-        return start + per_film, fold_pieces(curves, W, H, max_H, add, cells), corner
-
-    state = (jnp.int32(0), cells, jnp.zeros(CELLS, batch.origin.dtype))
-    return jax.lax.while_loop(lambda s: s[0] < part.total, body, state)[1:]
+    return jax.lax.while_loop(lambda s: s[0] < chosen.total, body, (jnp.int32(0), cells))[1]
 
 
-def _pixel_turns(curves: Curves, corners: Float[Array, "C 2"]) -> Float[Array, "C"]:
-    """Return what curves add to the winding numbers just left of and above points."""
-    m = monotone(curves)
-
-    def at(point):
-        jump, x = _crossing(m, point[1])
-        return jnp.sum(jnp.where(x < point[0], jump, 0))
-
-    return jax.vmap(at)(corners)
-
-
-def _child_turns(curves: Curves, corners: Float[Array, "C 2"]) -> Float[Array, "C"]:
-    """Return the same for the children's corners; `curves` are those of each film in turn."""
-    lines = jnp.arange(CUT, dtype=corners.dtype)
+def _child_turns(curves: Curves) -> Float[Array, "C"]:
+    """Return what curves, those of each film in turn, add to the winding numbers just left of and
+    above the children's corners."""
+    lines = jnp.arange(CUT, dtype=curves.weight.dtype)
     m = monotone(curves)
     jump, x = jax.vmap(lambda y: _crossing(m, y))(lines)  # (CUT, curves)
     left = jnp.where(x[..., None] < lines[None, None], jump[..., None], 0)

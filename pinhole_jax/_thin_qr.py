@@ -1,0 +1,65 @@
+"""QR of tall, thin tables: thousands of rows, a handful of columns.
+
+LAPACK's factorisation spends its time on starting threads there: 1 to 13 ms where Householder
+reflections, written as a few passes over the columns, take 0.2 ms.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import lineax as lx
+from jax.flatten_util import ravel_pytree
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Float
+
+
+def triangle(table: Float[Array, "m k"]) -> Float[Array, "k k"]:
+    """Return R of table = Q R, upper triangular; m >= k."""
+    m, k = table.shape
+    row = jnp.arange(m)
+
+    def reflect(j, columns):
+        x = jnp.where(row >= j, columns[j], 0)
+        length = jnp.sqrt(jnp.sum(x * x))
+        v = x.at[j].add(jnp.where(x[j] > 0, length, -length))
+        square = jnp.sum(v * v)
+        scale = jnp.where(square > 0, 2 / jnp.where(square > 0, square, 1), 0)
+        along = jnp.sum(columns * v[None], axis=1) * scale
+        return columns - along[:, None] * v[None]
+
+    return jnp.triu(jax.lax.fori_loop(0, k, reflect, table.T)[:, :k].T)
+
+
+def triangle_and_rhs(
+    jacobian: Float[Array, "m n"], residual: Float[Array, "m"]
+) -> tuple[Float[Array, "n n"], Float[Array, "n"]]:
+    """Return R and the first n entries of Q^T r; m > n."""
+    n = jacobian.shape[1]
+    R = triangle(jnp.concatenate([jacobian, residual[:, None]], axis=1))
+    return R[:n, :n], R[:n, n]
+
+
+class ThinQR(lx.AbstractLinearSolver[Any]):
+    """Least squares with far more equations than unknowns, which are one flat array.
+
+    A lineax solver. It has no transpose: it is not differentiated.
+    """
+
+    def init(self, operator, options):
+        del options
+        return operator.as_matrix()
+
+    def compute(self, state, vector, options):
+        del options
+        R, rhs = triangle_and_rhs(state, ravel_pytree(vector)[0])
+        return solve_triangular(R, rhs), lx.RESULTS.successful, {}
+
+    def transpose(self, state, options):
+        raise NotImplementedError("ThinQR has no transpose")
+
+    def conj(self, state, options):
+        raise NotImplementedError("ThinQR has no conjugate")
+
+    def assume_full_rank(self):
+        return True
