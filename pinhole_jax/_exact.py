@@ -80,7 +80,7 @@ def with_overlaps(solver: Solver, mask: Mask, found: Found) -> Found:
 
 def completed(solver: Solver, mask: Mask, unit: Camera) -> View:
     """Return the view of a mask with soft edges at a camera, with the pixels that it leaves out."""
-    view = solver.look(unit, solver.levels[-1])
+    view = solver.look(unit, -1)
     at = At(solver.move(unit, solver.finest), mask.camera, solver.problem.scene, solver.names, True)
     shown, J = image_and_jacobian(jnp.zeros_like(at.move.unit), at)
     out = solver.left_out(unit) & (mask.weight > 0)

@@ -162,12 +162,14 @@ def _fit(
     overlaps were resolved in them.
     """
     base = mask.camera
-    solver = Solver(scene, mask.image, mask.weight, base.e.dtype, names, settings.max_steps)
+    solver = Solver(scene, mask.target, mask.weight, base.e.dtype, names, settings.max_steps)
 
     def told(unit: Camera, level: Level, steps: int) -> None:
         if settings.progress is not None:
             at = on_film(unit, base, names)
-            settings.progress(Progress(at, int(level.W), int(level.H), steps))
+            shrunk = float(level.scale) / base.H
+            W, H = (int(np.ceil(shrunk * x)) for x in (base.W, base.H))
+            settings.progress(Progress(at, W, H, steps))
 
     start = None if anywhere else canonical(base)
     if start is None:

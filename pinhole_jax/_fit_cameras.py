@@ -22,7 +22,7 @@ from ._residuals import Capacity
 from ._scene import Scene, check_scene
 from ._search import Mask
 from ._solver import COARSE_PX, COSINE, FINE_PX, UNIT_PX, Found, Solver, View
-from ._target import Level, check_target
+from ._target import check_target
 
 #: What views may share.
 SHARED = ("phi", "d", "principal_point", "aspect")
@@ -95,9 +95,9 @@ class _One(NamedTuple):
     solver: Solver
     unit: Camera
 
-    def level(self, depth: int) -> Level:
-        """Return the level this far from the last, or the first."""
-        return self.solver.levels[max(len(self.solver.levels) - depth, 0)]
+    def level(self, depth: int) -> int:
+        """Return the number of the level this far from the last, or of the first."""
+        return max(len(self.solver.levels) - depth, 0)
 
     def look(self, depth: int) -> View:
         """Return the view on a level; 0 is the last one with every pixel, overlaps resolved."""

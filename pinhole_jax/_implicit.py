@@ -19,7 +19,7 @@ from ._camera import Camera
 from ._exact import At, image, image_and_jacobian
 from ._parameters import Move, canonical, units
 from ._scene import Scene, bounding_sphere
-from ._target import check_image
+from ._target import check_image, shares
 
 #: The step of central differences, in px, by float type.
 STEP_PX = {np.dtype(np.float32): 0.1, np.dtype(np.float64): 1e-3}
@@ -82,7 +82,7 @@ def _velocity(
     at = At(move, camera, scene, names, overlaps)
     zero = jnp.zeros_like(move.unit)
     shown, J = image_and_jacobian(zero, at)
-    goal = jnp.asarray(check_image("target", target, camera.W, camera.H), dtype)
+    goal = jnp.asarray(shares(check_image("target", target, camera.W, camera.H)), dtype)
     w, difference = jnp.asarray(weight, dtype), shown - goal
     scene_velocity, target_velocity, weight_velocity = velocity
     # dg by what changes while the camera stays: linear in the velocities.

@@ -146,8 +146,9 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
     film = film_map(camera)
     end, totals, found = level.H * (level.W + 2), {}, []
     for curves, lift, count, size in _curves(film, scene, capacity):
-        curves = jax.lax.stop_gradient(placed(curves, level.scale))
-        lift = jnp.concatenate([lift[..., :2] * level.scale, lift[..., 2:]], axis=-1)
+        curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))
+        xy, z = lift[..., :2], lift[..., 2:]
+        lift = jnp.concatenate([xy * level.scale - level.origin * z, z], axis=-1)
         m = monotone(curves)
         upto = jnp.cumsum(piece_counts(m, level.W, level.H))
         totals[type(curves)] = (count, upto[-1].astype(jnp.int32))

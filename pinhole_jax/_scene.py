@@ -173,8 +173,8 @@ class Ball(NamedTuple):
     radius: Any
 
 
-def bounding_sphere(scene: Scene) -> Ball:
-    """Return a sphere about the scene (the bounding box's, not the least)."""
+def bounding_box(scene: Scene) -> Float[Array, "2 3"]:
+    """Return the least and largest coordinates of the scene."""
     lows, highs = [], []
     if scene.mesh is not None:
         lows.append(jnp.min(scene.mesh.vertices, axis=0))
@@ -182,7 +182,12 @@ def bounding_sphere(scene: Scene) -> Ball:
     if scene.spheres is not None:
         lows.append(jnp.min(scene.spheres.centers - scene.spheres.radii[:, None], axis=0))
         highs.append(jnp.max(scene.spheres.centers + scene.spheres.radii[:, None], axis=0))
-    low, high = jnp.min(jnp.stack(lows), axis=0), jnp.max(jnp.stack(highs), axis=0)
+    return jnp.stack([jnp.min(jnp.stack(lows), axis=0), jnp.max(jnp.stack(highs), axis=0)])
+
+
+def bounding_sphere(scene: Scene) -> Ball:
+    """Return a sphere about the scene (the bounding box's, not the least)."""
+    low, high = bounding_box(scene)
     return Ball((low + high) / 2, jnp.sqrt(jnp.sum((high - low) ** 2)) / 2)
 
 

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from ._camera import Camera, camera_basis, focal_px, principal_point
 from ._scene import Ball, Scene
 from ._silhouette import silhouette
+from ._target import shares
 
 #: Directions looked from (some 11 degrees apart), and px of their images.
 VIEWS, VIEW_PX = 400, 48
@@ -119,9 +120,14 @@ def _views(
 class Mask(NamedTuple):
     """A target (H, W), its weights, and a camera of which film, phi and lens are used."""
 
-    image: np.ndarray
+    target: np.ndarray
     weight: np.ndarray
     camera: Camera
+
+    @property
+    def image(self) -> np.ndarray:
+        """Return the target as floats."""
+        return shares(self.target)
 
     def longer(self, factor: float) -> "Mask":
         """Return the mask as seen with a focal length times a factor."""

@@ -10,11 +10,20 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from ._camera import Camera
+from ._camera import Camera, film_map
 from ._parameters import Move, moved, reported, units
 from ._residuals import Capacity, Load, Sums, Touched, residuals, touch
-from ._scene import Ball, Scene, astype, bounding_sphere, padded
-from ._target import Level, Pyramid, edge_distance, near_an_edge, pyramid
+from ._scene import Ball, Scene, astype, bounding_box, padded
+from ._target import (
+    Level,
+    Pyramid,
+    Window,
+    edge_distance,
+    near_an_edge,
+    object_window,
+    pyramid,
+    shares,
+)
 from ._thin_qr import ThinQR, triangle_and_rhs
 
 #: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
@@ -90,75 +99,100 @@ class Solver:
     def __init__(
         self,
         scene: Scene,
-        image: np.ndarray,
+        target: np.ndarray,
         weights: np.ndarray,
         dtype: Any,
         names: tuple[str, ...],
         max_steps: int,
     ):
         self.dtype, self.names, self.max_steps = np.dtype(dtype), names, max_steps
-        self._image, self._scene = np.asarray(image, np.float64), padded(astype(scene, dtype))
-        centre, radius = bounding_sphere(scene)
-        self.ball = Ball(np.asarray(centre, float), float(radius))
+        self._target, self._scene = target, padded(astype(scene, dtype))
+        box = np.asarray(bounding_box(scene), float)
+        self._corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
+        self.ball = Ball(box.mean(axis=0), float(np.linalg.norm(box[1] - box[0])) / 2)
+        self.window = object_window(target)
+        image = shares(self.window.of(target))
         self.capacity = _first_capacity(scene, image)
         self.hard = bool(np.all((image == 0) | (image == 1)))
-        self.floor = 0.0 if self.hard else _noise_far_from_edges(self._image, weights)
+        self.floor = 0.0 if self.hard else _noise_far_from_edges(image, self.window.of(weights))
         self.weigh(weights)
 
     def weigh(self, weights: np.ndarray) -> None:
         """Set how much each pixel counts."""
-        levels, self.levels = pyramid(self._image, weights, self.dtype)
-        self.finest = self.levels[-1]
+        self._weights = weights
+        levels, self.levels = pyramid(self._target, weights, self.dtype, window=self.window)
+        seen = self.levels[-1].window().of(weights)
+        self._beside = float(np.sum(weights) - np.sum(seen)) if seen.size < weights.size else 0.0
+        self.finest = len(self.levels) - 1
         self.problem = Problem(self._scene, levels, self.ball)
         if not self.hard:
-            self.levels.append(self.finest._replace(strict=jnp.bool_(True)))
+            self.levels.append(self.levels[-1]._replace(strict=np.array(True)))
 
     def misfit_above_noise(self, view: View) -> float:
         """Return the mean square residual of a touched pixel, less that of noise far from edges."""
         return max(view.squares - self.floor, 0.0) / max(float(view.sums.touched), 1.0)
 
-    def look(self, unit: Camera, level: Level) -> View:
+    def look(self, unit: Camera, level: int) -> View:
         """Return the view at a camera; capacities get half as much room again as it takes."""
+        self._widen(unit)
         while True:
-            view = _view(unit, self.problem, level, self.names, self.capacity)
+            view = _view(unit, self.problem, self.levels[level], self.names, self.capacity)
             needs = zip(self.capacity, view.load, strict=True)
             room = Capacity(*(_room(have, int(need)) for have, need in needs))
             if room == self.capacity:
-                return view
+                share = float(self.levels[level].scale) / len(self._target)
+                weight = float(view.sums.weight) + share**2 * self._beside
+                return view._replace(sums=view.sums._replace(weight=np.asarray(weight)))
             self.capacity = room
 
-    def move(self, unit: Camera, level: Level) -> Move:
-        """Return where moves of a camera start, in the solver's units."""
-        return _move(unit, self.problem, level, self.names)
+    def _widen(self, unit: Camera) -> None:
+        """Look at the whole film from now on if a camera may show the scene beside the window."""
+        H, W = self._target.shape
+        if self.window == (0, 0, W, H):
+            return
+        x, y, z = np.asarray(_on_film(unit, self._corners), float).T
+        if np.all(z > 0) and self.window.holds(H * np.stack([x / z, y / z], axis=-1), W, H):
+            return
+        self.window = Window(0, 0, W, H)
+        self.weigh(self._weights)
 
-    def step(self, unit: Camera, level: Level, y: np.ndarray) -> Camera:
+    def move(self, unit: Camera, level: int) -> Move:
+        """Return where moves of a camera start, in the solver's units."""
+        return _move(unit, self.problem, self.levels[level], self.names)
+
+    def step(self, unit: Camera, level: int, y: np.ndarray) -> Camera:
         """Return the camera moved by y (n,) in the solver's units."""
-        return _step(unit, self.problem, level, np.asarray(y, self.dtype), self.names)
+        y = np.asarray(y, self.dtype)
+        return _step(unit, self.problem, self.levels[level], y, self.names)
 
     def left_out(self, unit: Camera) -> np.ndarray:
         """Return the pixels (H, W) that the last level leaves out, since contours overlap there."""
         level = self.levels[-1]
-        H, W = self._image.shape
         touched = _touched(unit, self.problem, level, self.capacity)
         cells = np.asarray(touched.cell)[np.asarray(touched.inside & ~touched.known)]
-        result = np.zeros((H, W + 2), bool)
-        result.flat[cells] = True
-        return result[::-1, 1:-1]
+        window = level.window()
+        part = np.zeros((window.H, window.W + 2), bool)
+        part.flat[cells] = True
+        result = np.zeros(self._target.shape, bool)
+        window.of(result)[:] = part[::-1, 1:-1]
+        return result
 
     def solve(
         self,
         unit: Camera,
-        levels: Sequence[Level],
+        levels: Sequence[int],
         told: Callable[[Camera, Level, int], None] | None = None,
         coarse_px: float = COARSE_PX,
     ) -> Found:
         """Return the camera found from level to level, and its view on the last of them."""
         steps: list[int] = []
+        self._widen(unit)
         while True:
-            capacity = self.capacity
-            for level in levels:
-                finest, strict = int(level.start) == int(self.finest.start), bool(level.strict)
-                tolerance = jnp.asarray(FINE_PX[self.dtype] if finest else coarse_px, self.dtype)
+            capacity, window = self.capacity, self.window
+            for number in levels:
+                level, strict = self.levels[number], number > self.finest
+                fine = number >= self.finest
+                tolerance = np.asarray(FINE_PX[self.dtype] if fine else coarse_px, self.dtype)
                 further, n = _solve(
                     unit, self.problem, level, tolerance, self.names, capacity, self.max_steps
                 )
@@ -169,9 +203,9 @@ class Solver:
                 if told is not None:
                     told(unit, level, int(n))
             view = self.look(unit, levels[-1])
-            if self.capacity == capacity:
+            if (self.capacity, self.window) == (capacity, window):
                 return Found(unit, view, tuple(steps))
-            # The view outgrew its buffers on the way: go on from there with larger ones.
+            # The view outgrew its buffers or window on the way: go on from there with larger ones.
 
 
 class _LevenbergMarquardt(optx.AbstractGaussNewton):
@@ -251,6 +285,11 @@ def _solve(unit: Camera, problem: Problem, level: Level, tolerance, names, capac
         throw=False,
     )
     return moved(move, solution.value, names), solution.stats["num_steps"]
+
+
+@eqx.filter_jit
+def _on_film(unit: Camera, points: Any) -> Float[Array, "n 3"]:
+    return film_map(unit)(jnp.asarray(points, unit.e.dtype))
 
 
 @eqx.filter_jit

@@ -46,11 +46,11 @@ def turns_freely(names: tuple[str, ...]) -> bool:
 
 def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> list[Found]:
     """Return what explains the mask best, the nearest to the start first if several do equally."""
-    before = solver.look(start, solver.levels[-1])
+    before = solver.look(start, -1)
     begin, free = start, turns_freely(solver.names)
     if free and float(before.sums.overlap) <= 0.05 * float(before.sums.union):
         begin = canonical(aimed(mask, solver.problem.scene, solver.ball))
-    found = solver.solve(begin, solver.levels, told)
+    found = solver.solve(begin, range(len(solver.levels)), told)
     if not found.view.squares <= before.squares:
         found = found._replace(unit=start, view=before)  # never worse than the start
     if solver.misfit_above_noise(found.view) <= CONTENT[solver.hard] or not free:
@@ -88,7 +88,7 @@ def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> list[
 
 def _followed(solver: Solver, likely: Iterator[Camera], apart: float, told: Told) -> list[Found]:
     """Return the cameras that the first few guesses, so far apart, lead to."""
-    coarsest, *finer = solver.levels
+    coarsest, *finer = range(len(solver.levels))
     seen: list[Camera] = []
     found: list[Found] = []
     for guess in likely:

@@ -10,10 +10,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 #: How far floats may reach out of [0, 1]: noise is kept as it is, since clipping would bias a fit.
 NOISE = 1.0
+#: Cells of the smallest pyramid: smaller ones would only be compiled for.
+LEAST_ROOM = 1 << 17
 
 
 class Pyramid(NamedTuple):
@@ -32,20 +34,58 @@ class Pyramid(NamedTuple):
 
 
 class Level(NamedTuple):
-    """One level of a pyramid: where it begins, its size, and its pixels per film height.
+    """One level of a pyramid: where it begins, the size of its window and where on the film that
+    begins (its pixels), and its pixels per film height.
 
-    `strict` says that pixels in which contours overlap are left out, not clamped.
+    `strict` says that pixels in which contours overlap are left out, not clamped. Arrays of NumPy:
+    numbers of shape (), `origin` (2,).
     """
 
-    start: Int[Array, ""]
-    W: Int[Array, ""]
-    H: Int[Array, ""]
-    scale: Float[Array, ""]
-    strict: Bool[Array, ""]
+    start: Any
+    W: Any
+    H: Any
+    origin: Any
+    scale: Any
+    strict: Any
+
+    def window(self) -> "Window":
+        """Return the window in the level's pixels."""
+        left, bottom = (int(x) for x in self.origin)
+        return Window(left, bottom, int(self.W), int(self.H))
+
+
+class Window(NamedTuple):
+    """A part of the film: its lower left corner and its size (px)."""
+
+    left: int
+    bottom: int
+    W: int
+    H: int
+
+    def of(self, image: np.ndarray) -> np.ndarray:
+        """Return the part (H, W) of an image."""
+        top = image.shape[0] - self.bottom
+        return image[top - self.H : top, self.left : self.left + self.W]
+
+    def holds(self, points: Float[np.ndarray, "n 2"], W: int, H: int) -> bool:
+        """Return whether all points (px) of a film of this size are inside, or beside the film."""
+        x, y = points.T
+        right, top = self.left + self.W, self.bottom + self.H
+        return bool(
+            (self.left == 0 or x.min() > self.left)
+            and (self.bottom == 0 or y.min() > self.bottom)
+            and (right == W or x.max() < right)
+            and (top == H or y.max() < top)
+        )
+
+
+def shares(image: np.ndarray) -> np.ndarray:
+    """Return an image that passed `check_image` as float64, 255 of uint8 being 1."""
+    return image / 255.0 if image.dtype == np.uint8 else np.asarray(image, np.float64)
 
 
 def check_image(name: str, image: Any, W: int, H: int) -> np.ndarray:
-    """Return an image as float64 (H, W) in [0, 1], or raise ValueError in words."""
+    """Return an image (H, W) of type bool, uint8 or float, or raise ValueError in words."""
     array = np.asarray(image)
     expected = f"shape (H, W) = ({H}, {W})"
     if array.ndim != 2:
@@ -53,42 +93,42 @@ def check_image(name: str, image: Any, W: int, H: int) -> np.ndarray:
         raise ValueError(f"`{name}`: expected {expected}, got shape {array.shape}{hint}")
     if array.shape != (H, W):
         raise ValueError(f"`{name}`: expected the camera's {expected}, got {array.shape}")
-    if array.dtype == bool:
-        return array.astype(np.float64)
-    if array.dtype == np.uint8:
-        return array / 255.0
+    if array.dtype in (bool, np.uint8):
+        return array
     if not np.issubdtype(array.dtype, np.floating):
         raise ValueError(f"`{name}`: expected dtype bool, uint8 or float, got {array.dtype}")
-    array = array.astype(np.float64)
-    if not np.all(np.isfinite(array)):
+    low, high = array.min(), array.max()
+    if not (np.isfinite(low) and np.isfinite(high)):
         row, column = np.argwhere(~np.isfinite(array))[0]
         raise ValueError(
             f"`{name}`: expected finite values, got {array[row, column]} at [{row}, {column}]"
         )
-    if array.min() < -NOISE or array.max() > 1 + NOISE:
+    if low < -NOISE or high > 1 + NOISE:
         raise ValueError(
-            f"`{name}`: expected floats in [0, 1], got {array.min():g} to {array.max():g}"
+            f"`{name}`: expected floats in [0, 1], got {low:g} to {high:g}"
             " (masks of 0..255 are to be uint8)"
         )
     return array
 
 
 def check_target(target: Any, weight: Any, W: int, H: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return target and weight as float64 (H, W), or raise ValueError: a mask must show an edge."""
+    """Return target (see `check_image`) and weight, float64, or raise ValueError: a mask must show
+    an edge."""
     image = check_image("target", target, W, H)
     weights = check_weight(weight, W, H)
-    counted = image[weights > 0]
+    counted = image if weight is None else image[weights > 0]
     if counted.size == 0:
         raise ValueError("`weight`: expected some pixels to count, got 0 everywhere")
-    if counted.max() < 0.5:
+    low, high = shares(np.array([counted.min(), counted.max()]))
+    if high < 0.5:
         raise ValueError(
             "`target`: expected a mask that covers something, got an empty one"
-            f" (largest value {counted.max():g})"
+            f" (largest value {high:g})"
         )
-    if counted.min() > 0.5:
+    if low > 0.5:
         raise ValueError(
             "`target`: expected a mask with some background, got one that covers every pixel"
-            f" (least value {counted.min():g})"
+            f" (least value {low:g})"
         )
     return image, weights
 
@@ -96,7 +136,7 @@ def check_target(target: Any, weight: Any, W: int, H: int) -> tuple[np.ndarray, 
 def check_weight(weight: Any, W: int, H: int) -> np.ndarray:
     """Return weights as float64 (H, W), ones for None, or raise ValueError in words."""
     if weight is None:
-        return np.ones((H, W))
+        return np.broadcast_to(1.0, (H, W))
     array = np.asarray(weight)
     if array.shape != (H, W):
         raise ValueError(f"`weight`: expected shape (H, W) = ({H}, {W}), got {array.shape}")
@@ -110,10 +150,12 @@ def check_weight(weight: Any, W: int, H: int) -> np.ndarray:
 
 
 def edge_distance(image: np.ndarray) -> np.ndarray:
-    """Return (H, W): px from a pixel to the nearest one beside the mask's edge (at 0.5)."""
+    """Return (H, W): px from a pixel to the nearest one beside the mask's edge (at 0.5); infinite
+    outside the object's window."""
     from scipy.ndimage import distance_transform_edt
 
-    inside = image > 0.5
+    window = object_window(image > 0.5)
+    inside = window.of(image) > 0.5
     far = np.ones(inside.shape, bool)
     for axis in (0, 1):
         change = np.diff(inside, axis=axis)
@@ -121,7 +163,8 @@ def edge_distance(image: np.ndarray) -> np.ndarray:
             widths = [(0, 0), (0, 0)]
             widths[axis] = side
             far &= ~np.pad(change, widths)
-    distance: Any = distance_transform_edt(far)
+    distance = np.full(image.shape, np.inf)
+    window.of(distance)[:] = distance_transform_edt(far)
     return distance
 
 
@@ -130,41 +173,67 @@ def near_an_edge(distance: np.ndarray, reach_px: float) -> np.ndarray:
     return np.clip(1 - (distance / (1 + reach_px)) ** 2, 0, 1) ** 2
 
 
-def pyramid(
-    target: np.ndarray, weight: np.ndarray, dtype: Any, coarsest_px: int = 16
-) -> tuple[Pyramid, list[Level]]:
-    """Return the levels from coarse to fine; on the coarsest the object is about `coarsest_px`."""
+def object_window(target: np.ndarray) -> Window:
+    """Return a window about all that is not 0, with half as much room again on each side."""
     H, W = target.shape
-    rows, columns = (np.flatnonzero(np.any(target > 0.5, axis=k)) for k in (1, 0))
+    shown, spans = target != 0, []
+    for axis, size in ((0, W), (1, H)):
+        there = np.flatnonzero(np.any(shown, axis=axis))
+        low, high = (there[0], there[-1] + 1) if there.size else (0, size)
+        room = max((high - low) // 2, 16)
+        spans.append((max(int(low) - room, 0), min(int(high) + room, size)))
+    (left, right), (top, foot) = spans
+    return Window(left, H - foot, right - left, foot - top)
+
+
+def pyramid(
+    target: np.ndarray,
+    weight: np.ndarray,
+    dtype: Any,
+    coarsest_px: int = 16,
+    window: Window | None = None,
+) -> tuple[Pyramid, list[Level]]:
+    """Return the levels from coarse to fine; on the coarsest the object is about `coarsest_px`.
+
+    Only the window is looked at (and as much beside it as makes whole pixels of the coarsest
+    level); None is all.
+    """
+    H, W = target.shape
+    window = window or Window(0, 0, W, H)
+    rows, columns = (np.flatnonzero(np.any(window.of(target) > 0.5, axis=k)) for k in (1, 0))
     extent = max(np.ptp(rows), np.ptp(columns)) + 1 if rows.size and columns.size else max(W, H)
     depth = max(int(np.floor(np.log2(extent / coarsest_px))), 0)
+    whole = 2**depth
+    left, bottom = (x - x % whole for x in (window.left, window.bottom))
+    right = min(-(-(window.left + window.W) // whole) * whole, W)
+    top = min(-(-(window.bottom + window.H) // whole) * whole, H)
+    window = Window(left, bottom, right - left, top - bottom)
+    images = [shares(window.of(x)) for x in (target, weight)]
+    inside = np.ones_like(images[0])
     parts: list[np.ndarray] = []
     levels: list[Level] = []
-    start = 0
-    for level in range(depth, -1, -1):
-        image, weights = _halved(target, weight, 2**level)
-        part = _raster(image, weights)
-        parts.append(part)
-        h, w = image.shape
-        scale = jnp.asarray(H / 2**level, dtype)
-        levels.append(Level(jnp.int32(start), jnp.int32(w), jnp.int32(h), scale, jnp.bool_(False)))
-        start += part.shape[1]
+    for level in range(depth + 1):
+        parts.insert(0, _raster(images[0], np.where(inside > 1 - 1e-9, images[1], 0)))
+        h, w = inside.shape
+        origin, scale = np.array([left, bottom]) / 2**level, H / 2**level
+        whole_px, real = (np.array(x, np.int32) for x in (w, h)), (origin, np.array(scale))
+        numbers = (*whole_px, *(x.astype(dtype) for x in real), np.array(False))
+        levels.insert(0, Level(np.array(0, np.int32), *numbers))
+        *images, inside = (_halved(x) for x in (*images, inside))
+    upto = np.cumsum([0, *(part.shape[1] for part in parts)])
+    levels = [v._replace(start=np.array(k, np.int32)) for v, k in zip(levels, upto, strict=False)]
     # A few sizes for all images, so that they share compiled programs.
-    room = 1 << (start - 1).bit_length()
-    flat = np.concatenate([*parts, np.zeros((6, room - start))], axis=1)
+    room = max(1 << (int(upto[-1]) - 1).bit_length(), LEAST_ROOM)
+    flat = np.concatenate([*parts, np.zeros((6, room - upto[-1]))], axis=1)
     return Pyramid(*(jnp.asarray(x, dtype) for x in flat)), levels
 
 
-def _halved(target: np.ndarray, weight: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return means over n x n blocks from the film's bottom left; those cut short weigh nothing."""
-    H, W = target.shape
-    pad = ((-H % n, 0), (0, -W % n))
-    blocks = [
-        np.pad(x, pad).reshape((H + pad[0][0]) // n, n, -1, n).mean(axis=(1, 3))
-        for x in (target, weight, np.ones_like(target))
-    ]
-    image, weights, inside = blocks
-    return image, np.where(inside > 1 - 1e-9, weights, 0)
+def _halved(image: np.ndarray) -> np.ndarray:
+    """Return means over 2 x 2 blocks from the film's bottom left; 0 is what lies outside."""
+    H, W = image.shape
+    image = np.pad(image, ((H % 2, 0), (0, W % 2)))
+    rows = image[0::2] + image[1::2]
+    return (rows[:, 0::2] + rows[:, 1::2]) / 4
 
 
 def _raster(image: np.ndarray, weight: np.ndarray) -> np.ndarray:
