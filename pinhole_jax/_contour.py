@@ -15,29 +15,28 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from ._camera import FilmMap
 from ._curves import Arcs, Segments, cut_circle
 from ._safe import dot, norm, normalize, safe_divide, safe_sqrt
-from ._scene import Mesh, Scene, Spheres, front_facing
+from ._scene import (
+    CLUSTER,
+    Clusters,
+    Mesh,
+    Scene,
+    Spheres,
+    faces_eye,
+    front_facing,
+    planes_are_current,
+    undecided,
+    vertex_box,
+)
 
 #: Layers that cover everything, whatever else there is.
 EVERYWHERE = 1 << 20
-
-
-def contour_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
-    """Return for each edge how many layers of cover it bounds on its left less on its right.
-
-    0 for an edge that is not on the contour. A closed mesh counts front-facing triangles only; any
-    other mesh counts every triangle, from whichever side it is seen.
-    """
-    front = front_facing(mesh, e).astype(jnp.int8)
-    first, second = mesh.edge_faces[:, 0], mesh.edge_faces[:, 1]
-    if mesh.closed:
-        return front[first] - front[second]
-    side = 2 * front - 1
-    return side[first] - jnp.where(second < 0, 0, side[jnp.maximum(second, 0)])
+#: Clusters of edges looked at together.
+CLUSTERS = 256
 
 
 class Selection(NamedTuple):
@@ -53,12 +52,21 @@ def select(mask: Bool[Array, "E"]) -> Selection:
 
     Counting bits in words is 10 times cheaper than `jnp.nonzero` over the edges of a large mesh.
     """
-    padding = -mask.shape[0] % 32
-    bits = jnp.pad(mask, (0, padding)).reshape(-1, 32).astype(jnp.uint32)
-    words = jnp.sum(bits << jnp.arange(32, dtype=jnp.uint32)[None], axis=1, dtype=jnp.uint32)
+    return selection(_words(mask))
+
+
+def selection(words: UInt32[Array, "words"]) -> Selection:
+    """Return the set of a word's bits."""
     ones = jax.lax.population_count(words).astype(jnp.int32)
     upto = jnp.cumsum(ones)
     return Selection(words, upto - ones, upto[-1] if upto.shape[0] else jnp.int32(0))
+
+
+def _words(mask: Bool[Array, "*N"]) -> UInt32[Array, "*words"]:
+    """Return booleans, 32 to a word; those of a last axis of 32 as its word."""
+    mask = jnp.pad(mask, (0, -mask.shape[0] % 32)) if mask.ndim == 1 else mask
+    bits = mask.reshape(-1, 32).astype(jnp.uint32)
+    return jnp.sum(bits << jnp.arange(32, dtype=jnp.uint32)[None], axis=1, dtype=jnp.uint32)
 
 
 def nth(selection: Selection, rank: Int[Array, "K"]) -> Int[Array, "K"]:
@@ -84,24 +92,116 @@ def rank_in(selection: Selection, index: Int[Array, "K"]) -> Int[Array, "K"]:
     return jnp.where((bits >> bit) & 1 > 0, selection.before[word] + before, -1)
 
 
+def _bit(words: UInt32[Array, "words"], index: Int[Array, "*K"]) -> Bool[Array, "*K"]:
+    return (words[index >> 5] >> (index & 31).astype(jnp.uint32)) & 1 > 0
+
+
 class MeshContour(NamedTuple):
-    """The contour edges of a mesh; `segments` ids for `edge_segments`."""
+    """The contour edges of a mesh; `segments` ids for `edge_segments`.
+
+    `positive` has a bit for each edge, set where it bounds more cover on its left than on its
+    right; `second` is None for a closed mesh, else the edges' second faces.
+    """
 
     edge_vertices: Int[Array, "E 2"]
-    weights: Int[Array, "E"]
+    second: Int[Array, "E"] | None
+    positive: UInt32[Array, "words"]
     chosen: Selection
     segments: Int[Array, ""]
+
+    def weight(self, edge: Int[Array, "*K"]) -> Int[Array, "*K"]:
+        """Return how many layers of cover contour edges bound on their left less on their right."""
+        sign = jnp.where(
+            (self.positive[edge >> 5] >> (edge & 31).astype(jnp.uint32)) & 1 > 0, 1, -1
+        )
+        if self.second is None:
+            return sign
+        return jnp.where(self.second[edge] < 0, sign, 2 * sign)
 
 
 def mesh_contour(film: FilmMap, mesh: Mesh) -> MeshContour:
     """Return which edges are contour, and how many segments they can be seen as."""
     film, mesh = jax.lax.stop_gradient((film, mesh))
-    weights = contour_weights(mesh, film.eye)
-    chosen = select(weights != 0)
-    count = chosen.total * jnp.where(reaches_left(film, mesh.vertices), 2, 1)
-    # Without the barrier the compiler works the weights out anew in each loop that reads some.
-    weights, chosen, count = jax.lax.optimization_barrier((weights, chosen, count))
-    return MeshContour(mesh.edge_vertices, weights, chosen, count)
+    words, positive = contour_bits(mesh, film.eye)
+    # Without the barrier the compiler works these out anew in each loop that reads some.
+    words, positive = jax.lax.optimization_barrier((words, positive))
+    chosen = selection(words)
+    count = chosen.total * jnp.where(reaches_left(film, mesh), 2, 1)
+    second = None if mesh.closed else mesh.edge_faces[:, 1]
+    return MeshContour(mesh.edge_vertices, second, positive, chosen, count)
+
+
+def contour_bits(
+    mesh: Mesh, e: Float[Array, "3"]
+) -> tuple[UInt32[Array, "words"], UInt32[Array, "words"]]:
+    """Return which edges are on the contour, and which bound more cover on their left, as bits.
+
+    A closed mesh counts front-facing triangles only; any other mesh counts every triangle, from
+    whichever side it is seen. Whole clusters of edges whose faces all show the same side are passed
+    over.
+    """
+    clusters = mesh.planes.clusters
+
+    def plain():
+        front = front_facing(mesh, e)
+        first, second = mesh.edge_faces[:, 0], mesh.edge_faces[:, 1]
+        weight = _weight(mesh, front[first], front[jnp.maximum(second, 0)], second)
+        return _words(weight != 0), _words(weight > 0)
+
+    if clusters is None:
+        return plain()
+    current = planes_are_current(mesh)
+    none = jnp.zeros(-(-mesh.edge_faces.shape[0] // CLUSTER), jnp.uint32)
+    words, positive = jax.lax.cond(current, lambda: (none, none), plain)
+    return _culled(mesh, clusters, current, e, words, positive)
+
+
+def contour_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
+    """Return for each edge how many layers of cover it bounds on its left less on its right, 0 for
+    one that is not on the contour."""
+    words, positive = contour_bits(mesh, e)
+    edge = jnp.arange(mesh.edge_faces.shape[0], dtype=jnp.int32)
+    second = None if mesh.closed else mesh.edge_faces[:, 1]
+    chosen = selection(words)
+    contour = MeshContour(mesh.edge_vertices, second, positive, chosen, chosen.total)
+    return jnp.where(_bit(words, edge), contour.weight(edge), 0)
+
+
+def _culled(
+    mesh: Mesh, clusters: Clusters, current: Array, e: Array, words: Array, positive: Array
+):
+    """Return the bits with those of the clusters that need to be looked at, if these are current.
+
+    (As a branch of a condition this loop would have its arguments copied.)
+    """
+    E = mesh.edge_faces.shape[0]
+    look = select(undecided(mesh.planes, clusters, e) & current)
+
+    def body(state):
+        rank, words, positive = state
+        some = rank + jnp.arange(CLUSTERS, dtype=jnp.int32)
+        cluster = jnp.where(some < look.total, nth(look, some), words.shape[0])
+        edge = cluster[:, None] * CLUSTER + jnp.arange(CLUSTER, dtype=jnp.int32)[None]
+        faces = mesh.edge_faces[jnp.minimum(edge, E - 1)]
+        second = faces[..., 1]
+        # One list of faces: the same rounding on both sides of an edge.
+        both = jnp.stack([faces[..., 0], jnp.maximum(second, 0)])
+        plane = jax.lax.optimization_barrier(clusters.planes[both])
+        front = faces_eye([plane[..., k] for k in range(3)], plane[..., 3], e - mesh.planes.centre)
+        weight = jnp.where(edge < E, _weight(mesh, front[0], front[1], second), 0)
+        words = words.at[cluster].set(_words(weight != 0), mode="drop")
+        return rank + CLUSTERS, words, positive.at[cluster].set(_words(weight > 0), mode="drop")
+
+    start = (jnp.int32(0), words, positive)
+    return jax.lax.while_loop(lambda s: s[0] < look.total, body, start)[1:]
+
+
+def _weight(mesh: Mesh, first, second, second_face) -> Int[Array, "*E"]:
+    """Return the edges' weights from whether their two faces show their front."""
+    first, second = first.astype(jnp.int8), second.astype(jnp.int8)
+    if mesh.closed:
+        return first - second
+    return 2 * first - 1 - jnp.where(second_face < 0, 0, 2 * second - 1)
 
 
 def edge_lifts(
@@ -114,7 +214,7 @@ def edge_lifts(
 def _edge(contour: MeshContour, ids: Int[Array, "*K"]) -> Int[Array, "*K"]:
     total = contour.chosen.total
     edge = nth(contour.chosen, jnp.where(ids >= total, ids - total, ids))
-    return jnp.minimum(edge, contour.weights.shape[0] - 1)
+    return jnp.minimum(edge, contour.edge_vertices.shape[0] - 1)
 
 
 def edge_segments(
@@ -124,7 +224,7 @@ def edge_segments(
 
     The second half is there only if something may lie on the left.
     """
-    weight = jnp.where(ids < contour.segments, contour.weights[_edge(contour, ids)], 0)
+    weight = jnp.where(ids < contour.segments, contour.weight(_edge(contour, ids)), 0)
     lift = edge_lifts(film, vertices, contour, ids)
     # Without the barriers the compiler repeats the gathers in each of the clip's many consumers.
     lift, weight = jax.lax.optimization_barrier((lift, weight))
@@ -283,7 +383,7 @@ def surrounding(film: FilmMap, scene: Scene) -> Int[Array, ""]:
     if scene.mesh is not None and scene.mesh.faces.shape[0]:
         mesh = scene.mesh
         layers = layers + jax.lax.cond(
-            jnp.any(_corners(film, mesh.vertices)[:, 2] <= 0),
+            jnp.any(_corners(film, mesh)[:, 2] <= 0),
             lambda: _layers_on_the_left(mesh, film).astype(jnp.int32),
             lambda: jnp.int32(0),
         )
@@ -299,15 +399,15 @@ def surrounding(film: FilmMap, scene: Scene) -> Int[Array, ""]:
     return layers
 
 
-def reaches_left(film: FilmMap, vertices: Float[Array, "V 3"]) -> Bool[Array, ""]:
+def reaches_left(film: FilmMap, mesh: Mesh) -> Bool[Array, ""]:
     """Return whether anything may lie left of the film by more than its width."""
-    x, _, z = jnp.moveaxis(_corners(film, jax.lax.stop_gradient(vertices)), -1, 0)
+    x, _, z = jnp.moveaxis(_corners(film, mesh), -1, 0)
     return jnp.any(x < -film.W * z)
 
 
-def _corners(film: FilmMap, vertices: Float[Array, "V 3"]) -> Float[Array, "8 3"]:
+def _corners(film: FilmMap, mesh: Mesh) -> Float[Array, "8 3"]:
     """Return the corners of the vertices' bounding box as homogeneous film points."""
-    bounds = jnp.stack([jnp.min(vertices, axis=0), jnp.max(vertices, axis=0)])
+    bounds = vertex_box(mesh)
     which = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
     return film(jnp.stack([bounds[which[:, k], k] for k in range(3)], axis=-1))
 

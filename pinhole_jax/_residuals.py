@@ -148,7 +148,8 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
     for curves, lift, count, size in _curves(film, scene, capacity):
         curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))
         xy, z = lift[..., :2], lift[..., 2:]
-        lift = jnp.concatenate([xy * level.scale - level.origin * z, z], axis=-1)
+        xy = xy * level.scale - level.origin[None, None] * z
+        lift = jnp.concatenate([xy, z], axis=-1)
         m = monotone(curves)
         upto = jnp.cumsum(piece_counts(m, level.W, level.H))
         totals[type(curves)] = (count, upto[-1].astype(jnp.int32))

@@ -9,19 +9,43 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from ._arrays import Numbers, float_array, float_dtype, is_concrete
-from ._safe import dot
+from ._safe import dot, safe_divide
+
+
+class Clusters(NamedTuple):
+    """The edges in groups of `CLUSTER`, as they come: what their faces' planes have in common.
+
+    Unit normals within a cone (`axis`, cosine and sine of its half angle), a point of each plane in
+    a ball (`middle`, from the planes' centre; `radius`, infinite where nothing can be said).
+    `planes` holds the faces' normals and offsets once more, face by face, to be looked up fast.
+    """
+
+    axis: Float[Array, "3 N"]
+    cosine: Float[Array, "N"]
+    sine: Float[Array, "N"]
+    middle: Float[Array, "3 N"]
+    radius: Float[Array, "N"]
+    planes: Float[Array, "F 4"]
+
+
+#: Edges of a cluster: as many as bits in a word of `Selection`.
+CLUSTER = 32
 
 
 class Planes(NamedTuple):
     """A mesh's face planes: x is in front of face f where `normal[:, f].(x-centre) > offset[f]`.
 
-    `fingerprint` names the vertices that they were made from.
+    `box` holds the vertices' least and largest coordinates, `fingerprint` names the vertices that
+    all this was made from. `clusters` is None for a mesh made of traced vertices, whose planes
+    would not be used often enough.
     """
 
     centre: Float[Array, "3"]
     normal: Float[Array, "3 F"]
     offset: Float[Array, "F"]
+    box: Float[Array, "2 3"]
     fingerprint: UInt32[Array, ""]
+    clusters: Clusters | None = None
 
 
 class Mesh(eqx.Module):
@@ -32,7 +56,7 @@ class Mesh(eqx.Module):
     border. Edges that more than two faces, or two of opposite winding, share have several records.
     `closed` says that there is no border: closed and consistently wound (per shared vertex index;
     `load_mesh` merges equal vertices). `order` lists the faces along a space-filling curve, for the
-    tracer.
+    tracer; the edges follow their first faces along it.
 
     `vertices` may be traced and differentiated, also by way of `eqx.tree_at`; `faces` may not.
     Raises ValueError for wrong shapes or dtypes, non-finite vertices and indices out of range.
@@ -51,10 +75,15 @@ class Mesh(eqx.Module):
         triangles = _face_indices(faces, self.vertices.shape[0])
         edge_vertices, edge_faces = _edge_records(triangles, self.vertices.shape[0])
         self.faces = jnp.asarray(triangles)
+        self.order = _face_order(self.vertices, self.faces)
+        if is_concrete(self.order) and edge_faces.size:
+            rank = np.empty(len(triangles), np.int32)
+            rank[np.asarray(self.order)] = np.arange(len(triangles), dtype=np.int32)
+            along = np.argsort(rank[edge_faces[:, 0]], kind="stable")
+            edge_vertices, edge_faces = edge_vertices[along], edge_faces[along]
         self.edge_vertices = jnp.asarray(edge_vertices)
         self.edge_faces = jnp.asarray(edge_faces)
-        self.planes = _planes(self.vertices, self.faces)
-        self.order = _face_order(self.vertices, self.faces)
+        self.planes = _planes_and_clusters(self.vertices, self.faces, self.edge_faces)
         self.closed = bool(np.all(edge_faces >= 0))
 
 
@@ -100,7 +129,7 @@ def astype(scene: Scene, dtype: Any) -> Scene:
     mesh, spheres = scene.mesh, scene.spheres
     if mesh is not None and mesh.vertices.dtype != dtype:
         vertices = mesh.vertices.astype(dtype)
-        planes = _planes(vertices, mesh.faces)
+        planes = _planes_and_clusters(vertices, mesh.faces, mesh.edge_faces)
         mesh = eqx.tree_at(lambda m: (m.vertices, m.planes), mesh, (vertices, planes))
     if spheres is not None and spheres.radii.dtype != dtype:
         spheres = jax.tree.map(lambda x: x.astype(dtype), spheres)
@@ -119,22 +148,28 @@ def padded(scene: Scene) -> Scene:
 
     def fill(x, axis=0):
         size = x.shape[axis]
-        step = max(1 << (size.bit_length() - 3), 64)
-        widths = [(0, 0)] * x.ndim
-        widths[axis] = (0, -size % step)
-        return jnp.pad(x, widths)
+        return _filled(x, size + -size % max(1 << (size.bit_length() - 3), 64), axis)
 
     vertices, faces = fill(mesh.vertices), fill(mesh.faces)
-    planes = Planes(
-        mesh.planes.centre,
-        fill(mesh.planes.normal, 1),
-        fill(mesh.planes.offset),
-        _fingerprint(vertices),
-    )
-    if not _planes_are_current(mesh):
-        planes = _planes(vertices, faces)
-    order = jnp.zeros(0, jnp.int32)
     edges = (fill(mesh.edge_vertices), fill(mesh.edge_faces))
+    if planes_are_current(mesh) and mesh.planes.clusters is not None:
+        # What is filled up is behind everything: no contour.
+        number = -(-edges[0].shape[0] // CLUSTER)
+        c = mesh.planes.clusters
+        axis, cosine, sine, middle = (_filled(x, number, x.ndim - 1) for x in c[:4])
+        radius = _filled(c.radius, number, 0, -jnp.inf)
+        clusters = Clusters(axis, cosine, sine, middle, radius, fill(c.planes))
+        planes = Planes(
+            mesh.planes.centre,
+            fill(mesh.planes.normal, 1),
+            fill(mesh.planes.offset),
+            mesh.planes.box,
+            _fingerprint(vertices),
+            clusters,
+        )
+    else:
+        planes = _planes_and_clusters(vertices, faces, edges[1])
+    order = jnp.zeros(0, jnp.int32)
     mesh = eqx.tree_at(
         lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.planes, m.order),
         mesh,
@@ -143,7 +178,14 @@ def padded(scene: Scene) -> Scene:
     return Scene(mesh=mesh, spheres=scene.spheres)
 
 
-def _planes_are_current(mesh: Mesh) -> Bool[Array, ""]:
+def _filled(x: Array, size: int, axis: int, value: float = 0.0) -> Array:
+    widths = [(0, 0)] * x.ndim
+    widths[axis] = (0, size - x.shape[axis])
+    return jnp.pad(x, widths, constant_values=value)
+
+
+def planes_are_current(mesh: Mesh) -> Bool[Array, ""]:
+    """Return whether the planes were made from the vertices as they are now."""
     return mesh.planes.fingerprint == _fingerprint(mesh.vertices)
 
 
@@ -154,16 +196,40 @@ def front_facing(mesh: Mesh, e: Float[Array, "3"]) -> Bool[Array, "F"]:
     (`eqx.tree_at`, an optimiser's update), the planes are made anew, so they are never stale.
     """
     mesh, e = jax.lax.stop_gradient((mesh, e))
-
-    def before(planes: Planes) -> Bool[Array, "F"]:
-        eye, n = e - planes.centre, planes.normal
-        return n[0] * eye[0] + n[1] * eye[1] + n[2] * eye[2] > planes.offset
-
     return jax.lax.cond(
-        _planes_are_current(mesh),
-        lambda: before(mesh.planes),
-        lambda: before(_planes(mesh.vertices, mesh.faces)),
+        planes_are_current(mesh),
+        lambda: in_front(mesh.planes, e),
+        lambda: in_front(_planes(mesh.vertices, mesh.faces), e),
     )
+
+
+def in_front(planes: Planes, e: Float[Array, "3"]) -> Bool[Array, "F"]:
+    """Return which planes the eye is in front of."""
+    return faces_eye(planes.normal, planes.offset, e - planes.centre)
+
+
+def faces_eye(normal, offset: Float[Array, "*F"], eye: Float[Array, "3"]) -> Bool[Array, "*F"]:
+    """Return whether an eye is in front of planes; `normal` holds x, y and z."""
+    x, y, z = normal
+    return x * eye[0] + y * eye[1] + z * eye[2] > offset
+
+
+def undecided(planes: Planes, clusters: Clusters, e: Float[Array, "3"]) -> Bool[Array, "N"]:
+    """Return in which clusters the eye may be in front of some planes and behind others."""
+    eye = e - planes.centre
+    to_eye = [eye[k] - clusters.middle[k] for k in range(3)]
+    along = sum(clusters.axis[k] * to_eye[k] for k in range(3))
+    distance = jnp.sqrt(sum(x * x for x in to_eye))
+    across = jnp.sqrt(jnp.maximum(distance * distance - along * along, 0))
+    # |to_eye| cos(angle to the axis, plus and minus the cone's half angle)
+    nearest = along * clusters.cosine - across * clusters.sine
+    farthest = along * clusters.cosine + across * clusters.sine
+    # Where the cone reaches the axis itself, or its opposite, that is the extreme.
+    farthest = jnp.where(along >= distance * clusters.cosine, distance, farthest)
+    nearest = jnp.where(-along >= distance * clusters.cosine, -distance, nearest)
+    reach = jnp.sqrt(jnp.sum(eye * eye)) + distance
+    radius = clusters.radius * (1 + 1e-3) + 256 * jnp.finfo(e.dtype).eps * reach
+    return ~((nearest > radius) | (farthest < -radius))
 
 
 class Ball(NamedTuple):
@@ -197,7 +263,59 @@ def _planes(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Planes:
     centre = vertices[0] if vertices.shape[0] else jnp.zeros(3, vertices.dtype)
     a, b, c = jnp.moveaxis((vertices - centre[None])[faces], 1, 0)
     normal = jnp.cross(b - a, c - a)
-    return Planes(centre, normal.T, dot(normal, a), _fingerprint(vertices))
+    return Planes(centre, normal.T, dot(normal, a), _box(vertices), _fingerprint(vertices))
+
+
+def _box(vertices: Float[Array, "V 3"]) -> Float[Array, "2 3"]:
+    if not vertices.shape[0]:
+        return jnp.zeros((2, 3), vertices.dtype)
+    return jnp.stack([jnp.min(vertices, axis=0), jnp.max(vertices, axis=0)])
+
+
+def vertex_box(mesh: Mesh) -> Float[Array, "2 3"]:
+    """Return the least and largest coordinates of the vertices, as far as known already."""
+    mesh = jax.lax.stop_gradient(mesh)
+    return jax.lax.cond(
+        planes_are_current(mesh), lambda: mesh.planes.box, lambda: _box(mesh.vertices)
+    )
+
+
+def _planes_and_clusters(
+    vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"], edge_faces: Int[Array, "E 2"]
+) -> Planes:
+    planes = _planes(vertices, faces)
+    if not (is_concrete(vertices) and edge_faces.shape[0]):
+        return planes
+    return planes._replace(clusters=_clusters(planes, vertices, faces, edge_faces))
+
+
+@jax.jit
+def _clusters(
+    planes: Planes,
+    vertices: Float[Array, "V 3"],
+    faces: Int[Array, "F 3"],
+    edge_faces: Int[Array, "E 2"],
+) -> Clusters:
+    first, second = edge_faces[:, 0], edge_faces[:, 1]
+    both = jnp.stack([first, jnp.where(second < 0, first, second)], axis=1)
+    both = jnp.pad(both, ((0, -len(both) % CLUSTER), (0, 0)), mode="edge")
+    both = both.reshape(-1, 2 * CLUSTER)
+    length = jnp.sqrt(jnp.sum(planes.normal**2, axis=0))
+    unit = safe_divide(planes.normal, length[None])[:, both]
+    point = (vertices[faces[:, 0]] - planes.centre[None]).T[:, both]  # (3, N, 64)
+    axis = jnp.sum(unit, axis=2)
+    size = jnp.sqrt(jnp.sum(axis**2, axis=0))
+    axis = safe_divide(axis, size[None])
+    cosine = jnp.min(jnp.sum(unit * axis[..., None], axis=0), axis=1)
+    middle = jnp.mean(point, axis=2)
+    radius = jnp.sqrt(jnp.max(jnp.sum((point - middle[..., None]) ** 2, axis=0), axis=1))
+    # Border edges are always contour; a face without area has no normal.
+    border = jnp.pad(second < 0, (0, -len(second) % CLUSTER)).reshape(-1, CLUSTER)
+    unknown = jnp.any(border, axis=1) | jnp.any(length[both] == 0, axis=1) | (cosine <= 0)
+    sine = jnp.sqrt(jnp.clip(1 - cosine**2, 0, 1))
+    radius = jnp.where(unknown, jnp.inf, radius)
+    table = jnp.concatenate([planes.normal, planes.offset[None]]).T
+    return Clusters(axis, cosine, sine, middle, radius, table)
 
 
 def _face_order(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Int[Array, "F"]:

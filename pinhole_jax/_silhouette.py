@@ -118,7 +118,7 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
     if contour is not None and vertices is not None:
         edges = lambda ids: edge_segments(film, vertices, contour, ids)
         lifts = lambda ids: edge_lifts(film, vertices, contour, ids)
-        size = min(CURVES_AT_A_TIME, contour.weights.shape[0])
+        size = min(CURVES_AT_A_TIME, contour.edge_vertices.shape[0])
         parts.append(Part(edges, lifts, contour.segments, size))
     if spheres is not None:
         number = ARCS_PER_SPHERE * spheres.radii.shape[0]

@@ -1,12 +1,15 @@
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._camera import film_map
 from pinhole_jax._contour import clipped, contour_weights, nth, rank_in, select, sphere_arcs
 from pinhole_jax._curves import ends, film_at
+from pinhole_jax._scene import undecided
 
 
 @pytest.mark.parametrize("size", [1, 31, 32, 33, 500])
@@ -78,3 +81,31 @@ def test_spheres_behind_the_eye_are_left_out():
     arcs = arcs_of(camera, pj.Spheres([[0.0, 0, 9], [0, 0, 0]], [1.0, 1.0]))
     assert np.all(arcs.weight[:6] == 0)
     assert np.sum(arcs.weight[6:]) >= 4
+
+
+@pytest.mark.parametrize("shape", ["closed", "open"])
+def test_clusters_pass_over_no_contour_edge(shape):
+    ball = trimesh.creation.icosphere(4)
+    vertices = ball.vertices * (1 + 0.1 * np.sin(5 * ball.vertices[:, :1]))
+    mesh = pj.Mesh(vertices, ball.faces if shape == "closed" else ball.faces[:-7])
+    assert mesh.planes.clusters is not None
+    plain = eqx.tree_at(lambda m: m.planes.clusters, mesh, None)
+    weights = eqx.filter_jit(contour_weights)
+    random = np.random.default_rng(0)
+    passed = []
+    for distance in np.repeat([0.0, 0.3, 0.9, 1.01, 1.5, 4, 1e3, 1e6], 5):
+        direction = random.normal(size=3)
+        e = jnp.asarray(distance * direction / np.linalg.norm(direction))
+        np.testing.assert_array_equal(weights(mesh, e), weights(plain, e))
+        passed.append(1 - np.mean(undecided(mesh.planes, mesh.planes.clusters, e)))
+    assert np.mean(passed) > 0.5  # most need no look
+
+
+def test_moved_vertices_are_looked_at_anew():
+    ball = trimesh.creation.icosphere(2)
+    mesh = pj.Mesh(ball.vertices, ball.faces)
+    moved = eqx.tree_at(lambda m: m.vertices, mesh, mesh.vertices * jnp.array([[1.0, 2, 0.5]]))
+    e = jnp.array([1.0, 2, 5])
+    np.testing.assert_array_equal(
+        contour_weights(moved, e), contour_weights(pj.Mesh(moved.vertices, ball.faces), e)
+    )
