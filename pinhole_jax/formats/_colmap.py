@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from .._camera import Camera
 from ._fields import Fields, add_named, read_bytes, read_text, save_bytes, save_text
 from ._pinhole import OPENCV, Pinhole, camera_from_world, camera_of, inverse, pinhole
+from ._turns import matrix_of_quaternion, quaternion_of_matrix
 
 #: COLMAP's models by number, with their parameters; distortion is what is not f, fx, fy, cx, cy.
 MODELS = {
@@ -113,15 +113,14 @@ def _camera(intrinsics: Fields, pose: Fields) -> Camera:
     if abs(np.linalg.norm(q) - 1) > 1e-4:
         raise pose.wrong("QUATERNION", "one of length 1", q)
     matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix()
+    matrix[:3, :3] = matrix_of_quaternion(q)
     matrix[:3, 3] = pose.array("TRANSLATION", (3,))
     return camera_of(view, inverse(matrix), OPENCV, intrinsics, distortion)
 
 
 def _quaternion_and_translation(camera: Camera) -> list[float]:
     matrix = camera_from_world(camera, OPENCV)
-    x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat(canonical=True)
-    return [float(v) for v in (w, x, y, z, *matrix[:3, 3])]
+    return [*quaternion_of_matrix(matrix[:3, :3]).tolist(), *matrix[:3, 3].tolist()]
 
 
 def _fields_of(model: str, size: Any, parameters: Any, where: str) -> Fields:

@@ -77,12 +77,12 @@ class Fields:
                 raise TypeError
             array = array.astype(float)
         except (TypeError, ValueError):
-            raise self.wrong(name, expected, value) from None
+            raise self.wrong(name, expected, _short(value)) from None
         fits = len(array.shape) == len(shape) and all(
             want in (-1, got) for want, got in zip(shape, array.shape, strict=True)
         )
         if not fits or not np.all(np.isfinite(array)):
-            raise self.wrong(name, expected, value)
+            raise self.wrong(name, expected, _short(value))
         return array
 
     def text(self, name: str, choices: Sequence[str] = (), default: str | None = None) -> str:
@@ -92,14 +92,14 @@ class Fields:
             return default
         value = self.get(name, expected)
         if not isinstance(value, str) or (choices and value not in choices):
-            raise self.wrong(name, expected, value)
+            raise self.wrong(name, expected, _short(value))
         return value
 
     def parts(self, name: str) -> list["Fields"]:
         """Return the objects of a list, each with its place in `where`."""
         value = self.get(name, "a list")
         if not isinstance(value, list):
-            raise self.wrong(name, "a list", value)
+            raise self.wrong(name, "a list", _short(value))
         return [Fields(part, f"{self.where}, {name}[{k}]") for k, part in enumerate(value)]
 
     def part(self, name: str) -> "Fields":

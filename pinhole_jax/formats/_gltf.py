@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from .._camera import Camera
 from ._fields import Fields, Size, add_named, read_bytes, save_bytes
@@ -31,6 +30,7 @@ from ._pinhole import (
     rigid,
     world_from_camera,
 )
+from ._turns import matrix_of_quaternion
 
 MAGIC, JSON_CHUNK = 0x46546C67, 0x4E4F534A
 
@@ -162,7 +162,7 @@ def _local(node: Fields) -> np.ndarray:
         q = node.array("rotation", (4,))
         if abs(np.linalg.norm(q) - 1) > 1e-4:
             raise node.wrong("rotation", "a quaternion of length 1", q)
-        matrix[:3, :3] = Rotation.from_quat(q).as_matrix()
+        matrix[:3, :3] = matrix_of_quaternion(q[[3, 0, 1, 2]])
     if "scale" in node:
         matrix[:3, :3] *= node.array("scale", (3,))
     if "translation" in node:

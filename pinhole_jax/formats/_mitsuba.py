@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from .._camera import Camera
 from ._fields import Fields, Size, add_named, read_text, save_text
@@ -27,6 +26,7 @@ from ._pinhole import (
     rigid,
     world_from_camera,
 )
+from ._turns import matrix_of_vector
 
 AXES = ("x", "y", "diagonal", "smaller", "larger")
 FILM = {"width": 768, "height": 576}  # Mitsuba's own, where a film says nothing
@@ -184,7 +184,7 @@ def _step(element: ET.Element, defaults: Mapping[str, str], where: str) -> np.nd
         if not np.any(axis):
             raise ValueError(f"`rotate`: expected an axis, got none (in {where})")
         turn = np.deg2rad(angle) * axis / np.linalg.norm(axis)
-        matrix[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+        matrix[:3, :3] = matrix_of_vector(turn)
     elif kind == "translate":
         matrix[:3, 3] = _xyz(element, 0.0, defaults, where)
     elif kind == "scale":

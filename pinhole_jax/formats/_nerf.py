@@ -42,10 +42,7 @@ def read_nerf(path: str | os.PathLike, *, size: Size | None = None) -> dict[str,
     for k, frame in enumerate(top.parts("frames")):
         fields = Fields({**shared, **frame.data}, frame.where)
         name = fields.text("file_path", default=str(k))
-        if fields.text("camera_model", default="OPENCV") not in MODELS:
-            raise fields.wrong(
-                "camera_model", f"one of {', '.join(MODELS)}", fields.data["camera_model"]
-            )
+        fields.text("camera_model", MODELS, "OPENCV")
         if fields.data.get("is_fisheye"):
             raise fields.wrong("is_fisheye", "false", "true")
         shape = np.shape(fields.get("transform_matrix", "a 4 x 4 matrix"))

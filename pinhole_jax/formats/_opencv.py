@@ -9,13 +9,13 @@ import os
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from .._camera import Camera
 from . import _yaml
 from ._fields import Fields, Size, read_text, save_text
 from ._matrices import to_opencv
 from ._pinhole import OPENCV, Pinhole, camera_of, inverse, rotation
+from ._turns import matrix_of_vector, vector_of_matrix
 
 #: The names under which a field is known; case and underscores do not count.
 NAMES = {
@@ -94,7 +94,7 @@ def write_opencv(
         _, R, t = matrices[0]
         text += _yaml.matrix("R", R) + _yaml.matrix("t", t[:, None])
     else:
-        rows = [np.r_[Rotation.from_matrix(R).as_rotvec(), t] for _, R, t in matrices]
+        rows = [np.r_[vector_of_matrix(R), t] for _, R, t in matrices]
         text += _yaml.matrix("extrinsic_parameters", np.stack(rows))
     save_text(path, text)
 
@@ -122,13 +122,13 @@ def _poses(fields: Fields) -> list[np.ndarray]:
             words = "both it and R or t"
             raise fields.wrong("extrinsic_parameters", "one kind of pose", words)
         rows = fields.array("extrinsic_parameters", (-1, 6))
-        parts = [(Rotation.from_rotvec(row[:3]).as_matrix(), row[3:]) for row in rows]
+        parts = [(matrix_of_vector(row[:3]), row[3:]) for row in rows]
     elif "rvec" in fields:
         rvec = fields.array("rvec", (3,))
-        parts = [(Rotation.from_rotvec(rvec).as_matrix(), fields.array("t", (3,)))]
+        parts = [(matrix_of_vector(rvec), fields.array("t", (3,)))]
     elif "R" in fields and np.ndim(fields.data["R"]) == 1:
         rvec = fields.array("R", (3,))
-        parts = [(Rotation.from_rotvec(rvec).as_matrix(), fields.array("t", (3,)))]
+        parts = [(matrix_of_vector(rvec), fields.array("t", (3,)))]
     else:
         if "R" not in fields:
             words = "no pose: a file of intrinsics alone is no camera; see `from_opencv`"
@@ -146,7 +146,7 @@ def _names(fields: Fields, count: int) -> list[str]:
         return [str(k) for k in range(count)] if count > 1 else ["camera"]
     names = fields.data["camera_names"]
     if not isinstance(names, list) or len({str(n) for n in names}) != count or len(names) != count:
-        raise fields.wrong("camera_names", f"{count} different names", names)
+        raise fields.wrong("camera_names", f"{count} different names", repr(names))
     return [str(name) for name in names]
 
 

@@ -108,10 +108,10 @@ def read_pytorch3d(path: str | os.PathLike, *, size: Size | None = None) -> dict
     sizes = top.array("image_size", (count, 2))
     in_ndc = top.get("in_ndc", "true or false")
     if not isinstance(in_ndc, bool):
-        raise top.wrong("in_ndc", "true or false", in_ndc)
+        raise top.wrong("in_ndc", "true or false", repr(in_ndc))
     names = top.data.get("names", [str(k) for k in range(count)])
     if not isinstance(names, list) or len(names) != count:
-        raise top.wrong("names", f"{count} names", names)
+        raise top.wrong("names", f"{count} names", repr(names))
     cameras: dict[str, Camera] = {}
     for k, name in enumerate(names):
         if size is not None and tuple(sizes[k]) != (size[1], size[0]):
