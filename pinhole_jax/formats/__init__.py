@@ -11,7 +11,7 @@
 | mitsuba | x left, y up, z forward | world_from_camera | halves | degrees, of the side `fov_axis` |
 | json | the note's e, p, u | - | halves | vertical, rad |
 
-`read` and `write` take any of them.
+`read` and `write` take any of them; `detect` tells which convention a camera of unknown origin has.
 """
 
 from ._blender import read_blender as read_blender
@@ -21,6 +21,9 @@ from ._blender import write_blender as write_blender
 from ._blender import write_blender_script as write_blender_script
 from ._colmap import read_colmap as read_colmap
 from ._colmap import write_colmap as write_colmap
+from ._detective import Detection as Detection
+from ._detective import Hypothesis as Hypothesis
+from ._detective import detect as detect
 from ._files import FORMATS as FORMATS
 from ._files import guess_write as guess_write
 from ._files import read as read
