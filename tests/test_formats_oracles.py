@@ -46,8 +46,10 @@ t: !!opencv-matrix { rows: 3, cols: 1, dt: d, data: [ -1., 2., 3. ]
     "b.json": """{"lens": 18, "sensor_width": 36, "resolution_x": 8, "resolution_y": 6,
  "matrix_world": [[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]}""",
     "a.gltf": """{"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}],
- "nodes": [{"name": "above", "children": [1], "translation": [1, 0, 0]},
-           {"camera": 0, "translation": [0, 2, 3]}],
+ "nodes": [{"name": "above", "children": [1], "translation": [1, 0, 0],
+            "rotation": [0, 0, 0.7071067811865476, 0.7071067811865476]},
+           {"camera": 0, "translation": [2, 0, 3],
+            "rotation": [0, 0, -0.7071067811865476, 0.7071067811865476]}],
  "cameras": [{"type": "perspective", "extras": {"W": 8, "H": 6},
               "perspective": {"yfov": 1.2870022175866, "znear": 0.1}}]}""",  # 2 atan(3/4)
     "p.json": """{"R": [[[-1,0,0],[0,1,0],[0,0,-1]]], "T": [[1,-2,3]], "in_ndc": true,
@@ -397,8 +399,25 @@ def test_mitsuba_projects_alike(tmp_path):
         assert rays_agree(sensor, camera, np.asarray(camera.e), POINTS) < 5e-6
 
 
+def test_poses_that_opencv_wrote(shared, tmp_path):
+    """OpenCV's own calibration of 13 photos, its distortion struck out."""
+    cv2 = pytest.importorskip("cv2")
+    file = shared / "calib/opencv_chessboard/left_intrinsics.yml"
+    text = file.read_text().replace("distortion_coefficients", "struck_out")
+    (tmp_path / "left.yml").write_text(text)
+    cameras = formats.read(tmp_path / "left.yml")
+    assert list(cameras) == [str(k) for k in range(13)]
+    storage = cv2.FileStorage(str(file), cv2.FILE_STORAGE_READ)
+    K = storage.getNode("camera_matrix").mat()
+    corners = np.array([[0.025 * x, 0.025 * y, 0] for x in range(9) for y in range(6)])
+    poses = storage.getNode("extrinsic_parameters").mat()
+    for camera, pose in zip(cameras.values(), poses, strict=True):
+        theirs = cv2.projectPoints(corners, pose[:3], pose[3:], K, None)[0].reshape(-1, 2)
+        np.testing.assert_allclose(theirs + 0.5, image_points(camera, corners), rtol=0, atol=1e-9)
+
+
 def test_published_files(shared):
-    """NeRF's lego: 400 px were 50 degrees or so; OpenCV's chessboard is bent, which is said."""
+    """NeRF's lego, and two files that are no camera to us, which is said."""
     (camera,) = formats.read(
         shared / "cameras/nerf_blender_lego/transforms_train.json", size=(800, 800)
     ).values()
