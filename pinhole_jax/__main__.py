@@ -1,4 +1,4 @@
-"""The command line: `pinhole-jax fit`, `pinhole-jax render`; also `python -m pinhole_jax`."""
+"""The command line: `pinhole-jax fit`, `render` and `convert`; also `python -m pinhole_jax`."""
 
 import argparse
 import os
@@ -15,6 +15,20 @@ camera files are JSON with the parameters of Frisvad's note, world units and rad
 eye e, view point p, up u, vertical field of view phi, camera constant d, resolution W x H; "lens"
 may add {"principal_point": [x, y], "aspect": 1} (px, origin at the bottom left, y up).
 Masks are grey images (white is the object), or images whose transparency is the mask.
+"""
+
+
+CONVERT = """\
+Turn the cameras of IN into another program's file. Formats, and the endings that ask for them:
+  json            the one below                    .json
+  opencv          cv::FileStorage YAML             .yaml .yml
+  colmap          a folder of text files           a folder (colmap-binary: of .bin files)
+  nerf            NeRF, nerfstudio, instant-ngp    transforms*.json
+  blender         Blender's settings as JSON       *blender*.json
+  blender-script  a script to run in Blender       .py (written only)
+  gltf            glTF 2.0                         .gltf .glb
+  pytorch3d       PyTorch3D's arrays as JSON       *pytorch3d*.json
+  mitsuba         Mitsuba XML                      .xml
 """
 
 
@@ -83,6 +97,26 @@ def _parser() -> argparse.ArgumentParser:
     )
     _add_cache(render)
     render.set_defaults(run=_render)
+
+    convert = commands.add_parser(
+        "convert",
+        help="turn a camera file into another program's",
+        description=CONVERT,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    convert.add_argument("input", metavar="IN", help="a camera file; of COLMAP, the model's folder")
+    convert.add_argument("output", metavar="OUT", help="what to write")
+    convert.add_argument("--from", dest="source", metavar="FORMAT", help="(default: IN says it)")
+    convert.add_argument("--to", dest="target", metavar="FORMAT", help="(default: OUT says it)")
+    convert.add_argument(
+        "--size",
+        nargs=2,
+        type=int,
+        metavar=("W", "H"),
+        help="the image's size in px, where IN does not hold it (glTF, some NeRF files)",
+    )
+    convert.set_defaults(run=_convert, no_cache=True)
     return parser
 
 
@@ -197,6 +231,20 @@ def _render(options: argparse.Namespace) -> int:
         image = np.asarray(silhouette(camera, scene))
     io.save_image(options.output, image)
     print(f"written    {options.output} ({camera.W} x {camera.H}, {image.mean():.1%} covered)")
+    return 0
+
+
+def _convert(options: argparse.Namespace) -> int:
+    _set_up_jax(options)
+    from . import formats
+
+    size = None if options.size is None else (options.size[0], options.size[1])
+    cameras = formats.read(options.input, options.source, size=size)
+    formats.write(options.output, cameras, options.target)
+    target = options.target or formats.guess_write(options.output)
+    sizes = ", ".join(dict.fromkeys(f"{camera.W} x {camera.H}" for camera in cameras.values()))
+    count = "1 camera" if len(cameras) == 1 else f"{len(cameras)} cameras"
+    print(f"written    {options.output} ({target}, {count}, {sizes})")
     return 0
 
 

@@ -119,7 +119,7 @@ def save_image(path: str | os.PathLike, image: np.ndarray) -> None:
     if array.dtype != np.uint8:
         array = np.round(np.clip(array, 0, 1) * 255).astype(np.uint8)
     suffix = Path(path).suffix or ".png"
-    _write(path, lambda temporary: Image.fromarray(array).save(temporary), suffix)
+    replace_file(path, lambda temporary: Image.fromarray(array).save(temporary), suffix)
 
 
 CAMERA_SCHEMA = "pinhole_jax.camera/1"
@@ -184,7 +184,7 @@ def camera_from_dict(data: Any) -> Camera:
 def save_camera(path: str | os.PathLike, camera: Camera, **more: Any) -> None:
     """Write a camera as JSON (see `camera_to_dict`); `more` are further fields."""
     text = json.dumps({**camera_to_dict(camera), **more}, indent=1, allow_nan=False) + "\n"
-    _write(path, lambda temporary: temporary.write_text(text), ".json")
+    replace_file(path, lambda temporary: temporary.write_text(text), ".json")
 
 
 def load_camera(path: str | os.PathLike) -> Camera:
@@ -209,7 +209,7 @@ def _numbers(array: Any) -> list[float]:
     return [float(x) for x in np.asarray(array)]
 
 
-def _write(path: str | os.PathLike, write: Callable[[Path], Any], suffix: str) -> None:
+def replace_file(path: str | os.PathLike, write: Callable[[Path], Any], suffix: str) -> None:
     """Write to a temporary file beside the path, then rename it: never half a file."""
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)

@@ -44,7 +44,7 @@ def test_the_published_reference_mask_of_m3t(shared):
         camera = formats.from_opencv(
             given["K"], bottle["R"], bottle["t"], 640, 480, pixel_centres=centres
         )
-        hard = np.asarray(pj.silhouette(camera, scene)) > 0.5
+        hard = np.asarray(pj.silhouette(camera, scene, overlaps=False)) > 0.5  # compiles sooner
         agreement[centres] = np.sum(hard & mask) / np.sum(hard | mask)
     assert agreement["integer"] > 0.994
     assert agreement["half"] < 0.992

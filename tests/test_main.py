@@ -149,8 +149,26 @@ def test_a_fit_needs_no_start(folder):
     assert np.rad2deg(pj.pose_error(io.load_camera(out / "camera.json"), CAMERA)[0]) < 0.05
 
 
+def test_convert_there_and_back(folder):
+    cache = folder / "cache"
+    there = run("convert", folder / "truth.json", folder / "truth.yaml", cache=cache)
+    assert there.returncode == 0, there.stderr
+    assert there.stdout.endswith("truth.yaml (opencv, 1 camera, 96 x 80)\n")
+    back = run(
+        "convert", folder / "truth.yaml", folder / "back.json", "--size", 96, 80, cache=cache
+    )
+    assert back.returncode == 0, back.stderr
+    camera = io.load_camera(folder / "back.json")
+    assert max(map(float, pj.pose_error(camera, CAMERA))) < 1e-12
+    named = run("convert", folder / "back.json", folder / "x", "--to", "colmap-binary", cache=cache)
+    assert "x (colmap-binary, 1 camera, 96 x 80)" in named.stdout
+    wrong = run("convert", folder / "x", folder / "y.glb", "--from", "usd", cache=cache)
+    assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1)
+    assert "pinhole-jax convert: `format`: expected one of json, opencv" in wrong.stderr
+
+
 def test_help_says_what_a_camera_file_is(folder):
-    for command in ([], ["fit"], ["render"]):
+    for command in ([], ["fit"], ["render"], ["convert"]):
         done = run(*command, "--help", cache=folder)
         assert done.returncode == 0
         assert '"phi": 0.6' in done.stdout

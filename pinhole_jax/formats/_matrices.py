@@ -1,11 +1,11 @@
-"""Cameras of other conventions."""
+"""OpenCV's K, R, t: the convention through which all others go."""
 
 import jax.numpy as jnp
 import numpy as np
 
-from ._arrays import Numbers
-from ._camera import Camera
-from ._lens import Lens
+from .._arrays import Numbers
+from .._camera import Camera, focal_px, principal_point
+from .._lens import Lens
 
 
 def from_opencv(
@@ -51,3 +51,24 @@ def from_opencv(
         H,
         None if centred else Lens(jnp.asarray(centre), float(fx / fy)),
     )
+
+
+def to_opencv(camera: Camera, *, pixel_centres: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return OpenCV's K (3, 3), R (3, 3), t (3,), float64: x right, y down, z forward.
+
+    `X_camera = R X_world + t` and `(u, v, 1) ~ K X_camera`, px, y down. `pixel_centres` says where
+    the reader puts them: "integer" (OpenCV: the first pixel's centre is 0) or "half" (0.5).
+    """
+    if pixel_centres not in ("integer", "half"):
+        raise ValueError(f"`pixel_centres`: expected 'integer' or 'half', got {pixel_centres!r}")
+    half = 0.5 if pixel_centres == "integer" else 0.0
+    e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
+    # In float64 whatever the camera's type: R is to be a rotation.
+    v = (p - e) / np.linalg.norm(p - e)
+    right = np.cross(v, u / np.linalg.norm(u))
+    right /= np.linalg.norm(right)
+    R = np.stack([right, -np.cross(right, v), v])
+    fx, fy = (float(f) for f in focal_px(camera))
+    x, y = (float(c) for c in principal_point(camera))  # film coordinates: y up
+    K = np.array([[fx, 0, x - half], [0, fy, camera.H - y - half], [0, 0, 1]])
+    return K, R, -R @ e

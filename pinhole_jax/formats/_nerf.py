@@ -1,0 +1,100 @@
+"""NeRF's and nerfstudio's `transforms.json`.
+
+Axes: x right, y up, z backward (OpenGL); `transform_matrix` is world_from_camera. `camera_angle_x`
+is the HORIZONTAL field of view in rad, `camera_angle_y` the vertical; `fl_x`, `fl_y`, in px, come
+before them. `cx`, `cy` are px from the image's top-left corner, y down; pixel centres at halves.
+"""
+
+import os
+from collections.abc import Mapping
+
+import numpy as np
+
+from .._camera import Camera
+from ._fields import Fields, Size, add_named, load_json, save_json
+from ._pinhole import (
+    OPENGL,
+    Pinhole,
+    camera_of,
+    focal_of_fov,
+    fov_of_focal,
+    pinhole,
+    rigid,
+    world_from_camera,
+)
+
+COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+
+
+def read_nerf(path: str | os.PathLike, *, size: Size | None = None) -> dict[str, Camera]:
+    """Return the cameras of a transforms.json, by each frame's `file_path`.
+
+    A frame's own intrinsics come before the file's. Where the file holds no `w`, `h` (NeRF's
+    Blender scenes), `size` gives them. World axes are the file's: no `applied_transform` is undone.
+
+    Raises ValueError naming file and field where something is missing or wrong, for other camera
+    models (fisheye, ...), and where distortion coefficients are not zero.
+    """
+    top = load_json(path)
+    cameras: dict[str, Camera] = {}
+    shared = {name: value for name, value in top.data.items() if name != "frames"}
+    for k, frame in enumerate(top.parts("frames")):
+        fields = Fields({**shared, **frame.data}, frame.where)
+        name = fields.text("file_path", default=str(k))
+        fields.text("camera_model", MODELS, "OPENCV")
+        if fields.data.get("is_fisheye"):
+            raise fields.wrong("is_fisheye", "false", "true")
+        shape = np.shape(fields.get("transform_matrix", "a 4 x 4 matrix"))
+        matrix = fields.array("transform_matrix", (3, 4) if shape == (3, 4) else (4, 4))
+        pose = rigid(matrix, fields, "transform_matrix")
+        distortion = {c: fields.number(c) for c in COEFFICIENTS if c in fields}
+        camera = camera_of(_intrinsics(fields, size), pose, OPENGL, fields, distortion)
+        add_named(cameras, name, camera, repr(str(path)))
+    return cameras
+
+
+def write_nerf(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
+    """Write a transforms.json that nerfstudio, instant-ngp and NeRF's own readers understand.
+
+    Intrinsics that all cameras share stand at the top, otherwise with each frame.
+    """
+    views = [pinhole(camera) for camera in cameras.values()]
+    common = _numbers(views[0]) if len(set(views)) == 1 else {}
+    frames = []
+    for (name, camera), view in zip(cameras.items(), views, strict=True):
+        own = {} if common else _numbers(view)
+        matrix = world_from_camera(camera, OPENGL).tolist()
+        frames.append({"file_path": name, **own, "transform_matrix": matrix})
+    save_json(path, {"camera_model": "OPENCV", **common, "frames": frames})
+
+
+def _intrinsics(fields: Fields, size: Size | None) -> Pinhole:
+    W, H = fields.size("w", "h", size)
+    if "fl_x" in fields:
+        fx = fields.positive("fl_x")
+    elif "camera_angle_x" in fields:
+        fx = focal_of_fov(fields.angle("camera_angle_x"), W)
+    else:
+        words = "neither"
+        raise fields.wrong("fl_x", "fl_x (px) or camera_angle_x (rad, horizontal)", words)
+    if "fl_y" in fields:
+        fy = fields.positive("fl_y")
+    elif "camera_angle_y" in fields and "fl_x" not in fields:
+        fy = focal_of_fov(fields.angle("camera_angle_y"), H)
+    else:
+        fy = fx
+    return Pinhole(fx, fy, fields.number("cx", W / 2), fields.number("cy", H / 2), W, H)
+
+
+def _numbers(view: Pinhole) -> dict[str, float | int]:
+    return {
+        "w": view.W,
+        "h": view.H,
+        "fl_x": view.fx,
+        "fl_y": view.fy,
+        "cx": view.cx,
+        "cy": view.cy,
+        "camera_angle_x": fov_of_focal(view.fx, view.W),
+        "camera_angle_y": fov_of_focal(view.fy, view.H),
+    }

@@ -1,0 +1,166 @@
+"""The detective: on masks with a known answer, and on two published renders."""
+
+import json
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import trimesh
+
+import pinhole_jax as pj
+from pinhole_jax import formats, io, shapes
+
+W, H = 72, 56
+SCENE = pj.Scene(mesh=shapes.bumpy(3))
+CAMERA = formats.cropped(
+    pj.Camera([0.6, 1.4, 5], [0.2, 0.1, 0], [0.3, 1, 0.1], 0.55, 1.0, 80, 60), 5, 1, W, H
+)
+K, R, T = formats.to_opencv(CAMERA, pixel_centres="integer")
+# One program serves the file: every camera has a lens, every mesh an icosphere's size.
+MASK = np.asarray(pj.silhouette(CAMERA, SCENE, overlaps=False)) > 0.5
+POSE = np.eye(4)
+POSE[:3] = np.c_[R, T]
+OPENGL = np.diag([1.0, -1, -1, 1])
+LEFT_UP = np.diag([-1.0, -1, 1, 1])
+
+
+class Case(NamedTuple):
+    pose: np.ndarray
+    axes: str
+    direction: str
+
+
+CASES = {
+    "opencv": Case(POSE, "OpenCV", "camera_from_world"),
+    "opencv, 3 x 4": Case(POSE[:3], "OpenCV", "camera_from_world"),
+    "nerf": Case(np.linalg.inv(POSE) @ OPENGL, "OpenGL", "world_from_camera"),
+    "opengl view": Case(OPENGL @ POSE, "OpenGL", "camera_from_world"),
+    "mitsuba": Case(np.linalg.inv(POSE) @ LEFT_UP, "Mitsuba", "world_from_camera"),
+    "pytorch3d matrix": Case((LEFT_UP @ POSE).T, "PyTorch3D", "camera_from_world, row vectors"),
+    "pytorch3d R, T": Case(
+        np.c_[(LEFT_UP @ POSE)[:3, :3].T, (LEFT_UP @ POSE)[:3, 3]],
+        "PyTorch3D",
+        "camera_from_world, rotation for row vectors",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_convention_is_told(name):
+    case = CASES[name]
+    found = formats.detect(SCENE, MASK, case.pose, K=K)
+    best = found.hypotheses[0]
+    assert case.axes in best.axes
+    assert (best.direction, best.pixel_centres, best.fov_axis) == (case.direction, "integer", "")
+    assert found.certain
+    assert best.iou > 0.999
+    assert str(best) in found.sentence
+    assert max(map(float, pj.pose_error(best.camera, CAMERA))) < 1e-6
+    assert [h.iou for h in found.hypotheses] == sorted(h.iou for h in found.hypotheses)[::-1]
+
+
+def test_which_field_of_view():
+    lens = pj.Lens([W / 2, H / 2])
+    centred = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.55, 1.0, W, H, lens)
+    mask = np.asarray(pj.silhouette(centred, SCENE, overlaps=False))
+    focal = float(H / 2 / np.tan(0.55 / 2))
+    for axis, side in {"vertical": H, "horizontal": W, "diagonal": np.hypot(W, H)}.items():
+        fov = 2 * np.arctan(side / 2 / focal)
+        found = formats.detect(SCENE, mask, POSE, fov=fov)
+        assert found.hypotheses[0].fov_axis == axis
+        assert found.certain
+    found = formats.detect(SCENE, mask, POSE, focal_px=focal)
+    assert (found.hypotheses[0].fov_axis, found.hypotheses[0].pixel_centres) == ("", "half")
+
+
+def test_what_a_mask_does_not_tell_is_not_said():
+    """A ball on the axis looks alike when the picture is turned upside down."""
+    sphere = trimesh.creation.icosphere(subdivisions=3)
+    ball = pj.Scene(mesh=pj.Mesh(sphere.vertices, sphere.faces))
+    lens = pj.Lens([W / 2, H / 2])
+    camera = pj.Camera([0, 0, 5.0], [0, 0, 0], [0, 1, 0], 0.6, 1.0, W, H, lens)
+    _, R, t = formats.to_opencv(camera, pixel_centres="half")
+    mask = np.asarray(pj.silhouette(camera, ball, overlaps=False))
+    found = formats.detect(ball, mask, np.c_[R, t], fov=0.6)
+    assert not found.certain
+    assert "But the mask does not tell axes" in found.sentence
+    assert (found.hypotheses[0].fov_axis, found.hypotheses[0].pixel_centres) == ("vertical", "half")
+
+
+def test_no_reading_explains_another_objects_mask():
+    mask = np.zeros((H, W), bool)
+    mask[:4, :4] = True
+    found = formats.detect(SCENE, mask, POSE, K=K)
+    assert not found.certain
+    assert found.sentence.startswith("No reading of the numbers explains the mask: the best")
+
+
+def test_the_renderer_of_m3t_has_integer_centres(shared):
+    folder = shared / "renders" / "m3t_renderer"
+    given = json.loads((folder / "camera.json").read_text())
+    bottle = given["objects"]["shampoo"]
+    mask = io.load_image(folder / "silhouette_image.png") == bottle["id"]
+    scene = pj.Scene(mesh=pj.load_mesh(folder / bottle["mesh"]))
+    found = formats.detect(scene, mask, np.c_[bottle["R"], bottle["t"]], K=given["K"])
+    best, next_best = found.hypotheses[:2]
+    assert found.certain
+    assert found.sentence.startswith(
+        "x right, y down, z forward (OpenCV, COLMAP); camera_from_world; pixel centres at integer"
+    )
+    assert best.iou > 0.999
+    assert next_best.pixel_centres == "half"
+    assert next_best.iou < 0.99
+
+
+def test_the_cow_of_pytorch3d(shared):
+    """From what its own test says: look_at_view_transform(3, 10, 4), 60 degrees, 256 x 256."""
+    folder = shared / "renders" / "pytorch3d_cow"
+    mask = np.any(io.load_image(folder / "cow.png")[..., :3] < 255, axis=-1)
+    scene = pj.Scene(mesh=pj.load_mesh(folder / "cow.obj"))
+    elevation, azimuth = np.deg2rad([10, 4])
+    eye = 3 * np.array(
+        [
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+            np.cos(elevation) * np.cos(azimuth),
+        ]
+    )
+    ahead = -eye / 3
+    left = np.cross([0, 1, 0], ahead)
+    left /= np.linalg.norm(left)
+    world_to_view = np.eye(4)  # as get_world_to_view_transform().get_matrix() gives it
+    world_to_view[:3, :3] = np.stack([left, np.cross(ahead, left), ahead], axis=1)
+    world_to_view[3, :3] = -eye @ world_to_view[:3, :3]
+    found = formats.detect(scene, mask, world_to_view, fov=np.pi / 3)
+    assert found.certain
+    assert found.sentence.startswith(
+        "x left, y up, z forward (PyTorch3D, Mitsuba); camera_from_world, row vectors; pixel"
+        " centres at half, vertical or horizontal field of view: IoU 0.99"
+    )
+    given = json.loads((folder / "camera.json").read_text())
+    found = formats.detect(scene, mask, np.c_[given["R"], given["t"]], K=given["K"])
+    assert found.certain
+    best = found.hypotheses[0]
+    assert ("OpenCV" in best.axes, best.pixel_centres) == (True, "integer")
+    assert best.iou > 0.999
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mask": MASK[..., None]}, r"`mask`: expected shape \(H, W\), got \(56, 72, 1\)"),
+        ({"mask": np.zeros((H, W))}, "`mask`: expected one that covers some pixels, got none"),
+        ({"pose": np.eye(3)}, r"`pose`: expected finite numbers of shape \(4, 4\)"),
+        ({"pose": 2 * POSE}, "`pose`: expected a last row of 0 0 0 1"),
+        ({"pose": 2 * POSE[:3]}, r"`pose`: expected a rotation \(orthonormal"),
+        ({"K": None}, "expected one of `K`, `focal_px`, `fov`, got none"),
+        ({"fov": 0.6}, "expected one of `K`, `focal_px`, `fov`, got K, fov"),
+        ({"K": -K}, r"`K`: expected \[\[fx, 0, cx\]"),
+        ({"K": None, "fov": 60.0}, r"`fov`: expected an angle in \(0, pi\) rad, got 60.0"),
+        ({"K": None, "focal_px": -1}, "`focal_px`: expected a positive number, got -1.0"),
+    ],
+)
+def test_bad_input_is_said_in_words(change, message):
+    good = {"scene": SCENE, "mask": MASK, "pose": POSE, "K": K}
+    with pytest.raises(ValueError, match=message):
+        formats.detect(**{**good, **change})

@@ -1,0 +1,431 @@
+"""Formats against numbers worked out by hand, and against each program's own projection."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pinhole_jax as pj
+from pinhole_jax import formats
+
+POINTS = np.random.default_rng(0).normal(size=(20, 3)) * 0.5
+BASE = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 1.0, 64, 49)
+CROP = formats.cropped(BASE, 3, -2, 41, 32)
+CAMERAS = {"base": BASE, "crop": CROP, "stretched": formats.resized(CROP, 33, 50)}
+
+
+def image_points(camera, points=POINTS):
+    """Return px from the image's top-left corner, y down: what most programs call (u, v)."""
+    xy = np.asarray(pj.project(camera, jnp.asarray(points)))
+    return np.stack([xy[..., 0], camera.H - xy[..., 1]], axis=-1)
+
+
+# By hand: the eye is at (1, 2, 3), looks along -z, y is up; f = 4 px, 8 x 6 px. The point
+# (1.5, 3, 1) lies 0.5 right, 1 up and 2 ahead: u = 4 + 4 * 0.5/2 = 5, v = 3 - 4 * 1/2 = 1.
+SQUARE = {
+    "a.yaml": """%YAML:1.0
+---
+image_width: 8
+image_height: 6
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 4., 0., 3.5, 0., 4.,
+       2.5, 0., 0., 1. ]   # centres at integers: 4 - 0.5, 3 - 0.5
+R: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 1., 0., 0., 0., -1., 0., 0., 0., -1. ]
+t: !!opencv-matrix { rows: 3, cols: 1, dt: d, data: [ -1., 2., 3. ]
+""".replace("{ rows: 3, cols: 1, dt: d, data:", "\n   rows: 3\n   cols: 1\n   dt: d\n   data:"),
+    "transforms.json": """{"camera_angle_x": 1.5707963267948966, "w": 8, "h": 6, "frames": [
+ {"file_path": "a.png", "transform_matrix": [[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]}]}""",
+    "b.json": """{"lens": 18, "sensor_width": 36, "resolution_x": 8, "resolution_y": 6,
+ "matrix_world": [[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]}""",
+    "a.gltf": """{"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}],
+ "nodes": [{"name": "above", "children": [1], "translation": [1, 0, 0],
+            "rotation": [0, 0, 0.7071067811865476, 0.7071067811865476]},
+           {"camera": 0, "translation": [2, 0, 3],
+            "rotation": [0, 0, -0.7071067811865476, 0.7071067811865476]}],
+ "cameras": [{"type": "perspective", "extras": {"W": 8, "H": 6},
+              "perspective": {"yfov": 1.2870022175866, "znear": 0.1}}]}""",  # 2 atan(3/4)
+    "p.json": """{"R": [[[-1,0,0],[0,1,0],[0,0,-1]]], "T": [[1,-2,3]], "in_ndc": true,
+ "focal_length": [[1.3333333333333333, 1.3333333333333333]], "principal_point": [[0, 0]],
+ "image_size": [[6, 8]]}""",
+    "a.xml": """<scene version="3.0.0"><default name="w" value="8"/><sensor type="perspective">
+ <float name="fov" value="90"/>
+ <transform name="to_world"><lookat origin="1, 2, 3" target="1, 2, 0" up="0, 1, 0"/></transform>
+ <film type="hdrfilm"><integer name="width" value="$w"/><integer name="height" value="6"/></film>
+ </sensor></scene>""",
+    "c.json": """{"e": [1,2,3], "p": [1,2,0], "u": [0,1,0], "phi": 1.2870022175866,
+ "W": 8, "H": 6}""",
+}
+# The same eye; fx = 4, fy = 2 px, 7 x 5 px, principal point 4 px from the left and 2 from the top:
+# u = 4 + 4 * 0.5/2 = 5, v = 2 - 2 * 1/2 = 1.
+OBLONG = {
+    "a.yaml": SQUARE["a.yaml"]
+    .replace("4., 0., 3.5, 0., 4.,\n       2.5", "4., 0., 3.5, 0., 2., 1.5")
+    .replace("width: 8", "width: 7")
+    .replace("height: 6", "height: 5"),
+    "transforms.json": """{"fl_x": 4, "fl_y": 2, "cx": 4, "cy": 2, "w": 7, "h": 5, "frames": [
+ {"file_path": "a.png", "transform_matrix": [[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]}]}""",
+    "b.json": """{"lens": 20.571428571428573, "sensor_width": 36, "sensor_fit": "HORIZONTAL",
+ "shift_x": -0.07142857142857142, "shift_y": -0.14285714285714285, "pixel_aspect_y": 2,
+ "resolution_x": 7, "resolution_y": 5,
+ "matrix_world": [[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]}""",
+    "p.json": """{"R": [[[-1,0,0],[0,1,0],[0,0,-1]]], "T": [[1,-2,3]], "in_ndc": false,
+ "focal_length": [[4, 2]], "principal_point": [[4, 2]], "image_size": [[5, 7]]}""",
+    "c.json": """{"e": [1,2,3], "p": [1,2,0], "u": [0,1,0], "phi": 1.7921107691391946,
+ "W": 7, "H": 5, "lens": {"principal_point": [4, 3], "aspect": 2}}""",  # phi = 2 atan(5/4)
+}
+
+
+@pytest.mark.parametrize("files", [SQUARE, OBLONG])
+def test_by_hand(tmp_path, files):
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+        (camera,) = formats.read(tmp_path / name).values()
+        assert ((8, 6) if files is SQUARE else (7, 5)) == (camera.W, camera.H)
+        np.testing.assert_allclose(
+            image_points(camera, [[1.5, 3, 1]]), [[5, 1]], atol=1e-12, err_msg=name
+        )
+
+
+@pytest.mark.parametrize(
+    ("camera", "uv"),
+    [("1 PINHOLE 7 5 4 2 4 2", (5, 1)), ("1 SIMPLE_RADIAL 8 6 4 4 3 0", (5, 1))],
+)
+def test_colmap_by_hand(tmp_path, camera, uv):
+    (tmp_path / "cameras.txt").write_text(f"# a comment\n{camera}\n")
+    # Half a turn about x, then t = -R e.
+    (tmp_path / "images.txt").write_text("# Number of images: 1\n7 0 1 0 0 -1 2 3 1 a b.png\n")
+    cameras = formats.read(tmp_path)
+    assert list(cameras) == ["a b.png"]
+    np.testing.assert_allclose(image_points(cameras["a b.png"], [[1.5, 3, 1]]), [uv], atol=1e-12)
+
+
+ROUND_TRIPS = {
+    "own.json": CAMERAS,
+    "one.yaml": CAMERAS,
+    "model": CAMERAS,
+    "transforms.json": CAMERAS,
+    "blender.json": CAMERAS,
+    "pytorch3d.json": CAMERAS,
+    "one.xml": {"base": BASE, "crop": CROP},
+    "scene.gltf": {"base": BASE},
+    "scene.glb": {"base": BASE},
+}
+
+
+@pytest.mark.parametrize("name", ROUND_TRIPS)
+def test_there_and_back(tmp_path, name):
+    cameras = ROUND_TRIPS[name]
+    groups = [{key: camera} for key, camera in cameras.items()]
+    if name != "one.yaml":  # which has one K
+        groups.append(cameras)
+    for group in groups:
+        path = tmp_path / str(len(group)) / next(iter(group)) / name
+        formats.write(path, group)
+        back = formats.read(path)
+        assert list(back) == list(group)
+        for key, camera in group.items():
+            assert (back[key].W, back[key].H) == (camera.W, camera.H)
+            np.testing.assert_allclose(
+                image_points(back[key]), image_points(camera), rtol=0, atol=1e-10
+            )
+        assert not [p for p in path.parent.iterdir() if p.name.startswith("tmp")]
+
+
+def test_many_poses_of_one_opencv_camera(tmp_path):
+    turned = pj.Camera([0.0, 1, 4], [0, 0, 0.2], [0, 1, 0], 0.7, 1.0, 64, 49)
+    formats.write(tmp_path / "many.yml", {"a": BASE, 'b "2", c': turned})
+    back = formats.read(tmp_path / "many.yml")
+    assert list(back) == ["a", 'b "2", c']
+    for camera, original in zip(back.values(), (BASE, turned), strict=True):
+        np.testing.assert_allclose(image_points(camera), image_points(original), atol=1e-10)
+
+
+def test_opencv_projects_alike_and_its_files_are_read(tmp_path):
+    cv2 = pytest.importorskip("cv2")
+    for name, camera in CAMERAS.items():
+        path = tmp_path / f"{name}.yaml"
+        formats.write_opencv(path, {name: camera})
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        K, R, t, bent = (
+            storage.getNode(k).mat() for k in ("camera_matrix", "R", "t", "distortion_coefficients")
+        )
+        assert storage.getNode("image_width").real() == camera.W
+        theirs = cv2.projectPoints(POINTS, cv2.Rodrigues(R)[0], t, K, bent)[0].reshape(-1, 2)
+        np.testing.assert_allclose(theirs + 0.5, image_points(camera), rtol=0, atol=1e-9)
+
+        storage = cv2.FileStorage(str(tmp_path / "theirs.yml"), cv2.FILE_STORAGE_WRITE)
+        for key, value in {
+            "note": "a: b # c",
+            "image_width": camera.W,
+            "image_height": camera.H,
+            "cameraMatrix": K,
+            "dist_coeffs": bent,
+            "rvec": cv2.Rodrigues(R)[0],
+            "tvec": t,
+        }.items():
+            storage.write(key, value)
+        storage.startWriteStruct("nested", cv2.FileNode_MAP)
+        storage.write("R", 3)
+        storage.endWriteStruct()
+        storage.release()
+        (back,) = formats.read(tmp_path / "theirs.yml").values()
+        np.testing.assert_allclose(image_points(back), image_points(camera), rtol=0, atol=1e-9)
+        half = formats.read_opencv(tmp_path / "theirs.yml", pixel_centres="half")["camera"]
+        np.testing.assert_allclose(image_points(half) + 0.5, image_points(camera), atol=1e-9)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_colmap_projects_alike_and_its_models_are_read(tmp_path, binary):
+    pycolmap = pytest.importorskip("pycolmap")
+    formats.write_colmap(tmp_path / "ours", CAMERAS, binary=binary)
+    model = pycolmap.Reconstruction(str(tmp_path / "ours"))
+    assert {image.name for image in model.images.values()} == set(CAMERAS)
+    for image in model.images.values():
+        theirs = np.array([image.project_point(point) for point in POINTS])
+        np.testing.assert_allclose(theirs, image_points(CAMERAS[image.name]), rtol=0, atol=1e-9)
+    (tmp_path / "theirs").mkdir()
+    (model.write_binary if binary else model.write_text)(str(tmp_path / "theirs"))
+    for place in (
+        tmp_path / "theirs",
+        tmp_path / "theirs" / f"images.{'bin' if binary else 'txt'}",
+    ):
+        back = formats.read(place)
+        for name, camera in CAMERAS.items():
+            np.testing.assert_allclose(image_points(back[name]), image_points(camera), atol=1e-9)
+
+
+def test_gltf_is_what_trimesh_reads_and_writes(tmp_path):
+    import trimesh
+
+    # trimesh keeps no camera of a file without geometry, so the camera joins a box of its own.
+    formats.write_gltf(tmp_path / "ours.gltf", {"base": BASE})
+    data = json.loads((tmp_path / "ours.gltf").read_text())
+    loader = trimesh.exchange.gltf
+    camera = loader._cam_from_gltf(data["cameras"][0])
+    np.testing.assert_allclose(camera.fov[1], np.rad2deg(0.7), rtol=1e-12)
+
+    scene = trimesh.Scene(trimesh.creation.box())
+    scene.camera = trimesh.scene.Camera(resolution=(64, 49), fov=(50, 40))
+    scene.camera_transform = np.array(data["nodes"][0]["matrix"]).reshape(4, 4).T
+    scene.export(tmp_path / "theirs.glb")
+    (back,) = formats.read(tmp_path / "theirs.glb", size=(64, 49)).values()
+    np.testing.assert_allclose(float(back.phi), np.deg2rad(40), rtol=1e-9)
+    assert max(map(float, pj.pose_error(back, BASE))) < 1e-6
+
+
+# Settings, and where Blender 4.5.15's `calc_matrix_camera` puts two points, in film coordinates;
+# Blender works in 32-bit floats.
+BLENDER = [
+    (("AUTO", 40, 30, 100, 1, 1), (11.428568, 6.785717, 17.941173, 20.44118)),
+    (("AUTO", 30, 41, 100, 1, 1), (6.214282, 12.080362, 12.889702, 26.07721)),
+    (("HORIZONTAL", 31, 40, 100, 1.5, 1), (8.85714, 10.450897, 13.904409, 26.325372)),
+    (("VERTICAL", 41, 30, 100, 1, 1.25), (10.455352, 4.01786, 20.224259, 20.404417)),
+    (("AUTO", 61, 51, 50, 1, 1.5), (6.964282, 7.366074, 13.06985, 15.900738)),
+]
+
+
+@pytest.mark.parametrize(("settings", "film"), BLENDER)
+def test_blender_recorded(tmp_path, settings, film):
+    fit, W, H, percentage, aspect_x, aspect_y = settings
+    fields = {
+        "lens": 40,
+        "sensor_width": 32,
+        "sensor_height": 20,
+        "sensor_fit": fit,
+        "shift_x": 0.125,
+        "shift_y": -0.0625,
+        "resolution_x": W,
+        "resolution_y": H,
+        "resolution_percentage": percentage,
+        "pixel_aspect_x": aspect_x,
+        "pixel_aspect_y": aspect_y,
+        "matrix_world": [[0, 0, 1, 4], [1, 0, 0, 0.5], [0, 1, 0, 0.25], [0, 0, 0, 1]],
+    }
+    (tmp_path / "b.json").write_text(json.dumps(fields))
+    camera = formats.read(tmp_path / "b.json")["camera"]
+    points = jnp.array([[0.5, 0.25, -0.5], [-0.25, 0.75, 0.5]])
+    np.testing.assert_allclose(pj.project(camera, points).ravel(), film, rtol=0, atol=1e-5)
+
+
+def test_the_script_makes_the_camera_in_blender():
+    bpy = pytest.importorskip("bpy")
+    for name, camera in CAMERAS.items():
+        exec(formats.to_blender_script({name: camera}), {})
+        bpy.context.view_layer.update()
+        made, render = bpy.context.scene.camera, bpy.context.scene.render
+        matrix = made.calc_matrix_camera(
+            bpy.context.evaluated_depsgraph_get(),
+            x=render.resolution_x,
+            y=render.resolution_y,
+            scale_x=render.pixel_aspect_x,
+            scale_y=render.pixel_aspect_y,
+        )
+        clip = np.array(matrix) @ np.linalg.inv(np.array(made.matrix_world))
+        q = np.c_[POINTS, np.ones(len(POINTS))] @ clip.T
+        x, y = (q[:, :2] / q[:, 3:] * [1, -1] + 1).T / 2
+        theirs = np.stack([x * camera.W, y * camera.H], axis=1)
+        np.testing.assert_allclose(theirs, image_points(camera), rtol=0, atol=2e-5)  # float32
+
+
+def test_the_script_is_python_that_says_what_the_json_says():
+    script = formats.to_blender_script({"crop": CROP})
+    values = {}
+    exec(script[script.index("RENDER") : script.index("scene =")], values)
+    settings = formats.to_blender(CROP)
+    (own, matrix) = values["CAMERAS"]["crop"]
+    assert {**own, **values["RENDER"], "matrix_world": matrix} == settings
+
+
+# What transform_points_screen of PyTorch3D 0.7.4 gave (in float64) for two points: focal_length
+# (1.75, 2) and principal_point (0.125, -0.25) in NDC; FoVPerspectiveCameras of 50 degrees and
+# aspect_ratio 1.25.
+PYTORCH3D = [
+    (
+        (40, 40),
+        (23.991935483870968, 25.0, 9.545454545454547, 17.727272727272727),
+        (26.364343118931593, 20.0, 12.201793016328878, 12.201793016328875),
+    ),
+    (
+        (31, 20),
+        (17.495967741935484, 12.5, 10.272727272727273, 8.863636363636363),
+        (18.682171559465797, 10.0, 11.600896508164439, 6.100896508164437),
+    ),
+    (
+        (21, 30),
+        (12.595766129032258, 17.625, 5.011363636363637, 13.806818181818182),
+        (13.841280137439085, 15.0, 6.4059413335726605, 10.90594133357266),
+    ),
+]
+
+
+@pytest.mark.parametrize(("size", "ndc", "fov"), PYTORCH3D)
+def test_pytorch3d_recorded(size, ndc, fov):
+    R, T = [[[-0.8, 0, -0.6], [0, 1, 0], [0.6, 0, -0.8]]], [[0.125, -0.25, 3]]
+    points = np.array([[0.5, 0.25, -0.5], [-0.25, 0.75, 0.5]])
+    H_W = size[::-1]
+    camera = formats.from_pytorch3d(
+        R, T, H_W, focal_length=[1.75, 2], principal_point=[0.125, -0.25]
+    )
+    np.testing.assert_allclose(image_points(camera, points).ravel(), ndc, atol=1e-12)
+    back = formats.from_pytorch3d(in_ndc=False, **formats.to_pytorch3d(camera))
+    np.testing.assert_allclose(image_points(back, points).ravel(), ndc, atol=1e-12)
+    camera = formats.from_pytorch3d(R, T, H_W, fov=np.deg2rad(50), aspect_ratio=1.25)
+    np.testing.assert_allclose(image_points(camera, points).ravel(), fov, atol=1e-12)
+
+
+def test_pytorch3d_projects_alike():
+    cameras = pytest.importorskip("pytorch3d.renderer.cameras")
+    import torch
+
+    for camera in CAMERAS.values():
+        arrays = {k: torch.as_tensor(v).float() for k, v in formats.to_pytorch3d(camera).items()}
+        points = torch.as_tensor(POINTS).float()
+        theirs = cameras.PerspectiveCameras(**arrays, in_ndc=False).transform_points_screen(points)
+        np.testing.assert_allclose(
+            theirs[..., :2].numpy().reshape(-1, 2), image_points(camera), rtol=0, atol=2e-4
+        )
+
+
+FILM = """<film type="hdrfilm"><integer name="width" value="9"/>
+<integer name="height" value="7"/>{crop}</film>"""
+CROPPED = "".join(
+    f'<integer name="crop_{name}" value="{value}"/>'
+    for name, value in {"offset_x": 2, "offset_y": 1, "width": 5, "height": 4}.items()
+)
+OFFSET = """<float name="principal_point_offset_x" value="0.125"/>
+<float name="principal_point_offset_y" value="-0.25"/>"""
+SENSORS = [
+    '<float name="fov" value="40"/>',
+    '<float name="fov" value="40"/><string name="fov_axis" value="y"/>',
+    '<float name="fov" value="40"/><string name="fov_axis" value="smaller"/>' + OFFSET,
+    '<float name="fov" value="40"/><string name="fov_axis" value="larger"/>',
+    '<float name="fov" value="40"/><string name="fov_axis" value="diagonal"/>' + OFFSET,
+    '<string name="focal_length" value="35mm"/>',
+    "",
+]
+TO_WORLD = """<transform name="to_world"><rotate value="0, 1, 0" angle="30"/>
+<rotate x="1" angle="-20"/><translate value="1, 2, -4"/></transform>"""
+
+
+def rays_agree(sensor, camera, eye, points):
+    """Each point lies on Mitsuba's ray through its image. Float32, so the pictures are small:
+    return the greatest distance in px."""
+    mitsuba = pytest.importorskip("mitsuba")
+    W, H = (int(n) for n in sensor.film().crop_size())
+    assert (camera.W, camera.H) == (W, H)
+    worst = 0.0
+    for point, (u, v) in zip(points, image_points(camera, points), strict=True):
+        ray, _ = sensor.sample_ray(0.0, 0.0, mitsuba.Point2f(u / W, v / H), mitsuba.Point2f(0.5))
+        start, direction = np.array(ray.o, float), np.array(ray.d, float)
+        assert np.linalg.norm(np.cross(direction, start - eye)) < 1e-6  # it starts a little ahead
+        ahead = (point - eye) / np.linalg.norm(point - eye)
+        off = np.linalg.norm(np.cross(direction, ahead))
+        worst = max(worst, off * float(H / 2 / np.tan(camera.phi / 2)))
+    return worst
+
+
+@pytest.mark.parametrize("crop", ["", CROPPED])
+def test_mitsuba_reads_scenes_alike(tmp_path, crop):
+    mitsuba = pytest.importorskip("mitsuba")
+    mitsuba.set_variant("scalar_rgb")
+    points = POINTS + np.array([0.8, 1, 0])
+    for sensor in SENSORS:
+        film = FILM.format(crop=crop)
+        text = f'<scene version="3.0.0"><sensor type="perspective">{sensor}{TO_WORLD}{film}'
+        (tmp_path / "scene.xml").write_text(text + "</sensor></scene>")
+        camera = formats.read(tmp_path / "scene.xml")["sensor"]
+        theirs = mitsuba.load_file(str(tmp_path / "scene.xml")).sensors()[0]
+        eye = np.asarray(camera.e)
+        assert rays_agree(theirs, camera, eye, points) < 5e-6, sensor
+
+
+def test_mitsuba_projects_alike(tmp_path):
+    mitsuba = pytest.importorskip("mitsuba")
+    mitsuba.set_variant("scalar_rgb")
+    small = formats.resized(BASE, 8, 6)
+    small = pj.Camera(small.e, small.p, small.u, small.phi, 1.0, 9, 7)
+    cameras = {"even & odd": small, "crop": formats.cropped(small, 1, -1, 6, 8)}
+    formats.write(tmp_path / "ours.xml", cameras)
+    sensors = mitsuba.load_file(str(tmp_path / "ours.xml")).sensors()
+    for sensor, camera in zip(sensors, cameras.values(), strict=True):
+        assert rays_agree(sensor, camera, np.asarray(camera.e), POINTS) < 5e-6
+
+
+def test_poses_that_opencv_wrote(shared, tmp_path):
+    """OpenCV's own calibration of 13 photos, its distortion struck out."""
+    cv2 = pytest.importorskip("cv2")
+    file = shared / "calib/opencv_chessboard/left_intrinsics.yml"
+    text = file.read_text().replace("distortion_coefficients", "struck_out")
+    (tmp_path / "left.yml").write_text(text)
+    cameras = formats.read(tmp_path / "left.yml")
+    assert list(cameras) == [str(k) for k in range(13)]
+    storage = cv2.FileStorage(str(file), cv2.FILE_STORAGE_READ)
+    K = storage.getNode("camera_matrix").mat()
+    corners = np.array([[0.025 * x, 0.025 * y, 0] for x in range(9) for y in range(6)])
+    poses = storage.getNode("extrinsic_parameters").mat()
+    for camera, pose in zip(cameras.values(), poses, strict=True):
+        theirs = cv2.projectPoints(corners, pose[:3], pose[3:], K, None)[0].reshape(-1, 2)
+        np.testing.assert_allclose(theirs + 0.5, image_points(camera, corners), rtol=0, atol=1e-9)
+
+
+def test_published_files(shared):
+    """NeRF's lego, and two files that are no camera to us, which is said."""
+    (camera,) = formats.read(
+        shared / "cameras/nerf_blender_lego/transforms_train.json", size=(800, 800)
+    ).values()
+    np.testing.assert_allclose(float(camera.phi), 0.6911112070083618, rtol=1e-12)
+    np.testing.assert_allclose(camera.e, [-0.05379832, 3.84547043, 1.20808232], atol=1e-8)
+    # The scene's middle is what it looks at.
+    np.testing.assert_allclose(pj.project(camera, jnp.zeros(3)), [400, 400], atol=20)
+    with pytest.raises(ValueError, match=r"`distortion`: expected none .* k1 = -0.266373, k2"):
+        formats.read(shared / "calib/opencv_chessboard/left_intrinsics.yml")
+    with pytest.raises(ValueError, match=r"`camera_matrix`: expected .* no such field"):
+        formats.read(shared / "photos/m3t_shampoo/color_camera.yaml")
