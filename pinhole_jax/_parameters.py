@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ._camera import Camera, camera_basis, focal_px, principal_point
@@ -82,7 +83,7 @@ def units(
     camera: Camera,
     pivot: Float[Array, "3"],
     radius: Float[Array, ""],
-    scale: Float[Array, ""],
+    scale: Float[Array, ""] | Float[np.ndarray, ""],
     free: tuple[str, ...],
 ) -> Float[Array, "n"]:
     """Return how much of each component moves the outline by about one pixel.
