@@ -31,6 +31,9 @@ from ._arrays import Numbers, float_array, float_dtype, is_concrete
 from ._lens import Lens
 from ._safe import normalize
 
+#: Pixels are counted in 32 bits, with some room beside the film.
+MOST_PIXELS = 1 << 30
+
 
 class Basis(NamedTuple):
     """Orthonormal camera axes in world coordinates: `b1` right, `b2` up, `v` forward."""
@@ -66,7 +69,8 @@ class Camera(eqx.Module):
 
     Raises ValueError where an argument has another shape or dtype than documented, is not finite,
     or makes no camera: `e` equal to `p`, `u` parallel to the view, `phi` outside (0, pi), `d <= 0`,
-    `W` or `H` below 1. Arguments that are being traced are checked for shape only.
+    `W` or `H` below 1, more than 2^30 pixels. Arguments that are being traced are checked for shape
+    only.
     """
 
     e: Float[Array, "3"]
@@ -97,6 +101,10 @@ class Camera(eqx.Module):
         self.d = float_array("d", d, (), dtype)
         self.W = _resolution("W", W)
         self.H = _resolution("H", H)
+        if self.W * self.H > MOST_PIXELS:
+            raise ValueError(
+                f"`W`, `H`: expected at most {MOST_PIXELS} pixels, got {self.W} x {self.H}"
+            )
         self.lens = None if lens is None else _cast(lens, dtype)
         if is_concrete(self.phi) and not 0 < float(self.phi) < np.pi:
             raise ValueError(f"`phi`: expected an angle in (0, pi) rad, got {float(self.phi)}")
@@ -168,8 +176,10 @@ def _resolution(name: str, value: Any) -> int:
         size = operator.index(value)
     except TypeError:
         raise ValueError(f"`{name}`: expected an integer of at least 1, got {value!r}") from None
-    if size < 1:
-        raise ValueError(f"`{name}`: expected an integer of at least 1, got {size}")
+    if size < 1 or isinstance(value, bool):
+        raise ValueError(f"`{name}`: expected an integer of at least 1, got {value}")
+    if size > MOST_PIXELS:
+        raise ValueError(f"`{name}`: expected at most {MOST_PIXELS} pixels, got more")
     return size
 
 

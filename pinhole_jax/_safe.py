@@ -39,3 +39,24 @@ def norm(vector: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
 def normalize(vector: Float[Array, "*batch n"]) -> Float[Array, "*batch n"]:
     """Return vector / |vector|; the null vector maps to itself, with derivative 0."""
     return safe_divide(vector, norm(vector)[..., None])
+
+
+def binary_scale(x: Float[Array, "..."]) -> Float[Array, ""]:
+    """Return a power of 2 that brings the largest entry's size to between 1/2 and 1; not
+    differentiated.
+
+    Products of what is scaled by it do not overflow, and nothing is rounded. 1 where all is 0.
+    """
+    x = jax.lax.stop_gradient(x)
+    return binary_inverse(jnp.max(jnp.abs(x), initial=0))
+
+
+def binary_inverse(size: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Return powers of 2 of which the products with the sizes are between 1/2 and 1, or nearly.
+
+    1 for sizes of 0 and for what is not finite.
+    """
+    size = jax.lax.stop_gradient(size)
+    most = -jnp.finfo(size.dtype).minexp - 1  # both the power and its inverse are normal numbers
+    exponent = jnp.where(jnp.isfinite(size), jnp.frexp(size)[1], 0)
+    return jnp.ldexp(jnp.ones_like(size), -jnp.clip(exponent, -most, most))
