@@ -29,12 +29,10 @@ def float_dtype(*values: Any) -> np.dtype:
     ]
     if not dtypes:
         return jnp.zeros(()).dtype
-    # Half precision cannot hold pixel coordinates: it is taken for float32.
-    return jax.dtypes.canonicalize_dtype(np.result_type(np.float32, *map(_at_least_single, dtypes)))
-
-
-def _at_least_single(dtype: Any) -> np.dtype:
-    return np.dtype(np.float32) if np.dtype(dtype).itemsize < 4 else np.dtype(dtype)
+    # Half precision cannot hold pixel coordinates: it is taken for float32. A long double is more
+    # than JAX knows: it is taken for float64.
+    double = any(np.dtype(dtype).itemsize > 4 for dtype in dtypes)
+    return jax.dtypes.canonicalize_dtype(np.float64 if double else np.float32)
 
 
 def float_array(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.dtype) -> Array:
@@ -59,6 +57,8 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.
             cast = np.asarray(array).astype(dtype)
         if not np.all(np.isfinite(cast)):
             raise ValueError(f"`{name}`: expected finite values, got {_first_bad(cast)}")
+        if not isinstance(array, jax.Array):
+            array = cast  # of a type that JAX knows: a long double is not
     return jnp.asarray(array, dtype)
 
 

@@ -23,13 +23,17 @@ import operator
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ._arrays import Numbers, float_array, float_dtype, is_concrete
 from ._lens import Lens
-from ._safe import normalize
+from ._safe import cross_of_difference, norm, normalize
+
+#: Pixels are counted in 32 bits, with some room beside the film.
+MOST_PIXELS = 1 << 30
 
 
 class Basis(NamedTuple):
@@ -46,7 +50,7 @@ def basis(e: Float[Array, "3"], p: Float[Array, "3"], u: Float[Array, "3"]) -> B
     With `e = p` or `u` parallel to the view there is no basis: its vectors are then null.
     """
     v = normalize(p - e)
-    b1 = normalize(jnp.cross(v, normalize(u)))
+    b1 = normalize(cross_of_difference(p, e, u))
     return Basis(b1, jnp.cross(b1, v), v)
 
 
@@ -66,7 +70,8 @@ class Camera(eqx.Module):
 
     Raises ValueError where an argument has another shape or dtype than documented, is not finite,
     or makes no camera: `e` equal to `p`, `u` parallel to the view, `phi` outside (0, pi), `d <= 0`,
-    `W` or `H` below 1. Arguments that are being traced are checked for shape only.
+    `W` or `H` below 1, more than 2^30 pixels. Arguments that are being traced are checked for shape
+    only.
     """
 
     e: Float[Array, "3"]
@@ -97,6 +102,10 @@ class Camera(eqx.Module):
         self.d = float_array("d", d, (), dtype)
         self.W = _resolution("W", W)
         self.H = _resolution("H", H)
+        if self.W * self.H > MOST_PIXELS:
+            raise ValueError(
+                f"`W`, `H`: expected at most {MOST_PIXELS} pixels, got {self.W} x {self.H}"
+            )
         self.lens = None if lens is None else _cast(lens, dtype)
         if is_concrete(self.phi) and not 0 < float(self.phi) < np.pi:
             raise ValueError(f"`phi`: expected an angle in (0, pi) rad, got {float(self.phi)}")
@@ -127,27 +136,45 @@ def principal_point(camera: Camera) -> Float[Array, "2"]:
 def to_camera(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
     """Return world points in camera coordinates: (right, up, forward) from the eye.
 
-    The eye is subtracted before anything else, so a scene far from the origin loses nothing more.
+    The eye (or the view point, if it is nearer) is subtracted before anything else, so a scene far
+    from the origin or from the eye loses nothing more.
     """
-    x, y, z = (points[..., k] - camera.e[k] for k in range(3))
-    axes = camera_basis(camera)
-    return jnp.stack([b[0] * x + b[1] * y + b[2] * z for b in axes], axis=-1)
+    axes = jnp.stack(camera_basis(camera))
+    far = norm(camera.p - camera.e)
+    base = jnp.stack([jnp.zeros_like(far), jnp.zeros_like(far), far])
+    return FilmMap(camera.e, camera.p, axes, base, camera.W, camera.H)(points)
 
 
 class FilmMap(eqx.Module):
     """World points to the film: `matrix (x - eye)` is (x z, y z, z), film coordinates times depth.
 
-    All that a contour needs of a camera, worked out once.
+    All that a contour needs of a camera, worked out once. Of points nearer to the view point than
+    to the eye what counts is their place beside the view point, whose film point is known (`base`):
+    so an object that is looked at from a distance keeps its digits.
     """
 
     eye: Float[Array, "3"]
+    view: Float[Array, "3"]
     matrix: Float[Array, "3 3"]
+    base: Float[Array, "3"]
     W: int = eqx.field(static=True)
     H: int = eqx.field(static=True)
 
     def __call__(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
         """Return the homogeneous film points (px times depth, depth) of world points."""
-        return self.turn(*(points[..., k] - self.eye[k] for k in range(3)))
+        from_eye, from_view = (
+            [points[..., k] - origin[k] for k in range(3)] for origin in (self.eye, self.view)
+        )
+        far, near = (
+            jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), jnp.abs(z))
+            for x, y, z in (from_eye, from_view)
+        )
+        there = jax.lax.stop_gradient(near < far)
+        offset = self.turn(
+            *(jnp.where(there, a, b) for a, b in zip(from_view, from_eye, strict=True))
+        )
+        base = jnp.stack([jnp.where(there, self.base[k], 0) for k in range(3)], axis=-1)
+        return offset + base
 
     def turn(self, x: Array, y: Array, z: Array) -> Float[Array, "*batch 3"]:
         """Return the homogeneous film points of directions from the eye."""
@@ -160,7 +187,8 @@ def film_map(camera: Camera) -> FilmMap:
     fx, fy = focal_px(camera)
     centre = principal_point(camera)
     matrix = jnp.stack([fx * b1 + centre[0] * v, fy * b2 + centre[1] * v, v])
-    return FilmMap(camera.e, matrix, camera.W, camera.H)
+    base = jnp.append(centre, jnp.ones(1, centre.dtype)) * norm(camera.p - camera.e)
+    return FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H)
 
 
 def _resolution(name: str, value: Any) -> int:
@@ -168,8 +196,10 @@ def _resolution(name: str, value: Any) -> int:
         size = operator.index(value)
     except TypeError:
         raise ValueError(f"`{name}`: expected an integer of at least 1, got {value!r}") from None
-    if size < 1:
-        raise ValueError(f"`{name}`: expected an integer of at least 1, got {size}")
+    if size < 1 or isinstance(value, bool):
+        raise ValueError(f"`{name}`: expected an integer of at least 1, got {value}")
+    if size > MOST_PIXELS:
+        raise ValueError(f"`{name}`: expected at most {MOST_PIXELS} pixels, got more")
     return size
 
 

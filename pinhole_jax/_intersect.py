@@ -109,10 +109,16 @@ def _around(p, q, r) -> Array:
 
 
 def _weighted(p, q, r) -> tuple[Array, Array]:
-    """Return depth and barycentric coordinates of the ray in a triangle that it sees."""
+    """Return depth and barycentric coordinates of the ray in a triangle that it sees.
+
+    Of a sliver rounding may leave nothing but signs that disagree: the ray is held within it.
+    """
     u, v, w = _edge(q, r), _edge(r, p), _edge(p, q)
+    sign = jnp.where(u + v + w < 0, -1, 1).astype(u.dtype)
+    u, v, w = (jnp.where(x * sign < 0, 0, x * sign) for x in (u, v, w))
     det = u + v + w
-    u, v, w = safe_divide(u, det), safe_divide(v, det), safe_divide(w, det)
+    flat = det == 0
+    u, v, w = (jnp.where(flat, 1 / 3, safe_divide(x, det)) for x in (u, v, w))
     return u * p[2] + v * q[2] + w * r[2], jnp.stack([u, v, w], axis=-1)
 
 

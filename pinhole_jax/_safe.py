@@ -39,3 +39,68 @@ def norm(vector: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
 def normalize(vector: Float[Array, "*batch n"]) -> Float[Array, "*batch n"]:
     """Return vector / |vector|; the null vector maps to itself, with derivative 0."""
     return safe_divide(vector, norm(vector)[..., None])
+
+
+def binary_scale(x: Float[Array, "..."]) -> Float[Array, ""]:
+    """Return a power of 2 that brings the largest entry's size to between 1/2 and 1; not
+    differentiated.
+
+    Products of what is scaled by it do not overflow, and nothing is rounded. 1 where all is 0.
+    """
+    x = jax.lax.stop_gradient(x)
+    return binary_inverse(jnp.max(jnp.abs(x), initial=0))
+
+
+def binary_inverse(size: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Return powers of 2 of which the products with the sizes are between 1/2 and 1, or nearly.
+
+    1 for sizes of 0 and for what is not finite.
+    """
+    size = jax.lax.stop_gradient(size)
+    most = -jnp.finfo(size.dtype).minexp - 1  # both the power and its inverse are normal numbers
+    exponent = jnp.where(jnp.isfinite(size), jnp.frexp(size)[1], 0)
+    return jnp.ldexp(jnp.ones_like(size), -jnp.clip(exponent, -most, most))
+
+
+def cross_of_difference(
+    head: Float[Array, "3"], tail: Float[Array, "3"], other: Float[Array, "3"]
+) -> Float[Array, "3"]:
+    """Return a vector along (head - tail) x other, right to rounding however parallel they are.
+
+    The rounding errors of difference and products are worked out (Knuth, Dekker) and added.
+    """
+    a, b = head - tail, other
+    scale_a, scale_b = (binary_inverse(jnp.max(jnp.abs(x))) for x in (a, b))
+    plain = jnp.cross(a * scale_a, b * scale_b)
+    head, tail, b = jax.lax.stop_gradient((head * scale_a, tail * scale_a, b * scale_b))
+    a = _held(head - tail)
+    back = _held(a - head)
+    low = (head - _held(a - back)) - (tail + back)
+
+    def pairs(x, y):
+        return jnp.roll(x, -1) * jnp.roll(y, 1), jnp.roll(x, 1) * jnp.roll(y, -1)
+
+    first, second = (_held(x) for x in pairs(a, b))
+    left = _product_error(jnp.roll(a, -1), jnp.roll(b, 1), first)
+    right = _product_error(jnp.roll(a, 1), jnp.roll(b, -1), second)
+    more, less = pairs(low, b)
+    exact = (first - second) + ((left - right) + (more - less))
+    return plain + (exact - jax.lax.stop_gradient(plain))
+
+
+def _product_error(x: Array, y: Array, product: Array) -> Array:
+    """Return x y - product, exactly (Dekker)."""
+    factor = 2.0 ** (-(jnp.finfo(x.dtype).nmant + 2) // -2) + 1
+
+    def halves(value):
+        large = _held(value * factor)
+        high = _held(large - _held(large - value))
+        return high, value - high
+
+    (xh, xl), (yh, yl) = halves(x), halves(y)
+    return ((xh * yh - product) + xh * yl + xl * yh) + xl * yl
+
+
+def _held(x: Array) -> Array:
+    """Return x, of which the compiler knows nothing: it is rounded as it is written."""
+    return jax.lax.optimization_barrier(x)

@@ -15,7 +15,7 @@ from ._bvh import Tree, mesh_tree, sphere_tree
 from ._intersect import perpendicular, ray_plane, ray_sphere
 from ._packets import first_met
 from ._rays import Rays
-from ._safe import norm, normalize
+from ._safe import binary_inverse, binary_scale, norm, normalize
 from ._scene import Mesh, Scene, Spheres, astype
 
 TILE = 4  # rays of an image are searched in packets of TILE x TILE
@@ -43,6 +43,10 @@ def trace(scene: Scene, rays: Rays) -> Hit:
     Differentiable in the rays and in the scene, where the hit primitive stays the same. Watertight:
     no ray passes between two faces that share an edge. `t` counts in lengths of the direction.
     A ray from inside a sphere meets its far wall.
+
+    A unit of length changes nothing: sizes may be anything whose distances are finite numbers. Less
+    than 1e-18 of the scene's largest coordinate (float32; 1e-153 in float64) is not seen. A ray
+    that is not finite, or without a direction, misses.
     """
     return _hits(scene, rays, _find(scene, rays))
 
@@ -62,12 +66,28 @@ def _find(scene: Scene, rays: Rays) -> tuple[Int[Array, "*batch"], Int[Array, "*
     scene, rays = jax.lax.stop_gradient((scene, rays))
     scene = astype(scene, rays.direction.dtype)
     flat, _, shape = _flatten(rays)
+    # Exact, and then the products of coordinates neither overflow nor vanish.
+    scene, scale = _to_unit_size(scene)
+    flat = Rays(flat.origin * scale, flat.direction)
     face = sphere = jnp.full(shape, -1, jnp.int32)
     if scene.mesh is not None and scene.mesh.faces.shape[0]:
         face = _search(mesh_tree(scene.mesh), flat, shape)
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
         sphere = _search(sphere_tree(scene.spheres), flat, shape)
     return face, sphere
+
+
+def _to_unit_size(scene: Scene) -> tuple[Scene, Float[Array, ""]]:
+    """Return the scene in a unit of length about its largest coordinate's size, and the factor."""
+    leaves = [] if scene.mesh is None else [scene.mesh.vertices]
+    leaves += [] if scene.spheres is None else [scene.spheres.centers, scene.spheres.radii]
+    sizes = [jnp.max(jnp.abs(x), initial=0) for x in leaves]
+    scale = binary_scale(jnp.stack(sizes)) if sizes else jnp.ones(())
+    where = lambda s: [
+        *([] if s.mesh is None else [s.mesh.vertices]),
+        *([] if s.spheres is None else [s.spheres.centers, s.spheres.radii]),
+    ]
+    return eqx.tree_at(where, scene, [x * scale for x in where(scene)]), scale
 
 
 @eqx.filter_jit
@@ -120,22 +140,41 @@ def _miss(rays: Rays) -> Hit:
 
 def _meet_face(mesh: Mesh, rays: Rays, face: Int[Array, "N"]) -> Hit:
     """Return the hits of rays with the faces that they are known to meet (-1: none)."""
-    a, b, c = (mesh.vertices[mesh.faces[jnp.maximum(face, 0), k]] for k in range(3))
+    corners = mesh.vertices[mesh.faces[jnp.maximum(face, 0)]]
+    corners, scale, met = _from_origin(corners, rays, face >= 0)
+    a, b, c = (corners[:, k] for k in range(3))
     axes = perpendicular(rays.direction)
-    t, barycentric = ray_plane(rays.origin, rays.direction, axes, a, b, c)
-    normal = normalize(jnp.cross(b - a, c - a))
-    return _choose(face >= 0, Hit(t, face, barycentric, normal), _miss(rays))
+    origin = jnp.zeros_like(rays.direction)
+    t, barycentric = ray_plane(origin, rays.direction, axes, a, b, c)
+    sides = jnp.stack([b - a, c - a], axis=1)
+    sides = sides * binary_inverse(jnp.max(jnp.abs(sides), axis=(1, 2)))[:, None, None]
+    normal = normalize(jnp.cross(sides[:, 0], sides[:, 1]))
+    return _choose(met, Hit(t / scale, face, barycentric, normal), _miss(rays))
 
 
 def _meet_sphere(spheres: Spheres, rays: Rays, sphere: Int[Array, "N"], first: int) -> Hit:
     """Return the hits of rays with the spheres that they are known to meet (-1: none)."""
     index = jnp.maximum(sphere, 0)
-    center, radius = spheres.centers[index], spheres.radii[index]
-    t, barycentric = ray_sphere(rays.origin, rays.direction, center, radius)
-    met = (sphere >= 0) & jnp.isfinite(t)
+    center, scale, met = _from_origin(spheres.centers[index][:, None], rays, sphere >= 0)
+    center, radius = center[:, 0], spheres.radii[index] * scale
+    t, barycentric = ray_sphere(jnp.zeros_like(center), rays.direction, center, radius)
+    met &= jnp.isfinite(t)
     finite = jnp.where(met, t, 0)
-    normal = normalize(rays.origin + finite[:, None] * rays.direction - center)
-    return _choose(met, Hit(t, first + sphere, barycentric, normal), _miss(rays))
+    normal = normalize(finite[:, None] * rays.direction - center)
+    return _choose(met, Hit(finite / scale, first + sphere, barycentric, normal), _miss(rays))
+
+
+def _from_origin(
+    points: Float[Array, "N k 3"], rays: Rays, met: Bool[Array, "N"]
+) -> tuple[Float[Array, "N k 3"], Float[Array, "N"], Bool[Array, "N"]]:
+    """Return points as the rays' origins see them, times a power of 2 for each ray that brings them
+    to about 1, that power, and whether the ray meets what it sees; harmless points if it does not.
+    """
+    points = points - rays.origin[:, None]
+    far = jnp.max(jnp.abs(points), axis=(1, 2))
+    met = met & jnp.isfinite(far) & jnp.all(jnp.isfinite(rays.direction), axis=1)
+    scale = binary_inverse(far)
+    return jnp.where(met[:, None, None], points * scale[:, None, None], 1), scale, met
 
 
 def _nearer(a: Hit, b: Hit) -> Hit:

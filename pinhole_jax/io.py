@@ -2,7 +2,9 @@
 
 import json
 import os
+import re
 import tempfile
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,8 @@ from ._lens import Lens
 from ._scene import Mesh
 
 MESH_ENDINGS = (".obj", ".ply", ".stl", ".glb", ".gltf", ".off")
+#: A glTF accessor of more entries than this has to bring its data (without, it stands for zeros).
+MOST_WITHOUT_DATA = 1 << 20
 
 
 def load_mesh(path: str | os.PathLike) -> Mesh:
@@ -22,33 +26,34 @@ def load_mesh(path: str | os.PathLike) -> Mesh:
     Scenes of several geometries are put together with their node transforms, polygons are
     triangulated, and vertices at exactly the same place are merged so that faces share edges.
 
-    Raises FileNotFoundError, or ValueError where the file is no mesh, has no faces, has vertices
-    that are not finite, or faces that name vertices it does not have.
+    Raises FileNotFoundError, or ValueError where the file is no mesh, has no faces, fewer than its
+    header says, vertices that are not finite, or faces that name vertices it does not have.
     """
     import trimesh
 
-    file = Path(path)
-    if not file.exists():
-        raise FileNotFoundError(f"`path`: expected a mesh file, got {str(path)!r}: no such file")
-    if file.is_dir():
-        raise ValueError(f"`path`: expected a mesh file, got {str(path)!r}: a folder")
+    file = _existing(path, "a mesh file")
     if file.suffix.lower() not in MESH_ENDINGS:
         raise ValueError(f"`path`: expected one of {', '.join(MESH_ENDINGS)}, got {file.name!r}")
     if file.stat().st_size == 0:
         raise ValueError(f"`path`: expected a mesh file, got {str(path)!r}: empty")
     try:
+        least = _promised_faces(file)
         scene = trimesh.load_scene(file, process=False, maintain_order=True)
         parts = [g for g in scene.dump() if isinstance(g, trimesh.Trimesh)]
     except Exception as error:  # the readers raise whatever they meet
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ValueError(
-            f"`path`: expected a readable mesh, got {str(path)!r}: {reason}"
+            f"`path`: expected a readable mesh, got {str(path)!r}: {_reason(error)}"
         ) from error
     vertices = [np.asarray(g.vertices, float).reshape(-1, 3) for g in parts]
     faces = [np.asarray(g.faces).reshape(-1, 3) for g in parts]
     offsets = np.cumsum([0, *(len(v) for v in vertices)])
-    if sum(len(f) for f in faces) == 0:
+    number = sum(len(f) for f in faces)
+    if number == 0:
         raise ValueError(f"`path`: expected a mesh with faces, got {str(path)!r}: none")
+    if number < least:
+        raise ValueError(
+            f"`path`: expected the {least} faces of its header, got {str(path)!r}: {number}"
+        )
     for own, face in zip(vertices, faces, strict=True):
         if face.size and not (face.min() >= 0 and face.max() < len(own)):
             raise ValueError(
@@ -61,32 +66,42 @@ def load_mesh(path: str | os.PathLike) -> Mesh:
     if not np.all(np.isfinite(used)):
         raise ValueError(f"`path`: expected finite vertices, got {str(path)!r}: NaN or infinity")
     merged, place = np.unique(used.reshape(-1, 3), axis=0, return_inverse=True)
-    return Mesh(merged, place.reshape(-1, 3))
+    try:
+        return Mesh(merged, place.reshape(-1, 3))
+    except ValueError as error:  # too large for float32
+        raise ValueError(f"{error} (in {str(path)!r})") from error
 
 
 def load_image(path: str | os.PathLike) -> np.ndarray:
     """Return an image file as uint8: (H, W) if it is grey, else (H, W, 3) or (H, W, 4).
 
-    Raises FileNotFoundError, or ValueError where the file is no image that can be read.
-    """
-    from PIL import Image, UnidentifiedImageError
+    Grey values of more than 8 bits are scaled so that the largest is 255; negative ones become 0.
 
-    file = Path(path)
-    if not file.exists():
-        raise FileNotFoundError(f"`path`: expected an image file, got {str(path)!r}: no such file")
+    Raises FileNotFoundError, or ValueError where the file is no image that can be read, has values
+    that are not finite, or more than some 179 million pixels (Pillow's limit).
+    """
+    from PIL import Image
+
+    file = _existing(path, "an image file")
     try:
-        with Image.open(file) as image:
-            mode = "L" if image.mode in ("1", "L", "I", "I;16", "F") else "RGB"
-            if image.mode in ("I", "I;16", "F"):
-                values = np.asarray(image, float)
-                return (255 * (values / max(float(values.max()), 1))).round().astype(np.uint8)
+        # What Pillow warns of (sizes it would still read, odd metadata) is no harm here.
+        with warnings.catch_warnings(action="ignore"), Image.open(file) as image:
+            mode = "L" if image.mode in ("1", "L") else "RGB"
+            if image.mode.startswith(("I", "F")):
+                return _eight_bits(np.asarray(image, float))
             if image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info:
                 mode = "RGBA"
             return np.array(image.convert(mode))
-    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
+    except Exception as error:  # the readers raise whatever they meet
         raise ValueError(
-            f"`path`: expected a readable image, got {str(path)!r}: {error}"
+            f"`path`: expected a readable image, got {str(path)!r}: {_reason(error)}"
         ) from error
+
+
+def _eight_bits(values: np.ndarray) -> np.ndarray:
+    if not np.all(np.isfinite(values)):
+        raise ValueError("NaN or infinity")
+    return np.round(255 * (np.maximum(values, 0) / max(float(values.max()), 1))).astype(np.uint8)
 
 
 def load_mask(path: str | os.PathLike) -> np.ndarray:
@@ -112,13 +127,29 @@ def load_mask(path: str | os.PathLike) -> np.ndarray:
 
 
 def save_image(path: str | os.PathLike, image: np.ndarray) -> None:
-    """Write a uint8 image, or floats in [0, 1] as 8 bits; (H, W) or (H, W, 3), by file ending."""
+    """Write a uint8 image, or bool or floats in [0, 1] as 8 bits, by the path's ending.
+
+    The shape is (H, W), (H, W, 3), or (H, W, 4) with transparency. Floats beyond [0, 1] are
+    clipped.
+
+    Raises ValueError for other shapes and types, for values that are not finite, and for a path
+    that cannot be written.
+    """
     from PIL import Image
 
     array = np.asarray(image)
-    if array.dtype != np.uint8:
-        array = np.round(np.clip(array, 0, 1) * 255).astype(np.uint8)
-    suffix = Path(path).suffix or ".png"
+    shown = array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (3, 4))
+    if not shown or 0 in array.shape:
+        raise ValueError(f"`image`: expected shape (H, W), (H, W, 3 or 4), got {array.shape}")
+    if array.dtype == bool or np.issubdtype(array.dtype, np.floating):
+        if not np.all(np.isfinite(array)):
+            raise ValueError("`image`: expected finite values, got NaN or infinity")
+        array = np.round(np.clip(array.astype(float), 0, 1) * 255).astype(np.uint8)
+    elif array.dtype != np.uint8:
+        raise ValueError(f"`image`: expected dtype bool, uint8 or float, got {array.dtype}")
+    suffix = _path(path).suffix or ".png"
+    if suffix.lower() not in Image.registered_extensions():
+        raise ValueError(f"`path`: expected the ending of an image format, got {suffix!r}")
     replace_file(path, lambda temporary: Image.fromarray(array).save(temporary), suffix)
 
 
@@ -176,15 +207,28 @@ def camera_from_dict(data: Any) -> Camera:
     if lens is not None:
         if not isinstance(lens, dict) or "principal_point" not in lens:
             raise ValueError(f"`lens`: expected principal_point and aspect, got {lens!r}")
+        if unknown := sorted(set(lens) - {"principal_point", "aspect"}):
+            raise ValueError(f"`lens`: expected principal_point and aspect, got also {unknown}")
         lens = Lens(lens["principal_point"], lens.get("aspect", 1.0))
     numbers = (data["e"], data["p"], data["u"], data["phi"], data.get("d", 1.0))
     return Camera(*numbers, data["W"], data["H"], lens)
 
 
 def save_camera(path: str | os.PathLike, camera: Camera, **more: Any) -> None:
-    """Write a camera as JSON (see `camera_to_dict`); `more` are further fields."""
-    text = json.dumps({**camera_to_dict(camera), **more}, indent=1, allow_nan=False) + "\n"
-    replace_file(path, lambda temporary: temporary.write_text(text), ".json")
+    """Write a camera as JSON (see `camera_to_dict`); `more` are further fields.
+
+    Raises ValueError for what is no camera, fields that JSON cannot hold (NaN is one), and a path
+    that cannot be written.
+    """
+    if not isinstance(camera, Camera):
+        raise ValueError(f"`camera`: expected a Camera, got {type(camera).__name__}")
+    try:
+        text = json.dumps({**camera_to_dict(camera), **more}, indent=1, allow_nan=False) + "\n"
+    except (TypeError, ValueError, RecursionError) as error:
+        raise ValueError(
+            f"`more`: expected what JSON can hold, got {sorted(more)}: {error}"
+        ) from error
+    replace_file(path, lambda temporary: temporary.write_text(text, encoding="utf-8"), ".json")
 
 
 def load_camera(path: str | os.PathLike) -> Camera:
@@ -192,12 +236,10 @@ def load_camera(path: str | os.PathLike) -> Camera:
 
     Raises FileNotFoundError, or ValueError naming the field that is missing or wrong.
     """
-    file = Path(path)
-    if not file.exists():
-        raise FileNotFoundError(f"`path`: expected a camera file, got {str(path)!r}: no such file")
+    file = _existing(path, "a camera file")
     try:
-        data = json.loads(file.read_text())
-    except (OSError, ValueError) as error:
+        data = json.loads(file.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
         raise ValueError(f"`path`: expected JSON, got {str(path)!r}: {error}") from error
     try:
         return camera_from_dict(data)
@@ -209,11 +251,86 @@ def _numbers(array: Any) -> list[float]:
     return [float(x) for x in np.asarray(array)]
 
 
+def _path(path: Any) -> Path:
+    try:
+        return Path(path)
+    except TypeError:
+        raise ValueError(f"`path`: expected a path, got {type(path).__name__}") from None
+
+
+def _existing(path: Any, kind: str) -> Path:
+    """Return the path of a file to read, or raise: a pipe would hang, a device never end."""
+    file = _path(path)
+    try:
+        if not file.exists():
+            raise FileNotFoundError(f"`path`: expected {kind}, got {str(path)!r}: no such file")
+        regular, folder = file.is_file(), file.is_dir()
+    except FileNotFoundError:
+        raise
+    except OSError as error:  # no permission, a name too long
+        raise ValueError(
+            f"`path`: expected {kind}, got {str(path)[:99]!r}: {error.strerror}"
+        ) from error
+    if not regular:
+        what = "a folder" if folder else "not a regular file"
+        raise ValueError(f"`path`: expected {kind}, got {str(path)!r}: {what}")
+    return file
+
+
+def _reason(error: Exception) -> str:
+    """Return the first line of what a reader of files raised."""
+    if isinstance(error, ModuleNotFoundError) and error.name in ("chardet", "charset_normalizer"):
+        return "bytes that are no text in UTF-8"
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+def _promised_faces(file: Path) -> int:
+    """Return how many faces a file's header promises (0: it does not say), or raise ValueError.
+
+    What trimesh does not check: it drops what is missing at a text's end, takes the index 0 of an
+    obj file for the last vertex, and makes room for glTF data that is not there.
+    """
+    kind = file.suffix.lower()
+    if kind == ".ply":
+        with file.open("rb") as stream:
+            header = stream.read(1 << 16).partition(b"end_header")[0]
+        found = re.search(rb"^element[ \t]+face[ \t]+(\d+)", header, re.MULTILINE)
+        return int(found[1]) if found else 0
+    if kind == ".off":
+        with file.open("rb") as stream:
+            header = re.sub(rb"#[^\n]*", b"", stream.read(1 << 16))
+        found = re.match(rb"\s*\w*OFF\s+\d+\s+(\d+)", header)
+        return int(found[1]) if found else 0
+    if kind == ".obj" and re.search(
+        rb"^[ \t]*f[^\n]*[ \t]0+[/\s]", file.read_bytes(), re.MULTILINE
+    ):
+        raise ValueError("a face with the vertex 0; they are counted from 1")
+    if kind in (".gltf", ".glb"):
+        _check_accessors(file)
+    return 0
+
+
+def _check_accessors(file: Path) -> None:
+    text = file.read_bytes()
+    if file.suffix.lower() == ".glb":
+        text = text[20 : 20 + int.from_bytes(text[12:16], "little")]
+    for accessor in json.loads(text).get("accessors", []):
+        if "bufferView" not in accessor and not 0 <= accessor["count"] <= MOST_WITHOUT_DATA:
+            raise ValueError(f"{accessor['count']} numbers with no data")
+
+
 def replace_file(path: str | os.PathLike, write: Callable[[Path], Any], suffix: str) -> None:
     """Write to a temporary file beside the path, then rename it: never half a file."""
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(suffix=suffix, dir=target.parent)
+    target = _path(path)
+    if target.is_dir():
+        raise ValueError(f"`path`: expected a file to write, got {str(path)!r}: a folder")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(suffix=suffix, dir=target.parent)
+    except OSError as error:
+        raise ValueError(
+            f"`path`: expected a file to write, got {str(path)!r}: {error.strerror}"
+        ) from error
     os.close(handle)
     temporary = Path(name)
     try:
@@ -222,5 +339,9 @@ def replace_file(path: str | os.PathLike, write: Callable[[Path], Any], suffix: 
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
         temporary.replace(target)
+    except (OSError, ValueError, OverflowError) as error:  # a full disk, a format's limits
+        raise ValueError(
+            f"`path`: expected a file to write, got {str(path)!r}: {_reason(error)}"
+        ) from error
     finally:
         temporary.unlink(missing_ok=True)

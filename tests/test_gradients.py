@@ -133,7 +133,8 @@ def test_sphere_gradients_equal_central_differences():
 def test_frozen_leaves_cost_no_derivative(mesh):
     """What does not move is no input of the linear map: its derivative is not computed.
 
-    A camera enters by two arrays, eye and film matrix, of which phi moves one; a mesh by one more.
+    A camera enters by four arrays, eye, view point, film matrix and where the view point is, of
+    which phi moves one; a mesh by one more.
     """
     scene = pj.Scene(mesh=mesh)
 
@@ -151,9 +152,9 @@ def test_frozen_leaves_cost_no_derivative(mesh):
     phi = lambda x: pj.silhouette(with_value(CAMERA, "phi", x), scene)
     assert inputs(phi, CAMERA.phi) == 1
     everything = lambda c: pj.silhouette(c, scene)
-    assert inputs(everything, CAMERA) == 2
+    assert inputs(everything, CAMERA) == 4
     moving = lambda x: pj.silhouette(x[0], pj.Scene(mesh=pj.Mesh(x[1], mesh.faces)))
-    assert inputs(moving, (CAMERA, mesh.vertices)) == 3
+    assert inputs(moving, (CAMERA, mesh.vertices)) == 5
 
 
 def test_a_second_derivative_is_refused_in_words(mesh):

@@ -1,0 +1,383 @@
+"""How hard is it to break? Coverage under stress against projections in extended precision.
+
+Each case draws scenes and cameras at some extreme, rounds them to float32 and to float64, and takes
+what is rounded as exact: the oracle projects triangles in 60 digits, clips them in 80 bits and
+unites polygons with shapely. The error is the worst pixel's, in machine epsilons. A case holds where it is
+below `LIMIT` epsilons (1 epsilon is 1e-7 px^2 in float32, 2e-16 in float64).
+"""
+
+import decimal
+from collections.abc import Callable, Iterator
+from decimal import Decimal
+from pathlib import Path
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import shapely
+import trimesh
+from _common import run, trials
+
+import pinhole_jax as pj
+
+W, H = 24, 18
+LIMIT = 256.0
+TYPES = {"float32": np.float32, "float64": np.float64}
+Exact = np.longdouble
+decimal.getcontext().prec = 60
+
+
+class View(NamedTuple):
+    """A scene of triangles, a camera, and how hard they are: the stress parameter."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    e: np.ndarray
+    p: np.ndarray
+    u: np.ndarray
+    phi: float
+    d: float
+    stress: float
+    unit: float = 1.0  # epsilons that rounding the film points themselves is worth
+
+
+SHAPES = [
+    (np.asarray(shape.vertices), np.asarray(shape.faces))
+    for shape in (
+        trimesh.creation.icosphere(1),
+        trimesh.creation.box(),
+        trimesh.Trimesh([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]],
+                        [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]),
+    )
+]  # fmt: skip
+
+
+def direction(random: np.random.Generator) -> np.ndarray:
+    x = random.normal(size=3)
+    return x / np.linalg.norm(x)
+
+
+def usual(random: np.random.Generator, stress: float = 1.0, far: float = 0.0) -> View:
+    """Return a view of a shape of size about 1 from some 3 to 6 sizes away."""
+    vertices, faces = SHAPES[random.integers(len(SHAPES))]
+    turned = vertices @ np.linalg.qr(random.normal(size=(3, 3)))[0]
+    eye = direction(random) * random.uniform(3, 6)
+    phi = 2 * np.arctan(random.uniform(0.9, 2) / np.linalg.norm(eye))
+    aim, up = 0.2 * random.normal(size=3), direction(random)
+    return View(turned + far, faces, eye + far, aim + far, up, phi, 1.0, stress)
+
+
+def log_uniform(random: np.random.Generator, low: float, high: float) -> float:
+    return float(10 ** random.uniform(np.log10(low), np.log10(high)))
+
+
+def size(random: np.random.Generator) -> View:
+    s = log_uniform(random, 1e-8, 1e8)
+    v = usual(random, s)
+    return v._replace(vertices=v.vertices * s, e=v.e * s, p=v.p * s, d=s)
+
+
+def distance(random: np.random.Generator) -> View:
+    """From 1e1 to 1e8 sizes away, with the field of view to match."""
+    v, s = usual(random), log_uniform(random, 10, 1e8)
+    eye = v.e * s / np.linalg.norm(v.e)
+    return v._replace(e=eye, phi=2 * np.arctan(random.uniform(0.9, 2) / s), stress=s)
+
+
+def offset(random: np.random.Generator) -> View:
+    """The world's origin up to 1e6 sizes away, the camera near the object."""
+    s = log_uniform(random, 1, 1e6)
+    v = usual(random, s)
+    away = direction(random) * s
+    return v._replace(vertices=v.vertices + away, e=v.e + away, p=v.p + away)
+
+
+def close(random: np.random.Generator) -> View:
+    """The eye 1e-8 to 1 above the surface of the icosphere's inscribed ball, or within."""
+    v, s = usual(random), log_uniform(random, 1e-8, 1)
+    vertices, faces = SHAPES[0]
+    middle = vertices[faces].mean(axis=1)[random.integers(len(faces))]
+    eye = middle * (1 + s * random.choice([-1, 1]))
+    return v._replace(
+        vertices=vertices, faces=faces, e=eye, p=eye + direction(random),
+        phi=random.uniform(0.5, 2), stress=1 / s,
+    )  # fmt: skip
+
+
+def pole(random: np.random.Generator) -> View:
+    """The up direction 1e-1 to 1e-12 rad off the view direction."""
+    s = log_uniform(random, 1e-12, 1e-1)
+    v = usual(random, 1 / s)
+    ahead = (v.p - v.e) / np.linalg.norm(v.p - v.e)
+    return v._replace(u=ahead + s * np.cross(ahead, v.u) / np.linalg.norm(np.cross(ahead, v.u)))
+
+
+def short_view(random: np.random.Generator) -> View:
+    """The view point as near as 1e-12 to the eye."""
+    s = log_uniform(random, 1e-12, 1)
+    v = usual(random, 1 / s)
+    return v._replace(p=v.e + s * (v.p - v.e) / np.linalg.norm(v.p - v.e))
+
+
+def narrow(random: np.random.Generator) -> View:
+    s = log_uniform(random, 1e-6, 1)
+    v = usual(random, 1 / s)
+    eye = v.e / np.linalg.norm(v.e) / np.tan(s / 2) * random.uniform(1, 2)
+    return v._replace(e=eye, p=v.p, phi=s)
+
+
+def wide(random: np.random.Generator) -> View:
+    s = log_uniform(random, 1e-6, 1)
+    return usual(random, 1 / s)._replace(phi=np.pi - s)
+
+
+def constant(random: np.random.Generator) -> View:
+    s = log_uniform(random, 1e-12, 1e12)
+    return usual(random, s)._replace(d=s)
+
+
+def inside(random: np.random.Generator) -> View:
+    v = usual(random)
+    return v._replace(
+        e=0.1 * random.normal(size=3), p=direction(random), phi=random.uniform(0.5, 2)
+    )
+
+
+def on_vertex_plane(random: np.random.Generator) -> View:
+    """Vertices in the plane of the eye, others behind it."""
+    vertices, faces = SHAPES[1]
+    eye = np.array([random.uniform(-2, 2), random.uniform(-2, 2), 0.5])
+    return usual(random)._replace(
+        vertices=vertices, faces=faces, e=eye, p=eye - [0, 0, 1], phi=random.uniform(0.5, 2.5)
+    )
+
+
+def in_face_plane(random: np.random.Generator) -> View:
+    vertices, faces = SHAPES[1]
+    eye = np.array([random.uniform(2, 4), random.uniform(-0.4, 0.4), 0.5])
+    return usual(random)._replace(vertices=vertices, faces=faces, e=eye, p=np.zeros(3), phi=0.7)
+
+
+def on_the_grid(random: np.random.Generator) -> View:
+    """A box whose outline runs along pixel rows and columns and through their corners."""
+    vertices, faces = SHAPES[1]
+    vertices = vertices * [*random.integers(1, 12, 2), 1.0] - [0, 0, 0.5]
+    px = [*random.integers(-3, 4, 2), 0.0]
+    return usual(random)._replace(
+        vertices=vertices + px, faces=faces, e=np.array([0, 0, 9.0]), p=np.zeros(3),
+        u=np.array([0, 1.0, 0]), phi=np.pi / 2,
+    )  # fmt: skip
+
+
+def tiny_edges(random: np.random.Generator) -> View:
+    """All edges shorter than a pixel, down to 1e-7 px."""
+    v, s = usual(random), log_uniform(random, 1e-7, 1)
+    return v._replace(vertices=v.p + v.vertices * s / 20, stress=1 / s)
+
+
+def huge_edges(random: np.random.Generator) -> View:
+    """A triangle with edges of up to 1e7 px, across the film."""
+    s = log_uniform(random, 1, 1e6)
+    v = usual(random, s)
+    ahead = (v.p - v.e) / np.linalg.norm(v.p - v.e)
+    side = np.cross(ahead, direction(random))
+    middle = v.p + 0.3 * random.normal(size=3)
+    corners = [middle + side, middle - s * side, middle + s * np.cross(ahead, side)]
+    faces = np.array([[0, 1, 2]])
+    return v._replace(vertices=np.array(corners), faces=faces, unit=s)
+
+
+def slivers(random: np.random.Generator) -> View:
+    """Triangles 1e-12 to 1e-1 wide, on their own."""
+    s = log_uniform(random, 1e-12, 1e-1)
+    v = usual(random, 1 / s)
+    a, b = random.uniform(-1, 1, (2, 10, 3))
+    t = random.random((10, 1))
+    c = a + t * (b - a) + s * random.normal(size=(10, 3))
+    return v._replace(vertices=np.stack([a, b, c], 1).reshape(-1, 3),
+                      faces=np.arange(30).reshape(-1, 3))  # fmt: skip
+
+
+def degenerate(random: np.random.Generator) -> View:
+    """Faces of no area, faces twice, vertices twice, a T-junction."""
+    v = usual(random)
+    n, f = len(v.vertices), v.faces
+    middle = v.vertices[f[0, :2]].mean(axis=0, keepdims=True)
+    more = [[0, 0, 1], [2, 2, 2], [0, 1, 0], [f[0, 0], n, f[0, 2]]]
+    faces = np.concatenate([f, f[: len(f) // 2], f[:2] + n + 1, more])
+    return v._replace(vertices=np.concatenate([v.vertices, middle, v.vertices]), faces=faces)
+
+
+CASES: dict[str, Callable[[np.random.Generator], View]] = {
+    "size 1e-8 to 1e8": size,
+    "distance 1e1 to 1e8 sizes": distance,
+    "world offset to 1e6 sizes": offset,
+    "eye 1e-8 to 1 from a face": close,
+    "up 1e-1 to 1e-12 rad off the view": pole,
+    "view point to 1e-12 from the eye": short_view,
+    "phi 1e-6 to 1": narrow,
+    "phi to pi - 1e-6": wide,
+    "d 1e-12 to 1e12": constant,
+    "eye inside": inside,
+    "vertices in the eye's plane": on_vertex_plane,
+    "eye in a face's plane": in_face_plane,
+    "outline on the pixel grid": on_the_grid,
+    "edges of 1e-7 to 1 px": tiny_edges,
+    "edges of 1 to 1e7 px": huge_edges,
+    "slivers 1e-12 to 1e-1 wide": slivers,
+    "faces and vertices twice, no area": degenerate,
+}
+
+
+def rounded(view: View, dtype: type) -> tuple[pj.Camera, np.ndarray]:
+    """Return camera and vertices in a float type."""
+    numbers = (np.asarray(x, dtype) for x in view[2:7])
+    return pj.Camera(*numbers, W, H), view.vertices.astype(dtype)
+
+
+def scene_of(vertices: np.ndarray, faces: np.ndarray, room: int = 256) -> pj.Scene:
+    """Return the scene with arrays of one size, so that all share one program."""
+    pad = lambda x, with_: np.concatenate([x, np.repeat(with_, room - len(x), 0)])
+    mesh = pj.Mesh(pad(vertices, vertices[:1]), pad(faces, np.zeros((1, 3), int)))
+    edges = lambda m: (m.edge_vertices, m.edge_faces)
+    fill = lambda x: jnp.pad(x, ((0, 2 * room - x.shape[0]), (0, 0)))
+    return pj.Scene(mesh=eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh)))))
+
+
+def decimals(x: np.ndarray) -> np.ndarray:
+    """Return what a float stands for, exactly."""
+    return np.vectorize(lambda v: Decimal(float(v)), otypes=[object])(np.asarray(x))
+
+
+def film_points(camera: pj.Camera, points: np.ndarray) -> np.ndarray:
+    """Return (x z, y z, z), by the equations of Frisvad's note in decimals of 60 digits."""
+    e, p, u = (decimals(x) for x in (camera.e, camera.p, camera.u))
+    unit = lambda x: x / (x @ x).sqrt()
+    v = unit(p - e)
+    b1 = unit(np.cross(v, u))
+    axes = np.stack([b1, np.cross(b1, v), v])
+    x, y, z = axes @ (decimals(points) - e).T
+    tangent = np.tan(Exact(float(camera.phi)) / 2)
+    high = float(tangent)
+    focal = camera.H / (2 * (Decimal(high) + Decimal(float(tangent - high))))
+    half = Decimal("0.5")
+    film = [focal * x + camera.W * half * z, focal * y + camera.H * half * z, z]
+    size = max(abs(x) for row in film for x in row)
+    return np.stack(film, axis=-1) / size
+
+
+def extended(x: np.ndarray) -> np.ndarray:
+    """Return decimals as 80-bit numbers."""
+    high = x.astype(float)
+    return high.astype(Exact) + (x - decimals(high)).astype(float)
+
+
+def clipped(corners: np.ndarray, W: int, H: int) -> np.ndarray:
+    """Return what the frame (a pixel larger) and the eye's plane leave of a polygon, (n, 2)."""
+    planes = [[1, 0, 1], [0, 1, 1], [-1, 0, W + 1], [0, -1, H + 1], [0, 0, 1]]
+    corners = extended(corners)
+    corners = corners / np.abs(corners).max()
+    for plane in np.array(planes, Exact):
+        if not len(corners):
+            break
+        side, ahead = corners @ plane, np.roll(corners, -1, axis=0)
+        after = np.roll(side, -1)
+        crosses = (side > 0) != (after > 0)
+        t = (side / np.where(crosses, side - after, 1))[:, None]
+        both = np.stack([corners, corners + t * (ahead - corners)], axis=1)
+        corners = both.reshape(-1, 3)[np.stack([side > 0, crosses], axis=1).ravel()]
+    corners = corners[corners[:, 2] > 0] if len(corners) else corners.reshape(0, 3)
+    return (corners[:, :2] / corners[:, 2:]).astype(float)
+
+
+def oracle(camera: pj.Camera, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return the coverage of the triangles' union, pixel by pixel (shapely)."""
+    W, H = camera.W, camera.H
+    points = film_points(camera, vertices)[faces]
+    outlines = [x for x in (clipped(t, W, H) for t in points) if len(x) >= 3]
+    polygons = np.array([shapely.convex_hull(shapely.multipoints(x)) for x in outlines], object)
+    polygons = polygons[shapely.area(polygons) > 0] if len(polygons) else polygons
+    image = np.zeros((H, W))
+    i, j = np.meshgrid(np.arange(W), np.arange(H)[::-1])
+    squares = shapely.box(i, j, i + 1, j + 1).ravel()
+    if not len(polygons):
+        return image
+    square, of = shapely.STRtree(polygons).query(squares, predicate="intersects")
+    covered = np.isin(np.arange(W * H), square[shapely.covers(polygons[of], squares[square])])
+    image = covered.astype(float)
+    left = ~covered[square]
+    square, of = square[left], of[left]
+    parts = shapely.intersection(polygons[of], squares[square])
+    for k in np.unique(square):
+        image[k] = shapely.area(shapely.union_all(parts[square == k]))
+    return image.reshape(H, W)
+
+
+def worst(view: View, dtype: type) -> float:
+    """Return the worst pixel's error; infinite where it is no number."""
+    camera, vertices = rounded(view, dtype)
+    image = np.asarray(pj.silhouette(camera, scene_of(vertices, view.faces)), float)
+    error = float(np.abs(image - oracle(camera, vertices, view.faces)).max())
+    return error if np.isfinite(error) else np.inf
+
+
+def drawn(case: Callable, number: int, dtype: type) -> Iterator[View]:
+    """Yield views of which the camera is one: what float32 rounds to none is refused in words."""
+    random = np.random.default_rng(0)
+    for _ in range(number):
+        view = case(random)
+        try:
+            rounded(view, dtype)
+        except ValueError:
+            continue
+        yield view
+
+
+def question() -> dict:
+    answer: dict = {"limit_in_epsilons": LIMIT, "cases": {}}
+    lines, broken = [], []
+    for name, case in CASES.items():
+        row: dict = {}
+        for kind, dtype in TYPES.items():
+            views = [*drawn(case, trials(100), dtype)]
+            errors = [worst(v, dtype) for v in views]
+            pairs = [[v.stress, e] for v, e in zip(views, errors, strict=True)]
+            relative = max(e / v.unit for v, e in zip(views, errors, strict=True))
+            row[kind] = {
+                "tried": len(views),
+                "worst": max(errors),
+                "epsilons": relative / float(np.finfo(dtype).eps),
+                "all": pairs,
+            }
+        held = all(row[k]["epsilons"] <= LIMIT for k in TYPES)
+        broken += [] if held else [name]
+        tried = sum(row[k]["tried"] for k in TYPES)
+        figures = "  ".join(f"{row[k]['worst']:8.1e} ({row[k]['epsilons']:8.1e})" for k in TYPES)
+        lines.append(f"{name:36s} {tried:5d}  {figures}  {'holds' if held else 'BROKEN'}")
+        print(lines[-1], flush=True)
+        answer["cases"][name] = row
+    print(f"{len(CASES) - len(broken)} of {len(CASES)} cases hold {LIMIT:g} epsilons", *broken)
+    return answer
+
+
+def draw(answer: dict, path: Path) -> None:
+    import matplotlib.pyplot as plt
+
+    swept = {
+        k: v for k, v in answer["cases"].items() if len({x for x, _ in v["float64"]["all"]}) > 1
+    }
+    figure, axes = plt.subplots(2, -(-len(swept) // 2), figsize=(16, 6), sharey=True)
+    for axis, (name, row) in zip(axes.ravel(), swept.items(), strict=False):
+        for kind in TYPES:
+            x, y = np.array(row[kind]["all"]).T
+            axis.loglog(x, np.maximum(y, 1e-17), ".", label=kind, markersize=3)
+        axis.set_title(name, fontsize=8)
+    axes[0, 0].set_ylabel("worst pixel's error")
+    axes[0, 0].legend()
+    figure.tight_layout()
+    figure.savefig(path, dpi=100)
+
+
+if __name__ == "__main__":
+    run(question, draw)

@@ -1,0 +1,376 @@
+"""Whatever comes in gives the documented result or an error in words that names the argument."""
+
+import base64
+import json
+import struct
+import zlib
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+import pinhole_jax as pj
+from pinhole_jax import io
+
+CAMERA = {"e": [0.3, 1, 5.0], "p": [0, 0, 0.0], "u": [0, 1.0, 0], "phi": 0.6, "d": 1.0}
+SIZE = {"W": 24, "H": 18}
+NO_NUMBERS = [
+    np.nan, np.inf, -np.inf, None, "x", [], {}, b"ab", 1j, object(), True, 10**400,
+    np.array([1, 2, 3], object), np.array([True] * 3), np.array(["a"]), np.longdouble("1e4000"),
+    np.full(3, np.nan), np.datetime64("2020"), np.zeros((3, 3, 1)),
+]  # fmt: skip
+BOX = trimesh.creation.box()
+
+
+# --- arguments -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bad", NO_NUMBERS, ids=lambda x: repr(x)[:20])
+def test_no_argument_takes_what_is_no_number(bad):
+    for name in (*CAMERA, *SIZE):
+        with pytest.raises(ValueError, match=f"`{name}`: expected .*, got"):
+            pj.Camera(**{**CAMERA, **SIZE, name: bad})
+    for name, make in {
+        "vertices": lambda: pj.Mesh(bad, [[0, 1, 2]]),
+        "faces": lambda: pj.Mesh(np.eye(3), bad),
+        "centers": lambda: pj.Spheres(bad, [1.0]),
+        "radii": lambda: pj.Spheres([[0, 0, 0.0]], bad),
+        "principal_point": lambda: pj.Lens(bad),
+        "aspect": lambda: pj.Lens([1.0, 2], bad),
+    }.items():
+        with pytest.raises(ValueError, match=f"`{name}`: expected .*, got"):
+            make()
+
+
+@pytest.mark.parametrize("size", [0, -1, 3.0, "3", True, 2**31, 10**12, 10**30])
+def test_a_resolution_is_a_number_of_pixels_that_can_be_counted(size):
+    with pytest.raises(ValueError, match="`W`: expected"):
+        pj.Camera(**CAMERA, W=size, H=2)
+    with pytest.raises(ValueError, match="`W`, `H`: expected at most 1073741824 pixels"):
+        pj.Camera(**CAMERA, W=2**16, H=2**16)
+
+
+@pytest.mark.parametrize(
+    "faces", [[[0, 1, 3]], [[-1, 0, 1]], [[0, 1, 2**63 - 1]], np.array([[0, 1, 2**63]], np.uint64)]
+)
+def test_faces_name_vertices_that_there_are(faces):
+    with pytest.raises(ValueError, match="`faces`: expected indices from 0 to 2, got"):
+        pj.Mesh(np.eye(3), faces)
+
+
+# --- scenes --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return pj.Camera(**CAMERA, **SIZE)
+
+
+def test_empty_scenes_cover_nothing(camera):
+    for scene in (
+        pj.Scene(),
+        pj.Scene(mesh=pj.Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))),
+        pj.Scene(mesh=pj.Mesh(np.eye(3), np.zeros((0, 3), int))),
+        pj.Scene(mesh=pj.Mesh(np.eye(3), [[0, 0, 0], [1, 1, 2]])),
+        pj.Scene(spheres=pj.Spheres(np.zeros((0, 3)), np.zeros(0))),
+    ):
+        assert not np.any(pj.silhouette(camera, scene))
+
+
+def test_copies_of_one_face_are_one_face(camera, request):
+    number = 100_000 if "slow" in request.config.option.markexpr else 3_000
+    vertices = np.array([[0, 1, 0], [-1, -1, 0], [1, -0.5, 0.3]])
+    one = pj.silhouette(camera, pj.Scene(mesh=pj.Mesh(vertices, [[0, 1, 2]])))
+    mesh = pj.Mesh(vertices, np.tile([[0, 1, 2]], (number, 1)))
+    np.testing.assert_allclose(pj.silhouette(camera, pj.Scene(mesh=mesh)), one, atol=1e-14 * number)
+
+
+@pytest.mark.slow
+def test_a_million_faces(camera, request):
+    cells = 708 if "slow" in request.config.option.markexpr else 50
+    x, y = np.meshgrid(*[np.linspace(-1, 1, cells)] * 2)
+    vertices = np.stack([x, y, 0.1 * np.sin(9 * x)], axis=-1).reshape(-1, 3)
+    at = np.arange(cells * (cells - 1)).reshape(cells - 1, cells)[:, :-1].ravel()
+    a, b, c, d = at, at + 1, at + cells, at + cells + 1
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([b, d, c], 1)])
+    image = np.asarray(pj.silhouette(camera, pj.Scene(mesh=pj.Mesh(vertices, faces))))
+    assert 0 < image.sum() < image.size
+    assert image.min() >= 0
+    assert image.max() <= 1
+
+
+def test_random_bits_as_vertices_are_refused_or_traced_without_nan():
+    """Random exponents: products of coordinates overflow, differences lose all digits."""
+    camera = pj.Camera(*(np.float32(x) for x in CAMERA.values()), **SIZE)
+    rays = pj.camera_rays(camera)
+    random, refused = np.random.default_rng(0), 0
+    faces = random.integers(0, 12, (20, 3))  # the same always: they share a program
+    for _ in range(60):
+        vertices = random.integers(0, 2**32, (12, 3), np.uint32).view(np.float32)
+        try:
+            mesh = pj.Mesh(vertices, faces)
+        except ValueError as error:
+            assert "`vertices`: expected finite values, got" in str(error)  # noqa: PT017
+            refused += 1
+            mesh = pj.Mesh(np.where(np.isfinite(vertices), vertices, 0), faces)
+        hit = pj.trace(pj.Scene(mesh=mesh), rays)
+        assert not np.any(np.isnan(hit.t))
+        assert np.all(np.isfinite(hit.normal))
+        assert np.all(np.isfinite(hit.barycentric))
+    assert refused
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300])
+def test_rays_that_are_no_rays_miss_and_leave_others_alone(bad):
+    scene = pj.Scene(mesh=pj.shapes.bumpy(1), spheres=pj.Spheres([[0.0, 0, 2]], [0.5]))
+    origin = np.tile([0.1, 0.2, 5.0], (5, 1))
+    direction = np.tile([0.0, 0, -1], (5, 1))
+    whole = pj.trace(scene, pj.Rays(jnp.asarray(origin), jnp.asarray(direction)))
+    origin[1, 0], direction[2], direction[3] = bad, 0, np.nan
+    hit = pj.trace(scene, pj.Rays(jnp.asarray(origin), jnp.asarray(direction)))
+    assert hit.primitive.tolist() == [*whole.primitive[:1], -1, -1, -1, *whole.primitive[4:]]
+    for x, y in zip(hit, whole, strict=True):
+        np.testing.assert_array_equal(x[::4], y[::4])
+        assert not np.any(np.isnan(x))
+
+
+# --- targets -------------------------------------------------------------------------------------
+
+
+def targets():
+    disc = np.hypot(*np.mgrid[-9:9, -12:12]) < 5
+    none = disc.copy().astype(float)
+    none[3, 4] = np.nan
+    return {
+        "all 0": (np.zeros((18, 24)), "expected a mask that covers something"),
+        "all 1": (np.ones((18, 24)), "expected a mask with some background"),
+        "NaN": (none, r"expected finite values, got nan at \[3, 4\]"),
+        "shape": (disc.T, "expected the camera's shape"),
+        "channels": (np.dstack([disc] * 4), "expected shape .* choose a channel"),
+        "int64": (disc.astype(int), "expected dtype bool, uint8 or float, got int64"),
+        "0..255 floats": (255.0 * disc, "expected floats in .*masks of 0..255 are to be uint8"),
+        "words": (np.full((18, 24), "x"), "expected dtype bool, uint8 or float"),
+        "none": (None, "expected shape"),
+    }
+
+
+@pytest.mark.parametrize("name", targets())
+def test_targets_that_are_no_masks_are_refused_in_words(camera, name):
+    target, message = targets()[name]
+    scene = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [0.5]))
+    with pytest.raises(ValueError, match=f"`target`: {message}"):
+        pj.fit_camera(scene, target, camera)
+
+
+# --- mesh files ----------------------------------------------------------------------------------
+
+
+def ply(vertices, faces, kind="binary_little_endian", body=None):
+    header = f"ply\nformat {kind} 1.0\nelement vertex {vertices}\n"
+    header += "".join(f"property float {x}\n" for x in "xyz")
+    header += f"element face {faces}\nproperty list uchar int vertex_indices\nend_header\n"
+    return header.encode() + (
+        body or np.eye(3, dtype="<f4").tobytes() + struct.pack("<B3i", 3, 0, 1, 2)
+    )
+
+
+def gltf(count, with_data=True):
+    data = base64.b64encode(np.eye(3, dtype="<f4").tobytes()).decode()
+    accessor = {"componentType": 5126, "type": "VEC3", "count": count}
+    return json.dumps(
+        {
+            "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0}],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+            "accessors": [{**accessor, "bufferView": 0} if with_data else accessor],
+            "bufferViews": [{"buffer": 0, "byteLength": 36}],
+            "buffers": [{"byteLength": 36, "uri": f"data:application/octet-stream;base64,{data}"}],
+        }
+    ).encode()  # fmt: skip
+
+
+TEXT = b"1 0 0\n0 1 0\n0 0 1\n3 0 1 2\n"
+LIES = {
+    "more_faces.ply": ply(3, 10**9),
+    "more_vertices.ply": ply(10**12, 1),
+    "fewer.ply": ply(-1, 1),
+    "text.ply": ply(3, 10**9, "ascii", TEXT),
+    "index.ply": ply(3, 1, body=np.eye(3, dtype="<f4").tobytes() + struct.pack("<B3i", 3, 0, 1, 9)),
+    "more_faces.off": b"OFF\n3 1000000000 0\n" + TEXT,
+    "more_vertices.off": b"# a comment\nOFF\n1000000000 1 0\n" + TEXT,
+    "more_faces.stl": b"\0" * 80 + struct.pack("<I", 2**32 - 1) + b"\0" * 50,
+    "nan.stl": b"\0" * 80 + struct.pack("<I", 1) + np.full(12, np.nan, "<f4").tobytes() + b"\0\0",
+    "zero.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n",
+    "beyond.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n",
+    "huge.obj": b"v 1e400 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+    "data.gltf": gltf(10**9),
+    "no_data.gltf": gltf(10**9, with_data=False),
+    "deep.gltf": b"[" * 100_000,
+    "short.glb": b"glTF",
+}
+
+
+@pytest.mark.parametrize("name", LIES)
+def test_mesh_files_that_lie_are_refused_in_words(tmp_path, name):
+    (tmp_path / name).write_bytes(LIES[name])
+    with pytest.raises(ValueError, match="`path`: expected"):
+        pj.load_mesh(tmp_path / name)
+
+
+@pytest.mark.parametrize("ending", ["obj", "ply", "stl", "off", "glb"])
+def test_mesh_files_cut_short_or_with_wrong_bytes(tmp_path, ending):
+    BOX.export(tmp_path / f"box.{ending}")
+    whole = (tmp_path / f"box.{ending}").read_bytes()
+    random, path = np.random.default_rng(0), tmp_path / f"bad.{ending}"
+    spoilt = [whole[:k] for k in (1, 4, 20, len(whole) // 3, len(whole) // 2)]
+    for _ in range(5):
+        data = bytearray(whole)
+        for k in random.integers(0, len(whole), 5):
+            data[k] = random.integers(256)
+        spoilt.append(bytes(data))
+    for data in (*spoilt, random.bytes(500), b""):
+        path.write_bytes(data)
+        try:
+            mesh = pj.load_mesh(path)
+        except ValueError as error:
+            assert "`path`: expected" in str(error) or "(in " in str(error)  # noqa: PT017
+        else:
+            assert np.all(np.isfinite(mesh.vertices))
+    assert {x.name for x in tmp_path.iterdir()} == {f"box.{ending}", path.name}
+
+
+@pytest.mark.parametrize("load", [pj.load_mesh, io.load_image, io.load_mask, io.load_camera])
+def test_paths_that_lead_to_no_file(tmp_path, load):
+    import os
+
+    (tmp_path / "folder.obj").mkdir()
+    os.mkfifo(tmp_path / "pipe.obj")
+    for bad, what in (
+        (tmp_path / "folder.obj", "a folder"),
+        (tmp_path / "pipe.obj", "not a regular file"),
+        ("a" * 5000, "too long"),
+    ):
+        with pytest.raises(ValueError, match=f"`path`: expected .*{what}"):
+            load(bad)
+    with pytest.raises(FileNotFoundError, match=r"`path`: expected .*no such file"):
+        load(tmp_path / "no.obj")
+
+
+# --- images --------------------------------------------------------------------------------------
+
+
+def png(W, H):
+    chunk = lambda n, x: struct.pack(">I", len(x)) + n + x + struct.pack(">I", zlib.crc32(n + x))
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", W, H, 8, 0, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"hello", png(10**5, 10**5), png(2**31 - 1, 2**31 - 1), png(0, 5), png(40, 40)]
+)
+def test_files_that_are_no_images_or_claim_to_be_huge(tmp_path, data):
+    (tmp_path / "x.png").write_bytes(data)
+    with pytest.raises(ValueError, match="`path`: expected a readable image"):
+        io.load_mask(tmp_path / "x.png")
+
+
+@pytest.mark.parametrize("ending", ["png", "jpg", "gif", "tiff", "bmp", "webp", "pgm", "ico"])
+def test_images_cut_short_or_with_wrong_bytes(tmp_path, ending):
+    mask = np.zeros((20, 30), np.uint8)
+    mask[5:15, 8:20] = 255
+    path = tmp_path / f"x.{ending}"
+    Image.fromarray(mask).save(path)
+    whole = path.read_bytes()
+    random = np.random.default_rng(0)
+    spoilt = [whole[:k] for k in (1, 8, 30, len(whole) // 2, len(whole) - 2)]
+    for _ in range(40):
+        data = bytearray(whole)
+        for k in random.integers(0, len(whole), 6):
+            data[k] = random.integers(256)
+        spoilt.append(bytes(data))
+    for data in spoilt:
+        path.write_bytes(data)
+        try:
+            assert io.load_mask(path).dtype == np.uint8
+        except ValueError as error:
+            assert "`path`: expected" in str(error)  # noqa: PT017
+
+
+def test_images_of_floats_are_finite(tmp_path):
+    for bad in (np.nan, np.inf):
+        Image.fromarray(np.array([[bad, 1], [0, 0.5]], np.float32)).save(tmp_path / "x.tiff")
+        with pytest.raises(ValueError, match=r"`path`: expected .* NaN or infinity"):
+            io.load_mask(tmp_path / "x.tiff")
+    Image.fromarray(np.array([[-3, 1], [0, 0.5]], np.float32)).save(tmp_path / "x.tiff")
+    np.testing.assert_array_equal(io.load_mask(tmp_path / "x.tiff"), [[0, 255], [0, 128]])
+
+
+# --- what is written -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "image",
+    [np.full((3, 3), np.nan), np.full((3, 3), np.inf), np.full((3, 3), 200), np.zeros(3),
+     np.zeros((3, 3, 2)), np.zeros((3, 3, 5)), np.zeros((0, 3)), np.zeros((3, 3), complex)],
+)  # fmt: skip
+def test_images_that_cannot_be_written(tmp_path, image):
+    with pytest.raises(ValueError, match="`image`: expected"):
+        io.save_image(tmp_path / "x.png", image)
+    assert not [*tmp_path.iterdir()]
+
+
+def test_paths_that_cannot_be_written(tmp_path, camera):
+    (tmp_path / "file").write_text("")
+    image = np.zeros((2, 2, 4), np.uint8)
+    for save in (lambda p: io.save_image(p, image), lambda p: io.save_camera(p, camera)):
+        for path in (tmp_path, tmp_path / "file" / "x.png"):
+            with pytest.raises(ValueError, match="`path`: expected"):
+                save(path)
+    for name in ("x.jpg", "x.xyz"):
+        with pytest.raises(ValueError, match="`path`: expected"):
+            io.save_image(tmp_path / name, image)
+    for more in ({"x": np.nan}, {"x": object()}, {"x": 1j}):
+        with pytest.raises(ValueError, match=r"`more`: expected what JSON can hold, got \['x'\]"):
+            io.save_camera(tmp_path / "x.json", camera, **more)
+    assert [x.name for x in tmp_path.iterdir()] == ["file"]
+
+
+# --- camera files --------------------------------------------------------------------------------
+
+NO_FIELDS = [None, "x", [], {}, True, [True] * 3, [[1, 2, 3]], [1, 2], [None] * 3, 1e400,
+             float("nan"), 10**400, [10**400] * 3, ["1", "2", "3"], -1, 0, [1, 2, "3"]]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["e", "p", "u", "phi", "d", "W", "H", "schema", "lens"])
+def test_wrong_fields_of_a_camera_file_are_named(tmp_path, camera, name):
+    good = io.camera_to_dict(camera)
+    for bad in NO_FIELDS:
+        if name == "lens" and bad is None:
+            continue
+        (tmp_path / "c.json").write_text(json.dumps({**good, name: bad}))
+        with pytest.raises(ValueError, match=f"`{name}`.*expected"):
+            io.load_camera(tmp_path / "c.json")
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"\xff\xfe", b"[" * 100_000, b"null", b"{}", b"\0" * 99, b'{"e":' + b"1" * 9999]
+)
+def test_files_that_hold_no_camera(tmp_path, data):
+    (tmp_path / "c.json").write_bytes(data)
+    with pytest.raises(ValueError, match=r"expected .*c\.json"):
+        io.load_camera(tmp_path / "c.json")
+
+
+def test_a_lens_that_is_not_known_is_not_ignored(tmp_path, camera):
+    good = io.camera_to_dict(camera)
+    lens = {"principal_point": [1, 2], "k1": 0.1}
+    (tmp_path / "c.json").write_text(json.dumps({**good, "lens": lens}))
+    with pytest.raises(
+        ValueError, match=r"`lens`: expected principal_point and aspect, .* \['k1'\]"
+    ):
+        io.load_camera(tmp_path / "c.json")
+    (tmp_path / "c.json").write_text("\ufeff" + json.dumps({**good, "note": {"deep": [1]}}))
+    assert jax.tree.structure(io.load_camera(tmp_path / "c.json")) == jax.tree.structure(camera)

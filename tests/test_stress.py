@@ -1,0 +1,140 @@
+"""Hypothesis draws the hard cases of `experiments/stress.py`, and properties of any image.
+
+All meshes are filled up to one size, so that they share a compiled program.
+"""
+
+import sys
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import pinhole_jax as pj
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
+import stress
+
+SEEDS = st.integers(0, 2**32 - 1)
+few = settings(
+    derandomize=True,
+    deadline=None,
+    max_examples=4,
+    database=None,
+    suppress_health_check=[*HealthCheck],
+)
+
+
+def image(view: stress.View) -> np.ndarray:
+    camera, vertices = stress.rounded(view, np.float64)
+    return np.asarray(pj.silhouette(camera, stress.scene_of(vertices, view.faces)))
+
+
+def drawn(seed: int) -> tuple[np.random.Generator, stress.View]:
+    """Return one of the views in which rounding is worth no more than 1e-12 px."""
+    random = np.random.default_rng(seed)
+    cases = (stress.usual, stress.inside, stress.on_vertex_plane, stress.degenerate, stress.wide)
+    return random, cases[random.integers(len(cases))](random)
+
+
+@pytest.mark.parametrize("kind", stress.TYPES)
+@pytest.mark.parametrize("name", stress.CASES)
+@few
+@given(seed=SEEDS)
+def test_hard_cases_are_right_to_some_epsilons(name, kind, seed):
+    dtype = stress.TYPES[kind]
+    view = stress.CASES[name](np.random.default_rng(seed))
+    try:
+        stress.rounded(view, dtype)
+    except ValueError as error:
+        assert ": expected" in str(error)  # noqa: PT017
+        return
+    error = stress.worst(view, dtype)
+    assert error <= stress.LIMIT * view.unit * np.finfo(dtype).eps
+
+
+@few
+@given(seed=SEEDS)
+def test_moving_or_scaling_camera_and_scene_together_changes_nothing(seed):
+    random, v = drawn(seed)
+    turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    shift, scale = random.normal(size=3), 10 ** random.uniform(-8, 8)
+    to = lambda x: scale * (x @ turn.T + shift)
+    moved = v._replace(vertices=to(v.vertices), e=to(v.e), p=to(v.p), u=v.u @ turn.T, d=scale)
+    np.testing.assert_allclose(image(moved), image(v), atol=1e-9)
+
+
+@few
+@given(seed=SEEDS)
+def test_mirrored_scenes_give_mirrored_images(seed):
+    _, v = drawn(seed)
+    flip = np.array([-1, 1, 1])
+    mirrored = v._replace(vertices=v.vertices * flip, e=v.e * flip, p=v.p * flip, u=v.u * flip)
+    np.testing.assert_allclose(image(mirrored), image(v)[:, ::-1], atol=1e-11)
+
+
+@few
+@given(seed=SEEDS)
+def test_the_order_of_faces_and_vertices_does_not_matter(seed):
+    random, v = drawn(seed)
+    order = random.permutation(len(v.vertices))
+    faces = np.argsort(order)[v.faces]
+    faces = np.roll(faces, random.integers(3), axis=1)[random.permutation(len(faces))]
+    np.testing.assert_allclose(
+        image(v._replace(vertices=v.vertices[order], faces=faces)), image(v), atol=1e-11
+    )
+
+
+@few
+@given(seed=SEEDS)
+def test_a_union_covers_no_less_than_its_parts(seed):
+    random, v = drawn(seed)
+    other = stress.usual(random)
+    faces = np.concatenate([v.faces, other.faces + len(v.vertices)])
+    vertices = np.concatenate([v.vertices, other.vertices])
+    both = image(v._replace(vertices=vertices, faces=faces))
+    parts = [image(v), image(v._replace(vertices=other.vertices, faces=other.faces))]
+    assert np.all(both >= np.maximum(*parts) - 1e-12)
+    assert np.all(both <= np.minimum(parts[0] + parts[1], 1) + 1e-12)
+
+
+@few
+@given(seed=SEEDS)
+def test_four_pixels_are_one_of_half_the_resolution(seed):
+    _, v = drawn(seed)
+    camera, vertices = stress.rounded(v, np.float64)
+    scene = stress.scene_of(vertices, v.faces)
+    W, H = camera.W, camera.H
+    numbers = (camera.e, camera.p, camera.u, camera.phi, camera.d)
+    fine = np.asarray(pj.silhouette(pj.Camera(*numbers, 2 * W, 2 * H), scene))
+    coarse = fine.reshape(H, 2, W, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(pj.silhouette(camera, scene), coarse, atol=1e-9)
+
+
+@eqx.filter_jit
+def slopes(camera: pj.Camera, scene: pj.Scene, weight: jax.Array):
+    loss = lambda moving: jnp.sum(weight * pj.silhouette(*moving))
+    return eqx.filter_grad(loss)((camera, scene))
+
+
+@pytest.mark.parametrize("name", [*stress.CASES])
+@settings(few, max_examples=2)
+@given(seed=SEEDS)
+def test_derivatives_are_finite_and_know_no_origin(name, seed):
+    """Moving all vertices is moving eye and view point the other way."""
+    random = np.random.default_rng(seed)
+    view = stress.CASES[name](random)
+    camera, vertices = stress.rounded(view, np.float64)
+    weight = jnp.asarray(random.normal(size=(camera.H, camera.W)))
+    d_camera, d_scene = slopes(camera, stress.scene_of(vertices, view.faces), weight)
+    for leaf in jax.tree.leaves((d_camera, d_scene)):
+        assert np.all(np.isfinite(leaf))
+    along = np.asarray(d_scene.mesh.vertices)
+    eye, aim = np.asarray(d_camera.e), np.asarray(d_camera.p)
+    scale = max(np.abs(x).sum(axis=0).max() for x in (along, eye, aim))
+    np.testing.assert_allclose(along.sum(axis=0), -(eye + aim), atol=1e-8 * scale)
