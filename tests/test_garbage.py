@@ -80,12 +80,13 @@ def test_empty_scenes_cover_nothing(camera):
         assert not np.any(pj.silhouette(camera, scene))
 
 
+@pytest.mark.xfail(reason="sums of areas err with the layers, left and right of the contour")
 def test_copies_of_one_face_are_one_face(camera, request):
     number = 100_000 if "slow" in request.config.option.markexpr else 3_000
     vertices = np.array([[0, 1, 0], [-1, -1, 0], [1, -0.5, 0.3]])
     one = pj.silhouette(camera, pj.Scene(mesh=pj.Mesh(vertices, [[0, 1, 2]])))
     mesh = pj.Mesh(vertices, np.tile([[0, 1, 2]], (number, 1)))
-    np.testing.assert_allclose(pj.silhouette(camera, pj.Scene(mesh=mesh)), one, atol=1e-14 * number)
+    np.testing.assert_allclose(pj.silhouette(camera, pj.Scene(mesh=mesh)), one, atol=1e-12)
 
 
 @pytest.mark.slow
