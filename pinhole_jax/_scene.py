@@ -347,7 +347,10 @@ def _fingerprint(vertices: Float[Array, "V 3"]) -> UInt32[Array, ""]:
 def _face_indices(faces: Any, V: int) -> np.ndarray:
     if not is_concrete(faces):
         raise ValueError("`faces`: expected a concrete array, got a traced one; close over it")
-    array = np.asarray(faces)
+    try:
+        array = np.asarray(faces)
+    except ValueError as error:
+        raise ValueError(f"`faces`: expected shape (F, 3), got {faces!r}") from error
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"`faces`: expected shape (F, 3), got {array.shape}")
     if not np.issubdtype(array.dtype, np.integer):

@@ -207,12 +207,15 @@ def _resolve(moving: _Moving, still: _Still) -> tuple[Float[Array, "H W"], _Pixe
         sums = fold_curves(part, chunk, sums, part.size)
     deltas, marked, turned = sums
     winding = _row_sums(deltas) + still.base.astype(dtype)
+    corner = jnp.zeros(0, dtype)
+    if marked is not None and turned is not None:
+        corner = _row_sums(turned) + still.base.astype(dtype)
+        # Where no curve is, the number is known exactly; sums of areas err with the layers.
+        winding = jnp.where(marked.layers == 0, corner, winding)
+        corner = corner.reshape(-1)
     none = jnp.zeros((H, W), bool)
     crowded = none if marked is None else overlaps(marked, winding)
     alone = ~crowded & (winding > 0) & (winding < 1)
-    corner = jnp.zeros(0, dtype)
-    if turned is not None:
-        corner = (_row_sums(turned) + still.base.astype(dtype)).reshape(-1)
     pixels = _Pixels(alone.reshape(-1), select(crowded.reshape(-1)), corner)
     image = jnp.where(crowded, 0, jnp.clip(winding, 0, 1)).reshape(-1)
 
