@@ -122,7 +122,8 @@ class Solver:
         self._weights = weights
         levels, self.levels = pyramid(self._target, weights, self.dtype, window=self.window)
         seen = self.levels[-1].window().of(weights)
-        self._beside = float(np.sum(weights) - np.sum(seen)) if seen.size < weights.size else 0.0
+        whole = weights.size * weights[0, 0] if weights.strides == (0, 0) else np.sum(weights)
+        self._beside = float(whole - np.sum(seen))
         self.finest = len(self.levels) - 1
         self.problem = Problem(self._scene, levels, self.ball)
         if not self.hard:

@@ -86,6 +86,11 @@ def shares(image: np.ndarray) -> np.ndarray:
 
 def check_image(name: str, image: Any, W: int, H: int) -> np.ndarray:
     """Return an image (H, W) of type bool, uint8 or float, or raise ValueError in words."""
+    return _with_range(name, image, W, H)[0]
+
+
+def _with_range(name: str, image: Any, W: int, H: int) -> tuple[np.ndarray, tuple[Any, Any]]:
+    """Return the image, and its least and largest value: each pass over a large one counts."""
     array = np.asarray(image)
     expected = f"shape (H, W) = ({H}, {W})"
     if array.ndim != 2:
@@ -94,7 +99,7 @@ def check_image(name: str, image: Any, W: int, H: int) -> np.ndarray:
     if array.shape != (H, W):
         raise ValueError(f"`{name}`: expected the camera's {expected}, got {array.shape}")
     if array.dtype in (bool, np.uint8):
-        return array
+        return array, (array.min(), array.max())
     if not np.issubdtype(array.dtype, np.floating):
         raise ValueError(f"`{name}`: expected dtype bool, uint8 or float, got {array.dtype}")
     low, high = array.min(), array.max()
@@ -108,18 +113,20 @@ def check_image(name: str, image: Any, W: int, H: int) -> np.ndarray:
             f"`{name}`: expected floats in [0, 1], got {low:g} to {high:g}"
             " (masks of 0..255 are to be uint8)"
         )
-    return array
+    return array, (low, high)
 
 
 def check_target(target: Any, weight: Any, W: int, H: int) -> tuple[np.ndarray, np.ndarray]:
     """Return target (see `check_image`) and weight, float64, or raise ValueError: a mask must show
     an edge."""
-    image = check_image("target", target, W, H)
+    image, ends = _with_range("target", target, W, H)
     weights = check_weight(weight, W, H)
-    counted = image if weight is None else image[weights > 0]
-    if counted.size == 0:
-        raise ValueError("`weight`: expected some pixels to count, got 0 everywhere")
-    low, high = shares(np.array([counted.min(), counted.max()]))
+    if weight is not None:
+        counted = image[weights > 0]
+        if counted.size == 0:
+            raise ValueError("`weight`: expected some pixels to count, got 0 everywhere")
+        ends = counted.min(), counted.max()
+    low, high = shares(np.array(ends))
     if high < 0.5:
         raise ValueError(
             "`target`: expected a mask that covers something, got an empty one"
