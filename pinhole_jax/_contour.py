@@ -111,9 +111,7 @@ class MeshContour(NamedTuple):
 
     def weight(self, edge: Int[Array, "*K"]) -> Int[Array, "*K"]:
         """Return how many layers of cover contour edges bound on their left less on their right."""
-        sign = jnp.where(
-            (self.positive[edge >> 5] >> (edge & 31).astype(jnp.uint32)) & 1 > 0, 1, -1
-        )
+        sign = jnp.where(_bit(self.positive, edge), 1, -1)
         if self.second is None:
             return sign
         return jnp.where(self.second[edge] < 0, sign, 2 * sign)
@@ -125,10 +123,15 @@ def mesh_contour(film: FilmMap, mesh: Mesh) -> MeshContour:
     words, positive = contour_bits(mesh, film.eye)
     # Without the barrier the compiler works these out anew in each loop that reads some.
     words, positive = jax.lax.optimization_barrier((words, positive))
+    contour = _contour(mesh, words, positive)
+    return contour._replace(segments=contour.segments * jnp.where(reaches_left(film, mesh), 2, 1))
+
+
+def _contour(mesh: Mesh, words: Array, positive: Array) -> MeshContour:
+    """Return the edges of `contour_bits`, each seen as one segment."""
     chosen = selection(words)
-    count = chosen.total * jnp.where(reaches_left(film, mesh), 2, 1)
     second = None if mesh.closed else mesh.edge_faces[:, 1]
-    return MeshContour(mesh.edge_vertices, second, positive, chosen, count)
+    return MeshContour(mesh.edge_vertices, second, positive, chosen, chosen.total)
 
 
 def contour_bits(
@@ -161,10 +164,7 @@ def contour_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
     one that is not on the contour."""
     words, positive = contour_bits(mesh, e)
     edge = jnp.arange(mesh.edge_faces.shape[0], dtype=jnp.int32)
-    second = None if mesh.closed else mesh.edge_faces[:, 1]
-    chosen = selection(words)
-    contour = MeshContour(mesh.edge_vertices, second, positive, chosen, chosen.total)
-    return jnp.where(_bit(words, edge), contour.weight(edge), 0)
+    return jnp.where(_bit(words, edge), _contour(mesh, words, positive).weight(edge), 0)
 
 
 def _culled(

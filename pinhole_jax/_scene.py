@@ -241,20 +241,24 @@ class Ball(NamedTuple):
 
 def bounding_box(scene: Scene) -> Float[Array, "2 3"]:
     """Return the least and largest coordinates of the scene."""
-    lows, highs = [], []
+    points = []
     if scene.mesh is not None:
-        lows.append(jnp.min(scene.mesh.vertices, axis=0))
-        highs.append(jnp.max(scene.mesh.vertices, axis=0))
+        points.append(scene.mesh.vertices)
     if scene.spheres is not None:
-        lows.append(jnp.min(scene.spheres.centers - scene.spheres.radii[:, None], axis=0))
-        highs.append(jnp.max(scene.spheres.centers + scene.spheres.radii[:, None], axis=0))
-    return jnp.stack([jnp.min(jnp.stack(lows), axis=0), jnp.max(jnp.stack(highs), axis=0)])
+        centers, radii = scene.spheres.centers, scene.spheres.radii[:, None]
+        points += [centers - radii, centers + radii]
+    return _box(jnp.concatenate(points))
 
 
 def bounding_sphere(scene: Scene) -> Ball:
     """Return a sphere about the scene (the bounding box's, not the least)."""
-    low, high = bounding_box(scene)
-    return Ball((low + high) / 2, jnp.sqrt(jnp.sum((high - low) ** 2)) / 2)
+    return ball_about(bounding_box(scene))
+
+
+def ball_about(box: Any) -> Ball:
+    """Return the sphere through a box's corners; of NumPy or JAX, as the box is."""
+    low, high = box
+    return Ball((low + high) / 2, ((high - low) ** 2).sum() ** 0.5 / 2)
 
 
 @jax.jit

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from ._camera import Camera, film_map
 from ._parameters import Move, moved, reported, units
 from ._residuals import Capacity, Load, Sums, Touched, residuals, touch
-from ._scene import Ball, Scene, astype, bounding_box, padded
+from ._scene import Ball, Scene, astype, ball_about, bounding_box, padded
 from ._target import (
     Level,
     Pyramid,
@@ -109,7 +109,7 @@ class Solver:
         self._target, self._scene = target, padded(astype(scene, dtype))
         box = np.asarray(bounding_box(scene), float)
         self._corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
-        self.ball = Ball(box.mean(axis=0), float(np.linalg.norm(box[1] - box[0])) / 2)
+        self.ball = ball_about(box)
         self.window = object_window(target)
         image = shares(self.window.of(target))
         self.capacity = _first_capacity(scene, image)

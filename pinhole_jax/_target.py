@@ -161,8 +161,9 @@ def edge_distance(image: np.ndarray) -> np.ndarray:
     outside the object's window."""
     from scipy.ndimage import distance_transform_edt
 
-    window = object_window(image > 0.5)
-    inside = window.of(image) > 0.5
+    inside = image > 0.5
+    window = object_window(inside)
+    inside = window.of(inside)
     far = np.ones(inside.shape, bool)
     for axis in (0, 1):
         change = np.diff(inside, axis=axis)
@@ -216,22 +217,25 @@ def pyramid(
     top = min(-(-(window.bottom + window.H) // whole) * whole, H)
     window = Window(left, bottom, right - left, top - bottom)
     images = [shares(window.of(x)) for x in (target, weight)]
-    inside = np.ones_like(images[0])
+    finer = [[*images, np.ones_like(images[0])]]
+    for _ in range(depth):
+        finer.append([_halved(x) for x in finer[-1]])
+    integer, real = (lambda x, t=t: np.asarray(x, t) for t in (np.int32, dtype))
     parts: list[np.ndarray] = []
     levels: list[Level] = []
-    for level in range(depth + 1):
-        parts.insert(0, _raster(images[0], np.where(inside > 1 - 1e-9, images[1], 0)))
-        h, w = inside.shape
-        origin, scale = np.array([left, bottom]) / 2**level, H / 2**level
-        whole_px, real = (np.array(x, np.int32) for x in (w, h)), (origin, np.array(scale))
-        numbers = (*whole_px, *(x.astype(dtype) for x in real), np.array(False))
-        levels.insert(0, Level(np.array(0, np.int32), *numbers))
-        *images, inside = (_halved(x) for x in (*images, inside))
-    upto = np.cumsum([0, *(part.shape[1] for part in parts)])
-    levels = [v._replace(start=np.array(k, np.int32)) for v, k in zip(levels, upto, strict=False)]
+    start = 0
+    for level in range(depth, -1, -1):
+        image, weights, inside = finer[level]
+        part = _raster(image, np.where(inside > 1 - 1e-9, weights, 0))
+        parts.append(part)
+        h, w = image.shape
+        origin, scale = real([left / 2**level, bottom / 2**level]), real(H / 2**level)
+        false = np.array(False)
+        levels.append(Level(integer(start), integer(w), integer(h), origin, scale, false))
+        start += part.shape[1]
     # A few sizes for all images, so that they share compiled programs.
-    room = max(1 << (int(upto[-1]) - 1).bit_length(), LEAST_ROOM)
-    flat = np.concatenate([*parts, np.zeros((6, room - upto[-1]))], axis=1)
+    room = max(1 << (start - 1).bit_length(), LEAST_ROOM)
+    flat = np.concatenate([*parts, np.zeros((6, room - start))], axis=1)
     return Pyramid(*(jnp.asarray(x, dtype) for x in flat)), levels
 
 

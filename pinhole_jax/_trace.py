@@ -79,14 +79,12 @@ def _find(scene: Scene, rays: Rays) -> tuple[Int[Array, "*batch"], Int[Array, "*
 
 def _to_unit_size(scene: Scene) -> tuple[Scene, Float[Array, ""]]:
     """Return the scene in a unit of length about its largest coordinate's size, and the factor."""
-    leaves = [] if scene.mesh is None else [scene.mesh.vertices]
-    leaves += [] if scene.spheres is None else [scene.spheres.centers, scene.spheres.radii]
-    sizes = [jnp.max(jnp.abs(x), initial=0) for x in leaves]
-    scale = binary_scale(jnp.stack(sizes)) if sizes else jnp.ones(())
     where = lambda s: [
         *([] if s.mesh is None else [s.mesh.vertices]),
         *([] if s.spheres is None else [s.spheres.centers, s.spheres.radii]),
     ]
+    sizes = [jnp.max(jnp.abs(x), initial=0) for x in where(scene)]
+    scale = binary_scale(jnp.stack(sizes)) if sizes else jnp.ones(())
     return eqx.tree_at(where, scene, [x * scale for x in where(scene)]), scale
 
 
