@@ -150,15 +150,15 @@ def _background(image: Image, name: str, tolerance: float | None) -> Read:
         raise ValueError("a picture of one colour")
     limit = float(threshold_otsu(distance)) if tolerance is None else tolerance
     inside = _without_specks(distance > limit)
-    deep = ndimage.binary_erosion(inside, iterations=BAND_PX, border_value=1)
-    far = ~ndimage.binary_dilation(inside, iterations=BAND_PX)
+    deep: Any = ndimage.binary_erosion(inside, iterations=BAND_PX, border_value=1)
+    near: Any = ndimage.binary_dilation(inside, iterations=BAND_PX)
     coverage = inside.astype(float)
     if np.any(deep):
-        band = ~deep & ~far
-        nearest = ndimage.distance_transform_edt(
+        band = near & ~deep
+        place: Any = ndimage.distance_transform_edt(
             ~deep, return_distances=False, return_indices=True
-        )[:, band]
-        object_colour = colours[tuple(nearest)] - back
+        )
+        object_colour = colours[tuple(place[:, band])] - back
         size = np.maximum(np.sum(object_colour**2, axis=-1), 1e-6)
         mixed = np.sum((colours[band] - back) * object_colour, axis=-1) / size
         coverage[band] = np.clip(mixed, 0, 1)
@@ -181,7 +181,8 @@ def _without_specks(inside: np.ndarray) -> np.ndarray:
     from scipy import ndimage
 
     for _ in range(2):
-        labels, count = ndimage.label(inside)
+        parts: Any = ndimage.label(inside)
+        labels, count = parts
         sizes = np.bincount(labels.ravel(), minlength=count + 1)
         sizes[0] = 0
         inside = inside & (sizes[labels] >= SPECK * max(sizes.max(), 1))

@@ -6,6 +6,7 @@ from oracles import mesh_polygons, sphere_union
 
 import pinhole_jax as pj
 from pinhole_jax import plot, shapes
+from pinhole_jax._outline import STEP_PX
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 
@@ -22,7 +23,7 @@ def test_the_outline_is_that_of_the_polygon_union(name):
     lines = shapely.linestrings(outline)
     np.testing.assert_allclose(np.sum(shapely.length(lines)), union.boundary.length, rtol=0.02)
     assert np.max(shapely.distance(lines, union.boundary)) < 0.1
-    np.testing.assert_array_equal(np.max(shapely.length(lines)) <= plot.STEP_PX + 1e-9, True)
+    np.testing.assert_array_equal(np.max(shapely.length(lines)) <= STEP_PX + 1e-9, True)
 
 
 def test_the_outline_of_spheres():
