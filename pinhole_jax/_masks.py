@@ -33,7 +33,7 @@ class Way(NamedTuple):
 
 
 class Read(NamedTuple):
-    """A mask (H, W), 255 where the object is, and in words how it was read."""
+    """A mask (H, W), 255 where the object is, and in words how it was read, if not plainly."""
 
     mask: np.ndarray
     words: str
@@ -110,7 +110,7 @@ def _at_first_sight(image: Image) -> Read:
         )
     if 0 < grey.max() < DARK:
         raise ValueError(f"a picture no lighter than {grey.max()} of 255; labels? {WAYS}")
-    return Read(grey, "mask: grey, as it is")
+    return Read(grey, "")
 
 
 def _alpha(image: Image) -> Read:

@@ -110,14 +110,14 @@ def load_mask(
       object is what is farther from it in CIE Lab than Otsu's threshold, or than the tolerance of
       "background=COLOR,TOLERANCE" (2.3 is just noticeable); edges are soft where colours mix.
 
-    `say` is told how it was read.
+    `say` is told how it was read, where that is not just a grey mask as it is.
 
     Raises FileNotFoundError or ValueError like `load_image`, and ValueError for a picture that does
     not hold what is asked for.
     """
     way = way_of(mask_from)
     read = _from_image(path, "a mask", lambda image: read_mask(image, way))
-    if say is not None:
+    if say is not None and read.words:
         say(read.words)
     return read.mask
 

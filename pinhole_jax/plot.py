@@ -93,6 +93,7 @@ def overlay(
             across = np.array([b[1] - a[1], a[0] - b[0]])
             across *= half / max(np.linalg.norm(across), 1e-30)
             draw.polygon([tuple(p) for p in (a + across, b + across, b - across, a - across)], 150)
+            draw.ellipse([*(b - half), *(b + half)], 150)
         canvas.paste(YELLOW, mask=cover)
     draw = ImageDraw.Draw(canvas)
     for line, width in ((DARK, 8), (colour, 4)):
@@ -116,7 +117,7 @@ def error_map(
     ground = 255 - 45 * np.minimum(shown, mask).clip(0, 1)
     more, less = (np.clip(x, 0, 1) for x in (shown - mask, mask - shown))
     mixed = ground * (1 - more - less) + more * np.array(MORE) + less * np.array(LESS)
-    factor = max(SHOWN_PX // max(mixed.shape[:2]), 1)
+    factor = -(-SHOWN_PX // max(mixed.shape[:2]))
     return np.repeat(np.repeat(np.round(mixed).astype(np.uint8), factor, 0), factor, 1)
 
 

@@ -127,7 +127,7 @@ def page(
     version = metadata.version("pinhole-jax")
     sections = [
         _section("Outline", _outline_pictures(fit, scene, photo)),
-        _section("Mask less camera", _error_picture(fit, scene, mask)),
+        _section("Where mask and camera differ", _error_picture(fit, scene, mask)),
         _section("Parameters", _parameter_table(fit)),
         _section("Correlations", _correlation_table(fit)),
         _section("What the mask does not tell", _unknown(fit)),
