@@ -4,13 +4,13 @@ photo, where mask and camera differ, how the fit came there, the object and the 
 
 from itertools import pairwise
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ._camera import Camera
 from ._fit import Fit
-from ._lens import Lens
 from ._outline import contour_points
 from ._outline import outline as outline
 from ._parameters import rotation
@@ -140,19 +140,21 @@ def _moved(fit: Fit, step: np.ndarray) -> Camera:
     change = dict(zip(fit.names, step.tolist(), strict=True))
     of = lambda *names: np.array([change.pop(name, 0.0) for name in names])
     e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
+    dtype = camera.e.dtype
     turn = of("rotation_b1", "rotation_b2", "rotation_v") @ axes_of(camera)
-    turned = np.asarray(rotation(jnp.asarray(turn, camera.e.dtype)), float)
+    turned = np.asarray(rotation(jnp.asarray(turn, dtype)), float)
     eye = e + of("e_x", "e_y", "e_z")
     phi, d = float(camera.phi) + of("phi")[0], float(camera.d) + of("d")[0]
     if d != float(camera.d):  # the film's height stays
         phi = 2 * np.arctan(np.tan(phi / 2) * float(camera.d) / d)
     lens, shift, wider = camera.lens, of("principal_x", "principal_y"), of("aspect")[0]
     if lens is not None:
-        lens = Lens(np.asarray(lens.principal_point) + shift, float(lens.aspect) + wider)
+        changed = lens.principal_point + jnp.asarray(shift, dtype), lens.aspect + float(wider)
+        lens = eqx.tree_at(lambda x: (x.principal_point, x.aspect), lens, changed)
     if change:
         raise ValueError(f"`fit`: expected known parameters, got {sorted(change)}")
     parts = (eye, eye + turned @ (p - e), turned @ u, phi, d)
-    e, p, u, phi, d = (np.asarray(x, camera.e.dtype) for x in parts)
+    e, p, u, phi, d = (np.asarray(x, dtype) for x in parts)
     return Camera(e, p, u, phi, d, camera.W, camera.H, lens)
 
 
