@@ -9,7 +9,6 @@ import io as bytes_io
 import os
 import tempfile
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
@@ -121,10 +120,11 @@ def page(
     """
     if fit.status == "non_finite":
         raise ValueError("`fit`: expected a finite camera, got status non_finite")
+    from . import __version__
+
     mask = np.asarray(target)
     if photo is None:
         photo = np.round(255 * shares(mask).clip(0, 1)).astype(np.uint8)
-    version = metadata.version("pinhole-jax")
     sections = [
         _section("Outline", _outline_pictures(fit, scene, photo)),
         _section("Where mask and camera differ", _error_picture(fit, scene, mask)),
@@ -150,7 +150,7 @@ def page(
         f"<header><h1>{name}</h1>"
         f'<p class="status {fit.status}"><b>{fit.status}</b> {MEANINGS[fit.status]}</p>'
         f"<dl>{shown}</dl></header><main>{''.join(sections)}</main>"
-        f"<footer>pinhole_jax {html.escape(version)}</footer></body></html>\n"
+        f"<footer>pinhole_jax {__version__}</footer></body></html>\n"
     )
 
 
