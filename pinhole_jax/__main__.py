@@ -177,9 +177,6 @@ def _fit(options: argparse.Namespace) -> int:
         fit = fit_camera(scene, mask, start, free, phi=phi, weight=weight, progress=told)
         progress.say("drawing")
         drawing = overlay(picture, fit.camera, scene)
-        if options.report is not None:
-            title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
-            report.write(options.report, fit, scene, mask, picture, title)
     folder = Path(options.output)
     io.save_camera(
         folder / "camera.json",
@@ -197,12 +194,17 @@ def _fit(options: argparse.Namespace) -> int:
         },
     )
     io.save_image(folder / "overlay.png", drawing)
+    written = [folder / "camera.json", folder / "overlay.png"]
+    if options.report is not None and fit.status != "non_finite":
+        title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
+        with _Progress("drawing the page"):
+            report.write(options.report, fit, scene, mask, picture, title)
+        written.append(options.report)
     print(table(fit))
     print(
         f"time       {clock.compiling:.1f} s compile, {clock.elapsed() - clock.compiling:.1f} s run"
     )
-    page = "" if options.report is None else f", {options.report}"
-    print(f"written    {folder / 'camera.json'}, {folder / 'overlay.png'}{page}")
+    print(f"written    {', '.join(map(str, written))}")
     return 0 if fit.status == "converged" else 1
 
 
