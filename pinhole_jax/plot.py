@@ -49,13 +49,17 @@ def outline_sigma(fit: Fit, scene: Scene) -> Float[np.ndarray, "n"]:
     place = lambda camera: np.asarray(project(camera, points), float)
     points = jnp.asarray(contour_points(fit.camera, scene), fit.camera.e.dtype)
     points = points[KDTree(place(fit.camera)).query(segments.mean(axis=1))[1]]
+    far = float(np.linalg.norm(np.mean(np.asarray(points) - np.asarray(fit.camera.e), axis=0)))
+    large = {"e": far, "d": float(fit.camera.d), "principal": fit.camera.H}
+    small = 1e-3 * np.array([large.get(name.split("_")[0], 1.0) for name in fit.names])
     along = segments[:, 1] - segments[:, 0]
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
     total = np.zeros(len(segments))
     for size, axis in zip(np.sqrt(np.maximum(variance, 0)), axes.T, strict=True):
         step = np.zeros(len(fit.std))
         step[known] = size * axis
-        change = place(_moved(fit, step)) - place(fit.camera)
+        share = 1 / max(float(np.max(np.abs(step) / small)), 1)  # so far that it is still linear
+        change = (place(_moved(fit, share * step)) - place(_moved(fit, -share * step))) / 2 / share
         total += (change[:, 0] * along[:, 1] - change[:, 1] * along[:, 0]) ** 2
     return np.sqrt(total)
 

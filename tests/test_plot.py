@@ -110,7 +110,7 @@ def test_sigmas_of_several_parameters_add_with_their_correlation():
 
 def test_the_outline_of_spheres_has_a_sigma_too():
     ball = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [1.0]))
-    sigma = plot.outline_sigma(fit_of(AHEAD, ("rotation_v", "e_z"), [0.1, 0.01]), ball)
+    sigma = plot.outline_sigma(fit_of(AHEAD, ("rotation_v", "e_z"), [1e-3, 0.01]), ball)
     # tan of the cone's half angle: 1 / sqrt(z^2 - 1).
     np.testing.assert_allclose(sigma, FOCAL * 5 / 24**1.5 * 0.01, rtol=0.01)
 
