@@ -134,7 +134,7 @@ def question() -> dict:
         pictures[name] = PICTURES[-1]
     worst = max(a["degrees"] for a in answer.values())
     print(f"All four end at the pose that was asked for, the worst {worst:.2g} degrees off.")
-    print(f"{'':<12}{'start':>16}{'here':>26}{'the original':>26}")
+    print(f"{'':<12}{'start':>12}{'here':>30}{'the original':>26}")
     for name, a in answer.items():
         start = f"{a['start_degrees']:.3g} deg" if "start_degrees" in a else "none"
         here = f"{a['degrees']:.1e} deg, {a['units']:.1e} units"
@@ -143,7 +143,7 @@ def question() -> dict:
         words = f"  {a['status']}, {a['seconds']:.1f} s"
         if "ways" in a:
             words += f" for {a['cubes']} cubes; ways to see the cube reported: {a['ways']} of 24"
-        print(f"{name:<12}{start:>16}{here:>26}{theirs:>26}{words}")
+        print(f"{name:<12}{start:>12}{here:>30}{theirs:>26}{words}")
     answer["published"] = PUBLISHED
     DRAWN.update(pictures)
     return answer
