@@ -226,6 +226,7 @@ def convergence(fit: Fit, scene: Scene) -> Svg:
         for a, b, o in zip(x, y, off, strict=True)
     ]
     parts.append(f'<text x="{left + width / 2}" y="{top + height + 38}" class="m">steps</text>')
+    parts.append(f'<text x="{left - 8}" y="{top - 8}" class="e">px</text>')
     style = (
         "text{font:12px sans-serif;fill:#456}.m{text-anchor:middle}.e{text-anchor:end}"
         "line{stroke:#fff}polyline{fill:none;stroke:#0a6b8a;stroke-width:2}circle{fill:#0a6b8a}"
