@@ -29,6 +29,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._arrays import Numbers, float_array, float_dtype, is_concrete
+from ._distortion import Distortion
 from ._lens import Lens
 from ._safe import cross_of_difference, norm, normalize
 
@@ -66,11 +67,12 @@ class Camera(eqx.Module):
     """A pinhole camera (e, p, u, phi, d, W, H); see the conventions at the top of this module.
 
     All of e, p, u, phi and d are differentiable leaves; W and H are static. `lens` is None for the
-    ideal pinhole, or a `Lens` (principal point, pixel aspect).
+    ideal pinhole, or a `Lens` (principal point, pixel aspect, distortion).
 
     Raises ValueError where an argument has another shape or dtype than documented, is not finite,
     or makes no camera: `e` equal to `p`, `u` parallel to the view, `phi` outside (0, pi), `d <= 0`,
-    `W` or `H` below 1, more than 2^30 pixels. Arguments that are being traced are checked for shape
+    `W` or `H` below 1, more than 2^30 pixels, a lens whose image folds back within the film or
+    reaches 90 degrees from the axis there. Arguments that are being traced are checked for shape
     only.
     """
 
@@ -113,6 +115,9 @@ class Camera(eqx.Module):
             raise ValueError(f"`d`: expected a positive distance, got {float(self.d)}")
         if is_concrete(self.e, self.p, self.u):
             _check_view(*(np.asarray(x) for x in (self.e, self.p, self.u)))
+        bent = self.lens is not None and self.lens.distortion is not None
+        if bent and is_concrete(self.phi, *jax.tree.leaves(self.lens)):
+            _check_lens(self)
 
 
 def camera_basis(camera: Camera) -> Basis:
@@ -145,12 +150,27 @@ def to_camera(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, 
     return FilmMap(camera.e, camera.p, axes, base, camera.W, camera.H)(points)
 
 
+class Bend(eqx.Module):
+    """Ideal film points (px) to those of a lens with distortion."""
+
+    distortion: Distortion
+    focal: Float[Array, "2"]
+    centre: Float[Array, "2"]
+
+    def __call__(self, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """Return the film points (px) of ideal ones."""
+        x, y = ((points[..., k] - self.centre[k]) / self.focal[k] for k in (0, 1))
+        bent = self.distortion(x, y)
+        return jnp.stack([self.focal[k] * bent[k] + self.centre[k] for k in (0, 1)], axis=-1)
+
+
 class FilmMap(eqx.Module):
     """World points to the film: `matrix (x - eye)` is (x z, y z, z), film coordinates times depth.
 
     All that a contour needs of a camera, worked out once. Of points nearer to the view point than
     to the eye what counts is their place beside the view point, whose film point is known (`base`):
-    so an object that is looked at from a distance keeps its digits.
+    so an object that is looked at from a distance keeps its digits. The film is the ideal one:
+    `bend` (None: nothing) says where its points lie in the image.
     """
 
     eye: Float[Array, "3"]
@@ -159,6 +179,7 @@ class FilmMap(eqx.Module):
     base: Float[Array, "3"]
     W: int = eqx.field(static=True)
     H: int = eqx.field(static=True)
+    bend: Bend | None = None
 
     def __call__(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
         """Return the homogeneous film points (px times depth, depth) of world points."""
@@ -182,13 +203,34 @@ class FilmMap(eqx.Module):
 
 
 def film_map(camera: Camera) -> FilmMap:
-    """Return the camera as a linear map to the film."""
+    """Return the camera as a map to the film."""
     b1, b2, v = camera_basis(camera)
     fx, fy = focal_px(camera)
     centre = principal_point(camera)
     matrix = jnp.stack([fx * b1 + centre[0] * v, fy * b2 + centre[1] * v, v])
     base = jnp.append(centre, jnp.ones(1, centre.dtype)) * norm(camera.p - camera.e)
-    return FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H)
+    return FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H, bend(camera))
+
+
+def bend(camera: Camera) -> Bend | None:
+    """Return what the lens's distortion does to film points, None if there is none."""
+    if camera.lens is None or camera.lens.distortion is None:
+        return None
+    return Bend(camera.lens.distortion, jnp.stack(focal_px(camera)), camera.lens.principal_point)
+
+
+def lens_holds(camera: Camera, W: Any, H: Any) -> Array:
+    """Return whether the distortion may be trusted on all of a film W x H (px)."""
+    lens = bend(camera)
+    if lens is None:
+        return jnp.ones((), bool)
+    dtype = camera.e.dtype
+    x, y = (
+        (jnp.stack([jnp.zeros((), dtype), jnp.asarray(size, dtype)]) - lens.centre[k])
+        / lens.focal[k]
+        for k, size in enumerate((W, H))
+    )
+    return jnp.all(lens.distortion.trusts(jnp.tile(x, 2), jnp.repeat(y, 2)))
 
 
 def _resolution(name: str, value: Any) -> int:
@@ -204,10 +246,23 @@ def _resolution(name: str, value: Any) -> int:
 
 
 def _cast(lens: Lens, dtype: np.dtype) -> Lens:
-    return eqx.tree_at(
-        lambda x: (x.principal_point, x.aspect),
-        lens,
-        (lens.principal_point.astype(dtype), lens.aspect.astype(dtype)),
+    return jax.tree.map(lambda x: x.astype(dtype), lens)
+
+
+@eqx.filter_jit
+def _lens_holds(camera: Camera) -> Array:
+    return lens_holds(camera, camera.W, camera.H)
+
+
+def _check_lens(camera: Camera) -> None:
+    with jax.ensure_compile_time_eval():
+        if bool(_lens_holds(camera)):
+            return
+    model = type(camera.lens.distortion).__name__ if camera.lens else ""
+    raise ValueError(
+        f"`lens`: expected a distortion that holds up to the film's corners, got a {model} whose"
+        " image folds back, or shows 90 degrees from the axis, within the film"
+        " (`formats.cropped` makes a smaller one)"
     )
 
 
