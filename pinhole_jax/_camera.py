@@ -163,6 +163,36 @@ class Bend(eqx.Module):
         bent = self.distortion(x, y)
         return jnp.stack([self.focal[k] * bent[k] + self.centre[k] for k in (0, 1)], axis=-1)
 
+    def around(self, part: "FilmPart") -> Float[Array, "4"]:
+        """Return an ideal rectangle (left, right, bottom, top) about a part of the film, of which
+        each side is seen beyond that side of the part; not differentiated."""
+        held = jax.lax.stop_gradient(self)
+        sides = (jnp.stack(part[:4]) - jnp.repeat(held.centre, 2)) / jnp.repeat(held.focal, 2)
+        sign = jnp.asarray([-1, 1, -1, 1], sides.dtype)
+        size = jnp.max(jnp.abs(sides))
+        outer = sign * jnp.maximum(sign * sides, size / 10)
+        boxes = jnp.asarray(np.geomspace(1.02, 600, 96)[:, None], sides.dtype) * outer[None]
+        share = jnp.asarray(np.linspace(0, 1, 33)[None], sides.dtype)
+        x, y = (boxes[:, k : k + 1] * (1 - share) + boxes[:, k + 1 : k + 2] * share for k in (0, 2))
+        none = jnp.zeros_like(x)
+        seen = [held.distortion(boxes[:, k : k + 1] + none, y)[0] for k in (0, 1)]
+        seen += [held.distortion(x, boxes[:, k : k + 1] + none)[1] for k in (2, 3)]
+        beyond = jnp.min(
+            sign[:, None, None] * (jnp.stack(seen) - sides[:, None, None]), axis=(0, 2)
+        )
+        box = boxes[jnp.argmax(jnp.append(beyond[:-1] > size / 50, jnp.ones(1, bool)))]
+        return box * jnp.repeat(held.focal, 2) + jnp.repeat(held.centre, 2)
+
+
+class FilmPart(NamedTuple):
+    """A part of the film that is looked at (in film coordinates), and pixels per unit of these."""
+
+    left: Any
+    right: Any
+    bottom: Any
+    top: Any
+    px: Any
+
 
 class FilmMap(eqx.Module):
     """World points to the film: `matrix (x - eye)` is (x z, y z, z), film coordinates times depth.
@@ -180,6 +210,27 @@ class FilmMap(eqx.Module):
     W: int = eqx.field(static=True)
     H: int = eqx.field(static=True)
     bend: Bend | None = None
+    limits: Float[Array, "4"] | None = None
+    px: Float[Array, ""] | None = None
+
+    @property
+    def bounds(self) -> list[Array]:
+        """Return what contours are cut off at: left, right, bottom, top, well outside the film."""
+        if self.limits is not None:
+            return list(self.limits)
+        sides = (-self.W, 2 * self.W, -self.H, 2 * self.H)
+        return [jnp.asarray(x, self.eye.dtype) for x in sides]
+
+    def looking_at(self, part: FilmPart) -> "FilmMap":
+        """Return the map for a part of the film: contours are cut off well outside that."""
+        left, right, bottom, top, px = (jnp.asarray(x, self.eye.dtype) for x in part)
+        if self.bend is None:
+            width, height = right - left, top - bottom
+            limits = jnp.stack([left - width, right + width, bottom - height, top + height])
+        else:
+            limits = self.bend.around(FilmPart(left, right, bottom, top, px))
+        fields = (self.eye, self.view, self.matrix, self.base, self.W, self.H, self.bend)
+        return FilmMap(*fields, jax.lax.stop_gradient(limits), px)
 
     def __call__(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
         """Return the homogeneous film points (px times depth, depth) of world points."""
@@ -209,7 +260,10 @@ def film_map(camera: Camera) -> FilmMap:
     centre = principal_point(camera)
     matrix = jnp.stack([fx * b1 + centre[0] * v, fy * b2 + centre[1] * v, v])
     base = jnp.append(centre, jnp.ones(1, centre.dtype)) * norm(camera.p - camera.e)
-    return FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H, bend(camera))
+    lens = bend(camera)
+    film = FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H, lens)
+    whole = FilmPart(0, camera.W, 0, camera.H, 1)
+    return film if lens is None else film.looking_at(whole)
 
 
 def bend(camera: Camera) -> Bend | None:
@@ -219,17 +273,13 @@ def bend(camera: Camera) -> Bend | None:
     return Bend(camera.lens.distortion, jnp.stack(focal_px(camera)), camera.lens.principal_point)
 
 
-def lens_holds(camera: Camera, W: Any, H: Any) -> Array:
-    """Return whether the distortion may be trusted on all of a film W x H (px)."""
+def lens_holds(camera: Camera, part: FilmPart) -> Array:
+    """Return whether the distortion may be trusted on all of a part of the film."""
     lens = bend(camera)
     if lens is None:
         return jnp.ones((), bool)
-    dtype = camera.e.dtype
-    x, y = (
-        (jnp.stack([jnp.zeros((), dtype), jnp.asarray(size, dtype)]) - lens.centre[k])
-        / lens.focal[k]
-        for k, size in enumerate((W, H))
-    )
+    sides = jnp.stack([jnp.asarray(x, camera.e.dtype) for x in part[:4]]).reshape(2, 2)
+    x, y = (sides - lens.centre[:, None]) / lens.focal[:, None]
     return jnp.all(lens.distortion.trusts(jnp.tile(x, 2), jnp.repeat(y, 2)))
 
 
@@ -251,7 +301,7 @@ def _cast(lens: Lens, dtype: np.dtype) -> Lens:
 
 @eqx.filter_jit
 def _lens_holds(camera: Camera) -> Array:
-    return lens_holds(camera, camera.W, camera.H)
+    return lens_holds(camera, FilmPart(0, camera.W, 0, camera.H, 1))
 
 
 def _check_lens(camera: Camera) -> None:
@@ -262,7 +312,6 @@ def _check_lens(camera: Camera) -> None:
     raise ValueError(
         f"`lens`: expected a distortion that holds up to the film's corners, got a {model} whose"
         " image folds back, or shows 90 degrees from the axis, within the film"
-        " (`formats.cropped` makes a smaller one)"
     )
 
 

@@ -12,6 +12,7 @@ has there (C1). A camera whose film shows more than that is refused.
 """
 
 import abc
+from dataclasses import fields
 from functools import partial
 from typing import Any
 
@@ -46,6 +47,10 @@ class Distortion(eqx.Module):
     @abc.abstractmethod
     def first_guess(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Return an ideal point from which Newton's method finds the one of a distorted point."""
+
+    def coefficients(self) -> dict[str, float]:
+        """Return the coefficients by name."""
+        return {field.name: float(getattr(self, field.name)) for field in fields(self)}
 
     def trusted_radius(self) -> Float[Array, ""]:
         """Return up to which radius of the ideal image the formula counts; not differentiated."""

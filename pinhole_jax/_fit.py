@@ -11,7 +11,15 @@ from ._arrays import Numbers, float_dtype, is_concrete
 from ._camera import Camera
 from ._exact import with_overlaps, worthwhile
 from ._implicit import through
-from ._parameters import REPORTED, canonical, check_free, components, focal_is_free, on_film
+from ._parameters import (
+    REPORTED,
+    canonical,
+    check_free,
+    components,
+    focal_is_free,
+    on_film,
+    with_lens,
+)
 from ._residuals import Sums
 from ._scene import Scene, check_scene
 from ._search import Mask, axes_of
@@ -104,7 +112,8 @@ def fit_camera(
     - `camera`: where to start; also all that is not free. Starts some 20 degrees off are pulled in;
       where what they lead to explains the mask badly, the whole sphere of views is searched. None:
       search at once; then `phi` (rad) is the field of view, or if it is free a first guess (0.7).
-    - `free`: any of pose (or position, orientation), phi, d, principal_point, aspect.
+    - `free`: any of pose (or position, orientation), phi, d, principal_point, aspect, and of the
+      lens's distortion k1, k2, p1, p2, k3 (of a fisheye k1 to k4), or `distortion` for all of them.
     - `weight`: (H, W), at least 0: how much each pixel counts, 0 where the mask is not to be
       believed (an occluder). 1 / variance, up to a factor.
     - `outlier_px`: how far, in px, an outline that is right may lie from the mask's edge. Farther
@@ -130,12 +139,12 @@ def fit_camera(
         raise ValueError(f"`max_steps`: expected at least 1, got {max_steps}")
     if outlier_px is not None and not outlier_px > 0:
         raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
-    names = check_free(free)
     if camera is not None and not isinstance(camera, Camera):
         raise ValueError(f"`camera`: expected a Camera to start from or None, got {camera!r}")
     if camera is not None and phi is not None:
         raise ValueError("`phi`: expected None beside a `camera`, which has its own")
-    base = _anywhere(scene, target, names, phi) if camera is None else camera
+    names = check_free(free, camera)
+    base = with_lens(_anywhere(scene, target, names, phi) if camera is None else camera, names)
 
     def run(inputs: Any) -> tuple[Fit, Callable]:
         scene, target, weight = inputs
@@ -166,7 +175,7 @@ def _fit(
 
     def told(unit: Camera, level: Level, steps: int) -> None:
         if settings.progress is not None:
-            at = on_film(unit, base, names)
+            at = on_film(unit, base)
             shrunk = float(level.scale) / base.H
             W, H = (int(np.ceil(shrunk * x)) for x in (base.W, base.H))
             settings.progress(Progress(at, W, H, steps))
@@ -222,7 +231,7 @@ def report(
 ) -> Fit:
     """Return what was found, as a user reads it; `variance` of a residual, if known better."""
     unit, view, steps = found
-    fitted = on_film(unit, camera, names)
+    fitted = on_film(unit, camera)
     triangle, along = np.asarray(view.triangle, float), np.asarray(view.along, float)
     sums: Any = jax.tree.map(float, view.sums)
     whole: Any = jax.tree.map(float, over_all)
@@ -277,15 +286,22 @@ def _status(triangle, along, sums: Any, whole: Any, blind: bool, dtype) -> str:
         return "saturated" if whole.overlap > 0 else "no_overlap"
     if whole.overlap < LEAST_IOU * whole.union:
         return "no_overlap"
-    # MINPACK's test: the residual is orthogonal to every column of the Jacobian. Near the rounding
-    # floor the residual has no direction; there the Newton step must be negligible, and on it
-    # nothing is left to ask.
-    columns = np.linalg.norm(triangle, axis=0)
-    slope = np.abs(triangle.T @ along)
-    cosine = np.max(slope / np.maximum(columns * np.sqrt(sums.squares), 1e-300))
-    newton = np.linalg.pinv(triangle, rcond=BLIND[dtype]) @ along
-    floor = sums.squares <= (FLOOR * np.finfo(dtype).eps) ** 2 * sums.touched
-    still = cosine <= 100 * COSINE[dtype] or UNIT_PX * np.max(np.abs(newton)) <= 10 * FINE_PX[dtype]
-    if not (floor or still):
+    if not at_rest(triangle, along, sums.squares, sums.touched, dtype):
         return "max_steps"
     return "rank_deficient" if blind else "converged"
+
+
+def at_rest(triangle, along, squares: float, count: float, dtype: np.dtype) -> bool:
+    """Return whether `count` residuals, whose squares sum up to `squares`, have come to a minimum.
+
+    MINPACK's test: the residual is orthogonal to every column of the Jacobian. Near the rounding
+    floor the residual has no direction; there the Newton step must be negligible, and on it nothing
+    is left to ask.
+    """
+    columns = np.linalg.norm(triangle, axis=0)
+    slope = np.abs(triangle.T @ along)
+    cosine = np.max(slope / np.maximum(columns * np.sqrt(squares), 1e-300))
+    newton = np.linalg.pinv(triangle, rcond=BLIND[dtype]) @ along
+    floor = squares <= (FLOOR * np.finfo(dtype).eps) ** 2 * count
+    still = cosine <= 100 * COSINE[dtype] or UNIT_PX * np.max(np.abs(newton)) <= 10 * FINE_PX[dtype]
+    return bool(floor or still)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._camera import Camera, camera_basis, focal_px, principal_point
+from ._camera import Camera, camera_basis, film_map, focal_px, principal_point
 from ._scene import Ball, Scene
 from ._silhouette import silhouette
 from ._target import shares
@@ -139,7 +139,27 @@ class Mask(NamedTuple):
         """Return the mask's signature."""
         focal = np.array([float(f) for f in focal_px(self.camera)])
         centre = np.asarray(principal_point(self.camera), float)
-        return signatures(self.image[None], self.weight, focal, centre)
+        if self.camera.lens is None or self.camera.lens.distortion is None:
+            return signatures(self.image[None], self.weight, focal, centre)
+        image, weight, corner, scale = self._straightened()
+        return signatures(image[None], weight, focal * scale, (centre - corner) * scale)
+
+    def _straightened(self) -> tuple[np.ndarray, ...]:
+        """Return mask and weight without distortion; their lower left corner (px), and their pixels
+        for one of now."""
+        from scipy.ndimage import map_coordinates
+
+        H, W = self.image.shape
+        corner, size = _ideal_rectangle(self.camera)
+        x, y = (
+            c + (np.arange(n) + 0.5) / n * s for c, n, s in zip(corner, (W, H), size, strict=True)
+        )
+        column, row = np.moveaxis(_bent(self.camera, np.stack(np.meshgrid(x, y[::-1]), -1)), -1, 0)
+        at = np.stack([H - row - 0.5, column - 0.5])
+        image, weight = (
+            map_coordinates(z, at, order=1, cval=0.0) for z in (self.image, self.weight + 0.0)
+        )
+        return image, weight, corner, np.array([W, H]) / size
 
     def seen_by(self, eye: np.ndarray, axes: np.ndarray) -> Camera:
         """Return the camera at an eye with these axes (rows b1, b2, v)."""
@@ -147,6 +167,19 @@ class Mask(NamedTuple):
         far = float(np.linalg.norm(np.asarray(c.p - c.e)))
         e, p, u = (np.asarray(x, dtype) for x in (eye, eye + far * axes[2], axes[1]))
         return Camera(e, p, u, c.phi, c.d, c.W, c.H, c.lens)
+
+
+def _ideal_rectangle(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Return lower left corner and size (px) of a part of the ideal film that shows all."""
+    left, right, bottom, top = (float(x) for x in film_map(camera).bounds)
+    return np.array([left, bottom]), np.array([right - left, top - bottom])
+
+
+def _bent(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Return where ideal film points (px) are seen."""
+    bend = film_map(camera).bend
+    assert bend is not None
+    return np.asarray(bend(jnp.asarray(points, camera.e.dtype)), float)
 
 
 def _seen(

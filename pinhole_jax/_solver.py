@@ -151,9 +151,11 @@ class Solver:
         H, W = self._target.shape
         if self.window == (0, 0, W, H):
             return
-        x, y, z = np.asarray(_on_film(unit, self._corners), float).T
-        if np.all(z > 0) and self.window.holds(H * np.stack([x / z, y / z], axis=-1), W, H):
-            return
+        if unit.lens is None or unit.lens.distortion is None:
+            x, y, z = np.asarray(_on_film(unit, self._corners), float).T
+            shown = H * np.stack([x / z, y / z], axis=-1)
+            if np.all(z > 0) and self.window.holds(shown, W, H):
+                return
         self.window = Window(0, 0, W, H)
         self.weigh(self._weights)
 
@@ -336,6 +338,7 @@ def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
         edges=_room(1, int(3 * faces**0.5)) if faces else 1,
         pieces=_room(1, outline + int(3 * faces**0.5)) if faces else 1,
         arc_pieces=_room(1, outline + 8 * spheres) if spheres else 1,
+        arcs=1,
     )
 
 

@@ -45,7 +45,7 @@ def image_jacobian(y, start, camera, scene):
     """Return the image, and its Jacobian by the same parameters."""
 
     def image(y):
-        image = pj.silhouette(on_film(moved(start, y, FREE), camera, FREE), scene)
+        image = pj.silhouette(on_film(moved(start, y, FREE), camera), scene)
         return image, image
 
     columns, value = jax.jacfwd(image, has_aux=True)(y)
@@ -81,7 +81,7 @@ def test_squares_sums_and_jacobian_are_those_of_the_image(look_at, spheres):
     zero = jnp.zeros(7)
     J, (sums, load, (r, rest)) = compact_jacobian(zero, start, scene, data, levels[-1])
     image, columns = image_jacobian(zero, start, camera, scene)
-    weight = weight * pixels_kept(on_film(canonical(camera), camera, FREE), scene, levels[-1])
+    weight = weight * pixels_kept(on_film(canonical(camera), camera), scene, levels[-1])
     covered, dense = np.asarray(image), np.asarray(columns).reshape(-1, 7)
     difference = np.sqrt(weight) * (covered - target)
     dense = np.sqrt(weight).reshape(-1, 1) * dense
