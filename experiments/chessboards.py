@@ -1,10 +1,5 @@
-"""Does `fit_points` calibrate a camera as OpenCV does? Thirteen photos of a chessboard.
+"""Does `fit_points` calibrate a camera as OpenCV does? Thirteen photos of a chessboard."""
 
-python experiments/chessboards.py [../shared/data/calib/opencv_chessboard] [--save]
-"""
-
-import json
-import sys
 import time
 from pathlib import Path
 

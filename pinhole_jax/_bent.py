@@ -148,7 +148,7 @@ class _Stretch(NamedTuple):
     start: Float[Array, "K 2"]
     end: Float[Array, "K 2"]
     turn: Float[Array, "K"]
-    beside: Array
+    beside: Int[Array, "K"]
     heights: Float[Array, "K 2"]
     weight: Float[Array, "K"]
 
@@ -189,7 +189,9 @@ def _stretch(film: FilmMap, arcs: Arcs) -> _Stretch:
     heights = jnp.clip(heights, bounds[2], bounds[3])
     shown = arcs.weight != 0
     turned = jnp.where(shown & (begin < finish), finish - begin, 0)
-    return _Stretch(arcs.frame, start, end, turned, beside & shown, heights, arcs.weight)
+    return _Stretch(
+        arcs.frame, start, end, turned, (beside & shown).astype(jnp.int32), heights, arcs.weight
+    )
 
 
 def _turn(a: Float[Array, "K 2"], b: Float[Array, "K 2"]) -> Float[Array, "K"]:

@@ -63,7 +63,7 @@ class Distortion(eqx.Module):
 
     def __call__(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
         """Return the distorted points of ideal ones."""
-        return self.continued(self.trusted_radius(), x, y)
+        return _distorted(self, x, y)
 
     def continued(self, trusted: Array, x: Array, y: Array) -> tuple[Array, Array]:
         """Return the distorted points, by the formula up to a radius, and beyond it straight on."""
@@ -204,7 +204,16 @@ def _solved(by_x: Array, by_y: Array, right: Array) -> Array:
     return jnp.stack([safe_divide(dx, det), safe_divide(dy, det)])
 
 
+# Compiled as wholes, since outside of `jit` a loop would be compiled at each call.
+
+
+@jax.jit
+def _distorted(model: Distortion, x: Array, y: Array) -> tuple[Array, Array]:
+    return model.continued(model.trusted_radius(), x, y)
+
+
 @jax.custom_jvp
+@jax.jit
 def _undistorted(model: Distortion, x: Array, y: Array) -> tuple[Array, Array]:
     goal = jnp.stack([x, y])
     tiny, trusted = 4 * jnp.finfo(x.dtype).eps, model.trusted_radius()

@@ -231,8 +231,7 @@ def _view(camera: Camera, points: np.ndarray, seen_at: np.ndarray, names: tuple)
 def _begun(view: _View, anywhere: bool) -> _View:
     """Return the view from where the direct linear solution says, if the pose is free and that is
     nearer than the camera's own."""
-    there = ~np.isnan(view.seen_at[:, 0])
-    found = resected(view.film, view.points[there], view.seen_at[there]) if anywhere else None
+    found = resected(view.film, view.points, view.seen_at) if anywhere else None
     if found is None:
         return view
     other = view._replace(unit=canonical(found))

@@ -17,11 +17,14 @@ FLAT = 1e-3
 def resected(
     camera: Camera, points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"]
 ) -> Camera | None:
-    """Return the camera posed so that it sees points (world) where they are seen (px), or None.
+    """Return the camera posed so that it sees points (world) where they are seen (px; NaN: not), or
+    None.
 
     None where there are too few points (4 of a plane, else 6), or where they are degenerate.
     """
-    view = _normalised(camera, seen_at)
+    there = ~np.isnan(seen_at[:, 0])
+    view = _normalised(camera, np.where(there[:, None], seen_at, 0))[there]
+    points = points[there]
     middle = points.mean(axis=0)
     _, spread, axes = np.linalg.svd(points - middle, full_matrices=True)
     flat = spread[-1] <= FLAT * spread[0]

@@ -4,7 +4,8 @@ import jax
 import numpy as np
 import pytest
 import shapely
-from oracles import union_per_pixel
+from jax.flatten_util import ravel_pytree
+from oracles import central_difference, union_per_pixel
 from test_distortion import by_opencv
 
 import pinhole_jax as pj
@@ -44,7 +45,7 @@ CASES = {
     "brown": (BROWN, 1.1),
     "cushion": (CUSHION, 0.9),
     "fisheye": (FISHEYE, 1.25),
-    "strong": (pj.BrownConrady(-0.32), 0.95),
+    "strong": (pj.BrownConrady(-0.32), 0.7),
 }
 silhouette = jax.jit(pj.silhouette)
 
@@ -57,3 +58,103 @@ def test_coverage_is_that_of_the_bent_triangles(case):
     assert np.sum((expected > 0) & (expected < 1)) > 20
     np.testing.assert_allclose(image, expected, atol=1.5e-3)
     assert np.sqrt(np.mean((image - expected) ** 2)) < 3e-4
+
+
+def test_a_scene_through_the_plane_of_the_eye():
+    """The far ends lie behind: what is seen is cut off where the lens sees no more."""
+    view, mesh = camera(*CASES["brown"], distance=0.7), sheet(3.0)
+    cut = pj.Mesh(*_in_front(view, mesh, 0.02))
+    image = silhouette(view, pj.Scene(mesh=mesh))
+    np.testing.assert_allclose(image, dense(view, cut, 3000), atol=5e-3)
+
+
+def _in_front(view, mesh, least):
+    """Return the mesh's triangles cut off at a depth."""
+    e, p = np.asarray(view.e, float), np.asarray(view.p, float)
+    v = (p - e) / np.linalg.norm(p - e)
+    vertices, faces = [], []
+    for face in np.asarray(mesh.faces):
+        corner, kept = np.asarray(mesh.vertices, float)[face], []
+        for a, b in zip(corner, np.roll(corner, -1, axis=0), strict=True):
+            za, zb = (a - e) @ v - least, (b - e) @ v - least
+            kept += [a] if za > 0 else []
+            kept += [a + za / (za - zb) * (b - a)] if za * zb < 0 else []
+        faces += [
+            [len(vertices), len(vertices) + k, len(vertices) + k + 1]
+            for k in range(1, len(kept) - 1)
+        ]
+        vertices += kept
+    return np.array(vertices), np.array(faces)
+
+
+BALLS = pj.Spheres(
+    np.array([[0.3, 0.2, 0.1], [-0.5, -0.3, 0.5], [1.2, -0.6, 0.2]]), [0.5, 0.3, 0.4]
+)
+
+
+def rims(view, spheres, number=4000):
+    """Return the spheres' outlines, projected by OpenCV."""
+    e, shapes = np.asarray(view.e, float), []
+    for centre, radius in zip(np.asarray(spheres.centers), np.asarray(spheres.radii), strict=True):
+        c, r = centre - e, float(radius)
+        far = np.linalg.norm(c)
+        w = c / far
+        a = np.cross(w, [0.3, 0.5, 0.8])
+        a /= np.linalg.norm(a)
+        angle = 2 * np.pi * np.arange(number)[:, None] / number
+        round_ = np.cos(angle) * a + np.sin(angle) * np.cross(w, a)
+        tangent = np.sqrt(far**2 - r**2)
+        rim = e + tangent * (tangent / far * w + r / far * round_)
+        shapes.append(shapely.Polygon(by_opencv(view, rim)))
+    return shapes
+
+
+@pytest.mark.parametrize("case", ["brown", "fisheye"])
+def test_spheres_are_the_bent_images_of_their_rims(case):
+    view = camera(*CASES[case])
+    image = silhouette(view, pj.Scene(spheres=BALLS))
+    np.testing.assert_allclose(image, union_per_pixel(rims(view, BALLS), W, H), atol=1.5e-3)
+
+
+def test_derivatives_are_differences_of_the_oracle():
+    """In all of the camera, its lens too, the vertices and the spheres."""
+    rng = np.random.default_rng(3)
+    up = rng.normal(size=(H, W))
+    mesh = pj.Mesh(np.array([[-2.0, -1, 0], [2.2, -1.1, 0.2], [0.2, 1.2, 0]]), [[0, 1, 2]])
+    balls = pj.Spheres(np.array([[0.1, 0.9, 0.3]]), [0.5])
+    start = (camera(*CASES["brown"]), mesh.vertices, balls)
+    flat, unravel = ravel_pytree(eqx.filter(start, eqx.is_inexact_array))
+
+    def parts(x):
+        view, vertices, spheres = eqx.combine(unravel(x), start)
+        return view, eqx.tree_at(lambda m: m.vertices, mesh, vertices), spheres
+
+    def ours(x):
+        view, mesh, spheres = parts(x)
+        return jnp.sum(up * pj.silhouette(view, pj.Scene(mesh, spheres)))
+
+    def oracle(x):
+        view, mesh, spheres = parts(jnp.asarray(x))
+        corner = np.asarray(mesh.vertices, float)
+        share = np.linspace(0, 1, 400, endpoint=False)[:, None]
+        sides = [
+            a + share * (b - a) for a, b in zip(corner, np.roll(corner, -1, axis=0), strict=True)
+        ]
+        shapes = [
+            shapely.Polygon(by_opencv(view, np.concatenate(sides))),
+            *rims(view, spheres, 800),
+        ]
+        return np.sum(up * union_per_pixel(shapes, W, H))
+
+    gradient = jax.jit(jax.grad(ours))(flat)
+    assert np.all(np.isfinite(gradient))
+    forward = jax.jit(lambda x, v: jax.jvp(ours, (x,), (v,))[1])(flat, jnp.ones_like(flat))
+    np.testing.assert_allclose(forward, np.sum(gradient), rtol=1e-9)
+    expected = central_difference(oracle, flat, 1e-4)
+    np.testing.assert_allclose(gradient, expected, rtol=5e-3, atol=5e-3 * np.abs(expected).max())
+
+
+def test_a_lens_that_bends_nothing_gives_the_ideal_image():
+    scene = pj.Scene(mesh=pj.shapes.bumpy(2), spheres=BALLS)
+    images = [silhouette(camera(model, 0.6), scene) for model in (None, pj.BrownConrady())]
+    np.testing.assert_allclose(*images, atol=5e-4)
