@@ -1,9 +1,10 @@
 """`fit_camera`: the camera from a mask, by Levenberg-Marquardt on exact coverage."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -12,7 +13,10 @@ from ._camera import Camera
 from ._exact import with_overlaps, worthwhile
 from ._implicit import through
 from ._parameters import (
+    BOUNDED,
     REPORTED,
+    Bounds,
+    Prior,
     canonical,
     check_free,
     components,
@@ -102,6 +106,8 @@ def fit_camera(
     phi: Numbers = None,
     weight: Numbers = None,
     outlier_px: float | None = 2.0,
+    prior: Mapping[str, tuple[float, float]] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
     max_steps: int = 64,
     progress: Callable[[Progress], None] | None = None,
 ) -> Fit:
@@ -119,6 +125,11 @@ def fit_camera(
     - `outlier_px`: how far, in px, an outline that is right may lie from the mask's edge. Farther
       away, at holes, missing and extra parts, pixels lose their weight: at the end of a fit to a
       mask that is not exact, so that the rest decides. None: plain least squares.
+    - `prior`: what is known of free parameters beforehand, by the names of `Fit.names` (not of
+      rotations): mean and standard deviation, in their units. It is weighed against the mask by the
+      residuals that the mask leaves.
+    - `bounds`: between what phi, aspect or a coefficient of distortion is to stay, if free. One
+      that ends at a bound is no longer determined: the status is then "rank_deficient".
     - `max_steps`: a limit for each level. `progress` is called with a `Progress` after each level.
 
     Levenberg-Marquardt (optimistix) minimises the weighted squared difference of exact coverage and
@@ -151,10 +162,13 @@ def fit_camera(
         image, weights = check_target(target, weight, base.W, base.H)
         return _fit(scene, Mask(image, weights, base), camera is None, names, settings)
 
-    settings = _Settings(outlier_px, max_steps, progress)
+    known = _prior(prior or {}, base, names), _bounds(bounds or {}, base, names)
+    settings = _Settings(outlier_px, max_steps, progress, *known)
     inputs = (scene, target, weight)
     if is_concrete(*jax.tree.leaves(inputs)):
         return run(inputs)[0]
+    if prior or bounds:
+        raise ValueError("`prior`, `bounds`: expected none where the fit is differentiated")
     return through(run, inputs, names)
 
 
@@ -162,6 +176,45 @@ class _Settings(NamedTuple):
     outlier_px: float | None
     max_steps: int
     progress: Callable[[Progress], None] | None
+    prior: Prior | None
+    bounds: Bounds | None
+
+
+def _prior(prior: Mapping, base: Camera, names: tuple[str, ...]) -> Prior | None:
+    """Return the prior in film heights."""
+    if not prior:
+        return None
+    labels = [x for x in labels_of(names) if not x.startswith("rotation")]
+    mean, std = _pairs("prior", prior, labels, "(mean, standard deviation)")
+    for label, value in zip(prior, std, strict=True):
+        if not value > 0:
+            raise ValueError(f"`prior`: expected a positive deviation of {label!r}, got {value}")
+    unit = np.array([base.H if label.startswith("principal") else 1 for label in prior])
+    to = lambda x: jnp.asarray(x, base.e.dtype)
+    return Prior(tuple(prior), to(mean / unit), to(std / unit), to(0.1))
+
+
+def _bounds(bounds: Mapping, base: Camera, names: tuple[str, ...]) -> Bounds | None:
+    if not bounds:
+        return None
+    labels = [x for x in labels_of(names) if x in BOUNDED]
+    low, high = _pairs("bounds", bounds, labels, "(low, high)")
+    for label, a, b in zip(bounds, low, high, strict=True):
+        if not a < b:
+            raise ValueError(f"`bounds`: expected low < high of {label!r}, got ({a}, {b})")
+    return Bounds(tuple(bounds), *(jnp.asarray(x, base.e.dtype) for x in (low, high)))
+
+
+def _pairs(name: str, given: Mapping, known: list[str], words: str) -> np.ndarray:
+    """Return the pairs (2, k) that free parameters are given, or raise ValueError."""
+    for label, pair in given.items():
+        if label not in known:
+            raise ValueError(
+                f"`{name}`: expected free parameters among {', '.join(known)}, got {label!r}"
+            )
+        if np.shape(pair) != (2,) or not np.all(np.isfinite(np.asarray(pair, float))):
+            raise ValueError(f"`{name}`: expected {words} of {label!r}, got {pair!r}")
+    return np.array([*given.values()], float).T
 
 
 def _fit(
@@ -171,7 +224,16 @@ def _fit(
     overlaps were resolved in them.
     """
     base = mask.camera
-    solver = Solver(scene, mask.target, mask.weight, base.e.dtype, names, settings.max_steps)
+    solver = Solver(
+        scene,
+        mask.target,
+        mask.weight,
+        base.e.dtype,
+        names,
+        settings.max_steps,
+        settings.bounds,
+        settings.prior,
+    )
 
     def told(unit: Camera, level: Level, steps: int) -> None:
         if settings.progress is not None:

@@ -10,6 +10,7 @@ from dataclasses import fields
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -106,12 +107,58 @@ def components(free: tuple[str, ...]) -> list[str]:
 CORNER = 0.8
 
 
+class Bounds(eqx.Module):
+    """Between what a camera's parameters stay (canonical units)."""
+
+    labels: tuple[str, ...] = eqx.field(static=True)
+    low: Float[Array, "k"]
+    high: Float[Array, "k"]
+
+    def into(self, start: Camera, moved: Camera) -> Camera:
+        """Return a moved camera brought within the bounds: moves begin as they are, and a parameter
+        swings to and fro where they would lead it out (as MINUIT's: a sine)."""
+        leaves = lambda c: [BOUNDED[label](c) for label in self.labels]
+        middle, half = (self.high + self.low) / 2, (self.high - self.low) / 2
+        values = []
+        for k, (before, after) in enumerate(zip(leaves(start), leaves(moved), strict=True)):
+            at = jax.lax.stop_gradient(jnp.clip((before - middle[k]) / half[k], -ALMOST, ALMOST))
+            angle = jnp.arcsin(at) + (after - before) / half[k]
+            values.append(middle[k] + half[k] * jnp.sin(angle))
+        return eqx.tree_at(leaves, moved, values)
+
+
+#: What may have bounds; and how near to one a parameter may begin, so that it can leave it.
+BOUNDED = {
+    "phi": lambda c: c.phi,
+    "aspect": lambda c: c.lens.aspect,
+    **{k: lambda c, k=k: getattr(c.lens.distortion, k) for k in COEFFICIENTS},
+}
+ALMOST = 0.999999
+
+
+class Prior(eqx.Module):
+    """What is known of reported parameters beforehand (canonical units), and a residual's noise."""
+
+    labels: tuple[str, ...] = eqx.field(static=True)
+    mean: Float[Array, "k"]
+    std: Float[Array, "k"]
+    noise: Float[Array, ""]
+
+    def residuals(self, camera: Camera, free: tuple[str, ...]) -> Float[Array, "k"]:
+        """Return how far off the means parameters are, in units in which noise is a residual's."""
+        known = [r for name in free for r in REPORTED[name]]
+        values = reported(camera, camera, free)
+        off = jnp.stack([values[known.index(label)] for label in self.labels]) - self.mean
+        return off * (self.noise / self.std)
+
+
 class Move(NamedTuple):
     """Where a vector of moves starts: the camera, the pivot, and the size of one unit of each."""
 
     camera: Camera
     pivot: Float[Array, "3"]
     unit: Float[Array, "n"]
+    bounds: Bounds | None = None
 
 
 def units(
@@ -137,6 +184,11 @@ def units(
 
 def moved(move: Move, y: Float[Array, "n"], free: tuple[str, ...]) -> Camera:
     """Return the camera moved by y (in units of `move.unit`); a rigid motion keeps the gauge."""
+    camera = _moved(move, y, free)
+    return camera if move.bounds is None else move.bounds.into(move.camera, camera)
+
+
+def _moved(move: Move, y: Float[Array, "n"], free: tuple[str, ...]) -> Camera:
     names = components(free)
     step = dict(zip(names, y * move.unit, strict=True))
     zero = jnp.zeros_like(y[0])

@@ -158,3 +158,82 @@ def test_a_lens_that_bends_nothing_gives_the_ideal_image():
     scene = pj.Scene(mesh=pj.shapes.bumpy(2), spheres=BALLS)
     images = [silhouette(camera(model, 0.6), scene) for model in (None, pj.BrownConrady())]
     np.testing.assert_allclose(*images, atol=5e-4)
+
+
+FIT_W, FIT_H = 96, 72
+
+
+def fit_camera(eye, k1):
+    lens = pj.Lens([FIT_W / 2, FIT_H / 2], 1.0, pj.BrownConrady(k1))
+    return pj.Camera(eye, [0, 0, 0], [0, 1, 0.1], 0.7, W=FIT_W, H=FIT_H, lens=lens)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    """Return scene, truth, mask, start, and the fit of pose and k1 to the exact mask."""
+    scene = pj.Scene(mesh=pj.shapes.bumpy(2))
+    truth = fit_camera([0.3, 0.4, 3.2], -0.25)
+    mask = pj.silhouette(truth, scene)
+    start = pj.Camera([0.5, 0.2, 3.3], [0.05, 0, 0], [0, 1, 0.1], 0.7, W=FIT_W, H=FIT_H)
+    return scene, truth, mask, start, pj.fit_camera(scene, mask, start, free=("pose", "k1"))
+
+
+def test_a_fit_finds_the_lens(fitted):
+    _, truth, _, _, fit = fitted
+    assert fit.status == "converged"
+    assert fit.names[-1] == "k1"
+    assert max(float(x) for x in pj.pose_error(fit.camera, truth)) < 1e-4
+    assert abs(float(fit.camera.lens.distortion.k1) + 0.25) < 1e-3
+
+
+def test_views_share_a_lens(fitted):
+    scene, _, mask, start, _ = fitted
+    other = fit_camera([-1.0, 0.6, 3.0], -0.25)
+    masks = [mask, pj.silhouette(other, scene)]
+    near = pj.Camera([-0.9, 0.5, 3.0], [0, 0, 0], [0, 1, 0.1], 0.7, W=FIT_W, H=FIT_H)
+    fits = pj.fit_cameras(scene, masks, [start, near], shared="k1", free="pose")
+    k1 = [float(f.camera.lens.distortion.k1) for f in fits]
+    assert [f.status for f in fits] == ["converged"] * 2
+    np.testing.assert_allclose(k1, -0.25, atol=1e-3)
+    np.testing.assert_allclose(k1[0], k1[1], rtol=1e-9)
+    assert max(float(x) for x in pj.pose_error(fits[1].camera, other)) < 1e-4
+
+
+def test_a_prior_holds_what_a_hard_mask_hardly_shows(fitted):
+    scene, _, mask, start, _ = fitted
+    hard = np.asarray(mask) > 0.5
+    plain, sure = (
+        pj.fit_camera(scene, hard, start, ("pose", "phi", "k1"), prior=prior)
+        for prior in (None, {"phi": (0.7, 1e-4), "k1": (-0.25, 1e-3)})
+    )
+    at = plain.names.index("phi")
+    assert abs(float(sure.camera.phi) - 0.7) < 3e-4
+    assert sure.std[at] < 1.01e-4 < plain.std[at]
+
+
+def test_bounds_are_kept(fitted):
+    scene, _, mask, start, _ = fitted
+    held, inside = (
+        pj.fit_camera(scene, mask, start, ("pose", "k1"), bounds={"k1": (low, 0.1)})
+        for low in (-0.1, -0.4)
+    )
+    assert -0.1 <= float(held.camera.lens.distortion.k1) < -0.09
+    assert inside.status == "converged"
+    assert abs(float(inside.camera.lens.distortion.k1) + 0.25) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"prior": {"k2": (0, 1)}}, r"`prior`: expected free parameters among e_x.* got 'k2'"),
+        ({"prior": {"k1": (0, 0)}}, "`prior`: expected a positive deviation of 'k1', got 0"),
+        ({"prior": {"k1": 3}}, r"`prior`: expected \(mean, standard deviation\) of 'k1', got 3"),
+        ({"bounds": {"e_x": (0, 1)}}, "`bounds`: expected free parameters among k1, got 'e_x'"),
+        ({"bounds": {"k1": (1, 0)}}, r"`bounds`: expected low < high of 'k1', got \(1.0, 0.0\)"),
+        ({"free": "p3"}, r"`free`: expected names among .* got 'p3'"),
+    ],
+)
+def test_bad_priors_and_bounds_are_said_in_words(more, message):
+    scene, start = pj.Scene(mesh=pj.shapes.bumpy(2)), fit_camera([0.3, 0.4, 3.2], -0.25)
+    with pytest.raises(ValueError, match=message):
+        pj.fit_camera(scene, np.eye(FIT_H, FIT_W), start, **{"free": ("pose", "k1"), **more})
