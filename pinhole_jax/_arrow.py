@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._camera import Camera
-from ._parameters import COEFFICIENTS, check_free
+from ._distortion import COEFFICIENTS
+from ._parameters import check_free
 from ._solver import COARSE_PX, COSINE, FINE_PX, UNIT_PX
 
 #: One view's residuals about where it is: `triangle` (R of J = QR), `along` (Q^T r), the unknowns'

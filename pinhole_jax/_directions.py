@@ -8,6 +8,7 @@ from jaxtyping import Array
 
 from ._camera import Camera, focal_px
 from ._differences import Scales
+from ._distortion import COEFFICIENTS
 from ._scene import Scene, bounding_sphere
 
 Point = tuple[Camera, Scene]

@@ -25,6 +25,8 @@ from jaxtyping import Array, Float
 from ._arrays import Numbers, float_array, float_dtype
 from ._safe import norm, safe_divide, safe_sqrt
 
+#: The coefficients of all models, and the powers of the radius that they bend with.
+COEFFICIENTS = {"k1": 3, "k2": 5, "p1": 2, "p2": 2, "k3": 7, "k4": 9}
 #: Where the image grows by less than this share of what it does on the axis it is about to fold;
 #: where it grows by more than so many times that, no lens is left.
 LEAST_SLOPE, MOST_SLOPE = 0.05, 100.0

@@ -16,12 +16,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._camera import Camera, camera_basis, focal_px, principal_point
-from ._distortion import BrownConrady
+from ._distortion import COEFFICIENTS, BrownConrady
 from ._lens import Lens
 from ._safe import norm, safe_divide, safe_sqrt
-
-#: The coefficients of all kinds of distortion, and the powers of the radius that they bend with.
-COEFFICIENTS = {"k1": 3, "k2": 5, "p1": 2, "p2": 2, "k3": 7, "k4": 9}
 
 #: What `free` may name (and `distortion`: all coefficients): the components of the move that each
 #: name frees.

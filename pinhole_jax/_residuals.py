@@ -140,9 +140,10 @@ def residuals(
 
 def _part(level: Level) -> FilmPart:
     """Return a level's window in film heights."""
-    left, bottom = (jnp.asarray(x) / level.scale for x in level.origin)
-    right, top = left + level.W / level.scale, bottom + level.H / level.scale
-    return FilmPart(left, right, bottom, top, level.scale)
+    scale = jnp.asarray(level.scale)
+    left, bottom = jnp.asarray(level.origin) / scale
+    W, H = (jnp.asarray(x, scale.dtype) / scale for x in (level.W, level.H))
+    return FilmPart(left, left + W, bottom, bottom + H, scale)
 
 
 class _Sorted(NamedTuple):

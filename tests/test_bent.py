@@ -1,6 +1,8 @@
 """Silhouettes under lens distortion against polygons of points that OpenCV projects densely."""
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
