@@ -9,12 +9,13 @@ correlation finds the roll at which each view comes closest to the mask.
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._camera import Camera, camera_basis, film_map, focal_px, principal_point
+from ._camera import Camera, bend, camera_basis, film_map, focal_px, principal_point
 from ._scene import Ball, Scene
 from ._silhouette import silhouette
 from ._target import shares
@@ -131,9 +132,8 @@ class Mask(NamedTuple):
 
     def longer(self, factor: float) -> "Mask":
         """Return the mask as seen with a focal length times a factor."""
-        c = self.camera
-        phi = 2 * jnp.arctan(jnp.tan(c.phi / 2) / factor)
-        return self._replace(camera=Camera(c.e, c.p, c.u, phi, c.d, c.W, c.H, c.lens))
+        phi = 2 * jnp.arctan(jnp.tan(self.camera.phi / 2) / factor)
+        return self._replace(camera=eqx.tree_at(lambda c: c.phi, self.camera, phi))
 
     def signature(self) -> Signature:
         """Return the mask's signature."""
@@ -165,8 +165,8 @@ class Mask(NamedTuple):
         """Return the camera at an eye with these axes (rows b1, b2, v)."""
         c, dtype = self.camera, self.camera.e.dtype
         far = float(np.linalg.norm(np.asarray(c.p - c.e)))
-        e, p, u = (np.asarray(x, dtype) for x in (eye, eye + far * axes[2], axes[1]))
-        return Camera(e, p, u, c.phi, c.d, c.W, c.H, c.lens)
+        pose = [jnp.asarray(x, dtype) for x in (eye, eye + far * axes[2], axes[1])]
+        return eqx.tree_at(lambda c: [c.e, c.p, c.u], c, pose)
 
 
 def _ideal_rectangle(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -177,9 +177,9 @@ def _ideal_rectangle(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
 
 def _bent(camera: Camera, points: np.ndarray) -> np.ndarray:
     """Return where ideal film points (px) are seen."""
-    bend = film_map(camera).bend
-    assert bend is not None
-    return np.asarray(bend(jnp.asarray(points, camera.e.dtype)), float)
+    bent = bend(camera)
+    assert bent is not None
+    return np.asarray(bent(jnp.asarray(points, camera.e.dtype)), float)
 
 
 def _seen(

@@ -11,6 +11,7 @@ from oracles import central_difference, union_per_pixel
 from test_distortion import by_opencv
 
 import pinhole_jax as pj
+from pinhole_jax._search import Mask
 
 W, H = 24, 18
 BROWN = pj.BrownConrady(-0.2, 0.05, 4e-3, -3e-3, 0.004)
@@ -211,6 +212,21 @@ def test_a_prior_holds_what_a_hard_mask_hardly_shows(fitted):
     at = plain.names.index("phi")
     assert abs(float(sure.camera.phi) - 0.7) < 3e-4
     assert sure.std[at] < 1.01e-4 < plain.std[at]
+
+
+def test_a_search_sees_the_mask_without_its_distortion(fitted):
+    scene, _, _, start, _ = fitted
+    bent = fit_camera([0.3, 0.4, 2.2], -0.25)
+    ideal = pj.Camera(bent.e, bent.p, bent.u, bent.phi, W=FIT_W, H=FIT_H)
+    weight = np.ones((FIT_H, FIT_W))
+    shown = [np.asarray(pj.silhouette(c, scene)) for c in (bent, ideal)]
+    seen, straight, wrong = (
+        Mask(image, weight, camera).signature()
+        for image, camera in zip([*shown, shown[0]], (bent, ideal, ideal), strict=True)
+    )
+    np.testing.assert_allclose(seen.solid_angle, straight.solid_angle, rtol=0.01)
+    assert abs(wrong.solid_angle / straight.solid_angle - 1) > 0.02
+    np.testing.assert_allclose(seen.axes, straight.axes, atol=2e-3)
 
 
 def test_bounds_are_kept(fitted):
