@@ -215,8 +215,7 @@ def test_a_prior_holds_what_a_hard_mask_hardly_shows(fitted):
 
 
 def test_a_search_sees_the_mask_without_its_distortion(fitted):
-    scene, _, _, start, _ = fitted
-    bent = fit_camera([0.3, 0.4, 2.2], -0.25)
+    scene, bent, *_ = fitted
     ideal = pj.Camera(bent.e, bent.p, bent.u, bent.phi, W=FIT_W, H=FIT_H)
     weight = np.ones((FIT_H, FIT_W))
     shown = [np.asarray(pj.silhouette(c, scene)) for c in (bent, ideal)]
