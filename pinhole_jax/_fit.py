@@ -27,7 +27,7 @@ from ._parameters import (
 from ._residuals import Sums
 from ._scene import Scene, check_scene
 from ._search import Mask, axes_of
-from ._solver import COSINE, FINE_PX, UNIT_PX, Found, Solver, View
+from ._solver import COSINE, FINE_PX, UNIT_PX, Found, Solver
 from ._strategy import EXACT, equally_good, everywhere, from_start, turns_freely, without_outliers
 from ._target import Level, check_target, edge_distance, near_an_edge
 from ._uncertainty import BLIND, covariance, weak_directions
@@ -106,8 +106,8 @@ def fit_camera(
     phi: Numbers = None,
     weight: Numbers = None,
     outlier_px: float | None = 2.0,
-    prior: Mapping[str, tuple[float, float]] | None = None,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
+    prior: Mapping[str, Any] | None = None,
+    bounds: Mapping[str, Any] | None = None,
     max_steps: int = 64,
     progress: Callable[[Progress], None] | None = None,
 ) -> Fit:
@@ -297,7 +297,7 @@ def report(
     triangle, along = np.asarray(view.triangle, float), np.asarray(view.along, float)
     sums: Any = jax.tree.map(float, view.sums)
     whole: Any = jax.tree.map(float, over_all)
-    labels, to_reported = labels_of(names), to_units(view, names, camera)
+    labels, to_reported = labels_of(names), to_units(view.to_reported, names, camera)
     dtype = np.dtype(camera.e.dtype)
     finite = np.all(np.isfinite(triangle)) and np.isfinite(sums.squares)
     n = len(labels)
@@ -333,12 +333,12 @@ def labels_of(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(r for name in names for r in REPORTED[name])
 
 
-def to_units(view: View, names: tuple[str, ...], camera: Camera) -> np.ndarray:
+def to_units(derivative: Any, names: tuple[str, ...], camera: Camera) -> np.ndarray:
     """Return the derivative of the reported parameters by the solver's moves.
 
     Film coordinates are in film heights inside the fit: the principal point's come back in px.
     """
-    to_reported = np.array(view.to_reported, float)
+    to_reported = np.array(derivative, float)
     to_reported[[label.startswith("principal") for label in labels_of(names)]] *= camera.H
     return to_reported
 

@@ -82,15 +82,14 @@ def fit_points(
     Raises ValueError for arguments that make no fit; what the solver met is in each `status`.
     """
     single = isinstance(camera, Camera)
-    cameras = [camera] if isinstance(camera, Camera) else list(camera)
-    if not cameras or not all(isinstance(c, Camera) for c in cameras):
+    cameras = [camera] if single else camera
+    if not isinstance(cameras, Sequence) or not all(isinstance(c, Camera) for c in cameras):
         raise ValueError(f"`camera`: expected a Camera, or one for each view, got {camera!r}")
     if max_steps < 1:
         raise ValueError(f"`max_steps`: expected at least 1, got {max_steps}")
     seen_at, points = _checked(points3d, points2d)
     count = len(seen_at)
-    if single:
-        cameras = cameras * count
+    cameras = [camera] * count if single else list(cameras)
     if len(cameras) != count:
         raise ValueError(f"`camera`: expected one for each of {count} views, got {len(cameras)}")
     if shared is None:
@@ -268,7 +267,7 @@ def _report(view: _View, seen: _Seen, variance: float, squares: float, count: in
         nan = float("nan")
         return PointFit(camera, "non_finite", labels, nothing, np.diag(nothing), nan, 0, ())
     blind, weak = weak_directions(triangle, components(names), axes_of(camera), BLIND[dtype])
-    cov = covariance(triangle, to_units(seen, names, camera), variance, BLIND[dtype])
+    cov = covariance(triangle, to_units(seen.to_reported, names, camera), variance, BLIND[dtype])
     status = "rank_deficient" if blind else "converged"
     if not at_rest(triangle, along, squares, count, dtype):
         status = "max_steps"

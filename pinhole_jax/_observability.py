@@ -74,7 +74,7 @@ def observability(
     triangle, blind = np.asarray(view.triangle, float), BLIND[solver.dtype]
     labels = labels_of(names)
     values = np.linalg.svd(triangle, compute_uv=False)
-    cov = covariance(triangle, to_units(view, names, camera), noise**2, blind)
+    cov = covariance(triangle, to_units(view.to_reported, names, camera), noise**2, blind)
     _, weak = weak_directions(triangle, components(names), axes_of(camera), blind)
     return Observability(
         names=labels,
