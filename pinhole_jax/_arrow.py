@@ -56,7 +56,7 @@ def alike(cameras: Sequence[Camera], common: tuple[str, ...]) -> list[Camera]:
     result = list(cameras)
     for leaf in (leaf for name in common for leaf in SHARED[name]):
         values = [leaf(c) for c in cameras]
-        mean = sum(values[1:], values[0]) / len(values)
+        mean: Any = sum(values[1:], values[0]) / len(values)
         result = [eqx.tree_at(leaf, c, mean.astype(c.e.dtype)) for c in result]
     return result
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ._camera import FilmMap
+from ._camera import Bend, FilmMap
 from ._curves import Arcs, Segments, edge_shares, ends, film_at, homogeneous, unit_at
 from ._safe import dot, norm, safe_divide
 
@@ -83,7 +83,8 @@ def _enough(second_px: Array) -> Array:
 
 def bending(film: FilmMap) -> Bending:
     """Return how much the lens bends what lies within the film's bounds."""
-    bend = jax.lax.stop_gradient(film.bend)
+    assert film.bend is not None
+    bend: Bend = jax.lax.stop_gradient(film.bend)
     left, right, bottom, top = film.bounds
     centre, dtype = bend.centre, bend.centre.dtype
     reach = jnp.stack([jnp.maximum(jnp.abs(left - centre[0]), jnp.abs(right - centre[0]))])
@@ -169,6 +170,7 @@ def _stretch(film: FilmMap, arcs: Arcs) -> _Stretch:
     begin, finish = jnp.zeros_like(whole), whole
     start, end = arcs.start, arcs.end
     heights = jnp.stack([first[:, 1], last[:, 1]], axis=-1)
+    beside = jnp.zeros_like(whole, bool)
     for axis in (0, 1):
         grows = jnp.where(last[:, axis] >= first[:, axis], 1, -1).astype(whole.dtype)
         for value, side in ((bounds[2 * axis], -1), (bounds[2 * axis + 1], 1)):

@@ -211,7 +211,7 @@ class FilmMap(eqx.Module):
     H: int = eqx.field(static=True)
     bend: Bend | None = None
     limits: Float[Array, "4"] | None = None
-    px: Float[Array, ""] | None = None
+    px: Any = None
 
     @property
     def bounds(self) -> list[Array]:

@@ -175,8 +175,15 @@ class _View(NamedTuple):
         there = ~np.isnan(self.seen_at[:, 0])
         seen_at = np.where(there[:, None], self.seen_at, 0) / self.film.H
         centre, radius = self.ball
-        numbers = (to(x) for x in (self.points, seen_at, centre, radius))
-        return _Data(*numbers, there, to(self.film.W / self.film.H), to(self.film.H))
+        return _Data(
+            points=to(self.points),
+            seen_at=to(seen_at),
+            pivot=to(centre),
+            radius=to(radius),
+            there=there,
+            width=to(self.film.W / self.film.H),
+            H=to(self.film.H),
+        )
 
 
 class _Data(NamedTuple):

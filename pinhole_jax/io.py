@@ -229,7 +229,7 @@ def _lens_from_dict(data: Any) -> Lens:
     bent = data.get("distortion")
     if bent is not None:
         known = {model.__name__: model for model in (BrownConrady, Fisheye)}
-        model = known.get(bent.get("model")) if isinstance(bent, dict) else None
+        model = known.get(str(bent.get("model"))) if isinstance(bent, dict) else None
         names = {field.name for field in fields(model)} if model else set()
         if model is None or set(bent) - names - {"model"}:
             words = f"a model ({', '.join(known)}) and its coefficients"
