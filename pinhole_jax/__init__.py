@@ -9,10 +9,14 @@ from ._camera import Camera as Camera
 from ._camera import camera_basis as camera_basis
 from ._certificate import Certificate as Certificate
 from ._certificate import check_gradients as check_gradients
+from ._distortion import BrownConrady as BrownConrady
+from ._distortion import Fisheye as Fisheye
 from ._fit import Fit as Fit
 from ._fit import Progress as Progress
 from ._fit import fit_camera as fit_camera
 from ._fit_cameras import fit_cameras as fit_cameras
+from ._fit_points import PointFit as PointFit
+from ._fit_points import fit_points as fit_points
 from ._images import depth as depth
 from ._images import normals as normals
 from ._lens import Lens as Lens

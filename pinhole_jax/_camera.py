@@ -29,6 +29,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._arrays import Numbers, float_array, float_dtype, is_concrete
+from ._distortion import Distortion
 from ._lens import Lens
 from ._safe import cross_of_difference, norm, normalize
 
@@ -66,11 +67,12 @@ class Camera(eqx.Module):
     """A pinhole camera (e, p, u, phi, d, W, H); see the conventions at the top of this module.
 
     All of e, p, u, phi and d are differentiable leaves; W and H are static. `lens` is None for the
-    ideal pinhole, or a `Lens` (principal point, pixel aspect).
+    ideal pinhole, or a `Lens` (principal point, pixel aspect, distortion).
 
     Raises ValueError where an argument has another shape or dtype than documented, is not finite,
     or makes no camera: `e` equal to `p`, `u` parallel to the view, `phi` outside (0, pi), `d <= 0`,
-    `W` or `H` below 1, more than 2^30 pixels. Arguments that are being traced are checked for shape
+    `W` or `H` below 1, more than 2^30 pixels, a lens whose image folds back within the film or
+    reaches 90 degrees from the axis there. Arguments that are being traced are checked for shape
     only.
     """
 
@@ -113,6 +115,9 @@ class Camera(eqx.Module):
             raise ValueError(f"`d`: expected a positive distance, got {float(self.d)}")
         if is_concrete(self.e, self.p, self.u):
             _check_view(*(np.asarray(x) for x in (self.e, self.p, self.u)))
+        bent = self.lens is not None and self.lens.distortion is not None
+        if bent and is_concrete(self.phi, *jax.tree.leaves(self.lens)):
+            _check_lens(self)
 
 
 def camera_basis(camera: Camera) -> Basis:
@@ -145,12 +150,57 @@ def to_camera(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, 
     return FilmMap(camera.e, camera.p, axes, base, camera.W, camera.H)(points)
 
 
+class Bend(eqx.Module):
+    """Ideal film points (px) to those of a lens with distortion."""
+
+    distortion: Distortion
+    focal: Float[Array, "2"]
+    centre: Float[Array, "2"]
+
+    def __call__(self, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """Return the film points (px) of ideal ones."""
+        x, y = ((points[..., k] - self.centre[k]) / self.focal[k] for k in (0, 1))
+        bent = self.distortion(x, y)
+        return jnp.stack([self.focal[k] * bent[k] + self.centre[k] for k in (0, 1)], axis=-1)
+
+    def around(self, part: "FilmPart") -> Float[Array, "4"]:
+        """Return an ideal rectangle (left, right, bottom, top) about a part of the film, of which
+        each side is seen beyond that side of the part; not differentiated."""
+        held = jax.lax.stop_gradient(self)
+        sides = (jnp.stack(part[:4]) - jnp.repeat(held.centre, 2)) / jnp.repeat(held.focal, 2)
+        sign = jnp.asarray([-1, 1, -1, 1], sides.dtype)
+        size = jnp.max(jnp.abs(sides))
+        outer = sign * jnp.maximum(sign * sides, size / 10)
+        boxes = jnp.asarray(np.geomspace(1.02, 600, 96)[:, None], sides.dtype) * outer[None]
+        share = jnp.asarray(np.linspace(0, 1, 33)[None], sides.dtype)
+        x, y = (boxes[:, k : k + 1] * (1 - share) + boxes[:, k + 1 : k + 2] * share for k in (0, 2))
+        none = jnp.zeros_like(x)
+        seen = [held.distortion(boxes[:, k : k + 1] + none, y)[0] for k in (0, 1)]
+        seen += [held.distortion(x, boxes[:, k : k + 1] + none)[1] for k in (2, 3)]
+        beyond = jnp.min(
+            sign[:, None, None] * (jnp.stack(seen) - sides[:, None, None]), axis=(0, 2)
+        )
+        box = boxes[jnp.argmax(jnp.append(beyond[:-1] > size / 50, jnp.ones(1, bool)))]
+        return box * jnp.repeat(held.focal, 2) + jnp.repeat(held.centre, 2)
+
+
+class FilmPart(NamedTuple):
+    """A part of the film that is looked at (in film coordinates), and pixels per unit of these."""
+
+    left: Any
+    right: Any
+    bottom: Any
+    top: Any
+    px: Any
+
+
 class FilmMap(eqx.Module):
     """World points to the film: `matrix (x - eye)` is (x z, y z, z), film coordinates times depth.
 
     All that a contour needs of a camera, worked out once. Of points nearer to the view point than
     to the eye what counts is their place beside the view point, whose film point is known (`base`):
-    so an object that is looked at from a distance keeps its digits.
+    so an object that is looked at from a distance keeps its digits. The film is the ideal one:
+    `bend` (None: nothing) says where its points lie in the image.
     """
 
     eye: Float[Array, "3"]
@@ -159,6 +209,28 @@ class FilmMap(eqx.Module):
     base: Float[Array, "3"]
     W: int = eqx.field(static=True)
     H: int = eqx.field(static=True)
+    bend: Bend | None = None
+    limits: Float[Array, "4"] | None = None
+    px: Any = None
+
+    @property
+    def bounds(self) -> list[Array]:
+        """Return what contours are cut off at: left, right, bottom, top, well outside the film."""
+        if self.limits is not None:
+            return list(self.limits)
+        sides = (-self.W, 2 * self.W, -self.H, 2 * self.H)
+        return [jnp.asarray(x, self.eye.dtype) for x in sides]
+
+    def looking_at(self, part: FilmPart) -> "FilmMap":
+        """Return the map for a part of the film: contours are cut off well outside that."""
+        left, right, bottom, top, px = (jnp.asarray(x, self.eye.dtype) for x in part)
+        if self.bend is None:
+            width, height = right - left, top - bottom
+            limits = jnp.stack([left - width, right + width, bottom - height, top + height])
+        else:
+            limits = self.bend.around(FilmPart(left, right, bottom, top, px))
+        fields = (self.eye, self.view, self.matrix, self.base, self.W, self.H, self.bend)
+        return FilmMap(*fields, jax.lax.stop_gradient(limits), px)
 
     def __call__(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
         """Return the homogeneous film points (px times depth, depth) of world points."""
@@ -182,13 +254,33 @@ class FilmMap(eqx.Module):
 
 
 def film_map(camera: Camera) -> FilmMap:
-    """Return the camera as a linear map to the film."""
+    """Return the camera as a map to the film."""
     b1, b2, v = camera_basis(camera)
     fx, fy = focal_px(camera)
     centre = principal_point(camera)
     matrix = jnp.stack([fx * b1 + centre[0] * v, fy * b2 + centre[1] * v, v])
     base = jnp.append(centre, jnp.ones(1, centre.dtype)) * norm(camera.p - camera.e)
-    return FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H)
+    lens = bend(camera)
+    film = FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H, lens)
+    whole = FilmPart(0, camera.W, 0, camera.H, 1)
+    return film if lens is None else film.looking_at(whole)
+
+
+def bend(camera: Camera) -> Bend | None:
+    """Return what the lens's distortion does to film points, None if there is none."""
+    if camera.lens is None or camera.lens.distortion is None:
+        return None
+    return Bend(camera.lens.distortion, jnp.stack(focal_px(camera)), camera.lens.principal_point)
+
+
+def lens_holds(camera: Camera, part: FilmPart) -> Array:
+    """Return whether the distortion may be trusted on all of a part of the film."""
+    lens = bend(camera)
+    if lens is None:
+        return jnp.ones((), bool)
+    sides = jnp.stack([jnp.asarray(x, camera.e.dtype) for x in part[:4]]).reshape(2, 2)
+    x, y = (sides - lens.centre[:, None]) / lens.focal[:, None]
+    return jnp.all(lens.distortion.trusts(jnp.tile(x, 2), jnp.repeat(y, 2)))
 
 
 def _resolution(name: str, value: Any) -> int:
@@ -204,10 +296,22 @@ def _resolution(name: str, value: Any) -> int:
 
 
 def _cast(lens: Lens, dtype: np.dtype) -> Lens:
-    return eqx.tree_at(
-        lambda x: (x.principal_point, x.aspect),
-        lens,
-        (lens.principal_point.astype(dtype), lens.aspect.astype(dtype)),
+    return jax.tree.map(lambda x: x.astype(dtype), lens)
+
+
+@eqx.filter_jit
+def _lens_holds(camera: Camera) -> Array:
+    return lens_holds(camera, FilmPart(0, camera.W, 0, camera.H, 1))
+
+
+def _check_lens(camera: Camera) -> None:
+    with jax.ensure_compile_time_eval():
+        if bool(_lens_holds(camera)):
+            return
+    model = type(camera.lens.distortion).__name__ if camera.lens else ""
+    raise ValueError(
+        f"`lens`: expected a distortion that holds up to the film's corners, got a {model} whose"
+        " image folds back, or shows 90 degrees from the axis, within the film"
     )
 
 

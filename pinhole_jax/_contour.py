@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
+from ._bent import Cuts, along, arc_part_ends, arc_parts, bending, cuts, following, seen_through
 from ._camera import FilmMap
 from ._curves import Arcs, Segments, cut_circle
 from ._safe import dot, norm, normalize, safe_divide, safe_sqrt
@@ -99,8 +100,9 @@ def _bit(words: UInt32[Array, "words"], index: Int[Array, "*K"]) -> Bool[Array, 
 class MeshContour(NamedTuple):
     """The contour edges of a mesh; `segments` ids for `edge_segments`.
 
-    `positive` has a bit for each edge, set where it bounds more cover on its left than on its
-    right; `second` is None for a closed mesh, else the edges' second faces.
+    Under distortion edges are cut into parts (`cuts`), whose ids come before those of what lies
+    left of the film. `positive` has a bit for each edge, set where it bounds more cover on its left
+    than on its right; `second` is None for a closed mesh, else the edges' second faces.
     """
 
     edge_vertices: Int[Array, "E 2"]
@@ -108,6 +110,7 @@ class MeshContour(NamedTuple):
     positive: UInt32[Array, "words"]
     chosen: Selection
     segments: Int[Array, ""]
+    cuts: Cuts | None = None
 
     def weight(self, edge: Int[Array, "*K"]) -> Int[Array, "*K"]:
         """Return how many layers of cover contour edges bound on their left less on their right."""
@@ -124,7 +127,16 @@ def mesh_contour(film: FilmMap, mesh: Mesh) -> MeshContour:
     # Without the barrier the compiler works these out anew in each loop that reads some.
     words, positive = jax.lax.optimization_barrier((words, positive))
     contour = _contour(mesh, words, positive)
-    return contour._replace(segments=contour.segments * jnp.where(reaches_left(film, mesh), 2, 1))
+    left = jnp.where(reaches_left(film, mesh), contour.segments, 0)
+    if film.bend is None:
+        return contour._replace(segments=contour.segments + left)
+    bent, edges = bending(film), mesh.edge_faces.shape[0]
+
+    def number(rank):
+        return bent.parts(_ideal_segments(film, mesh.vertices, contour, rank, rank < 0), film.px)
+
+    parts = cuts(number, contour.segments, edges)
+    return contour._replace(segments=parts.total + left, cuts=parts)
 
 
 def _contour(mesh: Mesh, words: Array, positive: Array) -> MeshContour:
@@ -205,16 +217,41 @@ def _weight(mesh: Mesh, first, second, second_face) -> Int[Array, "*E"]:
 
 
 def edge_lifts(
-    film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour, ids: Int[Array, "*K"]
-) -> Float[Array, "*K 2 3"]:
-    """Return the ends of contour edges as homogeneous film points, differentiably."""
-    return film(vertices[contour.edge_vertices[_edge(contour, ids)]])
+    film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour, ids: Int[Array, "K"]
+) -> Float[Array, "K 2 3"]:
+    """Return the ends of contour edges as homogeneous film points, differentiably.
+
+    Under distortion those of the edges' parts, and what they move with is their images.
+    """
+    rank, beside, *part = _place(contour, ids)
+    lift = film(vertices[contour.edge_vertices[_edge(contour, rank)]])
+    if not part:
+        return lift
+    held = jax.lax.stop_gradient((film, vertices))
+    ideal = _ideal_segments(*held, contour, rank, beside)
+    return seen_through(film, following(lift, along(ideal, *part)))
 
 
-def _edge(contour: MeshContour, ids: Int[Array, "*K"]) -> Int[Array, "*K"]:
-    total = contour.chosen.total
-    edge = nth(contour.chosen, jnp.where(ids >= total, ids - total, ids))
-    return jnp.minimum(edge, contour.edge_vertices.shape[0] - 1)
+def _place(contour: MeshContour, ids: Int[Array, "K"]) -> tuple[Array, ...]:
+    """Return which contour edge each id stands for, and whether for what of it lies left of the
+    film; under distortion also the part of the edge, and how many it has."""
+    if contour.cuts is None:
+        total = contour.chosen.total
+        return jnp.where(ids >= total, ids - total, ids), ids >= total
+    inner = contour.cuts.total
+    beside = ids >= inner
+    rank, part, parts = contour.cuts.find(ids)
+    one = jnp.ones_like(ids)
+    return (
+        jnp.where(beside, ids - inner, rank),
+        beside,
+        jnp.where(beside, 0, part),
+        jnp.where(beside, one, parts),
+    )
+
+
+def _edge(contour: MeshContour, rank: Int[Array, "*K"]) -> Int[Array, "*K"]:
+    return jnp.minimum(nth(contour.chosen, rank), contour.edge_vertices.shape[0] - 1)
 
 
 def edge_segments(
@@ -222,24 +259,36 @@ def edge_segments(
 ) -> Segments:
     """Return contour edges in and near the film, then what of them lies left of it; then nothing.
 
-    The second half is there only if something may lie on the left.
+    The second half is there only if something may lie on the left. Under distortion edges are cut
+    into parts, as which they are seen.
     """
-    weight = jnp.where(ids < contour.segments, contour.weight(_edge(contour, ids)), 0)
-    lift = edge_lifts(film, vertices, contour, ids)
+    rank, beside, *part = _place(contour, ids)
+    segments = _ideal_segments(film, vertices, contour, rank, beside)
+    weight = jnp.where(ids < contour.segments, segments.weight, 0)
+    if part:
+        ends = seen_through(film, along(segments, *part))[..., :2]
+        segments = Segments(ends[:, 0], ends[:, 1], weight)
+    return jax.lax.optimization_barrier(segments._replace(weight=weight))
+
+
+def _ideal_segments(
+    film: FilmMap, vertices: Array, contour: MeshContour, rank: Array, beside: Array
+) -> Segments:
+    """Return contour edges, or what of them lies left of the film, on the ideal film."""
+    edge = _edge(contour, rank)
+    weight, lift = contour.weight(edge), film(vertices[contour.edge_vertices[edge]])
     # Without the barriers the compiler repeats the gathers in each of the clip's many consumers.
     lift, weight = jax.lax.optimization_barrier((lift, weight))
-    segments = clipped(lift, weight, ids >= contour.chosen.total, film.W, film.H)
-    return jax.lax.optimization_barrier(segments)
+    return clipped(lift, weight, beside, film.bounds)
 
 
 def clipped(
     lift: Float[Array, "K 2 3"],
     weight: Int[Array, "K"],
     beside: Bool[Array, "K"],
-    W: int,
-    H: int,
+    bounds: list[Array],
 ) -> Segments:
-    """Return edges as segments on the film, cut off one film's size outside it.
+    """Return edges as segments on the film, cut off at bounds (left, right, low, high) outside it.
 
     Edges are clipped before the division by depth, so those that pass the eye or end behind it lose
     no accuracy. What lies right of the film shows nowhere in it and is left out; what lies left of
@@ -247,7 +296,7 @@ def clipped(
     A cut end lies at exactly its bound. An edge that passes through the eye's x axis leaves for
     infinity at the top (`surrounding` decides alike).
     """
-    left, right, low, high = (jnp.asarray(x, lift.dtype) for x in (-W, 2 * W, -H, 2 * H))
+    left, right, low, high = bounds
     first = jnp.array([[True, False]])
     is_low, is_high = (f > 0 for f in _rows_outside(lift, low, high))
     t_low, t_high = (_crossing(f)[:, None] for f in _rows_outside(lift, low, high))
@@ -342,6 +391,32 @@ def sphere_arcs(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Arcs:
     return Arcs(frame, start, end, shown.astype(frame.dtype))
 
 
+def arc_cuts(film: FilmMap, spheres: Spheres) -> Cuts:
+    """Return into how many parts each arc of `sphere_arcs` is to be cut under distortion."""
+    film, spheres = jax.lax.stop_gradient((film, spheres))
+    number = ARCS_PER_SPHERE * spheres.radii.shape[0]
+    return cuts(lambda ids: arc_parts(film, sphere_arcs(film, spheres, ids)), number, number)
+
+
+def arc_part_lifts(
+    film: FilmMap, spheres: Spheres, parts: Cuts, ids: Int[Array, "K"]
+) -> Float[Array, "K 2 3"]:
+    """Return the ends of the arcs' parts as what their images move with, differentiably."""
+    arc, *part = parts.find(ids)
+    arcs = sphere_arcs(*jax.lax.stop_gradient((film, spheres)), arc)
+    frame = sphere_frames(film, spheres, arc)
+    return seen_through(film, arc_part_ends(film, arcs, frame, *part))
+
+
+def arc_part_segments(
+    film: FilmMap, spheres: Spheres, parts: Cuts, ids: Int[Array, "K"]
+) -> Segments:
+    """Return the arcs' parts, as which they are seen under distortion; then nothing."""
+    weight = sphere_arcs(film, spheres, parts.find(ids)[0]).weight
+    ends = arc_part_lifts(film, spheres, parts, ids)[..., :2]
+    return Segments(ends[:, 0], ends[:, 1], jnp.where(ids < parts.total, weight, 0))
+
+
 def _monotone_stretches(frame: Float[Array, "S 3 3"]):
     """Return the ends (6, S, 2) of the arcs between points where the conic turns or is cut."""
     p = jnp.moveaxis(frame, (1, 2), (0, 1))  # p[k][i]: row k, component i of all spheres
@@ -400,9 +475,9 @@ def surrounding(film: FilmMap, scene: Scene) -> Int[Array, ""]:
 
 
 def reaches_left(film: FilmMap, mesh: Mesh) -> Bool[Array, ""]:
-    """Return whether anything may lie left of the film by more than its width."""
+    """Return whether anything may lie left of what contours are cut off at."""
     x, _, z = jnp.moveaxis(_corners(film, mesh), -1, 0)
-    return jnp.any(x < -film.W * z)
+    return jnp.any(x < film.bounds[0] * z)
 
 
 def _corners(film: FilmMap, mesh: Mesh) -> Float[Array, "8 3"]:

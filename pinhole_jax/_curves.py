@@ -64,15 +64,16 @@ def ends(curves: Curves) -> tuple[Float[Array, "*K 2"], Float[Array, "*K 2"]]:
     return _arc_end(curves.frame, curves.start, 1), _arc_end(curves.frame, curves.end, -1)
 
 
-def _homogeneous(frame: Float[Array, "*#K 3 3"], w: Float[Array, "*K 2"]) -> Float[Array, "*K 3"]:
+def homogeneous(frame: Float[Array, "*#K 3 3"], w: Float[Array, "*K 2"]) -> Float[Array, "*K 3"]:
+    """Return the homogeneous film point of w."""
     return frame[..., 0, :] + frame[..., 1, :] * w[..., :1] + frame[..., 2, :] * w[..., 1:]
 
 
 def _arc_end(frame: Float[Array, "*K 3 3"], w: Float[Array, "*K 2"], inward: int):
     """Return the film point of w; at infinity the arc's next points, `inward`, tell the sides."""
-    point = _homogeneous(frame, w)
+    point = homogeneous(frame, w)
     across = jnp.stack([-w[..., 1], w[..., 0]], axis=-1) * inward
-    change = _homogeneous(frame, across) - frame[..., 0, :]
+    change = homogeneous(frame, across) - frame[..., 0, :]
     xy, z = point[..., :2], point[..., 2:]
     tiny = 64 * jnp.finfo(w.dtype).eps
     none = jnp.abs(xy) <= tiny * jnp.max(jnp.abs(frame[..., :2]), axis=-2)
@@ -107,9 +108,9 @@ def cut_circle(level: Float[Array, "*K 3"], growing: Float[Array, "*K"]) -> Floa
     return jnp.stack([x * b + y * root, y * b - x * root], axis=-1)
 
 
-def film_at(frame: Float[Array, "*K 3 3"], w: Float[Array, "*K 2"]) -> Float[Array, "*K 2"]:
+def film_at(frame: Float[Array, "*#K 3 3"], w: Float[Array, "*K 2"]) -> Float[Array, "*K 2"]:
     """Return the film point of w (px)."""
-    point = _homogeneous(frame, w)
+    point = homogeneous(frame, w)
     return safe_divide(point[..., :2], point[..., 2:])
 
 
@@ -149,7 +150,7 @@ def nodes(
     w = jnp.stack([x * c - y * s, y * c + x * s], axis=-1)
     across = jnp.stack([-w[..., 1], w[..., 0]], axis=-1)
     frame = frame[..., None, :, :]
-    point = _homogeneous(frame, w)
+    point = homogeneous(frame, w)
     change = frame[..., 1, :] * across[..., :1] + frame[..., 2, :] * across[..., 1:]
     z = point[..., 2:]
     film = safe_divide(point[..., :2], z)

@@ -8,6 +8,7 @@ from jaxtyping import Array
 
 from ._camera import Camera, focal_px
 from ._differences import Scales
+from ._distortion import COEFFICIENTS
 from ._scene import Scene, bounding_sphere
 
 Point = tuple[Camera, Scene]
@@ -76,6 +77,10 @@ def _camera_leaves(camera: Camera, scene: Scene) -> list[tuple[str, Callable, fl
         aspect = float(camera.lens.aspect)
         leaves.append(("principal_point", lambda x: x[0].lens.principal_point, 1.0))
         leaves.append(("aspect", lambda x: x[0].lens.aspect, aspect / half))
+        bent = camera.lens.distortion
+        for name in () if bent is None else bent.coefficients():
+            coefficient = lambda x, name=name: getattr(x[0].lens.distortion, name)
+            leaves.append((name, coefficient, (fy / half) ** COEFFICIENTS[name] / fy))
     return leaves
 
 

@@ -38,7 +38,7 @@ class At(NamedTuple):
 
     def camera(self, y: Float[Array, "n"]) -> Camera:
         """Return the camera moved by y."""
-        return on_film(moved(self.move, y, self.names), self.film, self.names)
+        return on_film(moved(self.move, y, self.names), self.film)
 
 
 @eqx.filter_jit

@@ -1,9 +1,10 @@
 """`fit_camera`: the camera from a mask, by Levenberg-Marquardt on exact coverage."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -11,11 +12,22 @@ from ._arrays import Numbers, float_dtype, is_concrete
 from ._camera import Camera
 from ._exact import with_overlaps, worthwhile
 from ._implicit import through
-from ._parameters import REPORTED, canonical, check_free, components, focal_is_free, on_film
+from ._parameters import (
+    BOUNDED,
+    REPORTED,
+    Bounds,
+    Prior,
+    canonical,
+    check_free,
+    components,
+    focal_is_free,
+    on_film,
+    with_lens,
+)
 from ._residuals import Sums
 from ._scene import Scene, check_scene
 from ._search import Mask, axes_of
-from ._solver import COSINE, FINE_PX, UNIT_PX, Found, Solver, Stop, View
+from ._solver import COSINE, FINE_PX, UNIT_PX, Found, Solver, Stop
 from ._strategy import EXACT, equally_good, everywhere, from_start, turns_freely, without_outliers
 from ._target import check_target, edge_distance, near_an_edge
 from ._uncertainty import BLIND, covariance, weak_directions
@@ -97,6 +109,8 @@ def fit_camera(
     phi: Numbers = None,
     weight: Numbers = None,
     outlier_px: float | None = 2.0,
+    prior: Mapping[str, Any] | None = None,
+    bounds: Mapping[str, Any] | None = None,
     max_steps: int = 64,
     progress: Callable[[Progress], None] | None = None,
 ) -> Fit:
@@ -107,12 +121,18 @@ def fit_camera(
     - `camera`: where to start; also all that is not free. Starts some 20 degrees off are pulled in;
       where what they lead to explains the mask badly, the whole sphere of views is searched. None:
       search at once; then `phi` (rad) is the field of view, or if it is free a first guess (0.7).
-    - `free`: any of pose (or position, orientation), phi, d, principal_point, aspect.
+    - `free`: any of pose (or position, orientation), phi, d, principal_point, aspect, and of the
+      lens's distortion k1, k2, p1, p2, k3 (of a fisheye k1 to k4), or `distortion` for all of them.
     - `weight`: (H, W), at least 0: how much each pixel counts, 0 where the mask is not to be
       believed (an occluder). 1 / variance, up to a factor.
     - `outlier_px`: how far, in px, an outline that is right may lie from the mask's edge. Farther
       away, at holes, missing and extra parts, pixels lose their weight: at the end of a fit to a
       mask that is not exact, so that the rest decides. None: plain least squares.
+    - `prior`: what is known of free parameters beforehand, by the names of `Fit.names` (not of
+      rotations): mean and standard deviation, in their units. It is weighed against the mask by the
+      residuals that the mask leaves.
+    - `bounds`: between what phi, aspect or a coefficient of distortion is to stay, if free. One
+      that ends at a bound is no longer determined: the status is then "rank_deficient".
     - `max_steps`: a limit for each level. `progress` is called with a `Progress` after each level.
 
     Levenberg-Marquardt (optimistix) minimises the weighted squared difference of exact coverage and
@@ -133,22 +153,25 @@ def fit_camera(
         raise ValueError(f"`max_steps`: expected at least 1, got {max_steps}")
     if outlier_px is not None and not outlier_px > 0:
         raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
-    names = check_free(free)
     if camera is not None and not isinstance(camera, Camera):
         raise ValueError(f"`camera`: expected a Camera to start from or None, got {camera!r}")
     if camera is not None and phi is not None:
         raise ValueError("`phi`: expected None beside a `camera`, which has its own")
-    base = _anywhere(scene, target, names, phi) if camera is None else camera
+    names = check_free(free, camera)
+    base = with_lens(_anywhere(scene, target, names, phi) if camera is None else camera, names)
 
     def run(inputs: Any) -> tuple[Fit, Callable]:
         scene, target, weight = inputs
         image, weights = check_target(target, weight, base.W, base.H)
         return _fit(scene, Mask(image, weights, base), camera is None, names, settings)
 
-    settings = _Settings(outlier_px, max_steps, progress)
+    known = _prior(prior or {}, base, names), _bounds(bounds or {}, base, names)
+    settings = _Settings(outlier_px, max_steps, progress, *known)
     inputs = (scene, target, weight)
     if is_concrete(*jax.tree.leaves(inputs)):
         return run(inputs)[0]
+    if prior or bounds:
+        raise ValueError("`prior`, `bounds`: expected none where the fit is differentiated")
     return through(run, inputs, names)
 
 
@@ -156,6 +179,45 @@ class _Settings(NamedTuple):
     outlier_px: float | None
     max_steps: int
     progress: Callable[[Progress], None] | None
+    prior: Prior | None
+    bounds: Bounds | None
+
+
+def _prior(prior: Mapping, base: Camera, names: tuple[str, ...]) -> Prior | None:
+    """Return the prior in film heights."""
+    if not prior:
+        return None
+    labels = [x for x in labels_of(names) if not x.startswith("rotation")]
+    mean, std = _pairs("prior", prior, labels, "(mean, standard deviation)")
+    for label, value in zip(prior, std, strict=True):
+        if not value > 0:
+            raise ValueError(f"`prior`: expected a positive deviation of {label!r}, got {value}")
+    unit = np.array([base.H if label.startswith("principal") else 1 for label in prior])
+    to = lambda x: jnp.asarray(x, base.e.dtype)
+    return Prior(tuple(prior), to(mean / unit), to(std / unit), to(0.1))
+
+
+def _bounds(bounds: Mapping, base: Camera, names: tuple[str, ...]) -> Bounds | None:
+    if not bounds:
+        return None
+    labels = [x for x in labels_of(names) if x in BOUNDED]
+    low, high = _pairs("bounds", bounds, labels, "(low, high)")
+    for label, a, b in zip(bounds, low, high, strict=True):
+        if not a < b:
+            raise ValueError(f"`bounds`: expected low < high of {label!r}, got ({a}, {b})")
+    return Bounds(tuple(bounds), *(jnp.asarray(x, base.e.dtype) for x in (low, high)))
+
+
+def _pairs(name: str, given: Mapping, known: list[str], words: str) -> np.ndarray:
+    """Return the pairs (2, k) that free parameters are given, or raise ValueError."""
+    for label, pair in given.items():
+        if label not in known:
+            raise ValueError(
+                f"`{name}`: expected free parameters among {', '.join(known)}, got {label!r}"
+            )
+        if np.shape(pair) != (2,) or not np.all(np.isfinite(np.asarray(pair, float))):
+            raise ValueError(f"`{name}`: expected {words} of {label!r}, got {pair!r}")
+    return np.array([*given.values()], float).T
 
 
 def _fit(
@@ -165,11 +227,20 @@ def _fit(
     overlaps were resolved in them.
     """
     base = mask.camera
-    solver = Solver(scene, mask.target, mask.weight, base.e.dtype, names, settings.max_steps)
+    solver = Solver(
+        scene,
+        mask.target,
+        mask.weight,
+        base.e.dtype,
+        names,
+        settings.max_steps,
+        settings.bounds,
+        settings.prior,
+    )
 
     def told(stop: Stop) -> None:
         if settings.progress is not None:
-            settings.progress(_progress(stop, base, names))
+            settings.progress(_progress(stop, base))
 
     start = None if anywhere else canonical(base)
     if start is None:
@@ -191,10 +262,10 @@ def _fit(
     return fit._replace(modes=tuple(modes)), trust
 
 
-def _progress(stop: Stop, camera: Camera, names: tuple[str, ...]) -> Progress:
+def _progress(stop: Stop, camera: Camera) -> Progress:
     shrunk = float(stop.level.scale) / camera.H
     W, H = (int(np.ceil(shrunk * x)) for x in (camera.W, camera.H))
-    return Progress(on_film(stop.unit, camera, names), W, H, stop.steps)
+    return Progress(on_film(stop.unit, camera), W, H, stop.steps)
 
 
 def _anywhere(scene: Scene, target: Numbers, names: tuple[str, ...], phi: Numbers) -> Camera:
@@ -228,11 +299,11 @@ def report(
 ) -> Fit:
     """Return what was found, as a user reads it; `variance` of a residual, if known better."""
     unit, view, steps, way = found
-    fitted = on_film(unit, camera, names)
+    fitted = on_film(unit, camera)
     triangle, along = np.asarray(view.triangle, float), np.asarray(view.along, float)
     sums: Any = jax.tree.map(float, view.sums)
     whole: Any = jax.tree.map(float, over_all)
-    labels, to_reported = labels_of(names), to_units(view, names, camera)
+    labels, to_reported = labels_of(names), to_units(view.to_reported, names, camera)
     dtype = np.dtype(camera.e.dtype)
     finite = np.all(np.isfinite(triangle)) and np.isfinite(sums.squares)
     n = len(labels)
@@ -260,7 +331,7 @@ def report(
         iou=whole.overlap / whole.union if whole.union > 0 else 0.0,
         steps=steps,
         weak=weak,
-        history=tuple(_progress(stop, camera, names) for stop in way),
+        history=tuple(_progress(stop, camera) for stop in way),
     )
 
 
@@ -269,12 +340,12 @@ def labels_of(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(r for name in names for r in REPORTED[name])
 
 
-def to_units(view: View, names: tuple[str, ...], camera: Camera) -> np.ndarray:
+def to_units(derivative: Any, names: tuple[str, ...], camera: Camera) -> np.ndarray:
     """Return the derivative of the reported parameters by the solver's moves.
 
     Film coordinates are in film heights inside the fit: the principal point's come back in px.
     """
-    to_reported = np.array(view.to_reported, float)
+    to_reported = np.array(derivative, float)
     to_reported[[label.startswith("principal") for label in labels_of(names)]] *= camera.H
     return to_reported
 
@@ -284,15 +355,22 @@ def _status(triangle, along, sums: Any, whole: Any, blind: bool, dtype) -> str:
         return "saturated" if whole.overlap > 0 else "no_overlap"
     if whole.overlap < LEAST_IOU * whole.union:
         return "no_overlap"
-    # MINPACK's test: the residual is orthogonal to every column of the Jacobian. Near the rounding
-    # floor the residual has no direction; there the Newton step must be negligible, and on it
-    # nothing is left to ask.
-    columns = np.linalg.norm(triangle, axis=0)
-    slope = np.abs(triangle.T @ along)
-    cosine = np.max(slope / np.maximum(columns * np.sqrt(sums.squares), 1e-300))
-    newton = np.linalg.pinv(triangle, rcond=BLIND[dtype]) @ along
-    floor = sums.squares <= (FLOOR * np.finfo(dtype).eps) ** 2 * sums.touched
-    still = cosine <= 100 * COSINE[dtype] or UNIT_PX * np.max(np.abs(newton)) <= 10 * FINE_PX[dtype]
-    if not (floor or still):
+    if not at_rest(triangle, along, sums.squares, sums.touched, dtype):
         return "max_steps"
     return "rank_deficient" if blind else "converged"
+
+
+def at_rest(triangle, along, squares: float, count: float, dtype: np.dtype) -> bool:
+    """Return whether `count` residuals, whose squares sum up to `squares`, have come to a minimum.
+
+    MINPACK's test: the residual is orthogonal to every column of the Jacobian. Near the rounding
+    floor the residual has no direction; there the Newton step must be negligible, and on it nothing
+    is left to ask.
+    """
+    columns = np.linalg.norm(triangle, axis=0)
+    slope = np.abs(triangle.T @ along)
+    cosine = np.max(slope / np.maximum(columns * np.sqrt(squares), 1e-300))
+    newton = np.linalg.pinv(triangle, rcond=BLIND[dtype]) @ along
+    floor = squares <= (FLOOR * np.finfo(dtype).eps) ** 2 * count
+    still = cosine <= 100 * COSINE[dtype] or UNIT_PX * np.max(np.abs(newton)) <= 10 * FINE_PX[dtype]
+    return bool(floor or still)

@@ -10,7 +10,7 @@ from ._arrays import Numbers
 from ._camera import Camera
 from ._exact import completed
 from ._fit import labels_of, to_units
-from ._parameters import canonical, check_free, components
+from ._parameters import canonical, check_free, components, with_lens
 from ._scene import Scene, check_scene
 from ._search import Mask, axes_of
 from ._solver import UNIT_PX, Solver
@@ -65,7 +65,8 @@ def observability(
     check_scene(scene)
     if not noise > 0:
         raise ValueError(f"`noise`: expected a positive standard deviation, got {noise}")
-    names = check_free(free)
+    names = check_free(free, camera)
+    camera = with_lens(camera, names)
     weights = check_weight(weight, camera.W, camera.H)
     image = np.full(weights.shape, 0.25)  # any mask with soft edges: overlaps are left out ...
     solver = Solver(scene, image, weights, camera.e.dtype, names, 1)
@@ -73,7 +74,7 @@ def observability(
     triangle, blind = np.asarray(view.triangle, float), BLIND[solver.dtype]
     labels = labels_of(names)
     values = np.linalg.svd(triangle, compute_uv=False)
-    cov = covariance(triangle, to_units(view, names, camera), noise**2, blind)
+    cov = covariance(triangle, to_units(view.to_reported, names, camera), noise**2, blind)
     _, weak = weak_directions(triangle, components(names), axes_of(camera), blind)
     return Observability(
         names=labels,

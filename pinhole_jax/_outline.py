@@ -46,7 +46,12 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     direction = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
     outside = short.mean(axis=1) + 1e-3 * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
     visible = _winding(outside, start, end, weight) + base <= 0
-    return short[visible]
+    bend = film_map(camera).bend
+    return (
+        short[visible]
+        if bend is None
+        else np.asarray(bend(jnp.asarray(short[visible], camera.e.dtype)), float)
+    )
 
 
 def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
@@ -90,7 +95,7 @@ def _segments(camera: Camera, mesh: Mesh) -> tuple[Segments, Segments]:
     weights = contour_weights(mesh, camera.e)
     lift = film(mesh.vertices[mesh.edge_vertices])
     parts = (jnp.full(weights.shape, beside) for beside in (False, True))
-    inner, outer = (clipped(lift, weights, part, camera.W, camera.H) for part in parts)
+    inner, outer = (clipped(lift, weights, part, film.bounds) for part in parts)
     return inner, outer
 
 

@@ -54,7 +54,7 @@ def camera_rays(
 ) -> Rays:
     """Return the camera's rays: origin (3,), direction (H, W, 3) or (H, W, samples**2, 3).
 
-    The same as `generate_rays` for a `Camera`; a lens shifts and stretches the film.
+    The same as `generate_rays` for a `Camera`; a lens shifts, stretches and bends the film.
     """
     x, y = _film_samples(camera.W, camera.H, samples, key, camera.e.dtype)
     return Rays(camera.e, rays_through(camera, x, y))
@@ -72,6 +72,9 @@ def rays_through(
         centre = camera.lens.principal_point
         film_x = (x - centre[0]) / camera.H * (h / camera.lens.aspect)
         film_y = (y - centre[1]) / camera.H * h
+        if camera.lens.distortion is not None:
+            both = jnp.broadcast_arrays(film_x / camera.d, film_y / camera.d)
+            film_x, film_y = (camera.d * z for z in camera.lens.distortion.undistorted(*both))
     # Each ray's three components lie side by side on one long last axis: the compiler runs through
     # it in vectors, which an axis of length 3 prevents (jax 0.10: 38 ms, so 1 ms, for 1920 x 1080).
     n = max(film_x.shape[-1], film_y.shape[-1])
@@ -90,12 +93,16 @@ def project(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, "*
     """Return the film coordinates (px, origin bottom left, y up) of world points.
 
     A point behind the eye projects through it, as the equations say; one in the eye's own plane
-    gives the principal point. `to_camera(camera, points)[..., 2] > 0` tells points in front.
+    gives the principal point. `to_camera(camera, points)[..., 2] > 0` tells points in front. Where
+    a lens's polynomial would fold back it goes on straight (see `_distortion`).
     """
     x, y, z = jnp.moveaxis(to_camera(camera, points), -1, 0)
     fx, fy = focal_px(camera)
     centre = principal_point(camera)
-    return jnp.stack([fx * safe_divide(x, z) + centre[0], fy * safe_divide(y, z) + centre[1]], -1)
+    x, y = safe_divide(x, z), safe_divide(y, z)
+    if camera.lens is not None and camera.lens.distortion is not None:
+        x, y = camera.lens.distortion(x, y)
+    return jnp.stack([fx * x + centre[0], fy * y + centre[1]], -1)
 
 
 def _film_samples(

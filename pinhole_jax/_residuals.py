@@ -16,9 +16,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ._camera import Camera, FilmMap, film_map
+from ._camera import Camera, FilmMap, FilmPart, film_map, lens_holds
 from ._contour import (
     ARCS_PER_SPHERE,
+    arc_cuts,
+    arc_part_lifts,
+    arc_part_segments,
     edge_lifts,
     edge_segments,
     mesh_contour,
@@ -27,7 +30,7 @@ from ._contour import (
     surrounding,
 )
 from ._coverage import monotone, piece_counts, split
-from ._curves import Arcs, Curves, Segments, moved, piece_flux, placed
+from ._curves import Curves, moved, piece_flux, placed
 from ._scene import Scene
 from ._target import Level, Pyramid, level_slice
 from ._union import Marks, chain_layers, marks, overlaps
@@ -36,11 +39,13 @@ MAX_ROWS = 1 << 14
 
 
 class Capacity(NamedTuple):
-    """Static sizes: contour edges of the mesh, and pieces of edges and of arcs."""
+    """Static sizes: contour edges of the mesh (their parts, under distortion), pieces of edges and
+    of arcs, and parts of arcs (under distortion)."""
 
     edges: int
     pieces: int
     arc_pieces: int
+    arcs: int = 1
 
 
 class Touched(NamedTuple):
@@ -78,6 +83,7 @@ class Load(NamedTuple):
     edges: Int[Array, ""]
     pieces: Int[Array, ""]
     arc_pieces: Int[Array, ""]
+    arcs: Int[Array, ""]
 
     def fits(self, capacity: Capacity) -> Bool[Array, ""]:
         """Return whether every capacity suffices."""
@@ -91,8 +97,8 @@ def residuals(
 
     The sum of all squares is the weighted squared distance of the image from the target, but for
     pixels where contours overlap. The rest
-    is constant in the camera to first order. Where a capacity is too small all is NaN, so that a
-    solver does not step there.
+    is constant in the camera to first order. Where a capacity is too small, or a lens folds within
+    what is looked at, all is NaN, so that a solver does not step there.
     """
     touched, load = touch(camera, scene, level, capacity)
     end = level.H * (level.W + 2)
@@ -127,8 +133,17 @@ def residuals(
         touched=jnp.sum(jnp.where(weight > 0, 1, 0)).astype(total.dtype),
         touched_squares=touched_squares,
     )
-    ok = jnp.where(load.fits(capacity), 1, jnp.nan).astype(total.dtype)
+    ok = load.fits(capacity) & lens_holds(camera, _part(level))
+    ok = jnp.where(ok, 1, jnp.nan).astype(total.dtype)
     return (difference * ok, jnp.sqrt(jnp.maximum(rest, 0)) * ok), sums, load
+
+
+def _part(level: Level) -> FilmPart:
+    """Return a level's window in film heights."""
+    scale = jnp.asarray(level.scale)
+    left, bottom = jnp.asarray(level.origin) / scale
+    W, H = (jnp.asarray(x, scale.dtype) / scale for x in (level.W, level.H))
+    return FilmPart(left, left + W, bottom, bottom + H, scale)
 
 
 class _Sorted(NamedTuple):
@@ -143,16 +158,16 @@ class _Sorted(NamedTuple):
 
 def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
     """Return the touched pixels of a level, and what they take of the capacities."""
-    film = film_map(camera)
+    film = film_map(camera).looking_at(_part(level))
     end, totals, found = level.H * (level.W + 2), {}, []
-    for curves, lift, count, size in _curves(film, scene, capacity):
+    for kind, curves, lift, count, size in _curves(film, scene, capacity):
         curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))
         xy, z = lift[..., :2], lift[..., 2:]
         xy = xy * level.scale - level.origin[None, None] * z
         lift = jnp.concatenate([xy, z], axis=-1)
         m = monotone(curves)
         upto = jnp.cumsum(piece_counts(m, level.W, level.H))
-        totals[type(curves)] = (count, upto[-1].astype(jnp.int32))
+        totals[kind] = (count, upto[-1].astype(jnp.int32))
         slots = jnp.arange(size, dtype=jnp.int32)
         pieces = split(m, upto, slots, level.W, level.H, MAX_ROWS)
         cell = jnp.where(pieces.valid, pieces.row * (level.W + 2) + pieces.column + 1, end)
@@ -162,28 +177,34 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
         rate = jnp.where(inside[:, None, None], -pieces.jump[:, None, None] * rate, 0)
         found.append(_Sorted(cell, pieces.height, pieces.area, marks(pieces), moved(own, rate)))
     none = (jnp.int32(0), jnp.int32(0))
-    (edges, edge_pieces), (_, arc_pieces) = (totals.get(k, none) for k in (Segments, Arcs))
+    (edges, edge_pieces), (arcs, arc_pieces) = (totals.get(k, none) for k in ("edges", "arcs"))
     together = jax.tree.map(lambda *x: jnp.concatenate(x), *found)
     base = surrounding(film, scene)
-    return _by_pixel(together, base, level), Load(edges, edge_pieces, arc_pieces)
+    return _by_pixel(together, base, level), Load(edges, edge_pieces, arc_pieces, arcs)
 
 
 def _curves(
     film: FilmMap, scene: Scene, capacity: Capacity
-) -> list[tuple[Curves, Array, Array, int]]:
-    """Return the curves by kind, their lifts, how many there are, and the room for their pieces."""
-    kinds: list[tuple[Curves, Array, Array, int]] = []
+) -> list[tuple[str, Curves, Array, Array, int]]:
+    """Return the curves by kind, their lifts, how many need room, and the room for their pieces."""
+    kinds: list[tuple[str, Curves, Array, Array, int]] = []
     if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
         contour = mesh_contour(film, scene.mesh)
         ids = jnp.arange(capacity.edges, dtype=jnp.int32)
         segments = edge_segments(film, scene.mesh.vertices, contour, ids)
         lifts = edge_lifts(film, scene.mesh.vertices, contour, ids)
-        kinds.append((segments, lifts, contour.segments, capacity.pieces))
-    if scene.spheres is not None and scene.spheres.radii.shape[0]:
-        ids = jnp.arange(ARCS_PER_SPHERE * scene.spheres.radii.shape[0], dtype=jnp.int32)
-        arcs = sphere_arcs(film, scene.spheres, ids)
-        frames = sphere_frames(film, scene.spheres, ids)
-        kinds.append((arcs, frames, jnp.int32(ids.shape[0]), capacity.arc_pieces))
+        kinds.append(("edges", segments, lifts, contour.segments, capacity.pieces))
+    spheres = scene.spheres
+    if spheres is not None and spheres.radii.shape[0] and film.bend is not None:
+        parts, ids = arc_cuts(film, spheres), jnp.arange(capacity.arcs, dtype=jnp.int32)
+        chords = arc_part_segments(film, spheres, parts, ids)
+        ends = arc_part_lifts(film, spheres, parts, ids)
+        kinds.append(("arcs", chords, ends, parts.total, capacity.arc_pieces))
+    elif spheres is not None and spheres.radii.shape[0]:
+        ids = jnp.arange(ARCS_PER_SPHERE * spheres.radii.shape[0], dtype=jnp.int32)
+        arcs = sphere_arcs(film, spheres, ids)
+        frames = sphere_frames(film, spheres, ids)
+        kinds.append(("arcs", arcs, frames, jnp.int32(0), capacity.arc_pieces))
     return kinds
 
 

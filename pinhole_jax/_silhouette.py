@@ -10,11 +10,15 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Float, Int
 
+from ._bent import Cuts
 from ._camera import Camera, FilmMap, film_map
 from ._contour import (
     ARCS_PER_SPHERE,
     MeshContour,
     Selection,
+    arc_cuts,
+    arc_part_lifts,
+    arc_part_segments,
     edge_lifts,
     edge_segments,
     mesh_contour,
@@ -78,7 +82,8 @@ def _silhouette(camera: Camera, scene: Scene, overlaps: bool) -> Float[Array, "H
     if contour is None and spheres is None:
         return jnp.zeros((camera.H, camera.W), camera.e.dtype)
     alone = contour is None and spheres is not None and spheres.radii.shape[0] == 1
-    still = _Still(contour, surrounding(film, scene), () if overlaps and not alone else None)
+    arcs = None if spheres is None or film.bend is None else arc_cuts(film, spheres)
+    still = _Still(contour, arcs, surrounding(film, scene), () if overlaps and not alone else None)
     return _image(_Moving(film, vertices, spheres), still)
 
 
@@ -93,10 +98,12 @@ class _Moving(NamedTuple):
 class _Still(NamedTuple):
     """What cannot: which edges are contour, and the number of layers left of the film.
 
-    `overlap` is None (and not an empty tuple: both have no leaves) if contours never overlap.
+    `arcs` are the parts of the spheres' outlines, if there are spheres under distortion. `overlap`
+    is None (and not an empty tuple: both have no leaves) if contours never overlap.
     """
 
     contour: MeshContour | None
+    arcs: Cuts | None
     base: Int[Array, ""]
     overlap: tuple[()] | None
 
@@ -119,8 +126,14 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
         edges = lambda ids: edge_segments(film, vertices, contour, ids)
         lifts = lambda ids: edge_lifts(film, vertices, contour, ids)
         size = min(CURVES_AT_A_TIME, contour.edge_vertices.shape[0])
+        size = size if contour.cuts is None else CURVES_AT_A_TIME
         parts.append(Part(edges, lifts, contour.segments, size))
-    if spheres is not None:
+    cuts = still.arcs
+    if spheres is not None and cuts is not None:
+        chords = lambda ids: arc_part_segments(film, spheres, cuts, ids)
+        ends = lambda ids: arc_part_lifts(film, spheres, cuts, ids)
+        parts.append(Part(chords, ends, cuts.total, CURVES_AT_A_TIME))
+    elif spheres is not None:
         number = ARCS_PER_SPHERE * spheres.radii.shape[0]
         arcs = lambda ids: sphere_arcs(film, spheres, ids)
         frames = lambda ids: sphere_frames(film, spheres, ids)

@@ -11,7 +11,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from ._camera import Camera, film_map
-from ._parameters import Move, moved, reported, units
+from ._parameters import Bounds, Move, Prior, moved, reported, units
 from ._residuals import Capacity, Load, Sums, Touched, residuals, touch
 from ._scene import Ball, Scene, astype, ball_about, bounding_box, padded
 from ._target import (
@@ -44,10 +44,19 @@ class Problem(eqx.Module):
     pyramid: Pyramid
     pivot: Float[Array, "3"]
     radius: Float[Array, ""]
+    bounds: Bounds | None
+    prior: Prior | None
 
-    def __init__(self, scene: Scene, pyramid: Pyramid, ball: Ball):
+    def __init__(
+        self,
+        scene: Scene,
+        pyramid: Pyramid,
+        ball: Ball,
+        bounds: Bounds | None = None,
+        prior: Prior | None = None,
+    ):
         dtype = pyramid.target.dtype
-        self.scene, self.pyramid = scene, pyramid
+        self.scene, self.pyramid, self.bounds, self.prior = scene, pyramid, bounds, prior
         self.pivot, self.radius = (jnp.asarray(x, dtype) for x in ball)
 
 
@@ -63,11 +72,12 @@ class View(NamedTuple):
     load: Load
     to_reported: Float[Array, "n n"]
     unit: Float[Array, "n"]
+    prior: Any = 0.0
 
     @property
     def squares(self) -> float:
-        """Return the sum of weighted squared residuals."""
-        return float(self.sums.squares)
+        """Return the sum of weighted squared residuals, those of a prior among them."""
+        return float(self.sums.squares) + float(self.prior)
 
     @property
     def touched_misfit(self) -> float:
@@ -114,7 +124,10 @@ class Solver:
         dtype: Any,
         names: tuple[str, ...],
         max_steps: int,
+        bounds: Bounds | None = None,
+        prior: Prior | None = None,
     ):
+        self._bounds, self._prior = bounds, prior
         self.dtype, self.names, self.max_steps = np.dtype(dtype), names, max_steps
         self._target, self._scene = target, padded(astype(scene, dtype))
         box = np.asarray(bounding_box(scene), float)
@@ -135,7 +148,7 @@ class Solver:
         whole = weights.size * weights[0, 0] if weights.strides == (0, 0) else np.sum(weights)
         self._beside = float(whole - np.sum(seen))
         self.finest = len(self.levels) - 1
-        self.problem = Problem(self._scene, levels, self.ball)
+        self.problem = Problem(self._scene, levels, self.ball, self._bounds, self._prior)
         if not self.hard:
             self.levels.append(self.levels[-1]._replace(strict=np.array(True)))
 
@@ -156,14 +169,25 @@ class Solver:
                 return view._replace(sums=view.sums._replace(weight=np.asarray(weight)))
             self.capacity = room
 
+    def _believe(self, unit: Camera, level: int) -> None:
+        """Weigh the prior by what a residual errs by on a level."""
+        if self._prior is None:
+            return
+        noise = np.sqrt(max(self.look(unit, level).touched_misfit, np.finfo(self.dtype).eps ** 2))
+        put = lambda prior: eqx.tree_at(lambda p: p.noise, prior, np.asarray(noise, self.dtype))
+        self._prior = put(self._prior)
+        self.problem = eqx.tree_at(lambda p: p.prior, self.problem, self._prior)
+
     def _widen(self, unit: Camera) -> None:
         """Look at the whole film from now on if a camera may show the scene beside the window."""
         H, W = self._target.shape
         if self.window == (0, 0, W, H):
             return
-        x, y, z = np.asarray(_on_film(unit, self._corners), float).T
-        if np.all(z > 0) and self.window.holds(H * np.stack([x / z, y / z], axis=-1), W, H):
-            return
+        if unit.lens is None or unit.lens.distortion is None:
+            x, y, z = np.asarray(_on_film(unit, self._corners), float).T
+            shown = H * np.stack([x / z, y / z], axis=-1)
+            if np.all(z > 0) and self.window.holds(shown, W, H):
+                return
         self.window = Window(0, 0, W, H)
         self.weigh(self._weights)
 
@@ -201,6 +225,7 @@ class Solver:
         while True:
             capacity, window = self.capacity, self.window
             for number in levels:
+                self._believe(unit, number)
                 level, strict = self.levels[number], number > self.finest
                 fine = number >= self.finest
                 tolerance = np.asarray(FINE_PX[self.dtype] if fine else coarse_px, self.dtype)
@@ -213,6 +238,7 @@ class Solver:
                 way.append(Stop(unit, level, int(n)))
                 if told is not None:
                     told(way[-1])
+            self._believe(unit, levels[-1])
             view = self.look(unit, levels[-1])
             if (self.capacity, self.window) == (capacity, window):
                 return Found(unit, view, tuple(stop.steps for stop in way[1:]), tuple(way))
@@ -269,7 +295,10 @@ def _residual(y: Float[Array, "n"], args: Any):
     """The function that optimistix sees: module level and all data in `args`, to compile once."""
     move, problem, level, names, capacity = args
     camera = moved(move, y, names.value)
-    return residuals(camera, problem.scene, problem.pyramid, level, Capacity(*capacity.value))[0]
+    capacity = Capacity(*capacity.value)
+    rest = residuals(camera, problem.scene, problem.pyramid, level, capacity)[0]
+    prior = problem.prior
+    return rest if prior is None else (*rest, prior.residuals(camera, names.value))
 
 
 class _Static(eqx.Module):
@@ -280,7 +309,7 @@ class _Static(eqx.Module):
 
 def _move(unit: Camera, problem: Problem, level: Level, names: tuple[str, ...]) -> Move:
     one_px = units(unit, problem.pivot, problem.radius, level.scale, names)
-    return Move(unit, problem.pivot, UNIT_PX * one_px)
+    return Move(unit, problem.pivot, UNIT_PX * one_px, problem.bounds)
 
 
 @eqx.filter_jit
@@ -322,12 +351,16 @@ def _view(unit: Camera, problem: Problem, level: Level, names, capacity) -> View
     def at(y):
         camera = moved(move, y, names)
         (r, _), *rest = residuals(camera, problem.scene, problem.pyramid, level, capacity)
-        return r, (r, *rest)
+        known = jnp.zeros(0, r.dtype)
+        if problem.prior is not None:
+            known = problem.prior.residuals(camera, names)
+            r = jnp.concatenate([r, known])
+        return r, (r, *rest, jnp.sum(known * known))
 
-    jacobian, (r, sums, load) = jax.jacfwd(at, has_aux=True)(zero)
+    jacobian, (r, sums, load, prior) = jax.jacfwd(at, has_aux=True)(zero)
     triangle, along = triangle_and_rhs(jacobian, r)
     to_reported = jax.jacfwd(lambda y: reported(unit, moved(move, y, names), names))(zero)
-    return View(triangle, along, sums, load, to_reported, move.unit)
+    return View(triangle, along, sums, load, to_reported, move.unit, prior)
 
 
 def _noise_far_from_edges(image: np.ndarray, weights: np.ndarray) -> float:
@@ -346,6 +379,7 @@ def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
         edges=_room(1, int(3 * faces**0.5)) if faces else 1,
         pieces=_room(1, outline + int(3 * faces**0.5)) if faces else 1,
         arc_pieces=_room(1, outline + 8 * spheres) if spheres else 1,
+        arcs=1,
     )
 
 

@@ -72,8 +72,8 @@ def _words(direction: np.ndarray, components: list[str], axes: np.ndarray) -> st
         for kind in ("turn", "shift", "spin")
     }
     weight = {kind: float(np.linalg.norm(vector)) for kind, vector in kinds.items()}
-    for name in ("log_distance", "log_focal", "principal_x", "principal_y", "log_aspect"):
-        weight[name] = abs(float(part.get(name, 0.0)))
+    rest = [name for name in components if name.split("_")[0] not in kinds]
+    weight |= {name: abs(float(part[name])) for name in rest}
     chief = [k for k in sorted(weight, key=lambda k: -weight[k]) if weight[k] > 0.35]
     names = {
         "turn": "the turn about the axis " + _axis(kinds["turn"] @ axes),
@@ -85,7 +85,7 @@ def _words(direction: np.ndarray, components: list[str], axes: np.ndarray) -> st
         "principal_y": "the principal point's y",
         "log_aspect": "the pixel aspect",
     }
-    named = [names[k] for k in chief]
+    named = [names.get(k, k) for k in chief]
     if len(named) < 2:
         return named[0] if named else "a mixture of all parameters"
     return " against ".join(named)

@@ -6,12 +6,14 @@ import re
 import tempfile
 import warnings
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ._camera import Camera, camera_basis, focal_px, principal_point
+from ._distortion import BrownConrady, Fisheye
 from ._exif import FieldOfView, field_of_view, upright
 from ._lens import Lens
 from ._masks import eight_bits, read_mask, way_of
@@ -184,7 +186,8 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
     """Return the camera as JSON-ready numbers.
 
     - `e, p, u, phi, d, W, H`: the note's parameters (world units, rad, px); `phi_degrees` beside.
-    - `lens`: null, or `principal_point` (film coordinates: px, origin bottom left, y up), `aspect`.
+    - `lens`: null, or `principal_point` (film coordinates: px, origin bottom left, y up), `aspect`
+      and, if it has one, `distortion`: `model` (BrownConrady or Fisheye) and its coefficients.
     - `pose`: free of the gauge. `right`, `up`, `forward` are the camera's unit axes and `eye` its
       place, in world coordinates; `focal_px` is [fx, fy].
     """
@@ -200,9 +203,7 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
         "d": float(camera.d),
         "W": camera.W,
         "H": camera.H,
-        "lens": None
-        if lens is None
-        else {"principal_point": _numbers(lens.principal_point), "aspect": float(lens.aspect)},
+        "lens": None if lens is None else _lens_to_dict(lens),
         "pose": {
             "eye": _numbers(camera.e),
             "right": _numbers(b1),
@@ -229,13 +230,36 @@ def camera_from_dict(data: Any) -> Camera:
         raise ValueError(f"`camera`: expected the field {missing[0]!r}, got {sorted(data)}")
     lens = data.get("lens")
     if lens is not None:
-        if not isinstance(lens, dict) or "principal_point" not in lens:
-            raise ValueError(f"`lens`: expected principal_point and aspect, got {lens!r}")
-        if unknown := sorted(set(lens) - {"principal_point", "aspect"}):
-            raise ValueError(f"`lens`: expected principal_point and aspect, got also {unknown}")
-        lens = Lens(lens["principal_point"], lens.get("aspect", 1.0))
+        lens = _lens_from_dict(lens)
     numbers = (data["e"], data["p"], data["u"], data["phi"], data.get("d", 1.0))
     return Camera(*numbers, data["W"], data["H"], lens)
+
+
+def _lens_to_dict(lens: Lens) -> dict[str, Any]:
+    data = {"principal_point": _numbers(lens.principal_point), "aspect": float(lens.aspect)}
+    if lens.distortion is None:
+        return data
+    return {
+        **data,
+        "distortion": {"model": type(lens.distortion).__name__, **lens.distortion.coefficients()},
+    }
+
+
+def _lens_from_dict(data: Any) -> Lens:
+    if not isinstance(data, dict) or "principal_point" not in data:
+        raise ValueError(f"`lens`: expected principal_point and aspect, got {data!r}")
+    if unknown := sorted(set(data) - {"principal_point", "aspect", "distortion"}):
+        raise ValueError(f"`lens`: expected principal_point and aspect, got also {unknown}")
+    bent = data.get("distortion")
+    if bent is not None:
+        known = {model.__name__: model for model in (BrownConrady, Fisheye)}
+        model = known.get(str(bent.get("model"))) if isinstance(bent, dict) else None
+        names = {field.name for field in fields(model)} if model else set()
+        if model is None or set(bent) - names - {"model"}:
+            words = f"a model ({', '.join(known)}) and its coefficients"
+            raise ValueError(f"`distortion`: expected {words}, got {bent!r}")
+        bent = model(**{name: bent[name] for name in bent if name != "model"})
+    return Lens(data["principal_point"], data.get("aspect", 1.0), bent)
 
 
 def save_camera(path: str | os.PathLike, camera: Camera, **more: Any) -> None:

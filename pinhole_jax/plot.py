@@ -2,7 +2,9 @@
 photo, where mask and camera differ, how the fit came there, the object and the camera in space.
 """
 
+from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -155,11 +157,16 @@ def _moved(fit: Fit, step: np.ndarray) -> Camera:
     if lens is not None:
         changed = lens.principal_point + jnp.asarray(shift, dtype), lens.aspect + float(wider)
         lens = eqx.tree_at(lambda x: (x.principal_point, x.aspect), lens, changed)
-    if change:
-        raise ValueError(f"`fit`: expected known parameters, got {sorted(change)}")
+    for name, more in change.items():  # coefficients of the distortion
+        of_name = partial(_coefficient, name)
+        lens = eqx.tree_at(of_name, lens, of_name(lens) + more)
     parts = (eye, eye + turned @ (p - e), turned @ u, phi, d)
     e, p, u, phi, d = (np.asarray(x, dtype) for x in parts)
     return Camera(e, p, u, phi, d, camera.W, camera.H, lens)
+
+
+def _coefficient(name: str, lens: Any) -> Any:
+    return getattr(lens.distortion, name)
 
 
 def _check_size(name: str, image: np.ndarray, camera: Camera) -> None:

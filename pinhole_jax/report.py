@@ -16,6 +16,7 @@ import numpy as np
 
 from . import formats, plot
 from ._camera import Camera
+from ._distortion import COEFFICIENTS
 from ._fit import Fit
 from ._scene import Scene
 from ._target import shares
@@ -75,15 +76,15 @@ def parameters(fit: Fit) -> list[Row]:
     if camera.lens is not None:
         values["principal_x"], values["principal_y"] = map(float, camera.lens.principal_point)
         values["aspect"] = float(camera.lens.aspect)
+        values |= {} if camera.lens.distortion is None else camera.lens.distortion.coefficients()
     rows = []
     for name, std in zip(fit.names, fit.std.tolist(), strict=True):
         angle = name.startswith("rotation") or name == "phi"
         unit = "deg" if angle else "px" if name.startswith("principal") else "world"
+        unit = "" if name == "aspect" or name in COEFFICIENTS else unit
         factor = 180 / np.pi if angle else 1.0
         value = values[name] * factor if name in values else None
-        rows.append(
-            Row(PARAMETERS.get(name, name), value, std * factor, "" if name == "aspect" else unit)
-        )
+        rows.append(Row(PARAMETERS.get(name, name), value, std * factor, unit))
     return rows
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._fit_cameras import _others, _reduced, _solved
+from pinhole_jax._arrow import others, reduced, solved
 from pinhole_jax._solver import View
 
 
@@ -88,14 +88,14 @@ def test_the_arrow_is_solved_as_the_dense_problem_is():
         J[5 * k : 5 * k + 5, 12:] = v.triangle[:, ~own] / v.unit[~own]
         r[5 * k : 5 * k + 5] = v.along
     dense = np.linalg.lstsq(J, -r, rcond=None)[0]
-    found = _solved(views, own, 0.0)
+    found = solved(views, own, 0.0)
     for k, y in enumerate(found):
         np.testing.assert_allclose(y[own], dense[3 * k : 3 * k + 3], atol=1e-9)
         np.testing.assert_allclose(y[~own] * views[k].unit[~own], dense[12:], atol=1e-9)
-    rests = [_reduced(v, own, 0.0).rest for v in views]
-    for k, others in enumerate(_others(rests)):
+    rests = [reduced(v, own, 0.0).rest for v in views]
+    for k, rest in enumerate(others(rests)):
         expected = sum(x.T @ x for n, x in enumerate(rests) if n != k)
-        np.testing.assert_allclose(others.T @ others, expected, atol=1e-9)
+        np.testing.assert_allclose(rest.T @ rest, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -63,12 +63,13 @@ JSON_CASES = [
     ({**NERF, "frames": 3}, "`frames`: expected a list, got 3"),
     ({**NERF, "frames": [3]}, "expected fields with names, got 3"),
     ({**NERF, "frames": NERF["frames"] * 2}, "expected one camera of each name, got two of 'a'"),
-    ({**NERF, "k1": 0.1, "p2": -0.2}, "`distortion`: expected none .* k1 = 0.1, p2 = -0.2"),
+    ({**NERF, "k1": 0.1, "k4": -0.2}, "`distortion`: expected k1, .* k3 of a .* got k4 = -0.2"),
+    ({**NERF, "k1": -0.6}, "`lens`: expected a distortion that holds up to the film's corners"),
     ({**NERF, "fl_x": True}, "`fl_x`: expected a finite number, got True"),
     ({**NERF, "fl_x": -4}, "`fl_x`: expected a positive number, got -4"),
     ({**NERF, "w": 8.5}, "`w`: expected an integer of at least 1, got 8.5"),
-    ({**NERF, "camera_model": "OPENCV_FISHEYE"}, "`camera_model`: expected one of OPENCV, PINHOLE"),
-    ({**NERF, "is_fisheye": True}, "`is_fisheye`: expected false, got true"),
+    ({**NERF, "camera_model": "ORTHOPHOTO"}, "`camera_model`: expected one of OPENCV, PINHOLE"),
+    ({**NERF, "is_fisheye": True, "p1": 1}, "`distortion`: .* k4 of a Fisheye only, got p1 = 1"),
     (changed(NERF, ["fl_x"], None), "`fl_x`: expected fl_x .* or camera_angle_x"),
     (changed(changed(NERF, ["w"], None), ["h"], None), "`w`: .* no such field; give `size`"),
     (changed(NERF, ["h"], None), "`h`: expected an integer of at least 1, got no such field"),
@@ -149,9 +150,9 @@ YAML_CASES = [
     ("R: !!", "Q: !!", "`R`: expected R and t, or extrinsic_parameters, got no pose"),
     ("\nt: !!", "\ns: !!", r"`t`: expected finite numbers of shape \(3,\), got no such field"),
     (
-        "coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: d\n   data: [ 0.0",
-        "coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: d\n   data: [ 1e-3",
-        "`distortion`: expected none .* got k1 = 0.001",
+        "distortion_coefficients: !!",
+        "D: [ 0, 0, 0, 0, 0, 1e-3, 0, 0 ]\nq: !!",
+        "`distortion`: expected k1, .* got k4 = 0.001",
     ),
     ("rows: 5\n   cols: 1", "rows: 1\n   cols: 1\n   sizes: [5]", None),
     (
@@ -225,7 +226,7 @@ def test_wrong_xml(tmp_path, part, message):
 CAMERAS_TXT = "1 PINHOLE 8 6 4 4 4 3\n"
 IMAGES_TXT = "1 0 1 0 0 -1 2 3 1 a.png\n\n2 0 1 0 0 -1 2 4 1 b.png\n1 2 -1 3 4 5\n"
 COLMAP_CASES = [
-    ("PINHOLE", "OPENCV_FISHEYE", "`MODEL`: expected one of SIMPLE_PINHOLE, .* got OPENCV_FISHEYE"),
+    ("PINHOLE", "FOV", "`MODEL`: expected one of SIMPLE_PINHOLE, .* got FOV"),
     ("4 4 4 3", "4 4 4", r"`PARAMS`: expected 4 numbers \(fx, fy, cx, cy\) of PINHOLE, got 3"),
     ("4 4 4 3", "4 four 4 3", "expected numbers, got could not convert .* 'four'"),
     (
@@ -233,7 +234,11 @@ COLMAP_CASES = [
         "4 nan 4 3",
         r"`fy`: expected a finite number, got nan \(in .*cameras.txt', line 1",
     ),
-    ("PINHOLE 8 6 4 4 4 3", "RADIAL 8 6 4 4 3 0 0.5", "`distortion`: expected none .* k2 = 0.5"),
+    (
+        "PINHOLE 8 6 4 4 4 3",
+        "FULL_OPENCV 8 6 4 4 4 3 0 0 0 0 0 0.5 0 0",
+        "`distortion`: expected k1, .* k4 = 0.5",
+    ),
     ("1 PINHOLE 8 6 4 4 4 3", "1 PINHOLE", "expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, got"),
     ("1 PINHOLE", "2 PINHOLE", "`CAMERA_ID`: expected a camera of .*cameras.txt', got 1"),
     ("4 3\n", "4 3\n1 PINHOLE 8 6 4 4 4 3\n", "`CAMERA_ID`: expected each once, got 1 twice"),

@@ -15,6 +15,7 @@ from pinhole_jax._parameters import (
     reported,
     rotation,
     units,
+    with_lens,
 )
 
 CAMERA = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 2.0, 30, 20)
@@ -89,10 +90,10 @@ def test_a_canonical_camera_sees_the_same_in_film_heights():
     unit = canonical(CAMERA)
     points = jnp.array([[0.3, 0.2, 0.1], [1, 1, 1]])
     np.testing.assert_allclose(20 * pj.project(unit, points), pj.project(CAMERA, points))
-    back = on_film(unit, CAMERA, ("pose",))
+    back = on_film(unit, CAMERA)
     assert (back.W, back.H, back.lens) == (30, 20, None)
-    with_lens = on_film(unit, CAMERA, ("principal_point",))
-    np.testing.assert_allclose(with_lens.lens.principal_point, [15, 10])
+    back = on_film(unit, with_lens(CAMERA, ("principal_point",)))
+    np.testing.assert_allclose(back.lens.principal_point, [15, 10])
 
 
 def test_units_move_the_outline_by_about_a_pixel():

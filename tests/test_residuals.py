@@ -14,7 +14,8 @@ from pinhole_jax._residuals import residuals as _residuals
 from pinhole_jax._target import pyramid
 
 FREE = ("pose", "phi")
-CAPACITY = Capacity(256, 1024, 256)
+CAPACITY = Capacity(256, 1024, 1024, 512)
+LENS = pj.BrownConrady(-0.3, 0.1, 2e-3, 1e-3, 0.02)
 residuals = eqx.filter_jit(_residuals)
 
 
@@ -45,7 +46,7 @@ def image_jacobian(y, start, camera, scene):
     """Return the image, and its Jacobian by the same parameters."""
 
     def image(y):
-        image = pj.silhouette(on_film(moved(start, y, FREE), camera, FREE), scene)
+        image = pj.silhouette(on_film(moved(start, y, FREE), camera), scene)
         return image, image
 
     columns, value = jax.jacfwd(image, has_aux=True)(y)
@@ -63,17 +64,22 @@ def pixels_kept(camera, scene, level) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("look_at", "spheres"),
+    ("look_at", "spheres", "W", "model"),
     [
-        ((0, 0, 0), False),
-        ((1.7, 0, 0), False),
-        ((-1.7, 0, 0), True),
-        ((0, 1.3, 0), True),
-        ((0, -1.3, 0), False),
+        ((0, 0, 0), False, 30, None),
+        ((1.7, 0, 0), False, 30, None),
+        ((-1.7, 0, 0), True, 30, None),
+        ((0, 1.3, 0), True, 30, None),
+        ((0, -1.3, 0), False, 30, None),
+        ((-8, 0, 0), False, 150, None),  # more film heights away than a film of 1 x 1 has
+        ((-1.2, 0, 0), True, 30, LENS),
     ],
 )
-def test_squares_sums_and_jacobian_are_those_of_the_image(look_at, spheres):
-    camera, scene, target, weight = setting(look_at, spheres=spheres)
+def test_squares_sums_and_jacobian_are_those_of_the_image(look_at, spheres, W, model):
+    camera, scene, target, weight = setting(look_at, W=W, spheres=spheres)
+    if model is not None:
+        lens = pj.Lens([14.0, 13.0], 1.02, model)
+        camera = pj.Camera(camera.e, camera.p, camera.u, camera.phi, camera.d, W, camera.H, lens)
     data, levels = pyramid(target, weight, float)
     levels[-1] = levels[-1]._replace(strict=jnp.bool_(True))
     unit = canonical(camera)
@@ -81,7 +87,7 @@ def test_squares_sums_and_jacobian_are_those_of_the_image(look_at, spheres):
     zero = jnp.zeros(7)
     J, (sums, load, (r, rest)) = compact_jacobian(zero, start, scene, data, levels[-1])
     image, columns = image_jacobian(zero, start, camera, scene)
-    weight = weight * pixels_kept(on_film(canonical(camera), camera, FREE), scene, levels[-1])
+    weight = weight * pixels_kept(on_film(canonical(camera), camera), scene, levels[-1])
     covered, dense = np.asarray(image), np.asarray(columns).reshape(-1, 7)
     difference = np.sqrt(weight) * (covered - target)
     dense = np.sqrt(weight).reshape(-1, 1) * dense

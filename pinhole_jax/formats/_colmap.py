@@ -10,13 +10,23 @@ import re
 import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._camera import Camera
+from .._distortion import BrownConrady, Fisheye
 from ._fields import Fields, add_named, read_bytes, read_text, save_bytes, save_text
-from ._pinhole import OPENCV, Pinhole, camera_from_world, camera_of, inverse, pinhole
+from ._pinhole import (
+    OPENCV,
+    Pinhole,
+    camera_from_world,
+    camera_of,
+    distortion_of,
+    inverse,
+    model_of,
+    pinhole,
+)
 from ._turns import matrix_of_quaternion, quaternion_of_matrix
 
 #: COLMAP's models by number, with their parameters; distortion is what is not f, fx, fy, cx, cy.
@@ -26,7 +36,10 @@ MODELS = {
     2: ("SIMPLE_RADIAL", "f cx cy k1"),
     3: ("RADIAL", "f cx cy k1 k2"),
     4: ("OPENCV", "fx fy cx cy k1 k2 p1 p2"),
+    5: ("OPENCV_FISHEYE", "fx fy cx cy k1 k2 k3 k4"),
     6: ("FULL_OPENCV", "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6"),
+    8: ("SIMPLE_RADIAL_FISHEYE", "f cx cy k1"),
+    9: ("RADIAL_FISHEYE", "f cx cy k1 k2"),
 }
 PARAMETERS = {name: parameters.split() for name, parameters in MODELS.values()}
 PARTS = ("cameras", "images", "points3D")
@@ -38,8 +51,8 @@ def read_colmap(folder: str | os.PathLike) -> dict[str, Camera]:
     Reads cameras and images, binary if there are both kinds. Points are not read.
 
     Raises FileNotFoundError, or ValueError naming file and field where something is missing,
-    truncated or wrong, where the camera model is not a pinhole with OpenCV's distortion (fisheye,
-    FOV, ...), and where distortion coefficients are not zero.
+    truncated or wrong, and where the camera model is none of OpenCV's (FOV, thin prisms, ...) or
+    FULL_OPENCV with k4, k5 or k6 that is not zero.
     """
     place = Path(folder)
     for ending, read in ((".bin", _read_binary), (".txt", _read_text)):
@@ -65,8 +78,9 @@ def read_colmap(folder: str | os.PathLike) -> dict[str, Camera]:
 def write_colmap(
     folder: str | os.PathLike, cameras: Mapping[str, Camera], *, binary: bool = False
 ) -> None:
-    """Write a COLMAP model of PINHOLE cameras without points: cameras, images, points3D.
+    """Write a COLMAP model without points: cameras, images, points3D.
 
+    Cameras are PINHOLE, with distortion OPENCV (FULL_OPENCV if k3 is not zero) or OPENCV_FISHEYE.
     The cameras' names become image names; equal intrinsics are written once.
 
     Raises ValueError where the folder holds a model of the other kind, or rigs and frames: COLMAP
@@ -82,8 +96,8 @@ def write_colmap(
     for name in cameras:
         if not name or name.split() != name.split(" ") or "\0" in name:
             raise ValueError(f"`cameras`: expected names COLMAP can hold, got {name!r}")
-    views: dict[Pinhole, int] = {}
-    keys = [views.setdefault(pinhole(camera), len(views) + 1) for camera in cameras.values()]
+    views: dict[View, int] = {}
+    keys = [views.setdefault(_view(camera), len(views) + 1) for camera in cameras.values()]
     poses = [_quaternion_and_translation(camera) for camera in cameras.values()]
     images = list(zip(keys, poses, cameras, strict=True))
     if binary:
@@ -108,7 +122,10 @@ def _camera(intrinsics: Fields, pose: Fields) -> Camera:
         intrinsics.integer("HEIGHT"),
     )
     plain = {"f", "fx", "fy", "cx", "cy", "WIDTH", "HEIGHT"}
-    distortion = {name: number(name) for name in intrinsics.data if name not in plain}
+    fisheye = bool(number("FISHEYE"))
+    plain.add("FISHEYE")
+    bent = {name: number(name) for name in intrinsics.data if name not in plain}
+    distortion = model_of(bent, intrinsics, fisheye)
     q = pose.array("QUATERNION", (4,))
     if abs(np.linalg.norm(q) - 1) > 1e-4:
         raise pose.wrong("QUATERNION", "one of length 1", q)
@@ -133,7 +150,8 @@ def _fields_of(model: str, size: Any, parameters: Any, where: str) -> Fields:
             f" {len(parameters)} ({where})"
         )
     values = dict(zip(names, parameters, strict=True))
-    return Fields({"WIDTH": size[0], "HEIGHT": size[1], **values}, where)
+    fisheye = float(model.endswith("FISHEYE"))
+    return Fields({"WIDTH": size[0], "HEIGHT": size[1], "FISHEYE": fisheye, **values}, where)
 
 
 def _pose_of(numbers: Any, camera: int, where: str) -> Fields:
@@ -260,10 +278,30 @@ class _Reader:
             )
 
 
-def _text(views: dict[Pinhole, int], images: list) -> dict[str, str]:
+class View(NamedTuple):
+    """Intrinsics as a COLMAP model has them: its number, and its parameters in order."""
+
+    model: int
+    W: int
+    H: int
+    parameters: tuple[float, ...]
+
+
+def _view(camera: Camera) -> View:
+    view, distortion = pinhole(camera, bent=True), distortion_of(camera)
+    number = 5 if isinstance(distortion, Fisheye) else 1
+    if isinstance(distortion, BrownConrady):
+        number = 6 if float(distortion.k3) else 4
+    values = {**view._asdict(), **({} if distortion is None else distortion.coefficients())}
+    names = MODELS[number][1].split()
+    return View(number, view.W, view.H, tuple(values.get(name, 0.0) for name in names))
+
+
+def _text(views: dict[View, int], images: list) -> dict[str, str]:
     words = lambda values: " ".join(map(repr, values))
-    cameras = "# CAMERA_ID MODEL WIDTH HEIGHT fx fy cx cy\n" + "".join(
-        f"{key} PINHOLE {v.W} {v.H} {words(v[:4])}\n" for v, key in views.items()
+    cameras = "# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n" + "".join(
+        f"{key} {MODELS[v.model][0]} {v.W} {v.H} {words(v.parameters)}\n"
+        for v, key in views.items()
     )
     poses = "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then its points: none\n" + "".join(
         f"{k} {words(pose)} {key} {name}\n\n" for k, (key, pose, name) in enumerate(images, 1)
@@ -271,9 +309,10 @@ def _text(views: dict[Pinhole, int], images: list) -> dict[str, str]:
     return {"cameras": cameras, "images": poses, "points3D": "# no points\n"}
 
 
-def _binary(views: dict[Pinhole, int], images: list) -> dict[str, bytes]:
+def _binary(views: dict[View, int], images: list) -> dict[str, bytes]:
     cameras = struct.pack("<Q", len(views)) + b"".join(
-        struct.pack("<IiQQ4d", key, 1, v.W, v.H, *v[:4]) for v, key in views.items()
+        struct.pack(f"<IiQQ{len(v.parameters)}d", key, v.model, v.W, v.H, *v.parameters)
+        for v, key in views.items()
     )
     poses = struct.pack("<Q", len(images)) + b"".join(
         struct.pack("<I7dI", k, *pose, key) + name.encode() + b"\0" + struct.pack("<Q", 0)

@@ -5,6 +5,7 @@ import numpy as np
 
 from .._arrays import Numbers
 from .._camera import Camera, focal_px, principal_point
+from .._distortion import Distortion
 from .._lens import Lens
 
 
@@ -17,6 +18,7 @@ def from_opencv(
     *,
     pixel_centres: str,
     d: float = 1.0,
+    distortion: Distortion | None = None,
 ) -> Camera:
     """Return the camera of OpenCV's K (3, 3), R (3, 3), t (3,): x right, y down, z forward.
 
@@ -24,7 +26,8 @@ def from_opencv(
     puts them: "integer" (OpenCV, M3T: the first pixel's centre is 0) or "half" (COLMAP, NeRF: 0.5).
     It costs half a pixel to get it wrong, so it has no default. Skew must be 0.
 
-    The view point is put at unit distance, up along the image's columns.
+    `distortion` is the lens's (`BrownConrady(*distCoeffs)`, `Fisheye`). The view point is put at
+    unit distance, up along the image's columns.
     """
     K, R, t = (np.asarray(x, float) for x in (K, R, t))
     for name, array, shape in (("K", K, (3, 3)), ("R", R, (3, 3)), ("t", t.reshape(-1), (3,))):
@@ -41,6 +44,7 @@ def from_opencv(
     centre = (K[0, 2] + half, H - (K[1, 2] + half))  # film coordinates: y up
     eye = -R.T @ t.reshape(3)
     centred = np.allclose(centre, (W / 2, H / 2), rtol=0, atol=1e-9) and abs(fx / fy - 1) < 1e-12
+    plain = centred and distortion is None
     return Camera(
         eye,
         eye + R[2],
@@ -49,7 +53,7 @@ def from_opencv(
         d,
         W,
         H,
-        None if centred else Lens(jnp.asarray(centre), float(fx / fy)),
+        None if plain else Lens(jnp.asarray(centre), float(fx / fy), distortion),
     )
 
 
@@ -57,7 +61,8 @@ def to_opencv(camera: Camera, *, pixel_centres: str) -> tuple[np.ndarray, np.nda
     """Return OpenCV's K (3, 3), R (3, 3), t (3,), float64: x right, y down, z forward.
 
     `X_camera = R X_world + t` and `(u, v, 1) ~ K X_camera`, px, y down. `pixel_centres` says where
-    the reader puts them: "integer" (OpenCV: the first pixel's centre is 0) or "half" (0.5).
+    the reader puts them: "integer" (OpenCV: the first pixel's centre is 0) or "half" (0.5). A
+    lens's distortion is not in them: `camera.lens.distortion` goes beside.
     """
     if pixel_centres not in ("integer", "half"):
         raise ValueError(f"`pixel_centres`: expected 'integer' or 'half', got {pixel_centres!r}")

@@ -11,20 +11,24 @@ from collections.abc import Mapping
 import numpy as np
 
 from .._camera import Camera
+from .._distortion import Fisheye
 from ._fields import Fields, Size, add_named, load_json, save_json
 from ._pinhole import (
     OPENGL,
     Pinhole,
     camera_of,
+    distortion_of,
     focal_of_fov,
     fov_of_focal,
+    model_of,
     pinhole,
     rigid,
     world_from_camera,
 )
 
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+FISHEYE = "OPENCV_FISHEYE"
+MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", FISHEYE)
 
 
 def read_nerf(path: str | os.PathLike, *, size: Size | None = None) -> dict[str, Camera]:
@@ -34,7 +38,7 @@ def read_nerf(path: str | os.PathLike, *, size: Size | None = None) -> dict[str,
     Blender scenes), `size` gives them. World axes are the file's: no `applied_transform` is undone.
 
     Raises ValueError naming file and field where something is missing or wrong, for other camera
-    models (fisheye, ...), and where distortion coefficients are not zero.
+    models (equirectangular, ...), and for coefficients that OpenCV's models have not.
     """
     top = load_json(path)
     cameras: dict[str, Camera] = {}
@@ -42,13 +46,13 @@ def read_nerf(path: str | os.PathLike, *, size: Size | None = None) -> dict[str,
     for k, frame in enumerate(top.parts("frames")):
         fields = Fields({**shared, **frame.data}, frame.where)
         name = fields.text("file_path", default=str(k))
-        fields.text("camera_model", MODELS, "OPENCV")
-        if fields.data.get("is_fisheye"):
-            raise fields.wrong("is_fisheye", "false", "true")
+        model = fields.text("camera_model", MODELS, "OPENCV")
+        fisheye = model == FISHEYE or bool(fields.data.get("is_fisheye"))
         shape = np.shape(fields.get("transform_matrix", "a 4 x 4 matrix"))
         matrix = fields.array("transform_matrix", (3, 4) if shape == (3, 4) else (4, 4))
         pose = rigid(matrix, fields, "transform_matrix")
-        distortion = {c: fields.number(c) for c in COEFFICIENTS if c in fields}
+        coefficients = {c: fields.number(c) for c in COEFFICIENTS if c in fields}
+        distortion = model_of(coefficients, fields, fisheye)
         camera = camera_of(_intrinsics(fields, size), pose, OPENGL, fields, distortion)
         add_named(cameras, name, camera, repr(str(path)))
     return cameras
@@ -59,14 +63,18 @@ def write_nerf(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
 
     Intrinsics that all cameras share stand at the top, otherwise with each frame.
     """
-    views = [pinhole(camera) for camera in cameras.values()]
-    common = _numbers(views[0]) if len(set(views)) == 1 else {}
+    fisheye = [isinstance(distortion_of(camera), Fisheye) for camera in cameras.values()]
+    if len({*fisheye}) > 1:
+        raise ValueError("`cameras`: expected fisheyes or none in one file, got both")
+    views = [_numbers(camera) for camera in cameras.values()]
+    common = views[0] if all(view == views[0] for view in views) else {}
     frames = []
     for (name, camera), view in zip(cameras.items(), views, strict=True):
-        own = {} if common else _numbers(view)
+        own = {} if common else view
         matrix = world_from_camera(camera, OPENGL).tolist()
         frames.append({"file_path": name, **own, "transform_matrix": matrix})
-    save_json(path, {"camera_model": "OPENCV", **common, "frames": frames})
+    model = FISHEYE if fisheye[0] else "OPENCV"
+    save_json(path, {"camera_model": model, **common, "frames": frames})
 
 
 def _intrinsics(fields: Fields, size: Size | None) -> Pinhole:
@@ -87,8 +95,11 @@ def _intrinsics(fields: Fields, size: Size | None) -> Pinhole:
     return Pinhole(fx, fy, fields.number("cx", W / 2), fields.number("cy", H / 2), W, H)
 
 
-def _numbers(view: Pinhole) -> dict[str, float | int]:
+def _numbers(camera: Camera) -> dict[str, float | int]:
+    view, distortion = pinhole(camera, bent=True), distortion_of(camera)
+    bent = {} if distortion is None else distortion.coefficients()
     return {
+        **bent,
         "w": view.W,
         "h": view.H,
         "fl_x": view.fx,

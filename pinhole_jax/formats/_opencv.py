@@ -11,16 +11,18 @@ from collections.abc import Mapping
 import numpy as np
 
 from .._camera import Camera
+from .._distortion import BrownConrady, Distortion, Fisheye
 from . import _yaml
 from ._fields import Fields, Size, read_text, save_text
 from ._matrices import to_opencv
-from ._pinhole import OPENCV, Pinhole, camera_of, inverse, rotation
+from ._pinhole import OPENCV, Pinhole, camera_of, distortion_of, inverse, model_of, rotation
 from ._turns import matrix_of_vector, vector_of_matrix
 
 #: The names under which a field is known; case and underscores do not count.
 NAMES = {
     "camera_matrix": ("cameramatrix", "k"),
     "distortion_coefficients": ("distortioncoefficients", "distcoeffs", "d"),
+    "distortion_model": ("distortionmodel",),
     "R": ("r", "rotation", "rotationmatrix"),
     "rvec": ("rvec",),
     "t": ("t", "tvec", "translation"),
@@ -34,6 +36,10 @@ COEFFICIENTS = (
     *("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     *("s1", "s2", "s3", "s4", "tau_x", "tau_y"),
 )
+FISHEYE = ("k1", "k2", "k3", "k4")
+#: What a file may call its model (the names are ROS's, too).
+FISHEYES = ("fisheye", "equidistant")
+PLAIN = ("plumb_bob", "rational_polynomial")
 
 
 def read_opencv(
@@ -46,8 +52,11 @@ def read_opencv(
     `camera_matrix` is K in px; `image_width`, `image_height` in px, or `size` where there are none.
     `pixel_centres` ("integer", "half") overrules the file, which is "integer" if it says nothing.
 
+    `distortion_coefficients` are k1, k2, p1, p2, k3, or of a fisheye (k1 to k4) where the file's
+    `distortion_model` is "fisheye" or "equidistant" (OpenCV's own files do not tell).
+
     Raises ValueError naming file and field where something is missing or wrong, and where
-    distortion coefficients are not zero.
+    coefficients of other models are not zero.
     """
     fields = _known(_yaml.parse(read_text(path), repr(str(path))), repr(str(path)))
     K = fields.array("camera_matrix", (3, 3))
@@ -60,9 +69,9 @@ def read_opencv(
     W, H = fields.size("image_width", "image_height", size)
     view = Pinhole(K[0, 0], K[1, 1], K[0, 2] + half, K[1, 2] + half, W, H)
     poses = _poses(fields)
-    names = _names(fields, len(poses))
+    names, bent = _names(fields, len(poses)), _distortion(fields)
     return {
-        name: camera_of(view, inverse(pose), OPENCV, fields, _distortion(fields))
+        name: camera_of(view, inverse(pose), OPENCV, fields, bent)
         for name, pose in zip(names, poses, strict=True)
     }
 
@@ -73,23 +82,29 @@ def write_opencv(
     """Write cameras as OpenCV YAML: `camera_matrix`, then `R` and `t`, or many poses.
 
     A file has one K and one image size: several cameras must share them; their poses are then
-    `extrinsic_parameters`, rvec and tvec (camera_from_world). No distortion. The file also says
-    `pixel_centres`, which OpenCV does not read.
+    `extrinsic_parameters`, rvec and tvec (camera_from_world). The file also says `pixel_centres`
+    and `distortion_model`, which OpenCV does not read.
     """
     matrices = [to_opencv(camera, pixel_centres=pixel_centres) for camera in cameras.values()]
     sizes = [(camera.W, camera.H) for camera in cameras.values()]
+    models = [distortion_of(camera) for camera in cameras.values()]
+    bent = [{} if m is None else {type(m).__name__: m.coefficients()} for m in models]
     K = matrices[0][0]
-    for name, size, (other, _, _) in zip(cameras, sizes, matrices, strict=True):
-        if size != sizes[0] or np.abs(other - K).max() > 1e-9:
+    for name, size, (other, _, _), own in zip(cameras, sizes, matrices, bent, strict=True):
+        if size != sizes[0] or np.abs(other - K).max() > 1e-9 or own != bent[0]:
             raise ValueError(
-                "`cameras`: expected one K and one image size in an OpenCV file, got others in"
+                "`cameras`: expected one K, lens and image size in an OpenCV file, got others in"
                 f" {name!r} than in {next(iter(cameras))!r}; write one file each"
             )
     text = f"%YAML:1.0\n---\nimage_width: {sizes[0][0]}\nimage_height: {sizes[0][1]}\n"
     text += f"pixel_centres: {_yaml.quoted(pixel_centres)}\n"
     text += "camera_names: [ " + ", ".join(_yaml.quoted(name) for name in cameras) + " ]\n"
     text += _yaml.matrix("camera_matrix", K)
-    text += _yaml.matrix("distortion_coefficients", np.zeros((5, 1)))
+    if isinstance(models[0], Fisheye):
+        text += 'distortion_model: "fisheye"\n'
+    model = models[0] or BrownConrady()
+    values = np.array(list(model.coefficients().values()))
+    text += _yaml.matrix("distortion_coefficients", values[:, None])
     if len(matrices) == 1:
         _, R, t = matrices[0]
         text += _yaml.matrix("R", R) + _yaml.matrix("t", t[:, None])
@@ -150,11 +165,14 @@ def _names(fields: Fields, count: int) -> list[str]:
     return [str(name) for name in names]
 
 
-def _distortion(fields: Fields) -> dict[str, float]:
+def _distortion(fields: Fields) -> Distortion | None:
     name = "distortion_coefficients"
+    model = fields.text("distortion_model", (*FISHEYES, *PLAIN), PLAIN[0])
     if name not in fields:
-        return {}
+        return model_of({}, fields, model in FISHEYES)
     values = np.atleast_1d(fields.array(name, np.shape(fields.data[name])))
     if values.ndim != 1 or len(values) not in (0, 1, 4, 5, 8, 12, 14):
         raise fields.wrong(name, "4, 5, 8, 12 or 14 coefficients", values)
-    return dict(zip(COEFFICIENTS, values.tolist(), strict=False))
+    if model in FISHEYES:
+        return model_of(dict(zip(FISHEYE, values.tolist(), strict=True)), fields, True)
+    return model_of(dict(zip(COEFFICIENTS, values.tolist(), strict=False)), fields, False)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._camera import Camera
+from .._distortion import BrownConrady, Distortion, Fisheye
 from ._fields import Fields
 from ._matrices import from_opencv, to_opencv
 
@@ -35,11 +36,34 @@ class Pinhole(NamedTuple):
     H: int
 
 
-def pinhole(camera: Camera) -> Pinhole:
-    """Return the camera's intrinsics."""
+def pinhole(camera: Camera, *, bent: bool = False) -> Pinhole:
+    """Return the camera's intrinsics, or raise ValueError for a distortion unless it goes beside
+    (`bent`)."""
+    model = distortion_of(camera)
+    if model is not None and not bent:
+        raise ValueError(
+            "`cameras`: expected no lens distortion, which this format cannot hold, got a"
+            f" {type(model).__name__}"
+        )
     K = to_opencv(camera, pixel_centres="half")[0]
     fx, fy, cx, cy = K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     return Pinhole(fx, fy, cx, cy, camera.W, camera.H)
+
+
+def distortion_of(camera: Camera) -> Distortion | None:
+    """Return the camera's distortion."""
+    return None if camera.lens is None else camera.lens.distortion
+
+
+def model_of(coefficients: Mapping[str, float], fields: Fields, fisheye: bool) -> Distortion | None:
+    """Return the distortion with OpenCV's coefficients; None if those of no fisheye are all 0."""
+    model = Fisheye if fisheye else BrownConrady
+    bent = {name: value for name, value in coefficients.items() if value != 0}
+    known = model().coefficients()
+    if unknown := {name: value for name, value in bent.items() if name not in known}:
+        words = ", ".join(f"{name} = {value:g}" for name, value in unknown.items())
+        raise fields.wrong("distortion", f"{', '.join(known)} of a {model.__name__} only", words)
+    return model(**bent) if bent or fisheye else None
 
 
 def camera_from_world(camera: Camera, axes: np.ndarray) -> np.ndarray:
@@ -88,17 +112,9 @@ def camera_of(
     world_from_camera: np.ndarray,
     axes: np.ndarray,
     fields: Fields,
-    distortion: Mapping[str, float] | None = None,
+    distortion: Distortion | None = None,
 ) -> Camera:
-    """Return the camera of intrinsics and a rigid transform from a frame with these axes.
-
-    `distortion` are the lens's coefficients by OpenCV's names. This is where they would become a
-    lens; until a `Camera` has one, any that is not zero is refused.
-    """
-    bent = {name: value for name, value in (distortion or {}).items() if value != 0}
-    if bent:
-        words = ", ".join(f"{name} = {value:g}" for name, value in bent.items())
-        raise fields.wrong("distortion", "none (a Camera has no lens distortion yet)", words)
+    """Return the camera of intrinsics and a rigid transform from a frame with these axes."""
     for name in ("fx", "fy"):
         if not getattr(view, name) > 0:
             raise fields.wrong(name, "a positive focal length in px", f"{getattr(view, name)}")
@@ -106,7 +122,8 @@ def camera_of(
     K = np.array([[view.fx, 0, view.cx], [0, view.fy, view.cy], [0, 0, 1]])
     t = -R @ world_from_camera[:3, 3]
     try:
-        return from_opencv(K, R, t, view.W, view.H, pixel_centres="half")
+        size = (view.W, view.H)
+        return from_opencv(K, R, t, *size, pixel_centres="half", distortion=distortion)
     except ValueError as error:
         raise ValueError(f"{error} (in {fields.where})") from None
 

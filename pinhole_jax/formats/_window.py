@@ -26,7 +26,8 @@ def cropped(camera: Camera, left: Numbers, top: Numbers, W: Any, H: Any) -> Came
     if camera.lens is not None or not centred:
         fx, fy = focal_px(camera)
         x, y = principal_point(camera)
-        lens = Lens(jnp.stack([x - x0, y - (camera.H - H - y0)]), fx / fy)
+        corner = jnp.stack([x - x0, y - (camera.H - H - y0)])
+        lens = Lens(corner, fx / fy, camera.lens and camera.lens.distortion)
     return Camera(camera.e, camera.p, camera.u, phi, camera.d, W, H, lens)
 
 
@@ -43,5 +44,7 @@ def resized(camera: Camera, W: Any, H: Any) -> Camera:
         fx, fy = focal_px(camera)
         x, y = principal_point(camera)
         scale_x, scale_y = W / camera.W, H / camera.H
-        lens = Lens(jnp.stack([x * scale_x, y * scale_y]), fx / fy * (scale_x / scale_y))
+        aspect = fx / fy * (scale_x / scale_y)
+        centre = jnp.stack([x * scale_x, y * scale_y])
+        lens = Lens(centre, aspect, camera.lens and camera.lens.distortion)
     return Camera(camera.e, camera.p, camera.u, camera.phi, camera.d, W, H, lens)
