@@ -13,7 +13,7 @@ import numpy as np
 from .._camera import Camera
 from . import _yaml
 from ._fields import Fields, Size, read_text, save_text
-from ._matrices import to_opencv
+from ._matrices import half_pixel, to_opencv
 from ._pinhole import OPENCV, Pinhole, camera_of, inverse, rotation
 from ._turns import matrix_of_vector, vector_of_matrix
 
@@ -54,9 +54,7 @@ def read_opencv(
     if np.any(K[2] != [0, 0, 1]) or K[1, 0] != 0 or abs(K[0, 1]) > 1e-9 * abs(K[0, 0]):
         raise fields.wrong("camera_matrix", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", K)
     centres = fields.text("pixel_centres", ("integer", "half"), "integer")
-    half = 0.5 if (pixel_centres or centres) == "integer" else 0.0
-    if pixel_centres not in (None, "integer", "half"):
-        raise ValueError(f"`pixel_centres`: expected 'integer' or 'half', got {pixel_centres!r}")
+    half = half_pixel(centres if pixel_centres is None else pixel_centres)
     W, H = fields.size("image_width", "image_height", size)
     view = Pinhole(K[0, 0], K[1, 1], K[0, 2] + half, K[1, 2] + half, W, H)
     poses = _poses(fields)
