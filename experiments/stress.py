@@ -280,10 +280,12 @@ def rounded(view: View, dtype: type) -> tuple[pj.Camera, np.ndarray]:
     return pj.Camera(*numbers, *view.size), view.vertices.astype(dtype)
 
 
-def scene_of(vertices: np.ndarray, faces: np.ndarray, room: int = 256) -> pj.Scene:
+def scene_of(view: View, vertices: np.ndarray, room: int = 256) -> pj.Scene:
     """Return the scene with arrays of one size, so that all share one program."""
+    if view.radius:
+        return pj.Scene(spheres=pj.Spheres(vertices, np.full(1, view.radius, vertices.dtype)))
     pad = lambda x, with_: np.concatenate([x, np.repeat(with_, room - len(x), 0)])
-    mesh = pj.Mesh(pad(vertices, vertices[:1]), pad(faces, np.zeros((1, 3), int)))
+    mesh = pj.Mesh(pad(vertices, vertices[:1]), pad(view.faces, np.zeros((1, 3), int)))
     edges = lambda m: (m.edge_vertices, m.edge_faces)
     fill = lambda x: jnp.pad(x, ((0, 2 * room - x.shape[0]), (0, 0)))
     return pj.Scene(mesh=eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh)))))
@@ -413,12 +415,12 @@ def worst(view: View, dtype: type) -> float:
     """Return the worst pixel's error; infinite where it is no number."""
     camera, vertices = rounded(view, dtype)
     if view.radius:
-        radius = np.asarray(view.radius, dtype)
-        scene = pj.Scene(spheres=pj.Spheres(vertices, radius[None]))
-        right = sphere_oracle(camera, vertices[0], radius)
+        right = sphere_oracle(camera, vertices[0], np.asarray(view.radius, dtype))
     else:
-        scene, right = scene_of(vertices, view.faces), oracle(camera, vertices, view.faces)
-    error = float(np.abs(np.asarray(pj.silhouette(camera, scene), float) - right).max())
+        right = oracle(camera, vertices, view.faces)
+    error = float(
+        np.abs(np.asarray(pj.silhouette(camera, scene_of(view, vertices)), float) - right).max()
+    )
     return error if np.isfinite(error) else np.inf
 
 

@@ -39,8 +39,8 @@ CLUSTER = 32
 class Planes(NamedTuple):
     """A mesh's face planes: x is before face f where `normal[:, f].(x - corner[:, f]) > 0`.
 
-    A normal's length is the face's area in a unit about the mesh's size, so that it neither
-    overflows nor vanishes. `box` holds the vertices' least and largest coordinates, `fingerprint`
+    A normal's length is the face's area in a unit of the mesh's own, so that it neither overflows
+    nor vanishes. `box` holds the vertices' least and largest coordinates, `fingerprint`
     names the vertices that all this was made from. `clusters` is None for a mesh made of traced
     vertices, whose planes would not be used often enough.
     """
@@ -300,15 +300,12 @@ def _planes_and_clusters(
     planes = _planes(vertices, faces)
     if not (is_concrete(vertices) and edge_faces.shape[0]):
         return planes
-    return planes._replace(clusters=_clusters(planes, vertices, faces, edge_faces))
+    return planes._replace(clusters=_clusters(planes, vertices, edge_faces))
 
 
 @jax.jit
 def _clusters(
-    planes: Planes,
-    vertices: Float[Array, "V 3"],
-    faces: Int[Array, "F 3"],
-    edge_faces: Int[Array, "E 2"],
+    planes: Planes, vertices: Float[Array, "V 3"], edge_faces: Int[Array, "E 2"]
 ) -> Clusters:
     first, second = edge_faces[:, 0], edge_faces[:, 1]
     both = jnp.stack([first, jnp.where(second < 0, first, second)], axis=1)

@@ -14,7 +14,8 @@ import pytest
 import pinhole_jax as pj
 from pinhole_jax import shapes
 
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 6, 5)
+# Of numbers whose differences are exact: the view direction, too.
+CAMERA = pj.Camera([0.25, 1.0, 5.0], [0.125, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 6, 5)
 BALLS = pj.Spheres([[0.4, 0.2, 1.0], [-0.5, 0.1, 0]], [0.4, 0.6])
 SCENE = pj.Scene(mesh=shapes.bumpy(0), spheres=BALLS)
 

@@ -1,6 +1,7 @@
 """Every accelerated path gives what the plain one does, on random scenes of 0, 1, 2 and 2^k +- 1
 faces: random triples of few vertices, so edges of one, two and many faces, of either winding."""
 
+import itertools
 from collections import Counter
 
 import equinox as eqx
@@ -17,7 +18,7 @@ from pinhole_jax._scene import padded
 from pinhole_jax._target import object_window, pyramid
 
 SIZES = sorted({0, 1, 2} | {2**k + d for k in range(1, 8) for d in (-1, 1)})
-FEW = [0, 1, 2, 3, 33, 129]
+FEW = [0, 1, 2, 33]
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 12, 10)
 
 
@@ -28,10 +29,12 @@ def sizes(request) -> list[int]:
 
 
 def soup(faces: int, extent: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and different triples of them, in any turn."""
     random = np.random.default_rng(faces)
     vertices = extent * random.uniform(-1, 1, (faces // 2 + 4, 3))
-    triples = [random.permutation(len(vertices))[:3] for _ in range(faces)]
-    return vertices, np.array(triples, int).reshape(-1, 3)
+    triples = np.array([*itertools.combinations(range(len(vertices)), 3)])
+    chosen = random.permutation(len(triples))[:faces]
+    return vertices, random.permuted(triples[chosen], axis=1)
 
 
 def plain_weights(vertices, faces, e) -> Counter:
@@ -72,7 +75,7 @@ def test_the_image_is_the_union_of_all_faces(sizes):
         np.testing.assert_allclose(image, mesh_coverage(CAMERA, vertices, triangles), atol=1e-11)
 
 
-@pytest.mark.parametrize("faces", [0, 1, 2, 5])
+@pytest.mark.parametrize("faces", [0, 2])
 def test_padding_changes_no_bit(faces):
     scene = pj.Scene(mesh=pj.Mesh(*soup(faces)))
     np.testing.assert_array_equal(
@@ -128,7 +131,7 @@ def test_a_window_of_the_film_says_what_the_whole_film_does(sizes):
         np.testing.assert_allclose(*values, rtol=1e-12, atol=1e-12)
 
 
-CAPACITY = Capacity(512, 4096, 0)
+CAPACITY = Capacity(512, 8192, 0)
 
 
 @eqx.filter_jit
