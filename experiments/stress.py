@@ -39,7 +39,7 @@ class View(NamedTuple):
     phi: float
     d: float
     stress: float
-    unit: float = 1.0  # epsilons that rounding the film points themselves is worth
+    unit: float = 1.0  # epsilons that rounding a film point is worth, beside one of W x H
     size: tuple[int, int] = (W, H)
     radius: float = 0.0  # of a sphere about the first vertex, in place of the faces
 
@@ -204,7 +204,7 @@ def huge_edges(random: np.random.Generator) -> View:
     middle = v.p + 0.3 * random.normal(size=3)
     corners = [middle + side, middle - s * side, middle + s * np.cross(ahead, side)]
     faces = np.array([[0, 1, 2]])
-    return v._replace(vertices=np.array(corners), faces=faces, unit=s)
+    return v._replace(vertices=np.array(corners), faces=faces)
 
 
 def slivers(random: np.random.Generator) -> View:

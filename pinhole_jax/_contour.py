@@ -331,8 +331,12 @@ def sphere_frames(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Floa
     aside = jax.nn.one_hot(least, 3, dtype=axis.dtype)
     e1 = normalize(aside - axis * dot(aside, axis)[:, None])
     e2 = jnp.cross(e1, axis)  # counter-clockwise as the eye sees it
-    rays = jnp.stack([axis * cosine[:, None], sine[:, None] * e1, sine[:, None] * e2], axis=1)
-    return film.turn(*jnp.moveaxis(rays, -1, 0))
+    # Of the centre counts its place beside the view point, as for a mesh's vertices.
+    middle = _film_points(film, spheres.centers[sphere]) / distance[:, None]
+    middle = middle * cosine[:, None] / binary_scale(film.matrix)
+    around = sine[:, None, None] * jnp.stack([e1, e2], axis=1)
+    around = film.turn(*jnp.moveaxis(around, -1, 0))
+    return jnp.concatenate([middle[:, None], around], axis=1)
 
 
 def sphere_arcs(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Arcs:
