@@ -39,7 +39,9 @@ class View(NamedTuple):
     phi: float
     d: float
     stress: float
-    unit: float = 1.0  # epsilons that rounding the film points themselves is worth
+    unit: float = 1.0  # epsilons that rounding a film point is worth, beside one of W x H
+    size: tuple[int, int] = (W, H)
+    radius: float = 0.0  # of a sphere about the first vertex, in place of the faces
 
 
 SHAPES = [
@@ -78,6 +80,12 @@ def size(random: np.random.Generator) -> View:
     return v._replace(vertices=v.vertices * s, e=v.e * s, p=v.p * s, d=s)
 
 
+def any_size(random: np.random.Generator) -> View:
+    s = log_uniform(random, 1e-30, 1e30)
+    v = usual(random, s)
+    return v._replace(vertices=v.vertices * s, e=v.e * s, p=v.p * s, d=s)
+
+
 def distance(random: np.random.Generator) -> View:
     """From 1e1 to 1e8 sizes away, with the field of view to match."""
     v, s = usual(random), log_uniform(random, 10, 1e8)
@@ -91,6 +99,17 @@ def offset(random: np.random.Generator) -> View:
     v = usual(random, s)
     away = direction(random) * s
     return v._replace(vertices=v.vertices + away, e=v.e + away, p=v.p + away)
+
+
+def in_a_large_scene(random: np.random.Generator) -> View:
+    """A triangle of 1 to 1e6 sizes behind the eye, whose corners come first."""
+    s = log_uniform(random, 1, 1e6)
+    v = usual(random, s)
+    ahead = (v.p - v.e) / np.linalg.norm(v.p - v.e)
+    side = np.cross(ahead, direction(random))
+    behind = v.e - s * (ahead + np.array([-side, side, np.cross(ahead, side)]))
+    vertices = np.concatenate([behind, v.vertices])
+    return v._replace(vertices=vertices, faces=np.concatenate([[[0, 1, 2]], v.faces + 3]))
 
 
 def close(random: np.random.Generator) -> View:
@@ -185,7 +204,7 @@ def huge_edges(random: np.random.Generator) -> View:
     middle = v.p + 0.3 * random.normal(size=3)
     corners = [middle + side, middle - s * side, middle + s * np.cross(ahead, side)]
     faces = np.array([[0, 1, 2]])
-    return v._replace(vertices=np.array(corners), faces=faces, unit=s)
+    return v._replace(vertices=np.array(corners), faces=faces)
 
 
 def slivers(random: np.random.Generator) -> View:
@@ -209,10 +228,33 @@ def degenerate(random: np.random.Generator) -> View:
     return v._replace(vertices=np.concatenate([v.vertices, middle, v.vertices]), faces=faces)
 
 
+def one_row(random: np.random.Generator) -> View:
+    """1000 px in a row or in a column, the object across 1 to 1000 of them."""
+    s = log_uniform(random, 1, 1000)
+    v, wide = usual(random, s), random.random() < 0.5
+    angle = 2 * np.arctan(np.tan(v.phi / 2) / s) if wide else v.phi
+    return v._replace(phi=angle, size=(1000, 1) if wide else (1, 1000), unit=1000 / min(W, H))
+
+
+def sphere(random: np.random.Generator) -> View:
+    """A sphere of radius 1e-8 to 1e8, the eye 1e-2 to 1e6 radii above it; an ellipse."""
+    r, s = log_uniform(random, 1e-8, 1e8), log_uniform(random, 1e-2, 1e6)
+    eye = r * (1 + s) * direction(random)
+    seen = np.arcsin(1 / (1 + s))  # half the angle
+    tilt = random.uniform(0, 0.5) * min(seen, np.pi / 2 - seen)
+    aside = np.cross(eye, direction(random))
+    aim = np.tan(tilt) * np.linalg.norm(eye) * aside / np.linalg.norm(aside)
+    phi = 2 * np.arctan(np.tan(seen) * random.uniform(0.7, 2))
+    faces = np.zeros((0, 3), int)
+    return View(np.zeros((1, 3)), faces, eye, aim, direction(random), phi, r, s, radius=r)
+
+
 CASES: dict[str, Callable[[np.random.Generator], View]] = {
     "size 1e-8 to 1e8": size,
+    "size 1e-30 to 1e30": any_size,
     "distance 1e1 to 1e8 sizes": distance,
     "world offset to 1e6 sizes": offset,
+    "a scene of 1 to 1e6 sizes": in_a_large_scene,
     "eye 1e-8 to 1 from a face": close,
     "up 1e-1 to 1e-12 rad off the view": pole,
     "view point to 1e-12 from the eye": short_view,
@@ -227,19 +269,23 @@ CASES: dict[str, Callable[[np.random.Generator], View]] = {
     "edges of 1 to 1e7 px": huge_edges,
     "slivers 1e-12 to 1e-1 wide": slivers,
     "faces and vertices twice, no area": degenerate,
+    "1000 px in a row or column": one_row,
+    "sphere, eye 1e-2 to 1e6 radii off": sphere,
 }
 
 
 def rounded(view: View, dtype: type) -> tuple[pj.Camera, np.ndarray]:
     """Return camera and vertices in a float type."""
     numbers = (np.asarray(x, dtype) for x in view[2:7])
-    return pj.Camera(*numbers, W, H), view.vertices.astype(dtype)
+    return pj.Camera(*numbers, *view.size), view.vertices.astype(dtype)
 
 
-def scene_of(vertices: np.ndarray, faces: np.ndarray, room: int = 256) -> pj.Scene:
+def scene_of(view: View, vertices: np.ndarray, room: int = 256) -> pj.Scene:
     """Return the scene with arrays of one size, so that all share one program."""
+    if view.radius:
+        return pj.Scene(spheres=pj.Spheres(vertices, np.full(1, view.radius, vertices.dtype)))
     pad = lambda x, with_: np.concatenate([x, np.repeat(with_, room - len(x), 0)])
-    mesh = pj.Mesh(pad(vertices, vertices[:1]), pad(faces, np.zeros((1, 3), int)))
+    mesh = pj.Mesh(pad(vertices, vertices[:1]), pad(view.faces, np.zeros((1, 3), int)))
     edges = lambda m: (m.edge_vertices, m.edge_faces)
     fill = lambda x: jnp.pad(x, ((0, 2 * room - x.shape[0]), (0, 0)))
     return pj.Scene(mesh=eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh)))))
@@ -250,21 +296,25 @@ def decimals(x: np.ndarray) -> np.ndarray:
     return np.vectorize(lambda v: Decimal(float(v)), otypes=[object])(np.asarray(x))
 
 
-def film_points(camera: pj.Camera, points: np.ndarray) -> np.ndarray:
-    """Return (x z, y z, z), by the equations of Frisvad's note in decimals of 60 digits."""
+def film_matrix(camera: pj.Camera) -> np.ndarray:
+    """Return what takes points, from the eye, to (x z, y z, z): the equations of Frisvad's note in
+    decimals of 60 digits."""
     e, p, u = (decimals(x) for x in (camera.e, camera.p, camera.u))
     unit = lambda x: x / (x @ x).sqrt()
     v = unit(p - e)
     b1 = unit(np.cross(v, u))
-    axes = np.stack([b1, np.cross(b1, v), v])
-    x, y, z = axes @ (decimals(points) - e).T
     tangent = np.tan(Exact(float(camera.phi)) / 2)
     high = float(tangent)
     focal = camera.H / (2 * (Decimal(high) + Decimal(float(tangent - high))))
     half = Decimal("0.5")
-    film = [focal * x + camera.W * half * z, focal * y + camera.H * half * z, z]
-    size = max(abs(x) for row in film for x in row)
-    return np.stack(film, axis=-1) / size
+    return np.stack([focal * b1 + camera.W * half * v,
+                     focal * np.cross(b1, v) + camera.H * half * v, v])  # fmt: skip
+
+
+def film_points(camera: pj.Camera, points: np.ndarray) -> np.ndarray:
+    """Return points as (x z, y z, z), the largest of them about 1."""
+    film = (decimals(points) - decimals(camera.e)) @ film_matrix(camera).T
+    return film / np.abs(film).max(axis=1, keepdims=True)
 
 
 def extended(x: np.ndarray) -> np.ndarray:
@@ -289,6 +339,53 @@ def clipped(corners: np.ndarray, W: int, H: int) -> np.ndarray:
         corners = both.reshape(-1, 3)[np.stack([side > 0, crosses], axis=1).ravel()]
     corners = corners[corners[:, 2] > 0] if len(corners) else corners.reshape(0, 3)
     return (corners[:, :2] / corners[:, 2:]).astype(float)
+
+
+def sphere_oracle(camera: pj.Camera, center: np.ndarray, radius: float) -> np.ndarray:
+    """Return the coverage of a sphere before the eye, by Green's theorem along its outline.
+
+    The outline is the image of the circle where rays touch the sphere. It is cut at every line of
+    the pixel grid, and each part's area is integrated by Gauss's rule in 80 bits.
+    """
+    W, H = camera.W, camera.H
+    axis = decimals(center) - decimals(camera.e)
+    distance = (axis @ axis).sqrt()
+    axis, sine = axis / distance, Decimal(float(radius)) / distance
+    first = np.cross(axis, decimals(np.eye(3)[np.argmin(np.abs(axis))]))
+    first = first / (first @ first).sqrt()
+    rays = [(1 - sine * sine).sqrt() * axis, sine * first, sine * np.cross(axis, first)]
+    frame = extended(np.stack(rays) @ film_matrix(camera).T)  # rows 1, cos, sin
+
+    def at(angle):
+        point = frame[0] + np.cos(angle)[..., None] * frame[1] + np.sin(angle)[..., None] * frame[2]
+        slope = np.cos(angle)[..., None] * frame[2] - np.sin(angle)[..., None] * frame[1]
+        xy = point[..., :2] / point[..., 2:]
+        return xy, (slope[..., :2] - xy * slope[..., 2:]) / point[..., 2:]
+
+    cuts = [np.linspace(Exact(0), 2 * np.arccos(Exact(-1)), 65)]
+    for k, size in enumerate((W, H)):
+        c, a, b = frame[:, k, None] - np.arange(size + 1) * frame[:, 2, None]
+        reach = np.hypot(a, b)
+        met = np.abs(c) < reach
+        middle, aside = np.arctan2(b, a)[met], np.arccos((-c / reach)[met])
+        cuts += [(middle + aside) % cuts[0][-1], (middle - aside) % cuts[0][-1]]
+    cuts = np.unique(np.concatenate(cuts))
+    nodes, weights = (x.astype(Exact) / 2 for x in np.polynomial.legendre.leggauss(12))
+    width = np.diff(cuts)[:, None]
+    angles = cuts[:-1, None] + width * (nodes + 0.5)
+    xy, slope = at(angles)
+    x, y = np.moveaxis(xy, -1, 0)
+    column, row = (np.floor(z[:, 6]).astype(int) for z in (x, y))
+    dy = weights * width * slope[..., 1]
+    image = np.zeros((H, W + 1), Exact)
+    here = (row >= 0) & (row < H) & (column >= 0)
+    own = here & (column < W)
+    np.add.at(image, (row[own], column[own]), np.sum((x - column[:, None]) * dy, axis=1)[own])
+    image = image[:, :W]
+    beyond = np.zeros((H, W + 1), Exact)
+    np.add.at(beyond, (row[here], np.minimum(column, W)[here]), np.sum(dy, axis=1)[here])
+    left = np.cumsum(beyond[:, ::-1], axis=1)[:, ::-1][:, 1:]
+    return np.abs(image + left).astype(float)[::-1]
 
 
 def oracle(camera: pj.Camera, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -317,8 +414,13 @@ def oracle(camera: pj.Camera, vertices: np.ndarray, faces: np.ndarray) -> np.nda
 def worst(view: View, dtype: type) -> float:
     """Return the worst pixel's error; infinite where it is no number."""
     camera, vertices = rounded(view, dtype)
-    image = np.asarray(pj.silhouette(camera, scene_of(vertices, view.faces)), float)
-    error = float(np.abs(image - oracle(camera, vertices, view.faces)).max())
+    if view.radius:
+        right = sphere_oracle(camera, vertices[0], np.asarray(view.radius, dtype))
+    else:
+        right = oracle(camera, vertices, view.faces)
+    error = float(
+        np.abs(np.asarray(pj.silhouette(camera, scene_of(view, vertices)), float) - right).max()
+    )
     return error if np.isfinite(error) else np.inf
 
 

@@ -56,7 +56,15 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.
         with np.errstate(over="ignore"):
             cast = np.asarray(array).astype(dtype)
         if not np.all(np.isfinite(cast)):
-            raise ValueError(f"`{name}`: expected finite values, got {_first_bad(cast)}")
+            raise ValueError(
+                f"`{name}`: expected finite values, got {_first(~np.isfinite(cast), cast)}"
+            )
+        most = np.finfo(dtype).max / 8  # differences are finite, and sums of a few of them
+        if not np.all(np.abs(cast) <= most):
+            raise ValueError(
+                f"`{name}`: expected values up to {most:.1e} ({dtype.name}),"
+                f" got {_first(np.abs(cast) > most, cast)}"
+            )
         if not isinstance(array, jax.Array):
             array = cast  # of a type that JAX knows: a long double is not
     return jnp.asarray(array, dtype)
@@ -67,6 +75,7 @@ def _words(shape: tuple[int | None, ...]) -> str:
     return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
 
 
-def _first_bad(array: np.ndarray) -> str:
-    index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0]) if array.ndim else ()
+def _first(bad: Any, array: np.ndarray) -> str:
+    """Return the array's first bad value, and where it is."""
+    index = tuple(int(i) for i in np.argwhere(bad)[0]) if array.ndim else ()
     return f"{array[index]} at index {index}" if index else f"{array}"

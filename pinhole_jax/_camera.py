@@ -48,7 +48,8 @@ class Basis(NamedTuple):
 def basis(e: Float[Array, "3"], p: Float[Array, "3"], u: Float[Array, "3"]) -> Basis:
     """Return the camera's axes `v`, `b1 = v x u` and `b2 = b1 x v`, normalised (Frisvad, eq. 1-3).
 
-    With `e = p` or `u` parallel to the view there is no basis: its vectors are then null.
+    With `e = p` or `u` parallel to the view there is no basis: the vectors that are not determined
+    are null, with derivative 0.
     """
     v = normalize(p - e)
     b1 = normalize(cross_of_difference(p, e, u))
@@ -73,7 +74,9 @@ class Camera(eqx.Module):
     or makes no camera: `e` equal to `p`, `u` parallel to the view, `phi` outside (0, pi), `d <= 0`,
     `W` or `H` below 1, more than 2^30 pixels, a lens whose image folds back within the film or
     reaches 90 degrees from the axis there. Arguments that are being traced are checked for shape
-    only.
+    only: where they make no camera (e = p, u along the view) all points project to the principal
+    point, a silhouette is 0, rays run along the view or are null and miss, and derivatives are
+    finite.
     """
 
     e: Float[Array, "3"]
@@ -102,8 +105,8 @@ class Camera(eqx.Module):
         self.u = float_array("u", u, (3,), dtype)
         self.phi = float_array("phi", phi, (), dtype)
         self.d = float_array("d", d, (), dtype)
-        self.W = _resolution("W", W)
-        self.H = _resolution("H", H)
+        self.W = resolution("W", W)
+        self.H = resolution("H", H)
         if self.W * self.H > MOST_PIXELS:
             raise ValueError(
                 f"`W`, `H`: expected at most {MOST_PIXELS} pixels, got {self.W} x {self.H}"
@@ -283,7 +286,8 @@ def lens_holds(camera: Camera, part: FilmPart) -> Array:
     return jnp.all(lens.distortion.trusts(jnp.tile(x, 2), jnp.repeat(y, 2)))
 
 
-def _resolution(name: str, value: Any) -> int:
+def resolution(name: str, value: Any) -> int:
+    """Return a number of pixels, or raise ValueError with the argument's name."""
     try:
         size = operator.index(value)
     except TypeError:

@@ -12,6 +12,7 @@ many layers lie there.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from ._bent import Cuts, along, arc_part_ends, arc_parts, bending, cuts, following, seen_through
 from ._camera import FilmMap
 from ._curves import Arcs, Segments, cut_circle
-from ._safe import dot, norm, normalize, safe_divide, safe_sqrt
+from ._safe import binary_inverse, binary_scale, dot, norm, normalize, safe_divide, safe_sqrt
 from ._scene import (
     CLUSTER,
     Clusters,
@@ -187,7 +188,7 @@ def _culled(
     (As a branch of a condition this loop would have its arguments copied.)
     """
     E = mesh.edge_faces.shape[0]
-    look = select(undecided(mesh.planes, clusters, e) & current)
+    look = select(undecided(clusters, e) & current)
 
     def body(state):
         rank, words, positive = state
@@ -199,7 +200,7 @@ def _culled(
         # One list of faces: the same rounding on both sides of an edge.
         both = jnp.stack([faces[..., 0], jnp.maximum(second, 0)])
         plane = jax.lax.optimization_barrier(clusters.planes[both])
-        front = faces_eye([plane[..., k] for k in range(3)], plane[..., 3], e - mesh.planes.centre)
+        front = faces_eye(*(jnp.moveaxis(x, -1, 0) for x in (plane[..., :3], plane[..., 3:])), e)
         weight = jnp.where(edge < E, _weight(mesh, front[0], front[1], second), 0)
         words = words.at[cluster].set(_words(weight != 0), mode="drop")
         return rank + CLUSTERS, words, positive.at[cluster].set(_words(weight > 0), mode="drop")
@@ -224,12 +225,30 @@ def edge_lifts(
     Under distortion those of the edges' parts, and what they move with is their images.
     """
     rank, beside, *part = _place(contour, ids)
-    lift = film(vertices[contour.edge_vertices[_edge(contour, rank)]])
+    lift = _edge_ends(film, vertices, contour, _edge(contour, rank))
     if not part:
         return lift
     held = jax.lax.stop_gradient((film, vertices))
     ideal = _ideal_segments(*held, contour, rank, beside)
     return seen_through(film, following(lift, along(ideal, *part)))
+
+
+def _edge_ends(
+    film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour, edge: Int[Array, "K"]
+) -> Float[Array, "K 2 3"]:
+    """Return the ends of edges as homogeneous film points on the ideal film.
+
+    Times a power of 2 for each end: products of them neither overflow nor vanish.
+    """
+    lifts = _film_points(film, vertices[contour.edge_vertices[edge]])
+    return lifts * binary_inverse(jnp.max(jnp.abs(lifts), axis=-1))[..., None]
+
+
+def _film_points(film: FilmMap, points: Float[Array, "*K 3"]) -> Float[Array, "*K 3"]:
+    """Return homogeneous film points that are no larger than the points: none overflows."""
+    unit = binary_scale(film.matrix)
+    where = lambda f: (f.matrix, f.base)
+    return eqx.tree_at(where, film, [x * unit for x in where(film)])(points)
 
 
 def _place(contour: MeshContour, ids: Int[Array, "K"]) -> tuple[Array, ...]:
@@ -276,7 +295,7 @@ def _ideal_segments(
 ) -> Segments:
     """Return contour edges, or what of them lies left of the film, on the ideal film."""
     edge = _edge(contour, rank)
-    weight, lift = contour.weight(edge), film(vertices[contour.edge_vertices[edge]])
+    weight, lift = contour.weight(edge), _edge_ends(film, vertices, contour, edge)
     # Without the barriers the compiler repeats the gathers in each of the clip's many consumers.
     lift, weight = jax.lax.optimization_barrier((lift, weight))
     return clipped(lift, weight, beside, film.bounds)
@@ -361,15 +380,19 @@ def sphere_frames(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Floa
     centre = spheres.centers[sphere] - film.eye[None]
     distance, radius = norm(centre), spheres.radii[sphere]
     distance = jnp.where(jax.lax.stop_gradient(distance > radius), distance, 2 * radius)
-    tangent = safe_sqrt((distance - radius) * (distance + radius))
+    sine = radius / distance
+    cosine = safe_sqrt((distance - radius) / distance * (1 + sine))
     axis = centre / distance[:, None]
     least = jax.lax.stop_gradient(jnp.argmin(jnp.abs(axis), axis=1))
     aside = jax.nn.one_hot(least, 3, dtype=axis.dtype)
     e1 = normalize(aside - axis * dot(aside, axis)[:, None])
     e2 = jnp.cross(e1, axis)  # counter-clockwise as the eye sees it
-    sine = (radius / distance)[:, None]
-    rays = jnp.stack([axis * (tangent / distance)[:, None], sine * e1, sine * e2], axis=1)
-    return film.turn(*jnp.moveaxis(rays, -1, 0))
+    # Of the centre counts its place beside the view point, as for a mesh's vertices.
+    middle = _film_points(film, spheres.centers[sphere]) / distance[:, None]
+    middle = middle * cosine[:, None] / binary_scale(film.matrix)
+    around = sine[:, None, None] * jnp.stack([e1, e2], axis=1)
+    around = film.turn(*jnp.moveaxis(around, -1, 0))
+    return jnp.concatenate([middle[:, None], around], axis=1)
 
 
 def sphere_arcs(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Arcs:
@@ -465,7 +488,7 @@ def surrounding(film: FilmMap, scene: Scene) -> Int[Array, ""]:
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
         centre, radius = scene.spheres.centers - film.eye[None], scene.spheres.radii
         distance = norm(centre)
-        tangent = safe_sqrt((distance - radius) * (distance + radius))
+        tangent = safe_sqrt(distance - radius) * safe_sqrt(distance + radius)
         forward, up = film.matrix[2], film.matrix[1]
         left = normalize(jnp.cross(up, forward))
         beside = (dot(centre, left[None]) >= tangent) & (distance > radius)
@@ -484,7 +507,7 @@ def _corners(film: FilmMap, mesh: Mesh) -> Float[Array, "8 3"]:
     """Return the corners of the vertices' bounding box as homogeneous film points."""
     bounds = vertex_box(mesh)
     which = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
-    return film(jnp.stack([bounds[which[:, k], k] for k in range(3)], axis=-1))
+    return _film_points(film, jnp.stack([bounds[which[:, k], k] for k in range(3)], axis=-1))
 
 
 def _layers_on_the_left(mesh: Mesh, film: FilmMap) -> Int[Array, ""]:
@@ -493,7 +516,8 @@ def _layers_on_the_left(mesh: Mesh, film: FilmMap) -> Int[Array, ""]:
     The ray is thought to lie a little below y = 0, and much less in front of z = 0, so that it
     never meets an edge.
     """
-    points = film(mesh.vertices)
+    points = _film_points(film, mesh.vertices)
+    points = points * binary_inverse(jnp.max(jnp.abs(points), axis=1))[:, None]
     corner = [points[mesh.faces[:, k]] for k in range(3)]
     sides = [_side(corner[k], corner[(k + 1) % 3], mesh.faces, k) for k in range(3)]
     weights = [corner[(k + 2) % 3][:, 0] * sides[k][0] for k in range(3)]

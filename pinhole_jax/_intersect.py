@@ -128,7 +128,8 @@ def ray_sphere(
     """Return where rays first meet spheres in front of the origin (from inside: the far wall).
 
     The discriminant is taken from the perpendicular distance to the ray, and the near root from the
-    product of the roots: no cancellation at a distance (Haines et al., Ray Tracing Gems, ch. 7).
+    product of the roots: no cancellation at a distance (Haines et al., Ray Tracing Gems, ch. 7). A
+    ray that touches a sphere meets it; there the root's infinite derivative counts as 0.
     """
     offset = center - origin
     along = dot(offset, direction)
@@ -139,6 +140,7 @@ def ray_sphere(
     far = along + jnp.where(along < 0, -root, root)  # the root of larger magnitude
     length = safe_sqrt(dot(offset, offset))
     near = safe_divide((length - radius) * (length + radius), far)
+    near = jnp.where(root > 0, near, far)  # a ray that touches: the same derivative, too
     least, most = jnp.minimum(near, far), jnp.maximum(near, far)
     t = jnp.where(least > 0, least, most)
     met = (room >= 0) & (t > 0)

@@ -15,7 +15,7 @@ from ._camera import (
     principal_point,
     to_camera,
 )
-from ._safe import safe_divide
+from ._safe import binary_inverse, safe_divide
 
 
 class Rays(NamedTuple):
@@ -65,7 +65,8 @@ def rays_through(
 ) -> Float[Array, "*batch 3"]:
     """Return unit directions of the rays through film points (x, y), in px: `q/|q|` of the note."""
     axes = basis(camera.e, camera.p, camera.u)
-    w, h = film_size(camera.phi, camera.d, camera.W, camera.H)
+    d = camera.d * binary_inverse(camera.d)  # what counts is d over the film's size: no overflow
+    w, h = film_size(camera.phi, d, camera.W, camera.H)
     if camera.lens is None:
         film_x, film_y = (x / camera.W - 0.5) * w, (y / camera.H - 0.5) * h
     else:
@@ -79,10 +80,10 @@ def rays_through(
     # it in vectors, which an axis of length 3 prevents (jax 0.10: 38 ms, so 1 ms, for 1920 x 1080).
     n = max(film_x.shape[-1], film_y.shape[-1])
     lead = (1,) * (film_x.ndim - 1)
-    b1, b2, vd = (jnp.tile(b, n).reshape(*lead, -1) for b in (axes.b1, axes.b2, axes.v * camera.d))
+    b1, b2, vd = (jnp.tile(b, n).reshape(*lead, -1) for b in (axes.b1, axes.b2, axes.v * d))
     film_x, film_y = (f if f.shape[-1] == 1 else jnp.repeat(f, 3, -1) for f in (film_x, film_y))
     # ... the barrier keeps the index arithmetic of these few thousand numbers out of that loop.
-    ahead, square = b1 * film_x + vd, film_x * film_x + camera.d * camera.d
+    ahead, square = b1 * film_x + vd, film_x * film_x + d * d
     ahead, square, b2, film_y = jax.lax.optimization_barrier((ahead, square, b2, film_y))
     # The basis is orthonormal: |q|^2 is the sum of the squares of its coordinates.
     direction = (ahead + b2 * film_y) * jax.lax.rsqrt(square + film_y * film_y)

@@ -9,15 +9,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from ._arrays import Numbers, float_array, float_dtype, is_concrete
-from ._safe import dot, safe_divide
+from ._safe import binary_scale, norm, safe_divide
 
 
 class Clusters(NamedTuple):
     """The edges in groups of `CLUSTER`, as they come: what their faces' planes have in common.
 
     Unit normals within a cone (`axis`, cosine and sine of its half angle), a point of each plane in
-    a ball (`middle`, from the planes' centre; `radius`, infinite where nothing can be said).
-    `planes` holds the faces' normals and offsets once more, face by face, to be looked up fast.
+    a ball (`middle`; `radius`, infinite where nothing can be said), as seen from `centre` and in a
+    unit of length of the mesh's own (world lengths times `scale`, a power of 2): no square of a
+    length overflows. `planes` holds the faces' normals and corners once more, face by face, to be
+    looked up fast.
     """
 
     axis: Float[Array, "3 N"]
@@ -25,7 +27,9 @@ class Clusters(NamedTuple):
     sine: Float[Array, "N"]
     middle: Float[Array, "3 N"]
     radius: Float[Array, "N"]
-    planes: Float[Array, "F 4"]
+    planes: Float[Array, "F 6"]
+    centre: Float[Array, "3"]
+    scale: Float[Array, ""]
 
 
 #: Edges of a cluster: as many as bits in a word of `Selection`.
@@ -33,16 +37,16 @@ CLUSTER = 32
 
 
 class Planes(NamedTuple):
-    """A mesh's face planes: x is in front of face f where `normal[:, f].(x-centre) > offset[f]`.
+    """A mesh's face planes: x is before face f where `normal[:, f].(x - corner[:, f]) > 0`.
 
-    `box` holds the vertices' least and largest coordinates, `fingerprint` names the vertices that
-    all this was made from. `clusters` is None for a mesh made of traced vertices, whose planes
-    would not be used often enough.
+    A normal's length is the face's area in a unit of the mesh's own, so that it neither overflows
+    nor vanishes. `box` holds the vertices' least and largest coordinates, `fingerprint`
+    names the vertices that all this was made from. `clusters` is None for a mesh made of traced
+    vertices, whose planes would not be used often enough.
     """
 
-    centre: Float[Array, "3"]
     normal: Float[Array, "3 F"]
-    offset: Float[Array, "F"]
+    corner: Float[Array, "3 F"]
     box: Float[Array, "2 3"]
     fingerprint: UInt32[Array, ""]
     clusters: Clusters | None = None
@@ -120,7 +124,10 @@ class Scene(eqx.Module):
 
 def check_scene(scene: Any) -> None:
     """Raise ValueError unless there is something to look at."""
-    if not isinstance(scene, Scene) or (scene.mesh is None and scene.spheres is None):
+    if not isinstance(scene, Scene):
+        raise ValueError(f"`scene`: expected a Scene, got {type(scene).__name__}")
+    faces = scene.mesh is not None and scene.mesh.edge_faces.shape[0]
+    if not faces and (scene.spheres is None or not scene.spheres.radii.shape[0]):
         raise ValueError("`scene`: expected a Scene with a mesh or spheres, got an empty one")
 
 
@@ -148,7 +155,7 @@ def padded(scene: Scene) -> Scene:
 
     def fill(x, axis=0):
         size = x.shape[axis]
-        return _filled(x, size + -size % max(1 << (size.bit_length() - 3), 64), axis)
+        return _filled(x, size + -size % (1 << max(size.bit_length() - 3, 6)), axis)
 
     vertices, faces = fill(mesh.vertices), fill(mesh.faces)
     edges = (fill(mesh.edge_vertices), fill(mesh.edge_faces))
@@ -158,11 +165,10 @@ def padded(scene: Scene) -> Scene:
         c = mesh.planes.clusters
         axis, cosine, sine, middle = (_filled(x, number, x.ndim - 1) for x in c[:4])
         radius = _filled(c.radius, number, 0, -jnp.inf)
-        clusters = Clusters(axis, cosine, sine, middle, radius, fill(c.planes))
+        clusters = Clusters(axis, cosine, sine, middle, radius, fill(c.planes), *c[6:])
         planes = Planes(
-            mesh.planes.centre,
             fill(mesh.planes.normal, 1),
-            fill(mesh.planes.offset),
+            fill(mesh.planes.corner, 1),
             mesh.planes.box,
             _fingerprint(vertices),
             clusters,
@@ -203,20 +209,20 @@ def front_facing(mesh: Mesh, e: Float[Array, "3"]) -> Bool[Array, "F"]:
     )
 
 
-def in_front(planes: Planes, e: Float[Array, "3"]) -> Bool[Array, "F"]:
-    """Return which planes the eye is in front of."""
-    return faces_eye(planes.normal, planes.offset, e - planes.centre)
+def in_front(planes: Planes, e: Float[Array, "3"]) -> Bool[Array, "*F"]:
+    """Return which planes the eye is before; taken from the planes' own corners, so that a scene
+    that is much larger than the object and the eye beside it loses nothing."""
+    return faces_eye(planes.normal, planes.corner, e)
 
 
-def faces_eye(normal, offset: Float[Array, "*F"], eye: Float[Array, "3"]) -> Bool[Array, "*F"]:
-    """Return whether an eye is in front of planes; `normal` holds x, y and z."""
-    x, y, z = normal
-    return x * eye[0] + y * eye[1] + z * eye[2] > offset
+def faces_eye(normal, corner, e: Float[Array, "3"]) -> Bool[Array, "*F"]:
+    """Return whether an eye is before planes, given x, y and z of normals and corners."""
+    return sum(normal[k] * (e[k] - corner[k]) for k in range(3)) > 0
 
 
-def undecided(planes: Planes, clusters: Clusters, e: Float[Array, "3"]) -> Bool[Array, "N"]:
+def undecided(clusters: Clusters, e: Float[Array, "3"]) -> Bool[Array, "N"]:
     """Return in which clusters the eye may be in front of some planes and behind others."""
-    eye = e - planes.centre
+    eye = (e - clusters.centre) * clusters.scale
     to_eye = [eye[k] - clusters.middle[k] for k in range(3)]
     along = sum(clusters.axis[k] * to_eye[k] for k in range(3))
     distance = jnp.sqrt(sum(x * x for x in to_eye))
@@ -228,7 +234,8 @@ def undecided(planes: Planes, clusters: Clusters, e: Float[Array, "3"]) -> Bool[
     farthest = jnp.where(along >= distance * clusters.cosine, distance, farthest)
     nearest = jnp.where(-along >= distance * clusters.cosine, -distance, nearest)
     reach = jnp.sqrt(jnp.sum(eye * eye)) + distance
-    radius = clusters.radius * (1 + 1e-3) + 256 * jnp.finfo(e.dtype).eps * reach
+    info = jnp.finfo(e.dtype)
+    radius = clusters.radius * (1 + 1e-3) + 256 * info.eps * reach + 16 * info.tiny**0.5
     return ~((nearest > radius) | (farthest < -radius))
 
 
@@ -258,16 +265,19 @@ def bounding_sphere(scene: Scene) -> Ball:
 def ball_about(box: Any) -> Ball:
     """Return the sphere through a box's corners; of NumPy or JAX, as the box is."""
     low, high = box
-    return Ball((low + high) / 2, ((high - low) ** 2).sum() ** 0.5 / 2)
+    half = (high - low) / 2
+    size = abs(half).max()
+    unit = half / (size + (size == 0).astype(half.dtype))  # squares do not overflow
+    return Ball(low + half, size * (unit**2).sum() ** 0.5)
 
 
 @jax.jit
 def _planes(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Planes:
     vertices = jax.lax.stop_gradient(vertices)
-    centre = vertices[0] if vertices.shape[0] else jnp.zeros(3, vertices.dtype)
-    a, b, c = jnp.moveaxis((vertices - centre[None])[faces], 1, 0)
-    normal = jnp.cross(b - a, c - a)
-    return Planes(centre, normal.T, dot(normal, a), _box(vertices), _fingerprint(vertices))
+    a, b, c = jnp.moveaxis(vertices[faces], 1, 0)
+    unit = binary_scale(vertices) / 4
+    normal = jnp.cross((b - a) * unit, (c - a) * unit)
+    return Planes(normal.T, a.T, _box(vertices), _fingerprint(vertices))
 
 
 def _box(vertices: Float[Array, "V 3"]) -> Float[Array, "2 3"]:
@@ -290,23 +300,22 @@ def _planes_and_clusters(
     planes = _planes(vertices, faces)
     if not (is_concrete(vertices) and edge_faces.shape[0]):
         return planes
-    return planes._replace(clusters=_clusters(planes, vertices, faces, edge_faces))
+    return planes._replace(clusters=_clusters(planes, vertices, edge_faces))
 
 
 @jax.jit
 def _clusters(
-    planes: Planes,
-    vertices: Float[Array, "V 3"],
-    faces: Int[Array, "F 3"],
-    edge_faces: Int[Array, "E 2"],
+    planes: Planes, vertices: Float[Array, "V 3"], edge_faces: Int[Array, "E 2"]
 ) -> Clusters:
     first, second = edge_faces[:, 0], edge_faces[:, 1]
     both = jnp.stack([first, jnp.where(second < 0, first, second)], axis=1)
     both = jnp.pad(both, ((0, -len(both) % CLUSTER), (0, 0)), mode="edge")
     both = both.reshape(-1, 2 * CLUSTER)
-    length = jnp.sqrt(jnp.sum(planes.normal**2, axis=0))
+    length = norm(planes.normal.T)
     unit = safe_divide(planes.normal, length[None])[:, both]
-    point = (vertices[faces[:, 0]] - planes.centre[None]).T[:, both]  # (3, N, 64)
+    centre = vertices[0]
+    scale = binary_scale(vertices - centre[None])
+    point = ((planes.corner - centre[:, None]) * scale)[:, both]  # (3, N, 64)
     axis = jnp.sum(unit, axis=2)
     size = jnp.sqrt(jnp.sum(axis**2, axis=0))
     axis = safe_divide(axis, size[None])
@@ -318,8 +327,8 @@ def _clusters(
     unknown = jnp.any(border, axis=1) | jnp.any(length[both] == 0, axis=1) | (cosine <= 0)
     sine = jnp.sqrt(jnp.clip(1 - cosine**2, 0, 1))
     radius = jnp.where(unknown, jnp.inf, radius)
-    table = jnp.concatenate([planes.normal, planes.offset[None]]).T
-    return Clusters(axis, cosine, sine, middle, radius, table)
+    table = jnp.concatenate([planes.normal, planes.corner]).T
+    return Clusters(axis, cosine, sine, middle, radius, table, centre, scale)
 
 
 def _face_order(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Int[Array, "F"]:

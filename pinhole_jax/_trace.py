@@ -42,7 +42,8 @@ def trace(scene: Scene, rays: Rays) -> Hit:
 
     Differentiable in the rays and in the scene, where the hit primitive stays the same. Watertight:
     no ray passes between two faces that share an edge. `t` counts in lengths of the direction.
-    A ray from inside a sphere meets its far wall.
+    A ray from inside a sphere meets its far wall, one that touches it meets it there: then the
+    derivative leaves out the infinite part. A miss has derivative 0.
 
     A unit of length changes nothing: sizes may be anything whose distances are finite numbers. Less
     than 1e-18 of the scene's largest coordinate (float32; 1e-153 in float64) is not seen. A ray

@@ -97,7 +97,7 @@ def test_clusters_pass_over_no_contour_edge(shape):
         direction = random.normal(size=3)
         e = jnp.asarray(distance * direction / np.linalg.norm(direction))
         np.testing.assert_array_equal(weights(mesh, e), weights(plain, e))
-        passed.append(1 - np.mean(undecided(mesh.planes, mesh.planes.clusters, e)))
+        passed.append(1 - np.mean(undecided(mesh.planes.clusters, e)))
     assert np.mean(passed) > 0.5  # most need no look
 
 

@@ -2,9 +2,11 @@
 
 import base64
 import json
+import re
 import struct
 import zlib
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -78,6 +80,9 @@ def test_empty_scenes_cover_nothing(camera):
         pj.Scene(spheres=pj.Spheres(np.zeros((0, 3)), np.zeros(0))),
     ):
         assert not np.any(pj.silhouette(camera, scene))
+        if scene.mesh is None or not scene.mesh.edge_faces.shape[0]:
+            with pytest.raises(ValueError, match="`scene`: expected a Scene with a mesh or"):
+                pj.fit_camera(scene, np.eye(18, 24), camera)
 
 
 def test_copies_of_one_face_are_one_face(camera, request):
@@ -102,25 +107,43 @@ def test_a_million_faces(camera, request):
     assert image.max() <= 1
 
 
-def test_random_bits_as_vertices_are_refused_or_traced_without_nan():
+@eqx.filter_jit
+def image_slopes(camera, scene):
+    return eqx.filter_grad(lambda moving: jnp.sum(pj.silhouette(*moving)))((camera, scene))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["float32", "float64"])
+def test_random_bits_as_vertices_are_refused_in_words_or_seen_without_nan(kind, request):
     """Random exponents: products of coordinates overflow, differences lose all digits."""
-    camera = pj.Camera(*(np.float32(x) for x in CAMERA.values()), **SIZE)
+    dtype, bits = np.dtype(kind), {"float32": np.uint32, "float64": np.uint64}[kind]
+    camera = pj.Camera(*(np.asarray(x, dtype) for x in CAMERA.values()), **SIZE)
     rays = pj.camera_rays(camera)
     random, refused = np.random.default_rng(0), 0
     faces = random.integers(0, 12, (20, 3))  # the same always: they share a program
-    for _ in range(60):
-        vertices = random.integers(0, 2**32, (12, 3), np.uint32).view(np.float32)
+    slow = "slow" in request.config.option.markexpr
+    meshes = 500 if slow else 40
+    for _ in range(meshes):
+        vertices = random.integers(0, 2 ** (8 * dtype.itemsize), (12, 3), bits).view(dtype)
         try:
             mesh = pj.Mesh(vertices, faces)
         except ValueError as error:
-            assert "`vertices`: expected finite values, got" in str(error)  # noqa: PT017
+            words = "`vertices`: expected (finite values|values up to .*), got"
+            assert re.match(words, str(error))  # noqa: PT017
             refused += 1
-            mesh = pj.Mesh(np.where(np.isfinite(vertices), vertices, 0), faces)
-        hit = pj.trace(pj.Scene(mesh=mesh), rays)
+            usable = np.abs(vertices) < np.finfo(dtype).max / 8
+            mesh = pj.Mesh(np.where(usable, vertices, 0), faces)
+        scene = pj.Scene(mesh=mesh)
+        hit = pj.trace(scene, rays)
         assert not np.any(np.isnan(hit.t))
         assert np.all(np.isfinite(hit.normal))
         assert np.all(np.isfinite(hit.barycentric))
-    assert refused
+        image = pj.silhouette(camera, scene)
+        slopes = image_slopes(camera, scene) if slow else ()
+        assert np.min(image) >= 0
+        assert np.max(image) <= 1 + 64 * np.finfo(dtype).eps
+        assert not any(np.any(np.isnan(x)) for x in jax.tree.leaves(slopes))
+    assert 0 < refused < meshes
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300])

@@ -43,6 +43,10 @@ def test_film_is_centred_on_the_axis_and_not_on_p():
 def test_d_changes_no_direction():
     one, two = (pj.generate_rays(E, P, U, PHI, jnp.array(d), 4, 2) for d in (0.1, 40.0))
     np.testing.assert_allclose(one.direction, two.direction, rtol=1e-14, atol=1e-15)
+    single = [np.asarray(x, np.float32) for x in (E, P, U, PHI)]
+    for d in (1e-30, 1e30):  # squares of d would not be float32 numbers
+        rays = pj.generate_rays(*single, np.float32(d), 4, 2)
+        np.testing.assert_allclose(rays.direction, one.direction, atol=1e-6)
 
 
 def test_samples_are_cell_centres_by_hand():

@@ -126,7 +126,7 @@ def test_padding_and_casting_keep_the_silhouette():
     assert full.mesh.faces.shape[0] % 64 == 0
     np.testing.assert_array_equal(pj.silhouette(camera, full), image)
     single = astype(scene, jnp.dtype(jnp.float32))
-    assert single.mesh.planes.offset.dtype == jnp.float32
+    assert single.mesh.planes.normal.dtype == jnp.float32
     np.testing.assert_allclose(pj.silhouette(camera, single), image, atol=1e-5)
 
 

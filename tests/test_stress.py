@@ -31,7 +31,7 @@ few = settings(
 
 def image(view: stress.View) -> np.ndarray:
     camera, vertices = stress.rounded(view, np.float64)
-    return np.asarray(pj.silhouette(camera, stress.scene_of(vertices, view.faces)))
+    return np.asarray(pj.silhouette(camera, stress.scene_of(view, vertices)))
 
 
 def drawn(seed: int) -> tuple[np.random.Generator, stress.View]:
@@ -108,7 +108,7 @@ def test_a_union_covers_no_less_than_its_parts(seed):
 def test_four_pixels_are_one_of_half_the_resolution(seed):
     _, v = drawn(seed)
     camera, vertices = stress.rounded(v, np.float64)
-    scene = stress.scene_of(vertices, v.faces)
+    scene = stress.scene_of(v, vertices)
     W, H = camera.W, camera.H
     numbers = (camera.e, camera.p, camera.u, camera.phi, camera.d)
     fine = np.asarray(pj.silhouette(pj.Camera(*numbers, 2 * W, 2 * H), scene))
@@ -122,7 +122,7 @@ def slopes(camera: pj.Camera, scene: pj.Scene, weight: jax.Array):
     return eqx.filter_grad(loss)((camera, scene))
 
 
-@pytest.mark.parametrize("name", [*stress.CASES])
+@pytest.mark.parametrize("name", sorted({*stress.CASES} - {"1000 px in a row or column"}))
 @settings(few, max_examples=2)
 @given(seed=SEEDS)
 def test_derivatives_are_finite_and_know_no_origin(name, seed):
@@ -131,10 +131,11 @@ def test_derivatives_are_finite_and_know_no_origin(name, seed):
     view = stress.CASES[name](random)
     camera, vertices = stress.rounded(view, np.float64)
     weight = jnp.asarray(random.normal(size=(camera.H, camera.W)))
-    d_camera, d_scene = slopes(camera, stress.scene_of(vertices, view.faces), weight)
+    d_camera, d_scene = slopes(camera, stress.scene_of(view, vertices), weight)
     for leaf in jax.tree.leaves((d_camera, d_scene)):
         assert np.all(np.isfinite(leaf))
-    along = np.asarray(d_scene.mesh.vertices)
+    mesh, spheres = d_scene.mesh, d_scene.spheres
+    along = np.asarray(mesh.vertices if spheres is None else spheres.centers)
     eye, aim = np.asarray(d_camera.e), np.asarray(d_camera.p)
     scale = max(np.abs(x).sum(axis=0).max() for x in (along, eye, aim))
     np.testing.assert_allclose(along.sum(axis=0), -(eye + aim), atol=1e-8 * scale)

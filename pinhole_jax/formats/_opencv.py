@@ -14,7 +14,7 @@ from .._camera import Camera
 from .._distortion import BrownConrady, Distortion, Fisheye
 from . import _yaml
 from ._fields import Fields, Size, read_text, save_text
-from ._matrices import to_opencv
+from ._matrices import half_pixel, to_opencv
 from ._pinhole import OPENCV, Pinhole, camera_of, distortion_of, inverse, model_of, rotation
 from ._turns import matrix_of_vector, vector_of_matrix
 
@@ -63,9 +63,7 @@ def read_opencv(
     if np.any(K[2] != [0, 0, 1]) or K[1, 0] != 0 or abs(K[0, 1]) > 1e-9 * abs(K[0, 0]):
         raise fields.wrong("camera_matrix", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", K)
     centres = fields.text("pixel_centres", ("integer", "half"), "integer")
-    half = 0.5 if (pixel_centres or centres) == "integer" else 0.0
-    if pixel_centres not in (None, "integer", "half"):
-        raise ValueError(f"`pixel_centres`: expected 'integer' or 'half', got {pixel_centres!r}")
+    half = half_pixel(centres if pixel_centres is None else pixel_centres)
     W, H = fields.size("image_width", "image_height", size)
     view = Pinhole(K[0, 0], K[1, 1], K[0, 2] + half, K[1, 2] + half, W, H)
     poses = _poses(fields)

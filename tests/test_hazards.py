@@ -1,0 +1,155 @@
+"""What one bad number may touch: nothing but its own element; and no masked branch makes NaN.
+
+NaN is looked for in every operation, not only in what a compiled program returns: the library runs
+without `jit`, and each result is checked (`jax_debug_nans`). Infinities are meant: a ray that
+misses has t = inf. Searches for a camera are left out: a fit rejects a step by its NaN.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pinhole_jax as pj
+from pinhole_jax import shapes
+
+# Of numbers whose differences are exact: the view direction, too.
+CAMERA = pj.Camera([0.25, 1.0, 5.0], [0.125, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 6, 5)
+BALLS = pj.Spheres([[0.4, 0.2, 1.0], [-0.5, 0.1, 0]], [0.4, 0.6])
+SCENE = pj.Scene(mesh=shapes.bumpy(0), spheres=BALLS)
+
+
+# --- batches -------------------------------------------------------------------------------------
+
+PARTS = {
+    "e": lambda c, s: c.e,
+    "p": lambda c, s: c.p,
+    "u": lambda c, s: c.u,
+    "phi": lambda c, s: c.phi,
+    "vertices": lambda c, s: s.mesh.vertices,
+    "centers": lambda c, s: s.spheres.centers,
+    "radii": lambda c, s: s.spheres.radii,
+}
+
+
+CORNERS = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, (8, 3)))
+
+
+def seen(camera, scene, overlaps=False):
+    """Return all that can be seen of a scene."""
+    rays = pj.camera_rays(camera)
+    hit = pj.trace(scene, rays)
+    points = pj.project(camera, CORNERS)
+    return pj.silhouette(camera, scene, overlaps), rays, hit, points
+
+
+def summary(camera, scene, overlaps):
+    """Return a number that depends on everything that can be differentiated."""
+    image, rays, hit, points = seen(camera, scene, overlaps)
+    near = jnp.where(jnp.isfinite(hit.t), hit.t, 0)
+    parts = (image**2, rays.direction**3, near, hit.normal, hit.barycentric**2, points)
+    return sum(map(jnp.sum, parts))
+
+
+@eqx.filter_jit
+def batch(cameras, scenes, whole):
+    """Return what a batch sees; `whole`: with overlaps told apart, and with its derivatives."""
+    each = lambda f: eqx.filter_vmap(f)(cameras, scenes)
+    image = each(lambda *x: seen(*x, whole))
+    return image, each(lambda *x: eqx.filter_grad(lambda x: summary(*x, True))(x)) if whole else ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_one_poisoned_element_of_a_batch_leaves_the_others_bit_for_bit(bad, request):
+    slow = "slow" in request.config.option.markexpr
+    many = lambda x: jnp.stack([x, x, x]) if eqx.is_array(x) else x
+    cameras, scenes = jax.tree.map(many, (CAMERA, SCENE))
+    cameras = eqx.tree_at(lambda c: c.e, cameras, cameras.e + jnp.eye(3) / 10)
+    whole = batch(cameras, scenes, slow)
+    for leaf in jax.tree.leaves(whole):
+        assert not np.any(np.isnan(leaf))
+    for part in PARTS.values():
+        where = lambda both, part=part: part(*both)
+        old = where((cameras, scenes))
+        new = old.reshape(3, -1).at[1, 0].set(bad).reshape(old.shape)
+        poisoned = batch(*eqx.tree_at(where, (cameras, scenes), new), slow)
+        for x, y in zip(jax.tree.leaves(poisoned), jax.tree.leaves(whole), strict=True):
+            np.testing.assert_array_equal(x[::2], y[::2])
+
+
+# --- masked branches -----------------------------------------------------------------------------
+
+TETRAHEDRON = pj.Mesh(
+    [[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]
+)
+BALL = pj.Spheres([[0.0, 0, 0]], [1.0])
+SIDE = {"u": [0, 1, 0], "phi": 0.9, "W": 3, "H": 3}
+VIEWS = {
+    "ordinary": (pj.Camera([0.3, 1, 5], [0.1, 0, 0], **SIDE), TETRAHEDRON, BALL),
+    "nothing in sight": (pj.Camera([0.3, 1, 5], [0.1, 0, 9], **SIDE), TETRAHEDRON, BALL),
+    "eye on a vertex": (pj.Camera([1, 1, 1], [0.1, 0, 0], **SIDE), TETRAHEDRON, None),
+    "eye in a face's plane": (pj.Camera([3, -1, -1], [0, 0, 0], **SIDE), TETRAHEDRON, None),
+    "eye within": (pj.Camera([0, 0, 0.1], [1, 0, 0], **SIDE), TETRAHEDRON, BALL),
+    "eye on a sphere": (pj.Camera([0, 0, 1], [0, 1, 1], **SIDE | {"u": [0, 0, 1]}), None, BALL),
+    "sphere as a parabola": (pj.Camera([0, 1, 2], [0, 1, 0], **SIDE | {"phi": 3.0}), None, BALL),
+    "sphere on the axis": (pj.Camera([0, 0, 4], [0, 0, 0], **SIDE), None, BALL),
+    "no area": (
+        pj.Camera([0, 0, 4], [0, 0, 0], **SIDE),
+        pj.Mesh([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]], [[0, 1, 2], [0, 0, 1]]),
+        None,
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", VIEWS)
+def test_no_operation_makes_nan(name, request):
+    if "slow" not in request.config.option.markexpr:
+        pytest.skip("every operation on its own: minutes, only with slow tests")
+    camera, mesh, spheres = VIEWS[name]
+    moving = (camera, pj.Scene(mesh=mesh, spheres=spheres))
+    with jax.disable_jit(), jax.debug_nans(True):
+        value, slopes = eqx.filter_value_and_grad(lambda x: summary(*x, True))(moving)
+    for leaf in jax.tree.leaves((value, slopes)):
+        assert np.all(np.isfinite(leaf))
+
+
+# --- kinks ---------------------------------------------------------------------------------------
+
+NO_CAMERAS = {"u along the view": ("u", CAMERA.p - CAMERA.e), "e = p": ("p", CAMERA.e)}
+
+
+@pytest.mark.parametrize("name", NO_CAMERAS)
+def test_what_is_traced_and_no_camera_sees_nothing(name):
+    part, value = NO_CAMERAS[name]
+
+    @jax.jit
+    def look(value):
+        camera = eqx.tree_at(lambda c: getattr(c, part), CAMERA, value)
+        image, rays, hit, points = seen(camera, SCENE)
+        return (jnp.sum(image), jnp.sum(points)), (image, rays.direction, hit.t, points)
+
+    image, direction, t, points = look(value)[1]
+    np.testing.assert_array_equal(image, 0)
+    np.testing.assert_allclose(points, np.tile([3, 2.5], (len(points), 1)))  # the principal point
+    view = np.asarray(CAMERA.p - CAMERA.e) if part == "u" else np.zeros(3)
+    view /= max(np.linalg.norm(view), 1)
+    np.testing.assert_allclose(direction, np.broadcast_to(view, direction.shape), atol=1e-15)
+    assert part == "u" or np.all(np.isinf(t))
+    for slope in jax.jacrev(lambda x: look(x)[0])(value):
+        assert np.all(np.isfinite(slope))
+
+
+def test_rays_that_miss_or_touch_have_the_stated_derivative():
+    down = jnp.array([0.0, 0, -1])
+    t = lambda origin: pj.trace(pj.Scene(spheres=BALL), pj.Rays(origin, down)).t
+    for x, value, slope in (
+        (0.6, 3.2, [0.75, 0, 1]),
+        (1.0, 4.0, [0, 0, 1]),
+        (1.1, np.inf, [0] * 3),
+    ):
+        found, derivative = jax.value_and_grad(t)(jnp.array([x, 0.0, 4]))
+        np.testing.assert_allclose(found, value, rtol=1e-12)
+        np.testing.assert_allclose(derivative, slope, atol=1e-12)
