@@ -276,7 +276,7 @@ def _report(view: _View, seen: _Seen, variance: float, squares: float, count: in
     blind, weak = weak_directions(triangle, components(names), axes_of(camera), BLIND[dtype])
     cov = covariance(triangle, to_units(seen.to_reported, names, camera), variance, BLIND[dtype])
     status = "rank_deficient" if blind else "converged"
-    if not at_rest(triangle, along, squares, count, dtype):
+    if not at_rest(triangle, along, squares, float(count), dtype):
         status = "max_steps"
     if not float(seen.nearest) > 0:
         status = "behind"

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ._camera import Camera, film_map, to_camera
+from ._camera import Camera, bend, film_map, to_camera
 from ._contour import (
     ARCS_PER_SPHERE,
     clipped,
@@ -46,12 +46,10 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     direction = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
     outside = short.mean(axis=1) + 1e-3 * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
     visible = _winding(outside, start, end, weight) + base <= 0
-    bend = film_map(camera).bend
-    return (
-        short[visible]
-        if bend is None
-        else np.asarray(bend(jnp.asarray(short[visible], camera.e.dtype)), float)
-    )
+    lens = bend(camera)
+    if lens is None:
+        return short[visible]
+    return np.asarray(lens(jnp.asarray(short[visible], camera.e.dtype)), float)
 
 
 def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:

@@ -2,7 +2,6 @@
 photo, where mask and camera differ, how the fit came there, the object and the camera in space.
 """
 
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ._camera import Camera
+from ._distortion import COEFFICIENTS
 from ._fit import Fit
 from ._outline import contour_points
 from ._outline import outline as outline
@@ -157,16 +157,16 @@ def _moved(fit: Fit, step: np.ndarray) -> Camera:
     if lens is not None:
         changed = lens.principal_point + jnp.asarray(shift, dtype), lens.aspect + float(wider)
         lens = eqx.tree_at(lambda x: (x.principal_point, x.aspect), lens, changed)
-    for name, more in change.items():  # coefficients of the distortion
-        of_name = partial(_coefficient, name)
-        lens = eqx.tree_at(of_name, lens, of_name(lens) + more)
+        bent = [name for name in COEFFICIENTS if name in change]
+        leaves = lambda x: [getattr(x.distortion, name) for name in bent]
+        steps = [jnp.asarray(of(name)[0], dtype) for name in bent]
+        values = [k + step for k, step in zip(leaves(lens), steps, strict=True)]
+        lens = eqx.tree_at(leaves, lens, values) if bent else lens
+    if change:
+        raise ValueError(f"`fit`: expected known parameters, got {sorted(change)}")
     parts = (eye, eye + turned @ (p - e), turned @ u, phi, d)
     e, p, u, phi, d = (np.asarray(x, dtype) for x in parts)
     return Camera(e, p, u, phi, d, camera.W, camera.H, lens)
-
-
-def _coefficient(name: str, lens: Any) -> Any:
-    return getattr(lens.distortion, name)
 
 
 def _check_size(name: str, image: np.ndarray, camera: Camera) -> None:
