@@ -3,7 +3,6 @@ photo, where mask and camera differ, how the fit came there, the object and the 
 """
 
 from itertools import pairwise
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
