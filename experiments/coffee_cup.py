@@ -17,6 +17,7 @@ import scipy.ndimage
 import skimage.color
 import skimage.data
 import skimage.morphology
+import trimesh
 
 import pinhole_jax as pj
 from pinhole_jax import io, plot, shapes
@@ -55,7 +56,8 @@ def main() -> None:
     eye = distance * np.array([0, -np.cos(tilt), np.sin(tilt)])
     start = pj.Camera(eye, [0, 0, 0.3], [0, 0, 1], PHI, 1.0, W, H)
     begin = time.perf_counter()
-    fit = pj.fit_camera(scene, segment(photo), start, free=("pose",))
+    mask = segment(photo)
+    fit = pj.fit_camera(scene, mask, start, free=("pose",))
     seconds = time.perf_counter() - begin
 
     x, y, z = np.asarray(fit.camera.e)
@@ -67,6 +69,9 @@ def main() -> None:
     print(table(fit))
     io.save_image(folder / "coffee_cup.jpg", plot.overlay(photo, fit.camera, scene))
     io.save_camera(folder / "coffee_cup.json", fit.camera)
+    for name, image in (("photo.png", photo), ("mask.png", mask)):  # what a user brings
+        io.save_image(folder / name, image)
+    trimesh.Trimesh(scene.mesh.vertices, scene.mesh.faces).export(folder / "cup.ply")
     record = {"status": fit.status, "iou": fit.iou, "rms": fit.rms, "weak": list(fit.weak)}
     (folder / "coffee_cup_fit.json").write_text(json.dumps(record, indent=1) + "\n")
     print(f"Picture: {folder / 'coffee_cup.jpg'}")

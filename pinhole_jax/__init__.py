@@ -3,6 +3,7 @@
 from . import formats as formats
 from . import io as io
 from . import plot as plot
+from . import report as report
 from . import shapes as shapes
 from ._camera import Camera as Camera
 from ._camera import camera_basis as camera_basis

@@ -1,6 +1,7 @@
 """The command line: `pinhole-jax fit`, `render` and `convert`; also `python -m pinhole_jax`."""
 
 import argparse
+import math
 import os
 import sys
 import threading
@@ -14,7 +15,14 @@ camera files are JSON with the parameters of Frisvad's note, world units and rad
   {"e": [x, y, z], "p": [x, y, z], "u": [x, y, z], "phi": 0.6, "d": 1, "W": 256, "H": 256}
 eye e, view point p, up u, vertical field of view phi, camera constant d, resolution W x H; "lens"
 may add {"principal_point": [x, y], "aspect": 1} (px, origin at the bottom left, y up).
-Masks are grey images (white is the object), or images whose transparency is the mask.
+Masks are grey images (white is the object), or images whose transparency is the mask; --mask-from
+reads others:
+  alpha                 the transparency
+  luminance             the brightness, whatever it is
+  label=N               a label image's pixels of this grey value or palette entry
+  background=COLOR      a photo before a background of one colour (white, #1e90ff): what is farther
+                        from it in CIE Lab than Otsu's threshold (scikit-image), or than T with
+                        background=COLOR,T; edges are soft where colours mix
 """
 
 
@@ -57,6 +65,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Recover the camera that sees MESH as MASK: from a start some 20 degrees off,"
         " or\nwithout one from the field of view (or, with phi among --free, from nothing).\n"
         "Writes camera.json and overlay.png, prints parameters with their standard errors.\n"
+        "Photos that were taken sideways are turned upright as their EXIF data say.\n"
         "Exit status: 0 converged, 1 not to be trusted (the status says why), 2 bad input.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -66,7 +75,10 @@ def _parser() -> argparse.ArgumentParser:
     start = fit.add_mutually_exclusive_group()
     start.add_argument("--camera", metavar="START.json", help="where to start (else: search)")
     start.add_argument(
-        "--fov", type=float, metavar="DEGREES", help="vertical field of view, to search with"
+        "--fov",
+        type=float,
+        metavar="DEGREES",
+        help="vertical field of view, to search with (default: what the EXIF data of PHOTO say)",
     )
     fit.add_argument(
         "--free",
@@ -75,8 +87,15 @@ def _parser() -> argparse.ArgumentParser:
         help="what to fit, with commas: pose (or position, orientation), phi, d, principal_point,"
         " aspect; the rest stays as it is at the start (default: %(default)s)",
     )
+    fit.add_argument(
+        "--mask-from", metavar="HOW", help="how to read MASK, see below (default: at first sight)"
+    )
     fit.add_argument("--weight", metavar="IMAGE", help="grey image: how much each pixel counts")
     fit.add_argument("--image", metavar="PHOTO", help="what to draw the outline on (default: MASK)")
+    fit.add_argument(
+        "--report", metavar="PAGE.html", help="write a page with pictures, errors, all formats"
+    )
+    fit.add_argument("--verbose", action="store_true", help="say on stderr what goes on")
     fit.add_argument(
         "-o", "--output", default="out", metavar="FOLDER", help="(default: %(default)s)"
     )
@@ -130,23 +149,28 @@ def _add_cache(parser: argparse.ArgumentParser) -> None:
 
 def _fit(options: argparse.Namespace) -> int:
     clock = _Clock()
-    with _Progress("reading") as progress:
+    with _Progress("reading", options.verbose) as progress:
         _set_up_jax(options)
         import numpy as np
 
-        from . import io
+        from . import io, report
         from ._fit import fit_camera
         from ._scene import Scene
         from .plot import overlay
 
         free = tuple(name.strip() for name in options.free.split(",") if name.strip())
         start = None if options.camera is None else io.load_camera(options.camera)
-        if start is None and options.fov is None and not {"phi", "d"} & {*free}:
-            raise ValueError("expected --camera or --fov, or phi among --free, got none of them")
         phi = None if options.fov is None else options.fov * np.pi / 180
-        mask = io.load_mask(options.mask)
-        weight = None if options.weight is None else io.load_mask(options.weight) / 255.0
+        if start is None and phi is None:
+            phi = _phi_of_photo(options, free, progress)
+        mask = io.load_mask(options.mask, options.mask_from, progress.tell)
+        weight = None
+        if options.weight is not None:
+            weight = io.load_mask(options.weight, "luminance") / 255.0
         picture = mask if options.image is None else io.load_image(options.image)
+        if picture.shape[:2] != mask.shape:
+            (h, w), (H, W) = picture.shape[:2], mask.shape
+            raise ValueError(f"`--image`: expected the mask's size {W} x {H}, got {w} x {h}")
         scene = Scene(mesh=io.load_mesh(options.mesh))
         progress.say("fitting (compiling on the first run)")
         told = lambda level: progress.say(str(level))
@@ -170,45 +194,48 @@ def _fit(options: argparse.Namespace) -> int:
         },
     )
     io.save_image(folder / "overlay.png", drawing)
+    written = [folder / "camera.json", folder / "overlay.png"]
+    if options.report is not None and fit.status != "non_finite":
+        title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
+        with _Progress("drawing the page"):
+            report.write(options.report, fit, scene, mask, picture, title)
+        written.append(options.report)
     print(table(fit))
     print(
         f"time       {clock.compiling:.1f} s compile, {clock.elapsed() - clock.compiling:.1f} s run"
     )
-    print(f"written    {folder / 'camera.json'}, {folder / 'overlay.png'}")
+    print(f"written    {', '.join(map(str, written))}")
     return 0 if fit.status == "converged" else 1
+
+
+def _phi_of_photo(
+    options: argparse.Namespace, free: tuple[str, ...], progress: "_Progress"
+) -> float | None:
+    """Return what the EXIF data of the photo (or the mask, if it is one) say of phi, and say so."""
+    from . import io
+
+    fov = io.photo_fov(options.image or options.mask)
+    focal_is_free = bool({"phi", "d"} & {*free})
+    if fov is None:
+        if not focal_is_free:
+            raise ValueError(
+                "expected --camera or --fov, or phi among --free, got none of them (and no EXIF"
+                " data that tell the field of view)"
+            )
+        return None
+    held = "a first guess" if focal_is_free else "held: phi is not among --free"
+    progress.tell(f"phi: {math.degrees(fov.phi):.2f} degrees by EXIF's {fov.words}; {held}")
+    return fov.phi
 
 
 def table(fit: Any) -> str:
     """Return a fit as a short table: parameter, value, one sigma; status, IoU, what is weak."""
-    import numpy as np
+    from .report import parameters
 
-    camera = fit.camera
-    values = {
-        **{f"e_{x}": float(camera.e[k]) for k, x in enumerate("xyz")},
-        "phi": float(camera.phi),
-        "d": float(camera.d),
-    }
-    if camera.lens is not None:
-        values["principal_x"], values["principal_y"] = map(float, camera.lens.principal_point)
-        values["aspect"] = float(camera.lens.aspect)
-    words = {
-        "rotation_b1": "pitch (about b1, right)",
-        "rotation_b2": "yaw (about b2, up)",
-        "rotation_v": "roll (about v, forward)",
-        "phi": "phi, vertical field of view",
-        "principal_x": "principal point x",
-        "principal_y": "principal point y",
-    }
     lines = [f"{'parameter':<28}{'value':>14}{'one sigma':>14}  unit"]
-    for name, std in zip(fit.names, fit.std, strict=True):
-        angle = name.startswith("rotation") or name == "phi"
-        unit = "deg" if angle else "px" if name.startswith("principal") else "world"
-        unit = "" if name == "aspect" else unit
-        factor = 180 / np.pi if angle else 1.0
-        value = f"{values[name] * factor:.6g}" if name in values else "-"
-        lines.append(
-            f"{words.get(name, name):<28}{value:>14}{std * factor:>14.2g}  {unit}".rstrip()
-        )
+    for row in parameters(fit):
+        value = "-" if row.value is None else f"{row.value:.6g}"
+        lines.append(f"{row.words:<28}{value:>14}{row.std:>14.2g}  {row.unit}".rstrip())
     lines.append(f"status     {fit.status}")
     lines.append(f"IoU        {fit.iou:.4f}   (rms of coverage {fit.rms:.2g})")
     lines += [f"note       {weak}" for weak in fit.weak]
@@ -283,18 +310,28 @@ class _Clock:
 
 
 class _Progress:
-    """A line on the terminal that says what goes on, once it has gone on for a second."""
+    """A line on the terminal that says what goes on, once it has gone on for a second.
 
-    def __init__(self, text: str) -> None:
-        self._text = text
+    Where `verbose`, all of it goes to stderr line by line.
+    """
+
+    def __init__(self, text: str, verbose: bool = False) -> None:
+        self._text, self._verbose = text, verbose
         self._done = threading.Event()
         self._thread: threading.Thread | None = None
 
     def say(self, text: str) -> None:
         self._text = text
+        if self._verbose:
+            self.tell(text)
+
+    def tell(self, text: str) -> None:
+        """Print a line that is to stay."""
+        clear = "\r\x1b[K" if self._thread is not None else ""
+        print(f"{clear}{text}", file=sys.stderr, flush=True)
 
     def __enter__(self) -> "_Progress":
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and not self._verbose:
             self._thread = threading.Thread(target=self._run, daemon=True)
             self._thread.start()
         return self

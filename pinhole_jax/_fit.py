@@ -15,9 +15,9 @@ from ._parameters import REPORTED, canonical, check_free, components, focal_is_f
 from ._residuals import Sums
 from ._scene import Scene, check_scene
 from ._search import Mask, axes_of
-from ._solver import COSINE, FINE_PX, UNIT_PX, Found, Solver, View
+from ._solver import COSINE, FINE_PX, UNIT_PX, Found, Solver, Stop, View
 from ._strategy import EXACT, equally_good, everywhere, from_start, turns_freely, without_outliers
-from ._target import Level, check_target, edge_distance, near_an_edge
+from ._target import check_target, edge_distance, near_an_edge
 from ._uncertainty import BLIND, covariance, weak_directions
 
 #: What `Fit.status` may be.
@@ -39,6 +39,19 @@ ASTRAY = 0.1
 FLOOR = 1000
 
 
+class Progress(NamedTuple):
+    """What `progress` is told after each level: the camera so far, the level in px, its steps."""
+
+    camera: Camera
+    W: int
+    H: int
+    steps: int
+
+    def __str__(self) -> str:
+        """Return it as a line."""
+        return f"{self.W} x {self.H} pixels: {self.steps} steps"
+
+
 class Fit(NamedTuple):
     """The result of `fit_camera`.
 
@@ -58,6 +71,8 @@ class Fit(NamedTuple):
     - `weak`: directions that the mask determines badly or not at all, in words; last, if so, how
       much of the outline is far from the mask's edge.
     - `modes`: other cameras that a search found to explain the mask as well, the best first.
+    - `history`: the way to `camera`, from the start (0 steps) to the end of each level; empty for
+      fits of several cameras.
     """
 
     camera: Camera
@@ -70,19 +85,7 @@ class Fit(NamedTuple):
     steps: tuple[int, ...]
     weak: tuple[str, ...]
     modes: tuple["Fit", ...] = ()
-
-
-class Progress(NamedTuple):
-    """What `progress` is told after each level: the camera so far, the level in px, its steps."""
-
-    camera: Camera
-    W: int
-    H: int
-    steps: int
-
-    def __str__(self) -> str:
-        """Return it as a line."""
-        return f"{self.W} x {self.H} pixels: {self.steps} steps"
+    history: tuple[Progress, ...] = ()
 
 
 def fit_camera(
@@ -164,12 +167,9 @@ def _fit(
     base = mask.camera
     solver = Solver(scene, mask.target, mask.weight, base.e.dtype, names, settings.max_steps)
 
-    def told(unit: Camera, level: Level, steps: int) -> None:
+    def told(stop: Stop) -> None:
         if settings.progress is not None:
-            at = on_film(unit, base, names)
-            shrunk = float(level.scale) / base.H
-            W, H = (int(np.ceil(shrunk * x)) for x in (base.W, base.H))
-            settings.progress(Progress(at, W, H, steps))
+            settings.progress(_progress(stop, base, names))
 
     start = None if anywhere else canonical(base)
     if start is None:
@@ -189,6 +189,12 @@ def _fit(
     if modes and fit.status == "converged":
         fit = fit._replace(status="ambiguous")
     return fit._replace(modes=tuple(modes)), trust
+
+
+def _progress(stop: Stop, camera: Camera, names: tuple[str, ...]) -> Progress:
+    shrunk = float(stop.level.scale) / camera.H
+    W, H = (int(np.ceil(shrunk * x)) for x in (camera.W, camera.H))
+    return Progress(on_film(stop.unit, camera, names), W, H, stop.steps)
 
 
 def _anywhere(scene: Scene, target: Numbers, names: tuple[str, ...], phi: Numbers) -> Camera:
@@ -221,7 +227,7 @@ def report(
     variance: float | None = None,
 ) -> Fit:
     """Return what was found, as a user reads it; `variance` of a residual, if known better."""
-    unit, view, steps = found
+    unit, view, steps, way = found
     fitted = on_film(unit, camera, names)
     triangle, along = np.asarray(view.triangle, float), np.asarray(view.along, float)
     sums: Any = jax.tree.map(float, view.sums)
@@ -254,6 +260,7 @@ def report(
         iou=whole.overlap / whole.union if whole.union > 0 else 0.0,
         steps=steps,
         weak=weak,
+        history=tuple(_progress(stop, camera, names) for stop in way),
     )
 
 

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from ._arrays import is_concrete
 from ._camera import Camera
@@ -85,8 +86,16 @@ def _velocity(
     goal = jnp.asarray(shares(check_image("target", target, camera.W, camera.H)), dtype)
     w, difference = jnp.asarray(weight, dtype), shown - goal
     scene_velocity, target_velocity, weight_velocity = velocity
+    held = w * difference
+    left = float(jnp.sqrt(jnp.mean(held * difference))) > NO_RESIDUAL
+    h = STEP_PX[np.dtype(dtype)]
+    places = zero[None]
+    if left:
+        steps = h * jnp.eye(len(zero), dtype=dtype)
+        places = jnp.concatenate([places, steps, -steps])
+    changes = _along(places, at, scene_velocity)
     # dg by what changes while the camera stays: linear in the velocities.
-    toward = _along(zero, at, scene_velocity)
+    toward = changes[0]
     if target_velocity is not None:
         toward = toward - target_velocity.astype(dtype)
     toward = w * toward
@@ -95,26 +104,28 @@ def _velocity(
         toward = toward + jnp.asarray(share, dtype) * weight_velocity.astype(dtype) * difference
     pull = jnp.einsum("hwn,hw->n", J, toward)
     bend = jnp.einsum("hwm,hwn,hw->mn", J, J, w)
-    held = w * difference
-    if float(jnp.sqrt(jnp.mean(held * difference))) > NO_RESIDUAL:
-        h = STEP_PX[np.dtype(dtype)]
-        steps = [(h * row, -h * row) for row in jnp.eye(zero.shape[0], dtype=dtype)]
-        bends = [(_slope(a, at, held) - _slope(b, at, held)) / (2 * h) for a, b in steps]
-        pulls = [_along(a, at, scene_velocity) - _along(b, at, scene_velocity) for a, b in steps]
-        bend = bend + jnp.stack(bends)
-        pull = pull + jnp.stack([jnp.sum(held * p) for p in pulls]) / (2 * h)
+    if left:
+        ahead, behind = jnp.split(_slopes(places[1:], at, held), 2)
+        bend = bend + (ahead - behind) / (2 * h)
+        ahead, behind = jnp.split(jnp.einsum("khw,hw->k", changes[1:], held), 2)
+        pull = pull + (ahead - behind) / (2 * h)
     step = -jnp.linalg.pinv((bend + bend.T) / 2, hermitian=True) @ pull
     return jax.jvp(at.camera, (zero,), (step,))[1]
 
 
 @eqx.filter_jit
-def _slope(y: Any, at: At, held: Any) -> Any:
-    return jax.grad(lambda y: jnp.sum(held * image(y, at)))(y)
+def _slopes(places: Float[Array, "k n"], at: At, held: Any) -> Float[Array, "k n"]:
+    """Return at some moves the derivative of the image's product with `held`."""
+    return jax.lax.map(jax.grad(lambda y: jnp.sum(held * image(y, at))), places)
 
 
 @eqx.filter_jit
-def _along(y: Any, at: At, velocity: Any) -> Any:
-    """Return the image's rate of change where the scene moves with a velocity."""
+def _along(places: Float[Array, "k n"], at: At, velocity: Any) -> Float[Array, "k H W"]:
+    """Return the image's rate of change, at some moves, where the scene moves with a velocity."""
     solid, fixed = eqx.partition(at.scene, eqx.is_inexact_array)
-    shown = lambda solid: image(y, at._replace(scene=eqx.combine(solid, fixed)))
-    return jax.jvp(shown, (solid,), (velocity,))[1]
+
+    def change(y: Any) -> Any:
+        shown = lambda solid: image(y, at._replace(scene=eqx.combine(solid, fixed)))
+        return jax.jvp(shown, (solid,), (velocity,))[1]
+
+    return jax.lax.map(change, places)

@@ -42,7 +42,7 @@ from ._union import (
     turns,
 )
 
-CURVES_AT_A_TIME = 2048
+CURVES_AT_A_TIME = 512
 
 
 def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Array, "H W"]:

@@ -80,12 +80,22 @@ class View(NamedTuple):
         return self.squares / max(float(self.sums.touched), 1.0)
 
 
+class Stop(NamedTuple):
+    """Where a level's steps ended: the camera (canonical), the level, their number."""
+
+    unit: Camera
+    level: Level
+    steps: int
+
+
 class Found(NamedTuple):
-    """A camera (canonical), what is seen there, and the steps taken on each level."""
+    """A camera (canonical), what is seen there, the steps taken on each level; the way there, from
+    the start (0 steps) on."""
 
     unit: Camera
     view: View
     steps: tuple[int, ...]
+    way: tuple[Stop, ...] = ()
 
 
 class Solver:
@@ -182,11 +192,11 @@ class Solver:
         self,
         unit: Camera,
         levels: Sequence[int],
-        told: Callable[[Camera, Level, int], None] | None = None,
+        told: Callable[[Stop], None] | None = None,
         coarse_px: float = COARSE_PX,
     ) -> Found:
         """Return the camera found from level to level, and its view on the last of them."""
-        steps: list[int] = []
+        way = [Stop(unit, self.levels[levels[0]], 0)]
         self._widen(unit)
         while True:
             capacity, window = self.capacity, self.window
@@ -200,12 +210,12 @@ class Solver:
                 if strict and int(n) == self.max_steps:
                     continue  # it stalled
                 unit = further
-                steps.append(int(n))
+                way.append(Stop(unit, level, int(n)))
                 if told is not None:
-                    told(unit, level, int(n))
+                    told(way[-1])
             view = self.look(unit, levels[-1])
             if (self.capacity, self.window) == (capacity, window):
-                return Found(unit, view, tuple(steps))
+                return Found(unit, view, tuple(stop.steps for stop in way[1:]), tuple(way))
             # The view outgrew its buffers or window on the way: go on from there with larger ones.
 
 

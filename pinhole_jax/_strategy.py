@@ -10,7 +10,7 @@ from ._camera import Camera
 from ._parameters import canonical, components, focal_is_free
 from ._residuals import Sums
 from ._search import Mask, aimed, angle, axes_of, guesses
-from ._solver import Found, Solver
+from ._solver import Found, Solver, Stop
 from ._target import edge_distance, near_an_edge
 from ._uncertainty import free_turns
 
@@ -36,7 +36,7 @@ ROUGH_PX = 0.3
 #: Where the focal length is free, a search tries several: this much times the first guess.
 FOCAL_FACTORS = (1.0, 1.5, 0.67)
 
-Told = Callable[..., None]
+Told = Callable[[Stop], None]
 
 
 def turns_freely(names: tuple[str, ...]) -> bool:
@@ -134,7 +134,8 @@ def without_outliers(
 
 
 def _onward(before: Found, after: Found) -> Found:
-    return after._replace(steps=before.steps + after.steps)
+    steps, way = before.steps + after.steps, before.way + after.way[1:]
+    return after._replace(steps=steps, way=way)
 
 
 def _finite(found: list[Found]) -> list[Found]:

@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 
 from ._camera import Camera, camera_basis, focal_px, principal_point
+from ._exif import FieldOfView, field_of_view, upright
 from ._lens import Lens
+from ._masks import eight_bits, read_mask, way_of
 from ._scene import Mesh
 
 MESH_ENDINGS = (".obj", ".ply", ".stl", ".glb", ".gltf", ".off")
@@ -75,55 +77,77 @@ def load_mesh(path: str | os.PathLike) -> Mesh:
 def load_image(path: str | os.PathLike) -> np.ndarray:
     """Return an image file as uint8: (H, W) if it is grey, else (H, W, 3) or (H, W, 4).
 
-    Grey values of more than 8 bits are scaled so that the largest is 255; negative ones become 0.
+    A photo that says that it was taken sideways (EXIF) is turned upright. Grey values of more than
+    8 bits are scaled so that the largest is 255; negative ones become 0.
 
     Raises FileNotFoundError, or ValueError where the file is no image that can be read, has values
     that are not finite, or more than some 179 million pixels (Pillow's limit).
     """
+
+    def read(image: Any) -> np.ndarray:
+        through = image.has_transparency_data
+        if image.mode.startswith(("I", "F")) or (image.mode in ("1", "L") and not through):
+            return eight_bits(image)
+        return np.array(image.convert("RGBA" if through else "RGB"))
+
+    return _from_image(path, "a readable image", read)
+
+
+def load_mask(
+    path: str | os.PathLike,
+    mask_from: str | None = None,
+    say: Callable[[str], Any] | None = None,
+) -> np.ndarray:
+    """Return a mask file as uint8 (H, W), 255 where the object is; turned upright as `load_image`.
+
+    `mask_from` is how to read it:
+
+    - None: transparency if it varies, else a grey picture that is mostly black and white, soft
+      edges as they are (a JPEG's too: its ringing costs a fit less than a threshold would).
+    - "alpha": the transparency. "luminance": the brightness, whatever it is.
+    - "label=N": the pixels with this grey value or palette entry; edges are hard.
+    - "background=COLOR": a photo before a background of one colour, by name or as #rrggbb. The
+      object is what is farther from it in CIE Lab than Otsu's threshold, or than the tolerance of
+      "background=COLOR,TOLERANCE" (2.3 is just noticeable); edges are soft where colours mix.
+
+    `say` is told how it was read, where that is not just a grey mask as it is.
+
+    Raises FileNotFoundError or ValueError like `load_image`, and ValueError for a picture that does
+    not hold what is asked for.
+    """
+    way = way_of(mask_from)
+    read = _from_image(path, "a mask", lambda image: read_mask(image, way))
+    if say is not None and read.words:
+        say(read.words)
+    return read.mask
+
+
+def photo_fov(path: str | os.PathLike) -> FieldOfView | None:
+    """Return the vertical field of view `phi` (rad) that a photo's EXIF data tell, and in `words`
+    how; None where they do not. It is a first guess, as good as some per cent.
+
+    Raises FileNotFoundError or ValueError like `load_image`.
+    """
+    return _from_image(path, "a readable image", field_of_view)
+
+
+def _from_image(path: str | os.PathLike, kind: str, read: Callable[[Any], Any]) -> Any:
+    """Return what `read` makes of an image file, turned upright, or raise ValueError in words."""
     from PIL import Image
 
     file = _existing(path, "an image file")
     try:
         # What Pillow warns of (sizes it would still read, odd metadata) is no harm here.
-        with warnings.catch_warnings(action="ignore"), Image.open(file) as image:
-            mode = "L" if image.mode in ("1", "L") else "RGB"
-            if image.mode.startswith(("I", "F")):
-                return _eight_bits(np.asarray(image, float))
-            if image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info:
-                mode = "RGBA"
-            return np.array(image.convert(mode))
+        with warnings.catch_warnings(action="ignore"), Image.open(file) as opened:
+            image = upright(opened)
     except Exception as error:  # the readers raise whatever they meet
         raise ValueError(
             f"`path`: expected a readable image, got {str(path)!r}: {_reason(error)}"
         ) from error
-
-
-def _eight_bits(values: np.ndarray) -> np.ndarray:
-    if not np.all(np.isfinite(values)):
-        raise ValueError("NaN or infinity")
-    return np.round(255 * (np.maximum(values, 0) / max(float(values.max()), 1))).astype(np.uint8)
-
-
-def load_mask(path: str | os.PathLike) -> np.ndarray:
-    """Return a mask file as uint8 (H, W), 255 where the object is.
-
-    Grey images are taken as they are; of an image with transparency its alpha counts. A colour
-    image is accepted only if it is grey in fact.
-
-    Raises FileNotFoundError or ValueError like `load_image`, and ValueError for colour photos.
-    """
-    image = load_image(path)
-    if image.ndim == 2:
-        return image
-    if image.shape[2] == 4 and image[..., 3].min() < 255:
-        return image[..., 3]
-    colours = image[..., :3].astype(int)
-    if np.max(np.ptp(colours, axis=2)) > 8:
-        raise ValueError(
-            f"`path`: expected a mask (grey, or with transparency), got {str(path)!r}: a colour"
-            " picture"
-        )
-    return image[..., 0]
+    try:
+        return read(image)
+    except ValueError as error:
+        raise ValueError(f"`path`: expected {kind}, got {str(path)!r}: {error}") from error
 
 
 def save_image(path: str | os.PathLike, image: np.ndarray) -> None:

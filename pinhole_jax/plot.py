@@ -1,138 +1,238 @@
-"""Pictures: the recovered outline over the image it was recovered from."""
+"""Pictures of a fit, as arrays (uint8 RGB) and SVG text: the outline with its uncertainty over the
+photo, where mask and camera differ, how the fit came there, the object and the camera in space.
+"""
+
+from itertools import pairwise
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float
 
-from ._camera import Camera, film_map
-from ._contour import (
-    ARCS_PER_SPHERE,
-    clipped,
-    contour_weights,
-    sphere_arcs,
-    surrounding,
-)
-from ._curves import Arcs, Segments, film_at
-from ._scene import Mesh, Scene, Spheres, astype
+from ._camera import Camera
+from ._fit import Fit
+from ._outline import contour_points
+from ._outline import outline as outline
+from ._parameters import rotation
+from ._rays import project
+from ._scene import Scene
+from ._search import axes_of
+from ._silhouette import silhouette
+from ._space import scene_view as scene_view
+from ._target import shares
 
 CYAN = (0, 240, 255)
 DARK = (0, 30, 60)
-#: Outline points are at most this far apart (px).
-STEP_PX = 2.0
+YELLOW = (255, 220, 0)
+MORE, LESS = (230, 90, 20), (30, 110, 210)
+#: Pictures are enlarged to about this many pixels.
+SHOWN_PX = 800
 
 
-def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
-    """Return the silhouette's outline as short segments (start, end) in film coordinates (px).
+Window = tuple[int, int, int, int]
 
-    Only the parts of the contour with background on their outer side: folds within the object and
-    parts behind it are left out.
+
+def outline_sigma(fit: Fit, scene: Scene) -> Float[np.ndarray, "n"]:
+    """Return how far (px) each segment of `outline(fit.camera, scene)` moves across itself at one
+    standard error of the camera.
+
+    To first order: points of the contour stay on the object while the camera moves by each
+    principal axis of its covariance. Parameters that the mask does not determine are left out.
     """
-    scene = astype(scene, camera.e.dtype)
-    start, end, weight = _pieces(camera, scene)
-    base = int(_layers_on_the_left(camera, scene))
-    turned = weight < 0  # cover on the right: the same contour run the other way
-    start[turned], end[turned] = end[turned], start[turned]
-    weight = np.abs(weight)
-    length = np.linalg.norm(end - start, axis=1)
-    counts = np.clip(np.ceil(length / STEP_PX), 1, 10_000).astype(int)
-    of = np.repeat(np.arange(len(counts)), counts)
-    first = np.cumsum(counts) - counts
-    part = ((np.arange(len(of)) - first[of]) / counts[of])[:, None]
-    along = (end - start)[of]
-    short = np.stack(
-        [start[of] + part * along, start[of] + (part + 1 / counts[of][:, None]) * along], 1
-    )
-    # A point just outside: to the right, with cover on the left.
-    direction = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
-    outside = short.mean(axis=1) + 1e-3 * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
-    visible = _winding(outside, start, end, weight) + base <= 0
-    return short[visible]
+    from scipy.spatial import KDTree
+
+    known = np.flatnonzero(np.isfinite(fit.std))
+    segments = outline(fit.camera, scene)
+    if not known.size or not len(segments):
+        return np.zeros(len(segments))
+    variance, axes = np.linalg.eigh(fit.covariance[np.ix_(known, known)])
+    place = lambda camera: np.asarray(project(camera, points), float)
+    points = jnp.asarray(contour_points(fit.camera, scene), fit.camera.e.dtype)
+    points = points[KDTree(place(fit.camera)).query(segments.mean(axis=1))[1]]
+    far = float(np.linalg.norm(np.mean(np.asarray(points) - np.asarray(fit.camera.e), axis=0)))
+    large = {"e": far, "d": float(fit.camera.d), "principal": fit.camera.H}
+    small = 1e-3 * np.array([large.get(name.split("_")[0], 1.0) for name in fit.names])
+    along = segments[:, 1] - segments[:, 0]
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
+    total = np.zeros(len(segments))
+    for size, axis in zip(np.sqrt(np.maximum(variance, 0)), axes.T, strict=True):
+        step = np.zeros(len(fit.std))
+        step[known] = size * axis
+        share = 1 / max(float(np.max(np.abs(step) / small)), 1)  # so far that it is still linear
+        change = (place(_moved(fit, share * step)) - place(_moved(fit, -share * step))) / 2 / share
+        total += (change[:, 0] * along[:, 1] - change[:, 1] * along[:, 0]) ** 2
+    return np.sqrt(total)
 
 
 def overlay(
-    image: np.ndarray, camera: Camera, scene: Scene, colour: tuple[int, int, int] = CYAN
+    image: np.ndarray,
+    camera: Camera,
+    scene: Scene,
+    colour: tuple[int, int, int] = CYAN,
+    *,
+    band_px: np.ndarray | None = None,
+    window: Window | None = None,
 ) -> np.ndarray:
     """Return the image as RGB uint8 with the outline drawn on it, enlarged to some 800 pixels.
 
-    `image` is uint8 (H, W), (H, W, 3) or (H, W, 4), of the camera's size, row 0 on top.
+    `image` is uint8 (H, W), (H, W, 3) or (H, W, 4), of the camera's size, row 0 on top. `band_px`
+    is the half width of a yellow band about each segment of the outline (`outline_sigma`, or some
+    times as much). `window` is the part shown: left, top, right, bottom in px from the upper left.
     """
     from PIL import Image, ImageDraw
 
-    if image.shape[:2] != (camera.H, camera.W):
-        raise ValueError(
-            f"`image`: expected the camera's size (H, W) = ({camera.H}, {camera.W}),"
-            f" got {image.shape[:2]}"
-        )
-    factor = -(-800 // max(camera.W, camera.H))
+    _check_size("image", image, camera)
+    left, top, right, bottom = window or (0, 0, camera.W, camera.H)
+    W, H = right - left, bottom - top
+    factor = -(-SHOWN_PX // max(W, H))
     fine = 2 * factor  # lines are drawn at twice the size and averaged down: no jagged edges
-    canvas = Image.fromarray(image).convert("RGB")
-    canvas = canvas.resize((camera.W * fine, camera.H * fine), Image.Resampling.NEAREST)
-    draw = ImageDraw.Draw(canvas)
-    corners = outline(camera, scene) * [1, -1] + [0, camera.H]
+    canvas = Image.fromarray(np.ascontiguousarray(image[top:bottom, left:right])).convert("RGB")
+    canvas = canvas.resize((W * fine, H * fine), Image.Resampling.NEAREST)
+    corners = outline(camera, scene) * [1, -1] + [-left, camera.H - top]
     near = np.all((corners > -1e4) & (corners < 1e4), axis=(1, 2))
+    if band_px is not None:
+        cover = Image.new("L", canvas.size)
+        draw = ImageDraw.Draw(cover)
+        for (a, b), half in zip(corners[near] * fine, band_px[near] * fine, strict=True):
+            across = np.array([b[1] - a[1], a[0] - b[0]])
+            across *= half / max(np.linalg.norm(across), 1e-30)
+            draw.polygon([tuple(p) for p in (a + across, b + across, b - across, a - across)], 150)
+            draw.ellipse([*(b - half), *(b + half)], 150)
+        canvas.paste(YELLOW, mask=cover)
+    draw = ImageDraw.Draw(canvas)
     for line, width in ((DARK, 8), (colour, 4)):
         for segment in corners[near] * fine:
             draw.line([tuple(point) for point in segment], fill=line, width=width)
-    size = (camera.W * factor, camera.H * factor)
-    return np.asarray(canvas.resize(size, Image.Resampling.BOX))
+    return np.asarray(canvas.resize((W * factor, H * factor), Image.Resampling.BOX))
 
 
-@eqx.filter_jit
-def _segments(camera: Camera, mesh: Mesh) -> tuple[Segments, Segments]:
-    """Return all edges as segments in and near the film, and what of them lies left of it."""
-    film = film_map(camera)
-    weights = contour_weights(mesh, camera.e)
-    lift = film(mesh.vertices[mesh.edge_vertices])
-    parts = (jnp.full(weights.shape, beside) for beside in (False, True))
-    inner, outer = (clipped(lift, weights, part, camera.W, camera.H) for part in parts)
-    return inner, outer
-
-
-@eqx.filter_jit
-def _arcs(camera: Camera, spheres: Spheres) -> Arcs:
-    ids = jnp.arange(ARCS_PER_SPHERE * spheres.radii.shape[0], dtype=jnp.int32)
-    return sphere_arcs(film_map(camera), spheres, ids)
-
-
-@eqx.filter_jit
-def _layers_on_the_left(camera: Camera, scene: Scene) -> Int[Array, ""]:
-    return surrounding(film_map(camera), scene)
-
-
-def _pieces(camera: Camera, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return starts (n, 2), ends (n, 2) and weights (n,) of the whole contour, arcs sampled."""
-    parts = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))]
-    if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
-        for segments in _segments(camera, scene.mesh):
-            on = np.asarray(segments.weight) != 0
-            start, end, weight = (np.asarray(x, float)[on] for x in segments)
-            parts.append((start, end, weight))
-    if scene.spheres is not None and scene.spheres.radii.shape[0]:
-        arcs = _arcs(camera, scene.spheres)
-        begin, until = (np.arctan2(w[:, 1], w[:, 0]) for w in map(np.asarray, arcs[1:3]))
-        turn = (until - begin) % (2 * np.pi)
-        angle = begin[:, None] + turn[:, None] * np.linspace(1e-6, 1 - 1e-6, 65)
-        w = np.stack([np.cos(angle), np.sin(angle)], axis=-1).astype(arcs.frame.dtype)
-        frames = np.broadcast_to(np.asarray(arcs.frame)[:, None], (*angle.shape, 3, 3))
-        points = np.asarray(film_at(jnp.asarray(frames), jnp.asarray(w)), float)
-        points = np.clip(points, -1e9, 1e9)[np.asarray(arcs.weight) != 0]
-        ends = points[:, :-1].reshape(-1, 2), points[:, 1:].reshape(-1, 2)
-        parts.append((*ends, np.ones(len(ends[0]))))
-    start, end, weight = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return start, end, weight
-
-
-def _winding(
-    points: np.ndarray, start: np.ndarray, end: np.ndarray, weight: np.ndarray
+def error_map(
+    camera: Camera, scene: Scene, target: np.ndarray, *, window: Window | None = None
 ) -> np.ndarray:
-    """Return how many layers lie over each point: signed crossings of the ray to its left."""
-    result = np.zeros(len(points))
-    for begin in range(0, len(points), 512):
-        x, y = points[begin : begin + 512, None].transpose(2, 0, 1)
-        spans = (start[:, 1] <= y) != (end[:, 1] <= y)
-        rise = np.where(start[:, 1] == end[:, 1], 1, end[:, 1] - start[:, 1])
-        at = start[:, 0] + (y - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
-        sign = np.where(end[:, 1] < start[:, 1], 1, -1)
-        result[begin : begin + 512] = np.sum(spans * (at < x) * sign * weight, axis=1)
-    return np.round(result)
+    """Return as RGB uint8 where camera and mask differ, enlarged to some 800 pixels: orange where
+    the camera sees more of the object than the mask, blue where less; grey is the object.
+
+    `target` is a mask (H, W) as `fit_camera` takes it; `window` as in `overlay`.
+    """
+    _check_size("target", target, camera)
+    left, top, right, bottom = window or (0, 0, camera.W, camera.H)
+    both = [np.asarray(silhouette(camera, scene), float), shares(np.asarray(target))]
+    shown, mask = (x[top:bottom, left:right, None] for x in both)
+    ground = 255 - 45 * np.minimum(shown, mask).clip(0, 1)
+    more, less = (np.clip(x, 0, 1) for x in (shown - mask, mask - shown))
+    mixed = ground * (1 - more - less) + more * np.array(MORE) + less * np.array(LESS)
+    factor = -(-SHOWN_PX // max(mixed.shape[:2]))
+    return np.repeat(np.repeat(np.round(mixed).astype(np.uint8), factor, 0), factor, 1)
+
+
+def object_window(camera: Camera, scene: Scene) -> Window:
+    """Return the part of the picture (left, top, right, bottom, px) about the object's outline."""
+    ends = (outline(camera, scene) * [1, -1] + [0, camera.H]).reshape(-1, 2)
+    ends = ends[np.all((ends >= 0) & (ends <= [camera.W, camera.H]), axis=1)]
+    if not len(ends):
+        return 0, 0, camera.W, camera.H
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    room = 0.08 * np.max(high - low) + 2
+    left, top = np.floor(np.maximum(low - room, 0)).astype(int).tolist()
+    right, bottom = np.ceil(np.minimum(high + room, [camera.W, camera.H])).astype(int).tolist()
+    return left, top, right, bottom
+
+
+def _moved(fit: Fit, step: np.ndarray) -> Camera:
+    """Return the camera with its reported parameters changed by a step."""
+    camera = fit.camera
+    change = dict(zip(fit.names, step.tolist(), strict=True))
+    of = lambda *names: np.array([change.pop(name, 0.0) for name in names])
+    e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
+    dtype = camera.e.dtype
+    turn = of("rotation_b1", "rotation_b2", "rotation_v") @ axes_of(camera)
+    turned = np.asarray(rotation(jnp.asarray(turn, dtype)), float)
+    eye = e + of("e_x", "e_y", "e_z")
+    phi, d = float(camera.phi) + of("phi")[0], float(camera.d) + of("d")[0]
+    if d != float(camera.d):  # the film's height stays
+        phi = 2 * np.arctan(np.tan(phi / 2) * float(camera.d) / d)
+    lens, shift, wider = camera.lens, of("principal_x", "principal_y"), of("aspect")[0]
+    if lens is not None:
+        changed = lens.principal_point + jnp.asarray(shift, dtype), lens.aspect + float(wider)
+        lens = eqx.tree_at(lambda x: (x.principal_point, x.aspect), lens, changed)
+    if change:
+        raise ValueError(f"`fit`: expected known parameters, got {sorted(change)}")
+    parts = (eye, eye + turned @ (p - e), turned @ u, phi, d)
+    e, p, u, phi, d = (np.asarray(x, dtype) for x in parts)
+    return Camera(e, p, u, phi, d, camera.W, camera.H, lens)
+
+
+def _check_size(name: str, image: np.ndarray, camera: Camera) -> None:
+    if image.shape[:2] != (camera.H, camera.W):
+        raise ValueError(
+            f"`{name}`: expected the camera's size (H, W) = ({camera.H}, {camera.W}),"
+            f" got {image.shape[:2]}"
+        )
+
+
+class Svg(str):
+    """SVG text, which notebooks show as a picture."""
+
+    def _repr_svg_(self) -> str:
+        return str(self)
+
+
+def off_px(fit: Fit, scene: Scene) -> list[float]:
+    """Return how far (px, root mean square over the final contour's points) the outline was from
+    its place at the end, at each entry of `fit.history`."""
+    points = jnp.asarray(contour_points(fit.camera, scene), fit.camera.e.dtype)
+    if not len(points):
+        return [float("nan")] * len(fit.history)
+    last = np.asarray(project(fit.camera, points), float)
+    cameras = [stop.camera for stop in fit.history]
+    moves = [np.asarray(project(c, points), float) - last for c in cameras]
+    return [float(np.sqrt(np.mean(np.sum(m**2, axis=1)))) for m in moves]
+
+
+def convergence(fit: Fit, scene: Scene) -> Svg:
+    """Return a diagram of how far the outline was from its last place (px) after each level, by
+    steps; the levels are bands with their size in px."""
+    off = np.maximum(off_px(fit, scene), 1e-12)
+    if len(off) < 2 or not np.all(np.isfinite(off)):
+        return Svg('<svg xmlns="http://www.w3.org/2000/svg" width="1" height="1"/>')
+    steps = np.cumsum([stop.steps for stop in fit.history])
+    shown = np.maximum(off, max(off[off > 1e-12].min(initial=1.0), 1e-9) / 10)
+    low, high = np.floor(np.log10(shown.min())), np.ceil(np.log10(shown.max()) + 1e-9)
+    left, top, width, height = 64, 24, 640, 260
+    x = left + width * steps / max(steps[-1], 1)
+    y = top + height * (high - np.log10(shown)) / (high - low)
+    parts = []
+    for k, (a, b) in enumerate(pairwise(x.tolist())):
+        level = fit.history[k + 1]
+        parts.append(
+            f'<rect x="{a:.1f}" y="{top}" width="{b - a:.1f}" height="{height}"'
+            f' fill="{("#eef2f6", "#dfe7ef")[k % 2]}"><title>{level}</title></rect>'
+        )
+        if b - a > 44:
+            words = f"{level.W} x {level.H}"
+            parts.append(f'<text x="{(a + b) / 2:.1f}" y="{top - 8}" class="m">{words}</text>')
+    every = max(int(high - low) // 7, 1)
+    for power in range(int(low), int(high) + 1, every):
+        at = top + height * (high - power) / (high - low)
+        parts.append(f'<line x1="{left}" x2="{left + width}" y1="{at:.1f}" y2="{at:.1f}"/>')
+        parts.append(f'<text x="{left - 8}" y="{at + 4:.1f}" class="e">{10.0**power:g}</text>')
+    for step in np.unique(np.linspace(0, steps[-1], 8).round().astype(int)):
+        at = left + width * step / max(steps[-1], 1)
+        parts.append(f'<text x="{at:.1f}" y="{top + height + 18}" class="m">{step}</text>')
+    line = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
+    parts.append(f'<polyline points="{line}"/>')
+    parts += [
+        f'<circle cx="{a:.1f}" cy="{b:.1f}" r="4"><title>{o:.3g} px</title></circle>'
+        for a, b, o in zip(x, y, off, strict=True)
+    ]
+    parts.append(f'<text x="{left + width / 2}" y="{top + height + 38}" class="m">steps</text>')
+    parts.append(f'<text x="{left - 8}" y="{top - 8}" class="e">px</text>')
+    style = (
+        "text{font:12px sans-serif;fill:#456}.m{text-anchor:middle}.e{text-anchor:end}"
+        "line{stroke:#fff}polyline{fill:none;stroke:#0a6b8a;stroke-width:2}circle{fill:#0a6b8a}"
+    )
+    box = f"0 0 {left + width + 16} {top + height + 46}"
+    return Svg(
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{box}" role="img"'
+        f' aria-label="convergence"><style>{style}</style>{"".join(parts)}</svg>'
+    )

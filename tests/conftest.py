@@ -1,4 +1,7 @@
-"""JAX made strict: float64, no silent promotion of types or ranks; every test closes its oracle."""
+"""JAX made strict: float64, no silent promotion of types or ranks; every test closes its oracle.
+
+Compiled programs are kept in `.pytest_cache`: modules and processes share them, and the next run.
+"""
 
 from pathlib import Path
 
@@ -8,6 +11,10 @@ import pytest
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update(
+    "jax_compilation_cache_dir", str(Path(__file__).parents[1] / ".pytest_cache" / "programs")
+)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 SHARED = Path(__file__).parents[2] / "shared" / "data"
 

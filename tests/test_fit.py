@@ -204,8 +204,12 @@ def test_a_wrong_view_that_fits_badly_is_no_success(scene):
 
 def test_progress_is_told_after_each_level(scene):
     told = []
-    fit = pj.fit_camera(scene, mask_of(CAMERA, scene), CAMERA, progress=told.append)
+    start = turned(CAMERA, [1, 2, 3], 8, 1.05)
+    fit = pj.fit_camera(scene, mask_of(CAMERA, scene), start, progress=told.append)
     assert tuple(level.steps for level in told) == fit.steps
+    assert (fit.history[0].steps, fit.history[0].W) == (0, told[0].W)
+    assert max(map(float, pj.pose_error(fit.history[0].camera, start))) < 1e-9
+    assert [str(level) for level in fit.history[1:]] == [str(level) for level in told]
     assert "96 x 80" in str(told[-1])
     np.testing.assert_allclose(told[-1].camera.e, fit.camera.e, rtol=1e-12)
 

@@ -3,7 +3,8 @@ import json
 import numpy as np
 import pytest
 import trimesh
-from PIL import Image
+from PIL import ExifTags, Image
+from PIL.TiffImagePlugin import IFDRational
 
 import pinhole_jax as pj
 from pinhole_jax import io
@@ -148,13 +149,180 @@ def test_masks_are_grey_or_transparency(tmp_path):
     for name in ("grey", "one_bit", "rgb", "alpha"):
         np.testing.assert_array_equal(io.load_mask(tmp_path / f"{name}.png"), mask)
     Image.fromarray(colour).save(tmp_path / "photo.png")
-    with pytest.raises(ValueError, match=r"`path`: expected a mask .* a colour picture"):
+    with pytest.raises(ValueError, match=r"`path`: expected a mask, .* a colour picture"):
         io.load_mask(tmp_path / "photo.png")
     (tmp_path / "text.png").write_text("no image")
     with pytest.raises(ValueError, match="`path`: expected a readable image"):
         io.load_mask(tmp_path / "text.png")
     with pytest.raises(FileNotFoundError, match="expected an image file"):
         io.load_mask(tmp_path / "none.png")
+
+
+def test_a_grey_picture_that_is_no_mask_is_refused_with_the_ways_to_read_it(tmp_path):
+    path = tmp_path / "ramp.png"
+    ramp = np.tile(np.arange(256, dtype=np.uint8), (20, 1))
+    Image.fromarray(ramp).save(path)
+    with pytest.raises(ValueError, match=r"80% of the pixels are neither .* label=N, background="):
+        io.load_mask(path)
+    np.testing.assert_array_equal(io.load_mask(path, "luminance"), ramp)
+    with pytest.raises(ValueError, match=r"expected a mask, .* no transparency"):
+        io.load_mask(path, "alpha")
+    Image.fromarray(ramp // 64).save(path)
+    with pytest.raises(ValueError, match=r"no lighter than 3 of 255; labels\?"):
+        io.load_mask(path)
+
+
+@pytest.mark.parametrize("kind", ["grey", "palette", "16 bits"])
+def test_a_label_image_gives_the_pixels_of_one_label(tmp_path, kind):
+    labels = np.random.default_rng(1).integers(0, 4, (9, 7), np.uint8)
+    if kind == "palette":
+        image = Image.fromarray(labels).convert("P")
+        image.putpalette([255, 0, 0, 9, 9, 9, 9, 9, 9, 0, 0, 255])  # two entries look alike
+    else:
+        image = Image.fromarray(labels.astype(np.uint8 if kind == "grey" else np.uint16))
+    image.save(tmp_path / "labels.png")
+    said = []
+    for number in range(4):
+        mask = io.load_mask(tmp_path / "labels.png", f"label={number}", said.append)
+        np.testing.assert_array_equal(mask, 255 * (labels == number))
+    assert "mask: label 3, " in said[3]
+    assert "edges hard" in said[3]
+    with pytest.raises(ValueError, match="no pixel with the label 7; there are 0, 1, 2, 3"):
+        io.load_mask(tmp_path / "labels.png", "label=7")
+    Image.fromarray(np.dstack([labels] * 3)).save(tmp_path / "rgb.png")
+    with pytest.raises(ValueError, match="mode RGB: labels are grey values or a palette's"):
+        io.load_mask(tmp_path / "rgb.png", "label=1")
+
+
+def test_a_background_colour_tells_the_object_and_how_much_of_it_is_in_an_edge(tmp_path):
+    # A disk with a hole, 40 times finer than its pixels: coverage by counting.
+    n, fine = 64, 40
+    y, x = (np.mgrid[: n * fine, : n * fine] + 0.5) / fine
+    r = np.hypot(x - 30.3, y - 33.1)
+    disk = ((r < 22.4) & (r > 6.2)).reshape(n, fine, n, fine).mean(axis=(1, 3))
+    random = np.random.default_rng(2)
+    shade = np.array([200, 60, 40]) * (0.6 + 0.4 * np.arange(n) / n)[:, None, None]
+    back = np.array([30, 144, 255])
+    photo = disk[..., None] * shade + (1 - disk[..., None]) * back
+    photo[:2, :2] = 0  # specks, one in the object
+    photo[14, 30] = back
+    noisy = np.clip(np.round(photo + random.normal(0, 1, photo.shape)), 0, 255).astype(np.uint8)
+    Image.fromarray(noisy).save(tmp_path / "photo.png")
+    with pytest.raises(ValueError, match=r"`path`: expected a mask, .* a colour picture"):
+        io.load_mask(tmp_path / "photo.png")
+    for way in ("background=dodgerblue", "background=#1e90ff,30"):
+        said = []
+        mask = io.load_mask(tmp_path / "photo.png", way, said.append) / 255
+        assert np.sqrt(np.mean((mask - disk) ** 2)) < 0.012
+        assert np.sqrt(np.mean((np.round(mask) - disk) ** 2)) > 0.05  # soft edges say more
+        assert np.all(mask[:2, :2] == 0)
+        assert said[0].startswith("mask: what differs from " + way[11:].split(",")[0] + " by more")
+    assert "by more than 30.0 in CIE Lab (as told)" in said[0]
+    Image.new("RGB", (9, 9)).save(tmp_path / "photo.png")
+    with pytest.raises(ValueError, match="a picture of one colour"):
+        io.load_mask(tmp_path / "photo.png", "background=black")
+
+
+@pytest.mark.parametrize("way", ["", "alpha=1", "label", "label=-1", "background=", "Alpha", "hue"])
+def test_a_way_that_is_none_is_refused(tmp_path, way):
+    with pytest.raises(ValueError, match=r"`mask_from`: expected one of alpha, .*got "):
+        io.load_mask(tmp_path / "none.png", way)
+
+
+def test_a_colour_that_is_none_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"`mask_from`: expected a colour such as .*'bluish'"):
+        io.load_mask(tmp_path / "none.png", "background=bluish")
+
+
+def test_the_ringing_of_a_jpeg_mask_costs_less_than_a_threshold(tmp_path):
+    n = 96
+    y, x = np.mgrid[:n, :n] + 0.5
+    disk = np.clip(30.4 - np.hypot(x - 47.2, y - 45.9) + 0.5, 0, 1)  # soft over a pixel
+    Image.fromarray(np.round(255 * disk).astype(np.uint8)).save(tmp_path / "m.jpg", quality=75)
+    mask = io.load_mask(tmp_path / "m.jpg") / 255
+    error = lambda a: np.sqrt(np.mean((a - disk) ** 2))
+    assert 0 < error(mask) < 0.4 * error(np.round(mask))
+
+
+def save_exif(path, size, orientation=1, **tags):
+    """Save a photo (a light patch in the stored picture's upper left) with EXIF data."""
+    image = Image.new("RGB", size)
+    image.paste((255, 255, 255), (0, 0, size[0] // 3, size[1] // 3))
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    exif.get_ifd(ExifTags.IFD.Exif).update({ExifTags.Base[k]: v for k, v in tags.items()})
+    image.save(path, exif=exif, quality=95)
+
+
+# Where the stored picture's first row and column are in an upright one (EXIF 2.3, 4.6.4 A).
+UPPER_LEFT_SEEN_AT = {1: "tl", 2: "tr", 3: "br", 4: "bl", 5: "tl", 6: "tr", 7: "br", 8: "bl"}
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_photos_are_turned_upright_masks_too(tmp_path, orientation):
+    save_exif(tmp_path / "p.jpg", (60, 36), orientation)
+    seen = io.load_image(tmp_path / "p.jpg")[..., 0]
+    assert seen.shape == ((36, 60) if orientation < 5 else (60, 36))
+    place = UPPER_LEFT_SEEN_AT[orientation]
+    row, column = 0 if place[0] == "t" else -1, 0 if place[1] == "l" else -1
+    assert seen[row, column] > 200
+    assert np.mean(seen > 128) == pytest.approx(1 / 9, abs=0.02)
+    for way in (None, "background=black"):
+        mask = io.load_mask(tmp_path / "p.jpg", way)
+        assert mask.shape == seen.shape
+        assert mask[row, column] > 200
+
+
+FULL_FRAME = {"FocalLengthIn35mmFilm": 50}
+# A sensor of 23.5 x 15.6 mm with 6000 x 4000 pixels, in pixels to the inch.
+SENSOR = {
+    "FocalLength": 35.0,
+    "FocalPlaneXResolution": 6000 / (23.5 / 25.4),
+    "FocalPlaneResolutionUnit": 2,
+    "ExifImageWidth": 6000,
+    "ExifImageHeight": 4000,
+}
+
+
+@pytest.mark.parametrize(
+    ("size", "orientation", "tags", "height_mm", "focal_mm"),
+    [
+        ((60, 40), 1, FULL_FRAME, 24, 50),
+        ((60, 40), 6, FULL_FRAME, 36, 50),  # held upright
+        ((40, 60), 1, FULL_FRAME, 36, 50),
+        ((80, 60), 1, FULL_FRAME, 0.6 * np.hypot(36, 24), 50),  # 4:3 of the same diagonal
+        ((60, 40), 1, SENSOR, 23.5 * 2 / 3, 35),  # a smaller copy
+        ((60, 40), 8, SENSOR, 23.5, 35),
+        ((40, 60), 1, SENSOR, 23.5, 35),  # turned by a program that forgot the sizes
+        ((60, 40), 1, {**FULL_FRAME, **SENSOR}, 24, 50),
+    ],
+)
+def test_exif_tells_the_field_of_view(tmp_path, size, orientation, tags, height_mm, focal_mm):
+    save_exif(tmp_path / "p.jpg", size, orientation, **tags)
+    fov = io.photo_fov(tmp_path / "p.jpg")
+    assert fov.phi == pytest.approx(2 * np.arctan(height_mm / 2 / focal_mm), rel=1e-6)
+    assert ("35mm" in fov.words) == ("FocalLengthIn35mmFilm" in tags)
+
+
+@pytest.mark.parametrize(
+    "tags",
+    [
+        {},
+        {"FocalLengthIn35mmFilm": 0},  # unknown
+        {"FocalLength": 35.0},  # of what sensor?
+        {**SENSOR, "ExifImageHeight": 6000},  # cropped since
+        {**SENSOR, "FocalPlaneResolutionUnit": 1},  # no unit
+        {**SENSOR, "FocalLength": IFDRational(1, 0)},
+    ],
+)
+def test_exif_that_does_not_tell_gives_nothing(tmp_path, tags):
+    save_exif(tmp_path / "p.jpg", (60, 40), **tags)
+    assert io.photo_fov(tmp_path / "p.jpg") is None
+
+
+def test_exif_that_contradicts_itself_says_so(tmp_path):
+    save_exif(tmp_path / "p.jpg", (60, 40), FocalLengthIn35mmFilm=100, **SENSOR)
+    assert "0.54 times as long" in io.photo_fov(tmp_path / "p.jpg").words
 
 
 def test_nothing_is_half_written(tmp_path):

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 from oracles import turned
-from PIL import Image
+from PIL import ExifTags, Image
 
 import pinhole_jax as pj
 from pinhole_jax import io, shapes
@@ -63,12 +63,17 @@ def test_render_then_fit(folder):
         folder / "mask.png",
         "--camera",
         folder / "start.json",
+        "--report",
+        out / "page.html",
         "-o",
         out,
         cache=cache,
     )
     assert fitted.returncode == 0, fitted.stderr
     assert fitted.stderr == ""  # progress is for terminals
+    page = (out / "page.html").read_text()
+    assert "Camera of bumpy.ply from mask.png" in page
+    assert str(out / "page.html") in fitted.stdout
     for words in (
         "parameter",
         "one sigma",
@@ -105,6 +110,14 @@ def test_render_then_fit(folder):
             "`free`: expected names",
         ),
         (("fit", "bumpy.ply", "black.png"), "expected --camera or --fov, or phi among --free"),
+        (
+            ("fit", "bumpy.ply", "black.png", "--fov", "34", "--image", "small.png"),
+            "`--image`: expected the mask's size 96 x 80, got 9 x 9",
+        ),
+        (
+            ("fit", "bumpy.ply", "black.png", "--fov", "34", "--mask-from", "label=9"),
+            "no pixel with the label 9; there are 0",
+        ),
         (("render", "bumpy.ply", "black.png"), "expected JSON"),
     ],
 )
@@ -141,12 +154,22 @@ def test_a_fit_that_is_not_to_be_trusted_has_status_1(folder):
 
 
 def test_a_fit_needs_no_start(folder):
-    io.save_image(folder / "soft.png", np.asarray(pj.silhouette(CAMERA, SCENE)))
-    fov, out = str(np.rad2deg(0.6)), folder / "found"
-    files = (folder / "bumpy.ply", folder / "soft.png")
-    done = run("fit", *files, "--fov", fov, "-o", out, cache=folder / "cache")
+    # A photo before a blue background; its EXIF data tell the field of view: no start, no --fov.
+    mask = np.asarray(pj.silhouette(CAMERA, SCENE))[..., None]
+    photo = Image.fromarray(np.uint8(mask * [220, 90, 40] + (1 - mask) * [0, 0, 255] + 0.5))
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 1
+    f35 = np.hypot(36, 24) / np.hypot(96, 80) * 80 / (2 * np.tan(0.3))
+    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = round(f35)
+    photo.save(folder / "photo.png", exif=exif)
+    out, how = folder / "found", ("--mask-from", "background=blue", "--free", "pose,phi")
+    files = (folder / "bumpy.ply", folder / "photo.png")
+    done = run("fit", *files, *how, "--verbose", "-o", out, cache=folder / "cache")
     assert done.returncode == 0, done.stderr
-    assert np.rad2deg(pj.pose_error(io.load_camera(out / "camera.json"), CAMERA)[0]) < 0.05
+    assert np.rad2deg(pj.pose_error(io.load_camera(out / "camera.json"), CAMERA)[0]) < 0.2
+    assert f"by EXIF's FocalLengthIn35mmFilm {round(f35)} mm; a first guess" in done.stderr
+    assert "mask: what differs from blue by more than" in done.stderr
+    assert "96 x 80 pixels: " in done.stderr
 
 
 def test_convert_there_and_back(folder):

@@ -1,3 +1,5 @@
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 import shapely
@@ -6,6 +8,7 @@ from oracles import mesh_polygons, sphere_union
 
 import pinhole_jax as pj
 from pinhole_jax import plot, shapes
+from pinhole_jax._outline import STEP_PX
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 
@@ -22,7 +25,7 @@ def test_the_outline_is_that_of_the_polygon_union(name):
     lines = shapely.linestrings(outline)
     np.testing.assert_allclose(np.sum(shapely.length(lines)), union.boundary.length, rtol=0.02)
     assert np.max(shapely.distance(lines, union.boundary)) < 0.1
-    np.testing.assert_array_equal(np.max(shapely.length(lines)) <= plot.STEP_PX + 1e-9, True)
+    np.testing.assert_array_equal(np.max(shapely.length(lines)) <= STEP_PX + 1e-9, True)
 
 
 def test_the_outline_of_spheres():
@@ -52,3 +55,129 @@ def test_the_overlay_draws_on_the_outline_and_nowhere_else(shape):
 def test_an_image_of_another_size_is_refused_in_words():
     with pytest.raises(ValueError, match=r"`image`: expected the camera's size .* got \(9, 9\)"):
         plot.overlay(np.zeros((9, 9), np.uint8), CAMERA, pj.Scene(mesh=shapes.bumpy(1)))
+
+
+# A square in the plane z = 0, seen from straight ahead at distance 5: f = 80 / (2 tan 0.3) px.
+SQUARE = pj.Scene(
+    mesh=pj.Mesh([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+)
+AHEAD = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
+FOCAL = 40 / np.tan(0.3)
+
+
+def fit_of(camera, names, std, history=()):
+    """Return a fit as if it had found this camera, with independent errors."""
+    std = np.array(std)
+    covariance = np.diag(std**2)
+    return pj.Fit(camera, "converged", names, covariance, std, 0.0, 1.0, (), (), (), history)
+
+
+@pytest.mark.parametrize(
+    ("name", "std", "across_sides", "across_foot"),
+    [
+        ("e_x", 0.01, FOCAL * 0.01 / 5, 0.0),
+        ("e_z", 0.01, FOCAL * 0.01 / 25, FOCAL * 0.01 / 25),
+        ("rotation_b1", 1e-3, None, FOCAL * (1 + 1 / 25) * 1e-3),
+        ("phi", 1e-3, FOCAL / 5 * 1e-3 / np.sin(0.6), FOCAL / 5 * 1e-3 / np.sin(0.6)),
+        ("d", 1e-3, FOCAL / 5 * 1e-3, FOCAL / 5 * 1e-3),
+        ("e_x", np.inf, 0.0, 0.0),
+    ],
+)
+def test_one_sigma_of_the_outline_is_its_way_across_itself(name, std, across_sides, across_foot):
+    segments = plot.outline(AHEAD, SQUARE)
+    sigma = plot.outline_sigma(fit_of(AHEAD, (name,), [std]), SQUARE)
+    upright = np.abs(np.diff(segments[..., 1], axis=1)[:, 0]) > 1e-6
+    assert 0 < upright.sum() < len(upright) == len(sigma)
+    if across_sides is not None:
+        np.testing.assert_allclose(sigma[upright], across_sides, rtol=0.01, atol=1e-12)
+    np.testing.assert_allclose(sigma[~upright], across_foot, rtol=0.01, atol=1e-12)
+
+
+def test_sigmas_of_several_parameters_add_with_their_correlation():
+    one, both = (
+        fit_of(AHEAD, ("e_x",), [0.01]),
+        fit_of(AHEAD, ("e_x", "rotation_b2"), [0.01, 0.002]),
+    )
+    # Going to the right moves the picture to the left, a turn to the left (about the axis up) moves
+    # it to the right: together they cancel.
+    covariance = np.array([[1e-4, 2e-5], [2e-5, 4e-6]])
+    alone, independent, cancel = (
+        plot.outline_sigma(fit, SQUARE) for fit in (one, both, both._replace(covariance=covariance))
+    )
+    assert np.max(independent) > 1.3 * np.max(alone)
+    assert np.max(cancel) < 0.1 * np.max(alone)
+
+
+def test_the_outline_of_spheres_has_a_sigma_too():
+    ball = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [1.0]))
+    sigma = plot.outline_sigma(fit_of(AHEAD, ("rotation_v", "e_z"), [1e-3, 0.01]), ball)
+    # tan of the cone's half angle: 1 / sqrt(z^2 - 1).
+    np.testing.assert_allclose(sigma, FOCAL * 5 / 24**1.5 * 0.01, rtol=0.01)
+
+
+def test_the_band_is_drawn_and_a_window_shows_a_part():
+    image = np.zeros((80, 96, 3), np.uint8)
+    n = len(plot.outline(AHEAD, SQUARE))
+    drawn = plot.overlay(image, AHEAD, SQUARE, band_px=np.full(n, 4.0))
+    yellow = (drawn[..., 0] > 100) & (drawn[..., 2] < 60)
+    factor = drawn.shape[0] // 80
+    side = 2 * FOCAL / 5
+    assert np.sum(yellow) / factor**2 == pytest.approx(4 * side * 8, rel=0.2)
+    left, top, right, bottom = window = plot.object_window(AHEAD, SQUARE)
+    assert 0 <= left < 48 - side / 2 < 48 + side / 2 < right <= 96
+    assert (right - left) < 1.4 * side
+    part = plot.overlay(image, AHEAD, SQUARE, window=window)
+    lit = np.any(part > 100, axis=2)
+    assert part.shape[:2] == ((bottom - top) * lit.shape[1] // (right - left), lit.shape[1])
+    assert np.mean(lit) > 0.005
+
+
+def test_the_error_map_tells_more_from_less():
+    mask = np.zeros((80, 96), bool)
+    mask[20:60, 40:90] = True  # too far right
+    drawn = plot.error_map(AHEAD, SQUARE, mask).astype(int)
+    f = drawn.shape[0] // 80
+    assert tuple(drawn[40 * f, 32 * f]) == plot.MORE
+    assert tuple(drawn[40 * f, 85 * f]) == plot.LESS
+    assert tuple(drawn[40 * f, 48 * f]) == (210, 210, 210)
+    assert tuple(drawn[2, 2]) == (255, 255, 255)
+    with pytest.raises(ValueError, match="`target`: expected the camera's size"):
+        plot.error_map(AHEAD, SQUARE, mask[:9])
+
+
+def way_to(camera):
+    """Return a history that ends at the camera: eyes 1 and 0.1 to the right of it before."""
+    at = lambda x: pj.Camera([x, 0.0, 5], [x, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
+    stops = ((1, 24, 20, 0), (0.1, 48, 40, 7), (0, 96, 80, 3))
+    return (
+        *(pj.Progress(at(x), *stop) for x, *stop in stops[:-1]),
+        pj.Progress(camera, *stops[-1][1:]),
+    )
+
+
+def test_convergence_in_px_by_steps_and_levels():
+    fit = fit_of(AHEAD, ("e_x",), [0.01], way_to(AHEAD))
+    np.testing.assert_allclose(plot.off_px(fit, SQUARE), [FOCAL / 5, FOCAL / 50, 0], atol=1e-9)
+    svg = plot.convergence(fit, SQUARE)
+    tree = ElementTree.fromstring(svg)
+    found = lambda tag: tree.findall(f"{{http://www.w3.org/2000/svg}}{tag}")
+    x, y = np.array([p.split(",") for p in found("polyline")[0].get("points").split()], float).T
+    assert np.all(np.diff(y) > 0)
+    np.testing.assert_allclose(np.diff(x) / np.ptp(x), [0.7, 0.3], atol=1e-3)
+    assert [r[0].text for r in found("rect")] == [
+        "48 x 40 pixels: 7 steps",
+        "96 x 80 pixels: 3 steps",
+    ]
+    assert svg._repr_svg_() == svg
+
+
+@pytest.mark.parametrize("what", ["mesh", "spheres"])
+def test_the_view_in_space_shows_object_and_camera(what):
+    ball = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [0.8]))
+    view = plot.scene_view(CAMERA, pj.Scene(mesh=shapes.bumpy(2)) if what == "mesh" else ball, 200)
+    assert view.shape == (150, 200, 3)
+    r, g, b = np.moveaxis(view.astype(int), -1, 0)
+    camera, thing = (b > r + 60) & (b > g), (r > b + 20) & (r > g)
+    assert camera.sum() > 200
+    assert thing.sum() > 100
+    assert np.nonzero(camera)[1].min() < np.nonzero(thing)[1].min()  # it looks from the left

@@ -1,0 +1,71 @@
+"""What a photo's EXIF data say of the camera: which way is up, and the field of view."""
+
+import math
+from typing import Any, NamedTuple
+
+#: The diagonal of 35 mm film (36 x 24 mm): what "35 mm equivalent" refers to.
+FILM_DIAGONAL_MM = math.hypot(36, 24)
+#: EXIF's units of FocalPlaneResolutionUnit, in mm.
+UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
+#: Two shapes of a picture, or two focal lengths, are one up to this.
+SAME_SHAPE, SAME_FOCAL = 0.01, 0.1
+
+
+class FieldOfView(NamedTuple):
+    """The vertical field of view `phi` (rad) of a photo held upright, and in words whence."""
+
+    phi: float
+    words: str
+
+
+def upright(image: Any) -> Any:
+    """Return the picture (of Pillow) turned and mirrored as its EXIF Orientation asks for."""
+    from PIL import ImageOps
+
+    return ImageOps.exif_transpose(image)
+
+
+def field_of_view(image: Any) -> FieldOfView | None:
+    """Return an upright picture's, or None where its data do not tell it or it was cropped.
+
+    FocalLengthIn35mmFilm, which compares diagonals, comes first; else FocalLength times
+    FocalPlaneXResolution, the pixels a unit of the sensor, of a picture that may be smaller now.
+    """
+    from PIL import ExifTags
+
+    tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
+    number = lambda tag: _positive(tags.get(tag))
+    W, H = image.size
+    longer = max(W, H)
+    full = number(ExifTags.Base.ExifImageWidth), number(ExifTags.Base.ExifImageHeight)
+    if full[0] and full[1]:
+        was, now = max(full) / min(full), longer / min(W, H)
+        if abs(was / now - 1) > SAME_SHAPE:
+            return None
+    film, length = number(ExifTags.Base.FocalLengthIn35mmFilm), number(ExifTags.Base.FocalLength)
+    density = number(ExifTags.Base.FocalPlaneXResolution)
+    unit = UNIT_MM.get(tags.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))
+    focals_px = {}
+    if film:
+        focals_px[f"FocalLengthIn35mmFilm {film:g} mm"] = film * math.hypot(W, H) / FILM_DIAGONAL_MM
+    if length and density and unit:
+        smaller = longer / max(full) if full[0] and full[1] else 1.0
+        focals_px[f"FocalLength {length:g} mm and FocalPlaneXResolution"] = (
+            length * density / unit * smaller
+        )
+    if not focals_px:
+        return None
+    (words, focal), *others = focals_px.items()
+    for name, other in others:
+        if abs(other / focal - 1) > SAME_FOCAL:
+            words += f" (against {name}: {other / focal:.2f} times as long)"
+    return FieldOfView(2 * math.atan(H / (2 * focal)), words)
+
+
+def _positive(value: Any) -> float:
+    """Return a tag's value, 0 where there is none or it makes no sense (0 stands for unknown)."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return 0.0
+    return number if math.isfinite(number) and number > 0 else 0.0

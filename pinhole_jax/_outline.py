@@ -1,0 +1,148 @@
+"""The silhouette's outline as lines on the film, and the points of the object that make it."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ._camera import Camera, film_map, to_camera
+from ._contour import (
+    ARCS_PER_SPHERE,
+    clipped,
+    contour_weights,
+    sphere_arcs,
+    surrounding,
+)
+from ._curves import Arcs, Segments, film_at
+from ._rays import project
+from ._scene import Mesh, Scene, Spheres, astype
+
+#: Outline points are at most this far apart (px).
+STEP_PX = 2.0
+
+
+def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
+    """Return the silhouette's outline as short segments (start, end) in film coordinates (px).
+
+    Only the parts of the contour with background on their outer side: folds within the object and
+    parts behind it are left out.
+    """
+    scene = astype(scene, camera.e.dtype)
+    start, end, weight = _pieces(camera, scene)
+    base = int(_layers_on_the_left(camera, scene))
+    turned = weight < 0  # cover on the right: the same contour run the other way
+    start[turned], end[turned] = end[turned], start[turned]
+    weight = np.abs(weight)
+    length = np.linalg.norm(end - start, axis=1)
+    counts = np.clip(np.ceil(length / STEP_PX), 1, 10_000).astype(int)
+    of = np.repeat(np.arange(len(counts)), counts)
+    first = np.cumsum(counts) - counts
+    part = ((np.arange(len(of)) - first[of]) / counts[of])[:, None]
+    along = (end - start)[of]
+    short = np.stack(
+        [start[of] + part * along, start[of] + (part + 1 / counts[of][:, None]) * along], 1
+    )
+    # A point just outside: to the right, with cover on the left.
+    direction = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
+    outside = short.mean(axis=1) + 1e-3 * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
+    visible = _winding(outside, start, end, weight) + base <= 0
+    return short[visible]
+
+
+def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
+    """Return points in space, in front of the eye, that the contour is made of: on edges some
+    px apart, on spheres where rays touch them."""
+    scene = astype(scene, camera.e.dtype)
+    parts = [np.zeros((0, 3))]
+    if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
+        on = np.flatnonzero(np.asarray(_edge_weights(scene.mesh, camera.e)))
+        edges = np.asarray(scene.mesh.vertices, float)[np.asarray(scene.mesh.edge_vertices)[on]]
+        film = np.asarray(project(camera, jnp.asarray(edges, camera.e.dtype)), float)
+        length = np.linalg.norm(film[:, 1] - film[:, 0], axis=1)
+        counts = np.clip(np.ceil(length / STEP_PX), 1, 200).astype(int)
+        of = np.repeat(np.arange(len(counts)), counts)
+        part = (np.arange(len(of)) - (np.cumsum(counts) - counts)[of] + 0.5) / counts[of]
+        parts.append(edges[of, 0] + part[:, None] * (edges[of, 1] - edges[of, 0]))
+    if scene.spheres is not None:
+        eye = np.asarray(camera.e, float)
+        angle = np.linspace(0, 2 * np.pi, 180, endpoint=False)
+        balls = zip(np.asarray(scene.spheres.centers, float), scene.spheres.radii, strict=True)
+        for centre, radius in balls:
+            offset, r = centre - eye, float(radius)
+            far = np.linalg.norm(offset)
+            if far > r:
+                axis = offset / far
+                first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+                first /= np.linalg.norm(first)
+                ring = np.outer(np.cos(angle), first)
+                ring += np.outer(np.sin(angle), np.cross(axis, first))
+                sine = r / far
+                parts.append(centre + r * (np.sqrt(1 - sine**2) * ring - sine * axis))
+    points = np.concatenate(parts)
+    ahead = np.asarray(to_camera(camera, jnp.asarray(points, camera.e.dtype)))[:, 2] > 0
+    return points[ahead]
+
+
+@eqx.filter_jit
+def _segments(camera: Camera, mesh: Mesh) -> tuple[Segments, Segments]:
+    """Return all edges as segments in and near the film, and what of them lies left of it."""
+    film = film_map(camera)
+    weights = contour_weights(mesh, camera.e)
+    lift = film(mesh.vertices[mesh.edge_vertices])
+    parts = (jnp.full(weights.shape, beside) for beside in (False, True))
+    inner, outer = (clipped(lift, weights, part, camera.W, camera.H) for part in parts)
+    return inner, outer
+
+
+@eqx.filter_jit
+def _edge_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
+    return contour_weights(mesh, e)
+
+
+@eqx.filter_jit
+def _arcs(camera: Camera, spheres: Spheres) -> Arcs:
+    ids = jnp.arange(ARCS_PER_SPHERE * spheres.radii.shape[0], dtype=jnp.int32)
+    return sphere_arcs(film_map(camera), spheres, ids)
+
+
+@eqx.filter_jit
+def _layers_on_the_left(camera: Camera, scene: Scene) -> Int[Array, ""]:
+    return surrounding(film_map(camera), scene)
+
+
+def _pieces(camera: Camera, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return starts (n, 2), ends (n, 2) and weights (n,) of the whole contour, arcs sampled."""
+    parts = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))]
+    if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
+        for segments in _segments(camera, scene.mesh):
+            on = np.asarray(segments.weight) != 0
+            start, end, weight = (np.asarray(x, float)[on] for x in segments)
+            parts.append((start, end, weight))
+    if scene.spheres is not None and scene.spheres.radii.shape[0]:
+        arcs = _arcs(camera, scene.spheres)
+        begin, until = (np.arctan2(w[:, 1], w[:, 0]) for w in map(np.asarray, arcs[1:3]))
+        turn = (until - begin) % (2 * np.pi)
+        angle = begin[:, None] + turn[:, None] * np.linspace(1e-6, 1 - 1e-6, 65)
+        w = np.stack([np.cos(angle), np.sin(angle)], axis=-1).astype(arcs.frame.dtype)
+        frames = np.broadcast_to(np.asarray(arcs.frame)[:, None], (*angle.shape, 3, 3))
+        points = np.asarray(film_at(jnp.asarray(frames), jnp.asarray(w)), float)
+        points = np.clip(points, -1e9, 1e9)[np.asarray(arcs.weight) != 0]
+        ends = points[:, :-1].reshape(-1, 2), points[:, 1:].reshape(-1, 2)
+        parts.append((*ends, np.ones(len(ends[0]))))
+    start, end, weight = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return start, end, weight
+
+
+def _winding(
+    points: np.ndarray, start: np.ndarray, end: np.ndarray, weight: np.ndarray
+) -> np.ndarray:
+    """Return how many layers lie over each point: signed crossings of the ray to its left."""
+    result = np.zeros(len(points))
+    for begin in range(0, len(points), 512):
+        x, y = points[begin : begin + 512, None].transpose(2, 0, 1)
+        spans = (start[:, 1] <= y) != (end[:, 1] <= y)
+        rise = np.where(start[:, 1] == end[:, 1], 1, end[:, 1] - start[:, 1])
+        at = start[:, 0] + (y - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
+        sign = np.where(end[:, 1] < start[:, 1], 1, -1)
+        result[begin : begin + 512] = np.sum(spans * (at < x) * sign * weight, axis=1)
+    return np.round(result)

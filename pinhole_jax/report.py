@@ -1,0 +1,318 @@
+"""One HTML page about a fit, complete in itself: pictures, parameters, what the mask cannot tell.
+
+Nothing is loaded from elsewhere; pictures are PNG in data URIs, the diagram is SVG.
+"""
+
+import base64
+import html
+import io as bytes_io
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from . import formats, plot
+from ._camera import Camera
+from ._fit import Fit
+from ._scene import Scene
+from ._target import shares
+from .io import replace_file
+
+MEANINGS = {
+    "converged": "The gradient vanishes, the masks overlap, every direction is determined.",
+    "ambiguous": "Converged, but other views explain the mask as well.",
+    "rank_deficient": "Converged, but some direction changes no pixel of the mask.",
+    "max_steps": "Stopped while still moving: not to be trusted.",
+    "no_overlap": "Object and mask hardly overlap: something else was found than the object.",
+    "saturated": "The object covers the whole film: there is no outline to follow.",
+    "non_finite": "NaN or infinity turned up.",
+}
+PARAMETERS = {
+    "rotation_b1": "pitch (about b1, right)",
+    "rotation_b2": "yaw (about b2, up)",
+    "rotation_v": "roll (about v, forward)",
+    "phi": "phi, vertical field of view",
+    "principal_x": "principal point x",
+    "principal_y": "principal point y",
+}
+#: The file that shows each format; a folder's files are shown one after another.
+FILES = {
+    "json": "camera.json",
+    "opencv": "camera.yaml",
+    "colmap": "colmap",
+    "nerf": "transforms.json",
+    "blender-script": "camera.py",
+    "gltf": "camera.gltf",
+    "pytorch3d": "pytorch3d.json",
+    "mitsuba": "camera.xml",
+}
+#: A band is drawn wider by a round factor until its median half width is about this (px).
+BAND_PX = 2.5
+#: An object that takes less than this share of the picture is shown enlarged, too.
+SMALL = 0.3
+
+
+class Row(NamedTuple):
+    """A fitted parameter in words, its value (None for a small turn), one sigma, the unit."""
+
+    words: str
+    value: float | None
+    std: float
+    unit: str
+
+
+def parameters(fit: Fit) -> list[Row]:
+    """Return the fitted parameters with their standard errors; angles in degrees."""
+    camera = fit.camera
+    values = {
+        **{f"e_{x}": float(camera.e[k]) for k, x in enumerate("xyz")},
+        "phi": float(camera.phi),
+        "d": float(camera.d),
+    }
+    if camera.lens is not None:
+        values["principal_x"], values["principal_y"] = map(float, camera.lens.principal_point)
+        values["aspect"] = float(camera.lens.aspect)
+    rows = []
+    for name, std in zip(fit.names, fit.std.tolist(), strict=True):
+        angle = name.startswith("rotation") or name == "phi"
+        unit = "deg" if angle else "px" if name.startswith("principal") else "world"
+        factor = 180 / np.pi if angle else 1.0
+        value = values[name] * factor if name in values else None
+        rows.append(
+            Row(PARAMETERS.get(name, name), value, std * factor, "" if name == "aspect" else unit)
+        )
+    return rows
+
+
+def write(
+    path: str | os.PathLike,
+    fit: Fit,
+    scene: Scene,
+    target: np.ndarray,
+    photo: np.ndarray | None = None,
+    title: str = "Camera from a mask",
+) -> None:
+    """Write `page` to a file, whole or not at all.
+
+    Raises ValueError as `page` does, and for a path that cannot be written.
+    """
+    text = page(fit, scene, target, photo, title)
+    replace_file(path, lambda temporary: temporary.write_text(text, encoding="utf-8"), ".html")
+
+
+def page(
+    fit: Fit,
+    scene: Scene,
+    target: np.ndarray,
+    photo: np.ndarray | None = None,
+    title: str = "Camera from a mask",
+) -> str:
+    """Return a fit as an HTML page.
+
+    `target` is the mask as `fit_camera` took it, `photo` what to draw the outline on (uint8 of the
+    camera's size; None: the mask).
+
+    Raises ValueError for images that are not of the camera's size, and for a fit that is not
+    finite: there is no camera to show.
+    """
+    if fit.status == "non_finite":
+        raise ValueError("`fit`: expected a finite camera, got status non_finite")
+    from . import __version__
+
+    mask = np.asarray(target)
+    if photo is None:
+        photo = np.round(255 * shares(mask).clip(0, 1)).astype(np.uint8)
+    sections = [
+        _section("Outline", _outline_pictures(fit, scene, photo)),
+        _section("Where mask and camera differ", _error_picture(fit, scene, mask)),
+        _section("Parameters", _parameter_table(fit)),
+        _section("Correlations", _correlation_table(fit)),
+        _section("What the mask does not tell", _unknown(fit)),
+        _section("Convergence", _convergence(fit, scene)),
+        _section("Object and camera", _view(fit, scene)),
+        _section("The camera for other programs", "".join(_files(fit.camera))),
+    ]
+    camera, name = fit.camera, html.escape(title)
+    facts = {
+        "IoU": f"{fit.iou:.4f}",
+        "rms of coverage": f"{fit.rms:.2g}",
+        "steps": str(sum(fit.steps)),
+        "picture": f"{camera.W} x {camera.H} px",
+    }
+    shown = "".join(f"<div><dt>{k}</dt><dd>{v}</dd></div>" for k, v in facts.items())
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{name}</title><style>{STYLE}</style></head><body>"
+        f"<header><h1>{name}</h1>"
+        f'<p class="status {fit.status}"><b>{fit.status}</b> {MEANINGS[fit.status]}</p>'
+        f"<dl>{shown}</dl></header><main>{''.join(sections)}</main>"
+        f"<footer>pinhole_jax {__version__}</footer></body></html>\n"
+    )
+
+
+def _section(heading: str, body: str) -> str:
+    key = heading.lower().replace(" ", "-")
+    return f'<section id="{key}"><h2>{heading}</h2>{body}</section>\n'
+
+
+def _figure(image: np.ndarray, words: str) -> str:
+    from PIL import Image
+
+    buffer = bytes_io.BytesIO()
+    Image.fromarray(image).save(buffer, "PNG", optimize=True)
+    data = base64.b64encode(buffer.getvalue()).decode()
+    return (
+        f'<figure><img alt="{words}" src="data:image/png;base64,{data}">'
+        f"<figcaption>{words}</figcaption></figure>"
+    )
+
+
+def _outline_pictures(fit: Fit, scene: Scene, photo: np.ndarray) -> str:
+    sigma = plot.outline_sigma(fit, scene)
+    shown = sigma[sigma > 0]
+    if shown.size:
+        middle = float(np.median(shown))
+        factor = 1.0 if middle >= BAND_PX / 2 else 10.0 ** np.round(np.log10(BAND_PX / middle))
+        drawn = "" if factor == 1 else f", drawn {factor:g} times as wide"
+        words = f"The recovered outline and its one-sigma band (yellow{drawn})."
+        words += f" One sigma is {middle:.2g} px (median; largest {shown.max():.2g} px)"
+        lost = int(np.sum(~np.isfinite(fit.std)))
+        words += f"; {lost} parameters are not determined and left out." if lost else "."
+    else:
+        factor, words = 1.0, "The recovered outline. The mask determines no parameter: no band."
+    band = factor * sigma
+    whole = plot.overlay(photo, fit.camera, scene, band_px=band)
+    left, top, right, bottom = window = plot.object_window(fit.camera, scene)
+    if (right - left) * (bottom - top) > SMALL * fit.camera.W * fit.camera.H:
+        return _figure(whole, words)
+    part = plot.overlay(photo, fit.camera, scene, band_px=band, window=window)
+    return _figure(whole, "The whole picture.") + _figure(part, words)
+
+
+def _error_picture(fit: Fit, scene: Scene, mask: np.ndarray) -> str:
+    window = plot.object_window(fit.camera, scene)
+    image = plot.error_map(fit.camera, scene, mask, window=window)
+    return _figure(
+        image,
+        "Orange: the camera sees the object where the mask has none; blue: the mask has it and the"
+        " camera does not; grey: both.",
+    )
+
+
+def _parameter_table(fit: Fit) -> str:
+    rows = "".join(
+        f"<tr><th>{html.escape(row.words)}</th>"
+        f"<td>{'–' if row.value is None else f'{row.value:.6g}'}</td>"
+        f"<td>{f'{row.std:.2g}' if np.isfinite(row.std) else 'not determined'}</td>"
+        f"<td>{row.unit}</td></tr>"
+        for row in parameters(fit)
+    )
+    return (
+        "<table><thead><tr><th>parameter</th><th>value</th><th>one sigma</th><th>unit</th></tr>"
+        f"</thead><tbody>{rows}</tbody></table><p>Turns are small ones about the camera's own axes,"
+        " away from the fitted camera. Sigmas assume pixels that err independently, and a mesh"
+        " without error; where a mask errs along stretches of its outline they are too small.</p>"
+    )
+
+
+def _correlation_table(fit: Fit) -> str:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        matrix = fit.covariance / np.outer(fit.std, fit.std)
+    heads = "".join(f"<th>{html.escape(name)}</th>" for name in fit.names)
+    rows = []
+    for name, line in zip(fit.names, matrix, strict=True):
+        cells = []
+        for r in line:
+            if np.isfinite(r):
+                hue = "230,90,20" if r > 0 else "30,110,210"
+                cells.append(f'<td style="background:rgba({hue},{abs(r) * 0.6:.2f})">{r:.2f}</td>')
+            else:
+                cells.append("<td>–</td>")
+        rows.append(f"<tr><th>{html.escape(name)}</th>{''.join(cells)}</tr>")
+    return (
+        f'<table class="matrix"><thead><tr><th></th>{heads}</tr></thead>'
+        f"<tbody>{''.join(rows)}</tbody></table><p>Near 1 or -1, the mask tells a combination of"
+        " two parameters far better than each of them.</p>"
+    )
+
+
+def _unknown(fit: Fit) -> str:
+    words = [html.escape(w[:1].upper() + w[1:]) + "." for w in fit.weak]
+    for n, mode in enumerate(fit.modes, 1):
+        eye = ", ".join(f"{float(x):.4g}" for x in mode.camera.e)
+        words.append(f"View {n} explains the mask as well: eye ({eye}), IoU {mode.iou:.4f}.")
+    if not words:
+        return "<p>Every parameter that was fitted is well determined; no other view was found.</p>"
+    return "<ul>" + "".join(f"<li>{w}</li>" for w in words) + "</ul>"
+
+
+def _convergence(fit: Fit, scene: Scene) -> str:
+    if not fit.history:
+        return "<p>The way to the camera was not recorded.</p>"
+    rows = "".join(
+        f"<tr><th>{'start' if n == 0 else f'{stop.W} x {stop.H} px'}</th><td>{stop.steps}</td>"
+        f"<td>{off:.3g}</td></tr>"
+        for n, (stop, off) in enumerate(zip(fit.history, plot.off_px(fit, scene), strict=True))
+    )
+    return (
+        f'<figure class="diagram">{plot.convergence(fit, scene)}<figcaption>How far the outline is'
+        " from its last place, by steps; each band is a level of the picture, coarse to fine."
+        f"</figcaption></figure><table><thead><tr><th>level</th><th>steps</th><th>outline off, px"
+        f"</th></tr></thead><tbody>{rows}</tbody></table>"
+    )
+
+
+def _view(fit: Fit, scene: Scene) -> str:
+    words = (
+        "The object, and the camera's frustum up to the film through the object; the tick is up."
+    )
+    return _figure(plot.scene_view(fit.camera, scene), words)
+
+
+def _files(camera: Camera) -> Iterator[str]:
+    """Yield each format's text, or why it cannot hold the camera."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name, file in FILES.items():
+            path = Path(folder) / file
+            try:
+                formats.write(path, {"camera": camera}, name)
+            except ValueError as error:
+                words = html.escape(str(error))
+                yield f"<details><summary>{name}</summary><p>{words}</p></details>"
+                continue
+            written = sorted(path.iterdir()) if path.is_dir() else [path]
+            for part in written:
+                text = part.read_text(encoding="utf-8")
+                data = base64.b64encode(text.encode()).decode()
+                yield (
+                    f"<details><summary>{name} <code>{part.name}</code></summary>"
+                    f'<a download="{part.name}" href="data:text/plain;base64,{data}">save</a>'
+                    f"<pre>{html.escape(text)}</pre></details>"
+                )
+
+
+STYLE = """
+body{margin:0 auto;max-width:880px;padding:24px;color:#1c2b36;background:#fff;
+ font:16px/1.5 system-ui,sans-serif}
+h1{font-size:26px;margin:0 0 8px;overflow-wrap:anywhere}
+h2{font-size:19px;margin:40px 0 10px;padding-top:14px;border-top:1px solid #d8e0e6}
+.status{padding:10px 14px;border-radius:6px;background:#fbe5d6}
+.status.converged{background:#dff1e4}
+.status b{margin-right:6px}
+dl{display:flex;flex-wrap:wrap;gap:8px 36px;margin:0}
+dt{font-size:13px;color:#5b7080}dd{margin:0;font-size:20px}
+figure{margin:0 0 18px}img{max-width:100%;height:auto;display:block;border-radius:4px}
+svg{max-width:100%;height:auto}
+figcaption,p,li{font-size:15px}figcaption,footer{color:#5b7080}
+table{border-collapse:collapse;font-size:14px;font-variant-numeric:tabular-nums;max-width:100%}
+th{text-align:left;font-weight:500}thead th{color:#5b7080;font-size:13px}
+td,th{padding:4px 14px 4px 0;border-bottom:1px solid #eef2f5}td,thead th+th{text-align:right}
+.matrix td{padding:5px 8px}.matrix th{padding-right:8px;font-size:13px}
+details{margin:6px 0}summary{cursor:pointer}
+pre{overflow:auto;max-height:340px;background:#f4f7f9;padding:12px;border-radius:4px;font-size:13px}
+footer{margin-top:48px;font-size:13px}
+"""

@@ -1,0 +1,155 @@
+import base64
+import io as bytes_io
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_plot import AHEAD, SQUARE, fit_of, way_to
+
+import pinhole_jax as pj
+from pinhole_jax import formats, report
+
+NAMES = ("rotation_b2", "e_x", "e_z")
+MASK = np.zeros((80, 96), bool)
+MASK[15:66, 25:76] = True  # some px too far right
+FIT = fit_of(AHEAD, NAMES, [1e-4, 5e-4, np.inf], way_to(AHEAD))._replace(
+    weak=("the distance against <the focal length> is not visible",), status="rank_deficient"
+)
+BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "chrome")
+
+
+class Page(HTMLParser):
+    """What a page holds: tags with their attributes and section, text by section, open tags."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.text, self.section = [], [], {}, "header"
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes), self.section))
+        if tag == "section":
+            self.section = dict(attributes)["id"]
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text[self.section] = self.text.get(self.section, "") + data
+
+    def all(self, tag, section=None):
+        return [a for t, a, s in self.tags if t == tag and section in (None, s)]
+
+
+def data_of(uri):
+    return base64.b64decode(uri.partition(";base64,")[2])
+
+
+@pytest.fixture(scope="module")
+def text(tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "deep" / "page.html"
+    report.write(path, FIT, SQUARE, MASK, title="part <b>1</b> & mask")
+    return path.read_text(encoding="utf-8")
+
+
+def test_the_page_has_all_its_sections_and_nothing_from_elsewhere(text):
+    page = Page(text)
+    assert page.open == []
+    assert [a["id"] for a in page.all("section")] == [
+        "outline",
+        "where-mask-and-camera-differ",
+        "parameters",
+        "correlations",
+        "what-the-mask-does-not-tell",
+        "convergence",
+        "object-and-camera",
+        "the-camera-for-other-programs",
+    ]
+    assert page.all("script") == page.all("link") == []
+    for a in page.all("img") + page.all("a"):
+        assert a.get("src", a.get("href")).startswith("data:")
+    assert text.count("http") == 1  # the name of SVG
+    assert "part <b>1</b> & mask" in page.text["header"]
+    assert page.all("b") == [{}]
+    assert page.all("p")[0]["class"] == "status rank_deficient"
+
+
+def test_pictures_decode_and_tables_have_a_row_for_each_parameter(text):
+    page = Page(text)
+    for section in ("outline", "where-mask-and-camera-differ", "object-and-camera"):
+        (picture,) = page.all("img", section)
+        image = np.asarray(Image.open(bytes_io.BytesIO(data_of(picture["src"]))))
+        assert image.shape[2] == 3
+        assert max(image.shape) >= 800
+        assert np.ptp(image) > 100
+    assert len(page.all("tr", "parameters")) == 1 + len(NAMES)
+    assert "not determined" in page.text["parameters"]
+    assert len(page.all("td", "correlations")) == len(NAMES) ** 2
+    assert "1.00" in page.text["correlations"]
+    assert "<the focal length> is not visible." in page.text["what-the-mask-does-not-tell"]
+    assert re.search(r"one-sigma band \(yellow, drawn 10+ times as wide\)", page.text["outline"])
+    assert "1 parameters are not determined" in page.text["outline"]
+    assert len(page.all("tr", "convergence")) == 1 + len(FIT.history)
+    assert "48 x 40 px" in page.text["convergence"]
+
+
+def test_the_page_holds_the_camera_in_every_format(text, tmp_path):
+    files = {a["download"]: data_of(a["href"]) for a in Page(text).all("a")}
+    assert {"camera.py", "images.txt", "cameras.txt"} < set(files)
+    for name in ("camera.json", "camera.yaml", "transforms.json", "camera.gltf", "camera.xml"):
+        (tmp_path / name).write_bytes(files[name])
+        (camera,) = formats.read(tmp_path / name, size=(96, 80)).values()
+        assert max(map(float, pj.pose_error(camera, AHEAD))) < 1e-6
+
+
+def test_a_camera_that_a_format_cannot_hold_is_said():
+    camera = pj.Camera(AHEAD.e, AHEAD.p, AHEAD.u, 0.6, 1.0, 96, 80, pj.Lens([40.0, 40], 1.0))
+    page = Page(report.page(fit_of(camera, ("e_x",), [1e-3]), SQUARE, MASK))
+    assert "camera.gltf" not in [a["download"] for a in page.all("a")]
+    assert "principal point" in page.text["the-camera-for-other-programs"]
+    assert "was not recorded" in page.text["convergence"]
+    assert "no other view was found" in page.text["what-the-mask-does-not-tell"]
+
+
+def test_what_makes_no_page_is_refused():
+    with pytest.raises(ValueError, match="`fit`: expected a finite camera, got status non_finite"):
+        report.page(FIT._replace(status="non_finite"), SQUARE, MASK)
+    with pytest.raises(ValueError, match="`image`: expected the camera's size"):
+        report.page(FIT, SQUARE, MASK, np.zeros((9, 9), np.uint8))
+
+
+def test_a_browser_shows_it(text, tmp_path):
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is installed")
+    # A script of the test's own writes down what the browser made of the page.
+    measure = """<script>onload=()=>{const r=document.documentElement,
+      i=[...document.images].map(x=>x.naturalWidth>0&&x.getBoundingClientRect().width>300),
+      s=[...document.querySelectorAll('section')].map(x=>x.getBoundingClientRect().height>40),
+      g=document.querySelector('svg').getBoundingClientRect();
+      document.body.id=[i.length,i.every(x=>x),s.length,s.every(x=>x),
+        r.scrollWidth<=innerWidth,g.width>400&&g.height>150].join()}</script>"""
+    path = tmp_path / "page.html"
+    path.write_text(text.replace("</body>", measure + "</body>"), encoding="utf-8")
+    common = (browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars")
+    size = ("--window-size=1000,4200", f"--user-data-dir={tmp_path / 'user'}")
+    ask = lambda what: subprocess.run(
+        [*common, *size, what, path.as_uri()], capture_output=True, timeout=120, check=True
+    )
+    assert b'<body id="3,true,8,true,true,true">' in ask("--dump-dom").stdout
+    ask(f"--screenshot={tmp_path / 'page.png'}")
+    shot = np.asarray(Image.open(tmp_path / "page.png").convert("RGB")).astype(int)
+    assert shot.shape == (4200, 1000, 3)
+    near = lambda colour: np.sum(np.max(np.abs(shot - colour), axis=2) < 8)
+    assert near((251, 229, 214)) > 20_000  # the status, not to be trusted
+    assert near((0, 240, 255)) > 300  # the outline
+    assert near((230, 90, 20)) > 500  # the mask's error
+    assert near((238, 242, 246)) > 5_000  # levels of the diagram
+    assert near((255, 255, 255)) > 0.4 * shot[..., 0].size
