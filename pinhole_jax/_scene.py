@@ -217,7 +217,8 @@ def in_front(planes: Planes, e: Float[Array, "3"]) -> Bool[Array, "*F"]:
 
 def faces_eye(normal, corner, e: Float[Array, "3"]) -> Bool[Array, "*F"]:
     """Return whether an eye is before planes, given x, y and z of normals and corners."""
-    return sum(normal[k] * (e[k] - corner[k]) for k in range(3)) > 0
+    x, y, z = (normal[k] * (e[k] - corner[k]) for k in range(3))
+    return x + y + z > 0
 
 
 def undecided(clusters: Clusters, e: Float[Array, "3"]) -> Bool[Array, "N"]:
