@@ -200,7 +200,7 @@ def _culled(
         # One list of faces: the same rounding on both sides of an edge.
         both = jnp.stack([faces[..., 0], jnp.maximum(second, 0)])
         plane = jax.lax.optimization_barrier(clusters.planes[both])
-        normal, corner = (jnp.moveaxis(x, -1, 0) for x in (plane[..., :3], plane[..., 3:]))
+        normal, corner = ([plane[..., k + i] for i in range(3)] for k in (0, 3))
         front = faces_eye(normal, corner, e)
         weight = jnp.where(edge < E, _weight(mesh, front[0], front[1], second), 0)
         words = words.at[cluster].set(_words(weight != 0), mode="drop")

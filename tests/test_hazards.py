@@ -134,7 +134,7 @@ def test_what_is_traced_and_no_camera_sees_nothing(name):
     image, direction, t, points = look(value)[1]
     np.testing.assert_array_equal(image, 0)
     np.testing.assert_allclose(points, np.tile([3, 2.5], (len(points), 1)))  # the principal point
-    view = np.asarray(CAMERA.p - CAMERA.e) if part == "u" else np.zeros(3)
+    view = np.array(CAMERA.p - CAMERA.e) if part == "u" else np.zeros(3)
     view /= max(np.linalg.norm(view), 1)
     np.testing.assert_allclose(direction, np.broadcast_to(view, direction.shape), atol=1e-15)
     assert part == "u" or np.all(np.isinf(t))
