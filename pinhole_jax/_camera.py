@@ -75,8 +75,8 @@ class Camera(eqx.Module):
     `W` or `H` below 1, more than 2^30 pixels, a lens whose image folds back within the film or
     reaches 90 degrees from the axis there. Arguments that are being traced are checked for shape
     only: where they make no camera (e = p, u along the view) all points project to the principal
-    point, a silhouette is 0, rays run along the view or are null and miss, and derivatives are
-    finite.
+    point, a silhouette is 0, rays run along the view (and are shorter than 1) or are null and miss,
+    and derivatives are finite.
     """
 
     e: Float[Array, "3"]
