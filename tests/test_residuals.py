@@ -76,7 +76,7 @@ def pixels_kept(camera, scene, level) -> np.ndarray:
             *((-1.2, 0, 0), True, 30, LENS),
             marks=pytest.mark.xfail(
                 strict=True,
-                reason="a bent outline at the film's side: the sum of squares is 5 % off",
+                reason="a bent outline at the film's side: squares are 5 % off",
             ),
         ),
     ],
