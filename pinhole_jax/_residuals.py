@@ -51,8 +51,8 @@ class Capacity(NamedTuple):
 class Touched(NamedTuple):
     """The pixels that the contour touches, in raster order; unused slots have `cell` past the end.
 
-    `coverage` is differentiable, and exact where `known`; `covered_after` tells whether the run of
-    untouched pixels that follows is covered.
+    `coverage` is differentiable, and exact where `known`; `covered_after` tells whether the
+    untouched pixels that follow in the row are covered, `covered_before` whether those before are.
     """
 
     cell: Int[Array, "P"]
@@ -60,6 +60,7 @@ class Touched(NamedTuple):
     known: Bool[Array, "P"]
     coverage: Float[Array, "P"]
     covered_after: Bool[Array, "P"]
+    covered_before: Bool[Array, ""]
 
 
 class Sums(NamedTuple):
@@ -106,12 +107,14 @@ def residuals(
     weight = jnp.where(touched.inside & touched.known, here.weight, 0)
     difference = jnp.sqrt(weight) * (touched.coverage - here.target)
 
-    # Runs of untouched pixels: before the first slot, and after each.
-    first = jnp.zeros(1, jnp.int32)
-    begin = level_slice(pyramid, level, jnp.minimum(jnp.append(first, touched.cell + 1), end))
-    until = level_slice(pyramid, level, jnp.append(touched.cell, jnp.atleast_1d(end)))
-    covered = jnp.append(jnp.zeros(1, bool), touched.covered_after)
-    run = jax.tree.map(lambda a, b: b - a, begin, until)
+    # Runs of untouched pixels: after each slot up to the row's end, then up to the next slot.
+    begin = jnp.minimum(jnp.append(jnp.int32(-1), touched.cell) + 1, end)
+    until = jnp.append(touched.cell, end)
+    row_end = jnp.minimum(_row_start(level, begin + level.W + 1), until)
+    limits = level_slice(pyramid, level, jnp.stack([begin, row_end, until]))
+    run = jax.tree.map(lambda x: x[1:] - x[:-1], limits)
+    before = jnp.broadcast_to(touched.covered_before, until.shape)
+    covered = jnp.stack([jnp.append(before[:1], touched.covered_after), before])
     rest = jnp.sum(jnp.where(covered, run.full, run.empty))
 
     coverage = jax.lax.stop_gradient(touched.coverage)
@@ -136,6 +139,11 @@ def residuals(
     ok = load.fits(capacity) & lens_holds(camera, _part(level))
     ok = jnp.where(ok, 1, jnp.nan).astype(total.dtype)
     return (difference * ok, jnp.sqrt(jnp.maximum(rest, 0)) * ok), sums, load
+
+
+def _row_start(level: Level, cell: Int[Array, "P"]) -> Int[Array, "P"]:
+    """Return the first cell of the row that a cell is in."""
+    return cell - cell % (level.W + 2)
 
 
 def _part(level: Level) -> FilmPart:
@@ -216,7 +224,10 @@ def _by_pixel(pieces: _Sorted, base: Int[Array, ""], level: Level) -> Touched:
     cell, height, area, marked, change = jax.tree.map(lambda x: x[order], pieces)
     new = jnp.append(jnp.ones(1, bool), cell[1:] != cell[:-1])
     slot = jnp.cumsum(new) - 1
-    after = jnp.cumsum(height) + base.astype(height.dtype)
+    # Curves right of the film are left out: each row is summed up by itself.
+    start, running = _row_start(level, cell), jnp.cumsum(height)
+    of_row = jax.lax.cummax(jnp.where(start > jnp.append(-1, start[:-1]), jnp.arange(P), 0))
+    after = running - (running - height)[of_row] + base.astype(height.dtype)
     before = jnp.where(new, after - height, 0)
     last = jnp.append(cell[1:] != cell[:-1], jnp.ones(1, bool))
 
@@ -237,4 +248,4 @@ def _by_pixel(pieces: _Sorted, base: Int[Array, ""], level: Level) -> Touched:
     moves = known & (share > 0) & (share < 1)
     growth = jnp.where(moves, gather(change) / jnp.where(fold, 2, 1), 0)
     coverage = jnp.clip(share, 0, 1) + growth - jax.lax.stop_gradient(growth)
-    return Touched(cells, inside, known, coverage, winding_after > 0.5)
+    return Touched(cells, inside, known, coverage, winding_after > 0.5, base > 0)

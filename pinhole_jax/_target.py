@@ -256,6 +256,6 @@ def _raster(image: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.stack([np.append(target, 0), np.append(weight, 0), *sums])
 
 
-def level_slice(pyramid: Pyramid, level: Level, cell: Int[Array, "P"]) -> Pyramid:
+def level_slice(pyramid: Pyramid, level: Level, cell: Int[Array, "*P"]) -> Pyramid:
     """Return the pyramid's entries at a level's cells."""
     return jax.tree.map(lambda x: x[level.start + cell], pyramid)
