@@ -33,20 +33,25 @@ from ._coverage import Pieces
 from ._curves import moved, piece_flux
 from ._linear_map import linear_map
 from ._scene import Scene, Spheres, astype
+from ._sweep import Visible
 from ._union import (
     Crowded,
+    Kept,
     Marks,
     Part,
     Resolved,
     fold_cells,
+    fold_chosen,
     fold_curves,
     fold_pieces,
     marks,
+    nothing_kept,
     overlaps,
     turns,
 )
 
 CURVES_AT_A_TIME = 512
+PIECES_MOVED = 512
 
 
 def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Array, "H W"]:
@@ -112,11 +117,13 @@ class _Still(NamedTuple):
 
 class _Pixels(NamedTuple):
     """Which pixels one chain of contour crosses, and which are crowded, from the bottom row up; the
-    winding numbers at the pixels' lower left corners."""
+    winding numbers at the pixels' lower left corners; for the derivative, what is visible in the
+    crowded ones."""
 
     alone: Bool[Array, "N"]
     crowded: Selection
     corner: Float[Array, "N"]
+    kept: list[Kept]
 
 
 def _parts(moving: _Moving, still: _Still) -> list[Part]:
@@ -145,7 +152,7 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
 
 @jax.custom_jvp
 def _image(moving: _Moving, still: _Still) -> Float[Array, "H W"]:
-    return _resolve(moving, still)[0]
+    return _resolve(moving, still, keep=False)[0]
 
 
 @partial(_image.defjvp, symbolic_zeros=True)
@@ -187,11 +194,11 @@ def _image_jvp(primals: Any, tangents: Any):
     held = [x for x, m in zip(leaves, moves, strict=True) if not m]
     changing = [x for x, m in zip(leaves, moves, strict=True) if m]
     velocity = [t for t, m in zip(velocities, moves, strict=True) if m]
-    image, pixels = _resolve(moving, still)
+    image, pixels = _resolve(moving, still, keep=True)
     return image, linear_map(forward, transpose, (held, changing, still, pixels), velocity)
 
 
-def _resolve(moving: _Moving, still: _Still) -> tuple[Float[Array, "H W"], _Pixels]:
+def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "H W"], _Pixels]:
     """Return the image, and which pixels the contour crosses in which way."""
     film, parts = moving.film, _parts(moving, still)
     W, H, dtype = film.W, film.H, film.eye.dtype
@@ -231,16 +238,20 @@ def _resolve(moving: _Moving, still: _Still) -> tuple[Float[Array, "H W"], _Pixe
     none = jnp.zeros((H, W), bool)
     crowded = none if marked is None else overlaps(marked, winding)
     alone = ~crowded & (winding > 0) & (winding < 1)
-    pixels = _Pixels(alone.reshape(-1), select(crowded.reshape(-1)), corner)
+    kept = [nothing_kept(part) for part in parts if keep and told]
+    pixels = _Pixels(alone.reshape(-1), select(crowded.reshape(-1)), corner, kept)
     image = jnp.where(crowded, 0, jnp.clip(winding, 0, 1)).reshape(-1)
 
-    def add(image, resolved: Resolved):
-        return image.at[resolved.place].add(resolved.area, mode="drop")
+    def add(total, resolved: Resolved):
+        image, kept = total
+        image = image.at[resolved.place].add(resolved.area, mode="drop")
+        more = zip(kept, resolved.visible, strict=True)
+        return image, [k.append(resolved.place, visible) for k, visible in more]
 
     if told:
         args = (parts, _crowded(pixels, W), W, H, H, still.base)
-        image = fold_cells(*args, add, image, flux=False)
-    return _upright(image, film), pixels
+        image, kept = fold_cells(*args, add, (image, kept), flux=keep)
+    return _upright(image, film), pixels._replace(kept=kept)
 
 
 def _upright(flat: Float[Array, "N"], film: FilmMap) -> Float[Array, "H W"]:
@@ -280,31 +291,44 @@ def _fold_visible(
 
             def single(total, pieces: Pieces):
                 inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
-                pixel = jnp.where(inside, pieces.row * W + pieces.column, 0)
-                seen = inside & pixels.alone[pixel]
-                own = ids[pieces.curve]
-                held = jax.lax.stop_gradient(part.lifts(own))
-                rate = piece_flux(held, curves, pieces.start, pieces.end)
-                rate = jnp.where(seen[:, None, None], -pieces.jump[:, None, None] * rate, 0)
-                area = lambda changing: moved(build(changing)[number].lifts(own), rate)
-                return add(total, pixel, area, changing)
+                pixels_of = jnp.where(inside, pieces.row * W + pieces.column, 0)
+
+                def some(total, index, there):
+                    piece = jax.tree.map(lambda x: x[index], pieces)
+                    own = ids[piece.curve]
+                    held = jax.lax.stop_gradient(part.lifts(own))
+                    rate = piece_flux(held, curves, piece.start, piece.end)
+                    rate = jnp.where(there[:, None, None], -piece.jump[:, None, None] * rate, 0)
+                    area = lambda changing: moved(build(changing)[number].lifts(own), rate)
+                    return add(total, pixels_of[index], area, changing)
+
+                seen = inside & pixels.alone[pixels_of]
+                return fold_chosen(seen, PIECES_MOVED, some, total)
 
             return fold_pieces(curves, W, H, H, single, total)
 
         start = fold_curves(part, chunk, start, part.size)
 
-    def crowd(total, resolved: Resolved):
+    def crowd(total, place, visible: Visible, number: int):
+        lifts = lambda changing: build(changing)[number].lifts(visible.curve)
+        return add(total, place, lambda c: moved(lifts(c), visible.flux), changing)
+
+    def again(total, resolved: Resolved):
         for number, visible in enumerate(resolved.visible):
-            flux = visible.flux.reshape(-1, *visible.flux.shape[2:])
-            of = lambda c: build(c)[number].lifts(visible.curve.reshape(-1))  # noqa: B023
-            place = jnp.broadcast_to(resolved.place[:, None], visible.curve.shape).reshape(-1)
-            total = add(total, place, lambda c: moved(of(c), flux), changing)  # noqa: B023
+            place = jnp.broadcast_to(resolved.place[:, None], visible.curve.shape)
+            flat = lambda x: x.reshape(-1, *x.shape[2:])
+            total = crowd(total, flat(place), jax.tree.map(flat, visible), number)
         return total
 
     if still.overlap is None:
         return start
-    args = (parts, _crowded(pixels, W), W, H, H, still.base)
-    return fold_cells(*args, crowd, start, flux=True)
+    complete = jnp.stack([kept.complete for kept in pixels.kept]).all()
+    for number, kept in enumerate(pixels.kept):
+        kept = kept._replace(used=jnp.where(complete, kept.used, 0))
+        start = kept.fold(partial(crowd, number=number), start)
+    crowded = _crowded(pixels, W)
+    crowded = crowded._replace(total=jnp.where(complete, 0, crowded.total))
+    return fold_cells(parts, crowded, W, H, H, still.base, again, start, flux=True)
 
 
 def _row_sums(deltas: Float[Array, "H W"]) -> Float[Array, "H W"]:

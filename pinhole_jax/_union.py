@@ -32,7 +32,11 @@ PARENTS = CELLS // CUT**2
 LAST_CUT = {"float32": 4, "float64": 8}
 PIECES = 2048
 INSERTED = 256
-WIDE_CELLS = 16
+#: Visible pieces kept for the derivative (where there are more, cells are resolved again).
+KEPT = 1 << 12
+KEPT_AT_A_TIME = 512
+#: How many cells are swept together: of few pieces, and of more.
+SWEPT = {NARROW: 128, WIDE: 8}
 
 
 class Part(NamedTuple):
@@ -65,6 +69,50 @@ class Resolved(NamedTuple):
     place: Int[Array, "C"]
     area: Float[Array, "C"]
     visible: list[Visible]
+
+
+class Kept(NamedTuple):
+    """The visible pieces of one part in crowded pixels, for the derivative: their places, curves
+    and flux. If more than there is room for are `used`, they are not complete."""
+
+    place: Int[Array, "N"]
+    visible: Visible
+    used: Int[Array, ""]
+
+    @property
+    def complete(self) -> Bool[Array, ""]:
+        """Return whether all visible pieces are here."""
+        return self.used <= self.place.shape[0]
+
+    def append(self, place: Int[Array, "C"], more: Visible) -> "Kept":
+        """Return these and those of cells at `place` that are visible."""
+        seen = jnp.any(more.flux != 0, axis=(-2, -1))
+        upto = self.used + jnp.cumsum(seen.reshape(-1), dtype=jnp.int32).reshape(seen.shape)
+        slot = jnp.where(seen, upto - 1, self.place.shape[0])
+        put = lambda old, new: old.at[slot].set(new, mode="drop")
+        place = jnp.broadcast_to(place[:, None], seen.shape)
+        return Kept(put(self.place, place), jax.tree.map(put, self.visible, more), upto[-1, -1])
+
+    def fold(self, add: Callable[[Any, Array, Visible], Any], start: Any) -> Any:
+        """Return `start` after `add(total, place, visible)` over all, `KEPT_AT_A_TIME`."""
+
+        def body(state):
+            first, total = state
+            cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, KEPT_AT_A_TIME)
+            return first + KEPT_AT_A_TIME, add(
+                total, *jax.tree.map(cut, (self.place, self.visible))
+            )
+
+        used = jnp.where(self.complete, self.used, 0)
+        return jax.lax.while_loop(lambda s: s[0] < used, body, (jnp.int32(0), start))[1]
+
+
+def nothing_kept(part: Part) -> Kept:
+    """Return room for the visible pieces of a part."""
+    lift = jax.eval_shape(part.lifts, jnp.zeros(KEPT, jnp.int32))
+    nowhere = jnp.full(KEPT, jnp.iinfo(jnp.int32).max, jnp.int32)
+    visible = Visible(jnp.zeros(KEPT, jnp.int32), jnp.zeros(lift.shape, lift.dtype))
+    return Kept(nowhere, visible, jnp.int32(0))
 
 
 class _Stack(NamedTuple):
@@ -194,8 +242,7 @@ def fold_cells(
             place = jnp.where(swept.place >= 0, swept.place, jnp.iinfo(jnp.int32).max)
             return add(total, Resolved(place, area / (batch.scale * batch.scale), visible))
 
-        total = resolve(total, swept.narrow())
-        total = swept.fold_wide(resolve, total)
+        total = swept.fold(resolve, total)
         stack = stack.push(cut, jnp.minimum(level + 1, depth), batch)
         return jnp.where(level == 0, first + CELLS, first), stack, total
 
@@ -214,26 +261,22 @@ class _Swept(NamedTuple):
     origin: Float[Array, "C 2"]
     place: Int[Array, "C"]
 
-    def narrow(self) -> "_Swept":
-        """Return the cells of at most `NARROW` pieces, at their places among the others."""
-        few = self.cells.total <= NARROW
-        piece = jnp.where(few[:, None, None], self.cells.piece[:, :NARROW], 0)
-        cells = Cells(piece, self.cells.owner[:, :NARROW], self.cells.total)
-        return self._replace(cells=cells, place=jnp.where(few, self.place, -1))
+    def fold(self, add: Callable[[Any, "_Swept"], Any], start: Any) -> Any:
+        """Return `start` after `add(total, swept)` over the cells, those of few pieces first."""
+        least = 0
+        for most, number in SWEPT.items():
 
-    def fold_wide(self, add: Callable[[Any, "_Swept"], Any], start: Any) -> Any:
-        """Return `start` after `add(total, swept)` over the other cells, a few at a time."""
-        chosen = select(self.cells.total > NARROW)
+            def some(total, cell, there, most=most):
+                place = jnp.where(there, self.place[cell], -1)
+                piece, owner = self.cells.piece[cell, :most], self.cells.owner[cell, :most]
+                cells = Cells(piece, owner, self.cells.total[cell])
+                return add(total, _Swept(cells, self.corner[cell], self.origin[cell], place))
 
-        def body(state):
-            rank, total = state
-            some = rank + jnp.arange(WIDE_CELLS, dtype=jnp.int32)
-            cell = jnp.minimum(nth(chosen, some), CELLS - 1)
-            taken = jax.tree.map(lambda x: x[cell], self)
-            place = jnp.where(some < chosen.total, taken.place, -1)
-            return rank + WIDE_CELLS, add(total, taken._replace(place=place))
-
-        return jax.lax.while_loop(lambda s: s[0] < chosen.total, body, (jnp.int32(0), start))[1]
+            total = self.cells.total
+            chosen = (self.place >= 0) & (total >= least) & (total <= most)
+            start = fold_chosen(chosen, number, some, start)
+            least = most + 1
+        return start
 
 
 class _Batch(NamedTuple):
@@ -312,6 +355,24 @@ def fold_pieces(
     return jax.lax.while_loop(lambda s: s[0] < upto[-1], body, (jnp.int32(0), start))[1]
 
 
+def fold_chosen(
+    which: Bool[Array, "K"], number: int, add: Callable[[Any, Array, Array], Any], start: Any
+) -> Any:
+    """Return `start` after `add(total, index, there)` over the chosen indices, `number` at a time.
+
+    `there` is False for what fills up the last turn.
+    """
+    chosen = select(which)
+
+    def body(state):
+        rank, total = state
+        some = rank + jnp.arange(number, dtype=jnp.int32)
+        index = jnp.minimum(nth(chosen, some), which.shape[0] - 1)
+        return rank + number, add(total, index, some < chosen.total)
+
+    return jax.lax.while_loop(lambda s: s[0] < chosen.total, body, (jnp.int32(0), start))[1]
+
+
 def _fill(
     cells: Cells, number: int, part: Part, crowded: Crowded, first: Array, batch: _Batch
 ) -> tuple[Cells, Float[Array, "C"]]:
@@ -366,17 +427,13 @@ def _near(curves: Curves, batch: _Batch) -> Bool[Array, "K"]:
 
 def _insert_all(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, ids: Array, part: int):
     """Return the cells with those pieces that have one, `INSERTED` at a time."""
-    chosen = select(cell < CELLS)
 
-    def body(state):
-        rank, cells = state
-        some = rank + jnp.arange(INSERTED, dtype=jnp.int32)
-        index = jnp.minimum(nth(chosen, some), cell.shape[0] - 1)
+    def some(cells, index, there):
         taken = jax.tree.map(lambda x: x[index], pieces)
-        at = jnp.where(some < chosen.total, cell[index], CELLS)
-        return rank + INSERTED, insert(cells, at, taken, ids[taken.curve], part)
+        at = jnp.where(there, cell[index], CELLS)
+        return insert(cells, at, taken, ids[taken.curve], part)
 
-    return jax.lax.while_loop(lambda s: s[0] < chosen.total, body, (jnp.int32(0), cells))[1]
+    return fold_chosen(cell < CELLS, INSERTED, some, cells)
 
 
 def _child_turns(curves: Curves) -> Float[Array, "C"]:

@@ -124,14 +124,21 @@ def test_a_lens_moves_and_stretches_the_image():
 
 
 def test_no_number_of_contour_edges_or_pieces_is_too_many(monkeypatch):
-    vertices, faces = bumpy()
-    scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
+    mesh = shapes.bumpy(3, bumps=0.05)
+    scene = pj.Scene(mesh=pj.Mesh(mesh.vertices, mesh.faces))
     camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.1, 1, 0], 0.6, W=W, H=H + 1)
+    simple = pj.silhouette(camera, scene, overlaps=False)
     image = pj.silhouette(camera, scene)
+    assert np.sum(np.abs(image - simple) > 1e-6) > 4
     weight = jnp.asarray(np.random.default_rng(0).normal(size=image.shape))
     gradient = eqx.filter_grad(lambda c: jnp.sum(weight * pj.silhouette(c, scene)))(camera)
     monkeypatch.setattr("pinhole_jax._silhouette.CURVES_AT_A_TIME", 16)
+    monkeypatch.setattr("pinhole_jax._silhouette.PIECES_MOVED", 4)
     monkeypatch.setattr("pinhole_jax._union.PIECES", 8)
+    # So many pieces are visible in crowded pixels that these are resolved again.
+    monkeypatch.setattr("pinhole_jax._union.KEPT", 4)
+    monkeypatch.setattr("pinhole_jax._union.KEPT_AT_A_TIME", 2)
+    monkeypatch.setattr("pinhole_jax._union.SWEPT", {8: 32, 24: 2})
     jax.clear_caches()
     np.testing.assert_allclose(pj.silhouette(camera, scene), image, atol=1e-13)
     again = eqx.filter_grad(lambda c: jnp.sum(weight * pj.silhouette(c, scene)))(camera)
