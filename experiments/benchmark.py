@@ -91,6 +91,11 @@ def seconds(call: Callable[[], Any]) -> float:
     return time.perf_counter() - begin
 
 
+def let_go() -> None:
+    """Let go of compiled programs: each takes memory maps, of which a process may have 65530."""
+    jax.clear_caches()
+
+
 def timed(calls: dict[str, Callable[[], Any]]) -> dict[str, dict[str, float]]:
     """Return seconds of the first call, and the median of later ones, all systems taking turns.
 
@@ -505,6 +510,7 @@ def faces(peers: Peers) -> dict:
             say(f"{len(shape.faces)} faces", name, entry)
         listed = ", ".join(f"{name} {1e3 * s:.3g} ms" for name, s in built.items())
         print(f"  {len(shape.faces)} faces: to build: {listed}", flush=True)
+        let_go()
     last = growth[max(growth, key=int)]
     ratios = {
         **grown(growth, "faces times 1024"),
@@ -529,6 +535,7 @@ def resolution(peers: Peers) -> dict:
         growth[str(size)] = costs
         for name, entry in costs.items():
             say(f"{size} px", name, entry)
+        let_go()
     return {"by": growth, "faces": len(shape.faces), "ratios": grown(growth, "pixels times 1024")}
 
 
@@ -756,6 +763,7 @@ def main() -> None:
     for name in asked:
         print(f"{name}:", flush=True)
         answers[name] = QUESTIONS[name](peers)
+        let_go()
         written = {"verdict": verdict(answers), **facts, "answers": answers}
         (place / "benchmark.json").write_text(json.dumps(written, indent=1) + "\n")
     draw(answers, place / "benchmark.png")

@@ -174,7 +174,8 @@ def _fit(options: argparse.Namespace) -> int:
         scene = Scene(mesh=io.load_mesh(options.mesh))
         progress.say("fitting (compiling on the first run)")
         told = lambda level: progress.say(str(level))
-        fit = fit_camera(scene, mask, start, free, phi=phi, weight=weight, progress=told)
+        given = {"phi": phi, "weight": weight, "record": options.report is not None}
+        fit = fit_camera(scene, mask, start, free, progress=told, **given)
         progress.say("drawing")
         drawing = overlay(picture, fit.camera, scene)
     folder = Path(options.output)

@@ -52,7 +52,7 @@ FLOOR = 1000
 
 
 class Progress(NamedTuple):
-    """What `progress` is told after each level: the camera so far, the level in px, its steps."""
+    """How far a fit has come: the camera so far, the level in px, the steps since the last word."""
 
     camera: Camera
     W: int
@@ -83,8 +83,8 @@ class Fit(NamedTuple):
     - `weak`: directions that the mask determines badly or not at all, in words; last, if so, how
       much of the outline is far from the mask's edge.
     - `modes`: other cameras that a search found to explain the mask as well, the best first.
-    - `history`: the way to `camera`, from the start (0 steps) to the end of each level; empty for
-      fits of several cameras.
+    - `history`: the way to `camera`, from the start (0 steps) to the end of each level, or with
+      `record` of each step; empty for fits of several cameras.
     """
 
     camera: Camera
@@ -113,6 +113,7 @@ def fit_camera(
     bounds: Mapping[str, Any] | None = None,
     max_steps: int = 64,
     progress: Callable[[Progress], None] | None = None,
+    record: bool = False,
 ) -> Fit:
     """Return the camera whose silhouette of the scene is closest to a mask, with error bars.
 
@@ -134,6 +135,7 @@ def fit_camera(
     - `bounds`: between what phi, aspect or a coefficient of distortion is to stay, if free. One
       that ends at a bound is no longer determined: the status is then "rank_deficient".
     - `max_steps`: a limit for each level. `progress` is called with a `Progress` after each level.
+      `record`: `history` shall have each step (takes some more ms).
 
     Levenberg-Marquardt (optimistix) minimises the weighted squared difference of exact coverage and
     target over the camera's pose and log focal length, on images from about 16 pixels across the
@@ -166,7 +168,7 @@ def fit_camera(
         return _fit(scene, Mask(image, weights, base), camera is None, names, settings)
 
     known = _prior(prior or {}, base, names), _bounds(bounds or {}, base, names)
-    settings = _Settings(outlier_px, max_steps, progress, *known)
+    settings = _Settings(outlier_px, max_steps, progress, *known, record)
     inputs = (scene, target, weight)
     if is_concrete(*jax.tree.leaves(inputs)):
         return run(inputs)[0]
@@ -181,6 +183,7 @@ class _Settings(NamedTuple):
     progress: Callable[[Progress], None] | None
     prior: Prior | None
     bounds: Bounds | None
+    record: bool
 
 
 def _prior(prior: Mapping, base: Camera, names: tuple[str, ...]) -> Prior | None:
@@ -236,6 +239,7 @@ def _fit(
         settings.max_steps,
         settings.bounds,
         settings.prior,
+        settings.record,
     )
 
     def told(stop: Stop) -> None:

@@ -177,16 +177,17 @@ def _image_jvp(primals: Any, tangents: Any):
     def forward(residuals, velocity):
         def add(image, pixel, area, changing):
             _, change = jax.jvp(area, (changing,), (velocity,))
-            return image.at[pixel].add(change, mode="drop")
+            return image.at[_top_down(pixel, film)].add(change, mode="drop")
 
-        return _upright(fold(residuals, add, jnp.zeros(film.H * film.W, film.eye.dtype)), film)
+        image = fold(residuals, add, jnp.zeros(film.H * film.W, film.eye.dtype))
+        return image.reshape(film.H, film.W)
 
     def transpose(residuals, cotangent):
-        cotangent = jnp.flip(cotangent, axis=0).reshape(-1)
+        cotangent = cotangent.reshape(-1)
 
         def add(total, pixel, area, changing):
             _, pull = jax.vjp(area, changing)
-            at_piece = cotangent.at[pixel].get(mode="fill", fill_value=0)
+            at_piece = cotangent.at[_top_down(pixel, film)].get(mode="fill", fill_value=0)
             return jax.tree.map(jnp.add, total, pull(at_piece)[0])
 
         return fold(residuals, add, jax.tree.map(jnp.zeros_like, residuals[1]))
@@ -240,22 +241,28 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
     alone = ~crowded & (winding > 0) & (winding < 1)
     kept = [nothing_kept(part) for part in parts if keep and told]
     pixels = _Pixels(alone.reshape(-1), select(crowded.reshape(-1)), corner, kept)
-    image = jnp.where(crowded, 0, jnp.clip(winding, 0, 1)).reshape(-1)
+    image = jnp.flip(jnp.where(crowded, 0, jnp.clip(winding, 0, 1)), axis=0).reshape(-1)
 
     def add(total, resolved: Resolved):
         image, kept = total
-        image = image.at[resolved.place].add(resolved.area, mode="drop")
+        place = _top_down(resolved.place, film)
+        image = image.at[place].add(resolved.area, mode="drop")
         more = zip(kept, resolved.visible, strict=True)
         return image, [k.append(resolved.place, visible) for k, visible in more]
 
     if told:
         args = (parts, _crowded(pixels, W), W, H, H, still.base)
         image, kept = fold_cells(*args, add, (image, kept), flux=keep)
-    return _upright(image, film), pixels._replace(kept=kept)
+    return image.reshape(H, W), pixels._replace(kept=kept)
 
 
-def _upright(flat: Float[Array, "N"], film: FilmMap) -> Float[Array, "H W"]:
-    return jnp.flip(flat.reshape(film.H, film.W), axis=0)
+def _top_down(pixel: Int[Array, "P"], film: FilmMap) -> Int[Array, "P"]:
+    """Return where pixels, counted from the bottom row up, are in an image; past the end stays so.
+
+    Few indices are turned over, not whole images: that takes no pass over them.
+    """
+    row = jax.lax.div(pixel, jnp.int32(film.W))
+    return jnp.where(row < film.H, (film.H - 1 - 2 * row) * film.W + pixel, pixel)
 
 
 def _crowded(pixels: _Pixels, W: int) -> Crowded:

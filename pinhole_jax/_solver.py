@@ -36,6 +36,9 @@ FINE_PX = {np.dtype(np.float32): 3e-4, np.dtype(np.float64): 1e-7}
 #: cosine between residual and Jacobian, some thousandths of the error that noise leaves anyway.
 COSINE = {np.dtype(np.float32): 1e-4, np.dtype(np.float64): 1e-5}
 
+#: Steps of a level that can be told one by one.
+RECORDED = 64
+
 
 class Problem(eqx.Module):
     """A scene and a target's pyramid; moves are taken about the scene's bounding sphere."""
@@ -91,7 +94,7 @@ class View(NamedTuple):
 
 
 class Stop(NamedTuple):
-    """Where a level's steps ended: the camera (canonical), the level, their number."""
+    """Where steps on a level ended: the camera (canonical), the level, their number."""
 
     unit: Camera
     level: Level
@@ -100,7 +103,7 @@ class Stop(NamedTuple):
 
 class Found(NamedTuple):
     """A camera (canonical), what is seen there, the steps taken on each level; the way there, from
-    the start (0 steps) on."""
+    the start (0 steps) on, by levels or (a solver that records) by steps."""
 
     unit: Camera
     view: View
@@ -126,8 +129,9 @@ class Solver:
         max_steps: int,
         bounds: Bounds | None = None,
         prior: Prior | None = None,
+        record: bool = False,
     ):
-        self._bounds, self._prior = bounds, prior
+        self._bounds, self._prior, self._record = bounds, prior, record
         self.dtype, self.names, self.max_steps = np.dtype(dtype), names, max_steps
         self._target, self._scene = target, padded(astype(scene, dtype))
         box = np.asarray(bounding_box(scene), float)
@@ -220,7 +224,7 @@ class Solver:
         coarse_px: float = COARSE_PX,
     ) -> Found:
         """Return the camera found from level to level, and its view on the last of them."""
-        way = [Stop(unit, self.levels[levels[0]], 0)]
+        way, steps = [Stop(unit, self.levels[levels[0]], 0)], []
         self._widen(unit)
         while True:
             capacity, window = self.capacity, self.window
@@ -229,24 +233,40 @@ class Solver:
                 level, strict = self.levels[number], number > self.finest
                 fine = number >= self.finest
                 tolerance = np.asarray(FINE_PX[self.dtype] if fine else coarse_px, self.dtype)
-                further, n = _solve(
+                further, n, path = _solve(
                     unit, self.problem, level, tolerance, self.names, capacity, self.max_steps
                 )
                 if strict and int(n) == self.max_steps:
                     continue  # it stalled
+                stop = Stop(further, level, int(n))
+                way += self._each_step(unit, number, stop, path) if self._record else [stop]
                 unit = further
-                way.append(Stop(unit, level, int(n)))
+                steps.append(stop.steps)
                 if told is not None:
-                    told(way[-1])
+                    told(stop)
             self._believe(unit, levels[-1])
             view = self.look(unit, levels[-1])
             if (self.capacity, self.window) == (capacity, window):
-                return Found(unit, view, tuple(stop.steps for stop in way[1:]), tuple(way))
+                return Found(unit, view, tuple(steps), tuple(way))
             # The view outgrew its buffers or window on the way: go on from there with larger ones.
+
+    def _each_step(self, unit: Camera, level: int, end: Stop, path: Array) -> list[Stop]:
+        """Return where each step of a level ended; those past `RECORDED` together."""
+        before = np.asarray(path)[: max(end.steps - 1, 0)]
+        each = [Stop(self.step(unit, level, y), end.level, 1) for y in before]
+        return [*each, end._replace(steps=end.steps - len(each))]
+
+
+class _Recorded(NamedTuple):
+    """The solver's state, and where the first steps came to."""
+
+    solver: Any
+    path: Float[Array, "RECORDED n"]
 
 
 class _LevenbergMarquardt(optx.AbstractGaussNewton):
-    """optimistix's Levenberg-Marquardt, which also stops when the next step is negligible.
+    """optimistix's Levenberg-Marquardt, which also stops when the next step is negligible, and has
+    its way among its `stats`.
 
     Its own test compares residuals entry by entry, which change places here from step to step, and
     never stops while steps are rejected (in float32, at the rounding floor, until `max_steps`).
@@ -265,8 +285,22 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
         self.search = _TrustRegion()
         self.verbose = _silent
 
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
+        state = super().init(fn, y, args, options, f_struct, aux_struct, tags)
+        return _Recorded(state, jnp.zeros((RECORDED, *y.shape), y.dtype))
+
+    def step(self, fn, y, args, options, state, tags):
+        y, solver, aux = super().step(fn, y, args, options, state.solver, tags)
+        path = state.path.at[state.solver.num_steps].set(y, mode="drop")
+        return y, _Recorded(solver, path), aux
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        del fn, args, options, tags, result
+        return y, aux, {"path": state.path}
+
     def terminate(self, fn, y, args, options, state, tags):
         del fn, args, options, tags
+        state = state.solver
         step = state.y_eval - y
         change = state.f_info.jac.mv(step)
         cosine = COSINE[np.dtype(step.dtype)]
@@ -324,7 +358,8 @@ def _solve(unit: Camera, problem: Problem, level: Level, tolerance, names, capac
         max_steps=max_steps,
         throw=False,
     )
-    return moved(move, solution.value, names), solution.stats["num_steps"]
+    stats = solution.stats
+    return moved(move, solution.value, names), stats["num_steps"], stats["path"]
 
 
 @eqx.filter_jit

@@ -2,15 +2,22 @@
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
-from ._camera import Camera, camera_basis, focal_px, principal_point
+from ._camera import Camera, camera_basis
+from ._rays import rays_through
 from ._scene import Scene
+
+#: Rays through each side of the film; those as wide as this are drawn no longer.
+SIDE = 16
+LEAST_COSINE = 0.2
 
 
 def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
     """Return a parallel view, RGB uint8 (3/4 size, size, 3), of the object with the camera: its
-    frustum reaches to the film through the object's middle, the tick shows up.
+    frustum reaches to the film through the object's middle, the tick shows up. Under distortion the
+    frustum is bent as the rays through the film's border are.
 
     Faces are painted from back to front, shaded by their angle to the view.
     """
@@ -21,18 +28,16 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
     triangles, balls = _solids(scene)
     middle = np.concatenate([triangles.reshape(-1, 3), balls[:, :3]]).mean(axis=0)
     depth = max(float((middle - eye) @ v), 1e-6 * float(np.linalg.norm(middle - eye)), 1e-30)
-    fx, fy = (float(f) for f in focal_px(camera))
-    cx, cy = np.asarray(principal_point(camera), float)
-    film = [
-        eye + depth * (v + (x - cx) / fx * b1 + (y - cy) / fy * b2)
-        for x, y in ((0, 0), (camera.W, 0), (camera.W, camera.H), (0, camera.H))
-    ]
+    border = _border(camera)
+    reach = depth / np.maximum(border @ v, LEAST_COSINE)
+    border = eye + reach[:, None] * border
+    film = [*border[:: len(border) // 4]]
     tick = (film[2] + film[3]) / 2 + 0.15 * np.linalg.norm(film[2] - film[1]) * b2
     # From beside the line of sight, some 25 degrees above and 20 behind the camera.
     back = _unit(np.cos(0.44) * (np.cos(0.35) * b1 - np.sin(0.35) * v) + np.sin(0.44) * b2)
     right = _unit(np.cross(b2, back))
     axes = np.stack([right, np.cross(back, right), back])
-    spread = [*film, eye, tick, *(b[:3] + s * b[3] for b in balls for s in (-1, 1))]
+    spread = [*border, eye, tick, *(b[:3] + s * b[3] for b in balls for s in (-1, 1))]
     flat = np.concatenate([np.array(spread), triangles.reshape(-1, 3)]) @ axes.T
     low, high = flat[:, :2].min(axis=0), flat[:, :2].max(axis=0)
     W, H = 2 * size, 2 * (3 * size // 4)
@@ -45,7 +50,7 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
 
     canvas = Image.new("RGB", (W, H), (250, 251, 253))
     draw = ImageDraw.Draw(canvas, "RGBA")
-    draw.polygon(place(film), (0, 150, 190, 28))
+    draw.polygon(place(border), (0, 150, 190, 28))
     corners = triangles @ axes.T
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     light = np.abs(normal[:, 2]) / np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
@@ -61,12 +66,23 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
         else:
             ((x, y),), r = place([ball[:3]]), ball[3] * scale
             draw.ellipse((x - r, y - r, x + r, y + r), (196, 180, 154), (120, 105, 80))
-    for a, b in [(eye, f) for f in film] + list(zip(film, film[1:] + film[:1], strict=True)):
-        draw.line(place([a, b]), (0, 107, 138, 230), 4)
+    for line in ([eye, film[0]], [eye, film[1]], [eye, film[2]], [eye, film[3]]):
+        draw.line(place(line), (0, 107, 138, 230), 4)
+    draw.line(place([*border, border[0]]), (0, 107, 138, 230), 4)
     draw.line(place([film[3], tick, film[2]]), (0, 107, 138, 230), 4)
     ((x, y),) = place([eye])
     draw.ellipse((x - 9, y - 9, x + 9, y + 9), (0, 107, 138))
     return np.asarray(canvas.resize((W // 2, H // 2), Image.Resampling.BOX))
+
+
+def _border(camera: Camera) -> np.ndarray:
+    """Return unit directions (n, 3) of rays through the film's border, counter-clockwise from its
+    lower left corner, as many to each side."""
+    share = np.linspace(0, 1, SIDE, endpoint=False)
+    x = np.concatenate([share, np.ones(SIDE), 1 - share, np.zeros(SIDE)]) * camera.W
+    y = np.concatenate([np.zeros(SIDE), share, np.ones(SIDE), 1 - share]) * camera.H
+    rays = rays_through(camera, *(jnp.asarray(z, camera.e.dtype) for z in (x, y)))
+    return np.asarray(rays, float)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 photo, where mask and camera differ, how the fit came there, the object and the camera in space.
 """
 
-from itertools import pairwise
+from itertools import groupby
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from ._camera import Camera
 from ._distortion import COEFFICIENTS
-from ._fit import Fit
+from ._fit import Fit, Progress
 from ._outline import contour_points
 from ._outline import outline as outline
 from ._parameters import rotation
@@ -195,9 +195,20 @@ def off_px(fit: Fit, scene: Scene) -> list[float]:
     return [float(np.sqrt(np.mean(np.sum(m**2, axis=1)))) for m in moves]
 
 
+def levels(fit: Fit) -> list[tuple[list[Progress], int]]:
+    """Return the entries of `fit.history` after the start, by levels, with each level's last place
+    in the history."""
+    found, last = [], 0
+    for _, each in groupby(fit.history[1:], lambda stop: (stop.W, stop.H)):
+        level = list(each)
+        last += len(level)
+        found.append((level, last))
+    return found
+
+
 def convergence(fit: Fit, scene: Scene) -> Svg:
-    """Return a diagram of how far the outline was from its last place (px) after each level, by
-    steps; the levels are bands with their size in px."""
+    """Return a diagram of how far the outline was from its last place (px) by steps, at each entry
+    of `fit.history`; the levels are bands with their size in px."""
     off = np.maximum(off_px(fit, scene), 1e-12)
     if len(off) < 2 or not np.all(np.isfinite(off)):
         return Svg('<svg xmlns="http://www.w3.org/2000/svg" width="1" height="1"/>')
@@ -208,14 +219,15 @@ def convergence(fit: Fit, scene: Scene) -> Svg:
     x = left + width * steps / max(steps[-1], 1)
     y = top + height * (high - np.log10(shown)) / (high - low)
     parts = []
-    for k, (a, b) in enumerate(pairwise(x.tolist())):
-        level = fit.history[k + 1]
+    for k, (level, last) in enumerate(levels(fit)):
+        a, b = x[last - len(level)], x[last]
+        words = f"{level[0].W} x {level[0].H}"
+        title = level[0]._replace(steps=sum(stop.steps for stop in level))
         parts.append(
             f'<rect x="{a:.1f}" y="{top}" width="{b - a:.1f}" height="{height}"'
-            f' fill="{("#eef2f6", "#dfe7ef")[k % 2]}"><title>{level}</title></rect>'
+            f' fill="{("#eef2f6", "#dfe7ef")[k % 2]}"><title>{title}</title></rect>'
         )
         if b - a > 44:
-            words = f"{level.W} x {level.H}"
             parts.append(f'<text x="{(a + b) / 2:.1f}" y="{top - 8}" class="m">{words}</text>')
     every = max(int(high - low) // 7, 1)
     for power in range(int(low), int(high) + 1, every):
@@ -228,7 +240,7 @@ def convergence(fit: Fit, scene: Scene) -> Svg:
     line = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
     parts.append(f'<polyline points="{line}"/>')
     parts += [
-        f'<circle cx="{a:.1f}" cy="{b:.1f}" r="4"><title>{o:.3g} px</title></circle>'
+        f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3"><title>{o:.3g} px</title></circle>'
         for a, b, o in zip(x, y, off, strict=True)
     ]
     parts.append(f'<text x="{left + width / 2}" y="{top + height + 38}" class="m">steps</text>')

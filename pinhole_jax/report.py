@@ -254,16 +254,16 @@ def _unknown(fit: Fit) -> str:
 def _convergence(fit: Fit, scene: Scene) -> str:
     if not fit.history:
         return "<p>The way to the camera was not recorded.</p>"
-    rows = "".join(
-        f"<tr><th>{'start' if n == 0 else f'{stop.W} x {stop.H} px'}</th><td>{stop.steps}</td>"
-        f"<td>{off:.3g}</td></tr>"
-        for n, (stop, off) in enumerate(zip(fit.history, plot.off_px(fit, scene), strict=True))
-    )
+    off = plot.off_px(fit, scene)
+    rows = [f"<tr><th>start</th><td>0</td><td>{off[0]:.3g}</td></tr>"]
+    for level, last in plot.levels(fit):
+        size, steps = f"{level[0].W} x {level[0].H} px", sum(stop.steps for stop in level)
+        rows.append(f"<tr><th>{size}</th><td>{steps}</td><td>{off[last]:.3g}</td></tr>")
     return (
         f'<figure class="diagram">{plot.convergence(fit, scene)}<figcaption>How far the outline is'
         " from its last place, by steps; each band is a level of the picture, coarse to fine."
         f"</figcaption></figure><table><thead><tr><th>level</th><th>steps</th><th>outline off, px"
-        f"</th></tr></thead><tbody>{rows}</tbody></table>"
+        f"</th></tr></thead><tbody>{''.join(rows)}</tbody></table>"
     )
 
 

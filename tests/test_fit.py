@@ -212,6 +212,11 @@ def test_progress_is_told_after_each_level(scene):
     assert [str(level) for level in fit.history[1:]] == [str(level) for level in told]
     assert "96 x 80" in str(told[-1])
     np.testing.assert_allclose(told[-1].camera.e, fit.camera.e, rtol=1e-12)
+    way = pj.fit_camera(scene, mask_of(CAMERA, scene), start, record=True).history
+    assert [stop.steps for stop in way] == [0] + [1] * sum(fit.steps)
+    for level, last in zip(told, np.cumsum(fit.steps), strict=True):
+        assert (way[last].W, way[last].H) == (level.W, level.H)
+        np.testing.assert_allclose(way[last].camera.e, level.camera.e, rtol=1e-9)
 
 
 def test_covariance_by_hand():

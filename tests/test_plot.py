@@ -1,5 +1,6 @@
 from xml.etree import ElementTree
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
@@ -8,7 +9,7 @@ from oracles import mesh_polygons, sphere_union
 
 import pinhole_jax as pj
 from pinhole_jax import plot, shapes
-from pinhole_jax._outline import STEP_PX
+from pinhole_jax._outline import STEP_PX, contour_points
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 
@@ -34,6 +35,23 @@ def test_the_outline_of_spheres():
     lines = shapely.linestrings(plot.outline(CAMERA, pj.Scene(spheres=spheres)))
     np.testing.assert_allclose(np.sum(shapely.length(lines)), union.boundary.length, rtol=0.02)
     assert np.max(shapely.distance(lines, union.boundary)) < 0.1
+
+
+@pytest.mark.parametrize("what", ["mesh", "spheres"])
+def test_the_outline_under_distortion_is_where_points_of_the_contour_are_seen(what):
+    lens = pj.Lens([46.0, 41.0], 1.02, pj.BrownConrady(-0.3, 0.1, 2e-3, 1e-3, 0.02))
+    c = CAMERA
+    bent = pj.Camera(c.e, c.p, c.u, c.phi, c.d, c.W, c.H, lens)
+    straight = pj.Camera(c.e, c.p, c.u, c.phi, c.d, c.W, c.H, pj.Lens([46.0, 41.0], 1.02))
+    ball = pj.Spheres([[0.1, 0.2, 0]], [1.0])
+    scene = pj.Scene(mesh=shapes.bumpy(2)) if what == "mesh" else pj.Scene(spheres=ball)
+    outline, plain = plot.outline(bent, scene), plot.outline(straight, scene)
+    seen = np.asarray(pj.project(bent, jnp.asarray(contour_points(bent, scene))))
+    points = shapely.multipoints(seen)
+    off = shapely.distance(shapely.points(outline.mean(axis=1)), points)
+    assert np.max(off) < STEP_PX / 2 + 0.05  # between two of the points
+    moved = shapely.distance(shapely.points(plain.mean(axis=1)), shapely.multilinestrings(outline))
+    assert 0.3 < np.max(moved) < 3
 
 
 @pytest.mark.parametrize("shape", [(80, 96), (80, 96, 3), (80, 96, 4)])
@@ -169,6 +187,30 @@ def test_convergence_in_px_by_steps_and_levels():
         "96 x 80 pixels: 3 steps",
     ]
     assert svg._repr_svg_() == svg
+
+
+def test_steps_of_a_level_are_one_band():
+    at = lambda x: pj.Camera([x, 0.0, 5], [x, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
+    stops = ((1, 24, 20, 0), (0.3, 48, 40, 1), (0.1, 48, 40, 1), (0, 96, 80, 1))
+    fit = fit_of(AHEAD, ("e_x",), [0.01], [pj.Progress(at(x), *stop) for x, *stop in stops])
+    assert [(len(level), last) for level, last in plot.levels(fit)] == [(2, 2), (1, 3)]
+    svg = plot.convergence(fit, SQUARE)
+    assert svg.count("<circle") == 4
+    assert svg.count("<rect") == 2
+    assert "48 x 40 pixels: 2 steps" in svg
+
+
+def test_the_frustum_is_bent_as_the_lens_bends_it():
+    ball = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [0.1]))
+    views = []
+    for model in (None, pj.BrownConrady(0.0), pj.BrownConrady(-0.08)):
+        lens = pj.Lens([48.0, 40.0], 1.0, model)
+        c = CAMERA
+        camera = pj.Camera(c.e, c.p, c.u, 1.2, c.d, c.W, c.H, lens)
+        views.append(plot.scene_view(camera, ball, 200).astype(int))
+    assert np.max(np.abs(views[1] - views[0])) <= 2
+    changed = np.any(np.abs(views[2] - views[0]) > 60, axis=2)
+    assert changed.sum() > 100
 
 
 @pytest.mark.parametrize("what", ["mesh", "spheres"])

@@ -118,6 +118,17 @@ def test_a_camera_that_a_format_cannot_hold_is_said():
     assert "no other view was found" in page.text["what-the-mask-does-not-tell"]
 
 
+def test_coefficients_of_distortion_have_rows_a_band_and_formats():
+    lens = pj.Lens([46.0, 41.0], 1.0, pj.BrownConrady(-0.2, 0.05))
+    camera = pj.Camera(AHEAD.e, AHEAD.p, AHEAD.u, 0.6, 1.0, 96, 80, lens)
+    page = Page(report.page(fit_of(camera, ("e_x", "k1"), [1e-3, 0.02]), SQUARE, MASK))
+    assert "k1-0.20.02" in page.text["parameters"]
+    assert "0 px (median" not in page.text["outline"]
+    assert "-0.2" in page.text["the-camera-for-other-programs"]
+    assert "camera.yaml" in [a["download"] for a in page.all("a")]
+    assert "camera.gltf" not in [a["download"] for a in page.all("a")]
+
+
 def test_what_makes_no_page_is_refused():
     with pytest.raises(ValueError, match="`fit`: expected a finite camera, got status non_finite"):
         report.page(FIT._replace(status="non_finite"), SQUARE, MASK)
