@@ -285,20 +285,20 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
         self.search = _TrustRegion()
         self.verbose = _silent
 
-    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> Any:
         state = super().init(fn, y, args, options, f_struct, aux_struct, tags)
         return _Recorded(state, jnp.zeros((RECORDED, *y.shape), y.dtype))
 
-    def step(self, fn, y, args, options, state, tags):
+    def step(self, fn, y, args, options, state: Any, tags) -> Any:
         y, solver, aux = super().step(fn, y, args, options, state.solver, tags)
         path = state.path.at[state.solver.num_steps].set(y, mode="drop")
         return y, _Recorded(solver, path), aux
 
-    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+    def postprocess(self, fn, y, aux, args, options, state: Any, tags, result):
         del fn, args, options, tags, result
         return y, aux, {"path": state.path}
 
-    def terminate(self, fn, y, args, options, state, tags):
+    def terminate(self, fn, y, args, options, state: Any, tags):
         del fn, args, options, tags
         state = state.solver
         step = state.y_eval - y
