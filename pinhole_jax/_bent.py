@@ -114,8 +114,7 @@ def along(
     segments: Segments, part: Int[Array, "K"], parts: Int[Array, "K"]
 ) -> Float[Array, "K 2 2"]:
     """Return the ends of parts of straight lines; parts that meet agree on where."""
-    number = jnp.stack([part, part + 1], axis=-1)
-    share = (number / jnp.maximum(parts, 1)[:, None]).astype(segments.a.dtype)[..., None]
+    share = _shares(part, parts, segments.a.dtype)[..., None]
     a, b = segments.a[:, None], segments.b[:, None]
     return jnp.where(share >= 1, b, a + share * (b - a))
 

@@ -154,12 +154,10 @@ class Fisheye(Distortion):
         s = x * x + y * y
         radius = safe_sqrt(s)
         theta = jnp.arctan(radius)
-        t = theta * theta
-        bent = 1 + t * (self.k1 + t * (self.k2 + t * (self.k3 + t * self.k4)))
         # theta / radius, by its series where the quotient would lose its derivatives.
         small = s < 1e-4
         series = 1 - s * (1 / 3 - s * (1 / 5 - s / 7))
-        scale = bent * jnp.where(small, series, safe_divide(theta, radius))
+        scale = self._stretch(theta) * jnp.where(small, series, safe_divide(theta, radius))
         return x * scale, y * scale
 
     def slope(self, radius: Array) -> Array:
@@ -172,13 +170,16 @@ class Fisheye(Distortion):
         most = jnp.arctan(self.trusted_radius())
 
         def step(_, theta):
-            t = theta * theta
-            value = theta * (1 + t * (self.k1 + t * (self.k2 + t * (self.k3 + t * self.k4))))
-            return jnp.clip(theta - safe_divide(value - radius, self._growth(theta)), 0, most)
+            miss = theta * self._stretch(theta) - radius
+            return jnp.clip(theta - safe_divide(miss, self._growth(theta)), 0, most)
 
         theta = jax.lax.fori_loop(0, 8, step, jnp.minimum(radius, most))
         scale = jnp.where(radius > 0, safe_divide(jnp.tan(theta), radius), 1)
         return x * scale, y * scale
+
+    def _stretch(self, theta: Array) -> Array:
+        t = theta * theta
+        return 1 + t * (self.k1 + t * (self.k2 + t * (self.k3 + t * self.k4)))
 
     def _growth(self, theta: Array) -> Array:
         t = theta * theta

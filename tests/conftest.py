@@ -19,6 +19,24 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 SHARED = Path(__file__).parents[2] / "shared" / "data"
 
 
+def is_full(config: pytest.Config) -> bool:
+    return "slow" in config.option.markexpr
+
+
+@pytest.fixture
+def exhaustive(pytestconfig) -> bool:
+    """Whether slow tests are to run in full."""
+    return is_full(pytestconfig)
+
+
+def pytest_collection_modifyitems(config, items):
+    """Leave out what only a full run has."""
+    if not is_full(config):
+        out = [item for item in items if item.get_closest_marker("full")]
+        config.hook.pytest_deselected(items=out)
+        items[:] = [item for item in items if item not in out]
+
+
 @pytest.fixture
 def shared() -> Path:
     """The folder of real meshes and photos; tests that need it are skipped where it is not."""

@@ -53,13 +53,6 @@ CASES = {
 silhouette = jax.jit(pj.silhouette)
 
 
-@pytest.fixture
-def exhaustive(pytestconfig):
-    """Skip a test whose programs take long to compile, but for a run with the slow ones."""
-    if "slow" not in pytestconfig.option.markexpr:
-        pytest.skip("long to compile: only with slow tests")
-
-
 @pytest.mark.parametrize("case", CASES)
 def test_coverage_is_that_of_the_bent_triangles(case):
     view, mesh = camera(*CASES[case]), sheet()
@@ -119,9 +112,9 @@ def rims(view, spheres, number=4000):
     return shapes
 
 
-@pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize("case", ["brown", "fisheye"])
-def test_spheres_are_the_bent_images_of_their_rims(case, exhaustive):
+def test_spheres_are_the_bent_images_of_their_rims(case):
     view = camera(*CASES[case])
     image = silhouette(view, pj.Scene(spheres=BALLS))
     np.testing.assert_allclose(image, union_per_pixel(rims(view, BALLS), W, H), atol=1.5e-3)
@@ -171,8 +164,8 @@ def test_derivatives_are_differences_of_the_oracle():
     np.testing.assert_allclose(ways @ gradient, np.ravel(expected), rtol=5e-3, atol=5e-3 * size)
 
 
-@pytest.mark.slow
-def test_a_lens_that_bends_nothing_gives_the_ideal_image(exhaustive):
+@pytest.mark.full
+def test_a_lens_that_bends_nothing_gives_the_ideal_image():
     scene = pj.Scene(mesh=pj.shapes.bumpy(2), spheres=BALLS)
     images = [silhouette(camera(model, 0.6), scene) for model in (None, pj.BrownConrady())]
     np.testing.assert_allclose(*images, atol=5e-4)
@@ -204,8 +197,8 @@ def test_a_fit_finds_the_lens(fitted):
     assert abs(float(fit.camera.lens.distortion.k1) + 0.25) < 1e-3
 
 
-@pytest.mark.slow
-def test_views_share_a_lens(fitted, exhaustive):
+@pytest.mark.full
+def test_views_share_a_lens(fitted):
     scene, _, mask, start, _ = fitted
     other = fit_camera([-1.0, 0.6, 3.0], -0.25)
     masks = [mask, pj.silhouette(other, scene)]
@@ -218,8 +211,8 @@ def test_views_share_a_lens(fitted, exhaustive):
     assert max(float(x) for x in pj.pose_error(fits[1].camera, other)) < 1e-4
 
 
-@pytest.mark.slow
-def test_a_prior_holds_what_a_hard_mask_hardly_shows(fitted, exhaustive):
+@pytest.mark.full
+def test_a_prior_holds_what_a_hard_mask_hardly_shows(fitted):
     scene, _, mask, start, _ = fitted
     hard = np.asarray(mask) > 0.5
     plain, sure = (
@@ -231,8 +224,8 @@ def test_a_prior_holds_what_a_hard_mask_hardly_shows(fitted, exhaustive):
     assert 0.9e-4 < sure.std[at] < 1.1e-4 < plain.std[at]
 
 
-@pytest.mark.slow
-def test_a_search_sees_the_mask_without_its_distortion(fitted, exhaustive):
+@pytest.mark.full
+def test_a_search_sees_the_mask_without_its_distortion(fitted):
     scene, bent, *_ = fitted
     ideal = pj.Camera(bent.e, bent.p, bent.u, bent.phi, W=FIT_W, H=FIT_H)
     weight = np.ones((FIT_H, FIT_W))
@@ -246,8 +239,8 @@ def test_a_search_sees_the_mask_without_its_distortion(fitted, exhaustive):
     np.testing.assert_allclose(seen.axes, straight.axes, atol=2e-3)
 
 
-@pytest.mark.slow
-def test_bounds_are_kept(fitted, exhaustive):
+@pytest.mark.full
+def test_bounds_are_kept(fitted):
     scene, _, mask, start, _ = fitted
     held, inside = (
         pj.fit_camera(scene, mask, start, ("pose", "k1"), bounds={"k1": (low, 0.1)})

@@ -74,13 +74,11 @@ def test_float32_without_x64_takes_longer_steps():
     assert {"e.x", "p.y", "phi"} < set(failures(failed))
 
 
-@pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize("size", [32, 256])
 @pytest.mark.parametrize("precision", ["float64", "float32", "float32 without x64"])
-def test_the_silhouette_at_full_size(precision, size, request):
+def test_the_silhouette_at_full_size(precision, size):
     """Overlapping contours, spheres before and beside the mesh: takes a minute."""
-    if "slow" not in request.config.getoption("markexpr"):
-        pytest.skip("reduced size: the tests above")
     dtype = precision[:7]
     with jax.enable_x64("without" not in precision):
         scene = pj.Scene(shapes.bumpy(4), spheres(dtype).spheres)

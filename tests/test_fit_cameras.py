@@ -148,7 +148,9 @@ def test_observability_is_what_the_fit_reports(scene, masks):
 POSE_START = eqx.tree_at(lambda c: c.phi, STARTS[0], TRUTHS[0].phi)
 
 
-@pytest.mark.parametrize("kind", ["exact", "noisy", "hard"])
+@pytest.mark.parametrize(
+    "kind", ["exact", *(pytest.param(k, marks=pytest.mark.full) for k in ("noisy", "hard"))]
+)
 def test_the_camera_moves_with_the_mesh_as_refits_do(scene, masks, kind):
     target = {"exact": masks[0], "noisy": noisy(masks)[0], "hard": masks[0] > 0.5}[kind]
 

@@ -85,8 +85,8 @@ def test_empty_scenes_cover_nothing(camera):
                 pj.fit_camera(scene, np.eye(18, 24), camera)
 
 
-def test_copies_of_one_face_are_one_face(camera, request):
-    number = 100_000 if "slow" in request.config.option.markexpr else 3_000
+def test_copies_of_one_face_are_one_face(camera, exhaustive):
+    number = 100_000 if exhaustive else 3_000
     vertices = np.array([[0, 1, 0], [-1, -1, 0], [1, -0.5, 0.3]])
     one = pj.silhouette(camera, pj.Scene(mesh=pj.Mesh(vertices, [[0, 1, 2]])))
     mesh = pj.Mesh(vertices, np.tile([[0, 1, 2]], (number, 1)))
@@ -94,8 +94,8 @@ def test_copies_of_one_face_are_one_face(camera, request):
 
 
 @pytest.mark.slow
-def test_a_million_faces(camera, request):
-    cells = 708 if "slow" in request.config.option.markexpr else 50
+def test_a_million_faces(camera, exhaustive):
+    cells = 708 if exhaustive else 50
     x, y = np.meshgrid(*[np.linspace(-1, 1, cells)] * 2)
     vertices = np.stack([x, y, 0.1 * np.sin(9 * x)], axis=-1).reshape(-1, 3)
     at = np.arange(cells * (cells - 1)).reshape(cells - 1, cells)[:, :-1].ravel()
@@ -114,15 +114,14 @@ def image_slopes(camera, scene):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["float32", "float64"])
-def test_random_bits_as_vertices_are_refused_in_words_or_seen_without_nan(kind, request):
+def test_random_bits_as_vertices_are_refused_in_words_or_seen_without_nan(kind, exhaustive):
     """Random exponents: products of coordinates overflow, differences lose all digits."""
     dtype, bits = np.dtype(kind), {"float32": np.uint32, "float64": np.uint64}[kind]
     camera = pj.Camera(*(np.asarray(x, dtype) for x in CAMERA.values()), **SIZE)
     rays = pj.camera_rays(camera)
     random, refused = np.random.default_rng(0), 0
     faces = random.integers(0, 12, (20, 3))  # the same always: they share a program
-    slow = "slow" in request.config.option.markexpr
-    meshes = 500 if slow else 40
+    meshes = 500 if exhaustive else 40
     for _ in range(meshes):
         vertices = random.integers(0, 2 ** (8 * dtype.itemsize), (12, 3), bits).view(dtype)
         try:

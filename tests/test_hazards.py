@@ -62,12 +62,11 @@ def batch(cameras, scenes, whole):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_one_poisoned_element_of_a_batch_leaves_the_others_bit_for_bit(bad, request):
-    slow = "slow" in request.config.option.markexpr
+def test_one_poisoned_element_of_a_batch_leaves_the_others_bit_for_bit(bad, exhaustive):
     many = lambda x: jnp.stack([x, x, x]) if eqx.is_array(x) else x
     cameras, scenes = jax.tree.map(many, (CAMERA, SCENE))
     cameras = eqx.tree_at(lambda c: c.e, cameras, cameras.e + jnp.eye(3) / 10)
-    whole = batch(cameras, scenes, slow)
+    whole = batch(cameras, scenes, exhaustive)
     for leaf in jax.tree.leaves(whole):
         assert not np.any(np.isnan(leaf))
     for part in PARTS.values():
@@ -103,11 +102,10 @@ VIEWS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize("name", VIEWS)
-def test_no_operation_makes_nan(name, request):
-    if "slow" not in request.config.option.markexpr:
-        pytest.skip("every operation on its own: minutes, only with slow tests")
+def test_no_operation_makes_nan(name):
+    """Every operation on its own: minutes."""
     camera, mesh, spheres = VIEWS[name]
     moving = (camera, pj.Scene(mesh=mesh, spheres=spheres))
     with jax.disable_jit(), jax.debug_nans(True):

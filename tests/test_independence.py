@@ -23,9 +23,9 @@ CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 12, 10
 
 
 @pytest.fixture
-def sizes(request) -> list[int]:
+def sizes(exhaustive) -> list[int]:
     """Each size compiles programs of its own: the default run tries few."""
-    return SIZES if "slow" in request.config.option.markexpr else FEW
+    return SIZES if exhaustive else FEW
 
 
 def soup(faces: int, extent: float = 1.0) -> tuple[np.ndarray, np.ndarray]:

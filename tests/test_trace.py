@@ -142,9 +142,9 @@ def test_no_ray_leaks_through_edges_or_vertices(dtype, offset):
 @pytest.mark.slow
 @pytest.mark.parametrize("offset", [0.0, 1.0])
 @pytest.mark.parametrize("tile", [1, 40])
-def test_many_rays_in_packets_and_one_by_one_do_not_leak(request, offset, tile):
+def test_many_rays_in_packets_and_one_by_one_do_not_leak(exhaustive, offset, tile):
     """Rays aimed at vertices and edges, as they come (one by one) and near together (packets)."""
-    count = 100_000 if "slow" in request.config.option.markexpr else 6_000
+    count = 100_000 if exhaustive else 6_000
     mesh = shapes.bumpy(3)
     random = np.random.default_rng(1)
     away = (offset * np.array([148376.0, 1234.0, -223423.0])).astype("float32")

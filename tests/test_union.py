@@ -114,42 +114,37 @@ def filled(vertices, faces, dtype=float) -> pj.Scene:
     return pj.Scene(mesh=eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh)))))
 
 
-def exhaustive(pytestconfig) -> bool:
-    return "slow" in pytestconfig.option.markexpr
-
-
 @pytest.mark.parametrize("name", MESHES)
-def test_any_mesh_matches_the_polygon_union(name, pytestconfig):
+def test_any_mesh_matches_the_polygon_union(name, exhaustive):
     vertices, faces = MESHES[name]()
     scene = filled(vertices, faces)
-    for camera in cameras(20 if exhaustive(pytestconfig) else 4):
+    for camera in cameras(20 if exhaustive else 4):
         expected = mesh_coverage(camera, vertices, faces)
         np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_in_float32_to_1e_4(name, pytestconfig):
+def test_in_float32_to_1e_4(name, exhaustive):
     vertices, faces = MESHES[name]()
     vertices = vertices.astype(np.float32)
     scene = filled(vertices, faces, np.float32)
-    for camera in cameras(20 if exhaustive(pytestconfig) else 1, np.float32):
+    for camera in cameras(20 if exhaustive else 1, np.float32):
         arrays = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u, camera.phi))
         expected = mesh_coverage(pj.Camera(*arrays, 1.0, W, H), vertices.astype(float), faces)
         np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("name", SHARED)
-def test_real_meshes_match_the_polygon_union(name, shared, pytestconfig):
+def test_real_meshes_match_the_polygon_union(name, shared, exhaustive):
     mesh = pj.load_mesh(shared / "meshes" / name)
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     vertices = (vertices - (low + high) / 2) / np.max(high - low) * 2
-    full = exhaustive(pytestconfig)
-    if len(faces) > 20_000 and not full:
+    if len(faces) > 20_000 and not exhaustive:
         pytest.skip("large: only with slow tests")
-    scene = filled(vertices, faces) if not full else pj.Scene(mesh=pj.Mesh(vertices, faces))
-    for size in ((64, 64), (W, H), (256, 192)) if full else ((W, H),):
-        for camera in cameras(20 if full else 2, W=size[0], H=size[1]):
+    scene = filled(vertices, faces) if not exhaustive else pj.Scene(mesh=pj.Mesh(vertices, faces))
+    for size in ((64, 64), (W, H), (256, 192)) if exhaustive else ((W, H),):
+        for camera in cameras(20 if exhaustive else 2, W=size[0], H=size[1]):
             expected = mesh_coverage(camera, vertices, faces)
             np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-9)
 
