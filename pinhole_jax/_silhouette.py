@@ -241,25 +241,24 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
     alone = ~crowded & (winding > 0) & (winding < 1)
     kept = [nothing_kept(part) for part in parts if keep and told]
     pixels = _Pixels(alone.reshape(-1), select(crowded.reshape(-1)), corner, kept)
-    image = jnp.flip(jnp.where(crowded, 0, jnp.clip(winding, 0, 1)), axis=0).reshape(-1)
+    image = jnp.where(crowded, 0, jnp.clip(winding, 0, 1)).reshape(-1)
 
     def add(total, resolved: Resolved):
         image, kept = total
-        place = _top_down(resolved.place, film)
-        image = image.at[place].add(resolved.area, mode="drop")
+        image = image.at[resolved.place].add(resolved.area, mode="drop")
         more = zip(kept, resolved.visible, strict=True)
         return image, [k.append(resolved.place, visible) for k, visible in more]
 
     if told:
         args = (parts, _crowded(pixels, W), W, H, H, still.base)
         image, kept = fold_cells(*args, add, (image, kept), flux=keep)
-    return image.reshape(H, W), pixels._replace(kept=kept)
+    return jnp.flip(image.reshape(H, W), axis=0), pixels._replace(kept=kept)
 
 
 def _top_down(pixel: Int[Array, "P"], film: FilmMap) -> Int[Array, "P"]:
     """Return where pixels, counted from the bottom row up, are in an image; past the end stays so.
 
-    Few indices are turned over, not whole images: that takes no pass over them.
+    For derivatives: the few places that change are turned over, not each column of a Jacobian.
     """
     row = jax.lax.div(pixel, jnp.int32(film.W))
     return jnp.where(row < film.H, (film.H - 1 - 2 * row) * film.W + pixel, pixel)
