@@ -26,9 +26,10 @@ class Pieces(NamedTuple):
     `row` counts up from the film's bottom. `column` -1 and W hold what lies left and right of the
     film. `height` is added to the coverage of all pixels to the right, `area` to the pixel's own.
     `jump` is how many layers there are more right of the piece than left of it, and `passes` says
-    that the curve goes on above the bottom of the row. `enters` says that the curve, in its own
-    direction, may come from another pixel: the piece does not begin with the curve, or it begins on
-    the pixel's side.
+    that the curve goes on above the bottom of the row. `first` is the lowest piece of a curve in a
+    row, by its number: rounding may put others on the row's bottom as well. `enters` says that the
+    curve, in its own direction, may come from another pixel: the piece does not begin with the
+    curve, or it begins on the pixel's side.
     """
 
     curve: Int[Array, "P"]
@@ -41,6 +42,7 @@ class Pieces(NamedTuple):
     valid: Bool[Array, "P"]
     jump: Float[Array, "P"]
     passes: Bool[Array, "P"]
+    first: Bool[Array, "P"]
     enters: Bool[Array, "P"]
 
 
@@ -167,7 +169,8 @@ def split(m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_
         return jnp.any((point != own) | (point == corner) | (point == corner + 1), axis=1)
 
     enters = jnp.where(jump <= 0, beyond(start, m.low), beyond(end, m.high))
-    return Pieces(curve, number, column, start, end, height, area, valid, jump, passes, enters)
+    ends, first = (start, end), valid & (along == 0)
+    return Pieces(curve, number, column, *ends, height, area, valid, jump, passes, first, enters)
 
 
 def _areas(m: Monotone, start, end, column, W):

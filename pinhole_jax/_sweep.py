@@ -23,7 +23,8 @@ class Cells(NamedTuple):
     """Up to `WIDE` pieces in each cell.
 
     `piece` is a piece's lower and upper end (x, y, x, y), in cell units from the cell's corner, its
-    `jump`, and whether it `passes`, as in `Pieces`. `owner` is the number of its part, -1 for none,
+    `jump`, and 0 if it does not pass the row's bottom, 2 if it is the first that does, else 1 (see
+    `Pieces`). `owner` is the number of its part, -1 for none,
     and of its curve there. `total` may exceed `WIDE`.
     """
 
@@ -58,7 +59,8 @@ def insert(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, curve: Array, pa
     key = jnp.sum(ends * jnp.array([[1, 0.37, 1.73, 2.91]], dtype), axis=1)
     index = jnp.arange(cell.shape[0], dtype=jnp.int32)
     cell, _, order = jax.lax.sort((cell, key, index), num_keys=2)
-    rest = jnp.stack([pieces.jump, pieces.passes.astype(dtype)], axis=1)
+    passes = jnp.where(pieces.passes, 1 + pieces.first.astype(jnp.int32), 0)
+    rest = jnp.stack([pieces.jump, passes.astype(dtype)], axis=1)
     piece = jnp.concatenate([ends, rest], axis=1)[order]
     opens = jnp.append(jnp.ones(1, bool), cell[1:] != cell[:-1])
     differs = jnp.any(piece[1:, :4] != piece[:-1, :4], axis=1)
@@ -108,7 +110,7 @@ def _along_x(cells: Cells) -> _Lines:
     """Return the pieces as a line sweeps them that moves to the right."""
     x0, y0, x1, y1, jump, passes = jnp.moveaxis(cells.piece, -1, 0)
     right = x1 >= x0
-    rises = (y0 == 0) & (passes > 0)
+    rises = (y0 == 0) & (passes == 2)
     nothing = jnp.zeros_like(jump)
     return _Lines(
         jnp.minimum(x0, x1),
@@ -123,8 +125,9 @@ def _along_x(cells: Cells) -> _Lines:
 
 def _along_y(cells: Cells) -> _Lines:
     """Return the pieces as a line sweeps them that moves up."""
-    x0, y0, x1, y1, jump, _ = jnp.moveaxis(cells.piece, -1, 0)
-    enters = jnp.where((x0 == 0) & (y0 > 0), -jump, 0)
+    x0, y0, x1, y1, jump, passes = jnp.moveaxis(cells.piece, -1, 0)
+    # One that comes in at the corner itself has met the row's bottom in the cell before.
+    enters = jnp.where((x0 == 0) & ((y0 > 0) | (passes == 1)), -jump, 0)
     leaves = jnp.where(x1 == 0, jump, 0)
     halt, step = jnp.concatenate([y0, y1], axis=1), jnp.concatenate([enters, leaves], axis=1)
     return _Lines(y0, x0, y1, x1, jump, halt, step)

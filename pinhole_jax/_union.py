@@ -195,11 +195,10 @@ def overlaps(marks: Marks, winding: Float[Array, "*N"]) -> Bool[Array, "*N"]:
 def turns(pieces: Pieces) -> Float[Array, "P"]:
     """Return by how much a row's winding number, at its bottom line, jumps at each piece.
 
-    Of the pieces of a curve in a row the first counts, from where the curve enters the row.
+    Of the pieces of a curve in a row the first counts, if the curve enters the row there.
     """
-    row, column = (x.astype(pieces.jump.dtype) for x in (pieces.row, pieces.column))
-    first = (pieces.start[:, 1] <= row) & (pieces.start[:, 0] < column + 1)
-    return jnp.where(pieces.passes & first, pieces.jump, 0)
+    enters = pieces.start[:, 1] <= pieces.row.astype(pieces.jump.dtype)
+    return jnp.where(pieces.passes & pieces.first & enters, pieces.jump, 0)
 
 
 def fold_cells(

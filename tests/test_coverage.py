@@ -8,6 +8,7 @@ from oracles import area_per_pixel
 from pinhole_jax._contour import _monotone_stretches
 from pinhole_jax._coverage import monotone, piece_counts, split
 from pinhole_jax._curves import Arcs, Segments
+from pinhole_jax._union import turns
 
 W, H = 7, 5
 
@@ -103,3 +104,32 @@ def test_ellipses_have_their_exact_area_in_each_pixel(name):
     # The oracle is a polygon within the ellipse: its sagitta bounds the difference.
     sagitta = max(l11, abs(l21) + l22) * (np.pi / n) ** 2
     np.testing.assert_allclose(rasterise(arcs), expected, atol=1e-12 + 2 * sagitta)
+
+
+def test_a_curve_enters_a_row_once_however_near_to_a_pixel_corner():
+    """In float32 rounding puts more of its pieces on the row's bottom than the first."""
+    size, random = 1024, np.random.default_rng(0)
+    corner = random.integers(100, size - 100, (512, 2)) - [1, 0] * random.choice(
+        [0, 1e-4, 6e-5, 3e-5], (512, 1)
+    )
+    way = random.uniform(-1, 1, (512, 2)) * [1, 0.3]
+    below, above = random.uniform(1, 40, (2, 512, 1))
+    a, b = (jnp.asarray(x, jnp.float32) for x in (corner - below * way, corner + above * way))
+
+    @jax.jit
+    def found(curves):
+        m = monotone(curves)
+        upto = jnp.cumsum(piece_counts(m, size, size))
+        slots = jnp.arange(1 << 16, dtype=jnp.int32)
+        pieces = split(m, upto, slots, size, size, size)
+        return m, pieces, turns(pieces)
+
+    m, pieces, turned = jax.tree.map(np.asarray, found(Segments(a, b, jnp.ones(512, jnp.float32))))
+    assert not pieces.valid[-1]
+    total = np.zeros((512, size))
+    np.add.at(total, (pieces.curve[pieces.valid], pieces.row[pieces.valid]), turned[pieces.valid])
+    row = np.arange(size)
+    crossed = (m.low[:, 1:] <= row) & (row < m.high[:, 1:])
+    np.testing.assert_array_equal(total, np.where(crossed, -m.rising[:, None], 0))
+    # The case is there: pieces that are not the first begin on the bottom, too.
+    assert np.any(pieces.valid & pieces.passes & ~pieces.first & (pieces.start[:, 1] == pieces.row))
