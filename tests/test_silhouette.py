@@ -44,6 +44,18 @@ def test_contours_may_leave_the_frame_on_any_side(look_at):
     np.testing.assert_allclose(image, mesh_coverage(camera, vertices, faces), atol=1e-9)
 
 
+def test_no_row_of_a_large_float32_image_is_covered_by_mistake():
+    """Many curves pass within rounding of a pixel's corner there."""
+    random = np.random.default_rng(0)
+    vertices, faces = (np.asarray(x) for x in bumpy())
+    scene = pj.Scene(mesh=pj.Mesh(vertices.astype(np.float32), faces))
+    for _ in range(30):
+        camera = random_camera(random, 1024, 1024)
+        camera = jax.tree.map(lambda x: x.astype(jnp.float32), camera)
+        told, plain = (np.asarray(pj.silhouette(camera, scene, o)) for o in (True, False))
+        assert np.max(np.abs(told - plain)) < 2e-3
+
+
 def test_an_object_that_fills_the_frame_and_one_outside_it():
     vertices, faces = bumpy()
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
