@@ -66,8 +66,8 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
         else:
             ((x, y),), r = place([ball[:3]]), ball[3] * scale
             draw.ellipse((x - r, y - r, x + r, y + r), (196, 180, 154), (120, 105, 80))
-    for line in ([eye, film[0]], [eye, film[1]], [eye, film[2]], [eye, film[3]]):
-        draw.line(place(line), (0, 107, 138, 230), 4)
+    for corner in film:
+        draw.line(place([eye, corner]), (0, 107, 138, 230), 4)
     draw.line(place([*border, border[0]]), (0, 107, 138, 230), 4)
     draw.line(place([film[3], tick, film[2]]), (0, 107, 138, 230), 4)
     ((x, y),) = place([eye])

@@ -94,17 +94,15 @@ class Kept(NamedTuple):
         return Kept(put(self.place, place), jax.tree.map(put, self.visible, more), upto[-1, -1])
 
     def fold(self, add: Callable[[Any, Array, Visible], Any], start: Any) -> Any:
-        """Return `start` after `add(total, place, visible)` over all, `KEPT_AT_A_TIME`."""
+        """Return `start` after `add(total, place, visible)` over all `used`, some at a time."""
 
         def body(state):
             first, total = state
             cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, KEPT_AT_A_TIME)
-            return first + KEPT_AT_A_TIME, add(
-                total, *jax.tree.map(cut, (self.place, self.visible))
-            )
+            place, visible = jax.tree.map(cut, (self.place, self.visible))
+            return first + KEPT_AT_A_TIME, add(total, place, visible)
 
-        used = jnp.where(self.complete, self.used, 0)
-        return jax.lax.while_loop(lambda s: s[0] < used, body, (jnp.int32(0), start))[1]
+        return jax.lax.while_loop(lambda s: s[0] < self.used, body, (jnp.int32(0), start))[1]
 
 
 def nothing_kept(part: Part) -> Kept:

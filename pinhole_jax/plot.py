@@ -195,14 +195,15 @@ def off_px(fit: Fit, scene: Scene) -> list[float]:
     return [float(np.sqrt(np.mean(np.sum(m**2, axis=1)))) for m in moves]
 
 
-def levels(fit: Fit) -> list[tuple[list[Progress], int]]:
-    """Return the entries of `fit.history` after the start, by levels, with each level's last place
-    in the history."""
+def levels(fit: Fit) -> list[tuple[Progress, int, int]]:
+    """Return each level's end with all its steps, and at which entries of `fit.history` the level
+    begins (the end of the one before) and ends."""
     found, last = [], 0
     for _, each in groupby(fit.history[1:], lambda stop: (stop.W, stop.H)):
-        level = list(each)
+        level, first = list(each), last
         last += len(level)
-        found.append((level, last))
+        end = level[-1]._replace(steps=sum(stop.steps for stop in level))
+        found.append((end, first, last))
     return found
 
 
@@ -219,15 +220,14 @@ def convergence(fit: Fit, scene: Scene) -> Svg:
     x = left + width * steps / max(steps[-1], 1)
     y = top + height * (high - np.log10(shown)) / (high - low)
     parts = []
-    for k, (level, last) in enumerate(levels(fit)):
-        a, b = x[last - len(level)], x[last]
-        words = f"{level[0].W} x {level[0].H}"
-        title = level[0]._replace(steps=sum(stop.steps for stop in level))
+    for k, (level, first, last) in enumerate(levels(fit)):
+        a, b = x[first], x[last]
         parts.append(
             f'<rect x="{a:.1f}" y="{top}" width="{b - a:.1f}" height="{height}"'
-            f' fill="{("#eef2f6", "#dfe7ef")[k % 2]}"><title>{title}</title></rect>'
+            f' fill="{("#eef2f6", "#dfe7ef")[k % 2]}"><title>{level}</title></rect>'
         )
         if b - a > 44:
+            words = f"{level.W} x {level.H}"
             parts.append(f'<text x="{(a + b) / 2:.1f}" y="{top - 8}" class="m">{words}</text>')
     every = max(int(high - low) // 7, 1)
     for power in range(int(low), int(high) + 1, every):

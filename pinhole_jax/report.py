@@ -256,9 +256,9 @@ def _convergence(fit: Fit, scene: Scene) -> str:
         return "<p>The way to the camera was not recorded.</p>"
     off = plot.off_px(fit, scene)
     rows = [f"<tr><th>start</th><td>0</td><td>{off[0]:.3g}</td></tr>"]
-    for level, last in plot.levels(fit):
-        size, steps = f"{level[0].W} x {level[0].H} px", sum(stop.steps for stop in level)
-        rows.append(f"<tr><th>{size}</th><td>{steps}</td><td>{off[last]:.3g}</td></tr>")
+    for level, _, last in plot.levels(fit):
+        size = f"{level.W} x {level.H} px"
+        rows.append(f"<tr><th>{size}</th><td>{level.steps}</td><td>{off[last]:.3g}</td></tr>")
     return (
         f'<figure class="diagram">{plot.convergence(fit, scene)}<figcaption>How far the outline is'
         " from its last place, by steps; each band is a level of the picture, coarse to fine."

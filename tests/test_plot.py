@@ -193,7 +193,7 @@ def test_steps_of_a_level_are_one_band():
     at = lambda x: pj.Camera([x, 0.0, 5], [x, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
     stops = ((1, 24, 20, 0), (0.3, 48, 40, 1), (0.1, 48, 40, 1), (0, 96, 80, 1))
     fit = fit_of(AHEAD, ("e_x",), [0.01], [pj.Progress(at(x), *stop) for x, *stop in stops])
-    assert [(len(level), last) for level, last in plot.levels(fit)] == [(2, 2), (1, 3)]
+    assert [(last - first, last) for _, first, last in plot.levels(fit)] == [(2, 2), (1, 3)]
     svg = plot.convergence(fit, SQUARE)
     assert svg.count("<circle") == 4
     assert svg.count("<rect") == 2
