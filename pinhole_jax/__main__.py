@@ -1,6 +1,8 @@
 """The command line: `pinhole-jax fit`, `render` and `convert`; also `python -m pinhole_jax`."""
 
 import argparse
+import atexit
+import gc
 import math
 import os
 import sys
@@ -280,11 +282,14 @@ def _set_up_jax(options: argparse.Namespace) -> None:
     """Set what an application may and a library may not: float64, a cache of compiled programs."""
     import jax
 
+    # Tracing makes objects that stay: to look for garbage among them takes a third of the start.
+    gc.set_threshold(1_000_000)
+    atexit.register(gc.freeze)
     jax.config.update("jax_enable_x64", True)
     if not options.no_cache:
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         jax.config.update("jax_compilation_cache_dir", str(Path(home) / "pinhole_jax"))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 class _Clock:

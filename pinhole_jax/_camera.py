@@ -45,6 +45,7 @@ class Basis(NamedTuple):
     v: Float[Array, "3"]
 
 
+@jax.jit
 def basis(e: Float[Array, "3"], p: Float[Array, "3"], u: Float[Array, "3"]) -> Basis:
     """Return the camera's axes `v`, `b1 = v x u` and `b2 = b1 x v`, normalised (Frisvad, eq. 1-3).
 

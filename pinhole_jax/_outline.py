@@ -28,8 +28,8 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     parts behind it are left out.
     """
     scene = astype(scene, camera.e.dtype)
-    start, end, weight = _pieces(camera, scene)
-    base = int(_layers_on_the_left(camera, scene))
+    segments, base = _segments(camera, scene)
+    start, end, weight = _pieces(camera, scene, segments)
     turned = weight < 0  # cover on the right: the same contour run the other way
     start[turned], end[turned] = end[turned], start[turned]
     weight = np.abs(weight)
@@ -45,7 +45,7 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     # A point just outside: to the right, with cover on the left.
     direction = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
     outside = short.mean(axis=1) + 1e-3 * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
-    visible = _winding(outside, start, end, weight) + base <= 0
+    visible = _winding(outside, start, end, weight) + int(base) <= 0
     lens = bend(camera)
     if lens is None:
         return short[visible]
@@ -87,14 +87,17 @@ def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
 
 
 @eqx.filter_jit
-def _segments(camera: Camera, mesh: Mesh) -> tuple[Segments, Segments]:
-    """Return all edges as segments in and near the film, and what of them lies left of it."""
-    film = film_map(camera)
+def _segments(camera: Camera, scene: Scene) -> tuple[list[Segments], Int[Array, ""]]:
+    """Return all edges as segments in and near the film, what of them lies left of it, and how many
+    layers cover all else on the left."""
+    film, mesh = film_map(camera), scene.mesh
+    base = surrounding(film, scene)
+    if mesh is None or not mesh.edge_faces.shape[0]:
+        return [], base
     weights = contour_weights(mesh, camera.e)
     lift = film(mesh.vertices[mesh.edge_vertices])
     parts = (jnp.full(weights.shape, beside) for beside in (False, True))
-    inner, outer = (clipped(lift, weights, part, film.bounds) for part in parts)
-    return inner, outer
+    return [clipped(lift, weights, part, film.bounds) for part in parts], base
 
 
 @eqx.filter_jit
@@ -108,19 +111,15 @@ def _arcs(camera: Camera, spheres: Spheres) -> Arcs:
     return sphere_arcs(film_map(camera), spheres, ids)
 
 
-@eqx.filter_jit
-def _layers_on_the_left(camera: Camera, scene: Scene) -> Int[Array, ""]:
-    return surrounding(film_map(camera), scene)
-
-
-def _pieces(camera: Camera, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pieces(
+    camera: Camera, scene: Scene, edges: list[Segments]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return starts (n, 2), ends (n, 2) and weights (n,) of the whole contour, arcs sampled."""
     parts = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))]
-    if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
-        for segments in _segments(camera, scene.mesh):
-            on = np.asarray(segments.weight) != 0
-            start, end, weight = (np.asarray(x, float)[on] for x in segments)
-            parts.append((start, end, weight))
+    for segments in edges:
+        on = np.asarray(segments.weight) != 0
+        start, end, weight = (np.asarray(x, float)[on] for x in segments)
+        parts.append((start, end, weight))
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
         arcs = _arcs(camera, scene.spheres)
         begin, until = (np.arctan2(w[:, 1], w[:, 0]) for w in map(np.asarray, arcs[1:3]))

@@ -151,37 +151,43 @@ def padded(scene: Scene) -> Scene:
     """
     if scene.mesh is None or not scene.mesh.edge_faces.shape[0]:
         return scene
-    mesh = scene.mesh
+    mesh, planes = scene.mesh, None
+    if planes_are_current(mesh) and mesh.planes.clusters is not None:
+        planes = mesh.planes
+    parts = (mesh.vertices, mesh.faces, mesh.edge_vertices, mesh.edge_faces)
+    *parts, planes = _filled_up(*parts, planes)
+    if planes is None:
+        planes = _planes_and_clusters(parts[0], parts[1], parts[3])
+    order = jnp.zeros(0, jnp.int32)
+    mesh = eqx.tree_at(
+        lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.order, m.planes),
+        mesh,
+        (*parts, order, planes),
+    )
+    return Scene(mesh=mesh, spheres=scene.spheres)
+
+
+@jax.jit
+def _filled_up(
+    vertices: Array, faces: Array, edge_vertices: Array, edge_faces: Array, planes: Planes | None
+) -> tuple:
+    """Return a mesh's arrays filled up to one of a few sizes."""
 
     def fill(x, axis=0):
         size = x.shape[axis]
         return _filled(x, size + -size % (1 << max(size.bit_length() - 3, 6)), axis)
 
-    vertices, faces = fill(mesh.vertices), fill(mesh.faces)
-    edges = (fill(mesh.edge_vertices), fill(mesh.edge_faces))
-    if planes_are_current(mesh) and mesh.planes.clusters is not None:
-        # What is filled up is behind everything: no contour.
-        number = -(-edges[0].shape[0] // CLUSTER)
-        c = mesh.planes.clusters
-        axis, cosine, sine, middle = (_filled(x, number, x.ndim - 1) for x in c[:4])
-        radius = _filled(c.radius, number, 0, -jnp.inf)
-        clusters = Clusters(axis, cosine, sine, middle, radius, fill(c.planes), *c[6:])
-        planes = Planes(
-            fill(mesh.planes.normal, 1),
-            fill(mesh.planes.corner, 1),
-            mesh.planes.box,
-            _fingerprint(vertices),
-            clusters,
-        )
-    else:
-        planes = _planes_and_clusters(vertices, faces, edges[1])
-    order = jnp.zeros(0, jnp.int32)
-    mesh = eqx.tree_at(
-        lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.planes, m.order),
-        mesh,
-        (vertices, faces, *edges, planes, order),
-    )
-    return Scene(mesh=mesh, spheres=scene.spheres)
+    arrays = tuple(fill(x) for x in (vertices, faces, edge_vertices, edge_faces))
+    if planes is None or planes.clusters is None:
+        return *arrays, None
+    # What is filled up is behind everything: no contour.
+    number = -(-arrays[2].shape[0] // CLUSTER)
+    c = planes.clusters
+    axis, cosine, sine, middle = (_filled(x, number, x.ndim - 1) for x in c[:4])
+    radius = _filled(c.radius, number, 0, -jnp.inf)
+    clusters = Clusters(axis, cosine, sine, middle, radius, fill(c.planes), *c[6:])
+    faces_of = fill(planes.normal, 1), fill(planes.corner, 1)
+    return *arrays, Planes(*faces_of, planes.box, _fingerprint(arrays[0]), clusters)
 
 
 def _filled(x: Array, size: int, axis: int, value: float = 0.0) -> Array:
@@ -190,6 +196,7 @@ def _filled(x: Array, size: int, axis: int, value: float = 0.0) -> Array:
     return jnp.pad(x, widths, constant_values=value)
 
 
+@eqx.filter_jit
 def planes_are_current(mesh: Mesh) -> Bool[Array, ""]:
     """Return whether the planes were made from the vertices as they are now."""
     return mesh.planes.fingerprint == _fingerprint(mesh.vertices)
@@ -247,6 +254,7 @@ class Ball(NamedTuple):
     radius: Any
 
 
+@eqx.filter_jit
 def bounding_box(scene: Scene) -> Float[Array, "2 3"]:
     """Return the least and largest coordinates of the scene."""
     points = []
@@ -335,7 +343,12 @@ def _clusters(
 def _face_order(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Int[Array, "F"]:
     if not (faces.shape[0] and vertices.shape[0]):
         return jnp.zeros(faces.shape[0], jnp.int32)
-    return morton_order(jnp.mean(jax.lax.stop_gradient(vertices)[faces], axis=1))
+    return _middles_order(jax.lax.stop_gradient(vertices), faces)
+
+
+@jax.jit
+def _middles_order(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Int[Array, "F"]:
+    return morton_order(jnp.mean(vertices[faces], axis=1))
 
 
 @jax.jit
@@ -350,6 +363,7 @@ def morton_order(points: Float[Array, "N 3"]) -> Int[Array, "N"]:
     return jnp.argsort(spread[:, 0] | spread[:, 1] << 1 | spread[:, 2] << 2).astype(jnp.int32)
 
 
+@jax.jit
 def _fingerprint(vertices: Float[Array, "V 3"]) -> UInt32[Array, ""]:
     """Return a checksum of the bits; integer sums do not depend on the order of summation."""
     bits = jax.lax.bitcast_convert_type(vertices, jnp.uint32).reshape(-1)

@@ -164,7 +164,7 @@ class Solver:
         """Return the view at a camera; capacities get half as much room again as it takes."""
         self._widen(unit)
         while True:
-            view = _view(unit, self.problem, self.levels[level], self.names, self.capacity)
+            view = self._further(unit, self.levels[level], 0.0, 1, self.capacity)[-1]
             needs = zip(self.capacity, view.load, strict=True)
             room = Capacity(*(_room(have, int(need)) for have, need in needs))
             if room == self.capacity:
@@ -232,9 +232,9 @@ class Solver:
                 self._believe(unit, number)
                 level, strict = self.levels[number], number > self.finest
                 fine = number >= self.finest
-                tolerance = np.asarray(FINE_PX[self.dtype] if fine else coarse_px, self.dtype)
-                further, n, path = _solve(
-                    unit, self.problem, level, tolerance, self.names, capacity, self.max_steps
+                tolerance = FINE_PX[self.dtype] if fine else coarse_px
+                further, n, path, _ = self._further(
+                    unit, level, tolerance, self.max_steps, capacity
                 )
                 if strict and int(n) == self.max_steps:
                     continue  # it stalled
@@ -249,6 +249,11 @@ class Solver:
             if (self.capacity, self.window) == (capacity, window):
                 return Found(unit, view, tuple(steps), tuple(way))
             # The view outgrew its buffers or window on the way: go on from there with larger ones.
+
+    def _further(self, unit: Camera, level: Level, px: float, steps: int, capacity: Capacity):
+        """Return `_solve`'s from a camera: one program, whether it takes steps or only looks."""
+        ends = np.asarray(px, self.dtype), np.asarray(steps, np.int32)
+        return _solve(unit, self.problem, level, *ends, self.names, capacity)
 
     def _each_step(self, unit: Camera, level: int, end: Stop, path: Array) -> list[Stop]:
         """Return where each step of a level ended; those past `RECORDED` together."""
@@ -265,8 +270,8 @@ class _Recorded(NamedTuple):
 
 
 class _LevenbergMarquardt(optx.AbstractGaussNewton):
-    """optimistix's Levenberg-Marquardt, which also stops when the next step is negligible, and has
-    its way among its `stats`.
+    """optimistix's Levenberg-Marquardt, which also stops when the next step is negligible, or after
+    `steps`, and has its way and what it last accepted among its `stats`.
 
     Its own test compares residuals entry by entry, which change places here from step to step, and
     never stops while steps are rejected (in float32, at the rounding floor, until `max_steps`).
@@ -274,13 +279,14 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
 
     rtol: float
     atol: Any
+    steps: Any
     norm: Callable
     descent: optx.AbstractDescent
     search: optx.AbstractSearch
     verbose: Callable
 
-    def __init__(self, atol: Any):
-        self.rtol, self.atol, self.norm = 0.0, atol, optx.max_norm
+    def __init__(self, atol: Any, steps: Any):
+        self.rtol, self.atol, self.steps, self.norm = 0.0, atol, steps, optx.max_norm
         self.descent = optx.DampedNewtonDescent(linear_solver=ThinQR())
         self.search = _TrustRegion()
         self.verbose = _silent
@@ -296,7 +302,10 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
 
     def postprocess(self, fn, y, aux, args, options, state: Any, tags, result):
         del fn, args, options, tags, result
-        return y, aux, {"path": state.path}
+        at = state.solver.f_info
+        camera, seen = state.solver.aux
+        view = View(*triangle_and_rhs(at.jac.as_matrix(), at.residual), *seen)
+        return y, aux, {"path": state.path, "camera": camera, "view": view}
 
     def terminate(self, fn, y, args, options, state: Any, tags):
         del fn, args, options, tags
@@ -306,7 +315,8 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
         cosine = COSINE[np.dtype(step.dtype)]
         flat = _sum_squares(change) <= cosine**2 * _sum_squares(state.f_info.residual)
         small = jnp.max(jnp.abs(step)) < self.atol
-        return ~state.first_step & (small | flat), state.result
+        enough = state.num_steps >= self.steps
+        return ~state.first_step & (small | flat | enough), state.result
 
 
 class _TrustRegion(optx.ClassicalTrustRegion):
@@ -317,8 +327,8 @@ class _TrustRegion(optx.ClassicalTrustRegion):
         return eqx.tree_at(lambda s: s.step_size, state, state.step_size.astype(y.dtype))
 
 
-def _sum_squares(parts: Any) -> Any:
-    return sum((jnp.sum(x * x) for x in parts), jnp.zeros((), parts[0].dtype))
+def _sum_squares(x: Array) -> Array:
+    return jnp.sum(x * x)
 
 
 def _silent(**kwargs: Any) -> None:
@@ -326,13 +336,34 @@ def _silent(**kwargs: Any) -> None:
 
 
 def _residual(y: Float[Array, "n"], args: Any):
-    """The function that optimistix sees: module level and all data in `args`, to compile once."""
+    """The function that optimistix sees: module level and all data in `args`, to compile once.
+
+    It is linear in y about each point, so its Jacobian is a table that is worked out once a step.
+    """
+    at = jax.lax.stop_gradient(y)
+    value, jacobian, aux = _linearised(at, args)
+    return value + jacobian @ (y - at), aux
+
+
+@eqx.filter_jit
+def _linearised(y: Float[Array, "n"], args: Any):
+    """Return all residuals (m,), their derivatives (m, n), and what else is known there: the
+    camera; sums, load, the reported parameters' derivatives, the squares of a prior."""
     move, problem, level, names, capacity = args
-    camera = moved(move, y, names.value)
-    capacity = Capacity(*capacity.value)
-    rest = residuals(camera, problem.scene, problem.pyramid, level, capacity)[0]
-    prior = problem.prior
-    return rest if prior is None else (*rest, prior.residuals(camera, names.value))
+
+    def at(y):
+        camera = moved(move, y, names.value)
+        here = problem.scene, problem.pyramid, level, Capacity(*capacity.value)
+        (r, rest), sums, load = residuals(camera, *here)
+        known = jnp.zeros(0, r.dtype)
+        if problem.prior is not None:
+            known = problem.prior.residuals(camera, names.value)
+        r = jnp.concatenate([r, rest[None], known])
+        told = reported(move.camera, camera, names.value)
+        return (r, told), (r, camera, sums, load, jnp.sum(known * known))
+
+    (jacobian, to_reported), (r, camera, *sums, prior) = jax.jacfwd(at, has_aux=True)(y)
+    return r, jacobian, (camera, (*sums, to_reported, move.unit, prior))
 
 
 class _Static(eqx.Module):
@@ -347,19 +378,18 @@ def _move(unit: Camera, problem: Problem, level: Level, names: tuple[str, ...]) 
 
 
 @eqx.filter_jit
-def _solve(unit: Camera, problem: Problem, level: Level, tolerance, names, capacity, max_steps):
+def _solve(unit: Camera, problem: Problem, level: Level, px, steps, names, capacity):
+    """Return the camera after so many steps at most, or when steps are shorter than `px`; how many
+    it took, the first of them, and the view: after one step (which evaluates the start) of the
+    start.
+    """
     move = _move(unit, problem, level, names)
     args = (move, problem, level, _Static(names), _Static(tuple(capacity)))
-    solution = optx.least_squares(
-        _residual,
-        _LevenbergMarquardt(tolerance / UNIT_PX),
-        jnp.zeros_like(move.unit),
-        args,
-        max_steps=max_steps,
-        throw=False,
+    solver, zero = _LevenbergMarquardt(px / UNIT_PX, steps), jnp.zeros_like(move.unit)
+    found = optx.least_squares(
+        _residual, solver, zero, args, has_aux=True, max_steps=None, throw=False
     )
-    stats = solution.stats
-    return moved(move, solution.value, names), stats["num_steps"], stats["path"]
+    return tuple(found.stats[name] for name in ("camera", "num_steps", "path", "view"))
 
 
 @eqx.filter_jit
@@ -376,26 +406,6 @@ def _touched(unit: Camera, problem: Problem, level: Level, capacity: Capacity) -
 def _step(unit: Camera, problem: Problem, level: Level, y: Any, names) -> Camera:
     """Return the camera moved by y in the solver's units."""
     return moved(_move(unit, problem, level, names), y, names)
-
-
-@eqx.filter_jit
-def _view(unit: Camera, problem: Problem, level: Level, names, capacity) -> View:
-    move = _move(unit, problem, level, names)
-    zero = jnp.zeros_like(move.unit)
-
-    def at(y):
-        camera = moved(move, y, names)
-        (r, _), *rest = residuals(camera, problem.scene, problem.pyramid, level, capacity)
-        known = jnp.zeros(0, r.dtype)
-        if problem.prior is not None:
-            known = problem.prior.residuals(camera, names)
-            r = jnp.concatenate([r, known])
-        return r, (r, *rest, jnp.sum(known * known))
-
-    jacobian, (r, sums, load, prior) = jax.jacfwd(at, has_aux=True)(zero)
-    triangle, along = triangle_and_rhs(jacobian, r)
-    to_reported = jax.jacfwd(lambda y: reported(unit, moved(move, y, names), names))(zero)
-    return View(triangle, along, sums, load, to_reported, move.unit, prior)
 
 
 def _noise_far_from_edges(image: np.ndarray, weights: np.ndarray) -> float:
@@ -419,7 +429,9 @@ def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
 
 
 def _room(have: int, need: int) -> int:
-    """Return `have` if it is 3/2 of `need`, else the next of a few sizes (each is compiled)."""
-    while 2 * have < 3 * need:
-        have = max(2 * have, 1024)
+    """Return `have` if it is 9/8 of `need`, else the next of a few sizes (each is compiled) that is
+    3/2 of it."""
+    if 8 * have < 9 * need:
+        while 2 * have < 3 * need:
+            have = max(2 * have, 1024)
     return have

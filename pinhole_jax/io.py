@@ -10,9 +10,10 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import numpy as np
 
-from ._camera import Camera, camera_basis, focal_px, principal_point
+from ._camera import Basis, Camera, camera_basis, focal_px, principal_point
 from ._distortion import BrownConrady, Fisheye
 from ._exif import FieldOfView, field_of_view, upright
 from ._lens import Lens
@@ -191,7 +192,7 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
     - `pose`: free of the gauge. `right`, `up`, `forward` are the camera's unit axes and `eye` its
       place, in world coordinates; `focal_px` is [fx, fy].
     """
-    b1, b2, v = camera_basis(camera)
+    (b1, b2, v), focal, principal = _pose(camera)
     lens = camera.lens
     return {
         "schema": CAMERA_SCHEMA,
@@ -209,10 +210,16 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
             "right": _numbers(b1),
             "up": _numbers(b2),
             "forward": _numbers(v),
-            "focal_px": [float(f) for f in focal_px(camera)],
-            "principal_point": _numbers(principal_point(camera)),
+            "focal_px": [float(f) for f in focal],
+            "principal_point": _numbers(principal),
         },
     }
+
+
+@eqx.filter_jit
+def _pose(camera: Camera) -> tuple[Basis, Any, Any]:
+    """Return the axes, the focal length (px) and the principal point (px)."""
+    return camera_basis(camera), focal_px(camera), principal_point(camera)
 
 
 def camera_from_dict(data: Any) -> Camera:

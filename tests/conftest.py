@@ -3,11 +3,13 @@
 Compiled programs are kept in `.pytest_cache`: modules and processes share them, and the next run.
 """
 
+import gc
 from pathlib import Path
 
 import jax
 import pytest
 
+gc.set_threshold(1_000_000)  # tracing makes objects that stay: looking through them takes a third
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
