@@ -16,7 +16,7 @@ import numpy as np
 from ._camera import Camera
 from ._distortion import COEFFICIENTS
 from ._parameters import check_free
-from ._solver import COARSE_PX, COSINE, FINE_PX, UNIT_PX
+from ._view import COARSE_PX, COSINE, FINE_PX, UNIT_PX
 
 #: One view's residuals about where it is: `triangle` (R of J = QR), `along` (Q^T r), the unknowns'
 #: `unit`s and `squares` (|r|^2). `_solver.View` is one.

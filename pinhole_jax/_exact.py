@@ -19,7 +19,8 @@ from ._residuals import Sums
 from ._scene import Scene
 from ._search import Mask
 from ._silhouette import silhouette
-from ._solver import FINE_PX, UNIT_PX, Found, Solver, View
+from ._solver import Found, Solver
+from ._view import FINE_PX, UNIT_PX, View
 
 #: Mean square residuals of a touched pixel between which it pays: with less noise there is nothing
 #: to gain (8 bits leave 1e-6), with more the mask is not exact.

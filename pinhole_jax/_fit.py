@@ -27,10 +27,11 @@ from ._parameters import (
 from ._residuals import Sums
 from ._scene import Scene, check_scene
 from ._search import Mask, axes_of
-from ._solver import COSINE, FINE_PX, UNIT_PX, Found, Solver, Stop
+from ._solver import Found, Solver, Stop
 from ._strategy import EXACT, equally_good, everywhere, from_start, turns_freely, without_outliers
 from ._target import check_target, edge_distance, near_an_edge
 from ._uncertainty import BLIND, covariance, weak_directions
+from ._view import COSINE, FINE_PX, UNIT_PX
 
 #: What `Fit.status` may be.
 STATUSES = (

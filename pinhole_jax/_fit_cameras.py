@@ -14,8 +14,9 @@ from ._parameters import canonical, components, with_lens
 from ._residuals import Capacity
 from ._scene import Scene, check_scene
 from ._search import Mask
-from ._solver import FINE_PX, UNIT_PX, Found, Solver, View
+from ._solver import Found, Solver
 from ._target import check_target
+from ._view import FINE_PX, UNIT_PX, View
 
 
 def fit_cameras(

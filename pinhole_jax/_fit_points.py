@@ -21,9 +21,9 @@ from ._rays import project
 from ._resection import resected
 from ._scene import Ball, ball_about
 from ._search import axes_of
-from ._solver import UNIT_PX
 from ._thin_qr import triangle_and_rhs
 from ._uncertainty import BLIND, covariance, weak_directions
+from ._view import UNIT_PX
 
 #: What several views share if nothing is said: the intrinsics of one physical camera.
 INTRINSICS = ("phi", "principal_point", "distortion")
@@ -133,7 +133,7 @@ def _checked(points3d: Numbers, points2d: Numbers) -> tuple[np.ndarray, np.ndarr
 
 
 class _Seen(NamedTuple):
-    """What is known at one camera (as `_solver.View`): in px over `UNIT_PX`; `nearest` is the least
+    """What is known at one camera (as `_view.View`): in px over `UNIT_PX`; `nearest` is the least
     depth of a point."""
 
     triangle: Float[Array, "n n"]

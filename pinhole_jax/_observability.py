@@ -13,9 +13,10 @@ from ._fit import labels_of, to_units
 from ._parameters import canonical, check_free, components, with_lens
 from ._scene import Scene, check_scene
 from ._search import Mask, axes_of
-from ._solver import UNIT_PX, Solver
+from ._solver import Solver
 from ._target import check_weight
 from ._uncertainty import BLIND, covariance, weak_directions
+from ._view import UNIT_PX
 
 
 class Observability(NamedTuple):

@@ -1,22 +1,19 @@
-"""Levenberg-Marquardt on the pixels that a contour touches, coarse to fine (optimistix)."""
+"""A fit of one scene to one mask: levels from coarse to fine, and buffers that grow as needed."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Float
 
 from ._camera import Camera, film_map
-from ._parameters import Bounds, Move, Prior, moved, reported, units
-from ._residuals import Capacity, Load, Sums, Touched, residuals, touch
-from ._scene import Ball, Scene, astype, ball_about, bounding_box, padded
+from ._parameters import Bounds, Move, Prior, moved
+from ._residuals import Capacity, Touched, touch
+from ._scene import Scene, astype, ball_about, bounding_box, padded
 from ._target import (
     Level,
-    Pyramid,
     Window,
     edge_distance,
     near_an_edge,
@@ -24,73 +21,8 @@ from ._target import (
     pyramid,
     shares,
 )
-from ._thin_qr import ThinQR, triangle_and_rhs
-
-#: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
-#: larger units make bolder first steps.
-UNIT_PX = 30.0
-#: A step is negligible below this many pixels; on coarse levels, and on the finest.
-COARSE_PX = 0.02
-FINE_PX = {np.dtype(np.float32): 3e-4, np.dtype(np.float64): 1e-7}
-#: ... or where it would change the residuals by less than this share of their norm: MINPACK's
-#: cosine between residual and Jacobian, some thousandths of the error that noise leaves anyway.
-COSINE = {np.dtype(np.float32): 1e-4, np.dtype(np.float64): 1e-5}
-
-#: Steps of a level that can be told one by one.
-RECORDED = 64
-
-
-class Problem(eqx.Module):
-    """A scene and a target's pyramid; moves are taken about the scene's bounding sphere."""
-
-    scene: Scene
-    pyramid: Pyramid
-    pivot: Float[Array, "3"]
-    radius: Float[Array, ""]
-    bounds: Bounds | None
-    prior: Prior | None
-
-    def __init__(
-        self,
-        scene: Scene,
-        pyramid: Pyramid,
-        ball: Ball,
-        bounds: Bounds | None = None,
-        prior: Prior | None = None,
-    ):
-        dtype = pyramid.target.dtype
-        self.scene, self.pyramid, self.bounds, self.prior = scene, pyramid, bounds, prior
-        self.pivot, self.radius = (jnp.asarray(x, dtype) for x in ball)
-
-
-class View(NamedTuple):
-    """What is known at one camera: R of J = QR, Q^T r, sums, load, reported parameters' derivative.
-
-    J is the residuals' derivative by the moves, in the solver's units (`UNIT_PX` pixels): `unit`.
-    """
-
-    triangle: Float[Array, "n n"]
-    along: Float[Array, "n"]
-    sums: Sums
-    load: Load
-    to_reported: Float[Array, "n n"]
-    unit: Float[Array, "n"]
-    prior: Any = 0.0
-
-    @property
-    def squares(self) -> float:
-        """Return the sum of weighted squared residuals, those of a prior among them."""
-        return float(self.sums.squares) + float(self.prior)
-
-    @property
-    def touched_misfit(self) -> float:
-        """Return the mean square residual of the touched pixels."""
-        return float(self.sums.touched_squares) / max(float(self.sums.touched), 1.0)
-
-    @property
-    def misfit(self) -> float:
-        """Return the mean square residual of a touched pixel, all squares put on these pixels."""
-        return self.squares / max(float(self.sums.touched), 1.0)
+from ._view import COARSE_PX, FINE_PX, Problem, View
+from ._view import move as move_of
 
 
 class Stop(NamedTuple):
@@ -197,7 +129,7 @@ class Solver:
 
     def move(self, unit: Camera, level: int) -> Move:
         """Return where moves of a camera start, in the solver's units."""
-        return _move(unit, self.problem, self.levels[level], self.names)
+        return move_of(unit, self.problem, self.levels[level], self.names)
 
     def step(self, unit: Camera, level: int, y: np.ndarray) -> Camera:
         """Return the camera moved by y (n,) in the solver's units."""
@@ -251,145 +183,17 @@ class Solver:
             # The view outgrew its buffers or window on the way: go on from there with larger ones.
 
     def _further(self, unit: Camera, level: Level, px: float, steps: int, capacity: Capacity):
-        """Return `_solve`'s from a camera: one program, whether it takes steps or only looks."""
+        """Return `descended`'s from a camera: one program, whether it takes steps or only looks."""
+        from ._descent import descended  # optimistix takes a third of this package's import
+
         ends = np.asarray(px, self.dtype), np.asarray(steps, np.int32)
-        return _solve(unit, self.problem, level, *ends, self.names, capacity)
+        return descended(unit, self.problem, level, *ends, self.names, capacity)
 
     def _each_step(self, unit: Camera, level: int, end: Stop, path: Array) -> list[Stop]:
         """Return where each step of a level ended; those past `RECORDED` together."""
         before = np.asarray(path)[: max(end.steps - 1, 0)]
         each = [Stop(self.step(unit, level, y), end.level, 1) for y in before]
         return [*each, end._replace(steps=end.steps - len(each))]
-
-
-class _Recorded(NamedTuple):
-    """The solver's state, and where the first steps came to."""
-
-    solver: Any
-    path: Float[Array, "RECORDED n"]
-
-
-class _LevenbergMarquardt(optx.AbstractGaussNewton):
-    """optimistix's Levenberg-Marquardt, which also stops when the next step is negligible, or after
-    `steps`, and has its way and what it last accepted among its `stats`.
-
-    Its own test compares residuals entry by entry, which change places here from step to step, and
-    never stops while steps are rejected (in float32, at the rounding floor, until `max_steps`).
-    """
-
-    rtol: float
-    atol: Any
-    steps: Any
-    norm: Callable
-    descent: optx.AbstractDescent
-    search: optx.AbstractSearch
-    verbose: Callable
-
-    def __init__(self, atol: Any, steps: Any):
-        self.rtol, self.atol, self.steps, self.norm = 0.0, atol, steps, optx.max_norm
-        self.descent = optx.DampedNewtonDescent(linear_solver=ThinQR())
-        self.search = _TrustRegion()
-        self.verbose = _silent
-
-    def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> Any:
-        state = super().init(fn, y, args, options, f_struct, aux_struct, tags)
-        return _Recorded(state, jnp.zeros((RECORDED, *y.shape), y.dtype))
-
-    def step(self, fn, y, args, options, state: Any, tags) -> Any:
-        y, solver, aux = super().step(fn, y, args, options, state.solver, tags)
-        path = state.path.at[state.solver.num_steps].set(y, mode="drop")
-        return y, _Recorded(solver, path), aux
-
-    def postprocess(self, fn, y, aux, args, options, state: Any, tags, result):
-        del fn, args, options, tags, result
-        at = state.solver.f_info
-        camera, seen = state.solver.aux
-        view = View(*triangle_and_rhs(at.jac.as_matrix(), at.residual), *seen)
-        return y, aux, {"path": state.path, "camera": camera, "view": view}
-
-    def terminate(self, fn, y, args, options, state: Any, tags):
-        del fn, args, options, tags
-        state = state.solver
-        step = state.y_eval - y
-        change = state.f_info.jac.mv(step)
-        cosine = COSINE[np.dtype(step.dtype)]
-        flat = _sum_squares(change) <= cosine**2 * _sum_squares(state.f_info.residual)
-        small = jnp.max(jnp.abs(step)) < self.atol
-        enough = state.num_steps >= self.steps
-        return ~state.first_step & (small | flat | enough), state.result
-
-
-class _TrustRegion(optx.ClassicalTrustRegion):
-    """optimistix's, with its step size in the problem's float type, not the configuration's."""
-
-    def init(self, y, f_info_struct):
-        state = super().init(y, f_info_struct)
-        return eqx.tree_at(lambda s: s.step_size, state, state.step_size.astype(y.dtype))
-
-
-def _sum_squares(x: Array) -> Array:
-    return jnp.sum(x * x)
-
-
-def _silent(**kwargs: Any) -> None:
-    del kwargs
-
-
-def _residual(y: Float[Array, "n"], args: Any):
-    """The function that optimistix sees: module level and all data in `args`, to compile once.
-
-    It is linear in y about each point, so its Jacobian is a table that is worked out once a step.
-    """
-    at = jax.lax.stop_gradient(y)
-    value, jacobian, aux = _linearised(at, args)
-    return value + jacobian @ (y - at), aux
-
-
-@eqx.filter_jit
-def _linearised(y: Float[Array, "n"], args: Any):
-    """Return all residuals (m,), their derivatives (m, n), and what else is known there: the
-    camera; sums, load, the reported parameters' derivatives, the squares of a prior."""
-    move, problem, level, names, capacity = args
-
-    def at(y):
-        camera = moved(move, y, names.value)
-        here = problem.scene, problem.pyramid, level, Capacity(*capacity.value)
-        (r, rest), sums, load = residuals(camera, *here)
-        known = jnp.zeros(0, r.dtype)
-        if problem.prior is not None:
-            known = problem.prior.residuals(camera, names.value)
-        r = jnp.concatenate([r, rest[None], known])
-        told = reported(move.camera, camera, names.value)
-        return (r, told), (r, camera, sums, load, jnp.sum(known * known))
-
-    (jacobian, to_reported), (r, camera, *sums, prior) = jax.jacfwd(at, has_aux=True)(y)
-    return r, jacobian, (camera, (*sums, to_reported, move.unit, prior))
-
-
-class _Static(eqx.Module):
-    """A static value inside a pytree of arguments."""
-
-    value: tuple = eqx.field(static=True)
-
-
-def _move(unit: Camera, problem: Problem, level: Level, names: tuple[str, ...]) -> Move:
-    one_px = units(unit, problem.pivot, problem.radius, level.scale, names)
-    return Move(unit, problem.pivot, UNIT_PX * one_px, problem.bounds)
-
-
-@eqx.filter_jit
-def _solve(unit: Camera, problem: Problem, level: Level, px, steps, names, capacity):
-    """Return the camera after so many steps at most, or when steps are shorter than `px`; how many
-    it took, the first of them, and the view: after one step (which evaluates the start) of the
-    start.
-    """
-    move = _move(unit, problem, level, names)
-    args = (move, problem, level, _Static(names), _Static(tuple(capacity)))
-    solver, zero = _LevenbergMarquardt(px / UNIT_PX, steps), jnp.zeros_like(move.unit)
-    found = optx.least_squares(
-        _residual, solver, zero, args, has_aux=True, max_steps=None, throw=False
-    )
-    return tuple(found.stats[name] for name in ("camera", "num_steps", "path", "view"))
 
 
 @eqx.filter_jit
@@ -405,7 +209,7 @@ def _touched(unit: Camera, problem: Problem, level: Level, capacity: Capacity) -
 @eqx.filter_jit
 def _step(unit: Camera, problem: Problem, level: Level, y: Any, names) -> Camera:
     """Return the camera moved by y in the solver's units."""
-    return moved(_move(unit, problem, level, names), y, names)
+    return moved(move_of(unit, problem, level, names), y, names)
 
 
 def _noise_far_from_edges(image: np.ndarray, weights: np.ndarray) -> float:

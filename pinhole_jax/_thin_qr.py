@@ -4,13 +4,8 @@ LAPACK's factorisation spends its time on starting threads there: 1 to 13 ms whe
 reflections, written as a few passes over the columns, take 0.2 ms.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
-import lineax as lx
-from jax.flatten_util import ravel_pytree
-from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 
@@ -38,28 +33,3 @@ def triangle_and_rhs(
     n = jacobian.shape[1]
     R = triangle(jnp.concatenate([jacobian, residual[:, None]], axis=1))
     return R[:n, :n], R[:n, n]
-
-
-class ThinQR(lx.AbstractLinearSolver[Any]):
-    """Least squares with far more equations than unknowns, which are one flat array.
-
-    A lineax solver. It has no transpose: it is not differentiated.
-    """
-
-    def init(self, operator, options):
-        del options
-        return operator.as_matrix()
-
-    def compute(self, state, vector, options):
-        del options
-        R, rhs = triangle_and_rhs(state, ravel_pytree(vector)[0])
-        return solve_triangular(R, rhs), lx.RESULTS.successful, {}
-
-    def transpose(self, state, options):
-        raise NotImplementedError("ThinQR has no transpose")
-
-    def conj(self, state, options):
-        raise NotImplementedError("ThinQR has no conjugate")
-
-    def assume_full_rank(self):
-        return True

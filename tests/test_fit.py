@@ -12,7 +12,7 @@ import trimesh
 from oracles import random_camera, turned
 
 import pinhole_jax as pj
-from pinhole_jax import _solver, formats, io, shapes
+from pinhole_jax import _descent, _solver, formats, io, shapes
 from pinhole_jax._residuals import Capacity
 from pinhole_jax._uncertainty import covariance
 
@@ -180,11 +180,11 @@ def test_the_fit_is_never_worse_than_its_start(scene):
 
 def test_meshes_and_images_of_similar_size_share_compiled_programs(scene):
     pj.fit_camera(scene, mask_of(CAMERA, scene), turned(CAMERA, [1, 2, 3], 5))
-    programs = [_solver._solve._cached._cache_size()]
+    programs = [_descent.descended._cached._cache_size()]
     other = pj.Scene(mesh=shapes.bumpy(3, seed=1))
     camera = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 90, 84)
     pj.fit_camera(other, mask_of(camera, other), turned(camera, [1, 2, 3], 5))
-    assert programs == [_solver._solve._cached._cache_size()]
+    assert programs == [_descent.descended._cached._cache_size()]
 
 
 def test_a_view_that_outgrows_its_buffers_is_fitted_with_larger_ones(monkeypatch, scene):

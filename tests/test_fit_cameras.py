@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._arrow import others, reduced, solved
-from pinhole_jax._solver import View
+from pinhole_jax._view import View
 
 
 @pytest.fixture(scope="module")
