@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -12,15 +11,16 @@ from ._arrays import Numbers, float_dtype, is_concrete
 from ._camera import Camera
 from ._exact import with_overlaps, worthwhile
 from ._implicit import through
+from ._known import bounds_of, prior_of
 from ._parameters import (
-    BOUNDED,
-    REPORTED,
+    COMPONENTS,
     Bounds,
     Prior,
     canonical,
     check_free,
     components,
     focal_is_free,
+    labels_of,
     on_film,
     with_lens,
 )
@@ -168,7 +168,7 @@ def fit_camera(
         image, weights = check_target(target, weight, base.W, base.H)
         return _fit(scene, Mask(image, weights, base), camera is None, names, settings)
 
-    known = _prior(prior or {}, base, names), _bounds(bounds or {}, base, names)
+    known = prior_of(prior, base, names), bounds_of(bounds, base, names)
     settings = _Settings(outlier_px, max_steps, progress, *known, record)
     inputs = (scene, target, weight)
     if is_concrete(*jax.tree.leaves(inputs)):
@@ -185,43 +185,6 @@ class _Settings(NamedTuple):
     prior: Prior | None
     bounds: Bounds | None
     record: bool
-
-
-def _prior(prior: Mapping, base: Camera, names: tuple[str, ...]) -> Prior | None:
-    """Return the prior in film heights."""
-    if not prior:
-        return None
-    labels = [x for x in labels_of(names) if not x.startswith("rotation")]
-    mean, std = _pairs("prior", prior, labels, "(mean, standard deviation)")
-    for label, value in zip(prior, std, strict=True):
-        if not value > 0:
-            raise ValueError(f"`prior`: expected a positive deviation of {label!r}, got {value}")
-    unit = np.array([base.H if label.startswith("principal") else 1 for label in prior])
-    to = lambda x: jnp.asarray(x, base.e.dtype)
-    return Prior(tuple(prior), to(mean / unit), to(std / unit), to(0.1))
-
-
-def _bounds(bounds: Mapping, base: Camera, names: tuple[str, ...]) -> Bounds | None:
-    if not bounds:
-        return None
-    labels = [x for x in labels_of(names) if x in BOUNDED]
-    low, high = _pairs("bounds", bounds, labels, "(low, high)")
-    for label, a, b in zip(bounds, low, high, strict=True):
-        if not a < b:
-            raise ValueError(f"`bounds`: expected low < high of {label!r}, got ({a}, {b})")
-    return Bounds(tuple(bounds), *(jnp.asarray(x, base.e.dtype) for x in (low, high)))
-
-
-def _pairs(name: str, given: Mapping, known: list[str], words: str) -> np.ndarray:
-    """Return the pairs (2, k) that free parameters are given, or raise ValueError."""
-    for label, pair in given.items():
-        if label not in known:
-            raise ValueError(
-                f"`{name}`: expected free parameters among {', '.join(known)}, got {label!r}"
-            )
-        if np.shape(pair) != (2,) or not np.all(np.isfinite(np.asarray(pair, float))):
-            raise ValueError(f"`{name}`: expected {words} of {label!r}, got {pair!r}")
-    return np.array([*given.values()], float).T
 
 
 def _fit(
@@ -261,7 +224,7 @@ def _fit(
     if reach is not None and found[0].view.touched_misfit > EXACT:
         described = without_outliers(solver, mask, found, reach, start)
         trust = lambda: (mask.weight * near_an_edge(edge_distance(mask.image), reach), False)
-    fit, *modes = (report(base, f, sums, names) for f, sums in described)
+    fit, *modes = (report(base, f, sums, names, settings.bounds) for f, sums in described)
     if modes and fit.status == "converged":
         fit = fit._replace(status="ambiguous")
     return fit._replace(modes=tuple(modes)), trust
@@ -300,12 +263,14 @@ def report(
     found: Found,
     over_all: Sums,
     names: tuple[str, ...],
+    bounds: Bounds | None = None,
     variance: float | None = None,
 ) -> Fit:
     """Return what was found, as a user reads it; `variance` of a residual, if known better."""
     unit, view, steps, way = found
     fitted = on_film(unit, camera)
-    triangle, along = np.asarray(view.triangle, float), np.asarray(view.along, float)
+    triangle, ended = without_ended(view.triangle, unit, names, bounds)
+    along = np.asarray(view.along, float)
     sums: Any = jax.tree.map(float, view.sums)
     whole: Any = jax.tree.map(float, over_all)
     labels, to_reported = labels_of(names), to_units(view.to_reported, names, camera)
@@ -320,6 +285,7 @@ def report(
     cov = covariance(triangle, to_reported, noise, BLIND[dtype])
     axes = axes_of(unit)
     blind, weak = weak_directions(triangle, components(names), axes, BLIND[dtype])
+    weak += ended
     astray = 1 - sums.touched / max(whole.touched, 1)
     if astray > ASTRAY:
         weak += (
@@ -340,9 +306,15 @@ def report(
     )
 
 
-def labels_of(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the reported parameters of the names that are free."""
-    return tuple(r for name in names for r in REPORTED[name])
+def without_ended(
+    triangle: Any, unit: Camera, names: tuple[str, ...], bounds: Bounds | None
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return R without the columns of parameters that are held at an end of their bounds, and words
+    about them."""
+    result = np.array(triangle, float)
+    ended = () if bounds is None else bounds.ended(unit)
+    result[:, [components(names).index(COMPONENTS[label][0]) for label in ended]] = 0
+    return result, tuple(f"{label} is held at an end of its bounds" for label in ended)
 
 
 def to_units(derivative: Any, names: tuple[str, ...], camera: Camera) -> np.ndarray:

@@ -1,6 +1,6 @@
 """`fit_cameras`: many views of one scene with shared intrinsics, in one least-squares problem."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ from ._arrow import SHARED, alike, descend, joint, others, reduced, shared_and_f
 from ._camera import Camera
 from ._exact import completed, worthwhile
 from ._fit import Fit, fit_camera, report
+from ._known import bounds_of, prior_of
 from ._parameters import canonical, components, with_lens
 from ._residuals import Capacity
 from ._scene import Scene, check_scene
@@ -28,6 +29,8 @@ def fit_cameras(
     *,
     phi: Numbers = None,
     weights: Sequence[Numbers] | None = None,
+    prior: Mapping[str, Any] | None = None,
+    bounds: Mapping[str, Any] | None = None,
     max_steps: int = 64,
 ) -> tuple[Fit, ...]:
     """Return a `Fit` for each mask; what is `free` is each view's own, what is `shared` is one.
@@ -36,6 +39,7 @@ def fit_cameras(
     - `cameras`: where to start, one for each mask; what is shared begins at their mean. None: each
       is searched for, with `phi` as in `fit_camera`.
     - `weights`: for each mask, or None.
+    - `prior`, `bounds`: as in `fit_camera`; of what is shared once, else for each view.
     - `max_steps`: a limit for each level.
 
     The covariance of each fit is that of the joint problem: knowledge of all views is in it. The
@@ -65,7 +69,8 @@ def fit_cameras(
     cameras = alike([with_lens(c, names) for c in cameras], common)
     for camera, target, weight in zip(cameras, targets, weights, strict=True):
         image, w = check_target(target, weight, camera.W, camera.H)
-        solver = Solver(scene, image, w, camera.e.dtype, names, max_steps)
+        known = bounds_of(bounds, camera, names), prior_of(prior, camera, names, common, count)
+        solver = Solver(scene, image, w, camera.e.dtype, names, max_steps, *known)
         views.append(_One(Mask(image, w, camera), solver, canonical(camera)))
     largest = Capacity(*np.max([v.solver.capacity for v in views], axis=0).tolist())
     for one in views:
@@ -73,8 +78,12 @@ def fit_cameras(
     own = np.array([name not in common for name in names for _ in components((name,))])
     steps: list[int] = []
     for depth in range(max(len(v.solver.levels) for v in views), 0, -1):
+        if prior:
+            _believe(views, depth)
         views, n = descend(views, depth, own, max_steps, views[0].solver.dtype)
         steps.append(n)
+    if prior:
+        _believe(views, 1)
     return _reports(views, names, own, tuple(steps))
 
 
@@ -98,6 +107,17 @@ class _One(NamedTuple):
     def stepped(self, depth: int, y: np.ndarray) -> "_One":
         """Return the view after a step in its own units."""
         return self._replace(unit=self.solver.step(self.unit, self.level(depth), y))
+
+
+def _believe(views: list[_One], depth: int) -> None:
+    """Weigh the priors by what the residuals of all views err by on a level."""
+    sums = [v.look(depth).sums for v in views]
+    squares, touched = (
+        sum(float(x) for x in xs)
+        for xs in zip(*((s.touched_squares, s.touched) for s in sums), strict=True)
+    )
+    for one in views:
+        one.solver.believe(squares / max(touched, 1.0))
 
 
 def _with_overlaps(views: list[_One], own: np.ndarray) -> tuple[list[_One], list[View]]:
@@ -136,6 +156,7 @@ def _reports(
             Found(one.unit, joint(view, known, slope, own), steps),
             view.sums,
             names,
+            one.solver.problem.bounds,
             variance,
         )
         for one, view, known in zip(views, seen, others([p.rest for p in parts]), strict=True)

@@ -3,7 +3,7 @@
 The problem of `fit_cameras` with other residuals: where points are seen, less where they project.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,8 +15,21 @@ from jaxtyping import Array, Float
 from ._arrays import Numbers, float_array
 from ._arrow import alike, descend, joint, others, reduced, shared_and_free
 from ._camera import Camera, FilmPart, lens_holds, to_camera
-from ._fit import at_rest, labels_of, to_units
-from ._parameters import Move, canonical, components, moved, on_film, reported, units, with_lens
+from ._fit import at_rest, to_units, without_ended
+from ._known import bounds_of, prior_of
+from ._parameters import (
+    Bounds,
+    Move,
+    Prior,
+    canonical,
+    components,
+    labels_of,
+    moved,
+    on_film,
+    reported,
+    units,
+    with_lens,
+)
 from ._rays import project
 from ._resection import resected
 from ._scene import Ball, ball_about
@@ -27,6 +40,10 @@ from ._view import UNIT_PX
 
 #: What several views share if nothing is said: the intrinsics of one physical camera.
 INTRINSICS = ("phi", "principal_point", "distortion")
+
+
+#: How often a prior is weighed anew by what the points err by.
+ROUNDS = 3
 
 
 class PointFit(NamedTuple):
@@ -61,6 +78,8 @@ def fit_points(
     free: str | Sequence[str] = ("pose",),
     shared: str | Sequence[str] | None = None,
     *,
+    prior: Mapping[str, Any] | None = None,
+    bounds: Mapping[str, Any] | None = None,
     max_steps: int = 100,
 ) -> Any:
     """Return the camera that sees points where they were seen: a `PointFit`, or one for each view.
@@ -74,6 +93,7 @@ def fit_points(
       by some tens of percent.
     - `free`: what each view has of its own; `shared`: what all have in common. Names are those of
       `fit_camera`. None: with several views phi, principal_point and distortion, else nothing.
+    - `prior`, `bounds`: as in `fit_camera`; of what is shared once, else for each view.
 
     Returns a `PointFit` for points2d (N, 2), a tuple of them for (V, N, 2). Levenberg-Marquardt as
     in `fit_cameras`: a step's cost is linear in the views. Works in the float type of `camera`.
@@ -97,11 +117,20 @@ def fit_points(
     names, common = shared_and_free(shared, free, cameras[0])
     cameras = alike([with_lens(c, names) for c in cameras], common)
     views = [
-        _begun(_view(c, X, x, names), "pose" in names)
+        _begun(
+            _view(c, X, x, names)._replace(
+                bounds=bounds_of(bounds, c, names), prior=prior_of(prior, c, names, common, count)
+            ),
+            "pose" in names,
+        )
         for c, X, x in zip(cameras, points, seen_at, strict=True)
     ]
     own = np.array([name not in common for name in names for _ in components((name,))])
-    views, steps = descend(views, 1, own, max_steps, np.dtype(cameras[0].e.dtype))
+    steps, unknowns = 0, count * int(own.sum()) + int((~own).sum())
+    for _ in range(ROUNDS if prior else 1):
+        views = _believed(views, unknowns)
+        views, more = descend(views, 1, own, max_steps, np.dtype(cameras[0].e.dtype))
+        steps += more
     fits = _reports(views, names, own, steps)
     return fits if np.ndim(points2d) == 3 else fits[0]
 
@@ -141,12 +170,13 @@ class _Seen(NamedTuple):
     unit: Float[Array, "n"]
     to_reported: Float[Array, "m n"]
     sum_squares: Float[Array, ""]
+    prior_squares: Float[Array, ""]
     nearest: Float[Array, ""]
 
     @property
     def squares(self) -> float:
-        """Return the sum of squared residuals."""
-        return float(self.sum_squares)
+        """Return the sum of squared residuals, those of a prior among them."""
+        return float(self.sum_squares) + float(self.prior_squares)
 
 
 class _View(NamedTuple):
@@ -158,6 +188,13 @@ class _View(NamedTuple):
     ball: Ball
     names: tuple[str, ...]
     unit: Camera
+    bounds: Bounds | None = None
+    prior: Prior | None = None
+
+    @property
+    def number(self) -> int:
+        """Return how many points are seen."""
+        return int(np.sum(~np.isnan(self.seen_at[:, 0])))
 
     def look(self, depth: int) -> _Seen:
         """Return what is seen; there is one level only."""
@@ -183,6 +220,8 @@ class _View(NamedTuple):
             there=there,
             width=to(self.film.W / self.film.H),
             H=to(self.film.H),
+            bounds=self.bounds,
+            prior=self.prior,
         )
 
 
@@ -194,11 +233,13 @@ class _Data(NamedTuple):
     there: Any
     width: Any
     H: Any
+    bounds: Bounds | None
+    prior: Prior | None
 
     def move(self, unit: Camera, names: tuple[str, ...]) -> Move:
         """Return where moves of a camera start, in the solver's units."""
         pivot, radius, H = (jnp.asarray(x) for x in (self.pivot, self.radius, self.H))
-        return Move(unit, pivot, UNIT_PX * units(unit, pivot, radius, H, names))
+        return Move(unit, pivot, UNIT_PX * units(unit, pivot, radius, H, names), self.bounds)
 
     def residuals(self, camera: Camera) -> Float[Array, "k"]:
         """Return where points project less where they are seen (px), NaN where the lens folds."""
@@ -216,16 +257,22 @@ def _step(unit: Camera, data: _Data, y: Any, names: tuple[str, ...]) -> Camera:
 def _look(unit: Camera, data: _Data, names: tuple[str, ...]) -> _Seen:
     move = data.move(unit, names)
     zero = jnp.zeros_like(move.unit)
-    both = lambda y: (lambda r: (r, r))(data.residuals(moved(move, y, names)))
-    jacobian, r = jax.jacfwd(both, has_aux=True)(zero)
-    room = jnp.zeros((zero.shape[0] + 1, zero.shape[0]), r.dtype)  # more rows than columns
-    triangle, along = triangle_and_rhs(
-        jnp.concatenate([jacobian, room]), jnp.concatenate([r, room[:, 0]])
-    )
+    room = jnp.zeros(zero.shape[0] + 1, zero.dtype)  # more rows than columns
+
+    def at(y):
+        camera = moved(move, y, names)
+        r, known = data.residuals(camera), room[:0]
+        if data.prior is not None:
+            known = data.prior.residuals(camera, names)
+        rows = jnp.concatenate([r, known, room])
+        return rows, (rows, jnp.sum(r * r), jnp.sum(known * known))
+
+    jacobian, (rows, squares, prior) = jax.jacfwd(at, has_aux=True)(zero)
+    triangle, along = triangle_and_rhs(jacobian, rows)
     to_reported = jax.jacfwd(lambda y: reported(unit, moved(move, y, names), names))(zero)
     depth = to_camera(unit, jnp.asarray(data.points))[:, 2]
     nearest = jnp.min(jnp.where(jnp.asarray(data.there), depth, jnp.inf))
-    return _Seen(triangle, along, move.unit, to_reported, jnp.sum(r * r), nearest)
+    return _Seen(triangle, along, move.unit, to_reported, squares, prior, nearest)
 
 
 def _view(camera: Camera, points: np.ndarray, seen_at: np.ndarray, names: tuple) -> _View:
@@ -238,11 +285,24 @@ def _begun(view: _View, anywhere: bool) -> _View:
     """Return the view from where the direct linear solution says, if the pose is free and that is
     nearer than the camera's own."""
     found = resected(view.film, view.points, view.seen_at) if anywhere else None
+    still = np.zeros(len(components(view.names)))
+    view = view.stepped(1, still)  # into the bounds
     if found is None:
         return view
-    other = view._replace(unit=canonical(found))
-    own, direct = view.look(1), other.look(1)
-    return view if float(own.nearest) > 0 and own.squares <= direct.squares else other
+    other = view._replace(unit=canonical(found)).stepped(1, still)
+    own, direct = (float(v.look(1).sum_squares) for v in (view, other))
+    return view if float(view.look(1).nearest) > 0 and own <= direct else other
+
+
+def _believed(views: list[_View], unknowns: int) -> list[_View]:
+    """Return the views with their priors weighed by what the points of all err by."""
+    if views[0].prior is None:
+        return views
+    more = max(2 * sum(v.number for v in views) - unknowns, 1)
+    mean = sum(float(v.look(1).sum_squares) for v in views) / more
+    noise = np.asarray(np.sqrt(mean), views[0].film.e.dtype)
+    put = lambda view: eqx.tree_at(lambda p: p.noise, view.prior, noise)
+    return [view._replace(prior=put(view)) for view in views]
 
 
 def _reports(
@@ -250,8 +310,8 @@ def _reports(
 ) -> tuple[PointFit, ...]:
     seen = [v.look(1) for v in views]
     parts = [reduced(s, own, 0.0) for s in seen]
-    count = [int(np.sum(~np.isnan(v.seen_at[:, 0]))) for v in views]
-    squares = sum(s.squares for s in seen)
+    count = [v.number for v in views]
+    squares = sum(float(s.sum_squares) for s in seen)
     unknowns = len(views) * int(own.sum()) + int((~own).sum())
     variance = squares / max(2 * sum(count) - unknowns, 1)
     slope: Any = sum(p.rest.T @ p.left + p.across.T @ p.known for p in parts)
@@ -260,14 +320,15 @@ def _reports(
         views, seen, others([p.rest for p in parts]), count, strict=True
     ):
         fit = _report(view, joint(one, known, slope, own), variance, squares, 2 * sum(count))
-        rms = float(np.sqrt(one.squares / n))
+        rms = float(np.sqrt(float(one.sum_squares) / n))
         fits.append(fit._replace(rms_px=rms, steps=steps))
     return tuple(fits)
 
 
 def _report(view: _View, seen: _Seen, variance: float, squares: float, count: int) -> PointFit:
-    triangle, along = np.asarray(seen.triangle, float), np.asarray(seen.along, float)
     names, dtype = view.names, np.dtype(view.film.e.dtype)
+    triangle, ended = without_ended(seen.triangle, view.unit, names, view.bounds)
+    along = np.asarray(seen.along, float)
     labels, camera = labels_of(names), on_film(view.unit, view.film)
     if not (np.isfinite(squares) and np.all(np.isfinite(triangle))):
         nothing = np.full((len(labels), len(labels)), np.nan)
@@ -280,4 +341,4 @@ def _report(view: _View, seen: _Seen, variance: float, squares: float, count: in
         status = "max_steps"
     if not float(seen.nearest) > 0:
         status = "behind"
-    return PointFit(camera, status, labels, cov, np.sqrt(np.diag(cov)), 0.0, 0, weak)
+    return PointFit(camera, status, labels, cov, np.sqrt(np.diag(cov)), 0.0, 0, weak + ended)

@@ -9,8 +9,8 @@ from jaxtyping import Float
 from ._arrays import Numbers
 from ._camera import Camera
 from ._exact import completed
-from ._fit import labels_of, to_units
-from ._parameters import canonical, check_free, components, with_lens
+from ._fit import to_units
+from ._parameters import canonical, check_free, components, labels_of, with_lens
 from ._scene import Scene, check_scene
 from ._search import Mask, axes_of
 from ._solver import Solver

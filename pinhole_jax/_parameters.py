@@ -95,6 +95,11 @@ def with_lens(camera: Camera, names: tuple[str, ...]) -> Camera:
     return Camera(camera.e, camera.p, camera.u, camera.phi, camera.d, camera.W, camera.H, lens)
 
 
+def labels_of(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the reported parameters of the names that are free."""
+    return tuple(r for name in names for r in REPORTED[name])
+
+
 def components(free: tuple[str, ...]) -> list[str]:
     """Return the components of a move that these names free."""
     return [c for name in free for c in COMPONENTS[name]]
@@ -123,6 +128,13 @@ class Bounds(eqx.Module):
             values.append(middle[k] + half[k] * jnp.sin(angle))
         return eqx.tree_at(leaves, moved, values)
 
+    def ended(self, camera: Camera) -> tuple[str, ...]:
+        """Return which parameters are at an end of theirs, to 1e-4 of the way between."""
+        values = np.array([BOUNDED[label](camera) for label in self.labels])
+        low, high = np.asarray(self.low), np.asarray(self.high)
+        near = np.minimum(values - low, high - values) < 1e-4 * (high - low)
+        return tuple(label for label, there in zip(self.labels, near, strict=True) if there)
+
 
 #: What may have bounds; and how near to one a parameter may begin, so that it can leave it.
 BOUNDED = {
@@ -143,7 +155,7 @@ class Prior(eqx.Module):
 
     def residuals(self, camera: Camera, free: tuple[str, ...]) -> Float[Array, "k"]:
         """Return how far off the means parameters are, in units in which noise is a residual's."""
-        known = [r for name in free for r in REPORTED[name]]
+        known = labels_of(free)
         values = reported(camera, camera, free)
         off = jnp.stack([values[known.index(label)] for label in self.labels]) - self.mean
         return off * (self.noise / self.std)

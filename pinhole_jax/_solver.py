@@ -106,10 +106,14 @@ class Solver:
             self.capacity = room
 
     def _believe(self, unit: Camera, level: int) -> None:
-        """Weigh the prior by what a residual errs by on a level."""
+        if self._prior is not None:
+            self.believe(self.look(unit, level).touched_misfit)
+
+    def believe(self, misfit: float) -> None:
+        """Weigh the prior by the mean square that a touched pixel's residual errs by."""
         if self._prior is None:
             return
-        noise = np.sqrt(max(self.look(unit, level).touched_misfit, np.finfo(self.dtype).eps ** 2))
+        noise = np.sqrt(max(misfit, np.finfo(self.dtype).eps ** 2))
         put = lambda prior: eqx.tree_at(lambda p: p.noise, prior, np.asarray(noise, self.dtype))
         self._prior = put(self._prior)
         self.problem = eqx.tree_at(lambda p: p.prior, self.problem, self._prior)

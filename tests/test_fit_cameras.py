@@ -65,6 +65,19 @@ def test_views_help_each_other_and_the_covariance_knows(scene, masks):
     assert all(f.status == "converged" for f in fits)
 
 
+def test_a_prior_of_what_views_share_adds_its_information_once(scene, masks):
+    plain = pj.fit_cameras(scene, noisy(masks), STARTS)
+    mean, std = 0.601, plain[0].std[-1] / 1.5
+    prior, bounds = {"phi": (mean, std)}, {"phi": (0.5, 0.7)}
+    sure = pj.fit_cameras(scene, noisy(masks), STARTS, prior=prior, bounds=bounds)
+    known = np.array([plain[0].std[-1] ** -2, std**-2])
+    expected = known @ [float(plain[0].camera.phi), mean] / known.sum()
+    for fit in sure:
+        assert fit.status == "converged"
+        np.testing.assert_allclose(fit.std[-1], known.sum() ** -0.5, rtol=0.05)
+        assert abs(float(fit.camera.phi) - expected) < 0.1 * std
+
+
 def test_one_view_is_fit_camera(scene, masks):
     mask = noisy(masks)[0]
     (one,) = pj.fit_cameras(scene, [mask], STARTS[:1])

@@ -93,9 +93,43 @@ def test_what_points_do_not_show_is_said():
     assert any("is not visible" in words for words in fit.weak)
 
 
+@pytest.mark.parametrize("common", [("phi",), ()])
+def test_a_prior_adds_its_information_once(common):
+    """Of what views share once, else to each view: the estimate is the precision-weighted mean."""
+    truth = [pj.Camera(e, [0.1, 0, 0], [0.1, 1, 0.05], 0.75, W=W, H=H) for e in EYES]
+    noise = np.random.default_rng(1).normal(0, 0.2, (4, 30, 2))
+    points2d, own = seen(truth, SOLID) + noise, ("pose",) if common else ("pose", "phi")
+    plain = pj.fit_points(SOLID, points2d, START, own, common)
+    mean, std = 0.74, plain[0].std[-1] / 1.5
+    sure = pj.fit_points(SOLID, points2d, START, own, common, prior={"phi": (mean, std)})
+    for a, b in zip(plain, sure, strict=True):
+        assert b.status == "converged"
+        known = np.array([a.std[-1] ** -2, std**-2])
+        np.testing.assert_allclose(b.std[-1], known.sum() ** -0.5, rtol=0.03)
+        expected = known @ [float(a.camera.phi), mean] / known.sum()
+        assert abs(float(b.camera.phi) - expected) < 0.05 * std
+
+
+def test_points_keep_bounds():
+    truth = [camera(e, pj.BrownConrady(-0.2)) for e in EYES]
+    fit = lambda **more: pj.fit_points(
+        SOLID, seen(truth, SOLID), START, shared=("phi", "principal_point", "k1"), **more
+    )
+    free, wide, held = (
+        fit(bounds=b) for b in (None, {"k1": (-0.4, 0.1), "phi": (0.7, 0.8)}, {"k1": (-0.1, 0.1)})
+    )
+    for f, w, h in zip(free, wide, held, strict=True):
+        assert f.status == w.status == "converged"
+        np.testing.assert_allclose(w.camera.phi, f.camera.phi, rtol=1e-9)
+        assert h.status == "rank_deficient"
+        assert h.weak[-1] == "k1 is held at an end of its bounds"
+        assert -0.1 <= float(h.camera.lens.distortion.k1) < -0.099
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"prior": {"phi": (0, 1)}}, "`prior`: expected free parameters among e_x, e_y, e_z, got"),
         ({"points2d": np.zeros((30, 3))}, r"`points2d`: expected real numbers of shape \(N, 2\)"),
         ({"points2d": np.full((30, 2), np.inf)}, "`points2d`: expected finite values, or NaN"),
         ({"points2d": np.full((30, 2), np.nan)}, "`points2d`: expected at least 3 points in each"),
