@@ -223,14 +223,15 @@ def _noise_far_from_edges(image: np.ndarray, weights: np.ndarray) -> float:
 
 
 def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
-    """Return a guess: some contour edges per root of faces, some pieces per pixel of outline."""
+    """Return a guess: some contour edges per root of faces, some pieces per pixel of outline and as
+    many again in folds that it hides."""
     faces = 0 if scene.mesh is None else scene.mesh.faces.shape[0]
     spheres = 0 if scene.spheres is None else scene.spheres.radii.shape[0]
     inside = image > 0.5
     outline = sum(int(np.sum(np.diff(inside, axis=k))) for k in (0, 1))
     return Capacity(
         edges=_room(1, int(3 * faces**0.5)) if faces else 1,
-        pieces=_room(1, outline + int(3 * faces**0.5)) if faces else 1,
+        pieces=_room(1, (3 * outline) // 2 + int(3 * faces**0.5)) if faces else 1,
         arc_pieces=_room(1, outline + 8 * spheres) if spheres else 1,
         arcs=1,
     )
@@ -238,8 +239,10 @@ def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
 
 def _room(have: int, need: int) -> int:
     """Return `have` if it is 9/8 of `need`, else the next of a few sizes (each is compiled) that is
-    3/2 of it."""
-    if 8 * have < 9 * need:
-        while 2 * have < 3 * need:
-            have = max(2 * have, 1024)
-    return have
+    3/2 of it: 1, 3/2, 2, 3, 4... times 1024."""
+    if 8 * have >= 9 * need:
+        return have
+    room = 1024
+    while 2 * room < 3 * need:
+        room += room // 2 if room & (room - 1) == 0 else room // 3
+    return max(have, room)
