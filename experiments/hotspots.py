@@ -130,7 +130,7 @@ def main() -> None:
     mesh = pj.shapes.bumpy(4)
     scene, truth = pj.Scene(mesh=mesh), camera_at(np.eye(3), np.zeros(2), 4.6, 0.6)
     mask = np.asarray(pj.silhouette(truth, scene))
-    start = orbited(truth, Rotation.from_rotvec(np.deg2rad([8, 6, 0])).as_matrix(), 1.05)
+    start = orbited(truth, Rotation.from_rotvec(np.deg2rad([4, -9, 2])).as_matrix(), 1.05)
     free, weights = ("pose", "phi"), np.broadcast_to(1.0, mask.shape)
 
     solver = Solver(scene, mask, weights, np.float32, free, 64)
