@@ -22,6 +22,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -40,7 +41,8 @@ from _peers import (
 
 import pinhole_jax as pj
 from pinhole_jax._exact import At, image_and_jacobian
-from pinhole_jax._parameters import Move
+from pinhole_jax._parameters import Move, canonical
+from pinhole_jax._solver import Solver
 
 OURS = "pinhole_jax"
 TURNS, TURN_S, BUDGET_S = 9, 0.05, 4.0
@@ -579,6 +581,7 @@ def skip(peers: Peers) -> dict:
     """Return what a scene, a fit or a camera saves by not having a thing."""
     del peers
     pairs = {**skip_parts(), **skip_code(), **skip_parameters(), **skip_pixels()}
+    pairs |= {**skip_edges(), **skip_steps()}
     answer: dict[str, Any] = {}
     for name, calls in pairs.items():
         times = answer[name] = timed(calls)
@@ -641,6 +644,36 @@ def skip_pixels() -> dict[str, dict[str, Callable]]:
         start = wide(off(camera, 10, 0.05, np.random.default_rng(0)))
         calls[f"in {size} px"] = our_fit(scene, target, start, ("pose",))
     return {WINDOW: calls}
+
+
+def skip_edges() -> dict[str, dict[str, Callable]]:
+    """Return masks of a mesh whose clusters of edges are passed over, and of one that has none."""
+    scene, camera = sphere().scene(), view(512)
+    clusters = lambda s: s.mesh.planes.clusters
+    each = eqx.tree_at(clusters, scene, None)
+    scenes = {"by clusters": scene, "edge by edge": each}
+    return {"mask, 328k faces": {name: our_mask(camera, s) for name, s in scenes.items()}}
+
+
+def skip_steps() -> dict[str, dict[str, Callable]]:
+    """Return a fit's look at the contour's pixels beside the whole image with its derivative; fits
+    from the camera itself and from one that is off."""
+    scene, truth = bumpy(4).scene(), view(256)
+    target, free = np.asarray(pj.silhouette(truth, scene)), ("pose", "phi")
+    weights, start = (
+        np.broadcast_to(1.0, target.shape),
+        off(truth, 10, 0.05, np.random.default_rng(0)),
+    )
+    solver, unit = Solver(scene, target, weights, np.float32, free, 64), canonical(truth)
+    pixels = {
+        "the contour's": lambda: solver.look(unit, solver.finest).triangle,
+        "all": our_jacobian(Moves(truth), scene).call,
+    }
+    starts = {"converged": truth, "10 degrees off": start}
+    return {
+        "derivative, pixels": pixels,
+        "fit, levels": {name: our_fit(scene, target, c) for name, c in starts.items()},
+    }
 
 
 QUESTIONS: dict[str, Callable[[Peers], dict]] = {

@@ -285,13 +285,18 @@ def _begun(view: _View, anywhere: bool) -> _View:
     """Return the view from where the direct linear solution says, if the pose is free and that is
     nearer than the camera's own."""
     found = resected(view.film, view.points, view.seen_at) if anywhere else None
-    still = np.zeros(len(components(view.names)))
-    view = view.stepped(1, still)  # into the bounds
+    view = _inside(view)
     if found is None:
         return view
-    other = view._replace(unit=canonical(found)).stepped(1, still)
-    own, direct = (float(v.look(1).sum_squares) for v in (view, other))
-    return view if float(view.look(1).nearest) > 0 and own <= direct else other
+    other = _inside(view._replace(unit=canonical(found)))
+    own, direct = view.look(1), other.look(1)
+    nearer = float(own.sum_squares) <= float(direct.sum_squares)
+    return view if float(own.nearest) > 0 and nearer else other
+
+
+def _inside(view: _View) -> _View:
+    """Return the view from within its bounds."""
+    return view if view.bounds is None else view.stepped(1, np.zeros(len(components(view.names))))
 
 
 def _believed(views: list[_View], unknowns: int) -> list[_View]:
