@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from ._camera import Camera
 from ._parameters import Move, moved, on_film
-from ._residuals import Sums
+from ._residuals import HIDDEN, Sums
 from ._scene import Scene
 from ._search import Mask
 from ._silhouette import silhouette
@@ -61,7 +61,7 @@ def image_and_jacobian(
 def worthwhile(solver: Solver, view: View) -> bool:
     """Return whether a mask has soft edges, and so much noise that every pixel should count."""
     low, high = WORTHWHILE
-    return not solver.hard and low < view.touched_misfit < high
+    return not solver.kind.hard and low < view.touched_misfit < high
 
 
 def with_overlaps(solver: Solver, mask: Mask, found: Found) -> Found:
@@ -91,14 +91,16 @@ def completed(solver: Solver, mask: Mask, unit: Camera) -> View:
     known = np.column_stack([np.asarray(view.triangle, float), np.asarray(view.along, float)])
     n = len(known)
     table: Any = np.linalg.qr(np.concatenate([known, rows]), mode="r")
-    squares = np.sum(rows[:, -1] ** 2)
+    squares = rows[:, -1] ** 2
+    outline = (coverage > HIDDEN) & (coverage < 1 - HIDDEN)
     more = {
-        "squares": squares,
+        "squares": np.sum(squares),
         "overlap": np.sum(weight * np.minimum(coverage, target)),
         "union": np.sum(weight * np.maximum(coverage, target)),
         "weight": np.sum(weight),
-        "touched": np.sum(out),
-        "touched_squares": squares,
+        "touched": np.sum(outline),
+        "touched_squares": np.sum(squares[outline]),
+        "off": np.sum(squares[outline] > float(solver.levels[-1].explained) ** 2),
     }
     # NumPy arrays: what is made by jnp inside a derivative is traced.
     total: dict[str, Any] = {k: float(v) + float(more[k]) for k, v in view.sums._asdict().items()}

@@ -11,6 +11,7 @@ from ._arrays import Numbers, float_dtype, is_concrete
 from ._camera import Camera
 from ._exact import with_overlaps, worthwhile
 from ._implicit import through
+from ._kinds import Kind
 from ._known import bounds_of, prior_of
 from ._parameters import (
     COMPONENTS,
@@ -24,13 +25,14 @@ from ._parameters import (
     on_film,
     with_lens,
 )
+from ._places import Free
 from ._residuals import Sums
 from ._scene import Scene, check_scene
 from ._search import Mask, axes_of
 from ._solver import Found, Solver, Stop
-from ._strategy import EXACT, equally_good, everywhere, from_start, turns_freely, without_outliers
+from ._strategy import EXACT, everywhere, from_start, turns_freely, without_outliers
 from ._target import check_target, edge_distance, near_an_edge
-from ._uncertainty import BLIND, covariance, weak_directions
+from ._uncertainty import BLIND, covariance, weak_directions, weak_moves
 from ._view import COSINE, FINE_PX, UNIT_PX
 
 #: What `Fit.status` may be.
@@ -38,6 +40,7 @@ STATUSES = (
     "converged",  # the gradient vanishes, the masks overlap, every direction is determined
     "ambiguous",  # converged, but other views explain the mask as well: `Fit.modes` has them
     "rank_deficient",  # converged, but some direction changes no pixel: `Fit.weak` names it
+    "misfit",  # at rest, but the mask is not explained as its kind allows: `Fit.weak` says how far
     "max_steps",  # stopped while still moving
     "no_overlap",  # object and mask hardly overlap: their IoU is below `LEAST_IOU`
     "saturated",  # the object covers the whole film: there is no outline to follow
@@ -50,6 +53,7 @@ LEAST_IOU = 0.5
 ASTRAY = 0.1
 #: Rounding leaves a root mean square residual of this many machine epsilons in a touched pixel.
 FLOOR = 1000
+WRONG = "there the mask, the mesh or the camera is wrong"
 
 
 class Progress(NamedTuple):
@@ -211,10 +215,10 @@ def _fit(
             settings.progress(_progress(stop, base))
 
     start = None if anywhere else canonical(base)
-    if start is None:
-        found = equally_good(everywhere(solver, mask, told))
-    else:
-        found = from_start(solver, mask, start, told)
+    places = (
+        everywhere(solver, mask, told) if start is None else from_start(solver, mask, start, told)
+    )
+    found = [places.best, *places.others]
     trust = lambda: (mask.weight * ~solver.left_out(found[0].unit), False)
     if worthwhile(solver, found[0].view):
         found = [with_overlaps(solver, mask, f) for f in found]
@@ -224,8 +228,9 @@ def _fit(
     if reach is not None and found[0].view.touched_misfit > EXACT:
         described = without_outliers(solver, mask, found, reach, start)
         trust = lambda: (mask.weight * near_an_edge(edge_distance(mask.image), reach), False)
-    fit, *modes = (report(base, f, sums, names, settings.bounds) for f, sums in described)
-    if modes and fit.status == "converged":
+    known = Known(solver.kind, settings.bounds, places.free)
+    fit, *modes = (report(base, f, sums, names, known) for f, sums in described)
+    if modes and fit.status in ("converged", "rank_deficient"):
         fit = fit._replace(status="ambiguous")
     return fit._replace(modes=tuple(modes)), trust
 
@@ -258,43 +263,55 @@ def _anywhere(scene: Scene, target: Numbers, names: tuple[str, ...], phi: Number
     return Camera(e, p, u, np.asarray(phi, dtype), 1.0, shape[1], shape[0])
 
 
+class Known(NamedTuple):
+    """What is known beside a view: the mask's kind, bounds, the directions found to be free, and a
+    residual's variance if known better."""
+
+    kind: Kind
+    bounds: Bounds | None = None
+    free: Sequence[Free] = ()
+    variance: float | None = None
+
+
 def report(
-    camera: Camera,
-    found: Found,
-    over_all: Sums,
-    names: tuple[str, ...],
-    bounds: Bounds | None = None,
-    variance: float | None = None,
+    camera: Camera, found: Found, over_all: Sums, names: tuple[str, ...], known: Known
 ) -> Fit:
-    """Return what was found, as a user reads it; `variance` of a residual, if known better."""
+    """Return what was found, as a user reads it."""
     unit, view, steps, way = found
     fitted = on_film(unit, camera)
-    triangle, ended = without_ended(view.triangle, unit, names, bounds)
+    dtype = np.dtype(camera.e.dtype)
+    triangle, ended = without_ended(view.triangle, unit, names, known.bounds)
     along = np.asarray(view.along, float)
     sums: Any = jax.tree.map(float, view.sums)
     whole: Any = jax.tree.map(float, over_all)
     labels, to_reported = labels_of(names), to_units(view.to_reported, names, camera)
-    dtype = np.dtype(camera.e.dtype)
-    finite = np.all(np.isfinite(triangle)) and np.isfinite(sums.squares)
     n = len(labels)
-    if not finite:
+    if not (np.all(np.isfinite(triangle)) and np.isfinite(sums.squares)):
         empty = np.full((n, n), np.nan)
         nan = float("nan")
         return Fit(fitted, "non_finite", labels, empty, np.diag(empty), nan, nan, steps, ())
-    noise = sums.touched_squares / max(sums.touched - n, 1) if variance is None else variance
+    rest = at_rest(triangle, along, sums.squares, sums.touched, dtype)
+    triangle = without_free(triangle, known.free)
+    noise = sums.touched_squares / max(sums.touched - n, 1)
+    noise = max(noise if known.variance is None else known.variance, known.kind.least)
     cov = covariance(triangle, to_reported, noise, BLIND[dtype])
-    axes = axes_of(unit)
-    blind, weak = weak_directions(triangle, components(names), axes, BLIND[dtype])
-    weak += ended
+    cov = cov + widened(to_reported, known.free, FINE_PX[dtype] / UNIT_PX)
+    names_of_moves = components(names)
+    moves = [f.move for f in known.free]
+    blind, weak = weak_directions(triangle, names_of_moves, axes_of(unit), BLIND[dtype], moves)
+    weak = (*map(str, known.free), *weak, *ended)
+    nearly_free = bool(known.free or weak_moves(triangle, names_of_moves))
     astray = 1 - sums.touched / max(whole.touched, 1)
+    explained = known.kind.explains(view.touched_misfit, nearly_free)
     if astray > ASTRAY:
-        weak += (
-            f"{astray:.0%} of the outline is far from the mask's edge: there the mask, the mesh or"
-            " the camera is wrong",
-        )
+        weak += (f"{astray:.0%} of the outline is far from the mask's edge: {WRONG}",)
+    elif known.kind.exact and not explained:
+        off = sums.off / max(sums.touched, 1)
+        weak += (f"{off:.0%} of the outline is off by more than the mask's kind explains: {WRONG}",)
+    explained = astray <= ASTRAY and (explained or not known.kind.exact)
     return Fit(
         camera=fitted,
-        status=_status(triangle, along, sums, whole, blind, dtype),
+        status=_status(triangle, rest, whole, explained, blind or bool(known.free)),
         names=labels,
         covariance=cov,
         std=np.sqrt(np.diag(cov)),
@@ -304,6 +321,27 @@ def report(
         weak=weak,
         history=tuple(_progress(stop, camera) for stop in way),
     )
+
+
+def without_free(triangle: np.ndarray, free: Sequence[Free]) -> np.ndarray:
+    """Return R, blind to directions that are free all the way round."""
+    for direction in free:
+        if np.isinf(direction.ahead):
+            unit = direction.move / np.linalg.norm(direction.move)
+            triangle = triangle - np.outer(triangle @ unit, unit)
+    return triangle
+
+
+def widened(to_reported: np.ndarray, free: Sequence[Free], tolerance: float) -> np.ndarray:
+    """Return what to add to the reported parameters' covariance (n, n): the solver's `tolerance`
+    (in its units), and intervals of directions that are free (all places in one as likely)."""
+    added = tolerance**2 * to_reported @ to_reported.T
+    for direction in free:
+        if np.isfinite(direction.ahead):
+            along = to_reported @ direction.move
+            a, b = direction.behind, direction.ahead
+            added += (a**3 + b**3) / (3 * (a + b)) * np.outer(along, along)
+    return added
 
 
 def without_ended(
@@ -327,13 +365,16 @@ def to_units(derivative: Any, names: tuple[str, ...], camera: Camera) -> np.ndar
     return to_reported
 
 
-def _status(triangle, along, sums: Any, whole: Any, blind: bool, dtype) -> str:
+def _status(triangle: np.ndarray, rest: bool, whole: Any, explained: bool, blind: bool) -> str:
     if not np.any(triangle):
-        return "saturated" if whole.overlap > 0 else "no_overlap"
+        covered = whole.touched == 0 and whole.overlap > 0
+        return "saturated" if covered else "rank_deficient" if whole.touched else "no_overlap"
     if whole.overlap < LEAST_IOU * whole.union:
         return "no_overlap"
-    if not at_rest(triangle, along, sums.squares, sums.touched, dtype):
+    if not rest:
         return "max_steps"
+    if not explained:
+        return "misfit"
     return "rank_deficient" if blind else "converged"
 
 

@@ -9,7 +9,7 @@ from ._arrays import Numbers
 from ._arrow import SHARED, alike, descend, joint, others, reduced, shared_and_free, solved
 from ._camera import Camera
 from ._exact import completed, worthwhile
-from ._fit import Fit, fit_camera, report
+from ._fit import Fit, Known, fit_camera, report
 from ._known import bounds_of, prior_of
 from ._parameters import canonical, components, with_lens
 from ._residuals import Capacity
@@ -156,8 +156,7 @@ def _reports(
             Found(one.unit, joint(view, known, slope, own), steps),
             view.sums,
             names,
-            one.solver.problem.bounds,
-            variance,
+            Known(one.solver.kind, one.solver.problem.bounds, variance=variance),
         )
         for one, view, known in zip(views, seen, others([p.rest for p in parts]), strict=True)
     )

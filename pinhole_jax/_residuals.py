@@ -36,6 +36,8 @@ from ._target import Level, Pyramid, level_slice
 from ._union import Marks, chain_layers, marks, overlaps
 
 MAX_ROWS = 1 << 14
+#: A pixel that is covered, or uncovered, but for less than this shows no outline.
+HIDDEN = 1e-4
 
 
 class Capacity(NamedTuple):
@@ -67,7 +69,9 @@ class Sums(NamedTuple):
     """Weighted sums over all pixels but those left out: squared residual, min and max of coverage
     and target, weight.
 
-    `touched` counts the pixels with weight that the contour touches, `touched_squares` is theirs.
+    `touched` counts the pixels with weight that the outline crosses, where the background is seen
+    beside the object (not contours within it), `touched_squares` is theirs; `off` counts those with
+    a residual that the mask's kind does not explain.
     """
 
     squares: Float[Array, ""]
@@ -76,6 +80,7 @@ class Sums(NamedTuple):
     weight: Float[Array, ""]
     touched: Float[Array, ""]
     touched_squares: Float[Array, ""]
+    off: Float[Array, ""]
 
 
 class Load(NamedTuple):
@@ -127,14 +132,15 @@ def residuals(
     mass = ends.masses[1] - ends.masses[0] - jnp.sum(out * here.target)
     total = ends.weights[1] - ends.weights[0] - jnp.sum(out)
     held = jax.lax.stop_gradient(difference)
-    touched_squares = jnp.sum(held * held)
+    outline = (weight > 0) & (coverage > HIDDEN) & (coverage < 1 - HIDDEN)
     sums = Sums(
-        squares=touched_squares + rest,
+        squares=jnp.sum(held * held) + rest,
         overlap=overlap,
         union=covered_weight + mass - overlap,
         weight=total,
-        touched=jnp.sum(jnp.where(weight > 0, 1, 0)).astype(total.dtype),
-        touched_squares=touched_squares,
+        touched=jnp.sum(jnp.where(outline, 1, 0)).astype(total.dtype),
+        touched_squares=jnp.sum(jnp.where(outline, held * held, 0)),
+        off=jnp.sum(outline & (jnp.abs(held) > level.explained)).astype(total.dtype),
     )
     ok = load.fits(capacity) & lens_holds(camera, _part(level))
     ok = jnp.where(ok, 1, jnp.nan).astype(total.dtype)

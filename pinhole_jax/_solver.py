@@ -9,20 +9,22 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._camera import Camera, film_map
+from ._kinds import kind_of
 from ._parameters import Bounds, Move, Prior, moved
 from ._residuals import Capacity, Touched, touch
 from ._scene import Scene, astype, ball_about, bounding_box, padded
 from ._target import (
     Level,
     Window,
-    edge_distance,
-    near_an_edge,
     object_window,
     pyramid,
     shares,
 )
 from ._view import COARSE_PX, FINE_PX, Problem, View
 from ._view import move as move_of
+
+#: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
+OFF_TIMES = 3.0
 
 
 class Stop(NamedTuple):
@@ -46,7 +48,7 @@ class Found(NamedTuple):
 class Solver:
     """One scene and mask; holds the buffers' sizes, which grow where a view outgrows them.
 
-    A mask is `hard` if it is 0 or 1 everywhere. The clamped overlaps would show in one with soft
+    Where a mask's `kind` is one bit, clamped overlaps do not show. They would in one with soft
     edges, so its last level is the finest once more without them. A hard edge hides them, and there
     pixels that come and go would make the steps stall.
     """
@@ -69,28 +71,32 @@ class Solver:
         box = np.asarray(bounding_box(scene), float)
         self._corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
         self.ball = ball_about(box)
+        self.points = _some_points(scene)
         self.window = object_window(target)
         image = shares(self.window.of(target))
         self.capacity = _first_capacity(scene, image)
-        self.hard = bool(np.all((image == 0) | (image == 1)))
-        self.floor = 0.0 if self.hard else _noise_far_from_edges(image, self.window.of(weights))
+        self.kind = kind_of(self.window.of(target), self.window.of(weights), dtype)
         self.weigh(weights)
 
     def weigh(self, weights: np.ndarray) -> None:
         """Set how much each pixel counts."""
         self._weights = weights
         levels, self.levels = pyramid(self._target, weights, self.dtype, window=self.window)
+        if self.kind.exact:
+            explained = np.asarray(OFF_TIMES * self.kind.variance**0.5, self.dtype)
+            self.levels = [level._replace(explained=explained) for level in self.levels]
         seen = self.levels[-1].window().of(weights)
         whole = weights.size * weights[0, 0] if weights.strides == (0, 0) else np.sum(weights)
         self._beside = float(whole - np.sum(seen))
         self.finest = len(self.levels) - 1
         self.problem = Problem(self._scene, levels, self.ball, self._bounds, self._prior)
-        if not self.hard:
+        if not self.kind.hard:
             self.levels.append(self.levels[-1]._replace(strict=np.array(True)))
 
     def misfit_above_noise(self, view: View) -> float:
-        """Return the mean square residual of a touched pixel, less that of noise far from edges."""
-        return max(view.squares - self.floor, 0.0) / max(float(view.sums.touched), 1.0)
+        """Return the mean square residual of an outline pixel, all squares put on these pixels but
+        those of noise far from edges."""
+        return max(view.squares - self.kind.far, 0.0) / max(float(view.sums.touched), 1.0)
 
     def look(self, unit: Camera, level: int) -> View:
         """Return the view at a camera; capacities get half as much room again as it takes."""
@@ -186,6 +192,16 @@ class Solver:
                 return Found(unit, view, tuple(steps), tuple(way))
             # The view outgrew its buffers or window on the way: go on from there with larger ones.
 
+    def descended(self, unit: Camera, steps: int) -> Found:
+        """Return what some steps on the finest level lead to, in buffers as they are: NaN where
+        these do not suffice."""
+        self._widen(unit)
+        levels, taken = self.levels[self.finest :], []
+        for level in levels:
+            unit, n, _, view = self._further(unit, level, FINE_PX[self.dtype], steps, self.capacity)
+            taken.append(int(n))
+        return Found(unit, view, tuple(taken))
+
     def _further(self, unit: Camera, level: Level, px: float, steps: int, capacity: Capacity):
         """Return `descended`'s from a camera: one program, whether it takes steps or only looks."""
         from ._descent import descended  # optimistix takes a third of this package's import
@@ -216,10 +232,12 @@ def _step(unit: Camera, problem: Problem, level: Level, y: Any, names) -> Camera
     return moved(move_of(unit, problem, level, names), y, names)
 
 
-def _noise_far_from_edges(image: np.ndarray, weights: np.ndarray) -> float:
-    """Return the sum of weighted squares by which pixels that are 0 or 1 for certain are not."""
-    far = (weights > 0) & (near_an_edge(edge_distance(image), 3.0) == 0)
-    return float(np.sum(weights[far] * (image - np.round(image))[far] ** 2))
+def _some_points(scene: Scene) -> np.ndarray:
+    """Return some 2000 of the mesh's vertices (n, 3), or none."""
+    if scene.mesh is None:
+        return np.zeros((0, 3))
+    step = max(scene.mesh.vertices.shape[0] // 2000, 1)
+    return np.asarray(scene.mesh.vertices)[::step].astype(float)
 
 
 def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:

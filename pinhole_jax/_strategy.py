@@ -8,23 +8,20 @@ import numpy as np
 
 from ._camera import Camera
 from ._parameters import canonical, components, focal_is_free
+from ._places import NEAR_START, Free, Places, equal_views, mirrored, separation, settled
 from ._residuals import Sums
 from ._search import Mask, aimed, angle, axes_of, guesses
 from ._solver import Found, Solver, Stop
 from ._target import edge_distance, near_an_edge
 from ._uncertainty import free_turns
 
-#: Mean square residual of a touched pixel with which a fit looks no further, for hard masks (a
-#: hard edge leaves 1/12) and for those with soft edges.
-CONTENT = {True: 0.1, False: 0.01}
-#: ... and with which a search for a mask without noise far from its edges (8 bits leave 1e-6).
-CLEAN = 1e-5
-#: A mask that leaves less has no outliers.
+#: A mask that leaves less than this mean square residual of an outline pixel has no outliers.
 EXACT = 0.01
 #: A view that a search finds replaces the one near the start if it explains the mask as its kind
-#: allows, or if the intersection over union of that is below this.
-POOR = 0.7
-#: Two views explain a mask equally well if their sums of squares differ by less than this share.
+#: allows, if the intersection over union of that is below `POOR`, or if it leaves so little.
+POOR, FAR_BETTER = 0.7, 0.5
+#: Two views explain a mask that says nothing exact equally well if their sums of squares differ by
+#: less than this share.
 EQUAL = 0.05
 #: Cameras this close (rad) are one.
 SAME = np.deg2rad(1.0)
@@ -44,7 +41,7 @@ def turns_freely(names: tuple[str, ...]) -> bool:
     return "pose" in names or {"position", "orientation"} <= {*names}
 
 
-def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> list[Found]:
+def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> Places:
     """Return what explains the mask best, the nearest to the start first if several do equally."""
     before = solver.look(start, -1)
     begin, free = start, turns_freely(solver.names)
@@ -53,25 +50,73 @@ def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> list[Fo
     found = solver.solve(begin, range(len(solver.levels)), told)
     if not found.view.squares <= before.squares:
         found = found._replace(unit=start, view=before)  # never worse than the start
-    if solver.misfit_above_noise(found.view) <= CONTENT[solver.hard] or not free:
-        return [found]
-    others = everywhere(solver, mask, told, rounds=1)
-    lost = float(found.view.sums.overlap) < POOR * float(found.view.sums.union)
-    if not lost and solver.misfit_above_noise(others[0].view) > CONTENT[solver.hard]:
-        return [found]  # nothing explains a mask that is wrong: stay with what is near the start
-    equal = equally_good(_one_of_each([found, *others], solver.names))
-    return sorted(equal, key=lambda f: angle(f.unit, start))
+    if not free:
+        return settled(solver, found, start)
+    content, misfit = solver.kind.most, solver.misfit_above_noise(found.view)
+    places = Places(found, [], [])
+    if misfit <= max(content, EXACT):
+        places = settled(solver, found, start)
+        alike = [c for c in mirrored(solver, places.best) if angle(c, start) < NEAR_START]
+        places = with_others(solver, places, _followed(solver, iter(alike), 0.0, told))
+        misfit = solver.misfit_above_noise(places.best.view)
+    if misfit > content:
+        others = everywhere(solver, mask, told, rounds=1)
+        view, other = places.best.view, others.best.view
+        lost = float(view.sums.overlap) < POOR * float(view.sums.union)
+        better = other.squares < FAR_BETTER * view.squares
+        # Nothing explains a mask that is wrong: stay with what is near the start.
+        if lost or better or solver.misfit_above_noise(other) <= content:
+            places = with_others(solver, places, [others.best, *others.others], others.free)
+    return _nearest_first(places, start)
 
 
-def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> list[Found]:
-    """Return the cameras that a search over all views finds, the best first.
+def _nearest_first(places: Places, start: Camera) -> Places:
+    """Return the places with the one nearest to the start as the best, if it is as good."""
+    best, *others = sorted([places.best, *places.others], key=lambda f: angle(f.unit, start))
+    return places._replace(best=best, others=others)
+
+
+def with_others(
+    solver: Solver, places: Places, more: list[Found], free: list[Free] | None = None
+) -> Places:
+    """Return the best of all, and what explains the mask as well."""
+    if not more:
+        return places
+    found = _one_of_each([places.best, *places.others, *more], solver.names)
+    best, *others = equally_good(solver, found)
+    if best is not places.best:
+        places = (
+            settled(solver, best)._replace(others=[]) if free is None else Places(best, [], free)
+        )
+    return places._replace(others=[f for f in others if not _within(places, solver, f)])
+
+
+def _within(places: Places, solver: Solver, found: Found) -> bool:
+    """Return whether a camera is the best one but for a move that is free."""
+    axes_a, axes_b = (axes_of(f.unit) for f in (places.best, found))
+    rotation = axes_a.T @ axes_b
+    turn = np.array(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )
+    far = angle(places.best.unit, found.unit)
+    for free in places.free:
+        along = free.axis is not None and abs(turn @ free.axis) > 0.95 * np.linalg.norm(turn)
+        if along and far <= max(free.behind, free.ahead):
+            return True
+    return separation(solver, places.best.unit, found.unit) < SAME
+
+
+def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> Places:
+    """Return the cameras that a search over all views finds.
 
     Further rounds try guesses that lie closer together, and other focal lengths where that is free,
-    until the mask is explained as well as its kind allows.
+    until the mask is explained as its kind allows.
     """
     found: list[Found] = []
-    clean = not solver.hard and rounds > 1 and solver.floor < CLEAN
-    content = CLEAN if clean else CONTENT[solver.hard]
     free = focal_is_free(solver.names)
     source = guesses(mask, solver.problem.scene, solver.ball)
     for n in range(rounds):
@@ -81,9 +126,11 @@ def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> list[
         source, likely = tee(source)
         apart = APART / (1 if free else 2**n)
         found = _one_of_each([*found, *_followed(solver, likely, apart, told)], solver.names)
-        if solver.misfit_above_noise(found[0].view) < content:
+        if solver.misfit_above_noise(found[0].view) < solver.kind.most:
             break
-    return found
+    places = settled(solver, found[0])
+    alike = _followed(solver, mirrored(solver, places.best), 0.0, told)
+    return with_others(solver, places, [*found[1:], *alike])
 
 
 def _followed(solver: Solver, likely: Iterator[Camera], apart: float, told: Told) -> list[Found]:
@@ -97,19 +144,25 @@ def _followed(solver: Solver, likely: Iterator[Camera], apart: float, told: Told
             seen += [guess, found[-1].unit]
             if len(found) == TRIED:
                 break
-    found = _one_of_each(found, solver.names)[:FOLLOWED]
+    found = _one_of_each(found, solver.names)[:FOLLOWED] if found else []
     for level in finer:
         found = [_onward(f, solver.solve(f.unit, [level], told)) for f in found]
-        found = _one_of_each(found, solver.names)
+        found = _one_of_each(found, solver.names) if found else []
         found = [f for f in found if f.view.misfit < 4 * found[0].view.misfit + EXACT]
     return found
 
 
-def equally_good(found: list[Found]) -> list[Found]:
-    """Return those that explain the mask as well as the best does."""
+def equally_good(solver: Solver, found: list[Found]) -> list[Found]:
+    """Return those that explain the mask as well as the first, the best, does."""
     best = found[0].view
-    enough = (1 + EQUAL) * best.squares + 1e-6 * float(best.sums.touched)
-    return [f for f in found if f.view.squares <= enough]
+    share = 0.0 if solver.kind.exact else EQUAL
+    return [
+        f
+        for f in found
+        if f is found[0]
+        or equal_views(solver, f.view, best)
+        or f.view.squares <= (1 + share) * best.squares
+    ]
 
 
 def without_outliers(

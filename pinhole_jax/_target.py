@@ -37,8 +37,9 @@ class Level(NamedTuple):
     """One level of a pyramid: where it begins, the size of its window and where on the film that
     begins (its pixels), and its pixels per film height.
 
-    `strict` says that pixels in which contours overlap are left out, not clamped. Arrays of NumPy:
-    numbers of shape (), `origin` (2,).
+    `strict` says that pixels in which contours overlap are left out, not clamped; a residual above
+    `explained` is more than the mask's kind leaves. Arrays of NumPy: numbers of shape (), `origin`
+    (2,).
     """
 
     start: Any
@@ -47,6 +48,7 @@ class Level(NamedTuple):
     origin: Any
     scale: Any
     strict: Any
+    explained: Any
 
     def window(self) -> "Window":
         """Return the window in the level's pixels."""
@@ -230,8 +232,8 @@ def pyramid(
         parts.append(part)
         h, w = image.shape
         origin, scale = real([left / 2**level, bottom / 2**level]), real(H / 2**level)
-        false = np.array(False)
-        levels.append(Level(integer(start), integer(w), integer(h), origin, scale, false))
+        rest = np.array(False), real(np.inf)
+        levels.append(Level(integer(start), integer(w), integer(h), origin, scale, *rest))
         start += part.shape[1]
     # A few sizes for all images, so that they share compiled programs.
     room = max(1 << (start - 1).bit_length(), LEAST_ROOM)

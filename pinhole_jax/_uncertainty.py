@@ -1,5 +1,7 @@
 """What a fit knows: covariance, and the directions in which the image does not change, in words."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 #: Singular values under this share of the largest count as no information at all ...
@@ -33,9 +35,14 @@ def covariance(
 
 
 def weak_directions(
-    triangle: np.ndarray, components: list[str], axes: np.ndarray, blind: float
+    triangle: np.ndarray,
+    components: list[str],
+    axes: np.ndarray,
+    blind: float,
+    named: Sequence[np.ndarray] = (),
 ) -> tuple[bool, tuple[str, ...]]:
-    """Return whether a direction is not seen at all, and each weak direction in words.
+    """Return whether a direction is not seen at all, and each weak direction in words, but for
+    those that are `named` already.
 
     `components` names the moves (in pixels), `axes` (3, 3) are the camera's in world coordinates.
     """
@@ -50,9 +57,21 @@ def weak_directions(
             else f"is nearly free ({s:.1%} as visible as the best-seen move)"
         )
         for s, direction in zip(share[::-1], directions[::-1], strict=True)
-        if s < WEAK
+        if s < WEAK and all(abs(direction @ m) < 0.7 * np.linalg.norm(m) for m in named)
     )
     return bool(share[-1] <= blind), words
+
+
+def weak_moves(
+    triangle: np.ndarray, components: list[str], weak: float = WEAK
+) -> list[tuple[float, np.ndarray]]:
+    """Return the singular values and directions (n,) of turns and shifts that show less than a
+    share of the best-seen move, the least last."""
+    _, values, directions = np.linalg.svd(triangle)
+    pose = np.array([c.split("_")[0] in ("turn", "spin", "shift") for c in components])
+    top = max(values[0], np.finfo(values.dtype).tiny)
+    pairs = zip(values, directions, strict=True)
+    return [(s, d) for s, d in pairs if s < weak * top and np.linalg.norm(d[pose]) > 0.7]
 
 
 def free_turns(triangle: np.ndarray, components: list[str], axes: np.ndarray) -> np.ndarray:
@@ -76,8 +95,8 @@ def _words(direction: np.ndarray, components: list[str], axes: np.ndarray) -> st
     weight |= {name: abs(float(part[name])) for name in rest}
     chief = [k for k in sorted(weight, key=lambda k: -weight[k]) if weight[k] > 0.35]
     names = {
-        "turn": "the turn about the axis " + _axis(kinds["turn"] @ axes),
-        "spin": "the camera's turn about the axis " + _axis(kinds["spin"] @ axes),
+        "turn": "the turn about the axis " + in_words(kinds["turn"] @ axes),
+        "spin": "the camera's turn about the axis " + in_words(kinds["spin"] @ axes),
         "shift": "the sideways shift",
         "log_distance": "the distance",
         "log_focal": "the focal length",
@@ -91,7 +110,8 @@ def _words(direction: np.ndarray, components: list[str], axes: np.ndarray) -> st
     return " against ".join(named)
 
 
-def _axis(vector: np.ndarray) -> str:
+def in_words(vector: np.ndarray) -> str:
+    """Return the direction of an axis, its largest component positive."""
     unit = vector / max(float(np.linalg.norm(vector)), 1e-300)
     unit = unit * np.sign(unit[np.argmax(np.abs(unit))] or 1)
     return "(" + ", ".join(f"{x:.2f}" for x in unit + 0.0) + ")"

@@ -1,0 +1,202 @@
+"""Does a fit say so when its camera is wrong?
+
+Closed shapes that look alike from several sides (a mug and a can whose handle or bump is out of the
+outline, an ellipsoid, a sphere with a dent, a plate, a box), five kinds of mask of 128 x 128 pixels,
+starts 10 to 30 degrees off and none. A lie is a fit that says `converged` while it is more than one
+degree and more than 10 standard errors off.
+"""
+
+import sys
+import time
+from collections import Counter
+
+import numpy as np
+from _common import camera_at, orbited, percentiles, run, trials
+
+import pinhole_jax as pj
+
+SIZE = 128
+
+
+def mug(random: np.random.Generator) -> tuple[pj.Mesh, np.ndarray]:
+    """Return a mug, and axes that look at its handle from behind or from the front."""
+    import trimesh
+
+    body = trimesh.creation.cylinder(radius=0.8, height=2, sections=64)
+    handle = trimesh.creation.torus(0.35, 0.08, major_sections=24, minor_sections=12)
+    handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    handle.apply_translation([0.85, 0, 0])
+    return of(body + handle), beside(random)
+
+
+def can(random: np.random.Generator) -> tuple[pj.Mesh, np.ndarray]:
+    """Return a can with a bump, and axes that look at the bump from behind or from the front."""
+    import trimesh
+
+    body = trimesh.creation.cylinder(radius=0.8, height=2, sections=64)
+    bump = trimesh.creation.icosphere(subdivisions=2, radius=0.15)
+    bump.apply_translation([0.8, 0, 0.3])
+    return of(body + bump), beside(random)
+
+
+def ellipsoid(random: np.random.Generator) -> tuple[pj.Mesh, np.ndarray]:
+    import trimesh
+
+    mesh = trimesh.creation.icosphere(subdivisions=4)
+    mesh.vertices *= [1.1, 0.8, 0.95]
+    return of(mesh), anywhere(random)
+
+
+def dented(random: np.random.Generator) -> tuple[pj.Mesh, np.ndarray]:
+    import trimesh
+
+    mesh = trimesh.creation.icosphere(subdivisions=4)
+    off = np.linalg.norm(mesh.vertices - [0.6, 0.64, 0.48], axis=1)
+    depth = 0.3 * np.exp(-((off / 0.35) ** 2))
+    return of(mesh, mesh.vertices * (1 - depth)[:, None]), anywhere(random)
+
+
+def plate(random: np.random.Generator) -> tuple[pj.Mesh, np.ndarray]:
+    import trimesh
+
+    return of(trimesh.creation.box([1.7, 1.2, 0.08])), anywhere(random)
+
+
+def box(random: np.random.Generator) -> tuple[pj.Mesh, np.ndarray]:
+    import trimesh
+
+    return of(trimesh.creation.box([1.2, 1.32, 1.05])), anywhere(random)
+
+
+def of(mesh, vertices=None) -> pj.Mesh:
+    points = mesh.vertices if vertices is None else vertices
+    return pj.Mesh(np.asarray(points, np.float32), np.asarray(mesh.faces))
+
+
+def beside(random: np.random.Generator) -> np.ndarray:
+    """Return axes that look along x, up to 15 degrees off it about z and 35 up or down."""
+    turn = np.deg2rad(random.uniform(-15, 15)) + np.pi * random.integers(2)
+    height = np.deg2rad(random.uniform(-35, 35))
+    v = -np.array([np.cos(turn) * np.cos(height), np.sin(turn) * np.cos(height), np.sin(height)])
+    b1 = np.cross(v, [0, 0, 1])
+    b1 /= np.linalg.norm(b1)
+    return np.stack([b1, np.cross(b1, v), v])
+
+
+def anywhere(random: np.random.Generator) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.random(random_state=random).as_matrix()
+
+
+SHAPES = {f.__name__: f for f in (mug, can, ellipsoid, dented, plate, box)}
+
+
+def eight_bits(image, random):
+    return np.round(255 * image).astype(np.uint8)
+
+
+def one_bit(image, random):
+    return image > 0.5
+
+
+def noisy(image, random):
+    return image + 0.02 * random.normal(size=image.shape)
+
+
+def blurred(image, random):
+    from scipy.ndimage import gaussian_filter
+
+    return gaussian_filter(image, 0.8)
+
+
+KINDS = {
+    "exact": lambda image, random: image,
+    "8 bits": eight_bits,
+    "one bit": one_bit,
+    "noisy": noisy,
+    "blurred": blurred,
+}
+
+
+def trial(number: int, shape: str, kind: str) -> dict:
+    """Return one fit: how far off, in degrees and standard errors, its status and seconds."""
+    from scipy.spatial.transform import Rotation
+
+    random = np.random.default_rng([number, *map(ord, shape)])
+    mesh, axes = SHAPES[shape](random)
+    scene = pj.Scene(mesh=mesh)
+    distance = random.uniform(1.2, 2.0) / np.sin(0.3)
+    truth = camera_at(axes, random.uniform(-0.1, 0.1, 2), distance, 0.6, SIZE)
+    target = KINDS[kind](np.asarray(pj.silhouette(truth, scene)), random)
+    axis = random.normal(size=3)
+    angle = np.deg2rad(random.uniform(10, 30))
+    turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+    start = orbited(truth, turn, random.uniform(0.95, 1.05))
+    if random.uniform() < 0.15:
+        start = None
+    begin = time.perf_counter()
+    fit = pj.fit_camera(scene, target, start, phi=None if start else 0.6)
+    seconds = time.perf_counter() - begin
+    off = float(np.rad2deg(pj.pose_error(fit.camera, truth)[0]))
+    known = np.linalg.norm(fit.std[:3])
+    modes = [float(np.rad2deg(pj.pose_error(m.camera, truth)[0])) for m in fit.modes]
+    return {
+        "number": number,
+        "shape": shape,
+        "kind": kind,
+        "start": None if start is None else float(np.rad2deg(angle)),
+        "status": fit.status,
+        "degrees": off,
+        "sigmas": float(np.deg2rad(off) / known) if known > 0 else float("inf"),
+        "sigma": float(np.rad2deg(known)),
+        "nearest_mode": min(modes, default=None),
+        "modes": len(modes),
+        "rms": fit.rms,
+        "iou": fit.iou,
+        "weak": fit.weak,
+        "seconds": seconds,
+    }
+
+
+def is_lie(row: dict) -> bool:
+    return row["status"] == "converged" and row["degrees"] > 1 and not row["sigmas"] <= 10
+
+
+def question() -> dict:
+    cases = [(shape, kind) for shape in SHAPES for kind in KINDS]
+    total = trials(1000)
+    rows = []
+    for number in range(total):
+        # All kinds of a shape follow one another: they share compiled programs.
+        shape, kind = cases[(number * len(cases)) // total]
+        rows.append(trial(number, shape, kind))
+        if "-v" in sys.argv:
+            r = rows[-1]
+            print(
+                f"{shape:10} {kind:8} {r['status']:14} {r['degrees']:8.3f} deg {r['sigmas']:9.1f}"
+                f" sigma (1: {r['sigma']:.1e} deg) rms {r['rms']:.1e} iou {r['iou']:.4f}"
+                f" modes {r['modes']} start {r['start'] and round(r['start'])}"
+                f" {r['seconds']:.2f} s{'  LIE' if is_lie(r) else ''}",
+                flush=True,
+            )
+    lies = [r for r in rows if is_lie(r)]
+    print(f"{len(lies)} of {len(rows)} fits say `converged` and are wrong")
+    table = {}
+    for shape in SHAPES:
+        mine = [r for r in rows if r["shape"] == shape]
+        right = [r for r in mine if r["degrees"] < 1 or r["sigmas"] < 4]
+        table[shape] = {
+            "lies": sum(map(is_lie, mine)),
+            "trials": len(mine),
+            "statuses": dict(Counter(r["status"] for r in mine)),
+            "right": len(right),
+            "right and converged": sum(r["status"] == "converged" for r in right),
+            "seconds": percentiles([r["seconds"] for r in mine]) if mine else None,
+        }
+        print(f"{shape:10} {table[shape]}")
+    return {"lies": len(lies), "trials": len(rows), "table": table, "rows": rows}
+
+
+if __name__ == "__main__":
+    run(question)
