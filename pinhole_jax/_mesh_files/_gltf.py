@@ -132,28 +132,36 @@ def _parts(
 
 
 def _worlds(top: dict[str, Any]) -> dict[int, np.ndarray]:
-    """Return the transforms (4, 4) to the world of the scene's nodes, by number.
+    """Return the transforms (4, 4) to the world of the scene's nodes, by number."""
+    parents = _parents(top)
+    own = _locals(top, [*parents])
+    worlds: dict[int, np.ndarray] = {}
+    for (k, parent), matrix in zip(parents.items(), own, strict=True):
+        worlds[k] = matrix if parent is None else worlds[parent] @ matrix
+    return worlds
+
+
+def _parents(top: dict[str, Any]) -> dict[int, int | None]:
+    """Return the parents of the scene's nodes, by number, parents first.
 
     Every node is met once: a tree, as the specification has it. Nodes that have two parents could
     stand for 2^depth copies, or for a circle.
     """
-    worlds: dict[int, np.ndarray] = {}
-    waiting = [(k, np.eye(4)) for k in _roots(top)]
     nodes = items(top, "nodes")
+    parents: dict[int, int | None] = {}
+    waiting = [(k, None) for k in _roots(top)]
     while waiting:
-        k, above = waiting.pop()
+        k, parent = waiting.pop()
         if type(k) is not int or not 0 <= k < len(nodes):
             raise wrong("nodes", f"numbers of nodes below {len(nodes)} as children", k)
-        if k in worlds:
+        if k in parents:
             raise wrong(f"nodes[{k}]", "one parent", "two, or itself")
         node = at(top, "nodes", k)
-        if node.get("extensions") and _is_hidden(node):
+        if "extensions" in node and _is_hidden(node):
             continue
-        worlds[k] = above @ _local(node, f"nodes[{k}]")
-        waiting += [
-            (child, worlds[k]) for child in reversed(items(node, "children", f"nodes[{k}]"))
-        ]
-    return worlds
+        parents[k] = parent
+        waiting += [(child, k) for child in reversed(items(node, "children", f"nodes[{k}]"))]
+    return parents
 
 
 def _roots(top: dict[str, Any]) -> list[Any]:
@@ -172,20 +180,31 @@ def _is_hidden(node: dict[str, Any]) -> bool:
     return extension.get("visible") is False
 
 
-def _local(node: dict[str, Any], where: str) -> np.ndarray:
-    """Return the transform (4, 4) of a node into its parent."""
-    given = [name for name in ("translation", "rotation", "scale") if name in node]
-    if "matrix" in node:
-        if given:
-            raise wrong(f"{where}.{given[0]}", "none beside a matrix", node[given[0]])
-        return np.array(numbers(node, "matrix", where, 16), float).reshape(4, 4).T
-    if not given:
-        return np.eye(4)
-    read = lambda name, default: np.array(
-        [numbers(node, name, where, len(default)) if name in node else default], float
+def _locals(top: dict[str, Any], chosen: list[int]) -> np.ndarray:
+    """Return the transforms (N, 4, 4) of nodes into their parents, all at once."""
+    parts = {"translation": [0.0, 0, 0], "rotation": [0.0, 0, 0, 1], "scale": [1.0, 1, 1]}
+    values, matrices = {name: [] for name in parts}, {}
+    for at_row, k in enumerate(chosen):
+        node, where = top["nodes"][k], f"nodes[{k}]"
+        for name, default in parts.items():
+            given = name in node
+            if given and "matrix" in node:
+                raise wrong(f"{where}.{name}", "none beside a matrix", node[name])
+            own = numbers(node, name, where, len(default)) if given else default
+            if name == "rotation" and not any(own):
+                raise wrong(f"{where}.rotation", "a quaternion of length 1", own)
+            values[name].append(own)
+        if "matrix" in node:
+            matrix = np.array(numbers(node, "matrix", where, 16))
+            matrices[at_row] = matrix.reshape(4, 4).T
+
+    translation, rotation, scale = (
+        np.array(values[name]).reshape(-1, len(default)) for name, default in parts.items()
     )
-    translation, scale = read("translation", [0, 0, 0]), read("scale", [1, 1, 1])
-    return _transforms(translation, read("rotation", [0, 0, 0, 1]), scale, where)[0]
+    transforms = _transforms(translation, rotation, scale, "nodes")
+    for at_row, matrix in matrices.items():
+        transforms[at_row] = matrix
+    return transforms
 
 
 def _transforms(
@@ -194,7 +213,7 @@ def _transforms(
     """Return (M, 4, 4) of M translations, quaternions (x, y, z, w) and scales."""
     length = np.sqrt(np.sum(rotation**2, axis=-1, keepdims=True))
     if not np.all(length > 1e-3):
-        raise wrong(f"{where}.rotation", "quaternions of length 1", float(np.min(length)))
+        raise wrong(f"{where}.rotation", "quaternions of length 1", f"{np.min(length):g}")
     x, y, z, w = (rotation / length).T
     turns = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

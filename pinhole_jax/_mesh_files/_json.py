@@ -35,7 +35,7 @@ def numbers(part: dict, name: str, where: str, size: int | None = None) -> list[
         raise wrong(f"{where}.{name}", f"a list of {size or 'the'} numbers", value)
     if not all(type(x) in (int, float) and abs(x) < 1e300 for x in value):
         raise wrong(f"{where}.{name}", "finite numbers", value)
-    return value
+    return [float(x) for x in value]
 
 
 def items(part: dict, name: str, where: str = "") -> list:
