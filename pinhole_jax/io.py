@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import tempfile
 import warnings
 from collections.abc import Callable
@@ -18,63 +17,80 @@ from ._distortion import BrownConrady, Fisheye
 from ._exif import FieldOfView, field_of_view, upright
 from ._lens import Lens
 from ._masks import eight_bits, read_mask, way_of
+from ._mesh_files import MESH_ENDINGS, Polygons, read_polygons, triangulated
 from ._scene import Mesh
-
-MESH_ENDINGS = (".obj", ".ply", ".stl", ".glb", ".gltf", ".off")
-#: A glTF accessor of more entries than this has to bring its data (without, it stands for zeros).
-MOST_WITHOUT_DATA = 1 << 20
 
 
 def load_mesh(path: str | os.PathLike) -> Mesh:
     """Return the triangles of a mesh file (obj, ply, stl, glb, gltf, off), as one mesh.
 
-    Scenes of several geometries are put together with their node transforms, polygons are
-    triangulated, and vertices at exactly the same place are merged so that faces share edges.
+    Polygons of any shape in any plane are cut into triangles that run the way they do, and vertices
+    at exactly the same place are merged so that faces share edges. Axes and lengths are the file's.
 
-    Raises FileNotFoundError, or ValueError where the file is no mesh, has no faces, fewer than its
-    header says, vertices that are not finite, or faces that name vertices it does not have.
+    - A glTF scene is put together with its nodes' transforms, instances, morph weights and skins as
+      the file has them, with no animation. Triangles, strips and fans count, lines and points do
+      not. Buffers are read from the file's folder and below.
+    - Of an obj file all polygons count; the material files that it names are not opened.
+    - Of a ply file the faces and triangle strips count.
+
+    Raises FileNotFoundError, or ValueError where the file is no mesh, has no faces, fewer or more
+    data than its header says, vertices that are not finite, faces that name vertices it does not
+    have, a polygon whose sides cross or that has too many corners to cut in seconds (some 100 000,
+    unless its first corner sees them all), curved surfaces (obj), binary or not three dimensions
+    (off), or a required glTF extension that is not read (KHR_draco_mesh_compression,
+    EXT_meshopt_compression): the extension, field or face is named.
     """
-    import trimesh
-
     file = _existing(path, "a mesh file")
     if file.suffix.lower() not in MESH_ENDINGS:
         raise ValueError(f"`path`: expected one of {', '.join(MESH_ENDINGS)}, got {file.name!r}")
     if file.stat().st_size == 0:
         raise ValueError(f"`path`: expected a mesh file, got {str(path)!r}: empty")
     try:
-        least = _promised_faces(file)
-        scene = trimesh.load_scene(file, process=False, maintain_order=True)
-        parts = [g for g in scene.dump() if isinstance(g, trimesh.Trimesh)]
-    except Exception as error:  # the readers raise whatever they meet
+        polygons = read_polygons(file)
+    except Exception as error:  # whatever a reader meets that it did not expect
         raise ValueError(
             f"`path`: expected a readable mesh, got {str(path)!r}: {_reason(error)}"
         ) from error
-    vertices = [np.asarray(g.vertices, float).reshape(-1, 3) for g in parts]
-    faces = [np.asarray(g.faces).reshape(-1, 3) for g in parts]
-    offsets = np.cumsum([0, *(len(v) for v in vertices)])
-    number = sum(len(f) for f in faces)
-    if number == 0:
-        raise ValueError(f"`path`: expected a mesh with faces, got {str(path)!r}: none")
-    if number < least:
-        raise ValueError(
-            f"`path`: expected the {least} faces of its header, got {str(path)!r}: {number}"
-        )
-    for own, face in zip(vertices, faces, strict=True):
-        if face.size and not (face.min() >= 0 and face.max() < len(own)):
-            raise ValueError(
-                f"`path`: expected faces with vertices 0 to {len(own) - 1}, got {str(path)!r}:"
-                f" {face.min()} to {face.max()}"
-            )
-    joined = np.concatenate([f + o for f, o in zip(faces, offsets, strict=False)])
-    points = np.concatenate(vertices)
-    used = points[joined]
-    if not np.all(np.isfinite(used)):
-        raise ValueError(f"`path`: expected finite vertices, got {str(path)!r}: NaN or infinity")
-    merged, place = np.unique(used.reshape(-1, 3), axis=0, return_inverse=True)
+    _check_corners(polygons, path)
     try:
-        return Mesh(merged, place.reshape(-1, 3))
+        faces = triangulated(polygons)
+    except ValueError as error:
+        raise ValueError(
+            f"`path`: expected polygons that can be cut, got {str(path)!r}: {error}"
+        ) from error
+    if not len(faces):
+        raise ValueError(f"`path`: expected a mesh with faces, got {str(path)!r}: none")
+    merged, place = _merged(polygons.points, faces)
+    try:
+        return Mesh(merged, place)
     except ValueError as error:  # too large for float32
         raise ValueError(f"{error} (in {str(path)!r})") from error
+
+
+def _check_corners(polygons: Polygons, path: Any) -> None:
+    points, corners, _ = polygons
+    if corners.size and not (corners.min() >= 0 and corners.max() < len(points)):
+        raise ValueError(
+            f"`path`: expected faces with vertices 0 to {len(points) - 1}, got {str(path)!r}:"
+            f" {corners.min()} to {corners.max()}"
+        )
+    if not np.all(np.isfinite(points[corners])):
+        raise ValueError(f"`path`: expected finite vertices, got {str(path)!r}: NaN or infinity")
+
+
+def _merged(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points that faces use, each place once and in order, and the faces of these."""
+    used = np.zeros(len(points), bool)
+    used[faces] = True
+    places = points[used]
+    order = np.lexsort(places.T[::-1])  # four times as fast as np.unique
+    places = places[order]
+    first = np.ones(len(places), bool)
+    first[1:] = np.any(places[1:] != places[:-1], axis=1)
+
+    number = np.empty(len(points), int)
+    number[np.flatnonzero(used)[order]] = np.cumsum(first) - 1
+    return places[first], number[faces]
 
 
 def load_image(path: str | os.PathLike) -> np.ndarray:
@@ -334,44 +350,7 @@ def _existing(path: Any, kind: str) -> Path:
 
 def _reason(error: Exception) -> str:
     """Return the first line of what a reader of files raised."""
-    if isinstance(error, ModuleNotFoundError) and error.name in ("chardet", "charset_normalizer"):
-        return "bytes that are no text in UTF-8"
     return str(error).splitlines()[0] if str(error) else type(error).__name__
-
-
-def _promised_faces(file: Path) -> int:
-    """Return how many faces a file's header promises (0: it does not say), or raise ValueError.
-
-    What trimesh does not check: it drops what is missing at a text's end, takes the index 0 of an
-    obj file for the last vertex, and makes room for glTF data that is not there.
-    """
-    kind = file.suffix.lower()
-    if kind == ".ply":
-        with file.open("rb") as stream:
-            header = stream.read(1 << 16).partition(b"end_header")[0]
-        found = re.search(rb"^element[ \t]+face[ \t]+(\d+)", header, re.MULTILINE)
-        return int(found[1]) if found else 0
-    if kind == ".off":
-        with file.open("rb") as stream:
-            header = re.sub(rb"#[^\n]*", b"", stream.read(1 << 16))
-        found = re.match(rb"\s*\w*OFF\s+\d+\s+(\d+)", header)
-        return int(found[1]) if found else 0
-    if kind == ".obj" and re.search(
-        rb"^[ \t]*f[^\n]*[ \t]0+[/\s]", file.read_bytes(), re.MULTILINE
-    ):
-        raise ValueError("a face with the vertex 0; they are counted from 1")
-    if kind in (".gltf", ".glb"):
-        _check_accessors(file)
-    return 0
-
-
-def _check_accessors(file: Path) -> None:
-    text = file.read_bytes()
-    if file.suffix.lower() == ".glb":
-        text = text[20 : 20 + int.from_bytes(text[12:16], "little")]
-    for accessor in json.loads(text).get("accessors", []):
-        if "bufferView" not in accessor and not 0 <= accessor["count"] <= MOST_WITHOUT_DATA:
-            raise ValueError(f"{accessor['count']} numbers with no data")
 
 
 def replace_file(path: str | os.PathLike, write: Callable[[Path], Any], suffix: str) -> None:

@@ -1,0 +1,27 @@
+"""The polygons of mesh files. Each format has its reader here, from the file's bytes to numbers.
+
+General libraries cut faces of more than three corners as a fan, and pass over what they do not
+know in a glTF file: shapes that are wrong and do not say so.
+"""
+
+from pathlib import Path
+
+from ._gltf import read_gltf
+from ._obj import read_obj
+from ._off import read_off
+from ._ply import read_ply
+from ._polygons import Polygons as Polygons
+from ._polygons import triangulated as triangulated
+from ._stl import read_stl
+
+READERS = {".obj": read_obj, ".ply": read_ply, ".stl": read_stl, ".off": read_off}
+MESH_ENDINGS = (*READERS, ".glb", ".gltf")
+
+
+def read_polygons(file: Path) -> Polygons:
+    """Return the polygons of a mesh file, by its ending; indices are not checked.
+
+    Raises OSError, or ValueError that says what is wrong and where.
+    """
+    kind, data = file.suffix.lower(), file.read_bytes()
+    return READERS[kind](data) if kind in READERS else read_gltf(data, file)

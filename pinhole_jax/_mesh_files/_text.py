@@ -1,0 +1,59 @@
+"""Numbers in the lines of a text, all of them at once."""
+
+import warnings
+
+import numpy as np
+
+
+def numbers_of(text: bytes, kind: type, what: str, size: int | None = None) -> np.ndarray:
+    """Return the numbers (size,) of a text, float or int, parted by white space.
+
+    Raises ValueError, which says `what` they are, where something is no number or there are more
+    or fewer.
+    """
+    try:
+        with warnings.catch_warnings(action="error", category=DeprecationWarning):
+            # Of white space alone it makes a number.
+            numbers = np.fromstring(text if text.strip() else b"", dtype=kind, sep=" ")
+    except (DeprecationWarning, ValueError):
+        raise ValueError(f"expected numbers in {what}, got something else") from None
+    if size is not None and numbers.size != size:
+        raise ValueError(f"expected {size} numbers in {what}, got {numbers.size}")
+    return numbers
+
+
+def whole(numbers: np.ndarray, what: str) -> np.ndarray:
+    """Return floats as integers, or raise ValueError, which says `what` they are."""
+    fits = np.abs(numbers) <= 2**53
+    if not np.all(fits & (numbers == np.round(np.where(fits, numbers, 0.5)))):
+        raise ValueError(f"expected whole numbers in {what}, got others")
+    return numbers.astype(int)
+
+
+def counts_of(lines: list[bytes]) -> np.ndarray:
+    """Return how many words each line has, (L,)."""
+    codes = np.frombuffer(b"\n".join([*lines, b""]), np.uint8)
+    blank = codes <= 32
+    begins = ~blank
+    begins[1:] &= blank[:-1]
+    ends = np.flatnonzero(codes == 10)
+    return np.diff(np.cumsum(begins)[ends], prepend=0)
+
+
+def points_of(lines: list[bytes]) -> np.ndarray:
+    """Return the first three numbers of each line, (L, 3); what follows them are colours and such.
+
+    Raises ValueError where there are fewer.
+    """
+    counts = counts_of(lines)
+    if counts.size and np.min(counts) < 3:
+        raise ValueError(f"vertex {np.argmin(counts) + 1}: {np.min(counts)} coordinates")
+    if np.any(counts != 3):
+        lines = [b" ".join(line.split(None, 3)[:3]) for line in lines]
+    return numbers_of(b"\n".join(lines), float, "vertices", 3 * len(lines)).reshape(-1, 3)
+
+
+def taken(values: np.ndarray, starts: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Return `counts[k]` values from each of `starts[k]` on, one after the other."""
+    first = np.cumsum(counts) - counts
+    return values[np.arange(np.sum(counts)) + np.repeat(starts - first, counts)]

@@ -1,0 +1,611 @@
+"""What mesh files say, against polygons in shapely and triangles written down by hand."""
+
+import base64
+import json
+import struct
+import time
+
+import numpy as np
+import pytest
+import shapely
+from scipy.spatial.transform import Rotation
+from test_polygons import SHAPES, covered
+
+import pinhole_jax as pj
+
+# --- polygons in every format --------------------------------------------------------------------
+
+NAMES = ["chevron", "square", "L", "arrow", "star", "bridge", "corners in line"]
+FLAT = [np.add(SHAPES[name], [10.0 * k, 0]) for k, name in enumerate(NAMES)]
+TRIANGLE = np.array([[90, 0], [91, 0], [90, 1.0]])
+FACES = [*FLAT, TRIANGLE]
+POINTS = np.pad(np.concatenate(FACES), ((0, 0), (0, 1)), constant_values=0.5)
+COUNTS = [len(face) for face in FACES]
+STARTS = np.cumsum([0, *COUNTS])[:-1]
+CORNERS = [np.arange(s, s + n) for s, n in zip(STARTS, COUNTS, strict=True)]
+
+
+def obj(corner="{}", back=False, end="\n", more=""):
+    lines = ["# a comment", "mtllib ../secret.mtl", "o one"]
+    for face, corners in zip(FACES, CORNERS, strict=True):
+        lines += [f"v {x} {y} 0.5{more}" for x, y in face]
+        lines += ["vt 0 0", "vn 0 0 1", "usemtl f_1", "s off", "l 1 2"]
+        names = corners + 1 if not back else corners - corners[-1] - 1
+        lines += ["f " + " ".join(corner.format(k) for k in names) + " # a face"]
+    return end.join(lines).encode()
+
+
+def off(kind="OFF", colour="", around=""):
+    rows = [" ".join(map(str, p)) + around for p in POINTS]
+    rows += [f"{len(c)} " + " ".join(map(str, c)) + colour for c in CORNERS]
+    return f"{kind}\n# sizes\n{len(POINTS)} {len(FACES)} 0\n\n".encode() + "\n".join(rows).encode()
+
+
+def ply(order="<", name="vertex_indices", length="uchar", index="int", real="float", more=False):
+    """`more`: a table before, and more properties, lists too, before and after the vertices'."""
+    form = {"<": "binary_little_endian", ">": "binary_big_endian", "": "ascii"}[order]
+    head = f"ply\nformat {form} 1.0\ncomment x\nobj_info y\n"
+    head += "element note 2\nproperty list uchar short n\n" * more
+    head += f"element vertex {len(POINTS)}\n" + "property uchar red\n" * more
+    head += "".join(f"property {real} {x}\n" for x in "xyz") + "property double w\n" * more
+    head += f"element face {len(FACES)}\n" + "property list uchar float texcoord\n" * more
+    head += (
+        f"property list {length} {index} {name}\n"
+        + "property uchar flags\nproperty float area\n" * more
+    )
+    codes = {"uchar": "B", "int": "i", "float": "f", "double": "d", "short": "h", "uint": "I",
+             "ushort": "H"}  # fmt: skip
+    rows = [[("uchar", 3), *[("short", k) for k in range(3)]], [("uchar", 0)]] if more else []
+    for point in POINTS:
+        row = [(real, x) for x in point]
+        rows.append([("uchar", 9), *row, ("double", 1.5)] if more else row)
+    for k, corners in enumerate(CORNERS):
+        row = [(length, len(corners)), *[(index, int(c)) for c in corners]]
+        loose = [("uchar", k), *[("float", 0.5)] * k]
+        rows.append([*loose, *row, ("uchar", 7), ("float", 2.5)] if more else row)
+    if order:
+        body = b"".join(struct.pack(order + codes[t], x) for row in rows for t, x in row)
+    else:
+        body = "\n".join(" ".join(str(x) for _, x in row) for row in rows).encode()
+    return head.encode() + b"end_header\n" + body
+
+
+FILES = {
+    "plain.obj": obj(),
+    "textures.obj": obj("{}/1"),
+    "normals.obj": obj("{}//1"),
+    "both.obj": obj("{0}/1/1"),
+    "colours.obj": obj(more=" 0.1 0.2 0.3"),
+    "back.obj": obj(back=True),
+    "back_textures.obj": obj("{}/-1/-1", back=True),
+    "windows.obj": obj(end="\r\n"),
+    "indented.obj": obj(end="\n \t"),
+    "split.obj": obj().replace(b"f 1 2 3", b"f 1 2 \\\n 3"),
+    "plain.off": off(),
+    "colours.off": off("COFF", " 0.1 0.2 0.3 1", " 255 0 0 255"),
+    "normals.off": off("NOFF", " 1", " 0 0 1"),
+    "no_header.off": off(""),
+    "one_line.off": off("OFF").replace(b"OFF\n# sizes\n", b"OFF"),
+    "little.ply": ply(),
+    "big.ply": ply(">", real="double", index="uint"),
+    "text.ply": ply(""),
+    "name.ply": ply(name="vertex_index", length="int"),
+    "short.ply": ply(">", index="ushort", name="vertex_index"),
+    "more.ply": ply(more=True),
+    "more_big.ply": ply(">", more=True),
+    "more_text.ply": ply("", more=True),
+}
+
+
+def put(tmp_path, name, data):
+    (tmp_path / name).write_bytes(data)
+    return tmp_path / name
+
+
+def triangles_of(mesh):
+    return np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_polygons_of_every_format_cover_what_they_cover(tmp_path, name):
+    found = triangles_of(pj.load_mesh(put(tmp_path, name, FILES[name])))
+    assert len(found) == sum(COUNTS) - 2 * len(COUNTS)
+    np.testing.assert_array_equal(found[..., 2], 0.5)
+    owner = ((found[..., 0].mean(axis=1) + 3) // 10).astype(int)
+    for k, face in zip((*range(len(FLAT)), 9), FACES, strict=True):
+        parts = shapely.polygons(found[owner == k][..., :2])
+        assert shapely.area(shapely.unary_union(parts)) == pytest.approx(covered(face), rel=1e-6)
+        assert np.sum(shapely.area(parts)) == pytest.approx(covered(face), rel=1e-6)
+    a, b, c = np.moveaxis(found, 1, 0)
+    assert np.min(np.cross(b - a, c - a)[:, 2]) > -1e-5
+
+
+STRIPS = b"""ply
+format ascii 1.0
+element vertex 6
+property float x
+property float y
+property float z
+element tristrips 1
+property list int int vertex_indices
+end_header
+0 0 0
+0 1 0
+1 0 0
+1 1 0
+5 0 0
+5 1 0
+9 0 2 1 3 -1 4 5 3 3
+"""
+
+
+def test_strips_of_a_ply_file(tmp_path):
+    found = pj.load_mesh(put(tmp_path, "s.ply", STRIPS))
+    a, b, c = np.moveaxis(triangles_of(found), 1, 0)
+    assert len(a) == 3
+    np.testing.assert_allclose(np.sort(np.cross(b - a, c - a)[:, 2]), [1, 1, 4])
+
+
+def ascii_stl(corners):
+    loop = "".join(f"vertex {x} 0 {x * x}\n" for x in range(corners))
+    return f"solid a vertex\nfacet normal 0 0 1\nouter loop\n{loop}endloop\nendfacet\n".encode()
+
+
+OTHERS = {
+    "stl_quad.stl": (ascii_stl(6) + b"endsolid\n", "facets of three corners"),
+    "stl_cut.stl": (ascii_stl(3), "without its end"),
+    "stl_short.stl": (b"solid" + bytes(75) + struct.pack("<I", 2) + bytes(50), "without its end"),
+    "surface.obj": (obj() + b"\nsurf 0 1 0 1 1 2 3 4", "the statement 'surf'"),
+    "comma.obj": (b"v 0,5 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3", "numbers in vertices"),
+    "flat.obj": (b"v 0 5\nv 1 0 0\nv 0 1 0\nf 1 2 3", "vertex 1: 2 coordinates"),
+    "back.obj": (b"v 0 0 0\nf -1 -2 -3\nv 1 0 0\nv 0 1 0", "faces with vertices 0 to 2"),
+    "crossed.obj": (b"v 0 0 0\nv 1 1 0\nv 1 0 0\nv 0 1 0\nf 1 2 3 4", "face 1: its sides cross"),
+    "binary.off": (b"OFF BINARY\n" + bytes(99), "OFF BINARY: only text"),
+    "four.off": (off("4OFF"), "only text and three dimensions"),
+    "short_line.off": (b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n4 0 1 2\n", "4 corners in a line of 4"),
+    "part.off": (b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 1.5\n", "whole numbers"),
+    "more.ply": (ply() + b"\0", "bytes of rows as its header says"),
+    "less.ply": (ply()[:-1], "ends before the 8 rows of 'face'"),
+    "more_text.ply": (ply("") + b"\n1", "bytes of rows as its header says"),
+    "negative.ply": (ply(length="int").replace(struct.pack("<i", 4), b"\xff" * 4, 1), "list of -1"),
+    "other.ply": (ply(name="corners"), "'vertex_indices' in 'face'"),
+    "header.ply": (ply().replace(b"1.0", b"2.0"), "the line 'format binary_little_endian 2.0'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_what_is_not_read_is_said(tmp_path, name):
+    data, message = OTHERS[name]
+    with pytest.raises(ValueError, match=f"`path`: expected .*{message}"):
+        pj.load_mesh(put(tmp_path, name, data))
+
+
+def test_no_file_that_an_obj_names_is_opened(tmp_path, monkeypatch):
+    from pathlib import Path
+
+    path = put(tmp_path, "a.obj", b"mtllib /etc/hostname\nmtllib ../x.mtl\n" + obj())
+    opened, read = [], Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda self: opened.append(self) or read(self))
+    pj.load_mesh(path)
+    assert opened == [path]
+
+
+# --- glTF ----------------------------------------------------------------------------------------
+
+KINDS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
+SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")
+TWO = np.array([[0, 1, 2], [0, 2, 3]], "<u2")
+
+
+class File:
+    """A glTF file put together by hand: arrays go to one buffer, every part to its list."""
+
+    def __init__(self):
+        self.data, self.top = b"", {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{}]}
+        self.top |= {"accessors": [], "bufferViews": [], "meshes": [], "nodes": []}
+
+    def view(self, data, **more):
+        self.data += bytes(-len(self.data) % 4)
+        own = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data), **more}
+        self.data += data
+        self.top["bufferViews"].append(own)
+        return len(self.top["bufferViews"]) - 1
+
+    def accessor(self, array, **more):
+        array = np.asarray(array)
+        width = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
+        kind = {"componentType": KINDS[array.dtype.str[1:]], "type": width[array.shape[1:]]}
+        own = {"bufferView": self.view(array.tobytes()), "count": len(array), **kind, **more}
+        self.top["accessors"].append(own)
+        return len(self.top["accessors"]) - 1
+
+    def primitive(self, points, indices=None, mode=4, **more):
+        own = {"attributes": {"POSITION": self.accessor(points)}, "mode": mode, **more}
+        if indices is not None:
+            own["indices"] = self.accessor(np.asarray(indices).ravel())
+        return own
+
+    def mesh(self, *primitives, **more):
+        self.top["meshes"].append({"primitives": [*primitives], **more})
+        return len(self.top["meshes"]) - 1
+
+    def node(self, root=True, **more):
+        self.top["nodes"].append(more)
+        if root:
+            self.top["scenes"][0].setdefault("nodes", []).append(len(self.top["nodes"]) - 1)
+        return len(self.top["nodes"]) - 1
+
+    def bytes(self, uri=None, binary=False):
+        data = "data:application/octet-stream;base64," + base64.b64encode(self.data).decode()
+        buffer = {"byteLength": len(self.data)} | ({} if binary else {"uri": uri or data})
+        text = json.dumps({**self.top, "buffers": [buffer]}).encode()
+        if not binary:
+            return text
+        text, data = text + b" " * (-len(text) % 4), self.data + bytes(-len(self.data) % 4)
+        chunks = struct.pack("<2I", len(text), 0x4E4F534A) + text
+        chunks += struct.pack("<2I", len(data), 0x004E4942) + data
+        return struct.pack("<3I", 0x46546C67, 2, 12 + len(chunks)) + chunks
+
+    def load(self, tmp_path, binary=False, **more):
+        name = "a.glb" if binary else "a.gltf"
+        return pj.load_mesh(put(tmp_path, name, self.bytes(binary=binary, **more)))
+
+
+def check_triangles(mesh, expected):
+    """Assert that a mesh has these triangles (T, 3, 3), each the same way round."""
+
+    def sorted_triangles(triangles):
+        triangles = np.round(np.asarray(triangles, float), 4) + 0.0
+        first = [min(range(3), key=lambda k: tuple(t[k])) for t in triangles]
+        turned = [np.roll(t, -k, axis=0) for t, k in zip(triangles, first, strict=True)]
+        return sorted(tuple(t.ravel()) for t in turned)
+
+    np.testing.assert_allclose(
+        sorted_triangles(triangles_of(mesh)), sorted_triangles(expected), atol=2e-4
+    )
+
+
+@pytest.mark.parametrize("binary", [False, True])
+@pytest.mark.parametrize("kind", ["u1", "u2", "u4"])
+def test_indexed_triangles(tmp_path, kind, binary):
+    f = File()
+    f.node(mesh=f.mesh(f.primitive(SQUARE, TWO.astype(kind))))
+    check_triangles(f.load(tmp_path, binary), SQUARE[TWO])
+
+
+def test_strips_fans_triangles_lines_and_points_in_one_mesh(tmp_path):
+    strip = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 2, 0]], "<f4")
+    fan = np.array([[9, 0, 0], [10, 0, 0], [10, 1, 0], [9, 1, 0]], "<f4")
+    lines = np.array([[50, 50, 50], [60, 60, 60], [50, 60, 60]], "<f4")
+    f = File()
+    parts = [f.primitive(strip, mode=5), f.primitive(fan, mode=6), f.primitive(SQUARE + 20, TWO)]
+    parts += [f.primitive(lines, mode=m) for m in (0, 1, 2, 3)]
+    f.node(mesh=f.mesh(*parts, f.primitive(lines, np.array([0, 0, 1, 1, 1], "<u4"), mode=0)))
+    expected = [*strip[[[0, 1, 2], [1, 3, 2], [2, 3, 4]]], *fan[[[0, 1, 2], [0, 2, 3]]]]
+    check_triangles(f.load(tmp_path), [*expected, *(SQUARE + 20)[TWO]])
+
+
+def test_a_strip_that_repeats_corners_to_join_two(tmp_path):
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 0, 0], [6, 0, 0], [5, 1, 0]], "<f4")
+    f = File()
+    f.node(mesh=f.mesh(f.primitive(points, np.array([0, 1, 2, 2, 3, 3, 4, 5], "<u1"), mode=5)))
+    check_triangles(f.load(tmp_path), [points[[0, 1, 2]], points[[3, 5, 4]]])
+
+
+@pytest.mark.parametrize("kind", ["i1", "u1", "i2", "u2"])
+@pytest.mark.parametrize("normalized", [True, False])
+def test_quantized_positions(tmp_path, kind, normalized):
+    top = np.iinfo(kind).max
+    points = np.array([[0, 0, 0], [top, 0, 0], [top, top, top // 2]], kind)
+    if kind[0] == "i":
+        points[0] = np.iinfo(kind).min  # stands for -1, not a little less
+    f = File()
+    f.node(mesh=f.mesh(f.primitive(points)))
+    f.top["accessors"][0]["normalized"] = normalized
+    f.top["extensionsRequired"] = f.top["extensionsUsed"] = ["KHR_mesh_quantization"]
+    expected = np.maximum(points / top, -1) if normalized else points
+    check_triangles(f.load(tmp_path), [expected])
+
+
+@pytest.mark.parametrize("base", [True, False])
+def test_sparse_accessors(tmp_path, base):
+    f = File()
+    f.node(mesh=f.mesh(f.primitive(SQUARE, TWO)))
+    own = f.top["accessors"][0]
+    moved = np.array([[1, 0, 5], [0, 1, 7]], "<f4")
+    places = {"bufferView": f.view(np.array([1, 3], "<u2").tobytes()), "componentType": 5123}
+    own["sparse"] = {
+        "count": 2,
+        "indices": places,
+        "values": {"bufferView": f.view(b"skip" + moved.tobytes()), "byteOffset": 4},
+    }
+    expected = np.array(SQUARE) if base else np.zeros_like(SQUARE)
+    if not base:
+        del own["bufferView"]
+    expected[[1, 3]] = moved
+    check_triangles(f.load(tmp_path), expected[TWO])
+
+
+def test_interleaved_data_at_offsets(tmp_path):
+    f = File()
+    rows = np.concatenate([np.full((4, 1), 7), SQUARE, np.full((4, 2), 8)], axis=1).astype("<f4")
+    view = f.view(b"skip" + rows.tobytes()[:-8], byteStride=24)
+    position = {"bufferView": view, "byteOffset": 8, "componentType": 5126, "count": 4}
+    f.top["accessors"].append({**position, "type": "VEC3"})
+    index = f.accessor(TWO.ravel())
+    f.node(mesh=f.mesh({"attributes": {"POSITION": 0}, "indices": index}))
+    check_triangles(f.load(tmp_path), SQUARE[TWO])
+
+
+@pytest.mark.parametrize("at", ["mesh", "node", "neither"])
+def test_morph_targets_have_the_weights_of_the_file(tmp_path, at):
+    f = File()
+    shifts = np.random.default_rng(0).integers(-3, 3, (2, 4, 3)).astype("<f4")
+    targets = [{"POSITION": f.accessor(shift)} for shift in shifts]
+    mesh = f.mesh(f.primitive(SQUARE, TWO, targets=targets))
+    node = {"mesh": mesh}
+    if at != "neither":
+        f.top["meshes"][0]["weights"] = [0.5, 2.0]
+    if at == "node":
+        node["weights"] = [-1.0, 0.25]
+    f.node(**node)
+    weights = {"mesh": [0.5, 2], "node": [-1, 0.25], "neither": [0, 0]}[at]
+    check_triangles(f.load(tmp_path), (SQUARE + np.tensordot(weights, shifts, 1))[TWO])
+
+
+def test_skins_pose_the_mesh_by_its_joints_and_not_by_its_node(tmp_path):
+    turn = Rotation.from_euler("z", 90, degrees=True)
+    bind = np.eye(4)
+    bind[:3, 3] = [-1, 0, 0]  # the second joint was at (1, 0, 0) when it was bound
+    f = File()
+    inverse = f.accessor(np.stack([np.eye(4), bind.T]).astype("<f4"))  # columns first
+    primitive = f.primitive(SQUARE, TWO)
+    joints = np.array([[0, 1, 9, 0], [1, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0]], "<u1")
+    weights = np.array([[255, 0, 0, 0], [255, 0, 0, 0], [51, 204, 0, 0], [0, 255, 0, 0]], "<u1")
+    primitive["attributes"] |= {
+        "JOINTS_0": f.accessor(joints),
+        "WEIGHTS_0": f.accessor(weights, normalized=True),
+    }
+    f.node(mesh=f.mesh(primitive), skin=0, translation=[100, 100, 100])
+    second = f.node(False, translation=[1, 0, 0], rotation=turn.as_quat().tolist())
+    first = f.node(translation=[0, 0, 3], children=[second])
+    f.top["skins"] = [{"joints": [first, second], "inverseBindMatrices": inverse}]
+    one = np.add(SQUARE, [0, 0, 3])
+    other = np.add(turn.apply(SQUARE - [1, 0, 0]), [1, 0, 3])
+    expected = np.stack([one[0], other[1], 0.2 * other[2] + 0.8 * one[2], other[3]])
+    check_triangles(f.load(tmp_path), expected[TWO])
+
+
+def placed(points, translation, rotation, scale):
+    return Rotation.from_quat(rotation).apply(points * scale) + translation
+
+
+def test_nodes_place_by_matrix_and_by_parts_and_mirrors_turn_faces(tmp_path):
+    q = Rotation.random(rng=1).as_quat()
+    matrix = np.eye(4)
+    matrix[:3] = [[0, -2, 0, 5], [1, 0, 0, 6], [0, 0, -1, 7]]
+    f = File()
+    mesh = f.mesh(f.primitive(SQUARE, TWO))
+    child = f.node(False, mesh=mesh, translation=[1, 2, 3], rotation=q.tolist(), scale=[2, 3, 4])
+    f.node(matrix=matrix.T.ravel().tolist(), children=[child], mesh=mesh)
+    inner = placed(SQUARE, [1, 2, 3], q, [2, 3, 4])
+    outer = lambda p: p @ matrix[:3, :3].T + matrix[:3, 3]
+    assert np.linalg.det(matrix[:3, :3]) < 0
+    expected = [*outer(inner)[TWO][:, ::-1], *outer(SQUARE)[TWO][:, ::-1]]
+    check_triangles(f.load(tmp_path), expected)
+
+
+@pytest.mark.parametrize("names", [("TRANSLATION",), ("TRANSLATION", "ROTATION", "SCALE")])
+def test_instances_of_the_extension(tmp_path, names):
+    random, f = np.random.default_rng(0), File()
+    values = {
+        "TRANSLATION": random.normal(size=(5, 3)).astype("<f4"),
+        "ROTATION": Rotation.random(5, rng=2).as_quat().astype("<f4"),
+        "SCALE": random.uniform(0.5, 2, (5, 3)).astype("<f4"),
+    }
+    attributes = {name: f.accessor(values[name]) for name in names}
+    f.node(
+        mesh=f.mesh(f.primitive(SQUARE, TWO)),
+        translation=[10, 0, 0],
+        extensions={"EXT_mesh_gpu_instancing": {"attributes": attributes}},
+    )
+    f.top["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
+    none = {"ROTATION": np.tile([0, 0, 0, 1], (5, 1)), "SCALE": np.ones((5, 3))}
+    read = {**values, **{name: none[name] for name in values if name not in names}}
+    expected = [
+        placed(SQUARE, [10, 0, 0] + read["TRANSLATION"][k], read["ROTATION"][k], read["SCALE"][k])
+        for k in range(5)
+    ]
+    check_triangles(f.load(tmp_path), np.concatenate([one[TWO] for one in expected]))
+
+
+def test_twenty_thousand_instances_take_less_than_two_seconds(tmp_path):
+    f = File()
+    mesh = f.mesh(f.primitive(SQUARE, TWO))
+    for k in range(20_000):
+        f.node(mesh=mesh, translation=[2 * k, 0, 0], rotation=[0, 0, 0, 1])
+    path = put(tmp_path, "a.gltf", f.bytes())
+    pj.load_mesh(path)  # compiles
+    start = time.process_time()
+    assert pj.load_mesh(path).faces.shape == (40_000, 3)
+    assert time.process_time() - start < 2
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_other", "VENDOR_surfaces", 7],
+)
+def test_required_extensions_that_are_not_read_are_named(tmp_path, name):
+    f = File()
+    f.node(mesh=f.mesh(f.primitive(SQUARE, TWO)))
+    f.top["extensionsRequired"] = ["KHR_materials_unlit", "KHR_texture_transform", name]
+    with pytest.raises(ValueError, match=f"`extensionsRequired`: .*got {name}"):
+        f.load(tmp_path)
+    f.top["extensionsRequired"].pop()
+    check_triangles(f.load(tmp_path), SQUARE[TWO])
+
+
+def test_compressed_data_without_others_are_named(tmp_path):
+    f = File()
+    primitive = f.primitive(SQUARE, TWO)
+    f.node(mesh=f.mesh(primitive))
+    primitive["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0}}
+    check_triangles(f.load(tmp_path), SQUARE[TWO])  # the data are there as well
+    view = f.top["accessors"][0].pop("bufferView")
+    with pytest.raises(ValueError, match="got KHR_draco_mesh_compression"):
+        f.load(tmp_path)
+    f.top["accessors"][0]["bufferView"] = view
+    f.top["bufferViews"][0] |= {"buffer": 1, "extensions": {"EXT_meshopt_compression": {}}}
+    text = json.loads(f.bytes())
+    text["buffers"].append({"byteLength": 10**9})
+    with pytest.raises(ValueError, match=r"bufferViews\[0\].*got EXT_meshopt_compression"):
+        pj.load_mesh(put(tmp_path, "a.gltf", json.dumps(text).encode()))
+
+
+# --- glTF files that lie -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["../secret.bin", "%2e%2e/secret.bin", "{}", "file://{}",
+                                  "http://localhost/x", "link.bin", "a/../../secret.bin",
+                                  "folder", "no.bin", "\0", "x" * 5000])  # fmt: skip
+def test_buffers_are_read_from_the_folder_only(tmp_path, kind):
+    f = File()
+    f.node(mesh=f.mesh(f.primitive(SQUARE, TWO)))
+    folder, secret = tmp_path / "meshes", put(tmp_path, "secret.bin", f.data)
+    (folder / "folder").mkdir(parents=True)
+    (folder / "link.bin").symlink_to(secret)
+    with pytest.raises(ValueError, match=r"`path`: .*`buffers\[0\].uri`: expected a file "):
+        f.load(folder, uri=kind.format(secret))
+    for name in ("in a.bin", "folder/b.bin"):
+        (folder / name).write_bytes(f.data)
+        check_triangles(f.load(folder, uri=name.replace(" ", "%20")), SQUARE[TWO])
+
+
+def bomb(levels, width=2):
+    f = File()
+    leaf = f.node(False, mesh=f.mesh(f.primitive(SQUARE, TWO)))
+    for _ in range(levels):
+        leaf = f.node(False, children=[leaf] * width)
+    f.top["scenes"][0]["nodes"] = [leaf]
+    return f
+
+
+def many_instances():
+    f = File()
+    mesh = f.mesh(f.primitive(SQUARE, np.tile(TWO, (5000, 1))))
+    for _ in range(3000):
+        f.node(mesh=mesh)
+    return f
+
+
+def many_accessors():
+    f = File()
+    position = f.accessor(np.tile(SQUARE, (50_000, 1)))
+    index = f.accessor(TWO.ravel())
+    own = f.top["accessors"][position]
+    f.top["accessors"] += [dict(own) for _ in range(500)]
+    parts = [{"attributes": {"POSITION": k + 2}, "indices": index} for k in range(500)]
+    f.node(mesh=f.mesh(*parts))
+    return f
+
+
+def changed(path, value):
+    f = File()
+    f.node(mesh=f.mesh(f.primitive(SQUARE, TWO)))
+    *parts, last = path
+    at = f.top
+    for part in parts:
+        at = at[part]
+    at[last] = value
+    return f
+
+
+CHANGES = [
+    (("accessors", 0, "count"), 10**9, r"accessors\[0\].count"),
+    (("accessors", 0, "count"), -1, r"accessors\[0\].count"),
+    (("accessors", 0, "count"), True, r"accessors\[0\].count"),
+    (("accessors", 0, "count"), 1e400, r"accessors\[0\].count"),
+    (("accessors", 0, "byteOffset"), 1, r"accessors\[0\].count"),
+    (("accessors", 0, "byteOffset"), 10**30, r"accessors\[0\].count"),
+    (("accessors", 0, "byteOffset"), -4, r"accessors\[0\].byteOffset"),
+    (("accessors", 0, "type"), "VEC9", r"accessors\[0\].type"),
+    (("accessors", 0, "componentType"), 5124, r"accessors\[0\].componentType"),
+    (("accessors", 0, "componentType"), [], r"accessors\[0\].componentType"),
+    (("accessors", 0, "bufferView"), 9, "bufferViews"),
+    (("accessors", 1, "componentType"), 5122, r"accessors\[1\].componentType"),
+    (("accessors", 1, "count"), 5, "three for each triangle"),
+    (("accessors", 0, "sparse"), {"count": 5}, r"accessors\[0\].sparse.count"),
+    (("accessors",), {}, "accessors"),
+    (("bufferViews", 0, "byteLength"), 10**9, r"bufferViews\[0\].byteLength"),
+    (("bufferViews", 0, "byteOffset"), 10**9, r"bufferViews\[0\].byteLength"),
+    (("bufferViews", 0, "byteStride"), 100, r"accessors\[0\].count"),
+    (("bufferViews", 0, "buffer"), 3, "buffers"),
+    (("nodes", 0, "mesh"), 5, "meshes"),
+    (("nodes", 0, "mesh"), "0", r"nodes\[0\].mesh"),
+    (("nodes", 0, "children"), [0], r"nodes\[0\]`: expected one parent"),
+    (("nodes", 0, "children"), [7], "nodes"),
+    (("nodes", 0, "children"), [[0]], "nodes"),
+    (("nodes", 0, "children"), {}, r"nodes\[0\].children"),
+    (("nodes", 0, "matrix"), [1] * 15, r"nodes\[0\].matrix"),
+    (("nodes", 0, "matrix"), ["1"] * 16, r"nodes\[0\].matrix"),
+    (("nodes", 0, "rotation"), [0, 0, 0, 0], r"nodes\[0\].rotation"),
+    (("nodes", 0, "scale"), [float("nan")] * 3, r"nodes\[0\].scale"),
+    (("nodes", 0, "weights"), [1], "targets"),
+    (("nodes", 0, "skin"), 0, "skins"),
+    (("nodes", 0), 5, r"nodes\[0\]"),
+    (("scenes", 0, "nodes"), [0, 0], "one parent"),
+    (("scene",), 3, "scenes"),
+    (("meshes", 0, "primitives", 0, "mode"), 7, "mode"),
+    (("meshes", 0, "primitives", 0, "indices"), 0, r"accessors\[0\].type"),
+    (("meshes", 0, "primitives"), [3], r"primitives\[0\]"),
+    (("asset", "version"), "1.0", "asset.version"),
+]
+
+
+@pytest.mark.parametrize(("path", "value", "field"), CHANGES)
+def test_wrong_fields_of_a_gltf_file_are_named(tmp_path, path, value, field):
+    with pytest.raises(ValueError, match=rf"`path`: expected .*a\.gltf.*{field}"):
+        changed(path, value).load(tmp_path)
+
+
+def test_indices_beyond_the_vertices(tmp_path):
+    f = File()
+    f.node(mesh=f.mesh(f.primitive(SQUARE, np.array([0, 1, 4], "<u1"))))
+    with pytest.raises(ValueError, match=r"primitives\[0\].indices`: expected numbers below 4"):
+        f.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: bomb(60), "one parent"),
+        (many_instances, "at most 16777216 triangles"),
+        (many_accessors, "at most 268435456 numbers"),
+    ],
+)
+def test_small_files_that_stand_for_much_are_refused_in_seconds(tmp_path, make, message):
+    data = make().bytes()
+    start = time.process_time()
+    with pytest.raises(ValueError, match=message):
+        pj.load_mesh(put(tmp_path, "a.gltf", data))
+    assert time.process_time() - start < 20
+
+
+@pytest.mark.parametrize("text", [b"[", b'{"a":', b'{"extras":' * 3 + b"["])
+def test_json_that_is_nested_deeply(tmp_path, text):
+    with pytest.raises(ValueError, match=r"`path`: expected a readable mesh, .*(nested|no JSON)"):
+        pj.load_mesh(put(tmp_path, "a.gltf", text * 200_000))
+
+
+def test_a_long_chain_of_nodes_is_a_tree(tmp_path):
+    f = bomb(20_000, width=1)
+    f.top["nodes"][0]["translation"] = [1, 2, 3]
+    check_triangles(f.load(tmp_path), np.add(SQUARE, [1, 2, 3])[TWO])
+
+
+@pytest.mark.parametrize("cut", [3, 8, 12, 19, 20, 40, -300, -1])
+def test_a_glb_cut_short(tmp_path, cut):
+    f = File()
+    f.node(mesh=f.mesh(f.primitive(SQUARE, TWO)))
+    with pytest.raises(ValueError, match="`path`: expected a readable mesh"):
+        pj.load_mesh(put(tmp_path, "a.glb", f.bytes(binary=True)[:cut]))

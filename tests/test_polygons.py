@@ -1,0 +1,185 @@
+"""Faces of many corners: the triangles cover what shapely says that the polygon covers."""
+
+import time
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from pinhole_jax._mesh_files import Polygons, triangulated
+
+
+def blob(n, seed=0, spread=0.5):
+    """Return the corners of a star-shaped polygon that its first corner does not see whole."""
+    angle = 2 * np.pi * np.arange(n) / n
+    radius = 1 + spread * np.random.default_rng(seed).uniform(-1, 1, n)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
+
+
+def comb(teeth):
+    x = np.arange(2 * teeth) / (2 * teeth)
+    top = np.stack([x, np.where(np.arange(2 * teeth) % 2, 1, 0.1)], axis=-1)
+    return np.concatenate([[[1, 0], [1, 0.5]], top[::-1], [[0, 0]]])
+
+
+def spiral(n):
+    angle = np.linspace(1, 20, n // 2)
+    arm = np.stack([angle * np.cos(angle), angle * np.sin(angle)], axis=-1)
+    return np.concatenate([arm, 1.05 * arm[::-1]])[::-1]
+
+
+SHAPES = {
+    "chevron": [[0, 0], [1, 0.8], [2, 0], [1, 2]],
+    "L": [[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]],
+    "arrow": [[0, 1], [2, 1], [2, 0], [4, 1.5], [2, 3], [2, 2], [0, 2]],
+    "star": [[(1 + k % 2) * f(k * np.pi / 5) for f in (np.cos, np.sin)] for k in range(10)],
+    "square": [[0, 0], [1, 0], [1, 1], [0, 1]],
+    "corners in line": [[0, 0], [1, 0], [2, 0], [2, 1], [1, 1], [1, 1.5], [1, 2], [0, 2], [0, 1]],
+    "all but one in line": [[0, 0], [1, 0], [2, 0], [3, 0], [1.5, 1]],
+    "corners twice": [[0, 0], [0, 0], [2, 0], [1, 0.5], [1, 0.5], [1, 0.5], [0, 2], [0, 0]],
+    "a spike": [[0, 0], [1, 0], [3, 0], [1, 0], [1, 1], [0.6, 0.2]],
+    # A square with a square hole, joined by a bridge that is walked twice.
+    "bridge": [[0, 0], [3, 0], [3, 3], [0, 3], [0, 0], [1, 1], [1, 2], [2, 2], [2, 1], [1, 1]],
+    "touching": [[0, 0], [2, 0], [2, 2], [1, 0], [0, 2]],  # a corner on a side
+    "comb": comb(20),
+    "spiral": spiral(200),
+    "blob": blob(57),
+    "circle": blob(100, spread=0),
+}
+
+
+def covered(corners):
+    """Return the area that a polygon covers, self-touching ones too (shapely, float64)."""
+    return shapely.area(shapely.make_valid(shapely.Polygon(corners)))
+
+
+def check(corners, space, triangles, closed=True):
+    """Assert that triangles cover a polygon once, run its way, and meet its sides and each other.
+
+    `corners` (n, 2) is the polygon and `space` its place in space (n, 3), a similar image.
+    """
+    flat = np.asarray(corners, float)
+    assert len(triangles) <= max(len(flat) - 2, 0)
+    parts = shapely.polygons(flat[triangles])
+    edge = np.ptp(flat)
+    own = shapely.Polygon(flat)
+    own = own if own.is_valid else own.buffer(0)
+    assert shapely.area(shapely.unary_union(parts)) == pytest.approx(covered(flat), rel=1e-9)
+    assert np.sum(shapely.area(parts)) == pytest.approx(covered(flat), rel=1e-9)
+    a, b, c = np.moveaxis(flat[triangles], 1, 0)
+    turns = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    way = 1 if shapely.LinearRing(flat).is_ccw else -1
+    assert np.min(way * turns) > -1e-9 * edge**2
+    if not closed:
+        return
+    # Sides and triangles' edges cancel: no crack beside a corner that lies in line.
+    places = np.unique(space, axis=0, return_inverse=True)[1].reshape(-1)
+    edges = [(places[t[k]], places[t[k - 2]]) for t in triangles for k in range(3)]
+    sides = [(places[k - 1], places[k]) for k in range(len(places)) if places[k - 1] != places[k]]
+    count = {}
+    for x, y in [*edges, *[side[::-1] for side in sides]]:
+        if x != y:
+            key, sign = ((x, y), 1) if x < y else ((y, x), -1)
+            count[key] = count.get(key, 0) + sign
+    assert not any(count.values())
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("turned", [0, 1, 3])
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_face_covers_what_its_polygon_covers(name, turned, way):
+    corners = np.roll(np.asarray(SHAPES[name], float), turned, axis=0)[::way]
+    for place in (np.eye(3), *Rotation.random(3, rng=turned).as_matrix()):
+        space = np.pad(corners, ((0, 0), (0, 1))) @ place.T
+        for scale, offset in ((1, 0), (1e-6, 0), (1e-6, 1.0), (1e6, 0), (1e-30, 0), (1, 1e5)):
+            placed = scale * space + offset
+            polygon = Polygons(placed, np.arange(len(placed)), np.array([len(placed)]))
+            check(corners, space, triangulated(polygon), closed=offset == 0)
+
+
+@pytest.mark.parametrize("offset", [1e5])
+@pytest.mark.parametrize("name", ["chevron", "L", "arrow", "star", "comb"])
+def test_small_faces_far_away(name, offset):
+    """At 1e5 a double is good to 1.5e-11: corners of a face of 1e-6 to some 1e-5 of its size."""
+    corners = np.asarray(SHAPES[name], float)
+    space = 1e-6 * np.pad(corners, ((0, 0), (0, 1))) + offset
+    flat = (space - space[0])[:, :2]
+    check(
+        flat / 1e-6,
+        space,
+        triangulated(Polygons(space, np.arange(len(space)), np.array([len(space)]))),
+    )
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(4, 40), st.floats(0.1, 0.99))
+@settings(max_examples=200, deadline=None, derandomize=True)
+def test_random_simple_polygons(seed, n, spread):
+    corners = blob(n, seed, spread)
+    place = Rotation.random(rng=seed).as_matrix()
+    space = np.pad(corners, ((0, 0), (0, 1))) @ place.T
+    check(corners, space, triangulated(Polygons(space, np.arange(n), np.array([n]))))
+
+
+def test_many_faces_keep_their_order_and_their_corners():
+    shapes = [np.asarray(SHAPES[name], float) for name in ("square", "chevron", "L", "star")]
+    shapes = [shapes[k % 4] + [10 * k, 0] for k in range(40)] + [np.zeros((2, 2)), np.zeros((0, 2))]
+    points = np.pad(np.concatenate(shapes), ((0, 0), (0, 1)))
+    random = np.random.default_rng(0)
+    order = random.permutation(len(points))  # a face's corners lie anywhere
+    corners = np.argsort(order)
+    triangles = triangulated(Polygons(points[order], corners, np.array([*map(len, shapes)])))
+    centres = points[order][triangles].mean(axis=1)
+    owner = np.floor((centres[:, 0] + 3) / 10).astype(int)
+    assert np.all(np.diff(owner) >= 0)
+    for k, shape in enumerate(shapes[:40]):
+        parts = shapely.polygons(points[order][triangles[owner == k]][..., :2])
+        assert shapely.area(shapely.unary_union(parts)) == pytest.approx(covered(shape))
+
+
+def test_quads_that_are_not_flat_are_cut_so_that_both_halves_face_their_way():
+    random = np.random.default_rng(0)
+    for _ in range(200):
+        corners = np.asarray(SHAPES["chevron"], float)
+        space = np.pad(np.roll(corners, random.integers(4), axis=0), ((0, 0), (0, 1)))
+        space[:, 2] = random.uniform(-0.2, 0.2, 4)
+        space = space @ Rotation.random(rng=random).as_matrix().T
+        a, b, c = np.moveaxis(
+            space[triangulated(Polygons(space, np.arange(4), np.array([4])))], 1, 0
+        )
+        halves = np.cross(b - a, c - a)
+        newell = np.cross(space[2] - space[0], space[3] - space[1])
+        assert np.all(halves @ newell > 0)
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [[0, 0], [1, 1], [1, 0], [0, 1]],  # lobes of one size: no normal
+        [[0, 0], [2, 1], [2, 0], [0, 2]],
+        [[0, 0], [3, 0], [3, 2], [1, -1], [0, 2]],
+    ],
+)
+def test_sides_that_cross_are_refused(corners):
+    space = np.pad(np.asarray(corners, float), ((0, 0), (0, 1)))
+    with pytest.raises(ValueError, match="face 2: its sides cross"):
+        triangulated(Polygons(space, np.r_[:3, : len(space)], np.array([3, len(space)])))
+
+
+def test_two_million_corners_are_cut_in_seconds_or_refused():
+    n = 2_000_000
+    for spread, refused in ((0, False), (0.5, True)):
+        space = np.pad(blob(n, spread=spread), ((0, 0), (0, 1)))
+        start = time.process_time()
+        if refused:
+            with pytest.raises(ValueError, match=r"face 1: 2000000 corners, not all seen"):
+                triangulated(Polygons(space, np.arange(n), np.array([n])))
+        else:
+            triangles = triangulated(Polygons(space, np.arange(n), np.array([n])))
+            a, b, c = np.moveaxis(space[triangles], 1, 0)
+            assert np.sum(np.cross(b - a, c - a)[:, 2]) / 2 == pytest.approx(np.pi)
+        assert time.process_time() - start < 30
+    space = np.pad(blob(20_000), ((0, 0), (0, 1)))
+    assert len(triangulated(Polygons(space, np.arange(20_000), np.array([20_000])))) == 19_998
