@@ -351,7 +351,7 @@ def test_the_door_to_reading(tmp_path):
     (tmp_path / "a.json").write_bytes(b"\xff")
     with pytest.raises(ValueError, match=r"`path`: expected text, got .*: not UTF-8"):
         formats.read(tmp_path / "a.json")
-    with pytest.raises(ValueError, match=r"`path`: expected a file, got .*: a folder"):
+    with pytest.raises(ValueError, match=r"`path`: expected a camera file, got .*: a folder"):
         formats.read(tmp_path, "json")
     with pytest.raises(ValueError, match="`format`: expected one of"):
         formats.read(tmp_path / "a.json", "usd")
@@ -380,10 +380,10 @@ def test_nothing_is_half_written(tmp_path, monkeypatch):
     formats.write(tmp_path / "c.yaml", {"a": CAMERA})
     before = (tmp_path / "c.yaml").read_text()
 
-    def broken(self, data):
+    def broken(*paths):
         raise OSError("disk full")
 
-    monkeypatch.setattr("pathlib.Path.write_bytes", broken)
+    monkeypatch.setattr("os.replace", broken)
     with pytest.raises(ValueError, match="disk full"):
         formats.write(tmp_path / "c.yaml", {"a": LENS})
     assert (tmp_path / "c.yaml").read_text() == before
