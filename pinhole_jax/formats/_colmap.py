@@ -28,7 +28,7 @@ from ._pinhole import (
     model_of,
     pinhole,
 )
-from ._turns import matrix_of_quaternion, quaternion_of_matrix
+from ._turns import is_unit, matrix_of_quaternion, quaternion_of_matrix
 
 #: COLMAP's models by number, with their parameters; distortion is what is not f, fx, fy, cx, cy.
 MODELS = {
@@ -87,7 +87,8 @@ def write_colmap(
     Cameras are PINHOLE, with distortion OPENCV (FULL_OPENCV if k3 is not zero) or OPENCV_FISHEYE.
     The cameras' names become image names; equal intrinsics are written once.
 
-    Raises ValueError where the folder holds a model of the other kind, or rigs and frames: COLMAP
+    Raises ValueError for names that are empty, long or, in text, hold white space, where COLMAP
+    would end them; and where the folder holds a model of the other kind, or rigs and frames: COLMAP
     would read those, or take them together.
     """
     place, ending = Path(folder), ".bin" if binary else ".txt"
@@ -99,8 +100,7 @@ def write_colmap(
     found = [name for name in stale if (place / name).exists()]
     if found:
         raise ValueError(f"`folder`: expected none of another model, got {found[0]} in {folder!s}")
-    one_line = lambda name: name and name.split() == name.split(" ") and "\0" not in name
-    check_names(cameras, "COLMAP", lambda name: one_line(name) and len(name.encode()) <= MOST_NAME)
+    check_names(cameras, "COLMAP", lambda name: _can_hold(name, binary))
     views: dict[View, int] = {}
     keys = [views.setdefault(_view(camera), len(views) + 1) for camera in cameras.values()]
     poses = [_quaternion_and_translation(camera) for camera in cameras.values()]
@@ -113,6 +113,11 @@ def write_colmap(
         texts = _text(views, images)
         for part in PARTS:
             save_text(place / f"{part}.txt", texts[part])
+
+
+def _can_hold(name: str, binary: bool) -> bool:
+    in_one = binary or name.split() == [name]
+    return in_one and "\0" not in name and 0 < len(name.encode()) <= MOST_NAME
 
 
 def _camera(intrinsics: Fields, pose: Fields) -> Camera:
@@ -132,7 +137,7 @@ def _camera(intrinsics: Fields, pose: Fields) -> Camera:
     bent = {name: number(name) for name in intrinsics.data if name not in plain}
     distortion = model_of(bent, intrinsics, fisheye)
     q = pose.array("QUATERNION", (4,))
-    if abs(np.linalg.norm(q) - 1) > 1e-4:
+    if not is_unit(q):
         raise pose.wrong("QUATERNION", "one of length 1", q)
     matrix = np.eye(4)
     matrix[:3, :3] = matrix_of_quaternion(q)

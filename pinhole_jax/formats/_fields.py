@@ -106,7 +106,7 @@ class Fields:
 
     def part(self, name: str) -> "Fields":
         """Return an object within this one."""
-        return Fields(self.get(name, "an object"), f"{self.where}, {name}")
+        return Fields(self.get(name, "an object"), f"{self.where}, {name[:60]}")
 
     def size(self, width: str, height: str, size: Size | None) -> Size:
         """Return the image's width and height, px: the file's, or `size` where it holds none."""
@@ -156,7 +156,8 @@ def check_names(
 def add_named(cameras: dict, name: str, camera: Any, where: str) -> None:
     """Add a camera under its name, which no other may have."""
     if name in cameras:
-        raise ValueError(f"expected one camera of each name, got two of {name!r} (in {where})")
+        words = f"expected one camera of each name, got two of {short(name)}"
+        raise ValueError(f"{words} (in {where})")
     cameras[name] = camera
 
 

@@ -31,7 +31,7 @@ from ._pinhole import (
     rigid,
     world_from_camera,
 )
-from ._turns import matrix_of_quaternion
+from ._turns import is_unit, matrix_of_quaternion
 
 MAGIC, JSON_CHUNK = 0x46546C67, 0x4E4F534A
 
@@ -162,9 +162,10 @@ def _world(
         way[node] = None
         node = parents.get(node)
     matrix = np.eye(4) if node is None else known[node]
-    for node in reversed(way):
-        matrix = matrix @ _local(nodes[node])
-        known[node] = matrix
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is no rotation
+        for node in reversed(way):
+            matrix = matrix @ _local(nodes[node])
+            known[node] = matrix
     return matrix
 
 
@@ -176,7 +177,7 @@ def _local(node: Fields) -> np.ndarray:
     matrix = np.eye(4)
     if "rotation" in node:
         q = node.array("rotation", (4,))
-        if abs(np.linalg.norm(q) - 1) > 1e-4:
+        if not is_unit(q):
             raise node.wrong("rotation", "a quaternion of length 1", q)
         matrix[:3, :3] = matrix_of_quaternion(q[[3, 0, 1, 2]])
     if "scale" in node:

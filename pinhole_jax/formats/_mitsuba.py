@@ -57,7 +57,7 @@ def read_mitsuba(path: str | os.PathLike, *, size: Size | None = None) -> dict[s
     cameras: dict[str, Camera] = {}
     for k, sensor in enumerate(sensors):
         name = sensor.get("id") or (f"sensor_{k}" if k else "sensor")
-        camera = _read(sensor, defaults, f"{str(path)!r}, sensor {name!r}", size)
+        camera = _read(sensor, defaults, f"{str(path)!r}, sensor {short(name)}", size)
         add_named(cameras, name, camera, repr(str(path)))
     return cameras
 
@@ -150,8 +150,9 @@ def _read(sensor: ET.Element, defaults: Mapping[str, str], where: str, size: Siz
     moves = [t for t in sensor.findall("transform") if _snake(t.get("name", "")) == "to_world"]
     if len(moves) > 1 or len(sensor.findall("film")) > 1:
         raise ValueError(f"`to_world`: expected one transform and one film, got two (in {where})")
-    for step in (step for move in moves for step in move):
-        pose = _step(step, defaults, where) @ pose
+    with np.errstate(all="ignore"):  # what overflows is no rotation
+        for step in (step for move in moves for step in move):
+            pose = _step(step, defaults, where) @ pose
     pose = rigid(pose, fields, "to_world")
     return camera_of(Pinhole(focal, focal, cx, cy, W, H), pose, LEFT_UP_FORWARD, fields)
 
@@ -164,7 +165,7 @@ def _properties(element: ET.Element, defaults: Mapping[str, str], where: str) ->
             name, value = _snake(part.get("name", "")), _filled(part, "value", defaults, where)
             if name in data:
                 words = f"expected one such property, got two (in {where})"
-                raise ValueError(f"`{short(name)[1:-1]}`: {words}")
+                raise ValueError(f"`{name[:60]}`: {words}")
             data[name] = value if part.tag == "string" else _number(name, value, where)
     return Fields(data, where)
 
@@ -276,7 +277,7 @@ def _number(name: str, text: str, where: str) -> float:
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
-        raise ValueError(f"`{name}`: expected a finite number, got {short(text)} (in {where})")
+        raise ValueError(f"`{name[:60]}`: expected a finite number, got {short(text)} (in {where})")
     return value
 
 

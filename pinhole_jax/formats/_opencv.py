@@ -41,6 +41,8 @@ FISHEYE = ("k1", "k2", "k3", "k4")
 #: What a file may call its model (the names are ROS's, too).
 FISHEYES = ("fisheye", "equidistant")
 PLAIN = ("plumb_bob", "rational_polynomial")
+#: A rotation vector that is longer (rad) has lost its angle to rounding.
+MOST_ANGLE = 1e4
 
 
 def read_opencv(
@@ -137,15 +139,16 @@ def _poses(fields: Fields) -> list[np.ndarray]:
             words = "both it and R or t"
             raise fields.wrong("extrinsic_parameters", "one kind of pose", words)
         rows = fields.array("extrinsic_parameters", (-1, 6))
-        parts = [(matrix_of_vector(row[:3]), row[3:]) for row in rows]
+        name = "extrinsic_parameters"
+        parts = [(_turn(row[:3], fields, name), row[3:]) for row in rows]
     elif "rvec" in fields:
         if "R" in fields:
             raise fields.wrong("rvec", "one kind of pose", "both it and R")
         rvec = fields.array("rvec", (3,))
-        parts = [(matrix_of_vector(rvec), fields.array("t", (3,)))]
+        parts = [(_turn(rvec, fields, "rvec"), fields.array("t", (3,)))]
     elif "R" in fields and np.ndim(fields.data["R"]) == 1:
         rvec = fields.array("R", (3,))
-        parts = [(matrix_of_vector(rvec), fields.array("t", (3,)))]
+        parts = [(_turn(rvec, fields, "R"), fields.array("t", (3,)))]
     else:
         if "R" not in fields:
             words = "no pose: a file of intrinsics alone is no camera; see `from_opencv`"
@@ -156,6 +159,12 @@ def _poses(fields: Fields) -> list[np.ndarray]:
         pose[:3, :3], pose[:3, 3] = R, t
         poses.append(pose)
     return poses
+
+
+def _turn(rvec: np.ndarray, fields: Fields, name: str) -> np.ndarray:
+    if np.any(np.abs(rvec) > MOST_ANGLE):
+        raise fields.wrong(name, f"a turn of at most {MOST_ANGLE:g} rad", rvec)
+    return matrix_of_vector(rvec)
 
 
 def _names(fields: Fields, count: int) -> list[str]:
