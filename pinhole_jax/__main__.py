@@ -25,6 +25,8 @@ reads others:
   background=COLOR      a photo before a background of one colour (white, #1e90ff): what is farther
                         from it in CIE Lab than Otsu's threshold (scikit-image), or than T with
                         background=COLOR,T; edges are soft where colours mix
+Pictures are PNG, JPEG, TIFF, WebP, BMP or PNM. What is written replaces a file; to /dev/stdout or
+a pipe it is written through, and devices are refused.
 """
 
 
