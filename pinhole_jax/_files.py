@@ -91,12 +91,17 @@ def read_text(path: Any, kind: str) -> str:
     return text_of(read_bytes(path, kind), path)
 
 
-def text_of(data: bytes, path: Any) -> str:
+def text_of(data: bytes, path: Any, kind: str = "text") -> str:
     """Return the text of a file's bytes, or raise ValueError where they are not UTF-8."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise ValueError(f"`path`: expected text, got {_name(path)}: not UTF-8") from None
+        raise ValueError(f"`path`: expected {kind}, got {_name(path)}: not UTF-8") from None
+
+
+def read_json(path: Any, kind: str) -> Any:
+    """Return what a JSON file says, or raise as `existing` and `parse_json`."""
+    return parse_json(text_of(read_bytes(path, kind), path, "JSON"), path)
 
 
 def parse_json(text: str, path: Any, kind: str = "JSON") -> Any:

@@ -22,6 +22,8 @@ FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "PPM")
 #: The most bytes of a picture's file, and the most pixels that are worked on at once.
 MOST_BYTES = 1 << 30
 BAND = 1 << 18
+#: WebP's decoder takes twice as much a pixel: half of Pillow's limit.
+MOST_WEBP = 89_478_485
 
 
 def from_picture(path: Any, kind: str, read: Callable[[Image], Any]) -> Any:
@@ -35,13 +37,14 @@ def from_picture(path: Any, kind: str, read: Callable[[Image], Any]) -> Any:
         try:
             # What Pillow warns of (sizes it would still read, odd metadata) is no harm here.
             with warnings.catch_warnings(action="ignore"):
-                image = upright(Image.open(stream, formats=FORMATS))
+                image = Image.open(stream, formats=FORMATS)
+                if image.format == "WEBP" and image.width * image.height > MOST_WEBP:
+                    raise ValueError(f"a WebP of more than {MOST_WEBP} pixels")
+                image = upright(image)
                 image.load()
         except Exception as error:  # the readers raise whatever they meet
-            words = f"a readable image ({', '.join(FORMATS)})"
-            raise ValueError(f"`path`: expected {words}, got {str(path)!r}: {reason(error)}") from (
-                error
-            )
+            words = f"a readable image ({', '.join(FORMATS)}), got {str(path)!r}"
+            raise ValueError(f"`path`: expected {words}: {reason(error)}") from error
         try:
             return read(image)
         except ValueError as error:

@@ -15,7 +15,7 @@ import numpy as np
 from ._camera import Basis, Camera, camera_basis, focal_px, principal_point
 from ._distortion import BrownConrady, Fisheye
 from ._exif import FieldOfView, field_of_view
-from ._files import existing, parse_json, path_of, read_text, reason, replace_file
+from ._files import existing, path_of, read_json, reason, replace_file
 from ._lens import Lens
 from ._masks import read_mask, way_of
 from ._pictures import by_bands, eight_bits, from_picture
@@ -88,7 +88,7 @@ def load_image(path: str | os.PathLike) -> np.ndarray:
 
     Raises FileNotFoundError, or ValueError where the file is no PNG, JPEG, TIFF, WebP, BMP or PNM
     that can be read, has values that are not finite, or more than some 179 million pixels
-    (Pillow's limit). It takes at most ten bytes a pixel while it works.
+    (Pillow's limit; half of it in WebP). It takes at most ten bytes a pixel as it works, WebP 17.
     """
 
     def read(image: Any) -> np.ndarray:
@@ -286,7 +286,7 @@ def load_camera(path: str | os.PathLike) -> Camera:
 
     Raises FileNotFoundError, or ValueError naming the field that is missing or wrong.
     """
-    data = parse_json(read_text(path, "a camera file"), path)
+    data = read_json(path, "a camera file")
     try:
         return camera_from_dict(data)
     except (TypeError, ValueError) as error:

@@ -448,6 +448,14 @@ def test_soft_edges_are_the_same_band_by_band(tmp_path, monkeypatch):
     assert len(np.unique(whole)) > 9
 
 
+def test_a_webp_that_takes_too_much_room_is_refused(tmp_path, monkeypatch):
+    Image.new("L", (30, 20), 255).save(tmp_path / "w.webp")
+    assert io.load_image(tmp_path / "w.webp").shape[:2] == (20, 30)
+    monkeypatch.setattr("pinhole_jax._pictures.MOST_WEBP", 599)
+    with pytest.raises(ValueError, match="a WebP of more than 599 pixels"):
+        io.load_image(tmp_path / "w.webp")
+
+
 def test_noise_is_no_mask(tmp_path, monkeypatch):
     monkeypatch.setattr("pinhole_jax._masks.MOST_PARTS", 50)
     noise = np.random.default_rng(0).integers(0, 2, (40, 40), np.uint8) * 255

@@ -370,7 +370,7 @@ def test_the_door_to_reading(tmp_path):
     with pytest.raises(ValueError, match=r"`path`: expected a JSON object, got \[\]"):
         formats.read(tmp_path / "a.json")
     (tmp_path / "a.json").write_bytes(b"\xff")
-    with pytest.raises(ValueError, match=r"`path`: expected text, got .*: not UTF-8"):
+    with pytest.raises(ValueError, match=r"`path`: expected JSON, got .*: not UTF-8"):
         formats.read(tmp_path / "a.json")
     with pytest.raises(ValueError, match=r"`path`: expected a camera file, got .*: a folder"):
         formats.read(tmp_path, "json")

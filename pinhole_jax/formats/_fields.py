@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .._files import parse_json, read_text, replace_file
+from .._files import read_json, replace_file
 
 Size = tuple[int, int]
 #: What a reader here reads.
@@ -124,7 +124,7 @@ class Fields:
 
 def load_json(path: str | os.PathLike) -> Fields:
     """Return the fields of a JSON file."""
-    data = parse_json(read_text(path, KIND), path)
+    data = read_json(path, KIND)
     if not isinstance(data, dict):
         raise ValueError(f"`path`: expected a JSON object, got {short(data)} in {str(path)!r}")
     return Fields(data, repr(str(path)))
