@@ -25,6 +25,8 @@ reads others:
   background=COLOR      a photo before a background of one colour (white, #1e90ff): what is farther
                         from it in CIE Lab than Otsu's threshold (scikit-image), or than T with
                         background=COLOR,T; edges are soft where colours mix
+Pictures are PNG, JPEG, TIFF, WebP, BMP or PNM. What is written replaces a file; to /dev/stdout or
+a pipe it is written through, and devices are refused.
 """
 
 
@@ -255,12 +257,15 @@ def _render(options: argparse.Namespace) -> int:
         from ._silhouette import silhouette
 
         camera = io.load_camera(options.camera)
+        if camera.W * camera.H > io.MOST_PIXELS:
+            words = f"at most {io.MOST_PIXELS} pixels, got {camera.W} x {camera.H}"
+            raise ValueError(f"`camera`: expected {words} (in {options.camera!r})")
         scene = Scene(mesh=io.load_mesh(options.mesh))
         import numpy as np
 
         image = np.asarray(silhouette(camera, scene))
     io.save_image(options.output, image)
-    print(f"written    {options.output} ({camera.W} x {camera.H}, {image.mean():.1%} covered)")
+    _say_written(options.output, f"{camera.W} x {camera.H}, {image.mean():.1%} covered")
     return 0
 
 
@@ -274,8 +279,15 @@ def _convert(options: argparse.Namespace) -> int:
     target = options.target or formats.guess_write(options.output)
     sizes = ", ".join(dict.fromkeys(f"{camera.W} x {camera.H}" for camera in cameras.values()))
     count = "1 camera" if len(cameras) == 1 else f"{len(cameras)} cameras"
-    print(f"written    {options.output} ({target}, {count}, {sizes})")
+    _say_written(options.output, f"{target}, {count}, {sizes}")
     return 0
+
+
+def _say_written(path: str, words: str) -> None:
+    """Say so, on stderr where the file went to stdout or a pipe."""
+    from ._files import is_stream
+
+    print(f"written    {path} ({words})", file=sys.stderr if is_stream(path) else sys.stdout)
 
 
 def _set_up_jax(options: argparse.Namespace) -> None:
@@ -287,7 +299,10 @@ def _set_up_jax(options: argparse.Namespace) -> None:
     atexit.register(gc.freeze)
     jax.config.update("jax_enable_x64", True)
     if not options.no_cache:
-        home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        try:
+            home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        except RuntimeError:  # a user without a home folder
+            return
         jax.config.update("jax_compilation_cache_dir", str(Path(home) / "pinhole_jax"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 

@@ -19,10 +19,11 @@ class FieldOfView(NamedTuple):
 
 
 def upright(image: Any) -> Any:
-    """Return the picture (of Pillow) turned and mirrored as its EXIF Orientation asks for."""
+    """Return the picture (of Pillow), now turned and mirrored as its EXIF Orientation asks for."""
     from PIL import ImageOps
 
-    return ImageOps.exif_transpose(image)
+    ImageOps.exif_transpose(image, in_place=True)
+    return image
 
 
 def field_of_view(image: Any) -> FieldOfView | None:

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-#: A PIL.Image.Image; Pillow is imported where a file is read.
-Image = Any
+from ._pictures import BAND, Image, bands, by_bands, eight_bits, rows
 
 #: The ways to read a mask, as `mask_from` and the command's `--mask-from` name them.
 WAYS = "alpha, luminance, label=N, background=COLOR (or COLOR,TOLERANCE)"
@@ -22,6 +21,10 @@ GREY = 8
 SPECK = 5e-3
 #: Soft edges of a background mask reach this far (px) to both sides.
 BAND_PX = 2
+#: The nearest colour of the object is looked for so many rows (px) around.
+REACH_PX = 64
+#: More parts than this are noise.
+MOST_PARTS = 1 << 20
 
 
 class Way(NamedTuple):
@@ -77,31 +80,15 @@ def read_mask(image: Image, way: Way) -> Read:
     return _at_first_sight(image)
 
 
-def eight_bits(image: Image) -> np.ndarray:
-    """Return a picture's brightness as uint8; more than 8 bits are scaled so that 255 is the
-    largest, and negative values become 0.
-
-    Raises ValueError for values that are not finite.
-    """
-    if not image.mode.startswith(("I", "F")):
-        return np.array(image.convert("L"))
-    values = np.asarray(image, float)
-    if not np.all(np.isfinite(values)):
-        raise ValueError("NaN or infinity")
-    return np.round(255 * (np.maximum(values, 0) / max(float(values.max()), 1))).astype(np.uint8)
-
-
 def _at_first_sight(image: Image) -> Read:
     if image.has_transparency_data:
         read = _alpha(image)
         if read.mask.min() < 255:
             return read
     if not image.mode.startswith(("1", "L", "I", "F")):
-        colours = np.asarray(image.convert("RGB"), int)
-        if np.max(np.ptp(colours, axis=2)) > GREY:
-            raise ValueError(f"a colour picture; say what is the object: {WAYS}")
-        image = image.convert("RGB").getchannel(0)
-    grey = eight_bits(image)
+        grey = by_bands(image, _grey)
+    else:
+        grey = eight_bits(image)
     between = np.count_nonzero((grey >= DARK) & (grey <= LIGHT))
     if between > np.count_nonzero(grey > LIGHT):
         raise ValueError(
@@ -113,61 +100,100 @@ def _at_first_sight(image: Image) -> Read:
     return Read(grey, "")
 
 
+def _grey(band: Image) -> np.ndarray:
+    """Return a channel of a picture whose channels are alike."""
+    colours = np.asarray(band.convert("RGB"))
+    if np.max(np.ptp(colours, axis=2)) > GREY:
+        raise ValueError(f"a colour picture; say what is the object: {WAYS}")
+    return colours[..., 0]
+
+
 def _alpha(image: Image) -> Read:
     if not image.has_transparency_data:
         raise ValueError("no transparency")
-    return Read(np.array(image.convert("RGBA"))[..., 3], "mask: the transparency (alpha)")
+    opacity = lambda band: np.asarray(band.convert("RGBA"))[..., 3]
+    return Read(by_bands(image, opacity), "mask: the transparency (alpha)")
 
 
 def _label(image: Image, number: int) -> Read:
     if image.mode not in ("1", "L", "P") and not image.mode.startswith("I"):
         raise ValueError(f"a picture of mode {image.mode}: labels are grey values or a palette's")
-    labels = np.asarray(image)
-    inside = labels == number
-    if not np.any(inside):
-        there = np.unique(labels)
+    mask = by_bands(image, lambda band: np.where(np.asarray(band) == number, 255, 0))
+    if not np.any(mask):
+        there = np.unique(np.concatenate([np.unique(np.asarray(b)) for _, b in bands(image)]))
         some = ", ".join(str(int(x)) for x in there[:12]) + (", ..." if len(there) > 12 else "")
         raise ValueError(f"no pixel with the label {number}; there are {some}")
-    words = f"mask: label {number}, {inside.mean():.1%} of the picture, edges hard"
-    return Read(np.where(inside, 255, 0).astype(np.uint8), words)
+    share = np.count_nonzero(mask) / mask.size
+    return Read(mask, f"mask: label {number}, {share:.1%} of the picture, edges hard")
 
 
 def _background(image: Image, name: str, tolerance: float | None) -> Read:
     """Return what differs from a colour by more than a tolerance (distance in CIE Lab).
 
-    Without one, Otsu's threshold parts near from far. Pixels beside the edge are mixtures: how much
-    of the object is in them is read off between the background and the object's nearest colour, in
-    the values as they are stored. Specks and pinholes are dropped.
+    Without one, Otsu's threshold parts near from far. Specks and pinholes are dropped, and the
+    pixels beside an edge are taken for mixtures.
     """
-    from scipy import ndimage
     from skimage.color import rgb2lab
-    from skimage.filters import threshold_otsu
 
     back = _colour(name)
-    colours = np.asarray(image.convert("RGB")) / 255
-    distance = np.linalg.norm(rgb2lab(colours) - rgb2lab(back[None, None]), axis=-1)
+    origin = rgb2lab(back[None, None])
+    lab_distance = lambda band: np.linalg.norm(rgb2lab(_colours(band)) - origin, axis=-1)
+    distance = by_bands(image, lab_distance, dtype=np.float32)
     if np.ptp(distance) == 0:
         raise ValueError("a picture of one colour")
-    limit = float(threshold_otsu(distance)) if tolerance is None else tolerance
-    inside = _without_specks(distance > limit)
-    deep: Any = ndimage.binary_erosion(inside, iterations=BAND_PX, border_value=1)
-    near: Any = ndimage.binary_dilation(inside, iterations=BAND_PX)
-    coverage = inside.astype(float)
-    if np.any(deep):
-        band = near & ~deep
-        place: Any = ndimage.distance_transform_edt(
-            ~deep, return_distances=False, return_indices=True
-        )
-        object_colour = colours[tuple(place[:, band])] - back
-        size = np.maximum(np.sum(object_colour**2, axis=-1), 1e-6)
-        mixed = np.sum((colours[band] - back) * object_colour, axis=-1) / size
-        coverage[band] = np.clip(mixed, 0, 1)
+    limit = _otsu(distance) if tolerance is None else tolerance
+    inside = distance > limit
+    del distance  # a large photo is as large as all else together
+    _drop_specks(inside)
+    share = np.count_nonzero(inside) / inside.size
     how = "Otsu's threshold" if tolerance is None else "as told"
     words = (
         f"mask: what differs from {name} by more than {limit:.1f} in CIE Lab ({how}),"
-        f" {inside.mean():.1%} of the picture, soft edges from mixed colours"
+        f" {share:.1%} of the picture, soft edges from mixed colours"
     )
-    return Read(np.round(255 * coverage).astype(np.uint8), words)
+    return Read(_with_soft_edges(inside, image, back), words)
+
+
+def _otsu(values: np.ndarray) -> float:
+    """Return Otsu's threshold of 256 equal steps, as scikit-image has it, without its copies."""
+    from skimage.filters import threshold_otsu
+
+    ends = float(np.min(values)), float(np.max(values))
+    edges = np.histogram_bin_edges([], 256, ends)
+    counts = sum(np.histogram(values[part], 256, ends)[0] for part in rows(*values.shape))
+    return float(threshold_otsu(hist=(counts, (edges[1:] + edges[:-1]) / 2)))
+
+
+def _with_soft_edges(inside: np.ndarray, image: Image, back: np.ndarray) -> np.ndarray:
+    """Return a hard mask as uint8 with soft edges.
+
+    How much of the object is in a pixel beside the edge is read off between the background and the
+    object's nearest colour (in at most `REACH_PX` rows above and below), in the values as stored.
+    """
+    from scipy import ndimage
+
+    H, W = inside.shape
+    result = np.where(inside, np.uint8(255), np.uint8(0))
+    step = max(REACH_PX, 8 * BAND // W)
+    for top in range(0, H, step):
+        first, last = max(0, top - REACH_PX), min(H, top + step + REACH_PX)
+        around = inside[max(0, first - BAND_PX) : last + BAND_PX]
+        cut = slice(min(first, BAND_PX), min(first, BAND_PX) + last - first)
+        deep: Any = ndimage.binary_erosion(around, iterations=BAND_PX, border_value=1)[cut]
+        near: Any = ndimage.binary_dilation(around, iterations=BAND_PX)[cut]
+        edge = near & ~deep
+        edge[: top - first] = edge[top + step - first :] = False
+        if not (np.any(edge) and np.any(deep)):
+            continue
+        place: Any = ndimage.distance_transform_edt(
+            ~deep, return_distances=False, return_indices=True
+        )
+        colours = np.asarray(image.crop((0, first, W, last)).convert("RGB"))
+        object_colour = colours[tuple(place[:, edge])] / 255 - back
+        size = np.maximum(np.sum(object_colour**2, axis=-1), 1e-6)
+        mixed = np.sum((colours[edge] / 255 - back) * object_colour, axis=-1) / size
+        result[first:last][edge] = np.round(255 * np.clip(mixed, 0, 1))
+    return result
 
 
 def _colour(name: str) -> np.ndarray:
@@ -176,15 +202,32 @@ def _colour(name: str) -> np.ndarray:
     return np.array(ImageColor.getrgb(name)[:3]) / 255
 
 
-def _without_specks(inside: np.ndarray) -> np.ndarray:
-    """Return the mask without parts, and then without holes, that are noise."""
+def _colours(band: Image) -> np.ndarray:
+    return np.asarray(band.convert("RGB")) / 255
+
+
+def _drop_specks(inside: np.ndarray) -> None:
+    """Drop parts, and then holes, that are noise, from a mask in place.
+
+    Raises ValueError where there are more parts than a photo's specks are.
+    """
+    for _ in range(2):
+        _drop_small_parts(inside)
+        np.logical_not(inside, out=inside)
+
+
+def _drop_small_parts(inside: np.ndarray) -> None:
     from scipy import ndimage
 
-    for _ in range(2):
-        parts: Any = ndimage.label(inside)
-        labels, count = parts
-        sizes = np.bincount(labels.ravel(), minlength=count + 1)
-        sizes[0] = 0
-        inside = inside & (sizes[labels] >= SPECK * max(sizes.max(), 1))
-        inside = ~inside
-    return inside
+    parts: Any = ndimage.label(inside)
+    labels, count = parts
+    if count > MOST_PARTS:
+        raise ValueError(f"a picture of {count} parts: noise, not before one colour")
+    sizes = np.zeros(count + 1, np.int64)
+    for part in rows(*inside.shape):
+        here = np.bincount(labels[part].ravel())
+        sizes[: len(here)] += here
+    sizes[0] = 0
+    keep = sizes >= SPECK * max(sizes.max(), 1)
+    for part in rows(*inside.shape):
+        inside[part] &= keep[labels[part]]

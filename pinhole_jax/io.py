@@ -2,11 +2,9 @@
 
 import json
 import os
-import tempfile
-import warnings
 from collections.abc import Callable
 from dataclasses import fields
-from pathlib import Path
+from io import BytesIO
 from typing import Any
 
 import equinox as eqx
@@ -14,11 +12,16 @@ import numpy as np
 
 from ._camera import Basis, Camera, camera_basis, focal_px, principal_point
 from ._distortion import BrownConrady, Fisheye
-from ._exif import FieldOfView, field_of_view, upright
+from ._exif import FieldOfView, field_of_view
+from ._files import existing, path_of, read_json, reason, replace_file
 from ._lens import Lens
-from ._masks import eight_bits, read_mask, way_of
+from ._masks import read_mask, way_of
 from ._mesh_files import MESH_ENDINGS, Polygons, read_polygons, triangulated
+from ._pictures import by_bands, eight_bits, from_picture
 from ._scene import Mesh
+
+#: The most pixels of a picture (Pillow's limit, too: what is written can be read).
+MOST_PIXELS = 178_956_970
 
 
 def load_mesh(path: str | os.PathLike) -> Mesh:
@@ -40,7 +43,7 @@ def load_mesh(path: str | os.PathLike) -> Mesh:
     (off), or a required glTF extension that is not read (KHR_draco_mesh_compression,
     EXT_meshopt_compression): the extension, field or face is named.
     """
-    file = _existing(path, "a mesh file")
+    file = existing(path, "a mesh file")
     if file.suffix.lower() not in MESH_ENDINGS:
         raise ValueError(f"`path`: expected one of {', '.join(MESH_ENDINGS)}, got {file.name!r}")
     if file.stat().st_size == 0:
@@ -49,7 +52,7 @@ def load_mesh(path: str | os.PathLike) -> Mesh:
         polygons = read_polygons(file)
     except Exception as error:  # whatever a reader meets that it did not expect
         raise ValueError(
-            f"`path`: expected a readable mesh, got {str(path)!r}: {_reason(error)}"
+            f"`path`: expected a readable mesh, got {str(path)!r}: {reason(error)}"
         ) from error
     _check_corners(polygons, path)
     try:
@@ -99,17 +102,19 @@ def load_image(path: str | os.PathLike) -> np.ndarray:
     A photo that says that it was taken sideways (EXIF) is turned upright. Grey values of more than
     8 bits are scaled so that the largest is 255; negative ones become 0.
 
-    Raises FileNotFoundError, or ValueError where the file is no image that can be read, has values
-    that are not finite, or more than some 179 million pixels (Pillow's limit).
+    Raises FileNotFoundError, or ValueError where the file is no PNG, JPEG, TIFF, WebP, BMP or PNM
+    that can be read, has values that are not finite, or more than some 179 million pixels
+    (Pillow's limit; half of it in WebP). It takes at most ten bytes a pixel as it works, WebP 17.
     """
 
     def read(image: Any) -> np.ndarray:
         through = image.has_transparency_data
         if image.mode.startswith(("I", "F")) or (image.mode in ("1", "L") and not through):
             return eight_bits(image)
-        return np.array(image.convert("RGBA" if through else "RGB"))
+        mode = "RGBA" if through else "RGB"
+        return by_bands(image, lambda band: np.asarray(band.convert(mode)), (len(mode),))
 
-    return _from_image(path, "a readable image", read)
+    return from_picture(path, "a readable image", read)
 
 
 def load_mask(
@@ -135,7 +140,7 @@ def load_mask(
     not hold what is asked for.
     """
     way = way_of(mask_from)
-    read = _from_image(path, "a mask", lambda image: read_mask(image, way))
+    read = from_picture(path, "a mask", lambda image: read_mask(image, way))
     if say is not None and read.words:
         say(read.words)
     return read.mask
@@ -147,26 +152,7 @@ def photo_fov(path: str | os.PathLike) -> FieldOfView | None:
 
     Raises FileNotFoundError or ValueError like `load_image`.
     """
-    return _from_image(path, "a readable image", field_of_view)
-
-
-def _from_image(path: str | os.PathLike, kind: str, read: Callable[[Any], Any]) -> Any:
-    """Return what `read` makes of an image file, turned upright, or raise ValueError in words."""
-    from PIL import Image
-
-    file = _existing(path, "an image file")
-    try:
-        # What Pillow warns of (sizes it would still read, odd metadata) is no harm here.
-        with warnings.catch_warnings(action="ignore"), Image.open(file) as opened:
-            image = upright(opened)
-    except Exception as error:  # the readers raise whatever they meet
-        raise ValueError(
-            f"`path`: expected a readable image, got {str(path)!r}: {_reason(error)}"
-        ) from error
-    try:
-        return read(image)
-    except ValueError as error:
-        raise ValueError(f"`path`: expected {kind}, got {str(path)!r}: {error}") from error
+    return from_picture(path, "a readable image", field_of_view)
 
 
 def save_image(path: str | os.PathLike, image: np.ndarray) -> None:
@@ -190,10 +176,16 @@ def save_image(path: str | os.PathLike, image: np.ndarray) -> None:
         array = np.round(np.clip(array.astype(float), 0, 1) * 255).astype(np.uint8)
     elif array.dtype != np.uint8:
         raise ValueError(f"`image`: expected dtype bool, uint8 or float, got {array.dtype}")
-    suffix = _path(path).suffix or ".png"
+    suffix = path_of(path).suffix or ".png"
     if suffix.lower() not in Image.registered_extensions():
         raise ValueError(f"`path`: expected the ending of an image format, got {suffix!r}")
-    replace_file(path, lambda temporary: Image.fromarray(array).save(temporary), suffix)
+    data = BytesIO()
+    try:
+        Image.fromarray(array).save(data, Image.registered_extensions()[suffix.lower()])
+    except (OSError, ValueError, KeyError) as error:  # a format's limits
+        words = f"an image format that can hold it, got {str(path)!r}: {reason(error)}"
+        raise ValueError(f"`path`: expected {words}") from error
+    replace_file(path, data.getvalue())
 
 
 CAMERA_SCHEMA = "pinhole_jax.camera/1"
@@ -293,13 +285,16 @@ def save_camera(path: str | os.PathLike, camera: Camera, **more: Any) -> None:
     """
     if not isinstance(camera, Camera):
         raise ValueError(f"`camera`: expected a Camera, got {type(camera).__name__}")
+    data = camera_to_dict(camera)
+    if hidden := sorted(data.keys() & more.keys()):
+        raise ValueError(f"`more`: expected fields that no camera has, got {hidden}")
     try:
-        text = json.dumps({**camera_to_dict(camera), **more}, indent=1, allow_nan=False) + "\n"
+        text = json.dumps({**data, **more}, indent=1, allow_nan=False) + "\n"
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(
             f"`more`: expected what JSON can hold, got {sorted(more)}: {error}"
         ) from error
-    replace_file(path, lambda temporary: temporary.write_text(text, encoding="utf-8"), ".json")
+    replace_file(path, text.encode())
 
 
 def load_camera(path: str | os.PathLike) -> Camera:
@@ -307,11 +302,7 @@ def load_camera(path: str | os.PathLike) -> Camera:
 
     Raises FileNotFoundError, or ValueError naming the field that is missing or wrong.
     """
-    file = _existing(path, "a camera file")
-    try:
-        data = json.loads(file.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise ValueError(f"`path`: expected JSON, got {str(path)!r}: {error}") from error
+    data = read_json(path, "a camera file")
     try:
         return camera_from_dict(data)
     except (TypeError, ValueError) as error:
@@ -320,62 +311,3 @@ def load_camera(path: str | os.PathLike) -> Camera:
 
 def _numbers(array: Any) -> list[float]:
     return [float(x) for x in np.asarray(array)]
-
-
-def _path(path: Any) -> Path:
-    try:
-        return Path(path)
-    except TypeError:
-        raise ValueError(f"`path`: expected a path, got {type(path).__name__}") from None
-
-
-def _existing(path: Any, kind: str) -> Path:
-    """Return the path of a file to read, or raise: a pipe would hang, a device never end."""
-    file = _path(path)
-    try:
-        if not file.exists():
-            raise FileNotFoundError(f"`path`: expected {kind}, got {str(path)!r}: no such file")
-        regular, folder = file.is_file(), file.is_dir()
-    except FileNotFoundError:
-        raise
-    except OSError as error:  # no permission, a name too long
-        raise ValueError(
-            f"`path`: expected {kind}, got {str(path)[:99]!r}: {error.strerror}"
-        ) from error
-    if not regular:
-        what = "a folder" if folder else "not a regular file"
-        raise ValueError(f"`path`: expected {kind}, got {str(path)!r}: {what}")
-    return file
-
-
-def _reason(error: Exception) -> str:
-    """Return the first line of what a reader of files raised."""
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
-
-
-def replace_file(path: str | os.PathLike, write: Callable[[Path], Any], suffix: str) -> None:
-    """Write to a temporary file beside the path, then rename it: never half a file."""
-    target = _path(path)
-    if target.is_dir():
-        raise ValueError(f"`path`: expected a file to write, got {str(path)!r}: a folder")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(suffix=suffix, dir=target.parent)
-    except OSError as error:
-        raise ValueError(
-            f"`path`: expected a file to write, got {str(path)!r}: {error.strerror}"
-        ) from error
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        write(temporary)
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        temporary.replace(target)
-    except (OSError, ValueError, OverflowError) as error:  # a full disk, a format's limits
-        raise ValueError(
-            f"`path`: expected a file to write, got {str(path)!r}: {_reason(error)}"
-        ) from error
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -17,10 +17,10 @@ import numpy as np
 from . import formats, plot
 from ._camera import Camera
 from ._distortion import COEFFICIENTS
+from ._files import replace_file
 from ._fit import Fit
 from ._scene import Scene
 from ._target import shares
-from .io import replace_file
 
 MEANINGS = {
     "converged": "The gradient vanishes, the masks overlap, every direction is determined.",
@@ -101,7 +101,7 @@ def write(
     Raises ValueError as `page` does, and for a path that cannot be written.
     """
     text = page(fit, scene, target, photo, title)
-    replace_file(path, lambda temporary: temporary.write_text(text, encoding="utf-8"), ".html")
+    replace_file(path, text.encode())
 
 
 def page(

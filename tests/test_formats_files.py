@@ -104,6 +104,14 @@ GLTF_CASES = [
     (changed(GLTF, ["nodes", 0, "rotation"], [0, 0, 0, 2]), "`rotation`: expected a quaternion of"),
     (changed(GLTF, ["nodes", 0, "camera"], 1), "`camera`: expected a number below 1, got 1"),
     (changed(GLTF, ["nodes", 0, "children"], [0]), "`children`: expected a tree, got a circle"),
+    (changed(GLTF, ["nodes", 0, "children"], 7), "`children`: expected a list, got 7"),
+    (
+        {
+            **GLTF,
+            "nodes": [{"camera": 0, "matrix": np.eye(4).ravel().tolist(), "scale": [1, 1, 1]}],
+        },
+        "`matrix`: expected one kind of transform, got both it and scale",
+    ),
     (changed(GLTF, ["nodes", 0, "children"], [7]), "`children`: expected nodes with one parent"),
     (changed(GLTF, ["nodes"], []), "`cameras`: expected a node with a camera, got none"),
     (changed(GLTF, ["cameras", 0, "extras"], None), "`W`: .* no such field; give `size`"),
@@ -160,6 +168,12 @@ YAML_CASES = [
         "D: [ 1, 2, 3 ]\nq: !!",
         "`distortion_coefficients`: expected 4",
     ),
+    (
+        "camera_names",
+        "rvec: [ 0, 0, 1 ]\nx",
+        "`rvec`: expected one kind of pose, got both it and R",
+    ),
+    ("R: !!", "rvec: [ 0, 1e9, 1 ]\nx: !!", "`rvec`: expected a turn of at most 10000 rad"),
     ("camera_names", "extrinsic_parameters: [ 1 ]\nx", "`extrinsic_parameters`: expected one kind"),
 ]
 
@@ -194,6 +208,9 @@ XML_CASES = [
     ("<scene/>", "`sensor`: expected one in a Mitsuba scene, got none"),
     ('<sensor type="thinlens"/>', "`type`: expected one of perspective, got 'thinlens'"),
     (FOV.replace("40", "200"), r"`fov`: expected an angle in \(0, 180\) degrees, got 200"),
+    (FOV + FOV, "`fov`: expected one such property, got two"),
+    (FOV + '<string name="focalLength" value="50mm"/>', "`fov`: expected it or focal_length, got"),
+    (FOV + FILM, "`to_world`: expected one transform and one film, got two"),
     (FOV.replace("40", "$f"), r"`fov`: expected a finite number, got '\$f'"),
     (FOV.replace("40", "nan"), "`fov`: expected a finite number, got 'nan'"),
     (FOV.replace(' value="40"', ""), "`float`: expected the attribute 'value', got none"),
@@ -240,6 +257,10 @@ COLMAP_CASES = [
         "`distortion`: expected k1, .* k4 = 0.5",
     ),
     ("1 PINHOLE 8 6 4 4 4 3", "1 PINHOLE", "expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, got"),
+    ("1 PINHOLE", "1.7 PINHOLE", r"`CAMERA_ID`: expected a whole number, got '1.7' \(.*, line 1\)"),
+    ("3 1 a.png", "3 1e999 a.png", "`CAMERA_ID`: expected a whole number, got '1e999'"),
+    ("1 0 1 0", "inf 0 1 0", "`IMAGE_ID`: expected a whole number, got 'inf'"),
+    ("2 0 1 0", "1 0 1 0", "`IMAGE_ID`: expected each once, got 1 twice"),
     ("1 PINHOLE", "2 PINHOLE", "`CAMERA_ID`: expected a camera of .*cameras.txt', got 1"),
     ("4 3\n", "4 3\n1 PINHOLE 8 6 4 4 4 3\n", "`CAMERA_ID`: expected each once, got 1 twice"),
     ("0 1 0 0 -1 2 3", "0 2 0 0 -1 2 3", "`QUATERNION`: expected one of length 1"),
@@ -349,9 +370,9 @@ def test_the_door_to_reading(tmp_path):
     with pytest.raises(ValueError, match=r"`path`: expected a JSON object, got \[\]"):
         formats.read(tmp_path / "a.json")
     (tmp_path / "a.json").write_bytes(b"\xff")
-    with pytest.raises(ValueError, match=r"`path`: expected text, got .*: not UTF-8"):
+    with pytest.raises(ValueError, match=r"`path`: expected JSON, got .*: not UTF-8"):
         formats.read(tmp_path / "a.json")
-    with pytest.raises(ValueError, match=r"`path`: expected a file, got .*: a folder"):
+    with pytest.raises(ValueError, match=r"`path`: expected a camera file, got .*: a folder"):
         formats.read(tmp_path, "json")
     with pytest.raises(ValueError, match="`format`: expected one of"):
         formats.read(tmp_path / "a.json", "usd")
@@ -380,10 +401,10 @@ def test_nothing_is_half_written(tmp_path, monkeypatch):
     formats.write(tmp_path / "c.yaml", {"a": CAMERA})
     before = (tmp_path / "c.yaml").read_text()
 
-    def broken(self, data):
+    def broken(*paths):
         raise OSError("disk full")
 
-    monkeypatch.setattr("pathlib.Path.write_bytes", broken)
+    monkeypatch.setattr("os.replace", broken)
     with pytest.raises(ValueError, match="disk full"):
         formats.write(tmp_path / "c.yaml", {"a": LENS})
     assert (tmp_path / "c.yaml").read_text() == before

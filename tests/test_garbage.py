@@ -299,7 +299,7 @@ def test_files_that_are_no_images_or_claim_to_be_huge(tmp_path, data):
         io.load_mask(tmp_path / "x.png")
 
 
-@pytest.mark.parametrize("ending", ["png", "jpg", "gif", "tiff", "bmp", "webp", "pgm", "ico"])
+@pytest.mark.parametrize("ending", ["png", "jpg", "tiff", "bmp", "webp", "pgm"])
 def test_images_cut_short_or_with_wrong_bytes(tmp_path, ending):
     mask = np.zeros((20, 30), np.uint8)
     mask[5:15, 8:20] = 255

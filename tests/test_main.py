@@ -190,6 +190,33 @@ def test_convert_there_and_back(folder):
     assert "pinhole-jax convert: `format`: expected one of json, opencv" in wrong.stderr
 
 
+def test_a_user_without_a_home_keeps_no_programs(folder):
+    code = (
+        "import pwd, sys; pwd.getpwuid = lambda uid: {}[uid];"
+        "from pinhole_jax.__main__ import main; sys.exit(main(sys.argv[1:]))"
+    )
+    environment = {k: v for k, v in os.environ.items() if k not in ("HOME", "XDG_CACHE_HOME")}
+    files = [folder / name for name in ("bumpy.ply", "truth.json")]
+    done = subprocess.run(
+        [sys.executable, "-c", code, "render", *files, "-o", folder / "homeless.png"],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert io.load_image(folder / "homeless.png").shape == (80, 96)
+
+
+def test_a_picture_without_end_is_not_rendered(folder):
+    endless = {**io.camera_to_dict(CAMERA), "W": 20_000, "H": 20_000}
+    (folder / "endless.json").write_text(json.dumps(endless))
+    done = run("render", folder / "bumpy.ply", folder / "endless.json", cache=folder / "cache")
+    assert done.returncode == 2
+    assert "`camera`: expected at most 178956970 pixels, got 20000 x 20000" in done.stderr
+    assert "endless.json" in done.stderr
+
+
 def test_help_says_what_a_camera_file_is(folder):
     for command in ([], ["fit"], ["render"], ["convert"]):
         done = run(*command, "--help", cache=folder)

@@ -6,6 +6,8 @@ know in a glTF file: shapes that are wrong and do not say so.
 
 from pathlib import Path
 
+from .._files import read_bytes
+from ._accessors import MOST_BYTES
 from ._gltf import read_gltf
 from ._obj import read_obj
 from ._off import read_off
@@ -23,5 +25,5 @@ def read_polygons(file: Path) -> Polygons:
 
     Raises OSError, or ValueError that says what is wrong and where.
     """
-    kind, data = file.suffix.lower(), file.read_bytes()
+    kind, data = file.suffix.lower(), read_bytes(file, "a mesh file", MOST_BYTES)
     return READERS[kind](data) if kind in READERS else read_gltf(data, file)

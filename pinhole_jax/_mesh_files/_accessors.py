@@ -8,10 +8,13 @@ from urllib.parse import unquote, urlsplit
 
 import numpy as np
 
+from .._files import read_bytes
 from ._json import at, flag, integer, member, wrong
 
 #: An accessor of more entries than this has to bring its data (without, it stands for zeros).
 MOST_WITHOUT_DATA = 1 << 20
+#: The most bytes of a mesh file, or of a buffer beside it.
+MOST_BYTES = 1 << 32
 #: All accessors together: many may show the same data.
 MOST_NUMBERS = 1 << 28
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -151,7 +154,7 @@ class Accessors:
         elif uri.startswith("data:"):
             data = _of_data_uri(uri, where)
         else:
-            data = _beside(self.file, uri, f"{where}.uri").read_bytes()
+            data = read_bytes(_beside(self.file, uri, f"{where}.uri"), "a buffer", MOST_BYTES)
         if len(data) < length:
             raise wrong(f"{where}.byteLength", f"at most the {len(data)} bytes there are", length)
         return data[:length]

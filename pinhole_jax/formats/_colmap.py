@@ -16,7 +16,8 @@ import numpy as np
 
 from .._camera import Camera
 from .._distortion import BrownConrady, Fisheye
-from ._fields import Fields, add_named, read_bytes, read_text, save_bytes, save_text
+from .._files import opened, replace_file
+from ._fields import KIND, Fields, add_named, check_names, save_text, short
 from ._pinhole import (
     OPENCV,
     Pinhole,
@@ -27,7 +28,7 @@ from ._pinhole import (
     model_of,
     pinhole,
 )
-from ._turns import matrix_of_quaternion, quaternion_of_matrix
+from ._turns import is_unit, matrix_of_quaternion, quaternion_of_matrix
 
 #: COLMAP's models by number, with their parameters; distortion is what is not f, fx, fy, cx, cy.
 MODELS = {
@@ -43,6 +44,9 @@ MODELS = {
 }
 PARAMETERS = {name: parameters.split() for name, parameters in MODELS.values()}
 PARTS = ("cameras", "images", "points3D")
+#: The most bytes of an image's name (a path, on any system), of a line, and of a file, whose points
+#: are passed over.
+MOST_NAME, MOST_LINE, MOST_MODEL = 4096, 1 << 26, 1 << 36
 
 
 def read_colmap(folder: str | os.PathLike) -> dict[str, Camera]:
@@ -83,19 +87,20 @@ def write_colmap(
     Cameras are PINHOLE, with distortion OPENCV (FULL_OPENCV if k3 is not zero) or OPENCV_FISHEYE.
     The cameras' names become image names; equal intrinsics are written once.
 
-    Raises ValueError where the folder holds a model of the other kind, or rigs and frames: COLMAP
+    Raises ValueError for names that are empty, long or, in text, hold white space, where COLMAP
+    would end them; and where the folder holds a model of the other kind, or rigs and frames: COLMAP
     would read those, or take them together.
     """
     place, ending = Path(folder), ".bin" if binary else ".txt"
+    if place.exists() and not place.is_dir():
+        raise ValueError(f"`folder`: expected a folder, got {str(folder)!r}: something else")
     other = ".txt" if binary else ".bin"
     stale = [f"{part}{other}" for part in (*PARTS, "rigs", "frames")]
     stale += [f"rigs{ending}", f"frames{ending}"]
     found = [name for name in stale if (place / name).exists()]
     if found:
         raise ValueError(f"`folder`: expected none of another model, got {found[0]} in {folder!s}")
-    for name in cameras:
-        if not name or name.split() != name.split(" ") or "\0" in name:
-            raise ValueError(f"`cameras`: expected names COLMAP can hold, got {name!r}")
+    check_names(cameras, "COLMAP", lambda name: _can_hold(name, binary))
     views: dict[View, int] = {}
     keys = [views.setdefault(_view(camera), len(views) + 1) for camera in cameras.values()]
     poses = [_quaternion_and_translation(camera) for camera in cameras.values()]
@@ -103,11 +108,16 @@ def write_colmap(
     if binary:
         data = _binary(views, images)
         for part in PARTS:
-            save_bytes(place / f"{part}.bin", data[part])
+            replace_file(place / f"{part}.bin", data[part])
     else:
         texts = _text(views, images)
         for part in PARTS:
             save_text(place / f"{part}.txt", texts[part])
+
+
+def _can_hold(name: str, binary: bool) -> bool:
+    in_one = binary or name.split() == [name]
+    return in_one and "\0" not in name and 0 < len(name.encode()) <= MOST_NAME
 
 
 def _camera(intrinsics: Fields, pose: Fields) -> Camera:
@@ -127,7 +137,7 @@ def _camera(intrinsics: Fields, pose: Fields) -> Camera:
     bent = {name: number(name) for name in intrinsics.data if name not in plain}
     distortion = model_of(bent, intrinsics, fisheye)
     q = pose.array("QUATERNION", (4,))
-    if abs(np.linalg.norm(q) - 1) > 1e-4:
+    if not is_unit(q):
         raise pose.wrong("QUATERNION", "one of length 1", q)
     matrix = np.eye(4)
     matrix[:3, :3] = matrix_of_quaternion(q)
@@ -160,53 +170,74 @@ def _pose_of(numbers: Any, camera: int, where: str) -> Fields:
 
 
 def _read_text(cameras: Path, images: Path) -> tuple[dict[int, Fields], list[tuple[str, Fields]]]:
-    intrinsics = {}
-    for number, line in _lines(cameras):
-        where = f"{str(cameras)!r}, line {number}"
+    intrinsics: dict[int, Fields] = {}
+    for where, line in _lines(cameras):
         words = line.split()
         if not words:
             continue
         if len(words) < 5:
             raise ValueError(
-                f"expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, got {line!r} ({where})"
+                f"expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, got {short(line)} ({where})"
             )
-        values = _numbers([words[0], *words[2:]], where)
-        if values[0] in intrinsics:
-            raise ValueError(f"`CAMERA_ID`: expected each once, got {words[0]} twice ({where})")
-        intrinsics[int(values[0])] = _fields_of(words[1], values[1:3], values[3:], where)
-    found, lines = [], _lines(images)
-    for number, line in lines:
-        where = f"{str(images)!r}, line {number}"
+        key, values = _id("CAMERA_ID", words[0], where), _numbers(words[2:], where)
+        fields = _fields_of(words[1], values[:2], values[2:], where)
+        _add(intrinsics, "CAMERA_ID", key, fields, where)
+    found: dict[int, tuple[str, Fields]] = {}
+    lines = _lines(images)
+    for where, line in lines:
         words = line.split(maxsplit=9)
         if not words:
             continue
         if len(words) < 10:
             raise ValueError(
-                f"expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got {line!r} ({where})"
+                "expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got"
+                f" {short(line)} ({where})"
             )
-        values = _numbers(words[:9], where)
-        found.append((words[9].strip(), _pose_of(values[1:8], int(values[8]), where)))
-        number, points = next(lines, (number + 1, ""))
-        _check_points(points, f"{str(images)!r}, line {number}")
+        key, camera = _id("IMAGE_ID", words[0], where), _id("CAMERA_ID", words[8], where)
+        pose = _pose_of(_numbers(words[1:8], where), camera, where)
+        _add(found, "IMAGE_ID", key, (words[9].strip(), pose), where)
+        _check_points(*next(lines, (where, "")))
     _check_count(cameras, len(intrinsics))
     _check_count(images, len(found))
-    return intrinsics, found
+    return intrinsics, list(found.values())
 
 
-def _lines(file: Path) -> Iterator[tuple[int, str]]:
-    for number, line in enumerate(read_text(file).splitlines(), 1):
-        if not line.startswith("#"):
-            yield number, line
+def _lines(file: Path, comments: bool = False) -> Iterator[tuple[str, str]]:
+    """Yield where a line is, and the line, one after the other: the points need not fit memory."""
+    with opened(file, KIND, MOST_MODEL) as stream:
+        for number, raw in enumerate(iter(lambda: stream.readline(MOST_LINE), b""), 1):
+            where = f"{str(file)!r}, line {number}"
+            if len(raw) == MOST_LINE:
+                raise ValueError(f"expected less than {MOST_LINE} bytes in a line ({where})")
+            try:
+                line = raw.decode("utf-8")
+            except UnicodeDecodeError:
+                raise ValueError(f"expected text, got bytes that are no UTF-8 ({where})") from None
+            if comments or not line.startswith("#"):
+                yield where, line
+
+
+def _id(name: str, word: str, where: str) -> int:
+    """Return a number that names a camera or an image."""
+    if not re.fullmatch(r"[0-9]{1,10}", word):
+        raise ValueError(f"`{name}`: expected a whole number, got {short(word)} ({where})")
+    return int(word)
+
+
+def _add(known: dict, name: str, key: int, value: Any, where: str) -> None:
+    if key in known:
+        raise ValueError(f"`{name}`: expected each once, got {key} twice ({where})")
+    known[key] = value
 
 
 def _numbers(words: list[str], where: str) -> list[float]:
     try:
         return [float(word) for word in words]
     except ValueError as error:
-        raise ValueError(f"expected numbers, got {error} ({where})") from None
+        raise ValueError(f"expected numbers, got {str(error)[:99]} ({where})") from None
 
 
-def _check_points(line: str, where: str) -> None:
+def _check_points(where: str, line: str) -> None:
     """An image's second line: X Y POINT3D_ID, again and again. A pose there was taken for it."""
     words = line.split()
     if len(words) % 3 or not all(re.fullmatch(r"-?\d+", word) for word in words[2::3]):
@@ -217,65 +248,83 @@ def _check_points(line: str, where: str) -> None:
 
 
 def _check_count(file: Path, count: int) -> None:
-    said = re.search(r"^# Number of (?:cameras|images): (\d+)", read_text(file), re.MULTILINE)
-    if said is not None and int(said[1]) != count:
-        raise ValueError(
-            f"expected {said[1]} entries, as its heading says, got {count} (in {str(file)!r})"
-        )
+    """The heading, where there is one, says how many entries there are."""
+    for where, line in _lines(file, comments=True):
+        if not line.startswith("#"):
+            return
+        said = re.match(r"# Number of (?:cameras|images): (\d{1,18})", line)
+        if said is not None and int(said[1]) != count:
+            words = f"{said[1]} entries, as its heading says, got {count}"
+            raise ValueError(f"expected {words} ({where})")
 
 
 def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, Fields], list[tuple[str, Fields]]]:
-    intrinsics, reader = {}, _Reader(cameras)
-    for _ in range(reader.take("<Q")[0]):
-        key, model, W, H = reader.take("<IiQQ")
-        where = f"{str(cameras)!r}, camera {key}"
-        if model not in MODELS:
-            raise ValueError(
-                f"`MODEL`: expected one of {', '.join(PARAMETERS)}, got number {model} ({where})"
-            )
-        name, parameters = MODELS[model]
-        values = reader.take(f"<{len(parameters.split())}d")
-        intrinsics[key] = _fields_of(name, (W, H), values, where)
-    reader.end()
-    found, reader = [], _Reader(images)
-    for _ in range(reader.take("<Q")[0]):
-        key, *numbers, camera = reader.take("<I7dI")
-        name = reader.name()
-        found.append((name, _pose_of(numbers, camera, f"{str(images)!r}, image {key}")))
-        reader.skip(24 * reader.take("<Q")[0])
-    reader.end()
-    return intrinsics, found
+    intrinsics: dict[int, Fields] = {}
+    with _Reader(cameras) as reader:
+        for _ in range(reader.take("<Q")[0]):
+            key, model, W, H = reader.take("<IiQQ")
+            where = f"{str(cameras)!r}, camera {key}"
+            if model not in MODELS:
+                words = f"one of {', '.join(PARAMETERS)}, got number {model}"
+                raise ValueError(f"`MODEL`: expected {words} ({where})")
+            name, parameters = MODELS[model]
+            values = reader.take(f"<{len(parameters.split())}d")
+            _add(intrinsics, "CAMERA_ID", key, _fields_of(name, (W, H), values, where), where)
+    found: dict[int, tuple[str, Fields]] = {}
+    with _Reader(images) as reader:
+        for _ in range(reader.take("<Q")[0]):
+            key, *numbers, camera = reader.take("<I7dI")
+            where = f"{str(images)!r}, image {key}"
+            name = reader.name(where)
+            _add(found, "IMAGE_ID", key, (name, _pose_of(numbers, camera, where)), where)
+            reader.skip(24 * reader.take("<Q")[0])
+    return intrinsics, list(found.values())
 
 
 class _Reader:
-    """Little-endian values of a file, one after the other; never past its end."""
+    """Little-endian values of a file, one after the other; from its beginning to its end."""
 
     def __init__(self, file: Path):
         self.file = file
-        self.data = read_bytes(file)
-        self.at = 0
+        self.stream = opened(file, KIND, MOST_MODEL)
+        self.size = os.fstat(self.stream.fileno()).st_size
 
-    def skip(self, count: int) -> int:
-        start, self.at = self.at, self.at + count
-        if self.at > len(self.data):
-            raise ValueError(
-                f"expected more than {len(self.data)} bytes, got the end (in {str(self.file)!r})"
-            )
-        return start
+    def __enter__(self) -> "_Reader":
+        return self
+
+    def __exit__(self, kind: type | None, *_: object) -> None:
+        at = self.stream.tell()
+        self.stream.close()
+        if kind is None and at != self.size:
+            raise ValueError(f"expected {at} bytes, got {self.size} (in {str(self.file)!r})")
+
+    def skip(self, count: int) -> None:
+        if self.stream.tell() + count > self.size:
+            raise self._ends()
+        self.stream.seek(count, os.SEEK_CUR)
 
     def take(self, form: str) -> tuple:
-        return struct.unpack_from(form, self.data, self.skip(struct.calcsize(form)))
+        data = self.stream.read(struct.calcsize(form))
+        if len(data) < struct.calcsize(form):
+            raise self._ends()
+        return struct.unpack(form, data)
 
-    def name(self) -> str:
-        end = self.data.find(b"\0", self.at)
-        start = self.skip((end if end >= 0 else len(self.data)) + 1 - self.at)
-        return self.data[start : self.at - 1].decode("utf-8", "replace")
+    def name(self, where: str) -> str:
+        data = b""
+        while (byte := self.stream.read(1)) != b"\0":
+            data += byte
+            if not byte:
+                raise self._ends()
+            if len(data) > MOST_NAME:
+                raise ValueError(f"`NAME`: expected at most {MOST_NAME} bytes, got more ({where})")
+        try:
+            return data.decode("utf-8")
+        except UnicodeDecodeError:
+            raise ValueError(f"`NAME`: expected UTF-8, got {data[:60]!r} ({where})") from None
 
-    def end(self) -> None:
-        if self.at != len(self.data):
-            raise ValueError(
-                f"expected {self.at} bytes, got {len(self.data)} (in {str(self.file)!r})"
-            )
+    def _ends(self) -> ValueError:
+        words = f"expected more than {self.size} bytes, got the end"
+        return ValueError(f"{words} (in {str(self.file)!r})")
 
 
 class View(NamedTuple):

@@ -3,14 +3,15 @@
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..io import replace_file
+from .._files import read_json, replace_file
 
 Size = tuple[int, int]
+#: What a reader here reads.
+KIND = "a camera file"
 
 
 class Fields:
@@ -21,7 +22,7 @@ class Fields:
 
     def __init__(self, data: Any, where: str):
         if not isinstance(data, Mapping):
-            raise ValueError(f"expected fields with names, got {_short(data)} (in {where})")
+            raise ValueError(f"expected fields with names, got {short(data)} (in {where})")
         self.data = data
         self.where = where
 
@@ -30,7 +31,7 @@ class Fields:
 
     def wrong(self, name: str, expected: str, got: Any) -> ValueError:
         """Return the error of a field; `got` as it stands if it is words, else shortened."""
-        words = got if isinstance(got, str) else _short(got)
+        words = got if isinstance(got, str) else short(got)
         return ValueError(f"`{name}`: expected {expected}, got {words} (in {self.where})")
 
     def get(self, name: str, expected: str) -> Any:
@@ -60,10 +61,10 @@ class Fields:
         return value
 
     def integer(self, name: str, least: int = 1) -> int:
-        """Return a whole number of at least `least`; 640.0 counts as one."""
+        """Return a whole number of at least `least`, below 2**31; 640.0 counts as one."""
         expected = f"an integer of at least {least}"
         value = float(self.array(name, (), expected))
-        if value != int(value) or value < least:
+        if value != int(value) or not least <= value < 2**31:
             raise self.wrong(name, expected, f"{value:g}")
         return int(value)
 
@@ -71,19 +72,20 @@ class Fields:
         """Return finite numbers of this shape (-1: any size), float64."""
         expected = expected or f"finite numbers of shape {_shape(shape)}"
         value = self.get(name, expected)
-        try:
-            array = np.asarray(value)
-            if array.dtype.kind not in "iuf":
-                raise TypeError
-            array = array.astype(float)
-        except (TypeError, ValueError):
-            raise self.wrong(name, expected, _short(value)) from None
+        array = _numbers(value)
+        if array is None:
+            raise self.wrong(name, expected, short(value))
         fits = len(array.shape) == len(shape) and all(
             want in (-1, got) for want, got in zip(shape, array.shape, strict=True)
         )
         if not fits or not np.all(np.isfinite(array)):
-            raise self.wrong(name, expected, _short(value))
+            raise self.wrong(name, expected, short(value))
         return array
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Return the shape of a field's numbers, () where it holds others."""
+        array = _numbers(self.get(name, "numbers"))
+        return () if array is None else array.shape
 
     def text(self, name: str, choices: Sequence[str] = (), default: str | None = None) -> str:
         """Return a string, one of `choices` if there are any."""
@@ -92,19 +94,19 @@ class Fields:
             return default
         value = self.get(name, expected)
         if not isinstance(value, str) or (choices and value not in choices):
-            raise self.wrong(name, expected, _short(value))
+            raise self.wrong(name, expected, short(value))
         return value
 
     def parts(self, name: str) -> list["Fields"]:
         """Return the objects of a list, each with its place in `where`."""
         value = self.get(name, "a list")
         if not isinstance(value, list):
-            raise self.wrong(name, "a list", _short(value))
+            raise self.wrong(name, "a list", short(value))
         return [Fields(part, f"{self.where}, {name}[{k}]") for k, part in enumerate(value)]
 
     def part(self, name: str) -> "Fields":
         """Return an object within this one."""
-        return Fields(self.get(name, "an object"), f"{self.where}, {name}")
+        return Fields(self.get(name, "an object"), f"{self.where}, {name[:60]}")
 
     def size(self, width: str, height: str, size: Size | None) -> Size:
         """Return the image's width and height, px: the file's, or `size` where it holds none."""
@@ -122,13 +124,9 @@ class Fields:
 
 def load_json(path: str | os.PathLike) -> Fields:
     """Return the fields of a JSON file."""
-    text = read_text(path)
-    try:
-        data = json.loads(text)
-    except ValueError as error:
-        raise ValueError(f"`path`: expected JSON, got {str(path)!r}: {error}") from None
+    data = read_json(path, KIND)
     if not isinstance(data, dict):
-        raise ValueError(f"`path`: expected a JSON object, got {_short(data)} in {str(path)!r}")
+        raise ValueError(f"`path`: expected a JSON object, got {short(data)} in {str(path)!r}")
     return Fields(data, repr(str(path)))
 
 
@@ -137,40 +135,39 @@ def save_json(path: str | os.PathLike, data: Any) -> None:
     save_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
-def read_text(path: str | os.PathLike) -> str:
-    """Return a text file's contents."""
-    try:
-        return read_bytes(path).decode("utf-8")
-    except UnicodeDecodeError:
-        raise ValueError(f"`path`: expected text, got {str(path)!r}: not UTF-8") from None
-
-
-def read_bytes(path: str | os.PathLike) -> bytes:
-    """Return a file's contents."""
-    file = Path(path)
-    if not file.exists():
-        raise FileNotFoundError(f"`path`: expected a camera file, got {str(path)!r}: no such file")
-    if file.is_dir():
-        raise ValueError(f"`path`: expected a file, got {str(path)!r}: a folder")
-    return file.read_bytes()
-
-
 def save_text(path: str | os.PathLike, text: str) -> None:
     """Write a text, whole or not at all."""
-    save_bytes(path, text.encode("utf-8"))
+    replace_file(path, text.encode())
 
 
-def save_bytes(path: str | os.PathLike, data: bytes) -> None:
-    """Write bytes, whole or not at all."""
-    write: Callable[[Path], Any] = lambda temporary: temporary.write_bytes(data)
-    replace_file(path, write, Path(path).suffix)
+def check_names(
+    cameras: Mapping[str, Any], program: str, can_hold: Callable[[str], Any] = lambda name: True
+) -> None:
+    """Raise ValueError for a camera's name that is no text or that a program cannot hold."""
+    for name in cameras:
+        try:
+            fits = isinstance(name, str) and name.encode() is not None and can_hold(name)
+        except UnicodeEncodeError:
+            fits = False
+        if not fits:
+            raise ValueError(f"`cameras`: expected names {program} can hold, got {short(name)}")
 
 
 def add_named(cameras: dict, name: str, camera: Any, where: str) -> None:
     """Add a camera under its name, which no other may have."""
     if name in cameras:
-        raise ValueError(f"expected one camera of each name, got two of {name!r} (in {where})")
+        words = f"expected one camera of each name, got two of {short(name)}"
+        raise ValueError(f"{words} (in {where})")
     cameras[name] = camera
+
+
+def _numbers(value: Any) -> np.ndarray | None:
+    """Return real numbers as an array, None where they are no such thing."""
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        return None
+    return array.astype(float) if array.dtype.kind in "iuf" else None
 
 
 def _shape(shape: Sequence[int]) -> str:
@@ -178,6 +175,9 @@ def _shape(shape: Sequence[int]) -> str:
     return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
 
 
-def _short(value: Any) -> str:
+def short(value: Any) -> str:
+    """Return a value in few words."""
+    if isinstance(value, str):
+        value = value[:80]
     words = repr(value.tolist() if isinstance(value, np.ndarray) else value)
     return words if len(words) <= 80 else words[:77] + "..."

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._camera import Camera
+from .._files import existing, path_of
 from ..io import CAMERA_SCHEMA, camera_from_dict, camera_to_dict, save_camera
 from ._blender import SCHEMA as BLENDER_SCHEMA
 from ._blender import read_blender, write_blender, write_blender_script
 from ._colmap import read_colmap, write_colmap
-from ._fields import Fields, Size, add_named, load_json, save_json
+from ._fields import KIND, Fields, Size, add_named, check_names, load_json, save_json
 from ._gltf import read_gltf, write_gltf
 from ._mitsuba import read_mitsuba, write_mitsuba
 from ._nerf import read_nerf, write_nerf
@@ -39,6 +40,7 @@ def read_json(path: str | os.PathLike) -> dict[str, Camera]:
 
 def write_json(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
     """Write the project's own JSON: one camera as `io.save_camera` does, many by name."""
+    check_names(cameras, "JSON")
     if len(cameras) == 1:
         ((name, camera),) = cameras.items()
         save_camera(path, camera, name=name)
@@ -98,9 +100,9 @@ def read(
 
     Raises FileNotFoundError, or ValueError naming the file and the field that is missing or wrong.
     """
-    place = Path(path)
-    if not place.exists():
-        raise FileNotFoundError(f"`path`: expected a camera file, got {str(path)!r}: no such file")
+    place = path_of(path)
+    if not place.is_dir():
+        existing(place, KIND)
     name = _checked(format) or _guess_read(place)
     if place.is_file() and place.stem in ("cameras", "images") and name.startswith("colmap"):
         place = place.parent
@@ -157,7 +159,7 @@ def _guess_read(path: Path) -> str:
 
 def guess_write(path: str | os.PathLike) -> str:
     """Return the format that a path to be written asks for."""
-    place = Path(path)
+    place = path_of(path)
     if place.is_dir() or not place.suffix:
         return "colmap"
     if place.suffix.lower() != ".json":

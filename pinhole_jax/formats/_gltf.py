@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from .._camera import Camera
-from ._fields import Fields, Size, add_named, read_bytes, save_bytes
+from .._files import MOST_BYTES, opened, parse_json, read_text, replace_file, text_of
+from ._fields import KIND, Fields, Size, add_named, check_names, short
 from ._pinhole import (
     OPENGL,
     Pinhole,
@@ -30,7 +31,7 @@ from ._pinhole import (
     rigid,
     world_from_camera,
 )
-from ._turns import matrix_of_quaternion
+from ._turns import is_unit, matrix_of_quaternion
 
 MAGIC, JSON_CHUNK = 0x46546C67, 0x4E4F534A
 
@@ -46,19 +47,19 @@ def read_gltf(path: str | os.PathLike, *, size: Size | None = None) -> dict[str,
     """
     top = Fields(_header(path), repr(str(path)))
     nodes = top.parts("nodes") if "nodes" in top else []
-    parents = _parents(nodes)
+    own = top.parts("cameras") if "cameras" in top else []
+    parents, worlds = _parents(nodes), {}
     asset = top.data.get("asset", {})
     by_trimesh = isinstance(asset, dict) and "trimesh" in str(asset.get("generator", ""))
     cameras: dict[str, Camera] = {}
     for k, node in enumerate(nodes):
         if "camera" not in node:
             continue
-        own = top.parts("cameras")
         index = node.integer("camera", 0)
         if index >= len(own):
             raise node.wrong("camera", f"a number below {len(own)}", f"{index}")
         name = node.text("name", default=own[index].text("name", default=f"camera_{k}"))
-        pose = rigid(_world(k, nodes, parents), node, "matrix")
+        pose = rigid(_world(k, nodes, parents, worlds), node, "matrix")
         view = _intrinsics(own[index], size, by_trimesh)
         add_named(cameras, name, camera_of(view, pose, OPENGL, node), repr(str(path)))
     if not cameras:
@@ -72,6 +73,7 @@ def write_gltf(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
     Raises ValueError for a camera that glTF cannot say: a principal point off the image's centre,
     or pixels that are not square.
     """
+    check_names(cameras, "JSON")
     for name, camera in cameras.items():
         view = pinhole(camera)
         off = max(abs(view.cx - view.W / 2), abs(view.cy - view.H / 2))
@@ -100,7 +102,7 @@ def write_gltf(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
         text += b" " * (-len(text) % 4)
         head = struct.pack("<5I", MAGIC, 2, 20 + len(text), len(text), JSON_CHUNK)
         text = head + text
-    save_bytes(path, text)
+    replace_file(path, text)
 
 
 def _perspective(name: str, view: Pinhole) -> dict[str, Any]:
@@ -118,49 +120,64 @@ def _perspective(name: str, view: Pinhole) -> dict[str, Any]:
 
 def _header(path: str | os.PathLike) -> Any:
     """Return the JSON of a .gltf, or of a .glb's first chunk."""
-    data = read_bytes(path)
-    if data[:4] == struct.pack("<I", MAGIC):
-        if len(data) < 20 or len(data) < struct.unpack_from("<I", data, 8)[0]:
+    with opened(path, KIND, None) as stream:
+        head = stream.read(20)
+        if head[:4] != struct.pack("<I", MAGIC):
+            return parse_json(read_text(path, KIND), path, "glTF")
+        size = os.fstat(stream.fileno()).st_size
+        if len(head) < 20 or size < struct.unpack_from("<I", head, 8)[0]:
             raise ValueError(f"`path`: expected a whole glb, got {str(path)!r}: cut short")
-        length, kind = struct.unpack_from("<2I", data, 12)
+        length, kind = struct.unpack_from("<2I", head, 12)
         if kind != JSON_CHUNK:
             raise ValueError(f"`path`: expected JSON first in a glb, got {str(path)!r}")
-        data = data[20 : 20 + length]
-    try:
-        return json.loads(data)
-    except ValueError as error:
-        raise ValueError(f"`path`: expected glTF, got {str(path)!r}: {error}") from None
+        if length > MOST_BYTES:
+            words = f"JSON of at most {MOST_BYTES} bytes in a glb, got {str(path)!r}: {length}"
+            raise ValueError(f"`path`: expected {words}")
+        return parse_json(text_of(stream.read(length), path), path, "glTF")
 
 
 def _parents(nodes: list[Fields]) -> dict[int, int]:
     parents: dict[int, int] = {}
     for k, node in enumerate(nodes):
-        for child in node.data.get("children", []):
-            if not isinstance(child, int) or child in parents or not 0 <= child < len(nodes):
-                raise node.wrong("children", "nodes with one parent each", f"{child}")
+        children = node.data.get("children", [])
+        if not isinstance(children, list):
+            raise node.wrong("children", "a list", short(children))
+        for child in children:
+            if type(child) is not int or child in parents or not 0 <= child < len(nodes):
+                raise node.wrong("children", "nodes with one parent each", short(child))
             parents[child] = k
     return parents
 
 
-def _world(k: int, nodes: list[Fields], parents: dict[int, int]) -> np.ndarray:
-    """Return the (4, 4) transform of a node's frame to the world."""
-    matrix, seen = _local(nodes[k]), {k}
-    while k in parents:
-        k = parents[k]
-        if k in seen:
-            raise nodes[k].wrong("children", "a tree", "a circle")
-        seen.add(k)
-        matrix = _local(nodes[k]) @ matrix
+def _world(
+    k: int, nodes: list[Fields], parents: dict[int, int], known: dict[int, np.ndarray]
+) -> np.ndarray:
+    """Return the (4, 4) transform of a node's frame to the world; it becomes one of the `known`,
+    and so do those of the nodes above it."""
+    way: dict[int, None] = {}
+    node: int | None = k
+    while node is not None and node not in known:
+        if node in way:
+            raise nodes[node].wrong("children", "a tree", "a circle")
+        way[node] = None
+        node = parents.get(node)
+    matrix = np.eye(4) if node is None else known[node]
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is no rotation
+        for node in reversed(way):
+            matrix = matrix @ _local(nodes[node])
+            known[node] = matrix
     return matrix
 
 
 def _local(node: Fields) -> np.ndarray:
     if "matrix" in node:
+        if both := {"rotation", "scale", "translation"} & node.data.keys():
+            raise node.wrong("matrix", "one kind of transform", f"both it and {min(both)}")
         return node.array("matrix", (16,)).reshape(4, 4).T
     matrix = np.eye(4)
     if "rotation" in node:
         q = node.array("rotation", (4,))
-        if abs(np.linalg.norm(q) - 1) > 1e-4:
+        if not is_unit(q):
             raise node.wrong("rotation", "a quaternion of length 1", q)
         matrix[:3, :3] = matrix_of_quaternion(q[[3, 0, 1, 2]])
     if "scale" in node:

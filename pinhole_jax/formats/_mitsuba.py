@@ -15,7 +15,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from .._camera import Camera
-from ._fields import Fields, Size, add_named, read_text, save_text
+from .._files import read_text
+from ._fields import KIND, Fields, Size, add_named, check_names, save_text, short
 from ._pinhole import (
     LEFT_UP_FORWARD,
     Pinhole,
@@ -30,6 +31,10 @@ from ._turns import matrix_of_vector
 
 AXES = ("x", "y", "diagonal", "smaller", "larger")
 FILM = {"width": 768, "height": 576}  # Mitsuba's own, where a film says nothing
+#: Characters that XML 1.0 cannot hold, escaped or not.
+NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+#: The longest name of a `<default>`, and the longest attribute once it is filled in.
+MOST_NAME, MOST_TEXT = 64, 1 << 16
 
 
 def read_mitsuba(path: str | os.PathLike, *, size: Size | None = None) -> dict[str, Camera]:
@@ -39,20 +44,20 @@ def read_mitsuba(path: str | os.PathLike, *, size: Size | None = None) -> dict[s
     diagonal), 768 x 576 px. `size` is for a sensor without a film. `$names` take their `<default>`.
 
     Raises ValueError naming file and field where something is missing or wrong: another type of
-    sensor, a transform that scales or mirrors, an unknown transform.
+    sensor, a transform that scales or mirrors, an unknown transform, a property given twice.
     """
     try:
-        root = ET.fromstring(read_text(path))
-    except ET.ParseError as error:
+        root = ET.fromstring(read_text(path, KIND), ET.XMLParser(target=_NoDoctype()))
+    except (ET.ParseError, ValueError) as error:
         raise ValueError(f"`path`: expected XML, got {str(path)!r}: {error}") from None
-    defaults = {d.get("name", ""): d.get("value", "") for d in root.iter("default")}
+    defaults = _defaults(root, repr(str(path)))
     sensors = [root] if root.tag == "sensor" else list(root.iter("sensor"))
     if not sensors:
         raise ValueError(f"`sensor`: expected one in a Mitsuba scene, got none (in {str(path)!r})")
     cameras: dict[str, Camera] = {}
     for k, sensor in enumerate(sensors):
         name = sensor.get("id") or (f"sensor_{k}" if k else "sensor")
-        camera = _read(sensor, defaults, f"{str(path)!r}, sensor {name!r}", size)
+        camera = _read(sensor, defaults, f"{str(path)!r}, sensor {short(name)}", size)
         add_named(cameras, name, camera, repr(str(path)))
     return cameras
 
@@ -60,8 +65,12 @@ def read_mitsuba(path: str | os.PathLike, *, size: Size | None = None) -> dict[s
 def write_mitsuba(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
     """Write perspective sensors, `fov_axis` y, as a Mitsuba 3 scene of nothing else.
 
-    Raises ValueError for a camera whose pixels are not square: Mitsuba has no other.
+    Raises ValueError for a camera whose pixels are not square (Mitsuba has no other), and for a
+    name that XML cannot hold, or that holds a `$`, which Mitsuba fills in.
     """
+    check_names(
+        cameras, "Mitsuba", lambda name: name and "$" not in name and not NO_XML.search(name)
+    )
     text = '<scene version="3.0.0">\n'
     for name, camera in cameras.items():
         view = pinhole(camera)
@@ -100,6 +109,25 @@ SENSOR = """\
 """
 
 
+class _NoDoctype(ET.TreeBuilder):
+    """A tree without a DOCTYPE, whose entities can grow without bound."""
+
+    def doctype(self, name: str, public: str, system: str) -> None:
+        raise ValueError("a DOCTYPE, which no scene has")
+
+
+def _defaults(root: ET.Element, where: str) -> dict[str, str]:
+    """Return what `$names` stand for; as in Mitsuba, the first of a name holds for what follows."""
+    defaults: dict[str, str] = {}
+    for element in root.iter("default"):
+        name = element.get("name", "")
+        if not 0 < len(name) <= MOST_NAME:
+            words = f"a name of 1 to {MOST_NAME} characters, got {short(name)}"
+            raise ValueError(f"`default`: expected {words} (in {where})")
+        defaults.setdefault(name, _filled(element, "value", defaults, where))
+    return defaults
+
+
 def _read(sensor: ET.Element, defaults: Mapping[str, str], where: str, size: Size | None) -> Camera:
     fields = _properties(sensor, defaults, where)
     fields.text("type", ("perspective",))
@@ -119,26 +147,33 @@ def _read(sensor: ET.Element, defaults: Mapping[str, str], where: str, size: Siz
     cx -= full.number("crop_offset_x", 0)
     cy -= full.number("crop_offset_y", 0)
     pose = np.eye(4)
-    for part in sensor.findall("transform"):
-        if _snake(part.get("name", "")) == "to_world":
-            for step in part:
-                pose = _step(step, defaults, where) @ pose
+    moves = [t for t in sensor.findall("transform") if _snake(t.get("name", "")) == "to_world"]
+    if len(moves) > 1 or len(sensor.findall("film")) > 1:
+        raise ValueError(f"`to_world`: expected one transform and one film, got two (in {where})")
+    with np.errstate(all="ignore"):  # what overflows is no rotation
+        for step in (step for move in moves for step in move):
+            pose = _step(step, defaults, where) @ pose
     pose = rigid(pose, fields, "to_world")
     return camera_of(Pinhole(focal, focal, cx, cy, W, H), pose, LEFT_UP_FORWARD, fields)
 
 
 def _properties(element: ET.Element, defaults: Mapping[str, str], where: str) -> Fields:
     """Return an element's type and its named numbers and texts, names as Mitsuba 3 has them."""
-    data: dict = {"type": element.get("type", "")}
+    data: dict = {"type": _filled(element, "type", defaults, where, "")}
     for part in element:
         if part.tag in ("float", "integer", "string"):
             name, value = _snake(part.get("name", "")), _filled(part, "value", defaults, where)
+            if name in data:
+                words = f"expected one such property, got two (in {where})"
+                raise ValueError(f"`{name[:60]}`: {words}")
             data[name] = value if part.tag == "string" else _number(name, value, where)
     return Fields(data, where)
 
 
 def _focal(fields: Fields, W: int, H: int) -> float:
     """Return the focal length in px."""
+    if "fov" in fields and "focal_length" in fields:
+        raise fields.wrong("fov", "it or focal_length", "both")
     if "fov" not in fields:
         words = fields.text("focal_length", default="50mm")
         focal_mm = _number("focal_length", words.removesuffix("mm"), fields.where)
@@ -223,9 +258,17 @@ def _filled(
     text = element.get(name, rest)
     if text is None:
         raise ValueError(f"`{element.tag}`: expected the attribute {name!r}, got none (in {where})")
-    for key in sorted(defaults, key=len, reverse=True):
-        text = text.replace(f"${key}", defaults[key])
-    return text
+    head, *parts = text.split("$")
+    filled, length = [head], len(head)
+    for part in parts:  # in one pass: what is filled in is not filled in again
+        ends = range(min(len(part), MOST_NAME), 0, -1)
+        end = next((n for n in ends if part[:n] in defaults), 0)
+        filled.append(defaults[part[:end]] + part[end:] if end else f"${part}")
+        length += len(filled[-1])
+        if length > MOST_TEXT:
+            words = f"at most {MOST_TEXT} characters once it is filled in, got more (in {where})"
+            raise ValueError(f"`{name}`: expected {words}")
+    return "".join(filled)
 
 
 def _number(name: str, text: str, where: str) -> float:
@@ -234,7 +277,7 @@ def _number(name: str, text: str, where: str) -> float:
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
-        raise ValueError(f"`{name}`: expected a finite number, got {text!r} (in {where})")
+        raise ValueError(f"`{name[:60]}`: expected a finite number, got {short(text)} (in {where})")
     return value
 
 

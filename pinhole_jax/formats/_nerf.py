@@ -8,11 +8,9 @@ before them. `cx`, `cy` are px from the image's top-left corner, y down; pixel c
 import os
 from collections.abc import Mapping
 
-import numpy as np
-
 from .._camera import Camera
 from .._distortion import Fisheye
-from ._fields import Fields, Size, add_named, load_json, save_json
+from ._fields import Fields, Size, add_named, check_names, load_json, save_json
 from ._pinhole import (
     OPENGL,
     Pinhole,
@@ -48,8 +46,8 @@ def read_nerf(path: str | os.PathLike, *, size: Size | None = None) -> dict[str,
         name = fields.text("file_path", default=str(k))
         model = fields.text("camera_model", MODELS, "OPENCV")
         fisheye = model == FISHEYE or bool(fields.data.get("is_fisheye"))
-        shape = np.shape(fields.get("transform_matrix", "a 4 x 4 matrix"))
-        matrix = fields.array("transform_matrix", (3, 4) if shape == (3, 4) else (4, 4))
+        short = "transform_matrix" in fields and fields.shape("transform_matrix") == (3, 4)
+        matrix = fields.array("transform_matrix", (3 if short else 4, 4))
         pose = rigid(matrix, fields, "transform_matrix")
         coefficients = {c: fields.number(c) for c in COEFFICIENTS if c in fields}
         distortion = model_of(coefficients, fields, fisheye)
@@ -63,6 +61,7 @@ def write_nerf(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
 
     Intrinsics that all cameras share stand at the top, otherwise with each frame.
     """
+    check_names(cameras, "JSON")
     fisheye = [isinstance(distortion_of(camera), Fisheye) for camera in cameras.values()]
     if len({*fisheye}) > 1:
         raise ValueError("`cameras`: expected fisheyes or none in one file, got both")

@@ -12,8 +12,9 @@ import numpy as np
 
 from .._camera import Camera
 from .._distortion import BrownConrady, Distortion, Fisheye
+from .._files import read_text
 from . import _yaml
-from ._fields import Fields, Size, read_text, save_text
+from ._fields import KIND, Fields, Size, check_names, save_text, short
 from ._matrices import half_pixel, to_opencv
 from ._pinhole import OPENCV, Pinhole, camera_of, distortion_of, inverse, model_of, rotation
 from ._turns import matrix_of_vector, vector_of_matrix
@@ -40,6 +41,8 @@ FISHEYE = ("k1", "k2", "k3", "k4")
 #: What a file may call its model (the names are ROS's, too).
 FISHEYES = ("fisheye", "equidistant")
 PLAIN = ("plumb_bob", "rational_polynomial")
+#: A rotation vector that is longer (rad) has lost its angle to rounding.
+MOST_ANGLE = 1e4
 
 
 def read_opencv(
@@ -58,7 +61,7 @@ def read_opencv(
     Raises ValueError naming file and field where something is missing or wrong, and where
     coefficients of other models are not zero.
     """
-    fields = _known(_yaml.parse(read_text(path), repr(str(path))), repr(str(path)))
+    fields = _known(_yaml.parse(read_text(path, KIND), repr(str(path))), repr(str(path)))
     K = fields.array("camera_matrix", (3, 3))
     if np.any(K[2] != [0, 0, 1]) or K[1, 0] != 0 or abs(K[0, 1]) > 1e-9 * abs(K[0, 0]):
         raise fields.wrong("camera_matrix", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", K)
@@ -83,6 +86,7 @@ def write_opencv(
     `extrinsic_parameters`, rvec and tvec (camera_from_world). The file also says `pixel_centres`
     and `distortion_model`, which OpenCV does not read.
     """
+    check_names(cameras, "OpenCV", _yaml.can_hold)
     matrices = [to_opencv(camera, pixel_centres=pixel_centres) for camera in cameras.values()]
     sizes = [(camera.W, camera.H) for camera in cameras.values()]
     models = [distortion_of(camera) for camera in cameras.values()]
@@ -135,13 +139,16 @@ def _poses(fields: Fields) -> list[np.ndarray]:
             words = "both it and R or t"
             raise fields.wrong("extrinsic_parameters", "one kind of pose", words)
         rows = fields.array("extrinsic_parameters", (-1, 6))
-        parts = [(matrix_of_vector(row[:3]), row[3:]) for row in rows]
+        name = "extrinsic_parameters"
+        parts = [(_turn(row[:3], fields, name), row[3:]) for row in rows]
     elif "rvec" in fields:
+        if "R" in fields:
+            raise fields.wrong("rvec", "one kind of pose", "both it and R")
         rvec = fields.array("rvec", (3,))
-        parts = [(matrix_of_vector(rvec), fields.array("t", (3,)))]
+        parts = [(_turn(rvec, fields, "rvec"), fields.array("t", (3,)))]
     elif "R" in fields and np.ndim(fields.data["R"]) == 1:
         rvec = fields.array("R", (3,))
-        parts = [(matrix_of_vector(rvec), fields.array("t", (3,)))]
+        parts = [(_turn(rvec, fields, "R"), fields.array("t", (3,)))]
     else:
         if "R" not in fields:
             words = "no pose: a file of intrinsics alone is no camera; see `from_opencv`"
@@ -154,12 +161,18 @@ def _poses(fields: Fields) -> list[np.ndarray]:
     return poses
 
 
+def _turn(rvec: np.ndarray, fields: Fields, name: str) -> np.ndarray:
+    if np.any(np.abs(rvec) > MOST_ANGLE):
+        raise fields.wrong(name, f"a turn of at most {MOST_ANGLE:g} rad", rvec)
+    return matrix_of_vector(rvec)
+
+
 def _names(fields: Fields, count: int) -> list[str]:
     if "camera_names" not in fields:
         return [str(k) for k in range(count)] if count > 1 else ["camera"]
     names = fields.data["camera_names"]
     if not isinstance(names, list) or len({str(n) for n in names}) != count or len(names) != count:
-        raise fields.wrong("camera_names", f"{count} different names", repr(names))
+        raise fields.wrong("camera_names", f"{count} different names", short(names))
     return [str(name) for name in names]
 
 

@@ -84,7 +84,8 @@ def world_from_camera(camera: Camera, axes: np.ndarray) -> np.ndarray:
 
 def rotation(matrix: np.ndarray, fields: Fields, name: str) -> np.ndarray:
     """Return the rotation nearest to a (3, 3) matrix, which must be one to within rounding."""
-    if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-4 or np.linalg.det(matrix) < 0:
+    small = np.all(np.abs(matrix) < 2)  # no product overflows
+    if not small or np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-4 or np.linalg.det(matrix) < 0:
         raise fields.wrong(name, "a rotation (orthonormal, determinant 1)", matrix)
     left, _, right = np.linalg.svd(matrix)
     return left @ right
@@ -92,7 +93,7 @@ def rotation(matrix: np.ndarray, fields: Fields, name: str) -> np.ndarray:
 
 def rigid(matrix: np.ndarray, fields: Fields, name: str) -> np.ndarray:
     """Return a (3, 4) or (4, 4) transform as (4, 4), its rotation freed of rounding."""
-    if len(matrix) == 4 and np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-9:
+    if len(matrix) == 4 and not np.abs(matrix[3] - [0, 0, 0, 1]).max() <= 1e-9:
         raise fields.wrong(name, "a last row of 0 0 0 1", matrix[3])
     result = np.eye(4)
     result[:3, :3], result[:3, 3] = rotation(matrix[:3, :3], fields, name), matrix[:3, 3]

@@ -6,6 +6,11 @@ Twenty lines, for scipy's would cost every import of the library a fifth of a se
 import numpy as np
 
 
+def is_unit(q: np.ndarray) -> bool:
+    """Return whether a quaternion has length 1, to within a file's rounding."""
+    return bool(np.all(np.abs(q) < 2) and abs(np.linalg.norm(q) - 1) <= 1e-4)
+
+
 def matrix_of_quaternion(q: np.ndarray) -> np.ndarray:
     """Return the rotation matrix of a quaternion, which is brought to length 1."""
     w, x, y, z = q / np.linalg.norm(q)

@@ -1,0 +1,474 @@
+"""The door of files: what is at a path, how much is read, what a hostile file may cost."""
+
+import json
+import os
+import re
+import socket
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import pinhole_jax as pj
+from pinhole_jax import _files, formats, io
+
+CAMERA = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 1.0, 40, 31)
+FILE_FORMATS = [name for name in formats.FORMATS if not name.startswith("colmap")]
+SAVES = {
+    "image": lambda path: io.save_image(path, np.zeros((3, 4))),
+    "camera": lambda path: io.save_camera(path, CAMERA),
+    **{
+        name: lambda path, name=name: formats.write(path, {"a": CAMERA}, name)
+        for name in FILE_FORMATS
+    },
+}
+
+
+# --- where is written ----------------------------------------------------------------------------
+
+
+def socket_at(path):
+    with socket.socket(socket.AF_UNIX) as here:
+        here.bind(str(path))  # it stays
+
+
+#: What is no file: how it is made, and what the error says. Links, as devices need root.
+NO_FILES = {
+    "null": (lambda path: path.symlink_to("/dev/null"), "a device"),
+    "full": (lambda path: path.symlink_to("/dev/full"), "a device"),
+    "folder": (lambda path: path.mkdir(), "a folder"),
+    "loop": (lambda path: path.symlink_to(path), "."),
+    "pipe": (os.mkfifo, "."),  # that nobody reads: it is not waited for
+    "socket": (socket_at, "a socket"),
+}
+
+
+@pytest.mark.parametrize("save", SAVES)
+def test_only_files_are_replaced(tmp_path, monkeypatch, save):
+    monkeypatch.chdir(tmp_path)  # a socket's path is short
+    for name, (make, words) in NO_FILES.items():
+        make(Path(name))
+        before = os.lstat(name)
+        with pytest.raises(ValueError, match=rf"`path`: expected a file to write.*{words}"):
+            SAVES[save](name)
+        after = os.lstat(name)
+        assert (after.st_mode, after.st_ino) == (before.st_mode, before.st_ino)
+    assert sorted(os.listdir()) == sorted(NO_FILES)
+
+
+def test_a_link_is_replaced_and_not_what_it_leads_to(tmp_path):
+    (tmp_path / "there.json").write_text("kept")
+    (tmp_path / "link.json").symlink_to("there.json")
+    (tmp_path / "dangling.json").symlink_to("nowhere.json")
+    for name in ("link.json", "dangling.json"):
+        io.save_camera(tmp_path / name, CAMERA)
+        assert not (tmp_path / name).is_symlink()
+        io.load_camera(tmp_path / name)
+    assert (tmp_path / "there.json").read_text() == "kept"
+    assert not (tmp_path / "nowhere.json").exists()
+
+
+@pytest.mark.parametrize("save", SAVES)
+def test_a_pipe_that_is_read_gets_the_file(tmp_path, save):
+    SAVES[save](tmp_path / "file")
+    os.mkfifo(tmp_path / "pipe")
+    with subprocess.Popen(["cat", tmp_path / "pipe"], stdout=subprocess.PIPE) as reader:
+        while True:  # the reader takes a moment
+            try:
+                SAVES[save](tmp_path / "pipe")
+                break
+            except ValueError:
+                continue
+        written = reader.communicate()[0]
+    assert written == (tmp_path / "file").read_bytes()
+    assert (tmp_path / "pipe").is_fifo()
+
+
+def test_the_mask_of_modes_is_the_processes_and_stays(tmp_path, monkeypatch):
+    old = os.umask(0o027)
+    try:
+        with monkeypatch.context() as changed:  # a thread that makes a file now would see it
+            changed.setattr("os.umask", lambda mask: pytest.fail("the umask was changed"))
+            io.save_camera(tmp_path / "c.json", CAMERA)
+    finally:
+        os.umask(old)
+    assert (tmp_path / "c.json").stat().st_mode & 0o777 == 0o640
+
+
+def command(*arguments, **more):
+    arguments = [sys.executable, "-m", "pinhole_jax", *map(str, arguments)]
+    return subprocess.run(arguments, capture_output=True, check=False, timeout=100, **more)
+
+
+def test_the_commands_output_can_be_its_standard_output(tmp_path):
+    io.save_camera(tmp_path / "c.json", CAMERA)
+    formats.write(tmp_path / "c.yaml", {"camera": CAMERA})
+    # Not /dev/stdout itself, which a mistake here would replace; its name is checked below.
+    ways = ("convert", tmp_path / "c.json", "/proc/self/fd/1", "--to", "opencv")
+    done = command(*ways)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == (tmp_path / "c.yaml").read_bytes()
+    assert done.stderr.startswith(b"written    /proc/self/fd/1 (opencv, 1 camera")
+    with (tmp_path / "out").open("wb") as out:
+        out.write(b"before\n")
+        out.flush()
+        arguments = [sys.executable, "-m", "pinhole_jax", *map(str, ways)]
+        subprocess.run(arguments, stdout=out, stderr=subprocess.DEVNULL, check=True)
+    assert (tmp_path / "out").read_bytes() == b"before\n" + done.stdout
+    assert all(map(_files.is_stream, ("/dev/stdout", "/dev/stderr", "/dev/fd/1")))
+    assert not any(map(_files.is_stream, ("/dev/null", tmp_path / "out", "stdout")))
+
+
+# --- what is read --------------------------------------------------------------------------------
+
+READS = {
+    "mesh": pj.load_mesh,
+    "image": io.load_image,
+    "mask": io.load_mask,
+    "fov": io.photo_fov,
+    "camera": io.load_camera,
+    **{
+        name: lambda path, name=name: formats.read(path, name)
+        for name in FILE_FORMATS
+        if formats.FORMATS[name].read
+    },
+}
+ENDLESS = {
+    "zero": lambda path: path.symlink_to("/dev/zero"),
+    "pipe": os.mkfifo,
+    "socket": socket_at,
+    "huge": lambda path: path.touch() or os.truncate(path, 1 << 37),  # takes no room
+}
+
+
+@pytest.mark.parametrize("read", READS)
+def test_what_does_not_end_is_not_read(tmp_path, monkeypatch, read):
+    monkeypatch.chdir(tmp_path)
+    for name, make in ENDLESS.items():
+        if (read, name) == ("mesh", "huge"):
+            continue
+        make(Path(f"{name}.obj"))
+        with pytest.raises(ValueError, match=rf"`path`: expected .*{name}\.obj': (not a reg|more)"):
+            READS[read](f"{name}.obj")
+
+
+@pytest.mark.parametrize("ending", ["txt", "bin"])
+@pytest.mark.parametrize("part", ["cameras", "images"])
+def test_a_model_of_what_does_not_end_is_not_read(tmp_path, monkeypatch, part, ending):
+    formats.write(tmp_path, {"a": CAMERA}, "colmap-binary" if ending == "bin" else "colmap")
+    monkeypatch.chdir(tmp_path)
+    for make in ENDLESS.values():
+        os.unlink(f"{part}.{ending}")
+        make(Path(f"{part}.{ending}"))
+        with pytest.raises(ValueError, match=rf"{part}\.{ending}"):
+            formats.read(".")
+
+
+def test_a_field_given_twice_is_not_taken_once(tmp_path):
+    text = json.dumps(io.camera_to_dict(CAMERA))
+    (tmp_path / "c.json").write_text(text[:-1] + ', "phi": 0.3}')
+    with pytest.raises(ValueError, match=r"expected JSON, got .*c.json': the field 'phi' twice"):
+        io.load_camera(tmp_path / "c.json")
+    with pytest.raises(ValueError, match=r"`more`: expected fields that no camera has.*\['phi'\]"):
+        io.save_camera(tmp_path / "d.json", CAMERA, phi=0.3)
+
+
+# --- bombs ---------------------------------------------------------------------------------------
+
+SIZE = 200_000  # bytes of a bomb
+
+
+def fill(unit, before="", after=""):
+    return before + unit * (SIZE // len(unit)) + after
+
+
+def defaults(count):
+    rows = [f'<default name="a{k}" value="{f"$a{k - 1}" * 10}"/>' for k in range(1, count)]
+    used = f'<sensor type="perspective"><float name="fov" value="$a{count - 1}"/></sensor>'
+    return "<scene><default name='a0' value='0123456789'/>" + "".join(rows) + used + "</scene>"
+
+
+def sensor(inside):
+    return (
+        f"<scene><default name='a0' value='x'/><sensor type='perspective'>{inside}</sensor></scene>"
+    )
+
+
+def laughs():
+    rows = [f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 9)]
+    return '<!DOCTYPE s [<!ENTITY a0 "ha">' + "".join(rows) + "]><scene>&a8;</scene>"
+
+
+# A long chain of nodes; its last have cameras, the last of all one that there is not.
+NODES = [{"children": [k + 1], "name": f"{k}"} for k in range(6000)]
+NODES += [{"children": [6001 + k], "name": f"c{k}", "camera": 0} for k in range(200)]
+VIEW = {"type": "perspective", "perspective": {"yfov": 1}, "extras": {"W": 8, "H": 6}}
+CHAIN = {"nodes": [*NODES, {"camera": 1}], "cameras": [VIEW]}
+DEEP = ["[" * SIZE, fill('{"a":'), '{"a":' + "[" * 500 + "]" * 500 + "}", "[" * 99 + "]" * 99]
+JSON = [
+    *DEEP,
+    '{"a":' + "9" * SIZE,
+    fill('"a":1,', "{", '"b":1}'),
+    fill("[],", '{"frames":[', "[]]}"),
+]
+YAML = [
+    fill(" ", "a", "b"),
+    fill('"\\'),
+    fill('"', "a: "),
+    fill("' ", "a: "),
+    fill("data: [ ", "camera_matrix: !!opencv-matrix\n   rows: 3\n   "),
+    fill("a:[", "camera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   data: [ ", " ]"),
+    fill("1", "camera_matrix: ", "x"),
+    fill("1", "camera_matrix: "),
+    fill("9", "camera_matrix: !!opencv-matrix\n   rows: ", "\n   cols: 3\n   data: [ 1 ]"),
+    fill('"\\",', "camera_names: [ "),
+    fill("a", "x: !!opencv-", ""),
+    fill("rows: ", "camera_matrix:\n   data: ", ""),
+    fill(" # ", "a: '"),
+]
+XML = [
+    defaults(11),
+    defaults(2000),
+    laughs(),
+    fill("<a>"),
+    fill("<a>") + fill("</a>"),
+    sensor(fill("$a0", "<float name='fov' value='", "'/>")),
+    sensor(fill("1,", "<float name='fov' value='4'/><transform name='to_world'><matrix value='",
+                "'/></transform>")),
+    sensor(fill("aA", "<float name='", "' value='x'/>")),
+    f"<default name='{'a' * SIZE}' value='1'/>",
+]  # fmt: skip
+ID = "IMAGE 0 1 0 0 -1 2 3 CAMERA a.png\n\n"
+FIRST = ID.replace("IMAGE", "1").replace("CAMERA", "1")
+MODELS = [
+    *((f"{bad} PINHOLE 8 6 4 4 4 3\n", ID.replace("IMAGE", "1").replace("CAMERA", bad))
+      for bad in ("inf", "1e999", "1.7", "nan", "-1", "9" * 5000, "1e3", "٣", "")),
+    *(("1 PINHOLE 8 6 4 4 4 3\n", ID.replace("IMAGE", bad).replace("CAMERA", "1"))
+      for bad in ("inf", "1e999", "1.7", "-1", "9" * 5000)),
+    *((f"1 PINHOLE {bad} 6 4 4 4 3\n", FIRST)
+      for bad in ("inf", "1e999", "1.7", "1e300", "9" * 5000)),
+    (fill("1 "), ""),
+    (fill("1 PINHOLE\n"), ""),
+    ("1 PINHOLE 8 6 4 4 4 3\n", fill("1 2 3 ", FIRST[:-1])[:-2]),
+    ("1 PINHOLE 8 6 4 4 4 3\n", FIRST * 2),
+]  # fmt: skip
+BOMBS = {
+    "json": JSON,
+    "transforms.json": JSON,
+    "blender.json": JSON,
+    "gltf": [*JSON, json.dumps(CHAIN), '{"nodes":[{"children":5}]}',
+             '{"nodes":[{"children":[[1]]}]}', '{"nodes":[{"children":{"a":0}}]}'],
+    "glb": [struct.pack("<5I", 0x46546C67, 2, 20 + len(x), len(x), 0x4E4F534A) + x.encode()
+            for x in DEEP] + [struct.pack("<5I", 0x46546C67, 2, 20, 2**32 - 1, 0x4E4F534A)],
+    "yaml": YAML,
+    "xml": XML,
+    "model": MODELS,
+}  # fmt: skip
+#: Each reader on its own: 2 s of processor time, 500 MB more than it began with.
+READ_ALL = """
+import resource, signal, sys
+from pathlib import Path
+from pinhole_jax import __main__, formats, io
+folder = Path(sys.argv[1])
+formats.read(sys.argv[2])  # JAX makes its threads
+start = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (start + 500_000_000,) * 2)
+for path in sorted(folder.iterdir()):
+    readers = [formats.read] + [io.load_camera] * (path.suffix == ".json")
+    for read in readers:
+        print(path.name, flush=True)
+        signal.setitimer(signal.ITIMER_VIRTUAL, 2)
+        try:
+            read(path)
+            sys.exit("was read")
+        except ValueError as error:
+            assert len(str(error)) < 1000, f"long: {len(str(error))}"
+            assert path.name in str(error) or path.is_dir(), f"not named: {error}"
+    out = folder / "out.json"
+    assert __main__.main(["convert", str(path), str(out)]) == 2
+    assert not out.exists()
+    signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+@pytest.mark.parametrize("ending", BOMBS)
+def test_hostile_files_are_refused_soon_and_in_little_room(tmp_path, ending):
+    for number, bomb in enumerate(BOMBS[ending]):
+        path = tmp_path / (f"{number:02}" + ("" if ending == "model" else f".{ending}"))
+        if ending == "model":
+            path.mkdir()
+            for name, text in zip(("cameras.txt", "images.txt"), bomb, strict=True):
+                (path / name).write_text(text)
+        else:
+            path.write_bytes(bomb if isinstance(bomb, bytes) else bomb.encode())
+    good = tmp_path.parent / f"{tmp_path.name}.json"
+    io.save_camera(good, CAMERA)
+    arguments = [sys.executable, "-c", READ_ALL, tmp_path, good]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=300, check=False)
+    last = done.stdout.split()[-1:]
+    assert done.returncode == 0, (last, done.returncode, done.stderr[-2000:])
+    assert last == [f"{len(BOMBS[ending]) - 1:02}" + ("" if ending == "model" else f".{ending}")]
+
+
+NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?|\b\d+\b")
+NUMBERS = ["1e999", "-1e999", "inf", "nan", "NaN", ".Nan", "1.7", "-1", "0", "1e300", "9" * 400,
+           "9" * 5000, "1e-400", "9223372036854775808", "x"]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["own.json", "one.yaml", "model", "transforms.json", "blender.json", "scene.gltf",
+     "pytorch3d.json", "one.xml"],
+)  # fmt: skip
+def test_every_number_may_be_any(tmp_path, name):
+    """Of each number of a file: it is refused with the file's name, or the camera is one."""
+    formats.write(tmp_path / name, {"a": CAMERA})
+    place = tmp_path / name
+    for file in [place] if place.is_file() else sorted(place.iterdir()):
+        text = file.read_text()
+        found = [*NUMBER.finditer(text)]
+        for k, number in enumerate(found):
+            bad = NUMBERS[k % len(NUMBERS)], NUMBERS[(7 * k + 3) % len(NUMBERS)]
+            for new in bad:
+                file.write_text(text[: number.start()] + new + text[number.end() :])
+                try:
+                    cameras = formats.read(place)
+                except ValueError as error:
+                    assert file.stem in str(error)  # noqa: PT017
+                    continue
+                for camera in cameras.values():
+                    assert np.all(np.isfinite([*camera.e, *camera.p, *camera.u, camera.phi]))
+                    assert 1 <= camera.W < 2**31
+        file.write_text(text)
+
+
+# --- pictures ------------------------------------------------------------------------------------
+
+KNOWN = {"png": "PNG", "jpg": "JPEG", "tiff": "TIFF", "webp": "WEBP", "bmp": "BMP", "ppm": "PPM"}
+
+
+def test_only_the_formats_of_pictures_are_opened(tmp_path):
+    Image.init()
+    image = Image.fromarray(np.full((20, 30, 3), 255, np.uint8))
+    tried = 0
+    for format in sorted(Image.SAVE):
+        path = tmp_path / "x.picture"  # the content counts, not the name
+        try:
+            image.save(path, format)
+        except Exception:  # it wants another mode, or a library
+            continue
+        tried += 1
+        if format in {*KNOWN.values(), "MPO"}:  # MPO: the JPEG of many telephones
+            assert io.load_image(path).shape == (20, 30, 3)
+        elif format != "DIB":
+            with pytest.raises(ValueError, match=r"expected a readable image \(PNG, JPEG, TIFF"):
+                io.load_image(path)
+    assert tried > 12
+
+
+def test_no_program_is_started_for_a_picture(tmp_path):
+    (tmp_path / "gs").write_text(f"#!/bin/sh\ntouch {tmp_path}/started\n")
+    (tmp_path / "gs").chmod(0o755)
+    (tmp_path / "photo.png").write_text(
+        "%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\nshowpage\n%%EOF\n"
+    )
+    code = f"from pinhole_jax import io; io.load_image({str(tmp_path / 'photo.png')!r})"
+    environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, env=environment)
+    assert b"ValueError: `path`: expected a readable image" in done.stderr
+    assert not (tmp_path / "started").exists()
+
+
+def kinds(n):
+    """Pictures of n x n pixels with a disk, as each kind of file that is laid out differently."""
+    y, x = np.ogrid[:n, :n]
+    disk = (x - n / 2) ** 2 + (y - n / 2) ** 2 < (n / 3) ** 2
+    colour = np.where(disk[..., None], np.uint8([200, 60, 40]), np.uint8(255))
+    turned = Image.Exif()
+    turned[274] = 6
+    grey = Image.fromarray(np.uint8(255 * disk))
+    palette = Image.fromarray(np.uint8(disk)).convert("P")
+    palette.putpalette([255, 255, 255, 200, 60, 40])
+    yield "png", Image.fromarray(colour), {"compress_level": 1}, (None, "luminance", "background")
+    yield "jpg", Image.fromarray(colour), {"exif": turned}, (None, "luminance", "background")
+    alpha = Image.fromarray(np.dstack([colour, grey]))
+    yield "png", alpha, {"compress_level": 1}, (None, "", "alpha", "luminance", "background")
+    yield "png", grey, {"compress_level": 1}, (None, "", "label=255", "background")
+    deep = Image.fromarray(np.uint16(disk) * 60000)
+    yield "png", deep, {"compress_level": 1}, (None, "", "label=60000", "luminance")
+    yield "png", palette, {"compress_level": 1}, (None, "label=1", "background")
+    yield "tiff", Image.fromarray(disk.astype(np.float32)), {}, (None, "", "luminance")
+
+
+#: The resident memory that reading a picture adds, above what the same with a small one does.
+MEASURE = """
+import re, sys
+from pathlib import Path
+from pinhole_jax import io
+path, way, small = sys.argv[1:]
+def read(path):
+    if way == "None":
+        return io.load_image(path)
+    return io.load_mask(path, way.replace("background", "background=white") or None)
+def most():  # not ru_maxrss, which begins with what the parent had
+    return int(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1]) * 1024
+read(small)
+before = most()
+read(path)
+print(most() - before)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+def test_a_large_picture_takes_ten_bytes_a_pixel(tmp_path, exhaustive):
+    n = 6000 if exhaustive else 4000
+    small = {k: image for k, (_, image, _, _) in enumerate(kinds(600))}
+    for k, (ending, image, how, ways) in enumerate(kinds(n)):
+        if not exhaustive and k > 1:
+            break
+        path, little = tmp_path / f"large.{ending}", tmp_path / f"small.{ending}"
+        image.save(path, **how)
+        small[k].save(little, **how)
+        for way in ways if exhaustive else (None, "background")[: 2 - k]:
+            arguments = [sys.executable, "-c", MEASURE, path, str(way), little]
+            done = subprocess.run(arguments, capture_output=True, text=True, check=False)
+            assert done.returncode == 0, done.stderr
+            # What a band takes does not grow with the picture.
+            assert int(done.stdout) < 10 * n * n + 10e6, (image.mode, way, int(done.stdout) / n**2)
+
+
+def test_soft_edges_are_the_same_band_by_band(tmp_path, monkeypatch):
+    random = np.random.default_rng(3)
+    photo = np.full((300, 70, 3), 255, np.uint8)
+    for _ in range(9):
+        row, column = random.integers(10, 250), random.integers(5, 40)
+        photo[row : row + 40, column : column + 20] = random.integers(0, 200, 3)
+    blurred = Image.fromarray(photo).resize((69, 299), Image.Resampling.BILINEAR)
+    blurred.save(tmp_path / "p.png")
+    whole = io.load_mask(tmp_path / "p.png", "background=white")
+    for module in ("_pictures", "_masks"):
+        monkeypatch.setattr(f"pinhole_jax.{module}.BAND", 69)
+    np.testing.assert_array_equal(io.load_mask(tmp_path / "p.png", "background=white"), whole)
+    assert len(np.unique(whole)) > 9
+
+
+def test_a_webp_that_takes_too_much_room_is_refused(tmp_path, monkeypatch):
+    Image.new("L", (30, 20), 255).save(tmp_path / "w.webp")
+    assert io.load_image(tmp_path / "w.webp").shape[:2] == (20, 30)
+    monkeypatch.setattr("pinhole_jax._pictures.MOST_WEBP", 599)
+    with pytest.raises(ValueError, match="a WebP of more than 599 pixels"):
+        io.load_image(tmp_path / "w.webp")
+
+
+def test_noise_is_no_mask(tmp_path, monkeypatch):
+    monkeypatch.setattr("pinhole_jax._masks.MOST_PARTS", 50)
+    noise = np.random.default_rng(0).integers(0, 2, (40, 40), np.uint8) * 255
+    Image.fromarray(noise).save(tmp_path / "n.png")
+    with pytest.raises(ValueError, match=r"expected a mask, .* a picture of \d+ parts: noise"):
+        io.load_mask(tmp_path / "n.png", "background=white")
