@@ -1,9 +1,9 @@
 """Does a fit say so when its camera is wrong?
 
-Closed shapes that look alike from several sides (a mug and a can whose handle or bump is out of the
-outline, an ellipsoid, a sphere with a dent, a plate, a box), five kinds of mask of 128 x 128 pixels,
-starts 10 to 30 degrees off and none. A lie is a fit that says `converged` while it is more than one
-degree and more than 10 standard errors off.
+Closed shapes that look alike from several sides (a mug and a can whose handle or bump is out of
+the outline, an ellipsoid, a sphere with a dent, a plate, a box), five kinds of mask of 128 x 128
+pixels, starts 10 to 30 degrees off and none. A lie is a fit that says `converged` while it is more
+than one degree and more than 10 standard errors off.
 """
 
 import sys

@@ -180,7 +180,7 @@ def _along(solver: Solver, best: Found, direction: _Direction) -> list[Found]:
 
 def _descended(solver: Solver, best: Found, direction: _Direction, far: float) -> Found | None:
     start = solver.step(best.unit, solver.finest, far * direction.move)
-    place = solver.descended(start, STEPS)
+    place = solver.descended(start, min(STEPS, solver.max_steps))
     return place if np.isfinite(place.view.squares) else None
 
 

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from ._arrays import Numbers, float_array, float_dtype, is_concrete
 from ._safe import binary_scale, norm, safe_divide
+from ._topology import edge_records, without_copies
 
 
 class Clusters(NamedTuple):
@@ -55,6 +56,10 @@ class Planes(NamedTuple):
 class Mesh(eqx.Module):
     """Triangles: `vertices` (V, 3) in world units, `faces` (F, 3) indices of vertices.
 
+    A face whose corners are those of another adds nothing to what is seen (a mesh that has every
+    face twice, or once more turned over): the later one's three indices are made equal, so that the
+    others keep their numbers. Walls between parts, which two closed bodies share, stay.
+
     Worked out once, on the host: the edges with the faces on either side. An edge record (a, b)
     runs as in its first face; the second face, if any, runs through it from b to a, and is -1 at a
     border. Edges that more than two faces, or two of opposite winding, share have several records.
@@ -77,7 +82,10 @@ class Mesh(eqx.Module):
     def __init__(self, vertices: Numbers, faces: Numbers):
         self.vertices = float_array("vertices", vertices, (None, 3), float_dtype(vertices))
         triangles = _face_indices(faces, self.vertices.shape[0])
-        edge_vertices, edge_faces = _edge_records(triangles, self.vertices.shape[0])
+        points = np.asarray(self.vertices) if is_concrete(self.vertices) else None
+        if points is not None:
+            triangles = without_copies(points, triangles)
+        edge_vertices, edge_faces = edge_records(triangles, points, self.vertices.shape[0])
         self.faces = jnp.asarray(triangles)
         self.order = _face_order(self.vertices, self.faces)
         if is_concrete(self.order) and edge_faces.size:
@@ -388,28 +396,3 @@ def _face_indices(faces: Any, V: int) -> np.ndarray:
             f"`faces`: expected indices from 0 to {V - 1}, got {array.min()} to {array.max()}"
         )
     return array.astype(np.int32)
-
-
-def _edge_records(faces: np.ndarray, V: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (E, 2) vertices and (E, 2) faces of the edge records that `Mesh` documents."""
-    start = faces.ravel().astype(np.int64)
-    end = np.roll(faces, -1, axis=1).ravel().astype(np.int64)
-    face = np.repeat(np.arange(len(faces), dtype=np.int32), 3)
-    proper = start != end
-    start, end, face = start[proper], end[proper], face[proper]
-    directed = (np.minimum(start, end) * V + np.maximum(start, end)) * 2 + (start > end)
-    order = np.argsort(directed, kind="stable")
-    directed, start, end, face = directed[order], start[order], end[order], face[order]
-    # Half-edges of one edge and direction are numbered; the n-th one way pairs with the n-th back.
-    first = np.flatnonzero(np.diff(directed, prepend=-1))
-    rank = np.arange(len(directed)) - np.repeat(first, np.diff(first, append=len(directed)))
-    if np.any(rank):
-        order = np.lexsort((directed & 1, rank, directed >> 1))
-        directed, start, end, face, rank = (x[order] for x in (directed, start, end, face, rank))
-    edge = directed >> 1
-    paired = np.append((edge[1:] == edge[:-1]) & (rank[1:] == rank[:-1]), False)[: len(edge)]
-    head = np.ones(len(edge), bool)
-    head[1:] = ~paired[:-1]
-    other = np.where(paired, np.roll(face, -1), -1)
-    vertices = np.stack([start, end], axis=1)[head].astype(np.int32)
-    return vertices, np.stack([face, other], axis=1)[head].astype(np.int32)

@@ -196,11 +196,12 @@ class Solver:
         """Return what some steps on the finest level lead to, in buffers as they are: NaN where
         these do not suffice."""
         self._widen(unit)
-        levels, taken = self.levels[self.finest :], []
-        for level in levels:
-            unit, n, _, view = self._further(unit, level, FINE_PX[self.dtype], steps, self.capacity)
+        px, taken = FINE_PX[self.dtype], []
+        for level in self.levels[self.finest : -1]:
+            unit, n, *_ = self._further(unit, level, px, steps, self.capacity)
             taken.append(int(n))
-        return Found(unit, view, tuple(taken))
+        unit, n, _, view = self._further(unit, self.levels[-1], px, steps, self.capacity)
+        return Found(unit, view, (*taken, int(n)))
 
     def _further(self, unit: Camera, level: Level, px: float, steps: int, capacity: Capacity):
         """Return `descended`'s from a camera: one program, whether it takes steps or only looks."""

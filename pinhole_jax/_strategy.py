@@ -107,7 +107,7 @@ def _within(places: Places, solver: Solver, found: Found) -> bool:
         along = free.axis is not None and abs(turn @ free.axis) > 0.95 * np.linalg.norm(turn)
         if along and far <= max(free.behind, free.ahead):
             return True
-    return separation(solver, places.best.unit, found.unit) < SAME
+    return bool(separation(solver, places.best.unit, found.unit) < SAME)
 
 
 def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> Places:
