@@ -53,6 +53,8 @@ LEAST_IOU = 0.5
 ASTRAY = 0.1
 #: Rounding leaves a root mean square residual of this many machine epsilons in a touched pixel.
 FLOOR = 1000
+#: A solver's last step is off by this share of what it calls negligible.
+LAST_STEP = 0.2
 WRONG = "there the mask, the mesh or the camera is wrong"
 
 
@@ -295,7 +297,7 @@ def report(
     noise = sums.touched_squares / max(sums.touched - n, 1)
     noise = max(noise if known.variance is None else known.variance, known.kind.least)
     cov = covariance(triangle, to_reported, noise, BLIND[dtype])
-    cov = cov + widened(to_reported, known.free, FINE_PX[dtype] / UNIT_PX)
+    cov = cov + widened(to_reported, known.free, LAST_STEP * FINE_PX[dtype] / UNIT_PX)
     names_of_moves = components(names)
     moves = [f.move for f in known.free]
     blind, weak = weak_directions(triangle, names_of_moves, axes_of(unit), BLIND[dtype], moves)

@@ -17,6 +17,8 @@ from ._view import FINE_PX
 UNIFORM, SAMPLED = 1 / 12, 1 / 6
 #: An outline that cuts off pixels' corners leaves less of that: 0.6 to 1 of it was found.
 CUT_CORNERS = 0.6
+#: Rounding leaves this many machine epsilons in a pixel of the outline.
+ROUNDING = 100
 #: As many samples a pixel at most are told from 8 bits.
 SAMPLES = 64
 #: Far from edges: this many px away.
@@ -77,12 +79,13 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     between = (image > threshold) & (image < 1 - threshold) & (weights > 0)
     counted = image[between]
     scale = float(np.mean(weights[between])) if counted.size else 1.0
-    # What the solver and the float types leave is the least.
-    least = max(FINE_PX[np.dtype(dtype)], 1000 * float(np.finfo(dtype).eps)) ** 2
+    # The least is rounding; the solver's last step may leave more.
+    rounding = ROUNDING * float(np.finfo(dtype).eps)
     if np.issubdtype(target.dtype, np.floating):
-        least = max(least, float(np.finfo(target.dtype).eps) ** 2)
+        rounding = max(rounding, float(np.finfo(target.dtype).eps))
     variance, step = _quantisation(counted)
-    least = scale * max(least, UNIFORM * step**2)
+    least = scale * max(rounding**2, UNIFORM * step**2)
+    variance = scale * max(variance, rounding**2, FINE_PX[np.dtype(dtype)] ** 2)
     if counted.size and np.mean(_shorter_run(between)[between] > 2) > WIDE_SHARE:
         width = _edge_width(image, between)
         left = (max(PER_WIDTH * (width - SHARP_WIDTH), LEAST_WIDE) + noise**2) * scale
@@ -90,7 +93,6 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     if noise > 0:
         variance = scale * noise**2 + least
         return Kind("noisy", variance, TIMES * variance if even else HARD * scale, least, even, far)
-    variance = max(variance * scale, least)
     # A renderer's 8 bits: some hundred samples a pixel, or its filter.
     most = TIMES * (SAMPLED / 1024 * scale if step == 1 / 255 else variance)
     return Kind("soft", variance, most, least, True)

@@ -24,15 +24,15 @@ STRIDES = np.deg2rad(1.5) * 2.0 ** np.arange(7)
 #: Steps of a descent from there on the last level, and how many descents one fit may take.
 STEPS, DESCENTS = 10, 240
 #: Cameras closer than this (rad), or this many standard errors, are one place.
-APART, SIGMAS = np.deg2rad(0.5), 4.0
+APART, SIGMAS = np.deg2rad(0.5), 1.5
 #: Places that differ by less than so many variances of a residual are equal: 5.5 standard errors.
 EQUAL_TIMES = 30.0
 #: ... along a walk, whose places are samples of many: what lies between may be better.
 WALK_TIMES = 100.0
 #: A direction that shows less than this share of the best-seen one is looked at on both sides, so
-#: many standard errors away (between these angles, rad): there the squares have to have risen by a
-#: share of what the Jacobian says.
-DOUBTFUL, DOUBT_SIGMAS, DOUBT_RAD, LEAST_RISE = 0.2, 12.0, np.deg2rad([1.5, 10]), 0.15
+#: many standard errors away and half as far (between these angles, rad): there the squares have to
+#: have risen by about as much as the Jacobian says, within these factors, and it has to show, too.
+DOUBTFUL, DOUBT_SIGMAS, DOUBT_RAD, RISE = 0.2, 12.0, np.deg2rad([4, 10]), (0.15, 10.0)
 #: So many equal places along a walk are no list of modes but a direction that is free.
 MANY = 4
 #: A body is near its mirror image if it reaches as far to within this share of its radius.
@@ -141,8 +141,8 @@ def _direction(solver: Solver, found: Found, value: float, vector: np.ndarray) -
 
 
 def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
-    """Return a turn or shift of which the Jacobian knows what the mask does not: where a part of
-    the object is just about to show, the residual rises on one side only."""
+    """Return a turn or shift of which the Jacobian does not tell what the mask does: where a part
+    of the object is just about to show, residuals rise on one side only, or far steeper there."""
     view, kind = found.view, solver.kind
     triangle = np.asarray(view.triangle, float)
     if not np.all(np.isfinite(triangle)) or (kind.exact and view.touched_misfit <= kind.most):
@@ -152,11 +152,15 @@ def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
         return []
     value, vector = weak[-1]
     direction = _direction(solver, found, value, vector)
-    far = np.clip(DOUBT_SIGMAS * direction.sigma, *DOUBT_RAD)
-    rise = (value * far * _radian(solver, found)) ** 2
-    for side in (far, -far):
-        there = solver.step(found.unit, solver.finest, side * _radian(solver, found) * vector)
-        if solver.look(there, -1).squares - view.squares < LEAST_RISE * rise:
+    far = np.clip(DOUBT_SIGMAS * direction.sigma, *DOUBT_RAD) * _radian(solver, found)
+    for part in (far, -far, far / 2, -far / 2):
+        there = solver.step(found.unit, solver.finest, part * vector)
+        other = solver.glance(there)
+        if not np.all(np.isfinite(np.asarray(other.triangle))):
+            continue
+        rise = (other.squares - view.squares) / (value * part) ** 2
+        blind = weak_moves(np.asarray(other.triangle, float), components(solver.names))
+        if blind or not RISE[0] < rise < RISE[1]:
             return [direction]
     return []
 

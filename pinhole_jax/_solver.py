@@ -192,6 +192,12 @@ class Solver:
                 return Found(unit, view, tuple(steps), tuple(way))
             # The view outgrew its buffers or window on the way: go on from there with larger ones.
 
+    def glance(self, unit: Camera) -> View:
+        """Return the view on the last level in buffers as they are: NaN where these are too
+        small."""
+        self._widen(unit)
+        return self._further(unit, self.levels[-1], 0.0, 1, self.capacity)[-1]
+
     def descended(self, unit: Camera, steps: int) -> Found:
         """Return what some steps on the finest level lead to, in buffers as they are: NaN where
         these do not suffice."""

@@ -1,6 +1,6 @@
 """Which cameras a fit tries, and which of those that it finds it keeps."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import tee
 from typing import Any
 
@@ -20,6 +20,8 @@ EXACT = 0.01
 #: A view that a search finds replaces the one near the start if it explains the mask as its kind
 #: allows, if the intersection over union of that is below `POOR`, or if it leaves so little.
 POOR, FAR_BETTER = 0.7, 0.5
+#: A fit that ends this far (rad) from its start has lost it, and looks elsewhere too.
+ASTRAY = np.deg2rad(40)
 #: Two views explain a mask that says nothing exact equally well if their sums of squares differ by
 #: less than this share.
 EQUAL = 0.05
@@ -57,15 +59,17 @@ def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> Places:
     if misfit <= max(content, EXACT):
         places = settled(solver, found, start)
         alike = [c for c in mirrored(solver, places.best) if angle(c, start) < NEAR_START]
-        places = with_others(solver, places, _followed(solver, iter(alike), 0.0, told))
+        places = with_others(solver, places, _finished(solver, alike))
         misfit = solver.misfit_above_noise(places.best.view)
-    if misfit > content:
+    explained = solver.kind.exact and misfit <= content
+    astray = not explained and angle(places.best.unit, start) > ASTRAY
+    if misfit > content or astray:
         others = everywhere(solver, mask, told, rounds=1)
         view, other = places.best.view, others.best.view
         lost = float(view.sums.overlap) < POOR * float(view.sums.union)
         better = other.squares < FAR_BETTER * view.squares
         # Nothing explains a mask that is wrong: stay with what is near the start.
-        if lost or better or solver.misfit_above_noise(other) <= content:
+        if lost or better or astray or solver.misfit_above_noise(other) <= content:
             places = with_others(solver, places, [others.best, *others.others], others.free)
     return _nearest_first(places, start)
 
@@ -129,8 +133,15 @@ def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> Place
         if solver.misfit_above_noise(found[0].view) < solver.kind.most:
             break
     places = settled(solver, found[0])
-    alike = _followed(solver, mirrored(solver, places.best), 0.0, told)
+    alike = _finished(solver, mirrored(solver, places.best))
     return with_others(solver, places, [*found[1:], *alike])
+
+
+def _finished(solver: Solver, views: Iterable[Camera]) -> list[Found]:
+    """Return where views that are nearly right lead to on the last levels. (Coarse ones do not tell
+    a tilt from its mirror image.)"""
+    levels = range(max(solver.finest - 1, 0), len(solver.levels))
+    return [solver.solve(view, levels) for view in views]
 
 
 def _followed(solver: Solver, likely: Iterator[Camera], apart: float, told: Told) -> list[Found]:
@@ -144,10 +155,10 @@ def _followed(solver: Solver, likely: Iterator[Camera], apart: float, told: Told
             seen += [guess, found[-1].unit]
             if len(found) == TRIED:
                 break
-    found = _one_of_each(found, solver.names)[:FOLLOWED] if found else []
+    found = _one_of_each(found, solver.names)[:FOLLOWED]
     for level in finer:
         found = [_onward(f, solver.solve(f.unit, [level], told)) for f in found]
-        found = _one_of_each(found, solver.names) if found else []
+        found = _one_of_each(found, solver.names)
         found = [f for f in found if f.view.misfit < 4 * found[0].view.misfit + EXACT]
     return found
 
