@@ -49,8 +49,9 @@ STATUSES = (
 
 #: Below this intersection over union a fit has found something else than the object.
 LEAST_IOU = 0.5
-#: More than this share of the outline far from the mask's edge is said in words.
-ASTRAY = 0.1
+#: More than this share of the outline far from the mask's edge is a misfit; where the mask is not
+#: explained anyway, less is said in words.
+ASTRAY, SOME = 0.1, 0.02
 #: Rounding leaves a root mean square residual of this many machine epsilons in a touched pixel.
 FLOOR = 1000
 #: A solver's last step is off by this share of what it calls negligible.
@@ -305,11 +306,11 @@ def report(
     nearly_free = bool(known.free or weak_moves(triangle, names_of_moves))
     astray = 1 - sums.touched / max(whole.touched, 1)
     explained = known.kind.explains(view.touched_misfit, nearly_free)
-    if astray > ASTRAY:
-        weak += (f"{astray:.0%} of the outline is far from the mask's edge: {WRONG}",)
-    elif known.kind.exact and not explained:
+    if known.kind.exact and not explained:
         off = sums.off / max(sums.touched, 1)
-        weak += (f"{off:.0%} of the outline is off by more than the mask's kind explains: {WRONG}",)
+        weak += (f"{off:.0%} of the outline is off by more than the mask's kind explains",)
+    if astray > (ASTRAY if explained else SOME):
+        weak += (f"{astray:.0%} of the outline is far from the mask's edge: {WRONG}",)
     explained = astray <= ASTRAY and (explained or not known.kind.exact)
     return Fit(
         camera=fitted,
