@@ -145,6 +145,29 @@ def test_sheets_on_the_grid_in_float32(name, exhaustive):
         np.testing.assert_allclose(image, by_pixel(half_pixels(spans, seed % 4)), atol=3e-5)
 
 
+def on_one_line(random):
+    """Return five triangles with corners on pixels' corners, a side of each on the same line."""
+    step = (
+        random.choice([-1, 1], 2)
+        * [[12, 7], [5, 13], [7, 11], [13, 12], [3, 13]][random.integers(5)]
+    )
+    corners = np.zeros((5, 3, 3))
+    starts = np.array([random.choice(19, 2, replace=False) - 9 for _ in range(5)])
+    corners[:, :2, :2] = random.integers(-6, 7, 2) + starts[..., None] * step
+    corners[:, 2, :2] = random.integers(-16, 17, (5, 2))
+    return corners.reshape(-1, 3) / 16, np.arange(15).reshape(-1, 3)
+
+
+def test_edges_on_one_line_through_pixels_corners(exhaustive):
+    # Where rounding lets one edge, and not the other, come into a pixel beside its corner.
+    for seed in range(10 * MANY if exhaustive else 2 * SOME):
+        vertices, faces = on_one_line(np.random.default_rng(seed))
+        expected = mesh_coverage(camera(seed % 4), vertices, faces)
+        scene = scene_of(vertices, faces)
+        image, _ = with_change(camera(seed % 4), scene, jnp.array([0.02, 0.03, 0]))
+        np.testing.assert_allclose(image, expected, atol=1e-13)
+
+
 @pytest.mark.parametrize("name", ["voxels", "boxes"])
 def test_solids_on_the_grid_match_the_polygon_union(name, exhaustive):
     for seed in range(MANY if exhaustive else SOME):
