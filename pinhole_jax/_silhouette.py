@@ -72,7 +72,8 @@ def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Arr
     radii is exact as well: the visible contour's normal velocity. Coverage is not differentiable
     where a face is seen edge-on, where contours coincide over a length, where one runs along a
     pixel's side, and where a sphere touches the eye; there it is the derivative of the contour as
-    it is (of one of the coinciding pieces), which is a one-sided derivative, and it is finite.
+    it is (of one of the coinciding pieces), which is a one-sided derivative, and it is finite. A
+    contour along a pixel's side counts for the pixel above it or to its right.
     """
     return _silhouette(camera, scene, overlaps)
 

@@ -191,8 +191,8 @@ def overlaps(marks: Marks, winding: Float[Array, "*N"]) -> Bool[Array, "*N"]:
 
 
 def inward(pieces: Pieces) -> Float[Array, "P"]:
-    """Return how far a pixel's centre is on the side of a piece where there are more layers, times
-    the layers and the piece's length."""
+    """Return how far a pixel's centre is on the side of each piece where there are more layers,
+    times its layers and its length (px^2)."""
     dx, dy = jnp.moveaxis(pieces.end - pieces.start, -1, 0)
     corner = jnp.stack([pieces.column, pieces.row], axis=-1).astype(dx.dtype)
     x, y = jnp.moveaxis(corner + 0.5 - pieces.start, -1, 0)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 from oracles import mesh_coverage
 
 import pinhole_jax as pj
@@ -59,7 +60,7 @@ def joined(parts):
     return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
 
 
-#: Where sheets have their corners: quarter units, single pixels, half pixels, and some again.
+#: How far apart sheets' corners are: 4 pixels, one, a half.
 STEPS = {"quarters": 1 / 4, "pixels": 1 / 16, "half pixels": 1 / 32}
 
 
@@ -88,7 +89,7 @@ def scene_of(vertices, faces, dtype=float) -> pj.Scene:
 
 
 def half_pixels(spans, turn) -> np.ndarray:
-    """Return which half pixels the rectangles cover, row 0 at the bottom, with a margin of one."""
+    """Return which half pixels the rectangles cover, row 0 at the bottom, and 2 around."""
     margin = 2
     covered = np.zeros((2 * (H + margin), 2 * (W + margin)))
     basis = np.stack([right(turn), UP[turn]])[:, :2]
@@ -147,10 +148,8 @@ def test_sheets_on_the_grid_in_float32(name, exhaustive):
 
 def on_one_line(random):
     """Return five triangles with corners on pixels' corners, a side of each on the same line."""
-    step = (
-        random.choice([-1, 1], 2)
-        * [[12, 7], [5, 13], [7, 11], [13, 12], [3, 13]][random.integers(5)]
-    )
+    steps = np.array([[12, 7], [5, 13], [7, 11], [13, 12], [3, 13]])
+    step = random.choice([-1, 1], 2) * steps[random.integers(5)]
     corners = np.zeros((5, 3, 3))
     starts = np.array([random.choice(19, 2, replace=False) - 9 for _ in range(5)])
     corners[:, :2, :2] = random.integers(-6, 7, 2) + starts[..., None] * step
@@ -208,6 +207,33 @@ def test_residuals_on_the_grid_are_exact_where_known(name, exhaustive):
         row, column = np.divmod(np.asarray(touched.cell)[known], W + 2)
         pixel = H - 1 - row, column - 1
         covered = half_pixels(spans, turn)
-        np.testing.assert_allclose(coverage[known], by_pixel(covered)[pixel], atol=5e-14)
+        np.testing.assert_allclose(
+            np.asarray(coverage)[known], by_pixel(covered)[pixel], atol=5e-14
+        )
         expected = shifted_change(covered, 0.7, 0.4)[pixel]
-        np.testing.assert_allclose(change[known], expected, atol=1e-12)
+        np.testing.assert_allclose(np.asarray(change)[known], expected, atol=1e-12)
+
+
+def borders(covered) -> shapely.Geometry:
+    """Return the half pixels' sides with cover on one side only, in film coordinates."""
+    row, column = np.nonzero(np.diff(covered, axis=1))
+    upright = [(column + 1, row), (column + 1, row + 1)]
+    row, column = np.nonzero(np.diff(covered, axis=0))
+    level = [(column, row + 1), (column + 1, row + 1)]
+    sides = np.concatenate([np.array(x).transpose(2, 0, 1) for x in (upright, level)])
+    return shapely.union_all(shapely.linestrings(sides / 2 - 1))
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_the_outline_on_the_grid_is_the_union_s_border(name):
+    frame = shapely.box(0.01, 0.01, W - 0.01, H - 0.01)
+    for seed in range(SOME):
+        (vertices, faces), spans = sheets(np.random.default_rng(seed), name)
+        # Three corners on a line: a face of no area bounds nothing.
+        vertices = np.concatenate([vertices, [[-1, 0.5, 0], [1.1, -0.2, 0], [0.05, 0.15, 0]]])
+        faces = np.concatenate([faces, [[len(vertices) - 3, len(vertices) - 2, len(vertices) - 1]]])
+        outline = pj.plot.outline(camera(seed % 4), pj.Scene(mesh=pj.Mesh(vertices, faces)))
+        drawn = shapely.intersection(shapely.linestrings(outline), frame)
+        expected = borders(half_pixels(spans, seed % 4)).intersection(frame)
+        assert expected.difference(shapely.union_all(drawn).buffer(1e-6)).length < 1e-4
+        assert np.sum(shapely.length(shapely.difference(drawn, expected.buffer(1e-6)))) < 1e-4
