@@ -17,8 +17,9 @@ from ._curves import Arcs, Segments, film_at
 from ._rays import project
 from ._scene import Mesh, Scene, Spheres, astype
 
-#: Outline points are at most this far apart (px).
+#: Outline points are at most this far apart (px), and no closer than that.
 STEP_PX = 2.0
+LEAST_PX = 1e-6
 
 
 def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
@@ -33,19 +34,17 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     turned = weight < 0  # cover on the right: the same contour run the other way
     start[turned], end[turned] = end[turned], start[turned]
     weight = np.abs(weight)
-    length = np.linalg.norm(end - start, axis=1)
-    counts = np.clip(np.ceil(length / STEP_PX), 1, 10_000).astype(int)
-    of = np.repeat(np.arange(len(counts)), counts)
-    first = np.cumsum(counts) - counts
-    part = ((np.arange(len(of)) - first[of]) / counts[of])[:, None]
+    of, first, last = _short_parts(start, end)
     along = (end - start)[of]
-    short = np.stack(
-        [start[of] + part * along, start[of] + (part + 1 / counts[of][:, None]) * along], 1
-    )
-    # A point just outside: to the right, with cover on the left.
+    short = np.stack([start[of] + t[:, None] * along for t in (first, last)], axis=1)
+    # Points just outside and inside: with cover on the left. (A face of no area has none.)
     direction = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
-    outside = short.mean(axis=1) + 1e-3 * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
-    visible = _winding(outside, start, end, weight) + int(base) <= 0
+    right = 1e-3 * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
+    outside, inside = (
+        _winding(short.mean(axis=1) + side, start, end, weight) + int(base)
+        for side in (right, -right)
+    )
+    visible = (outside <= 0) & (inside > 0)
     lens = bend(camera)
     if lens is None:
         return short[visible]
@@ -133,6 +132,45 @@ def _pieces(
         parts.append((*ends, np.ones(len(ends[0]))))
     start, end, weight = (np.concatenate(x) for x in zip(*parts, strict=True))
     return start, end, weight
+
+
+def _short_parts(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the lines' parts, cut where they meet others and every `STEP_PX`: the line's number,
+    and from where to where along it (0 to 1)."""
+    length = np.linalg.norm(end - start, axis=1)
+    counts = np.clip(np.ceil(length / STEP_PX), 1, 10_000).astype(int)
+    of = np.repeat(np.arange(len(counts)), counts + 1)
+    step = np.arange(len(of)) - (np.cumsum(counts + 1) - counts - 1)[of]
+    line, along = _meetings(start, end)
+    of, along = np.append(of, line), np.append(step / counts[of], along)
+    order = np.lexsort((along, of))
+    of, along = of[order], along[order]
+    gap = np.append(np.diff(along), -1)
+    parts = np.flatnonzero((np.append(np.diff(of), 1) == 0) & (gap * length[of] > LEAST_PX))
+    return of[parts], along[parts], along[parts + 1]
+
+
+def _meetings(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where lines meet others that are not parallel: their numbers, how far along (0 to 1).
+
+    Where lines run on one another, those that they go on as tell where that begins and ends.
+    """
+    low, high = np.minimum(start, end) - LEAST_PX, np.maximum(start, end) + LEAST_PX
+    cross = lambda a, b: a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    lines, along = [np.zeros(0, int)], [np.zeros(0)]
+    for begin in range(0, len(start), 512):
+        some = slice(begin, begin + 512)
+        apart = (low[some, None] > high[None]) | (low[None] > high[some, None])
+        one, other = np.nonzero(~apart.any(axis=2))
+        one = one + begin
+        own, theirs = end[one] - start[one], end[other] - start[other]
+        turn, offset = cross(own, theirs), start[other] - start[one]
+        safe = np.where(turn == 0, 1, turn)
+        t, reach = cross(offset, theirs) / safe, cross(offset, own) / safe
+        met = (turn != 0) & (t > 0) & (t < 1) & (np.abs(reach - 0.5) < 0.5 + 1e-9)
+        lines.append(one[met])
+        along.append(t[met])
+    return np.concatenate(lines), np.concatenate(along)
 
 
 def _winding(

@@ -33,7 +33,7 @@ from ._coverage import monotone, piece_counts, split
 from ._curves import Curves, moved, piece_flux, placed
 from ._scene import Scene
 from ._target import Level, Pyramid, level_slice
-from ._union import Marks, chain_layers, marks, overlaps
+from ._union import Marks, chain_layers, inward, marks, overlaps
 
 MAX_ROWS = 1 << 14
 #: A pixel that is covered, or uncovered, but for less than this shows no outline.
@@ -161,13 +161,17 @@ def _part(level: Level) -> FilmPart:
 
 
 class _Sorted(NamedTuple):
-    """All pieces, by pixel; `change` is a function whose derivative is that of a piece's area."""
+    """All pieces, by pixel; `change` is a function whose derivative is that of a piece's area.
+
+    `inward` is positive where the pixel's centre is on the side of more layers.
+    """
 
     cell: Int[Array, "P"]
     height: Float[Array, "P"]
     area: Float[Array, "P"]
     marks: Marks
     change: Float[Array, "P"]
+    inward: Float[Array, "P"]
 
 
 def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
@@ -189,7 +193,8 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
         rate = piece_flux(jax.lax.stop_gradient(own), curves, pieces.start, pieces.end)
         inside = pieces.valid & (pieces.column >= 0) & (pieces.column < level.W)
         rate = jnp.where(inside[:, None, None], -pieces.jump[:, None, None] * rate, 0)
-        found.append(_Sorted(cell, pieces.height, pieces.area, marks(pieces), moved(own, rate)))
+        sizes = pieces.height, pieces.area, marks(pieces)
+        found.append(_Sorted(cell, *sizes, moved(own, rate), inward(pieces)))
     none = (jnp.int32(0), jnp.int32(0))
     (edges, edge_pieces), (arcs, arc_pieces) = (totals.get(k, none) for k in ("edges", "arcs"))
     together = jax.tree.map(lambda *x: jnp.concatenate(x), *found)
@@ -227,7 +232,7 @@ def _by_pixel(pieces: _Sorted, base: Int[Array, ""], level: Level) -> Touched:
     P = pieces.cell.shape[0]
     end = level.H * (level.W + 2)
     order = jnp.argsort(pieces.cell)
-    cell, height, area, marked, change = jax.tree.map(lambda x: x[order], pieces)
+    cell, height, area, marked, change, inner = jax.tree.map(lambda x: x[order], pieces)
     new = jnp.append(jnp.ones(1, bool), cell[1:] != cell[:-1])
     slot = jnp.cumsum(new) - 1
     # Curves right of the film are left out: each row is summed up by itself.
@@ -251,7 +256,10 @@ def _by_pixel(pieces: _Sorted, base: Int[Array, ""], level: Level) -> Touched:
     fold = (chain_layers(marked) == 2) & ((least < 1) | ~level.strict)
     known = ~overlaps(marked, winding) | fold | ~level.strict
     share = jnp.where(fold, winding / 2, winding)
-    moves = known & (share > 0) & (share < 1)
+    # A contour along the pixel's side bounds its first layer, or a second one beside it.
+    tie = 64 * jnp.finfo(share.dtype).eps
+    below_one = jnp.where(jnp.abs(share - 1) < tie, gather(inner) > 0, share < 1)
+    moves = known & below_one
     growth = jnp.where(moves, gather(change) / jnp.where(fold, 2, 1), 0)
     coverage = jnp.clip(share, 0, 1) + growth - jax.lax.stop_gradient(growth)
     return Touched(cells, inside, known, coverage, winding_after > 0.5, base > 0)

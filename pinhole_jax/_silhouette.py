@@ -72,7 +72,8 @@ def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Arr
     radii is exact as well: the visible contour's normal velocity. Coverage is not differentiable
     where a face is seen edge-on, where contours coincide over a length, where one runs along a
     pixel's side, and where a sphere touches the eye; there it is the derivative of the contour as
-    it is (of one of the coinciding pieces), which is a one-sided derivative, and it is finite.
+    it is (of one of the coinciding pieces), which is a one-sided derivative, and it is finite. A
+    contour along a pixel's side counts for the pixel above it or to its right.
     """
     return _silhouette(camera, scene, overlaps)
 
@@ -238,7 +239,11 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
         corner = corner.reshape(-1)
     none = jnp.zeros((H, W), bool)
     crowded = none if marked is None else overlaps(marked, winding)
-    alone = ~crowded & (winding > 0) & (winding < 1)
+    tie = 64 * jnp.finfo(dtype).eps
+    if keep and marked is not None:
+        # A contour along the pixel's side, of whose layers the mean does not tell which it bounds.
+        crowded |= (marked.layers > 0) & (jnp.abs(winding - 1) < tie)
+    alone = ~crowded & (winding < 1 + tie)
     kept = [nothing_kept(part) for part in parts if keep and told]
     pixels = _Pixels(alone.reshape(-1), select(crowded.reshape(-1)), corner, kept)
     image = jnp.where(crowded, 0, jnp.clip(winding, 0, 1)).reshape(-1)

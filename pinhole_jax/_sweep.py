@@ -22,10 +22,10 @@ LANES = 64
 class Cells(NamedTuple):
     """Up to `WIDE` pieces in each cell.
 
-    `piece` is a piece's lower and upper end (x, y, x, y), in cell units from the cell's corner, its
-    `jump`, and 0 if it does not pass the row's bottom, 2 if it is the first that does, else 1 (see
-    `Pieces`). `owner` is the number of its part, -1 for none,
-    and of its curve there. `total` may exceed `WIDE`.
+    `piece` is a piece's lower and upper end (x, y, x, y), in cell units from the cell's corner; 0
+    if its curve does not pass the row's bottom, 2 if it is the first that does, else 1 (see
+    `Pieces`); and its `jump`. `owner` is the number of its part, -1 for none, and of its curve
+    there. `total` may exceed `WIDE`.
     """
 
     piece: Float[Array, "C M 6"]
@@ -55,22 +55,22 @@ def insert(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, curve: Array, pa
     number, dtype = cells.total.shape[0], cells.piece.dtype
     origin = jnp.stack([pieces.column, pieces.row] * 2, axis=-1).astype(dtype)
     ends = jnp.concatenate([pieces.start, pieces.end], axis=1) - origin
-    # Equal pieces come together by a key made of their ends; if others do, no harm is done.
-    key = jnp.sum(ends * jnp.array([[1, 0.37, 1.73, 2.91]], dtype), axis=1)
+    passes = jnp.where(pieces.passes, 1 + pieces.first.astype(jnp.int32), 0).astype(dtype)
+    piece = jnp.concatenate([ends, passes[:, None], pieces.jump[:, None]], axis=1)
+    # Equal pieces come together by a key; if others do, no harm is done.
+    key = jnp.sum(piece[:, :5] * jnp.array([[1, 0.37, 1.73, 2.91, 5.19]], dtype), axis=1)
     index = jnp.arange(cell.shape[0], dtype=jnp.int32)
     cell, _, order = jax.lax.sort((cell, key, index), num_keys=2)
-    passes = jnp.where(pieces.passes, 1 + pieces.first.astype(jnp.int32), 0)
-    rest = jnp.stack([pieces.jump, passes.astype(dtype)], axis=1)
-    piece = jnp.concatenate([ends, rest], axis=1)[order]
+    piece = piece[order]
     opens = jnp.append(jnp.ones(1, bool), cell[1:] != cell[:-1])
-    differs = jnp.any(piece[1:, :4] != piece[:-1, :4], axis=1)
+    differs = jnp.any(piece[1:, :5] != piece[:-1, :5], axis=1)
     leads = opens | jnp.append(jnp.ones(1, bool), differs)
     leader = jax.lax.cummax(jnp.where(leads, index, 0))
-    jump = jnp.zeros(cell.shape[0], dtype).at[leader].add(piece[:, 4])
+    jump = jnp.zeros(cell.shape[0], dtype).at[leader].add(piece[:, 5])
 
     there = jnp.minimum(cell, number - 1)
     same = (cells.owner[there][..., 0] == part) & jnp.all(
-        cells.piece[there][..., :4] == piece[:, None, :4], axis=-1
+        cells.piece[there][..., :5] == piece[:, None, :5], axis=-1
     )
     known = jnp.any(same, axis=1)
     fresh = leads & ~known & (cell < number)
@@ -80,7 +80,7 @@ def insert(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, curve: Array, pa
     slot = cells.total[there] + newcomers - 1 - before
     slot = jnp.where(known, jnp.argmax(same, axis=1).astype(jnp.int32), slot)
     # One addition serves both: a fresh piece falls on zeros, a known one adds its jump alone.
-    none = jnp.where(fresh[:, None], piece, 0).at[:, 4].set(jump)
+    none = jnp.where(fresh[:, None], piece, 0).at[:, 5].set(jump)
     slot = jnp.where(fresh | (known & leads), slot, WIDE)
     owner = jnp.stack([jnp.full_like(cell, part), curve[order]], axis=1)
     return Cells(
@@ -108,27 +108,31 @@ class _Lines(NamedTuple):
 
 def _along_x(cells: Cells) -> _Lines:
     """Return the pieces as a line sweeps them that moves to the right."""
-    x0, y0, x1, y1, jump, passes = jnp.moveaxis(cells.piece, -1, 0)
+    x0, y0, x1, y1, passes, jump = jnp.moveaxis(cells.piece, -1, 0)
     right = x1 >= x0
-    rises = (y0 == 0) & (passes == 2)
-    nothing = jnp.zeros_like(jump)
+    # The corner is just above the row's bottom, the border here just below what lies on it.
+    level = passes == 0
+    enters = jnp.where(level | ((y0 == 0) & (passes == 2)), jump, 0)
+    leaves = jnp.where(level, -jump, 0)
+    halt, step = jnp.concatenate([x0, x1], axis=1), jnp.concatenate([enters, leaves], axis=1)
     return _Lines(
         jnp.minimum(x0, x1),
         jnp.where(right, y0, y1),
         jnp.maximum(x0, x1),
         jnp.where(right, y1, y0),
         jnp.where(right, -jump, jump),
-        jnp.concatenate([x0, nothing], axis=1),
-        jnp.concatenate([jnp.where(rises, jump, 0), nothing], axis=1),
+        halt,
+        step,
     )
 
 
 def _along_y(cells: Cells) -> _Lines:
     """Return the pieces as a line sweeps them that moves up."""
-    x0, y0, x1, y1, jump, passes = jnp.moveaxis(cells.piece, -1, 0)
-    # One that comes in at the corner itself has met the row's bottom in the cell before.
+    x0, y0, x1, y1, passes, jump = jnp.moveaxis(cells.piece, -1, 0)
+    # One that comes in at the corner itself has met the row's bottom in the cell before, and what
+    # lies on the row's bottom is below the corner.
     enters = jnp.where((x0 == 0) & ((y0 > 0) | (passes == 1)), -jump, 0)
-    leaves = jnp.where(x1 == 0, jump, 0)
+    leaves = jnp.where((x1 == 0) & (passes > 0), jump, 0)
     halt, step = jnp.concatenate([y0, y1], axis=1), jnp.concatenate([enters, leaves], axis=1)
     return _Lines(y0, x0, y1, x1, jump, halt, step)
 

@@ -190,6 +190,15 @@ def overlaps(marks: Marks, winding: Float[Array, "*N"]) -> Bool[Array, "*N"]:
     return (layers > 0) & (chain_layers(marks) != 1) & (winding <= layers)
 
 
+def inward(pieces: Pieces) -> Float[Array, "P"]:
+    """Return how far a pixel's centre is on the side of each piece where there are more layers,
+    times its layers and its length (px^2)."""
+    dx, dy = jnp.moveaxis(pieces.end - pieces.start, -1, 0)
+    corner = jnp.stack([pieces.column, pieces.row], axis=-1).astype(dx.dtype)
+    x, y = jnp.moveaxis(corner + 0.5 - pieces.start, -1, 0)
+    return pieces.jump * (dy * x - dx * y)
+
+
 def turns(pieces: Pieces) -> Float[Array, "P"]:
     """Return by how much a row's winding number, at its bottom line, jumps at each piece.
 

@@ -1,0 +1,244 @@
+"""Scenes on the pixel grid, where edges coincide with one another, with pixels' sides and corners.
+
+Sheets in one plane are counted on a grid of half pixels, exactly; solids against the polygon union.
+Each kind has one number of edges, so that all scenes of a kind share a compiled program.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+from oracles import mesh_coverage
+
+import pinhole_jax as pj
+from pinhole_jax._parameters import canonical
+from pinhole_jax._residuals import Capacity, touch
+from pinhole_jax._scene import padded
+from pinhole_jax._target import pyramid
+
+W, H = 40, 32
+UP = np.array([[0, 1, 0], [1, 0, 0], [0, -1, 0], [-1, 0, 0]])
+HALVES = 32  # half pixels to a unit, in the plane z = 0
+BOX = [[0, 3, 1], [0, 2, 3], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4]]
+BOX += [[2, 7, 3], [2, 6, 7], [0, 4, 6], [0, 6, 2], [1, 3, 7], [1, 7, 5]]
+SOME, MANY = 24, 400
+CAPACITY = Capacity(64, 2048, 0)
+
+
+def camera(turn, dtype=float) -> pj.Camera:
+    """Return a camera that sees 16 pixels to a unit of z = 0, turned by so many right angles."""
+    arrays = ([0, 0, 4], [0, 0, 0], UP[turn], 2 * np.arctan(0.25), 1.0)
+    return pj.Camera(*(np.asarray(x, dtype) for x in arrays), W, H)
+
+
+def right(turn) -> np.ndarray:
+    return np.cross([0, 0, -1], UP[turn])
+
+
+def interval(random, low, high, step):
+    return np.sort(random.choice(np.arange(low, high + 1), 2, replace=False)) * step
+
+
+def sheet(random, low_high):
+    """Return a rectangle in z = 0, wound and halved one way or the other."""
+    (x0, x1), (y0, y1) = low_high
+    vertices = [[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]]
+    faces = np.array([[[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]][random.integers(2)])
+    return np.array(vertices, float), faces[:, :: random.choice([1, -1])]
+
+
+def box(low, high):
+    corners = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1)
+    return low + corners.reshape(-1, 3)[:, ::-1] * np.subtract(high, low), np.array(BOX)
+
+
+def joined(parts):
+    sizes = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
+    faces = [faces + first for (_, faces), first in zip(parts, sizes, strict=False)]
+    return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
+
+
+#: How far apart sheets' corners are: 4 pixels, one, a half.
+STEPS = {"quarters": 1 / 4, "pixels": 1 / 16, "half pixels": 1 / 32}
+
+
+def sheets(random, name):
+    """Return eight rectangles, the last two of them copies, and their intervals."""
+    spans = [[interval(random, -5, 5, STEPS[name]) for _ in range(2)] for _ in range(6)]
+    spans += spans[:2]
+    return joined([sheet(random, span) for span in spans]), spans
+
+
+def solids(random, name):
+    """Return three boxes below z = 0, or cubes of a voxel grid, and a sheet upon them."""
+    step = {"voxels": 1 / 2, "boxes": 1 / 4}[name]
+    parts = [sheet(random, [interval(random, -2, 2, step) for _ in range(2)])]
+    for _ in range(3):
+        if name == "voxels":
+            low = random.integers(-1, 1, 3) / 2 - [0, 0, 1 / 2]
+            parts.append(box(low, low + 1 / 2))
+        else:
+            spans = np.array([interval(random, -4, 4, step) for _ in range(3)]).T
+            parts.append(box(*spans - [0, 0, 1]))
+    return joined(parts)
+
+
+def scene_of(vertices, faces, dtype=float) -> pj.Scene:
+    return padded(pj.Scene(mesh=pj.Mesh(vertices.astype(dtype), faces)))
+
+
+def half_pixels(spans, turn) -> np.ndarray:
+    """Return which half pixels the rectangles cover, row 0 at the bottom, and 2 around."""
+    margin = 2
+    covered = np.zeros((2 * (H + margin), 2 * (W + margin)))
+    basis = np.stack([right(turn), UP[turn]])[:, :2]
+    for (x0, x1), (y0, y1) in spans:
+        ends = np.sort(basis @ [[x0, x1], [y0, y1]], axis=1) * HALVES + [[W + margin], [H + margin]]
+        assert np.all(ends == np.round(ends))
+        (left, to), (low, high) = np.maximum(ends, 0).astype(int)
+        covered[low:high, left:to] = 1
+    return covered
+
+
+def by_pixel(halves) -> np.ndarray:
+    means = halves.reshape(H + 2, 2, W + 2, 2).sum(axis=(1, 3)) / 4
+    return means[::-1][1:-1, 1:-1]
+
+
+def shifted_change(covered, across, up) -> np.ndarray:
+    """Return how fast pixels fill when all moves to the right and up, by so many px."""
+    own = covered
+    change = across * (np.roll(own, 1, axis=1) - own) + up * (np.roll(own, 1, axis=0) - own)
+    return by_pixel(2 * change)
+
+
+@eqx.filter_jit
+def with_change(camera, scene, direction):
+    """Return the image and its derivative where all vertices move alike."""
+    mesh = scene.mesh
+    moved = lambda v: eqx.tree_at(lambda s: s.mesh.vertices, scene, v)
+    velocity = jnp.broadcast_to(direction, mesh.vertices.shape)
+    return jax.jvp(lambda v: pj.silhouette(camera, moved(v)), (mesh.vertices,), (velocity,))
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_sheets_on_the_grid_and_their_derivative_are_exact(name, exhaustive):
+    for seed in range(MANY if exhaustive else SOME):
+        random = np.random.default_rng(seed)
+        (vertices, faces), spans = sheets(random, name)
+        turn = seed % 4
+        across, up = random.uniform(0.1, 1, 2)
+        direction = (across * right(turn) + up * UP[turn]) / 16
+        image, change = with_change(camera(turn), scene_of(vertices, faces), jnp.array(direction))
+        covered = half_pixels(spans, turn)
+        np.testing.assert_allclose(image, by_pixel(covered), atol=5e-14)
+        # On a pixel's side an edge counts for the pixel above or right of it.
+        np.testing.assert_allclose(change, shifted_change(covered, across, up), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_sheets_on_the_grid_in_float32(name, exhaustive):
+    for seed in range(MANY if exhaustive else SOME):
+        (vertices, faces), spans = sheets(np.random.default_rng(seed), name)
+        scene = scene_of(vertices, faces, np.float32)
+        image = pj.silhouette(camera(seed % 4, np.float32), scene)
+        np.testing.assert_allclose(image, by_pixel(half_pixels(spans, seed % 4)), atol=3e-5)
+
+
+def on_one_line(random):
+    """Return five triangles with corners on pixels' corners, a side of each on the same line."""
+    steps = np.array([[12, 7], [5, 13], [7, 11], [13, 12], [3, 13]])
+    step = random.choice([-1, 1], 2) * steps[random.integers(5)]
+    corners = np.zeros((5, 3, 3))
+    starts = np.array([random.choice(19, 2, replace=False) - 9 for _ in range(5)])
+    corners[:, :2, :2] = random.integers(-6, 7, 2) + starts[..., None] * step
+    corners[:, 2, :2] = random.integers(-16, 17, (5, 2))
+    return corners.reshape(-1, 3) / 16, np.arange(15).reshape(-1, 3)
+
+
+def test_edges_on_one_line_through_pixels_corners(exhaustive):
+    # Where rounding lets one edge, and not the other, come into a pixel beside its corner.
+    for seed in range(10 * MANY if exhaustive else 2 * SOME):
+        vertices, faces = on_one_line(np.random.default_rng(seed))
+        expected = mesh_coverage(camera(seed % 4), vertices, faces)
+        scene = scene_of(vertices, faces)
+        image, _ = with_change(camera(seed % 4), scene, jnp.array([0.02, 0.03, 0]))
+        np.testing.assert_allclose(image, expected, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", ["voxels", "boxes"])
+def test_solids_on_the_grid_match_the_polygon_union(name, exhaustive):
+    for seed in range(MANY if exhaustive else SOME):
+        vertices, faces = solids(np.random.default_rng(seed), name)
+        turn = seed % 4
+        expected = mesh_coverage(camera(turn), vertices, faces)
+        image, _ = with_change(camera(turn), scene_of(vertices, faces), jnp.array([0.02, 0.03, 0]))
+        np.testing.assert_allclose(image, expected, atol=5e-14)
+        single = scene_of(vertices, faces, np.float32)
+        image = pj.silhouette(camera(turn, np.float32), single)
+        np.testing.assert_allclose(image, expected, atol=3e-5)
+
+
+@eqx.filter_jit
+def touched_with_change(camera, scene, level, direction):
+    """Return what residuals know of pixels, and their coverage's derivative where all moves."""
+    vertices = scene.mesh.vertices
+    velocity = jnp.broadcast_to(direction, vertices.shape)
+
+    def coverage(vertices):
+        moved = eqx.tree_at(lambda s: s.mesh.vertices, scene, vertices)
+        touched, load = touch(canonical(camera), moved, level, CAPACITY)
+        return touched.coverage, (touched, load.fits(CAPACITY))
+
+    return jax.jvp(coverage, (vertices,), (velocity,), has_aux=True)
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_residuals_on_the_grid_are_exact_where_known(name, exhaustive):
+    _, levels = pyramid(np.zeros((H, W)), np.ones((H, W)), float)
+    level = levels[-1]._replace(strict=jnp.bool_(True))
+    for seed in range(MANY if exhaustive else SOME):
+        (vertices, faces), spans = sheets(np.random.default_rng(seed), name)
+        turn = seed % 4
+        direction = jnp.array((0.7 * right(turn) + 0.4 * UP[turn]) / 16)
+        scene = scene_of(vertices, faces)
+        coverage, change, (touched, fits) = touched_with_change(
+            camera(turn), scene, level, direction
+        )
+        assert bool(fits)
+        known = np.asarray(touched.inside & touched.known)
+        row, column = np.divmod(np.asarray(touched.cell)[known], W + 2)
+        pixel = H - 1 - row, column - 1
+        covered = half_pixels(spans, turn)
+        np.testing.assert_allclose(
+            np.asarray(coverage)[known], by_pixel(covered)[pixel], atol=5e-14
+        )
+        expected = shifted_change(covered, 0.7, 0.4)[pixel]
+        np.testing.assert_allclose(np.asarray(change)[known], expected, atol=1e-12)
+
+
+def borders(covered) -> shapely.Geometry:
+    """Return the half pixels' sides with cover on one side only, in film coordinates."""
+    row, column = np.nonzero(np.diff(covered, axis=1))
+    upright = [(column + 1, row), (column + 1, row + 1)]
+    row, column = np.nonzero(np.diff(covered, axis=0))
+    level = [(column, row + 1), (column + 1, row + 1)]
+    sides = np.concatenate([np.array(x).transpose(2, 0, 1) for x in (upright, level)])
+    return shapely.union_all(shapely.linestrings(sides / 2 - 1))
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_the_outline_on_the_grid_is_the_union_s_border(name):
+    frame = shapely.box(0.01, 0.01, W - 0.01, H - 0.01)
+    for seed in range(SOME):
+        (vertices, faces), spans = sheets(np.random.default_rng(seed), name)
+        # Three corners on a line: a face of no area bounds nothing.
+        vertices = np.concatenate([vertices, [[-1, 0.5, 0], [1.1, -0.2, 0], [0.05, 0.15, 0]]])
+        faces = np.concatenate([faces, [[len(vertices) - 3, len(vertices) - 2, len(vertices) - 1]]])
+        outline = pj.plot.outline(camera(seed % 4), pj.Scene(mesh=pj.Mesh(vertices, faces)))
+        drawn = shapely.intersection(shapely.linestrings(outline), frame)
+        expected = borders(half_pixels(spans, seed % 4)).intersection(frame)
+        assert expected.difference(shapely.union_all(drawn).buffer(1e-6)).length < 1e-4
+        assert np.sum(shapely.length(shapely.difference(drawn, expected.buffer(1e-6)))) < 1e-4
