@@ -12,11 +12,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ._fit import STATUSES
+from ._parameters import NAMES
+
 EPILOG = """\
 camera files are JSON with the parameters of Frisvad's note, world units and radians:
   {"e": [x, y, z], "p": [x, y, z], "u": [x, y, z], "phi": 0.6, "d": 1, "W": 256, "H": 256}
 eye e, view point p, up u, vertical field of view phi, camera constant d, resolution W x H; "lens"
-may add {"principal_point": [x, y], "aspect": 1} (px, origin at the bottom left, y up).
+may add {"principal_point": [x, y], "aspect": 1} (px, origin at the bottom left, y up), and in it
+  "distortion": {"model": "BrownConrady", "k1": 0, "k2": 0, "p1": 0, "p2": 0, "k3": 0}
+which is OpenCV's, or of its fisheye {"model": "Fisheye", "k1": 0, "k2": 0, "k3": 0, "k4": 0}.
 Masks are grey images (white is the object), or images whose transparency is the mask; --mask-from
 reads others:
   alpha                 the transparency
@@ -29,6 +34,10 @@ Pictures are PNG, JPEG, TIFF, WebP, BMP or PNM. What is written replaces a file;
 a pipe it is written through, and devices are refused.
 """
 
+STATUS = "\n".join(
+    ["the status of a fit is converged where its camera is to be trusted, else why it is not:"]
+    + [f"  {status:16}{meaning}" for status, meaning in STATUSES.items()]
+)
 
 CONVERT = """\
 Turn the cameras of IN into another program's file. Formats, and the endings that ask for them:
@@ -71,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
         "Writes camera.json and overlay.png, prints parameters with their standard errors.\n"
         "Photos that were taken sideways are turned upright as their EXIF data say.\n"
         "Exit status: 0 converged, 1 not to be trusted (the status says why), 2 bad input.",
-        epilog=EPILOG,
+        epilog=f"{STATUS}\n\n{EPILOG}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     fit.add_argument("mesh", metavar="MESH", help="triangles: obj, ply, stl, glb, gltf or off")
@@ -88,8 +97,9 @@ def _parser() -> argparse.ArgumentParser:
         "--free",
         default="pose",
         metavar="NAMES",
-        help="what to fit, with commas: pose (or position, orientation), phi, d, principal_point,"
-        " aspect; the rest stays as it is at the start (default: %(default)s)",
+        help=f"what to fit, with commas, of {', '.join(NAMES)}: pose is position and orientation,"
+        " phi and d are the focal length in two ways, distortion is all coefficients of the lens;"
+        " the rest stays as it is at the start (default: %(default)s)",
     )
     fit.add_argument(
         "--mask-from", metavar="HOW", help="how to read MASK, see below (default: at first sight)"
@@ -241,7 +251,7 @@ def table(fit: Any) -> str:
     for row in parameters(fit):
         value = "-" if row.value is None else f"{row.value:.6g}"
         lines.append(f"{row.words:<28}{value:>14}{row.std:>14.2g}  {row.unit}".rstrip())
-    lines.append(f"status     {fit.status}")
+    lines.append(f"status     {fit.status}   ({STATUSES[fit.status]})")
     lines.append(f"IoU        {fit.iou:.4f}   (rms of coverage {fit.rms:.2g})")
     lines += [f"note       {weak}" for weak in fit.weak]
     if fit.modes:

@@ -19,7 +19,7 @@ from ._parameters import check_free
 from ._view import COARSE_PX, COSINE, FINE_PX, UNIT_PX
 
 #: One view's residuals about where it is: `triangle` (R of J = QR), `along` (Q^T r), the unknowns'
-#: `unit`s and `squares` (|r|^2). `_solver.View` is one.
+#: `unit`s and `squares` (|r|^2). `_view.View` is one.
 Linearised = Any
 #: One view: `look(depth)` gives it linearised on a level, `stepped(depth, y)` after a step.
 One = Any

@@ -21,8 +21,7 @@ from ._parameters import moved, reported
 from ._residuals import Capacity, residuals
 from ._target import Level
 from ._thin_qr import triangle_and_rhs
-from ._view import COSINE, UNIT_PX, Problem, View
-from ._view import move as move_of
+from ._view import COSINE, UNIT_PX, Problem, View, move as move_of
 
 #: Steps of a level that can be told one by one.
 RECORDED = 64

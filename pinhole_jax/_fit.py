@@ -35,17 +35,17 @@ from ._target import check_target, edge_distance, near_an_edge
 from ._uncertainty import BLIND, covariance, weak_directions, weak_moves
 from ._view import COSINE, FINE_PX, UNIT_PX
 
-#: What `Fit.status` may be.
-STATUSES = (
-    "converged",  # the gradient vanishes, the masks overlap, every direction is determined
-    "ambiguous",  # converged, but other views explain the mask as well: `Fit.modes` has them
-    "rank_deficient",  # converged, but some direction changes no pixel: `Fit.weak` names it
-    "misfit",  # at rest, but the mask is not explained as its kind allows: `Fit.weak` says how far
-    "max_steps",  # stopped while still moving
-    "no_overlap",  # object and mask hardly overlap: their IoU is below `LEAST_IOU`
-    "saturated",  # the object covers the whole film: there is no outline to follow
-    "non_finite",  # NaN or infinity turned up
-)
+#: What `Fit.status` may be, and what each means: help, pages and README say it from here.
+STATUSES = {
+    "converged": "the gradient vanishes, the masks overlap, every direction is determined",
+    "ambiguous": "at rest, but other views explain the mask as well",
+    "rank_deficient": "at rest, but the mask does not determine some direction",
+    "misfit": "at rest, but the mask is not explained as its kind (exact, hard, noisy) allows",
+    "max_steps": "stopped while still moving",
+    "no_overlap": "object and mask hardly overlap: their IoU is below a half",
+    "saturated": "the object covers the whole film: there is no outline to follow",
+    "non_finite": "NaN or infinity turned up",
+}
 
 #: Below this intersection over union a fit has found something else than the object.
 LEAST_IOU = 0.5

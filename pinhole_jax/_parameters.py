@@ -20,8 +20,8 @@ from ._distortion import COEFFICIENTS, BrownConrady
 from ._lens import Lens
 from ._safe import norm, safe_divide, safe_sqrt
 
-#: What `free` may name (and `distortion`: all coefficients): the components of the move that each
-#: name frees.
+#: What `free` may name, but for `distortion` (all coefficients of the lens): the components of the
+#: move that each name frees.
 COMPONENTS: dict[str, tuple[str, ...]] = {
     "pose": ("turn_b1", "turn_b2", "turn_v", "shift_b1", "shift_b2", "log_distance"),
     "position": ("shift_b1", "shift_b2", "log_distance"),
@@ -32,6 +32,9 @@ COMPONENTS: dict[str, tuple[str, ...]] = {
     "aspect": ("log_aspect",),
     **{name: (name,) for name in COEFFICIENTS},
 }
+
+#: All that `free` may name.
+NAMES = (*COMPONENTS, "distortion")
 
 #: What is reported of each name: parameters with units a user reads.
 REPORTED: dict[str, tuple[str, ...]] = {
@@ -65,7 +68,7 @@ def check_free(free: str | Sequence[str], camera: Camera | None = None) -> tuple
     model = BrownConrady if lens is None or lens.distortion is None else type(lens.distortion)
     own = [field.name for field in fields(model)]
     names = tuple(n for name in as_names(free) for n in (own if name == "distortion" else [name]))
-    known = ", ".join([*COMPONENTS, "distortion"])
+    known = ", ".join(NAMES)
     for name in names:
         if name not in COMPONENTS:
             raise ValueError(f"`free`: expected names among {known}, got {name!r}")
@@ -240,8 +243,8 @@ def _moved(move: Move, y: Float[Array, "n"], free: tuple[str, ...]) -> Camera:
 def reported(camera: Camera, moved: Camera, free: tuple[str, ...]) -> Float[Array, "n"]:
     """Return the reported parameters of `moved`; rotations are small ones away from `camera`.
 
-    `rotation_b1, _b2, _v` turn the camera about its own axes (rad), `e_x, e_y, e_z` are the eye in
-    world units, `phi` in rad, `d` in world units, the principal point in px.
+    `rotation_b1, rotation_b2, rotation_v` turn the camera about its own axes (rad), `e_x, e_y, e_z`
+    are the eye in world units, `phi` in rad, `d` in world units, the principal point in px.
     """
     before, after = jnp.stack(camera_basis(camera)), jnp.stack(camera_basis(moved))
     cross = jnp.sum(jnp.cross(before, after), axis=0) / 2  # rotation vector, to first order

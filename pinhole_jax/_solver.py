@@ -20,8 +20,7 @@ from ._target import (
     pyramid,
     shares,
 )
-from ._view import COARSE_PX, FINE_PX, Problem, View
-from ._view import move as move_of
+from ._view import COARSE_PX, FINE_PX, Problem, View, move as move_of
 
 #: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
 OFF_TIMES = 3.0

@@ -12,8 +12,7 @@ from jaxtyping import Float
 from ._camera import Camera
 from ._distortion import COEFFICIENTS
 from ._fit import Fit, Progress
-from ._outline import contour_points
-from ._outline import outline as outline
+from ._outline import contour_points, outline as outline
 from ._parameters import rotation
 from ._rays import project
 from ._scene import Scene

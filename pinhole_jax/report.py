@@ -18,19 +18,10 @@ from . import formats, plot
 from ._camera import Camera
 from ._distortion import COEFFICIENTS
 from ._files import replace_file
-from ._fit import Fit
+from ._fit import STATUSES, Fit
 from ._scene import Scene
 from ._target import shares
 
-MEANINGS = {
-    "converged": "The gradient vanishes, the masks overlap, every direction is determined.",
-    "ambiguous": "Converged, but other views explain the mask as well.",
-    "rank_deficient": "Converged, but some direction changes no pixel of the mask.",
-    "max_steps": "Stopped while still moving: not to be trusted.",
-    "no_overlap": "Object and mask hardly overlap: something else was found than the object.",
-    "saturated": "The object covers the whole film: there is no outline to follow.",
-    "non_finite": "NaN or infinity turned up.",
-}
 PARAMETERS = {
     "rotation_b1": "pitch (about b1, right)",
     "rotation_b2": "yaw (about b2, up)",
@@ -137,6 +128,7 @@ def page(
         _section("The camera for other programs", "".join(_files(fit.camera))),
     ]
     camera, name = fit.camera, html.escape(title)
+    meaning = STATUSES[fit.status][0].upper() + STATUSES[fit.status][1:]
     facts = {
         "IoU": f"{fit.iou:.4f}",
         "rms of coverage": f"{fit.rms:.2g}",
@@ -149,7 +141,7 @@ def page(
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{name}</title><style>{STYLE}</style></head><body>"
         f"<header><h1>{name}</h1>"
-        f'<p class="status {fit.status}"><b>{fit.status}</b> {MEANINGS[fit.status]}</p>'
+        f'<p class="status {fit.status}"><b>{fit.status}</b> {meaning}.</p>'
         f"<dl>{shown}</dl></header><main>{''.join(sections)}</main>"
         f"<footer>pinhole_jax {__version__}</footer></body></html>\n"
     )

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -9,9 +10,12 @@ import numpy as np
 import pytest
 from oracles import turned
 from PIL import ExifTags, Image
+from test_plot import fit_of
 
 import pinhole_jax as pj
-from pinhole_jax import io, shapes
+from pinhole_jax import __main__ as command, io, shapes
+from pinhole_jax._fit import STATUSES
+from pinhole_jax._parameters import NAMES, check_free
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 
@@ -218,8 +222,57 @@ def test_a_picture_without_end_is_not_rendered(folder):
 
 
 def test_help_says_what_a_camera_file_is(folder):
-    for command in ([], ["fit"], ["render"], ["convert"]):
-        done = run(*command, "--help", cache=folder)
+    for words in ([], ["fit"], ["render"], ["convert"]):
+        done = run(*words, "--help", cache=folder)
         assert done.returncode == 0
         assert '"phi": 0.6' in done.stdout
         assert max(map(len, done.stdout.splitlines())) <= 100
+
+
+def help_of(name, capsys):
+    with pytest.raises(SystemExit):
+        command.main([name, "--help"])
+    return capsys.readouterr().out
+
+
+def test_help_names_all_that_may_be_free(capsys):
+    text = " ".join(help_of("fit", capsys).partition("--free NAMES ")[2].split())
+    named = re.search(r"with commas, of (.*?):", text)[1].split(", ")
+    assert tuple(named) == NAMES
+    for name in named:
+        lens = pj.Lens([48, 40], distortion=pj.Fisheye() if name == "k4" else pj.BrownConrady())
+        assert check_free(name, pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1, 96, 80, lens))
+
+
+def test_help_shows_camera_files_that_can_be_read(capsys):
+    text = help_of("render", capsys).replace("[x, y, z]", "[1, 2, 3]").replace("[x, y]", "[48, 40]")
+    camera = json.loads(re.search(r'\{"e": .*\}', text)[0])
+    camera |= {"p": [0, 0, 0], "u": [0, 1, 0]}
+    lens = json.loads(re.search(r'\{"principal_point": .*?\}', text)[0])
+    models = [json.loads(found) for found in re.findall(r'\{"model": .*?\}', text)]
+    assert [bent["model"] for bent in models] == ["BrownConrady", "Fisheye"]
+    for bent in models:
+        read = io.camera_from_dict({**camera, "lens": {**lens, "distortion": bent}})
+        written = io.camera_to_dict(read)
+        assert written["lens"] == {**lens, "distortion": bent}
+        assert camera.keys() <= written.keys()
+
+
+def test_help_says_what_each_status_means(capsys):
+    text = help_of("fit", capsys)
+    for status, meaning in STATUSES.items():
+        assert re.search(rf"^  {status} +{re.escape(meaning)}$", text, re.M)
+
+
+@pytest.mark.parametrize("status", STATUSES)
+def test_only_a_fit_that_converged_has_status_0(folder, status, monkeypatch, capsys):
+    fit = fit_of(CAMERA, ("e_x",), [0.1])._replace(status=status)
+    monkeypatch.setattr("pinhole_jax._fit.fit_camera", lambda *_, **__: fit)
+    # What the command sets for its own process would change those of the other tests.
+    monkeypatch.setattr(command, "_set_up_jax", lambda options: None)
+    Image.new("L", (96, 80)).save(folder / "any.png")
+    files = [str(folder / name) for name in ("bumpy.ply", "any.png")]
+    code = command.main(["fit", *files, "--fov", "34", "-o", str(folder / status)])
+    assert code == (0 if status == "converged" else 1)
+    assert f"status     {status}   ({STATUSES[status]})\n" in capsys.readouterr().out
+    assert json.loads((folder / status / "camera.json").read_text())["fit"]["status"] == status

@@ -12,6 +12,7 @@ from test_plot import AHEAD, SQUARE, fit_of, way_to
 
 import pinhole_jax as pj
 from pinhole_jax import formats, report
+from pinhole_jax._fit import STATUSES
 
 NAMES = ("rotation_b2", "e_x", "e_z")
 MASK = np.zeros((80, 96), bool)
@@ -79,6 +80,13 @@ def test_the_page_has_all_its_sections_and_nothing_from_elsewhere(text):
     assert "part <b>1</b> & mask" in page.text["header"]
     assert page.all("b") == [{}]
     assert page.all("p")[0]["class"] == "status rank_deficient"
+
+
+@pytest.mark.parametrize("status", [s for s in STATUSES if s != "non_finite"])
+def test_the_page_says_what_the_status_means(status):
+    page = Page(report.page(FIT._replace(status=status), SQUARE, MASK))
+    assert page.all("p")[0]["class"] == f"status {status}"
+    assert f"{status} {STATUSES[status]}.".lower() in page.text["header"].lower()
 
 
 def test_pictures_decode_and_tables_have_a_row_for_each_parameter(text):

@@ -9,8 +9,7 @@ import pytest
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._parameters import Move, canonical, moved, on_film
-from pinhole_jax._residuals import Capacity, touch
-from pinhole_jax._residuals import residuals as _residuals
+from pinhole_jax._residuals import Capacity, residuals as _residuals, touch
 from pinhole_jax._target import pyramid
 
 FREE = ("pose", "phi")

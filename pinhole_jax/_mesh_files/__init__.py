@@ -12,8 +12,7 @@ from ._gltf import read_gltf
 from ._obj import read_obj
 from ._off import read_off
 from ._ply import read_ply
-from ._polygons import Polygons as Polygons
-from ._polygons import triangulated as triangulated
+from ._polygons import Polygons as Polygons, triangulated as triangulated
 from ._stl import read_stl
 
 READERS = {".obj": read_obj, ".ply": read_ply, ".stl": read_stl, ".off": read_off}

@@ -14,35 +14,32 @@
 `read` and `write` take any of them; `detect` tells which convention a camera of unknown origin has.
 """
 
-from ._blender import read_blender as read_blender
-from ._blender import to_blender as to_blender
-from ._blender import to_blender_script as to_blender_script
-from ._blender import write_blender as write_blender
-from ._blender import write_blender_script as write_blender_script
-from ._colmap import read_colmap as read_colmap
-from ._colmap import write_colmap as write_colmap
-from ._detective import Detection as Detection
-from ._detective import Hypothesis as Hypothesis
-from ._detective import detect as detect
-from ._files import FORMATS as FORMATS
-from ._files import guess_write as guess_write
-from ._files import read as read
-from ._files import read_json as read_json
-from ._files import write as write
-from ._files import write_json as write_json
-from ._gltf import read_gltf as read_gltf
-from ._gltf import write_gltf as write_gltf
-from ._matrices import from_opencv as from_opencv
-from ._matrices import to_opencv as to_opencv
-from ._mitsuba import read_mitsuba as read_mitsuba
-from ._mitsuba import write_mitsuba as write_mitsuba
-from ._nerf import read_nerf as read_nerf
-from ._nerf import write_nerf as write_nerf
-from ._opencv import read_opencv as read_opencv
-from ._opencv import write_opencv as write_opencv
-from ._pytorch3d import from_pytorch3d as from_pytorch3d
-from ._pytorch3d import read_pytorch3d as read_pytorch3d
-from ._pytorch3d import to_pytorch3d as to_pytorch3d
-from ._pytorch3d import write_pytorch3d as write_pytorch3d
-from ._window import cropped as cropped
-from ._window import resized as resized
+from ._blender import (
+    read_blender as read_blender,
+    to_blender as to_blender,
+    to_blender_script as to_blender_script,
+    write_blender as write_blender,
+    write_blender_script as write_blender_script,
+)
+from ._colmap import read_colmap as read_colmap, write_colmap as write_colmap
+from ._detective import Detection as Detection, Hypothesis as Hypothesis, detect as detect
+from ._files import (
+    FORMATS as FORMATS,
+    guess_write as guess_write,
+    read as read,
+    read_json as read_json,
+    write as write,
+    write_json as write_json,
+)
+from ._gltf import read_gltf as read_gltf, write_gltf as write_gltf
+from ._matrices import from_opencv as from_opencv, to_opencv as to_opencv
+from ._mitsuba import read_mitsuba as read_mitsuba, write_mitsuba as write_mitsuba
+from ._nerf import read_nerf as read_nerf, write_nerf as write_nerf
+from ._opencv import read_opencv as read_opencv, write_opencv as write_opencv
+from ._pytorch3d import (
+    from_pytorch3d as from_pytorch3d,
+    read_pytorch3d as read_pytorch3d,
+    to_pytorch3d as to_pytorch3d,
+    write_pytorch3d as write_pytorch3d,
+)
+from ._window import cropped as cropped, resized as resized

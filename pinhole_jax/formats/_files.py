@@ -8,16 +8,14 @@ from typing import Any, NamedTuple
 from .._camera import Camera
 from .._files import existing, path_of
 from ..io import CAMERA_SCHEMA, camera_from_dict, camera_to_dict, save_camera
-from ._blender import SCHEMA as BLENDER_SCHEMA
-from ._blender import read_blender, write_blender, write_blender_script
+from ._blender import SCHEMA as BLENDER_SCHEMA, read_blender, write_blender, write_blender_script
 from ._colmap import read_colmap, write_colmap
 from ._fields import KIND, Fields, Size, add_named, check_names, load_json, save_json
 from ._gltf import read_gltf, write_gltf
 from ._mitsuba import read_mitsuba, write_mitsuba
 from ._nerf import read_nerf, write_nerf
 from ._opencv import read_opencv, write_opencv
-from ._pytorch3d import SCHEMA as PYTORCH3D_SCHEMA
-from ._pytorch3d import read_pytorch3d, write_pytorch3d
+from ._pytorch3d import SCHEMA as PYTORCH3D_SCHEMA, read_pytorch3d, write_pytorch3d
 
 CAMERAS_SCHEMA = "pinhole_jax.cameras/1"
 
