@@ -35,8 +35,14 @@ WALK_TIMES = 100.0
 DOUBTFUL, DOUBT_SIGMAS, DOUBT_RAD, RISE = 0.2, 12.0, np.deg2rad([4, 10]), (0.15, 10.0)
 #: So many equal places along a walk are no list of modes but a direction that is free.
 MANY = 4
+#: An interval larger than this (rad) is taken for the whole circle.
+ALL_ROUND = np.deg2rad(190)
 #: A body is near its mirror image if it reaches as far to within this share of its radius.
 MIRRORED = 0.15
+#: ... and nearly round about an axis if it does so to within this share, turned by these angles.
+ROUND, ROUND_ANGLES = 0.03, np.deg2rad([17.0, 40.0, 75.0])
+#: The directions in which that is looked at.
+DIRECTIONS = sphere_points(64)
 #: What is farther from the start than this (rad) the start rules out.
 NEAR_START = np.deg2rad(60)
 
@@ -86,7 +92,7 @@ def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
     No place takes over that is far from a `start`.
     """
     left, seen, last = DESCENTS, [], []
-    directions = _nearly_free(solver, best) or _doubtful(solver, best)
+    directions = _nearly_free(solver, best) or _round(solver, best) or _doubtful(solver, best)
     while directions and left > 0:
         last = directions
         places = [p for d in directions for p in _along(solver, best, d)]
@@ -138,6 +144,34 @@ def _direction(solver: Solver, found: Found, value: float, vector: np.ndarray) -
     noise = max(solver.kind.variance, found.view.touched_misfit) ** 0.5
     sigma = noise / max(value, 1e-300) / radian
     return _Direction(move * radian, axis, min(sigma, np.pi))
+
+
+def _round(solver: Solver, found: Found) -> list[_Direction]:
+    """Return the turns about axes that the body is nearly round about: facets, teeth or sections
+    there repeat, and each place where they fit is a minimum."""
+    names = components(solver.names)
+    turns = np.array([name.startswith("turn") for name in names])
+    points = solver.points - np.asarray(solver.ball.centre, float)
+    if not len(points) or np.sum(turns) < 3:
+        return []
+    found_axes, reach = [], np.max(points @ DIRECTIONS.T, axis=0)
+    for axis in np.linalg.eigh(points.T @ points)[1].T:
+        cross = np.cross(np.eye(3), axis)
+        for far in ROUND_ANGLES:
+            turn = np.eye(3) + np.sin(far) * cross + (1 - np.cos(far)) * cross @ cross
+            off = np.max(points @ (DIRECTIONS @ turn).T, axis=0) - reach
+            if np.max(np.abs(off)) > ROUND * np.max(reach):
+                break
+        else:
+            found_axes.append(axis)
+    triangle = np.asarray(found.view.triangle, float)
+    result = []
+    for axis in found_axes:
+        move = np.zeros(len(names))
+        move[turns] = axes_of(found.unit) @ axis
+        value = float(np.linalg.norm(triangle @ move))
+        result.append(_direction(solver, found, value, move))
+    return result
 
 
 def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
@@ -230,11 +264,7 @@ def _intervals(
     solver: Solver, best: Found, equal: list[Found], directions: list[_Direction]
 ) -> list[Free]:
     """Return how far the directions are free if these places are as good as the best."""
-    from scipy.spatial.transform import Rotation
-
-    turns = [
-        Rotation.from_matrix(axes_of(p.unit).T @ axes_of(best.unit)).as_rotvec() for p in equal
-    ]
+    turns = [turned_by(best.unit, p.unit) for p in equal]
     far: list[list[float]] = [[] for _ in directions]
     for place, turn in zip(equal, turns, strict=True):
         along = [separation(solver, place.unit, best.unit)] * len(directions)
@@ -250,7 +280,7 @@ def _intervals(
             # Strides double: what was looked at next, and is forbidden, bounds the interval.
             ends = (2 * max(max(s * x for x in reached), STRIDES[0] / 2) for s in (-1, 1))
             behind, ahead = ends
-            if min(behind, ahead) > STRIDES[-1]:
+            if behind + ahead > ALL_ROUND:
                 behind = ahead = np.inf
             result.append(Free(d.move, behind, ahead, d.axis))
     return result
@@ -273,6 +303,13 @@ def separation(solver: Solver, a: Camera, b: Camera) -> float:
     return max(angle(a, b), float(aside))
 
 
+def turned_by(a: Camera, b: Camera) -> np.ndarray:
+    """Return the rotation vector (3,), in the world, that turns a's axes into b's."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(axes_of(b).T @ axes_of(a)).as_rotvec()
+
+
 def mirrored(solver: Solver, found: Found) -> Iterator[Camera]:
     """Yield views that an object which is near its own mirror image, in its principal axes, shows
     alike: half turns about these, and turned so that near and far change places, which changes a
@@ -282,12 +319,11 @@ def mirrored(solver: Solver, found: Found) -> Iterator[Camera]:
     if not len(points):
         return
     _, principal = np.linalg.eigh(points.T @ points)
-    directions = sphere_points(64)
-    reach = np.max(points @ directions.T, axis=0)
+    reach = np.max(points @ DIRECTIONS.T, axis=0)
     axes, eye = axes_of(found.unit), np.asarray(found.unit.e, float)
     for signs in np.array(np.meshgrid(*[[1, -1]] * 3)).reshape(3, 8).T[1:]:
         image = principal @ (signs[:, None] * principal.T)
-        off = np.max(np.abs(np.max(points @ (directions @ image).T, axis=0) - reach))
+        off = np.max(np.abs(np.max(points @ (DIRECTIONS @ image).T, axis=0) - reach))
         if off > MIRRORED * np.max(reach):
             continue
         turned = axes @ image

@@ -8,7 +8,7 @@ import numpy as np
 
 from ._camera import Camera
 from ._parameters import canonical, components, focal_is_free
-from ._places import NEAR_START, Free, Places, equal_views, mirrored, separation, settled
+from ._places import NEAR_START, Free, Places, equal_views, mirrored, separation, settled, turned_by
 from ._residuals import Sums
 from ._search import Mask, aimed, angle, axes_of, guesses
 from ._solver import Found, Solver, Stop
@@ -71,6 +71,8 @@ def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> Places:
         # Nothing explains a mask that is wrong: stay with what is near the start.
         if lost or better or astray or solver.misfit_above_noise(other) <= content:
             places = with_others(solver, places, [others.best, *others.others], others.free)
+        if places.best is found:
+            places = settled(solver, found, start)._replace(others=places.others)
     return _nearest_first(places, start)
 
 
@@ -97,18 +99,10 @@ def with_others(
 
 def _within(places: Places, solver: Solver, found: Found) -> bool:
     """Return whether a camera is the best one but for a move that is free."""
-    axes_a, axes_b = (axes_of(f.unit) for f in (places.best, found))
-    rotation = axes_a.T @ axes_b
-    turn = np.array(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
-    )
-    far = angle(places.best.unit, found.unit)
+    turn = turned_by(places.best.unit, found.unit)
+    far = float(np.linalg.norm(turn))
     for free in places.free:
-        along = free.axis is not None and abs(turn @ free.axis) > 0.95 * np.linalg.norm(turn)
+        along = free.axis is not None and abs(turn @ free.axis) > 0.95 * far
         if along and far <= max(free.behind, free.ahead):
             return True
     return bool(separation(solver, places.best.unit, found.unit) < SAME)

@@ -1,0 +1,86 @@
+"""What a mask tells of how it was made, and so of the residual that a right camera leaves."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+
+import pinhole_jax as pj
+from pinhole_jax import shapes
+from pinhole_jax._kinds import kind_of
+
+CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 128, 128)
+
+
+@pytest.fixture(scope="module")
+def mask():
+    return np.asarray(pj.silhouette(CAMERA, pj.Scene(mesh=shapes.bumpy(3))))
+
+
+def jpeg(mask):
+    data = io.BytesIO()
+    Image.fromarray(np.round(255 * mask).astype(np.uint8)).save(data, "JPEG", quality=30)
+    return np.asarray(Image.open(data))
+
+
+def sampled(mask, number):
+    return np.random.default_rng(0).binomial(number, np.clip(mask, 0, 1)) / number
+
+
+def noisy(mask, sigma=0.02):
+    return mask + sigma * np.random.default_rng(0).normal(size=mask.shape)
+
+
+KINDS = {
+    "exact": (lambda m: m, "soft", True),
+    "16 bits of floats": (lambda m: m.astype(np.float16), "soft", True),
+    "8 bits": (lambda m: np.round(255 * m).astype(np.uint8), "soft", True),
+    "8 bits as floats": (lambda m: np.round(255 * m) / 255, "soft", True),
+    "16 samples": (lambda m: sampled(m, 16), "soft", True),
+    "64 samples, 8 bits": (lambda m: np.round(255 * sampled(m, 64)).astype(np.uint8), "soft", True),
+    "256 samples": (lambda m: sampled(m, 256), "soft", True),
+    "256 samples, 8 bits": (
+        lambda m: np.round(255 * sampled(m, 256)).astype(np.uint8),
+        "soft",
+        True,
+    ),
+    "noisy": (noisy, "noisy", True),
+    "noisy and clipped": (lambda m: np.clip(noisy(m), 0, 1), "noisy", True),
+    "one bit": (lambda m: m > 0.5, "one bit", False),
+    "a little blurred": (lambda m: gaussian_filter(m, 0.5), "wide edges", False),
+    "blurred": (lambda m: gaussian_filter(m, 1.5), "wide edges", False),
+    "JPEG": (jpeg, "noisy", False),
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_right_camera_leaves_what_the_kind_says(mask, name):
+    make, kind, exact = KINDS[name]
+    target = make(mask)
+    found = kind_of(target, np.ones(mask.shape), np.float64)
+    assert (found.name, found.exact) == (kind, exact)
+    shown = target / 255 if target.dtype == np.uint8 else target.astype(float)
+    outline = (mask > 1e-4) & (mask < 1 - 1e-4)
+    left = np.mean((shown - mask)[outline] ** 2)
+    assert left <= found.most
+    assert found.least <= 1.2 * max(left, found.variance)
+    if exact and name not in ("exact", "16 bits of floats", "256 samples, 8 bits"):
+        assert 0.3 < left / found.variance < 3
+
+
+def test_a_moved_outline_is_not_explained(mask):
+    """Half a pixel in a mask with soft edges, of any making that tells exactly."""
+    moved = 0.5 * (mask + np.roll(mask, 1, axis=1))
+    for name, (make, _, exact) in KINDS.items():
+        if exact and name != "16 samples":
+            found = kind_of(make(mask), np.ones(mask.shape), np.float64)
+            outline = (mask > 1e-4) & (mask < 1 - 1e-4)
+            assert np.mean((moved - mask)[outline] ** 2) > found.most
+
+
+def test_weights_scale_it(mask):
+    plain, heavy = (kind_of(noisy(mask), w * np.ones(mask.shape), np.float64) for w in (1.0, 4.0))
+    for name in ("variance", "most", "far"):
+        np.testing.assert_allclose(getattr(heavy, name), 4 * getattr(plain, name), rtol=1e-6)

@@ -1,0 +1,123 @@
+"""Where else the camera may be: no fit says `converged` and is wrong."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from oracles import turned
+from scipy.ndimage import binary_erosion, gaussian_filter
+
+import pinhole_jax as pj
+from pinhole_jax import shapes
+
+EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+
+
+@pytest.fixture(scope="module")
+def honesty():
+    """The experiment `honesty.py`, of which this is the reduced run."""
+    sys.path.insert(0, str(EXPERIMENTS))
+    try:
+        spec = importlib.util.spec_from_file_location("honesty", EXPERIMENTS / "honesty.py")
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(EXPERIMENTS))
+    return module
+
+
+@pytest.mark.parametrize("shape", ["mug", "can", "ellipsoid", "dented", "plate", "box"])
+def test_no_fit_says_converged_and_is_wrong(honesty, shape, exhaustive):
+    kinds = honesty.KINDS
+    for number in range(12 if exhaustive else 1):
+        rows = [honesty.trial(number, shape, kind) for kind in kinds]
+        assert [r for r in rows if honesty.is_lie(r)] == []
+        if shape in ("plate", "box"):  # and where the mask tells, the fit says so
+            assert sum(r["status"] == "converged" for r in rows if r["start"]) > 0
+
+
+CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
+
+
+def mask_of(camera, scene):
+    return np.asarray(pj.silhouette(camera, scene))
+
+
+def degrees(fit, truth=CAMERA):
+    return float(np.rad2deg(pj.pose_error(fit.camera, truth)[0]))
+
+
+def test_a_noisy_mask_of_a_box_is_as_ambiguous_as_an_exact_one():
+    box = trimesh.creation.box((1.2, 1.32, 1.05))
+    scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces))
+    mask, noise = mask_of(CAMERA, scene), np.random.default_rng(0).normal(size=(80, 96))
+    for target in (mask, mask + 0.02 * noise, mask > 0.5):
+        fit = pj.fit_camera(scene, target, None, phi=0.6)
+        assert fit.status == "ambiguous"
+        assert len(fit.modes) == 3
+        assert min(map(degrees, (fit, *fit.modes))) < 1
+
+
+def test_the_exact_mask_of_another_shape_is_a_misfit():
+    scene, other = (pj.Scene(mesh=shapes.bumpy(3, seed)) for seed in (0, 1))
+    fit = pj.fit_camera(scene, mask_of(CAMERA, other), turned(CAMERA, [1, 2, 3], 5))
+    assert fit.status == "misfit"
+    assert any("of the outline" in words for words in fit.weak)
+
+
+def test_a_body_of_facets_turned_by_one_is_as_good():
+    """The start is nearer to a camera one facet on: the mask cannot tell."""
+    torus = trimesh.creation.torus(1.0, 0.35, major_sections=32, minor_sections=16)
+    scene = pj.Scene(mesh=pj.Mesh(torus.vertices, torus.faces))
+    mask = mask_of(CAMERA, scene)
+    for target in (mask, mask > 0.5):
+        fit = pj.fit_camera(scene, target, turned(CAMERA, [0, 0, 1], 9))
+        assert fit.status in ("rank_deficient", "ambiguous")
+        assert fit.modes or "the turn about the axis" in fit.weak[0]
+
+
+@pytest.mark.parametrize("kind", ["one bit", "blurred", "eroded"])
+def test_contours_within_the_object_are_no_outline(kind):
+    torus = trimesh.creation.torus(1.0, 0.35, major_sections=32, minor_sections=16)
+    scene = pj.Scene(mesh=pj.Mesh(torus.vertices, torus.faces))
+    camera = pj.Camera([3.0, 3.5, 2.0], [0.1, 0, 0], [0, 0, 1], 0.6, 1.0, 96, 80)
+    mask = mask_of(camera, scene)
+    target = {
+        "one bit": mask > 0.5,
+        "blurred": gaussian_filter(mask, 0.8),
+        "eroded": binary_erosion(mask > 0.5),
+    }[kind]
+    fit = pj.fit_camera(scene, target, turned(camera, [1, 2, 3], 4))
+    assert not any("far from the mask's edge" in words for words in fit.weak)
+
+
+def test_a_sigma_does_not_fall_below_rounding():
+    """Exact masks in float32: errors are a few standard errors at most."""
+    scene = pj.Scene(mesh=shapes.bumpy(3))
+    single = jax.tree.map(lambda x: x.astype(jnp.float32), CAMERA)
+    mask = mask_of(single, pj.Scene(mesh=shapes.bumpy(3)))
+    errors = []
+    for k, axis in enumerate(np.eye(3)):
+        start = turned(CAMERA, axis + 0.1, 8, 1 + 0.02 * k)
+        fit = pj.fit_camera(scene, mask, jax.tree.map(lambda x: x.astype(jnp.float32), start))
+        angle, shift = map(float, pj.pose_error(fit.camera, single))
+        errors += [angle / np.linalg.norm(fit.std[:3]), shift / np.linalg.norm(fit.std[3:])]
+    assert max(errors) < 4
+
+
+def test_a_hard_mask_on_the_grid_leaves_a_sigma():
+    """Its right camera leaves no residual at all, and still is not known better than to a part of
+    a pixel."""
+    box = trimesh.creation.box((1, 1, 1))
+    scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces))
+    camera = pj.Camera([0, 0, 4.5], [0, 0, 0], [0, 1, 0], 2 * np.arctan(0.125 * 5), 1.0, 80, 80)
+    fit = pj.fit_camera(scene, mask_of(camera, scene) > 0.5, camera, ("position",))
+    px = 4 / 64  # at the front face
+    assert np.all(fit.std[:2] > 0.005 * px)
