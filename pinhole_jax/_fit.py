@@ -25,7 +25,7 @@ from ._parameters import (
     on_film,
     with_lens,
 )
-from ._places import Free
+from ._places import Free, at
 from ._residuals import Sums
 from ._scene import Scene, check_scene
 from ._search import Mask, axes_of
@@ -231,8 +231,11 @@ def _fit(
     if reach is not None and found[0].view.touched_misfit > EXACT:
         described = without_outliers(solver, mask, found, reach, start)
         trust = lambda: (mask.weight * near_an_edge(edge_distance(mask.image), reach), False)
-    known = Known(solver.kind, settings.bounds, places.free)
-    fit, *modes = (report(base, f, sums, names, known) for f, sums in described)
+    known = Known(solver.kind, settings.bounds)
+    fit, *modes = (
+        report(base, f, s, names, known._replace(free=[at(solver, f, x) for x in places.free]))
+        for f, s in described
+    )
     if modes and fit.status in ("converged", "rank_deficient"):
         fit = fit._replace(status="ambiguous")
     return fit._replace(modes=tuple(modes)), trust
@@ -304,7 +307,7 @@ def report(
     blind, weak = weak_directions(triangle, names_of_moves, axes_of(unit), BLIND[dtype], moves)
     weak = (*map(str, known.free), *weak, *ended)
     nearly_free = bool(known.free or weak_moves(triangle, names_of_moves))
-    astray = 1 - sums.touched / max(whole.touched, 1)
+    astray = 1 - sums.touched / whole.touched if whole.touched else 0.0
     explained = known.kind.explains(view.touched_misfit, nearly_free)
     if known.kind.exact and not explained:
         off = sums.off / max(sums.touched, 1)
@@ -370,8 +373,9 @@ def to_units(derivative: Any, names: tuple[str, ...], camera: Camera) -> np.ndar
 
 def _status(triangle: np.ndarray, rest: bool, whole: Any, explained: bool, blind: bool) -> str:
     if not np.any(triangle):
-        covered = whole.touched == 0 and whole.overlap > 0
-        return "saturated" if covered else "rank_deficient" if whole.touched else "no_overlap"
+        # As much as there is to cover: `union` counts a pixel by the larger of image and target.
+        covered = whole.touched == 0 and whole.union >= (1 - 1e-6) * whole.weight
+        return "no_overlap" if whole.overlap == 0 else "saturated" if covered else "rank_deficient"
     if whole.overlap < LEAST_IOU * whole.union:
         return "no_overlap"
     if not rest:

@@ -227,7 +227,7 @@ def _as_good(
 ) -> Places:
     """Return the best, and those seen that are other places and as good: a few, or free
     directions."""
-    directions = [_at(solver, best, d) for d in directions]
+    directions = [at(solver, best, d) for d in directions]
     apart = max(APART, SIGMAS * min(d.sigma for d in directions))
     exact = solver.kind.exact and solver.kind.explains(best.view.touched_misfit, True)
     times = EQUAL_TIMES if exact else WALK_TIMES
@@ -250,13 +250,13 @@ def _as_good(
     return Places(best, [], _intervals(solver, best, equal, directions))
 
 
-def _at(solver: Solver, best: Found, direction: _Direction) -> _Direction:
-    """Return a direction as moves of a camera that it was not taken at."""
+def at(solver: Solver, found: Found, direction: Any) -> Any:
+    """Return a `_Direction`, or a `Free` one, as moves of a camera that it was not taken at."""
     if direction.axis is None:
         return direction
     turns = np.array([name.startswith("turn") for name in components(solver.names)])
     move = np.zeros(len(turns))
-    move[turns] = axes_of(best.unit) @ direction.axis * _radian(solver, best)
+    move[turns] = axes_of(found.unit) @ direction.axis * _radian(solver, found)
     return direction._replace(move=move)
 
 

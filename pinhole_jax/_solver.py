@@ -239,10 +239,10 @@ def _step(unit: Camera, problem: Problem, level: Level, y: Any, names) -> Camera
 
 
 def _some_points(scene: Scene) -> np.ndarray:
-    """Return some 2000 of the mesh's vertices (n, 3), or none."""
+    """Return some 600 of the mesh's vertices (n, 3), or none."""
     if scene.mesh is None:
         return np.zeros((0, 3))
-    step = max(scene.mesh.vertices.shape[0] // 2000, 1)
+    step = max(scene.mesh.vertices.shape[0] // 600, 1)
     return np.asarray(scene.mesh.vertices)[::step].astype(float)
 
 
