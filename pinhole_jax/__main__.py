@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,9 @@ Turn the cameras of IN into another program's file. Formats, and the endings tha
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return 0, 1 for a fit that is not to be trusted, or 2 on bad input."""
     options = _parser().parse_args(arguments)
+    for stream in (sys.stdout, sys.stderr):  # names of files need be no text that can be printed
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         return options.run(options)
     except (ValueError, OSError) as error:

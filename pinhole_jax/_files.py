@@ -32,9 +32,19 @@ NO_WAIT = getattr(os, "O_NONBLOCK", 0)
 def path_of(path: Any) -> Path:
     """Return a path, or raise ValueError where the value is none."""
     try:
+        if path == "":
+            raise ValueError("`path`: expected a path, got an empty one")
         return Path(path)
     except TypeError:
         raise ValueError(f"`path`: expected a path, got {type(path).__name__}") from None
+
+
+def is_folder(path: Any) -> bool:
+    """Return whether there is a folder at a path; a path that no system takes has none."""
+    try:
+        return path_of(path).is_dir()
+    except OSError:
+        return False
 
 
 def existing(path: Any, kind: str, most: int | None = None) -> Path:

@@ -82,8 +82,10 @@ class Fit(NamedTuple):
       (rad), d (world units), the principal point (px).
     - `covariance` assumes independent pixel noise of one size (of variance 1 / weight up to a
       factor), estimated from the residuals of the pixels that the outline touches, and a mesh
-      without error; infinite where the mask does not determine a parameter. Real masks err together
-      along stretches of their outline: then it is too small.
+      without error; infinite where the mask does not determine a parameter, and that of an interval
+      where `weak` names one. Never below what rounding, the mask's quantisation and the solver's
+      last step leave. Real masks err together along stretches of their outline: then it is too
+      small.
     - `rms`: root mean square of coverage minus target over all pixels that count, but for the few
       where contours overlap in an exact mask; `iou` their intersection over union.
     - `steps`: Levenberg-Marquardt steps on each level, coarse to fine; more than one round of

@@ -2,9 +2,6 @@
 
 import numpy as np
 
-#: Faces without area in a row, each beside the next, that are taken out.
-PASSES = 100
-
 
 def edge_records(
     faces: np.ndarray, vertices: np.ndarray | None, V: int
@@ -62,26 +59,24 @@ def _without_slivers(
     back: dict[tuple[int, int], list[int]] = {}
     for k in np.flatnonzero(meeting).tolist():
         back.setdefault((int(end[k]), int(start[k])), []).append(k)
-    waiting = list(zip(slivers.tolist(), long.tolist(), strict=True))
-    for _ in range(PASSES):
-        later = []
-        for f, k in waiting:
-            own = range(3 * f, 3 * f + 3)
-            there = back.get((int(start[k]), int(end[k])), [])
-            partner = next((h for h in there if not gone[h] and h not in own), None)
-            if partner is not None and flat[face[partner]]:
-                later.append((f, k))  # the neighbour has no area either: it goes first
-                continue
-            flat[f], gone[k] = False, True
-            short = [h for h in own if h != k]
-            if partner is None:
-                gone[short] = True
-            else:
-                gone[partner] = True
-                face[short] = face[partner]
-        if len(later) in (0, len(waiting)):
-            break
-        waiting = later
+    ready = list(zip(slivers.tolist(), long.tolist(), strict=True))
+    behind: dict[int, list[tuple[int, int]]] = {}
+    while ready:
+        f, k = ready.pop()
+        own = range(3 * f, 3 * f + 3)
+        there = back.get((int(start[k]), int(end[k])), [])
+        partner = next((h for h in there if not gone[h] and h not in own), None)
+        if partner is not None and flat[face[partner]]:
+            behind.setdefault(int(face[partner]), []).append((f, k))  # it goes first
+            continue
+        flat[f], gone[k] = False, True
+        short = [h for h in own if h != k]
+        if partner is None:
+            gone[short] = True
+        else:
+            gone[partner] = True
+            face[short] = face[partner]
+        ready += behind.pop(f, [])
     return start[~gone], end[~gone], face[~gone]
 
 

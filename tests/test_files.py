@@ -472,3 +472,17 @@ def test_noise_is_no_mask(tmp_path, monkeypatch):
     Image.fromarray(noise).save(tmp_path / "n.png")
     with pytest.raises(ValueError, match=r"expected a mask, .* a picture of \d+ parts: noise"):
         io.load_mask(tmp_path / "n.png", "background=white")
+
+
+def test_many_mitsuba_defaults_of_one_long_value_are_refused(tmp_path):
+    more = "".join(f'<default name="b{k}" value="$a"/>' for k in range(1000))
+    text = f'<scene version="3.0.0"><default name="a" value="{"x" * 60000}"/>{more}</scene>'
+    (tmp_path / "a.xml").write_text(text)
+    with pytest.raises(ValueError, match="`default`: expected values of at most"):
+        formats.read(tmp_path / "a.xml")
+
+
+@pytest.mark.parametrize("path", ["", "x" * 5000 + ".json", "x" * 5000])
+def test_a_path_that_can_be_none_is_said(path):
+    with pytest.raises(ValueError, match="`path`: expected a"):
+        formats.read(path)

@@ -129,3 +129,14 @@ def test_a_fit_to_such_a_mesh_is_as_to_the_plain_one(shape):
         fit = pj.fit_camera(scene, target, turned(CAMERA, [1, 2, 3], 8))
         assert fit.status == "converged"
         assert np.rad2deg(pj.pose_error(fit.camera, CAMERA)[0]) < worst
+
+
+def test_a_long_row_of_faces_without_area_is_taken_out():
+    """Each is beside the next: a strip along one line, between two faces."""
+    n = 3000
+    line = np.stack([np.arange(n + 1) / 1024, np.zeros(n + 1), np.zeros(n + 1)], axis=1)
+    vertices = np.concatenate([line, [[1, 1, 0]]])
+    k = np.arange(1, n)
+    faces = np.concatenate([[[0, n, n + 1]], np.stack([0 * k, k, k + 1], axis=1)])
+    mesh = pj.Mesh(vertices, faces)
+    assert np.all(np.asarray(mesh.edge_faces)[:, 0] == 0)

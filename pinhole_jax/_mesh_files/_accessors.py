@@ -35,6 +35,12 @@ class Accessors:
         """Return how many entries an accessor says that it has."""
         return integer(at(self.top, "accessors", index), "count", f"accessors[{index}]")
 
+    def spend(self, numbers: int, where: str) -> None:
+        """Count numbers that are read or worked out; raise ValueError where they are too many."""
+        self.numbers += numbers
+        if self.numbers > MOST_NUMBERS:
+            raise wrong(where, f"at most {MOST_NUMBERS} numbers in all", self.numbers)
+
     def floats(self, index: int, kind: str) -> np.ndarray:
         """Return an accessor of a type such as VEC3 as float64 (count, width)."""
         if (index, kind) not in self.read:
@@ -77,9 +83,7 @@ class Accessors:
         dtype, width = np.dtype(COMPONENTS[component]), WIDTHS[kind]
         count = integer(accessor, "count", where)
 
-        self.numbers += count * width
-        if self.numbers > MOST_NUMBERS:
-            raise wrong(f"{where}.count", f"at most {MOST_NUMBERS} numbers in all", self.numbers)
+        self.spend(count * width, f"{where}.count")
         if "bufferView" in accessor:
             values = self._view(accessor, where, dtype, width, count)
         elif count > MOST_WITHOUT_DATA:

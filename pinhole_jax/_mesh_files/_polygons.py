@@ -20,6 +20,8 @@ from jaxtyping import Float, Int
 MOST_EAR_STEPS = 10**10
 #: The least area takes n^3 / 6 steps.
 MOST_LEAST_AREA = 400
+#: ... and so many steps for all faces of a file (some seconds).
+MOST_LEAST_AREA_STEPS = 6 * 10**8
 #: Areas agree where they differ by less than this, the polygon being of size 1.
 EXACT = 1e-9
 
@@ -62,9 +64,12 @@ def triangulated(polygons: Polygons) -> Int[np.ndarray, "T 3"]:
         uneven += [(int(alike[k]), shared[k]) for k in np.flatnonzero(~right)]
 
     _check_time(uneven, numbers)
+    left = MOST_LEAST_AREA_STEPS
     for k, corner in uneven:
-        cut = corner[_cut(points[corner], int(numbers[k]))]
-        triangles.append(cut)
+        cut, steps = _cut(points[corner], int(numbers[k]), left)
+        left -= steps
+        triangles.append(corner[cut])
+        cut = triangles[-1]
         owners.append(np.full(len(cut), k))
 
     order = np.argsort(np.concatenate(owners), kind="stable")
@@ -187,8 +192,9 @@ def _fans_are_right(flat: np.ndarray) -> np.ndarray:
     return np.all(ahead, axis=-1) & (around <= 2 * np.pi + 1e-9)
 
 
-def _cut(space: np.ndarray, number: int) -> np.ndarray:
-    """Return the triangles (t, 3) of one polygon (n, 3) as corners 0 to n - 1."""
+def _cut(space: np.ndarray, number: int, left: int) -> tuple[np.ndarray, int]:
+    """Return the triangles (t, 3) of one polygon (n, 3) as corners 0 to n - 1, and how many of the
+    steps that are `left` for cuts of least area it took."""
     flat, rounding = (one[0] for one in _laid_flat(space[None]))
     own = float(np.sum(_areas(flat, _fan(len(flat)))))
     sides = float(np.sum(np.linalg.norm(flat - np.roll(flat, 1, axis=0), axis=-1)))
@@ -196,12 +202,15 @@ def _cut(space: np.ndarray, number: int) -> np.ndarray:
 
     triangles = _ears(flat)
     if excess(triangles) <= (EXACT + rounding * np.finfo(float).eps) * sides:
-        return triangles
+        return triangles, 0
     # Ear clipping loses its way where sides touch; the least area does not, but takes n^3 steps.
+    steps = len(flat) ** 3
+    if len(flat) <= MOST_LEAST_AREA and steps > left:
+        raise ValueError(f"face {number}: like many before it, its sides touch: too many to cut")
     if len(flat) <= MOST_LEAST_AREA:
         triangles = _least_area(flat)
         if excess(triangles) <= (EXACT + rounding * np.finfo(np.float32).eps) * sides:
-            return triangles
+            return triangles, steps
     raise ValueError(f"face {number}: its sides cross, so that it has no inside")
 
 

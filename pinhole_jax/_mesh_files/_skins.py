@@ -28,6 +28,7 @@ def deformed(
             continue
         index = integer(targets[k], "POSITION", f"{where}.targets[{k}]")
         _check_count(accessors, index, accessors.count(position))
+        accessors.spend(points.size, f"{where}.targets[{k}]")
         points = points + weight * accessors.floats(index, "VEC3")[used]
     return points
 
@@ -76,7 +77,15 @@ def _joint_matrices(
 ) -> np.ndarray:
     """Return (J, 4, 4): where each joint is, times the inverse of where it was when bound."""
     index = integer(top["nodes"][node], "skin", f"nodes[{node}]")
-    skin, where = at(top, "skins", index), f"skins[{index}]"
+    if (index, "joints") not in accessors.read:
+        found = _joints_of(at(top, "skins", index), f"skins[{index}]", worlds, accessors)
+        accessors.read[index, "joints"] = found
+    return accessors.read[index, "joints"]
+
+
+def _joints_of(
+    skin: dict[str, Any], where: str, worlds: dict[int, np.ndarray], accessors: Accessors
+) -> np.ndarray:
     joints = items(skin, "joints", where)
     for joint in joints:
         if type(joint) is not int or joint not in worlds:

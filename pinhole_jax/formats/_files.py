@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._camera import Camera
-from .._files import existing, path_of
+from .._files import existing, is_folder, path_of
 from ..io import CAMERA_SCHEMA, camera_from_dict, camera_to_dict, save_camera
 from ._blender import SCHEMA as BLENDER_SCHEMA, read_blender, write_blender, write_blender_script
 from ._colmap import read_colmap, write_colmap
@@ -99,7 +99,7 @@ def read(
     Raises FileNotFoundError, or ValueError naming the file and the field that is missing or wrong.
     """
     place = path_of(path)
-    if not place.is_dir():
+    if not is_folder(place):
         existing(place, KIND)
     name = _checked(format) or _guess_read(place)
     if place.is_file() and place.stem in ("cameras", "images") and name.startswith("colmap"):
@@ -140,7 +140,7 @@ def _checked(format: str | None) -> str | None:
 
 
 def _guess_read(path: Path) -> str:
-    if path.is_dir() or path.name in ("cameras.txt", "images.txt", "cameras.bin", "images.bin"):
+    if is_folder(path) or path.name in ("cameras.txt", "images.txt", "cameras.bin", "images.bin"):
         return "colmap"
     if path.suffix.lower() != ".json":
         return _by_ending(path)
@@ -158,7 +158,7 @@ def _guess_read(path: Path) -> str:
 def guess_write(path: str | os.PathLike) -> str:
     """Return the format that a path to be written asks for."""
     place = path_of(path)
-    if place.is_dir() or not place.suffix:
+    if is_folder(place) or not place.suffix:
         return "colmap"
     if place.suffix.lower() != ".json":
         return _by_ending(place)

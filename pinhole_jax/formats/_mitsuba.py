@@ -35,7 +35,7 @@ FILM = {"width": 768, "height": 576}  # Mitsuba's own, where a film says nothing
 #: Characters that XML 1.0 cannot hold, escaped or not.
 NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 #: The longest name of a `<default>`, and the longest attribute once it is filled in.
-MOST_NAME, MOST_TEXT = 64, 1 << 16
+MOST_NAME, MOST_TEXT, MOST_DEFAULTS = 64, 1 << 16, 1 << 20
 
 
 def read_mitsuba(path: str | os.PathLike, *, size: Size | None = None) -> dict[str, Camera]:
@@ -120,12 +120,17 @@ class _NoDoctype(ET.TreeBuilder):
 def _defaults(root: ET.Element, where: str) -> dict[str, str]:
     """Return what `$names` stand for; as in Mitsuba, the first of a name holds for what follows."""
     defaults: dict[str, str] = {}
+    together = 0
     for element in root.iter("default"):
         name = element.get("name", "")
         if not 0 < len(name) <= MOST_NAME:
             words = f"a name of 1 to {MOST_NAME} characters, got {short(name)}"
             raise ValueError(f"`default`: expected {words} (in {where})")
         defaults.setdefault(name, _filled(element, "value", defaults, where))
+        together += len(name) + len(defaults[name])
+        if together > MOST_DEFAULTS:
+            words = f"values of at most {MOST_DEFAULTS} characters together, got more"
+            raise ValueError(f"`default`: expected {words} (in {where})")
     return defaults
 
 
