@@ -2,6 +2,7 @@
 
 import base64
 import json
+import os
 import struct
 import time
 
@@ -181,11 +182,10 @@ def test_what_is_not_read_is_said(tmp_path, name):
 
 
 def test_no_file_that_an_obj_names_is_opened(tmp_path, monkeypatch):
-    from pathlib import Path
-
     path = put(tmp_path, "a.obj", b"mtllib /etc/hostname\nmtllib ../x.mtl\n" + obj())
-    opened, read = [], Path.read_bytes
-    monkeypatch.setattr(Path, "read_bytes", lambda self: opened.append(self) or read(self))
+    opened, plain = [], os.open
+    monkeypatch.setattr(os, "open", lambda p, *rest: opened.append(p) or plain(p, *rest))
+    monkeypatch.setattr("builtins.open", lambda *_: pytest.fail("another file is opened"))
     pj.load_mesh(path)
     assert opened == [path]
 
