@@ -29,6 +29,8 @@ APART, SIGMAS = np.deg2rad(0.5), 1.5
 EQUAL_TIMES = 30.0
 #: ... along a walk, whose places are samples of many: what lies between may be better.
 WALK_TIMES = 100.0
+#: ... and if they leave this share of what the Jacobian foretells at their distance, or less.
+LIKE_FORETOLD = 0.5
 #: A direction that shows less than this share of the best-seen one is looked at on both sides, so
 #: many standard errors away and half as far (between these angles, rad): there the squares have to
 #: have risen by about as much as the Jacobian says, within these factors, and it has to show, too.
@@ -228,13 +230,19 @@ def _as_good(
     """Return the best, and those seen that are other places and as good: a few, or free
     directions."""
     directions = [at(solver, best, d) for d in directions]
-    apart = max(APART, SIGMAS * min(d.sigma for d in directions))
+    sigma = max(min(d.sigma for d in directions), 1e-12)
+    apart = max(APART, SIGMAS * sigma)
     exact = solver.kind.exact and solver.kind.explains(best.view.touched_misfit, True)
     times = EQUAL_TIMES if exact else WALK_TIMES
 
     def others(places: list[Found]) -> list[Found]:
-        elsewhere = [p for p in places if separation(solver, p.unit, best.unit) > apart]
-        as_good = [p for p in elsewhere if equal_views(solver, p.view, best.view, times)]
+        as_good = []
+        for place in places:
+            far = separation(solver, place.unit, best.unit)
+            # (What the Jacobian foretells so far away is no other place: a descent on its way.)
+            foretold = LIKE_FORETOLD * (far / sigma) ** 2
+            if far > apart and equal_views(solver, place.view, best.view, min(times, foretold)):
+                as_good.append(place)
         return _distinct(solver, as_good, apart)
 
     equal = others(seen)
