@@ -112,7 +112,7 @@ def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
 def equal_views(solver: Solver, view: View, best: View, times: float = EQUAL_TIMES) -> bool:
     """Return whether the mask's own noise allows a view beside the best."""
     variance = max(solver.kind.variance, best.touched_misfit)
-    return _surplus(solver, view) - _surplus(solver, best) <= times * variance
+    return bool(_surplus(solver, view) - _surplus(solver, best) <= times * variance)
 
 
 def _surplus(solver: Solver, view: View) -> float:
@@ -240,7 +240,7 @@ def _as_good(
         for place in places:
             far = separation(solver, place.unit, best.unit)
             # (What the Jacobian foretells so far away is no other place: a descent on its way.)
-            foretold = LIKE_FORETOLD * (far / sigma) ** 2
+            foretold = float(LIKE_FORETOLD * (far / sigma) ** 2)
             if far > apart and equal_views(solver, place.view, best.view, min(times, foretold)):
                 as_good.append(place)
         return _distinct(solver, as_good, apart)
