@@ -47,7 +47,8 @@ def _without_slivers(
     The two short sides of such a face lie on its long one. They become sides of its neighbour
     there; where that is a border, they become the border. So no edge is drawn three times.
     """
-    sides = np.asarray(vertices, float)[faces[:, [1, 2, 0]]] - np.asarray(vertices, float)[faces]
+    points = np.asarray(vertices, float)
+    sides = points[faces[:, [1, 2, 0]]] - points[faces]
     size = np.max(np.abs(sides), axis=(1, 2), keepdims=True)
     sides = sides / np.where(size > 0, size, 1)  # squares neither overflow nor vanish
     flat = np.all(np.cross(sides[:, 0], sides[:, 1]) == 0, axis=1)
