@@ -49,8 +49,8 @@ STATUSES = {
 
 #: Below this intersection over union a fit has found something else than the object.
 LEAST_IOU = 0.5
-#: More than this share of the outline far from the mask's edge is a misfit; where the mask is not
-#: explained anyway, less is said in words.
+#: More than this share of the outline far from the mask's edge is a misfit; where an exact mask is
+#: not explained anyway, less is said in words.
 ASTRAY, SOME = 0.1, 0.02
 #: Rounding leaves a root mean square residual of this many machine epsilons in a touched pixel.
 FLOOR = 1000
@@ -314,7 +314,7 @@ def report(
     if known.kind.exact and not explained:
         off = sums.off / max(sums.touched, 1)
         weak += (f"{off:.0%} of the outline is off by more than the mask's kind explains",)
-    if astray > (ASTRAY if explained else SOME):
+    if astray > (SOME if known.kind.exact and not explained else ASTRAY):
         weak += (f"{astray:.0%} of the outline is far from the mask's edge: {WRONG}",)
     explained = astray <= ASTRAY and (explained or not known.kind.exact)
     return Fit(
