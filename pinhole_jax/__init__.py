@@ -1,6 +1,7 @@
 """A differentiable pinhole camera that recovers pose and intrinsics from images."""
 
 from . import formats as formats, io as io, plot as plot, report as report, shapes as shapes
+from ._cache import cache as cache
 from ._camera import Camera as Camera, camera_basis as camera_basis
 from ._certificate import Certificate as Certificate, check_gradients as check_gradients
 from ._distortion import BrownConrady as BrownConrady, Fisheye as Fisheye

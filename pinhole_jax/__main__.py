@@ -2,9 +2,9 @@
 
 import argparse
 import atexit
+import contextlib
 import gc
 import math
-import os
 import sys
 import threading
 import time
@@ -313,12 +313,10 @@ def _set_up_jax(options: argparse.Namespace) -> None:
     atexit.register(gc.freeze)
     jax.config.update("jax_enable_x64", True)
     if not options.no_cache:
-        try:
-            home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        except RuntimeError:  # a user without a home folder
-            return
-        jax.config.update("jax_compilation_cache_dir", str(Path(home) / "pinhole_jax"))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        from ._cache import cache
+
+        with contextlib.suppress(ValueError):  # a user without a home folder
+            cache()
 
 
 class _Clock:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ._bitset import count_upto
 from ._camera import Bend, FilmMap
 from ._curves import Arcs, Segments, edge_shares, ends, film_at, homogeneous, unit_at
 from ._safe import dot, norm, safe_divide
@@ -38,7 +39,7 @@ class Cuts(NamedTuple):
 
     def find(self, ids: Int[Array, "*P"]) -> tuple[Array, Array, Array]:
         """Return the curve of each part, the part's number, and how many parts the curve has."""
-        curve = jnp.searchsorted(self.upto, ids, side="right").astype(jnp.int32)
+        curve = count_upto(self.upto, ids)
         curve = jnp.minimum(curve, self.upto.shape[0] - 1)
         before = jnp.where(curve > 0, self.upto[jnp.maximum(curve - 1, 0)], 0)
         return curve, ids - before, self.upto[curve] - before

@@ -246,15 +246,15 @@ class FilmMap(eqx.Module):
             for x, y, z in (from_eye, from_view)
         )
         there = jax.lax.stop_gradient(near < far)
-        offset = self.turn(
-            *(jnp.where(there, a, b) for a, b in zip(from_view, from_eye, strict=True))
+        chosen = (jnp.where(there, a, b) for a, b in zip(from_view, from_eye, strict=True))
+        return self.turn(*chosen) + jnp.where(
+            there[..., None], self.base.reshape((1,) * there.ndim + (3,)), 0
         )
-        base = jnp.stack([jnp.where(there, self.base[k], 0) for k in range(3)], axis=-1)
-        return offset + base
 
     def turn(self, x: Array, y: Array, z: Array) -> Float[Array, "*batch 3"]:
         """Return the homogeneous film points of directions from the eye."""
-        return jnp.stack([m[0] * x + m[1] * y + m[2] * z for m in self.matrix], axis=-1)
+        column = lambda k: self.matrix[:, k].reshape((1,) * x.ndim + (3,))
+        return sum(column(k) * v[..., None] for k, v in enumerate((x, y, z)))  # pyright: ignore
 
 
 def film_map(camera: Camera) -> FilmMap:

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from ._bent import Cuts, along, arc_part_ends, arc_parts, bending, cuts, following, seen_through
+from ._bitset import Selection, bit, nth, select, selection, words_of
 from ._camera import FilmMap
 from ._curves import Arcs, Segments, cut_circle
 from ._safe import binary_inverse, binary_scale, dot, norm, normalize, safe_divide, safe_sqrt
@@ -41,63 +42,6 @@ EVERYWHERE = 1 << 20
 CLUSTERS = 256
 
 
-class Selection(NamedTuple):
-    """A set of edges as bits, 32 to a word, with the number of set bits before each word."""
-
-    words: Array
-    before: Int[Array, "words"]
-    total: Int[Array, ""]
-
-
-def select(mask: Bool[Array, "E"]) -> Selection:
-    """Return the set of the mask's true entries, to be listed by `nth`.
-
-    Counting bits in words is 10 times cheaper than `jnp.nonzero` over the edges of a large mesh.
-    """
-    return selection(_words(mask))
-
-
-def selection(words: UInt32[Array, "words"]) -> Selection:
-    """Return the set of a word's bits."""
-    ones = jax.lax.population_count(words).astype(jnp.int32)
-    upto = jnp.cumsum(ones)
-    return Selection(words, upto - ones, upto[-1] if upto.shape[0] else jnp.int32(0))
-
-
-def _words(mask: Bool[Array, "*N"]) -> UInt32[Array, "*words"]:
-    """Return booleans, 32 to a word; those of a last axis of 32 as its word."""
-    mask = jnp.pad(mask, (0, -mask.shape[0] % 32)) if mask.ndim == 1 else mask
-    bits = mask.reshape(-1, 32).astype(jnp.uint32)
-    return jnp.sum(bits << jnp.arange(32, dtype=jnp.uint32)[None], axis=1, dtype=jnp.uint32)
-
-
-def nth(selection: Selection, rank: Int[Array, "K"]) -> Int[Array, "K"]:
-    """Return the indices of the set's entries number `rank`; an index within range past the end."""
-    word = jnp.searchsorted(selection.before, rank, side="right").astype(jnp.int32) - 1
-    word = jnp.maximum(word, 0)
-    bits, rest = selection.words[word], (rank - selection.before[word]).astype(jnp.uint32)
-    position = jnp.zeros_like(bits)
-    for width in (16, 8, 4, 2, 1):  # binary search for the bit that `rest` set bits precede
-        half = (bits >> position) & jnp.uint32((1 << width) - 1)
-        ones = jax.lax.population_count(half)
-        upper = rest >= ones
-        rest = jnp.where(upper, rest - ones, rest)
-        position = jnp.where(upper, position + jnp.uint32(width), position)
-    return word * 32 + position.astype(jnp.int32)
-
-
-def rank_in(selection: Selection, index: Int[Array, "K"]) -> Int[Array, "K"]:
-    """Return which number each index has in the set, -1 if it is not in it."""
-    word, bit = index >> 5, (index & 31).astype(jnp.uint32)
-    bits = selection.words[word]
-    before = jax.lax.population_count(bits & ((jnp.uint32(1) << bit) - 1)).astype(jnp.int32)
-    return jnp.where((bits >> bit) & 1 > 0, selection.before[word] + before, -1)
-
-
-def _bit(words: UInt32[Array, "words"], index: Int[Array, "*K"]) -> Bool[Array, "*K"]:
-    return (words[index >> 5] >> (index & 31).astype(jnp.uint32)) & 1 > 0
-
-
 class MeshContour(NamedTuple):
     """The contour edges of a mesh; `segments` ids for `edge_segments`.
 
@@ -115,7 +59,7 @@ class MeshContour(NamedTuple):
 
     def weight(self, edge: Int[Array, "*K"]) -> Int[Array, "*K"]:
         """Return how many layers of cover contour edges bound on their left less on their right."""
-        sign = jnp.where(_bit(self.positive, edge), 1, -1)
+        sign = jnp.where(bit(self.positive, edge), 1, -1)
         if self.second is None:
             return sign
         return jnp.where(self.second[edge] < 0, sign, 2 * sign)
@@ -162,7 +106,7 @@ def contour_bits(
         front = front_facing(mesh, e)
         first, second = mesh.edge_faces[:, 0], mesh.edge_faces[:, 1]
         weight = _weight(mesh, front[first], front[jnp.maximum(second, 0)], second)
-        return _words(weight != 0), _words(weight > 0)
+        return words_of(weight != 0), words_of(weight > 0)
 
     if clusters is None:
         return plain()
@@ -177,7 +121,7 @@ def contour_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
     one that is not on the contour."""
     words, positive = contour_bits(mesh, e)
     edge = jnp.arange(mesh.edge_faces.shape[0], dtype=jnp.int32)
-    return jnp.where(_bit(words, edge), _contour(mesh, words, positive).weight(edge), 0)
+    return jnp.where(bit(words, edge), _contour(mesh, words, positive).weight(edge), 0)
 
 
 def _culled(
@@ -203,8 +147,8 @@ def _culled(
         normal, corner = ([plane[..., k + i] for i in range(3)] for k in (0, 3))
         front = faces_eye(normal, corner, e)
         weight = jnp.where(edge < E, _weight(mesh, front[0], front[1], second), 0)
-        words = words.at[cluster].set(_words(weight != 0), mode="drop")
-        return rank + CLUSTERS, words, positive.at[cluster].set(_words(weight > 0), mode="drop")
+        words = words.at[cluster].set(words_of(weight != 0), mode="drop")
+        return rank + CLUSTERS, words, positive.at[cluster].set(words_of(weight > 0), mode="drop")
 
     start = (jnp.int32(0), words, positive)
     return jax.lax.while_loop(lambda s: s[0] < look.total, body, start)[1:]
@@ -519,14 +463,20 @@ def _layers_on_the_left(mesh: Mesh, film: FilmMap) -> Int[Array, ""]:
     """
     points = _film_points(film, mesh.vertices)
     points = points * binary_inverse(jnp.max(jnp.abs(points), axis=1))[:, None]
-    corner = [points[mesh.faces[:, k]] for k in range(3)]
-    sides = [_side(corner[k], corner[(k + 1) % 3], mesh.faces, k) for k in range(3)]
-    weights = [corner[(k + 2) % 3][:, 0] * sides[k][0] for k in range(3)]
-    signs = [s[1] for s in sides]
-    met = (signs[0] == signs[1]) & (signs[1] == signs[2]) & (signs[0] != 0)
-    toward = weights[0] + weights[1] + weights[2]
-    met &= jnp.where(signs[0] > 0, toward < 0, toward > 0)
-    orientation = jnp.where(met, -signs[0], 0)
+
+    def around(k, sums):
+        toward, signs = sums
+        first, second, third = (
+            jax.lax.dynamic_index_in_dim(mesh.faces, (k + j) % 3, 1, keepdims=False)
+            for j in range(3)
+        )
+        value, sign = _side(points, first, second)
+        return toward + points[third, 0] * value, signs + sign
+
+    none = jnp.zeros(mesh.faces.shape[0], points.dtype)
+    toward, signs = jax.lax.fori_loop(0, 3, around, (none, none.astype(jnp.int32)))
+    met = ((signs == 3) & (toward < 0)) | ((signs == -3) & (toward > 0))
+    orientation = jnp.where(met, -jnp.sign(signs), 0)
     front = front_facing(mesh, film.eye)
     if not mesh.closed:
         return jnp.sum(jnp.where(front, orientation, -orientation))
@@ -534,20 +484,17 @@ def _layers_on_the_left(mesh: Mesh, film: FilmMap) -> Int[Array, ""]:
     return jnp.sum(jnp.where(front, orientation, 0)) + jnp.where(inside, EVERYWHERE, 0)
 
 
-def _side(a, b, faces: Int[Array, "F 3"], k: int):
-    """Return on which side of the edge a b, seen along x, the ray passes: value and sign.
+def _side(points: Float[Array, "V 3"], first: Int[Array, "F"], second: Int[Array, "F"]):
+    """Return on which side of the edge between two vertices, seen along x, the ray passes: value
+    and sign.
 
     The same for both faces that share the edge, but for the sign.
     """
-    swap = faces[:, k] > faces[:, (k + 1) % 3]
-    first = jnp.where(swap[:, None], b, a)
-    second = jnp.where(swap[:, None], a, b)
+    swap = first > second
+    a, b = points[jnp.minimum(first, second)], points[jnp.maximum(first, second)]
     # Two rounded products are compared: their difference might be contracted, and unlike 0.
-    left, right = first[:, 1] * second[:, 2], second[:, 1] * first[:, 2]
-    tie = jnp.where(
-        first[:, 2] != second[:, 2], second[:, 2] - first[:, 2], second[:, 1] - first[:, 1]
-    )
+    left, right = a[:, 1] * b[:, 2], b[:, 1] * a[:, 2]
+    tie = jnp.where(a[:, 2] != b[:, 2], b[:, 2] - a[:, 2], b[:, 1] - a[:, 1])
     sign = jnp.where(left != right, jnp.where(left > right, 1, -1), jnp.sign(tie).astype(jnp.int32))
     value = left - right
-    flip = jnp.where(swap, -1, 1)
-    return jnp.where(swap, -value, value), sign * flip
+    return jnp.where(swap, -value, value), jnp.where(swap, -sign, sign)

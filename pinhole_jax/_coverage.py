@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ._bitset import count_upto
 from ._curves import Arcs, Curves, Segments, bulge, ends, film_at, unit_at
 from ._safe import safe_divide
 
@@ -119,7 +120,7 @@ def split(m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_
 
     W and H may be traced; `max_H` is a static bound of H.
     """
-    curve = jnp.searchsorted(upto, slots, side="right").astype(jnp.int32)
+    curve = count_upto(upto, slots)
     valid = slots < upto[-1]
     curve = jnp.minimum(curve, upto.shape[0] - 1)
     rank = slots - jnp.where(curve > 0, upto[curve - 1], 0)

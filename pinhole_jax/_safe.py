@@ -57,9 +57,15 @@ def binary_inverse(size: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     1 for sizes of 0 and for what is not finite.
     """
     size = jax.lax.stop_gradient(size)
-    most = -jnp.finfo(size.dtype).minexp - 1  # both the power and its inverse are normal numbers
-    exponent = jnp.where(jnp.isfinite(size), jnp.frexp(size)[1], 0)
-    return jnp.ldexp(jnp.ones_like(size), -jnp.clip(exponent, -most, most))
+    kind = jnp.finfo(size.dtype)
+    integer = jnp.dtype(f"int{kind.bits}")
+    bits = jax.lax.bitcast_convert_type(jnp.abs(size), integer)
+    field = bits >> kind.nmant
+    bias = 1 - kind.minexp
+    most = bias - 2  # both the power and its inverse are normal numbers
+    exponent = jnp.where((field > 2 * bias) | (bits == 0), 0, field - (bias - 1))
+    power = bias - jnp.clip(exponent, -most, most)
+    return jax.lax.bitcast_convert_type(power << kind.nmant, size.dtype)
 
 
 def cross_of_difference(

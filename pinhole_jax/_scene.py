@@ -35,6 +35,8 @@ class Clusters(NamedTuple):
 
 #: Edges of a cluster: as many as bits in a word of `Selection`.
 CLUSTER = 32
+#: Faces (and vertices) that a small mesh's arrays are filled up to.
+FILLED_UP = (1 << 12, 1 << 14, 1 << 16)
 
 
 class Planes(NamedTuple):
@@ -181,11 +183,9 @@ def _filled_up(
 ) -> tuple:
     """Return a mesh's arrays filled up to one of a few sizes."""
 
-    def fill(x, axis=0):
-        size = x.shape[axis]
-        return _filled(x, size + -size % (1 << max(size.bit_length() - 3, 6)), axis)
-
-    arrays = tuple(fill(x) for x in (vertices, faces, edge_vertices, edge_faces))
+    V, F, E = _filled_sizes(vertices.shape[0], faces.shape[0], edge_faces.shape[0])
+    parts = (vertices, V), (faces, F), (edge_vertices, E), (edge_faces, E)
+    arrays = tuple(_filled(x, size, 0) for x, size in parts)
     if planes is None or planes.clusters is None:
         return *arrays, None
     # What is filled up is behind everything: no contour.
@@ -193,9 +193,19 @@ def _filled_up(
     c = planes.clusters
     axis, cosine, sine, middle = (_filled(x, number, x.ndim - 1) for x in c[:4])
     radius = _filled(c.radius, number, 0, -jnp.inf)
-    clusters = Clusters(axis, cosine, sine, middle, radius, fill(c.planes), *c[6:])
-    faces_of = fill(planes.normal, 1), fill(planes.corner, 1)
+    clusters = Clusters(axis, cosine, sine, middle, radius, _filled(c.planes, F, 0), *c[6:])
+    faces_of = _filled(planes.normal, F, 1), _filled(planes.corner, F, 1)
     return *arrays, Planes(*faces_of, planes.box, _fingerprint(arrays[0]), clusters)
+
+
+def _filled_sizes(vertices: int, faces: int, edges: int) -> tuple[int, int, int]:
+    """Return how many vertices, faces and edges a mesh is filled up to: few sizes, as each is
+    compiled for; in steps of an eighth where the mesh is large and memory counts."""
+    for most in FILLED_UP:
+        if max(vertices, faces) <= most and 2 * edges <= 3 * most:
+            return most, most, 3 * most // 2
+    up = lambda size: size + -size % (1 << max(size.bit_length() - 3, 6))
+    return up(vertices), up(faces), up(edges)
 
 
 def _filled(x: Array, size: int, axis: int, value: float = 0.0) -> Array:

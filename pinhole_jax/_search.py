@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ._camera import Camera, bend, camera_basis, film_map, focal_px, principal_point
 from ._scene import Ball, Scene
@@ -105,17 +105,27 @@ def distances(mask: Signature, views: Signature) -> np.ndarray:
 
 @jax.jit
 def _views(
-    scene: Scene, eyes: Float[Array, "N 3"], pivot: Float[Array, "3"], phi: Float[Array, ""]
+    scene: Scene,
+    eyes: Float[Array, "N 3"],
+    number: Int[Array, ""],
+    pivot: Float[Array, "3"],
+    phi: Float[Array, ""],
 ) -> tuple[Float[Array, "N h w"], Float[Array, "N 3 3"]]:
-    def one(eye):
+    """Return images and camera axes from the first `number` of the eyes: one program for any."""
+
+    def one(n, seen):
+        eye = eyes[n]
         # An up direction that is never along the view.
         back = eye - pivot
         up = jnp.where(jnp.abs(back[2]) < 0.9 * jnp.sqrt(jnp.sum(back**2)), 1, 0)
         up = jnp.stack([1 - up, 0 * up, up]).astype(eye.dtype)
         camera = Camera(eye, pivot, up, phi, 1.0, VIEW_PX, VIEW_PX)
-        return silhouette(camera, scene, overlaps=False), jnp.stack(camera_basis(camera))
+        image, axes = silhouette(camera, scene, overlaps=False), jnp.stack(camera_basis(camera))
+        return seen[0].at[n].set(image), seen[1].at[n].set(axes)
 
-    return jax.lax.map(one, eyes)
+    shapes = (VIEW_PX, VIEW_PX), (3, 3)
+    nothing = tuple(jnp.zeros((len(eyes), *shape), eyes.dtype) for shape in shapes)
+    return jax.lax.fori_loop(0, number, one, nothing)
 
 
 class Mask(NamedTuple):
@@ -188,11 +198,16 @@ def _seen(
     """Return signatures of the scene, and camera axes, from directions at `reach` radii."""
     phi = 2 * np.arcsin(min(1 / reach, 0.95))
     eyes = ball.centre + reach * ball.radius * directions
-    arrays = (np.asarray(x, dtype) for x in (eyes, ball.centre, phi))
-    images, axes = _views(scene, *arrays)
+    number, room = len(eyes), np.zeros((VIEWS - len(eyes), 3))
+    eyes, pivot, phi_ = (
+        np.asarray(x, dtype) for x in (np.concatenate([eyes, room]), ball.centre, phi)
+    )
+    images, axes = (
+        np.asarray(x[:number], float) for x in _views(scene, eyes, np.int32(number), pivot, phi_)
+    )
     film = np.full(2, VIEW_PX / (2 * np.tan(phi / 2))), np.full(2, VIEW_PX / 2)
     known = np.ones((VIEW_PX, VIEW_PX))
-    return signatures(np.asarray(images, float), known, *film), np.asarray(axes, float)
+    return signatures(images, known, *film), axes
 
 
 def guesses(mask: Mask, scene: Scene, ball: Ball) -> Iterator[Camera]:

@@ -11,20 +11,17 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Float, Int
 
 from ._bent import Cuts
+from ._bitset import Selection, nth, rank_in, select
 from ._camera import Camera, FilmMap, film_map
 from ._contour import (
     ARCS_PER_SPHERE,
     MeshContour,
-    Selection,
     arc_cuts,
     arc_part_lifts,
     arc_part_segments,
     edge_lifts,
     edge_segments,
     mesh_contour,
-    nth,
-    rank_in,
-    select,
     sphere_arcs,
     sphere_frames,
     surrounding,
@@ -210,34 +207,36 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
 
         def add(sums, pieces: Pieces):
             deltas, marked, turned = sums
-            at = jnp.maximum(pieces.column, 0)
-            deltas = deltas.at[pieces.row, at].add(pieces.area, mode="drop")
-            deltas = deltas.at[pieces.row, at + 1].add(pieces.height - pieces.area, mode="drop")
+            place = lambda k: jnp.where((k >= 0) & (k < W), pieces.row * W + k, H * W)
+            own, after = jax.lax.optimization_barrier(
+                (place(pieces.column), place(pieces.column + 1))
+            )
+            rest = pieces.height - jnp.where(pieces.column < 0, 0, pieces.area)
+            deltas = deltas.at[own].add(pieces.area, mode="drop")
+            deltas = deltas.at[after].add(rest, mode="drop")
             if marked is None:
                 return deltas, None, None
-            own = pieces.row, jnp.where(pieces.column < 0, W, pieces.column)
             put = lambda image, value: image.at[own].add(value, mode="drop")
             marked = jax.tree.map(put, marked, marks(pieces))
-            after = pieces.column + 1
-            return deltas, marked, turned.at[pieces.row, after].add(turns(pieces), mode="drop")
+            return deltas, marked, turned.at[after].add(turns(pieces), mode="drop")
 
         return fold_pieces(curves, W, H, H, add, sums)
 
     told = still.overlap is not None
-    marked = Marks(jnp.zeros((H, W), dtype), jnp.zeros((H, W), jnp.int32)) if told else None
-    turned = jnp.zeros((H, W), dtype) if told else None
-    sums = (jnp.zeros((H, W), dtype), marked, turned)
+    zeros = jnp.zeros(H * W, dtype)
+    marked = Marks(zeros, zeros.astype(jnp.int32)) if told else None
+    sums = (zeros, marked, zeros if told else None)
     for part in parts:
         sums = fold_curves(part, chunk, sums, part.size)
     deltas, marked, turned = sums
-    winding = _row_sums(deltas) + still.base.astype(dtype)
+    row_sums = lambda x: _row_sums(x.reshape(H, W)).reshape(-1)
+    winding = row_sums(deltas) + still.base.astype(dtype)
     corner = jnp.zeros(0, dtype)
     if marked is not None and turned is not None:
-        corner = _row_sums(turned) + still.base.astype(dtype)
+        corner = row_sums(turned) + still.base.astype(dtype)
         # Where no curve is, the number is known exactly; sums of areas err with the layers.
         winding = jnp.where(marked.layers == 0, corner, winding)
-        corner = corner.reshape(-1)
-    none = jnp.zeros((H, W), bool)
+    none = jnp.zeros(H * W, bool)
     crowded = none if marked is None else overlaps(marked, winding)
     tie = 64 * jnp.finfo(dtype).eps
     if keep and marked is not None:
@@ -245,8 +244,8 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
         crowded |= (marked.layers > 0) & (jnp.abs(winding - 1) < tie)
     alone = ~crowded & (winding < 1 + tie)
     kept = [nothing_kept(part) for part in parts if keep and told]
-    pixels = _Pixels(alone.reshape(-1), select(crowded.reshape(-1)), corner, kept)
-    image = jnp.where(crowded, 0, jnp.clip(winding, 0, 1)).reshape(-1)
+    pixels = _Pixels(alone, select(crowded), corner, kept)
+    image = jnp.where(crowded, 0, jnp.clip(winding, 0, 1))
 
     def add(total, resolved: Resolved):
         image, kept = total

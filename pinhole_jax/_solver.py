@@ -1,6 +1,6 @@
 """A fit of one scene to one mask: levels from coarse to fine, and buffers that grow as needed."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,6 +14,7 @@ from ._parameters import Bounds, Move, Prior, moved
 from ._residuals import Capacity, Touched, touch
 from ._scene import Scene, astype, ball_about, bounding_box, padded
 from ._target import (
+    LEAST_CELLS,
     Level,
     Window,
     object_window,
@@ -22,6 +23,8 @@ from ._target import (
 )
 from ._view import COARSE_PX, FINE_PX, Problem, View, move as move_of
 
+#: What the smallest buffers hold, and how much larger the next ones are: each size is compiled for.
+LEAST_ROOM, ROOMIER = Capacity(edges=1024, pieces=3072, arc_pieces=3072, arcs=1024), 3
 #: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
 OFF_TIMES = 3.0
 
@@ -80,7 +83,15 @@ class Solver:
     def weigh(self, weights: np.ndarray) -> None:
         """Set how much each pixel counts."""
         self._weights = weights
-        levels, self.levels = pyramid(self._target, weights, self.dtype, window=self.window)
+        size = _size(self.capacity.pieces)
+        levels, self.levels = pyramid(
+            self._target, weights, self.dtype, window=self.window, least=LEAST_CELLS * 4**size
+        )
+        # Few programs: the larger image's has room for the longer outline, and the other way round.
+        if self.capacity.pieces > 1:
+            size = (levels.target.size // LEAST_CELLS).bit_length() // 2
+            pieces = max(self.capacity.pieces, LEAST_ROOM.pieces * ROOMIER**size)
+            self.capacity = self.capacity._replace(pieces=pieces)
         if self.kind.exact:
             explained = np.asarray(OFF_TIMES * self.kind.variance**0.5, self.dtype)
             self.levels = [level._replace(explained=explained) for level in self.levels]
@@ -102,13 +113,15 @@ class Solver:
         self._widen(unit)
         while True:
             view = self._further(unit, self.levels[level], 0.0, 1, self.capacity)[-1]
-            needs = zip(self.capacity, view.load, strict=True)
-            room = Capacity(*(_room(have, int(need)) for have, need in needs))
+            room = _room(self.capacity, view.load)
             if room == self.capacity:
                 share = float(self.levels[level].scale) / len(self._target)
                 weight = float(view.sums.weight) + share**2 * self._beside
                 return view._replace(sums=view.sums._replace(weight=np.asarray(weight)))
+            larger = _size(room.pieces) > _size(self.capacity.pieces)
             self.capacity = room
+            if larger:
+                self.weigh(self._weights)
 
     def _believe(self, unit: Camera, level: int) -> None:
         if self._prior is not None:
@@ -142,8 +155,9 @@ class Solver:
 
     def step(self, unit: Camera, level: int, y: np.ndarray) -> Camera:
         """Return the camera moved by y (n,) in the solver's units."""
+        problem = eqx.tree_at(lambda p: (p.scene, p.pyramid), self.problem, (None, None))
         y = np.asarray(y, self.dtype)
-        return _step(unit, self.problem, self.levels[level], y, self.names)
+        return _step(unit, problem, self.levels[level], y, self.names)
 
     def left_out(self, unit: Camera) -> np.ndarray:
         """Return the pixels (H, W) that the last level leaves out, since contours overlap there."""
@@ -253,20 +267,31 @@ def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
     spheres = 0 if scene.spheres is None else scene.spheres.radii.shape[0]
     inside = image > 0.5
     outline = sum(int(np.sum(np.diff(inside, axis=k))) for k in (0, 1))
-    return Capacity(
-        edges=_room(1, int(3 * faces**0.5)) if faces else 1,
-        pieces=_room(1, (3 * outline) // 2 + int(3 * faces**0.5)) if faces else 1,
-        arc_pieces=_room(1, outline + 8 * spheres) if spheres else 1,
-        arcs=1,
+    need = Capacity(
+        edges=int(3 * faces**0.5),
+        pieces=(3 * outline) // 2 + int(3 * faces**0.5) if faces else 0,
+        arc_pieces=outline + 8 * spheres if spheres else 0,
+        arcs=0,
     )
+    return _room(Capacity(1, 1, 1, 1), need)
 
 
-def _room(have: int, need: int) -> int:
-    """Return `have` if it is 9/8 of `need`, else the next of a few sizes (each is compiled) that is
-    3/2 of it: 1, 3/2, 2, 3, 4... times 1024."""
-    if 8 * have >= 9 * need:
-        return have
-    room = 1024
-    while 2 * room < 3 * need:
-        room += room // 2 if room & (room - 1) == 0 else room // 3
-    return max(have, room)
+def _size(pieces: int) -> int:
+    """Return which of the sizes a number of pieces needs, 0 the smallest."""
+    size = 0
+    while LEAST_ROOM.pieces * ROOMIER**size < pieces:
+        size += 1
+    return size
+
+
+def _room(have: Capacity, need: Iterable[Any]) -> Capacity:
+    """Return what is 9/8 of the need as it is, of the rest the next of few sizes that is 3/2 of
+    it."""
+    rooms = []
+    for least, room, load in zip(LEAST_ROOM, have, need, strict=True):
+        if 8 * room < 9 * int(load):
+            room = max(room, least)
+            while 2 * room < 3 * int(load):
+                room *= ROOMIER
+        rooms.append(room)
+    return Capacity(*rooms)

@@ -57,16 +57,15 @@ def insert(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, curve: Array, pa
     ends = jnp.concatenate([pieces.start, pieces.end], axis=1) - origin
     passes = jnp.where(pieces.passes, 1 + pieces.first.astype(jnp.int32), 0).astype(dtype)
     piece = jnp.concatenate([ends, passes[:, None], pieces.jump[:, None]], axis=1)
-    # Equal pieces come together by a key; if others do, no harm is done.
-    key = jnp.sum(piece[:, :5] * jnp.array([[1, 0.37, 1.73, 2.91, 5.19]], dtype), axis=1)
+    # Pair by pair: few pieces come at a time, and to sort them would take thrice the kernels.
     index = jnp.arange(cell.shape[0], dtype=jnp.int32)
-    cell, _, order = jax.lax.sort((cell, key, index), num_keys=2)
-    piece = piece[order]
-    opens = jnp.append(jnp.ones(1, bool), cell[1:] != cell[:-1])
-    differs = jnp.any(piece[1:, :5] != piece[:-1, :5], axis=1)
-    leads = opens | jnp.append(jnp.ones(1, bool), differs)
-    leader = jax.lax.cummax(jnp.where(leads, index, 0))
-    jump = jnp.zeros(cell.shape[0], dtype).at[leader].add(piece[:, 5])
+    together = cell[:, None] == cell[None]
+    equal = together
+    for field in range(5):
+        equal &= piece[:, None, field] == piece[None, :, field]
+    before = index[None] < index[:, None]
+    leads = ~jnp.any(equal & before, axis=1)
+    jump = jnp.sum(jnp.where(equal, piece[None, :, 5], 0), axis=1)
 
     there = jnp.minimum(cell, number - 1)
     same = (cells.owner[there][..., 0] == part) & jnp.all(
@@ -74,19 +73,16 @@ def insert(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, curve: Array, pa
     )
     known = jnp.any(same, axis=1)
     fresh = leads & ~known & (cell < number)
-    one = fresh.astype(jnp.int32)
-    newcomers = jnp.cumsum(one, dtype=jnp.int32)
-    before = jax.lax.cummax(jnp.where(opens, newcomers - one, 0))
-    slot = cells.total[there] + newcomers - 1 - before
-    slot = jnp.where(known, jnp.argmax(same, axis=1).astype(jnp.int32), slot)
+    slot = jnp.sum(together & before & fresh[None], axis=1, dtype=jnp.int32)
+    slot = jnp.where(known, jnp.argmax(same, axis=1).astype(jnp.int32), cells.total[there] + slot)
     # One addition serves both: a fresh piece falls on zeros, a known one adds its jump alone.
     none = jnp.where(fresh[:, None], piece, 0).at[:, 5].set(jump)
     slot = jnp.where(fresh | (known & leads), slot, WIDE)
-    owner = jnp.stack([jnp.full_like(cell, part), curve[order]], axis=1)
+    owner = jnp.stack([jnp.full_like(cell, part), curve], axis=1)
     return Cells(
         cells.piece.at[cell, slot].add(none, mode="drop"),
         cells.owner.at[cell, jnp.where(fresh, slot, WIDE)].set(owner, mode="drop"),
-        cells.total.at[cell].add(one, mode="drop"),
+        cells.total.at[cell].add(fresh.astype(jnp.int32), mode="drop"),
     )
 
 

@@ -14,8 +14,8 @@ from jaxtyping import Array, Float, Int
 
 #: How far floats may reach out of [0, 1]: noise is kept as it is, since clipping would bias a fit.
 NOISE = 1.0
-#: Cells of the smallest pyramid: smaller ones would only be compiled for.
-LEAST_ROOM = 1 << 17
+#: Cells of the smallest pyramid; the next sizes are 4 times as large: each is compiled for.
+LEAST_CELLS = 1 << 19
 
 
 class Pyramid(NamedTuple):
@@ -202,11 +202,12 @@ def pyramid(
     dtype: Any,
     coarsest_px: int = 16,
     window: Window | None = None,
+    least: int = LEAST_CELLS,
 ) -> tuple[Pyramid, list[Level]]:
     """Return the levels from coarse to fine; on the coarsest the object is about `coarsest_px`.
 
     Only the window is looked at (and as much beside it as makes whole pixels of the coarsest
-    level); None is all.
+    level); None is all. There is room for `least` cells, or for 4, 16... times as many.
     """
     H, W = target.shape
     window = window or Window(0, 0, W, H)
@@ -236,9 +237,12 @@ def pyramid(
         levels.append(Level(integer(start), integer(w), integer(h), origin, scale, *rest))
         start += part.shape[1]
     # A few sizes for all images, so that they share compiled programs.
-    room = max(1 << (start - 1).bit_length(), LEAST_ROOM)
-    flat = np.concatenate([*parts, np.zeros((6, room - start))], axis=1)
-    return Pyramid(*(jnp.asarray(x, dtype) for x in flat)), levels
+    room = least
+    while room < start:
+        room *= 4
+    flat = np.zeros((6, room), dtype)
+    np.concatenate(parts, axis=1, out=flat[:, :start], casting="same_kind")
+    return Pyramid(*(jnp.asarray(x) for x in flat)), levels
 
 
 def _halved(image: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ._contour import nth, select
+from ._bitset import listed
 from ._coverage import Monotone, Pieces, at_row, monotone, piece_counts, split
 from ._curves import Curves, ends, placed
 from ._sweep import NARROW, WIDE, Cells, Visible, empty_cells, insert, sweep
@@ -31,7 +31,7 @@ CUT = 4
 PARENTS = CELLS // CUT**2
 LAST_CUT = {"float32": 4, "float64": 8}
 PIECES = 2048
-INSERTED = 256
+INSERTED = 128
 #: Visible pieces kept for the derivative (where there are more, cells are resolved again).
 KEPT = 1 << 12
 KEPT_AT_A_TIME = 512
@@ -368,15 +368,17 @@ def fold_chosen(
 
     `there` is False for what fills up the last turn.
     """
-    chosen = select(which)
+    K = which.shape[0]
+    chosen = jax.lax.optimization_barrier(listed(which))
+    total = jnp.sum(which, dtype=jnp.int32)
 
     def body(state):
-        rank, total = state
+        rank, sum = state
         some = rank + jnp.arange(number, dtype=jnp.int32)
-        index = jnp.minimum(nth(chosen, some), which.shape[0] - 1)
-        return rank + number, add(total, index, some < chosen.total)
+        index = chosen.at[some].get(mode="fill", fill_value=K)
+        return rank + number, add(sum, jnp.minimum(index, K - 1), index < K)
 
-    return jax.lax.while_loop(lambda s: s[0] < chosen.total, body, (jnp.int32(0), start))[1]
+    return jax.lax.while_loop(lambda s: s[0] < total, body, (jnp.int32(0), start))[1]
 
 
 def _fill(
@@ -391,14 +393,15 @@ def _fill(
     film = jax.lax.div(pair, per_film)
 
     def chunk(state, ids, curves: Curves):
-        near = select((curves.weight != 0) & (at_pixels | _near(curves, batch)))
+        near = (curves.weight != 0) & (at_pixels | _near(curves, batch))
+        number_near, near = jnp.sum(near, dtype=jnp.int32), listed(near)
 
         def body(state):
             rank, (cells, corner) = state
             own = rank + pair - film * per_film
-            one = jnp.minimum(nth(near, own), size - 1)
+            one = jnp.minimum(near.at[own].get(mode="fill", fill_value=size), size - 1)
             some = jax.tree.map(lambda x: x[one], curves)
-            some = some._replace(weight=jnp.where(own < near.total, some.weight, 0))
+            some = some._replace(weight=jnp.where(own < number_near, some.weight, 0))
             some = placed(some, batch.scale, batch.films[film])
 
             def add(cells, pieces: Pieces):
@@ -415,7 +418,7 @@ def _fill(
             corner = corner + jax.lax.cond(at_pixels, none, lambda: _child_turns(some))
             return rank + per_film, (fold_pieces(some, W, H, max_H, add, cells), corner)
 
-        return jax.lax.while_loop(lambda s: s[0] < near.total, body, (jnp.int32(0), state))[1]
+        return jax.lax.while_loop(lambda s: s[0] < number_near, body, (jnp.int32(0), state))[1]
 
     return fold_curves(part, chunk, (cells, jnp.zeros_like(batch.corner)), size)
 

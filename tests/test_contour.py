@@ -6,8 +6,9 @@ import trimesh
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
+from pinhole_jax._bitset import nth, rank_in, select
 from pinhole_jax._camera import film_map
-from pinhole_jax._contour import clipped, contour_weights, nth, rank_in, select, sphere_arcs
+from pinhole_jax._contour import clipped, contour_weights, sphere_arcs
 from pinhole_jax._curves import ends, film_at
 from pinhole_jax._scene import undecided
 

@@ -181,14 +181,15 @@ def test_the_fit_is_never_worse_than_its_start(scene):
 def test_meshes_and_images_of_similar_size_share_compiled_programs(scene):
     pj.fit_camera(scene, mask_of(CAMERA, scene), turned(CAMERA, [1, 2, 3], 5))
     programs = [_descent.descended._cached._cache_size()]
-    other = pj.Scene(mesh=shapes.bumpy(3, seed=1))
-    camera = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 90, 84)
-    pj.fit_camera(other, mask_of(camera, other), turned(camera, [1, 2, 3], 5))
+    for subdivisions, size in ((2, (300, 160)), (3, (90, 84))):
+        other = pj.Scene(mesh=shapes.bumpy(subdivisions, seed=1))
+        camera = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, *size)
+        pj.fit_camera(other, mask_of(camera, other), turned(camera, [1, 2, 3], 5))
     assert programs == [_descent.descended._cached._cache_size()]
 
 
 def test_a_view_that_outgrows_its_buffers_is_fitted_with_larger_ones(monkeypatch, scene):
-    monkeypatch.setattr(_solver, "_first_capacity", lambda *_: Capacity(1024, 1024, 1))
+    monkeypatch.setattr(_solver, "_first_capacity", lambda *_: Capacity(64, 1024, 1))
     truth = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 320, 320)
     fit = pj.fit_camera(scene, mask_of(truth, scene), turned(truth, [1, 2, 3], 5, 2.5))
     assert len(fit.steps) == 12  # two rounds of five levels and the last without overlaps

@@ -10,6 +10,7 @@ import textwrap
 import tomllib
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from PIL import Image
@@ -42,7 +43,26 @@ def test_there_is_no_block_that_no_test_knows():
     assert {line.split()[0] for line in commands()} == {"python3", "pinhole-jax", "blender"}
 
 
-def test_python_runs_and_finds_the_cameras(capsys):
+@pytest.fixture
+def another_cache(monkeypatch, tmp_path):
+    """The user's cache folder is the test's, and has in it what tests share."""
+    before = jax.config.jax_compilation_cache_dir
+    least = jax.config.jax_persistent_cache_min_compile_time_secs
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    (tmp_path / "pinhole_jax").symlink_to(before)
+    yield tmp_path / "pinhole_jax"
+    pj.cache(before)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", least)
+
+
+def test_programs_are_kept_where_the_cache_is(another_cache):
+    another_cache.unlink()
+    assert pj.cache() == another_cache
+    jax.jit(lambda x: x + 1)(2.0)
+    assert any(another_cache.iterdir())
+
+
+def test_python_runs_and_finds_the_cameras(capsys, another_cache):
     names = {}
     first, second = blocks("python")
     exec(compile(first, "README.md, first example", "exec"), names)

@@ -1,0 +1,169 @@
+"""What does a first call wait for? Kernels, loops and seconds of each program that is compiled.
+
+    python experiments/compile.py OUT
+
+Each program in a process of its own with nothing kept: tracing, lowering, compiling, one run. Equal
+kernels are compiled once (`distinct`), so what a program takes follows these. Then the command
+`fit` with an empty and a filled cache.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from _common import camera_at, folder, orbited
+from _kernels import kernels
+
+import pinhole_jax as pj
+
+RUNS = 30
+
+
+def _camera(size: int = 256) -> pj.Camera:
+    return camera_at(np.eye(3), np.array([0.1, 0.05]), 5.0, 0.6, size)
+
+
+def _scene() -> pj.Scene:
+    return pj.Scene(mesh=pj.shapes.bumpy(4))
+
+
+def _loss(camera, scene):
+    return jnp.sum(pj.silhouette(camera, scene) ** 2)
+
+
+def mask():
+    return jax.jit(pj.silhouette), (_camera(), _scene())
+
+
+def mask_without_overlaps():
+    return jax.jit(lambda c, s: pj.silhouette(c, s, overlaps=False)), (_camera(), _scene())
+
+
+def gradient_of_camera():
+    return jax.jit(jax.grad(_loss)), (_camera(), _scene())
+
+
+def gradient_of_camera_and_vertices():
+    def loss(camera, vertices, scene):
+        return _loss(camera, eqx.tree_at(lambda s: s.mesh.vertices, scene, vertices))
+
+    scene = _scene()
+    return jax.jit(jax.grad(loss, (0, 1))), (_camera(), scene.mesh.vertices, scene)
+
+
+def gradient_with_spheres_and_distortion():
+    lens = pj.Lens([128.0, 128.0], 1.0, pj.BrownConrady(0.1, 0.0, 0.0, 0.0, 0.0))
+    c = _camera()
+    camera = pj.Camera(c.e, c.p, c.u, c.phi, c.d, c.W, c.H, lens)
+    spheres = pj.Spheres(np.array([[0.9, 0, 0], [0, 1.0, 0.2]], np.float32), np.float32([0.3, 0.2]))
+    return jax.jit(jax.grad(_loss)), (camera, pj.Scene(mesh=_scene().mesh, spheres=spheres))
+
+
+def fit():
+    """The one program that looks and steps, with the arguments that a fit gives it."""
+    from pinhole_jax import _descent
+
+    program, given = _descent.descended, []
+
+    def seen(*arguments):
+        given.append(arguments)
+        raise InterruptedError
+
+    truth, scene = _camera(), _scene()
+    _descent.descended = seen
+    with suppress(InterruptedError):
+        pj.fit_camera(scene, _hard_mask(truth, scene), truth, free=("pose", "phi"))
+    _descent.descended = program
+    return program, given[0]
+
+
+def _hard_mask(camera: pj.Camera, scene: pj.Scene) -> np.ndarray:
+    return np.isfinite(np.asarray(pj.trace(scene, pj.camera_rays(camera)).t))
+
+
+PROGRAMS: dict[str, Callable] = {
+    f.__name__: f
+    for f in (
+        mask,
+        mask_without_overlaps,
+        gradient_of_camera,
+        gradient_of_camera_and_vertices,
+        gradient_with_spheres_and_distortion,
+        fit,
+    )
+}
+
+
+def program(name: str) -> dict:
+    """Return the counts and times of a program, compiled in this process."""
+    function, arguments = PROGRAMS[name]()
+    clock = [time.perf_counter()]
+    lowered = function.lower(*arguments)
+    clock.append(time.perf_counter())
+    compiled = lowered.compile()
+    clock.append(time.perf_counter())
+    inner = getattr(compiled, "compiled", compiled)
+    run = []
+    for _ in range(RUNS):
+        begin = time.perf_counter()
+        jax.block_until_ready(compiled(*arguments))
+        run.append(time.perf_counter() - begin)
+    seconds = dict(zip(("trace and lower", "compile"), np.diff(clock).round(2), strict=True))
+    return {**kernels(inner.as_text())._asdict(), **seconds, "run ms": 1e3 * float(np.median(run))}
+
+
+def commands() -> dict:
+    """Return the seconds of the command `fit` with an empty and a filled cache."""
+    from pinhole_jax import io
+
+    with tempfile.TemporaryDirectory() as place:
+        path, truth, scene = Path(place), _camera(), _scene()
+        vertices, faces = np.asarray(scene.mesh.vertices), np.asarray(scene.mesh.faces) + 1
+        rows = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in faces]
+        (path / "mesh.obj").write_text("\n".join(rows) + "\n")
+        io.save_image(path / "mask.png", _hard_mask(truth, scene))
+        io.save_camera(path / "start.json", orbited(truth, np.eye(3), 1.05))
+        words = ["fit", "mesh.obj", "mask.png", "--camera", "start.json"]
+        seconds = []
+        for _ in range(2):
+            begin = time.perf_counter()
+            subprocess.run(
+                [sys.executable, "-m", "pinhole_jax", *words],
+                cwd=path,
+                env={**os.environ, "XDG_CACHE_HOME": str(path / "cache")},
+                stdout=subprocess.DEVNULL,
+                check=False,
+            )
+            seconds.append(round(time.perf_counter() - begin, 1))
+    return dict(zip(("empty cache", "full cache"), seconds, strict=True))
+
+
+def main() -> None:
+    if len(sys.argv) > 2:
+        print(json.dumps(program(sys.argv[2])))
+        return
+    environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
+    table = {}
+    for name in PROGRAMS:
+        words = [sys.executable, __file__, str(folder()), name]
+        out = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+        table[name] = json.loads(out.stdout)
+        print(name.replace("_", " "), table[name], flush=True)
+    table["command fit, s"] = commands()
+    print("command fit, s:", table["command fit, s"])
+    table["versions"] = {"jax": jax.__version__}
+    (folder() / "compile.json").write_text(json.dumps(table, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,28 @@
+"""Where compiled programs are kept from one process to the next, if a user wants that."""
+
+import os
+from pathlib import Path
+
+
+def cache(folder: str | os.PathLike | None = None) -> Path:
+    """Keep compiled programs in a folder, from which later processes read them; return the folder.
+
+    The default is `pinhole_jax` in the user's cache folder (`$XDG_CACHE_HOME`, else `~/.cache`):
+    where the command keeps its own. A first fit then takes a process a second or two instead of
+    many. It sets JAX's `jax_compilation_cache_dir`, for all of the process; delete the folder to
+    clear it. Raise ValueError where there is no home folder and none is given.
+    """
+    import jax
+    from jax.experimental.compilation_cache import compilation_cache
+
+    if folder is None:
+        try:
+            folder = (
+                Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pinhole_jax"
+            )
+        except RuntimeError:
+            raise ValueError("`folder`: expected one, as the user has no home folder") from None
+    jax.config.update("jax_compilation_cache_dir", os.fspath(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    compilation_cache.reset_cache()  # else what was set at the first program of all holds
+    return Path(folder)
