@@ -47,7 +47,7 @@ class Kind(NamedTuple):
     - `least`: what it has to leave: quantisation and rounding.
     - `exact`: whether more than `most` says that the camera, the mesh or the mask is wrong; else it
       may be what the mask's maker did to its edges.
-    - `far`: the sum of weighted squares far from the mask's edges.
+    - `far`: the mean weighted square of a pixel far from the mask's edges.
     """
 
     name: str
@@ -99,7 +99,7 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
 
 
 def _noise_far_from_edges(image: np.ndarray, weights: np.ndarray) -> tuple[float, float, bool]:
-    """Return the standard deviation of pixels that are 0 or 1 for certain, the sum of their
+    """Return the standard deviation of pixels that are 0 or 1 for certain, the mean of their
     weighted squares, and whether the noise is the same everywhere."""
     away = (weights > 0) & (near_an_edge(edge_distance(image), FAR_PX) == 0)
     off = (image - np.round(image))[away]
@@ -110,7 +110,7 @@ def _noise_far_from_edges(image: np.ndarray, weights: np.ndarray) -> tuple[float
     even = float(np.mean(squares**2)) < UNEVEN * mean**2
     inside = np.round(image)[away] > 0
     clipped = np.all(off[inside] <= 0) and np.all(off[~inside] >= 0)
-    return (2 * mean if clipped else mean) ** 0.5, float(np.sum(weights[away] * squares)), even
+    return (2 * mean if clipped else mean) ** 0.5, float(np.mean(weights[away] * squares)), even
 
 
 def _shorter_run(between: np.ndarray) -> np.ndarray:

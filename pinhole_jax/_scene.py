@@ -36,7 +36,7 @@ class Clusters(NamedTuple):
 #: Edges of a cluster: as many as bits in a word of `Selection`.
 CLUSTER = 32
 #: Faces (and vertices) that a small mesh's arrays are filled up to.
-FILLED_UP = (1 << 12, 1 << 14, 1 << 16)
+FILLED_UP = (1 << 14, 1 << 16)
 
 
 class Planes(NamedTuple):

@@ -24,7 +24,7 @@ from ._target import (
 from ._view import COARSE_PX, FINE_PX, Problem, View, move as move_of
 
 #: What the smallest buffers hold, and how much larger the next ones are: each size is compiled for.
-LEAST_ROOM, ROOMIER = Capacity(edges=1024, pieces=3072, arc_pieces=3072, arcs=1024), 3
+LEAST_ROOM, ROOMIER = Capacity(edges=1024, pieces=2048, arc_pieces=2048, arcs=1024), 2
 #: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
 OFF_TIMES = 3.0
 
@@ -84,12 +84,13 @@ class Solver:
         """Set how much each pixel counts."""
         self._weights = weights
         size = _size(self.capacity.pieces)
+        least = LEAST_CELLS * 4 ** ((size + 1) // 2)
         levels, self.levels = pyramid(
-            self._target, weights, self.dtype, window=self.window, least=LEAST_CELLS * 4**size
+            self._target, weights, self.dtype, window=self.window, least=least
         )
         # Few programs: the larger image's has room for the longer outline, and the other way round.
         if self.capacity.pieces > 1:
-            size = (levels.target.size // LEAST_CELLS).bit_length() // 2
+            size = max((levels.target.size // LEAST_CELLS).bit_length() - 2, 0)
             pieces = max(self.capacity.pieces, LEAST_ROOM.pieces * ROOMIER**size)
             self.capacity = self.capacity._replace(pieces=pieces)
         if self.kind.exact:
@@ -98,6 +99,7 @@ class Solver:
         seen = self.levels[-1].window().of(weights)
         whole = weights.size * weights[0, 0] if weights.strides == (0, 0) else np.sum(weights)
         self._beside = float(whole - np.sum(seen))
+        self._counted = np.count_nonzero(seen)
         self.finest = len(self.levels) - 1
         self.problem = Problem(self._scene, levels, self.ball, self._bounds, self._prior)
         if not self.kind.hard:
@@ -105,8 +107,11 @@ class Solver:
 
     def misfit_above_noise(self, view: View) -> float:
         """Return the mean square residual of an outline pixel, all squares put on these pixels but
-        those of noise far from edges."""
-        return max(view.squares - self.kind.far, 0.0) / max(float(view.sums.touched), 1.0)
+        what noise leaves in others (at most: three standard errors more than on average)."""
+        touched = float(view.sums.touched)
+        others = max(self._counted - touched, 0.0)
+        noise = self.kind.far * (others + 3 * (2 * others) ** 0.5)
+        return max(view.squares - noise, 0.0) / max(touched, 1.0)
 
     def look(self, unit: Camera, level: int) -> View:
         """Return the view at a camera; capacities get half as much room again as it takes."""

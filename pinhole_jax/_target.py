@@ -224,24 +224,21 @@ def pyramid(
     for _ in range(depth):
         finer.append([_halved(x) for x in finer[-1]])
     integer, real = (lambda x, t=t: np.asarray(x, t) for t in (np.int32, dtype))
-    parts: list[np.ndarray] = []
+    sizes = [image.shape[0] * (image.shape[1] + 2) + 1 for image, *_ in reversed(finer)]
+    room = least
+    while room < sum(sizes):
+        room *= 4
+    flat = np.zeros((6, room), dtype)
     levels: list[Level] = []
     start = 0
-    for level in range(depth, -1, -1):
+    for level, size in zip(range(depth, -1, -1), sizes, strict=True):
         image, weights, inside = finer[level]
-        part = _raster(image, np.where(inside > 1 - 1e-9, weights, 0))
-        parts.append(part)
+        _raster(image, np.where(inside > 1 - 1e-9, weights, 0), flat[:, start : start + size])
         h, w = image.shape
         origin, scale = real([left / 2**level, bottom / 2**level]), real(H / 2**level)
         rest = np.array(False), real(np.inf)
         levels.append(Level(integer(start), integer(w), integer(h), origin, scale, *rest))
-        start += part.shape[1]
-    # A few sizes for all images, so that they share compiled programs.
-    room = least
-    while room < start:
-        room *= 4
-    flat = np.zeros((6, room), dtype)
-    np.concatenate(parts, axis=1, out=flat[:, :start], casting="same_kind")
+        start += size
     return Pyramid(*(jnp.asarray(x) for x in flat)), levels
 
 
@@ -253,13 +250,14 @@ def _halved(image: np.ndarray) -> np.ndarray:
     return (rows[:, 0::2] + rows[:, 1::2]) / 4
 
 
-def _raster(image: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return the six flat arrays of one level."""
+def _raster(image: np.ndarray, weight: np.ndarray, out: np.ndarray) -> None:
+    """Write the six flat arrays of one level."""
     sides = ((0, 0), (1, 1))
     target, weight = (np.pad(x[::-1], sides).ravel() for x in (image, weight))
     costs = [weight * target**2, weight * (1 - target) ** 2, weight, weight * target]
-    sums = [np.concatenate([[0], np.cumsum(c)]) for c in costs]
-    return np.stack([np.append(target, 0), np.append(weight, 0), *sums])
+    out[0, :-1], out[1, :-1] = target, weight
+    for row, cost in zip(out[2:], costs, strict=True):
+        row[1:] = np.cumsum(cost)
 
 
 def level_slice(pyramid: Pyramid, level: Level, cell: Int[Array, "*P"]) -> Pyramid:

@@ -189,7 +189,8 @@ def test_meshes_and_images_of_similar_size_share_compiled_programs(scene):
 
 
 def test_a_view_that_outgrows_its_buffers_is_fitted_with_larger_ones(monkeypatch, scene):
-    monkeypatch.setattr(_solver, "_first_capacity", lambda *_: Capacity(64, 1024, 1))
+    monkeypatch.setattr(_solver, "LEAST_ROOM", Capacity(1024, 1024, 1024, 1024))
+    monkeypatch.setattr(_solver, "_first_capacity", lambda *_: Capacity(1024, 1024, 1))
     truth = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 320, 320)
     fit = pj.fit_camera(scene, mask_of(truth, scene), turned(truth, [1, 2, 3], 5, 2.5))
     assert len(fit.steps) == 12  # two rounds of five levels and the last without overlaps
