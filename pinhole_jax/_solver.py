@@ -25,6 +25,8 @@ from ._view import COARSE_PX, FINE_PX, Problem, View, move as move_of
 
 #: What the smallest buffers hold, and how much larger the next ones are: each size is compiled for.
 LEAST_ROOM, ROOMIER = Capacity(edges=1024, pieces=2048, arc_pieces=2048, arcs=1024), 2
+#: Noise leaves at most so many standard errors more than on average.
+ERRORS = 4.0
 #: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
 OFF_TIMES = 3.0
 
@@ -107,11 +109,22 @@ class Solver:
 
     def misfit_above_noise(self, view: View) -> float:
         """Return the mean square residual of an outline pixel, all squares put on these pixels but
-        what noise leaves in others (at most: three standard errors more than on average)."""
+        what noise leaves in others."""
         touched = float(view.sums.touched)
-        others = max(self._counted - touched, 0.0)
-        noise = self.kind.far * (others + 3 * (2 * others) ** 0.5)
+        noise = self.kind.far * max(self._counted - touched, 0.0)
         return max(view.squares - noise, 0.0) / max(touched, 1.0)
+
+    def explains(self, view: View) -> bool:
+        """Return whether a right camera may leave these squares in a mask of this kind.
+
+        Noise that is even says how much it leaves in all, and how exactly: what is beyond that is
+        something else, as a handle that only the mask shows.
+        """
+        misfit, kind = self.misfit_above_noise(view), self.kind
+        if not kind.spread:
+            return bool(misfit <= kind.most)
+        excess = (misfit - kind.variance) * max(float(view.sums.touched), 1.0)
+        return bool(excess <= ERRORS * kind.spread)
 
     def look(self, unit: Camera, level: int) -> View:
         """Return the view at a camera; capacities get half as much room again as it takes."""

@@ -54,22 +54,21 @@ def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> Places:
         found = found._replace(unit=start, view=before)  # never worse than the start
     if not free:
         return settled(solver, found, start)
-    content, misfit = solver.kind.most, solver.misfit_above_noise(found.view)
-    places = Places(found, [], [])
-    if misfit <= max(content, EXACT):
+    places, content = Places(found, [], []), solver.explains(found.view)
+    if content or solver.misfit_above_noise(found.view) <= EXACT:
         places = settled(solver, found, start)
         alike = [c for c in mirrored(solver, places.best) if angle(c, start) < NEAR_START]
         places = with_others(solver, places, _finished(solver, alike))
-        misfit = solver.misfit_above_noise(places.best.view)
-    explained = solver.kind.exact and misfit <= content
+        content = solver.explains(places.best.view)
+    explained = solver.kind.exact and content
     astray = not explained and angle(places.best.unit, start) > ASTRAY
-    if misfit > content or astray:
+    if astray or not content:
         others = everywhere(solver, mask, told, rounds=1)
         view, other = places.best.view, others.best.view
         lost = float(view.sums.overlap) < POOR * float(view.sums.union)
         better = other.squares < FAR_BETTER * view.squares
         # Nothing explains a mask that is wrong: stay with what is near the start.
-        if lost or better or astray or solver.misfit_above_noise(other) <= content:
+        if lost or better or astray or solver.explains(other):
             places = with_others(solver, places, [others.best, *others.others], others.free)
         if places.best is found:
             places = settled(solver, found, start)._replace(others=places.others)
@@ -124,7 +123,7 @@ def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> Place
         source, likely = tee(source)
         apart = APART / (1 if free else 2**n)
         found = _one_of_each([*found, *_followed(solver, likely, apart, told)], solver.names)
-        if solver.misfit_above_noise(found[0].view) < solver.kind.most:
+        if solver.explains(found[0].view):
             break
     places = settled(solver, found[0])
     alike = _finished(solver, mirrored(solver, places.best))

@@ -13,7 +13,7 @@ from oracles import turned
 from scipy.ndimage import binary_erosion, gaussian_filter
 
 import pinhole_jax as pj
-from pinhole_jax import shapes
+from pinhole_jax import _strategy, shapes
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 
@@ -43,6 +43,11 @@ def test_no_fit_says_converged_and_is_wrong(honesty, shape, exhaustive):
             assert sum(r["status"] == "converged" for r in rows if r["start"]) > 0
 
 
+def test_a_handle_that_only_the_mask_shows_is_not_taken_for_noise(honesty):
+    row = honesty.trial(16, "mug", "noisy")
+    assert not honesty.is_lie(row), row
+
+
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 
 
@@ -52,6 +57,20 @@ def mask_of(camera, scene):
 
 def degrees(fit, truth=CAMERA):
     return float(np.rad2deg(pj.pose_error(fit.camera, truth)[0]))
+
+
+@pytest.mark.parametrize("clipped", [False, True])
+def test_a_noisy_mask_that_is_explained_is_not_searched(monkeypatch, clipped):
+    """Noise is no misfit, wherever in the image it is: one descent finds the camera."""
+    monkeypatch.setattr(_strategy, "everywhere", pytest.fail)
+    scene = pj.Scene(mesh=shapes.bumpy(3))
+    image = mask_of(CAMERA, scene)
+    for seed in range(3):
+        noise = 0.02 * np.random.default_rng(seed).normal(size=image.shape)
+        target = np.clip(image + noise, 0, 1) if clipped else image + noise
+        fit = pj.fit_camera(scene, target, turned(CAMERA, [1, 2, 3], 8))
+        assert fit.status == "converged"
+        assert degrees(fit) < 1
 
 
 def test_a_noisy_mask_of_a_box_is_as_ambiguous_as_an_exact_one():
