@@ -246,6 +246,7 @@ COLMAP_CASES = [
     ("PINHOLE", "FOV", "`MODEL`: expected one of SIMPLE_PINHOLE, .* got FOV"),
     ("4 4 4 3", "4 4 4", r"`PARAMS`: expected 4 numbers \(fx, fy, cx, cy\) of PINHOLE, got 3"),
     ("4 4 4 3", "4 four 4 3", "expected numbers, got could not convert .* 'four'"),
+    ("4 4 4 3", "4 1_0 4 3", "expected numbers, got could not convert .* '1_0'"),
     (
         "4 4 4 3",
         "4 nan 4 3",

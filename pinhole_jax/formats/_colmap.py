@@ -17,7 +17,7 @@ import numpy as np
 from .._camera import Camera
 from .._distortion import BrownConrady, Fisheye
 from .._files import opened, replace_file
-from ._fields import KIND, Fields, add_named, check_names, save_text, short
+from ._fields import KIND, Fields, add_named, check_names, number, save_text, short
 from ._pinhole import (
     OPENCV,
     Pinhole,
@@ -232,7 +232,7 @@ def _add(known: dict, name: str, key: int, value: Any, where: str) -> None:
 
 def _numbers(words: list[str], where: str) -> list[float]:
     try:
-        return [float(word) for word in words]
+        return [number(word) for word in words]
     except ValueError as error:
         raise ValueError(f"expected numbers, got {str(error)[:99]} ({where})") from None
 

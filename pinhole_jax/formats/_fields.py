@@ -175,6 +175,13 @@ def _shape(shape: Sequence[int]) -> str:
     return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
 
 
+def number(text: str) -> float:
+    """Return the number that a text is, or raise ValueError; Python would read 1_0 as 10."""
+    if "_" in text:
+        raise ValueError(f"could not convert to a number: {short(text)}")
+    return float(text)
+
+
 def short(value: Any) -> str:
     """Return a value in few words."""
     if isinstance(value, str):

@@ -17,7 +17,7 @@ import numpy as np
 
 from .._camera import Camera
 from .._files import read_text
-from ._fields import KIND, Fields, Size, add_named, check_names, save_text, short
+from ._fields import KIND, Fields, Size, add_named, check_names, number, save_text, short
 from ._pinhole import (
     LEFT_UP_FORWARD,
     Pinhole,
@@ -279,7 +279,7 @@ def _filled(
 
 def _number(name: str, text: str, where: str) -> float:
     try:
-        value = float(text)
+        value = number(text)
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
