@@ -10,6 +10,8 @@ import jax
 import numpy as np
 
 import pinhole_jax as pj
+from pinhole_jax._parameters import canonical
+from pinhole_jax._solver import Solver
 
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "meshes"
 
@@ -53,6 +55,12 @@ def orbited(truth: pj.Camera, turn: np.ndarray, far: float) -> pj.Camera:
     axes = np.stack([np.asarray(a, float) for a in pj.camera_basis(truth)]) @ turn.T
     e = far * (turn @ np.asarray(truth.e, float))
     return camera_at(axes, axes[:2] @ e, -e @ axes[2], float(truth.phi), truth.W)
+
+
+def one_step(solver: Solver, camera: pj.Camera) -> tuple:
+    """Return the arguments with which `descended` takes one step on the finest level."""
+    level, ends = solver.levels[solver.finest], (np.float32(1e-3), np.int32(1))
+    return canonical(camera), solver.problem, level, *ends, solver.names, solver.capacity
 
 
 def degrees(camera: pj.Camera, truth: pj.Camera) -> float:

@@ -3,28 +3,27 @@
     python experiments/compile.py OUT
 
 Each program in a process of its own with nothing kept: tracing, lowering, compiling, one run. Equal
-kernels are compiled once (`distinct`), so what a program takes follows these. Then the command
-`fit` with an empty and a filled cache.
+kernels are compiled once (`distinct`), so what a program takes follows these. (The command with an
+empty and a filled cache is in `hotspots.py`.)
 """
 
 import json
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from _common import camera_at, folder, orbited
+from _common import camera_at, folder, one_step
 from _kernels import kernels
 
 import pinhole_jax as pj
+from pinhole_jax._descent import descended
+from pinhole_jax._solver import Solver
 
 RUNS = 30
 
@@ -71,24 +70,10 @@ def gradient_with_spheres_and_distortion():
 
 def fit():
     """The one program that looks and steps, with the arguments that a fit gives it."""
-    from pinhole_jax import _descent
-
-    program, given = _descent.descended, []
-
-    def seen(*arguments):
-        given.append(arguments)
-        raise InterruptedError
-
     truth, scene = _camera(), _scene()
-    _descent.descended = seen
-    with suppress(InterruptedError):
-        pj.fit_camera(scene, _hard_mask(truth, scene), truth, free=("pose", "phi"))
-    _descent.descended = program
-    return program, given[0]
-
-
-def _hard_mask(camera: pj.Camera, scene: pj.Scene) -> np.ndarray:
-    return np.isfinite(np.asarray(pj.trace(scene, pj.camera_rays(camera)).t))
+    mask = np.isfinite(np.asarray(pj.trace(scene, pj.camera_rays(truth)).t))
+    weights = np.broadcast_to(1.0, mask.shape)
+    return descended, one_step(Solver(scene, mask, weights, np.float32, ("pose", "phi"), 64), truth)
 
 
 PROGRAMS: dict[str, Callable] = {
@@ -122,32 +107,6 @@ def program(name: str) -> dict:
     return {**kernels(inner.as_text())._asdict(), **seconds, "run ms": 1e3 * float(np.median(run))}
 
 
-def commands() -> dict:
-    """Return the seconds of the command `fit` with an empty and a filled cache."""
-    from pinhole_jax import io
-
-    with tempfile.TemporaryDirectory() as place:
-        path, truth, scene = Path(place), _camera(), _scene()
-        vertices, faces = np.asarray(scene.mesh.vertices), np.asarray(scene.mesh.faces) + 1
-        rows = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in faces]
-        (path / "mesh.obj").write_text("\n".join(rows) + "\n")
-        io.save_image(path / "mask.png", _hard_mask(truth, scene))
-        io.save_camera(path / "start.json", orbited(truth, np.eye(3), 1.05))
-        words = ["fit", "mesh.obj", "mask.png", "--camera", "start.json"]
-        seconds = []
-        for _ in range(2):
-            begin = time.perf_counter()
-            subprocess.run(
-                [sys.executable, "-m", "pinhole_jax", *words],
-                cwd=path,
-                env={**os.environ, "XDG_CACHE_HOME": str(path / "cache")},
-                stdout=subprocess.DEVNULL,
-                check=False,
-            )
-            seconds.append(round(time.perf_counter() - begin, 1))
-    return dict(zip(("empty cache", "full cache"), seconds, strict=True))
-
-
 def main() -> None:
     if len(sys.argv) > 2:
         print(json.dumps(program(sys.argv[2])))
@@ -159,8 +118,6 @@ def main() -> None:
         out = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
         table[name] = json.loads(out.stdout)
         print(name.replace("_", " "), table[name], flush=True)
-    table["command fit, s"] = commands()
-    print("command fit, s:", table["command fit, s"])
     table["versions"] = {"jax": jax.__version__}
     (folder() / "compile.json").write_text(json.dumps(table, indent=1) + "\n")
 

@@ -23,7 +23,7 @@ from typing import Any
 import jax
 import numpy as np
 import trimesh
-from _common import camera_at, folder, orbited
+from _common import camera_at, folder, one_step, orbited
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -135,12 +135,13 @@ def main() -> None:
 
     solver = Solver(scene, mask, weights, np.float32, free, 64)
     solver.look(canonical(truth), solver.finest)
-    unit, level = canonical(start), solver.levels[solver.finest]
-    ends = np.float32(1e-3), np.int32(1)
-    look = (unit, solver.problem, level, *ends, free, solver.capacity)
     calls = {
         "mask": (_silhouette, lambda: pj.silhouette(truth, scene), (truth, scene, True)),
-        "fit": (descended, lambda: pj.fit_camera(scene, mask, start, free), look),
+        "fit": (
+            descended,
+            lambda: pj.fit_camera(scene, mask, start, free),
+            one_step(solver, start),
+        ),
     }
     answers = {"first_calls_s": first_calls(mesh, mask, start)}
     for words, s in answers["first_calls_s"].items():

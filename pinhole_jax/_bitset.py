@@ -23,10 +23,23 @@ def count_upto(upto: Int[Array, "n"], value: Int[Array, "*K"]) -> Int[Array, "*K
     return jax.lax.fori_loop(0, bits, bisect, jnp.zeros(value.shape, jnp.int32))
 
 
-def listed(which: Bool[Array, "K"]) -> Int[Array, "K"]:
-    """Return the indices of the true entries, in order, then K; for some thousand entries."""
+class Listed(NamedTuple):
+    """The indices of a mask's true entries, `total` of them, in order, then its length."""
+
+    indices: Int[Array, "K"]
+    total: Int[Array, ""]
+
+    def at(self, rank: Int[Array, "*R"]) -> Int[Array, "*R"]:
+        """Return the indices number `rank`; one within range past the end."""
+        last = self.indices.shape[0] - 1
+        return jnp.minimum(self.indices.at[rank].get(mode="fill", fill_value=last), last)
+
+
+def listed(which: Bool[Array, "K"]) -> Listed:
+    """Return the list of the true entries; for some thousand (for more: `select`)."""
     K = which.shape[0]
-    return jax.lax.sort(jnp.where(which, jnp.arange(K, dtype=jnp.int32), K))
+    indices = jax.lax.sort(jnp.where(which, jnp.arange(K, dtype=jnp.int32), K))
+    return Listed(indices, jnp.sum(which, dtype=jnp.int32))
 
 
 class Selection(NamedTuple):

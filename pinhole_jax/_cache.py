@@ -3,6 +3,9 @@
 import os
 from pathlib import Path
 
+import jax
+from jax.experimental.compilation_cache import compilation_cache
+
 
 def cache(folder: str | os.PathLike | None = None) -> Path:
     """Keep compiled programs in a folder, from which later processes read them; return the folder.
@@ -12,14 +15,10 @@ def cache(folder: str | os.PathLike | None = None) -> Path:
     many. It sets JAX's `jax_compilation_cache_dir`, for all of the process; delete the folder to
     clear it. Raise ValueError where there is no home folder and none is given.
     """
-    import jax
-    from jax.experimental.compilation_cache import compilation_cache
-
     if folder is None:
         try:
-            folder = (
-                Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pinhole_jax"
-            )
+            home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+            folder = Path(home) / "pinhole_jax"
         except RuntimeError:
             raise ValueError("`folder`: expected one, as the user has no home folder") from None
     jax.config.update("jax_compilation_cache_dir", os.fspath(folder))

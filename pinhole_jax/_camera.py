@@ -254,7 +254,7 @@ class FilmMap(eqx.Module):
     def turn(self, x: Array, y: Array, z: Array) -> Float[Array, "*batch 3"]:
         """Return the homogeneous film points of directions from the eye."""
         column = lambda k: self.matrix[:, k].reshape((1,) * x.ndim + (3,))
-        return sum(column(k) * v[..., None] for k, v in enumerate((x, y, z)))  # pyright: ignore
+        return column(0) * x[..., None] + column(1) * y[..., None] + column(2) * z[..., None]
 
 
 def film_map(camera: Camera) -> FilmMap:

@@ -77,7 +77,7 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     image = shares(target)
     if np.all((image == 0) | (image == 1)):
         return Kind("one bit", UNIFORM, HARD, CUT_CORNERS * UNIFORM, False)
-    noise, far, spread = _noise_far_from_edges(image, weights)
+    noise, far, even, spread = _noise_far_from_edges(image, weights)
     threshold = max(4 * noise, 1e-3)
     between = (image > threshold) & (image < 1 - threshold) & (weights > 0)
     counted = image[between]
@@ -95,7 +95,6 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
         return Kind("wide edges", left, max(HARD * scale, 1.5 * left), least, False, far)
     if noise > 0:
         variance = scale * noise**2 + least
-        even = spread > 0
         most = TIMES * variance if even else HARD * scale
         return Kind("noisy", variance, most, least, even, far, spread)
     # A renderer's 8 bits: some hundred samples a pixel, or its filter.
@@ -103,15 +102,17 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     return Kind("soft", variance, most, least, True)
 
 
-def _noise_far_from_edges(image: np.ndarray, weights: np.ndarray) -> tuple[float, float, float]:
+def _noise_far_from_edges(
+    image: np.ndarray, weights: np.ndarray
+) -> tuple[float, float, bool, float]:
     """Return the standard deviation of pixels that are 0 or 1 for certain, the mean of their
-    weighted squares, and the standard error of the sum of as many as are not: 0 where the noise is
-    not the same everywhere."""
+    weighted squares, whether the noise is the same everywhere, and if it is the standard error of
+    the sum of as many as are not certain."""
     away = (weights > 0) & (near_an_edge(edge_distance(image), FAR_PX) == 0)
     off = (image - np.round(image))[away]
     squares = off**2
     if not np.any(squares):
-        return 0.0, 0.0, 0.0
+        return 0.0, 0.0, True, 0.0
     mean = float(np.mean(squares))
     even = float(np.mean(squares**2)) < UNEVEN * mean**2
     inside = np.round(image)[away] > 0
@@ -119,7 +120,8 @@ def _noise_far_from_edges(image: np.ndarray, weights: np.ndarray) -> tuple[float
     weighted = weights[away] * squares
     near = np.count_nonzero(weights) - squares.size
     spread = float(np.std(weighted)) * (near * (1 + near / squares.size)) ** 0.5
-    return (2 * mean if clipped else mean) ** 0.5, float(np.mean(weighted)), float(even * spread)
+    deviation = (2 * mean if clipped else mean) ** 0.5
+    return deviation, float(np.mean(weighted)), even, float(even * spread)
 
 
 def _shorter_run(between: np.ndarray) -> np.ndarray:

@@ -198,13 +198,11 @@ def _seen(
     """Return signatures of the scene, and camera axes, from directions at `reach` radii."""
     phi = 2 * np.arcsin(min(1 / reach, 0.95))
     eyes = ball.centre + reach * ball.radius * directions
-    number, room = len(eyes), np.zeros((VIEWS - len(eyes), 3))
-    eyes, pivot, phi_ = (
-        np.asarray(x, dtype) for x in (np.concatenate([eyes, room]), ball.centre, phi)
-    )
-    images, axes = (
-        np.asarray(x[:number], float) for x in _views(scene, eyes, np.int32(number), pivot, phi_)
-    )
+    number = len(eyes)
+    room = np.pad(eyes, ((0, VIEWS - number), (0, 0)))
+    room, pivot, fov = (np.asarray(x, dtype) for x in (room, ball.centre, phi))
+    seen = _views(scene, room, np.int32(number), pivot, fov)
+    images, axes = (np.asarray(x[:number], float) for x in seen)
     film = np.full(2, VIEW_PX / (2 * np.tan(phi / 2))), np.full(2, VIEW_PX / 2)
     known = np.ones((VIEW_PX, VIEW_PX))
     return signatures(images, known, *film), axes

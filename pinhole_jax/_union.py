@@ -368,17 +368,14 @@ def fold_chosen(
 
     `there` is False for what fills up the last turn.
     """
-    K = which.shape[0]
     chosen = jax.lax.optimization_barrier(listed(which))
-    total = jnp.sum(which, dtype=jnp.int32)
 
     def body(state):
-        rank, sum = state
+        rank, total = state
         some = rank + jnp.arange(number, dtype=jnp.int32)
-        index = chosen.at[some].get(mode="fill", fill_value=K)
-        return rank + number, add(sum, jnp.minimum(index, K - 1), index < K)
+        return rank + number, add(total, chosen.at(some), some < chosen.total)
 
-    return jax.lax.while_loop(lambda s: s[0] < total, body, (jnp.int32(0), start))[1]
+    return jax.lax.while_loop(lambda s: s[0] < chosen.total, body, (jnp.int32(0), start))[1]
 
 
 def _fill(
@@ -393,15 +390,14 @@ def _fill(
     film = jax.lax.div(pair, per_film)
 
     def chunk(state, ids, curves: Curves):
-        near = (curves.weight != 0) & (at_pixels | _near(curves, batch))
-        number_near, near = jnp.sum(near, dtype=jnp.int32), listed(near)
+        near = listed((curves.weight != 0) & (at_pixels | _near(curves, batch)))
 
         def body(state):
             rank, (cells, corner) = state
             own = rank + pair - film * per_film
-            one = jnp.minimum(near.at[own].get(mode="fill", fill_value=size), size - 1)
+            one = near.at(own)
             some = jax.tree.map(lambda x: x[one], curves)
-            some = some._replace(weight=jnp.where(own < number_near, some.weight, 0))
+            some = some._replace(weight=jnp.where(own < near.total, some.weight, 0))
             some = placed(some, batch.scale, batch.films[film])
 
             def add(cells, pieces: Pieces):
@@ -418,7 +414,7 @@ def _fill(
             corner = corner + jax.lax.cond(at_pixels, none, lambda: _child_turns(some))
             return rank + per_film, (fold_pieces(some, W, H, max_H, add, cells), corner)
 
-        return jax.lax.while_loop(lambda s: s[0] < number_near, body, (jnp.int32(0), state))[1]
+        return jax.lax.while_loop(lambda s: s[0] < near.total, body, (jnp.int32(0), state))[1]
 
     return fold_curves(part, chunk, (cells, jnp.zeros_like(batch.corner)), size)
 

@@ -80,6 +80,13 @@ def test_a_moved_outline_is_not_explained(mask):
             assert np.mean((moved - mask)[outline] ** 2) > found.most
 
 
+def test_an_offset_that_is_the_same_everywhere_is_even(mask):
+    """Greys of 5 and 250: their squares do not spread, and tell all the same."""
+    found = kind_of(np.where(mask > 0.5, 250, 5).astype(np.uint8), np.ones(mask.shape), np.float64)
+    assert (found.name, found.exact) == ("noisy", True)
+    assert found.spread < 1e-12
+
+
 def test_weights_scale_it(mask):
     plain, heavy = (kind_of(noisy(mask), w * np.ones(mask.shape), np.float64) for w in (1.0, 4.0))
     for name in ("variance", "most", "far"):
