@@ -92,7 +92,7 @@ def write(
     Raises ValueError as `page` does, and for a path that cannot be written.
     """
     text = page(fit, scene, target, photo, title)
-    replace_file(path, text.encode())
+    replace_file(path, text.encode(errors="backslashreplace"))  # files' names need be no text
 
 
 def page(

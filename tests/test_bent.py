@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
+import test_grid
 from jax.flatten_util import ravel_pytree
 from oracles import central_difference, union_per_pixel
 from test_distortion import by_opencv
@@ -41,7 +42,7 @@ def dense(view, mesh, number=1000):
         a, b, c = np.asarray(mesh.vertices, float)[face]
         side = [p + share * (q - p) for p, q in ((a, b), (b, c), (c, a))]
         shapes.append(shapely.Polygon(by_opencv(view, np.concatenate(side))))
-    return union_per_pixel(shapes, W, H)
+    return union_per_pixel(shapes, view.W, view.H)
 
 
 CASES = {
@@ -61,6 +62,16 @@ def test_coverage_is_that_of_the_bent_triangles(case):
     assert np.sum((expected > 0) & (expected < 1)) > 20
     np.testing.assert_allclose(image, expected, atol=1.5e-3)
     assert np.sqrt(np.mean((image - expected) ** 2)) < 3e-4
+
+
+def test_sheets_on_the_pixel_grid():
+    """Sides through the principal point stay on the grid, others bend; two sheets are copies."""
+    for seed in range(6):
+        (vertices, faces), _ = test_grid.sheets(np.random.default_rng(seed), "quarters")
+        view, mesh = test_grid.camera(seed % 4), pj.Mesh(vertices, faces)
+        view = eqx.tree_at(lambda c: c.lens, view, pj.Lens([20, 16], 1.0, pj.BrownConrady(-0.2)))
+        image = silhouette(view, pj.Scene(mesh=mesh))
+        np.testing.assert_allclose(image, dense(view, mesh, 200), atol=1.5e-3)
 
 
 def test_a_scene_through_the_plane_of_the_eye():

@@ -482,6 +482,22 @@ def test_many_mitsuba_defaults_of_one_long_value_are_refused(tmp_path):
         formats.read(tmp_path / "a.xml")
 
 
+def test_a_file_s_name_need_be_no_text(tmp_path):
+    path = tmp_path / os.fsdecode(b"a\n\xff.json")
+    try:
+        io.save_camera(path, CAMERA)
+    except OSError:
+        pytest.skip("this file system takes text alone as names")
+    strict = {**os.environ, "PYTHONIOENCODING": "utf-8:strict"}
+    done = command("convert", path, tmp_path / os.fsdecode(b"\xfe.yaml"), env=strict)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"\\udcfe.yaml" in done.stdout
+    path.write_bytes(b"{")
+    done = command("convert", path, tmp_path / "b.yaml", env=strict)
+    assert done.returncode == 2
+    assert b"\\udcff.json'" in done.stderr
+
+
 @pytest.mark.parametrize("path", ["", "x" * 5000 + ".json", "x" * 5000])
 def test_a_path_that_can_be_none_is_said(path):
     with pytest.raises(ValueError, match="`path`: expected a"):

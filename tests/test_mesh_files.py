@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from test_polygons import SHAPES, covered
 
 import pinhole_jax as pj
+from pinhole_jax._mesh_files import _skins
 
 # --- polygons in every format --------------------------------------------------------------------
 
@@ -376,6 +377,24 @@ def test_skins_pose_the_mesh_by_its_joints_and_not_by_its_node(tmp_path):
     check_triangles(f.load(tmp_path), expected[TWO])
 
 
+def test_a_skin_s_joints_are_worked_out_once_for_all_its_meshes(tmp_path, monkeypatch):
+    of, seen = _skins._joints_of, []
+    monkeypatch.setattr(_skins, "_joints_of", lambda *args: seen.append(args) or of(*args))
+    f = File()
+    joints = f.accessor(np.zeros((4, 4), "<u1"))
+    weights = f.accessor(np.tile(np.array([1, 0, 0, 0], "<f4"), (4, 1)))
+    for x in range(3):
+        primitive = f.primitive(np.add(SQUARE, [x, 0, 0]).astype("<f4"), TWO)
+        primitive["attributes"] |= {"JOINTS_0": joints, "WEIGHTS_0": weights}
+        mesh = f.mesh(primitive)
+        f.node(mesh=mesh, skin=0)
+        f.node(mesh=mesh, skin=1)
+    f.top["skins"] = [{"joints": [f.node(translation=[0, 0, z])]} for z in (2, 5)]
+    copies = [np.add(SQUARE, [x, 0, z])[TWO] for x in range(3) for z in (2, 5)]
+    check_triangles(f.load(tmp_path), np.concatenate(copies))
+    assert len(seen) == 2
+
+
 def placed(points, translation, rotation, scale):
     return Rotation.from_quat(rotation).apply(points * scale) + translation
 
@@ -508,6 +527,14 @@ def many_accessors():
     return f
 
 
+def many_targets():
+    f = File()
+    primitive = f.primitive(np.tile(SQUARE, (60_000, 1)))
+    primitive["targets"] = [dict(primitive["attributes"]) for _ in range(500)]
+    f.node(mesh=f.mesh(primitive, weights=[0.5] * 500))
+    return f
+
+
 def changed(path, value):
     f = File()
     f.node(mesh=f.mesh(f.primitive(SQUARE, TWO)))
@@ -580,6 +607,7 @@ def test_indices_beyond_the_vertices(tmp_path):
         (lambda: bomb(60), "one parent"),
         (many_instances, "at most 16777216 triangles"),
         (many_accessors, "at most 268435456 numbers"),
+        (many_targets, r"targets\[\d+\].: expected at most 268435456 numbers"),
     ],
 )
 def test_small_files_that_stand_for_much_are_refused_in_seconds(tmp_path, make, message):

@@ -56,7 +56,7 @@ def data_of(uri):
 @pytest.fixture(scope="module")
 def text(tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "deep" / "page.html"
-    report.write(path, FIT, SQUARE, MASK, title="part <b>1</b> & mask")
+    report.write(path, FIT, SQUARE, MASK, title="part <b>1</b> & \udcffmask")
     return path.read_text(encoding="utf-8")
 
 
@@ -77,7 +77,7 @@ def test_the_page_has_all_its_sections_and_nothing_from_elsewhere(text):
     for a in page.all("img") + page.all("a"):
         assert a.get("src", a.get("href")).startswith("data:")
     assert text.count("http") == 1  # the name of SVG
-    assert "part <b>1</b> & mask" in page.text["header"]
+    assert r"part <b>1</b> & \udcffmask" in page.text["header"]
     assert page.all("b") == [{}]
     assert page.all("p")[0]["class"] == "status rank_deficient"
 
