@@ -21,22 +21,24 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 SHARED = Path(__file__).parents[2] / "shared" / "data"
 
 
-def is_full(config: pytest.Config) -> bool:
-    return "slow" in config.option.markexpr
+def pytest_addoption(parser):
+    parser.addoption("--exhaustive", action="store_true", help="every test, at full size: hours")
 
 
 @pytest.fixture
 def exhaustive(pytestconfig) -> bool:
-    """Whether slow tests are to run in full."""
-    return is_full(pytestconfig)
+    """Whether tests are to run at full size."""
+    return pytestconfig.option.exhaustive
 
 
 def pytest_collection_modifyitems(config, items):
-    """Leave out what only a full run has."""
-    if not is_full(config):
-        out = [item for item in items if item.get_closest_marker("full")]
-        config.hook.pytest_deselected(items=out)
-        items[:] = [item for item in items if item not in out]
+    """Leave out what takes long, unless it is asked for."""
+    if config.option.exhaustive or any("::" in argument for argument in config.args):
+        return
+    left_out = {"full"} if "long" in config.option.markexpr else {"full", "long"}
+    out = [item for item in items if left_out & {mark.name for mark in item.iter_markers()}]
+    config.hook.pytest_deselected(items=out)
+    items[:] = [item for item in items if item not in set(out)]
 
 
 @pytest.fixture

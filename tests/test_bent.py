@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import shapely
 import test_grid
+from chosen import first
 from jax.flatten_util import ravel_pytree
 from oracles import central_difference, union_per_pixel
 from test_distortion import by_opencv
@@ -54,7 +55,7 @@ CASES = {
 silhouette = jax.jit(pj.silhouette)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", first(1, CASES))
 def test_coverage_is_that_of_the_bent_triangles(case):
     view, mesh = camera(*CASES[case]), sheet()
     image = silhouette(view, pj.Scene(mesh=mesh))
@@ -64,6 +65,7 @@ def test_coverage_is_that_of_the_bent_triangles(case):
     assert np.sqrt(np.mean((image - expected) ** 2)) < 3e-4
 
 
+@pytest.mark.long
 def test_sheets_on_the_pixel_grid():
     """Sides through the principal point stay on the grid, others bend; two sheets are copies."""
     for seed in range(6):

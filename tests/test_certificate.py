@@ -43,6 +43,7 @@ def blob(camera, scene):
     return jnp.exp(-((column[None] - x) ** 2 + (row[:, None] - y) ** 2) / 40)
 
 
+@pytest.mark.long
 def test_the_silhouette_of_a_bumpy_mesh_through_a_lens(capsys):
     found = pj.check_gradients(camera(lens=LENS), pj.Scene(mesh=shapes.bumpy(3)))
     assert found.passed, found
@@ -55,6 +56,7 @@ def test_the_silhouette_of_a_bumpy_mesh_through_a_lens(capsys):
     assert capsys.readouterr().out == f"{found}\n"
 
 
+@pytest.mark.long
 def test_the_silhouette_of_spheres_in_float32():
     """Held against differences in float64, which x64 allows."""
     found = pj.check_gradients(camera("float32"), spheres("float32"), image, verbose=False)
@@ -146,6 +148,7 @@ def weak_pixel():
     return tuple(int(i) for i in np.argwhere((cover > 0.02) & (cover < 0.1))[0])
 
 
+@pytest.mark.long
 def test_no_fault_passes():
     found = faulty()
     assert found.passed, found
@@ -164,12 +167,14 @@ def test_a_flipped_sign_is_caught_and_named(name):
     np.testing.assert_allclose(row.error, 2, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_a_sign_flipped_in_one_pixel_is_caught(weak_pixel):
     found = faulty(pixel=weak_pixel, forward=-1.0, reverse=-1.0)
     assert {"e.x", "p.y", "u.x", "phi", "centers #1", "radii #1"} <= set(failures(found))
     assert all(row.pixel == weak_pixel for row in found.rows if row.verdict == "wrong derivative")
 
 
+@pytest.mark.long
 def test_one_contour_piece_dropped_is_caught(weak_pixel):
     """One pixel of hundreds, in forward and reverse alike: no sum over the image would tell."""
     found = faulty(pixel=weak_pixel, forward=0.0, reverse=0.0)

@@ -17,6 +17,7 @@ MOST = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", MOST)
 def test_a_program_has_few_kernels(name):
     """How many there are depends on the compiler's version: by a tenth at most."""

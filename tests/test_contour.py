@@ -67,6 +67,7 @@ def arcs_of(camera, spheres):
     return sphere_arcs(film_map(camera), spheres, ids)
 
 
+@pytest.mark.long
 def test_the_outline_of_a_sphere_on_the_axis_is_a_circle():
     # At distance 5, radius 3: the cone's half angle has sine 3/5, tangent 3/4.
     camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], np.pi / 2, W=8, H=8)

@@ -424,7 +424,7 @@ print(most() - before)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_a_large_picture_takes_ten_bytes_a_pixel(tmp_path, exhaustive):
     n = 6000 if exhaustive else 4000

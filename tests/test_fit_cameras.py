@@ -50,6 +50,7 @@ def test_shared_intrinsics_from_exact_masks(scene, masks):
         assert abs(float(fit.camera.phi) - 0.6) < 1e-9
 
 
+@pytest.mark.long
 def test_views_help_each_other_and_the_covariance_knows(scene, masks):
     fits = pj.fit_cameras(scene, noisy(masks), STARTS)
     alone = [
@@ -65,6 +66,7 @@ def test_views_help_each_other_and_the_covariance_knows(scene, masks):
     assert all(f.status == "converged" for f in fits)
 
 
+@pytest.mark.long
 def test_a_prior_of_what_views_share_adds_its_information_once(scene, masks):
     plain = pj.fit_cameras(scene, noisy(masks), STARTS)
     mean, std = 0.601, plain[0].std[-1] / 1.5
@@ -78,6 +80,7 @@ def test_a_prior_of_what_views_share_adds_its_information_once(scene, masks):
         assert abs(float(fit.camera.phi) - expected) < 0.1 * std
 
 
+@pytest.mark.long
 def test_one_view_is_fit_camera(scene, masks):
     mask = noisy(masks)[0]
     (one,) = pj.fit_cameras(scene, [mask], STARTS[:1])
@@ -130,6 +133,7 @@ def test_bad_input_is_said_in_words(scene, masks, change, message):
 # --- observability -------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_what_spheres_leave_free():
     """DESIGN: one sphere fixes 4 of 7 directions, two 6, three 7."""
     camera = pj.Camera([0, 0.5, 6], [0, 0, 0], [0, 1, 0], 0.8, 1.0, 96, 80)
@@ -161,6 +165,7 @@ def test_observability_is_what_the_fit_reports(scene, masks):
 POSE_START = eqx.tree_at(lambda c: c.phi, STARTS[0], TRUTHS[0].phi)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "kind", ["exact", *(pytest.param(k, marks=pytest.mark.full) for k in ("noisy", "hard"))]
 )
@@ -183,6 +188,7 @@ def test_the_camera_moves_with_the_mesh_as_refits_do(scene, masks, kind):
     np.testing.assert_allclose(jnp.sum(gradient * wrong), slope[0], rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.long
 def test_the_camera_moves_with_target_and_weight_as_refits_do(scene, masks):
     target, weight = jnp.asarray(noisy(masks)[0]), jnp.ones((80, 96))
     eye = lambda t, w: pj.fit_camera(scene, t, POSE_START, weight=w).camera.e

@@ -38,6 +38,7 @@ def test_one_view_gives_pose_and_focal_length_from_nowhere():
     assert fit.rms_px < 1e-8
 
 
+@pytest.mark.long
 def test_views_share_their_intrinsics():
     """Three coefficients of five: a small film and exact points, of a plane."""
     truth = [camera(e) for e in EYES]
@@ -110,6 +111,7 @@ def test_a_prior_adds_its_information_once(common):
         assert abs(float(b.camera.phi) - expected) < 0.05 * std
 
 
+@pytest.mark.long
 def test_points_keep_bounds():
     truth = [camera(e, pj.BrownConrady(-0.2)) for e in EYES]
     fit = lambda **more: pj.fit_points(

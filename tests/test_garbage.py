@@ -85,6 +85,7 @@ def test_empty_scenes_cover_nothing(camera):
                 pj.fit_camera(scene, np.eye(18, 24), camera)
 
 
+@pytest.mark.long
 def test_copies_of_one_face_are_one_face(camera, exhaustive):
     number = 100_000 if exhaustive else 3_000
     vertices = np.array([[0, 1, 0], [-1, -1, 0], [1, -0.5, 0.3]])
@@ -93,7 +94,7 @@ def test_copies_of_one_face_are_one_face(camera, exhaustive):
     np.testing.assert_allclose(pj.silhouette(camera, pj.Scene(mesh=mesh)), one, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_million_faces(camera, exhaustive):
     cells = 708 if exhaustive else 50
     x, y = np.meshgrid(*[np.linspace(-1, 1, cells)] * 2)
@@ -112,7 +113,7 @@ def image_slopes(camera, scene):
     return eqx.filter_grad(lambda moving: jnp.sum(pj.silhouette(*moving)))((camera, scene))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["float32", "float64"])
 def test_random_bits_as_vertices_are_refused_in_words_or_seen_without_nan(kind, exhaustive):
     """Random exponents: products of coordinates overflow, differences lose all digits."""
@@ -145,6 +146,7 @@ def test_random_bits_as_vertices_are_refused_in_words_or_seen_without_nan(kind, 
     assert 0 < refused < meshes
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300])
 def test_rays_that_are_no_rays_miss_and_leave_others_alone(bad):
     scene = pj.Scene(mesh=pj.shapes.bumpy(1), spheres=pj.Spheres([[0.0, 0, 2]], [0.5]))

@@ -27,7 +27,7 @@ def gradients(mesh):
     def loss(moving):
         return jnp.sum(jnp.asarray(WEIGHT) * pj.silhouette(*moving))
 
-    return eqx.filter_grad(loss)((CAMERA, scene))
+    return eqx.filter_jit(eqx.filter_grad(loss))((CAMERA, scene))
 
 
 def with_value(camera, name, value):
@@ -74,6 +74,7 @@ def test_the_gradient_of_all_vertices_is_minus_that_of_the_camera(gradients):
     np.testing.assert_allclose(along, -camera, rtol=1e-10)
 
 
+@pytest.mark.long
 def test_image_jacobian_equals_per_pixel_differences(mesh):
     scene = pj.Scene(mesh=mesh)
     image = lambda e: pj.silhouette(with_value(CAMERA, "e", e), scene)
@@ -86,6 +87,7 @@ def test_image_jacobian_equals_per_pixel_differences(mesh):
     assert error.max() < 1e-3
 
 
+@pytest.mark.long
 def test_forward_and_reverse_agree(mesh):
     spheres = pj.Spheres([[1.2, 0.9, 0]], [0.3])
     scene = pj.Scene(mesh=mesh, spheres=spheres)
@@ -106,6 +108,7 @@ def test_forward_and_reverse_agree(mesh):
     assert abs(total) > 1
 
 
+@pytest.mark.long
 def test_sphere_gradients_equal_central_differences():
     # Three spheres apart; differences of the image itself, which test_silhouette proves.
     centers = np.array([[-0.9, 0.3, 0], [0.5, -0.7, 1], [0.6, 0.6, -1]])

@@ -138,6 +138,7 @@ def test_sheets_on_the_grid_and_their_derivative_are_exact(name, exhaustive):
         np.testing.assert_allclose(change, shifted_change(covered, across, up), atol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", STEPS)
 def test_sheets_on_the_grid_in_float32(name, exhaustive):
     for seed in range(MANY if exhaustive else SOME):
@@ -229,6 +230,7 @@ def borders(covered) -> shapely.Geometry:
     return shapely.union_all(shapely.linestrings(sides / 2 - 1))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", STEPS)
 def test_the_outline_on_the_grid_is_the_union_s_border(name):
     frame = shapely.box(0.01, 0.01, W - 0.01, H - 0.01)

@@ -60,7 +60,6 @@ def batch(cameras, scenes, whole):
     return image, each(lambda *x: eqx.filter_grad(lambda x: summary(*x, True))(x)) if whole else ()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_one_poisoned_element_of_a_batch_leaves_the_others_bit_for_bit(bad, exhaustive):
     many = lambda x: jnp.stack([x, x, x]) if eqx.is_array(x) else x

@@ -88,6 +88,7 @@ def test_a_miss_and_an_empty_scene():
         np.testing.assert_array_equal(pj.normals(away, scene), np.zeros((H, W, 3)))
 
 
+@pytest.mark.long
 def test_the_same_surface_as_the_silhouette(scene):
     """A pixel that is wholly covered has a depth, one that is wholly free has none."""
     cover = np.asarray(pj.silhouette(CAMERA, scene))

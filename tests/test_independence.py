@@ -49,7 +49,6 @@ def plain_weights(vertices, faces, e) -> Counter:
     return layers
 
 
-@pytest.mark.slow
 def test_culled_and_listed_edges_are_those_of_counting_each_face(sizes):
     for faces in sizes:
         vertices, triangles = soup(faces)
@@ -67,7 +66,7 @@ def test_culled_and_listed_edges_are_those_of_counting_each_face(sizes):
             assert {k: v for k, v in found.items() if v} == {k: v for k, v in plain.items() if v}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_image_is_the_union_of_all_faces(sizes):
     for faces in sizes:
         vertices, triangles = soup(faces)
@@ -75,6 +74,7 @@ def test_the_image_is_the_union_of_all_faces(sizes):
         np.testing.assert_allclose(image, mesh_coverage(CAMERA, vertices, triangles), atol=1e-11)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("faces", [0, 2])
 def test_padding_changes_no_bit(faces):
     scene = pj.Scene(mesh=pj.Mesh(*soup(faces)))
@@ -97,7 +97,7 @@ def plain_hits(vertices, faces, origin, direction) -> tuple[np.ndarray, np.ndarr
     return best, which
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_tree_and_its_packets_find_what_testing_every_face_finds(sizes):
     for faces in sizes:
         vertices, triangles = soup(faces)
@@ -111,7 +111,6 @@ def test_the_tree_and_its_packets_find_what_testing_every_face_finds(sizes):
             np.testing.assert_allclose(np.ravel(hit.t), t, rtol=1e-10)
 
 
-@pytest.mark.slow
 def test_a_window_of_the_film_says_what_the_whole_film_does(sizes):
     for faces in sizes[1:]:  # there is no fit to an empty scene
         vertices, triangles = soup(faces, 0.3)

@@ -136,6 +136,7 @@ def test_bad_input_is_one_line_and_status_2(folder, arguments, message):
     assert not (folder / "nothing").exists()
 
 
+@pytest.mark.long
 def test_a_fit_that_is_not_to_be_trusted_has_status_1(folder):
     behind = pj.Camera([0.3, 1, 5], [0.3, 1, 9], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
     io.save_camera(folder / "behind.json", behind)
@@ -157,6 +158,7 @@ def test_a_fit_that_is_not_to_be_trusted_has_status_1(folder):
     assert "status     no_overlap" in done.stdout
 
 
+@pytest.mark.long
 def test_a_fit_needs_no_start(folder):
     # A photo before a blue background; its EXIF data tell the field of view: no start, no --fov.
     mask = np.asarray(pj.silhouette(CAMERA, SCENE))[..., None]
@@ -194,6 +196,7 @@ def test_convert_there_and_back(folder):
     assert "pinhole-jax convert: `format`: expected one of json, opencv" in wrong.stderr
 
 
+@pytest.mark.long
 def test_a_user_without_a_home_keeps_no_programs(folder):
     code = (
         "import pwd, sys; pwd.getpwuid = lambda uid: {}[uid];"

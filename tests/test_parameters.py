@@ -96,6 +96,7 @@ def test_a_canonical_camera_sees_the_same_in_film_heights():
     np.testing.assert_allclose(back.lens.principal_point, [15, 10])
 
 
+@pytest.mark.long
 def test_units_move_the_outline_by_about_a_pixel():
     free = ("pose", "phi", "principal_point", "aspect")
     unit = canonical(CAMERA)

@@ -29,6 +29,7 @@ def test_the_outline_is_that_of_the_polygon_union(name):
     np.testing.assert_array_equal(np.max(shapely.length(lines)) <= STEP_PX + 1e-9, True)
 
 
+@pytest.mark.long
 def test_the_outline_of_spheres():
     spheres = pj.Spheres([[0.0, 0, 0], [0.6, 0.2, 0.3]], [0.5, 0.4])
     union = sphere_union(CAMERA, spheres.centers, spheres.radii)
@@ -37,6 +38,7 @@ def test_the_outline_of_spheres():
     assert np.max(shapely.distance(lines, union.boundary)) < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", ["mesh", "spheres"])
 def test_the_outline_under_distortion_is_where_points_of_the_contour_are_seen(what):
     lens = pj.Lens([46.0, 41.0], 1.02, pj.BrownConrady(-0.3, 0.1, 2e-3, 1e-3, 0.02))
@@ -90,6 +92,7 @@ def fit_of(camera, names, std, history=()):
     return pj.Fit(camera, "converged", names, covariance, std, 0.0, 1.0, (), (), (), history)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "std", "across_sides", "across_foot"),
     [
@@ -111,6 +114,7 @@ def test_one_sigma_of_the_outline_is_its_way_across_itself(name, std, across_sid
     np.testing.assert_allclose(sigma[~upright], across_foot, rtol=0.01, atol=1e-12)
 
 
+@pytest.mark.long
 def test_sigmas_of_several_parameters_add_with_their_correlation():
     one, both = (
         fit_of(AHEAD, ("e_x",), [0.01]),
@@ -150,6 +154,7 @@ def test_the_band_is_drawn_and_a_window_shows_a_part():
     assert np.mean(lit) > 0.005
 
 
+@pytest.mark.long
 def test_the_error_map_tells_more_from_less():
     mask = np.zeros((80, 96), bool)
     mask[20:60, 40:90] = True  # too far right

@@ -117,6 +117,7 @@ def test_the_page_holds_the_camera_in_every_format(text, tmp_path):
         assert max(map(float, pj.pose_error(camera, AHEAD))) < 1e-6
 
 
+@pytest.mark.long
 def test_a_camera_that_a_format_cannot_hold_is_said():
     camera = pj.Camera(AHEAD.e, AHEAD.p, AHEAD.u, 0.6, 1.0, 96, 80, pj.Lens([40.0, 40], 1.0))
     page = Page(report.page(fit_of(camera, ("e_x",), [1e-3]), SQUARE, MASK))
@@ -126,6 +127,7 @@ def test_a_camera_that_a_format_cannot_hold_is_said():
     assert "no other view was found" in page.text["what-the-mask-does-not-tell"]
 
 
+@pytest.mark.long
 def test_coefficients_of_distortion_have_rows_a_band_and_formats():
     lens = pj.Lens([46.0, 41.0], 1.0, pj.BrownConrady(-0.2, 0.05))
     camera = pj.Camera(AHEAD.e, AHEAD.p, AHEAD.u, 0.6, 1.0, 96, 80, lens)

@@ -64,6 +64,7 @@ def pixels_kept(unit, scene, level) -> np.ndarray:
     return kept[::-1, 1:-1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("look_at", "spheres", "W", "phi", "model"),
     [

@@ -118,6 +118,7 @@ def test_bounding_sphere_holds_everything():
     np.testing.assert_allclose(radius, np.sqrt(4**2 + 2**2 + 2**2) / 2)
 
 
+@pytest.mark.long
 def test_padding_and_casting_keep_the_silhouette():
     scene = pj.Scene(mesh=shapes.bumpy(2))
     camera = pj.Camera([0.3, 1, 5], [0, 0, 0], [0, 1, 0], 0.6, W=24, H=20)

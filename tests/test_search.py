@@ -62,6 +62,7 @@ def test_a_camera_is_found_with_no_start(scene):
         assert float(fit.camera.phi) == 0.6
 
 
+@pytest.mark.long
 def test_the_focal_length_may_be_a_guess(scene):
     truth = anywhere(3)
     fit = pj.fit_camera(scene, mask_of(truth, scene), None, ("pose", "phi"))
@@ -87,6 +88,7 @@ def test_a_start_that_shows_nothing_of_the_mask_is_pulled_in(scene, where):
     assert degrees(fit, truth) < 1e-6
 
 
+@pytest.mark.long
 def test_a_box_is_seen_in_four_ways():
     """Half turns about its three axes change nothing: four cameras, all of them are given."""
     box = trimesh.creation.box((1.2, 0.8, 2)).subdivide()
@@ -104,6 +106,7 @@ def test_a_box_is_seen_in_four_ways():
     assert degrees(pj.fit_camera(scene, mask_of(truth, scene), near), truth) < 1e-4
 
 
+@pytest.mark.long
 def test_an_occluder_is_met_by_a_weight_image_and_else_said(scene):
     truth = anywhere(0)
     mask, start = mask_of(truth, scene), turned(truth, [1, 2, 3], 5)
@@ -121,6 +124,7 @@ def test_an_occluder_is_met_by_a_weight_image_and_else_said(scene):
     assert "of the outline is far from the mask's edge" in robust.weak[-1]
 
 
+@pytest.mark.long
 def test_a_symmetry_is_no_list_of_modes():
     cylinder = trimesh.creation.cylinder(0.5, 2.0, sections=256)
     cylinder.vertices[cylinder.vertices[:, 2] > 0, :2] *= 0.6  # a cone's stump: no second axis

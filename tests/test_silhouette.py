@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from chosen import first
 from oracles import area_per_pixel, mesh_coverage, random_camera, sphere_union
 
 import pinhole_jax as pj
@@ -44,6 +45,7 @@ def test_contours_may_leave_the_frame_on_any_side(look_at):
     np.testing.assert_allclose(image, mesh_coverage(camera, vertices, faces), atol=1e-9)
 
 
+@pytest.mark.long
 def test_no_row_of_a_large_float32_image_is_covered_by_mistake():
     """Many curves pass within rounding of a pixel's corner there."""
     random = np.random.default_rng(0)
@@ -65,6 +67,7 @@ def test_an_object_that_fills_the_frame_and_one_outside_it():
     np.testing.assert_array_equal(pj.silhouette(away, scene), 0)
 
 
+@pytest.mark.long
 def test_edges_along_pixel_rows_and_corners():
     # 90 degrees at distance 5 from the front face: one unit is 16/5 px; the face's corners fall on
     # (20 +- 8, 16 +- 8) px exactly.
@@ -76,6 +79,7 @@ def test_edges_along_pixel_rows_and_corners():
     np.testing.assert_allclose(image, expected, atol=1e-12)
 
 
+@pytest.mark.long
 def test_a_hole_is_not_covered():
     torus = trimesh.creation.torus(1.0, 0.3, 32, 12)
     camera = pj.Camera([0, 0.5, 5], [0, 0, 0], [0, 1, 0], 0.6, W=W, H=H)
@@ -95,7 +99,7 @@ SPHERES = {
 }
 
 
-@pytest.mark.parametrize("name", SPHERES)
+@pytest.mark.parametrize("name", first(2, SPHERES))
 def test_spheres_match_their_outlines(name):
     centers, radii = np.array(SPHERES[name][0]), np.array(SPHERES[name][1])
     camera = pj.Camera([0, 0, 5], [0.1, 0, 0], [0.1, 1, 0], 0.6, W=W, H=H)
@@ -104,6 +108,7 @@ def test_spheres_match_their_outlines(name):
     np.testing.assert_allclose(image, expected, atol=2e-6)
 
 
+@pytest.mark.long
 def test_mesh_and_spheres_apart_add_up():
     vertices, faces = bumpy()
     camera = pj.Camera([0, 0, 8], [0, 0, 0], [0, 1, 0], 0.6, W=W, H=H)
@@ -127,6 +132,7 @@ def test_an_empty_scene_covers_nothing():
         np.testing.assert_array_equal(pj.silhouette(camera, scene), np.zeros((2, 3)))
 
 
+@pytest.mark.long
 def test_a_lens_moves_and_stretches_the_image():
     vertices, faces = bumpy()
     lens = pj.Lens([14.3, 20.1], 1.2)
@@ -135,6 +141,7 @@ def test_a_lens_moves_and_stretches_the_image():
     np.testing.assert_allclose(image, mesh_coverage(camera, vertices, faces), atol=1e-9)
 
 
+@pytest.mark.long
 def test_no_number_of_contour_edges_or_pieces_is_too_many(monkeypatch):
     mesh = shapes.bumpy(3, bumps=0.05)
     scene = pj.Scene(mesh=pj.Mesh(mesh.vertices, mesh.faces))
@@ -159,6 +166,7 @@ def test_no_number_of_contour_edges_or_pieces_is_too_many(monkeypatch):
     jax.clear_caches()
 
 
+@pytest.mark.long
 def test_a_scene_that_reaches_behind_the_eye_gives_finite_values_and_derivatives():
     vertices, faces = box([-1, -1, -1], [1, 1, 9])
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces), spheres=pj.Spheres([[0.5, 0, 6.1]], [0.9]))
@@ -168,6 +176,7 @@ def test_a_scene_that_reaches_behind_the_eye_gives_finite_values_and_derivatives
     assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(slope))
 
 
+@pytest.mark.long
 def test_it_converges_as_a_supersampled_hard_mask_does():
     vertices, faces = bumpy()
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces), spheres=pj.Spheres([[1.1, 0.9, 0]], [0.3]))
@@ -181,9 +190,10 @@ def test_it_converges_as_a_supersampled_hard_mask_does():
     assert errors[1] < errors[0] / 4  # a regular grid: error about samples^-3/2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("camera_type", "scene_type"),
-    [("float32", "float32"), ("float32", "float64"), ("float64", "float32")],
+    [("float32", "float64"), ("float32", "float32"), ("float64", "float32")],
 )
 def test_float_types_mix_and_the_camera_decides(camera_type, scene_type):
     vertices, faces = bumpy()
@@ -199,6 +209,7 @@ def test_float_types_mix_and_the_camera_decides(camera_type, scene_type):
     np.testing.assert_allclose(image, expected, atol=1e-4 if single else 1e-9)
 
 
+@pytest.mark.long
 def test_vmap_over_cameras_is_the_same_as_one_by_one():
     vertices, faces = bumpy()
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces))

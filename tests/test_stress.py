@@ -41,11 +41,10 @@ def drawn(seed: int) -> tuple[np.random.Generator, stress.View]:
 
 
 def some(cases, of: int) -> list:
-    """Return each `of`-th case for every run, the others for a full one: each is compiled."""
-    return [
-        pytest.param(*case, marks=[pytest.mark.full] if k % of else [])
-        for k, case in enumerate(cases)
-    ]
+    """Return the first case for every run, each `of`-th for a long one, the others for an
+    exhaustive one: each is compiled."""
+    marks = lambda k: pytest.mark.full if k % of else pytest.mark.long
+    return [pytest.param(*case, marks=marks(k) if k else []) for k, case in enumerate(cases)]
 
 
 PAIRS = [
@@ -92,6 +91,7 @@ def test_mirrored_scenes_give_mirrored_images(seed):
     np.testing.assert_allclose(image(mirrored), image(v)[:, ::-1], atol=1e-11)
 
 
+@pytest.mark.long
 @few
 @given(seed=SEEDS)
 def test_the_order_of_faces_and_vertices_does_not_matter(seed):
@@ -104,6 +104,7 @@ def test_the_order_of_faces_and_vertices_does_not_matter(seed):
     )
 
 
+@pytest.mark.long
 @few
 @given(seed=SEEDS)
 def test_a_union_covers_no_less_than_its_parts(seed):
@@ -117,6 +118,7 @@ def test_a_union_covers_no_less_than_its_parts(seed):
     assert np.all(both <= np.minimum(parts[0] + parts[1], 1) + 1e-12)
 
 
+@pytest.mark.long
 @few
 @given(seed=SEEDS)
 def test_four_pixels_are_one_of_half_the_resolution(seed):

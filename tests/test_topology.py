@@ -88,6 +88,7 @@ def with_slivers(number=12):
     return np.array(vertices), np.array(faces)
 
 
+@pytest.mark.long
 def test_faces_without_area_hand_their_edges_on():
     vertices, faces = with_slivers()
     area = trimesh.Trimesh(vertices, faces, process=False).area_faces
@@ -99,6 +100,7 @@ def test_faces_without_area_hand_their_edges_on():
     np.testing.assert_allclose(image, mesh_coverage(CAMERA, vertices, faces), atol=1e-12)
 
 
+@pytest.mark.long
 def test_faces_without_area_at_a_border_are_no_border():
     """A square whose four sides carry a row of them, some of two corners at one place."""
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
@@ -119,6 +121,7 @@ def test_faces_without_area_at_a_border_are_no_border():
     np.testing.assert_allclose(pj.silhouette(CAMERA, scene), target, atol=1e-13)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shape", [two_sided, thrice, with_slivers])
 def test_a_fit_to_such_a_mesh_is_as_to_the_plain_one(shape):
     vertices, faces = shape()

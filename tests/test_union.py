@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from chosen import first
 from oracles import mesh_coverage, mesh_polygons, sphere_polygons, union_per_pixel
 
 import pinhole_jax as pj
@@ -114,7 +115,7 @@ def filled(vertices, faces, dtype=float) -> pj.Scene:
     return pj.Scene(mesh=eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh)))))
 
 
-@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("name", first(2, reversed(MESHES)))
 def test_any_mesh_matches_the_polygon_union(name, exhaustive):
     vertices, faces = MESHES[name]()
     scene = filled(vertices, faces)
@@ -123,7 +124,7 @@ def test_any_mesh_matches_the_polygon_union(name, exhaustive):
         np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("name", first(1, MESHES))
 def test_in_float32_to_1e_4(name, exhaustive):
     vertices, faces = MESHES[name]()
     vertices = vertices.astype(np.float32)
@@ -134,6 +135,7 @@ def test_in_float32_to_1e_4(name, exhaustive):
         np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHARED)
 def test_real_meshes_match_the_polygon_union(name, shared, exhaustive):
     mesh = pj.load_mesh(shared / "meshes" / name)
@@ -141,7 +143,7 @@ def test_real_meshes_match_the_polygon_union(name, shared, exhaustive):
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     vertices = (vertices - (low + high) / 2) / np.max(high - low) * 2
     if len(faces) > 20_000 and not exhaustive:
-        pytest.skip("large: only with slow tests")
+        pytest.skip("large: only with --exhaustive")
     scene = filled(vertices, faces) if not exhaustive else pj.Scene(mesh=pj.Mesh(vertices, faces))
     for size in ((64, 64), (W, H), (256, 192)) if exhaustive else ((W, H),):
         for camera in cameras(20 if exhaustive else 2, W=size[0], H=size[1]):
@@ -161,7 +163,7 @@ SPHERES = {
 }
 
 
-@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize("mixed", first(1, [True, False]))
 @pytest.mark.parametrize("name", SPHERES)
 def test_spheres_that_overlap_match_the_polygon_union(name, mixed):
     centers, radii = (np.array(x, float) for x in SPHERES[name])
@@ -184,6 +186,7 @@ def test_an_eye_within_a_sphere_or_a_closed_mesh_sees_nothing_else():
         np.testing.assert_array_equal(pj.silhouette(camera, scene), 1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("offset", [[0, 0, 0], [0.3, 0.1, -0.2]])
 def test_a_room_without_a_wall_around_the_eye(offset):
     # Five sides of a box: rays along the axes meet vertices' diagonals exactly when centred.
@@ -198,6 +201,7 @@ def test_a_room_without_a_wall_around_the_eye(offset):
         np.testing.assert_allclose(pj.silhouette(camera, mesh), expected, atol=1e-9)
 
 
+@pytest.mark.long
 def test_crowded_cells_are_cut_until_they_are_resolved(monkeypatch):
     # One pixel that holds everything: hundreds of pieces.
     vertices, faces = soup(60)
@@ -212,6 +216,7 @@ def test_crowded_cells_are_cut_until_they_are_resolved(monkeypatch):
     np.testing.assert_allclose(image, mesh_coverage(coarse, vertices, faces), atol=0.5)
 
 
+@pytest.mark.long
 def test_many_copies_of_a_face_are_one():
     corners = np.array([[-1.0, -0.7, 0], [0.9, -0.5, 0.1], [0.1, 0.8, -0.2]])
     camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=W, H=H)
@@ -220,6 +225,7 @@ def test_many_copies_of_a_face_are_one():
     np.testing.assert_allclose(image, mesh_coverage(camera, corners, [[0, 1, 2]]), atol=1e-9)
 
 
+@pytest.mark.long
 def test_hard_masks_of_an_open_mesh_converge_to_it():
     vertices, faces = bowl()
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
@@ -273,6 +279,7 @@ def leaves(moving):
     )
 
 
+@pytest.mark.long
 def test_derivatives_of_a_union_equal_central_differences_of_the_oracle(mixed):
     camera, _ = mixed
     random = np.random.default_rng(0)
