@@ -133,6 +133,7 @@ def test_spheres_are_the_bent_images_of_their_rims(case):
     np.testing.assert_allclose(image, union_per_pixel(rims(view, BALLS), W, H), atol=1.5e-3)
 
 
+@pytest.mark.long
 def test_derivatives_are_differences_of_the_oracle():
     """In all of the camera, its lens too, the vertices and the spheres."""
     rng = np.random.default_rng(3)
@@ -202,6 +203,7 @@ def fitted():
     return scene, truth, mask, start, pj.fit_camera(scene, mask, start, free=("pose", "k1"))
 
 
+@pytest.mark.long
 def test_a_fit_finds_the_lens(fitted):
     _, truth, _, _, fit = fitted
     assert fit.status == "converged"

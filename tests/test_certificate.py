@@ -155,6 +155,7 @@ def test_no_fault_passes():
     assert not failures(found)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["e", "p", "u", "phi"])
 def test_a_flipped_sign_is_caught_and_named(name):
     """Of one coordinate, or of phi; no other row is accused."""
@@ -186,6 +187,7 @@ def test_one_contour_piece_dropped_is_caught(weak_pixel):
     assert abs(row.difference) > 1e-3
 
 
+@pytest.mark.long
 def test_stop_gradient_is_caught_and_named():
     def stopped(camera, scene):
         camera = eqx.tree_at(lambda c: c.u, camera, jax.lax.stop_gradient(camera.u))
@@ -198,6 +200,7 @@ def test_stop_gradient_is_caught_and_named():
     assert set(failures(faulty({"u": np.zeros(3)}))) == set(failures(found))
 
 
+@pytest.mark.long
 def test_reverse_mode_that_differs_from_forward_mode(weak_pixel):
     found = faulty(pixel=weak_pixel, reverse=0.0)
     assert not found.passed
@@ -215,6 +218,7 @@ def test_nan_is_a_failure(weak_pixel):
     assert {k for k, v in verdicts(found).items() if v != "not finite"} == {"d"}
 
 
+@pytest.mark.long
 def test_an_image_that_is_not_finite_is_no_pass():
     found = pj.check_gradients(camera(), SCENE, lambda c, s: jnp.log(-blob(c, s)), verbose=False)
     assert set(verdicts(found).values()) == {"not finite"}

@@ -47,6 +47,7 @@ def test_rank_in_is_the_inverse_of_nth():
     np.testing.assert_array_equal(ranks, np.where(mask, np.cumsum(mask) - 1, -1))
 
 
+@pytest.mark.long
 def test_edges_are_cut_before_the_eye_and_left_of_the_film():
     film = film_map(pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], np.pi / 2, W=10, H=10))
     # In front; passes the eye on the right; behind; leaves the film on the left at height 5.
@@ -78,6 +79,7 @@ def test_the_outline_of_a_sphere_on_the_axis_is_a_circle():
         np.testing.assert_allclose(np.linalg.norm(points[shown] - 4, axis=1), 3, rtol=1e-14)
 
 
+@pytest.mark.long
 def test_spheres_behind_the_eye_are_left_out():
     camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=8, H=8)
     arcs = arcs_of(camera, pj.Spheres([[0.0, 0, 9], [0, 0, 0]], [1.0, 1.0]))

@@ -102,6 +102,7 @@ def test_targets_may_be_bool_uint8_or_float(scene):
         assert np.rad2deg(pj.pose_error(fit.camera, CAMERA)[0]) < worst
 
 
+@pytest.mark.long
 def test_what_weighs_nothing_does_not_count(scene):
     target, weight = mask_of(CAMERA, scene).copy(), np.ones((80, 96))
     target[:, :40] = 0.0

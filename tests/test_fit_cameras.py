@@ -150,6 +150,7 @@ def test_what_spheres_leave_free():
         assert f"{rank} of 7 directions are visible" in str(found)
 
 
+@pytest.mark.long
 def test_observability_is_what_the_fit_reports(scene, masks):
     before = pj.observability(TRUTHS[0], scene, noise=0.02)
     fit = pj.fit_camera(scene, noisy(masks)[0], STARTS[0], ("pose", "phi"))

@@ -28,6 +28,7 @@ def test_a_centred_camera_needs_no_lens():
     assert formats.from_opencv(K, R, T, 64, 48, pixel_centres="half").lens is not None
 
 
+@pytest.mark.long
 def test_the_published_reference_mask_of_m3t(shared):
     """Half a pixel shows: the renderer's masks agree best with centres at integers."""
     import json

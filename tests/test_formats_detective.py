@@ -95,6 +95,7 @@ def test_no_reading_explains_another_objects_mask():
     assert found.sentence.startswith("No reading of the numbers explains the mask: the best")
 
 
+@pytest.mark.long
 def test_the_renderer_of_m3t_has_integer_centres(shared):
     folder = shared / "renders" / "m3t_renderer"
     given = json.loads((folder / "camera.json").read_text())
@@ -112,6 +113,7 @@ def test_the_renderer_of_m3t_has_integer_centres(shared):
     assert next_best.iou < 0.99
 
 
+@pytest.mark.long
 def test_the_cow_of_pytorch3d(shared):
     """From what its own test says: look_at_view_transform(3, 10, 4), 60 degrees, 256 x 256."""
     folder = shared / "renders" / "pytorch3d_cow"

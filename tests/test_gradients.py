@@ -160,6 +160,7 @@ def test_frozen_leaves_cost_no_derivative(mesh):
     assert inputs(moving, (CAMERA, mesh.vertices)) == 5
 
 
+@pytest.mark.long
 def test_a_second_derivative_is_refused_in_words(mesh):
     scene = pj.Scene(mesh=mesh)
     loss = lambda phi: jnp.sum(pj.silhouette(with_value(CAMERA, "phi", phi), scene) ** 2)

@@ -35,6 +35,7 @@ def by_hand(camera):
     return b1 * x[None, :, None] + b2 * y[:, None, None] + v * float(camera.d), v
 
 
+@pytest.mark.long
 def test_a_wall_that_faces_the_camera_has_one_depth():
     """What is returned is z, not the ray's length: that one grows towards the corners."""
     camera = pj.Camera([1, 2, 5], [1, 2, 0], [0.3, 1, 0], 0.9, 1.0, W, H)
@@ -98,6 +99,7 @@ def test_the_same_surface_as_the_silhouette(scene):
     np.testing.assert_allclose(np.linalg.norm(pj.normals(CAMERA, scene), axis=-1), met, atol=1e-14)
 
 
+@pytest.mark.long
 def test_float32_stays_float32(scene):
     camera = jax.tree.map(lambda x: x.astype("float32"), CAMERA)
     coarse, fine = pj.depth(camera, scene), np.asarray(pj.depth(CAMERA, scene))
@@ -106,6 +108,7 @@ def test_float32_stays_float32(scene):
     np.testing.assert_allclose(np.asarray(coarse)[both], fine[both], rtol=1e-5)
 
 
+@pytest.mark.long
 def test_the_published_depth_image_of_m3t(shared):
     """An OpenGL renderer's two objects, one behind the other, to the step of its 16-bit depth."""
     from PIL import Image
@@ -191,6 +194,7 @@ def test_gradients_equal_central_differences(image, scene):
     assert all(np.abs(g).max() > 1e-3 for g in gradients)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("image", [pj.depth, pj.normals])
 def test_forward_and_reverse_agree(image, scene):
     loss, values = loss_of(image, scene)

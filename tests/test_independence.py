@@ -49,6 +49,7 @@ def plain_weights(vertices, faces, e) -> Counter:
     return layers
 
 
+@pytest.mark.long
 def test_culled_and_listed_edges_are_those_of_counting_each_face(sizes):
     for faces in sizes:
         vertices, triangles = soup(faces)
@@ -111,6 +112,7 @@ def test_the_tree_and_its_packets_find_what_testing_every_face_finds(sizes):
             np.testing.assert_allclose(np.ravel(hit.t), t, rtol=1e-10)
 
 
+@pytest.mark.long
 def test_a_window_of_the_film_says_what_the_whole_film_does(sizes):
     for faces in sizes[1:]:  # there is no fit to an empty scene
         vertices, triangles = soup(faces, 0.3)

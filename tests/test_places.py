@@ -107,6 +107,7 @@ def test_a_body_of_facets_turned_by_one_is_as_good():
         assert fit.modes or "the turn about the axis" in fit.weak[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["one bit", "blurred", "eroded"])
 def test_contours_within_the_object_are_no_outline(kind):
     torus = trimesh.creation.torus(1.0, 0.35, major_sections=32, minor_sections=16)

@@ -56,6 +56,7 @@ def test_the_outline_under_distortion_is_where_points_of_the_contour_are_seen(wh
     assert 0.3 < np.max(moved) < 3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shape", [(80, 96), (80, 96, 3), (80, 96, 4)])
 def test_the_overlay_draws_on_the_outline_and_nowhere_else(shape):
     scene = pj.Scene(mesh=shapes.bumpy(2))
@@ -130,6 +131,7 @@ def test_sigmas_of_several_parameters_add_with_their_correlation():
     assert np.max(cancel) < 0.1 * np.max(alone)
 
 
+@pytest.mark.long
 def test_the_outline_of_spheres_has_a_sigma_too():
     ball = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [1.0]))
     sigma = plot.outline_sigma(fit_of(AHEAD, ("rotation_v", "e_z"), [1e-3, 0.01]), ball)
