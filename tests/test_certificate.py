@@ -208,6 +208,7 @@ def test_reverse_mode_that_differs_from_forward_mode(weak_pixel):
     assert {"e.x", "p.y", "u.x", "phi", "centers #1", "radii #1"} <= set(failures(found))
 
 
+@pytest.mark.long
 def test_nan_is_a_failure(weak_pixel):
     found = faulty({"phi": np.nan})
     assert failures(found)["phi"] == "not finite"
@@ -224,6 +225,7 @@ def test_an_image_that_is_not_finite_is_no_pass():
     assert set(verdicts(found).values()) == {"not finite"}
 
 
+@pytest.mark.long
 def test_an_image_that_nothing_moves_is_no_pass():
     """Out of the frame all derivatives are 0, and so are the differences: that proves nothing."""
     found = pj.check_gradients(camera(), SCENE, lambda c, s: jnp.zeros((H, W)), verbose=False)

@@ -111,6 +111,7 @@ def test_what_weighs_nothing_does_not_count(scene):
     assert np.rad2deg(pj.pose_error(fit.camera, CAMERA)[0]) < 1e-5
 
 
+@pytest.mark.long
 def test_the_gauge_of_the_start_is_kept(scene):
     start = turned(CAMERA, [1, 2, 3], 8)
     fitted = pj.fit_camera(scene, mask_of(CAMERA, scene), start).camera

@@ -169,6 +169,7 @@ def test_edges_on_one_line_through_pixels_corners(exhaustive):
         np.testing.assert_allclose(image, expected, atol=1e-13)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["voxels", "boxes"])
 def test_solids_on_the_grid_match_the_polygon_union(name, exhaustive):
     for seed in range(MANY if exhaustive else SOME):

@@ -62,6 +62,7 @@ def test_programs_are_kept_where_the_cache_is(another_cache):
     assert any(another_cache.iterdir())
 
 
+@pytest.mark.long
 def test_python_runs_and_finds_the_cameras(capsys, another_cache):
     names = {}
     first, second = blocks("python")
@@ -111,6 +112,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.long
 def test_commands_run_and_write_what_they_say(folder, capsys):
     lines = [line for line in commands() if line.startswith("pinhole-jax ")]
     assert len(lines) == 7
