@@ -3,7 +3,7 @@
 import json
 import platform
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 
 import jax
@@ -96,6 +96,23 @@ def folder() -> Path:
 def trials(default: int) -> int:
     """Return how many trials the command line asks for."""
     return int(sys.argv[2]) if len(sys.argv) > 2 else default
+
+
+def rows_of(
+    shapes: Iterable[str],
+    kinds: Collection[str],
+    trial: Callable[[int, str, str], dict],
+    line: Callable[[dict], str],
+) -> list[dict]:
+    """Return the rows of 1000 trials, or as many as the command line asks for; `-v` prints each."""
+    cases = [(shape, kind) for shape in shapes for kind in kinds]
+    total, rows = trials(1000), []
+    for number in range(total):
+        # All kinds of a shape follow one another: they share compiled programs.
+        rows.append(trial(number, *cases[(number * len(cases)) // total]))
+        if "-v" in sys.argv:
+            print(line(rows[-1]), flush=True)
+    return rows
 
 
 def percentiles(values: Iterable[float]) -> dict[str, float]:

@@ -6,12 +6,11 @@ pixels, starts 10 to 30 degrees off and none. A lie is a fit that says `converge
 than one degree and more than 10 standard errors off.
 """
 
-import sys
 import time
 from collections import Counter
 
 import numpy as np
-from _common import camera_at, orbited, percentiles, run, trials
+from _common import camera_at, orbited, percentiles, rows_of, run
 
 import pinhole_jax as pj
 
@@ -163,23 +162,17 @@ def is_lie(row: dict) -> bool:
     return row["status"] == "converged" and row["degrees"] > 1 and not row["sigmas"] <= 10
 
 
+def line(r: dict) -> str:
+    return (
+        f"{r['shape']:10} {r['kind']:8} {r['status']:14} {r['degrees']:8.3f} deg"
+        f" {r['sigmas']:9.1f} sigma (1: {r['sigma']:.1e} deg) rms {r['rms']:.1e}"
+        f" iou {r['iou']:.4f} modes {r['modes']} start {r['start'] and round(r['start'])}"
+        f" {r['seconds']:.2f} s{'  LIE' if is_lie(r) else ''}"
+    )
+
+
 def question() -> dict:
-    cases = [(shape, kind) for shape in SHAPES for kind in KINDS]
-    total = trials(1000)
-    rows = []
-    for number in range(total):
-        # All kinds of a shape follow one another: they share compiled programs.
-        shape, kind = cases[(number * len(cases)) // total]
-        rows.append(trial(number, shape, kind))
-        if "-v" in sys.argv:
-            r = rows[-1]
-            print(
-                f"{shape:10} {kind:8} {r['status']:14} {r['degrees']:8.3f} deg {r['sigmas']:9.1f}"
-                f" sigma (1: {r['sigma']:.1e} deg) rms {r['rms']:.1e} iou {r['iou']:.4f}"
-                f" modes {r['modes']} start {r['start'] and round(r['start'])}"
-                f" {r['seconds']:.2f} s{'  LIE' if is_lie(r) else ''}",
-                flush=True,
-            )
+    rows = rows_of(SHAPES, KINDS, trial, line)
     lies = [r for r in rows if is_lie(r)]
     print(f"{len(lies)} of {len(rows)} fits say `converged` and are wrong")
     table = {}

@@ -9,15 +9,15 @@ less), what an error is in standard errors, and how many right cameras are calle
 """
 
 import io
-import sys
 import time
 from collections import Counter
 
 import numpy as np
-from _common import camera_at, degrees, orbited, run, trials
+from _common import camera_at, degrees, orbited, rows_of, run
 from honesty import anywhere, dented, mug, of
 from PIL import Image
 from scipy.ndimage import distance_transform_edt, gaussian_filter
+from tolerance import COLUMNS, ROWS, occluder, outline_of
 
 import pinhole_jax as pj
 
@@ -81,22 +81,15 @@ def soft(image, random):
 
 def cut(image, random):
     """Return a mask of which a straight cut takes 5 to 20 %."""
-    rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
-    direction = random.normal(size=2)
-    depth = direction[0] * rows + direction[1] * columns
-    inside = image > 0.5
-    return inside & (depth > np.quantile(depth[inside], random.uniform(0.05, 0.2)))
+    return (image > 0.5) & ~occluder(image, random.uniform(0.05, 0.2), random)
 
 
 def bitten(image, random):
     """Return a mask with three discs of a tenth of its size cut out of its outline."""
-    inside = image > 0.5
-    off = signed_distance(image)
-    rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
-    edge = np.argwhere(np.abs(off) < 1)
+    inside, outline = image > 0.5, outline_of(image)
     radius = 0.1 * np.sqrt(inside.sum())
-    for row, column in edge[random.integers(len(edge), size=3)]:
-        inside &= np.hypot(rows - row, columns - column) > radius
+    for row, column in outline[random.integers(len(outline), size=3)]:
+        inside &= np.hypot(ROWS - row, COLUMNS - column) > radius
     return inside
 
 
@@ -189,26 +182,22 @@ def summary(rows: list[dict]) -> dict:
     }
 
 
+def line(r: dict) -> str:
+    return (
+        f"{r['shape']:8} {r['kind']:8} {r['px']:4} px start {r['start']} {r['status']:14}"
+        f" {r['degrees']:7.2f} deg (1 sigma: {r['sigma']:.3f}) modes {r['modes']}"
+        f" iou {r['iou']:.3f} {r['seconds']:.2f} s{'  THROWN AWAY' if thrown_away(r) else ''}"
+    )
+
+
 def question() -> dict:
-    cases = [(shape, kind) for shape in SHAPES for kind in KINDS]
-    total, rows = trials(1000), []
-    for number in range(total):
-        shape, kind = cases[(number * len(cases)) // total]
-        rows.append(trial(number, shape, kind))
-        if "-v" in sys.argv:
-            r = rows[-1]
-            print(
-                f"{shape:8} {kind:8} {r['px']:4} px start {r['start']} {r['status']:14}"
-                f" {r['degrees']:7.2f} deg (1 sigma: {r['sigma']:.3f}) modes {r['modes']}"
-                f" iou {r['iou']:.3f} {r['seconds']:.2f} s"
-                f"{'  THROWN AWAY' if thrown_away(r) else ''}",
-                flush=True,
-            )
-    table = {kind: summary([r for r in rows if r["kind"] == kind]) for kind in KINDS}
+    rows = rows_of(SHAPES, KINDS, trial, line)
+    kinds = dict.fromkeys(r["kind"] for r in rows)
+    table = {kind: summary([r for r in rows if r["kind"] == kind]) for kind in kinds}
     table["all"] = summary(rows)
-    for kind, line in table.items():
-        print(f"{kind:8} {line}")
-    return {"trials": total, "table": table}
+    for kind, found in table.items():
+        print(f"{kind:8} {found}")
+    return {"trials": len(rows), "table": table}
 
 
 if __name__ == "__main__":
