@@ -10,8 +10,8 @@ import jax
 import numpy as np
 
 import pinhole_jax as pj
-from pinhole_jax._parameters import canonical
-from pinhole_jax._solver import Solver
+from pinhole_jax._fit.parameters import canonical
+from pinhole_jax._fit.solver import Solver
 
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "meshes"
 

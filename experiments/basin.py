@@ -12,8 +12,8 @@ from _common import degrees, folder, meshes, orbited, random_camera, run, trials
 from PIL import Image, ImageDraw
 
 import pinhole_jax as pj
-from pinhole_jax._parameters import canonical
-from pinhole_jax._solver import Solver
+from pinhole_jax._fit.parameters import canonical
+from pinhole_jax._fit.solver import Solver
 
 FAR = 60
 

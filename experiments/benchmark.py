@@ -40,9 +40,9 @@ from _peers import (
 )
 
 import pinhole_jax as pj
-from pinhole_jax._exact import At, image_and_jacobian
-from pinhole_jax._parameters import Move, canonical
-from pinhole_jax._solver import Solver
+from pinhole_jax._fit.full_image import At, image_and_jacobian
+from pinhole_jax._fit.parameters import Move, canonical
+from pinhole_jax._fit.solver import Solver
 
 OURS = "pinhole_jax"
 TURNS, TURN_S, BUDGET_S = 9, 0.05, 4.0

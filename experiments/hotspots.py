@@ -28,10 +28,10 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
-from pinhole_jax._descent import descended
-from pinhole_jax._parameters import canonical
-from pinhole_jax._silhouette import _silhouette
-from pinhole_jax._solver import Solver
+from pinhole_jax._fit.levenberg_marquardt import descended
+from pinhole_jax._fit.parameters import canonical
+from pinhole_jax._fit.solver import Solver
+from pinhole_jax._silhouette.silhouette import _silhouette
 
 PACKAGE = Path(pj.__file__).parent
 CALLS, SHOWN, PROCESSES = 20, 12, 5

@@ -13,8 +13,8 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
-from ._fit import STATUSES
-from ._parameters import NAMES
+from ._fit.fit_camera import STATUSES
+from ._fit.parameters import NAMES
 
 EPILOG = """\
 camera files are JSON with the parameters of Frisvad's note, world units and radians:
@@ -172,8 +172,8 @@ def _fit(options: argparse.Namespace) -> int:
         import numpy as np
 
         from . import io, report
-        from ._fit import fit_camera
-        from ._scene import Scene
+        from ._fit.fit_camera import fit_camera
+        from ._scene.scene import Scene
         from .plot import overlay
 
         free = tuple(name.strip() for name in options.free.split(",") if name.strip())
@@ -267,8 +267,8 @@ def _render(options: argparse.Namespace) -> int:
     with _Progress("rendering"):
         _set_up_jax(options)
         from . import io
-        from ._scene import Scene
-        from ._silhouette import silhouette
+        from ._scene.scene import Scene
+        from ._silhouette.silhouette import silhouette
 
         camera = io.load_camera(options.camera)
         if camera.W * camera.H > io.MOST_PIXELS:
@@ -299,7 +299,7 @@ def _convert(options: argparse.Namespace) -> int:
 
 def _say_written(path: str, words: str) -> None:
     """Say so, on stderr where the file went to stdout or a pipe."""
-    from ._files import is_stream
+    from ._files.paths import is_stream
 
     print(f"written    {path} ({words})", file=sys.stderr if is_stream(path) else sys.stdout)
 
@@ -313,7 +313,7 @@ def _set_up_jax(options: argparse.Namespace) -> None:
     atexit.register(gc.freeze)
     jax.config.update("jax_enable_x64", True)
     if not options.no_cache:
-        from ._cache import cache
+        from ._files.cache import cache
 
         with contextlib.suppress(ValueError):  # a user without a home folder
             cache()

@@ -9,17 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ._camera import Camera
-from ._distortion import COEFFICIENTS
-from ._fit import Fit, Progress
-from ._outline import contour_points, outline as outline
-from ._parameters import rotation
-from ._rays import project
-from ._scene import Scene
-from ._search import axes_of
-from ._silhouette import silhouette
-from ._space import scene_view as scene_view
-from ._target import shares
+from ._camera.camera import Camera
+from ._camera.distortion import COEFFICIENTS
+from ._camera.rays import project
+from ._fit.fit_camera import Fit, Progress
+from ._fit.parameters import rotation
+from ._fit.search import axes_of
+from ._fit.target import shares
+from ._scene.scene import Scene
+from ._show.outline import contour_points, outline as outline
+from ._show.space import scene_view as scene_view
+from ._silhouette.silhouette import silhouette
 
 CYAN = (0, 240, 255)
 DARK = (0, 30, 60)

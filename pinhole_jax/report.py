@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from . import formats, plot
-from ._camera import Camera
-from ._distortion import COEFFICIENTS
-from ._files import replace_file
-from ._fit import STATUSES, Fit
-from ._scene import Scene
-from ._target import shares
+from ._camera.camera import Camera
+from ._camera.distortion import COEFFICIENTS
+from ._files.paths import replace_file
+from ._fit.fit_camera import STATUSES, Fit
+from ._fit.target import shares
+from ._scene.scene import Scene
 
 PARAMETERS = {
     "rotation_b1": "pitch (about b1, right)",

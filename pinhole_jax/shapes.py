@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ._scene import Mesh
+from ._scene.scene import Mesh
 
 
 def bumpy(subdivisions: int = 4, seed: int = 0, bumps: float = 0.12) -> Mesh:

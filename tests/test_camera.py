@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pinhole_jax as pj
-from pinhole_jax._camera import basis, camera_basis, film_size, focal_px, to_camera
+from pinhole_jax._camera.camera import basis, camera_basis, film_size, focal_px, to_camera
 
 E, P, U = [0.0, 0.0, 5.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]
 

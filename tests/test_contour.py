@@ -6,11 +6,11 @@ import trimesh
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._bitset import nth, rank_in, select
-from pinhole_jax._camera import film_map
-from pinhole_jax._contour import clipped, contour_weights, sphere_arcs
-from pinhole_jax._curves import ends, film_at
-from pinhole_jax._scene import undecided
+from pinhole_jax._camera.camera import film_map
+from pinhole_jax._numerics.bitset import nth, rank_in, select
+from pinhole_jax._scene.scene import undecided
+from pinhole_jax._silhouette.contour import clipped, contour_weights, sphere_arcs
+from pinhole_jax._silhouette.curves import ends, film_at
 
 
 @pytest.mark.parametrize("size", [1, 31, 32, 33, 500])

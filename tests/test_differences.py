@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pinhole_jax._differences import STEPS, outside, slopes
+from pinhole_jax.testing.differences import STEPS, outside, slopes
 
 STEP = 1e-5
 

@@ -14,7 +14,8 @@ import pytest
 from PIL import Image
 
 import pinhole_jax as pj
-from pinhole_jax import _files, formats, io
+from pinhole_jax import formats, io
+from pinhole_jax._files import paths
 
 CAMERA = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 1.0, 40, 31)
 FILE_FORMATS = [name for name in formats.FORMATS if not name.startswith("colmap")]
@@ -119,8 +120,8 @@ def test_the_commands_output_can_be_its_standard_output(tmp_path):
         arguments = [sys.executable, "-m", "pinhole_jax", *map(str, ways)]
         subprocess.run(arguments, stdout=out, stderr=subprocess.DEVNULL, check=True)
     assert (tmp_path / "out").read_bytes() == b"before\n" + done.stdout
-    assert all(map(_files.is_stream, ("/dev/stdout", "/dev/stderr", "/dev/fd/1")))
-    assert not any(map(_files.is_stream, ("/dev/null", tmp_path / "out", "stdout")))
+    assert all(map(paths.is_stream, ("/dev/stdout", "/dev/stderr", "/dev/fd/1")))
+    assert not any(map(paths.is_stream, ("/dev/null", tmp_path / "out", "stdout")))
 
 
 # --- what is read --------------------------------------------------------------------------------
@@ -461,13 +462,13 @@ def test_soft_edges_are_the_same_band_by_band(tmp_path, monkeypatch):
 def test_a_webp_that_takes_too_much_room_is_refused(tmp_path, monkeypatch):
     Image.new("L", (30, 20), 255).save(tmp_path / "w.webp")
     assert io.load_image(tmp_path / "w.webp").shape[:2] == (20, 30)
-    monkeypatch.setattr("pinhole_jax._pictures.MOST_WEBP", 599)
+    monkeypatch.setattr("pinhole_jax._files.pictures.MOST_WEBP", 599)
     with pytest.raises(ValueError, match="a WebP of more than 599 pixels"):
         io.load_image(tmp_path / "w.webp")
 
 
 def test_noise_is_no_mask(tmp_path, monkeypatch):
-    monkeypatch.setattr("pinhole_jax._masks.MOST_PARTS", 50)
+    monkeypatch.setattr("pinhole_jax.io.masks.MOST_PARTS", 50)
     noise = np.random.default_rng(0).integers(0, 2, (40, 40), np.uint8) * 255
     Image.fromarray(noise).save(tmp_path / "n.png")
     with pytest.raises(ValueError, match=r"expected a mask, .* a picture of \d+ parts: noise"):

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._arrow import others, reduced, solved
-from pinhole_jax._view import View
+from pinhole_jax._fit.problem import View
+from pinhole_jax._fit.shared_unknowns import others, reduced, solved
 
 
 @pytest.fixture(scope="module")

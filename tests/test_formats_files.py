@@ -496,7 +496,7 @@ def test_bad_windows_are_said_in_words():
 def test_turns_are_scipys():
     from scipy.spatial.transform import Rotation
 
-    from pinhole_jax.formats import _turns
+    from pinhole_jax.formats import rotations
 
     axes = np.random.default_rng(0).normal(size=(30, 3))
     axes /= np.linalg.norm(axes, axis=1)[:, None]
@@ -504,10 +504,10 @@ def test_turns_are_scipys():
     for axis, angle in zip(axes, angles, strict=True):
         turn = Rotation.from_rotvec(angle * axis)
         R = turn.as_matrix()
-        np.testing.assert_allclose(_turns.matrix_of_vector(angle * axis), R, atol=1e-15)
-        q = _turns.quaternion_of_matrix(R)
-        np.testing.assert_allclose(_turns.matrix_of_quaternion(q), R, atol=4e-15)
-        np.testing.assert_allclose(_turns.matrix_of_quaternion(-3 * q), R, atol=4e-15)
-        back = _turns.matrix_of_vector(_turns.vector_of_matrix(R))
+        np.testing.assert_allclose(rotations.matrix_of_vector(angle * axis), R, atol=1e-15)
+        q = rotations.quaternion_of_matrix(R)
+        np.testing.assert_allclose(rotations.matrix_of_quaternion(q), R, atol=4e-15)
+        np.testing.assert_allclose(rotations.matrix_of_quaternion(-3 * q), R, atol=4e-15)
+        back = rotations.matrix_of_vector(rotations.vector_of_matrix(R))
         np.testing.assert_allclose(back, R, atol=4e-15)
-        assert np.linalg.norm(_turns.vector_of_matrix(R)) <= np.pi + 1e-12
+        assert np.linalg.norm(rotations.vector_of_matrix(R)) <= np.pi + 1e-12

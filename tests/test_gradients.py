@@ -96,7 +96,7 @@ def test_forward_and_reverse_agree(mesh):
     direction = jax.tree.map(lambda x: jnp.asarray(random.normal(size=x.shape)), moving)
 
     def loss(moving):
-        # Where nothing overlaps; test_union does it with unions.
+        # Where nothing overlaps; test_overlaps does it with unions.
         image = pj.silhouette(*eqx.combine(moving, still), overlaps=False)
         return jnp.sum(jnp.asarray(WEIGHT) * image)
 

@@ -11,11 +11,11 @@ import pytest
 from oracles import mesh_coverage
 
 import pinhole_jax as pj
-from pinhole_jax._contour import contour_weights
-from pinhole_jax._parameters import canonical
-from pinhole_jax._residuals import Capacity, residuals
-from pinhole_jax._scene import padded
-from pinhole_jax._target import object_window, pyramid
+from pinhole_jax._fit.parameters import canonical
+from pinhole_jax._fit.residuals import Capacity, residuals
+from pinhole_jax._fit.target import object_window, pyramid
+from pinhole_jax._scene.scene import padded
+from pinhole_jax._silhouette.contour import contour_weights
 
 SIZES = sorted({0, 1, 2} | {2**k + d for k in range(1, 8) for d in (-1, 1)})
 FEW = [0, 1, 2, 33]

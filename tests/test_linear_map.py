@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinhole_jax._linear_map import linear_map
+from pinhole_jax._numerics.linear_map import linear_map
 
 
 def forward(n, x):

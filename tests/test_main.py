@@ -14,8 +14,8 @@ from test_plot import fit_of
 
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io, shapes
-from pinhole_jax._fit import STATUSES
-from pinhole_jax._parameters import NAMES, check_free
+from pinhole_jax._fit.fit_camera import STATUSES
+from pinhole_jax._fit.parameters import NAMES, check_free
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 
@@ -270,7 +270,7 @@ def test_help_says_what_each_status_means(capsys):
 @pytest.mark.parametrize("status", STATUSES)
 def test_only_a_fit_that_converged_has_status_0(folder, status, monkeypatch, capsys):
     fit = fit_of(CAMERA, ("e_x",), [0.1])._replace(status=status)
-    monkeypatch.setattr("pinhole_jax._fit.fit_camera", lambda *_, **__: fit)
+    monkeypatch.setattr("pinhole_jax._fit.fit_camera.fit_camera", lambda *_, **__: fit)
     # What the command sets for its own process would change those of the other tests.
     monkeypatch.setattr(command, "_set_up_jax", lambda options: None)
     Image.new("L", (96, 80)).save(folder / "any.png")

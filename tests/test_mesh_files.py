@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from test_polygons import SHAPES, covered
 
 import pinhole_jax as pj
-from pinhole_jax._mesh_files import _skins
+from pinhole_jax._mesh_files import skins
 
 # --- polygons in every format --------------------------------------------------------------------
 
@@ -378,8 +378,8 @@ def test_skins_pose_the_mesh_by_its_joints_and_not_by_its_node(tmp_path):
 
 
 def test_a_skin_s_joints_are_worked_out_once_for_all_its_meshes(tmp_path, monkeypatch):
-    of, seen = _skins._joints_of, []
-    monkeypatch.setattr(_skins, "_joints_of", lambda *args: seen.append(args) or of(*args))
+    of, seen = skins._joints_of, []
+    monkeypatch.setattr(skins, "_joints_of", lambda *args: seen.append(args) or of(*args))
     f = File()
     joints = f.accessor(np.zeros((4, 4), "<u1"))
     weights = f.accessor(np.tile(np.array([1, 0, 0, 0], "<f4"), (4, 1)))

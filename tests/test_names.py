@@ -15,7 +15,7 @@ FOLDERS = ("pinhole_jax", "tests", "experiments")
 SOURCES = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
 TEXTS = [ROOT / "README.md", ROOT / "experiments" / "README.md", ROOT / "pyproject.toml"]
 
-#: Modules by their last name; formats and mesh files both have a `_gltf`.
+#: Modules by their last name; formats and mesh files both have a `gltf`.
 MODULES: dict[str, list[str]] = {}
 for found in pkgutil.walk_packages(pj.__path__, "pinhole_jax."):
     MODULES.setdefault(found.name.rpartition(".")[2], []).append(found.name)
@@ -72,5 +72,5 @@ def test_files_that_are_named_exist(path):
 
 
 def test_a_wrong_name_is_found():
-    prose = "`_solver.View`, `_view.View`, `_nowhere`, `io.read_camera`, `_own`, `self._rays`"
-    assert wrong_names(prose, {"_own"}) == ["_solver.View", "_nowhere", "io.read_camera"]
+    prose = "`solver.Stopped`, `problem.View`, `_nowhere`, `io.read_camera`, `_own`, `self._rays`"
+    assert wrong_names(prose, {"_own"}) == ["solver.Stopped", "_nowhere", "io.read_camera"]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import pinhole_jax as pj
-from pinhole_jax._camera import camera_basis
-from pinhole_jax._parameters import (
+from pinhole_jax._camera.camera import camera_basis
+from pinhole_jax._fit.parameters import (
     COMPONENTS,
     Move,
     canonical,

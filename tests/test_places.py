@@ -14,7 +14,8 @@ from oracles import turned
 from scipy.ndimage import binary_erosion, gaussian_filter
 
 import pinhole_jax as pj
-from pinhole_jax import _strategy, shapes
+from pinhole_jax import shapes
+from pinhole_jax._fit import strategy
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 
@@ -65,7 +66,7 @@ def degrees(fit, truth=CAMERA):
 @pytest.mark.parametrize("clipped", [False, True])
 def test_a_noisy_mask_that_is_explained_is_not_searched(monkeypatch, clipped):
     """Noise is no misfit, wherever in the image it is: one descent finds the camera."""
-    monkeypatch.setattr(_strategy, "everywhere", pytest.fail)
+    monkeypatch.setattr(strategy, "everywhere", pytest.fail)
     scene = pj.Scene(mesh=shapes.bumpy(3))
     image = mask_of(CAMERA, scene)
     for seed in range(3):

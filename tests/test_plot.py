@@ -9,7 +9,7 @@ from oracles import mesh_polygons, sphere_union
 
 import pinhole_jax as pj
 from pinhole_jax import plot, shapes
-from pinhole_jax._outline import STEP_PX, contour_points
+from pinhole_jax._show.outline import STEP_PX, contour_points
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 

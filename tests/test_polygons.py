@@ -8,7 +8,7 @@ import shapely
 from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
-from pinhole_jax._mesh_files import Polygons, _polygons, triangulated
+from pinhole_jax._mesh_files import Polygons, polygons, triangulated
 
 
 def blob(n, seed=0, spread=0.5):
@@ -186,12 +186,12 @@ def test_two_million_corners_are_cut_in_seconds_or_refused():
 
 def test_many_faces_that_ear_clipping_cannot_cut_are_refused_not_waited_for(monkeypatch):
     """The sure way takes n^3 steps a face, so a file has so many of them for all of its faces."""
-    monkeypatch.setattr(_polygons, "_ears", lambda flat: np.zeros((0, 3), int))
+    monkeypatch.setattr(polygons, "_ears", lambda flat: np.zeros((0, 3), int))
     corner = comb(20)
     n = len(corner)
     points = np.concatenate([np.pad(corner, ((0, 0), (0, 1)), constant_values=k) for k in range(3)])
-    polygons = Polygons(points, np.arange(3 * n), np.full(3, n))
-    assert len(triangulated(polygons)) == 3 * (n - 2)
-    monkeypatch.setattr(_polygons, "MOST_LEAST_AREA_STEPS", 2 * n**3)
+    three = Polygons(points, np.arange(3 * n), np.full(3, n))
+    assert len(triangulated(three)) == 3 * (n - 2)
+    monkeypatch.setattr(polygons, "MOST_LEAST_AREA_STEPS", 2 * n**3)
     with pytest.raises(ValueError, match="face 3: like many before it, its sides touch"):
-        triangulated(polygons)
+        triangulated(three)

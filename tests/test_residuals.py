@@ -8,9 +8,9 @@ import pytest
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._parameters import Move, canonical, moved, on_film
-from pinhole_jax._residuals import Capacity, residuals as _residuals, touch
-from pinhole_jax._target import pyramid
+from pinhole_jax._fit.parameters import Move, canonical, moved, on_film
+from pinhole_jax._fit.residuals import Capacity, residuals as _residuals, touch
+from pinhole_jax._fit.target import pyramid
 
 FREE = ("pose", "phi")
 CAPACITY = Capacity(256, 1024, 1024, 512)

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinhole_jax._safe import norm, normalize, safe_divide, safe_sqrt
+from pinhole_jax._numerics.safe import norm, normalize, safe_divide, safe_sqrt
 
 
 @pytest.mark.parametrize(

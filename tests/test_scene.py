@@ -6,7 +6,7 @@ import pytest
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._scene import astype, bounding_sphere, front_facing, padded
+from pinhole_jax._scene.scene import astype, bounding_sphere, front_facing, padded
 
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])  # counter-clockwise from outside

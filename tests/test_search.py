@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._search import distances, facing, signatures, sphere_points
+from pinhole_jax._fit.search import distances, facing, signatures, sphere_points
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,10 @@ import trimesh
 from oracles import central_difference
 
 import pinhole_jax as pj
-from pinhole_jax import _bvh, _packets, shapes
-from pinhole_jax._bvh import mesh_tree, packed
-from pinhole_jax._intersect import perpendicular, ray_triangle
+from pinhole_jax import shapes
+from pinhole_jax._trace import bvh, packets
+from pinhole_jax._trace.bvh import mesh_tree, packed
+from pinhole_jax._trace.intersect import perpendicular, ray_triangle
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 24, 20)
 
@@ -165,9 +166,9 @@ def test_many_rays_in_packets_and_one_by_one_do_not_leak(exhaustive, offset, til
 @pytest.mark.parametrize("kind", ["image", "anyhow"])
 def test_more_rays_than_are_searched_at_a_time(kind, rays, monkeypatch):
     """Several chunks, halved where there is no room, in tiles and ray by ray."""
-    monkeypatch.setattr(_packets, "PACKETS", 128)
-    monkeypatch.setattr(_bvh, "BLOCK", 64)
-    for module in (_bvh, _packets):
+    monkeypatch.setattr(packets, "PACKETS", 128)
+    monkeypatch.setattr(bvh, "BLOCK", 64)
+    for module in (bvh, packets):
         monkeypatch.setattr(module, "room", lambda _: 600)
     jax.clear_caches()
     mesh = shapes.bumpy(1)

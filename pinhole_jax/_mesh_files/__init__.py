@@ -6,14 +6,14 @@ know in a glTF file: shapes that are wrong and do not say so.
 
 from pathlib import Path
 
-from .._files import read_bytes
-from ._accessors import MOST_BYTES
-from ._gltf import read_gltf
-from ._obj import read_obj
-from ._off import read_off
-from ._ply import read_ply
-from ._polygons import Polygons as Polygons, triangulated as triangulated
-from ._stl import read_stl
+from .._files.paths import read_bytes
+from .accessors import MOST_BYTES
+from .gltf import read_gltf
+from .obj import read_obj
+from .off import read_off
+from .ply import read_ply
+from .polygons import Polygons as Polygons, triangulated as triangulated
+from .stl import read_stl
 
 READERS = {".obj": read_obj, ".ply": read_ply, ".stl": read_stl, ".off": read_off}
 MESH_ENDINGS = (*READERS, ".glb", ".gltf")

@@ -14,16 +14,16 @@
 `read` and `write` take any of them; `detect` tells which convention a camera of unknown origin has.
 """
 
-from ._blender import (
+from .blender import (
     read_blender as read_blender,
     to_blender as to_blender,
     to_blender_script as to_blender_script,
     write_blender as write_blender,
     write_blender_script as write_blender_script,
 )
-from ._colmap import read_colmap as read_colmap, write_colmap as write_colmap
-from ._detective import Detection as Detection, Hypothesis as Hypothesis, detect as detect
-from ._files import (
+from .colmap import read_colmap as read_colmap, write_colmap as write_colmap
+from .detection import Detection as Detection, Hypothesis as Hypothesis, detect as detect
+from .files import (
     FORMATS as FORMATS,
     guess_write as guess_write,
     read as read,
@@ -31,15 +31,15 @@ from ._files import (
     write as write,
     write_json as write_json,
 )
-from ._gltf import read_gltf as read_gltf, write_gltf as write_gltf
-from ._matrices import from_opencv as from_opencv, to_opencv as to_opencv
-from ._mitsuba import read_mitsuba as read_mitsuba, write_mitsuba as write_mitsuba
-from ._nerf import read_nerf as read_nerf, write_nerf as write_nerf
-from ._opencv import read_opencv as read_opencv, write_opencv as write_opencv
-from ._pytorch3d import (
+from .gltf import read_gltf as read_gltf, write_gltf as write_gltf
+from .matrices import from_opencv as from_opencv, to_opencv as to_opencv
+from .mitsuba import read_mitsuba as read_mitsuba, write_mitsuba as write_mitsuba
+from .nerf import read_nerf as read_nerf, write_nerf as write_nerf
+from .opencv import read_opencv as read_opencv, write_opencv as write_opencv
+from .pytorch3d import (
     from_pytorch3d as from_pytorch3d,
     read_pytorch3d as read_pytorch3d,
     to_pytorch3d as to_pytorch3d,
     write_pytorch3d as write_pytorch3d,
 )
-from ._window import cropped as cropped, resized as resized
+from .window import cropped as cropped, resized as resized

@@ -1,0 +1,331 @@
+"""The camera of Frisvad's note, and the conventions of the whole library.
+
+Source: J. R. Frisvad, "Ray Generation Using a Pinhole Camera Model" (2012).
+
+THE CONVENTIONS
+
+- `e` eye point, `p` view point, `u` up direction: world units. `u` need be neither of unit length
+  nor orthogonal to the view.
+- `phi` vertical field of view, the full angle: rad. `d` camera constant, eye to film: world units.
+- `W, H` resolution, columns and rows: static integers, px.
+- Film: height `h = 2 d tan(phi/2)`, width `w = h W/H`, centred on the view axis.
+- Basis: `v = (p-e)/|p-e|` forward, `b1 = (v x u)/|v x u|` right, `b2 = b1 x v` up.
+- A ray through film point (x, y) has direction `q/|q|` with `q = b1 x + b2 y + v d`.
+- Film coordinates: px, origin at the film's bottom-left corner, x right, y up. Pixel (i, j) is the
+  square [i, i+1] x [j, j+1]; pixel (0, 0) is bottom left; its centre is at (i+1/2, j+1/2).
+- Arrays: shape (H, W), row 0 at the top: `image[H-1-j, i]` is pixel (i, j).
+- A silhouette is coverage: the fraction of each pixel's square that the scene covers, in [0, 1].
+- Gauge: `|p-e|`, `|u|`, `u.v` and (for given phi) `d` change no image: 7 degrees of freedom.
+  `d` has a meaning only while the film's height is held: then `phi = 2 atan(h / (2d))`.
+"""
+
+import operator
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._numerics.arrays import Numbers, float_array, float_dtype, is_concrete
+from .._numerics.safe import cross_of_difference, norm, normalize
+from .distortion import Distortion
+from .lens import Lens
+
+#: Pixels are counted in 32 bits, with some room beside the film.
+MOST_PIXELS = 1 << 30
+
+
+class Basis(NamedTuple):
+    """Orthonormal camera axes in world coordinates: `b1` right, `b2` up, `v` forward."""
+
+    b1: Float[Array, "3"]
+    b2: Float[Array, "3"]
+    v: Float[Array, "3"]
+
+
+@jax.jit
+def basis(e: Float[Array, "3"], p: Float[Array, "3"], u: Float[Array, "3"]) -> Basis:
+    """Return the camera's axes `v`, `b1 = v x u` and `b2 = b1 x v`, normalised (Frisvad, eq. 1-3).
+
+    With `e = p` or `u` parallel to the view there is no basis: the vectors that are not determined
+    are null, with derivative 0.
+    """
+    v = normalize(p - e)
+    b1 = normalize(cross_of_difference(p, e, u))
+    return Basis(b1, jnp.cross(b1, v), v)
+
+
+def film_size(
+    phi: Float[Array, ""], d: Float[Array, ""], W: int, H: int
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Return the film's width and height in world units: `h = 2 d tan(phi/2)`, `w = h W/H`."""
+    h = 2 * d * jnp.tan(phi / 2)
+    return h * (W / H), h
+
+
+class Camera(eqx.Module):
+    """A pinhole camera (e, p, u, phi, d, W, H); see the conventions at the top of this module.
+
+    All of e, p, u, phi and d are differentiable leaves; W and H are static. `lens` is None for the
+    ideal pinhole, or a `Lens` (principal point, pixel aspect, distortion).
+
+    Raises ValueError where an argument has another shape or dtype than documented, is not finite,
+    or makes no camera: `e` equal to `p`, `u` parallel to the view, `phi` outside (0, pi), `d <= 0`,
+    `W` or `H` below 1, more than 2^30 pixels, a lens whose image folds back within the film or
+    reaches 90 degrees from the axis there. Arguments that are being traced are checked for shape
+    only: where they make no camera (e = p, u along the view) all points project to the principal
+    point, a silhouette is 0, rays run along the view (and are shorter than 1) or are null and miss,
+    and derivatives are finite.
+    """
+
+    e: Float[Array, "3"]
+    p: Float[Array, "3"]
+    u: Float[Array, "3"]
+    phi: Float[Array, ""]
+    d: Float[Array, ""]
+    W: int = eqx.field(static=True)
+    H: int = eqx.field(static=True)
+    lens: Lens | None
+
+    def __init__(
+        self,
+        e: Numbers,
+        p: Numbers,
+        u: Numbers,
+        phi: Numbers,
+        d: Numbers = 1.0,
+        W: Any = 0,
+        H: Any = 0,
+        lens: Lens | None = None,
+    ):
+        dtype = float_dtype(e, p, u, phi, d)
+        self.e = float_array("e", e, (3,), dtype)
+        self.p = float_array("p", p, (3,), dtype)
+        self.u = float_array("u", u, (3,), dtype)
+        self.phi = float_array("phi", phi, (), dtype)
+        self.d = float_array("d", d, (), dtype)
+        self.W = resolution("W", W)
+        self.H = resolution("H", H)
+        if self.W * self.H > MOST_PIXELS:
+            raise ValueError(
+                f"`W`, `H`: expected at most {MOST_PIXELS} pixels, got {self.W} x {self.H}"
+            )
+        self.lens = None if lens is None else _cast(lens, dtype)
+        if is_concrete(self.phi) and not 0 < float(self.phi) < np.pi:
+            raise ValueError(f"`phi`: expected an angle in (0, pi) rad, got {float(self.phi)}")
+        if is_concrete(self.d) and not float(self.d) > 0:
+            raise ValueError(f"`d`: expected a positive distance, got {float(self.d)}")
+        if is_concrete(self.e, self.p, self.u):
+            _check_view(*(np.asarray(x) for x in (self.e, self.p, self.u)))
+        bent = self.lens is not None and self.lens.distortion is not None
+        if bent and is_concrete(self.phi, *jax.tree.leaves(self.lens)):
+            _check_lens(self)
+
+
+def camera_basis(camera: Camera) -> Basis:
+    """Return the camera's axes in world coordinates."""
+    return basis(camera.e, camera.p, camera.u)
+
+
+def focal_px(camera: Camera) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Return the focal length in pixels along x and y: `H / (2 tan(phi/2))`, x times the aspect."""
+    fy = camera.H / (2 * jnp.tan(camera.phi / 2))
+    return (fy if camera.lens is None else fy * camera.lens.aspect), fy
+
+
+def principal_point(camera: Camera) -> Float[Array, "2"]:
+    """Return where the view axis meets the film, in film coordinates (px)."""
+    if camera.lens is None:
+        return jnp.array([camera.W / 2, camera.H / 2], camera.e.dtype)
+    return camera.lens.principal_point
+
+
+def to_camera(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    """Return world points in camera coordinates: (right, up, forward) from the eye.
+
+    The eye (or the view point, if it is nearer) is subtracted before anything else, so a scene far
+    from the origin or from the eye loses nothing more.
+    """
+    axes = jnp.stack(camera_basis(camera))
+    far = norm(camera.p - camera.e)
+    base = jnp.stack([jnp.zeros_like(far), jnp.zeros_like(far), far])
+    return FilmMap(camera.e, camera.p, axes, base, camera.W, camera.H)(points)
+
+
+class Bend(eqx.Module):
+    """Ideal film points (px) to those of a lens with distortion."""
+
+    distortion: Distortion
+    focal: Float[Array, "2"]
+    centre: Float[Array, "2"]
+
+    def __call__(self, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """Return the film points (px) of ideal ones."""
+        x, y = ((points[..., k] - self.centre[k]) / self.focal[k] for k in (0, 1))
+        bent = self.distortion(x, y)
+        return jnp.stack([self.focal[k] * bent[k] + self.centre[k] for k in (0, 1)], axis=-1)
+
+    def around(self, part: "FilmPart") -> Float[Array, "4"]:
+        """Return an ideal rectangle (left, right, bottom, top) about a part of the film, of which
+        each side is seen beyond that side of the part; not differentiated."""
+        held = jax.lax.stop_gradient(self)
+        sides = (jnp.stack(part[:4]) - jnp.repeat(held.centre, 2)) / jnp.repeat(held.focal, 2)
+        sign = jnp.asarray([-1, 1, -1, 1], sides.dtype)
+        size = jnp.max(jnp.abs(sides))
+        outer = sign * jnp.maximum(sign * sides, size / 10)
+        boxes = jnp.asarray(np.geomspace(1.02, 600, 96)[:, None], sides.dtype) * outer[None]
+        share = jnp.asarray(np.linspace(0, 1, 33)[None], sides.dtype)
+        x, y = (boxes[:, k : k + 1] * (1 - share) + boxes[:, k + 1 : k + 2] * share for k in (0, 2))
+        none = jnp.zeros_like(x)
+        seen = [held.distortion(boxes[:, k : k + 1] + none, y)[0] for k in (0, 1)]
+        seen += [held.distortion(x, boxes[:, k : k + 1] + none)[1] for k in (2, 3)]
+        beyond = jnp.min(
+            sign[:, None, None] * (jnp.stack(seen) - sides[:, None, None]), axis=(0, 2)
+        )
+        box = boxes[jnp.argmax(jnp.append(beyond[:-1] > size / 50, jnp.ones(1, bool)))]
+        return box * jnp.repeat(held.focal, 2) + jnp.repeat(held.centre, 2)
+
+
+class FilmPart(NamedTuple):
+    """A part of the film that is looked at (in film coordinates), and pixels per unit of these."""
+
+    left: Any
+    right: Any
+    bottom: Any
+    top: Any
+    px: Any
+
+
+class FilmMap(eqx.Module):
+    """World points to the film: `matrix (x - eye)` is (x z, y z, z), film coordinates times depth.
+
+    All that a contour needs of a camera, worked out once. Of points nearer to the view point than
+    to the eye what counts is their place beside the view point, whose film point is known (`base`):
+    so an object that is looked at from a distance keeps its digits. The film is the ideal one:
+    `bend` (None: nothing) says where its points lie in the image.
+    """
+
+    eye: Float[Array, "3"]
+    view: Float[Array, "3"]
+    matrix: Float[Array, "3 3"]
+    base: Float[Array, "3"]
+    W: int = eqx.field(static=True)
+    H: int = eqx.field(static=True)
+    bend: Bend | None = None
+    limits: Float[Array, "4"] | None = None
+    px: Any = None
+
+    @property
+    def bounds(self) -> list[Array]:
+        """Return what contours are cut off at: left, right, bottom, top, well outside the film."""
+        if self.limits is not None:
+            return list(self.limits)
+        sides = (-self.W, 2 * self.W, -self.H, 2 * self.H)
+        return [jnp.asarray(x, self.eye.dtype) for x in sides]
+
+    def looking_at(self, part: FilmPart) -> "FilmMap":
+        """Return the map for a part of the film: contours are cut off well outside that."""
+        left, right, bottom, top, px = (jnp.asarray(x, self.eye.dtype) for x in part)
+        if self.bend is None:
+            width, height = right - left, top - bottom
+            limits = jnp.stack([left - width, right + width, bottom - height, top + height])
+        else:
+            limits = self.bend.around(FilmPart(left, right, bottom, top, px))
+        fields = (self.eye, self.view, self.matrix, self.base, self.W, self.H, self.bend)
+        return FilmMap(*fields, jax.lax.stop_gradient(limits), px)
+
+    def __call__(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+        """Return the homogeneous film points (px times depth, depth) of world points."""
+        from_eye, from_view = (
+            [points[..., k] - origin[k] for k in range(3)] for origin in (self.eye, self.view)
+        )
+        far, near = (
+            jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), jnp.abs(z))
+            for x, y, z in (from_eye, from_view)
+        )
+        there = jax.lax.stop_gradient(near < far)
+        chosen = (jnp.where(there, a, b) for a, b in zip(from_view, from_eye, strict=True))
+        return self.turn(*chosen) + jnp.where(
+            there[..., None], self.base.reshape((1,) * there.ndim + (3,)), 0
+        )
+
+    def turn(self, x: Array, y: Array, z: Array) -> Float[Array, "*batch 3"]:
+        """Return the homogeneous film points of directions from the eye."""
+        column = lambda k: self.matrix[:, k].reshape((1,) * x.ndim + (3,))
+        return column(0) * x[..., None] + column(1) * y[..., None] + column(2) * z[..., None]
+
+
+def film_map(camera: Camera) -> FilmMap:
+    """Return the camera as a map to the film."""
+    b1, b2, v = camera_basis(camera)
+    fx, fy = focal_px(camera)
+    centre = principal_point(camera)
+    matrix = jnp.stack([fx * b1 + centre[0] * v, fy * b2 + centre[1] * v, v])
+    base = jnp.append(centre, jnp.ones(1, centre.dtype)) * norm(camera.p - camera.e)
+    lens = bend(camera)
+    film = FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H, lens)
+    whole = FilmPart(0, camera.W, 0, camera.H, 1)
+    return film if lens is None else film.looking_at(whole)
+
+
+def bend(camera: Camera) -> Bend | None:
+    """Return what the lens's distortion does to film points, None if there is none."""
+    if camera.lens is None or camera.lens.distortion is None:
+        return None
+    return Bend(camera.lens.distortion, jnp.stack(focal_px(camera)), camera.lens.principal_point)
+
+
+def lens_holds(camera: Camera, part: FilmPart) -> Array:
+    """Return whether the distortion may be trusted on all of a part of the film."""
+    lens = bend(camera)
+    if lens is None:
+        return jnp.ones((), bool)
+    sides = jnp.stack([jnp.asarray(x, camera.e.dtype) for x in part[:4]]).reshape(2, 2)
+    x, y = (sides - lens.centre[:, None]) / lens.focal[:, None]
+    return jnp.all(lens.distortion.trusts(jnp.tile(x, 2), jnp.repeat(y, 2)))
+
+
+def resolution(name: str, value: Any) -> int:
+    """Return a number of pixels, or raise ValueError with the argument's name."""
+    try:
+        size = operator.index(value)
+    except TypeError:
+        raise ValueError(f"`{name}`: expected an integer of at least 1, got {value!r}") from None
+    if size < 1 or isinstance(value, bool):
+        raise ValueError(f"`{name}`: expected an integer of at least 1, got {value}")
+    if size > MOST_PIXELS:
+        raise ValueError(f"`{name}`: expected at most {MOST_PIXELS} pixels, got more")
+    return size
+
+
+def _cast(lens: Lens, dtype: np.dtype) -> Lens:
+    return jax.tree.map(lambda x: x.astype(dtype), lens)
+
+
+@eqx.filter_jit
+def _lens_holds(camera: Camera) -> Array:
+    return lens_holds(camera, FilmPart(0, camera.W, 0, camera.H, 1))
+
+
+def _check_lens(camera: Camera) -> None:
+    with jax.ensure_compile_time_eval():
+        if bool(_lens_holds(camera)):
+            return
+    model = type(camera.lens.distortion).__name__ if camera.lens else ""
+    raise ValueError(
+        f"`lens`: expected a distortion that holds up to the film's corners, got a {model} whose"
+        " image folds back, or shows 90 degrees from the axis, within the film"
+    )
+
+
+def _check_view(e: np.ndarray, p: np.ndarray, u: np.ndarray) -> None:
+    if np.array_equal(e, p):
+        raise ValueError(f"`p`: expected a view point other than the eye `e`, got both at {e}")
+    if not np.any(u):
+        raise ValueError("`u`: expected an up direction, got the null vector")
+    view = (p - e) / np.max(np.abs(p - e))
+    up = u / np.max(np.abs(u))
+    if not np.any(np.abs(np.cross(view, up)) > 4 * np.finfo(e.dtype).eps):
+        raise ValueError(f"`u`: expected a direction not parallel to the view p - e, got u = {u}")

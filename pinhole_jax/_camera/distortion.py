@@ -1,0 +1,246 @@
+"""How a lens bends the image: OpenCV's models, continued so that they can always be inverted.
+
+A model maps the ideal image to the one on the film, in normalised coordinates: those of a film at
+distance 1, from the principal point, x right and y UP. OpenCV's y runs down, which turns the sign
+of its p1 in the formulas; the coefficients themselves are OpenCV's. Sources: D. C. Brown,
+"Close-Range Camera Calibration" (1971); J. Kannala and S. Brandt, "A Generic Camera Model and
+Calibration Method" (2006); as OpenCV's `projectPoints` and `fisheye` have them.
+
+The polynomials fold back far from the axis, where no lens does. Up to the radius where they begin
+to (`trusted_radius`) they count as they are; beyond, the image goes on straight, at the slope it
+has there (C1). A camera whose film shows more than that is refused.
+"""
+
+import abc
+from dataclasses import fields
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._numerics.arrays import Numbers, float_array, float_dtype
+from .._numerics.safe import norm, safe_divide, safe_sqrt
+
+#: The coefficients of all models, and the powers of the radius that they bend with.
+COEFFICIENTS = {"k1": 3, "k2": 5, "p1": 2, "p2": 2, "k3": 7, "k4": 9}
+#: Where the image grows by less than this share of what it does on the axis it is about to fold;
+#: where it grows by more than so many times that, no lens is left.
+LEAST_SLOPE, MOST_SLOPE = 0.05, 100.0
+#: Radii of the ideal image looked at: the last is a tenth of a degree from the plane of the eye.
+RADII = np.geomspace(1e-3, 600.0, 1024)
+NEWTON_STEPS = 40
+
+
+class Distortion(eqx.Module):
+    """What all models share; a model has its coefficients as fields."""
+
+    @abc.abstractmethod
+    def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return the distorted point as the model's formula has it."""
+
+    @abc.abstractmethod
+    def slope(self, radius: Array) -> Array:
+        """Return a lower bound of how much the image grows at a radius, 1 on the axis."""
+
+    @abc.abstractmethod
+    def first_guess(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return an ideal point from which Newton's method finds the one of a distorted point."""
+
+    def coefficients(self) -> dict[str, float]:
+        """Return the coefficients by name."""
+        return {field.name: float(getattr(self, field.name)) for field in fields(self)}
+
+    def trusted_radius(self) -> Float[Array, ""]:
+        """Return up to which radius of the ideal image the formula counts; not differentiated."""
+        held = jax.lax.stop_gradient(self)
+        dtype = jax.tree.leaves(self)[0].dtype
+        radii = jnp.asarray(RADII, dtype)
+        slope = held.slope(radii)
+        grows = jnp.cumsum(~((slope > LEAST_SLOPE) & (slope < MOST_SLOPE))) == 0
+        return jnp.max(jnp.where(grows, radii, radii[0]))
+
+    def __call__(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
+        """Return the distorted points of ideal ones."""
+        return _distorted(self, x, y)
+
+    def continued(self, trusted: Array, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return the distorted points, by the formula up to a radius, and beyond it straight on."""
+        radius = safe_sqrt(x * x + y * y)
+        share = jnp.minimum(safe_divide(trusted, radius), 1)
+        share = jnp.where(radius > 0, share, 1)
+        inner = (x * share, y * share)
+        value, rise = jax.jvp(self.polynomial, inner, (x - inner[0], y - inner[1]))
+        return value[0] + rise[0], value[1] + rise[1]
+
+    def trusts(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> Array:
+        """Return whether distorted points lie where the formula counts."""
+        radius = safe_sqrt(x * x + y * y)
+        share = jnp.where(radius > 0, safe_divide(self.trusted_radius(), radius), 0)
+        edge = self.polynomial(x * share, y * share)
+        return radius <= safe_sqrt(edge[0] * edge[0] + edge[1] * edge[1])
+
+    def undistorted(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
+        """Return the ideal points of distorted ones (Newton; differentiated implicitly)."""
+        return _undistorted(self, x, y)
+
+
+class BrownConrady(Distortion):
+    """OpenCV's `distCoeffs`, in its order: radial k1, k2, k3 and decentring p1, p2.
+
+    `x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)`, and so for y, with OpenCV's y
+    (down). Raises ValueError for values that are not finite numbers.
+    """
+
+    k1: Float[Array, ""]
+    k2: Float[Array, ""]
+    p1: Float[Array, ""]
+    p2: Float[Array, ""]
+    k3: Float[Array, ""]
+
+    def __init__(
+        self,
+        k1: Numbers = 0.0,
+        k2: Numbers = 0.0,
+        p1: Numbers = 0.0,
+        p2: Numbers = 0.0,
+        k3: Numbers = 0.0,
+    ):
+        values = {"k1": k1, "k2": k2, "p1": p1, "p2": p2, "k3": k3}
+        self.k1, self.k2, self.p1, self.p2, self.k3 = _coefficients(values)
+
+    def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return the distorted point as the formula has it."""
+        s = x * x + y * y
+        radial = 1 + s * (self.k1 + s * (self.k2 + s * self.k3))
+        cross = 2 * x * y
+        return (
+            x * radial - self.p1 * cross + self.p2 * (s + 2 * x * x),
+            y * radial - self.p1 * (s + 2 * y * y) + self.p2 * cross,
+        )
+
+    def slope(self, radius: Array) -> Array:
+        """Return a lower bound of how much the image grows at a radius."""
+        s = radius * radius
+        radial = 1 + s * (3 * self.k1 + s * (5 * self.k2 + s * 7 * self.k3))
+        return radial - 6 * norm(jnp.stack([self.p1, self.p2])) * radius
+
+    def first_guess(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return the point itself."""
+        return x, y
+
+
+class Fisheye(Distortion):
+    """Kannala-Brandt, as OpenCV's `fisheye` has it: an angle from the axis becomes a radius.
+
+    `theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)`, theta in rad. Only what lies in
+    front of the eye is seen: less than 90 degrees from the axis. Raises ValueError for values that
+    are not finite numbers.
+    """
+
+    k1: Float[Array, ""]
+    k2: Float[Array, ""]
+    k3: Float[Array, ""]
+    k4: Float[Array, ""]
+
+    def __init__(self, k1: Numbers = 0.0, k2: Numbers = 0.0, k3: Numbers = 0.0, k4: Numbers = 0.0):
+        self.k1, self.k2, self.k3, self.k4 = _coefficients({"k1": k1, "k2": k2, "k3": k3, "k4": k4})
+
+    def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return the distorted point as the formula has it."""
+        s = x * x + y * y
+        radius = safe_sqrt(s)
+        theta = jnp.arctan(radius)
+        # theta / radius, by its series where the quotient would lose its derivatives.
+        small = s < 1e-4
+        series = 1 - s * (1 / 3 - s * (1 / 5 - s / 7))
+        scale = self._stretch(theta) * jnp.where(small, series, safe_divide(theta, radius))
+        return x * scale, y * scale
+
+    def slope(self, radius: Array) -> Array:
+        """Return how much the image grows with the angle at a radius of the ideal image."""
+        return self._growth(jnp.arctan(radius))
+
+    def first_guess(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return the point at the angle that a few of Newton's steps on the polynomial give."""
+        radius = safe_sqrt(x * x + y * y)
+        most = jnp.arctan(self.trusted_radius())
+
+        def step(_, theta):
+            miss = theta * self._stretch(theta) - radius
+            return jnp.clip(theta - safe_divide(miss, self._growth(theta)), 0, most)
+
+        theta = jax.lax.fori_loop(0, 8, step, jnp.minimum(radius, most))
+        scale = jnp.where(radius > 0, safe_divide(jnp.tan(theta), radius), 1)
+        return x * scale, y * scale
+
+    def _stretch(self, theta: Array) -> Array:
+        t = theta * theta
+        return 1 + t * (self.k1 + t * (self.k2 + t * (self.k3 + t * self.k4)))
+
+    def _growth(self, theta: Array) -> Array:
+        t = theta * theta
+        return 1 + t * (3 * self.k1 + t * (5 * self.k2 + t * (7 * self.k3 + t * 9 * self.k4)))
+
+
+def _coefficients(values: dict[str, Numbers]) -> list[Array]:
+    dtype = float_dtype(*values.values())
+    return [float_array(name, value, (), dtype) for name, value in values.items()]
+
+
+def _linearised(model: Distortion, trusted: Array, x: Array, y: Array) -> tuple:
+    """Return the distorted point (2, ...), and its derivatives by x and by y."""
+    one, none = jnp.ones_like(x), jnp.zeros_like(x)
+    value, push = jax.linearize(partial(model.continued, trusted), x, y)
+    by_x, by_y = push(one, none), push(none, one)
+    return jnp.stack(value), jnp.stack(by_x), jnp.stack(by_y)
+
+
+def _solved(by_x: Array, by_y: Array, right: Array) -> Array:
+    """Return (dx, dy) with by_x dx + by_y dy = right."""
+    det = by_x[0] * by_y[1] - by_x[1] * by_y[0]
+    dx = right[0] * by_y[1] - right[1] * by_y[0]
+    dy = by_x[0] * right[1] - by_x[1] * right[0]
+    return jnp.stack([safe_divide(dx, det), safe_divide(dy, det)])
+
+
+# Compiled as wholes, since outside of `jit` a loop would be compiled at each call.
+
+
+@jax.jit
+def _distorted(model: Distortion, x: Array, y: Array) -> tuple[Array, Array]:
+    return model.continued(model.trusted_radius(), x, y)
+
+
+@jax.custom_jvp
+@jax.jit
+def _undistorted(model: Distortion, x: Array, y: Array) -> tuple[Array, Array]:
+    goal = jnp.stack([x, y])
+    tiny, trusted = 4 * jnp.finfo(x.dtype).eps, model.trusted_radius()
+
+    def body(state):
+        number, at, _ = state
+        value, by_x, by_y = _linearised(model, trusted, *at)
+        step = _solved(by_x, by_y, goal - value)
+        size = 1 + jnp.sqrt(jnp.sum(at * at, axis=0))
+        return number + 1, at + step, jnp.max(jnp.abs(step) / size[None])
+
+    start = (jnp.int32(0), jnp.stack(model.first_guess(x, y)), jnp.asarray(jnp.inf, x.dtype))
+    going = lambda state: (state[0] < NEWTON_STEPS) & (state[2] > tiny)
+    _, at, _ = jax.lax.while_loop(going, body, start)
+    return at[0], at[1]
+
+
+@_undistorted.defjvp
+def _(primals: Any, tangents: Any):
+    model, x, y = primals
+    ideal = _undistorted(model, x, y)
+    _, by_x, by_y = _linearised(model, model.trusted_radius(), *ideal)
+    moves, *goal = tangents
+    held = jax.tree.map(jax.lax.stop_gradient, ideal)
+    _, drift = jax.jvp(lambda m: m(*held), (model,), (moves,))
+    change = _solved(by_x, by_y, jnp.stack(goal) - jnp.stack(drift))
+    return ideal, (change[0], change[1])

@@ -1,0 +1,47 @@
+"""What lies between the ideal pinhole and the pixels: principal point, pixel aspect, distortion.
+
+The first two are affine on the film, so a straight edge stays straight. A camera without a lens
+pays nothing, and one without distortion nothing for that.
+"""
+
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from .._numerics.arrays import Numbers, float_array, float_dtype, is_concrete
+from .distortion import Distortion
+
+
+class Lens(eqx.Module):
+    """Principal point, pixel aspect and distortion of a camera.
+
+    - `principal_point`: where the view axis meets the film, in film coordinates (px, origin at the
+      film's bottom-left corner, y up). A centred camera has (W/2, H/2).
+    - `aspect`: focal length in pixels along x over focal length in pixels along y (`fx / fy`).
+    - `distortion`: a `BrownConrady`, a `Fisheye`, or None. `phi` then sets the focal length `H / (2
+      tan(phi/2))` px that the coefficients go with; the field of view itself is another.
+
+    Raises ValueError for wrong shapes, non-finite values and an aspect that is not positive.
+    """
+
+    principal_point: Float[Array, "2"]
+    aspect: Float[Array, ""]
+    distortion: Distortion | None
+
+    def __init__(
+        self,
+        principal_point: Numbers,
+        aspect: Numbers = 1.0,
+        distortion: Any = None,
+    ):
+        dtype = float_dtype(principal_point, aspect)
+        self.principal_point = float_array("principal_point", principal_point, (2,), dtype)
+        self.aspect = float_array("aspect", aspect, (), dtype)
+        if is_concrete(self.aspect) and not float(self.aspect) > 0:
+            raise ValueError(f"`aspect`: expected a positive ratio, got {float(self.aspect)}")
+        if not (distortion is None or isinstance(distortion, Distortion)):
+            raise ValueError(
+                f"`distortion`: expected a BrownConrady, a Fisheye or None, got {distortion!r}"
+            )
+        self.distortion = distortion

@@ -1,0 +1,129 @@
+"""From film to rays and back: `generate_rays`, `camera_rays`, `project`."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from .._numerics.arrays import Numbers
+from .._numerics.safe import binary_inverse, safe_divide
+from .camera import (
+    Camera,
+    basis,
+    film_size,
+    focal_px,
+    principal_point,
+    to_camera,
+)
+
+
+class Rays(NamedTuple):
+    """Half lines: `origin` (..., 3) broadcasts against `direction` (..., 3), of unit length."""
+
+    origin: Float[Array, "*#batch 3"]
+    direction: Float[Array, "*batch 3"]
+
+
+def generate_rays(
+    e: Numbers,
+    p: Numbers,
+    u: Numbers,
+    phi: Numbers,
+    d: Numbers,
+    W: int,
+    H: int,
+    samples: int | None = None,
+    key: PRNGKeyArray | None = None,
+) -> Rays:
+    """Return the rays of an ideal pinhole camera: origin (3,), direction (H, W, 3), row 0 on top.
+
+    Frisvad's note, eq. 1-6: pure in (e, p, u, phi, d). Without `samples` a ray goes through each
+    pixel's centre. With `samples = n` each pixel's square is divided into n x n cells and
+    direction is (H, W, n*n, 3): through the cells' centres, or, with a `key`, through one
+    uniformly random point of each cell (stratified).
+
+    Raises ValueError where `samples` is below 1 or a `key` comes without `samples`.
+    """
+    camera = Camera(e, p, u, phi, d, W, H)
+    return camera_rays(camera, samples, key)
+
+
+def camera_rays(
+    camera: Camera, samples: int | None = None, key: PRNGKeyArray | None = None
+) -> Rays:
+    """Return the camera's rays: origin (3,), direction (H, W, 3) or (H, W, samples**2, 3).
+
+    The same as `generate_rays` for a `Camera`; a lens shifts, stretches and bends the film.
+    """
+    x, y = _film_samples(camera.W, camera.H, samples, key, camera.e.dtype)
+    return Rays(camera.e, rays_through(camera, x, y))
+
+
+def rays_through(
+    camera: Camera, x: Float[Array, "*#batch"], y: Float[Array, "*#batch"]
+) -> Float[Array, "*batch 3"]:
+    """Return unit directions of the rays through film points (x, y), in px: `q/|q|` of the note."""
+    axes = basis(camera.e, camera.p, camera.u)
+    d = camera.d * binary_inverse(camera.d)  # what counts is d over the film's size: no overflow
+    w, h = film_size(camera.phi, d, camera.W, camera.H)
+    if camera.lens is None:
+        film_x, film_y = (x / camera.W - 0.5) * w, (y / camera.H - 0.5) * h
+    else:
+        centre = camera.lens.principal_point
+        film_x = (x - centre[0]) / camera.H * (h / camera.lens.aspect)
+        film_y = (y - centre[1]) / camera.H * h
+        if camera.lens.distortion is not None:
+            both = jnp.broadcast_arrays(film_x / d, film_y / d)
+            film_x, film_y = (d * z for z in camera.lens.distortion.undistorted(*both))
+    # Each ray's three components lie side by side on one long last axis: the compiler runs through
+    # it in vectors, which an axis of length 3 prevents (jax 0.10: 38 ms, so 1 ms, for 1920 x 1080).
+    n = max(film_x.shape[-1], film_y.shape[-1])
+    lead = (1,) * (film_x.ndim - 1)
+    b1, b2, vd = (jnp.tile(b, n).reshape(*lead, -1) for b in (axes.b1, axes.b2, axes.v * d))
+    film_x, film_y = (f if f.shape[-1] == 1 else jnp.repeat(f, 3, -1) for f in (film_x, film_y))
+    # ... the barrier keeps the index arithmetic of these few thousand numbers out of that loop.
+    ahead, square = b1 * film_x + vd, film_x * film_x + d * d
+    ahead, square, b2, film_y = jax.lax.optimization_barrier((ahead, square, b2, film_y))
+    # The basis is orthonormal: |q|^2 is the sum of the squares of its coordinates.
+    direction = (ahead + b2 * film_y) * jax.lax.rsqrt(square + film_y * film_y)
+    return direction.reshape(*direction.shape[:-1], n, 3)
+
+
+def project(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
+    """Return the film coordinates (px, origin bottom left, y up) of world points.
+
+    A point behind the eye projects through it, as the equations say; one in the eye's own plane
+    gives the principal point. `to_camera(camera, points)[..., 2] > 0` tells points in front. Where
+    a lens's polynomial would fold back it goes on straight (see `distortion`).
+    """
+    x, y, z = jnp.moveaxis(to_camera(camera, points), -1, 0)
+    fx, fy = focal_px(camera)
+    centre = principal_point(camera)
+    x, y = safe_divide(x, z), safe_divide(y, z)
+    if camera.lens is not None and camera.lens.distortion is not None:
+        x, y = camera.lens.distortion(x, y)
+    return jnp.stack([fx * x + centre[0], fy * y + centre[1]], -1)
+
+
+def _film_samples(
+    W: int, H: int, samples: int | None, key: PRNGKeyArray | None, dtype: jnp.dtype
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Return film coordinates of the samples, broadcastable to (H, W) or (H, W, samples**2)."""
+    column = jnp.arange(W, dtype=dtype)
+    row = jnp.arange(H - 1, -1, -1, dtype=dtype)
+    if samples is None:
+        if key is not None:
+            raise ValueError("`key`: expected `samples` to go with it, got None")
+        return column[None, :] + 0.5, row[:, None] + 0.5
+    if samples < 1:
+        raise ValueError(f"`samples`: expected at least 1 per side of a pixel, got {samples}")
+    cell = jnp.arange(samples, dtype=dtype)
+    cell_x, cell_y = jnp.tile(cell, samples), jnp.repeat(cell, samples)
+    if key is None:
+        jitter = jnp.full((2, 1, 1, 1), 0.5, dtype)
+    else:
+        jitter = jax.random.uniform(key, (2, H, W, samples**2), dtype)
+    x = column[None, :, None] + (cell_x[None, None] + jitter[0]) / samples
+    y = row[:, None, None] + (cell_y[None, None] + jitter[1]) / samples
+    return x, y

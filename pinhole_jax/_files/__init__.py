@@ -1,0 +1,1 @@
+"""Files that are read with bounds and written whole: paths, pictures, EXIF, the compile cache."""

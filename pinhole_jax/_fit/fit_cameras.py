@@ -1,0 +1,162 @@
+"""`fit_cameras`: many views of one scene with shared intrinsics, in one least-squares problem."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._camera.camera import Camera
+from .._numerics.arrays import Numbers
+from .._scene.scene import Scene, check_scene
+from .fit_camera import Fit, Known, fit_camera, report
+from .full_image import completed, worthwhile
+from .parameters import canonical, components, with_lens
+from .priors import bounds_of, prior_of
+from .problem import FINE_PX, UNIT_PX, View
+from .residuals import Capacity
+from .search import Mask
+from .shared_unknowns import SHARED, alike, descend, joint, others, reduced, shared_and_free, solved
+from .solver import Found, Solver
+from .target import check_target
+
+
+def fit_cameras(
+    scene: Scene,
+    targets: Sequence[Numbers],
+    cameras: Sequence[Camera] | None,
+    shared: str | Sequence[str] = ("phi",),
+    free: str | Sequence[str] = ("pose",),
+    *,
+    phi: Numbers = None,
+    weights: Sequence[Numbers] | None = None,
+    prior: Mapping[str, Any] | None = None,
+    bounds: Mapping[str, Any] | None = None,
+    max_steps: int = 64,
+) -> tuple[Fit, ...]:
+    """Return a `Fit` for each mask; what is `free` is each view's own, what is `shared` is one.
+
+    - `targets`: masks, each as in `fit_camera`; their sizes may differ.
+    - `cameras`: where to start, one for each mask; what is shared begins at their mean. None: each
+      is searched for, with `phi` as in `fit_camera`.
+    - `weights`: for each mask, or None.
+    - `prior`, `bounds`: as in `fit_camera`; of what is shared once, else for each view.
+    - `max_steps`: a limit for each level.
+
+    The covariance of each fit is that of the joint problem: knowledge of all views is in it. The
+    cost of a step grows linearly with the number of views.
+
+    Raises ValueError for arguments that make no fit; what the solver met is in each `Fit.status`.
+    """
+    check_scene(scene)
+    count = len(targets)
+    if count == 0:
+        raise ValueError("`targets`: expected at least one mask, got none")
+    weights = [None] * count if weights is None else weights
+    for name, given in (("cameras", cameras), ("weights", weights)):
+        if given is not None and len(given) != count:
+            raise ValueError(f"`{name}`: expected one for each of {count} masks, got {len(given)}")
+    if not all(isinstance(c, Camera) for c in cameras or ()):
+        raise ValueError(f"`cameras`: expected Cameras, got {cameras!r}")
+    names, common = shared_and_free(shared, free, cameras[0] if cameras else None)
+    if not common:
+        raise ValueError(f"`shared`: expected at least one of {', '.join(SHARED)}, got none")
+    if cameras is None:
+        pairs = zip(targets, weights, strict=True)
+        alone = (fit_camera(scene, t, None, names, phi=phi, weight=w) for t, w in pairs)
+        cameras = [fit.camera for fit in alone]
+
+    views = []
+    cameras = alike([with_lens(c, names) for c in cameras], common)
+    for camera, target, weight in zip(cameras, targets, weights, strict=True):
+        image, w = check_target(target, weight, camera.W, camera.H)
+        known = bounds_of(bounds, camera, names), prior_of(prior, camera, names, common, count)
+        solver = Solver(scene, image, w, camera.e.dtype, names, max_steps, *known)
+        views.append(_One(Mask(image, w, camera), solver, canonical(camera)))
+    largest = Capacity(*np.max([v.solver.capacity for v in views], axis=0).tolist())
+    for one in views:
+        one.solver.capacity = largest
+    own = np.array([name not in common for name in names for _ in components((name,))])
+    steps: list[int] = []
+    for depth in range(max(len(v.solver.levels) for v in views), 0, -1):
+        if prior:
+            _believe(views, depth)
+        views, n = descend(views, depth, own, max_steps, views[0].solver.dtype)
+        steps.append(n)
+    if prior:
+        _believe(views, 1)
+    return _reports(views, names, own, tuple(steps))
+
+
+class _One(NamedTuple):
+    """One view: its mask (with the camera as given), the mask's solver, and the camera so far."""
+
+    mask: Mask
+    solver: Solver
+    unit: Camera
+
+    def level(self, depth: int) -> int:
+        """Return the number of the level this far from the last, or of the first."""
+        return max(len(self.solver.levels) - depth, 0)
+
+    def look(self, depth: int) -> View:
+        """Return the view on a level; 0 is the last one with every pixel, overlaps resolved."""
+        if depth == 0:
+            return completed(self.solver, self.mask, self.unit)
+        return self.solver.look(self.unit, self.level(depth))
+
+    def stepped(self, depth: int, y: np.ndarray) -> "_One":
+        """Return the view after a step in its own units."""
+        return self._replace(unit=self.solver.step(self.unit, self.level(depth), y))
+
+
+def _believe(views: list[_One], depth: int) -> None:
+    """Weigh the priors by what the residuals of all views err by on a level."""
+    sums = [v.look(depth).sums for v in views]
+    squares, touched = (
+        sum(float(x) for x in xs)
+        for xs in zip(*((s.touched_squares, s.touched) for s in sums), strict=True)
+    )
+    for one in views:
+        one.solver.believe(squares / max(touched, 1.0))
+
+
+def _with_overlaps(views: list[_One], own: np.ndarray) -> tuple[list[_One], list[View]]:
+    """Return the cameras, and views, after Gauss-Newton steps in which every pixel counts."""
+    before, last = np.inf, [v.look(1) for v in views]
+    whole = [0 if worthwhile(v.solver, view) else 1 for v, view in zip(views, last, strict=True)]
+    while not all(whole):
+        last = [v.look(depth) for v, depth in zip(views, whole, strict=True)]
+        ys = solved(last, own, 0.0)
+        size = max(float(np.max(np.abs(y))) for y in ys) * UNIT_PX
+        if not FINE_PX[views[0].solver.dtype] < size < before:
+            break
+        before = size
+        views = [
+            v._replace(unit=v.solver.step(v.unit, v.solver.finest, y))
+            for v, y in zip(views, ys, strict=True)
+        ]
+    return views, last
+
+
+def _reports(
+    views: list[_One], names: tuple[str, ...], own: np.ndarray, steps: tuple[int, ...]
+) -> tuple[Fit, ...]:
+    views, seen = _with_overlaps(views, own)
+    parts = [reduced(v, own, 0.0) for v in seen]
+    squares, touched = (
+        sum(float(x) for x in xs)
+        for xs in zip(*((v.sums.touched_squares, v.sums.touched) for v in seen), strict=True)
+    )
+    unknowns = len(views) * int(own.sum()) + int((~own).sum())
+    variance = squares / max(touched - unknowns, 1)
+    slope: Any = sum(p.rest.T @ p.left + p.across.T @ p.known for p in parts)
+    return tuple(
+        report(
+            one.mask.camera,
+            Found(one.unit, joint(view, known, slope, own), steps),
+            view.sums,
+            names,
+            Known(one.solver.kind, one.solver.problem.bounds, variance=variance),
+        )
+        for one, view, known in zip(views, seen, others([p.rest for p in parts]), strict=True)
+    )

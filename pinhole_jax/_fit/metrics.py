@@ -1,0 +1,25 @@
+"""How far two cameras, or two masks, are apart."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._camera.camera import Camera, camera_basis
+from .._numerics.safe import norm
+
+
+def pose_error(camera_a: Camera, camera_b: Camera) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Return the angle between two cameras' orientations (rad) and the distance of their eyes.
+
+    Free of the gauge: `|p-e|`, `|u|`, `u.v` and `d` do not count. The distance is in world units.
+    The angle is taken from the chord between the frames, so it is accurate down to rounding.
+    """
+    a, b = (jnp.stack(camera_basis(c)) for c in (camera_a, camera_b))
+    # |A - B|_F = 2 sqrt(2) sin(angle / 2)
+    half_chord = norm((a - b).reshape(-1)) / (2 * 2**0.5)
+    return 2 * jnp.arcsin(jnp.minimum(half_chord, 1)), norm(camera_a.e - camera_b.e)
+
+
+def iou(mask_a: Float[Array, "H W"], mask_b: Float[Array, "H W"]) -> Float[Array, ""]:
+    """Return intersection over union of two coverage images in [0, 1]; 1 if both are empty."""
+    both, either = jnp.sum(jnp.minimum(mask_a, mask_b)), jnp.sum(jnp.maximum(mask_a, mask_b))
+    return jnp.where(either > 0, both / jnp.where(either > 0, either, 1), 1)

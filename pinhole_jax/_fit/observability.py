@@ -1,0 +1,88 @@
+"""`observability`: what a mask of this scene could tell of a camera, before any mask is taken."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from .._camera.camera import Camera
+from .._numerics.arrays import Numbers
+from .._scene.scene import Scene, check_scene
+from .fit_camera import to_units
+from .full_image import completed
+from .parameters import canonical, check_free, components, labels_of, with_lens
+from .problem import UNIT_PX
+from .search import Mask, axes_of
+from .solver import Solver
+from .target import check_weight
+from .uncertainty import BLIND, covariance, weak_directions
+
+
+class Observability(NamedTuple):
+    """What `observability` returns.
+
+    - `names`: the parameters, as in a `Fit`; `std` (n,) and `covariance` (n, n) are what a fit to a
+      mask with the given noise would report: infinite where the mask says nothing.
+    - `rank`: how many directions of the `free` parameters change the mask at all, `of` how many.
+    - `values` (n,): the Jacobian's singular values, largest first: root sum of squares of the
+      change of coverage for a move of the outline by about one pixel.
+    - `weak`: the directions that change it little or not at all, in words.
+    """
+
+    names: tuple[str, ...]
+    rank: int
+    of: int
+    values: Float[np.ndarray, "n"]
+    std: Float[np.ndarray, "n"]
+    covariance: Float[np.ndarray, "n n"]
+    weak: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Return it as a short table."""
+        lines = [f"{self.rank} of {self.of} directions are visible"]
+        lines += [f"{n:<14} {s:.3g}" for n, s in zip(self.names, self.std, strict=True)]
+        return "\n".join([*lines, *self.weak])
+
+
+def observability(
+    camera: Camera,
+    scene: Scene,
+    free: str | Sequence[str] = ("pose", "phi"),
+    *,
+    weight: Numbers = None,
+    noise: float = 0.1,
+) -> Observability:
+    """Return which directions of the free parameters a mask can determine, and how well.
+
+    `noise` is the standard deviation of coverage in a pixel that the outline touches (a hard edge
+    has 0.29), `weight` (H, W) as in `fit_camera`. Singular directions have infinite `std` and are
+    named in words. A sphere shows 4 of the 7 directions of pose and focal length, two 6, three 7.
+
+    Raises ValueError for arguments that make no fit.
+    """
+    if not isinstance(camera, Camera):
+        raise ValueError(f"`camera`: expected a Camera, got {camera!r}")
+    check_scene(scene)
+    if not noise > 0:
+        raise ValueError(f"`noise`: expected a positive standard deviation, got {noise}")
+    names = check_free(free, camera)
+    camera = with_lens(camera, names)
+    weights = check_weight(weight, camera.W, camera.H)
+    image = np.full(weights.shape, 0.25)  # any mask with soft edges: overlaps are left out ...
+    solver = Solver(scene, image, weights, camera.e.dtype, names, 1)
+    view = completed(solver, Mask(image, weights, camera), canonical(camera))  # ... and come back
+    triangle, blind = np.asarray(view.triangle, float), BLIND[solver.dtype]
+    labels = labels_of(names)
+    values = np.linalg.svd(triangle, compute_uv=False)
+    cov = covariance(triangle, to_units(view.to_reported, names, camera), noise**2, blind)
+    _, weak = weak_directions(triangle, components(names), axes_of(camera), blind)
+    return Observability(
+        names=labels,
+        rank=int(np.sum(values > blind * max(values[0], np.finfo(float).tiny))),
+        of=len(labels),
+        values=values / UNIT_PX,
+        std=np.sqrt(np.diag(cov)),
+        covariance=cov,
+        weak=weak,
+    )

@@ -1,0 +1,349 @@
+"""Where else the camera may be: along turns and shifts that hardly show, and at mirrored views.
+
+A derivative speaks for the neighbourhood of one camera. Facets of a round body give a turn that
+the mask hardly shows sharp minima, one beside the other; symmetric bodies look alike from several
+sides. So a fit whose Jacobian calls a turn or shift nearly free walks along it, in steps that leave
+such a minimum, descends again at each, and asks whether the mask's own noise forbids what it finds.
+"""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from .._camera.camera import Camera
+from .parameters import components
+from .problem import View
+from .search import angle, axes_of, sphere_points
+from .solver import Found, Solver
+from .uncertainty import in_words, weak_moves
+
+#: How far a walk goes to either side (rad, at the object's radius), each place twice as far.
+STRIDES = np.deg2rad(1.5) * 2.0 ** np.arange(7)
+#: Steps of a descent from there on the last level, and how many descents one fit may take.
+STEPS, DESCENTS = 10, 240
+#: Cameras closer than this (rad), or this many standard errors, are one place.
+APART, SIGMAS = np.deg2rad(0.5), 1.5
+#: Places that differ by less than so many variances of a residual are equal: 5.5 standard errors.
+EQUAL_TIMES = 30.0
+#: ... along a walk, whose places are samples of many: what lies between may be better.
+WALK_TIMES = 100.0
+#: ... and if they leave this share of what the Jacobian foretells at their distance, or less.
+LIKE_FORETOLD = 0.5
+#: A direction that shows less than this share of the best-seen one is looked at on both sides, so
+#: many standard errors away and half as far (between these angles, rad): there the squares have to
+#: have risen by about as much as the Jacobian says, within these factors, and it has to show, too.
+DOUBTFUL, DOUBT_SIGMAS, DOUBT_RAD, RISE = 0.2, 12.0, np.deg2rad([4, 10]), (0.15, 10.0)
+#: So many equal places along a walk are no list of modes but a direction that is free.
+MANY = 4
+#: An interval larger than this (rad) is taken for the whole circle.
+ALL_ROUND = np.deg2rad(190)
+#: A body is near its mirror image if it reaches as far to within this share of its radius.
+MIRRORED = 0.15
+#: ... and nearly round about an axis if it does so to within this share, turned by these angles.
+ROUND, ROUND_ANGLES = 0.03, np.deg2rad([17.0, 40.0, 75.0])
+#: The directions in which that is looked at.
+DIRECTIONS = sphere_points(64)
+#: What is farther from the start than this (rad) the start rules out.
+NEAR_START = np.deg2rad(60)
+
+
+class Free(NamedTuple):
+    """A direction along which the mask does not tell cameras apart.
+
+    `move` (n,) is the move by one rad of it, in the solver's units; it is free from `-behind` to
+    `ahead` (rad), both infinite if all places looked at are equal; `axis` (3,) of the turn in the
+    world, None for a shift.
+    """
+
+    move: np.ndarray
+    behind: float
+    ahead: float
+    axis: np.ndarray | None
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        name = "a shift" if self.axis is None else f"the turn about the axis {in_words(self.axis)}"
+        if np.isinf(self.ahead):
+            return f"{name} is not visible"
+        low, high = -np.rad2deg(self.behind), np.rad2deg(self.ahead)
+        return f"{name} is free from {low:.0f} to {high:+.0f} degrees: the mask tells no difference"
+
+
+class Places(NamedTuple):
+    """The best camera found, others that explain the mask as well, and what is free about it."""
+
+    best: Found
+    others: list[Found]
+    free: list[Free]
+
+
+class _Direction(NamedTuple):
+    """A turn about an axis (3,) in the world, or a shift (None): the move (n,) by one rad of it, in
+    the solver's units, and its standard error (rad) by the Jacobian."""
+
+    move: np.ndarray
+    axis: np.ndarray | None
+    sigma: float
+
+
+def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
+    """Return the best camera along all that is nearly free, and what else is as good.
+
+    No place takes over that is far from a `start`.
+    """
+    left, seen, last = DESCENTS, [], []
+    directions = _nearly_free(solver, best) or _round(solver, best) or _doubtful(solver, best)
+    while directions and left > 0:
+        last = directions
+        places = [p for d in directions for p in _along(solver, best, d)]
+        seen += [best, *places]
+        left -= len(places)
+        near = (p for p in places if start is None or angle(p.unit, start) < NEAR_START)
+        place = min(near, key=lambda p: _surplus(solver, p.view), default=best)
+        if not _better(solver, place.view, best.view):
+            break
+        best = place._replace(steps=best.steps + place.steps, way=best.way)
+        directions = _nearly_free(solver, best)
+    return _as_good(solver, best, seen, last) if seen else Places(best, [], [])
+
+
+def equal_views(solver: Solver, view: View, best: View, times: float = EQUAL_TIMES) -> bool:
+    """Return whether the mask's own noise allows a view beside the best."""
+    variance = max(solver.kind.variance, best.touched_misfit)
+    return bool(_surplus(solver, view) - _surplus(solver, best) <= times * variance)
+
+
+def _surplus(solver: Solver, view: View) -> float:
+    """Return the sum of squares above what a right camera leaves, the outline being so long."""
+    squares = view.squares - solver.kind.variance * float(view.sums.touched)
+    return squares if np.isfinite(squares) else np.inf
+
+
+def _better(solver: Solver, view: View, best: View) -> bool:
+    have, now = _surplus(solver, best), _surplus(solver, view)
+    return now < have - max(0.01 * abs(have), 2 * solver.kind.variance)
+
+
+def _nearly_free(solver: Solver, found: Found) -> list[_Direction]:
+    """Return the turns and shifts that hardly show."""
+    triangle = np.asarray(found.view.triangle, float)
+    if not np.all(np.isfinite(triangle)):
+        return []
+    weak = weak_moves(triangle, components(solver.names))
+    return [_direction(solver, found, *pair) for pair in weak]
+
+
+def _direction(solver: Solver, found: Found, value: float, vector: np.ndarray) -> _Direction:
+    """Return a direction of moves that shows this much (a singular value) as a turn or a shift."""
+    turns = np.array([name.startswith("turn") for name in components(solver.names)])
+    radian = _radian(solver, found)
+    axis, move = None, vector
+    if np.linalg.norm(vector[turns]) > 0.3:  # a large turn is a turn alone
+        move = np.where(turns, vector, 0) / np.linalg.norm(vector[turns])
+        axis = move[turns] @ axes_of(found.unit)
+    noise = max(solver.kind.variance, found.view.touched_misfit) ** 0.5
+    sigma = noise / max(value, 1e-300) / radian
+    return _Direction(move * radian, axis, min(sigma, np.pi))
+
+
+def _round(solver: Solver, found: Found) -> list[_Direction]:
+    """Return the turns about axes that the body is nearly round about: facets, teeth or sections
+    there repeat, and each place where they fit is a minimum."""
+    names = components(solver.names)
+    turns = np.array([name.startswith("turn") for name in names])
+    points = solver.points - np.asarray(solver.ball.centre, float)
+    if not len(points) or np.sum(turns) < 3:
+        return []
+    found_axes, reach = [], np.max(points @ DIRECTIONS.T, axis=0)
+    for axis in np.linalg.eigh(points.T @ points)[1].T:
+        cross = np.cross(np.eye(3), axis)
+        for far in ROUND_ANGLES:
+            turn = np.eye(3) + np.sin(far) * cross + (1 - np.cos(far)) * cross @ cross
+            off = np.max(points @ (DIRECTIONS @ turn).T, axis=0) - reach
+            if np.max(np.abs(off)) > ROUND * np.max(reach):
+                break
+        else:
+            found_axes.append(axis)
+    triangle = np.asarray(found.view.triangle, float)
+    result = []
+    for axis in found_axes:
+        move = np.zeros(len(names))
+        move[turns] = axes_of(found.unit) @ axis
+        value = float(np.linalg.norm(triangle @ move))
+        result.append(_direction(solver, found, value, move))
+    return result
+
+
+def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
+    """Return a turn or shift of which the Jacobian does not tell what the mask does: where a part
+    of the object is just about to show, residuals rise on one side only, or far steeper there."""
+    view, kind = found.view, solver.kind
+    triangle = np.asarray(view.triangle, float)
+    if not np.all(np.isfinite(triangle)) or (kind.exact and view.touched_misfit <= kind.most):
+        return []
+    weak = weak_moves(triangle, components(solver.names), DOUBTFUL)
+    if not weak:
+        return []
+    value, vector = weak[-1]
+    direction = _direction(solver, found, value, vector)
+    far = np.clip(DOUBT_SIGMAS * direction.sigma, *DOUBT_RAD) * _radian(solver, found)
+    for part in (far, -far, far / 2, -far / 2):
+        there = solver.step(found.unit, solver.finest, part * vector)
+        other = solver.glance(there)
+        if not np.all(np.isfinite(np.asarray(other.triangle))):
+            continue
+        rise = (other.squares - view.squares) / (value * part) ** 2
+        blind = weak_moves(np.asarray(other.triangle, float), components(solver.names))
+        if blind or not RISE[0] < rise < RISE[1]:
+            return [direction]
+    return []
+
+
+def _radian(solver: Solver, found: Found) -> float:
+    """Return the size of a move, in the solver's units, that is as large as a turn by one rad."""
+    names, unit = components(solver.names), np.asarray(found.view.unit, float)
+    for name, size in zip(names, unit, strict=True):
+        if name.startswith("turn"):
+            return 1 / size
+    reach = np.linalg.norm(np.asarray(found.unit.e, float) - solver.ball.centre)
+    size = next(s for n, s in zip(names, unit, strict=True) if n.split("_")[0] in ("spin", "shift"))
+    return float(np.clip(solver.ball.radius / reach, 1e-3, 1) / size)
+
+
+def _along(solver: Solver, best: Found, direction: _Direction) -> list[Found]:
+    """Return where descents lead to from both sides of a camera."""
+    far = (sign * stride for sign in (1, -1) for stride in STRIDES)
+    return [p for x in far if (p := _descended(solver, best, direction, x)) is not None]
+
+
+def _descended(solver: Solver, best: Found, direction: _Direction, far: float) -> Found | None:
+    start = solver.step(best.unit, solver.finest, far * direction.move)
+    place = solver.descended(start, min(STEPS, solver.max_steps))
+    return place if np.isfinite(place.view.squares) else None
+
+
+def _as_good(
+    solver: Solver, best: Found, seen: list[Found], directions: list[_Direction]
+) -> Places:
+    """Return the best, and those seen that are other places and as good: a few, or free
+    directions."""
+    directions = [at(solver, best, d) for d in directions]
+    sigma = max(min(d.sigma for d in directions), 1e-12)
+    apart = max(APART, SIGMAS * sigma)
+    exact = solver.kind.exact and solver.kind.explains(best.view.touched_misfit, True)
+    times = EQUAL_TIMES if exact else WALK_TIMES
+
+    def others(places: list[Found]) -> list[Found]:
+        as_good = []
+        for place in places:
+            far = separation(solver, place.unit, best.unit)
+            # (What the Jacobian foretells so far away is no other place: a descent on its way.)
+            foretold = float(LIKE_FORETOLD * (far / sigma) ** 2)
+            if far > apart and equal_views(solver, place.view, best.view, min(times, foretold)):
+                as_good.append(place)
+        return _distinct(solver, as_good, apart)
+
+    equal = others(seen)
+    if exact and 0 < len(equal) < MANY:
+        # Each minimum may be exact: how far is it to the next, and how many follow?
+        pitch = min(separation(solver, p.unit, best.unit) for p in equal)
+        for d in directions:
+            steps = [s * k * pitch for s in (1, -1) for k in range(1, 2 * MANY)]
+            more = [p for x in steps if (p := _descended(solver, best, d, x)) is not None]
+            equal = others([*equal, *more])
+    if exact and len(equal) < MANY:
+        return Places(best, equal, [])
+    return Places(best, [], _intervals(solver, best, equal, directions))
+
+
+def at(solver: Solver, found: Found, direction: Any) -> Any:
+    """Return a `_Direction`, or a `Free` one, as moves of a camera that it was not taken at."""
+    if direction.axis is None:
+        return direction
+    turns = np.array([name.startswith("turn") for name in components(solver.names)])
+    move = np.zeros(len(turns))
+    move[turns] = axes_of(found.unit) @ direction.axis * _radian(solver, found)
+    return direction._replace(move=move)
+
+
+def _intervals(
+    solver: Solver, best: Found, equal: list[Found], directions: list[_Direction]
+) -> list[Free]:
+    """Return how far the directions are free if these places are as good as the best."""
+    turns = [turned_by(best.unit, p.unit) for p in equal]
+    far: list[list[float]] = [[] for _ in directions]
+    for place, turn in zip(equal, turns, strict=True):
+        along = [separation(solver, place.unit, best.unit)] * len(directions)
+        for k, d in enumerate(directions):
+            along[k] = along[k] if d.axis is None else float(turn @ d.axis)
+        chief = int(np.argmax(np.abs(along)))
+        far[chief] += (
+            [along[chief]] if directions[chief].axis is not None else [along[chief], -along[chief]]
+        )
+    result = []
+    for d, reached in zip(directions, far, strict=True):
+        if reached:
+            # Strides double: what was looked at next, and is forbidden, bounds the interval.
+            ends = (2 * max(max(s * x for x in reached), STRIDES[0] / 2) for s in (-1, 1))
+            behind, ahead = ends
+            if behind + ahead > ALL_ROUND:
+                behind = ahead = np.inf
+            result.append(Free(d.move, behind, ahead, d.axis))
+    return result
+
+
+def _distinct(solver: Solver, places: list[Found], apart: float) -> list[Found]:
+    kept: list[Found] = []
+    for place in sorted(places, key=lambda p: _surplus(solver, p.view)):
+        if all(separation(solver, place.unit, k.unit) > apart for k in kept):
+            kept.append(place)
+    return kept
+
+
+def separation(solver: Solver, a: Camera, b: Camera) -> float:
+    """Return how far two cameras are apart: the angle between them, or how far aside they see the
+    object, in its radii."""
+    centre = np.asarray(solver.ball.centre, float)
+    seen = [axes_of(c) @ (centre - np.asarray(c.e, float)) for c in (a, b)]
+    aside = np.linalg.norm((seen[0] - seen[1])[:2]) / float(solver.ball.radius)
+    return max(angle(a, b), float(aside))
+
+
+def turned_by(a: Camera, b: Camera) -> np.ndarray:
+    """Return the rotation vector (3,), in the world, that turns a's axes into b's."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(axes_of(b).T @ axes_of(a)).as_rotvec()
+
+
+def mirrored(solver: Solver, found: Found) -> Iterator[Camera]:
+    """Yield views that an object which is near its own mirror image, in its principal axes, shows
+    alike: half turns about these, and turned so that near and far change places, which changes a
+    silhouette only by perspective."""
+    centre = np.asarray(solver.ball.centre, float)
+    points = solver.points - centre
+    if not len(points):
+        return
+    _, principal = np.linalg.eigh(points.T @ points)
+    reach = np.max(points @ DIRECTIONS.T, axis=0)
+    axes, eye = axes_of(found.unit), np.asarray(found.unit.e, float)
+    for signs in np.array(np.meshgrid(*[[1, -1]] * 3)).reshape(3, 8).T[1:]:
+        image = principal @ (signs[:, None] * principal.T)
+        off = np.max(np.abs(np.max(points @ (DIRECTIONS @ image).T, axis=0) - reach))
+        if off > MIRRORED * np.max(reach):
+            continue
+        turned = axes @ image
+        if np.prod(signs) < 0:
+            turned[2] = -turned[2]
+        rotation = turned.T @ axes
+        yield _rotated(found.unit, rotation, centre + rotation @ (eye - centre))
+
+
+def _rotated(camera: Camera, rotation: np.ndarray, eye: np.ndarray) -> Camera:
+    """Return a camera turned by a rotation (3, 3), at an eye."""
+    e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
+    dtype = np.asarray(camera.e).dtype
+    pose: Any = [x.astype(dtype) for x in (eye, eye + rotation @ (p - e), rotation @ u)]
+    return eqx.tree_at(lambda c: [c.e, c.p, c.u], camera, pose)

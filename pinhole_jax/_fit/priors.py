@@ -1,0 +1,60 @@
+"""What is known of a camera before it is fitted, as users say it: priors and bounds."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._camera.camera import Camera
+from .parameters import BOUNDED, Bounds, Prior, labels_of
+
+
+def prior_of(
+    prior: Mapping[str, Any] | None,
+    base: Camera,
+    names: tuple[str, ...],
+    common: tuple[str, ...] = (),
+    views: int = 1,
+) -> Prior | None:
+    """Return the prior in film heights, or raise ValueError.
+
+    Each of the views that share what is `common` gets its part of that knowledge.
+    """
+    if not prior:
+        return None
+    labels = [x for x in labels_of(names) if not x.startswith("rotation")]
+    mean, std = _pairs("prior", prior, labels, "(mean, standard deviation)")
+    for label, value in zip(prior, std, strict=True):
+        if not value > 0:
+            raise ValueError(f"`prior`: expected a positive deviation of {label!r}, got {value}")
+    unit = np.array([base.H if label.startswith("principal") else 1 for label in prior])
+    parts = np.array([views if label in labels_of(common) else 1 for label in prior])
+    to = lambda x: jnp.asarray(x, base.e.dtype)
+    return Prior(tuple(prior), to(mean / unit), to(std / unit * np.sqrt(parts)), to(0.1))
+
+
+def bounds_of(
+    bounds: Mapping[str, Any] | None, base: Camera, names: tuple[str, ...]
+) -> Bounds | None:
+    """Return the bounds, or raise ValueError."""
+    if not bounds:
+        return None
+    labels = [x for x in labels_of(names) if x in BOUNDED]
+    low, high = _pairs("bounds", bounds, labels, "(low, high)")
+    for label, a, b in zip(bounds, low, high, strict=True):
+        if not a < b:
+            raise ValueError(f"`bounds`: expected low < high of {label!r}, got ({a}, {b})")
+    return Bounds(tuple(bounds), *(jnp.asarray(x, base.e.dtype) for x in (low, high)))
+
+
+def _pairs(name: str, given: Mapping, known: list[str], words: str) -> np.ndarray:
+    """Return the pairs (2, k) that free parameters are given, or raise ValueError."""
+    for label, pair in given.items():
+        if label not in known:
+            raise ValueError(
+                f"`{name}`: expected free parameters among {', '.join(known)}, got {label!r}"
+            )
+        if np.shape(pair) != (2,) or not np.all(np.isfinite(np.asarray(pair, float))):
+            raise ValueError(f"`{name}`: expected {words} of {label!r}, got {pair!r}")
+    return np.array([*given.values()], float).T

@@ -1,0 +1,83 @@
+"""What a fit looks at, and what is known at one camera of it."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._camera.camera import Camera
+from .._scene.scene import Ball, Scene
+from .parameters import Bounds, Move, Prior, units
+from .residuals import Load, Sums
+from .target import Level, Pyramid
+
+#: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
+#: larger units make bolder first steps.
+UNIT_PX = 30.0
+#: A step is negligible below this many pixels; on coarse levels, and on the finest.
+COARSE_PX = 0.02
+FINE_PX = {np.dtype(np.float32): 3e-4, np.dtype(np.float64): 1e-7}
+#: ... or where it would change the residuals by less than this share of their norm: MINPACK's
+#: cosine between residual and Jacobian, some thousandths of the error that noise leaves anyway.
+COSINE = {np.dtype(np.float32): 1e-4, np.dtype(np.float64): 1e-5}
+
+
+class Problem(eqx.Module):
+    """A scene and a target's pyramid; moves are taken about the scene's bounding sphere."""
+
+    scene: Scene
+    pyramid: Pyramid
+    pivot: Float[Array, "3"]
+    radius: Float[Array, ""]
+    bounds: Bounds | None
+    prior: Prior | None
+
+    def __init__(
+        self,
+        scene: Scene,
+        pyramid: Pyramid,
+        ball: Ball,
+        bounds: Bounds | None = None,
+        prior: Prior | None = None,
+    ):
+        dtype = pyramid.target.dtype
+        self.scene, self.pyramid, self.bounds, self.prior = scene, pyramid, bounds, prior
+        self.pivot, self.radius = (jnp.asarray(x, dtype) for x in ball)
+
+
+class View(NamedTuple):
+    """What is known at one camera: R of J = QR, Q^T r, sums, load, reported parameters' derivative.
+
+    J is the residuals' derivative by the moves, in the solver's units (`UNIT_PX` pixels): `unit`.
+    """
+
+    triangle: Float[Array, "n n"]
+    along: Float[Array, "n"]
+    sums: Sums
+    load: Load
+    to_reported: Float[Array, "n n"]
+    unit: Float[Array, "n"]
+    prior: Any = 0.0
+
+    @property
+    def squares(self) -> float:
+        """Return the sum of weighted squared residuals, those of a prior among them."""
+        return float(self.sums.squares) + float(self.prior)
+
+    @property
+    def touched_misfit(self) -> float:
+        """Return the mean square residual of the touched pixels."""
+        return float(self.sums.touched_squares) / max(float(self.sums.touched), 1.0)
+
+    @property
+    def misfit(self) -> float:
+        """Return the mean square residual of a touched pixel, all squares put on these pixels."""
+        return self.squares / max(float(self.sums.touched), 1.0)
+
+
+def move(unit: Camera, problem: Problem, level: Level, names: tuple[str, ...]) -> Move:
+    """Return where moves of a camera start, in the solver's units."""
+    one_px = units(unit, problem.pivot, problem.radius, level.scale, names)
+    return Move(unit, problem.pivot, UNIT_PX * one_px, problem.bounds)

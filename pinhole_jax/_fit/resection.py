@@ -1,0 +1,81 @@
+"""A camera's pose from points, directly: no start, no iteration, least squares of equations.
+
+Sources: R. Hartley and A. Zisserman, "Multiple View Geometry" (2004), 4.1 and 7.1; for points of a
+plane Z. Zhang, "A Flexible New Technique for Camera Calibration" (2000), 3.1.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._camera.camera import Camera, focal_px, principal_point
+
+#: Points whose spread across a plane is below this share of that within are points of the plane.
+FLAT = 1e-3
+
+
+def resected(
+    camera: Camera, points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"]
+) -> Camera | None:
+    """Return the camera posed so that it sees points (world) where they are seen (px; NaN: not), or
+    None.
+
+    None where there are too few points (4 of a plane, else 6), or where they are degenerate.
+    """
+    there = ~np.isnan(seen_at[:, 0])
+    view = _normalised(camera, np.where(there[:, None], seen_at, 0))[there]
+    points = points[there]
+    middle = points.mean(axis=0)
+    _, spread, axes = np.linalg.svd(points - middle, full_matrices=True)
+    flat = spread[-1] <= FLAT * spread[0]
+    if len(points) < (4 if flat else 6) or not spread[1] > FLAT * spread[0]:
+        return None
+    # In the points' own axes, scaled: so the equations are well conditioned.
+    axes = axes * np.sign(np.linalg.det(axes))
+    scale = np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1)))
+    local = (points - middle) @ axes.T / scale
+    columns = [0, 1, 3] if flat else [0, 1, 2, 3]
+    known = np.column_stack([local, np.ones(len(local))])[:, columns]
+    none = np.zeros_like(known)
+    x, y = view[:, :1], view[:, 1:]
+    rows = np.concatenate(
+        [np.hstack([known, none, -x * known]), np.hstack([none, known, -y * known])]
+    )
+    matrix = np.linalg.svd(rows)[2][-1].reshape(3, -1)
+    shift, turn = matrix[:, -1], matrix[:, :-1]
+    if shift[2] < 0:
+        shift, turn = -shift, -turn
+    size = np.mean(np.linalg.norm(turn, axis=0))
+    if not size > 0:
+        return None
+    if flat:
+        turn = np.column_stack([turn / size, np.cross(turn[:, 0], turn[:, 1]) / size**2])
+    left, _, right = np.linalg.svd(turn)
+    if np.linalg.det(left @ right) < 0:
+        return None
+    rotation = (left @ right) @ axes
+    translation = shift * (scale / size) - rotation @ middle
+    return _posed(camera, rotation, translation)
+
+
+def _normalised(camera: Camera, seen_at: np.ndarray) -> np.ndarray:
+    """Return ideal film points at distance 1, y down, in which right, down, forward are turned as
+    the world's axes are."""
+    focal, centre = (
+        np.array([float(z) for z in x]) for x in (focal_px(camera), principal_point(camera))
+    )
+    view = (seen_at - centre) / focal
+    if camera.lens is not None and camera.lens.distortion is not None:
+        x, y = (jnp.asarray(z, camera.e.dtype) for z in view.T)
+        view = np.stack(
+            [np.asarray(z, float) for z in camera.lens.distortion.undistorted(x, y)], -1
+        )
+    return view * [1, -1]
+
+
+def _posed(camera: Camera, rotation: np.ndarray, translation: np.ndarray) -> Camera:
+    """Return the camera with `rotation @ x + translation` right, down and forward of the eye."""
+    e = -rotation.T @ translation
+    far = float(np.linalg.norm(np.asarray(camera.p - camera.e, float)))
+    e, p, u = (np.asarray(x, camera.e.dtype) for x in (e, e + far * rotation[2], -rotation[1]))
+    return Camera(e, p, u, camera.phi, camera.d, camera.W, camera.H, camera.lens)

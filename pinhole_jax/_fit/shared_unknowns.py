@@ -1,0 +1,152 @@
+"""Many views that share unknowns, as one least-squares problem.
+
+The Jacobian is an arrow: each view has columns of its own and all have the shared ones. Each view
+is reduced to a small triangle by QR, its own unknowns are eliminated, and what is left of all views
+determines the shared ones. So the cost is linear in the views, and no matrix over all of them is
+ever made (nor normal equations, which would lose half of the digits).
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._camera.camera import Camera
+from .._camera.distortion import COEFFICIENTS
+from .parameters import check_free
+from .problem import COARSE_PX, COSINE, FINE_PX, UNIT_PX
+
+#: One view's residuals about where it is: `triangle` (R of J = QR), `along` (Q^T r), the unknowns'
+#: `unit`s and `squares` (|r|^2). `problem.View` is one.
+Linearised = Any
+#: One view: `look(depth)` gives it linearised on a level, `stepped(depth, y)` after a step.
+One = Any
+
+
+#: What views may share, and what of a camera that is.
+SHARED: dict[str, list[Any]] = {
+    "phi": [lambda c: c.phi],
+    "d": [lambda c: c.d, lambda c: c.phi],
+    "principal_point": [lambda c: c.lens.principal_point],
+    "aspect": [lambda c: c.lens.aspect],
+    **{k: [lambda c, k=k: getattr(c.lens.distortion, k)] for k in COEFFICIENTS},
+}
+
+
+def shared_and_free(
+    shared: str | Sequence[str], free: str | Sequence[str], camera: Camera | None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return all names in a fixed order, and those that are shared, or raise ValueError."""
+    common = check_free(shared, camera) if len(shared) else ()
+    if not {*common} <= SHARED.keys():
+        known = ", ".join([*SHARED, "distortion"])
+        raise ValueError(f"`shared`: expected names among {known}, got {shared!r}")
+    own = [n for n in check_free(free, camera) if n not in common] if len(free) else []
+    return check_free([*common, *own], camera), common
+
+
+def alike(cameras: Sequence[Camera], common: tuple[str, ...]) -> list[Camera]:
+    """Return the cameras with the mean of what they share."""
+    kinds = {type(c.lens and c.lens.distortion) for c in cameras}
+    if len(kinds) > 1 and not COEFFICIENTS.keys().isdisjoint(common):
+        words = " and ".join(sorted(k.__name__ for k in kinds))
+        raise ValueError(f"`cameras`: expected distortions of one kind to share, got {words}")
+    result = list(cameras)
+    for leaf in (leaf for name in common for leaf in SHARED[name]):
+        values = [leaf(c) for c in cameras]
+        mean: Any = sum(values[1:], values[0]) / len(values)
+        result = [eqx.tree_at(leaf, c, mean.astype(c.e.dtype)) for c in result]
+    return result
+
+
+class Reduced(NamedTuple):
+    """A view's least squares with its own unknowns first, and what they leave of the shared ones:
+    own (m, m), across (m, k), known (m,); rest (., k), left (.,). Shared columns per unit.
+    """
+
+    own: np.ndarray
+    across: np.ndarray
+    known: np.ndarray
+    rest: np.ndarray
+    left: np.ndarray
+
+
+def reduced(view: Linearised, own: np.ndarray, damping: float) -> Reduced:
+    """Return a view's least squares with its own unknowns, damped, eliminated."""
+    columns = np.asarray(view.triangle, float).copy()
+    columns[:, ~own] /= np.asarray(view.unit, float)[~own]
+    m, k = int(own.sum()), int((~own).sum())
+    table = np.concatenate(
+        [columns[:, own], columns[:, ~own], np.asarray(view.along, float)[:, None]], axis=1
+    )
+    damped = np.concatenate([damping**0.5 * np.eye(m), np.zeros((m, k + 1))], axis=1)
+    r: Any = np.linalg.qr(np.concatenate([table, damped]), mode="r")
+    return Reduced(r[:m, :m], r[:m, m : m + k], r[:m, -1], r[m:, m : m + k], r[m:, -1])
+
+
+def solved(views: list[Any], own: np.ndarray, damping: float) -> list[np.ndarray]:
+    """Return each view's damped Gauss-Newton step in its own units."""
+    parts = [reduced(v, own, damping) for v in views]
+    unit = np.mean([np.asarray(v.unit, float)[~own] for v in views], axis=0)
+    rest = np.concatenate([*(p.rest for p in parts), damping**0.5 * np.diag(1 / unit)])
+    left = np.concatenate([*(p.left for p in parts), np.zeros(len(unit))])
+    together = np.linalg.lstsq(rest * unit, -left, rcond=None)[0] * unit
+    result = []
+    for view, part in zip(views, parts, strict=True):
+        y = np.empty(len(own))
+        y[own] = np.linalg.lstsq(part.own, -part.known - part.across @ together, rcond=None)[0]
+        y[~own] = together / np.asarray(view.unit, float)[~own]
+        result.append(y)
+    return result
+
+
+def descend(
+    views: list[One], depth: int, own: np.ndarray, max_steps: int, dtype: np.dtype
+) -> tuple[list[One], int]:
+    """Return the views after Levenberg-Marquardt on one level, and its number of steps."""
+    tolerance = (FINE_PX[dtype] if depth <= 2 else COARSE_PX) / UNIT_PX
+    seen, damping = [v.look(depth) for v in views], 1.0
+    for n in range(1, max_steps + 1):
+        ys = solved(seen, own, damping)
+        trial = [v.stepped(depth, y) for v, y in zip(views, ys, strict=True)]
+        there = [v.look(depth) for v in trial]
+        before, after = (sum(v.squares for v in s) for s in (seen, there))
+        change = sum(
+            float(np.sum((np.asarray(v.triangle, float) @ y) ** 2))
+            for v, y in zip(seen, ys, strict=True)
+        )
+        if after <= before:
+            views, seen, damping = trial, there, damping / 10
+        else:
+            damping = max(10 * damping, 1e-6)
+        small = max(float(np.max(np.abs(y))) for y in ys) < tolerance
+        if small or change <= COSINE[dtype] ** 2 * before:
+            return views, n
+    return views, max_steps
+
+
+def others(rests: list[np.ndarray]) -> list[np.ndarray]:
+    """Return for each view what all others together know of the shared unknowns, as a triangle."""
+
+    def running(items: Any) -> list[np.ndarray]:
+        result: list[Any] = [np.zeros((0, rests[0].shape[1]))]
+        for rest in items:
+            result.append(np.linalg.qr(np.concatenate([result[-1], rest]), mode="r"))
+        return result
+
+    before, after = running(rests[:-1]), running(rests[:0:-1])[::-1]
+    return [np.concatenate(pair) for pair in zip(before, after, strict=True)]
+
+
+def joint(view: Any, others: np.ndarray, slope: np.ndarray, own: np.ndarray) -> Any:
+    """Return the view with what the others know of the shared unknowns."""
+    unit = np.asarray(view.unit, float)[~own]
+    more = np.zeros((len(others), len(own)))
+    more[:, ~own] = others * unit
+    triangle: Any = np.linalg.qr(np.concatenate([np.asarray(view.triangle, float), more]), mode="r")
+    gradient = np.asarray(view.triangle, float).T @ np.asarray(view.along, float)
+    gradient[~own] = slope * unit
+    along = np.linalg.lstsq(triangle.T, gradient, rcond=None)[0]
+    return view._replace(triangle=jnp.asarray(triangle), along=jnp.asarray(along))

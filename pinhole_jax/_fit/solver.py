@@ -1,0 +1,317 @@
+"""A fit of one scene to one mask: levels from coarse to fine, and buffers that grow as needed."""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._camera.camera import Camera, film_map
+from .._scene.scene import Scene, astype, ball_about, bounding_box, padded
+from .kinds import kind_of
+from .parameters import Bounds, Move, Prior, moved
+from .problem import COARSE_PX, FINE_PX, Problem, View, move as move_of
+from .residuals import Capacity, Touched, touch
+from .target import (
+    LEAST_CELLS,
+    Level,
+    Window,
+    object_window,
+    pyramid,
+    shares,
+)
+
+#: What the smallest buffers hold, and how much larger the next ones are: each size is compiled for.
+LEAST_ROOM, ROOMIER = Capacity(edges=1024, pieces=2048, arc_pieces=2048, arcs=1024), 2
+#: Noise leaves at most so many standard errors more than on average.
+ERRORS = 4.0
+#: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
+OFF_TIMES = 3.0
+
+
+class Stop(NamedTuple):
+    """Where steps on a level ended: the camera (canonical), the level, their number."""
+
+    unit: Camera
+    level: Level
+    steps: int
+
+
+class Found(NamedTuple):
+    """A camera (canonical), what is seen there, the steps taken on each level; the way there, from
+    the start (0 steps) on, by levels or (a solver that records) by steps."""
+
+    unit: Camera
+    view: View
+    steps: tuple[int, ...]
+    way: tuple[Stop, ...] = ()
+
+
+class Solver:
+    """One scene and mask; holds the buffers' sizes, which grow where a view outgrows them.
+
+    Where a mask's `kind` is one bit, clamped overlaps do not show. They would in one with soft
+    edges, so its last level is the finest once more without them. A hard edge hides them, and there
+    pixels that come and go would make the steps stall.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        target: np.ndarray,
+        weights: np.ndarray,
+        dtype: Any,
+        names: tuple[str, ...],
+        max_steps: int,
+        bounds: Bounds | None = None,
+        prior: Prior | None = None,
+        record: bool = False,
+    ):
+        self._bounds, self._prior, self._record = bounds, prior, record
+        self.dtype, self.names, self.max_steps = np.dtype(dtype), names, max_steps
+        self._target, self._scene = target, padded(astype(scene, dtype))
+        box = np.asarray(bounding_box(scene), float)
+        self._corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
+        self.ball = ball_about(box)
+        self.points = _some_points(scene)
+        self.window = object_window(target)
+        image = shares(self.window.of(target))
+        self.capacity = _first_capacity(scene, image)
+        self.kind = kind_of(self.window.of(target), self.window.of(weights), dtype)
+        self.weigh(weights)
+
+    def weigh(self, weights: np.ndarray) -> None:
+        """Set how much each pixel counts."""
+        self._weights = weights
+        size = _size(self.capacity.pieces)
+        least = LEAST_CELLS * 4 ** ((size + 1) // 2)
+        levels, self.levels = pyramid(
+            self._target, weights, self.dtype, window=self.window, least=least
+        )
+        # Few programs: the larger image's has room for the longer outline, and the other way round.
+        if self.capacity.pieces > 1:
+            size = max((levels.target.size // LEAST_CELLS).bit_length() - 2, 0)
+            pieces = max(self.capacity.pieces, LEAST_ROOM.pieces * ROOMIER**size)
+            self.capacity = self.capacity._replace(pieces=pieces)
+        if self.kind.exact:
+            explained = np.asarray(OFF_TIMES * self.kind.variance**0.5, self.dtype)
+            self.levels = [level._replace(explained=explained) for level in self.levels]
+        seen = self.levels[-1].window().of(weights)
+        whole = weights.size * weights[0, 0] if weights.strides == (0, 0) else np.sum(weights)
+        self._beside = float(whole - np.sum(seen))
+        self._counted = np.count_nonzero(seen)
+        self.finest = len(self.levels) - 1
+        self.problem = Problem(self._scene, levels, self.ball, self._bounds, self._prior)
+        if not self.kind.hard:
+            self.levels.append(self.levels[-1]._replace(strict=np.array(True)))
+
+    def misfit_above_noise(self, view: View) -> float:
+        """Return the mean square residual of an outline pixel, all squares put on these pixels but
+        what noise leaves in others."""
+        touched = float(view.sums.touched)
+        noise = self.kind.far * max(self._counted - touched, 0.0)
+        return max(view.squares - noise, 0.0) / max(touched, 1.0)
+
+    def explains(self, view: View) -> bool:
+        """Return whether a right camera may leave these squares in a mask of this kind.
+
+        Noise that is even says how much it leaves in all, and how exactly: what is beyond that is
+        something else, as a handle that only the mask shows.
+        """
+        misfit, kind = self.misfit_above_noise(view), self.kind
+        if not kind.spread:
+            return bool(misfit <= kind.most)
+        excess = (misfit - kind.variance) * max(float(view.sums.touched), 1.0)
+        return bool(excess <= ERRORS * kind.spread)
+
+    def look(self, unit: Camera, level: int) -> View:
+        """Return the view at a camera; capacities get half as much room again as it takes."""
+        self._widen(unit)
+        while True:
+            view = self._further(unit, self.levels[level], 0.0, 1, self.capacity)[-1]
+            room = _room(self.capacity, view.load)
+            if room == self.capacity:
+                share = float(self.levels[level].scale) / len(self._target)
+                weight = float(view.sums.weight) + share**2 * self._beside
+                return view._replace(sums=view.sums._replace(weight=np.asarray(weight)))
+            larger = _size(room.pieces) > _size(self.capacity.pieces)
+            self.capacity = room
+            if larger:
+                self.weigh(self._weights)
+
+    def _believe(self, unit: Camera, level: int) -> None:
+        if self._prior is not None:
+            self.believe(self.look(unit, level).touched_misfit)
+
+    def believe(self, misfit: float) -> None:
+        """Weigh the prior by the mean square that a touched pixel's residual errs by."""
+        if self._prior is None:
+            return
+        noise = np.sqrt(max(misfit, np.finfo(self.dtype).eps ** 2))
+        put = lambda prior: eqx.tree_at(lambda p: p.noise, prior, np.asarray(noise, self.dtype))
+        self._prior = put(self._prior)
+        self.problem = eqx.tree_at(lambda p: p.prior, self.problem, self._prior)
+
+    def _widen(self, unit: Camera) -> None:
+        """Look at the whole film from now on if a camera may show the scene beside the window."""
+        H, W = self._target.shape
+        if self.window == (0, 0, W, H):
+            return
+        if unit.lens is None or unit.lens.distortion is None:
+            x, y, z = np.asarray(_on_film(unit, self._corners), float).T
+            shown = H * np.stack([x / z, y / z], axis=-1)
+            if np.all(z > 0) and self.window.holds(shown, W, H):
+                return
+        self.window = Window(0, 0, W, H)
+        self.weigh(self._weights)
+
+    def move(self, unit: Camera, level: int) -> Move:
+        """Return where moves of a camera start, in the solver's units."""
+        return move_of(unit, self.problem, self.levels[level], self.names)
+
+    def step(self, unit: Camera, level: int, y: np.ndarray) -> Camera:
+        """Return the camera moved by y (n,) in the solver's units."""
+        problem = eqx.tree_at(lambda p: (p.scene, p.pyramid), self.problem, (None, None))
+        y = np.asarray(y, self.dtype)
+        return _step(unit, problem, self.levels[level], y, self.names)
+
+    def left_out(self, unit: Camera) -> np.ndarray:
+        """Return the pixels (H, W) that the last level leaves out, since contours overlap there."""
+        level = self.levels[-1]
+        touched = _touched(unit, self.problem, level, self.capacity)
+        cells = np.asarray(touched.cell)[np.asarray(touched.inside & ~touched.known)]
+        window = level.window()
+        part = np.zeros((window.H, window.W + 2), bool)
+        part.flat[cells] = True
+        result = np.zeros(self._target.shape, bool)
+        window.of(result)[:] = part[::-1, 1:-1]
+        return result
+
+    def solve(
+        self,
+        unit: Camera,
+        levels: Sequence[int],
+        told: Callable[[Stop], None] | None = None,
+        coarse_px: float = COARSE_PX,
+    ) -> Found:
+        """Return the camera found from level to level, and its view on the last of them."""
+        way, steps = [Stop(unit, self.levels[levels[0]], 0)], []
+        self._widen(unit)
+        while True:
+            capacity, window = self.capacity, self.window
+            for number in levels:
+                self._believe(unit, number)
+                level, strict = self.levels[number], number > self.finest
+                fine = number >= self.finest
+                tolerance = FINE_PX[self.dtype] if fine else coarse_px
+                further, n, path, _ = self._further(
+                    unit, level, tolerance, self.max_steps, capacity
+                )
+                if strict and int(n) == self.max_steps:
+                    continue  # it stalled
+                stop = Stop(further, level, int(n))
+                way += self._each_step(unit, number, stop, path) if self._record else [stop]
+                unit = further
+                steps.append(stop.steps)
+                if told is not None:
+                    told(stop)
+            self._believe(unit, levels[-1])
+            view = self.look(unit, levels[-1])
+            if (self.capacity, self.window) == (capacity, window):
+                return Found(unit, view, tuple(steps), tuple(way))
+            # The view outgrew its buffers or window on the way: go on from there with larger ones.
+
+    def glance(self, unit: Camera) -> View:
+        """Return the view on the last level in buffers as they are: NaN where these are too
+        small."""
+        self._widen(unit)
+        return self._further(unit, self.levels[-1], 0.0, 1, self.capacity)[-1]
+
+    def descended(self, unit: Camera, steps: int) -> Found:
+        """Return what some steps on the finest level lead to, in buffers as they are: NaN where
+        these do not suffice."""
+        self._widen(unit)
+        px, taken = FINE_PX[self.dtype], []
+        for level in self.levels[self.finest : -1]:
+            unit, n, *_ = self._further(unit, level, px, steps, self.capacity)
+            taken.append(int(n))
+        unit, n, _, view = self._further(unit, self.levels[-1], px, steps, self.capacity)
+        return Found(unit, view, (*taken, int(n)))
+
+    def _further(self, unit: Camera, level: Level, px: float, steps: int, capacity: Capacity):
+        """Return `descended`'s from a camera: one program, whether it takes steps or only looks."""
+        from .levenberg_marquardt import (
+            descended,  # optimistix takes a third of this package's import
+        )
+
+        ends = np.asarray(px, self.dtype), np.asarray(steps, np.int32)
+        return descended(unit, self.problem, level, *ends, self.names, capacity)
+
+    def _each_step(self, unit: Camera, level: int, end: Stop, path: Array) -> list[Stop]:
+        """Return where each step of a level ended; those past `RECORDED` together."""
+        before = np.asarray(path)[: max(end.steps - 1, 0)]
+        each = [Stop(self.step(unit, level, y), end.level, 1) for y in before]
+        return [*each, end._replace(steps=end.steps - len(each))]
+
+
+@eqx.filter_jit
+def _on_film(unit: Camera, points: Any) -> Float[Array, "n 3"]:
+    return film_map(unit)(jnp.asarray(points, unit.e.dtype))
+
+
+@eqx.filter_jit
+def _touched(unit: Camera, problem: Problem, level: Level, capacity: Capacity) -> Touched:
+    return touch(unit, problem.scene, level, capacity)[0]
+
+
+@eqx.filter_jit
+def _step(unit: Camera, problem: Problem, level: Level, y: Any, names) -> Camera:
+    """Return the camera moved by y in the solver's units."""
+    return moved(move_of(unit, problem, level, names), y, names)
+
+
+def _some_points(scene: Scene) -> np.ndarray:
+    """Return some 600 of the mesh's vertices (n, 3), or none."""
+    if scene.mesh is None:
+        return np.zeros((0, 3))
+    step = max(scene.mesh.vertices.shape[0] // 600, 1)
+    return np.asarray(scene.mesh.vertices)[::step].astype(float)
+
+
+def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
+    """Return a guess: some contour edges per root of faces, some pieces per pixel of outline and as
+    many again in folds that it hides."""
+    faces = 0 if scene.mesh is None else scene.mesh.faces.shape[0]
+    spheres = 0 if scene.spheres is None else scene.spheres.radii.shape[0]
+    inside = image > 0.5
+    outline = sum(int(np.sum(np.diff(inside, axis=k))) for k in (0, 1))
+    need = Capacity(
+        edges=int(3 * faces**0.5),
+        pieces=(3 * outline) // 2 + int(3 * faces**0.5) if faces else 0,
+        arc_pieces=outline + 8 * spheres if spheres else 0,
+        arcs=0,
+    )
+    return _room(Capacity(1, 1, 1, 1), need)
+
+
+def _size(pieces: int) -> int:
+    """Return which of the sizes a number of pieces needs, 0 the smallest."""
+    size = 0
+    while LEAST_ROOM.pieces * ROOMIER**size < pieces:
+        size += 1
+    return size
+
+
+def _room(have: Capacity, need: Iterable[Any]) -> Capacity:
+    """Return what is 9/8 of the need as it is, of the rest the next of few sizes that is 3/2 of
+    it."""
+    rooms = []
+    for least, room, load in zip(LEAST_ROOM, have, need, strict=True):
+        if 8 * room < 9 * int(load):
+            room = max(room, least)
+            while 2 * room < 3 * int(load):
+                room *= ROOMIER
+        rooms.append(room)
+    return Capacity(*rooms)

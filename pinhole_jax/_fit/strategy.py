@@ -1,0 +1,218 @@
+"""Which cameras a fit tries, and which of those that it finds it keeps."""
+
+from collections.abc import Callable, Iterable, Iterator
+from itertools import tee
+from typing import Any
+
+import numpy as np
+
+from .._camera.camera import Camera
+from .parameters import canonical, components, focal_is_free
+from .places import NEAR_START, Free, Places, equal_views, mirrored, separation, settled, turned_by
+from .residuals import Sums
+from .search import Mask, aimed, angle, axes_of, guesses
+from .solver import Found, Solver, Stop
+from .target import edge_distance, near_an_edge
+from .uncertainty import free_turns
+
+#: A mask that leaves less than this mean square residual of an outline pixel has no outliers.
+EXACT = 0.01
+#: A view that a search finds replaces the one near the start if it explains the mask as its kind
+#: allows, if the intersection over union of that is below `POOR`, or if it leaves so little.
+POOR, FAR_BETTER = 0.7, 0.5
+#: A fit that ends this far (rad) from its start has lost it, and looks elsewhere too.
+ASTRAY = np.deg2rad(40)
+#: Two views explain a mask that says nothing exact equally well if their sums of squares differ by
+#: less than this share.
+EQUAL = 0.05
+#: Cameras this close (rad) are one.
+SAME = np.deg2rad(1.0)
+#: How many guesses a search tries on the coarsest level, how far apart (rad), and how many of the
+#: cameras that they lead to it may follow to finer ones.
+TRIED, APART, FOLLOWED = 16, np.deg2rad(15), 8
+#: A step that is negligible there, in coarse px.
+ROUGH_PX = 0.3
+#: Where the focal length is free, a search tries several: this much times the first guess.
+FOCAL_FACTORS = (1.0, 1.5, 0.67)
+
+Told = Callable[[Stop], None]
+
+
+def turns_freely(names: tuple[str, ...]) -> bool:
+    """Return whether the whole pose is free."""
+    return "pose" in names or {"position", "orientation"} <= {*names}
+
+
+def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> Places:
+    """Return what explains the mask best, the nearest to the start first if several do equally."""
+    before = solver.look(start, -1)
+    begin, free = start, turns_freely(solver.names)
+    if free and float(before.sums.overlap) <= 0.05 * float(before.sums.union):
+        begin = canonical(aimed(mask, solver.problem.scene, solver.ball))
+    found = solver.solve(begin, range(len(solver.levels)), told)
+    if not found.view.squares <= before.squares:
+        found = found._replace(unit=start, view=before)  # never worse than the start
+    if not free:
+        return settled(solver, found, start)
+    places, content = Places(found, [], []), solver.explains(found.view)
+    if content or solver.misfit_above_noise(found.view) <= EXACT:
+        places = settled(solver, found, start)
+        alike = [c for c in mirrored(solver, places.best) if angle(c, start) < NEAR_START]
+        places = with_others(solver, places, _finished(solver, alike))
+        content = solver.explains(places.best.view)
+    explained = solver.kind.exact and content
+    astray = not explained and angle(places.best.unit, start) > ASTRAY
+    if astray or not content:
+        others = everywhere(solver, mask, told, rounds=1)
+        view, other = places.best.view, others.best.view
+        lost = float(view.sums.overlap) < POOR * float(view.sums.union)
+        better = other.squares < FAR_BETTER * view.squares
+        # Nothing explains a mask that is wrong: stay with what is near the start.
+        if lost or better or astray or solver.explains(other):
+            places = with_others(solver, places, [others.best, *others.others], others.free)
+        if places.best is found:
+            places = settled(solver, found, start)._replace(others=places.others)
+    return _nearest_first(places, start)
+
+
+def _nearest_first(places: Places, start: Camera) -> Places:
+    """Return the places with the one nearest to the start as the best, if it is as good."""
+    best, *others = sorted([places.best, *places.others], key=lambda f: angle(f.unit, start))
+    return places._replace(best=best, others=others)
+
+
+def with_others(
+    solver: Solver, places: Places, more: list[Found], free: list[Free] | None = None
+) -> Places:
+    """Return the best of all, and what explains the mask as well."""
+    if not more:
+        return places
+    found = _one_of_each([places.best, *places.others, *more], solver.names)
+    best, *others = equally_good(solver, found)
+    if best is not places.best:
+        places = (
+            settled(solver, best)._replace(others=[]) if free is None else Places(best, [], free)
+        )
+    return places._replace(others=[f for f in others if not _within(places, solver, f)])
+
+
+def _within(places: Places, solver: Solver, found: Found) -> bool:
+    """Return whether a camera is the best one but for a move that is free."""
+    turn = turned_by(places.best.unit, found.unit)
+    far = float(np.linalg.norm(turn))
+    for free in places.free:
+        along = free.axis is not None and abs(turn @ free.axis) > 0.95 * far
+        if along and far <= max(free.behind, free.ahead):
+            return True
+    return bool(separation(solver, places.best.unit, found.unit) < SAME)
+
+
+def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> Places:
+    """Return the cameras that a search over all views finds.
+
+    Further rounds try guesses that lie closer together, and other focal lengths where that is free,
+    until the mask is explained as its kind allows.
+    """
+    found: list[Found] = []
+    free = focal_is_free(solver.names)
+    source = guesses(mask, solver.problem.scene, solver.ball)
+    for n in range(rounds):
+        if free and n:
+            longer = mask.longer(FOCAL_FACTORS[n])
+            source = guesses(longer, solver.problem.scene, solver.ball)
+        source, likely = tee(source)
+        apart = APART / (1 if free else 2**n)
+        found = _one_of_each([*found, *_followed(solver, likely, apart, told)], solver.names)
+        if solver.explains(found[0].view):
+            break
+    places = settled(solver, found[0])
+    alike = _finished(solver, mirrored(solver, places.best))
+    return with_others(solver, places, [*found[1:], *alike])
+
+
+def _finished(solver: Solver, views: Iterable[Camera]) -> list[Found]:
+    """Return where views that are nearly right lead to on the last levels. (Coarse ones do not tell
+    a tilt from its mirror image.)"""
+    levels = range(max(solver.finest - 1, 0), len(solver.levels))
+    return [solver.solve(view, levels) for view in views]
+
+
+def _followed(solver: Solver, likely: Iterator[Camera], apart: float, told: Told) -> list[Found]:
+    """Return the cameras that the first few guesses, so far apart, lead to."""
+    coarsest, *finer = range(len(solver.levels))
+    seen: list[Camera] = []
+    found: list[Found] = []
+    for guess in likely:
+        if all(angle(guess, other) > apart for other in seen):
+            found.append(solver.solve(canonical(guess), [coarsest], coarse_px=ROUGH_PX))
+            seen += [guess, found[-1].unit]
+            if len(found) == TRIED:
+                break
+    found = _one_of_each(found, solver.names)[:FOLLOWED]
+    for level in finer:
+        found = [_onward(f, solver.solve(f.unit, [level], told)) for f in found]
+        found = _one_of_each(found, solver.names)
+        found = [f for f in found if f.view.misfit < 4 * found[0].view.misfit + EXACT]
+    return found
+
+
+def equally_good(solver: Solver, found: list[Found]) -> list[Found]:
+    """Return those that explain the mask as well as the first, the best, does."""
+    best = found[0].view
+    share = 0.0 if solver.kind.exact else EQUAL
+    return [
+        f
+        for f in found
+        if f is found[0]
+        or equal_views(solver, f.view, best)
+        or f.view.squares <= (1 + share) * best.squares
+    ]
+
+
+def without_outliers(
+    solver: Solver, mask: Mask, found: list[Found], outlier_px: float, start: Camera | None
+) -> list[tuple[Found, Sums]]:
+    """Return the cameras fitted to pixels near the mask's edge only, and sums over all pixels.
+
+    At first the surroundings are wide, so that what other stretches of the outline pulled away
+    comes back.
+    """
+    distance = edge_distance(mask.image)
+    ends = [[f.unit] if start is None else [f.unit, start] for f in found]
+    for reach in (8, 4, 2, 1):
+        solver.weigh(mask.weight * near_an_edge(distance, reach * outlier_px))
+        found = [_onward(f, solver.solve(f.unit, [solver.finest])) for f in found]
+    result = []
+    for f, others in zip(found, ends, strict=True):
+        views = [f, *(f._replace(unit=x, view=solver.look(x, solver.finest)) for x in others)]
+        result.append(min(_finite(views), key=lambda f: f.view.squares))
+    solver.weigh(mask.weight)
+    return [(f, solver.look(f.unit, solver.finest).sums) for f in result]
+
+
+def _onward(before: Found, after: Found) -> Found:
+    steps, way = before.steps + after.steps, before.way + after.way[1:]
+    return after._replace(steps=steps, way=way)
+
+
+def _finite(found: list[Found]) -> list[Found]:
+    return [f for f in found if np.isfinite(f.view.squares)] or found[:1]
+
+
+def _one_of_each(found: list[Found], names: tuple[str, ...]) -> list[Found]:
+    """Return the finite ones, the best first, and of those with the same view the best."""
+    kept: list[Found] = []
+    for f in sorted(_finite(found), key=lambda f: f.view.squares):
+        if not any(_same(k, f, names) for k in kept):
+            kept.append(f)
+    return kept
+
+
+def _same(a: Found, b: Found, names: tuple[str, ...]) -> bool:
+    """Return whether two cameras look the same way, but for a turn that changes no pixel of a's."""
+    axes_a, axes_b = (axes_of(f.unit) for f in (a, b))
+    turn: Any = axes_a.T @ axes_b - np.eye(3)
+    free = free_turns(np.asarray(a.view.triangle, float), components(names), axes_a)
+    if len(free) > 1:
+        return True
+    return bool(np.linalg.norm(turn @ free[0] if len(free) else turn) < SAME)

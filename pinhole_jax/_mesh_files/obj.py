@@ -1,0 +1,58 @@
+"""Wavefront OBJ: polygons. Groups, normals, textures, lines and points make no difference.
+
+Files that it names (`mtllib`) are materials and not opened.
+"""
+
+import re
+
+import numpy as np
+
+from .polygons import Polygons
+from .text import counts_of, numbers_of, points_of
+
+#: Statements that add faces which are not read here.
+OTHER_SHAPES = (b"surf", b"call", b"csh", b"bzp", b"bsp", b"cdc", b"cdp", b"res")
+
+
+def read_obj(data: bytes) -> Polygons:
+    """Return the polygons of an obj file. A negative index counts back from the vertex before it.
+
+    Raises ValueError for vertices or faces that are no numbers, the index 0, and curved surfaces.
+    """
+    if b"#" in data:
+        data = re.sub(rb"#[^\r\n]*", b"", data)
+    if b"\\" in data:
+        data = re.sub(rb"\\[ \t]*(\r\n|\n|\r)", b" ", data)
+    lines = data.splitlines()
+    if b"\n " in data or b"\n\t" in data or data[:1].isspace():
+        lines = [line.strip() for line in lines]
+    _check_statements(lines)
+
+    vertices = [line[2:] for line in lines if line.startswith((b"v ", b"v\t"))]
+    faces = [line[2:] for line in lines if line.startswith((b"f ", b"f\t"))]
+    counts = counts_of(faces)
+    text = b"\n".join(faces)
+    if b"/" in text:
+        text = re.sub(rb"/\S*", b"", text)  # textures and normals
+
+    corners = numbers_of(text, int, "faces", int(np.sum(counts)))
+    if np.any(corners == 0):
+        raise ValueError("a face with the vertex 0; they are counted from 1")
+    if np.any(corners < 0):
+        back = np.repeat(_vertices_before_faces(lines), counts)
+        corners = np.where(corners < 0, corners + back + 1, corners)
+    return Polygons(points_of(vertices), corners - 1, counts)
+
+
+def _vertices_before_faces(lines: list[bytes]) -> np.ndarray:
+    """Return how many vertices there are above each face, (F,)."""
+    is_vertex = np.array([line.startswith((b"v ", b"v\t")) for line in lines])
+    is_face = np.array([line.startswith((b"f ", b"f\t")) for line in lines])
+    return np.cumsum(is_vertex)[is_face]
+
+
+def _check_statements(lines: list[bytes]) -> None:
+    for line in [line for line in lines if line.startswith(OTHER_SHAPES)]:
+        name = line.split()[0]
+        if name in OTHER_SHAPES:
+            raise ValueError(f"the statement {name.decode()!r}: only polygons are read")

@@ -1,0 +1,50 @@
+"""Object File Format (OFF), as text: polygons of vertices that may have colours and normals."""
+
+import re
+
+import numpy as np
+
+from .polygons import Polygons
+from .text import counts_of, numbers_of, points_of, taken, whole
+
+HEADER = re.compile(rb"\s*((?:ST)?C?N?)(4?n?)OFF\b[ \t]*(BINARY)?|\s*(?=\d)|\s*OFF(?=\d)")
+
+
+def read_off(data: bytes) -> Polygons:
+    """Return the polygons of an off file.
+
+    Raises ValueError for binary files, vertices of other than three dimensions, and fewer vertices
+    or faces than the header says.
+    """
+    header = HEADER.match(data := re.sub(rb"#[^\r\n]*", b"", data))
+    if not header:
+        raise ValueError("no OFF at its beginning")
+    if header[2] or header[3]:
+        raise ValueError(f"{header[0].decode().strip()}: only text and three dimensions are read")
+    lines = [line for line in data[header.end() :].splitlines() if line.strip()]
+    sizes = numbers_of(lines[0] if lines else b"", int, "the line of counts")
+    if sizes.size < 2 or np.any(sizes[:2] < 0):
+        raise ValueError("expected the numbers of vertices and faces first, got no such numbers")
+
+    vertices, faces = (int(size) for size in sizes[:2])
+    if len(lines) - 1 < vertices + faces:
+        raise ValueError(
+            f"expected {vertices} vertices and {faces} faces as its header says, got"
+            f" {len(lines) - 1} lines"
+        )
+    points = points_of(lines[1 : 1 + vertices])
+    return _faces(points, lines[1 + vertices : 1 + vertices + faces])
+
+
+def _faces(points: np.ndarray, lines: list[bytes]) -> Polygons:
+    """Return polygons of lines: a number of corners, so many vertices, then perhaps a colour."""
+    words = counts_of(lines)
+    numbers = numbers_of(b"\n".join(lines), float, "faces", int(np.sum(words)))
+    starts = np.cumsum(words) - words
+    counts = whole(numbers[starts], "the numbers of corners")
+    wrong = (counts < 0) | (counts >= words)
+    if np.any(wrong):
+        k = int(np.argmax(wrong))
+        raise ValueError(f"face {k + 1}: {counts[k]} corners in a line of {words[k]} numbers")
+    corners = taken(numbers, starts + 1, counts)
+    return Polygons(points, whole(corners, "faces"), counts)

@@ -1,0 +1,408 @@
+"""What a camera looks at: `Mesh`, `Spheres`, `Scene`, and what is worked out once per mesh."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+from .._numerics.arrays import Numbers, float_array, float_dtype, is_concrete
+from .._numerics.safe import binary_scale, norm, safe_divide
+from .topology import edge_records, without_copies
+
+
+class Clusters(NamedTuple):
+    """The edges in groups of `CLUSTER`, as they come: what their faces' planes have in common.
+
+    Unit normals within a cone (`axis`, cosine and sine of its half angle), a point of each plane in
+    a ball (`middle`; `radius`, infinite where nothing can be said), as seen from `centre` and in a
+    unit of length of the mesh's own (world lengths times `scale`, a power of 2): no square of a
+    length overflows. `planes` holds the faces' normals and corners once more, face by face, to be
+    looked up fast.
+    """
+
+    axis: Float[Array, "3 N"]
+    cosine: Float[Array, "N"]
+    sine: Float[Array, "N"]
+    middle: Float[Array, "3 N"]
+    radius: Float[Array, "N"]
+    planes: Float[Array, "F 6"]
+    centre: Float[Array, "3"]
+    scale: Float[Array, ""]
+
+
+#: Edges of a cluster: as many as bits in a word of `Selection`.
+CLUSTER = 32
+#: Faces (and vertices) that a small mesh's arrays are filled up to.
+FILLED_UP = (1 << 14, 1 << 16)
+
+
+class Planes(NamedTuple):
+    """A mesh's face planes: x is before face f where `normal[:, f].(x - corner[:, f]) > 0`.
+
+    A normal's length is the face's area in a unit of the mesh's own, so that it neither overflows
+    nor vanishes. `box` holds the vertices' least and largest coordinates, `fingerprint`
+    names the vertices that all this was made from. `clusters` is None for a mesh made of traced
+    vertices, whose planes would not be used often enough.
+    """
+
+    normal: Float[Array, "3 F"]
+    corner: Float[Array, "3 F"]
+    box: Float[Array, "2 3"]
+    fingerprint: UInt32[Array, ""]
+    clusters: Clusters | None = None
+
+
+class Mesh(eqx.Module):
+    """Triangles: `vertices` (V, 3) in world units, `faces` (F, 3) indices of vertices.
+
+    A face whose corners are those of another adds nothing to what is seen (a mesh that has every
+    face twice, or once more turned over): the later one's three indices are made equal, so that the
+    others keep their numbers. Walls between parts, which two closed bodies share, stay.
+
+    Worked out once, on the host: the edges with the faces on either side. An edge record (a, b)
+    runs as in its first face; the second face, if any, runs through it from b to a, and is -1 at a
+    border. Edges that more than two faces, or two of opposite winding, share have several records.
+    `closed` says that there is no border: closed and consistently wound (per shared vertex index;
+    `load_mesh` merges equal vertices). `order` lists the faces along a space-filling curve, for the
+    tracer; the edges follow their first faces along it.
+
+    `vertices` may be traced and differentiated, also by way of `eqx.tree_at`; `faces` may not.
+    Raises ValueError for wrong shapes or dtypes, non-finite vertices and indices out of range.
+    """
+
+    vertices: Float[Array, "V 3"]
+    faces: Int[Array, "F 3"]
+    edge_vertices: Int[Array, "E 2"]
+    edge_faces: Int[Array, "E 2"]
+    planes: Planes
+    order: Int[Array, "F"]
+    closed: bool = eqx.field(static=True)
+
+    def __init__(self, vertices: Numbers, faces: Numbers):
+        self.vertices = float_array("vertices", vertices, (None, 3), float_dtype(vertices))
+        triangles = _face_indices(faces, self.vertices.shape[0])
+        points = np.asarray(self.vertices) if is_concrete(self.vertices) else None
+        if points is not None:
+            triangles = without_copies(points, triangles)
+        edge_vertices, edge_faces = edge_records(triangles, points, self.vertices.shape[0])
+        self.faces = jnp.asarray(triangles)
+        self.order = _face_order(self.vertices, self.faces)
+        if is_concrete(self.order) and edge_faces.size:
+            rank = np.empty(len(triangles), np.int32)
+            rank[np.asarray(self.order)] = np.arange(len(triangles), dtype=np.int32)
+            along = np.argsort(rank[edge_faces[:, 0]], kind="stable")
+            edge_vertices, edge_faces = edge_vertices[along], edge_faces[along]
+        self.edge_vertices = jnp.asarray(edge_vertices)
+        self.edge_faces = jnp.asarray(edge_faces)
+        self.planes = _planes_and_clusters(self.vertices, self.faces, self.edge_faces)
+        self.closed = bool(np.all(edge_faces >= 0))
+
+
+class Spheres(eqx.Module):
+    """Spheres: `centers` (S, 3) and `radii` (S,), world units, both differentiable.
+
+    Raises ValueError for wrong shapes or dtypes, non-finite values and radii that are not positive.
+    """
+
+    centers: Float[Array, "S 3"]
+    radii: Float[Array, "S"]
+
+    def __init__(self, centers: Numbers, radii: Numbers):
+        dtype = float_dtype(centers, radii)
+        self.centers = float_array("centers", centers, (None, 3), dtype)
+        self.radii = float_array("radii", radii, (self.centers.shape[0],), dtype)
+        if is_concrete(self.radii) and not np.all(np.asarray(self.radii) > 0):
+            raise ValueError(f"`radii`: expected positive radii, got {np.min(self.radii)}")
+
+
+class Scene(eqx.Module):
+    """A mesh, spheres, or both; what is left out costs nothing. An empty scene covers nothing."""
+
+    mesh: Mesh | None
+    spheres: Spheres | None
+
+    def __init__(self, mesh: Any = None, spheres: Any = None):
+        if not (mesh is None or isinstance(mesh, Mesh)):
+            raise ValueError(f"`mesh`: expected a Mesh or None, got {type(mesh).__name__}")
+        if not (spheres is None or isinstance(spheres, Spheres)):
+            raise ValueError(f"`spheres`: expected Spheres or None, got {type(spheres).__name__}")
+        self.mesh, self.spheres = mesh, spheres
+
+
+def check_scene(scene: Any) -> None:
+    """Raise ValueError unless there is something to look at."""
+    if not isinstance(scene, Scene):
+        raise ValueError(f"`scene`: expected a Scene, got {type(scene).__name__}")
+    faces = scene.mesh is not None and scene.mesh.edge_faces.shape[0]
+    if not faces and (scene.spheres is None or not scene.spheres.radii.shape[0]):
+        raise ValueError("`scene`: expected a Scene with a mesh or spheres, got an empty one")
+
+
+def astype(scene: Scene, dtype: Any) -> Scene:
+    """Return the scene in a float type; planes are made anew where the vertices change."""
+    mesh, spheres = scene.mesh, scene.spheres
+    if mesh is not None and mesh.vertices.dtype != dtype:
+        vertices = mesh.vertices.astype(dtype)
+        planes = _planes_and_clusters(vertices, mesh.faces, mesh.edge_faces)
+        mesh = eqx.tree_at(lambda m: (m.vertices, m.planes), mesh, (vertices, planes))
+    if spheres is not None and spheres.radii.dtype != dtype:
+        spheres = jax.tree.map(lambda x: x.astype(dtype), spheres)
+    return Scene(mesh=mesh, spheres=spheres)
+
+
+def padded(scene: Scene) -> Scene:
+    """Return the scene with its mesh's arrays filled up to one of a few sizes.
+
+    What is added is on no contour, so the silhouette is the same, and meshes of similar size share
+    compiled programs. Not for tracing: the faces' order is left out.
+    """
+    if scene.mesh is None or not scene.mesh.edge_faces.shape[0]:
+        return scene
+    mesh, planes = scene.mesh, None
+    if planes_are_current(mesh) and mesh.planes.clusters is not None:
+        planes = mesh.planes
+    parts = (mesh.vertices, mesh.faces, mesh.edge_vertices, mesh.edge_faces)
+    *parts, planes = _filled_up(*parts, planes)
+    if planes is None:
+        planes = _planes_and_clusters(parts[0], parts[1], parts[3])
+    order = jnp.zeros(0, jnp.int32)
+    mesh = eqx.tree_at(
+        lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.order, m.planes),
+        mesh,
+        (*parts, order, planes),
+    )
+    return Scene(mesh=mesh, spheres=scene.spheres)
+
+
+@jax.jit
+def _filled_up(
+    vertices: Array, faces: Array, edge_vertices: Array, edge_faces: Array, planes: Planes | None
+) -> tuple:
+    """Return a mesh's arrays filled up to one of a few sizes."""
+
+    V, F, E = _filled_sizes(vertices.shape[0], faces.shape[0], edge_faces.shape[0])
+    parts = (vertices, V), (faces, F), (edge_vertices, E), (edge_faces, E)
+    arrays = tuple(_filled(x, size, 0) for x, size in parts)
+    if planes is None or planes.clusters is None:
+        return *arrays, None
+    # What is filled up is behind everything: no contour.
+    number = -(-arrays[2].shape[0] // CLUSTER)
+    c = planes.clusters
+    axis, cosine, sine, middle = (_filled(x, number, x.ndim - 1) for x in c[:4])
+    radius = _filled(c.radius, number, 0, -jnp.inf)
+    clusters = Clusters(axis, cosine, sine, middle, radius, _filled(c.planes, F, 0), *c[6:])
+    faces_of = _filled(planes.normal, F, 1), _filled(planes.corner, F, 1)
+    return *arrays, Planes(*faces_of, planes.box, _fingerprint(arrays[0]), clusters)
+
+
+def _filled_sizes(vertices: int, faces: int, edges: int) -> tuple[int, int, int]:
+    """Return how many vertices, faces and edges a mesh is filled up to: few sizes, as each is
+    compiled for; in steps of an eighth where the mesh is large and memory counts."""
+    for most in FILLED_UP:
+        if max(vertices, faces) <= most and 2 * edges <= 3 * most:
+            return most, most, 3 * most // 2
+    up = lambda size: size + -size % (1 << max(size.bit_length() - 3, 6))
+    return up(vertices), up(faces), up(edges)
+
+
+def _filled(x: Array, size: int, axis: int, value: float = 0.0) -> Array:
+    widths = [(0, 0)] * x.ndim
+    widths[axis] = (0, size - x.shape[axis])
+    return jnp.pad(x, widths, constant_values=value)
+
+
+@eqx.filter_jit
+def planes_are_current(mesh: Mesh) -> Bool[Array, ""]:
+    """Return whether the planes were made from the vertices as they are now."""
+    return mesh.planes.fingerprint == _fingerprint(mesh.vertices)
+
+
+def front_facing(mesh: Mesh, e: Float[Array, "3"]) -> Bool[Array, "F"]:
+    """Return which faces show their front (counter-clockwise) side to the eye; edge-on: False.
+
+    Uses the stored planes; where the vertices are no longer those that the planes were made from
+    (`eqx.tree_at`, an optimiser's update), the planes are made anew, so they are never stale.
+    """
+    mesh, e = jax.lax.stop_gradient((mesh, e))
+    return jax.lax.cond(
+        planes_are_current(mesh),
+        lambda: in_front(mesh.planes, e),
+        lambda: in_front(_planes(mesh.vertices, mesh.faces), e),
+    )
+
+
+def in_front(planes: Planes, e: Float[Array, "3"]) -> Bool[Array, "*F"]:
+    """Return which planes the eye is before; taken from the planes' own corners, so that a scene
+    that is much larger than the object and the eye beside it loses nothing."""
+    return faces_eye(planes.normal, planes.corner, e)
+
+
+def faces_eye(normal, corner, e: Float[Array, "3"]) -> Bool[Array, "*F"]:
+    """Return whether an eye is before planes, given x, y and z of normals and corners."""
+    x, y, z = (normal[k] * (e[k] - corner[k]) for k in range(3))
+    return x + y + z > 0
+
+
+def undecided(clusters: Clusters, e: Float[Array, "3"]) -> Bool[Array, "N"]:
+    """Return in which clusters the eye may be in front of some planes and behind others."""
+    eye = (e - clusters.centre) * clusters.scale
+    to_eye = [eye[k] - clusters.middle[k] for k in range(3)]
+    along = sum(clusters.axis[k] * to_eye[k] for k in range(3))
+    distance = jnp.sqrt(sum(x * x for x in to_eye))
+    across = jnp.sqrt(jnp.maximum(distance * distance - along * along, 0))
+    # |to_eye| cos(angle to the axis, plus and minus the cone's half angle)
+    nearest = along * clusters.cosine - across * clusters.sine
+    farthest = along * clusters.cosine + across * clusters.sine
+    # Where the cone reaches the axis itself, or its opposite, that is the extreme.
+    farthest = jnp.where(along >= distance * clusters.cosine, distance, farthest)
+    nearest = jnp.where(-along >= distance * clusters.cosine, -distance, nearest)
+    reach = jnp.sqrt(jnp.sum(eye * eye)) + distance
+    info = jnp.finfo(e.dtype)
+    radius = clusters.radius * (1 + 1e-3) + 256 * info.eps * reach + 16 * info.tiny**0.5
+    return ~((nearest > radius) | (farthest < -radius))
+
+
+class Ball(NamedTuple):
+    """A sphere: `centre` (3,) and `radius`, world units."""
+
+    centre: Any
+    radius: Any
+
+
+@eqx.filter_jit
+def bounding_box(scene: Scene) -> Float[Array, "2 3"]:
+    """Return the least and largest coordinates of the scene."""
+    points = []
+    if scene.mesh is not None:
+        points.append(scene.mesh.vertices)
+    if scene.spheres is not None:
+        centers, radii = scene.spheres.centers, scene.spheres.radii[:, None]
+        points += [centers - radii, centers + radii]
+    return _box(jnp.concatenate(points))
+
+
+def bounding_sphere(scene: Scene) -> Ball:
+    """Return a sphere about the scene (the bounding box's, not the least)."""
+    return ball_about(bounding_box(scene))
+
+
+def ball_about(box: Any) -> Ball:
+    """Return the sphere through a box's corners; of NumPy or JAX, as the box is."""
+    low, high = box
+    half = (high - low) / 2
+    size = abs(half).max()
+    unit = half / (size + (size == 0).astype(half.dtype))  # squares do not overflow
+    return Ball(low + half, size * (unit**2).sum() ** 0.5)
+
+
+@jax.jit
+def _planes(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Planes:
+    vertices = jax.lax.stop_gradient(vertices)
+    a, b, c = jnp.moveaxis(vertices[faces], 1, 0)
+    unit = binary_scale(vertices) / 4
+    normal = jnp.cross((b - a) * unit, (c - a) * unit)
+    return Planes(normal.T, a.T, _box(vertices), _fingerprint(vertices))
+
+
+def _box(vertices: Float[Array, "V 3"]) -> Float[Array, "2 3"]:
+    if not vertices.shape[0]:
+        return jnp.zeros((2, 3), vertices.dtype)
+    return jnp.stack([jnp.min(vertices, axis=0), jnp.max(vertices, axis=0)])
+
+
+def vertex_box(mesh: Mesh) -> Float[Array, "2 3"]:
+    """Return the least and largest coordinates of the vertices, as far as known already."""
+    mesh = jax.lax.stop_gradient(mesh)
+    return jax.lax.cond(
+        planes_are_current(mesh), lambda: mesh.planes.box, lambda: _box(mesh.vertices)
+    )
+
+
+def _planes_and_clusters(
+    vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"], edge_faces: Int[Array, "E 2"]
+) -> Planes:
+    planes = _planes(vertices, faces)
+    if not (is_concrete(vertices) and edge_faces.shape[0]):
+        return planes
+    return planes._replace(clusters=_clusters(planes, vertices, edge_faces))
+
+
+@jax.jit
+def _clusters(
+    planes: Planes, vertices: Float[Array, "V 3"], edge_faces: Int[Array, "E 2"]
+) -> Clusters:
+    first, second = edge_faces[:, 0], edge_faces[:, 1]
+    both = jnp.stack([first, jnp.where(second < 0, first, second)], axis=1)
+    both = jnp.pad(both, ((0, -len(both) % CLUSTER), (0, 0)), mode="edge")
+    both = both.reshape(-1, 2 * CLUSTER)
+    length = norm(planes.normal.T)
+    unit = safe_divide(planes.normal, length[None])[:, both]
+    centre = vertices[0]
+    scale = binary_scale(vertices - centre[None])
+    point = ((planes.corner - centre[:, None]) * scale)[:, both]  # (3, N, 64)
+    axis = jnp.sum(unit, axis=2)
+    size = jnp.sqrt(jnp.sum(axis**2, axis=0))
+    axis = safe_divide(axis, size[None])
+    cosine = jnp.min(jnp.sum(unit * axis[..., None], axis=0), axis=1)
+    middle = jnp.mean(point, axis=2)
+    radius = jnp.sqrt(jnp.max(jnp.sum((point - middle[..., None]) ** 2, axis=0), axis=1))
+    # Border edges are always contour; a face without area has no normal.
+    border = jnp.pad(second < 0, (0, -len(second) % CLUSTER)).reshape(-1, CLUSTER)
+    unknown = jnp.any(border, axis=1) | jnp.any(length[both] == 0, axis=1) | (cosine <= 0)
+    sine = jnp.sqrt(jnp.clip(1 - cosine**2, 0, 1))
+    radius = jnp.where(unknown, jnp.inf, radius)
+    table = jnp.concatenate([planes.normal, planes.corner]).T
+    return Clusters(axis, cosine, sine, middle, radius, table, centre, scale)
+
+
+def _face_order(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Int[Array, "F"]:
+    if not (faces.shape[0] and vertices.shape[0]):
+        return jnp.zeros(faces.shape[0], jnp.int32)
+    return _middles_order(jax.lax.stop_gradient(vertices), faces)
+
+
+@jax.jit
+def _middles_order(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Int[Array, "F"]:
+    return morton_order(jnp.mean(vertices[faces], axis=1))
+
+
+@jax.jit
+def morton_order(points: Float[Array, "N 3"]) -> Int[Array, "N"]:
+    """Return the order of at least one point by Morton code, 10 bits an axis."""
+    low, high = jnp.min(points, axis=0), jnp.max(points, axis=0)
+    extent = jnp.maximum(jnp.max(high - low), jnp.finfo(points.dtype).tiny)
+    cell = jnp.clip((points - low[None]) / extent * 1024, 0, 1023).astype(jnp.uint32)
+    spread = jnp.zeros_like(cell)
+    for bit in range(10):
+        spread |= ((cell >> bit) & 1) << (3 * bit)
+    return jnp.argsort(spread[:, 0] | spread[:, 1] << 1 | spread[:, 2] << 2).astype(jnp.int32)
+
+
+@jax.jit
+def _fingerprint(vertices: Float[Array, "V 3"]) -> UInt32[Array, ""]:
+    """Return a checksum of the bits; integer sums do not depend on the order of summation."""
+    bits = jax.lax.bitcast_convert_type(vertices, jnp.uint32).reshape(-1)
+    weight = jnp.arange(bits.shape[0], dtype=jnp.uint32) * jnp.uint32(2654435761) | jnp.uint32(1)
+    mixed = (bits ^ (bits >> 16)) * weight  # round numbers have nothing but zeros in their low bits
+    return jnp.sum(mixed ^ (mixed >> 15), dtype=jnp.uint32)
+
+
+def _face_indices(faces: Any, V: int) -> np.ndarray:
+    if not is_concrete(faces):
+        raise ValueError("`faces`: expected a concrete array, got a traced one; close over it")
+    try:
+        array = np.asarray(faces)
+    except ValueError as error:
+        raise ValueError(f"`faces`: expected shape (F, 3), got {faces!r}") from error
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"`faces`: expected shape (F, 3), got {array.shape}")
+    if not np.issubdtype(array.dtype, np.integer):
+        raise ValueError(f"`faces`: expected integers, got dtype {array.dtype}")
+    if array.size and not (array.min() >= 0 and array.max() < V):
+        raise ValueError(
+            f"`faces`: expected indices from 0 to {V - 1}, got {array.min()} to {array.max()}"
+        )
+    return array.astype(np.int32)

@@ -1,0 +1,188 @@
+"""The silhouette's outline as lines on the film, and the points of the object that make it."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._camera.camera import Camera, bend, film_map, to_camera
+from .._camera.rays import project
+from .._scene.scene import Mesh, Scene, Spheres, astype
+from .._silhouette.contour import (
+    ARCS_PER_SPHERE,
+    clipped,
+    contour_weights,
+    sphere_arcs,
+    surrounding,
+)
+from .._silhouette.curves import Arcs, Segments, film_at
+
+#: Outline points are at most this far apart (px), and no closer than that.
+STEP_PX = 2.0
+LEAST_PX = 1e-6
+
+
+def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
+    """Return the silhouette's outline as short segments (start, end) in film coordinates (px).
+
+    Only the parts of the contour with background on their outer side: folds within the object and
+    parts behind it are left out.
+    """
+    scene = astype(scene, camera.e.dtype)
+    segments, base = _segments(camera, scene)
+    start, end, weight = _pieces(camera, scene, segments)
+    turned = weight < 0  # cover on the right: the same contour run the other way
+    start[turned], end[turned] = end[turned], start[turned]
+    weight = np.abs(weight)
+    of, first, last = _short_parts(start, end)
+    along = (end - start)[of]
+    short = np.stack([start[of] + t[:, None] * along for t in (first, last)], axis=1)
+    # Points just outside and inside: with cover on the left. (A face of no area has none.)
+    direction = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
+    right = 1e-3 * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
+    outside, inside = (
+        _winding(short.mean(axis=1) + side, start, end, weight) + int(base)
+        for side in (right, -right)
+    )
+    visible = (outside <= 0) & (inside > 0)
+    lens = bend(camera)
+    if lens is None:
+        return short[visible]
+    return np.asarray(lens(jnp.asarray(short[visible], camera.e.dtype)), float)
+
+
+def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
+    """Return points in space, in front of the eye, that the contour is made of: on edges some
+    px apart, on spheres where rays touch them."""
+    scene = astype(scene, camera.e.dtype)
+    parts = [np.zeros((0, 3))]
+    if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
+        on = np.flatnonzero(np.asarray(_edge_weights(scene.mesh, camera.e)))
+        edges = np.asarray(scene.mesh.vertices, float)[np.asarray(scene.mesh.edge_vertices)[on]]
+        film = np.asarray(project(camera, jnp.asarray(edges, camera.e.dtype)), float)
+        length = np.linalg.norm(film[:, 1] - film[:, 0], axis=1)
+        counts = np.clip(np.ceil(length / STEP_PX), 1, 200).astype(int)
+        of = np.repeat(np.arange(len(counts)), counts)
+        part = (np.arange(len(of)) - (np.cumsum(counts) - counts)[of] + 0.5) / counts[of]
+        parts.append(edges[of, 0] + part[:, None] * (edges[of, 1] - edges[of, 0]))
+    if scene.spheres is not None:
+        eye = np.asarray(camera.e, float)
+        angle = np.linspace(0, 2 * np.pi, 180, endpoint=False)
+        balls = zip(np.asarray(scene.spheres.centers, float), scene.spheres.radii, strict=True)
+        for centre, radius in balls:
+            offset, r = centre - eye, float(radius)
+            far = np.linalg.norm(offset)
+            if far > r:
+                axis = offset / far
+                first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+                first /= np.linalg.norm(first)
+                ring = np.outer(np.cos(angle), first)
+                ring += np.outer(np.sin(angle), np.cross(axis, first))
+                sine = r / far
+                parts.append(centre + r * (np.sqrt(1 - sine**2) * ring - sine * axis))
+    points = np.concatenate(parts)
+    ahead = np.asarray(to_camera(camera, jnp.asarray(points, camera.e.dtype)))[:, 2] > 0
+    return points[ahead]
+
+
+@eqx.filter_jit
+def _segments(camera: Camera, scene: Scene) -> tuple[list[Segments], Int[Array, ""]]:
+    """Return all edges as segments in and near the film, what of them lies left of it, and how many
+    layers cover all else on the left."""
+    film, mesh = film_map(camera), scene.mesh
+    base = surrounding(film, scene)
+    if mesh is None or not mesh.edge_faces.shape[0]:
+        return [], base
+    weights = contour_weights(mesh, camera.e)
+    lift = film(mesh.vertices[mesh.edge_vertices])
+    parts = (jnp.full(weights.shape, beside) for beside in (False, True))
+    return [clipped(lift, weights, part, film.bounds) for part in parts], base
+
+
+@eqx.filter_jit
+def _edge_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
+    return contour_weights(mesh, e)
+
+
+@eqx.filter_jit
+def _arcs(camera: Camera, spheres: Spheres) -> Arcs:
+    ids = jnp.arange(ARCS_PER_SPHERE * spheres.radii.shape[0], dtype=jnp.int32)
+    return sphere_arcs(film_map(camera), spheres, ids)
+
+
+def _pieces(
+    camera: Camera, scene: Scene, edges: list[Segments]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return starts (n, 2), ends (n, 2) and weights (n,) of the whole contour, arcs sampled."""
+    parts = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))]
+    for segments in edges:
+        on = np.asarray(segments.weight) != 0
+        start, end, weight = (np.asarray(x, float)[on] for x in segments)
+        parts.append((start, end, weight))
+    if scene.spheres is not None and scene.spheres.radii.shape[0]:
+        arcs = _arcs(camera, scene.spheres)
+        begin, until = (np.arctan2(w[:, 1], w[:, 0]) for w in map(np.asarray, arcs[1:3]))
+        turn = (until - begin) % (2 * np.pi)
+        angle = begin[:, None] + turn[:, None] * np.linspace(1e-6, 1 - 1e-6, 65)
+        w = np.stack([np.cos(angle), np.sin(angle)], axis=-1).astype(arcs.frame.dtype)
+        frames = np.broadcast_to(np.asarray(arcs.frame)[:, None], (*angle.shape, 3, 3))
+        points = np.asarray(film_at(jnp.asarray(frames), jnp.asarray(w)), float)
+        points = np.clip(points, -1e9, 1e9)[np.asarray(arcs.weight) != 0]
+        ends = points[:, :-1].reshape(-1, 2), points[:, 1:].reshape(-1, 2)
+        parts.append((*ends, np.ones(len(ends[0]))))
+    start, end, weight = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return start, end, weight
+
+
+def _short_parts(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the lines' parts, cut where they meet others and every `STEP_PX`: the line's number,
+    and from where to where along it (0 to 1)."""
+    length = np.linalg.norm(end - start, axis=1)
+    counts = np.clip(np.ceil(length / STEP_PX), 1, 10_000).astype(int)
+    of = np.repeat(np.arange(len(counts)), counts + 1)
+    step = np.arange(len(of)) - (np.cumsum(counts + 1) - counts - 1)[of]
+    line, along = _meetings(start, end)
+    of, along = np.append(of, line), np.append(step / counts[of], along)
+    order = np.lexsort((along, of))
+    of, along = of[order], along[order]
+    gap = np.append(np.diff(along), -1)
+    parts = np.flatnonzero((np.append(np.diff(of), 1) == 0) & (gap * length[of] > LEAST_PX))
+    return of[parts], along[parts], along[parts + 1]
+
+
+def _meetings(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where lines meet others that are not parallel: their numbers, how far along (0 to 1).
+
+    Where lines run on one another, those that they go on as tell where that begins and ends.
+    """
+    low, high = np.minimum(start, end) - LEAST_PX, np.maximum(start, end) + LEAST_PX
+    cross = lambda a, b: a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    lines, along = [np.zeros(0, int)], [np.zeros(0)]
+    for begin in range(0, len(start), 512):
+        some = slice(begin, begin + 512)
+        apart = (low[some, None] > high[None]) | (low[None] > high[some, None])
+        one, other = np.nonzero(~apart.any(axis=2))
+        one = one + begin
+        own, theirs = end[one] - start[one], end[other] - start[other]
+        turn, offset = cross(own, theirs), start[other] - start[one]
+        safe = np.where(turn == 0, 1, turn)
+        t, reach = cross(offset, theirs) / safe, cross(offset, own) / safe
+        met = (turn != 0) & (t > 0) & (t < 1) & (np.abs(reach - 0.5) < 0.5 + 1e-9)
+        lines.append(one[met])
+        along.append(t[met])
+    return np.concatenate(lines), np.concatenate(along)
+
+
+def _winding(
+    points: np.ndarray, start: np.ndarray, end: np.ndarray, weight: np.ndarray
+) -> np.ndarray:
+    """Return how many layers lie over each point: signed crossings of the ray to its left."""
+    result = np.zeros(len(points))
+    for begin in range(0, len(points), 512):
+        x, y = points[begin : begin + 512, None].transpose(2, 0, 1)
+        spans = (start[:, 1] <= y) != (end[:, 1] <= y)
+        rise = np.where(start[:, 1] == end[:, 1], 1, end[:, 1] - start[:, 1])
+        at = start[:, 0] + (y - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
+        sign = np.where(end[:, 1] < start[:, 1], 1, -1)
+        result[begin : begin + 512] = np.sum(spans * (at < x) * sign * weight, axis=1)
+    return np.round(result)

@@ -1,0 +1,1 @@
+"""Exact coverage: the occluding contour as curves on the film, and the area under them."""

@@ -1,0 +1,230 @@
+"""Curves on the film: straight segments, and arcs of the conics that spheres are seen as.
+
+Every curve is monotone in x and in y and has its covered side on the left. An arc is the image of
+an arc of a circle in space: a homogeneous film point that is linear in a point of the unit circle.
+So one form holds ellipses, parabolas and hyperbolas, and a curve is found at a given abscissa or
+height by a line that cuts the unit circle.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._numerics.safe import dot, safe_divide
+
+#: What stands for infinity on the film; far beyond any frame, and its square is still finite.
+FAR = 1e15
+
+#: Gauss-Legendre nodes and weights on [0, 1]; exact to 1e-14 over a quarter turn.
+_NODES, _WEIGHTS = (x / 2 for x in np.polynomial.legendre.leggauss(8))
+_NODES = _NODES + 0.5
+
+
+class Segments(NamedTuple):
+    """Straight pieces from `a` to `b` (film px); `weight` layers of cover more on the left."""
+
+    a: Float[Array, "*K 2"]
+    b: Float[Array, "*K 2"]
+    weight: Float[Array, "*K"]
+
+
+class Arcs(NamedTuple):
+    """Arcs `frame[0] + frame[1] w_1 + frame[2] w_2`, w on the unit circle from `start` to `end`.
+
+    The frame's rows are homogeneous film points (x z, y z, z), of which z > 0 is seen. They are
+    scaled so that the ray that they stand for has unit length.
+    """
+
+    frame: Float[Array, "*K 3 3"]
+    start: Float[Array, "*K 2"]
+    end: Float[Array, "*K 2"]
+    weight: Float[Array, "*K"]
+
+
+Curves = Segments | Arcs
+
+
+def placed(curves: Curves, scale: Array | float, origin: Array | float = 0.0) -> Curves:
+    """Return curves in pixels of which `scale` make one of now, from the new film's `origin`."""
+    shift = jnp.broadcast_to(jnp.asarray(origin, curves.weight.dtype), (*curves.weight.shape, 2))
+    if isinstance(curves, Segments):
+        return curves._replace(a=(curves.a - shift) * scale, b=(curves.b - shift) * scale)
+    xy, z = curves.frame[..., :2], curves.frame[..., 2:]
+    frame = jnp.concatenate([(xy - shift[..., None, :] * z) * scale, z], axis=-1)
+    return curves._replace(frame=frame)
+
+
+def ends(curves: Curves) -> tuple[Float[Array, "*K 2"], Float[Array, "*K 2"]]:
+    """Return where the curves begin and end (film px); `FAR` stands for infinity."""
+    if isinstance(curves, Segments):
+        return curves.a, curves.b
+    return _arc_end(curves.frame, curves.start, 1), _arc_end(curves.frame, curves.end, -1)
+
+
+def homogeneous(frame: Float[Array, "*#K 3 3"], w: Float[Array, "*K 2"]) -> Float[Array, "*K 3"]:
+    """Return the homogeneous film point of w."""
+    return frame[..., 0, :] + frame[..., 1, :] * w[..., :1] + frame[..., 2, :] * w[..., 1:]
+
+
+def _arc_end(frame: Float[Array, "*K 3 3"], w: Float[Array, "*K 2"], inward: int):
+    """Return the film point of w; at infinity the arc's next points, `inward`, tell the sides."""
+    point = homogeneous(frame, w)
+    across = jnp.stack([-w[..., 1], w[..., 0]], axis=-1) * inward
+    change = homogeneous(frame, across) - frame[..., 0, :]
+    xy, z = point[..., :2], point[..., 2:]
+    tiny = 64 * jnp.finfo(w.dtype).eps
+    none = jnp.abs(xy) <= tiny * jnp.max(jnp.abs(frame[..., :2]), axis=-2)
+    far = jnp.copysign(FAR, jnp.where(none, change[..., :2], xy))
+    at_infinity = z <= tiny
+    return jnp.where(at_infinity, far, xy / jnp.where(at_infinity, 1, z))
+
+
+# --- points of an arc ----------------------------------------------------------------------------
+
+
+def unit_at(
+    frame: Float[Array, "*K 3 3"], axis: int, value: Float[Array, "*K"], growing: Float[Array, "*K"]
+) -> Float[Array, "*K 2"]:
+    """Return the w whose film point has coordinate number `axis` equal to `value`.
+
+    Of the two `growing` (1 or -1) chooses the one where that coordinate grows or falls along the
+    arc; where the curve does not reach the value, the point nearest to it.
+    """
+    level = frame[..., axis] - value[..., None] * frame[..., 2]
+    return cut_circle(level, growing)
+
+
+def cut_circle(level: Float[Array, "*K 3"], growing: Float[Array, "*K"]) -> Float[Array, "*K 2"]:
+    """Return w on the unit circle with `level . (1, w_1, w_2) = 0`, growing there or falling."""
+    b, x, y = -level[..., 0], level[..., 1], level[..., 2]
+    length = jnp.sqrt(x * x + y * y)
+    found = length > 0
+    length = jnp.where(found, length, 1)
+    x, y, b = jnp.where(found, x / length, 1), y / length, jnp.clip(b / length, -1, 1)
+    root = growing * jnp.sqrt((1 - b) * (1 + b))
+    return jnp.stack([x * b + y * root, y * b - x * root], axis=-1)
+
+
+def film_at(frame: Float[Array, "*#K 3 3"], w: Float[Array, "*K 2"]) -> Float[Array, "*K 2"]:
+    """Return the film point of w (px)."""
+    point = homogeneous(frame, w)
+    return safe_divide(point[..., :2], point[..., 2:])
+
+
+def _unit(frame: Float[Array, "*K 3 3"], point: Float[Array, "*K 2"]) -> Float[Array, "*K 2"]:
+    """Return the w of a film point that lies on the curve."""
+    level = frame[..., :2] - point[..., None, :] * frame[..., 2:]  # rows 1, w_1, w_2; columns x, y
+    (c0, c1), (a0, a1), (b0, b1) = ((level[..., k, 0], level[..., k, 1]) for k in range(3))
+    det = a0 * b1 - a1 * b0
+    w = jnp.stack([safe_divide(b0 * c1 - b1 * c0, det), safe_divide(a1 * c0 - a0 * c1, det)], -1)
+    length = jnp.sqrt(dot(w, w))[..., None]
+    return safe_divide(w, length)
+
+
+class Nodes(NamedTuple):
+    """Quadrature over a stretch of an arc: an integral is the sum of `weight` times the integrand.
+
+    `w` on the unit circle, `point` on the film, `slope` the film point's derivative by the angle,
+    and z.
+    """
+
+    w: Float[Array, "*K q 2"]
+    point: Float[Array, "*K q 2"]
+    slope: Float[Array, "*K q 2"]
+    z: Float[Array, "*K q"]
+    weight: Float[Array, "*K q"]
+
+
+def nodes(
+    frame: Float[Array, "*K 3 3"], w0: Float[Array, "*K 2"], w1: Float[Array, "*K 2"]
+) -> Nodes:
+    """Return the quadrature nodes from w0 to w1, whichever way is shorter."""
+    turn = jnp.arctan2(w0[..., 0] * w1[..., 1] - w0[..., 1] * w1[..., 0], dot(w0, w1))
+    spread = lambda x: jnp.asarray(x, turn.dtype).reshape((1,) * turn.ndim + (-1,))
+    at = turn[..., None] * spread(_NODES)
+    c, s = jnp.cos(at), jnp.sin(at)
+    x, y = w0[..., :1], w0[..., 1:]
+    w = jnp.stack([x * c - y * s, y * c + x * s], axis=-1)
+    across = jnp.stack([-w[..., 1], w[..., 0]], axis=-1)
+    frame = frame[..., None, :, :]
+    point = homogeneous(frame, w)
+    change = frame[..., 1, :] * across[..., :1] + frame[..., 2, :] * across[..., 1:]
+    z = point[..., 2:]
+    film = safe_divide(point[..., :2], z)
+    slope = safe_divide(change[..., :2] - film * change[..., 2:], z)
+    weight = turn[..., None] * spread(_WEIGHTS)
+    return Nodes(w, film, slope, z[..., 0], weight)
+
+
+def bulge(
+    frame: Float[Array, "*K 3 3"], start: Float[Array, "*K 2"], end: Float[Array, "*K 2"]
+) -> Float[Array, "*K"]:
+    """Return the area between an arc's piece and its chord, positive if counter-clockwise."""
+    n = nodes(frame, _unit(frame, start), _unit(frame, end))
+    x, y = jnp.moveaxis(n.point - start[..., None, :], -1, 0)
+    return jnp.sum(n.weight * (x * n.slope[..., 1] - y * n.slope[..., 0]), axis=-1) / 2
+
+
+# --- how the area grows as a curve moves ---------------------------------------------------------
+#
+# A curve moves with its lift: the homogeneous ends of a segment's edge, or the frame of an arc.
+
+
+def piece_flux(
+    lift: Float[Array, "K n 3"],
+    curves: Curves,
+    start: Float[Array, "K 2"],
+    end: Float[Array, "K 2"],
+) -> Float[Array, "K n 3"]:
+    """Return the derivative, by the lift, of the area left of a curve's piece from start to end."""
+    if isinstance(curves, Arcs):
+        return arc_flux(lift, _unit(lift, start), _unit(lift, end))
+    dx, dy = jnp.moveaxis(end - start, -1, 0)
+    steep = jnp.abs(dy) > jnp.abs(dx)
+    share = (edge_shares(lift, steep, start) + edge_shares(lift, steep, end)) / 2
+    return edge_flux(lift, steep, jnp.where(steep, dy, -dx)[:, None] * share)
+
+
+def edge_shares(
+    lift: Float[Array, "*K 2 3"], steep: Array, point: Float[Array, "*K 2"]
+) -> Float[Array, "*K 2"]:
+    """Return how much a film point of an edge moves with the edge's ends, over their depth.
+
+    Linear along the edge's image.
+    """
+    past = lift[..., :2] - point[..., None, :] * lift[..., 2:]  # (*K, end, xy)
+    past = jnp.where(steep[..., None], past[..., 1], past[..., 0])
+    t = jnp.clip(safe_divide(past[..., 0], past[..., 0] - past[..., 1]), 0, 1)
+    z = lift[..., 0, 2] + t * (lift[..., 1, 2] - lift[..., 0, 2])
+    return jnp.stack([safe_divide(1 - t, z), safe_divide(t, z)], axis=-1)
+
+
+def edge_flux(
+    lift: Float[Array, "*K 2 3"], steep: Array, shares: Float[Array, "*K 2"]
+) -> Float[Array, "*K 2 3"]:
+    """Return what area gains by the ends, from the shares' integral over the height of a steep
+    edge (then of what lies left of it) or the width of another (what lies below)."""
+    line = jnp.cross(lift[..., 0, :], lift[..., 1, :])
+    across = jnp.where(steep, line[..., 0], line[..., 1])[..., None]
+    return shares[..., None] * safe_divide(line, across)[..., None, :]
+
+
+def arc_flux(
+    frame: Float[Array, "*K 3 3"], w0: Float[Array, "*K 2"], w1: Float[Array, "*K 2"]
+) -> Float[Array, "*K 3 3"]:
+    """Return the derivative, by the frame, of the area on the left of the arc from w0 to w1."""
+    n = nodes(frame, w0, w1)
+    nx, ny = n.slope[..., 1], -n.slope[..., 0]
+    nz = -(n.point[..., 0] * nx + n.point[..., 1] * ny)
+    normal = safe_divide(jnp.stack([nx, ny, nz], axis=-1), n.z[..., None])
+    one = jnp.ones_like(n.weight)
+    basis = jnp.stack([one, n.w[..., 0], n.w[..., 1]], axis=-1) * n.weight[..., None]
+    return jnp.sum(basis[..., :, None] * normal[..., None, :], axis=-3)
+
+
+def moved(lift: Float[Array, "*K n 3"], flux: Float[Array, "*K n 3"]) -> Float[Array, "*K"]:
+    """Return a function linear in the lift whose derivative is the area's: `flux`, held."""
+    return jnp.sum(jax.lax.stop_gradient(flux) * lift, axis=(-2, -1))

@@ -1,0 +1,352 @@
+"""`silhouette`: the image of a scene's exact coverage, with its exact derivative."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array, Bool, Float, Int
+
+from .._camera.camera import Camera, FilmMap, film_map
+from .._numerics.bitset import Selection, nth, rank_in, select
+from .._numerics.linear_map import linear_map
+from .._scene.scene import Scene, Spheres, astype
+from .contour import (
+    ARCS_PER_SPHERE,
+    MeshContour,
+    arc_cuts,
+    arc_part_lifts,
+    arc_part_segments,
+    edge_lifts,
+    edge_segments,
+    mesh_contour,
+    sphere_arcs,
+    sphere_frames,
+    surrounding,
+)
+from .coverage import Pieces
+from .curves import moved, piece_flux
+from .distorted import Cuts
+from .overlaps import (
+    Crowded,
+    Kept,
+    Marks,
+    Part,
+    Resolved,
+    fold_cells,
+    fold_chosen,
+    fold_curves,
+    fold_pieces,
+    marks,
+    nothing_kept,
+    overlaps,
+    turns,
+)
+from .sweep import Visible
+
+CURVES_AT_A_TIME = 512
+PIECES_MOVED = 512
+
+
+def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Array, "H W"]:
+    """Return the fraction of each pixel's square that the scene covers: (H, W), row 0 on top.
+
+    Exact (box filter, no sampling, no blur) for any scene: the coverage of the union of all
+    projected triangles and spheres, whether meshes are closed or open, wind consistently or not,
+    overlap, reach through the plane of the eye or surround it. An eye inside a closed mesh or a
+    sphere sees everything covered. The cost follows the occluding contour; only pixels where
+    contours overlap pay for telling them apart. `overlaps=False` (static) says that no two parts of
+    the contour meet in a pixel, as in every view of one convex body: then that code is not even
+    compiled, and where it is not true the layers are summed and clamped. One sphere alone needs no
+    telling. No size of coordinates makes it anything but a number in [0, 1]; but which side of a
+    face is seen is not known where its corners' distances from the eye differ by more than
+    1 / epsilon of the float type.
+
+    The derivative, in forward and reverse mode, with respect to the camera, vertices, centers and
+    radii is exact as well: the visible contour's normal velocity. Coverage is not differentiable
+    where a face is seen edge-on, where contours coincide over a length, where one runs along a
+    pixel's side, and where a sphere touches the eye; there it is the derivative of the contour as
+    it is (of one of the coinciding pieces), which is a one-sided derivative, and it is finite. A
+    contour along a pixel's side counts for the pixel above it or to its right.
+    """
+    return _silhouette(camera, scene, overlaps)
+
+
+@eqx.filter_jit
+def _silhouette(camera: Camera, scene: Scene, overlaps: bool) -> Float[Array, "H W"]:
+    scene = astype(scene, camera.e.dtype)
+    film, mesh, spheres = film_map(camera), scene.mesh, scene.spheres
+    contour, vertices = None, None
+    if mesh is not None and mesh.edge_faces.shape[0]:
+        contour, vertices = mesh_contour(film, mesh), mesh.vertices
+    if spheres is not None and not spheres.radii.shape[0]:
+        spheres = None
+    if contour is None and spheres is None:
+        return jnp.zeros((camera.H, camera.W), camera.e.dtype)
+    alone = contour is None and spheres is not None and spheres.radii.shape[0] == 1
+    arcs = None if spheres is None or film.bend is None else arc_cuts(film, spheres)
+    still = _Still(contour, arcs, surrounding(film, scene), () if overlaps and not alone else None)
+    return _image(_Moving(film, vertices, spheres), still)
+
+
+class _Moving(NamedTuple):
+    """What can be differentiated."""
+
+    film: FilmMap
+    vertices: Float[Array, "V 3"] | None
+    spheres: Spheres | None
+
+
+class _Still(NamedTuple):
+    """What cannot: which edges are contour, and the number of layers left of the film.
+
+    `arcs` are the parts of the spheres' outlines, if there are spheres under distortion. `overlap`
+    is None (and not an empty tuple: both have no leaves) if contours never overlap.
+    """
+
+    contour: MeshContour | None
+    arcs: Cuts | None
+    base: Int[Array, ""]
+    overlap: tuple[()] | None
+
+
+class _Pixels(NamedTuple):
+    """Which pixels one chain of contour crosses, and which are crowded, from the bottom row up; the
+    winding numbers at the pixels' lower left corners; for the derivative, what is visible in the
+    crowded ones."""
+
+    alone: Bool[Array, "N"]
+    crowded: Selection
+    corner: Float[Array, "N"]
+    kept: list[Kept]
+
+
+def _parts(moving: _Moving, still: _Still) -> list[Part]:
+    """Return the contour's curves by kind."""
+    film, vertices, spheres = moving
+    parts = []
+    contour = still.contour
+    if contour is not None and vertices is not None:
+        edges = lambda ids: edge_segments(film, vertices, contour, ids)
+        lifts = lambda ids: edge_lifts(film, vertices, contour, ids)
+        size = min(CURVES_AT_A_TIME, contour.edge_vertices.shape[0])
+        size = size if contour.cuts is None else CURVES_AT_A_TIME
+        parts.append(Part(edges, lifts, contour.segments, size))
+    cuts = still.arcs
+    if spheres is not None and cuts is not None:
+        chords = lambda ids: arc_part_segments(film, spheres, cuts, ids)
+        ends = lambda ids: arc_part_lifts(film, spheres, cuts, ids)
+        parts.append(Part(chords, ends, cuts.total, CURVES_AT_A_TIME))
+    elif spheres is not None:
+        number = ARCS_PER_SPHERE * spheres.radii.shape[0]
+        arcs = lambda ids: sphere_arcs(film, spheres, ids)
+        frames = lambda ids: sphere_frames(film, spheres, ids)
+        parts.append(Part(arcs, frames, jnp.int32(number), min(CURVES_AT_A_TIME, number)))
+    return parts
+
+
+@jax.custom_jvp
+def _image(moving: _Moving, still: _Still) -> Float[Array, "H W"]:
+    return _resolve(moving, still, keep=False)[0]
+
+
+@partial(_image.defjvp, symbolic_zeros=True)
+def _image_jvp(primals: Any, tangents: Any):
+    """Return the image and its boundary integral for the leaves that move; others cost nothing."""
+    moving, still = primals
+    leaves, tree = jax.tree.flatten(moving)
+    velocities = tree.flatten_up_to(tangents[0])
+    moves = [not isinstance(t, SymbolicZero) for t in velocities]
+    film: FilmMap = moving.film
+
+    def rebuild(held: list, changing: list) -> _Moving:
+        held, changing = held.copy(), changing.copy()
+        return tree.unflatten([(changing if m else held).pop(0) for m in moves])
+
+    def fold(residuals, add: Callable, start):
+        """Return `start` after add(total, pixel, area, changing) for the visible contour."""
+        held, changing, still, pixels = residuals
+        build = lambda changing: _parts(rebuild(held, changing), still)
+        return _fold_visible(film, build, changing, still, pixels, add, start)
+
+    def forward(residuals, velocity):
+        def add(image, pixel, area, changing):
+            _, change = jax.jvp(area, (changing,), (velocity,))
+            return image.at[_top_down(pixel, film)].add(change, mode="drop")
+
+        image = fold(residuals, add, jnp.zeros(film.H * film.W, film.eye.dtype))
+        return image.reshape(film.H, film.W)
+
+    def transpose(residuals, cotangent):
+        cotangent = cotangent.reshape(-1)
+
+        def add(total, pixel, area, changing):
+            _, pull = jax.vjp(area, changing)
+            at_piece = cotangent.at[_top_down(pixel, film)].get(mode="fill", fill_value=0)
+            return jax.tree.map(jnp.add, total, pull(at_piece)[0])
+
+        return fold(residuals, add, jax.tree.map(jnp.zeros_like, residuals[1]))
+
+    held = [x for x, m in zip(leaves, moves, strict=True) if not m]
+    changing = [x for x, m in zip(leaves, moves, strict=True) if m]
+    velocity = [t for t, m in zip(velocities, moves, strict=True) if m]
+    image, pixels = _resolve(moving, still, keep=True)
+    return image, linear_map(forward, transpose, (held, changing, still, pixels), velocity)
+
+
+def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "H W"], _Pixels]:
+    """Return the image, and which pixels the contour crosses in which way."""
+    film, parts = moving.film, _parts(moving, still)
+    W, H, dtype = film.W, film.H, film.eye.dtype
+
+    def chunk(sums, ids, curves):
+        del ids
+
+        def add(sums, pieces: Pieces):
+            deltas, marked, turned = sums
+            place = lambda k: jnp.where((k >= 0) & (k < W), pieces.row * W + k, H * W)
+            own, after = jax.lax.optimization_barrier(
+                (place(pieces.column), place(pieces.column + 1))
+            )
+            rest = pieces.height - jnp.where(pieces.column < 0, 0, pieces.area)
+            deltas = deltas.at[own].add(pieces.area, mode="drop")
+            deltas = deltas.at[after].add(rest, mode="drop")
+            if marked is None:
+                return deltas, None, None
+            put = lambda image, value: image.at[own].add(value, mode="drop")
+            marked = jax.tree.map(put, marked, marks(pieces))
+            return deltas, marked, turned.at[after].add(turns(pieces), mode="drop")
+
+        return fold_pieces(curves, W, H, H, add, sums)
+
+    told = still.overlap is not None
+    zeros = jnp.zeros(H * W, dtype)
+    marked = Marks(zeros, zeros.astype(jnp.int32)) if told else None
+    sums = (zeros, marked, zeros if told else None)
+    for part in parts:
+        sums = fold_curves(part, chunk, sums, part.size)
+    deltas, marked, turned = sums
+    row_sums = lambda x: _row_sums(x.reshape(H, W)).reshape(-1)
+    winding = row_sums(deltas) + still.base.astype(dtype)
+    corner = jnp.zeros(0, dtype)
+    if marked is not None and turned is not None:
+        corner = row_sums(turned) + still.base.astype(dtype)
+        # Where no curve is, the number is known exactly; sums of areas err with the layers.
+        winding = jnp.where(marked.layers == 0, corner, winding)
+    none = jnp.zeros(H * W, bool)
+    crowded = none if marked is None else overlaps(marked, winding)
+    tie = 64 * jnp.finfo(dtype).eps
+    if keep and marked is not None:
+        # A contour along the pixel's side, of whose layers the mean does not tell which it bounds.
+        crowded |= (marked.layers > 0) & (jnp.abs(winding - 1) < tie)
+    alone = ~crowded & (winding < 1 + tie)
+    kept = [nothing_kept(part) for part in parts if keep and told]
+    pixels = _Pixels(alone, select(crowded), corner, kept)
+    image = jnp.where(crowded, 0, jnp.clip(winding, 0, 1))
+
+    def add(total, resolved: Resolved):
+        image, kept = total
+        image = image.at[resolved.place].add(resolved.area, mode="drop")
+        more = zip(kept, resolved.visible, strict=True)
+        return image, [k.append(resolved.place, visible) for k, visible in more]
+
+    if told:
+        args = (parts, _crowded(pixels, W), W, H, H, still.base)
+        image, kept = fold_cells(*args, add, (image, kept), flux=keep)
+    return jnp.flip(image.reshape(H, W), axis=0), pixels._replace(kept=kept)
+
+
+def _top_down(pixel: Int[Array, "P"], film: FilmMap) -> Int[Array, "P"]:
+    """Return where pixels, counted from the bottom row up, are in an image; past the end stays so.
+
+    For derivatives: the few places that change are turned over, not each column of a Jacobian.
+    """
+    row = jax.lax.div(pixel, jnp.int32(film.W))
+    return jnp.where(row < film.H, (film.H - 1 - 2 * row) * film.W + pixel, pixel)
+
+
+def _crowded(pixels: _Pixels, W: int) -> Crowded:
+    chosen, corner = pixels.crowded, pixels.corner
+
+    def cell(rank):
+        pixel = nth(chosen, rank)
+        row = jax.lax.div(pixel, jnp.int32(W))
+        return row, pixel - row * W, pixel, corner[pixel]
+
+    return Crowded(chosen.total, cell, lambda row, column: rank_in(chosen, row * W + column))
+
+
+def _fold_visible(
+    film: FilmMap,
+    build: Callable,
+    changing: list,
+    still: _Still,
+    pixels: _Pixels,
+    add: Callable,
+    start,
+):
+    """Return `start` after `add(total, pixel, area, changing)` over the visible contour.
+
+    `area(changing)` is linear in the curves, with the derivative of the pixels' areas.
+    """
+    W, H = film.W, film.H
+    parts = build(changing)
+    for number, part in enumerate(parts):
+
+        def chunk(total, ids, curves, part=part, number=number):
+            ids = jnp.minimum(ids, part.total - 1)
+
+            def single(total, pieces: Pieces):
+                inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
+                pixels_of = jnp.where(inside, pieces.row * W + pieces.column, 0)
+
+                def some(total, index, there):
+                    piece = jax.tree.map(lambda x: x[index], pieces)
+                    own = ids[piece.curve]
+                    held = jax.lax.stop_gradient(part.lifts(own))
+                    rate = piece_flux(held, curves, piece.start, piece.end)
+                    rate = jnp.where(there[:, None, None], -piece.jump[:, None, None] * rate, 0)
+                    area = lambda changing: moved(build(changing)[number].lifts(own), rate)
+                    return add(total, pixels_of[index], area, changing)
+
+                seen = inside & pixels.alone[pixels_of]
+                return fold_chosen(seen, PIECES_MOVED, some, total)
+
+            return fold_pieces(curves, W, H, H, single, total)
+
+        start = fold_curves(part, chunk, start, part.size)
+
+    def crowd(total, place, visible: Visible, number: int):
+        lifts = lambda changing: build(changing)[number].lifts(visible.curve)
+        return add(total, place, lambda c: moved(lifts(c), visible.flux), changing)
+
+    def again(total, resolved: Resolved):
+        for number, visible in enumerate(resolved.visible):
+            place = jnp.broadcast_to(resolved.place[:, None], visible.curve.shape)
+            flat = lambda x: x.reshape(-1, *x.shape[2:])
+            total = crowd(total, flat(place), jax.tree.map(flat, visible), number)
+        return total
+
+    if still.overlap is None:
+        return start
+    complete = jnp.stack([kept.complete for kept in pixels.kept]).all()
+    for number, kept in enumerate(pixels.kept):
+        kept = kept._replace(used=jnp.where(complete, kept.used, 0))
+        start = kept.fold(partial(crowd, number=number), start)
+    crowded = _crowded(pixels, W)
+    crowded = crowded._replace(total=jnp.where(complete, 0, crowded.total))
+    return fold_cells(parts, crowded, W, H, H, still.base, again, start, flux=True)
+
+
+def _row_sums(deltas: Float[Array, "H W"]) -> Float[Array, "H W"]:
+    """Return the running sum of each row; by blocks and a small matrix, 5 times `jnp.cumsum`."""
+    H, W = deltas.shape
+    block = 32
+    upper = jnp.triu(jnp.ones((block, block), deltas.dtype))
+    blocks = jnp.pad(deltas, ((0, 0), (0, -W % block))).reshape(H, -1, block)
+    within = jnp.matmul(blocks, upper, precision=jax.lax.Precision.HIGHEST)
+    before = jnp.cumsum(within[..., -1], axis=1) - within[..., -1]
+    return (within + before[..., None]).reshape(H, -1)[:, :W]

@@ -1,0 +1,390 @@
+"""A line sweeps cells that hold a few pieces each: what is covered, and which pieces bound it."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from .._numerics.safe import safe_divide
+from .coverage import Pieces
+from .curves import arc_flux, cut_circle, edge_flux, edge_shares, film_at, nodes, unit_at
+
+#: Pieces of nearly all cells, and of any cell; one with more is cut into smaller cells.
+NARROW = 8
+WIDE = 24
+
+#: So many lanes sweep at a time: where cells are few, each moves on by several stretches.
+LANES = 64
+
+
+class Cells(NamedTuple):
+    """Up to `WIDE` pieces in each cell.
+
+    `piece` is a piece's lower and upper end (x, y, x, y), in cell units from the cell's corner; 0
+    if its curve does not pass the row's bottom, 2 if it is the first that does, else 1 (see
+    `Pieces`); and its `jump`. `owner` is the number of its part, -1 for none, and of its curve
+    there. `total` may exceed `WIDE`.
+    """
+
+    piece: Float[Array, "C M 6"]
+    owner: Int[Array, "C M 2"]
+    total: Int[Array, "C"]
+
+
+class Visible(NamedTuple):
+    """For the pieces of one part: whose curve it is, and the derivative of the cell's area (px^2)
+    by that curve's lift."""
+
+    curve: Int[Array, "C M"]
+    flux: Float[Array, "C M n 3"]
+
+
+def empty_cells(number: int, dtype) -> Cells:
+    """Return cells without pieces."""
+    return Cells(
+        jnp.zeros((number, WIDE, 6), dtype),
+        jnp.full((number, WIDE, 2), -1, jnp.int32),
+        jnp.zeros(number, jnp.int32),
+    )
+
+
+def insert(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, curve: Array, part: int) -> Cells:
+    """Return the cells with more pieces; `cell` past the end drops one, equal ones are merged."""
+    number, dtype = cells.total.shape[0], cells.piece.dtype
+    origin = jnp.stack([pieces.column, pieces.row] * 2, axis=-1).astype(dtype)
+    ends = jnp.concatenate([pieces.start, pieces.end], axis=1) - origin
+    passes = jnp.where(pieces.passes, 1 + pieces.first.astype(jnp.int32), 0).astype(dtype)
+    piece = jnp.concatenate([ends, passes[:, None], pieces.jump[:, None]], axis=1)
+    # Pair by pair: few pieces come at a time, and to sort them would take thrice the kernels.
+    index = jnp.arange(cell.shape[0], dtype=jnp.int32)
+    together = cell[:, None] == cell[None]
+    equal = together
+    for field in range(5):
+        equal &= piece[:, None, field] == piece[None, :, field]
+    before = index[None] < index[:, None]
+    leads = ~jnp.any(equal & before, axis=1)
+    jump = jnp.sum(jnp.where(equal, piece[None, :, 5], 0), axis=1)
+
+    there = jnp.minimum(cell, number - 1)
+    same = (cells.owner[there][..., 0] == part) & jnp.all(
+        cells.piece[there][..., :5] == piece[:, None, :5], axis=-1
+    )
+    known = jnp.any(same, axis=1)
+    fresh = leads & ~known & (cell < number)
+    slot = jnp.sum(together & before & fresh[None], axis=1, dtype=jnp.int32)
+    slot = jnp.where(known, jnp.argmax(same, axis=1).astype(jnp.int32), cells.total[there] + slot)
+    # One addition serves both: a fresh piece falls on zeros, a known one adds its jump alone.
+    none = jnp.where(fresh[:, None], piece, 0).at[:, 5].set(jump)
+    slot = jnp.where(fresh | (known & leads), slot, WIDE)
+    owner = jnp.stack([jnp.full_like(cell, part), curve], axis=1)
+    return Cells(
+        cells.piece.at[cell, slot].add(none, mode="drop"),
+        cells.owner.at[cell, jnp.where(fresh, slot, WIDE)].set(owner, mode="drop"),
+        cells.total.at[cell].add(fresh.astype(jnp.int32), mode="drop"),
+    )
+
+
+class _Lines(NamedTuple):
+    """Pieces as a line sweeps them along u: from (u0, v0) to (u1, v1), v across.
+
+    `jump` is met going up in v. `halt` and `step` say where along the border v = 0 the number of
+    layers changes, and by how much.
+    """
+
+    u0: Float[Array, "C M"]
+    v0: Float[Array, "C M"]
+    u1: Float[Array, "C M"]
+    v1: Float[Array, "C M"]
+    jump: Float[Array, "C M"]
+    halt: Float[Array, "C E"]
+    step: Float[Array, "C E"]
+
+
+def _along_x(cells: Cells) -> _Lines:
+    """Return the pieces as a line sweeps them that moves to the right."""
+    x0, y0, x1, y1, passes, jump = jnp.moveaxis(cells.piece, -1, 0)
+    right = x1 >= x0
+    # The corner is just above the row's bottom, the border here just below what lies on it.
+    level = passes == 0
+    enters = jnp.where(level | ((y0 == 0) & (passes == 2)), jump, 0)
+    leaves = jnp.where(level, -jump, 0)
+    halt, step = jnp.concatenate([x0, x1], axis=1), jnp.concatenate([enters, leaves], axis=1)
+    return _Lines(
+        jnp.minimum(x0, x1),
+        jnp.where(right, y0, y1),
+        jnp.maximum(x0, x1),
+        jnp.where(right, y1, y0),
+        jnp.where(right, -jump, jump),
+        halt,
+        step,
+    )
+
+
+def _along_y(cells: Cells) -> _Lines:
+    """Return the pieces as a line sweeps them that moves up."""
+    x0, y0, x1, y1, passes, jump = jnp.moveaxis(cells.piece, -1, 0)
+    # One that comes in at the corner itself has met the row's bottom in the cell before, and what
+    # lies on the row's bottom is below the corner.
+    enters = jnp.where((x0 == 0) & ((y0 > 0) | (passes == 1)), -jump, 0)
+    leaves = jnp.where((x1 == 0) & (passes > 0), jump, 0)
+    halt, step = jnp.concatenate([y0, y1], axis=1), jnp.concatenate([enters, leaves], axis=1)
+    return _Lines(y0, x0, y1, x1, jump, halt, step)
+
+
+def sweep(
+    cells: Cells,
+    corner: Float[Array, "C"],
+    lifts: list[Callable[[Array], Array]],
+    scale: Float[Array, ""],
+    origin: Float[Array, "C 2"],
+    flux: bool,
+) -> tuple[Float[Array, "C"], list[Visible]]:
+    """Return the covered share of each cell, and (with `flux`) what of each piece bounds it.
+
+    `corner` is the winding number at the cells' lower left corners `origin` (px), of which `scale`
+    make a pixel; `lifts` are those of the parts' curves. The area comes from the sweep along x, and
+    so does the flux of pieces flatter than 45 degrees; that of steep ones from one along y.
+    """
+    owners, held, arc = [], [], None
+    for number, of in enumerate(lifts):
+        own = cells.owner[..., 0] == number
+        ids = jnp.where(own, cells.owner[..., 1], 0)
+        lift = jax.lax.stop_gradient(of(ids.reshape(-1)))
+        lift = lift.reshape(*ids.shape, *lift.shape[1:])
+        owners.append((own, ids))
+        held.append(lift)
+        if lift.shape[-2] == 3:
+            arc = (own, _placed(lift, scale, origin))
+    one = jnp.ones_like(corner)[:, None]
+    if not flux:
+        lines = _along_x(cells)
+        return _sweep(lines, corner, None if arc is None else _bent(*arc, one, lines), False)[0], []
+
+    both = lambda a, b: jax.tree.map(lambda x, y: jnp.concatenate([x, y]), a, b)
+    lines, bent = both(_along_x(cells), _along_y(cells)), None
+    if arc is not None:
+        own, frame = arc
+        frames = both(frame, frame[..., jnp.array([1, 0, 2])])
+        bent = _bent(both(own, own), frames, both(one, -one), lines)
+    area, seen = _sweep(lines, both(corner, corner), bent, True)
+    C = corner.shape[0]
+    flat, upright = (
+        jax.tree.map(lambda x, of=of: x[of], seen) for of in (slice(C), slice(C, None))
+    )
+    across = jnp.abs(cells.piece[..., 2:4] - cells.piece[..., :2])
+    steep = across[..., 1] > across[..., 0]
+    visible = []
+    for (own, ids), lift in zip(owners, held, strict=True):
+        if lift.shape[-2] == 2:
+            length = jnp.where(steep[..., None], upright.moments, flat.moments)
+            value = _edge_visible(lift, cells, steep, length, scale, origin)
+        else:
+            back = upright.arcs[..., jnp.array([1, 0, 2])]
+            value = _unplaced(jnp.where(steep[..., None, None], back, flat.arcs), scale, origin)
+        visible.append(Visible(ids, jnp.where(own[..., None, None], value, 0)))
+    return area[:C], visible
+
+
+def _placed(frame: Float[Array, "C M 3 3"], scale: Array, origin: Array) -> Array:
+    """Return frames in units of a cell, from its corner."""
+    xy, z = frame[..., :2], frame[..., 2:]
+    return jnp.concatenate([(xy - origin[:, None, None] * z) * scale, z], axis=-1)
+
+
+def _unplaced(flux: Float[Array, "C M 3 3"], scale: Array, origin: Array) -> Array:
+    """Return the derivative of px^2 by frames in px, from that of cells by `_placed` frames."""
+    xy = flux[..., :2] / scale
+    z = flux[..., 2:] / (scale * scale) - jnp.sum(xy * origin[:, None, None], -1, keepdims=True)
+    return jnp.concatenate([xy, z], axis=-1)
+
+
+def _edge_visible(lift, cells: Cells, steep: Array, seen: Array, scale: Array, origin: Array):
+    """Return the flux of the visible parts of edges.
+
+    `seen` holds the visible length along u, signed by which side is covered, and its first moment.
+    """
+    start, end = cells.piece[..., :2], cells.piece[..., 2:4]
+    u0, u1 = (jnp.where(steep, p[..., 1], p[..., 0]) for p in (start, end))
+    at = lambda p: edge_shares(lift, steep, origin[:, None] + p / scale)
+    first, last = at(start), at(end)
+    slope = safe_divide(last - first, (u1 - u0)[..., None])
+    moment = (seen[..., 1] - seen[..., 0] * u0)[..., None]
+    return edge_flux(lift, steep, -(seen[..., :1] * first + slope * moment) / scale)
+
+
+class _Bent(NamedTuple):
+    """Which of the pieces are arcs, their frames with rows (u, v, 1), and their sense.
+
+    Along the arc's own direction u grows where `grows` is 1, and falls where it is -1; `turn` is 1
+    where going from u to v is counter-clockwise, else -1.
+    """
+
+    own: Bool[Array, "C M"]
+    frame: Float[Array, "C M 3 3"]
+    grows: Float[Array, "C M"]
+    turn: Float[Array, "C 1"]
+
+    def at(self, u: Float[Array, "C"]) -> Float[Array, "C M 2"]:
+        """Return the arcs' points of the unit circle at an abscissa."""
+        return unit_at(self.frame, 0, jnp.broadcast_to(u[:, None], self.grows.shape), self.grows)
+
+
+def _bent(own: Array, frame: Array, turn: Array, lines: _Lines) -> _Bent:
+    # Going up in v, cover begins (jump > 0) at an arc that runs along u, if u, v are turned so.
+    grows = jnp.where((lines.jump > 0) == (turn > 0), 1, -1).astype(frame.dtype)
+    return _Bent(own, frame, grows, turn)
+
+
+class _Seen(NamedTuple):
+    """Of each piece the visible length along u and its first moment, and an arc's flux; signed."""
+
+    moments: Float[Array, "C M 2"]
+    arcs: Float[Array, "C M 3 3"] | None
+
+
+def _sweep(
+    lines: _Lines, corner: Float[Array, "C"], bent: _Bent | None, flux: bool
+) -> tuple[Float[Array, "C"], _Seen | None]:
+    """Return the covered area, and (with `flux`) what of each piece bounds it.
+
+    Cells are the last axis here: that is several times faster.
+    """
+    C, dtype = len(corner), corner.dtype
+    crossings = _straight_crossings(lines) if bent is None else _all_crossings(lines, bent)
+    halts = jnp.concatenate([lines.u0, lines.u1, crossings.reshape(C, -1)], axis=1).T
+    strides = max(LANES // C, 1)
+    lines = jax.tree.map(lambda x: jnp.tile(x.T, strides), lines)
+    corner = jnp.tile(corner, strides)
+    if bent is not None:
+        bent = jax.tree.map(lambda x: jnp.tile(x, (strides,) + (1,) * (x.ndim - 1)), bent)
+
+    def halt(u, _):
+        u1 = jnp.minimum(jnp.min(jnp.where(halts > u[None], halts, 1), axis=0), 1)
+        return u1, (u, u1)
+
+    def body(state):
+        u, area, seen = state
+        u, stretch = jax.lax.scan(halt, u, None, length=strides)
+        u0, u1 = (x.reshape(-1) for x in stretch)
+        middle, width = ((u0 + u1) / 2)[None], (u1 - u0)[None]
+        active = (lines.u0 <= middle) & (middle < lines.u1)
+        v = _heights(lines, bent, middle)
+        jump = jnp.where(active, lines.jump, 0)
+        first = corner + jnp.sum(jnp.where(lines.halt < middle, lines.step, 0), axis=0)
+        below = first[None] + _sums_below(v, jump)
+        change = jnp.where(active, _covers(below + jump) - _covers(below), 0)
+        top = _covers(first + jnp.sum(jump, axis=0))
+        under = v * width
+        if bent is not None:
+            w0, w1 = bent.at(u0), bent.at(u1)
+            q = nodes(bent.frame, w0, w1)
+            true = jnp.sum(q.weight * q.point[..., 1] * q.slope[..., 0], axis=-1)
+            visible = bent.own & (change.T != 0) & (width.T > 0)
+            under = jnp.where(visible.T, true.T, under)
+            if seen is not None:
+                # An arc has its covered side on its left wherever it is visible.
+                turned = (bent.grows * bent.turn)[..., None, None] * arc_flux(bent.frame, w0, w1)
+                gain = jnp.where(visible[..., None, None], turned, 0)
+                seen = seen._replace(arcs=seen.arcs + gain)
+        area = area + top * width[0] - jnp.sum(under * change, axis=0)
+        if seen is not None:
+            share = change * width
+            gain = jnp.stack([share, share * middle], axis=-1)
+            seen = seen._replace(moments=seen.moments + gain)
+        return u, area, seen
+
+    shape = lines.u0.shape
+    arcs = None if bent is None else jnp.zeros((*shape[::-1], 3, 3), dtype)
+    nothing = _Seen(jnp.zeros((*shape, 2), dtype), arcs) if flux else None
+    start = (jnp.zeros(C, dtype), jnp.zeros_like(corner), nothing)
+    _, area, seen = jax.lax.while_loop(lambda s: jnp.any(s[0] < 1), body, start)
+    whole = lambda x: jnp.sum(x.reshape(strides, C, *x.shape[1:]), axis=0)
+    if seen is not None:
+        moments = whole(jnp.moveaxis(seen.moments, 1, 0))
+        seen = _Seen(moments, None if seen.arcs is None else whole(seen.arcs))
+    return jnp.clip(whole(area), 0, 1), seen
+
+
+def _sums_below(v: Float[Array, "M C"], jump: Float[Array, "M C"]) -> Float[Array, "M C"]:
+    """Return for each piece the sum of the jumps of those with smaller v; of equal ones the first
+    in the list is the lower."""
+    index = jnp.arange(len(v), dtype=jnp.int32)[:, None]
+
+    # A loop: written at once, the compiler works out each v anew for every pair.
+    def add(k, total):
+        other = v[k][None]
+        below = (other < v) | ((other == v) & (k < index))
+        return total + jnp.where(below, jump[k][None], 0)
+
+    return jax.lax.fori_loop(0, len(v), add, jnp.zeros_like(v))
+
+
+def _heights(lines: _Lines, bent: _Bent | None, u: Float[Array, "1 C"]) -> Float[Array, "M C"]:
+    """Return the pieces' v at an abscissa; at the nearer end where it is beyond one."""
+    t = jnp.clip(safe_divide(u - lines.u0, lines.u1 - lines.u0), 0, 1)
+    v = lines.v0 + t * (lines.v1 - lines.v0)
+    if bent is None:
+        return v
+    low, high = jnp.minimum(lines.v0, lines.v1), jnp.maximum(lines.v0, lines.v1)
+    true = film_at(bent.frame, bent.at(u[0]))[..., 1].T
+    return jnp.where(bent.own.T, jnp.clip(true, low, high), v)
+
+
+def _covers(layers: Array) -> Array:
+    return (layers > 0.5).astype(layers.dtype)
+
+
+def _pairs(x: Array) -> tuple[Array, Array]:
+    return x[:, :, None], x[:, None]
+
+
+def _common(lines: _Lines) -> tuple[Array, Array, Array]:
+    """Return where both pieces of a pair are: from and to; and which pairs to look at once."""
+    M = lines.u0.shape[1]
+    once = (jnp.arange(M)[:, None] < jnp.arange(M)[None])[None]
+    return jnp.maximum(*_pairs(lines.u0)), jnp.minimum(*_pairs(lines.u1)), once
+
+
+def _straight_crossings(lines: _Lines) -> Float[Array, "C M M"]:
+    """Return the u at which straight pieces cross; 1 for pairs that do not."""
+    low, high, once = _common(lines)
+    slope = safe_divide(lines.v1 - lines.v0, lines.u1 - lines.u0)
+
+    def gap(u):
+        one, other = (
+            v + (u - u0) * s
+            for v, u0, s in zip(*(_pairs(x) for x in (lines.v0, lines.u0, slope)), strict=True)
+        )
+        return one - other
+
+    before, after = gap(low), gap(high)
+    cross = once & (low < high) & ((before < 0) != (after < 0))
+    return jnp.where(cross, low + (high - low) * safe_divide(before, before - after), 1)
+
+
+def _all_crossings(lines: _Lines, bent: _Bent) -> Float[Array, "C M M 3"]:
+    """Return the u at which pieces may cross one another; others without harm, or 1.
+
+    An arc meets a line where the line cuts its circle, and another arc on a line as well: both
+    cones hold the rays whose products with the two axes are in the cosines' ratio.
+    """
+    low, high, once = _common(lines)
+    own, frame = bent.own, bent.frame
+    across = jnp.cross(frame[..., 1, :], frame[..., 2, :])
+    # Times a unit ray: 1 on the cone.
+    cone = safe_divide(across, jnp.sum(across * frame[..., 0, :], axis=-1)[..., None])
+    u0, v0, u1, v1 = lines.u0, lines.v0, lines.u1, lines.v1
+    line = jnp.stack([v0 - v1, u1 - u0, u0 * v1 - u1 * v0], axis=-1)
+    met = jnp.where(own[:, None, :, None], cone[:, :, None] - cone[:, None], line[:, None])
+    level = jnp.sum(met[..., None, :] * frame[:, :, None], axis=-1)  # (C, arc, other, 3)
+    spread = jnp.broadcast_to(frame[:, :, None], (*level.shape[:-1], 3, 3))
+    found = []
+    for growing in (1.0, -1.0):
+        w = cut_circle(level, jnp.full(level.shape[:-1], growing, level.dtype))
+        u = film_at(spread, w)[..., 0]
+        there = own[:, :, None] & (once | ~own[:, None]) & (u > low) & (u < high)
+        found.append(jnp.where(there, u, 1))
+    straight = jnp.where(own[:, :, None] | own[:, None], 1, _straight_crossings(lines))
+    return jnp.stack([straight, *found], axis=-1)

@@ -1,0 +1,1 @@
+"""Rays against a scene: closest and any hit, depth and normals."""

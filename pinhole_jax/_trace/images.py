@@ -1,0 +1,60 @@
+"""`depth` and `normals`: what a camera sees of a scene, pixel by pixel, through `trace`.
+
+One ray through each pixel's centre: unlike a silhouette, these are samples and not averages over
+the pixel. They are differentiable where the primitive that a ray hits stays the same. At outlines
+and folds they jump, and no derivative tells of it: how an edge moves is what `silhouette` knows.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._camera.camera import Camera, camera_basis
+from .._camera.rays import camera_rays
+from .._numerics.safe import dot
+from .._scene.scene import Scene
+from .trace import trace
+
+
+def depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
+    """Return how far ahead of the eye each pixel's ray first meets the scene: (H, W), row 0 on top.
+
+    World units along the view axis (z-depth, as depth buffers hold it), not along the ray: a wall
+    that faces the camera has one depth in all pixels. Rays go through pixel centres; inf where
+    nothing is met.
+
+    Differentiable in camera, vertices, centers and radii where the hit primitive stays the same;
+    the derivative of a miss is 0. Outlines move without it noticing: use `silhouette` for these.
+    """
+    return _depth(camera, scene)
+
+
+def normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
+    """Return the unit normal of what each pixel's ray first meets: (H, W, 3), row 0 on top.
+
+    In world coordinates, turned towards the eye whatever way a face is wound, and for a sphere seen
+    from inside. Of a mesh the flat normals of its faces. Rays go through pixel centres; zeros where
+    nothing is met.
+
+    Differentiable where the hit primitive stays the same: a face's normal in its vertices, a
+    sphere's also in the camera. Outlines move without it noticing: use `silhouette` for these.
+    """
+    return _normals(camera, scene)
+
+
+@eqx.filter_jit
+def _depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
+    rays = camera_rays(camera)
+    t = trace(scene, rays).t
+    met = jnp.isfinite(t)
+    ahead = dot(rays.direction, camera_basis(camera).v[None, None])
+    # A miss must not reach the product: the derivative of inf * cosine is not finite.
+    return jnp.where(met, jnp.where(met, t, 0) * ahead, jnp.inf)
+
+
+@eqx.filter_jit
+def _normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
+    rays = camera_rays(camera)
+    normal = trace(scene, rays).normal
+    away = dot(normal, rays.direction) > 0
+    return jnp.where(away[..., None], -normal, normal)

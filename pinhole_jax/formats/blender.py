@@ -1,0 +1,148 @@
+"""Blender cameras: their settings as JSON, and a script that creates them in Blender.
+
+Axes: x right, y up, z backward; `matrix_world` is world_from_camera, Blender's units and axes (its
+world has z up, which is not changed here). `lens` and `sensor_width`, `sensor_height` are mm;
+`sensor_fit` says which side of the image the sensor spans: HORIZONTAL the width, VERTICAL the
+height, AUTO the longer, always measured by `sensor_width` except when VERTICAL. So it says which
+field of view `2 atan(sensor/(2 lens))` is. `shift_x`, `shift_y` are fractions of that side,
+positive where the window moves right and up. There are no pixel coordinates: the image's edges
+count.
+"""
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from .._camera.camera import Camera
+from .fields import Fields, Size, add_named, check_names, load_json, save_json, save_text
+from .pinhole import OPENGL, Pinhole, camera_of, pinhole, rigid, world_from_camera
+
+SCHEMA = "pinhole_jax.blender/1"
+FITS = ("AUTO", "HORIZONTAL", "VERTICAL")
+SENSOR_MM = 36.0
+
+
+def read_blender(path: str | os.PathLike, *, size: Size | None = None) -> dict[str, Camera]:
+    """Return the cameras of a JSON of Blender settings, by name.
+
+    Either one object with the fields of `write_blender`, or `{"cameras": {name: object}}`.
+    Left out, `sensor_width` is 36, `sensor_height` 24, `sensor_fit` AUTO, shifts 0, the percentage
+    100 and the pixel aspects 1, as in Blender; the resolution may come as `size`.
+
+    Raises ValueError naming file and field where something is missing or wrong; `type` other than
+    PERSP, too.
+    """
+    top = load_json(path)
+    if "cameras" not in top:
+        return {top.text("name", default="camera"): _read(top, size)}
+    cameras: dict[str, Camera] = {}
+    parts = top.part("cameras")
+    for name in parts.data:
+        add_named(cameras, name, _read(parts.part(name), size), repr(str(path)))
+    return cameras
+
+
+def write_blender(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
+    """Write what Blender's cameras have, as JSON: see `to_blender`."""
+    check_names(cameras, "JSON")
+    parts = {name: to_blender(camera) for name, camera in cameras.items()}
+    save_json(path, {"schema": SCHEMA, "cameras": parts})
+
+
+def to_blender(camera: Camera) -> dict[str, Any]:
+    """Return Blender's settings of a camera: lens and sensor in mm, shifts, resolution, pose.
+
+    `sensor_fit` is HORIZONTAL: the sensor of 36 mm spans the image's width, so
+    `2 atan(36/(2 lens))` is the horizontal field of view. Blender itself keeps 32-bit floats.
+    """
+    view = pinhole(camera)
+    tall = view.fx / view.fy  # a pixel's height over its width
+    return {
+        "type": "PERSP",
+        "lens": view.fx * SENSOR_MM / view.W,
+        "sensor_width": SENSOR_MM,
+        "sensor_height": SENSOR_MM * tall * view.H / view.W,
+        "sensor_fit": "HORIZONTAL",
+        "shift_x": 0.5 - view.cx / view.W,
+        "shift_y": (view.cy - view.H / 2) * tall / view.W,
+        "resolution_x": view.W,
+        "resolution_y": view.H,
+        "resolution_percentage": 100,
+        "pixel_aspect_x": max(1.0, 1 / tall),  # Blender takes none below 1
+        "pixel_aspect_y": max(1.0, tall),
+        "matrix_world": world_from_camera(camera, OPENGL).tolist(),
+    }
+
+
+def to_blender_script(cameras: Mapping[str, Camera]) -> str:
+    """Return a Python script that creates these cameras when run in Blender.
+
+    In Blender's text editor, or as `blender --python FILE`. The last camera becomes the scene's.
+    Resolution and pixel aspect belong to Blender's scene: cameras must share them. Blender's names
+    have 1 to 63 bytes; a longer one it would cut.
+    """
+    check_names(cameras, "Blender", lambda name: 0 < len(name.encode()) < 64 and "\0" not in name)
+    settings = {name: to_blender(camera) for name, camera in cameras.items()}
+    shared = ("resolution_x", "resolution_y", "pixel_aspect_x", "pixel_aspect_y")
+    first = next(iter(settings.values()))
+    for name, one in settings.items():
+        if any(abs(one[field] - first[field]) > 1e-9 for field in shared):
+            raise ValueError(
+                "`cameras`: expected one resolution and pixel aspect in a Blender scene, got"
+                f" others in {name!r} than in {next(iter(settings))!r}; write one script each"
+            )
+    render = {field: first[field] for field in (*shared, "resolution_percentage")}
+    data = ("type", "lens", "sensor_width", "sensor_height", "sensor_fit", "shift_x", "shift_y")
+    poses = {
+        name: ({field: one[field] for field in data}, one["matrix_world"])
+        for name, one in settings.items()
+    }
+    return SCRIPT.format(render=render, cameras=poses)
+
+
+def write_blender_script(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
+    """Write the script of `to_blender_script`."""
+    save_text(path, to_blender_script(cameras))
+
+
+SCRIPT = """\
+# Creates cameras. Run it in Blender: in its text editor, or as `blender --python THIS_FILE`.
+import bpy
+from mathutils import Matrix
+
+RENDER = {render!r}
+# name: (settings, matrix_world: x right, y up, z backward)
+CAMERAS = {cameras!r}
+
+scene = bpy.context.scene
+for field, value in RENDER.items():
+    setattr(scene.render, field, value)
+for name, (settings, matrix) in CAMERAS.items():
+    data = bpy.data.cameras.new(name)
+    for field, value in settings.items():
+        setattr(data, field, value)
+    camera = bpy.data.objects.new(name, data)
+    scene.collection.objects.link(camera)
+    camera.matrix_world = Matrix(matrix)
+    scene.camera = camera
+"""
+
+
+def _read(fields: Fields, size: Size | None) -> Camera:
+    fields.text("type", ("PERSP",), "PERSP")
+    W, H = fields.size("resolution_x", "resolution_y", size)
+    percentage = fields.positive("resolution_percentage", 100)
+    if percentage != 100:  # Blender cuts the fraction off
+        W, H = (max(1, int(n * percentage / 100)) for n in (W, H))
+    tall = fields.positive("pixel_aspect_y", 1) / fields.positive("pixel_aspect_x", 1)
+    fit = fields.text("sensor_fit", FITS, "AUTO")
+    sensor = fields.positive("sensor_width", 36)
+    if fit == "VERTICAL":
+        sensor = fields.positive("sensor_height", 24)
+    horizontal = fit == "HORIZONTAL" or (fit == "AUTO" and H * tall <= W)
+    side = W if horizontal else H * tall  # in widths of a pixel
+    fx = fields.positive("lens") * side / sensor
+    cx = W / 2 - fields.number("shift_x", 0) * side
+    cy = H / 2 + fields.number("shift_y", 0) * side / tall
+    pose = rigid(fields.array("matrix_world", (4, 4)), fields, "matrix_world")
+    return camera_of(Pinhole(fx, fx / tall, cx, cy, W, H), pose, OPENGL, fields)

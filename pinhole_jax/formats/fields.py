@@ -1,0 +1,190 @@
+"""The fields of a camera file, taken out with checks that name the file and the field."""
+
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .._files.paths import read_json, replace_file
+
+Size = tuple[int, int]
+#: What a reader here reads.
+KIND = "a camera file"
+
+
+class Fields:
+    """A mapping of names to values, read from `where`: a file, and which part of it.
+
+    Every getter raises ValueError with the field, what was expected, what came, and `where`.
+    """
+
+    def __init__(self, data: Any, where: str):
+        if not isinstance(data, Mapping):
+            raise ValueError(f"expected fields with names, got {short(data)} (in {where})")
+        self.data = data
+        self.where = where
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.data
+
+    def wrong(self, name: str, expected: str, got: Any) -> ValueError:
+        """Return the error of a field; `got` as it stands if it is words, else shortened."""
+        words = got if isinstance(got, str) else short(got)
+        return ValueError(f"`{name}`: expected {expected}, got {words} (in {self.where})")
+
+    def get(self, name: str, expected: str) -> Any:
+        """Return a field's value as it is."""
+        if name not in self.data:
+            raise self.wrong(name, expected, "no such field")
+        return self.data[name]
+
+    def number(self, name: str, default: float | int | None = None) -> float:
+        """Return a finite number."""
+        if default is not None and name not in self.data:
+            return float(default)
+        return float(self.array(name, (), "a finite number"))
+
+    def positive(self, name: str, default: float | int | None = None) -> float:
+        """Return a finite number above 0."""
+        value = self.number(name, default)
+        if not value > 0:
+            raise self.wrong(name, "a positive number", f"{value}")
+        return value
+
+    def angle(self, name: str) -> float:
+        """Return an angle in (0, pi) rad."""
+        value = self.number(name)
+        if not 0 < value < np.pi:
+            raise self.wrong(name, "an angle in (0, pi) rad", f"{value}")
+        return value
+
+    def integer(self, name: str, least: int = 1) -> int:
+        """Return a whole number of at least `least`, below 2**31; 640.0 counts as one."""
+        expected = f"an integer of at least {least}"
+        value = float(self.array(name, (), expected))
+        if value != int(value) or not least <= value < 2**31:
+            raise self.wrong(name, expected, f"{value:g}")
+        return int(value)
+
+    def array(self, name: str, shape: Sequence[int], expected: str = "") -> np.ndarray:
+        """Return finite numbers of this shape (-1: any size), float64."""
+        expected = expected or f"finite numbers of shape {_shape(shape)}"
+        value = self.get(name, expected)
+        array = _numbers(value)
+        if array is None:
+            raise self.wrong(name, expected, short(value))
+        fits = len(array.shape) == len(shape) and all(
+            want in (-1, got) for want, got in zip(shape, array.shape, strict=True)
+        )
+        if not fits or not np.all(np.isfinite(array)):
+            raise self.wrong(name, expected, short(value))
+        return array
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Return the shape of a field's numbers, () where it holds others."""
+        array = _numbers(self.get(name, "numbers"))
+        return () if array is None else array.shape
+
+    def text(self, name: str, choices: Sequence[str] = (), default: str | None = None) -> str:
+        """Return a string, one of `choices` if there are any."""
+        expected = f"one of {', '.join(choices)}" if choices else "a text"
+        if default is not None and name not in self.data:
+            return default
+        value = self.get(name, expected)
+        if not isinstance(value, str) or (choices and value not in choices):
+            raise self.wrong(name, expected, short(value))
+        return value
+
+    def parts(self, name: str) -> list["Fields"]:
+        """Return the objects of a list, each with its place in `where`."""
+        value = self.get(name, "a list")
+        if not isinstance(value, list):
+            raise self.wrong(name, "a list", short(value))
+        return [Fields(part, f"{self.where}, {name}[{k}]") for k, part in enumerate(value)]
+
+    def part(self, name: str) -> "Fields":
+        """Return an object within this one."""
+        return Fields(self.get(name, "an object"), f"{self.where}, {name[:60]}")
+
+    def size(self, width: str, height: str, size: Size | None) -> Size:
+        """Return the image's width and height, px: the file's, or `size` where it holds none."""
+        if width not in self and height not in self:
+            if size is None:
+                words = "no such field; give `size` (on the command line: --size W H)"
+                raise self.wrong(width, "the image's width in px", words)
+            return Fields({"W": size[0], "H": size[1]}, "`size`").size("W", "H", None)
+        own = self.integer(width), self.integer(height)
+        if size is not None and tuple(size) != own:
+            words = f"{size[0]} x {size[1]}; read it without a size, then use `resized`"
+            raise self.wrong("size", f"the file's own {own[0]} x {own[1]}", words)
+        return own
+
+
+def load_json(path: str | os.PathLike) -> Fields:
+    """Return the fields of a JSON file."""
+    data = read_json(path, KIND)
+    if not isinstance(data, dict):
+        raise ValueError(f"`path`: expected a JSON object, got {short(data)} in {str(path)!r}")
+    return Fields(data, repr(str(path)))
+
+
+def save_json(path: str | os.PathLike, data: Any) -> None:
+    """Write JSON, whole or not at all."""
+    save_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
+
+
+def save_text(path: str | os.PathLike, text: str) -> None:
+    """Write a text, whole or not at all."""
+    replace_file(path, text.encode())
+
+
+def check_names(
+    cameras: Mapping[str, Any], program: str, can_hold: Callable[[str], Any] = lambda name: True
+) -> None:
+    """Raise ValueError for a camera's name that is no text or that a program cannot hold."""
+    for name in cameras:
+        try:
+            fits = isinstance(name, str) and name.encode() is not None and can_hold(name)
+        except UnicodeEncodeError:
+            fits = False
+        if not fits:
+            raise ValueError(f"`cameras`: expected names {program} can hold, got {short(name)}")
+
+
+def add_named(cameras: dict, name: str, camera: Any, where: str) -> None:
+    """Add a camera under its name, which no other may have."""
+    if name in cameras:
+        words = f"expected one camera of each name, got two of {short(name)}"
+        raise ValueError(f"{words} (in {where})")
+    cameras[name] = camera
+
+
+def _numbers(value: Any) -> np.ndarray | None:
+    """Return real numbers as an array, None where they are no such thing."""
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        return None
+    return array.astype(float) if array.dtype.kind in "iuf" else None
+
+
+def _shape(shape: Sequence[int]) -> str:
+    sizes = ["N" if n == -1 else str(n) for n in shape]
+    return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
+
+
+def number(text: str) -> float:
+    """Return the number that a text is, or raise ValueError; Python would read 1_0 as 10."""
+    if "_" in text:
+        raise ValueError(f"could not convert to a number: {short(text)}")
+    return float(text)
+
+
+def short(value: Any) -> str:
+    """Return a value in few words."""
+    if isinstance(value, str):
+        value = value[:80]
+    words = repr(value.tolist() if isinstance(value, np.ndarray) else value)
+    return words if len(words) <= 80 else words[:77] + "..."

@@ -1,0 +1,178 @@
+"""One door for all files: `read` and `write` guess the format by name and content."""
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from .._camera.camera import Camera
+from .._files.paths import existing, is_folder, path_of
+from ..io import CAMERA_SCHEMA, camera_from_dict, camera_to_dict, save_camera
+from .blender import SCHEMA as BLENDER_SCHEMA, read_blender, write_blender, write_blender_script
+from .colmap import read_colmap, write_colmap
+from .fields import KIND, Fields, Size, add_named, check_names, load_json, save_json
+from .gltf import read_gltf, write_gltf
+from .mitsuba import read_mitsuba, write_mitsuba
+from .nerf import read_nerf, write_nerf
+from .opencv import read_opencv, write_opencv
+from .pytorch3d import SCHEMA as PYTORCH3D_SCHEMA, read_pytorch3d, write_pytorch3d
+
+CAMERAS_SCHEMA = "pinhole_jax.cameras/1"
+
+
+def read_json(path: str | os.PathLike) -> dict[str, Camera]:
+    """Return the cameras of the project's own JSON: one (`io.save_camera`) or many.
+
+    Frisvad's parameters: world units, `phi` the VERTICAL field of view in rad, the principal point
+    in film coordinates (px from the film's bottom-left corner, y up; pixel centres at halves).
+    """
+    top = load_json(path)
+    if top.data.get("schema") != CAMERAS_SCHEMA:
+        return {top.text("name", default="camera"): _own(top)}
+    cameras: dict[str, Camera] = {}
+    parts = top.part("cameras")
+    for name in parts.data:
+        add_named(cameras, name, _own(parts.part(name)), top.where)
+    return cameras
+
+
+def write_json(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
+    """Write the project's own JSON: one camera as `io.save_camera` does, many by name."""
+    check_names(cameras, "JSON")
+    if len(cameras) == 1:
+        ((name, camera),) = cameras.items()
+        save_camera(path, camera, name=name)
+    else:
+        own = {name: camera_to_dict(camera) for name, camera in cameras.items()}
+        save_json(path, {"schema": CAMERAS_SCHEMA, "cameras": own})
+
+
+def _own(fields: Fields) -> Camera:
+    try:
+        return camera_from_dict(fields.data)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{error} (in {fields.where})") from None
+
+
+class Format(NamedTuple):
+    """A format: how it is read and written; `sized`, whether reading may need the image's size."""
+
+    read: Callable[..., dict[str, Camera]] | None
+    write: Callable[[Any, Mapping[str, Camera]], None]
+    sized: bool = True
+
+
+FORMATS = {
+    "json": Format(read_json, write_json, sized=False),
+    "opencv": Format(read_opencv, write_opencv),
+    "colmap": Format(read_colmap, write_colmap, sized=False),
+    "colmap-binary": Format(
+        read_colmap,
+        lambda folder, cameras: write_colmap(folder, cameras, binary=True),
+        sized=False,
+    ),
+    "nerf": Format(read_nerf, write_nerf),
+    "blender": Format(read_blender, write_blender),
+    "blender-script": Format(None, write_blender_script),
+    "gltf": Format(read_gltf, write_gltf),
+    "pytorch3d": Format(read_pytorch3d, write_pytorch3d),
+    "mitsuba": Format(read_mitsuba, write_mitsuba),
+}
+ENDINGS = {
+    ".yml": "opencv",
+    ".yaml": "opencv",
+    ".xml": "mitsuba",
+    ".gltf": "gltf",
+    ".glb": "gltf",
+    ".py": "blender-script",
+}
+
+
+def read(
+    path: str | os.PathLike, format: str | None = None, *, size: Size | None = None
+) -> dict[str, Camera]:
+    """Return the cameras of a file (COLMAP: a folder), by name.
+
+    `format` is one of `FORMATS`; None guesses it by the path's ending and, for JSON, its content.
+    `size` is the image's (W, H) in px, for files that do not hold it.
+
+    Raises FileNotFoundError, or ValueError naming the file and the field that is missing or wrong.
+    """
+    place = path_of(path)
+    if not is_folder(place):
+        existing(place, KIND)
+    name = _checked(format) or _guess_read(place)
+    if place.is_file() and place.stem in ("cameras", "images") and name.startswith("colmap"):
+        place = place.parent
+    reader, _, sized = FORMATS[name]
+    if reader is None:
+        raise ValueError(f"`format`: expected one that can be read, got {name!r}: written only")
+    if sized:
+        return reader(place, size=size)
+    cameras = reader(place)
+    for camera in cameras.values() if size is not None else ():
+        if size != (camera.W, camera.H):
+            words = f"`size`: expected the file's own {camera.W} x {camera.H}, got {size}"
+            raise ValueError(f"{words}; read it without a size, then use `resized`")
+    return cameras
+
+
+def write(
+    path: str | os.PathLike, cameras: Mapping[str, Camera], format: str | None = None
+) -> None:
+    """Write cameras to a file (COLMAP: a folder), whole or not at all.
+
+    `format` is one of `FORMATS`; None guesses it by the path: .yaml is OpenCV, .xml Mitsuba, .gltf
+    and .glb glTF, .py a Blender script, a name without ending a COLMAP folder; .json is the
+    project's own, unless its name holds transforms (NeRF), blender or pytorch3d.
+
+    Raises ValueError where there is no camera, or one that the format cannot hold.
+    """
+    if not cameras:
+        raise ValueError("`cameras`: expected at least one, got none")
+    FORMATS[_checked(format) or guess_write(path)].write(path, cameras)
+
+
+def _checked(format: str | None) -> str | None:
+    if format is not None and format not in FORMATS:
+        raise ValueError(f"`format`: expected one of {', '.join(FORMATS)}, got {format!r}")
+    return format
+
+
+def _guess_read(path: Path) -> str:
+    if is_folder(path) or path.name in ("cameras.txt", "images.txt", "cameras.bin", "images.bin"):
+        return "colmap"
+    if path.suffix.lower() != ".json":
+        return _by_ending(path)
+    data = load_json(path).data
+    schema = data.get("schema")
+    if schema == BLENDER_SCHEMA or "matrix_world" in data:
+        return "blender"
+    if schema == PYTORCH3D_SCHEMA or {"R", "T", "in_ndc"} <= data.keys():
+        return "pytorch3d"
+    if "frames" in data and schema not in (CAMERA_SCHEMA, CAMERAS_SCHEMA):
+        return "nerf"
+    return "json"
+
+
+def guess_write(path: str | os.PathLike) -> str:
+    """Return the format that a path to be written asks for."""
+    place = path_of(path)
+    if is_folder(place) or not place.suffix:
+        return "colmap"
+    if place.suffix.lower() != ".json":
+        return _by_ending(place)
+    for word, name in (("transforms", "nerf"), ("blender", "blender"), ("pytorch3d", "pytorch3d")):
+        if word in place.stem.lower():
+            return name
+    return "json"
+
+
+def _by_ending(path: Path) -> str:
+    if path.suffix.lower() not in ENDINGS:
+        known = ", ".join([".json", *ENDINGS])
+        raise ValueError(
+            f"`path`: expected a folder (COLMAP) or one of {known}, got {path.name!r}; or say the"
+            f" format: {', '.join(FORMATS)}"
+        )
+    return ENDINGS[path.suffix.lower()]

@@ -1,0 +1,139 @@
+"""What every format comes down to: focal lengths, a principal point, axes and a rigid transform.
+
+A format says which axes its camera frame has and where its pixel coordinates begin; all else is
+here, so that a reader or a writer is the list of its file's fields.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from .._camera.camera import Camera
+from .._camera.distortion import BrownConrady, Distortion, Fisheye
+from .fields import Fields
+from .matrices import from_opencv, to_opencv
+
+#: A camera frame's axes, as columns, in OpenCV's frame (x right, y down, z forward).
+OPENCV = np.diag([1.0, 1.0, 1.0])
+#: x right, y up, z backward: OpenGL, Blender, NeRF, glTF.
+OPENGL = np.diag([1.0, -1.0, -1.0])
+#: x left, y up, z forward: PyTorch3D, Mitsuba.
+LEFT_UP_FORWARD = np.diag([-1.0, -1.0, 1.0])
+
+
+class Pinhole(NamedTuple):
+    """Intrinsics in px: focal lengths, and the principal point from the image's top-left corner.
+
+    y runs down, and pixel centres lie at halves: the corner itself is (0, 0).
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    W: int
+    H: int
+
+
+def pinhole(camera: Camera, *, bent: bool = False) -> Pinhole:
+    """Return the camera's intrinsics, or raise ValueError for a distortion unless it goes beside
+    (`bent`)."""
+    model = distortion_of(camera)
+    if model is not None and not bent:
+        raise ValueError(
+            "`cameras`: expected no lens distortion, which this format cannot hold, got a"
+            f" {type(model).__name__}"
+        )
+    K = to_opencv(camera, pixel_centres="half")[0]
+    fx, fy, cx, cy = K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+    return Pinhole(fx, fy, cx, cy, camera.W, camera.H)
+
+
+def distortion_of(camera: Camera) -> Distortion | None:
+    """Return the camera's distortion."""
+    return None if camera.lens is None else camera.lens.distortion
+
+
+def model_of(coefficients: Mapping[str, float], fields: Fields, fisheye: bool) -> Distortion | None:
+    """Return the distortion with OpenCV's coefficients; None if those of no fisheye are all 0."""
+    model = Fisheye if fisheye else BrownConrady
+    bent = {name: value for name, value in coefficients.items() if value != 0}
+    known = model().coefficients()
+    if unknown := {name: value for name, value in bent.items() if name not in known}:
+        words = ", ".join(f"{name} = {value:g}" for name, value in unknown.items())
+        raise fields.wrong("distortion", f"{', '.join(known)} of a {model.__name__} only", words)
+    return model(**bent) if bent or fisheye else None
+
+
+def camera_from_world(camera: Camera, axes: np.ndarray) -> np.ndarray:
+    """Return the (4, 4) transform of world points to a camera frame with these axes."""
+    _, R, t = to_opencv(camera, pixel_centres="half")
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = axes.T @ R, axes.T @ t
+    return matrix
+
+
+def world_from_camera(camera: Camera, axes: np.ndarray) -> np.ndarray:
+    """Return the (4, 4) transform of points in a camera frame with these axes to the world."""
+    _, R, _ = to_opencv(camera, pixel_centres="half")
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = R.T @ axes, np.asarray(camera.e, float)
+    return matrix
+
+
+def rotation(matrix: np.ndarray, fields: Fields, name: str) -> np.ndarray:
+    """Return the rotation nearest to a (3, 3) matrix, which must be one to within rounding."""
+    small = np.all(np.abs(matrix) < 2)  # no product overflows
+    if not small or np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-4 or np.linalg.det(matrix) < 0:
+        raise fields.wrong(name, "a rotation (orthonormal, determinant 1)", matrix)
+    left, _, right = np.linalg.svd(matrix)
+    return left @ right
+
+
+def rigid(matrix: np.ndarray, fields: Fields, name: str) -> np.ndarray:
+    """Return a (3, 4) or (4, 4) transform as (4, 4), its rotation freed of rounding."""
+    if len(matrix) == 4 and not np.abs(matrix[3] - [0, 0, 0, 1]).max() <= 1e-9:
+        raise fields.wrong(name, "a last row of 0 0 0 1", matrix[3])
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = rotation(matrix[:3, :3], fields, name), matrix[:3, 3]
+    return result
+
+
+def inverse(transform: np.ndarray) -> np.ndarray:
+    """Return the inverse of a rigid (4, 4) transform."""
+    result = np.eye(4)
+    result[:3, :3] = transform[:3, :3].T
+    result[:3, 3] = -transform[:3, :3].T @ transform[:3, 3]
+    return result
+
+
+def camera_of(
+    view: Pinhole,
+    world_from_camera: np.ndarray,
+    axes: np.ndarray,
+    fields: Fields,
+    distortion: Distortion | None = None,
+) -> Camera:
+    """Return the camera of intrinsics and a rigid transform from a frame with these axes."""
+    for name in ("fx", "fy"):
+        if not getattr(view, name) > 0:
+            raise fields.wrong(name, "a positive focal length in px", f"{getattr(view, name)}")
+    R = (world_from_camera[:3, :3] @ axes.T).T
+    K = np.array([[view.fx, 0, view.cx], [0, view.fy, view.cy], [0, 0, 1]])
+    t = -R @ world_from_camera[:3, 3]
+    try:
+        size = (view.W, view.H)
+        return from_opencv(K, R, t, *size, pixel_centres="half", distortion=distortion)
+    except ValueError as error:
+        raise ValueError(f"{error} (in {fields.where})") from None
+
+
+def focal_of_fov(fov: float, length: float | int) -> float:
+    """Return the focal length in px of a field of view (rad) over so many px."""
+    return float(length / (2 * np.tan(fov / 2)))
+
+
+def fov_of_focal(focal: float, length: float | int) -> float:
+    """Return the field of view in rad of a focal length in px over so many px."""
+    return float(2 * np.arctan(length / (2 * focal)))

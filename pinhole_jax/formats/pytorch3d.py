@@ -1,0 +1,150 @@
+"""PyTorch3D cameras, as arrays and as a JSON of those arrays.
+
+Axes: x left, y up, z forward. Row vectors: `X_camera = X_world R + T`, so R is the transpose of the
+usual camera_from_world. In screen space (`in_ndc=False`) focal lengths and principal point are px
+from the image's top-left corner, y down, pixel centres at halves. In NDC the image's shorter side
+spans [-1, 1], x to the left, y up, and lengths are halves of that side. `image_size` is (H, W).
+"""
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from .._camera.camera import Camera
+from .._numerics.arrays import Numbers
+from .fields import Fields, Size, add_named, check_names, load_json, save_json
+from .pinhole import (
+    LEFT_UP_FORWARD,
+    Pinhole,
+    camera_from_world,
+    camera_of,
+    inverse,
+    pinhole,
+    rotation,
+)
+
+SCHEMA = "pytorch3d.PerspectiveCameras"
+
+
+def to_pytorch3d(camera: Camera) -> dict[str, np.ndarray]:
+    """Return what `PerspectiveCameras(**arrays, in_ndc=False)` takes, a batch of one, float64.
+
+    `R` (1, 3, 3), `T` (1, 3), `focal_length` (1, 2) and `principal_point` (1, 2) in px, and
+    `image_size` (1, 2) as (H, W). PyTorch3D wants tensors: `torch.as_tensor` each.
+    """
+    view = pinhole(camera)
+    matrix = camera_from_world(camera, LEFT_UP_FORWARD)
+    return {
+        "R": matrix[None, :3, :3].transpose(0, 2, 1),
+        "T": matrix[None, :3, 3],
+        "focal_length": np.array([[view.fx, view.fy]]),
+        "principal_point": np.array([[view.cx, view.cy]]),
+        "image_size": np.array([[view.H, view.W]]),
+    }
+
+
+def from_pytorch3d(
+    R: Numbers,
+    T: Numbers,
+    image_size: Any,
+    *,
+    focal_length: Numbers = None,
+    principal_point: Numbers = None,
+    in_ndc: bool = True,
+    fov: Numbers = None,
+    aspect_ratio: Numbers = 1.0,
+) -> Camera:
+    """Return the camera of one PerspectiveCameras or, with `fov`, FoVPerspectiveCameras.
+
+    `R` (3, 3), `T` (3,), row vectors; a batch axis of 1 may lead. `image_size` is (H, W) in px.
+    `focal_length` (a number, or x and y) and `principal_point` are in NDC, PyTorch3D's default, or
+    in px with `in_ndc=False`; left out, the principal point is the image's centre. `fov` is in rad
+    and spans the image's SHORTER side (the vertical one of a wide image, as PyTorch3D's NDC has
+    it); `aspect_ratio` is that of FoVPerspectiveCameras: fy over fx.
+    """
+    data = {"R": _one(R, 2), "T": _one(T, 1), "image_size": _one(image_size, 1)}
+    fields = Fields(data, "the arguments")
+    H, W = _size(fields)
+    if (fov is None) == (focal_length is None):
+        raise ValueError("expected `focal_length` or `fov`, got both or neither")
+    half = min(W, H) / 2
+    unit = half if in_ndc or fov is not None else 1.0
+    if fov is not None:
+        given = Fields({"fov": fov, "aspect_ratio": aspect_ratio}, "the arguments")
+        fy = 1 / np.tan(given.angle("fov") / 2)
+        focal = np.array([fy / given.positive("aspect_ratio"), fy])
+    else:
+        focal = np.atleast_1d(_one(focal_length, 1))
+        if focal.shape not in ((1,), (2,)) or focal.dtype != float:
+            raise fields.wrong("focal_length", "one number or two", focal_length)
+        focal = np.broadcast_to(focal, (2,))
+    centre = np.array([W / 2, H / 2])
+    if principal_point is not None:
+        given = Fields({"principal_point": _one(principal_point, 1)}, "the arguments")
+        given = given.array("principal_point", (2,))
+        centre = centre - half * given if in_ndc else given
+    fx, fy = (float(f * unit) for f in focal)
+    view = Pinhole(fx, fy, float(centre[0]), float(centre[1]), W, H)
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation(fields.array("R", (3, 3)), fields, "R").T
+    matrix[:3, 3] = fields.array("T", (3,))
+    return camera_of(view, inverse(matrix), LEFT_UP_FORWARD, fields)
+
+
+def read_pytorch3d(path: str | os.PathLike, *, size: Size | None = None) -> dict[str, Camera]:
+    """Return the cameras of a JSON of PyTorch3D's arrays, by `names`, or "0", "1" ...
+
+    `R` (N, 3, 3), `T` (N, 3), `focal_length` (N, 2), `principal_point` (N, 2), `image_size` (N, 2)
+    as (H, W), and `in_ndc`, which must be there. `size` is (W, H) where there is no `image_size`.
+    """
+    top = load_json(path)
+    R = top.array("R", (-1, 3, 3))
+    count = len(R)
+    arrays = {name: top.array(name, (count, 2)) for name in ("focal_length", "principal_point")}
+    if "image_size" not in top and size is not None:
+        top = Fields({**top.data, "image_size": [[size[1], size[0]]] * count}, top.where)
+    sizes = top.array("image_size", (count, 2))
+    in_ndc = top.get("in_ndc", "true or false")
+    if not isinstance(in_ndc, bool):
+        raise top.wrong("in_ndc", "true or false", repr(in_ndc))
+    names = top.data.get("names", [str(k) for k in range(count)])
+    if not isinstance(names, list) or len(names) != count:
+        raise top.wrong("names", f"{count} names", repr(names))
+    cameras: dict[str, Camera] = {}
+    for k, name in enumerate(names):
+        if size is not None and tuple(sizes[k]) != (size[1], size[0]):
+            raise top.wrong("image_size", f"(H, W) = ({size[1]}, {size[0]})", sizes[k])
+        own = {field: values[k] for field, values in arrays.items()}
+        try:
+            camera = from_pytorch3d(
+                R[k], top.array("T", (count, 3))[k], sizes[k], in_ndc=in_ndc, **own
+            )
+        except ValueError as error:
+            raise ValueError(f"{error} (in {top.where}, camera {k})") from None
+        add_named(cameras, str(name), camera, top.where)
+    return cameras
+
+
+def write_pytorch3d(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
+    """Write PyTorch3D's arrays of all cameras, screen space (px), as JSON."""
+    check_names(cameras, "JSON")
+    each = [to_pytorch3d(camera) for camera in cameras.values()]
+    arrays = {name: np.concatenate([a[name] for a in each]).tolist() for name in each[0]}
+    save_json(path, {"schema": SCHEMA, "in_ndc": False, "names": list(cameras), **arrays})
+
+
+def _one(value: Any, axes: int) -> Any:
+    """Return an array without its batch axis of 1; what is no array stays, to be refused later."""
+    try:
+        array = np.asarray(value, float)
+    except (TypeError, ValueError):
+        return value
+    return array[0] if array.ndim == axes + 1 and len(array) == 1 else array
+
+
+def _size(fields: Fields) -> tuple[int, int]:
+    H, W = fields.array("image_size", (2,))
+    whole = Fields({"H": float(H), "W": float(W)}, f"{fields.where}, image_size")
+    return whole.integer("H"), whole.integer("W")

@@ -1,0 +1,50 @@
+"""Crops and resizes of a camera's image."""
+
+from typing import Any
+
+import jax.numpy as jnp
+
+from .._camera.camera import Camera, focal_px, principal_point
+from .._camera.lens import Lens
+from .._numerics.arrays import Numbers, float_array, is_concrete
+
+
+def cropped(camera: Camera, left: Numbers, top: Numbers, W: Any, H: Any) -> Camera:
+    """Return the camera of a window of the image: W x H px, whose top-left corner is (left, top).
+
+    In image coordinates (px, from the image's top-left corner, y down): the window is
+    `image[top : top + H, left : left + W]`. It may reach out of the image (padding), and its
+    corner may lie between pixels. The pose stays, and so do the focal lengths in px.
+    """
+    Camera(camera.e, camera.p, camera.u, camera.phi, camera.d, W, H)  # checks W and H
+    x0, y0 = (
+        float_array(name, x, (), camera.e.dtype) for name, x in (("left", left), ("top", top))
+    )
+    phi = 2 * jnp.arctan(jnp.tan(camera.phi / 2) * (H / camera.H))
+    centred = is_concrete(x0, y0) and (2 * x0 + W, 2 * y0 + H) == (camera.W, camera.H)
+    lens = None
+    if camera.lens is not None or not centred:
+        fx, fy = focal_px(camera)
+        x, y = principal_point(camera)
+        corner = jnp.stack([x - x0, y - (camera.H - H - y0)])
+        lens = Lens(corner, fx / fy, camera.lens and camera.lens.distortion)
+    return Camera(camera.e, camera.p, camera.u, phi, camera.d, W, H, lens)
+
+
+def resized(camera: Camera, W: Any, H: Any) -> Camera:
+    """Return the camera of the image resized to W x H px: corners stay corners.
+
+    This is what resizing does in OpenCV, PIL and torch (`align_corners=False`): film coordinates
+    are multiplied by W and H over the old ones. Pose and vertical field of view stay; the pixel
+    aspect changes where the two factors differ.
+    """
+    Camera(camera.e, camera.p, camera.u, camera.phi, camera.d, W, H)  # checks W and H
+    lens = None
+    if camera.lens is not None or W * camera.H != H * camera.W:
+        fx, fy = focal_px(camera)
+        x, y = principal_point(camera)
+        scale_x, scale_y = W / camera.W, H / camera.H
+        aspect = fx / fy * (scale_x / scale_y)
+        centre = jnp.stack([x * scale_x, y * scale_y])
+        lens = Lens(centre, aspect, camera.lens and camera.lens.distortion)
+    return Camera(camera.e, camera.p, camera.u, camera.phi, camera.d, W, H, lens)

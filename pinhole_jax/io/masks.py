@@ -1,0 +1,233 @@
+"""Masks from what users have: transparency, brightness, labels, a photo's background colour.
+
+What a picture's values mean is not guessed where it matters: a picture that is no mask at first
+sight is refused, with the ways to read it.
+"""
+
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._files.pictures import BAND, Image, bands, by_bands, eight_bits, rows
+
+#: The ways to read a mask, as `mask_from` and the command's `--mask-from` name them.
+WAYS = "alpha, luminance, label=N, background=COLOR (or COLOR,TOLERANCE)"
+#: Grey values (of 255) between these are the in-between of an edge.
+DARK, LIGHT = 26, 229
+#: Channels that differ by less than this (of 255) are grey: JPEG leaves a few.
+GREY = 8
+#: Parts and holes smaller than this share of the largest part are noise.
+SPECK = 5e-3
+#: Soft edges of a background mask reach this far (px) to both sides.
+BAND_PX = 2
+#: The nearest colour of the object is looked for so many rows (px) around.
+REACH_PX = 64
+#: More parts than this are noise.
+MOST_PARTS = 1 << 20
+
+
+class Way(NamedTuple):
+    """A way to read a mask: its name, and the label, or the colour's name and the tolerance."""
+
+    name: str
+    value: str = ""
+    tolerance: float | None = None
+
+
+class Read(NamedTuple):
+    """A mask (H, W), 255 where the object is, and in words how it was read, if not plainly."""
+
+    mask: np.ndarray
+    words: str
+
+
+def way_of(mask_from: str | None) -> Way:
+    """Return the way that a user names; None is what is seen at first sight.
+
+    Raises ValueError for any other text than `WAYS` has, and for colours of no known name.
+    """
+    text = "first sight" if mask_from is None else mask_from
+    if re.fullmatch(r"first sight|alpha|luminance", text):
+        return Way(text)
+    if found := re.fullmatch(r"label=(\d{1,9})", text):
+        return Way("label", found[1])
+    if found := re.fullmatch(r"background=(.+?)(?:,(\d+(?:\.\d*)?))?", text):
+        try:
+            _colour(found[1])
+        except ValueError:
+            raise ValueError(
+                f"`mask_from`: expected a colour such as white or #1e90ff, got {found[1]!r}"
+            ) from None
+        return Way("background", found[1], float(found[2]) if found[2] else None)
+    raise ValueError(f"`mask_from`: expected one of {WAYS}, got {text!r}")
+
+
+def read_mask(image: Image, way: Way) -> Read:
+    """Return the mask that a picture holds; at first sight its transparency if that varies, else
+    its brightness if that is a mask's.
+
+    Raises ValueError with what the picture holds instead.
+    """
+    if way.name == "alpha":
+        return _alpha(image)
+    if way.name == "luminance":
+        return Read(eight_bits(image), "mask: its brightness")
+    if way.name == "label":
+        return _label(image, int(way.value))
+    if way.name == "background":
+        return _background(image, way.value, way.tolerance)
+    return _at_first_sight(image)
+
+
+def _at_first_sight(image: Image) -> Read:
+    if image.has_transparency_data:
+        read = _alpha(image)
+        if read.mask.min() < 255:
+            return read
+    if not image.mode.startswith(("1", "L", "I", "F")):
+        grey = by_bands(image, _grey)
+    else:
+        grey = eight_bits(image)
+    between = np.count_nonzero((grey >= DARK) & (grey <= LIGHT))
+    if between > np.count_nonzero(grey > LIGHT):
+        raise ValueError(
+            f"a grey picture in which {between / grey.size:.0%} of the pixels are neither black nor"
+            f" white; say what is the object: {WAYS}"
+        )
+    if 0 < grey.max() < DARK:
+        raise ValueError(f"a picture no lighter than {grey.max()} of 255; labels? {WAYS}")
+    return Read(grey, "")
+
+
+def _grey(band: Image) -> np.ndarray:
+    """Return a channel of a picture whose channels are alike."""
+    colours = np.asarray(band.convert("RGB"))
+    if np.max(np.ptp(colours, axis=2)) > GREY:
+        raise ValueError(f"a colour picture; say what is the object: {WAYS}")
+    return colours[..., 0]
+
+
+def _alpha(image: Image) -> Read:
+    if not image.has_transparency_data:
+        raise ValueError("no transparency")
+    opacity = lambda band: np.asarray(band.convert("RGBA"))[..., 3]
+    return Read(by_bands(image, opacity), "mask: the transparency (alpha)")
+
+
+def _label(image: Image, number: int) -> Read:
+    if image.mode not in ("1", "L", "P") and not image.mode.startswith("I"):
+        raise ValueError(f"a picture of mode {image.mode}: labels are grey values or a palette's")
+    mask = by_bands(image, lambda band: np.where(np.asarray(band) == number, 255, 0))
+    if not np.any(mask):
+        there = np.unique(np.concatenate([np.unique(np.asarray(b)) for _, b in bands(image)]))
+        some = ", ".join(str(int(x)) for x in there[:12]) + (", ..." if len(there) > 12 else "")
+        raise ValueError(f"no pixel with the label {number}; there are {some}")
+    share = np.count_nonzero(mask) / mask.size
+    return Read(mask, f"mask: label {number}, {share:.1%} of the picture, edges hard")
+
+
+def _background(image: Image, name: str, tolerance: float | None) -> Read:
+    """Return what differs from a colour by more than a tolerance (distance in CIE Lab).
+
+    Without one, Otsu's threshold parts near from far. Specks and pinholes are dropped, and the
+    pixels beside an edge are taken for mixtures.
+    """
+    from skimage.color import rgb2lab
+
+    back = _colour(name)
+    origin = rgb2lab(back[None, None])
+    lab_distance = lambda band: np.linalg.norm(rgb2lab(_colours(band)) - origin, axis=-1)
+    distance = by_bands(image, lab_distance, dtype=np.float32)
+    if np.ptp(distance) == 0:
+        raise ValueError("a picture of one colour")
+    limit = _otsu(distance) if tolerance is None else tolerance
+    inside = distance > limit
+    del distance  # a large photo is as large as all else together
+    _drop_specks(inside)
+    share = np.count_nonzero(inside) / inside.size
+    how = "Otsu's threshold" if tolerance is None else "as told"
+    words = (
+        f"mask: what differs from {name} by more than {limit:.1f} in CIE Lab ({how}),"
+        f" {share:.1%} of the picture, soft edges from mixed colours"
+    )
+    return Read(_with_soft_edges(inside, image, back), words)
+
+
+def _otsu(values: np.ndarray) -> float:
+    """Return Otsu's threshold of 256 equal steps, as scikit-image has it, without its copies."""
+    from skimage.filters import threshold_otsu
+
+    ends = float(np.min(values)), float(np.max(values))
+    edges = np.histogram_bin_edges([], 256, ends)
+    counts = sum(np.histogram(values[part], 256, ends)[0] for part in rows(*values.shape))
+    return float(threshold_otsu(hist=(counts, (edges[1:] + edges[:-1]) / 2)))
+
+
+def _with_soft_edges(inside: np.ndarray, image: Image, back: np.ndarray) -> np.ndarray:
+    """Return a hard mask as uint8 with soft edges.
+
+    How much of the object is in a pixel beside the edge is read off between the background and the
+    object's nearest colour (in at most `REACH_PX` rows above and below), in the values as stored.
+    """
+    from scipy import ndimage
+
+    H, W = inside.shape
+    result = np.where(inside, np.uint8(255), np.uint8(0))
+    step = max(REACH_PX, 8 * BAND // W)
+    for top in range(0, H, step):
+        first, last = max(0, top - REACH_PX), min(H, top + step + REACH_PX)
+        around = inside[max(0, first - BAND_PX) : last + BAND_PX]
+        cut = slice(min(first, BAND_PX), min(first, BAND_PX) + last - first)
+        deep: Any = ndimage.binary_erosion(around, iterations=BAND_PX, border_value=1)[cut]
+        near: Any = ndimage.binary_dilation(around, iterations=BAND_PX)[cut]
+        edge = near & ~deep
+        edge[: top - first] = edge[top + step - first :] = False
+        if not (np.any(edge) and np.any(deep)):
+            continue
+        place: Any = ndimage.distance_transform_edt(
+            ~deep, return_distances=False, return_indices=True
+        )
+        colours = np.asarray(image.crop((0, first, W, last)).convert("RGB"))
+        object_colour = colours[tuple(place[:, edge])] / 255 - back
+        size = np.maximum(np.sum(object_colour**2, axis=-1), 1e-6)
+        mixed = np.sum((colours[edge] / 255 - back) * object_colour, axis=-1) / size
+        result[first:last][edge] = np.round(255 * np.clip(mixed, 0, 1))
+    return result
+
+
+def _colour(name: str) -> np.ndarray:
+    from PIL import ImageColor
+
+    return np.array(ImageColor.getrgb(name)[:3]) / 255
+
+
+def _colours(band: Image) -> np.ndarray:
+    return np.asarray(band.convert("RGB")) / 255
+
+
+def _drop_specks(inside: np.ndarray) -> None:
+    """Drop parts, and then holes, that are noise, from a mask in place.
+
+    Raises ValueError where there are more parts than a photo's specks are.
+    """
+    for _ in range(2):
+        _drop_small_parts(inside)
+        np.logical_not(inside, out=inside)
+
+
+def _drop_small_parts(inside: np.ndarray) -> None:
+    from scipy import ndimage
+
+    parts: Any = ndimage.label(inside)
+    labels, count = parts
+    if count > MOST_PARTS:
+        raise ValueError(f"a picture of {count} parts: noise, not before one colour")
+    sizes = np.zeros(count + 1, np.int64)
+    for part in rows(*inside.shape):
+        here = np.bincount(labels[part].ravel())
+        sizes[: len(here)] += here
+    sizes[0] = 0
+    keep = sizes >= SPECK * max(sizes.max(), 1)
+    for part in rows(*inside.shape):
+        inside[part] &= keep[labels[part]]

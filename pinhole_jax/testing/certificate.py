@@ -1,0 +1,270 @@
+"""`check_gradients`: a certificate that an image's derivatives are what its own differences say.
+
+A derivative that is nearly right still descends, so a fault in it goes unnoticed. Here each
+parameter is moved a little to either side and the change of every pixel is held against the
+forward-mode derivative; then reverse mode is held against forward mode. Neither the step nor the
+scale of an error is taken from the derivative under test: a fault cannot excuse itself.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._camera.camera import Camera
+from .._numerics.arrays import is_concrete
+from .._scene.scene import Scene, astype
+from .._silhouette.silhouette import silhouette
+from .differences import STEPS, Scales, Slopes, outside, slopes
+from .directions import Direction, camera_and_scene
+
+#: A row is undecided where more than this part of the pixels that move are at a kink.
+KINKS_ALLOWED = 0.25
+#: A pixel moves where it changes by more than this part of what the image's fastest one does.
+MOVING = 0.02
+RIGHT = ("ok", "moves nothing")
+
+
+class Row(NamedTuple):
+    """What was found for one parameter (or for one random direction in many).
+
+    - `derivative`, `difference`: of one pixel, per unit of the parameter: of the pixel that fails
+      worst or, where none fails, of the one that changes most.
+    - `pixel`: its (row, column).
+    - `step`: of the first central difference, in units of the direction.
+    - `error`: the worst pixel's, relative to the image's largest difference.
+    - `reverse`: distance of reverse mode from forward mode, relative.
+    - `kinks`: pixels that have a slope to either side; their derivative must lie between these.
+    - `verdict`: "ok"; "moves nothing" (derivative and difference are both 0); or what is wrong:
+      "not finite", "wrong derivative", "reverse differs", "undecided" (too many kinks).
+    """
+
+    parameter: str
+    derivative: float
+    difference: float
+    pixel: tuple[int, int]
+    step: float
+    error: float
+    reverse: float
+    kinks: int
+    verdict: str
+
+
+class Certificate(NamedTuple):
+    """The rows of `check_gradients`; `passed`: all of them are right, and at least one moves."""
+
+    rows: tuple[Row, ...]
+    passed: bool
+
+    def __str__(self) -> str:
+        """Return the verdict, and below it the table with its columns aligned."""
+        cells = [Row._fields, *map(_cells, self.rows)]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        lines = [
+            "  ".join(
+                cell.ljust(width) if k in (0, len(widths) - 1) else cell.rjust(width)
+                for k, (cell, width) in enumerate(zip(line, widths, strict=True))
+            ).rstrip()
+            for line in cells
+        ]
+        return "\n".join([_summary(self), *lines])
+
+
+class _Reverse(NamedTuple):
+    """A weight for each pixel, and the gradient of the image's weighted sum."""
+
+    weight: np.ndarray
+    gradient: Any
+
+
+def check_gradients(
+    camera: Camera,
+    scene: Scene,
+    image: Callable[[Camera, Scene], Array] = silhouette,
+    *,
+    tolerance: float | None = None,
+    directions: int = 2,
+    seed: int = 0,
+    verbose: bool = True,
+) -> Certificate:
+    """Return a certificate of an image's derivatives at this camera and scene, and print it.
+
+    `image(camera, scene)`, (H, W) and finite, is `silhouette` or a differentiable renderer of your
+    own. Checked are e, p, u, phi, d, a lens, and `directions` random directions each in vertices,
+    centers and radii: that values are finite, then forward mode against central differences pixel
+    by pixel, then reverse mode against forward mode.
+
+    A step moves the picture by some 1e-5 px. Where a pixel's differences over h and h/2 disagree,
+    smaller steps are taken; where these disagree too the pixel is at a kink (an edge along its
+    border, a face edge-on), and its derivative must lie between the slopes to either side.
+
+    `tolerance` of `Row.error`: 1e-6 in float64. A float32 camera's derivatives are held to 1e-3,
+    against float64 differences, if `jax_enable_x64` is on. If it is off, differences are float32's
+    own, with steps of some 0.02 px, and derivatives are held to 0.1: wrong signs and lost pieces
+    show, small errors do not.
+
+    Raises ValueError where camera or scene are traced, `tolerance` is not positive, `directions` is
+    below 1, or the image is not (H, W) floats.
+    """
+    _check(camera, scene, tolerance, directions)
+    # Casting up is exact: the differences are taken at the very same camera and scene.
+    point = (camera, astype(scene, camera.e.dtype))
+    fine = _cast(point, jnp.zeros(()).dtype)
+    middle = _render(image, fine)
+    _check_image(middle, camera)
+    scales = Scales.of(camera.e.dtype, middle.dtype, max(middle.shape), tolerance)
+    reverse = _reverse(image, point, seed)
+    still = jax.tree.map(jnp.zeros_like, eqx.filter(point, eqx.is_inexact_array))
+    rows = []
+    for direction in camera_and_scene(point, scales, directions, seed):
+        tangent = eqx.tree_at(direction.where, still, jnp.asarray(direction.value))
+        derivative = np.asarray(_forward(image, point, tangent), float)
+        images = (np.asarray(middle, float), *_moved(image, fine, direction))
+        rows.append(_row(direction, derivative, images, scales, reverse))
+    passed = all(row.verdict in RIGHT for row in rows)
+    certificate = Certificate(tuple(rows), passed and any(row.verdict == "ok" for row in rows))
+    if verbose:
+        print(certificate)
+    return certificate
+
+
+@eqx.filter_jit
+def _render(image: Callable, point: Any) -> Any:
+    return image(*point)
+
+
+@eqx.filter_jit
+def _forward(image: Callable, point: Any, tangent: Any) -> Float[Array, "H W"]:
+    moving, still = eqx.partition(point, eqx.is_inexact_array)
+    return jax.jvp(lambda m: image(*eqx.combine(m, still)), (moving,), (tangent,))[1]
+
+
+@eqx.filter_jit
+def _gradient(image: Callable, point: Any, weight: Array) -> Any:
+    def loss(x):
+        value = image(*x)
+        return jnp.sum(weight.astype(value.dtype) * value)
+
+    return eqx.filter_grad(loss)(point)
+
+
+def _reverse(image: Callable, point: Any, seed: int) -> _Reverse:
+    """Return one pull through reverse mode; no weight is small, so every pixel is heard."""
+    random = np.random.default_rng(seed)
+    shape = (point[0].H, point[0].W)
+    weight = random.uniform(0.5, 1.5, shape) * random.choice([-1, 1], shape)
+    weight = weight.astype(np.float32)  # what either precision holds exactly
+    return _Reverse(weight.astype(float), _gradient(image, point, jnp.asarray(weight)))
+
+
+def _moved(image: Callable, point: Any, direction: Direction) -> tuple[np.ndarray, np.ndarray]:
+    """Return the images at x + h and at x - h, for each of the steps h."""
+    leaf = direction.where(point)
+
+    def at(h: float) -> np.ndarray:
+        value = jnp.asarray(np.asarray(leaf) + h * direction.value, leaf.dtype)
+        return np.asarray(_render(image, eqx.tree_at(direction.where, point, value)), float)
+
+    up, down = ([at(sign * direction.step * k) for k in STEPS] for sign in (1, -1))
+    return np.stack(up), np.stack(down)
+
+
+def _row(
+    direction: Direction,
+    derivative: np.ndarray,
+    images: tuple[np.ndarray, np.ndarray, np.ndarray],
+    scales: Scales,
+    reverse: _Reverse,
+) -> Row:
+    middle, up, down = images
+    tolerance, least = scales.tolerance, scales.least * scales.step_px / direction.step
+    with np.errstate(invalid="ignore"):  # what is not finite is found below, not warned of
+        largest = np.max(np.abs(up[0] - down[0])) / (2 * direction.step)
+        scale = max(largest, least)
+        found = slopes(middle, up, down, direction.step, tolerance / 2 * scale)
+        errors = outside(derivative, found) / scale
+        apart = _apart(direction, derivative, least, reverse)
+    verdict = _verdict(errors, apart, found, scales, scale)
+    if verdict == "ok" and largest <= tolerance * least:
+        verdict = "moves nothing"
+    shown = np.abs(found.central) if np.max(errors) <= tolerance else errors
+    pixel = np.unravel_index(np.argmax(shown), shown.shape)  # the first NaN, if there is one
+    return Row(
+        direction.name,
+        float(derivative[pixel]),
+        float(found.central[pixel]),
+        (int(pixel[0]), int(pixel[1])),
+        direction.step,
+        float(np.max(errors)),
+        apart,
+        int(np.sum(found.kink)),
+        verdict,
+    )
+
+
+def _verdict(errors: np.ndarray, apart: float, found: Slopes, scales: Scales, scale: float) -> str:
+    if not (np.all(np.isfinite(errors)) and np.isfinite(apart)):
+        return "not finite"
+    if np.max(errors) > scales.tolerance:
+        return "wrong derivative"
+    if apart > scales.reverse:
+        return "reverse differs"
+    moving = np.abs(found.central) > MOVING * scale
+    return "undecided" if np.sum(found.kink) > KINKS_ALLOWED * np.sum(moving) else "ok"
+
+
+def _apart(direction: Direction, derivative: np.ndarray, least: float, reverse: _Reverse) -> float:
+    """Return the relative distance of <gradient, direction> from <weight, derivative>."""
+    moved = direction.value != 0  # a NaN in another entry is another row's
+    gradient = np.asarray(direction.where(reverse.gradient), float)
+    pulled = np.sum(gradient[moved] * direction.value[moved])
+    parts = reverse.weight * derivative
+    scale = max(np.sum(np.abs(parts)), least * sum(derivative.shape))
+    return float(np.abs(pulled - np.sum(parts)) / scale)
+
+
+def _cast(point: Any, dtype: np.dtype) -> Any:
+    camera, scene = point
+    return jax.tree.map(lambda x: x.astype(dtype), camera), astype(scene, dtype)
+
+
+def _check_image(image: Any, camera: Camera) -> None:
+    shape, dtype = getattr(image, "shape", None), getattr(image, "dtype", np.dtype(object))
+    if shape != (camera.H, camera.W) or not jnp.issubdtype(dtype, jnp.floating):
+        got = type(image).__name__ if shape is None else f"{dtype} of shape {shape}"
+        raise ValueError(
+            "`image`: expected a function of (camera, scene) that returns floats of shape (H, W) ="
+            f" ({camera.H}, {camera.W}), got {got}"
+        )
+
+
+def _check(camera: Camera, scene: Scene, tolerance: float | None, directions: int) -> None:
+    for name, value in (("camera", camera), ("scene", scene)):
+        if not is_concrete(*jax.tree.leaves(value)):
+            raise ValueError(f"`{name}`: expected values, got traced ones; call it outside of jit")
+    if tolerance is not None and not tolerance > 0:
+        raise ValueError(f"`tolerance`: expected a positive number, got {tolerance}")
+    if directions < 1:
+        raise ValueError(f"`directions`: expected at least 1, got {directions}")
+
+
+def _cells(row: Row) -> list[str]:
+    numbers = f"{row.derivative:.6g}", f"{row.difference:.6g}", f"{row.pixel[0]},{row.pixel[1]}"
+    errors = f"{row.step:.0e}", f"{row.error:.0e}", f"{row.reverse:.0e}", str(row.kinks)
+    return [row.parameter, *numbers, *errors, row.verdict]
+
+
+def _summary(certificate: Certificate) -> str:
+    rows = certificate.rows
+    wrong = [row.parameter for row in rows if row.verdict not in RIGHT]
+    if wrong and all(row.verdict in ("undecided", *RIGHT) for row in rows):
+        return f"UNDECIDED: at a kink in {', '.join(wrong)}; move the camera a little"
+    if wrong:
+        return f"FAILED: {len(wrong)} of {len(rows)} derivatives ({', '.join(wrong)})"
+    if not certificate.passed:
+        return "FAILED: nothing moves the image (out of the frame, or fills it)"
+    return f"passed: {len(rows)} derivatives, forward and reverse"

@@ -1,0 +1,285 @@
+"""Silhouettes under lens distortion against polygons of points that OpenCV projects densely."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+import test_grid
+from chosen import first
+from jax.flatten_util import ravel_pytree
+from oracles import central_difference, union_per_pixel
+from test_distortion import by_opencv
+
+import pinhole_jax as pj
+from pinhole_jax._fit.search import Mask
+
+W, H = 24, 18
+BROWN = pj.BrownConrady(-0.2, 0.05, 4e-3, -3e-3, 0.004)
+FISHEYE = pj.Fisheye(-0.02, 0.006, -0.002, 0.0003)
+CUSHION = pj.BrownConrady(0.25, 0.1, -3e-3, 2e-3)
+
+
+def camera(model, phi, distance=3.0):
+    lens = pj.Lens([W * 0.53, H * 0.46], 1.04, model)
+    return pj.Camera([0.4, 0.3, distance], [0.1, 0.05, 0], [0.1, 1, 0], phi, 1.0, W, H, lens)
+
+
+def sheet(size=1.0):
+    """Return two long triangles, whose edges bend, and one before them."""
+    vertices = np.array(
+        [[-2, -1, 0], [2.2, -1.1, 0.2], [2, 1.2, 0], [-2, 1, -0.3], [0, -3, 0.6], [0.5, 2.5, 1]],
+        float,
+    )
+    return pj.Mesh(vertices * size, np.array([[0, 1, 2], [0, 2, 3], [4, 5, 0]]))
+
+
+def dense(view, mesh, number=1000):
+    """Return the union of the triangles, each side in many pieces, projected by OpenCV."""
+    shapes = []
+    share = np.linspace(0, 1, number, endpoint=False)[:, None]
+    for face in np.asarray(mesh.faces):
+        a, b, c = np.asarray(mesh.vertices, float)[face]
+        side = [p + share * (q - p) for p, q in ((a, b), (b, c), (c, a))]
+        shapes.append(shapely.Polygon(by_opencv(view, np.concatenate(side))))
+    return union_per_pixel(shapes, view.W, view.H)
+
+
+CASES = {
+    "brown": (BROWN, 1.1),
+    "cushion": (CUSHION, 0.9),
+    "fisheye": (FISHEYE, 1.25),
+    "strong": (pj.BrownConrady(-0.32), 0.7),
+}
+silhouette = jax.jit(pj.silhouette)
+
+
+@pytest.mark.parametrize("case", first(1, CASES))
+def test_coverage_is_that_of_the_bent_triangles(case):
+    view, mesh = camera(*CASES[case]), sheet()
+    image = silhouette(view, pj.Scene(mesh=mesh))
+    expected = dense(view, mesh)
+    assert np.sum((expected > 0) & (expected < 1)) > 20
+    np.testing.assert_allclose(image, expected, atol=1.5e-3)
+    assert np.sqrt(np.mean((image - expected) ** 2)) < 3e-4
+
+
+@pytest.mark.long
+def test_sheets_on_the_pixel_grid():
+    """Sides through the principal point stay on the grid, others bend; two sheets are copies."""
+    for seed in range(6):
+        (vertices, faces), _ = test_grid.sheets(np.random.default_rng(seed), "quarters")
+        view, mesh = test_grid.camera(seed % 4), pj.Mesh(vertices, faces)
+        view = eqx.tree_at(lambda c: c.lens, view, pj.Lens([20, 16], 1.0, pj.BrownConrady(-0.2)))
+        image = silhouette(view, pj.Scene(mesh=mesh))
+        np.testing.assert_allclose(image, dense(view, mesh, 200), atol=1.5e-3)
+
+
+def test_a_scene_through_the_plane_of_the_eye():
+    """The far ends lie behind: what is seen is cut off where the lens sees no more."""
+    view, mesh = camera(*CASES["brown"], distance=0.7), sheet(3.0)
+    cut = pj.Mesh(*_in_front(view, mesh, 0.02))
+    image = silhouette(view, pj.Scene(mesh=mesh))
+    np.testing.assert_allclose(image, dense(view, cut, 3000), atol=5e-3)
+
+
+def _in_front(view, mesh, least):
+    """Return the mesh's triangles cut off at a depth."""
+    e, p = np.asarray(view.e, float), np.asarray(view.p, float)
+    v = (p - e) / np.linalg.norm(p - e)
+    vertices, faces = [], []
+    for face in np.asarray(mesh.faces):
+        corner, kept = np.asarray(mesh.vertices, float)[face], []
+        for a, b in zip(corner, np.roll(corner, -1, axis=0), strict=True):
+            za, zb = (a - e) @ v - least, (b - e) @ v - least
+            kept += [a] if za > 0 else []
+            kept += [a + za / (za - zb) * (b - a)] if za * zb < 0 else []
+        faces += [
+            [len(vertices), len(vertices) + k, len(vertices) + k + 1]
+            for k in range(1, len(kept) - 1)
+        ]
+        vertices += kept
+    return np.array(vertices), np.array(faces)
+
+
+BALLS = pj.Spheres(
+    np.array([[0.3, 0.2, 0.1], [-0.5, -0.3, 0.5], [1.2, -0.6, 0.2]]), [0.5, 0.3, 0.4]
+)
+
+
+def rims(view, spheres, number=4000):
+    """Return the spheres' outlines, projected by OpenCV."""
+    e, shapes = np.asarray(view.e, float), []
+    for centre, radius in zip(np.asarray(spheres.centers), np.asarray(spheres.radii), strict=True):
+        c, r = centre - e, float(radius)
+        far = np.linalg.norm(c)
+        w = c / far
+        a = np.cross(w, [0.3, 0.5, 0.8])
+        a /= np.linalg.norm(a)
+        angle = 2 * np.pi * np.arange(number)[:, None] / number
+        round_ = np.cos(angle) * a + np.sin(angle) * np.cross(w, a)
+        tangent = np.sqrt(far**2 - r**2)
+        rim = e + tangent * (tangent / far * w + r / far * round_)
+        shapes.append(shapely.Polygon(by_opencv(view, rim)))
+    return shapes
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("case", ["brown", "fisheye"])
+def test_spheres_are_the_bent_images_of_their_rims(case):
+    view = camera(*CASES[case])
+    image = silhouette(view, pj.Scene(spheres=BALLS))
+    np.testing.assert_allclose(image, union_per_pixel(rims(view, BALLS), W, H), atol=1.5e-3)
+
+
+@pytest.mark.long
+def test_derivatives_are_differences_of_the_oracle():
+    """In all of the camera, its lens too, the vertices and the spheres."""
+    rng = np.random.default_rng(3)
+    up = rng.normal(size=(H, W))
+    mesh = pj.Mesh(np.array([[-2.0, -1, 0], [2.2, -1.1, 0.2], [0.2, 1.2, 0]]), [[0, 1, 2]])
+    balls = pj.Spheres(np.array([[0.1, 0.9, 0.3]]), [0.5])
+    start = (camera(*CASES["brown"]), mesh.vertices, balls)
+    flat, unravel = ravel_pytree(eqx.filter(start, eqx.is_inexact_array))
+
+    def parts(x):
+        view, vertices, spheres = eqx.combine(unravel(x), start)
+        return view, eqx.tree_at(lambda m: m.vertices, mesh, vertices), spheres
+
+    def ours(x):
+        view, mesh, spheres = parts(x)
+        return jnp.sum(up * pj.silhouette(view, pj.Scene(mesh, spheres)))
+
+    def oracle(x):
+        view, mesh, spheres = parts(jnp.asarray(x))
+        corner = np.asarray(mesh.vertices, float)
+        share = np.linspace(0, 1, 400, endpoint=False)[:, None]
+        sides = [
+            a + share * (b - a) for a, b in zip(corner, np.roll(corner, -1, axis=0), strict=True)
+        ]
+        shapes = [
+            shapely.Polygon(by_opencv(view, np.concatenate(sides))),
+            *rims(view, spheres, 800),
+        ]
+        return np.sum(up * union_per_pixel(shapes, W, H))
+
+    gradient = jax.jit(jax.grad(ours))(flat)
+    assert np.all(np.isfinite(gradient))
+    forward = jax.jit(lambda x, v: jax.jvp(ours, (x,), (v,))[1])(flat, jnp.ones_like(flat))
+    np.testing.assert_allclose(forward, np.sum(gradient), rtol=1e-9)
+    # The lens's coefficients one by one (all else costs the oracle minutes), then all at once.
+    ways = np.concatenate([np.eye(len(flat))[14:19], rng.normal(size=(3, len(flat)))])
+    expected = [
+        central_difference(lambda t, way=way: oracle(np.asarray(flat) + t * way), 0.0, 1e-4)
+        for way in ways
+    ]
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(ways @ gradient, np.ravel(expected), rtol=5e-3, atol=5e-3 * size)
+
+
+@pytest.mark.full
+def test_a_lens_that_bends_nothing_gives_the_ideal_image():
+    scene = pj.Scene(mesh=pj.shapes.bumpy(2), spheres=BALLS)
+    images = [silhouette(camera(model, 0.6), scene) for model in (None, pj.BrownConrady())]
+    np.testing.assert_allclose(*images, atol=5e-4)
+
+
+FIT_W, FIT_H = 96, 72
+
+
+def fit_camera(eye, k1):
+    lens = pj.Lens([FIT_W / 2, FIT_H / 2], 1.0, pj.BrownConrady(k1))
+    return pj.Camera(eye, [0, 0, 0], [0, 1, 0.1], 0.7, W=FIT_W, H=FIT_H, lens=lens)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    """Return scene, truth, mask, start, and the fit of pose and k1 to the exact mask."""
+    scene = pj.Scene(mesh=pj.shapes.bumpy(2))
+    truth = fit_camera([0.3, 0.4, 3.2], -0.25)
+    mask = pj.silhouette(truth, scene)
+    start = pj.Camera([0.5, 0.2, 3.3], [0.05, 0, 0], [0, 1, 0.1], 0.7, W=FIT_W, H=FIT_H)
+    return scene, truth, mask, start, pj.fit_camera(scene, mask, start, free=("pose", "k1"))
+
+
+@pytest.mark.long
+def test_a_fit_finds_the_lens(fitted):
+    _, truth, _, _, fit = fitted
+    assert fit.status == "converged"
+    assert fit.names[-1] == "k1"
+    assert max(float(x) for x in pj.pose_error(fit.camera, truth)) < 1e-4
+    assert abs(float(fit.camera.lens.distortion.k1) + 0.25) < 1e-3
+
+
+@pytest.mark.full
+def test_views_share_a_lens(fitted):
+    scene, _, mask, start, _ = fitted
+    other = fit_camera([-1.0, 0.6, 3.0], -0.25)
+    masks = [mask, pj.silhouette(other, scene)]
+    near = pj.Camera([-0.9, 0.5, 3.0], [0, 0, 0], [0, 1, 0.1], 0.7, W=FIT_W, H=FIT_H)
+    fits = pj.fit_cameras(scene, masks, [start, near], shared="k1", free="pose")
+    k1 = [float(f.camera.lens.distortion.k1) for f in fits]
+    assert [f.status for f in fits] == ["converged"] * 2
+    np.testing.assert_allclose(k1, -0.25, atol=1e-3)
+    np.testing.assert_allclose(k1[0], k1[1], rtol=1e-9)
+    assert max(float(x) for x in pj.pose_error(fits[1].camera, other)) < 1e-4
+
+
+@pytest.mark.full
+def test_a_prior_holds_what_a_hard_mask_hardly_shows(fitted):
+    scene, _, mask, start, _ = fitted
+    hard = np.asarray(mask) > 0.5
+    plain, sure = (
+        pj.fit_camera(scene, hard, start, ("pose", "phi", "k1"), prior=prior)
+        for prior in (None, {"phi": (0.7, 1e-4), "k1": (-0.25, 1e-3)})
+    )
+    at = plain.names.index("phi")
+    assert abs(float(sure.camera.phi) - 0.7) < 3e-4
+    assert 0.9e-4 < sure.std[at] < 1.1e-4 < plain.std[at]
+
+
+@pytest.mark.full
+def test_a_search_sees_the_mask_without_its_distortion(fitted):
+    scene, bent, *_ = fitted
+    ideal = pj.Camera(bent.e, bent.p, bent.u, bent.phi, W=FIT_W, H=FIT_H)
+    weight = np.ones((FIT_H, FIT_W))
+    shown = [np.asarray(pj.silhouette(c, scene)) for c in (bent, ideal)]
+    seen, straight, wrong = (
+        Mask(image, weight, camera).signature()
+        for image, camera in zip([*shown, shown[0]], (bent, ideal, ideal), strict=True)
+    )
+    np.testing.assert_allclose(seen.solid_angle, straight.solid_angle, rtol=0.01)
+    assert abs(wrong.solid_angle / straight.solid_angle - 1) > 0.02
+    np.testing.assert_allclose(seen.axes, straight.axes, atol=2e-3)
+
+
+@pytest.mark.full
+def test_bounds_are_kept(fitted):
+    scene, _, mask, start, _ = fitted
+    held, inside = (
+        pj.fit_camera(scene, mask, start, ("pose", "k1"), bounds={"k1": (low, 0.1)})
+        for low in (-0.1, -0.4)
+    )
+    assert -0.1 <= float(held.camera.lens.distortion.k1) < -0.09
+    assert held.status == "rank_deficient"
+    assert held.weak[-1] == "k1 is held at an end of its bounds"
+    assert inside.status == "converged"
+    assert abs(float(inside.camera.lens.distortion.k1) + 0.25) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"prior": {"k2": (0, 1)}}, r"`prior`: expected free parameters among e_x.* got 'k2'"),
+        ({"prior": {"k1": (0, 0)}}, "`prior`: expected a positive deviation of 'k1', got 0"),
+        ({"prior": {"k1": 3}}, r"`prior`: expected \(mean, standard deviation\) of 'k1', got 3"),
+        ({"bounds": {"e_x": (0, 1)}}, "`bounds`: expected free parameters among k1, got 'e_x'"),
+        ({"bounds": {"k1": (1, 0)}}, r"`bounds`: expected low < high of 'k1', got \(1.0, 0.0\)"),
+        ({"free": "p3"}, r"`free`: expected names among .* got 'p3'"),
+    ],
+)
+def test_bad_priors_and_bounds_are_said_in_words(more, message):
+    scene, start = pj.Scene(mesh=pj.shapes.bumpy(2)), fit_camera([0.3, 0.4, 3.2], -0.25)
+    with pytest.raises(ValueError, match=message):
+        pj.fit_camera(scene, np.eye(FIT_H, FIT_W), start, **{"free": ("pose", "k1"), **more})

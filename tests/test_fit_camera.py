@@ -1,0 +1,363 @@
+"""Cameras recovered: exact masks, real masks, and what cannot be recovered."""
+
+import json
+import re
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from chosen import first
+from oracles import random_camera, turned
+
+import pinhole_jax as pj
+from pinhole_jax import formats, io, shapes
+from pinhole_jax._fit import levenberg_marquardt, solver
+from pinhole_jax._fit.residuals import Capacity
+from pinhole_jax._fit.uncertainty import covariance
+
+CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return pj.Scene(mesh=shapes.bumpy(3))
+
+
+def mask_of(camera, scene):
+    return np.asarray(pj.silhouette(camera, scene))
+
+
+def single(camera):
+    """Return the camera in float32."""
+    return jax.tree.map(lambda x: x.astype(jnp.float32), camera)
+
+
+def cases(count):
+    for trial in range(count):
+        random = np.random.default_rng(trial)
+        truth = random_camera(random, 256, 256)
+        for degrees in (5.0, 10.0, 20.0):
+            axis, sign = random.normal(size=3), random.choice([-1, 1])
+            yield trial, truth, turned(truth, axis, degrees, 1 + 0.05 * sign, 1 - 0.05 * sign)
+
+
+@pytest.mark.parametrize(("convert", "worst"), first(1, [(lambda x: x, 1e-6), (single, 5e-3)]))
+def test_pose_and_focal_length_from_exact_masks(convert, worst, exhaustive):
+    for trial, truth, start in cases(20 if exhaustive else 2):
+        seen = pj.Scene(mesh=shapes.bumpy(4, trial % 4))
+        fit = pj.fit_camera(seen, mask_of(truth, seen), convert(start), ("pose", "phi"))
+        angle, _ = pj.pose_error(convert(truth), fit.camera)
+        assert fit.status == "converged"
+        assert np.rad2deg(angle) < worst
+        assert abs(float(fit.camera.phi - convert(truth).phi)) < np.deg2rad(worst)
+        assert fit.iou > 1 - 1e-5
+
+
+full = partial(pytest.param, marks=pytest.mark.full)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("free", "change"),
+    [
+        (("position",), {"e": [0.4, 1.1, 5.2]}),
+        full(("orientation",), {"p": [0.2, 0.1, 0]}),
+        full(("phi",), {"phi": 0.65}),
+        (("d",), {"d": 1.1, "phi": 2 * np.arctan(np.tan(0.3) / 1.1)}),
+        full(("phi", "position"), {"e": [0.4, 1.1, 5.2], "phi": 0.65}),
+        full(("principal_point",), {"lens": pj.Lens([46.0, 42.0])}),
+        (("pose", "aspect"), {"u": [0.3, 1, 0.1], "lens": pj.Lens([48.0, 40.0], 1.1)}),
+    ],
+)
+def test_any_subset_of_parameters(scene, free, change):
+    values = {name: getattr(CAMERA, name) for name in ("e", "p", "u", "phi", "d", "W", "H", "lens")}
+    if free == ("position",) or "position" in free:  # an eye that moves takes its view point along
+        change = {**change, "p": np.asarray(CAMERA.p) + change["e"] - np.asarray(CAMERA.e)}
+    fit = pj.fit_camera(scene, mask_of(CAMERA, scene), pj.Camera(**{**values, **change}), free)
+    angle, shift = pj.pose_error(fit.camera, CAMERA)
+    assert fit.status == "converged"
+    np.testing.assert_allclose([angle, shift], 0, atol=1e-8)
+    np.testing.assert_allclose(fit.camera.phi, CAMERA.phi, rtol=1e-8)
+    if "d" in free:
+        np.testing.assert_allclose(fit.camera.d, CAMERA.d, rtol=1e-8)
+    if "lens" in change:
+        np.testing.assert_allclose(fit.camera.lens.principal_point, [48, 40], atol=1e-7)
+        np.testing.assert_allclose(fit.camera.lens.aspect, 1, atol=1e-9)
+    assert len(fit.names) == len(fit.std) == len(fit.covariance)
+
+
+@pytest.mark.long
+def test_targets_may_be_bool_uint8_or_float(scene):
+    image = mask_of(CAMERA, scene)
+    start = turned(CAMERA, [1, 2, 3], 8)
+    for target, worst in (
+        (image > 0.5, 0.3),
+        (np.round(255 * image).astype(np.uint8), 0.01),
+        (image.astype(np.float32), 1e-4),
+    ):
+        fit = pj.fit_camera(scene, target, start)
+        assert fit.status == "converged"
+        assert np.rad2deg(pj.pose_error(fit.camera, CAMERA)[0]) < worst
+
+
+@pytest.mark.long
+def test_what_weighs_nothing_does_not_count(scene):
+    target, weight = mask_of(CAMERA, scene).copy(), np.ones((80, 96))
+    target[:, :40] = 0.0
+    weight[:, :42] = 0
+    fit = pj.fit_camera(scene, target, turned(CAMERA, [1, 2, 3], 5), weight=weight)
+    assert np.rad2deg(pj.pose_error(fit.camera, CAMERA)[0]) < 1e-5
+
+
+@pytest.mark.long
+def test_the_gauge_of_the_start_is_kept(scene):
+    start = turned(CAMERA, [1, 2, 3], 8)
+    fitted = pj.fit_camera(scene, mask_of(CAMERA, scene), start).camera
+    for f in (lambda c: c.p - c.e, lambda c: c.u):
+        np.testing.assert_allclose(np.linalg.norm(f(fitted)), np.linalg.norm(f(start)))
+
+
+@pytest.mark.long
+def test_three_spheres_fix_a_pose_and_one_does_not():
+    spheres = pj.Spheres([[0.0, 0, 0], [1.2, 0.3, -0.5], [-0.4, 0.9, 0.6]], [0.4, 0.3, 0.2])
+    start = turned(CAMERA, [1, 2, 3], 5)
+    three = pj.Scene(spheres=spheres)
+    fit = pj.fit_camera(three, mask_of(CAMERA, three), start)
+    assert fit.status == "converged"
+    np.testing.assert_allclose(pj.pose_error(fit.camera, CAMERA), 0, atol=1e-7)
+
+    # Two more inside it show nothing (and share the compiled program).
+    one = pj.Scene(spheres=pj.Spheres([[0.1, 0.2, 0]] * 3, [0.8, 0.3, 0.2]))
+    fit = pj.fit_camera(one, mask_of(CAMERA, one), start)
+    assert fit.status == "rank_deficient"
+    assert sum("is not visible" in words for words in fit.weak) == 3
+    assert np.all(np.isinf(fit.std[:3]))
+
+
+@pytest.mark.long
+def test_mesh_and_spheres_together(scene):
+    both = pj.Scene(mesh=scene.mesh, spheres=pj.Spheres([[0.0, 1.9, 0]], [0.3]))
+    fit = pj.fit_camera(both, mask_of(CAMERA, both), turned(CAMERA, [3, 1, 2], 8))
+    np.testing.assert_allclose(pj.pose_error(fit.camera, CAMERA), 0, atol=1e-8)
+
+
+@pytest.mark.long
+def test_covariance_is_that_of_refits_under_noise(scene):
+    random = np.random.default_rng(0)
+    image, start = mask_of(CAMERA, scene), turned(CAMERA, [1, 2, 3], 1)
+    errors, spread = [], []
+    for _ in range(40):
+        noisy = np.clip(image + 0.004 * random.normal(size=image.shape), 0, 1)
+        # Inside and outside noise is clipped, and tells nothing of its size.
+        noisy = np.where((image > 0) & (image < 1), noisy, image)
+        fit = pj.fit_camera(scene, noisy, start)
+        errors.append(np.asarray(fit.camera.e - CAMERA.e))
+        spread.append(fit.std[3:])
+    ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / np.mean(spread, axis=0)
+    assert np.all((ratio > 0.7) & (ratio < 1.4))
+
+
+@pytest.mark.long
+def test_a_start_without_overlap_that_may_not_move_is_no_success(scene):
+    behind = pj.Camera([0.3, 1, 5], [0.3, 1, 9], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
+    fit = pj.fit_camera(scene, mask_of(CAMERA, scene), behind, "phi")
+    assert fit.status == "no_overlap"
+
+
+@pytest.mark.long
+def test_an_inverted_mask_is_no_success(scene):
+    assert pj.fit_camera(scene, 1 - mask_of(CAMERA, scene), CAMERA).status != "converged"
+
+
+@pytest.mark.long
+def test_an_object_that_fills_the_film_is_saturated(scene):
+    close = pj.Camera([0, 0, 2.2], [0, 0, 0], [0, 1, 0], 0.1, 1.0, 96, 80)
+    assert pj.fit_camera(scene, mask_of(CAMERA, scene), close, "phi").status == "saturated"
+
+
+def test_too_few_steps_are_said(scene):
+    fit = pj.fit_camera(scene, mask_of(CAMERA, scene), turned(CAMERA, [1, 2, 3], 15), max_steps=1)
+    assert fit.status == "max_steps"
+    assert fit.steps == (1,) * len(fit.steps)
+
+
+def test_the_fit_is_never_worse_than_its_start(scene):
+    start = turned(CAMERA, [1, 2, 3], 0)
+    fit = pj.fit_camera(scene, mask_of(CAMERA, scene), start, max_steps=1)
+    assert fit.rms < 1e-8
+
+
+@pytest.mark.long
+def test_meshes_and_images_of_similar_size_share_compiled_programs(scene):
+    pj.fit_camera(scene, mask_of(CAMERA, scene), turned(CAMERA, [1, 2, 3], 5))
+    programs = [levenberg_marquardt.descended._cached._cache_size()]
+    for subdivisions, size in ((2, (300, 160)), (3, (90, 84))):
+        other = pj.Scene(mesh=shapes.bumpy(subdivisions, seed=1))
+        camera = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, *size)
+        pj.fit_camera(other, mask_of(camera, other), turned(camera, [1, 2, 3], 5))
+    assert programs == [levenberg_marquardt.descended._cached._cache_size()]
+
+
+@pytest.mark.long
+def test_a_view_that_outgrows_its_buffers_is_fitted_with_larger_ones(monkeypatch, scene):
+    monkeypatch.setattr(solver, "LEAST_ROOM", Capacity(1024, 1024, 1024, 1024))
+    monkeypatch.setattr(solver, "_first_capacity", lambda *_: Capacity(1024, 1024, 1))
+    truth = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 320, 320)
+    fit = pj.fit_camera(scene, mask_of(truth, scene), turned(truth, [1, 2, 3], 5, 2.5))
+    assert len(fit.steps) == 12  # two rounds of five levels and the last without overlaps
+    assert fit.status == "converged"
+    assert np.rad2deg(pj.pose_error(fit.camera, truth)[0]) < 1e-6
+
+
+@pytest.mark.long
+def test_a_wrong_view_that_fits_badly_is_no_success(scene):
+    """The mask of something else: the best camera overlaps it by less than half."""
+    rows, columns = np.mgrid[:80, :96]
+    thin = np.abs(rows - columns + 8) < 2
+    fit = pj.fit_camera(scene, thin, CAMERA, ("orientation",))
+    assert fit.iou < 0.5
+    assert fit.status == "no_overlap"
+
+
+def test_progress_is_told_after_each_level(scene):
+    told = []
+    start = turned(CAMERA, [1, 2, 3], 8, 1.05)
+    fit = pj.fit_camera(scene, mask_of(CAMERA, scene), start, progress=told.append)
+    assert tuple(level.steps for level in told) == fit.steps
+    assert (fit.history[0].steps, fit.history[0].W) == (0, told[0].W)
+    assert max(map(float, pj.pose_error(fit.history[0].camera, start))) < 1e-9
+    assert [str(level) for level in fit.history[1:]] == [str(level) for level in told]
+    assert "96 x 80" in str(told[-1])
+    np.testing.assert_allclose(told[-1].camera.e, fit.camera.e, rtol=1e-12)
+    way = pj.fit_camera(scene, mask_of(CAMERA, scene), start, record=True).history
+    assert [stop.steps for stop in way] == [0] + [1] * sum(fit.steps)
+    for level, last in zip(told, np.cumsum(fit.steps), strict=True):
+        assert (way[last].W, way[last].H) == (level.W, level.H)
+        np.testing.assert_allclose(way[last].camera.e, level.camera.e, rtol=1e-9)
+
+
+def test_covariance_by_hand():
+    # Residuals 2 a and b / 2 with unit noise: a has variance 1/4, b has 4.
+    triangle, reported = np.diag([2.0, 0.5]), np.array([[1.0, 0], [1, 1]])
+    np.testing.assert_allclose(
+        covariance(triangle, reported, 1.0, 1e-9), [[0.25, 0.25], [0.25, 4.25]]
+    )
+    blind = covariance(np.diag([2.0, 0.0]), reported, 1.0, 1e-9)
+    assert blind[0, 0] == 0.25
+    assert np.isinf(blind[1, 1])
+    assert np.isnan(blind[0, 1])
+
+
+MASK = np.zeros((80, 96))
+MASK[30:50, 30:60] = 1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"target": MASK[:, :, None]},
+            r"`target`: expected shape \(H, W\) = \(80, 96\), got shape \(80, 96, 1\)",
+        ),
+        (
+            {"target": MASK.T},
+            r"`target`: expected the camera's shape \(H, W\) = \(80, 96\), got \(96, 80\)",
+        ),
+        (
+            {"target": 0 * MASK},
+            r"`target`: expected a mask that covers something, got an empty one",
+        ),
+        ({"target": 0 * MASK + 1}, r"`target`: expected a mask with some background"),
+        ({"target": 255 * MASK}, r"`target`: expected floats in \[0, 1\], got 0 to 255"),
+        ({"target": MASK.astype(int)}, r"`target`: expected dtype bool, uint8 or float, got int64"),
+        (
+            {"target": np.where(MASK > 0, np.nan, 0)},
+            r"`target`: expected finite values, got nan at \[30, 30\]",
+        ),
+        ({"weight": MASK[1:]}, r"`weight`: expected shape \(H, W\) = \(80, 96\)"),
+        ({"weight": -MASK}, r"`weight`: expected finite values of at least 0"),
+        ({"weight": 0 * MASK}, r"`weight`: expected some pixels to count"),
+        ({"weight": MASK.astype(int)}, r"`weight`: expected dtype bool or float"),
+        ({"camera": None}, r"`phi`: expected the field of view \(rad\) where there is no `camera`"),
+        ({"camera": None, "free": "phi"}, r"`camera`: expected a Camera .* got None with free"),
+        ({"camera": None, "phi": 0.6, "target": MASK[0]}, r"`target`: expected shape \(H, W\)"),
+        ({"phi": 0.6}, r"`phi`: expected None beside a `camera`"),
+        ({"outlier_px": 0.0}, r"`outlier_px`: expected a positive number of px, got 0.0"),
+        ({"scene": pj.Scene()}, r"`scene`: expected a Scene with a mesh or spheres"),
+        ({"free": ("pose", "zoom")}, r"`free`: expected names among .* got 'zoom'"),
+        ({"max_steps": 0}, r"`max_steps`: expected at least 1, got 0"),
+    ],
+)
+def test_bad_input_is_said_in_words(scene, change, message):
+    good = {"scene": scene, "target": MASK, "camera": CAMERA, "free": ("pose",)}
+    with pytest.raises(ValueError, match=message):
+        pj.fit_camera(**{**good, **change})
+
+
+# --- real input ----------------------------------------------------------------------------------
+
+
+def about(camera, centre, axis, distance, focal):
+    """Return a start 10 degrees off about the object's centre."""
+    shift = lambda c, d: pj.Camera(c.e + d, c.p + d, c.u, c.phi, c.d, c.W, c.H, c.lens)
+    return shift(turned(shift(camera, -centre), axis, 10, distance, focal), centre)
+
+
+@pytest.mark.long
+def test_the_cow_of_pytorch3d(shared):
+    """Published camera: 0.1 degrees, 0.2 % of the distance and of the focal length."""
+    folder = shared / "renders" / "pytorch3d_cow"
+    given = json.loads((folder / "camera.json").read_text())
+    truth = formats.from_opencv(
+        given["K"], given["R"], given["t"], 256, 256, pixel_centres="integer"
+    )
+    scene = pj.Scene(mesh=pj.load_mesh(folder / "cow.obj"))
+    mask = io.load_image(folder / "cow.png")[..., :3].min(axis=2) < 255
+    centre = scene.mesh.vertices.mean(axis=0)
+    random = np.random.default_rng(0)
+    for distance, focal in ((1.05, 0.95), (0.95, 1.05), (1.05, 1.05), (0.95, 0.95)):
+        start = about(truth, centre, random.normal(size=3), distance, focal)
+        fit = pj.fit_camera(scene, mask, start, ("pose", "phi"))
+        assert fit.status == "converged"
+        assert np.rad2deg(pj.pose_error(fit.camera, truth)[0]) < 0.1
+        far, true = (np.linalg.norm(c.e - centre) for c in (fit.camera, truth))
+        assert abs(far / true - 1) < 0.002
+        assert abs(np.tan(truth.phi / 2) / np.tan(fit.camera.phi / 2) - 1) < 0.002
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("photo", ["200", "201"])
+def test_the_shampoo_bottle_in_a_photo(shared, photo):
+    folder = shared / "photos" / "m3t_shampoo"
+    given = json.loads((folder / "camera.json").read_text())
+    bottle = given["objects"]["shampoo"]
+    truth = formats.from_opencv(
+        given["K"], bottle["R"], bottle["t"], 960, 540, pixel_centres="integer"
+    )
+    scene = pj.Scene(mesh=pj.load_mesh(folder / "schauma.obj"))
+    mask = io.load_mask(folder / bottle["mask"][photo])
+    centre = scene.mesh.vertices.mean(axis=0)
+    random = np.random.default_rng(0)
+    for distance in (1.05, 0.95):
+        fit = pj.fit_camera(scene, mask, about(truth, centre, random.normal(size=3), distance, 1.0))
+        assert fit.status == "converged"
+        assert fit.iou > 0.965
+        far, true = (np.linalg.norm(c.e - centre) for c in (fit.camera, truth))
+        assert abs(far / true - 1) < 0.02
+        assert "the turn about the axis" in fit.weak[0]
+        assert "is nearly free" in fit.weak[0]
+
+
+@pytest.mark.long
+def test_a_turn_that_no_mask_shows_is_named():
+    cylinder = trimesh.creation.cylinder(0.5, 2.0, sections=256)
+    scene = pj.Scene(mesh=pj.Mesh(cylinder.vertices, cylinder.faces))
+    camera = pj.Camera([3.0, 1, 2], [0, 0, 0], [0, 0, 1], 0.6, 1.0, 96, 80)
+    fit = pj.fit_camera(scene, mask_of(camera, scene), turned(camera, [1, 2, 3], 5))
+    assert fit.iou > 0.999
+    axis = re.match(r"the turn about the axis \(([-.\d]+), ([-.\d]+), ([-.\d]+)\)", fit.weak[0])
+    assert axis is not None
+    np.testing.assert_allclose([float(x) for x in axis.groups()], [0, 0, 1], atol=0.05)

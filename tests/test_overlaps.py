@@ -1,0 +1,315 @@
+"""Exact coverage of unions: overlaps, open meshes, soup, near plane, spheres among triangles.
+
+Against the union of all projected triangles by shapely. Meshes are filled up to one size, so that
+they share a compiled program.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from chosen import first
+from oracles import mesh_coverage, mesh_polygons, sphere_polygons, union_per_pixel
+
+import pinhole_jax as pj
+from pinhole_jax._silhouette import overlaps
+
+W, H = 64, 48
+SHARED = ["bob.obj", "counter.stl", "cycloidal.ply", "spot.obj", "suzanne.ply", "teapot.obj"]
+
+
+def noisy_sphere(subdivisions=2):
+    sphere = trimesh.creation.icosphere(subdivisions)
+    noise = np.random.default_rng(1).normal(size=(len(sphere.vertices), 1))
+    return sphere.vertices * (1 + 0.08 * noise), sphere.faces
+
+
+def knot(cells=30):
+    from skimage.measure import marching_cubes
+
+    t = np.linspace(0, 2 * np.pi, 300)[:, None]
+    curve = [np.sin(t) + 2 * np.sin(2 * t), np.cos(t) - 2 * np.cos(2 * t), -np.sin(3 * t)]
+    curve = np.concatenate(curve, axis=1) / 3
+    axis = np.linspace(-1.3, 1.3, cells)
+    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    distance = np.concatenate(
+        [np.linalg.norm(part - curve, axis=-1).min(axis=1) for part in np.array_split(grid, 50)]
+    )
+    vertices, faces, _, _ = marching_cubes(distance.reshape((cells,) * 3), 0.16)
+    return axis[0] + vertices * (axis[1] - axis[0]), faces
+
+
+def bowl():
+    sphere = trimesh.creation.icosphere(2)
+    sphere.update_faces(sphere.triangles_center[:, 2] < 0.2)
+    return sphere.vertices, sphere.faces
+
+
+def crowd(number=200, subdivisions=1):
+    random, ball = np.random.default_rng(2), trimesh.creation.icosphere(subdivisions)
+    sizes, places = random.uniform(0.03, 0.15, number), random.uniform(-1, 1, (number, 3))
+    vertices = [ball.vertices * r + c for r, c in zip(sizes, places, strict=True)]
+    faces = [ball.faces + k * len(ball.vertices) for k in range(number)]
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def soup(number=100):
+    random = np.random.default_rng(3)
+    corners = random.uniform(-1, 1, (number, 1, 3)) + 0.25 * random.normal(size=(number, 3, 3))
+    return corners.reshape(-1, 3), np.arange(3 * number).reshape(-1, 3)
+
+
+def turned_faces():
+    vertices, faces = noisy_sphere()
+    turn = np.random.default_rng(4).random(len(faces)) < 0.4
+    return vertices, np.where(turn[:, None], faces[:, ::-1], faces)
+
+
+def degenerate():
+    """Faces twice, faces of no area, three faces to an edge, a T-junction, coincident faces."""
+    vertices, faces = bowl()
+    fin = [[faces[k, 0], faces[k, 1], len(vertices)] for k in range(0, 40, 7)]
+    flat = [[5, 5, 9], [7, 7, 7], [3, 8, 3]]
+    copy = faces[20:40] + len(vertices) + 1
+    return (
+        np.concatenate([vertices, [[0, 0, 1.5]], vertices]),
+        np.concatenate([faces, faces[:30], fin, flat, copy]),
+    )
+
+
+MESHES = {
+    "noisy sphere": noisy_sphere,
+    "knot": knot,
+    "crowd of 200": crowd,
+    "bowl": bowl,
+    "soup": soup,
+    "turned faces": turned_faces,
+    "degenerate": degenerate,
+}
+
+
+def cameras(number, dtype=float, W=W, H=H):
+    """Return cameras from far to within; some look past the object, some see a part."""
+    random = np.random.default_rng(5)
+    for k in range(number):
+        direction = random.normal(size=3)
+        eye = direction / np.linalg.norm(direction) * [4, 1.3, 2, 0.4, 6][k % 5]
+        aim = random.normal(size=3) * [0.3, 0.8, 0.6, 0.5, 0.1][k % 5]
+        phi = [0.6, 1.2, 0.8, 1.6, 0.5][k % 5]
+        arrays = (np.asarray(x, dtype) for x in (eye, aim, random.normal(size=3), phi, 1.0))
+        yield pj.Camera(*arrays, W, H)
+
+
+def filled(vertices, faces, dtype=float) -> pj.Scene:
+    """Return the scene with arrays of one size, whatever the mesh; what is added shows nowhere."""
+    mesh = pj.Mesh(
+        np.concatenate([vertices, np.repeat(vertices[:1], 20_000 - len(vertices), 0)]).astype(
+            dtype
+        ),
+        np.concatenate([faces, np.zeros((20_000 - len(faces), 3), int)]),
+    )
+    fill = lambda x: jnp.pad(x, ((0, 40_000 - x.shape[0]), (0, 0)))
+    edges = lambda m: (m.edge_vertices, m.edge_faces)
+    return pj.Scene(mesh=eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh)))))
+
+
+@pytest.mark.parametrize("name", first(1, reversed(MESHES)))
+def test_any_mesh_matches_the_polygon_union(name, exhaustive):
+    vertices, faces = MESHES[name]()
+    scene = filled(vertices, faces)
+    for camera in cameras(20 if exhaustive else 4):
+        expected = mesh_coverage(camera, vertices, faces)
+        np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-9)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", MESHES)
+def test_in_float32_to_1e_4(name, exhaustive):
+    vertices, faces = MESHES[name]()
+    vertices = vertices.astype(np.float32)
+    scene = filled(vertices, faces, np.float32)
+    for camera in cameras(20 if exhaustive else 1, np.float32):
+        arrays = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u, camera.phi))
+        expected = mesh_coverage(pj.Camera(*arrays, 1.0, W, H), vertices.astype(float), faces)
+        np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-4)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", SHARED)
+def test_real_meshes_match_the_polygon_union(name, shared, exhaustive):
+    mesh = pj.load_mesh(shared / "meshes" / name)
+    vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    vertices = (vertices - (low + high) / 2) / np.max(high - low) * 2
+    if len(faces) > 20_000 and not exhaustive:
+        pytest.skip("large: only with --exhaustive")
+    scene = filled(vertices, faces) if not exhaustive else pj.Scene(mesh=pj.Mesh(vertices, faces))
+    for size in ((64, 64), (W, H), (256, 192)) if exhaustive else ((W, H),):
+        for camera in cameras(20 if exhaustive else 2, W=size[0], H=size[1]):
+            expected = mesh_coverage(camera, vertices, faces)
+            np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-9)
+
+
+SPHERES = {
+    "overlap": ([[0, 0, 0], [0.9, 0.2, 0.3], [0.3, 0.8, -0.5]], [0.7, 0.5, 0.4]),
+    "crosses the plane of the eye": (
+        [[0.3, -1.2, 4.8], [-1.5, 0.2, 5.1], [9, 0, 0]],
+        [1.1, 1.4, 1],
+    ),
+    "touches the plane of the eye": ([[1.5, 0, 4.0], [9, 0, 0], [9, 1, 0]], [1.0, 1, 1]),
+    "one within another, nearly touching": ([[0, 0, 0], [0.3, 0, 0], [0, 0, 0]], [1.0, 0.7, 1.0]),
+    "below a pixel": ([[0.05, 0.03, 0], [0.051, 0.03, 0], [0.9, 0.1, 0]], [5e-4, 5e-4, 0.01]),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize("name", SPHERES)
+def test_spheres_that_overlap_match_the_polygon_union(name, mixed):
+    centers, radii = (np.array(x, float) for x in SPHERES[name])
+    vertices, faces = soup(20)
+    camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.9, W=W, H=H)
+    polygons = sphere_polygons(camera, centers, radii)
+    polygons += mesh_polygons(camera, vertices, faces) if mixed else []
+    mesh = pj.Mesh(vertices, faces) if mixed else None
+    image = pj.silhouette(camera, pj.Scene(mesh=mesh, spheres=pj.Spheres(centers, radii)))
+    np.testing.assert_allclose(image, union_per_pixel(polygons, W, H), atol=1e-6)
+
+
+@pytest.mark.long
+def test_an_eye_within_a_sphere_or_a_closed_mesh_sees_nothing_else():
+    camera = pj.Camera([0.1, 0, 0.2], [0, 1, 0], [0, 0, 1], 0.9, W=W, H=H)
+    inside = [
+        pj.Scene(spheres=pj.Spheres([[0, 0, 0], [0, 3, 0], [1, 1, 0]], [0.5, 0.1, 0.2])),
+        filled(*noisy_sphere()),
+    ]
+    for scene in inside:
+        np.testing.assert_array_equal(pj.silhouette(camera, scene), 1)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("offset", [[0, 0, 0], [0.3, 0.1, -0.2]])
+def test_a_room_without_a_wall_around_the_eye(offset):
+    # Five sides of a box: rays along the axes meet vertices' diagonals exactly when centred.
+    box = trimesh.creation.box(extents=[2, 2, 2])
+    faces = box.faces[np.abs(box.face_normals @ [0, 0, 1] - 1) > 0.5]
+    mesh = filled(box.vertices, faces)
+    for aim in ([0, 0, 1], [1, 0, 1], [0, 1, 0.7], [0, -1, 0]):
+        eye = np.array(offset, float)
+        up = [0, 1, 0] if aim[1] == 0 else [0, 0, 1]
+        camera = pj.Camera(eye, eye + aim, up, 1.9, W=W, H=H)
+        expected = mesh_coverage(camera, box.vertices, faces)
+        np.testing.assert_allclose(pj.silhouette(camera, mesh), expected, atol=1e-9)
+
+
+@pytest.mark.long
+def test_crowded_cells_are_cut_until_they_are_resolved(monkeypatch):
+    # One pixel that holds everything: hundreds of pieces.
+    vertices, faces = soup(60)
+    camera = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, W=2, H=2)
+    scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
+    expected = mesh_coverage(camera, vertices, faces)
+    np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-8)
+    # Where the cutting ends early, what is left unresolved is bounded by the cells' size.
+    monkeypatch.setattr(overlaps, "LAST_CUT", {"float64": 1})
+    coarse = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, W=2, H=1)
+    image = pj.silhouette(coarse, scene)
+    np.testing.assert_allclose(image, mesh_coverage(coarse, vertices, faces), atol=0.5)
+
+
+@pytest.mark.long
+def test_many_copies_of_a_face_are_one():
+    corners = np.array([[-1.0, -0.7, 0], [0.9, -0.5, 0.1], [0.1, 0.8, -0.2]])
+    camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=W, H=H)
+    vertices, faces = np.tile(corners, (3000, 1)), np.arange(9000).reshape(-1, 3)
+    image = pj.silhouette(camera, pj.Scene(mesh=pj.Mesh(vertices, faces)))
+    np.testing.assert_allclose(image, mesh_coverage(camera, corners, [[0, 1, 2]]), atol=1e-9)
+
+
+@pytest.mark.long
+def test_hard_masks_of_an_open_mesh_converge_to_it():
+    vertices, faces = bowl()
+    scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
+    camera = next(cameras(1, W=24, H=18))
+    image = pj.silhouette(camera, scene)
+    errors = []
+    for samples in (4, 16):
+        hard = jnp.mean(pj.occluded(scene, pj.camera_rays(camera, samples)), axis=-1, dtype=float)
+        errors.append(float(jnp.sqrt(jnp.mean((hard - image) ** 2))))
+    assert errors[0] < 0.03
+    assert errors[1] < errors[0] / 4  # a regular grid: error about samples^-3/2
+
+
+@pytest.mark.long
+def test_what_is_known_not_to_overlap_is_compiled_without():
+    camera = next(cameras(1))
+    ball = trimesh.creation.icosphere(2)
+    convex = pj.Scene(mesh=pj.Mesh(ball.vertices, ball.faces))
+    sphere = pj.Scene(spheres=pj.Spheres([[0.1, 0, 0]], [0.7]))
+    program = lambda scene, **known: str(
+        jax.make_jaxpr(lambda c: pj.silhouette(c, scene, **known))(camera)
+    )
+    assert "argmax[" in program(convex)
+    assert "argmax[" not in program(convex, overlaps=False)
+    assert "argmax[" not in program(sphere)
+    expected = mesh_coverage(camera, ball.vertices, ball.faces)
+    image = pj.silhouette(camera, convex, overlaps=False)
+    np.testing.assert_allclose(image, expected, atol=1e-9)
+    expected = union_per_pixel(sphere_polygons(camera, [[0.1, 0, 0]], [0.7]), W, H)
+    np.testing.assert_allclose(pj.silhouette(camera, sphere), expected, atol=2e-6)
+    slope = jax.grad(lambda c: jnp.sum(pj.silhouette(c, sphere)), allow_int=True)(camera)
+    assert np.all(np.isfinite(slope.e))
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    vertices, faces = soup(12)
+    spheres = pj.Spheres([[0.4, 0.3, 0.2], [-0.3, 0.1, 0.5]], [0.3, 0.35])
+    camera = pj.Camera([0.3, 0.4, 4], [0, 0, 0], [0.1, 1, 0], 0.6, W=24, H=18)
+    return camera, pj.Scene(mesh=pj.Mesh(vertices, faces), spheres=spheres)
+
+
+def leaves(moving):
+    camera, scene = moving
+    return (
+        camera.e,
+        camera.p,
+        camera.u,
+        camera.phi,
+        scene.mesh.vertices,
+        *jax.tree.leaves(scene.spheres),
+    )
+
+
+@pytest.mark.long
+def test_derivatives_of_a_union_equal_central_differences_of_the_oracle(mixed):
+    camera, _ = mixed
+    random = np.random.default_rng(0)
+    weight = random.normal(size=(camera.H, camera.W))
+    start = leaves(mixed)
+    directions = [random.normal(size=x.shape) for x in start]
+
+    def at(steps):
+        moved = [x + s * d for x, s, d in zip(start, steps, directions, strict=True)]
+        return eqx.tree_at(lambda m: leaves(m), mixed, tuple(moved))
+
+    def oracle(steps):
+        camera, scene = at(steps)
+        polygons = mesh_polygons(camera, scene.mesh.vertices, scene.mesh.faces)
+        polygons += sphere_polygons(camera, scene.spheres.centers, scene.spheres.radii, 100_000)
+        return union_per_pixel(polygons, camera.W, camera.H)
+
+    image = jax.jit(lambda steps: pj.silhouette(*at(steps)))
+    zero = jnp.zeros(len(start))
+    columns = np.asarray(jax.jit(jax.jacfwd(image))(zero))
+    gradient = jax.jit(jax.grad(lambda steps: jnp.sum(weight * image(steps))))(zero)
+    np.testing.assert_allclose(gradient, np.tensordot(weight, columns, 2), rtol=1e-10, atol=1e-10)
+    for k, step in enumerate(np.eye(len(start)) * 1e-5):
+        expected = (oracle(step) - oracle(-step)) / 2e-5
+        scale = np.abs(expected).max()
+        # Per pixel the oracle's polygons err by 1e-8 px^2, over the step 1e-3 at most; the loss
+        # averages that out.
+        np.testing.assert_allclose(columns[..., k], expected, atol=2e-5 * scale)
+        np.testing.assert_allclose(gradient[k], np.sum(weight * expected), rtol=1e-5)
