@@ -27,13 +27,12 @@ from .files import (
     FORMATS as FORMATS,
     guess_write as guess_write,
     read as read,
-    read_json as read_json,
     write as write,
-    write_json as write_json,
 )
 from .gltf import read_gltf as read_gltf, write_gltf as write_gltf
 from .matrices import from_opencv as from_opencv, to_opencv as to_opencv
 from .mitsuba import read_mitsuba as read_mitsuba, write_mitsuba as write_mitsuba
+from .native import read_json as read_json, write_json as write_json
 from .nerf import read_nerf as read_nerf, write_nerf as write_nerf
 from .opencv import read_opencv as read_opencv, write_opencv as write_opencv
 from .pytorch3d import (

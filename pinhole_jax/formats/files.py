@@ -7,51 +7,15 @@ from typing import Any, NamedTuple
 
 from .._camera.camera import Camera
 from .._files.paths import existing, is_folder, path_of
-from ..io import CAMERA_SCHEMA, camera_from_dict, camera_to_dict, save_camera
 from .blender import SCHEMA as BLENDER_SCHEMA, read_blender, write_blender, write_blender_script
 from .colmap import read_colmap, write_colmap
-from .fields import KIND, Fields, Size, add_named, check_names, load_json, save_json
+from .fields import KIND, Size, load_json
 from .gltf import read_gltf, write_gltf
 from .mitsuba import read_mitsuba, write_mitsuba
+from .native import CAMERA_SCHEMA, CAMERAS_SCHEMA, read_json, write_json
 from .nerf import read_nerf, write_nerf
 from .opencv import read_opencv, write_opencv
 from .pytorch3d import SCHEMA as PYTORCH3D_SCHEMA, read_pytorch3d, write_pytorch3d
-
-CAMERAS_SCHEMA = "pinhole_jax.cameras/1"
-
-
-def read_json(path: str | os.PathLike) -> dict[str, Camera]:
-    """Return the cameras of the project's own JSON: one (`io.save_camera`) or many.
-
-    Frisvad's parameters: world units, `phi` the VERTICAL field of view in rad, the principal point
-    in film coordinates (px from the film's bottom-left corner, y up; pixel centres at halves).
-    """
-    top = load_json(path)
-    if top.data.get("schema") != CAMERAS_SCHEMA:
-        return {top.text("name", default="camera"): _own(top)}
-    cameras: dict[str, Camera] = {}
-    parts = top.part("cameras")
-    for name in parts.data:
-        add_named(cameras, name, _own(parts.part(name)), top.where)
-    return cameras
-
-
-def write_json(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
-    """Write the project's own JSON: one camera as `io.save_camera` does, many by name."""
-    check_names(cameras, "JSON")
-    if len(cameras) == 1:
-        ((name, camera),) = cameras.items()
-        save_camera(path, camera, name=name)
-    else:
-        own = {name: camera_to_dict(camera) for name, camera in cameras.items()}
-        save_json(path, {"schema": CAMERAS_SCHEMA, "cameras": own})
-
-
-def _own(fields: Fields) -> Camera:
-    try:
-        return camera_from_dict(fields.data)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{error} (in {fields.where})") from None
 
 
 class Format(NamedTuple):

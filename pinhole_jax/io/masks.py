@@ -4,12 +4,14 @@ What a picture's values mean is not guessed where it matters: a picture that is 
 sight is refused, with the ways to read it.
 """
 
+import os
 import re
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._files.pictures import BAND, Image, bands, by_bands, eight_bits, rows
+from .._files.pictures import BAND, Image, bands, by_bands, eight_bits, from_picture, rows
 
 #: The ways to read a mask, as `mask_from` and the command's `--mask-from` name them.
 WAYS = "alpha, luminance, label=N, background=COLOR (or COLOR,TOLERANCE)"
@@ -25,6 +27,35 @@ BAND_PX = 2
 REACH_PX = 64
 #: More parts than this are noise.
 MOST_PARTS = 1 << 20
+
+
+def load_mask(
+    path: str | os.PathLike,
+    mask_from: str | None = None,
+    say: Callable[[str], Any] | None = None,
+) -> np.ndarray:
+    """Return a mask file as uint8 (H, W), 255 where the object is; turned upright as `load_image`.
+
+    `mask_from` is how to read it:
+
+    - None: transparency if it varies, else a grey picture that is mostly black and white, soft
+      edges as they are (a JPEG's too: its ringing costs a fit less than a threshold would).
+    - "alpha": the transparency. "luminance": the brightness, whatever it is.
+    - "label=N": the pixels with this grey value or palette entry; edges are hard.
+    - "background=COLOR": a photo before a background of one colour, by name or as #rrggbb. The
+      object is what is farther from it in CIE Lab than Otsu's threshold, or than the tolerance of
+      "background=COLOR,TOLERANCE" (2.3 is just noticeable); edges are soft where colours mix.
+
+    `say` is told how it was read, where that is not just a grey mask as it is.
+
+    Raises FileNotFoundError or ValueError like `load_image`, and ValueError for a picture that does
+    not hold what is asked for.
+    """
+    way = way_of(mask_from)
+    read = from_picture(path, "a mask", lambda image: read_mask(image, way))
+    if say is not None and read.words:
+        say(read.words)
+    return read.mask
 
 
 class Way(NamedTuple):

@@ -1,0 +1,77 @@
+"""Pictures: read upright, written as 8 bits, and what their EXIF data say of the camera."""
+
+import os
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+
+from .._files.exif import FieldOfView, field_of_view
+from .._files.paths import path_of, reason, replace_file
+from .._files.pictures import by_bands, eight_bits, from_picture
+
+#: The most pixels of a picture (Pillow's limit, too: what is written can be read).
+MOST_PIXELS = 178_956_970
+
+
+def load_image(path: str | os.PathLike) -> np.ndarray:
+    """Return an image file as uint8: (H, W) if it is grey, else (H, W, 3) or (H, W, 4).
+
+    A photo that says that it was taken sideways (EXIF) is turned upright. Grey values of more than
+    8 bits are scaled so that the largest is 255; negative ones become 0.
+
+    Raises FileNotFoundError, or ValueError where the file is no PNG, JPEG, TIFF, WebP, BMP or PNM
+    that can be read, has values that are not finite, or more than some 179 million pixels
+    (Pillow's limit; half of it in WebP). It takes at most ten bytes a pixel as it works, WebP 17.
+    """
+
+    def read(image: Any) -> np.ndarray:
+        through = image.has_transparency_data
+        if image.mode.startswith(("I", "F")) or (image.mode in ("1", "L") and not through):
+            return eight_bits(image)
+        mode = "RGBA" if through else "RGB"
+        return by_bands(image, lambda band: np.asarray(band.convert(mode)), (len(mode),))
+
+    return from_picture(path, "a readable image", read)
+
+
+def photo_fov(path: str | os.PathLike) -> FieldOfView | None:
+    """Return the vertical field of view `phi` (rad) that a photo's EXIF data tell, and in `words`
+    how; None where they do not. It is a first guess, as good as some per cent.
+
+    Raises FileNotFoundError or ValueError like `load_image`.
+    """
+    return from_picture(path, "a readable image", field_of_view)
+
+
+def save_image(path: str | os.PathLike, image: np.ndarray) -> None:
+    """Write a uint8 image, or bool or floats in [0, 1] as 8 bits, by the path's ending.
+
+    The shape is (H, W), (H, W, 3), or (H, W, 4) with transparency. Floats beyond [0, 1] are
+    clipped.
+
+    Raises ValueError for other shapes and types, for values that are not finite, and for a path
+    that cannot be written.
+    """
+    from PIL import Image
+
+    array = np.asarray(image)
+    shown = array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (3, 4))
+    if not shown or 0 in array.shape:
+        raise ValueError(f"`image`: expected shape (H, W), (H, W, 3 or 4), got {array.shape}")
+    if array.dtype == bool or np.issubdtype(array.dtype, np.floating):
+        if not np.all(np.isfinite(array)):
+            raise ValueError("`image`: expected finite values, got NaN or infinity")
+        array = np.round(np.clip(array.astype(float), 0, 1) * 255).astype(np.uint8)
+    elif array.dtype != np.uint8:
+        raise ValueError(f"`image`: expected dtype bool, uint8 or float, got {array.dtype}")
+    suffix = path_of(path).suffix or ".png"
+    if suffix.lower() not in Image.registered_extensions():
+        raise ValueError(f"`path`: expected the ending of an image format, got {suffix!r}")
+    data = BytesIO()
+    try:
+        Image.fromarray(array).save(data, Image.registered_extensions()[suffix.lower()])
+    except (OSError, ValueError, KeyError) as error:  # a format's limits
+        words = f"an image format that can hold it, got {str(path)!r}: {reason(error)}"
+        raise ValueError(f"`path`: expected {words}") from error
+    replace_file(path, data.getvalue())

@@ -1,0 +1,82 @@
+"""`load_mesh`: the triangles of a mesh file."""
+
+import os
+from typing import Any
+
+import numpy as np
+
+from .._files.paths import existing, reason
+from .._mesh_files import MESH_ENDINGS, Polygons, read_polygons, triangulated
+from .._scene.scene import Mesh
+
+
+def load_mesh(path: str | os.PathLike) -> Mesh:
+    """Return the triangles of a mesh file (obj, ply, stl, glb, gltf, off), as one mesh.
+
+    Polygons of any shape in any plane are cut into triangles that run the way they do, and vertices
+    at exactly the same place are merged so that faces share edges. Axes and lengths are the file's.
+
+    - A glTF scene is put together with its nodes' transforms, instances, morph weights and skins as
+      the file has them, with no animation. Triangles, strips and fans count, lines and points do
+      not. Buffers are read from the file's folder and below.
+    - Of an obj file all polygons count; the material files that it names are not opened.
+    - Of a ply file the faces and triangle strips count.
+
+    Raises FileNotFoundError, or ValueError where the file is no mesh, has no faces, fewer or more
+    data than its header says, vertices that are not finite, faces that name vertices it does not
+    have, a polygon whose sides cross or that has too many corners to cut in seconds (some 100 000,
+    unless its first corner sees them all), curved surfaces (obj), binary or not three dimensions
+    (off), or a required glTF extension that is not read (KHR_draco_mesh_compression,
+    EXT_meshopt_compression): the extension, field or face is named.
+    """
+    file = existing(path, "a mesh file")
+    if file.suffix.lower() not in MESH_ENDINGS:
+        raise ValueError(f"`path`: expected one of {', '.join(MESH_ENDINGS)}, got {file.name!r}")
+    if file.stat().st_size == 0:
+        raise ValueError(f"`path`: expected a mesh file, got {str(path)!r}: empty")
+    try:
+        polygons = read_polygons(file)
+    except Exception as error:  # whatever a reader meets that it did not expect
+        raise ValueError(
+            f"`path`: expected a readable mesh, got {str(path)!r}: {reason(error)}"
+        ) from error
+    _check_corners(polygons, path)
+    try:
+        faces = triangulated(polygons)
+    except ValueError as error:
+        raise ValueError(
+            f"`path`: expected polygons that can be cut, got {str(path)!r}: {error}"
+        ) from error
+    if not len(faces):
+        raise ValueError(f"`path`: expected a mesh with faces, got {str(path)!r}: none")
+    merged, place = _merged(polygons.points, faces)
+    try:
+        return Mesh(merged, place)
+    except ValueError as error:  # too large for float32
+        raise ValueError(f"{error} (in {str(path)!r})") from error
+
+
+def _check_corners(polygons: Polygons, path: Any) -> None:
+    points, corners, _ = polygons
+    if corners.size and not (corners.min() >= 0 and corners.max() < len(points)):
+        raise ValueError(
+            f"`path`: expected faces with vertices 0 to {len(points) - 1}, got {str(path)!r}:"
+            f" {corners.min()} to {corners.max()}"
+        )
+    if not np.all(np.isfinite(points[corners])):
+        raise ValueError(f"`path`: expected finite vertices, got {str(path)!r}: NaN or infinity")
+
+
+def _merged(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points that faces use, each place once and in order, and the faces of these."""
+    used = np.zeros(len(points), bool)
+    used[faces] = True
+    places = points[used]
+    order = np.lexsort(places.T[::-1])  # four times as fast as np.unique
+    places = places[order]
+    first = np.ones(len(places), bool)
+    first[1:] = np.any(places[1:] != places[:-1], axis=1)
+
+    number = np.empty(len(points), int)
+    number[np.flatnonzero(used)[order]] = np.cumsum(first) - 1
+    return places[first], number[faces]
