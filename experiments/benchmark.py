@@ -27,17 +27,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from _common import camera_at, degrees, folder, orbited, random_camera
-from _peers import (
-    PEERS,
-    Job,
-    Moves,
-    Peer,
-    Trail,
-    central_difference,
-    film_matrix,
-    pose_of,
-    usable,
-)
+from _peers import PEERS, Job, Moves, Peer, Trail, central_difference, film_matrix, pose_of, usable
 
 import pinhole_jax as pj
 from pinhole_jax._fit.full_image import At, image_and_jacobian

@@ -11,11 +11,12 @@ from ._camera.rays import (
     project as project,
 )
 from ._files.cache import cache as cache
-from ._fit.fit_camera import Fit as Fit, Progress as Progress, fit_camera as fit_camera
+from ._fit.fit_camera import fit_camera as fit_camera
 from ._fit.fit_cameras import fit_cameras as fit_cameras
 from ._fit.fit_points import PointFit as PointFit, fit_points as fit_points
 from ._fit.metrics import iou as iou, pose_error as pose_error
 from ._fit.observability import Observability as Observability, observability as observability
+from ._fit.result import Fit as Fit, Progress as Progress
 from ._scene.scene import Mesh as Mesh, Scene as Scene, Spheres as Spheres
 from ._silhouette.silhouette import silhouette as silhouette
 from ._trace.images import depth as depth, normals as normals

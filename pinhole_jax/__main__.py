@@ -13,8 +13,8 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
-from ._fit.fit_camera import STATUSES
 from ._fit.parameters import NAMES
+from ._fit.result import STATUSES
 
 EPILOG = """\
 camera files are JSON with the parameters of Frisvad's note, world units and radians:

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ._camera.axes import axes_of
 from ._camera.camera import Camera
 from ._camera.distortion import COEFFICIENTS
 from ._camera.rays import project
-from ._fit.fit_camera import Fit, Progress
 from ._fit.parameters import rotation
-from ._fit.search import axes_of
+from ._fit.result import Fit, Progress
 from ._fit.target import shares
 from ._scene.scene import Scene
 from ._show.outline import contour_points, outline as outline

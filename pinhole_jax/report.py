@@ -18,7 +18,7 @@ from . import formats, plot
 from ._camera.camera import Camera
 from ._camera.distortion import COEFFICIENTS
 from ._files.paths import replace_file
-from ._fit.fit_camera import STATUSES, Fit
+from ._fit.result import STATUSES, Fit
 from ._fit.target import shares
 from ._scene.scene import Scene
 

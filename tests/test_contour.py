@@ -9,8 +9,10 @@ from pinhole_jax import shapes
 from pinhole_jax._camera.camera import film_map
 from pinhole_jax._numerics.bitset import nth, rank_in, select
 from pinhole_jax._scene.scene import undecided
-from pinhole_jax._silhouette.contour import clipped, contour_weights, sphere_arcs
+from pinhole_jax._silhouette.clip import clipped
+from pinhole_jax._silhouette.contour import contour_weights
 from pinhole_jax._silhouette.curves import ends, film_at
+from pinhole_jax._silhouette.spheres import sphere_arcs
 
 
 @pytest.mark.parametrize("size", [1, 31, 32, 33, 500])

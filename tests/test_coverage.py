@@ -5,10 +5,10 @@ import pytest
 import shapely
 from oracles import area_per_pixel
 
-from pinhole_jax._silhouette.contour import _monotone_stretches
 from pinhole_jax._silhouette.coverage import monotone, piece_counts, split
 from pinhole_jax._silhouette.curves import Arcs, Segments
-from pinhole_jax._silhouette.overlaps import turns
+from pinhole_jax._silhouette.marks import turns
+from pinhole_jax._silhouette.spheres import _monotone_stretches
 
 W, H = 7, 5
 

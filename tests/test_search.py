@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._fit.search import distances, facing, signatures, sphere_points
+from pinhole_jax._fit.search import sphere_points
+from pinhole_jax._fit.signatures import distances, facing, signatures
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._numerics.arrays import Numbers
 from .._numerics.safe import binary_inverse, safe_divide
-from .camera import (
-    Camera,
-    basis,
-    film_size,
-    focal_px,
-    principal_point,
-    to_camera,
-)
+from .camera import Camera, basis, film_size, focal_px, principal_point, to_camera
 
 
 class Rays(NamedTuple):

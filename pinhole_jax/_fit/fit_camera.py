@@ -5,109 +5,20 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float
 
 from .._camera.camera import Camera
 from .._numerics.arrays import Numbers, float_dtype, is_concrete
 from .._scene.scene import Scene, check_scene
 from .full_image import with_overlaps, worthwhile
 from .implicit import through
-from .kinds import Kind
-from .parameters import (
-    COMPONENTS,
-    Bounds,
-    Prior,
-    canonical,
-    check_free,
-    components,
-    focal_is_free,
-    labels_of,
-    on_film,
-    with_lens,
-)
-from .places import Free, at
+from .mask import Mask
+from .parameters import Bounds, Prior, canonical, check_free, focal_is_free, with_lens
+from .places import at
 from .priors import bounds_of, prior_of
-from .problem import COSINE, FINE_PX, UNIT_PX
-from .residuals import Sums
-from .search import Mask, axes_of
-from .solver import Found, Solver, Stop
+from .result import Fit, Known, Progress, progress_at, report
+from .solver import Solver, Stop
 from .strategy import EXACT, everywhere, from_start, turns_freely, without_outliers
 from .target import check_target, edge_distance, near_an_edge
-from .uncertainty import BLIND, covariance, weak_directions, weak_moves
-
-#: What `Fit.status` may be, and what each means: help, pages and README say it from here.
-STATUSES = {
-    "converged": "the gradient vanishes, the masks overlap, every direction is determined",
-    "ambiguous": "at rest, but other views explain the mask as well",
-    "rank_deficient": "at rest, but the mask does not determine some direction",
-    "misfit": "at rest, but the mask is not explained as its kind (exact, hard, noisy) allows",
-    "max_steps": "stopped while still moving",
-    "no_overlap": "object and mask hardly overlap: their IoU is below a half",
-    "saturated": "the object covers the whole film: there is no outline to follow",
-    "non_finite": "NaN or infinity turned up",
-}
-
-#: Below this intersection over union a fit has found something else than the object.
-LEAST_IOU = 0.5
-#: More than this share of the outline far from the mask's edge is a misfit; where an exact mask is
-#: not explained anyway, less is said in words.
-ASTRAY, SOME = 0.1, 0.02
-#: Rounding leaves a root mean square residual of this many machine epsilons in a touched pixel.
-FLOOR = 1000
-#: A solver's last step is off by this share of what it calls negligible.
-LAST_STEP = 0.2
-WRONG = "there the mask, the mesh or the camera is wrong"
-
-
-class Progress(NamedTuple):
-    """How far a fit has come: the camera so far, the level in px, the steps since the last word."""
-
-    camera: Camera
-    W: int
-    H: int
-    steps: int
-
-    def __str__(self) -> str:
-        """Return it as a line."""
-        return f"{self.W} x {self.H} pixels: {self.steps} steps"
-
-
-class Fit(NamedTuple):
-    """The result of `fit_camera`.
-
-    - `camera`: the fitted camera; it has the start's gauge (`|p-e|`, `|u|`, `u.v`).
-    - `status`: one of `STATUSES`; trust the camera only where it is "converged".
-    - `names`: the fitted parameters, in the order of `covariance` (n, n) and `std` (n,):
-      small rotations of the camera about its own axes b1, b2, v (rad), the eye (world units), phi
-      (rad), d (world units), the principal point (px).
-    - `covariance` assumes independent pixel noise of one size (of variance 1 / weight up to a
-      factor), estimated from the residuals of the pixels that the outline touches, and a mesh
-      without error; infinite where the mask does not determine a parameter, and that of an interval
-      where `weak` names one. Never below what rounding, the mask's quantisation and the solver's
-      last step leave. Real masks err together along stretches of their outline: then it is too
-      small.
-    - `rms`: root mean square of coverage minus target over all pixels that count, but for the few
-      where contours overlap in an exact mask; `iou` their intersection over union.
-    - `steps`: Levenberg-Marquardt steps on each level, coarse to fine; more than one round of
-      levels where the view outgrew its buffers on the way.
-    - `weak`: directions that the mask determines badly or not at all, in words; last, if so, how
-      much of the outline is far from the mask's edge.
-    - `modes`: other cameras that a search found to explain the mask as well, the best first.
-    - `history`: the way to `camera`, from the start (0 steps) to the end of each level, or with
-      `record` of each step; empty for fits of several cameras.
-    """
-
-    camera: Camera
-    status: str
-    names: tuple[str, ...]
-    covariance: Float[np.ndarray, "n n"]
-    std: Float[np.ndarray, "n"]
-    rms: float
-    iou: float
-    steps: tuple[int, ...]
-    weak: tuple[str, ...]
-    modes: tuple["Fit", ...] = ()
-    history: tuple[Progress, ...] = ()
 
 
 def fit_camera(
@@ -217,7 +128,7 @@ def _fit(
 
     def told(stop: Stop) -> None:
         if settings.progress is not None:
-            settings.progress(_progress(stop, base))
+            settings.progress(progress_at(stop, base))
 
     start = None if anywhere else canonical(base)
     places = (
@@ -243,12 +154,6 @@ def _fit(
     return fit._replace(modes=tuple(modes)), trust
 
 
-def _progress(stop: Stop, camera: Camera) -> Progress:
-    shrunk = float(stop.level.scale) / camera.H
-    W, H = (int(np.ceil(shrunk * x)) for x in (camera.W, camera.H))
-    return Progress(on_film(stop.unit, camera), W, H, stop.steps)
-
-
 def _anywhere(scene: Scene, target: Numbers, names: tuple[str, ...], phi: Numbers) -> Camera:
     """Return a camera of the target's size to begin a search with."""
     if not turns_freely(names):
@@ -269,135 +174,3 @@ def _anywhere(scene: Scene, target: Numbers, names: tuple[str, ...], phi: Number
     dtype = float_dtype(*jax.tree.leaves(scene))
     e, p, u = (np.array(x, dtype) for x in ([0, 0, 1], [0, 0, 0], [0, 1, 0]))
     return Camera(e, p, u, np.asarray(phi, dtype), 1.0, shape[1], shape[0])
-
-
-class Known(NamedTuple):
-    """What is known beside a view: the mask's kind, bounds, the directions found to be free, and a
-    residual's variance if known better."""
-
-    kind: Kind
-    bounds: Bounds | None = None
-    free: Sequence[Free] = ()
-    variance: float | None = None
-
-
-def report(
-    camera: Camera, found: Found, over_all: Sums, names: tuple[str, ...], known: Known
-) -> Fit:
-    """Return what was found, as a user reads it."""
-    unit, view, steps, way = found
-    fitted = on_film(unit, camera)
-    dtype = np.dtype(camera.e.dtype)
-    triangle, ended = without_ended(view.triangle, unit, names, known.bounds)
-    along = np.asarray(view.along, float)
-    sums: Any = jax.tree.map(float, view.sums)
-    whole: Any = jax.tree.map(float, over_all)
-    labels, to_reported = labels_of(names), to_units(view.to_reported, names, camera)
-    n = len(labels)
-    if not (np.all(np.isfinite(triangle)) and np.isfinite(sums.squares)):
-        empty = np.full((n, n), np.nan)
-        nan = float("nan")
-        return Fit(fitted, "non_finite", labels, empty, np.diag(empty), nan, nan, steps, ())
-    rest = at_rest(triangle, along, sums.squares, sums.touched, dtype)
-    triangle = without_free(triangle, known.free)
-    noise = sums.touched_squares / max(sums.touched - n, 1)
-    noise = max(noise if known.variance is None else known.variance, known.kind.least)
-    cov = covariance(triangle, to_reported, noise, BLIND[dtype])
-    cov = cov + widened(to_reported, known.free, LAST_STEP * FINE_PX[dtype] / UNIT_PX)
-    names_of_moves = components(names)
-    moves = [f.move for f in known.free]
-    blind, weak = weak_directions(triangle, names_of_moves, axes_of(unit), BLIND[dtype], moves)
-    weak = (*map(str, known.free), *weak, *ended)
-    nearly_free = bool(known.free or weak_moves(triangle, names_of_moves))
-    astray = 1 - sums.touched / whole.touched if whole.touched else 0.0
-    explained = known.kind.explains(view.touched_misfit, nearly_free)
-    if known.kind.exact and not explained:
-        off = sums.off / max(sums.touched, 1)
-        weak += (f"{off:.0%} of the outline is off by more than the mask's kind explains",)
-    if astray > (SOME if known.kind.exact and not explained else ASTRAY):
-        weak += (f"{astray:.0%} of the outline is far from the mask's edge: {WRONG}",)
-    explained = astray <= ASTRAY and (explained or not known.kind.exact)
-    return Fit(
-        camera=fitted,
-        status=_status(triangle, rest, whole, explained, blind or bool(known.free)),
-        names=labels,
-        covariance=cov,
-        std=np.sqrt(np.diag(cov)),
-        rms=float(np.sqrt(whole.squares / whole.weight)),
-        iou=whole.overlap / whole.union if whole.union > 0 else 0.0,
-        steps=steps,
-        weak=weak,
-        history=tuple(_progress(stop, camera) for stop in way),
-    )
-
-
-def without_free(triangle: np.ndarray, free: Sequence[Free]) -> np.ndarray:
-    """Return R, blind to directions that are free all the way round."""
-    for direction in free:
-        if np.isinf(direction.ahead):
-            unit = direction.move / np.linalg.norm(direction.move)
-            triangle = triangle - np.outer(triangle @ unit, unit)
-    return triangle
-
-
-def widened(to_reported: np.ndarray, free: Sequence[Free], tolerance: float) -> np.ndarray:
-    """Return what to add to the reported parameters' covariance (n, n): the solver's `tolerance`
-    (in its units), and intervals of directions that are free (all places in one as likely)."""
-    added = tolerance**2 * to_reported @ to_reported.T
-    for direction in free:
-        if np.isfinite(direction.ahead):
-            along = to_reported @ direction.move
-            a, b = direction.behind, direction.ahead
-            added += (a**3 + b**3) / (3 * (a + b)) * np.outer(along, along)
-    return added
-
-
-def without_ended(
-    triangle: Any, unit: Camera, names: tuple[str, ...], bounds: Bounds | None
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return R without the columns of parameters that are held at an end of their bounds, and words
-    about them."""
-    result = np.array(triangle, float)
-    ended = () if bounds is None else bounds.ended(unit)
-    result[:, [components(names).index(COMPONENTS[label][0]) for label in ended]] = 0
-    return result, tuple(f"{label} is held at an end of its bounds" for label in ended)
-
-
-def to_units(derivative: Any, names: tuple[str, ...], camera: Camera) -> np.ndarray:
-    """Return the derivative of the reported parameters by the solver's moves.
-
-    Film coordinates are in film heights inside the fit: the principal point's come back in px.
-    """
-    to_reported = np.array(derivative, float)
-    to_reported[[label.startswith("principal") for label in labels_of(names)]] *= camera.H
-    return to_reported
-
-
-def _status(triangle: np.ndarray, rest: bool, whole: Any, explained: bool, blind: bool) -> str:
-    if not np.any(triangle):
-        # As much as there is to cover: `union` counts a pixel by the larger of image and target.
-        covered = whole.touched == 0 and whole.union >= (1 - 1e-6) * whole.weight
-        return "no_overlap" if whole.overlap == 0 else "saturated" if covered else "rank_deficient"
-    if whole.overlap < LEAST_IOU * whole.union:
-        return "no_overlap"
-    if not rest:
-        return "max_steps"
-    if not explained:
-        return "misfit"
-    return "rank_deficient" if blind else "converged"
-
-
-def at_rest(triangle, along, squares: float, count: float, dtype: np.dtype) -> bool:
-    """Return whether `count` residuals, whose squares sum up to `squares`, have come to a minimum.
-
-    MINPACK's test: the residual is orthogonal to every column of the Jacobian. Near the rounding
-    floor the residual has no direction; there the Newton step must be negligible, and on it nothing
-    is left to ask.
-    """
-    columns = np.linalg.norm(triangle, axis=0)
-    slope = np.abs(triangle.T @ along)
-    cosine = np.max(slope / np.maximum(columns * np.sqrt(squares), 1e-300))
-    newton = np.linalg.pinv(triangle, rcond=BLIND[dtype]) @ along
-    floor = squares <= (FLOOR * np.finfo(dtype).eps) ** 2 * count
-    still = cosine <= 100 * COSINE[dtype] or UNIT_PX * np.max(np.abs(newton)) <= 10 * FINE_PX[dtype]
-    return bool(floor or still)

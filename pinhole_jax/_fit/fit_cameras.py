@@ -8,13 +8,14 @@ import numpy as np
 from .._camera.camera import Camera
 from .._numerics.arrays import Numbers
 from .._scene.scene import Scene, check_scene
-from .fit_camera import Fit, Known, fit_camera, report
+from .fit_camera import fit_camera
 from .full_image import completed, worthwhile
+from .mask import Mask
 from .parameters import canonical, components, with_lens
 from .priors import bounds_of, prior_of
 from .problem import FINE_PX, UNIT_PX, View
 from .residuals import Capacity
-from .search import Mask
+from .result import Fit, Known, report
 from .shared_unknowns import SHARED, alike, descend, joint, others, reduced, shared_and_free, solved
 from .solver import Found, Solver
 from .target import check_target

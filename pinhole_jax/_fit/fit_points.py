@@ -12,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._camera.camera import Camera, FilmPart, lens_holds, to_camera
+from .._camera.axes import axes_of
+from .._camera.camera import Camera, lens_holds, to_camera
+from .._camera.film import FilmPart
 from .._camera.rays import project
 from .._numerics.arrays import Numbers, float_array
 from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
-from .fit_camera import at_rest, to_units, without_ended
 from .parameters import (
     Bounds,
     Move,
@@ -34,7 +35,7 @@ from .parameters import (
 from .priors import bounds_of, prior_of
 from .problem import UNIT_PX
 from .resection import resected
-from .search import axes_of
+from .result import at_rest, to_units, without_ended
 from .shared_unknowns import alike, descend, joint, others, reduced, shared_and_free
 from .uncertainty import BLIND, covariance, weak_directions
 

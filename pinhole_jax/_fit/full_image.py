@@ -16,10 +16,10 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera
 from .._scene.scene import Scene
 from .._silhouette.silhouette import silhouette
+from .mask import Mask
 from .parameters import Move, moved, on_film
 from .problem import FINE_PX, UNIT_PX, View
 from .residuals import HIDDEN, Sums
-from .search import Mask
 from .solver import Found, Solver
 
 #: Mean square residuals of a touched pixel between which it pays: with less noise there is nothing

@@ -6,14 +6,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._numerics.arrays import Numbers
 from .._scene.scene import Scene, check_scene
-from .fit_camera import to_units
 from .full_image import completed
+from .mask import Mask
 from .parameters import canonical, check_free, components, labels_of, with_lens
 from .problem import UNIT_PX
-from .search import Mask, axes_of
+from .result import to_units
 from .solver import Solver
 from .target import check_weight
 from .uncertainty import BLIND, covariance, weak_directions

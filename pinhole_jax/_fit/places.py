@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
+from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .parameters import components
 from .problem import View
-from .search import angle, axes_of, sphere_points
+from .search import sphere_points
 from .solver import Found, Solver
 from .uncertainty import in_words, weak_moves
 

@@ -16,23 +16,22 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._camera.camera import Camera, FilmMap, FilmPart, film_map, lens_holds
+from .._camera.camera import Camera, film_map, lens_holds
+from .._camera.film import FilmMap, FilmPart
 from .._scene.scene import Scene
-from .._silhouette.contour import (
+from .._silhouette.contour import edge_lifts, edge_segments, mesh_contour
+from .._silhouette.coverage import monotone, piece_counts, split
+from .._silhouette.curves import Curves, moved, piece_flux, placed
+from .._silhouette.marks import Marks, chain_layers, inward, marks, overlaps
+from .._silhouette.spheres import (
     ARCS_PER_SPHERE,
     arc_cuts,
     arc_part_lifts,
     arc_part_segments,
-    edge_lifts,
-    edge_segments,
-    mesh_contour,
     sphere_arcs,
     sphere_frames,
-    surrounding,
 )
-from .._silhouette.coverage import monotone, piece_counts, split
-from .._silhouette.curves import Curves, moved, piece_flux, placed
-from .._silhouette.overlaps import Marks, chain_layers, inward, marks, overlaps
+from .._silhouette.surrounding import surrounding
 from .target import Level, Pyramid, level_slice
 
 MAX_ROWS = 1 << 14

@@ -14,14 +14,7 @@ from .kinds import kind_of
 from .parameters import Bounds, Move, Prior, moved
 from .problem import COARSE_PX, FINE_PX, Problem, View, move as move_of
 from .residuals import Capacity, Touched, touch
-from .target import (
-    LEAST_CELLS,
-    Level,
-    Window,
-    object_window,
-    pyramid,
-    shares,
-)
+from .target import LEAST_CELLS, Level, Window, object_window, pyramid, shares
 
 #: What the smallest buffers hold, and how much larger the next ones are: each size is compiled for.
 LEAST_ROOM, ROOMIER = Capacity(edges=1024, pieces=2048, arc_pieces=2048, arcs=1024), 2

@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
+from .mask import Mask
 from .parameters import canonical, components, focal_is_free
 from .places import NEAR_START, Free, Places, equal_views, mirrored, separation, settled, turned_by
 from .residuals import Sums
-from .search import Mask, aimed, angle, axes_of, guesses
+from .search import aimed, guesses
 from .solver import Found, Solver, Stop
 from .target import edge_distance, near_an_edge
 from .uncertainty import free_turns

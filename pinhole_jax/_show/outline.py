@@ -8,14 +8,11 @@ from jaxtyping import Array, Float, Int
 from .._camera.camera import Camera, bend, film_map, to_camera
 from .._camera.rays import project
 from .._scene.scene import Mesh, Scene, Spheres, astype
-from .._silhouette.contour import (
-    ARCS_PER_SPHERE,
-    clipped,
-    contour_weights,
-    sphere_arcs,
-    surrounding,
-)
+from .._silhouette.clip import clipped
+from .._silhouette.contour import contour_weights
 from .._silhouette.curves import Arcs, Segments, film_at
+from .._silhouette.spheres import ARCS_PER_SPHERE, sphere_arcs
+from .._silhouette.surrounding import surrounding
 
 #: Outline points are at most this far apart (px), and no closer than that.
 STEP_PX = 2.0

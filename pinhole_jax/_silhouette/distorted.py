@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._camera.camera import Bend, FilmMap
+from .._camera.film import Bend, FilmMap
 from .._numerics.bitset import count_upto
 from .._numerics.safe import dot, norm, safe_divide
 from .curves import Arcs, Segments, edge_shares, ends, film_at, homogeneous, unit_at

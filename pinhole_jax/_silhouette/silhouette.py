@@ -10,41 +10,36 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Float, Int
 
-from .._camera.camera import Camera, FilmMap, film_map
+from .._camera.camera import Camera, film_map
+from .._camera.film import FilmMap
 from .._numerics.bitset import Selection, nth, rank_in, select
 from .._numerics.linear_map import linear_map
 from .._scene.scene import Scene, Spheres, astype
-from .contour import (
-    ARCS_PER_SPHERE,
-    MeshContour,
-    arc_cuts,
-    arc_part_lifts,
-    arc_part_segments,
-    edge_lifts,
-    edge_segments,
-    mesh_contour,
-    sphere_arcs,
-    sphere_frames,
-    surrounding,
-)
+from .contour import MeshContour, edge_lifts, edge_segments, mesh_contour
 from .coverage import Pieces
 from .curves import moved, piece_flux
 from .distorted import Cuts
+from .marks import Marks, marks, overlaps, turns
 from .overlaps import (
     Crowded,
     Kept,
-    Marks,
     Part,
     Resolved,
     fold_cells,
     fold_chosen,
     fold_curves,
     fold_pieces,
-    marks,
     nothing_kept,
-    overlaps,
-    turns,
 )
+from .spheres import (
+    ARCS_PER_SPHERE,
+    arc_cuts,
+    arc_part_lifts,
+    arc_part_segments,
+    sphere_arcs,
+    sphere_frames,
+)
+from .surrounding import surrounding
 from .sweep import Visible
 
 CURVES_AT_A_TIME = 512

@@ -12,18 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .bvh import (
-    Beams,
-    Reached,
-    Tree,
-    beams,
-    new_buffer,
-    node_bits,
-    packed,
-    reach,
-    room,
-    turned,
-)
+from .bvh import Beams, Reached, Tree, beams, new_buffer, node_bits, packed, reach, room, turned
 from .intersect import sphere_depth, triangle_depth
 
 RAYS = 16  # in a packet

@@ -1,0 +1,75 @@
+"""A mask, its weights, and the film that it lies on."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._camera.camera import Camera, bend, film_map, focal_px, principal_point
+from .signatures import Signature, signatures
+from .target import shares
+
+
+class Mask(NamedTuple):
+    """A target (H, W), its weights, and a camera of which film, phi and lens are used."""
+
+    target: np.ndarray
+    weight: np.ndarray
+    camera: Camera
+
+    @property
+    def image(self) -> np.ndarray:
+        """Return the target as floats."""
+        return shares(self.target)
+
+    def longer(self, factor: float) -> "Mask":
+        """Return the mask as seen with a focal length times a factor."""
+        phi = 2 * jnp.arctan(jnp.tan(self.camera.phi / 2) / factor)
+        return self._replace(camera=eqx.tree_at(lambda c: c.phi, self.camera, phi))
+
+    def signature(self) -> Signature:
+        """Return the mask's signature."""
+        focal = np.array([float(f) for f in focal_px(self.camera)])
+        centre = np.asarray(principal_point(self.camera), float)
+        if self.camera.lens is None or self.camera.lens.distortion is None:
+            return signatures(self.image[None], self.weight, focal, centre)
+        image, weight, corner, scale = self._straightened()
+        return signatures(image[None], weight, focal * scale, (centre - corner) * scale)
+
+    def _straightened(self) -> tuple[np.ndarray, ...]:
+        """Return mask and weight without distortion; their lower left corner (px), and their pixels
+        for one of now."""
+        from scipy.ndimage import map_coordinates
+
+        H, W = self.image.shape
+        corner, size = _ideal_rectangle(self.camera)
+        x, y = (
+            c + (np.arange(n) + 0.5) / n * s for c, n, s in zip(corner, (W, H), size, strict=True)
+        )
+        column, row = np.moveaxis(_bent(self.camera, np.stack(np.meshgrid(x, y[::-1]), -1)), -1, 0)
+        at = np.stack([H - row - 0.5, column - 0.5])
+        image, weight = (
+            map_coordinates(z, at, order=1, cval=0.0) for z in (self.image, self.weight + 0.0)
+        )
+        return image, weight, corner, np.array([W, H]) / size
+
+    def seen_by(self, eye: np.ndarray, axes: np.ndarray) -> Camera:
+        """Return the camera at an eye with these axes (rows b1, b2, v)."""
+        c, dtype = self.camera, self.camera.e.dtype
+        far = float(np.linalg.norm(np.asarray(c.p - c.e)))
+        pose = [jnp.asarray(x, dtype) for x in (eye, eye + far * axes[2], axes[1])]
+        return eqx.tree_at(lambda c: [c.e, c.p, c.u], c, pose)
+
+
+def _ideal_rectangle(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Return lower left corner and size (px) of a part of the ideal film that shows all."""
+    left, right, bottom, top = (float(x) for x in film_map(camera).bounds)
+    return np.array([left, bottom]), np.array([right - left, top - bottom])
+
+
+def _bent(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Return where ideal film points (px) are seen."""
+    bent = bend(camera)
+    assert bent is not None
+    return np.asarray(bent(jnp.asarray(points, camera.e.dtype)), float)

@@ -1,0 +1,72 @@
+"""Edges cut off where they leave what the film can show."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from .._numerics.safe import safe_divide
+from .curves import Segments
+
+
+def clipped(
+    lift: Float[Array, "K 2 3"],
+    weight: Int[Array, "K"],
+    beside: Bool[Array, "K"],
+    bounds: list[Array],
+) -> Segments:
+    """Return edges as segments on the film, cut off at bounds (left, right, low, high) outside it.
+
+    Edges are clipped before the division by depth, so those that pass the eye or end behind it lose
+    no accuracy. What lies right of the film shows nowhere in it and is left out; what lies left of
+    it still bounds the rows: where `beside`, that is returned, as an upright segment on the left.
+    A cut end lies at exactly its bound. An edge that passes through the eye's x axis leaves for
+    infinity at the top (`surrounding` decides alike).
+    """
+    left, right, low, high = bounds
+    first = jnp.array([[True, False]])
+    is_low, is_high = (f > 0 for f in _rows_outside(lift, low, high))
+    t_low, t_high = (_crossing(f)[:, None] for f in _rows_outside(lift, low, high))
+    later, sooner = jnp.maximum(t_low, t_high), jnp.minimum(t_low, t_high)
+    both = jnp.where(first, later, sooner)
+    t = jnp.where(is_low & is_high, both, jnp.where(is_low, t_low, t_high))
+    t = jnp.where(is_low | is_high, t, jnp.where(first, 0, 1))
+    at_top = is_high & (~is_low | (t == t_high))
+    spot = lift[:, :1] + t[..., None] * (lift[:, 1:] - lift[:, :1])
+    spot = jnp.where((is_low | is_high)[..., None], spot, lift)
+    x, y, z = jnp.moveaxis(spot, -1, 0)
+    height = jnp.where(at_top, high, jnp.where(is_low, low, safe_divide(y, z)))
+    none = jnp.all(is_low, axis=1) | jnp.all(is_high, axis=1) | (t[:, 0] > t[:, 1])
+    weight = jnp.where(none | jnp.all(lift[..., 2] <= 0, axis=1), 0, weight).astype(lift.dtype)
+
+    is_left, is_right = left * z - x > 0, x - right * z > 0
+    y_left, y_right = (_height_of_crossing(f, y, z, height) for f in (left * z - x, x - right * z))
+    inner_x = jnp.where(is_left, left, jnp.where(is_right, right, safe_divide(x, z)))
+    inner_y = jnp.where(is_left, y_left, jnp.where(is_right, y_right, height))
+    outer_y = jnp.where(is_left, height, y_left)
+    beyond = jnp.all(is_left, axis=1) | jnp.all(is_right, axis=1)
+    shown = jnp.where(beside, jnp.any(is_left, axis=1), ~beyond)
+    ends = jnp.stack(
+        [
+            jnp.where(beside[:, None], left, inner_x),
+            jnp.where(beside[:, None], outer_y, inner_y),
+        ],
+        axis=-1,
+    )
+    return Segments(ends[:, 0], ends[:, 1], jnp.where(shown, weight, 0))
+
+
+def _rows_outside(lift: Float[Array, "K 2 3"], low: Array, high: Array) -> list:
+    """Return by how much the ends are below and above the rows, times depth."""
+    y, z = lift[..., 1], lift[..., 2]
+    return [low * z - y, y - high * z]
+
+
+def _crossing(f: Float[Array, "K 2"]) -> Float[Array, "K"]:
+    """Return where along an edge a value given at its ends is 0."""
+    return safe_divide(f[:, 0], f[:, 0] - f[:, 1])
+
+
+def _height_of_crossing(beyond, y, z, height) -> Float[Array, "K 1"]:
+    """Return the height at which an edge crosses an upright bound, between its ends' heights."""
+    t = jnp.clip(_crossing(beyond), 0, 1)
+    y, z = (p[:, 0] + t * (p[:, 1] - p[:, 0]) for p in (y, z))
+    return jnp.clip(safe_divide(y, z), jnp.min(height, axis=1), jnp.max(height, axis=1))[:, None]

@@ -1,0 +1,77 @@
+"""Which pixels hold more than one chain of contour: marks that add up over their pieces."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from .coverage import Pieces
+
+#: How many pieces there are, may come in from other pixels, rise, fall, go right and left. (What
+#: they would do if all had their covered side on the same hand.)
+COUNTED = ("pieces", "entries", "rise", "fall", "right", "left")
+BITS = 5
+
+
+class Marks(NamedTuple):
+    """What tells a pixel that one chain of contour crosses from one where contours overlap.
+
+    Sums over the pixel's pieces: of their layers, and of 6 counters (`COUNTED`), `BITS` bits each.
+    """
+
+    layers: Float[Array, "*N"]
+    counters: Int[Array, "*N"]
+
+
+def marks(pieces: Pieces) -> Marks:
+    """Return what each piece adds to its pixel's marks."""
+    dx, dy = jnp.moveaxis(pieces.end - pieces.start, -1, 0)
+    up, right = -pieces.jump * dy, -pieces.jump * dx
+    tiny = 8 * jnp.finfo(dx.dtype).eps
+    entries = pieces.valid & pieces.enters
+    flags = [pieces.valid, entries, up > tiny, up < -tiny, right > tiny, right < -tiny]
+    counters = sum(flag.astype(jnp.int32) << (BITS * k) for k, flag in enumerate(flags))
+    return Marks(jnp.abs(pieces.jump), jnp.asarray(counters))
+
+
+def chain_layers(marks: Marks) -> Float[Array, "*N"]:
+    """Return how many layers a pixel's contour bounds if it is one chain that never turns back.
+
+    0 where it may be anything else: then parts of the pixel may be uncovered and others covered
+    more than once.
+    """
+    most = (1 << BITS) - 1
+    pieces, entries, rise, fall, right, left = (
+        (marks.counters >> (BITS * k)) & most for k in range(len(COUNTED))
+    )
+    straight = (rise == 0) | (fall == 0) | (right == 0) | (left == 0)
+    # A piece has a layer at least: with few layers no counter has run over.
+    chain = (entries == 1) & straight & (marks.layers <= most)
+    pieces = pieces.astype(marks.layers.dtype)
+    layers = jnp.where(marks.layers == pieces, 1, jnp.where(marks.layers == 2 * pieces, 2, 0))
+    return jnp.where(chain, layers, 0).astype(marks.layers.dtype)
+
+
+def overlaps(marks: Marks, winding: Float[Array, "*N"]) -> Bool[Array, "*N"]:
+    """Return which pixels must be resolved: not crossed by one chain of one layer, and with so few
+    layers (`winding`, the mean) that the pieces in them might take all away."""
+    layers = marks.layers
+    return (layers > 0) & (chain_layers(marks) != 1) & (winding <= layers)
+
+
+def inward(pieces: Pieces) -> Float[Array, "P"]:
+    """Return how far a pixel's centre is on the side of each piece where there are more layers,
+    times its layers and its length (px^2)."""
+    dx, dy = jnp.moveaxis(pieces.end - pieces.start, -1, 0)
+    corner = jnp.stack([pieces.column, pieces.row], axis=-1).astype(dx.dtype)
+    x, y = jnp.moveaxis(corner + 0.5 - pieces.start, -1, 0)
+    return pieces.jump * (dy * x - dx * y)
+
+
+def turns(pieces: Pieces) -> Float[Array, "P"]:
+    """Return by how much a row's winding number, at its bottom line, jumps at each piece.
+
+    Of the pieces of a curve in a row the first counts, if the curve enters the row there.
+    """
+    enters = pieces.start[:, 1] <= pieces.row.astype(pieces.jump.dtype)
+    return jnp.where(pieces.passes & pieces.first & enters, pieces.jump, 0)

@@ -1,0 +1,98 @@
+"""Scenes that surround the eye: how many layers lie where no curve is."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from .._camera.film import FilmMap, film_points
+from .._numerics.safe import binary_inverse, dot, norm, normalize, safe_sqrt
+from .._scene.scene import Mesh, Scene, front_facing, vertex_box
+
+#: Layers that cover everything, whatever else there is.
+EVERYWHERE = 1 << 20
+
+
+def surrounding(film: FilmMap, scene: Scene) -> Int[Array, ""]:
+    """Return how many layers lie far to the left of the film, where no curve is.
+
+    Not 0 only where the scene reaches through the plane of the eye; `EVERYWHERE` and more if the
+    eye is within a closed mesh or a sphere.
+    """
+    layers = jnp.int32(0)
+    film, scene = jax.lax.stop_gradient((film, scene))
+    if scene.mesh is not None and scene.mesh.faces.shape[0]:
+        mesh = scene.mesh
+        layers = layers + jax.lax.cond(
+            jnp.any(_corners(film, mesh)[:, 2] <= 0),
+            lambda: _layers_on_the_left(mesh, film).astype(jnp.int32),
+            lambda: jnp.int32(0),
+        )
+    if scene.spheres is not None and scene.spheres.radii.shape[0]:
+        centre, radius = scene.spheres.centers - film.eye[None], scene.spheres.radii
+        distance = norm(centre)
+        tangent = safe_sqrt(distance - radius) * safe_sqrt(distance + radius)
+        forward, up = film.matrix[2], film.matrix[1]
+        left = normalize(jnp.cross(up, forward))
+        beside = (dot(centre, left[None]) >= tangent) & (distance > radius)
+        within = EVERYWHERE * jnp.sum(distance <= radius, dtype=jnp.int32)
+        layers = layers + jnp.sum(beside, dtype=jnp.int32) + within
+    return layers
+
+
+def reaches_left(film: FilmMap, mesh: Mesh) -> Bool[Array, ""]:
+    """Return whether anything may lie left of what contours are cut off at."""
+    x, _, z = jnp.moveaxis(_corners(film, mesh), -1, 0)
+    return jnp.any(x < film.bounds[0] * z)
+
+
+def _corners(film: FilmMap, mesh: Mesh) -> Float[Array, "8 3"]:
+    """Return the corners of the vertices' bounding box as homogeneous film points."""
+    bounds = vertex_box(mesh)
+    which = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
+    return film_points(film, jnp.stack([bounds[which[:, k], k] for k in range(3)], axis=-1))
+
+
+def _layers_on_the_left(mesh: Mesh, film: FilmMap) -> Int[Array, ""]:
+    """Return how many layers the ray along -x from the eye meets, by signed crossings.
+
+    The ray is thought to lie a little below y = 0, and much less in front of z = 0, so that it
+    never meets an edge.
+    """
+    points = film_points(film, mesh.vertices)
+    points = points * binary_inverse(jnp.max(jnp.abs(points), axis=1))[:, None]
+
+    def around(k, sums):
+        toward, signs = sums
+        first, second, third = (
+            jax.lax.dynamic_index_in_dim(mesh.faces, (k + j) % 3, 1, keepdims=False)
+            for j in range(3)
+        )
+        value, sign = _side(points, first, second)
+        return toward + points[third, 0] * value, signs + sign
+
+    none = jnp.zeros(mesh.faces.shape[0], points.dtype)
+    toward, signs = jax.lax.fori_loop(0, 3, around, (none, none.astype(jnp.int32)))
+    met = ((signs == 3) & (toward < 0)) | ((signs == -3) & (toward > 0))
+    orientation = jnp.where(met, -jnp.sign(signs), 0)
+    front = front_facing(mesh, film.eye)
+    if not mesh.closed:
+        return jnp.sum(jnp.where(front, orientation, -orientation))
+    inside = jnp.sum(orientation) != 0
+    return jnp.sum(jnp.where(front, orientation, 0)) + jnp.where(inside, EVERYWHERE, 0)
+
+
+def _side(points: Float[Array, "V 3"], first: Int[Array, "F"], second: Int[Array, "F"]):
+    """Return on which side of the edge between two vertices, seen along x, the ray passes: value
+    and sign.
+
+    The same for both faces that share the edge, but for the sign.
+    """
+    swap = first > second
+    a, b = points[jnp.minimum(first, second)], points[jnp.maximum(first, second)]
+    # Two rounded products are compared: their difference might be contracted, and unlike 0.
+    left, right = a[:, 1] * b[:, 2], b[:, 1] * a[:, 2]
+    tie = jnp.where(a[:, 2] != b[:, 2], b[:, 2] - a[:, 2], b[:, 1] - a[:, 1])
+    sign = jnp.where(left != right, jnp.where(left > right, 1, -1), jnp.sign(tie).astype(jnp.int32))
+    value = left - right
+    return jnp.where(swap, -value, value), jnp.where(swap, -sign, sign)
