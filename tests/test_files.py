@@ -453,7 +453,7 @@ def test_soft_edges_are_the_same_band_by_band(tmp_path, monkeypatch):
     blurred = Image.fromarray(photo).resize((69, 299), Image.Resampling.BILINEAR)
     blurred.save(tmp_path / "p.png")
     whole = io.load_mask(tmp_path / "p.png", "background=white")
-    for module in ("_pictures", "_masks"):
+    for module in ("_files.pictures", "io.masks"):
         monkeypatch.setattr(f"pinhole_jax.{module}.BAND", 69)
     np.testing.assert_array_equal(io.load_mask(tmp_path / "p.png", "background=white"), whole)
     assert len(np.unique(whole)) > 9

@@ -235,9 +235,8 @@ class Solver:
 
     def _further(self, unit: Camera, level: Level, px: float, steps: int, capacity: Capacity):
         """Return `descended`'s from a camera: one program, whether it takes steps or only looks."""
-        from .levenberg_marquardt import (
-            descended,  # optimistix takes a third of this package's import
-        )
+        # optimistix takes a third of this package's import
+        from .levenberg_marquardt import descended
 
         ends = np.asarray(px, self.dtype), np.asarray(steps, np.int32)
         return descended(unit, self.problem, level, *ends, self.names, capacity)
