@@ -57,7 +57,7 @@ def sources(text: str) -> dict[str, str]:
         while number:
             place = places[field(frames[number], "file_location_id")]
             file = Path(files[field(place, "file_name_id")].strip('"'))
-            if file.parent == PACKAGE:
+            if PACKAGE in file.parents:
                 name = functions[field(place, "function_name_id")].strip('"')
                 return f"{file.name}: {name.split('.')[0]}"
             number = field(frames[number], "parent_frame_id") - 1
