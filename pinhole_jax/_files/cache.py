@@ -7,7 +7,7 @@ import jax
 from jax.experimental.compilation_cache import compilation_cache
 
 
-def cache(folder: str | os.PathLike | None = None) -> Path:
+def cache(folder: str | os.PathLike[str] | None = None) -> Path:
     """Keep compiled programs in a folder, from which later processes read them; return the folder.
 
     The default is `pinhole_jax` in the user's cache folder (`$XDG_CACHE_HOME`, else `~/.cache`):

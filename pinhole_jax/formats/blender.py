@@ -22,7 +22,7 @@ FITS = ("AUTO", "HORIZONTAL", "VERTICAL")
 SENSOR_MM = 36.0
 
 
-def read_blender(path: str | os.PathLike, *, size: Size | None = None) -> dict[str, Camera]:
+def read_blender(path: str | os.PathLike[str], *, size: Size | None = None) -> dict[str, Camera]:
     """Return the cameras of a JSON of Blender settings, by name.
 
     Either one object with the fields of `write_blender`, or `{"cameras": {name: object}}`.
@@ -42,7 +42,7 @@ def read_blender(path: str | os.PathLike, *, size: Size | None = None) -> dict[s
     return cameras
 
 
-def write_blender(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
+def write_blender(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write what Blender's cameras have, as JSON: see `to_blender`."""
     check_names(cameras, "JSON")
     parts = {name: to_blender(camera) for name, camera in cameras.items()}
@@ -100,7 +100,7 @@ def to_blender_script(cameras: Mapping[str, Camera]) -> str:
     return SCRIPT.format(render=render, cameras=poses)
 
 
-def write_blender_script(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
+def write_blender_script(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write the script of `to_blender_script`."""
     save_text(path, to_blender_script(cameras))
 

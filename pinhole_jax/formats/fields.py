@@ -23,7 +23,7 @@ class Fields:
     def __init__(self, data: Any, where: str):
         if not isinstance(data, Mapping):
             raise ValueError(f"expected fields with names, got {short(data)} (in {where})")
-        self.data = data
+        self.data: Mapping[str, Any] = data
         self.where = where
 
     def __contains__(self, name: str) -> bool:
@@ -122,7 +122,7 @@ class Fields:
         return own
 
 
-def load_json(path: str | os.PathLike) -> Fields:
+def load_json(path: str | os.PathLike[str]) -> Fields:
     """Return the fields of a JSON file."""
     data = read_json(path, KIND)
     if not isinstance(data, dict):
@@ -130,12 +130,12 @@ def load_json(path: str | os.PathLike) -> Fields:
     return Fields(data, repr(str(path)))
 
 
-def save_json(path: str | os.PathLike, data: Any) -> None:
+def save_json(path: str | os.PathLike[str], data: Any) -> None:
     """Write JSON, whole or not at all."""
     save_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
-def save_text(path: str | os.PathLike, text: str) -> None:
+def save_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a text, whole or not at all."""
     replace_file(path, text.encode())
 
@@ -153,7 +153,7 @@ def check_names(
             raise ValueError(f"`cameras`: expected names {program} can hold, got {short(name)}")
 
 
-def add_named(cameras: dict, name: str, camera: Any, where: str) -> None:
+def add_named(cameras: dict[str, Any], name: str, camera: Any, where: str) -> None:
     """Add a camera under its name, which no other may have."""
     if name in cameras:
         words = f"expected one camera of each name, got two of {short(name)}"

@@ -36,7 +36,7 @@ from .rotations import is_unit, matrix_of_quaternion
 MAGIC, JSON_CHUNK = 0x46546C67, 0x4E4F534A
 
 
-def read_gltf(path: str | os.PathLike, *, size: Size | None = None) -> dict[str, Camera]:
+def read_gltf(path: str | os.PathLike[str], *, size: Size | None = None) -> dict[str, Camera]:
     """Return the perspective cameras of a glTF file, by the name of their node.
 
     `size` is the image's (W, H) in px, unless the camera's `extras` hold `W` and `H`.
@@ -67,7 +67,7 @@ def read_gltf(path: str | os.PathLike, *, size: Size | None = None) -> dict[str,
     return cameras
 
 
-def write_gltf(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
+def write_gltf(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write cameras as glTF, .gltf or .glb by the file's ending; their sizes go to `extras`.
 
     Raises ValueError for a camera that glTF cannot say: a principal point off the image's centre,
@@ -118,7 +118,7 @@ def _perspective(name: str, view: Pinhole) -> dict[str, Any]:
     }
 
 
-def _header(path: str | os.PathLike) -> Any:
+def _header(path: str | os.PathLike[str]) -> Any:
     """Return the JSON of a .gltf, or of a .glb's first chunk."""
     with opened(path, KIND, None) as stream:
         head = stream.read(20)

@@ -38,7 +38,7 @@ NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 MOST_NAME, MOST_TEXT, MOST_DEFAULTS = 64, 1 << 16, 1 << 20
 
 
-def read_mitsuba(path: str | os.PathLike, *, size: Size | None = None) -> dict[str, Camera]:
+def read_mitsuba(path: str | os.PathLike[str], *, size: Size | None = None) -> dict[str, Camera]:
     """Return the perspective sensors of a Mitsuba scene, by `id`, or "sensor", "sensor_1" ...
 
     What a scene leaves out has Mitsuba's values: fov_axis x, 50 mm (of a 36 x 24 mm film's
@@ -63,7 +63,7 @@ def read_mitsuba(path: str | os.PathLike, *, size: Size | None = None) -> dict[s
     return cameras
 
 
-def write_mitsuba(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
+def write_mitsuba(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write perspective sensors, `fov_axis` y, as a Mitsuba 3 scene of nothing else.
 
     Raises ValueError for a camera whose pixels are not square (Mitsuba has no other), and for a

@@ -93,7 +93,7 @@ def from_pytorch3d(
     return camera_of(view, inverse(matrix), LEFT_UP_FORWARD, fields)
 
 
-def read_pytorch3d(path: str | os.PathLike, *, size: Size | None = None) -> dict[str, Camera]:
+def read_pytorch3d(path: str | os.PathLike[str], *, size: Size | None = None) -> dict[str, Camera]:
     """Return the cameras of a JSON of PyTorch3D's arrays, by `names`, or "0", "1" ...
 
     `R` (N, 3, 3), `T` (N, 3), `focal_length` (N, 2), `principal_point` (N, 2), `image_size` (N, 2)
@@ -127,7 +127,7 @@ def read_pytorch3d(path: str | os.PathLike, *, size: Size | None = None) -> dict
     return cameras
 
 
-def write_pytorch3d(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
+def write_pytorch3d(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write PyTorch3D's arrays of all cameras, screen space (px), as JSON."""
     check_names(cameras, "JSON")
     each = [to_pytorch3d(camera) for camera in cameras.values()]

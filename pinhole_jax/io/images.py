@@ -14,7 +14,7 @@ from .._files.pictures import by_bands, eight_bits, from_picture
 MOST_PIXELS = 178_956_970
 
 
-def load_image(path: str | os.PathLike) -> np.ndarray:
+def load_image(path: str | os.PathLike[str]) -> np.ndarray:
     """Return an image file as uint8: (H, W) if it is grey, else (H, W, 3) or (H, W, 4).
 
     A photo that says that it was taken sideways (EXIF) is turned upright. Grey values of more than
@@ -35,7 +35,7 @@ def load_image(path: str | os.PathLike) -> np.ndarray:
     return from_picture(path, "a readable image", read)
 
 
-def photo_fov(path: str | os.PathLike) -> FieldOfView | None:
+def photo_fov(path: str | os.PathLike[str]) -> FieldOfView | None:
     """Return the vertical field of view `phi` (rad) that a photo's EXIF data tell, and in `words`
     how; None where they do not. It is a first guess, as good as some per cent.
 
@@ -44,7 +44,7 @@ def photo_fov(path: str | os.PathLike) -> FieldOfView | None:
     return from_picture(path, "a readable image", field_of_view)
 
 
-def save_image(path: str | os.PathLike, image: np.ndarray) -> None:
+def save_image(path: str | os.PathLike[str], image: np.ndarray) -> None:
     """Write a uint8 image, or bool or floats in [0, 1] as 8 bits, by the path's ending.
 
     The shape is (H, W), (H, W, 3), or (H, W, 4) with transparency. Floats beyond [0, 1] are

@@ -30,7 +30,7 @@ MOST_PARTS = 1 << 20
 
 
 def load_mask(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     mask_from: str | None = None,
     say: Callable[[str], Any] | None = None,
 ) -> np.ndarray:

@@ -10,7 +10,7 @@ from .._mesh_files import MESH_ENDINGS, Polygons, read_polygons, triangulated
 from .._scene.scene import Mesh
 
 
-def load_mesh(path: str | os.PathLike) -> Mesh:
+def load_mesh(path: str | os.PathLike[str]) -> Mesh:
     """Return the triangles of a mesh file (obj, ply, stl, glb, gltf, off), as one mesh.
 
     Polygons of any shape in any plane are cut into triangles that run the way they do, and vertices

@@ -32,7 +32,9 @@ class Scales(NamedTuple):
     exact: bool
 
     @classmethod
-    def of(cls, derivative: np.dtype, difference: np.dtype, size: int, tolerance: float | None):
+    def of(
+        cls, derivative: np.dtype, difference: np.dtype, size: int, tolerance: float | None
+    ) -> "Scales":
         """Return the scales for two float types and the picture's larger side (px)."""
         exact = difference == np.float64
         double = exact and derivative == np.float64
