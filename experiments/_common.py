@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 import pinhole_jax as pj
-from pinhole_jax._fit.parameters import canonical
+from pinhole_jax._fit.moves import canonical
 from pinhole_jax._fit.solver import Solver
 
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "meshes"

@@ -12,7 +12,7 @@ from _common import degrees, folder, meshes, orbited, random_camera, run, trials
 from PIL import Image, ImageDraw
 
 import pinhole_jax as pj
-from pinhole_jax._fit.parameters import canonical
+from pinhole_jax._fit.moves import canonical
 from pinhole_jax._fit.solver import Solver
 
 FAR = 60

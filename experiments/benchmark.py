@@ -31,7 +31,7 @@ from _peers import PEERS, Job, Moves, Peer, Trail, central_difference, film_matr
 
 import pinhole_jax as pj
 from pinhole_jax._fit.full_image import At, image_and_jacobian
-from pinhole_jax._fit.parameters import Move, canonical
+from pinhole_jax._fit.moves import Move, canonical
 from pinhole_jax._fit.solver import Solver
 
 OURS = "pinhole_jax"

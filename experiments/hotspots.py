@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax._fit.levenberg_marquardt import descended
-from pinhole_jax._fit.parameters import canonical
+from pinhole_jax._fit.moves import canonical
 from pinhole_jax._fit.solver import Solver
 from pinhole_jax._silhouette.silhouette import _silhouette
 

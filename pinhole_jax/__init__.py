@@ -2,7 +2,11 @@
 
 from . import formats as formats, io as io, plot as plot, report as report, shapes as shapes
 from ._camera.camera import Camera as Camera, camera_basis as camera_basis
-from ._camera.distortion import BrownConrady as BrownConrady, Fisheye as Fisheye
+from ._camera.distortion import (
+    BrownConrady as BrownConrady,
+    Fisheye as Fisheye,
+    Rational as Rational,
+)
 from ._camera.lens import Lens as Lens
 from ._camera.rays import (
     Rays as Rays,

@@ -4,18 +4,15 @@ photo, where mask and camera differ, how the fit came there, the object and the 
 
 from itertools import groupby
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ._camera.axes import axes_of
 from ._camera.camera import Camera
-from ._camera.distortion import COEFFICIENTS
 from ._camera.rays import project
-from ._fit.parameters import rotation
+from ._fit.moves import displaced
 from ._fit.result import Fit, Progress
-from ._fit.target import shares
+from ._fit.target import check_image, shares
 from ._scene.scene import Scene
 from ._show.outline import contour_points, outline as outline
 from ._show.space import scene_view as scene_view
@@ -47,6 +44,7 @@ def outline_sigma(fit: Fit, scene: Scene) -> Float[np.ndarray, "n"]:
         return np.zeros(len(segments))
     variance, axes = np.linalg.eigh(fit.covariance[np.ix_(known, known)])
     place = lambda camera: np.asarray(project(camera, points), float)
+    moved = lambda step: displaced(fit.camera, fit.names, step)
     points = jnp.asarray(contour_points(fit.camera, scene), fit.camera.e.dtype)
     points = points[KDTree(place(fit.camera)).query(segments.mean(axis=1))[1]]
     far = float(np.linalg.norm(np.mean(np.asarray(points) - np.asarray(fit.camera.e), axis=0)))
@@ -59,7 +57,7 @@ def outline_sigma(fit: Fit, scene: Scene) -> Float[np.ndarray, "n"]:
         step = np.zeros(len(fit.std))
         step[known] = size * axis
         share = 1 / max(float(np.max(np.abs(step) / small)), 1)  # so far that it is still linear
-        change = (place(_moved(fit, share * step)) - place(_moved(fit, -share * step))) / 2 / share
+        change = (place(moved(share * step)) - place(moved(-share * step))) / 2 / share
         total += (change[:, 0] * along[:, 1] - change[:, 1] * along[:, 0]) ** 2
     return np.sqrt(total)
 
@@ -116,7 +114,8 @@ def error_map(
     """
     _check_size("target", target, camera)
     left, top, right, bottom = window or (0, 0, camera.W, camera.H)
-    both = [np.asarray(silhouette(camera, scene), float), shares(np.asarray(target))]
+    mask = shares(check_image("target", target, camera.W, camera.H))
+    both = [np.asarray(silhouette(camera, scene), float), mask]
     shown, mask = (x[top:bottom, left:right, None] for x in both)
     ground = 255 - 45 * np.minimum(shown, mask).clip(0, 1)
     more, less = (np.clip(x, 0, 1) for x in (shown - mask, mask - shown))
@@ -136,35 +135,6 @@ def object_window(camera: Camera, scene: Scene) -> Window:
     left, top = np.floor(np.maximum(low - room, 0)).astype(int).tolist()
     right, bottom = np.ceil(np.minimum(high + room, [camera.W, camera.H])).astype(int).tolist()
     return left, top, right, bottom
-
-
-def _moved(fit: Fit, step: np.ndarray) -> Camera:
-    """Return the camera with its reported parameters changed by a step."""
-    camera = fit.camera
-    change = dict(zip(fit.names, step.tolist(), strict=True))
-    of = lambda *names: np.array([change.pop(name, 0.0) for name in names])
-    e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
-    dtype = camera.e.dtype
-    turn = of("rotation_b1", "rotation_b2", "rotation_v") @ axes_of(camera)
-    turned = np.asarray(rotation(jnp.asarray(turn, dtype)), float)
-    eye = e + of("e_x", "e_y", "e_z")
-    phi, d = float(camera.phi) + of("phi")[0], float(camera.d) + of("d")[0]
-    if d != float(camera.d):  # the film's height stays
-        phi = 2 * np.arctan(np.tan(phi / 2) * float(camera.d) / d)
-    lens, shift, wider = camera.lens, of("principal_x", "principal_y"), of("aspect")[0]
-    if lens is not None:
-        changed = lens.principal_point + jnp.asarray(shift, dtype), lens.aspect + float(wider)
-        lens = eqx.tree_at(lambda x: (x.principal_point, x.aspect), lens, changed)
-        bent = [name for name in COEFFICIENTS if name in change]
-        leaves = lambda x: [getattr(x.distortion, name) for name in bent]
-        steps = [jnp.asarray(of(name)[0], dtype) for name in bent]
-        values = [k + step for k, step in zip(leaves(lens), steps, strict=True)]
-        lens = eqx.tree_at(leaves, lens, values) if bent else lens
-    if change:
-        raise ValueError(f"`fit`: expected known parameters, got {sorted(change)}")
-    parts = (eye, eye + turned @ (p - e), turned @ u, phi, d)
-    e, p, u, phi, d = (np.asarray(x, dtype) for x in parts)
-    return Camera(e, p, u, phi, d, camera.W, camera.H, lens)
 
 
 def _check_size(name: str, image: np.ndarray, camera: Camera) -> None:

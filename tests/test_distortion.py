@@ -15,6 +15,7 @@ import pinhole_jax as pj
 W, H = 64, 48
 BROWN = pj.BrownConrady(-0.28, 0.07, 1.2e-3, -2.2e-4, 0.01)
 FISHEYE = pj.Fisheye(-0.02, 0.011, -0.004, 0.0006)
+RATIONAL = pj.Rational(0.6, 0.02, 1.2e-3, -2.2e-4, 0.05, 0.31, -0.12, 0.02)
 
 
 def camera(distortion, phi=1.0, W=W, H=H):
@@ -26,10 +27,7 @@ def by_opencv(camera, points):
     """Return film coordinates by OpenCV: y down, pixel centres at integers there."""
     K, R, t = pj.formats.to_opencv(camera.lens and _ideal(camera), pixel_centres="integer")
     model = camera.lens.distortion
-    names = ("k1", "k2", "p1", "p2", "k3")
-    if isinstance(model, pj.Fisheye):
-        names = ("k1", "k2", "k3", "k4")
-    k = np.array([float(getattr(model, n)) for n in names])
+    k = np.array([*model.coefficients().values()])
     rotation = cv2.Rodrigues(R)[0]
     points = np.asarray(points, float).reshape(-1, 1, 3)
     if isinstance(model, pj.Fisheye):
@@ -44,7 +42,7 @@ def _ideal(camera):
     return eqx.tree_at(lambda c: c.lens.distortion, camera, None, is_leaf=lambda x: x is None)
 
 
-@pytest.mark.parametrize("model", [BROWN, FISHEYE], ids=["brown", "fisheye"])
+@pytest.mark.parametrize("model", [BROWN, FISHEYE, RATIONAL], ids=["brown", "fisheye", "rational"])
 def test_points_project_as_opencv_projects_them(model):
     view = camera(model)
     points = np.random.default_rng(0).uniform(-1, 1, (200, 3))
@@ -57,6 +55,7 @@ def test_points_project_as_opencv_projects_them(model):
     ("model", "phi"),
     [
         (BROWN, 1.0),
+        (RATIONAL, 1.0),
         (FISHEYE, 1.3),
         (pj.BrownConrady(0.3, p2=0.01), 1.3),
         (pj.BrownConrady(-0.15), 0.9),
@@ -104,7 +103,9 @@ def test_no_distortion_is_the_ideal_camera_in_the_program_too():
     np.testing.assert_allclose(pj.project(zero, points), pj.project(view, points), atol=1e-12)
 
 
-@pytest.mark.parametrize("model", [pj.BrownConrady(-0.4), pj.Fisheye(-0.2), BROWN, pj.Fisheye()])
+@pytest.mark.parametrize(
+    "model", [pj.BrownConrady(-0.4), pj.Fisheye(-0.2), BROWN, pj.Fisheye(), RATIONAL]
+)
 def test_the_continuation_is_smooth_and_grows(model):
     """Beyond the fold, the image goes on: as a function of the radius it is C1 and increasing."""
     radius = np.concatenate([[0.0], np.geomspace(1e-2, 1e3, 20001)])
@@ -125,7 +126,9 @@ def test_lenses_that_fold_within_the_film_are_refused(model, phi):
 
 
 def test_a_distortion_of_another_kind_is_refused():
-    with pytest.raises(ValueError, match=r"`distortion`: expected a BrownConrady, a Fisheye or No"):
+    with pytest.raises(
+        ValueError, match=r"`distortion`: expected a BrownConrady, a Rational, a Fisheye or No"
+    ):
         pj.Lens([1, 1], 1.0, [0.1, 0.2])
     with pytest.raises(ValueError, match=r"`k2`: expected finite values, got nan"):
         pj.BrownConrady(0.1, np.nan)

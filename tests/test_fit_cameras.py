@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._fit.problem import View
-from pinhole_jax._fit.shared_unknowns import others, reduced, solved
+from pinhole_jax._fit.shared_unknowns import alike, others, reduced, solved
 
 
 @pytest.fixture(scope="module")
@@ -210,3 +210,11 @@ def test_the_camera_moves_with_target_and_weight_as_refits_do(scene, masks):
 def test_a_fit_under_jit_is_refused_in_words(scene, masks):
     with pytest.raises(ValueError, match="a fit runs outside `jit` and `vmap`"):
         jax.jit(lambda t: pj.fit_camera(scene, t, POSE_START).camera.e)(jnp.asarray(masks[0]))
+
+
+def test_views_of_different_lenses_share_only_what_both_have():
+    plain = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 8, 6)
+    bent = plain.replace(phi=0.8, lens=pj.Lens([4, 3], distortion=pj.BrownConrady(0.1)))
+    assert {float(c.phi) for c in alike([plain, bent], ("phi",))} == {0.7}
+    with pytest.raises(ValueError, match="expected distortions of one kind to share, got Brown"):
+        alike([plain, bent], ("phi", "k1"))

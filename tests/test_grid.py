@@ -13,7 +13,7 @@ import shapely
 from oracles import mesh_coverage
 
 import pinhole_jax as pj
-from pinhole_jax._fit.parameters import canonical
+from pinhole_jax._fit.moves import canonical
 from pinhole_jax._fit.residuals import Capacity, touch
 from pinhole_jax._fit.target import pyramid
 from pinhole_jax._scene.scene import padded

@@ -11,7 +11,7 @@ import pytest
 from oracles import mesh_coverage
 
 import pinhole_jax as pj
-from pinhole_jax._fit.parameters import canonical
+from pinhole_jax._fit.moves import canonical
 from pinhole_jax._fit.residuals import Capacity, residuals
 from pinhole_jax._fit.target import object_window, pyramid
 from pinhole_jax._scene.scene import padded

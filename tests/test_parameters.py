@@ -5,25 +5,25 @@ import pytest
 
 import pinhole_jax as pj
 from pinhole_jax._camera.camera import camera_basis
-from pinhole_jax._fit.parameters import (
-    COMPONENTS,
+from pinhole_jax._camera.distortion import COEFFICIENTS
+from pinhole_jax._fit.moves import (
     Move,
     canonical,
-    check_free,
+    displaced,
     moved,
     on_film,
     reported,
     rotation,
     units,
-    with_lens,
 )
+from pinhole_jax._fit.parameters import NAMES, check_free, components, labels_of, with_lens
 
 CAMERA = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 2.0, 30, 20)
 PIVOT = jnp.array([0.2, -0.1, 0.3])
 
 
 def move(y, *free):
-    n = len([c for name in free for c in COMPONENTS[name]])
+    n = len(components(free))
     return moved(Move(CAMERA, PIVOT, jnp.ones(n)), jnp.asarray(y, float), free)
 
 
@@ -147,3 +147,43 @@ def test_bad_names_are_said_in_words(free, message):
 def test_names_may_be_one_word_or_in_any_order():
     assert check_free("phi") == ("phi",)
     assert check_free(["phi", "pose"]) == ("pose", "phi")
+
+
+@pytest.mark.parametrize(
+    "free",
+    [
+        ("pose", "phi", "principal_point", "aspect", *COEFFICIENTS),
+        ("position", "orientation", "d"),
+    ],
+)
+def test_every_row_of_the_table_is_reported_as_it_is_displaced(free):
+    """What a step of the reported parameters makes of a camera is what is reported of it."""
+    lens = pj.Lens([14, 11], 1.1, pj.Rational(0.3, -0.1, 1e-3, -2e-3, 0.02, 0.6, 0.02, 0.05))
+    camera = CAMERA.replace(phi=0.5, lens=lens)
+    labels = labels_of(free)
+    step = 1e-6 * np.random.default_rng(0).uniform(-1, 1, len(labels))
+    before = np.asarray(reported(camera, camera, free))
+    after = np.asarray(reported(camera, displaced(camera, labels, step), free))
+    np.testing.assert_allclose(after - before, step, rtol=0, atol=1e-11)
+
+
+def test_the_table_has_a_row_for_each_name_and_no_other_lists_them():
+    assert NAMES[-1] == "distortion"
+    camera = CAMERA.replace(phi=0.5, lens=pj.Lens([14, 11], 1, pj.Rational()))
+    everything = check_free(("pose", "phi", *NAMES[5:]), camera)
+    assert {*everything} == {*NAMES} - {"position", "orientation", "d", "distortion"}
+
+
+def test_a_camera_is_changed_by_its_arguments_and_its_pose():
+    wide = CAMERA.replace(phi=1.0, W=60)
+    assert (float(wide.phi), wide.W, wide.H, float(wide.d)) == (1.0, 60, 20, 2.0)
+    with pytest.raises(ValueError, match="`phi`: expected an angle"):
+        CAMERA.replace(phi=4.0)
+    axes = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    axes[2] *= np.linalg.det(axes) * -1  # b1, b2, v: v = b2 x b1
+    there = CAMERA.with_pose([3.0, 2.0, 1.0], axes)
+    np.testing.assert_allclose(there.e, [3, 2, 1])
+    np.testing.assert_allclose(np.stack(camera_basis(there)), axes, atol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.norm(there.p - there.e), np.linalg.norm(CAMERA.p - CAMERA.e)
+    )

@@ -8,7 +8,7 @@ import pytest
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._fit.parameters import Move, canonical, moved, on_film
+from pinhole_jax._fit.moves import Move, canonical, moved, on_film
 from pinhole_jax._fit.residuals import Capacity, residuals as _residuals, touch
 from pinhole_jax._fit.target import pyramid
 

@@ -20,6 +20,7 @@ THE CONVENTIONS
 """
 
 import operator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -35,6 +36,7 @@ from .lens import Lens
 
 #: Pixels are counted in 32 bits, with some room beside the film.
 MOST_PIXELS = 1 << 30
+_MISSING: Any = object()
 
 
 class Basis(NamedTuple):
@@ -96,10 +98,12 @@ class Camera(eqx.Module):
         u: Numbers,
         phi: Numbers,
         d: Numbers = 1.0,
-        W: Any = 0,
-        H: Any = 0,
+        W: Any = _MISSING,
+        H: Any = _MISSING,
         lens: Lens | None = None,
     ):
+        if W is _MISSING or H is _MISSING:
+            raise TypeError("Camera() missing W or H, the resolution in px (d comes before them)")
         dtype = float_dtype(e, p, u, phi, d)
         self.e = float_array("e", e, (3,), dtype)
         self.p = float_array("p", p, (3,), dtype)
@@ -122,6 +126,42 @@ class Camera(eqx.Module):
         bent = self.lens is not None and self.lens.distortion is not None
         if bent and is_concrete(self.phi, *jax.tree.leaves(self.lens)):
             _check_lens(self)
+
+    def __str__(self) -> str:
+        """Return it as a table; what is traced, stacked or no number as equinox shows it."""
+        numbers = all(map(eqx.is_array, (self.e, self.p, self.u, self.phi, self.d)))
+        if not numbers or not is_concrete(*jax.tree.leaves(self)) or np.ndim(self.phi):
+            return repr(self)
+        point = lambda x: "(" + ", ".join(f"{v:.6g}" for v in np.asarray(x)) + ")"
+        phi = float(self.phi)
+        lines = [
+            f"Camera of {self.W} x {self.H} px",
+            f"  e    {point(self.e)}   eye",
+            f"  p    {point(self.p)}   view point",
+            f"  u    {point(self.u)}   up",
+            f"  phi  {phi:.6g} rad   vertical field of view ({np.rad2deg(phi):.6g} degrees)",
+            f"  d    {float(self.d):.6g}   camera constant",
+        ]
+        if self.lens is not None:
+            aspect = f"aspect {float(self.lens.aspect):.6g}"
+            lines.append(f"  lens principal point {point(self.lens.principal_point)} px, {aspect}")
+        if self.lens is not None and self.lens.distortion is not None:
+            bent = self.lens.distortion
+            numbers = (f"{name} = {value:.6g}" for name, value in bent.coefficients().items())
+            lines.append(f"       {type(bent).__name__}: {', '.join(numbers)}")
+        return "\n".join(lines)
+
+    def replace(self, **changes: Any) -> "Camera":
+        """Return the camera with some of its arguments changed, checked as the constructor does."""
+        return replace(self, **changes)
+
+    def with_pose(self, eye: Any, axes: Any) -> "Camera":
+        """Return the camera at an eye (3,) with these axes (3, 3), rows b1, b2, v: numbers, not
+        traced; p stays as far from the eye as it is."""
+        eye, axes = np.asarray(eye, float), np.asarray(axes, float)
+        far = float(np.linalg.norm(np.asarray(self.p, float) - np.asarray(self.e, float)))
+        pose = [jnp.asarray(x, self.e.dtype) for x in (eye, eye + far * axes[2], axes[1])]
+        return eqx.tree_at(lambda c: [c.e, c.p, c.u], self, pose)
 
 
 def camera_basis(camera: Camera) -> Basis:

@@ -12,9 +12,10 @@ has there (C1). A camera whose film shows more than that is refused.
 """
 
 import abc
+from collections.abc import Mapping
 from dataclasses import fields
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -25,8 +26,8 @@ from jaxtyping import Array, Float
 from .._numerics.arrays import Numbers, float_array, float_dtype
 from .._numerics.safe import norm, safe_divide, safe_sqrt
 
-#: The coefficients of all models, and the powers of the radius that they bend with.
-COEFFICIENTS = {"k1": 3, "k2": 5, "p1": 2, "p2": 2, "k3": 7, "k4": 9}
+#: The coefficients of all models, in OpenCV's order.
+COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 #: Where the image grows by less than this share of what it does on the axis it is about to fold;
 #: where it grows by more than so many times that, no lens is left.
 LEAST_SLOPE, MOST_SLOPE = 0.05, 100.0
@@ -36,7 +37,10 @@ NEWTON_STEPS = 40
 
 
 class Distortion(eqx.Module):
-    """What all models share; a model has its coefficients as fields."""
+    """What all models share; a model has its coefficients as fields, and in `powers` the power of
+    the radius that each of them bends with."""
+
+    powers: ClassVar[Mapping[str, int]]
 
     @abc.abstractmethod
     def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
@@ -95,6 +99,8 @@ class BrownConrady(Distortion):
     (down). Raises ValueError for values that are not finite numbers.
     """
 
+    powers: ClassVar[Mapping[str, int]] = {"k1": 3, "k2": 5, "p1": 2, "p2": 2, "k3": 7}
+
     k1: Float[Array, ""]
     k2: Float[Array, ""]
     p1: Float[Array, ""]
@@ -115,18 +121,73 @@ class BrownConrady(Distortion):
     def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Return the distorted point as the formula has it."""
         s = x * x + y * y
-        radial = 1 + s * (self.k1 + s * (self.k2 + s * self.k3))
-        cross = 2 * x * y
-        return (
-            x * radial - self.p1 * cross + self.p2 * (s + 2 * x * x),
-            y * radial - self.p1 * (s + 2 * y * y) + self.p2 * cross,
-        )
+        return _decentred(x, y, 1 + _powers(s, self.k1, self.k2, self.k3), self.p1, self.p2)
 
     def slope(self, radius: Array) -> Array:
         """Return a lower bound of how much the image grows at a radius."""
         s = radius * radius
-        radial = 1 + s * (3 * self.k1 + s * (5 * self.k2 + s * 7 * self.k3))
+        radial = 1 + _powers(s, 3 * self.k1, 5 * self.k2, 7 * self.k3)
         return radial - 6 * norm(jnp.stack([self.p1, self.p2])) * radius
+
+    def first_guess(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return the point itself."""
+        return x, y
+
+
+class Rational(Distortion):
+    """OpenCV's rational model (`CALIB_RATIONAL_MODEL`), in the order of its `distCoeffs`.
+
+    `BrownConrady` with the radial factor
+    `(1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)`. Raises ValueError for values
+    that are not finite numbers.
+    """
+
+    powers: ClassVar[Mapping[str, int]] = {**BrownConrady.powers, "k4": 3, "k5": 5, "k6": 7}
+
+    k1: Float[Array, ""]
+    k2: Float[Array, ""]
+    p1: Float[Array, ""]
+    p2: Float[Array, ""]
+    k3: Float[Array, ""]
+    k4: Float[Array, ""]
+    k5: Float[Array, ""]
+    k6: Float[Array, ""]
+
+    def __init__(
+        self,
+        k1: Numbers = 0.0,
+        k2: Numbers = 0.0,
+        p1: Numbers = 0.0,
+        p2: Numbers = 0.0,
+        k3: Numbers = 0.0,
+        k4: Numbers = 0.0,
+        k5: Numbers = 0.0,
+        k6: Numbers = 0.0,
+    ):
+        values = _coefficients(
+            dict(zip(COEFFICIENTS, (k1, k2, p1, p2, k3, k4, k5, k6), strict=True))
+        )
+        self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6 = values
+
+    def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return the distorted point as the formula has it."""
+        s = x * x + y * y
+        above = 1 + _powers(s, self.k1, self.k2, self.k3)
+        below = 1 + _powers(s, self.k4, self.k5, self.k6)
+        return _decentred(x, y, safe_divide(above, below), self.p1, self.p2)
+
+    def slope(self, radius: Array) -> Array:
+        """Return a lower bound of how much the image grows at a radius, -1 beyond a pole."""
+        s = radius * radius
+        above = 1 + _powers(s, self.k1, self.k2, self.k3)
+        below = 1 + _powers(s, self.k4, self.k5, self.k6)
+        # r d/dr of both.
+        above_rises = _powers(s, 2 * self.k1, 4 * self.k2, 6 * self.k3)
+        below_rises = _powers(s, 2 * self.k4, 4 * self.k5, 6 * self.k6)
+        ratio = safe_divide(above, below)
+        radial = ratio + safe_divide(above_rises, below) - ratio * safe_divide(below_rises, below)
+        slope = radial - 6 * norm(jnp.stack([self.p1, self.p2])) * radius
+        return jnp.where(below > 0, slope, -1)
 
     def first_guess(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Return the point itself."""
@@ -140,6 +201,8 @@ class Fisheye(Distortion):
     front of the eye is seen: less than 90 degrees from the axis. Raises ValueError for values that
     are not finite numbers.
     """
+
+    powers: ClassVar[Mapping[str, int]] = {"k1": 3, "k2": 5, "k3": 7, "k4": 9}
 
     k1: Float[Array, ""]
     k2: Float[Array, ""]
@@ -178,12 +241,32 @@ class Fisheye(Distortion):
         return x * scale, y * scale
 
     def _stretch(self, theta: Array) -> Array:
-        t = theta * theta
-        return 1 + t * (self.k1 + t * (self.k2 + t * (self.k3 + t * self.k4)))
+        return 1 + _powers(theta * theta, self.k1, self.k2, self.k3, self.k4)
 
     def _growth(self, theta: Array) -> Array:
-        t = theta * theta
-        return 1 + t * (3 * self.k1 + t * (5 * self.k2 + t * (7 * self.k3 + t * 9 * self.k4)))
+        rises = (3 * self.k1, 5 * self.k2, 7 * self.k3, 9 * self.k4)
+        return 1 + _powers(theta * theta, *rises)
+
+
+#: All models, by the names that files and the command call them.
+MODELS: dict[str, Any] = {model.__name__: model for model in (BrownConrady, Rational, Fisheye)}
+
+
+def _powers(s: Array, *factors: Array) -> Array:
+    """Return a s + b s^2 + ... (Horner)."""
+    total = s * factors[-1]
+    for factor in reversed(factors[:-1]):
+        total = s * (factor + total)
+    return total
+
+
+def _decentred(x: Array, y: Array, radial: Array, p1: Array, p2: Array) -> tuple[Array, Array]:
+    """Return a point stretched by a radial factor, and shifted by a decentred lens (y up)."""
+    s, cross = x * x + y * y, 2 * x * y
+    return (
+        x * radial - p1 * cross + p2 * (s + 2 * x * x),
+        y * radial - p1 * (s + 2 * y * y) + p2 * cross,
+    )
 
 
 def _coefficients(values: dict[str, Numbers]) -> list[Array]:

@@ -10,7 +10,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from .._numerics.arrays import Numbers, float_array, float_dtype, is_concrete
-from .distortion import Distortion
+from .distortion import MODELS, Distortion
 
 
 class Lens(eqx.Module):
@@ -19,8 +19,9 @@ class Lens(eqx.Module):
     - `principal_point`: where the view axis meets the film, in film coordinates (px, origin at the
       film's bottom-left corner, y up). A centred camera has (W/2, H/2).
     - `aspect`: focal length in pixels along x over focal length in pixels along y (`fx / fy`).
-    - `distortion`: a `BrownConrady`, a `Fisheye`, or None. `phi` then sets the focal length `H / (2
-      tan(phi/2))` px that the coefficients go with; the field of view itself is another.
+    - `distortion`: a `BrownConrady`, a `Rational`, a `Fisheye`, or None. `phi` then sets the focal
+      length `H / (2 tan(phi/2))` px that the coefficients go with; the field of view itself is
+      another.
 
     Raises ValueError for wrong shapes, non-finite values and an aspect that is not positive.
     """
@@ -42,6 +43,6 @@ class Lens(eqx.Module):
             raise ValueError(f"`aspect`: expected a positive ratio, got {float(self.aspect)}")
         if not (distortion is None or isinstance(distortion, Distortion)):
             raise ValueError(
-                f"`distortion`: expected a BrownConrady, a Fisheye or None, got {distortion!r}"
+                f"`distortion`: expected a {', a '.join(MODELS)} or None, got {distortion!r}"
             )
         self.distortion = distortion

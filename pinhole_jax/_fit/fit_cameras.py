@@ -11,7 +11,8 @@ from .._scene.scene import Scene, check_scene
 from .fit_camera import fit_camera
 from .full_image import completed, worthwhile
 from .mask import Mask
-from .parameters import canonical, components, with_lens
+from .moves import canonical
+from .parameters import components, with_lens
 from .priors import bounds_of, prior_of
 from .problem import FINE_PX, UNIT_PX, View
 from .residuals import Capacity

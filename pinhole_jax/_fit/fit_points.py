@@ -19,20 +19,9 @@ from .._camera.rays import project
 from .._numerics.arrays import Numbers, float_array
 from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
-from .parameters import (
-    Bounds,
-    Move,
-    Prior,
-    canonical,
-    components,
-    labels_of,
-    moved,
-    on_film,
-    reported,
-    units,
-    with_lens,
-)
-from .priors import bounds_of, prior_of
+from .moves import Bounds, Move, canonical, moved, on_film, reported, units
+from .parameters import components, labels_of, with_lens
+from .priors import Prior, bounds_of, prior_of
 from .problem import UNIT_PX
 from .resection import resected
 from .result import at_rest, to_units, without_ended

@@ -17,7 +17,7 @@ from .._camera.camera import Camera
 from .._scene.scene import Scene
 from .._silhouette.silhouette import silhouette
 from .mask import Mask
-from .parameters import Move, moved, on_film
+from .moves import Move, moved, on_film
 from .problem import FINE_PX, UNIT_PX, View
 from .residuals import HIDDEN, Sums
 from .solver import Found, Solver

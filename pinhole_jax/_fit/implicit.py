@@ -19,7 +19,7 @@ from .._camera.camera import Camera
 from .._numerics.arrays import is_concrete
 from .._scene.scene import Scene, bounding_sphere
 from .full_image import At, image, image_and_jacobian
-from .parameters import Move, canonical, units
+from .moves import Move, canonical, units
 from .target import check_image, shares
 
 #: The step of central differences, in px, by float type.

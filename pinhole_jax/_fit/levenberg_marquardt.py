@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._numerics.thin_qr import triangle_and_rhs
-from .parameters import moved, reported
+from .moves import moved, reported
 from .problem import COSINE, UNIT_PX, Problem, View, move as move_of
 from .residuals import Capacity, residuals
 from .target import Level

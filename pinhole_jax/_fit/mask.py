@@ -56,10 +56,7 @@ class Mask(NamedTuple):
 
     def seen_by(self, eye: np.ndarray, axes: np.ndarray) -> Camera:
         """Return the camera at an eye with these axes (rows b1, b2, v)."""
-        c, dtype = self.camera, self.camera.e.dtype
-        far = float(np.linalg.norm(np.asarray(c.p - c.e)))
-        pose = [jnp.asarray(x, dtype) for x in (eye, eye + far * axes[2], axes[1])]
-        return eqx.tree_at(lambda c: [c.e, c.p, c.u], c, pose)
+        return self.camera.with_pose(eye, axes)
 
 
 def _ideal_rectangle(camera: Camera) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,8 @@ from .._numerics.arrays import Numbers
 from .._scene.scene import Scene, check_scene
 from .full_image import completed
 from .mask import Mask
-from .parameters import canonical, check_free, components, labels_of, with_lens
+from .moves import canonical
+from .parameters import check_free, components, labels_of, with_lens
 from .problem import UNIT_PX
 from .result import to_units
 from .solver import Solver

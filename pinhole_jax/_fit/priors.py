@@ -3,11 +3,30 @@
 from collections.abc import Mapping
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
-from .parameters import BOUNDED, Bounds, Prior, labels_of
+from .moves import Bounds, reported
+from .parameters import LABELS, PARAMETERS, labels_of
+
+
+class Prior(eqx.Module):
+    """What is known of reported parameters beforehand (canonical units), and a residual's noise."""
+
+    labels: tuple[str, ...] = eqx.field(static=True)
+    mean: Float[Array, "k"]
+    std: Float[Array, "k"]
+    noise: Float[Array, ""]
+
+    def residuals(self, camera: Camera, free: tuple[str, ...]) -> Float[Array, "k"]:
+        """Return how far off the means parameters are, in units in which noise is a residual's."""
+        known = labels_of(free)
+        values = reported(camera, camera, free)
+        off = jnp.stack([values[known.index(label)] for label in self.labels]) - self.mean
+        return off * (self.noise / self.std)
 
 
 def prior_of(
@@ -23,12 +42,12 @@ def prior_of(
     """
     if not prior:
         return None
-    labels = [x for x in labels_of(names) if not x.startswith("rotation")]
+    labels = [x for x in labels_of(names) if LABELS[x].value is not None]
     mean, std = _pairs("prior", prior, labels, "(mean, standard deviation)")
     for label, value in zip(prior, std, strict=True):
         if not value > 0:
             raise ValueError(f"`prior`: expected a positive deviation of {label!r}, got {value}")
-    unit = np.array([base.H if label.startswith("principal") else 1 for label in prior])
+    unit = np.array([base.H if LABELS[label].unit == "px" else 1 for label in prior])
     parts = np.array([views if label in labels_of(common) else 1 for label in prior])
     to = lambda x: jnp.asarray(x, base.e.dtype)
     return Prior(tuple(prior), to(mean / unit), to(std / unit * np.sqrt(parts)), to(0.1))
@@ -40,7 +59,7 @@ def bounds_of(
     """Return the bounds, or raise ValueError."""
     if not bounds:
         return None
-    labels = [x for x in labels_of(names) if x in BOUNDED]
+    labels = [name for name in names if PARAMETERS[name].bounded]
     low, high = _pairs("bounds", bounds, labels, "(low, high)")
     for label, a, b in zip(bounds, low, high, strict=True):
         if not a < b:

@@ -9,7 +9,8 @@ from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._scene.scene import Ball, Scene
-from .parameters import Bounds, Move, Prior, units
+from .moves import Bounds, Move, units
+from .priors import Prior
 from .residuals import Load, Sums
 from .target import Level, Pyramid
 

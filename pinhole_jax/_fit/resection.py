@@ -75,7 +75,5 @@ def _normalised(camera: Camera, seen_at: np.ndarray) -> np.ndarray:
 
 def _posed(camera: Camera, rotation: np.ndarray, translation: np.ndarray) -> Camera:
     """Return the camera with `rotation @ x + translation` right, down and forward of the eye."""
-    e = -rotation.T @ translation
-    far = float(np.linalg.norm(np.asarray(camera.p - camera.e, float)))
-    e, p, u = (np.asarray(x, camera.e.dtype) for x in (e, e + far * rotation[2], -rotation[1]))
-    return Camera(e, p, u, camera.phi, camera.d, camera.W, camera.H, camera.lens)
+    right, down, forward = rotation
+    return camera.with_pose(-rotation.T @ translation, np.stack([right, -down, forward]))

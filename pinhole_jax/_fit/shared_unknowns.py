@@ -15,7 +15,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.distortion import COEFFICIENTS
-from .parameters import check_free
+from .parameters import PARAMETERS, check_free
 from .problem import COARSE_PX, COSINE, FINE_PX, UNIT_PX
 
 #: One view's residuals about where it is: `triangle` (R of J = QR), `along` (Q^T r), the unknowns'
@@ -25,14 +25,8 @@ Linearised = Any
 One = Any
 
 
-#: What views may share, and what of a camera that is.
-SHARED: dict[str, list[Any]] = {
-    "phi": [lambda c: c.phi],
-    "d": [lambda c: c.d, lambda c: c.phi],
-    "principal_point": [lambda c: c.lens.principal_point],
-    "aspect": [lambda c: c.lens.aspect],
-    **{k: [lambda c, k=k: getattr(c.lens.distortion, k)] for k in COEFFICIENTS},
-}
+#: What views may share.
+SHARED = tuple(name for name, row in PARAMETERS.items() if row.shared)
 
 
 def shared_and_free(
@@ -40,7 +34,7 @@ def shared_and_free(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return all names in a fixed order, and those that are shared, or raise ValueError."""
     common = check_free(shared, camera) if len(shared) else ()
-    if not {*common} <= SHARED.keys():
+    if not {*common} <= {*SHARED}:
         known = ", ".join([*SHARED, "distortion"])
         raise ValueError(f"`shared`: expected names among {known}, got {shared!r}")
     own = [n for n in check_free(free, camera) if n not in common] if len(free) else []
@@ -50,14 +44,14 @@ def shared_and_free(
 def alike(cameras: Sequence[Camera], common: tuple[str, ...]) -> list[Camera]:
     """Return the cameras with the mean of what they share."""
     kinds = {type(c.lens and c.lens.distortion) for c in cameras}
-    if len(kinds) > 1 and not COEFFICIENTS.keys().isdisjoint(common):
+    if len(kinds) > 1 and not {*COEFFICIENTS}.isdisjoint(common):
         words = " and ".join(sorted(k.__name__ for k in kinds))
         raise ValueError(f"`cameras`: expected distortions of one kind to share, got {words}")
     result = list(cameras)
-    for leaf in (leaf for name in common for leaf in SHARED[name]):
-        values = [leaf(c) for c in cameras]
+    for leaf in (leaf for name in common for leaf in PARAMETERS[name].leaves):
+        values = [leaf.of(c) for c in cameras]
         mean: Any = sum(values[1:], values[0]) / len(values)
-        result = [eqx.tree_at(leaf, c, mean.astype(c.e.dtype)) for c in result]
+        result = [eqx.tree_at(leaf.of, c, mean.astype(c.e.dtype)) for c in result]
     return result
 
 

@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera, film_map
 from .._scene.scene import Scene, astype, ball_about, bounding_box, padded
 from .kinds import kind_of
-from .parameters import Bounds, Move, Prior, moved
+from .moves import Bounds, Move, moved
+from .priors import Prior
 from .problem import COARSE_PX, FINE_PX, Problem, View, move as move_of
 from .residuals import Capacity, Touched, touch
 from .target import LEAST_CELLS, Level, Window, object_window, pyramid, shares

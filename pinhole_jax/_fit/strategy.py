@@ -9,7 +9,8 @@ import numpy as np
 from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .mask import Mask
-from .parameters import canonical, components, focal_is_free
+from .moves import canonical
+from .parameters import components, focal_is_free
 from .places import NEAR_START, Free, Places, equal_views, mirrored, separation, settled, turned_by
 from .residuals import Sums
 from .search import aimed, guesses

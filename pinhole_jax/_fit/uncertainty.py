@@ -4,6 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from .parameters import COMPONENTS
+
 #: Singular values under this share of the largest count as no information at all ...
 BLIND = {np.dtype(np.float32): 1e-5, np.dtype(np.float64): 1e-9}
 #: ... under this one as so little that a turn by it gives no other view ...
@@ -85,26 +87,18 @@ def free_turns(triangle: np.ndarray, components: list[str], axes: np.ndarray) ->
 
 def _words(direction: np.ndarray, components: list[str], axes: np.ndarray) -> str:
     """Return what a direction of moves does to the camera."""
-    part = dict(zip(components, direction, strict=True))
-    kinds = {
-        kind: np.array([part.get(f"{kind}_{b}", 0.0) for b in ("b1", "b2", "v")])
-        for kind in ("turn", "shift", "spin")
-    }
-    weight = {kind: float(np.linalg.norm(vector)) for kind, vector in kinds.items()}
-    rest = [name for name in components if name.split("_")[0] not in kinds]
-    weight |= {name: abs(float(part[name])) for name in rest}
-    chief = [k for k in sorted(weight, key=lambda k: -weight[k]) if weight[k] > 0.35]
-    names = {
-        "turn": "the turn about the axis " + in_words(kinds["turn"] @ axes),
-        "spin": "the camera's turn about the axis " + in_words(kinds["spin"] @ axes),
-        "shift": "the sideways shift",
-        "log_distance": "the distance",
-        "log_focal": "the focal length",
-        "principal_x": "the principal point's x",
-        "principal_y": "the principal point's y",
-        "log_aspect": "the pixel aspect",
-    }
-    named = [names.get(k, k) for k in chief]
+    groups: dict[str, list[int]] = {}  # the parts of a vector share their words
+    for k, name in enumerate(components):
+        groups.setdefault(COMPONENTS[name].words, []).append(k)
+
+    weight = {words: float(np.linalg.norm(direction[group])) for words, group in groups.items()}
+    chief = [words for words in sorted(weight, key=lambda w: -weight[w]) if weight[words] > 0.35]
+    named = []
+    for words in chief:
+        group = groups[words]
+        if COMPONENTS[components[group[0]]].is_turn:
+            words += " about the axis " + in_words(direction[group] @ axes)
+        named.append(words)
     if len(named) < 2:
         return named[0] if named else "a mixture of all parameters"
     return " against ".join(named)

@@ -27,6 +27,7 @@ from .files import (
     FORMATS as FORMATS,
     guess_write as guess_write,
     read as read,
+    read_one as read_one,
     write as write,
 )
 from .gltf import read_gltf as read_gltf, write_gltf as write_gltf

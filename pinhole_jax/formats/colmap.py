@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._camera.camera import Camera
-from .._camera.distortion import BrownConrady, Fisheye
+from .._camera.distortion import BrownConrady, Fisheye, Rational
 from .._files.paths import opened, replace_file
 from .fields import KIND, Fields, add_named, check_names, number, save_text, short
 from .pinhole import (
@@ -49,14 +49,13 @@ PARTS = ("cameras", "images", "points3D")
 MOST_NAME, MOST_LINE, MOST_MODEL = 4096, 1 << 26, 1 << 36
 
 
-def read_colmap(folder: str | os.PathLike) -> dict[str, Camera]:
+def read_colmap(folder: str | os.PathLike[str]) -> dict[str, Camera]:
     """Return the cameras of a COLMAP model, by image name.
 
     Reads cameras and images, binary if there are both kinds. Points are not read.
 
     Raises FileNotFoundError, or ValueError naming file and field where something is missing,
-    truncated or wrong, and where the camera model is none of OpenCV's (FOV, thin prisms, ...) or
-    FULL_OPENCV with k4, k5 or k6 that is not zero.
+    truncated or wrong, and where the camera model is none of OpenCV's (FOV, thin prisms, ...).
     """
     place = Path(folder)
     for ending, read in ((".bin", _read_binary), (".txt", _read_text)):
@@ -80,7 +79,7 @@ def read_colmap(folder: str | os.PathLike) -> dict[str, Camera]:
 
 
 def write_colmap(
-    folder: str | os.PathLike, cameras: Mapping[str, Camera], *, binary: bool = False
+    folder: str | os.PathLike[str], cameras: Mapping[str, Camera], *, binary: bool = False
 ) -> None:
     """Write a COLMAP model without points: cameras, images, points3D.
 
@@ -135,7 +134,7 @@ def _camera(intrinsics: Fields, pose: Fields) -> Camera:
     fisheye = bool(number("FISHEYE"))
     plain.add("FISHEYE")
     bent = {name: number(name) for name in intrinsics.data if name not in plain}
-    distortion = model_of(bent, intrinsics, fisheye)
+    distortion = model_of(bent, intrinsics, (Fisheye,) if fisheye else (BrownConrady, Rational))
     q = pose.array("QUATERNION", (4,))
     if not is_unit(q):
         raise pose.wrong("QUATERNION", "one of length 1", q)
@@ -341,6 +340,8 @@ def _view(camera: Camera) -> View:
     number = 5 if isinstance(distortion, Fisheye) else 1
     if isinstance(distortion, BrownConrady):
         number = 6 if float(distortion.k3) else 4
+    if isinstance(distortion, Rational):
+        number = 6
     values = {**view._asdict(), **({} if distortion is None else distortion.coefficients())}
     names = MODELS[number][1].split()
     return View(number, view.W, view.H, tuple(values.get(name, 0.0) for name in names))

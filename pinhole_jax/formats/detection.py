@@ -174,7 +174,7 @@ def _camera(view: Pinhole, world_from_camera: np.ndarray) -> Camera:
 def _with_lens(camera: Camera) -> Camera:
     """Return the camera with a lens, needed or not: then one compiled program serves all."""
     lens = camera.lens or Lens([camera.W / 2, camera.H / 2])
-    return Camera(camera.e, camera.p, camera.u, camera.phi, camera.d, camera.W, camera.H, lens)
+    return camera.replace(lens=lens)
 
 
 def _promising(scene: Scene, target: np.ndarray, poses: list, views: list) -> list:

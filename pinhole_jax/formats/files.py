@@ -9,7 +9,7 @@ from .._camera.camera import Camera
 from .._files.paths import existing, is_folder, path_of
 from .blender import SCHEMA as BLENDER_SCHEMA, read_blender, write_blender, write_blender_script
 from .colmap import read_colmap, write_colmap
-from .fields import KIND, Size, load_json
+from .fields import KIND, Size, load_json, short
 from .gltf import read_gltf, write_gltf
 from .mitsuba import read_mitsuba, write_mitsuba
 from .native import CAMERA_SCHEMA, CAMERAS_SCHEMA, read_json, write_json
@@ -53,7 +53,7 @@ ENDINGS = {
 
 
 def read(
-    path: str | os.PathLike, format: str | None = None, *, size: Size | None = None
+    path: str | os.PathLike[str], format: str | None = None, *, size: Size | None = None
 ) -> dict[str, Camera]:
     """Return the cameras of a file (COLMAP: a folder), by name.
 
@@ -81,8 +81,33 @@ def read(
     return cameras
 
 
+def read_one(path: str | os.PathLike[str], *, size: Size | None = None) -> Camera:
+    """Return the camera of a file that holds one, or by its name: "transforms.json:left".
+
+    `size` is the image's (W, H) in px, for formats whose files need not hold it.
+
+    Raises FileNotFoundError or ValueError as `read` does, and ValueError where there are several
+    cameras and no name, or none of this name.
+    """
+    place, name = path_of(path), None
+    if not place.exists() and ":" in place.name:
+        head, _, name = str(path).rpartition(":")
+        place = path_of(head)
+    needs_size = (is_folder(place) or place.is_file()) and FORMATS[_guess_read(place)].sized
+    cameras = read(place, size=size if needs_size else None)
+    known = short([*cameras])
+    if name is None and len(cameras) > 1:
+        raise ValueError(
+            f"`path`: expected one camera, or a name after a colon, got {len(cameras)} in"
+            f" {str(place)!r}: {known}"
+        )
+    if name is not None and name not in cameras:
+        raise ValueError(f"`path`: expected a name among {known}, got {name!r} (in {str(place)!r})")
+    return next(iter(cameras.values())) if name is None else cameras[name]
+
+
 def write(
-    path: str | os.PathLike, cameras: Mapping[str, Camera], format: str | None = None
+    path: str | os.PathLike[str], cameras: Mapping[str, Camera], format: str | None = None
 ) -> None:
     """Write cameras to a file (COLMAP: a folder), whole or not at all.
 
@@ -119,7 +144,7 @@ def _guess_read(path: Path) -> str:
     return "json"
 
 
-def guess_write(path: str | os.PathLike) -> str:
+def guess_write(path: str | os.PathLike[str]) -> str:
     """Return the format that a path to be written asks for."""
     place = path_of(path)
     if is_folder(place) or not place.suffix:

@@ -10,7 +10,7 @@ import equinox as eqx
 import numpy as np
 
 from .._camera.camera import Basis, Camera, camera_basis, focal_px, principal_point
-from .._camera.distortion import BrownConrady, Fisheye
+from .._camera.distortion import MODELS
 from .._camera.lens import Lens
 from .._files.paths import read_json as read_json_file, replace_file
 from .fields import Fields, add_named, check_names, load_json, save_json
@@ -24,7 +24,8 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
 
     - `e, p, u, phi, d, W, H`: the note's parameters (world units, rad, px); `phi_degrees` beside.
     - `lens`: null, or `principal_point` (film coordinates: px, origin bottom left, y up), `aspect`
-      and, if it has one, `distortion`: `model` (BrownConrady or Fisheye) and its coefficients.
+      and, if it has one, `distortion`: `model` (BrownConrady, Rational or Fisheye) and its
+      coefficients.
     - `pose`: free of the gauge. `right`, `up`, `forward` are the camera's unit axes and `eye` its
       place, in world coordinates; `focal_px` is [fx, fy].
     """
@@ -95,17 +96,16 @@ def _lens_from_dict(data: Any) -> Lens:
         raise ValueError(f"`lens`: expected principal_point and aspect, got also {unknown}")
     bent = data.get("distortion")
     if bent is not None:
-        known = {model.__name__: model for model in (BrownConrady, Fisheye)}
-        model = known.get(str(bent.get("model"))) if isinstance(bent, dict) else None
+        model = MODELS.get(str(bent.get("model"))) if isinstance(bent, dict) else None
         names = {field.name for field in fields(model)} if model else set()
         if model is None or set(bent) - names - {"model"}:
-            words = f"a model ({', '.join(known)}) and its coefficients"
+            words = f"a model ({', '.join(MODELS)}) and its coefficients"
             raise ValueError(f"`distortion`: expected {words}, got {bent!r}")
         bent = model(**{name: bent[name] for name in bent if name != "model"})
     return Lens(data["principal_point"], data.get("aspect", 1.0), bent)
 
 
-def save_camera(path: str | os.PathLike, camera: Camera, **more: Any) -> None:
+def save_camera(path: str | os.PathLike[str], camera: Camera, **more: Any) -> None:
     """Write a camera as JSON (see `camera_to_dict`); `more` are further fields.
 
     Raises ValueError for what is no camera, fields that JSON cannot hold (NaN is one), and a path
@@ -125,7 +125,7 @@ def save_camera(path: str | os.PathLike, camera: Camera, **more: Any) -> None:
     replace_file(path, text.encode())
 
 
-def load_camera(path: str | os.PathLike) -> Camera:
+def load_camera(path: str | os.PathLike[str]) -> Camera:
     """Return the camera of a JSON file that `save_camera` wrote.
 
     Raises FileNotFoundError, or ValueError naming the field that is missing or wrong.
@@ -141,7 +141,7 @@ def _numbers(array: Any) -> list[float]:
     return [float(x) for x in np.asarray(array)]
 
 
-def read_json(path: str | os.PathLike) -> dict[str, Camera]:
+def read_json(path: str | os.PathLike[str]) -> dict[str, Camera]:
     """Return the cameras of the project's own JSON: one (`io.save_camera`) or many.
 
     Frisvad's parameters: world units, `phi` the VERTICAL field of view in rad, the principal point
@@ -157,7 +157,7 @@ def read_json(path: str | os.PathLike) -> dict[str, Camera]:
     return cameras
 
 
-def write_json(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
+def write_json(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write the project's own JSON: one camera as `io.save_camera` does, many by name."""
     check_names(cameras, "JSON")
     if len(cameras) == 1:

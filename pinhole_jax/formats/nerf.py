@@ -9,7 +9,7 @@ import os
 from collections.abc import Mapping
 
 from .._camera.camera import Camera
-from .._camera.distortion import Fisheye
+from .._camera.distortion import BrownConrady, Fisheye, Rational
 from .fields import Fields, Size, add_named, check_names, load_json, save_json
 from .pinhole import (
     OPENGL,
@@ -29,7 +29,7 @@ FISHEYE = "OPENCV_FISHEYE"
 MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", FISHEYE)
 
 
-def read_nerf(path: str | os.PathLike, *, size: Size | None = None) -> dict[str, Camera]:
+def read_nerf(path: str | os.PathLike[str], *, size: Size | None = None) -> dict[str, Camera]:
     """Return the cameras of a transforms.json, by each frame's `file_path`.
 
     A frame's own intrinsics come before the file's. Where the file holds no `w`, `h` (NeRF's
@@ -50,13 +50,13 @@ def read_nerf(path: str | os.PathLike, *, size: Size | None = None) -> dict[str,
         matrix = fields.array("transform_matrix", (3 if short else 4, 4))
         pose = rigid(matrix, fields, "transform_matrix")
         coefficients = {c: fields.number(c) for c in COEFFICIENTS if c in fields}
-        distortion = model_of(coefficients, fields, fisheye)
+        distortion = model_of(coefficients, fields, (Fisheye if fisheye else BrownConrady,))
         camera = camera_of(_intrinsics(fields, size), pose, OPENGL, fields, distortion)
         add_named(cameras, name, camera, repr(str(path)))
     return cameras
 
 
-def write_nerf(path: str | os.PathLike, cameras: Mapping[str, Camera]) -> None:
+def write_nerf(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write a transforms.json that nerfstudio, instant-ngp and NeRF's own readers understand.
 
     Intrinsics that all cameras share stand at the top, otherwise with each frame.
@@ -96,6 +96,8 @@ def _intrinsics(fields: Fields, size: Size | None) -> Pinhole:
 
 def _numbers(camera: Camera) -> dict[str, float | int]:
     view, distortion = pinhole(camera, bent=True), distortion_of(camera)
+    if isinstance(distortion, Rational):  # k4 here is another term of the numerator
+        raise ValueError("`cameras`: expected OpenCV's k1, k2, p1, p2, k3, got a Rational")
     bent = {} if distortion is None else distortion.coefficients()
     return {
         **bent,

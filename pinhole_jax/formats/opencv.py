@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from .._camera.camera import Camera
-from .._camera.distortion import BrownConrady, Distortion, Fisheye
+from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._files.paths import read_text
 from . import yaml
 from .fields import KIND, Fields, Size, check_names, save_text, short
@@ -20,7 +20,7 @@ from .pinhole import OPENCV, Pinhole, camera_of, distortion_of, inverse, model_o
 from .rotations import matrix_of_vector, vector_of_matrix
 
 #: The names under which a field is known; case and underscores do not count.
-NAMES = {
+NAMES: dict[str, tuple[str, ...]] = {
     "camera_matrix": ("cameramatrix", "k"),
     "distortion_coefficients": ("distortioncoefficients", "distcoeffs", "d"),
     "distortion_model": ("distortionmodel",),
@@ -46,7 +46,7 @@ MOST_ANGLE = 1e4
 
 
 def read_opencv(
-    path: str | os.PathLike, *, size: Size | None = None, pixel_centres: str | None = None
+    path: str | os.PathLike[str], *, size: Size | None = None, pixel_centres: str | None = None
 ) -> dict[str, Camera]:
     """Return the cameras of an OpenCV YAML file, by name.
 
@@ -55,8 +55,8 @@ def read_opencv(
     `camera_matrix` is K in px; `image_width`, `image_height` in px, or `size` where there are none.
     `pixel_centres` ("integer", "half") overrules the file, which is "integer" if it says nothing.
 
-    `distortion_coefficients` are k1, k2, p1, p2, k3, or of a fisheye (k1 to k4) where the file's
-    `distortion_model` is "fisheye" or "equidistant" (OpenCV's own files do not tell).
+    `distortion_coefficients` are k1, k2, p1, p2, k3, k4, k5, k6, or of a fisheye (k1 to k4) where
+    the file's `distortion_model` is "fisheye" or "equidistant" (OpenCV's own files do not tell).
 
     Raises ValueError naming file and field where something is missing or wrong, and where
     coefficients of other models are not zero.
@@ -78,7 +78,7 @@ def read_opencv(
 
 
 def write_opencv(
-    path: str | os.PathLike, cameras: Mapping[str, Camera], *, pixel_centres: str = "integer"
+    path: str | os.PathLike[str], cameras: Mapping[str, Camera], *, pixel_centres: str = "integer"
 ) -> None:
     """Write cameras as OpenCV YAML: `camera_matrix`, then `R` and `t`, or many poses.
 
@@ -178,12 +178,12 @@ def _names(fields: Fields, count: int) -> list[str]:
 
 def _distortion(fields: Fields) -> Distortion | None:
     name = "distortion_coefficients"
-    model = fields.text("distortion_model", (*FISHEYES, *PLAIN), PLAIN[0])
+    fisheye = fields.text("distortion_model", (*FISHEYES, *PLAIN), PLAIN[0]) in FISHEYES
+    models = (Fisheye,) if fisheye else (BrownConrady, Rational)
     if name not in fields:
-        return model_of({}, fields, model in FISHEYES)
+        return model_of({}, fields, models)
     values = np.atleast_1d(fields.array(name, np.shape(fields.data[name])))
     if values.ndim != 1 or len(values) not in (0, 1, 4, 5, 8, 12, 14):
         raise fields.wrong(name, "4, 5, 8, 12 or 14 coefficients", values)
-    if model in FISHEYES:
-        return model_of(dict(zip(FISHEYE, values.tolist(), strict=True)), fields, True)
-    return model_of(dict(zip(COEFFICIENTS, values.tolist(), strict=False)), fields, False)
+    names = FISHEYE if fisheye else COEFFICIENTS
+    return model_of(dict(zip(names, values.tolist(), strict=fisheye)), fields, models)

@@ -4,13 +4,13 @@ A format says which axes its camera frame has and where its pixel coordinates be
 here, so that a reader or a writer is the list of its file's fields.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from .._camera.camera import Camera
-from .._camera.distortion import BrownConrady, Distortion, Fisheye
+from .._camera.distortion import Distortion, Fisheye
 from .fields import Fields
 from .matrices import from_opencv, to_opencv
 
@@ -55,15 +55,18 @@ def distortion_of(camera: Camera) -> Distortion | None:
     return None if camera.lens is None else camera.lens.distortion
 
 
-def model_of(coefficients: Mapping[str, float], fields: Fields, fisheye: bool) -> Distortion | None:
-    """Return the distortion with OpenCV's coefficients; None if those of no fisheye are all 0."""
-    model = Fisheye if fisheye else BrownConrady
+def model_of(
+    coefficients: Mapping[str, float], fields: Fields, models: Sequence[type[Distortion]]
+) -> Distortion | None:
+    """Return the distortion with these coefficients, of the first of some models that has them;
+    None if those of no fisheye are all 0."""
     bent = {name: value for name, value in coefficients.items() if value != 0}
-    known = model().coefficients()
-    if unknown := {name: value for name, value in bent.items() if name not in known}:
+    model = next((model for model in models if bent.keys() <= model.powers.keys()), models[-1])
+    if unknown := {name: value for name, value in bent.items() if name not in model.powers}:
         words = ", ".join(f"{name} = {value:g}" for name, value in unknown.items())
-        raise fields.wrong("distortion", f"{', '.join(known)} of a {model.__name__} only", words)
-    return model(**bent) if bent or fisheye else None
+        known = ", ".join(model.powers)
+        raise fields.wrong("distortion", f"{known} of a {model.__name__} only", words)
+    return model(**bent) if bent or model is Fisheye else None
 
 
 def camera_from_world(camera: Camera, axes: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ def cropped(camera: Camera, left: Numbers, top: Numbers, W: Any, H: Any) -> Came
     `image[top : top + H, left : left + W]`. It may reach out of the image (padding), and its
     corner may lie between pixels. The pose stays, and so do the focal lengths in px.
     """
-    Camera(camera.e, camera.p, camera.u, camera.phi, camera.d, W, H)  # checks W and H
+    camera.replace(W=W, H=H, lens=None)  # checks W and H
     x0, y0 = (
         float_array(name, x, (), camera.e.dtype) for name, x in (("left", left), ("top", top))
     )
@@ -28,7 +28,7 @@ def cropped(camera: Camera, left: Numbers, top: Numbers, W: Any, H: Any) -> Came
         x, y = principal_point(camera)
         corner = jnp.stack([x - x0, y - (camera.H - H - y0)])
         lens = Lens(corner, fx / fy, camera.lens and camera.lens.distortion)
-    return Camera(camera.e, camera.p, camera.u, phi, camera.d, W, H, lens)
+    return camera.replace(phi=phi, W=W, H=H, lens=lens)
 
 
 def resized(camera: Camera, W: Any, H: Any) -> Camera:
@@ -38,7 +38,7 @@ def resized(camera: Camera, W: Any, H: Any) -> Camera:
     are multiplied by W and H over the old ones. Pose and vertical field of view stay; the pixel
     aspect changes where the two factors differ.
     """
-    Camera(camera.e, camera.p, camera.u, camera.phi, camera.d, W, H)  # checks W and H
+    camera.replace(W=W, H=H, lens=None)  # checks W and H
     lens = None
     if camera.lens is not None or W * camera.H != H * camera.W:
         fx, fy = focal_px(camera)
@@ -47,4 +47,4 @@ def resized(camera: Camera, W: Any, H: Any) -> Camera:
         aspect = fx / fy * (scale_x / scale_y)
         centre = jnp.stack([x * scale_x, y * scale_y])
         lens = Lens(centre, aspect, camera.lens and camera.lens.distortion)
-    return Camera(camera.e, camera.p, camera.u, camera.phi, camera.d, W, H, lens)
+    return camera.replace(W=W, H=H, lens=lens)

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Array
 
 from .._camera.camera import Camera, focal_px
-from .._camera.distortion import COEFFICIENTS
 from .._scene.scene import Scene, bounding_sphere
 from .differences import Scales
 
@@ -80,7 +79,7 @@ def _camera_leaves(camera: Camera, scene: Scene) -> list[tuple[str, Callable, fl
         bent = camera.lens.distortion
         for name in () if bent is None else bent.coefficients():
             coefficient = lambda x, name=name: getattr(x[0].lens.distortion, name)
-            leaves.append((name, coefficient, (fy / half) ** COEFFICIENTS[name] / fy))
+            leaves.append((name, coefficient, (fy / half) ** bent.powers[name] / fy))
     return leaves
 
 

@@ -1,0 +1,211 @@
+"""Moves of a camera, as a vector that is 0 where it starts, and what is reported of them."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._camera.axes import axes_of
+from .._camera.camera import Camera, camera_basis, focal_px, principal_point
+from .._camera.lens import Lens
+from .._numerics.safe import norm, safe_divide, safe_sqrt
+from .parameters import AXES, COMPONENTS, LABELS, PARAMETERS, TABLE, Scale, components, labels_of
+
+#: Where the corner of a film is, in film heights from the middle.
+CORNER = 0.8
+#: How near to an end of its bounds a parameter may begin, so that it can leave it.
+ALMOST = 0.999999
+
+
+class Bounds(eqx.Module):
+    """Between what a camera's parameters stay (canonical units)."""
+
+    labels: tuple[str, ...] = eqx.field(static=True)
+    low: Float[Array, "k"]
+    high: Float[Array, "k"]
+
+    def into(self, start: Camera, moved: Camera) -> Camera:
+        """Return a moved camera brought within the bounds: moves begin as they are, and a parameter
+        swings to and fro where they would lead it out (as MINUIT's: a sine)."""
+        middle, half = (self.high + self.low) / 2, (self.high - self.low) / 2
+        values = []
+        for k, (before, after) in enumerate(
+            zip(self._leaves(start), self._leaves(moved), strict=True)
+        ):
+            at = jax.lax.stop_gradient(jnp.clip((before - middle[k]) / half[k], -ALMOST, ALMOST))
+            angle = jnp.arcsin(at) + (after - before) / half[k]
+            values.append(middle[k] + half[k] * jnp.sin(angle))
+        return eqx.tree_at(self._leaves, moved, values)
+
+    def ended(self, camera: Camera) -> tuple[str, ...]:
+        """Return which parameters are at an end of theirs, to 1e-4 of the way between."""
+        values = np.array(self._leaves(camera))
+        low, high = np.asarray(self.low), np.asarray(self.high)
+        near = np.minimum(values - low, high - values) < 1e-4 * (high - low)
+        return tuple(label for label, there in zip(self.labels, near, strict=True) if there)
+
+    def _leaves(self, camera: Any) -> list[Any]:
+        # What may have bounds is one number, whose label is its name.
+        return [PARAMETERS[label].leaves[0].of(camera) for label in self.labels]
+
+
+class Move(NamedTuple):
+    """Where a vector of moves starts: the camera, the pivot, and the size of one unit of each."""
+
+    camera: Camera
+    pivot: Float[Array, "3"]
+    unit: Float[Array, "n"]
+    bounds: Bounds | None = None
+
+
+def units(
+    camera: Camera,
+    pivot: Float[Array, "3"],
+    radius: Float[Array, ""],
+    scale: Float[Array, ""] | Float[np.ndarray, ""],
+    free: tuple[str, ...],
+) -> Float[Array, "n"]:
+    """Return how much of each component moves the outline by about one pixel, in a film's corner
+    if it is one of the distortion's.
+
+    `camera` is canonical, `radius` that of the scene about the pivot, `scale` px per film height.
+    """
+    focal = focal_px(camera)[1]
+    bent = None if camera.lens is None else camera.lens.distortion
+    here = Scale(
+        pixel=1 / (focal * scale),
+        spread=jnp.clip(safe_divide(radius, norm(pivot - camera.e)), 1e-3, 1),
+        film=1 / jnp.asarray(scale),
+        corner=CORNER / focal,
+        powers={} if bent is None else bent.powers,
+    )
+    return jnp.stack([COMPONENTS[name].size(here) for name in components(free)])
+
+
+def moved(move: Move, y: Float[Array, "n"], free: tuple[str, ...]) -> Camera:
+    """Return the camera moved by y (in units of `move.unit`); a rigid motion keeps the gauge."""
+    step, camera = y * move.unit, move.camera
+    by_name = dict(zip(components(free), step, strict=True))
+    if not {"pose", "position", "orientation"}.isdisjoint(free):
+        camera = _moved_rigidly(camera, move.pivot, by_name)
+    first = 0
+    for name in free:
+        row = PARAMETERS[name]
+        part = step[first : first + len(row.components)]
+        first += len(row.components)
+        for leaf in row.leaves:
+            camera = eqx.tree_at(leaf.of, camera, leaf.moved(leaf.of(camera), part))
+    return camera if move.bounds is None else move.bounds.into(move.camera, camera)
+
+
+def _moved_rigidly(camera: Camera, pivot: Float[Array, "3"], step: dict[str, Array]) -> Camera:
+    """Return the camera turned about its eye, shifted, brought nearer, turned about the pivot."""
+    axes = jnp.stack(camera_basis(camera))
+    zero = jnp.zeros_like(pivot[0])
+    of = lambda kind, names: jnp.stack([step.get(f"{kind}_{b}", zero) for b in names])
+    view, up = camera.p - camera.e, camera.u
+    if "spin_v" in step:
+        about_eye = rotation(of("spin", AXES) @ axes)
+        view, up = about_eye @ view, about_eye @ up
+
+    offset = camera.e - pivot
+    if "log_distance" in step:
+        # The pivot as the camera sees it slides sideways and comes nearer; the eye goes the other
+        # way.
+        aside = norm(offset) * (of("shift", AXES[:2]) @ axes[:2])
+        offset = (offset + aside) * jnp.exp(step["log_distance"])
+    if "turn_v" in step:
+        about_pivot = rotation(of("turn", AXES) @ axes)
+        view, up, offset = about_pivot @ view, about_pivot @ up, about_pivot @ offset
+    e = pivot + offset if "log_distance" in step else camera.e
+    return eqx.tree_at(lambda c: (c.e, c.p, c.u), camera, (e, e + view, up))
+
+
+def reported(camera: Camera, moved: Camera, free: tuple[str, ...]) -> Float[Array, "n"]:
+    """Return the reported parameters of `moved` (`labels_of`); rotations are small ones away from
+    `camera`.
+
+    `rotation_b1, rotation_b2, rotation_v` turn the camera about its own axes (rad), `e_x, e_y, e_z`
+    are the eye in world units, `phi` in rad, `d` in world units, the principal point in px.
+    """
+    labels, small = labels_of(free), {}
+    if "rotation_v" in labels:
+        before, after = jnp.stack(camera_basis(camera)), jnp.stack(camera_basis(moved))
+        cross = jnp.sum(jnp.cross(before, after), axis=0) / 2  # rotation vector, to first order
+        small = dict(zip((f"rotation_{b}" for b in AXES), before @ cross, strict=True))
+    value = lambda label: small[label] if label in small else LABELS[label].value(moved)
+    return jnp.stack([value(label) for label in labels])
+
+
+def displaced(camera: Camera, labels: tuple[str, ...], step: np.ndarray) -> Camera:
+    """Return the camera with its reported parameters changed by a small step (n,).
+
+    Raises ValueError for labels that are none.
+    """
+    if unknown := sorted({*labels} - LABELS.keys()):
+        raise ValueError(f"`fit`: expected known parameters, got {unknown}")
+    change = dict(zip(labels, step.tolist(), strict=True))
+    of = lambda kind, names: np.array([change.get(f"{kind}_{x}", 0.0) for x in names])
+    e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
+    turn = jnp.asarray(of("rotation", AXES) @ axes_of(camera), camera.e.dtype)
+    turned = np.asarray(rotation(turn), float)
+    eye = e + of("e", "xyz")
+    pose = [np.asarray(x, camera.e.dtype) for x in (eye, eye + turned @ (p - e), turned @ u)]
+    camera = eqx.tree_at(lambda c: [c.e, c.p, c.u], camera, pose)
+    for row in TABLE:
+        if not row.leaves or row.labels[0].name not in change:
+            continue
+        leaf, *others = row.leaves
+        value = np.asarray(leaf.of(camera))
+        added = np.array([change[label.name] for label in row.labels]).reshape(value.shape)
+        changed = (value + added).astype(value.dtype)
+        camera = eqx.tree_at(leaf.of, camera, changed)
+        for other in others:  # the film's height stays while d changes
+            stretch = jnp.log(jnp.asarray(changed / value))[None]
+            camera = eqx.tree_at(other.of, camera, other.moved(other.of(camera), stretch))
+    return jax.tree.map(jnp.asarray, camera)
+
+
+def rotation(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Return the rotation matrix about a vector by its length in rad (Rodrigues)."""
+    x, y, z = vector
+    zero = jnp.zeros_like(x)
+    skew = jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
+    squared = x * x + y * y + z * z
+    angle = safe_sqrt(squared)
+    small = squared < 1e-4
+    # sin(a)/a and (1 - cos(a))/a^2, by their series where the quotients lose digits.
+    series_a = 1 - squared / 6 * (1 - squared / 20)
+    series_b = (1 - squared / 12 * (1 - squared / 30)) / 2
+    a = jnp.where(small, series_a, safe_divide(jnp.sin(angle), angle))
+    half = safe_divide(jnp.sin(angle / 2), angle)
+    b = jnp.where(small, series_b, 2 * half * half)
+    return jnp.eye(3, dtype=vector.dtype) + a * skew + b * (skew @ skew)
+
+
+def canonical(camera: Camera) -> Camera:
+    """Return the same view on a film one pixel high, with a lens: W, H are no longer static facts.
+
+    One compiled program then serves all resolutions; film coordinates are in film heights.
+    """
+    point = principal_point(camera) / camera.H
+    aspect = 1.0 if camera.lens is None else camera.lens.aspect
+    unit = camera.replace(W=1, H=1, lens=Lens(point, aspect))
+    if camera.lens is None or camera.lens.distortion is None:
+        return unit
+    bent = lambda c: c.lens.distortion  # (put in here, it is not asked whether the film's corners
+    return eqx.tree_at(bent, unit, camera.lens.distortion, is_leaf=lambda x: x is None)  # are seen)
+
+
+def on_film(unit: Camera, camera: Camera) -> Camera:
+    """Return a canonical camera on `camera`'s film, with a lens if that has one."""
+    lens = unit.lens
+    if lens is not None:
+        place = lens.principal_point * camera.H
+        lens = None if camera.lens is None else Lens(place, lens.aspect, lens.distortion)
+    moving = lambda c: (c.e, c.p, c.u, c.phi, c.d, c.lens)
+    values = (unit.e, unit.p, unit.u, unit.phi, unit.d, lens)
+    return eqx.tree_at(moving, camera, values, is_leaf=lambda x: x is None)
