@@ -19,18 +19,10 @@ from jaxtyping import Array, Bool, Float, Int
 from .._camera.camera import Camera, film_map, lens_holds
 from .._camera.film import FilmMap, FilmPart
 from .._scene.scene import Scene
-from .._silhouette.contour import edge_lifts, edge_segments, mesh_contour
 from .._silhouette.coverage import monotone, piece_counts, split
+from .._silhouette.curve_sets import edge_curves, find, outline_curves
 from .._silhouette.curves import Curves, moved, piece_flux, placed
 from .._silhouette.marks import Marks, chain_layers, inward, marks, overlaps
-from .._silhouette.spheres import (
-    ARCS_PER_SPHERE,
-    arc_cuts,
-    arc_part_lifts,
-    arc_part_segments,
-    sphere_arcs,
-    sphere_frames,
-)
 from .._silhouette.surrounding import surrounding
 from .target import Level, Pyramid, level_slice
 
@@ -205,24 +197,19 @@ def _curves(
     film: FilmMap, scene: Scene, capacity: Capacity
 ) -> list[tuple[str, Curves, Array, Array, int]]:
     """Return the curves by kind, their lifts, how many need room, and the room for their pieces."""
+    mesh, spheres = scene.mesh, scene.spheres
+    found = find(film, scene)
     kinds: list[tuple[str, Curves, Array, Array, int]] = []
-    if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
-        contour = mesh_contour(film, scene.mesh)
+    if mesh is not None and found.contour is not None:
+        edges = edge_curves(film, mesh.vertices, found.contour)
         ids = jnp.arange(capacity.edges, dtype=jnp.int32)
-        segments = edge_segments(film, scene.mesh.vertices, contour, ids)
-        lifts = edge_lifts(film, scene.mesh.vertices, contour, ids)
-        kinds.append(("edges", segments, lifts, contour.segments, capacity.pieces))
-    spheres = scene.spheres
-    if spheres is not None and spheres.radii.shape[0] and film.bend is not None:
-        parts, ids = arc_cuts(film, spheres), jnp.arange(capacity.arcs, dtype=jnp.int32)
-        chords = arc_part_segments(film, spheres, parts, ids)
-        ends = arc_part_lifts(film, spheres, parts, ids)
-        kinds.append(("arcs", chords, ends, parts.total, capacity.arc_pieces))
-    elif spheres is not None and spheres.radii.shape[0]:
-        ids = jnp.arange(ARCS_PER_SPHERE * spheres.radii.shape[0], dtype=jnp.int32)
-        arcs = sphere_arcs(film, spheres, ids)
-        frames = sphere_frames(film, spheres, ids)
-        kinds.append(("arcs", arcs, frames, jnp.int32(0), capacity.arc_pieces))
+        drawn = edges.curves(ids), edges.lifts(ids)
+        kinds.append(("edges", *drawn, edges.total, capacity.pieces))
+    if spheres is not None and spheres.radii.shape[0]:
+        arcs = outline_curves(film, spheres, found.arcs)
+        ids = jnp.arange(arcs.most or capacity.arcs, dtype=jnp.int32)
+        needed = jnp.int32(0) if arcs.most else arcs.total
+        kinds.append(("arcs", arcs.curves(ids), arcs.lifts(ids), needed, capacity.arc_pieces))
     return kinds
 
 

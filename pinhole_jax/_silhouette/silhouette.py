@@ -14,11 +14,10 @@ from .._camera.camera import Camera, film_map
 from .._camera.film import FilmMap
 from .._numerics.bitset import Selection, nth, rank_in, select
 from .._numerics.linear_map import linear_map
-from .._scene.scene import Scene, Spheres, astype
-from .contour import MeshContour, edge_lifts, edge_segments, mesh_contour
+from .._scene.scene import Scene, Spheres, astype, check_view
 from .coverage import Pieces
+from .curve_sets import Found, edge_curves, find, outline_curves
 from .curves import moved, piece_flux
-from .distorted import Cuts
 from .marks import Marks, marks, overlaps, turns
 from .overlaps import (
     Crowded,
@@ -30,14 +29,6 @@ from .overlaps import (
     fold_curves,
     fold_pieces,
     nothing_kept,
-)
-from .spheres import (
-    ARCS_PER_SPHERE,
-    arc_cuts,
-    arc_part_lifts,
-    arc_part_segments,
-    sphere_arcs,
-    sphere_frames,
 )
 from .surrounding import surrounding
 from .sweep import Visible
@@ -67,23 +58,22 @@ def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Arr
     it is (of one of the coinciding pieces), which is a one-sided derivative, and it is finite. A
     contour along a pixel's side counts for the pixel above it or to its right.
     """
+    check_view(camera, scene)
     return _silhouette(camera, scene, overlaps)
 
 
 @eqx.filter_jit
 def _silhouette(camera: Camera, scene: Scene, overlaps: bool) -> Float[Array, "H W"]:
     scene = astype(scene, camera.e.dtype)
-    film, mesh, spheres = film_map(camera), scene.mesh, scene.spheres
-    contour, vertices = None, None
-    if mesh is not None and mesh.edge_faces.shape[0]:
-        contour, vertices = mesh_contour(film, mesh), mesh.vertices
+    film, spheres = film_map(camera), scene.spheres
     if spheres is not None and not spheres.radii.shape[0]:
         spheres = None
-    if contour is None and spheres is None:
+    found = find(film, scene)
+    if found.contour is None and spheres is None:
         return jnp.zeros((camera.H, camera.W), camera.e.dtype)
-    alone = contour is None and spheres is not None and spheres.radii.shape[0] == 1
-    arcs = None if spheres is None or film.bend is None else arc_cuts(film, spheres)
-    still = _Still(contour, arcs, surrounding(film, scene), () if overlaps and not alone else None)
+    vertices = None if found.contour is None or scene.mesh is None else scene.mesh.vertices
+    alone = found.contour is None and spheres is not None and spheres.radii.shape[0] == 1
+    still = _Still(found, surrounding(film, scene), () if overlaps and not alone else None)
     return _image(_Moving(film, vertices, spheres), still)
 
 
@@ -98,12 +88,10 @@ class _Moving(NamedTuple):
 class _Still(NamedTuple):
     """What cannot: which edges are contour, and the number of layers left of the film.
 
-    `arcs` are the parts of the spheres' outlines, if there are spheres under distortion. `overlap`
-    is None (and not an empty tuple: both have no leaves) if contours never overlap.
+    `overlap` is None (and not an empty tuple: both have no leaves) if contours never overlap.
     """
 
-    contour: MeshContour | None
-    arcs: Cuts | None
+    found: Found
     base: Int[Array, ""]
     overlap: tuple[()] | None
 
@@ -122,25 +110,16 @@ class _Pixels(NamedTuple):
 def _parts(moving: _Moving, still: _Still) -> list[Part]:
     """Return the contour's curves by kind."""
     film, vertices, spheres = moving
-    parts = []
-    contour = still.contour
+    contour, arcs = still.found
+    sets = []
     if contour is not None and vertices is not None:
-        edges = lambda ids: edge_segments(film, vertices, contour, ids)
-        lifts = lambda ids: edge_lifts(film, vertices, contour, ids)
-        size = min(CURVES_AT_A_TIME, contour.edge_vertices.shape[0])
-        size = size if contour.cuts is None else CURVES_AT_A_TIME
-        parts.append(Part(edges, lifts, contour.segments, size))
-    cuts = still.arcs
-    if spheres is not None and cuts is not None:
-        chords = lambda ids: arc_part_segments(film, spheres, cuts, ids)
-        ends = lambda ids: arc_part_lifts(film, spheres, cuts, ids)
-        parts.append(Part(chords, ends, cuts.total, CURVES_AT_A_TIME))
-    elif spheres is not None:
-        number = ARCS_PER_SPHERE * spheres.radii.shape[0]
-        arcs = lambda ids: sphere_arcs(film, spheres, ids)
-        frames = lambda ids: sphere_frames(film, spheres, ids)
-        parts.append(Part(arcs, frames, jnp.int32(number), min(CURVES_AT_A_TIME, number)))
-    return parts
+        sets.append(edge_curves(film, vertices, contour))
+    if spheres is not None:
+        sets.append(outline_curves(film, spheres, arcs))
+    return [
+        Part(s.curves, s.lifts, s.total, min(CURVES_AT_A_TIME, s.most or CURVES_AT_A_TIME))
+        for s in sets
+    ]
 
 
 @jax.custom_jvp

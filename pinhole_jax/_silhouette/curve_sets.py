@@ -1,0 +1,87 @@
+"""The curves that a scene is seen as: of its mesh's contour edges, and of its spheres' outlines.
+
+Image, residuals and their derivatives read them from here. Which edges are contour, and where
+curves are cut under distortion, is found once (`find`) and is not differentiated; the curves are.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from .._camera.film import FilmMap
+from .._scene.scene import Scene, Spheres
+from .contour import MeshContour, edge_lifts, edge_segments, mesh_contour
+from .curves import Curves
+from .distorted import Cuts
+from .spheres import (
+    ARCS_PER_SPHERE,
+    arc_cuts,
+    arc_part_lifts,
+    arc_part_segments,
+    sphere_arcs,
+    sphere_frames,
+)
+
+
+class Found(NamedTuple):
+    """What is not differentiated: which edges are contour, None without a mesh; where the spheres'
+    outlines are cut, None without spheres or without distortion."""
+
+    contour: MeshContour | None
+    arcs: Cuts | None
+
+
+class CurveSet(NamedTuple):
+    """Curves of one kind.
+
+    - `curves(ids)`: those with ids below `total`.
+    - `lifts(ids)`: what they move with, differentiably.
+    - `total`: how many there are.
+    - `most`: how many there may be, None where that depends on the view.
+    """
+
+    curves: Callable[[Int[Array, "K"]], Curves]
+    lifts: Callable[[Int[Array, "K"]], Float[Array, "K n 3"]]
+    total: Int[Array, ""]
+    most: int | None
+
+
+def find(film: FilmMap, scene: Scene) -> Found:
+    """Return which edges are contour, and where outlines are cut."""
+    mesh, spheres = scene.mesh, scene.spheres
+    contour = arcs = None
+    if mesh is not None and mesh.edge_faces.shape[0]:
+        contour = mesh_contour(film, mesh)
+    if spheres is not None and spheres.radii.shape[0] and film.bend is not None:
+        arcs = arc_cuts(film, spheres)
+    return Found(contour, arcs)
+
+
+def edge_curves(film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour) -> CurveSet:
+    """Return the mesh's contour edges."""
+    return CurveSet(
+        lambda ids: edge_segments(film, vertices, contour, ids),
+        lambda ids: edge_lifts(film, vertices, contour, ids),
+        contour.segments,
+        contour.edge_vertices.shape[0] if contour.cuts is None else None,
+    )
+
+
+def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveSet:
+    """Return the spheres' outlines: arcs, or straight parts of them under distortion."""
+    if cuts is not None:
+        return CurveSet(
+            lambda ids: arc_part_segments(film, spheres, cuts, ids),
+            lambda ids: arc_part_lifts(film, spheres, cuts, ids),
+            cuts.total,
+            None,
+        )
+    number = ARCS_PER_SPHERE * spheres.radii.shape[0]
+    return CurveSet(
+        lambda ids: sphere_arcs(film, spheres, ids),
+        lambda ids: sphere_frames(film, spheres, ids),
+        jnp.int32(number),
+        number,
+    )
