@@ -22,7 +22,6 @@ import trimesh
 
 import pinhole_jax as pj
 from pinhole_jax import io, plot, shapes
-from pinhole_jax.__main__ import table
 
 PHI = 0.35  # rad: no EXIF in the photo; that of a 70 mm lens on full frame
 
@@ -70,7 +69,7 @@ def main() -> None:
         f" {np.rad2deg(np.arctan2(z, np.hypot(x, y))):.0f} degrees above the table"
         f" (IoU {fit.iou:.3f}, {seconds:.0f} s)."
     )
-    print(table(fit))
+    print(fit)
     io.save_image(folder / "coffee_cup.jpg", plot.overlay(photo, fit.camera, scene))
     io.save_camera(folder / "coffee_cup.json", fit.camera)
     for name, image in (("photo.png", photo), ("mask.png", mask)):  # what a user brings

@@ -4,6 +4,7 @@ import argparse
 import atexit
 import contextlib
 import gc
+import json
 import math
 import sys
 import threading
@@ -13,16 +14,22 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
+from . import __version__
+from ._camera.distortion import MODELS
 from ._fit.parameters import NAMES
 from ._fit.result import STATUSES
 
+#: The models of a lens's distortion, with their coefficients, as a camera file has them.
+DISTORTIONS = "\n  ".join(
+    json.dumps({"model": name, **dict.fromkeys(model.powers, 0)}) for name, model in MODELS.items()
+)
 EPILOG = """\
 camera files are JSON with the parameters of Frisvad's note, world units and radians:
   {"e": [x, y, z], "p": [x, y, z], "u": [x, y, z], "phi": 0.6, "d": 1, "W": 256, "H": 256}
 eye e, view point p, up u, vertical field of view phi, camera constant d, resolution W x H; "lens"
 may add {"principal_point": [x, y], "aspect": 1} (px, origin at the bottom left, y up), and in it
-  "distortion": {"model": "BrownConrady", "k1": 0, "k2": 0, "p1": 0, "p2": 0, "k3": 0}
-which is OpenCV's, or of its fisheye {"model": "Fisheye", "k1": 0, "k2": 0, "k3": 0, "k4": 0}.
+"distortion", one of OpenCV's models:
+  DISTORTIONS
 Masks are grey images (white is the object), or images whose transparency is the mask; --mask-from
 reads others:
   alpha                 the transparency
@@ -33,7 +40,7 @@ reads others:
                         background=COLOR,T; edges are soft where colours mix
 Pictures are PNG, JPEG, TIFF, WebP, BMP or PNM. What is written replaces a file; to /dev/stdout or
 a pipe it is written through, and devices are refused.
-"""
+""".replace("DISTORTIONS", DISTORTIONS)
 
 STATUS = "\n".join(
     ["the status of a fit is converged where its camera is to be trusted, else why it is not:"]
@@ -55,7 +62,8 @@ Turn the cameras of IN into another program's file. Formats, and the endings tha
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return 0, 1 for a fit that is not to be trusted, or 2 on bad input."""
+    """Run the command; return 0, 1 for a fit that is not to be trusted, 2 on bad input, 130 if
+    interrupted."""
     options = _parser().parse_args(arguments)
     for stream in (sys.stdout, sys.stderr):  # names of files need be no text that can be printed
         if isinstance(stream, TextIOWrapper):
@@ -65,6 +73,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(f"pinhole-jax {options.command}: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:  # what was being written is whole or not there
+        print(f"pinhole-jax {options.command}: interrupted", file=sys.stderr)
+        return 130
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -74,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.add_argument("--version", action="version", version=f"pinhole-jax {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     fit = commands.add_parser(
@@ -90,12 +102,38 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("mesh", metavar="MESH", help="triangles: obj, ply, stl, glb, gltf or off")
     fit.add_argument("mask", metavar="MASK", help="image of the camera's size, white on black")
     start = fit.add_mutually_exclusive_group()
-    start.add_argument("--camera", metavar="START.json", help="where to start (else: search)")
+    start.add_argument(
+        "--camera",
+        metavar="START",
+        help="where to start (else: search): a camera file, see below, or any that `convert` reads;"
+        " FILE:NAME is one of several",
+    )
+    start.add_argument(
+        "--K",
+        nargs=4,
+        type=float,
+        metavar=("FX", "FY", "CX", "CY"),
+        help="known intrinsics in px (OpenCV's K), to search with",
+    )
     start.add_argument(
         "--fov",
         type=float,
         metavar="DEGREES",
         help="vertical field of view, to search with (default: what the EXIF data of PHOTO say)",
+    )
+    fit.add_argument(
+        "--dist",
+        nargs="+",
+        type=float,
+        metavar="K1",
+        help="with --K: OpenCV's k1 k2 p1 p2, k3, k4 k5 k6",
+    )
+    fit.add_argument(
+        "--pixel-centres",
+        choices=("integer", "half"),
+        default="integer",
+        help="where CX, CY of --K count from: the first pixel's centre is 0 (OpenCV) or 0.5"
+        " (COLMAP); default: %(default)s",
     )
     fit.add_argument(
         "--free",
@@ -171,17 +209,22 @@ def _fit(options: argparse.Namespace) -> int:
         _set_up_jax(options)
         import numpy as np
 
-        from . import io, report
+        from . import formats, io, report
         from ._fit.fit_camera import fit_camera
         from ._scene.scene import Scene
         from .plot import overlay
 
         free = tuple(name.strip() for name in options.free.split(",") if name.strip())
-        start = None if options.camera is None else io.load_camera(options.camera)
-        phi = None if options.fov is None else options.fov * np.pi / 180
-        if start is None and phi is None:
-            phi = _phi_of_photo(options, free, progress)
         mask = io.load_mask(options.mask, options.mask_from, progress.tell)
+        size = mask.shape[1], mask.shape[0]
+        start = None if options.camera is None else formats.read_one(options.camera, size=size)
+        known = {"phi": None if options.fov is None else options.fov * np.pi / 180}
+        if options.K is not None:
+            known = _of_K(options, size)
+        elif options.dist is not None:
+            raise ValueError("`--dist`: expected --K beside it, got none")
+        if start is None and known["phi"] is None:
+            known["phi"] = _phi_of_photo(options, free, progress)
         weight = None
         if options.weight is not None:
             weight = io.load_mask(options.weight, "luminance") / 255.0
@@ -192,7 +235,7 @@ def _fit(options: argparse.Namespace) -> int:
         scene = Scene(mesh=io.load_mesh(options.mesh))
         progress.say("fitting (compiling on the first run)")
         told = lambda level: progress.say(str(level))
-        given = {"phi": phi, "weight": weight, "record": options.report is not None}
+        given = {**known, "weight": weight, "record": options.report is not None}
         fit = fit_camera(scene, mask, start, free, progress=told, **given)
         progress.say("drawing")
         drawing = overlay(picture, fit.camera, scene)
@@ -219,12 +262,29 @@ def _fit(options: argparse.Namespace) -> int:
         with _Progress("drawing the page"):
             report.write(options.report, fit, scene, mask, picture, title)
         written.append(options.report)
-    print(table(fit))
+    print(fit)
     print(
         f"time       {clock.compiling:.1f} s compile, {clock.elapsed() - clock.compiling:.1f} s run"
     )
     print(f"written    {', '.join(map(str, written))}")
     return 0 if fit.status == "converged" else 1
+
+
+def _of_K(options: argparse.Namespace, size: tuple[int, int]) -> dict[str, Any]:
+    """Return field of view and lens of `--K`, `--dist`, `--pixel-centres`."""
+    from . import formats
+
+    fx, fy, cx, cy = options.K
+    K, turn = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    bent = options.dist
+    if bent is not None and len(bent) not in (4, 5, 8):
+        raise ValueError(f"`--dist`: expected 4, 5 or 8 coefficients, got {len(bent)}")
+    model = (
+        None if bent is None else MODELS["Rational" if len(bent) == 8 else "BrownConrady"](*bent)
+    )
+    centres = options.pixel_centres
+    camera = formats.from_opencv(K, turn, [0, 0, 0], *size, pixel_centres=centres, distortion=model)
+    return {"phi": camera.phi, "lens": camera.lens}
 
 
 def _phi_of_photo(
@@ -247,30 +307,14 @@ def _phi_of_photo(
     return fov.phi
 
 
-def table(fit: Any) -> str:
-    """Return a fit as a short table: parameter, value, one sigma; status, IoU, what is weak."""
-    from .report import parameters
-
-    lines = [f"{'parameter':<28}{'value':>14}{'one sigma':>14}  unit"]
-    for row in parameters(fit):
-        value = "-" if row.value is None else f"{row.value:.6g}"
-        lines.append(f"{row.words:<28}{value:>14}{row.std:>14.2g}  {row.unit}".rstrip())
-    lines.append(f"status     {fit.status}   ({STATUSES[fit.status]})")
-    lines.append(f"IoU        {fit.iou:.4f}   (rms of coverage {fit.rms:.2g})")
-    lines += [f"note       {weak}" for weak in fit.weak]
-    if fit.modes:
-        lines.append(f"note       {len(fit.modes)} other views explain the mask as well")
-    return "\n".join(lines)
-
-
 def _render(options: argparse.Namespace) -> int:
     with _Progress("rendering"):
         _set_up_jax(options)
-        from . import io
+        from . import formats, io
         from ._scene.scene import Scene
         from ._silhouette.silhouette import silhouette
 
-        camera = io.load_camera(options.camera)
+        camera = formats.read_one(options.camera)
         if camera.W * camera.H > io.MOST_PIXELS:
             words = f"at most {io.MOST_PIXELS} pixels, got {camera.W} x {camera.H}"
             raise ValueError(f"`camera`: expected {words} (in {options.camera!r})")

@@ -10,26 +10,17 @@ import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from . import formats, plot
 from ._camera.camera import Camera
-from ._camera.distortion import COEFFICIENTS
 from ._files.paths import replace_file
 from ._fit.result import STATUSES, Fit
-from ._fit.target import shares
+from ._fit.target import check_image, shares
+from ._fit.words import parameters
 from ._scene.scene import Scene
 
-PARAMETERS = {
-    "rotation_b1": "pitch (about b1, right)",
-    "rotation_b2": "yaw (about b2, up)",
-    "rotation_v": "roll (about v, forward)",
-    "phi": "phi, vertical field of view",
-    "principal_x": "principal point x",
-    "principal_y": "principal point y",
-}
 #: The file that shows each format; a folder's files are shown one after another.
 FILES = {
     "json": "camera.json",
@@ -47,40 +38,8 @@ BAND_PX = 2.5
 SMALL = 0.3
 
 
-class Row(NamedTuple):
-    """A fitted parameter in words, its value (None for a small turn), one sigma, the unit."""
-
-    words: str
-    value: float | None
-    std: float
-    unit: str
-
-
-def parameters(fit: Fit) -> list[Row]:
-    """Return the fitted parameters with their standard errors; angles in degrees."""
-    camera = fit.camera
-    values = {
-        **{f"e_{x}": float(camera.e[k]) for k, x in enumerate("xyz")},
-        "phi": float(camera.phi),
-        "d": float(camera.d),
-    }
-    if camera.lens is not None:
-        values["principal_x"], values["principal_y"] = map(float, camera.lens.principal_point)
-        values["aspect"] = float(camera.lens.aspect)
-        values |= {} if camera.lens.distortion is None else camera.lens.distortion.coefficients()
-    rows = []
-    for name, std in zip(fit.names, fit.std.tolist(), strict=True):
-        angle = name.startswith("rotation") or name == "phi"
-        unit = "deg" if angle else "px" if name.startswith("principal") else "world"
-        unit = "" if name == "aspect" or name in COEFFICIENTS else unit
-        factor = 180 / np.pi if angle else 1.0
-        value = values[name] * factor if name in values else None
-        rows.append(Row(PARAMETERS.get(name, name), value, std * factor, unit))
-    return rows
-
-
 def write(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     fit: Fit,
     scene: Scene,
     target: np.ndarray,
@@ -114,7 +73,7 @@ def page(
         raise ValueError("`fit`: expected a finite camera, got status non_finite")
     from . import __version__
 
-    mask = np.asarray(target)
+    mask = check_image("target", target, fit.camera.W, fit.camera.H)
     if photo is None:
         photo = np.round(255 * shares(mask).clip(0, 1)).astype(np.uint8)
     sections = [

@@ -137,3 +137,18 @@ def test_bad_lens_is_said_in_words(point, aspect, message):
 def test_traced_cameras_are_made_without_a_look_at_values():
     make = jax.jit(lambda e, phi: pj.Camera(e, jnp.zeros(3), jnp.array([0.0, 1, 0]), phi, W=2, H=2))
     assert make(jnp.array([0.0, 0, 5]), 0.5).W == 2
+
+
+def test_a_camera_without_a_resolution_is_told_what_is_missing():
+    for arguments in ((), (640, 480)):
+        with pytest.raises(TypeError, match=r"missing W or H, .* \(d comes before them\)"):
+            pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, *arguments)
+
+
+def test_a_camera_is_printed_as_a_table():
+    lens = pj.Lens([320, 240], 1.01, pj.BrownConrady(-0.2, p1=1e-3))
+    text = str(pj.Camera([1, 2, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 640, 480, lens))
+    for part in ("640 x 480 px", "(1, 2, 5)", "0.6 rad", "34.3775 degrees", "aspect 1.01"):
+        assert part in text
+    assert "BrownConrady: k1 = -0.2, k2 = 0, p1 = 0.001" in text
+    jax.jit(lambda c: str(c) and c.e)(pj.Camera([1, 2, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48))

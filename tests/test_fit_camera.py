@@ -272,7 +272,7 @@ MASK[30:50, 30:60] = 1
         ),
         ({"target": 0 * MASK + 1}, r"`target`: expected a mask with some background"),
         ({"target": 255 * MASK}, r"`target`: expected floats in \[0, 1\], got 0 to 255"),
-        ({"target": MASK.astype(int)}, r"`target`: expected dtype bool, uint8 or float, got int64"),
+        ({"target": 2 * MASK.astype(int)}, r"`target`: expected integers that are all 0 or 1"),
         (
             {"target": np.where(MASK > 0, np.nan, 0)},
             r"`target`: expected finite values, got nan at \[30, 30\]",

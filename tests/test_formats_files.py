@@ -159,8 +159,8 @@ YAML_CASES = [
     ("\nt: !!", "\ns: !!", r"`t`: expected finite numbers of shape \(3,\), got no such field"),
     (
         "distortion_coefficients: !!",
-        "D: [ 0, 0, 0, 0, 0, 1e-3, 0, 0 ]\nq: !!",
-        "`distortion`: expected k1, .* got k4 = 0.001",
+        "D: [ 0, 0, 0, 0, 0, 0, 0, 0, 1e-3, 0, 0, 0 ]\nq: !!",
+        "`distortion`: expected k1, .* of a Rational only, got s1 = 0.001",
     ),
     ("rows: 5\n   cols: 1", "rows: 1\n   cols: 1\n   sizes: [5]", None),
     (
@@ -254,8 +254,8 @@ COLMAP_CASES = [
     ),
     (
         "PINHOLE 8 6 4 4 4 3",
-        "FULL_OPENCV 8 6 4 4 4 3 0 0 0 0 0 0.5 0 0",
-        "`distortion`: expected k1, .* k4 = 0.5",
+        "FULL_OPENCV 8 6 4 4 4 3 0 0 0 0 0 -50 0 0",
+        "`lens`: expected a distortion that holds",
     ),
     ("1 PINHOLE 8 6 4 4 4 3", "1 PINHOLE", "expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, got"),
     ("1 PINHOLE", "1.7 PINHOLE", r"`CAMERA_ID`: expected a whole number, got '1.7' \(.*, line 1\)"),
@@ -511,3 +511,18 @@ def test_turns_are_scipys():
         back = rotations.matrix_of_vector(rotations.vector_of_matrix(R))
         np.testing.assert_allclose(back, R, atol=4e-15)
         assert np.linalg.norm(rotations.vector_of_matrix(R)) <= np.pi + 1e-12
+
+
+def test_one_camera_is_read_by_name(tmp_path):
+    camera = lambda y: pj.Camera([0, y, 5], [0, 0, 0], [0, 1, 0], 0.6, 1, 8, 6)
+    formats.write(tmp_path / "two.json", {"a": camera(0), "b": camera(1)})
+    formats.write(tmp_path / "one.json", {"a": camera(0)})
+    assert float(formats.read_one(f"{tmp_path}/two.json:b").e[1]) == 1
+    assert float(formats.read_one(tmp_path / "one.json").e[1]) == 0
+    assert float(formats.read_one(f"{tmp_path}/one.json:a", size=(9, 9)).e[1]) == 0
+    with pytest.raises(ValueError, match=r"`path`: expected one camera, or a name .* got 2 in"):
+        formats.read_one(tmp_path / "two.json")
+    with pytest.raises(ValueError, match=r"`path`: expected a name among .*, got 'c'"):
+        formats.read_one(f"{tmp_path}/two.json:c")
+    with pytest.raises(FileNotFoundError):
+        formats.read_one(tmp_path / "no.json")

@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._fit.kinds import kind_of
+from pinhole_jax._fit.target import check_target, shares
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 128, 128)
 
@@ -91,3 +92,14 @@ def test_weights_scale_it(mask):
     plain, heavy = (kind_of(noisy(mask), w * np.ones(mask.shape), np.float64) for w in (1.0, 4.0))
     for name in ("variance", "most", "far"):
         np.testing.assert_allclose(getattr(heavy, name), 4 * getattr(plain, name), rtol=1e-6)
+
+
+@pytest.mark.parametrize("full", [1, 255, 65535])
+@pytest.mark.parametrize("dtype", [bool, np.uint8, np.int16, np.uint16, np.int64, np.uint32])
+def test_masks_of_two_values_are_taken_whatever_their_type(dtype, full):
+    disc = np.hypot(*np.mgrid[-9:9, -12:12]) < 5
+    if full > 1 and (dtype is bool or full > np.iinfo(dtype).max):
+        return
+    mask = disc.astype(dtype) * dtype(full)
+    taken, _ = check_target(mask, None, 24, 18)
+    np.testing.assert_array_equal(shares(taken), disc)

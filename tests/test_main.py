@@ -1,5 +1,6 @@
 """The command as a user runs it: in a process of its own."""
 
+import argparse
 import json
 import os
 import re
@@ -243,7 +244,7 @@ def test_help_names_all_that_may_be_free(capsys):
     named = re.search(r"with commas, of (.*?):", text)[1].split(", ")
     assert tuple(named) == NAMES
     for name in named:
-        lens = pj.Lens([48, 40], distortion=pj.Fisheye() if name == "k4" else pj.BrownConrady())
+        lens = pj.Lens([48, 40], distortion=pj.Rational())
         assert check_free(name, pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1, 96, 80, lens))
 
 
@@ -253,7 +254,7 @@ def test_help_shows_camera_files_that_can_be_read(capsys):
     camera |= {"p": [0, 0, 0], "u": [0, 1, 0]}
     lens = json.loads(re.search(r'\{"principal_point": .*?\}', text)[0])
     models = [json.loads(found) for found in re.findall(r'\{"model": .*?\}', text)]
-    assert [bent["model"] for bent in models] == ["BrownConrady", "Fisheye"]
+    assert [bent["model"] for bent in models] == ["BrownConrady", "Rational", "Fisheye"]
     for bent in models:
         read = io.camera_from_dict({**camera, "lens": {**lens, "distortion": bent}})
         written = io.camera_to_dict(read)
@@ -279,3 +280,45 @@ def test_only_a_fit_that_converged_has_status_0(folder, status, monkeypatch, cap
     assert code == (0 if status == "converged" else 1)
     assert f"status     {status}   ({STATUSES[status]})\n" in capsys.readouterr().out
     assert json.loads((folder / status / "camera.json").read_text())["fit"]["status"] == status
+
+
+def test_the_version_is_told(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        command.main(["--version"])
+    assert capsys.readouterr().out == f"pinhole-jax {pj.__version__}\n"
+
+
+def test_an_interrupt_is_one_line_and_status_130(monkeypatch, capsys):
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "_render", interrupted)
+    assert command.main(["render", "a.obj", "c.json", "-o", "x.png"]) == 130
+    assert capsys.readouterr().err == "pinhole-jax render: interrupted\n"
+
+
+def test_known_intrinsics_are_read_as_opencv_has_them():
+    options = argparse.Namespace(K=[90, 91, 47.5, 40], dist=None, pixel_centres="integer")
+    known = command._of_K(options, (96, 80))
+    np.testing.assert_allclose(known["phi"], 2 * np.arctan(80 / 2 / 91))
+    np.testing.assert_allclose(known["lens"].principal_point, [48, 80 - 40.5])
+    np.testing.assert_allclose(known["lens"].aspect, 90 / 91)
+    options.dist = [0.1, 0, 0, 0, 0, 0.01, 0, 0]
+    assert type(command._of_K(options, (96, 80))["lens"].distortion) is pj.Rational
+    options.dist = [0.1]
+    with pytest.raises(ValueError, match="`--dist`: expected 4, 5 or 8 coefficients, got 1"):
+        command._of_K(options, (96, 80))
+
+
+@pytest.mark.long
+def test_a_known_K_needs_no_pose(folder):
+    """The camera is found from K alone, off the image's middle."""
+    K, R, t = [[150, 0, 55], [0, 150, 33], [0, 0, 1]], np.diag([1.0, -1, -1]), [0.1, 0.2, 5]
+    truth = pj.formats.from_opencv(K, R, t, 96, 80, pixel_centres="integer")
+    io.save_image(folder / "off.png", np.asarray(pj.silhouette(truth, SCENE)))
+    arguments = (folder / "bumpy.ply", folder / "off.png", "--K", 150, 150, 55, 33)
+    done = run("fit", *arguments, "-o", folder / "off", cache=folder / "cache")
+    found = io.load_camera(folder / "off" / "camera.json")
+    angle, distance = pj.pose_error(found, truth)
+    assert (np.rad2deg(angle) < 0.3) & (distance < 0.05), done.stdout
+    np.testing.assert_allclose(found.lens.principal_point, truth.lens.principal_point)

@@ -3,10 +3,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._scene.scene import astype, bounding_sphere, front_facing, padded
+from pinhole_jax._scene.scene import astype, bounding_sphere, check_view, front_facing, padded
 
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])  # counter-clockwise from outside
@@ -142,3 +143,27 @@ def test_padding_stale_planes_makes_them_anew():
     assert (
         front_facing(padded(stretched).mesh, e)[:F].tolist() == front_facing(fresh.mesh, e).tolist()
     )
+
+
+def test_a_mesh_of_another_library_is_taken():
+    theirs = trimesh.creation.box()
+    ours = pj.Mesh(theirs)
+    np.testing.assert_array_equal(ours.vertices, theirs.vertices)
+    np.testing.assert_array_equal(ours.faces, theirs.faces)
+    with pytest.raises(TypeError, match="missing 1 required argument: 'faces'"):
+        pj.Mesh(theirs.vertices)
+
+
+def test_camera_and_scene_in_the_wrong_order_or_stacked_are_said():
+    scene = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [0.5]))
+    camera = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 8, 6)
+    check_view(camera, scene)
+    for arguments, got in (
+        ((scene, camera), "got Scene, Camera"),
+        ((camera, scene.spheres), "got Camera, Spheres"),
+    ):
+        with pytest.raises(ValueError, match=f"expected a Camera and a Scene, {got}"):
+            check_view(*arguments)
+    stacked = jax.tree.map(lambda x: jnp.stack([x, x]), camera)
+    with pytest.raises(ValueError, match=r"got several \(e of shape \(2, 3\)\): `jax.vmap` takes"):
+        check_view(stacked, scene)

@@ -7,14 +7,16 @@ import jax
 import numpy as np
 
 from .._camera.camera import Camera
+from .._camera.lens import Lens
 from .._numerics.arrays import Numbers, float_dtype, is_concrete
 from .._scene.scene import Scene, check_scene
 from .full_image import with_overlaps, worthwhile
 from .implicit import through
 from .mask import Mask
-from .parameters import Bounds, Prior, canonical, check_free, focal_is_free, with_lens
+from .moves import Bounds, canonical
+from .parameters import check_free, focal_is_free, with_lens
 from .places import at
-from .priors import bounds_of, prior_of
+from .priors import Prior, bounds_of, prior_of
 from .result import Fit, Known, Progress, progress_at, report
 from .solver import Solver, Stop
 from .strategy import EXACT, everywhere, from_start, turns_freely, without_outliers
@@ -28,6 +30,7 @@ def fit_camera(
     free: str | Sequence[str] = ("pose",),
     *,
     phi: Numbers = None,
+    lens: Lens | None = None,
     weight: Numbers = None,
     outlier_px: float | None = 2.0,
     prior: Mapping[str, Any] | None = None,
@@ -42,7 +45,9 @@ def fit_camera(
       noise about that range too).
     - `camera`: where to start; also all that is not free. Starts some 20 degrees off are pulled in;
       where what they lead to explains the mask badly, the whole sphere of views is searched. None:
-      search at once; then `phi` (rad) is the field of view, or if it is free a first guess (0.7).
+      search at once; then `phi` (rad) is the field of view, or if it is free a first guess (0.7),
+      and `lens` the principal point, aspect and distortion (None: centred, square pixels). Those
+      of a known K are `formats.from_opencv(K, I, 0, W, H, ...)`'s.
     - `free`: any of pose (or position, orientation), phi, d, principal_point, aspect, and of the
       lens's distortion k1, k2, p1, p2, k3 (of a fisheye k1 to k4), or `distortion` for all of them.
     - `weight`: (H, W), at least 0: how much each pixel counts, 0 where the mask is not to be
@@ -78,10 +83,12 @@ def fit_camera(
         raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
     if camera is not None and not isinstance(camera, Camera):
         raise ValueError(f"`camera`: expected a Camera to start from or None, got {camera!r}")
-    if camera is not None and phi is not None:
-        raise ValueError("`phi`: expected None beside a `camera`, which has its own")
-    names = check_free(free, camera)
-    base = with_lens(_anywhere(scene, target, names, phi) if camera is None else camera, names)
+    for name, value in (("phi", phi), ("lens", lens)):
+        if camera is not None and value is not None:
+            raise ValueError(f"`{name}`: expected None beside a `camera`, which has its own")
+    names = check_free(free, camera, lens)
+    start = _anywhere(scene, target, names, phi, lens) if camera is None else camera
+    base = with_lens(start, names)
 
     def run(inputs: Any) -> tuple[Fit, Callable]:
         scene, target, weight = inputs
@@ -154,7 +161,9 @@ def _fit(
     return fit._replace(modes=tuple(modes)), trust
 
 
-def _anywhere(scene: Scene, target: Numbers, names: tuple[str, ...], phi: Numbers) -> Camera:
+def _anywhere(
+    scene: Scene, target: Numbers, names: tuple[str, ...], phi: Numbers, lens: Lens | None
+) -> Camera:
     """Return a camera of the target's size to begin a search with."""
     if not turns_freely(names):
         raise ValueError(
@@ -173,4 +182,4 @@ def _anywhere(scene: Scene, target: Numbers, names: tuple[str, ...], phi: Number
         phi = 0.7
     dtype = float_dtype(*jax.tree.leaves(scene))
     e, p, u = (np.array(x, dtype) for x in ([0, 0, 1], [0, 0, 0], [0, 1, 0]))
-    return Camera(e, p, u, np.asarray(phi, dtype), 1.0, shape[1], shape[0])
+    return Camera(e, p, u, np.asarray(phi, dtype), 1.0, shape[1], shape[0], lens)

@@ -10,12 +10,14 @@ from jaxtyping import Float
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .kinds import Kind
-from .parameters import COMPONENTS, Bounds, components, labels_of, on_film
+from .moves import Bounds, on_film
+from .parameters import LABELS, PARAMETERS, components, labels_of
 from .places import Free
 from .problem import COSINE, FINE_PX, UNIT_PX
 from .residuals import Sums
 from .solver import Found, Stop
 from .uncertainty import BLIND, covariance, weak_directions, weak_moves
+from .words import table
 
 #: What `Fit.status` may be, and what each means: help, pages and README say it from here.
 STATUSES = {
@@ -90,8 +92,13 @@ class Fit(NamedTuple):
     modes: tuple["Fit", ...] = ()
     history: tuple[Progress, ...] = ()
 
+    def __str__(self) -> str:
+        """Return it as the command's table."""
+        return table(self, STATUSES)
+
 
 def progress_at(stop: Stop, camera: Camera) -> Progress:
+    """Return how far a fit has come at a stop, on the user's film."""
     shrunk = float(stop.level.scale) / camera.H
     W, H = (int(np.ceil(shrunk * x)) for x in (camera.W, camera.H))
     return Progress(on_film(stop.unit, camera), W, H, stop.steps)
@@ -185,7 +192,8 @@ def without_ended(
     about them."""
     result = np.array(triangle, float)
     ended = () if bounds is None else bounds.ended(unit)
-    result[:, [components(names).index(COMPONENTS[label][0]) for label in ended]] = 0
+    moves = [PARAMETERS[label].components[0].name for label in ended]
+    result[:, [components(names).index(move) for move in moves]] = 0
     return result, tuple(f"{label} is held at an end of its bounds" for label in ended)
 
 
@@ -195,7 +203,7 @@ def to_units(derivative: Any, names: tuple[str, ...], camera: Camera) -> np.ndar
     Film coordinates are in film heights inside the fit: the principal point's come back in px.
     """
     to_reported = np.array(derivative, float)
-    to_reported[[label.startswith("principal") for label in labels_of(names)]] *= camera.H
+    to_reported[[LABELS[label].unit == "px" for label in labels_of(names)]] *= camera.H
     return to_reported
 
 

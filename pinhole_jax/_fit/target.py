@@ -14,6 +14,8 @@ from jaxtyping import Array, Float, Int
 
 #: How far floats may reach out of [0, 1]: noise is kept as it is, since clipping would bias a fit.
 NOISE = 1.0
+#: What integers of a mask of two values may be where they are not 0.
+FULL = (1, 255, 65535)
 #: Cells of the smallest pyramid; the next sizes are 4 times as large: each is compiled for.
 LEAST_CELLS = 1 << 19
 
@@ -100,11 +102,14 @@ def _with_range(name: str, image: Any, W: int, H: int) -> tuple[np.ndarray, tupl
         raise ValueError(f"`{name}`: expected {expected}, got shape {array.shape}{hint}")
     if array.shape != (H, W):
         raise ValueError(f"`{name}`: expected the camera's {expected}, got {array.shape}")
-    if array.dtype in (bool, np.uint8):
-        return array, (array.min(), array.max())
-    if not np.issubdtype(array.dtype, np.floating):
+    if array.dtype.kind not in "biuf":
         raise ValueError(f"`{name}`: expected dtype bool, uint8 or float, got {array.dtype}")
     low, high = array.min(), array.max()
+    if array.dtype.kind in "iu" and (array.dtype != np.uint8 or high == 1):
+        array = _two_values(name, array, low, high)
+        low, high = low > 0, high > 0
+    if array.dtype in (bool, np.uint8):
+        return array, (low, high)
     if not (np.isfinite(low) and np.isfinite(high)):
         row, column = np.argwhere(~np.isfinite(array))[0]
         raise ValueError(
@@ -116,6 +121,17 @@ def _with_range(name: str, image: Any, W: int, H: int) -> tuple[np.ndarray, tupl
             " (masks of 0..255 are to be uint8)"
         )
     return array, (low, high)
+
+
+def _two_values(name: str, array: np.ndarray, low: Any, high: Any) -> np.ndarray:
+    """Return integers whose only values are 0 and 1 (or 255, or 65535) as bools, or raise."""
+    if low >= 0 and high in (0, *FULL) and np.all((array == 0) | (array == high)):
+        return array > 0
+    raise ValueError(
+        f"`{name}`: expected integers that are all 0 or 1 (or 255, or 65535), or uint8, got"
+        f" {array.dtype} from {low} to {high}; give `mask > 0` if what is not 0 is the object, or"
+        " floats in [0, 1]"
+    )
 
 
 def check_target(target: Any, weight: Any, W: int, H: int) -> tuple[np.ndarray, np.ndarray]:

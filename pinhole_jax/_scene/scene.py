@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
+from .._camera.camera import Camera
 from .._numerics.arrays import Numbers, float_array, float_dtype, is_concrete
 from .._numerics.safe import binary_scale, norm, safe_divide
 from .topology import edge_records, without_copies
@@ -56,7 +57,8 @@ class Planes(NamedTuple):
 
 
 class Mesh(eqx.Module):
-    """Triangles: `vertices` (V, 3) in world units, `faces` (F, 3) indices of vertices.
+    """Triangles: `vertices` (V, 3) in world units, `faces` (F, 3) indices of vertices; or one
+    object that has both, as trimesh's.
 
     A face whose corners are those of another adds nothing to what is seen (a mesh that has every
     face twice, or once more turned over): the later one's three indices are made equal, so that the
@@ -81,7 +83,11 @@ class Mesh(eqx.Module):
     order: Int[Array, "F"]
     closed: bool = eqx.field(static=True)
 
-    def __init__(self, vertices: Numbers, faces: Numbers):
+    def __init__(self, vertices: Any, faces: Any = None):
+        if faces is None and hasattr(vertices, "vertices") and hasattr(vertices, "faces"):
+            vertices, faces = vertices.vertices, vertices.faces  # as trimesh and others have them
+        if faces is None:
+            raise TypeError("Mesh() missing 1 required argument: 'faces'")
         self.vertices = float_array("vertices", vertices, (None, 3), float_dtype(vertices))
         triangles = _face_indices(faces, self.vertices.shape[0])
         points = np.asarray(self.vertices) if is_concrete(self.vertices) else None
@@ -130,6 +136,18 @@ class Scene(eqx.Module):
         if not (spheres is None or isinstance(spheres, Spheres)):
             raise ValueError(f"`spheres`: expected Spheres or None, got {type(spheres).__name__}")
         self.mesh, self.spheres = mesh, spheres
+
+
+def check_view(camera: Any, scene: Any) -> None:
+    """Raise ValueError unless these are one camera and a scene, in this order."""
+    if not (isinstance(camera, Camera) and isinstance(scene, Scene)):
+        kinds = f"{type(camera).__name__}, {type(scene).__name__}"
+        raise ValueError(f"`camera`, `scene`: expected a Camera and a Scene, got {kinds}")
+    if np.ndim(camera.e) != 1:
+        raise ValueError(
+            f"`camera`: expected one camera, got several (e of shape {np.shape(camera.e)}):"
+            " `jax.vmap` takes each by itself"
+        )
 
 
 def check_scene(scene: Any) -> None:

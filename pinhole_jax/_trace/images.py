@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera, camera_basis
 from .._camera.rays import camera_rays
 from .._numerics.safe import dot
-from .._scene.scene import Scene
+from .._scene.scene import Scene, check_view
 from .trace import trace
 
 
@@ -26,6 +26,7 @@ def depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
     Differentiable in camera, vertices, centers and radii where the hit primitive stays the same;
     the derivative of a miss is 0. Outlines move without it noticing: use `silhouette` for these.
     """
+    check_view(camera, scene)
     return _depth(camera, scene)
 
 
@@ -39,6 +40,7 @@ def normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
     Differentiable where the hit primitive stays the same: a face's normal in its vertices, a
     sphere's also in the camera. Outlines move without it noticing: use `silhouette` for these.
     """
+    check_view(camera, scene)
     return _normals(camera, scene)
 
 
