@@ -6,8 +6,11 @@ from typing import Any
 import pytest
 
 
-def first(number: int, cases: Iterable[Any]) -> list[Any]:
-    """Return the cases, all but the first so many marked long: each is compiled."""
+def first(number: int, cases: Iterable[Any], of: int = 1) -> list[Any]:
+    """Return the cases, all but the first so many marked long: each is compiled.
+
+    Of the long ones only each `of`-th runs with these, the others where all tests do.
+    """
+    marks = lambda k: [] if k < number else [pytest.mark.full if k % of else pytest.mark.long]
     rows = [case if isinstance(case, tuple) else (case,) for case in cases]
-    return [pytest.param(*row, marks=[pytest.mark.long] if k >= number else [])
-            for k, row in enumerate(rows)]  # fmt: skip
+    return [pytest.param(*row, marks=marks(k)) for k, row in enumerate(rows)]

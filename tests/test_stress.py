@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chosen import first
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 import pinhole_jax as pj
@@ -40,13 +41,6 @@ def drawn(seed: int) -> tuple[np.random.Generator, stress.View]:
     return random, cases[random.integers(len(cases))](random)
 
 
-def some(cases, of: int) -> list:
-    """Return the first case for every run, each `of`-th for a long one, the others for an
-    exhaustive one: each is compiled."""
-    marks = lambda k: pytest.mark.full if k % of else pytest.mark.long
-    return [pytest.param(*case, marks=marks(k) if k else []) for k, case in enumerate(cases)]
-
-
 PAIRS = [
     (name, kind)
     for k, name in enumerate(stress.CASES)
@@ -55,7 +49,7 @@ PAIRS = [
 SLOPED = sorted({*stress.CASES} - {"1000 px in a row or column"})
 
 
-@pytest.mark.parametrize(("name", "kind"), some(PAIRS, 2))
+@pytest.mark.parametrize(("name", "kind"), first(1, PAIRS, of=2))
 @few
 @given(seed=SEEDS)
 def test_hard_cases_are_right_to_some_epsilons(name, kind, seed):
@@ -138,7 +132,7 @@ def slopes(camera: pj.Camera, scene: pj.Scene, weight: jax.Array):
     return eqx.filter_grad(loss)((camera, scene))
 
 
-@pytest.mark.parametrize("name", some([(name,) for name in SLOPED], 4))
+@pytest.mark.parametrize("name", first(1, SLOPED, of=4))
 @settings(few, max_examples=2)
 @given(seed=SEEDS)
 def test_derivatives_are_finite_and_know_no_origin(name, seed):
