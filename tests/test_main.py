@@ -123,7 +123,7 @@ def test_render_then_fit(folder):
             ("fit", "bumpy.ply", "black.png", "--fov", "34", "--mask-from", "label=9"),
             "no pixel with the label 9; there are 0",
         ),
-        (("render", "bumpy.ply", "black.png"), "expected JSON"),
+        (("render", "bumpy.ply", "black.png"), "expected a folder (COLMAP) or one of .json"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(folder, arguments, message):

@@ -13,6 +13,8 @@ from .._numerics.arrays import Numbers, float_array, float_dtype, is_concrete
 from .._numerics.safe import binary_scale, norm, safe_divide
 from .topology import edge_records, without_copies
 
+_MISSING: Any = object()
+
 
 class Clusters(NamedTuple):
     """The edges in groups of `CLUSTER`, as they come: what their faces' planes have in common.
@@ -83,10 +85,10 @@ class Mesh(eqx.Module):
     order: Int[Array, "F"]
     closed: bool = eqx.field(static=True)
 
-    def __init__(self, vertices: Any, faces: Any = None):
-        if faces is None and hasattr(vertices, "vertices") and hasattr(vertices, "faces"):
+    def __init__(self, vertices: Any, faces: Any = _MISSING):
+        if faces is _MISSING and hasattr(vertices, "vertices") and hasattr(vertices, "faces"):
             vertices, faces = vertices.vertices, vertices.faces  # as trimesh and others have them
-        if faces is None:
+        if faces is _MISSING:
             raise TypeError("Mesh() missing 1 required argument: 'faces'")
         self.vertices = float_array("vertices", vertices, (None, 3), float_dtype(vertices))
         triangles = _face_indices(faces, self.vertices.shape[0])
