@@ -250,7 +250,7 @@ def save_exif(path, size, orientation=1, **tags):
     image.paste((255, 255, 255), (0, 0, size[0] // 3, size[1] // 3))
     exif = Image.Exif()
     exif[ExifTags.Base.Orientation] = orientation
-    exif.get_ifd(ExifTags.IFD.Exif).update({ExifTags.Base[k]: v for k, v in tags.items()})
+    exif[ExifTags.IFD.Exif] = {ExifTags.Base[k].value: v for k, v in tags.items()}
     image.save(path, exif=exif, quality=95)
 
 

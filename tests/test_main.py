@@ -167,7 +167,7 @@ def test_a_fit_needs_no_start(folder):
     exif = Image.Exif()
     exif[ExifTags.Base.Orientation] = 1
     f35 = np.hypot(36, 24) / np.hypot(96, 80) * 80 / (2 * np.tan(0.3))
-    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = round(f35)
+    exif[ExifTags.IFD.Exif] = {ExifTags.Base.FocalLengthIn35mmFilm.value: round(f35)}
     photo.save(folder / "photo.png", exif=exif)
     out, how = folder / "found", ("--mask-from", "background=blue", "--free", "pose,phi")
     files = (folder / "bumpy.ply", folder / "photo.png")

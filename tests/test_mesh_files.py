@@ -400,7 +400,7 @@ def placed(points, translation, rotation, scale):
 
 
 def test_nodes_place_by_matrix_and_by_parts_and_mirrors_turn_faces(tmp_path):
-    q = Rotation.random(rng=1).as_quat()
+    q = Rotation.random(None, 1).as_quat()
     matrix = np.eye(4)
     matrix[:3] = [[0, -2, 0, 5], [1, 0, 0, 6], [0, 0, -1, 7]]
     f = File()
@@ -419,7 +419,7 @@ def test_instances_of_the_extension(tmp_path, names):
     random, f = np.random.default_rng(0), File()
     values = {
         "TRANSLATION": random.normal(size=(5, 3)).astype("<f4"),
-        "ROTATION": Rotation.random(5, rng=2).as_quat().astype("<f4"),
+        "ROTATION": Rotation.random(5, 2).as_quat().astype("<f4"),
         "SCALE": random.uniform(0.5, 2, (5, 3)).astype("<f4"),
     }
     attributes = {name: f.accessor(values[name]) for name in names}
