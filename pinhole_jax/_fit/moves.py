@@ -136,7 +136,11 @@ def reported(camera: Camera, moved: Camera, free: tuple[str, ...]) -> Float[Arra
         before, after = jnp.stack(camera_basis(camera)), jnp.stack(camera_basis(moved))
         cross = jnp.sum(jnp.cross(before, after), axis=0) / 2  # rotation vector, to first order
         small = dict(zip((f"rotation_{b}" for b in AXES), before @ cross, strict=True))
-    value = lambda label: small[label] if label in small else LABELS[label].value(moved)
+
+    def value(label: str) -> Array:
+        of = LABELS[label].value
+        return small[label] if of is None else of(moved)
+
     return jnp.stack([value(label) for label in labels])
 
 

@@ -76,10 +76,10 @@ def _camera_leaves(camera: Camera, scene: Scene) -> list[tuple[str, Callable, fl
         aspect = float(camera.lens.aspect)
         leaves.append(("principal_point", lambda x: x[0].lens.principal_point, 1.0))
         leaves.append(("aspect", lambda x: x[0].lens.aspect, aspect / half))
-        bent = camera.lens.distortion
-        for name in () if bent is None else bent.coefficients():
+        powers = {} if camera.lens.distortion is None else camera.lens.distortion.powers
+        for name, power in powers.items():
             coefficient = lambda x, name=name: getattr(x[0].lens.distortion, name)
-            leaves.append((name, coefficient, (fy / half) ** bent.powers[name] / fy))
+            leaves.append((name, coefficient, (fy / half) ** power / fy))
     return leaves
 
 
