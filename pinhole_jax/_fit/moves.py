@@ -137,7 +137,7 @@ def reported(camera: Camera, moved: Camera, free: tuple[str, ...]) -> Float[Arra
         cross = jnp.sum(jnp.cross(before, after), axis=0) / 2  # rotation vector, to first order
         small = dict(zip((f"rotation_{b}" for b in AXES), before @ cross, strict=True))
 
-    def value(label: str) -> Array:
+    def value(label: str) -> Any:
         of = LABELS[label].value
         return small[label] if of is None else of(moved)
 
