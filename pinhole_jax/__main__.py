@@ -17,7 +17,7 @@ from typing import Any
 from . import __version__
 from ._camera.distortion import MODELS
 from ._fit.parameters import NAMES
-from ._fit.result import STATUSES
+from ._fit.words import STATUSES
 
 #: The models of a lens's distortion, with their coefficients, as a camera file has them.
 DISTORTIONS = "\n  ".join(

@@ -16,9 +16,9 @@ import numpy as np
 from . import formats, plot
 from ._camera.camera import Camera
 from ._files.paths import replace_file
-from ._fit.result import STATUSES, Fit
+from ._fit.result import Fit
 from ._fit.target import check_image, shares
-from ._fit.words import parameters
+from ._fit.words import STATUSES, parameters
 from ._scene.scene import Scene
 
 #: The file that shows each format; a folder's files are shown one after another.

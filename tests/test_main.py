@@ -16,7 +16,7 @@ from test_plot import fit_of
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io, shapes
 from pinhole_jax._fit.parameters import NAMES, check_free
-from pinhole_jax._fit.result import STATUSES
+from pinhole_jax._fit.words import STATUSES
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 

@@ -17,7 +17,7 @@ from PIL import Image
 
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io, shapes
-from pinhole_jax._fit.result import STATUSES
+from pinhole_jax._fit.words import STATUSES
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

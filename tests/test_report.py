@@ -12,7 +12,7 @@ from test_plot import AHEAD, SQUARE, fit_of, way_to
 
 import pinhole_jax as pj
 from pinhole_jax import formats, report
-from pinhole_jax._fit.result import STATUSES
+from pinhole_jax._fit.words import STATUSES
 
 NAMES = ("rotation_b2", "e_x", "e_z")
 MASK = np.zeros((80, 96), bool)

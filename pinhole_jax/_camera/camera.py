@@ -29,14 +29,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics.arrays import Numbers, float_array, float_dtype, is_concrete
+from .._numerics.arrays import MISSING, Numbers, float_array, float_dtype, is_concrete
 from .._numerics.safe import cross_of_difference, norm, normalize
 from .film import Bend, FilmMap, FilmPart
 from .lens import Lens
 
 #: Pixels are counted in 32 bits, with some room beside the film.
 MOST_PIXELS = 1 << 30
-_MISSING: Any = object()
 
 
 class Basis(NamedTuple):
@@ -98,11 +97,11 @@ class Camera(eqx.Module):
         u: Numbers,
         phi: Numbers,
         d: Numbers = 1.0,
-        W: Any = _MISSING,
-        H: Any = _MISSING,
+        W: Any = MISSING,
+        H: Any = MISSING,
         lens: Lens | None = None,
     ):
-        if W is _MISSING or H is _MISSING:
+        if W is MISSING or H is MISSING:
             raise TypeError("Camera() missing W or H, the resolution in px (d comes before them)")
         dtype = float_dtype(e, p, u, phi, d)
         self.e = float_array("e", e, (3,), dtype)

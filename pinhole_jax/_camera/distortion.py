@@ -92,7 +92,39 @@ class Distortion(eqx.Module):
         return _undistorted(self, x, y)
 
 
-class BrownConrady(Distortion):
+class Decentred(Distortion):
+    """A radial factor, and a lens off its axis by p1, p2 (the formulas with OpenCV's y, down)."""
+
+    p1: eqx.AbstractVar[Float[Array, ""]]
+    p2: eqx.AbstractVar[Float[Array, ""]]
+
+    @abc.abstractmethod
+    def radial(self, s: Array) -> Array:
+        """Return the factor of a point whose radius has the square s."""
+
+    @abc.abstractmethod
+    def growth(self, s: Array) -> Array:
+        """Return the derivative of radius times factor by the radius."""
+
+    def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return the distorted point as the formula has it."""
+        s, cross = x * x + y * y, 2 * x * y
+        radial = self.radial(s)
+        return (
+            x * radial - self.p1 * cross + self.p2 * (s + 2 * x * x),
+            y * radial - self.p1 * (s + 2 * y * y) + self.p2 * cross,
+        )
+
+    def slope(self, radius: Array) -> Array:
+        """Return a lower bound of how much the image grows at a radius."""
+        return self.growth(radius * radius) - 6 * norm(jnp.stack([self.p1, self.p2])) * radius
+
+    def first_guess(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return the point itself."""
+        return x, y
+
+
+class BrownConrady(Decentred):
     """OpenCV's `distCoeffs`, in its order: radial k1, k2, k3 and decentring p1, p2.
 
     `x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)`, and so for y, with OpenCV's y
@@ -118,23 +150,16 @@ class BrownConrady(Distortion):
         values = {"k1": k1, "k2": k2, "p1": p1, "p2": p2, "k3": k3}
         self.k1, self.k2, self.p1, self.p2, self.k3 = _coefficients(values)
 
-    def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the distorted point as the formula has it."""
-        s = x * x + y * y
-        return _decentred(x, y, 1 + _powers(s, self.k1, self.k2, self.k3), self.p1, self.p2)
+    def radial(self, s: Array) -> Array:
+        """Return the factor of a point."""
+        return 1 + _powers(s, self.k1, self.k2, self.k3)
 
-    def slope(self, radius: Array) -> Array:
-        """Return a lower bound of how much the image grows at a radius."""
-        s = radius * radius
-        radial = 1 + _powers(s, 3 * self.k1, 5 * self.k2, 7 * self.k3)
-        return radial - 6 * norm(jnp.stack([self.p1, self.p2])) * radius
-
-    def first_guess(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the point itself."""
-        return x, y
+    def growth(self, s: Array) -> Array:
+        """Return the derivative of radius times factor."""
+        return 1 + _powers(s, 3 * self.k1, 5 * self.k2, 7 * self.k3)
 
 
-class Rational(Distortion):
+class Rational(Decentred):
     """OpenCV's rational model (`CALIB_RATIONAL_MODEL`), in the order of its `distCoeffs`.
 
     `BrownConrady` with the radial factor
@@ -164,34 +189,28 @@ class Rational(Distortion):
         k5: Numbers = 0.0,
         k6: Numbers = 0.0,
     ):
-        values = _coefficients(
-            dict(zip(COEFFICIENTS, (k1, k2, p1, p2, k3, k4, k5, k6), strict=True))
-        )
+        given = (k1, k2, p1, p2, k3, k4, k5, k6)
+        values = _coefficients(dict(zip(COEFFICIENTS, given, strict=True)))
         self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6 = values
 
-    def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the distorted point as the formula has it."""
-        s = x * x + y * y
-        above = 1 + _powers(s, self.k1, self.k2, self.k3)
-        below = 1 + _powers(s, self.k4, self.k5, self.k6)
-        return _decentred(x, y, safe_divide(above, below), self.p1, self.p2)
+    def radial(self, s: Array) -> Array:
+        """Return the factor of a point."""
+        return safe_divide(*self._above_and_below(s))
 
-    def slope(self, radius: Array) -> Array:
-        """Return a lower bound of how much the image grows at a radius, -1 beyond a pole."""
-        s = radius * radius
-        above = 1 + _powers(s, self.k1, self.k2, self.k3)
-        below = 1 + _powers(s, self.k4, self.k5, self.k6)
+    def growth(self, s: Array) -> Array:
+        """Return the derivative of radius times factor, -1 beyond a pole."""
+        above, below = self._above_and_below(s)
         # r d/dr of both.
         above_rises = _powers(s, 2 * self.k1, 4 * self.k2, 6 * self.k3)
         below_rises = _powers(s, 2 * self.k4, 4 * self.k5, 6 * self.k6)
         ratio = safe_divide(above, below)
-        radial = ratio + safe_divide(above_rises, below) - ratio * safe_divide(below_rises, below)
-        slope = radial - 6 * norm(jnp.stack([self.p1, self.p2])) * radius
-        return jnp.where(below > 0, slope, -1)
+        rises = safe_divide(above_rises, below) - ratio * safe_divide(below_rises, below)
+        return jnp.where(below > 0, ratio + rises, -1)
 
-    def first_guess(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the point itself."""
-        return x, y
+    def _above_and_below(self, s: Array) -> tuple[Array, Array]:
+        """Return the factor's numerator and denominator."""
+        above = 1 + _powers(s, self.k1, self.k2, self.k3)
+        return above, 1 + _powers(s, self.k4, self.k5, self.k6)
 
 
 class Fisheye(Distortion):
@@ -258,15 +277,6 @@ def _powers(s: Array, *factors: Array) -> Array:
     for factor in reversed(factors[:-1]):
         total = s * (factor + total)
     return total
-
-
-def _decentred(x: Array, y: Array, radial: Array, p1: Array, p2: Array) -> tuple[Array, Array]:
-    """Return a point stretched by a radial factor, and shifted by a decentred lens (y up)."""
-    s, cross = x * x + y * y, 2 * x * y
-    return (
-        x * radial - p1 * cross + p2 * (s + 2 * x * x),
-        y * radial - p1 * (s + 2 * y * y) + p2 * cross,
-    )
 
 
 def _coefficients(values: dict[str, Numbers]) -> list[Array]:

@@ -54,10 +54,6 @@ class Mask(NamedTuple):
         )
         return image, weight, corner, np.array([W, H]) / size
 
-    def seen_by(self, eye: np.ndarray, axes: np.ndarray) -> Camera:
-        """Return the camera at an eye with these axes (rows b1, b2, v)."""
-        return self.camera.with_pose(eye, axes)
-
 
 def _ideal_rectangle(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Return lower left corner and size (px) of a part of the ideal film that shows all."""

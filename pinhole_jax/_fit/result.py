@@ -19,17 +19,6 @@ from .solver import Found, Stop
 from .uncertainty import BLIND, covariance, weak_directions, weak_moves
 from .words import table
 
-#: What `Fit.status` may be, and what each means: help, pages and README say it from here.
-STATUSES = {
-    "converged": "the gradient vanishes, the masks overlap, every direction is determined",
-    "ambiguous": "at rest, but other views explain the mask as well",
-    "rank_deficient": "at rest, but the mask does not determine some direction",
-    "misfit": "at rest, but the mask is not explained as its kind (exact, hard, noisy) allows",
-    "max_steps": "stopped while still moving",
-    "no_overlap": "object and mask hardly overlap: their IoU is below a half",
-    "saturated": "the object covers the whole film: there is no outline to follow",
-    "non_finite": "NaN or infinity turned up",
-}
 #: Below this intersection over union a fit has found something else than the object.
 LEAST_IOU = 0.5
 #: More than this share of the outline far from the mask's edge is a misfit; where an exact mask is
@@ -59,7 +48,7 @@ class Fit(NamedTuple):
     """The result of `fit_camera`.
 
     - `camera`: the fitted camera; it has the start's gauge (`|p-e|`, `|u|`, `u.v`).
-    - `status`: one of `STATUSES`; trust the camera only where it is "converged".
+    - `status`: one of `words.STATUSES`; trust the camera only where it is "converged".
     - `names`: the fitted parameters, in the order of `covariance` (n, n) and `std` (n,):
       small rotations of the camera about its own axes b1, b2, v (rad), the eye (world units), phi
       (rad), d (world units), the principal point (px).
@@ -94,7 +83,7 @@ class Fit(NamedTuple):
 
     def __str__(self) -> str:
         """Return it as the command's table."""
-        return table(self, STATUSES)
+        return table(self)
 
 
 def progress_at(stop: Stop, camera: Camera) -> Progress:

@@ -82,7 +82,7 @@ def guesses(mask: Mask, scene: Scene, ball: Ball) -> Iterator[Camera]:
         roll = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
         far = reach * np.sqrt(views.solid_angle[n] / goal.solid_angle[0])
         eye = ball.centre + max(far, NEAREST) * ball.radius * directions[n]
-        yield mask.seen_by(eye, goal.axes[0].T @ roll @ views.axes[n] @ axes[n])
+        yield mask.camera.with_pose(eye, goal.axes[0].T @ roll @ views.axes[n] @ axes[n])
 
 
 def aimed(mask: Mask, scene: Scene, ball: Ball) -> Camera:
@@ -100,7 +100,7 @@ def aimed(mask: Mask, scene: Scene, ball: Ball) -> Camera:
         view, _ = _seen(scene, ball, away[None], reach, mask.camera.e.dtype)
         reach = max(reach * np.sqrt(view.solid_angle[0] / goal.solid_angle[0]), NEAREST)
     toward = facing((axes @ -away)[None])[0] @ axes
-    return mask.seen_by(ball.centre + reach * ball.radius * away, goal.axes[0].T @ toward)
+    return mask.camera.with_pose(ball.centre + reach * ball.radius * away, goal.axes[0].T @ toward)
 
 
 def sphere_points(number: int) -> np.ndarray:

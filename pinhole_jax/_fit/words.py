@@ -7,6 +7,18 @@ import numpy as np
 
 from .parameters import LABELS
 
+#: What `Fit.status` may be, and what each means: help, pages and README say it from here.
+STATUSES = {
+    "converged": "the gradient vanishes, the masks overlap, every direction is determined",
+    "ambiguous": "at rest, but other views explain the mask as well",
+    "rank_deficient": "at rest, but the mask does not determine some direction",
+    "misfit": "at rest, but the mask is not explained as its kind (exact, hard, noisy) allows",
+    "max_steps": "stopped while still moving",
+    "no_overlap": "object and mask hardly overlap: their IoU is below a half",
+    "saturated": "the object covers the whole film: there is no outline to follow",
+    "non_finite": "NaN or infinity turned up",
+}
+
 
 class Row(NamedTuple):
     """A fitted parameter in words, its value (None for a small turn), one sigma, the unit."""
@@ -28,14 +40,14 @@ def parameters(fit: Any) -> list[Row]:
     return rows
 
 
-def table(fit: Any, meanings: dict[str, str]) -> str:
+def table(fit: Any) -> str:
     """Return a fit as a short table: parameter, value, one sigma; status, IoU, what is weak."""
     lines = [f"{'parameter':<28}{'value':>16}{'one sigma':>14}  unit"]
     for row in parameters(fit):
         value = "-" if row.value is None else in_digits(row.value, row.std)
         lines.append(f"{row.words:<28}{value:>16}{row.std:>14.2g}  {row.unit}".rstrip())
 
-    lines.append(f"status     {fit.status}   ({meanings[fit.status]})")
+    lines.append(f"status     {fit.status}   ({STATUSES[fit.status]})")
     lines.append(f"IoU        {fit.iou:.4f}   (rms of coverage {fit.rms:.2g})")
     lines += [f"note       {weak}" for weak in fit.weak]
     if fit.modes:

@@ -11,6 +11,8 @@ from jaxtyping import Array
 #: What a front door takes: anything that becomes an array, and is checked there in words. (A type
 #: checker's own error would come first and say less.)
 Numbers = Any
+#: The default of an argument that must be given, where None is an answer that is refused in words.
+MISSING: Any = object()
 
 
 def is_concrete(*values: Any) -> bool:

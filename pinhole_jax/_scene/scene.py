@@ -9,11 +9,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.camera import Camera
-from .._numerics.arrays import Numbers, float_array, float_dtype, is_concrete
+from .._numerics.arrays import MISSING, Numbers, float_array, float_dtype, is_concrete
 from .._numerics.safe import binary_scale, norm, safe_divide
 from .topology import edge_records, without_copies
-
-_MISSING: Any = object()
 
 
 class Clusters(NamedTuple):
@@ -85,10 +83,10 @@ class Mesh(eqx.Module):
     order: Int[Array, "F"]
     closed: bool = eqx.field(static=True)
 
-    def __init__(self, vertices: Any, faces: Any = _MISSING):
-        if faces is _MISSING and hasattr(vertices, "vertices") and hasattr(vertices, "faces"):
+    def __init__(self, vertices: Any, faces: Any = MISSING):
+        if faces is MISSING and hasattr(vertices, "vertices") and hasattr(vertices, "faces"):
             vertices, faces = vertices.vertices, vertices.faces  # as trimesh and others have them
-        if faces is _MISSING:
+        if faces is MISSING:
             raise TypeError("Mesh() missing 1 required argument: 'faces'")
         self.vertices = float_array("vertices", vertices, (None, 3), float_dtype(vertices))
         triangles = _face_indices(faces, self.vertices.shape[0])

@@ -93,8 +93,10 @@ def read_one(path: str | os.PathLike[str], *, size: Size | None = None) -> Camer
     if not place.exists() and ":" in place.name:
         head, _, name = str(path).rpartition(":")
         place = path_of(head)
-    needs_size = (is_folder(place) or place.is_file()) and FORMATS[_guess_read(place)].sized
-    cameras = read(place, size=size if needs_size else None)
+    if not is_folder(place):
+        existing(place, KIND)
+    format = _guess_read(place)
+    cameras = read(place, format, size=size if FORMATS[format].sized else None)
     known = short([*cameras])
     if name is None and len(cameras) > 1:
         raise ValueError(
