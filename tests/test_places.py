@@ -51,6 +51,21 @@ def test_a_handle_that_only_the_mask_shows_is_not_taken_for_noise(honesty):
     assert not honesty.is_lie(row), row
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("number", "shape", "kind"),
+    [
+        (57, "mug", "8 bits"),  # ten facets on, each a minimum
+        (93, "mug", "one bit"),  # nearly the mug's axis, but not quite
+        (104, "mug", "noisy"),  # noise explains itself
+        (905, "box", "one bit"),  # squares as of a right mask, but on the wrong side of a half
+    ],
+)
+def test_what_lied_once_does_not_again(honesty, number, shape, kind):
+    row = honesty.trial(number, shape, kind)
+    assert not honesty.is_lie(row), row
+
+
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 
 

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chosen import first
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -64,21 +65,24 @@ def pixels_kept(unit, scene, level) -> np.ndarray:
     return kept[::-1, 1:-1]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("look_at", "spheres", "W", "phi", "model"),
-    [
-        ((0, 0, 0), False, 30, 0.6, None),
-        ((1.7, 0, 0), False, 30, 0.6, None),
-        ((-1.7, 0, 0), True, 30, 0.6, None),
-        ((0, 1.3, 0), True, 30, 0.6, None),
-        ((0, -1.3, 0), False, 30, 0.6, None),
-        ((-8, 0, 0), False, 150, 0.6, None),  # more film heights away than a film of 1 x 1 has
-        ((-1, 0, 0), True, 30, 0.05, None),  # the object goes on far right of the film
-        ((1, 0, 0), True, 30, 0.05, None),
-        ((-1.2, 0, 0), True, 30, 0.6, LENS),
-        ((-1, 0, 0), True, 30, 0.05, LENS),
-    ],
+    first(
+        0,
+        [
+            ((0, 0, 0), False, 30, 0.6, None),
+            ((1.7, 0, 0), False, 30, 0.6, None),
+            ((-1.7, 0, 0), True, 30, 0.6, None),
+            ((0, 1.3, 0), True, 30, 0.6, None),
+            ((-8, 0, 0), False, 150, 0.6, None),  # more film heights away than a 1 x 1 film has
+            ((0, -1.3, 0), False, 30, 0.6, None),
+            ((-1, 0, 0), True, 30, 0.05, None),  # the object goes on far right of the film
+            ((1, 0, 0), True, 30, 0.05, None),
+            ((-1.2, 0, 0), True, 30, 0.6, LENS),
+            ((-1, 0, 0), True, 30, 0.05, LENS),
+        ],
+        of=2,
+    ),
 )
 def test_squares_sums_and_jacobian_are_those_of_the_image(look_at, spheres, W, phi, model):
     camera, scene, target, weight = setting(look_at, W=W, spheres=spheres, phi=phi)

@@ -76,7 +76,9 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     """Return the kind of a mask (see `check_target`) that is fitted in a float type."""
     image = shares(target)
     if np.all((image == 0) | (image == 1)):
-        return Kind("one bit", UNIFORM, HARD, CUT_CORNERS * UNIFORM, False)
+        scale = float(np.mean(weights[weights > 0])) if np.any(weights > 0) else 1.0
+        uniform = scale * UNIFORM
+        return Kind("one bit", uniform, scale * HARD, CUT_CORNERS * uniform, False)
     noise, far, even, spread = _noise_far_from_edges(image, weights)
     threshold = max(4 * noise, 1e-3)
     between = (image > threshold) & (image < 1 - threshold) & (weights > 0)

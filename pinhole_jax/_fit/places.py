@@ -16,6 +16,7 @@ from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .parameters import components
 from .problem import View
+from .revolution import Revolution
 from .search import sphere_points
 from .solver import Found, Solver
 from .uncertainty import in_words, weak_moves
@@ -36,16 +37,20 @@ LIKE_FORETOLD = 0.5
 #: many standard errors away and half as far (between these angles, rad): there the squares have to
 #: have risen by about as much as the Jacobian says, within these factors, and it has to show, too.
 DOUBTFUL, DOUBT_SIGMAS, DOUBT_RAD, RISE = 0.2, 12.0, np.deg2rad([4, 10]), (0.15, 10.0)
+#: ... nor be so many times as steep.
+STEEPER = 4.0
 #: So many equal places along a walk are no list of modes but a direction that is free.
 MANY = 4
 #: An interval larger than this (rad) is taken for the whole circle.
 ALL_ROUND = np.deg2rad(190)
 #: A body is near its mirror image if it reaches as far to within this share of its radius.
 MIRRORED = 0.15
-#: ... and nearly round about an axis if it does so to within this share, turned by these angles.
-ROUND, ROUND_ANGLES = 0.03, np.deg2rad([17.0, 40.0, 75.0])
 #: The directions in which that is looked at.
 DIRECTIONS = sphere_points(64)
+#: Turns about a line that a body is round about are looked at so far apart (rad) at most, and
+#: followed, the likeliest first, until so many were worse. An axis is another one if the cosine
+#: between them is less than this.
+LONGEST, LIKELY, SAME_AXIS = np.deg2rad(3.0), 6, np.cos(np.deg2rad(30))
 #: What is farther from the start than this (rad) the start rules out.
 NEAR_START = np.deg2rad(60)
 
@@ -82,11 +87,13 @@ class Places(NamedTuple):
 
 class _Direction(NamedTuple):
     """A turn about an axis (3,) in the world, or a shift (None): the move (n,) by one rad of it, in
-    the solver's units, and its standard error (rad) by the Jacobian."""
+    the solver's units, its standard error (rad) by the Jacobian, and the line that the body is
+    round about, if that is what it turns about."""
 
     move: np.ndarray
     axis: np.ndarray | None
     sigma: float
+    line: Revolution | None = None
 
 
 def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
@@ -95,7 +102,7 @@ def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
     No place takes over that is far from a `start`.
     """
     left, seen, last = DESCENTS, [], []
-    directions = _nearly_free(solver, best) or _round(solver, best) or _doubtful(solver, best)
+    directions = _worth_a_walk(solver, best)
     while directions and left > 0:
         last = directions
         places = [p for d in directions for p in _along(solver, best, d)]
@@ -110,6 +117,19 @@ def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
     return _as_good(solver, best, seen, last) if seen else Places(best, [], [])
 
 
+def _worth_a_walk(solver: Solver, best: Found) -> list[_Direction]:
+    """Return the directions along which another camera may be as good.
+
+    Facets bend what the Jacobian says of a round body's axis: what turns nearly about that turns
+    about it.
+    """
+    round_about = _round(solver, best)
+    other = _nearly_free(solver, best) or ([] if round_about else _doubtful(solver, best))
+    if len(round_about) == 1 and (axis := round_about[0].axis) is not None:
+        other = [d for d in other if d.axis is None or abs(d.axis @ axis) < SAME_AXIS]
+    return other + (round_about if len(round_about) == 1 or not other else [])
+
+
 def equal_views(solver: Solver, view: View, best: View, times: float = EQUAL_TIMES) -> bool:
     """Return whether the mask's own noise allows a view beside the best."""
     variance = max(solver.kind.variance, best.touched_misfit)
@@ -117,8 +137,14 @@ def equal_views(solver: Solver, view: View, best: View, times: float = EQUAL_TIM
 
 
 def _surplus(solver: Solver, view: View) -> float:
-    """Return the sum of squares above what a right camera leaves, the outline being so long."""
-    squares = view.squares - solver.kind.variance * float(view.sums.touched)
+    """Return the sum of squares above what a right camera leaves, the outline being so long.
+
+    What quantisation and rounding may leave is not told apart below that.
+    """
+    kind = solver.kind
+    squares = view.squares - kind.variance * float(view.sums.touched)
+    if kind.exact and not kind.spread:
+        squares = max(squares, 0.0)
     return squares if np.isfinite(squares) else np.inf
 
 
@@ -150,30 +176,18 @@ def _direction(solver: Solver, found: Found, value: float, vector: np.ndarray) -
 
 
 def _round(solver: Solver, found: Found) -> list[_Direction]:
-    """Return the turns about axes that the body is nearly round about: facets, teeth or sections
-    there repeat, and each place where they fit is a minimum."""
+    """Return the turns about lines that the body is round about: facets, teeth or sections there
+    repeat, and each place where they fit is a minimum."""
     names = components(solver.names)
     turns = np.array([name.startswith("turn") for name in names])
-    points = solver.points - np.asarray(solver.ball.centre, float)
-    if not len(points) or np.sum(turns) < 3:
+    if np.sum(turns) < 3:
         return []
-    found_axes, reach = [], np.max(points @ DIRECTIONS.T, axis=0)
-    for axis in np.linalg.eigh(points.T @ points)[1].T:
-        cross = np.cross(np.eye(3), axis)
-        for far in ROUND_ANGLES:
-            turn = np.eye(3) + np.sin(far) * cross + (1 - np.cos(far)) * cross @ cross
-            off = np.max(points @ (DIRECTIONS @ turn).T, axis=0) - reach
-            if np.max(np.abs(off)) > ROUND * np.max(reach):
-                break
-        else:
-            found_axes.append(axis)
-    triangle = np.asarray(found.view.triangle, float)
-    result = []
-    for axis in found_axes:
+    result, triangle = [], np.asarray(found.view.triangle, float)
+    for line in solver.revolutions:
         move = np.zeros(len(names))
-        move[turns] = axes_of(found.unit) @ axis
-        value = float(np.linalg.norm(triangle @ move))
-        result.append(_direction(solver, found, value, move))
+        move[turns] = axes_of(found.unit) @ line.axis
+        direction = _direction(solver, found, float(np.linalg.norm(triangle @ move)), move)
+        result.append(direction._replace(line=line))
     return result
 
 
@@ -182,7 +196,8 @@ def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
     of the object is just about to show, residuals rise on one side only, or far steeper there."""
     view, kind = found.view, solver.kind
     triangle = np.asarray(view.triangle, float)
-    if not np.all(np.isfinite(triangle)) or (kind.exact and view.touched_misfit <= kind.most):
+    sharp = kind.exact and not kind.spread and view.touched_misfit <= kind.most
+    if sharp or not np.all(np.isfinite(triangle)):
         return []
     weak = weak_moves(triangle, components(solver.names), DOUBTFUL)
     if not weak:
@@ -193,11 +208,13 @@ def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
     for part in (far, -far, far / 2, -far / 2):
         there = solver.step(found.unit, solver.finest, part * vector)
         other = solver.glance(there)
-        if not np.all(np.isfinite(np.asarray(other.triangle))):
+        beside = np.asarray(other.triangle, float)
+        if not np.all(np.isfinite(beside)):
             continue
         rise = (other.squares - view.squares) / (value * part) ** 2
-        blind = weak_moves(np.asarray(other.triangle, float), components(solver.names))
-        if blind or not RISE[0] < rise < RISE[1]:
+        steeper = float(np.asarray(other.along) @ beside @ vector) / (value**2 * part)
+        blind = weak_moves(beside, components(solver.names))
+        if blind or not RISE[0] < rise < RISE[1] or steeper > STEEPER:
             return [direction]
     return []
 
@@ -215,8 +232,34 @@ def _radian(solver: Solver, found: Found) -> float:
 
 def _along(solver: Solver, best: Found, direction: _Direction) -> list[Found]:
     """Return where descents lead to from both sides of a camera."""
+    if direction.line is not None:
+        return _around(solver, best, direction.line)
     far = (sign * stride for sign in (1, -1) for stride in STRIDES)
     return [p for x in far if (p := _descended(solver, best, direction, x)) is not None]
+
+
+def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
+    """Return where descents lead to from likely cameras all round a line, and so many more while
+    those are as good."""
+    parts = 1 if line.pitch is None else 2  # minima are on facets, some between them
+    pitch = line.pitch or LONGEST
+    count = round(2 * np.pi / pitch) * max(parts, int(np.ceil(pitch / LONGEST)))
+    eye, cameras = np.asarray(best.unit.e, float), [best.unit]
+    for turn in 2 * np.pi * np.arange(1, count) / count:
+        rotation = _rotation(turn * line.axis)
+        cameras.append(_rotated(best.unit, rotation, line.centre + rotation @ (eye - line.centre)))
+    surplus = np.array([_surplus(solver, solver.glance(c)) for c in cameras])
+    lower = (surplus <= np.roll(surplus, 1)) & (surplus <= np.roll(surplus, -1))
+    lower[0] = False
+    places, worse = [], 0
+    for k in np.flatnonzero(lower)[np.argsort(surplus[lower])]:
+        place = solver.descended(cameras[k], min(STEPS, solver.max_steps))
+        worse += not equal_views(solver, place.view, best.view, WALK_TIMES)
+        if np.isfinite(place.view.squares):
+            places.append(place)
+        if worse == LIKELY:
+            break
+    return places
 
 
 def _descended(solver: Solver, best: Found, direction: _Direction, far: float) -> Found | None:
@@ -286,9 +329,10 @@ def _intervals(
     result = []
     for d, reached in zip(directions, far, strict=True):
         if reached:
-            # Strides double: what was looked at next, and is forbidden, bounds the interval.
-            ends = (2 * max(max(s * x for x in reached), STRIDES[0] / 2) for s in (-1, 1))
-            behind, ahead = ends
+            # What was looked at next, and is forbidden, bounds the interval: strides double, all
+            # round a line they are equal.
+            times, least = (2, STRIDES[0] / 2) if d.line is None else (1.1, LONGEST)
+            behind, ahead = (times * max(*(s * x for x in reached), least) for s in (-1, 1))
             if behind + ahead > ALL_ROUND:
                 behind = ahead = np.inf
             result.append(Free(d.move, behind, ahead, d.axis))
@@ -310,6 +354,13 @@ def separation(solver: Solver, a: Camera, b: Camera) -> float:
     seen = [axes_of(c) @ (centre - np.asarray(c.e, float)) for c in (a, b)]
     aside = np.linalg.norm((seen[0] - seen[1])[:2]) / float(solver.ball.radius)
     return max(angle(a, b), float(aside))
+
+
+def _rotation(vector: np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) by a rotation vector."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(vector).as_matrix()
 
 
 def turned_by(a: Camera, b: Camera) -> np.ndarray:

@@ -1,6 +1,7 @@
 """A fit of one scene to one mask: levels from coarse to fine, and buffers that grow as needed."""
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,10 +16,13 @@ from .moves import Bounds, Move, moved
 from .priors import Prior
 from .problem import COARSE_PX, FINE_PX, Problem, View, move as move_of
 from .residuals import Capacity, Touched, touch
+from .revolution import Revolution, revolutions
 from .target import LEAST_CELLS, Level, Window, object_window, pyramid, shares
 
 #: What the smallest buffers hold, and how much larger the next ones are: each size is compiled for.
 LEAST_ROOM, ROOMIER = Capacity(edges=1024, pieces=2048, arc_pieces=2048, arcs=1024), 2
+#: So many vertices show a mesh's outline well enough to find its axes.
+SOME_POINTS = 600
 #: Noise leaves at most so many standard errors more than on average.
 ERRORS = 4.0
 #: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
@@ -69,7 +73,8 @@ class Solver:
         box = np.asarray(bounding_box(scene), float)
         self._corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
         self.ball = ball_about(box)
-        self.points = _some_points(scene)
+        mesh = scene.mesh
+        self._vertices = np.zeros((0, 3)) if mesh is None else np.asarray(mesh.vertices)
         self.window = object_window(target)
         image = shares(self.window.of(target))
         self.capacity = _first_capacity(scene, image)
@@ -100,6 +105,16 @@ class Solver:
         self.problem = Problem(self._scene, levels, self.ball, self._bounds, self._prior)
         if not self.kind.hard:
             self.levels.append(self.levels[-1]._replace(strict=np.array(True)))
+
+    @property
+    def points(self) -> np.ndarray:
+        """Return some 600 of the mesh's vertices (n, 3), or none."""
+        return self._vertices[:: max(len(self._vertices) // SOME_POINTS, 1)].astype(float)
+
+    @cached_property
+    def revolutions(self) -> list[Revolution]:
+        """Return the lines that the mesh is round about, but for a part of it."""
+        return revolutions(self._vertices, self.points)
 
     def misfit_above_noise(self, view: View) -> float:
         """Return the mean square residual of an outline pixel, all squares put on these pixels but
@@ -263,14 +278,6 @@ def _touched(unit: Camera, problem: Problem, level: Level, capacity: Capacity) -
 def _step(unit: Camera, problem: Problem, level: Level, y: Any, names) -> Camera:
     """Return the camera moved by y in the solver's units."""
     return moved(move_of(unit, problem, level, names), y, names)
-
-
-def _some_points(scene: Scene) -> np.ndarray:
-    """Return some 600 of the mesh's vertices (n, 3), or none."""
-    if scene.mesh is None:
-        return np.zeros((0, 3))
-    step = max(scene.mesh.vertices.shape[0] // 600, 1)
-    return np.asarray(scene.mesh.vertices)[::step].astype(float)
 
 
 def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:

@@ -1,0 +1,85 @@
+"""Lines that a body is round about, against how the body was made."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from pinhole_jax._fit.revolution import revolutions
+
+TURN, SHIFT = Rotation.from_rotvec([0.4, 1.1, -0.7]).as_matrix(), np.array([3.0, -4.0, 5.0])
+
+
+def mug(sections):
+    body = trimesh.creation.cylinder(radius=0.8, height=2, sections=sections)
+    handle = trimesh.creation.torus(0.35, 0.08, major_sections=24, minor_sections=12)
+    handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    handle.apply_translation([0.85, 0, 0])
+    return np.asarray((body + handle).vertices)
+
+
+def with_bump(sections):
+    body = trimesh.creation.cylinder(radius=0.8, height=2, sections=sections)
+    bump = trimesh.creation.icosphere(subdivisions=2, radius=0.15)
+    bump.apply_translation([0.8, 0, 0.3])
+    return np.asarray((body + bump).vertices)
+
+
+def found(vertices):
+    return revolutions(vertices, vertices[:: max(len(vertices) // 600, 1)])
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
+@pytest.mark.parametrize(
+    "make", [mug, with_bump, lambda n: trimesh.creation.cylinder(0.5, 2, sections=n).vertices]
+)
+@pytest.mark.parametrize("sections", [20, 48, 64])
+def test_the_line_and_its_facets_are_those_it_was_made_of(make, sections, scale):
+    (line,) = found(scale * (np.asarray(make(sections)) @ TURN.T + SHIFT))
+    axis = TURN @ [0, 0, 1]
+    assert abs(line.axis @ axis) > np.cos(np.deg2rad(0.2))
+    off = line.centre - scale * SHIFT
+    assert np.linalg.norm(off - (off @ axis) * axis) < 0.003 * scale
+    assert line.pitch == pytest.approx(2 * np.pi / sections)
+
+
+def test_what_is_smooth_has_no_facets():
+    angle, height = np.random.default_rng(0).uniform([0, -1], [2 * np.pi, 1], (4000, 2)).T
+    radius = 1 + 0.2 * height
+    (line,) = found(np.stack([radius * np.cos(angle), radius * np.sin(angle), 2 * height], axis=-1))
+    assert line.pitch is None
+
+
+def test_a_million_vertices_on_a_circle_are_no_million_facets():
+    angle = np.linspace(0, 2 * np.pi, 500_000, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], axis=-1)
+    (line,) = found(np.concatenate([ring, -ring]))
+    assert line.pitch is None
+
+
+@pytest.mark.parametrize(
+    "vertices",
+    [
+        np.zeros((0, 3)),
+        np.ones((1, 3)),
+        np.ones((9, 3)),
+        np.eye(3)[:2],
+        trimesh.creation.box([1.2, 1.32, 1.05]).vertices,
+        trimesh.creation.box([1.7, 1.2, 0.08]).vertices,
+        trimesh.creation.icosphere(3).vertices * [1.1, 0.8, 0.95],
+        np.random.default_rng(1).normal(size=(500, 3)) * [1, 1, 0],
+        np.random.default_rng(1).normal(size=(500, 3)) * [1, 0, 0],
+    ],
+    ids=["none", "a point", "nine", "two", "box", "plate", "ellipsoid", "flat", "a segment"],
+)
+def test_what_is_not_round_has_no_line(vertices):
+    assert found(np.asarray(vertices, float)) == []
+
+
+def test_a_ball_is_round_about_all():
+    assert len(found(trimesh.creation.icosphere(4).vertices)) == 3
+
+
+def test_robots_and_animals_are_not_round(shared):
+    for name in ("meshes/spot.obj", "robots/lbr_med7/mesh/link_2.stl", "knee/femur.stl"):
+        assert found(np.asarray(trimesh.load(shared / name, force="mesh").vertices)) == []
