@@ -55,9 +55,11 @@ def test_a_handle_that_only_the_mask_shows_is_not_taken_for_noise(honesty):
 @pytest.mark.parametrize(
     ("number", "shape", "kind"),
     [
+        (19, "mug", "exact"),  # squares below what rounding may leave, and less still
         (57, "mug", "8 bits"),  # ten facets on, each a minimum
         (93, "mug", "one bit"),  # nearly the mug's axis, but not quite
         (104, "mug", "noisy"),  # noise explains itself
+        (516, "dented", "exact"),  # a ball of facets is itself from sixty sides
         (905, "box", "one bit"),  # squares as of a right mask, but on the wrong side of a half
     ],
 )

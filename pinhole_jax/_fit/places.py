@@ -19,6 +19,7 @@ from .problem import View
 from .revolution import Revolution
 from .search import sphere_points
 from .solver import Found, Solver
+from .symmetry import turns_of_a_mesh
 from .uncertainty import in_words, weak_moves
 
 #: How far a walk goes to either side (rad, at the object's radius), each place twice as far.
@@ -51,6 +52,8 @@ DIRECTIONS = sphere_points(64)
 #: followed, the likeliest first, until so many were worse. An axis is another one if the cosine
 #: between them is less than this.
 LONGEST, LIKELY, SAME_AXIS = np.deg2rad(3.0), 6, np.cos(np.deg2rad(30))
+#: Of turns that bring facets to facets, so many are followed.
+FEW = 12
 #: What is farther from the start than this (rad) the start rules out.
 NEAR_START = np.deg2rad(60)
 
@@ -114,7 +117,11 @@ def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
             break
         best = place._replace(steps=best.steps + place.steps, way=best.way)
         directions = _nearly_free(solver, best)
-    return _as_good(solver, best, seen, last) if seen else Places(best, [], [])
+    if not seen:
+        return Places(best, [], [])
+    if solver.kind.exact and not solver.kind.spread:
+        seen += _alike(solver, best)
+    return _as_good(solver, best, seen, last)
 
 
 def _worth_a_walk(solver: Solver, best: Found) -> list[_Direction]:
@@ -260,6 +267,19 @@ def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
         if worse == LIKELY:
             break
     return places
+
+
+def _alike(solver: Solver, best: Found) -> list[Found]:
+    """Return where descents lead to from the likeliest cameras that see the facets alike."""
+    eye = np.asarray(best.unit.e, float)
+    cameras = [
+        _rotated(best.unit, turn.rotation, turn.rotation @ eye + turn.shift)
+        for turn in turns_of_a_mesh(*solver.mesh)
+    ]
+    surplus = np.array([_surplus(solver, solver.glance(c)) for c in cameras])
+    nearest = [cameras[k] for k in np.argsort(surplus)[:FEW] if np.isfinite(surplus[k])]
+    places = [solver.descended(c, min(STEPS, solver.max_steps)) for c in nearest]
+    return [p for p in places if np.isfinite(p.view.squares)]
 
 
 def _descended(solver: Solver, best: Found, direction: _Direction, far: float) -> Found | None:

@@ -73,8 +73,7 @@ class Solver:
         box = np.asarray(bounding_box(scene), float)
         self._corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
         self.ball = ball_about(box)
-        mesh = scene.mesh
-        self._vertices = np.zeros((0, 3)) if mesh is None else np.asarray(mesh.vertices)
+        self.mesh = _mesh_of(scene)
         self.window = object_window(target)
         image = shares(self.window.of(target))
         self.capacity = _first_capacity(scene, image)
@@ -109,12 +108,13 @@ class Solver:
     @property
     def points(self) -> np.ndarray:
         """Return some 600 of the mesh's vertices (n, 3), or none."""
-        return self._vertices[:: max(len(self._vertices) // SOME_POINTS, 1)].astype(float)
+        vertices, _ = self.mesh
+        return vertices[:: max(len(vertices) // SOME_POINTS, 1)].astype(float)
 
     @cached_property
     def revolutions(self) -> list[Revolution]:
         """Return the lines that the mesh is round about, but for a part of it."""
-        return revolutions(self._vertices, self.points)
+        return revolutions(self.mesh[0], self.points)
 
     def misfit_above_noise(self, view: View) -> float:
         """Return the mean square residual of an outline pixel, all squares put on these pixels but
@@ -278,6 +278,13 @@ def _touched(unit: Camera, problem: Problem, level: Level, capacity: Capacity) -
 def _step(unit: Camera, problem: Problem, level: Level, y: Any, names) -> Camera:
     """Return the camera moved by y in the solver's units."""
     return moved(move_of(unit, problem, level, names), y, names)
+
+
+def _mesh_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return a scene's vertices (V, 3) and faces (F, 3), none where there is no mesh."""
+    if scene.mesh is None:
+        return np.zeros((0, 3)), np.zeros((0, 3), int)
+    return np.asarray(scene.mesh.vertices), np.asarray(scene.mesh.faces)
 
 
 def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
