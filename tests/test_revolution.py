@@ -25,8 +25,60 @@ def with_bump(sections):
     return np.asarray((body + bump).vertices)
 
 
+def mug_of_height(height, sections=64):
+    body = trimesh.creation.cylinder(radius=0.8, height=height, sections=sections)
+    handle = trimesh.creation.torus(0.35, 0.08, major_sections=24, minor_sections=12)
+    handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    handle.apply_translation([0.85, 0, 0])
+    return np.asarray((body + handle).vertices)
+
+
+def pot(cut):
+    """A ball cut off, with a handle."""
+    height = np.linspace(cut, 1, 24)
+    profile = np.stack([np.sqrt(np.maximum(1 - height**2, 0)), height], axis=-1)
+    body = trimesh.creation.revolve(np.concatenate([[[0, cut]], profile]), sections=48)
+    handle = trimesh.creation.torus(0.35, 0.08, major_sections=24, minor_sections=12)
+    handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    handle.apply_translation([1.0, 0, 0])
+    return np.asarray((body + handle).vertices)
+
+
+def rings(sections, number):
+    """A can whose vertices are in the order of its rings."""
+    angle = 2 * np.pi * np.arange(sections) / sections
+    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+    return np.concatenate([ring + np.array([0, 0, z]) for z in np.linspace(-1, 1, number)])
+
+
+def with_dense_handle():
+    body = trimesh.creation.cylinder(radius=0.8, height=2, sections=64)
+    handle = trimesh.creation.torus(0.35, 0.08, major_sections=200, minor_sections=100)
+    handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    handle.apply_translation([0.85, 0, 0])
+    return np.asarray((body + handle).vertices)
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), TURN])
+@pytest.mark.parametrize(
+    ("vertices", "sections"),
+    [
+        *((mug_of_height(h), 64) for h in (0.96, 1.2, 1.36, 1.6, 2.08)),
+        (pot(-0.5), 48),
+        (rings(64, 150), 64),
+        (rings(32, 600), 32),
+        (with_dense_handle(), 64),
+    ],
+)
+def test_bodies_as_people_model_them(vertices, sections, turn):
+    lines = found(vertices @ turn.T)
+    assert len(lines) == 1
+    assert abs(lines[0].axis @ turn @ [0, 0, 1]) > np.cos(np.deg2rad(0.2))
+    assert lines[0].pitch == pytest.approx(2 * np.pi / sections)
+
+
 def found(vertices):
-    return revolutions(vertices, vertices[:: max(len(vertices) // 600, 1)])
+    return revolutions(np.asarray(vertices))
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
@@ -64,13 +116,27 @@ def test_a_million_vertices_on_a_circle_are_no_million_facets():
         np.ones((1, 3)),
         np.ones((9, 3)),
         np.eye(3)[:2],
+        1e308 * np.eye(9, 3),
+        1.7e308 * np.random.default_rng(1).uniform(-1, 1, (2000, 3)),
         trimesh.creation.box([1.2, 1.32, 1.05]).vertices,
         trimesh.creation.box([1.7, 1.2, 0.08]).vertices,
         trimesh.creation.icosphere(3).vertices * [1.1, 0.8, 0.95],
         np.random.default_rng(1).normal(size=(500, 3)) * [1, 1, 0],
         np.random.default_rng(1).normal(size=(500, 3)) * [1, 0, 0],
     ],
-    ids=["none", "a point", "nine", "two", "box", "plate", "ellipsoid", "flat", "a segment"],
+    ids=[
+        "none",
+        "a point",
+        "nine",
+        "two",
+        "huge",
+        "many",
+        "box",
+        "plate",
+        "ellipsoid",
+        "flat",
+        "a segment",
+    ],
 )
 def test_what_is_not_round_has_no_line(vertices):
     assert found(np.asarray(vertices, float)) == []

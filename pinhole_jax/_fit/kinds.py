@@ -48,6 +48,7 @@ class Kind(NamedTuple):
     - `exact`: whether more than `most` says that the camera, the mesh or the mask is wrong; else it
       may be what the mask's maker did to its edges.
     - `far`: the mean weighted square of a pixel far from the mask's edges.
+    - `alike`: what quantisation, rounding and the last step leave: less is not told apart.
     - `spread`: of noise that is even, the standard error of the sum of squares of all pixels that
       are not so far; else 0.
     """
@@ -59,6 +60,7 @@ class Kind(NamedTuple):
     exact: bool
     far: float = 0.0
     spread: float = 0.0
+    alike: float = 0.0
 
     @property
     def hard(self) -> bool:
@@ -76,8 +78,7 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     """Return the kind of a mask (see `check_target`) that is fitted in a float type."""
     image = shares(target)
     if np.all((image == 0) | (image == 1)):
-        scale = float(np.mean(weights[weights > 0])) if np.any(weights > 0) else 1.0
-        uniform = scale * UNIFORM
+        uniform = (scale := _weight_at_edges(image, weights)) * UNIFORM
         return Kind("one bit", uniform, scale * HARD, CUT_CORNERS * uniform, False)
     noise, far, even, spread = _noise_far_from_edges(image, weights)
     threshold = max(4 * noise, 1e-3)
@@ -101,7 +102,16 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
         return Kind("noisy", variance, most, least, even, far, spread)
     # A renderer's 8 bits: some hundred samples a pixel, or its filter.
     most = TIMES * (SAMPLED / 1024 * scale if step == 1 / 255 else variance)
-    return Kind("soft", variance, most, least, True)
+    alike = max(least, scale * FINE_PX[np.dtype(dtype)] ** 2)
+    return Kind("soft", variance, most, least, True, alike=alike)
+
+
+def _weight_at_edges(image: np.ndarray, weights: np.ndarray) -> float:
+    """Return the mean weight of pixels at the mask's edge that have one, 1 if there are none."""
+    if weights.strides == (0, 0):
+        return float(weights.flat[0])
+    counted = weights[(weights > 0) & (near_an_edge(edge_distance(image), 1.0) > 0)]
+    return float(np.mean(counted)) if counted.size else 1.0
 
 
 def _noise_far_from_edges(

@@ -49,9 +49,9 @@ MIRRORED = 0.15
 #: The directions in which that is looked at.
 DIRECTIONS = sphere_points(64)
 #: Turns about a line that a body is round about are looked at so far apart (rad) at most, and
-#: followed, the likeliest first, until so many were worse. An axis is another one if the cosine
-#: between them is less than this.
-LONGEST, LIKELY, SAME_AXIS = np.deg2rad(3.0), 6, np.cos(np.deg2rad(30))
+#: followed, the likeliest first, until so many were worse, or there are this many. An axis is
+#: another one if the cosine between them is less than this.
+LONGEST, LIKELY, MOST, SAME_AXIS = np.deg2rad(3.0), 6, 24, np.cos(np.deg2rad(30))
 #: Of turns that bring facets to facets, so many are followed.
 FEW = 12
 #: What is farther from the start than this (rad) the start rules out.
@@ -131,10 +131,11 @@ def _worth_a_walk(solver: Solver, best: Found) -> list[_Direction]:
     about it.
     """
     round_about = _round(solver, best)
-    other = _nearly_free(solver, best) or ([] if round_about else _doubtful(solver, best))
+    other = _nearly_free(solver, best) or _doubtful(solver, best)
     if len(round_about) == 1 and (axis := round_about[0].axis) is not None:
         other = [d for d in other if d.axis is None or abs(d.axis @ axis) < SAME_AXIS]
-    return other + (round_about if len(round_about) == 1 or not other else [])
+    walked = len(round_about) == 1 or all(d.axis is None for d in other)
+    return other + (round_about if walked else [])
 
 
 def equal_views(solver: Solver, view: View, best: View, times: float = EQUAL_TIMES) -> bool:
@@ -148,10 +149,8 @@ def _surplus(solver: Solver, view: View) -> float:
 
     What quantisation and rounding may leave is not told apart below that.
     """
-    kind = solver.kind
-    squares = view.squares - kind.variance * float(view.sums.touched)
-    if kind.exact and not kind.spread:
-        squares = max(squares, 0.0)
+    kind, touched = solver.kind, float(view.sums.touched)
+    squares = max(view.squares, kind.alike * touched) - kind.variance * touched
     return squares if np.isfinite(squares) else np.inf
 
 
@@ -190,10 +189,14 @@ def _round(solver: Solver, found: Found) -> list[_Direction]:
     if np.sum(turns) < 3:
         return []
     result, triangle = [], np.asarray(found.view.triangle, float)
+    if not np.all(np.isfinite(triangle)):
+        return []
+    deviations = np.linalg.pinv(triangle).T
     for line in solver.revolutions:
         move = np.zeros(len(names))
         move[turns] = axes_of(found.unit) @ line.axis
-        direction = _direction(solver, found, float(np.linalg.norm(triangle @ move)), move)
+        value = 1 / max(float(np.linalg.norm(deviations @ move)), 1e-300)
+        direction = _direction(solver, found, value, move)
         result.append(direction._replace(line=line))
     return result
 
@@ -259,7 +262,9 @@ def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
     lower = (surplus <= np.roll(surplus, 1)) & (surplus <= np.roll(surplus, -1))
     lower[0] = False
     places, worse = [], 0
-    for k in np.flatnonzero(lower)[np.argsort(surplus[lower])]:
+    # (The golden ratio: where many are as good as one another, some all round.)
+    order = np.lexsort((np.arange(count) * 0.618034 % 1, surplus))
+    for k in order[lower[order]][:MOST]:
         place = solver.descended(cameras[k], min(STEPS, solver.max_steps))
         worse += not equal_views(solver, place.view, best.view, WALK_TIMES)
         if np.isfinite(place.view.squares):

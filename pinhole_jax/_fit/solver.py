@@ -16,13 +16,11 @@ from .moves import Bounds, Move, moved
 from .priors import Prior
 from .problem import COARSE_PX, FINE_PX, Problem, View, move as move_of
 from .residuals import Capacity, Touched, touch
-from .revolution import Revolution, revolutions
+from .revolution import Revolution, revolutions, some_of
 from .target import LEAST_CELLS, Level, Window, object_window, pyramid, shares
 
 #: What the smallest buffers hold, and how much larger the next ones are: each size is compiled for.
 LEAST_ROOM, ROOMIER = Capacity(edges=1024, pieces=2048, arc_pieces=2048, arcs=1024), 2
-#: So many vertices show a mesh's outline well enough to find its axes.
-SOME_POINTS = 600
 #: Noise leaves at most so many standard errors more than on average.
 ERRORS = 4.0
 #: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
@@ -105,16 +103,15 @@ class Solver:
         if not self.kind.hard:
             self.levels.append(self.levels[-1]._replace(strict=np.array(True)))
 
-    @property
+    @cached_property
     def points(self) -> np.ndarray:
-        """Return some 600 of the mesh's vertices (n, 3), or none."""
-        vertices, _ = self.mesh
-        return vertices[:: max(len(vertices) // SOME_POINTS, 1)].astype(float)
+        """Return some hundreds of the mesh's vertices (n, 3), or none."""
+        return some_of(self.mesh[0])
 
     @cached_property
     def revolutions(self) -> list[Revolution]:
         """Return the lines that the mesh is round about, but for a part of it."""
-        return revolutions(self.mesh[0], self.points)
+        return revolutions(self.mesh[0])
 
     def misfit_above_noise(self, view: View) -> float:
         """Return the mean square residual of an outline pixel, all squares put on these pixels but
