@@ -16,7 +16,14 @@ from pinhole_jax._fit.moves import (
     rotation,
     units,
 )
-from pinhole_jax._fit.parameters import NAMES, check_free, components, labels_of, with_lens
+from pinhole_jax._fit.parameters import (
+    NAMES,
+    check_free,
+    components,
+    in_one,
+    labels_of,
+    with_lens,
+)
 
 CAMERA = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 2.0, 30, 20)
 PIVOT = jnp.array([0.2, -0.1, 0.3])
@@ -142,6 +149,12 @@ def test_what_is_reported_is_measured_in_what_it_says():
 def test_bad_names_are_said_in_words(free, message):
     with pytest.raises(ValueError, match=message):
         check_free(free)
+
+
+def test_position_and_orientation_are_the_pose_that_a_fit_guards():
+    """A whole pose is searched and walked, under whatever names."""
+    assert in_one(check_free(["phi", "orientation", "position"])) == ("pose", "phi")
+    assert in_one(("position", "phi")) == ("position", "phi")
 
 
 def test_names_may_be_one_word_or_in_any_order():

@@ -166,3 +166,19 @@ def test_a_hard_mask_on_the_grid_leaves_a_sigma():
     fit = pj.fit_camera(scene, mask_of(camera, scene) > 0.5, camera, ("position",))
     px = 4 / 64  # at the front face
     assert np.all(fit.std[:2] > 0.005 * px)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("sides", [5, 6, 7])
+def test_a_nut_is_as_good_turned_by_a_side(sides):
+    """Neighbours of the start, none of them half a turn away."""
+    nut = trimesh.creation.cylinder(radius=1, height=0.8, sections=sides)
+    scene = pj.Scene(mesh=pj.Mesh(np.asarray(nut.vertices, float), np.asarray(nut.faces)))
+    camera = pj.Camera([0.5, 4.0, 3.0], [0, 0, 0], [0, 0, 1], 0.6, 1.0, 96, 80)
+    half = np.pi / sides
+    start = turned(camera, [0, 0, 1], np.rad2deg(0.8 * half))
+    for mask in (mask_of(camera, scene), mask_of(camera, scene) > 0.5):
+        fit = pj.fit_camera(scene, mask, start)
+        assert fit.status == "ambiguous"
+        off = [pj.pose_error(f.camera, camera)[0] for f in (fit, *fit.modes)]
+        assert min(off) < 0.02

@@ -14,7 +14,7 @@ from .full_image import with_overlaps, worthwhile
 from .implicit import through
 from .mask import Mask
 from .moves import Bounds, canonical
-from .parameters import check_free, focal_is_free, with_lens
+from .parameters import check_free, focal_is_free, in_one, with_lens
 from .places import at
 from .priors import Prior, bounds_of, prior_of
 from .result import Fit, Known, Progress, progress_at, report
@@ -48,8 +48,9 @@ def fit_camera(
       search at once; then `phi` (rad) is the field of view, or if it is free a first guess (0.7),
       and `lens` the principal point, aspect and distortion (None: centred, square pixels). Those
       of a known K are `formats.from_opencv(K, I, 0, W, H, ...)`'s.
-    - `free`: any of pose (or position, orientation), phi, d, principal_point, aspect, and of the
-      lens's distortion k1, k2, p1, p2, k3 (of a fisheye k1 to k4), or `distortion` for all of them.
+    - `free`: any of pose (or position, orientation: both are pose), phi, d, principal_point, aspect
+      and of the lens's distortion k1, k2, p1, p2, k3 (of a fisheye k1 to k4), or `distortion` for
+      all of them.
     - `weight`: (H, W), at least 0: how much each pixel counts, 0 where the mask is not to be
       believed (an occluder). 1 / variance, up to a factor.
     - `outlier_px`: how far, in px, an outline that is right may lie from the mask's edge. Farther
@@ -86,7 +87,7 @@ def fit_camera(
     for name, value in (("phi", phi), ("lens", lens)):
         if camera is not None and value is not None:
             raise ValueError(f"`{name}`: expected None beside a `camera`, which has its own")
-    names = check_free(free, camera, lens)
+    names = in_one(check_free(free, camera, lens))
     start = _anywhere(scene, target, names, phi, lens) if camera is None else camera
     base = with_lens(start, names)
 

@@ -233,6 +233,14 @@ def check_free(
     return tuple(name for name in PARAMETERS if name in names)
 
 
+def in_one(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names with the pose in place of position and orientation, where both are free."""
+    both = {"position", "orientation"}
+    if not both <= {*names}:
+        return names
+    return ("pose", *(name for name in names if name not in both))
+
+
 def with_lens(camera: Camera, names: tuple[str, ...]) -> Camera:
     """Return the camera with what these names need: a lens, a distortion (that bends nothing)."""
     lens, bent = camera.lens, not set(COEFFICIENTS).isdisjoint(names)

@@ -19,7 +19,6 @@ from .problem import View
 from .revolution import Revolution
 from .search import sphere_points
 from .solver import Found, Solver
-from .symmetry import turns_of_a_mesh
 from .uncertainty import in_words, weak_moves
 
 #: How far a walk goes to either side (rad, at the object's radius), each place twice as far.
@@ -54,6 +53,8 @@ DIRECTIONS = sphere_points(64)
 LONGEST, LIKELY, MOST, SAME_AXIS = np.deg2rad(3.0), 6, 24, np.cos(np.deg2rad(30))
 #: Of turns that bring facets to facets, so many are followed.
 FEW = 12
+#: ... and of a body that is not round so many; closer than this (the matrices' distance) are one.
+TURNS, ONE_TURN = 24, 0.05
 #: What is farther from the start than this (rad) the start rules out.
 NEAR_START = np.deg2rad(60)
 
@@ -279,7 +280,7 @@ def _alike(solver: Solver, best: Found) -> list[Found]:
     eye = np.asarray(best.unit.e, float)
     cameras = [
         _rotated(best.unit, turn.rotation, turn.rotation @ eye + turn.shift)
-        for turn in turns_of_a_mesh(*solver.mesh)
+        for turn in solver.turns
     ]
     surplus = np.array([_surplus(solver, solver.glance(c)) for c in cameras])
     nearest = [cameras[k] for k in np.argsort(surplus)[:FEW] if np.isfinite(surplus[k])]
@@ -396,9 +397,9 @@ def turned_by(a: Camera, b: Camera) -> np.ndarray:
 
 
 def mirrored(solver: Solver, found: Found) -> Iterator[Camera]:
-    """Yield views that an object which is near its own mirror image, in its principal axes, shows
-    alike: half turns about these, and turned so that near and far change places, which changes a
-    silhouette only by perspective."""
+    """Yield views that an object shows alike: one that is near its own mirror image, in its
+    principal axes, half turns about these, and turned so that near and far change places, which
+    changes a silhouette only by perspective; turns that bring its faces to one another."""
     centre = np.asarray(solver.ball.centre, float)
     points = solver.points - centre
     if not len(points):
@@ -406,6 +407,7 @@ def mirrored(solver: Solver, found: Found) -> Iterator[Camera]:
     _, principal = np.linalg.eigh(points.T @ points)
     reach = np.max(points @ DIRECTIONS.T, axis=0)
     axes, eye = axes_of(found.unit), np.asarray(found.unit.e, float)
+    seen: list[np.ndarray] = []
     for signs in np.array(np.meshgrid(*[[1, -1]] * 3)).reshape(3, 8).T[1:]:
         image = principal @ (signs[:, None] * principal.T)
         off = np.max(np.abs(np.max(points @ (DIRECTIONS @ image).T, axis=0) - reach))
@@ -415,7 +417,13 @@ def mirrored(solver: Solver, found: Found) -> Iterator[Camera]:
         if np.prod(signs) < 0:
             turned[2] = -turned[2]
         rotation = turned.T @ axes
+        seen.append(rotation)
         yield _rotated(found.unit, rotation, centre + rotation @ (eye - centre))
+    if solver.revolutions:
+        return  # turns about these are walked
+    for rotation, shift in solver.turns[:TURNS]:
+        if all(np.linalg.norm(rotation - other) > ONE_TURN for other in seen):
+            yield _rotated(found.unit, rotation, rotation @ eye + shift)
 
 
 def _rotated(camera: Camera, rotation: np.ndarray, eye: np.ndarray) -> Camera:

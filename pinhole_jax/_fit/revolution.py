@@ -6,12 +6,12 @@ reaches in each direction. (A surface of revolution reaches as far all round; wh
 is an outlier.)
 """
 
-import hashlib
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
+from .._numerics.kept import kept
 from .search import sphere_points
 
 #: A body is round if its support is a circle's to within this share of its radius ... (Mugs: 1e-4,
@@ -38,9 +38,6 @@ SECTIONS, REPEATS, ROUNDING = np.arange(10, 181), 0.25, 1e-6
 FINE, POINTS, CORNERS = 3600, 200_000, 2000
 #: Of more vertices than these one in each cell of a grid is taken, of many more some at random.
 SOME, CELLS, MANY = 1200, 14, 50_000
-#: Lines of so many meshes are kept.
-KEPT = 64
-_FOUND: dict[bytes, list["Revolution"]] = {}
 
 
 #: A line's direction, a point of it, and how far off most of the rest is.
@@ -57,14 +54,8 @@ class Revolution(NamedTuple):
 
 
 def revolutions(vertices: np.ndarray) -> list[Revolution]:
-    """Return the lines that vertices (n, 3) are round about, but for a part of them; those of the
-    last few meshes are kept."""
-    key = hashlib.sha1(vertices.tobytes(), usedforsecurity=False).digest()
-    if key not in _FOUND:
-        if len(_FOUND) >= KEPT:
-            _FOUND.clear()
-        _FOUND[key] = _revolutions(vertices)
-    return _FOUND[key]
+    """Return the lines that vertices (n, 3) are round about, but for a part of them."""
+    return kept(_revolutions, vertices)
 
 
 def some_of(vertices: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from .priors import Prior
 from .problem import COARSE_PX, FINE_PX, Problem, View, move as move_of
 from .residuals import Capacity, Touched, touch
 from .revolution import Revolution, revolutions, some_of
+from .symmetry import Turn, turns_of_a_mesh
 from .target import LEAST_CELLS, Level, Window, object_window, pyramid, shares
 
 #: What the smallest buffers hold, and how much larger the next ones are: each size is compiled for.
@@ -112,6 +113,11 @@ class Solver:
     def revolutions(self) -> list[Revolution]:
         """Return the lines that the mesh is round about, but for a part of it."""
         return revolutions(self.mesh[0])
+
+    @cached_property
+    def turns(self) -> list[Turn]:
+        """Return the turns that bring most of the mesh's faces to other faces."""
+        return turns_of_a_mesh(*self.mesh)
 
     def misfit_above_noise(self, view: View) -> float:
         """Return the mean square residual of an outline pixel, all squares put on these pixels but

@@ -43,7 +43,7 @@ Told = Callable[[Stop], None]
 
 def turns_freely(names: tuple[str, ...]) -> bool:
     """Return whether the whole pose is free."""
-    return "pose" in names or {"position", "orientation"} <= {*names}
+    return "pose" in names
 
 
 def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> Places:

@@ -11,8 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from .._numerics.kept import kept
+
 #: Finer meshes have facets that no mask shows: they are not looked at.
-MOST_FACES = 100_000
+MOST_FACES = 30_000
 #: Corners, and lengths of edges, closer than this share of the mesh's size are alike.
 ALIKE = 1e-4
 #: A turn counts if so much of the area comes to where faces were (a dent is missed by two), of so
@@ -35,10 +37,12 @@ def turns_of_a_mesh(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> list[Turn]:
     """Return the turns (but for none at all) that bring most of a mesh's faces to other faces."""
+    return kept(_turns, vertices, faces) if 2 <= len(faces) <= MOST_FACES else []
+
+
+def _turns(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> list[Turn]:
     from scipy.spatial import KDTree
 
-    if not 2 <= len(faces) <= MOST_FACES:
-        return []
     corners = np.asarray(vertices, float)[faces]
     size = float(np.max(np.linalg.norm(corners - corners.mean(axis=(0, 1)), axis=-1)))
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
