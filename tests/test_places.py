@@ -182,3 +182,17 @@ def test_a_nut_is_as_good_turned_by_a_side(sides):
         assert fit.status == "ambiguous"
         off = [pj.pose_error(f.camera, camera)[0] for f in (fit, *fit.modes)]
         assert min(off) < 0.02
+
+
+@pytest.mark.long
+def test_a_prior_says_from_where_a_round_body_is_seen_and_the_start_from_which_side():
+    """The front page's cup: half a turn on, the prior and the mask are as content."""
+    profile = np.array([[0.0, 0], [0.55, 0], [1, 0.17], [0.43, 0.35], [0.54, 0.95], [0, 0.9]])
+    scene = pj.Scene(mesh=shapes.revolved(profile, sections=32))
+    camera = pj.Camera([0, -3.1, 4.9], [0.1, 0, 0.3], [0, 0, 1], 0.5, 1.0, 96, 80)
+    start = turned(camera, [1, 0, 0], 7)
+    mask = mask_of(camera, scene) > 0.5
+    fit = pj.fit_camera(scene, mask, start, prior={"e_x": (0.0, 1e-3)})
+    assert fit.status == "converged", fit
+    assert pj.pose_error(fit.camera, camera)[0] < 0.03
+    assert pj.fit_camera(scene, mask, start).status == "rank_deficient"

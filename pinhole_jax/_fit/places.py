@@ -50,7 +50,9 @@ DIRECTIONS = sphere_points(64)
 #: Turns about a line that a body is round about are looked at so far apart (rad) at most, and
 #: followed, the likeliest first, until so many were worse, or there are this many. An axis is
 #: another one if the cosine between them is less than this.
-LONGEST, LIKELY, MOST, SAME_AXIS = np.deg2rad(3.0), 6, 24, np.cos(np.deg2rad(30))
+LONGEST, LIKELY, MOST, SAME_AXIS = np.deg2rad(4.0), 6, 24, np.cos(np.deg2rad(30))
+#: Cameras so close (rad) are the same to a walk all round.
+WALKED = 1e-3
 #: Of turns that bring facets to facets, so many are followed.
 FEW = 12
 #: ... and of a body that is not round so many; closer than this (the matrices' distance) are one.
@@ -122,7 +124,10 @@ def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
         return Places(best, [], [])
     if solver.kind.exact and not solver.kind.spread:
         seen += _alike(solver, best)
-    return _as_good(solver, best, seen, last)
+    # What is as good, but only far from the start, the start rules out.
+    near = [p for p in seen if start is None or angle(p.unit, start) < NEAR_START]
+    places = _as_good(solver, best, near, last)
+    return _as_good(solver, best, seen, last) if places.others or places.free else places
 
 
 def _worth_a_walk(solver: Solver, best: Found) -> list[_Direction]:
@@ -252,9 +257,14 @@ def _along(solver: Solver, best: Found, direction: _Direction) -> list[Found]:
 def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
     """Return where descents lead to from likely cameras all round a line, and so many more while
     those are as good."""
-    parts = 1 if line.pitch is None else 2  # minima are on facets, some between them
+    for unit, other, places in solver.walked:
+        if other is line and separation(solver, unit, best.unit) < WALKED:
+            return places
     pitch = line.pitch or LONGEST
-    count = round(2 * np.pi / pitch) * max(parts, int(np.ceil(pitch / LONGEST)))
+    parts = int(np.ceil(pitch / LONGEST))
+    if line.pitch is not None and pitch > LONGEST:
+        parts = max(parts, 2)  # minima are on facets, some between them
+    count = round(2 * np.pi / pitch) * parts
     eye, cameras = np.asarray(best.unit.e, float), [best.unit]
     for turn in 2 * np.pi * np.arange(1, count) / count:
         rotation = _rotation(turn * line.axis)
@@ -272,6 +282,7 @@ def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
             places.append(place)
         if worse == LIKELY:
             break
+    solver.walked.append((best.unit, line, places))
     return places
 
 

@@ -81,6 +81,8 @@ class Solver:
 
     def weigh(self, weights: np.ndarray) -> None:
         """Set how much each pixel counts."""
+        #: Walks all round a line: from there another need not be taken.
+        self.walked: list[tuple[Camera, Revolution, list[Found]]] = []
         self._weights = weights
         size = _size(self.capacity.pieces)
         least = LEAST_CELLS * 4 ** ((size + 1) // 2)
