@@ -10,12 +10,16 @@ from pinhole_jax._fit.revolution import revolutions
 TURN, SHIFT = Rotation.from_rotvec([0.4, 1.1, -0.7]).as_matrix(), np.array([3.0, -4.0, 5.0])
 
 
-def mug(sections):
-    body = trimesh.creation.cylinder(radius=0.8, height=2, sections=sections)
-    handle = trimesh.creation.torus(0.35, 0.08, major_sections=24, minor_sections=12)
-    handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    handle.apply_translation([0.85, 0, 0])
-    return np.asarray((body + handle).vertices)
+def handle(at, major=24, minor=12):
+    ring = trimesh.creation.torus(0.35, 0.08, major_sections=major, minor_sections=minor)
+    ring.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    ring.apply_translation([at, 0, 0])
+    return ring
+
+
+def mug(sections, height=2.0, **dense):
+    body = trimesh.creation.cylinder(radius=0.8, height=height, sections=sections)
+    return np.asarray((body + handle(0.85, **dense)).vertices)
 
 
 def with_bump(sections):
@@ -25,23 +29,12 @@ def with_bump(sections):
     return np.asarray((body + bump).vertices)
 
 
-def mug_of_height(height, sections=64):
-    body = trimesh.creation.cylinder(radius=0.8, height=height, sections=sections)
-    handle = trimesh.creation.torus(0.35, 0.08, major_sections=24, minor_sections=12)
-    handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    handle.apply_translation([0.85, 0, 0])
-    return np.asarray((body + handle).vertices)
-
-
 def pot(cut):
     """A ball cut off, with a handle."""
     height = np.linspace(cut, 1, 24)
     profile = np.stack([np.sqrt(np.maximum(1 - height**2, 0)), height], axis=-1)
     body = trimesh.creation.revolve(np.concatenate([[[0, cut]], profile]), sections=48)
-    handle = trimesh.creation.torus(0.35, 0.08, major_sections=24, minor_sections=12)
-    handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    handle.apply_translation([1.0, 0, 0])
-    return np.asarray((body + handle).vertices)
+    return np.asarray((body + handle(1.0)).vertices)
 
 
 def rings(sections, number):
@@ -51,23 +44,15 @@ def rings(sections, number):
     return np.concatenate([ring + np.array([0, 0, z]) for z in np.linspace(-1, 1, number)])
 
 
-def with_dense_handle():
-    body = trimesh.creation.cylinder(radius=0.8, height=2, sections=64)
-    handle = trimesh.creation.torus(0.35, 0.08, major_sections=200, minor_sections=100)
-    handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    handle.apply_translation([0.85, 0, 0])
-    return np.asarray((body + handle).vertices)
-
-
 @pytest.mark.parametrize("turn", [np.eye(3), TURN])
 @pytest.mark.parametrize(
     ("vertices", "sections"),
     [
-        *((mug_of_height(h), 64) for h in (0.96, 1.2, 1.36, 1.6, 2.08)),
+        *((mug(64, h), 64) for h in (0.96, 1.2, 1.36, 1.6, 2.08)),
         (pot(-0.5), 48),
         (rings(64, 150), 64),
         (rings(32, 600), 32),
-        (with_dense_handle(), 64),
+        (mug(64, major=200, minor=100), 64),
     ],
 )
 def test_bodies_as_people_model_them(vertices, sections, turn):

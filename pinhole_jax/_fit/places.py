@@ -6,7 +6,7 @@ sides. So a fit whose Jacobian calls a turn or shift nearly free walks along it,
 such a minimum, descends again at each, and asks whether the mask's own noise forbids what it finds.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -138,10 +138,12 @@ def _worth_a_walk(solver: Solver, best: Found) -> list[_Direction]:
     """
     round_about = _round(solver, best)
     other = _nearly_free(solver, best) or _doubtful(solver, best)
-    if len(round_about) == 1 and (axis := round_about[0].axis) is not None:
+    if len(round_about) == 1:
+        axis = solver.revolutions[0].axis
         other = [d for d in other if d.axis is None or abs(d.axis @ axis) < SAME_AXIS]
-    walked = len(round_about) == 1 or all(d.axis is None for d in other)
-    return other + (round_about if walked else [])
+    elif any(d.axis is not None for d in other):
+        return other
+    return other + round_about
 
 
 def equal_views(solver: Solver, view: View, best: View, times: float = EQUAL_TIMES) -> bool:
@@ -250,8 +252,13 @@ def _along(solver: Solver, best: Found, direction: _Direction) -> list[Found]:
     """Return where descents lead to from both sides of a camera."""
     if direction.line is not None:
         return _around(solver, best, direction.line)
-    far = (sign * stride for sign in (1, -1) for stride in STRIDES)
-    return [p for x in far if (p := _descended(solver, best, direction, x)) is not None]
+    return _strides(solver, best, direction, [s * x for s in (1, -1) for x in STRIDES])
+
+
+def _strides(solver: Solver, best: Found, direction: _Direction, far: list[float]) -> list[Found]:
+    """Return where descents lead to from so far (rad) along a direction."""
+    starts = (solver.step(best.unit, solver.finest, x * direction.move) for x in far)
+    return _finite(_descended(solver, start) for start in starts)
 
 
 def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
@@ -265,44 +272,44 @@ def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
     if line.pitch is not None and pitch > LONGEST:
         parts = max(parts, 2)  # minima are on facets, some between them
     count = round(2 * np.pi / pitch) * parts
-    eye, cameras = np.asarray(best.unit.e, float), [best.unit]
+    cameras = [best.unit]
     for turn in 2 * np.pi * np.arange(1, count) / count:
         rotation = _rotation(turn * line.axis)
-        cameras.append(_rotated(best.unit, rotation, line.centre + rotation @ (eye - line.centre)))
-    surplus = np.array([_surplus(solver, solver.glance(c)) for c in cameras])
+        cameras.append(_rotated(best.unit, rotation, line.centre - rotation @ line.centre))
+    surplus = _glances(solver, cameras)
     lower = (surplus <= np.roll(surplus, 1)) & (surplus <= np.roll(surplus, -1))
     lower[0] = False
     places, worse = [], 0
     # (The golden ratio: where many are as good as one another, some all round.)
     order = np.lexsort((np.arange(count) * 0.618034 % 1, surplus))
     for k in order[lower[order]][:MOST]:
-        place = solver.descended(cameras[k], min(STEPS, solver.max_steps))
-        worse += not equal_views(solver, place.view, best.view, WALK_TIMES)
-        if np.isfinite(place.view.squares):
-            places.append(place)
+        places.append(_descended(solver, cameras[k]))
+        worse += not equal_views(solver, places[-1].view, best.view, WALK_TIMES)
         if worse == LIKELY:
             break
+    places = _finite(places)
     solver.walked.append((best.unit, line, places))
     return places
 
 
 def _alike(solver: Solver, best: Found) -> list[Found]:
     """Return where descents lead to from the likeliest cameras that see the facets alike."""
-    eye = np.asarray(best.unit.e, float)
-    cameras = [
-        _rotated(best.unit, turn.rotation, turn.rotation @ eye + turn.shift)
-        for turn in solver.turns
-    ]
-    surplus = np.array([_surplus(solver, solver.glance(c)) for c in cameras])
+    cameras = [_rotated(best.unit, *turn) for turn in solver.turns]
+    surplus = _glances(solver, cameras)
     nearest = [cameras[k] for k in np.argsort(surplus)[:FEW] if np.isfinite(surplus[k])]
-    places = [solver.descended(c, min(STEPS, solver.max_steps)) for c in nearest]
+    return _finite(_descended(solver, camera) for camera in nearest)
+
+
+def _glances(solver: Solver, cameras: list[Camera]) -> np.ndarray:
+    return np.array([_surplus(solver, solver.glance(camera)) for camera in cameras])
+
+
+def _descended(solver: Solver, camera: Camera) -> Found:
+    return solver.descended(camera, min(STEPS, solver.max_steps))
+
+
+def _finite(places: Iterable[Found]) -> list[Found]:
     return [p for p in places if np.isfinite(p.view.squares)]
-
-
-def _descended(solver: Solver, best: Found, direction: _Direction, far: float) -> Found | None:
-    start = solver.step(best.unit, solver.finest, far * direction.move)
-    place = solver.descended(start, min(STEPS, solver.max_steps))
-    return place if np.isfinite(place.view.squares) else None
 
 
 def _as_good(
@@ -332,8 +339,7 @@ def _as_good(
         pitch = min(separation(solver, p.unit, best.unit) for p in equal)
         for d in directions:
             steps = [s * k * pitch for s in (1, -1) for k in range(1, 2 * MANY)]
-            more = [p for x in steps if (p := _descended(solver, best, d, x)) is not None]
-            equal = others([*equal, *more])
+            equal = others([*equal, *_strides(solver, best, d, steps)])
     if exact and len(equal) < MANY:
         return Places(best, equal, [])
     return Places(best, [], _intervals(solver, best, equal, directions))
@@ -417,7 +423,7 @@ def mirrored(solver: Solver, found: Found) -> Iterator[Camera]:
         return
     _, principal = np.linalg.eigh(points.T @ points)
     reach = np.max(points @ DIRECTIONS.T, axis=0)
-    axes, eye = axes_of(found.unit), np.asarray(found.unit.e, float)
+    axes = axes_of(found.unit)
     seen: list[np.ndarray] = []
     for signs in np.array(np.meshgrid(*[[1, -1]] * 3)).reshape(3, 8).T[1:]:
         image = principal @ (signs[:, None] * principal.T)
@@ -429,17 +435,18 @@ def mirrored(solver: Solver, found: Found) -> Iterator[Camera]:
             turned[2] = -turned[2]
         rotation = turned.T @ axes
         seen.append(rotation)
-        yield _rotated(found.unit, rotation, centre + rotation @ (eye - centre))
+        yield _rotated(found.unit, rotation, centre - rotation @ centre)
     if solver.revolutions:
         return  # turns about these are walked
     for rotation, shift in solver.turns[:TURNS]:
         if all(np.linalg.norm(rotation - other) > ONE_TURN for other in seen):
-            yield _rotated(found.unit, rotation, rotation @ eye + shift)
+            yield _rotated(found.unit, rotation, shift)
 
 
-def _rotated(camera: Camera, rotation: np.ndarray, eye: np.ndarray) -> Camera:
-    """Return a camera turned by a rotation (3, 3), at an eye."""
+def _rotated(camera: Camera, rotation: np.ndarray, shift: np.ndarray) -> Camera:
+    """Return a camera that x -> rotation x + shift brings with it."""
     e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
+    eye = rotation @ e + shift
     dtype = np.asarray(camera.e).dtype
     pose: Any = [x.astype(dtype) for x in (eye, eye + rotation @ (p - e), rotation @ u)]
     return eqx.tree_at(lambda c: [c.e, c.p, c.u], camera, pose)

@@ -64,7 +64,7 @@ def _turns(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) ->
         return float(np.mean(np.isfinite(off)))
 
     found: list[Turn] = []
-    tried = 0
+    known, tried = np.eye(3)[None], 0
     for first, others in _shapes(corners, area, size):
         for begin in range(3):
             frames = _frames(np.roll(corners[others], -begin, axis=1))
@@ -72,11 +72,11 @@ def _turns(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) ->
             shifts = middles[others] - rotations @ middles[first]
             tried += len(others)
             for turn in map(Turn, rotations, shifts):
-                known = np.stack([np.eye(3), *(t.rotation for t in found)])
                 if np.any(np.linalg.norm(known - turn.rotation, axis=(1, 2)) < ONE):
                     continue
                 if alike(few, turn) >= MOST / 2 and alike(looked_at, turn) >= MOST:
                     found.append(turn)
+                    known = np.concatenate([known, turn.rotation[None]])
         if tried > TURNS:
             break
     return found
