@@ -164,9 +164,10 @@ def test_derivatives_are_differences_of_the_oracle():
         ]
         return np.sum(up * union_per_pixel(shapes, W, H))
 
-    # (Forward mode through a lens is what residuals and their Jacobian are held against.)
     gradient = jax.jit(jax.grad(ours))(flat)
     assert np.all(np.isfinite(gradient))
+    forward = jax.jit(lambda x, v: jax.jvp(ours, (x,), (v,))[1])(flat, jnp.ones_like(flat))
+    np.testing.assert_allclose(forward, np.sum(gradient), rtol=1e-9)
     # The lens's coefficients one by one (all else costs the oracle minutes), then all at once.
     ways = np.concatenate([np.eye(len(flat))[14:19], rng.normal(size=(3, len(flat)))])
     expected = [
