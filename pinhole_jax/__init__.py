@@ -1,31 +1,38 @@
 """A differentiable pinhole camera that recovers pose and intrinsics from images."""
 
-from . import formats as formats, io as io, plot as plot, report as report, shapes as shapes
-from ._camera.camera import Camera as Camera, camera_basis as camera_basis
-from ._camera.distortion import (
-    BrownConrady as BrownConrady,
-    Fisheye as Fisheye,
-    Rational as Rational,
-)
-from ._camera.lens import Lens as Lens
-from ._camera.rays import (
-    Rays as Rays,
-    camera_rays as camera_rays,
-    generate_rays as generate_rays,
-    project as project,
-)
-from ._files.cache import cache as cache
-from ._fit.fit_camera import fit_camera as fit_camera
-from ._fit.fit_cameras import fit_cameras as fit_cameras
-from ._fit.fit_points import PointFit as PointFit, fit_points as fit_points
-from ._fit.metrics import iou as iou, pose_error as pose_error
-from ._fit.observability import Observability as Observability, observability as observability
-from ._fit.result import Fit as Fit, Progress as Progress
-from ._scene.scene import Mesh as Mesh, Scene as Scene, Spheres as Spheres
-from ._silhouette.silhouette import silhouette as silhouette
-from ._trace.images import depth as depth, normals as normals
-from ._trace.trace import Hit as Hit, occluded as occluded, trace as trace
-from .io import load_mesh as load_mesh
-from .testing import Certificate as Certificate, check_gradients as check_gradients
+from typing import TYPE_CHECKING
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from ._public import *  # noqa: F403
+else:
+    # To import JAX takes most of a second: it waits until a name is asked for (PEP 562), so that
+    # the command's help and its words about a typo need none.
+
+    def __getattr__(name):
+        """Return a public name or a module of this package, loaded where it is not yet."""
+        from importlib import import_module
+        from importlib.util import find_spec
+
+        if name == "__all__":
+            return [*_public_names()]
+        own = not name.startswith("__")
+        if own and find_spec(f"{__name__}.{name}"):  # alone: others may wait for it to load them
+            return import_module(f"{__name__}.{name}")
+        if own and name in _public_names():
+            return globals()[name]
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+    def __dir__():
+        return sorted({*globals(), *_public_names()} - {"TYPE_CHECKING"})
+
+    def _public_names():
+        """Return all public names; they are this module's from then on."""
+        from importlib import import_module
+
+        public = vars(import_module(f"{__name__}._public"))
+        names = {name: value for name, value in public.items() if not name.startswith("_")}
+        for name, value in names.items():
+            globals().setdefault(name, value)
+        return names

@@ -15,8 +15,10 @@ from test_plot import fit_of
 
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io, shapes
+from pinhole_jax._camera.distortion import MODELS
 from pinhole_jax._fit.parameters import NAMES, check_free
 from pinhole_jax._fit.words import STATUSES
+from pinhole_jax._names import DISTORTIONS, FREE, STATUSES as STATUSES_TOLD
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 
@@ -91,8 +93,10 @@ def test_render_then_fit(folder):
         assert words in fitted.stdout
     angle, _ = pj.pose_error(io.load_camera(out / "camera.json"), CAMERA)
     assert np.rad2deg(angle) < 0.05  # the mask has 8 bits
-    report = json.loads((out / "camera.json").read_text())["fit"]
-    assert report["status"] == "converged"
+    fit = io.load_fit(out / "camera.json")
+    assert fit.status == "converged"
+    assert str(fit) in fitted.stdout
+    assert np.all(np.isfinite(fit.covariance))
     assert io.load_image(out / "overlay.png").shape[1] >= 800
     assert any(cache.rglob("*"))  # compiled programs are kept
 
@@ -123,12 +127,20 @@ def test_render_then_fit(folder):
             ("fit", "bumpy.ply", "black.png", "--fov", "34", "--mask-from", "label=9"),
             "no pixel with the label 9; there are 0",
         ),
+        (
+            ("fit", "bumpy.ply", "inverted.png", "--fov", "34"),
+            "covers 100% of its border, like a black object on white; give `invert` (on the command"
+            " line: --invert)",
+        ),
         (("render", "bumpy.ply", "black.png"), "expected a folder (COLMAP) or one of .json"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(folder, arguments, message):
     Image.new("L", (9, 9)).save(folder / "small.png")
     Image.new("L", (96, 80)).save(folder / "black.png")
+    inverted = Image.new("L", (96, 80), 255)
+    inverted.paste(0, (30, 20, 60, 50))
+    inverted.save(folder / "inverted.png")
     files = [folder / a if "." in a else a for a in arguments]
     done = run(*files, "-o", folder / "nothing", cache=folder / "cache")
     assert done.returncode == 2
@@ -233,6 +245,41 @@ def test_help_says_what_a_camera_file_is(folder):
         assert max(map(len, done.stdout.splitlines())) <= 100
 
 
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (["--help"], 0, "usage: pinhole-jax"),
+        (["fit", "--help"], 0, "usage: pinhole-jax fit"),
+        (["render", "--help"], 0, "usage: pinhole-jax render"),
+        (["convert", "--help"], 0, "usage: pinhole-jax convert"),
+        (["--version"], 0, f"pinhole-jax {pj.__version__}"),
+        (["fit", "a.ply", "b.png", "--fvo", "3"], 2, "unrecognized arguments: --fvo 3"),
+        (["fit", "a.ply"], 2, "the following arguments are required: MASK"),
+        (["fti"], 2, "invalid choice: 'fti'"),
+        ([], 2, "the following arguments are required: COMMAND"),
+    ],
+)
+def test_help_and_words_about_a_typo_need_no_jax(arguments, status, words):
+    code = (
+        "import atexit, runpy, sys; sys.argv = ['pinhole-jax', *sys.argv[1:]];"
+        "heavy = ('jax', 'numpy', 'equinox', 'PIL', 'trimesh', 'skimage', 'scipy');"
+        "atexit.register(lambda: print('loaded', [m for m in heavy if m in sys.modules]));"
+        "runpy.run_module('pinhole_jax', run_name='__main__')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == status
+    assert words in done.stdout + done.stderr
+    assert done.stdout.endswith("loaded []\n")
+
+
+def test_help_tells_what_the_tables_have():
+    assert FREE == NAMES
+    assert STATUSES_TOLD == STATUSES
+    assert {name: tuple(model.powers) for name, model in MODELS.items()} == DISTORTIONS
+
+
 def help_of(name, capsys):
     with pytest.raises(SystemExit):
         command.main([name, "--help"])
@@ -271,6 +318,8 @@ def test_help_says_what_each_status_means(capsys):
 @pytest.mark.parametrize("status", STATUSES)
 def test_only_a_fit_that_converged_has_status_0(folder, status, monkeypatch, capsys):
     fit = fit_of(CAMERA, ("e_x",), [0.1])._replace(status=status)
+    if status == "non_finite":
+        fit = fit._replace(rms=np.nan, iou=np.nan)
     monkeypatch.setattr("pinhole_jax._fit.fit_camera.fit_camera", lambda *_, **__: fit)
     # What the command sets for its own process would change those of the other tests.
     monkeypatch.setattr(command, "_set_up_jax", lambda options: None)
@@ -279,7 +328,22 @@ def test_only_a_fit_that_converged_has_status_0(folder, status, monkeypatch, cap
     code = command.main(["fit", *files, "--fov", "34", "-o", str(folder / status)])
     assert code == (0 if status == "converged" else 1)
     assert f"status     {status}   ({STATUSES[status]})\n" in capsys.readouterr().out
-    assert json.loads((folder / status / "camera.json").read_text())["fit"]["status"] == status
+    assert io.load_fit(folder / status / "camera.json").status == status
+
+
+def test_an_inverted_mask_is_turned_where_that_is_asked_for(folder, monkeypatch):
+    given = []
+    fit = fit_of(CAMERA, ("e_x",), [0.1])
+    fitted = lambda scene, mask, *_, **__: given.append(mask) or fit
+    monkeypatch.setattr("pinhole_jax._fit.fit_camera.fit_camera", fitted)
+    monkeypatch.setattr(command, "_set_up_jax", lambda options: None)
+    mask = np.zeros((80, 96), np.uint8)
+    mask[20:50, 30:60] = 255
+    Image.fromarray(255 - mask).save(folder / "negative.png")
+    files = [str(folder / name) for name in ("bumpy.ply", "negative.png")]
+    out = str(folder / "turned")
+    assert command.main(["fit", *files, "--fov", "34", "--invert", "-o", out]) == 0
+    np.testing.assert_array_equal(given[0], mask)
 
 
 def test_the_version_is_told(capsys):

@@ -5,19 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._names import STATUSES as STATUSES
 from .parameters import LABELS
-
-#: What `Fit.status` may be, and what each means: help, pages and README say it from here.
-STATUSES = {
-    "converged": "the gradient vanishes, the masks overlap, every direction is determined",
-    "ambiguous": "at rest, but other views explain the mask as well",
-    "rank_deficient": "at rest, but the mask does not determine some direction",
-    "misfit": "at rest, but the mask is not explained as its kind (exact, hard, noisy) allows",
-    "max_steps": "stopped while still moving",
-    "no_overlap": "object and mask hardly overlap: their IoU is below a half",
-    "saturated": "the object covers the whole film: there is no outline to follow",
-    "non_finite": "NaN or infinity turned up",
-}
 
 
 class Row(NamedTuple):

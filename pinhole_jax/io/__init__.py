@@ -1,4 +1,4 @@
-"""Files in and out: meshes, masks, pictures, the project's own camera JSON."""
+"""Files in and out: meshes, masks, pictures, the project's own JSON of cameras and fits."""
 
 from ..formats.native import (
     CAMERA_SCHEMA as CAMERA_SCHEMA,
@@ -6,6 +6,13 @@ from ..formats.native import (
     camera_to_dict as camera_to_dict,
     load_camera as load_camera,
     save_camera as save_camera,
+)
+from .fits import (
+    FIT_SCHEMA as FIT_SCHEMA,
+    fit_from_dict as fit_from_dict,
+    fit_to_dict as fit_to_dict,
+    load_fit as load_fit,
+    save_fit as save_fit,
 )
 from .images import (
     MOST_PIXELS as MOST_PIXELS,

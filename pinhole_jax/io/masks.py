@@ -19,6 +19,9 @@ WAYS = "alpha, luminance, label=N, background=COLOR (or COLOR,TOLERANCE)"
 DARK, LIGHT = 26, 229
 #: Channels that differ by less than this (of 255) are grey: JPEG leaves a few.
 GREY = 8
+#: A picture whose border is covered by more than this is rather black on white. (An object that the
+#: frame cuts off on all sides leaves more of it free.)
+MOST_BORDER = 0.9
 #: Parts and holes smaller than this share of the largest part are noise.
 SPECK = 5e-3
 #: Soft edges of a background mask reach this far (px) to both sides.
@@ -33,26 +36,30 @@ def load_mask(
     path: str | os.PathLike[str],
     mask_from: str | None = None,
     say: Callable[[str], Any] | None = None,
+    *,
+    invert: bool = False,
 ) -> np.ndarray:
     """Return a mask file as uint8 (H, W), 255 where the object is; turned upright as `load_image`.
 
     `mask_from` is how to read it:
 
     - None: transparency if it varies, else a grey picture that is mostly black and white, soft
-      edges as they are (a JPEG's too: its ringing costs a fit less than a threshold would).
+      edges as they are (a JPEG's too: its ringing costs a fit less than a threshold would). One
+      that covers its border, as black on white does, is refused: give `invert`, or say how it is.
     - "alpha": the transparency. "luminance": the brightness, whatever it is.
     - "label=N": the pixels with this grey value or palette entry; edges are hard.
     - "background=COLOR": a photo before a background of one colour, by name or as #rrggbb. The
       object is what is farther from it in CIE Lab than Otsu's threshold, or than the tolerance of
       "background=COLOR,TOLERANCE" (2.3 is just noticeable); edges are soft where colours mix.
 
-    `say` is told how it was read, where that is not just a grey mask as it is.
+    `invert`: what was read is the background, the rest the object. `say` is told how it was read,
+    where that is not just a grey mask as it is.
 
     Raises FileNotFoundError or ValueError like `load_image`, and ValueError for a picture that does
     not hold what is asked for.
     """
     way = way_of(mask_from)
-    read = from_picture(path, "a mask", lambda image: read_mask(image, way))
+    read = from_picture(path, "a mask", lambda image: read_mask(image, way, invert))
     if say is not None and read.words:
         say(read.words)
     return read.mask
@@ -94,12 +101,36 @@ def way_of(mask_from: str | None) -> Way:
     raise ValueError(f"`mask_from`: expected one of {WAYS}, got {text!r}")
 
 
-def read_mask(image: Image, way: Way) -> Read:
+def read_mask(image: Image, way: Way, invert: bool = False) -> Read:
     """Return the mask that a picture holds; at first sight its transparency if that varies, else
-    its brightness if that is a mask's.
+    its brightness if that is a mask's. `invert`: what is read is the background.
 
     Raises ValueError with what the picture holds instead.
     """
+    read = _read(image, way)
+    if invert:
+        return Read(255 - read.mask, f"{read.words or 'mask: its brightness'}, inverted")
+    if way.name == "first sight":
+        _check_border(read)
+    return read
+
+
+def _check_border(read: Read) -> None:
+    """Raise ValueError for a mask that covers its border, and yet not all of the picture."""
+    mask = read.mask
+    border = np.concatenate([mask[0], mask[-1], mask[1:-1, 0], mask[1:-1, -1]])
+    share = np.count_nonzero(border > 127) / border.size
+    if share <= MOST_BORDER or np.all(mask > 127):
+        return
+    way = "alpha" if read.words else "luminance"
+    raise ValueError(
+        f"a picture that covers {share:.0%} of its border, like a black object on white; give"
+        " `invert` (on the command line: --invert), or where it is right"
+        f" `mask_from` {way} (--mask-from {way})"
+    )
+
+
+def _read(image: Image, way: Way) -> Read:
     if way.name == "alpha":
         return _alpha(image)
     if way.name == "luminance":

@@ -1,0 +1,192 @@
+"""What the command understands, and how it says so. JAX is not imported here: help, the version and
+words about a typo come at once."""
+
+import argparse
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from .. import __version__
+from .._names import DISTORTIONS, FREE, STATUSES
+
+#: The models of a lens's distortion, with their coefficients, as a camera file has them.
+EXAMPLES = "\n  ".join(
+    json.dumps({"model": name, **dict.fromkeys(names, 0)}) for name, names in DISTORTIONS.items()
+)
+EPILOG = """\
+camera files are JSON with the parameters of Frisvad's note, world units and radians:
+  {"e": [x, y, z], "p": [x, y, z], "u": [x, y, z], "phi": 0.6, "d": 1, "W": 256, "H": 256}
+eye e, view point p, up u, vertical field of view phi, camera constant d, resolution W x H; "lens"
+may add {"principal_point": [x, y], "aspect": 1} (px, origin at the bottom left, y up), and in it
+"distortion", one of OpenCV's models:
+  EXAMPLES
+Masks are grey images (white is the object), or images whose transparency is the mask; --mask-from
+reads others:
+  alpha                 the transparency
+  luminance             the brightness, whatever it is
+  label=N               a label image's pixels of this grey value or palette entry
+  background=COLOR      a photo before a background of one colour (white, #1e90ff): what is farther
+                        from it in CIE Lab than Otsu's threshold (scikit-image), or than T with
+                        background=COLOR,T; edges are soft where colours mix
+Pictures are PNG, JPEG, TIFF, WebP, BMP or PNM. What is written replaces a file; to /dev/stdout or
+a pipe it is written through, and devices are refused.
+""".replace("EXAMPLES", EXAMPLES)
+
+STATUS = "\n".join(
+    ["the status of a fit is converged where its camera is to be trusted, else why it is not:"]
+    + [f"  {status:16}{meaning}" for status, meaning in STATUSES.items()]
+)
+
+CONVERT = """\
+Turn the cameras of IN into another program's file. Formats, and the endings that ask for them:
+  json            the one below                    .json
+  opencv          cv::FileStorage YAML             .yaml .yml
+  colmap          a folder of text files           a folder (colmap-binary: of .bin files)
+  nerf            NeRF, nerfstudio, instant-ngp    transforms*.json
+  blender         Blender's settings as JSON       *blender*.json
+  blender-script  a script to run in Blender       .py (written only)
+  gltf            glTF 2.0                         .gltf .glb
+  pytorch3d       PyTorch3D's arrays as JSON       *pytorch3d*.json
+  mitsuba         Mitsuba XML                      .xml
+"""
+
+
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """Return the options of a command line (None: this process's); `command` is which command.
+
+    Ends the process after help or the version, and with 2 and words where something is wrong.
+    """
+    return _parser().parse_args(arguments)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="pinhole-jax",
+        description="A differentiable pinhole camera: recover it from a mask, or render a mask.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"pinhole-jax {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _add_fit(commands)
+    _add_render(commands)
+    _add_convert(commands)
+    return parser
+
+
+def _add_fit(commands: Any) -> None:
+    fit = commands.add_parser(
+        "fit",
+        help="recover the camera from a mesh and a mask",
+        description="Recover the camera that sees MESH as MASK: from a start some 20 degrees off,"
+        " or\nwithout one from the field of view (or, with phi among --free, from nothing).\n"
+        "Writes camera.json and overlay.png, prints parameters with their standard errors.\n"
+        "Photos that were taken sideways are turned upright as their EXIF data say.\n"
+        "Exit status: 0 converged, 1 not to be trusted (the status says why), 2 bad input.",
+        epilog=f"{STATUS}\n\n{EPILOG}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    fit.add_argument("mesh", metavar="MESH", help="triangles: obj, ply, stl, glb, gltf or off")
+    fit.add_argument("mask", metavar="MASK", help="image of the camera's size, white on black")
+    start = fit.add_mutually_exclusive_group()
+    start.add_argument(
+        "--camera",
+        metavar="START",
+        help="where to start (else: search): a camera file, see below, or any that `convert` reads;"
+        " FILE:NAME is one of several",
+    )
+    start.add_argument(
+        "--K",
+        nargs=4,
+        type=float,
+        metavar=("FX", "FY", "CX", "CY"),
+        help="known intrinsics in px (OpenCV's K), to search with",
+    )
+    start.add_argument(
+        "--fov",
+        type=float,
+        metavar="DEGREES",
+        help="vertical field of view, to search with (default: what the EXIF data of PHOTO say)",
+    )
+    fit.add_argument(
+        "--dist",
+        nargs="+",
+        type=float,
+        metavar="K1",
+        help="with --K: OpenCV's k1 k2 p1 p2, k3, k4 k5 k6",
+    )
+    fit.add_argument(
+        "--pixel-centres",
+        choices=("integer", "half"),
+        default="integer",
+        help="where CX, CY of --K count from: the first pixel's centre is 0 (OpenCV) or 0.5"
+        " (COLMAP); default: %(default)s",
+    )
+    fit.add_argument(
+        "--free",
+        default="pose",
+        metavar="NAMES",
+        help=f"what to fit, with commas, of {', '.join(FREE)}: pose is position and orientation,"
+        " phi and d are the focal length in two ways, distortion is all coefficients of the lens;"
+        " the rest stays as it is at the start (default: %(default)s)",
+    )
+    fit.add_argument(
+        "--mask-from", metavar="HOW", help="how to read MASK, see below (default: at first sight)"
+    )
+    fit.add_argument("--invert", action="store_true", help="what MASK covers is the background")
+    fit.add_argument("--weight", metavar="IMAGE", help="grey image: how much each pixel counts")
+    fit.add_argument("--image", metavar="PHOTO", help="what to draw the outline on (default: MASK)")
+    fit.add_argument(
+        "--report", metavar="PAGE.html", help="write a page with pictures, errors, all formats"
+    )
+    fit.add_argument("--verbose", action="store_true", help="say on stderr what goes on")
+    fit.add_argument(
+        "-o", "--output", default="out", metavar="FOLDER", help="(default: %(default)s)"
+    )
+    _add_cache(fit)
+
+
+def _add_render(commands: Any) -> None:
+    render = commands.add_parser(
+        "render",
+        help="render the mask that a camera sees",
+        description="Render MESH as CAMERA.json sees it: exact coverage, 8 bits.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    render.add_argument("mesh", metavar="MESH", help="triangles: obj, ply, stl, glb, gltf or off")
+    render.add_argument("camera", metavar="CAMERA.json")
+    render.add_argument(
+        "-o", "--output", default="mask.png", metavar="IMAGE", help="(default: %(default)s)"
+    )
+    _add_cache(render)
+
+
+def _add_convert(commands: Any) -> None:
+    convert = commands.add_parser(
+        "convert",
+        help="turn a camera file into another program's",
+        description=CONVERT,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    convert.add_argument("input", metavar="IN", help="a camera file; of COLMAP, the model's folder")
+    convert.add_argument("output", metavar="OUT", help="what to write")
+    convert.add_argument("--from", dest="source", metavar="FORMAT", help="(default: IN says it)")
+    convert.add_argument("--to", dest="target", metavar="FORMAT", help="(default: OUT says it)")
+    convert.add_argument(
+        "--size",
+        nargs=2,
+        type=int,
+        metavar=("W", "H"),
+        help="the image's size in px, where IN does not hold it (glTF, some NeRF files)",
+    )
+    convert.set_defaults(no_cache=True)
+
+
+def _add_cache(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--no-cache",
+        action="store_true",
+        help="do not keep compiled programs in the user's cache folder",
+    )

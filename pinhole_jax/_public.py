@@ -1,0 +1,36 @@
+"""All that users may name, as `pinhole_jax.NAME`: `__init__` loads it when one is asked for."""
+
+from . import (
+    formats as formats,
+    io as io,
+    plot as plot,
+    report as report,
+    shapes as shapes,
+    testing as testing,
+)
+from ._camera.camera import Camera as Camera, camera_basis as camera_basis
+from ._camera.distortion import (
+    BrownConrady as BrownConrady,
+    Fisheye as Fisheye,
+    Rational as Rational,
+)
+from ._camera.lens import Lens as Lens
+from ._camera.rays import (
+    Rays as Rays,
+    camera_rays as camera_rays,
+    generate_rays as generate_rays,
+    project as project,
+)
+from ._files.cache import cache as cache
+from ._fit.fit_camera import fit_camera as fit_camera
+from ._fit.fit_cameras import fit_cameras as fit_cameras
+from ._fit.fit_points import PointFit as PointFit, fit_points as fit_points
+from ._fit.metrics import iou as iou, pose_error as pose_error
+from ._fit.observability import Observability as Observability, observability as observability
+from ._fit.result import Fit as Fit, Progress as Progress
+from ._scene.scene import Mesh as Mesh, Scene as Scene, Spheres as Spheres
+from ._silhouette.silhouette import silhouette as silhouette
+from ._trace.images import depth as depth, normals as normals
+from ._trace.trace import Hit as Hit, occluded as occluded, trace as trace
+from .io import load_mesh as load_mesh
+from .testing import Certificate as Certificate, check_gradients as check_gradients

@@ -1,0 +1,178 @@
+"""A fit's file: the project's own camera JSON, with a field `fit` that has all else of the fit.
+
+The command writes it, and whatever reads cameras reads its camera. JSON has no word for what is not
+finite: NaN is null, infinities are texts; a standard error is null where it is either.
+"""
+
+import os
+from typing import Any
+
+import jax
+import numpy as np
+
+from .._camera.camera import Camera
+from .._files.paths import read_json
+from .._fit.result import Fit, Progress
+from .._fit.words import STATUSES
+from ..formats.fields import Fields, short
+from ..formats.native import camera_from_dict, camera_to_dict, save_camera
+
+FIT_SCHEMA = "pinhole_jax.fit/1"
+#: What stands for numbers that JSON has no word for.
+NOT_FINITE: dict[str | None, float] = {None: np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
+
+
+def fit_to_dict(fit: Fit) -> dict[str, Any]:
+    """Return the fit as JSON-ready numbers: its camera's (`camera_to_dict`), and in `fit` the rest.
+
+    - `dtype`: the camera's float type.
+    - `std`: by name; null where the mask does not determine a parameter.
+    - `names`: in the order of `covariance`; NaN is null there, infinity "Infinity".
+    - `modes`: each is a fit of its own. `history`: `camera`, `W`, `H`, `steps` of each.
+    - all else as a `Fit` has it.
+    """
+    if not isinstance(fit, Fit):
+        raise ValueError(f"`fit`: expected a Fit, got {type(fit).__name__}")
+    return {**camera_to_dict(fit.camera), "fit": _rest(fit)}
+
+
+def fit_from_dict(data: Any) -> Fit:
+    """Return the fit of `fit_to_dict`'s numbers, equal to the last bit.
+
+    A camera of float64 becomes one of float32 where JAX has no other (`jax_enable_x64` is off).
+
+    Raises ValueError where a field is missing or is not what it should be.
+    """
+    return _fit(Fields(data, "`fit`"))
+
+
+def save_fit(path: str | os.PathLike[str], fit: Fit) -> None:
+    """Write a fit as JSON (see `fit_to_dict`); `load_camera` and `formats.read` read its camera.
+
+    Raises ValueError for what is no fit, a camera that is not finite, and a path that cannot be
+    written.
+    """
+    save_camera(path, fit.camera, fit=fit_to_dict(fit)["fit"])
+
+
+def load_fit(path: str | os.PathLike[str]) -> Fit:
+    """Return the fit of a JSON file that `save_fit` (or the command) wrote, as `fit_from_dict`.
+
+    Raises FileNotFoundError, or ValueError naming the field that is missing or wrong.
+    """
+    return _fit(Fields(read_json(path, "a fit's file"), repr(str(path))))
+
+
+def _rest(fit: Fit) -> dict[str, Any]:
+    std = np.where(np.isfinite(fit.std), fit.std, np.nan)
+    history = [
+        {"camera": camera_to_dict(camera), "W": int(W), "H": int(H), "steps": int(steps)}
+        for camera, W, H, steps in fit.history
+    ]
+    return {
+        "schema": FIT_SCHEMA,
+        "status": fit.status,
+        "iou": _words(fit.iou),
+        "rms": _words(fit.rms),
+        "dtype": np.dtype(fit.camera.e.dtype).name,
+        "std": dict(zip(fit.names, _words(std), strict=True)),
+        "names": list(fit.names),
+        "covariance": _words(fit.covariance),
+        "steps": [int(count) for count in fit.steps],
+        "weak": list(fit.weak),
+        "modes": [fit_to_dict(mode) for mode in fit.modes],
+        "history": history,
+    }
+
+
+def _words(numbers: Any) -> Any:
+    """Return a number or an array as JSON has it: lists, and words for what is not finite."""
+    if np.ndim(numbers):
+        return [_words(part) for part in numbers]
+    if np.isnan(numbers):
+        return None
+    return float(numbers) if np.isfinite(numbers) else "Infinity" if numbers > 0 else "-Infinity"
+
+
+def _fit(fields: Fields) -> Fit:
+    expected = "what `save_fit` writes beside a camera"
+    if not isinstance(fields.get("fit", expected), dict):
+        raise fields.wrong("fit", expected, fields.data["fit"])
+    rest = fields.part("fit")
+    rest.text("schema", (FIT_SCHEMA,))
+    status = rest.text("status", [*STATUSES])
+    dtype = np.dtype(rest.text("dtype", ("float32", "float64")))
+    names = _texts(rest, "names")
+    covariance = _numbers(rest, "covariance", (len(names), len(names)))
+    return Fit(
+        camera=_camera(fields, dtype),
+        status=status,
+        names=names,
+        covariance=covariance,
+        std=_std(rest.part("std"), names, covariance),
+        rms=float(_numbers(rest, "rms", ())),
+        iou=float(_numbers(rest, "iou", ())),
+        steps=_counts(rest, "steps"),
+        weak=_texts(rest, "weak"),
+        modes=tuple(_fit(mode) for mode in rest.parts("modes")),
+        history=tuple(_progress(step, dtype) for step in rest.parts("history")),
+    )
+
+
+def _camera(fields: Fields, dtype: np.dtype) -> Camera:
+    try:
+        camera = camera_from_dict(fields.data)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{error} (in {fields.where})") from None
+    known = jax.dtypes.canonicalize_dtype(dtype)
+    return jax.tree.map(lambda leaf: leaf.astype(known), camera)
+
+
+def _progress(fields: Fields, dtype: np.dtype) -> Progress:
+    counts = (fields.integer(name, least) for name, least in (("W", 1), ("H", 1), ("steps", 0)))
+    return Progress(_camera(fields.part("camera"), dtype), *counts)
+
+
+def _std(fields: Fields, names: tuple[str, ...], covariance: np.ndarray) -> np.ndarray:
+    """Return the standard errors; null is NaN where the variance is, else infinity."""
+    std = np.array([float(_numbers(fields, name, ())) for name in names])
+    unknown = np.where(np.isnan(np.diag(covariance)), np.nan, np.inf)
+    return np.where(np.isnan(std), unknown, std)
+
+
+def _counts(fields: Fields, name: str) -> tuple[int, ...]:
+    counts = fields.array(name, (-1,), "a list of counts")
+    if np.any(counts % 1) or np.any(counts < 0):
+        raise fields.wrong(name, "a list of counts", counts)
+    return tuple(map(int, counts))
+
+
+def _texts(fields: Fields, name: str) -> tuple[str, ...]:
+    value = fields.get(name, "a list of texts")
+    if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
+        raise fields.wrong(name, "a list of texts", short(value))
+    return tuple(value)
+
+
+def _numbers(fields: Fields, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    """Return numbers of this shape, float64, and what is not finite by its words."""
+    expected = f"numbers of shape {shape}" if shape else "a number"
+    value = fields.get(name, expected)
+    try:
+        array = np.array(_read(value), float)
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise fields.wrong(name, expected, short(value)) from None
+    # No parameters, no rows: an empty list has the shape of what is empty.
+    if array.shape != shape and (array.size or 0 not in shape):
+        raise fields.wrong(name, expected, short(value))
+    return array.reshape(shape)
+
+
+def _read(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_read(part) for part in value]
+    if value is None or isinstance(value, str):
+        return NOT_FINITE[value]
+    if isinstance(value, bool):
+        raise TypeError(value)
+    return value

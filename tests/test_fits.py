@@ -1,0 +1,179 @@
+"""A fit's file gives the fit back to the last bit, and words where it is none."""
+
+import inspect
+import json
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+import pinhole_jax as pj
+from pinhole_jax import formats, io
+
+#: Thirds and roots have no short decimals.
+LENS = pj.Lens([31.7, 24 + 1 / 3], 1 / 1.1, pj.BrownConrady(-0.01 / 3, 1e-3, 1e-4))
+PLAIN = pj.Camera([1 / 3, 1.1, 5], [0.1, 0, 0], [0, 1, 0.1], np.sqrt(0.4), 1 / 7, 64, 48)
+CAMERA = PLAIN.replace(lens=LENS)
+STEP = {"camera": io.camera_to_dict(PLAIN), "W": 16, "H": 12, "steps": 3}
+
+
+def fit_of(camera, status="ambiguous", modes=()):
+    covariance = np.array(
+        [
+            [0.1 / 3, -1e-17, np.nan],
+            [-1e-17, np.finfo(float).tiny / 8, -np.inf],
+            [np.nan, -np.inf, np.inf],
+        ]
+    )
+    std = np.sqrt(np.diag(covariance))
+    history = (pj.Progress(PLAIN, 16, 12, 0), pj.Progress(camera, 64, 48, 7))
+    names, weak = ("rotation_b1", "e_x", "phi"), ("the turn about the axis (0.00, 1.00, 0.00)",)
+    fit = pj.Fit(camera, status, names, covariance, std, 1 / 3, 0.99, (3, 4), weak)
+    return fit._replace(modes=tuple(modes), history=history)
+
+
+def assert_equal(fit, other):
+    assert jax.tree.structure(fit) == jax.tree.structure(other)
+    for a, b in zip(jax.tree.leaves(fit), jax.tree.leaves(other), strict=True):
+        assert type(a) is type(b)
+        if isinstance(a, str):
+            assert a == b
+        else:
+            assert np.asarray(a).dtype == np.asarray(b).dtype
+            np.testing.assert_array_equal(a, b, strict=True)
+
+
+def as_float32(fit):
+    """Return the fit with a camera of float32, as if it had been made of one."""
+    single = lambda camera: jax.tree.map(lambda x: x.astype(np.float32), camera)
+    history = tuple(step._replace(camera=single(step.camera)) for step in fit.history)
+    modes = tuple(map(as_float32, fit.modes))
+    return fit._replace(camera=single(fit.camera), history=history, modes=modes)
+
+
+@pytest.mark.parametrize("name", ["all", "float32", "plain", "non_finite", "nothing"])
+def test_a_fit_comes_back_to_the_last_bit(name, tmp_path):
+    fit = fit_of(CAMERA, modes=[fit_of(PLAIN, "converged"), fit_of(CAMERA, "rank_deficient")])
+    if name == "float32":
+        fit = as_float32(fit)
+    if name == "plain":
+        fit = fit_of(PLAIN, "converged")._replace(history=())
+    if name == "non_finite":
+        nothing = np.full((3, 3), np.nan)
+        fit = fit_of(CAMERA, name)._replace(covariance=nothing, std=np.diag(nothing))
+        fit = fit._replace(rms=np.nan, iou=np.nan)
+    if name == "nothing":
+        nothing = np.zeros((0, 0))
+        fit = fit_of(PLAIN)._replace(names=(), covariance=nothing, std=np.zeros(0), weak=())
+    path = tmp_path / "deep" / "fit.json"
+    io.save_fit(path, fit)
+    assert_equal(io.load_fit(path), fit)
+    assert_equal(io.fit_from_dict(io.fit_to_dict(fit)), fit)
+
+
+@pytest.mark.long
+def test_a_fit_that_was_made_comes_back(tmp_path):
+    scene = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0], [0.6, 0.2, 0.3]], [0.5, 0.4]))
+    truth = pj.Camera([0.3, 1, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 32, 24)
+    start = truth.replace(e=[0.4, 1, 5])
+    fit = pj.fit_camera(scene, np.asarray(pj.silhouette(truth, scene)), start, record=True)
+    assert np.any(np.isinf(fit.covariance))
+    assert fit.history
+    io.save_fit(tmp_path / "fit.json", fit)
+    back = io.load_fit(tmp_path / "fit.json")
+    assert_equal(back, fit)
+    assert str(back) == str(fit)
+
+
+def test_a_fits_file_is_strict_json_and_a_camera_file(tmp_path):
+    path = tmp_path / "fit.json"
+    io.save_fit(path, fit_of(CAMERA, modes=[fit_of(PLAIN)]))
+
+    def refused(word):
+        raise AssertionError(word)
+
+    data = json.loads(path.read_text(), parse_constant=refused)
+    assert data == io.fit_to_dict(fit_of(CAMERA, modes=[fit_of(PLAIN)]))
+    assert data["fit"]["std"] == {
+        "rotation_b1": np.sqrt(0.1 / 3),
+        "e_x": np.sqrt(np.finfo(float).tiny / 8),
+        "phi": None,
+    }
+    assert data["fit"]["covariance"][2] == [None, "-Infinity", "Infinity"]
+    for read in (io.load_camera, formats.read_one):
+        assert jax.tree.all(jax.tree.map(np.array_equal, read(path), CAMERA))
+    assert io.camera_from_dict(data["fit"]["modes"][0]).W == 64
+
+
+def test_what_is_no_fit_is_not_written(tmp_path):
+    # Unwrapped, as users have it: the tests' own check of types would come first.
+    with pytest.raises(ValueError, match="`fit`: expected a Fit, got Camera"):
+        inspect.unwrap(io.fit_to_dict)(CAMERA)
+    broken = fit_of(CAMERA)
+    broken = broken._replace(camera=eqx.tree_at(lambda c: c.phi, CAMERA, np.nan))
+    with pytest.raises(ValueError, match="expected what JSON can hold"):
+        io.save_fit(tmp_path / "x.json", broken)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"schema": "pinhole_jax.fit/9"}, "`schema`: expected one of pinhole_jax.fit/1, got"),
+        ({"status": "fine"}, "`status`: expected one of converged, ambiguous"),
+        ({"dtype": "float16"}, "`dtype`: expected one of float32, float64"),
+        ({"names": "phi"}, "`names`: expected a list of texts, got 'phi'"),
+        ({"names": ["e_x", "phi"]}, r"`covariance`: expected numbers of shape \(2, 2\)"),
+        ({"covariance": [["1"] * 3] * 3}, r"`covariance`: expected numbers of shape \(3, 3\)"),
+        ({"covariance": [[1], 2, True]}, r"`covariance`: expected numbers of shape \(3, 3\)"),
+        ({"rms": "small"}, "`rms`: expected a number, got 'small'"),
+        ({"iou": []}, r"`iou`: expected a number, got \[\]"),
+        ({"std": {}}, "`rotation_b1`: expected a number, got no such field"),
+        ({"steps": [1.5]}, r"`steps`: expected a list of counts, got \[1.5\]"),
+        ({"steps": [-1]}, r"`steps`: expected a list of counts, got \[-1"),
+        ({"modes": [{}]}, "`fit`: expected what `save_fit` writes"),
+        ({"history": [{"camera": {}}]}, "`camera`: expected the field 'e'"),
+        ({"history": [io.camera_to_dict(PLAIN)]}, "`camera`: expected an object"),
+        ({"history": [{**STEP, "steps": -1}]}, "`steps`: expected an integer of at least 0"),
+    ],
+)
+def test_a_field_that_is_wrong_is_named(tmp_path, change, message):
+    data = io.fit_to_dict(fit_of(CAMERA))
+    path = tmp_path / "fit.json"
+    path.write_text(json.dumps({**data, "fit": {**data["fit"], **change}}))
+    with pytest.raises(ValueError, match=f"{message}.*fit.json.*"):
+        io.load_fit(path)
+
+
+@pytest.mark.parametrize("field", [*io.fit_to_dict(fit_of(PLAIN))["fit"]])
+def test_a_field_that_is_missing_is_named(tmp_path, field):
+    data = io.fit_to_dict(fit_of(CAMERA))
+    del data["fit"][field]
+    (tmp_path / "fit.json").write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=f"`{field}`: expected .*, got no such field .*fit.json"):
+        io.load_fit(tmp_path / "fit.json")
+
+
+def test_other_files_are_no_fits(tmp_path):
+    path = tmp_path / "camera.json"
+    io.save_camera(path, CAMERA)
+    words = (
+        "`fit`: expected what `save_fit` writes beside a camera, got no such field .*camera.json"
+    )
+    with pytest.raises(ValueError, match=words):
+        io.load_fit(path)
+    io.save_camera(path, CAMERA, fit=3)
+    with pytest.raises(ValueError, match=r"`fit`: expected .*, got 3 .*camera\.json"):
+        io.load_fit(path)
+    path.write_text("[1]")
+    with pytest.raises(ValueError, match=r"expected fields with names, got \[1\] .*camera.json"):
+        io.load_fit(path)
+    path.write_text("no JSON")
+    with pytest.raises(ValueError, match=r"`path`: expected JSON, got .*camera\.json"):
+        io.load_fit(path)
+    path.write_text(json.dumps({"fit": io.fit_to_dict(fit_of(CAMERA))["fit"]}))
+    with pytest.raises(ValueError, match=r"`camera`: expected the field 'e'.*camera\.json"):
+        io.load_fit(path)
+    with pytest.raises(FileNotFoundError, match=r"`path`: expected a fit's file, got .*no\.json"):
+        io.load_fit(tmp_path / "no.json")
