@@ -3,11 +3,14 @@
 Each is few kernels on purpose: what a program takes to compile is its kernels' number.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int, UInt32
+
+from .running import running_sum
 
 
 def count_upto(upto: Int[Array, "n"], value: Int[Array, "*K"]) -> Int[Array, "*K"]:
@@ -61,7 +64,7 @@ def select(mask: Bool[Array, "E"]) -> Selection:
 def selection(words: UInt32[Array, "words"]) -> Selection:
     """Return the set of a word's bits."""
     ones = jax.lax.population_count(words).astype(jnp.int32)
-    upto = jnp.cumsum(ones)
+    upto = running_sum(ones)
     return Selection(words, upto - ones, upto[-1] if upto.shape[0] else jnp.int32(0))
 
 
@@ -69,7 +72,8 @@ def words_of(mask: Bool[Array, "*N"]) -> UInt32[Array, "*words"]:
     """Return booleans, 32 to a word; those of a last axis of 32 as its word."""
     mask = jnp.pad(mask, (0, -mask.shape[0] % 32)) if mask.ndim == 1 else mask
     bits = mask.reshape(-1, 32).astype(jnp.uint32)
-    return jnp.sum(bits << jnp.arange(32, dtype=jnp.uint32)[None], axis=1, dtype=jnp.uint32)
+    # One by one: the compiler makes two kernels of a sum.
+    return functools.reduce(jnp.bitwise_or, (bits[:, k] << k for k in range(32)))
 
 
 def nth(selection: Selection, rank: Int[Array, "K"]) -> Int[Array, "K"]:

@@ -15,6 +15,8 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import PyTree
 
+from .tracing import collector_at_rest
+
 Direction = Callable[[list, list], list]
 
 
@@ -33,10 +35,12 @@ def linear_map(
     linear_leaves, linear_tree = jax.tree.flatten(linear)
     out_shapes, out_tree = jax.tree.flatten(jax.eval_shape(forward, residuals, linear))
 
+    @collector_at_rest()
     def forward_flat(residual: list, x: list) -> list:
         out = forward(residual_tree.unflatten(residual), linear_tree.unflatten(x))
         return out_tree.flatten_up_to(out)
 
+    @collector_at_rest()
     def transpose_flat(residual: list, y: list) -> list:
         out = transpose(residual_tree.unflatten(residual), out_tree.unflatten(y))
         return linear_tree.flatten_up_to(out)

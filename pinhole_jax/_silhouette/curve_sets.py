@@ -7,6 +7,7 @@ curves are cut under distortion, is found once (`find`) and is not differentiate
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -60,12 +61,12 @@ def find(film: FilmMap, scene: Scene) -> Found:
 
 
 def edge_curves(film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour) -> CurveSet:
-    """Return the mesh's contour edges."""
+    """Return the mesh's contour edges, and once more for what of them lies left of the film."""
     return CurveSet(
         lambda ids: edge_segments(film, vertices, contour, ids),
         lambda ids: edge_lifts(film, vertices, contour, ids),
         contour.segments,
-        contour.edge_vertices.shape[0] if contour.cuts is None else None,
+        2 * contour.edge_vertices.shape[0] if contour.cuts is None else None,
     )
 
 
@@ -84,4 +85,21 @@ def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveS
         lambda ids: sphere_frames(film, spheres, ids),
         jnp.int32(number),
         number,
+    )
+
+
+def in_one(first: CurveSet, second: CurveSet) -> CurveSet:
+    """Return two sets of straight curves as one: all that is done with curves is compiled once."""
+
+    def either(a, b, ids):
+        of_first = ids < first.total
+        pairs = a(jnp.where(of_first, ids, 0)), b(jnp.where(of_first, 0, ids - first.total))
+        shaped = lambda x: of_first.reshape(of_first.shape + (1,) * (x.ndim - 1))
+        return jax.tree.map(lambda x, y: jnp.where(shaped(x), x, y), *pairs)
+
+    return CurveSet(
+        lambda ids: either(first.curves, second.curves, ids),
+        lambda ids: either(first.lifts, second.lifts, ids),
+        first.total + second.total,
+        None if first.most is None or second.most is None else first.most + second.most,
     )

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from .._camera.film import Bend, FilmMap
 from .._numerics.bitset import count_upto
+from .._numerics.running import running_sum
 from .._numerics.safe import dot, norm, safe_divide
 from .curves import Arcs, Segments, edge_shares, ends, film_at, homogeneous, unit_at
 
@@ -55,7 +56,7 @@ def cuts(number: Callable[[Array], Array], total: Int[Array, ""] | int, room: in
         return first + COUNTED, counts.at[ids].set(n.astype(jnp.int32), mode="drop")
 
     start = (jnp.int32(0), jnp.zeros(room, jnp.int32))
-    return Cuts(jnp.cumsum(jax.lax.while_loop(lambda s: s[0] < total, body, start)[1]))
+    return Cuts(running_sum(jax.lax.while_loop(lambda s: s[0] < total, body, start)[1]))
 
 
 class Bending(NamedTuple):

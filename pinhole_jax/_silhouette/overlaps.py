@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._numerics.bitset import listed
+from .._numerics.running import running_sum
 from .coverage import Monotone, Pieces, at_row, monotone, piece_counts, split
 from .curves import Curves, ends, placed
 from .sweep import NARROW, WIDE, Cells, Visible, empty_cells, insert, sweep
@@ -42,13 +43,14 @@ SWEPT = {NARROW: 128, WIDE: 8}
 class Part(NamedTuple):
     """Curves of one kind: `curves(ids)` for ids below `total`; `size` is a static chunk of them.
 
-    `lifts(ids)` is what the curves move with, differentiably.
+    `lifts(ids)` is what the curves move with, differentiably. There are at most `most`, if known.
     """
 
     curves: Callable[[Int[Array, "K"]], Curves]
     lifts: Callable[[Int[Array, "K"]], Float[Array, "K n 3"]]
     total: Int[Array, ""]
     size: int
+    most: int | None
 
 
 class Crowded(NamedTuple):
@@ -87,7 +89,7 @@ class Kept(NamedTuple):
     def append(self, place: Int[Array, "C"], more: Visible) -> "Kept":
         """Return these and those of cells at `place` that are visible."""
         seen = jnp.any(more.flux != 0, axis=(-2, -1))
-        upto = self.used + jnp.cumsum(seen.reshape(-1), dtype=jnp.int32).reshape(seen.shape)
+        upto = self.used + running_sum(seen.reshape(-1).astype(jnp.int32)).reshape(seen.shape)
         slot = jnp.where(seen, upto - 1, self.place.shape[0])
         put = lambda old, new: old.at[slot].set(new, mode="drop")
         place = jnp.broadcast_to(place[:, None], seen.shape)
@@ -129,7 +131,7 @@ class _Stack(NamedTuple):
         """Return the stack less the cells just cut, with the crowded cells on top of a level."""
         left = jnp.maximum(self.height[batch.level] - PARENTS, 0)
         count = self.height.at[batch.level].set(left)
-        slot = count[level] + jnp.cumsum(crowd, dtype=jnp.int32) - 1
+        slot = count[level] + running_sum(crowd.astype(jnp.int32)) - 1
         slot = jnp.where(crowd, slot, CELLS)
         return _Stack(
             self.origin.at[level, slot].set(batch.origin, mode="drop"),
@@ -281,7 +283,7 @@ def fold_pieces(
 ) -> Any:
     """Return `start` after `add(total, pieces)` over all pieces of some curves."""
     m = monotone(curves)
-    upto = jnp.cumsum(piece_counts(m, W, H))
+    upto = running_sum(piece_counts(m, W, H))
 
     def body(state):
         slot, total = state

@@ -14,10 +14,13 @@ from .._camera.camera import Camera, film_map
 from .._camera.film import FilmMap
 from .._numerics.bitset import Selection, nth, rank_in, select
 from .._numerics.linear_map import linear_map
+from .._numerics.running import running_sum
+from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, Spheres, astype, check_view
+from .boundary import pulled, pushed
 from .coverage import Pieces
-from .curve_sets import Found, edge_curves, find, outline_curves
-from .curves import moved, piece_flux
+from .curve_sets import Found, edge_curves, find, in_one, outline_curves
+from .curves import piece_flux
 from .marks import Marks, marks, overlaps, turns
 from .overlaps import (
     Crowded,
@@ -25,7 +28,6 @@ from .overlaps import (
     Part,
     Resolved,
     fold_cells,
-    fold_chosen,
     fold_curves,
     fold_pieces,
     nothing_kept,
@@ -34,9 +36,9 @@ from .surrounding import surrounding
 from .sweep import Visible
 
 CURVES_AT_A_TIME = 512
-PIECES_MOVED = 512
 
 
+@collector_at_rest()
 def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Array, "H W"]:
     """Return the fraction of each pixel's square that the scene covers: (H, W), row 0 on top.
 
@@ -116,8 +118,10 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
         sets.append(edge_curves(film, vertices, contour))
     if spheres is not None:
         sets.append(outline_curves(film, spheres, arcs))
+    if film.bend is not None and len(sets) == 2:
+        sets = [in_one(*sets)]  # under distortion arcs are straight parts, too
     return [
-        Part(s.curves, s.lifts, s.total, min(CURVES_AT_A_TIME, s.most or CURVES_AT_A_TIME))
+        Part(s.curves, s.lifts, s.total, min(CURVES_AT_A_TIME, s.most or CURVES_AT_A_TIME), s.most)
         for s in sets
     ]
 
@@ -128,6 +132,7 @@ def _image(moving: _Moving, still: _Still) -> Float[Array, "H W"]:
 
 
 @partial(_image.defjvp, symbolic_zeros=True)
+@collector_at_rest()
 def _image_jvp(primals: Any, tangents: Any):
     """Return the image and its boundary integral for the leaves that move; others cost nothing."""
     moving, still = primals
@@ -140,29 +145,32 @@ def _image_jvp(primals: Any, tangents: Any):
         held, changing = held.copy(), changing.copy()
         return tree.unflatten([(changing if m else held).pop(0) for m in moves])
 
-    def fold(residuals, add: Callable, start):
-        """Return `start` after add(total, pixel, area, changing) for the visible contour."""
-        held, changing, still, pixels = residuals
-        build = lambda changing: _parts(rebuild(held, changing), still)
-        return _fold_visible(film, build, changing, still, pixels, add, start)
+    def parts_of(residuals) -> Callable[[list], list[Part]]:
+        held, _, still, _ = residuals
+        return lambda changing: _parts(rebuild(held, changing), still)
 
     def forward(residuals, velocity):
-        def add(image, pixel, area, changing):
-            _, change = jax.jvp(area, (changing,), (velocity,))
-            return image.at[_top_down(pixel, film)].add(change, mode="drop")
-
-        image = fold(residuals, add, jnp.zeros(film.H * film.W, film.eye.dtype))
+        _, changing, still, pixels = residuals
+        image = jnp.zeros(film.H * film.W, film.eye.dtype)
+        image = pushed(
+            parts_of(residuals),
+            changing,
+            velocity,
+            partial(_fold_visible, film, still, pixels),
+            lambda image, pixel, change: image.at[_top_down(pixel, film)].add(change, mode="drop"),
+            image,
+        )
         return image.reshape(film.H, film.W)
 
     def transpose(residuals, cotangent):
-        cotangent = cotangent.reshape(-1)
-
-        def add(total, pixel, area, changing):
-            _, pull = jax.vjp(area, changing)
-            at_piece = cotangent.at[_top_down(pixel, film)].get(mode="fill", fill_value=0)
-            return jax.tree.map(jnp.add, total, pull(at_piece)[0])
-
-        return fold(residuals, add, jax.tree.map(jnp.zeros_like, residuals[1]))
+        _, changing, still, pixels = residuals
+        cotangent, get = cotangent.reshape(-1), {"mode": "fill", "fill_value": 0}
+        return pulled(
+            parts_of(residuals),
+            changing,
+            partial(_fold_visible, film, still, pixels),
+            lambda pixel: cotangent.at[_top_down(pixel, film)].get(**get),
+        )
 
     held = [x for x, m in zip(leaves, moves, strict=True) if not m]
     changing = [x for x, m in zip(leaves, moves, strict=True) if m]
@@ -203,7 +211,7 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
     for part in parts:
         sums = fold_curves(part, chunk, sums, part.size)
     deltas, marked, turned = sums
-    row_sums = lambda x: _row_sums(x.reshape(H, W)).reshape(-1)
+    row_sums = lambda x: running_sum(x.reshape(H, W)).reshape(-1)
     winding = row_sums(deltas) + still.base.astype(dtype)
     corner = jnp.zeros(0, dtype)
     if marked is not None and turned is not None:
@@ -254,48 +262,32 @@ def _crowded(pixels: _Pixels, W: int) -> Crowded:
 
 
 def _fold_visible(
-    film: FilmMap,
-    build: Callable,
-    changing: list,
-    still: _Still,
-    pixels: _Pixels,
-    add: Callable,
-    start,
-):
-    """Return `start` after `add(total, pixel, area, changing)` over the visible contour.
-
-    `area(changing)` is linear in the curves, with the derivative of the pixels' areas.
-    """
+    film: FilmMap, still: _Still, pixels: _Pixels, parts: list[Part], add: Callable, start: Any
+) -> Any:
+    """Return `start` after `add(total, number, pixel, curve, flux)` over the visible contour: the
+    part's number, the curve's in it, and how the pixel's area grows with that curve's lift."""
     W, H = film.W, film.H
-    parts = build(changing)
     for number, part in enumerate(parts):
 
         def chunk(total, ids, curves, part=part, number=number):
             ids = jnp.minimum(ids, part.total - 1)
+            lifts = jax.lax.stop_gradient(part.lifts(ids))
 
             def single(total, pieces: Pieces):
                 inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
-                pixels_of = jnp.where(inside, pieces.row * W + pieces.column, 0)
-
-                def some(total, index, there):
-                    piece = jax.tree.map(lambda x: x[index], pieces)
-                    own = ids[piece.curve]
-                    held = jax.lax.stop_gradient(part.lifts(own))
-                    rate = piece_flux(held, curves, piece.start, piece.end)
-                    rate = jnp.where(there[:, None, None], -piece.jump[:, None, None] * rate, 0)
-                    area = lambda changing: moved(build(changing)[number].lifts(own), rate)
-                    return add(total, pixels_of[index], area, changing)
-
-                seen = inside & pixels.alone[pixels_of]
-                return fold_chosen(seen, PIECES_MOVED, some, total)
+                pixel = jnp.where(inside, pieces.row * W + pieces.column, 0)
+                seen = inside & pixels.alone[pixel]
+                own = jax.tree.map(lambda x: x[pieces.curve], curves)
+                rate = piece_flux(lifts[pieces.curve], own, pieces.start, pieces.end)
+                rate = jnp.where(seen[:, None, None], -pieces.jump[:, None, None] * rate, 0)
+                return add(total, number, pixel, ids[pieces.curve], rate)
 
             return fold_pieces(curves, W, H, H, single, total)
 
         start = fold_curves(part, chunk, start, part.size)
 
     def crowd(total, place, visible: Visible, number: int):
-        lifts = lambda changing: build(changing)[number].lifts(visible.curve)
-        return add(total, place, lambda c: moved(lifts(c), visible.flux), changing)
+        return add(total, number, place, visible.curve, visible.flux)
 
     def again(total, resolved: Resolved):
         for number, visible in enumerate(resolved.visible):
@@ -313,14 +305,3 @@ def _fold_visible(
     crowded = _crowded(pixels, W)
     crowded = crowded._replace(total=jnp.where(complete, 0, crowded.total))
     return fold_cells(parts, crowded, W, H, H, still.base, again, start, flux=True)
-
-
-def _row_sums(deltas: Float[Array, "H W"]) -> Float[Array, "H W"]:
-    """Return the running sum of each row; by blocks and a small matrix, 5 times `jnp.cumsum`."""
-    H, W = deltas.shape
-    block = 32
-    upper = jnp.triu(jnp.ones((block, block), deltas.dtype))
-    blocks = jnp.pad(deltas, ((0, 0), (0, -W % block))).reshape(H, -1, block)
-    within = jnp.matmul(blocks, upper, precision=jax.lax.Precision.HIGHEST)
-    before = jnp.cumsum(within[..., -1], axis=1) - within[..., -1]
-    return (within + before[..., None]).reshape(H, -1)[:, :W]

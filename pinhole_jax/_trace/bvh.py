@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._numerics.running import running_sum
 from .._scene.scene import Mesh, Spheres, morton_order
 
 LEAF = 4  # primitives in a leaf, at most
@@ -139,7 +140,7 @@ def packed(mask: Bool[Array, "n"], values: Int[Array, "n"]) -> tuple[Array, Arra
     n = mask.shape[0]
     shift = jnp.arange(32, dtype=jnp.uint32)[None]
     words = jnp.sum(mask.reshape(-1, 32).astype(jnp.uint32) << shift, axis=1, dtype=jnp.uint32)
-    end = jnp.cumsum(jax.lax.population_count(words).astype(jnp.int32), dtype=jnp.int32)
+    end = running_sum(jax.lax.population_count(words).astype(jnp.int32))
     below = words[:, None] & ((jnp.uint32(1) << shift) - 1)
     start = end - jax.lax.population_count(words).astype(jnp.int32)
     rank = start[:, None] + jax.lax.population_count(below).astype(jnp.int32)

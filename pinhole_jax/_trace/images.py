@@ -12,10 +12,12 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera, camera_basis
 from .._camera.rays import camera_rays
 from .._numerics.safe import dot
+from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, check_view
 from .trace import trace
 
 
+@collector_at_rest()
 def depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
     """Return how far ahead of the eye each pixel's ray first meets the scene: (H, W), row 0 on top.
 
@@ -30,6 +32,7 @@ def depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
     return _depth(camera, scene)
 
 
+@collector_at_rest()
 def normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
     """Return the unit normal of what each pixel's ray first meets: (H, W, 3), row 0 on top.
 

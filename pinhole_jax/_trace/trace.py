@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.rays import Rays
 from .._numerics.safe import binary_inverse, binary_scale, norm, normalize
+from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Mesh, Scene, Spheres, astype
 from .bvh import Tree, mesh_tree, sphere_tree
 from .intersect import perpendicular, ray_plane, ray_sphere
@@ -37,6 +38,7 @@ class Hit(NamedTuple):
     normal: Float[Array, "*batch 3"]
 
 
+@collector_at_rest()
 def trace(scene: Scene, rays: Rays) -> Hit:
     """Return the closest hit of each ray with the scene's triangles (both sides) and spheres.
 
@@ -52,6 +54,7 @@ def trace(scene: Scene, rays: Rays) -> Hit:
     return _hits(scene, rays, _find(scene, rays))
 
 
+@collector_at_rest()
 def occluded(scene: Scene, rays: Rays) -> Bool[Array, "*batch"]:
     """Return whether each ray meets anything at all."""
     face, sphere = _find(scene, rays)
