@@ -14,7 +14,7 @@ from oracles import random_camera, turned
 
 import pinhole_jax as pj
 from pinhole_jax import formats, io, shapes
-from pinhole_jax._fit import levenberg_marquardt, solver
+from pinhole_jax._fit import levenberg_marquardt, room, solver
 from pinhole_jax._fit.residuals import Capacity
 from pinhole_jax._fit.uncertainty import covariance
 
@@ -203,8 +203,9 @@ def test_meshes_and_images_of_similar_size_share_compiled_programs(scene):
 
 @pytest.mark.long
 def test_a_view_that_outgrows_its_buffers_is_fitted_with_larger_ones(monkeypatch, scene):
-    monkeypatch.setattr(solver, "LEAST_ROOM", Capacity(1024, 1024, 1024, 1024))
-    monkeypatch.setattr(solver, "_first_capacity", lambda *_: Capacity(1024, 1024, 1))
+    for module in (room, solver):
+        monkeypatch.setattr(module, "LEAST_ROOM", Capacity(1024, 1024, 1024, 1024))
+    monkeypatch.setattr(solver, "first_room", lambda *_: Capacity(1024, 1024, 1))
     truth = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 320, 320)
     fit = pj.fit_camera(scene, mask_of(truth, scene), turned(truth, [1, 2, 3], 5, 2.5))
     assert len(fit.steps) == 12  # two rounds of five levels and the last without overlaps

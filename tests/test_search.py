@@ -10,6 +10,8 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._fit.search import sphere_points
 from pinhole_jax._fit.signatures import distances, facing, signatures
+from pinhole_jax._fit.thumbnails import SIZE, axes_inward, thumbnails
+from pinhole_jax._scene.scene import ball_about, bounding_box
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +53,25 @@ def test_facing_turns_to_a_direction():
     np.testing.assert_allclose(squares, np.broadcast_to(np.eye(3), squares.shape), atol=1e-6)
     np.testing.assert_allclose(np.linalg.det(axes), 1, atol=1e-6)
     np.testing.assert_allclose(axes[:, 2], directions, atol=1e-12)
+
+
+@pytest.mark.parametrize("what", ["closed", "open", "spheres"])
+def test_thumbnails_are_silhouettes_whose_layers_are_clamped(what):
+    random = np.random.default_rng(0)
+    box = trimesh.creation.box((1, 2, 3)).apply_translation((7, 0, 0))
+    scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces[: -3 if what == "open" else None]))
+    if what == "spheres":
+        scene = pj.Scene(spheres=pj.Spheres(random.normal(size=(20, 3)), np.full(20, 0.2)))
+    ball = ball_about(np.asarray(bounding_box(scene), float))
+    directions, phi = sphere_points(5), 2 * np.arcsin(1 / 1.5)
+    axes = axes_inward(directions)
+    images = thumbnails(scene, ball, 1.5 * directions, axes, phi)
+    for direction, (_, b2, v), image in zip(directions, axes, images, strict=True):
+        eye = ball.centre + 1.5 * ball.radius * direction
+        camera = pj.Camera(eye, eye + v, b2, phi, W=SIZE, H=SIZE)
+        exact = np.asarray(pj.silhouette(camera, scene, overlaps=False))
+        np.testing.assert_allclose(image, exact, atol=0.15)
+        assert np.mean(np.abs(image - exact)) < 2e-3
 
 
 def test_a_camera_is_found_with_no_start(scene):

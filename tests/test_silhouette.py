@@ -152,7 +152,6 @@ def test_no_number_of_contour_edges_or_pieces_is_too_many(monkeypatch):
     weight = jnp.asarray(np.random.default_rng(0).normal(size=image.shape))
     gradient = eqx.filter_grad(lambda c: jnp.sum(weight * pj.silhouette(c, scene)))(camera)
     monkeypatch.setattr("pinhole_jax._silhouette.silhouette.CURVES_AT_A_TIME", 16)
-    monkeypatch.setattr("pinhole_jax._silhouette.silhouette.PIECES_MOVED", 4)
     monkeypatch.setattr("pinhole_jax._silhouette.overlaps.PIECES", 8)
     # So many pieces are visible in crowded pixels that these are resolved again.
     monkeypatch.setattr("pinhole_jax._silhouette.overlaps.KEPT", 4)

@@ -17,7 +17,7 @@ from .moves import Bounds, canonical
 from .parameters import check_free, focal_is_free, in_one, with_lens
 from .places import at
 from .priors import Prior, bounds_of, prior_of
-from .result import Fit, Known, Progress, progress_at, report
+from .result import Fit, Known, Progress, progress_at, report, with_modes
 from .solver import Solver, Stop
 from .strategy import EXACT, everywhere, from_start, turns_freely, without_outliers
 from .target import check_target, edge_distance, near_an_edge
@@ -157,9 +157,7 @@ def _fit(
         report(base, f, s, names, known._replace(free=[at(solver, f, x) for x in places.free]))
         for f, s in described
     )
-    if modes and fit.status in ("converged", "rank_deficient"):
-        fit = fit._replace(status="ambiguous")
-    return fit._replace(modes=tuple(modes)), trust
+    return with_modes(fit, modes), trust
 
 
 def _anywhere(

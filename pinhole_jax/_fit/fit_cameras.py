@@ -1,22 +1,24 @@
 """`fit_cameras`: many views of one scene with shared intrinsics, in one least-squares problem."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from .._camera.camera import Camera
 from .._numerics.arrays import Numbers
 from .._scene.scene import Scene, check_scene
+from .among_views import Answer, OneView, asked
 from .fit_camera import fit_camera
-from .full_image import completed, worthwhile
+from .full_image import with_overlaps, worthwhile
 from .mask import Mask
 from .moves import canonical
 from .parameters import components, with_lens
+from .places import at
 from .priors import bounds_of, prior_of
 from .problem import FINE_PX, UNIT_PX, View
 from .residuals import Capacity
-from .result import Fit, Known, report
+from .result import Fit, Known, report, with_modes
 from .shared_unknowns import SHARED, alike, descend, joint, others, reduced, shared_and_free, solved
 from .solver import Found, Solver
 from .target import check_target
@@ -44,6 +46,12 @@ def fit_cameras(
     - `prior`, `bounds`: as in `fit_camera`; of what is shared once, else for each view.
     - `max_steps`: a limit for each level.
 
+    At the end each view is asked what `fit_camera` asks, with what the others know of what is
+    shared: are other places as good (its `modes`, and the status "ambiguous") or better (then all
+    descend from there), is a move free over an interval (`weak`, "rank_deficient", and a covariance
+    that says so)? As there, a start rules out what is far from it, and where a mask is explained
+    badly the whole sphere of views is searched. Outliers keep their weight.
+
     The covariance of each fit is that of the joint problem: knowledge of all views is in it. The
     cost of a step grows linearly with the number of views.
 
@@ -62,56 +70,45 @@ def fit_cameras(
     names, common = shared_and_free(shared, free, cameras[0] if cameras else None)
     if not common:
         raise ValueError(f"`shared`: expected at least one of {', '.join(SHARED)}, got none")
+    modes: list[list[Camera]] = [[] for _ in targets]
+    anywhere = cameras is None
     if cameras is None:
         pairs = zip(targets, weights, strict=True)
-        alone = (fit_camera(scene, t, None, names, phi=phi, weight=w) for t, w in pairs)
+        alone = [fit_camera(scene, t, None, names, phi=phi, weight=w) for t, w in pairs]
         cameras = [fit.camera for fit in alone]
+        modes = [[canonical(with_lens(mode.camera, names)) for mode in fit.modes] for fit in alone]
 
     views = []
     cameras = alike([with_lens(c, names) for c in cameras], common)
-    for camera, target, weight in zip(cameras, targets, weights, strict=True):
+    for camera, target, weight, more in zip(cameras, targets, weights, modes, strict=True):
         image, w = check_target(target, weight, camera.W, camera.H)
         known = bounds_of(bounds, camera, names), prior_of(prior, camera, names, common, count)
         solver = Solver(scene, image, w, camera.e.dtype, names, max_steps, *known)
-        views.append(_One(Mask(image, w, camera), solver, canonical(camera)))
+        unit = canonical(camera)
+        start = None if anywhere else unit
+        views.append(OneView(Mask(image, w, camera), solver, unit, start, more))
     largest = Capacity(*np.max([v.solver.capacity for v in views], axis=0).tolist())
     for one in views:
         one.solver.capacity = largest
     own = np.array([name not in common for name in names for _ in components((name,))])
+    seen: list[View] = []
     steps: list[int] = []
     for depth in range(max(len(v.solver.levels) for v in views), 0, -1):
         if prior:
             _believe(views, depth)
-        views, n = descend(views, depth, own, max_steps, views[0].solver.dtype)
+        views, seen, n = descend(views, depth, own, max_steps, views[0].solver.dtype)
         steps.append(n)
     if prior:
         _believe(views, 1)
-    return _reports(views, names, own, tuple(steps))
+        seen = [one.look(1) for one in views]
+    views, seen, answers = asked(views, seen, own, common, max_steps)
+    if prior:
+        _believe(views, 1)
+        seen = [one.look(1) for one in views]
+    return _reports(views, seen, answers, own, tuple(steps))
 
 
-class _One(NamedTuple):
-    """One view: its mask (with the camera as given), the mask's solver, and the camera so far."""
-
-    mask: Mask
-    solver: Solver
-    unit: Camera
-
-    def level(self, depth: int) -> int:
-        """Return the number of the level this far from the last, or of the first."""
-        return max(len(self.solver.levels) - depth, 0)
-
-    def look(self, depth: int) -> View:
-        """Return the view on a level; 0 is the last one with every pixel, overlaps resolved."""
-        if depth == 0:
-            return completed(self.solver, self.mask, self.unit)
-        return self.solver.look(self.unit, self.level(depth))
-
-    def stepped(self, depth: int, y: np.ndarray) -> "_One":
-        """Return the view after a step in its own units."""
-        return self._replace(unit=self.solver.step(self.unit, self.level(depth), y))
-
-
-def _believe(views: list[_One], depth: int) -> None:
+def _believe(views: list[OneView], depth: int) -> None:
     """Weigh the priors by what the residuals of all views err by on a level."""
     sums = [v.look(depth).sums for v in views]
     squares, touched = (
@@ -122,13 +119,15 @@ def _believe(views: list[_One], depth: int) -> None:
         one.solver.believe(squares / max(touched, 1.0))
 
 
-def _with_overlaps(views: list[_One], own: np.ndarray) -> tuple[list[_One], list[View]]:
+def _with_overlaps(
+    views: list[OneView], seen: list[View], own: np.ndarray
+) -> tuple[list[OneView], list[View]]:
     """Return the cameras, and views, after Gauss-Newton steps in which every pixel counts."""
-    before, last = np.inf, [v.look(1) for v in views]
-    whole = [0 if worthwhile(v.solver, view) else 1 for v, view in zip(views, last, strict=True)]
+    before = np.inf
+    whole = [0 if worthwhile(v.solver, view) else 1 for v, view in zip(views, seen, strict=True)]
     while not all(whole):
-        last = [v.look(depth) for v, depth in zip(views, whole, strict=True)]
-        ys = solved(last, own, 0.0)
+        seen = [v.look(depth) for v, depth in zip(views, whole, strict=True)]
+        ys = solved(seen, own, 0.0)
         size = max(float(np.max(np.abs(y))) for y in ys) * UNIT_PX
         if not FINE_PX[views[0].solver.dtype] < size < before:
             break
@@ -137,13 +136,17 @@ def _with_overlaps(views: list[_One], own: np.ndarray) -> tuple[list[_One], list
             v._replace(unit=v.solver.step(v.unit, v.solver.finest, y))
             for v, y in zip(views, ys, strict=True)
         ]
-    return views, last
+    return views, seen
 
 
 def _reports(
-    views: list[_One], names: tuple[str, ...], own: np.ndarray, steps: tuple[int, ...]
+    views: list[OneView],
+    seen: list[View],
+    answers: list[Answer],
+    own: np.ndarray,
+    steps: tuple[int, ...],
 ) -> tuple[Fit, ...]:
-    views, seen = _with_overlaps(views, own)
+    views, seen = _with_overlaps(views, seen, own)
     parts = [reduced(v, own, 0.0) for v in seen]
     squares, touched = (
         sum(float(x) for x in xs)
@@ -152,13 +155,31 @@ def _reports(
     unknowns = len(views) * int(own.sum()) + int((~own).sum())
     variance = squares / max(touched - unknowns, 1)
     slope: Any = sum(p.rest.T @ p.left + p.across.T @ p.known for p in parts)
+    rests = others([p.rest for p in parts])
     return tuple(
-        report(
-            one.mask.camera,
-            Found(one.unit, joint(view, known, slope, own), steps),
-            view.sums,
-            names,
-            Known(one.solver.kind, one.solver.problem.bounds, variance=variance),
-        )
-        for one, view, known in zip(views, seen, others([p.rest for p in parts]), strict=True)
+        _report(one, Found(one.unit, joint(view, known, slope, own), steps), answer, variance)
+        for one, view, known, answer in zip(views, seen, rests, answers, strict=True)
     )
+
+
+def _report(one: OneView, found: Found, answer: Answer, variance: float) -> Fit:
+    """Return the fit of a view, and those of other places that its mask does not tell from it."""
+    solver, places = one.solver, answer.places
+
+    def told(f: Found) -> Fit:
+        free = [at(solver, f, direction) for direction in places.free]
+        known = Known(solver.kind, solver.problem.bounds, free, variance)
+        return report(one.mask.camera, f, f.view.sums, solver.names, known)
+
+    return with_modes(told(found), [told(mode) for mode in _modes(one, answer)])
+
+
+def _modes(one: OneView, answer: Answer) -> list[Found]:
+    """Return the other places, every pixel counted where it is in the best."""
+    solver, places = one.solver, answer.places
+    if not (places.others and worthwhile(solver, places.best.view)):
+        return places.others
+    solver.hear(answer.others)
+    modes = [with_overlaps(solver, one.mask, mode) for mode in places.others]
+    solver.hear(None)
+    return modes

@@ -119,7 +119,7 @@ def fit_points(
     steps, unknowns = 0, count * int(own.sum()) + int((~own).sum())
     for _ in range(ROUNDS if prior else 1):
         views = _believed(views, unknowns)
-        views, more = descend(views, 1, own, max_steps, np.dtype(cameras[0].e.dtype))
+        views, _, more = descend(views, 1, own, max_steps, np.dtype(cameras[0].e.dtype))
         steps += more
     fits = _reports(views, names, own, steps)
     return fits if np.ndim(points2d) == 3 else fits[0]

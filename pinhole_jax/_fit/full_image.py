@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
+from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene
 from .._silhouette.silhouette import silhouette
 from .mask import Mask
@@ -48,6 +49,7 @@ def image(y: Float[Array, "n"], at: At) -> Float[Array, "H W"]:
     return silhouette(at.camera(y), at.scene, overlaps=at.overlaps)
 
 
+@collector_at_rest()
 @eqx.filter_jit
 def image_and_jacobian(
     y: Float[Array, "n"], at: At

@@ -116,7 +116,7 @@ def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
         left -= len(places)
         near = (p for p in places if start is None or angle(p.unit, start) < NEAR_START)
         place = min(near, key=lambda p: _surplus(solver, p.view), default=best)
-        if not _better(solver, place.view, best.view):
+        if not better(solver, place.view, best.view):
             break
         best = place._replace(steps=best.steps + place.steps, way=best.way)
         directions = _nearly_free(solver, best)
@@ -162,7 +162,8 @@ def _surplus(solver: Solver, view: View) -> float:
     return squares if np.isfinite(squares) else np.inf
 
 
-def _better(solver: Solver, view: View, best: View) -> bool:
+def better(solver: Solver, view: View, best: View) -> bool:
+    """Return whether a view explains the mask better than the best so far, not by rounding only."""
     have, now = _surplus(solver, best), _surplus(solver, view)
     return now < have - max(0.01 * abs(have), 2 * solver.kind.variance)
 

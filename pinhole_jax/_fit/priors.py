@@ -29,6 +29,24 @@ class Prior(eqx.Module):
         return off * (self.noise / self.std)
 
 
+class Others(eqx.Module):
+    """What other views know of reported parameters (n,): residuals that are linear in these."""
+
+    rows: Float[Array, "n n"]
+    at: Float[Array, "n"]
+    left: Float[Array, "n"]
+
+    def residuals(self, values: Float[Array, "n"]) -> Float[Array, "n"]:
+        """Return what the parameters' values leave of that knowledge."""
+        return self.rows @ (values - self.at) + self.left
+
+
+def no_others(free: tuple[str, ...], dtype: Any) -> Others:
+    """Return that no other views know anything of what is free."""
+    n = len(labels_of(free))
+    return Others(*(jnp.zeros(shape, dtype) for shape in ((n, n), n, n)))
+
+
 def prior_of(
     prior: Mapping[str, Any] | None,
     base: Camera,

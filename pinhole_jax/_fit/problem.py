@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera
 from .._scene.scene import Ball, Scene
 from .moves import Bounds, Move, units
-from .priors import Prior
+from .priors import Others, Prior
 from .residuals import Load, Sums
 from .target import Level, Pyramid
 
@@ -34,17 +34,20 @@ class Problem(eqx.Module):
     radius: Float[Array, ""]
     bounds: Bounds | None
     prior: Prior | None
+    others: Others
 
     def __init__(
         self,
         scene: Scene,
         pyramid: Pyramid,
         ball: Ball,
+        others: Others,
         bounds: Bounds | None = None,
         prior: Prior | None = None,
     ):
         dtype = pyramid.target.dtype
-        self.scene, self.pyramid, self.bounds, self.prior = scene, pyramid, bounds, prior
+        self.scene, self.pyramid, self.others = scene, pyramid, others
+        self.bounds, self.prior = bounds, prior
         self.pivot, self.radius = (jnp.asarray(x, dtype) for x in ball)
 
 
@@ -64,7 +67,8 @@ class View(NamedTuple):
 
     @property
     def squares(self) -> float:
-        """Return the sum of weighted squared residuals, those of a prior among them."""
+        """Return the sum of weighted squared residuals, those of a prior and of what other
+        views know among them."""
         return float(self.sums.squares) + float(self.prior)
 
     @property

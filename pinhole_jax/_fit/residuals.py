@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.camera import Camera, film_map, lens_holds
 from .._camera.film import FilmMap, FilmPart
+from .._numerics.running import running_sum
 from .._scene.scene import Scene
 from .._silhouette.coverage import monotone, piece_counts, split
 from .._silhouette.curve_sets import edge_curves, find, outline_curves
@@ -175,7 +176,7 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
         xy = xy * level.scale - level.origin[None, None] * z
         lift = jnp.concatenate([xy, z], axis=-1)
         m = monotone(curves)
-        upto = jnp.cumsum(piece_counts(m, level.W, level.H))
+        upto = running_sum(piece_counts(m, level.W, level.H))
         totals[kind] = (count, upto[-1].astype(jnp.int32))
         slots = jnp.arange(size, dtype=jnp.int32)
         pieces = split(m, upto, slots, level.W, level.H, MAX_ROWS)
@@ -220,9 +221,9 @@ def _by_pixel(pieces: _Sorted, base: Int[Array, ""], level: Level) -> Touched:
     order = jnp.argsort(pieces.cell)
     cell, height, area, marked, change, inner = jax.tree.map(lambda x: x[order], pieces)
     new = jnp.append(jnp.ones(1, bool), cell[1:] != cell[:-1])
-    slot = jnp.cumsum(new) - 1
+    slot = running_sum(new.astype(jnp.int32)) - 1
     # Curves right of the film are left out: each row is summed up by itself.
-    start, running = _row_start(level, cell), jnp.cumsum(height)
+    start, running = _row_start(level, cell), running_sum(height)
     of_row = jax.lax.cummax(jnp.where(start > jnp.append(-1, start[:-1]), jnp.arange(P), 0))
     after = running - (running - height)[of_row] + base.astype(height.dtype)
     before = jnp.where(new, after - height, 0)

@@ -64,7 +64,7 @@ class Fit(NamedTuple):
       levels where the view outgrew its buffers on the way.
     - `weak`: directions that the mask determines badly or not at all, in words; last, if so, how
       much of the outline is far from the mask's edge.
-    - `modes`: other cameras that a search found to explain the mask as well, the best first.
+    - `modes`: other cameras that were found to explain the mask as well, the best first.
     - `history`: the way to `camera`, from the start (0 steps) to the end of each level, or with
       `record` of each step; empty for fits of several cameras.
     """
@@ -151,6 +151,13 @@ def report(
         weak=weak,
         history=tuple(progress_at(stop, camera) for stop in way),
     )
+
+
+def with_modes(fit: Fit, modes: Sequence[Fit]) -> Fit:
+    """Return the fit with the other cameras that explain its mask as well."""
+    if modes and fit.status in ("converged", "rank_deficient"):
+        fit = fit._replace(status="ambiguous")
+    return fit._replace(modes=tuple(modes))
 
 
 def without_free(triangle: np.ndarray, free: Sequence[Free]) -> np.ndarray:

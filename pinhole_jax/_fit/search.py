@@ -5,75 +5,41 @@ correlation finds the roll at which each view comes closest to the mask.
 """
 
 from collections.abc import Iterator
-from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
 
 from .._camera.axes import axes_of
-from .._camera.camera import Camera, camera_basis
+from .._camera.camera import Camera
 from .._scene.scene import Ball, Scene
-from .._silhouette.silhouette import silhouette
 from .mask import Mask
 from .signatures import ANGLES, Signature, distances, facing, signatures
+from .thumbnails import SIZE, axes_inward, thumbnails
 
-#: Directions looked from (some 11 degrees apart), and px of their images.
-VIEWS, VIEW_PX = 400, 48
+#: Directions looked from (some 11 degrees apart).
+VIEWS = 400
 #: The nearest that a view is taken from, in radii of the scene.
 NEAREST = 1.2
 
 
-@jax.jit
-def _views(
-    scene: Scene,
-    eyes: Float[Array, "N 3"],
-    number: Int[Array, ""],
-    pivot: Float[Array, "3"],
-    phi: Float[Array, ""],
-) -> tuple[Float[Array, "N h w"], Float[Array, "N 3 3"]]:
-    """Return images and camera axes from the first `number` of the eyes: one program for any."""
-
-    def one(n, seen):
-        eye = eyes[n]
-        # An up direction that is never along the view.
-        back = eye - pivot
-        up = jnp.where(jnp.abs(back[2]) < 0.9 * jnp.sqrt(jnp.sum(back**2)), 1, 0)
-        up = jnp.stack([1 - up, 0 * up, up]).astype(eye.dtype)
-        camera = Camera(eye, pivot, up, phi, 1.0, VIEW_PX, VIEW_PX)
-        image, axes = silhouette(camera, scene, overlaps=False), jnp.stack(camera_basis(camera))
-        return seen[0].at[n].set(image), seen[1].at[n].set(axes)
-
-    shapes = (VIEW_PX, VIEW_PX), (3, 3)
-    nothing = tuple(jnp.zeros((len(eyes), *shape), eyes.dtype) for shape in shapes)
-    return jax.lax.fori_loop(0, number, one, nothing)
-
-
 def _seen(
-    scene: Scene, ball: Ball, directions: np.ndarray, reach: float, dtype: Any
+    scene: Scene, ball: Ball, directions: np.ndarray, reach: float
 ) -> tuple[Signature, np.ndarray]:
     """Return signatures of the scene, and camera axes, from directions at `reach` radii."""
     phi = 2 * np.arcsin(min(1 / reach, 0.95))
-    eyes = ball.centre + reach * ball.radius * directions
-    number = len(eyes)
-    room = np.pad(eyes, ((0, VIEWS - number), (0, 0)))
-    room, pivot, fov = (np.asarray(x, dtype) for x in (room, ball.centre, phi))
-    seen = _views(scene, room, np.int32(number), pivot, fov)
-    images, axes = (np.asarray(x[:number], float) for x in seen)
-    film = np.full(2, VIEW_PX / (2 * np.tan(phi / 2))), np.full(2, VIEW_PX / 2)
-    known = np.ones((VIEW_PX, VIEW_PX))
-    return signatures(images, known, *film), axes
+    axes = axes_inward(directions)
+    images = thumbnails(scene, ball, reach * directions, axes, phi)
+    film = np.full(2, SIZE / (2 * np.tan(phi / 2))), np.full(2, SIZE / 2)
+    return signatures(images, np.ones((SIZE, SIZE)), *film), axes
 
 
 def guesses(mask: Mask, scene: Scene, ball: Ball) -> Iterator[Camera]:
     """Yield cameras that may see the mask, the likeliest first; the camera's pose is not used."""
-    goal, dtype = mask.signature(), mask.camera.e.dtype
+    goal = mask.signature()
     # How far away the scene is, from its mean solid angle; then what it looks like from there.
-    few, _ = _seen(scene, ball, sphere_points(VIEWS // 10), 5.0, dtype)
+    few, _ = _seen(scene, ball, sphere_points(VIEWS // 10), 5.0)
     reach = 5.0 * np.sqrt(np.median(few.solid_angle) / goal.solid_angle[0])
     reach, directions = float(np.clip(reach, NEAREST, 50)), sphere_points(VIEWS)
-    views, axes = _seen(scene, ball, directions, reach, dtype)
+    views, axes = _seen(scene, ball, directions, reach)
     score = distances(goal, views)
     dips = (score <= np.roll(score, 1, axis=1)) & (score < np.roll(score, -1, axis=1))
     order = np.argsort(np.where(dips, score, np.inf), axis=None)[: int(dips.sum())]
@@ -97,7 +63,7 @@ def aimed(mask: Mask, scene: Scene, ball: Ball) -> Camera:
     away = away / np.linalg.norm(away)
     reach = 5.0
     for _ in range(2):  # nearer, it looks a little different
-        view, _ = _seen(scene, ball, away[None], reach, mask.camera.e.dtype)
+        view, _ = _seen(scene, ball, away[None], reach)
         reach = max(reach * np.sqrt(view.solid_angle[0] / goal.solid_angle[0]), NEAREST)
     toward = facing((axes @ -away)[None])[0] @ axes
     return mask.camera.with_pose(ball.centre + reach * ball.radius * away, goal.axes[0].T @ toward)

@@ -96,10 +96,18 @@ def solved(views: list[Any], own: np.ndarray, damping: float) -> list[np.ndarray
     return result
 
 
+class Descent(NamedTuple):
+    """The views after a descent, what each is there, linearised, and the number of steps."""
+
+    views: list[One]
+    seen: list[Linearised]
+    steps: int
+
+
 def descend(
     views: list[One], depth: int, own: np.ndarray, max_steps: int, dtype: np.dtype
-) -> tuple[list[One], int]:
-    """Return the views after Levenberg-Marquardt on one level, and its number of steps."""
+) -> Descent:
+    """Return the views after Levenberg-Marquardt on one level."""
     tolerance = (FINE_PX[dtype] if depth <= 2 else COARSE_PX) / UNIT_PX
     seen, damping = [v.look(depth) for v in views], 1.0
     for n in range(1, max_steps + 1):
@@ -117,8 +125,8 @@ def descend(
             damping = max(10 * damping, 1e-6)
         small = max(float(np.max(np.abs(y))) for y in ys) < tolerance
         if small or change <= COSINE[dtype] ** 2 * before:
-            return views, n
-    return views, max_steps
+            return Descent(views, seen, n)
+    return Descent(views, seen, max_steps)
 
 
 def others(rests: list[np.ndarray]) -> list[np.ndarray]:
@@ -144,3 +152,31 @@ def joint(view: Any, others: np.ndarray, slope: np.ndarray, own: np.ndarray) -> 
     gradient[~own] = slope * unit
     along = np.linalg.lstsq(triangle.T, gradient, rcond=None)[0]
     return view._replace(triangle=jnp.asarray(triangle), along=jnp.asarray(along))
+
+
+def beside(
+    view: Any, rest: np.ndarray, slope: np.ndarray, own: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what the others know of the shared unknowns as residuals of the view, in its units:
+    rows (n, n) and their values (n,), from the others' triangle and slope.
+
+    No row counts more than what the view itself sees best: it is that to which it compares what it
+    hardly sees, and with many others it would hardly see anything.
+    """
+    unit = np.asarray(view.unit, float)[~own]
+    most = np.linalg.norm(np.asarray(view.triangle, float), 2)
+    _, values, directions = np.linalg.svd(rest * unit, full_matrices=False)
+    k = len(values)
+    rows, left = np.zeros((len(own), len(own))), np.zeros(len(own))
+    rows[:k, ~own] = np.minimum(values, most)[:, None] * directions
+    left[:k] = np.linalg.lstsq(rows[:k, ~own].T, slope * unit, rcond=None)[0]
+    return rows, left
+
+
+def with_rows(view: Any, rows: np.ndarray, left: np.ndarray) -> Any:
+    """Return the view with more residuals: their derivatives (., n) and values."""
+    seen = np.column_stack([np.asarray(view.triangle, float), np.asarray(view.along, float)])
+    table: Any = np.linalg.qr(np.concatenate([seen, np.column_stack([rows, left])]), mode="r")
+    n = rows.shape[1]
+    prior = float(view.prior) + float(left @ left)
+    return view._replace(triangle=table[:n, :n], along=table[:n, n], prior=prior)

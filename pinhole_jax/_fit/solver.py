@@ -1,6 +1,6 @@
 """A fit of one scene to one mask: levels from coarse to fine, and buffers that grow as needed."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -10,18 +10,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera, film_map
+from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, astype, ball_about, bounding_box, padded
 from .kinds import kind_of
 from .moves import Bounds, Move, moved
-from .priors import Prior
+from .priors import Others, Prior, no_others
 from .problem import COARSE_PX, FINE_PX, Problem, View, move as move_of
 from .residuals import Capacity, Touched, touch
 from .revolution import Revolution, revolutions, some_of
+from .room import LEAST_ROOM, ROOMIER, first_room, more_room, size_of
 from .symmetry import Turn, turns_of_a_mesh
 from .target import LEAST_CELLS, Level, Window, object_window, pyramid, shares
 
-#: What the smallest buffers hold, and how much larger the next ones are: each size is compiled for.
-LEAST_ROOM, ROOMIER = Capacity(edges=1024, pieces=2048, arc_pieces=2048, arcs=1024), 2
 #: Noise leaves at most so many standard errors more than on average.
 ERRORS = 4.0
 #: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
@@ -68,6 +68,7 @@ class Solver:
     ):
         self._bounds, self._prior, self._record = bounds, prior, record
         self.dtype, self.names, self.max_steps = np.dtype(dtype), names, max_steps
+        self._others: Others | None = None
         self._target, self._scene = target, padded(astype(scene, dtype))
         box = np.asarray(bounding_box(scene), float)
         self._corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
@@ -75,7 +76,7 @@ class Solver:
         self.mesh = _mesh_of(scene)
         self.window = object_window(target)
         image = shares(self.window.of(target))
-        self.capacity = _first_capacity(scene, image)
+        self.capacity = first_room(scene, image)
         self.kind = kind_of(self.window.of(target), self.window.of(weights), dtype)
         self.weigh(weights)
 
@@ -84,7 +85,7 @@ class Solver:
         #: Walks all round a line: from there another need not be taken.
         self.walked: list[tuple[Camera, Revolution, list[Found]]] = []
         self._weights = weights
-        size = _size(self.capacity.pieces)
+        size = size_of(self.capacity.pieces)
         least = LEAST_CELLS * 4 ** ((size + 1) // 2)
         levels, self.levels = pyramid(
             self._target, weights, self.dtype, window=self.window, least=least
@@ -102,7 +103,8 @@ class Solver:
         self._beside = float(whole - np.sum(seen))
         self._counted = np.count_nonzero(seen)
         self.finest = len(self.levels) - 1
-        self.problem = Problem(self._scene, levels, self.ball, self._bounds, self._prior)
+        others = self._others or no_others(self.names, self.dtype)
+        self.problem = Problem(self._scene, levels, self.ball, others, self._bounds, self._prior)
         if not self.kind.hard:
             self.levels.append(self.levels[-1]._replace(strict=np.array(True)))
 
@@ -145,18 +147,24 @@ class Solver:
         self._widen(unit)
         while True:
             view = self._further(unit, self.levels[level], 0.0, 1, self.capacity)[-1]
-            room = _room(self.capacity, view.load)
+            room = more_room(self.capacity, view.load)
             if room == self.capacity:
                 share = float(self.levels[level].scale) / len(self._target)
                 weight = float(view.sums.weight) + share**2 * self._beside
                 return view._replace(sums=view.sums._replace(weight=np.asarray(weight)))
-            larger = _size(room.pieces) > _size(self.capacity.pieces)
+            larger = size_of(room.pieces) > size_of(self.capacity.pieces)
             self.capacity = room
             if larger:
                 self.weigh(self._weights)
 
+    def hear(self, others: Others | None) -> None:
+        """Count what other views know from now on, None: nothing. They weigh the prior, too."""
+        self.walked, self._others = [], others
+        known = others or no_others(self.names, self.dtype)
+        self.problem = eqx.tree_at(lambda p: p.others, self.problem, known)
+
     def _believe(self, unit: Camera, level: int) -> None:
-        if self._prior is not None:
+        if self._prior is not None and self._others is None:
             self.believe(self.look(unit, level).touched_misfit)
 
     def believe(self, misfit: float) -> None:
@@ -254,6 +262,7 @@ class Solver:
         unit, n, _, view = self._further(unit, self.levels[-1], px, steps, self.capacity)
         return Found(unit, view, (*taken, int(n)))
 
+    @collector_at_rest()
     def _further(self, unit: Camera, level: Level, px: float, steps: int, capacity: Capacity):
         """Return `descended`'s from a camera: one program, whether it takes steps or only looks."""
         # optimistix takes a third of this package's import
@@ -290,40 +299,3 @@ def _mesh_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     if scene.mesh is None:
         return np.zeros((0, 3)), np.zeros((0, 3), int)
     return np.asarray(scene.mesh.vertices), np.asarray(scene.mesh.faces)
-
-
-def _first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
-    """Return a guess: some contour edges per root of faces, some pieces per pixel of outline and as
-    many again in folds that it hides."""
-    faces = 0 if scene.mesh is None else scene.mesh.faces.shape[0]
-    spheres = 0 if scene.spheres is None else scene.spheres.radii.shape[0]
-    inside = image > 0.5
-    outline = sum(int(np.sum(np.diff(inside, axis=k))) for k in (0, 1))
-    need = Capacity(
-        edges=int(3 * faces**0.5),
-        pieces=(3 * outline) // 2 + int(3 * faces**0.5) if faces else 0,
-        arc_pieces=outline + 8 * spheres if spheres else 0,
-        arcs=0,
-    )
-    return _room(Capacity(1, 1, 1, 1), need)
-
-
-def _size(pieces: int) -> int:
-    """Return which of the sizes a number of pieces needs, 0 the smallest."""
-    size = 0
-    while LEAST_ROOM.pieces * ROOMIER**size < pieces:
-        size += 1
-    return size
-
-
-def _room(have: Capacity, need: Iterable[Any]) -> Capacity:
-    """Return what is 9/8 of the need as it is, of the rest the next of few sizes that is 3/2 of
-    it."""
-    rooms = []
-    for least, room, load in zip(LEAST_ROOM, have, need, strict=True):
-        if 8 * room < 9 * int(load):
-            room = max(room, least)
-            while 2 * room < 3 * int(load):
-                room *= ROOMIER
-        rooms.append(room)
-    return Capacity(*rooms)

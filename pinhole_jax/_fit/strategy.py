@@ -49,19 +49,25 @@ def turns_freely(names: tuple[str, ...]) -> bool:
 def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> Places:
     """Return what explains the mask best, the nearest to the start first if several do equally."""
     before = solver.look(start, -1)
-    begin, free = start, turns_freely(solver.names)
-    if free and float(before.sums.overlap) <= 0.05 * float(before.sums.union):
+    begin = start
+    if turns_freely(solver.names) and float(before.sums.overlap) <= 0.05 * float(before.sums.union):
         begin = canonical(aimed(mask, solver.problem.scene, solver.ball))
     found = solver.solve(begin, range(len(solver.levels)), told)
     if not found.view.squares <= before.squares:
         found = found._replace(unit=start, view=before)  # never worse than the start
-    if not free:
+    return looked_round(solver, mask, found, start, told)
+
+
+def looked_round(solver: Solver, mask: Mask, found: Found, start: Camera, told: Told) -> Places:
+    """Return what explains the mask best or as well as what a descent from a start found, the
+    nearest to the start first."""
+    if not turns_freely(solver.names):
         return settled(solver, found, start)
     places, content = Places(found, [], []), solver.explains(found.view)
     if content or solver.misfit_above_noise(found.view) <= EXACT:
         places = settled(solver, found, start)
         alike = [c for c in mirrored(solver, places.best) if angle(c, start) < NEAR_START]
-        places = with_others(solver, places, _finished(solver, alike))
+        places = with_others(solver, places, finished(solver, alike))
         content = solver.explains(places.best.view)
     explained = solver.kind.exact and content
     astray = not explained and angle(places.best.unit, start) > ASTRAY
@@ -128,12 +134,18 @@ def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> Place
         found = _one_of_each([*found, *_followed(solver, likely, apart, told)], solver.names)
         if solver.explains(found[0].view):
             break
-    places = settled(solver, found[0])
-    alike = _finished(solver, mirrored(solver, places.best))
-    return with_others(solver, places, [*found[1:], *alike])
+    return looked_alike(solver, found[0], found[1:])
 
 
-def _finished(solver: Solver, views: Iterable[Camera]) -> list[Found]:
+def looked_alike(solver: Solver, found: Found, others: list[Found]) -> Places:
+    """Return the best of a camera, others, and what is as good as it along walks and at views that
+    look alike."""
+    places = settled(solver, found)
+    alike = finished(solver, mirrored(solver, places.best))
+    return with_others(solver, places, [*others, *alike])
+
+
+def finished(solver: Solver, views: Iterable[Camera]) -> list[Found]:
     """Return where views that are nearly right lead to on the last levels. (Coarse ones do not tell
     a tilt from its mirror image.)"""
     levels = range(max(solver.finest - 1, 0), len(solver.levels))

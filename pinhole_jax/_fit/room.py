@@ -1,0 +1,107 @@
+"""How much room a fit's buffers have: few sizes, since a program is compiled for each."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from .._numerics.kept import kept
+from .._scene.scene import Mesh, Scene
+from .residuals import Capacity
+from .search import sphere_points
+from .thumbnails import axes_inward, bits_of, fronts
+
+#: What the smallest buffers hold, and how much larger the next ones are.
+LEAST_ROOM, ROOMIER = Capacity(edges=1024, pieces=2048, arc_pieces=2048, arcs=1024), 2
+#: From so many sides a mesh's contour is measured, so many of its radii away; of 4 views about 3
+#: fit into the first buffers.
+SIDES, FAR, MOST = 16, 5.0, 0.75
+#: This share of a mask's rows and columns, at either end, may be crumbs.
+CRUMBS = 0.005
+
+
+def first_room(scene: Scene, image: np.ndarray) -> Capacity:
+    """Return the buffers that most views of a scene, as large as in a mask (H, W), need."""
+    spheres = 0 if scene.spheres is None else scene.spheres.radii.shape[0]
+    inside = image > 0.5
+    outline = sum(int(np.sum(np.diff(inside, axis=k))) for k in (0, 1))
+    arc_pieces = outline + 8 * spheres if spheres else 0
+    edges = pieces = 0
+    if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
+        number, length = contours(scene.mesh)
+        needed = number + length * _extent(inside)
+        edges, pieces = (int(np.quantile(x, MOST)) for x in (number, needed))
+    _, _, *arcs = more_room(Capacity(1, 1, 1, 1), Capacity(0, 0, arc_pieces, 0))
+    if not edges:
+        return Capacity(1, 1, *arcs)
+    least = LEAST_ROOM
+    return Capacity(_next_size(least.edges, edges), _next_size(least.pieces, pieces), *arcs)
+
+
+def contours(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Return, from some sides, how many contour edges a mesh has (n,), and how many pixels' sides
+    they cross (n,) for each pixel of the view's extent."""
+    arrays = (mesh.vertices, mesh.faces, mesh.edge_vertices, mesh.edge_faces)
+    return kept(_contours, *(np.asarray(x) for x in arrays))
+
+
+def _contours(
+    vertices: np.ndarray, faces: np.ndarray, edge_vertices: np.ndarray, edge_faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    low, high = (np.asarray(f(vertices, axis=0), float) for f in (np.min, np.max))
+    directions = sphere_points(SIDES)
+    radius = max(np.linalg.norm(high - low) / 2, 1e-300)
+    points = (np.asarray(vertices, float) - (low + high) / 2) / radius
+    first, second = edge_faces.T
+    before = fronts(points, faces, FAR * directions)
+    edge = np.flatnonzero((before[first] != before[second]) | (second < 0))
+    sides = (bits_of(before[x[edge]], SIDES) for x in (first, second))
+    on = np.not_equal(*sides) | (second[edge] < 0)[:, None]
+    which, view = np.nonzero(on)
+    axes, ends = axes_inward(directions), points[edge_vertices[edge[which]]]
+    film = np.einsum("kij,knj->kni", axes[view, :2], ends)
+    length = np.bincount(view, np.sum(np.abs(film[:, 1] - film[:, 0]), axis=1), SIDES)
+    extent = np.zeros((SIDES, 2))
+    for turn in (1, -1):
+        reach = np.full((SIDES, 2), -np.inf)
+        np.maximum.at(reach, view, np.max(turn * film, axis=1))
+        extent += np.where(np.isfinite(reach), reach, 0)
+    return np.bincount(view, minlength=SIDES), length / np.maximum(np.hypot(*extent.T), 1e-9)
+
+
+def _extent(inside: np.ndarray) -> float:
+    """Return the length (px) of the diagonal of what is inside a mask, but for crumbs."""
+    spans = []
+    for axis in (0, 1):
+        upto = np.cumsum(np.sum(inside, axis=axis))
+        low, high = np.searchsorted(upto, upto[-1] * np.array([CRUMBS, 1 - CRUMBS]))
+        spans.append(high - low + 1)
+    return float(np.hypot(*spans))
+
+
+def size_of(pieces: int) -> int:
+    """Return which of the sizes a number of pieces needs, 0 the smallest."""
+    size = 0
+    while LEAST_ROOM.pieces * ROOMIER**size < pieces:
+        size += 1
+    return size
+
+
+def more_room(have: Capacity, need: Iterable[Any]) -> Capacity:
+    """Return what is 9/8 of the need as it is, of the rest the next of few sizes that is 3/2 of
+    it."""
+    rooms = []
+    for least, room, load in zip(LEAST_ROOM, have, need, strict=True):
+        if 8 * room < 9 * int(load):
+            room = max(room, least)
+            while 2 * room < 3 * int(load):
+                room *= ROOMIER
+        rooms.append(room)
+    return Capacity(*rooms)
+
+
+def _next_size(room: int, need: int) -> int:
+    """Return the first of few sizes, from the least, that is 5/4 of the need."""
+    while 4 * room < 5 * need:
+        room *= ROOMIER
+    return room
