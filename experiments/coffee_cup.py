@@ -12,7 +12,6 @@ import sys
 import time
 from pathlib import Path
 
-import jax
 import numpy as np
 import scipy.ndimage
 import skimage.color
@@ -38,15 +37,14 @@ def segment(photo: np.ndarray) -> np.ndarray:
     lightness, a, b = np.moveaxis(skimage.color.rgb2lab(photo), -1, 0)
     red = (a > b + 1) & (a > 27)
     white = (lightness > 75) & (np.hypot(a, b) < 25)
-    mask = skimage.morphology.closing(red | white, skimage.morphology.disk(5))
+    mask = skimage.morphology.isotropic_closing(red | white, 5)
     mask = scipy.ndimage.binary_fill_holes(mask)
-    mask = skimage.morphology.opening(mask, skimage.morphology.disk(40))
+    mask = skimage.morphology.isotropic_opening(mask, 40)
     label, count = scipy.ndimage.label(mask)
     return label == 1 + np.argmax(scipy.ndimage.sum(mask, label, range(1, count + 1)))
 
 
 def main() -> None:
-    jax.config.update("jax_enable_x64", True)
     kept = pj.cache()
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
     photo = skimage.data.coffee()

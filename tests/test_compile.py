@@ -12,16 +12,17 @@ from _kernels import Kernels, kernels
 
 #: At most so many kernels in all, that differ, and loops.
 MOST = {
-    "mask_without_overlaps": Kernels(225, 165, 8),
-    "mask": Kernels(600, 410, 26),
-    "fit": Kernels(620, 410, 10),
+    "mask_without_overlaps": Kernels(220, 160, 8),
+    "mask": Kernels(590, 395, 25),
+    "gradient_of_camera": Kernels(1280, 555, 55),
+    "fit": Kernels(590, 395, 10),
 }
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", MOST)
 def test_a_program_has_few_kernels(name):
-    """How many there are depends on the compiler's version: by a tenth at most."""
+    """How many there are depends on the compiler's version: by a twentieth at most."""
     function, arguments = compile_table.PROGRAMS[name]()
     # As users have the compiler, whatever `conftest` makes of it for the other tests.
     older = "fusion_emitters=false" in os.environ.get("XLA_FLAGS", "")
@@ -29,7 +30,7 @@ def test_a_program_has_few_kernels(name):
     lowered = function.lower(*arguments)
     compiled = getattr(lowered, "lowered", lowered).compile(compiler_options=options)
     found = kernels(getattr(compiled, "compiled", compiled).as_text())
-    assert all(a <= 1.1 * b for a, b in zip(found, MOST[name], strict=True)), found
+    assert all(a <= 1.05 * b for a, b in zip(found, MOST[name], strict=True)), found
 
 
 def test_equal_kernels_count_once():
