@@ -25,7 +25,7 @@ from .._numerics.bitset import listed
 from .._numerics.running import running_sum
 from .coverage import Monotone, Pieces, at_row, monotone, piece_counts, split
 from .curves import Curves, ends, placed
-from .sweep import NARROW, WIDE, Cells, Visible, empty_cells, insert, sweep
+from .sweep import ARC, NARROW, STRAIGHT, WIDE, Cells, Visible, empty_cells, insert, sweep
 
 CELLS = 256
 CUT = 4
@@ -36,6 +36,8 @@ INSERTED = 128
 #: Visible pieces kept for the derivative (where there are more, cells are resolved again).
 KEPT = 1 << 12
 KEPT_AT_A_TIME = 512
+#: The place of what is in no pixel.
+NOWHERE = np.iinfo(np.int32).max
 #: How many cells are swept together: of few pieces, and of more.
 SWEPT = {NARROW: 128, WIDE: 8}
 
@@ -51,6 +53,20 @@ class Part(NamedTuple):
     total: Int[Array, ""]
     size: int
     most: int | None
+
+    @property
+    def straight(self) -> bool:
+        """Whether its curves are segments, not arcs."""
+        return self._lift.shape[-2] == 2
+
+    @property
+    def dtype(self) -> Any:
+        """The float type."""
+        return self._lift.dtype
+
+    @property
+    def _lift(self) -> Any:
+        return jax.eval_shape(self.lifts, jnp.zeros(1, jnp.int32))
 
 
 class Crowded(NamedTuple):
@@ -75,7 +91,7 @@ class Resolved(NamedTuple):
 
 class Kept(NamedTuple):
     """The visible pieces of one part in crowded pixels, for the derivative: their places, curves
-    and flux. If more than there is room for are `used`, they are not complete."""
+    and parts. If more than there is room for are `used`, they are not complete."""
 
     place: Int[Array, "N"]
     visible: Visible
@@ -88,7 +104,7 @@ class Kept(NamedTuple):
 
     def append(self, place: Int[Array, "C"], more: Visible) -> "Kept":
         """Return these and those of cells at `place` that are visible."""
-        seen = jnp.any(more.flux != 0, axis=(-2, -1))
+        seen = jnp.any(more.part != 0, axis=-1)
         upto = self.used + running_sum(seen.reshape(-1).astype(jnp.int32)).reshape(seen.shape)
         slot = jnp.where(seen, upto - 1, self.place.shape[0])
         put = lambda old, new: old.at[slot].set(new, mode="drop")
@@ -109,10 +125,20 @@ class Kept(NamedTuple):
 
 def nothing_kept(part: Part) -> Kept:
     """Return room for the visible pieces of a part."""
-    lift = jax.eval_shape(part.lifts, jnp.zeros(KEPT, jnp.int32))
-    nowhere = jnp.full(KEPT, jnp.iinfo(jnp.int32).max, jnp.int32)
-    visible = Visible(jnp.zeros(KEPT, jnp.int32), jnp.zeros(lift.shape, lift.dtype))
+    numbers, dtype = (STRAIGHT if part.straight else ARC), part.dtype
+    nowhere = jnp.full(KEPT, NOWHERE, jnp.int32)
+    visible = Visible(jnp.zeros(KEPT, jnp.int32), jnp.zeros((KEPT, numbers), dtype))
     return Kept(nowhere, visible, jnp.int32(0))
+
+
+def all_kept(place: Int[Array, "C"], visible: Visible) -> Kept:
+    """Return all pieces of cells at `place`, visible or not."""
+    place = jnp.broadcast_to(place[:, None], visible.curve.shape).reshape(-1)
+    room = -place.shape[0] % KEPT_AT_A_TIME
+    flat = Visible(visible.curve.reshape(-1), visible.part.reshape(-1, visible.part.shape[-1]))
+    more = lambda x: jnp.pad(x, [(0, room)] + [(0, 0)] * (x.ndim - 1))
+    used = jnp.int32(place.shape[0])
+    return Kept(jnp.pad(place, (0, room), constant_values=NOWHERE), jax.tree.map(more, flat), used)
 
 
 class _Stack(NamedTuple):
@@ -155,9 +181,9 @@ def fold_cells(
 
     `base` is the number of layers left of the film. With `flux` the visible parts are worked out.
     """
-    dtype = jax.eval_shape(parts[0].curves, jnp.zeros(1, jnp.int32)).weight.dtype
+    dtype = parts[0].dtype
     depth = LAST_CUT[jnp.dtype(dtype).name]
-    lifts = [part.lifts for part in parts]
+    frames = [None if part.straight else part.lifts for part in parts]
 
     def body(state):
         first, stack, total = state
@@ -174,10 +200,11 @@ def fold_cells(
         swept = _Swept(cells, corner, batch.origin, jnp.where(used & ~cut, batch.place, -1))
 
         def resolve(total, swept: _Swept):
-            area, visible = sweep(swept.cells, swept.corner, lifts, batch.scale, swept.origin, flux)
-            keep = (swept.place >= 0)[:, None, None, None]
-            visible = [v._replace(flux=jnp.where(keep, v.flux, 0)) for v in visible]
-            place = jnp.where(swept.place >= 0, swept.place, jnp.iinfo(jnp.int32).max)
+            at = batch.scale, swept.origin
+            area, visible = sweep(swept.cells, swept.corner, frames, *at, flux)
+            keep = (swept.place >= 0)[:, None, None]
+            visible = [v._replace(part=jnp.where(keep, v.part, 0)) for v in visible]
+            place = jnp.where(swept.place >= 0, swept.place, NOWHERE)
             return add(total, Resolved(place, area / (batch.scale * batch.scale), visible))
 
         total = swept.fold(resolve, total)

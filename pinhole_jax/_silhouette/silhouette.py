@@ -27,6 +27,7 @@ from .overlaps import (
     Kept,
     Part,
     Resolved,
+    all_kept,
     fold_cells,
     fold_curves,
     fold_pieces,
@@ -287,13 +288,13 @@ def _fold_visible(
         start = fold_curves(part, chunk, start, part.size)
 
     def crowd(total, place, visible: Visible, number: int):
-        return add(total, number, place, visible.curve, visible.flux)
+        lifts = jax.lax.stop_gradient(parts[number].lifts(visible.curve))
+        return add(total, number, place, visible.curve, visible.flux(lifts))
 
     def again(total, resolved: Resolved):
         for number, visible in enumerate(resolved.visible):
-            place = jnp.broadcast_to(resolved.place[:, None], visible.curve.shape)
-            flat = lambda x: x.reshape(-1, *x.shape[2:])
-            total = crowd(total, flat(place), jax.tree.map(flat, visible), number)
+            kept = all_kept(resolved.place, visible)
+            total = kept.fold(partial(crowd, number=number), total)
         return total
 
     if still.overlap is None:

@@ -33,12 +33,30 @@ class Cells(NamedTuple):
     total: Int[Array, "C"]
 
 
-class Visible(NamedTuple):
-    """For the pieces of one part: whose curve it is, and the derivative of the cell's area (px^2)
-    by that curve's lift."""
+#: Numbers that say what is visible of a straight piece, and of an arc.
+STRAIGHT, ARC = 7, 9
 
-    curve: Int[Array, "C M"]
-    flux: Float[Array, "C M n 3"]
+
+class Visible(NamedTuple):
+    """For the pieces of one part: whose curve it is, and what is visible of it, all 0 for nothing.
+
+    Of a straight piece: its ends (px), 1 if it is steep, else 0, its visible length along x (along
+    y, if steep), signed by which side is covered, and that length's first moment from the first
+    end, as a share of the piece (both px). Of an arc: the derivative of the cell's area (px^2) by
+    its frame.
+    """
+
+    curve: Int[Array, "*K"]
+    part: Float[Array, "*K numbers"]
+
+    def flux(self, lift: Float[Array, "*K n 3"]) -> Float[Array, "*K n 3"]:
+        """Return the derivative of the cell's area (px^2) by the curve's lift."""
+        if lift.shape[-2] == 3:
+            return self.part.reshape(lift.shape)
+        start, end, steep = self.part[..., :2], self.part[..., 2:4], self.part[..., 4] > 0
+        first, last = (edge_shares(lift, steep, point) for point in (start, end))
+        length, moment = self.part[..., 5:6], self.part[..., 6:7]
+        return edge_flux(lift, steep, -(length * first + moment * (last - first)))
 
 
 def empty_cells(number: int, dtype) -> Cells:
@@ -136,7 +154,7 @@ def _along_y(cells: Cells) -> _Lines:
 def sweep(
     cells: Cells,
     corner: Float[Array, "C"],
-    lifts: list[Callable[[Array], Array]],
+    frames: list[Callable[[Array], Array] | None],
     scale: Float[Array, ""],
     origin: Float[Array, "C 2"],
     flux: bool,
@@ -144,19 +162,18 @@ def sweep(
     """Return the covered share of each cell, and (with `flux`) what of each piece bounds it.
 
     `corner` is the winding number at the cells' lower left corners `origin` (px), of which `scale`
-    make a pixel; `lifts` are those of the parts' curves. The area comes from the sweep along x, and
-    so does the flux of pieces flatter than 45 degrees; that of steep ones from one along y.
+    make a pixel; `frames` are those of the parts' arcs, None for straight curves. The area comes
+    from the sweep along x, and so does the flux of pieces flatter than 45 degrees; that of steep
+    ones from one along y.
     """
-    owners, held, arc = [], [], None
-    for number, of in enumerate(lifts):
+    owners, arc = [], None
+    for number, of in enumerate(frames):
         own = cells.owner[..., 0] == number
         ids = jnp.where(own, cells.owner[..., 1], 0)
-        lift = jax.lax.stop_gradient(of(ids.reshape(-1)))
-        lift = lift.reshape(*ids.shape, *lift.shape[1:])
         owners.append((own, ids))
-        held.append(lift)
-        if lift.shape[-2] == 3:
-            arc = (own, _placed(lift, scale, origin))
+        if of is not None:
+            frame = jax.lax.stop_gradient(of(ids.reshape(-1))).reshape(*ids.shape, 3, 3)
+            arc = (own, _placed(frame, scale, origin))
     one = jnp.ones_like(corner)[:, None]
     if not flux:
         lines = _along_x(cells)
@@ -166,8 +183,8 @@ def sweep(
     lines, bent = both(_along_x(cells), _along_y(cells)), None
     if arc is not None:
         own, frame = arc
-        frames = both(frame, frame[..., jnp.array([1, 0, 2])])
-        bent = _bent(both(own, own), frames, both(one, -one), lines)
+        placed = both(frame, frame[..., jnp.array([1, 0, 2])])
+        bent = _bent(both(own, own), placed, both(one, -one), lines)
     area, seen = _sweep(lines, both(corner, corner), bent, True)
     C = corner.shape[0]
     flat, upright = (
@@ -176,14 +193,15 @@ def sweep(
     across = jnp.abs(cells.piece[..., 2:4] - cells.piece[..., :2])
     steep = across[..., 1] > across[..., 0]
     visible = []
-    for (own, ids), lift in zip(owners, held, strict=True):
-        if lift.shape[-2] == 2:
+    for (own, ids), of in zip(owners, frames, strict=True):
+        if of is None:
             length = jnp.where(steep[..., None], upright.moments, flat.moments)
-            value = _edge_visible(lift, cells, steep, length, scale, origin)
+            value = _straight_part(cells, steep, length, scale, origin)
         else:
             back = upright.arcs[..., jnp.array([1, 0, 2])]
             value = _unplaced(jnp.where(steep[..., None, None], back, flat.arcs), scale, origin)
-        visible.append(Visible(ids, jnp.where(own[..., None, None], value, 0)))
+            value = value.reshape(*ids.shape, ARC)
+        visible.append(Visible(ids, jnp.where(own[..., None], value, 0)))
     return area[:C], visible
 
 
@@ -200,18 +218,19 @@ def _unplaced(flux: Float[Array, "C M 3 3"], scale: Array, origin: Array) -> Arr
     return jnp.concatenate([xy, z], axis=-1)
 
 
-def _edge_visible(lift, cells: Cells, steep: Array, seen: Array, scale: Array, origin: Array):
-    """Return the flux of the visible parts of edges.
+def _straight_part(cells: Cells, steep: Array, seen: Array, scale: Array, origin: Array) -> Array:
+    """Return what is visible of straight pieces (see `Visible`) that lie in cells.
 
-    `seen` holds the visible length along u, signed by which side is covered, and its first moment.
+    `seen` holds the visible length along u, signed, and its first moment.
     """
     start, end = cells.piece[..., :2], cells.piece[..., 2:4]
     u0, u1 = (jnp.where(steep, p[..., 1], p[..., 0]) for p in (start, end))
-    at = lambda p: edge_shares(lift, steep, origin[:, None] + p / scale)
-    first, last = at(start), at(end)
-    slope = safe_divide(last - first, (u1 - u0)[..., None])
-    moment = (seen[..., 1] - seen[..., 0] * u0)[..., None]
-    return edge_flux(lift, steep, -(seen[..., :1] * first + slope * moment) / scale)
+    ends = [origin[:, None] + point / scale for point in (start, end)]
+    length, moment = seen[..., 0], safe_divide(seen[..., 1] - seen[..., 0] * u0, u1 - u0)
+    visible = jnp.stack([length, moment], axis=-1) / scale
+    parts = [*ends, steep[..., None].astype(visible.dtype), visible]
+    there = jnp.any(visible != 0, axis=-1, keepdims=True)
+    return jnp.where(there, jnp.concatenate(parts, axis=-1), 0)
 
 
 class _Bent(NamedTuple):
