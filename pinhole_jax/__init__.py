@@ -17,7 +17,7 @@ else:
 
         if name == "__all__":
             return [*_public_names()]
-        own = not name.startswith("__")
+        own = name.isidentifier() and not name.startswith("__")
         if own and find_spec(f"{__name__}.{name}"):  # alone: others may wait for it to load them
             return import_module(f"{__name__}.{name}")
         if own and name in _public_names():

@@ -42,6 +42,12 @@ def pytest_addoption(parser):
     parser.addoption("--exhaustive", action="store_true", help="every test, at full size: hours")
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Return how many workers `-n auto` is: each takes about 1 GB."""
+    return min(os.cpu_count() or 1, 8)
+
+
 @pytest.fixture
 def exhaustive(pytestconfig) -> bool:
     """Whether tests are to run at full size."""

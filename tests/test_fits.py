@@ -177,3 +177,14 @@ def test_other_files_are_no_fits(tmp_path):
         io.load_fit(path)
     with pytest.raises(FileNotFoundError, match=r"`path`: expected a fit's file, got .*no\.json"):
         io.load_fit(tmp_path / "no.json")
+
+
+def test_a_lens_that_holds_where_the_object_is_comes_back(tmp_path):
+    """A fit trusts a distortion in the object's window alone."""
+    folding = pj.Lens([32, 24], 1.0, pj.BrownConrady(-3.0))
+    camera = eqx.tree_at(lambda c: c.lens, CAMERA, folding)
+    with pytest.raises(ValueError, match="folds back"):
+        PLAIN.replace(lens=folding)
+    fit = fit_of(camera)
+    io.save_fit(tmp_path / "fit.json", fit)
+    assert_equal(fit, io.load_fit(tmp_path / "fit.json"))

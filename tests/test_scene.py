@@ -126,7 +126,8 @@ def test_padding_and_casting_keep_the_silhouette():
     image = pj.silhouette(camera, scene)
     full = padded(scene)
     assert full.mesh.faces.shape[0] % 64 == 0
-    np.testing.assert_array_equal(pj.silhouette(camera, full), image)
+    # Other sizes are another program: its sums may be rounded elsewhere.
+    np.testing.assert_allclose(pj.silhouette(camera, full), image, atol=1e-14)
     single = astype(scene, jnp.dtype(jnp.float32))
     assert single.mesh.planes.normal.dtype == jnp.float32
     np.testing.assert_allclose(pj.silhouette(camera, single), image, atol=1e-5)

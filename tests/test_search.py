@@ -1,5 +1,7 @@
 """A camera with no start, or a bad one."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -8,10 +10,12 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
+from pinhole_jax._fit.room import FAR, LEAST_ROOM, SIDES, contours, first_room
 from pinhole_jax._fit.search import sphere_points
 from pinhole_jax._fit.signatures import distances, facing, signatures
 from pinhole_jax._fit.thumbnails import SIZE, axes_inward, thumbnails
 from pinhole_jax._scene.scene import ball_about, bounding_box
+from pinhole_jax._silhouette.contour import contour_weights
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +65,8 @@ def test_thumbnails_are_silhouettes_whose_layers_are_clamped(what):
     box = trimesh.creation.box((1, 2, 3)).apply_translation((7, 0, 0))
     scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces[: -3 if what == "open" else None]))
     if what == "spheres":
-        scene = pj.Scene(spheres=pj.Spheres(random.normal(size=(20, 3)), np.full(20, 0.2)))
+        radii = random.uniform(0.02, 0.6, 20)
+        scene = pj.Scene(spheres=pj.Spheres(random.normal(size=(20, 3)), radii))
     ball = ball_about(np.asarray(bounding_box(scene), float))
     directions, phi = sphere_points(5), 2 * np.arcsin(1 / 1.5)
     axes = axes_inward(directions)
@@ -72,6 +77,29 @@ def test_thumbnails_are_silhouettes_whose_layers_are_clamped(what):
         exact = np.asarray(pj.silhouette(camera, scene, overlaps=False))
         np.testing.assert_allclose(image, exact, atol=0.15)
         assert np.mean(np.abs(image - exact)) < 2e-3
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_contours_are_counted_as_they_are_seen(closed):
+    mesh = shapes.bumpy(2)
+    mesh = mesh if closed else pj.Mesh(mesh.vertices, mesh.faces[:-30])
+    ball = ball_about(np.asarray(bounding_box(pj.Scene(mesh=mesh)), float))
+    number, length = contours(mesh)
+    count = jax.jit(lambda e: jnp.sum(contour_weights(mesh, e) != 0))
+    for direction, edges in zip(sphere_points(SIDES), number, strict=True):
+        assert abs(int(count(ball.centre + FAR * ball.radius * direction)) - edges) <= 1
+    # A contour goes round what is seen at least once: twice its width and its height.
+    assert np.all(length > 2)
+
+
+def test_a_mask_of_crumbs_is_as_large_as_the_object():
+    inside = np.zeros((200, 200))
+    inside[40:80, 50:80] = 1
+    crumbs = inside.copy()
+    crumbs[199, 199] = crumbs[0, 0] = 1
+    scene = pj.Scene(mesh=shapes.bumpy(5))
+    assert first_room(scene, crumbs) == first_room(scene, inside)
+    assert first_room(scene, np.zeros((9, 9))).pieces >= LEAST_ROOM.pieces
 
 
 def test_a_camera_is_found_with_no_start(scene):

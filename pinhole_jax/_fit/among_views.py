@@ -17,12 +17,12 @@ from .full_image import completed
 from .mask import Mask
 from .moves import on_film
 from .parameters import LABELS, labels_of
-from .places import APART, Places, better, separation, settled
+from .places import APART, EQUAL_TIMES, Places, better, separation, settled
 from .priors import Others, no_others
 from .problem import View
 from .shared_unknowns import alike, beside, descend, others, reduced, with_rows
 from .solver import Found, Solver, Stop
-from .strategy import finished, looked_alike, looked_round
+from .strategy import finished, looked_alike, looked_round, with_others
 
 #: So often at most all views are asked again, since one of them is better elsewhere.
 ROUNDS = 3
@@ -69,18 +69,42 @@ def asked(
 ) -> tuple[list[OneView], list[View], list[Answer]]:
     """Return the views after a descent, what is seen on the last level, and each view's answer.
 
-    Where one is better elsewhere, all descend from there together, and are asked again.
+    Where one is better elsewhere, all descend from there together, and are asked again. If that is
+    worse for all together, they stay, and the place is one of that view's others.
     """
-    answers: list[Answer] = []
+    answers = _answers(views, seen, own)
     for _ in range(ROUNDS):
-        answers = _answers(views, seen, own)
         best = [answer.places.best.unit for answer in answers]
         if all(unit is one.unit for unit, one in zip(best, views, strict=True)):
             break
         units = alike(best, common)
-        views = [one._replace(unit=unit) for one, unit in zip(views, units, strict=True)]
-        views, seen, _ = descend(views, 1, own, max_steps, views[0].solver.dtype)
-    return views, seen, answers
+        moved = [one._replace(unit=unit) for one, unit in zip(views, units, strict=True)]
+        moved, there, _ = descend(moved, 1, own, max_steps, views[0].solver.dtype)
+        if not _squares(there) <= _squares(seen) + _noise(views, seen):
+            break
+        views, seen = moved, there
+        answers = _answers(views, seen, own)
+    held = [_held(*each) for each in zip(answers, views, seen, strict=True)]
+    return views, seen, held
+
+
+def _squares(seen: list[View]) -> float:
+    return sum(view.squares for view in seen)
+
+
+def _noise(views: list[OneView], seen: list[View]) -> float:
+    """Return by how much sums of squares of equal places may differ."""
+    pairs = zip(views, seen, strict=True)
+    variances = (max(one.solver.kind.variance, view.touched_misfit) for one, view in pairs)
+    return EQUAL_TIMES * max(variances)
+
+
+def _held(answer: Answer, one: OneView, view: View) -> Answer:
+    """Return the answer with the view's camera as the best, and another best among the others."""
+    best, others, free = answer.places
+    if best.unit is one.unit:
+        return answer
+    return answer._replace(places=Places(Found(one.unit, view, ()), [best, *others], free))
 
 
 def _answers(views: list[OneView], seen: list[View], own: np.ndarray) -> list[Answer]:
@@ -130,8 +154,9 @@ def _kept(solver: Solver, places: Places, found: Found, start: Camera | None) ->
     best, *others = places.best, *places.others
     here = [f for f in (best, *others) if _is(solver, f, found)]
     if not here:
-        is_better = better(solver, best.view, found.view)
-        return places if is_better else settled(solver, found, start)
+        if better(solver, best.view, found.view):
+            return places
+        return with_others(solver, settled(solver, found, start), [best, *others])
     if start is not None and here[0] is not best:
         return places
     elsewhere = [f for f in (best, *others) if f is not here[0]]

@@ -44,7 +44,7 @@ def fit_cameras(
       is searched for, with `phi` as in `fit_camera`.
     - `weights`: for each mask, or None.
     - `prior`, `bounds`: as in `fit_camera`; of what is shared once, else for each view.
-    - `max_steps`: a limit for each level.
+    - `max_steps`: a limit for each level, and for each descent from another place.
 
     At the end each view is asked what `fit_camera` asks, with what the others know of what is
     shared: are other places as good (its `modes`, and the status "ambiguous") or better (then all
@@ -169,7 +169,8 @@ def _report(one: OneView, found: Found, answer: Answer, variance: float) -> Fit:
     def told(f: Found) -> Fit:
         free = [at(solver, f, direction) for direction in places.free]
         known = Known(solver.kind, solver.problem.bounds, free, variance)
-        return report(one.mask.camera, f, f.view.sums, solver.names, known)
+        fit = report(one.mask.camera, f, f.view.sums, solver.names, known)
+        return fit._replace(history=())
 
     return with_modes(told(found), [told(mode) for mode in _modes(one, answer)])
 

@@ -10,10 +10,11 @@ from .._scene.scene import Ball, Mesh, Scene
 
 #: Width and height (px).
 SIZE = 48
-#: A line's parts within a row (px), and points of a sphere's outline.
-STEP, FEWEST, MOST = 0.5, 12, 96
-#: So many views have a bit of a word each; so many faces, or lines, are looked at at a time.
-WORD, FACES, LINES = 64, 1 << 14, 1 << 18
+#: A line's parts within a row (px), and points of small and large spheres' outlines.
+STEP, OUTLINE = 0.5, (12, 32, 96)
+#: So many views have a bit of a word each; so many faces, edges or points of outlines are looked at
+#: at a time.
+WORD, FACES, EDGES, POINTS = 64, 1 << 14, 1 << 12, 1 << 18
 
 
 def axes_inward(directions: np.ndarray) -> np.ndarray:
@@ -58,19 +59,18 @@ def _draw_mesh(
         some = slice(begin, begin + WORD)
         front = fronts(vertices, np.asarray(mesh.faces), eyes[some])
         edge = np.flatnonzero(front[first] != front[second])
-        edge = np.union1d(edge, border)
-        sides = [bits_of(front[faces[edge]], len(eyes[some])) for faces in (first, second)]
-        weight = sides[0] - sides[1]
-        if not mesh.closed:
-            weight = np.where(second[edge, None] < 0, 2 * sides[0] - 1, 2 * weight)
-        which, view = np.nonzero(weight)
-        weight, edge, view = weight[which, view], edge[which], view + begin
-        for start in range(0, len(view), LINES):
-            part = slice(start, start + LINES)
-            apart = vertices[ends[edge[part]]] - eyes[view[part], None]
-            seen = np.einsum("kij,knj->kni", axes[view[part]], apart)
+        edges = np.union1d(edge, border)
+        for edge in np.split(edges, np.arange(EDGES, len(edges), EDGES)):
+            sides = [_bits(front[faces[edge]], len(eyes[some])) for faces in (first, second)]
+            weight = sides[0] - sides[1]
+            if not mesh.closed:
+                weight = np.where(second[edge, None] < 0, 2 * sides[0] - 1, 2 * weight)
+            which, view = np.nonzero(weight)
+            weight, view = weight[which, view], view + begin
+            apart = vertices[ends[edge[which]]] - eyes[view, None]
+            seen = np.einsum("kij,knj->kni", axes[view], apart)
             film = seen[..., :2] / seen[..., 2:] * focal + SIZE / 2
-            _draw(sums, view[part], film[:, 0], film[:, 1], weight[part])
+            _draw(sums, view, film[:, 0], film[:, 1], weight)
 
 
 def fronts(vertices: np.ndarray, faces: np.ndarray, eyes: np.ndarray) -> np.ndarray:
@@ -86,7 +86,7 @@ def fronts(vertices: np.ndarray, faces: np.ndarray, eyes: np.ndarray) -> np.ndar
     return words.view(np.uint64)[:, 0]
 
 
-def bits_of(words: np.ndarray, number: int) -> np.ndarray:
+def _bits(words: np.ndarray, number: int) -> np.ndarray:
     """Return the first bits of words (n,) as integers (n, number)."""
     parts = np.ascontiguousarray(words)[:, None].view(np.uint8)
     return np.unpackbits(parts, axis=1, count=number, bitorder="little").astype(np.int8)
@@ -101,27 +101,31 @@ def _draw_spheres(
     focal: float,
 ) -> None:
     """Add the outlines of each view's spheres, as polygons."""
-    px = focal * np.max(radii) / np.min(np.linalg.norm(eyes, axis=1))
-    points = int(np.clip(2 * np.pi * px / STEP, FEWEST, MOST))
-    angle = 2 * np.pi * np.arange(points) / points
-    views = max(LINES // (len(radii) * points), 1)
-    for begin in range(0, len(eyes), views):
-        some = slice(begin, begin + views)
-        centre = np.einsum("nij,nkj->nki", axes[some], centers[None] - eyes[some, None])
-        far = np.linalg.norm(centre, axis=2)
-        axis = centre / far[..., None]
-        # The circle where rays touch the sphere.
-        first = np.cross(axis, [0.0, 1.0, 0.0])
-        first /= np.linalg.norm(first, axis=2, keepdims=True)
-        sine = np.clip(radii / far, 0, 0.999)[..., None]
-        across = np.einsum("p,nkj->nkpj", np.cos(angle), first)
-        across += np.einsum("p,nkj->nkpj", np.sin(angle), np.cross(axis, first))
-        along = (np.sqrt(1 - sine**2) * axis)[:, :, None]
-        circle = along + sine[..., None] * across
-        film = circle[..., :2] / np.maximum(circle[..., 2:], 1e-6) * focal + SIZE / 2
-        view = np.repeat(np.arange(begin, begin + len(film)), len(radii) * points)
-        ends = film.reshape(-1, 2), np.roll(film, -1, axis=2).reshape(-1, 2)
-        _draw(sums, view, *ends, np.ones(len(view)))
+    px = focal * radii / np.min(np.linalg.norm(eyes, axis=1))
+    size = np.searchsorted(OUTLINE[:-1], 2 * np.pi * px / STEP)
+    for points, chosen in ((n, np.flatnonzero(size == k)) for k, n in enumerate(OUTLINE)):
+        view, sphere = (x.ravel() for x in np.mgrid[: len(eyes), : len(chosen)])
+        for begin in range(0, len(view), POINTS // points):
+            some = slice(begin, begin + POINTS // points)
+            n, one = view[some], chosen[sphere[some]]
+            centre = np.einsum("kij,kj->ki", axes[n], centers[one] - eyes[n])
+            film = _outlines(centre, radii[one], points) * focal + SIZE / 2
+            ends = film.reshape(-1, 2), np.roll(film, -1, axis=1).reshape(-1, 2)
+            _draw(sums, np.repeat(n, points), *ends, np.ones(len(n) * points))
+
+
+def _outlines(centre: np.ndarray, radius: np.ndarray, points: int) -> np.ndarray:
+    """Return where rays touch spheres (K,) at centres (K, 3) from the eye: (K, points, 2), on a
+    film at distance 1."""
+    far = np.linalg.norm(centre, axis=1, keepdims=True)
+    axis = centre / far
+    first = np.cross(axis, [0.0, 1.0, 0.0])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    sine = np.clip(radius[:, None] / far, 0, 0.999)
+    angle = 2 * np.pi * np.arange(points)[:, None] / points
+    across = np.cos(angle) * first[:, None] + np.sin(angle) * np.cross(axis, first)[:, None]
+    circle = (np.sqrt(1 - sine**2) * axis)[:, None] + sine[:, None] * across
+    return circle[..., :2] / np.maximum(circle[..., 2:], 1e-6)
 
 
 def _draw(

@@ -11,15 +11,21 @@ KEPT = 64
 _answers: dict[Any, Any] = {}
 
 
-def kept(function: Callable[..., Any], *arrays: np.ndarray) -> Any:
-    """Return a function of arrays, or its answer for the same ones before."""
+def kept(
+    function: Callable[..., Any], *arrays: np.ndarray, given: tuple[Any, ...] | None = None
+) -> Any:
+    """Return a function of arrays, or its answer for the same ones before.
+
+    The function is `given` something else than what tells the arrays from others, if that is said.
+    """
     digest = hashlib.sha1(usedforsecurity=False)
     for array in arrays:
         digest.update(f"{array.dtype} {array.shape} ".encode())
         digest.update(array.tobytes())
     key = function, digest.digest()
-    if key not in _answers:
-        if len(_answers) >= KEPT:
-            _answers.clear()
-        _answers[key] = function(*arrays)
-    return _answers[key]
+    if key in _answers:
+        return _answers[key]
+    if len(_answers) >= KEPT:
+        _answers.clear()
+    answer = _answers[key] = function(*(arrays if given is None else given))
+    return answer

@@ -15,14 +15,14 @@ from jaxtyping import Array, Float, Int
 
 from .overlaps import Part
 
-#: Curves in a table, and how many are differentiated together.
-BLOCK, DIFFERENTIATED = 1 << 14, 512
+#: Curves in a table (whole chunks), and how many are differentiated together.
+BLOCK, DIFFERENTIATED = 1 << 13, 512
 
 #: `build(changing)` gives the parts of the contour.
 Build = Callable[[list], list[Part]]
-#: `fold(parts, add, start)` gives `start` after `add(total, number, pixel, curve, flux)` over all
-#: that is visible.
-Fold = Callable[[list[Part], Callable, Any], Any]
+#: `fold(parts, add, start, (first, end))` gives `start` after `add(total, number, pixel, curve,
+#: flux)` over all that is visible of curves with such ids (and perhaps of others).
+Fold = Callable[[list[Part], Callable, Any, tuple[Array, Array]], Any]
 
 
 def pushed(
@@ -47,7 +47,7 @@ def pushed(
             rate = tables[number].at[_row(curve, first)].get(mode="fill", fill_value=0)
             return put(image, pixel, jnp.sum(flux * rate, axis=(-2, -1)))
 
-        return fold(parts, add, image)
+        return fold(parts, add, image, (first, first + BLOCK))
 
     return _each_block(parts, block, image)
 
@@ -63,7 +63,8 @@ def pulled(build: Build, changing: list, fold: Fold, weigh: Callable) -> list:
             more = tables[number].at[_row(curve, first)].add(share, mode="drop")
             return [*tables[:number], more, *tables[number + 1 :]]
 
-        tables = fold(parts, add, [_table(part) for part in parts])
+        tables = [_table(part) for part in parts]
+        tables = fold(parts, add, tables, (first, first + BLOCK))
         for number, (part, table) in enumerate(zip(parts, tables, strict=True)):
 
             def back(total, row, ids, number=number, table=table):

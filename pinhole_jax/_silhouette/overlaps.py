@@ -292,8 +292,17 @@ def _batch(
 # --- which pieces lie in which cell --------------------------------------------------------------
 
 
-def fold_curves(part: Part, add: Callable[[Any, Array, Curves], Any], start: Any, size: int) -> Any:
-    """Return `start` after `add(total, ids, curves)` over all curves, `size` at a time."""
+def fold_curves(
+    part: Part,
+    add: Callable[[Any, Array, Curves], Any],
+    start: Any,
+    size: int,
+    block: tuple[Any, Any] | None = None,
+) -> Any:
+    """Return `start` after `add(total, ids, curves)` over all curves, `size` at a time; or over a
+    block of them, from its first id up to another, in whole chunks."""
+    begin, end = (jnp.int32(0), part.total) if block is None else block
+    end = jnp.minimum(part.total, end)
 
     def body(state):
         first, total = state
@@ -302,7 +311,7 @@ def fold_curves(part: Part, add: Callable[[Any, Array, Curves], Any], start: Any
         weight = jnp.where(ids < part.total, curves.weight, 0)
         return first + size, add(total, ids, curves._replace(weight=weight))
 
-    return jax.lax.while_loop(lambda s: s[0] < part.total, body, (jnp.int32(0), start))[1]
+    return jax.lax.while_loop(lambda s: s[0] < end, body, (begin, start))[1]
 
 
 def fold_pieces(

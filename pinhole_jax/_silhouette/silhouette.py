@@ -263,10 +263,19 @@ def _crowded(pixels: _Pixels, W: int) -> Crowded:
 
 
 def _fold_visible(
-    film: FilmMap, still: _Still, pixels: _Pixels, parts: list[Part], add: Callable, start: Any
+    film: FilmMap,
+    still: _Still,
+    pixels: _Pixels,
+    parts: list[Part],
+    add: Callable,
+    start: Any,
+    block: tuple[Array, Array],
 ) -> Any:
     """Return `start` after `add(total, number, pixel, curve, flux)` over the visible contour: the
-    part's number, the curve's in it, and how the pixel's area grows with that curve's lift."""
+    part's number, the curve's in it, and how the pixel's area grows with that curve's lift.
+
+    Where contours do not overlap only a block of curves is gone through, from one to another.
+    """
     W, H = film.W, film.H
     for number, part in enumerate(parts):
 
@@ -285,7 +294,7 @@ def _fold_visible(
 
             return fold_pieces(curves, W, H, H, single, total)
 
-        start = fold_curves(part, chunk, start, part.size)
+        start = fold_curves(part, chunk, start, part.size, block)
 
     def crowd(total, place, visible: Visible, number: int):
         lifts = jax.lax.stop_gradient(parts[number].lifts(visible.curve))

@@ -64,6 +64,19 @@ def camera_from_dict(data: Any) -> Camera:
 
     Raises ValueError where a field is missing or is not what it should be.
     """
+    return Camera(*_numbers_and_lens(data))
+
+
+def fitted_camera_from_dict(data: Any) -> Camera:
+    """Return the camera of `camera_to_dict`'s numbers as a fit found it: its distortion need not
+    hold beyond the object."""
+    *numbers, lens = _numbers_and_lens(data)
+    camera = Camera(*numbers)
+    return eqx.tree_at(lambda c: c.lens, camera, lens, is_leaf=lambda x: x is None)
+
+
+def _numbers_and_lens(data: Any) -> tuple[Any, ...]:
+    """Return a camera's arguments."""
     if not isinstance(data, dict):
         raise ValueError(f"`camera`: expected a JSON object, got {type(data).__name__}")
     schema = data.get("schema", CAMERA_SCHEMA)
@@ -76,7 +89,7 @@ def camera_from_dict(data: Any) -> Camera:
     if lens is not None:
         lens = _lens_from_dict(lens)
     numbers = (data["e"], data["p"], data["u"], data["phi"], data.get("d", 1.0))
-    return Camera(*numbers, data["W"], data["H"], lens)
+    return *numbers, data["W"], data["H"], lens
 
 
 def _lens_to_dict(lens: Lens) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from .._files.paths import read_json
 from .._fit.result import Fit, Progress
 from .._fit.words import STATUSES
 from ..formats.fields import Fields, short
-from ..formats.native import camera_from_dict, camera_to_dict, save_camera
+from ..formats.native import camera_to_dict, fitted_camera_from_dict, save_camera
 
 FIT_SCHEMA = "pinhole_jax.fit/1"
 #: What stands for numbers that JSON has no word for.
@@ -121,7 +121,7 @@ def _fit(fields: Fields) -> Fit:
 
 def _camera(fields: Fields, dtype: np.dtype) -> Camera:
     try:
-        camera = camera_from_dict(fields.data)
+        camera = fitted_camera_from_dict(fields.data)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{error} (in {fields.where})") from None
     known = jax.dtypes.canonicalize_dtype(dtype)
