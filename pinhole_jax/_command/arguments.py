@@ -75,7 +75,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_fit(commands: Any) -> None:
-    fit = commands.add_parser(
+    fit = _command(
+        commands,
         "fit",
         help="recover the camera from a mesh and a mask",
         description="Recover the camera that sees MESH as MASK: from a start some 20 degrees off,"
@@ -84,7 +85,6 @@ def _add_fit(commands: Any) -> None:
         "Photos that were taken sideways are turned upright as their EXIF data say.\n"
         "Exit status: 0 converged, 1 not to be trusted (the status says why), 2 bad input.",
         epilog=f"{STATUS}\n\n{EPILOG}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     fit.add_argument("mesh", metavar="MESH", help="triangles: obj, ply, stl, glb, gltf or off")
     fit.add_argument("mask", metavar="MASK", help="image of the camera's size, white on black")
@@ -147,12 +147,11 @@ def _add_fit(commands: Any) -> None:
 
 
 def _add_render(commands: Any) -> None:
-    render = commands.add_parser(
+    render = _command(
+        commands,
         "render",
         help="render the mask that a camera sees",
         description="Render MESH as CAMERA.json sees it: exact coverage, 8 bits.",
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     render.add_argument("mesh", metavar="MESH", help="triangles: obj, ply, stl, glb, gltf or off")
     render.add_argument("camera", metavar="CAMERA.json")
@@ -163,12 +162,11 @@ def _add_render(commands: Any) -> None:
 
 
 def _add_convert(commands: Any) -> None:
-    convert = commands.add_parser(
+    convert = _command(
+        commands,
         "convert",
         help="turn a camera file into another program's",
         description=CONVERT,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     convert.add_argument("input", metavar="IN", help="a camera file; of COLMAP, the model's folder")
     convert.add_argument("output", metavar="OUT", help="what to write")
@@ -189,4 +187,16 @@ def _add_cache(parser: argparse.ArgumentParser) -> None:
         "--no-cache",
         action="store_true",
         help="do not keep compiled programs in the user's cache folder",
+    )
+
+
+def _command(
+    commands: Any, name: str, help: str, description: str, epilog: str = EPILOG
+) -> argparse.ArgumentParser:
+    return commands.add_parser(
+        name,
+        help=help,
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )

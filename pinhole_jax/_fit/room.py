@@ -37,7 +37,7 @@ def first_room(scene: Scene, image: np.ndarray) -> Capacity:
     if not edges:
         return Capacity(1, 1, *arcs)
     least = LEAST_ROOM
-    return Capacity(_next_size(least.edges, edges), _next_size(least.pieces, pieces), *arcs)
+    return Capacity(_grown(least.edges, 1.25 * edges), _grown(least.pieces, 1.25 * pieces), *arcs)
 
 
 def contours(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
@@ -95,15 +95,13 @@ def more_room(have: Capacity, need: Iterable[Any]) -> Capacity:
     rooms = []
     for least, room, load in zip(LEAST_ROOM, have, need, strict=True):
         if 8 * room < 9 * int(load):
-            room = max(room, least)
-            while 2 * room < 3 * int(load):
-                room *= ROOMIER
+            room = _grown(max(room, least), 1.5 * int(load))
         rooms.append(room)
     return Capacity(*rooms)
 
 
-def _next_size(room: int, need: int) -> int:
-    """Return the first of few sizes, from the least, that is 5/4 of the need."""
-    while 4 * room < 5 * need:
+def _grown(room: int, need: float) -> int:
+    """Return the first of few sizes, from a room on, that holds what is needed."""
+    while room < need:
         room *= ROOMIER
     return room

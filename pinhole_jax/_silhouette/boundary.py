@@ -86,8 +86,7 @@ def _room(part: Part) -> int:
 
 
 def _table(part: Part) -> Float[Array, "rows n 3"]:
-    lift = jax.eval_shape(part.lifts, jnp.zeros(1, jnp.int32))
-    return jnp.zeros((_room(part), *lift.shape[1:]), lift.dtype)
+    return jnp.zeros((_room(part), *part.lift.shape[1:]), part.dtype)
 
 
 def _row(curve: Int[Array, "P"], first: Int[Array, ""]) -> Int[Array, "P"]:

@@ -88,7 +88,7 @@ def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveS
     )
 
 
-def in_one(first: CurveSet, second: CurveSet) -> CurveSet:
+def joined(first: CurveSet, second: CurveSet) -> CurveSet:
     """Return two sets of straight curves as one: all that is done with curves is compiled once."""
 
     def either(a, b, ids):

@@ -57,15 +57,16 @@ class Part(NamedTuple):
     @property
     def straight(self) -> bool:
         """Whether its curves are segments, not arcs."""
-        return self._lift.shape[-2] == 2
+        return self.lift.shape[-2] == 2
 
     @property
     def dtype(self) -> Any:
         """The float type."""
-        return self._lift.dtype
+        return self.lift.dtype
 
     @property
-    def _lift(self) -> Any:
+    def lift(self) -> Any:
+        """Shape (1, n, 3) and type of a curve's lift."""
         return jax.eval_shape(self.lifts, jnp.zeros(1, jnp.int32))
 
 

@@ -19,7 +19,7 @@ from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, Spheres, astype, check_view
 from .boundary import pulled, pushed
 from .coverage import Pieces
-from .curve_sets import Found, edge_curves, find, in_one, outline_curves
+from .curve_sets import Found, edge_curves, find, joined, outline_curves
 from .curves import piece_flux
 from .marks import Marks, marks, overlaps, turns
 from .overlaps import (
@@ -120,7 +120,7 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
     if spheres is not None:
         sets.append(outline_curves(film, spheres, arcs))
     if film.bend is not None and len(sets) == 2:
-        sets = [in_one(*sets)]  # under distortion arcs are straight parts, too
+        sets = [joined(*sets)]  # under distortion arcs are straight parts, too
     return [
         Part(s.curves, s.lifts, s.total, min(CURVES_AT_A_TIME, s.most or CURVES_AT_A_TIME), s.most)
         for s in sets

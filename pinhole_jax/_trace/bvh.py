@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._numerics.bitset import words_of
 from .._numerics.running import running_sum
 from .._scene.scene import Mesh, Spheres, morton_order
 
@@ -139,7 +140,7 @@ def packed(mask: Bool[Array, "n"], values: Int[Array, "n"]) -> tuple[Array, Arra
     """
     n = mask.shape[0]
     shift = jnp.arange(32, dtype=jnp.uint32)[None]
-    words = jnp.sum(mask.reshape(-1, 32).astype(jnp.uint32) << shift, axis=1, dtype=jnp.uint32)
+    words = words_of(mask)
     end = running_sum(jax.lax.population_count(words).astype(jnp.int32))
     below = words[:, None] & ((jnp.uint32(1) << shift) - 1)
     start = end - jax.lax.population_count(words).astype(jnp.int32)
