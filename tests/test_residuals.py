@@ -35,7 +35,7 @@ def compact_jacobian(y, start, scene, data, level):
     """Return the residuals' Jacobian, their sums, load and values."""
 
     def compact(y):
-        (r, rest), sums, load = _residuals(moved(start, y, FREE), scene, data, level, CAPACITY)
+        (r, rest), sums, load, _ = _residuals(moved(start, y, FREE), scene, data, level, CAPACITY)
         return r, (sums, load, (r, rest))
 
     return jax.jacfwd(compact, has_aux=True)(y)
@@ -117,7 +117,7 @@ def test_coarse_levels_are_means_of_blocks():
     data, levels = pyramid(target, np.ones_like(target), float, coarsest_px=8)
     assert [(int(v.W), int(v.H)) for v in levels] == [(9, 13), (17, 25), (33, 50)]
     for level in levels:  # the target is the scene's own image: nothing is left at any level
-        (r, rest), sums, _ = residuals(canonical(camera), scene, data, level, CAPACITY)
+        (r, rest), sums, *_ = residuals(canonical(camera), scene, data, level, CAPACITY)
         np.testing.assert_allclose(r, 0, atol=1e-12)
         np.testing.assert_allclose(rest, 0, atol=1e-6)
         assert float(sums.overlap) > 0
@@ -129,7 +129,7 @@ def test_exact_runs_cost_exactly_nothing_in_float32():
     data, levels = pyramid(target, np.ones_like(target), np.float32)
     camera = jax.tree.map(lambda x: x.astype(jnp.float32), camera)
     scene = pj.Scene(mesh=pj.Mesh(scene.mesh.vertices.astype(jnp.float32), scene.mesh.faces))
-    (_, rest), _, _ = residuals(canonical(camera), scene, data, levels[-1], CAPACITY)
+    (_, rest), *_ = residuals(canonical(camera), scene, data, levels[-1], CAPACITY)
     assert float(rest) == 0
 
 
@@ -137,7 +137,7 @@ def test_too_small_a_capacity_is_never_silent():
     camera, scene, target, weight = setting()
     data, levels = pyramid(target, weight, float)
     for short in (Capacity(8, 1024, 0), Capacity(256, 16, 0)):
-        (r, rest), _, load = residuals(canonical(camera), scene, data, levels[-1], short)
+        (r, rest), _, load, _ = residuals(canonical(camera), scene, data, levels[-1], short)
         assert not bool(load.fits(short))
         assert np.all(np.isnan(r))
         assert np.isnan(rest)

@@ -113,23 +113,23 @@ def _residual(y: Float[Array, "n"], args: Any):
 @eqx.filter_jit
 def _linearised(y: Float[Array, "n"], args: Any):
     """Return all residuals (m,), their derivatives (m, n), and what else is known there: the
-    camera; sums, load, the reported parameters' derivatives, the squares of a prior and of what
-    other views know."""
+    camera; sums, load, the reported parameters' derivatives, touched pixels, the squares of a prior
+    and of what other views know."""
     move, problem, level, names, capacity = args
 
     def at(y):
         camera = moved(move, y, names.value)
         here = problem.scene, problem.pyramid, level, Capacity(*capacity.value)
-        (r, rest), sums, load = residuals(camera, *here)
+        (r, rest), sums, load, pixels = residuals(camera, *here)
         told = reported(move.camera, camera, names.value)
         known = problem.others.residuals(told)
         if problem.prior is not None:
             known = jnp.concatenate([known, problem.prior.residuals(camera, names.value)])
         r = jnp.concatenate([r, rest[None], known])
-        return (r, told), (r, camera, sums, load, jnp.sum(known * known))
+        return (r, told), (r, camera, sums, load, pixels, jnp.sum(known * known))
 
-    (jacobian, to_reported), (r, camera, *sums, prior) = jax.jacfwd(at, has_aux=True)(y)
-    return r, jacobian, (camera, (*sums, to_reported, move.unit, prior))
+    (jacobian, to_reported), (r, camera, *sums, pixels, prior) = jax.jacfwd(at, has_aux=True)(y)
+    return r, jacobian, (camera, (*sums, to_reported, move.unit, pixels, jacobian, prior))
 
 
 class _Static(eqx.Module):

@@ -11,7 +11,7 @@ from .._camera.camera import Camera
 from .._scene.scene import Ball, Scene
 from .moves import Bounds, Move, units
 from .priors import Others, Prior
-from .residuals import Load, Sums
+from .residuals import Load, Pixels, Sums
 from .target import Level, Pyramid
 
 #: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
@@ -55,6 +55,7 @@ class View(NamedTuple):
     """What is known at one camera: R of J = QR, Q^T r, sums, load, reported parameters' derivative.
 
     J is the residuals' derivative by the moves, in the solver's units (`UNIT_PX` pixels): `unit`.
+    Its first rows are those of the touched `pixels`.
     """
 
     triangle: Float[Array, "n n"]
@@ -63,6 +64,8 @@ class View(NamedTuple):
     load: Load
     to_reported: Float[Array, "n n"]
     unit: Float[Array, "n"]
+    pixels: Pixels
+    jacobian: Float[Array, "m n"]
     prior: Any = 0.0
 
     @property

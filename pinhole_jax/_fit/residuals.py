@@ -75,6 +75,17 @@ class Sums(NamedTuple):
     off: Float[Array, ""]
 
 
+class Pixels(NamedTuple):
+    """The touched pixels of a view, in raster order (see `Touched`), with their weights: 0 where a
+    pixel is left out or beside the window."""
+
+    cell: Int[Array, "P"]
+    coverage: Float[Array, "P"]
+    weight: Float[Array, "P"]
+    covered_after: Bool[Array, "P"]
+    covered_before: Bool[Array, ""]
+
+
 class Load(NamedTuple):
     """How much of each capacity a view needs; a lower bound once `edges` is over its capacity."""
 
@@ -90,8 +101,9 @@ class Load(NamedTuple):
 
 def residuals(
     camera: Camera, scene: Scene, pyramid: Pyramid, level: Level, capacity: Capacity
-) -> tuple[tuple[Float[Array, "P"], Float[Array, ""]], Sums, Load]:
-    """Return the weighted residuals at touched pixels, the rest's root sum of squares, sums, load.
+) -> tuple[tuple[Float[Array, "P"], Float[Array, ""]], Sums, Load, Pixels]:
+    """Return the weighted residuals at touched pixels, the rest's root sum of squares, sums, load,
+    and these pixels.
 
     The sum of all squares is the weighted squared distance of the image from the target, but for
     pixels where contours overlap. The rest
@@ -136,7 +148,8 @@ def residuals(
     )
     ok = load.fits(capacity) & lens_holds(camera, _part(level))
     ok = jnp.where(ok, 1, jnp.nan).astype(total.dtype)
-    return (difference * ok, jnp.sqrt(jnp.maximum(rest, 0)) * ok), sums, load
+    pixels = Pixels(touched.cell, coverage, weight, touched.covered_after, touched.covered_before)
+    return (difference * ok, jnp.sqrt(jnp.maximum(rest, 0)) * ok), sums, load, pixels
 
 
 def _row_start(level: Level, cell: Int[Array, "P"]) -> Int[Array, "P"]:
