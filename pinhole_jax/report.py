@@ -8,7 +8,7 @@ import html
 import io as bytes_io
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from ._camera.camera import Camera
 from ._files.paths import replace_file
 from ._fit.result import Fit
 from ._fit.target import check_image, shares
-from ._fit.words import STATUSES, parameters
+from ._fit.words import STATUSES, Told, in_digits, told
 from ._scene.scene import Scene
 
 #: The file that shows each format; a folder's files are shown one after another.
@@ -76,11 +76,12 @@ def page(
     mask = check_image("target", target, fit.camera.W, fit.camera.H)
     if photo is None:
         photo = np.round(255 * shares(mask).clip(0, 1)).astype(np.uint8)
+    parameters = told(fit)
     sections = [
         _section("Outline", _outline_pictures(fit, scene, photo)),
         _section("Where mask and camera differ", _error_picture(fit, scene, mask)),
-        _section("Parameters", _parameter_table(fit)),
-        _section("Correlations", _correlation_table(fit)),
+        _section("Parameters", _parameter_table(parameters) + _pose(fit)),
+        _section("Correlations", _correlation_table(parameters)),
         _section("What the mask does not tell", _unknown(fit)),
         _section("Convergence", _convergence(fit, scene)),
         _section("Object and camera", _view(fit, scene)),
@@ -155,41 +156,60 @@ def _error_picture(fit: Fit, scene: Scene, mask: np.ndarray) -> str:
     )
 
 
-def _parameter_table(fit: Fit) -> str:
-    rows = "".join(
-        f"<tr><th>{html.escape(row.words)}</th>"
-        f"<td>{'–' if row.value is None else f'{row.value:.6g}'}</td>"
-        f"<td>{f'{row.std:.2g}' if np.isfinite(row.std) else 'not determined'}</td>"
-        f"<td>{row.unit}</td></tr>"
-        for row in parameters(fit)
-    )
+def _table(caption: str, heads: Iterable[str], rows: Iterable[Iterable[str]], kind: str) -> str:
+    """Return a table: each row's first cell is its head, and cells may bring their own tag."""
+    columns = "".join(f'<th scope="col">{head}</th>' for head in heads)
+    lines = []
+    for head, *cells in rows:
+        filled = "".join(x if x.startswith("<td") else f"<td>{x}</td>" for x in cells)
+        lines.append(f'<tr><th scope="row">{head}</th>{filled}</tr>')
     return (
-        "<table><thead><tr><th>parameter</th><th>value</th><th>one sigma</th><th>unit</th></tr>"
-        f"</thead><tbody>{rows}</tbody></table><p>Turns are small ones about the camera's own axes,"
-        " away from the fitted camera. Sigmas assume pixels that err independently, and a mesh"
-        " without error; where a mask errs along stretches of its outline they are too small.</p>"
+        f'<div class="wide"><table class="{kind}"><caption>{caption}</caption>'
+        f"<thead><tr>{columns}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
     )
 
 
-def _correlation_table(fit: Fit) -> str:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        matrix = fit.covariance / np.outer(fit.std, fit.std)
-    heads = "".join(f"<th>{html.escape(name)}</th>" for name in fit.names)
+def _parameter_table(parameters: Told) -> str:
     rows = []
-    for name, line in zip(fit.names, matrix, strict=True):
-        cells = []
-        for r in line:
-            if np.isfinite(r):
-                hue = "230,90,20" if r > 0 else "30,110,210"
-                cells.append(f'<td style="background:rgba({hue},{abs(r) * 0.6:.2f})">{r:.2f}</td>')
-            else:
-                cells.append("<td>–</td>")
-        rows.append(f"<tr><th>{html.escape(name)}</th>{''.join(cells)}</tr>")
+    for row in parameters.rows:
+        known = np.isfinite(row.std)
+        words = f" <small>{html.escape(row.words)}</small>" if row.words else ""
+        sigma = f"{row.std:.2g}" if known else "not determined"
+        rows.append([html.escape(row.name) + words, in_digits(row.value, row.std), sigma, row.unit])
+    heads = ("parameter", "value", "one sigma", "unit")
     return (
-        f'<table class="matrix"><thead><tr><th></th>{heads}</tr></thead>'
-        f"<tbody>{''.join(rows)}</tbody></table><p>Near 1 or -1, the mask tells a combination of"
-        " two parameters far better than each of them.</p>"
+        _table("What was fitted, with standard errors", heads, rows, "parameters")
+        + "<p>Pitch, yaw and roll are the camera's in the world. Sigmas assume pixels that err"
+        " independently, and a mesh without error; where a mask errs along stretches of its outline"
+        " they are too small.</p>"
     )
+
+
+def _pose(fit: Fit) -> str:
+    words = html.escape(str(formats.object_pose(fit, pixel_centres="integer")))
+    return (
+        f"<details><summary>K, R and t, and the object's pose</summary><pre>{words}</pre></details>"
+    )
+
+
+def _correlation_table(parameters: Told) -> str:
+    names = [html.escape(row.name) for row in parameters.rows]
+    std = np.array([row.std for row in parameters.rows])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        matrix = parameters.covariance / np.outer(std, std)
+    rows = [[name, *map(_correlation, line)] for name, line in zip(names, matrix, strict=True)]
+    return (
+        _table("Correlations of the parameters", ("", *names), rows, "matrix")
+        + "<p>Near 1 or -1, the mask tells a combination of two parameters far better than each of"
+        " them.</p>"
+    )
+
+
+def _correlation(r: float) -> str:
+    if not np.isfinite(r):
+        return "–"
+    hue = "230,90,20" if r > 0 else "30,110,210"
+    return f'<td style="background:rgba({hue},{abs(r) * 0.6:.2f})">{r:.2f}</td>'
 
 
 def _unknown(fit: Fit) -> str:
@@ -206,15 +226,14 @@ def _convergence(fit: Fit, scene: Scene) -> str:
     if not fit.history:
         return "<p>The way to the camera was not recorded.</p>"
     off = plot.off_px(fit, scene)
-    rows = [f"<tr><th>start</th><td>0</td><td>{off[0]:.3g}</td></tr>"]
+    rows = [["start", "0", f"{off[0]:.3g}"]]
     for level, _, last in plot.levels(fit):
-        size = f"{level.W} x {level.H} px"
-        rows.append(f"<tr><th>{size}</th><td>{level.steps}</td><td>{off[last]:.3g}</td></tr>")
+        rows.append([f"{level.W} x {level.H} px", str(level.steps), f"{off[last]:.3g}"])
+    heads = ("level", "steps", "outline off, px")
     return (
         f'<figure class="diagram">{plot.convergence(fit, scene)}<figcaption>How far the outline is'
         " from its last place, by steps; each band is a level of the picture, coarse to fine."
-        f"</figcaption></figure><table><thead><tr><th>level</th><th>steps</th><th>outline off, px"
-        f"</th></tr></thead><tbody>{''.join(rows)}</tbody></table>"
+        f"</figcaption></figure>{_table('Steps, level by level', heads, rows, 'levels')}"
     )
 
 
@@ -248,23 +267,44 @@ def _files(camera: Camera) -> Iterator[str]:
 
 
 STYLE = """
-body{margin:0 auto;max-width:880px;padding:24px;color:#1c2b36;background:#fff;
+:root{color-scheme:light dark;--ink:#1c2b36;--paper:#fff;--muted:#566b7a;--line:#d8e0e6;
+ --soft:#f4f7f9;--good:#dff1e4;--bad:#fbe5d6;--one:#eef2f6;--two:#dfe7ef;--curve:#0a6b8a}
+@media (prefers-color-scheme:dark){:root{--ink:#e4ebf0;--paper:#14191d;--muted:#9db0bd;
+ --line:#33414b;--soft:#1d252b;--good:#1d4a2b;--bad:#5a3318;--one:#222c33;--two:#2b3740;
+ --curve:#5cc8e8}}
+body{margin:0 auto;max-width:880px;padding:24px;color:var(--ink);background:var(--paper);
  font:16px/1.5 system-ui,sans-serif}
 h1{font-size:26px;margin:0 0 8px;overflow-wrap:anywhere}
-h2{font-size:19px;margin:40px 0 10px;padding-top:14px;border-top:1px solid #d8e0e6}
-.status{padding:10px 14px;border-radius:6px;background:#fbe5d6}
-.status.converged{background:#dff1e4}
+h2{font-size:19px;margin:40px 0 10px;padding-top:14px;border-top:1px solid var(--line)}
+.status{padding:10px 14px;border-radius:6px;background:var(--bad)}
+.status.converged{background:var(--good)}
 .status b{margin-right:6px}
 dl{display:flex;flex-wrap:wrap;gap:8px 36px;margin:0}
-dt{font-size:13px;color:#5b7080}dd{margin:0;font-size:20px}
+dt{font-size:13px;color:var(--muted)}dd{margin:0;font-size:20px}
 figure{margin:0 0 18px}img{max-width:100%;height:auto;display:block;border-radius:4px}
 svg{max-width:100%;height:auto}
-figcaption,p,li{font-size:15px}figcaption,footer{color:#5b7080}
-table{border-collapse:collapse;font-size:14px;font-variant-numeric:tabular-nums;max-width:100%}
-th{text-align:left;font-weight:500}thead th{color:#5b7080;font-size:13px}
-td,th{padding:4px 14px 4px 0;border-bottom:1px solid #eef2f5}td,thead th+th{text-align:right}
-.matrix td{padding:5px 8px}.matrix th{padding-right:8px;font-size:13px}
+.diagram svg text{fill:var(--muted)}.diagram svg line{stroke:var(--paper)}
+.diagram svg rect{fill:var(--one)}.diagram svg rect:nth-of-type(even){fill:var(--two)}
+.diagram svg polyline{stroke:var(--curve)}.diagram svg circle{fill:var(--curve)}
+figcaption,p,li{font-size:15px}figcaption,footer,caption,small{color:var(--muted)}
+.wide{overflow-x:auto}
+table{border-collapse:collapse;font-size:14px;font-variant-numeric:tabular-nums}
+caption{text-align:left;font-size:13px;padding-bottom:4px}
+th{text-align:left;font-weight:500}thead th{color:var(--muted);font-size:13px}
+td,th{padding:4px 14px 4px 0;border-bottom:1px solid var(--line)}
+thead th+th,td{text-align:right}.parameters th:last-child,.parameters td:last-child{text-align:left}
+small{display:block;font-size:12px}
+.matrix td,.matrix thead th{padding:5px 8px}
 details{margin:6px 0}summary{cursor:pointer}
-pre{overflow:auto;max-height:340px;background:#f4f7f9;padding:12px;border-radius:4px;font-size:13px}
+pre{overflow:auto;max-height:340px;background:var(--soft);padding:12px;border-radius:4px;
+ font-size:13px}
 footer{margin-top:48px;font-size:13px}
+@media (max-width:560px){body{padding:14px}td,th{padding-right:8px}
+ .matrix{font-size:11px}.matrix td,.matrix th,.matrix thead th{padding:4px 2px;font-size:11px}}
+@media print{:root{color-scheme:light;--ink:#000;--paper:#fff;--muted:#444;--line:#bbb;
+ --soft:#f4f7f9;--good:#dff1e4;--bad:#fbe5d6;--one:#eef2f6;--two:#dfe7ef;--curve:#0a6b8a}
+ body{max-width:none;padding:0;font-size:11pt;print-color-adjust:exact;
+ -webkit-print-color-adjust:exact}
+ figure,table,p,li{break-inside:avoid}h2{break-after:avoid}img{max-height:16cm}
+ a[download]{display:none}pre{max-height:none;white-space:pre-wrap}.wide{overflow:visible}}
 """

@@ -15,6 +15,8 @@ from pinhole_jax import formats, io
 LENS = pj.Lens([31.7, 24 + 1 / 3], 1 / 1.1, pj.BrownConrady(-0.01 / 3, 1e-3, 1e-4))
 PLAIN = pj.Camera([1 / 3, 1.1, 5], [0.1, 0, 0], [0, 1, 0.1], np.sqrt(0.4), 1 / 7, 64, 48)
 CAMERA = PLAIN.replace(lens=LENS)
+#: What a file has for other readers.
+WRITTEN_ONLY = {"object_in_camera"}
 STEP = {"camera": io.camera_to_dict(PLAIN), "W": 16, "H": 12, "steps": 3}
 
 
@@ -146,7 +148,7 @@ def test_a_field_that_is_wrong_is_named(tmp_path, change, message):
         io.load_fit(path)
 
 
-@pytest.mark.parametrize("field", [*io.fit_to_dict(fit_of(PLAIN))["fit"]])
+@pytest.mark.parametrize("field", sorted({*io.fit_to_dict(fit_of(PLAIN))["fit"]} - WRITTEN_ONLY))
 def test_a_field_that_is_missing_is_named(tmp_path, field):
     data = io.fit_to_dict(fit_of(CAMERA))
     del data["fit"][field]

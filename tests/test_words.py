@@ -2,7 +2,11 @@ import numpy as np
 import pytest
 
 import pinhole_jax as pj
-from pinhole_jax._fit.words import in_digits
+from pinhole_jax._fit.heading import carried, heading
+from pinhole_jax._fit.moves import displaced
+from pinhole_jax._fit.words import in_digits, told
+
+TURNS = ("rotation_b1", "rotation_b2", "rotation_v")
 
 
 @pytest.mark.parametrize(
@@ -28,12 +32,75 @@ def test_a_fit_is_printed_as_a_table():
     fit = other._replace(status="ambiguous", weak=("the distance",), modes=(other,))
     lines = str(fit).splitlines()
     assert [line.split() for line in lines[1:4]] == [
-        ["pitch", "(about", "b1,", "right)", "-", "0.057", "deg"],
+        ["pitch", "-21.417", "0.057", "deg", "up", "from", "level"],
         ["e_x", "1.00000", "0.0001", "world"],
-        ["phi,", "vertical", "field", "of", "view", "34.37747", "0.00057", "deg"],
+        ["phi", "34.37747", "0.00057", "deg", "vertical", "field", "of", "view"],
     ]
     assert lines[4].startswith("status     ambiguous   (at rest, but other views")
     assert lines[-2:] == [
         "note       the distance",
         "note       another view explains the mask as well",
     ]
+
+
+def looking(forward, up):
+    return pj.Camera([0, 0, 0], forward, up, 0.6, 1.0, 64, 48)
+
+
+@pytest.mark.parametrize(
+    ("forward", "up", "angles", "axes"),
+    [
+        ([0, 0, -1], [0, 1, 0], (0, 180, 0), ("+y", "+z")),
+        ([1, 0, 0], [0, 0, 1], (0, 0, 0), ("+z", "+x")),
+        ([0, 1, 0], [0, 0, 1], (0, 90, 0), ("+z", "+x")),  # anticlockwise from above
+        ([2, 0, 1], [0, 0, 1], (np.rad2deg(np.arctan(0.5)), 0, 0), ("+z", "+x")),  # up
+        ([1, 0, 0], [0, -0.5, 1], (0, 0, np.rad2deg(np.arctan(0.5))), ("+z", "+x")),
+        ([1, 0, 0], [0, 0.1, -1], (0, 0, np.rad2deg(np.arctan(0.1))), ("-z", "+x")),
+        ([0, 0, -1], [1, 0, 0], (0, -90, 0), ("+x", "+y")),
+    ],
+)
+def test_pitch_yaw_and_roll(forward, up, angles, axes):
+    looks = heading(looking(forward, up))
+    np.testing.assert_allclose(np.rad2deg(looks.angles), angles, atol=1e-9)
+    assert (looks.up, looks.ahead) == axes
+
+
+def random_camera(random):
+    e, p, u = random.normal(size=(3, 3)) + np.array([[0, 0, 4], [0, 0, 0], [0, 0, 0]])
+    return pj.Camera(e, p, u, 0.6, 1.0, 64, 48)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_derivative_of_pitch_yaw_and_roll_is_that_of_differences(seed):
+    random = np.random.default_rng(seed)
+    camera = random_camera(random)
+    moved = lambda step: heading(displaced(camera, TURNS, step)).angles
+    h = 1e-5 * np.eye(3)
+    change = np.stack([moved(step) - moved(-step) for step in h], axis=1) / 2e-5
+    np.testing.assert_allclose(heading(camera).derivative, change, rtol=1e-6, atol=1e-8)
+    assert np.linalg.cond(change) < 5  # two axes never come together
+
+
+def test_turns_have_values_and_the_sigma_of_what_is_told():
+    camera = pj.Camera([1, 2, 5], [0, 0, 0], [0.3, 1, 0], 0.6, 1.0, 64, 48)
+    random = np.random.default_rng(0)
+    root = 1e-3 * random.normal(size=(4, 4))
+    covariance, names = root @ root.T, (*TURNS, "e_x")
+    std = np.sqrt(np.diag(covariance))
+    fit = pj.Fit(camera, "converged", names, covariance, std, 0.01, 0.99, (3,), ())
+    rows = told(fit).rows
+    assert [row.name for row in rows] == ["pitch", "yaw", "roll", "e_x"]
+    draws = random.multivariate_normal(np.zeros(4), covariance, 2000)
+    angles = [heading(displaced(camera, names, step)).angles for step in draws]
+    ratio = [row.std for row in rows[:3]] / np.rad2deg(np.std(angles, axis=0))
+    np.testing.assert_allclose(ratio, 1, atol=0.06)
+    np.testing.assert_allclose(
+        [row.value for row in rows[:3]], np.rad2deg(np.mean(angles, 0)), atol=0.02
+    )
+
+
+def test_what_depends_on_an_unknown_parameter_is_unknown():
+    covariance = np.array([[1.0, np.nan], [np.nan, np.inf]])
+    found = carried(covariance, np.array([[2.0, 0.0], [1.0, 1.0], [0.0, 0.0]]))
+    np.testing.assert_array_equal(found[:2, :2], [[4, np.nan], [np.nan, np.inf]])
+    assert found[2, 2] == 0

@@ -4,37 +4,74 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from .._names import STATUSES as STATUSES
+from .heading import carried, heading
 from .parameters import LABELS
+
+#: What small turns about the camera's axes are told as.
+TURNS = {"rotation_b1": "pitch", "rotation_b2": "yaw", "rotation_v": "roll"}
+WORDS = {"phi": "vertical field of view", "d": "camera constant", "aspect": "fx / fy"}
 
 
 class Row(NamedTuple):
-    """A fitted parameter in words, its value (None for a small turn), one sigma, the unit."""
+    """A fitted parameter as it is told: name, value, one sigma, unit, and what it is, if its name
+    does not say it."""
 
-    words: str
-    value: float | None
+    name: str
+    value: float
     std: float
     unit: str
+    words: str
 
 
-def parameters(fit: Any) -> list[Row]:
-    """Return the fitted parameters with their standard errors; angles in degrees."""
+class Told(NamedTuple):
+    """The fitted parameters as they are told, angles in degrees, and their covariance."""
+
+    rows: list[Row]
+    covariance: Float[np.ndarray, "n n"]
+
+
+def told(fit: Any) -> Told:
+    """Return the fitted parameters with their standard errors.
+
+    Small turns become pitch, yaw and roll (`heading`), whose covariance is carried along.
+    """
+    number = len(fit.names)
+    looks = heading(fit.camera)
+    turned = [k for k, name in enumerate(fit.names) if name in TURNS]
+    about = [[*TURNS].index(fit.names[k]) for k in turned]
+    derivative = np.eye(number)
+    derivative[np.ix_(turned, turned)] = looks.derivative[np.ix_(about, about)]
+    in_degrees = [LABELS[name].unit == "rad" for name in fit.names]
+    derivative[in_degrees] *= 180 / np.pi
+    covariance = carried(fit.covariance, derivative)
+
+    ways = ("up from level", f"about {looks.up}, from {looks.ahead}", "right side down")
+    turns = dict(zip(TURNS, zip(looks.angles.tolist(), ways, strict=True), strict=True))
     rows = []
-    for name, std in zip(fit.names, fit.std.tolist(), strict=True):
-        label = LABELS[name]
-        factor, unit = (180 / np.pi, "deg") if label.unit == "rad" else (1.0, label.unit)
-        value = None if label.value is None else factor * float(label.value(fit.camera))
-        rows.append(Row(label.words, value, std * factor, unit))
-    return rows
+    for k, name in enumerate(fit.names):
+        _, _, unit, of = LABELS[name]
+        if of is None:
+            value, words = turns[name]
+        else:
+            value, words = float(of(fit.camera)), WORDS.get(name, "")
+        factor, unit = (180 / np.pi, "deg") if in_degrees[k] else (1.0, unit)
+        std = float(np.sqrt(covariance[k, k]))
+        own = TURNS[name] if name in TURNS else name
+        rows.append(Row(own, factor * value, std, unit, words))
+    return Told(rows, covariance)
 
 
 def table(fit: Any) -> str:
     """Return a fit as a short table: parameter, value, one sigma; status, IoU, what is weak."""
-    lines = [f"{'parameter':<28}{'value':>16}{'one sigma':>14}  unit"]
-    for row in parameters(fit):
-        value = "-" if row.value is None else in_digits(row.value, row.std)
-        lines.append(f"{row.words:<28}{value:>16}{row.std:>14.2g}  {row.unit}".rstrip())
+    lines = [f"{'parameter':<16}{'value':>16}{'one sigma':>14}  unit"]
+    for row in told(fit).rows:
+        value = in_digits(row.value, row.std)
+        lines.append(
+            f"{row.name:<16}{value:>16}{row.std:>14.2g}  {row.unit:<6} {row.words}".rstrip()
+        )
 
     lines.append(f"status     {fit.status}   ({STATUSES[fit.status]})")
     lines.append(f"IoU        {fit.iou:.4f}   (rms of coverage {fit.rms:.2g})")

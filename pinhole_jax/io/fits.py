@@ -16,6 +16,7 @@ from .._fit.result import Fit, Progress
 from .._fit.words import STATUSES
 from ..formats.fields import Fields, short
 from ..formats.native import camera_to_dict, fitted_camera_from_dict, save_camera
+from ..formats.object_pose import object_pose
 
 FIT_SCHEMA = "pinhole_jax.fit/1"
 #: What stands for numbers that JSON has no word for.
@@ -28,6 +29,8 @@ def fit_to_dict(fit: Fit) -> dict[str, Any]:
     - `dtype`: the camera's float type.
     - `std`: by name; null where the mask does not determine a parameter.
     - `names`: in the order of `covariance`; NaN is null there, infinity "Infinity".
+    - `object_in_camera`: the object's pose in the camera's frame (`formats.object_pose`): OpenCV's
+      `K`, `R`, `t`, `pixel_centres` "integer", `covariance`. It is not read back.
     - `modes`: each is a fit of its own. `history`: `camera`, `W`, `H`, `steps` of each.
     - all else as a `Fit` has it.
     """
@@ -78,11 +81,20 @@ def _rest(fit: Fit) -> dict[str, Any]:
         "std": dict(zip(fit.names, _words(std), strict=True)),
         "names": list(fit.names),
         "covariance": _words(fit.covariance),
+        "object_in_camera": _pose(fit),
         "steps": [int(count) for count in fit.steps],
         "weak": list(fit.weak),
         "modes": [fit_to_dict(mode) for mode in fit.modes],
         "history": history,
     }
+
+
+def _pose(fit: Fit) -> dict[str, Any] | None:
+    if fit.status == "non_finite":
+        return None
+    pose = object_pose(fit, pixel_centres="integer")
+    parts = {name: _words(getattr(pose, name)) for name in ("K", "R", "t", "covariance")}
+    return {"pixel_centres": pose.pixel_centres, **parts}
 
 
 def _words(numbers: Any) -> Any:

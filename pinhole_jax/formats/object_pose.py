@@ -1,0 +1,114 @@
+"""The object's pose in the camera's frame, with its covariance: what a robot's arm is told."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from .._fit.heading import carried
+from .._fit.result import Fit
+from .._fit.words import in_digits
+from .matrices import to_opencv
+from .rotations import quaternion_of_matrix
+
+#: A fit's parameters that the pose depends on, in the order of `_derivative`'s columns.
+POSE = ("rotation_b1", "rotation_b2", "rotation_v", "e_x", "e_y", "e_z")
+
+
+class ObjectPose(NamedTuple):
+    """Where the camera sees the object: OpenCV's axes, x right, y down, z forward.
+
+    - `K` (3, 3): intrinsics, px. `pixel_centres`: where they count from, "integer" or "half".
+    - `R` (3, 3), `t` (3,): X_camera = R X_object + t. The object's frame is the mesh's, which is
+      the fit's world.
+    - `covariance` (6, 6), `std` (6,): of the turns (rad) about the camera's x, y and z axes that
+      the object makes about its own origin, and then of t (world units). Infinite, with NaN beside
+      it, where the mask does not determine one; 0 of what was not free.
+    """
+
+    K: Float[np.ndarray, "3 3"]
+    pixel_centres: str
+    R: Float[np.ndarray, "3 3"]
+    t: Float[np.ndarray, "3"]
+    covariance: Float[np.ndarray, "6 6"]
+    std: Float[np.ndarray, "6"]
+
+    @property
+    def camera_from_world(self) -> Float[np.ndarray, "4 4"]:
+        """Return the object's pose in the camera's frame."""
+        return _rigid(self.R, self.t)
+
+    @property
+    def world_from_camera(self) -> Float[np.ndarray, "4 4"]:
+        """Return the camera's pose in the object's frame."""
+        return _rigid(self.R.T, -self.R.T @ self.t)
+
+    def __str__(self) -> str:
+        """Return it as the command prints it."""
+        turns, shifts = np.rad2deg(self.std[:3]), self.std[3:]
+        w, *xyz = quaternion_of_matrix(self.R)
+        t = "".join(f"{in_digits(*x):>15}" for x in zip(self.t.tolist(), shifts, strict=True))
+        few = lambda numbers: "".join(f"{x:>15.2g}" for x in numbers)
+        first = 0 if self.pixel_centres == "integer" else 0.5
+        return "\n".join(
+            [
+                "object in the camera's frame, OpenCV's (x right, y down, z forward):"
+                " X_camera = R X_object + t",
+                *_lines("R", self.R),
+                f"  t        {t}   world",
+                f"  one sigma{few(shifts)}   world",
+                f"  turned by{few(turns)}   deg, one sigma about x, y, z",
+                *_lines("x y z w", [[*xyz, w]]),
+                "camera in the object's frame: world_from_camera",
+                *_lines("", self.world_from_camera[:3]),
+                f"intrinsics, px; the first pixel's centre is {first}",
+                *_lines("K", self.K),
+            ]
+        )
+
+
+def object_pose(fit: Fit, *, pixel_centres: Any) -> ObjectPose:
+    """Return the object's pose in the camera's frame with its covariance, K beside it (OpenCV).
+
+    `pixel_centres` ("integer", "half") says where the reader of K puts them, as in `to_opencv`.
+
+    The covariance is that of the inverse of what the fit has: `Fit.covariance` is the camera's, of
+    small turns about its own axes and of the eye in the world. It is exact to first order.
+    """
+    K, R, t = to_opencv(fit.camera, pixel_centres=pixel_centres)
+    place = {name: k for k, name in enumerate(POSE)}
+    own = [k for k, name in enumerate(fit.names) if name in place]
+    columns = [place[fit.names[k]] for k in own]
+    covariance = carried(fit.covariance[np.ix_(own, own)], _derivative(R, t)[:, columns])
+    return ObjectPose(K, pixel_centres, R, t, covariance, np.sqrt(np.diag(covariance)))
+
+
+def _derivative(R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Return the derivative (6, 6) of the object's pose by the camera's.
+
+    A camera that turns by the small vector w, written in its own axes, and whose eye moves by de in
+    the world, has the new transform (a^ is the matrix of the cross product with a)
+
+        R' = (1 - w^) R,    t' = -R' (e + de) = t - w x t - R de.
+
+    So the object turns by -w about the camera's axes, and t moves by t^ w - R de. This is the
+    adjoint of camera_from_world in these coordinates. A fit counts its turns about b1, b2 and v,
+    which are x, -y and z here.
+    """
+    x, y, z = t
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    turns = np.diag([1.0, -1.0, 1.0])
+    return np.block([[-turns, np.zeros((3, 3))], [cross @ turns, -R]])
+
+
+def _rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = R, t
+    return matrix
+
+
+def _lines(name: str, matrix: Any) -> list[str]:
+    """Return a matrix's rows, the name before the first."""
+    heads = [name] + [""] * (len(matrix) - 1)
+    rows = ["".join(f"{x:>15.8g}" for x in np.round(row, 8) + 0.0) for row in matrix]
+    return [f"  {head:<9}{row}".rstrip() for head, row in zip(heads, rows, strict=True)]

@@ -1,0 +1,90 @@
+"""The object's pose in the camera's frame, against OpenCV's, differences and random draws."""
+
+import cv2
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_words import TURNS, random_camera
+
+import pinhole_jax as pj
+from pinhole_jax import formats, io
+from pinhole_jax._fit.moves import displaced
+
+NAMES = (*TURNS, "e_x", "e_y", "e_z", "phi")
+
+
+def fit_of(camera, names=NAMES, seed=0):
+    root = 1e-4 * np.random.default_rng(seed).normal(size=(len(names), len(names)))
+    covariance = root @ root.T
+    std = np.sqrt(np.diag(covariance))
+    return pj.Fit(camera, "converged", names, covariance, std, 0.01, 0.99, (3,), ())
+
+
+def change(pose, other):
+    """Return the turn (rad) about the camera's axes and the shift from one pose to another."""
+    return np.append(cv2.Rodrigues(other.R @ pose.R.T)[0][:, 0], other.t - pose.t)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_covariance_is_that_of_differences(seed):
+    camera = random_camera(np.random.default_rng(seed))
+    fit = fit_of(camera, seed=seed)
+    pose = formats.object_pose(fit, pixel_centres="half")
+    at = lambda step: formats.object_pose(
+        fit._replace(camera=displaced(camera, NAMES, step)), pixel_centres="half"
+    )
+    h = 1e-5 * np.eye(len(NAMES))
+    J = np.stack([change(at(-step), at(step)) for step in h], axis=1) / 2e-5
+    np.testing.assert_allclose(pose.covariance, J @ fit.covariance @ J.T, rtol=1e-5, atol=1e-15)
+    np.testing.assert_allclose(pose.std**2, np.diag(pose.covariance))
+
+
+def test_the_covariance_is_that_of_random_cameras():
+    camera = random_camera(np.random.default_rng(1))
+    fit = fit_of(camera)
+    pose = formats.object_pose(fit, pixel_centres="half")
+    draws = np.random.default_rng(2).multivariate_normal(np.zeros(7), fit.covariance, 2000)
+    moved = (fit._replace(camera=displaced(camera, NAMES, step)) for step in draws)
+    changes = [change(pose, formats.object_pose(f, pixel_centres="half")) for f in moved]
+    known = np.linalg.inv(np.linalg.cholesky(pose.covariance))
+    np.testing.assert_allclose(known @ np.cov(np.transpose(changes)) @ known.T, np.eye(6), atol=0.1)
+
+
+def test_the_pose_projects_as_the_camera_does():
+    camera = random_camera(np.random.default_rng(3))
+    pose = formats.object_pose(fit_of(camera), pixel_centres="half")
+    middle = 3 * np.asarray(camera.p) - 2 * np.asarray(camera.e)
+    points = middle + np.random.default_rng(4).normal(size=(5, 3)) / 4
+    seen = cv2.projectPoints(points, cv2.Rodrigues(pose.R)[0], pose.t, pose.K, None)[0][:, 0]
+    seen[:, 1] = camera.H - seen[:, 1]
+    np.testing.assert_allclose(seen, pj.project(camera, jnp.asarray(points)), rtol=1e-9)
+    np.testing.assert_allclose(
+        pose.camera_from_world @ pose.world_from_camera, np.eye(4), atol=1e-12
+    )
+    np.testing.assert_allclose(pose.world_from_camera[:3, 3], camera.e)
+
+
+def test_what_is_held_has_no_error_and_what_is_not_seen_an_infinite_one():
+    camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48)
+    place = formats.object_pose(fit_of(camera, ("e_x", "e_y", "e_z")), pixel_centres="half")
+    np.testing.assert_array_equal(place.std[:3], 0)
+    names = ("rotation_v", "e_x")
+    lost = fit_of(camera, names)
+    covariance = np.array([[np.inf, np.nan], [np.nan, 1e-8]])
+    lost = lost._replace(covariance=covariance, std=np.sqrt(np.diag(covariance)))
+    pose = formats.object_pose(lost, pixel_centres="half")
+    assert np.isinf(pose.std[2])
+    np.testing.assert_allclose(pose.std[[0, 1, 3, 4, 5]], [0, 0, 1e-4, 0, 0], atol=1e-12)
+    assert np.isnan(pose.covariance[2, 3])
+
+
+def test_it_is_printed_and_written_beside_the_fit():
+    fit = fit_of(pj.Camera([0.3, 1, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48))
+    pose = formats.object_pose(fit, pixel_centres="integer")
+    text = str(pose)
+    for words in ("X_camera = R X_object + t", "world_from_camera", "one sigma", "quaternion"):
+        assert words in text
+    written = io.fit_to_dict(fit)["fit"]["object_in_camera"]
+    assert written["pixel_centres"] == "integer"
+    for name in ("K", "R", "t", "covariance"):
+        np.testing.assert_array_equal(written[name], getattr(pose, name))
