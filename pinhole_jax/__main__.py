@@ -4,7 +4,6 @@ import argparse
 import atexit
 import contextlib
 import gc
-import math
 import sys
 from collections.abc import Sequence
 from io import TextIOWrapper
@@ -12,7 +11,19 @@ from pathlib import Path
 from typing import Any
 
 from ._command.arguments import parse
+from ._command.naming import named, renamed
 from ._command.progress import Clock, Progress
+
+#: What the command calls the arguments of `load_mesh` and `Mesh`, and of `fit_camera`.
+MESH = {"path": "MESH", "vertices": "MESH"}
+FITTED = {
+    "target": "MASK",
+    "scene": "MESH",
+    "camera": "--camera",
+    "free": "--free",
+    "phi": "--fov",
+    "weight": "--weight",
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -36,49 +47,54 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _fit(options: argparse.Namespace) -> int:
     with Progress("reading", options.verbose) as progress:
         _set_up_jax(options)
-        import numpy as np
-
         from . import formats, io, report
+        from ._command.known import known
         from ._fit.fit_camera import fit_camera
         from ._scene.scene import Scene
+        from ._show.disagreement import disagreement
         from .plot import overlay
 
         clock = Clock()
         free = tuple(name.strip() for name in options.free.split(",") if name.strip())
-        mask = io.load_mask(options.mask, options.mask_from, progress.tell, invert=options.invert)
-        size = mask.shape[1], mask.shape[0]
-        start = None if options.camera is None else formats.read_one(options.camera, size=size)
-        known = {"phi": None if options.fov is None else options.fov * np.pi / 180}
-        if options.K is not None:
-            known = _of_K(options, size)
-        elif options.dist is not None:
-            raise ValueError("`--dist`: expected --K beside it, got none")
-        if start is None and known["phi"] is None:
-            known["phi"] = _phi_of_photo(options, free, progress)
-        weight = None
-        if options.weight is not None:
-            weight = io.load_mask(options.weight, "luminance") / 255.0
-        picture = mask if options.image is None else io.load_image(options.image)
-        if picture.shape[:2] != mask.shape:
-            (h, w), (H, W) = picture.shape[:2], mask.shape
-            raise ValueError(f"`--image`: expected the mask's size {W} x {H}, got {w} x {h}")
-        scene = Scene(mesh=io.load_mesh(options.mesh))
+        with named(path="MASK", mask_from="--mask-from"):
+            mask = io.load_mask(
+                options.mask, options.mask_from, progress.tell, invert=options.invert
+            )
+        camera, phi, lens = known(options, free, (mask.shape[1], mask.shape[0]), progress.tell)
+        weight, picture = _beside(options, mask)
+        with named(**MESH):
+            scene = Scene(
+                mesh=io.load_mesh(
+                    options.mesh, say=lambda words: progress.tell(renamed(words, MESH))
+                )
+            )
         progress.say("fitting (compiling on the first run)")
+        fit_arguments = {"phi": phi, "lens": lens, "weight": weight}
         told = lambda level: progress.say(str(level))
-        given = {**known, "weight": weight, "record": options.report is not None}
-        fit = fit_camera(scene, mask, start, free, progress=told, **given)
+        record = options.report is not None
+        with named(**FITTED):
+            fit = fit_camera(
+                scene, mask, camera, free, progress=told, record=record, **fit_arguments
+            )
+        finite = fit.status != "non_finite"
         progress.say("drawing")
         drawing = overlay(picture, fit.camera, scene)
+        notes = disagreement(fit.camera, scene, mask) if finite else ()
     folder = Path(options.output)
-    io.save_fit(folder / "camera.json", fit)
-    io.save_image(folder / "overlay.png", drawing)
+    with named(path="--output"):
+        io.save_fit(folder / "camera.json", fit)
+        io.save_image(folder / "overlay.png", drawing)
     written = [folder / "camera.json", folder / "overlay.png"]
-    if options.report is not None and fit.status != "non_finite":
+    if options.report is not None and finite:
         title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
-        with Progress("drawing the page"):
+        with Progress("drawing the page"), named(path="--report"):
             report.write(options.report, fit, scene, mask, picture, title)
         written.append(options.report)
     print(fit)
+    for note in notes:
+        print(f"note       {note}")
+    if finite:
+        print(formats.object_pose(fit, pixel_centres=options.pixel_centres))
     print(
         f"time       {clock.compiling:.1f} s compile, {clock.elapsed() - clock.compiling:.1f} s run"
     )
@@ -86,58 +102,46 @@ def _fit(options: argparse.Namespace) -> int:
     return 0 if fit.status == "converged" else 1
 
 
-def _of_K(options: argparse.Namespace, size: tuple[int, int]) -> dict[str, Any]:
-    """Return field of view and lens of `--K`, `--dist`, `--pixel-centres`."""
-    from . import formats
-    from ._camera.distortion import BrownConrady, Rational
-
-    fx, fy, cx, cy = options.K
-    K, turn = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-    bent = options.dist
-    if bent is not None and len(bent) not in (4, 5, 8):
-        raise ValueError(f"`--dist`: expected 4, 5 or 8 coefficients, got {len(bent)}")
-    model = None if bent is None else (Rational if len(bent) == 8 else BrownConrady)(*bent)
-    centres = options.pixel_centres
-    camera = formats.from_opencv(K, turn, [0, 0, 0], *size, pixel_centres=centres, distortion=model)
-    return {"phi": camera.phi, "lens": camera.lens}
-
-
-def _phi_of_photo(
-    options: argparse.Namespace, free: tuple[str, ...], progress: Progress
-) -> float | None:
-    """Return what the EXIF data of the photo (or the mask, if it is one) say of phi, and say so."""
+def _beside(options: argparse.Namespace, mask: Any) -> tuple[Any, Any]:
+    """Return the weights of `--weight`, None without, and the picture to draw on."""
     from . import io
 
-    fov = io.photo_fov(options.image or options.mask)
-    focal_is_free = bool({"phi", "d"} & {*free})
-    if fov is None:
-        if not focal_is_free:
-            raise ValueError(
-                "expected --camera or --fov, or phi among --free, got none of them (and no EXIF"
-                " data that tell the field of view)"
-            )
-        return None
-    held = "a first guess" if focal_is_free else "held: phi is not among --free"
-    progress.tell(f"phi: {math.degrees(fov.phi):.2f} degrees by EXIF's {fov.words}; {held}")
-    return fov.phi
+    weight, picture = None, mask
+    if options.weight is not None:
+        with named(path="--weight"):
+            weight = io.load_mask(options.weight, "luminance") / 255.0
+    if options.image is not None:
+        with named(path="--image"):
+            picture = io.load_image(options.image)
+    if picture.shape[:2] != mask.shape:
+        (h, w), (H, W) = picture.shape[:2], mask.shape
+        raise ValueError(f"`--image`: expected the mask's size {W} x {H}, got {w} x {h}")
+    return weight, picture
 
 
 def _render(options: argparse.Namespace) -> int:
-    with Progress("rendering"):
+    with Progress("rendering") as progress:
         _set_up_jax(options)
         from . import formats, io
         from ._scene.scene import Scene
         from ._silhouette.silhouette import silhouette
 
-        camera = formats.read_one(options.camera)
+        with named(path="CAMERA"):
+            camera = formats.read_one(options.camera)
         if camera.W * camera.H > io.MOST_PIXELS:
             words = f"at most {io.MOST_PIXELS} pixels, got {camera.W} x {camera.H}"
-            raise ValueError(f"`camera`: expected {words} (in {options.camera!r})")
-        scene = Scene(mesh=io.load_mesh(options.mesh))
+            raise ValueError(f"`CAMERA`: expected {words} (in {options.camera!r})")
+        with named(**MESH):
+            scene = Scene(
+                mesh=io.load_mesh(
+                    options.mesh, say=lambda words: progress.tell(renamed(words, MESH))
+                )
+            )
         import numpy as np
 
         image = np.asarray(silhouette(camera, scene))
-    io.save_image(options.output, image)
+    with named(path="--output"):
+        io.save_image(options.output, image)
     _say_written(options.output, f"{camera.W} x {camera.H}, {image.mean():.1%} covered")
     return 0
 
@@ -147,8 +151,10 @@ def _convert(options: argparse.Namespace) -> int:
     from . import formats
 
     size = None if options.size is None else (options.size[0], options.size[1])
-    cameras = formats.read(options.input, options.source, size=size)
-    formats.write(options.output, cameras, options.target)
+    with named(path="IN", format="--from", size="--size"):
+        cameras = formats.read(options.input, options.source, size=size)
+    with named(path="OUT", format="--to", cameras="IN"):
+        formats.write(options.output, cameras, options.target)
     target = options.target or formats.guess_write(options.output)
     sizes = ", ".join(dict.fromkeys(f"{camera.W} x {camera.H}" for camera in cameras.values()))
     count = "1 camera" if len(cameras) == 1 else f"{len(cameras)} cameras"

@@ -1,6 +1,5 @@
 """The command as a user runs it: in a process of its own."""
 
-import argparse
 import json
 import os
 import re
@@ -16,6 +15,9 @@ from test_plot import fit_of
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io, shapes
 from pinhole_jax._camera.distortion import MODELS
+from pinhole_jax._command.arguments import parse
+from pinhole_jax._command.known import known
+from pinhole_jax._command.naming import named
 from pinhole_jax._fit.parameters import NAMES, check_free
 from pinhole_jax._fit.words import STATUSES
 from pinhole_jax._names import DISTORTIONS, FREE, STATUSES as STATUSES_TOLD
@@ -104,21 +106,24 @@ def test_render_then_fit(folder):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("fit", "no.ply", "mask.png", "--camera", "start.json"), "expected a mesh file"),
-        (("fit", "bumpy.ply", "no.png", "--camera", "start.json"), "expected an image file"),
+        (("fit", "no.ply", "dot.png", "--camera", "start.json"), "`MESH`: expected a mesh file"),
+        (
+            ("fit", "bumpy.ply", "no.png", "--camera", "start.json"),
+            "`MASK`: expected an image file",
+        ),
         (
             ("fit", "bumpy.ply", "small.png", "--camera", "start.json"),
-            "`target`: expected the camera's shape",
+            "`--camera`: expected a camera of 9 x 9, got one of 96 x 80; if MASK was cut out",
         ),
         (
             ("fit", "bumpy.ply", "black.png", "--camera", "start.json"),
-            "`target`: expected a mask that covers",
+            "`MASK`: expected a mask that covers",
         ),
         (
             ("fit", "bumpy.ply", "black.png", "--camera", "start.json", "--free", "zoom"),
-            "`free`: expected names",
+            "`--free`: expected names",
         ),
-        (("fit", "bumpy.ply", "black.png"), "expected --camera or --fov, or phi among --free"),
+        (("fit", "bumpy.ply", "black.png"), "expected --camera, --K or --fov, or phi among --free"),
         (
             ("fit", "bumpy.ply", "black.png", "--fov", "34", "--image", "small.png"),
             "`--image`: expected the mask's size 96 x 80, got 9 x 9",
@@ -129,15 +134,21 @@ def test_render_then_fit(folder):
         ),
         (
             ("fit", "bumpy.ply", "inverted.png", "--fov", "34"),
-            "covers 100% of its border, like a black object on white; give `invert` (on the command"
-            " line: --invert)",
+            "covers 100% of its border, like a black object on white; give `--invert`, or where it"
+            " is right `--mask-from luminance`",
         ),
-        (("render", "bumpy.ply", "black.png"), "expected a folder (COLMAP) or one of .json"),
+        (
+            ("render", "bumpy.ply", "black.png"),
+            "`CAMERA`: expected a folder (COLMAP) or one of .json",
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(folder, arguments, message):
     Image.new("L", (9, 9)).save(folder / "small.png")
     Image.new("L", (96, 80)).save(folder / "black.png")
+    dot = Image.new("L", (96, 80))
+    dot.paste(255, (30, 20, 60, 50))
+    dot.save(folder / "dot.png")
     inverted = Image.new("L", (96, 80), 255)
     inverted.paste(0, (30, 20, 60, 50))
     inverted.save(folder / "inverted.png")
@@ -206,7 +217,7 @@ def test_convert_there_and_back(folder):
     assert "x (colmap-binary, 1 camera, 96 x 80)" in named.stdout
     wrong = run("convert", folder / "x", folder / "y.glb", "--from", "usd", cache=cache)
     assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1)
-    assert "pinhole-jax convert: `format`: expected one of json, opencv" in wrong.stderr
+    assert "pinhole-jax convert: `--from`: expected one of json, opencv" in wrong.stderr
 
 
 @pytest.mark.long
@@ -233,7 +244,7 @@ def test_a_picture_without_end_is_not_rendered(folder):
     (folder / "endless.json").write_text(json.dumps(endless))
     done = run("render", folder / "bumpy.ply", folder / "endless.json", cache=folder / "cache")
     assert done.returncode == 2
-    assert "`camera`: expected at most 178956970 pixels, got 20000 x 20000" in done.stderr
+    assert "`CAMERA`: expected at most 178956970 pixels, got 20000 x 20000" in done.stderr
     assert "endless.json" in done.stderr
 
 
@@ -361,17 +372,98 @@ def test_an_interrupt_is_one_line_and_status_130(monkeypatch, capsys):
     assert capsys.readouterr().err == "pinhole-jax render: interrupted\n"
 
 
+def known_of(*words, size=(96, 80), free=("pose",)):
+    return known(parse(["fit", "a.ply", "b.png", *map(str, words)]), free, size, print)
+
+
 def test_known_intrinsics_are_read_as_opencv_has_them():
-    options = argparse.Namespace(K=[90, 91, 47.5, 40], dist=None, pixel_centres="integer")
-    known = command._of_K(options, (96, 80))
-    np.testing.assert_allclose(known["phi"], 2 * np.arctan(80 / 2 / 91))
-    np.testing.assert_allclose(known["lens"].principal_point, [48, 80 - 40.5])
-    np.testing.assert_allclose(known["lens"].aspect, 90 / 91)
-    options.dist = [0.1, 0, 0, 0, 0, 0.01, 0, 0]
-    assert type(command._of_K(options, (96, 80))["lens"].distortion) is pj.Rational
-    options.dist = [0.1]
+    camera, phi, lens = known_of("--K", 90, 91, 47.5, 40)
+    assert camera is None
+    np.testing.assert_allclose(phi, 2 * np.arctan(80 / 2 / 91))
+    np.testing.assert_allclose(lens.principal_point, [48, 80 - 40.5])
+    np.testing.assert_allclose(lens.aspect, 90 / 91)
+    bent = known_of("--K", 90, 91, 47.5, 40, "--dist", 0.1, 0, 0, 0, 0, 0.01, 0, 0)
+    assert type(bent.lens.distortion) is pj.Rational
     with pytest.raises(ValueError, match="`--dist`: expected 4, 5 or 8 coefficients, got 1"):
-        command._of_K(options, (96, 80))
+        known_of("--K", 90, 91, 47.5, 40, "--dist", 0.1)
+    with pytest.raises(ValueError, match="`--dist`: expected --K beside it, got none"):
+        known_of("--fov", 30, "--dist", 0.1, 0, 0, 0)
+
+
+def rays_of(camera, phi, lens):
+    """Return a picture's rays by what `fit_camera` is given."""
+    if camera is None:
+        camera = pj.Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, 96, 80, lens)
+    else:
+        camera = camera.replace(e=[0, 0, 1], p=[0, 0, 0], u=[0, 1, 0])
+    return np.asarray(pj.camera_rays(camera).direction)
+
+
+def test_a_part_of_a_photo_and_a_resized_one_have_the_rays_of_the_whole(folder):
+    # Of a photo of 400 x 300 px: a window, one that was shrunk to a half, the whole one shrunk.
+    fx, fy, cx, cy, k1 = 310, 308, 205, 140, -0.05
+    K, turn = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.diag([1.0, -1, -1])
+    bent = pj.BrownConrady(k1)
+    of = lambda *size: pj.formats.from_opencv(
+        K, turn, [0, 0, 1], *size, pixel_centres="integer", distortion=bent
+    )
+    io.save_camera(folder / "photo.json", of(400, 300))
+    ways = [
+        ("--K", fx, fy, cx, cy, "--dist", k1, 0, 0, 0),
+        ("--camera", folder / "photo.json"),
+    ]
+    whole = np.asarray(pj.camera_rays(of(400, 300)).direction)
+    for way in ways:
+        window = rays_of(*known_of(*way, "--crop", 120, 60, 96, 80))
+        np.testing.assert_allclose(window, whole[60:140, 120:216], atol=1e-9)
+        half = rays_of(*known_of(*way, "--crop", 100, 40, 192, 160, "--resize", 192, 160))
+        corners = whole[40:200, 100:292].reshape(80, 2, 96, 2, 3).mean(axis=(1, 3))
+        np.testing.assert_allclose(half, corners, atol=1e-4)
+        small = rays_of(*known_of(*way, "--resize", 400, 300))
+        np.testing.assert_allclose(small[40, 48], whole[151, 201], atol=3e-3)
+    # What is shrunk alike both ways keeps its field of view; else pixels are no longer square.
+    assert known_of("--fov", 30, "--resize", 192, 160).lens is None
+    np.testing.assert_allclose(known_of("--fov", 30, "--resize", 96, 160).phi, np.deg2rad(30))
+    np.testing.assert_allclose(known_of("--fov", 30, "--resize", 96, 160).lens.aspect, 2)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--fov", 30, "--crop", 0, 0, 96, 80), "`--crop`: expected --camera or --K beside it"),
+        (
+            ("--K", 90, 91, 47, 40, "--crop", 0, 0, 48, 40),
+            "`--crop`: expected MASK's size 96 x 80, got 48 x 40; .* add --resize 48 40",
+        ),
+        (
+            ("--K", 90, 91, 47, 40, "--crop", 0, 0, 48, 40, "--resize", 50, 40),
+            "`--resize`: expected the size of --crop, 48 x 40, got 50 x 40",
+        ),
+        (("--K", 90, 91, 47, 40, "--crop", 0, 0, 0, 40), "`--crop`: expected a width and height"),
+        (("--K", 90, 91, 47, 40, "--resize", 0, 40), "`--resize`: expected a width and height"),
+        (("--K", 0, 91, 47, 40), "`--K`: expected positive focal lengths in px"),
+        (("--camera", "START", "--resize", 9, 9), "`--camera`: expected a camera of 9 x 9, got"),
+        (("--camera", "no.json"), "`--camera`: expected a camera file, got 'no.json': no such"),
+    ],
+)
+def test_options_that_do_not_go_together_are_named(folder, words, message):
+    words = [folder / "start.json" if word == "START" else word for word in words]
+    with pytest.raises(ValueError, match=message):
+        known_of(*words)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("`path`: expected a file", "`MESH`: expected a file"),
+        ("`phi`: got nothing", "`phi`: got nothing"),
+        ("give `size` (on the command line: --size W H)", "give `--size W H`"),
+        ("or `mask_from` alpha (--mask-from alpha)", "or `--mask-from alpha`"),
+    ],
+)
+def test_errors_name_the_arguments_of_the_command(text, told):
+    with pytest.raises(ValueError, match=f"^{re.escape(told)}$"), named(path="MESH"):
+        raise FileNotFoundError(text)
 
 
 @pytest.mark.long

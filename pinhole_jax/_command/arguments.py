@@ -123,6 +123,20 @@ def _add_fit(commands: Any) -> None:
         " (COLMAP); default: %(default)s",
     )
     fit.add_argument(
+        "--crop",
+        nargs=4,
+        type=float,
+        metavar=("LEFT", "TOP", "W", "H"),
+        help="MASK shows this window (px from the top left) of the picture that --K or START is of",
+    )
+    fit.add_argument(
+        "--resize",
+        nargs=2,
+        type=int,
+        metavar=("W", "H"),
+        help="MASK was resized from W x H px (with --crop: after it) to the size that it has",
+    )
+    fit.add_argument(
         "--free",
         default="pose",
         metavar="NAMES",
@@ -151,10 +165,10 @@ def _add_render(commands: Any) -> None:
         commands,
         "render",
         help="render the mask that a camera sees",
-        description="Render MESH as CAMERA.json sees it: exact coverage, 8 bits.",
+        description="Render MESH as CAMERA sees it: exact coverage, 8 bits.",
     )
     render.add_argument("mesh", metavar="MESH", help="triangles: obj, ply, stl, glb, gltf or off")
-    render.add_argument("camera", metavar="CAMERA.json")
+    render.add_argument("camera", metavar="CAMERA", help="a camera file, as `fit --camera` reads")
     render.add_argument(
         "-o", "--output", default="mask.png", metavar="IMAGE", help="(default: %(default)s)"
     )

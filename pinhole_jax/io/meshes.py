@@ -1,6 +1,8 @@
 """`load_mesh`: the triangles of a mesh file."""
 
 import os
+import warnings
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,8 +11,12 @@ from .._files.paths import existing, reason
 from .._mesh_files import MESH_ENDINGS, Polygons, read_polygons, triangulated
 from .._scene.scene import Mesh
 
+#: Steps between float32 numbers that are more than this share of the object are told: a fit's own
+#: rounding is far smaller.
+COARSE = 1 / 2000
 
-def load_mesh(path: str | os.PathLike[str]) -> Mesh:
+
+def load_mesh(path: str | os.PathLike[str], say: Callable[[str], Any] | None = None) -> Mesh:
     """Return the triangles of a mesh file (obj, ply, stl, glb, gltf, off), as one mesh.
 
     Polygons of any shape in any plane are cut into triangles that run the way they do, and vertices
@@ -21,6 +27,9 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
       not. Buffers are read from the file's folder and below.
     - Of an obj file all polygons count; the material files that it names are not opened.
     - Of a ply file the faces and triangle strips count.
+
+    Far from the origin float32 numbers, as those of binary stl files, have wide steps. Where these
+    are not small beside the object, `say` is told (None: a UserWarning).
 
     Raises FileNotFoundError, or ValueError where the file is no mesh, has no faces, fewer or more
     data than its header says, vertices that are not finite, faces that name vertices it does not
@@ -51,9 +60,31 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
         raise ValueError(f"`path`: expected a mesh with faces, got {str(path)!r}: none")
     merged, place = _merged(polygons.points, faces)
     try:
-        return Mesh(merged, place)
+        mesh = Mesh(merged, place)
     except ValueError as error:  # too large for float32
         raise ValueError(f"{error} (in {str(path)!r})") from error
+    if words := _coarse(merged, mesh):
+        words = f"`path`: {words} (in {str(path)!r})"
+        warnings.warn(words, stacklevel=2) if say is None else say(words)
+    return mesh
+
+
+def _coarse(points: np.ndarray, mesh: Mesh) -> str:
+    """Return in words that vertices are rounded to a good part of the object, if they are."""
+    in_file = bool(np.all(points == points.astype(np.float32)))
+    if not in_file and mesh.vertices.dtype != np.float32:
+        return ""
+    low, high = points.min(axis=0), points.max(axis=0)
+    size, far = float(np.max(high - low)), float(np.max(np.abs([low, high])))
+    step = float(np.spacing(np.float32(far)))
+    if step <= COARSE * size:
+        return ""
+    where = "the file has float32 numbers" if in_file else "JAX is set to float32"
+    cure = "move the object to the origin" + ("" if in_file else ", or set jax_enable_x64")
+    return (
+        f"vertices are rounded to steps of {step:.2g}, 1/{size / step:.0f} of the object: {where},"
+        f" and it lies {far:.3g} from the origin; {cure}"
+    )
 
 
 def _check_corners(polygons: Polygons, path: Any) -> None:

@@ -1,0 +1,141 @@
+"""What the command line tells of the camera: a file, K, a field of view, a photo's EXIF data; and
+that the mask shows a part of its picture, or is resized."""
+
+import argparse
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from .._camera.camera import Camera
+from .._camera.distortion import BrownConrady, Rational
+from .._camera.lens import Lens
+from ..formats import cropped, from_opencv, read_one, resized
+from ..io import photo_fov
+from .naming import named
+
+Size = tuple[int, int]
+
+
+class Known(NamedTuple):
+    """What `fit_camera` is given: a camera to start from, or field of view (rad) and lens."""
+
+    camera: Camera | None = None
+    phi: Any = None
+    lens: Lens | None = None
+
+
+def known(
+    options: argparse.Namespace, free: tuple[str, ...], size: Size, tell: Callable[[str], Any]
+) -> Known:
+    """Return what the options tell of the camera of a mask of this size (W, H).
+
+    Raises ValueError for options that go together with others, and for sizes that differ.
+    """
+    if options.K is None and options.dist is not None:
+        raise ValueError("`--dist`: expected --K beside it, got none")
+    window = _window(options, size)
+    if options.camera is not None:
+        with named(path="--camera", size="--resize"):
+            whole = None if window.crop else window.before
+            camera = read_one(options.camera, size=whole)
+        return Known(camera=window.of(camera))
+    if options.K is not None:
+        camera = window.of(_of_K(options, window.beside))
+        return Known(phi=camera.phi, lens=camera.lens)
+    if window.crop:
+        words = "expected --camera or --K beside it: a field of view is that of the whole photo"
+        raise ValueError(f"`--crop`: {words}")
+    if options.fov is not None:
+        phi = math.radians(options.fov)
+    else:
+        phi = _phi_of_photo(options, free, tell)
+    if phi is None or window.before == size:
+        return Known(phi=phi)
+    with named(phi="--fov"):
+        camera = window.of(Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, *window.before))
+    return Known(phi=camera.phi, lens=camera.lens)
+
+
+class _Window(NamedTuple):
+    """What of the camera's picture the mask shows: its window (left, top, W, H; None: all), the
+    size (W, H) before it was resized, and the mask's."""
+
+    crop: tuple[float, float, int, int] | None
+    before: Size
+    size: Size
+
+    @property
+    def beside(self) -> Size:
+        """Return a picture's size that holds the window."""
+        if self.crop is None:
+            return self.before
+        left, top, W, H = self.crop
+        return math.ceil(max(left, 0)) + W, math.ceil(max(top, 0)) + H
+
+    def of(self, camera: Camera) -> Camera:
+        """Return the mask's camera, where this is the whole picture's."""
+        with named(W="--crop", H="--crop"):
+            if self.crop is not None:
+                camera = cropped(camera, *self.crop)
+        if self.crop is None and self.before != (camera.W, camera.H):
+            raise ValueError(
+                f"`--camera`: expected a camera of {_words(self.before)}, got one of"
+                f" {camera.W} x {camera.H}; if MASK was cut out of its picture, or resized,"
+                " add --crop or --resize"
+            )
+        return camera if self.before == self.size else resized(camera, *self.size)
+
+
+def _window(options: argparse.Namespace, size: Size) -> _Window:
+    crop = None
+    before = size if options.resize is None else (options.resize[0], options.resize[1])
+    if min(before) < 1:
+        raise ValueError(f"`--resize`: expected a width and height in px, got {_words(before)}")
+    if options.crop is not None:
+        left, top, W, H = options.crop
+        if W % 1 or H % 1 or min(W, H) < 1:
+            raise ValueError(f"`--crop`: expected a width and height in px, got {W:g} x {H:g}")
+        crop = (left, top, int(W), int(H))
+        if crop[2:] != before and options.resize is None:
+            raise ValueError(
+                f"`--crop`: expected MASK's size {_words(size)}, got {_words(crop[2:])}; if it was"
+                f" resized after that, add --resize {crop[2]} {crop[3]}"
+            )
+        if crop[2:] != before:
+            words = f"expected the size of --crop, {_words(crop[2:])}, got {_words(before)}"
+            raise ValueError(f"`--resize`: {words}")
+    return _Window(crop, before, size)
+
+
+def _words(size: Size) -> str:
+    return f"{size[0]} x {size[1]}"
+
+
+def _of_K(options: argparse.Namespace, size: Size) -> Camera:
+    """Return a camera with the intrinsics of `--K`, `--dist`, `--pixel-centres`."""
+    fx, fy, cx, cy = options.K
+    K, turn = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    bent, centres = options.dist, options.pixel_centres
+    if bent is not None and len(bent) not in (4, 5, 8):
+        raise ValueError(f"`--dist`: expected 4, 5 or 8 coefficients, got {len(bent)}")
+    model = None if bent is None else (Rational if len(bent) == 8 else BrownConrady)(*bent)
+    with named(K="--K", lens="--dist"):
+        return from_opencv(K, turn, [0, 0, 0], *size, pixel_centres=centres, distortion=model)
+
+
+def _phi_of_photo(
+    options: argparse.Namespace, free: tuple[str, ...], tell: Callable[[str], Any]
+) -> float | None:
+    """Return what the EXIF data of the photo (or the mask, if it is one) say of phi, and say so."""
+    fov = photo_fov(options.image or options.mask)
+    focal_is_free = bool({"phi", "d"} & {*free})
+    if fov is None:
+        if not focal_is_free:
+            raise ValueError(
+                "expected --camera, --K or --fov, or phi among --free, got none of them (and no"
+                " EXIF data that tell the field of view)"
+            )
+        return None
+    held = "a first guess" if focal_is_free else "held: phi is not among --free"
+    tell(f"phi: {math.degrees(fov.phi):.2f} degrees by EXIF's {fov.words}; {held}")
+    return fov.phi

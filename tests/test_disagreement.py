@@ -1,0 +1,54 @@
+"""A perfect mask, one that the film cuts off and one that is cut off itself are told apart."""
+
+import numpy as np
+import pytest
+from test_plot import AHEAD, SQUARE
+
+import pinhole_jax as pj
+from pinhole_jax._show.disagreement import disagreement
+
+
+def square_mask():
+    """Return what AHEAD sees of SQUARE, hard."""
+    return np.asarray(pj.silhouette(AHEAD, SQUARE)) > 0.5
+
+
+def test_nothing_is_said_of_a_perfect_mask():
+    assert disagreement(AHEAD, SQUARE, square_mask()) == ()
+    assert disagreement(AHEAD, SQUARE, np.zeros((80, 96), bool)) == ()
+
+
+def test_a_mask_that_is_cut_off_says_where():
+    mask = square_mask()
+    columns = np.flatnonzero(mask.any(axis=0))
+    mask[:, : columns[0] + 10] = False
+    lost, added = disagreement(AHEAD, SQUARE, mask)
+    assert "of the outline, about column" in lost
+    assert "the mask is cut off or covered there" in lost
+    column = int(lost.partition("column ")[2].partition(",")[0])
+    assert abs(column - columns[0]) < 10
+    assert "of the mask's edge, about column" in added
+    column = int(added.partition("column ")[2].partition(",")[0])
+    assert abs(column - columns[0] - 10) <= 1
+
+
+def test_what_the_film_cuts_off_is_no_fault_of_the_mask():
+    camera = AHEAD.replace(p=[AHEAD.p[0] + 1.2, *AHEAD.p[1:]])
+    mask = np.asarray(pj.silhouette(camera, SQUARE)) > 0.5
+    (words,) = disagreement(camera, SQUARE, mask)
+    assert words.startswith("the film's edge cuts the object off: ")
+
+
+@pytest.mark.parametrize("extra", [True, False])
+def test_an_extra_part_is_told_from_a_missing_one(extra):
+    mask = square_mask()
+    rows, columns = (np.flatnonzero(mask.any(axis=k)) for k in (1, 0))
+    middle = (rows[0] + rows[-1]) // 2
+    if extra:
+        mask[middle - 8 : middle + 8, columns[-1] : columns[-1] + 12] = True
+    else:
+        mask[middle - 8 : middle + 8, columns[-1] - 12 : columns[-1] + 1] = False
+    words = disagreement(AHEAD, SQUARE, mask)
+    assert len(words) == 2
+    column = int(words[1].partition("column ")[2].partition(",")[0])
+    assert (column > columns[-1]) == extra
