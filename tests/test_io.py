@@ -1,5 +1,6 @@
 import json
 
+import jax
 import numpy as np
 import pytest
 import trimesh
@@ -26,6 +27,24 @@ def test_every_format_gives_the_same_closed_mesh(tmp_path, ending):
     )
     np.testing.assert_allclose(np.ptp(np.asarray(mesh.vertices), axis=0), 1)
     assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume > 0.999
+
+
+def test_vertices_that_are_coarse_beside_the_object_are_told(tmp_path):
+    path = tmp_path / "far.stl"
+    far = BOX.copy()
+    far.apply_translation([1e5, 0, 0])
+    far.export(path)
+    with pytest.warns(UserWarning, match=r"steps of 0.0078, 1/128 of the object.*far.stl"):
+        pj.load_mesh(path)
+    said = []
+    pj.load_mesh(path, say=said.append)
+    assert "the file has float32 numbers, and it lies 1e+05 from the origin" in said[0]
+
+    text = tmp_path / "far.obj"  # digits, of which float64 loses none
+    text.write_text("v 100000.1 0 0\nv 100000.2 0.3 0\nv 100000.3 0 0.1\nf 1 2 3\n")
+    pj.load_mesh(text)
+    with jax.enable_x64(False), pytest.warns(UserWarning, match="JAX is set to float32"):
+        pj.load_mesh(text)
 
 
 def test_scenes_are_flattened_with_their_transforms(tmp_path):
@@ -114,6 +133,16 @@ def test_cameras_go_to_files_and_back(tmp_path, lens):
         ({"W": 0}, "`W`: expected an integer of at least 1"),
         ({"schema": "other/7"}, "`schema`: expected 'pinhole_jax.camera/1', got 'other/7'"),
         ({"lens": 3}, "`lens`: expected principal_point"),
+        ({"phi_degrees": 41}, r"`phi_degrees`: expected 40.107, as `phi` says \(0.7 rad\), got 41"),
+        ({"phi_degrees": "wide"}, "`phi_degrees`: expected 1 finite numbers, got 'wide'"),
+        ({"phi": 0.71}, "`phi_degrees`: expected 40.68"),
+        ({"pose": 3}, "`pose`: expected an object with names, got int"),
+        ({"pose": {"eye": [1, 2, 6]}}, r"`pose`: expected eye = \[1.0, 2.0, 5.0\], as e say, got"),
+        ({"pose": {"up": [0, 1, 0]}}, "`pose`: expected up = .* as e, p, u say"),
+        ({"pose": {"focal_px": [30, 30]}}, "`pose`: expected focal_px = .* as phi and lens say"),
+        ({"pose": {"principal_point": [15, 9]}}, "`pose`: expected principal_point = .* as lens"),
+        ({"pose": {"eye": [1, 2]}}, "`eye`: expected 3 finite numbers"),
+        ({"e": [1, 2, 6]}, "`pose`: expected "),
     ],
 )
 def test_wrong_fields_are_named(tmp_path, change, message):
@@ -121,6 +150,17 @@ def test_wrong_fields_are_named(tmp_path, change, message):
     path.write_text(json.dumps({**io.camera_to_dict(CAMERA), **change}))
     with pytest.raises(ValueError, match=message):
         io.load_camera(path)
+
+
+def test_what_a_file_says_twice_may_be_left_out_or_rounded(tmp_path):
+    path = tmp_path / "camera.json"
+    data = io.camera_to_dict(CAMERA)
+    pose = {name: np.round(value, 5).tolist() for name, value in data["pose"].items()}
+    path.write_text(json.dumps({**data, "pose": pose, "phi_degrees": 40.11}))
+    np.testing.assert_array_equal(io.load_camera(path).phi, CAMERA.phi)
+    del data["pose"], data["phi"]
+    path.write_text(json.dumps({**data, "phi_degrees": 30}))
+    np.testing.assert_allclose(io.load_camera(path).phi, np.deg2rad(30))
 
 
 def test_missing_fields_and_files_that_are_no_json(tmp_path):

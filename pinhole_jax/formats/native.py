@@ -7,16 +7,19 @@ from dataclasses import fields
 from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
 
 from .._camera.camera import Basis, Camera, camera_basis, focal_px, principal_point
 from .._camera.distortion import MODELS
 from .._camera.lens import Lens
 from .._files.paths import read_json as read_json_file, replace_file
-from .fields import Fields, add_named, check_names, load_json, save_json
+from .fields import Fields, add_named, check_names, load_json, save_json, short
 
 CAMERA_SCHEMA = "pinhole_jax.camera/1"
 CAMERAS_SCHEMA = "pinhole_jax.cameras/1"
+#: Fields that say the same twice may differ by this share: what a person or float32 rounds.
+SAME = 1e-4
 
 
 def camera_to_dict(camera: Camera) -> dict[str, Any]:
@@ -60,11 +63,16 @@ def _pose(camera: Camera) -> tuple[Basis, Any, Any]:
 
 
 def camera_from_dict(data: Any) -> Camera:
-    """Return the camera of `camera_to_dict`'s numbers; `pose` and `phi_degrees` are not read.
+    """Return the camera of `camera_to_dict`'s numbers.
 
-    Raises ValueError where a field is missing or is not what it should be.
+    `phi_degrees` stands for `phi` where that is not there. `pose` and `phi_degrees` say again what
+    the other fields do, and may be left out; where they say something else, nothing is guessed.
+
+    Raises ValueError where a field is missing, is not what it should be, or contradicts others.
     """
-    return Camera(*_numbers_and_lens(data))
+    camera = Camera(*_numbers_and_lens(data))
+    _check_pose(camera, data.get("pose"))
+    return camera
 
 
 def fitted_camera_from_dict(data: Any) -> Camera:
@@ -72,7 +80,9 @@ def fitted_camera_from_dict(data: Any) -> Camera:
     hold beyond the object."""
     *numbers, lens = _numbers_and_lens(data)
     camera = Camera(*numbers)
-    return eqx.tree_at(lambda c: c.lens, camera, lens, is_leaf=lambda x: x is None)
+    camera = eqx.tree_at(lambda c: c.lens, camera, lens, is_leaf=lambda x: x is None)
+    _check_pose(camera, data.get("pose"))
+    return camera
 
 
 def _numbers_and_lens(data: Any) -> tuple[Any, ...]:
@@ -82,14 +92,76 @@ def _numbers_and_lens(data: Any) -> tuple[Any, ...]:
     schema = data.get("schema", CAMERA_SCHEMA)
     if schema != CAMERA_SCHEMA:
         raise ValueError(f"`schema`: expected {CAMERA_SCHEMA!r}, got {schema!r}")
-    missing = [name for name in ("e", "p", "u", "phi", "W", "H") if name not in data]
+    phi = _phi(data)
+    missing = [name for name in ("e", "p", "u", "W", "H") if name not in data]
+    missing += ["phi"] if phi is None else []
     if missing:
         raise ValueError(f"`camera`: expected the field {missing[0]!r}, got {sorted(data)}")
     lens = data.get("lens")
     if lens is not None:
         lens = _lens_from_dict(lens)
-    numbers = (data["e"], data["p"], data["u"], data["phi"], data.get("d", 1.0))
+    numbers = (data["e"], data["p"], data["u"], phi, data.get("d", 1.0))
     return *numbers, data["W"], data["H"], lens
+
+
+def _phi(data: dict[str, Any]) -> Any:
+    """Return a file's field of view (rad), None where it has none; degrees stand for radians."""
+    phi, told = data.get("phi"), data.get("phi_degrees")
+    if told is None:
+        return phi
+    (degrees,) = _told({"phi_degrees": told}, "phi_degrees", 1)
+    if phi is None:
+        return float(np.deg2rad(degrees))
+    if _is_number(phi) and not abs(np.deg2rad(degrees) - phi) <= SAME * abs(phi):
+        raise ValueError(
+            f"`phi_degrees`: expected {np.rad2deg(phi):.6g}, as `phi` says ({phi:.6g} rad), got"
+            f" {degrees:.6g}; leave out the one that is not meant"
+        )
+    return phi
+
+
+def _check_pose(camera: Camera, pose: Any) -> None:
+    """Raise ValueError where a file's `pose` says something else than its other fields."""
+    if pose is None:
+        return
+    if not isinstance(pose, dict):
+        raise ValueError(f"`pose`: expected an object with names, got {type(pose).__name__}")
+    (b1, b2, v), focal, principal = jax.tree.map(lambda x: np.asarray(x, float), _pose(camera))
+    eye, view = (np.asarray(x, float) for x in (camera.e, camera.p))
+    far = max(float(np.max(np.abs(view - eye))), float(np.max(np.abs(eye))))
+    size = max(camera.W, camera.H)
+    own = {
+        "eye": (eye, far, "e"),
+        "right": (b1, 1.0, "e, p, u"),
+        "up": (b2, 1.0, "e, p, u"),
+        "forward": (v, 1.0, "e, p"),
+        "focal_px": (np.stack(focal), float(np.max(focal)), "phi and lens"),
+        "principal_point": (principal, size, "lens"),
+    }
+    for name in own.keys() & pose.keys():
+        value, scale, source = own[name]
+        told = _told(pose, name, len(value))
+        with np.errstate(over="ignore"):
+            same = np.all(np.abs(told - value) <= SAME * scale)
+        if not same:
+            raise ValueError(
+                f"`pose`: expected {name} = {short(value)}, as {source} say, got {short(told)};"
+                " leave out what is not meant (`pose` may be left out)"
+            )
+
+
+def _told(data: dict[str, Any], name: str, count: int) -> np.ndarray:
+    """Return a field's numbers (count,), or raise ValueError where it has others."""
+    value = data[name]
+    numbers = value if isinstance(value, list) else [value]
+    if len(numbers) != count or not all(map(_is_number, numbers)):
+        raise ValueError(f"`{name}`: expected {count} finite numbers, got {short(value)}")
+    return np.array(numbers, float)
+
+
+def _is_number(value: Any) -> bool:
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return number and bool(np.isfinite(value))
 
 
 def _lens_to_dict(lens: Lens) -> dict[str, Any]:
