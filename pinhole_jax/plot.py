@@ -21,6 +21,8 @@ from ._silhouette.silhouette import silhouette
 CYAN = (0, 240, 255)
 DARK = (0, 30, 60)
 YELLOW = (255, 220, 0)
+#: How much of 255 a band covers of the picture.
+TINT = 50
 MORE, LESS = (230, 90, 20), (30, 110, 210)
 #: Pictures are enlarged to about this many pixels.
 SHOWN_PX = 800
@@ -75,9 +77,10 @@ def overlay(
 
     `image` is uint8 (H, W), (H, W, 3) or (H, W, 4), of the camera's size, row 0 on top. `band_px`
     is the half width of a yellow band about each segment of the outline (`outline_sigma`, or some
-    times as much). `window` is the part shown: left, top, right, bottom in px from the upper left.
+    times as much): its two borders, and a tint that lets the picture be seen.
+    `window` is the part shown: left, top, right, bottom in px from the upper left.
     """
-    from PIL import Image, ImageDraw
+    from PIL import Image, ImageChops, ImageDraw, ImageFilter
 
     _check_size("image", image, camera)
     left, top, right, bottom = window or (0, 0, camera.W, camera.H)
@@ -94,11 +97,13 @@ def overlay(
         for (a, b), half in zip(corners[near] * fine, band_px[near] * fine, strict=True):
             across = np.array([b[1] - a[1], a[0] - b[0]])
             across *= half / max(np.linalg.norm(across), 1e-30)
-            draw.polygon([tuple(p) for p in (a + across, b + across, b - across, a - across)], 150)
-            draw.ellipse([*(b - half), *(b + half)], 150)
-        canvas.paste(YELLOW, mask=cover)
+            draw.polygon([tuple(p) for p in (a + across, b + across, b - across, a - across)], 255)
+            draw.ellipse([*(b - half), *(b + half)], 255)
+        border = ImageChops.subtract(cover, cover.filter(ImageFilter.MinFilter(7)))
+        tint = cover.point(lambda value: TINT * value // 255)
+        canvas.paste(YELLOW, mask=ImageChops.lighter(border, tint))
     draw = ImageDraw.Draw(canvas)
-    for line, width in ((DARK, 8), (colour, 4)):
+    for line, width in ((DARK, 6), (colour, 3)):
         for segment in corners[near] * fine:
             draw.line([tuple(point) for point in segment], fill=line, width=width)
     return np.asarray(canvas.resize((W * factor, H * factor), Image.Resampling.BOX))

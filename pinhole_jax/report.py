@@ -20,6 +20,7 @@ from ._fit.result import Fit
 from ._fit.target import check_image, shares
 from ._fit.words import STATUSES, Told, in_digits, told
 from ._scene.scene import Scene
+from ._show.disagreement import disagreement
 
 #: The file that shows each format; a folder's files are shown one after another.
 FILES = {
@@ -131,7 +132,7 @@ def _outline_pictures(fit: Fit, scene: Scene, photo: np.ndarray) -> str:
         middle = float(np.median(shown))
         factor = 1.0 if middle >= BAND_PX / 2 else 10.0 ** np.round(np.log10(BAND_PX / middle))
         drawn = "" if factor == 1 else f", drawn {factor:g} times as wide"
-        words = f"The recovered outline and its one-sigma band (yellow{drawn})."
+        words = f"The recovered outline (cyan) and its one-sigma band (yellow{drawn})."
         words += f" One sigma is {middle:.2g} px (median; largest {shown.max():.2g} px)"
         lost = int(np.sum(~np.isfinite(fit.std)))
         words += f"; {lost} parameters are not determined and left out." if lost else "."
@@ -149,11 +150,12 @@ def _outline_pictures(fit: Fit, scene: Scene, photo: np.ndarray) -> str:
 def _error_picture(fit: Fit, scene: Scene, mask: np.ndarray) -> str:
     window = plot.object_window(fit.camera, scene)
     image = plot.error_map(fit.camera, scene, mask, window=window)
-    return _figure(
+    picture = _figure(
         image,
         "Orange: the camera sees the object where the mask has none; blue: the mask has it and the"
         " camera does not; grey: both.",
     )
+    return picture + _list(disagreement(fit.camera, scene, mask))
 
 
 def _table(caption: str, heads: Iterable[str], rows: Iterable[Iterable[str]], kind: str) -> str:
@@ -213,13 +215,19 @@ def _correlation(r: float) -> str:
 
 
 def _unknown(fit: Fit) -> str:
-    words = [html.escape(w[:1].upper() + w[1:]) + "." for w in fit.weak]
+    words = [html.escape(w) for w in fit.weak]
     for n, mode in enumerate(fit.modes, 1):
         eye = ", ".join(f"{float(x):.4g}" for x in mode.camera.e)
         words.append(f"View {n} explains the mask as well: eye ({eye}), IoU {mode.iou:.4f}.")
     if not words:
         return "<p>Every parameter that was fitted is well determined; no other view was found.</p>"
-    return "<ul>" + "".join(f"<li>{w}</li>" for w in words) + "</ul>"
+    return _list(words)
+
+
+def _list(words: Iterable[str]) -> str:
+    """Return sentences as a list, nothing if there are none."""
+    sentences = [f"<li>{w[:1].upper()}{w[1:].removesuffix('.')}.</li>" for w in words]
+    return f"<ul>{''.join(sentences)}</ul>" if sentences else ""
 
 
 def _convergence(fit: Fit, scene: Scene) -> str:
@@ -282,7 +290,7 @@ h2{font-size:19px;margin:40px 0 10px;padding-top:14px;border-top:1px solid var(-
 dl{display:flex;flex-wrap:wrap;gap:8px 36px;margin:0}
 dt{font-size:13px;color:var(--muted)}dd{margin:0;font-size:20px}
 figure{margin:0 0 18px}img{max-width:100%;height:auto;display:block;border-radius:4px}
-svg{max-width:100%;height:auto}
+svg{width:100%;min-width:520px;height:auto}.diagram{overflow-x:auto}
 .diagram svg text{fill:var(--muted)}.diagram svg line{stroke:var(--paper)}
 .diagram svg rect{fill:var(--one)}.diagram svg rect:nth-of-type(even){fill:var(--two)}
 .diagram svg polyline{stroke:var(--curve)}.diagram svg circle{fill:var(--curve)}

@@ -143,7 +143,9 @@ def test_the_band_is_drawn_and_a_window_shows_a_part():
     image = np.zeros((80, 96, 3), np.uint8)
     n = len(plot.outline(AHEAD, SQUARE))
     drawn = plot.overlay(image, AHEAD, SQUARE, band_px=np.full(n, 4.0))
-    yellow = (drawn[..., 0] > 100) & (drawn[..., 2] < 60)
+    yellow = (drawn[..., 0] > 30) & (drawn[..., 2] < 60)
+    border = (drawn[..., 0] > 200) & (drawn[..., 2] < 60)
+    assert 0.02 < np.sum(border) / np.sum(yellow) < 0.2  # the picture is seen through the rest
     factor = drawn.shape[0] // 80
     side = 2 * FOCAL / 5
     assert np.sum(yellow) / factor**2 == pytest.approx(4 * side * 8, rel=0.2)

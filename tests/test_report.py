@@ -108,6 +108,20 @@ def test_pictures_decode_and_tables_have_a_row_for_each_parameter(text):
     assert "48 x 40 px" in page.text["convergence"]
 
 
+def test_tables_tell_their_heads_and_name_each_parameter_once(text):
+    page = Page(text)
+    assert len(page.all("table")) == text.count("<caption>") == 3
+    assert {a["scope"] for a in page.all("th")} == {"col", "row"}
+    for name in ("yaw", "e_x", "e_z"):
+        assert name in page.text["parameters"]
+        assert page.text["correlations"].count(name) == 2  # as a row and as a column
+    assert "rotation_b2" not in text
+
+
+def test_the_page_says_where_the_mask_is_apart(text):
+    assert "of the mask's edge, about column" in Page(text).text["where-mask-and-camera-differ"]
+
+
 def test_the_page_holds_the_camera_in_every_format(text, tmp_path):
     files = {a["download"]: data_of(a["href"]) for a in Page(text).all("a")}
     assert {"camera.py", "images.txt", "cameras.txt"} < set(files)
@@ -161,8 +175,8 @@ def test_a_browser_shows_it(text, tmp_path):
     path.write_text(text.replace("</body>", measure + "</body>"), encoding="utf-8")
     common = (browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars")
     size = ("--window-size=1000,4200", f"--user-data-dir={tmp_path / 'user'}")
-    ask = lambda what: subprocess.run(
-        [*common, *size, what, path.as_uri()], capture_output=True, timeout=120, check=True
+    ask = lambda *what, page=path: subprocess.run(
+        [*common, *size, *what, page.as_uri()], capture_output=True, timeout=120, check=True
     )
     assert b'<body id="3,true,8,true,true,true">' in ask("--dump-dom").stdout
     ask(f"--screenshot={tmp_path / 'page.png'}")
@@ -174,3 +188,18 @@ def test_a_browser_shows_it(text, tmp_path):
     assert near((230, 90, 20)) > 500  # the mask's error
     assert near((238, 242, 246)) > 5_000  # levels of the diagram
     assert near((255, 255, 255)) > 0.4 * shot[..., 0].size
+
+    # In the dark, and 400 px wide: nothing is cut off.
+    ask(f"--screenshot={tmp_path / 'dark.png'}", "--blink-settings=preferredColorScheme=0")
+    dark = np.asarray(Image.open(tmp_path / "dark.png").convert("RGB")).astype(int)
+    assert np.sum(np.max(dark, axis=2) < 48) > 0.3 * dark[..., 0].size
+    frame = (
+        "<iframe id=f src=page.html style='width:400px;height:900px'></iframe><script>onload=()=>{"
+    )
+    frame += "const d=f.contentDocument,w=d.documentElement.scrollWidth;document.body.id="
+    frame += (
+        "[w<=400,d.querySelector('.matrix').getBoundingClientRect().right<=400].join()}</script>"
+    )
+    (tmp_path / "frame.html").write_text(f"<body>{frame}</body>")
+    narrow = ask("--dump-dom", "--allow-file-access-from-files", page=tmp_path / "frame.html")
+    assert b'<body id="true,true">' in narrow.stdout
