@@ -15,6 +15,7 @@ from .implicit import through
 from .mask import Mask
 from .moves import Bounds, canonical
 from .parameters import check_free, focal_is_free, in_one, with_lens
+from .photo import check_photo, on_photo
 from .places import at
 from .priors import Prior, bounds_of, prior_of
 from .result import Fit, Known, Progress, progress_at, report, with_modes
@@ -38,6 +39,7 @@ def fit_camera(
     max_steps: int = 64,
     progress: Callable[[Progress], None] | None = None,
     record: bool = False,
+    photo: Numbers = None,
 ) -> Fit:
     """Return the camera whose silhouette of the scene is closest to a mask, with error bars.
 
@@ -63,6 +65,11 @@ def fit_camera(
       that ends at a bound is no longer determined: the status is then "rank_deficient".
     - `max_steps`: a limit for each level. `progress` is called with a `Progress` after each level.
       `record`: `history` shall have each step (takes some more ms).
+    - `photo`: (H, W, 3), sRGB, uint8 or float (0..1), that the mask was taken from. What is found
+      for the mask is refined on it: colours beside the outline say what share of each pixel is the
+      object's. `Fit.weak` says last by how many px photo and mask disagree, and if the camera is
+      the mask's still: where colours tell too little, or where the mask's edge fits the scene
+      better than the photo's. `rms` and `iou` are the mask's in any case.
 
     Levenberg-Marquardt (optimistix) minimises the weighted squared difference of exact coverage and
     target over the camera's pose and log focal length, on images from about 16 pixels across the
@@ -97,12 +104,15 @@ def fit_camera(
         return _fit(scene, Mask(image, weights, base), camera is None, names, settings)
 
     known = prior_of(prior, base, names), bounds_of(bounds, base, names)
-    settings = _Settings(outlier_px, max_steps, progress, *known, record)
+    picture = None if photo is None else check_photo(photo, base.W, base.H)
+    settings = _Settings(outlier_px, max_steps, progress, *known, record, picture)
     inputs = (scene, target, weight)
     if is_concrete(*jax.tree.leaves(inputs)):
         return run(inputs)[0]
     if prior or bounds:
         raise ValueError("`prior`, `bounds`: expected none where the fit is differentiated")
+    if photo is not None:
+        raise ValueError("`photo`: expected None where the fit is differentiated")
     return through(run, inputs, names)
 
 
@@ -113,6 +123,7 @@ class _Settings(NamedTuple):
     prior: Prior | None
     bounds: Bounds | None
     record: bool
+    photo: np.ndarray | None
 
 
 def _fit(
@@ -157,6 +168,12 @@ def _fit(
         report(base, f, s, names, known._replace(free=[at(solver, f, x) for x in places.free]))
         for f, s in described
     )
+    if settings.photo is not None:
+        f, sums, kind, note = on_photo(solver, mask, settings.photo, described[0][0])
+        if f is not None:
+            free = [at(solver, f, x) for x in places.free]
+            fit = report(base, f, sums, names, known._replace(kind=kind, free=free))
+        fit = fit._replace(weak=(*fit.weak, note))
     return with_modes(fit, modes), trust
 
 

@@ -80,8 +80,10 @@ class Solver:
         self.kind = kind_of(self.window.of(target), self.window.of(weights), dtype)
         self.weigh(weights)
 
-    def weigh(self, weights: np.ndarray) -> None:
-        """Set how much each pixel counts."""
+    def weigh(self, weights: np.ndarray, target: np.ndarray | None = None) -> None:
+        """Set how much each pixel counts, and if given another target."""
+        if target is not None:
+            self._target = target
         #: Walks all round a line: from there another need not be taken.
         self.walked: list[tuple[Camera, Revolution, list[Found]]] = []
         self._weights = weights
@@ -217,8 +219,13 @@ class Solver:
         levels: Sequence[int],
         told: Callable[[Stop], None] | None = None,
         coarse_px: float = COARSE_PX,
+        fine_px: float | None = None,
     ) -> Found:
-        """Return the camera found from level to level, and its view on the last of them."""
+        """Return the camera found from level to level, and its view on the last of them.
+
+        Steps of `coarse_px`, on the finest level of `fine_px` (None: of what the float type
+        resolves), are negligible.
+        """
         way, steps = [Stop(unit, self.levels[levels[0]], 0)], []
         self._widen(unit)
         while True:
@@ -227,7 +234,7 @@ class Solver:
                 self._believe(unit, number)
                 level, strict = self.levels[number], number > self.finest
                 fine = number >= self.finest
-                tolerance = FINE_PX[self.dtype] if fine else coarse_px
+                tolerance = (fine_px or FINE_PX[self.dtype]) if fine else coarse_px
                 further, n, path, _ = self._further(
                     unit, level, tolerance, self.max_steps, capacity
                 )

@@ -1,0 +1,224 @@
+"""A camera refined on the photo: a mask is a first guess of what the photo shows exactly.
+
+Beside the outline of the camera that the mask gave, colours of the object and of what is behind it
+are learned; the matte that they make is a soft mask with weights, which the same solver fits the
+exact coverage to. Then they are learned again, closer to the outline. The photo's camera is taken
+where its edge fits an outline of the scene better than the mask's edge does; where it does not,
+or colours tell too little, the mask's camera stays, and the fit says so.
+"""
+
+from copy import copy
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .kinds import Kind
+from .mask import Mask
+from .matte import Band, Matte, light, matte, tiles
+from .residuals import Sums
+from .solver import Found, Solver
+from .target import NOISE, Window, edge_distance
+
+#: Where colours are learned and asked for, round by round: masks are off by some px at first. (A
+#: fourth round changes nothing; the last one's tiles hold what is seen within 10 px.)
+ROUNDS = (Band(3.0, 14.0, 8.0), Band(2.0, 12.0, 5.0), Band(1.5, 10.0, 3.5))
+#: The first round begins on a coarser level, some px being less there.
+COARSER = 2
+#: Steps on a level, the last round's more: it is to come to rest.
+STEPS, LAST_STEPS = 8, 16
+#: A step that is negligible before the last round, in px.
+ROUGH_PX = 0.02
+#: The mask counts this much where colours tell all, and alone where they tell nothing: it errs by
+#: some px, they by some tenths. (Spoiled masks: 0.05 lets 1.2 times as much of it in.)
+OF_MASK = 0.01
+#: Colours tell of a stretch of the outline where their weight is above this ...
+TELLING = 0.25
+#: ... and of the camera where they do so along this share of it.
+LEAST_TOLD = 0.4
+#: The mask's edge does not fit the scene if it is off by more than this many px (rms): one bit and
+#: the scene's own mask leave 0.09 to 0.14.
+MASK_PX = 0.2
+#: The photo contradicts a mask that does if its edge is off the mask's outline by this many times
+#: what it is off at best, or than so many px, which blur and noise leave. (At most 1.7 times for
+#: right masks, at least 3.2 times for those off by 1 px and more.)
+SURE, PHOTO_PX = 2.5, 0.15
+#: How far beside an outline, in px, an edge is looked for.
+NEAR_PX = 3.0
+
+
+#: What colours make: a mask of which no residual can be told to be too large.
+COLOURS = Kind("photo", 0.0, np.inf, 0.0, False)
+
+
+class Refined(NamedTuple):
+    """What a photo says: its camera and what is seen there, None where the mask's stays; sums over
+    the mask, the kind of mask that colours are, and a note."""
+
+    found: Found | None
+    sums: Sums
+    kind: Kind
+    note: str
+
+
+def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
+    """Return a photo (H, W, 3) of type uint8 or float, or raise ValueError in words."""
+    array = np.asarray(photo)
+    expected = f"the mask's size and three colours, shape (H, W, 3) = ({H}, {W}, 3)"
+    if array.shape != (H, W, 3):
+        hint = ""
+        if array.shape == (H, W, 4):
+            hint = "; give `photo[..., :3]`, without its transparency"
+        elif array.shape == (H, W):
+            hint = "; a grey one is to be stacked three times"
+        raise ValueError(f"`photo`: expected {expected}, got shape {array.shape}{hint}")
+    if array.dtype != np.uint8 and not np.issubdtype(array.dtype, np.floating):
+        raise ValueError(f"`photo`: expected dtype uint8 or float, got {array.dtype}")
+    if array.dtype == np.uint8:
+        return array
+    low, high = array.min(), array.max()
+    if not (np.isfinite(low) and np.isfinite(high)):
+        at = tuple(np.argwhere(~np.isfinite(array))[0])
+        raise ValueError(f"`photo`: expected finite values, got {array[at]} at {[*map(int, at)]}")
+    if low < -NOISE or high > 1 + NOISE:
+        raise ValueError(
+            f"`photo`: expected floats in [0, 1], got {low:g} to {high:g}"
+            " (photos of 0..255 are to be uint8)"
+        )
+    return array
+
+
+def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Refined:
+    """Return what a photo says of the camera that was found for a mask."""
+    before = _Outline.of(solver, solver.look(found.unit, solver.finest))
+    told = before.told(before.read(photo, mask, ROUNDS[0]))
+    if not told >= LEAST_TOLD:
+        return Refined(None, found.view.sums, COLOURS, _untold(told))
+
+    own, refined, now = copy(solver), found, before
+    own.kind = COLOURS
+    for number, band in enumerate(ROUNDS):
+        last = number == len(ROUNDS) - 1
+        own.weigh(*_whole(mask, now.window, now.read(photo, mask, band)))
+        own.max_steps = LAST_STEPS if last else STEPS
+        coarsest = own.finest if number else max(own.finest - COARSER, 0)
+        px = None if last else ROUGH_PX
+        after = own.solve(refined.unit, range(coarsest, own.finest + 1), fine_px=px)
+        refined, now = _onward(refined, after), _Outline.of(own, after.view)
+
+    taken, note = _judged(mask, photo, before, now)
+    over_all = solver.look(refined.unit, solver.finest).sums
+    sums = over_all._replace(touched=refined.view.sums.touched)
+    return Refined(refined if taken else None, sums, COLOURS, note)
+
+
+class _Outline(NamedTuple):
+    """What is seen at a camera in a window of the film: coverage (h, w), the distance from its
+    outline, positive inside (px), and how much of the outline each pixel holds (px)."""
+
+    window: Window
+    coverage: np.ndarray
+    distance: np.ndarray
+    length: np.ndarray
+
+    @classmethod
+    def of(cls, solver: Solver, view: Any) -> "_Outline":
+        """Return it from a view on the finest level."""
+        window = solver.levels[solver.finest].window()
+        coverage = _filled(view.pixels, window)
+        inside = coverage > 0.5
+        # Pixels beside the edge, which are 0 px away from one another, are half a px from it.
+        distance = np.where(inside, 1, -1) * (edge_distance(coverage) + 0.5)
+        return cls(window, coverage, distance, np.hypot(*np.gradient(coverage)))
+
+    def read(self, photo: np.ndarray, mask: Mask, band: Band) -> Matte:
+        """Return the photo's matte about the outline."""
+        weight = self.window.of(mask.weight)
+        read = matte(light(self.window.of(photo)), self.distance, band, weight > 0)
+        return read._replace(weight=np.where(weight > 0, read.weight, 0))
+
+    def told(self, read: Matte) -> float:
+        """Return the share of the outline of which colours tell."""
+        clear = np.sum(self.length[read.weight > TELLING])
+        return float(clear / max(np.sum(self.length), 1.0))
+
+    def of_mask(self, mask: Mask) -> tuple[float, float]:
+        """Return the offsets of a mask's edge."""
+        return self.offsets(self.window.of(mask.image), self.window.of(mask.weight))
+
+    def offsets(self, image: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
+        """Return by how many px an image's edge lies outside the outline: the mean, and the root
+        mean square over stretches of it."""
+        tile, (rows, columns) = tiles(self.coverage.shape)
+        add = lambda x: np.bincount(tile.ravel(), np.ravel(x), minlength=rows * columns)
+        near = np.minimum(weight, 1) * (np.abs(self.distance) < NEAR_PX)
+        area, length = add(near * (image - self.coverage)), add(near * self.length)
+        there = length > 0.5 * TELLING
+        offset = np.clip(area[there] / length[there], -NEAR_PX, NEAR_PX)
+        mean = lambda x: float(np.average(x, weights=length[there])) if len(x) else np.nan
+        return mean(offset), mean(offset**2) ** 0.5
+
+
+def _filled(pixels: Any, window: Window) -> np.ndarray:
+    """Return the coverage (h, w) of a window, row 0 on top, from the pixels that a contour
+    touches."""
+    stride = window.W + 2
+    cell, share, after = (
+        np.asarray(x) for x in (pixels.cell, pixels.coverage, pixels.covered_after)
+    )
+    used = cell < window.H * stride
+    cell, share, after = cell[used], share[used], after[used]
+    # What changes from cell to cell is summed up along each row.
+    first = np.append(True, cell[1:] // stride != cell[:-1] // stride)
+    before = np.where(first, bool(pixels.covered_before), np.append(False, after[:-1]))
+    change = np.zeros(window.H * stride)
+    change[cell] = after.astype(float) - before
+    flat = np.cumsum(change.reshape(window.H, stride), axis=1) + float(pixels.covered_before)
+    column = cell % stride
+    inside = (column > 0) & (column <= window.W)
+    flat.flat[cell[inside]] = share[inside]
+    return flat[::-1, 1:-1]
+
+
+def _whole(mask: Mask, window: Window, read: Matte) -> tuple[np.ndarray, np.ndarray]:
+    """Return weights and target (H, W): the matte's, and a little of the mask's."""
+    weight, target = np.zeros(mask.target.shape), mask.image + 0.0
+    total = read.weight + OF_MASK
+    both = read.weight * read.share + OF_MASK * window.of(target)
+    window.of(target)[:] = both / total
+    window.of(weight)[:] = total * window.of(mask.weight)
+    return weight, target
+
+
+def _judged(mask: Mask, photo: np.ndarray, before: _Outline, now: _Outline) -> tuple[bool, str]:
+    """Return whether the photo's camera is better founded than the mask's, and a note."""
+    read, first = (x.read(photo, mask, ROUNDS[-1]) for x in (now, before))
+    told = now.told(read)
+    if not told >= LEAST_TOLD:
+        return False, _untold(told)
+    bias, apart = now.of_mask(mask)
+    _, of_mask = before.of_mask(mask)
+    _, own = now.offsets(read.share, read.weight)
+    _, at_first = before.offsets(first.share, first.weight)
+    better = of_mask > MASK_PX and own < of_mask
+    if better or at_first > SURE * max(own, PHOTO_PX):
+        side = "outside" if bias > 0 else "inside"
+        return True, (
+            f"the camera is the photo's, whose edge is {own:.2f} px (rms) from its outline; the"
+            f" mask's is {apart:.2f} px off, {abs(bias):.2f} px {side} on average"
+        )
+    return False, (
+        f"the camera is the mask's, whose edge is {of_mask:.2f} px (rms) from its outline; the"
+        f" photo's is {at_first:.2f} px off, and {own:.2f} px at best: that is no better founded"
+    )
+
+
+def _onward(before: Found, after: Found) -> Found:
+    steps, way = before.steps + after.steps, before.way + after.way[1:]
+    return after._replace(steps=steps, way=way)
+
+
+def _untold(told: float) -> str:
+    return (
+        f"the photo tells the object from its surroundings along {told:.0%} of the outline only:"
+        " the camera is the mask's"
+    )

@@ -1,0 +1,156 @@
+"""Cameras refined on a photo: what colours tell, where they tell nothing, and what is refused."""
+
+import jax
+import numpy as np
+import pytest
+from oracles import turned
+from scipy.ndimage import binary_dilation, gaussian_filter
+
+import pinhole_jax as pj
+from pinhole_jax import shapes
+from pinhole_jax._fit import matte, photo as photos
+from pinhole_jax._fit.moves import canonical
+from pinhole_jax._fit.solver import Solver
+
+CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 192, 160)
+START = turned(CAMERA, [1, 2, 3], 3)
+FRONT, BACK = np.array([0.7, 0.3, 0.1]), np.array([0.1, 0.3, 0.5])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return pj.Scene(mesh=shapes.bumpy(3))
+
+
+@pytest.fixture(scope="module")
+def shown(scene):
+    return np.asarray(pj.silhouette(CAMERA, scene))
+
+
+def photo_of(shown, front=FRONT, back=BACK):
+    """Return a noisy uint8 photo: light mixes, blurs a little, and is then seen as sRGB."""
+    random = np.random.default_rng(0)
+    light = shown[..., None] * front + (1 - shown[..., None]) * back
+    light = gaussian_filter(light, (0.8, 0.8, 0))
+    srgb = 1.055 * light ** (1 / 2.4) - 0.055
+    noisy = srgb + 0.02 * random.normal(size=srgb.shape)
+    return np.round(255 * np.clip(noisy, 0, 1)).astype(np.uint8)
+
+
+def grown(shown, px=2):
+    return binary_dilation(shown > 0.5, iterations=px)
+
+
+def off(fit):
+    """Return how far off a camera is: degrees, and a share of the distance."""
+    angle, shift = pj.pose_error(fit.camera, CAMERA)
+    return np.array([np.rad2deg(angle), shift / 5])
+
+
+def test_a_photo_puts_a_grown_mask_right(scene, shown):
+    by_mask = pj.fit_camera(scene, grown(shown), START)
+    fit = pj.fit_camera(scene, grown(shown), START, photo=photo_of(shown))
+    assert np.all(off(fit) < off(by_mask) / 6)
+    assert fit.status == "converged"
+    assert "the camera is the photo's" in fit.weak[-1]
+    assert "px outside on average" in fit.weak[-1]
+    assert by_mask.weak == fit.weak[:-1]
+    # What is reported beside it is the mask's: it is larger than what is seen.
+    assert abs(fit.iou - np.sum(shown) / np.sum(grown(shown))) < 0.01
+
+    floats = photo_of(shown).astype(np.float32) / 255
+    again = pj.fit_camera(scene, grown(shown), START, photo=floats)
+    np.testing.assert_allclose(pj.pose_error(again.camera, fit.camera), 0, atol=1e-4)
+
+
+def test_a_right_mask_is_kept(scene, shown):
+    for mask in (shown, shown > 0.5):
+        by_mask = pj.fit_camera(scene, mask, START)
+        fit = pj.fit_camera(scene, mask, START, photo=photo_of(shown))
+        assert "the camera is the mask's, whose edge" in fit.weak[-1]
+        np.testing.assert_array_equal(fit.camera.e, by_mask.camera.e)
+        np.testing.assert_array_equal(fit.covariance, by_mask.covariance)
+
+
+def test_colours_that_tell_nothing_leave_the_mask_alone(scene, shown):
+    by_mask = pj.fit_camera(scene, grown(shown), START)
+    for photo in (photo_of(shown, BACK, BACK), photo_of(np.roll(shown, 120, axis=1))):
+        fit = pj.fit_camera(scene, grown(shown), START, photo=photo)
+        assert "of the outline only: the camera is the mask's" in fit.weak[-1]
+        np.testing.assert_array_equal(fit.camera.e, by_mask.camera.e)
+
+
+def test_what_weighs_nothing_is_not_asked_of_the_photo(scene, shown):
+    photo, mask, weight = photo_of(shown), grown(shown), np.ones(shown.shape)
+    photo[:, :80], mask[:, :80], weight[:, :80] = (220, 0, 220), False, 0
+    fit = pj.fit_camera(scene, mask, START, weight=weight, photo=photo)
+    assert "the camera is the photo's" in fit.weak[-1]
+    assert np.all(off(fit) < [0.5, 0.01])
+
+
+def test_coverage_is_read_from_the_pixels_that_a_contour_touches(scene, shown):
+    # A camera so near that the film's sides cut the object.
+    near = pj.Camera([0.15, 0.5, 2.4], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 192, 160)
+    for camera in (CAMERA, near):
+        unit = canonical(camera)
+        solver = Solver(scene, shown, np.ones(shown.shape), np.float64, ("pose",), 4)
+        view = solver.look(unit, solver.finest)
+        window = solver.levels[solver.finest].window()
+        seen = np.asarray(pj.silhouette(camera, scene, overlaps=False))
+        found = photos._filled(view.pixels, window)
+        np.testing.assert_allclose(found, window.of(seen), atol=1e-9)
+
+
+def test_light_is_that_of_srgb():
+    values = np.array([[[0, 10, 118], [188, 255, 64]]], np.uint8)
+    expected = [[[0, 0.00303, 0.18116], [0.50289, 1, 0.05126]]]
+    np.testing.assert_allclose(matte.light(values), expected, atol=1e-4)
+    np.testing.assert_allclose(matte.light(values / 255), expected, atol=1e-4)
+
+
+def test_a_matte_shows_an_edge_where_it_is():
+    # An upright edge at 30.3 px, blurred and noisy, learned from an outline that is 2 px off.
+    random = np.random.default_rng(1)
+    column = np.broadcast_to(np.arange(60), (40, 60))
+    share = gaussian_filter(np.clip(30.3 - column, 0, 1), (0, 1.0))
+    colours = share[..., None] * FRONT + (1 - share[..., None]) * BACK
+    colours = (colours + 0.02 * random.normal(size=colours.shape)).astype(np.float32)
+    distance = 32.0 - (column + 0.5)
+    read = matte.matte(colours, distance, photos.ROUNDS[0], np.ones(share.shape, bool))
+    asked = np.abs(distance) < photos.ROUNDS[0].reach
+    assert np.all(read.weight[~asked] == 0)
+    assert np.all(read.weight[np.abs(distance) < 2] > 0.5)
+    edge = np.sum(read.share, axis=1)
+    assert abs(np.mean(edge) - 30.3) < 0.05
+    # Both sides alike: colours tell nothing.
+    same = np.broadcast_to(BACK, colours.shape).astype(np.float32)
+    same = same + 0.02 * random.normal(size=same.shape).astype(np.float32)
+    read = matte.matte(same, distance, photos.ROUNDS[0], np.ones(share.shape, bool))
+    assert np.max(read.weight) < 0.1
+
+
+PHOTO = np.zeros((160, 192, 3), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("photo", "words"),
+    [
+        (PHOTO[:, :100], r"`photo`: expected .* \(160, 192, 3\), got shape \(160, 100, 3\)"),
+        (PHOTO[..., 0], r"got shape \(160, 192\); a grey one is to be stacked"),
+        (np.zeros((160, 192, 4), np.uint8), r"give `photo\[..., :3\]`"),
+        (PHOTO.astype(int), r"`photo`: expected dtype uint8 or float, got int64"),
+        (PHOTO + 200.0, r"`photo`: expected floats in \[0, 1\], got 200 to 200"),
+        (np.where(PHOTO == 0, np.nan, 1.0), r"`photo`: expected finite values, got nan at \[0, 0"),
+    ],
+)
+def test_photos_are_checked_at_the_door(scene, shown, photo, words):
+    with pytest.raises(ValueError, match=words):
+        pj.fit_camera(scene, shown, START, photo=photo)
+
+
+def test_a_fit_on_a_photo_is_not_differentiated(scene, shown):
+    def eye(target):
+        return pj.fit_camera(scene, target, START, photo=photo_of(shown)).camera.e[0]
+
+    with pytest.raises(ValueError, match="`photo`: expected None where the fit is differentiated"):
+        jax.grad(eye)(shown)
