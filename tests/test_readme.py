@@ -21,6 +21,7 @@ from pinhole_jax._fit.words import STATUSES
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+QUESTIONS = (ROOT / "docs" / "questions.md").read_text(encoding="utf-8")
 BLOCK = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.M | re.S)
 #: The files that stand for README's words in capitals.
 FILES = {"MESH": "part.ply", "MASK": "mask.png", "PHOTO": "photo.png", "FOLDER": "folder"}
@@ -29,8 +30,8 @@ FILES = {"MESH": "part.ply", "MASK": "mask.png", "PHOTO": "photo.png", "FOLDER":
 Camera = lambda e, phi: pj.Camera(e, [0.1, 0, 0], [0.2, 1, 0.1], phi, W=256, H=256)
 
 
-def blocks(language):
-    return [textwrap.dedent(text) for _, word, text in BLOCK.findall(README) if word == language]
+def blocks(language, page=README):
+    return [textwrap.dedent(text) for _, word, text in BLOCK.findall(page) if word == language]
 
 
 def commands():
@@ -74,6 +75,37 @@ def test_python_runs_and_finds_the_cameras(capsys, another_cache):
     assert names["fit"].status == "converged"
     assert abs(float(names["fit"].camera.lens.distortion.k1) + 0.27) < 1e-6
     assert max(view.rms_px for view in names["views"]) < 1e-6
+
+
+@pytest.mark.long
+def test_the_code_of_the_ten_questions_runs():
+    names = {}
+    for block in blocks("python", QUESTIONS):
+        exec(compile(block, "docs/questions.md", "exec"), names)
+    for name in ("fit", "found", "held", "known_to_1_percent"):
+        assert names[name].status == "converged"
+        angle, _ = pj.pose_error(names[name].camera, names["truth"])
+        assert np.rad2deg(angle) < 0.5
+    assert names["masks"].shape == (2, 80, 96)
+    assert len(names["pair"].faces) == 2 * len(names["scene"].mesh.faces)
+
+
+def test_the_ten_questions_are_those_that_are_answered():
+    asked = re.findall(r"^\d+\. \[(.*)\]\(#(.*)\)$", QUESTIONS, re.M)
+    answered = re.findall(r"^## (\d+)\. (.*)$", QUESTIONS, re.M)
+    assert [question for question, _ in asked] == [question for _, question in answered]
+    for (_, anchor), (number, question) in zip(asked, answered, strict=True):
+        words = re.sub(r"[^\w\s-]", "", f"{number} {question}").lower()
+        assert anchor == words.replace(" ", "-")
+    assert len(asked) == 10
+    named = set(re.findall(r"`pj\.([\w.]+)", QUESTIONS)) | set(
+        re.findall(r"\bpj\.([\w.]+)", QUESTIONS)
+    )
+    for name in named:
+        thing = pj
+        for part in name.split("."):
+            thing = getattr(thing, part)
+    assert "(docs/questions.md)" in README
 
 
 def write_mesh(path):

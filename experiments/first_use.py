@@ -1,0 +1,263 @@
+"""What does a newcomer's first hour take, and does it work: the installed wheel, step by step?
+
+Builds the wheel, installs it into a fresh environment (with `--borrow` what it depends on is this
+one's, with nothing downloaded), and plays what newcomers do with files of their own: help, typos,
+masks as data sets have them, a known K, a crop, an interrupt, a report, files of other programs.
+Each step prints what it took. Pictures are small; `--all` plays the slow steps too.
+"""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import time
+import venv
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+#: Help and words about a typo are to come within this many seconds of the processor.
+AT_ONCE = 0.3
+
+WHERE = "import sysconfig; print(sysconfig.get_path('purelib'))"
+
+#: Makes the files that a newcomer has: a mesh, masks, a camera to start from, an OpenCV file.
+FILES = """
+import numpy as np
+from PIL import Image
+from skimage.draw import polygon
+import pinhole_jax as pj
+
+mesh = pj.shapes.bumpy(3)
+with open("part.obj", "w") as file:
+    for x, y, z in np.asarray(mesh.vertices).tolist():
+        file.write(f"v {x} {y} {z}\\n")
+    for a, b, c in (np.asarray(mesh.faces) + 1).tolist():
+        file.write(f"f {a} {b} {c}\\n")
+camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, W=96, H=80)
+film = np.asarray(pj.project(camera, mesh.vertices))
+mask = np.zeros((80, 96), bool)
+for face in film[np.asarray(mesh.faces)]:
+    mask[polygon(79.5 - face[:, 1], face[:, 0] - 0.5, mask.shape)] = True
+Image.fromarray(mask).save("mask.png")
+Image.fromarray(np.uint8(mask)).save("ones.png")
+Image.fromarray(~mask).save("negative.png")
+Image.fromarray(np.uint8(255 * mask)).save("mask.jpg", quality=85)
+Image.fromarray(mask[8:72, 16:80]).save("cropped.png")
+cut = mask.copy()
+cut[:, : np.flatnonzero(mask.any(axis=0))[0] + 6] = False
+Image.fromarray(cut).save("cut.png")
+start = camera.replace(e=[0.5, 1.2, 5])
+pj.io.save_camera("start.json", start)
+pj.formats.write("start.yaml", {"camera": start})
+data = pj.io.camera_to_dict(start)
+data["phi_degrees"] = 40
+import json
+json.dump(data, open("edited.json", "w"))
+"""
+
+#: Wrong arguments of the library: refused at the door, in words.
+DOOR = """
+import numpy as np
+import pinhole_jax as pj
+scene = pj.Scene(mesh=pj.load_mesh("part.obj"))
+camera = pj.io.load_camera("start.json")
+for call, words in (
+    (lambda: pj.silhouette(scene, camera), "expected a Camera and a Scene"),
+    (lambda: pj.silhouette(camera, scene.mesh), "expected a Camera and a Scene"),
+    (lambda: pj.fit_camera(scene, np.full((80, 96), 7, np.int64), camera), "`target`: expected"),
+    (lambda: pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 640, 480), "missing W or H"),
+):
+    try:
+        call()
+    except (TypeError, ValueError) as error:
+        assert words in str(error), (words, str(error))
+    else:
+        raise AssertionError(f"no error with {words}")
+"""
+
+#: What a library's user does with a fit.
+RESULT = """
+import json
+import numpy as np
+import pinhole_jax as pj
+fit = pj.io.load_fit("out/camera.json")
+print(fit)
+assert fit.status == "converged"
+pose = pj.formats.object_pose(fit, pixel_centres="integer")
+assert np.all(np.isfinite(pose.std)) and pose.covariance.shape == (6, 6)
+told = json.load(open("out/camera.json"))["fit"]["object_in_camera"]
+np.testing.assert_allclose(told["R"], pose.R, atol=1e-5)  # read as float32
+json.dumps(pj.io.fit_to_dict(fit))
+"""
+
+
+class Step:
+    """Runs commands of an environment in a folder, checks them, and prints what each took."""
+
+    def __init__(self, python: Path, folder: Path):
+        self.python, self.folder, self.rows = python, folder, []
+        self.environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
+        for name in ("PYTHONPATH", "JAX_COMPILATION_CACHE_DIR"):
+            self.environment.pop(name, None)
+
+    def command(self, title: str, words: Sequence[str], status: int, *told: str) -> float:
+        """Run `pinhole-jax`; its exit status and what it says are to be these."""
+        return self._run(title, ["-m", "pinhole_jax", *words], status, told)
+
+    def script(self, title: str, code: str) -> float:
+        return self._run(title, ["-c", code], 0, ())
+
+    def _run(self, title: str, words: Sequence[str], status: int, told: Sequence[str]) -> float:
+        before, begin = os.times(), time.perf_counter()
+        done = subprocess.run(
+            [str(self.python), *words],
+            cwd=self.folder,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        said, after = done.stdout + done.stderr, os.times()
+        assert done.returncode == status, f"{title}: exit status {done.returncode}\n{said}"
+        assert "Traceback" not in said, f"{title}:\n{said}"
+        for text in told:
+            assert text in said, f"{title}: expected {text!r} in\n{said}"
+        used = after.children_user + after.children_system
+        used -= before.children_user + before.children_system
+        self.note(title, time.perf_counter() - begin, used)
+        return used
+
+    def note(self, title: str, seconds: float, used: float) -> None:
+        self.rows.append({"step": title, "seconds": round(seconds, 2), "CPU": round(used, 2)})
+        print(f"{seconds:7.2f} s, {used:6.2f} s CPU  {title}", flush=True)
+
+
+def installed(folder: Path, borrow: bool) -> Path:
+    """Build the wheel, install it into a fresh environment and return that one's Python."""
+    wheel, place = folder / "wheel", folder / "environment"
+    pip = ["-m", "pip", "--disable-pip-version-check", "--quiet"]
+    build = [sys.executable, *pip, "wheel", "--no-deps", "-w", str(wheel), str(ROOT)]
+    subprocess.run(build, check=True)
+    venv.create(place, with_pip=True, symlinks=os.name != "nt")
+    python = place / ("Scripts" if os.name == "nt" else "bin") / "python"
+    options = []
+    if borrow:  # what a .pth file adds comes last, and its own .pth files are not read
+        own = subprocess.run([str(python), "-c", WHERE], capture_output=True, text=True, check=True)
+        text = sysconfig.get_path("purelib") + "\n"
+        (Path(own.stdout.strip()) / "borrowed.pth").write_text(text)
+        options = ["--no-deps"]
+    files = map(str, wheel.glob("*.whl"))
+    subprocess.run([str(python), *pip, "install", *options, *files], check=True)
+    return python
+
+
+def at_the_door(step: Step) -> None:
+    """What needs no fit: help, typos, refusals."""
+    used = [
+        step.command("help", ["fit", "--help"], 0, "usage: pinhole-jax fit"),
+        step.command("the version", ["--version"], 0, "pinhole-jax "),
+        step.command("a typo", ["fit", "part.obj", "mask.png", "--fvo", "3"], 2, "--fvo 3"),
+    ]
+    assert max(used) < AT_ONCE, f"help took {max(used):.2f} s of the processor"
+    fit = lambda *words: ["fit", "part.obj", *words]
+    step.command(
+        "an inverted mask", fit("negative.png", "--fov", "34"), 2, "`MASK`: expected", "`--invert`"
+    )
+    step.command(
+        "labels 0 and 1",
+        fit("ones.png", "--fov", "34"),
+        2,
+        "`MASK`: expected a mask, got 'ones.png'",
+        "label=N",
+    )
+    step.command("no mesh", ["fit", "no.obj", "mask.png", "--fov", "34"], 2, "`MESH`: expected")
+    step.command(
+        "an edited camera", fit("mask.png", "--camera", "edited.json"), 2, "`phi_degrees`: expected"
+    )
+    step.command(
+        "a cropped mask and the whole photo's camera",
+        fit("cropped.png", "--camera", "start.json"),
+        2,
+        "expected a camera of 64 x 64, got one of 96 x 80",
+    )
+    step.script("wrong arguments of the library", DOOR)
+
+
+def fits(step: Step) -> None:
+    """What fits: the first one compiles, the others find its programs."""
+    told = "status     converged", "X_camera = R X_object + t", "pitch", "time"
+    fit = lambda mask, *words: ["fit", "part.obj", mask, "-o", "out", *words]
+    start = "--camera", "start.json"
+    step.command("the first fit: it compiles", fit("mask.png", *start), 0, *told)
+    step.command(
+        "the second fit, a camera of OpenCV's", fit("mask.png", "--camera", "start.yaml"), 0
+    )
+    step.script("a fit's file, its pose and covariance", RESULT)
+
+
+def more(step: Step) -> None:
+    """What takes longer: other masks, a search with K, a crop, a report."""
+    fit = lambda mask, *words: ["fit", "part.obj", mask, "-o", "more", *words]
+    start = "--camera", "start.json"
+    step.command("a JPEG", fit("mask.jpg", *start), 0, "status     converged")
+    step.command("an inverted mask, told", fit("negative.png", "--invert", *start), 0)
+    step.command("labels, told", fit("ones.png", "--mask-from", "label=1", *start), 0)
+    window = "--crop", "16", "8", "64", "64"
+    step.command("a crop", fit("cropped.png", *start, *window), 0, "status     converged")
+    # Whether its camera is trusted hangs on how much is gone; where it is gone is told.
+    cut = ["fit", "part.obj", "cut.png", "-o", "more", *start]
+    step.command("a mask that is cut off", cut, 1, "the mask is cut off or covered there")
+    K = "--K", "129.3", "129.3", "47.5", "39.5"
+    step.command("K known, no pose", fit("mask.png", *K), 0, "status     converged")
+    step.command("a report", fit("mask.png", *start, "--report", "page.html"), 0, "page.html")
+    step.command("a lens: pose and k1", fit("mask.png", *start, "--free", "pose,k1"), 0)
+
+
+def interrupted(step: Step) -> None:
+    """Ctrl-C: one line, status 130, nothing half-written."""
+    begin = time.perf_counter()
+    words = ["-m", "pinhole_jax", "fit", "part.obj", "mask.png", "--fov", "34", "-o", "never"]
+    process = subprocess.Popen(
+        [str(step.python), *words, "--no-cache"],
+        cwd=step.folder,
+        env=step.environment,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    time.sleep(4)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=120)
+    assert (process.returncode, said) == (130, "pinhole-jax fit: interrupted\n"), said
+    assert not (step.folder / "never").exists()
+    step.note("Ctrl-C after 4 s", time.perf_counter() - begin, 0.0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folder", nargs="?", help="where to write first_use.json")
+    parser.add_argument("--borrow", action="store_true", help="download nothing")
+    parser.add_argument("--all", action="store_true", help="play the slow steps, too")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder, begin = Path(name), time.perf_counter()
+        step = Step(installed(folder, options.borrow), folder)
+        step.note("built and installed", time.perf_counter() - begin, 0.0)
+        step.script("a mesh, masks and cameras, drawn", FILES)
+        parts: list[Callable[[Step], None]] = [at_the_door, fits, interrupted]
+        for part in [*parts, more] if options.all else parts:
+            part(step)
+    seconds = sum(row["seconds"] for row in step.rows)
+    print(f"All {len(step.rows)} steps did what they should, in {seconds:.0f} s.")
+    if options.folder:
+        place = Path(options.folder)
+        place.mkdir(parents=True, exist_ok=True)
+        (place / "first_use.json").write_text(json.dumps(step.rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
