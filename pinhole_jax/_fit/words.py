@@ -59,7 +59,7 @@ def told(fit: Any) -> Told:
             value, words = float(of(fit.camera)), WORDS.get(name, "")
         factor, unit = (180 / np.pi, "deg") if in_degrees[k] else (1.0, unit)
         std = float(np.sqrt(covariance[k, k]))
-        own = TURNS[name] if name in TURNS else name
+        own = TURNS.get(name) or name
         rows.append(Row(own, factor * value, std, unit, words))
     return Told(rows, covariance)
 
