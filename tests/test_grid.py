@@ -169,6 +169,17 @@ def test_edges_on_one_line_through_pixels_corners(exhaustive):
         np.testing.assert_allclose(image, expected, atol=1e-13)
 
 
+def test_edges_on_one_line_whatever_the_compiler_rounds():
+    """Kernels that meet the same curve must agree on it, whether they contract products or not."""
+    options = {"xla_backend_optimization_level": 0}
+    plain = jax.jit(lambda camera, scene: pj.silhouette(camera, scene), compiler_options=options)
+    for seed in range(SOME):
+        vertices, faces = on_one_line(np.random.default_rng(seed))
+        expected = mesh_coverage(camera(seed % 4), vertices, faces)
+        scene = scene_of(vertices, faces)
+        np.testing.assert_allclose(plain(camera(seed % 4), scene), expected, atol=1e-13)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["voxels", "boxes"])
 def test_solids_on_the_grid_match_the_polygon_union(name, exhaustive):

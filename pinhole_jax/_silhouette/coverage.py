@@ -193,14 +193,23 @@ def _areas(m: Monotone, start, end, column, W):
 def _x_at(m: Monotone, y):
     if isinstance(m.curves, Segments):
         rise = m.high[:, 1] - m.low[:, 1]
-        slope = safe_divide(m.high[:, 0] - m.low[:, 0], rise)
-        return m.low[:, 0] + (y - m.low[:, 1]) * slope
+        width = m.high[:, 0] - m.low[:, 0]
+        return m.low[:, 0] + _share(width, (y - m.low[:, 1]) * safe_divide(width, rise))
     frame = m.curves.frame
     return film_at(frame, unit_at(frame, 1, y, m.rising))[:, 0]
 
 
 def _y_at(m: Monotone, x, x0, y0, x1, y1):
     if isinstance(m.curves, Segments):
-        return y0 + (x - x0) * safe_divide(y1 - y0, x1 - x0)
+        return y0 + _share(y1 - y0, (x - x0) * safe_divide(y1 - y0, x1 - x0))
     frame = m.curves.frame
     return film_at(frame, unit_at(frame, 0, x, m.rising * m.rightward))[:, 1]
+
+
+def _share(whole, part):
+    """Return a part of the whole, which it is not beyond by rounding.
+
+    Kernels work out a curve's point anew, and must agree on it. A sum of a product is rounded once
+    or twice, as the compiler likes; a bounded product is rounded before it is added.
+    """
+    return jnp.clip(part, jnp.minimum(whole, 0), jnp.maximum(whole, 0))
