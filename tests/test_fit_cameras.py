@@ -174,7 +174,7 @@ def test_the_arrow_is_solved_as_the_dense_problem_is():
         unit = random.uniform(0.5, 2, 5)
         empty = np.zeros(5)
         triangle, along = np.triu(random.normal(size=(5, 5))), random.normal(size=5)
-        views.append(View(triangle, along, None, None, empty, unit))  # type: ignore[arg-type]
+        views.append(View(triangle, along, None, None, empty, unit, None, None))  # type: ignore[arg-type]
     J, r = np.zeros((20, 14)), np.zeros(20)
     for k, v in enumerate(views):
         J[5 * k : 5 * k + 5, 3 * k : 3 * k + 3] = v.triangle[:, own]

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._camera.camera import Camera
-from .full_image import completed
 from .mask import Mask
 from .moves import on_film
 from .parameters import LABELS, labels_of
@@ -43,9 +42,7 @@ class OneView(NamedTuple):
         return max(len(self.solver.levels) - depth, 0)
 
     def look(self, depth: int) -> View:
-        """Return the view on a level; 0 is the last one with every pixel, overlaps resolved."""
-        if depth == 0:
-            return completed(self.solver, self.mask, self.unit)
+        """Return the view on a level."""
         return self.solver.look(self.unit, self.level(depth))
 
     def stepped(self, depth: int, y: np.ndarray) -> "OneView":

@@ -10,7 +10,6 @@ from .._camera.camera import Camera
 from .._camera.lens import Lens
 from .._numerics.arrays import Numbers, float_dtype, is_concrete
 from .._scene.scene import Scene, check_scene
-from .full_image import with_overlaps, worthwhile
 from .implicit import through
 from .mask import Mask
 from .moves import Bounds, canonical
@@ -73,11 +72,10 @@ def fit_camera(
 
     Levenberg-Marquardt (optimistix) minimises the weighted squared difference of exact coverage and
     target over the camera's pose and log focal length, on images from about 16 pixels across the
-    object up to the full size. Pixels in which contours overlap count as the clamped sum of layers;
-    with soft edges in the mask (not 0 and 1 only) they are left out at the end, and if it is noisy
-    they come back, resolved, for the last steps. Works in the float
-    type of `camera` (or of the scene). The first call compiles (seconds); later ones with scenes
-    and images of similar size do not.
+    object up to the full size. Pixels in which contours overlap count as the clamped sum of layers
+    on the coarser ones, and as the union that they are on the full size. Works in the float type of
+    `camera` (or of the scene). The first call compiles (seconds); later ones with scenes and images
+    of similar size do not.
 
     Runs outside `jit` and `vmap`. The camera of the result is differentiable (once, forward and
     reverse) with respect to scene, target and weight, by the implicit function theorem.
@@ -128,10 +126,8 @@ class _Settings(NamedTuple):
 
 def _fit(
     scene: Scene, mask: Mask, anywhere: bool, names: tuple[str, ...], settings: _Settings
-) -> tuple[Fit, Callable[[], tuple[np.ndarray, bool]]]:
-    """Return the fit, and a function that gives the weights of the pixels that decided, and whether
-    overlaps were resolved in them.
-    """
+) -> tuple[Fit, Callable[[], np.ndarray]]:
+    """Return the fit, and a function that gives the weights of the pixels that decided."""
     base = mask.camera
     solver = Solver(
         scene,
@@ -154,15 +150,12 @@ def _fit(
         everywhere(solver, mask, told) if start is None else from_start(solver, mask, start, told)
     )
     found = [places.best, *places.others]
-    trust = lambda: (mask.weight * ~solver.left_out(found[0].unit), False)
-    if worthwhile(solver, found[0].view):
-        found = [with_overlaps(solver, mask, f) for f in found]
-        trust = lambda: (mask.weight, True)
+    trust = lambda: mask.weight
     described = [(f, f.view.sums) for f in found]
     reach = settings.outlier_px
     if reach is not None and found[0].view.touched_misfit > EXACT:
         described = without_outliers(solver, mask, found, reach, start)
-        trust = lambda: (mask.weight * near_an_edge(edge_distance(mask.image), reach), False)
+        trust = lambda: mask.weight * near_an_edge(edge_distance(mask.image), reach)
     known = Known(solver.kind, settings.bounds)
     fit, *modes = (
         report(base, f, s, names, known._replace(free=[at(solver, f, x) for x in places.free]))

@@ -10,16 +10,15 @@ from .._numerics.arrays import Numbers
 from .._scene.scene import Scene, check_scene
 from .among_views import Answer, OneView, asked
 from .fit_camera import fit_camera
-from .full_image import with_overlaps, worthwhile
 from .mask import Mask
 from .moves import canonical
 from .parameters import components, with_lens
 from .places import at
 from .priors import bounds_of, prior_of
-from .problem import FINE_PX, UNIT_PX, View
+from .problem import View
 from .residuals import Capacity
 from .result import Fit, Known, report, with_modes
-from .shared_unknowns import SHARED, alike, descend, joint, others, reduced, shared_and_free, solved
+from .shared_unknowns import SHARED, alike, descend, joint, others, reduced, shared_and_free
 from .solver import Found, Solver
 from .target import check_target
 
@@ -119,26 +118,6 @@ def _believe(views: list[OneView], depth: int) -> None:
         one.solver.believe(squares / max(touched, 1.0))
 
 
-def _with_overlaps(
-    views: list[OneView], seen: list[View], own: np.ndarray
-) -> tuple[list[OneView], list[View]]:
-    """Return the cameras, and views, after Gauss-Newton steps in which every pixel counts."""
-    before = np.inf
-    whole = [0 if worthwhile(v.solver, view) else 1 for v, view in zip(views, seen, strict=True)]
-    while not all(whole):
-        seen = [v.look(depth) for v, depth in zip(views, whole, strict=True)]
-        ys = solved(seen, own, 0.0)
-        size = max(float(np.max(np.abs(y))) for y in ys) * UNIT_PX
-        if not FINE_PX[views[0].solver.dtype] < size < before:
-            break
-        before = size
-        views = [
-            v._replace(unit=v.solver.step(v.unit, v.solver.finest, y))
-            for v, y in zip(views, ys, strict=True)
-        ]
-    return views, seen
-
-
 def _reports(
     views: list[OneView],
     seen: list[View],
@@ -146,7 +125,6 @@ def _reports(
     own: np.ndarray,
     steps: tuple[int, ...],
 ) -> tuple[Fit, ...]:
-    views, seen = _with_overlaps(views, seen, own)
     parts = [reduced(v, own, 0.0) for v in seen]
     squares, touched = (
         sum(float(x) for x in xs)
@@ -172,15 +150,4 @@ def _report(one: OneView, found: Found, answer: Answer, variance: float) -> Fit:
         fit = report(one.mask.camera, f, f.view.sums, solver.names, known)
         return fit._replace(history=())
 
-    return with_modes(told(found), [told(mode) for mode in _modes(one, answer)])
-
-
-def _modes(one: OneView, answer: Answer) -> list[Found]:
-    """Return the other places, every pixel counted where it is in the best."""
-    solver, places = one.solver, answer.places
-    if not (places.others and worthwhile(solver, places.best.view)):
-        return places.others
-    solver.hear(answer.others)
-    modes = [with_overlaps(solver, one.mask, mode) for mode in places.others]
-    solver.hear(None)
-    return modes
+    return with_modes(told(found), [told(mode) for mode in places.others])

@@ -35,7 +35,7 @@ def through(run: Callable[[Inputs], tuple[Any, Callable]], inputs: Inputs, names
     """Return what `run` does, with a camera that is differentiable by the scene, target and weight.
 
     `run` takes these three and returns its result, and a function that gives the weights (H, W) of
-    the pixels that decided, and whether overlaps were resolved in them.
+    the pixels that decided.
     """
     changing, fixed = eqx.partition(inputs, eqx.is_inexact_array)
     box: list[Any] = []
@@ -58,8 +58,7 @@ def through(run: Callable[[Inputs], tuple[Any, Callable]], inputs: Inputs, names
     def _(primals: Any, tangents: Any) -> tuple[Camera, Camera]:
         camera, decided = solve(primals[0])
         still = eqx.combine(primals[0], fixed)
-        weight, overlaps = decided()
-        return camera, _velocity(camera, still, tangents[0], weight, overlaps, names)
+        return camera, _velocity(camera, still, tangents[0], decided(), names)
 
     camera = camera_of(changing)
     return box[-1]._replace(camera=camera)
@@ -70,7 +69,6 @@ def _velocity(
     inputs: Inputs,
     velocity: Inputs,
     weight: np.ndarray,
-    overlaps: bool,
     names: tuple[str, ...],
 ) -> Camera:
     """Return how the camera moves when scene, target and weight do."""
@@ -80,7 +78,7 @@ def _velocity(
     pivot, radius = (jnp.asarray(x, dtype) for x in bounding_sphere(scene))
     size = units(unit, pivot, radius, jnp.asarray(camera.H, dtype), names)
     move = Move(unit, pivot, size)
-    at = At(move, camera, scene, names, overlaps)
+    at = At(move, camera, scene, names)
     zero = jnp.zeros_like(move.unit)
     shown, J = image_and_jacobian(zero, at)
     goal = jnp.asarray(shares(check_image("target", target, camera.W, camera.H)), dtype)

@@ -10,8 +10,6 @@ from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._numerics.arrays import Numbers
 from .._scene.scene import Scene, check_scene
-from .full_image import completed
-from .mask import Mask
 from .moves import canonical
 from .parameters import check_free, components, labels_of, with_lens
 from .problem import UNIT_PX
@@ -71,9 +69,9 @@ def observability(
     names = check_free(free, camera)
     camera = with_lens(camera, names)
     weights = check_weight(weight, camera.W, camera.H)
-    image = np.full(weights.shape, 0.25)  # any mask with soft edges: overlaps are left out ...
+    image = np.full(weights.shape, 0.25)  # any mask
     solver = Solver(scene, image, weights, camera.e.dtype, names, 1)
-    view = completed(solver, Mask(image, weights, camera), canonical(camera))  # ... and come back
+    view = solver.look(canonical(camera), solver.finest)
     triangle, blind = np.asarray(view.triangle, float), BLIND[solver.dtype]
     labels = labels_of(names)
     values = np.linalg.svd(triangle, compute_uv=False)

@@ -5,9 +5,9 @@ touched pixel and of the runs of untouched pixels between them, whose cost is a 
 target's running sums. The work does not depend on the number of pixels, so one compiled program
 serves every level and every image.
 
-Pixels where contours overlap are not resolved: they are few, and a fit is several times faster for
-it. They are clamped, or at a `strict` level left out: then what the others say is exact, but the
-sum of squares jumps where a pixel comes or goes, so that is for the end of a fit to an exact mask.
+Where contours overlap within a pixel, its layers are added up and clamped on coarse levels: these
+only lead to finer ones. On the finest level such a pixel shows the union's coverage, as the image
+does. One that holds more pieces than are swept is left out there.
 """
 
 from typing import NamedTuple
@@ -20,11 +20,13 @@ from .._camera.camera import Camera, film_map, lens_holds
 from .._camera.film import FilmMap, FilmPart
 from .._numerics.running import running_sum
 from .._scene.scene import Scene
-from .._silhouette.coverage import monotone, piece_counts, split
+from .._silhouette.coverage import Pieces, monotone, piece_counts, split
 from .._silhouette.curve_sets import edge_curves, find, outline_curves
-from .._silhouette.curves import Curves, moved, piece_flux, placed
-from .._silhouette.marks import Marks, chain_layers, inward, marks, overlaps
+from .._silhouette.curves import Curves, Segments, moved, piece_flux, placed
+from .._silhouette.marks import Marks, marks, overlaps, turns
 from .._silhouette.surrounding import surrounding
+from .._silhouette.sweep import ARC, Visible
+from .overlapping import MOST, Crowded, Part, resolved, sweepable, whole
 from .target import Level, Pyramid, level_slice
 
 MAX_ROWS = 1 << 14
@@ -165,24 +167,18 @@ def _part(level: Level) -> FilmPart:
     return FilmPart(left, left + W, bottom, bottom + H, scale)
 
 
-class _Sorted(NamedTuple):
-    """All pieces, by pixel; `change` is a function whose derivative is that of a piece's area.
-
-    `inward` is positive where the pixel's centre is on the side of more layers.
-    """
+class _Pieces(NamedTuple):
+    """All pieces: their pixels, and what they add to these and beyond."""
 
     cell: Int[Array, "P"]
-    height: Float[Array, "P"]
-    area: Float[Array, "P"]
-    marks: Marks
-    change: Float[Array, "P"]
-    inward: Float[Array, "P"]
+    numbers: Float[Array, "P 9"]
+    counters: Int[Array, "P"]
 
 
 def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
     """Return the touched pixels of a level, and what they take of the capacities."""
     film = film_map(camera).looking_at(_part(level))
-    end, totals, found = level.H * (level.W + 2), {}, []
+    end, totals, found, lifts, parts = level.H * (level.W + 2), {}, [], [], []
     for kind, curves, lift, count, size in _curves(film, scene, capacity):
         curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))
         xy, z = lift[..., :2], lift[..., 2:]
@@ -194,17 +190,28 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
         slots = jnp.arange(size, dtype=jnp.int32)
         pieces = split(m, upto, slots, level.W, level.H, MAX_ROWS)
         cell = jnp.where(pieces.valid, pieces.row * (level.W + 2) + pieces.column + 1, end)
+        added = jnp.stack([pieces.height, pieces.area, turns(pieces)], axis=-1)
+        numbers = jnp.concatenate([sweepable(pieces), added], axis=1)
+        found.append(_Pieces(cell, numbers, marks(pieces).counters))
         own = lift[pieces.curve]
-        rate = piece_flux(jax.lax.stop_gradient(own), curves, pieces.start, pieces.end)
-        inside = pieces.valid & (pieces.column >= 0) & (pieces.column < level.W)
-        rate = jnp.where(inside[:, None, None], -pieces.jump[:, None, None] * rate, 0)
-        sizes = pieces.height, pieces.area, marks(pieces)
-        found.append(_Sorted(cell, *sizes, moved(own, rate), inward(pieces)))
+        lifts.append(own)
+        parts.append(Part(_shown(curves, pieces, own), jax.lax.stop_gradient(own)))
     none = (jnp.int32(0), jnp.int32(0))
     (edges, edge_pieces), (arcs, arc_pieces) = (totals.get(k, none) for k in ("edges", "arcs"))
     together = jax.tree.map(lambda *x: jnp.concatenate(x), *found)
     base = surrounding(film, scene)
-    return _by_pixel(together, base, level), Load(edges, edge_pieces, arc_pieces, arcs)
+    alone = scene.spheres is not None and scene.spheres.radii.shape[0] == 1 and len(parts) == 1
+    convex = alone and "arcs" in totals  # one sphere overlaps nothing
+    touched = _by_pixel(together, base, level, lifts, parts, convex)
+    return touched, Load(edges, edge_pieces, arc_pieces, arcs)
+
+
+def _shown(curves: Curves, pieces: Pieces, lift: Float[Array, "P n 3"]) -> Float[Array, "P k"]:
+    """Return what is visible of pieces that are alone in their pixels (see `Visible`)."""
+    if isinstance(curves, Segments):
+        return whole(pieces)
+    flux = piece_flux(jax.lax.stop_gradient(lift), curves, pieces.start, pieces.end)
+    return (-pieces.jump[:, None, None] * flux).reshape(-1, ARC)
 
 
 def _curves(
@@ -227,39 +234,64 @@ def _curves(
     return kinds
 
 
-def _by_pixel(pieces: _Sorted, base: Int[Array, ""], level: Level) -> Touched:
-    """Return what the pieces add up to in each pixel."""
+def _by_pixel(
+    pieces: _Pieces,
+    base: Int[Array, ""],
+    level: Level,
+    lifts: list[Float[Array, "_ _ 3"]],
+    parts: list[Part],
+    convex: bool,
+) -> Touched:
+    """Return what the pieces add up to in each pixel; `lifts` are those of each part's pieces, and
+    `convex` says that none overlap."""
     P = pieces.cell.shape[0]
     end = level.H * (level.W + 2)
-    order = jnp.argsort(pieces.cell)
-    cell, height, area, marked, change, inner = jax.tree.map(lambda x: x[order], pieces)
-    new = jnp.append(jnp.ones(1, bool), cell[1:] != cell[:-1])
-    slot = running_sum(new.astype(jnp.int32)) - 1
-    # Curves right of the film are left out: each row is summed up by itself.
-    start, running = _row_start(level, cell), running_sum(height)
-    of_row = jax.lax.cummax(jnp.where(start > jnp.append(-1, start[:-1]), jnp.arange(P), 0))
-    after = running - (running - height)[of_row] + base.astype(height.dtype)
-    before = jnp.where(new, after - height, 0)
-    last = jnp.append(cell[1:] != cell[:-1], jnp.ones(1, bool))
+    index = jnp.arange(P, dtype=jnp.int32)
+    cell, order = jax.lax.sort((pieces.cell, index), num_keys=1)
+    numbers, counters = pieces.numbers[order], pieces.counters[order]
+    jump, height, area, turn = (numbers[:, k] for k in range(5, 9))
+    changes = lambda x: jnp.append(True, x[1:] != x[:-1])
+    number_of = lambda which: running_sum(which.astype(jnp.int32)) - 1
 
-    def gather(x):
+    def gather(slot, x):
         return jnp.zeros((P, *x.shape[1:]), x.dtype).at[slot].add(x)
 
-    winding, marked = gather(before + area), jax.tree.map(gather, marked)
-    winding_after = gather(jnp.where(last, after, 0))
-    cells = jnp.full(P, end, cell.dtype).at[slot].min(cell)
+    new, new_row = changes(cell), changes(_row_start(level, cell))
+    slot, row = number_of(new), number_of(new_row)
+    # Curves right of the film are left out: each row is summed up by itself.
+    steps = jnp.stack([height, turn])
+    running = running_sum(steps)
+    upto = gather(row, jnp.where(new_row, running - steps, 0).T).T[:, row]
+    after = running - upto + base.astype(height.dtype)
+    before, corner = jnp.where(new, after - steps, 0)
+    beyond = jnp.where(jnp.append(new[1:], True), after[0], 0)
+    sums = jnp.stack([before + area, jnp.abs(jump), beyond, corner], axis=-1)
+    winding, layers, winding_after, corner = gather(slot, sums).T
+    marked = Marks(layers, gather(slot, counters))
+    first = jnp.full(P + 1, P, jnp.int32).at[slot].min(index)
+    first, number = first[:-1], first[1:] - first[:-1]
+    cells = jnp.where(number > 0, cell[jnp.minimum(first, P - 1)], end)
     column = cells % (level.W + 2)
     inside = (cells < end) & (column > 0) & (column <= level.W)
-    # A chain that bounds two layers (a fold of an open mesh) has 0 and 2 of them on its sides for
-    # certain if any part of the pixel, or of its left or right side, has less than 1.
-    least = jnp.minimum(winding, jnp.minimum(gather(before), winding_after))
-    fold = (chain_layers(marked) == 2) & ((least < 1) | ~level.strict)
-    known = ~overlaps(marked, winding) | fold | ~level.strict
-    share = jnp.where(fold, winding / 2, winding)
-    # A contour along the pixel's side bounds its first layer, or a second one beside it.
-    tie = 64 * jnp.finfo(share.dtype).eps
-    below_one = jnp.where(jnp.abs(share - 1) < tie, gather(inner) > 0, share < 1)
-    moves = known & below_one
-    growth = jnp.where(moves, gather(change) / jnp.where(fold, 2, 1), 0)
-    coverage = jnp.clip(share, 0, 1) + growth - jax.lax.stop_gradient(growth)
+    # A contour along the pixel's side: the mean does not tell which of its layers that bounds.
+    tie = 64 * jnp.finfo(winding.dtype).eps
+    shared = overlaps(marked, winding) | ((layers > 0) & (jnp.abs(winding - 1) < tie))
+    shared &= inside & level.resolved
+    shared &= not convex
+    chosen = shared & (number <= MOST)
+    origin = jnp.stack([column - 1, cells // (level.W + 2)], axis=-1).astype(height.dtype)
+    areas, visible = winding, [part.visible for part in parts]
+    if not convex:
+        crowded = Crowded(chosen, first, number, origin, corner)
+        areas, visible = resolved(crowded, numbers[:, :6], order, parts)
+    flux = [
+        Visible(jnp.zeros(len(seen), jnp.int32), seen).flux(part.lift)
+        for seen, part in zip(visible, parts, strict=True)
+    ]
+    change = jnp.concatenate([moved(own, rate) for own, rate in zip(lifts, flux, strict=True)])
+    moves = inside & (chosen | (winding < 1))
+    growth = jnp.where(moves, gather(slot, change[order]), 0)
+    share = jnp.where(chosen, areas, jnp.clip(winding, 0, 1))
+    coverage = share + growth - jax.lax.stop_gradient(growth)
+    known = ~shared | chosen
     return Touched(cells, inside, known, coverage, winding_after > 0.5, base > 0)

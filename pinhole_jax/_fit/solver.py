@@ -16,7 +16,7 @@ from .kinds import kind_of
 from .moves import Bounds, Move, moved
 from .priors import Others, Prior, no_others
 from .problem import COARSE_PX, FINE_PX, Problem, View, move as move_of
-from .residuals import Capacity, Touched, touch
+from .residuals import Capacity
 from .revolution import Revolution, revolutions, some_of
 from .room import LEAST_ROOM, ROOMIER, first_room, more_room, size_of
 from .symmetry import Turn, turns_of_a_mesh
@@ -47,12 +47,7 @@ class Found(NamedTuple):
 
 
 class Solver:
-    """One scene and mask; holds the buffers' sizes, which grow where a view outgrows them.
-
-    Where a mask's `kind` is one bit, clamped overlaps do not show. They would in one with soft
-    edges, so its last level is the finest once more without them. A hard edge hides them, and there
-    pixels that come and go would make the steps stall.
-    """
+    """One scene and mask; holds the buffers' sizes, which grow where a view outgrows them."""
 
     def __init__(
         self,
@@ -107,8 +102,6 @@ class Solver:
         self.finest = len(self.levels) - 1
         others = self._others or no_others(self.names, self.dtype)
         self.problem = Problem(self._scene, levels, self.ball, others, self._bounds, self._prior)
-        if not self.kind.hard:
-            self.levels.append(self.levels[-1]._replace(strict=np.array(True)))
 
     @cached_property
     def points(self) -> np.ndarray:
@@ -201,18 +194,6 @@ class Solver:
         y = np.asarray(y, self.dtype)
         return _step(unit, problem, self.levels[level], y, self.names)
 
-    def left_out(self, unit: Camera) -> np.ndarray:
-        """Return the pixels (H, W) that the last level leaves out, since contours overlap there."""
-        level = self.levels[-1]
-        touched = _touched(unit, self.problem, level, self.capacity)
-        cells = np.asarray(touched.cell)[np.asarray(touched.inside & ~touched.known)]
-        window = level.window()
-        part = np.zeros((window.H, window.W + 2), bool)
-        part.flat[cells] = True
-        result = np.zeros(self._target.shape, bool)
-        window.of(result)[:] = part[::-1, 1:-1]
-        return result
-
     def solve(
         self,
         unit: Camera,
@@ -232,14 +213,12 @@ class Solver:
             capacity, window = self.capacity, self.window
             for number in levels:
                 self._believe(unit, number)
-                level, strict = self.levels[number], number > self.finest
-                fine = number >= self.finest
-                tolerance = (fine_px or FINE_PX[self.dtype]) if fine else coarse_px
+                level = self.levels[number]
+                finest = number == self.finest
+                tolerance = (fine_px or FINE_PX[self.dtype]) if finest else coarse_px
                 further, n, path, _ = self._further(
                     unit, level, tolerance, self.max_steps, capacity
                 )
-                if strict and int(n) == self.max_steps:
-                    continue  # it stalled
                 stop = Stop(further, level, int(n))
                 way += self._each_step(unit, number, stop, path) if self._record else [stop]
                 unit = further
@@ -262,12 +241,9 @@ class Solver:
         """Return what some steps on the finest level lead to, in buffers as they are: NaN where
         these do not suffice."""
         self._widen(unit)
-        px, taken = FINE_PX[self.dtype], []
-        for level in self.levels[self.finest : -1]:
-            unit, n, *_ = self._further(unit, level, px, steps, self.capacity)
-            taken.append(int(n))
+        px = FINE_PX[self.dtype]
         unit, n, _, view = self._further(unit, self.levels[-1], px, steps, self.capacity)
-        return Found(unit, view, (*taken, int(n)))
+        return Found(unit, view, (int(n),))
 
     @collector_at_rest()
     def _further(self, unit: Camera, level: Level, px: float, steps: int, capacity: Capacity):
@@ -288,11 +264,6 @@ class Solver:
 @eqx.filter_jit
 def _on_film(unit: Camera, points: Any) -> Float[Array, "n 3"]:
     return film_map(unit)(jnp.asarray(points, unit.e.dtype))
-
-
-@eqx.filter_jit
-def _touched(unit: Camera, problem: Problem, level: Level, capacity: Capacity) -> Touched:
-    return touch(unit, problem.scene, level, capacity)[0]
 
 
 @eqx.filter_jit

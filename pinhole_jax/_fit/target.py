@@ -39,9 +39,9 @@ class Level(NamedTuple):
     """One level of a pyramid: where it begins, the size of its window and where on the film that
     begins (its pixels), and its pixels per film height.
 
-    `strict` says that pixels in which contours overlap are left out, not clamped; a residual above
-    `explained` is more than the mask's kind leaves. Arrays of NumPy: numbers of shape (), `origin`
-    (2,).
+    `resolved` says that pixels in which contours overlap show the union's coverage, not the clamped
+    sum of the layers; a residual above `explained` is more than the mask's kind leaves. Arrays of
+    NumPy: numbers of shape (), `origin` (2,).
     """
 
     start: Any
@@ -49,7 +49,7 @@ class Level(NamedTuple):
     H: Any
     origin: Any
     scale: Any
-    strict: Any
+    resolved: Any
     explained: Any
 
     def window(self) -> "Window":
@@ -252,7 +252,7 @@ def pyramid(
         _raster(image, np.where(inside > 1 - 1e-9, weights, 0), flat[:, start : start + size])
         h, w = image.shape
         origin, scale = real([left / 2**level, bottom / 2**level]), real(H / 2**level)
-        rest = np.array(False), real(np.inf)
+        rest = np.array(level == 0), real(np.inf)
         levels.append(Level(integer(start), integer(w), integer(h), origin, scale, *rest))
         start += size
     return Pyramid(*(jnp.asarray(x) for x in flat)), levels
