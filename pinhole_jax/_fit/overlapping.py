@@ -68,7 +68,7 @@ def resolved(
     after the other, each of them is.
     """
     P = len(order)
-    slots = listed(crowded.chosen)
+    slots, total = listed(crowded.chosen), jnp.sum(crowded.chosen, dtype=jnp.int32)
     sizes = [len(part.lift) for part in parts]
     begins = [sum(sizes[:k]) for k in range(len(parts))]
     frames = [
@@ -80,7 +80,7 @@ def resolved(
         rank, areas, visible = state
         turn = rank + jnp.arange(TOGETHER, dtype=jnp.int32)
         slot = slots.at(turn)
-        there = turn < slots.total
+        there = turn < total
         place = jnp.arange(MOST, dtype=jnp.int32)[None]
         own = there[:, None] & (place < crowded.number[slot][:, None])
         index = jnp.minimum(crowded.first[slot][:, None] + place, P - 1)
@@ -103,5 +103,5 @@ def resolved(
         return rank + TOGETHER, areas, visible
 
     start = jnp.int32(0), jnp.zeros(P, piece.dtype), [part.visible for part in parts]
-    _, areas, visible = jax.lax.while_loop(lambda s: s[0] < slots.total, body, start)
+    _, areas, visible = jax.lax.while_loop(lambda s: s[0] < total, body, start)
     return areas, visible
