@@ -25,6 +25,7 @@ STATUSES = {
     "converged": "the gradient vanishes, the masks overlap, every direction is determined",
     "ambiguous": "at rest, but other views explain the mask as well",
     "rank_deficient": "at rest, but the mask does not determine some direction",
+    "uncertain": "at rest, but the mask's errors leave a turn of several degrees open",
     "misfit": "at rest, but the mask is not explained as its kind (exact, hard, noisy) allows",
     "max_steps": "stopped while still moving",
     "no_overlap": "object and mask hardly overlap: their IoU is below a half",

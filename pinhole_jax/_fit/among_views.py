@@ -98,7 +98,7 @@ def _noise(views: list[OneView], seen: list[View]) -> float:
 
 def _held(answer: Answer, one: OneView, view: View) -> Answer:
     """Return the answer with the view's camera as the best, and another best among the others."""
-    best, others, free = answer.places
+    best, others, free, _ = answer.places
     if best.unit is one.unit:
         return answer
     return answer._replace(places=Places(Found(one.unit, view, ()), [best, *others], free))

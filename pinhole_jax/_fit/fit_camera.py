@@ -11,15 +11,26 @@ from .._camera.lens import Lens
 from .._numerics.arrays import Numbers, float_dtype, is_concrete
 from .._scene.scene import Scene, check_scene
 from .implicit import through
+from .kinds import Kind
 from .mask import Mask
 from .moves import Bounds, canonical
+from .outline_errors import OutlineErrors
 from .parameters import check_free, focal_is_free, in_one, with_lens
 from .photo import check_photo, on_photo
 from .places import at
 from .priors import Prior, bounds_of, prior_of
+from .residuals import Sums
 from .result import Fit, Known, Progress, progress_at, report, with_modes
-from .solver import Solver, Stop
-from .strategy import EXACT, everywhere, from_start, turns_freely, without_outliers
+from .solver import Found, Solver, Stop
+from .strategy import (
+    EXACT,
+    everywhere,
+    from_start,
+    most_agreeing,
+    turns_freely,
+    with_errors,
+    without_outliers,
+)
 from .target import check_target, edge_distance, near_an_edge
 
 
@@ -151,21 +162,29 @@ def _fit(
     )
     found = [places.best, *places.others]
     trust = lambda: mask.weight
-    described = [(f, f.view.sums) for f in found]
-    reach = settings.outlier_px
+    described = [(f, f.view) for f in found]
+    reach, free = settings.outlier_px, places.free
     if reach is not None and found[0].view.touched_misfit > EXACT:
-        described = without_outliers(solver, mask, found, reach, start)
+        described = without_outliers(solver, mask, [*found, *places.rivals], reach, start)
+        described = most_agreeing(solver, mask, described, start)
         trust = lambda: mask.weight * near_an_edge(edge_distance(mask.image), reach)
-    known = Known(solver.kind, settings.bounds)
+    else:
+        reach = None
+    if turns_freely(names):
+        free = with_errors(solver, mask, described[0][0], free, reach)
+
+    def reported(found: Found, whole: Sums, kind: Kind, errors: OutlineErrors | None) -> Fit:
+        about = [at(solver, found, x) for x in free]
+        known = Known(kind, settings.bounds, settings.max_steps, about, errors)
+        return report(base, found, whole, names, known)
+
     fit, *modes = (
-        report(base, f, s, names, known._replace(free=[at(solver, f, x) for x in places.free]))
-        for f, s in described
+        reported(f, whole.sums, solver.kind, solver.errors(f.view)) for f, whole in described
     )
     if settings.photo is not None:
         f, sums, kind, note = on_photo(solver, mask, settings.photo, described[0][0])
         if f is not None:
-            free = [at(solver, f, x) for x in places.free]
-            fit = report(base, f, sums, names, known._replace(kind=kind, free=free))
+            fit = reported(f, sums, kind, None)
         fit = fit._replace(weak=(*fit.weak, note))
     return with_modes(fit, modes), trust
 

@@ -330,7 +330,8 @@ def _report(view: _View, seen: _Seen, variance: float, squares: float, count: in
         nan = float("nan")
         return PointFit(camera, "non_finite", labels, nothing, np.diag(nothing), nan, 0, ())
     blind, weak = weak_directions(triangle, components(names), axes_of(camera), BLIND[dtype])
-    cov = covariance(triangle, to_units(seen.to_reported, names, camera), variance, BLIND[dtype])
+    gradient = variance * triangle.T @ triangle
+    cov = covariance(triangle, to_units(seen.to_reported, names, camera), gradient, BLIND[dtype])
     status = "rank_deficient" if blind else "converged"
     if not at_rest(triangle, along, squares, float(count), dtype):
         status = "max_steps"

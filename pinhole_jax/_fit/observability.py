@@ -75,7 +75,8 @@ def observability(
     triangle, blind = np.asarray(view.triangle, float), BLIND[solver.dtype]
     labels = labels_of(names)
     values = np.linalg.svd(triangle, compute_uv=False)
-    cov = covariance(triangle, to_units(view.to_reported, names, camera), noise**2, blind)
+    gradient = noise**2 * triangle.T @ triangle
+    cov = covariance(triangle, to_units(view.to_reported, names, camera), gradient, blind)
     _, weak = weak_directions(triangle, components(names), axes_of(camera), blind)
     return Observability(
         names=labels,

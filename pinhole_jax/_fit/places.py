@@ -31,6 +31,9 @@ APART, SIGMAS = np.deg2rad(0.5), 1.5
 EQUAL_TIMES = 30.0
 #: ... along a walk, whose places are samples of many: what lies between may be better.
 WALK_TIMES = 100.0
+#: ... of a mask that a person or a network drew, whose errors along stretches are counted already:
+#: one is a hundred times as likely as the other.
+DRAWN_TIMES = 2 * np.log(100)
 #: ... and if they leave this share of what the Jacobian foretells at their distance, or less.
 LIKE_FORETOLD = 0.5
 #: A direction that shows less than this share of the best-seen one is looked at on both sides, so
@@ -84,11 +87,13 @@ class Free(NamedTuple):
 
 
 class Places(NamedTuple):
-    """The best camera found, others that explain the mask as well, and what is free about it."""
+    """The best camera found, others that explain the mask as well, what is free about it, and
+    rivals: others that explain it worse, but may be right if a part of it is not to be believed."""
 
     best: Found
     others: list[Found]
     free: list[Free]
+    rivals: tuple[Found, ...] = ()
 
 
 class _Direction(NamedTuple):
@@ -146,10 +151,25 @@ def _worth_a_walk(solver: Solver, best: Found) -> list[_Direction]:
     return other + round_about
 
 
+def interval(solver: Solver, best: Found) -> list[Free]:
+    """Return how far a mask that is drawn leaves the direction that shows least: its errors bend
+    what the Jacobian says of that."""
+    triangle = np.asarray(best.view.triangle, float)
+    if not np.all(np.isfinite(triangle)):
+        return []
+    weak = weak_moves(triangle, components(solver.names), DOUBTFUL)[-1:]
+    directions = [_direction(solver, best, *pair) for pair in weak]
+    seen = [place for direction in directions for place in _along(solver, best, direction)]
+    return _as_good(solver, best, seen, directions).free if seen else []
+
+
 def equal_views(solver: Solver, view: View, best: View, times: float = EQUAL_TIMES) -> bool:
     """Return whether the mask's own noise allows a view beside the best."""
-    variance = max(solver.kind.variance, best.touched_misfit)
-    return bool(_surplus(solver, view) - _surplus(solver, best) <= times * variance)
+    errors = solver.errors(best)
+    if errors is not None and errors.drawn:
+        times = min(times, DRAWN_TIMES)
+    allowed = times * solver.variance(best)
+    return bool(_surplus(solver, view) - _surplus(solver, best) <= allowed)
 
 
 def _surplus(solver: Solver, view: View) -> float:
@@ -185,8 +205,7 @@ def _direction(solver: Solver, found: Found, value: float, vector: np.ndarray) -
     if np.linalg.norm(vector[turns]) > 0.3:  # a large turn is a turn alone
         move = np.where(turns, vector, 0) / np.linalg.norm(vector[turns])
         axis = move[turns] @ axes_of(found.unit)
-    noise = max(solver.kind.variance, found.view.touched_misfit) ** 0.5
-    sigma = noise / max(value, 1e-300) / radian
+    sigma = solver.variance(found.view) ** 0.5 / max(value, 1e-300) / radian
     return _Direction(move * radian, axis, min(sigma, np.pi))
 
 

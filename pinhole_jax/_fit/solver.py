@@ -14,6 +14,7 @@ from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, astype, ball_about, bounding_box, padded
 from .kinds import kind_of
 from .moves import Bounds, Move, moved
+from .outline_errors import OutlineErrors, outline_errors
 from .priors import Others, Prior, no_others
 from .problem import COARSE_PX, FINE_PX, Problem, View, move as move_of
 from .residuals import Capacity
@@ -24,6 +25,8 @@ from .target import LEAST_CELLS, Level, Window, object_window, pyramid, shares
 
 #: Noise leaves at most so many standard errors more than on average.
 ERRORS = 4.0
+#: What a hard edge leaves in a pixel of the outline.
+ONE_BIT = 1 / 12
 #: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
 OFF_TIMES = 3.0
 
@@ -64,6 +67,7 @@ class Solver:
         self._bounds, self._prior, self._record = bounds, prior, record
         self.dtype, self.names, self.max_steps = np.dtype(dtype), names, max_steps
         self._others: Others | None = None
+        self._errors: tuple[View, OutlineErrors | None] | None = None
         self._target, self._scene = target, padded(astype(scene, dtype))
         box = np.asarray(bounding_box(scene), float)
         self._corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
@@ -136,6 +140,27 @@ class Solver:
             return bool(misfit <= kind.most)
         excess = (misfit - kind.variance) * max(float(view.sums.touched), 1.0)
         return bool(excess <= ERRORS * kind.spread)
+
+    def errors(self, view: View) -> OutlineErrors | None:
+        """Return how the mask's outline errs, as a view's shows it; None for a mask that is
+        computed and explained, and where too little is seen."""
+        if self.kind.exact and self.kind.explains(view.touched_misfit, False):
+            return None
+        if self._errors is None or self._errors[0] is not view:
+            level, quantisation = self.levels[self.finest], min(self.kind.variance, ONE_BIT)
+            target = level.window().of(self._target)
+            self._errors = view, outline_errors(view, level, target, quantisation)
+        return self._errors[1]
+
+    def variance(self, view: View) -> float:
+        """Return by what, times two, squares at two cameras differ for each standard error between
+        them: a residual's variance, larger where neighbours err together."""
+        variance, errors = max(self.kind.variance, view.touched_misfit), self.errors(view)
+        if errors is None:
+            return variance
+        if errors.drawn:  # what lies beside the outline is of these errors, too
+            return view.squares / errors.independent
+        return variance * max(float(view.sums.touched) / errors.independent, 1.0)
 
     def look(self, unit: Camera, level: int) -> View:
         """Return the view at a camera; capacities get half as much room again as it takes."""

@@ -10,9 +10,21 @@ from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .mask import Mask
 from .moves import canonical
+from .outline_errors import disagreement
 from .parameters import components, focal_is_free
-from .places import NEAR_START, Free, Places, equal_views, mirrored, separation, settled, turned_by
-from .residuals import Sums
+from .places import (
+    DRAWN_TIMES,
+    NEAR_START,
+    Free,
+    Places,
+    equal_views,
+    interval,
+    mirrored,
+    separation,
+    settled,
+    turned_by,
+)
+from .problem import View
 from .search import aimed, guesses
 from .solver import Found, Solver, Stop
 from .target import edge_distance, near_an_edge
@@ -20,9 +32,14 @@ from .uncertainty import free_turns
 
 #: A mask that leaves less than this mean square residual of an outline pixel has no outliers.
 EXACT = 0.01
-#: A view that a search finds replaces the one near the start if it explains the mask as its kind
-#: allows, if the intersection over union of that is below `POOR`, or if it leaves so little.
-POOR, FAR_BETTER = 0.7, 0.5
+#: A start whose intersection over union is below this may have the object beside the mask.
+POOR = 0.7
+#: Cameras that leave up to so many times the least squares may be right if a part of the mask is
+#: not to be believed; so many are looked at.
+RIVAL, RIVALS = 6.0, 6
+#: An outline that is farther from the mask's than this (px), or this many times the size of the
+#: mask's errors, is no farther for it: something else is wrong there.
+CAP_PX, CAP_SIZES = 2.0, 2.5
 #: A fit that ends this far (rad) from its start has lost it, and looks elsewhere too.
 ASTRAY = np.deg2rad(40)
 #: Two views explain a mask that says nothing exact equally well if their sums of squares differ by
@@ -50,8 +67,9 @@ def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> Places:
     """Return what explains the mask best, the nearest to the start first if several do equally."""
     before = solver.look(start, -1)
     begin = start
-    if turns_freely(solver.names) and float(before.sums.overlap) <= 0.05 * float(before.sums.union):
-        begin = canonical(aimed(mask, solver.problem.scene, solver.ball))
+    if turns_freely(solver.names) and float(before.sums.overlap) <= POOR * float(before.sums.union):
+        over = canonical(aimed(mask, solver.problem.scene, solver.ball))
+        begin = min((start, over), key=lambda camera: solver.look(camera, 0).squares)
     found = solver.solve(begin, range(len(solver.levels)), told)
     if not found.view.squares <= before.squares:
         found = found._replace(unit=start, view=before)  # never worse than the start
@@ -71,17 +89,21 @@ def looked_round(solver: Solver, mask: Mask, found: Found, start: Camera, told: 
         content = solver.explains(places.best.view)
     explained = solver.kind.exact and content
     astray = not explained and angle(places.best.unit, start) > ASTRAY
-    if astray or not content:
+    if astray or not content or _drawn(solver, places.best):
         others = everywhere(solver, mask, told, rounds=1)
-        view, other = places.best.view, others.best.view
-        lost = float(view.sums.overlap) < POOR * float(view.sums.union)
-        better = other.squares < FAR_BETTER * view.squares
-        # Nothing explains a mask that is wrong: stay with what is near the start.
-        if lost or better or astray or solver.explains(other):
-            places = with_others(solver, places, [others.best, *others.others], others.free)
+        more = [others.best, *others.others, *others.rivals]
+        places = with_others(solver, places, more, others.free)
         if places.best is found:
-            places = settled(solver, found, start)._replace(others=places.others)
+            places = settled(solver, found, start)._replace(
+                others=places.others, rivals=places.rivals
+            )
     return _nearest_first(places, start)
+
+
+def _drawn(solver: Solver, found: Found) -> bool:
+    """Return whether a mask is drawn: what a pose can absorb of its errors leaves no misfit."""
+    errors = solver.errors(found.view)
+    return errors is not None and errors.drawn
 
 
 def _nearest_first(places: Places, start: Camera) -> Places:
@@ -96,13 +118,16 @@ def with_others(
     """Return the best of all, and what explains the mask as well."""
     if not more:
         return places
-    found = _one_of_each([places.best, *places.others, *more], solver.names)
+    found = _one_of_each([places.best, *places.others, *places.rivals, *more], solver.names)
     best, *others = equally_good(solver, found)
+    rivals = [f for f in found if all(f is not g for g in (best, *others))]
+    rivals = [f for f in rivals if f.view.squares <= RIVAL * best.view.squares][:RIVALS]
     if best is not places.best:
         places = (
             settled(solver, best)._replace(others=[]) if free is None else Places(best, [], free)
         )
-    return places._replace(others=[f for f in others if not _within(places, solver, f)])
+    others = [f for f in others if not _within(places, solver, f)]
+    return places._replace(others=others, rivals=tuple(rivals))
 
 
 def _within(places: Places, solver: Solver, found: Found) -> bool:
@@ -186,8 +211,8 @@ def equally_good(solver: Solver, found: list[Found]) -> list[Found]:
 
 def without_outliers(
     solver: Solver, mask: Mask, found: list[Found], outlier_px: float, start: Camera | None
-) -> list[tuple[Found, Sums]]:
-    """Return the cameras fitted to pixels near the mask's edge only, and sums over all pixels.
+) -> list[tuple[Found, View]]:
+    """Return the cameras fitted to pixels near the mask's edge only, and views of all pixels.
 
     At first the surroundings are wide, so that what other stretches of the outline pulled away
     comes back.
@@ -202,7 +227,44 @@ def without_outliers(
         views = [f, *(f._replace(unit=x, view=solver.look(x, solver.finest)) for x in others)]
         result.append(min(_finite(views), key=lambda f: f.view.squares))
     solver.weigh(mask.weight)
-    return [(f, solver.look(f.unit, solver.finest).sums) for f in result]
+    return [(f, solver.look(f.unit, solver.finest)) for f in result]
+
+
+def most_agreeing(
+    solver: Solver, mask: Mask, described: list[tuple[Found, View]], start: Camera | None
+) -> list[tuple[Found, View]]:
+    """Return the cameras whose outline is the mask's but for some of it, the nearest to the start
+    first: the mask does not tell one from the other."""
+    level = solver.levels[solver.finest]
+    target, weight = (level.window().of(x) for x in (mask.target, mask.weight))
+    errors = [e for e in (solver.errors(f.view) for f, _ in described) if e is not None]
+    if not errors:
+        return described
+    cap = max(CAP_PX, CAP_SIZES * min(e.size for e in errors))
+    costs = [disagreement(view, level, target, weight, cap) for _, view in described]
+    least = int(np.argmin(costs))
+    likely = solver.errors(described[least][0].view)
+    # A cost grows like an error's size: its logarithm, for each error, is the odds'.
+    times = np.exp(DRAWN_TIMES / 2 / max(likely.independent, 1)) if likely else 1.0
+    kept = [d for d, cost in zip(described, costs, strict=True) if cost <= times * costs[least]]
+    if start is None:
+        return [described[least], *(d for d in kept if d is not described[least])]
+    return sorted(kept, key=lambda d: angle(d[0].unit, start))
+
+
+def with_errors(
+    solver: Solver, mask: Mask, found: Found, free: list[Free], reach: float | None
+) -> list[Free]:
+    """Return what is free about a camera: of a drawn mask what is not visible at all, and how far
+    its errors leave what shows least, pixels farther than `reach` (px) from its edge left out."""
+    if not _drawn(solver, found):
+        return free
+    if reach is not None:
+        solver.weigh(mask.weight * near_an_edge(edge_distance(mask.image), reach))
+    left = interval(solver, found)
+    if reach is not None:
+        solver.weigh(mask.weight)
+    return [*(f for f in free if np.isinf(f.ahead)), *left]
 
 
 def _onward(before: Found, after: Found) -> Found:

@@ -15,18 +15,21 @@ WEAK = 0.03
 
 
 def covariance(
-    triangle: np.ndarray, to_reported: np.ndarray, variance: float, blind: float
+    triangle: np.ndarray, to_reported: np.ndarray, gradient: np.ndarray, blind: float
 ) -> np.ndarray:
     """Return the covariance (n, n) of the reported parameters.
 
     `triangle` is R of J = QR for the residuals, `to_reported` the derivative of the reported
-    parameters with respect to the moves, `variance` that of one residual. A parameter that moves
-    along a direction which changes no pixel has infinite variance, and no covariance (NaN).
+    parameters with respect to the moves, `gradient` (n, n) the covariance of J^T r: variance times
+    R^T R where residuals are independent and of one variance, and where they are not what makes it
+    the sandwich (Huber 1967). A parameter that moves along a direction which changes no pixel has
+    infinite variance, and no covariance (NaN).
     """
     _, values, directions = np.linalg.svd(triangle)
     seen = values > blind * max(values[0], np.finfo(values.dtype).tiny)
     root = to_reported @ directions[seen].T / values[seen]
-    result = variance * (root @ root.T)
+    middle = directions[seen] / values[seen][:, None]
+    result = root @ (middle @ gradient @ middle.T) @ root.T
     lost = to_reported @ directions[~seen].T
     size = np.linalg.norm(to_reported, axis=1, keepdims=True)
     unknown = np.any(np.abs(lost) > 1e-6 * np.maximum(size, 1e-300), axis=1)
