@@ -31,7 +31,7 @@ from .strategy import (
     with_errors,
     without_outliers,
 )
-from .target import check_target, edge_distance, near_an_edge
+from .target import check_target, edge_distance, levelled, near_an_edge
 
 
 def fit_camera(
@@ -110,7 +110,8 @@ def fit_camera(
     def run(inputs: Any) -> tuple[Fit, Callable]:
         scene, target, weight = inputs
         image, weights = check_target(target, weight, base.W, base.H)
-        return _fit(scene, Mask(image, weights, base), camera is None, names, settings)
+        mask = Mask(levelled(image, weights), weights, base)
+        return _fit(scene, mask, camera is None, names, settings)
 
     known = prior_of(prior, base, names), bounds_of(bounds, base, names)
     picture = None if photo is None else check_photo(photo, base.W, base.H)

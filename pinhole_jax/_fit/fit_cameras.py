@@ -20,7 +20,7 @@ from .residuals import Capacity
 from .result import Fit, Known, report, with_modes
 from .shared_unknowns import SHARED, alike, descend, joint, others, reduced, shared_and_free
 from .solver import Found, Solver
-from .target import check_target
+from .target import check_target, levelled
 
 
 def fit_cameras(
@@ -81,6 +81,7 @@ def fit_cameras(
     cameras = alike([with_lens(c, names) for c in cameras], common)
     for camera, target, weight, more in zip(cameras, targets, weights, modes, strict=True):
         image, w = check_target(target, weight, camera.W, camera.H)
+        image = levelled(image, w)
         known = bounds_of(bounds, camera, names), prior_of(prior, camera, names, common, count)
         solver = Solver(scene, image, w, camera.e.dtype, names, max_steps, *known)
         unit = canonical(camera)

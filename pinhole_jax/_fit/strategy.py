@@ -10,7 +10,6 @@ from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .mask import Mask
 from .moves import canonical
-from .outline_errors import disagreement
 from .parameters import components, focal_is_free
 from .places import (
     DRAWN_TIMES,
@@ -27,6 +26,7 @@ from .places import (
 from .problem import View
 from .search import aimed, guesses
 from .solver import Found, Solver, Stop
+from .stretches import disagreement
 from .target import edge_distance, near_an_edge
 from .uncertainty import free_turns
 

@@ -14,6 +14,8 @@ from jaxtyping import Array, Float, Int
 
 #: How far floats may reach out of [0, 1]: noise is kept as it is, since clipping would bias a fit.
 NOISE = 1.0
+#: Levels that are off by more than this are taken for 0 and 1; so far (px) from a mask's edges.
+LEVEL, LEVEL_PX = 0.01, 3.0
 #: What integers of a mask of two values may be where they are not 0.
 FULL = (1, 255, 65535)
 #: Cells of the smallest pyramid; the next sizes are 4 times as large: each is compiled for.
@@ -172,6 +174,26 @@ def check_weight(weight: Any, W: int, H: int) -> np.ndarray:
     if not (np.all(np.isfinite(array)) and array.min() >= 0):
         raise ValueError("`weight`: expected finite values of at least 0")
     return array
+
+
+def levelled(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return the mask with 0 and 1 for what is far from its edges, in the median: a JPEG's
+    background is not quite black, nor is a network's."""
+    if image.dtype == bool:
+        return image
+    full = 255 if image.dtype == np.uint8 else 1
+    inside = image > full / 2
+    low, high = _median(image, ~inside, 0), _median(image, inside, full)
+    if max(low, full - high) <= LEVEL * full:
+        return image
+    values = shares(image)
+    far = (near_an_edge(edge_distance(values), LEVEL_PX) == 0) & (weights > 0)
+    low, high = _median(values, far & ~inside, 0), _median(values, far & inside, 1)
+    return (values - low) / (high - low) if max(low, 1 - high) > LEVEL else image
+
+
+def _median(image: np.ndarray, where: np.ndarray, default: float) -> float:
+    return float(np.median(image[where])) if np.any(where) else default
 
 
 def edge_distance(image: np.ndarray) -> np.ndarray:

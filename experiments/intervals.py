@@ -1,0 +1,132 @@
+"""Do 95 % intervals hold, where a mask's outline errs by stretches?
+
+Masks of 256 x 256 pixels whose outline wavers by 0.3 to 2 px over 2 to 30 px, with a bias of -1 to
+1 px: of one bit, and soft; others that are grown or shrunk by up to 2 px, and computed ones. Each
+fit starts at the truth. For each kind: how many of the parameters' 95 % intervals hold it, errors
+in standard errors, and the same if pixels were independent. The picture: how often intervals hold,
+against the length over which outlines err.
+"""
+
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _common import camera_at, run, trials
+from scipy.ndimage import gaussian_filter
+from wrong_masks import PHI, SHAPES, SIZE, signed_distance
+
+import pinhole_jax as pj
+
+KINDS = ("one bit", "soft", "grown", "computed")
+NORMAL_95 = 1.96
+#: Ends of the classes of lengths (px).
+LENGTHS = np.array([2, 4, 8, 16, 30.01])
+
+
+def error(found: pj.Camera, truth: pj.Camera) -> np.ndarray:
+    """Return by how much a camera is off: turns about its own axes (rad), and its eye (6,)."""
+    from scipy.spatial.transform import Rotation
+
+    axes, wanted = (
+        np.stack([np.asarray(b, float) for b in pj.camera_basis(c)]) for c in (found, truth)
+    )
+    turn = Rotation.from_matrix(wanted.T @ axes).as_rotvec()
+    return np.concatenate([axes @ turn, np.asarray(truth.e, float) - np.asarray(found.e, float)])
+
+
+def spoilt(image: np.ndarray, kind: str, length: float, random: np.random.Generator) -> Any:
+    """Return a mask whose outline errs over a length (px)."""
+    if kind == "computed":
+        return image > 0.5
+    if kind == "grown":
+        return signed_distance(image) > random.uniform(-2, 2)
+    field = gaussian_filter(random.normal(size=image.shape), length / 2**0.5)
+    px = np.exp(random.uniform(np.log(0.3), np.log(2)))
+    off = signed_distance(image) + px * field / field.std() + random.uniform(-1, 1)
+    return off > 0 if kind == "one bit" else 1 / (1 + np.exp(-off / random.uniform(0.3, 1)))
+
+
+def trial(number: int, shape: str, kind: str) -> dict:
+    random = np.random.default_rng([number, 7, *map(ord, shape)])
+    mesh, axes = SHAPES[shape](random)
+    scene = pj.Scene(mesh=mesh)
+    px = np.exp(random.uniform(np.log(60), np.log(220)))
+    distance = SIZE / np.tan(PHI / 2) / px
+    truth = camera_at(axes, random.uniform(-0.1, 0.1, 2), distance, PHI, SIZE)
+    length = float(np.exp(random.uniform(np.log(2), np.log(30))))
+    mask = spoilt(np.asarray(pj.silhouette(truth, scene)), kind, length, random)
+    begin = time.perf_counter()
+    fit = pj.fit_camera(scene, mask, truth)
+    seconds = time.perf_counter() - begin
+    off, alone = np.abs(error(fit.camera, truth)), fit.independent_covariance
+    known = np.isfinite(fit.std)
+    return {
+        "shape": shape,
+        "kind": kind,
+        "length": length,
+        "status": fit.status,
+        "seconds": seconds,
+        "errors": (off / fit.std)[known].tolist(),
+        "if independent": (off / np.sqrt(np.diag(alone)))[known].tolist(),
+        "turn": float(np.linalg.norm(off[:3]) / np.linalg.norm(fit.std[:3])),
+    }
+
+
+def summary(rows: list[dict]) -> dict:
+    errors, alone = (np.concatenate([r[k] for r in rows]) for k in ("errors", "if independent"))
+    turn = np.array([r["turn"] for r in rows])
+    return {
+        "fits": len(rows),
+        "95 % intervals that hold": float(np.mean(errors < NORMAL_95)),
+        "... if pixels were independent": float(np.mean(alone < NORMAL_95)),
+        "error / sigma, median": float(np.median(errors)),
+        "error / sigma, 90 %": float(np.quantile(errors, 0.9)),
+        "turn / sigma, median": float(np.median(turn)),
+        "turn / sigma, 90 %": float(np.quantile(turn, 0.9)),
+        "converged": sum(r["status"] == "converged" for r in rows),
+    }
+
+
+def question() -> dict:
+    count, rows = trials(400), []
+    cases = [(shape, kind) for shape in SHAPES for kind in KINDS]
+    for number in range(count):
+        rows.append(trial(number, *cases[number * len(cases) // count]))
+    told = [r for r in rows if r["errors"]]
+    table = {kind: summary([r for r in told if r["kind"] == kind]) for kind in KINDS}
+    table["all"] = summary(told)
+    wavering = [r for r in told if r["kind"] in ("one bit", "soft")]
+    by_length = {}
+    for low, high in pairwise(LENGTHS):
+        some = [r for r in wavering if low <= r["length"] < high]
+        if some:
+            by_length[f"{low:.0f} to {high:.0f} px"] = summary(some)
+    for name, found in {**table, **by_length}.items():
+        print(f"{name:14} {found}")
+    return {"trials": count, "by kind": table, "by length": by_length}
+
+
+def draw(answer: dict, path: Path) -> None:
+    import matplotlib.pyplot as plt
+
+    figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
+    names = list(answer["by length"])
+    for key, label in (
+        ("95 % intervals that hold", "as stated"),
+        ("... if pixels were independent", "if pixels were independent"),
+    ):
+        axis.plot(names, [answer["by length"][n][key] for n in names], "o-", label=label)
+    axis.axhline(0.95, color="0.6", linestyle="--", label="what they say")
+    axis.set(
+        ylim=(0, 1.02),
+        xlabel="length over which the outline errs",
+        ylabel="share of 95 % intervals that hold",
+    )
+    axis.legend()
+    figure.savefig(path, dpi=120)
+
+
+if __name__ == "__main__":
+    run(question, draw)

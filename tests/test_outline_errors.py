@@ -1,0 +1,143 @@
+"""How a mask's outline errs: offsets measured, their size and length told, intervals that hold."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import turned
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.spatial.transform import Rotation
+
+import pinhole_jax as pj
+from pinhole_jax import shapes
+from pinhole_jax._fit.moves import canonical
+from pinhole_jax._fit.solver import Solver
+from pinhole_jax._fit.stretches import coverage_of, disagreement, stretches_of
+
+SIZE = 128
+CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, SIZE, SIZE)
+
+
+def single(tree):
+    """Return cameras or scenes in float32."""
+    return jax.tree.map(lambda x: x.astype(jnp.float32) if x.dtype == float else x, tree)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return single(pj.Scene(mesh=shapes.bumpy(3)))
+
+
+@pytest.fixture(scope="module")
+def image(scene):
+    return np.asarray(pj.silhouette(single(CAMERA), scene), float)
+
+
+def outward(image):
+    """Return the distance to the outline (px), positive inside."""
+    inside = image > 0.5
+    return distance_transform_edt(inside) - distance_transform_edt(~inside) - inside + 0.5
+
+
+def wavy(image, random, px, length, bias=0.0):
+    """Return a mask whose outline errs by so many px over a length, and a bias."""
+    field = gaussian_filter(random.normal(size=image.shape), length / 2**0.5)
+    return outward(image) + px * field / field.std() + bias > 0
+
+
+def solver_of(scene, target):
+    return Solver(scene, target, np.ones(target.shape), np.float32, ("pose",), 64)
+
+
+def seen(scene, target, camera=CAMERA):
+    """Return a view at a camera, its level, and the level's window of a mask."""
+    solver = solver_of(scene, target)
+    level = solver.levels[solver.finest]
+    view = solver.look(canonical(single(camera)), solver.finest)
+    return view, level, level.window().of(target)
+
+
+def error(found, truth):
+    """Return by how much a camera is off: small turns about its own axes, and its eye (6,)."""
+    axes, wanted = (
+        np.stack([np.asarray(b, float) for b in pj.camera_basis(c)]) for c in (found, truth)
+    )
+    turn = Rotation.from_matrix(wanted.T @ axes).as_rotvec()
+    return np.concatenate([axes @ turn, np.asarray(truth.e, float) - np.asarray(found.e, float)])
+
+
+def test_coverage_is_the_silhouette_of_a_convex_body():
+    ball = single(pj.Scene(mesh=shapes.bumpy(3, bumps=0.0)))
+    exact = np.asarray(pj.silhouette(single(CAMERA), ball))
+    view, level, _ = seen(ball, exact > 0.5)
+    np.testing.assert_allclose(coverage_of(view, level)[::-1], level.window().of(exact), atol=1e-4)
+
+
+@pytest.mark.parametrize("px", [-2.0, -0.7, 0.0, 0.4, 3.0])
+def test_an_offset_is_the_px_that_a_mask_is_grown_by(scene, image, px):
+    # Distances are to pixels' middles, as a person's brush is: offsets are right to a tenth.
+    soft = np.clip(outward(image) + px + 0.5, 0, 1)
+    stretches = stretches_of(*seen(scene, soft))
+    assert stretches is not None
+    assert abs(np.median(stretches.offset) - px) < 0.15 + 0.05 * abs(px)
+    assert abs(np.sum(stretches.length) - np.sum(np.hypot(*np.gradient(image)))) < 2
+
+
+def test_stretches_are_moved_as_the_camera_is(scene, image):
+    view, level, target = seen(scene, image)
+    stretches = stretches_of(view, level, target)
+    assert stretches is not None
+    R = np.asarray(view.triangle, float)
+    by_stretches = stretches.by_move.T * stretches.share @ stretches.by_move
+    ratio = np.linalg.eigvals(np.linalg.solve(R.T @ R, by_stretches)).real
+    assert np.all((ratio > 0.8) & (ratio < 1.1))
+
+
+def test_a_computed_mask_of_one_bit_has_no_errors_but_quantisation(scene, image):
+    fit = pj.fit_camera(scene, image > 0.5, single(CAMERA))
+    assert fit.mask_error == (0.0, 0.0)
+    assert str(fit.mask_error) == "no more than quantisation leaves"
+    np.testing.assert_allclose(fit.covariance, fit.independent_covariance, rtol=0.1)
+
+
+def test_a_computed_soft_mask_is_asked_nothing(scene, image):
+    fit = pj.fit_camera(scene, image, single(CAMERA))
+    assert fit.mask_error is None
+    np.testing.assert_array_equal(fit.covariance, fit.independent_covariance)
+
+
+def intervals(scene, image, trials):
+    """Return errors in standard errors (trials, 6), as stated and if pixels were independent."""
+    stated, independent = [], []
+    for trial in trials:
+        random = np.random.default_rng(trial)
+        px, length = np.exp(random.uniform(np.log([0.3, 2]), np.log([2, 30])))
+        mask = wavy(image, random, px, length, random.uniform(-1, 1))
+        fit = pj.fit_camera(scene, mask, single(turned(CAMERA, [0.3, 1, 0.2], 3.0)))
+        off = np.abs(error(fit.camera, CAMERA))
+        stated.append(off / fit.std)
+        independent.append(off / np.sqrt(np.diag(fit.independent_covariance)))
+    return np.array(stated), np.array(independent)
+
+
+def test_intervals_hold_for_masks_that_waver(scene, image):
+    stated, independent = intervals(scene, image, range(8))
+    assert np.mean(stated < 1.96) > 0.85
+    assert np.mean(independent < 1.96) < 0.5  # what they would be without
+
+
+@pytest.mark.long
+def test_intervals_hold_as_often_as_they_say(scene, image):
+    stated, _ = intervals(scene, image, range(60))
+    assert 0.9 < np.mean(stated < 1.96) < 0.99
+    assert 0.3 < np.median(stated) < 0.9
+
+
+def test_an_occluder_counts_by_its_outline(scene, image):
+    cut = image > 0.5
+    cut[:, : SIZE // 2 - 12] = False
+    view, level, target = seen(scene, cut)
+    one = np.ones(target.shape)
+    beside = disagreement(view, level, target, one, 2.0)
+    assert view.squares > 3 * beside
+    assert disagreement(view, level, target, one, 4.0) > 1.5 * beside
