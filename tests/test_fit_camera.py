@@ -244,9 +244,9 @@ def test_covariance_by_hand():
     # Residuals 2 a and b / 2 with unit noise: a has variance 1/4, b has 4.
     triangle, reported = np.diag([2.0, 0.5]), np.array([[1.0, 0], [1, 1]])
     np.testing.assert_allclose(
-        covariance(triangle, reported, 1.0, 1e-9), [[0.25, 0.25], [0.25, 4.25]]
+        covariance(triangle, reported, triangle.T @ triangle, 1e-9), [[0.25, 0.25], [0.25, 4.25]]
     )
-    blind = covariance(np.diag([2.0, 0.0]), reported, 1.0, 1e-9)
+    blind = covariance(np.diag([2.0, 0.0]), reported, np.diag([4.0, 0.0]), 1e-9)
     assert blind[0, 0] == 0.25
     assert np.isinf(blind[1, 1])
     assert np.isnan(blind[0, 1])

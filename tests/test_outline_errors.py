@@ -97,7 +97,8 @@ def test_a_computed_mask_of_one_bit_has_no_errors_but_quantisation(scene, image)
     fit = pj.fit_camera(scene, image > 0.5, single(CAMERA))
     assert fit.mask_error == (0.0, 0.0)
     assert str(fit.mask_error) == "no more than quantisation leaves"
-    np.testing.assert_allclose(fit.covariance, fit.independent_covariance, rtol=0.1)
+    ratio = fit.std / np.sqrt(np.diag(fit.independent_covariance))
+    assert np.all((ratio > 0.9) & (ratio < 1.5))
 
 
 def test_a_computed_soft_mask_is_asked_nothing(scene, image):

@@ -27,8 +27,9 @@ SIZES, LENGTHS, OWN = (0.08, 0.2, 0.5, 1.2, 3.0), (6.0, 16.0, 40.0, 100.0), (0.0
 #: The standard deviation of the bias, in sizes of the other errors, and how likely it is:
 #: segmenters are off by as much as they waver, masks that were grown or shrunk by more.
 BIASES = ((1.5, 0.5), (8.0, 0.5))
-#: How likely it is beforehand that a mask is computed.
-COMPUTED = 0.3
+#: How likely it is beforehand that a mask is computed; above `SURE`, it is. (An interval of 95 %
+#: has no room for what is less likely.)
+COMPUTED, SURE = 0.3, 0.9
 #: Quantisation's variance, beside that of pixels which err independently: straight edges that
 #: nearly follow the rows err alike.
 #: (Of 48 computed masks of one bit all but 1 are told with 1.5, all but 8 with 1.)
@@ -98,6 +99,8 @@ def _weighed(stretches: Stretches, quantisation: float) -> OutlineErrors:
     logs = together.log_likelihood
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
+    if weights[0] > SURE:
+        weights = np.where(np.arange(len(weights)), 0.0, 1.0)
     likeliest = int(np.argmax(weights))
     return OutlineErrors(
         size=float(together.size[likeliest]),

@@ -181,14 +181,14 @@ def levelled(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
     background is not quite black, nor is a network's."""
     if image.dtype == bool:
         return image
-    full = 255 if image.dtype == np.uint8 else 1
+    full = 255.0 if image.dtype == np.uint8 else 1.0
     inside = image > full / 2
-    low, high = _median(image, ~inside, 0), _median(image, inside, full)
+    low, high = _median(image, ~inside, 0.0), _median(image, inside, full)
     if max(low, full - high) <= LEVEL * full:
         return image
     values = shares(image)
     far = (near_an_edge(edge_distance(values), LEVEL_PX) == 0) & (weights > 0)
-    low, high = _median(values, far & ~inside, 0), _median(values, far & inside, 1)
+    low, high = _median(values, far & ~inside, 0.0), _median(values, far & inside, 1.0)
     return (values - low) / (high - low) if max(low, 1 - high) > LEVEL else image
 
 
