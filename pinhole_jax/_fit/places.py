@@ -34,6 +34,11 @@ WALK_TIMES = 100.0
 #: ... of a mask that a person or a network drew, whose errors along stretches are counted already:
 #: one is a hundred times as likely as the other.
 DRAWN_TIMES = 2 * np.log(100)
+#: How many of the weakest directions are followed to where a drawn mask forbids them, how many
+#: standard errors away at first (between these angles, rad), in how many steps each; an interval
+#: counts if it is so many times as wide as the Jacobian says.
+LOOKED, PROFILE_SIGMAS, PROFILE_RAD = 2, np.array([2.0, 5.0]), np.deg2rad([1, 25])
+PROFILE_STEPS, WIDER = 5, 1.3
 #: ... and if they leave this share of what the Jacobian foretells at their distance, or less.
 LIKE_FORETOLD = 0.5
 #: A direction that shows less than this share of the best-seen one is looked at on both sides, so
@@ -152,15 +157,60 @@ def _worth_a_walk(solver: Solver, best: Found) -> list[_Direction]:
 
 
 def interval(solver: Solver, best: Found) -> list[Free]:
-    """Return how far a mask that is drawn leaves the direction that shows least: its errors bend
-    what the Jacobian says of that."""
-    triangle = np.asarray(best.view.triangle, float)
-    if not np.all(np.isfinite(triangle)):
+    """Return the turn that a drawn mask leaves more open than the Jacobian says, and how far.
+
+    Its errors carry a fit along curved valleys to where they end, and there all looks determined.
+    So cameras that are turned by some standard errors, and best so, are asked how much worse they
+    are: the profile of the likelihood, whose logarithm is as many times that of the squares as
+    there are independent errors.
+    """
+    errors, triangle = solver.errors(best.view), np.asarray(best.view.triangle, float)
+    turns = [name.startswith("turn") for name in components(solver.names)]
+    if errors is None or not (np.all(np.isfinite(triangle)) and any(turns)):
         return []
-    weak = weak_moves(triangle, components(solver.names), DOUBTFUL)[-1:]
-    directions = [_direction(solver, best, *pair) for pair in weak]
-    seen = [place for direction in directions for place in _along(solver, best, direction)]
-    return _as_good(solver, best, seen, directions).free if seen else []
+    widest = Free(np.zeros(len(turns)), 0.0, 0.0, None)
+    for value, vector in weak_moves(triangle, components(solver.names), 1.0)[-LOOKED:]:
+        direction = _direction(solver, best, value, vector)
+        if direction.axis is None:
+            continue
+        for far in np.clip(PROFILE_SIGMAS * direction.sigma, *PROFILE_RAD):
+            for side in (far, -far):
+                place, squares = _best_turned(solver, best, side * direction.move)
+                odds = errors.independent * np.log(max(squares / best.view.squares, 1 + 1e-9))
+                turn = turned_by(best.unit, place)
+                size = float(np.linalg.norm(turn))
+                open_by = size / odds**0.5
+                if np.isfinite(squares) and open_by > max(WIDER * direction.sigma, widest.ahead):
+                    widest = Free(np.zeros(len(turns)), open_by, open_by, turn / size)
+    if widest.axis is None:
+        return []
+    # Places in an interval are equally likely: one as long has this standard error.
+    ends = min(3**0.5 * widest.ahead, np.pi)
+    return [at(solver, best, widest._replace(behind=ends, ahead=ends))]
+
+
+def _best_turned(solver: Solver, best: Found, move: np.ndarray) -> tuple[Camera, float]:
+    """Return the best camera found among those that are as far turned from another one as a move
+    turns it, and its sum of squares."""
+    names = components(solver.names)
+    turns = np.array([name.startswith("turn") for name in names])
+    unit, least = solver.step(best.unit, solver.finest, move), (best.unit, np.inf)
+    far = angle(unit, best.unit)
+    for _ in range(PROFILE_STEPS):
+        view = solver.glance(unit)
+        if not view.squares < least[1]:
+            break
+        least = unit, view.squares
+        away = np.zeros(len(names))
+        away[turns] = axes_of(unit) @ turned_by(best.unit, unit)
+        away /= max(float(np.linalg.norm(away)), 1e-12)
+        along = np.linalg.svd(away[None])[2][1:].T
+        triangle = np.asarray(view.triangle, float) @ along
+        step = -along @ np.linalg.lstsq(triangle, np.asarray(view.along, float), rcond=1e-3)[0]
+        turn = float(np.linalg.norm(step[turns])) / _radian(solver, best)
+        step *= min(1.0, far / max(turn, 1e-12) / 2)
+        unit = solver.step(unit, solver.finest, step)
+    return least
 
 
 def equal_views(solver: Solver, view: View, best: View, times: float = EQUAL_TIMES) -> bool:

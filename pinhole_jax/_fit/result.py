@@ -151,11 +151,14 @@ def report(
     triangle = without_free(triangle, known.free)
     noise = sums.touched_squares / max(sums.touched - n, 1)
     noise = max(noise if known.variance is None else known.variance, known.kind.least)
-    wide = widened(to_reported, known.free, LAST_STEP * FINE_PX[dtype] / UNIT_PX)
     independent, cov = (
-        covariance(triangle, to_reported, gradient, BLIND[dtype]) + wide
+        covariance(triangle, to_reported, gradient, BLIND[dtype])
         for gradient in _gradients(view, noise, known.errors)
     )
+    tolerance, drawn = LAST_STEP * FINE_PX[dtype] / UNIT_PX, _drawn(known)
+    independent = independent + widened(to_reported, [] if drawn else known.free, tolerance)
+    known_by = cov if drawn else np.zeros_like(cov)
+    cov = cov + widened(to_reported, known.free, tolerance, known_by)
     names_of_moves = components(names)
     moves = [f.move for f in known.free]
     blind, weak = weak_directions(triangle, names_of_moves, axes_of(unit), BLIND[dtype], moves)
@@ -169,8 +172,6 @@ def report(
     if astray > (SOME if known.kind.exact and not explained else ASTRAY):
         weak += (f"{astray:.0%} of the outline is far from the mask's edge: {WRONG}",)
     explained = astray <= ASTRAY and (explained or not known.kind.exact)
-    # An interval that a drawn mask's errors leave is an error bar.
-    drawn = known.errors is not None and known.errors.drawn
     free = any(not drawn or np.isinf(direction.ahead) for direction in known.free)
     status = _status(triangle, rest, whole, explained, blind or free)
     turn = _widest_turn(cov, labels)
@@ -233,15 +234,30 @@ def without_free(triangle: np.ndarray, free: Sequence[Free]) -> np.ndarray:
     return triangle
 
 
-def widened(to_reported: np.ndarray, free: Sequence[Free], tolerance: float) -> np.ndarray:
+def _drawn(known: Known) -> bool:
+    """Return whether the mask is drawn: an interval that its errors leave is an error bar."""
+    return known.errors is not None and known.errors.drawn
+
+
+def widened(
+    to_reported: np.ndarray,
+    free: Sequence[Free],
+    tolerance: float,
+    known: np.ndarray | None = None,
+) -> np.ndarray:
     """Return what to add to the reported parameters' covariance (n, n): the solver's `tolerance`
-    (in its units), and intervals of directions that are free (all places in one as likely)."""
+    (in its units), and intervals of directions that are free (all places in one as likely), but for
+    what of them a `known` covariance has already."""
     added = tolerance**2 * to_reported @ to_reported.T
     for direction in free:
         if np.isfinite(direction.ahead):
             along = to_reported @ direction.move
             a, b = direction.behind, direction.ahead
-            added += (a**3 + b**3) / (3 * (a + b)) * np.outer(along, along)
+            variance = (a**3 + b**3) / (3 * (a + b))
+            if known is not None and np.all(np.isfinite(known)):
+                turn = along[:3]  # rotations are reported first
+                variance -= turn @ known[:3, :3] @ turn / max(turn @ turn, 1e-300) ** 2
+            added += max(variance, 0.0) * np.outer(along, along)
     return added
 
 

@@ -25,8 +25,8 @@ from .target import LEAST_CELLS, Level, Window, object_window, pyramid, shares
 
 #: Noise leaves at most so many standard errors more than on average.
 ERRORS = 4.0
-#: What a hard edge leaves in a pixel of the outline.
-ONE_BIT = 1 / 12
+#: What a hard edge leaves in a pixel of the outline, and what 8 bits do.
+ONE_BIT, LEAST_VARIANCE = 1 / 12, 1 / 12 / 255**2
 #: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
 OFF_TIMES = 3.0
 
@@ -147,9 +147,10 @@ class Solver:
         if self.kind.exact and self.kind.explains(view.touched_misfit, False):
             return None
         if self._errors is None or self._errors[0] is not view:
-            level, quantisation = self.levels[self.finest], min(self.kind.variance, ONE_BIT)
+            level = self.levels[self.finest]
+            quantisation = np.clip(self.kind.variance, LEAST_VARIANCE, ONE_BIT)
             target = level.window().of(self._target)
-            self._errors = view, outline_errors(view, level, target, quantisation)
+            self._errors = view, outline_errors(view, level, target, float(quantisation))
         return self._errors[1]
 
     def variance(self, view: View) -> float:
