@@ -168,7 +168,7 @@ def interval(solver: Solver, best: Found) -> list[Free]:
     turns = [name.startswith("turn") for name in components(solver.names)]
     if errors is None or not (np.all(np.isfinite(triangle)) and any(turns)):
         return []
-    widest = Free(np.zeros(len(turns)), 0.0, 0.0, None)
+    widest, least = Free(np.zeros(len(turns)), 0.0, 0.0, None), solver.glance(best.unit).squares
     for value, vector in weak_moves(triangle, components(solver.names), 1.0)[-LOOKED:]:
         direction = _direction(solver, best, value, vector)
         if direction.axis is None:
@@ -176,10 +176,10 @@ def interval(solver: Solver, best: Found) -> list[Free]:
         for far in np.clip(PROFILE_SIGMAS * direction.sigma, *PROFILE_RAD):
             for side in (far, -far):
                 place, squares = _best_turned(solver, best, side * direction.move)
-                odds = errors.independent * np.log(max(squares / best.view.squares, 1 + 1e-9))
+                odds = errors.independent * np.log(max(squares / least, 1.0))
                 turn = turned_by(best.unit, place)
                 size = float(np.linalg.norm(turn))
-                open_by = size / odds**0.5
+                open_by = size / max(odds, 0.5) ** 0.5
                 if np.isfinite(squares) and open_by > max(WIDER * direction.sigma, widest.ahead):
                     widest = Free(np.zeros(len(turns)), open_by, open_by, turn / size)
     if widest.axis is None:
