@@ -29,11 +29,13 @@ SIZES, LENGTHS, OWN = (0.08, 0.2, 0.5, 1.2, 3.0), (6.0, 16.0, 40.0, 100.0), (0.0
 BIASES = ((1.5, 0.5), (8.0, 0.5))
 #: How likely it is beforehand that a mask is computed; above `SURE`, it is. (An interval of 95 %
 #: has no room for what is less likely.)
-COMPUTED, SURE = 0.3, 0.9
+COMPUTED, SURE = 0.5, 0.9
+#: Below this likelihood of being computed a mask is drawn. (Masks off by 0.3 px: 1e-10 and less.)
+DRAWN = 0.05
 #: Quantisation's variance, beside that of pixels which err independently: straight edges that
 #: nearly follow the rows err alike.
-#: (Of 48 computed masks of one bit all but 1 are told with 1.5, all but 8 with 1.)
-ALIKE = 1.5
+#: (Of 48 computed masks of one bit all are told for certain with 2, all but 8 with 1.)
+ALIKE = 2.0
 #: At least so much of an outline is within a pixel of the mask's.
 LEAST_RATE = 0.1
 
@@ -57,8 +59,8 @@ class OutlineErrors(NamedTuple):
 
     @property
     def drawn(self) -> bool:
-        """Return whether a person or a network is likelier to have made the mask than a program."""
-        return self.computed < 0.5
+        """Return whether a person or a network made the mask, not a program."""
+        return self.computed < DRAWN
 
 
 class _Hypotheses(NamedTuple):

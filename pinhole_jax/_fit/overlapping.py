@@ -22,13 +22,13 @@ TOGETHER = 64
 MOST = 16
 
 
-def sweepable(pieces: Pieces) -> Float[Array, "P 6"]:
-    """Return what a sweep asks of pieces (see `Cells`)."""
+def sweepable(pieces: Pieces) -> tuple[Float[Array, "P"], ...]:
+    """Return what a sweep asks of pieces (see `Cells`), column by column."""
     dtype = pieces.jump.dtype
-    corner = jnp.stack([pieces.column, pieces.row] * 2, axis=-1).astype(dtype)
-    ends = jnp.concatenate([pieces.start, pieces.end], axis=1) - corner
+    column, row = pieces.column.astype(dtype), pieces.row.astype(dtype)
+    (x0, y0), (x1, y1) = (jnp.moveaxis(point, -1, 0) for point in (pieces.start, pieces.end))
     passes = jnp.where(pieces.passes, 1 + pieces.first.astype(jnp.int32), 0).astype(dtype)
-    return jnp.concatenate([ends, passes[:, None], pieces.jump[:, None]], axis=1)
+    return x0 - column, y0 - row, x1 - column, y1 - row, passes, pieces.jump
 
 
 class Part(NamedTuple):

@@ -168,10 +168,14 @@ def _part(level: Level) -> FilmPart:
 
 
 class _Pieces(NamedTuple):
-    """All pieces: their pixels, and what they add to these and beyond."""
+    """All pieces: their pixels, and what they add to these and beyond; `swept` is what a sweep asks
+    of them. Columns of their own: put together, each would be worked out for all the others."""
 
     cell: Int[Array, "P"]
-    numbers: Float[Array, "P 9"]
+    swept: tuple[Float[Array, "P"], ...]
+    height: Float[Array, "P"]
+    area: Float[Array, "P"]
+    turn: Float[Array, "P"]
     counters: Int[Array, "P"]
 
 
@@ -190,9 +194,8 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
         slots = jnp.arange(size, dtype=jnp.int32)
         pieces = split(m, upto, slots, level.W, level.H, MAX_ROWS)
         cell = jnp.where(pieces.valid, pieces.row * (level.W + 2) + pieces.column + 1, end)
-        added = jnp.stack([pieces.height, pieces.area, turns(pieces)], axis=-1)
-        numbers = jnp.concatenate([sweepable(pieces), added], axis=1)
-        found.append(_Pieces(cell, numbers, marks(pieces).counters))
+        sizes = pieces.height, pieces.area, turns(pieces)
+        found.append(_Pieces(cell, sweepable(pieces), *sizes, marks(pieces).counters))
         own = lift[pieces.curve]
         lifts.append(own)
         parts.append(Part(_shown(curves, pieces, own), jax.lax.stop_gradient(own)))
@@ -247,9 +250,8 @@ def _by_pixel(
     P = pieces.cell.shape[0]
     end = level.H * (level.W + 2)
     index = jnp.arange(P, dtype=jnp.int32)
-    cell, order = jax.lax.sort((pieces.cell, index), num_keys=1)
-    numbers, counters = pieces.numbers[order], pieces.counters[order]
-    jump, height, area, turn = (numbers[:, k] for k in range(5, 9))
+    order = jnp.argsort(pieces.cell)
+    cell, swept, height, area, turn, counters = jax.tree.map(lambda x: x[order], pieces)
     changes = lambda x: jnp.append(True, x[1:] != x[:-1])
     number_of = lambda which: running_sum(which.astype(jnp.int32)) - 1
 
@@ -258,15 +260,19 @@ def _by_pixel(
 
     new, new_row = changes(cell), changes(_row_start(level, cell))
     slot, row = number_of(new), number_of(new_row)
+
     # Curves right of the film are left out: each row is summed up by itself.
-    steps = jnp.stack([height, turn])
-    running = running_sum(steps)
-    upto = gather(row, jnp.where(new_row, running - steps, 0).T).T[:, row]
-    after = running - upto + base.astype(height.dtype)
-    before, corner = jnp.where(new, after - steps, 0)
-    beyond = jnp.where(jnp.append(new[1:], True), after[0], 0)
-    sums = jnp.stack([before + area, jnp.abs(jump), beyond, corner], axis=-1)
-    winding, layers, winding_after, corner = gather(slot, sums).T
+    def within_row(steps):
+        """Return the winding number before and after each piece's step."""
+        running = running_sum(steps)
+        upto = gather(row, jnp.where(new_row, running - steps, 0))[row]
+        after = running - upto + base.astype(steps.dtype)
+        return jnp.where(new, after - steps, 0), after
+
+    (before, after), (corner, _) = within_row(height), within_row(turn)
+    beyond = jnp.where(jnp.append(new[1:], True), after, 0)
+    winding, layers = gather(slot, before + area), gather(slot, jnp.abs(swept[5]))
+    winding_after, corner = gather(slot, beyond), gather(slot, corner)
     marked = Marks(layers, gather(slot, counters))
     first = jnp.full(P + 1, P, jnp.int32).at[slot].min(index)
     first, number = first[:-1], first[1:] - first[:-1]
@@ -283,7 +289,7 @@ def _by_pixel(
     areas, visible = winding, [part.visible for part in parts]
     if not convex:
         crowded = Crowded(chosen, first, number, origin, corner)
-        areas, visible = resolved(crowded, numbers[:, :6], order, parts)
+        areas, visible = resolved(crowded, jnp.stack(swept, axis=-1), order, parts)
     flux = [
         Visible(jnp.zeros(len(seen), jnp.int32), seen).flux(part.lift)
         for seen, part in zip(visible, parts, strict=True)
