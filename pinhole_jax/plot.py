@@ -100,7 +100,7 @@ def overlay(
             draw.polygon([tuple(p) for p in (a + across, b + across, b - across, a - across)], 255)
             draw.ellipse([*(b - half), *(b + half)], 255)
         border = ImageChops.subtract(cover, cover.filter(ImageFilter.MinFilter(7)))
-        tint = cover.point(lambda value: TINT * value // 255)
+        tint = cover.point([TINT * value // 255 for value in range(256)])
         canvas.paste(YELLOW, mask=ImageChops.lighter(border, tint))
     draw = ImageDraw.Draw(canvas)
     for line, width in ((DARK, 6), (colour, 3)):

@@ -373,6 +373,7 @@ NO_FIELDS = [None, "x", [], {}, True, [True] * 3, [[1, 2, 3]], [1, 2], [None] * 
 @pytest.mark.parametrize("name", ["e", "p", "u", "phi", "d", "W", "H", "schema", "lens"])
 def test_wrong_fields_of_a_camera_file_are_named(tmp_path, camera, name):
     good = io.camera_to_dict(camera)
+    del good["phi_degrees"], good["pose"]  # with these `phi` may be left out
     for bad in NO_FIELDS:
         if name == "lens" and bad is None:
             continue

@@ -241,6 +241,7 @@ def test_a_user_without_a_home_keeps_no_programs(folder):
 
 def test_a_picture_without_end_is_not_rendered(folder):
     endless = {**io.camera_to_dict(CAMERA), "W": 20_000, "H": 20_000}
+    del endless["pose"]
     (folder / "endless.json").write_text(json.dumps(endless))
     done = run("render", folder / "bumpy.ply", folder / "endless.json", cache=folder / "cache")
     assert done.returncode == 2

@@ -82,7 +82,7 @@ def test_it_is_printed_and_written_beside_the_fit():
     fit = fit_of(pj.Camera([0.3, 1, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48))
     pose = formats.object_pose(fit, pixel_centres="integer")
     text = str(pose)
-    for words in ("X_camera = R X_object + t", "world_from_camera", "one sigma", "quaternion"):
+    for words in ("X_camera = R X_object + t", "world_from_camera", "one sigma", "x y z w"):
         assert words in text
     written = io.fit_to_dict(fit)["fit"]["object_in_camera"]
     assert written["pixel_centres"] == "integer"

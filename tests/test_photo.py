@@ -11,6 +11,7 @@ from pinhole_jax import shapes
 from pinhole_jax._fit import matte, photo as photos
 from pinhole_jax._fit.moves import canonical
 from pinhole_jax._fit.solver import Solver
+from pinhole_jax._fit.stretches import coverage_of
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 192, 160)
 START = turned(CAMERA, [1, 2, 3], 3)
@@ -95,10 +96,11 @@ def test_coverage_is_read_from_the_pixels_that_a_contour_touches(scene, shown):
         unit = canonical(camera)
         solver = Solver(scene, shown, np.ones(shown.shape), np.float64, ("pose",), 4)
         view = solver.look(unit, solver.finest)
-        window = solver.levels[solver.finest].window()
-        seen = np.asarray(pj.silhouette(camera, scene, overlaps=False))
-        found = photos._filled(view.pixels, window)
-        np.testing.assert_allclose(found, window.of(seen), atol=1e-9)
+        level = solver.levels[solver.finest]
+        seen = np.asarray(pj.silhouette(camera, scene))
+        np.testing.assert_allclose(
+            coverage_of(view, level)[::-1], level.window().of(seen), atol=1e-9
+        )
 
 
 def test_light_is_that_of_srgb():

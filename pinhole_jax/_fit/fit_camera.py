@@ -183,9 +183,9 @@ def _fit(
         reported(f, whole.sums, solver.kind, solver.errors(f.view)) for f, whole in described
     )
     if settings.photo is not None:
-        f, sums, kind, note = on_photo(solver, mask, settings.photo, described[0][0])
+        f, sums, kind, errors, note = on_photo(solver, mask, settings.photo, described[0][0])
         if f is not None:
-            fit = reported(f, sums, kind, None)
+            fit = reported(f, sums, kind, errors)
         fit = fit._replace(weak=(*fit.weak, note))
     return with_modes(fit, modes), trust
 

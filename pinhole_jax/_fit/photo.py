@@ -15,8 +15,10 @@ import numpy as np
 from .kinds import Kind
 from .mask import Mask
 from .matte import Band, Matte, light, matte, tiles
+from .outline_errors import OutlineErrors
 from .residuals import Sums
 from .solver import Found, Solver
+from .stretches import coverage_of
 from .target import NOISE, Window, edge_distance
 
 #: Where colours are learned and asked for, round by round: masks are off by some px at first. (A
@@ -59,11 +61,12 @@ COLOURS = Kind("photo", 0.0, np.inf, 0.0, False)
 
 class Refined(NamedTuple):
     """What a photo says: its camera and what is seen there, None where the mask's stays; sums over
-    the mask, the kind of mask that colours are, and a note."""
+    the mask, the kind of mask that colours are, how their outline errs, and a note."""
 
     found: Found | None
     sums: Sums
     kind: Kind
+    errors: OutlineErrors | None
     note: str
 
 
@@ -100,7 +103,7 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Ref
     read = before.read(photo, mask, ROUNDS[0])
     told = before.told(read)
     if not told >= LEAST_TOLD:
-        return Refined(None, found.view.sums, COLOURS, _untold(told))
+        return Refined(None, found.view.sums, COLOURS, None, _untold(told))
 
     own, refined, now = copy(solver), found, before
     own.kind = COLOURS
@@ -118,7 +121,7 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Ref
     taken, note = _judged(mask, photo, before, now)
     over_all = solver.look(refined.unit, solver.finest).sums
     sums = over_all._replace(touched=refined.view.sums.touched)
-    return Refined(refined if taken else None, sums, COLOURS, note)
+    return Refined(refined if taken else None, sums, COLOURS, own.errors(refined.view), note)
 
 
 class _Outline(NamedTuple):
@@ -133,8 +136,8 @@ class _Outline(NamedTuple):
     @classmethod
     def of(cls, solver: Solver, view: Any) -> "_Outline":
         """Return it from a view on the finest level."""
-        seen = solver.levels[solver.finest].window()
-        coverage = _filled(view.pixels, seen)
+        level = solver.levels[solver.finest]
+        seen, coverage = level.window(), coverage_of(view, level)[::-1]
         window = _about(np.abs(coverage - 0.5) < 0.5, seen)
         coverage = coverage[_part(window, seen)]
         inside = coverage > 0.5
@@ -186,27 +189,6 @@ def _part(window: Window, seen: Window) -> tuple[slice, slice]:
     top = seen.bottom + seen.H - window.bottom - window.H
     left = window.left - seen.left
     return slice(top, top + window.H), slice(left, left + window.W)
-
-
-def _filled(pixels: Any, window: Window) -> np.ndarray:
-    """Return the coverage (h, w) of a window, row 0 on top, from the pixels that a contour
-    touches."""
-    stride = window.W + 2
-    cell, share, after = (
-        np.asarray(x) for x in (pixels.cell, pixels.coverage, pixels.covered_after)
-    )
-    used = cell < window.H * stride
-    cell, share, after = cell[used], share[used], after[used]
-    # What changes from cell to cell is summed up along each row.
-    first = np.append(True, cell[1:] // stride != cell[:-1] // stride)
-    before = np.where(first, bool(pixels.covered_before), np.append(False, after[:-1]))
-    change = np.zeros(window.H * stride)
-    change[cell] = after.astype(float) - before
-    flat = np.cumsum(change.reshape(window.H, stride), axis=1) + float(pixels.covered_before)
-    column = cell % stride
-    inside = (column > 0) & (column <= window.W)
-    flat.flat[cell[inside]] = share[inside]
-    return flat[::-1, 1:-1]
 
 
 def _whole(mask: Mask, window: Window, read: Matte) -> tuple[np.ndarray, np.ndarray]:

@@ -250,7 +250,7 @@ def _by_pixel(
     P = pieces.cell.shape[0]
     end = level.H * (level.W + 2)
     index = jnp.arange(P, dtype=jnp.int32)
-    order = jnp.argsort(pieces.cell)
+    _, order = jax.lax.sort((pieces.cell, index), num_keys=1)
     cell, swept, height, area, turn, counters = jax.tree.map(lambda x: x[order], pieces)
     changes = lambda x: jnp.append(True, x[1:] != x[:-1])
     number_of = lambda which: running_sum(which.astype(jnp.int32)) - 1

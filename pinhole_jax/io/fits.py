@@ -12,7 +12,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._files.paths import read_json
-from .._fit.result import Fit, Progress
+from .._fit.result import Fit, MaskError, Progress
 from .._fit.words import STATUSES
 from ..formats.fields import Fields, short
 from ..formats.native import camera_to_dict, fitted_camera_from_dict, save_camera
@@ -29,6 +29,7 @@ def fit_to_dict(fit: Fit) -> dict[str, Any]:
     - `dtype`: the camera's float type.
     - `std`: by name; null where the mask does not determine a parameter.
     - `names`: in the order of `covariance`; NaN is null there, infinity "Infinity".
+    - `independent_covariance`, `mask_error` (`px`, `over_px`): null where the fit has none.
     - `object_in_camera`: the object's pose in the camera's frame (`formats.object_pose`): OpenCV's
       `K`, `R`, `t`, `pixel_centres` "integer", `covariance`. It is not read back.
     - `modes`: each is a fit of its own. `history`: `camera`, `W`, `H`, `steps` of each.
@@ -81,6 +82,8 @@ def _rest(fit: Fit) -> dict[str, Any]:
         "std": dict(zip(fit.names, _words(std), strict=True)),
         "names": list(fit.names),
         "covariance": _words(fit.covariance),
+        "independent_covariance": _words_or_none(fit.independent_covariance),
+        "mask_error": None if fit.mask_error is None else fit.mask_error._asdict(),
         "object_in_camera": _pose(fit),
         "steps": [int(count) for count in fit.steps],
         "weak": list(fit.weak),
@@ -95,6 +98,10 @@ def _pose(fit: Fit) -> dict[str, Any] | None:
     pose = object_pose(fit, pixel_centres="integer")
     parts = {name: _words(getattr(pose, name)) for name in ("K", "R", "t", "covariance")}
     return {"pixel_centres": pose.pixel_centres, **parts}
+
+
+def _words_or_none(numbers: Any) -> Any:
+    return None if numbers is None else _words(numbers)
 
 
 def _words(numbers: Any) -> Any:
@@ -128,7 +135,23 @@ def _fit(fields: Fields) -> Fit:
         weak=_texts(rest, "weak"),
         modes=tuple(_fit(mode) for mode in rest.parts("modes")),
         history=tuple(_progress(step, dtype) for step in rest.parts("history")),
+        independent_covariance=_independent(rest, len(names)),
+        mask_error=_mask_error(rest),
     )
+
+
+def _independent(fields: Fields, size: int) -> np.ndarray | None:
+    """Return the covariance if pixels were independent, None where a file has none."""
+    name = "independent_covariance"
+    return None if fields.data.get(name) is None else _numbers(fields, name, (size, size))
+
+
+def _mask_error(fields: Fields) -> MaskError | None:
+    """Return how the mask's outline errs, None where a file has nothing of it."""
+    if fields.data.get("mask_error") is None:
+        return None
+    part = fields.part("mask_error")
+    return MaskError(*(float(_numbers(part, name, ())) for name in MaskError._fields))
 
 
 def _camera(fields: Fields, dtype: np.dtype) -> Camera:
