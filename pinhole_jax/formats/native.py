@@ -94,7 +94,7 @@ def _numbers_and_lens(data: Any) -> tuple[Any, ...]:
         raise ValueError(f"`schema`: expected {CAMERA_SCHEMA!r}, got {schema!r}")
     phi = _phi(data)
     missing = [name for name in ("e", "p", "u", "W", "H") if name not in data]
-    missing += ["phi"] if phi is None else []
+    missing += ["phi"] if phi is None and "phi" not in data else []
     if missing:
         raise ValueError(f"`camera`: expected the field {missing[0]!r}, got {sorted(data)}")
     lens = data.get("lens")
@@ -110,7 +110,7 @@ def _phi(data: dict[str, Any]) -> Any:
     if told is None:
         return phi
     (degrees,) = _told({"phi_degrees": told}, "phi_degrees", 1)
-    if phi is None:
+    if "phi" not in data:
         return float(np.deg2rad(degrees))
     if _is_number(phi) and not abs(np.deg2rad(degrees) - phi) <= SAME * abs(phi):
         raise ValueError(

@@ -141,14 +141,15 @@ def _fit(fields: Fields) -> Fit:
 
 
 def _independent(fields: Fields, size: int) -> np.ndarray | None:
-    """Return the covariance if pixels were independent, None where a file has none."""
+    """Return the covariance if pixels were independent; None for null."""
     name = "independent_covariance"
-    return None if fields.data.get(name) is None else _numbers(fields, name, (size, size))
+    expected = f"numbers of shape {(size, size)}, or null"
+    return None if fields.get(name, expected) is None else _numbers(fields, name, (size, size))
 
 
 def _mask_error(fields: Fields) -> MaskError | None:
-    """Return how the mask's outline errs, None where a file has nothing of it."""
-    if fields.data.get("mask_error") is None:
+    """Return how the mask's outline errs; None for null."""
+    if fields.get("mask_error", "`px` and `over_px`, or null") is None:
         return None
     part = fields.part("mask_error")
     return MaskError(*(float(_numbers(part, name, ())) for name in MaskError._fields))
