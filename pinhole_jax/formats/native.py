@@ -112,7 +112,11 @@ def _phi(data: dict[str, Any]) -> Any:
     (degrees,) = _told({"phi_degrees": told}, "phi_degrees", 1)
     if "phi" not in data:
         return float(np.deg2rad(degrees))
-    if _is_number(phi) and not abs(np.deg2rad(degrees) - phi) <= SAME * abs(phi):
+    if (
+        phi is not None
+        and _is_number(phi)
+        and not abs(np.deg2rad(degrees) - phi) <= SAME * abs(phi)
+    ):
         raise ValueError(
             f"`phi_degrees`: expected {np.rad2deg(phi):.6g}, as `phi` says ({phi:.6g} rad), got"
             f" {degrees:.6g}; leave out the one that is not meant"
