@@ -56,7 +56,8 @@ def fit_camera(
     - `target`: mask (H, W), row 0 on top: bool, uint8 (0..255) or float (0..1, soft edges welcome,
       noise about that range too).
     - `camera`: where to start; also all that is not free. Starts some 20 degrees off are pulled in;
-      where what they lead to explains the mask badly, the whole sphere of views is searched. None:
+      where what they lead to explains the mask badly, and for masks that people or networks drew,
+      the whole sphere of views is searched, and the start decides between equals. None:
       search at once; then `phi` (rad) is the field of view, or if it is free a first guess (0.7),
       and `lens` the principal point, aspect and distortion (None: centred, square pixels). Those
       of a known K are `formats.from_opencv(K, I, 0, W, H, ...)`'s.
@@ -167,7 +168,7 @@ def _fit(
     reach, free = settings.outlier_px, places.free
     if reach is not None and found[0].view.touched_misfit > EXACT:
         described = without_outliers(solver, mask, [*found, *places.rivals], reach, start)
-        described = most_agreeing(solver, mask, described, start)
+        described = most_agreeing(solver, mask, described, len(found), start)
         trust = lambda: mask.weight * near_an_edge(edge_distance(mask.image), reach)
     else:
         reach = None

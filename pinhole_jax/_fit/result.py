@@ -13,7 +13,7 @@ from .kinds import Kind
 from .moves import Bounds, on_film
 from .outline_errors import OutlineErrors
 from .parameters import LABELS, PARAMETERS, components, labels_of
-from .places import Free
+from .places import STEPS, Free
 from .problem import COSINE, FINE_PX, UNIT_PX, View
 from .residuals import Sums
 from .solver import Found, Stop
@@ -146,7 +146,7 @@ def report(
         empty = np.full((n, n), np.nan)
         nan = float("nan")
         return Fit(fitted, "non_finite", labels, empty, np.diag(empty), nan, nan, steps, ())
-    limited = bool(steps) and steps[-1] >= known.max_steps
+    limited = bool(steps) and (steps[-1] >= known.max_steps or steps[-1] == STEPS)
     rest = not limited or at_rest(triangle, along, sums.squares, sums.touched, dtype)
     triangle = without_free(triangle, known.free)
     noise = sums.touched_squares / max(sums.touched - n, 1)

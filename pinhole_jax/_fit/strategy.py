@@ -97,6 +97,8 @@ def looked_round(solver: Solver, mask: Mask, found: Found, start: Camera, told: 
             places = settled(solver, found, start)._replace(
                 others=places.others, rivals=places.rivals
             )
+    else:
+        places = places._replace(rivals=())  # all of the mask is explained
     return _nearest_first(places, start)
 
 
@@ -231,10 +233,19 @@ def without_outliers(
 
 
 def most_agreeing(
-    solver: Solver, mask: Mask, described: list[tuple[Found, View]], start: Camera | None
+    solver: Solver,
+    mask: Mask,
+    described: list[tuple[Found, View]],
+    alike: int,
+    start: Camera | None,
 ) -> list[tuple[Found, View]]:
     """Return the cameras whose outline is the mask's but for some of it, the nearest to the start
-    first: the mask does not tell one from the other."""
+    first: the mask does not tell one from the other.
+
+    The first `alike` of them leave equal squares: these stay together, where they are the best.
+    """
+    if len(described) == alike:
+        return described
     level = solver.levels[solver.finest]
     target, weight = (level.window().of(x) for x in (mask.target, mask.weight))
     errors = [e for e in (solver.errors(f.view) for f, _ in described) if e is not None]
@@ -246,7 +257,12 @@ def most_agreeing(
     likely = solver.errors(described[least][0].view)
     # A cost grows like an error's size: its logarithm, for each error, is the odds'.
     times = np.exp(DRAWN_TIMES / 2 / max(likely.independent, 1)) if likely else 1.0
-    kept = [d for d, cost in zip(described, costs, strict=True) if cost <= times * costs[least]]
+    limit = times * costs[least]
+    kept = [
+        d
+        for k, (d, cost) in enumerate(zip(described, costs, strict=True))
+        if cost <= limit or max(k, least) < alike
+    ]
     if start is None:
         return [described[least], *(d for d in kept if d is not described[least])]
     return sorted(kept, key=lambda d: angle(d[0].unit, start))

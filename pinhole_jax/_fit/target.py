@@ -14,8 +14,9 @@ from jaxtyping import Array, Float, Int
 
 #: How far floats may reach out of [0, 1]: noise is kept as it is, since clipping would bias a fit.
 NOISE = 1.0
-#: Levels that are off by more than this are taken for 0 and 1; so far (px) from a mask's edges.
-LEVEL, LEVEL_PX = 0.01, 3.0
+#: Levels that are off by more than this are taken for 0 and 1; so far (px) from a mask's edges; as
+#: many pixels tell whether there are any.
+LEVEL, LEVEL_PX, SAMPLED = 0.01, 3.0, 1 << 18
 #: What integers of a mask of two values may be where they are not 0.
 FULL = (1, 255, 65535)
 #: Cells of the smallest pyramid; the next sizes are 4 times as large: each is compiled for.
@@ -181,12 +182,14 @@ def levelled(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
     background is not quite black, nor is a network's."""
     if image.dtype == bool:
         return image
-    full = 255.0 if image.dtype == np.uint8 else 1.0
-    inside = image > full / 2
-    low, high = _median(image, ~inside, 0.0), _median(image, inside, full)
-    if max(low, full - high) <= LEVEL * full:
+    step = max(int((image.size / SAMPLED) ** 0.5), 1)
+    some = shares(image[::step, ::step])
+    inside = some > 0.5
+    low, high = _median(some, ~inside, 0.0), _median(some, inside, 1.0)
+    if max(low, 1 - high) <= LEVEL:
         return image
     values = shares(image)
+    inside = values > 0.5
     far = (near_an_edge(edge_distance(values), LEVEL_PX) == 0) & (weights > 0)
     low, high = _median(values, far & ~inside, 0.0), _median(values, far & inside, 1.0)
     return (values - low) / (high - low) if max(low, 1 - high) > LEVEL else image
