@@ -12,7 +12,8 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._fit.moves import canonical
 from pinhole_jax._fit.solver import Solver
-from pinhole_jax._fit.stretches import disagreement, stretches_of
+from pinhole_jax._fit.stretches import area_between, stretches_of
+from pinhole_jax._fit.target import levelled
 
 SIZE = 128
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, SIZE, SIZE)
@@ -49,12 +50,11 @@ def solver_of(scene, target):
     return Solver(scene, target, np.ones(target.shape), np.float32, ("pose",), 64)
 
 
-def seen(scene, target, camera=CAMERA):
-    """Return a view at a camera, its level, and the level's window of a mask."""
+def seen(scene, target):
+    """Return a view at the camera, and what the mask and its weights are."""
     solver = solver_of(scene, target)
-    level = solver.levels[solver.finest]
-    view = solver.look(canonical(single(camera)), solver.finest)
-    return view, level, level.window().of(target)
+    view = solver.look(canonical(single(CAMERA)), solver.finest)
+    return view, target, np.ones(target.shape)
 
 
 def error(found, truth):
@@ -77,8 +77,8 @@ def test_an_offset_is_the_px_that_a_mask_is_grown_by(scene, image, px):
 
 
 def test_stretches_are_moved_as_the_camera_is(scene, image):
-    view, level, target = seen(scene, image)
-    stretches = stretches_of(view, level, target)
+    view, target, weights = seen(scene, image)
+    stretches = stretches_of(view, target, weights)
     assert stretches is not None
     R = np.asarray(view.triangle, float)
     by_stretches = stretches.by_move.T * stretches.share @ stretches.by_move
@@ -130,8 +130,48 @@ def test_intervals_hold_as_often_as_they_say(scene, image):
 def test_an_occluder_counts_by_its_outline(scene, image):
     cut = image > 0.5
     cut[:, : SIZE // 2 - 12] = False
-    view, level, target = seen(scene, cut)
-    one = np.ones(target.shape)
-    beside = disagreement(view, level, target, one, 2.0)
+    view, target, weights = seen(scene, cut)
+    beside = area_between(view, target, weights, 2.0)
     assert view.squares > 1.5 * beside
-    assert disagreement(view, level, target, one, 4.0) > 1.5 * beside
+    assert area_between(view, target, weights, 4.0) > 1.5 * beside
+
+
+def test_what_weighs_nothing_is_no_error_of_the_mask(scene, image):
+    hidden = np.add.outer(np.arange(SIZE), np.arange(SIZE)) < SIZE
+    cut = (image > 0.5) & ~hidden
+    view, target, _ = seen(scene, cut)
+    told = stretches_of(view, target, 1.0 * ~hidden)
+    untold = stretches_of(view, target, np.ones(cut.shape))
+    assert told is not None
+    assert untold is not None
+    assert np.max(np.abs(told.offset)) < 1 < np.max(np.abs(untold.offset))
+
+
+def test_the_size_of_weights_changes_nothing(scene, image):
+    masks = image > 0.5, wavy(image, np.random.default_rng(0), 1.0, 10.0)
+    for mask in masks:
+        fits = [
+            pj.fit_camera(scene, mask, single(CAMERA), weight=np.full(mask.shape, scale))
+            for scale in (1.0, 0.01)
+        ]
+        assert fits[0].mask_error == fits[1].mask_error
+        assert fits[0].status == fits[1].status
+        np.testing.assert_allclose(fits[0].std, fits[1].std, rtol=0.05)
+
+
+def test_a_mask_that_tells_little_leaves_the_camera_uncertain(scene):
+    small = pj.Camera([1.8, 6.0, 30.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, SIZE, SIZE)
+    shown = np.asarray(pj.silhouette(single(small), scene))
+    fit = pj.fit_camera(scene, wavy(shown, np.random.default_rng(1), 1.5, 8.0), single(small))
+    assert fit.status in ("uncertain", "ambiguous", "rank_deficient")
+    assert np.rad2deg(np.max(fit.std[:3])) > 2
+
+
+def test_levels_that_are_off_are_taken_for_0_and_1(image):
+    weights = np.ones(image.shape)
+    grey = 0.1 + 0.7 * image
+    np.testing.assert_allclose(levelled(grey, weights), image, atol=1e-12)
+    assert levelled(image, weights) is image
+    np.testing.assert_allclose(
+        levelled(np.round(255 * grey).astype(np.uint8), weights), image, atol=0.01
+    )

@@ -98,9 +98,7 @@ def test_coverage_is_read_from_the_pixels_that_a_contour_touches(scene, shown):
         view = solver.look(unit, solver.finest)
         level = solver.levels[solver.finest]
         seen = np.asarray(pj.silhouette(camera, scene))
-        np.testing.assert_allclose(
-            coverage_of(view, level)[::-1], level.window().of(seen), atol=1e-9
-        )
+        np.testing.assert_allclose(coverage_of(view)[::-1], level.window().of(seen), atol=1e-9)
 
 
 def test_light_is_that_of_srgb():

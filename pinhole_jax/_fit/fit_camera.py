@@ -17,7 +17,7 @@ from .moves import Bounds, canonical
 from .outline_errors import OutlineErrors
 from .parameters import check_free, focal_is_free, in_one, with_lens
 from .photo import check_photo, on_photo
-from .places import at
+from .places import Free, at
 from .priors import Prior, bounds_of, prior_of
 from .residuals import Sums
 from .result import Fit, Known, Progress, progress_at, report, with_modes
@@ -111,14 +111,17 @@ def fit_camera(
     def run(inputs: Any) -> tuple[Fit, Callable]:
         scene, target, weight = inputs
         image, weights = check_target(target, weight, base.W, base.H)
-        mask = Mask(levelled(image, weights), weights, base)
+        # (A derivative is one by the target as it is.)
+        image = levelled(image, weights) if concrete else image
+        mask = Mask(image, weights, base)
         return _fit(scene, mask, camera is None, names, settings)
 
     known = prior_of(prior, base, names), bounds_of(bounds, base, names)
     picture = None if photo is None else check_photo(photo, base.W, base.H)
     settings = _Settings(outlier_px, max_steps, progress, *known, record, picture)
     inputs = (scene, target, weight)
-    if is_concrete(*jax.tree.leaves(inputs)):
+    concrete = is_concrete(*jax.tree.leaves(inputs))
+    if concrete:
         return run(inputs)[0]
     if prior or bounds:
         raise ValueError("`prior`, `bounds`: expected none where the fit is differentiated")
@@ -173,21 +176,24 @@ def _fit(
     else:
         reach = None
     if turns_freely(names):
-        free = with_errors(solver, mask, described[0][0], free, reach)
+        free = with_errors(solver, mask, described[0][0], places, reach)
 
-    def reported(found: Found, whole: Sums, kind: Kind, errors: OutlineErrors | None) -> Fit:
+    def reported(
+        found: Found, whole: Sums, kind: Kind, errors: OutlineErrors | None, free: list[Free]
+    ) -> Fit:
         about = [at(solver, found, x) for x in free]
-        known = Known(kind, settings.bounds, settings.max_steps, about, errors)
+        known = Known(kind, settings.bounds, about, errors)
         return report(base, found, whole, names, known)
 
     fit, *modes = (
-        reported(f, whole.sums, solver.kind, solver.errors(f.view)) for f, whole in described
+        reported(f, whole.sums, solver.kind, solver.errors(f.view), free) for f, whole in described
     )
     if settings.photo is not None:
-        f, sums, kind, errors, note = on_photo(solver, mask, settings.photo, described[0][0])
-        if f is not None:
-            fit = reported(f, sums, kind, errors)
-        fit = fit._replace(weak=(*fit.weak, note))
+        said = on_photo(solver, mask, settings.photo, described[0][0])
+        if said.found is not None:
+            open_still = [*(f for f in free if np.isinf(f.ahead)), *said.free]
+            fit = reported(said.found, said.sums, said.kind, said.errors, open_still)
+        fit = fit._replace(weak=(*fit.weak, said.note))
     return with_modes(fit, modes), trust
 
 

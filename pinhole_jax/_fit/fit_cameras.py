@@ -144,24 +144,24 @@ def _reports(
     )
     unknowns = len(views) * int(own.sum()) + int((~own).sum())
     variance = squares / max(touched - unknowns, 1)
-    variance *= float(
-        np.mean([design(one.solver, view) for one, view in zip(views, seen, strict=True)])
-    )
+    designs = [design(one.solver, view) for one, view in zip(views, seen, strict=True)]
+    noise = variance, float(np.mean(designs))
     slope: Any = sum(p.rest.T @ p.left + p.across.T @ p.known for p in parts)
     rests = others([p.rest for p in parts])
     return tuple(
-        _report(one, Found(one.unit, joint(view, known, slope, own), steps), answer, variance)
+        _report(one, Found(one.unit, joint(view, known, slope, own), steps), answer, noise)
         for one, view, known, answer in zip(views, seen, rests, answers, strict=True)
     )
 
 
-def _report(one: OneView, found: Found, answer: Answer, variance: float) -> Fit:
-    """Return the fit of a view, and those of other places that its mask does not tell from it."""
+def _report(one: OneView, found: Found, answer: Answer, noise: tuple[float, float]) -> Fit:
+    """Return the fit of a view, and those of other places that its mask does not tell from it;
+    `noise` is a residual's variance, and the design effect of all views."""
     solver, places = one.solver, answer.places
 
     def told(f: Found) -> Fit:
         free = [at(solver, f, direction) for direction in places.free]
-        known = Known(solver.kind, solver.problem.bounds, solver.max_steps, free, None, variance)
+        known = Known(solver.kind, solver.problem.bounds, free, None, *noise)
         fit = report(one.mask.camera, f, f.view.sums, solver.names, known)
         return fit._replace(history=())
 

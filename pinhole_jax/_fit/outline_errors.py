@@ -19,7 +19,6 @@ import numpy as np
 
 from .problem import View
 from .stretches import Stretches, stretches_of
-from .target import Level
 
 #: Sizes (px) and lengths (px) of errors, and the share of their variance that is each stretch's
 #: own. (Twice as fine grids gave the same intervals.)
@@ -72,14 +71,14 @@ class _Hypotheses(NamedTuple):
 
 
 def outline_errors(
-    view: View, level: Level, target: np.ndarray, quantisation: float
+    view: View, target: np.ndarray, weights: np.ndarray, quantisation: float
 ) -> OutlineErrors | None:
     """Return how the mask's outline errs, None where too little of an outline is seen.
 
-    `target` (H, W) is the level's window of the mask, `quantisation` the mean square residual of an
-    outline pixel that quantisation leaves.
+    `target` and `weights` are (H, W), `quantisation` is the mean square residual that quantisation
+    leaves in an outline pixel of weight 1.
     """
-    stretches = stretches_of(view, level, target)
+    stretches = stretches_of(view, target, weights)
     if stretches is None or len(stretches.offset) < 2 * stretches.by_move.shape[1] + 4:
         return None
     return _weighed(stretches, quantisation)
@@ -120,7 +119,7 @@ def _felt(offset: np.ndarray, share: np.ndarray) -> np.ndarray:
     pixel's residual d - d |d| / 2 grows no further, in the mean of where the outline crosses it.
     """
     near = np.clip(offset, -1, 1)
-    rate = np.sum(share * (1 - np.abs(near))) / np.sum(share)
+    rate = np.sum(share * (1 - np.abs(near))) / max(np.sum(share), 1e-300)
     return (near - near * np.abs(near) / 2) / max(rate, LEAST_RATE)
 
 

@@ -16,6 +16,7 @@ from .kinds import Kind
 from .mask import Mask
 from .matte import Band, Matte, light, matte, tiles
 from .outline_errors import OutlineErrors
+from .places import Free, interval
 from .residuals import Sums
 from .solver import Found, Solver
 from .stretches import coverage_of
@@ -61,12 +62,14 @@ COLOURS = Kind("photo", 0.0, np.inf, 0.0, False)
 
 class Refined(NamedTuple):
     """What a photo says: its camera and what is seen there, None where the mask's stays; sums over
-    the mask, the kind of mask that colours are, how their outline errs, and a note."""
+    the mask, the kind of mask that colours are, how their outline errs, how far that leaves a turn
+    open, and a note."""
 
     found: Found | None
     sums: Sums
     kind: Kind
     errors: OutlineErrors | None
+    free: list[Free]
     note: str
 
 
@@ -103,7 +106,7 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Ref
     read = before.read(photo, mask, ROUNDS[0])
     told = before.told(read)
     if not told >= LEAST_TOLD:
-        return Refined(None, found.view.sums, COLOURS, None, _untold(told))
+        return Refined(None, found.view.sums, COLOURS, None, [], _untold(told))
 
     own, refined, now = copy(solver), found, before
     own.kind = COLOURS
@@ -121,7 +124,11 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Ref
     taken, note = _judged(mask, photo, before, now)
     over_all = solver.look(refined.unit, solver.finest).sums
     sums = over_all._replace(touched=refined.view.sums.touched)
-    return Refined(refined if taken else None, sums, COLOURS, own.errors(refined.view), note)
+    if not taken:
+        return Refined(None, sums, COLOURS, None, [], note)
+    errors = own.errors(refined.view)
+    free = interval(own, refined) if errors is not None and errors.drawn else []
+    return Refined(refined, sums, COLOURS, errors, free, note)
 
 
 class _Outline(NamedTuple):
@@ -136,8 +143,7 @@ class _Outline(NamedTuple):
     @classmethod
     def of(cls, solver: Solver, view: Any) -> "_Outline":
         """Return it from a view on the finest level."""
-        level = solver.levels[solver.finest]
-        seen, coverage = level.window(), coverage_of(view, level)[::-1]
+        seen, coverage = view.pixels.level.window(), coverage_of(view)[::-1]
         window = _about(np.abs(coverage - 0.5) < 0.5, seen)
         coverage = coverage[_part(window, seen)]
         inside = coverage > 0.5

@@ -169,14 +169,14 @@ def interval(solver: Solver, best: Found) -> list[Free]:
     if errors is None or not (np.all(np.isfinite(triangle)) and any(turns)):
         return []
     widest, least = Free(np.zeros(len(turns)), 0.0, 0.0, None), solver.glance(best.unit).squares
-    for value, vector in weak_moves(triangle, components(solver.names), 1.0)[-LOOKED:]:
-        direction = _direction(solver, best, value, vector)
-        if direction.axis is None:
-            continue
+    weak = weak_moves(triangle, components(solver.names), 1.0)
+    directions = [_direction(solver, best, *pair) for pair in weak]
+    about = [d for d in directions if d.axis is not None and d.sigma < np.pi]
+    for direction in about[-LOOKED:]:
         for far in np.clip(PROFILE_SIGMAS * direction.sigma, *PROFILE_RAD):
             for side in (far, -far):
                 place, squares = _best_turned(solver, best, side * direction.move)
-                odds = errors.independent * np.log(max(squares / least, 1.0))
+                odds = errors.independent * np.log(max(squares / max(least, 1e-300), 1.0))
                 turn = turned_by(best.unit, place)
                 size = float(np.linalg.norm(turn))
                 open_by = size / max(odds, 0.5) ** 0.5

@@ -79,8 +79,9 @@ class Sums(NamedTuple):
 
 class Pixels(NamedTuple):
     """The touched pixels of a view, in raster order (see `Touched`), with their weights: 0 where a
-    pixel is left out or beside the window."""
+    pixel is left out or beside the window; and the level that they are of."""
 
+    level: Level
     cell: Int[Array, "P"]
     coverage: Float[Array, "P"]
     weight: Float[Array, "P"]
@@ -150,7 +151,9 @@ def residuals(
     )
     ok = load.fits(capacity) & lens_holds(camera, _part(level))
     ok = jnp.where(ok, 1, jnp.nan).astype(total.dtype)
-    pixels = Pixels(touched.cell, coverage, weight, touched.covered_after, touched.covered_before)
+    sums = sums._replace(squares=sums.squares * ok)
+    sides = touched.covered_after, touched.covered_before
+    pixels = Pixels(level, touched.cell, coverage, weight, *sides)
     return (difference * ok, jnp.sqrt(jnp.maximum(rest, 0)) * ok), sums, load, pixels
 
 

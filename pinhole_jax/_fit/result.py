@@ -13,7 +13,7 @@ from .kinds import Kind
 from .moves import Bounds, on_film
 from .outline_errors import OutlineErrors
 from .parameters import LABELS, PARAMETERS, components, labels_of
-from .places import STEPS, Free
+from .places import Free
 from .problem import COSINE, FINE_PX, UNIT_PX, View
 from .residuals import Sums
 from .solver import Found, Stop
@@ -118,22 +118,23 @@ def progress_at(stop: Stop, camera: Camera) -> Progress:
 
 
 class Known(NamedTuple):
-    """What is known beside a view: the mask's kind, bounds, a limit of steps, the directions found
-    to be free, how the outline errs, and a residual's variance if known better."""
+    """What is known beside a view: the mask's kind, bounds, the directions found to be free, how
+    the outline errs; a residual's variance if known better, and how many times as large it is as
+    of independent residuals."""
 
     kind: Kind
     bounds: Bounds | None = None
-    max_steps: int = 1
     free: Sequence[Free] = ()
     errors: OutlineErrors | None = None
     variance: float | None = None
+    design: float = 1.0
 
 
 def report(
     camera: Camera, found: Found, over_all: Sums, names: tuple[str, ...], known: Known
 ) -> Fit:
     """Return what was found, as a user reads it."""
-    unit, view, steps, way = found
+    unit, view, steps, way, _ = found
     fitted = on_film(unit, camera)
     dtype = np.dtype(camera.e.dtype)
     triangle, ended = without_ended(view.triangle, unit, names, known.bounds)
@@ -146,14 +147,13 @@ def report(
         empty = np.full((n, n), np.nan)
         nan = float("nan")
         return Fit(fitted, "non_finite", labels, empty, np.diag(empty), nan, nan, steps, ())
-    limited = bool(steps) and (steps[-1] >= known.max_steps or steps[-1] == STEPS)
-    rest = not limited or at_rest(triangle, along, sums.squares, sums.touched, dtype)
+    rest = at_rest(triangle, along, sums.squares, sums.touched, dtype, found.ended)
     triangle = without_free(triangle, known.free)
     noise = sums.touched_squares / max(sums.touched - n, 1)
     noise = max(noise if known.variance is None else known.variance, known.kind.least)
     independent, cov = (
         covariance(triangle, to_reported, gradient, BLIND[dtype])
-        for gradient in _gradients(view, noise, known.errors)
+        for gradient in _gradients(view, noise, known)
     )
     tolerance, drawn = LAST_STEP * FINE_PX[dtype] / UNIT_PX, _drawn(known)
     independent = independent + widened(to_reported, [] if drawn else known.free, tolerance)
@@ -195,18 +195,15 @@ def report(
     )
 
 
-def _gradients(
-    view: View, variance: float, errors: OutlineErrors | None
-) -> tuple[np.ndarray, np.ndarray]:
+def _gradients(view: View, variance: float, known: Known) -> tuple[np.ndarray, np.ndarray]:
     """Return the covariance (n, n) of J^T r if residuals are independent, and as the mask errs."""
     triangle = np.asarray(view.triangle, float)
-    independent = variance * triangle.T @ triangle
+    independent, errors = variance * triangle.T @ triangle, known.errors
     if errors is None:
-        return independent, independent
-    rows = np.asarray(view.jacobian, float)[: len(view.pixels.cell)]
+        return independent, known.design * independent
     # What is not of this mask's pixels, as a prior, keeps its variance.
-    beside = independent - variance * rows.T @ rows
-    share = errors.computed
+    rows = np.asarray(view.jacobian, float)[len(view.pixels.cell) :]
+    beside, share = variance * rows.T @ rows, errors.computed
     return independent, share * independent + (1 - share) * beside + errors.gradient
 
 
@@ -256,7 +253,7 @@ def widened(
             variance = (a**3 + b**3) / (3 * (a + b))
             if known is not None and np.all(np.isfinite(known)):
                 turn = along[:3]  # rotations are reported first
-                variance -= turn @ known[:3, :3] @ turn / max(turn @ turn, 1e-300) ** 2
+                variance -= turn @ known[:3, :3] @ turn / max(turn @ turn, 1e-150) ** 2
             added += max(variance, 0.0) * np.outer(along, along)
     return added
 
@@ -297,17 +294,21 @@ def _status(triangle: np.ndarray, rest: bool, whole: Any, explained: bool, blind
     return "rank_deficient" if blind else "converged"
 
 
-def at_rest(triangle, along, squares: float, count: float, dtype: np.dtype) -> bool:
+def at_rest(
+    triangle, along, squares: float, count: float, dtype: np.dtype, ended: bool = False
+) -> bool:
     """Return whether `count` residuals, whose squares sum up to `squares`, have come to a minimum.
 
     MINPACK's test: the residual is orthogonal to every column of the Jacobian. Near the rounding
     floor the residual has no direction; there the Newton step must be negligible, and on it nothing
-    is left to ask.
+    is left to ask. Steps that `ended` by themselves stand still at a kink, where a pixel comes or
+    goes: there the slope need not be as small.
     """
     columns = np.linalg.norm(triangle, axis=0)
     slope = np.abs(triangle.T @ along)
     cosine = np.max(slope / np.maximum(columns * np.sqrt(squares), 1e-300))
     newton = np.linalg.pinv(triangle, rcond=BLIND[dtype]) @ along
     floor = squares <= (FLOOR * np.finfo(dtype).eps) ** 2 * count
-    still = cosine <= 100 * COSINE[dtype] or UNIT_PX * np.max(np.abs(newton)) <= 10 * FINE_PX[dtype]
+    limit = (1000 if ended else 100) * COSINE[dtype]
+    still = cosine <= limit or UNIT_PX * np.max(np.abs(newton)) <= 10 * FINE_PX[dtype]
     return bool(floor or still)

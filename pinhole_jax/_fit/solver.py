@@ -41,12 +41,14 @@ class Stop(NamedTuple):
 
 class Found(NamedTuple):
     """A camera (canonical), what is seen there, the steps taken on each level; the way there, from
-    the start (0 steps) on, by levels or (a solver that records) by steps."""
+    the start (0 steps) on, by levels or (a solver that records) by steps; whether the last steps
+    ended by themselves, not at a limit."""
 
     unit: Camera
     view: View
     steps: tuple[int, ...]
     way: tuple[Stop, ...] = ()
+    ended: bool = False
 
 
 class Solver:
@@ -147,10 +149,11 @@ class Solver:
         if self.kind.exact and self.kind.explains(view.touched_misfit, False):
             return None
         if self._errors is None or self._errors[0] is not view:
-            level = self.levels[self.finest]
-            quantisation = np.clip(self.kind.variance, LEAST_VARIANCE, ONE_BIT)
-            target = level.window().of(self._target)
-            self._errors = view, outline_errors(view, level, target, float(quantisation))
+            weight = np.asarray(view.pixels.weight)
+            scale = float(np.median(weight[weight > 0])) if np.any(weight > 0) else 1.0
+            quantisation = float(np.clip(self.kind.variance / scale, LEAST_VARIANCE, ONE_BIT))
+            found = outline_errors(view, self._target, self._weights, quantisation)
+            self._errors = view, found
         return self._errors[1]
 
     def variance(self, view: View) -> float:
@@ -254,7 +257,7 @@ class Solver:
             self._believe(unit, levels[-1])
             view = self.look(unit, levels[-1])
             if (self.capacity, self.window) == (capacity, window):
-                return Found(unit, view, tuple(steps), tuple(way))
+                return Found(unit, view, tuple(steps), tuple(way), steps[-1] < self.max_steps)
             # The view outgrew its buffers or window on the way: go on from there with larger ones.
 
     def glance(self, unit: Camera) -> View:
@@ -269,7 +272,7 @@ class Solver:
         self._widen(unit)
         px = FINE_PX[self.dtype]
         unit, n, _, view = self._further(unit, self.levels[-1], px, steps, self.capacity)
-        return Found(unit, view, (int(n),))
+        return Found(unit, view, (int(n),), ended=int(n) < steps)
 
     @collector_at_rest()
     def _further(self, unit: Camera, level: Level, px: float, steps: int, capacity: Capacity):

@@ -26,7 +26,7 @@ from .places import (
 from .problem import View
 from .search import aimed, guesses
 from .solver import Found, Solver, Stop
-from .stretches import disagreement
+from .stretches import area_between
 from .target import edge_distance, near_an_edge
 from .uncertainty import free_turns
 
@@ -40,6 +40,8 @@ RIVAL, RIVALS = 6.0, 6
 #: An outline that is farther from the mask's than this (px), or this many times the size of the
 #: mask's errors, is no farther for it: something else is wrong there.
 CAP_PX, CAP_SIZES = 2.0, 2.5
+#: A camera that is farther from the best so far than this (rad) is another one.
+ELSEWHERE = np.deg2rad(10)
 #: A fit that ends this far (rad) from its start has lost it, and looks elsewhere too.
 ASTRAY = np.deg2rad(40)
 #: Two views explain a mask that says nothing exact equally well if their sums of squares differ by
@@ -72,7 +74,7 @@ def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> Places:
         begin = min((start, over), key=lambda camera: solver.look(camera, 0).squares)
     found = solver.solve(begin, range(len(solver.levels)), told)
     if not found.view.squares <= before.squares:
-        found = found._replace(unit=start, view=before)  # never worse than the start
+        found = found._replace(unit=start, view=before, ended=False)  # never worse than the start
     return looked_round(solver, mask, found, start, told)
 
 
@@ -226,7 +228,10 @@ def without_outliers(
         found = [_onward(f, solver.solve(f.unit, [solver.finest])) for f in found]
     result = []
     for f, others in zip(found, ends, strict=True):
-        views = [f, *(f._replace(unit=x, view=solver.look(x, solver.finest)) for x in others)]
+        views = [
+            f,
+            *(f._replace(unit=x, view=solver.look(x, solver.finest), ended=False) for x in others),
+        ]
         result.append(min(_finite(views), key=lambda f: f.view.squares))
     solver.weigh(mask.weight)
     return [(f, solver.look(f.unit, solver.finest)) for f in result]
@@ -246,13 +251,11 @@ def most_agreeing(
     """
     if len(described) == alike:
         return described
-    level = solver.levels[solver.finest]
-    target, weight = (level.window().of(x) for x in (mask.target, mask.weight))
     errors = [e for e in (solver.errors(f.view) for f, _ in described) if e is not None]
     if not errors:
         return described
     cap = max(CAP_PX, CAP_SIZES * min(e.size for e in errors))
-    costs = [disagreement(view, level, target, weight, cap) for _, view in described]
+    costs = [area_between(view, mask.target, mask.weight, cap) for _, view in described]
     least = int(np.argmin(costs))
     likely = solver.errors(described[least][0].view)
     # A cost grows like an error's size: its logarithm, for each error, is the odds'.
@@ -261,7 +264,7 @@ def most_agreeing(
     kept = [
         d
         for k, (d, cost) in enumerate(zip(described, costs, strict=True))
-        if cost <= limit or max(k, least) < alike
+        if cost <= limit or k == least or max(k, least) < alike
     ]
     if start is None:
         return [described[least], *(d for d in kept if d is not described[least])]
@@ -269,10 +272,13 @@ def most_agreeing(
 
 
 def with_errors(
-    solver: Solver, mask: Mask, found: Found, free: list[Free], reach: float | None
+    solver: Solver, mask: Mask, found: Found, places: Places, reach: float | None
 ) -> list[Free]:
     """Return what is free about a camera: of a drawn mask what is not visible at all, and how far
     its errors leave what shows least, pixels farther than `reach` (px) from its edge left out."""
+    free = places.free
+    if separation(solver, found.unit, places.best.unit) > ELSEWHERE:
+        free = settled(solver, found).free  # it was a rival
     if not _drawn(solver, found):
         return free
     if reach is not None:

@@ -58,23 +58,33 @@ class _Outline(NamedTuple):
         """Return the sums (number,) of what lies in the film at places (k, 2) near the outline."""
         from scipy.spatial import KDTree
 
+        # What is far from all of it is most of a noisy mask: cells of that size sort it out.
+        cells = (self.place // NEAREST).astype(int)
+        around = np.zeros(cells.max(axis=0) + 3, bool)
+        for down, aside in np.ndindex(3, 3):
+            around[cells[:, 0] + down, cells[:, 1] + aside] = True
+        cell = np.minimum((place // NEAREST).astype(int) + 1, np.array(around.shape) - 1)
+        some = around[cell[:, 0], cell[:, 1]]
+        place, values = place[some], values[some]
         found: Any = KDTree(self.place).query(place, distance_upper_bound=NEAREST)
         distance, nearest = found
         near = distance < np.inf
         return np.bincount(self.stretch[nearest[near]], values[near], self.number)
 
 
-def stretches_of(view: View, level: Level, target: np.ndarray) -> Stretches | None:
+def stretches_of(view: View, target: np.ndarray, weights: np.ndarray) -> Stretches | None:
     """Return stretches of the outline that a view shows and that has weight, None where it shows
     none.
 
-    `target` (H, W) is the level's window of the mask.
+    `target` and `weights` (H, W) are those of the whole film, of the level that the view is of.
     """
+    level = view.pixels.level
+    window = level.window()
     shown = _shown(view.pixels, level)
     weight = np.asarray(view.pixels.weight, float)[shown]
     if not np.any(weight):
         return None
-    coverage = coverage_of(view, level)
+    coverage = coverage_of(view)
     place = _places(view.pixels, level)[shown]
     beside, slope = _slopes(coverage, place)
     steepness = np.linalg.norm(slope, axis=1)
@@ -82,7 +92,8 @@ def stretches_of(view: View, level: Level, target: np.ndarray) -> Stretches | No
 
     # Areas, not distances: what the mask has beyond the outline, for each px of it.
     length = outline.nearby(beside, steepness)
-    missing = shares(target)[::-1] - coverage
+    missing = shares(window.of(target))[::-1] - coverage
+    missing = np.where(window.of(weights)[::-1] > 0, missing, 0)
     differs = np.argwhere(np.abs(missing) > HIDDEN)
     offset = outline.nearby(differs, missing[tuple(differs.T)]) / np.maximum(length, 0.5)
 
@@ -104,27 +115,26 @@ def stretches_of(view: View, level: Level, target: np.ndarray) -> Stretches | No
     return Stretches(*(x[good] for x in (at, length, offset, by_move, share)))
 
 
-def disagreement(
-    view: View, level: Level, target: np.ndarray, weight: np.ndarray, cap: float
-) -> float:
+def area_between(view: View, target: np.ndarray, weights: np.ndarray, cap: float) -> float:
     """Return by how much a view's outline and a mask's disagree (px^2): the area between them, but
     no more than `cap` px for each px of either.
 
     Squares grow with the area that an occluder hides. Here it counts by its outline only.
-    `target`, `weight` (H, W) are the level's windows of the mask.
+    `target` and `weights` (H, W) as for `stretches_of`.
     """
     from scipy.spatial import KDTree
 
-    stretches = stretches_of(view, level, target)
+    stretches, level = stretches_of(view, target, weights), view.pixels.level
     if stretches is None:
         return np.inf
     area = stretches.length @ np.minimum(np.abs(stretches.offset), cap)
 
-    inside = shares(target)[::-1] > 0.5
+    window = level.window()
+    inside = shares(window.of(target))[::-1] > 0.5
     edge = np.zeros(inside.shape, bool)
     edge[1:] |= inside[1:] != inside[:-1]
     edge[:, 1:] |= inside[:, 1:] != inside[:, :-1]
-    edge &= weight[::-1] > 0
+    edge &= window.of(weights)[::-1] > 0
     own = _places(view.pixels, level)[_shown(view.pixels, level)]
     far, _ = KDTree(own).query(np.argwhere(edge), distance_upper_bound=NEAREST)
     return float(area + cap * np.sum(np.isinf(far)))
@@ -171,10 +181,11 @@ def _shown(pixels: Pixels, level: Level) -> np.ndarray:
     return inside & (share > HIDDEN) & (share < 1 - HIDDEN)
 
 
-def coverage_of(view: View, level: Level) -> np.ndarray:
+def coverage_of(view: View) -> np.ndarray:
     """Return the coverage (H, W) of a level's window as a view has it, row 0 at the bottom."""
-    H, W = int(level.H), int(level.W)
-    cell, share, after = (np.asarray(x) for x in view.pixels[:2] + view.pixels[3:4])
+    pixels = view.pixels
+    H, W = int(pixels.level.H), int(pixels.level.W)
+    cell, share, after = map(np.asarray, (pixels.cell, pixels.coverage, pixels.covered_after))
     used = cell < H * (W + 2)
     cell, share, after = cell[used], share[used], after[used]
     # What a row begins with, and what follows a touched pixel, lasts until the next one.

@@ -134,11 +134,14 @@ def _check_pose(camera: Camera, pose: Any) -> None:
     eye, view = (np.asarray(x, float) for x in (camera.e, camera.p))
     far = max(float(np.max(np.abs(view - eye))), float(np.max(np.abs(eye))))
     size = max(camera.W, camera.H)
+    # As far as the camera's float type tells a direction from e to p.
+    coarse = float(np.finfo(np.asarray(camera.e).dtype).eps) * far
+    axis = 1.0 + 4 * coarse / max(float(np.linalg.norm(view - eye)), 1e-300) / SAME
     own = {
         "eye": (eye, far, "e"),
-        "right": (b1, 1.0, "e, p, u"),
-        "up": (b2, 1.0, "e, p, u"),
-        "forward": (v, 1.0, "e, p"),
+        "right": (b1, axis, "e, p, u"),
+        "up": (b2, axis, "e, p, u"),
+        "forward": (v, axis, "e, p"),
         "focal_px": (np.stack(focal), float(np.max(focal)), "phi and lens"),
         "principal_point": (principal, size, "lens"),
     }
