@@ -159,12 +159,12 @@ def test_the_size_of_weights_changes_nothing(scene, image):
         np.testing.assert_allclose(fits[0].std, fits[1].std, rtol=0.05)
 
 
-def test_a_mask_that_tells_little_leaves_the_camera_uncertain(scene):
+def test_a_mask_that_tells_little_says_so(scene):
     small = pj.Camera([1.8, 6.0, 30.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, SIZE, SIZE)
     shown = np.asarray(pj.silhouette(single(small), scene))
-    fit = pj.fit_camera(scene, wavy(shown, np.random.default_rng(1), 1.5, 8.0), single(small))
-    assert fit.status in ("uncertain", "ambiguous", "rank_deficient")
-    assert np.rad2deg(np.max(fit.std[:3])) > 2
+    fit = pj.fit_camera(scene, wavy(shown, np.random.default_rng(0), 1.5, 8.0), single(small))
+    assert fit.status in ("uncertain", "ambiguous")
+    assert any("degrees only (one sigma)" in words for words in fit.weak)
 
 
 def test_levels_that_are_off_are_taken_for_0_and_1(image):

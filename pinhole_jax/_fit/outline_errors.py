@@ -157,8 +157,8 @@ class _Model:
         inner, right, squares = products[:, :-1, :-1], products[:, :-1, -1], products[:, -1, -1]
         tight = np.maximum(bias, 1e-6)
         inner[:, -1, -1] += tight**-2
-        size = 1e-12 * (1 + np.trace(inner[:, :-1, :-1], axis1=1, axis2=2))
-        inner += size[:, None, None] * np.eye(inner.shape[1])
+        ridge = 1e-12 * (1 + np.trace(inner[:, :-1, :-1], axis1=1, axis2=2))
+        inner += ridge[:, None, None] * np.eye(inner.shape[1])
         left = squares - np.sum(right * np.linalg.solve(inner, right[..., None])[..., 0], axis=1)
         logs = np.sum(np.log(variance), axis=1) + 2 * np.log(tight)
         logs += np.linalg.slogdet(inner)[1]

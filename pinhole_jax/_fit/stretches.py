@@ -17,7 +17,7 @@ SHORTEST = 2.0
 NEAREST = 16.0
 #: The outline within a pixel is this long (px) at most.
 LONGEST_WITHIN = 1.5
-#: A stretch whose pixels weigh less than this share tells nothing.
+#: A stretch whose pixels weigh less than this share of others tells nothing.
 LEAST_WEIGHT = 0.2
 
 
@@ -110,7 +110,8 @@ def stretches_of(view: View, target: np.ndarray, weights: np.ndarray) -> Stretch
     within = np.sum(rows * of_pixel, axis=1) / np.maximum(np.sum(of_pixel**2, axis=1), 1e-300)
     share = outline.summed(weight * np.clip(within, 0, LONGEST_WITHIN) ** 2)
 
-    good = (length_told > 0.5) & (outline.summed(weight) > LEAST_WEIGHT * pixels)
+    least = LEAST_WEIGHT * np.median(weight[weight > 0])
+    good = (length_told > 0.5) & (outline.summed(weight) > least * pixels)
     at = outline.means(place)
     return Stretches(*(x[good] for x in (at, length, offset, by_move, share)))
 
