@@ -33,9 +33,14 @@ class Mask(NamedTuple):
         focal = np.array([float(f) for f in focal_px(self.camera)])
         centre = np.asarray(principal_point(self.camera), float)
         if self.camera.lens is None or self.camera.lens.distortion is None:
-            return signatures(self.image[None], self.weight, focal, centre)
+            return signatures(self.image[None], self._shares(), focal, centre)
         image, weight, corner, scale = self._straightened()
         return signatures(image[None], weight, focal * scale, (centre - corner) * scale)
+
+    def _shares(self) -> np.ndarray:
+        """Return the weights, the largest as 1."""
+        most = float(np.max(self.weight))
+        return self.weight if most == 1 else self.weight / most
 
     def _straightened(self) -> tuple[np.ndarray, ...]:
         """Return mask and weight without distortion; their lower left corner (px), and their pixels
@@ -50,7 +55,7 @@ class Mask(NamedTuple):
         column, row = np.moveaxis(_bent(self.camera, np.stack(np.meshgrid(x, y[::-1]), -1)), -1, 0)
         at = np.stack([H - row - 0.5, column - 0.5])
         image, weight = (
-            map_coordinates(z, at, order=1, cval=0.0) for z in (self.image, self.weight + 0.0)
+            map_coordinates(z, at, order=1, cval=0.0) for z in (self.image, self._shares() + 0.0)
         )
         return image, weight, corner, np.array([W, H]) / size
 

@@ -228,11 +228,10 @@ def without_outliers(
         found = [_onward(f, solver.solve(f.unit, [solver.finest])) for f in found]
     result = []
     for f, others in zip(found, ends, strict=True):
-        views = [
-            f,
-            *(f._replace(unit=x, view=solver.look(x, solver.finest), ended=False) for x in others),
-        ]
-        result.append(min(_finite(views), key=lambda f: f.view.squares))
+        for unit in others:
+            if not solver.look(unit, solver.finest).squares >= f.view.squares:
+                f = _onward(f, solver.solve(unit, [solver.finest]))
+        result.append(f)
     solver.weigh(mask.weight)
     return [(f, solver.look(f.unit, solver.finest)) for f in result]
 
