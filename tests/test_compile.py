@@ -15,7 +15,7 @@ MOST = {
     "mask_without_overlaps": Kernels(220, 160, 8),
     "mask": Kernels(590, 395, 25),
     "gradient_of_camera": Kernels(1280, 555, 55),
-    "fit": Kernels(590, 395, 10),
+    "fit": Kernels(680, 455, 12),
 }
 
 

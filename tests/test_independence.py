@@ -126,7 +126,7 @@ def test_a_window_of_the_film_says_what_the_whole_film_does(sizes):
         values = []
         for part in (window, None):
             data, levels = pyramid(target, np.ones_like(target), float, window=part)
-            _, sums, load = compact(canonical(camera), scene, data, levels[-1])
+            _, sums, load, _ = compact(canonical(camera), scene, data, levels[-1])
             assert bool(load.fits(CAPACITY))
             values.append([sums.squares, sums.overlap, sums.union])
         np.testing.assert_allclose(*values, rtol=1e-12, atol=1e-12)

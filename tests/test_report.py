@@ -146,7 +146,7 @@ def test_coefficients_of_distortion_have_rows_a_band_and_formats():
     lens = pj.Lens([46.0, 41.0], 1.0, pj.BrownConrady(-0.2, 0.05))
     camera = pj.Camera(AHEAD.e, AHEAD.p, AHEAD.u, 0.6, 1.0, 96, 80, lens)
     page = Page(report.page(fit_of(camera, ("e_x", "k1"), [1e-3, 0.02]), SQUARE, MASK))
-    assert "k1-0.20.02" in page.text["parameters"]
+    assert "k1-0.2000.02" in page.text["parameters"]
     assert "0 px (median" not in page.text["outline"]
     assert "-0.2" in page.text["the-camera-for-other-programs"]
     assert "camera.yaml" in [a["download"] for a in page.all("a")]

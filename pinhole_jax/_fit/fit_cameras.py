@@ -104,7 +104,8 @@ def fit_cameras(
     views, seen, answers = asked(views, seen, own, common, max_steps)
     if prior:
         _believe(views, 1)
-        seen = [one.look(1) for one in views]
+        views, seen, n = descend(views, 1, own, max_steps, views[0].solver.dtype)
+        steps.append(n)
     return _reports(views, seen, answers, own, tuple(steps))
 
 

@@ -163,6 +163,10 @@ def report(
     moves = [f.move for f in known.free]
     blind, weak = weak_directions(triangle, names_of_moves, axes_of(unit), BLIND[dtype], moves)
     weak = (*map(str, known.free), *weak, *ended)
+    turn = _widest_turn(cov, labels)
+    wide_open = bool(np.isfinite(turn) and turn > UNCERTAIN)
+    if wide_open:
+        weak += (f"the mask tells a turn to {np.rad2deg(turn):.0f} degrees only (one sigma)",)
     nearly_free = bool(known.free or weak_moves(triangle, names_of_moves))
     astray = 1 - sums.touched / whole.touched if whole.touched else 0.0
     explained = known.kind.explains(view.touched_misfit, nearly_free)
@@ -174,10 +178,8 @@ def report(
     explained = astray <= ASTRAY and (explained or not known.kind.exact)
     free = any(not drawn or np.isinf(direction.ahead) for direction in known.free)
     status = _status(triangle, rest, whole, explained, blind or free)
-    turn = _widest_turn(cov, labels)
-    if turn > UNCERTAIN and np.isfinite(turn):
-        weak += (f"the mask tells a turn to {np.rad2deg(turn):.0f} degrees only (one sigma)",)
-        status = "uncertain" if status == "converged" else status
+    if status == "converged" and wide_open:
+        status = "uncertain"
     errors = known.errors
     return Fit(
         camera=fitted,

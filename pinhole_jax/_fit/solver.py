@@ -151,8 +151,9 @@ class Solver:
         if self._errors is None or self._errors[0] is not view:
             weight = np.asarray(view.pixels.weight)
             scale = float(np.median(weight[weight > 0])) if np.any(weight > 0) else 1.0
-            quantisation = float(np.clip(self.kind.variance / scale, LEAST_VARIANCE, ONE_BIT))
-            found = outline_errors(view, self._target, self._weights, quantisation)
+            noise = max(self.kind.variance, view.touched_misfit) / scale
+            noise = float(np.clip(noise, LEAST_VARIANCE, ONE_BIT))  # more is no noise of pixels
+            found = outline_errors(view, self._target, self._weights, noise)
             self._errors = view, found
         return self._errors[1]
 
