@@ -309,7 +309,7 @@ def about(camera, centre, axis, distance, focal):
 
 @pytest.mark.long
 def test_the_cow_of_pytorch3d(shared):
-    """Published camera: 0.1 degrees, 0.2 % of the distance and of the focal length."""
+    """Published camera: 0.1 degrees, 0.3 % of the distance and of the focal length, 2 sigma."""
     folder = shared / "renders" / "pytorch3d_cow"
     given = json.loads((folder / "camera.json").read_text())
     truth = formats.from_opencv(
@@ -325,8 +325,9 @@ def test_the_cow_of_pytorch3d(shared):
         assert fit.status == "converged"
         assert np.rad2deg(pj.pose_error(fit.camera, truth)[0]) < 0.1
         far, true = (np.linalg.norm(c.e - centre) for c in (fit.camera, truth))
-        assert abs(far / true - 1) < 0.0025
-        assert abs(np.tan(truth.phi / 2) / np.tan(fit.camera.phi / 2) - 1) < 0.002
+        assert abs(far / true - 1) < 0.003
+        assert abs(np.tan(truth.phi / 2) / np.tan(fit.camera.phi / 2) - 1) < 0.003
+        assert abs(float(fit.camera.phi - truth.phi)) < 2 * fit.std[fit.names.index("phi")]
 
 
 @pytest.mark.long

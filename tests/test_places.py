@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import first
+from masks import wavy
 from oracles import turned
 from scipy.ndimage import binary_erosion, gaussian_filter
 
@@ -196,3 +197,9 @@ def test_a_prior_says_from_where_a_round_body_is_seen_and_the_start_from_which_s
     assert fit.status == "converged", fit
     assert pj.pose_error(fit.camera, camera)[0] < 0.03
     assert pj.fit_camera(scene, mask, start).status == "rank_deficient"
+    # A drawn mask is searched from all sides: the start says all the same which one it is.
+    for seed in (0, 1):
+        drawn = wavy(mask_of(camera, scene), np.random.default_rng(seed), 0.7, 10.0)
+        fit = pj.fit_camera(scene, drawn, start, prior={"e_x": (0.0, 1e-3)})
+        assert fit.status in ("converged", "uncertain"), fit
+        assert pj.pose_error(fit.camera, camera)[0] < min(2 * np.max(fit.std[:3]), 0.1)

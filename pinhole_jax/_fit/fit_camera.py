@@ -31,7 +31,7 @@ from .strategy import (
     with_errors,
     without_outliers,
 )
-from .target import check_target, edge_distance, levelled, near_an_edge
+from .target import check_target, levelled
 
 
 def fit_camera(
@@ -172,7 +172,7 @@ def _fit(
     if reach is not None and found[0].view.touched_misfit > EXACT:
         described = without_outliers(solver, mask, [*found, *places.rivals], reach, start)
         described = most_agreeing(solver, mask, described, len(found), start)
-        trust = lambda: mask.weight * near_an_edge(edge_distance(mask.image), reach)
+        trust = lambda: mask.near_edge(reach)
     else:
         reach = None
     if turns_freely(names):

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._camera.camera import Camera, bend, film_map, focal_px, principal_point
 from .signatures import Signature, signatures
-from .target import shares
+from .target import edge_distance, near_an_edge, shares
 
 
 class Mask(NamedTuple):
@@ -22,6 +22,10 @@ class Mask(NamedTuple):
     def image(self) -> np.ndarray:
         """Return the target as floats."""
         return shares(self.target)
+
+    def near_edge(self, reach: float) -> np.ndarray:
+        """Return the weights (H, W) of pixels near the mask's edge; 0 farther than `reach` (px)."""
+        return self.weight * near_an_edge(edge_distance(self.image), reach)
 
     def longer(self, factor: float) -> "Mask":
         """Return the mask as seen with a focal length times a factor."""

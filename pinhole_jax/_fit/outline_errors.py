@@ -56,10 +56,10 @@ class OutlineErrors(NamedTuple):
     independent: float
     gradient: np.ndarray
 
-    @property
-    def drawn(self) -> bool:
-        """Return whether a person or a network made the mask, not a program."""
-        return self.computed < DRAWN
+
+def is_drawn(errors: OutlineErrors | None) -> bool:
+    """Return whether a person or a network made the mask, not a program."""
+    return errors is not None and errors.computed < DRAWN
 
 
 class _Hypotheses(NamedTuple):

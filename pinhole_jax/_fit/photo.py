@@ -15,10 +15,10 @@ import numpy as np
 from .kinds import Kind
 from .mask import Mask
 from .matte import Band, Matte, light, matte, tiles
-from .outline_errors import OutlineErrors
+from .outline_errors import OutlineErrors, is_drawn
 from .places import Free, interval
 from .residuals import Sums
-from .solver import Found, Solver
+from .solver import Found, Solver, onward
 from .stretches import coverage_of
 from .target import NOISE, Window, edge_distance
 
@@ -119,7 +119,7 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Ref
         coarsest = own.finest if number else max(own.finest - COARSER, 0)
         px = None if last else ROUGH_PX
         after = own.solve(refined.unit, range(coarsest, own.finest + 1), fine_px=px)
-        refined, now = _onward(refined, after), _Outline.of(own, after.view)
+        refined, now = onward(refined, after), _Outline.of(own, after.view)
 
     taken, note = _judged(mask, photo, before, now)
     over_all = solver.look(refined.unit, solver.finest).sums
@@ -127,7 +127,7 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Ref
     if not taken:
         return Refined(None, sums, COLOURS, None, [], note)
     errors = own.errors(refined.view)
-    free = interval(own, refined) if errors is not None and errors.drawn else []
+    free = interval(own, refined) if is_drawn(errors) else []
     return Refined(refined, sums, COLOURS, errors, free, note)
 
 
@@ -228,11 +228,6 @@ def _judged(mask: Mask, photo: np.ndarray, before: _Outline, now: _Outline) -> t
         f"the camera is the mask's, whose edge is {of_mask:.2f} px (rms) from its outline; the"
         f" photo's is {at_first:.2f} px off, and {own:.2f} px at best: that is no better founded"
     )
-
-
-def _onward(before: Found, after: Found) -> Found:
-    steps, way = before.steps + after.steps, before.way + after.way[1:]
-    return after._replace(steps=steps, way=way)
 
 
 def _untold(told: float) -> str:

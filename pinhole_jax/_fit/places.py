@@ -14,6 +14,7 @@ import numpy as np
 
 from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
+from .outline_errors import is_drawn
 from .parameters import components
 from .problem import View
 from .revolution import Revolution
@@ -216,7 +217,7 @@ def _best_turned(solver: Solver, best: Found, move: np.ndarray) -> tuple[Camera,
 def equal_views(solver: Solver, view: View, best: View, times: float = EQUAL_TIMES) -> bool:
     """Return whether the mask's own noise allows a view beside the best."""
     errors = solver.errors(best)
-    if errors is not None and errors.drawn:
+    if is_drawn(errors):
         times = min(times, DRAWN_TIMES)
     allowed = times * solver.variance(best)
     return bool(_surplus(solver, view) - _surplus(solver, best) <= allowed)

@@ -11,13 +11,13 @@ from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .kinds import Kind
 from .moves import Bounds, on_film
-from .outline_errors import OutlineErrors
+from .outline_errors import OutlineErrors, is_drawn
 from .parameters import LABELS, PARAMETERS, components, labels_of
 from .places import Free
 from .problem import COSINE, FINE_PX, UNIT_PX, View
 from .residuals import Sums
 from .solver import Found, Stop
-from .uncertainty import BLIND, covariance, weak_directions, weak_moves
+from .uncertainty import BLIND, covariance, in_words, weak_directions, weak_moves
 from .words import table
 
 #: Below this intersection over union a fit has found something else than the object.
@@ -155,18 +155,21 @@ def report(
         covariance(triangle, to_reported, gradient, BLIND[dtype])
         for gradient in _gradients(view, noise, known)
     )
-    tolerance, drawn = LAST_STEP * FINE_PX[dtype] / UNIT_PX, _drawn(known)
+    tolerance, drawn = LAST_STEP * FINE_PX[dtype] / UNIT_PX, is_drawn(known.errors)
     independent = independent + widened(to_reported, [] if drawn else known.free, tolerance)
     known_by = cov if drawn else np.zeros_like(cov)
     cov = cov + widened(to_reported, known.free, tolerance, known_by)
     names_of_moves = components(names)
     moves = [f.move for f in known.free]
     blind, weak = weak_directions(triangle, names_of_moves, axes_of(unit), BLIND[dtype], moves)
-    weak = (*map(str, known.free), *weak, *ended)
-    turn = _widest_turn(cov, labels)
-    wide_open = bool(np.isfinite(turn) and turn > UNCERTAIN)
+    # (How far a drawn mask's errors reach is in the covariance: no direction is free for that.)
+    free = [f for f in known.free if not drawn or np.isinf(f.ahead)]
+    weak = (*map(str, free), *weak, *ended)
+    turn, about = _widest_turn(cov, labels)
+    wide_open = bool(turn > UNCERTAIN)
     if wide_open:
-        weak += (f"the mask tells a turn to {np.rad2deg(turn):.0f} degrees only (one sigma)",)
+        axis, degrees = in_words(about @ axes_of(unit)), np.rad2deg(turn)
+        weak += (f"the turn about the axis {axis} is told to {degrees:.0f} degrees (one sigma)",)
     nearly_free = bool(known.free or weak_moves(triangle, names_of_moves))
     astray = 1 - sums.touched / whole.touched if whole.touched else 0.0
     explained = known.kind.explains(view.touched_misfit, nearly_free)
@@ -176,8 +179,7 @@ def report(
     if astray > (SOME if known.kind.exact and not explained else ASTRAY):
         weak += (f"{astray:.0%} of the outline is far from the mask's edge: {WRONG}",)
     explained = astray <= ASTRAY and (explained or not known.kind.exact)
-    free = any(not drawn or np.isinf(direction.ahead) for direction in known.free)
-    status = _status(triangle, rest, whole, explained, blind or free)
+    status = _status(triangle, rest, whole, explained, bool(blind or free))
     if status == "converged" and wide_open:
         status = "uncertain"
     errors = known.errors
@@ -209,12 +211,14 @@ def _gradients(view: View, variance: float, known: Known) -> tuple[np.ndarray, n
     return independent, share * independent + (1 - share) * beside + errors.gradient
 
 
-def _widest_turn(covariance: np.ndarray, labels: tuple[str, ...]) -> float:
-    """Return the largest standard error (rad) of a small turn; 0 where none is free."""
+def _widest_turn(covariance: np.ndarray, labels: tuple[str, ...]) -> tuple[float, np.ndarray]:
+    """Return the largest standard error (rad) of a small turn, 0 where none is free or none is
+    finite, and the axis (3,) of that turn in the camera's axes."""
     turns = np.flatnonzero([label.startswith("rotation") for label in labels])
     if not (turns.size and np.all(np.isfinite(part := covariance[np.ix_(turns, turns)]))):
-        return 0.0
-    return float(np.sqrt(max(np.linalg.eigvalsh(part)[-1], 0.0)))
+        return 0.0, np.zeros(3)
+    values, vectors = np.linalg.eigh(part)
+    return float(np.sqrt(max(values[-1], 0.0))), vectors[:, -1]
 
 
 def with_modes(fit: Fit, modes: Sequence[Fit]) -> Fit:
@@ -231,11 +235,6 @@ def without_free(triangle: np.ndarray, free: Sequence[Free]) -> np.ndarray:
             unit = direction.move / np.linalg.norm(direction.move)
             triangle = triangle - np.outer(triangle @ unit, unit)
     return triangle
-
-
-def _drawn(known: Known) -> bool:
-    """Return whether the mask is drawn: an interval that its errors leave is an error bar."""
-    return known.errors is not None and known.errors.drawn
 
 
 def widened(

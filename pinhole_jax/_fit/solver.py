@@ -14,7 +14,7 @@ from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, astype, ball_about, bounding_box, padded
 from .kinds import kind_of
 from .moves import Bounds, Move, moved
-from .outline_errors import OutlineErrors, outline_errors
+from .outline_errors import OutlineErrors, is_drawn, outline_errors
 from .priors import Others, Prior, no_others
 from .problem import COARSE_PX, FINE_PX, Problem, View, move as move_of
 from .residuals import Capacity
@@ -49,6 +49,12 @@ class Found(NamedTuple):
     steps: tuple[int, ...]
     way: tuple[Stop, ...] = ()
     ended: bool = False
+
+
+def onward(before: Found, after: Found) -> Found:
+    """Return what a further descent found, with the steps of both."""
+    steps, way = before.steps + after.steps, before.way + after.way[1:]
+    return after._replace(steps=steps, way=way)
 
 
 class Solver:
@@ -163,7 +169,7 @@ class Solver:
         variance, errors = max(self.kind.variance, view.touched_misfit), self.errors(view)
         if errors is None:
             return variance
-        if errors.drawn:  # what lies beside the outline is of these errors, too
+        if is_drawn(errors):  # what lies beside the outline is of these errors, too
             return view.squares / errors.independent
         return variance * max(float(view.sums.touched) / errors.independent, 1.0)
 

@@ -10,12 +10,14 @@ from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .mask import Mask
 from .moves import canonical
+from .outline_errors import is_drawn
 from .parameters import components, focal_is_free
 from .places import (
     DRAWN_TIMES,
     NEAR_START,
     Free,
     Places,
+    better,
     equal_views,
     interval,
     mirrored,
@@ -25,9 +27,8 @@ from .places import (
 )
 from .problem import View
 from .search import aimed, guesses
-from .solver import Found, Solver, Stop
+from .solver import Found, Solver, Stop, onward
 from .stretches import area_between
-from .target import edge_distance, near_an_edge
 from .uncertainty import free_turns
 
 #: A mask that leaves less than this mean square residual of an outline pixel has no outliers.
@@ -91,23 +92,25 @@ def looked_round(solver: Solver, mask: Mask, found: Found, start: Camera, told: 
         content = solver.explains(places.best.view)
     explained = solver.kind.exact and content
     astray = not explained and angle(places.best.unit, start) > ASTRAY
-    if astray or not content or _drawn(solver, places.best):
+    if astray or not content or is_drawn(solver.errors(places.best.view)):
         others = everywhere(solver, mask, told, rounds=1)
         more = [others.best, *others.others, *others.rivals]
+        more = [f for f in more if not _copied(solver, f, places.best, start)]
         places = with_others(solver, places, more, others.free)
-        if places.best is found:
-            places = settled(solver, found, start)._replace(
-                others=places.others, rivals=places.rivals
-            )
+        if angle(places.best.unit, start) < NEAR_START:
+            # The search knew no start, which rules out what is as good only far from it.
+            near = settled(solver, places.best, start)
+            places = near._replace(others=places.others, rivals=places.rivals)
     else:
         places = places._replace(rivals=())  # all of the mask is explained
     return _nearest_first(places, start)
 
 
-def _drawn(solver: Solver, found: Found) -> bool:
-    """Return whether a mask is drawn: what a pose can absorb of its errors leaves no misfit."""
-    errors = solver.errors(found.view)
-    return errors is not None and errors.drawn
+def _copied(solver: Solver, found: Found, near: Found, start: Camera) -> bool:
+    """Return whether a camera is as good as another one, but only far from the start."""
+    views = (found.view, near.view), (near.view, found.view)
+    equal = not any(better(solver, *pair) for pair in views)
+    return bool(equal and angle(near.unit, start) < NEAR_START <= angle(found.unit, start))
 
 
 def _nearest_first(places: Places, start: Camera) -> Places:
@@ -194,7 +197,7 @@ def _followed(solver: Solver, likely: Iterator[Camera], apart: float, told: Told
                 break
     found = _one_of_each(found, solver.names)[:FOLLOWED]
     for level in finer:
-        found = [_onward(f, solver.solve(f.unit, [level], told)) for f in found]
+        found = [onward(f, solver.solve(f.unit, [level], told)) for f in found]
         found = _one_of_each(found, solver.names)
         found = [f for f in found if f.view.misfit < 4 * found[0].view.misfit + EXACT]
     return found
@@ -221,16 +224,15 @@ def without_outliers(
     At first the surroundings are wide, so that what other stretches of the outline pulled away
     comes back.
     """
-    distance = edge_distance(mask.image)
     ends = [[f.unit] if start is None else [f.unit, start] for f in found]
     for reach in (8, 4, 2, 1):
-        solver.weigh(mask.weight * near_an_edge(distance, reach * outlier_px))
-        found = [_onward(f, solver.solve(f.unit, [solver.finest])) for f in found]
+        solver.weigh(mask.near_edge(reach * outlier_px))
+        found = [onward(f, solver.solve(f.unit, [solver.finest])) for f in found]
     result = []
     for f, others in zip(found, ends, strict=True):
         for unit in others:
             if not solver.look(unit, solver.finest).squares >= f.view.squares:
-                f = _onward(f, solver.solve(unit, [solver.finest]))
+                f = onward(f, solver.solve(unit, [solver.finest]))
         result.append(f)
     solver.weigh(mask.weight)
     return [(f, solver.look(f.unit, solver.finest)) for f in result]
@@ -278,19 +280,14 @@ def with_errors(
     free = places.free
     if separation(solver, found.unit, places.best.unit) > ELSEWHERE:
         free = settled(solver, found).free  # it was a rival
-    if not _drawn(solver, found):
+    if not is_drawn(solver.errors(found.view)):
         return free
     if reach is not None:
-        solver.weigh(mask.weight * near_an_edge(edge_distance(mask.image), reach))
+        solver.weigh(mask.near_edge(reach))
     left = interval(solver, found)
     if reach is not None:
         solver.weigh(mask.weight)
     return [*(f for f in free if np.isinf(f.ahead)), *left]
-
-
-def _onward(before: Found, after: Found) -> Found:
-    steps, way = before.steps + after.steps, before.way + after.way[1:]
-    return after._replace(steps=steps, way=way)
 
 
 def _finite(found: list[Found]) -> list[Found]:
