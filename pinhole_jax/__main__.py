@@ -23,6 +23,7 @@ FITTED = {
     "free": "--free",
     "phi": "--fov",
     "weight": "--weight",
+    "photo": "--image",
 }
 
 
@@ -60,6 +61,9 @@ def _fit(options: argparse.Namespace) -> int:
             mask = io.load_mask(
                 options.mask, options.mask_from, progress.tell, invert=options.invert
             )
+        if options.tidy:
+            mask, notes = io.tidy_mask(mask)
+            progress.tell(f"mask: {'; '.join(notes) or 'no crumbs, no pinholes'}")
         camera, phi, lens = known(options, free, (mask.shape[1], mask.shape[0]), progress.tell)
         weight, picture = _beside(options, mask)
         with named(**MESH):
@@ -69,7 +73,8 @@ def _fit(options: argparse.Namespace) -> int:
                 )
             )
         progress.say("fitting (compiling on the first run)")
-        fit_arguments = {"phi": phi, "lens": lens, "weight": weight}
+        photo = _three_channels(picture) if options.refine else None
+        fit_arguments = {"phi": phi, "lens": lens, "weight": weight, "photo": photo}
         told = lambda level: progress.say(str(level))
         record = options.report is not None
         with named(**FITTED):
@@ -107,6 +112,8 @@ def _beside(options: argparse.Namespace, mask: Any) -> tuple[Any, Any]:
     from . import io
 
     weight, picture = None, mask
+    if options.refine and options.image is None:
+        raise ValueError("`--refine`: expected a photo, --image PHOTO")
     if options.weight is not None:
         with named(path="--weight"):
             weight = io.load_mask(options.weight, "luminance") / 255.0
@@ -117,6 +124,11 @@ def _beside(options: argparse.Namespace, mask: Any) -> tuple[Any, Any]:
         (h, w), (H, W) = picture.shape[:2], mask.shape
         raise ValueError(f"`--image`: expected the mask's size {W} x {H}, got {w} x {h}")
     return weight, picture
+
+
+def _three_channels(picture: Any) -> Any:
+    """Return a picture (H, W) or (H, W, 3 or 4) as (H, W, 3)."""
+    return picture[..., None].repeat(3, axis=-1) if picture.ndim == 2 else picture[..., :3]
 
 
 def _render(options: argparse.Namespace) -> int:

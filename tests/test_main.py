@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from oracles import turned
 from PIL import ExifTags, Image
+from scipy.ndimage import binary_dilation
 from test_plot import fit_of
 
 import pinhole_jax as pj
@@ -102,6 +103,17 @@ def test_render_then_fit(folder):
     assert io.load_image(out / "overlay.png").shape[1] >= 800
     assert any(cache.rglob("*"))  # compiled programs are kept
 
+    # A mask that is too large, and what it was drawn from.
+    large = binary_dilation(io.load_image(folder / "mask.png") > 127, iterations=2)
+    io.save_image(folder / "large.png", 1.0 * large)
+    files = folder / "bumpy.ply", folder / "large.png", "--camera", folder / "start.json"
+    photo = "--image", folder / "mask.png", "--refine"
+    refined = run("fit", *files, *photo, "-o", out, cache=cache)
+    assert refined.returncode == 0, refined.stderr
+    assert "the camera is the photo's" in refined.stdout
+    angle, _ = pj.pose_error(io.load_camera(out / "camera.json"), CAMERA)
+    assert np.rad2deg(angle) < 0.2
+
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
@@ -127,6 +139,10 @@ def test_render_then_fit(folder):
         (
             ("fit", "bumpy.ply", "black.png", "--fov", "34", "--image", "small.png"),
             "`--image`: expected the mask's size 96 x 80, got 9 x 9",
+        ),
+        (
+            ("fit", "bumpy.ply", "black.png", "--fov", "34", "--refine"),
+            "`--refine`: expected a photo, --image PHOTO",
         ),
         (
             ("fit", "bumpy.ply", "black.png", "--fov", "34", "--mask-from", "label=9"),

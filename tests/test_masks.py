@@ -67,3 +67,60 @@ def test_a_mask_that_covers_all_or_nothing_is_left_to_the_fit(tmp_path):
     for value in (0, 255):
         Image.new("L", (9, 1), value).save(tmp_path / "mask.png")
         assert np.all(io.load_mask(tmp_path / "mask.png") == value)
+
+
+# --- crumbs and pinholes --------------------------------------------------------------------------
+
+
+def soft_square():
+    """A soft square with a hole of 25 px, an island of 9 px with soft edges, and a pinhole."""
+    mask = np.zeros((120, 160))
+    mask[30:90, 40:100] = 1
+    mask[29, 40:100] = 0.25
+    mask[50:55, 60:65] = 0
+    mask[70, 80] = 0.3
+    mask[9:14, 129:134] = 0.4
+    mask[10:13, 130:133] = 1
+    return mask
+
+
+@pytest.mark.parametrize(
+    "to", [np.float32, lambda m: np.uint8(np.round(255 * m)), lambda m: m > 0.49]
+)
+def test_crumbs_and_pinholes_are_taken_away_and_said(to):
+    mask = to(soft_square())
+    result, notes = io.tidy_mask(mask)
+    assert result.dtype == mask.dtype
+    expected = soft_square()
+    expected[5:20, 120:140] = 0
+    expected[70, 80] = 1
+    np.testing.assert_array_equal(result, to(expected))
+    assert notes == ("1 island of at most 9 px dropped", "1 hole of at most 1 px filled")
+    assert io.tidy_mask(result) == (pytest.approx(result), ())
+
+
+def test_what_a_mask_is_is_said_and_left():
+    mask = np.zeros((60, 80), bool)
+    mask[:30, 10:30] = mask[40:60, 50:60] = True
+    result, notes = io.tidy_mask(mask)
+    np.testing.assert_array_equal(result, mask)
+    parts = "2 parts (75%, 25% of what is covered): all of one object?"
+    assert notes == (parts, "the film cuts the mask off: top, bottom")
+    assert io.tidy_mask(mask | True).notes == ("the mask covers all",)
+    assert io.tidy_mask(mask & False).notes == ("the mask covers nothing",)
+    assert io.tidy_mask(soft_square(), speck=0.0).notes == (
+        "2 parts (100%, 0% of what is covered): all of one object?",
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mask": np.zeros(3)}, r"`mask`: expected shape \(H, W\)"),
+        ({"mask": np.full((3, 3), np.nan)}, "`mask`: expected finite values"),
+        ({"speck": 1.0}, "`speck`: expected a share of the object, 0 <= speck < 1, got 1.0"),
+    ],
+)
+def test_what_is_no_mask_is_not_tidied(change, message):
+    with pytest.raises(ValueError, match=message):
+        io.tidy_mask(**{"mask": np.zeros((3, 3)), **change})

@@ -148,8 +148,12 @@ def _add_fit(commands: Any) -> None:
         "--mask-from", metavar="HOW", help="how to read MASK, see below (default: at first sight)"
     )
     fit.add_argument("--invert", action="store_true", help="what MASK covers is the background")
+    fit.add_argument("--tidy", action="store_true", help="drop MASK's crumbs, fill its pinholes")
     fit.add_argument("--weight", metavar="IMAGE", help="grey image: how much each pixel counts")
     fit.add_argument("--image", metavar="PHOTO", help="what to draw the outline on (default: MASK)")
+    fit.add_argument(
+        "--refine", action="store_true", help="fit to the colours of --image, too, where they tell"
+    )
     fit.add_argument(
         "--report", metavar="PAGE.html", help="write a page with pictures, errors, all formats"
     )

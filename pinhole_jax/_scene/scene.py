@@ -81,7 +81,7 @@ class Mesh(eqx.Module):
     edge_faces: Int[Array, "E 2"]
     planes: Planes
     order: Int[Array, "F"]
-    closed: bool = eqx.field(static=True)
+    closed: bool | None = eqx.field(static=True)
 
     def __init__(self, vertices: Any, faces: Any = MISSING):
         if faces is MISSING and hasattr(vertices, "vertices") and hasattr(vertices, "faces"):
@@ -175,7 +175,8 @@ def padded(scene: Scene) -> Scene:
     """Return the scene with its mesh's arrays filled up to one of a few sizes.
 
     What is added is on no contour, so the silhouette is the same, and meshes of similar size share
-    compiled programs. Not for tracing: the faces' order is left out.
+    compiled programs, open ones and closed ones (see `is_closed`). Not for tracing: the faces'
+    order is left out.
     """
     if scene.mesh is None or not scene.mesh.edge_faces.shape[0]:
         return scene
@@ -192,7 +193,14 @@ def padded(scene: Scene) -> Scene:
         mesh,
         (*parts, order, planes),
     )
+    if len(parts[0]) in FILLED_UP:
+        object.__setattr__(mesh, "closed", None)  # (`tree_at` changes no static field)
     return Scene(mesh=mesh, spheres=scene.spheres)
+
+
+def is_closed(mesh: Mesh) -> Any:
+    """Return whether a mesh is closed: a bool, traced where it has been filled up."""
+    return jnp.all(mesh.edge_faces >= 0) if mesh.closed is None else mesh.closed
 
 
 @jax.jit

@@ -10,7 +10,7 @@ A scene may surround the eye: then its curves leave towards infinity, and `surro
 many layers lie there.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +25,7 @@ from .._scene.scene import (
     Mesh,
     faces_eye,
     front_facing,
+    is_closed,
     planes_are_current,
     undecided,
 )
@@ -42,11 +43,13 @@ class MeshContour(NamedTuple):
 
     Under distortion edges are cut into parts (`cuts`), whose ids come before those of what lies
     left of the film. `positive` has a bit for each edge, set where it bounds more cover on its left
-    than on its right; `second` is None for a closed mesh, else the edges' second faces.
+    than on its right; `second` is None for a closed mesh, else the edges' second faces, of which
+    none is -1 where the mesh is `closed` all the same.
     """
 
     edge_vertices: Int[Array, "E 2"]
     second: Int[Array, "E"] | None
+    closed: Any
     positive: UInt32[Array, "words"]
     chosen: Selection
     segments: Int[Array, ""]
@@ -57,7 +60,7 @@ class MeshContour(NamedTuple):
         sign = jnp.where(bit(self.positive, edge), 1, -1)
         if self.second is None:
             return sign
-        return jnp.where(self.second[edge] < 0, sign, 2 * sign)
+        return jnp.where(self.closed | (self.second[edge] < 0), sign, 2 * sign)
 
 
 def mesh_contour(film: FilmMap, mesh: Mesh) -> MeshContour:
@@ -83,7 +86,7 @@ def _contour(mesh: Mesh, words: Array, positive: Array) -> MeshContour:
     """Return the edges of `contour_bits`, each seen as one segment."""
     chosen = selection(words)
     second = None if mesh.closed else mesh.edge_faces[:, 1]
-    return MeshContour(mesh.edge_vertices, second, positive, chosen, chosen.total)
+    return MeshContour(mesh.edge_vertices, second, is_closed(mesh), positive, chosen, chosen.total)
 
 
 def contour_bits(
@@ -95,12 +98,12 @@ def contour_bits(
     whichever side it is seen. Whole clusters of edges whose faces all show the same side are passed
     over.
     """
-    clusters = mesh.planes.clusters
+    clusters, closed = mesh.planes.clusters, is_closed(mesh)
 
     def plain():
         front = front_facing(mesh, e)
         first, second = mesh.edge_faces[:, 0], mesh.edge_faces[:, 1]
-        weight = _weight(mesh, front[first], front[jnp.maximum(second, 0)], second)
+        weight = _weight(closed, front[first], front[jnp.maximum(second, 0)], second)
         return words_of(weight != 0), words_of(weight > 0)
 
     if clusters is None:
@@ -126,7 +129,7 @@ def _culled(
 
     (As a branch of a condition this loop would have its arguments copied.)
     """
-    E = mesh.edge_faces.shape[0]
+    E, closed = mesh.edge_faces.shape[0], is_closed(mesh)
     look = select(undecided(clusters, e) & current)
 
     def body(state):
@@ -141,7 +144,7 @@ def _culled(
         plane = jax.lax.optimization_barrier(clusters.planes[both])
         normal, corner = ([plane[..., k + i] for i in range(3)] for k in (0, 3))
         front = faces_eye(normal, corner, e)
-        weight = jnp.where(edge < E, _weight(mesh, front[0], front[1], second), 0)
+        weight = jnp.where(edge < E, _weight(closed, front[0], front[1], second), 0)
         words = words.at[cluster].set(words_of(weight != 0), mode="drop")
         return rank + CLUSTERS, words, positive.at[cluster].set(words_of(weight > 0), mode="drop")
 
@@ -149,12 +152,14 @@ def _culled(
     return jax.lax.while_loop(lambda s: s[0] < look.total, body, start)[1:]
 
 
-def _weight(mesh: Mesh, first, second, second_face) -> Int[Array, "*E"]:
+def _weight(closed: Any, first, second, second_face) -> Int[Array, "*E"]:
     """Return the edges' weights from whether their two faces show their front."""
     first, second = first.astype(jnp.int8), second.astype(jnp.int8)
-    if mesh.closed:
-        return first - second
-    return 2 * first - 1 - jnp.where(second_face < 0, 0, 2 * second - 1)
+    fronts = first - second
+    if closed is True:
+        return fronts
+    both = 2 * first - 1 - jnp.where(second_face < 0, 0, 2 * second - 1)
+    return jnp.where(closed, fronts, both)
 
 
 def edge_lifts(

@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.film import FilmMap, film_points
 from .._numerics.safe import binary_inverse, dot, norm, normalize, safe_sqrt
-from .._scene.scene import Mesh, Scene, front_facing, vertex_box
+from .._scene.scene import Mesh, Scene, front_facing, is_closed, vertex_box
 
 #: Layers that cover everything, whatever else there is.
 EVERYWHERE = 1 << 20
@@ -76,10 +76,9 @@ def _layers_on_the_left(mesh: Mesh, film: FilmMap) -> Int[Array, ""]:
     met = ((signs == 3) & (toward < 0)) | ((signs == -3) & (toward > 0))
     orientation = jnp.where(met, -jnp.sign(signs), 0)
     front = front_facing(mesh, film.eye)
-    if not mesh.closed:
-        return jnp.sum(jnp.where(front, orientation, -orientation))
     inside = jnp.sum(orientation) != 0
-    return jnp.sum(jnp.where(front, orientation, 0)) + jnp.where(inside, EVERYWHERE, 0)
+    fronts = jnp.sum(jnp.where(front, orientation, 0)) + jnp.where(inside, EVERYWHERE, 0)
+    return jnp.where(is_closed(mesh), fronts, jnp.sum(jnp.where(front, orientation, -orientation)))
 
 
 def _side(points: Float[Array, "V 3"], first: Int[Array, "F"], second: Int[Array, "F"]):

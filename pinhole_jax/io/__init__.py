@@ -22,3 +22,4 @@ from .images import (
 )
 from .masks import load_mask as load_mask
 from .meshes import load_mesh as load_mesh
+from .tidy import Tidied as Tidied, tidy_mask as tidy_mask
