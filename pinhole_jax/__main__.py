@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ._command.arguments import parse
+from ._command.interrupt import STATUS, ending_at_once, written
 from ._command.naming import named, renamed
 from ._command.progress import Clock, Progress
 
@@ -31,18 +32,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return 0, 1 for a fit that is not to be trusted, 2 on bad input, 130 if
     interrupted."""
     options = parse(arguments)
+    interrupted = f"pinhole-jax {options.command}: interrupted"
     for stream in (sys.stdout, sys.stderr):  # names of files need be no text that can be printed
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
         run = {"fit": _fit, "render": _render, "convert": _convert}[options.command]
-        return run(options)
+        with ending_at_once(interrupted):
+            return run(options)
     except (ValueError, OSError) as error:
         print(f"pinhole-jax {options.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:  # what was being written is whole or not there
-        print(f"pinhole-jax {options.command}: interrupted", file=sys.stderr)
-        return 130
+        print(interrupted, file=sys.stderr)
+        return STATUS
 
 
 def _fit(options: argparse.Namespace) -> int:
@@ -86,15 +89,15 @@ def _fit(options: argparse.Namespace) -> int:
         drawing = overlay(picture, fit.camera, scene)
         notes = disagreement(fit.camera, scene, mask) if finite else ()
     folder = Path(options.output)
-    with named(path="--output"):
+    with written(), named(path="--output"):
         io.save_fit(folder / "camera.json", fit)
         io.save_image(folder / "overlay.png", drawing)
-    written = [folder / "camera.json", folder / "overlay.png"]
+    files = [folder / "camera.json", folder / "overlay.png"]
     if options.report is not None and finite:
         title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
-        with Progress("drawing the page"), named(path="--report"):
+        with Progress("drawing the page"), written(), named(path="--report"):
             report.write(options.report, fit, scene, mask, picture, title)
-        written.append(options.report)
+        files.append(options.report)
     print(fit)
     for note in notes:
         print(f"note       {note}")
@@ -103,7 +106,7 @@ def _fit(options: argparse.Namespace) -> int:
     print(
         f"time       {clock.compiling:.1f} s compile, {clock.elapsed() - clock.compiling:.1f} s run"
     )
-    print(f"written    {', '.join(map(str, written))}")
+    print(f"written    {', '.join(map(str, files))}")
     return 0 if fit.status == "converged" else 1
 
 
@@ -152,7 +155,7 @@ def _render(options: argparse.Namespace) -> int:
         import numpy as np
 
         image = np.asarray(silhouette(camera, scene))
-    with named(path="--output"):
+    with written(), named(path="--output"):
         io.save_image(options.output, image)
     _say_written(options.output, f"{camera.W} x {camera.H}, {image.mean():.1%} covered")
     return 0
@@ -165,7 +168,7 @@ def _convert(options: argparse.Namespace) -> int:
     size = None if options.size is None else (options.size[0], options.size[1])
     with named(path="IN", format="--from", size="--size"):
         cameras = formats.read(options.input, options.source, size=size)
-    with named(path="OUT", format="--to", cameras="IN"):
+    with written(), named(path="OUT", format="--to", cameras="IN"):
         formats.write(options.output, cameras, options.target)
     target = options.target or formats.guess_write(options.output)
     sizes = ", ".join(dict.fromkeys(f"{camera.W} x {camera.H}" for camera in cameras.values()))

@@ -389,6 +389,37 @@ def test_an_interrupt_is_one_line_and_status_130(monkeypatch, capsys):
     assert capsys.readouterr().err == "pinhole-jax render: interrupted\n"
 
 
+@pytest.mark.parametrize("within", ["nullcontext()", "written()"])
+def test_an_interrupt_that_is_lost_ends_the_command_all_the_same(folder, within):
+    """As JAX's callbacks and exits lose it; what is being written is removed first."""
+    script = f"""
+import signal, sys
+from contextlib import nullcontext
+from pathlib import Path
+from pinhole_jax import __main__ as command
+from pinhole_jax._command.interrupt import written
+
+def lost(_):
+    half = Path("half.txt")
+    try:
+        with {within}:
+            half.touch()
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        half.unlink()
+    return 0
+
+command._render = lost
+sys.exit(command.main(["render", "a.obj", "c.json"]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=folder, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (130, "pinhole-jax render: interrupted\n")
+    assert (folder / "half.txt").exists() == (within == "nullcontext()")
+    (folder / "half.txt").unlink(missing_ok=True)
+
+
 def known_of(*words, size=(96, 80), free=("pose",)):
     return known(parse(["fit", "a.ply", "b.png", *map(str, words)]), free, size, print)
 

@@ -1,0 +1,51 @@
+"""Ctrl-C ends the command at once, wherever it is, but never halfway through a file.
+
+An exception will not do: Python drops it where JAX's C++ calls back, imports turn it into others,
+and at an exit that waits for nobody compiling threads crash.
+"""
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+#: The exit status of what a signal ended: 128 and SIGINT.
+STATUS = 130
+
+_writing = False
+
+
+@contextmanager
+def ending_at_once(words: str) -> Iterator[None]:
+    """Let Ctrl-C print some words and end the process, but for what is `written`."""
+
+    def end(number: int, frame: Any) -> None:
+        del number, frame
+        if _writing:
+            raise KeyboardInterrupt
+        clear = "\r\x1b[K" if sys.stderr.isatty() else ""
+        os.write(2, f"{clear}{words}\n".encode(errors="backslashreplace"))
+        os._exit(STATUS)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are the main thread's
+        return
+    before = signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def written() -> Iterator[None]:
+    """Let Ctrl-C be an exception, so that what is half written is removed."""
+    global _writing
+    _writing = True
+    try:
+        yield
+    finally:
+        _writing = False
