@@ -5,7 +5,6 @@ Nearly all of a test's time is compilation, and XLA's older emitters take two th
 they make runs slower); with XLA_FLAGS set, even to nothing, the compiler is as users have it.
 """
 
-import ctypes
 import gc
 import os
 import subprocess
@@ -81,9 +80,9 @@ def programs_are_let_go():
     """
     yield
     jax.clear_caches()
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
+    from pinhole_jax._numerics.tracing import give_back  # not before jaxtyping watches imports
+
+    give_back()
 
 
 @pytest.fixture(autouse=True)

@@ -112,7 +112,7 @@ def test_render_then_fit(folder):
     assert refined.returncode == 0, refined.stderr
     assert "the camera is the photo's" in refined.stdout
     angle, _ = pj.pose_error(io.load_camera(out / "camera.json"), CAMERA)
-    assert np.rad2deg(angle) < 0.2
+    assert np.rad2deg(angle) < 0.5
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ def degrees(fit, truth=CAMERA):
 @pytest.mark.parametrize("clipped", [False, True])
 def test_a_noisy_mask_that_is_explained_is_not_searched(monkeypatch, clipped):
     """Noise is no misfit, wherever in the image it is: one descent finds the camera."""
-    monkeypatch.setattr(strategy, "everywhere", pytest.fail)
+    monkeypatch.setattr(strategy, "searched", pytest.fail)
     scene = pj.Scene(mesh=shapes.bumpy(3))
     image = mask_of(CAMERA, scene)
     for seed in range(3):

@@ -7,6 +7,7 @@ intrinsics alone make as good.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -127,7 +128,7 @@ def _answer(one: OneView, view: View, rows: np.ndarray, left: np.ndarray) -> Ans
     if one.start is None:
         places = looked_alike(solver, found, finished(solver, one.modes))
     else:
-        mask = one.mask._replace(camera=on_film(one.unit, one.mask.camera))
+        mask = replace(one.mask, camera=on_film(one.unit, one.mask.camera))
         places = looked_round(solver, mask, found, one.start, _untold)
     places = _kept(solver, places, found, one.start)
     solver.hear(None)

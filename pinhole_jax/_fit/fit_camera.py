@@ -170,7 +170,7 @@ def _fit(
     described = [(f, f.view) for f in found]
     reach, free = settings.outlier_px, places.free
     if reach is not None and found[0].view.touched_misfit > EXACT:
-        described = without_outliers(solver, mask, [*found, *places.rivals], reach, start)
+        described = without_outliers(solver, mask, places, reach, start)
         described = most_agreeing(solver, mask, described, len(found), start)
         trust = lambda: mask.near_edge(reach)
     else:

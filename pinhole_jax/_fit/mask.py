@@ -1,6 +1,7 @@
 """A mask, its weights, and the film that it lies on."""
 
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,7 +12,8 @@ from .signatures import Signature, signatures
 from .target import edge_distance, near_an_edge, shares
 
 
-class Mask(NamedTuple):
+@dataclass(frozen=True)
+class Mask:
     """A target (H, W), its weights, and a camera of which film, phi and lens are used."""
 
     target: np.ndarray
@@ -25,12 +27,16 @@ class Mask(NamedTuple):
 
     def near_edge(self, reach: float) -> np.ndarray:
         """Return the weights (H, W) of pixels near the mask's edge; 0 farther than `reach` (px)."""
-        return self.weight * near_an_edge(edge_distance(self.image), reach)
+        return self.weight * near_an_edge(self._edge_distance, reach)
+
+    @cached_property
+    def _edge_distance(self) -> np.ndarray:
+        return edge_distance(self.image)
 
     def longer(self, factor: float) -> "Mask":
         """Return the mask as seen with a focal length times a factor."""
         phi = 2 * jnp.arctan(jnp.tan(self.camera.phi / 2) / factor)
-        return self._replace(camera=eqx.tree_at(lambda c: c.phi, self.camera, phi))
+        return replace(self, camera=eqx.tree_at(lambda c: c.phi, self.camera, phi))
 
     def signature(self) -> Signature:
         """Return the mask's signature."""

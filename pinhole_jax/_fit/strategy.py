@@ -10,7 +10,7 @@ from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .mask import Mask
 from .moves import canonical
-from .outline_errors import is_drawn
+from .outline_errors import OutlineErrors, is_drawn
 from .parameters import components, focal_is_free
 from .places import (
     DRAWN_TIMES,
@@ -25,7 +25,7 @@ from .places import (
     settled,
     turned_by,
 )
-from .problem import View
+from .problem import COARSE_PX, View
 from .search import aimed, guesses
 from .solver import Found, Solver, Stop, onward
 from .stretches import area_between
@@ -38,6 +38,8 @@ POOR = 0.7
 #: Cameras that leave up to so many times the least squares may be right if a part of the mask is
 #: not to be believed; so many are looked at.
 RIVAL, RIVALS = 6.0, 6
+#: ... and near the mask's edge twice as many as its errors leave undecided.
+HOPELESS = 2.0
 #: An outline that is farther from the mask's than this (px), or this many times the size of the
 #: mask's errors, is no farther for it: something else is wrong there.
 CAP_PX, CAP_SIZES = 2.0, 2.5
@@ -93,14 +95,15 @@ def looked_round(solver: Solver, mask: Mask, found: Found, start: Camera, told: 
     explained = solver.kind.exact and content
     astray = not explained and angle(places.best.unit, start) > ASTRAY
     if astray or not content or is_drawn(solver.errors(places.best.view)):
-        others = everywhere(solver, mask, told, rounds=1)
-        more = [others.best, *others.others, *others.rivals]
-        more = [f for f in more if not _copied(solver, f, places.best, start)]
-        places = with_others(solver, places, more, others.free)
-        if angle(places.best.unit, start) < NEAR_START:
-            # The search knew no start, which rules out what is as good only far from it.
-            near = settled(solver, places.best, start)
-            places = near._replace(others=places.others, rivals=places.rivals)
+        seen = searched(solver, mask, told, rounds=1)
+        best = seen[0] if better(solver, seen[0].view, places.best.view) else places.best
+        seen += finished(solver, mirrored(solver, best))
+        more = [f for f in seen if not _copied(solver, f, places.best, start)]
+        places = with_others(solver, places, more, free=[])
+        near = angle(places.best.unit, start) < NEAR_START
+        # (The search knew no start, which rules out what is as good only far from it.)
+        walked = settled(solver, places.best, start if near else None)
+        places = with_others(solver, walked, [*places.others, *places.rivals], walked.free)
     else:
         places = places._replace(rivals=())  # all of the mask is explained
     return _nearest_first(places, start)
@@ -148,8 +151,14 @@ def _within(places: Places, solver: Solver, found: Found) -> bool:
     return bool(separation(solver, places.best.unit, found.unit) < SAME)
 
 
-def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> Places:
-    """Return the cameras that a search over all views finds.
+def everywhere(solver: Solver, mask: Mask, told: Told) -> Places:
+    """Return the best camera that a search over all views finds, and what is as good."""
+    found = searched(solver, mask, told, rounds=3)
+    return looked_alike(solver, found[0], found[1:])
+
+
+def searched(solver: Solver, mask: Mask, told: Told, rounds: int) -> list[Found]:
+    """Return the cameras that a search over all views leads to, the best first.
 
     Further rounds try guesses that lie closer together, and other focal lengths where that is free,
     until the mask is explained as its kind allows.
@@ -166,7 +175,7 @@ def everywhere(solver: Solver, mask: Mask, told: Told, rounds: int = 3) -> Place
         found = _one_of_each([*found, *_followed(solver, likely, apart, told)], solver.names)
         if solver.explains(found[0].view):
             break
-    return looked_alike(solver, found[0], found[1:])
+    return found
 
 
 def looked_alike(solver: Solver, found: Found, others: list[Found]) -> Places:
@@ -178,10 +187,18 @@ def looked_alike(solver: Solver, found: Found, others: list[Found]) -> Places:
 
 
 def finished(solver: Solver, views: Iterable[Camera]) -> list[Found]:
-    """Return where views that are nearly right lead to on the last levels. (Coarse ones do not tell
-    a tilt from its mirror image.)"""
-    levels = range(max(solver.finest - 1, 0), len(solver.levels))
-    return [solver.solve(view, levels) for view in views]
+    """Return where views that are nearly right lead to on the last levels, but for those that the
+    first of these shows to be far worse than the best. (Coarser ones do not tell a tilt from its
+    mirror image.)"""
+    coarse, *fine = range(max(solver.finest - 1, 0), len(solver.levels))
+    found = _likely([solver.solve(view, [coarse]) for view in views])
+    return [onward(f, solver.solve(f.unit, fine)) for f in found] if fine else found
+
+
+def _likely(found: list[Found]) -> list[Found]:
+    """Return the cameras that are worth following to finer levels."""
+    least = min((f.view.misfit for f in found), default=0.0)
+    return [f for f in found if f.view.misfit < 4 * least + EXACT]
 
 
 def _followed(solver: Solver, likely: Iterator[Camera], apart: float, told: Told) -> list[Found]:
@@ -198,8 +215,7 @@ def _followed(solver: Solver, likely: Iterator[Camera], apart: float, told: Told
     found = _one_of_each(found, solver.names)[:FOLLOWED]
     for level in finer:
         found = [onward(f, solver.solve(f.unit, [level], told)) for f in found]
-        found = _one_of_each(found, solver.names)
-        found = [f for f in found if f.view.misfit < 4 * found[0].view.misfit + EXACT]
+        found = _likely(_one_of_each(found, solver.names))
     return found
 
 
@@ -217,25 +233,39 @@ def equally_good(solver: Solver, found: list[Found]) -> list[Found]:
 
 
 def without_outliers(
-    solver: Solver, mask: Mask, found: list[Found], outlier_px: float, start: Camera | None
+    solver: Solver, mask: Mask, places: Places, outlier_px: float, start: Camera | None
 ) -> list[tuple[Found, View]]:
     """Return the cameras fitted to pixels near the mask's edge only, and views of all pixels.
 
     At first the surroundings are wide, so that what other stretches of the outline pulled away
-    comes back.
+    comes back. Rivals that are far worse there are left out.
     """
-    ends = [[f.unit] if start is None else [f.unit, start] for f in found]
+    alike = [(f, f.unit) for f in (places.best, *places.others)]
+    rivals = [(f, f.unit) for f in places.rivals]
     for reach in (8, 4, 2, 1):
         solver.weigh(mask.near_edge(reach * outlier_px))
-        found = [onward(f, solver.solve(f.unit, [solver.finest])) for f in found]
+        px = COARSE_PX if reach > 1 else None  # what comes next moves it by more
+        finer = lambda f, px=px: onward(f, solver.solve(f.unit, [solver.finest], fine_px=px))
+        alike, rivals = ([(finer(f), unit) for f, unit in x] for x in (alike, rivals))
+        if rivals:
+            view = alike[0][0].view
+            most = HOPELESS * _times(solver.errors(view)) * view.squares
+            rivals = [(f, unit) for f, unit in rivals if f.view.squares <= most]
     result = []
-    for f, others in zip(found, ends, strict=True):
-        for unit in others:
+    for f, before in (*alike, *rivals):
+        for unit in [before] if start is None else [before, start]:
             if not solver.look(unit, solver.finest).squares >= f.view.squares:
                 f = onward(f, solver.solve(unit, [solver.finest]))
         result.append(f)
     solver.weigh(mask.weight)
     return [(f, solver.look(f.unit, solver.finest)) for f in result]
+
+
+def _times(errors: OutlineErrors | None) -> float:
+    """Return how many times as large as the best one's the errors of a camera may be that the mask
+    does not tell from it."""
+    # Errors grow like a size: its logarithm, for each independent one, is the odds'.
+    return float(np.exp(DRAWN_TIMES / 2 / max(errors.independent, 1))) if errors else 1.0
 
 
 def most_agreeing(
@@ -258,10 +288,7 @@ def most_agreeing(
     cap = max(CAP_PX, CAP_SIZES * min(e.size for e in errors))
     costs = [area_between(view, mask.target, mask.weight, cap) for _, view in described]
     least = int(np.argmin(costs))
-    likely = solver.errors(described[least][0].view)
-    # A cost grows like an error's size: its logarithm, for each error, is the odds'.
-    times = np.exp(DRAWN_TIMES / 2 / max(likely.independent, 1)) if likely else 1.0
-    limit = times * costs[least]
+    limit = _times(solver.errors(described[least][0].view)) * costs[least]
     kept = [
         d
         for k, (d, cost) in enumerate(zip(described, costs, strict=True))
