@@ -110,6 +110,7 @@ def test_squares_sums_and_jacobian_are_those_of_the_image(look_at, spheres, W, p
     np.testing.assert_allclose(J.T @ r, dense.T @ difference.ravel(), rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.long
 def test_coarse_levels_are_means_of_blocks():
     camera, scene, _, _ = setting(W=33, H=50)
     target = np.asarray(pj.silhouette(camera, scene))
@@ -122,6 +123,7 @@ def test_coarse_levels_are_means_of_blocks():
         assert float(sums.overlap) > 0
 
 
+@pytest.mark.long
 def test_exact_runs_cost_exactly_nothing_in_float32():
     camera, scene, _, _ = setting()
     target = (np.asarray(pj.silhouette(camera, scene)) > 0.5).astype(float)

@@ -132,6 +132,7 @@ def slopes(camera: pj.Camera, scene: pj.Scene, weight: jax.Array):
     return eqx.filter_grad(loss)((camera, scene))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", first(1, SLOPED, of=4))
 @settings(few, max_examples=2)
 @given(seed=SEEDS)
