@@ -53,6 +53,7 @@ def _fit(options: argparse.Namespace) -> int:
         _set_up_jax(options)
         from . import formats, io, report
         from ._command.known import known
+        from ._files.paths import replace_file
         from ._fit.fit_camera import fit_camera
         from ._scene.scene import Scene
         from ._show.disagreement import disagreement
@@ -95,8 +96,10 @@ def _fit(options: argparse.Namespace) -> int:
     files = [folder / "camera.json", folder / "overlay.png"]
     if options.report is not None and finite:
         title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
-        with Progress("drawing the page"), written(), named(path="--report"):
-            report.write(options.report, fit, scene, mask, picture, title)
+        with Progress("drawing the page"), named(path="--report"):
+            page = report.page(fit, scene, mask, picture, title).encode(errors="backslashreplace")
+            with written():
+                replace_file(options.report, page)
         files.append(options.report)
     print(fit)
     for note in notes:

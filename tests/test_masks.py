@@ -81,6 +81,7 @@ def soft_square():
     mask[70, 80] = 0.3
     mask[9:14, 129:134] = 0.4
     mask[10:13, 130:133] = 1
+    mask[90:95, 100:105] = np.eye(5)  # a thin part that hangs on by corners
     return mask
 
 

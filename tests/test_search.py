@@ -14,7 +14,7 @@ from pinhole_jax._fit.room import FAR, LEAST_ROOM, SIDES, contours, first_room
 from pinhole_jax._fit.search import sphere_points
 from pinhole_jax._fit.signatures import distances, facing, signatures
 from pinhole_jax._fit.thumbnails import SIZE, axes_inward, thumbnails
-from pinhole_jax._scene.scene import ball_about, bounding_box
+from pinhole_jax._scene.scene import ball_about, bounding_box, padded, with_or_without_border
 from pinhole_jax._silhouette.contour import contour_weights
 
 
@@ -59,7 +59,7 @@ def test_facing_turns_to_a_direction():
     np.testing.assert_allclose(axes[:, 2], directions, atol=1e-12)
 
 
-@pytest.mark.parametrize("what", ["closed", "open", "spheres"])
+@pytest.mark.parametrize("what", ["closed", "open", "border untold", "spheres"])
 def test_thumbnails_are_silhouettes_whose_layers_are_clamped(what):
     random = np.random.default_rng(0)
     box = trimesh.creation.box((1, 2, 3)).apply_translation((7, 0, 0))
@@ -70,7 +70,8 @@ def test_thumbnails_are_silhouettes_whose_layers_are_clamped(what):
     ball = ball_about(np.asarray(bounding_box(scene), float))
     directions, phi = sphere_points(5), 2 * np.arcsin(1 / 1.5)
     axes = axes_inward(directions)
-    images = thumbnails(scene, ball, 1.5 * directions, axes, phi)
+    drawn = with_or_without_border(padded(scene)) if what == "border untold" else scene
+    images = thumbnails(drawn, ball, 1.5 * directions, axes, phi)
     for direction, (_, b2, v), image in zip(directions, axes, images, strict=True):
         eye = ball.centre + 1.5 * ball.radius * direction
         camera = pj.Camera(eye, eye + v, b2, phi, W=SIZE, H=SIZE)

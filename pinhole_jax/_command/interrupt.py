@@ -1,4 +1,4 @@
-"""Ctrl-C ends the command at once, wherever it is, but never halfway through a file.
+"""Ctrl-C ends the command as soon as Python hears of it, but never halfway through a file.
 
 An exception will not do: Python drops it where JAX's C++ calls back, imports turn it into others,
 and at an exit that waits for nobody compiling threads crash.
@@ -20,7 +20,10 @@ _writing = False
 
 @contextmanager
 def ending_at_once(words: str) -> Iterator[None]:
-    """Let Ctrl-C print some words and end the process, but for what is `written`."""
+    """Let Ctrl-C print some words and end the process, but for what is `written`.
+
+    Where it means something else (ignored in the background, an application's), it stays so.
+    """
 
     def end(number: int, frame: Any) -> None:
         del number, frame
@@ -30,14 +33,15 @@ def ending_at_once(words: str) -> Iterator[None]:
         os.write(2, f"{clear}{words}\n".encode(errors="backslashreplace"))
         os._exit(STATUS)
 
-    if threading.current_thread() is not threading.main_thread():
-        yield  # signals are the main thread's
+    own = threading.current_thread() is threading.main_thread()  # signals are this one's
+    if not (own and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
+        yield
         return
-    before = signal.signal(signal.SIGINT, end)
+    signal.signal(signal.SIGINT, end)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @contextmanager

@@ -74,8 +74,8 @@ class Fit(NamedTuple):
       Masks that people or networks made err together along stretches of their outline, and all
       outwards or inwards: by how much, and how far, is read from the outline (`mask_error`), as is
       how likely a mask has no such errors. Infinite where the mask does not determine a parameter,
-      and that of an interval where `weak` names one. Never below what rounding, the mask's
-      quantisation and the solver's last step leave.
+      and that of an interval where `weak` or a drawn mask's errors leave one. Never below what
+      rounding, the mask's quantisation and the solver's last step leave.
     - `independent_covariance` assumes independent pixel noise of one size (of variance 1 / weight
       up to a factor), estimated from the residuals of the pixels that the outline touches. It is
       the same where a mask is exact, and explained.
@@ -160,10 +160,10 @@ def report(
     known_by = cov if drawn else np.zeros_like(cov)
     cov = cov + widened(to_reported, known.free, tolerance, known_by)
     names_of_moves = components(names)
-    moves = [f.move for f in known.free]
-    blind, weak = weak_directions(triangle, names_of_moves, axes_of(unit), BLIND[dtype], moves)
     # (How far a drawn mask's errors reach is in the covariance: no direction is free for that.)
     free = [f for f in known.free if not drawn or np.isinf(f.ahead)]
+    moves = [f.move for f in free]
+    blind, weak = weak_directions(triangle, names_of_moves, axes_of(unit), BLIND[dtype], moves)
     weak = (*map(str, free), *weak, *ended)
     turn, about = _widest_turn(cov, labels)
     wide_open = bool(turn > UNCERTAIN)

@@ -11,7 +11,14 @@ from jaxtyping import Array, Float
 
 from .._camera.camera import Camera, film_map
 from .._numerics.tracing import collector_at_rest
-from .._scene.scene import Scene, astype, ball_about, bounding_box, padded
+from .._scene.scene import (
+    Scene,
+    astype,
+    ball_about,
+    bounding_box,
+    padded,
+    with_or_without_border,
+)
 from .kinds import kind_of
 from .moves import Bounds, Move, moved
 from .outline_errors import OutlineErrors, is_drawn, outline_errors
@@ -76,7 +83,8 @@ class Solver:
         self.dtype, self.names, self.max_steps = np.dtype(dtype), names, max_steps
         self._others: Others | None = None
         self._errors: tuple[View, OutlineErrors | None] | None = None
-        self._target, self._scene = target, padded(astype(scene, dtype))
+        self._target = target
+        self._scene = with_or_without_border(padded(astype(scene, dtype)))
         box = np.asarray(bounding_box(scene), float)
         self._corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
         self.ball = ball_about(box)

@@ -103,7 +103,11 @@ def looked_round(solver: Solver, mask: Mask, found: Found, start: Camera, told: 
         near = angle(places.best.unit, start) < NEAR_START
         # (The search knew no start, which rules out what is as good only far from it.)
         walked = settled(solver, places.best, start if near else None)
-        places = with_others(solver, walked, [*places.others, *places.rivals], walked.free)
+        more = [*places.others, *places.rivals]
+        if walked.best is not places.best:
+            alike = finished(solver, mirrored(solver, walked.best))
+            more += [f for f in alike if not _copied(solver, f, walked.best, start)]
+        places = with_others(solver, walked, more, walked.free)
     else:
         places = places._replace(rivals=())  # all of the mask is explained
     return _nearest_first(places, start)
@@ -113,7 +117,10 @@ def _copied(solver: Solver, found: Found, near: Found, start: Camera) -> bool:
     """Return whether a camera is as good as another one, but only far from the start."""
     views = (found.view, near.view), (near.view, found.view)
     equal = not any(better(solver, *pair) for pair in views)
-    return bool(equal and angle(near.unit, start) < NEAR_START <= angle(found.unit, start))
+    known = np.isfinite(near.view.squares)
+    return bool(
+        known and equal and angle(near.unit, start) < NEAR_START <= angle(found.unit, start)
+    )
 
 
 def _nearest_first(places: Places, start: Camera) -> Places:
@@ -191,14 +198,16 @@ def finished(solver: Solver, views: Iterable[Camera]) -> list[Found]:
     first of these shows to be far worse than the best. (Coarser ones do not tell a tilt from its
     mirror image.)"""
     coarse, *fine = range(max(solver.finest - 1, 0), len(solver.levels))
-    found = _likely([solver.solve(view, [coarse]) for view in views])
+    found = _likely(_finite([solver.solve(view, [coarse]) for view in views]))
     return [onward(f, solver.solve(f.unit, fine)) for f in found] if fine else found
 
 
 def _likely(found: list[Found]) -> list[Found]:
     """Return the cameras that are worth following to finer levels."""
-    least = min((f.view.misfit for f in found), default=0.0)
-    return [f for f in found if f.view.misfit < 4 * least + EXACT]
+    if not found:
+        return []
+    best = min(found, key=lambda f: f.view.squares)
+    return [f for f in found if f is best or f.view.misfit < 4 * best.view.misfit + EXACT]
 
 
 def _followed(solver: Solver, likely: Iterator[Camera], apart: float, told: Told) -> list[Found]:
@@ -247,7 +256,9 @@ def without_outliers(
         px = COARSE_PX if reach > 1 else None  # what comes next moves it by more
         finer = lambda f, px=px: onward(f, solver.solve(f.unit, [solver.finest], fine_px=px))
         alike, rivals = ([(finer(f), unit) for f, unit in x] for x in (alike, rivals))
-        if rivals:
+        if (
+            rivals and reach <= 2
+        ):  # farther out, what covers the object counts against the right one
             view = alike[0][0].view
             most = HOPELESS * _times(solver.errors(view)) * view.squares
             rivals = [(f, unit) for f, unit in rivals if f.view.squares <= most]

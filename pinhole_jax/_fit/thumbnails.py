@@ -63,7 +63,7 @@ def _draw_mesh(
         for edge in np.split(edges, np.arange(EDGES, len(edges), EDGES)):
             sides = [_bits(front[faces[edge]], len(eyes[some])) for faces in (first, second)]
             weight = sides[0] - sides[1]
-            if not mesh.closed:
+            if border.size:
                 weight = np.where(second[edge, None] < 0, 2 * sides[0] - 1, 2 * weight)
             which, view = np.nonzero(weight)
             weight, view = weight[which, view], view + begin

@@ -1,5 +1,6 @@
 """What a camera looks at: `Mesh`, `Spheres`, `Scene`, and what is worked out once per mesh."""
 
+from copy import copy
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -175,8 +176,7 @@ def padded(scene: Scene) -> Scene:
     """Return the scene with its mesh's arrays filled up to one of a few sizes.
 
     What is added is on no contour, so the silhouette is the same, and meshes of similar size share
-    compiled programs, open ones and closed ones (see `is_closed`). Not for tracing: the faces'
-    order is left out.
+    compiled programs. Not for tracing: the faces' order is left out.
     """
     if scene.mesh is None or not scene.mesh.edge_faces.shape[0]:
         return scene
@@ -193,13 +193,22 @@ def padded(scene: Scene) -> Scene:
         mesh,
         (*parts, order, planes),
     )
-    if len(parts[0]) in FILLED_UP:
-        object.__setattr__(mesh, "closed", None)  # (`tree_at` changes no static field)
+    return Scene(mesh=mesh, spheres=scene.spheres)
+
+
+def with_or_without_border(scene: Scene) -> Scene:
+    """Return the scene with a small mesh that does not tell a compiler if it is closed: open ones
+    share programs with closed ones."""
+    mesh = scene.mesh
+    if mesh is None or len(mesh.vertices) not in FILLED_UP:
+        return scene
+    mesh = copy(mesh)
+    object.__setattr__(mesh, "closed", None)  # (`tree_at` changes no static field)
     return Scene(mesh=mesh, spheres=scene.spheres)
 
 
 def is_closed(mesh: Mesh) -> Any:
-    """Return whether a mesh is closed: a bool, traced where it has been filled up."""
+    """Return whether a mesh is closed: a bool, or a traced one where a compiler is not told."""
     return jnp.all(mesh.edge_faces >= 0) if mesh.closed is None else mesh.closed
 
 

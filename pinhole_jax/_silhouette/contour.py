@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, UInt32
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.film import FilmMap, film_points
 from .._numerics.bitset import Selection, bit, nth, select, selection, words_of
@@ -43,13 +43,13 @@ class MeshContour(NamedTuple):
 
     Under distortion edges are cut into parts (`cuts`), whose ids come before those of what lies
     left of the film. `positive` has a bit for each edge, set where it bounds more cover on its left
-    than on its right; `second` is None for a closed mesh, else the edges' second faces, of which
-    none is -1 where the mesh is `closed` all the same.
+    than on its right; `second` is None for a closed mesh, else the edges' second faces; `closed`
+    tells what the compiler does not know.
     """
 
     edge_vertices: Int[Array, "E 2"]
     second: Int[Array, "E"] | None
-    closed: Any
+    closed: Bool[Array, ""] | None
     positive: UInt32[Array, "words"]
     chosen: Selection
     segments: Int[Array, ""]
@@ -60,7 +60,8 @@ class MeshContour(NamedTuple):
         sign = jnp.where(bit(self.positive, edge), 1, -1)
         if self.second is None:
             return sign
-        return jnp.where(self.closed | (self.second[edge] < 0), sign, 2 * sign)
+        alone = self.second[edge] < 0
+        return jnp.where(alone if self.closed is None else self.closed | alone, sign, 2 * sign)
 
 
 def mesh_contour(film: FilmMap, mesh: Mesh) -> MeshContour:
@@ -86,7 +87,8 @@ def _contour(mesh: Mesh, words: Array, positive: Array) -> MeshContour:
     """Return the edges of `contour_bits`, each seen as one segment."""
     chosen = selection(words)
     second = None if mesh.closed else mesh.edge_faces[:, 1]
-    return MeshContour(mesh.edge_vertices, second, is_closed(mesh), positive, chosen, chosen.total)
+    closed = is_closed(mesh) if mesh.closed is None else None
+    return MeshContour(mesh.edge_vertices, second, closed, positive, chosen, chosen.total)
 
 
 def contour_bits(
@@ -159,7 +161,7 @@ def _weight(closed: Any, first, second, second_face) -> Int[Array, "*E"]:
     if closed is True:
         return fronts
     both = 2 * first - 1 - jnp.where(second_face < 0, 0, 2 * second - 1)
-    return jnp.where(closed, fronts, both)
+    return both if closed is False else jnp.where(closed, fronts, both)
 
 
 def edge_lifts(

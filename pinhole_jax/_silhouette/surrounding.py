@@ -76,9 +76,12 @@ def _layers_on_the_left(mesh: Mesh, film: FilmMap) -> Int[Array, ""]:
     met = ((signs == 3) & (toward < 0)) | ((signs == -3) & (toward > 0))
     orientation = jnp.where(met, -jnp.sign(signs), 0)
     front = front_facing(mesh, film.eye)
+    closed, both = is_closed(mesh), jnp.where(front, orientation, -orientation)
+    if closed is False:
+        return jnp.sum(both)
     inside = jnp.sum(orientation) != 0
     fronts = jnp.sum(jnp.where(front, orientation, 0)) + jnp.where(inside, EVERYWHERE, 0)
-    return jnp.where(is_closed(mesh), fronts, jnp.sum(jnp.where(front, orientation, -orientation)))
+    return fronts if closed is True else jnp.where(closed, fronts, jnp.sum(both))
 
 
 def _side(points: Float[Array, "V 3"], first: Int[Array, "F"], second: Int[Array, "F"]):

@@ -26,8 +26,8 @@ def tidy_mask(mask: Any, speck: float = SPECK) -> Tidied:
     - `speck`: islands smaller than this share of the largest part are dropped, and holes smaller
       than this share of it filled, both with their soft edges; 0 changes nothing.
 
-    The mask comes back in its type. Left as they are, but noted: several large parts, edges of the
-    film that cut the mask off, a mask that covers all or nothing.
+    The mask comes back as bool, uint8 or floats. Left as they are, but noted: several large parts,
+    edges of the film that cut the mask off, a mask that covers all or nothing.
 
     Raises ValueError for what is no mask, and for a share outside [0, 1).
     """
@@ -65,7 +65,7 @@ def _parts(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the number of each pixel's part (H, W), 0 outside, and the parts' sizes, 0 for 0."""
     from scipy import ndimage
 
-    found: Any = ndimage.label(inside)
+    found: Any = ndimage.label(inside, np.ones((3, 3)))  # what meets at a corner is one part
     labels, count = found
     sizes = np.bincount(labels.ravel(), minlength=count + 1)
     sizes[0] = 0
