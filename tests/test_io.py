@@ -43,8 +43,12 @@ def test_vertices_that_are_coarse_beside_the_object_are_told(tmp_path):
     text = tmp_path / "far.obj"  # digits, of which float64 loses none
     text.write_text("v 100000.1 0 0\nv 100000.2 0.3 0\nv 100000.3 0 0.1\nf 1 2 3\n")
     pj.load_mesh(text)
-    with jax.enable_x64(False), pytest.warns(UserWarning, match="JAX is set to float32"):
-        pj.load_mesh(text)
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with pytest.warns(UserWarning, match="JAX is set to float32"):
+            pj.load_mesh(text)
+    finally:
+        jax.config.update("jax_enable_x64", True)
 
 
 def test_scenes_are_flattened_with_their_transforms(tmp_path):
