@@ -231,6 +231,8 @@ def interrupted(step: Step) -> None:
         env=step.environment,
         stderr=subprocess.PIPE,
         text=True,
+        # What a shell starts in the background ignores it.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     time.sleep(4)
     process.send_signal(signal.SIGINT)

@@ -413,6 +413,7 @@ def lost(_):
     return 0
 
 command._render = lost
+signal.signal(signal.SIGINT, signal.default_int_handler)  # in the background it may be ignored
 sys.exit(command.main(["render", "a.obj", "c.json"]))
 """
     done = subprocess.run(
