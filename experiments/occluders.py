@@ -11,9 +11,9 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from _common import camera_at, degrees, orbited, rows_of, run
+from _common import camera_at, degrees, rows_of, run
 from tolerance import COLUMNS, ROWS, outline_of
-from wrong_masks import PHI, SHAPES, SIZE
+from wrong_masks import PHI, SHAPES, SIZE, start_off
 
 import pinhole_jax as pj
 
@@ -40,8 +40,6 @@ def hidden(image: np.ndarray, share: float, kind: str, random: np.random.Generat
 
 def trial(number: int, shape: str, kind: str) -> dict:
     """Return one fit: how far off, in degrees and standard errors, and what it said."""
-    from scipy.spatial.transform import Rotation
-
     random = np.random.default_rng([number, 11, *map(ord, shape)])
     mesh, axes = SHAPES[shape](random)
     scene = pj.Scene(mesh=mesh)
@@ -50,24 +48,18 @@ def trial(number: int, shape: str, kind: str) -> dict:
     image = np.asarray(pj.silhouette(truth, scene))
     share, _, what = kind.split()
     target = (image > 0.5) & ~hidden(image, int(share) / 100, what, random)
-    start = None
-    if number % 2:
-        axis, aside = random.normal(size=(2, 3))
-        turn = Rotation.from_rotvec(np.deg2rad(10) * axis / np.linalg.norm(axis)).as_matrix()
-        shift = np.float32(0.05 * distance * aside / np.linalg.norm(aside))
-        near = orbited(truth, turn, 1.0)
-        start = pj.Camera(near.e + shift, near.p + shift, near.u, near.phi, 1.0, SIZE, SIZE)
+    start = start_off(truth, 10, *random.normal(size=(2, 3))) if number % 2 else None
     begin = time.perf_counter()
     fit = pj.fit_camera(scene, target, start, phi=None if start else PHI)
-    modes = [degrees(mode.camera, truth) for mode in fit.modes]
+    off, *modes = (degrees(found.camera, truth) for found in (fit, *fit.modes))
     return {
         "shape": shape,
         "kind": kind,
         "share": int(share),
         "start": start is not None,
         "status": fit.status,
-        "degrees": degrees(fit.camera, truth),
-        "nearest": min([degrees(fit.camera, truth), *modes]),
+        "degrees": off,
+        "nearest": min([off, *modes]),
         "sigma": float(np.rad2deg(np.linalg.norm(fit.std[:3]))),
         "iou": fit.iou,
         "seconds": time.perf_counter() - begin,

@@ -108,10 +108,19 @@ KINDS = {
 }
 
 
-def trial(number: int, shape: str, kind: str) -> dict:
-    """Return one fit: how far off, in degrees and standard errors, and what it said."""
+def start_off(truth: pj.Camera, far: float, axis: np.ndarray, aside: np.ndarray) -> pj.Camera:
+    """Return a camera so many degrees off about an axis, 5 % of the origin's distance aside."""
     from scipy.spatial.transform import Rotation
 
+    turn = Rotation.from_rotvec(np.deg2rad(far) * axis / np.linalg.norm(axis)).as_matrix()
+    near = orbited(truth, turn, 1.0)
+    distance = np.linalg.norm(np.asarray(truth.e - truth.p, float))
+    shift = np.float32(0.05 * distance * aside / np.linalg.norm(aside))
+    return pj.Camera(near.e + shift, near.p + shift, near.u, near.phi, 1.0, truth.W, truth.H)
+
+
+def trial(number: int, shape: str, kind: str) -> dict:
+    """Return one fit: how far off, in degrees and standard errors, and what it said."""
     random = np.random.default_rng([number, *map(ord, shape)])
     mesh, axes = SHAPES[shape](random)
     scene = pj.Scene(mesh=mesh)
@@ -122,12 +131,7 @@ def trial(number: int, shape: str, kind: str) -> dict:
     axis = random.normal(size=3)
     aside = random.normal(size=3)
     far = STARTS[number % len(STARTS)]
-    start = None
-    if far is not None:
-        turn = Rotation.from_rotvec(np.deg2rad(far) * axis / np.linalg.norm(axis)).as_matrix()
-        start = orbited(truth, turn, 1.0)
-        shift = np.float32(0.05 * distance * aside / np.linalg.norm(aside))
-        start = pj.Camera(start.e + shift, start.p + shift, start.u, start.phi, 1.0, SIZE, SIZE)
+    start = None if far is None else start_off(truth, far, axis, aside)
     begin = time.perf_counter()
     fit = pj.fit_camera(scene, target, start, phi=None if start else PHI)
     seconds = time.perf_counter() - begin

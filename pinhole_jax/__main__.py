@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from ._command.arguments import parse
-from ._command.interrupt import STATUS, ending_at_once, written
 from ._command.naming import named, renamed
 from ._command.progress import Clock, Progress
+from ._files.interrupt import STATUS, ending_at_once
 
 #: What the command calls the arguments of `load_mesh` and `Mesh`, and of `fit_camera`.
 MESH = {"path": "MESH", "vertices": "MESH"}
@@ -53,7 +53,6 @@ def _fit(options: argparse.Namespace) -> int:
         _set_up_jax(options)
         from . import formats, io, report
         from ._command.known import known
-        from ._files.paths import replace_file
         from ._fit.fit_camera import fit_camera
         from ._scene.scene import Scene
         from ._show.disagreement import disagreement
@@ -66,8 +65,8 @@ def _fit(options: argparse.Namespace) -> int:
                 options.mask, options.mask_from, progress.tell, invert=options.invert
             )
         if options.tidy:
-            mask, notes = io.tidy_mask(mask)
-            progress.tell(f"mask: {'; '.join(notes) or 'no crumbs, no pinholes'}")
+            mask, done = io.tidy_mask(mask)
+            progress.tell(f"mask: {'; '.join(done) or 'no crumbs, no pinholes'}")
         camera, phi, lens = known(options, free, (mask.shape[1], mask.shape[0]), progress.tell)
         weight, picture = _beside(options, mask)
         with named(**MESH):
@@ -90,17 +89,15 @@ def _fit(options: argparse.Namespace) -> int:
         drawing = overlay(picture, fit.camera, scene)
         notes = disagreement(fit.camera, scene, mask) if finite else ()
     folder = Path(options.output)
-    with written(), named(path="--output"):
+    with named(path="--output"):
         io.save_fit(folder / "camera.json", fit)
         io.save_image(folder / "overlay.png", drawing)
-    files = [folder / "camera.json", folder / "overlay.png"]
+    written = [folder / "camera.json", folder / "overlay.png"]
     if options.report is not None and finite:
         title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
         with Progress("drawing the page"), named(path="--report"):
-            page = report.page(fit, scene, mask, picture, title).encode(errors="backslashreplace")
-            with written():
-                replace_file(options.report, page)
-        files.append(options.report)
+            report.write(options.report, fit, scene, mask, picture, title)
+        written.append(options.report)
     print(fit)
     for note in notes:
         print(f"note       {note}")
@@ -109,7 +106,7 @@ def _fit(options: argparse.Namespace) -> int:
     print(
         f"time       {clock.compiling:.1f} s compile, {clock.elapsed() - clock.compiling:.1f} s run"
     )
-    print(f"written    {', '.join(map(str, files))}")
+    print(f"written    {', '.join(map(str, written))}")
     return 0 if fit.status == "converged" else 1
 
 
@@ -158,7 +155,7 @@ def _render(options: argparse.Namespace) -> int:
         import numpy as np
 
         image = np.asarray(silhouette(camera, scene))
-    with written(), named(path="--output"):
+    with named(path="--output"):
         io.save_image(options.output, image)
     _say_written(options.output, f"{camera.W} x {camera.H}, {image.mean():.1%} covered")
     return 0
@@ -171,7 +168,7 @@ def _convert(options: argparse.Namespace) -> int:
     size = None if options.size is None else (options.size[0], options.size[1])
     with named(path="IN", format="--from", size="--size"):
         cameras = formats.read(options.input, options.source, size=size)
-    with written(), named(path="OUT", format="--to", cameras="IN"):
+    with named(path="OUT", format="--to", cameras="IN"):
         formats.write(options.output, cameras, options.target)
     target = options.target or formats.guess_write(options.output)
     sizes = ", ".join(dict.fromkeys(f"{camera.W} x {camera.H}" for camera in cameras.values()))

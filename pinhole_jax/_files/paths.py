@@ -13,6 +13,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from .interrupt import removing_what_is_half_written
+
 #: The most bytes of a file that is read as a whole, and the deepest nesting of JSON.
 MOST_BYTES = 1 << 26
 MOST_DEPTH = 64
@@ -242,9 +244,10 @@ def _replace(target: Path, data: bytes) -> None:
         raise ValueError("a stream of a process")
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.parent / f"tmp{secrets.token_hex(8)}{target.suffix[:9]}"
-    try:
-        with open(temporary, "xb") as stream:
-            stream.write(data)
-        temporary.replace(target)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with removing_what_is_half_written():
+        try:
+            with open(temporary, "xb") as stream:
+                stream.write(data)
+            temporary.replace(target)
+        finally:
+            temporary.unlink(missing_ok=True)

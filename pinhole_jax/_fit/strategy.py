@@ -95,22 +95,29 @@ def looked_round(solver: Solver, mask: Mask, found: Found, start: Camera, told: 
     explained = solver.kind.exact and content
     astray = not explained and angle(places.best.unit, start) > ASTRAY
     if astray or not content or is_drawn(solver.errors(places.best.view)):
-        seen = searched(solver, mask, told, rounds=1)
-        best = seen[0] if better(solver, seen[0].view, places.best.view) else places.best
-        seen += finished(solver, mirrored(solver, best))
-        more = [f for f in seen if not _copied(solver, f, places.best, start)]
-        places = with_others(solver, places, more, free=[])
-        near = angle(places.best.unit, start) < NEAR_START
-        # (The search knew no start, which rules out what is as good only far from it.)
-        walked = settled(solver, places.best, start if near else None)
-        more = [*places.others, *places.rivals]
-        if walked.best is not places.best:
-            alike = finished(solver, mirrored(solver, walked.best))
-            more += [f for f in alike if not _copied(solver, f, walked.best, start)]
-        places = with_others(solver, walked, more, walked.free)
+        places = _with_the_searched(solver, places, searched(solver, mask, told, rounds=1), start)
     else:
         places = places._replace(rivals=())  # all of the mask is explained
     return _nearest_first(places, start)
+
+
+def _with_the_searched(solver: Solver, places: Places, seen: list[Found], start: Camera) -> Places:
+    """Return the best of all with what a search found and what it looks like, walked along."""
+
+    def not_copies(found: list[Found], near: Found) -> list[Found]:
+        return [f for f in found if not _copied(solver, f, near, start)]
+
+    # The search knew no start, which rules out what is as good only far from it.
+    best = seen[0] if better(solver, seen[0].view, places.best.view) else places.best
+    alike = finished(solver, mirrored(solver, best))
+    places = with_others(solver, places, not_copies([*seen, *alike], places.best), free=[])
+
+    near = angle(places.best.unit, start) < NEAR_START
+    walked = settled(solver, places.best, start if near else None)
+    more = [*places.others, *places.rivals]
+    if walked.best is not places.best:
+        more += not_copies(finished(solver, mirrored(solver, walked.best)), walked.best)
+    return with_others(solver, walked, more, walked.free)
 
 
 def _copied(solver: Solver, found: Found, near: Found, start: Camera) -> bool:
@@ -256,9 +263,8 @@ def without_outliers(
         px = COARSE_PX if reach > 1 else None  # what comes next moves it by more
         finer = lambda f, px=px: onward(f, solver.solve(f.unit, [solver.finest], fine_px=px))
         alike, rivals = ([(finer(f), unit) for f, unit in x] for x in (alike, rivals))
-        if (
-            rivals and reach <= 2
-        ):  # farther out, what covers the object counts against the right one
+        # (Farther out, what covers the object counts against the right one.)
+        if rivals and reach <= 2:
             view = alike[0][0].view
             most = HOPELESS * _times(solver.errors(view)) * view.squares
             rivals = [(f, unit) for f, unit in rivals if f.view.squares <= most]

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._files.pictures import BAND, Image, bands, by_bands, eight_bits, from_picture, rows
+from .tidy import SPECK, parts
 
 #: The ways to read a mask, as `mask_from` and the command's `--mask-from` name them.
 WAYS = "alpha, luminance, label=N, background=COLOR (or COLOR,TOLERANCE)"
@@ -22,8 +23,6 @@ GREY = 8
 #: A picture whose border is covered by more than this is rather black on white. (An object that the
 #: frame cuts off on all sides leaves more of it free.)
 MOST_BORDER = 0.9
-#: Parts and holes smaller than this share of the largest part are noise.
-SPECK = 5e-3
 #: Soft edges of a background mask reach this far (px) to both sides.
 BAND_PX = 2
 #: The nearest colour of the object is looked for so many rows (px) around.
@@ -279,17 +278,9 @@ def _drop_specks(inside: np.ndarray) -> None:
 
 
 def _drop_small_parts(inside: np.ndarray) -> None:
-    from scipy import ndimage
-
-    parts: Any = ndimage.label(inside)
-    labels, count = parts
-    if count > MOST_PARTS:
+    labels, sizes = parts(inside)
+    if (count := len(sizes) - 1) > MOST_PARTS:
         raise ValueError(f"a picture of {count} parts: noise, not before one colour")
-    sizes = np.zeros(count + 1, np.int64)
-    for part in rows(*inside.shape):
-        here = np.bincount(labels[part].ravel())
-        sizes[: len(here)] += here
-    sizes[0] = 0
     keep = sizes >= SPECK * max(sizes.max(), 1)
     for part in rows(*inside.shape):
         inside[part] &= keep[labels[part]]

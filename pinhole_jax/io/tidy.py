@@ -4,10 +4,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._files.pictures import rows
 from .._fit.target import check_image, shares
 
-#: Parts and holes smaller than this share of the object are none of its own.
+#: Parts and holes smaller than this share of the largest part are noise.
 SPECK = 5e-3
+#: Pixels that meet at a corner are of one part: thin parts of an object hang on so.
+CORNERS = np.ones((3, 3))
 #: Soft edges of what is taken away reach this far (px).
 SOFT_PX = 2
 
@@ -39,12 +42,12 @@ def tidy_mask(mask: Any, speck: float = SPECK) -> Tidied:
     if np.all(inside) or not np.any(inside):
         return Tidied(array, ("the mask covers " + ("all" if np.any(inside) else "nothing"),))
 
-    labels, sizes = _parts(inside)
+    labels, sizes = parts(inside, CORNERS)
     least = speck * np.max(sizes)
     is_crumb = (sizes > 0) & (sizes < least)
     body = inside & ~is_crumb[labels]
 
-    gaps, areas = _parts(~body)
+    gaps, areas = parts(~body, CORNERS)
     frame = np.concatenate([gaps[0], gaps[-1], gaps[:, 0], gaps[:, -1]])
     is_pinhole = (areas > 0) & (areas < least)
     is_pinhole[frame] = False
@@ -61,13 +64,21 @@ def tidy_mask(mask: Any, speck: float = SPECK) -> Tidied:
     return Tidied(result, tuple(notes))
 
 
-def _parts(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number of each pixel's part (H, W), 0 outside, and the parts' sizes, 0 for 0."""
+def parts(
+    inside: np.ndarray, neighbours: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the number of each pixel's part (H, W), 0 outside, and the parts' sizes, 0 for 0.
+
+    `neighbours` (3, 3): which pixels hang together (None: those that share a side).
+    """
     from scipy import ndimage
 
-    found: Any = ndimage.label(inside, np.ones((3, 3)))  # what meets at a corner is one part
+    found: Any = ndimage.label(inside, neighbours)
     labels, count = found
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    sizes = np.zeros(count + 1, np.int64)
+    for some in rows(*inside.shape):  # a large mask's numbers are eight times as large as it
+        here = np.bincount(labels[some].ravel())
+        sizes[: len(here)] += here
     sizes[0] = 0
     return labels, sizes
 

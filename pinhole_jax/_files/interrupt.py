@@ -20,7 +20,7 @@ _writing = False
 
 @contextmanager
 def ending_at_once(words: str) -> Iterator[None]:
-    """Let Ctrl-C print some words and end the process, but for what is `written`.
+    """Let Ctrl-C print some words and end the process; while a file is written, be an exception.
 
     Where it means something else (ignored in the background, an application's), it stays so.
     """
@@ -45,7 +45,7 @@ def ending_at_once(words: str) -> Iterator[None]:
 
 
 @contextmanager
-def written() -> Iterator[None]:
+def removing_what_is_half_written() -> Iterator[None]:
     """Let Ctrl-C be an exception, so that what is half written is removed."""
     global _writing
     _writing = True
