@@ -202,8 +202,11 @@ class Solver:
         known = others or no_others(self.names, self.dtype)
         self.problem = eqx.tree_at(lambda p: p.others, self.problem, known)
 
+    def _weighs_prior(self) -> bool:
+        return self._prior is not None and self._others is None
+
     def _believe(self, unit: Camera, level: int) -> None:
-        if self._prior is not None and self._others is None:
+        if self._weighs_prior():
             self.believe(self.look(unit, level).touched_misfit)
 
     def believe(self, misfit: float) -> None:
@@ -260,7 +263,7 @@ class Solver:
                 level = self.levels[number]
                 finest = number == self.finest
                 tolerance = (fine_px or FINE_PX[self.dtype]) if finest else coarse_px
-                further, n, path, _ = self._further(
+                further, n, path, end = self._further(
                     unit, level, tolerance, self.max_steps, capacity
                 )
                 stop = Stop(further, level, int(n))
@@ -269,7 +272,8 @@ class Solver:
                 steps.append(stop.steps)
                 if told is not None:
                     told(stop)
-            self._believe(unit, levels[-1])
+            if self._weighs_prior():
+                self.believe(end.touched_misfit)
             view = self.look(unit, levels[-1])
             if (self.capacity, self.window) == (capacity, window):
                 return Found(unit, view, tuple(steps), tuple(way), steps[-1] < self.max_steps)

@@ -295,9 +295,11 @@ def most_agreeing(
     """Return the cameras whose outline is the mask's but for some of it, the nearest to the start
     first: the mask does not tell one from the other.
 
-    The first `alike` of them leave equal squares: these stay together, where they are the best.
+    The first `alike` of them leave equal squares: these stay together, where they are the best,
+    unless the mask is a drawn one, whose outliers were among those squares.
     """
-    if len(described) == alike:
+    drawn = is_drawn(solver.errors(described[0][0].view))
+    if len(described) == alike and not drawn:
         return described
     errors = [e for e in (solver.errors(f.view) for f, _ in described) if e is not None]
     if not errors:
@@ -309,7 +311,7 @@ def most_agreeing(
     kept = [
         d
         for k, (d, cost) in enumerate(zip(described, costs, strict=True))
-        if cost <= limit or k == least or max(k, least) < alike
+        if cost <= limit or k == least or (max(k, least) < alike and not drawn)
     ]
     if start is None:
         return [described[least], *(d for d in kept if d is not described[least])]
