@@ -10,9 +10,11 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
+from pinhole_jax._fit import search
+from pinhole_jax._fit.mask import Mask
 from pinhole_jax._fit.room import FAR, LEAST_ROOM, SIDES, contours, first_room
-from pinhole_jax._fit.search import sphere_points
-from pinhole_jax._fit.signatures import distances, facing, signatures
+from pinhole_jax._fit.search import VIEWS, sphere_points
+from pinhole_jax._fit.signatures import ANGLES, distances, facing, signatures
 from pinhole_jax._fit.thumbnails import SIZE, axes_inward, thumbnails
 from pinhole_jax._scene.scene import ball_about, bounding_box, padded, with_or_without_border
 from pinhole_jax._silhouette.contour import contour_weights
@@ -111,6 +113,16 @@ def test_a_camera_is_found_with_no_start(scene):
         assert fit.modes == ()
         assert degrees(fit, truth) < 1e-6
         assert float(fit.camera.phi) == 0.6
+
+
+def test_a_mask_that_is_round_to_all_rolls_is_looked_for_everywhere(scene, monkeypatch):
+    """No roll of a disc fits better than the next: there was no guess, and the fit of a ball to one
+    ended in an error."""
+    row, column = np.mgrid[:80, :96] + 0.5
+    mask = Mask(1.0 * (np.hypot(row - 40, column - 48) < 30), np.ones((80, 96)), anywhere(0))
+    monkeypatch.setattr(search, "distances", lambda mask, views: np.ones((VIEWS, ANGLES)))
+    ball = ball_about(np.asarray(bounding_box(scene), float))
+    assert len(list(search.guesses(mask, scene, ball))) == VIEWS
 
 
 @pytest.mark.long

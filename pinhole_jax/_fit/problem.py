@@ -89,3 +89,10 @@ def move(unit: Camera, problem: Problem, level: Level, names: tuple[str, ...]) -
     """Return where moves of a camera start, in the solver's units."""
     one_px = units(unit, problem.pivot, problem.radius, level.scale, names)
     return Move(unit, problem.pivot, UNIT_PX * one_px, problem.bounds)
+
+
+def like_descended(unit: Camera, level: Level) -> tuple[Camera, Any, Any, View]:
+    """Return something of the structure of what `levenberg_marquardt.descended` returns."""
+    numbers = lambda kind: kind(*[0.0] * len(kind._fields))
+    view = numbers(View)._replace(sums=numbers(Sums), load=numbers(Load))
+    return unit, 0, 0, view._replace(pixels=numbers(Pixels)._replace(level=level))

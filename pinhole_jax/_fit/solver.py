@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera, film_map
+from .._files import programs
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import (
     Scene,
@@ -23,7 +24,7 @@ from .kinds import kind_of
 from .moves import Bounds, Move, moved
 from .outline_errors import OutlineErrors, is_drawn, outline_errors
 from .priors import Others, Prior, no_others
-from .problem import COARSE_PX, FINE_PX, Problem, View, move as move_of
+from .problem import COARSE_PX, FINE_PX, Problem, View, like_descended, move as move_of
 from .residuals import Capacity
 from .revolution import Revolution, revolutions, some_of
 from .room import LEAST_ROOM, ROOMIER, first_room, more_room, size_of
@@ -36,6 +37,8 @@ ERRORS = 4.0
 ONE_BIT, LEAST_VARIANCE = 1 / 12, 1 / 12 / 255**2
 #: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
 OFF_TIMES = 3.0
+#: Named, since optimistix takes a third of this package's import.
+DESCENDED = "pinhole_jax._fit.levenberg_marquardt:descended"
 
 
 class Stop(NamedTuple):
@@ -268,12 +271,12 @@ class Solver:
                 )
                 stop = Stop(further, level, int(n))
                 way += self._each_step(unit, number, stop, path) if self._record else [stop]
+                if self._weighs_prior():
+                    self.believe(end.touched_misfit)
                 unit = further
                 steps.append(stop.steps)
                 if told is not None:
                     told(stop)
-            if self._weighs_prior():
-                self.believe(end.touched_misfit)
             view = self.look(unit, levels[-1])
             if (self.capacity, self.window) == (capacity, window):
                 return Found(unit, view, tuple(steps), tuple(way), steps[-1] < self.max_steps)
@@ -296,11 +299,9 @@ class Solver:
     @collector_at_rest()
     def _further(self, unit: Camera, level: Level, px: float, steps: int, capacity: Capacity):
         """Return `descended`'s from a camera: one program, whether it takes steps or only looks."""
-        # optimistix takes a third of this package's import
-        from .levenberg_marquardt import descended
-
         ends = np.asarray(px, self.dtype), np.asarray(steps, np.int32)
-        return descended(unit, self.problem, level, *ends, self.names, capacity)
+        given = unit, self.problem, level, *ends, self.names, capacity
+        return programs.call(DESCENDED, given, lambda: like_descended(unit, level))
 
     def _each_step(self, unit: Camera, level: int, end: Stop, path: Array) -> list[Stop]:
         """Return where each step of a level ended; those past `RECORDED` together."""
