@@ -41,37 +41,42 @@ def keep_in(folder: Path | None) -> None:
     _programs.clear()
 
 
-def call(where: str, arguments: tuple[Any, ...], like: Callable[[], Any]) -> Any:
+def call(where: str, arguments: tuple[Any, ...], answer: Callable[[], Any]) -> Any:
     """Return what a function of `equinox.filter_jit`'s returns, traced by an earlier process where
     that can be.
 
     `where` names it, as "module:name": its module is not imported where it need not be traced.
-    `like` returns something of the same structure as what the function returns.
+    `answer` returns something of the same structure as what the function returns.
     """
     if _folder is None:
         return _function(where)(*arguments)
     leaves, tree = jax.tree.flatten(arguments)
     key = where, tree, tuple(map(_described, leaves)), _settings(SWITCHES), _settings(WATCHED)
     if key not in _programs:
-        _programs[key] = _program(key, arguments, like)
+        _programs[key] = _program(key, arguments, answer)
     program = _programs[key]
     if program is None:
         return _function(where)(*arguments)
     return program(*filter(_is_array, leaves))
 
 
+def like(kind: Any) -> Any:
+    """Return a named tuple of a kind, of numbers."""
+    return kind(*[0.0] * len(kind._fields))
+
+
 def _program(
-    key: Any, arguments: tuple[Any, ...], like: Callable[[], Any]
+    key: Any, arguments: tuple[Any, ...], answer: Callable[[], Any]
 ) -> Callable[..., Any] | None:
     """Return a function of the arrays among some arguments, read or traced; None for a program that
     cannot be kept."""
     where, tree, described, switches, watched = key
     text = repr((where, str(tree), described, switches, _versions(), _source()))
-    alone = jax.default_backend() == "cpu" and not any(watched)
-    if _folder is None or not alone or " at 0x" in text:  # (an address: another one next time)
+    plain = jax.default_backend() == "cpu" and jax.device_count() == 1 and not any(watched)
+    if _folder is None or not plain or " at 0x" in text:  # (an address: another one next time)
         return None
     path = _folder / f"{hashlib.sha256(text.encode()).hexdigest()}.stablehlo"
-    structure = jax.tree.structure(like())
+    structure = jax.tree.structure(answer())
     exported = _read(path)
     if exported is None:
         exported = _traced(where, arguments, structure)
@@ -80,7 +85,8 @@ def _program(
         data = exported.serialize()
         with suppress(OSError, ValueError):  # a folder that cannot be written to keeps nothing
             replace_file(path, hashlib.sha256(data).digest() + bytes(data))
-    run = jax.jit(exported.call)
+    # (Compiled here: a jit would compile once more for arrays that are results of its own.)
+    run = jax.jit(exported.call).lower(*filter(_is_array, jax.tree.leaves(arguments))).compile()
     return lambda *arrays: jax.tree.unflatten(structure, run(*arrays))
 
 

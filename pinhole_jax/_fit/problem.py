@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
+from .._files.programs import like
 from .._scene.scene import Ball, Scene
 from .moves import Bounds, Move, units
 from .priors import Others, Prior
@@ -93,6 +94,5 @@ def move(unit: Camera, problem: Problem, level: Level, names: tuple[str, ...]) -
 
 def like_descended(unit: Camera, level: Level) -> tuple[Camera, Any, Any, View]:
     """Return something of the structure of what `levenberg_marquardt.descended` returns."""
-    numbers = lambda kind: kind(*[0.0] * len(kind._fields))
-    view = numbers(View)._replace(sums=numbers(Sums), load=numbers(Load))
-    return unit, 0, 0, view._replace(pixels=numbers(Pixels)._replace(level=level))
+    view = like(View)._replace(sums=like(Sums), load=like(Load))
+    return unit, 0, 0, view._replace(pixels=like(Pixels)._replace(level=level))

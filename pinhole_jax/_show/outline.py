@@ -7,6 +7,7 @@ from jaxtyping import Array, Float, Int
 
 from .._camera.camera import Camera, bend, film_map, to_camera
 from .._camera.rays import project
+from .._files import programs
 from .._scene.scene import Mesh, Scene, Spheres, astype
 from .._silhouette.clip import clipped
 from .._silhouette.contour import contour_weights
@@ -17,6 +18,8 @@ from .._silhouette.surrounding import surrounding
 #: Outline points are at most this far apart (px), and no closer than that.
 STEP_PX = 2.0
 LEAST_PX = 1e-6
+#: A program that is kept.
+SEGMENTS = "pinhole_jax._show.outline:_segments"
 
 
 def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
@@ -26,7 +29,7 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     parts behind it are left out.
     """
     scene = astype(scene, camera.e.dtype)
-    segments, base = _segments(camera, scene)
+    segments, base = programs.call(SEGMENTS, (camera, scene), lambda: _like_segments(scene))
     start, end, weight = _pieces(camera, scene, segments)
     turned = weight < 0  # cover on the right: the same contour run the other way
     start[turned], end[turned] = end[turned], start[turned]
@@ -94,6 +97,12 @@ def _segments(camera: Camera, scene: Scene) -> tuple[list[Segments], Int[Array, 
     lift = film(mesh.vertices[mesh.edge_vertices])
     parts = (jnp.full(weights.shape, beside) for beside in (False, True))
     return [clipped(lift, weights, part, film.bounds) for part in parts], base
+
+
+def _like_segments(scene: Scene) -> tuple[list[Segments], int]:
+    """Return something of the structure of what `_segments` returns."""
+    mesh = scene.mesh
+    return [] if mesh is None or not mesh.edge_faces.shape[0] else [programs.like(Segments)] * 2, 0
 
 
 @eqx.filter_jit
