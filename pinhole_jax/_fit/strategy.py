@@ -307,14 +307,15 @@ def most_agreeing(
     cap = max(CAP_PX, CAP_SIZES * min(e.size for e in errors))
     costs = [area_between(view, mask.target, mask.weight, cap) for _, view in described]
     least = int(np.argmin(costs))
-    limit = _times(solver.errors(described[least][0].view)) * costs[least]
+    closest = described[least]
+    limit = _times(solver.errors(closest[0].view)) * costs[least]
     kept = [
         d
         for k, (d, cost) in enumerate(zip(described, costs, strict=True))
         if cost <= limit or k == least or (max(k, least) < alike and not drawn)
     ]
-    if start is None:
-        return [described[least], *(d for d in kept if d is not described[least])]
+    if start is None:  # nothing but the squares tells equals apart: the first leaves the least
+        return kept if kept[0] is described[0] else sorted(kept, key=lambda d: d is not closest)
     return sorted(kept, key=lambda d: angle(d[0].unit, start))
 
 
