@@ -392,7 +392,7 @@ def test_an_interrupt_is_one_line_and_status_130(monkeypatch, capsys):
     assert capsys.readouterr().err == "pinhole-jax render: interrupted\n"
 
 
-@pytest.mark.parametrize("within", ["nullcontext()", "removing_what_is_half_written()"])
+@pytest.mark.parametrize("within", ["nullcontext()", "interrupts_raise()"])
 def test_an_interrupt_that_is_lost_ends_the_command_all_the_same(folder, within):
     """As JAX's callbacks and exits lose it; what is being written is removed first."""
     script = f"""
@@ -400,7 +400,7 @@ import signal, sys
 from contextlib import nullcontext
 from pathlib import Path
 from pinhole_jax import __main__ as command
-from pinhole_jax._files.interrupt import removing_what_is_half_written
+from pinhole_jax._files.interrupt import interrupts_raise
 
 def lost(_):
     half = Path("half.txt")

@@ -16,9 +16,15 @@ from scipy.ndimage import binary_erosion, gaussian_filter
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
+from pinhole_jax._files.programs import like
 from pinhole_jax._fit import strategy
+from pinhole_jax._fit.mask import Mask
+from pinhole_jax._fit.outline_errors import OutlineErrors
+from pinhole_jax._fit.problem import View
+from pinhole_jax._fit.solver import Found, Solver
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+START = pj.Camera([3, 1, 0.8], [0, 0, 0], [0, 0, 1], 0.8, W=48, H=40)
 
 
 @pytest.fixture(scope="module")
@@ -203,3 +209,31 @@ def test_a_prior_says_from_where_a_round_body_is_seen_and_the_start_from_which_s
         fit = pj.fit_camera(scene, drawn, start, prior={"e_x": (0.0, 1e-3)})
         assert fit.status in ("converged", "uncertain"), fit
         assert pj.pose_error(fit.camera, camera)[0] < min(2 * np.max(fit.std[:3]), 0.1)
+
+
+def drawn(size):
+    return OutlineErrors(size, 5.0, 0.0, 20.0, np.eye(6))
+
+
+@pytest.mark.parametrize(
+    ("costs", "anywhere", "expected"),
+    [
+        ([10.0, 10.5, 30.0], True, [0, 1]),  # equal: the least squares stand first
+        ([10.5, 10.0, 30.0], True, [0, 1]),
+        ([30.0, 10.0, 10.5], True, [1, 2]),  # the least squares were an occluder's
+        ([10.0, 10.5, 30.0], False, [1, 0]),  # equal: the nearest to the start stands first
+        ([10.0, 30.0, 10.5], False, [0, 2]),  # as good before outliers were left out: no longer
+    ],
+)
+def test_a_drawn_mask_asks_all_cameras_near_its_edge(monkeypatch, costs, anywhere, expected):
+    """All three left equal squares before the outliers were out."""
+    cameras = [turned(START, [0, 0, 1], degrees, 1.0) for degrees in (8, 4, 30)]
+    views = [like(View)._replace(prior=cost) for cost in costs]
+    described = [(Found(c, view, ()), view) for c, view in zip(cameras, views, strict=True)]
+    monkeypatch.setattr(strategy, "area_between", lambda view, *_: view.prior)
+    solver = object.__new__(Solver)
+    solver.errors = lambda view: drawn(1.0)
+    mask = Mask(np.eye(40, 48), np.ones((40, 48)), START)
+    start = None if anywhere else START
+    kept = strategy.most_agreeing(solver, mask, described, 3, start)
+    assert [next(k for k, d in enumerate(described) if d is x) for x in kept] == expected

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ import jax
 import numpy as np
 import pytest
 
+import pinhole_jax as pj
 from pinhole_jax._files import programs
 
 WHERE = f"{__name__}:raised"
@@ -29,9 +31,28 @@ def raised(x, power, pair):
     return Pair(x**power + pair.first, {"sum": x.sum()})
 
 
+#: A class of the package, as far as its name says.
+Pair.__module__ = pj.__name__
+
+
+class Theirs(NamedTuple):
+    first: object
+    second: object
+
+
+class Looked(Exception):
+    """A fit came as far as its program."""
+
+
+LENS = pj.Lens((24.0, 20.0), distortion=pj.BrownConrady(k1=0.01))
+
+
+def like(_):
+    return Pair(0, {"sum": 0})
+
+
 def called(x, power=2, first=1.0):
-    pair = Pair(np.float32(first), None)
-    return programs.call(WHERE, (x, power, pair), lambda: Pair(0, {"sum": 0}))
+    return programs.call(WHERE, (x, power, Pair(np.float32(first), None)), lambda: like(x))
 
 
 @pytest.fixture
@@ -48,7 +69,8 @@ def kept(tmp_path, monkeypatch):
 
 
 def another_process(kept):
-    programs.keep_in(kept)  # and nothing is known of before
+    programs.keep_in(None)  # nothing is known of before
+    programs.keep_in(kept)
 
 
 X = np.arange(3, dtype=np.float32)
@@ -93,17 +115,93 @@ def test_a_switch_of_jax_makes_another_program(kept):
 
 def test_code_or_versions_make_another_program(kept, monkeypatch):
     called(X)
-    for name in ("_source", "_versions"):
+    for name, other in (("_source", lambda: "other code"), ("version", lambda _: "1.0")):
+        monkeypatch.setattr(programs, name, other)
         another_process(kept)
-        monkeypatch.setattr(programs, name, lambda name=name: name)
         called(X)
     assert len(traces) == len(list(kept.iterdir())) == 3
 
 
-def test_nothing_is_kept_where_each_call_is_watched(kept):
-    with jax.debug_nans(True):
-        called(X)
+def test_code_that_changed_while_the_process_ran_keeps_nothing(kept, monkeypatch):
+    monkeypatch.setattr(programs, "_source", lambda: "other code")
+    called(X)
+    assert len(traces) == 1
     assert not kept.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "other"), [("_source", lambda: None), ("version", lambda name: version(name + "?"))]
+)
+def test_nothing_is_kept_where_code_or_versions_cannot_be_told(kept, monkeypatch, name, other):
+    monkeypatch.setattr(programs, name, other)
+    another_process(kept)
+    assert np.array_equal(called(X).first, X**2 + 1)
+    assert not kept.exists()
+
+
+@pytest.mark.parametrize(
+    "watched",
+    [
+        lambda: jax.debug_nans(True),
+        jax.disable_jit,
+        lambda: jax.default_device(jax.devices("cpu")[0]),
+    ],
+)
+def test_nothing_is_kept_where_jax_looks_at_each_call_or_is_told_where(kept, watched):
+    with watched():
+        assert np.array_equal(called(X).first, X**2 + 1)
+    assert not kept.exists()
+
+
+def test_another_function_of_the_same_name_is_called(kept, monkeypatch):
+    called(X)
+    other = eqx.filter_jit(lambda x, power, pair: Pair(-x, {"sum": x.sum()}))
+    monkeypatch.setattr(sys.modules[__name__], "raised", other)
+    # (Its code is none of this package's: by the files it is the same one.)
+    monkeypatch.setattr(programs, "_read", lambda path: None)
+    assert np.array_equal(called(X).first, -X)
+
+
+def test_a_structure_of_somebody_elses_class_is_not_kept(kept):
+    """Its code may change without a sign, and its name may be one of ours."""
+    arguments = X, 2, Theirs(np.float32(1), None)
+    assert np.array_equal(programs.call(WHERE, arguments, lambda: like(X)).first, X**2 + 1)
+    assert not kept.exists()
+
+
+def test_a_wrong_structure_of_the_answer_keeps_nothing(kept):
+    found = programs.call(WHERE, (X, 2, Pair(np.float32(1), None)), lambda: Pair(0, 0))
+    assert found.second["sum"] == 3
+    assert not kept.exists()
+
+
+def test_to_keep_in_the_same_folder_once_more_changes_nothing(kept):
+    called(X)
+    before = dict(programs._programs)
+    programs.keep_in(kept)
+    assert programs._programs == before
+
+
+@pytest.mark.parametrize("what", ["prior, bounds and a lens", "spheres"])
+def test_a_fit_is_one_to_keep(kept, what, monkeypatch):
+    """The structure of its answer is known before it is traced."""
+    camera = pj.Camera([3.0, 1, 0.8], [0, 0, 0], [0, 0, 1], 0.8, W=48, H=40)
+    spheres = pj.Spheres(np.eye(3) / 2, np.full(3, 0.4))
+    scene, names, more = pj.Scene(spheres=spheres), ("pose",), {}
+    if what != "spheres":
+        camera = eqx.tree_at(lambda c: c.lens, camera, LENS, is_leaf=lambda x: x is None)
+        scene, names = pj.Scene(mesh=pj.shapes.bumpy(2)), ("pose", "phi", "k1")
+        more = {"prior": {"phi": (0.8, 0.1)}, "bounds": {"phi": (0.2, 2.0)}}
+
+    def kept_or_not(where, arguments, answer):
+        found = eqx.filter_eval_shape(programs._function(where), *arguments)
+        assert jax.tree.structure(found) == jax.tree.structure(answer())
+        assert programs._path(where, arguments) is not None
+        raise Looked
+
+    monkeypatch.setattr(programs, "call", kept_or_not)
+    with pytest.raises(Looked):
+        pj.fit_camera(scene, np.eye(40, 48) + np.eye(40, 48, 1), camera, names, **more)
 
 
 def test_nothing_is_kept_that_only_this_process_can_name(kept):
@@ -143,8 +241,6 @@ print("optimistix" in sys.modules)
 
 @pytest.mark.long
 def test_a_later_process_finds_the_same_camera_without_tracing_the_fit(tmp_path):
-    import pinhole_jax as pj
-
     truth = pj.Camera([3, 1, 0.8], [0, 0, 0], [0, 0, 1], 0.8, W=96, H=80)
     np.save(tmp_path / "mask.npy", np.asarray(pj.silhouette(truth, pj.Scene(pj.shapes.bumpy(3)))))
     words = [sys.executable, "-c", FIT, tmp_path / "cache", tmp_path / "mask.npy"]

@@ -1,1 +1,2 @@
-"""Files that are read with bounds and written whole: paths, pictures, EXIF, the compile cache."""
+"""Files that are read with bounds and written whole: paths, pictures, EXIF, programs that are kept;
+what an interrupt does to them."""

@@ -14,9 +14,9 @@ def cache(folder: str | os.PathLike[str] | None = None) -> Path:
 
     The default is `pinhole_jax` in the user's cache folder (`$XDG_CACHE_HOME`, else `~/.cache`):
     where the command keeps its own. A first fit then takes a process a second or two instead of
-    many: what it traces is kept there, too. It sets JAX's `jax_compilation_cache_dir`, for all of
-    the process; delete the folder to clear it. Raise ValueError where there is no home folder and
-    none is given.
+    many: what it traces is kept there, too (on a CPU, not while JAX debugs). It sets JAX's
+    `jax_compilation_cache_dir`, for all of the process; delete the folder to clear it. Raise
+    ValueError where there is no home folder and none is given.
     """
     if folder is None:
         try:
@@ -27,5 +27,6 @@ def cache(folder: str | os.PathLike[str] | None = None) -> Path:
     jax.config.update("jax_compilation_cache_dir", os.fspath(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     compilation_cache.reset_cache()  # else what was set at the first program of all holds
-    programs.keep_in(Path(folder) / "traced")
+    remote = "://" in os.fspath(folder)  # JAX writes there, this package does not
+    programs.keep_in(None if remote else Path(folder).absolute() / "traced")
     return Path(folder)

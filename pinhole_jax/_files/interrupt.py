@@ -45,7 +45,7 @@ def ending_at_once(words: str) -> Iterator[None]:
 
 
 @contextmanager
-def removing_what_is_half_written() -> Iterator[None]:
+def interrupts_raise() -> Iterator[None]:
     """Let Ctrl-C be an exception, so that what is half written is removed."""
     global _writing
     _writing = True

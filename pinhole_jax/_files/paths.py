@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from .interrupt import removing_what_is_half_written
+from .interrupt import interrupts_raise
 
 #: The most bytes of a file that is read as a whole, and the deepest nesting of JSON.
 MOST_BYTES = 1 << 26
@@ -244,7 +244,7 @@ def _replace(target: Path, data: bytes) -> None:
         raise ValueError("a stream of a process")
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.parent / f"tmp{secrets.token_hex(8)}{target.suffix[:9]}"
-    with removing_what_is_half_written():
+    with interrupts_raise():
         try:
             with open(temporary, "xb") as stream:
                 stream.write(data)

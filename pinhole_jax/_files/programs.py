@@ -2,80 +2,92 @@
 
 JAX keeps what it compiled, but to find that it has to trace and lower the program first: two of the
 three seconds that a first fit waits for where all is kept.
+
+A program is found by all that it was traced from: the package's code, the versions of what that
+uses, the arguments' structure, shapes and static values, and JAX's switches. Where one of these
+cannot be told, nothing is kept.
 """
 
-import functools
 import hashlib
 import importlib
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from .paths import replace_file
+from .paths import read_bytes, replace_file
 
 #: What a traced program depends on beside its own code: other people's code, and JAX's switches.
 PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
 SWITCHES = (
     "jax_enable_x64",
+    "jax_explicit_x64_dtypes",
     "jax_default_matmul_precision",
     "jax_numpy_dtype_promotion",
     "jax_numpy_rank_promotion",
     "jax_legacy_prng_key",
+    "jax_softmax_custom_jvp",
+    "jax_error_checking_behavior_nan",
+    "jax_error_checking_behavior_divide",
+    "jax_error_checking_behavior_oob",
 )
-#: Switches with which each call wants to be looked at, and those that say where it runs.
+#: Switches with which JAX has to look at each call, and one that says where it runs.
 WATCHED = ("jax_debug_nans", "jax_debug_infs", "jax_disable_jit", "jax_default_device")
+#: At most so many programs are held.
+HELD = 64
 
 _folder: Path | None = None
+_code: str | None = None
 _programs: dict[Any, Callable[..., Any] | None] = {}
 
 
 def keep_in(folder: Path | None) -> None:
     """Keep traced programs in a folder from now on (None: nowhere)."""
-    global _folder
-    _folder = folder
-    _programs.clear()
+    global _folder, _code
+    if folder != _folder:
+        _folder, _code = folder, folder and _source()
+        _programs.clear()
 
 
 def call(where: str, arguments: tuple[Any, ...], answer: Callable[[], Any]) -> Any:
-    """Return what a function of `equinox.filter_jit`'s returns, traced by an earlier process where
-    that can be.
+    """Return what a jitted function returns, traced by an earlier process where that can be.
 
-    `where` names it, as "module:name": its module is not imported where it need not be traced.
-    `answer` returns something of the same structure as what the function returns.
+    `where` names a function that `equinox.filter_jit` made, as "module:name": its module is not
+    imported where it need not be traced. `answer` returns something of its result's structure.
     """
     if _folder is None:
         return _function(where)(*arguments)
     leaves, tree = jax.tree.flatten(arguments)
-    key = where, tree, tuple(map(_described, leaves)), _settings(SWITCHES), _settings(WATCHED)
+    switches, watched = _settings(SWITCHES), _settings(WATCHED)
+    key = where, _imported(where), tree, tuple(map(_described, leaves)), switches, watched
     if key not in _programs:
-        _programs[key] = _program(key, arguments, answer)
-    program = _programs[key]
+        if len(_programs) >= HELD:
+            _programs.clear()
+        _programs[key] = _program(where, arguments, answer)
+    program = _programs.get(key)
     if program is None:
         return _function(where)(*arguments)
     return program(*filter(_is_array, leaves))
 
 
 def like(kind: Any) -> Any:
-    """Return a named tuple of a kind, of numbers."""
+    """Return a named tuple of that kind, with a number in each field."""
     return kind(*[0.0] * len(kind._fields))
 
 
 def _program(
-    key: Any, arguments: tuple[Any, ...], answer: Callable[[], Any]
+    where: str, arguments: tuple[Any, ...], answer: Callable[[], Any]
 ) -> Callable[..., Any] | None:
     """Return a function of the arrays among some arguments, read or traced; None for a program that
     cannot be kept."""
-    where, tree, described, switches, watched = key
-    text = repr((where, str(tree), described, switches, _versions(), _source()))
-    plain = jax.default_backend() == "cpu" and jax.device_count() == 1 and not any(watched)
-    if _folder is None or not plain or " at 0x" in text:  # (an address: another one next time)
+    path = _path(where, arguments)
+    if path is None:
         return None
-    path = _folder / f"{hashlib.sha256(text.encode()).hexdigest()}.stablehlo"
     structure = jax.tree.structure(answer())
     exported = _read(path)
     if exported is None:
@@ -83,11 +95,40 @@ def _program(
         if exported is None:
             return None
         data = exported.serialize()
-        with suppress(OSError, ValueError):  # a folder that cannot be written to keeps nothing
-            replace_file(path, hashlib.sha256(data).digest() + bytes(data))
+        if _source() == _code:  # else it was traced from code that is no longer there
+            with suppress(OSError, ValueError):  # a folder that cannot be written to keeps nothing
+                replace_file(path, hashlib.sha256(data).digest() + bytes(data))
     # (Compiled here: a jit would compile once more for arrays that are results of its own.)
     run = jax.jit(exported.call).lower(*filter(_is_array, jax.tree.leaves(arguments))).compile()
     return lambda *arrays: jax.tree.unflatten(structure, run(*arrays))
+
+
+def _path(where: str, arguments: tuple[Any, ...]) -> Path | None:
+    """Return the file of a program, None where it cannot be told from all others."""
+    plain = jax.default_backend() == "cpu" and jax.device_count() == 1
+    plain &= all(_settings(("jax_enable_compilation_cache",))) and not any(_settings(WATCHED))
+    leaves, tree = jax.tree.flatten(arguments)
+    classes = list(_classes(tree))
+    ours = all(c.__module__.split(".")[0] in ("pinhole_jax", "builtins") for c in classes)
+    if _folder is None or _code is None or not plain or not ours:
+        return None
+    names = [f"{c.__module__}.{c.__qualname__}" for c in classes]
+    described = tuple(map(_described, leaves))
+    with suppress(PackageNotFoundError):
+        versions = tuple(map(version, PACKAGES))
+        text = repr((where, str(tree), names, described, _settings(SWITCHES), versions, _code))
+        if " at 0x" not in text:  # an address is another one in the next process
+            return _folder / f"{hashlib.sha256(text.encode()).hexdigest()}.stablehlo"
+    return None
+
+
+def _classes(tree: Any) -> Iterator[type]:
+    """Yield the classes of a structure's nodes."""
+    node = tree.node_data()
+    if node is not None:
+        yield node[0]
+    for child in tree.children():
+        yield from _classes(child)
 
 
 def _read(path: Path) -> Any:
@@ -95,7 +136,7 @@ def _read(path: Path) -> Any:
     from jax import export
 
     with suppress(OSError, ValueError):
-        content = path.read_bytes()
+        content = read_bytes(path, "a traced program")
         digest, data = content[:32], content[32:]
         if hashlib.sha256(data).digest() == digest:
             return export.deserialize(bytearray(data))
@@ -113,7 +154,7 @@ def _traced(where: str, arguments: tuple[Any, ...], structure: Any) -> Any:
         own = [next(rest) if _is_array(leaf) else leaf for leaf in leaves]
         result, found = jax.tree.flatten(_function(where)(*jax.tree.unflatten(tree, own)))
         if found != structure:
-            raise AssertionError(f"a result of structure {found}, expected {structure}")
+            raise ValueError(f"expected a result of structure {structure}, got {found}")
         return result
 
     with suppress(NotImplementedError, ValueError):
@@ -126,6 +167,12 @@ def _function(where: str) -> Callable[..., Any]:
     return getattr(importlib.import_module(module), name)
 
 
+def _imported(where: str) -> int | None:
+    """Return which function a name stands for now, None before its module is imported."""
+    module, name = where.split(":")
+    return id(getattr(sys.modules[module], name)) if module in sys.modules else None
+
+
 def _is_array(leaf: Any) -> bool:
     return isinstance(leaf, np.ndarray | np.generic | jax.Array)
 
@@ -134,23 +181,19 @@ def _described(leaf: Any) -> Any:
     """Return what a program depends on of an argument's leaf."""
     if _is_array(leaf):
         return leaf.shape, str(leaf.dtype), getattr(leaf, "weak_type", False)
-    return type(leaf).__name__, leaf
+    return type(leaf).__name__, repr(leaf)
 
 
 def _settings(names: tuple[str, ...]) -> tuple[Any, ...]:
     return tuple(getattr(jax.config, name, None) for name in names)
 
 
-@functools.cache
-def _versions() -> tuple[str, ...]:
-    return tuple(map(version, PACKAGES))
-
-
-@functools.cache
-def _source() -> str:
-    """Return a digest of this package's code."""
-    digest = hashlib.sha256()
-    root = Path(__file__).parents[1]
-    for path in sorted(root.rglob("*.py")):
-        digest.update(f"{path.relative_to(root)}\n".encode() + path.read_bytes())
-    return digest.hexdigest()
+def _source() -> str | None:
+    """Return a digest of this package's code, None where it is not there to be read."""
+    digest, root = hashlib.sha256(), Path(__file__).parents[1]
+    paths = sorted(root.rglob("*.py"))
+    with suppress(OSError):
+        for path in paths:
+            digest.update(f"{path.relative_to(root)}\n".encode() + path.read_bytes())
+        return digest.hexdigest() if paths else None
+    return None

@@ -43,8 +43,8 @@ def guesses(mask: Mask, scene: Scene, ball: Ball) -> Iterator[Camera]:
     score = distances(goal, views)
     dips = (score <= np.roll(score, 1, axis=1)) & (score < np.roll(score, -1, axis=1))
     # (A round mask looks the same at every roll: none of them is less than the next.)
-    level = ~np.any(dips, axis=1)
-    dips[level, np.argmin(score[level], axis=1)] = True
+    flat = ~np.any(dips, axis=1)
+    dips[flat, np.argmin(score[flat], axis=1)] = True
     order = np.argsort(np.where(dips, score, np.inf), axis=None)[: int(dips.sum())]
     for n, k in zip(*np.unravel_index(order, score.shape), strict=True):
         c, s = np.cos(2 * np.pi * k / ANGLES), np.sin(2 * np.pi * k / ANGLES)

@@ -314,7 +314,7 @@ def most_agreeing(
         for k, (d, cost) in enumerate(zip(described, costs, strict=True))
         if cost <= limit or k == least or (max(k, least) < alike and not drawn)
     ]
-    if start is None:  # nothing but the squares tells equals apart: the first leaves the least
+    if start is None:  # the first left the least squares of all pixels: it stands first if it may
         return kept if kept[0] is described[0] else sorted(kept, key=lambda d: d is not closest)
     return sorted(kept, key=lambda d: angle(d[0].unit, start))
 
