@@ -63,13 +63,16 @@ def call(where: str, arguments: tuple[Any, ...], answer: Callable[[], Any]) -> A
     if _folder is None:
         return _function(where)(*arguments)
     leaves, tree = jax.tree.flatten(arguments)
-    switches, watched = _settings(SWITCHES), _settings(WATCHED)
-    key = where, _imported(where), tree, tuple(map(_described, leaves)), switches, watched
-    if key not in _programs:
+    given = where, tree, tuple(map(_described, leaves)), _settings(SWITCHES), _settings(WATCHED)
+    key = given, _imported(where)
+    if key in _programs:
+        program = _programs[key]
+    else:
         if len(_programs) >= HELD:
             _programs.clear()
-        _programs[key] = _program(where, arguments, answer)
-    program = _programs.get(key)
+        program = _program(where, arguments, answer)
+        # (To trace it imports its module.)
+        _programs[key] = _programs[given, _imported(where)] = program
     if program is None:
         return _function(where)(*arguments)
     return program(*filter(_is_array, leaves))
@@ -88,6 +91,8 @@ def _program(
     path = _path(where, arguments)
     if path is None:
         return None
+    from jax import export
+
     structure = jax.tree.structure(answer())
     exported = _read(path)
     if exported is None:
@@ -95,6 +100,7 @@ def _program(
         if exported is None:
             return None
         data = exported.serialize()
+        exported = export.deserialize(bytearray(data))  # as later processes have it: compiled once
         if _source() == _code:  # else it was traced from code that is no longer there
             with suppress(OSError, ValueError):  # a folder that cannot be written to keeps nothing
                 replace_file(path, hashlib.sha256(data).digest() + bytes(data))
