@@ -211,10 +211,6 @@ def test_a_prior_says_from_where_a_round_body_is_seen_and_the_start_from_which_s
         assert pj.pose_error(fit.camera, camera)[0] < min(2 * np.max(fit.std[:3]), 0.1)
 
 
-def drawn(size):
-    return OutlineErrors(size, 5.0, 0.0, 20.0, np.eye(6))
-
-
 @pytest.mark.parametrize(
     ("costs", "anywhere", "expected"),
     [
@@ -232,7 +228,7 @@ def test_a_drawn_mask_asks_all_cameras_near_its_edge(monkeypatch, costs, anywher
     described = [(Found(c, view, ()), view) for c, view in zip(cameras, views, strict=True)]
     monkeypatch.setattr(strategy, "area_between", lambda view, *_: view.prior)
     solver = object.__new__(Solver)
-    solver.errors = lambda view: drawn(1.0)
+    solver.errors = lambda view: OutlineErrors(1.0, 5.0, 0.0, 20.0, np.eye(6))
     mask = Mask(np.eye(40, 48), np.ones((40, 48)), START)
     start = None if anywhere else START
     kept = strategy.most_agreeing(solver, mask, described, 3, start)

@@ -1,6 +1,5 @@
 """Programs that are kept as traced are found again, and never taken for others."""
 
-import os
 import re
 import subprocess
 import sys
@@ -47,12 +46,12 @@ class Looked(Exception):
 LENS = pj.Lens((24.0, 20.0), distortion=pj.BrownConrady(k1=0.01))
 
 
-def like(_):
+def answer():
     return Pair(0, {"sum": 0})
 
 
 def called(x, power=2, first=1.0):
-    return programs.call(WHERE, (x, power, Pair(np.float32(first), None)), lambda: like(x))
+    return programs.call(WHERE, (x, power, Pair(np.float32(first), None)), answer)
 
 
 @pytest.fixture
@@ -184,7 +183,7 @@ def test_another_function_of_the_same_name_is_called(kept, monkeypatch):
 def test_a_structure_of_somebody_elses_class_is_not_kept(kept):
     """Its code may change without a sign, and its name may be one of ours."""
     arguments = X, 2, Theirs(np.float32(1), None)
-    assert np.array_equal(programs.call(WHERE, arguments, lambda: like(X)).first, X**2 + 1)
+    assert np.array_equal(programs.call(WHERE, arguments, answer).first, X**2 + 1)
     assert not kept.exists()
 
 
@@ -224,7 +223,7 @@ def test_a_fit_is_one_to_keep(kept, what, monkeypatch):
 
 
 def test_nothing_is_kept_that_only_this_process_can_name(kept):
-    programs.call(WHERE, (X, 2, Pair(1.0, lambda: 0)), lambda: Pair(0, {"sum": 0}))
+    programs.call(WHERE, (X, 2, Pair(1.0, lambda: 0)), answer)
     assert not kept.exists()
 
 
@@ -265,7 +264,7 @@ def test_a_later_process_finds_the_same_camera_without_tracing_the_fit(tmp_path)
     words = [sys.executable, "-c", FIT, tmp_path / "cache", tmp_path / "mask.npy"]
     said = []
     for _ in range(2):
-        done = subprocess.run(words, capture_output=True, text=True, env=dict(os.environ))
+        done = subprocess.run(words, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         said.append(done.stdout.split())
     assert said[0][:-1] == said[1][:-1]

@@ -19,6 +19,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax import export
 
 from .paths import read_bytes, replace_file
 
@@ -91,8 +92,6 @@ def _program(
     path = _path(where, arguments)
     if path is None:
         return None
-    from jax import export
-
     structure = jax.tree.structure(answer())
     exported = _read(path)
     if exported is None:
@@ -139,8 +138,6 @@ def _classes(tree: Any) -> Iterator[type]:
 
 def _read(path: Path) -> Any:
     """Return the program in a file, None where there is none, or not whole."""
-    from jax import export
-
     with suppress(OSError, ValueError):
         content = read_bytes(path, "a traced program")
         digest, data = content[:32], content[32:]
@@ -151,8 +148,6 @@ def _read(path: Path) -> Any:
 
 def _traced(where: str, arguments: tuple[Any, ...], structure: Any) -> Any:
     """Return a program of the arrays among some arguments, None where it cannot be kept."""
-    from jax import export
-
     leaves, tree = jax.tree.flatten(arguments)
 
     def flat(*arrays: Any) -> list[Any]:
