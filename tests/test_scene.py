@@ -1,3 +1,6 @@
+import gc
+import weakref
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,7 +10,14 @@ import trimesh
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._scene.scene import astype, bounding_sphere, check_view, front_facing, padded
+from pinhole_jax._scene.scene import (
+    astype,
+    bounding_sphere,
+    check_view,
+    front_facing,
+    padded,
+    with_or_without_border,
+)
 
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])  # counter-clockwise from outside
@@ -168,3 +178,14 @@ def test_camera_and_scene_in_the_wrong_order_or_stacked_are_said():
     stacked = jax.tree.map(lambda x: jnp.stack([x, x]), camera)
     with pytest.raises(ValueError, match=r"got several \(e of shape \(2, 3\)\): `jax.vmap` takes"):
         check_view(stacked, scene)
+
+
+def test_what_is_made_for_a_fit_is_let_go():
+    """A loop over many masks holds no more at its end: 2 MB a fit stayed, as equinox keeps what is
+    made of a module by `copy`."""
+    made = with_or_without_border(padded(pj.Scene(mesh=shapes.bumpy(1)))).mesh
+    assert made.closed is None
+    gone = weakref.ref(made)
+    del made
+    gc.collect()
+    assert gone() is None

@@ -27,6 +27,7 @@ from .strategy import (
     everywhere,
     from_start,
     most_agreeing,
+    to_the_end,
     turns_freely,
     with_errors,
     without_outliers,
@@ -155,6 +156,7 @@ def _fit(
         settings.bounds,
         settings.prior,
         settings.record,
+        continued=settings.outlier_px is not None,
     )
 
     def told(stop: Stop) -> None:
@@ -167,7 +169,6 @@ def _fit(
     )
     found = [places.best, *places.others]
     trust = lambda: mask.weight
-    described = [(f, f.view) for f in found]
     reach, free = settings.outlier_px, places.free
     if reach is not None and found[0].view.touched_misfit > EXACT:
         described = without_outliers(solver, mask, places, reach, start)
@@ -175,6 +176,7 @@ def _fit(
         trust = lambda: mask.near_edge(reach)
     else:
         reach = None
+        described = [(f, f.view) for f in to_the_end(solver, found)]
     if turns_freely(names):
         free = with_errors(solver, mask, described[0][0], places, reach)
 

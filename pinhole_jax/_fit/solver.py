@@ -81,6 +81,7 @@ class Solver:
         bounds: Bounds | None = None,
         prior: Prior | None = None,
         record: bool = False,
+        continued: bool = False,
     ):
         self._bounds, self._prior, self._record = bounds, prior, record
         self.dtype, self.names, self.max_steps = np.dtype(dtype), names, max_steps
@@ -96,6 +97,9 @@ class Solver:
         image = shares(self.window.of(target))
         self.capacity = first_room(scene, image)
         self.kind = kind_of(self.window.of(target), self.window.of(weights), dtype)
+        #: What is `continued` on fewer pixels, as any mask that is not exact, moves by more then.
+        rough = continued and not self.kind.exact
+        self.fine_px = COARSE_PX if rough else FINE_PX[self.dtype]
         self.weigh(weights)
 
     def weigh(self, weights: np.ndarray, target: np.ndarray | None = None) -> None:
@@ -191,13 +195,17 @@ class Solver:
             view = self._further(unit, self.levels[level], 0.0, 1, self.capacity)[-1]
             room = more_room(self.capacity, view.load)
             if room == self.capacity:
-                share = float(self.levels[level].scale) / len(self._target)
-                weight = float(view.sums.weight) + share**2 * self._beside
-                return view._replace(sums=view.sums._replace(weight=np.asarray(weight)))
+                return self._of_all(view, level)
             larger = size_of(room.pieces) > size_of(self.capacity.pieces)
             self.capacity = room
             if larger:
                 self.weigh(self._weights)
+
+    def _of_all(self, view: View, level: int) -> View:
+        """Return a view with the weight of the pixels beside the window counted, too."""
+        share = float(self.levels[level].scale) / len(self._target)
+        weight = float(view.sums.weight) + share**2 * self._beside
+        return view._replace(sums=view.sums._replace(weight=np.asarray(weight)))
 
     def hear(self, others: Others | None) -> None:
         """Count what other views know from now on, None: nothing. They weigh the prior, too."""
@@ -251,13 +259,15 @@ class Solver:
         told: Callable[[Stop], None] | None = None,
         coarse_px: float = COARSE_PX,
         fine_px: float | None = None,
+        steps: int | None = None,
     ) -> Found:
         """Return the camera found from level to level, and its view on the last of them.
 
-        Steps of `coarse_px`, on the finest level of `fine_px` (None: of what the float type
-        resolves), are negligible.
+        Steps of `coarse_px`, on the finest level of `fine_px` (None: of what the fit asks for), are
+        negligible; at most so many `steps` are taken on a level.
         """
-        way, steps = [Stop(unit, self.levels[levels[0]], 0)], []
+        most = min(steps or self.max_steps, self.max_steps)
+        way, taken = [Stop(unit, self.levels[levels[0]], 0)], []
         self._widen(unit)
         while True:
             capacity, window = self.capacity, self.window
@@ -265,21 +275,22 @@ class Solver:
                 self._believe(unit, number)
                 level = self.levels[number]
                 finest = number == self.finest
-                tolerance = (fine_px or FINE_PX[self.dtype]) if finest else coarse_px
-                further, n, path, end = self._further(
-                    unit, level, tolerance, self.max_steps, capacity
-                )
+                tolerance = (fine_px or self.fine_px) if finest else coarse_px
+                further, n, path, end = self._further(unit, level, tolerance, most, capacity)
                 stop = Stop(further, level, int(n))
                 way += self._each_step(unit, number, stop, path) if self._record else [stop]
                 if self._weighs_prior():
                     self.believe(end.touched_misfit)
                 unit = further
-                steps.append(stop.steps)
+                taken.append(stop.steps)
                 if told is not None:
                     told(stop)
-            view = self.look(unit, levels[-1])
+            self._widen(unit)
+            fits = (more_room(capacity, end.load), self.window) == (capacity, window)
+            seen = fits and not self._weighs_prior()  # (... whose noise is another one now)
+            view = self._of_all(end, levels[-1]) if seen else self.look(unit, levels[-1])
             if (self.capacity, self.window) == (capacity, window):
-                return Found(unit, view, tuple(steps), tuple(way), steps[-1] < self.max_steps)
+                return Found(unit, view, tuple(taken), tuple(way), taken[-1] < most)
             # The view outgrew its buffers or window on the way: go on from there with larger ones.
 
     def glance(self, unit: Camera) -> View:

@@ -25,7 +25,7 @@ from .places import (
     settled,
     turned_by,
 )
-from .problem import COARSE_PX, View
+from .problem import COARSE_PX, FINE_PX, View
 from .search import aimed, guesses
 from .solver import Found, Solver, Stop, onward
 from .stretches import area_between
@@ -57,6 +57,9 @@ SAME = np.deg2rad(1.0)
 TRIED, APART, FOLLOWED = 16, np.deg2rad(15), 8
 #: A step that is negligible there, in coarse px.
 ROUGH_PX = 0.3
+#: What leaves so many times the best one's mean square on a level is followed no further; after the
+#: first few steps there (hopeless ones take 50, and are still 12 times worse) it is so many times.
+WORSE, FIRST_STEPS, HOPELESS_AT_FIRST = 4, 8, 16
 #: Where the focal length is free, a search tries several: this much times the first guess.
 FOCAL_FACTORS = (1.0, 1.5, 0.67)
 
@@ -205,16 +208,18 @@ def finished(solver: Solver, views: Iterable[Camera]) -> list[Found]:
     first of these shows to be far worse than the best. (Coarser ones do not tell a tilt from its
     mirror image.)"""
     coarse, *fine = range(max(solver.finest - 1, 0), len(solver.levels))
-    found = _likely(_finite([solver.solve(view, [coarse]) for view in views]))
+    begun = _finite([solver.solve(view, [coarse], steps=FIRST_STEPS) for view in views])
+    further = lambda f: f if f.ended else onward(f, solver.solve(f.unit, [coarse]))
+    found = _likely([further(f) for f in _likely(begun, HOPELESS_AT_FIRST)])
     return [onward(f, solver.solve(f.unit, fine)) for f in found] if fine else found
 
 
-def _likely(found: list[Found]) -> list[Found]:
-    """Return the cameras that are worth following to finer levels."""
+def _likely(found: list[Found], times: float = WORSE) -> list[Found]:
+    """Return the cameras that are worth following further."""
     if not found:
         return []
     best = min(found, key=lambda f: f.view.squares)
-    return [f for f in found if f is best or f.view.misfit < 4 * best.view.misfit + EXACT]
+    return [f for f in found if f is best or f.view.misfit < times * best.view.misfit + EXACT]
 
 
 def _followed(solver: Solver, likely: Iterator[Camera], apart: float, told: Told) -> list[Found]:
@@ -248,6 +253,14 @@ def equally_good(solver: Solver, found: list[Found]) -> list[Found]:
     ]
 
 
+def to_the_end(solver: Solver, found: list[Found]) -> list[Found]:
+    """Return cameras that steps were left out for as fine as the float type resolves them."""
+    px = FINE_PX[solver.dtype]
+    if solver.fine_px <= px:
+        return found
+    return [onward(f, solver.solve(f.unit, [solver.finest], fine_px=px)) for f in found]
+
+
 def without_outliers(
     solver: Solver, mask: Mask, places: Places, outlier_px: float, start: Camera | None
 ) -> list[tuple[Found, View]]:
@@ -260,7 +273,8 @@ def without_outliers(
     rivals = [(f, f.unit) for f in places.rivals]
     for reach in (8, 4, 2, 1):
         solver.weigh(mask.near_edge(reach * outlier_px))
-        px = COARSE_PX if reach > 1 else None  # what comes next moves it by more
+        # (What comes next moves it by more.)
+        px = COARSE_PX if reach > 1 else FINE_PX[solver.dtype]
         finer = lambda f, px=px: onward(f, solver.solve(f.unit, [solver.finest], fine_px=px))
         alike, rivals = ([(finer(f), unit) for f, unit in x] for x in (alike, rivals))
         # (Farther out, what covers the object counts against the right one.)
@@ -272,7 +286,7 @@ def without_outliers(
     for f, before in (*alike, *rivals):
         for unit in [before] if start is None else [before, start]:
             if not solver.look(unit, solver.finest).squares >= f.view.squares:
-                f = onward(f, solver.solve(unit, [solver.finest]))
+                f = onward(f, solver.solve(unit, [solver.finest], fine_px=px))
         result.append(f)
     solver.weigh(mask.weight)
     return [(f, solver.look(f.unit, solver.finest)) for f in result]

@@ -1,6 +1,5 @@
 """What a camera looks at: `Mesh`, `Spheres`, `Scene`, and what is worked out once per mesh."""
 
-from copy import copy
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -202,7 +201,7 @@ def with_or_without_border(scene: Scene) -> Scene:
     mesh = scene.mesh
     if mesh is None or len(mesh.vertices) not in FILLED_UP:
         return scene
-    mesh = copy(mesh)
+    mesh = jax.tree.map(lambda x: x, mesh)  # (equinox never lets go of what `copy` makes)
     object.__setattr__(mesh, "closed", None)  # (`tree_at` changes no static field)
     return Scene(mesh=mesh, spheres=scene.spheres)
 
