@@ -183,9 +183,6 @@ def test_camera_and_scene_in_the_wrong_order_or_stacked_are_said():
 def test_what_is_made_for_a_fit_is_let_go():
     """A loop over many masks holds no more at its end: 2 MB a fit stayed, as equinox keeps what is
     made of a module by `copy`."""
-    made = with_or_without_border(padded(pj.Scene(mesh=shapes.bumpy(1)))).mesh
-    assert made.closed is None
-    gone = weakref.ref(made)
-    del made
+    gone = weakref.ref(with_or_without_border(padded(pj.Scene(mesh=shapes.bumpy(1)))).mesh)
     gc.collect()
     assert gone() is None

@@ -17,6 +17,7 @@ from .mask import Mask
 from .matte import Band, Matte, light, matte, tiles
 from .outline_errors import OutlineErrors, is_drawn
 from .places import Free, interval
+from .problem import FINE_PX
 from .residuals import Sums
 from .solver import Found, Solver, onward
 from .stretches import coverage_of
@@ -117,7 +118,7 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Ref
         own.weigh(*_whole(mask, now.window, read))
         own.max_steps = LAST_STEPS if last else STEPS
         coarsest = own.finest if number else max(own.finest - COARSER, 0)
-        px = None if last else ROUGH_PX
+        px = FINE_PX[own.dtype] if last else ROUGH_PX
         after = own.solve(refined.unit, range(coarsest, own.finest + 1), fine_px=px)
         refined, now = onward(refined, after), _Outline.of(own, after.view)
 

@@ -37,6 +37,9 @@ ERRORS = 4.0
 ONE_BIT, LEAST_VARIANCE = 1 / 12, 1 / 12 / 255**2
 #: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
 OFF_TIMES = 3.0
+#: A step that is negligible (px) where a fit goes on to fewer pixels: half as many steps as to the
+#: end of what float32 resolves, and squares within a hundred thousandth.
+CONTINUED_PX = 5e-3
 #: Named, since optimistix takes a third of this package's import.
 DESCENDED = "pinhole_jax._fit.levenberg_marquardt:descended"
 
@@ -99,7 +102,7 @@ class Solver:
         self.kind = kind_of(self.window.of(target), self.window.of(weights), dtype)
         #: What is `continued` on fewer pixels, as any mask that is not exact, moves by more then.
         rough = continued and not self.kind.exact
-        self.fine_px = COARSE_PX if rough else FINE_PX[self.dtype]
+        self.fine_px = CONTINUED_PX if rough else FINE_PX[self.dtype]
         self.weigh(weights)
 
     def weigh(self, weights: np.ndarray, target: np.ndarray | None = None) -> None:

@@ -59,7 +59,7 @@ TRIED, APART, FOLLOWED = 16, np.deg2rad(15), 8
 ROUGH_PX = 0.3
 #: What leaves so many times the best one's mean square on a level is followed no further; after the
 #: first few steps there (hopeless ones take 50, and are still 12 times worse) it is so many times.
-WORSE, FIRST_STEPS, HOPELESS_AT_FIRST = 4, 8, 16
+WORSE, FIRST_STEPS, HOPELESS_AT_FIRST = 4.0, 8, 16.0
 #: Where the focal length is free, a search tries several: this much times the first guess.
 FOCAL_FACTORS = (1.0, 1.5, 0.67)
 
