@@ -9,7 +9,7 @@ import numpy as np
 
 from .._camera.camera import Camera, bend, film_map, focal_px, principal_point
 from .signatures import Signature, signatures
-from .target import edge_distance, near_an_edge, shares
+from .target import Window, edge_distance, near_an_edge, object_window, shares
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,15 @@ class Mask:
 
     def near_edge(self, reach: float) -> np.ndarray:
         """Return the weights (H, W) of pixels near the mask's edge; 0 farther than `reach` (px)."""
-        return self.weight * near_an_edge(self._edge_distance, reach)
+        window, distance = self._edge_distance
+        near = np.zeros(self.weight.shape)
+        window.of(near)[:] = window.of(self.weight) * near_an_edge(window.of(distance), reach)
+        return near
 
     @cached_property
-    def _edge_distance(self) -> np.ndarray:
-        return edge_distance(self.image)
+    def _edge_distance(self) -> tuple[Window, np.ndarray]:
+        """Return the distance from the mask's edge, and about what it is finite."""
+        return object_window(self.image > 0.5), edge_distance(self.image)
 
     def longer(self, factor: float) -> "Mask":
         """Return the mask as seen with a focal length times a factor."""

@@ -29,7 +29,7 @@ from .residuals import Capacity
 from .revolution import Revolution, revolutions, some_of
 from .room import LEAST_ROOM, ROOMIER, first_room, more_room, size_of
 from .symmetry import Turn, turns_of_a_mesh
-from .target import LEAST_CELLS, Level, Window, object_window, pyramid, shares
+from .target import LEAST_CELLS, Level, Pyramid, Window, object_window, pyramid, shares
 
 #: Noise leaves at most so many standard errors more than on average.
 ERRORS = 4.0
@@ -40,6 +40,8 @@ OFF_TIMES = 3.0
 #: A step that is negligible (px) where a fit goes on to fewer pixels: half as many steps as to the
 #: end of what float32 resolves, and squares within a hundred thousandth.
 CONTINUED_PX = 5e-3
+#: Pyramids of more cells than this (50 MB in float32) are not kept.
+KEPT_CELLS = 2**21
 #: Named, since optimistix takes a third of this package's import.
 DESCENDED = "pinhole_jax._fit.levenberg_marquardt:descended"
 
@@ -70,6 +72,21 @@ def onward(before: Found, after: Found) -> Found:
     return after._replace(steps=steps, way=way)
 
 
+class _Asked(NamedTuple):
+    """What a pyramid is made of."""
+
+    target: np.ndarray
+    weights: np.ndarray
+    window: Window
+    least: int
+
+    def same(self, other: "_Asked") -> bool:
+        """Return whether another one's pyramid is the same."""
+        a, b = self.weights, other.weights
+        rest = self.target is other.target and self[2:] == other[2:]
+        return rest and (a is b or np.array_equal(a, b))
+
+
 class Solver:
     """One scene and mask; holds the buffers' sizes, which grow where a view outgrows them."""
 
@@ -90,6 +107,7 @@ class Solver:
         self.dtype, self.names, self.max_steps = np.dtype(dtype), names, max_steps
         self._others: Others | None = None
         self._errors: tuple[View, OutlineErrors | None] | None = None
+        self._made: list[tuple[_Asked, tuple[Pyramid, list[Level]]]] = []
         self._target = target
         self._scene = with_or_without_border(padded(astype(scene, dtype)))
         box = np.asarray(bounding_box(scene), float)
@@ -114,9 +132,7 @@ class Solver:
         self._weights = weights
         size = size_of(self.capacity.pieces)
         least = LEAST_CELLS * 4 ** ((size + 1) // 2)
-        levels, self.levels = pyramid(
-            self._target, weights, self.dtype, window=self.window, least=least
-        )
+        levels, self.levels = self._pyramid(_Asked(self._target, weights, self.window, least))
         # Few programs: the larger image's has room for the longer outline, and the other way round.
         if self.capacity.pieces > 1:
             size = max((levels.target.size // LEAST_CELLS).bit_length() - 2, 0)
@@ -132,6 +148,19 @@ class Solver:
         self.finest = len(self.levels) - 1
         others = self._others or no_others(self.names, self.dtype)
         self.problem = Problem(self._scene, levels, self.ball, others, self._bounds, self._prior)
+
+    def _pyramid(self, asked: "_Asked") -> tuple[Pyramid, list[Level]]:
+        """Return the levels of a target with weights: those of the first weights, which fits come
+        back to, and of the last are kept, but for large ones."""
+        for before, made in self._made:
+            if before.same(asked):
+                return made
+        target, weights, window, least = asked
+        made = pyramid(target, weights, self.dtype, window=window, least=least)
+        if made[0].target.size <= KEPT_CELLS:
+            first = [x for x in self._made[:1] if x[0].weights is not weights]
+            self._made = [*first, (asked, made)]
+        return made
 
     @cached_property
     def points(self) -> np.ndarray:
@@ -271,6 +300,7 @@ class Solver:
         """
         most = min(steps or self.max_steps, self.max_steps)
         way, taken = [Stop(unit, self.levels[levels[0]], 0)], []
+        end: Any = None
         self._widen(unit)
         while True:
             capacity, window = self.capacity, self.window
