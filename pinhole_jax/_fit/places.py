@@ -129,7 +129,8 @@ def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
         place = min(near, key=lambda p: _surplus(solver, p.view), default=best)
         if not better(solver, place.view, best.view):
             break
-        best = place._replace(steps=best.steps + place.steps, way=best.way)
+        view = solver.look(place.unit, solver.finest)
+        best = place._replace(view=view, steps=best.steps + place.steps, way=best.way)
         directions = _nearly_free(solver, best)
     if not seen:
         return Places(best, [], [])

@@ -227,17 +227,13 @@ class Solver:
             view = self._further(unit, self.levels[level], 0.0, 1, self.capacity)[-1]
             room = more_room(self.capacity, view.load)
             if room == self.capacity:
-                return self._of_all(view, level)
+                share = float(self.levels[level].scale) / len(self._target)
+                weight = float(view.sums.weight) + share**2 * self._beside
+                return view._replace(sums=view.sums._replace(weight=np.asarray(weight)))
             larger = size_of(room.pieces) > size_of(self.capacity.pieces)
             self.capacity = room
             if larger:
                 self.weigh(self._weights)
-
-    def _of_all(self, view: View, level: int) -> View:
-        """Return a view with the weight of the pixels beside the window counted, too."""
-        share = float(self.levels[level].scale) / len(self._target)
-        weight = float(view.sums.weight) + share**2 * self._beside
-        return view._replace(sums=view.sums._replace(weight=np.asarray(weight)))
 
     def hear(self, others: Others | None) -> None:
         """Count what other views know from now on, None: nothing. They weigh the prior, too."""
@@ -300,7 +296,6 @@ class Solver:
         """
         most = min(steps or self.max_steps, self.max_steps)
         way, taken = [Stop(unit, self.levels[levels[0]], 0)], []
-        end: Any = None
         self._widen(unit)
         while True:
             capacity, window = self.capacity, self.window
@@ -318,10 +313,8 @@ class Solver:
                 taken.append(stop.steps)
                 if told is not None:
                     told(stop)
-            self._widen(unit)
-            fits = (more_room(capacity, end.load), self.window) == (capacity, window)
-            seen = fits and not self._weighs_prior()  # (... whose noise is another one now)
-            view = self._of_all(end, levels[-1]) if seen else self.look(unit, levels[-1])
+            # (What a descent saw last is differentiated by moves of where it began.)
+            view = self.look(unit, levels[-1])
             if (self.capacity, self.window) == (capacity, window):
                 return Found(unit, view, tuple(taken), tuple(way), taken[-1] < most)
             # The view outgrew its buffers or window on the way: go on from there with larger ones.
@@ -334,7 +327,8 @@ class Solver:
 
     def descended(self, unit: Camera, steps: int) -> Found:
         """Return what some steps on the finest level lead to, in buffers as they are: NaN where
-        these do not suffice."""
+        these do not suffice. It has no way, and its view is differentiated by moves of the
+        beginning: what is to be reported is to be looked at."""
         self._widen(unit)
         px = FINE_PX[self.dtype]
         unit, n, _, view = self._further(unit, self.levels[-1], px, steps, self.capacity)

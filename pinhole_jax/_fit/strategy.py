@@ -254,10 +254,12 @@ def equally_good(solver: Solver, found: list[Found]) -> list[Found]:
 
 
 def to_the_end(solver: Solver, found: list[Found]) -> list[Found]:
-    """Return cameras that steps were left out for as fine as the float type resolves them."""
+    """Return cameras, which steps were left out for, as fine as the float type resolves them, and
+    looked at."""
     px = FINE_PX[solver.dtype]
     if solver.fine_px <= px:
-        return found
+        look = lambda f: f._replace(view=solver.look(f.unit, solver.finest))
+        return [f if f.way else look(f) for f in found]
     return [onward(f, solver.solve(f.unit, [solver.finest], fine_px=px)) for f in found]
 
 
