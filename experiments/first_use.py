@@ -45,6 +45,7 @@ for face in film[np.asarray(mesh.faces)]:
     mask[polygon(79.5 - face[:, 1], face[:, 0] - 0.5, mask.shape)] = True
 Image.fromarray(mask).save("mask.png")
 Image.fromarray(np.uint8(mask)).save("ones.png")
+Image.fromarray(np.uint8(7 * mask)).save("sevens.png")
 Image.fromarray(~mask).save("negative.png")
 Image.fromarray(np.uint8(255 * mask)).save("mask.jpg", quality=85)
 Image.fromarray(mask[8:72, 16:80]).save("cropped.png")
@@ -70,6 +71,9 @@ for call, words in (
     (lambda: pj.silhouette(scene, camera), "expected a Camera and a Scene"),
     (lambda: pj.silhouette(camera, scene.mesh), "expected a Camera and a Scene"),
     (lambda: pj.fit_camera(scene, np.full((80, 96), 7, np.int64), camera), "`target`: expected"),
+    (lambda: pj.fit_camera(scene, np.ones((80, 96)) - np.eye(80, 96), camera), "inverted"),
+    (lambda: pj.project(scene, np.zeros(3)), "`camera`: expected a Camera"),
+    (lambda: pj.fit_cameras(scene, [np.eye(80, 96)], camera), "in a list, got one Camera"),
     (lambda: pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 640, 480), "missing W or H"),
 ):
     try:
@@ -171,13 +175,8 @@ def at_the_door(step: Step) -> None:
     step.command(
         "an inverted mask", fit("negative.png", "--fov", "34"), 2, "`MASK`: expected", "`--invert`"
     )
-    step.command(
-        "labels 0 and 1",
-        fit("ones.png", "--fov", "34"),
-        2,
-        "`MASK`: expected a mask, got 'ones.png'",
-        "label=N",
-    )
+    step.command("labels 0 and 7", fit("sevens.png", "--fov", "34"), 2, "`--mask-from label=7`")
+    step.command("a field of view in other units", fit("mask.png", "--fov", "234"), 2, "degrees")
     step.command("no mesh", ["fit", "no.obj", "mask.png", "--fov", "34"], 2, "`MESH`: expected")
     step.command(
         "an edited camera", fit("mask.png", "--camera", "edited.json"), 2, "`phi_degrees`: expected"
@@ -209,7 +208,8 @@ def more(step: Step) -> None:
     start = "--camera", "start.json"
     step.command("a JPEG", fit("mask.jpg", *start), 0, "status     converged")
     step.command("an inverted mask, told", fit("negative.png", "--invert", *start), 0)
-    step.command("labels, told", fit("ones.png", "--mask-from", "label=1", *start), 0)
+    step.command("labels 0 and 1", fit("ones.png", *start), 0, "mask: its values 0 and 1")
+    step.command("labels, told", fit("sevens.png", "--mask-from", "label=7", *start), 0)
     window = "--crop", "16", "8", "64", "64"
     step.command("a crop", fit("cropped.png", *start, *window), 0, "status     converged")
     # Whether its camera is trusted hangs on how much is gone; where it is gone is told.

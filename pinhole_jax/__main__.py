@@ -55,10 +55,10 @@ def _fit(options: argparse.Namespace) -> int:
         from ._command.known import known
         from ._fit.fit_camera import fit_camera
         from ._scene.scene import Scene
-        from ._show.disagreement import disagreement
-        from .plot import overlay
+        from .plot import disagreement, overlay
 
         clock = Clock()
+        progress.count(clock)
         free = tuple(name.strip() for name in options.free.split(",") if name.strip())
         with named(path="MASK", mask_from="--mask-from"):
             mask = io.load_mask(
@@ -75,7 +75,7 @@ def _fit(options: argparse.Namespace) -> int:
                     options.mesh, say=lambda words: progress.tell(renamed(words, MESH))
                 )
             )
-        progress.say("fitting (compiling on the first run)")
+        progress.say("fitting (the first time compiles: seconds)")
         photo = _three_channels(picture) if options.refine else None
         fit_arguments = {"phi": phi, "lens": lens, "weight": weight, "photo": photo}
         told = lambda level: progress.say(str(level))
@@ -90,7 +90,7 @@ def _fit(options: argparse.Namespace) -> int:
         notes = disagreement(fit.camera, scene, mask) if finite else ()
     folder = Path(options.output)
     with named(path="--output"):
-        io.save_fit(folder / "camera.json", fit)
+        io.save_fit(folder / "camera.json", fit, pixel_centres=options.pixel_centres)
         io.save_image(folder / "overlay.png", drawing)
     written = [folder / "camera.json", folder / "overlay.png"]
     if options.report is not None and finite:

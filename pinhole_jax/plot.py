@@ -3,6 +3,7 @@ photo, where mask and camera differ, how the fit came there, the object and the 
 """
 
 from itertools import groupby
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +14,8 @@ from ._camera.rays import project
 from ._fit.moves import displaced
 from ._fit.result import Fit, Progress
 from ._fit.target import check_image, shares
-from ._scene.scene import Scene
+from ._scene.scene import Scene, check_view
+from ._show.disagreement import disagreement as disagreement
 from ._show.outline import contour_points, outline as outline
 from ._show.space import scene_view as scene_view
 from ._silhouette.silhouette import silhouette
@@ -82,6 +84,7 @@ def overlay(
     """
     from PIL import Image, ImageChops, ImageDraw, ImageFilter
 
+    check_view(camera, scene)
     _check_size("image", image, camera)
     left, top, right, bottom = window or (0, 0, camera.W, camera.H)
     W, H = right - left, bottom - top
@@ -117,6 +120,7 @@ def error_map(
 
     `target` is a mask (H, W) as `fit_camera` takes it; `window` as in `overlay`.
     """
+    check_view(camera, scene)
     _check_size("target", target, camera)
     left, top, right, bottom = window or (0, 0, camera.W, camera.H)
     mask = shares(check_image("target", target, camera.W, camera.H))
@@ -142,11 +146,11 @@ def object_window(camera: Camera, scene: Scene) -> Window:
     return left, top, right, bottom
 
 
-def _check_size(name: str, image: np.ndarray, camera: Camera) -> None:
-    if image.shape[:2] != (camera.H, camera.W):
+def _check_size(name: str, image: Any, camera: Camera) -> None:
+    if np.shape(image)[:2] != (camera.H, camera.W):
         raise ValueError(
             f"`{name}`: expected the camera's size (H, W) = ({camera.H}, {camera.W}),"
-            f" got {image.shape[:2]}"
+            f" got {np.shape(image)[:2]}"
         )
 
 

@@ -20,7 +20,6 @@ from ._fit.result import Fit
 from ._fit.target import check_image, shares
 from ._fit.words import STATUSES, Told, in_digits, told
 from ._scene.scene import Scene
-from ._show.disagreement import disagreement
 
 #: The file that shows each format; a folder's files are shown one after another.
 FILES = {
@@ -70,6 +69,8 @@ def page(
     Raises ValueError for images that are not of the camera's size, and for a fit that is not
     finite: there is no camera to show.
     """
+    if not isinstance(fit, Fit):
+        raise ValueError(f"`fit`: expected a Fit, got {type(fit).__name__}")
     if fit.status == "non_finite":
         raise ValueError("`fit`: expected a finite camera, got status non_finite")
     from . import __version__
@@ -81,7 +82,7 @@ def page(
     sections = [
         _section("Outline", _outline_pictures(fit, scene, photo)),
         _section("Where mask and camera differ", _error_picture(fit, scene, mask)),
-        _section("Parameters", _parameter_table(parameters) + _pose(fit)),
+        _section("Parameters", _parameter_table(fit, parameters) + _pose(fit)),
         _section("Correlations", _correlation_table(parameters)),
         _section("What the mask does not tell", _unknown(fit)),
         _section("Convergence", _convergence(fit, scene)),
@@ -155,7 +156,7 @@ def _error_picture(fit: Fit, scene: Scene, mask: np.ndarray) -> str:
         "Orange: the camera sees the object where the mask has none; blue: the mask has it and the"
         " camera does not; grey: both.",
     )
-    return picture + _list(disagreement(fit.camera, scene, mask))
+    return picture + _list(plot.disagreement(fit.camera, scene, mask))
 
 
 def _table(caption: str, heads: Iterable[str], rows: Iterable[Iterable[str]], kind: str) -> str:
@@ -171,7 +172,22 @@ def _table(caption: str, heads: Iterable[str], rows: Iterable[Iterable[str]], ki
     )
 
 
-def _parameter_table(parameters: Told) -> str:
+def _assumed(fit: Fit) -> str:
+    """Return in words what the standard errors take the mask and the mesh for."""
+    if fit.mask_error is not None:
+        mask = f"The mask's outline errs by {fit.mask_error}, which the sigmas allow for"
+    elif _is_same(fit.covariance, fit.independent_covariance):
+        mask = "The sigmas take the mask's pixels to err independently, by what the residuals say"
+    else:
+        mask = "The sigmas allow for residuals that go together along the outline"
+    return f"{mask}; the mesh is taken to be without error."
+
+
+def _is_same(covariance: np.ndarray, other: np.ndarray | None) -> bool:
+    return other is None or np.array_equal(covariance, other, equal_nan=True)
+
+
+def _parameter_table(fit: Fit, parameters: Told) -> str:
     rows = []
     for row in parameters.rows:
         known = np.isfinite(row.std)
@@ -181,17 +197,13 @@ def _parameter_table(parameters: Told) -> str:
     heads = ("parameter", "value", "one sigma", "unit")
     return (
         _table("What was fitted, with standard errors", heads, rows, "parameters")
-        + "<p>Pitch, yaw and roll are the camera's in the world. Sigmas assume pixels that err"
-        " independently, and a mesh without error; where a mask errs along stretches of its outline"
-        " they are too small.</p>"
+        + f"<p>Pitch, yaw and roll are the camera's in the world. {_assumed(fit)}</p>"
     )
 
 
 def _pose(fit: Fit) -> str:
     words = html.escape(str(formats.object_pose(fit, pixel_centres="integer")))
-    return (
-        f"<details><summary>K, R and t, and the object's pose</summary><pre>{words}</pre></details>"
-    )
+    return f"<h3>K, R and t, and the object's pose</h3><pre>{words}</pre>"
 
 
 def _correlation_table(parameters: Told) -> str:
@@ -284,6 +296,7 @@ body{margin:0 auto;max-width:880px;padding:24px;color:var(--ink);background:var(
  font:16px/1.5 system-ui,sans-serif}
 h1{font-size:26px;margin:0 0 8px;overflow-wrap:anywhere}
 h2{font-size:19px;margin:40px 0 10px;padding-top:14px;border-top:1px solid var(--line)}
+h3{font-size:16px;margin:24px 0 8px}
 .status{padding:10px 14px;border-radius:6px;background:var(--bad)}
 .status.converged{background:var(--good)}
 .status b{margin-right:6px}

@@ -151,4 +151,6 @@ def test_a_camera_is_printed_as_a_table():
     for part in ("640 x 480 px", "(1, 2, 5)", "0.6 rad", "34.3775 degrees", "aspect 1.01"):
         assert part in text
     assert "BrownConrady: k1 = -0.2, k2 = 0, p1 = 0.001" in text
+    far = pj.Camera([1e5 + 2.125, 1, 5], [1e5, 0, 0], [0, 1, 0], 0.6, 1.0, 640, 480)
+    assert "(100002.125, 1, 5)   eye" in str(far)
     jax.jit(lambda c: str(c) and c.e)(pj.Camera([1, 2, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48))

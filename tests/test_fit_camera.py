@@ -273,6 +273,12 @@ MASK[30:50, 30:60] = 1
         ),
         ({"target": 0 * MASK + 1}, r"`target`: expected a mask with some background"),
         ({"target": 255 * MASK}, r"`target`: expected floats in \[0, 1\], got 0 to 255"),
+        ({"target": 7 * MASK.astype(np.uint8)}, r"largest value 0.027\); give `target > 0` if"),
+        ({"target": 1 - MASK}, r"`target`: .* covers 100% of its border, like an inverted one"),
+        (
+            {"target": 1 - MASK, "camera": None, "phi": 0.6},
+            r"`target`: .* covers 100% of its border, like an inverted one",
+        ),
         ({"target": 2 * MASK.astype(int)}, r"`target`: expected integers that are all 0 or 1"),
         (
             {"target": np.where(MASK > 0, np.nan, 0)},
@@ -283,9 +289,12 @@ MASK[30:50, 30:60] = 1
         ({"weight": 0 * MASK}, r"`weight`: expected some pixels to count"),
         ({"weight": MASK.astype(int)}, r"`weight`: expected dtype bool or float"),
         ({"camera": None}, r"`phi`: expected the field of view \(rad\) where there is no `camera`"),
-        ({"camera": None, "free": "phi"}, r"`camera`: expected a Camera .* got None with free"),
+        (
+            {"camera": None, "free": "phi"},
+            r"`camera`: expected a camera .* got none with `free` phi",
+        ),
         ({"camera": None, "phi": 0.6, "target": MASK[0]}, r"`target`: expected shape \(H, W\)"),
-        ({"phi": 0.6}, r"`phi`: expected None beside a `camera`"),
+        ({"phi": 0.6}, r"`phi`: expected None beside `camera`"),
         ({"outlier_px": 0.0}, r"`outlier_px`: expected a positive number of px, got 0.0"),
         ({"scene": pj.Scene()}, r"`scene`: expected a Scene with a mesh or spheres"),
         ({"free": ("pose", "zoom")}, r"`free`: expected names among .* got 'zoom'"),

@@ -36,6 +36,9 @@ def test_one_view_gives_pose_and_focal_length_from_nowhere():
     angle, shift = pj.pose_error(fit.camera, truth)
     assert max(float(angle), float(shift), abs(float(fit.camera.phi - truth.phi))) < 1e-9
     assert fit.rms_px < 1e-8
+    assert repr(fit).startswith("<PointFit: converged, rms")
+    for words in ("pitch", "vertical field of view", "status     converged", "rms  "):
+        assert words in str(fit)
 
 
 @pytest.mark.long

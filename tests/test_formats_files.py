@@ -359,7 +359,7 @@ def test_the_door_to_reading(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"`path`: expected a camera file, .* no such file"):
         formats.read(tmp_path / "no.json")
     (tmp_path / "a.usd").write_text("")
-    with pytest.raises(ValueError, match="or say the format: json, opencv, colmap, colmap-binary"):
+    with pytest.raises(ValueError, match="formats are json, opencv, colmap, colmap-binary"):
         formats.read(tmp_path / "a.usd")
     formats.write(tmp_path / "a.py", {"a": CAMERA})
     with pytest.raises(ValueError, match="`format`: expected one that can be read, got 'blender-s"):

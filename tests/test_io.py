@@ -214,6 +214,22 @@ def test_a_grey_picture_that_is_no_mask_is_refused_with_the_ways_to_read_it(tmp_
     Image.fromarray(ramp // 64).save(path)
     with pytest.raises(ValueError, match=r"no lighter than 3 of 255; labels\?"):
         io.load_mask(path)
+    Image.fromarray(np.uint8(7 * (ramp > 99))).save(path)
+    with pytest.raises(ValueError, match=r"no lighter than 7 of 255; `mask_from` label=7"):
+        io.load_mask(path)
+
+
+def test_pictures_of_the_values_0_and_1_are_masks(tmp_path):
+    inside = np.zeros((8, 9), bool)
+    inside[2:6, 3:7] = True
+    grey, coloured = (Image.fromarray(np.uint8(inside), mode) for mode in ("L", "P"))
+    coloured.putpalette([0, 0, 0, 128, 0, 0])
+    for image, words in ((grey, "its values 0 and 1"), (coloured, "its palette's entry 1")):
+        image.save(tmp_path / "mask.png")
+        said = []
+        mask = io.load_mask(tmp_path / "mask.png", say=said.append)
+        np.testing.assert_array_equal(mask, np.uint8(255 * inside))
+        assert said == [f"mask: {words}"]
 
 
 @pytest.mark.parametrize("kind", ["grey", "palette", "16 bits"])

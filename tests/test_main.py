@@ -156,6 +156,26 @@ def test_a_photo_refines_the_camera(folder):
             "covers 100% of its border, like a black object on white; give `--invert`, or where it"
             " is right `--mask-from luminance`",
         ),
+        (("fit", "bumpy.ply", "sevens.png", "--fov", "34"), "`--mask-from label=7` if its object"),
+        (
+            ("fit", "bumpy.ply", "dot.png", "--fov", "234"),
+            "`--fov`: expected degrees between 0 and 180, got 234",
+        ),
+            ("fit", "bumpy.ply", "dot.png", "--fov", "234"),
+            "`--fov`: expected degrees between 0 and",
+        ),
+        (
+            ("fit", "bumpy.ply", "dot.png", "--fov", "34", "--free", "phi"),
+            "`--camera`: expected a camera to start from where the pose is not free",
+        ),
+        (
+            ("fit", "bumpy.ply", "dot.png", "--K", "nan", "1", "1", "1"),
+            "`--K`: expected four finite numbers (px), got nan 1 1 1",
+        ),
+        (
+            ("fit", "bumpy.ply", "bumpy.ply", "--fov", "34"),
+            "bumpy.ply': cannot identify image file\n",
+        ),
         (
             ("render", "bumpy.ply", "black.png"),
             "`CAMERA`: expected a folder (COLMAP) or one of .json",
@@ -168,6 +188,7 @@ def test_bad_input_is_one_line_and_status_2(folder, arguments, message):
     dot = Image.new("L", (96, 80))
     dot.paste(255, (30, 20, 60, 50))
     dot.save(folder / "dot.png")
+    dot.point(lambda value: 7 * (value > 0)).save(folder / "sevens.png")
     inverted = Image.new("L", (96, 80), 255)
     inverted.paste(0, (30, 20, 60, 50))
     inverted.save(folder / "inverted.png")

@@ -86,5 +86,15 @@ def test_it_is_printed_and_written_beside_the_fit():
         assert words in text
     written = io.fit_to_dict(fit)["fit"]["object_in_camera"]
     assert written["pixel_centres"] == "integer"
-    for name in ("K", "R", "t", "covariance"):
+    for name in ("K", "R", "t", "covariance", "camera_from_world", "world_from_camera"):
         np.testing.assert_array_equal(written[name], getattr(pose, name))
+    assert written["distortion"] is None
+
+
+def test_a_lens_and_where_its_pixels_count_from_are_told_too():
+    lens = pj.Lens([32, 24], 1.0, pj.BrownConrady(-0.1))
+    fit = fit_of(pj.Camera([0.3, 1, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48, lens))
+    assert "BrownConrady: k1 -0.1, k2 0" in str(formats.object_pose(fit, pixel_centres="half"))
+    written = io.fit_to_dict(fit, pixel_centres="half")["fit"]["object_in_camera"]
+    assert (written["pixel_centres"], written["K"][0][2]) == ("half", 32)
+    assert written["distortion"] == {"model": "BrownConrady", **lens.distortion.coefficients()}

@@ -10,6 +10,7 @@ import trimesh
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
+from pinhole_jax._camera.camera import check_camera
 from pinhole_jax._scene.scene import (
     astype,
     bounding_sphere,
@@ -163,6 +164,8 @@ def test_a_mesh_of_another_library_is_taken():
     np.testing.assert_array_equal(ours.faces, theirs.faces)
     with pytest.raises(TypeError, match="missing 1 required argument: 'faces'"):
         pj.Mesh(theirs.vertices)
+    with pytest.raises(ValueError, match=r"`mesh`: expected a Mesh .* got Trimesh; give `Mesh"):
+        pj.Scene(mesh=theirs)
 
 
 def test_camera_and_scene_in_the_wrong_order_or_stacked_are_said():
@@ -175,9 +178,15 @@ def test_camera_and_scene_in_the_wrong_order_or_stacked_are_said():
     ):
         with pytest.raises(ValueError, match=f"expected a Camera and a Scene, {got}"):
             check_view(*arguments)
+    with pytest.raises(ValueError, match="`camera_b`: expected a Camera, got Scene"):
+        check_camera(scene, "camera_b")
     stacked = jax.tree.map(lambda x: jnp.stack([x, x]), camera)
     with pytest.raises(ValueError, match=r"got several \(e of shape \(2, 3\)\): `jax.vmap` takes"):
         check_view(stacked, scene)
+    with pytest.raises(ValueError, match="`camera`: expected one camera, got several"):
+        pj.project(stacked, jnp.zeros(3))
+    with pytest.raises(ValueError, match="`camera`: expected one camera, got several"):
+        pj.formats.to_opencv(stacked, pixel_centres="half")
 
 
 def test_what_is_made_for_a_fit_is_let_go():

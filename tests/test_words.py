@@ -41,6 +41,7 @@ def test_a_fit_is_printed_as_a_table():
         "note       the distance",
         "note       another view explains the mask as well",
     ]
+    assert repr(fit) == "<Fit: ambiguous, IoU 0.9900, rotation_b1, e_x, phi>"
 
 
 def looking(forward, up):

@@ -131,12 +131,17 @@ class Camera(eqx.Module):
         numbers = all(map(eqx.is_array, (self.e, self.p, self.u, self.phi, self.d)))
         if not numbers or not is_concrete(*jax.tree.leaves(self)) or np.ndim(self.phi):
             return repr(self)
+        # Places are told to a millionth of how far the camera looks, wherever the world begins.
+        far = float(np.linalg.norm(np.asarray(self.p, float) - np.asarray(self.e, float)))
+        decimals = min(max(6 - int(np.floor(np.log10(far))), 0), 12)
+        in_digits = lambda x: np.format_float_positional(x, precision=decimals, trim="-")
+        place = lambda x: f"({', '.join(map(in_digits, np.asarray(x, float)))})"
         point = lambda x: "(" + ", ".join(f"{v:.6g}" for v in np.asarray(x)) + ")"
         phi = float(self.phi)
         lines = [
             f"Camera of {self.W} x {self.H} px",
-            f"  e    {point(self.e)}   eye",
-            f"  p    {point(self.p)}   view point",
+            f"  e    {place(self.e)}   eye",
+            f"  p    {place(self.p)}   view point",
             f"  u    {point(self.u)}   up",
             f"  phi  {phi:.6g} rad   vertical field of view ({np.rad2deg(phi):.6g} degrees)",
             f"  d    {float(self.d):.6g}   camera constant",
@@ -161,6 +166,17 @@ class Camera(eqx.Module):
         far = float(np.linalg.norm(np.asarray(self.p, float) - np.asarray(self.e, float)))
         pose = [jnp.asarray(x, self.e.dtype) for x in (eye, eye + far * axes[2], axes[1])]
         return eqx.tree_at(lambda c: [c.e, c.p, c.u], self, pose)
+
+
+def check_camera(camera: Any, name: str = "camera") -> None:
+    """Raise ValueError unless this is one camera."""
+    if not isinstance(camera, Camera):
+        raise ValueError(f"`{name}`: expected a Camera, got {type(camera).__name__}")
+    if np.ndim(camera.e) != 1:
+        raise ValueError(
+            f"`{name}`: expected one camera, got several (e of shape {np.shape(camera.e)}):"
+            " `jax.vmap` takes each by itself"
+        )
 
 
 def camera_basis(camera: Camera) -> Basis:

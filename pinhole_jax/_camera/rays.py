@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._numerics.arrays import Numbers
 from .._numerics.safe import binary_inverse, safe_divide
-from .camera import Camera, basis, film_size, focal_px, principal_point, to_camera
+from .camera import Camera, basis, check_camera, film_size, focal_px, principal_point, to_camera
 
 
 class Rays(NamedTuple):
@@ -49,6 +49,7 @@ def camera_rays(
 
     The same as `generate_rays` for a `Camera`; a lens shifts, stretches and bends the film.
     """
+    check_camera(camera)
     x, y = _film_samples(camera.W, camera.H, samples, key, camera.e.dtype)
     return Rays(camera.e, rays_through(camera, x, y))
 
@@ -90,6 +91,7 @@ def project(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, "*
     gives the principal point. `to_camera(camera, points)[..., 2] > 0` tells points in front. Where
     a lens's polynomial would fold back it goes on straight (see `distortion`).
     """
+    check_camera(camera)
     x, y, z = jnp.moveaxis(to_camera(camera, points), -1, 0)
     fx, fy = focal_px(camera)
     centre = principal_point(camera)

@@ -119,8 +119,8 @@ def _add_fit(commands: Any) -> None:
         "--pixel-centres",
         choices=("integer", "half"),
         default="integer",
-        help="where CX, CY of --K count from: the first pixel's centre is 0 (OpenCV) or 0.5"
-        " (COLMAP); default: %(default)s",
+        help="where CX, CY of --K (and of the K that is told) count from: the first pixel's centre"
+        " is 0 (OpenCV) or 0.5 (COLMAP); default: %(default)s",
     )
     fit.add_argument(
         "--crop",

@@ -2,6 +2,7 @@
 that the mask shows a part of its picture, or is resized."""
 
 import argparse
+import contextlib
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -35,17 +36,19 @@ def known(
         raise ValueError("`--dist`: expected --K beside it, got none")
     window = _window(options, size)
     if options.camera is not None:
-        with named(path="--camera", size="--resize"):
-            whole = None if window.crop else window.before
-            camera = read_one(options.camera, size=whole)
+        camera = _of_file(options.camera, None if window.crop else window.before)
         return Known(camera=window.of(camera))
     if options.K is not None:
         camera = window.of(_of_K(options, window.beside))
         return Known(phi=camera.phi, lens=camera.lens)
     if window.crop:
-        words = "expected --camera or --K beside it: a field of view is that of the whole photo"
-        raise ValueError(f"`--crop`: {words}")
+        raise ValueError(
+            "`--crop`: expected --camera or --K beside it (a field of view is that of the whole"
+            " photo, whose size --crop does not tell), got none"
+        )
     if options.fov is not None:
+        if not 0 < options.fov < 180:
+            raise ValueError(f"`--fov`: expected degrees between 0 and 180, got {options.fov:g}")
         phi = math.radians(options.fov)
     else:
         phi = _phi_of_photo(options, free, tell)
@@ -111,9 +114,20 @@ def _words(size: Size) -> str:
     return f"{size[0]} x {size[1]}"
 
 
+def _of_file(path: str, size: Size | None) -> Camera:
+    """Return a file's camera; of this size where it does not hold its own."""
+    with named(path="--camera", size="--resize"):
+        with contextlib.suppress(ValueError):
+            return read_one(path)
+        return read_one(path, size=size)
+
+
 def _of_K(options: argparse.Namespace, size: Size) -> Camera:
     """Return a camera with the intrinsics of `--K`, `--dist`, `--pixel-centres`."""
     fx, fy, cx, cy = options.K
+    if not all(map(math.isfinite, options.K)):
+        words = " ".join(f"{x:g}" for x in options.K)
+        raise ValueError(f"`--K`: expected four finite numbers (px), got {words}")
     K, turn = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
     bent, centres = options.dist, options.pixel_centres
     if bent is not None and len(bent) not in (4, 5, 8):

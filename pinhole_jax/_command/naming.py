@@ -18,5 +18,5 @@ def renamed(text: str, arguments: dict[str, str]) -> str:
     """Return an error's text with the library's names, in backticks, replaced by others."""
     # Where the library says how the command has it, that alone stays.
     text = re.sub(r"`\w+` \(on the command line: (--[^)]+)\)", r"`\1`", text)
-    text = re.sub(r"`\w+` (\w+) \((--[\w-]+ \1)\)", r"`\2`", text)
+    text = re.sub(r"`\w+` ([\w=]+) \((--[\w-]+ \1)\)", r"`\2`", text)
     return re.sub(r"`(\w+)`", lambda found: f"`{arguments.get(found[1], found[1])}`", text)

@@ -12,7 +12,7 @@ class Clock:
     def __init__(self) -> None:
         import jax.monitoring
 
-        self.compiling = 0.0
+        self.compiling, self.programs = 0.0, 0
         self._begin = time.perf_counter()
         jax.monitoring.register_event_duration_secs_listener(self._listen)
 
@@ -24,6 +24,13 @@ class Clock:
             "/jax/core/compile/jaxpr_trace_duration",
         ):
             self.compiling += duration_secs
+        self.programs += event == "/jax/core/compile/backend_compile_duration"
+
+    def words(self) -> str:
+        """Return how much was compiled, nothing if that is little."""
+        if self.compiling < 1:
+            return ""
+        return f"; {self.programs} programs compiled, {self.compiling:.0f} s of it"
 
     def elapsed(self) -> float:
         return time.perf_counter() - self._begin
@@ -37,6 +44,7 @@ class Progress:
 
     def __init__(self, text: str, verbose: bool = False) -> None:
         self._text, self._verbose = text, verbose
+        self._clock: Clock | None = None
         self._done = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -49,6 +57,10 @@ class Progress:
         """Print a line that is to stay."""
         clear = "\r\x1b[K" if self._thread is not None else ""
         print(f"{clear}{text}", file=sys.stderr, flush=True)
+
+    def count(self, clock: Clock) -> None:
+        """Say from now on what a clock has seen of compiling, too."""
+        self._clock = clock
 
     def __enter__(self) -> "Progress":
         if sys.stderr.isatty() and not self._verbose:
@@ -67,9 +79,8 @@ class Progress:
         while not self._done.wait(0.2):
             seconds = time.perf_counter() - begin
             if seconds > 1:
-                shown = True
-                print(
-                    f"\r\x1b[K{seconds:4.0f} s  {self._text}", end="", file=sys.stderr, flush=True
-                )
+                shown, more = True, self._clock.words() if self._clock else ""
+                line = f"\r\x1b[K{seconds:4.0f} s  {self._text}{more}"
+                print(line, end="", file=sys.stderr, flush=True)
         if shown:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)

@@ -6,6 +6,7 @@ of at most so many bytes; text is UTF-8, and JSON is no deeper than cameras are.
 
 import json
 import os
+import re
 import secrets
 import stat
 import sys
@@ -165,7 +166,8 @@ def reason(error: Exception) -> str:
     if isinstance(error, ModuleNotFoundError) and error.name in ("chardet", "charset_normalizer"):
         return "bytes that are no text in UTF-8"
     words = (isinstance(error, OSError) and error.strerror) or str(error)
-    return words.splitlines()[0] if words else type(error).__name__
+    first = words.splitlines()[0] if words else type(error).__name__
+    return re.sub(r"\s*<_io\.[^>]*>", "", first)  # how a reader calls the stream that it was given
 
 
 def _check_regular(found: os.stat_result, path: Any, kind: str, most: int | None) -> None:

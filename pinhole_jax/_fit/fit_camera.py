@@ -4,10 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from .._camera.camera import Camera
+from .._camera.camera import Camera, check_camera, to_camera
 from .._camera.lens import Lens
+from .._camera.rays import project
 from .._numerics.arrays import Numbers, float_dtype, is_concrete
 from .._scene.scene import Scene, check_scene
 from .implicit import through
@@ -32,7 +34,7 @@ from .strategy import (
     with_errors,
     without_outliers,
 )
-from .target import check_target, levelled
+from .target import MOST_BORDER, check_target, covered_border, levelled, shares
 
 
 def fit_camera(
@@ -100,11 +102,9 @@ def fit_camera(
         raise ValueError(f"`max_steps`: expected at least 1, got {max_steps}")
     if outlier_px is not None and not outlier_px > 0:
         raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
-    if camera is not None and not isinstance(camera, Camera):
-        raise ValueError(f"`camera`: expected a Camera to start from or None, got {camera!r}")
-    for name, value in (("phi", phi), ("lens", lens)):
-        if camera is not None and value is not None:
-            raise ValueError(f"`{name}`: expected None beside a `camera`, which has its own")
+    if camera is not None:
+        check_camera(camera)
+        check_alone("camera", phi=phi, lens=lens)
     names = in_one(check_free(free, camera, lens))
     start = _anywhere(scene, target, names, phi, lens) if camera is None else camera
     base = with_lens(start, names)
@@ -112,6 +112,7 @@ def fit_camera(
     def run(inputs: Any) -> tuple[Fit, Callable]:
         scene, target, weight = inputs
         image, weights = check_target(target, weight, base.W, base.H)
+        check_border(image, scene, camera)
         # (A derivative is one by the target as it is.)
         image = levelled(image, weights) if concrete else image
         mask = Mask(image, weights, base)
@@ -129,6 +130,41 @@ def fit_camera(
     if photo is not None:
         raise ValueError("`photo`: expected None where the fit is differentiated")
     return through(run, inputs, names)
+
+
+def check_alone(given: str, **others: Any) -> None:
+    """Raise ValueError for what cameras to start from have of their own."""
+    for name, value in others.items():
+        if value is not None:
+            raise ValueError(f"`{name}`: expected None beside `{given}`, which brings its own")
+
+
+def check_border(image: np.ndarray, scene: Scene, start: Camera | None) -> None:
+    """Raise ValueError for a mask that covers its border though the start sees the object within
+    it, or there is no start: what it covers is the background."""
+    inside = shares(image) > 0.5
+    if (share := covered_border(inside)) <= MOST_BORDER:
+        return
+    if start is not None and not _is_within(scene, start):
+        return
+    raise ValueError(
+        f"`target`: expected a mask of the object, got one that covers {share:.0%} of its border,"
+        " like an inverted one; give `255 - mask`, `1 - mask` or `~mask`, or where it is right a"
+        " `camera` to start from that sees the object reach out of the picture"
+    )
+
+
+def _is_within(scene: Scene, camera: Camera) -> bool:
+    """Return whether all corners of a scene (of its spheres' boxes) are seen within the picture."""
+    points = [] if scene.mesh is None else [np.asarray(scene.mesh.vertices)]
+    if scene.spheres is not None:
+        corners = 2 * np.indices((2, 2, 2)).reshape(3, 8).T - 1
+        around = np.asarray(scene.spheres.radii)[:, None, None] * corners
+        points.append((np.asarray(scene.spheres.centers)[:, None] + around).reshape(-1, 3))
+    corners = jnp.asarray(np.concatenate(points), camera.e.dtype)
+    seen, ahead = np.asarray(project(camera, corners)), np.asarray(to_camera(camera, corners))
+    before = ahead[:, 2] > 0
+    return bool(np.all(before) and np.all((seen > 0) & (seen < [camera.W, camera.H])))
 
 
 class _Settings(NamedTuple):
@@ -205,8 +241,8 @@ def _anywhere(
     """Return a camera of the target's size to begin a search with."""
     if not turns_freely(names):
         raise ValueError(
-            f"`camera`: expected a Camera to start from where the pose is not free, got None with"
-            f" free = {names}"
+            "`camera`: expected a camera to start from where the pose is not free, got none with"
+            f" `free` {','.join(names)}"
         )
     shape = np.shape(target)
     if len(shape) != 2 or 0 in shape:

@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from .._camera.camera import Camera
+from .._camera.camera import Camera, check_camera
+from .._camera.lens import Lens
 from .._numerics.arrays import Numbers
 from .._scene.scene import Scene, check_scene
 from .among_views import Answer, OneView, asked
-from .fit_camera import fit_camera
+from .fit_camera import check_alone, check_border, fit_camera
 from .mask import Mask
 from .moves import canonical
 from .parameters import components, with_lens
@@ -31,6 +32,7 @@ def fit_cameras(
     free: str | Sequence[str] = ("pose",),
     *,
     phi: Numbers = None,
+    lens: Lens | None = None,
     weights: Sequence[Numbers] | None = None,
     prior: Mapping[str, Any] | None = None,
     bounds: Mapping[str, Any] | None = None,
@@ -40,7 +42,7 @@ def fit_cameras(
 
     - `targets`: masks, each as in `fit_camera`; their sizes may differ.
     - `cameras`: where to start, one for each mask; what is shared begins at their mean. None: each
-      is searched for, with `phi` as in `fit_camera`.
+      is searched for, with `phi` and `lens` as in `fit_camera`.
     - `weights`: for each mask, or None.
     - `prior`, `bounds`: as in `fit_camera`; of what is shared once, else for each view.
     - `max_steps`: a limit for each level, and for each descent from another place.
@@ -57,6 +59,8 @@ def fit_cameras(
     Raises ValueError for arguments that make no fit; what the solver met is in each `Fit.status`.
     """
     check_scene(scene)
+    if isinstance(cameras, Camera):
+        raise ValueError("`cameras`: expected one Camera for each mask, in a list, got one Camera")
     count = len(targets)
     if count == 0:
         raise ValueError("`targets`: expected at least one mask, got none")
@@ -64,8 +68,10 @@ def fit_cameras(
     for name, given in (("cameras", cameras), ("weights", weights)):
         if given is not None and len(given) != count:
             raise ValueError(f"`{name}`: expected one for each of {count} masks, got {len(given)}")
-    if not all(isinstance(c, Camera) for c in cameras or ()):
-        raise ValueError(f"`cameras`: expected Cameras, got {cameras!r}")
+    if cameras is not None:
+        check_alone("cameras", phi=phi, lens=lens)
+    for camera in cameras or ():
+        check_camera(camera, "cameras")
     names, common = shared_and_free(shared, free, cameras[0] if cameras else None)
     if not common:
         raise ValueError(f"`shared`: expected at least one of {', '.join(SHARED)}, got none")
@@ -73,7 +79,8 @@ def fit_cameras(
     anywhere = cameras is None
     if cameras is None:
         pairs = zip(targets, weights, strict=True)
-        alone = [fit_camera(scene, t, None, names, phi=phi, weight=w) for t, w in pairs]
+        given = {"phi": phi, "lens": lens}
+        alone = [fit_camera(scene, t, None, names, weight=w, **given) for t, w in pairs]
         cameras = [fit.camera for fit in alone]
         modes = [[canonical(with_lens(mode.camera, names)) for mode in fit.modes] for fit in alone]
 
@@ -81,6 +88,7 @@ def fit_cameras(
     cameras = alike([with_lens(c, names) for c in cameras], common)
     for camera, target, weight, more in zip(cameras, targets, weights, modes, strict=True):
         image, w = check_target(target, weight, camera.W, camera.H)
+        check_border(image, scene, camera)
         image = levelled(image, w)
         known = bounds_of(bounds, camera, names), prior_of(prior, camera, names, common, count)
         solver = Solver(scene, image, w, camera.e.dtype, names, max_steps, *known)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.axes import axes_of
-from .._camera.camera import Camera, lens_holds, to_camera
+from .._camera.camera import Camera, check_camera, lens_holds, to_camera
 from .._camera.film import FilmPart
 from .._camera.rays import project
 from .._numerics.arrays import Numbers, float_array
@@ -27,6 +27,7 @@ from .resection import resected
 from .result import at_rest, to_units, without_ended
 from .shared_unknowns import alike, descend, joint, others, reduced, shared_and_free
 from .uncertainty import BLIND, covariance, weak_directions
+from .words import parameter_lines
 
 #: What several views share if nothing is said: the intrinsics of one physical camera.
 INTRINSICS = ("phi", "principal_point", "distortion")
@@ -59,6 +60,16 @@ class PointFit(NamedTuple):
     rms_px: float
     steps: int
     weak: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Return it as a table."""
+        lines = [*parameter_lines(self), f"status     {self.status}"]
+        lines.append(f"rms        {self.rms_px:.3g} px")
+        return "\n".join([*lines, *(f"note       {weak}" for weak in self.weak)])
+
+    def __repr__(self) -> str:
+        """Return it in a line, its arrays left out."""
+        return f"<PointFit: {self.status}, rms {self.rms_px:.3g} px, {', '.join(self.names)}>"
 
 
 def fit_points(
@@ -93,8 +104,11 @@ def fit_points(
     """
     single = isinstance(camera, Camera)
     cameras = [camera] if single else camera
-    if not isinstance(cameras, Sequence) or not all(isinstance(c, Camera) for c in cameras):
-        raise ValueError(f"`camera`: expected a Camera, or one for each view, got {camera!r}")
+    if not isinstance(cameras, Sequence):
+        kind = type(camera).__name__
+        raise ValueError(f"`camera`: expected a Camera, or one for each view, got {kind}")
+    for one in cameras:
+        check_camera(one)
     if max_steps < 1:
         raise ValueError(f"`max_steps`: expected at least 1, got {max_steps}")
     seen_at, points = _checked(points3d, points2d)

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._camera.camera import Camera, camera_basis
+from .._camera.camera import Camera, camera_basis, check_camera
 from .._numerics.safe import norm
 
 
@@ -13,6 +13,8 @@ def pose_error(camera_a: Camera, camera_b: Camera) -> tuple[Float[Array, ""], Fl
     Free of the gauge: `|p-e|`, `|u|`, `u.v` and `d` do not count. The distance is in world units.
     The angle is taken from the chord between the frames, so it is accurate down to rounding.
     """
+    check_camera(camera_a, "camera_a")
+    check_camera(camera_b, "camera_b")
     a, b = (jnp.stack(camera_basis(c)) for c in (camera_a, camera_b))
     # |A - B|_F = 2 sqrt(2) sin(angle / 2)
     half_chord = norm((a - b).reshape(-1)) / (2 * 2**0.5)

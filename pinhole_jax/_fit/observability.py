@@ -9,7 +9,7 @@ from jaxtyping import Float
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._numerics.arrays import Numbers
-from .._scene.scene import Scene, check_scene
+from .._scene.scene import Scene, check_scene, check_view
 from .moves import canonical
 from .parameters import check_free, components, labels_of, with_lens
 from .problem import UNIT_PX
@@ -61,8 +61,7 @@ def observability(
 
     Raises ValueError for arguments that make no fit.
     """
-    if not isinstance(camera, Camera):
-        raise ValueError(f"`camera`: expected a Camera, got {camera!r}")
+    check_view(camera, scene)
     check_scene(scene)
     if not noise > 0:
         raise ValueError(f"`noise`: expected a positive standard deviation, got {noise}")

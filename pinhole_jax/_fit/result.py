@@ -109,6 +109,10 @@ class Fit(NamedTuple):
         """Return it as the command's table."""
         return table(self)
 
+    def __repr__(self) -> str:
+        """Return it in a line, its arrays and history left out."""
+        return f"<Fit: {self.status}, IoU {self.iou:.4f}, {', '.join(self.names)}>"
+
 
 def progress_at(stop: Stop, camera: Camera) -> Progress:
     """Return how far a fit has come at a stop, on the user's film."""

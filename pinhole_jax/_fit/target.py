@@ -17,6 +17,9 @@ NOISE = 1.0
 #: Levels that are off by more than this are taken for 0 and 1; so far (px) from a mask's edges; as
 #: many pixels tell whether there are any.
 LEVEL, LEVEL_PX, SAMPLED = 0.01, 3.0, 1 << 18
+#: A mask that covers more than this share of its border is rather inverted. (An object that the
+#: frame cuts off on all sides leaves more of it free.)
+MOST_BORDER = 0.9
 #: What integers of a mask of two values may be where they are not 0.
 FULL = (1, 255, 65535)
 #: Cells of the smallest pyramid; the next sizes are 4 times as large: each is compiled for.
@@ -149,9 +152,10 @@ def check_target(target: Any, weight: Any, W: int, H: int) -> tuple[np.ndarray, 
         ends = counted.min(), counted.max()
     low, high = shares(np.array(ends))
     if high < 0.5:
+        hint = "; give `target > 0` if what is not 0 is the object" if high > 0 else ""
         raise ValueError(
             "`target`: expected a mask that covers something, got an empty one"
-            f" (largest value {high:g})"
+            f" (largest value {high:.2g}){hint}"
         )
     if low > 0.5:
         raise ValueError(
@@ -159,6 +163,12 @@ def check_target(target: Any, weight: Any, W: int, H: int) -> tuple[np.ndarray, 
             f" (least value {low:g})"
         )
     return image, weights
+
+
+def covered_border(mask: np.ndarray) -> float:
+    """Return which share of a picture's border a mask (H, W), of bools, covers."""
+    border = np.concatenate([mask[0], mask[-1], mask[1:-1, 0], mask[1:-1, -1]])
+    return np.count_nonzero(border) / border.size
 
 
 def check_weight(weight: Any, W: int, H: int) -> np.ndarray:

@@ -64,15 +64,20 @@ def told(fit: Any) -> Told:
     return Told(rows, covariance)
 
 
-def table(fit: Any) -> str:
-    """Return a fit as a short table: parameter, value, one sigma; status, IoU, what is weak."""
+def parameter_lines(fit: Any) -> list[str]:
+    """Return the lines of a table: parameter, value, one sigma, unit, what it is."""
     lines = [f"{'parameter':<16}{'value':>16}{'one sigma':>14}  unit"]
     for row in told(fit).rows:
         value = in_digits(row.value, row.std)
         lines.append(
             f"{row.name:<16}{value:>16}{row.std:>14.2g}  {row.unit:<6} {row.words}".rstrip()
         )
+    return lines
 
+
+def table(fit: Any) -> str:
+    """Return a fit as a short table: its parameters; status, IoU, what is weak."""
+    lines = parameter_lines(fit)
     lines.append(f"status     {fit.status}   ({STATUSES[fit.status]})")
     lines.append(f"IoU        {fit.iou:.4f}   (rms of coverage {fit.rms:.2g})")
     lines += [f"note       {weak}" for weak in fit.weak]

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from .._camera.camera import Camera
+from .._camera.camera import Camera, check_camera
 from .._numerics.arrays import MISSING, Numbers, float_array, float_dtype, is_concrete
 from .._numerics.safe import binary_scale, norm, safe_divide
 from .topology import edge_records, without_copies
@@ -132,7 +132,8 @@ class Scene(eqx.Module):
 
     def __init__(self, mesh: Any = None, spheres: Any = None):
         if not (mesh is None or isinstance(mesh, Mesh)):
-            raise ValueError(f"`mesh`: expected a Mesh or None, got {type(mesh).__name__}")
+            hint = "; give `Mesh(mesh)`" if hasattr(mesh, "vertices") else ""
+            raise ValueError(f"`mesh`: expected a Mesh or None, got {type(mesh).__name__}{hint}")
         if not (spheres is None or isinstance(spheres, Spheres)):
             raise ValueError(f"`spheres`: expected Spheres or None, got {type(spheres).__name__}")
         self.mesh, self.spheres = mesh, spheres
@@ -143,17 +144,14 @@ def check_view(camera: Any, scene: Any) -> None:
     if not (isinstance(camera, Camera) and isinstance(scene, Scene)):
         kinds = f"{type(camera).__name__}, {type(scene).__name__}"
         raise ValueError(f"`camera`, `scene`: expected a Camera and a Scene, got {kinds}")
-    if np.ndim(camera.e) != 1:
-        raise ValueError(
-            f"`camera`: expected one camera, got several (e of shape {np.shape(camera.e)}):"
-            " `jax.vmap` takes each by itself"
-        )
+    check_camera(camera)
 
 
 def check_scene(scene: Any) -> None:
     """Raise ValueError unless there is something to look at."""
     if not isinstance(scene, Scene):
-        raise ValueError(f"`scene`: expected a Scene, got {type(scene).__name__}")
+        hint = "; give `Scene(mesh=...)`" if isinstance(scene, Mesh) else ""
+        raise ValueError(f"`scene`: expected a Scene, got {type(scene).__name__}{hint}")
     faces = scene.mesh is not None and scene.mesh.edge_faces.shape[0]
     if not faces and (scene.spheres is None or not scene.spheres.radii.shape[0]):
         raise ValueError("`scene`: expected a Scene with a mesh or spheres, got an empty one")

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 from .._camera.camera import Camera, bend, film_map, to_camera
 from .._camera.rays import project
 from .._files import programs
-from .._scene.scene import Mesh, Scene, Spheres, astype
+from .._scene.scene import Mesh, Scene, Spheres, astype, check_view
 from .._silhouette.clip import clipped
 from .._silhouette.contour import contour_weights
 from .._silhouette.curves import Arcs, Segments, film_at
@@ -28,6 +28,7 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     Only the parts of the contour with background on their outer side: folds within the object and
     parts behind it are left out.
     """
+    check_view(camera, scene)
     scene = astype(scene, camera.e.dtype)
     segments, base = programs.call(SEGMENTS, (camera, scene), lambda: _like_segments(scene))
     start, end, weight = _pieces(camera, scene, segments)

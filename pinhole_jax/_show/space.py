@@ -7,7 +7,7 @@ import numpy as np
 
 from .._camera.camera import Camera, camera_basis
 from .._camera.rays import rays_through
-from .._scene.scene import Scene
+from .._scene.scene import Scene, check_view
 
 #: Rays through each side of the film; those as wide as this are drawn no longer.
 SIDE = 16
@@ -23,6 +23,7 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
     """
     from PIL import Image, ImageDraw
 
+    check_view(camera, scene)
     b1, b2, v = (np.asarray(a, float) for a in camera_basis(camera))
     eye = np.asarray(camera.e, float)
     triangles, balls = _solids(scene)

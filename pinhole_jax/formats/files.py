@@ -119,6 +119,9 @@ def write(
 
     Raises ValueError where there is no camera, or one that the format cannot hold.
     """
+    if not isinstance(cameras, Mapping):
+        words = f"a dict of Cameras by their names, got {type(cameras).__name__}"
+        raise ValueError(f"`cameras`: expected {words}")
     if not cameras:
         raise ValueError("`cameras`: expected at least one, got none")
     FORMATS[_checked(format) or guess_write(path)].write(path, cameras)
@@ -163,7 +166,7 @@ def _by_ending(path: Path) -> str:
     if path.suffix.lower() not in ENDINGS:
         known = ", ".join([".json", *ENDINGS])
         raise ValueError(
-            f"`path`: expected a folder (COLMAP) or one of {known}, got {path.name!r}; or say the"
-            f" format: {', '.join(FORMATS)}"
+            f"`path`: expected a folder (COLMAP) or one of {known}, got {path.name!r}; formats"
+            f" are {', '.join(FORMATS)}"
         )
     return ENDINGS[path.suffix.lower()]

@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from .._camera.camera import Camera, focal_px, principal_point, resolution
+from .._camera.camera import Camera, check_camera, focal_px, principal_point, resolution
 from .._camera.distortion import Distortion
 from .._camera.lens import Lens
 from .._numerics.arrays import Numbers
@@ -77,6 +77,7 @@ def to_opencv(camera: Camera, *, pixel_centres: Any) -> tuple[np.ndarray, np.nda
     the reader puts them: "integer" (OpenCV: the first pixel's centre is 0) or "half" (0.5). A
     lens's distortion is not in them: `camera.lens.distortion` goes beside.
     """
+    check_camera(camera)
     half = half_pixel(pixel_centres)
     e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
     # In float64 whatever the camera's type: R is to be a rotation.

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from .._camera.camera import Basis, Camera, camera_basis, focal_px, principal_point
-from .._camera.distortion import MODELS
+from .._camera.distortion import MODELS, Distortion
 from .._camera.lens import Lens
 from .._files.paths import read_json as read_json_file, replace_file
 from .fields import Fields, add_named, check_names, load_json, save_json, short
@@ -177,8 +177,13 @@ def _lens_to_dict(lens: Lens) -> dict[str, Any]:
         return data
     return {
         **data,
-        "distortion": {"model": type(lens.distortion).__name__, **lens.distortion.coefficients()},
+        "distortion": distortion_to_dict(lens.distortion),
     }
+
+
+def distortion_to_dict(distortion: Distortion) -> dict[str, Any]:
+    """Return a lens's distortion as JSON-ready values: `model`, and its coefficients by name."""
+    return {"model": type(distortion).__name__, **distortion.coefficients()}
 
 
 def _lens_from_dict(data: Any) -> Lens:

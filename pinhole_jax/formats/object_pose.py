@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from .._camera.distortion import Distortion
 from .._fit.heading import carried
 from .._fit.result import Fit
 from .._fit.words import in_digits
@@ -24,6 +25,7 @@ class ObjectPose(NamedTuple):
     - `covariance` (6, 6), `std` (6,): of the turns (rad) about the camera's x, y and z axes that
       the object makes about its own origin, and then of t (world units). Infinite, with NaN beside
       it, where the mask does not determine one; 0 of what was not free.
+    - `distortion`: the lens's, beside K; None if it has none.
     """
 
     K: Float[np.ndarray, "3 3"]
@@ -32,6 +34,7 @@ class ObjectPose(NamedTuple):
     t: Float[np.ndarray, "3"]
     covariance: Float[np.ndarray, "6 6"]
     std: Float[np.ndarray, "6"]
+    distortion: Distortion | None = None
 
     @property
     def camera_from_world(self) -> Float[np.ndarray, "4 4"]:
@@ -63,6 +66,7 @@ class ObjectPose(NamedTuple):
                 *_lines("", self.world_from_camera[:3]),
                 f"intrinsics, px; the first pixel's centre is {first}",
                 *_lines("K", self.K),
+                *_bent(self.distortion),
             ]
         )
 
@@ -75,12 +79,15 @@ def object_pose(fit: Fit, *, pixel_centres: Any) -> ObjectPose:
     The covariance is that of the inverse of what the fit has: `Fit.covariance` is the camera's, of
     small turns about its own axes and of the eye in the world. It is exact to first order.
     """
+    if not isinstance(fit, Fit):
+        raise ValueError(f"`fit`: expected a Fit, got {type(fit).__name__}")
     K, R, t = to_opencv(fit.camera, pixel_centres=pixel_centres)
     place = {name: k for k, name in enumerate(POSE)}
     own = [k for k, name in enumerate(fit.names) if name in place]
     columns = [place[fit.names[k]] for k in own]
     covariance = carried(fit.covariance[np.ix_(own, own)], _derivative(R, t)[:, columns])
-    return ObjectPose(K, pixel_centres, R, t, covariance, np.sqrt(np.diag(covariance)))
+    std, lens = np.sqrt(np.diag(covariance)), fit.camera.lens
+    return ObjectPose(K, pixel_centres, R, t, covariance, std, lens and lens.distortion)
 
 
 def _derivative(R: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -105,6 +112,14 @@ def _rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = R, t
     return matrix
+
+
+def _bent(distortion: Distortion | None) -> list[str]:
+    """Return a lens's distortion as a line, nothing if it has none."""
+    if distortion is None:
+        return []
+    numbers = (f"{name} {value:.8g}" for name, value in distortion.coefficients().items())
+    return [f"  distortion, {type(distortion).__name__}: {', '.join(numbers)}"]
 
 
 def _lines(name: str, matrix: Any) -> list[str]:

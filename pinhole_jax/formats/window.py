@@ -4,7 +4,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from .._camera.camera import Camera, focal_px, principal_point
+from .._camera.camera import Camera, check_camera, focal_px, principal_point
 from .._camera.lens import Lens
 from .._numerics.arrays import Numbers, float_array, is_concrete
 
@@ -16,6 +16,7 @@ def cropped(camera: Camera, left: Numbers, top: Numbers, W: Any, H: Any) -> Came
     `image[top : top + H, left : left + W]`. It may reach out of the image (padding), and its
     corner may lie between pixels. The pose stays, and so do the focal lengths in px.
     """
+    check_camera(camera)
     camera.replace(W=W, H=H, lens=None)  # checks W and H
     x0, y0 = (
         float_array(name, x, (), camera.e.dtype) for name, x in (("left", left), ("top", top))
@@ -38,6 +39,7 @@ def resized(camera: Camera, W: Any, H: Any) -> Camera:
     are multiplied by W and H over the old ones. Pose and vertical field of view stay; the pixel
     aspect changes where the two factors differ.
     """
+    check_camera(camera)
     camera.replace(W=W, H=H, lens=None)  # checks W and H
     lens = None
     if camera.lens is not None or W * camera.H != H * camera.W:

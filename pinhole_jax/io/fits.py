@@ -15,7 +15,12 @@ from .._files.paths import read_json
 from .._fit.result import Fit, MaskError, Progress
 from .._fit.words import STATUSES
 from ..formats.fields import Fields, short
-from ..formats.native import camera_to_dict, fitted_camera_from_dict, save_camera
+from ..formats.native import (
+    camera_to_dict,
+    distortion_to_dict,
+    fitted_camera_from_dict,
+    save_camera,
+)
 from ..formats.object_pose import object_pose
 
 FIT_SCHEMA = "pinhole_jax.fit/1"
@@ -23,7 +28,7 @@ FIT_SCHEMA = "pinhole_jax.fit/1"
 NOT_FINITE: dict[str | None, float] = {None: np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
 
 
-def fit_to_dict(fit: Fit) -> dict[str, Any]:
+def fit_to_dict(fit: Fit, *, pixel_centres: Any = "integer") -> dict[str, Any]:
     """Return the fit as JSON-ready numbers: its camera's (`camera_to_dict`), and in `fit` the rest.
 
     - `dtype`: the camera's float type.
@@ -31,13 +36,15 @@ def fit_to_dict(fit: Fit) -> dict[str, Any]:
     - `names`: in the order of `covariance`; NaN is null there, infinity "Infinity".
     - `independent_covariance`, `mask_error` (`px`, `over_px`): null where the fit has none.
     - `object_in_camera`: the object's pose in the camera's frame (`formats.object_pose`): OpenCV's
-      `K`, `R`, `t`, `pixel_centres` "integer", `covariance`. It is not read back.
+      `K` by its `pixel_centres`, `R`, `t`, `covariance`, the transforms `camera_from_world` and
+      `world_from_camera` (4, 4), and `distortion` (null, or a model and its coefficients). It is
+      not read back.
     - `modes`: each is a fit of its own. `history`: `camera`, `W`, `H`, `steps` of each.
     - all else as a `Fit` has it.
     """
     if not isinstance(fit, Fit):
         raise ValueError(f"`fit`: expected a Fit, got {type(fit).__name__}")
-    return {**camera_to_dict(fit.camera), "fit": _rest(fit)}
+    return {**camera_to_dict(fit.camera), "fit": _rest(fit, pixel_centres)}
 
 
 def fit_from_dict(data: Any) -> Fit:
@@ -50,13 +57,13 @@ def fit_from_dict(data: Any) -> Fit:
     return _fit(Fields(data, "`fit`"))
 
 
-def save_fit(path: str | os.PathLike[str], fit: Fit) -> None:
+def save_fit(path: str | os.PathLike[str], fit: Fit, *, pixel_centres: Any = "integer") -> None:
     """Write a fit as JSON (see `fit_to_dict`); `load_camera` and `formats.read` read its camera.
 
     Raises ValueError for what is no fit, a camera that is not finite, and a path that cannot be
     written.
     """
-    save_camera(path, fit.camera, fit=fit_to_dict(fit)["fit"])
+    save_camera(path, fit.camera, fit=fit_to_dict(fit, pixel_centres=pixel_centres)["fit"])
 
 
 def load_fit(path: str | os.PathLike[str]) -> Fit:
@@ -67,7 +74,7 @@ def load_fit(path: str | os.PathLike[str]) -> Fit:
     return _fit(Fields(read_json(path, "a fit's file"), repr(str(path))))
 
 
-def _rest(fit: Fit) -> dict[str, Any]:
+def _rest(fit: Fit, pixel_centres: Any) -> dict[str, Any]:
     std = np.where(np.isfinite(fit.std), fit.std, np.nan)
     history = [
         {"camera": camera_to_dict(camera), "W": int(W), "H": int(H), "steps": int(steps)}
@@ -84,20 +91,22 @@ def _rest(fit: Fit) -> dict[str, Any]:
         "covariance": _words(fit.covariance),
         "independent_covariance": _words_or_none(fit.independent_covariance),
         "mask_error": None if fit.mask_error is None else fit.mask_error._asdict(),
-        "object_in_camera": _pose(fit),
+        "object_in_camera": _pose(fit, pixel_centres),
         "steps": [int(count) for count in fit.steps],
         "weak": list(fit.weak),
-        "modes": [fit_to_dict(mode) for mode in fit.modes],
+        "modes": [fit_to_dict(mode, pixel_centres=pixel_centres) for mode in fit.modes],
         "history": history,
     }
 
 
-def _pose(fit: Fit) -> dict[str, Any] | None:
+def _pose(fit: Fit, pixel_centres: Any) -> dict[str, Any] | None:
     if fit.status == "non_finite":
         return None
-    pose = object_pose(fit, pixel_centres="integer")
-    parts = {name: _words(getattr(pose, name)) for name in ("K", "R", "t", "covariance")}
-    return {"pixel_centres": pose.pixel_centres, **parts}
+    pose = object_pose(fit, pixel_centres=pixel_centres)
+    names = ("K", "R", "t", "covariance", "camera_from_world", "world_from_camera")
+    parts = {name: _words(getattr(pose, name)) for name in names}
+    bent = None if pose.distortion is None else distortion_to_dict(pose.distortion)
+    return {"pixel_centres": pose.pixel_centres, **parts, "distortion": bent}
 
 
 def _words_or_none(numbers: Any) -> Any:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._files.pictures import BAND, Image, bands, by_bands, eight_bits, from_picture, rows
+from .._fit.target import MOST_BORDER, covered_border
 from .tidy import SPECK, parts
 
 #: The ways to read a mask, as `mask_from` and the command's `--mask-from` name them.
@@ -20,9 +21,6 @@ WAYS = "alpha, luminance, label=N, background=COLOR (or COLOR,TOLERANCE)"
 DARK, LIGHT = 26, 229
 #: Channels that differ by less than this (of 255) are grey: JPEG leaves a few.
 GREY = 8
-#: A picture whose border is covered by more than this is rather black on white. (An object that the
-#: frame cuts off on all sides leaves more of it free.)
-MOST_BORDER = 0.9
 #: Soft edges of a background mask reach this far (px) to both sides.
 BAND_PX = 2
 #: The nearest colour of the object is looked for so many rows (px) around.
@@ -116,10 +114,9 @@ def read_mask(image: Image, way: Way, invert: bool = False) -> Read:
 
 def _check_border(read: Read) -> None:
     """Raise ValueError for a mask that covers its border, and yet not all of the picture."""
-    mask = read.mask
-    border = np.concatenate([mask[0], mask[-1], mask[1:-1, 0], mask[1:-1, -1]])
-    share = np.count_nonzero(border > 127) / border.size
-    if share <= MOST_BORDER or np.all(mask > 127):
+    inside = read.mask > 127
+    share = covered_border(inside)
+    if share <= MOST_BORDER or np.all(inside):
         return
     way = "alpha" if read.words else "luminance"
     raise ValueError(
@@ -146,6 +143,8 @@ def _at_first_sight(image: Image) -> Read:
         read = _alpha(image)
         if read.mask.min() < 255:
             return read
+    if _two_colours(image):
+        return Read(_label(image, 1).mask, "mask: its palette's entry 1")
     if not image.mode.startswith(("1", "L", "I", "F")):
         grey = by_bands(image, _grey)
     else:
@@ -154,11 +153,29 @@ def _at_first_sight(image: Image) -> Read:
     if between > np.count_nonzero(grey > LIGHT):
         raise ValueError(
             f"a grey picture in which {between / grey.size:.0%} of the pixels are neither black nor"
-            f" white; say what is the object: {WAYS}"
+            f" white; say what is the object: {_labels(image)}"
         )
+    if grey.max() == 1:
+        return Read(255 * grey, "mask: its values 0 and 1")
     if 0 < grey.max() < DARK:
-        raise ValueError(f"a picture no lighter than {grey.max()} of 255; labels? {WAYS}")
+        raise ValueError(f"a picture no lighter than {grey.max()} of 255; {_labels(image)}")
     return Read(grey, "")
+
+
+def _two_colours(image: Image) -> bool:
+    """Return whether a picture has a palette, uses its entries 0 and 1 alone, and these are not
+    both grey: they are labels."""
+    if image.mode != "P" or max(image.getextrema()) != 1:
+        return False
+    return bool(np.any(np.ptp(np.reshape(image.getpalette()[:6], (2, 3)), axis=1) > GREY))
+
+
+def _labels(image: Image) -> str:
+    """Return the words that say how to read a picture of a few values."""
+    values = np.unique(np.concatenate([np.unique(np.asarray(band)) for _, band in bands(image)]))
+    few = len(values) == 2 and values[0] == 0 and image.mode in ("L", "P")
+    hint = f"`mask_from` label={values[1]} (--mask-from label={values[1]}) if its object is that;"
+    return f"{hint} or one of {WAYS}" if few else f"labels? {WAYS}"
 
 
 def _grey(band: Image) -> np.ndarray:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._numerics.arrays import is_concrete
-from .._scene.scene import Scene, astype
+from .._scene.scene import Scene, astype, check_view
 from .._silhouette.silhouette import silhouette
 from .differences import STEPS, Scales, Slopes, outside, slopes
 from .directions import Direction, camera_and_scene
@@ -243,6 +243,7 @@ def _check_image(image: Any, camera: Camera) -> None:
 
 
 def _check(camera: Camera, scene: Scene, tolerance: float | None, directions: int) -> None:
+    check_view(camera, scene)
     for name, value in (("camera", camera), ("scene", scene)):
         if not is_concrete(*jax.tree.leaves(value)):
             raise ValueError(f"`{name}`: expected values, got traced ones; call it outside of jit")
