@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._camera.axes import axes_of
 from .._camera.camera import Camera, bend, film_map, to_camera
 from .._camera.rays import project
 from .._files import programs
@@ -30,8 +31,7 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     """
     check_view(camera, scene)
     scene = astype(scene, camera.e.dtype)
-    segments, base = programs.call(SEGMENTS, (camera, scene), lambda: _like_segments(scene))
-    start, end, weight = _pieces(camera, scene, segments)
+    start, end, weight = _pieces(camera, scene)
     turned = weight < 0  # cover on the right: the same contour run the other way
     start[turned], end[turned] = end[turned], start[turned]
     weight = np.abs(weight)
@@ -41,9 +41,9 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     # Points just outside and inside: with cover on the left. (A face of no area has none.)
     direction = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
     right = 1e-3 * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
+    base = _base(camera, scene)
     outside, inside = (
-        _winding(short.mean(axis=1) + side, start, end, weight) + int(base)
-        for side in (right, -right)
+        _winding(short.mean(axis=1) + side, start, end, weight) + base for side in (right, -right)
     )
     visible = (outside <= 0) & (inside > 0)
     lens = bend(camera)
@@ -87,23 +87,31 @@ def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
 
 
 @eqx.filter_jit
-def _segments(camera: Camera, scene: Scene) -> tuple[list[Segments], Int[Array, ""]]:
-    """Return all edges as segments in and near the film, what of them lies left of it, and how many
-    layers cover all else on the left."""
-    film, mesh = film_map(camera), scene.mesh
-    base = surrounding(film, scene)
-    if mesh is None or not mesh.edge_faces.shape[0]:
-        return [], base
-    weights = contour_weights(mesh, camera.e)
-    lift = film(mesh.vertices[mesh.edge_vertices])
-    parts = (jnp.full(weights.shape, beside) for beside in (False, True))
-    return [clipped(lift, weights, part, film.bounds) for part in parts], base
+def _segments(camera: Camera, mesh: Mesh) -> Segments:
+    """Return all edges as segments in and near the film, and then what of them lies left of it."""
+    film = film_map(camera)
+    twice = lambda x: jnp.concatenate([x, x])
+    weights = twice(contour_weights(mesh, camera.e))
+    lift = twice(film(mesh.vertices[mesh.edge_vertices]))
+    beside = jnp.arange(len(weights)) >= len(weights) // 2
+    return clipped(lift, weights, beside, film.bounds)
 
 
-def _like_segments(scene: Scene) -> tuple[list[Segments], int]:
-    """Return something of the structure of what `_segments` returns."""
-    mesh = scene.mesh
-    return [] if mesh is None or not mesh.edge_faces.shape[0] else [programs.like(Segments)] * 2, 0
+def _base(camera: Camera, scene: Scene) -> int:
+    """Return how many layers cover all else on the left: none where all is ahead of the eye."""
+    forward, eye = axes_of(camera)[2], np.asarray(camera.e, float)
+    nearest = [np.inf]
+    if scene.mesh is not None:
+        nearest.extend((np.asarray(scene.mesh.vertices, float) - eye) @ forward)
+    if scene.spheres is not None:
+        ahead = (np.asarray(scene.spheres.centers, float) - eye) @ forward
+        nearest.extend(ahead - np.asarray(scene.spheres.radii, float))
+    return 0 if min(nearest) > 0 else int(_layers(camera, scene))
+
+
+@eqx.filter_jit
+def _layers(camera: Camera, scene: Scene) -> Int[Array, ""]:
+    return surrounding(film_map(camera), scene)
 
 
 @eqx.filter_jit
@@ -117,12 +125,11 @@ def _arcs(camera: Camera, spheres: Spheres) -> Arcs:
     return sphere_arcs(film_map(camera), spheres, ids)
 
 
-def _pieces(
-    camera: Camera, scene: Scene, edges: list[Segments]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pieces(camera: Camera, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return starts (n, 2), ends (n, 2) and weights (n,) of the whole contour, arcs sampled."""
     parts = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))]
-    for segments in edges:
+    if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
+        segments = programs.call(SEGMENTS, (camera, scene.mesh), lambda: programs.like(Segments))
         on = np.asarray(segments.weight) != 0
         start, end, weight = (np.asarray(x, float)[on] for x in segments)
         parts.append((start, end, weight))
