@@ -40,8 +40,8 @@ OFF_TIMES = 3.0
 #: A step that is negligible (px) where a fit goes on to fewer pixels: half as many steps as to the
 #: end of what float32 resolves, and squares within a hundred thousandth.
 CONTINUED_PX = 5e-3
-#: Pyramids of more cells than this (50 MB in float32) are not kept.
-KEPT_CELLS = 2**21
+#: Pyramids of more cells than this (200 MB in float32) are not kept.
+KEPT_CELLS = 2**23
 #: Named, since optimistix takes a third of this package's import.
 DESCENDED = "pinhole_jax._fit.levenberg_marquardt:descended"
 

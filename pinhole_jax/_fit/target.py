@@ -22,6 +22,8 @@ LEVEL, LEVEL_PX, SAMPLED = 0.01, 3.0, 1 << 18
 MOST_BORDER = 0.9
 #: What integers of a mask of two values may be where they are not 0.
 FULL = (1, 255, 65535)
+#: Cells that are worked on at a time.
+CACHED = 1 << 15
 #: Cells of the smallest pyramid; the next sizes are 4 times as large: each is compiled for.
 LEAST_CELLS = 1 << 19
 
@@ -270,12 +272,14 @@ def pyramid(
     right = min(-(-(window.left + window.W) // whole) * whole, W)
     top = min(-(-(window.bottom + window.H) // whole) * whole, H)
     window = Window(left, bottom, right - left, top - bottom)
-    images = [shares(window.of(x)) for x in (target, weight)]
-    finer = [[*images, np.ones_like(images[0])]]
+    images, weights = [shares(window.of(target))], [shares(window.of(weight))]
+    alike = weight.strides == (0, 0)
     for _ in range(depth):
-        finer.append([_halved(x) for x in finer[-1]])
+        images.append(_halved(images[-1]))
+        same = np.broadcast_to(weights[0][0, 0], images[-1].shape)
+        weights.append(same.copy() if alike else _halved(weights[-1]))
     integer, real = (lambda x, t=t: np.asarray(x, t) for t in (np.int32, dtype))
-    sizes = [image.shape[0] * (image.shape[1] + 2) + 1 for image, *_ in reversed(finer)]
+    sizes = [image.shape[0] * (image.shape[1] + 2) + 1 for image in reversed(images)]
     room = least
     while room < sum(sizes):
         room *= 4
@@ -283,9 +287,12 @@ def pyramid(
     levels: list[Level] = []
     start = 0
     for level, size in zip(range(depth, -1, -1), sizes, strict=True):
-        image, weights, inside = finer[level]
-        _raster(image, np.where(inside > 1 - 1e-9, weights, 0), flat[:, start : start + size])
-        h, w = image.shape
+        h, w = images[level].shape
+        if h * 2**level > window.H:  # what reaches out of the window does not count
+            weights[level][0] = 0
+        if w * 2**level > window.W:
+            weights[level][:, -1] = 0
+        _raster(images[level], weights[level], flat[:, start : start + size])
         origin, scale = real([left / 2**level, bottom / 2**level]), real(H / 2**level)
         rest = np.array(level == 0), real(np.inf)
         levels.append(Level(integer(start), integer(w), integer(h), origin, scale, *rest))
@@ -296,19 +303,29 @@ def pyramid(
 def _halved(image: np.ndarray) -> np.ndarray:
     """Return means over 2 x 2 blocks from the film's bottom left; 0 is what lies outside."""
     H, W = image.shape
-    image = np.pad(image, ((H % 2, 0), (0, W % 2)))
+    if H % 2 or W % 2:
+        image = np.pad(image, ((H % 2, 0), (0, W % 2)))
     rows = image[0::2] + image[1::2]
-    return (rows[:, 0::2] + rows[:, 1::2]) / 4
+    result = rows[:, 0::2] + rows[:, 1::2]
+    result /= 4
+    return result
 
 
 def _raster(image: np.ndarray, weight: np.ndarray, out: np.ndarray) -> None:
-    """Write the six flat arrays of one level."""
-    sides = ((0, 0), (1, 1))
-    target, weight = (np.pad(x[::-1], sides).ravel() for x in (image, weight))
-    costs = [weight * target**2, weight * (1 - target) ** 2, weight, weight * target]
-    out[0, :-1], out[1, :-1] = target, weight
-    for row, cost in zip(out[2:], costs, strict=True):
-        row[1:] = np.cumsum(cost)
+    """Write the six flat arrays of one level, some rows at a time: what fits into a cache."""
+    H, W = image.shape
+    width, sides = W + 2, ((0, 0), (1, 1))
+    step = max(CACHED // width, 1)
+    ends = np.zeros(4)
+    for first in range(0, H, step):
+        rows = slice(H - min(first + step, H), H - first)
+        t, w = (np.pad(x[rows][::-1], sides).ravel() for x in (image, weight))
+        begin, end = first * width, first * width + t.size
+        out[0, begin:end], out[1, begin:end] = t, w
+        for k, cost in enumerate((w * t**2, w * (1 - t) ** 2, w, w * t)):
+            sums = np.cumsum(cost)
+            sums += ends[k]
+            out[2 + k, begin + 1 : end + 1], ends[k] = sums, sums[-1]
 
 
 def level_slice(pyramid: Pyramid, level: Level, cell: Int[Array, "*P"]) -> Pyramid:
