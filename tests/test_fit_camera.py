@@ -15,6 +15,7 @@ from oracles import random_camera, turned
 import pinhole_jax as pj
 from pinhole_jax import formats, io, shapes
 from pinhole_jax._fit import levenberg_marquardt, room, solver
+from pinhole_jax._fit.fit_camera import check_border
 from pinhole_jax._fit.residuals import Capacity
 from pinhole_jax._fit.uncertainty import covariance
 
@@ -305,6 +306,19 @@ def test_bad_input_is_said_in_words(scene, change, message):
     good = {"scene": scene, "target": MASK, "camera": CAMERA, "free": ("pose",)}
     with pytest.raises(ValueError, match=message):
         pj.fit_camera(**{**good, **change})
+
+
+def test_a_covered_border_may_be_right(scene):
+    """Where the start sees the object reach out of the picture, or these pixels do not count."""
+    ones = np.ones(MASK.shape)
+    near = CAMERA.replace(e=CAMERA.p + 0.2 * (CAMERA.e - CAMERA.p))
+    check_border(1 - MASK, ones, scene, near)
+    beside = ones.copy()
+    beside[[0, -1]] = beside[:, [0, -1]] = 0
+    check_border(1 - MASK, beside, scene, CAMERA)
+    ball = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [0.5]))
+    with pytest.raises(ValueError, match="like an inverted one"):
+        check_border(1 - MASK, ones, ball, CAMERA)
 
 
 # --- real input ----------------------------------------------------------------------------------

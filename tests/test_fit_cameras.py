@@ -51,6 +51,18 @@ def test_shared_intrinsics_from_exact_masks(scene, masks):
         assert abs(float(fit.camera.phi) - 0.6) < 1e-9
 
 
+@pytest.mark.long
+def test_views_without_a_start_have_the_lens_that_is_known(scene):
+    lens = pj.Lens([60, 33], 1.05)
+    cameras = [camera.replace(lens=lens) for camera in TRUTHS[:2]]
+    masks = [np.asarray(pj.silhouette(camera, scene)) for camera in cameras]
+    for fit, camera in zip(
+        pj.fit_cameras(scene, masks, None, phi=0.6, lens=lens), cameras, strict=True
+    ):
+        assert fit.status == "converged"
+        assert np.rad2deg(pj.pose_error(fit.camera, camera)[0]) < 1e-6
+
+
 # --- what one view's mask leaves open ------------------------------------------------------------
 
 
@@ -195,6 +207,7 @@ def test_the_arrow_is_solved_as_the_dense_problem_is():
     ("change", "message"),
     [
         ({"targets": []}, r"`targets`: expected at least one mask"),
+        ({"phi": 0.6}, r"`phi`: expected None beside `cameras`"),
         ({"cameras": STARTS[:1]}, r"`cameras`: expected one for each of 3 masks, got 1"),
         ({"weights": [None]}, r"`weights`: expected one for each of 3 masks, got 1"),
         ({"shared": "pose", "free": "phi"}, r"`shared`: expected names among phi, d"),

@@ -112,7 +112,7 @@ def fit_camera(
     def run(inputs: Any) -> tuple[Fit, Callable]:
         scene, target, weight = inputs
         image, weights = check_target(target, weight, base.W, base.H)
-        check_border(image, scene, camera)
+        check_border(image, weights, scene, camera)
         # (A derivative is one by the target as it is.)
         image = levelled(image, weights) if concrete else image
         mask = Mask(image, weights, base)
@@ -139,11 +139,12 @@ def check_alone(given: str, **others: Any) -> None:
             raise ValueError(f"`{name}`: expected None beside `{given}`, which brings its own")
 
 
-def check_border(image: np.ndarray, scene: Scene, start: Camera | None) -> None:
-    """Raise ValueError for a mask that covers its border though the start sees the object within
-    it, or there is no start: what it covers is the background."""
-    inside = shares(image) > 0.5
-    if (share := covered_border(inside)) <= MOST_BORDER:
+def check_border(
+    image: np.ndarray, weights: np.ndarray, scene: Scene, start: Camera | None
+) -> None:
+    """Raise ValueError for a mask that covers its border, where that counts, though the start sees
+    the object within it, or there is no start: what it covers is the background."""
+    if (share := covered_border(shares(image) > 0.5, weights > 0)) <= MOST_BORDER:
         return
     if start is not None and not _is_within(scene, start):
         return

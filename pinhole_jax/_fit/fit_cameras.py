@@ -72,7 +72,7 @@ def fit_cameras(
         check_alone("cameras", phi=phi, lens=lens)
     for camera in cameras or ():
         check_camera(camera, "cameras")
-    names, common = shared_and_free(shared, free, cameras[0] if cameras else None)
+    names, common = shared_and_free(shared, free, cameras[0] if cameras else None, lens)
     if not common:
         raise ValueError(f"`shared`: expected at least one of {', '.join(SHARED)}, got none")
     modes: list[list[Camera]] = [[] for _ in targets]
@@ -88,7 +88,7 @@ def fit_cameras(
     cameras = alike([with_lens(c, names) for c in cameras], common)
     for camera, target, weight, more in zip(cameras, targets, weights, modes, strict=True):
         image, w = check_target(target, weight, camera.W, camera.H)
-        check_border(image, scene, camera)
+        check_border(image, w, scene, camera)
         image = levelled(image, w)
         known = bounds_of(bounds, camera, names), prior_of(prior, camera, names, common, count)
         solver = Solver(scene, image, w, camera.e.dtype, names, max_steps, *known)

@@ -15,6 +15,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.distortion import COEFFICIENTS
+from .._camera.lens import Lens
 from .parameters import PARAMETERS, check_free
 from .problem import COARSE_PX, COSINE, FINE_PX, UNIT_PX
 
@@ -30,15 +31,19 @@ SHARED = tuple(name for name, row in PARAMETERS.items() if row.shared)
 
 
 def shared_and_free(
-    shared: str | Sequence[str], free: str | Sequence[str], camera: Camera | None
+    shared: str | Sequence[str],
+    free: str | Sequence[str],
+    camera: Camera | None,
+    lens: Lens | None = None,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return all names in a fixed order, and those that are shared, or raise ValueError."""
-    common = check_free(shared, camera) if len(shared) else ()
+    """Return all names in a fixed order, and those that are shared, or raise ValueError; without a
+    camera those of a lens."""
+    common = check_free(shared, camera, lens) if len(shared) else ()
     if not {*common} <= {*SHARED}:
         known = ", ".join([*SHARED, "distortion"])
         raise ValueError(f"`shared`: expected names among {known}, got {shared!r}")
-    own = [n for n in check_free(free, camera) if n not in common] if len(free) else []
-    return check_free([*common, *own], camera), common
+    own = [n for n in check_free(free, camera, lens) if n not in common] if len(free) else []
+    return check_free([*common, *own], camera, lens), common
 
 
 def alike(cameras: Sequence[Camera], common: tuple[str, ...]) -> list[Camera]:

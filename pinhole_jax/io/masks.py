@@ -167,7 +167,8 @@ def _two_colours(image: Image) -> bool:
     both grey: they are labels."""
     if image.mode != "P" or max(image.getextrema()) != 1:
         return False
-    return bool(np.any(np.ptp(np.reshape(image.getpalette()[:6], (2, 3)), axis=1) > GREY))
+    colours = [*(image.getpalette() or ()), *6 * [0]][:6]
+    return bool(np.any(np.ptp(np.reshape(colours, (2, 3)), axis=1) > GREY))
 
 
 def _labels(image: Image) -> str:
