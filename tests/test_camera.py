@@ -5,6 +5,7 @@ import pytest
 
 import pinhole_jax as pj
 from pinhole_jax._camera.camera import basis, camera_basis, film_size, focal_px, to_camera
+from pinhole_jax._camera.lens import check_lens
 
 E, P, U = [0.0, 0.0, 5.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]
 
@@ -153,4 +154,7 @@ def test_a_camera_is_printed_as_a_table():
     assert "BrownConrady: k1 = -0.2, k2 = 0, p1 = 0.001" in text
     far = pj.Camera([1e5 + 2.125, 1, 5], [1e5, 0, 0], [0, 1, 0], 0.6, 1.0, 640, 480)
     assert "(100002.125, 1, 5)   eye" in str(far)
+    assert "(nan, nan, nan)   eye" in str(jax.tree.map(lambda x: x * np.nan, far))
+    with pytest.raises(ValueError, match="`lens`: expected a Lens or None, got tuple"):
+        check_lens((320.0, 240.0))
     jax.jit(lambda c: str(c) and c.e)(pj.Camera([1, 2, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48))

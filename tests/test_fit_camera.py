@@ -170,7 +170,11 @@ def test_a_start_without_overlap_that_may_not_move_is_no_success(scene):
 
 @pytest.mark.long
 def test_an_inverted_mask_is_no_success(scene):
-    assert pj.fit_camera(scene, 1 - mask_of(CAMERA, scene), CAMERA).status != "converged"
+    inverted = 1 - mask_of(CAMERA, scene)
+    with pytest.raises(ValueError, match="like an inverted one"):
+        pj.fit_camera(scene, inverted, CAMERA)
+    near = CAMERA.replace(e=CAMERA.p + 0.3 * (CAMERA.e - CAMERA.p))  # it fills the picture
+    assert pj.fit_camera(scene, inverted, near).status != "converged"
 
 
 @pytest.mark.long

@@ -230,6 +230,10 @@ def test_pictures_of_the_values_0_and_1_are_masks(tmp_path):
         mask = io.load_mask(tmp_path / "mask.png", say=said.append)
         np.testing.assert_array_equal(mask, np.uint8(255 * inside))
         assert said == [f"mask: {words}"]
+    coloured.putpalette([255, 0, 0, 0, 0, 0])  # which of the two is the object?
+    coloured.save(tmp_path / "mask.png")
+    with pytest.raises(ValueError, match="a colour picture"):
+        io.load_mask(tmp_path / "mask.png")
 
 
 @pytest.mark.parametrize("kind", ["grey", "palette", "16 bits"])

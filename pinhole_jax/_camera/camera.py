@@ -32,7 +32,7 @@ from jaxtyping import Array, Float
 from .._numerics.arrays import MISSING, Numbers, float_array, float_dtype, is_concrete
 from .._numerics.safe import cross_of_difference, norm, normalize
 from .film import Bend, FilmMap, FilmPart
-from .lens import Lens
+from .lens import Lens, check_lens
 
 #: Pixels are counted in 32 bits, with some room beside the film.
 MOST_PIXELS = 1 << 30
@@ -115,6 +115,7 @@ class Camera(eqx.Module):
             raise ValueError(
                 f"`W`, `H`: expected at most {MOST_PIXELS} pixels, got {self.W} x {self.H}"
             )
+        check_lens(lens)
         self.lens = None if lens is None else _cast(lens, dtype)
         if is_concrete(self.phi) and not 0 < float(self.phi) < np.pi:
             raise ValueError(f"`phi`: expected an angle in (0, pi) rad, got {float(self.phi)}")
@@ -133,7 +134,8 @@ class Camera(eqx.Module):
             return repr(self)
         # Places are told to a millionth of how far the camera looks, wherever the world begins.
         far = float(np.linalg.norm(np.asarray(self.p, float) - np.asarray(self.e, float)))
-        decimals = min(max(6 - int(np.floor(np.log10(far))), 0), 12)
+        known = np.isfinite(far) and far > 0
+        decimals = min(max(6 - int(np.floor(np.log10(far))), 0), 12) if known else 6
         in_digits = lambda x: np.format_float_positional(x, precision=decimals, trim="-")
         place = lambda x: f"({', '.join(map(in_digits, np.asarray(x, float)))})"
         point = lambda x: "(" + ", ".join(f"{v:.6g}" for v in np.asarray(x)) + ")"

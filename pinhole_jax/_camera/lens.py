@@ -46,3 +46,9 @@ class Lens(eqx.Module):
                 f"`distortion`: expected a {', a '.join(MODELS)} or None, got {distortion!r}"
             )
         self.distortion = distortion
+
+
+def check_lens(lens: Any) -> None:
+    """Raise ValueError unless this is a lens or None."""
+    if not (lens is None or isinstance(lens, Lens)):
+        raise ValueError(f"`lens`: expected a Lens or None, got {type(lens).__name__}")

@@ -84,14 +84,17 @@ def rays_through(
     return direction.reshape(*direction.shape[:-1], n, 3)
 
 
-def project(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
-    """Return the film coordinates (px, origin bottom left, y up) of world points.
+def project(camera: Camera, points: Numbers) -> Float[Array, "*batch 2"]:
+    """Return the film coordinates (px, origin bottom left, y up) of world points (..., 3).
 
     A point behind the eye projects through it, as the equations say; one in the eye's own plane
     gives the principal point. `to_camera(camera, points)[..., 2] > 0` tells points in front. Where
     a lens's polynomial would fold back it goes on straight (see `distortion`).
     """
     check_camera(camera)
+    points = jnp.asarray(points)
+    if points.shape[-1:] != (3,):
+        raise ValueError(f"`points`: expected shape (..., 3), got shape {points.shape}")
     x, y, z = jnp.moveaxis(to_camera(camera, points), -1, 0)
     fx, fy = focal_px(camera)
     centre = principal_point(camera)

@@ -144,20 +144,22 @@ def check_border(
 ) -> None:
     """Raise ValueError for a mask that covers its border, where that counts, though the start sees
     the object within it, or there is no start: what it covers is the background."""
-    if (share := covered_border(shares(image) > 0.5, weights > 0)) <= MOST_BORDER:
+    if (share := covered_border((shares(image) > 0.5) & (weights > 0))) <= MOST_BORDER:
         return
     if start is not None and not _is_within(scene, start):
         return
     raise ValueError(
         f"`target`: expected a mask of the object, got one that covers {share:.0%} of its border,"
-        " like an inverted one; give `255 - mask`, `1 - mask` or `~mask`, or where it is right a"
-        " `camera` to start from that sees the object reach out of the picture"
+        " like an inverted one; invert it, or where it is right give a `camera` to start from that"
+        " sees the object reach out of the picture"
     )
 
 
 def _is_within(scene: Scene, camera: Camera) -> bool:
     """Return whether all corners of a scene (of its spheres' boxes) are seen within the picture."""
-    points = [] if scene.mesh is None else [np.asarray(scene.mesh.vertices)]
+    points, mesh = [], scene.mesh
+    if mesh is not None:
+        points.append(np.asarray(mesh.vertices)[np.unique(np.asarray(mesh.faces))])
     if scene.spheres is not None:
         corners = 2 * np.indices((2, 2, 2)).reshape(3, 8).T - 1
         around = np.asarray(scene.spheres.radii)[:, None, None] * corners

@@ -18,7 +18,7 @@ from jaxtyping import Array
 
 from .._camera.camera import Camera, principal_point
 from .._camera.distortion import COEFFICIENTS, BrownConrady
-from .._camera.lens import Lens
+from .._camera.lens import Lens, check_lens
 
 
 class Scale(NamedTuple):
@@ -211,6 +211,7 @@ def check_free(
     The coefficients are those of the camera's distortion (or, without one, the lens's); where there
     is none, of a `BrownConrady`.
     """
+    check_lens(lens)
     lens = lens if camera is None else camera.lens
     model = BrownConrady if lens is None or lens.distortion is None else type(lens.distortion)
     own = [field.name for field in fields(model)]

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
+from .._numerics.arrays import is_concrete
 from .kinds import Kind
 from .moves import Bounds, on_film
 from .outline_errors import OutlineErrors, is_drawn
@@ -106,8 +107,8 @@ class Fit(NamedTuple):
     mask_error: MaskError | None = None
 
     def __str__(self) -> str:
-        """Return it as the command's table."""
-        return table(self)
+        """Return it as the command's table; what is traced in a line."""
+        return table(self) if is_concrete(*jax.tree.leaves(self.camera)) else repr(self)
 
     def __repr__(self) -> str:
         """Return it in a line, its arrays and history left out."""

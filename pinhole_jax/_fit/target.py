@@ -167,15 +167,10 @@ def check_target(target: Any, weight: Any, W: int, H: int) -> tuple[np.ndarray, 
     return image, weights
 
 
-def covered_border(mask: np.ndarray, counted: np.ndarray | None = None) -> float:
-    """Return which share of a picture's border (of those pixels that are `counted`) a mask (H, W)
-    covers; both are of bools."""
-    border = _border(mask) if counted is None else _border(mask)[_border(counted)]
-    return np.count_nonzero(border) / max(border.size, 1)
-
-
-def _border(image: np.ndarray) -> np.ndarray:
-    return np.concatenate([image[0], image[-1], image[1:-1, 0], image[1:-1, -1]])
+def covered_border(mask: np.ndarray) -> float:
+    """Return which share of a picture's border a mask (H, W), of bools, covers."""
+    border = np.concatenate([mask[0], mask[-1], mask[1:-1, 0], mask[1:-1, -1]])
+    return np.count_nonzero(border) / border.size
 
 
 def check_weight(weight: Any, W: int, H: int) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._fit.target import check_image, edge_distance, shares
-from .._scene.scene import Scene
+from .._scene.scene import Scene, check_view
 from .outline import outline
 
 #: An outline farther from the mask's edge than this (px) is apart from it.
@@ -21,6 +21,7 @@ LEAST = 0.02
 def disagreement(camera: Camera, scene: Scene, target: np.ndarray) -> tuple[str, ...]:
     """Return in words where the outline that a camera sees and a mask (H, W) go apart; nothing
     where they do not."""
+    check_view(camera, scene)
     mask = shares(check_image("target", target, camera.W, camera.H)) > 0.5
     lines = outline(camera, scene)
     if not len(lines) or np.all(mask) or not np.any(mask):

@@ -55,6 +55,7 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
 def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
     """Return points in space, in front of the eye, that the contour is made of: on edges some
     px apart, on spheres where rays touch them."""
+    check_view(camera, scene)
     scene = astype(scene, camera.e.dtype)
     parts = [np.zeros((0, 3))]
     if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:

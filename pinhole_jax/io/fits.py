@@ -63,7 +63,8 @@ def save_fit(path: str | os.PathLike[str], fit: Fit, *, pixel_centres: Any = "in
     Raises ValueError for what is no fit, a camera that is not finite, and a path that cannot be
     written.
     """
-    save_camera(path, fit.camera, fit=fit_to_dict(fit, pixel_centres=pixel_centres)["fit"])
+    rest = fit_to_dict(fit, pixel_centres=pixel_centres)["fit"]
+    save_camera(path, fit.camera, fit=rest)
 
 
 def load_fit(path: str | os.PathLike[str]) -> Fit:

@@ -21,6 +21,8 @@ WAYS = "alpha, luminance, label=N, background=COLOR (or COLOR,TOLERANCE)"
 DARK, LIGHT = 26, 229
 #: Channels that differ by less than this (of 255) are grey: JPEG leaves a few.
 GREY = 8
+#: How a mask was read that is a picture's transparency.
+ALPHA = "mask: the transparency (alpha)"
 #: Soft edges of a background mask reach this far (px) to both sides.
 BAND_PX = 2
 #: The nearest colour of the object is looked for so many rows (px) around.
@@ -118,11 +120,12 @@ def _check_border(read: Read) -> None:
     share = covered_border(inside)
     if share <= MOST_BORDER or np.all(inside):
         return
-    way = "alpha" if read.words else "luminance"
+    ways = {"": "luminance", ALPHA: "alpha"}
+    way = ways.get(read.words, "label=1")
     raise ValueError(
         f"a picture that covers {share:.0%} of its border, like a black object on white; give"
         " `invert` (on the command line: --invert), or where it is right"
-        f" `mask_from` {way} (--mask-from {way})"
+        f" `mask_from` {way} (--mask-from {way}) and a camera to start from"
     )
 
 
@@ -155,7 +158,7 @@ def _at_first_sight(image: Image) -> Read:
             f"a grey picture in which {between / grey.size:.0%} of the pixels are neither black nor"
             f" white; say what is the object: {_labels(image)}"
         )
-    if grey.max() == 1:
+    if grey.max() == 1 and image.mode in ("L", "P"):
         return Read(255 * grey, "mask: its values 0 and 1")
     if 0 < grey.max() < DARK:
         raise ValueError(f"a picture no lighter than {grey.max()} of 255; {_labels(image)}")
@@ -163,12 +166,12 @@ def _at_first_sight(image: Image) -> Read:
 
 
 def _two_colours(image: Image) -> bool:
-    """Return whether a picture has a palette, uses its entries 0 and 1 alone, and these are not
-    both grey: they are labels."""
+    """Return whether a picture has a palette and uses its entries 0, which is black, and 1, which
+    is a colour, alone: a label's."""
     if image.mode != "P" or max(image.getextrema()) != 1:
         return False
     colours = [*(image.getpalette() or ()), *6 * [0]][:6]
-    return bool(np.any(np.ptp(np.reshape(colours, (2, 3)), axis=1) > GREY))
+    return max(colours[:3]) < DARK < max(colours[3:]) and bool(np.ptp(colours[3:]) > GREY)
 
 
 def _labels(image: Image) -> str:
@@ -191,7 +194,7 @@ def _alpha(image: Image) -> Read:
     if not image.has_transparency_data:
         raise ValueError("no transparency")
     opacity = lambda band: np.asarray(band.convert("RGBA"))[..., 3]
-    return Read(by_bands(image, opacity), "mask: the transparency (alpha)")
+    return Read(by_bands(image, opacity), ALPHA)
 
 
 def _label(image: Image, number: int) -> Read:
