@@ -54,12 +54,13 @@ def _fit(options: argparse.Namespace) -> int:
         from . import formats, io, report
         from ._command.known import known
         from ._fit.fit_camera import fit_camera
+        from ._fit.parameters import as_names
         from ._scene.scene import Scene
         from .plot import disagreement, overlay
 
         clock = Clock()
         progress.count(clock)
-        free = tuple(name.strip() for name in options.free.split(",") if name.strip())
+        free = as_names(options.free)
         with named(path="MASK", mask_from="--mask-from"):
             mask = io.load_mask(
                 options.mask, options.mask_from, progress.tell, invert=options.invert

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from ._camera.camera import Camera
 from ._camera.rays import project
 from ._fit.moves import displaced
-from ._fit.result import Fit, Progress
+from ._fit.result import Fit, Progress, check_fit
 from ._fit.target import check_image, shares
 from ._scene.scene import Scene, check_view
 from ._show.disagreement import disagreement as disagreement
@@ -42,6 +42,8 @@ def outline_sigma(fit: Fit, scene: Scene) -> Float[np.ndarray, "n"]:
     """
     from scipy.spatial import KDTree
 
+    check_fit(fit)
+    check_view(fit.camera, scene)
     known = np.flatnonzero(np.isfinite(fit.std))
     segments = outline(fit.camera, scene)
     if not known.size or not len(segments):
@@ -164,6 +166,8 @@ class Svg(str):
 def off_px(fit: Fit, scene: Scene) -> list[float]:
     """Return how far (px, root mean square over the final contour's points) the outline was from
     its place at the end, at each entry of `fit.history`."""
+    check_fit(fit)
+    check_view(fit.camera, scene)
     points = jnp.asarray(contour_points(fit.camera, scene), fit.camera.e.dtype)
     if not len(points):
         return [float("nan")] * len(fit.history)
@@ -176,6 +180,7 @@ def off_px(fit: Fit, scene: Scene) -> list[float]:
 def levels(fit: Fit) -> list[tuple[Progress, int, int]]:
     """Return each level's end with all its steps, and at which entries of `fit.history` the level
     begins (the end of the one before) and ends."""
+    check_fit(fit)
     found, last = [], 0
     for _, each in groupby(fit.history[1:], lambda stop: (stop.W, stop.H)):
         level, first = list(each), last

@@ -16,10 +16,10 @@ import numpy as np
 from . import formats, plot
 from ._camera.camera import Camera
 from ._files.paths import replace_file
-from ._fit.result import Fit
+from ._fit.result import Fit, check_fit
 from ._fit.target import check_image, shares
 from ._fit.words import STATUSES, Told, in_digits, told
-from ._scene.scene import Scene
+from ._scene.scene import Scene, check_view
 
 #: The file that shows each format; a folder's files are shown one after another.
 FILES = {
@@ -69,8 +69,8 @@ def page(
     Raises ValueError for images that are not of the camera's size, and for a fit that is not
     finite: there is no camera to show.
     """
-    if not isinstance(fit, Fit):
-        raise ValueError(f"`fit`: expected a Fit, got {type(fit).__name__}")
+    check_fit(fit)
+    check_view(fit.camera, scene)
     if fit.status == "non_finite":
         raise ValueError("`fit`: expected a finite camera, got status non_finite")
     from . import __version__

@@ -183,6 +183,7 @@ def check_camera(camera: Any, name: str = "camera") -> None:
 
 def camera_basis(camera: Camera) -> Basis:
     """Return the camera's axes in world coordinates."""
+    check_camera(camera)
     return basis(camera.e, camera.p, camera.u)
 
 

@@ -35,7 +35,7 @@ NO_WAIT = getattr(os, "O_NONBLOCK", 0)
 def path_of(path: Any) -> Path:
     """Return a path, or raise ValueError where the value is none."""
     try:
-        if path == "":
+        if isinstance(path, str) and not path:
             raise ValueError("`path`: expected a path, got an empty one")
         return Path(path)
     except TypeError:

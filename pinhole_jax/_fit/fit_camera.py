@@ -1,6 +1,7 @@
 """`fit_camera`: the camera from a mask, by Levenberg-Marquardt on exact coverage."""
 
 from collections.abc import Callable, Mapping, Sequence
+from numbers import Real
 from typing import Any, NamedTuple
 
 import jax
@@ -98,8 +99,7 @@ def fit_camera(
     Raises ValueError for arguments that make no fit; what the solver met is in `Fit.status`.
     """
     check_scene(scene)
-    if max_steps < 1:
-        raise ValueError(f"`max_steps`: expected at least 1, got {max_steps}")
+    check_steps(max_steps)
     if outlier_px is not None and not outlier_px > 0:
         raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
     if camera is not None:
@@ -130,6 +130,12 @@ def fit_camera(
     if photo is not None:
         raise ValueError("`photo`: expected None where the fit is differentiated")
     return through(run, inputs, names)
+
+
+def check_steps(max_steps: Any) -> None:
+    """Raise ValueError unless this is a number of steps."""
+    if not isinstance(max_steps, int | np.integer) or max_steps < 1:
+        raise ValueError(f"`max_steps`: expected an integer of at least 1, got {max_steps!r}")
 
 
 def check_alone(given: str, **others: Any) -> None:
@@ -257,6 +263,8 @@ def _anywhere(
                 " free, got None"
             )
         phi = 0.7
+    if np.ndim(phi) or not isinstance(phi, Real | np.ndarray | jax.Array):
+        raise ValueError(f"`phi`: expected an angle (rad), got {type(phi).__name__}")
     dtype = float_dtype(*jax.tree.leaves(scene))
     e, p, u = (np.array(x, dtype) for x in ([0, 0, 1], [0, 0, 0], [0, 1, 0]))
     return Camera(e, p, u, np.asarray(phi, dtype), 1.0, shape[1], shape[0], lens)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 
 from .._camera.camera import Camera, check_camera
@@ -10,7 +11,7 @@ from .._camera.lens import Lens
 from .._numerics.arrays import Numbers
 from .._scene.scene import Scene, check_scene
 from .among_views import Answer, OneView, asked
-from .fit_camera import check_alone, check_border, fit_camera
+from .fit_camera import check_alone, check_border, check_steps, fit_camera
 from .mask import Mask
 from .moves import canonical
 from .parameters import components, with_lens
@@ -61,10 +62,14 @@ def fit_cameras(
     check_scene(scene)
     if isinstance(cameras, Camera):
         raise ValueError("`cameras`: expected one Camera for each mask, in a list, got one Camera")
-    count = len(targets)
+    count = len(targets) if isinstance(targets, Sequence | np.ndarray | jax.Array) else -1
+    if count < 0:
+        kind = type(targets).__name__
+        raise ValueError(f"`targets`: expected masks (H, W) in a list, got {kind}")
     if count == 0:
         raise ValueError("`targets`: expected at least one mask, got none")
     weights = [None] * count if weights is None else weights
+    check_steps(max_steps)
     for name, given in (("cameras", cameras), ("weights", weights)):
         if given is not None and len(given) != count:
             raise ValueError(f"`{name}`: expected one for each of {count} masks, got {len(given)}")

@@ -1,6 +1,7 @@
 """How far two cameras, or two masks, are apart."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera, camera_basis, check_camera
@@ -22,6 +23,12 @@ def pose_error(camera_a: Camera, camera_b: Camera) -> tuple[Float[Array, ""], Fl
 
 
 def iou(mask_a: Float[Array, "H W"], mask_b: Float[Array, "H W"]) -> Float[Array, ""]:
-    """Return intersection over union of two coverage images in [0, 1]; 1 if both are empty."""
+    """Return intersection over union of two coverage images in [0, 1]; 1 if both are empty.
+
+    Raises ValueError where they are not of one shape.
+    """
+    if np.shape(mask_a) != np.shape(mask_b):
+        words = f"a mask of {np.shape(mask_a)}, the shape of `mask_a`, got {np.shape(mask_b)}"
+        raise ValueError(f"`mask_b`: expected {words}")
     both, either = jnp.sum(jnp.minimum(mask_a, mask_b)), jnp.sum(jnp.maximum(mask_a, mask_b))
     return jnp.where(either > 0, both / jnp.where(either > 0, either, 1), 1)

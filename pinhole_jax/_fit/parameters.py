@@ -9,9 +9,9 @@ around the object, shifting it and changing the distance move the outline in way
 Focal length and distance are logarithmic: no step makes them negative.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -193,9 +193,14 @@ COMPONENTS = {component.name: component for row in TABLE for component in row.co
 NAMES = (*PARAMETERS, "distortion")
 
 
-def as_names(names: str | Sequence[str]) -> tuple[str, ...]:
-    """Return names as a tuple; a string is one name."""
-    return (names,) if isinstance(names, str) else tuple(names)
+def as_names(names: Any, argument: str = "free") -> tuple[str, ...]:
+    """Return names as a tuple; a text holds one, or several with commas between."""
+    if isinstance(names, str):
+        names = [name.strip() for name in names.split(",") if name.strip()]
+    if not isinstance(names, Iterable):
+        words = f"names like 'pose', or several: 'pose,phi' or ('pose', 'phi'), got {names!r}"
+        raise ValueError(f"`{argument}`: expected {words}")
+    return tuple(names)
 
 
 def focal_is_free(free: Sequence[str]) -> bool:

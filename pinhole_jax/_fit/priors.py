@@ -85,8 +85,12 @@ def bounds_of(
     return Bounds(tuple(bounds), *(jnp.asarray(x, base.e.dtype) for x in (low, high)))
 
 
-def _pairs(name: str, given: Mapping, known: list[str], words: str) -> np.ndarray:
+def _pairs(name: str, given: Any, known: list[str], words: str) -> np.ndarray:
     """Return the pairs (2, k) that free parameters are given, or raise ValueError."""
+    if not isinstance(given, Mapping):
+        raise ValueError(
+            f"`{name}`: expected a dict of names and their {words}, got {type(given).__name__}"
+        )
     for label, pair in given.items():
         if label not in known:
             raise ValueError(

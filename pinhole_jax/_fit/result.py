@@ -63,6 +63,12 @@ class Progress(NamedTuple):
         return f"{self.W} x {self.H} pixels: {self.steps} steps"
 
 
+def check_fit(fit: Any) -> None:
+    """Raise ValueError unless this is a fit."""
+    if not isinstance(fit, Fit):
+        raise ValueError(f"`fit`: expected a Fit, got {type(fit).__name__}")
+
+
 class Fit(NamedTuple):
     """The result of `fit_camera`.
 

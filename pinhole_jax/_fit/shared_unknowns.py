@@ -16,7 +16,7 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.distortion import COEFFICIENTS
 from .._camera.lens import Lens
-from .parameters import PARAMETERS, check_free
+from .parameters import PARAMETERS, as_names, check_free
 from .problem import COARSE_PX, COSINE, FINE_PX, UNIT_PX
 
 #: One view's residuals about where it is: `triangle` (R of J = QR), `along` (Q^T r), the unknowns'
@@ -38,11 +38,12 @@ def shared_and_free(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return all names in a fixed order, and those that are shared, or raise ValueError; without a
     camera those of a lens."""
-    common = check_free(shared, camera, lens) if len(shared) else ()
+    shared, free = as_names(shared, "shared"), as_names(free)
+    common = check_free(shared, camera, lens) if shared else ()
     if not {*common} <= {*SHARED}:
         known = ", ".join([*SHARED, "distortion"])
-        raise ValueError(f"`shared`: expected names among {known}, got {shared!r}")
-    own = [n for n in check_free(free, camera, lens) if n not in common] if len(free) else []
+        raise ValueError(f"`shared`: expected names among {known}, got {', '.join(common)}")
+    own = [n for n in check_free(free, camera, lens) if n not in common] if free else []
     return check_free([*common, *own], camera, lens), common
 
 

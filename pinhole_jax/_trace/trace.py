@@ -4,7 +4,7 @@ The search finds which primitive is hit and is not differentiated; what is retur
 again from that one primitive, so derivatives flow to the ray and to the primitive exactly.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -51,14 +51,22 @@ def trace(scene: Scene, rays: Rays) -> Hit:
     than 1e-18 of the scene's largest coordinate (float32; 1e-153 in float64) is not seen. A ray
     that is not finite, or without a direction, misses.
     """
+    _check(scene, rays)
     return _hits(scene, rays, _find(scene, rays))
 
 
 @collector_at_rest()
 def occluded(scene: Scene, rays: Rays) -> Bool[Array, "*batch"]:
     """Return whether each ray meets anything at all."""
+    _check(scene, rays)
     face, sphere = _find(scene, rays)
     return (face >= 0) | (sphere >= 0)
+
+
+def _check(scene: Any, rays: Any) -> None:
+    if not (isinstance(scene, Scene) and isinstance(rays, Rays)):
+        kinds = f"{type(scene).__name__}, {type(rays).__name__}"
+        raise ValueError(f"`scene`, `rays`: expected a Scene and Rays, got {kinds}")
 
 
 @eqx.filter_jit

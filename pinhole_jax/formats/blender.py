@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from .._camera.camera import Camera
-from .fields import Fields, Size, add_named, check_names, load_json, save_json, save_text
+from .fields import Fields, Size, add_named, check_cameras, load_json, save_json, save_text
 from .pinhole import OPENGL, Pinhole, camera_of, pinhole, rigid, world_from_camera
 
 SCHEMA = "pinhole_jax.blender/1"
@@ -44,7 +44,7 @@ def read_blender(path: str | os.PathLike[str], *, size: Size | None = None) -> d
 
 def write_blender(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write what Blender's cameras have, as JSON: see `to_blender`."""
-    check_names(cameras, "JSON")
+    check_cameras(cameras, "JSON")
     parts = {name: to_blender(camera) for name, camera in cameras.items()}
     save_json(path, {"schema": SCHEMA, "cameras": parts})
 
@@ -81,7 +81,7 @@ def to_blender_script(cameras: Mapping[str, Camera]) -> str:
     Resolution and pixel aspect belong to Blender's scene: cameras must share them. Blender's names
     have 1 to 63 bytes; a longer one it would cut.
     """
-    check_names(cameras, "Blender", lambda name: 0 < len(name.encode()) < 64 and "\0" not in name)
+    check_cameras(cameras, "Blender", lambda name: 0 < len(name.encode()) < 64 and "\0" not in name)
     settings = {name: to_blender(camera) for name, camera in cameras.items()}
     shared = ("resolution_x", "resolution_y", "pixel_aspect_x", "pixel_aspect_y")
     first = next(iter(settings.values()))

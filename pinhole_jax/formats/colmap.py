@@ -17,7 +17,7 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Fisheye, Rational
 from .._files.paths import opened, replace_file
-from .fields import KIND, Fields, add_named, check_names, number, save_text, short
+from .fields import KIND, Fields, add_named, check_cameras, number, save_text, short
 from .pinhole import (
     OPENCV,
     Pinhole,
@@ -99,7 +99,7 @@ def write_colmap(
     found = [name for name in stale if (place / name).exists()]
     if found:
         raise ValueError(f"`folder`: expected none of another model, got {found[0]} in {folder!s}")
-    check_names(cameras, "COLMAP", lambda name: _can_hold(name, binary))
+    check_cameras(cameras, "COLMAP", lambda name: _can_hold(name, binary))
     views: dict[View, int] = {}
     keys = [views.setdefault(_view(camera), len(views) + 1) for camera in cameras.values()]
     poses = [_quaternion_and_translation(camera) for camera in cameras.values()]

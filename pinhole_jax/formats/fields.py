@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .._camera.camera import check_camera
 from .._files.paths import read_json, replace_file
 
 Size = tuple[int, int]
@@ -140,11 +141,17 @@ def save_text(path: str | os.PathLike[str], text: str) -> None:
     replace_file(path, text.encode())
 
 
-def check_names(
-    cameras: Mapping[str, Any], program: str, can_hold: Callable[[str], Any] = lambda name: True
+def check_cameras(
+    cameras: Any, program: str, can_hold: Callable[[str], Any] = lambda name: True
 ) -> None:
-    """Raise ValueError for a camera's name that is no text or that a program cannot hold."""
-    for name in cameras:
+    """Raise ValueError unless these are cameras by their names, which a program can hold."""
+    if not isinstance(cameras, Mapping):
+        kind = type(cameras).__name__
+        raise ValueError(f"`cameras`: expected a dict of Cameras by their names, got {kind}")
+    if not cameras:
+        raise ValueError("`cameras`: expected at least one, got none")
+    for name, camera in cameras.items():
+        check_camera(camera, f"cameras[{short(name)}]")
         try:
             fits = isinstance(name, str) and name.encode() is not None and can_hold(name)
         except UnicodeEncodeError:

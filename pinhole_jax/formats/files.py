@@ -119,11 +119,6 @@ def write(
 
     Raises ValueError where there is no camera, or one that the format cannot hold.
     """
-    if not isinstance(cameras, Mapping):
-        words = f"a dict of Cameras by their names, got {type(cameras).__name__}"
-        raise ValueError(f"`cameras`: expected {words}")
-    if not cameras:
-        raise ValueError("`cameras`: expected at least one, got none")
     FORMATS[_checked(format) or guess_write(path)].write(path, cameras)
 
 

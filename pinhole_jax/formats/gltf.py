@@ -20,7 +20,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._files.paths import MOST_BYTES, opened, parse_json, read_text, replace_file, text_of
-from .fields import KIND, Fields, Size, add_named, check_names, short
+from .fields import KIND, Fields, Size, add_named, check_cameras, short
 from .pinhole import (
     OPENGL,
     Pinhole,
@@ -73,7 +73,7 @@ def write_gltf(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> N
     Raises ValueError for a camera that glTF cannot say: a principal point off the image's centre,
     or pixels that are not square.
     """
-    check_names(cameras, "JSON")
+    check_cameras(cameras, "JSON")
     for name, camera in cameras.items():
         view = pinhole(camera)
         off = max(abs(view.cx - view.W / 2), abs(view.cy - view.H / 2))

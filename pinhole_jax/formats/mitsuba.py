@@ -17,7 +17,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._files.paths import read_text
-from .fields import KIND, Fields, Size, add_named, check_names, number, save_text, short
+from .fields import KIND, Fields, Size, add_named, check_cameras, number, save_text, short
 from .pinhole import (
     LEFT_UP_FORWARD,
     Pinhole,
@@ -69,7 +69,7 @@ def write_mitsuba(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -
     Raises ValueError for a camera whose pixels are not square (Mitsuba has no other), and for a
     name that XML cannot hold, or that holds a `$`, which Mitsuba fills in.
     """
-    check_names(
+    check_cameras(
         cameras, "Mitsuba", lambda name: name and "$" not in name and not NO_XML.search(name)
     )
     text = '<scene version="3.0.0">\n'

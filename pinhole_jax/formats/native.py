@@ -10,11 +10,11 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from .._camera.camera import Basis, Camera, camera_basis, focal_px, principal_point
+from .._camera.camera import Basis, Camera, camera_basis, check_camera, focal_px, principal_point
 from .._camera.distortion import MODELS, Distortion
 from .._camera.lens import Lens
 from .._files.paths import read_json as read_json_file, replace_file
-from .fields import Fields, add_named, check_names, load_json, save_json, short
+from .fields import Fields, add_named, check_cameras, load_json, save_json, short
 
 CAMERA_SCHEMA = "pinhole_jax.camera/1"
 CAMERAS_SCHEMA = "pinhole_jax.cameras/1"
@@ -32,6 +32,7 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
     - `pose`: free of the gauge. `right`, `up`, `forward` are the camera's unit axes and `eye` its
       place, in world coordinates; `focal_px` is [fx, fy].
     """
+    check_camera(camera)
     (b1, b2, v), focal, principal = _pose(camera)
     lens = camera.lens
     return {
@@ -256,7 +257,7 @@ def read_json(path: str | os.PathLike[str]) -> dict[str, Camera]:
 
 def write_json(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write the project's own JSON: one camera as `io.save_camera` does, many by name."""
-    check_names(cameras, "JSON")
+    check_cameras(cameras, "JSON")
     if len(cameras) == 1:
         ((name, camera),) = cameras.items()
         save_camera(path, camera, name=name)

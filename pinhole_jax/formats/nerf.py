@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Fisheye, Rational
-from .fields import Fields, Size, add_named, check_names, load_json, save_json
+from .fields import Fields, Size, add_named, check_cameras, load_json, save_json
 from .pinhole import (
     OPENGL,
     Pinhole,
@@ -61,7 +61,7 @@ def write_nerf(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> N
 
     Intrinsics that all cameras share stand at the top, otherwise with each frame.
     """
-    check_names(cameras, "JSON")
+    check_cameras(cameras, "JSON")
     fisheye = [isinstance(distortion_of(camera), Fisheye) for camera in cameras.values()]
     if len({*fisheye}) > 1:
         raise ValueError("`cameras`: expected fisheyes or none in one file, got both")

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from .._camera.distortion import Distortion
 from .._fit.heading import carried
-from .._fit.result import Fit
+from .._fit.result import Fit, check_fit
 from .._fit.words import in_digits
 from .matrices import to_opencv
 from .rotations import quaternion_of_matrix
@@ -79,8 +79,7 @@ def object_pose(fit: Fit, *, pixel_centres: Any) -> ObjectPose:
     The covariance is that of the inverse of what the fit has: `Fit.covariance` is the camera's, of
     small turns about its own axes and of the eye in the world. It is exact to first order.
     """
-    if not isinstance(fit, Fit):
-        raise ValueError(f"`fit`: expected a Fit, got {type(fit).__name__}")
+    check_fit(fit)
     K, R, t = to_opencv(fit.camera, pixel_centres=pixel_centres)
     place = {name: k for k, name in enumerate(POSE)}
     own = [k for k, name in enumerate(fit.names) if name in place]

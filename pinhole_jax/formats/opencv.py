@@ -14,7 +14,7 @@ from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._files.paths import read_text
 from . import yaml
-from .fields import KIND, Fields, Size, check_names, save_text, short
+from .fields import KIND, Fields, Size, check_cameras, save_text, short
 from .matrices import half_pixel, to_opencv
 from .pinhole import OPENCV, Pinhole, camera_of, distortion_of, inverse, model_of, rotation
 from .rotations import matrix_of_vector, vector_of_matrix
@@ -86,7 +86,7 @@ def write_opencv(
     `extrinsic_parameters`, rvec and tvec (camera_from_world). The file also says `pixel_centres`
     and `distortion_model`, which OpenCV does not read.
     """
-    check_names(cameras, "OpenCV", yaml.can_hold)
+    check_cameras(cameras, "OpenCV", yaml.can_hold)
     matrices = [to_opencv(camera, pixel_centres=pixel_centres) for camera in cameras.values()]
     sizes = [(camera.W, camera.H) for camera in cameras.values()]
     models = [distortion_of(camera) for camera in cameras.values()]

@@ -14,7 +14,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._numerics.arrays import Numbers
-from .fields import Fields, Size, add_named, check_names, load_json, save_json
+from .fields import Fields, Size, add_named, check_cameras, load_json, save_json
 from .pinhole import (
     LEFT_UP_FORWARD,
     Pinhole,
@@ -129,7 +129,7 @@ def read_pytorch3d(path: str | os.PathLike[str], *, size: Size | None = None) ->
 
 def write_pytorch3d(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write PyTorch3D's arrays of all cameras, screen space (px), as JSON."""
-    check_names(cameras, "JSON")
+    check_cameras(cameras, "JSON")
     each = [to_pytorch3d(camera) for camera in cameras.values()]
     arrays = {name: np.concatenate([a[name] for a in each]).tolist() for name in each[0]}
     save_json(path, {"schema": SCHEMA, "in_ndc": False, "names": list(cameras), **arrays})

@@ -12,7 +12,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._files.paths import read_json
-from .._fit.result import Fit, MaskError, Progress
+from .._fit.result import Fit, MaskError, Progress, check_fit
 from .._fit.words import STATUSES
 from ..formats.fields import Fields, short
 from ..formats.native import (
@@ -42,8 +42,7 @@ def fit_to_dict(fit: Fit, *, pixel_centres: Any = "integer") -> dict[str, Any]:
     - `modes`: each is a fit of its own. `history`: `camera`, `W`, `H`, `steps` of each.
     - all else as a `Fit` has it.
     """
-    if not isinstance(fit, Fit):
-        raise ValueError(f"`fit`: expected a Fit, got {type(fit).__name__}")
+    check_fit(fit)
     return {**camera_to_dict(fit.camera), "fit": _rest(fit, pixel_centres)}
 
 
