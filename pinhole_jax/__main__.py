@@ -97,7 +97,8 @@ def _fit(options: argparse.Namespace) -> int:
     if options.report is not None and finite:
         title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
         with Progress("drawing the page"), named(path="--report"):
-            report.write(options.report, fit, scene, mask, picture, title)
+            centres = options.pixel_centres
+            report.write(options.report, fit, scene, mask, picture, title, pixel_centres=centres)
         written.append(options.report)
     print(fit)
     for note in notes:

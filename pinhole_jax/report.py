@@ -10,6 +10,7 @@ import os
 import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -45,12 +46,14 @@ def write(
     target: np.ndarray,
     photo: np.ndarray | None = None,
     title: str = "Camera from a mask",
+    *,
+    pixel_centres: Any = "integer",
 ) -> None:
     """Write `page` to a file, whole or not at all.
 
     Raises ValueError as `page` does, and for a path that cannot be written.
     """
-    text = page(fit, scene, target, photo, title)
+    text = page(fit, scene, target, photo, title, pixel_centres=pixel_centres)
     replace_file(path, text.encode(errors="backslashreplace"))  # files' names need be no text
 
 
@@ -60,11 +63,14 @@ def page(
     target: np.ndarray,
     photo: np.ndarray | None = None,
     title: str = "Camera from a mask",
+    *,
+    pixel_centres: Any = "integer",
 ) -> str:
     """Return a fit as an HTML page.
 
     `target` is the mask as `fit_camera` took it, `photo` what to draw the outline on (uint8 of the
-    camera's size; None: the mask).
+    camera's size; None: the mask). `pixel_centres` is where the reader of K puts them, as in
+    `formats.to_opencv`.
 
     Raises ValueError for images that are not of the camera's size, and for a fit that is not
     finite: there is no camera to show.
@@ -82,7 +88,7 @@ def page(
     sections = [
         _section("Outline", _outline_pictures(fit, scene, photo)),
         _section("Where mask and camera differ", _error_picture(fit, scene, mask)),
-        _section("Parameters", _parameter_table(fit, parameters) + _pose(fit)),
+        _section("Parameters", _parameter_table(fit, parameters) + _pose(fit, pixel_centres)),
         _section("Correlations", _correlation_table(parameters)),
         _section("What the mask does not tell", _unknown(fit)),
         _section("Convergence", _convergence(fit, scene)),
@@ -201,8 +207,8 @@ def _parameter_table(fit: Fit, parameters: Told) -> str:
     )
 
 
-def _pose(fit: Fit) -> str:
-    words = html.escape(str(formats.object_pose(fit, pixel_centres="integer")))
+def _pose(fit: Fit, pixel_centres: Any) -> str:
+    words = html.escape(str(formats.object_pose(fit, pixel_centres=pixel_centres)))
     return f"<h3>K, R and t, and the object's pose</h3><pre>{words}</pre>"
 
 

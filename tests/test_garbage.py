@@ -4,7 +4,10 @@ import base64
 import json
 import re
 import struct
+import subprocess
+import sys
 import zlib
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -15,7 +18,7 @@ import trimesh
 from PIL import Image
 
 import pinhole_jax as pj
-from pinhole_jax import io
+from pinhole_jax import io, plot, report
 
 CAMERA = {"e": [0.3, 1, 5.0], "p": [0, 0, 0.0], "u": [0, 1.0, 0], "phi": 0.6, "d": 1.0}
 SIZE = {"W": 24, "H": 18}
@@ -45,6 +48,95 @@ def test_no_argument_takes_what_is_no_number(bad):
     }.items():
         with pytest.raises(ValueError, match=f"`{name}`: expected .*, got"):
             make()
+
+
+def calls():
+    """Return calls whose arguments are swapped or of the wrong kind, by the words they earn."""
+    camera, scene = pj.Camera(**CAMERA, **SIZE), pj.Scene(pj.Mesh(BOX.vertices, BOX.faces))
+    rays, mask = pj.camera_rays(camera), np.zeros((18, 24))
+    fit = lambda **words: pj.fit_camera(scene, mask, camera, **words)
+    joint = lambda **words: pj.fit_cameras(scene, [mask], [camera], **words)
+    several = jax.tree.map(lambda x: jnp.stack([x, x]), camera)
+    write = lambda cameras: pj.formats.write("transforms.json", cameras)
+    a_fit = "`fit`: expected a Fit, got Camera"
+    names = "expected names like 'pose', or several: 'pose,phi'"
+    return {
+        "`scene`, `rays`: expected a Scene and Rays, got Rays, Scene": [
+            lambda: pj.trace(rays, scene),
+            lambda: pj.occluded(rays, scene),
+        ],
+        "`scene`, `rays`: expected a Scene and Rays, got Scene, Camera": [
+            lambda: pj.trace(scene, camera)
+        ],
+        "`camera`, `scene`: expected a Camera and a Scene, got Scene, Camera": [
+            lambda: pj.depth(scene, camera),
+            lambda: pj.normals(scene, camera),
+            lambda: pj.silhouette(scene, camera),
+            lambda: pj.observability(scene, camera),
+            lambda: pj.check_gradients(scene, camera),
+        ],
+        "`camera`: expected a Camera, got Scene": [
+            lambda: pj.camera_basis(scene),
+            lambda: io.save_camera("c.json", scene),
+            lambda: pj.formats.to_blender(scene),
+        ],
+        "`camera`: expected one camera, got several": [
+            lambda: io.camera_to_dict(several),
+            lambda: pj.formats.to_pytorch3d(several),
+            lambda: pj.silhouette(several, scene),
+        ],
+        "`cameras`: expected a dict of Cameras by their names, got Camera": [
+            lambda: write(camera),
+            lambda: pj.formats.write_opencv("camera.yaml", camera),
+        ],
+        "`cameras['a']`: expected one camera, got several": [lambda: write({"a": several})],
+        "`cameras`: expected at least one, got none": [lambda: write({})],
+        "`targets`: expected masks (H, W) in a list, got NoneType": [
+            lambda: pj.fit_cameras(scene, None, [camera])
+        ],
+        f"`free`: {names}": [lambda: fit(free=None), lambda: fit(free=3)],
+        f"`shared`: {names}": [lambda: joint(shared=None)],
+        "`max_steps`: expected an integer of at least 1": [
+            lambda: fit(max_steps="3"),
+            lambda: joint(max_steps=2.5),
+        ],
+        "`prior`: expected a dict of names and their": [lambda: fit(prior=[1, 2])],
+        "`bounds`: expected a dict of names and their": [lambda: fit(bounds=[1, 2])],
+        "`phi`: expected an angle (rad), got Camera": [
+            lambda: pj.fit_camera(scene, mask, None, phi=camera)
+        ],
+        a_fit: [
+            lambda: plot.levels(camera),
+            lambda: plot.off_px(camera, scene),
+            lambda: plot.outline_sigma(camera, scene),
+            lambda: report.page(camera, scene, mask),
+        ],
+        "`mask_b`: expected a mask of (18, 24), the shape of `mask_a`, got (9, 24)": [
+            lambda: pj.iou(mask, mask[:9])
+        ],
+        "`path`: expected a path, got ndarray": [
+            lambda: pj.load_mesh(mask),
+            lambda: pj.formats.read(mask),
+            lambda: io.load_mask(mask),
+        ],
+    }
+
+
+def test_arguments_that_are_swapped_or_of_another_kind_are_named():
+    # In a process whose functions are as users have them: here, types are checked before.
+    code = """
+import re, sys
+sys.path.insert(0, sys.argv[1])
+import pytest, test_garbage
+for words, made in test_garbage.calls().items():
+    for call in made:
+        with pytest.raises(ValueError, match=re.escape(words)):
+            call()
+"""
+    here = Path(__file__).parent
+    command = [sys.executable, "-c", code, str(here)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("size", [0, -1, 3.0, "3", True, 2**31, 10**12, 10**30])

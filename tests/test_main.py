@@ -491,6 +491,10 @@ def test_a_part_of_a_photo_and_a_resized_one_have_the_rays_of_the_whole(folder):
         np.testing.assert_allclose(half, corners, atol=1e-4)
         small = rays_of(*known_of(*way, "--resize", 400, 300))
         np.testing.assert_allclose(small[40, 48], whole[151, 201], atol=3e-3)
+    # A file that holds no size has a window's rays all the same.
+    (folder / "bare.json").write_text(json.dumps({"K": K, "dist": [k1, 0, 0, 0]}))
+    bare = rays_of(*known_of("--camera", folder / "bare.json", "--crop", 120, 60, 96, 80))
+    np.testing.assert_allclose(bare, whole[60:140, 120:216], atol=1e-9)
     # What is shrunk alike both ways keeps its field of view; else pixels are no longer square.
     assert known_of("--fov", 30, "--resize", 192, 160).lens is None
     np.testing.assert_allclose(known_of("--fov", 30, "--resize", 96, 160).phi, np.deg2rad(30))
@@ -512,7 +516,10 @@ def test_a_part_of_a_photo_and_a_resized_one_have_the_rays_of_the_whole(folder):
         (("--K", 90, 91, 47, 40, "--crop", 0, 0, 0, 40), "`--crop`: expected a width and height"),
         (("--K", 90, 91, 47, 40, "--resize", 0, 40), "`--resize`: expected a width and height"),
         (("--K", 0, 91, 47, 40), "`--K`: expected positive focal lengths in px"),
-        (("--camera", "START", "--resize", 9, 9), "`--camera`: expected a camera of 9 x 9, got"),
+        (
+            ("--camera", "START", "--resize", 9, 9),
+            "`--resize`: expected the size of --camera, 96 x 80, got 9 x 9",
+        ),
         (("--camera", "no.json"), "`--camera`: expected a camera file, got 'no.json': no such"),
     ],
 )

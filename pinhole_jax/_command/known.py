@@ -36,7 +36,7 @@ def known(
         raise ValueError("`--dist`: expected --K beside it, got none")
     window = _window(options, size)
     if options.camera is not None:
-        camera = _of_file(options.camera, None if window.crop else window.before)
+        camera = _of_file(options.camera, window.beside)
         return Known(camera=window.of(camera))
     if options.K is not None:
         camera = window.of(_of_K(options, window.beside))
@@ -81,10 +81,13 @@ class _Window(NamedTuple):
             if self.crop is not None:
                 camera = cropped(camera, *self.crop)
         if self.crop is None and self.before != (camera.W, camera.H):
+            size = _words((camera.W, camera.H))
+            if self.before != self.size:
+                words = f"expected the size of --camera, {size}, got {_words(self.before)}"
+                raise ValueError(f"`--resize`: {words}")
             raise ValueError(
-                f"`--camera`: expected a camera of {_words(self.before)}, got one of"
-                f" {camera.W} x {camera.H}; if MASK was cut out of its picture, or resized,"
-                " add --crop or --resize"
+                f"`--camera`: expected a camera of {_words(self.before)}, got one of {size}; if"
+                " MASK was cut out of its picture, or resized, add --crop or --resize"
             )
         return camera if self.before == self.size else resized(camera, *self.size)
 
@@ -114,7 +117,7 @@ def _words(size: Size) -> str:
     return f"{size[0]} x {size[1]}"
 
 
-def _of_file(path: str, size: Size | None) -> Camera:
+def _of_file(path: str, size: Size) -> Camera:
     """Return a file's camera; of this size where it does not hold its own."""
     with named(path="--camera", size="--resize"):
         with contextlib.suppress(ValueError):

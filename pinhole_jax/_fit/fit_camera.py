@@ -67,7 +67,7 @@ def fit_camera(
       of a known K are `formats.from_opencv(K, I, 0, W, H, ...)`'s.
     - `free`: any of pose (or position, orientation: both are pose), phi, d, principal_point, aspect
       and of the lens's distortion k1, k2, p1, p2, k3 (of a fisheye k1 to k4), or `distortion` for
-      all of them.
+      all of them. Several stand in a tuple, or in a text with commas: "pose,phi".
     - `weight`: (H, W), at least 0: how much each pixel counts, 0 where the mask is not to be
       believed (an occluder). 1 / variance, up to a factor.
     - `outlier_px`: how far, in px, an outline that is right may lie from the mask's edge. Farther

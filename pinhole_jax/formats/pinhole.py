@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._camera.camera import Camera
+from .._camera.camera import Camera, check_camera
 from .._camera.distortion import Distortion, Fisheye
 from .fields import Fields
 from .matrices import from_opencv, to_opencv
@@ -39,6 +39,7 @@ class Pinhole(NamedTuple):
 def pinhole(camera: Camera, *, bent: bool = False) -> Pinhole:
     """Return the camera's intrinsics, or raise ValueError for a distortion unless it goes beside
     (`bent`)."""
+    check_camera(camera)
     model = distortion_of(camera)
     if model is not None and not bent:
         raise ValueError(
