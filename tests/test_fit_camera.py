@@ -303,7 +303,7 @@ MASK[30:50, 30:60] = 1
         ({"outlier_px": 0.0}, r"`outlier_px`: expected a positive number of px, got 0.0"),
         ({"scene": pj.Scene()}, r"`scene`: expected a Scene with a mesh or spheres"),
         ({"free": ("pose", "zoom")}, r"`free`: expected names among .* got 'zoom'"),
-        ({"max_steps": 0}, r"`max_steps`: expected at least 1, got 0"),
+        ({"max_steps": 0}, r"`max_steps`: expected an integer of at least 1, got 0"),
     ],
 )
 def test_bad_input_is_said_in_words(scene, change, message):
