@@ -217,7 +217,8 @@ def test_a_prior_says_from_where_a_round_body_is_seen_and_the_start_from_which_s
         ([10.0, 10.5, 30.0], True, [0, 1]),  # equal: the least squares stand first
         ([10.5, 10.0, 30.0], True, [0, 1]),
         ([30.0, 10.0, 10.5], True, [1, 2]),  # the least squares were an occluder's
-        ([10.0, 10.5, 30.0], False, [1, 0]),  # equal: the nearest to the start stands first
+        ([10.0, 10.02, 30.0], False, [1, 0]),  # equal: the nearest to the start stands first
+        ([10.0, 10.5, 30.0], False, [0, 1]),  # a start says less than 20 errors that are smaller
         ([10.0, 30.0, 10.5], False, [0, 2]),  # as good before outliers were left out: no longer
     ],
 )

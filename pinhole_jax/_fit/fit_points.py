@@ -19,6 +19,7 @@ from .._camera.rays import project
 from .._numerics.arrays import Numbers, float_array
 from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
+from .fit_camera import check_steps
 from .moves import Bounds, Move, canonical, moved, on_film, reported, units
 from .parameters import components, labels_of, with_lens
 from .priors import Prior, bounds_of, prior_of
@@ -109,8 +110,7 @@ def fit_points(
         raise ValueError(f"`camera`: expected a Camera, or one for each view, got {kind}")
     for one in cameras:
         check_camera(one)
-    if max_steps < 1:
-        raise ValueError(f"`max_steps`: expected at least 1, got {max_steps}")
+    check_steps(max_steps)
     seen_at, points = _checked(points3d, points2d)
     count = len(seen_at)
     cameras = [camera] * count if single else list(cameras)
