@@ -142,3 +142,29 @@ def test_too_small_a_capacity_is_never_silent():
         assert not bool(load.fits(short))
         assert np.all(np.isnan(r))
         assert np.isnan(rest)
+
+
+def test_the_finest_level_alone_is_the_one_of_all():
+    """Hard and soft masks; weights that count nowhere, in a band, everywhere."""
+    rng = np.random.default_rng(7)
+    hard = np.zeros((203, 330))
+    hard[40:150, 60:220] = 1.0
+    soft = np.clip(hard + rng.normal(0, 0.1, hard.shape), 0, 1)
+    band = np.where(np.abs(np.arange(203) - 40)[:, None] < 9, 0.7, 0.0) * np.ones((1, 330))
+    for target in (hard, soft):
+        for weight in (band, rng.random(hard.shape)):
+            whole, levels = pyramid(target, weight, float)
+            alone, (level,) = pyramid(target, weight, float, only_finest=True)
+            assert whole.target.shape == alone.target.shape
+            H, W = target.shape
+            size, begin = H * (W + 2) + 1, int(levels[-1].start)
+            for a, b in zip(whole, alone, strict=True):
+                a = np.asarray(a)[begin : begin + size]
+                np.testing.assert_array_equal(a, np.asarray(b)[:size])
+            assert int(level.start) == 0
+            assert level.window() == levels[-1].window()
+            t, w = (np.pad(x[::-1], ((0, 0), (1, 1))).ravel() for x in (target, weight))
+            sums = (w * t**2, w * (1 - t) ** 2, w, w * t)
+            for own, cost in zip(alone[2:], sums, strict=True):
+                expected = np.append(0.0, np.cumsum(cost))
+                np.testing.assert_allclose(np.asarray(own)[:size], expected, atol=1e-9)

@@ -79,6 +79,7 @@ class _Asked(NamedTuple):
     weights: np.ndarray
     window: Window
     least: int
+    only_finest: bool
 
     def same(self, other: "_Asked") -> bool:
         """Return whether another one's pyramid is the same."""
@@ -123,19 +124,27 @@ class Solver:
         self.fine_px = CONTINUED_PX if rough else FINE_PX[self.dtype]
         self.weigh(weights)
 
-    def weigh(self, weights: np.ndarray, target: np.ndarray | None = None) -> None:
-        """Set how much each pixel counts, and if given another target."""
+    def weigh(
+        self,
+        weights: np.ndarray,
+        target: np.ndarray | None = None,
+        only_finest: bool = False,
+    ) -> None:
+        """Set how much each pixel counts, and if given another target; until it is called again,
+        there may be the finest level alone."""
         if target is not None:
             self._target = target
+        self._only_finest = only_finest
         #: Walks all round a line: from there another need not be taken.
         self.walked: list[tuple[Camera, Revolution, list[Found]]] = []
         self._weights = weights
         size = size_of(self.capacity.pieces)
         least = LEAST_CELLS * 4 ** ((size + 1) // 2)
-        levels, self.levels = self._pyramid(_Asked(self._target, weights, self.window, least))
+        asked = _Asked(self._target, weights, self.window, least, only_finest)
+        levels, self.levels = self._pyramid(asked)
         # Few programs: the larger image's has room for the longer outline, and the other way round.
         if self.capacity.pieces > 1:
-            size = max((levels.target.size // LEAST_CELLS).bit_length() - 2, 0)
+            size = (levels.target.size // LEAST_CELLS).bit_length() // 2
             pieces = max(self.capacity.pieces, LEAST_ROOM.pieces * ROOMIER**size)
             self.capacity = self.capacity._replace(pieces=pieces)
         if self.kind.exact:
@@ -155,8 +164,8 @@ class Solver:
         for before, made in self._made:
             if before.same(asked):
                 return made
-        target, weights, window, least = asked
-        made = pyramid(target, weights, self.dtype, window=window, least=least)
+        target, weights, *how = asked
+        made = pyramid(target, weights, self.dtype, 16, *how)
         if made[0].target.size <= KEPT_CELLS:
             first = [x for x in self._made[:1] if x[0].weights is not weights]
             self._made = [*first, (asked, made)]
@@ -233,7 +242,7 @@ class Solver:
             larger = size_of(room.pieces) > size_of(self.capacity.pieces)
             self.capacity = room
             if larger:
-                self.weigh(self._weights)
+                self.weigh(self._weights, only_finest=self._only_finest)
 
     def hear(self, others: Others | None) -> None:
         """Count what other views know from now on, None: nothing. They weigh the prior, too."""
@@ -268,7 +277,7 @@ class Solver:
             if np.all(z > 0) and self.window.holds(shown, W, H):
                 return
         self.window = Window(0, 0, W, H)
-        self.weigh(self._weights)
+        self.weigh(self._weights, only_finest=self._only_finest)
 
     def move(self, unit: Camera, level: int) -> Move:
         """Return where moves of a camera start, in the solver's units."""

@@ -280,7 +280,7 @@ def without_outliers(
     alike = [(f, f.unit) for f in (places.best, *places.others)]
     rivals = [(f, f.unit) for f in places.rivals]
     for reach in (8, 4, 2, 1):
-        solver.weigh(mask.near_edge(reach * outlier_px))
+        solver.weigh(mask.near_edge(reach * outlier_px), only_finest=True)
         # (What comes next moves it by more.)
         px = COARSE_PX if reach > 1 else FINE_PX[solver.dtype]
         finer = lambda f, px=px: onward(f, solver.solve(f.unit, [solver.finest], fine_px=px))
@@ -367,7 +367,7 @@ def with_errors(
     if not is_drawn(solver.errors(found.view)):
         return free
     if reach is not None:
-        solver.weigh(mask.near_edge(reach))
+        solver.weigh(mask.near_edge(reach), only_finest=True)
     left = interval(solver, found)
     if reach is not None:
         solver.weigh(mask.weight)

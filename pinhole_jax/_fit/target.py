@@ -24,8 +24,9 @@ MOST_BORDER = 0.9
 FULL = (1, 255, 65535)
 #: Cells that are worked on at a time.
 CACHED = 1 << 15
-#: Cells of the smallest pyramid; the next sizes are 4 times as large: each is compiled for.
-LEAST_CELLS = 1 << 19
+#: Cells of the smallest pyramid; the next sizes are 4 times as large, from `MANY_CELLS` on twice,
+#: since what is empty takes memory as well: each is compiled for.
+LEAST_CELLS, MANY_CELLS = 1 << 19, 1 << 23
 
 
 class Pyramid(NamedTuple):
@@ -243,7 +244,7 @@ def object_window(target: np.ndarray) -> Window:
     for axis, size in ((0, W), (1, H)):
         there = np.flatnonzero(np.any(shown, axis=axis))
         low, high = (there[0], there[-1] + 1) if there.size else (0, size)
-        room = max((high - low) // 2, 16)
+        room = max(int(high - low) // 2, 16)
         spans.append((max(int(low) - room, 0), min(int(high) + room, size)))
     (left, right), (top, foot) = spans
     return Window(left, H - foot, right - left, foot - top)
@@ -256,11 +257,13 @@ def pyramid(
     coarsest_px: int = 16,
     window: Window | None = None,
     least: int = LEAST_CELLS,
+    only_finest: bool = False,
 ) -> tuple[Pyramid, list[Level]]:
     """Return the levels from coarse to fine; on the coarsest the object is about `coarsest_px`.
 
     Only the window is looked at (and as much beside it as makes whole pixels of the coarsest
-    level); None is all. There is room for `least` cells, or for 4, 16... times as many.
+    level); None is all. There is room for `least` cells, or for the next of few sizes. Where
+    `only_finest` is asked for, the last level stands alone, in the same room.
     """
     H, W = target.shape
     window = window or Window(0, 0, W, H)
@@ -271,23 +274,22 @@ def pyramid(
     left, bottom = (x - x % whole for x in (window.left, window.bottom))
     right = min(-(-(window.left + window.W) // whole) * whole, W)
     top = min(-(-(window.bottom + window.H) // whole) * whole, H)
-    window = Window(left, bottom, right - left, top - bottom)
+    window = Window(*(int(x) for x in (left, bottom, right - left, top - bottom)))
     images, weights = [shares(window.of(target))], [shares(window.of(weight))]
     alike = weight.strides == (0, 0)
-    for _ in range(depth):
+    shapes = [(-(-window.H // 2**k), -(-window.W // 2**k)) for k in range(depth + 1)]
+    room = _room(sum(_cells(shape) for shape in shapes), least)
+    for _ in range(0 if only_finest else depth):
         images.append(_halved(images[-1]))
         same = np.broadcast_to(weights[0][0, 0], images[-1].shape)
         weights.append(same.copy() if alike else _halved(weights[-1]))
     integer, real = (lambda x, t=t: np.asarray(x, t) for t in (np.int32, dtype))
-    sizes = [image.shape[0] * (image.shape[1] + 2) + 1 for image in reversed(images)]
-    room = least
-    while room < sum(sizes):
-        room *= 4
     flat = np.zeros((6, room), dtype)
     levels: list[Level] = []
     start = 0
-    for level, size in zip(range(depth, -1, -1), sizes, strict=True):
+    for level in reversed(range(len(images))):
         h, w = images[level].shape
+        size = _cells((h, w))
         if h * 2**level > window.H:  # what reaches out of the window does not count
             weights[level][0] = 0
         if w * 2**level > window.W:
@@ -298,6 +300,20 @@ def pyramid(
         levels.append(Level(integer(start), integer(w), integer(h), origin, scale, *rest))
         start += size
     return Pyramid(*(jnp.asarray(x) for x in flat)), levels
+
+
+def _cells(shape: tuple[int, int]) -> int:
+    """Return how many cells a level of (H, W) pixels takes."""
+    H, W = shape
+    return H * (W + 2) + 1
+
+
+def _room(cells: int, least: int) -> int:
+    """Return the first of few sizes, from `least` on, that holds so many cells."""
+    room = least
+    while room < cells:
+        room *= 4 if room < MANY_CELLS else 2
+    return room
 
 
 def _halved(image: np.ndarray) -> np.ndarray:
@@ -322,10 +338,23 @@ def _raster(image: np.ndarray, weight: np.ndarray, out: np.ndarray) -> None:
         t, w = (np.pad(x[rows][::-1], sides).ravel() for x in (image, weight))
         begin, end = first * width, first * width + t.size
         out[0, begin:end], out[1, begin:end] = t, w
-        for k, cost in enumerate((w * t**2, w * (1 - t) ** 2, w, w * t)):
-            sums = np.cumsum(cost)
-            sums += ends[k]
-            out[2 + k, begin + 1 : end + 1], ends[k] = sums, sums[-1]
+        for k, sums in enumerate(_running_sums(t, w)):
+            out[2 + k, begin + 1 : end + 1] = sums + ends[k]
+            ends[k] += sums[-1]
+
+
+def _running_sums(t: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the running sums of w t^2, w (1 - t)^2, w and w t: most pixels of a mask are 0 or 1,
+    most that are far from its edge do not count."""
+    if not np.any(w):
+        return w, w, w, w
+    weights = np.cumsum(w)
+    if not np.any(t):
+        return t, weights, weights, t
+    masses = np.cumsum(w * t)
+    if np.all((t == 0) | (t == 1)):
+        return masses, weights - masses, weights, masses
+    return np.cumsum(w * t**2), np.cumsum(w * (1 - t) ** 2), weights, masses
 
 
 def level_slice(pyramid: Pyramid, level: Level, cell: Int[Array, "*P"]) -> Pyramid:
