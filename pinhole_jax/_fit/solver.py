@@ -164,10 +164,16 @@ class Solver:
         for before, made in self._made:
             if before.same(asked):
                 return made
-        target, weights, *how = asked
-        made = pyramid(target, weights, self.dtype, 16, *how)
+        made = pyramid(
+            asked.target,
+            asked.weights,
+            self.dtype,
+            window=asked.window,
+            least=asked.least,
+            only_finest=asked.only_finest,
+        )
         if made[0].target.size <= KEPT_CELLS:
-            first = [x for x in self._made[:1] if x[0].weights is not weights]
+            first = [x for x in self._made[:1] if x[0].weights is not asked.weights]
             self._made = [*first, (asked, made)]
         return made
 
