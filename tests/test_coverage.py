@@ -133,3 +133,30 @@ def test_a_curve_enters_a_row_once_however_near_to_a_pixel_corner():
     np.testing.assert_array_equal(total, np.where(crossed, -m.rising[:, None], 0))
     # The case is there: pieces that are not the first begin on the bottom, too.
     assert np.any(pieces.valid & pieces.passes & ~pieces.first & (pieces.start[:, 1] == pieces.row))
+
+
+def test_the_pieces_of_a_band_of_rows_are_those_of_the_whole_film():
+    """To the last bit: winding numbers of the whole film are used with the pieces of a band."""
+    random = np.random.default_rng(3)
+    curves = Segments(
+        *(jnp.asarray(random.uniform(-1, 9, (40, 2))) for _ in range(2)), jnp.ones(40)
+    )
+    bottom, top = 1, 4
+
+    def pieces(low, high):
+        m = monotone(curves)
+        upto = jnp.cumsum(piece_counts(m, W, high, low))
+        return split(m, upto, jnp.arange(512, dtype=jnp.int32), W, high, H, low)
+
+    def rows(pieces, keep):
+        fields = [np.asarray(x) for x in pieces]
+        keep = keep & np.asarray(pieces.valid)
+        order = np.lexsort((fields[2][keep], fields[1][keep], fields[0][keep]))
+        return [x[keep][order] for x in fields]
+
+    whole, band = pieces(0, H), pieces(bottom, top)
+    row = np.asarray(whole.row)
+    inside = rows(whole, (row >= bottom) & (row < top))
+    assert len(inside[0]) > 50
+    for a, b in zip(inside, rows(band, True), strict=True):
+        np.testing.assert_array_equal(a, b)

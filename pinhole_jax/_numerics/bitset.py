@@ -92,10 +92,14 @@ def nth(selection: Selection, rank: Int[Array, "K"]) -> Int[Array, "K"]:
 
 def rank_in(selection: Selection, index: Int[Array, "K"]) -> Int[Array, "K"]:
     """Return which number each index has in the set, -1 if it is not in it."""
-    word, bit = index >> 5, (index & 31).astype(jnp.uint32)
-    bits = selection.words[word]
-    before = jax.lax.population_count(bits & ((jnp.uint32(1) << bit) - 1)).astype(jnp.int32)
-    return jnp.where((bits >> bit) & 1 > 0, selection.before[word] + before, -1)
+    return jnp.where(bit(selection.words, index), count_below(selection, index), -1)
+
+
+def count_below(selection: Selection, index: Int[Array, "K"]) -> Int[Array, "K"]:
+    """Return how many of the set are smaller than each index."""
+    word, place = index >> 5, (index & 31).astype(jnp.uint32)
+    bits = selection.words[word] & ((jnp.uint32(1) << place) - 1)
+    return selection.before[word] + jax.lax.population_count(bits).astype(jnp.int32)
 
 
 def bit(words: UInt32[Array, "words"], index: Int[Array, "*K"]) -> Bool[Array, "*K"]:

@@ -79,11 +79,13 @@ class _Rows(NamedTuple):
     number: Int[Array, "K"]
 
 
-def _rows(m: Monotone, H) -> _Rows:
-    """Return which rows of the film a curve meets; a level one meets one row all the same."""
-    top = jnp.asarray(H, m.low.dtype)
-    first = jnp.clip(jnp.floor(m.low[:, 1]), 0, top)
-    last = jnp.clip(jnp.maximum(jnp.ceil(m.high[:, 1]), first + 1), 0, top)
+def _rows(m: Monotone, H, bottom) -> _Rows:
+    """Return which rows of those from `bottom` to H a curve meets; a level one meets one row all
+    the same, and none beside it."""
+    top, bottom = (jnp.asarray(x, m.low.dtype) for x in (H, bottom))
+    first = jnp.maximum(jnp.floor(m.low[:, 1]), 0)
+    last = jnp.maximum(jnp.ceil(m.high[:, 1]), first + 1)
+    first, last = jnp.clip(first, bottom, top), jnp.clip(last, bottom, top)
     inside = (m.high[:, 1] >= 0) & (m.low[:, 1] < top)
     count = jnp.where(inside, last - first, 0)
     return _Rows(first.astype(jnp.int32), count.astype(jnp.int32))
@@ -104,9 +106,10 @@ def at_row(m: Monotone, y: Float[Array, "K"]) -> tuple[Float[Array, "K"], Float[
     return x, y
 
 
-def piece_counts(m: Monotone, W, H) -> Int[Array, "K"]:
-    """Return how many pixels (with those left and right of the film) each curve meets."""
-    rows = _rows(m, H)
+def piece_counts(m: Monotone, W, H, bottom=0) -> Int[Array, "K"]:
+    """Return how many pixels (with those left and right of the film) each curve meets in the rows
+    from `bottom` up to H."""
+    rows = _rows(m, H, bottom)
     x0, _ = at_row(m, rows.first.astype(m.low.dtype))
     x1, _ = at_row(m, (rows.first + rows.number).astype(m.low.dtype))
     first, last = _column(x0, W), _column(x1, W)
@@ -115,17 +118,20 @@ def piece_counts(m: Monotone, W, H) -> Int[Array, "K"]:
     return jnp.where((weight == 0) | (rows.number == 0), 0, count)
 
 
-def split(m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_H: int) -> Pieces:
-    """Return pieces number `slots` of the curves, of which `upto` is the running count.
+def split(
+    m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_H: int, bottom=0
+) -> Pieces:
+    """Return pieces number `slots` of the curves, of which `upto` is the running count (see
+    `piece_counts`).
 
-    W and H may be traced; `max_H` is a static bound of H.
+    W, H and `bottom` may be traced; `max_H` is a static bound of H.
     """
     curve = count_upto(upto, slots)
     valid = slots < upto[-1]
     curve = jnp.minimum(curve, upto.shape[0] - 1)
     rank = slots - jnp.where(curve > 0, upto[curve - 1], 0)
     m = _take(m, curve)
-    rows = _rows(m, H)
+    rows = _rows(m, H, bottom)
     dtype = m.low.dtype
 
     x_first, _ = at_row(m, rows.first.astype(dtype))
@@ -146,9 +152,9 @@ def split(m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_
 
     x0, y0 = at_row(m, (rows.first + row).astype(dtype))
     x1, y1 = at_row(m, (rows.first + row + 1).astype(dtype))
-    # The film cuts off what lies above and below it.
-    top = jnp.asarray(H, dtype)
-    y0, y1 = jnp.clip(y0, 0, top), jnp.clip(y1, 0, top)
+    # What lies above and below is cut off.
+    top, foot = jnp.asarray(H, dtype), jnp.asarray(bottom, dtype)
+    y0, y1 = jnp.clip(y0, foot, top), jnp.clip(y1, foot, top)
     c0, c1 = _column(x0, W), _column(x1, W)
     rightward = c1 >= c0
     along = jnp.clip(rank - passed(row), 0, jnp.abs(c1 - c0))
@@ -164,12 +170,14 @@ def split(m: Monotone, upto: Int[Array, "K"], slots: Int[Array, "P"], W, H, max_
     height, area = jnp.where(valid, height, 0), jnp.where(valid, area, 0)
     jump = jnp.where(valid, -m.rising * m.curves.weight, 0)
     number, passes = rows.first + row, m.high[:, 1] > (rows.first + row).astype(dtype)
-    corner = jnp.stack([column, number], axis=-1).astype(dtype)
 
-    def beyond(point, own):
-        return jnp.any((point != own) | (point == corner) | (point == corner + 1), axis=1)
+    def beyond(x, y, own):
+        # By component: of vectors the compiler makes several kernels.
+        sides = zip((x, y), (column.astype(dtype), number.astype(dtype)), (0, 1), strict=True)
+        each = [(v != own[:, k]) | (v == side) | (v == side + 1) for v, side, k in sides]
+        return each[0] | each[1]
 
-    enters = jnp.where(jump <= 0, beyond(start, m.low), beyond(end, m.high))
+    enters = jnp.where(jump <= 0, beyond(x_in, y_in, m.low), beyond(x_out, y_out, m.high))
     ends, first = (start, end), valid & (along == 0)
     return Pieces(curve, number, column, *ends, height, area, valid, jump, passes, first, enters)
 

@@ -25,7 +25,7 @@ class Marks(NamedTuple):
 
 def marks(pieces: Pieces) -> Marks:
     """Return what each piece adds to its pixel's marks."""
-    dx, dy = jnp.moveaxis(pieces.end - pieces.start, -1, 0)
+    dx, dy = (pieces.end[:, k] - pieces.start[:, k] for k in (0, 1))
     up, right = -pieces.jump * dy, -pieces.jump * dx
     tiny = 8 * jnp.finfo(dx.dtype).eps
     entries = pieces.valid & pieces.enters
@@ -62,9 +62,9 @@ def overlaps(marks: Marks, winding: Float[Array, "*N"]) -> Bool[Array, "*N"]:
 def inward(pieces: Pieces) -> Float[Array, "P"]:
     """Return how far a pixel's centre is on the side of each piece where there are more layers,
     times its layers and its length (px^2)."""
-    dx, dy = jnp.moveaxis(pieces.end - pieces.start, -1, 0)
-    corner = jnp.stack([pieces.column, pieces.row], axis=-1).astype(dx.dtype)
-    x, y = jnp.moveaxis(corner + 0.5 - pieces.start, -1, 0)
+    dx, dy = (pieces.end[:, k] - pieces.start[:, k] for k in (0, 1))
+    corner = (pieces.column.astype(dx.dtype), pieces.row.astype(dx.dtype))
+    x, y = (corner[k] + 0.5 - pieces.start[:, k] for k in (0, 1))
     return pieces.jump * (dy * x - dx * y)
 
 
@@ -75,3 +75,19 @@ def turns(pieces: Pieces) -> Float[Array, "P"]:
     """
     enters = pieces.start[:, 1] <= pieces.row.astype(pieces.jump.dtype)
     return jnp.where(pieces.passes & pieces.first & enters, pieces.jump, 0)
+
+
+def drops(pieces: Pieces) -> Float[Array, "P"]:
+    """Return how many layers fewer than at the pixel's lower left corner there may be on one side
+    of each piece: what is more at the corner than all of these is covered all over the pixel.
+
+    The way from the corner to a point goes up the pixel's left side, then to the right. A piece
+    that comes in on that side is met there, and is left behind again where the way turns.
+    """
+    column, row = pieces.column.astype(pieces.jump.dtype), pieces.row.astype(pieces.jump.dtype)
+    # One that comes in at the corner itself has met the row's bottom in the pixel before.
+    after = (pieces.start[:, 1] > row) | (pieces.passes & ~pieces.first)
+    comes_in = (pieces.start[:, 0] == column) & after
+    change = jnp.where(comes_in, -pieces.jump, pieces.jump)
+    # Below what lies on the row's bottom there is the pixel's border.
+    return jnp.where(pieces.passes, jnp.maximum(-change, 0), jnp.abs(change))
