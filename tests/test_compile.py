@@ -13,9 +13,9 @@ from _kernels import Kernels, kernels
 #: At most so many kernels in all, that differ, and loops.
 MOST = {
     "mask_without_overlaps": Kernels(220, 160, 8),
-    "mask": Kernels(590, 395, 25),
-    "gradient_of_camera": Kernels(1280, 555, 55),
-    "fit": Kernels(680, 455, 12),
+    "mask": Kernels(710, 460, 27),
+    "gradient_of_camera": Kernels(1520, 615, 58),
+    "fit": Kernels(700, 455, 12),
 }
 
 

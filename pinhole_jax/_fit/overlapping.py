@@ -22,15 +22,6 @@ TOGETHER = 64
 MOST = 16
 
 
-def sweepable(pieces: Pieces) -> tuple[Float[Array, "P"], ...]:
-    """Return what a sweep asks of pieces (see `Cells`), column by column."""
-    dtype = pieces.jump.dtype
-    column, row = pieces.column.astype(dtype), pieces.row.astype(dtype)
-    (x0, y0), (x1, y1) = (jnp.moveaxis(point, -1, 0) for point in (pieces.start, pieces.end))
-    passes = jnp.where(pieces.passes, 1 + pieces.first.astype(jnp.int32), 0).astype(dtype)
-    return x0 - column, y0 - row, x1 - column, y1 - row, passes, pieces.jump
-
-
 class Part(NamedTuple):
     """The pieces of one kind: what of each bounds the union (see `Visible`), and their curves'
     lifts."""
@@ -91,7 +82,6 @@ def resolved(
         cells = Cells(
             jnp.where(own[..., None], piece[index], 0),
             jnp.stack([kind, ids], axis=-1),
-            crowded.number[slot],
         )
         scale = jnp.ones((), piece.dtype)
         area, seen = sweep(cells, crowded.corner[slot], frames, scale, crowded.origin[slot], True)

@@ -25,8 +25,8 @@ from .._silhouette.curve_sets import edge_curves, find, outline_curves
 from .._silhouette.curves import Curves, Segments, moved, piece_flux, placed
 from .._silhouette.marks import Marks, marks, overlaps, turns
 from .._silhouette.surrounding import surrounding
-from .._silhouette.sweep import ARC, Visible
-from .overlapping import MOST, Crowded, Part, resolved, sweepable, whole
+from .._silhouette.sweep import ARC, Visible, sweepable
+from .overlapping import MOST, Crowded, Part, resolved, whole
 from .target import Level, Pyramid, level_slice
 
 MAX_ROWS = 1 << 14

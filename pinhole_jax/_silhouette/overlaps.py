@@ -7,10 +7,11 @@ pieces keep their order, so what is covered is a row of trapezoids (with arcs fo
 pieces bound it, and over what part of their length, is all that the derivative needs.
 
 The sweep compares areas, never asks whether two pieces touch: pieces that coincide, end on one
-another or have no length put halts too close to matter, and nothing else. Pieces that are equal are
-merged. Nearly all cells hold a few pieces (`NARROW`) and are swept together; those with more
-(`WIDE`) are swept a few at a time. A cell with more still is cut into smaller cells, depth first,
-so that memory is bounded; at the last cut (`LAST_CUT`) the corner speaks for a cell of 1/65536 px.
+another or have no length put halts too close to matter, and nothing else. Pieces are listed cell by
+cell, and equal ones are merged. Cells that hold a few (`NARROW`) are swept together. A pixel with
+more is cut into smaller cells. Nearly all of these are covered whatever their pieces do, and are
+passed over; those with more pieces than a sweep takes (`WIDE`) are cut again, depth first, so that
+memory is bounded. At the last cut (`LAST_CUT`) the corner speaks for a cell of 1/65536 px.
 """
 
 from collections.abc import Callable
@@ -19,27 +20,31 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from .._numerics.bitset import listed
+from .._numerics.bitset import count_upto, nth, select
 from .._numerics.running import running_sum
-from .coverage import Monotone, Pieces, at_row, monotone, piece_counts, split
-from .curves import Curves, ends, placed
-from .sweep import ARC, NARROW, STRAIGHT, WIDE, Cells, Visible, empty_cells, insert, sweep
+from .coverage import Monotone, Pieces, monotone, piece_counts, split
+from .curves import Curves, placed
+from .marks import drops, turns
+from .sweep import ARC, STRAIGHT, Cells, Visible, sweep, sweepable
 
-CELLS = 256
+#: Pieces that are swept together in most cells, and in any cell but a pixel; how many such cells.
+NARROW, WIDE = 8, 24
+SWEPT = {NARROW: 128, WIDE: 8}
+#: A cell is cut into `CUT` x `CUT`.
 CUT = 4
-PARENTS = CELLS // CUT**2
 LAST_CUT = {"float32": 4, "float64": 8}
 PIECES = 2048
-INSERTED = 128
+#: At least and at most so many pieces can be listed, one for so many curves that there may be.
+LEAST_ROOM, ROOM, CURVES_A_PIECE = 1 << 13, 1 << 15, 2
+#: Pixels with more than `NARROW` pieces are cut where there are so many of them.
+MANY = 32
 #: Visible pieces kept for the derivative (where there are more, cells are resolved again).
 KEPT = 1 << 12
 KEPT_AT_A_TIME = 512
 #: The place of what is in no pixel.
 NOWHERE = np.iinfo(np.int32).max
-#: How many cells are swept together: of few pieces, and of more.
-SWEPT = {NARROW: 128, WIDE: 8}
 
 
 class Part(NamedTuple):
@@ -73,17 +78,20 @@ class Part(NamedTuple):
 class Crowded(NamedTuple):
     """Pixels to be resolved, `total` of them.
 
-    `cell(rank)` gives row (from the bottom), column and place of the rank-th, and the winding
-    number at its lower left corner; `rank(row, column)` the rank of a pixel, -1 for others.
+    `cell(rank)` gives row (from the bottom), column and place of the rank-th, and about how many
+    layers its pieces have; `rank(row, column)` the rank of a pixel, -1 for others, and `below` how
+    many come before it: row by row from the bottom, from left to right.
     """
 
     total: Int[Array, ""]
     cell: Callable[[Int[Array, "K"]], tuple[Array, Array, Array, Array]]
     rank: Callable[[Int[Array, "K"], Int[Array, "K"]], Int[Array, "K"]]
+    below: Callable[[Int[Array, "K"], Int[Array, "K"]], Int[Array, "K"]]
 
 
 class Resolved(NamedTuple):
-    """Some cells: the pixel's `place`, the `area` that they add to it (px^2), what is visible."""
+    """Some cells: the pixel's `place`, the `area` that they add to it (px^2), and of each part what
+    is visible, if that was asked for and anything may be."""
 
     place: Int[Array, "C"]
     area: Float[Array, "C"]
@@ -142,36 +150,150 @@ def all_kept(place: Int[Array, "C"], visible: Visible) -> Kept:
     return Kept(jnp.pad(place, (0, room), constant_values=NOWHERE), jax.tree.map(more, flat), used)
 
 
+class _Sizes(NamedTuple):
+    """How many cells a batch has and how many pieces are found at a time; how many can be listed,
+    level by level."""
+
+    cells: int
+    pieces: int
+    rooms: list[int]
+
+    @property
+    def films(self) -> int:
+        """How many cells are cut together."""
+        return self.cells // CUT**2
+
+    @staticmethod
+    def of(parts: list[Part], depth: int) -> "_Sizes":
+        """Return what suits a scene: large buffers take time even where they stay empty."""
+        most = sum(part.most or CURVES_A_PIECE * ROOM for part in parts)
+        room = LEAST_ROOM
+        while room < min(most // CURVES_A_PIECE, ROOM):
+            room *= 2
+        cells, pieces = min(max(room // 16, 256), 2048), min(max(room // 8, 512), PIECES)
+        # Few cells are cut twice.
+        return _Sizes(cells, pieces, [room, room, *[max(room // 8, 32)] * (depth - 1)][: depth + 1])
+
+
 class _Stack(NamedTuple):
-    """Cells still to be cut, by depth: the lower left corner (px) and the pixel's place."""
+    """Cells still to be cut, by depth: the lower left corner (px), the pixel's place, the winding
+    number at the corner, and where in the lists its pieces are (`begin` -1: there was no room for
+    them)."""
 
     origin: Float[Array, "L C 2"]
     place: Int[Array, "L C"]
+    corner: Float[Array, "L C"]
+    begin: Int[Array, "L C"]
+    number: Int[Array, "L C"]
     height: Int[Array, "L"]
+
+    @staticmethod
+    def empty(sizes: _Sizes, dtype: Any) -> "_Stack":
+        """Return a stack without cells."""
+        depth = len(sizes.rooms) - 1
+        levels = (depth + 1, sizes.cells)
+        whole, real = jnp.zeros(levels, jnp.int32), jnp.zeros(levels, dtype)
+        origin = jnp.zeros((*levels, 2), dtype)
+        return _Stack(origin, whole, real, whole, whole, jnp.zeros(depth + 1, jnp.int32))
 
     def deepest(self) -> Int[Array, ""]:
         """Return the deepest level that holds cells, 0 if none does."""
         levels = jnp.arange(self.height.shape[0], dtype=jnp.int32)
         return jnp.max(jnp.where(self.height > 0, levels, 0))
 
-    def push(self, crowd: Bool[Array, "C"], level: Int[Array, ""], batch: "_Batch") -> "_Stack":
-        """Return the stack less the cells just cut, with the crowded cells on top of a level."""
-        left = jnp.maximum(self.height[batch.level] - PARENTS, 0)
-        count = self.height.at[batch.level].set(left)
-        slot = count[level] + running_sum(crowd.astype(jnp.int32)) - 1
-        slot = jnp.where(crowd, slot, CELLS)
+    def push(self, which: Bool[Array, "C"], level: Int[Array, ""], cells: "_Cells") -> "_Stack":
+        """Return the stack with some cells on top of a level that is empty."""
+        slot = jnp.where(which, running_sum(which.astype(jnp.int32)) - 1, which.shape[0])
+        put = lambda old, new: old.at[level, slot].set(new, mode="drop")
         return _Stack(
-            self.origin.at[level, slot].set(batch.origin, mode="drop"),
-            self.place.at[level, slot].set(batch.place, mode="drop"),
-            count.at[level].add(jnp.sum(crowd, dtype=jnp.int32)),
+            put(self.origin, cells.origin),
+            put(self.place, cells.place),
+            put(self.corner, cells.corner),
+            put(self.begin, jnp.where(cells.fits, cells.begin, -1)),
+            put(self.number, cells.number),
+            self.height.at[level].add(jnp.sum(which, dtype=jnp.int32)),
         )
+
+
+class _Lists(NamedTuple):
+    """The pieces of cells, cell by cell (see `Cells`), each with its curve (times 2, plus its
+    part's number) and its cell's stamp. Those of a batch stay until the next one of its level.
+
+    `table` finds a piece by a hash of its cell and ends: equal ones are merged.
+    """
+
+    piece: Float[Array, "N 6"]
+    curve: Int[Array, "N"]
+    stamp: Int[Array, "N"]
+    table: Int[Array, "T"]
+
+    @staticmethod
+    def empty(sizes: _Sizes, dtype: Any) -> "_Lists":
+        """Return lists without pieces."""
+        N = sum(sizes.rooms)
+        whole = lambda n: jnp.zeros(n, jnp.int32)
+        return _Lists(jnp.zeros((N, 6), dtype), whole(N), whole(N) - 1, whole(2 * N))
+
+
+class _Batch(NamedTuple):
+    """Cells that are resolved together: pixels of the one film (level 0), or the parts of some
+    cells that are cut, each a small film of its own.
+
+    `W`, `bottom` and `top` are what is looked at of the films, `scale` the number of their pixels
+    in a pixel. `begin` and `number` tell where in the lists the pieces of each film are (`begin`
+    -1: all curves are looked at). `corner` is the winding number at each cell's film's lower left
+    corner, `row` the cell's in the film. The lists of the cells have `room` from `listed` on.
+    `stamp` is the first cell's.
+    """
+
+    level: Int[Array, ""]
+    scale: Float[Array, ""]
+    films: Float[Array, "F 2"]
+    begin: Int[Array, "F"]
+    number: Int[Array, "F"]
+    W: Int[Array, ""]
+    bottom: Int[Array, ""]
+    top: Int[Array, ""]
+    max_H: int
+    first: Int[Array, ""]
+    origin: Float[Array, "C 2"]
+    place: Int[Array, "C"]
+    corner: Float[Array, "C"]
+    row: Int[Array, "C"]
+    listed: Int[Array, ""]
+    room: Int[Array, ""]
+    stamp: Int[Array, ""]
+    sizes: _Sizes
+
+
+class _Sums(NamedTuple):
+    """What the pieces of cells add up to: `layers`, `drops`, and by how much the winding number
+    changes along a film's left side up to a row (`side`, at the row's first cell), and from there
+    along the row's bottom (`turn`)."""
+
+    layers: Float[Array, "C"]
+    drop: Float[Array, "C"]
+    side: Float[Array, "C"]
+    turn: Float[Array, "C"]
+
+
+class _Cells(NamedTuple):
+    """A batch's cells: which of them hold pieces that may be seen (`open`), where in the lists
+    these begin, whether there is room for them, and how many there are."""
+
+    origin: Float[Array, "C 2"]
+    place: Int[Array, "C"]
+    corner: Float[Array, "C"]
+    open: Bool[Array, "C"]
+    begin: Int[Array, "C"]
+    fits: Bool[Array, "C"]
+    number: Int[Array, "C"]
 
 
 def fold_cells(
     parts: list[Part],
     crowded: Crowded,
     W: Any,
-    H: Any,
     max_H: int,
     base: Int[Array, ""],
     add: Callable[[Any, Resolved], Any],
@@ -185,109 +307,126 @@ def fold_cells(
     dtype = parts[0].dtype
     depth = LAST_CUT[jnp.dtype(dtype).name]
     frames = [None if part.straight else part.lifts for part in parts]
+    sizes = _Sizes.of(parts, depth)
 
     def body(state):
-        first, stack, total = state
+        first, stamp, stack, found, lists, total = state
         level = stack.deepest()
-        batch = _batch(crowded, first, stack, level, (W, H, max_H), base)
-        cells, corner = empty_cells(CELLS, dtype), batch.corner
-        for number, part in enumerate(parts):
-            cells, turns = _fill(cells, number, part, crowded, first, batch)
-            corner = corner + turns
-        used, last = batch.place >= 0, level == depth
-        cut = used & (cells.total > WIDE) & ~last
+        films = W, max_H, base
+        batch, taken, height = _batch(crowded, first, stack, level, films, stamp, sizes)
+        stack = stack._replace(height=stack.height.at[level].set(height))
+        cells, found, lists = _listed(parts, crowded, batch, found, lists)
+
+        there, last = cells.place >= 0, level == depth
+        # Where few pixels hold so many pieces it takes less to sweep them as they are.
+        wide = there & (cells.number > NARROW) & (cells.number <= WIDE)
+        few = (level > 0) | (jnp.sum(wide, dtype=jnp.int32) < MANY)
+        many = jnp.where(few, WIDE, NARROW)
+        cut = there & cells.open & (~cells.fits | (cells.number > many)) & ~last
+        swept = there & cells.open & cells.fits & (cells.number <= many)
         # Where there are too many pieces even in the last cell, its corner speaks for it.
-        cells = cells._replace(total=jnp.where(cells.total > WIDE, 0, cells.total))
-        swept = _Swept(cells, corner, batch.origin, jnp.where(used & ~cut, batch.place, -1))
+        known = there & ~cut & ~swept
+        size = 1 / (batch.scale * batch.scale)
+        area = jnp.where(known, size * (cells.corner > 0.5).astype(dtype), 0)
+        total = add(total, Resolved(jnp.where(known, cells.place, NOWHERE), area, []))
 
-        def resolve(total, swept: _Swept):
-            at = batch.scale, swept.origin
-            area, visible = sweep(swept.cells, swept.corner, frames, *at, flux)
-            keep = (swept.place >= 0)[:, None, None]
-            visible = [v._replace(part=jnp.where(keep, v.part, 0)) for v in visible]
-            place = jnp.where(swept.place >= 0, swept.place, NOWHERE)
-            return add(total, Resolved(place, area / (batch.scale * batch.scale), visible))
-
-        total = swept.fold(resolve, total)
-        stack = stack.push(cut, jnp.minimum(level + 1, depth), batch)
-        return jnp.where(level == 0, first + CELLS, first), stack, total
-
-    zeros = jnp.zeros((depth + 1, CELLS), dtype)
-    counts = jnp.zeros(depth + 1, jnp.int32)
-    stack = _Stack(jnp.stack([zeros, zeros], axis=-1), zeros.astype(jnp.int32), counts)
-    more = lambda state: (state[0] < crowded.total) | jnp.any(state[1].height > 0)
-    return jax.lax.while_loop(more, body, (jnp.int32(0), stack, start))[2]
-
-
-class _Swept(NamedTuple):
-    """Cells to be swept, the winding numbers at their corners, `place` -1 where there is none."""
-
-    cells: Cells
-    corner: Float[Array, "C"]
-    origin: Float[Array, "C 2"]
-    place: Int[Array, "C"]
-
-    def fold(self, add: Callable[[Any, "_Swept"], Any], start: Any) -> Any:
-        """Return `start` after `add(total, swept)` over the cells, those of few pieces first."""
         least = 0
         for most, number in SWEPT.items():
 
             def some(total, cell, there, most=most):
-                place = jnp.where(there, self.place[cell], -1)
-                piece, owner = self.cells.piece[cell, :most], self.cells.owner[cell, :most]
-                cells = Cells(piece, owner, self.cells.total[cell])
-                return add(total, _Swept(cells, self.corner[cell], self.origin[cell], place))
+                slot = jnp.arange(most, dtype=jnp.int32)[None]
+                inside = there[:, None] & (slot < cells.number[cell][:, None])
+                index = jnp.where(inside, cells.begin[cell][:, None] + slot, 0)
+                curve = lists.curve[index]
+                piece = jnp.where(inside[..., None], lists.piece[index], 0)
+                owner = jnp.where(inside, curve & 1, -1), curve >> 1
+                few = Cells(piece, jnp.stack(owner, axis=-1))
+                at = batch.scale, cells.origin[cell]
+                area, visible = sweep(few, cells.corner[cell], frames, *at, flux)
+                visible = [
+                    v._replace(part=jnp.where(there[:, None, None], v.part, 0)) for v in visible
+                ]
+                place = jnp.where(there, cells.place[cell], NOWHERE)
+                return add(total, Resolved(place, area * size, visible))
 
-            total = self.cells.total
-            chosen = (self.place >= 0) & (total >= least) & (total <= most)
-            start = fold_chosen(chosen, number, some, start)
+            chosen = swept & (cells.number >= least) & (cells.number <= most)
+            total = fold_chosen(chosen, number, some, total)
             least = most + 1
-        return start
+        stack = stack.push(cut, jnp.minimum(level + 1, depth), cells)
+        return first + taken, stamp + sizes.cells, stack, found, lists, total
 
-
-class _Batch(NamedTuple):
-    """Cells that are resolved together, and the small films on which their pieces are found.
-
-    At level 0 the cells are pixels of the one film; else each film is a cell that is cut. `corner`
-    is what is known already of the winding numbers at the cells' corners.
-    """
-
-    level: Int[Array, ""]
-    scale: Float[Array, ""]
-    films: Float[Array, "F 2"]
-    film: tuple[Any, Any, int]
-    origin: Float[Array, "C 2"]
-    place: Int[Array, "C"]
-    corner: Float[Array, "C"]
+    more = lambda state: (state[0] < crowded.total) | jnp.any(state[2].height > 0)
+    zero = jnp.int32(0)
+    nothing = tuple(kind.empty(sizes, dtype) for kind in (_Stack, _Found, _Lists))
+    return jax.lax.while_loop(more, body, (zero, zero, *nothing, start))[-1]
 
 
 def _batch(
-    crowded: Crowded, first: Array, stack: _Stack, level: Array, film: tuple, base: Array
-) -> _Batch:
-    """Return the next cells: of the deepest level that has any, else the next pixels."""
-    W, H, max_H = film
-    dtype = stack.origin.dtype
+    crowded: Crowded,
+    first: Array,
+    stack: _Stack,
+    level: Array,
+    film: tuple,
+    stamp: Array,
+    sizes: _Sizes,
+) -> tuple[_Batch, Array, Array]:
+    """Return the next cells: parts of the deepest level's that has any, else the next pixels; how
+    many pixels are taken, and how high the level's stack is without what is taken."""
+    W, max_H, base = film
+    dtype, room = stack.origin.dtype, jnp.asarray(sizes.rooms, jnp.int32)[level]
     at_pixels = level == 0
-    rank = first + jnp.arange(CELLS, dtype=jnp.int32)
-    row, column, place, corner = crowded.cell(jnp.clip(rank, 0, jnp.maximum(crowded.total - 1, 0)))
-    pixel = jnp.stack([column, row], axis=-1).astype(dtype)
-    place = jnp.where(rank < crowded.total, place, -1)
+    rank = first + jnp.arange(sizes.cells, dtype=jnp.int32)
+    last = jnp.maximum(crowded.total - 1, 0)
+    row, column, place, layers = crowded.cell(jnp.clip(rank, 0, last))
+    there = rank < crowded.total
+    upto = running_sum(jnp.where(there, jnp.minimum(layers, sizes.rooms[0] + 1), 0))
+    # (The image's pieces may be rounded otherwise, and be others.)
+    there &= (upto <= room - room // 8) | (rank == first)
+    pixels = jnp.sum(there, dtype=jnp.int32)
 
-    slot = stack.height[level] - PARENTS + jnp.arange(PARENTS, dtype=jnp.int32)
-    parent_place = jnp.where(slot >= 0, stack.place[level, jnp.maximum(slot, 0)], -1)
-    parent = stack.origin[level, jnp.maximum(slot, 0)]
+    turn = jnp.arange(sizes.films, dtype=jnp.int32)
+    slot = stack.height[level] - 1 - turn
+    own = jnp.maximum(slot, 0)
+    begin, number = stack.begin[level, own], stack.number[level, own]
+    # As many as there is room for, whatever becomes of their pieces.
+    needed = running_sum(jnp.where(begin < 0, room, jnp.minimum(number, room)))
+    cut = (slot >= 0) & (((2 * CUT - 1) * needed <= room) | (turn == 0))
+    parents = jnp.sum(cut, dtype=jnp.int32)
+
     scale = jnp.asarray(CUT, dtype) ** level.astype(dtype)
+    parent = stack.origin[level, own]
     steps = np.stack(np.divmod(np.arange(CUT**2), CUT)[::-1], axis=-1)
     child = parent[:, None] + jnp.asarray(steps, dtype)[None] / scale
-    return _Batch(
-        level,
-        scale,
-        jnp.where(at_pixels, 0, parent),
-        (jnp.where(at_pixels, W, CUT), jnp.where(at_pixels, H, CUT), max(max_H, CUT)),
-        jnp.where(at_pixels, pixel, child.reshape(CELLS, 2)),
-        jnp.where(at_pixels, place, jnp.repeat(parent_place, CUT**2)),
-        jnp.where(at_pixels, corner, base.astype(dtype)),
+    each = lambda x: jnp.repeat(x, CUT**2)
+    pixel = jnp.stack([column, row], axis=-1).astype(dtype)
+    either = lambda a, b: jnp.where(at_pixels, a, b)
+    used = jnp.where(there, row, row[0])
+    batch = _Batch(
+        level=level,
+        scale=scale,
+        films=either(0, parent),
+        begin=either(-1, begin),
+        number=either(0, jnp.where(cut, number, 0)),
+        W=either(W, CUT),
+        bottom=either(row[0], 0),
+        top=either(jnp.max(used) + 1, CUT),
+        max_H=max(max_H, CUT),
+        first=first,
+        origin=either(pixel, child.reshape(sizes.cells, 2)),
+        place=either(
+            jnp.where(there, place, -1), each(jnp.where(cut, stack.place[level, own], -1))
+        ),
+        corner=jnp.where(
+            at_pixels | each(begin < 0), base.astype(dtype), each(stack.corner[level, own])
+        ),
+        row=row,
+        listed=jnp.asarray(np.cumsum([0, *sizes.rooms[:-1]]), jnp.int32)[level],
+        room=room,
+        stamp=stamp,
+        sizes=sizes,
     )
+    height = jnp.where(at_pixels, 0, stack.height[level] - parents)
+    return batch, jnp.where(at_pixels, pixels, 0), height
 
 
 # --- which pieces lie in which cell --------------------------------------------------------------
@@ -316,16 +455,22 @@ def fold_curves(
 
 
 def fold_pieces(
-    curves: Curves, W: Any, H: Any, max_H: int, add: Callable[[Any, Pieces], Any], start: Any
+    m: Monotone,
+    size: tuple[Any, Any, int],
+    add: Callable[[Any, Pieces], Any],
+    start: Any,
+    bottom: Any = 0,
+    number: int = PIECES,
 ) -> Any:
-    """Return `start` after `add(total, pieces)` over all pieces of some curves."""
-    m = monotone(curves)
-    upto = running_sum(piece_counts(m, W, H))
+    """Return `start` after `add(total, pieces)` over all pieces of some curves, in the rows from
+    `bottom` up to H, so many at a time; `size` is W, H and a static bound of H."""
+    W, H, max_H = size
+    upto = running_sum(piece_counts(m, W, H, bottom))
 
     def body(state):
         slot, total = state
-        slots = slot + jnp.arange(PIECES, dtype=jnp.int32)
-        return slot + PIECES, add(total, split(m, upto, slots, W, H, max_H))
+        slots = slot + jnp.arange(number, dtype=jnp.int32)
+        return slot + number, add(total, split(m, upto, slots, W, H, max_H, bottom))
 
     return jax.lax.while_loop(lambda s: s[0] < upto[-1], body, (jnp.int32(0), start))[1]
 
@@ -337,92 +482,299 @@ def fold_chosen(
 
     `there` is False for what fills up the last turn.
     """
-    chosen = jax.lax.optimization_barrier(listed(which))
+    chosen = select(which)
 
     def body(state):
         rank, total = state
         some = rank + jnp.arange(number, dtype=jnp.int32)
-        return rank + number, add(total, chosen.at(some), some < chosen.total)
+        there = some < chosen.total
+        index = jnp.where(there, nth(chosen, jnp.minimum(some, chosen.total - 1)), 0)
+        return rank + number, add(total, index, there)
 
     return jax.lax.while_loop(lambda s: s[0] < chosen.total, body, (jnp.int32(0), start))[1]
 
 
-def _fill(
-    cells: Cells, number: int, part: Part, crowded: Crowded, first: Array, batch: _Batch
-) -> tuple[Cells, Float[Array, "C"]]:
-    """Return the cells with a part's pieces, and what it adds to the corners' winding numbers."""
+class _Found(NamedTuple):
+    """The pieces of a batch in the order in which they are found (see `_Lists`), with their cells:
+    `used` of them, of which those that there is room for are here."""
+
+    piece: tuple[Float[Array, "R"], ...]
+    curve: Int[Array, "R"]
+    cell: Int[Array, "R"]
+    used: Int[Array, ""]
+
+    @staticmethod
+    def empty(sizes: _Sizes, dtype: Any) -> "_Found":
+        """Return room for pieces."""
+        room = max(sizes.rooms) + sizes.pieces
+        whole = jnp.zeros(room, jnp.int32)
+        return _Found((jnp.zeros(room, dtype),) * 6, whole, whole, jnp.int32(0))
+
+    def append(
+        self, cell: Int[Array, "P"], there: Bool[Array, "P"], pieces: Pieces, curve: Array
+    ) -> "_Found":
+        """Return these and more pieces, of those that are there."""
+        upto = self.used + running_sum(there.astype(jnp.int32))
+        slot = jnp.where(there, upto - 1, self.cell.shape[0])
+        put = lambda old, new: old.at[slot].set(new, mode="drop")
+        # Column by column: each column of a table of them would be worked out for all.
+        piece = jax.tree.map(put, self.piece, sweepable(pieces))
+        return _Found(piece, put(self.curve, curve), put(self.cell, cell), upto[-1])
+
+
+def _listed(
+    parts: list[Part], crowded: Crowded, batch: _Batch, found: _Found, lists: _Lists
+) -> tuple[_Cells, _Found, _Lists]:
+    """Return a batch's cells, and the lists with the pieces of those that have to be resolved.
+
+    Of the parts of cells winding numbers and layers are added up first: most are covered whatever
+    their pieces do, and are passed over.
+    """
+    none, sizes = jnp.zeros_like(batch.corner), batch.sizes
+    sums, found = _Sums(none, none, none, none), found._replace(used=jnp.int32(0))
+    for number, part in enumerate(parts):
+        sums, found = _gone_through(number, part, crowded, batch, lists, (sums, found))
+    cells = _cells(batch, sums)
+    cells = cells._replace(fits=cells.fits & (found.used <= batch.room))
+    listed = cells.open & cells.fits & (cells.place >= 0)
+
+    def some(state):
+        first, number, lists = state
+        cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, sizes.pieces)
+        piece = jnp.stack([cut(x) for x in found.piece], axis=-1)
+        curve, cell = cut(found.curve), cut(found.cell)
+        turn = first + jnp.arange(sizes.pieces, dtype=jnp.int32)
+        cell = jnp.where(listed[cell] & (turn < found.used), cell, sizes.cells)
+        more = _inserted(cells.begin, cell, piece, curve, batch.stamp, (number, lists))
+        return first + sizes.pieces, *more
+
+    upto = jnp.where(found.used <= batch.room, found.used, 0)
+    start = jnp.int32(0), cells.number, lists
+    _, number, lists = jax.lax.while_loop(lambda s: s[0] < upto, some, start)
+    return cells._replace(number=number), found, lists
+
+
+def _cells(batch: _Batch, sums: _Sums) -> _Cells:
+    """Return a batch's cells, before they have pieces."""
+    side, turn = (x.reshape(-1, CUT, CUT) for x in (sums.side, sums.turn))
+    # Of all curves those left of a row are known; else the way goes up the film's left side.
+    whole = (batch.begin < 0)[:, None]
+    left = jnp.where(whole, side[..., 0], jnp.cumsum(side[..., 0], axis=1))
+    change = (left[..., None] + jnp.cumsum(turn, axis=2)).reshape(-1)
+    # Pixels: along the bottom of each row.
+    upto, index = running_sum(sums.turn), jnp.arange(batch.sizes.cells, dtype=jnp.int32)
+    starts = jnp.append(True, batch.row[1:] != batch.row[:-1])
+    start = jax.lax.cummax(jnp.where(starts, index, 0))
     at_pixels = batch.level == 0
-    size = -(-part.size // PARENTS) * PARENTS
-    per_film = jnp.where(at_pixels, jnp.int32(size), jnp.int32(size // PARENTS))
-    W, H, max_H = batch.film
-    pair = jnp.arange(size, dtype=jnp.int32)
-    film = jax.lax.div(pair, per_film)
-
-    def chunk(state, ids, curves: Curves):
-        near = listed((curves.weight != 0) & (at_pixels | _near(curves, batch)))
-
-        def body(state):
-            rank, (cells, corner) = state
-            own = rank + pair - film * per_film
-            one = near.at(own)
-            some = jax.tree.map(lambda x: x[one], curves)
-            some = some._replace(weight=jnp.where(own < near.total, some.weight, 0))
-            some = placed(some, batch.scale, batch.films[film])
-
-            def add(cells, pieces: Pieces):
-                inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
-                row, column = (jnp.where(inside, x, 0) for x in (pieces.row, pieces.column))
-                rank = crowded.rank(row, column)
-                pixel = jnp.where((rank >= first) & (rank < first + CELLS), rank - first, CELLS)
-                child = (film[pieces.curve] * CUT + row) * CUT + column
-                cell = jnp.where(inside, jnp.where(at_pixels, pixel, child), CELLS)
-                return _insert_all(cells, cell, pieces, ids[one], number)
-
-            # Pixels know their corners.
-            none = lambda: jnp.zeros_like(corner)
-            corner = corner + jax.lax.cond(at_pixels, none, lambda: _child_turns(some))
-            return rank + per_film, (fold_pieces(some, W, H, max_H, add, cells), corner)
-
-        return jax.lax.while_loop(lambda s: s[0] < near.total, body, (jnp.int32(0), state))[1]
-
-    return fold_curves(part, chunk, (cells, jnp.zeros_like(batch.corner)), size)
+    corner = batch.corner + jnp.where(at_pixels, upto - (upto - sums.turn)[start], change)
+    covered = corner - sums.drop > 0.5
+    most = (batch.room + 1).astype(sums.layers.dtype)
+    layers = jnp.minimum(sums.layers, most).astype(jnp.int32)
+    layers = jnp.where(covered, 0, layers)
+    upto = running_sum(layers)
+    begin, fits = batch.listed + upto - layers, upto <= batch.room
+    none = jnp.zeros_like(layers)
+    return _Cells(batch.origin, batch.place, corner, layers > 0, begin, fits, none)
 
 
-def _near(curves: Curves, batch: _Batch) -> Bool[Array, "K"]:
-    """Return which curves are in or left of a film of the batch, or close to it (in px)."""
-    start, end = ends(curves)
-    low, high = jnp.minimum(start, end)[:, None], jnp.maximum(start, end)[:, 1:]
-    margin = 0.5
-    bottom = batch.films - margin
-    top = batch.films + CUT / batch.scale + margin
-    beside = (low[..., 1] <= top[None, :, 1]) & (high >= bottom[None, :, 1])
-    return jnp.any(beside & (low[..., 0] <= top[None, :, 0]), axis=1)
+class _Source(NamedTuple):
+    """Curves that are cut into pieces: their films, their `code` (see `_Lists`), and for those that
+    are pieces of a list whether they pass their cell's bottom (see `Cells`), else -1."""
+
+    m: Monotone
+    film: Int[Array, "K"]
+    code: Int[Array, "K"]
+    passes: Float[Array, "K"]
 
 
-def _insert_all(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, ids: Array, part: int):
-    """Return the cells with those pieces that have one, `INSERTED` at a time."""
+def _source(
+    number: int, part: Part, batch: _Batch, lists: _Lists, upto: Array, slots: Array
+) -> _Source:
+    """Return what of a part is cut: the films' pieces number `slots`, or curves.
 
-    def some(cells, index, there):
-        taken = jax.tree.map(lambda x: x[index], pieces)
-        at = jnp.where(there, cell[index], CELLS)
-        return insert(cells, at, taken, ids[taken.curve], part)
+    Pieces keep their ends: so they agree with what is known of their film's corner.
+    """
+    film = jnp.minimum(count_upto(upto, slots), batch.sizes.films - 1)
+    own = slots - jnp.where(film > 0, upto[film - 1], 0)
+    whole = batch.begin[film] < 0
+    index = jnp.where(whole, 0, batch.begin[film] + own)
+    index = jnp.clip(index, 0, lists.curve.shape[0] - 1)
+    code = jnp.where(whole, 2 * own + number, lists.curve[index])
+    curves = part.curves(jnp.clip(code >> 1, 0, jnp.maximum(part.total - 1, 0)))
+    inside = (slots < upto[-1]) & ((code & 1) == number)
+    m = monotone(placed(jax.lax.stop_gradient(curves), batch.scale, batch.films[film]))
 
-    return fold_chosen(cell < CELLS, INSERTED, some, cells)
+    piece = lists.piece[index]
+    low, high = CUT * piece[:, :2], CUT * piece[:, 2:4]
+    weight = jnp.where(whole, curves.weight, -m.rising * piece[:, 5])
+    m = m._replace(
+        low=jnp.where(whole[:, None], m.low, low),
+        high=jnp.where(whole[:, None], m.high, high),
+        curves=m.curves._replace(weight=jnp.where(inside, weight, 0)),
+    )
+    return _Source(m, film, code, jnp.where(whole, -1, piece[:, 4]))
 
 
-def _child_turns(curves: Curves) -> Float[Array, "C"]:
-    """Return what curves, those of each film in turn, add to the winding numbers just left of and
-    above the children's corners."""
-    lines = jnp.arange(CUT, dtype=curves.weight.dtype)
-    m = monotone(curves)
-    jump, x = jax.vmap(lambda y: _crossing(m, y))(lines)  # (CUT, curves)
-    left = jnp.where(x[..., None] < lines[None, None], jump[..., None], 0)
-    turns = jnp.sum(left.reshape(CUT, PARENTS, -1, CUT), axis=2)
-    return jnp.moveaxis(turns, 1, 0).reshape(CELLS)
+def _gone_through(
+    number: int,
+    part: Part,
+    crowded: Crowded,
+    batch: _Batch,
+    lists: _Lists,
+    state: tuple[_Sums, _Found],
+) -> tuple[_Sums, _Found]:
+    """Return the sums and what is found, with a part's pieces."""
+    none, sizes, at_pixels = batch.sizes.cells, batch.sizes, batch.level == 0
+    films = jnp.arange(sizes.films, dtype=jnp.int32)
+    whole = (films == 0) & (batch.begin < 0)
+    upto = running_sum(jnp.where(whole, part.total, batch.number))
+
+    def chunk(state):
+        slot, (sums, found) = state
+        slots = slot + jnp.arange(part.size, dtype=jnp.int32)
+        source = _source(number, part, batch, lists, upto, slots)
+        side = _side(source)
+        row = (source.film[None] * CUT + side.row) * CUT
+        at = jnp.where(side.row < CUT, row, none)
+        sums = sums._replace(side=sums.side.at[at].add(side.step, mode="drop"))
+
+        def add(state, pieces: Pieces):
+            sums, found = state
+            film, passes = source.film[pieces.curve], source.passes[pieces.curve]
+            foot = (pieces.row == 0) & (passes >= 0)
+            pieces = pieces._replace(
+                passes=jnp.where(foot, passes > 0, pieces.passes),
+                first=pieces.first & ~(foot & (passes < 2)),
+            )
+            inside = pieces.valid & (pieces.column >= 0) & (pieces.column < batch.W)
+            row, column = (jnp.where(inside, x, 0) for x in (pieces.row, pieces.column))
+            rank = crowded.rank(row, column) - batch.first
+            wanted = (rank >= 0) & (rank < none) & (batch.place[jnp.clip(rank, 0, none - 1)] >= 0)
+            pixel = jnp.where(wanted, rank, none)
+            child = (film * CUT + row) * CUT + column
+            cell = jnp.where(inside, jnp.where(at_pixels, pixel, child), none)
+            left = pieces.valid & (pieces.column < 0) & (passes < 0)
+            beside = jnp.where(left & ~at_pixels, (film * CUT + pieces.row) * CUT, none)
+            # In a row of pixels the next crowded one.
+            beyond = jnp.clip(pieces.column + 1, 0, batch.W - 1)
+            later = crowded.below(jnp.where(pieces.valid, pieces.row, 0), beyond) - batch.first
+            there = pieces.valid & (pieces.column < batch.W - 1) & (later < none)
+            later = jnp.clip(later, 0, none - 1)
+            there &= batch.place[later] >= 0
+            later = jnp.where(there & (batch.row[later] == pieces.row), later, none)
+            next_cell = jnp.where(inside & (column < CUT - 1), cell + 1, none)
+            after = jnp.where(at_pixels, later, next_cell)
+            sums = _added(sums, cell, beside, after, pieces)
+            return sums, found.append(cell, cell < none, pieces, source.code[pieces.curve])
+
+        size = batch.W, batch.top, batch.max_H
+        state = fold_pieces(source.m, size, add, (sums, found), batch.bottom, sizes.pieces)
+        return slot + part.size, state
+
+    return jax.lax.while_loop(lambda s: s[0] < upto[-1], chunk, (jnp.int32(0), state))[1]
 
 
-def _crossing(m: Monotone, y: Float[Array, ""]):
-    """Return by how much the winding jumps where each curve crosses a height, and the abscissae."""
-    crosses = (m.low[:, 1] <= y) & (y < m.high[:, 1])
-    x, _ = at_row(m, jnp.broadcast_to(y, crosses.shape))
-    return jnp.where(crosses, -m.rising * m.curves.weight, 0), x
+class _Side(NamedTuple):
+    """By how much the winding number changes where a piece meets its film's left side, and the
+    first row whose bottom is above that."""
+
+    row: Int[Array, "2 K"]
+    step: Float[Array, "2 K"]
+
+
+def _side(source: _Source) -> _Side:
+    """Return where pieces come in on the left side of their film, and where they leave."""
+    m = source.m
+    jump = -m.rising * m.curves.weight
+    comes_in = (m.low[:, 0] == 0) & ((m.low[:, 1] > 0) | (source.passes == 1))
+    leaves = (m.high[:, 0] == 0) & (source.passes > 0)
+    of_list = source.passes >= 0
+    step = jnp.stack([jnp.where(comes_in & of_list, -jump, 0), jnp.where(leaves, jump, 0)])
+    height = jnp.clip(jnp.ceil(jnp.stack([m.low[:, 1], m.high[:, 1]])), 1, CUT)
+    return _Side(height.astype(jnp.int32), step)
+
+
+def _added(
+    sums: _Sums,
+    cell: Int[Array, "P"],
+    beside: Int[Array, "P"],
+    after: Int[Array, "P"],
+    pieces: Pieces,
+) -> _Sums:
+    """Return the sums with more pieces: in a cell, `beside` a row's first, before the one `after`;
+    past the end they are dropped."""
+    put = lambda total, at, value: total.at[at].add(value, mode="drop")
+    turn = turns(pieces)
+    return _Sums(
+        put(sums.layers, cell, jnp.abs(pieces.jump)),
+        put(sums.drop, cell, drops(pieces)),
+        put(sums.side, beside, turn),
+        put(sums.turn, after, turn),
+    )
+
+
+def _inserted(
+    begin: Int[Array, "C"],
+    cell: Int[Array, "P"],
+    piece: Float[Array, "P 6"],
+    code: Int[Array, "P"],
+    stamp: Int[Array, ""],
+    state: tuple[Array, _Lists],
+) -> tuple[Array, _Lists]:
+    """Return the cells' numbers of pieces, and the lists, with more pieces, equal ones merged;
+    `cell` past the end drops one."""
+    P, none = cell.shape[0], begin.shape[0]
+    there = cell < none
+
+    number, lists = state
+    index = jnp.arange(P, dtype=jnp.int32)
+    stamps = stamp + cell
+    hashed = _hashed(piece, stamps)
+
+    def equal(other, others, code_there, stamp_there):
+        same = (stamp_there == stamps) & ((code_there & 1) == (code & 1))
+        for field in range(5):
+            same &= others[other, field] == piece[:, field]
+        return same
+
+    # Among these the first of equal ones leads.
+    small = (hashed % (2 * P)).astype(jnp.int32)
+    leader = jnp.full(2 * P, P, jnp.int32).at[jnp.where(there, small, 2 * P)].min(index)
+    leader = jnp.minimum(leader[small], P - 1)
+    led = there & (leader < index) & equal(leader, piece, code[leader], stamps[leader])
+    jump = piece[:, 5].at[jnp.where(led, leader, P)].add(piece[:, 5], mode="drop")
+    piece = piece.at[:, 5].set(jump)
+
+    at = (hashed % lists.table.shape[0]).astype(jnp.int32)
+    old = lists.table[at]
+    known = equal(old, lists.piece, lists.curve[old], lists.stamp[old])
+    known &= there & ~led
+    N = lists.curve.shape[0]
+    merged = lists.piece.at[jnp.where(known, old, N), 5].add(jump, mode="drop")
+
+    fresh = there & ~led & ~known
+    key = jax.lax.sort(jnp.where(fresh, cell, none) * P + index)
+    place, source = key // P, key % P
+    first = jnp.full(none + 1, P, jnp.int32).at[place].min(index)
+    own = jnp.minimum(place, none - 1)
+    slot = begin[own] + number[own] + index - first[place]
+    slot = jnp.where(place < none, slot, N)
+    set_ = lambda old, new: old.at[slot].set(new[source], mode="drop")
+    table = lists.table.at[jnp.where(place < none, at[source], lists.table.shape[0])]
+    lists = _Lists(
+        set_(merged, piece),
+        set_(lists.curve, code),
+        set_(lists.stamp, stamps),
+        table.set(slot, mode="drop"),
+    )
+    return number.at[place].add(1, mode="drop"), lists
+
+
+def _hashed(piece: Float[Array, "P 6"], stamp: Int[Array, "P"]) -> UInt32[Array, "P"]:
+    """Return a hash of a piece's ends and cell."""
+    bits = jax.lax.bitcast_convert_type(piece[:, :4].astype(jnp.float32), jnp.uint32)
+    total = stamp.astype(jnp.uint32) * jnp.uint32(0x9E3779B1)
+    for k in range(4):
+        total = (total ^ bits[:, k]) * jnp.uint32(0x85EBCA6B)
+        total = total ^ (total >> 15)
+    return total

@@ -7,21 +7,22 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.camera import Camera, film_map
 from .._camera.film import FilmMap
-from .._numerics.bitset import Selection, nth, rank_in, select
+from .._numerics.bitset import Selection, count_below, nth, rank_in, select
 from .._numerics.linear_map import linear_map
 from .._numerics.running import running_sum
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, Spheres, astype, check_view
 from .boundary import pulled, pushed
-from .coverage import Pieces
+from .coverage import Pieces, monotone
 from .curve_sets import Found, edge_curves, find, joined, outline_curves
 from .curves import piece_flux
-from .marks import Marks, marks, overlaps, turns
+from .marks import Marks, drops, marks, overlaps, turns
 from .overlaps import (
     Crowded,
     Kept,
@@ -101,12 +102,11 @@ class _Still(NamedTuple):
 
 class _Pixels(NamedTuple):
     """Which pixels one chain of contour crosses, and which are crowded, from the bottom row up; the
-    winding numbers at the pixels' lower left corners; for the derivative, what is visible in the
-    crowded ones."""
+    layers of their pieces; for the derivative, what is visible in the crowded ones."""
 
     alone: Bool[Array, "N"]
     crowded: Selection
-    corner: Float[Array, "N"]
+    layers: Float[Array, "N"]
     kept: list[Kept]
 
 
@@ -189,7 +189,7 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
         del ids
 
         def add(sums, pieces: Pieces):
-            deltas, marked, turned = sums
+            deltas, marked, turned, dropped = sums
             place = lambda k: jnp.where((k >= 0) & (k < W), pieces.row * W + k, H * W)
             own, after = jax.lax.optimization_barrier(
                 (place(pieces.column), place(pieces.column + 1))
@@ -198,46 +198,54 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
             deltas = deltas.at[own].add(pieces.area, mode="drop")
             deltas = deltas.at[after].add(rest, mode="drop")
             if marked is None:
-                return deltas, None, None
+                return deltas, None, None, None
             put = lambda image, value: image.at[own].add(value, mode="drop")
             marked = jax.tree.map(put, marked, marks(pieces))
-            return deltas, marked, turned.at[after].add(turns(pieces), mode="drop")
+            turned = turned.at[after].add(turns(pieces), mode="drop")
+            return deltas, marked, turned, put(dropped, drops(pieces))
 
-        return fold_pieces(curves, W, H, H, add, sums)
+        return fold_pieces(monotone(curves), (W, H, H), add, sums)
 
     told = still.overlap is not None
     zeros = jnp.zeros(H * W, dtype)
     marked = Marks(zeros, zeros.astype(jnp.int32)) if told else None
-    sums = (zeros, marked, zeros if told else None)
+    sums = (zeros, marked, *((zeros, zeros) if told else (None, None)))
     for part in parts:
         sums = fold_curves(part, chunk, sums, part.size)
-    deltas, marked, turned = sums
+    deltas, marked, turned, dropped = sums
     row_sums = lambda x: running_sum(x.reshape(H, W)).reshape(-1)
     winding = row_sums(deltas) + still.base.astype(dtype)
-    corner = jnp.zeros(0, dtype)
-    if marked is not None and turned is not None:
+    none = jnp.zeros(H * W, bool)
+    layers = jnp.zeros(0, dtype)
+    covered = crowded = none
+    tie = 64 * jnp.finfo(dtype).eps
+    if marked is not None and turned is not None and dropped is not None:
+        layers = marked.layers
         corner = row_sums(turned) + still.base.astype(dtype)
         # Where no curve is, the number is known exactly; sums of areas err with the layers.
-        winding = jnp.where(marked.layers == 0, corner, winding)
-    none = jnp.zeros(H * W, bool)
-    crowded = none if marked is None else overlaps(marked, winding)
-    tie = 64 * jnp.finfo(dtype).eps
-    if keep and marked is not None:
-        # A contour along the pixel's side, of whose layers the mean does not tell which it bounds.
-        crowded |= (marked.layers > 0) & (jnp.abs(winding - 1) < tie)
-    alone = ~crowded & (winding < 1 + tie)
+        winding = jnp.where(layers == 0, corner, winding)
+        crowded = overlaps(marked, winding)
+        if keep:
+            # A contour along the pixel's side, of whose layers the mean does not tell which it
+            # bounds.
+            crowded |= (layers > 0) & (jnp.abs(winding - 1) < tie)
+        covered = corner - dropped > 0.5
+        crowded &= ~covered
+    alone = ~crowded & ~covered & (winding < 1 + tie)
     kept = [nothing_kept(part) for part in parts if keep and told]
-    pixels = _Pixels(alone, select(crowded), corner, kept)
-    image = jnp.where(crowded, 0, jnp.clip(winding, 0, 1))
+    pixels = _Pixels(alone, select(crowded), layers, kept)
+    image = jnp.where(covered, 1, jnp.where(crowded, 0, jnp.clip(winding, 0, 1)))
 
     def add(total, resolved: Resolved):
         image, kept = total
         image = image.at[resolved.place].add(resolved.area, mode="drop")
+        if not resolved.visible:
+            return image, kept
         more = zip(kept, resolved.visible, strict=True)
         return image, [k.append(resolved.place, visible) for k, visible in more]
 
     if told:
-        args = (parts, _crowded(pixels, W), W, H, H, still.base)
+        args = parts, _crowded(pixels, W), W, H, still.base
         image, kept = fold_cells(*args, add, (image, kept), flux=keep)
     return jnp.flip(image.reshape(H, W), axis=0), pixels._replace(kept=kept)
 
@@ -252,14 +260,20 @@ def _top_down(pixel: Int[Array, "P"], film: FilmMap) -> Int[Array, "P"]:
 
 
 def _crowded(pixels: _Pixels, W: int) -> Crowded:
-    chosen, corner = pixels.crowded, pixels.corner
+    chosen, layers = pixels.crowded, pixels.layers
 
     def cell(rank):
         pixel = nth(chosen, rank)
         row = jax.lax.div(pixel, jnp.int32(W))
-        return row, pixel - row * W, pixel, corner[pixel]
+        room = jnp.minimum(layers[pixel], np.iinfo(np.int32).max // 2).astype(jnp.int32)
+        return row, pixel - row * W, pixel, room
 
-    return Crowded(chosen.total, cell, lambda row, column: rank_in(chosen, row * W + column))
+    return Crowded(
+        chosen.total,
+        cell,
+        lambda row, column: rank_in(chosen, row * W + column),
+        lambda row, column: count_below(chosen, row * W + column),
+    )
 
 
 def _fold_visible(
@@ -292,7 +306,7 @@ def _fold_visible(
                 rate = jnp.where(seen[:, None, None], -pieces.jump[:, None, None] * rate, 0)
                 return add(total, number, pixel, ids[pieces.curve], rate)
 
-            return fold_pieces(curves, W, H, H, single, total)
+            return fold_pieces(monotone(curves), (W, H, H), single, total)
 
         start = fold_curves(part, chunk, start, part.size, block)
 
@@ -314,4 +328,4 @@ def _fold_visible(
         start = kept.fold(partial(crowd, number=number), start)
     crowded = _crowded(pixels, W)
     crowded = crowded._replace(total=jnp.where(complete, 0, crowded.total))
-    return fold_cells(parts, crowded, W, H, H, still.base, again, start, flux=True)
+    return fold_cells(parts, crowded, W, H, still.base, again, start, flux=True)

@@ -11,26 +11,21 @@ from .._numerics.safe import safe_divide
 from .coverage import Pieces
 from .curves import arc_flux, cut_circle, edge_flux, edge_shares, film_at, nodes, unit_at
 
-#: Pieces of nearly all cells, and of any cell; one with more is cut into smaller cells.
-NARROW = 8
-WIDE = 24
-
 #: So many lanes sweep at a time: where cells are few, each moves on by several stretches.
 LANES = 64
 
 
 class Cells(NamedTuple):
-    """Up to `WIDE` pieces in each cell.
+    """Some pieces in each cell.
 
     `piece` is a piece's lower and upper end (x, y, x, y), in cell units from the cell's corner; 0
     if its curve does not pass the row's bottom, 2 if it is the first that does, else 1 (see
     `Pieces`); and its `jump`. `owner` is the number of its part, -1 for none, and of its curve
-    there. `total` may exceed `WIDE`.
+    there.
     """
 
     piece: Float[Array, "C M 6"]
     owner: Int[Array, "C M 2"]
-    total: Int[Array, "C"]
 
 
 #: Numbers that say what is visible of a straight piece, and of an arc.
@@ -59,49 +54,13 @@ class Visible(NamedTuple):
         return edge_flux(lift, steep, -(length * first + moment * (last - first)))
 
 
-def empty_cells(number: int, dtype) -> Cells:
-    """Return cells without pieces."""
-    return Cells(
-        jnp.zeros((number, WIDE, 6), dtype),
-        jnp.full((number, WIDE, 2), -1, jnp.int32),
-        jnp.zeros(number, jnp.int32),
-    )
-
-
-def insert(cells: Cells, cell: Int[Array, "P"], pieces: Pieces, curve: Array, part: int) -> Cells:
-    """Return the cells with more pieces; `cell` past the end drops one, equal ones are merged."""
-    number, dtype = cells.total.shape[0], cells.piece.dtype
-    origin = jnp.stack([pieces.column, pieces.row] * 2, axis=-1).astype(dtype)
-    ends = jnp.concatenate([pieces.start, pieces.end], axis=1) - origin
+def sweepable(pieces: Pieces) -> tuple[Float[Array, "P"], ...]:
+    """Return what a sweep asks of pieces (see `Cells`), column by column."""
+    dtype = pieces.jump.dtype
+    column, row = pieces.column.astype(dtype), pieces.row.astype(dtype)
+    x0, y0, x1, y1 = (point[:, k] for point in (pieces.start, pieces.end) for k in (0, 1))
     passes = jnp.where(pieces.passes, 1 + pieces.first.astype(jnp.int32), 0).astype(dtype)
-    piece = jnp.concatenate([ends, passes[:, None], pieces.jump[:, None]], axis=1)
-    # Pair by pair: few pieces come at a time, and to sort them would take thrice the kernels.
-    index = jnp.arange(cell.shape[0], dtype=jnp.int32)
-    together = cell[:, None] == cell[None]
-    equal = together
-    for field in range(5):
-        equal &= piece[:, None, field] == piece[None, :, field]
-    before = index[None] < index[:, None]
-    leads = ~jnp.any(equal & before, axis=1)
-    jump = jnp.sum(jnp.where(equal, piece[None, :, 5], 0), axis=1)
-
-    there = jnp.minimum(cell, number - 1)
-    same = (cells.owner[there][..., 0] == part) & jnp.all(
-        cells.piece[there][..., :5] == piece[:, None, :5], axis=-1
-    )
-    known = jnp.any(same, axis=1)
-    fresh = leads & ~known & (cell < number)
-    slot = jnp.sum(together & before & fresh[None], axis=1, dtype=jnp.int32)
-    slot = jnp.where(known, jnp.argmax(same, axis=1).astype(jnp.int32), cells.total[there] + slot)
-    # One addition serves both: a fresh piece falls on zeros, a known one adds its jump alone.
-    none = jnp.where(fresh[:, None], piece, 0).at[:, 5].set(jump)
-    slot = jnp.where(fresh | (known & leads), slot, WIDE)
-    owner = jnp.stack([jnp.full_like(cell, part), curve], axis=1)
-    return Cells(
-        cells.piece.at[cell, slot].add(none, mode="drop"),
-        cells.owner.at[cell, jnp.where(fresh, slot, WIDE)].set(owner, mode="drop"),
-        cells.total.at[cell].add(fresh.astype(jnp.int32), mode="drop"),
-    )
+    return x0 - column, y0 - row, x1 - column, y1 - row, passes, pieces.jump
 
 
 class _Lines(NamedTuple):
