@@ -163,7 +163,8 @@ def masks() -> dict[str, Any]:
 
 def off(truth: pj.Camera) -> pj.Camera:
     """Return where fits start: 8 degrees and 5 % of the distance off."""
-    return orbited(truth, Rotation.from_rotvec(np.deg2rad([4, -6, 3])).as_matrix(), 1.05)
+    start = orbited(truth, Rotation.from_rotvec(np.deg2rad([4, -6, 3])).as_matrix(), 1.05)
+    return pj.Camera(start.e, start.p, start.u, start.phi, 1.0, truth.W, truth.H)
 
 
 def fit_s(scene: pj.Scene, mask: np.ndarray, truth: pj.Camera) -> dict[str, Any]:
