@@ -59,15 +59,6 @@ def overlaps(marks: Marks, winding: Float[Array, "*N"]) -> Bool[Array, "*N"]:
     return (layers > 0) & (chain_layers(marks) != 1) & (winding <= layers)
 
 
-def inward(pieces: Pieces) -> Float[Array, "P"]:
-    """Return how far a pixel's centre is on the side of each piece where there are more layers,
-    times its layers and its length (px^2)."""
-    dx, dy = (pieces.end[:, k] - pieces.start[:, k] for k in (0, 1))
-    corner = (pieces.column.astype(dx.dtype), pieces.row.astype(dx.dtype))
-    x, y = (corner[k] + 0.5 - pieces.start[:, k] for k in (0, 1))
-    return pieces.jump * (dy * x - dx * y)
-
-
 def turns(pieces: Pieces) -> Float[Array, "P"]:
     """Return by how much a row's winding number, at its bottom line, jumps at each piece.
 
