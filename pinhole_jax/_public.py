@@ -24,10 +24,14 @@ from ._camera.rays import (
 from ._files.cache import cache as cache
 from ._fit.fit_camera import fit_camera as fit_camera
 from ._fit.fit_cameras import fit_cameras as fit_cameras
+from ._fit.fit_joint import fit_joint as fit_joint
 from ._fit.fit_points import PointFit as PointFit, fit_points as fit_points
+from ._fit.joint_result import JointFit as JointFit
+from ._fit.joint_views import JointView as JointView
 from ._fit.metrics import iou as iou, pose_error as pose_error
 from ._fit.observability import Observability as Observability, observability as observability
 from ._fit.result import Fit as Fit, Progress as Progress
+from ._scene.assembly import Assembly as Assembly
 from ._scene.scene import Mesh as Mesh, Scene as Scene, Spheres as Spheres
 from ._silhouette.silhouette import silhouette as silhouette
 from ._trace.images import depth as depth, normals as normals

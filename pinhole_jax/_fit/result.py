@@ -164,7 +164,7 @@ def report(
     noise = max(noise if known.variance is None else known.variance, known.kind.least)
     independent, cov = (
         covariance(triangle, to_reported, gradient, BLIND[dtype])
-        for gradient in _gradients(view, noise, known)
+        for gradient in gradients(view, noise, known)
     )
     tolerance, drawn = LAST_STEP * FINE_PX[dtype] / UNIT_PX, is_drawn(known.errors)
     independent = independent + widened(to_reported, [] if drawn else known.free, tolerance)
@@ -176,7 +176,7 @@ def report(
     moves = [f.move for f in free]
     blind, weak = weak_directions(triangle, names_of_moves, axes_of(unit), BLIND[dtype], moves)
     weak = (*map(str, free), *weak, *ended)
-    turn, about = _widest_turn(cov, labels)
+    turn, about = widest_turn(cov, labels)
     wide_open = bool(turn > UNCERTAIN)
     if wide_open:
         axis, degrees = in_words(about @ axes_of(unit)), np.rad2deg(turn)
@@ -210,7 +210,7 @@ def report(
     )
 
 
-def _gradients(view: View, variance: float, known: Known) -> tuple[np.ndarray, np.ndarray]:
+def gradients(view: View, variance: float, known: Known) -> tuple[np.ndarray, np.ndarray]:
     """Return the covariance (n, n) of J^T r if residuals are independent, and as the mask errs."""
     triangle = np.asarray(view.triangle, float)
     independent, errors = variance * triangle.T @ triangle, known.errors
@@ -222,7 +222,7 @@ def _gradients(view: View, variance: float, known: Known) -> tuple[np.ndarray, n
     return independent, share * independent + (1 - share) * beside + errors.gradient
 
 
-def _widest_turn(covariance: np.ndarray, labels: tuple[str, ...]) -> tuple[float, np.ndarray]:
+def widest_turn(covariance: np.ndarray, labels: tuple[str, ...]) -> tuple[float, np.ndarray]:
     """Return the largest standard error (rad) of a small turn, 0 where none is free or none is
     finite, and the axis (3,) of that turn in the camera's axes."""
     turns = np.flatnonzero([label.startswith("rotation") for label in labels])

@@ -5,11 +5,11 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from .._camera.camera import Camera, film_map
+from .._camera.axes import axes_of
+from .._camera.camera import Camera
 from .._files import programs
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import (
@@ -235,11 +235,18 @@ class Solver:
             return view.squares / errors.independent
         return variance * max(float(view.sums.touched) / errors.independent, 1.0)
 
-    def look(self, unit: Camera, level: int) -> View:
-        """Return the view at a camera; capacities get half as much room again as it takes."""
+    def begin(self, unit: Camera, level: int) -> View:
+        """Return the view at a camera while it is being worked out, for `look`: views of several
+        solvers are worked out side by side."""
         self._widen(unit)
+        return self._further(unit, self.levels[level], 0.0, 1, self.capacity)[-1]
+
+    def look(self, unit: Camera, level: int, begun: View | None = None) -> View:
+        """Return the view at a camera (that was `begun` there); capacities get half as much room
+        again as it takes."""
         while True:
-            view = self._further(unit, self.levels[level], 0.0, 1, self.capacity)[-1]
+            view = self.begin(unit, level) if begun is None else begun
+            begun = None
             room = more_room(self.capacity, view.load)
             if room == self.capacity:
                 share = float(self.levels[level].scale) / len(self._target)
@@ -278,7 +285,7 @@ class Solver:
         if self.window == (0, 0, W, H):
             return
         if unit.lens is None or unit.lens.distortion is None:
-            x, y, z = np.asarray(_on_film(unit, self._corners), float).T
+            x, y, z = _on_film(unit, self._corners).T
             shown = H * np.stack([x / z, y / z], axis=-1)
             if np.all(z > 0) and self.window.holds(shown, W, H):
                 return
@@ -363,9 +370,16 @@ class Solver:
         return [*each, end._replace(steps=end.steps - len(each))]
 
 
-@eqx.filter_jit
-def _on_film(unit: Camera, points: Any) -> Float[Array, "n 3"]:
-    return film_map(unit)(jnp.asarray(points, unit.e.dtype))
+def _on_film(unit: Camera, points: np.ndarray) -> np.ndarray:
+    """Return homogeneous film points (n, 3) of a canonical camera, in film heights."""
+    seen = (points - np.asarray(unit.e, float)) @ axes_of(unit).T
+    focal = 0.5 / np.tan(float(unit.phi) / 2)
+    if unit.lens is None:
+        aspect, centre = 1.0, np.array([unit.W / 2 / unit.H, 0.5])
+    else:
+        aspect, centre = float(unit.lens.aspect), np.asarray(unit.lens.principal_point, float)
+    scale = np.array([focal * aspect, focal])
+    return np.column_stack([seen[:, :2] * scale + centre * seen[:, 2:], seen[:, 2]])
 
 
 @eqx.filter_jit

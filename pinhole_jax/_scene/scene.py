@@ -161,12 +161,16 @@ def astype(scene: Scene, dtype: Any) -> Scene:
     """Return the scene in a float type; planes are made anew where the vertices change."""
     mesh, spheres = scene.mesh, scene.spheres
     if mesh is not None and mesh.vertices.dtype != dtype:
-        vertices = mesh.vertices.astype(dtype)
-        planes = _planes_and_clusters(vertices, mesh.faces, mesh.edge_faces)
-        mesh = eqx.tree_at(lambda m: (m.vertices, m.planes), mesh, (vertices, planes))
+        mesh = with_vertices(mesh, mesh.vertices.astype(dtype))
     if spheres is not None and spheres.radii.dtype != dtype:
         spheres = jax.tree.map(lambda x: x.astype(dtype), spheres)
     return Scene(mesh=mesh, spheres=spheres)
+
+
+def with_vertices(mesh: Mesh, vertices: Float[Array, "V 3"]) -> Mesh:
+    """Return the mesh with its vertices elsewhere, and planes made of these."""
+    planes = _planes_and_clusters(vertices, mesh.faces, mesh.edge_faces)
+    return eqx.tree_at(lambda m: (m.vertices, m.planes), mesh, (vertices, planes))
 
 
 def padded(scene: Scene) -> Scene:

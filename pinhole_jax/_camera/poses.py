@@ -1,0 +1,87 @@
+"""Rigid transforms in float64: where a frame lies in another one, as a matrix (4, 4).
+
+A camera's own frame is the field's (OpenCV's): x right, y down, z forward.
+"""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from .axes import axes_of
+from .camera import Camera
+
+Pose = Float[np.ndarray, "4 4"]
+
+#: A matrix is a rotation if it is orthogonal to this.
+ORTHOGONAL = 1e-4
+
+
+def pose_of(camera: Camera) -> Pose:
+    """Return the pose of a camera in its world."""
+    right, up, forward = axes_of(camera)
+    return rigid(np.stack([right, -up, forward], axis=1), np.asarray(camera.e, float))
+
+
+def at_pose(camera: Camera, pose: Pose) -> Camera:
+    """Return the camera at a pose in its world."""
+    right, down, forward = pose[:3, :3].T
+    return camera.with_pose(pose[:3, 3], np.stack([right, -down, forward]))
+
+
+def rigid(rotation: np.ndarray, translation: np.ndarray) -> Pose:
+    """Return x -> rotation x + translation as a matrix (4, 4)."""
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = rotation, translation
+    return result
+
+
+def inverse(pose: Pose) -> Pose:
+    """Return the inverse of a rigid transform."""
+    back = pose[:3, :3].T
+    return rigid(back, -back @ pose[:3, 3])
+
+
+def exponential(twist: Float[np.ndarray, "6"]) -> Pose:
+    """Return the rotation about a vector by its length (rad), and the shift: a twist's halves.
+
+    The shift is not the screw's: to first order both are the same.
+    """
+    turn = twist[:3]
+    angle = float(np.linalg.norm(turn))
+    skew = _skew(turn)
+    a = np.sinc(angle / np.pi)
+    b = np.sinc(angle / (2 * np.pi)) ** 2 / 2
+    return rigid(np.eye(3) + a * skew + b * skew @ skew, twist[3:])
+
+
+def adjoint(pose: Pose) -> Float[np.ndarray, "6 6"]:
+    """Return how a twist is seen from a frame that lies at `pose`: pose exp(x) = exp(Ad x) pose."""
+    rotation = pose[:3, :3]
+    result = np.zeros((6, 6))
+    result[:3, :3] = result[3:, 3:] = rotation
+    result[3:, :3] = _skew(pose[:3, 3]) @ rotation
+    return result
+
+
+def check_pose(name: str, value: Any) -> Pose:
+    """Return a rigid transform, its rotation made orthogonal to the last digit, or raise
+    ValueError."""
+    try:
+        matrix = np.asarray(value, float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"`{name}`: expected a matrix (4, 4), got {value!r}") from error
+    if matrix.shape != (4, 4):
+        raise ValueError(f"`{name}`: expected shape (4, 4), got {matrix.shape}")
+    rotation = matrix[:3, :3]
+    apart = np.max(np.abs(rotation.T @ rotation - np.eye(3))) if np.all(np.isfinite(matrix)) else 1
+    last = np.max(np.abs(matrix[3] - [0, 0, 0, 1]))
+    if not (apart < ORTHOGONAL and last < ORTHOGONAL and np.linalg.det(rotation) > 0):
+        raise ValueError(f"`{name}`: expected a rotation and a translation, got\n{matrix}")
+    left, _, right = np.linalg.svd(rotation)
+    return rigid(left @ right, matrix[:3, 3])
+
+
+def _skew(vector: np.ndarray) -> np.ndarray:
+    x, y, z = vector
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

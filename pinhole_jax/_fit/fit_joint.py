@@ -1,0 +1,134 @@
+"""`fit_joint`: many masks, one problem: a robot's postures, a rig's eyes, an object's views."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .._camera.camera import Camera
+from .agreement import agreed
+from .joint_descent import Descent, descend
+from .joint_problem import JointProblem, Path, Tell, depth_of, descended
+from .joint_result import JointFit, independent_variance, reported, together
+from .joint_search import searched_jointly
+from .joint_views import JointView
+from .problem import COARSE_PX, FINE_PX
+from .strategy import EXACT
+
+#: An outline may lie so many times `outlier_px` from the mask's at first, then less.
+REACHES = (8, 4, 2, 1)
+#: A step that is negligible (px) at the end where masks err by more.
+DRAWN_PX = 5e-3
+#: What covers less than this share of a drawn mask may have come from a wrong start.
+LIKELY_IOU = 0.8
+
+
+def fit_joint(
+    views: Sequence[JointView],
+    cameras: Camera | Mapping[str, Camera],
+    free: str | Sequence[str] = ("pose",),
+    *,
+    objects: Mapping[str, Any] | None = None,
+    rig: Mapping[str, Any] | None = None,
+    search: bool = False,
+    outlier_px: float | None = 2.0,
+    max_steps: int = 64,
+    progress: Callable[[str], None] | None = None,
+) -> JointFit:
+    """Return the cameras and objects whose masks are closest to all those given, with error bars.
+
+    - `views`: `JointView`s: each names its scene, mask and camera, and where both are in the world
+      (see there). All masks seen by one camera have its size.
+    - `cameras`: where to start, by name; one alone is named "camera". Its pose is on what carries
+      it: in the world where a view has no `mount`, else in the mount's frame, x right, y down, z
+      forward (a hand's camera).
+    - `free`: "pose" (without it, the cameras stay where they are), phi, principal_point, aspect and
+      the lens's coefficients, of each camera, the same in all of its views.
+    - `objects`: where unknown objects are at first (4, 4), by the names that views give.
+    - `rig`: poses (4, 4) of cameras on a rig, by name: they move as one, from where the first of
+      them is.
+    - `search`: the pose of the one camera is not known at all; its views are searched, all
+      together. Objects have to be known.
+    - `outlier_px`: as in `fit_camera`: pixels farther from a mask's edge lose their weight at the
+      end, where masks are not exact.
+
+    Each view is reduced to a few rows by the program that a single fit has; what one view alone
+    depends on is eliminated there. So the cost is linear in the views, and nothing is compiled that
+    `fit_camera` has not. Levenberg-Marquardt from coarse to fine leaves the least squares; then
+    views are weighed by what their masks' outlines say of themselves, and one that disagrees with
+    the others counts less (`JointFit.views`).
+
+    Runs outside `jit`; the result is not differentiable.
+
+    Raises ValueError for arguments that make no fit; what the solver met is in `JointFit.status`.
+    """
+    problem = JointProblem.of(views, cameras, free, objects, rig, outlier_px, max_steps)
+    tell = progress if progress is not None else _silent
+    parts = problem.parts()
+    if search and not all(part.searchable() for part, _ in parts):
+        raise ValueError(
+            "`search`: expected False where objects are unknown, or the cameras' pose is not free"
+        )
+    fits = [(_fit(part, search, tell), numbers) for part, numbers in parts]
+    return fits[0][0] if len(fits) == 1 else together(fits)
+
+
+def _silent(words: str) -> None:
+    del words
+
+
+def _fit(problem: JointProblem, search: bool, tell: Tell) -> JointFit:
+    """Return the fit of a problem whose views hang together."""
+    starts = []
+    if not search:
+        starts = [descended(problem, problem.start, tell, range(depth_of(problem), 0, -1))]
+    if search or (problem.searchable() and not _is_content(problem, starts[0])):
+        found = searched_jointly(problem, tell)
+        better = [f for f in found if not starts or f.descent.squares < starts[0].descent.squares]
+        starts = better or starts
+    best, *others = starts
+    fit = _finished(problem, best, tell)
+    modes = [_finished(problem, other, tell) for other in others]
+    if modes and fit.status in ("converged", "rank_deficient", "uncertain"):
+        fit = fit._replace(status="ambiguous")
+    return fit._replace(modes=tuple(modes))
+
+
+def _is_content(problem: JointProblem, path: Path) -> bool:
+    """Return whether a descent's end may be right: where masks are exact, whether they are
+    explained, else whether the scenes lie on them."""
+    pairs = zip(problem.layout.eyes, path.descent.seen, strict=True)
+    return all(
+        eye.solver.explains(seen.view)
+        if eye.solver.kind.exact
+        else float(seen.view.sums.overlap) >= LIKELY_IOU * float(seen.view.sums.union)
+        for eye, seen in pairs
+    )
+
+
+def _finished(problem: JointProblem, path: Path, tell: Tell) -> JointFit:
+    """Return the fit that a state on the finest level leads to."""
+    layout, reach = problem.layout, problem.outlier_px
+    eyes = layout.eyes
+    misfits = [seen.view.touched_misfit for seen in path.descent.seen]
+    inexact = [eye for eye, misfit in zip(eyes, misfits, strict=True) if misfit > EXACT]
+    px = DRAWN_PX if inexact else FINE_PX[eyes[0].solver.dtype]
+    if reach is None or not inexact:
+        path = path.then(descended(problem, path.descent.state, tell, [1], px))
+    else:
+        for times in REACHES:
+            for eye in inexact:
+                eye.solver.weigh(eye.mask.near_edge(times * reach), only_finest=True)
+            last = px if times == 1 else COARSE_PX
+            path = path.then(descended(problem, path.descent.state, tell, [1], last))
+
+    def weighed(before: Descent, weights: np.ndarray) -> Descent:
+        return descend(layout, before.state, 1, weights, problem.max_steps, px)
+
+    found = agreed(layout, path.descent, weighed)
+    independent = independent_variance(layout, found)
+    for eye in inexact:
+        eye.solver.weigh(eye.mask.weight)
+    state = found.descent.state
+    whole = [eye.solver.look(eye.unit(state), eye.solver.finest) for eye in eyes]
+    return reported(problem, path.steps, found, independent, [view.sums for view in whole])

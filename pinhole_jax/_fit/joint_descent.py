@@ -1,0 +1,244 @@
+"""One least-squares problem over many views: each is reduced to a few rows, by its own program.
+
+The rows of a view are its R of J = QR times how its moves follow the unknowns. What only one view
+depends on is eliminated there, so the cost is linear in the views.
+"""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from .._camera.camera import Camera
+from .joint_views import Eye, State, Unknown, stepped
+from .problem import COSINE, UNIT_PX, View
+
+#: Damping of the first step, in squares of the columns' norms, and of what it is at least.
+FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
+
+
+#: Held by the thread that asks for a program.
+ASKING = Lock()
+
+
+class Rows(NamedTuple):
+    """Residuals (m,) `rows x[columns] + left` of one view; `own` (k,) are unknowns that no other
+    view depends on."""
+
+    rows: np.ndarray
+    left: np.ndarray
+    columns: np.ndarray
+    own: np.ndarray
+
+    def times(self, factor: float) -> "Rows":
+        """Return them, each times a factor."""
+        return self._replace(rows=factor * self.rows, left=factor * self.left)
+
+
+class Seen(NamedTuple):
+    """A view at a state, and its moves (n, k) by the unknowns."""
+
+    view: View
+    moves: np.ndarray
+
+
+class Layout:
+    """Where each unknown's numbers are among all, and which views depend on it."""
+
+    def __init__(self, unknowns: Sequence[Unknown], eyes: Sequence[Eye]):
+        self.unknowns, self.eyes = list(unknowns), list(eyes)
+        ends = np.cumsum([u.size for u in self.unknowns], dtype=int)
+        self.size = int(ends[-1]) if len(ends) else 0
+        self._places = [np.arange(end - u.size, end) for u, end in zip(unknowns, ends, strict=True)]
+        self._of = [
+            [k for k, unknown in enumerate(self.unknowns) if eye.depends_on(unknown)]
+            for eye in self.eyes
+        ]
+        seen_by = np.bincount([k for of in self._of for k in of], minlength=len(self.unknowns))
+        self.shared = seen_by > 1 if len(self.eyes) > 1 else np.ones(len(seen_by), bool)
+
+    def of(self, k: int) -> list[Unknown]:
+        """Return the unknowns that a view depends on."""
+        return [self.unknowns[j] for j in self._of[k]]
+
+    def place(self, name: str, is_pose: bool) -> np.ndarray | None:
+        """Return where an unknown's numbers are, None for what is none."""
+        for unknown, place in zip(self.unknowns, self._places, strict=True):
+            if (unknown.name, unknown.is_pose) == (name, is_pose):
+                return place
+        return None
+
+    def rows(self, k: int, rows: np.ndarray, left: np.ndarray) -> Rows:
+        """Return rows of a view, by the unknowns that it depends on."""
+        own = np.concatenate(
+            [np.full(len(self._places[j]), not self.shared[j]) for j in self._of[k]]
+        )
+        return Rows(rows, left, self.columns(k), own)
+
+    def columns(self, k: int) -> np.ndarray:
+        """Return where the numbers are that a view depends on."""
+        return np.concatenate([self._places[j] for j in self._of[k]])
+
+    def look(self, state: State, depth: int) -> list[Seen]:
+        """Return what all views see on a level."""
+        at = [(eye.unit(state), eye.level(depth)) for eye in self.eyes]
+        begun = _side_by_side(self.eyes, at)
+        result = []
+        for k, (eye, a, view) in enumerate(zip(self.eyes, at, begun, strict=True)):
+            view = eye.solver.look(*a, view)
+            result.append(Seen(view, eye.moves(state, view, self.of(k))))
+        return result
+
+    def least_squares(self, seen: list[Seen], weights: np.ndarray) -> list[Rows]:
+        """Return the rows of all views' residuals."""
+        return [
+            self.rows(
+                k,
+                np.asarray(s.view.triangle, float) @ s.moves,
+                np.asarray(s.view.along, float),
+            ).times(weights[k] ** 0.5)
+            for k, s in enumerate(seen)
+        ]
+
+
+def _side_by_side(eyes: list[Eye], at: list[tuple[Camera, int]]) -> list[View]:
+    """Return the views' looks, worked out side by side: a program of its own thread each, as JAX
+    runs what one thread asks for one after the other."""
+
+    def look(eye: Eye, place: tuple[Camera, int]) -> View:
+        with ASKING:  # (Python's part of it: what is kept of programs is not made for threads.)
+            view = eye.solver.begin(*place)
+        return jax.block_until_ready(view)
+
+    workers = min(len(eyes), os.cpu_count() or 1)
+    if workers == 1:
+        return [eye.solver.begin(*place) for eye, place in zip(eyes, at, strict=True)]
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(look, eyes, at))
+
+
+class Solved(NamedTuple):
+    """The least squares' x, and what determines it: the shared unknowns' triangle, and of each view
+    the triangle of its own unknowns and what the shared ones do to these."""
+
+    x: np.ndarray
+    shared: np.ndarray
+    triangle: np.ndarray
+    own: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+    def inverse(self, place: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return the inverse of the normal matrix between some unknowns (p,) and others (q,)."""
+        back = np.linalg.pinv(self.triangle)
+        left, right = self._by_shared(place), self._by_shared(columns)
+        result = left @ back @ (right @ back).T
+        for own, triangle, _ in self.own:
+            rows, others = (np.flatnonzero(np.isin(x, own)) for x in (place, columns))
+            if rows.size and others.size:
+                inverse = np.linalg.pinv(triangle)
+                of = lambda x, inverse=inverse, own=own: inverse[np.searchsorted(own, x)]
+                result[np.ix_(rows, others)] += of(place[rows]) @ of(columns[others]).T
+        return result
+
+    def _by_shared(self, place: np.ndarray) -> np.ndarray:
+        """Return how unknowns follow the shared ones (p, s)."""
+        result = np.zeros((len(place), len(self.shared)))
+        held = np.flatnonzero(np.isin(place, self.shared))
+        result[held, np.searchsorted(self.shared, place[held])] = 1
+        for own, triangle, across in self.own:
+            at = np.flatnonzero(np.isin(place, own))
+            if at.size:
+                result[at] = -(np.linalg.pinv(triangle) @ across)[np.searchsorted(own, place[at])]
+        return result
+
+
+def solve(parts: list[Rows], size: int, damping: np.ndarray) -> Solved:
+    """Return the x (size,) of least squares, `damping` (size,) times x among the residuals."""
+    shared = np.setdiff1d(np.arange(size), np.concatenate([p.columns[p.own] for p in parts]))
+    x, reduced, owns = np.zeros(size), [], []
+    for part in parts:
+        own = part.columns[part.own]
+        across = np.zeros((len(part.left), len(shared)))
+        across[:, np.searchsorted(shared, part.columns[~part.own])] = part.rows[:, ~part.own]
+        table = np.column_stack([part.rows[:, part.own], across, part.left])
+        damped = np.zeros((len(own), table.shape[1]))
+        damped[:, : len(own)] = np.diag(damping[own])
+        r: Any = np.linalg.qr(np.concatenate([table, damped]), mode="r")
+        m = len(own)
+        owns.append((own, r[:m, :m], r[:m, m:-1], r[:m, -1]))
+        reduced.append(r[m:, m:])
+    table = np.concatenate([*reduced, np.column_stack([np.diag(damping[shared]), 0 * shared])])
+    r: Any = np.linalg.qr(table, mode="r")[: len(shared)]
+    x[shared] = -np.linalg.pinv(r[:, :-1]) @ r[:, -1]
+    for own, triangle, across, left in owns:
+        x[own] = -np.linalg.pinv(triangle) @ (left + across @ x[shared])
+    return Solved(x, shared, r[:, :-1], [part[:3] for part in owns])
+
+
+def moved_by(x: np.ndarray, seen: list[Seen], parts: list[Rows]) -> float:
+    """Return the largest move that a step makes in any view, in its solver's units."""
+    return max(
+        float(np.max(np.abs(s.moves @ x[p.columns]), initial=0))
+        for s, p in zip(seen, parts, strict=True)
+    )
+
+
+class Descent(NamedTuple):
+    """A state, what is seen there, the squares, steps, and whether they ended by themselves."""
+
+    state: State
+    seen: list[Seen]
+    squares: float
+    steps: int
+    ended: bool
+
+
+def descend(
+    layout: Layout,
+    state: State,
+    depth: int,
+    weights: np.ndarray,
+    most: int,
+    px: float,
+) -> Descent:
+    """Return the state after Levenberg-Marquardt on one level."""
+    dtype = layout.eyes[0].solver.dtype
+    tolerance = px / UNIT_PX
+    seen, damping, size = layout.look(state, depth), FIRST_DAMPING, np.zeros(layout.size)
+    squares = _squares(seen, weights)
+    for n in range(1, most + 1):
+        parts = layout.least_squares(seen, weights)
+        size = np.maximum(size, _column_norms(parts, layout.size))
+        x = solve(parts, layout.size, damping**0.5 * size).x
+        moved = max(
+            float(np.max(np.abs(s.moves @ x[p.columns]), initial=0))
+            for s, p in zip(seen, parts, strict=True)
+        )
+        change = sum(float(np.sum((p.rows @ x[p.columns]) ** 2)) for p in parts)
+        if not np.isfinite(moved):
+            return Descent(state, seen, squares, n, False)
+        trial = stepped(state, layout.unknowns, x, layout.eyes)
+        there = layout.look(trial, depth)
+        after = _squares(there, weights)
+        if after <= squares:
+            state, seen, squares = trial, there, after
+            damping = max(damping / 10, LEAST_DAMPING)
+        else:
+            damping *= 10
+        if moved < tolerance or change <= COSINE[dtype] ** 2 * squares:
+            return Descent(state, seen, squares, n, True)
+    return Descent(state, seen, squares, most, False)
+
+
+def _squares(seen: list[Seen], weights: np.ndarray) -> float:
+    return float(sum(w * s.view.squares for w, s in zip(weights, seen, strict=True)))
+
+
+def _column_norms(parts: list[Rows], size: int) -> np.ndarray:
+    total = np.zeros(size)
+    for part in parts:
+        np.add.at(total, part.columns, np.sum(part.rows**2, axis=0))
+    return total**0.5

@@ -1,0 +1,212 @@
+"""What is sought in many views, checked at the door, and the way from coarse to fine."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._camera.camera import Camera, check_camera
+from .._camera.poses import Pose, check_pose, inverse, pose_of
+from .._scene.scene import check_scene
+from .fit_camera import check_border, check_steps
+from .joint_descent import Descent, Layout, descend
+from .joint_views import TWIST, Eye, JointView, State, Unknown
+from .mask import Mask
+from .moves import canonical
+from .parameters import check_free, components, in_one, with_lens
+from .problem import COARSE_PX
+from .residuals import Capacity
+from .solver import Solver
+from .target import check_target, levelled
+
+#: The name of the pose that all cameras of a rig share.
+RIG = "rig"
+
+Tell = Callable[[str], None]
+
+
+class JointProblem(NamedTuple):
+    """Unknowns and views, where to start, and the cameras as they are given.
+
+    `names` is what is free of a view's own camera, `moving` the name of the pose that each camera
+    goes with, `rig` the cameras' places there.
+    """
+
+    layout: Layout
+    start: State
+    cameras: Mapping[str, Camera]
+    names: tuple[str, ...]
+    moving: Mapping[str, str]
+    rig: Mapping[str, Pose]
+    outlier_px: float | None
+    max_steps: int
+
+    @classmethod
+    def of(
+        cls,
+        views: Any,
+        cameras: Any,
+        free: Any,
+        objects: Any,
+        rig: Any,
+        outlier_px: float | None,
+        max_steps: int,
+    ) -> "JointProblem":
+        """Return the problem, or raise ValueError."""
+        check_steps(max_steps)
+        if outlier_px is not None and not outlier_px > 0:
+            raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
+        given = _checked_views(views)
+        cameras = {"camera": cameras} if isinstance(cameras, Camera) else cameras
+        if not isinstance(cameras, Mapping):
+            raise ValueError(
+                f"`cameras`: expected a Camera, or a dict of them, got {type(cameras).__name__}"
+            )
+        for name, camera in cameras.items():
+            check_camera(camera, f"cameras[{name!r}]")
+        poses = {n: check_pose(f"objects[{n!r}]", x) for n, x in (objects or {}).items()}
+        fixed = {n: check_pose(f"rig[{n!r}]", x) for n, x in (rig or {}).items()}
+        for kind, known, asked in (
+            ("cameras", cameras, {v.camera for v in given} | set(fixed)),
+            ("objects", poses, {v.object for v in given if v.object is not None}),
+        ):
+            if missing := sorted(asked - set(known)):
+                have = ", ".join(known) or "none"
+                raise ValueError(f"`{kind}`: expected {', '.join(missing)} among them, got {have}")
+            if idle := sorted(set(known) - asked):
+                raise ValueError(f"`{kind}`: expected what a view names, got {', '.join(idle)}")
+        if both := sorted({*cameras, *([RIG] if fixed else [])} & set(poses)):
+            raise ValueError(f"`objects`: expected names of their own, got {', '.join(both)}")
+        first = next(iter(cameras.values()))
+        names = in_one(check_free(free, first))
+        if {"position", "orientation", "d"} & {*names}:
+            raise ValueError(f"`free`: expected pose, phi or a lens's, got {', '.join(names)}")
+        cameras = {n: with_lens(c, names) for n, c in cameras.items()}
+        own = ("pose", *(n for n in names if n != "pose"))
+        moving = {n: RIG if n in fixed else n for n in cameras}
+        lenses = {n: canonical(c) for n, c in cameras.items()}
+        for name, camera in cameras.items():
+            back = inverse(fixed.get(name, np.eye(4)))
+            poses.setdefault(moving[name], pose_of(camera) @ back)
+        eyes = [
+            _eye(k, view, cameras[view.camera], own, moving, fixed, max_steps, outlier_px)
+            for k, view in enumerate(given)
+        ]
+        largest = Capacity(*np.max([eye.solver.capacity for eye in eyes], axis=0).tolist())
+        for eye in eyes:
+            eye.solver.capacity = largest
+        bent = sum(len(components((n,))) for n in own[1:])
+        moved = dict.fromkeys(moving.values()) if "pose" in names else {}
+        unknowns = [Unknown(n, True, TWIST) for n in (*moved, *(objects or {}))]
+        unknowns += [Unknown(n, False, bent) for n in cameras if bent]
+        if not unknowns:
+            raise ValueError("`free`: expected something to fit, got none")
+        start = State(poses, lenses)
+        return cls(
+            Layout(unknowns, eyes), start, cameras, own, moving, fixed, outlier_px, max_steps
+        )
+
+    def parts(self) -> list[tuple["JointProblem", list[int]]]:
+        """Return the problems that have no unknown in common, and the numbers of their views."""
+        groups: list[tuple[set[Unknown], list[int]]] = []
+        for k in range(len(self.layout.eyes)):
+            linked, views = set(self.layout.of(k)), [k]
+            apart = []
+            for unknowns, others in groups:
+                if unknowns & linked:
+                    linked, views = linked | unknowns, others + views
+                else:
+                    apart.append((unknowns, others))
+            groups = [*apart, (linked, views)]
+        if len(groups) == 1:
+            return [(self, groups[0][1])]
+        result = []
+        for linked, views in groups:
+            eyes = [self.layout.eyes[k] for k in views]
+            layout = Layout([u for u in self.layout.unknowns if u in linked], eyes)
+            names = {eye.camera for eye in eyes}
+            cameras = {n: c for n, c in self.cameras.items() if n in names}
+            result.append((self._replace(layout=layout, cameras=cameras), views))
+        return result
+
+    def searchable(self) -> str | None:
+        """Return the name of the one pose that a search may find, if there is one."""
+        poses = [u.name for u in self.layout.unknowns if u.is_pose]
+        of_object = any(eye.object in poses for eye in self.layout.eyes)
+        return poses[0] if len(poses) == 1 and not of_object else None
+
+
+def _checked_views(views: Any) -> list[JointView]:
+    if not isinstance(views, Sequence) or isinstance(views, JointView):
+        raise ValueError(f"`views`: expected JointViews in a list, got {type(views).__name__}")
+    if not views:
+        raise ValueError("`views`: expected at least one JointView, got none")
+    for k, view in enumerate(views):
+        if not isinstance(view, JointView):
+            raise ValueError(f"`views[{k}]`: expected a JointView, got {type(view).__name__}")
+        check_scene(view.scene)
+    return list(views)
+
+
+def _eye(
+    k: int,
+    view: JointView,
+    camera: Camera,
+    names: tuple[str, ...],
+    moving: Mapping[str, str],
+    rig: Mapping[str, Pose],
+    max_steps: int,
+    outlier_px: float | None,
+) -> Eye:
+    place = lambda what, x: np.eye(4) if x is None else check_pose(f"views[{k}].{what}", x)
+    try:
+        image, weight = check_target(view.target, view.weight, camera.W, camera.H)
+        check_border(image, weight, view.scene, None)
+    except ValueError as error:
+        raise ValueError(f"`views[{k}]`: {error}") from error
+    image = levelled(image, weight)
+    continued = outlier_px is not None
+    solver = Solver(
+        view.scene, image, weight, camera.e.dtype, names, max_steps, continued=continued
+    )
+    mask = Mask(image, weight, camera)
+    mount, placed = place("mount", view.mount), place("placed", view.placed)
+    pose = rig.get(view.camera, np.eye(4))
+    return Eye(mask, solver, view.camera, moving[view.camera], view.object, mount, pose, placed)
+
+
+class Path(NamedTuple):
+    """A state that steps led to, and how many on each level."""
+
+    descent: Descent
+    steps: tuple[int, ...]
+
+    def then(self, further: "Path") -> "Path":
+        """Return a further descent, with the steps of both."""
+        return Path(further.descent, self.steps + further.steps)
+
+
+def depth_of(problem: JointProblem) -> int:
+    """Return the number of levels of the view that has most."""
+    return max(len(eye.solver.levels) for eye in problem.layout.eyes)
+
+
+def descended(
+    problem: JointProblem,
+    state: State,
+    tell: Tell,
+    depths: Sequence[int],
+    px: float = COARSE_PX,
+) -> Path:
+    """Return where a descent from level to level leads to, steps on the finest of which are
+    negligible below so many px."""
+    layout, steps = problem.layout, []
+    ones = np.ones(len(layout.eyes))
+    found = Descent(state, [], np.inf, 0, False)
+    for depth in depths:
+        least = px if depth == 1 else COARSE_PX
+        found = descend(layout, found.state, depth, ones, problem.max_steps, least)
+        steps.append(found.steps)
+        left = depth - 1
+        tell(f"{len(ones)} views: {found.steps} steps, {left} level{'s' * (left != 1)} left")
+    return Path(found, tuple(steps))

@@ -1,0 +1,319 @@
+"""What a joint fit found, as a user reads it."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from .._camera.axes import axes_of
+from .._camera.camera import Camera
+from .._camera.poses import Pose, adjoint, at_pose, inverse
+from .._names import STATUSES
+from .agreement import Agreement
+from .joint_descent import Layout
+from .joint_problem import JointProblem
+from .joint_views import TO_B, TWIST
+from .moves import on_film
+from .parameters import LABELS, components, labels_of
+from .result import LEAST_IOU, UNCERTAIN, Fit, MaskError, widest_turn
+from .uncertainty import BLIND, in_words
+
+#: A view this many times farther off than is usual is named.
+OFF = 2.5
+#: Views that differ by so many times what their masks' errors say do not do so by chance.
+TELLING = 2.0
+#: A view with less weight than this decides nothing.
+COUNTS = 0.1
+#: Of a normal distribution 95 % lie within so many standard deviations.
+NORMAL_95 = 1.959964
+
+
+class ViewFit(NamedTuple):
+    """One view of a joint fit.
+
+    - `camera`: its camera in its scene's own frame: `silhouette(camera, scene)` is what it shows.
+    - `iou`, `rms`: of its mask, as in `Fit`.
+    - `off`: how far mask and outline go apart, beside the middle one of all views.
+    - `weight`: how much it counts, at most 1: less where they go farther apart.
+    - `mask_error`: how the mask's outline errs; None where it is exact, and explained.
+    """
+
+    camera: Camera
+    iou: float
+    rms: float
+    off: float
+    weight: float
+    mask_error: MaskError | None
+
+
+class ObjectPose(NamedTuple):
+    """An object's `pose` in the world (4, 4); the `covariance` (6, 6) of a small rotation about the
+    object's own axes x, y, z (rad) and of its place (world units)."""
+
+    pose: Pose
+    covariance: Float[np.ndarray, "6 6"]
+
+    @property
+    def std(self) -> Float[np.ndarray, "6"]:
+        """Return the standard deviations."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+class JointFit(NamedTuple):
+    """The result of `fit_joint`.
+
+    - `status`: as in `Fit`; trust the answer only where it is "converged".
+    - `cameras`: for each camera's name a `Fit`: its camera's pose is on what carries it (in the
+      world, if nothing does), its covariance is that of all views together.
+    - `objects`: for each unknown object an `ObjectPose`.
+    - `views`: what became of each mask, in their order.
+    - `excess`: by how many times views differ more than their masks' errors say (1: no more): joint
+      angles, meshes or lenses err. The covariances have grown by its square.
+    - `weak`: in words, what the masks determine badly, and which views disagree.
+    - `modes`: other answers that explain the masks as well.
+    - `steps`: on each level, coarse to fine.
+    """
+
+    status: str
+    cameras: Mapping[str, Fit]
+    objects: Mapping[str, ObjectPose]
+    views: tuple[ViewFit, ...]
+    excess: float
+    weak: tuple[str, ...]
+    modes: tuple["JointFit", ...]
+    steps: tuple[int, ...]
+
+    @property
+    def camera(self) -> Camera:
+        """Return the camera, where there is one."""
+        if len(self.cameras) != 1:
+            known = ", ".join(self.cameras)
+            raise ValueError(f"`camera`: expected one camera, got {known}: see `cameras`")
+        return next(iter(self.cameras.values())).camera
+
+    def __str__(self) -> str:
+        """Return it as tables."""
+        lines = [f"{self.status}: {len(self.views)} views"]
+        lines += [f"  {words}" for words in self.weak]
+        for name, fit in self.cameras.items():
+            lines += [f"{name}:", str(fit)]
+        for name, found in self.objects.items():
+            place = ", ".join(f"{x:.6g}" for x in found.pose[:3, 3])
+            lines.append(f"{name}: at ({place})")
+        lines.append("view   IoU     rms     off  weight")
+        for k, v in enumerate(self.views):
+            lines.append(f"{k:4d}  {v.iou:.4f}  {v.rms:.4f}  {v.off:4.1f}  {v.weight:.2f}")
+        return "\n".join(lines)
+
+
+def independent_variance(layout: Layout, found: Agreement) -> float:
+    """Return a residual's variance, were all of them independent and of one."""
+    sums = [s.view.sums for s in found.descent.seen]
+    squares = sum(float(s.touched_squares) for s in sums)
+    count = sum(float(s.touched) for s in sums)
+    least = max(eye.solver.kind.least for eye in layout.eyes)
+    return max(squares / max(count - layout.size, 1), least)
+
+
+def reported(
+    problem: JointProblem,
+    steps: tuple[int, ...],
+    found: Agreement,
+    independent: float,
+    sums: list[Any],
+) -> JointFit:
+    layout = problem.layout
+    views = tuple(_view_fit(problem, k, found, total) for k, total in enumerate(sums))
+    from scipy.stats import t
+
+    wider = found.excess**2
+    if found.excess > 1:
+        wider *= (float(t.ppf(0.975, found.freedom)) / NORMAL_95) ** 2
+    cameras = {
+        name: _camera_fit(problem, name, steps, found, independent, sums, views, wider)
+        for name in problem.cameras
+    }
+    objects = {}
+    for name in {eye.object for eye in layout.eyes if eye.object is not None}:
+        pose, place = found.descent.state.poses[name], layout.place(name, True)
+        assert place is not None
+        turned = np.eye(TWIST)
+        turned[3:, 3:] = pose[:3, :3]
+        covariance = wider * turned @ found.covariance(layout, place) @ turned.T
+        objects[name] = ObjectPose(pose, covariance)
+    return JointFit(
+        status=_worst([fit.status for fit in cameras.values()]),
+        cameras=cameras,
+        objects=objects,
+        views=views,
+        excess=found.excess,
+        weak=tuple(_words(found, views)),
+        modes=(),
+        steps=steps,
+    )
+
+
+def together(fits: list[tuple[JointFit, list[int]]]) -> JointFit:
+    """Return fits that have nothing in common, and the numbers of their views, as one."""
+    views = {k: v for fit, numbers in fits for k, v in zip(numbers, fit.views, strict=True)}
+    return JointFit(
+        status=_worst([fit.status for fit, _ in fits]),
+        cameras={n: c for fit, _ in fits for n, c in fit.cameras.items()},
+        objects={n: o for fit, _ in fits for n, o in fit.objects.items()},
+        views=tuple(views[k] for k in sorted(views)),
+        excess=max(fit.excess for fit, _ in fits),
+        weak=tuple(words for fit, _ in fits for words in fit.weak),
+        modes=tuple(mode for fit, _ in fits for mode in fit.modes),
+        steps=max((fit.steps for fit, _ in fits), key=sum),
+    )
+
+
+def _view_fit(problem: JointProblem, k: int, found: Agreement, sums: Any) -> ViewFit:
+    eye = problem.layout.eyes[k]
+    camera = on_film(eye.unit(found.descent.state), problem.cameras[eye.camera])
+    total: Any = jax.tree.map(float, sums)
+    errors = found.errors[k]
+    return ViewFit(
+        camera=camera,
+        iou=total.overlap / total.union if total.union > 0 else 0.0,
+        rms=float(np.sqrt(total.squares / total.weight)) if total.weight > 0 else float("nan"),
+        off=float(found.off[k]),
+        weight=float(found.weights[k]),
+        mask_error=None if errors is None else MaskError(errors.size, errors.length),
+    )
+
+
+def _camera_fit(
+    problem: JointProblem,
+    name: str,
+    steps: tuple[int, ...],
+    found: Agreement,
+    independent: float,
+    sums: list[Any],
+    views: tuple[ViewFit, ...],
+    wider: float,
+) -> Fit:
+    layout, names = problem.layout, problem.names
+    seen_by = [k for k, eye in enumerate(layout.eyes) if eye.camera == name]
+    view = found.descent.seen[seen_by[0]].view
+    back = problem.rig.get(name, np.eye(4))
+    pose = found.descent.state.poses[problem.moving[name]] @ back
+    camera = on_film(at_pose(found.descent.state.lenses[name], pose), problem.cameras[name])
+
+    # What is reported, by the unknowns.
+    place, columns, labels = [], [], []
+    if (at := layout.place(problem.moving[name], True)) is not None:
+        twisted = np.zeros((TWIST, TWIST))
+        twisted[:3, :3], twisted[3:, 3:] = TO_B, pose[:3, :3]
+        place.append(at)
+        columns.append(twisted @ adjoint(inverse(back)))
+        labels += labels_of(("pose",))
+    if (at := layout.place(name, False)) is not None:
+        n = len(components(("pose",)))
+        derivative = np.array(view.to_reported, float)[n:, n:] / np.asarray(view.unit, float)[n:]
+        in_px = [LABELS[label].unit == "px" for label in labels_of(names[1:])]
+        derivative[in_px] *= camera.H
+        place.append(at)
+        columns.append(derivative)
+        labels += labels_of(names[1:])
+    by_unknowns = np.zeros((len(labels), len(labels)))
+    row = 0
+    for block in columns:
+        by_unknowns[row : row + len(block), row : row + len(block)] = block
+        row += len(block)
+    places = np.concatenate(place) if place else np.zeros(0, int)
+    covariance = wider * by_unknowns @ found.covariance(layout, places) @ by_unknowns.T
+    inverse_normal = found.solved.inverse(places, places)
+    classical = independent * by_unknowns @ inverse_normal @ by_unknowns.T
+
+    of: Any = [jax.tree.map(float, sums[k]) for k in seen_by]
+    overlap, union = sum(s.overlap for s in of), sum(s.union for s in of)
+    squares, weight = sum(s.squares for s in of), sum(s.weight for s in of)
+    errors = [views[k].mask_error for k in seen_by]
+    known = [e for e in errors if e is not None]
+    iou = overlap / union if union > 0 else 0.0
+    status, weak = _status(problem, found, covariance, labels, iou, seen_by, camera)
+    return Fit(
+        camera=camera,
+        status=status,
+        names=tuple(labels),
+        covariance=covariance,
+        std=np.sqrt(np.diag(covariance)),
+        rms=float(np.sqrt(squares / weight)) if weight > 0 else float("nan"),
+        iou=iou,
+        steps=steps,
+        weak=weak,
+        independent_covariance=classical,
+        mask_error=max(known, key=lambda e: e.px) if known else None,
+    )
+
+
+def _status(
+    problem: JointProblem,
+    found: Agreement,
+    covariance: np.ndarray,
+    labels: list[str],
+    iou: float,
+    seen_by: list[int],
+    camera: Camera,
+) -> tuple[str, tuple[str, ...]]:
+    """Return the status of a camera, and what its masks determine badly, in words."""
+    layout = problem.layout
+    squares = found.descent.squares
+    if not (np.isfinite(squares) and np.all(np.isfinite(covariance))):
+        return "non_finite", ()
+    if iou < LEAST_IOU:
+        return "no_overlap", ()
+    if not found.descent.ended:
+        return "max_steps", ()
+    explained = [
+        layout.eyes[k].solver.kind.explains(found.descent.seen[k].view.touched_misfit, False)
+        or not layout.eyes[k].solver.kind.exact
+        or found.weights[k] < COUNTS
+        for k in seen_by
+    ]
+    if not all(explained):
+        views = ", ".join(str(k) for k, ok in zip(seen_by, explained, strict=True) if not ok)
+        return "misfit", (f"the masks of views {views} are not explained as exact ones would be",)
+    blind = BLIND[layout.eyes[0].solver.dtype]
+    triangle = found.solved.triangle
+    size = np.linalg.norm(triangle, axis=0)
+    values = np.linalg.svd(triangle / np.where(size > 0, size, 1), compute_uv=False)
+    if len(values) and (np.any(size == 0) or values[-1] <= blind * values[0]):
+        return "rank_deficient", ("some move changes no mask",)
+    turn, about = widest_turn(covariance, tuple(labels))
+    if turn > UNCERTAIN:
+        axis, degrees = in_words(about @ axes_of(camera)), np.rad2deg(turn)
+        words = f"the turn about the axis {axis} is told to {degrees:.0f} degrees (one sigma)"
+        return "uncertain", (words,)
+    return "converged", ()
+
+
+def _worst(statuses: list[str]) -> str:
+    """Return the status that is the least to be trusted."""
+    order = list(STATUSES)
+    return max(statuses, key=order.index)
+
+
+def _words(found: Agreement, views: tuple[ViewFit, ...]) -> list[str]:
+    result = []
+    if found.excess > TELLING:
+        result.append(
+            f"the views differ by {found.excess:.1f} times what their masks' errors say: joint"
+            " angles, meshes, transforms or the lens are off"
+        )
+    if len(views) > 2:
+        result += [
+            f"view {k}: mask and outline go {view.off:.1f} times as far apart as in most views: it"
+            f" counts {view.weight:.2g}"
+            for k, view in enumerate(views)
+            if view.off > OFF
+        ]
+    result += [
+        f"view {k} shows something else: IoU {view.iou:.2f}"
+        for k, view in enumerate(views)
+        if view.iou < LEAST_IOU
+    ]
+    return result
