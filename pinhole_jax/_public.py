@@ -5,6 +5,7 @@ from . import (
     io as io,
     plot as plot,
     report as report,
+    robots as robots,
     shapes as shapes,
     testing as testing,
 )

@@ -58,7 +58,7 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], Any] | None = N
         ) from error
     if not len(faces):
         raise ValueError(f"`path`: expected a mesh with faces, got {str(path)!r}: none")
-    merged, place = _merged(polygons.points, faces)
+    merged, place = welded(polygons.points, faces)
     try:
         mesh = Mesh(merged, place)
     except ValueError as error:  # too large for float32
@@ -98,7 +98,7 @@ def _check_corners(polygons: Polygons, path: Any) -> None:
         raise ValueError(f"`path`: expected finite vertices, got {str(path)!r}: NaN or infinity")
 
 
-def _merged(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def welded(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the points that faces use, each place once and in order, and the faces of these."""
     used = np.zeros(len(points), bool)
     used[faces] = True

@@ -1,0 +1,156 @@
+"""Robots: the scene that a URDF and joint angles make, for `fit_joint` (needs `[robots]`).
+
+yourdfpy reads the URDF and knows where links are; the meshes are welded by position, since in a
+mesh whose faces do not share their vertices every edge would be a border.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ._files.paths import existing, reason
+from ._scene.assembly import Assembly
+from ._scene.scene import Mesh, Scene
+from .io.meshes import load_mesh, welded
+
+#: What only another library reads, of the mesh files that robots have.
+OTHERS = (".dae",)
+
+
+class Robot:
+    """A robot: `joints` in the order that angles are given in, `links` that have a shape.
+
+    `scene(angles)` is what a camera sees of it, in the frame of its base.
+    """
+
+    joints: tuple[str, ...]
+    links: tuple[str, ...]
+
+    def __init__(self, urdf: Any, bodies: Sequence[tuple[str, Float[np.ndarray, "4 4"], Mesh]]):
+        self._urdf = urdf
+        self.joints = tuple(urdf.actuated_joint_names)
+        self._following = {n for n, j in urdf.joint_map.items() if j.mimic is not None}
+        self._at = [(link, place) for link, place, _ in bodies]
+        self.links = tuple(dict.fromkeys(link for link, _ in self._at))
+        self._assembly = Assembly([mesh for _, _, mesh in bodies])
+
+    def poses(self, angles: Any) -> dict[str, Float[np.ndarray, "4 4"]]:
+        """Return the pose of each link in the base's frame: what carries a camera on a link is one.
+
+        - `angles`: of the joints (rad; of sliding ones in m), by name or in the order of `joints`.
+
+        Raises ValueError for angles that are missing, of unknown joints or not finite.
+        """
+        self._urdf.update_cfg(self._checked(angles))
+        names = self._urdf.link_map
+        return {name: np.asarray(self._urdf.get_transform(name), float) for name in names}
+
+    def scene(self, angles: Any) -> Scene:
+        """Return the robot with its joints at these angles (see `poses`)."""
+        return self.at(self.poses(angles))
+
+    def at(self, poses: Mapping[str, Any]) -> Scene:
+        """Return the robot with its links at poses (4, 4) that other kinematics found, by name.
+
+        Raises ValueError where a link's is missing.
+        """
+        if missing := [link for link in self.links if link not in poses]:
+            raise ValueError(f"`poses`: expected one of each link, got none of {missing[0]}")
+        return self._assembly.at([np.asarray(poses[link]) @ place for link, place in self._at])
+
+    def _checked(self, angles: Any) -> dict[str, float]:
+        if not isinstance(angles, Mapping):
+            values = np.asarray(angles, float)
+            if values.shape != (len(self.joints),):
+                names = ", ".join(self.joints)
+                raise ValueError(
+                    f"`angles`: expected {len(self.joints)} numbers ({names}), got shape"
+                    f" {values.shape}"
+                )
+            angles = dict(zip(self.joints, values.tolist(), strict=True))
+        # (A joint that follows another one is told by that.)
+        given = {n: float(x) for n, x in angles.items() if n not in self._following}
+        if missing := [name for name in self.joints if name not in given]:
+            raise ValueError(f"`angles`: expected one of each joint, got none of {missing[0]}")
+        if unknown := [name for name in given if name not in self.joints]:
+            known = ", ".join(self.joints)
+            raise ValueError(f"`angles`: expected joints among {known}, got {unknown[0]!r}")
+        if wrong := [n for n, x in given.items() if not np.isfinite(x)]:
+            raise ValueError(
+                f"`angles`: expected finite numbers, got {given[wrong[0]]} of {wrong[0]}"
+            )
+        return given
+
+
+def load_urdf(path: str | os.PathLike[str], leave_out: Sequence[str] = ()) -> Robot:
+    """Return the robot of a URDF file: the visual shapes of its links, their meshes welded.
+
+    - `leave_out`: links that the masks do not show (a gripper).
+
+    Meshes are looked for beside the file (`package://` too, as yourdfpy does); any that `load_mesh`
+    reads, and Collada's (.dae). Lengths are the file's, as a rule metres.
+
+    Raises ModuleNotFoundError without yourdfpy (`pip install pinhole-jax[robots]`),
+    FileNotFoundError, and ValueError for what is no URDF, has no shapes, or no such link.
+    """
+    file = existing(path, "a URDF file")
+    try:
+        import yourdfpy
+    except ModuleNotFoundError as error:
+        words = "a URDF is read by yourdfpy: pip install 'pinhole-jax[robots]'"
+        raise ModuleNotFoundError(words, name=error.name) from error
+    try:
+        urdf = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
+    except Exception as error:  # whatever a reader meets that it did not expect
+        raise ValueError(
+            f"`path`: expected a URDF file, got {str(path)!r}: {reason(error)}"
+        ) from error
+    if unknown := [link for link in leave_out if link not in urdf.link_map]:
+        known = ", ".join(urdf.link_map)
+        raise ValueError(f"`leave_out`: expected links among {known}, got {unknown[0]!r}")
+    find = lambda name: yourdfpy.urdf.filename_handler_magic(name, dir=str(file.parent))
+    bodies = [
+        (name, np.eye(4) if visual.origin is None else visual.origin, _shape(visual.geometry, find))
+        for name, link in urdf.link_map.items()
+        if name not in leave_out
+        for visual in link.visuals
+    ]
+    if not bodies:
+        raise ValueError(f"`path`: expected links with visual shapes, got {str(path)!r}: none")
+    return Robot(urdf, bodies)
+
+
+def _shape(geometry: Any, find: Any) -> Mesh:
+    """Return the mesh of a link's shape, in the shape's frame."""
+    if geometry.mesh is not None:
+        mesh = _read(Path(find(geometry.mesh.filename)))
+        scale = geometry.mesh.scale
+        return mesh if scale is None else Mesh(mesh.vertices * np.asarray(scale), mesh.faces)
+    from trimesh import creation
+
+    if geometry.box is not None:
+        solid = creation.box(geometry.box.size)
+    elif geometry.cylinder is not None:
+        solid = creation.cylinder(geometry.cylinder.radius, geometry.cylinder.length)
+    else:
+        solid = creation.icosphere(3, geometry.sphere.radius)
+    return Mesh(np.asarray(solid.vertices, np.float32), np.asarray(solid.faces))
+
+
+def _read(file: Path) -> Mesh:
+    if file.suffix.lower() not in OTHERS:
+        return load_mesh(file)
+    import trimesh
+
+    try:
+        found: Any = trimesh.load(existing(file, "a mesh file"), force="mesh")
+        points, faces = welded(np.asarray(found.vertices, float), np.asarray(found.faces))
+    except Exception as error:
+        raise ValueError(
+            f"`path`: expected a readable mesh, got {str(file)!r}: {reason(error)}"
+        ) from error
+    return Mesh(points, faces)
