@@ -97,13 +97,12 @@ def _fit(problem: JointProblem, search: bool, tell: Tell) -> JointFit:
 def _is_content(problem: JointProblem, path: Path) -> bool:
     """Return whether a descent's end may be right: where masks are exact, whether they are
     explained, else whether the scenes lie on them."""
-    pairs = zip(problem.layout.eyes, path.descent.seen, strict=True)
-    return all(
-        eye.solver.explains(seen.view)
-        if eye.solver.kind.exact
-        else float(seen.view.sums.overlap) >= LIKELY_IOU * float(seen.view.sums.union)
-        for eye, seen in pairs
-    )
+    solvers = [eye.solver for eye in problem.layout.eyes]
+    views = [seen.view for seen in path.descent.seen]
+    if all(solver.kind.exact for solver in solvers):
+        return all(s.explains(view) for s, view in zip(solvers, views, strict=True))
+    overlap, union = (sum(float(getattr(v.sums, x)) for v in views) for x in ("overlap", "union"))
+    return overlap >= LIKELY_IOU * union
 
 
 def _finished(problem: JointProblem, path: Path, tell: Tell) -> JointFit:

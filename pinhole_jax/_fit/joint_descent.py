@@ -83,13 +83,14 @@ class Layout:
         """Return where the numbers are that a view depends on."""
         return np.concatenate([self._places[j] for j in self._of[k]])
 
-    def look(self, state: State, depth: int) -> list[Seen]:
-        """Return what all views see on a level."""
+    def look(self, state: State, depth: int, grow: bool = True) -> list[Seen]:
+        """Return what all views see on a level; NaN of what outgrows its buffers, unless these may
+        `grow`."""
         at = [(eye.unit(state), eye.level(depth)) for eye in self.eyes]
         begun = _side_by_side(self.eyes, at)
         result = []
         for k, (eye, a, view) in enumerate(zip(self.eyes, at, begun, strict=True)):
-            view = eye.solver.look(*a, view)
+            view = eye.solver.look(*a, view) if grow else view
             result.append(Seen(view, eye.moves(state, view, self.of(k))))
         return result
 
@@ -203,11 +204,12 @@ def descend(
     weights: np.ndarray,
     most: int,
     px: float,
+    grow: bool = True,
 ) -> Descent:
-    """Return the state after Levenberg-Marquardt on one level."""
+    """Return the state after Levenberg-Marquardt on one level; buffers as in `Layout.look`."""
     dtype = layout.eyes[0].solver.dtype
     tolerance = px / UNIT_PX
-    seen, damping, size = layout.look(state, depth), FIRST_DAMPING, np.zeros(layout.size)
+    seen, damping, size = layout.look(state, depth, grow), FIRST_DAMPING, np.zeros(layout.size)
     squares = _squares(seen, weights)
     for n in range(1, most + 1):
         parts = layout.least_squares(seen, weights)
@@ -221,7 +223,7 @@ def descend(
         if not np.isfinite(moved):
             return Descent(state, seen, squares, n, False)
         trial = stepped(state, layout.unknowns, x, layout.eyes)
-        there = layout.look(trial, depth)
+        there = layout.look(trial, depth, grow)
         after = _squares(there, weights)
         if after <= squares:
             state, seen, squares = trial, there, after

@@ -19,6 +19,8 @@ from .residuals import Capacity
 from .solver import Solver
 from .target import check_target, levelled
 
+#: So many steps at most on a level that leads to finer ones.
+COARSE_STEPS = 24
 #: The name of the pose that all cameras of a rig share.
 RIG = "rig"
 
@@ -129,6 +131,14 @@ class JointProblem(NamedTuple):
             result.append((self._replace(layout=layout, cameras=cameras), views))
         return result
 
+    def few(self, most: int) -> "JointProblem":
+        """Return the problem with so many views at most, spread among all."""
+        eyes = self.layout.eyes
+        chosen = np.unique(np.linspace(0, len(eyes) - 1, most).round().astype(int))
+        if len(chosen) == len(eyes):
+            return self
+        return self._replace(layout=Layout(self.layout.unknowns, [eyes[k] for k in chosen]))
+
     def searchable(self) -> str | None:
         """Return the name of the one pose that a search may find, if there is one."""
         poses = [u.name for u in self.layout.unknowns if u.is_pose]
@@ -205,7 +215,8 @@ def descended(
     found = Descent(state, [], np.inf, 0, False)
     for depth in depths:
         least = px if depth == 1 else COARSE_PX
-        found = descend(layout, found.state, depth, ones, problem.max_steps, least)
+        most = problem.max_steps if depth == 1 else min(problem.max_steps, COARSE_STEPS)
+        found = descend(layout, found.state, depth, ones, most, least)
         steps.append(found.steps)
         left = depth - 1
         tell(f"{len(ones)} views: {found.steps} steps, {left} level{'s' * (left != 1)} left")
