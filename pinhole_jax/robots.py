@@ -129,7 +129,10 @@ def _shape(geometry: Any, find: Any) -> Mesh:
     if geometry.mesh is not None:
         mesh = _read(Path(find(geometry.mesh.filename)))
         scale = geometry.mesh.scale
-        return mesh if scale is None else Mesh(mesh.vertices * np.asarray(scale), mesh.faces)
+        if scale is None:
+            return mesh
+        points = np.asarray(mesh.vertices) * np.asarray(scale, mesh.vertices.dtype)
+        return Mesh(points, mesh.faces)
     from trimesh import creation
 
     if geometry.box is not None:

@@ -94,6 +94,14 @@ def calls():
         "`targets`: expected masks (H, W) in a list, got NoneType": [
             lambda: pj.fit_cameras(scene, None, [camera])
         ],
+        "`views`: expected JointViews in a list, got JointView": [
+            lambda: pj.fit_joint(pj.JointView(scene, mask), camera)
+        ],
+        "`views[0]`: expected a JointView, got Scene": [lambda: pj.fit_joint([scene], camera)],
+        "`cameras`: expected a Camera, or a dict of them, got list": [
+            lambda: pj.fit_joint([pj.JointView(scene, mask)], [camera])
+        ],
+        "`bodies`: expected at least one Mesh, got Scene": [lambda: pj.Assembly([scene])],
         f"`free`: {names}": [lambda: fit(free=None), lambda: fit(free=3)],
         f"`shared`: {names}": [lambda: joint(shared=None)],
         "`max_steps`: expected an integer of at least 1": [

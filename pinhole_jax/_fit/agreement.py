@@ -21,7 +21,7 @@ import numpy as np
 from .joint_descent import Descent, Layout, Solved, solve
 from .joint_views import Eye
 from .outline_errors import OutlineErrors
-from .problem import View
+from .problem import FINE_PX, UNIT_PX, View
 from .result import Known, gradients
 
 #: Degrees of freedom of the t distribution of views' residuals: a few bad views count for little.
@@ -100,7 +100,11 @@ def _gradient(eye: Eye, view: View, errors: OutlineErrors | None) -> np.ndarray:
     touched, squares = float(view.sums.touched), float(view.sums.touched_squares)
     n = len(np.asarray(view.along))
     noise = max(squares / max(touched - n, 1), eye.solver.kind.least)
-    return gradients(view, noise, Known(eye.solver.kind, errors=errors))[1]
+    of_mask = gradients(view, noise, Known(eye.solver.kind, errors=errors))[1]
+    # The last step was off by as much as is negligible.
+    triangle = np.asarray(view.triangle, float)
+    normal = FINE_PX[eye.solver.dtype] / UNIT_PX * triangle.T @ triangle
+    return of_mask + normal @ normal.T
 
 
 def _distance(view: View, covariance: np.ndarray) -> tuple[float, int]:

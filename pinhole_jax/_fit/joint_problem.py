@@ -13,7 +13,7 @@ from .joint_descent import Descent, Layout, descend
 from .joint_views import TWIST, Eye, JointView, State, Unknown
 from .mask import Mask
 from .moves import canonical
-from .parameters import check_free, components, in_one, with_lens
+from .parameters import as_names, check_free, components, in_one, with_lens
 from .problem import COARSE_PX
 from .residuals import Capacity
 from .solver import Solver
@@ -80,7 +80,7 @@ class JointProblem(NamedTuple):
         if both := sorted({*cameras, *([RIG] if fixed else [])} & set(poses)):
             raise ValueError(f"`objects`: expected names of their own, got {', '.join(both)}")
         first = next(iter(cameras.values()))
-        names = in_one(check_free(free, first))
+        names = in_one(check_free(free, first)) if len(as_names(free)) else ()
         if {"position", "orientation", "d"} & {*names}:
             raise ValueError(f"`free`: expected pose, phi or a lens's, got {', '.join(names)}")
         cameras = {n: with_lens(c, names) for n, c in cameras.items()}

@@ -24,6 +24,9 @@ from .uncertainty import BLIND, in_words
 OFF = 2.5
 #: Views that differ by so many times what their masks' errors say do not do so by chance.
 TELLING = 2.0
+#: A view with more than this share of its outline far from the mask's edge shows something else; a
+#: fit to more than this share of such views is none.
+LOST, MOST_LOST = 0.25, 1 / 3
 #: A view with less weight than this decides nothing.
 COUNTS = 0.1
 #: Of a normal distribution 95 % lie within so many standard deviations.
@@ -37,6 +40,7 @@ class ViewFit(NamedTuple):
     - `iou`, `rms`: of its mask, as in `Fit`.
     - `off`: how far mask and outline go apart, beside the middle one of all views.
     - `weight`: how much it counts, at most 1: less where they go farther apart.
+    - `astray`: which share of the outline is far (more than `outlier_px`) from the mask's edge.
     - `mask_error`: how the mask's outline errs; None where it is exact, and explained.
     """
 
@@ -45,6 +49,7 @@ class ViewFit(NamedTuple):
     rms: float
     off: float
     weight: float
+    astray: float
     mask_error: MaskError | None
 
 
@@ -174,13 +179,14 @@ def _view_fit(problem: JointProblem, k: int, found: Agreement, sums: Any) -> Vie
     eye = problem.layout.eyes[k]
     camera = on_film(eye.unit(found.descent.state), problem.cameras[eye.camera])
     total: Any = jax.tree.map(float, sums)
-    errors = found.errors[k]
+    near, errors = float(found.descent.seen[k].view.sums.touched), found.errors[k]
     return ViewFit(
         camera=camera,
         iou=total.overlap / total.union if total.union > 0 else 0.0,
         rms=float(np.sqrt(total.squares / total.weight)) if total.weight > 0 else float("nan"),
         off=float(found.off[k]),
         weight=float(found.weights[k]),
+        astray=1 - near / total.touched if total.touched else 0.0,
         mask_error=None if errors is None else MaskError(errors.size, errors.length),
     )
 
@@ -234,7 +240,7 @@ def _camera_fit(
     errors = [views[k].mask_error for k in seen_by]
     known = [e for e in errors if e is not None]
     iou = overlap / union if union > 0 else 0.0
-    status, weak = _status(problem, found, covariance, labels, iou, seen_by, camera)
+    status, weak = _status(problem, found, covariance, labels, iou, seen_by, views, camera)
     return Fit(
         camera=camera,
         status=status,
@@ -257,6 +263,7 @@ def _status(
     labels: list[str],
     iou: float,
     seen_by: list[int],
+    views: tuple[ViewFit, ...],
     camera: Camera,
 ) -> tuple[str, tuple[str, ...]]:
     """Return the status of a camera, and what its masks determine badly, in words."""
@@ -275,8 +282,11 @@ def _status(
         for k in seen_by
     ]
     if not all(explained):
-        views = ", ".join(str(k) for k, ok in zip(seen_by, explained, strict=True) if not ok)
-        return "misfit", (f"the masks of views {views} are not explained as exact ones would be",)
+        which = ", ".join(str(k) for k, ok in zip(seen_by, explained, strict=True) if not ok)
+        return "misfit", (f"the masks of views {which} are not explained as exact ones would be",)
+    lost = [k for k in seen_by if views[k].astray > LOST]
+    if len(lost) > MOST_LOST * len(seen_by):
+        return "misfit", (f"{len(lost)} of {len(seen_by)} masks show something else",)
     blind = BLIND[layout.eyes[0].solver.dtype]
     triangle = found.solved.triangle
     size = np.linalg.norm(triangle, axis=0)
@@ -312,8 +322,9 @@ def _words(found: Agreement, views: tuple[ViewFit, ...]) -> list[str]:
             if view.off > OFF
         ]
     result += [
-        f"view {k} shows something else: IoU {view.iou:.2f}"
+        f"view {k}: {view.astray:.0%} of the outline is far from the mask's edge: there its mask,"
+        " joint angles or transforms are wrong"
         for k, view in enumerate(views)
-        if view.iou < LEAST_IOU
+        if view.astray > LOST
     ]
     return result

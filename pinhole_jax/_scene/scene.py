@@ -1,5 +1,6 @@
 """What a camera looks at: `Mesh`, `Spheres`, `Scene`, and what is worked out once per mesh."""
 
+import warnings
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -36,6 +37,9 @@ class Clusters(NamedTuple):
 
 #: Edges of a cluster: as many as bits in a word of `Selection`.
 CLUSTER = 32
+#: Of a mesh with more than this share of its edges at a border it is asked whether its vertices
+#: stand at fewer places than this share of their number.
+MOSTLY_BORDER, LOOSE = 0.5, 0.6
 #: Faces (and vertices) that a small mesh's arrays are filled up to.
 FILLED_UP = (1 << 14, 1 << 16)
 
@@ -105,6 +109,8 @@ class Mesh(eqx.Module):
         self.edge_faces = jnp.asarray(edge_faces)
         self.planes = _planes_and_clusters(self.vertices, self.faces, self.edge_faces)
         self.closed = bool(np.all(edge_faces >= 0))
+        if points is not None and np.mean(edge_faces < 0) > MOSTLY_BORDER / 2:
+            _say_if_loose(points, triangles)
 
 
 class Spheres(eqx.Module):
@@ -424,6 +430,18 @@ def _fingerprint(vertices: Float[Array, "V 3"]) -> UInt32[Array, ""]:
     weight = jnp.arange(bits.shape[0], dtype=jnp.uint32) * jnp.uint32(2654435761) | jnp.uint32(1)
     mixed = (bits ^ (bits >> 16)) * weight  # round numbers have nothing but zeros in their low bits
     return jnp.sum(mixed ^ (mixed >> 15), dtype=jnp.uint32)
+
+
+def _say_if_loose(points: np.ndarray, triangles: np.ndarray) -> None:
+    """Warn of faces that do not share their vertices, though these are at the same places."""
+    used = np.unique(triangles)
+    places = len(np.unique(points[used], axis=0))
+    if places < LOOSE * len(used):
+        warnings.warn(
+            f"`vertices`: {len(used)} stand at {places} places, so that most edges are borders and"
+            " count as outline; let faces share their vertices (`load_mesh` merges equal ones)",
+            stacklevel=3,
+        )
 
 
 def _face_indices(faces: Any, V: int) -> np.ndarray:

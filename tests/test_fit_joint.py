@@ -1,0 +1,395 @@
+"""Many masks, one problem: a robot's postures, a hand's camera, a rig, an object, robots' files."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+import pinhole_jax as pj
+from pinhole_jax import shapes
+from pinhole_jax._camera.poses import adjoint, at_pose, exponential, inverse, pose_of
+from pinhole_jax._fit.joint_descent import Rows, solve
+from pinhole_jax._fit.joint_problem import JointProblem
+from pinhole_jax._fit.joint_views import stepped
+from pinhole_jax._fit.moves import reported
+
+SIZE = 96
+TRUTH = pj.Camera([0.4, -0.9, 6], [0, 0, 0.2], [0, 1, 0], 0.6, 1.0, SIZE, SIZE)
+#: Some 10 degrees and a fifth of a unit off.
+OFF = exponential(np.array([0.1, -0.12, 0.08, 0.1, 0.05, -0.2]))
+START = at_pose(TRUTH, pose_of(TRUTH) @ OFF)
+RIG = {"left": np.eye(4), "right": exponential(np.array([0, -0.1, 0, 0.6, 0, 0]))}
+RIGHT = at_pose(TRUTH, pose_of(TRUTH) @ RIG["right"])
+
+
+def posture(k):
+    """Where an arm and its second link are."""
+    random = np.random.default_rng(100 + k)
+    turn, aside = random.uniform(-1, 1, 3), 1.2 * random.uniform(-1, 1, 2)
+    return [np.eye(4), exponential(np.array([*turn, *aside, 0.9]))]
+
+
+@pytest.fixture(scope="module")
+def arm():
+    bar = trimesh.creation.box((0.6, 0.9, 2.2))
+    return pj.Assembly([shapes.bumpy(2), pj.Mesh(np.asarray(bar.vertices), bar.faces)])
+
+
+@pytest.fixture(scope="module")
+def scenes(arm):
+    return [arm.at(posture(k)) for k in range(4)]
+
+
+@pytest.fixture(scope="module")
+def silhouette():
+    program = jax.jit(pj.silhouette)
+    return lambda camera, scene: np.asarray(program(camera, scene))
+
+
+@pytest.fixture(scope="module")
+def views(scenes, silhouette):
+    return [pj.JointView(scene, silhouette(TRUTH, scene)) for scene in scenes]
+
+
+def apart(a, b):
+    """Degrees and world units between two cameras."""
+    angle, shift = pj.pose_error(a, b)
+    return float(np.rad2deg(angle)), float(shift)
+
+
+def test_one_camera_of_several_postures(views):
+    fit = pj.fit_joint(views, START, ("pose", "phi"))
+    assert (fit.status, fit.weak, fit.modes) == ("converged", (), ())
+    assert max(apart(fit.camera, TRUTH)) < 1e-9
+    assert abs(float(fit.camera.phi) - 0.6) < 1e-10
+    assert fit.cameras["camera"].names[-1] == "phi"
+    assert all(view.iou > 1 - 1e-9 for view in fit.views)
+
+
+def test_it_is_found_with_no_start(views):
+    fit = pj.fit_joint(views, START, search=True)
+    assert (fit.status, fit.modes) == ("converged", ())
+    assert max(apart(fit.camera, TRUTH)) < 1e-8
+
+
+def test_a_start_that_leads_astray_is_searched_after(views):
+    far = at_pose(TRUTH, pose_of(START) @ exponential(np.array([0.1, 0.2, 2.5, 0.5, 0.3, 0.5])))
+    fit = pj.fit_joint(views, far)
+    assert fit.status == "converged"
+    assert max(apart(fit.camera, TRUTH)) < 1e-8
+
+
+def test_a_camera_on_a_hand(scenes, silhouette):
+    held = exponential(np.array([0.2, 0.1, -0.1, 0.1, 0.2, 0.3]))
+    views = []
+    for k in range(4):
+        random = np.random.default_rng(k)
+        off = exponential(np.append(random.uniform(-0.2, 0.2, 3), random.uniform(-0.4, 0.4, 3)))
+        mount = off @ pose_of(TRUTH) @ inverse(held)
+        seen = silhouette(at_pose(TRUTH, mount @ held), scenes[0])
+        views.append(pj.JointView(scenes[0], seen, mount=mount))
+    fit = pj.fit_joint(views, at_pose(TRUTH, held @ OFF))
+    assert fit.status == "converged"
+    assert max(apart(fit.camera, at_pose(TRUTH, held))) < 1e-9
+
+
+@pytest.fixture(scope="module")
+def stereo(scenes, silhouette):
+    return [
+        pj.JointView(scene, silhouette(camera, scene), camera=name)
+        for scene in scenes[:2]
+        for name, camera in (("left", TRUTH), ("right", RIGHT))
+    ]
+
+
+def test_a_rig_is_better_determined_than_its_eyes(stereo):
+    right = at_pose(TRUTH, pose_of(RIGHT) @ OFF)
+    together = pj.fit_joint(stereo, {"left": START, "right": right}, rig=RIG)
+    alone = pj.fit_joint(stereo, {"left": START, "right": right})
+    for fit in (together, alone):
+        assert fit.status == "converged"
+        assert max(apart(fit.cameras["left"].camera, TRUTH)) < 1e-8
+        assert max(apart(fit.cameras["right"].camera, RIGHT)) < 1e-8
+    least = lambda fit: fit.cameras["left"].independent_covariance
+    assert np.all(
+        np.linalg.eigvalsh(np.linalg.inv(least(together)) - np.linalg.inv(least(alone))) > 0
+    )
+
+
+def test_an_object_s_pose_before_known_cameras(arm, scenes, silhouette):
+    place = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
+    moved = arm.at([place @ pose for pose in posture(0)])
+    cameras = {"left": TRUTH, "right": RIGHT}
+    views = [
+        pj.JointView(scenes[0], silhouette(camera, moved), camera=name, object="part")
+        for name, camera in cameras.items()
+    ]
+    fit = pj.fit_joint(views, cameras, (), objects={"part": place @ OFF})
+    found = fit.objects["part"]
+    assert fit.status == "converged"
+    assert np.max(np.abs(found.pose - place)) < 1e-9
+    assert np.all(found.std > 0)
+    assert np.all(found.std < 1e-6)
+
+
+def test_a_wrong_posture_is_named_and_counts_for_nothing(arm, views):
+    wrong = posture(2)[1] @ exponential(np.array([0.1, 0, 0, 0, 0, 0.05]))
+    bad = [*views[:2], pj.JointView(arm.at([np.eye(4), wrong]), views[2].target), views[3]]
+    fit = pj.fit_joint(bad, START)
+    assert fit.views[2].weight < 1e-3
+    assert any(words.startswith("view 2:") for words in fit.weak)
+    assert max(apart(fit.camera, TRUTH)) < 1e-4
+
+
+def test_intervals_hold_the_camera_of_masks_that_err_by_stretches(scenes, silhouette):
+    """Outlines that waver by half a pixel, each mask another way: 24 fits, six numbers each."""
+    from scipy.ndimage import gaussian_filter, map_coordinates
+
+    inside, stated = [], []
+    for seed in range(24):
+        random = np.random.default_rng(seed)
+        views = []
+        for scene in scenes[:3]:
+            wave = [gaussian_filter(random.normal(size=(SIZE, SIZE)), 6) for _ in range(2)]
+            wave = [0.5 * w / np.std(w) for w in wave]
+            at = np.indices((SIZE, SIZE)) + np.array(wave)
+            image = map_coordinates(silhouette(TRUTH, scene), at, order=1)
+            views.append(pj.JointView(scene, image > 0.5))
+        fit = pj.fit_joint(views, TRUTH).cameras["camera"]
+        turn = np.array(reported(fit.camera, TRUTH, ("pose",)))
+        off = np.append(turn[:3], np.asarray(TRUTH.e - fit.camera.e))
+        inside.append(np.abs(off) < 1.96 * fit.std)
+        stated.append(np.abs(off) / fit.std)
+    assert np.mean(inside) > 0.88
+    assert np.median(stated) > 0.08  # (a mask may err all outwards, which these do not)
+
+
+def test_moves_are_those_of_differences(stereo):
+    """What a view sees of a step is what its own camera's moves say."""
+    cameras, place = {"left": START, "right": RIGHT}, exponential(np.full(6, 0.1))
+    view = stereo[1]._replace(object="part", placed=exponential(np.full(6, 0.2)), mount=place)
+    problem = JointProblem.of(
+        [view, stereo[0]._replace(object="part")],
+        cameras,
+        ("pose", "phi"),
+        {"part": exponential(np.full(6, -0.1))},
+        {**RIG},
+        None,
+        8,
+    )
+    layout, state, eye = problem.layout, problem.start, problem.layout.eyes[0]
+    seen = layout.look(state, 1)[0]
+    before, n = eye.unit(state), len(layout.columns(0))
+    numeric = np.zeros((n, n))
+    to_reported = np.asarray(seen.view.to_reported)
+    for k, column in enumerate(layout.columns(0)):
+        x = np.zeros(layout.size)
+        sides = []
+        for sign in (1, -1):
+            x[column] = sign * 1e-6
+            there = eye.unit(stepped(state, layout.unknowns, x, layout.eyes))
+            sides.append(np.asarray(reported(before, there, eye.solver.names)))
+        numeric[: len(to_reported), k] = (sides[0] - sides[1]) / 2e-6
+    stated = to_reported @ seen.moves
+    assert np.max(np.abs(stated - numeric[: len(stated)])) < 1e-7
+
+
+def test_what_one_view_alone_depends_on_is_eliminated_exactly():
+    random = np.random.default_rng(0)
+    size, parts, dense, right = 9, [], [], []
+    for own in ([0, 1], [2, 3], [4, 5]):
+        columns = np.array([6, *own, 7, 8])
+        rows, left = random.normal(size=(7, 5)), random.normal(size=7)
+        parts.append(Rows(rows, left, columns, np.isin(columns, own)))
+        whole = np.zeros((7, size))
+        whole[:, columns] = rows
+        dense.append(whole)
+        right.append(left)
+    matrix, left = np.concatenate(dense), np.concatenate(right)
+    found = solve(parts, size, np.zeros(size))
+    assert np.allclose(found.x, -np.linalg.lstsq(matrix, left, rcond=None)[0], atol=1e-12)
+    everything = np.arange(size)
+    inverse_normal = np.linalg.inv(matrix.T @ matrix)
+    assert np.allclose(found.inverse(everything, everything), inverse_normal, atol=1e-12)
+    damping = np.linspace(0.1, 2, size)
+    damped = solve(parts, size, damping).x
+    more = np.concatenate([matrix, np.diag(damping)])
+    expected = -np.linalg.lstsq(more, np.append(left, np.zeros(size)), rcond=None)[0]
+    assert np.allclose(damped, expected, atol=1e-12)
+
+
+def test_twists_and_adjoints():
+    random = np.random.default_rng(1)
+    pose, twist = exponential(random.normal(size=6)), 1e-5 * random.normal(size=6)
+    seen = pose @ exponential(twist) @ inverse(pose)
+    assert np.allclose(seen, exponential(adjoint(pose) @ twist), atol=1e-9)
+    assert np.allclose(pose_of(at_pose(TRUTH, pose)), pose, atol=1e-12)
+    assert np.allclose(exponential(np.zeros(6)), np.eye(4))
+
+
+def test_an_assembly_is_its_parts(arm):
+    scene = arm.at(posture(1))
+    box = trimesh.creation.box((0.6, 0.9, 2.2)).vertices
+    moved = box @ posture(1)[1][:3, :3].T + posture(1)[1][:3, 3]
+    assert np.allclose(np.asarray(scene.mesh.vertices)[-8:], moved)
+    assert scene.mesh.closed
+    assert scene.mesh.faces is arm.at(posture(2)).mesh.faces
+    with pytest.raises(ValueError, match=r"`poses`: expected finite numbers \(2, 4, 4\)"):
+        arm.at(np.eye(4))
+
+
+def one(views, **change):
+    """One view, something of it changed."""
+    return {"views": [views[0]._replace(**change)]}
+
+
+BOTH = {"camera": TRUTH, "other": TRUTH}
+
+
+@pytest.mark.parametrize(
+    ("words", "change"),
+    [
+        (r"`views`: expected at least one JointView", lambda v: {"views": []}),
+        (
+            r"`cameras`: expected left among them, got camera",
+            lambda v: one(v, camera="left"),
+        ),
+        (
+            r"`cameras`: expected what a view names, got other",
+            lambda v: {"cameras": {"camera": TRUTH, "other": TRUTH}},
+        ),
+        (
+            r"`objects`: expected part among them, got none",
+            lambda v: one(v, object="part"),
+        ),
+        (
+            r"`views\[0\].mount`: expected shape \(4, 4\)",
+            lambda v: one(v, mount=np.eye(3)),
+        ),
+        (
+            r"`views\[0\].placed`: expected a rotation and a",
+            lambda v: one(v, placed=2 * np.eye(4)),
+        ),
+        (r"`rig\['left'\]`: expected a matrix", lambda v: {"rig": {"left": "here"}}),
+        (
+            r"`views\[0\]`: `target`: expected the camera's shape",
+            lambda v: one(v, target=np.ones((2, 3))),
+        ),
+        (r"`free`: expected pose, phi or a lens's, got position", lambda v: {"free": "position"}),
+        (r"`free`: expected something to fit, got none", lambda v: {"free": ()}),
+        (r"`search`: expected False where", lambda v: {"free": "phi", "search": True}),
+        (r"`outlier_px`: expected a positive", lambda v: {"outlier_px": -1.0}),
+        (r"`max_steps`: expected an integer", lambda v: {"max_steps": 0}),
+    ],
+)
+def test_wrong_arguments_are_named(views, words, change):
+    arguments = {"views": views[:1], "cameras": TRUTH, **change(views)}
+    with pytest.raises(ValueError, match=words):
+        pj.fit_joint(**arguments)
+
+
+URDF = """<robot name="two">
+  <link name="base"><visual><geometry><box size="0.5 0.5 0.2"/></geometry></visual></link>
+  <link name="arm"><visual><origin xyz="0 0 0.5"/><geometry><mesh filename="arm.stl" scale="2 2 2"/>
+  </geometry></visual></link>
+  <link name="tip"/>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/>
+  <origin xyz="0 0 0.1"/><axis xyz="0 1 0"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <joint name="held" type="fixed"><parent link="arm"/><child link="tip"/>
+  <origin xyz="0 0 1"/></joint>
+</robot>"""
+
+
+def test_a_urdf_is_a_scene(tmp_path):
+    pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
+    trimesh.creation.box((0.1, 0.1, 0.5)).export(tmp_path / "arm.stl")
+    (tmp_path / "two.urdf").write_text(URDF)
+    robot = pj.robots.load_urdf(tmp_path / "two.urdf")
+    assert (robot.joints, robot.links) == (("turn",), ("base", "arm"))
+    tip = robot.poses([np.pi / 2])["tip"]
+    assert np.allclose(tip[:3, 3], [1, 0, 0.1])
+    low, high = (
+        f(np.asarray(robot.scene({"turn": np.pi / 2}).mesh.vertices), axis=0)
+        for f in (np.min, np.max)
+    )
+    assert np.allclose(low, [-0.25, -0.25, -0.1], atol=1e-6)
+    assert np.allclose(high, [1, 0.25, 0.2], atol=1e-6)
+    alone = pj.robots.load_urdf(tmp_path / "two.urdf", leave_out=["base"])
+    assert len(alone.scene([0.0]).mesh.vertices) == 8
+    with pytest.raises(ValueError, match="`angles`: expected one of each joint, got none of turn"):
+        robot.poses({})
+    with pytest.raises(ValueError, match="`angles`: expected joints among turn, got 'bend'"):
+        robot.poses({"turn": 0, "bend": 1})
+    with pytest.raises(ValueError, match=r"`angles`: expected 1 numbers \(turn\), got shape"):
+        robot.scene([0, 1])
+    with pytest.raises(ValueError, match="`leave_out`: expected links among base"):
+        pj.robots.load_urdf(tmp_path / "two.urdf", leave_out=["hand"])
+    with pytest.raises(ValueError, match="`poses`: expected one of each link, got none of arm"):
+        robot.at({"base": np.eye(4)})
+    (tmp_path / "no.urdf").write_text("<robot")
+    with pytest.raises(ValueError, match="`path`: expected a URDF file, got"):
+        pj.robots.load_urdf(tmp_path / "no.urdf")
+
+
+def test_a_mesh_that_does_not_share_its_vertices_says_so():
+    sphere = trimesh.creation.icosphere(2)
+    loose = np.asarray(sphere.vertices)[sphere.faces].reshape(-1, 3)
+    with pytest.warns(UserWarning, match="`vertices`: 960 stand at 162 places"):
+        pj.Mesh(loose, np.arange(len(loose)).reshape(-1, 3))
+    pj.Mesh(sphere.vertices, sphere.faces)  # (a warning here is an error)
+
+
+@pytest.fixture(scope="module")
+def med7(shared):
+    pytest.importorskip("yourdfpy", reason="no yourdfpy here: robots are not tried")
+    folder = shared / "robots" / "lbr_med7"
+    return (
+        folder,
+        pj.robots.load_urdf(folder / "lbr_med7.urdf"),
+        json.loads((folder / "joints.json").read_text()),
+    )
+
+
+#: The stereo camera's, both eyes', centres at integers.
+FOCAL, CENTRE, BASELINE = 534.6265258789062, (478.0846252441406, 260.9943542480469), 0.12009
+
+
+def med7_fit(med7, side):
+    folder, scenes = med7
+    K = [[FOCAL, 0, CENTRE[0]], [0, FOCAL, CENTRE[1]], [0, 0, 1]]
+    pose = np.eye(3), np.zeros(3)
+    camera = pj.formats.from_opencv(K, *pose, 960, 540, pixel_centres="integer")
+    views = []
+    for k, scene in enumerate(scenes):
+        mask = np.asarray(Image.open(folder / f"{side}_mask_{k}.png"))
+        views.append(pj.JointView(scene, mask))
+    return pj.fit_joint(views, camera, search=True).cameras["camera"]
+
+
+@pytest.mark.long
+def test_both_eyes_of_a_stereo_camera_before_a_real_robot(med7):
+    """Found apart from one another, with no start: that they are 120.09 mm apart and parallel no
+    fit knew."""
+    left, right = (med7_fit(med7, side) for side in ("left", "right"))
+    assert (left.status, right.status) == ("converged", "converged")
+    between = inverse(pose_of(left.camera)) @ pose_of(right.camera)
+    assert abs(np.linalg.norm(between[:3, 3]) - BASELINE) < 1.5e-3
+    turn = (
+        np.array(
+            [
+                between[2, 1] - between[1, 2],
+                between[0, 2] - between[2, 0],
+                between[1, 0] - between[0, 1],
+            ]
+        )
+        / 2
+    )
+    assert np.rad2deg(np.linalg.norm(turn)) < 0.2  # (0.1 was asked)
+    sigma = np.hypot(left.std, right.std)
+    assert np.all(np.abs(turn) < 1.96 * sigma[:3])
+    apart_by = pose_of(left.camera)[:3, :3] @ (between[:3, 3] - [BASELINE, 0, 0])
+    assert np.all(np.abs(apart_by) < 1.96 * sigma[3:])
