@@ -81,7 +81,7 @@ def pixels_kept(unit, scene, level) -> np.ndarray:
             ((-1.2, 0, 0), True, 30, 0.6, LENS),
             ((-1, 0, 0), True, 30, 0.05, LENS),
         ],
-        of=2,
+        of=4,
     ),
 )
 def test_squares_sums_and_jacobian_are_those_of_the_image(look_at, spheres, W, phi, model):

@@ -10,7 +10,7 @@ from .agreement import agreed
 from .joint_descent import Descent, descend
 from .joint_problem import JointProblem, Path, Tell, depth_of, descended
 from .joint_result import JointFit, independent_variance, reported, together
-from .joint_search import searched_jointly
+from .joint_search import equally_good, looking_alike, searched_jointly
 from .joint_views import JointView
 from .problem import COARSE_PX, FINE_PX
 from .strategy import EXACT
@@ -47,8 +47,9 @@ def fit_joint(
     - `objects`: where unknown objects are at first (4, 4), by the names that views give.
     - `rig`: poses (4, 4) of cameras on a rig, by name: they move as one, from where the first of
       them is.
-    - `search`: the pose of the one camera is not known at all; its views are searched, all
-      together. Objects have to be known.
+    - `search`: the one pose that views have in common, a camera's (or rig's) or an object's, is not
+      known at all: its views are searched, all together. Without it that is done where the start
+      leads to what does not explain the masks.
     - `outlier_px`: as in `fit_camera`: pixels farther from a mask's edge lose their weight at the
       end, where masks are not exact.
 
@@ -67,7 +68,7 @@ def fit_joint(
     parts = problem.parts()
     if search and not all(part.searchable() for part, _ in parts):
         raise ValueError(
-            "`search`: expected False where objects are unknown, or the cameras' pose is not free"
+            "`search`: expected one unknown pose in views that hang together, got several or none"
         )
     fits = [(_fit(part, search, tell), numbers) for part, numbers in parts]
     return fits[0][0] if len(fits) == 1 else together(fits)
@@ -86,7 +87,8 @@ def _fit(problem: JointProblem, search: bool, tell: Tell) -> JointFit:
         found = searched_jointly(problem, tell)
         better = [f for f in found if not starts or f.descent.squares < starts[0].descent.squares]
         starts = better or starts
-    best, *others = starts
+    alike = looking_alike(problem, starts[0], tell)
+    best, *others = equally_good(problem, [*starts, *alike])
     fit = _finished(problem, best, tell)
     modes = [_finished(problem, other, tell) for other in others]
     if modes and fit.status in ("converged", "rank_deficient", "uncertain"):

@@ -144,6 +144,20 @@ class Solved(NamedTuple):
                 result[np.ix_(rows, others)] += of(place[rows]) @ of(columns[others]).T
         return result
 
+    def unseen(self, blind: float) -> np.ndarray:
+        """Return directions (size, d) of the unknowns that change no residual: less than a share
+        `blind` of what the best-seen ones do."""
+        size, everything = len(self.x), np.arange(len(self.x))
+        directions = []
+        for k in _null(self.triangle, blind).T:
+            directions.append(self._by_shared(everything) @ k)
+        for own, triangle, _ in self.own:
+            for k in _null(triangle, blind).T:
+                direction = np.zeros(size)
+                direction[own] = k
+                directions.append(direction)
+        return np.array(directions).reshape(-1, size).T
+
     def _by_shared(self, place: np.ndarray) -> np.ndarray:
         """Return how unknowns follow the shared ones (p, s)."""
         result = np.zeros((len(place), len(self.shared)))
@@ -154,6 +168,17 @@ class Solved(NamedTuple):
             if at.size:
                 result[at] = -(np.linalg.pinv(triangle) @ across)[np.searchsorted(own, place[at])]
         return result
+
+
+def _null(triangle: np.ndarray, blind: float) -> np.ndarray:
+    """Return directions (n, d), of length 1, that a triangle does not see, whatever the units."""
+    size = np.linalg.norm(triangle, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    _, values, directions = np.linalg.svd(triangle / size)
+    known = np.zeros(len(size))
+    known[: len(values)] = values
+    hidden = directions[known <= blind * max(float(np.max(known, initial=0)), 1e-300)]
+    return (hidden / np.linalg.norm(hidden / size, axis=1, keepdims=True) / size).T
 
 
 def solve(parts: list[Rows], size: int, damping: np.ndarray) -> Solved:

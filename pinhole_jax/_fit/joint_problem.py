@@ -14,7 +14,7 @@ from .joint_views import TWIST, Eye, JointView, State, Unknown
 from .mask import Mask
 from .moves import canonical
 from .parameters import as_names, check_free, components, in_one, with_lens
-from .problem import COARSE_PX
+from .problem import COARSE_PX, FINE_PX
 from .residuals import Capacity
 from .solver import Solver
 from .target import check_target, levelled
@@ -139,11 +139,18 @@ class JointProblem(NamedTuple):
             return self
         return self._replace(layout=Layout(self.layout.unknowns, [eyes[k] for k in chosen]))
 
+    @property
+    def px(self) -> float:
+        """Return the size of steps that are negligible before it is asked what explains the masks
+        as well: exact masks tell what errs by little."""
+        solvers = [eye.solver for eye in self.layout.eyes]
+        exact = all(solver.kind.exact for solver in solvers)
+        return FINE_PX[solvers[0].dtype] if exact else COARSE_PX
+
     def searchable(self) -> str | None:
         """Return the name of the one pose that a search may find, if there is one."""
         poses = [u.name for u in self.layout.unknowns if u.is_pose]
-        of_object = any(eye.object in poses for eye in self.layout.eyes)
-        return poses[0] if len(poses) == 1 and not of_object else None
+        return poses[0] if len(poses) == 1 else None
 
 
 def _checked_views(views: Any) -> list[JointView]:
@@ -206,15 +213,15 @@ def descended(
     state: State,
     tell: Tell,
     depths: Sequence[int],
-    px: float = COARSE_PX,
+    px: float | None = None,
 ) -> Path:
     """Return where a descent from level to level leads to, steps on the finest of which are
-    negligible below so many px."""
+    negligible below so many px (None: as many as tell such masks apart)."""
     layout, steps = problem.layout, []
     ones = np.ones(len(layout.eyes))
     found = Descent(state, [], np.inf, 0, False)
     for depth in depths:
-        least = px if depth == 1 else COARSE_PX
+        least = (px or problem.px) if depth == 1 else COARSE_PX
         most = problem.max_steps if depth == 1 else min(problem.max_steps, COARSE_STEPS)
         found = descend(layout, found.state, depth, ones, most, least)
         steps.append(found.steps)

@@ -29,6 +29,8 @@ TELLING = 2.0
 LOST, MOST_LOST = 0.25, 1 / 3
 #: A view with less weight than this decides nothing.
 COUNTS = 0.1
+#: A parameter moves along a direction if by more than this share of what moves most.
+HARDLY = 1e-6
 #: Of a normal distribution 95 % lie within so many standard deviations.
 NORMAL_95 = 1.959964
 
@@ -141,15 +143,18 @@ def reported(
         for name in problem.cameras
     }
     objects = {}
-    for name in {eye.object for eye in layout.eyes if eye.object is not None}:
+    for name in dict.fromkeys(eye.object for eye in layout.eyes if eye.object is not None):
         pose, place = found.descent.state.poses[name], layout.place(name, True)
         assert place is not None
         turned = np.eye(TWIST)
         turned[3:, 3:] = pose[:3, :3]
         covariance = wider * turned @ found.covariance(layout, place) @ turned.T
+        _forget(covariance, turned @ _unseen(problem, found)[place])
         objects[name] = ObjectPose(pose, covariance)
     return JointFit(
-        status=_worst([fit.status for fit in cameras.values()]),
+        status=_worst(
+            [*(fit.status for fit in cameras.values()), *map(_of_object, objects.values())]
+        ),
         cameras=cameras,
         objects=objects,
         views=views,
@@ -158,6 +163,11 @@ def reported(
         modes=(),
         steps=steps,
     )
+
+
+def _of_object(found: ObjectPose) -> str:
+    """Return how well a pose is determined, as a status."""
+    return "converged" if np.all(np.isfinite(found.std)) else "rank_deficient"
 
 
 def together(fits: list[tuple[JointFit, list[int]]]) -> JointFit:
@@ -233,6 +243,8 @@ def _camera_fit(
     covariance = wider * by_unknowns @ found.covariance(layout, places) @ by_unknowns.T
     inverse_normal = found.solved.inverse(places, places)
     classical = independent * by_unknowns @ inverse_normal @ by_unknowns.T
+    for table in (covariance, classical):
+        _forget(table, by_unknowns @ _unseen(problem, found)[places])
 
     of: Any = [jax.tree.map(float, sums[k]) for k in seen_by]
     overlap, union = sum(s.overlap for s in of), sum(s.union for s in of)
@@ -256,6 +268,20 @@ def _camera_fit(
     )
 
 
+def _unseen(problem: JointProblem, found: Agreement) -> np.ndarray:
+    """Return directions of the unknowns (size, d) that change no mask."""
+    return found.solved.unseen(BLIND[problem.layout.eyes[0].solver.dtype])
+
+
+def _forget(covariance: np.ndarray, unseen: np.ndarray) -> None:
+    """Put infinite variances, and no covariances, where parameters move along directions (p, d)
+    that change no mask."""
+    most = np.max(np.abs(unseen), axis=0, initial=0)
+    lost = np.any(np.abs(unseen) > HARDLY * np.maximum(most, 1e-300), axis=1)
+    covariance[lost, :] = covariance[:, lost] = np.nan
+    covariance[lost, lost] = np.inf
+
+
 def _status(
     problem: JointProblem,
     found: Agreement,
@@ -269,7 +295,7 @@ def _status(
     """Return the status of a camera, and what its masks determine badly, in words."""
     layout = problem.layout
     squares = found.descent.squares
-    if not (np.isfinite(squares) and np.all(np.isfinite(covariance))):
+    if not np.isfinite(squares) or np.any(np.isnan(np.diag(covariance))):
         return "non_finite", ()
     if iou < LEAST_IOU:
         return "no_overlap", ()
@@ -287,11 +313,7 @@ def _status(
     lost = [k for k in seen_by if views[k].astray > LOST]
     if len(lost) > MOST_LOST * len(seen_by):
         return "misfit", (f"{len(lost)} of {len(seen_by)} masks show something else",)
-    blind = BLIND[layout.eyes[0].solver.dtype]
-    triangle = found.solved.triangle
-    size = np.linalg.norm(triangle, axis=0)
-    values = np.linalg.svd(triangle / np.where(size > 0, size, 1), compute_uv=False)
-    if len(values) and (np.any(size == 0) or values[-1] <= blind * values[0]):
+    if np.any(np.isinf(np.diag(covariance))):
         return "rank_deficient", ("some move changes no mask",)
     turn, about = widest_turn(covariance, tuple(labels))
     if turn > UNCERTAIN:

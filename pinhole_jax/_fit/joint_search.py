@@ -1,4 +1,5 @@
-"""Where one camera of many views may be, with no start: guesses of all views, held to all masks.
+"""Where one camera (or object) of many views may be, with no start: guesses of all views, held to
+all masks.
 
 What one view alone leaves open, the others tell: guesses are ranked, and followed, together.
 """
@@ -11,11 +12,15 @@ from .._camera.poses import pose_of
 from .joint_descent import Layout, descend
 from .joint_problem import JointProblem, Path, Tell, depth_of, descended
 from .joint_views import State
+from .places import EQUAL_TIMES, mirrored
 from .search import guesses
+from .solver import Found
 from .strategy import EQUAL, ROUGH_PX, SAME
 
 #: Of each view so many guesses are tried, so far apart (rad), and so many of all followed further.
 TRIED, APART, FOLLOWED = 12, np.deg2rad(15), 4
+#: So many views that look alike are tried at most.
+ALIKE = 6
 #: So many views are looked at before few states are left.
 LOOKED_AT = 4
 #: Steps on the coarsest level at first; what leaves so many times the least squares is given up.
@@ -55,6 +60,32 @@ def searched_jointly(problem: JointProblem, tell: Tell) -> list[Path]:
     return paths
 
 
+def equally_good(problem: JointProblem, paths: list[Path]) -> list[Path]:
+    """Return the ends of descents that explain the masks as well as the best of them, which stands
+    first unless the first does as well; each once."""
+    least = min(_or_infinite(p.descent.squares) for p in paths)
+    noise = sum(EQUAL_TIMES * eye.solver.kind.variance for eye in problem.layout.eyes)
+    limit = (1 + EQUAL) * least + noise
+    good = [p for p in paths if _or_infinite(p.descent.squares) <= limit] or paths[:1]
+    if good[0] is not paths[0]:
+        good.sort(key=lambda p: p.descent.squares)
+    kept = _apart(problem.layout, [p.descent.state for p in good], SAME)
+    return [p for p in good if any(p.descent.state is state for state in kept)]
+
+
+def looking_alike(problem: JointProblem, best: Path, tell: Tell) -> list[Path]:
+    """Return where views lead to that look like the best one: its object is near its own mirror
+    image, or turned into itself."""
+    moving = problem.searchable()
+    if moving is None:
+        return []
+    eye, state = problem.layout.eyes[0], best.descent.state
+    found = Found(eye.unit(state), best.descent.seen[0].view, ())
+    alike = [eye.at(moving, pose_of(c), state) for c in mirrored(eye.solver, found)]
+    depths = range(min(depth_of(problem), 2), 0, -1)
+    return [descended(problem, other, tell, depths) for other in alike[:ALIKE]]
+
+
 def _guessed(problem: JointProblem) -> list[State]:
     """Return states in which the searched pose is a guess of one of the views."""
     moving, start = problem.searchable(), problem.start
@@ -67,8 +98,7 @@ def _guessed(problem: JointProblem) -> list[State]:
                 break
             if all(angle(guess, other) > APART for other in seen):
                 seen.append(guess)
-                pose = eye.carried(pose_of(guess), start)
-                result.append(start._replace(poses={**start.poses, moving: pose}))
+                result.append(eye.at(moving, pose_of(guess), start))
     return result
 
 

@@ -83,10 +83,15 @@ class Eye:
         pose = self.mount @ state.poses[self.moving] @ self.rig
         return at_pose(state.lenses[self.camera], inverse(self._scene(state)) @ pose)
 
-    def carried(self, pose: Pose, state: State) -> Pose:
-        """Return where what carries the view's camera would be, were the camera at a pose in its
-        scene's frame."""
-        return inverse(self.mount) @ self._scene(state) @ pose @ inverse(self.rig)
+    def at(self, name: str, pose: Pose, state: State) -> State:
+        """Return the state in which the view's camera is at a pose in its scene's frame, by moving
+        the camera or the object of that name alone."""
+        if name == self.moving:
+            moved = inverse(self.mount) @ self._scene(state) @ pose @ inverse(self.rig)
+        else:
+            camera = self.mount @ state.poses[self.moving] @ self.rig
+            moved = camera @ inverse(self.placed @ pose)
+        return state._replace(poses={**state.poses, name: moved})
 
     def moves(self, state: State, view: View, unknowns: list[Unknown]) -> np.ndarray:
         """Return the view's moves (n, k), in its solver's units, by the unknowns it depends on."""
