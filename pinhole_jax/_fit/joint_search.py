@@ -15,7 +15,7 @@ from .joint_views import State
 from .places import EQUAL_TIMES, mirrored
 from .search import guesses
 from .solver import Found
-from .strategy import EQUAL, ROUGH_PX, SAME
+from .strategy import EQUAL, EXACT, ROUGH_PX, SAME
 
 #: Of each view so many guesses are tried, so far apart (rad), and so many of all followed further.
 TRIED, APART, FOLLOWED = 12, np.deg2rad(15), 4
@@ -82,8 +82,17 @@ def looking_alike(problem: JointProblem, best: Path, tell: Tell) -> list[Path]:
     eye, state = problem.layout.eyes[0], best.descent.state
     found = Found(eye.unit(state), best.descent.seen[0].view, ())
     alike = [eye.at(moving, pose_of(c), state) for c in mirrored(eye.solver, found)]
-    depths = range(min(depth_of(problem), 2), 0, -1)
-    return [descended(problem, other, tell, depths) for other in alike[:ALIKE]]
+    few, depth = problem.few(LOOKED_AT), min(depth_of(problem), 2)
+    ones = np.ones(len(few.layout.eyes))
+    here = sum(seen.view.squares for seen in few.layout.look(state, depth))
+    noise = sum(EXACT * float(seen.view.sums.touched) for seen in best.descent.seen)
+    likely = []
+    for other in alike[:ALIKE]:
+        begun = descend(few.layout, other, depth, ones, FIRST_STEPS, ROUGH_PX, grow=False)
+        if _or_infinite(begun.squares) <= WORSE * here + noise:
+            likely.append(begun.state)
+    depths = range(depth, 0, -1)
+    return [descended(problem, other, tell, depths) for other in likely]
 
 
 def _guessed(problem: JointProblem) -> list[State]:
