@@ -68,7 +68,7 @@ def test_programs_are_kept_where_the_cache_is(another_cache):
 @pytest.mark.long
 def test_python_runs_and_finds_the_cameras(capsys, another_cache):
     names = {}
-    first, second = blocks("python")
+    first, second, third = blocks("python")
     exec(compile(first, "README.md, first example", "exec"), names)
     assert names["fit"].status == names["found"].status == "converged"
     assert re.search(r"degrees, world units off: \S+e-", capsys.readouterr().out)
@@ -77,6 +77,10 @@ def test_python_runs_and_finds_the_cameras(capsys, another_cache):
     assert names["fit"].status == "converged"
     assert abs(float(names["fit"].camera.lens.distortion.k1) + 0.27) < 1e-6
     assert max(view.rms_px for view in names["views"]) < 1e-6
+
+    exec(compile(third, "README.md, an arm", "exec"), names)
+    assert names["joint"].status == "converged"
+    assert np.rad2deg(pj.pose_error(names["joint"].camera, names["truth"])[0]) < 1e-4
 
 
 @pytest.mark.long
