@@ -310,6 +310,22 @@ BOTH = {"camera": TRUTH, "other": TRUTH}
         (r"`free`: expected pose, phi or a lens's, got position", lambda v: {"free": "position"}),
         (r"`free`: expected something to fit, got none", lambda v: {"free": ()}),
         (r"`search`: expected one unknown pose", lambda v: {"free": "phi", "search": True}),
+        (
+            r"`views\[1\]`: expected a view of something unknown",
+            lambda v: {
+                "views": [v[0]._replace(object="part"), v[1]],
+                "free": (),
+                "objects": {"part": np.eye(4)},
+            },
+        ),
+        (
+            r"`cameras`: expected names other than 'rig'",
+            lambda v: {
+                "views": [v[0]._replace(camera="rig"), v[1]._replace(camera="left")],
+                "cameras": {"rig": TRUTH, "left": TRUTH},
+                "rig": {"left": np.eye(4)},
+            },
+        ),
         (r"`outlier_px`: expected a positive", lambda v: {"outlier_px": -1.0}),
         (r"`max_steps`: expected an integer", lambda v: {"max_steps": 0}),
     ],

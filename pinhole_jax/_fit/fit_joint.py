@@ -55,9 +55,9 @@ def fit_joint(
 
     Each view is reduced to a few rows by the program that a single fit has; what one view alone
     depends on is eliminated there. So the cost is linear in the views, and nothing is compiled that
-    `fit_camera` has not. Levenberg-Marquardt from coarse to fine leaves the least squares; then
-    views are weighed by what their masks' outlines say of themselves, and one that disagrees with
-    the others counts less (`JointFit.views`).
+    `fit_camera` has not. Levenberg-Marquardt leads from coarse to fine; then a view whose residuals
+    are larger than most views' counts less (`JointFit.views`). The error bars are what the masks'
+    errors make of all unknowns together, and grow where views differ by more.
 
     Runs outside `jit`; the result is not differentiable.
 

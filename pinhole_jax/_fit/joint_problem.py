@@ -77,6 +77,8 @@ class JointProblem(NamedTuple):
                 raise ValueError(f"`{kind}`: expected {', '.join(missing)} among them, got {have}")
             if idle := sorted(set(known) - asked):
                 raise ValueError(f"`{kind}`: expected what a view names, got {', '.join(idle)}")
+        if fixed and RIG in cameras:
+            raise ValueError(f"`cameras`: expected names other than {RIG!r} beside a rig, got it")
         if both := sorted({*cameras, *([RIG] if fixed else [])} & set(poses)):
             raise ValueError(f"`objects`: expected names of their own, got {', '.join(both)}")
         first = next(iter(cameras.values()))
@@ -103,10 +105,10 @@ class JointProblem(NamedTuple):
         unknowns += [Unknown(n, False, bent) for n in cameras if bent]
         if not unknowns:
             raise ValueError("`free`: expected something to fit, got none")
-        start = State(poses, lenses)
-        return cls(
-            Layout(unknowns, eyes), start, cameras, own, moving, fixed, outlier_px, max_steps
-        )
+        layout, start = Layout(unknowns, eyes), State(poses, lenses)
+        if still := [k for k in range(len(eyes)) if not layout.of(k)]:
+            raise ValueError(f"`views[{still[0]}]`: expected a view of something unknown, got none")
+        return cls(layout, start, cameras, own, moving, fixed, outlier_px, max_steps)
 
     def parts(self) -> list[tuple["JointProblem", list[int]]]:
         """Return the problems that have no unknown in common, and the numbers of their views."""
