@@ -1,4 +1,5 @@
-"""The command line: `pinhole-jax fit`, `render` and `convert`; also `python -m pinhole_jax`."""
+"""The command line: `pinhole-jax fit`, `render`, `hand-eye` and `convert`; also `python -m
+pinhole_jax`."""
 
 import argparse
 import atexit
@@ -37,10 +38,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        run = {"fit": _fit, "render": _render, "convert": _convert}[options.command]
+        run = {"fit": _fit, "render": _render, "hand-eye": _hand_eye, "convert": _convert}
         with ending_at_once(interrupted):
-            return run(options)
-    except (ValueError, OSError) as error:
+            return run[options.command](options)
+    except (ValueError, OSError, ModuleNotFoundError) as error:
         print(f"pinhole-jax {options.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:  # what was being written is whole or not there
@@ -161,6 +162,15 @@ def _render(options: argparse.Namespace) -> int:
         io.save_image(options.output, image)
     _say_written(options.output, f"{camera.W} x {camera.H}, {image.mean():.1%} covered")
     return 0
+
+
+def _hand_eye(options: argparse.Namespace) -> int:
+    with Progress("reading", options.verbose) as progress:
+        _set_up_jax(options)
+        from ._command.hand_eye import hand_eye
+
+        progress.count(Clock())
+        return hand_eye(options, progress.say, progress.tell)
 
 
 def _convert(options: argparse.Namespace) -> int:

@@ -1,6 +1,8 @@
 """Many masks, one problem: a robot's postures, a hand's camera, a rig, an object, robots' files."""
 
 import json
+import re
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -9,7 +11,7 @@ import trimesh
 from PIL import Image
 
 import pinhole_jax as pj
-from pinhole_jax import shapes
+from pinhole_jax import __main__ as command, shapes
 from pinhole_jax._camera.poses import adjoint, at_pose, exponential, inverse, pose_of
 from pinhole_jax._fit.joint_descent import Rows, solve
 from pinhole_jax._fit.joint_problem import JointProblem
@@ -136,6 +138,7 @@ def test_an_object_s_pose_before_known_cameras(arm, scenes, silhouette):
     assert np.all(found.std < 1e-6)
 
 
+@pytest.mark.long
 def test_a_box_before_two_cameras_may_be_turned_by_half(silhouette):
     bar = trimesh.creation.box((0.6, 0.9, 2.2))
     box = pj.Assembly([pj.Mesh(np.asarray(bar.vertices), bar.faces)])
@@ -152,6 +155,7 @@ def test_a_box_before_two_cameras_may_be_turned_by_half(silhouette):
     assert max(np.max(np.abs(np.abs(turn) - np.eye(3))) for turn in turns) < 1e-6
 
 
+@pytest.mark.long
 def test_a_ball_tells_no_turn(silhouette):
     scene = pj.Scene(spheres=pj.Spheres([[0.2, 0, 0.1]], [0.8]))
     views = [
@@ -378,6 +382,56 @@ def test_a_urdf_is_a_scene(tmp_path):
     (tmp_path / "no.urdf").write_text("<robot")
     with pytest.raises(ValueError, match="`path`: expected a URDF file, got"):
         pj.robots.load_urdf(tmp_path / "no.urdf")
+
+
+@pytest.fixture
+def robot_files(tmp_path, monkeypatch, silhouette):
+    """A robot of two links, angles and masks of three postures, a camera to start from."""
+    pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
+    # What the command sets for its own process would change those of the other tests.
+    monkeypatch.setattr(command, "_set_up_jax", lambda options: None)
+    monkeypatch.chdir(tmp_path)
+    body = shapes.bumpy(2)
+    trimesh.Trimesh(body.vertices, body.faces, process=False).export("body.stl")
+    trimesh.creation.box((0.6, 0.9, 2.2)).export("arm.stl")
+    base = '<box size="0.5 0.5 0.2"/>', '<mesh filename="body.stl"/>'
+    text = URDF.replace(*base).replace(' scale="2 2 2"', "").replace('xyz="0 0 0.1"', 'xyz="1 0 0"')
+    Path("arm.urdf").write_text(text)
+    Path("joints.csv").write_text("turn\n-0.6\n0.3\n1.1\n")
+    robot = pj.robots.load_urdf("arm.urdf")
+    for k, angle in enumerate((-0.6, 0.3, 1.1)):
+        pj.io.save_image(f"mask_{k}.png", silhouette(TRUTH, robot.scene([angle])))
+    pj.io.save_camera("start.json", START)
+    return ["hand-eye", "arm.urdf", "joints.csv", *(f"mask_{k}.png" for k in range(3))]
+
+
+@pytest.mark.long
+def test_the_command_finds_the_camera_of_a_robot(robot_files, capsys):
+    words = [*robot_files, "--camera", "start.json", "--holdout", "-o", "found"]
+    assert command.main(words) == 0
+    out = capsys.readouterr().out
+    found = pj.io.load_fit("found/camera.json")
+    assert max(apart(found.camera, TRUTH)) < 2e-3
+    assert re.search(r"^halves .* sigma: they agree$", out, re.M)
+    written = re.search(r"^written +(.*)$", out, re.M)[1].split(", ")
+    assert len(written) == 4
+    assert all(Path(path).exists() for path in written)
+
+
+def test_the_command_names_what_is_wrong_about_a_robot(robot_files, capsys):
+    start = ["--camera", "start.json"]
+    Path("short.json").write_text('{"names": ["turn"], "postures": [[1, 2]]}')
+    Path("other.csv").write_text("bend\n0\n0\n0\n")
+    robot, masks = robot_files[:2], robot_files[3:]
+    for change, words in (
+        ([*robot_files[:-1], *start], "`MASK`: expected one of each of 3 rows of 'joints.csv'"),
+        ([*robot_files, *start, "--in-hand", "tool"], "`--in-hand`: expected a link among base"),
+        ([*robot_files, *start, "--leave-out", "tool"], "`--leave-out`: expected links among base"),
+        ([*robot, "other.csv", *masks, *start], "`JOINTS`: expected one of each joint, got none"),
+        ([*robot, "short.json", *masks[:1], *start], "`JOINTS`: expected 1 angles in row 1, got 2"),
+    ):
+        assert command.main(change) == 2
+        assert words in capsys.readouterr().err
 
 
 def test_a_mesh_that_does_not_share_its_vertices_says_so():

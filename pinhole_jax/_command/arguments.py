@@ -70,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_fit(commands)
     _add_render(commands)
+    _add_hand_eye(commands)
     _add_convert(commands)
     return parser
 
@@ -177,6 +178,62 @@ def _add_render(commands: Any) -> None:
         "-o", "--output", default="mask.png", metavar="IMAGE", help="(default: %(default)s)"
     )
     _add_cache(render)
+
+
+def _add_hand_eye(commands: Any) -> None:
+    robot = _command(
+        commands,
+        "hand-eye",
+        help="recover the camera that sees a robot, from a URDF, joint angles and masks",
+        description="Recover the one camera that sees ROBOT, with its joints as JOINTS say row by"
+        " row, as\nthe MASKs: in the frame of its base, or with --in-hand in that of a link.\n"
+        "Writes camera.json and overlay_K.png, prints the camera with its standard errors and\n"
+        "which masks disagree. Needs yourdfpy: pip install 'pinhole-jax[robots]'.\n"
+        "Exit status: 0 converged, 1 not to be trusted (the status says why), 2 bad input.",
+        epilog=f"{STATUS}\n\n{EPILOG}",
+    )
+    robot.add_argument("robot", metavar="ROBOT", help="a URDF file, its meshes beside it")
+    robot.add_argument(
+        "joints",
+        metavar="JOINTS",
+        help="angles (rad): a CSV file whose first line has the joints' names, or JSON with"
+        " `names` and `postures`",
+    )
+    robot.add_argument("masks", metavar="MASK", nargs="+", help="an image for each row of JOINTS")
+    start = robot.add_mutually_exclusive_group(required=True)
+    start.add_argument(
+        "--camera", metavar="START", help="where to start: a file that `fit --camera` reads"
+    )
+    start.add_argument(
+        "--K",
+        nargs=4,
+        type=float,
+        metavar=("FX", "FY", "CX", "CY"),
+        help="known intrinsics in px (OpenCV's K), to search with",
+    )
+    robot.add_argument("--dist", nargs="+", type=float, metavar="K1", help="as in `fit`")
+    robot.add_argument(
+        "--pixel-centres",
+        choices=("integer", "half"),
+        default="integer",
+        help="as in `fit` (default: %(default)s)",
+    )
+    robot.add_argument("--in-hand", metavar="LINK", help="the link that carries the camera")
+    robot.add_argument(
+        "--leave-out", metavar="LINKS", help="links that the masks do not show, with commas"
+    )
+    robot.add_argument(
+        "--free", default="pose", metavar="NAMES", help="as in `fit`: pose, phi, ..."
+    )
+    robot.add_argument("--mask-from", metavar="HOW", help="how to read the MASKs, see below")
+    robot.add_argument(
+        "--holdout", action="store_true", help="fit each half of the postures, too: do they agree?"
+    )
+    robot.add_argument("--verbose", action="store_true", help="say on stderr what goes on")
+    robot.add_argument(
+        "-o", "--output", default="out", metavar="FOLDER", help="(default: %(default)s)"
+    )
+    _add_cache(robot)
 
 
 def _add_convert(commands: Any) -> None:

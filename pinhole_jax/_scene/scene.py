@@ -109,7 +109,8 @@ class Mesh(eqx.Module):
         self.edge_faces = jnp.asarray(edge_faces)
         self.planes = _planes_and_clusters(self.vertices, self.faces, self.edge_faces)
         self.closed = bool(np.all(edge_faces >= 0))
-        if points is not None and np.mean(edge_faces < 0) > MOSTLY_BORDER / 2:
+        borders = np.count_nonzero(edge_faces < 0)
+        if points is not None and borders > MOSTLY_BORDER * len(edge_faces):
             _say_if_loose(points, triangles)
 
 

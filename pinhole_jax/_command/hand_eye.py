@@ -1,0 +1,152 @@
+"""`pinhole-jax hand-eye`: the camera that sees a robot, from a URDF, joint angles and masks."""
+
+import argparse
+import csv
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .. import io
+from .._camera.camera import Camera
+from .._camera.poses import pose_of
+from .._files.paths import read_json, read_text
+from .._fit.fit_joint import fit_joint
+from .._fit.joint_result import JointFit
+from .._fit.joint_views import JointView
+from .._fit.parameters import as_names
+from .._fit.result import Fit
+from ..formats import object_pose
+from ..plot import overlay
+from ..robots import load_urdf
+from .known import known
+from .naming import named
+
+#: What the command calls the arguments of `fit_joint`.
+ASKED = {"target": "MASK", "free": "--free", "camera": "--camera", "cameras": "--camera"}
+
+
+def hand_eye(
+    options: argparse.Namespace, say: Callable[[str], Any], tell: Callable[[str], Any]
+) -> int:
+    """Fit, write and print; return 0, or 1 for a fit that is not to be trusted."""
+    with named(path="ROBOT", leave_out="--leave-out"):
+        robot = load_urdf(options.robot, _names(options.leave_out))
+    with named(path="JOINTS"):
+        postures = joint_angles(options.joints)
+    if len(postures) != len(options.masks):
+        raise ValueError(
+            f"`MASK`: expected one of each of {len(postures)} rows of {options.joints!r}, got"
+            f" {len(options.masks)}"
+        )
+    link = options.in_hand
+    with named(path="MASK", mask_from="--mask-from"):
+        masks = [io.load_mask(path, options.mask_from, tell) for path in options.masks]
+    views = []
+    for angles, mask in zip(postures, masks, strict=True):
+        with named(angles="JOINTS"):
+            poses = robot.poses(angles)
+        if link is not None and link not in poses:
+            words = f"expected a link among {', '.join(poses)}, got {link!r}"
+            raise ValueError(f"`--in-hand`: {words}")
+        mount = None if link is None else poses[link]
+        views.append(JointView(robot.at(poses), mask, mount=mount))
+    camera, search = _start(options, masks[0], tell)
+    say(f"fitting {len(views)} views (the first time compiles: seconds)")
+    with named(**ASKED):
+        fit = fit_joint(views, camera, as_names(options.free), search=search, progress=say)
+    apart = _halves(fit, views, options) if options.holdout else None
+    written = _write(options, fit, views, masks)
+    print(fit)
+    found = fit.cameras["camera"]
+    if fit.status != "non_finite":
+        print(object_pose(found, pixel_centres=options.pixel_centres))
+    if apart is not None:
+        print(f"halves     {apart}")
+    print(f"written    {', '.join(map(str, written))}")
+    return 0 if fit.status == "converged" else 1
+
+
+def joint_angles(path: str) -> list[dict[str, float]]:
+    """Return a file's joint angles, by name: a CSV whose first line has the names, or JSON with
+    `names` and `postures`.
+
+    Raises FileNotFoundError, or ValueError for what is neither.
+    """
+    if path.lower().endswith(".json"):
+        data = read_json(path, "joint angles")
+        rows = [data.get("names"), *data.get("postures", ())] if isinstance(data, dict) else []
+    else:
+        lines = read_text(path, "joint angles").splitlines()
+        rows = [[cell.strip() for cell in row] for row in csv.reader(lines) if row]
+    if len(rows) < 2 or not all(isinstance(row, list) and row for row in rows):
+        words = "a line of joint names (JSON: names, postures) and at least one of angles"
+        raise ValueError(f"`path`: expected {words}, got none (in {path!r})")
+    names, *postures = rows
+    result = []
+    for number, row in enumerate(postures, 1):
+        try:
+            values = [float(x) for x in row]
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"`path`: expected numbers in row {number}, got {row}") from error
+        if len(values) != len(names):
+            words = f"expected {len(names)} angles in row {number}, got {len(values)}"
+            raise ValueError(f"`path`: {words} (in {path!r})")
+        result.append(dict(zip(map(str, names), values, strict=True)))
+    return result
+
+
+def _names(text: str | None) -> Sequence[str]:
+    return [] if text is None else as_names(text, "leave_out")
+
+
+def _start(
+    options: argparse.Namespace, mask: np.ndarray, tell: Callable[[str], Any]
+) -> tuple[Camera, bool]:
+    """Return the camera to start from, and whether of it the lens alone is known."""
+    unused = dict.fromkeys(("crop", "resize", "fov", "image"))
+    asked = argparse.Namespace(**{**unused, **vars(options)}, mask=options.masks[0])
+    H, W = mask.shape
+    camera, phi, lens = known(asked, as_names(options.free), (W, H), tell)
+    if camera is not None:
+        return camera, False
+    return Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, W, H, lens), True
+
+
+def _halves(fit: JointFit, views: list[JointView], options: argparse.Namespace) -> str:
+    """Return in words how far apart the fits to each half of the views are."""
+    if len(views) < 2:
+        return "expected two views at least"
+    start, free = fit.camera, as_names(options.free)
+    one, other = (
+        fit_joint(half, start, free).cameras["camera"] for half in (views[::2], views[1::2])
+    )
+    return f"each half of the views by itself: {_apart(one, other)}"
+
+
+def _apart(one: Fit, other: Fit) -> str:
+    a, b = pose_of(one.camera), pose_of(other.camera)
+    turn = Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec() * [1, -1, 1]
+    shift = b[:3, 3] - a[:3, 3]
+    sigmas = np.abs(np.append(turn, shift)) / np.hypot(one.std[:6], other.std[:6])
+    degrees, most = np.rad2deg(np.linalg.norm(turn)), float(np.max(sigmas))
+    words = "they agree" if most < 3 else "they do not agree"
+    return f"{degrees:.2g} degrees, {np.linalg.norm(shift):.2g} apart, {most:.1f} sigma: {words}"
+
+
+def _write(
+    options: argparse.Namespace, fit: JointFit, views: list[JointView], masks: list[np.ndarray]
+) -> list[Path]:
+    """Write the camera, and each mask with the outline on it; return the paths."""
+    folder = Path(options.output)
+    written = [folder / "camera.json"]
+    with named(path="--output"):
+        found = fit.cameras["camera"]._replace(status=fit.status)
+        io.save_fit(written[0], found, pixel_centres=options.pixel_centres)
+        if fit.status != "non_finite":
+            for k, (view, given, mask) in enumerate(zip(fit.views, views, masks, strict=True)):
+                written.append(folder / f"overlay_{k}.png")
+                io.save_image(written[-1], overlay(mask, view.camera, given.scene))
+    return written
