@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax._camera.poses import at_pose, inverse, pose_of
+from pinhole_jax._fit.joint_result import between
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "robots" / "lbr_med7"
 K = [
@@ -38,16 +39,13 @@ def views(side: str) -> list[pj.JointView]:
     return [pj.JointView(robot.scene(q), mask) for q, mask in zip(angles, masks, strict=True)]
 
 
-def between(one: pj.Fit, other: pj.Fit) -> dict:
+def apart(one: pj.Fit, other: pj.Fit) -> dict:
     """How far apart two cameras are, and in standard deviations."""
-    a, b = pose_of(one.camera), pose_of(other.camera)
-    turn = Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec() * [1, -1, 1]
-    sigma = np.hypot(one.std, other.std)
-    off = np.append(turn, b[:3, 3] - a[:3, 3]) / sigma
+    found = between(one, other)
     return {
-        "degrees": float(np.rad2deg(np.linalg.norm(turn))),
-        "mm": float(1e3 * np.linalg.norm(b[:3, 3] - a[:3, 3])),
-        "most sigmas": float(np.max(np.abs(off))),
+        "degrees": float(np.rad2deg(found.angle)),
+        "mm": 1e3 * found.distance,
+        "most sigmas": float(np.max(np.abs(found.sigmas))),
     }
 
 
@@ -77,9 +75,9 @@ def main() -> None:
             "std": fit.std.tolist(),
             "excess": found.excess,
             "IoU": [view.iou for view in found.views],
-            "from a start": between(fit, again.cameras["camera"]),
+            "from a start": apart(fit, again.cameras["camera"]),
             "halves": [
-                between(
+                apart(
                     *(
                         pj.fit_joint([seen[k] for k in half], found.camera).cameras["camera"]
                         for half in pair

@@ -96,13 +96,7 @@ def _add_fit(commands: Any) -> None:
         help="where to start (else: search): a camera file, see below, or any that `convert` reads;"
         " FILE:NAME is one of several",
     )
-    start.add_argument(
-        "--K",
-        nargs=4,
-        type=float,
-        metavar=("FX", "FY", "CX", "CY"),
-        help="known intrinsics in px (OpenCV's K), to search with",
-    )
+    _add_K(start)
     start.add_argument(
         "--fov",
         type=float,
@@ -158,10 +152,7 @@ def _add_fit(commands: Any) -> None:
     fit.add_argument(
         "--report", metavar="PAGE.html", help="write a page with pictures, errors, all formats"
     )
-    fit.add_argument("--verbose", action="store_true", help="say on stderr what goes on")
-    fit.add_argument(
-        "-o", "--output", default="out", metavar="FOLDER", help="(default: %(default)s)"
-    )
+    _add_folder(fit)
     _add_cache(fit)
 
 
@@ -204,13 +195,7 @@ def _add_hand_eye(commands: Any) -> None:
     start.add_argument(
         "--camera", metavar="START", help="where to start: a file that `fit --camera` reads"
     )
-    start.add_argument(
-        "--K",
-        nargs=4,
-        type=float,
-        metavar=("FX", "FY", "CX", "CY"),
-        help="known intrinsics in px (OpenCV's K), to search with",
-    )
+    _add_K(start)
     robot.add_argument("--dist", nargs="+", type=float, metavar="K1", help="as in `fit`")
     robot.add_argument(
         "--pixel-centres",
@@ -229,10 +214,7 @@ def _add_hand_eye(commands: Any) -> None:
     robot.add_argument(
         "--holdout", action="store_true", help="fit each half of the postures, too: do they agree?"
     )
-    robot.add_argument("--verbose", action="store_true", help="say on stderr what goes on")
-    robot.add_argument(
-        "-o", "--output", default="out", metavar="FOLDER", help="(default: %(default)s)"
-    )
+    _add_folder(robot)
     _add_cache(robot)
 
 
@@ -255,6 +237,23 @@ def _add_convert(commands: Any) -> None:
         help="the image's size in px, where IN does not hold it (glTF, some NeRF files)",
     )
     convert.set_defaults(no_cache=True)
+
+
+def _add_K(start: Any) -> None:
+    start.add_argument(
+        "--K",
+        nargs=4,
+        type=float,
+        metavar=("FX", "FY", "CX", "CY"),
+        help="known intrinsics in px (OpenCV's K), to search with",
+    )
+
+
+def _add_folder(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--verbose", action="store_true", help="say on stderr what goes on")
+    parser.add_argument(
+        "-o", "--output", default="out", metavar="FOLDER", help="(default: %(default)s)"
+    )
 
 
 def _add_cache(parser: argparse.ArgumentParser) -> None:

@@ -7,17 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from .. import io
 from .._camera.camera import Camera
-from .._camera.poses import pose_of
 from .._files.paths import read_json, read_text
 from .._fit.fit_joint import fit_joint
-from .._fit.joint_result import JointFit
+from .._fit.joint_result import JointFit, between
 from .._fit.joint_views import JointView
 from .._fit.parameters import as_names
-from .._fit.result import Fit
 from ..formats import object_pose
 from ..plot import overlay
 from ..robots import load_urdf
@@ -123,17 +120,11 @@ def _halves(fit: JointFit, views: list[JointView], options: argparse.Namespace) 
     one, other = (
         fit_joint(half, start, free).cameras["camera"] for half in (views[::2], views[1::2])
     )
-    return f"each half of the views by itself: {_apart(one, other)}"
-
-
-def _apart(one: Fit, other: Fit) -> str:
-    a, b = pose_of(one.camera), pose_of(other.camera)
-    turn = Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec() * [1, -1, 1]
-    shift = b[:3, 3] - a[:3, 3]
-    sigmas = np.abs(np.append(turn, shift)) / np.hypot(one.std[:6], other.std[:6])
-    degrees, most = np.rad2deg(np.linalg.norm(turn)), float(np.max(sigmas))
-    words = "they agree" if most < 3 else "they do not agree"
-    return f"{degrees:.2g} degrees, {np.linalg.norm(shift):.2g} apart, {most:.1f} sigma: {words}"
+    apart = between(one, other)
+    degrees, most = np.rad2deg(apart.angle), float(np.max(np.abs(apart.sigmas)))
+    words = f"{degrees:.2g} degrees, {apart.distance:.2g} apart, {most:.1f} sigma"
+    verdict = "they agree" if most < 3 else "they do not agree"
+    return f"each half of the views by itself: {words}: {verdict}"
 
 
 def _write(

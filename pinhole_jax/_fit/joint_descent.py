@@ -19,8 +19,6 @@ from .problem import COSINE, UNIT_PX, View
 
 #: Damping of the first step, in squares of the columns' norms, and of what it is at least.
 FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
-
-
 #: Held by the thread that asks for a program.
 ASKING = Lock()
 
@@ -123,25 +121,27 @@ def _side_by_side(eyes: list[Eye], at: list[tuple[Camera, int]]) -> list[View]:
 
 
 class Solved(NamedTuple):
-    """The least squares' x, and what determines it: the shared unknowns' triangle, and of each view
-    the triangle of its own unknowns and what the shared ones do to these."""
+    """The least squares' x, and what determines it: the shared unknowns' triangle, of each view
+    the triangle of its own unknowns and what the shared ones do to these, and of each unknown the
+    number of the view that owns it, -1 of shared ones."""
 
     x: np.ndarray
     shared: np.ndarray
     triangle: np.ndarray
     own: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+    owner: np.ndarray
 
     def inverse(self, place: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return the inverse of the normal matrix between some unknowns (p,) and others (q,)."""
         back = np.linalg.pinv(self.triangle)
         left, right = self._by_shared(place), self._by_shared(columns)
         result = left @ back @ (right @ back).T
-        for own, triangle, _ in self.own:
-            rows, others = (np.flatnonzero(np.isin(x, own)) for x in (place, columns))
-            if rows.size and others.size:
-                inverse = np.linalg.pinv(triangle)
-                of = lambda x, inverse=inverse, own=own: inverse[np.searchsorted(own, x)]
-                result[np.ix_(rows, others)] += of(place[rows]) @ of(columns[others]).T
+        for view in self._owners(place):
+            rows, others = (np.flatnonzero(self.owner[x] == view) for x in (place, columns))
+            own, triangle, _ = self.own[view]
+            inverse = np.linalg.pinv(triangle)
+            of = lambda x, inverse=inverse, own=own: inverse[np.searchsorted(own, x)]
+            result[np.ix_(rows, others)] += of(place[rows]) @ of(columns[others]).T
         return result
 
     def unseen(self, blind: float) -> np.ndarray:
@@ -161,13 +161,17 @@ class Solved(NamedTuple):
     def _by_shared(self, place: np.ndarray) -> np.ndarray:
         """Return how unknowns follow the shared ones (p, s)."""
         result = np.zeros((len(place), len(self.shared)))
-        held = np.flatnonzero(np.isin(place, self.shared))
+        held = np.flatnonzero(self.owner[place] < 0)
         result[held, np.searchsorted(self.shared, place[held])] = 1
-        for own, triangle, across in self.own:
-            at = np.flatnonzero(np.isin(place, own))
-            if at.size:
-                result[at] = -(np.linalg.pinv(triangle) @ across)[np.searchsorted(own, place[at])]
+        for view in self._owners(place):
+            at = np.flatnonzero(self.owner[place] == view)
+            own, triangle, across = self.own[view]
+            result[at] = -(np.linalg.pinv(triangle) @ across)[np.searchsorted(own, place[at])]
         return result
+
+    def _owners(self, place: np.ndarray) -> list[int]:
+        """Return the views that own some of these unknowns."""
+        return [int(view) for view in np.unique(self.owner[place]) if view >= 0]
 
 
 def _null(triangle: np.ndarray, blind: float) -> np.ndarray:
@@ -184,9 +188,10 @@ def _null(triangle: np.ndarray, blind: float) -> np.ndarray:
 def solve(parts: list[Rows], size: int, damping: np.ndarray) -> Solved:
     """Return the x (size,) of least squares, `damping` (size,) times x among the residuals."""
     shared = np.setdiff1d(np.arange(size), np.concatenate([p.columns[p.own] for p in parts]))
-    x, reduced, owns = np.zeros(size), [], []
-    for part in parts:
+    x, reduced, owns, owner = np.zeros(size), [], [], np.full(size, -1)
+    for k, part in enumerate(parts):
         own = part.columns[part.own]
+        owner[own] = k
         across = np.zeros((len(part.left), len(shared)))
         across[:, np.searchsorted(shared, part.columns[~part.own])] = part.rows[:, ~part.own]
         table = np.column_stack([part.rows[:, part.own], across, part.left])
@@ -201,7 +206,7 @@ def solve(parts: list[Rows], size: int, damping: np.ndarray) -> Solved:
     x[shared] = -np.linalg.pinv(r[:, :-1]) @ r[:, -1]
     for own, triangle, across, left in owns:
         x[own] = -np.linalg.pinv(triangle) @ (left + across @ x[shared])
-    return Solved(x, shared, r[:, :-1], [part[:3] for part in owns])
+    return Solved(x, shared, r[:, :-1], [part[:3] for part in owns], owner)
 
 
 def moved_by(x: np.ndarray, seen: list[Seen], parts: list[Rows]) -> float:

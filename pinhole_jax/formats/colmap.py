@@ -16,6 +16,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Fisheye, Rational
+from .._camera.poses import inverse
 from .._files.paths import opened, replace_file
 from .fields import KIND, Fields, add_named, check_cameras, number, save_text, short
 from .pinhole import (
@@ -24,7 +25,6 @@ from .pinhole import (
     camera_from_world,
     camera_of,
     distortion_of,
-    inverse,
     model_of,
     pinhole,
 )

@@ -8,6 +8,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.lens import Lens
+from .._camera.poses import inverse
 from .._fit.target import check_image
 from .._numerics.arrays import Numbers
 from .._scene.scene import Scene
@@ -20,7 +21,6 @@ from .pinhole import (
     Pinhole,
     camera_of,
     focal_of_fov,
-    inverse,
     rigid,
 )
 from .window import resized

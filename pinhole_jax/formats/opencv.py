@@ -12,11 +12,12 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
+from .._camera.poses import inverse
 from .._files.paths import read_text
 from . import yaml
 from .fields import KIND, Fields, Size, check_cameras, save_text, short
 from .matrices import half_pixel, to_opencv
-from .pinhole import OPENCV, Pinhole, camera_of, distortion_of, inverse, model_of, rotation
+from .pinhole import OPENCV, Pinhole, camera_of, distortion_of, model_of, rotation
 from .rotations import matrix_of_vector, vector_of_matrix
 
 #: The names under which a field is known; case and underscores do not count.

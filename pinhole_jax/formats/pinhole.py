@@ -104,14 +104,6 @@ def rigid(matrix: np.ndarray, fields: Fields, name: str) -> np.ndarray:
     return result
 
 
-def inverse(transform: np.ndarray) -> np.ndarray:
-    """Return the inverse of a rigid (4, 4) transform."""
-    result = np.eye(4)
-    result[:3, :3] = transform[:3, :3].T
-    result[:3, 3] = -transform[:3, :3].T @ transform[:3, 3]
-    return result
-
-
 def camera_of(
     view: Pinhole,
     world_from_camera: np.ndarray,

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from .._camera.camera import Camera
+from .._camera.poses import inverse
 from .._numerics.arrays import Numbers
 from .fields import Fields, Size, add_named, check_cameras, load_json, save_json
 from .pinhole import (
@@ -20,7 +21,6 @@ from .pinhole import (
     Pinhole,
     camera_from_world,
     camera_of,
-    inverse,
     pinhole,
     rotation,
 )
