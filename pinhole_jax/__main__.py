@@ -1,4 +1,4 @@
-"""The command line: `pinhole-jax fit`, `render`, `hand-eye` and `convert`; also `python -m
+"""The command line: `pinhole-jax fit`, `render`, `hand-eye`, `batch` and `convert`; also `python -m
 pinhole_jax`."""
 
 import argparse
@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from ._command.arguments import parse
-from ._command.naming import named, renamed
 from ._command.progress import Clock, Progress
 from ._files.interrupt import STATUS, ending_at_once
+from ._files.naming import named, renamed
 
 #: What the command calls the arguments of `load_mesh` and `Mesh`, and of `fit_camera`.
 MESH = {"path": "MESH", "vertices": "MESH"}
@@ -38,7 +38,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        run = {"fit": _fit, "render": _render, "hand-eye": _hand_eye, "convert": _convert}
+        run = {
+            "fit": _fit,
+            "render": _render,
+            "hand-eye": _hand_eye,
+            "batch": _batch,
+            "convert": _convert,
+        }
         with ending_at_once(interrupted):
             return run[options.command](options)
     except (ValueError, OSError, ModuleNotFoundError) as error:
@@ -171,6 +177,14 @@ def _hand_eye(options: argparse.Namespace) -> int:
 
         progress.count(Clock())
         return hand_eye(options, progress.say, progress.tell)
+
+
+def _batch(options: argparse.Namespace) -> int:
+    # (JAX is not set up: workers are, and this process needs none to count.)
+    with Progress("reading", options.verbose) as progress:
+        from ._command.batch import batch
+
+        return batch(options, progress.say, progress.tell)
 
 
 def _convert(options: argparse.Namespace) -> int:

@@ -1,6 +1,7 @@
 """All that users may name, as `pinhole_jax.NAME`: `__init__` loads it when one is asked for."""
 
 from . import (
+    batch as batch,
     formats as formats,
     io as io,
     plot as plot,
@@ -37,5 +38,6 @@ from ._scene.scene import Mesh as Mesh, Scene as Scene, Spheres as Spheres
 from ._silhouette.silhouette import silhouette as silhouette
 from ._trace.images import depth as depth, normals as normals
 from ._trace.trace import Hit as Hit, occluded as occluded, trace as trace
+from .batch import fit_many as fit_many, fit_one as fit_one
 from .io import load_mesh as load_mesh
 from .testing import Certificate as Certificate, check_gradients as check_gradients

@@ -18,7 +18,7 @@ from pinhole_jax import __main__ as command, io, shapes
 from pinhole_jax._camera.distortion import MODELS
 from pinhole_jax._command.arguments import parse
 from pinhole_jax._command.known import known
-from pinhole_jax._command.naming import named
+from pinhole_jax._files.naming import named
 from pinhole_jax._fit.parameters import NAMES, check_free
 from pinhole_jax._fit.words import STATUSES
 from pinhole_jax._names import DISTORTIONS, FREE, STATUSES as STATUSES_TOLD

@@ -51,6 +51,18 @@ Turn the cameras of IN into another program's file. Formats, and the endings tha
 """
 
 
+DATASETS = """\
+a data set is one of
+  BOP      a split's folder, or one scene's: scene_camera.json, scene_gt.json, mask_visib
+  a table  .csv, .jsonl or .parquet: a record a row, with the columns id, mesh, mask, and of K (four
+           numbers or nine), dist, fov, camera, start, free, ... what is known; paths are relative
+           to it
+  a folder with one mesh, masks (or a folder `masks`), and camera.json, --K or --fov
+RESULTS holds rows as JSON lines: status, camera, K, R, t, covariance, seconds, and why a record
+failed. Processes on several machines may share it, each with a --shard of its own.
+"""
+
+
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """Return the options of a command line (None: this process's); `command` is which command.
 
@@ -71,6 +83,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_fit(commands)
     _add_render(commands)
     _add_hand_eye(commands)
+    _add_batch(commands)
     _add_convert(commands)
     return parser
 
@@ -216,6 +229,57 @@ def _add_hand_eye(commands: Any) -> None:
     )
     _add_folder(robot)
     _add_cache(robot)
+
+
+def _add_batch(commands: Any) -> None:
+    batch = _command(
+        commands,
+        "batch",
+        help="recover the cameras of a whole data set",
+        description="Recover the camera of each record of DATASET; append a row for each to the"
+        " parts in\nRESULTS. What is stopped, by whatever, goes on with --resume.\n"
+        "Exit status: 0 each record has a row, 1 some have no fit (their rows say why), 2 bad"
+        " input.",
+        epilog=DATASETS,
+    )
+    batch.add_argument("dataset", metavar="DATASET", nargs="?", help="see below")
+    batch.add_argument("-o", "--output", metavar="RESULTS", required=True, help="a folder")
+    batch.add_argument("--workers", type=int, metavar="K", help="processes (default: one a core)")
+    batch.add_argument(
+        "--shard", default="1/1", metavar="I/N", help="fit the I-th of N parts of DATASET alone"
+    )
+    batch.add_argument("--resume", action="store_true", help="fit what has no row in RESULTS yet")
+    batch.add_argument(
+        "--time-limit",
+        type=float,
+        default=600.0,
+        metavar="SECONDS",
+        help="what one record may take, 0: any time (default: %(default)g)",
+    )
+    batch.add_argument("--merge", metavar="TABLE", help="write all rows: .parquet, .jsonl, .csv")
+    batch.add_argument("--report", metavar="PAGE.html", help="write totals and the worst rows")
+    batch.add_argument(
+        "--write",
+        nargs=2,
+        metavar=("ID", "CAMERA"),
+        help="write a row's camera as any file that `convert` writes",
+    )
+    batch.add_argument("--start", action="store_true", help="start from BOP's poses, else search")
+    batch.add_argument("--models", metavar="FOLDER", help="BOP's models (default: beside it)")
+    batch.add_argument("--detections", metavar="COCO.json", help="masks instead of BOP's own")
+    known = batch.add_mutually_exclusive_group()
+    _add_K(known)
+    known.add_argument("--fov", type=float, metavar="DEGREES", help="where DATASET says nothing")
+    batch.add_argument(
+        "--pixel-centres",
+        choices=("integer", "half"),
+        default="integer",
+        help="as in `fit`, of --K (default: %(default)s)",
+    )
+    batch.add_argument("--free", default="pose", metavar="NAMES", help="as in `fit`")
+    batch.add_argument("--mask-from", metavar="HOW", help="as in `fit`")
+    batch.add_argument("--verbose", action="store_true", help="say on stderr what goes on")
+    _add_cache(batch)
 
 
 def _add_convert(commands: Any) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from .. import io
 from .._camera.camera import Camera
+from .._files.naming import named
 from .._files.paths import read_json, read_text
 from .._fit.fit_joint import fit_joint
 from .._fit.joint_result import JointFit, between
@@ -19,7 +20,6 @@ from ..formats import object_pose
 from ..plot import overlay
 from ..robots import load_urdf
 from .known import known
-from .naming import named
 
 #: What the command calls the arguments of `fit_joint`.
 ASKED = {"target": "MASK", "free": "--free", "camera": "--camera", "cameras": "--camera"}

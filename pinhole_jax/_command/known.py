@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Rational
 from .._camera.lens import Lens
+from .._files.naming import named
 from ..formats import cropped, from_opencv, read_one, resized
 from ..io import photo_fov
-from .naming import named
 
 Size = tuple[int, int]
 

@@ -48,8 +48,8 @@ def ending_at_once(words: str) -> Iterator[None]:
 def interrupts_raise() -> Iterator[None]:
     """Let Ctrl-C be an exception, so that what is half written is removed."""
     global _writing
-    _writing = True
+    before, _writing = _writing, True
     try:
         yield
     finally:
-        _writing = False
+        _writing = before

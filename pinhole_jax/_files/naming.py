@@ -1,4 +1,4 @@
-"""What a library's error says of its arguments, said of the command's."""
+"""What a function's error says of its arguments, said of its caller's: a command's, a record's."""
 
 import contextlib
 import re
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def named(**arguments: str) -> Iterator[None]:
-    """Name the command's arguments in errors that name the library's: `path="MESH"`."""
+    """Name a caller's arguments in errors that name a function's: `path="MESH"`."""
     try:
         yield
     except (ValueError, OSError) as error:

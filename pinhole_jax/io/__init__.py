@@ -22,4 +22,5 @@ from .images import (
 )
 from .masks import load_mask as load_mask
 from .meshes import load_mesh as load_mesh
+from .rle import mask_of_rle as mask_of_rle
 from .tidy import Tidied as Tidied, tidy_mask as tidy_mask

@@ -1,0 +1,138 @@
+"""`pinhole-jax batch`: the cameras of a whole data set, and what is made of their rows."""
+
+import argparse
+import contextlib
+import re
+import signal
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from .. import formats
+from .._files.interrupt import interrupts_raise
+from .._files.naming import named
+from ..batch import (
+    NO_FIT,
+    Count,
+    Dataset,
+    Results,
+    fit_many,
+    fit_of,
+    merge,
+    page,
+    read_dataset,
+    shard_of,
+)
+
+#: What the command calls the arguments of the library.
+ASKED = {
+    "out": "--output",
+    "workers": "--workers",
+    "shard": "--shard",
+    "time_limit": "--time-limit",
+    "items": "DATASET",
+    "path": "DATASET",
+    "models": "--models",
+    "detections": "--detections",
+}
+
+
+def batch(
+    options: argparse.Namespace, say: Callable[[str], Any], tell: Callable[[str], Any]
+) -> int:
+    """Fit what is not done, write what is asked for; return 0, or 1 where a record failed."""
+    asked = [options.merge, options.report, options.write]
+    if options.dataset is None and not any(asked):
+        raise ValueError("`DATASET`: expected one, or --merge, --report or --write, got none")
+    with named(out="--output"):
+        results = Results(options.output)
+    if options.dataset is not None:
+        with named(**ASKED):
+            _fit(options, results, say)
+    counts = results.counts()
+    written = list(_written(options, results))
+    print(f"rows       {len(results)} in {options.output}")
+    for status, count in counts.items():
+        print(f"  {count:6d}   {status}")
+    if written:
+        print(f"written    {', '.join(written)}")
+    return 1 if NO_FIT.keys() & counts.keys() else 0
+
+
+def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any]) -> None:
+    """Fit the records that have no row yet."""
+    shard = _shard(options.shard)
+    data = _dataset(options)
+    if not options.resume and not results.ids().isdisjoint(_ids(data, shard)):
+        raise ValueError(
+            f"`--output`: expected a folder without rows of DATASET, got {options.output!r};"
+            " --resume goes on with what is not done"
+        )
+    say("counting records")
+    told: Callable[[Count], Any] = lambda count: say(str(count))
+    with interrupts_raise(), _ended_as_interrupted():
+        fit_many(
+            data,
+            workers=options.workers,
+            out=options.output,
+            progress=told,
+            shard=shard,
+            time_limit=options.time_limit or None,
+            cached=not options.no_cache,
+        )
+
+
+@contextlib.contextmanager
+def _ended_as_interrupted() -> Iterator[None]:
+    """Let a scheduler's SIGTERM be what Ctrl-C is: what is done is written first."""
+
+    def interrupted(number: int, frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupted)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _dataset(options: argparse.Namespace) -> Dataset:
+    return read_dataset(
+        options.dataset,
+        start=options.start,
+        models=options.models,
+        detections=options.detections,
+        free=options.free,
+        K=options.K,
+        pixel_centres=options.pixel_centres if options.K is not None else None,
+        fov=options.fov,
+        mask_from=options.mask_from,
+    )
+
+
+def _ids(data: Dataset, shard: tuple[int, int]) -> Iterator[str]:
+    number, count = shard
+    return (r["id"] for r in data if shard_of(r["id"], count) == number - 1)
+
+
+def _shard(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
+    if found is None:
+        raise ValueError(f"`--shard`: expected I/N, as 3/10, got {text!r}")
+    return int(found[1]), int(found[2])
+
+
+def _written(options: argparse.Namespace, results: Results) -> Iterator[str]:
+    """Write what is asked for; yield the paths."""
+    if options.merge is not None:
+        with named(path="--merge"):
+            merge(results, options.merge)
+        yield options.merge
+    if options.report is not None:
+        with named(path="--report"):
+            page.write(options.report, results)
+        yield options.report
+    if options.write is not None:
+        id, path = options.write
+        with named(id="--write", row="--write", path="--write", cameras="--write"):
+            formats.write(path, {id: fit_of(results.row(id)).camera})
+        yield path

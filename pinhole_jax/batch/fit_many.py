@@ -1,0 +1,188 @@
+"""`fit_many`: any number of records through any executor; what stops is resumed."""
+
+import itertools
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from typing import Any, NamedTuple, TypeGuard
+
+from .engine import rows_of
+from .parts import Results, Writer
+from .records import Record, check_id, shard_of
+from .rows import Row
+from .worker import Setup
+
+#: So many records at a time are sorted, so that a worker meets one mesh after another.
+WINDOW = 4096
+#: A record's seconds, unless others are asked for.
+TIME_LIMIT = 600.0
+
+
+class Count(NamedTuple):
+    """How far `fit_many` has come: rows that this run has `done`, of how many in all (None where
+    nobody knows), how many there were `before`, the `statuses` of those done, and the `seconds`."""
+
+    done: int
+    total: int | None
+    before: int
+    statuses: Mapping[str, int]
+    seconds: float
+
+    def __str__(self) -> str:
+        """Return it as a line."""
+        rate = self.done / max(self.seconds, 1e-9)
+        words = f"{self.done + self.before}"
+        if self.total is not None:
+            words += f" of {self.total}"
+        words += f", {rate:.1f} a second" if rate >= 1 else f", {60 * rate:.1f} a minute"
+        if self.total is not None and self.done:
+            left = (self.total - self.done - self.before) / rate
+            words += f", {int(left) // 3600}:{int(left) // 60 % 60:02d}:{int(left) % 60:02d} left"
+        not_so = self.done - self.statuses.get("converged", 0)
+        return words + (f"; {not_so} not converged" if not_so else "")
+
+
+def fit_many(
+    items: Iterable[Record],
+    *,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    out: str | os.PathLike[str] | None = None,
+    progress: Callable[[Count], object] | None = None,
+    shard: tuple[int, int] = (1, 1),
+    time_limit: float | None = TIME_LIMIT,
+    cached: bool = True,
+) -> Sequence[Row] | Results:
+    """Return a row (`batch.COLUMNS`) for each record: a list in their order, or what is in `out`.
+
+    - `items`: records (`batch.FIELDS`): mappings with an `id`, the paths of a mesh and of a mask,
+      and what is known of the camera. They may come from a generator.
+    - `executor`: any `concurrent.futures.Executor`: dask.distributed's
+      (`Client.get_executor()`), mpi4py's, loky's. None: worker processes on this machine, each on a
+      core of its own, in float64, with one cache of compiled programs (`cached`: the user's cache
+      folder). Other processes are set up likewise; threads of this one as it is.
+    - `workers`: how many processes (None: one a core); of an executor, how many it has.
+    - `out`: a folder that rows are appended to, in parts that appear whole or not at all, some
+      seconds apart. Records whose ids it holds are not fitted again: to resume is to call again.
+    - `progress` is called with a `Count` after each row.
+    - `shard` (i, n): the i-th (1 to n) of n parts of the records, by their ids: other machines take
+      the others, into the same folder or their own.
+    - `time_limit`: seconds that a record may take, compilation included; None: no limit.
+
+    No record ends the rest: one that is bad input makes a row with the status "failed", one that
+    takes too long "timed_out". A process that ends costs its record one more try, alone; then it
+    "crashed". Interrupted, what is done stays.
+
+    A script that calls this without an executor does so below if __name__ == "__main__".
+
+    Raises ValueError for arguments of other kinds, and for items that have no `id` or one twice;
+    RuntimeError where no worker starts.
+    """
+    _check(executor, workers, shard, time_limit)
+    results = None if out is None else Results(out)
+    done = set() if results is None else results.ids()
+    total, before = _planned(items, shard, done)
+    order: list[str] = []
+    waiting = _sorted(_left(items, shard, done, order if results is None else None))
+    found = rows_of(waiting, executor, workers, Setup(cached, time_limit, os.getpid()))
+    keep = _Kept() if results is None else Writer(results.folder)
+    statuses: Counter[str] = Counter()
+    begin = time.perf_counter()
+    try:
+        for row in found:
+            keep.add(row)
+            statuses[row["status"]] += 1
+            if progress is not None:
+                seconds = time.perf_counter() - begin
+                progress(Count(statuses.total(), total, before, dict(statuses), seconds))
+    finally:
+        found.close()  # ends the workers, also of what was interrupted
+        keep.flush()
+    return [keep.rows[id] for id in order] if isinstance(keep, _Kept) else Results(keep.folder)
+
+
+class _Kept:
+    """Rows in memory, in place of a `Writer`."""
+
+    def __init__(self):
+        self.rows: dict[str, Row] = {}
+
+    def add(self, row: Row) -> None:
+        self.rows[row["id"]] = row
+
+    def flush(self) -> None:
+        pass
+
+
+def _check(executor: Any, workers: Any, shard: Any, time_limit: Any) -> None:
+    if executor is not None and not isinstance(executor, Executor):
+        words = f"expected a concurrent.futures.Executor, got {type(executor).__name__}"
+        raise ValueError(f"`executor`: {words}")
+    if workers is not None and not (_is_integer(workers) and workers >= 1):
+        raise ValueError(f"`workers`: expected an integer of at least 1, got {workers!r}")
+    pair = isinstance(shard, tuple) and len(shard) == 2 and all(map(_is_integer, shard))
+    if not pair or not 1 <= shard[0] <= shard[1]:
+        raise ValueError(f"`shard`: expected (i, n) with i from 1 to n, got {shard!r}")
+    if time_limit is not None and not (isinstance(time_limit, int | float) and time_limit > 0):
+        raise ValueError(f"`time_limit`: expected positive seconds, got {time_limit!r}")
+
+
+def _is_integer(value: object) -> TypeGuard[int]:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _planned(
+    items: Iterable[Record], shard: tuple[int, int], done: set[str]
+) -> tuple[int | None, int]:
+    """Return how many records there are in a shard, and how many of them are done.
+
+    What can be gone through only once does not tell. All else is checked here: an id that is
+    missing ends no run of hours.
+    """
+    if isinstance(items, Iterator):
+        return None, 0
+    total = before = 0
+    for record in _checked(items, shard):
+        total += 1
+        before += record["id"] in done
+    return total, before
+
+
+def _left(
+    items: Iterable[Record], shard: tuple[int, int], done: set[str], order: list[str] | None
+) -> Iterator[Record]:
+    """Yield the records that are not done, and note their ids in `order`."""
+    for record in _checked(items, shard):
+        if record["id"] not in done:
+            if order is not None:
+                order.append(record["id"])
+            yield record
+
+
+def _checked(items: Iterable[Record], shard: tuple[int, int]) -> Iterator[Record]:
+    """Yield the records of a shard.
+
+    Raises ValueError for what has no id, or one that was there before.
+    """
+    number, count = shard
+    seen: set[str] = set()
+    for record in items:
+        check_id(record)
+        if record["id"] in seen:
+            raise ValueError(f"`items`: expected ids that differ, got {record['id']!r} twice")
+        seen.add(record["id"])
+        if shard_of(record["id"], count) == number - 1:
+            yield record
+
+
+def _sorted(records: Iterator[Record]) -> Iterator[Record]:
+    """Yield records, some thousands at a time by their shape: it is opened once, and what serves
+    one mask of it serves the next."""
+    while window := list(itertools.islice(records, WINDOW)):
+        yield from sorted(window, key=_shape_of)
+
+
+def _shape_of(record: Record) -> tuple[str, str]:
+    return str(record.get("mesh", record.get("robot"))), str(record.get("free"))

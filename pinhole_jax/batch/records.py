@@ -1,0 +1,117 @@
+"""A record: all that one fit of many needs, as plain values that fit into a line of a file."""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from typing import Any
+
+#: A record as users write it: names of `FIELDS`, and values that JSON can hold.
+Record = Mapping[str, Any]
+
+#: What a record may hold. `id` and `mask` (or `views`) and a shape are needed, all else is not.
+FIELDS = {
+    "id": "a text that no other record of the batch has",
+    "mesh": "path of the mesh",
+    "mask": "path of the mask, or COCO's run lengths: size [H, W] and counts",
+    "K": "intrinsics, px: fx fy cx cy, or the 3 x 3 matrix in nine numbers or three rows",
+    "dist": "OpenCV's k1 k2 p1 p2 k3 k4 k5 k6, beside K",
+    "pixel_centres": 'what K counts from: "integer" (OpenCV, the default) or "half"',
+    "fov": "vertical field of view in degrees, in place of K",
+    "camera": "path of a camera's file to start from, in place of K",
+    "start": "object's pose to start from, beside K: camera_from_object, 4 x 4, OpenCV's axes",
+    "free": 'what to fit (default: "pose")',
+    "mask_from": "how to read the mask, as `io.load_mask` has it",
+    "invert": "true: what the mask covers is the background",
+    "tidy": "true: the mask's crumbs are dropped",
+    "weight": "path of a grey image: how much each pixel counts",
+    "photo": "path of the photo, to refine the camera on",
+    "outlier_px": "as in `fit_camera`; null: none",
+    "max_steps": "as in `fit_camera`",
+    "prior": "as in `fit_camera`",
+    "bounds": "as in `fit_camera`",
+    "robot": "path of a URDF, in place of mesh: its camera is found from all views together",
+    "views": "of a robot: each with `mask` and `angles`, by joint",
+    "in_hand": "the robot's link that carries the camera",
+    "leave_out": "links of the robot that the masks do not show",
+}
+#: Fields that name files.
+PATHS = ("mesh", "mask", "camera", "weight", "photo", "robot")
+
+
+def check_record(record: Any) -> dict[str, Any]:
+    """Return a record as a dict of plain values, with paths as texts.
+
+    Raises ValueError naming the field that is missing, unknown, or not what it should be.
+    """
+    check_id(record)
+    if unknown := [name for name in record if name not in FIELDS]:
+        known = ", ".join(FIELDS)
+        raise ValueError(f"`item`: expected fields among {known}, got {unknown[0]!r}")
+    plain = {name: _plain(value) for name, value in record.items() if value is not None}
+    _check_shape(plain)
+    try:
+        json.dumps(plain, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"`item`: expected what JSON can hold, got {error}") from None
+    return plain
+
+
+def check_id(record: Any) -> None:
+    """Raise ValueError unless this is a mapping with an `id`, which is what a row needs."""
+    if not isinstance(record, Mapping):
+        raise ValueError(f"`item`: expected a mapping of fields, got {type(record).__name__}")
+    if not isinstance(record.get("id"), str) or not record["id"]:
+        raise ValueError(f"`id`: expected a text, got {record.get('id')!r}")
+
+
+def _check_shape(record: dict[str, Any]) -> None:
+    """Raise ValueError unless there is a shape, and a mask of it."""
+    alone, joint = {"mesh", "mask"}, {"robot", "views"}
+    got = sorted((alone | joint) & record.keys())
+    if set(got) not in (alone, joint):
+        words = ", ".join(got) or "none of them"
+        raise ValueError(f"`item`: expected `mesh` and `mask`, or `robot` and `views`, got {words}")
+    views = record.get("views", [])
+    if not isinstance(views, list) or not all(
+        isinstance(view, dict) and view.keys() == {"mask", "angles"} for view in views
+    ):
+        raise ValueError("`views`: expected a list of `mask` and `angles`, got something else")
+
+
+def _plain(value: Any) -> Any:
+    """Return a value without what JSON has not: paths are texts, arrays lists."""
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, Mapping):
+        return {str(name): _plain(part) for name, part in value.items()}
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
+
+
+def shard_of(id: str, count: int) -> int:
+    """Return which of so many shards (0, 1, ...) a record is in: its id alone says so, anywhere."""
+    return int.from_bytes(hashlib.sha256(id.encode()).digest()[:8]) % count
+
+
+def digest_of(record: Record) -> str:
+    """Return a digest of a record's fields, but for its id, and of the contents of its files."""
+    digest = hashlib.sha256()
+    rest = {name: value for name, value in record.items() if name != "id"}
+    digest.update(json.dumps(rest, sort_keys=True).encode())
+    views = record.get("views", [])
+    for part in (record, *views):
+        for name in PATHS:
+            if isinstance(path := part.get(name), str):
+                digest.update(_contents(path))
+    return digest.hexdigest()
+
+
+def _contents(path: str) -> bytes:
+    """Return a digest of a file's bytes; of nothing where it cannot be read."""
+    try:
+        with open(path, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").digest()
+    except OSError:
+        return bytes(32)

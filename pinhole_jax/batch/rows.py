@@ -1,0 +1,81 @@
+"""A row: what became of one record, as plain values that fit into a line of a file."""
+
+import json
+import math
+from typing import Any
+
+from .. import __version__
+from .records import Record
+
+#: A row: names of `COLUMNS`; numbers that are not finite stay floats.
+Row = dict[str, Any]
+
+#: What a row holds, with the kinds of its values; null where there is no camera.
+COLUMNS = {
+    "id": str,
+    "status": str,  # a fit's, or one of `NO_FIT`
+    "iou": float,
+    "rms": float,
+    "e": list[float],
+    "p": list[float],
+    "u": list[float],
+    "phi": float,
+    "W": int,
+    "H": int,
+    "K": list[float],  # OpenCV's, by rows; what it counts from is the record's `pixel_centres`
+    "R": list[float],
+    "t": list[float],
+    "lens": str,  # JSON
+    "names": list[str],
+    "std": list[float],
+    "covariance": list[float],  # by rows
+    "weak": list[str],
+    "modes": int,  # how many other cameras explain the mask as well: they are in `fit`
+    "steps": list[int],
+    "seconds": float,
+    "words": str,  # what was wrong, or what was said of the files
+    "version": str,
+    "hash": str,  # of the record and the contents of its files
+    "record": str,  # JSON
+    "fit": str,  # JSON: all of the fit, as `io.fit_from_dict` reads it
+}
+#: What a row's status may be beside a fit's.
+NO_FIT = {
+    "failed": "bad input: `words` say which",
+    "timed_out": "stopped at the time limit",
+    "crashed": "ended its process, twice: once among others, once alone",
+}
+#: How JSON writes numbers that it has no word for.
+NOT_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
+
+
+def empty_row(record: Record, status: str, words: str, seconds: float = 0.0) -> Row:
+    """Return the row of a record that led to no camera."""
+    row: Row = dict.fromkeys(COLUMNS)
+    known = {"id": record["id"], "status": status, "seconds": seconds, "words": words}
+    return row | known | {"version": __version__, "record": json.dumps(dict(record))}
+
+
+def line_of(row: Row) -> str:
+    """Return a row as a line of JSON."""
+    return json.dumps({name: _written(value) for name, value in row.items()}, allow_nan=False)
+
+
+def row_of(line: str) -> Row:
+    """Return the row of `line_of`'s line."""
+    return {name: _read(name, value) for name, value in json.loads(line).items()}
+
+
+def _written(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_written(part) for part in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
+    return value
+
+
+def _read(name: str, value: Any) -> Any:
+    kind = COLUMNS.get(name)
+    if kind is list[float] and value is not None:
+        return [NOT_FINITE[x] if isinstance(x, str) else x for x in value]
+    return NOT_FINITE[value] if kind is float and isinstance(value, str) else value

@@ -1,0 +1,126 @@
+"""What a process does that fits records: it is set up before JAX is loaded, and keeps time.
+
+Nothing here imports NumPy or JAX at the top: a worker's core is chosen before they count the cores.
+"""
+
+import contextlib
+import ctypes
+import math
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from multiprocessing import parent_process
+from typing import Any, NamedTuple
+
+from .fit_one import fit_one
+from .records import Record
+from .rows import Row, empty_row
+
+#: A worker that does not heed a record's limit is ended after so many times the limit, and so many
+#: seconds: what it runs is not Python.
+PATIENCE, GRACE = 2.0, 30.0
+
+_is_set_up = False
+
+
+class Setup(NamedTuple):
+    """How a worker fits: `cached`: what is compiled is kept in the user's cache folder; `limit`: a
+    record's seconds; `parent`: the process that asked, whose JAX is its user's."""
+
+    cached: bool = True
+    limit: float | None = None
+    parent: int = 0
+
+    @property
+    def patience(self) -> float:
+        """Return after how many seconds a worker is ended, whatever it is at."""
+        return math.inf if self.limit is None else PATIENCE * self.limit + GRACE
+
+
+class TimeLimit(BaseException):
+    """A record took too long (no `Exception`: what a reader catches is not the clock)."""
+
+
+def begin(setup: Setup, turn: Any) -> None:
+    """Set up a worker process: it owns one core, and leaves Ctrl-C to the process that asked.
+
+    `turn` counts the workers.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(parent_process(),), daemon=True).start()
+    with turn.get_lock():
+        number = turn.value
+        turn.value += 1
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # NumPy's own threads would wait for one another
+    if hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[number % len(cores)]})
+    _set_up(setup)
+
+
+def _end_with(process: Any) -> None:
+    """End this process when another one has: an executor's workers would wait for ever."""
+    process.join()
+    os._exit(1)
+
+
+def ready() -> None:
+    """Do nothing: a worker that comes so far can work."""
+
+
+def run(record: Record, setup: Setup) -> Row:
+    """Return a record's row, whatever it is, within its time."""
+    _set_up(setup)
+    start = time.perf_counter()
+    try:
+        with _within(setup.limit):
+            return fit_one(record)
+    except TimeLimit:
+        seconds = time.perf_counter() - start
+        return empty_row(record, "timed_out", f"took more than {setup.limit:g} s", seconds)
+
+
+def _set_up(setup: Setup) -> None:
+    """Set JAX up as the command does, once, where this process is not its user's own."""
+    global _is_set_up
+    if _is_set_up or os.getpid() == setup.parent:
+        return
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    if setup.cached:
+        from .._files.cache import cache
+
+        with contextlib.suppress(ValueError):  # a user without a home folder
+            cache()
+    _is_set_up = True
+
+
+@contextlib.contextmanager
+def _within(seconds: float | None) -> Iterator[None]:
+    """Raise `TimeLimit` in this thread after some seconds, as soon as it runs Python again."""
+    if seconds is None:
+        yield
+        return
+    thread, over = threading.get_ident(), threading.Event()
+    lock = threading.Lock()
+
+    def stop() -> None:
+        with lock:
+            if not over.is_set():
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(
+                    ctypes.c_ulong(thread), ctypes.py_object(TimeLimit)
+                )
+
+    timer = threading.Timer(seconds, stop)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        with lock:
+            over.set()
