@@ -102,6 +102,17 @@ def calls():
             lambda: pj.fit_joint([pj.JointView(scene, mask)], [camera])
         ],
         "`bodies`: expected at least one Mesh, got Scene": [lambda: pj.Assembly([scene])],
+        "`executor`: expected a concurrent.futures.Executor, got str": [
+            lambda: pj.fit_many([], executor="dask")
+        ],
+        "`items`: expected records, one after another, got dict": [
+            lambda: pj.fit_many({"id": "a"})
+        ],
+        "`items`: expected records, one after another, got int": [lambda: pj.fit_many(3)],
+        "`item`: expected a mapping of fields, got str": [
+            lambda: pj.fit_many(["a"]),
+            lambda: pj.fit_one("a"),
+        ],
         f"`free`: {names}": [lambda: fit(free=None), lambda: fit(free=3)],
         f"`shared`: {names}": [lambda: joint(shared=None)],
         "`max_steps`: expected an integer of at least 1": [

@@ -80,7 +80,7 @@ def fit_many(
     Raises ValueError for arguments of other kinds, and for items that have no `id` or one twice;
     RuntimeError where no worker starts.
     """
-    _check(executor, workers, shard, time_limit)
+    _check(items, executor, workers, shard, time_limit)
     results = None if out is None else Results(out)
     done = set() if results is None else results.ids()
     total, before = _planned(items, shard, done)
@@ -116,7 +116,10 @@ class _Kept:
         pass
 
 
-def _check(executor: Any, workers: Any, shard: Any, time_limit: Any) -> None:
+def _check(items: Any, executor: Any, workers: Any, shard: Any, time_limit: Any) -> None:
+    if isinstance(items, str | Mapping) or not isinstance(items, Iterable):
+        words = f"expected records, one after another, got {type(items).__name__}"
+        raise ValueError(f"`items`: {words}")
     if executor is not None and not isinstance(executor, Executor):
         words = f"expected a concurrent.futures.Executor, got {type(executor).__name__}"
         raise ValueError(f"`executor`: {words}")

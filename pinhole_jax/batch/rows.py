@@ -76,6 +76,6 @@ def _written(value: Any) -> Any:
 
 def _read(name: str, value: Any) -> Any:
     kind = COLUMNS.get(name)
-    if kind is list[float] and value is not None:
+    if kind == list[float] and value is not None:
         return [NOT_FINITE[x] if isinstance(x, str) else x for x in value]
     return NOT_FINITE[value] if kind is float and isinstance(value, str) else value

@@ -1,0 +1,696 @@
+"""Many fits: records become rows, whatever happens to files, workers and the process that asks."""
+
+import csv
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+import pinhole_jax as pj
+from pinhole_jax import __main__ as command, batch, formats, io
+from pinhole_jax.batch.parts import Writer
+from pinhole_jax.batch.records import check_record, digest_of
+from pinhole_jax.batch.rows import empty_row, line_of, row_of
+
+SIZE = 64
+COUNT = 4
+
+
+@pytest.fixture(scope="module")
+def truths():
+    """OpenCV's K, R, t of cameras about a shape of radius 100."""
+    places = np.random.default_rng(0).normal(size=(COUNT, 3))
+    places *= 520 / np.linalg.norm(places, axis=1, keepdims=True)
+    cameras = [pj.Camera(e, [0, 0, 0], [0.1, 1, 0.2], 0.6, 1.0, SIZE, SIZE) for e in places]
+    return [formats.to_opencv(camera, pixel_centres="integer") for camera in cameras]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, truths):
+    """A data set as BOP's lie on disk: one object, `COUNT` pictures in two scenes."""
+    folder = tmp_path_factory.mktemp("batch")
+    mesh = pj.shapes.bumpy(2)
+    points = 100 * np.asarray(mesh.vertices)
+    (folder / "models").mkdir()
+    shape = trimesh.Trimesh(points, mesh.faces, process=False)
+    shape.export(folder / "models" / "obj_000007.ply")
+    scene = pj.Scene(mesh=pj.Mesh(points, mesh.faces))
+    draw = jax.jit(pj.silhouette)
+    for first in (0, 2):
+        place = folder / "test" / f"{first + 1:06d}"
+        (place / "mask_visib").mkdir(parents=True)
+        cameras, objects = {}, {}
+        for k, (K, R, t) in enumerate(truths[first : first + 2]):
+            camera = formats.from_opencv(K, R, t, SIZE, SIZE, pixel_centres="integer")
+            image = np.asarray(draw(camera, scene)) > 0.5
+            io.save_image(place / "mask_visib" / f"{k:06d}_000000.png", image)
+            cameras[str(k)] = {"cam_K": K.ravel().tolist(), "depth_scale": 1.0}
+            pose = {"cam_R_m2c": R.ravel().tolist(), "cam_t_m2c": t.tolist(), "obj_id": 7}
+            objects[str(k)] = [pose]
+        (place / "scene_camera.json").write_text(json.dumps(cameras))
+        (place / "scene_gt.json").write_text(json.dumps(objects))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def records(folder):
+    return list(batch.read_dataset(folder / "test", start=True))
+
+
+@pytest.fixture(scope="module")
+def rows(records):
+    return [batch.fit_one(record) for record in records]
+
+
+def angle(R, other):
+    return np.rad2deg(np.arccos(np.clip((np.trace(R.T @ other) - 1) / 2, -1, 1)))
+
+
+def same(row, other):
+    """Whether two rows are equal but for what the clock says."""
+    return line_of({**row, "seconds": 0.0}) == line_of({**other, "seconds": 0.0})
+
+
+# One record.
+
+
+def test_a_row_has_the_camera_of_the_mask(records, rows, truths):
+    for row, record, (K, R, t) in zip(rows, records, truths, strict=True):
+        assert list(row) == list(batch.COLUMNS)
+        assert row["status"] == "converged", row["words"]
+        found = np.array(row["R"]).reshape(3, 3)
+        assert angle(found, R) < 2  # a hard mask of 64 px
+        assert np.linalg.norm(np.array(row["t"]) - t) < 0.05 * np.linalg.norm(t)
+        np.testing.assert_allclose(np.array(row["K"]).reshape(3, 3), K, atol=1e-9)
+        assert json.loads(row["record"]) == record
+        assert row["hash"] == digest_of(record)
+        assert row["seconds"] > 0
+        size = len(row["names"])
+        assert len(row["std"]) == size
+        assert len(row["covariance"]) == size**2
+
+
+def test_a_row_holds_the_whole_fit_and_goes_into_any_format(rows, tmp_path):
+    fit = batch.fit_of(rows[0])
+    assert (fit.status, list(fit.names)) == (rows[0]["status"], rows[0]["names"])
+    np.testing.assert_array_equal(fit.covariance.ravel(), rows[0]["covariance"])
+    formats.write(tmp_path / "camera.yaml", {"camera": fit.camera})
+    K, R, t = formats.to_opencv(formats.read_one(tmp_path / "camera.yaml"), pixel_centres="integer")
+    for value, name in ((K, "K"), (R, "R"), (t, "t")):
+        np.testing.assert_allclose(value.ravel(), rows[0][name], rtol=1e-9, atol=1e-9)
+
+
+def test_a_row_depends_on_nothing_but_its_record(records, rows):
+    assert same(batch.fit_one(records[2]), rows[2])
+
+
+def test_run_lengths_are_as_good_as_a_picture(records, rows):
+    mask = io.load_mask(records[0]["mask"]) > 127
+    columns = mask.T.ravel()
+    steps = np.flatnonzero(np.diff(columns)) + 1
+    counts = np.diff([0, *steps, columns.size]).tolist()
+    counts = [0, *counts] if columns[0] else counts
+    rle = {"size": list(mask.shape), "counts": counts}
+    np.testing.assert_array_equal(io.mask_of_rle(rle), np.uint8(255 * mask))
+    row = batch.fit_one({**records[0], "mask": rle})
+    assert (row["R"], row["status"]) == (rows[0]["R"], rows[0]["status"])
+
+
+def test_pycocotools_text_is_read():
+    """The texts are pycocotools 2.0's."""
+    hole = np.zeros((6, 9), np.uint8)
+    hole[1:5, 2:7] = 255
+    hole[2, 4] = 0
+    box = np.zeros((120, 160), np.uint8)
+    box[10:100, 20:140] = 255
+    for mask, text in ((hole, "=4200MO11200;"), (box, f"Z[2j2n{'0' * 238}fZ2")):
+        rle = {"size": list(mask.shape), "counts": text}
+        np.testing.assert_array_equal(io.mask_of_rle(rle), mask)
+
+
+@pytest.mark.parametrize(
+    ("rle", "words"),
+    [
+        ({"counts": [4]}, "`size` and `counts`"),
+        ({"size": [2, -2], "counts": [4]}, "`size`"),
+        ({"size": [2, 2], "counts": [3]}, "runs of 4 pixels, got 3"),
+        ({"size": [2, 2], "counts": [5, -1]}, "at least 0 each"),
+        ({"size": [2, 2], "counts": "\n"}, "pycocotools' text"),
+    ],
+)
+def test_run_lengths_that_are_none_are_refused(rle, words):
+    with pytest.raises(ValueError, match=f"`rle`.*{words}"):
+        io.mask_of_rle(rle)
+
+
+def bad_items(folder, good, tmp_path):
+    """Return records that cannot be fitted, by what their words have to name."""
+    empty, short = tmp_path / "empty.png", tmp_path / "short.png"
+    Image.new("L", (SIZE, SIZE)).save(empty)
+    short.write_bytes(Path(good["mask"]).read_bytes()[:60])
+    text, small = tmp_path / "text.ply", tmp_path / "small.png"
+    text.write_text("no mesh")
+    Image.new("L", (3, 3)).save(small)
+    nan = tmp_path / "nan.obj"
+    nan.write_text("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n")
+    no_faces = tmp_path / "points.obj"
+    no_faces.write_text("v 0 0 0\nv 1 0 0\n")
+    robot = tmp_path / "robot.urdf"
+    robot.write_text("<robot/>")
+    without = {name: x for name, x in good.items() if name not in ("mesh", "mask")}
+    view = {"mask": good["mask"], "angles": {}}
+    return {
+        "mask": [
+            {"mask": str(tmp_path / "missing.png")},
+            {"mask": str(short)},
+            {"mask": str(text)},
+            {"mask": str(folder)},
+            {"mask": {"size": [2, 2], "counts": [3]}},
+        ],
+        "mesh": [
+            {"mesh": str(tmp_path / "missing.ply")},
+            {"mesh": str(text)},
+            {"mesh": str(nan)},
+            {"mesh": str(no_faces)},
+            {"mesh": str(folder)},
+        ],
+        "target": [{"mask": str(empty)}],
+        "weight": [{"weight": str(small)}, {"weight": str(tmp_path / "missing.png")}],
+        "photo": [{"photo": str(small)}],
+        "K": [{"K": [1, 2]}, {"K": "a b c d"}, {"K": [-60, -60, 32, 32]}],
+        "R": [{"start": np.ones((4, 4)).tolist()}],
+        "start": [{"start": [1.0]}],
+        "dist": [{"dist": [0.1]}],
+        "free": [{"free": "zoom"}],
+        "mask_from": [{"mask_from": "a guess"}],
+        "pixel_centres": [{"pixel_centres": "somewhere"}],
+        "max_steps": [{"max_steps": 0}],
+        "prior": [{"free": "pose,phi", "prior": {"phi": [1.0, -1.0]}}],
+        "fov": [{"fov": 30.0}],
+        "item": [{"colour": "red"}, {"mask": None}, {"max_steps": float("nan")}],
+        "robot": [without | {"robot": str(text), "views": [view]}],
+        "views": [without | {"robot": str(robot), "views": [{"mask": good["mask"]}]}],
+    }
+
+
+def test_bad_items_are_rows_that_name_what_is_wrong(folder, records, tmp_path):
+    good = records[0]
+    kinds = bad_items(folder, good, tmp_path)
+    assert sum(map(len, kinds.values())) >= 20
+    for name, changes in kinds.items():
+        for change in changes:
+            record = change if "robot" in change else {**good, **change}
+            row = batch.fit_one({**record, "id": "bad"})
+            assert row["status"] == "failed", change
+            assert f"`{name}`" in row["words"], (change, row["words"])
+            assert row_of(line_of(row)) == row
+
+
+@pytest.mark.parametrize(
+    ("record", "words"),
+    [({"mesh": "a"}, "`id`.*None"), ({"id": ""}, "`id`.*''")],
+)
+def test_a_record_without_id_is_refused(record, words):
+    with pytest.raises(ValueError, match=words):
+        batch.fit_one(record)
+    with pytest.raises(ValueError, match=words):
+        batch.fit_many([record])
+
+
+def test_paths_and_arrays_are_plain_in_a_record():
+    record = {"id": "a", "mesh": Path("a.ply"), "mask": "a.png", "K": np.eye(3), "photo": None}
+    plain = check_record(record)
+    assert plain == {"id": "a", "mesh": "a.ply", "mask": "a.png", "K": np.eye(3).tolist()}
+
+
+def test_the_digest_follows_contents(tmp_path):
+    mask = tmp_path / "mask.png"
+    mask.write_bytes(b"one")
+    record = {"id": "a", "mesh": "none", "mask": str(mask)}
+    first = digest_of(record)
+    assert digest_of({**record, "id": "b"}) == first
+    mask.write_bytes(b"two")
+    assert digest_of(record) != first
+
+
+# Rows on disk.
+
+
+def test_a_line_holds_what_is_not_finite():
+    row = empty_row({"id": "a"}, "rank_deficient", "") | {
+        "std": [0.5, np.inf, -np.inf, np.nan],
+        "iou": np.nan,
+    }
+    read = row_of(line_of(row))
+    assert read["std"][:3] == row["std"][:3]
+    assert np.isnan(read["std"][3])
+    assert np.isnan(read["iou"])
+    json.loads(line_of(row), parse_constant=pytest.fail)
+
+
+def test_rows_are_whole_and_each_counts_once(tmp_path):
+    writer = Writer(tmp_path)
+    for id in ("b", "a"):
+        writer.add(empty_row({"id": id}, "failed", "first"))
+    assert list(batch.Results(tmp_path)) == []
+    writer.flush()
+    writer.add(empty_row({"id": "a"}, "failed", "second"))
+    writer.flush()
+    results = batch.Results(tmp_path)
+    assert [(row["id"], row["words"]) for row in results] == [("a", "first"), ("b", "first")]
+    assert results.ids() == {"a", "b"}
+    assert results.counts() == {"failed": 2}
+    with pytest.raises(ValueError, match=r"`id`.*'c'"):
+        results.row("c")
+
+
+def test_a_folder_of_other_files_is_refused(tmp_path):
+    (tmp_path / "part-1.jsonl").write_text("{}\n")
+    with pytest.raises(ValueError, match=r"`out`.*part-1\.jsonl"):
+        batch.Results(tmp_path).ids()
+    with pytest.raises(ValueError, match=r"`out`.*a file"):
+        batch.Results(tmp_path / "part-1.jsonl")
+
+
+def test_shards_part_the_records():
+    ids = [f"scene/{k}" for k in range(1000)]
+    count = np.bincount([batch.shard_of(id, 7) for id in ids], minlength=7)
+    assert count.sum() == 1000
+    assert count.min() > 100
+    assert batch.shard_of("a", 1000) == 250  # on any machine, in any version
+
+
+@pytest.mark.parametrize("ending", [".parquet", ".jsonl"])
+def test_a_table_has_all_rows(rows, tmp_path, ending):
+    writer = Writer(tmp_path)
+    for row in [*rows[::-1], empty_row({"id": "z"}, "failed", "words")]:
+        writer.add(row)
+    writer.flush()
+    path = tmp_path / f"table{ending}"
+    assert batch.merge(batch.Results(tmp_path), path) == COUNT + 1
+    if ending == ".jsonl":
+        read = [row_of(line) for line in path.read_text().splitlines()]
+    else:
+        from pyarrow import parquet
+
+        read = parquet.read_table(path).to_pylist()
+    assert [row["id"] for row in read] == [*sorted(row["id"] for row in rows), "z"]
+    assert all(same(a, b) for a, b in zip(read, batch.Results(tmp_path), strict=True))
+
+
+def test_bop_results(rows, truths, tmp_path):
+    writer = Writer(tmp_path)
+    for row in [*rows, empty_row({"id": "test/1/2/3/4"}, "failed", "")]:
+        writer.add(row)
+    writer.flush()
+    assert batch.merge(batch.Results(tmp_path), tmp_path / "bop.csv") == COUNT
+    with open(tmp_path / "bop.csv", newline="") as stream:
+        lines = list(csv.DictReader(stream))
+    assert list(lines[0]) == ["scene_id", "im_id", "obj_id", "score", "R", "t", "time"]
+    for line, row, (_, R, t) in zip(lines, rows, truths, strict=True):
+        assert line["obj_id"] == "7"
+        assert float(line["score"]) == row["iou"]
+        assert angle(np.array(line["R"].split(), float).reshape(3, 3), R) < 2
+        assert np.linalg.norm(np.array(line["t"].split(), float) - t) < 30
+    with pytest.raises(ValueError, match=r"`path`.*\.parquet, \.jsonl, \.csv"):
+        batch.merge(batch.Results(tmp_path), tmp_path / "table.txt")
+
+
+def test_the_page_shows_the_worst(records, rows, tmp_path):
+    writer = Writer(tmp_path)
+    failed = {**records[0], "id": "<gone>"}
+    for row in [*rows, empty_row(failed, "failed", "`mask`: no <such> file")]:
+        writer.add(row)
+    writer.flush()
+    batch.page.write(tmp_path / "page.html", batch.Results(tmp_path))
+    text = (tmp_path / "page.html").read_text()
+    assert text.index("&lt;gone&gt;") < text.index(f"{rows[0]['id']}:")
+    assert "no &lt;such&gt; file" in text
+    assert text.count('src="data:image/png') == COUNT
+    assert text.count("<svg") >= 2
+    assert f"{COUNT} ({COUNT / (COUNT + 1):.1%})" in text
+
+
+def test_a_page_of_no_rows(tmp_path):
+    batch.page.write(tmp_path / "page.html", batch.Results(tmp_path / "none"))
+    assert "No rows" in (tmp_path / "page.html").read_text()
+
+
+# Data sets.
+
+
+def test_a_split_of_bop(folder, records):
+    ids = ["test/000001/0/7/0", "test/000001/1/7/0", "test/000003/0/7/0", "test/000003/1/7/0"]
+    assert [record["id"] for record in records] == ids
+    assert records[0]["mesh"].endswith("obj_000007.ply")
+    one = list(batch.read_dataset(folder / "test" / "000003", free="pose,phi"))
+    assert [record["id"] for record in one] == ids[2:]
+    assert one[0]["free"] == "pose,phi"
+    assert "start" not in one[0]
+    assert "free" not in records[0]
+
+
+def test_detections_take_the_place_of_masks(folder, tmp_path):
+    rle = {"size": [1, 2], "counts": [1, 1]}
+    found = [
+        {"scene_id": 3, "image_id": 1, "category_id": 7, "score": 0.5, "segmentation": rle},
+        {"scene_id": 3, "image_id": 1, "category_id": 7, "score": 0.4, "segmentation": rle},
+    ]
+    (tmp_path / "found.json").write_text(json.dumps(found))
+    data = list(batch.read_dataset(folder / "test", detections=tmp_path / "found.json"))
+    assert [record["id"] for record in data] == ["test/000003/1/7/0", "test/000003/1/7/1"]
+    assert data[0]["mask"] == rle
+    (tmp_path / "found.json").write_text("{}")
+    with pytest.raises(ValueError, match=r"`detections`.*a list"):
+        batch.read_dataset(folder / "test", detections=tmp_path / "found.json")
+
+
+@pytest.mark.parametrize("ending", [".csv", ".jsonl", ".parquet"])
+def test_a_table_of_records(folder, records, rows, tmp_path, ending):
+    plain = [{name: r[name] for name in ("id", "mesh", "mask", "K", "start")} for r in records]
+    path = tmp_path / f"data{ending}"
+    for record in plain:
+        for name in ("mesh", "mask"):
+            record[name] = os.path.relpath(record[name], tmp_path)
+    if ending == ".jsonl":
+        path.write_text("".join(f"{json.dumps(record)}\n\n" for record in plain))
+    elif ending == ".csv":
+        cell = lambda x: x if isinstance(x, str) else " ".join(map(str, np.ravel(x)))
+        with open(path, "w", newline="") as stream:
+            writer = csv.DictWriter(stream, plain[0])
+            writer.writeheader()
+            writer.writerows({n: cell(x) for n, x in record.items()} for record in plain)
+    else:
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        parquet.write_table(pa.Table.from_pylist(plain), path)
+    data = list(batch.read_dataset(path))
+    assert [record["id"] for record in data] == [record["id"] for record in records]
+    row = batch.fit_one(data[0])
+    assert (row["status"], row["R"]) == (rows[0]["status"], rows[0]["R"])
+
+
+def test_a_folder_of_masks(folder, records, tmp_path):
+    mesh = Path(records[0]["mesh"])
+    (tmp_path / "part.ply").write_bytes(mesh.read_bytes())
+    (tmp_path / "masks").mkdir()
+    for name in ("b.png", "a.png"):
+        (tmp_path / "masks" / name).write_bytes(Path(records[0]["mask"]).read_bytes())
+    data = list(batch.read_dataset(tmp_path, fov=34.4))
+    assert [record["id"] for record in data] == ["masks/a.png", "masks/b.png"]
+    assert data[0]["fov"] == 34.4
+    io.save_camera(
+        tmp_path / "camera.json", pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=SIZE, H=SIZE)
+    )
+    data = list(batch.read_dataset(tmp_path, fov=34.4))
+    assert "fov" not in data[0]
+    assert data[0]["camera"].endswith("camera.json")
+
+
+def test_what_is_no_data_set_is_refused(folder, tmp_path):
+    with pytest.raises(ValueError, match=r"`path`.*got 0 meshes"):
+        list(batch.read_dataset(tmp_path))
+    with pytest.raises(FileNotFoundError, match=r"`path`.*a data set"):
+        batch.read_dataset(tmp_path / "none")
+    (tmp_path / "data.txt").touch()
+    with pytest.raises(ValueError, match=r"`path`.*\.csv"):
+        batch.read_dataset(tmp_path / "data.txt")
+    with pytest.raises(ValueError, match="`colour`"):
+        batch.read_dataset(folder / "test", colour="red")
+    with pytest.raises(ValueError, match=r"`models`.*folder"):
+        batch.read_dataset(folder / "test", models=tmp_path / "none")
+
+
+# Many.
+
+
+def test_threads_give_rows_in_order(records, rows):
+    counts = []
+    with ThreadPoolExecutor(2) as threads:
+        found = batch.fit_many(records[::-1], executor=threads, progress=counts.append)
+    assert all(same(a, b) for a, b in zip(found, rows[::-1], strict=True))
+    assert [count.done for count in counts] == [1, 2, 3, 4]
+    assert counts[-1].total == COUNT
+    assert counts[-1].statuses == {"converged": COUNT}
+
+
+def test_what_is_done_is_not_done_again(records, rows, tmp_path):
+    """The rows that are there are marked: they have to stay."""
+    writer = Writer(tmp_path)
+    writer.add(rows[1] | {"words": "there before"})
+    writer.flush()
+    counts = []
+    with ThreadPoolExecutor(1) as threads:
+        found = batch.fit_many(
+            iter(records[:3]), executor=threads, out=tmp_path, progress=counts.append
+        )
+    assert [row["words"] for row in found] == ["", "there before", ""]
+    assert (counts[-1].done, counts[-1].total) == (2, None)
+    again = batch.fit_many(records[:3], out=tmp_path, progress=counts.append)  # no worker starts
+    assert len(again) == 3
+    assert len(counts) == 2
+
+
+def test_shards_make_the_whole(records, rows, tmp_path):
+    for k in range(3):
+        with ThreadPoolExecutor(1) as threads:
+            batch.fit_many(records, executor=threads, out=tmp_path, shard=(k + 1, 3))
+    assert all(same(a, b) for a, b in zip(batch.Results(tmp_path), rows, strict=True))
+
+
+class Failing(Executor):
+    """Raises for the records of some ids, so many times each."""
+
+    def __init__(self, times):
+        self.times, self.asked = dict(times), []
+
+    def submit(self, function, /, record, *rest):
+        future = Future()
+        self.asked.append(record["id"])
+        if self.times.get(record["id"], 0):
+            self.times[record["id"]] -= 1
+            future.set_exception(OSError("the worker is gone"))
+        else:
+            future.set_result(function(record, *rest))
+        return future
+
+
+def test_what_an_executor_loses_is_tried_once_more():
+    items = [{"id": id, "mesh": "none", "mask": "none"} for id in "abc"]
+    executor = Failing({"a": 1, "b": 2})
+    found = batch.fit_many(items, executor=executor, workers=1)
+    assert [row["status"] for row in found] == ["failed", "crashed", "failed"]
+    assert "the worker is gone" in found[1]["words"]
+    assert sorted(executor.asked) == ["a", "a", "b", "b", "c"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"workers": 0}, "`workers`.*got 0"),
+        ({"shard": (0, 2)}, r"`shard`.*\(0, 2\)"),
+        ({"time_limit": -1.0}, "`time_limit`.*-1"),
+    ],
+)
+def test_wrong_arguments_are_refused(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        batch.fit_many([], **arguments)
+
+
+def test_ids_that_are_there_twice_are_refused():
+    items = [{"id": "a"}, {"id": "a"}]
+    with pytest.raises(ValueError, match=r"`items`.*'a' twice"):
+        batch.fit_many(items)
+
+
+def test_how_far_it_has_come_in_words():
+    count = batch.Count(30, 100, 20, {"converged": 28, "misfit": 2}, 60.0)
+    assert str(count) == "50 of 100, 30.0 a minute, 0:01:40 left; 2 not converged"
+    assert str(batch.Count(30, None, 0, {"converged": 30}, 3.0)) == "30, 10.0 a second"
+
+
+#: What goes wrong in workers: the script is imported there, and changes what fits a record.
+SCRIPT = """
+import json, os, signal, sys, time
+from pinhole_jax import batch
+from pinhole_jax.batch import parts, worker
+from pinhole_jax.batch.rows import empty_row
+
+def fit_one(record):
+    kind = record["id"].split("-")[0]
+    if kind == "kills":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if kind == "once" and not os.path.exists(record["mask"]):
+        open(record["mask"], "w").close()
+        os.kill(os.getpid(), signal.SIGKILL)
+    while kind == "loops":
+        pass
+    if kind == "sleeps":
+        time.sleep(1000)
+    time.sleep(0.02)
+    return empty_row(record, "converged", str(os.getpid()))
+
+worker.fit_one = fit_one
+worker.PATIENCE, worker.GRACE, parts.ROWS = 1.0, 4.0, 40
+worker._set_up = lambda setup: None  # no JAX: quick
+
+if __name__ == "__main__":
+    ids, out, limit = json.loads(sys.argv[1]), sys.argv[2], float(sys.argv[3])
+    items = [{"id": id, "mesh": "none", "mask": f"{out}.{id}"} for id in ids]
+    batch.fit_many(items, workers=2, out=out, time_limit=limit or None)
+"""
+
+
+@pytest.fixture
+def script(tmp_path):
+    path = tmp_path / "script.py"
+    path.write_text(textwrap.dedent(SCRIPT))
+    return path
+
+
+def start(script, ids, out, limit=0.0, **more):
+    return subprocess.Popen([sys.executable, script, json.dumps(ids), out, str(limit)], **more)
+
+
+def test_a_worker_that_ends_costs_its_record_one_more_try(script, tmp_path):
+    ids = ["kills", *(f"fine-{k}" for k in range(6)), "once"]
+    assert start(script, ids, tmp_path / "out").wait(60) == 0
+    found = {row["id"]: row["status"] for row in batch.Results(tmp_path / "out")}
+    assert found.pop("kills") == "crashed"
+    assert set(found.values()) == {"converged"}
+    assert len(found) == 7
+
+
+def test_a_record_has_its_time(script, tmp_path):
+    ids = ["loops", "sleeps", *(f"fine-{k}" for k in range(4))]
+    assert start(script, ids, tmp_path / "out", 1.0).wait(60) == 0
+    found = {row["id"]: row for row in batch.Results(tmp_path / "out")}
+    assert found["loops"]["words"] == "took more than 1 s"
+    assert "did not end by itself" in found["sleeps"]["words"]
+    assert found["loops"]["status"] == found["sleeps"]["status"] == "timed_out"
+    assert [row["status"] for row in found.values()].count("converged") == 4
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_what_is_stopped_goes_on(script, tmp_path, number):
+    """Workers end with the process that asked, and what is done is not done again."""
+    ids = [f"fine-{k:03d}" for k in range(160)]  # 40 rows are a part
+    out = tmp_path / "out"
+    process = start(script, ids, out, stderr=subprocess.DEVNULL)
+    while not list(out.glob("part-*")):
+        time.sleep(0.02)
+        assert process.poll() is None
+    process.send_signal(number)
+    process.wait(30)
+    before = {row["id"]: row["words"] for row in batch.Results(out)}
+    assert 40 <= len(before) < 160
+    for pid in set(before.values()):
+        for _ in range(100):
+            if not Path(f"/proc/{pid}").exists():
+                break
+            time.sleep(0.1)
+        else:
+            pytest.fail("a worker is left")
+    assert start(script, ids, out).wait(60) == 0
+    after = {row["id"]: row["words"] for row in batch.Results(out)}
+    assert sorted(after) == ids
+    assert all(after[id] == words for id, words in before.items())
+
+
+def test_a_script_without_guard_is_told_so(tmp_path):
+    path = tmp_path / "script.py"
+    path.write_text("from pinhole_jax import batch\nbatch.fit_many([{'id': 'a'}])\n")
+    done = subprocess.run([sys.executable, path], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "if __name__ == '__main__'" in done.stderr
+
+
+@pytest.mark.long
+def test_worker_processes_and_a_cluster_make_the_same_rows(folder, records, rows, tmp_path):
+    """(By the compiler as users have it: rows of this process have other last digits.)"""
+    path = tmp_path / "script.py"
+    path.write_text(
+        textwrap.dedent(
+            """
+            import sys
+            from pinhole_jax import batch
+            if __name__ == "__main__":
+                items = list(batch.read_dataset(sys.argv[1], start=True))
+                batch.fit_many(items, workers=2, out=sys.argv[2])
+                from dask.distributed import Client, LocalCluster
+                cluster = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+                with cluster, Client(cluster) as client:
+                    executor = client.get_executor(pure=False)
+                    batch.fit_many(items, executor=executor, workers=2, out=sys.argv[3])
+            """
+        )
+    )
+    one, other = tmp_path / "one", tmp_path / "other"
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    subprocess.run([sys.executable, path, folder / "test", one, other], env=environment, check=True)
+    found = list(batch.Results(one))
+    assert all(same(a, b) for a, b in zip(found, batch.Results(other), strict=True))
+    for a, b in zip(found, rows, strict=True):
+        assert a["status"] == b["status"]
+        np.testing.assert_allclose(a["R"], b["R"], atol=1e-4)
+
+
+# The command.
+
+
+def test_the_command(records, rows, folder, tmp_path, capsys):
+    """What is there is written and told without a worker."""
+    out = tmp_path / "out"
+    writer = Writer(out)
+    for row in rows:
+        writer.add(row)
+    writer.flush()
+    more = ["--merge", tmp_path / "table.jsonl", "--report", tmp_path / "page.html"]
+    more += ["--write", rows[0]["id"], tmp_path / "camera.yaml"]
+    assert command.main(["batch", "-o", str(out), *map(str, more)]) == 0
+    told = capsys.readouterr().out
+    assert f"rows       {COUNT}" in told
+    assert f"{COUNT}   converged" in told
+    assert len((tmp_path / "table.jsonl").read_text().splitlines()) == COUNT
+    assert formats.read_one(tmp_path / "camera.yaml").W == SIZE
+    assert (tmp_path / "page.html").exists()
+
+    # All is done: nothing is to be fitted. But that has to be asked for.
+    again = ["batch", str(folder / "test"), "-o", str(out)]
+    assert command.main(again) == 2
+    assert "--resume" in capsys.readouterr().err
+    assert command.main([*again, "--resume"]) == 0
+    assert len(batch.Results(out)) == COUNT
+    writer.add(empty_row({"id": "z"}, "failed", "words"))
+    writer.flush()
+    assert command.main([*again, "--resume"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["-o", "none"], "`DATASET`: expected one"),
+        (["none", "-o", "none"], "`DATASET`.*no such file"),
+        (["none.csv", "-o", "none", "--shard", "one"], "`--shard`: expected I/N"),
+        (["-o", "none", "--write", "a", "b.yaml"], "`--write`.*'a'"),
+        (["-o", "none", "--merge", "table.txt"], "`--merge`.*.parquet"),
+    ],
+)
+def test_the_command_names_what_is_wrong(arguments, words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "none.csv").write_text("id,mesh,mask\n")
+    assert command.main(["batch", *arguments]) == 2
+    assert re.search(words, capsys.readouterr().err)
