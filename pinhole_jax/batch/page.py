@@ -97,7 +97,7 @@ def _histogram(name: str, values: np.ndarray, spaced: Callable[..., np.ndarray],
     if low == high:
         return f"<p>{name}: {low:.4g}{unit} of all {values.size} rows.</p>"
     counts, edges = np.histogram(values, spaced(low, high, BINS + 1))
-    W, H, foot = 640, 150, 24
+    W, H, foot = 640, 90, 24
     step = W / BINS
     bars = "".join(
         f'<rect x="{k * step:.1f}" y="{H - H * n / counts.max():.1f}" width="{step - 1:.1f}"'
@@ -110,7 +110,8 @@ def _histogram(name: str, values: np.ndarray, spaced: Callable[..., np.ndarray],
         f'<text x="0" y="{H + 18}">{low:.3g}{unit}</text>'
         f'<text x="{W}" y="{H + 18}" text-anchor="end">{high:.3g}{unit}</text>'
     )
-    caption = f"{name}: median {middle:.3g}{unit}, {values.size} rows, at most {counts.max()} a bar"
+    axis = "" if spaced is np.linspace else ", on a logarithmic axis"
+    caption = f"{name}{axis}: median {middle:.3g}{unit}, {values.size} rows, {counts.max()} at most"
     return (
         f'<figure class="histogram"><svg viewBox="0 0 {W} {H + foot}" role="img"'
         f' aria-label="{caption}" fill="currentColor" font-size="13">{bars}{labels}</svg>'
