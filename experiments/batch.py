@@ -157,7 +157,8 @@ def engines(folder: Path, count: int) -> dict:
             "seconds": seconds,
             "statuses": statuses(whole),
         }
-        stopped, kills = Path(place) / "stopped", stopped_at_random(folder, stopped, seconds)
+        stopped = Path(place) / "stopped"
+        kills = stopped_at_random(folder, stopped, seconds)
         answer["killed workers"], answer["killed parents"] = kills
         answer["stopped and resumed: same"] = table(stopped) == expected
         cluster = Path(place) / "cluster"

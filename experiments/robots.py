@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax._camera.poses import at_pose, inverse, pose_of
-from pinhole_jax._fit.joint_result import between
+from pinhole_jax._fit.drift import drift
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "robots" / "lbr_med7"
 K = [
@@ -41,11 +41,11 @@ def views(side: str) -> list[pj.JointView]:
 
 def apart(one: pj.Fit, other: pj.Fit) -> dict:
     """How far apart two cameras are, and in standard deviations."""
-    found = between(one, other)
+    found = drift(other, one)
     return {
         "degrees": float(np.rad2deg(found.angle)),
         "mm": 1e3 * found.distance,
-        "most sigmas": float(np.max(np.abs(found.sigmas))),
+        "most sigmas": float(np.max(np.abs(found.by))),
     }
 
 

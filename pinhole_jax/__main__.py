@@ -1,5 +1,5 @@
-"""The command line: `pinhole-jax fit`, `render`, `hand-eye`, `batch` and `convert`; also `python -m
-pinhole_jax`."""
+"""The command line: `pinhole-jax fit`, `render`, `hand-eye`, `check`, `batch`, `convert`; also
+`python -m pinhole_jax`."""
 
 import argparse
 import atexit
@@ -42,6 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "fit": _fit,
             "render": _render,
             "hand-eye": _hand_eye,
+            "check": _check,
             "batch": _batch,
             "convert": _convert,
         }
@@ -177,6 +178,15 @@ def _hand_eye(options: argparse.Namespace) -> int:
 
         progress.count(Clock())
         return hand_eye(options, progress.say, progress.tell)
+
+
+def _check(options: argparse.Namespace) -> int:
+    with Progress("reading", options.verbose) as progress:
+        _set_up_jax(options)
+        from ._command.check import check
+
+        progress.count(Clock())
+        return check(options, progress.say, progress.tell)
 
 
 def _batch(options: argparse.Namespace) -> int:

@@ -24,6 +24,7 @@ from ._camera.rays import (
     project as project,
 )
 from ._files.cache import cache as cache
+from ._fit.drift import Drift as Drift, drift as drift
 from ._fit.fit_camera import fit_camera as fit_camera
 from ._fit.fit_cameras import fit_cameras as fit_cameras
 from ._fit.fit_joint import fit_joint as fit_joint

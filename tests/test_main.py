@@ -103,6 +103,20 @@ def test_render_then_fit(folder):
     assert io.load_image(out / "overlay.png").shape[1] >= 800
     assert any(cache.rglob("*"))  # compiled programs are kept
 
+    # Later: has the camera moved? By half a degree, another mask says.
+    checked = lambda mask: run(
+        "check", out / "camera.json", folder / "bumpy.ply", folder / mask, cache=cache
+    )
+    still = checked("mask.png")
+    assert still.returncode == 0, still.stdout + still.stderr
+    assert "no more than the errors say" in still.stdout
+    other = turned(CAMERA, [1, 2, 3], 0.5, 1.0)
+    io.save_image(folder / "pushed.png", np.asarray(pj.silhouette(other, SCENE)))
+    pushed = checked("pushed.png")
+    assert pushed.returncode == 1
+    assert "moved: " in pushed.stdout
+    assert "turned by 0.5 degrees" in pushed.stdout
+
 
 @pytest.mark.long
 def test_a_photo_refines_the_camera(folder):
@@ -557,3 +571,18 @@ def test_a_known_K_needs_no_pose(folder):
     angle, distance = pj.pose_error(found, truth)
     assert (np.rad2deg(angle) < 0.3) & (distance < 0.05), done.stdout
     np.testing.assert_allclose(found.lens.principal_point, truth.lens.principal_point)
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        (["truth.json", "bumpy.ply"], "`MASK`: expected one image of MESH"),
+        (["truth.json", "bumpy.ply", "a.png", "b.png"], "`MASK`: expected one image of MESH"),
+        (["truth.json", "arm.urdf", "joints.csv"], "`MASK`: expected JOINTS, and an image"),
+        (["none.json", "bumpy.ply", "a.png"], "`CAMERA`: expected"),
+    ],
+)
+def test_a_check_names_what_is_missing(folder, monkeypatch, capsys, files, words):
+    monkeypatch.chdir(folder)
+    assert command.main(["check", "--no-cache", *files]) == 2
+    assert words in capsys.readouterr().err

@@ -83,6 +83,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_fit(commands)
     _add_render(commands)
     _add_hand_eye(commands)
+    _add_check(commands)
     _add_batch(commands)
     _add_convert(commands)
     return parser
@@ -229,6 +230,33 @@ def _add_hand_eye(commands: Any) -> None:
     )
     _add_folder(robot)
     _add_cache(robot)
+
+
+def _add_check(commands: Any) -> None:
+    check = _command(
+        commands,
+        "check",
+        help="say whether a mask is still explained by a camera, or how it has moved",
+        description="Say whether CAMERA still sees MESH as MASK, by how many standard errors not,"
+        " and which way\nit has moved; or a robot: check CAMERA ROBOT.urdf JOINTS MASK...\n"
+        "Exit status: 0 it has not moved, 1 it has or the masks do not tell, 2 bad input.",
+        epilog=f"{STATUS}\n\n{EPILOG}",
+    )
+    check.add_argument(
+        "camera",
+        metavar="CAMERA",
+        help="any file that `convert` reads; of one that `fit` wrote the errors count, too",
+    )
+    check.add_argument("mesh", metavar="MESH", help="as in `fit`; or a URDF file")
+    check.add_argument("joints", metavar="MASK", nargs="?", help="as in `fit`; of a robot JOINTS")
+    check.add_argument("masks", metavar="MASK", nargs="*", help="of a robot, one for each posture")
+    check.add_argument("--in-hand", metavar="LINK", help="as in `hand-eye`")
+    check.add_argument("--leave-out", metavar="LINKS", help="as in `hand-eye`")
+    check.add_argument("--free", default="pose", metavar="NAMES", help="as in `fit`")
+    check.add_argument("--mask-from", metavar="HOW", help="how to read the MASKs, see below")
+    check.add_argument("--verbose", action="store_true", help="say on stderr what goes on")
+    check.add_argument("-o", "--output", metavar="CAMERA.json", help="write where it is now")
+    _add_cache(check)
 
 
 def _add_batch(commands: Any) -> None:

@@ -12,8 +12,9 @@ from .. import io
 from .._camera.camera import Camera
 from .._files.naming import named
 from .._files.paths import read_json, read_text
+from .._fit.drift import drift
 from .._fit.fit_joint import fit_joint
-from .._fit.joint_result import JointFit, between
+from .._fit.joint_result import JointFit
 from .._fit.joint_views import JointView
 from .._fit.parameters import as_names
 from ..formats import object_pose
@@ -29,6 +30,26 @@ def hand_eye(
     options: argparse.Namespace, say: Callable[[str], Any], tell: Callable[[str], Any]
 ) -> int:
     """Fit, write and print; return 0, or 1 for a fit that is not to be trusted."""
+    views = views_of(options, tell)
+    camera, search = _start(options, views[0].target, tell)
+    say(f"fitting {len(views)} views (the first time compiles: seconds)")
+    with named(**ASKED):
+        fit = fit_joint(views, camera, as_names(options.free), search=search, progress=say)
+    apart = _halves(fit, views, options) if options.holdout else None
+    written = _write(options, fit, views)
+    print(fit)
+    found = fit.cameras["camera"]
+    if fit.status != "non_finite":
+        print(object_pose(found, pixel_centres=options.pixel_centres))
+    if apart is not None:
+        print(f"halves     {apart}")
+    print(f"written    {', '.join(map(str, written))}")
+    return 0 if fit.status == "converged" else 1
+
+
+def views_of(options: argparse.Namespace, tell: Callable[[str], Any]) -> list[JointView]:
+    """Return the views of a robot (`robot`, `leave_out`, `in_hand`) in the postures of a file
+    (`joints`), with `masks`."""
     with named(path="ROBOT", leave_out="--leave-out"):
         robot = load_urdf(options.robot, _names(options.leave_out))
     with named(path="JOINTS"):
@@ -50,20 +71,7 @@ def hand_eye(
             raise ValueError(f"`--in-hand`: {words}")
         mount = None if link is None else poses[link]
         views.append(JointView(robot.at(poses), mask, mount=mount))
-    camera, search = _start(options, masks[0], tell)
-    say(f"fitting {len(views)} views (the first time compiles: seconds)")
-    with named(**ASKED):
-        fit = fit_joint(views, camera, as_names(options.free), search=search, progress=say)
-    apart = _halves(fit, views, options) if options.holdout else None
-    written = _write(options, fit, views, masks)
-    print(fit)
-    found = fit.cameras["camera"]
-    if fit.status != "non_finite":
-        print(object_pose(found, pixel_centres=options.pixel_centres))
-    if apart is not None:
-        print(f"halves     {apart}")
-    print(f"written    {', '.join(map(str, written))}")
-    return 0 if fit.status == "converged" else 1
+    return views
 
 
 def joint_angles(path: str) -> list[dict[str, float]]:
@@ -120,16 +128,14 @@ def _halves(fit: JointFit, views: list[JointView], options: argparse.Namespace) 
     one, other = (
         fit_joint(half, start, free).cameras["camera"] for half in (views[::2], views[1::2])
     )
-    apart = between(one, other)
-    degrees, most = np.rad2deg(apart.angle), float(np.max(np.abs(apart.sigmas)))
-    words = f"{degrees:.2g} degrees, {apart.distance:.2g} apart, {most:.1f} sigma"
-    verdict = "they agree" if most < 3 else "they do not agree"
+    apart = drift(one, other)
+    degrees = np.rad2deg(apart.angle)
+    words = f"{degrees:.2g} degrees, {apart.distance:.2g} apart, {apart.sigma:.1f} sigma"
+    verdict = "they do not agree" if apart.moved else "they agree"
     return f"each half of the views by itself: {words}: {verdict}"
 
 
-def _write(
-    options: argparse.Namespace, fit: JointFit, views: list[JointView], masks: list[np.ndarray]
-) -> list[Path]:
+def _write(options: argparse.Namespace, fit: JointFit, views: list[JointView]) -> list[Path]:
     """Write the camera, and each mask with the outline on it; return the paths."""
     folder = Path(options.output)
     written = [folder / "camera.json"]
@@ -137,7 +143,7 @@ def _write(
         found = fit.cameras["camera"]._replace(status=fit.status)
         io.save_fit(written[0], found, pixel_centres=options.pixel_centres)
         if fit.status != "non_finite":
-            for k, (view, given, mask) in enumerate(zip(fit.views, views, masks, strict=True)):
+            for k, (view, given) in enumerate(zip(fit.views, views, strict=True)):
                 written.append(folder / f"overlay_{k}.png")
-                io.save_image(written[-1], overlay(mask, view.camera, given.scene))
+                io.save_image(written[-1], overlay(given.target, view.camera, given.scene))
     return written

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
-from .._camera.poses import Pose, adjoint, at_pose, inverse, pose_of
+from .._camera.poses import Pose, adjoint, at_pose, inverse
 from .._names import STATUSES
 from .agreement import Agreement
 from .joint_descent import Layout
@@ -113,26 +113,6 @@ class JointFit(NamedTuple):
         for k, v in enumerate(self.views):
             lines.append(f"{k:4d}  {v.iou:.4f}  {v.rms:.4f}  {v.off:4.1f}  {v.weight:.2f}")
         return "\n".join(lines)
-
-
-class Apart(NamedTuple):
-    """How far apart two fits' cameras are: an angle (rad), a distance (world units), and turns and
-    shifts (6,), as `Fit.names` has a pose's, in standard errors of both."""
-
-    angle: float
-    distance: float
-    sigmas: Float[np.ndarray, "6"]
-
-
-def between(one: Fit, other: Fit) -> Apart:
-    """Return how far apart two fits of a pose are, that have no masks in common."""
-    from scipy.spatial.transform import Rotation
-
-    a, b = pose_of(one.camera), pose_of(other.camera)
-    turn = TO_B @ Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec()
-    shift = b[:3, 3] - a[:3, 3]
-    sigmas = np.append(turn, shift) / np.hypot(one.std[:6], other.std[:6])
-    return Apart(float(np.linalg.norm(turn)), float(np.linalg.norm(shift)), sigmas)
 
 
 def independent_variance(layout: Layout, found: Agreement) -> float:

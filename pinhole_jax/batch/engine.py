@@ -15,6 +15,8 @@ from .records import Record
 from .rows import Row, empty_row
 from .worker import Setup
 
+#: Workers that end as they start are started so many times.
+STARTS = 3
 #: So many records a worker are on their way to an executor that is not our own.
 AHEAD = 4
 
@@ -53,17 +55,24 @@ class _Pool:
         self.begin()
 
     def begin(self) -> None:
-        turn = self._context.Value("i", 0)
-        self._pool = ProcessPoolExecutor(
-            self.workers, self._context, worker.begin, (self.setup, turn)
+        """Start workers; where one ends before it can work, start again a few times.
+
+        Raises RuntimeError where none can.
+        """
+        for _ in range(STARTS):
+            turn = self._context.Value("i", 0)
+            self._pool = ProcessPoolExecutor(
+                self.workers, self._context, worker.begin, (self.setup, turn)
+            )
+            try:
+                self._pool.submit(worker.ready).result()
+                return
+            except BrokenProcessPool:
+                self.end()
+        raise RuntimeError(
+            "no worker process could start: a script that calls `fit_many` does so below"
+            " `if __name__ == '__main__':`, since workers import it"
         )
-        try:
-            self._pool.submit(worker.ready).result()
-        except BrokenProcessPool:
-            raise RuntimeError(
-                "no worker process could start: a script that calls `fit_many` does so below"
-                " `if __name__ == '__main__':`, since workers import it"
-            ) from None
 
     def submit(self, record: Record) -> Future[Row]:
         return self._pool.submit(worker.run, record, self.setup)

@@ -1,0 +1,88 @@
+"""`pinhole-jax check`: is a mask still explained by a camera, or has it moved?"""
+
+import argparse
+from collections.abc import Callable
+from typing import Any
+
+from .. import formats, io
+from .._camera.camera import Camera
+from .._files.naming import named
+from .._fit.drift import drift
+from .._fit.fit_camera import fit_camera
+from .._fit.fit_joint import fit_joint
+from .._fit.result import Fit
+from .._fit.words import STATUSES
+from .._scene.scene import Scene
+from .hand_eye import views_of
+
+#: What the command calls the arguments of the fits.
+ASKED = {"target": "MASK", "free": "--free", "camera": "CAMERA", "cameras": "CAMERA"}
+
+
+def check(
+    options: argparse.Namespace, say: Callable[[str], Any], tell: Callable[[str], Any]
+) -> int:
+    """Fit from the camera, print how far that leads; return 0, or 1 where it has moved or the masks
+    do not tell."""
+    reference = _reference(options.camera)
+    before = reference.camera if isinstance(reference, Fit) else reference
+    if options.mesh.lower().endswith(".urdf"):
+        fit = _of_robot(options, before, say, tell)
+    else:
+        fit = _of_mesh(options, before, say, tell)
+    if fit.status == "non_finite":
+        print("cannot tell: NaN or infinity turned up")
+        return 1
+    found = drift(fit, reference)
+    print(found)
+    print(f"status     {fit.status}: {STATUSES[fit.status]}")
+    for words in fit.weak:
+        print(f"weak       {words}")
+    if options.output is not None:
+        with named(path="--output"):
+            io.save_fit(options.output, fit)
+        print(f"written    {options.output}")
+    return 0 if fit.status == "converged" and not found.moved else 1
+
+
+def _reference(path: str) -> Camera | Fit:
+    """Return the fit that a file holds, with its covariance; else its camera, taken as exact."""
+    with named(path="CAMERA"):
+        camera = formats.read_one(path)
+        try:
+            return io.load_fit(path)
+        except (ValueError, OSError):
+            return camera
+
+
+def _of_mesh(
+    options: argparse.Namespace,
+    camera: Camera,
+    say: Callable[[str], Any],
+    tell: Callable[[str], Any],
+) -> Fit:
+    if options.joints is None or options.masks:
+        raise ValueError("`MASK`: expected one image of MESH (of a robot: ROBOT.urdf JOINTS MASKs)")
+    with named(path="MASK", mask_from="--mask-from"):
+        mask = io.load_mask(options.joints, options.mask_from, tell)
+    with named(path="MESH", vertices="MESH"):
+        scene = Scene(mesh=io.load_mesh(options.mesh, say=tell))
+    say("fitting (the first time compiles: seconds)")
+    with named(**ASKED):
+        return fit_camera(scene, mask, camera, options.free)
+
+
+def _of_robot(
+    options: argparse.Namespace,
+    camera: Camera,
+    say: Callable[[str], Any],
+    tell: Callable[[str], Any],
+) -> Fit:
+    if options.joints is None or not options.masks:
+        raise ValueError("`MASK`: expected JOINTS, and an image for each of its rows, got none")
+    options.robot = options.mesh
+    views = views_of(options, tell)
+    say(f"fitting {len(views)} views (the first time compiles: seconds)")
+    with named(**ASKED):
+        fit = fit_joint(views, camera, options.free)
+    return fit.cameras["camera"]._replace(status=fit.status)

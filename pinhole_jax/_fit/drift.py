@@ -1,0 +1,124 @@
+"""How far a camera has moved from where a calibration, or another fit, had it, and how surely."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from .._camera.axes import axes_of
+from .._camera.camera import Camera
+from .result import Fit, check_fit
+
+#: The reported names of a pose's six parameters, in the order of `Drift.by`.
+POSE = ("rotation_b1", "rotation_b2", "rotation_v", "e_x", "e_y", "e_z")
+#: A drift of more standard errors than this is one.
+MOVED = 3.0
+
+
+class Drift(NamedTuple):
+    """How far a fit's camera is from a reference.
+
+    - `angle` (rad), `distance` (world units): as `pose_error` has them.
+    - `turn` (3,), `shift` (3,): of the camera about, and along, its own axes right, up, forward as
+      the reference has them (rad; world units).
+    - `by` (6,): turn and shift by the parameters of `Fit.names`, each in its own standard errors:
+      NaN where it was not fitted, 0 where the masks do not determine it.
+    - `sigma`: how surely it has moved, as of one normal number: from all parameters together and
+      their covariance (chi-squared), so that errors which go together count once.
+    """
+
+    angle: float
+    distance: float
+    turn: Float[np.ndarray, "3"]
+    shift: Float[np.ndarray, "3"]
+    by: Float[np.ndarray, "6"]
+    sigma: float
+
+    @property
+    def moved(self) -> bool:
+        """Return whether this is more than errors make of a camera that stands still."""
+        return self.sigma > MOVED
+
+    def __str__(self) -> str:
+        """Return it in a line; pitch is up, yaw to the left, roll the right side down."""
+        verdict = "moved" if self.moved else "no more than the errors say"
+        turn = ", ".join(
+            f"{name} {np.rad2deg(x):+.2g}"
+            for name, x in zip(("pitch", "yaw", "roll"), self.turn, strict=True)
+        )
+        shift = ", ".join(
+            f"{name} {x:+.2g}"
+            for name, x in zip(("right", "up", "forward"), self.shift, strict=True)
+        )
+        return (
+            f"{verdict}: {self.sigma:.1f} sigma; turned by {np.rad2deg(self.angle):.2g} degrees"
+            f" ({turn}), shifted by {self.distance:.2g} ({shift})"
+        )
+
+
+def drift(fit: Fit, reference: Camera | Fit) -> Drift:
+    """Return how far a fit's camera has moved from a reference, and how surely.
+
+    - `reference`: a camera that is taken as exact, or a fit of other masks, whose covariance counts
+      as well.
+
+    It tells a camera (or the object before it) that was pushed from one that stands still: a
+    calibration is checked by one more mask.
+
+    Raises ValueError for other arguments, and for a fit whose pose was not free.
+    """
+    check_fit(fit)
+    if not isinstance(reference, Camera | Fit):
+        words = f"expected a Camera or a Fit, got {type(reference).__name__}"
+        raise ValueError(f"`reference`: {words}")
+    fitted = [k for k, name in enumerate(POSE) if name in fit.names]
+    if not fitted:
+        raise ValueError(f"`fit`: expected one whose pose was free, got {', '.join(fit.names)}")
+    from scipy.spatial.transform import Rotation
+
+    before = reference.camera if isinstance(reference, Fit) else reference
+    axes, now = axes_of(before), axes_of(fit.camera)
+    turn = axes @ Rotation.from_matrix(now.T @ axes).as_rotvec()
+    shift = np.asarray(fit.camera.e, float) - np.asarray(before.e, float)
+    covariance = _covariance(fit)
+    if isinstance(reference, Fit):
+        covariance = covariance + _covariance(reference)
+    change = np.concatenate([turn, shift])
+    std = np.sqrt(np.diagonal(covariance))
+    by = np.full(len(POSE), np.nan)
+    by[fitted] = change[fitted] / std[fitted]
+    return Drift(
+        float(np.linalg.norm(turn)),
+        float(np.linalg.norm(shift)),
+        turn,
+        axes @ shift,
+        by,
+        _sigma(change[fitted], covariance[np.ix_(fitted, fitted)]),
+    )
+
+
+def _covariance(fit: Fit) -> Any:
+    """Return the covariance (6, 6) of a fit's pose; 0 of what was not fitted."""
+    own = [k for k, name in enumerate(fit.names) if name in POSE]
+    place = [POSE.index(fit.names[k]) for k in own]
+    covariance = np.zeros((len(POSE), len(POSE)))
+    covariance[np.ix_(place, place)] = np.asarray(fit.covariance, float)[np.ix_(own, own)]
+    return covariance
+
+
+def _sigma(change: np.ndarray, covariance: np.ndarray) -> float:
+    """Return how unlikely a change is, as the distance of a normal number from its mean."""
+    from scipy.stats import chi2, norm
+
+    known = np.isfinite(np.diagonal(covariance))
+    change, covariance = change[known], covariance[np.ix_(known, known)]
+    if not change.size:
+        return 0.0
+    scale = np.sqrt(np.diagonal(covariance))
+    scale = np.where(scale > 0, scale, 1)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    # (What rounding leaves of a direction that is exactly known is no error bar.)
+    values = np.maximum(values, 1e-12 * values[-1])
+    squares = float(np.sum((vectors.T @ (change / scale)) ** 2 / values))
+    log = float(chi2.logsf(squares, change.size))
+    return float(norm.isf(np.exp(log) / 2)) if log > -600 else float(np.sqrt(squares))

@@ -1,0 +1,108 @@
+"""How far a camera has moved: which way, and how surely."""
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+import pinhole_jax as pj
+from pinhole_jax._camera.poses import at_pose, exponential, pose_of
+from pinhole_jax._fit.moves import displaced
+
+NAMES = ("rotation_b1", "rotation_b2", "rotation_v", "e_x", "e_y", "e_z", "phi")
+CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
+#: Turns and shifts that go together, as those of a small object far away do.
+MIX = np.random.default_rng(0).normal(size=(7, 7)) @ np.diag([1, 1, 1, 1, 0.1, 0.01, 0.01])
+COVARIANCE = 1e-6 * MIX @ MIX.T
+
+
+def fit_at(camera, covariance=COVARIANCE, names=NAMES):
+    n = len(names)
+    covariance = covariance[:n, :n]
+    std = np.sqrt(np.diagonal(covariance))
+    return pj.Fit(camera, "converged", names, covariance, std, 0.0, 1.0, (1,), ())
+
+
+def moved(turn=(0, 0, 0), shift=(0, 0, 0)):
+    """CAMERA turned about, and shifted along, its axes right, up, forward (OpenCV's frame)."""
+    down = np.array([1, -1, 1])
+    twist = 1.0 * np.concatenate([down * turn, down * shift])
+    return at_pose(CAMERA, pose_of(CAMERA) @ exponential(twist))
+
+
+def test_it_says_which_way():
+    """Up is pitch, left is yaw: what was in the middle is then seen lower, or farther right."""
+    middle = np.asarray(CAMERA.p)
+    x, y = np.asarray(pj.project(CAMERA, middle))
+    for axis, change in enumerate(([0, -1], [1, 0])):
+        turn = np.zeros(3)
+        turn[axis] = 0.01
+        camera = moved(turn=turn)
+        there = np.asarray(pj.project(camera, middle)) - [x, y]
+        assert np.argmax(np.abs(there)) == np.argmax(np.abs(change))
+        assert np.sum(there * change) > 0
+        found = pj.drift(fit_at(camera), CAMERA)
+        np.testing.assert_allclose(found.turn, turn, atol=1e-9)
+        assert found.angle == pytest.approx(0.01, rel=1e-6)
+    # The right side down: what is at the right is seen higher.
+    right = middle + 0.5 * np.asarray(pj.camera_basis(CAMERA).b1)
+    camera = moved(turn=(0, 0, 0.01))
+    assert pj.project(camera, right)[1] > pj.project(CAMERA, right)[1] + 0.01
+    np.testing.assert_allclose(pj.drift(fit_at(camera), CAMERA).turn, [0, 0, 0.01], atol=1e-9)
+    found = pj.drift(fit_at(moved(shift=(0.1, -0.2, 0.3))), CAMERA)
+    np.testing.assert_allclose(found.shift, [0.1, -0.2, 0.3], atol=1e-9)
+    assert "right +0.1, up -0.2, forward +0.3" in str(found)
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_a_camera_that_stands_still_has_moved_as_often_as_chance_says(both):
+    random = np.random.default_rng(1)
+    root = np.linalg.cholesky(COVARIANCE + 1e-14 * np.eye(7))
+    around = lambda: displaced(CAMERA, NAMES, root @ random.normal(size=7))
+    reference = lambda: fit_at(around()) if both else CAMERA
+    sigmas = [pj.drift(fit_at(around()), reference()).sigma for _ in range(200)]
+    # |x| of a normal number x.
+    assert kstest(sigmas, "halfnorm").pvalue > 1e-3
+    assert np.mean(np.array(sigmas) > 2) < 0.1
+
+
+def test_errors_that_go_together_count_once():
+    """A move along the widest direction is likely, one across is not, though it is no longer."""
+    values, vectors = np.linalg.eigh(COVARIANCE[:6, :6])
+    along, across = (
+        pj.drift(fit_at(displaced(CAMERA, NAMES[:6], 2e-3 * vectors[:, k])), CAMERA) for k in (5, 0)
+    )
+    assert not along.moved
+    assert across.moved
+    assert "no more than the errors say" in str(along)
+    assert values[5] > 100 * values[0]
+
+
+def test_what_masks_do_not_determine_does_not_count():
+    free = COVARIANCE.copy()
+    free[2, :] = free[:, 2] = np.nan
+    free[2, 2] = np.inf
+    camera = moved(turn=(0, 0, 0.5))
+    found = pj.drift(fit_at(camera, free), CAMERA)
+    assert found.sigma < 1
+    assert found.by[2] == 0
+    assert pj.drift(fit_at(camera), CAMERA).moved
+    blind = np.full((7, 7), np.nan)
+    np.fill_diagonal(blind, np.inf)
+    assert pj.drift(fit_at(camera, blind), CAMERA).sigma == 0
+
+
+def test_a_part_of_the_pose_may_be_fitted():
+    found = pj.drift(fit_at(moved(turn=(0.01, 0, 0)), names=NAMES[:3]), CAMERA)
+    assert found.moved
+    assert np.all(np.isnan(found.by[3:]))
+
+
+def test_a_certain_move_is_no_infinity():
+    found = pj.drift(fit_at(moved(shift=(5, 0, 0))), CAMERA)
+    assert np.isfinite(found.sigma)
+    assert found.sigma > 100
+
+
+def test_a_fit_without_pose_is_refused():
+    with pytest.raises(ValueError, match="`fit`: expected one whose pose was free, got phi"):
+        pj.drift(fit_at(CAMERA, np.eye(1), ("phi",)), CAMERA)
