@@ -181,7 +181,7 @@ def _is_array(leaf: Any) -> bool:
 def _described(leaf: Any) -> Any:
     """Return what a program depends on of an argument's leaf."""
     if _is_array(leaf):
-        return leaf.shape, str(leaf.dtype), getattr(leaf, "weak_type", False)
+        return leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)
     return type(leaf).__name__, repr(leaf)
 
 

@@ -1,5 +1,6 @@
 """What is known of a camera before it is fitted, as users say it: priors and bounds."""
 
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -41,6 +42,7 @@ class Others(eqx.Module):
         return self.rows @ (values - self.at) + self.left
 
 
+@functools.lru_cache  # (asked for at each new weight image)
 def no_others(free: tuple[str, ...], dtype: Any) -> Others:
     """Return that no other views know anything of what is free."""
     n = len(labels_of(free))

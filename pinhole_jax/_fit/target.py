@@ -8,7 +8,6 @@ visits them.
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -299,7 +298,7 @@ def pyramid(
         rest = np.array(level == 0), real(np.inf)
         levels.append(Level(integer(start), integer(w), integer(h), origin, scale, *rest))
         start += size
-    return Pyramid(*(jnp.asarray(x) for x in flat)), levels
+    return Pyramid(*jax.device_put([*flat])), levels
 
 
 def _cells(shape: tuple[int, int]) -> int:
