@@ -13,6 +13,7 @@ from _scenes import View
 #: Corners of a sphere's outline, and pieces to a world unit of a side that a lens bends: both stray
 #: from the curve by less than 1e-6 px.
 RIM, PIECES = 40_000, 800
+MANY = 1000
 
 
 def coverage(view: View, only: np.ndarray | None = None) -> np.ndarray:
@@ -27,8 +28,8 @@ def union_per_pixel(polygons: np.ndarray, only: np.ndarray) -> np.ndarray:
 
     Pixel by pixel: a union of everything at once loses area where edges nearly agree.
     """
-    polygons = polygons[shapely.area(polygons) > 0]
-    H, _ = only.shape
+    H, W = only.shape
+    polygons = in_rows(polygons[shapely.area(polygons) > 0], W, H)
     row, column = np.nonzero(only)
     left, bottom = column, H - 1 - row
     squares = shapely.box(left, bottom, left + 1, bottom + 1)
@@ -46,6 +47,16 @@ def union_per_pixel(polygons: np.ndarray, only: np.ndarray) -> np.ndarray:
     image = np.zeros(only.shape)
     image[row, column] = area
     return image
+
+
+def in_rows(polygons: np.ndarray, W: int, H: int) -> np.ndarray:
+    """Return the polygons, those of very many corners cut into the film's rows: a pixel is then cut
+    out of a few of these corners."""
+    many = shapely.get_num_coordinates(polygons) > MANY
+    bottom = np.arange(H)
+    rows = shapely.box(-1, bottom, W + 1, bottom + 1)
+    parts = shapely.intersection(polygons[many][:, None], rows[None]).ravel()
+    return np.concatenate([polygons[~many], parts[shapely.area(parts) > 0]])
 
 
 def in_camera(view: View, points: np.ndarray) -> np.ndarray:
