@@ -10,13 +10,13 @@ import pytest
 
 import pinhole_jax as pj
 
-REFERENCE = Path(__file__).parents[1] / "experiments" / "reference"
-sys.path.insert(0, str(REFERENCE))
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments" / "reference"))
 import _oracle
 import _scenes
 import compare
 import make
 
+REFERENCE = Path(__file__).parents[1] / "experiments" / "reference"
 NAMES = sorted(path.stem for path in (REFERENCE / "set").glob("*.npz"))
 
 

@@ -165,7 +165,7 @@ def sheet() -> tuple[np.ndarray, np.ndarray]:
 
 
 def bowl() -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower half of a sphere, open above and below: its inside is seen over the border."""
+    """Return the lower half of a sphere, open above and below: its inside shows."""
 
     def surface(s, t):
         around, down = 2 * np.pi * s, np.pi / 2 * (0.12 + 0.88 * t)
@@ -225,7 +225,9 @@ def meshes() -> dict[str, View]:
         ),
         "sheet": View("an open wavy sheet", **at([2.9, -2.2, 1.9]), **joined(sheet())),
         "bowl": View(
-            "an open bowl with a hole in its bottom", **at([2.6, -2.1, 2.4], (0, 0, -0.45)), **joined(bowl())
+            "an open bowl with a hole in its bottom",
+            **at([2.6, -2.1, 2.4], (0, 0, -0.45)),
+            **joined(bowl()),
         ),
         "ground": View(
             "a floor that reaches behind the eye",
@@ -308,7 +310,10 @@ def lenses() -> dict[str, View]:
             **brown(0.22, 0.08, -3e-3, 2e-3, 0.0),
         ),
         "fisheye": View(
-            "a fisheye, a bumpy shape", **at([0.4, 0.6, 2.6], phi=1.25), **joined(bumpy()), **fisheye
+            "a fisheye, a bumpy shape",
+            **at([0.4, 0.6, 2.6], phi=1.25),
+            **joined(bumpy()),
+            **fisheye,
         ),
     }
 

@@ -28,7 +28,7 @@ from pinhole_jax._silhouette import distorted
 from pinhole_jax.testing.differences import STEPS, Scales, outside, slopes
 
 SCHEMA = "pinhole_jax.reference/1"
-#: How far coverage (px^2) and a derivative (in parts of its image's largest) may be from the oracle.
+#: How far coverage (px^2) and a derivative (in parts of its image's largest) may be off.
 #: Where a sphere or a lens bends, polygons are no curves; under a lens neither is the library's.
 ALLOWED = {"straight": (1e-12, 1e-6), "spheres": (1e-9, 2e-6), "bent": (1e-6, 2e-5)}
 #: A renderer's straight parts stray from what the lens shows by no more than this, px.
@@ -165,7 +165,9 @@ def sheet(made: dict[str, tuple[View, Made]], path: Path) -> None:
 
     shown = ("e_x", "e_z", "p_x", "u_x", "phi", "principal_point_y")
     rows, wide = -(-len(made) // 2), len(shown) + 1
-    figure, panels = plt.subplots(rows, 2 * wide, figsize=(2 * wide * 1.1, rows * 0.98), dpi=105, squeeze=False)
+    figure, panels = plt.subplots(
+        rows, 2 * wide, figsize=(2 * wide * 1.1, rows * 0.98), dpi=105, squeeze=False
+    )
     for panel in panels.ravel():
         panel.axis("off")
     for number, (name, (view, found)) in enumerate(made.items()):
