@@ -1,13 +1,13 @@
 """What is found on real data, how far is it off, and does the stated sigma say so?
 
-    python experiments/real.py OUT [bottle cow lbr panda knee]
+    python experiments/real.py OUT [bottle cow knee lbr]
 
 `../shared/data` holds photos, masks and cameras that others made: a bottle in two photos, a
-published render, two robot arms, knee implants under fluoroscopy with an expert's poses. Single
-fits start 10 degrees and 5 % of the distance off what is given, the arms from nothing. Errors are
+published render, a robot arm, knee implants under fluoroscopy with an expert's poses. Single
+fits start 10 degrees and 5 % of the distance off what is given, the arm from nothing. Errors are
 of the object in the camera's frame: turn, sideways, in depth. Answers of others
 (`peer_answers.json`) stand beside, and are no truth. The picture has the outlines on the photos.
-Times are of what is compiled, but for the arms'; a busy machine makes them longer.
+Times are of what is compiled, but for the arm's; a busy machine makes them longer.
 """
 
 import json
@@ -32,13 +32,6 @@ from pinhole_jax._fit.joint_result import between
 DATA = Path(__file__).parents[2] / "shared" / "data"
 DEGREES, FARTHER = 10.0, 1.05
 TILE = (480, 360)
-#: Where EasyHeC's own demonstration starts: the camera from the Panda's base.
-PANDA_START = [
-    [0.93969262, 0.34202009, 0, -0.64085639],
-    [0.17101002, -0.46984622, -0.86602539, 0.49582830],
-    [-0.29619810, 0.81379771, -0.5, 1.2412001],
-    [0, 0, 0, 1],
-]
 
 
 class Drawn(NamedTuple):
@@ -202,28 +195,6 @@ def lbr() -> Iterator[Item]:
     yield Item({"name": "LBR, between the eyes", **robots.stereo(fits["left"], fits["right"])})
 
 
-def panda() -> Iterator[Item]:
-    """Yield the Panda: ten postures that do not all belong to their photos."""
-    here = DATA / "robots" / "panda"
-    robot = pj.robots.load_urdf(here / "panda.urdf")
-    angles = json.loads((here / "joints.json").read_text())["postures"]
-    given = pj.formats.from_opencv(
-        np.loadtxt(here / "K.txt"), np.eye(3), np.zeros(3), 640, 480, pixel_centres="integer"
-    )
-    start = at_pose(given, np.linalg.inv(PANDA_START))
-    seen = [
-        pj.JointView(robot.scene(q), pj.io.load_mask(here / f"mask_{k}.png"))
-        for k, q in enumerate(angles)
-    ]
-    for views in (seen[:2], seen):
-        found, seconds = joint(views, start)
-        row = joint_row(f"Panda, {len(views)} masks", found, seconds)
-        row["the demonstration's start, IoU"] = [shown_iou(start, v.scene, v.target) for v in views]
-        photo = pj.io.load_image(here / "photo_0.jpg")
-        tile = (photo, np.asarray(seen[0].target), found.views[0].camera, seen[0].scene)
-        yield Item(row, Drawn(row["name"], *tile) if len(views) == 2 else None)
-
-
 def joint(views: list[pj.JointView], camera: pj.Camera) -> tuple[pj.JointFit, float]:
     begin = time.perf_counter()
     found = pj.fit_joint(views, camera, search=True)
@@ -253,7 +224,6 @@ QUESTIONS: dict[str, Callable[[], Iterator[Item]]] = {
     "cow": cow,
     "knee": knee,
     "lbr": lbr,
-    "panda": panda,
 }
 
 

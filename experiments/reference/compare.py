@@ -4,7 +4,8 @@
 
 THEIRS is a folder with a NAME.npz for each scene that was rendered, or one such file. In it are
 images (H, W), row 0 on top, under the names of the set: `coverage`, `e_x`, `phi`, ...; what is not
-there is not compared. NumPy is all that this needs. The exit status is 0 where all images agree.
+there is not compared. Files of the set's own form will do. NumPy is all that this needs. The exit
+status is 0 where all images agree.
 """
 
 import argparse
@@ -93,6 +94,14 @@ def images_of(path: Path) -> dict[str, np.ndarray]:
         return {"coverage": file["coverage"], **derivatives}
 
 
+def given_in(path: Path, names: list[str]) -> dict[str, np.ndarray]:
+    """Return another renderer's images by name; the file may also have the set's own form."""
+    with np.load(path) as file:
+        if "derivatives" not in file:
+            return {name: file[name] for name in names if name in file}
+    return images_of(path)
+
+
 def all_compared(theirs: Path, reference: Path) -> dict[tuple[str, str], Comparison]:
     """Return the comparisons by (scene, image), of all images that are in both folders."""
     paths = [theirs] if theirs.is_file() else sorted(theirs.glob("*.npz"))
@@ -102,9 +111,7 @@ def all_compared(theirs: Path, reference: Path) -> dict[tuple[str, str], Compari
             print(f"{path.name}: there is no such scene in {reference}")
             continue
         ours = images_of(reference / path.name)
-        with np.load(path) as file:
-            given = {name: file[name] for name in ours if name in file}
-        for name, image in given.items():
+        for name, image in given_in(path, list(ours)).items():
             try:
                 found[path.stem, name] = compared(image, ours[name])
             except ValueError as error:
