@@ -6,9 +6,9 @@
    scenes of its tests `test_ad_integrators`, a rectangle and a sphere that move or grow. Here the
    camera moves instead, so what is held against them are the derivatives by `e` and `p`.
 2. Its test of a camera that moves: differences as its generator of references takes them.
-3. With `--data` (a checkout of the repository mitsuba-data): the stored derivative images
-   `tests/integrators/test_*_image_fwd_ref.exr`, of the same scenes with a Gaussian filter.
-4. With `--pytorch3d`: the soft silhouette `tests/data/test_FoVPerspectiveCameras_silhouette.png`.
+3. With `--data` (a checkout of the repository mitsuba-data): the derivative images stored there, of
+   the same scenes with a Gaussian filter (files in its folder of integrators' tests).
+4. With `--pytorch3d`: the soft silhouette of a sphere that its tests store.
 
 Asked: correlation 0.999, sums within 1 %. What is not there is skipped aloud. Needs `mitsuba`, and
 LLVM for it (of LLVM 15 Mitsuba 3.7 makes use, 3.9 cannot).
