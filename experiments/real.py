@@ -266,11 +266,11 @@ def draw(tile: Drawn, path: Path) -> None:
 
 
 def join(tiles: Path, path: Path) -> None:
-    """Join the tiles that there are, three in a row."""
+    """Join the tiles that there are, four in a row."""
     found = [x for name in QUESTIONS for x in sorted(tiles.glob(f"{name}_*.png"))]
     drawn = [np.asarray(Image.open(x)) for x in found]
-    drawn += [np.full_like(drawn[0], 255)] * (-len(drawn) % 3)
-    rows = [np.concatenate(drawn[k : k + 3], axis=1) for k in range(0, len(drawn), 3)]
+    drawn += [np.full_like(drawn[0], 255)] * (-len(drawn) % 4)
+    rows = [np.concatenate(drawn[k : k + 4], axis=1) for k in range(0, len(drawn), 4)]
     Image.fromarray(np.concatenate(rows)).save(path, quality=80)
 
 
