@@ -188,7 +188,7 @@ def statuses(folder: Path) -> dict[str, int]:
 def stopped_at_random(folder: Path, out: Path, seconds: float) -> tuple[int, int]:
     """Kill workers and parents at random times until all is done; return how many of each.
 
-    A record that is tried again, alone, is spared: whose process ends twice has `crashed`, as asked.
+    A record that is tried again, alone, is spared: whose process ends twice has `crashed`.
     """
     chance = random.Random(0)
     workers = parents = 0

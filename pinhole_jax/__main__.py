@@ -190,11 +190,10 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _batch(options: argparse.Namespace) -> int:
-    # (JAX is not set up: workers are, and this process needs none to count.)
     with Progress("reading", options.verbose) as progress:
         from ._command.batch import batch
 
-        return batch(options, progress.say, progress.tell)
+        return batch(options, progress.say, lambda: _set_up_jax(options))
 
 
 def _convert(options: argparse.Namespace) -> int:

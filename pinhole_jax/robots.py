@@ -5,6 +5,7 @@ mesh whose faces do not share their vertices every edge would be a border.
 """
 
 import os
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,7 @@ class Robot:
     links: tuple[str, ...]
 
     def __init__(self, urdf: Any, bodies: Sequence[tuple[str, Float[np.ndarray, "4 4"], Mesh]]):
-        self._urdf = urdf
+        self._urdf, self._posing = urdf, threading.Lock()
         self.joints = tuple(urdf.actuated_joint_names)
         self._following = {n for n, j in urdf.joint_map.items() if j.mimic is not None}
         self._at = [(link, place) for link, place, _ in bodies]
@@ -45,9 +46,10 @@ class Robot:
 
         Raises ValueError for angles that are missing, of unknown joints or not finite.
         """
-        self._urdf.update_cfg(self._checked(angles))
-        names = self._urdf.link_map
-        return {name: np.asarray(self._urdf.get_transform(name), float) for name in names}
+        checked, names = self._checked(angles), self._urdf.link_map
+        with self._posing:  # the file's own kinematics stand in one posture at a time
+            self._urdf.update_cfg(checked)
+            return {name: np.array(self._urdf.get_transform(name), float) for name in names}
 
     def scene(self, angles: Any) -> Scene:
         """Return the robot with its joints at these angles (see `poses`)."""

@@ -20,6 +20,7 @@ from PIL import Image
 
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, batch, formats, io
+from pinhole_jax.batch import parts
 from pinhole_jax.batch.parts import Writer
 from pinhole_jax.batch.records import check_record, digest_of
 from pinhole_jax.batch.rows import empty_row, line_of, row_of
@@ -126,6 +127,9 @@ def test_run_lengths_are_as_good_as_a_picture(records, rows):
     np.testing.assert_array_equal(io.mask_of_rle(rle), np.uint8(255 * mask))
     row = batch.fit_one({**records[0], "mask": rle})
     assert (row["R"], row["status"]) == (rows[0]["R"], rows[0]["status"])
+    negative = {"size": rle["size"], "counts": [0, *rle["counts"]]}
+    row = batch.fit_one({**records[0], "mask": negative, "invert": True})
+    assert (row["R"], row["status"]) == (rows[0]["R"], rows[0]["status"])
 
 
 def test_pycocotools_text_is_read():
@@ -197,11 +201,13 @@ def bad_items(folder, good, tmp_path):
         "mask_from": [{"mask_from": "a guess"}],
         "pixel_centres": [{"pixel_centres": "somewhere"}],
         "max_steps": [{"max_steps": 0}],
-        "prior": [{"free": "pose,phi", "prior": {"phi": [1.0, -1.0]}}],
         "fov": [{"fov": 30.0}],
         "item": [{"colour": "red"}, {"mask": None}, {"max_steps": float("nan")}],
+        "invert": [{"invert": "False"}],
+        "in_hand": [{"in_hand": "tool"}],
         "robot": [without | {"robot": str(text), "views": [view]}],
         "views": [without | {"robot": str(robot), "views": [{"mask": good["mask"]}]}],
+        "prior": [without | {"robot": str(robot), "views": [view], "prior": {}}],
     }
 
 
@@ -266,14 +272,24 @@ def test_rows_are_whole_and_each_counts_once(tmp_path):
         writer.add(empty_row({"id": id}, "failed", "first"))
     assert list(batch.Results(tmp_path)) == []
     writer.flush()
-    writer.add(empty_row({"id": "a"}, "failed", "second"))
+    writer.add(empty_row({"id": "a"}, "crashed", "second"))
     writer.flush()
     results = batch.Results(tmp_path)
-    assert [(row["id"], row["words"]) for row in results] == [("a", "first"), ("b", "first")]
+    assert [(row["id"], row["words"]) for row in results] == [("a", "second"), ("b", "first")]
     assert results.ids() == {"a", "b"}
-    assert results.counts() == {"failed": 2}
+    assert results.ids(but=["crashed"]) == {"b"}
+    assert results.counts() == {"crashed": 1, "failed": 1}
+    assert [row["id"] for row in results.rows("ba")] == ["b", "a"]
     with pytest.raises(ValueError, match=r"`id`.*'c'"):
         results.row("c")
+
+
+def test_rows_do_not_wait_for_others(tmp_path, monkeypatch):
+    monkeypatch.setattr(parts, "SECONDS", 0.05)
+    writer = Writer(tmp_path)
+    writer.add(empty_row({"id": "a"}, "failed", ""))
+    time.sleep(0.5)
+    assert batch.Results(tmp_path).ids() == {"a"}
 
 
 def test_a_folder_of_other_files_is_refused(tmp_path):
@@ -289,6 +305,7 @@ def test_shards_part_the_records():
     count = np.bincount([batch.shard_of(id, 7) for id in ids], minlength=7)
     assert count.sum() == 1000
     assert count.min() > 100
+    assert 0 <= batch.shard_of("\udcfc.png", 7) < 7  # a file's name need be no text
     assert batch.shard_of("a", 1000) == 250  # on any machine, in any version
 
 
@@ -324,6 +341,7 @@ def test_bop_results(rows, truths, tmp_path):
         assert float(line["score"]) == row["iou"]
         assert angle(np.array(line["R"].split(), float).reshape(3, 3), R) < 2
         assert np.linalg.norm(np.array(line["t"].split(), float) - t) < 30
+        assert float(line["time"]) == pytest.approx(row["seconds"], abs=1e-6)
     with pytest.raises(ValueError, match=r"`path`.*\.parquet, \.jsonl, \.csv"):
         batch.merge(batch.Results(tmp_path), tmp_path / "table.txt")
 
@@ -359,6 +377,15 @@ def test_a_split_of_bop(folder, records):
     assert [record["id"] for record in one] == ids[2:]
     assert one[0]["free"] == "pose,phi"
     assert "start" not in one[0]
+    # A scene's own K goes with its own centres; how a path is written makes no other id.
+    known = batch.read_dataset(folder / "test" / "..", K=[1, 1, 0, 0], pixel_centres="half")
+    assert known.kind == "folder"
+    known = batch.read_dataset(
+        folder / "test" / "000003" / "..", K=[1, 1, 0, 0], pixel_centres="half"
+    )
+    first = next(iter(known))
+    assert first["id"] == ids[0]
+    assert "pixel_centres" not in first
     assert "free" not in records[0]
 
 
@@ -464,6 +491,19 @@ def test_what_is_done_is_not_done_again(records, rows, tmp_path):
     assert len(counts) == 2
 
 
+def test_what_failed_is_tried_again_if_asked(records, rows, tmp_path):
+    writer = Writer(tmp_path)
+    for row in [empty_row(records[0], "crashed", ""), rows[1] | {"words": "there before"}]:
+        writer.add(row)
+    writer.flush()
+    with ThreadPoolExecutor(1) as threads:
+        found = batch.fit_many(records[:2], executor=threads, out=tmp_path, retry=["crashed"])
+    assert [(row["status"], row["words"]) for row in found] == [
+        ("converged", ""),
+        ("converged", "there before"),
+    ]
+
+
 def test_shards_make_the_whole(records, rows, tmp_path):
     for k in range(3):
         with ThreadPoolExecutor(1) as threads:
@@ -497,9 +537,18 @@ def test_what_an_executor_loses_is_tried_once_more():
     assert sorted(executor.asked) == ["a", "a", "b", "b", "c"]
 
 
+def test_an_executor_that_is_gone_is_named():
+    threads = ThreadPoolExecutor(1)
+    threads.shutdown()
+    with pytest.raises(RuntimeError, match=r"`executor`.*call again"):
+        batch.fit_many([{"id": "a"}], executor=threads)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        ({"retry": "failed"}, "`retry`.*'failed'"),
+        ({"retry": ["lost"]}, "`retry`.*'lost'"),
         ({"workers": 0}, "`workers`.*got 0"),
         ({"shard": (0, 2)}, r"`shard`.*\(0, 2\)"),
         ({"time_limit": -1.0}, "`time_limit`.*-1"),
@@ -525,6 +574,7 @@ def test_how_far_it_has_come_in_words():
 #: What goes wrong in workers: the script is imported there, and changes what fits a record.
 SCRIPT = """
 import json, os, signal, sys, time
+from pathlib import Path
 from pinhole_jax import batch
 from pinhole_jax.batch import parts, worker
 from pinhole_jax.batch.rows import empty_row
@@ -549,7 +599,11 @@ worker._set_up = lambda setup: None  # no JAX: quick
 
 if __name__ == "__main__":
     ids, out, limit = json.loads(sys.argv[1]), sys.argv[2], float(sys.argv[3])
-    items = [{"id": id, "mesh": "none", "mask": f"{out}.{id}"} for id in ids]
+    # (A path, and what no process can be handed, are whatever a user's own code makes.)
+    items = [
+        {"id": id, "mesh": Path("none"), "mask": f"{out}.{id}", "photo": (lambda: 0)}
+        for id in ids
+    ]
     batch.fit_many(items, workers=2, out=out, time_limit=limit or None)
 """
 
@@ -665,7 +719,8 @@ def test_the_command(records, rows, folder, tmp_path, capsys):
     assert f"rows       {COUNT}" in told
     assert f"{COUNT}   converged" in told
     assert len((tmp_path / "table.jsonl").read_text().splitlines()) == COUNT
-    assert formats.read_one(tmp_path / "camera.yaml").W == SIZE
+    K, _, t = formats.to_opencv(formats.read_one(tmp_path / "camera.yaml"), pixel_centres="integer")
+    np.testing.assert_allclose([*K.ravel(), *t], [*rows[0]["K"], *rows[0]["t"]], rtol=1e-12)
     assert (tmp_path / "page.html").exists()
 
     # All is done: nothing is to be fitted. But that has to be asked for.

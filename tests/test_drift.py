@@ -77,6 +77,21 @@ def test_errors_that_go_together_count_once():
     assert values[5] > 100 * values[0]
 
 
+def test_what_both_fits_hold_is_no_error_of_either():
+    """A calibration with phi free, checked with phi held: its error is in both, and a move that is
+    large beside the rest is seen."""
+    whole = np.diag([1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2, 1e-2]) ** 2
+    along = np.array([0, 0, 0, 0, 0, 5.0, 0.5])  # phi against the distance
+    whole = whole + np.outer(along, along)
+    rest = np.linalg.inv(np.linalg.inv(whole)[:6, :6])
+    names = NAMES[:6]
+    step = np.array([0, 0, 0, 0, 0, 3.0])
+    moved_on = fit_at(displaced(CAMERA, names, step), rest, names)
+    assert pj.drift(moved_on, fit_at(CAMERA, whole)).sigma > 5
+    # With phi free in both, it might be phi.
+    assert not pj.drift(fit_at(moved_on.camera, whole), fit_at(CAMERA, whole)).moved
+
+
 def test_what_masks_do_not_determine_does_not_count():
     free = COVARIANCE.copy()
     free[2, :] = free[:, 2] = np.nan

@@ -278,6 +278,9 @@ def _add_batch(commands: Any) -> None:
     )
     batch.add_argument("--resume", action="store_true", help="fit what has no row in RESULTS yet")
     batch.add_argument(
+        "--retry", metavar="STATUSES", help="fit these anew, too: failed,timed_out,crashed"
+    )
+    batch.add_argument(
         "--time-limit",
         type=float,
         default=600.0,

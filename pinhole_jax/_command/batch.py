@@ -29,6 +29,7 @@ ASKED = {
     "workers": "--workers",
     "shard": "--shard",
     "time_limit": "--time-limit",
+    "retry": "--retry",
     "items": "DATASET",
     "path": "DATASET",
     "models": "--models",
@@ -37,9 +38,12 @@ ASKED = {
 
 
 def batch(
-    options: argparse.Namespace, say: Callable[[str], Any], tell: Callable[[str], Any]
+    options: argparse.Namespace, say: Callable[[str], Any], set_up: Callable[[], None]
 ) -> int:
-    """Fit what is not done, write what is asked for; return 0, or 1 where a record failed."""
+    """Fit what is not done, write what is asked for; return 0, or 1 where a record failed.
+
+    `set_up` sets up JAX, which this process needs for no more than cameras and pictures.
+    """
     asked = [options.merge, options.report, options.write]
     if options.dataset is None and not any(asked):
         raise ValueError("`DATASET`: expected one, or --merge, --report or --write, got none")
@@ -49,6 +53,8 @@ def batch(
         with named(**ASKED):
             _fit(options, results, say)
     counts = results.counts()
+    if options.report is not None or options.write is not None:
+        set_up()
     written = list(_written(options, results))
     print(f"rows       {len(results)} in {options.output}")
     for status, count in counts.items():
@@ -62,7 +68,8 @@ def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any
     """Fit the records that have no row yet."""
     shard = _shard(options.shard)
     data = _dataset(options)
-    if not options.resume and not results.ids().isdisjoint(_ids(data, shard)):
+    resume = options.resume or options.retry is not None
+    if not resume and not results.ids().isdisjoint(_ids(data, shard)):
         raise ValueError(
             f"`--output`: expected a folder without rows of DATASET, got {options.output!r};"
             " --resume goes on with what is not done"
@@ -78,6 +85,7 @@ def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any
             shard=shard,
             time_limit=options.time_limit or None,
             cached=not options.no_cache,
+            retry=_statuses(options.retry),
         )
 
 
@@ -112,6 +120,10 @@ def _dataset(options: argparse.Namespace) -> Dataset:
 def _ids(data: Dataset, shard: tuple[int, int]) -> Iterator[str]:
     number, count = shard
     return (r["id"] for r in data if shard_of(r["id"], count) == number - 1)
+
+
+def _statuses(text: str | None) -> list[str]:
+    return [] if text is None else [name.strip() for name in text.split(",")]
 
 
 def _shard(text: str) -> tuple[int, int]:

@@ -139,22 +139,23 @@ def is_stream(path: Any) -> bool:
     return _stream_number(path_of(path)) is not None or _kind(path_of(path)) == "a pipe"
 
 
-def replace_file(path: Any, data: bytes) -> None:
+def replace_file(path: Any, data: bytes | Iterable[bytes], *, lasting: bool = False) -> None:
     """Write a file, whole or not at all: a temporary file beside it is renamed.
 
     What is at the path decides. A file is replaced; of a link to a file (or to nothing) the link
-    is. A pipe that is being read is written to, and so are /dev/stdout and /dev/stderr.
+    is. A pipe that is being read is written to, and so are /dev/stdout and /dev/stderr. `lasting`:
+    the disk has it before the name says so, whatever becomes of the machine.
 
     Raises ValueError for folders, devices and sockets, and for what cannot be written.
     """
-    target = path_of(path)
+    target, data = path_of(path), [data] if isinstance(data, bytes) else data
     try:
         if is_stream(target):
             _write_through(target, data)
         elif (kind := _kind(target)) not in (None, "a file"):
             raise ValueError(kind)
         else:
-            _replace(target, data)
+            _replace(target, data, lasting)
     except (OSError, ValueError) as error:
         raise ValueError(
             f"`path`: expected a file to write, got {_name(path)}: {reason(error)}"
@@ -229,7 +230,7 @@ def _kind(target: Path) -> str | None:
     return next((words for is_kind, words in kinds if is_kind(mode)), "a device")
 
 
-def _write_through(target: Path, data: bytes) -> None:
+def _write_through(target: Path, data: Iterable[bytes]) -> None:
     number = _stream_number(target)
     if number is None:
         handle = os.open(target, os.O_WRONLY | NO_WAIT)  # an error if nobody reads it
@@ -238,10 +239,10 @@ def _write_through(target: Path, data: bytes) -> None:
         sys.stdout.flush()
         handle = os.dup(number)
     with open(handle, "wb") as stream:
-        stream.write(data)
+        stream.writelines(data)
 
 
-def _replace(target: Path, data: bytes) -> None:
+def _replace(target: Path, data: Iterable[bytes], lasting: bool) -> None:
     if target.is_symlink() and os.readlink(target).startswith("/proc/"):
         raise ValueError("a stream of a process")
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -249,7 +250,10 @@ def _replace(target: Path, data: bytes) -> None:
     with interrupts_raise():
         try:
             with open(temporary, "xb") as stream:
-                stream.write(data)
+                stream.writelines(data)
+                if lasting:
+                    stream.flush()
+                    os.fsync(stream.fileno())
             temporary.replace(target)
         finally:
             temporary.unlink(missing_ok=True)

@@ -1,5 +1,6 @@
 """How far a camera has moved from where a calibration, or another fit, had it, and how surely."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,7 +83,7 @@ def drift(fit: Fit, reference: Camera | Fit) -> Drift:
     shift = np.asarray(fit.camera.e, float) - np.asarray(before.e, float)
     covariance = _covariance(fit)
     if isinstance(reference, Fit):
-        covariance = covariance + _covariance(reference)
+        covariance = covariance + _covariance(reference, held=fit.names)
     change = np.concatenate([turn, shift])
     std = np.sqrt(np.diagonal(covariance))
     by = np.full(len(POSE), np.nan)
@@ -97,12 +98,27 @@ def drift(fit: Fit, reference: Camera | Fit) -> Drift:
     )
 
 
-def _covariance(fit: Fit) -> Any:
-    """Return the covariance (6, 6) of a fit's pose; 0 of what was not fitted."""
+def _covariance(fit: Fit, held: Sequence[str] | None = None) -> Any:
+    """Return the covariance (6, 6) of a fit's pose; 0 of what was not fitted.
+
+    Of what another fit held where this one found it (all but `held`'s names), the error is both
+    fits': the pose's is what is left where that is known.
+    """
     own = [k for k, name in enumerate(fit.names) if name in POSE]
     place = [POSE.index(fit.names[k]) for k in own]
+    whole = np.asarray(fit.covariance, float)
+    inner = whole[np.ix_(own, own)]
+    common = [
+        k
+        for k, name in enumerate(fit.names)
+        if held is not None and name not in POSE and name not in held and np.isfinite(whole[k, k])
+    ]
+    if common:
+        across = np.nan_to_num(whole[np.ix_(own, common)])
+        explained = np.linalg.pinv(whole[np.ix_(common, common)], hermitian=True)
+        inner = inner - across @ explained @ across.T
     covariance = np.zeros((len(POSE), len(POSE)))
-    covariance[np.ix_(place, place)] = np.asarray(fit.covariance, float)[np.ix_(own, own)]
+    covariance[np.ix_(place, place)] = inner
     return covariance
 
 

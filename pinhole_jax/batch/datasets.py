@@ -1,5 +1,6 @@
 """Records of data sets as they lie on disk: BOP's, a table of paths, a folder of masks."""
 
+import contextlib
 import csv
 import json
 import os
@@ -8,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from .._files.paths import existing, is_folder, path_of, read_bytes, read_json, text_of
-from .records import FIELDS, PATHS, Record
+from .records import FIELDS, MAY_BE_NONE, PATHS, Record
 
 #: The endings of meshes, masks and tables.
 MESHES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
@@ -16,6 +17,8 @@ MASKS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".pgm")
 TABLES = (".csv", ".jsonl", ".parquet")
 #: Where BOP keeps its models, beside the splits.
 MODELS = ("models", "models_eval", "models_cad")
+#: What Python and spreadsheets write of JSON's words.
+WORDS = {"True": "true", "False": "false", "TRUE": "true", "FALSE": "false", "None": "null"}
 #: A table may be large.
 MOST_BYTES = 1 << 32
 
@@ -78,16 +81,17 @@ def read_dataset(
 def _with(fields: dict[str, Any], records: Iterator[Record]) -> Iterator[Record]:
     """Yield records with what they do not say themselves of the camera, and of all else."""
     ways = {"K", "fov", "camera"}
+    of_way = {*ways, "pixel_centres", "dist", "start"}
     for record in records:
         own = ways & record.keys()
-        yield {**{n: v for n, v in fields.items() if not (own and n in ways)}, **record}
+        yield {**{n: v for n, v in fields.items() if not (own and n in of_way)}, **record}
 
 
 def _scenes(place: Path) -> list[Path]:
     """Return the folders of BOP's scenes at a path, itself or those in it."""
     if (place / "scene_camera.json").is_file():
-        return [place]
-    return sorted(f for f in place.iterdir() if (f / "scene_camera.json").is_file())
+        return [place.resolve()]
+    return sorted(f for f in place.resolve().iterdir() if (f / "scene_camera.json").is_file())
 
 
 def _models(place: Path, models: str | os.PathLike[str] | None) -> Path:
@@ -158,13 +162,15 @@ def _segmented(found: list[Any]) -> Iterator[tuple[str, int, int, dict[str, Any]
 
 def _of_table(path: Path) -> Iterator[Record]:
     for number, row in enumerate(_table_rows(path), 1):
-        record = {name: value for name, value in row.items() if value not in (None, "")}
+        record = {n: x for n, x in row.items() if x not in (None, "") or n in MAY_BE_NONE}
         record["id"] = str(record.get("id", number))
         for name in PATHS:
             if isinstance(value := record.get(name), str):
                 record[name] = str(path.parent / value)
-        for view in record.get("views", []):
-            view["mask"] = str(path.parent / view["mask"])
+        views = record.get("views")
+        for view in views if isinstance(views, list) else ():
+            if isinstance(view, dict) and isinstance(mask := view.get("mask"), str):
+                view["mask"] = str(path.parent / mask)
         yield record
 
 
@@ -194,10 +200,11 @@ def _of_cells(cells: dict[str, Any]) -> dict[str, Any]:
     """Return a CSV's cells as a record's values: what JSON reads is that, but for texts."""
     row: dict[str, Any] = {}
     for name, cell in cells.items():
-        try:
-            row[name] = cell if name == "id" else json.loads(cell)
-        except (TypeError, ValueError):
-            row[name] = cell
+        row[name] = cell
+        is_text = name == "id" or (name in PATHS and not str(cell).startswith("{"))
+        if not is_text and isinstance(cell, str):
+            with contextlib.suppress(ValueError):
+                row[name] = json.loads(WORDS.get(cell, cell))
     return row
 
 
@@ -211,7 +218,7 @@ def _of_folder(place: Path) -> Iterator[Record]:
     masks = place / "masks" if (place / "masks").is_dir() else place
     for file in sorted(f for f in masks.iterdir() if f.suffix.lower() in MASKS):
         yield {
-            "id": str(file.relative_to(place)),
+            "id": file.relative_to(place).as_posix(),
             "mesh": str(meshes[0]),
             "mask": str(file),
             **known,

@@ -6,7 +6,14 @@ import multiprocessing
 import os
 import time
 from collections.abc import Generator, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
@@ -26,15 +33,15 @@ def rows_of(
 ) -> Generator[Row, None, None]:
     """Yield a row for each record, as they come.
 
-    Without an executor: by worker processes, each on a core of its own. One that ends takes no
-    record with it: those that were being fitted are tried again, one alone in a process; what ends
-    that as well has "crashed".
+    Without an executor: by worker processes that share the cores out. One that ends takes no
+    record with it: those that were being fitted are tried again, each alone in a process; what
+    ends that as well has "crashed".
     """
     if executor is not None:
         yield from _by(executor, records, workers, setup)
         return
     count = workers if workers is not None else cores()
-    pool = _Pool(count, setup)
+    pool = _Pool(count, setup._replace(workers=count))
     try:
         yield from _by_pool(pool, records)
     finally:
@@ -105,14 +112,26 @@ def _by_pool(pool: _Pool, records: Iterable[Record]) -> Iterator[Row]:
         done, _ = wait(running, timeout=pause, return_when=FIRST_COMPLETED)
         lost |= any(isinstance(future.exception(), BrokenProcessPool) for future in done)
         stuck = _stuck(running, pool.setup.patience)
-        for future in [f for f in running if f.done() and f.exception() is None]:
-            del running[future]
-            yield future.result()
+        for future in [f for f in running if f.done() and not _is_broken(f)]:
+            record, _ = running.pop(future)
+            yield _row_of(future, record)
         if lost or stuck:
             pool.end()
-            yield from _one_by_one(pool, running, stuck)
+            yield from _each_alone(pool, running, stuck)
             running = {}
             pool.begin()
+
+
+def _is_broken(future: Future[Row]) -> bool:
+    return isinstance(future.exception(), BrokenProcessPool)
+
+
+def _row_of(future: Future[Row], record: Record) -> Row:
+    """Return a future's row; of one that its worker could not take or give back, why."""
+    error = future.exception()
+    if error is None:
+        return future.result()
+    return empty_row(record, "failed", f"{type(error).__name__}: {error}")
 
 
 _Running = dict[Future[Row], tuple[Record, float]]
@@ -124,49 +143,75 @@ def _stuck(running: _Running, patience: float) -> set[str]:
     return {record["id"] for record, since in running.values() if now - since > patience}
 
 
-def _one_by_one(pool: _Pool, running: _Running, stuck: set[str]) -> Iterator[Row]:
+def _each_alone(pool: _Pool, running: _Running, stuck: set[str]) -> Iterator[Row]:
     """Yield the rows of what was running when all workers were ended: who was stuck has had its
     time, and each of the others, which may have ended a process, has one of its own."""
     patience = pool.setup.patience
     too_long = f"took more than {pool.setup.limit} s, and did not end by itself"
+    suspects = []
     for record, _ in running.values():
         if record["id"] in stuck:
             yield empty_row(record, "timed_out", too_long, patience)
-            continue
+        else:
+            suspects.append(record)
+    pools: list[_Pool] = []
+
+    def alone(record: Record) -> Row:
         single = _Pool(1, pool.setup)
+        pools.append(single)
+        future = single.submit(record)
+        wait([future], None if patience == math.inf else patience)
+        if not future.done():
+            return empty_row(record, "timed_out", too_long, patience)
+        if _is_broken(future):
+            return empty_row(record, "crashed", "its process ended, twice")
+        return _row_of(future, record)
+
+    with ThreadPoolExecutor(pool.workers) as threads:
         try:
-            yield single.submit(record).result(None if patience == math.inf else patience)
-        except BrokenProcessPool:
-            yield empty_row(record, "crashed", "its process ended, twice")
-        except TimeoutError:
-            yield empty_row(record, "timed_out", too_long, patience)
+            yield from threads.map(alone, suspects)
         finally:
-            single.end()
+            for single in pools:
+                single.end()
 
 
 def _by(
     executor: Executor, records: Iterable[Record], workers: int | None, setup: Setup
 ) -> Iterator[Row]:
-    """Yield the rows that any executor makes; a record that fails there is given once more."""
+    """Yield the rows that any executor makes; a record that fails there is given once more.
+
+    Raises RuntimeError where the executor takes no more.
+    """
     ahead = AHEAD * (workers if workers is not None else _size(executor))
     waiting = iter(records)
     running: dict[Future[Row], tuple[Record, int]] = {}
-    while True:
-        while len(running) < ahead and (record := next(waiting, None)) is not None:
-            running[executor.submit(worker.run, record, setup)] = record, 1
-        if not running:
-            return
-        done, _ = wait(running, return_when=FIRST_COMPLETED)
-        for future in done:
-            record, tries = running.pop(future)
-            error = future.exception()
-            if error is None:
-                yield future.result()
-            elif tries == 1:
-                running[executor.submit(worker.run, record, setup)] = record, 2
-            else:
-                words = f"{type(error).__name__}: {error}"
-                yield empty_row(record, "crashed", words)
+
+    def give(record: Record, tries: int) -> None:
+        try:
+            running[executor.submit(worker.run, record, setup)] = record, tries
+        except RuntimeError as error:  # (a broken pool's is one)
+            words = "it takes no more records; what is done is kept, call again with another one"
+            raise RuntimeError(f"`executor`: {words}: {error}") from error
+
+    try:
+        while True:
+            while len(running) < ahead and (record := next(waiting, None)) is not None:
+                give(record, 1)
+            if not running:
+                return
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                record, tries = running.pop(future)
+                error = future.exception()
+                if error is None:
+                    yield future.result()
+                elif tries == 1:
+                    give(record, 2)
+                else:
+                    yield empty_row(record, "crashed", f"{type(error).__name__}: {error}")
+    finally:
+        for future in running:
+            future.cancel()
 
 
 def _size(executor: Any) -> int:

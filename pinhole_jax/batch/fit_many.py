@@ -4,15 +4,16 @@ import itertools
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Any, NamedTuple, TypeGuard
 
+from .._names import STATUSES
 from .engine import rows_of
 from .parts import Results, Writer
-from .records import Record, check_id, shard_of
-from .rows import Row
-from .worker import Setup
+from .records import Record, check_id, plain_record, shard_of
+from .rows import NO_FIT, Row
+from .worker import TOKEN, Setup
 
 #: So many records at a time are sorted, so that a worker meets one mesh after another.
 WINDOW = 4096
@@ -54,22 +55,26 @@ def fit_many(
     shard: tuple[int, int] = (1, 1),
     time_limit: float | None = TIME_LIMIT,
     cached: bool = True,
+    retry: Collection[str] = (),
 ) -> Sequence[Row] | Results:
     """Return a row (`batch.COLUMNS`) for each record: a list in their order, or what is in `out`.
 
     - `items`: records (`batch.FIELDS`): mappings with an `id`, the paths of a mesh and of a mask,
       and what is known of the camera. They may come from a generator.
     - `executor`: any `concurrent.futures.Executor`: dask.distributed's
-      (`Client.get_executor()`), mpi4py's, loky's. None: worker processes on this machine, each on a
-      core of its own, in float64, with one cache of compiled programs (`cached`: the user's cache
-      folder). Other processes are set up likewise; threads of this one as it is.
+      (`Client.get_executor()`), mpi4py's, loky's. None: worker processes on this machine, each with
+      its share of the cores, in float64, with one cache of compiled programs (`cached`: in the
+      user's cache folder). Other processes are set up likewise; threads have this one's JAX.
     - `workers`: how many processes (None: one a core); of an executor, how many it has.
     - `out`: a folder that rows are appended to, in parts that appear whole or not at all, some
-      seconds apart. Records whose ids it holds are not fitted again: to resume is to call again.
+      seconds apart. Records whose ids it holds are not fitted again, whatever else they say: to
+      resume is to call again, and other settings want another folder.
     - `progress` is called with a `Count` after each row.
     - `shard` (i, n): the i-th (1 to n) of n parts of the records, by their ids: other machines take
       the others, into the same folder or their own.
-    - `time_limit`: seconds that a record may take, compilation included; None: no limit.
+    - `time_limit`: seconds that a record may take, compilation included; None: no limit. (In an
+      executor's workers it holds as soon as Python runs again; our own are ended.)
+    - `retry`: rows of these statuses ("failed", "timed_out", "crashed", ...) are made anew.
 
     No record ends the rest: one that is bad input makes a row with the status "failed", one that
     takes too long "timed_out". A process that ends costs its record one more try, alone; then it
@@ -80,13 +85,13 @@ def fit_many(
     Raises ValueError for arguments of other kinds, and for items that have no `id` or one twice;
     RuntimeError where no worker starts.
     """
-    _check(items, executor, workers, shard, time_limit)
+    _check(items, executor, workers, shard, time_limit, retry)
     results = None if out is None else Results(out)
-    done = set() if results is None else results.ids()
+    done = set() if results is None else results.ids(but=retry)
     total, before = _planned(items, shard, done)
     order: list[str] = []
     waiting = _sorted(_left(items, shard, done, order if results is None else None))
-    found = rows_of(waiting, executor, workers, Setup(cached, time_limit, os.getpid()))
+    found = rows_of(waiting, executor, workers, Setup(cached, time_limit, TOKEN))
     keep = _Kept() if results is None else Writer(results.folder)
     statuses: Counter[str] = Counter()
     begin = time.perf_counter()
@@ -116,7 +121,9 @@ class _Kept:
         pass
 
 
-def _check(items: Any, executor: Any, workers: Any, shard: Any, time_limit: Any) -> None:
+def _check(
+    items: Any, executor: Any, workers: Any, shard: Any, time_limit: Any, retry: Any
+) -> None:
     if isinstance(items, str | Mapping) or not isinstance(items, Iterable):
         words = f"expected records, one after another, got {type(items).__name__}"
         raise ValueError(f"`items`: {words}")
@@ -130,6 +137,11 @@ def _check(items: Any, executor: Any, workers: Any, shard: Any, time_limit: Any)
         raise ValueError(f"`shard`: expected (i, n) with i from 1 to n, got {shard!r}")
     if time_limit is not None and not (isinstance(time_limit, int | float) and time_limit > 0):
         raise ValueError(f"`time_limit`: expected positive seconds, got {time_limit!r}")
+    known = [*STATUSES, *NO_FIT]
+    for name in [retry] if isinstance(retry, str) else retry:
+        if isinstance(retry, str) or name not in known:
+            words = f"expected a list of statuses among {', '.join(known)}, got {name!r}"
+            raise ValueError(f"`retry`: {words}")
 
 
 def _is_integer(value: object) -> TypeGuard[int]:
@@ -159,6 +171,7 @@ def _left(
     """Yield the records that are not done, and note their ids in `order`."""
     for record in _checked(items, shard):
         if record["id"] not in done:
+            record = plain_record(record)  # no worker is asked what a process cannot be handed
             if order is not None:
                 order.append(record["id"])
             yield record

@@ -5,6 +5,7 @@ import functools
 import json
 import math
 import os
+import threading
 import time
 import warnings
 from typing import Any
@@ -15,6 +16,8 @@ from .rows import Row, empty_row
 
 #: So many shapes are kept open.
 OPEN = 8
+#: Threads open one file after another: what is opened is kept, and warnings are caught.
+_opening = threading.Lock()
 
 
 def fit_one(record: Record) -> Row:
@@ -36,17 +39,8 @@ def fit_one(record: Record) -> Row:
     except Exception as error:  # whatever a file makes a reader do: the others go on
         known = isinstance(error, ValueError | OSError | ModuleNotFoundError)
         words = str(error) if known else f"{type(error).__name__}: {error}"
-        named = {name: value for name, value in record.items() if _is_json(value)}
-        row = empty_row(named, "failed", words)
+        row = empty_row(record, "failed", words)
     return row | {"seconds": time.perf_counter() - begin}
-
-
-def _is_json(value: Any) -> bool:
-    try:
-        json.dumps(value, allow_nan=False)
-    except (TypeError, ValueError):
-        return False
-    return True
 
 
 def mask_of(record: Record) -> Any:
@@ -56,7 +50,8 @@ def mask_of(record: Record) -> Any:
 
 def scene_of(record: Record) -> Any:
     """Return the scene of a record's mesh."""
-    return _scene(*_state(record["mesh"]))[0]
+    with _opening:
+        return _scene(*_state(record["mesh"]))[0]
 
 
 def _single(record: Record, said: list[str]) -> Any:
@@ -76,7 +71,7 @@ def _single(record: Record, said: list[str]) -> Any:
     with named(path="photo"):
         if "photo" in record:
             arguments["photo"] = io.load_image(record["photo"])[..., :3]
-    with named(path="mesh", vertices="mesh"):
+    with named(path="mesh", vertices="mesh"), _opening:
         scene, words = _scene(*_state(record["mesh"]))
     said += words
     return fit_camera(scene, mask, free=record.get("free", "pose"), **arguments)
@@ -87,7 +82,7 @@ def _joint(record: Record, said: list[str]) -> Any:
     from .._fit.fit_joint import fit_joint
     from .._fit.joint_views import JointView
 
-    with named(path="robot"):
+    with named(path="robot"), _opening:
         robot = _robot(*_state(record["robot"]), tuple(record.get("leave_out", ())))
     hand = record.get("in_hand")
     views = []
@@ -98,19 +93,23 @@ def _joint(record: Record, said: list[str]) -> Any:
         mount = None if hand is None else poses[hand]
         views.append(JointView(robot.at(poses), _mask(record, view["mask"], said), mount=mount))
     H, W = views[0].target.shape
-    start = _start(record, W, H)
+    start, free = _start(record, W, H), record.get("free", "pose")
     search = start["camera"] is None
-    camera = start["camera"] if not search else _anywhere(start, W, H)
-    fit = fit_joint(views, camera, record.get("free", "pose"), search=search)
+    camera = start["camera"] if not search else _anywhere(start, free, W, H)
+    more = {name: record[name] for name in ("outlier_px", "max_steps") if name in record}
+    fit = fit_joint(views, camera, free, search=search, **more)
     said += [words for words in fit.weak if words not in fit.cameras["camera"].weak]
     return fit.cameras["camera"]._replace(status=fit.status)
 
 
-def _anywhere(start: dict[str, Any], W: int, H: int) -> Any:
+def _anywhere(start: dict[str, Any], free: Any, W: int, H: int) -> Any:
     """Return a camera that has the lens alone of one to look for."""
     from .._camera.camera import Camera
+    from .._fit.parameters import as_names
 
     phi = start.get("phi")
+    if phi is None and not {"phi", "d"} & {*as_names(free)}:
+        raise ValueError("`K`: expected the intrinsics (or `fov`, or phi among `free`), got none")
     phi = 0.7 if phi is None else phi
     return Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, W, H, start.get("lens"))
 
@@ -120,11 +119,12 @@ def _mask(record: Record, mask: Any, said: list[str]) -> Any:
     from .. import io
 
     with named(path="mask", rle="mask"):
+        invert = record.get("invert", False)
         if isinstance(mask, str):
-            invert = bool(record.get("invert", False))
             image = io.load_mask(mask, record.get("mask_from"), said.append, invert=invert)
         else:
             image = io.mask_of_rle(mask)
+            image = 255 - image if invert else image
     if record.get("tidy", False):
         image, done = io.tidy_mask(image)
         said += done

@@ -124,7 +124,8 @@ def _worst(results: Results, numbers: _Numbers) -> str:
     failed = np.array([status in NO_FIT for status in numbers.status], bool)
     score = np.where(failed, -1.0, np.nan_to_num(np.array(numbers.iou)))
     order = np.argsort(score, kind="stable")[:WORST]
-    return "".join(_shown(results.row(numbers.id[k])) for k in order) or "<p>No rows.</p>"
+    rows = results.rows(numbers.id[k] for k in order)
+    return "".join(map(_shown, rows)) or "<p>No rows.</p>"
 
 
 def _shown(row: Row) -> str:

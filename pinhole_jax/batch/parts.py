@@ -1,14 +1,15 @@
 """Rows on disk: parts that appear whole or not at all. What has been done is what they hold."""
 
-import contextlib
 import json
 import os
 import secrets
+import sys
+import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from .._files.paths import path_of, replace_file
 from .rows import Row, line_of, row_of
@@ -25,28 +26,39 @@ class Writer:
     def __init__(self, folder: Path):
         self.folder = folder
         self._waiting: list[str] = []
-        self._since = time.monotonic()
+        self._lock = threading.Lock()
+        self._timer: threading.Timer | None = None
 
     def add(self, row: Row) -> None:
         """Append a row; it is on disk after `flush`, or some rows or seconds later."""
-        self._waiting.append(line_of(row))
-        if len(self._waiting) >= ROWS or time.monotonic() - self._since > SECONDS:
+        with self._lock:
+            self._waiting.append(line_of(row))
+            if self._timer is None:
+                self._timer = threading.Timer(SECONDS, self.flush)
+                self._timer.daemon = True
+                self._timer.start()
+        if len(self._waiting) >= ROWS:
             self.flush()
 
     def flush(self) -> None:
         """Write what waits as a part."""
-        if self._waiting:
-            data = "".join(f"{line}\n" for line in self._waiting).encode()
-            # (Named by time, so that parts are read as they were written.)
+        with self._lock:
+            if self._timer is not None:
+                self._timer.cancel()
+                self._timer = None
+            if not self._waiting:
+                return
+            lines = [f"{line}\n".encode() for line in self._waiting]
+            # (Named by time: of one record's rows the last one counts.)
             name = f"part-{time.time_ns():020d}-{secrets.token_hex(4)}.jsonl"
-            replace_file(self.folder / name, data)
-        self._waiting, self._since = [], time.monotonic()
+            replace_file(self.folder / name, lines, lasting=True)
+            self._waiting = []
 
 
 class Results:
     """The rows in a folder that `fit_many` wrote: iterate over them, sorted by id.
 
-    One row at a time is in memory. A row that two parts hold counts once. Raises ValueError for a
+    One row at a time is in memory. Of a record's rows the last one counts. Raises ValueError for a
     file in place of a folder; one that is not there has no rows.
     """
 
@@ -55,57 +67,78 @@ class Results:
         if self.folder.exists() and not self.folder.is_dir():
             raise ValueError(f"`out`: expected a folder, got {str(folder)!r}: a file")
 
-    def ids(self) -> set[str]:
-        """Return the ids of all rows: what has been done."""
-        return set(self._places())
+    def ids(self, but: Collection[str] = ()) -> set[str]:
+        """Return the ids of all rows, but for those of some statuses: what has been done."""
+        places = self._places()
+        return {id for id, place in places.items() if place.status not in but}
 
     def __len__(self) -> int:
         return len(self._places())
 
     def __iter__(self) -> Iterator[Row]:
         places = self._places()
-        with contextlib.ExitStack() as open_files:
-            streams: dict[Path, BinaryIO] = {}
-            for id in sorted(places):
-                path, offset = places[id]
-                if path not in streams:
-                    if len(streams) >= MOST_OPEN:
-                        streams.pop(next(iter(streams))).close()
-                    streams[path] = open_files.enter_context(open(path, "rb"))
-                yield _row_at(streams[path], offset)
+        yield from _read(places[id] for id in sorted(places))
+
+    def rows(self, ids: Iterable[str]) -> list[Row]:
+        """Return the rows of some ids, in their order; raise ValueError where there is none."""
+        places = self._places()
+        asked = [*ids]
+        if missing := [id for id in asked if id not in places]:
+            words = f"expected one of the rows in {str(self.folder)!r}, got {missing[0]!r}"
+            raise ValueError(f"`id`: {words}")
+        return [*_read(places[id] for id in asked)]
 
     def row(self, id: str) -> Row:
         """Return the row of an id, or raise ValueError where there is none."""
-        place = self._places().get(id)
-        if place is None:
-            raise ValueError(f"`id`: expected one of the rows in {str(self.folder)!r}, got {id!r}")
-        with open(place[0], "rb") as stream:
-            return _row_at(stream, place[1])
+        return self.rows([id])[0]
 
     def counts(self) -> dict[str, int]:
         """Return how many rows have each status, the most frequent first."""
-        return dict(Counter(row["status"] for row in self).most_common())
+        return dict(Counter(place.status for place in self._places().values()).most_common())
 
-    def _places(self) -> dict[str, tuple[Path, int]]:
-        """Return the file of each row, and where in it; the first of those of one id."""
-        places: dict[str, tuple[Path, int]] = {}
+    def _places(self) -> dict[str, "_Place"]:
+        """Return where each row is; of those of one id the last."""
+        places: dict[str, _Place] = {}
         for path in sorted(self.folder.glob("part-*.jsonl")):
             offset = 0
             with open(path, "rb") as stream:
                 for line in stream:
-                    places.setdefault(_id_of(line, path), (path, offset))
+                    id, status = _head_of(line, path)
+                    places[id] = _Place(path, offset, sys.intern(status))
                     offset += len(line)
         return places
 
 
-def _row_at(stream: BinaryIO, offset: int) -> Row:
-    stream.seek(offset)
-    return row_of(stream.readline().decode())
+class _Place(NamedTuple):
+    """Where a row is: its part, the bytes before it; and its status."""
+
+    path: Path
+    offset: int
+    status: str
 
 
-def _id_of(line: bytes, path: Path) -> str:
+def _read(places: Iterable[_Place]) -> Iterator[Row]:
+    """Yield the rows at places; some parts are open at a time."""
+    streams: dict[Path, BinaryIO] = {}
     try:
-        return json.loads(line)["id"]
+        for path, offset, _ in places:
+            if path not in streams:
+                if len(streams) >= MOST_OPEN:
+                    streams.pop(next(iter(streams))).close()
+                streams[path] = path.open("rb")
+            streams[path].seek(offset)
+            yield row_of(streams[path].readline().decode())
+    finally:
+        for stream in streams.values():
+            stream.close()
+
+
+def _head_of(line: bytes, path: Path) -> tuple[str, str]:
+    """Return a row's id and status."""
+    try:
+        data = json.loads(line)
+        return data["id"], data["status"]
     except (ValueError, KeyError, TypeError):
         words = f"expected rows as `fit_many` writes them, got {path.name}"
-        raise ValueError(f"`out`: {words}") from None
+        cure = "where a disk has lost it, remove it: its records are fitted again"
+        raise ValueError(f"`out`: {words}; {cure}") from None

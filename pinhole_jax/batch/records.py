@@ -37,6 +37,8 @@ FIELDS = {
 }
 #: Fields that name files.
 PATHS = ("mesh", "mask", "camera", "weight", "photo", "robot")
+#: Fields of one mask alone, and those in which null says something.
+ALONE, MAY_BE_NONE = {"weight", "photo", "prior", "bounds"}, {"outlier_px"}
 
 
 def check_record(record: Any) -> dict[str, Any]:
@@ -48,13 +50,25 @@ def check_record(record: Any) -> dict[str, Any]:
     if unknown := [name for name in record if name not in FIELDS]:
         known = ", ".join(FIELDS)
         raise ValueError(f"`item`: expected fields among {known}, got {unknown[0]!r}")
-    plain = {name: _plain(value) for name, value in record.items() if value is not None}
+    plain = {n: x for n, x in plain_record(record).items() if x is not None or n in MAY_BE_NONE}
     _check_shape(plain)
+    for name in {"invert", "tidy"} & plain.keys():
+        if not isinstance(plain[name], bool):
+            raise ValueError(f"`{name}`: expected true or false, got {plain[name]!r}")
+    if "robot" in plain and (beside := sorted(ALONE & plain.keys())):
+        raise ValueError(f"`{beside[0]}`: expected none beside `robot`")
+    if "robot" not in plain and (beside := sorted({"in_hand", "leave_out"} & plain.keys())):
+        raise ValueError(f"`{beside[0]}`: expected `robot` beside it, got none")
     try:
         json.dumps(plain, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise ValueError(f"`item`: expected what JSON can hold, got {error}") from None
     return plain
+
+
+def plain_record(record: Record) -> dict[str, Any]:
+    """Return a record as a dict without what JSON has not: paths are texts, arrays lists."""
+    return {str(name): _plain(value) for name, value in record.items()}
 
 
 def check_id(record: Any) -> None:
@@ -87,12 +101,16 @@ def _plain(value: Any) -> Any:
         return {str(name): _plain(part) for name, part in value.items()}
     if hasattr(value, "tolist"):
         return value.tolist()
-    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    # (Of any other kind it has no meaning, but is told as it was given.)
+    return value if isinstance(value, str | int | float | None) else repr(value)
 
 
 def shard_of(id: str, count: int) -> int:
     """Return which of so many shards (0, 1, ...) a record is in: its id alone says so, anywhere."""
-    return int.from_bytes(hashlib.sha256(id.encode()).digest()[:8]) % count
+    # (A file's name need be no text.)
+    return int.from_bytes(hashlib.sha256(id.encode(errors="surrogatepass")).digest()[:8]) % count
 
 
 def digest_of(record: Record) -> str:

@@ -5,7 +5,7 @@ import math
 from typing import Any
 
 from .. import __version__
-from .records import Record
+from .records import Record, plain_record
 
 #: A row: names of `COLUMNS`; numbers that are not finite stay floats.
 Row = dict[str, Any]
@@ -53,7 +53,7 @@ def empty_row(record: Record, status: str, words: str, seconds: float = 0.0) -> 
     """Return the row of a record that led to no camera."""
     row: Row = dict.fromkeys(COLUMNS)
     known = {"id": record["id"], "status": status, "seconds": seconds, "words": words}
-    return row | known | {"version": __version__, "record": json.dumps(dict(record))}
+    return row | known | {"version": __version__, "record": json.dumps(plain_record(record))}
 
 
 def line_of(row: Row) -> str:

@@ -29,15 +29,18 @@ def merge(results: Results, path: str | os.PathLike[str]) -> int:
     ending = path_of(path).suffix.lower()
     if ending == ".parquet":
         return _to_parquet(results, path)
-    if ending == ".jsonl":
-        lines = [line_of(row) for row in results]
-    elif ending == ".csv":
-        lines = [_bop_line(row) for row in results if row["R"] is not None and _bop_ids(row)]
-        lines = ["scene_id,im_id,obj_id,score,R,t,time", *lines]
-    else:
+    if ending not in ENDINGS:
         raise ValueError(f"`path`: expected one of {', '.join(ENDINGS)}, got {str(path)!r}")
-    replace_file(path, "".join(f"{line}\n" for line in lines).encode())
-    return len(lines) - (ending == ".csv")
+    count = 0
+
+    def lines() -> Iterator[bytes]:
+        nonlocal count
+        for line in _bop_lines(results) if ending == ".csv" else map(line_of, results):
+            count += 1
+            yield f"{line}\n".encode()
+
+    replace_file(path, lines())
+    return count - (ending == ".csv")  # its first line has the names
 
 
 def _to_parquet(results: Results, path: str | os.PathLike[str]) -> int:
@@ -60,10 +63,16 @@ def _to_parquet(results: Results, path: str | os.PathLike[str]) -> int:
     count = 0
     with parquet.ParquetWriter(sink, schema, compression="zstd") as writer:
         for rows in _groups(iter(results)):
-            writer.write_table(pa.Table.from_pylist(rows, schema))
+            writer.write_table(pa.Table.from_pylist([*map(_in_text, rows)], schema))
             count += len(rows)
     replace_file(path, sink.getvalue().to_pybytes())
     return count
+
+
+def _in_text(row: Row) -> Row:
+    """Return a row whose texts are UTF-8: a file's name need be none."""
+    text = lambda x: x.encode(errors="backslashreplace").decode() if isinstance(x, str) else x
+    return {name: text(value) for name, value in row.items()}
 
 
 def _groups(rows: Iterator[Row]) -> Iterator[list[Row]]:
@@ -81,11 +90,20 @@ def _bop_ids(row: Row) -> tuple[int, int, int] | None:
     return scene, image, object_
 
 
-def _bop_line(row: Row) -> str:
+def _bop_lines(results: Results) -> Iterator[str]:
+    """Yield BOP's results. The time is a whole image's in each of its lines, as BOP's tools ask."""
+    seconds: dict[tuple[int, int], float] = {}
+    for row in results:
+        if row["R"] is not None and (ids := _bop_ids(row)):
+            seconds[ids[:2]] = seconds.get(ids[:2], 0.0) + row["seconds"]
     numbers = lambda values: " ".join(repr(float(x)) for x in values)
-    scene, image, object_ = _bop_ids(row) or (0, 0, 0)
-    R, t = numbers(row["R"]), numbers(row["t"])
-    return f"{scene},{image},{object_},{row['iou']!r},{R},{t},{row['seconds']:.3f}"
+    yield "scene_id,im_id,obj_id,score,R,t,time"
+    for row in results:
+        if row["R"] is not None and (ids := _bop_ids(row)):
+            scene, image, object_ = ids
+            R, t = numbers(row["R"]), numbers(row["t"])
+            time = f"{seconds[scene, image]:.6f}"
+            yield f"{scene},{image},{object_},{row['iou']!r},{R},{t},{time}"
 
 
 def fit_of(row: Row) -> Any:

@@ -7,6 +7,7 @@ import contextlib
 import ctypes
 import math
 import os
+import secrets
 import signal
 import threading
 import time
@@ -22,16 +23,21 @@ from .rows import Row, empty_row
 #: seconds: what it runs is not Python.
 PATIENCE, GRACE = 2.0, 30.0
 
+#: This process's, and those of its threads: no other has it.
+TOKEN = secrets.token_hex(16)
+
 _is_set_up = False
 
 
 class Setup(NamedTuple):
     """How a worker fits: `cached`: what is compiled is kept in the user's cache folder; `limit`: a
-    record's seconds; `parent`: the process that asked, whose JAX is its user's."""
+    record's seconds; `parent`: the `TOKEN` of the process that asked, whose JAX is its user's;
+    `workers`: how many share this machine's cores."""
 
     cached: bool = True
     limit: float | None = None
-    parent: int = 0
+    parent: str = ""
+    workers: int = 1
 
     @property
     def patience(self) -> float:
@@ -44,7 +50,7 @@ class TimeLimit(BaseException):
 
 
 def begin(setup: Setup, turn: Any) -> None:
-    """Set up a worker process: it owns one core, and leaves Ctrl-C to the process that asked.
+    """Set up a worker process: it owns its share of the cores, and leaves Ctrl-C to who asked.
 
     `turn` counts the workers.
     """
@@ -57,7 +63,9 @@ def begin(setup: Setup, turn: Any) -> None:
         os.environ.setdefault(name, "1")  # NumPy's own threads would wait for one another
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {cores[number % len(cores)]})
+        first, step = number % len(cores), min(setup.workers, len(cores))
+        with contextlib.suppress(OSError):  # where a container forbids it
+            os.sched_setaffinity(0, cores[first % step :: step])
     _set_up(setup)
 
 
@@ -86,7 +94,7 @@ def run(record: Record, setup: Setup) -> Row:
 def _set_up(setup: Setup) -> None:
     """Set JAX up as the command does, once, where this process is not its user's own."""
     global _is_set_up
-    if _is_set_up or os.getpid() == setup.parent:
+    if _is_set_up or setup.parent == TOKEN:
         return
     import jax
 
