@@ -49,17 +49,15 @@ def normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
 
 @eqx.filter_jit
 def _depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
-    rays = camera_rays(camera)
-    t = trace(scene, rays).t
+    t = trace(scene, camera).t
     met = jnp.isfinite(t)
-    ahead = dot(rays.direction, camera_basis(camera).v[None, None])
+    ahead = dot(camera_rays(camera).direction, camera_basis(camera).v[None, None])
     # A miss must not reach the product: the derivative of inf * cosine is not finite.
     return jnp.where(met, jnp.where(met, t, 0) * ahead, jnp.inf)
 
 
 @eqx.filter_jit
 def _normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
-    rays = camera_rays(camera)
-    normal = trace(scene, rays).normal
-    away = dot(normal, rays.direction) > 0
+    normal = trace(scene, camera).normal
+    away = dot(normal, camera_rays(camera).direction) > 0
     return jnp.where(away[..., None], -normal, normal)

@@ -101,11 +101,17 @@ def _around(p, q, r) -> Array:
     """Return whether the ray is in a triangle that it sees, of either winding, or on its edge.
 
     An edge's sign is taken from its two products, not from their difference: a fused multiply and
-    add would round the two differently, and the edge's two triangles could both lose the ray.
+    add would round the two differently, and the edge's two triangles could both lose the ray. Of a
+    triangle seen from its side all products may be equal by rounding, far beside it too: so the ray
+    has to be in the box about the corners, which holds whatever it meets.
     """
+    boxed = True
+    for k in range(2):
+        boxed &= jnp.minimum(jnp.minimum(p[k], q[k]), r[k]) <= 0
+        boxed &= jnp.maximum(jnp.maximum(p[k], q[k]), r[k]) >= 0
     products = [(a[0] * b[1], a[1] * b[0]) for a, b in ((q, r), (r, p), (p, q))]
     (a, b), (c, d), (e, f) = products
-    return ((a >= b) & (c >= d) & (e >= f)) | ((a <= b) & (c <= d) & (e <= f))
+    return boxed & (((a >= b) & (c >= d) & (e >= f)) | ((a <= b) & (c <= d) & (e <= f)))
 
 
 def _weighted(p, q, r) -> tuple[Array, Array]:
