@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Num
 
 from .._numerics.batches import in_turn
 from .bvh import Beams, Reached, Tree, beams, new_buffer, node_bits, packed, reach, room, turned
+from .components import Parts, parts
 from .intersect import sphere_depth, triangle_depth
 
 TILE = 4  # rays of an image are searched in packets of TILE x TILE
@@ -30,13 +31,13 @@ Vectors = Float[Array, "N 3"]
 def first_met(tree: Tree, origin: Vectors, direction: Vectors) -> Int[Array, "N"]:
     """Return the index of the primitive that each ray meets first, -1 for none.
 
-    Directions are of about unit length. Of primitives that are met at the same distance the one with the
-    lowest index counts. Rays that are near one another should follow one another.
+    Directions are of about unit length. Of primitives that are met at the same distance the one
+    with the lowest index counts. Rays that are near one another should follow one another.
     """
     N = direction.shape[0]
     if N == 0:
         return jnp.zeros(0, jnp.int32)
-    axis, common = axes_of(direction)
+    axis, common = axes_of(parts(direction))
     origin, direction, axis = _filled_up(origin), _filled_up(direction), _filled_up(axis)
     met = jnp.full((origin.shape[0] + 1, RAYS), -1, jnp.int32)
     narrow = jnp.zeros(origin.shape[0], bool)
@@ -57,18 +58,25 @@ def _batched(size: int, batched: list, tree: Tree, origin: Array, direction: Arr
     return first_met(tree, origin.reshape(-1, 3), direction.reshape(-1, 3)).reshape(size, -1), True
 
 
-def axes_of(direction: Vectors) -> tuple[Int[Array, "N"], Bool[Array, "packets"]]:
+def axes_of(direction: Parts) -> tuple[Int[Array, "N"], Bool[Array, "packets"]]:
     """Return the axis along which each ray is tested, 0 to 2, and in which packets it is common.
 
-    It is that along which all of a packet run, or else each ray's own. What a ray meets depends on
-    it by rounding, so it depends on nothing but directions.
+    Directions are x, y and z, (N,) each. The axis is that along which all rays of a packet run, or
+    else each ray's own. What a ray meets depends on it by rounding, so it depends on directions
+    alone.
     """
-    N, direction = direction.shape[0], _filled_up(direction)
-    least = jnp.maximum(jnp.min(direction, axis=1), -jnp.max(direction, axis=1))
-    common = jnp.max(least, axis=1) > 0.3
-    of_packet = jnp.argmax(least, axis=1).astype(jnp.int32)[:, None]
-    of_ray = jnp.argmax(jnp.abs(direction), axis=2).astype(jnp.int32)
-    return jnp.where(common[:, None], of_packet, of_ray).reshape(-1)[:N], common
+    N = direction[0].shape[0]
+    by_packet = [_filled_up(x) for x in direction]
+    least = [jnp.maximum(jnp.min(x, axis=1), -jnp.max(x, axis=1)) for x in by_packet]
+    common = jnp.maximum(jnp.maximum(least[0], least[1]), least[2]) > 0.3
+    of_ray = _largest_of(*(jnp.abs(x) for x in by_packet))
+    axis = jnp.where(common[:, None], _largest_of(*least)[:, None], of_ray)
+    return axis.reshape(-1)[:N], common
+
+
+def _largest_of(x: Array, y: Array, z: Array) -> Array:
+    """Return which is the largest, 0 to 2; of equal ones the first."""
+    return jnp.where((x >= y) & (x >= z), 0, jnp.where(y >= z, 1, 2)).astype(jnp.int32)
 
 
 def _filled_up(x: Num[Array, "N *rest"]) -> Num[Array, "packets rays *rest"]:
@@ -78,20 +86,18 @@ def _filled_up(x: Num[Array, "N *rest"]) -> Num[Array, "packets rays *rest"]:
     return jnp.pad(x, fill, mode="edge").reshape(-1, RAYS, *rest)
 
 
-def in_packets(x: Float[Array, "*shape 3"]) -> Float[Array, "N 3"]:
-    """Return the vectors in the order in which they are searched: of images tile by tile.
+def in_packets(x: Num[Array, "*shape"]) -> Num[Array, "N"]:
+    """Return what rays have in the order in which they are searched: of images tile by tile.
 
     Tiles at the image's right and lower border are filled up with its last column and row.
     """
-    shape = x.shape[:-1]
-    if not _has_tiles(shape):
-        return x.reshape(-1, 3)
-    H, W = shape[-2:]
+    if not _has_tiles(x.shape):
+        return x.reshape(-1)
+    H, W = x.shape[-2:]
     rows, columns = -(-H // TILE), -(-W // TILE)
-    fill = ((0, 0), (0, rows * TILE - H), (0, columns * TILE - W), (0, 0))
-    x = jnp.pad(x.reshape(-1, H, W, 3), fill, mode="edge")
-    x = x.reshape(-1, rows, TILE, columns, TILE, 3)
-    return jnp.swapaxes(x, 2, 3).reshape(-1, 3)
+    fill = ((0, 0), (0, rows * TILE - H), (0, columns * TILE - W))
+    x = jnp.pad(x.reshape(-1, H, W), fill, mode="edge")
+    return jnp.swapaxes(x.reshape(-1, rows, TILE, columns, TILE), 2, 3).reshape(-1)
 
 
 def out_of_packets(values: Array, shape: tuple[int, ...]) -> Array:
@@ -109,7 +115,7 @@ def _has_tiles(shape: tuple[int, ...]) -> bool:
 
 
 def _is_narrow(tree: Tree, packets: Beams) -> Bool[Array, "packets"]:
-    """Return which packets are better traced as one: their rays cover but few leaves of a surface."""
+    """Return which packets are better traced as one: they cover few leaves of a surface."""
     low = jnp.minimum(tree.boxes[1, :3], tree.boxes[1, 6:9])[None]
     high = jnp.maximum(tree.boxes[1, 3:6], tree.boxes[1, 9:])[None]
     o_low, o_high, s_low, s_high = (packets.columns[:, 3 * k : 3 * k + 3] for k in range(4))
@@ -164,7 +170,7 @@ def _closest(tree: Tree, origin, direction, bounds: Beams, found: Reached) -> In
         (first[:-1] - first[1:], jnp.arange(n, dtype=jnp.int32)), num_keys=1
     )
     turn = partial(turned, axis=bounds.axis[:, None], sign=bounds.sign[:, None])
-    o, d = turn(origin), turn(direction)
+    o, d = turn(parts(origin)), turn(parts(direction))
     columns = jnp.stack([*o, d[0] / d[2], d[1] / d[2]], axis=1)
 
     def group(state):
@@ -200,7 +206,7 @@ def _loader(tree: Tree, found: Reached, first, number, axis, sign) -> Callable:
     """
     bits = node_bits(tree)
     _, columns, slots = tree.data.shape
-    turn = jnp.stack(turned(jnp.arange(3, dtype=jnp.int32)[None], axis, 1))  # (3, lanes)
+    turn = jnp.stack(turned(jnp.arange(3, dtype=jnp.int32), axis, 1))  # (3, lanes)
     whole = columns // 3
     column = (3 * jnp.arange(whole, dtype=jnp.int32)[:, None, None] + turn[None]).reshape(
         3 * whole, -1

@@ -7,6 +7,7 @@ rounding may do, and each ray's test is the tree's, in the frame that the tree t
 so the answer is the tree's.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -17,6 +18,7 @@ from .._camera.camera import Camera, camera_basis, focal_px, principal_point
 from .._numerics.batches import in_turn
 from .._numerics.running import running_sum
 from .bvh import packed, turned
+from .components import Parts, parts
 from .intersect import triangle_depth
 from .packets import axes_of, in_packets, out_of_packets
 
@@ -83,14 +85,15 @@ def first_seen(
     faces: Int[Array, "F 3"],
     view: View,
     origin: Float[Array, "3"],
-    direction: Float[Array, "H W 3"],
+    direction: Parts,
 ) -> Int[Array, "H W"]:
     """Return the index of the face that each pixel's ray meets first, -1 for none.
 
-    The same as `first_met` returns for these rays, which have to be the view's. Directions are of
-    about unit length. Of a view without axes (`e = p`, `u` along the view) no pixel meets anything.
+    The same as `first_met` returns for these rays, which have to be the view's. Directions are x, y
+    and z, (H, W) each, of about unit length. Of a view without axes (`e = p`, `u` along the view)
+    no pixel meets anything.
     """
-    H, W = direction.shape[:2]
+    H, W = direction[0].shape
     F = faces.shape[0]
     kind, slopes = _kinds(view, direction)
     offset = vertices - origin[None]
@@ -100,8 +103,8 @@ def first_seen(
         now, image = state
         mine = kind == now
         sign = jnp.where(now % 2 == 1, -1, 1).astype(offset.dtype)
-        seen = jnp.stack(turned(offset, now // 2, sign), axis=1)
-        rays = jnp.where(mine[None], slopes, jnp.nan).reshape(2, H * W)
+        seen = turned(parts(offset), now // 2, sign)
+        rays = [jnp.where(mine, x, jnp.nan).reshape(-1) for x in slopes]
         image = _drawn(_within(boxes, mine), faces, seen, rays, image, W)
         return jnp.min(jnp.where(kind > now, kind, KINDS)), image
 
@@ -117,15 +120,16 @@ def _batched(size: int, batched: list, *args):
     return in_turn(first_seen, batched, args), True
 
 
-def _kinds(view: View, direction: Float[Array, "H W 3"]) -> tuple[Array, Array]:
+def _kinds(view: View, direction: Parts) -> tuple[Array, tuple[Array, Array]]:
     """Return each ray's kind, twice the axis that it is tested along and one more if it runs
-    backwards, and its two slopes there, (2, H, W); of rays that can meet nothing `KINDS`."""
-    axis = out_of_packets(axes_of(in_packets(direction))[0], direction.shape[:2])
+    backwards, and its two slopes there; of rays that can meet nothing `KINDS`."""
+    axis, _ = axes_of([in_packets(x) for x in direction])
+    axis = out_of_packets(axis, direction[0].shape)
     x, y, z = turned(direction, axis, 1)
     sign = jnp.where(z < 0, -1, 1).astype(z.dtype)
-    kind = 2 * axis + (z < 0)
+    kind = 2 * axis + (z < 0).astype(jnp.int32)
     real = jnp.all(jnp.any(view.axes != 0, axis=1)) & (jnp.abs(z) > 0) & jnp.isfinite(x + y + z)
-    return jnp.where(real, kind, KINDS), jnp.stack([x / (z * sign), y / (z * sign)])
+    return jnp.where(real, kind, KINDS), (x / (z * sign), y / (z * sign))
 
 
 class Places(NamedTuple):
@@ -133,7 +137,7 @@ class Places(NamedTuple):
     left corner, and as bits what it is outside of: the half space before the eye, the film's sides.
     """
 
-    between: Float[Array, "V 4"]
+    between: tuple[Float[Array, "V"], ...]
     outside: Int[Array, "V"]
 
 
@@ -157,7 +161,7 @@ def _places(view: View, offset: Float[Array, "V 3"], W: int, H: int) -> Places:
     left, right, low, high = ends
     bits.append(~ruly)
     outside = sum(bit.astype(jnp.int32) << k for k, bit in enumerate(bits))
-    return Places(jnp.stack([left, right, H - high, H - low], axis=1), outside)
+    return Places((left, right, H - high, H - low), outside)
 
 
 def _boxes(places: Places, faces: Int[Array, "F 3"], W: int, H: int) -> Boxes:
@@ -171,9 +175,7 @@ def _boxes(places: Places, faces: Int[Array, "F 3"], W: int, H: int) -> Boxes:
     anywhere = (a | b | c) & UNRULY > 0
     ends = []
     for k, size in ((0, W), (2, H)):
-        low, high = (
-            [places.between[faces[:, i], j] for i in range(3)] for j in (k, k + 1)
-        )
+        low, high = ([places.between[j][faces[:, i]] for i in range(3)] for j in (k, k + 1))
         low = jnp.minimum(jnp.minimum(low[0], low[1]), low[2])
         high = jnp.maximum(jnp.maximum(high[0], high[1]), high[2])
         first = jnp.ceil(jnp.clip(low - 0.5, 0, size)).astype(jnp.int32)
@@ -197,7 +199,7 @@ def _within(boxes: Boxes, mine: Array) -> Boxes:
     )
 
 
-def _drawn(boxes: Boxes, faces, seen: Float[Array, "V 3"], rays, image: Image, W: int) -> Image:
+def _drawn(boxes: Boxes, faces, seen: Parts, rays: Sequence[Array], image: Image, W: int) -> Image:
     """Return the image with the faces drawn into it, the last face first.
 
     A pipeline of three stages: the blocks that one step lists are tested in the next and drawn in
@@ -227,9 +229,9 @@ def _drawn(boxes: Boxes, faces, seen: Float[Array, "V 3"], rays, image: Image, W
         return first + faces_done, done, after, blocks, tested, image
 
     none = jnp.zeros(n, jnp.int32)
-    blocks = Blocks(none, none, none - 1, none, none, jnp.zeros((9, n), seen.dtype))
+    blocks = Blocks(none, none, none - 1, none, none, jnp.zeros((9, n), image.depth.dtype))
     lanes = jnp.zeros((SIDE * SIDE, n), jnp.int32)
-    tested = Tested(jnp.full(lanes.shape, jnp.inf, seen.dtype), lanes, none)
+    tested = Tested(jnp.full(lanes.shape, jnp.inf, image.depth.dtype), lanes, none)
     start = (jnp.int32(0), jnp.int32(0), jnp.int32(0), blocks, tested, image)
     return jax.lax.while_loop(lambda s: s[2] < 3, step, start)[-1]
 
@@ -260,13 +262,13 @@ def _listed(boxes: Boxes, across, box, block, faces, seen) -> Blocks:
     width = jnp.maximum(at(across), 1)
     left, top = at(boxes.left) + block % width * SIDE, at(boxes.top) + block // width * SIDE
     vertex = [faces.at[box, k].get(mode="promise_in_bounds") for k in range(3)]
-    corner = lambda k, i: seen.at[vertex[k], i].get(mode="promise_in_bounds")
+    corner = lambda k, i: seen[i].at[vertex[k]].get(mode="promise_in_bounds")
     corners = jnp.stack([corner(k, i) for k in range(3) for i in range(3)])
     right = jnp.where(block < 0, -1, at(boxes.right))
     return Blocks(left, top, right, at(boxes.bottom), box, corners)
 
 
-def _tested(blocks: Blocks, rays: Float[Array, "2 pixels"], W: int) -> Tested:
+def _tested(blocks: Blocks, rays: Sequence[Array], W: int) -> Tested:
     """Return how deep each pixel's ray meets the face of each block."""
     lane = jnp.arange(SIDE * SIDE, dtype=jnp.int32)[:, None]
     column, row = blocks.left[None] + lane % SIDE, blocks.top[None] + lane // SIDE
