@@ -206,7 +206,7 @@ def _loader(tree: Tree, found: Reached, first, number, axis, sign) -> Callable:
     """
     bits = node_bits(tree)
     _, columns, slots = tree.data.shape
-    turn = jnp.stack(turned(jnp.arange(3, dtype=jnp.int32), axis, 1))  # (3, lanes)
+    turn = jnp.stack(turned([jnp.int32(k) for k in range(3)], axis, 1))  # (3, lanes)
     whole = columns // 3
     column = (3 * jnp.arange(whole, dtype=jnp.int32)[:, None, None] + turn[None]).reshape(
         3 * whole, -1
