@@ -160,7 +160,9 @@ def _places(view: View, offset: Float[Array, "V 3"], W: int, H: int) -> Places:
         ruly &= jnp.isfinite(middle) & jnp.isfinite(slack)
     left, right, low, high = ends
     bits.append(~ruly)
-    outside = sum(bit.astype(jnp.int32) << k for k, bit in enumerate(bits))
+    outside = jnp.zeros(far.shape, jnp.int32)
+    for k, bit in enumerate(bits):
+        outside |= bit.astype(jnp.int32) << k
     return Places((left, right, H - high, H - low), outside)
 
 
