@@ -125,7 +125,7 @@ def line(row: dict) -> str:
 
 def on_threads(threads: int, quick: bool) -> dict:
     """Return what a process of its own measures, which has so many processors."""
-    settings = {"NUMBA_NUM_THREADS": str(threads), "OMP_NUM_THREADS": str(threads)}
+    settings = {"NUMBA_NUM_THREADS": str(threads), "OMP_WAIT_POLICY": "PASSIVE"}
     command = [sys.executable, __file__, "--threads", str(threads), *["--quick"] * quick]
     pin = None
     if hasattr(os, "sched_setaffinity"):
