@@ -183,3 +183,10 @@ def test_blocks_are_shared_out_in_order_and_go_on_where_they_stopped(done):
     left = plain[16:]
     if left:
         assert left[0] == (int(through), int(of_next))
+
+
+def test_faces_of_one_block_each_leave_nothing_half_done():
+    owner, block, through, of_next = _shared_out(jnp.ones(16, jnp.int32), jnp.int32(0))
+    np.testing.assert_array_equal(owner, np.arange(16))
+    np.testing.assert_array_equal(block, np.zeros(16))
+    assert (int(through), int(of_next)) == (16, 0)
