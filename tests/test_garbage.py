@@ -61,13 +61,14 @@ def calls():
     a_fit = "`fit`: expected a Fit, got Camera"
     names = "expected names like 'pose', or several: 'pose,phi'"
     return {
-        "`scene`, `rays`: expected a Scene and Rays, got Rays, Scene": [
+        "`scene`, `rays`: expected a Scene and Rays or a Camera, got Rays, Scene": [
             lambda: pj.trace(rays, scene),
             lambda: pj.occluded(rays, scene),
         ],
-        "`scene`, `rays`: expected a Scene and Rays, got Scene, Camera": [
-            lambda: pj.trace(scene, camera)
+        "`scene`, `rays`: expected a Scene and Rays or a Camera, got Scene, Scene": [
+            lambda: pj.trace(scene, scene)
         ],
+        "`rays`: expected one camera, got several": [lambda: pj.trace(scene, several)],
         "`camera`, `scene`: expected a Camera and a Scene, got Scene, Camera": [
             lambda: pj.depth(scene, camera),
             lambda: pj.normals(scene, camera),

@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._numerics.bitset import words_of
 from .._numerics.running import running_sum
 from .._scene.scene import Mesh, Spheres, morton_order
+from .components import Parts, parts
 
 LEAF = 4  # primitives in a leaf, at most
 BLOCK = 4096  # pairs looked at in one go; a multiple of 32
@@ -89,22 +90,23 @@ def _build(order, low, high, data) -> Tree:
     return Tree(boxes.reshape(leaves, 12), index, jnp.swapaxes(data[index], 1, 2))
 
 
-def beams(origin: Float[Array, "packets rays 3"], direction: Float[Array, "packets rays 3"]):
-    """Return the packets' beams, and whether all rays of a packet run along a common axis."""
-    least = jnp.maximum(jnp.min(direction, axis=1), -jnp.max(direction, axis=1))
-    axis = jnp.argmax(least, axis=1).astype(jnp.int32)
-    along = turned(direction, axis[:, None], jnp.ones((), direction.dtype))[2]
+def beams(
+    origin: Float[Array, "packets rays 3"],
+    direction: Float[Array, "packets rays 3"],
+    axis: Int[Array, "packets"],
+) -> Beams:
+    """Return the beams of packets whose rays all run along an axis, all the same way."""
+    along = turned(parts(direction), axis[:, None], jnp.ones((), direction.dtype))[2]
     tiny = jnp.finfo(direction.dtype).tiny
     slope = direction / jnp.maximum(jnp.abs(along), tiny)[..., None]
     sign = jnp.where(along[:, :1] < 0, -1, 1).astype(direction.dtype)
     bounds = [f(x, axis=1) for x in (origin, slope) for f in (jnp.min, jnp.max)]
-    columns = jnp.concatenate([*bounds, sign, axis[:, None].astype(direction.dtype)], axis=1)
-    return Beams(columns), jnp.max(least, axis=1) > 0.3
+    return Beams(jnp.concatenate([*bounds, sign, axis[:, None].astype(direction.dtype)], axis=1))
 
 
-def turned(vectors: Array, axis: Array, sign: Array | int) -> tuple[Array, Array, Array]:
+def turned(vector: Parts, axis: Array, sign: Array | int) -> tuple[Array, Array, Array]:
     """Return the components, turned so that `axis` comes last, and that one times `sign`."""
-    x, y, z = (vectors[..., k] for k in range(3))
+    x, y, z = vector
     pick = lambda a, b, c: jnp.where(axis == 0, a, jnp.where(axis == 1, b, c))
     return pick(y, z, x), pick(z, x, y), pick(x, y, z) * sign
 

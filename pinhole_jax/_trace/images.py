@@ -1,4 +1,4 @@
-"""`depth` and `normals`: what a camera sees of a scene, pixel by pixel, through `trace`.
+"""`depth` and `normals`: what a camera sees of a scene, pixel by pixel, as `trace` does.
 
 One ray through each pixel's centre: unlike a silhouette, these are samples and not averages over
 the pixel. They are differentiable where the primitive that a ray hits stays the same. At outlines
@@ -10,11 +10,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera, camera_basis
-from .._camera.rays import camera_rays
-from .._numerics.safe import dot
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, check_view
-from .trace import trace
+from .components import inner, parts
+from .trace import Found, found, hits
 
 
 @collector_at_rest()
@@ -29,7 +28,7 @@ def depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
     the derivative of a miss is 0. Outlines move without it noticing: use `silhouette` for these.
     """
     check_view(camera, scene)
-    return _depth(camera, scene)
+    return _ahead(camera, scene, found(scene, camera))
 
 
 @collector_at_rest()
@@ -44,22 +43,20 @@ def normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
     sphere's also in the camera. Outlines move without it noticing: use `silhouette` for these.
     """
     check_view(camera, scene)
-    return _normals(camera, scene)
+    return _towards_eye(camera, scene, found(scene, camera))
 
 
 @eqx.filter_jit
-def _depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
-    rays = camera_rays(camera)
-    t = trace(scene, rays).t
+def _ahead(camera: Camera, scene: Scene, seen: Found) -> Float[Array, "H W"]:
+    t = hits(scene, seen).t
     met = jnp.isfinite(t)
-    ahead = dot(rays.direction, camera_basis(camera).v[None, None])
+    ahead = inner(parts(seen.rays.direction), parts(camera_basis(camera).v))
     # A miss must not reach the product: the derivative of inf * cosine is not finite.
     return jnp.where(met, jnp.where(met, t, 0) * ahead, jnp.inf)
 
 
 @eqx.filter_jit
-def _normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
-    rays = camera_rays(camera)
-    normal = trace(scene, rays).normal
-    away = dot(normal, rays.direction) > 0
+def _towards_eye(camera: Camera, scene: Scene, seen: Found) -> Float[Array, "H W 3"]:
+    normal = hits(scene, seen).normal
+    away = inner(parts(normal), parts(seen.rays.direction)) > 0
     return jnp.where(away[..., None], -normal, normal)

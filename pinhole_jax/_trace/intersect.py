@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._numerics.safe import dot, safe_divide, safe_sqrt
+from .components import Parts, inner, parts
 
 Vector = Float[Array, "*#batch 3"]
 
@@ -22,12 +23,16 @@ def perpendicular(direction: Float[Array, "*batch 3"]) -> tuple[Array, Array]:
 
     Frisvad's basis (2012) in the form of Duff et al. (2017), which has no singular direction.
     """
-    x, y, z = (direction[..., k] for k in range(3))
+    first, second = _perpendicular(parts(direction))
+    return jnp.stack(first, axis=-1), jnp.stack(second, axis=-1)
+
+
+def _perpendicular(direction: Parts) -> tuple[Parts, Parts]:
+    x, y, z = direction
     sign = jnp.where(z < 0, -1, 1).astype(z.dtype)
     a = -1 / (sign + z)
     b = x * y * a
-    first = jnp.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1)
-    return first, jnp.stack([b, sign + y * y * a, -y], axis=-1)
+    return (1 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)
 
 
 def ray_triangle(
@@ -42,18 +47,17 @@ def ray_triangle(
     """
     first, second = axes
     seen = [_seen(origin, direction, first, second, corner) for corner in (a, b, c)]
-    t, barycentric = _weighted(*seen)
+    t, weights = _weighted(*seen)
     met = _around(*seen) & (t > 0)
-    return Meeting(jnp.where(met, t, jnp.inf), barycentric)
+    return Meeting(jnp.where(met, t, jnp.inf), jnp.stack(weights, axis=-1))
 
 
-def ray_plane(
-    origin: Vector, direction: Vector, axes: tuple[Vector, Vector], a: Vector, b: Vector, c: Vector
-) -> Meeting:
-    """Return where rays that are known to meet triangles do: the same, never inf."""
-    first, second = axes
-    seen = (_seen(origin, direction, first, second, corner) for corner in (a, b, c))
-    return Meeting(*_weighted(*seen))
+def ray_plane(direction: Parts, a: Parts, b: Parts, c: Parts) -> tuple[Array, Parts]:
+    """Return how far rays from the origin meet triangles that they are known to meet (never inf),
+    and the barycentric coordinates; all by components."""
+    first, second = _perpendicular(direction)
+    seen = (tuple(inner(p, axis) for axis in (first, second, direction)) for p in (a, b, c))
+    return _weighted(*seen)
 
 
 def triangle_depth(
@@ -101,14 +105,20 @@ def _around(p, q, r) -> Array:
     """Return whether the ray is in a triangle that it sees, of either winding, or on its edge.
 
     An edge's sign is taken from its two products, not from their difference: a fused multiply and
-    add would round the two differently, and the edge's two triangles could both lose the ray.
+    add would round the two differently, and the edge's two triangles could both lose the ray. Of a
+    triangle seen from its side all products may be equal by rounding, far beside it too: so the ray
+    has to be in the box about the corners, which holds whatever it meets.
     """
+    boxed = True
+    for k in range(2):
+        boxed &= jnp.minimum(jnp.minimum(p[k], q[k]), r[k]) <= 0
+        boxed &= jnp.maximum(jnp.maximum(p[k], q[k]), r[k]) >= 0
     products = [(a[0] * b[1], a[1] * b[0]) for a, b in ((q, r), (r, p), (p, q))]
     (a, b), (c, d), (e, f) = products
-    return ((a >= b) & (c >= d) & (e >= f)) | ((a <= b) & (c <= d) & (e <= f))
+    return boxed & (((a >= b) & (c >= d) & (e >= f)) | ((a <= b) & (c <= d) & (e <= f)))
 
 
-def _weighted(p, q, r) -> tuple[Array, Array]:
+def _weighted(p, q, r) -> tuple[Array, Parts]:
     """Return depth and barycentric coordinates of the ray in a triangle that it sees.
 
     Of a sliver rounding may leave nothing but signs that disagree: the ray is held within it.
@@ -119,7 +129,7 @@ def _weighted(p, q, r) -> tuple[Array, Array]:
     det = u + v + w
     flat = det == 0
     u, v, w = (jnp.where(flat, 1 / 3, safe_divide(x, det)) for x in (u, v, w))
-    return u * p[2] + v * q[2] + w * r[2], jnp.stack([u, v, w], axis=-1)
+    return u * p[2] + v * q[2] + w * r[2], (u, v, w)
 
 
 def ray_sphere(

@@ -10,12 +10,15 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Num
 
+from .._numerics.batches import in_turn
 from .bvh import Beams, Reached, Tree, beams, new_buffer, node_bits, packed, reach, room, turned
+from .components import Parts, parts
 from .intersect import sphere_depth, triangle_depth
 
-RAYS = 16  # in a packet
+TILE = 4  # rays of an image are searched in packets of TILE x TILE
+RAYS = TILE * TILE  # in a packet
 PACKETS = 4096  # at a time: the tree's parts that they reach stay in the processor's cache
 LANES = 256
 FEW = 2048  # rays: fewer than these all go one by one, for the sake of the compile time
@@ -28,20 +31,20 @@ Vectors = Float[Array, "N 3"]
 def first_met(tree: Tree, origin: Vectors, direction: Vectors) -> Int[Array, "N"]:
     """Return the index of the primitive that each ray meets first, -1 for none.
 
-    Directions are of unit length. Of primitives that are met at the same distance the one with the
-    lowest index counts. Rays that are near one another should follow one another.
+    Directions are of about unit length. Of primitives that are met at the same distance the one
+    with the lowest index counts. Rays that are near one another should follow one another.
     """
     N = direction.shape[0]
     if N == 0:
         return jnp.zeros(0, jnp.int32)
-    pad = lambda x: jnp.pad(x, ((0, -N % RAYS), (0, 0)), mode="edge").reshape(-1, RAYS, 3)
-    origin, direction = pad(origin), pad(direction)
+    axis, common = axes_of(parts(direction))
+    origin, direction, axis = _filled_up(origin), _filled_up(direction), _filled_up(axis)
     met = jnp.full((origin.shape[0] + 1, RAYS), -1, jnp.int32)
     narrow = jnp.zeros(origin.shape[0], bool)
     if N >= FEW:
-        narrow = _is_narrow(tree, origin, direction)
-        met = _search(tree, origin, direction, narrow, met, split=False)
-    met = _search(tree, origin, direction, ~narrow, met, split=True)
+        narrow = common & _is_narrow(tree, beams(origin, direction, axis[:, 0]))
+        met = _search(tree, origin, direction, axis, narrow, met, split=False)
+    met = _search(tree, origin, direction, axis, ~narrow, met, split=True)
     return met[:-1].reshape(-1)[:N]
 
 
@@ -49,37 +52,82 @@ def first_met(tree: Tree, origin: Vectors, direction: Vectors) -> Int[Array, "N"
 def _batched(size: int, batched: list, tree: Tree, origin: Array, direction: Array):
     """One batch of rays is more rays; many trees are searched in turn."""
     if any(batched[0]):
-        args = (tree, origin, direction)
-        moving = jax.tree.map(lambda x, b: x if b else None, args, tuple(batched))
-
-        def one(moving):
-            whole = jax.tree.map(
-                lambda x, m: x if m is None else m, args, moving, is_leaf=lambda x: x is None
-            )
-            return first_met(*whole)
-
-        return jax.lax.map(one, moving), True
+        return in_turn(first_met, batched, (tree, origin, direction)), True
     spread = lambda x, b: x if b else jnp.broadcast_to(x, (size, *x.shape))
     origin, direction = spread(origin, batched[1]), spread(direction, batched[2])
     return first_met(tree, origin.reshape(-1, 3), direction.reshape(-1, 3)).reshape(size, -1), True
 
 
-def _is_narrow(tree: Tree, origin, direction) -> Bool[Array, "packets"]:
-    """Return which packets are better traced as one: their rays cover but few leaves of a surface.
+def axes_of(direction: Parts) -> tuple[Int[Array, "N"], Bool[Array, "packets"]]:
+    """Return the axis along which each ray is tested, 0 to 2, and in which packets it is common.
 
-    Packets whose rays run along no common axis are not narrow.
+    Directions are x, y and z, (N,) each. The axis is that along which all rays of a packet run, or
+    else each ray's own. What a ray meets depends on it by rounding, so it depends on directions
+    alone.
     """
-    packets, common = beams(origin, direction)
+    N = direction[0].shape[0]
+    by_packet = [_filled_up(x) for x in direction]
+    least = [jnp.maximum(jnp.min(x, axis=1), -jnp.max(x, axis=1)) for x in by_packet]
+    common = jnp.maximum(jnp.maximum(least[0], least[1]), least[2]) > 0.3
+    of_ray = _largest_of(*(jnp.abs(x) for x in by_packet))
+    axis = jnp.where(common[:, None], _largest_of(*least)[:, None], of_ray)
+    return axis.reshape(-1)[:N], common
+
+
+def _largest_of(x: Array, y: Array, z: Array) -> Array:
+    """Return which is the largest, 0 to 2; of equal ones the first."""
+    return jnp.where((x >= y) & (x >= z), 0, jnp.where(y >= z, 1, 2)).astype(jnp.int32)
+
+
+def _filled_up(x: Num[Array, "N *rest"]) -> Num[Array, "packets rays *rest"]:
+    """Return what rays have by packets; the last ray fills up the last packet."""
+    rest = x.shape[1:]
+    fill = ((0, -x.shape[0] % RAYS), *((0, 0) for _ in rest))
+    return jnp.pad(x, fill, mode="edge").reshape(-1, RAYS, *rest)
+
+
+def in_packets(x: Num[Array, "*shape"]) -> Num[Array, "N"]:
+    """Return what rays have in the order in which they are searched: of images tile by tile.
+
+    Tiles at the image's right and lower border are filled up with its last column and row.
+    """
+    if not _has_tiles(x.shape):
+        return x.reshape(-1)
+    H, W = x.shape[-2:]
+    rows, columns = -(-H // TILE), -(-W // TILE)
+    fill = ((0, 0), (0, rows * TILE - H), (0, columns * TILE - W))
+    x = jnp.pad(x.reshape(-1, H, W), fill, mode="edge")
+    return jnp.swapaxes(x.reshape(-1, rows, TILE, columns, TILE), 2, 3).reshape(-1)
+
+
+def out_of_packets(values: Array, shape: tuple[int, ...]) -> Array:
+    """Return values, in the order of `in_packets`, in the rays' shape."""
+    if not _has_tiles(shape):
+        return values.reshape(shape)
+    H, W = shape[-2:]
+    rows, columns = -(-H // TILE), -(-W // TILE)
+    values = jnp.swapaxes(values.reshape(-1, rows, columns, TILE, TILE), 2, 3)
+    return values.reshape(-1, rows * TILE, columns * TILE)[:, :H, :W].reshape(shape)
+
+
+def _has_tiles(shape: tuple[int, ...]) -> bool:
+    return len(shape) >= 2 and min(shape[-2:]) >= TILE
+
+
+def _is_narrow(tree: Tree, packets: Beams) -> Bool[Array, "packets"]:
+    """Return which packets are better traced as one: they cover few leaves of a surface."""
     low = jnp.minimum(tree.boxes[1, :3], tree.boxes[1, 6:9])[None]
     high = jnp.maximum(tree.boxes[1, 3:6], tree.boxes[1, 9:])[None]
     o_low, o_high, s_low, s_high = (packets.columns[:, 3 * k : 3 * k + 3] for k in range(4))
     leaf = jnp.max(high - low) / tree.primitive.shape[0] ** 0.5
     far = jnp.maximum(jnp.max(high - o_low, axis=1), jnp.max(o_high - low, axis=1))
     width = (o_high - o_low) + (s_high - s_low) * jnp.maximum(far, 0)[:, None]
-    return common & (jnp.prod(1 + width / jnp.maximum(leaf, 1e-30), axis=1) <= WIDE)
+    return jnp.prod(1 + width / jnp.maximum(leaf, 1e-30), axis=1) <= WIDE
 
 
-def _search(tree: Tree, origin, direction, wanted, met, split: bool) -> Int[Array, "packets rays"]:
+def _search(
+    tree: Tree, origin, direction, axis, wanted, met, split: bool
+) -> Int[Array, "packets rays"]:
     """Return `met` with the wanted packets' rows filled in; its last row takes what is not wanted.
 
     Takes some packets at a time; where they reach more leaves than there is room for, half as many.
@@ -97,10 +145,10 @@ def _search(tree: Tree, origin, direction, wanted, met, split: bool) -> Int[Arra
         k = jnp.arange(size, dtype=jnp.int32)
         take = (k < step) & (start + k < number)
         row = jnp.where(take, ids[jnp.minimum(start + k, some.shape[0] - 1)], total)
-        o, d = (x[jnp.where(take, row, 0)] for x in (origin, direction))
+        o, d, along = (x[jnp.where(take, row, 0)] for x in (origin, direction, axis))
         if split:
             take, o, d = jnp.repeat(take, RAYS), o.reshape(-1, 1, 3), d.reshape(-1, 1, 3)
-        bounds, _ = beams(o, d)
+        bounds = beams(o, d, along.reshape(-1) if split else along[:, 0])
         found = reach(tree, bounds, take, buffer)
         full = found.number > room(tree)
         hits = _closest(tree, o, d, bounds, found._replace(number=jnp.where(full, 0, found.number)))
@@ -122,7 +170,7 @@ def _closest(tree: Tree, origin, direction, bounds: Beams, found: Reached) -> In
         (first[:-1] - first[1:], jnp.arange(n, dtype=jnp.int32)), num_keys=1
     )
     turn = partial(turned, axis=bounds.axis[:, None], sign=bounds.sign[:, None])
-    o, d = turn(origin), turn(direction)
+    o, d = turn(parts(origin)), turn(parts(direction))
     columns = jnp.stack([*o, d[0] / d[2], d[1] / d[2]], axis=1)
 
     def group(state):
@@ -158,7 +206,7 @@ def _loader(tree: Tree, found: Reached, first, number, axis, sign) -> Callable:
     """
     bits = node_bits(tree)
     _, columns, slots = tree.data.shape
-    turn = jnp.stack(turned(jnp.arange(3, dtype=jnp.int32)[None], axis, 1))  # (3, lanes)
+    turn = jnp.stack(turned([jnp.int32(k) for k in range(3)], axis, 1))  # (3, lanes)
     whole = columns // 3
     column = (3 * jnp.arange(whole, dtype=jnp.int32)[:, None, None] + turn[None]).reshape(
         3 * whole, -1

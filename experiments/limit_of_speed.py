@@ -1,0 +1,225 @@
+"""How far are a mask and its Jacobian from what the machine can do?
+
+The yardstick is a plain compiled loop that does the least work (`_plain_loop.py`). Spheres of more
+and more faces at 512 px, and of 328k faces at more and more pixels; on one thread and on two, each
+in a process of its own. Both sides take float32 and what is worked out once per mesh; medians of
+calls that are compiled already, ours and the loop's in turn, so that a busy machine slows both.
+
+`python experiments/limit_of_speed.py out` takes some 10 minutes, with `--quick` 2.
+"""
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+FACES = (1e2, 1e3, 1e4, 1e5, 3.28e5, 1e6, 4e6)
+PIXELS = (64, 128, 256, 512, 1024, 2048, 4096)
+QUICK = ((1e2, 1e4, 3.28e5), (64, 256, 1024))
+AT_PX, AT_FACES = 512, 3.28e5
+MOST_PX = 1024  # of a Jacobian: at 4096 px it is 470 MB
+SECONDS = 2.0  # for the calls of one figure
+THREADS = (1, 2)
+PARAMETERS = (0.4, 1.1, 4.8, 0.05, -0.02, 0.03, 0.55)  # e, p, phi
+UP = (0.1, 1.0, 0.05)
+
+
+def sphere(faces: float):
+    """Return a sphere of about so many faces, in rings of twice as many as there are rings."""
+    import pinhole_jax as pj
+
+    rings = max(4, round((faces / 4) ** 0.5))
+    angle = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
+    profile = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    profile[[0, -1], 0] = 0
+    mesh = pj.shapes.revolved(profile, 2 * rings)
+    return pj.Mesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces))
+
+
+def in_turn(jobs: dict) -> dict:
+    """Return the median seconds of each job; all have run before."""
+    import jax
+
+    times: dict = {name: [] for name in jobs}
+    begin = time.perf_counter()
+    while len(times[next(iter(jobs))]) < 5 or time.perf_counter() - begin < SECONDS:
+        for name, job in jobs.items():
+            start = time.perf_counter()
+            jax.block_until_ready(job())
+            times[name].append(time.perf_counter() - start)
+        if len(times[name]) == 200:
+            break
+    return {name: float(np.median(x)) for name, x in times.items()}
+
+
+def library(scene, px: int):
+    """Return our mask, and our mask with its Jacobian, as functions of the parameters."""
+    import jax
+    import jax.numpy as jnp
+
+    import pinhole_jax as pj
+
+    def mask(x, scene):
+        up, d = jnp.asarray(UP, jnp.float32), jnp.float32(1)
+        return pj.silhouette(pj.Camera(x[:3], x[3:6], up, x[6], d, px, px), scene)
+
+    def both(x, scene):
+        twice = lambda x: (lambda image: (image, image))(mask(x, scene))
+        jacobian, image = jax.jacfwd(twice, has_aux=True)(x)
+        return image, jacobian
+
+    x = jnp.asarray(PARAMETERS, jnp.float32)
+    compiled = (jax.jit(mask), jax.jit(both))
+    return [lambda f=f: f(x, scene) for f in compiled]
+
+
+def measured(mesh, px: int) -> dict:
+    """Return times of the library and of the loop, and how far apart their answers are."""
+    import _plain_loop as loop
+
+    import pinhole_jax as pj
+
+    shape = loop.shape_of(mesh)
+    film = loop.film_of(np.array(PARAMETERS), np.array(UP), px, px)
+    our_mask, our_both = library(pj.Scene(mesh=mesh), px)
+    jobs = {"mask": our_mask, "mask, loop": lambda: loop.mask(shape, film)}
+    apart = {"mask": float(np.abs(np.asarray(our_mask()) - loop.mask(shape, film)).max())}
+    if px <= MOST_PX:
+        plain = lambda: loop.mask_and_jacobian(shape, film)
+        jobs |= {"jacobian": our_both, "jacobian, loop": plain}
+        ours, theirs = np.asarray(our_both()[1]), plain()[1]
+        apart["jacobian"] = float(np.abs(ours - theirs).max() / np.abs(theirs).max())
+    if apart["mask"] > 1e-3 or apart.get("jacobian", 0) > 1e-2:
+        raise SystemExit(f"loop and library differ: {apart}")
+    return {"faces": len(mesh.faces), "px": px, "apart": apart, "seconds": in_turn(jobs)}
+
+
+def child(threads: int, quick: bool) -> dict:
+    """Return both sweeps on so many threads."""
+    faces, pixels = QUICK if quick else (FACES, PIXELS)
+    result: dict = {"faces": [], "pixels": []}
+    for number in faces:
+        result["faces"].append(measured(sphere(number), AT_PX))
+        print(threads, line(result["faces"][-1]), file=sys.stderr, flush=True)
+    mesh = sphere(AT_FACES)
+    for px in pixels:
+        result["pixels"].append(measured(mesh, px))
+        print(threads, line(result["pixels"][-1]), file=sys.stderr, flush=True)
+    return result
+
+
+def line(row: dict) -> str:
+    cells = [f"{row['faces']:8d} faces {row['px']:5d} px"]
+    for name in ("mask", "jacobian"):
+        if name in row["seconds"]:
+            ours, plain = row["seconds"][name], row["seconds"][f"{name}, loop"]
+            figures = f"{1e3 * ours:.2f} ms, loop {1e3 * plain:.2f}, {ours / plain:.1f} times"
+            cells.append(f"{name} {figures} (apart {row['apart'][name]:.0e})")
+    return "; ".join(cells)
+
+
+def on_threads(threads: int, quick: bool) -> dict:
+    """Return what a process of its own measures, which has so many processors."""
+    settings = {"NUMBA_NUM_THREADS": str(threads), "OMP_WAIT_POLICY": "PASSIVE"}
+    command = [sys.executable, __file__, "--threads", str(threads), *["--quick"] * quick]
+    pin = None
+    if hasattr(os, "sched_setaffinity"):
+        some = sorted(os.sched_getaffinity(0))[:threads]
+        pin = lambda: os.sched_setaffinity(0, some)  # XLA takes as many threads as it may run on
+    done = subprocess.run(
+        command, env={**os.environ, **settings}, stdout=subprocess.PIPE, check=True, preexec_fn=pin
+    )
+    return json.loads(done.stdout)
+
+
+def slope(rows: list[dict], by: str, name: str) -> float:
+    """Return the power of the upper half of a sweep, by which time grows."""
+    rows = [r for r in rows if name in r["seconds"]]
+    rows = rows[len(rows) // 2 - (len(rows) < 4) :]
+    x, y = (np.log([f(r) for r in rows]) for f in (lambda r: r[by], lambda r: r["seconds"][name]))
+    return float(np.polyfit(x, y, 1)[0])
+
+
+def plot(results: dict, path: Path) -> None:
+    try:
+        import matplotlib
+    except ImportError:
+        print("no plot: matplotlib is not installed")
+        return
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4), sharey=True)
+    for axis, (sweep, by) in zip(axes, (("faces", "faces"), ("pixels", "px")), strict=True):
+        for threads, style in zip(results["threads"], ("-", "--"), strict=False):
+            rows = results["threads"][threads][sweep]
+            for color, name in enumerate(("mask", "mask, loop", "jacobian", "jacobian, loop")):
+                some = [r for r in rows if name in r["seconds"]]
+                power = slope(rows, by, name)
+                axis.loglog(
+                    [r[by] for r in some],
+                    [1e3 * r["seconds"][name] for r in some],
+                    style,
+                    marker="x" if "loop" in name else "o",
+                    color=f"C{color}",
+                    label=f"{name}, {threads} thread{'s' * (threads != '1')}: power {power:.2f}",
+                )
+        where = f"{AT_PX} px" if sweep == "faces" else f"{AT_FACES:.0f} faces"
+        axis.set(xlabel=f"{sweep if by == 'faces' else 'px a side'} ({where})")
+        axis.legend(fontsize=6)
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("ms")
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+
+
+def table(results: dict) -> str:
+    """Return the figures as a table of README's kind."""
+    lines = ["| threads | faces | px | mask, ms | loop | ratio | + Jacobian, ms | loop | ratio |"]
+    lines.append("|---|---|---|---|---|---|---|---|---|")
+    for threads, sweeps in results["threads"].items():
+        for row in (*sweeps["faces"], *sweeps["pixels"]):
+            cells = [threads, str(row["faces"]), str(row["px"])]
+            for name in ("mask", "jacobian"):
+                if name not in row["seconds"]:
+                    cells += ["–"] * 3
+                    continue
+                ours, plain = row["seconds"][name], row["seconds"][f"{name}, loop"]
+                cells += [f"{1e3 * ours:.2f}", f"{1e3 * plain:.2f}", f"{ours / plain:.1f}"]
+            lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    quick = "--quick" in sys.argv
+    if "--threads" in sys.argv:
+        print(json.dumps(child(int(sys.argv[sys.argv.index("--threads") + 1]), quick)))
+        return
+    named = [x for x in sys.argv[1:] if not x.startswith("-")]
+    folder = Path(named[0] if named else "out")
+    folder.mkdir(parents=True, exist_ok=True)
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    threads = [n for n in THREADS if n <= (count or 1)]
+    results: dict = {"threads": {str(n): on_threads(n, quick) for n in threads}}
+    rows = results["threads"][str(threads[-1])]["faces"]
+    large = [r for r in rows if r["faces"] >= 9e4]
+    worst = max(r["seconds"]["mask"] / r["seconds"]["mask, loop"] for r in large)
+    print(f"a mask takes at most {worst:.1f} times the loop from 100k faces on (asked: 4)")
+    print(table(results))
+    import jax
+    import numba
+
+    versions = {"jax": jax.__version__, "numba": numba.__version__}
+    results["versions"] = {**versions, "python": platform.python_version()}
+    results["machine"] = f"{platform.machine()}, {count} processors"
+    (folder / "limit_of_speed.json").write_text(json.dumps(results, indent=1) + "\n")
+    plot(results, folder / "limit_of_speed.png")
+
+
+if __name__ == "__main__":
+    main()
