@@ -1,5 +1,5 @@
-"""The command line: `pinhole-jax fit`, `render`, `hand-eye` and `convert`; also `python -m
-pinhole_jax`."""
+"""The command line: `pinhole-jax fit`, `render`, `hand-eye`, `studio` and `convert`; also `python
+-m pinhole_jax`."""
 
 import argparse
 import atexit
@@ -38,7 +38,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        run = {"fit": _fit, "render": _render, "hand-eye": _hand_eye, "convert": _convert}
+        run = {
+            "fit": _fit,
+            "render": _render,
+            "hand-eye": _hand_eye,
+            "studio": _studio,
+            "convert": _convert,
+        }
         with ending_at_once(interrupted):
             return run[options.command](options)
     except (ValueError, OSError, ModuleNotFoundError) as error:
@@ -171,6 +177,16 @@ def _hand_eye(options: argparse.Namespace) -> int:
 
         progress.count(Clock())
         return hand_eye(options, progress.say, progress.tell)
+
+
+def _studio(options: argparse.Namespace) -> int:
+    with Progress("reading", options.verbose) as progress:
+        _set_up_jax(options)
+        from ._command.studio import studio
+
+        run = studio(options, progress.say, progress.tell)
+    run()
+    return 0
 
 
 def _convert(options: argparse.Namespace) -> int:
