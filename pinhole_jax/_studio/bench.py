@@ -23,7 +23,7 @@ from .._names import FREE
 from ..formats import FORMATS, object_pose, write
 from ..plot import disagreement, silhouette
 from . import hand
-from .drawing import band_of, camera_numbers, grid_lines, outline_lines, straight_lines
+from .drawing import band_of, camera_numbers, grid_lines, outline_paths, straight_lines
 from .session import Session, line_of, save_session, session_from_text
 from .strokes import GUIDES, Loaded, Stroke, guessed, guides_of, mask_of, png_of, stroke_of
 from .subject import Subject, subject_of
@@ -137,7 +137,7 @@ class Bench:
         camera = self.camera
         return {
             "camera": camera_numbers(camera),
-            "outline": outline_lines(camera, self.subject.scene),
+            "outline": outline_paths(camera, self.subject.scene),
             "grid": grid_lines(camera) if self._straight else [],
             "lines": straight_lines(camera, self.lines),
             "is_fit": self.result is not None and camera is self.result.camera,
@@ -279,7 +279,7 @@ class Bench:
                 {
                     "words": str(progress),
                     "camera": camera_numbers(camera),
-                    "outline": outline_lines(camera, self.subject.scene),
+                    "outline": outline_paths(camera, self.subject.scene),
                 }
             )
 

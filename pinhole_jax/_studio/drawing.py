@@ -45,9 +45,35 @@ def camera_numbers(camera: Camera) -> dict[str, Any]:
     }
 
 
-def outline_lines(camera: Camera, scene: Scene) -> list[list[float]]:
-    """Return the outline as lines [x, y, x, y], to a hundredth of a px."""
-    return _near(_flipped(outline(camera, scene), camera), camera).reshape(-1, 4).tolist()
+def outline_paths(camera: Camera, scene: Scene) -> list[list[float]]:
+    """Return the outline as paths [x, y, x, y, ...], to a hundredth of a px."""
+    lines = _flipped(outline(camera, scene), camera)
+    near = np.all(np.abs(lines) < FAR * max(camera.W, camera.H), axis=(1, 2))
+    return joined(lines[near].round(2).reshape(-1, 4).tolist())
+
+
+def joined(lines: list[list[float]]) -> list[list[float]]:
+    """Return lines [x, y, x, y] as paths: each goes on with one that begins where it ends."""
+    starting: dict[tuple[float, float], list[int]] = {}
+    for k in range(len(lines) - 1, -1, -1):
+        starting.setdefault((lines[k][0], lines[k][1]), []).append(k)
+    ends = {(c, d) for _, _, c, d in lines}
+    # First those that nothing leads to; what is left runs in rings.
+    order = sorted(range(len(lines)), key=lambda k: (lines[k][0], lines[k][1]) in ends)
+    used, paths = [False] * len(lines), []
+    for first in order:
+        if used[first]:
+            continue
+        path, k = lines[first][:2], first
+        while k is not None:
+            used[k] = True
+            path += lines[k][2:]
+            after = starting.get((path[-2], path[-1]), [])
+            while after and used[after[-1]]:
+                after.pop()
+            k = after[-1] if after else None
+        paths.append(path)
+    return paths
 
 
 def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
@@ -132,8 +158,3 @@ def _within(line: np.ndarray, camera: Camera) -> list[list[list[float]]]:
 def _flipped(points: np.ndarray, camera: Camera) -> np.ndarray:
     """Return film coordinates as places from the picture's upper left corner."""
     return points * [1, -1] + [0, camera.H]
-
-
-def _near(lines: np.ndarray, camera: Camera) -> np.ndarray:
-    most = FAR * max(camera.W, camera.H)
-    return lines[np.all(np.abs(lines) < most, axis=(1, 2))].round(2)

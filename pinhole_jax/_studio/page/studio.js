@@ -155,12 +155,14 @@ const free = () => [...$("free").querySelectorAll("input:checked")].map((box) =>
 
 // Showing.
 
-let drawn = false;
+let drawn = false, below = null;
 function draw() {
   if (drawn) return;
   drawn = true;
   requestAnimationFrame(() => { drawn = false; drawAll(); });
 }
+
+const paints = () => studio.tool !== "turn" && studio.tool !== "line";
 
 function show(view) {
   studio.view = view;
@@ -204,16 +206,26 @@ function drawAll() {
     context.clearRect(0, 0, w * ratio, h * ratio);
     context.setTransform(ratio * zoom.scale, 0, 0, ratio * zoom.scale, ratio * zoom.x, ratio * zoom.y);
   };
-  const under = $("under").getContext("2d");
-  place(under);
-  under.imageSmoothingEnabled = zoom.scale < 4;
-  if (photo) under.drawImage(photo, 0, 0, W, H);
-  if (maskImage && $("show-mask").checked) under.drawImage(maskImage, 0, 0);
+  const tint = !$("show-mask").checked ? 0 : paints() ? 1 : 0.4;
+  const shown = [w, h, ratio, zoom.scale, zoom.x, zoom.y, photo, maskImage, tint];
+  if (!below || shown.some((value, k) => value !== below[k])) drawUnder(place, shown);
   $("solid").style.opacity = $("opacity").value;
   if (solid && studio.view) solid(studio.view.camera, zoom, w, h);
   const over = $("over").getContext("2d");
   place(over);
   drawOver(over);
+}
+
+function drawUnder(place, shown) {
+  // Photo and mask are drawn when they change, not each time that the mesh is turned.
+  below = shown;
+  const under = $("under").getContext("2d");
+  place(under);
+  under.imageSmoothingEnabled = zoom.scale < 4;
+  if (photo) under.drawImage(photo, 0, 0, W, H);
+  under.globalAlpha = shown.at(-1);
+  if (maskImage) under.drawImage(maskImage, 0, 0);
+  under.globalAlpha = 1;
 }
 
 function drawOver(over) {
@@ -222,7 +234,7 @@ function drawOver(over) {
   over.strokeStyle = "#ffffff55";
   over.lineWidth = px;
   over.strokeRect(0, 0, W, H);
-  if ($("show-mask").checked && studio.mask) {
+  if ($("show-mask").checked && studio.mask && paints()) {
     for (const guide of studio.mask.guides) drawStroke(over, guide, "66");
   }
   if (view) {
@@ -230,8 +242,8 @@ function drawOver(over) {
     trace(over, view.lines, COLOURS.line, 2 * px);
     const band = view.is_fit && studio.fit && studio.fit.band;
     if (band) drawBand(over, band, px);
-    segments(over, view.outline, DARK, 4 * px);
-    segments(over, view.outline, CYAN, 2 * px);
+    paths(over, view.outline, DARK, 4 * px);
+    paths(over, view.outline, CYAN, 2 * px);
   }
   if (stroke) drawStroke(over, stroke, "aa");
   if (pointer && COLOURS[studio.tool] && studio.tool !== "line" && !drag) {
@@ -260,13 +272,13 @@ function trace(context, lines, colour, width) {
   context.stroke();
 }
 
-function segments(context, lines, colour, width) {
+function paths(context, lines, colour, width) {
   context.strokeStyle = colour;
   context.lineWidth = width;
   context.beginPath();
-  for (const [a, b, c, d] of lines) {
-    context.moveTo(a, b);
-    context.lineTo(c, d);
+  for (const line of lines) {
+    context.moveTo(line[0], line[1]);
+    for (let k = 2; k < line.length; k += 2) context.lineTo(line[k], line[k + 1]);
   }
   context.stroke();
 }
@@ -332,12 +344,12 @@ out vec4 colour;
 void main() {
   vec3 n = normalize(cross(dFdx(at), dFdy(at)));
   float light = 0.3 + 0.6 * abs(dot(n, normalize(at))) + 0.1 * abs(n.y);
-  colour = vec4(vec3(0.72, 0.84, 1.0) * light, 1.0);
+  colour = vec4(vec3(0.96, 0.95, 0.92) * light, 1.0);
 }`;
 const COEFFICIENTS = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
 
 function makeSolid(canvas, data) {
-  const gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
+  const gl = canvas.getContext("webgl2", { antialias: false });  // (the outline is drawn over its edge)
   if (!gl) return null;
   const centre = new Float64Array(data, 0, 3), [points, faces] = new Uint32Array(data, 24, 2);
   const program = gl.createProgram();
@@ -469,7 +481,8 @@ async function fit(search) {
   $("stop").hidden = true;
   await settled();
   took(answer);
-  if (!answer) show(await ask("look"));
+  if (!answer) return show(await ask("look"));
+  $("result").scrollIntoView({ behavior: "smooth", block: "nearest" });
 }
 
 // Moving: one question at a time; what happens meanwhile adds up.
