@@ -35,7 +35,16 @@ SIZE = {"width": 1360, "height": 860}
 #: Strokes on the photo (px): on the cup and on its saucer.
 STROKES = (
     [(200, 160), (215, 120), (300, 150), (390, 170), (395, 120)],
-    [(150, 190), (130, 250), (160, 300), (240, 350), (330, 365), (420, 300), (455, 220), (440, 180)],
+    [
+        (150, 190),
+        (130, 250),
+        (160, 300),
+        (240, 350),
+        (330, 365),
+        (420, 300),
+        (455, 220),
+        (440, 180),
+    ],
     [(290, 30), (330, 45)],
 )
 #: The spoon's handle sticks out: it is taken off the mask.
@@ -67,7 +76,9 @@ class Page:
     def at(self, x: float, y: float) -> tuple[float, float]:
         """Return where on the screen a place of the photo is."""
         return tuple(
-            self.page.evaluate("([x, y]) => [zoom.x + zoom.scale * x, zoom.y + zoom.scale * y]", [x, y])
+            self.page.evaluate(
+                "([x, y]) => [zoom.x + zoom.scale * x, zoom.y + zoom.scale * y]", [x, y]
+            )
         )
 
     def drag(self, places, steps: int = 8) -> None:

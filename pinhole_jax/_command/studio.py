@@ -81,7 +81,9 @@ def _subject(
         if any(files):
             raise ValueError("`--session`: expected no MESH and PHOTO beside it, which it names")
         if any(x is not None for x in (options.camera, options.fov, options.K, options.mask)):
-            raise ValueError("`--session`: expected no camera and no mask beside it: it has its own")
+            raise ValueError(
+                "`--session`: expected no camera and no mask beside it: it has its own"
+            )
         with named(**{**ASKED, "path": "--session", "camera": "--session"}):
             return subject_of(session.mesh, session.photo, session.camera, tell)
     if None in files:
@@ -100,9 +102,7 @@ def _subject(
     return subject
 
 
-def _start(
-    options: argparse.Namespace, size: tuple[int, int], tell: Callable[[str], Any]
-) -> Any:
+def _start(options: argparse.Namespace, size: tuple[int, int], tell: Callable[[str], Any]) -> Any:
     """Return the camera to begin with, or the field of view and the lens, where they are known."""
     if options.camera is None and options.K is None and options.fov is None and not options.dist:
         return None, None, None

@@ -5,6 +5,7 @@ values, and raises ValueError, in words for the person, where it cannot be.
 """
 
 import base64
+import inspect
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
@@ -105,12 +106,16 @@ class Bench:
         if self._fits:
             raise ValueError("a fit runs: wait for it, or stop it")
         with self._lock:
+            action = getattr(self, name)
+            if name == "fit":
+                numbers = {**numbers, "push": push}
             try:
-                if name == "fit":
-                    numbers, self._fits = {**numbers, "push": push}, True
-                return getattr(self, name)(**numbers)
+                inspect.signature(action).bind(**numbers)
             except TypeError as error:
-                raise ValueError(f"`{name}`: {error}") from error
+                raise ValueError(f"`{name}`: {error}") from None
+            self._fits = name == "fit"
+            try:
+                return action(**numbers)
             finally:
                 self._fits = False
 
@@ -143,12 +148,7 @@ class Bench:
             "is_fit": self.result is not None and camera is self.result.camera,
         }
 
-    def move(
-        self,
-        turn: Sequence[float] = (0, 0, 0),
-        shift: Sequence[float] = (0, 0),
-        nearer: float = 1.0,
-    ) -> dict[str, Any]:
+    def move(self, turn: Any = (0, 0, 0), shift: Any = (0, 0), nearer: Any = 1) -> dict[str, Any]:
         """Turn the object (rad: right, up, clockwise), shift it (px: right, down), scale its
         distance."""
         moves = [*_numbers("turn", turn, 3), *_numbers("shift", shift, 2)]
@@ -168,18 +168,18 @@ class Bench:
         self.camera = hand.framed(self.camera, self.subject.ball, up)
         return self.look()
 
-    def lens(self, phi_degrees: float | None = None, **changes: float) -> dict[str, Any]:
+    def lens(self, phi_degrees: Any = None, **changes: Any) -> dict[str, Any]:
         """Change the field of view, or numbers of the lens as `hand.with_lens` names them."""
         if phi_degrees is not None:
             (degrees,) = _numbers("phi_degrees", [phi_degrees], 1)
             phi = np.deg2rad(degrees)
             self.camera = hand.with_phi(self.camera, self.subject.ball.centre, float(phi))
         if changes:
-            _numbers("lens", list(changes.values()), len(changes))
-            self.camera = hand.with_lens(self.camera, changes)
+            values = _numbers("lens", list(changes.values()), len(changes))
+            self.camera = hand.with_lens(self.camera, dict(zip(changes, values, strict=True)))
         return self.look()
 
-    def straight(self, grid: bool, line: Any = None, clear: bool = False) -> dict[str, Any]:
+    def straight(self, grid: Any, line: Any = None, clear: Any = False) -> dict[str, Any]:
         """Show a grid of straight lines or not; add a line through two places, or drop them all."""
         self._straight = bool(grid)
         if clear:
@@ -251,9 +251,14 @@ class Bench:
         return self._with((*self.work, Loaded(mask)))
 
     def fit(
-        self, free: Sequence[str], search: bool = False, push: Callable[[Any], None] | None = None
+        self,
+        free: Sequence[str],
+        search: bool = False,
+        refine: bool = False,
+        push: Callable[[Any], None] | None = None,
     ) -> dict[str, Any]:
-        """Fit the camera to the mask, from the view as it is or (`search`) from all views."""
+        """Fit the camera to the mask, from the view as it is or (`search`) from all views; then, if
+        asked to `refine` it, to the photo."""
         if self.mask is None or not np.any(self.mask):
             raise ValueError("there is no mask yet: draw on the object, or load one")
         self._stopping.clear()
@@ -261,6 +266,8 @@ class Bench:
         settings: Any = {"free": self.free, "progress": partial(self._on_the_way, push)}
         if search:
             settings.update(phi=self.camera.phi, lens=self.camera.lens)
+        if refine:
+            settings["photo"] = self.subject.picture
         start = None if search else self.camera
         try:
             found = fit_camera(self.subject.scene, self.mask, start, **settings)
@@ -283,9 +290,9 @@ class Bench:
                 }
             )
 
-    def mode(self, number: int) -> dict[str, Any]:
+    def mode(self, number: Any) -> dict[str, Any]:
         """Take one of the cameras that explain the mask: 0 is the best, others are its modes."""
-        if number not in range(len(self._candidates)):
+        if not (isinstance(number, int) and 0 <= number < len(self._candidates)):
             count = len(self._candidates)
             raise ValueError(f"`number`: expected one of {count} cameras, got {number!r}")
         best = self._candidates[0]
@@ -419,6 +426,9 @@ def _numbers(name: str, values: Any, count: int) -> list[float]:
 
 def _plain(name: str) -> str:
     """Return a name for files, or raise ValueError where it leads elsewhere."""
-    if not (0 < len(name) <= 100 and all(c.isalnum() or c in "-_." for c in name)) or name[0] == ".":
+    if (
+        not (0 < len(name) <= 100 and all(c.isalnum() or c in "-_." for c in name))
+        or name[0] == "."
+    ):
         raise ValueError(f"`name`: expected letters, digits, - and _, got {name!r}")
     return name

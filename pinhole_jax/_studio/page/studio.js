@@ -209,7 +209,7 @@ function drawAll() {
   const tint = !$("show-mask").checked ? 0 : paints() ? 1 : 0.4;
   const shown = [w, h, ratio, zoom.scale, zoom.x, zoom.y, photo, maskImage, tint];
   if (!below || shown.some((value, k) => value !== below[k])) drawUnder(place, shown);
-  $("solid").style.opacity = $("opacity").value;
+  $("solid").style.opacity = $("opacity").value * (paints() ? 0.4 : 1);
   if (solid && studio.view) solid(studio.view.camera, zoom, w, h);
   const over = $("over").getContext("2d");
   place(over);
@@ -477,7 +477,7 @@ async function fit(search) {
   if (studio.busy || $("fit").disabled) return;
   if (!free().length) return complain("Free something that the fit may change.");
   $("stop").hidden = false;
-  const answer = await act("fitting (the first time compiles: seconds)", "fit", { free: free(), search });
+  const answer = await act("fitting (the first time compiles: seconds)", "fit", { free: free(), search, refine: $("refine").checked });
   $("stop").hidden = true;
   await settled();
   took(answer);
