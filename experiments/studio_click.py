@@ -1,8 +1,8 @@
 """Does the bench in the browser work? A script clicks through it in headless Chromium: turn, paint,
 fit, export, save, and a second tab that knows nothing of the first.
 
-It needs `pip install -e '.[studio]' playwright` and a Chromium (CHROMIUM names it; else it is looked
-for), and says so where they are missing.
+It needs `pip install -e '.[studio]' playwright` and a Chromium (CHROMIUM names it; else it is
+looked for), and says so where they are missing.
 """
 
 import json

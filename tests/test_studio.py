@@ -1,4 +1,4 @@
-"""The bench: strokes, a hand on the camera, sessions, a tab's actions, and who the server answers."""
+"""The bench: strokes, a hand on the camera, sessions, a tab's actions, who the server answers."""
 
 import asyncio
 import base64
@@ -260,7 +260,7 @@ def test_a_lens_is_changed_number_by_number_and_left_out_where_it_says_nothing()
     assert hand.with_lens(bent, {"k1": 0.0}).lens.distortion is None
     eye = camera(pj.Lens([32.0, 32.0], 1.0, pj.Fisheye(0.01)))
     assert isinstance(hand.with_lens(eye, {"k1": 0.02}).lens.distortion, pj.Fisheye)
-    with pytest.raises(ValueError, match="`lens`: expected some of principal_x.*, got k9"):
+    with pytest.raises(ValueError, match=r"`lens`: expected some of principal_x.*, got k9"):
         hand.with_lens(camera(), {"k9": 1.0})
 
 
@@ -404,7 +404,7 @@ def test_what_is_no_session_is_refused_by_name(changes, words):
 
 
 def test_a_list_is_no_session():
-    with pytest.raises(ValueError, match="`schema`: expected .*, got 'list'"):
+    with pytest.raises(ValueError, match=r"`schema`: expected .*, got 'list'"):
         session.session_from_text("[]")
 
 
@@ -422,7 +422,7 @@ def test_a_page_is_told_all_that_it_shows(bench):
 def test_actions_are_methods(bench):
     for name in ACTIONS:
         assert name == "stop" or callable(getattr(bench, name))
-    with pytest.raises(ValueError, match="`do`: expected one of hello, .*, got '__init__'"):
+    with pytest.raises(ValueError, match=r"`do`: expected one of hello, .*, got '__init__'"):
         do(bench, "__init__")
     with pytest.raises(ValueError, match="`stand`: "):
         do(bench, "stand", down="y")
@@ -439,9 +439,14 @@ def test_actions_are_methods(bench):
         ("undo", {}, "nothing to undo"),
         ("redo", {}, "nothing to redo"),
         ("restore", {}, "nothing was fitted yet"),
+        ("way", {}, "nothing was fitted yet"),
         ("mode", {"number": 0}, "`number`: expected one of 0 cameras"),
         ("fit", {"free": ["pose"]}, "there is no mask yet"),
-        ("export", {"format": "fbx", "name": "a"}, "`format`: expected one of json.*, got 'fbx'"),
+        (
+            "export",
+            {"format": "fbx", "name": "a"},
+            "`format`: expected one of all.*'fbx'",
+        ),
         ("export", {"format": "json", "name": "../a"}, "`name`: expected letters.*, got '../a'"),
         ("save", {"name": "", "free": ["pose"]}, "`name`: expected letters.*, got ''"),
         ("save", {"name": ".a", "free": ["pose"]}, "`name`: expected letters"),
@@ -470,7 +475,7 @@ def test_strokes_are_undone_and_redone(bench):
 def test_a_mask_of_another_size_or_none_is_refused(bench):
     with pytest.raises(ValueError, match="`mask`: expected the photo's size 64 x 64, got 10 x 20"):
         do(bench, "load_mask", data=png(np.eye(20, 10, dtype=np.uint8) * 255))
-    with pytest.raises(ValueError, match="readable image .* got 'a.png'"):
+    with pytest.raises(ValueError, match=r"readable image .* got 'a.png'"):
         do(bench, "load_mask", data=base64.b64encode(b"no picture").decode(), name="a.png")
 
 
@@ -506,6 +511,9 @@ def test_a_fit_finds_the_camera_and_tells_its_way(fitted):
     assert [row[0] for row in told["fit"]["rows"]] == ["pitch", "yaw", "roll", "e_x", "e_y", "e_z"]
     assert len(pushed) > 1
     assert all(push["words"] and push["outline"] for push in pushed)
+    stops = do(fitted, "way")["stops"]
+    assert len(stops) == len(fitted.result.history)
+    assert stops[-1]["camera"] == told["view"]["camera"]
     do(fitted, "move", turn=[0.1, 0, 0])
     assert not do(fitted, "look")["is_fit"]
     assert do(fitted, "restore")["is_fit"]

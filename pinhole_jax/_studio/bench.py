@@ -1,7 +1,7 @@
 """The bench of one tab: what a person does to camera and mask, and what the page is told of it.
 
-An action is a method whose name the page sends, with numbers as JSON has them; it returns JSON-ready
-values, and raises ValueError, in words for the person, where it cannot be.
+An action is a method whose name the page sends, with numbers as JSON has them; it returns
+JSON-ready values, and raises ValueError, in words for the person, where it cannot be.
 """
 
 import base64
@@ -19,15 +19,16 @@ from .. import io
 from .._camera.camera import Camera
 from .._fit.fit_camera import fit_camera
 from .._fit.result import Fit, Progress
-from .._fit.words import STATUSES, in_digits, told
 from .._names import FREE
-from ..formats import FORMATS, object_pose, write
-from ..plot import disagreement, silhouette
+from .._silhouette.silhouette import silhouette
+from ..formats import FORMATS
 from . import hand
-from .drawing import band_of, camera_numbers, grid_lines, outline_paths, straight_lines
+from .drawing import camera_numbers, grid_lines, outline_paths, straight_lines
+from .exports import export, plain
 from .session import Session, line_of, save_session, session_from_text
-from .strokes import GUIDES, Loaded, Stroke, guessed, guides_of, mask_of, png_of, stroke_of
+from .strokes import Loaded, Stroke, guessed, guides_about, guides_of, mask_of, stroke_of
 from .subject import Subject, subject_of
+from .telling import fit_told, mask_told
 
 #: What the page may ask for.
 ACTIONS = (
@@ -45,27 +46,13 @@ ACTIONS = (
     "load_mask",
     "fit",
     "stop",
+    "way",
     "mode",
     "restore",
     "export",
     "save",
     "open",
 )
-#: The path that a format asks for, beside the name that a person gives: its ending.
-ENDINGS = {
-    "json": ".json",
-    "opencv": ".yaml",
-    "colmap": "_colmap",
-    "colmap-binary": "_colmap_binary",
-    "nerf": "_transforms.json",
-    "blender": "_blender.json",
-    "blender-script": "_blender.py",
-    "gltf": ".gltf",
-    "pytorch3d": "_pytorch3d.json",
-    "mitsuba": ".xml",
-}
-#: How far (in shares of the object's size in the picture) guides from the view keep off its outline.
-KEEP_OFF = 0.12
 #: So many steps can be undone.
 MOST_UNDONE = 200
 
@@ -195,23 +182,10 @@ class Bench:
     def view_guides(self) -> dict[str, Any]:
         """Guide the guess by the view: what is well within the outline is object, what is well
         outside is background."""
-        from scipy import ndimage
-
-        W, H = self.subject.size
         inside = np.asarray(silhouette(self.camera, self.subject.scene)) > 0.5
         if not np.any(inside):
             raise ValueError("the object is not in the picture: turn or shift it there first")
-        off = max(KEEP_OFF * float(np.sqrt(np.count_nonzero(inside))), 2.0)
-        within = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1]
-        beyond = ndimage.distance_transform_edt(~inside)
-        step = max(int(off), 1)
-        added = []
-        for kind, far in zip(GUIDES, (within, beyond), strict=True):
-            rows, columns = np.mgrid[step // 2 : H : step, step // 2 : W : step]
-            chosen = far[rows, columns] > off
-            points = zip(columns[chosen] + 0.5, rows[chosen] + 0.5, strict=True)
-            added += [Stroke(kind, off / 3, ((float(x), float(y)),)) for x, y in points]
-        return self._with((*self.work, *added))
+        return self._with((*self.work, *guides_about(inside)))
 
     def undo(self) -> dict[str, Any]:
         """Take back what was drawn or loaded last."""
@@ -263,14 +237,14 @@ class Bench:
             raise ValueError("there is no mask yet: draw on the object, or load one")
         self._stopping.clear()
         self.free = tuple(free)
-        settings: Any = {"free": self.free, "progress": partial(self._on_the_way, push)}
-        if search:
-            settings.update(phi=self.camera.phi, lens=self.camera.lens)
-        if refine:
-            settings["photo"] = self.subject.picture
         start = None if search else self.camera
+        known: Any = {"phi": self.camera.phi, "lens": self.camera.lens} if search else {}
+        known["photo"] = self.subject.picture if refine else None
+        told = partial(self._on_the_way, push)
         try:
-            found = fit_camera(self.subject.scene, self.mask, start, **settings)
+            found = fit_camera(
+                self.subject.scene, self.mask, start, free, progress=told, record=True, **known
+            )
         except Stopped:
             raise ValueError("stopped: the camera is where it was") from None
         self._candidates = (found, *found.modes)
@@ -281,14 +255,20 @@ class Bench:
         if self._stopping.is_set():
             raise Stopped
         if push is not None:
-            camera = progress.camera
-            push(
-                {
-                    "words": str(progress),
-                    "camera": camera_numbers(camera),
-                    "outline": outline_paths(camera, self.subject.scene),
-                }
-            )
+            push(self._stop_told(progress))
+
+    def _stop_told(self, stop: Progress) -> dict[str, Any]:
+        return {
+            "words": str(stop),
+            "camera": camera_numbers(stop.camera),
+            "outline": outline_paths(stop.camera, self.subject.scene),
+        }
+
+    def way(self) -> dict[str, Any]:
+        """Return each step of the last fit, from its start."""
+        if self.result is None or not self.result.history:
+            raise ValueError("nothing was fitted yet")
+        return {"stops": [self._stop_told(stop) for stop in self.result.history]}
 
     def mode(self, number: Any) -> dict[str, Any]:
         """Take one of the cameras that explain the mask: 0 is the best, others are its modes."""
@@ -308,24 +288,14 @@ class Bench:
         return self.look()
 
     def export(self, format: str, name: str) -> dict[str, Any]:
-        """Write the camera as it is in one of the formats, or in all of them ("all")."""
-        chosen = list(FORMATS) if format == "all" else [format]
-        written = []
-        for each in chosen:
-            if each not in FORMATS:
-                raise ValueError(f"`format`: expected one of {', '.join(FORMATS)}, got {each!r}")
-            path = self.folder / (_plain(name) + ENDINGS[each])
-            write(path, {_plain(name): self.camera}, each)
-            written.append(str(path))
-        if self.mask is not None:
-            written.append(str(self.folder / (_plain(name) + "_mask.png")))
-            io.save_image(written[-1], self.mask)
-        return {"written": written}
+        """Write the camera as it is in one of the formats, or in all of them ("all"); and the mask,
+        if there is one."""
+        return {"written": export(self.folder, name, self.camera, format, self.mask)}
 
     def save(self, name: str, free: Sequence[str]) -> dict[str, Any]:
         """Write the session as one file."""
         self.free = tuple(free)
-        path = self.folder / f"{_plain(name)}.studio.json"
+        path = self.folder / f"{plain(name)}.studio.json"
         save_session(path, self.session())
         return {"written": [str(path)]}
 
@@ -342,9 +312,10 @@ class Bench:
     def resume(self, session: Session) -> None:
         """Go on with a session."""
         files = session.mesh, session.photo
-        if files != tuple(str(Path(p).resolve()) for p in (self.subject.mesh, self.subject.photo)):
+        own = str(Path(self.subject.mesh).resolve()), str(Path(self.subject.photo).resolve())
+        if files != own:
             self.subject = subject_of(*files, session.camera)
-        elif (session.camera.W, session.camera.H) != self.subject.size:
+        elif self.subject.size != (session.camera.W, session.camera.H):
             raise ValueError("`camera`: expected one of the photo's size")
         self.camera, self.free, self.lines = session.camera, session.free, session.lines
         self.result, self._candidates = None, ()
@@ -366,51 +337,14 @@ class Bench:
         return self._mask_told()
 
     def _mask_told(self) -> dict[str, Any]:
-        """Return the mask, and the strokes that it was guessed from."""
-        return {
-            "png": None if self.mask is None else png_of(self.mask),
-            "share": 0.0 if self.mask is None else float(np.mean(self.mask > 127)),
-            "guides": [
-                {"kind": s.kind, "radius": s.radius, "points": s.points}
-                for s in guides_of(self.work)
-            ],
-            "can_undo": bool(self._done),
-            "can_redo": bool(self._undone),
-        }
+        told = mask_told(self.mask, self.work)
+        return {**told, "can_undo": bool(self._done), "can_redo": bool(self._undone)}
 
     def _fit_told(self, fit: Fit) -> dict[str, Any]:
-        """Return a fit in words and numbers."""
-        finite = fit.status != "non_finite"
-        notes = [*fit.weak]
-        if finite and self.mask is not None:
-            notes += disagreement(fit.camera, self.subject.scene, self.mask)
-        return {
-            "status": fit.status,
-            "meaning": STATUSES[fit.status],
-            "iou": fit.iou if finite else None,
-            "rms": fit.rms if finite else None,
-            "steps": sum(fit.steps),
-            "rows": _rows(fit) if finite else [],
-            "notes": notes,
-            "band": band_of(fit, self.subject.scene) if finite else None,
-            "modes": [m.iou for m in self._candidates],
-            "chosen": [m.camera is fit.camera for m in self._candidates].index(True),
-            "pose": str(object_pose(fit, pixel_centres="integer")) if finite else "",
-        }
-
-
-def _rows(fit: Fit) -> list[list[str]]:
-    """Return the table of a fit: name, value, one sigma, unit, words."""
-    return [
-        [
-            row.name,
-            in_digits(row.value, row.std),
-            f"{row.std:.2g}" if np.isfinite(row.std) else "not told",
-            row.unit,
-            row.words,
-        ]
-        for row in told(fit).rows
-    ]
+        told = fit_told(fit, self.subject.scene, self.mask)
+        modes = [m.iou for m in self._candidates] if fit.status != "non_finite" else []
+        chosen = [m.camera is fit.camera for m in self._candidates].index(True)
+        return {**told, "modes": modes, "chosen": chosen}
 
 
 def _numbers(name: str, values: Any, count: int) -> list[float]:
@@ -422,13 +356,3 @@ def _numbers(name: str, values: Any, count: int) -> list[float]:
     if len(numbers) != count or not np.all(np.isfinite(numbers)):
         raise ValueError(f"`{name}`: expected {count} finite numbers, got {values!r}")
     return numbers
-
-
-def _plain(name: str) -> str:
-    """Return a name for files, or raise ValueError where it leads elsewhere."""
-    if (
-        not (0 < len(name) <= 100 and all(c.isalnum() or c in "-_." for c in name))
-        or name[0] == "."
-    ):
-        raise ValueError(f"`name`: expected letters, digits, - and _, got {name!r}")
-    return name

@@ -68,7 +68,11 @@ class Studio:
 
     async def _file(self, request: web.Request) -> web.Response:
         name = request.path.strip("/") or "index.html"
-        text = resources.files(__package__).joinpath("page", name).read_text(encoding="utf-8")
+        text = (
+            resources.files("pinhole_jax._studio")
+            .joinpath("page", name)
+            .read_text(encoding="utf-8")
+        )
         text = text.replace("{TOKEN}", self.token) if name == "index.html" else text
         return web.Response(text=text, content_type=FILES[request.path], charset="utf-8")
 

@@ -15,12 +15,15 @@ import numpy as np
 #: photo), or add to the mask and take from it, just what it covers.
 GUIDES, PAINTS = ("object", "background"), ("add", "erase")
 KINDS = (*GUIDES, *PAINTS)
-#: A guess is made on a picture of about this many pixels, then along its edge on finer ones.
-COARSE_PX = 40_000
+#: A guess is made on a picture of about this many pixels, then along its edge on finer ones, up to
+#: so many: there a stroke still takes no more than some seconds.
+COARSE_PX, FINEST_PX = 40_000, 800_000
 #: How far (px) the edge may move from one to the next.
 EDGE_PX = 4
 #: How much a random walker shuns steps between colours: scikit-image's beta.
 CONTRAST = 2000.0
+#: How far (in shares of the object's size in the picture) dots keep off a view's outline.
+KEEP_OFF = 0.12
 #: Strokes of more points, or more of them, are no hand's.
 MOST_POINTS, MOST_STROKES = 100_000, 10_000
 
@@ -71,6 +74,21 @@ def guides_of(work: Work) -> tuple[Stroke, ...]:
     return tuple(guides)
 
 
+def guides_about(inside: np.ndarray) -> tuple[Stroke, ...]:
+    """Return dots on the object and on the background, well away from the outline of a view
+    (H, W) of which it is not known how right it is."""
+    H, W = inside.shape
+    off = max(KEEP_OFF * float(np.sqrt(np.count_nonzero(inside))), 2.0)
+    step = int(off)
+    rows, columns = np.mgrid[step // 2 : H : step, step // 2 : W : step]
+    dots = []
+    for kind, part in zip(GUIDES, (inside, ~inside), strict=True):
+        chosen = _depth(part)[rows, columns] > off
+        points = zip(columns[chosen].tolist(), rows[chosen].tolist(), strict=True)
+        dots += [Stroke(kind, off / 3, ((x + 0.5, y + 0.5),)) for x, y in points]
+    return tuple(dots)
+
+
 def mask_of(work: Work, guess: np.ndarray | None, W: int, H: int) -> np.ndarray | None:
     """Return the mask (H, W), 255 where the object is; None where nothing says where that is.
 
@@ -108,33 +126,39 @@ def guessed(photo: np.ndarray, guides: Sequence[Stroke]) -> np.ndarray | None:
     for level in _levels(W, H):
         inside = _walked(_resized(photo, level), _shrunk(seeds, level), inside)
     assert inside is not None
-    return np.where(inside, np.uint8(255), np.uint8(0))
+    return np.where(_resized(inside, (W, H)), np.uint8(255), np.uint8(0))
 
 
 def _levels(W: int, H: int) -> list[tuple[int, int]]:
-    """Return sizes (W, H), each twice as large as the one before or less, up to the whole one."""
+    """Return sizes (W, H), each twice as large as the one before or less, up to the whole one or
+    the finest."""
     halvings = max(math.ceil(math.log2(math.sqrt(W * H / COARSE_PX))), 0)
-    return [(max(W >> k, 1), max(H >> k, 1)) for k in range(halvings, -1, -1)]
+    sizes = [(max(W >> k, 1), max(H >> k, 1)) for k in range(halvings, -1, -1)]
+    return [size for size in sizes if size[0] * size[1] <= FINEST_PX] or sizes[:1]
 
 
 def _walked(photo: np.ndarray, seeds: np.ndarray, before: np.ndarray | None) -> np.ndarray:
     """Return where the object is on a picture: everywhere asked, or near the edge of a coarser
     answer, which is right elsewhere."""
-    from scipy import ndimage
-
     H, W = seeds.shape
     labels = seeds.astype(np.int32)
     if before is not None:
         coarse = _resized(before, (W, H))
-        far = ndimage.distance_transform_edt(coarse) > EDGE_PX
-        out = ndimage.distance_transform_edt(~coarse) > EDGE_PX
-        labels[far & (labels == 0)] = 1
-        labels[out & (labels == 0)] = 2
+        labels[(_depth(coarse) > EDGE_PX) & (labels == 0)] = 1
+        labels[(_depth(~coarse) > EDGE_PX) & (labels == 0)] = 2
     if not (np.any(labels == 1) and np.any(labels == 2)):
         return labels == 1 if before is None else _resized(before, (W, H))
     if not np.any(labels == 0):
         return labels == 1
     return _random_walker(photo, labels) == 1
+
+
+def _depth(part: np.ndarray) -> np.ndarray:
+    """Return how far (px) each pixel of a part of a picture is from the rest; 0 in the rest."""
+    from scipy import ndimage
+
+    depth: Any = ndimage.distance_transform_edt(part)
+    return depth
 
 
 def _random_walker(photo: np.ndarray, labels: np.ndarray) -> np.ndarray:

@@ -481,7 +481,7 @@ async function fit(search) {
   $("stop").hidden = true;
   await settled();
   took(answer);
-  if (!answer) return show(await ask("look"));
+  if (!answer) return void ask("look").then(show, () => {});
   $("result").scrollIntoView({ behavior: "smooth", block: "nearest" });
 }
 
@@ -677,6 +677,13 @@ $("stop").onclick = () => ask("stop");
 $("restore").onclick = async () => {
   const view = await act("one moment", "restore");
   if (view) show(view);
+};
+$("way").onclick = async () => {
+  const answer = await act("one moment", "way");
+  if (!answer) return;
+  settling.push(...answer.stops);
+  await settled();
+  show(await ask("restore"));
 };
 async function written(name, numbers) {
   const answer = await act("writing", name, numbers);
