@@ -35,16 +35,7 @@ SIZE = {"width": 1360, "height": 860}
 #: Strokes on the photo (px): on the cup and on its saucer.
 STROKES = (
     [(200, 160), (215, 120), (300, 150), (390, 170), (395, 120)],
-    [
-        (150, 190),
-        (130, 250),
-        (160, 300),
-        (240, 350),
-        (330, 365),
-        (420, 300),
-        (455, 220),
-        (440, 180),
-    ],
+    [(150, 190), (130, 250), (160, 300), (240, 350), (330, 365), (420, 300), (460, 210)],
     [(290, 30), (330, 45)],
 )
 #: The spoon's handle sticks out: it is taken off the mask.
@@ -94,7 +85,7 @@ class Page:
 
     def shot(self, path: Path) -> None:
         self.page.wait_for_timeout(300)
-        self.page.screenshot(path=str(path))
+        self.page.screenshot(path=str(path), type="jpeg", quality=80)
 
 
 def served(files: list[str], folder: Path) -> tuple[subprocess.Popen, str]:
@@ -154,7 +145,7 @@ def click_through(context, address: str, out: Path, pictures: Path) -> dict:
     one = Page(context, address)
     one.drag([(300, 200), (300, 320)])
     one.drag([(300, 200), (270, 200)])
-    one.shot(pictures / "studio_turned.png")
+    one.shot(pictures / "studio_turned.jpg")
     one.tool("object")
     for stroke in STROKES:
         one.drag(stroke)
@@ -170,11 +161,11 @@ def click_through(context, address: str, out: Path, pictures: Path) -> dict:
     one.tool("erase")
     one.drag(SPOON)
     one.idle()
-    one.shot(pictures / "studio_painted.png")
+    one.shot(pictures / "studio_painted.jpg")
     one.tool("turn")
     one.page.click("#fit")
     one.wait("studio.fit && !studio.busy")
-    one.shot(pictures / "studio.png")
+    one.shot(pictures / "studio.jpg")
     seen["status"], seen["iou"] = one.page.evaluate("[studio.fit.status, studio.fit.iou]")
     seen["modes"] = one.page.evaluate("studio.fit.modes.length")
     one.page.fill("#name", "cup")
@@ -195,7 +186,7 @@ def click_through(context, address: str, out: Path, pictures: Path) -> dict:
     one.wait("studio.ready")
     seen["reload_keeps"] = one.page.evaluate("Boolean(studio.mask.png && studio.fit)")
     two.page.set_viewport_size({"width": 420, "height": 860})
-    two.shot(pictures / "studio_narrow.png")
+    two.shot(pictures / "studio_narrow.jpg")
     seen["errors"] = one.errors + two.errors
     return seen
 

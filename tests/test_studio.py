@@ -507,7 +507,11 @@ def test_a_fit_finds_the_camera_and_tells_its_way(fitted):
     assert shift < 0.02
     assert told["fit"]["status"] == fitted.result.status
     assert told["view"]["is_fit"]
-    assert len(told["fit"]["band"]["lines"]) == len(told["fit"]["band"]["sigma_px"])
+    band = told["fit"]["band"]
+    sigma = pj.plot.outline_sigma(fitted.result, fitted.subject.scene)
+    assert band["median_px"] == pytest.approx(np.median(sigma))
+    np.testing.assert_allclose(band["half_px"], band["factor"] * sigma, atol=0.006)
+    assert len(band["lines"]) == len(sigma)
     assert [row[0] for row in told["fit"]["rows"]] == ["pitch", "yaw", "roll", "e_x", "e_y", "e_z"]
     assert len(pushed) > 1
     assert all(push["words"] and push["outline"] for push in pushed)

@@ -40,6 +40,7 @@ function ask(name, numbers = {}) {
 async function act(words, name, numbers) {
   // Ask for what takes a while, and say so; null where it cannot be.
   studio.busy += 1;
+  $("error").hidden = true;
   showBusy(words);
   try {
     return await ask(name, numbers);
@@ -145,7 +146,7 @@ function fillFree(chosen) {
   const boxes = Object.entries(FREE).map(([name, words]) => {
     const label = document.createElement("label"), box = document.createElement("input");
     Object.assign(box, { type: "checkbox", checked: on.has(name), value: name });
-    label.append(box, words);
+    label.append(box, ` ${words}`);
     return label;
   });
   $("free").replaceChildren(...boxes);
@@ -292,7 +293,7 @@ function drawBand(over, band, px) {
   context.lineCap = "round";
   context.strokeStyle = `rgb(${YELLOW})`;
   band.lines.forEach(([a, b, c, d], k) => {
-    context.lineWidth = Math.max(2 * band.factor * band.sigma_px[k], px);
+    context.lineWidth = Math.max(2 * band.half_px[k], px);
     context.beginPath();
     context.moveTo(a, b);
     context.lineTo(c, d);
