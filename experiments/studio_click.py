@@ -192,14 +192,16 @@ def click_through(context, address: str, out: Path, pictures: Path) -> dict:
 
 
 def rates(context, address: str) -> dict[str, float]:
-    """Return how many outlines a second a tab gets (one question after another), and how many it
-    shows while the mesh is dragged."""
+    """Return how many outlines a second a tab gets (one question after another), how many it shows
+    while the mesh is dragged, and for how long (ms) the page itself works on one."""
     page = Page(context, address)
     seconds = page.page.evaluate(
         "async () => { const begin = performance.now();"
         " for (let k = 0; k < 100; k++) await ask('move', { turn: [0.02, 0.01, 0] });"
         " return (performance.now() - begin) / 1000; }"
     )
+    script = "() => { const t = performance.now(); drawAll(); return performance.now() - t; }"
+    drawing = np.median([page.page.evaluate(script) for _ in range(20)])
     page.drag([(320, 240), (330, 250)])
     mouse, (x, y) = page.page.mouse, page.at(320, 240)
     mouse.move(x, y)
@@ -210,7 +212,8 @@ def rates(context, address: str) -> dict[str, float]:
         page.page.wait_for_timeout(10)
     updates = page.page.evaluate("studio.updates") - before
     mouse.up()
-    return {"got": round(100 / seconds, 1), "shown": round(updates / elapsed, 1)}
+    got, shown = round(100 / seconds, 1), round(updates / elapsed, 1)
+    return {"got": got, "shown": shown, "ms_of_the_page": round(float(drawing), 2)}
 
 
 def main() -> None:
