@@ -448,6 +448,7 @@ def test_actions_are_methods(bench):
             "`format`: expected one of all.*'fbx'",
         ),
         ("export", {"format": "json", "name": "../a"}, "`name`: expected letters.*, got '../a'"),
+        ("save", {"name": "a", "free": []}, "`free`: expected at least one of"),
         ("save", {"name": "", "free": ["pose"]}, "`name`: expected letters.*, got ''"),
         ("save", {"name": ".a", "free": ["pose"]}, "`name`: expected letters"),
     ],
@@ -576,12 +577,18 @@ def test_a_session_is_saved_and_goes_on_in_another_tab(fitted, tmp_path):
     do(fitted, "straight", grid=True, line=[[1, 2], [3, 40]])
     (path,) = do(fitted, "save", name="work", free=["pose", "phi"])["written"]
     other = Bench(fitted.subject, tmp_path)
+    do(other, "stroke", kind="add", radius_px=2, points=[[1, 1]])
     told = do(other, "open", text=Path(path).read_text(), name="work.json")
     np.testing.assert_array_equal(other.mask, fitted.mask)
     assert told["free"] == ["pose", "phi"]
     assert len(told["view"]["lines"]) == 1
     angle, shift = pj.pose_error(other.camera, fitted.camera)
     assert max(float(angle), float(shift)) < 1e-12
+    do(other, "undo")
+    np.testing.assert_array_equal(other.mask, do(fitted, "undo") and fitted.mask)
+    do(other, "undo")
+    with pytest.raises(ValueError, match="nothing to undo"):  # of what was before
+        do(other, "undo")
 
 
 def test_a_session_of_other_files_brings_them(fitted, tmp_path, subject):
@@ -691,8 +698,9 @@ def test_tabs_do_not_mix_and_come_back_to_what_they_had(subject, tmp_path):
             again = Tab(await client.ws_connect(f"{line}&tab={names[0]}"))
             assert (await again.socket.receive_json())["tab"] == names[0]
             assert (await again.ask("hello"))["mask"]["share"] > 0
-            await again.socket.send_str("no JSON")
-            assert "error" in await again.socket.receive_json()
+            for nothing in ("no JSON", "[]", '{"id": 1}', '{"do": "look"}', '{"id": 1, "do": 2}'):
+                await again.socket.send_str(nothing)
+                assert "error" in await again.socket.receive_json()
 
     served(lambda: Bench(subject, tmp_path), ask)
 
@@ -721,6 +729,7 @@ def test_without_aiohttp_the_command_names_the_extra(monkeypatch, capsys, subjec
         (["MESH", "PHOTO", "--session", "SESSION"], "`--session`: expected no MESH and PHOTO"),
         (["--session", "SESSION", "--fov", "30"], "`--session`: expected no camera and no mask"),
         (["--session", "MESH"], "`--session`: expected "),
+        (["MESH", "PHOTO", "--port", "70000"], "`--port`: expected a port, 0 to 65535, got 70000"),
         (["MESH", "PHOTO", "--fov", "300"], "`--fov`: expected degrees between 0 and 180"),
         (["MESH", "PHOTO", "--dist", "1", "2", "3", "4"], "`--dist`: expected --K beside it"),
         (["MESH", "PHOTO", "--mask", "SMALL"], "`--mask`: expected the photo's size 64 x 64"),

@@ -28,6 +28,8 @@ def studio(
     Raises ModuleNotFoundError, in words, where aiohttp is not installed.
     """
     server = _server()
+    if not 0 <= options.port < 1 << 16:
+        raise ValueError(f"`--port`: expected a port, 0 to 65535, got {options.port}")
     say("reading mesh and photo")
     session = None
     if options.session is not None:

@@ -18,8 +18,8 @@ import numpy as np
 from .. import io
 from .._camera.camera import Camera
 from .._fit.fit_camera import fit_camera
+from .._fit.parameters import check_free
 from .._fit.result import Fit, Progress
-from .._names import FREE
 from .._silhouette.silhouette import silhouette
 from ..formats import FORMATS
 from . import hand
@@ -114,9 +114,7 @@ class Bench:
             "photo": Path(self.subject.photo).name,
             "W": W,
             "H": H,
-            "radius": self.subject.ball.radius,
             "free": list(self.free),
-            "may_be_free": list(FREE),
             "formats": list(FORMATS),
             "folder": str(self.folder),
             "view": self.look(),
@@ -236,14 +234,14 @@ class Bench:
         if self.mask is None or not np.any(self.mask):
             raise ValueError("there is no mask yet: draw on the object, or load one")
         self._stopping.clear()
-        self.free = tuple(free)
+        self.free = check_free(free, self.camera)
         start = None if search else self.camera
         known: Any = {"phi": self.camera.phi, "lens": self.camera.lens} if search else {}
         known["photo"] = self.subject.picture if refine else None
         told = partial(self._on_the_way, push)
         try:
             found = fit_camera(
-                self.subject.scene, self.mask, start, free, progress=told, record=True, **known
+                self.subject.scene, self.mask, start, self.free, progress=told, record=True, **known
             )
         except Stopped:
             raise ValueError("stopped: the camera is where it was") from None
@@ -294,7 +292,7 @@ class Bench:
 
     def save(self, name: str, free: Sequence[str]) -> dict[str, Any]:
         """Write the session as one file."""
-        self.free = tuple(free)
+        self.free = check_free(free, self.camera)
         path = self.folder / f"{plain(name)}.studio.json"
         save_session(path, self.session())
         return {"written": [str(path)]}
@@ -319,7 +317,9 @@ class Bench:
             raise ValueError("`camera`: expected one of the photo's size")
         self.camera, self.free, self.lines = session.camera, session.free, session.lines
         self.result, self._candidates = None, ()
-        self._with(session.work)
+        work = session.work
+        self._done, self._undone = [work[:k] for k in range(len(work))][-MOST_UNDONE:], []
+        self._drawn(work)
 
     def _with(self, work: tuple[Stroke | Loaded, ...]) -> dict[str, Any]:
         self._done = [*self._done, self.work][-MOST_UNDONE:]

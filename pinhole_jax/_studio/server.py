@@ -40,7 +40,7 @@ class Studio:
         self._new_bench = new_bench
         self._benches: dict[str, Bench] = {}
         self._open: set[str] = set()
-        self._pool = ThreadPoolExecutor(thread_name_prefix="bench")
+        self._pool = ThreadPoolExecutor(MOST_TABS, thread_name_prefix="bench")
         self.hosts: set[str] = set()
 
     def application(self) -> web.Application:
@@ -128,18 +128,25 @@ class Studio:
         )
         number = None
         try:
-            asked = json.loads(text)
-            number, name = asked.pop("id"), asked.pop("do")
+            number, name, asked = _question(text)
             answer = await self._in_thread(bench.act, name, asked, push)
             outgoing.put_nowait({"id": number, "answer": answer})
-        except (ValueError, KeyError, AttributeError, OSError) as error:
-            outgoing.put_nowait({"id": number, "error": str(error) or type(error).__name__})
+        except (ValueError, OSError) as error:
+            outgoing.put_nowait({"id": number, "error": str(error)})
         except Exception as error:
             outgoing.put_nowait({"id": number, "error": f"{type(error).__name__}: {error}"})
             raise
 
     async def _in_thread(self, function: Callable[..., Any], *arguments: Any) -> Any:
         return await asyncio.get_running_loop().run_in_executor(self._pool, function, *arguments)
+
+
+def _question(text: str) -> tuple[Any, str, dict[str, Any]]:
+    """Return a message's number, what it asks for and with which numbers, or raise ValueError."""
+    asked = json.loads(text)
+    if not (isinstance(asked, dict) and isinstance(asked.get("do"), str) and "id" in asked):
+        raise ValueError("expected a JSON object with `id` and `do`")
+    return asked.pop("id"), asked.pop("do"), asked
 
 
 async def _send_all(socket: web.WebSocketResponse, outgoing: "asyncio.Queue[Any]") -> None:
