@@ -4,6 +4,7 @@ import asyncio
 import base64
 import json
 import re
+import socket
 import sys
 from io import BytesIO
 from pathlib import Path
@@ -243,6 +244,8 @@ def test_an_object_that_is_framed_is_within_the_picture_and_upright(up, size):
     top = seen(framed, ball.centre + 0.1 * np.eye(3)["xyz".index(up)]) - seen(framed, ball.centre)
     assert top[1] > 0
     assert top[0] == pytest.approx(0, abs=1e-9)
+    front = {"x": [0, 0, 1], "y": [0, 0, 1], "z": [0, -1, 0]}[up]
+    assert (np.asarray(framed.e) - ball.centre) @ front > 0
 
 
 def test_up_is_an_axis():
@@ -746,6 +749,16 @@ def test_the_command_says_what_is_wrong(arguments, words, capsys, subject, tmp_p
     given = [files.get(argument, argument) for argument in arguments]
     assert main(["studio", *given, "--no-browser", "--no-cache"]) == 2
     assert re.search(words, capsys.readouterr().err)
+
+
+def test_a_port_that_is_taken_is_named(capsys, subject):
+    from pinhole_jax.__main__ import main
+
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        arguments = ["--port", port, "--no-browser", "--no-cache"]
+        assert main(["studio", subject.mesh, subject.photo, *arguments]) == 2
+    assert f"`--port`: expected a port that is free, got {port}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("fov", [None, "30"])

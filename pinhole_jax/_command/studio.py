@@ -58,7 +58,14 @@ def studio(
         if not options.no_browser:
             webbrowser.open(address)
 
-    return lambda: asyncio.run(server.serve(server.Studio(new_bench), options.port, ready))
+    def run() -> None:
+        try:
+            asyncio.run(server.serve(server.Studio(new_bench), options.port, ready))
+        except OSError as error:
+            words = f"expected a port that is free, got {options.port}: {error.strerror}"
+            raise ValueError(f"`--port`: {words}") from error
+
+    return run
 
 
 def _server() -> Any:
