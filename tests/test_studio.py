@@ -471,7 +471,7 @@ def test_strokes_are_undone_and_redone(bench):
     told = do(bench, "undo")
     assert told["png"] is None
     assert (told["can_undo"], told["can_redo"]) == (False, True)
-    do(bench, "stroke", kind="add", **at)
+    assert not do(bench, "stroke", kind="add", **at)["can_redo"]
     assert do(bench, "clear")["png"] is None
     assert do(bench, "undo")["share"] > 0
 
