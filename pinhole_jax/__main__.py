@@ -1,5 +1,5 @@
-"""The command line: `pinhole-jax fit`, `render`, `hand-eye`, `check`, `batch`, `convert`; also
-`python -m pinhole_jax`."""
+"""The command line: `pinhole-jax fit`, `render`, `hand-eye`, `check`, `batch`, `studio`, `convert`;
+also `python -m pinhole_jax`."""
 
 import argparse
 import atexit
@@ -44,6 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "hand-eye": _hand_eye,
             "check": _check,
             "batch": _batch,
+            "studio": _studio,
             "convert": _convert,
         }
         with ending_at_once(interrupted):
@@ -194,6 +195,16 @@ def _batch(options: argparse.Namespace) -> int:
         from ._command.batch import batch
 
         return batch(options, progress.say, lambda: _set_up_jax(options))
+
+
+def _studio(options: argparse.Namespace) -> int:
+    with Progress("reading", options.verbose) as progress:
+        _set_up_jax(options)
+        from ._command.studio import studio
+
+        run = studio(options, progress.say, progress.tell)
+    run()
+    return 0
 
 
 def _convert(options: argparse.Namespace) -> int:

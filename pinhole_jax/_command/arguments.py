@@ -85,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_hand_eye(commands)
     _add_check(commands)
     _add_batch(commands)
+    _add_studio(commands)
     _add_convert(commands)
     return parser
 
@@ -311,6 +312,51 @@ def _add_batch(commands: Any) -> None:
     batch.add_argument("--mask-from", metavar="HOW", help="as in `fit`")
     batch.add_argument("--verbose", action="store_true", help="say on stderr what goes on")
     _add_cache(batch)
+
+
+def _add_studio(commands: Any) -> None:
+    studio = _command(
+        commands,
+        "studio",
+        help="get the camera of a photo by hand and eye: a page in the browser",
+        description="Open a page in the browser: the mesh before the photo, to turn, to paint a"
+        " mask for,\nto fit, and to export in every format. Served on this machine alone, to who"
+        " has the\naddress that is printed. Needs aiohttp: pip install 'pinhole-jax[studio]'.",
+    )
+    studio.add_argument(
+        "mesh", metavar="MESH", nargs="?", help="triangles: obj, ply, stl, glb, gltf or off"
+    )
+    studio.add_argument("photo", metavar="PHOTO", nargs="?", help="a picture of it")
+    studio.add_argument("--session", metavar="FILE", help="go on with what the page saved")
+    start = studio.add_mutually_exclusive_group()
+    start.add_argument(
+        "--camera", metavar="START", help="where to begin: a file that `fit --camera` reads"
+    )
+    _add_K(start)
+    start.add_argument(
+        "--fov",
+        type=float,
+        metavar="DEGREES",
+        help="vertical field of view (default: what the EXIF data of PHOTO say, or 40)",
+    )
+    studio.add_argument("--dist", nargs="+", type=float, metavar="K1", help="as in `fit`")
+    studio.add_argument(
+        "--pixel-centres",
+        choices=("integer", "half"),
+        default="integer",
+        help="as in `fit` (default: %(default)s)",
+    )
+    studio.add_argument(
+        "--up", choices=("x", "y", "z"), default="y", help="MESH's upward axis (default: y)"
+    )
+    studio.add_argument("--mask", metavar="MASK", help="begin with this mask")
+    studio.add_argument("--mask-from", metavar="HOW", help="how to read MASK, see below")
+    studio.add_argument(
+        "--port", type=int, default=0, metavar="N", help="(default: any that is free)"
+    )
+    studio.add_argument("--no-browser", action="store_true", help="print the address, open nothing")
+    _add_folder(studio)
+    _add_cache(studio)
 
 
 def _add_convert(commands: Any) -> None:

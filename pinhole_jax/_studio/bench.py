@@ -1,0 +1,358 @@
+"""The bench of one tab: what a person does to camera and mask, and what the page is told of it.
+
+An action is a method whose name the page sends, with numbers as JSON has them; it returns
+JSON-ready values, and raises ValueError, in words for the person, where it cannot be.
+"""
+
+import base64
+import inspect
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import io
+from .._camera.camera import Camera
+from .._fit.fit_camera import fit_camera
+from .._fit.parameters import check_free
+from .._fit.result import Fit, Progress
+from .._silhouette.silhouette import silhouette
+from ..formats import FORMATS
+from . import hand
+from .drawing import camera_numbers, grid_lines, outline_paths, straight_lines
+from .exports import export, plain
+from .session import Session, line_of, save_session, session_from_text
+from .strokes import Loaded, Stroke, guessed, guides_about, guides_of, mask_of, stroke_of
+from .subject import Subject, subject_of
+from .telling import fit_told, mask_told
+
+#: What the page may ask for.
+ACTIONS = (
+    "hello",
+    "look",
+    "move",
+    "stand",
+    "lens",
+    "straight",
+    "stroke",
+    "view_guides",
+    "undo",
+    "redo",
+    "clear",
+    "load_mask",
+    "fit",
+    "stop",
+    "way",
+    "mode",
+    "restore",
+    "export",
+    "save",
+    "open",
+)
+#: So many steps can be undone.
+MOST_UNDONE = 200
+
+
+class Stopped(Exception):
+    """A person stopped a fit."""
+
+
+class Bench:
+    """A tab's camera, mask and fit; `folder` is where files are written."""
+
+    def __init__(self, subject: Subject, folder: Path) -> None:
+        self.subject, self.folder = subject, folder
+        self.camera: Camera = subject.start
+        self.free: tuple[str, ...] = ("pose",)
+        self.work: tuple[Stroke | Loaded, ...] = ()
+        self.lines: tuple[Any, ...] = ()
+        self.result: Fit | None = None
+        self.mask: np.ndarray | None = None
+        self._candidates: tuple[Fit, ...] = ()
+        self._guess: tuple[Any, np.ndarray | None] = ((), None)
+        self._undone: list[tuple[Stroke | Loaded, ...]] = []
+        self._done: list[tuple[Stroke | Loaded, ...]] = []
+        self._straight = False
+        self._stopping = threading.Event()
+        self._lock, self._fits = threading.Lock(), False
+
+    def act(self, name: str, numbers: dict[str, Any], push: Callable[[Any], None]) -> Any:
+        """Do what the page asks for; `push` tells it of what happens on the way.
+
+        Raises ValueError where that is nothing that can be done, or not while a fit runs.
+        """
+        if name not in ACTIONS:
+            raise ValueError(f"`do`: expected one of {', '.join(ACTIONS)}, got {name!r}")
+        if name == "stop":
+            self._stopping.set()
+            return {}
+        if self._fits:
+            raise ValueError("a fit runs: wait for it, or stop it")
+        with self._lock:
+            action = getattr(self, name)
+            if name == "fit":
+                numbers = {**numbers, "push": push}
+            try:
+                inspect.signature(action).bind(**numbers)
+            except TypeError as error:
+                raise ValueError(f"`{name}`: {error}") from None
+            self._fits = name == "fit"
+            try:
+                return action(**numbers)
+            finally:
+                self._fits = False
+
+    def hello(self) -> dict[str, Any]:
+        """Return all that a page shows when it opens."""
+        W, H = self.subject.size
+        return {
+            "mesh": Path(self.subject.mesh).name,
+            "photo": Path(self.subject.photo).name,
+            "W": W,
+            "H": H,
+            "free": list(self.free),
+            "formats": list(FORMATS),
+            "folder": str(self.folder),
+            "view": self.look(),
+            "mask": self._mask_told(),
+            "fit": None if self.result is None else self._fit_told(self.result),
+        }
+
+    def look(self) -> dict[str, Any]:
+        """Return what is seen of the camera as it is."""
+        camera = self.camera
+        return {
+            "camera": camera_numbers(camera),
+            "outline": outline_paths(camera, self.subject.scene),
+            "grid": grid_lines(camera) if self._straight else [],
+            "lines": straight_lines(camera, self.lines),
+            "is_fit": self.result is not None and camera is self.result.camera,
+        }
+
+    def move(self, turn: Any = (0, 0, 0), shift: Any = (0, 0), nearer: Any = 1) -> dict[str, Any]:
+        """Turn the object (rad: right, up, clockwise), shift it (px: right, down), scale its
+        distance."""
+        moves = [*_numbers("turn", turn, 3), *_numbers("shift", shift, 2)]
+        (factor,) = _numbers("nearer", [nearer], 1)
+        if not factor > 0:
+            raise ValueError(f"`nearer`: expected a positive factor, got {factor}")
+        ball, camera = self.subject.ball, self.camera
+        if any(moves[:3]):
+            camera = hand.turned(camera, ball.centre, *moves[:3])
+        if any(moves[3:]):
+            camera = hand.shifted(camera, ball.centre, *moves[3:])
+        self.camera = camera if factor == 1 else hand.nearer(camera, ball, factor)
+        return self.look()
+
+    def stand(self, up: str) -> dict[str, Any]:
+        """Look at the whole object, standing with its axis x, y or z upwards."""
+        self.camera = hand.framed(self.camera, self.subject.ball, up)
+        return self.look()
+
+    def lens(self, phi_degrees: Any = None, **changes: Any) -> dict[str, Any]:
+        """Change the field of view, or numbers of the lens as `hand.with_lens` names them."""
+        if phi_degrees is not None:
+            (degrees,) = _numbers("phi_degrees", [phi_degrees], 1)
+            phi = np.deg2rad(degrees)
+            self.camera = hand.with_phi(self.camera, self.subject.ball.centre, float(phi))
+        if changes:
+            values = _numbers("lens", list(changes.values()), len(changes))
+            self.camera = hand.with_lens(self.camera, dict(zip(changes, values, strict=True)))
+        return self.look()
+
+    def straight(self, grid: Any, line: Any = None, clear: Any = False) -> dict[str, Any]:
+        """Show a grid of straight lines or not; add a line through two places, or drop them all."""
+        self._straight = bool(grid)
+        if clear:
+            self.lines = ()
+        if line is not None:
+            self.lines = (*self.lines, line_of(line))
+        return self.look()
+
+    def stroke(self, **data: Any) -> dict[str, Any]:
+        """Draw: see `strokes.stroke_of`."""
+        return self._with((*self.work, stroke_of(data)))
+
+    def view_guides(self) -> dict[str, Any]:
+        """Guide the guess by the view: what is well within the outline is object, what is well
+        outside is background."""
+        inside = np.asarray(silhouette(self.camera, self.subject.scene)) > 0.5
+        if not np.any(inside):
+            raise ValueError("the object is not in the picture: turn or shift it there first")
+        return self._with((*self.work, *guides_about(inside)))
+
+    def undo(self) -> dict[str, Any]:
+        """Take back what was drawn or loaded last."""
+        if not self._done:
+            raise ValueError("nothing to undo")
+        self._undone.append(self.work)
+        return self._drawn(self._done.pop())
+
+    def redo(self) -> dict[str, Any]:
+        """Do again what was taken back last."""
+        if not self._undone:
+            raise ValueError("nothing to redo")
+        self._done.append(self.work)
+        return self._drawn(self._undone.pop())
+
+    def clear(self) -> dict[str, Any]:
+        """Drop all that was drawn or loaded."""
+        return self._with(()) if self.work else self._mask_told()
+
+    def load_mask(self, data: str, name: str = "mask") -> dict[str, Any]:
+        """Take a mask from a picture's file (in base64)."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "mask"
+            path.write_bytes(base64.b64decode(data))
+            try:
+                mask = io.load_mask(path)
+            except ValueError as error:
+                raise ValueError(str(error).replace(str(path), name)) from error
+        return self.take_mask(mask)
+
+    def take_mask(self, mask: np.ndarray) -> dict[str, Any]:
+        """Take a mask (H, W), uint8, in place of what was drawn."""
+        W, H = self.subject.size
+        if mask.shape != (H, W):
+            size = f"{mask.shape[1]} x {mask.shape[0]}"
+            raise ValueError(f"`mask`: expected the photo's size {W} x {H}, got {size}")
+        return self._with((*self.work, Loaded(mask)))
+
+    def fit(
+        self,
+        free: Sequence[str],
+        search: bool = False,
+        refine: bool = False,
+        push: Callable[[Any], None] | None = None,
+    ) -> dict[str, Any]:
+        """Fit the camera to the mask, from the view as it is or (`search`) from all views; then, if
+        asked to `refine` it, to the photo."""
+        if self.mask is None or not np.any(self.mask):
+            raise ValueError("there is no mask yet: draw on the object, or load one")
+        self._stopping.clear()
+        self.free = check_free(free, self.camera)
+        start = None if search else self.camera
+        known: Any = {"phi": self.camera.phi, "lens": self.camera.lens} if search else {}
+        known["photo"] = self.subject.picture if refine else None
+        told = partial(self._on_the_way, push)
+        try:
+            found = fit_camera(
+                self.subject.scene, self.mask, start, self.free, progress=told, record=True, **known
+            )
+        except Stopped:
+            raise ValueError("stopped: the camera is where it was") from None
+        self._candidates = (found, *found.modes)
+        self.result, self.camera = found, found.camera
+        return {"fit": self._fit_told(found), "view": self.look()}
+
+    def _on_the_way(self, push: Callable[[Any], None] | None, progress: Progress) -> None:
+        if self._stopping.is_set():
+            raise Stopped
+        if push is not None:
+            push(self._stop_told(progress))
+
+    def _stop_told(self, stop: Progress) -> dict[str, Any]:
+        return {
+            "words": str(stop),
+            "camera": camera_numbers(stop.camera),
+            "outline": outline_paths(stop.camera, self.subject.scene),
+        }
+
+    def way(self) -> dict[str, Any]:
+        """Return each step of the last fit, from its start."""
+        if self.result is None or not self.result.history:
+            raise ValueError("nothing was fitted yet")
+        return {"stops": [self._stop_told(stop) for stop in self.result.history]}
+
+    def mode(self, number: Any) -> dict[str, Any]:
+        """Take one of the cameras that explain the mask: 0 is the best, others are its modes."""
+        if not (isinstance(number, int) and 0 <= number < len(self._candidates)):
+            count = len(self._candidates)
+            raise ValueError(f"`number`: expected one of {count} cameras, got {number!r}")
+        best = self._candidates[0]
+        self.result = self._candidates[number]._replace(status=best.status, modes=best.modes)
+        self.camera = self.result.camera
+        return {"fit": self._fit_told(self.result), "view": self.look()}
+
+    def restore(self) -> dict[str, Any]:
+        """Go back to the camera of the last fit."""
+        if self.result is None:
+            raise ValueError("nothing was fitted yet")
+        self.camera = self.result.camera
+        return self.look()
+
+    def export(self, format: str, name: str) -> dict[str, Any]:
+        """Write the camera as it is in one of the formats, or in all of them ("all"); and the mask,
+        if there is one."""
+        return {"written": export(self.folder, name, self.camera, format, self.mask)}
+
+    def save(self, name: str, free: Sequence[str]) -> dict[str, Any]:
+        """Write the session as one file."""
+        self.free = check_free(free, self.camera)
+        path = self.folder / f"{plain(name)}.studio.json"
+        save_session(path, self.session())
+        return {"written": [str(path)]}
+
+    def session(self) -> Session:
+        """Return the session as it is."""
+        mesh, photo = (str(Path(p).resolve()) for p in (self.subject.mesh, self.subject.photo))
+        return Session(mesh, photo, self.camera, self.free, self.work, self.lines)
+
+    def open(self, text: str, name: str = "session") -> dict[str, Any]:
+        """Go on with a session's file (its text)."""
+        self.resume(session_from_text(text, name))
+        return self.hello()
+
+    def resume(self, session: Session) -> None:
+        """Go on with a session."""
+        files = session.mesh, session.photo
+        own = str(Path(self.subject.mesh).resolve()), str(Path(self.subject.photo).resolve())
+        if files != own:
+            self.subject = subject_of(*files, session.camera)
+        elif self.subject.size != (session.camera.W, session.camera.H):
+            raise ValueError("`camera`: expected one of the photo's size")
+        self.camera, self.free, self.lines = session.camera, session.free, session.lines
+        self.result, self._candidates = None, ()
+        work = session.work
+        self._done, self._undone = [work[:k] for k in range(len(work))][-MOST_UNDONE:], []
+        self._drawn(work)
+
+    def _with(self, work: tuple[Stroke | Loaded, ...]) -> dict[str, Any]:
+        self._done = [*self._done, self.work][-MOST_UNDONE:]
+        self._undone = []
+        return self._drawn(work)
+
+    def _drawn(self, work: tuple[Stroke | Loaded, ...]) -> dict[str, Any]:
+        W, H = self.subject.size
+        guides = guides_of(work)
+        key = (id(self.subject.picture), guides)
+        if self._guess[0] != key:
+            self._guess = (key, guessed(self.subject.picture, guides))
+        self.work = work
+        self.mask = mask_of(work, self._guess[1], W, H)
+        return self._mask_told()
+
+    def _mask_told(self) -> dict[str, Any]:
+        told = mask_told(self.mask, self.work)
+        return {**told, "can_undo": bool(self._done), "can_redo": bool(self._undone)}
+
+    def _fit_told(self, fit: Fit) -> dict[str, Any]:
+        told = fit_told(fit, self.subject.scene, self.mask)
+        modes = [m.iou for m in self._candidates] if fit.status != "non_finite" else []
+        chosen = [m.camera is fit.camera for m in self._candidates].index(True)
+        return {**told, "modes": modes, "chosen": chosen}
+
+
+def _numbers(name: str, values: Any, count: int) -> list[float]:
+    """Return so many finite numbers, or raise ValueError."""
+    try:
+        numbers = [float(x) for x in values]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) != count or not np.all(np.isfinite(numbers)):
+        raise ValueError(f"`{name}`: expected {count} finite numbers, got {values!r}")
+    return numbers

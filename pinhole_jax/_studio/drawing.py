@@ -1,0 +1,160 @@
+"""What the page draws of a camera: numbers for its shader, the outline and its band, straight lines
+as the lens bends them. Places are in px from the picture's upper left corner, x right, y down.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._camera.axes import axes_of
+from .._camera.camera import Camera, bend, focal_px, principal_point
+from .._fit.result import Fit
+from .._scene.scene import Scene
+from ..plot import outline, outline_sigma
+
+#: A grid of straight lines has so many of them along the shorter side of the picture.
+GRID = 8
+#: A bent line has so many points.
+POINTS = 49
+#: A band is drawn wider by a power of ten until its median half width is about this (px).
+BAND_PX = 4.0
+#: What is farther from the picture than this many of its sides is not drawn.
+FAR = 20
+
+Line = tuple[tuple[float, float], tuple[float, float]]
+
+
+def camera_numbers(camera: Camera) -> dict[str, Any]:
+    """Return what a shader needs to project points as the camera does, and what sliders show."""
+    lens = camera.lens
+    bent = None if lens is None or lens.distortion is None else lens.distortion
+    where = np.asarray(principal_point(camera), float)
+    return {
+        "W": camera.W,
+        "H": camera.H,
+        "eye": np.asarray(camera.e, float).tolist(),
+        "axes": axes_of(camera).tolist(),
+        "focal": [float(x) for x in focal_px(camera)],
+        "principal": where.tolist(),
+        "phi_degrees": float(np.rad2deg(float(camera.phi))),
+        "aspect": 1.0 if lens is None else float(lens.aspect),
+        "model": None if bent is None else type(bent).__name__,
+        "distortion": {} if bent is None else bent.coefficients(),
+    }
+
+
+def outline_paths(camera: Camera, scene: Scene) -> list[list[float]]:
+    """Return the outline as paths [x, y, x, y, ...], to a hundredth of a px."""
+    lines = _flipped(outline(camera, scene), camera)
+    near = np.all(np.abs(lines) < FAR * max(camera.W, camera.H), axis=(1, 2))
+    return joined(lines[near].round(2).reshape(-1, 4).tolist())
+
+
+def joined(lines: list[list[float]]) -> list[list[float]]:
+    """Return lines [x, y, x, y] as paths: each goes on with one that begins where it ends."""
+    starting: dict[tuple[float, float], list[int]] = {}
+    for k in range(len(lines) - 1, -1, -1):
+        starting.setdefault((lines[k][0], lines[k][1]), []).append(k)
+    ends = {(c, d) for _, _, c, d in lines}
+    # First those that nothing leads to; what is left runs in rings.
+    order = sorted(range(len(lines)), key=lambda k: (lines[k][0], lines[k][1]) in ends)
+    used, paths = [False] * len(lines), []
+    for first in order:
+        if used[first]:
+            continue
+        path, k = lines[first][:2], first
+        while k is not None:
+            used[k] = True
+            path += lines[k][2:]
+            after = starting.get((path[-2], path[-1]), [])
+            while after and used[after[-1]]:
+                after.pop()
+            k = after[-1] if after else None
+        paths.append(path)
+    return paths
+
+
+def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
+    """Return the outline as lines, the half width (px) of a band about each that can be seen: how
+    far it moves at one standard error, times a power of ten; which one, and the median without."""
+    lines = _flipped(outline(fit.camera, scene), fit.camera)
+    sigma = outline_sigma(fit, scene)
+    shown = sigma[np.isfinite(sigma) & (sigma > 0)]
+    middle = float(np.median(shown)) if shown.size else 0.0
+    wider = 0 < middle < BAND_PX / 4
+    factor = float(10.0 ** np.round(np.log10(BAND_PX / middle))) if wider else 1.0
+    return {
+        "lines": lines.round(2).reshape(-1, 4).tolist(),
+        "half_px": np.nan_to_num(factor * sigma).clip(0, 1e4).round(2).tolist(),
+        "median_px": middle,
+        "factor": factor,
+    }
+
+
+def grid_lines(camera: Camera) -> list[list[list[float]]]:
+    """Return a grid of lines that are straight in space, as the lens shows them: rows of points."""
+    spacing = min(camera.W, camera.H) / GRID
+    where = np.asarray(principal_point(camera), float)
+    reach = 1.6  # a barrel shows more than the ideal film
+    lines = []
+    for axis, size in enumerate((camera.W, camera.H)):
+        first = np.ceil((where[axis] - reach * size) / spacing)
+        last = np.floor((where[axis] + reach * size) / spacing)
+        other = (camera.W, camera.H)[1 - axis]
+        along = np.linspace(-reach, reach, POINTS) * other + where[1 - axis]
+        for k in np.arange(first, last + 1):
+            line = np.empty((POINTS, 2))
+            line[:, axis] = where[axis] + spacing * (k - np.round((first + last) / 2))
+            line[:, 1 - axis] = along
+            lines.append(line)
+    return [part for line in _bent(camera, np.array(lines)) for part in _within(line, camera)]
+
+
+def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[float]]]:
+    """Return lines that are straight in space and pass through two places of the picture each, as
+    the lens shows them: from the one to the other."""
+    if not lines:
+        return []
+    ends = np.array(lines, float) * [1, -1] + [0, camera.H]
+    share = np.linspace(0, 1, POINTS)[:, None]
+    ideal = _straightened(camera, ends)
+    rows = ideal[:, None, 0] * (1 - share) + ideal[:, None, 1] * share
+    return _flipped(_bent(camera, rows), camera).round(2).tolist()
+
+
+def _bent(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Return where the lens shows ideal film points."""
+    lens = bend(camera)
+    if lens is None:
+        return points
+    return np.asarray(lens(jnp.asarray(points, camera.e.dtype)), float)
+
+
+def _straightened(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Return ideal film points of those that the lens shows."""
+    lens = bend(camera)
+    if lens is None:
+        return points
+    focal, centre = np.asarray(lens.focal, float), np.asarray(lens.centre, float)
+    x, y = (jnp.asarray(z, camera.e.dtype) for z in np.moveaxis((points - centre) / focal, -1, 0))
+    return np.stack(lens.distortion.undistorted(x, y), axis=-1) * focal + centre
+
+
+def _within(line: np.ndarray, camera: Camera) -> list[list[list[float]]]:
+    """Return the parts of a line of points that are on the film or beside it."""
+    room = np.array([camera.W, camera.H]) * 0.1
+    on = np.all((line > -room) & (line < np.array([camera.W, camera.H]) + room), axis=1)
+    cuts = np.flatnonzero(np.diff(on.astype(int))) + 1
+    parts = np.split(_flipped(line, camera).round(2), cuts)
+    return [
+        part.tolist()
+        for part, is_on in zip(parts, np.split(on, cuts), strict=True)
+        if is_on[0] and len(part) > 1
+    ]
+
+
+def _flipped(points: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return film coordinates as places from the picture's upper left corner."""
+    return points * [1, -1] + [0, camera.H]

@@ -1,0 +1,52 @@
+"""Files that a person asks for, whole or not at all: the camera in any format, and the mask."""
+
+from pathlib import Path
+
+import numpy as np
+
+from .. import io
+from .._camera.camera import Camera
+from ..formats import FORMATS, write
+
+#: What a format's path ends with, after the name that a person gives.
+ENDINGS = {
+    "json": ".json",
+    "opencv": ".yaml",
+    "colmap": "_colmap",
+    "colmap-binary": "_colmap_binary",
+    "nerf": "_transforms.json",
+    "blender": "_blender.json",
+    "blender-script": "_blender.py",
+    "gltf": ".gltf",
+    "pytorch3d": "_pytorch3d.json",
+    "mitsuba": ".xml",
+}
+
+
+def export(
+    folder: Path, name: str, camera: Camera, format: str, mask: np.ndarray | None
+) -> list[str]:
+    """Write a camera in one of the formats, or in all of them ("all"), and its mask, if any; return
+    the paths.
+
+    Raises ValueError for other formats and names, and for a camera that the format cannot hold.
+    """
+    name = plain(name)
+    if format not in ("all", *FORMATS):
+        raise ValueError(f"`format`: expected one of all, {', '.join(FORMATS)}, got {format!r}")
+    chosen = list(FORMATS) if format == "all" else [format]
+    paths = [folder / (name + ENDINGS[each]) for each in chosen]
+    for path, each in zip(paths, chosen, strict=True):
+        write(path, {name: camera}, each)
+    if mask is not None:
+        paths.append(folder / f"{name}_mask.png")
+        io.save_image(paths[-1], mask)
+    return [str(path) for path in paths]
+
+
+def plain(name: str) -> str:
+    """Return a name for files, or raise ValueError where it leads elsewhere."""
+    good = 0 < len(name) <= 100 and name[0] != "." and all(c.isalnum() or c in "-_." for c in name)
+    if not good:
+        raise ValueError(f"`name`: expected letters, digits, - and _, got {name!r}")
+    return name

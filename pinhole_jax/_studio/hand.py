@@ -1,0 +1,135 @@
+"""A camera in the hand: turned, shifted and moved about the middle of the object, its lens changed.
+
+Numbers, not traced: each move takes microseconds, and no program is compiled for it.
+"""
+
+from dataclasses import fields
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from .._camera.axes import axes_of
+from .._camera.camera import Camera
+from .._camera.distortion import BrownConrady, Distortion
+from .._camera.lens import Lens
+from .._camera.poses import exponential
+
+#: How a camera first looks at an object that stands upright: from ahead, from the right and above.
+FIRST_LOOK = (0.4, 0.45, 1.0)
+#: Objects stand with one of these axes upwards: its direction, and that of their front.
+UPRIGHT = {
+    "x": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "y": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    "z": ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
+}
+#: How much of the picture's height or width an object takes at first.
+ROOM = 0.75
+#: The nearest and the farthest that the eye goes from the object's middle, in its radii.
+NEAREST, FARTHEST = 1e-3, 1e5
+
+Vector = Float[np.ndarray, "3"]
+
+
+class Ball(NamedTuple):
+    """The middle of an object's box, and how far its farthest corner is from there."""
+
+    centre: Vector
+    radius: float
+
+
+def ball_of(points: Float[np.ndarray, "n 3"]) -> Ball:
+    """Return the ball about points, centred in the middle of their box."""
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    return Ball(centre, float(np.max(np.linalg.norm(points - centre, axis=1), initial=1e-12)))
+
+
+def framed(camera: Camera, ball: Ball, up: str = "y") -> Camera:
+    """Return the camera looking at an object that stands with its axis x, y or z upwards, all of
+    it within the picture."""
+    if up not in UPRIGHT:
+        raise ValueError(f"`up`: expected one of {', '.join(UPRIGHT)}, got {up!r}")
+    upwards, ahead = np.array(UPRIGHT[up])
+    right = np.cross(upwards, ahead)
+    look = np.stack([right, upwards, ahead], axis=1) @ FIRST_LOOK
+    eye = ball.centre + _far(camera, ball) * look / np.linalg.norm(look)
+    return camera.replace(e=eye, p=ball.centre, u=upwards)
+
+
+def _far(camera: Camera, ball: Ball) -> float:
+    """Return how far from the eye a ball takes its room of the picture."""
+    fy = camera.H / (2 * np.tan(float(camera.phi) / 2))
+    half = np.arctan(ROOM * min(camera.W, camera.H) / 2 / fy)
+    return float(ball.radius / np.sin(half))
+
+
+def turned(camera: Camera, centre: Vector, right: float, up: float, clockwise: float) -> Camera:
+    """Return the camera that sees the object turned by these angles (rad): its front to the right,
+    upwards, and clockwise in the picture; about its centre."""
+    b1, b2, v = axes_of(camera)
+    rotation = _about(b1 * -up + b2 * right + v * clockwise).T  # the camera turns the other way
+    eye = centre + rotation @ (np.asarray(camera.e, float) - centre)
+    return camera.with_pose(eye, axes_of(camera) @ rotation.T)
+
+
+def shifted(camera: Camera, centre: Vector, right: float, down: float) -> Camera:
+    """Return the camera that sees the object's centre shifted in the picture by so many px."""
+    axes, eye = axes_of(camera), np.asarray(camera.e, float)
+    fy = camera.H / (2 * np.tan(float(camera.phi) / 2))
+    fx = fy if camera.lens is None else fy * float(camera.lens.aspect)
+    depth = abs(float(axes[2] @ (centre - eye)))
+    return camera.with_pose(eye + depth * (down / fy * axes[1] - right / fx * axes[0]), axes)
+
+
+def nearer(camera: Camera, ball: Ball, factor: float) -> Camera:
+    """Return the camera with its distance from the object's centre times a factor."""
+    away = np.asarray(camera.e, float) - ball.centre
+    far = float(np.linalg.norm(away))
+    least, most = NEAREST * ball.radius, FARTHEST * ball.radius
+    away = away * np.clip(far * factor, least, most) / max(far, 1e-300)
+    return camera.with_pose(ball.centre + away, axes_of(camera))
+
+
+def with_phi(camera: Camera, centre: Vector, phi: float) -> Camera:
+    """Return the camera with another field of view (rad), so far away that the object keeps its
+    size."""
+    axes, eye = axes_of(camera), np.asarray(camera.e, float)
+    depth = float(axes[2] @ (centre - eye))
+    wider = camera.replace(phi=phi)
+    ratio = np.tan(float(camera.phi) / 2) / np.tan(phi / 2)
+    return wider.with_pose(eye + depth * (1 - ratio) * axes[2], axes)
+
+
+def with_lens(camera: Camera, changes: dict[str, float]) -> Camera:
+    """Return the camera with some numbers of its lens changed: principal_x, principal_y (px, from
+    the film's lower left corner), aspect, coefficients of its distortion (of one without: OpenCV's
+    k1, k2, p1, p2, k3). One that says nothing is left out.
+
+    Raises ValueError for other names, and where no such lens holds on the film.
+    """
+    lens = camera.lens
+    centred = np.array([camera.W / 2, camera.H / 2])
+    where = centred if lens is None else np.asarray(lens.principal_point, float)
+    bent: Distortion = (lens.distortion if lens is not None else None) or BrownConrady()
+    values = {
+        "principal_x": where[0],
+        "principal_y": where[1],
+        "aspect": 1.0 if lens is None else float(lens.aspect),
+        **bent.coefficients(),
+    }
+    if unknown := sorted(changes.keys() - values.keys()):
+        raise ValueError(f"`lens`: expected some of {', '.join(values)}, got {', '.join(unknown)}")
+    values.update(changes)
+    names = [field.name for field in fields(bent)]
+    new: Any = type(bent)(**{name: values[name] for name in names})
+    if not any(values[name] for name in names):
+        new = None
+    where, aspect = np.array([values["principal_x"], values["principal_y"]]), values["aspect"]
+    if new is None and aspect == 1 and np.array_equal(where, centred):
+        return camera.replace(lens=None)
+    return camera.replace(lens=Lens(where, aspect, new))
+
+
+def _about(vector: Vector) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation about a vector by its length (rad)."""
+    return exponential(np.append(vector, np.zeros(3)))[:3, :3]

@@ -1,0 +1,171 @@
+"""The page's server: on this machine alone, for those who have the token; each tab has a bench.
+
+Every request names the token that was drawn when the server started, and the host it is for: other
+users of the machine, and pages of other sites that a browser shows, get nothing.
+"""
+
+import asyncio
+import json
+import secrets
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from importlib import resources
+from typing import Any
+
+from aiohttp import WSMsgType, web
+
+from .bench import Bench
+from .subject import mesh_file, photo_file
+
+HOST = "127.0.0.1"
+#: The most bytes of a message: a mask's or a session's file, in base64.
+MOST_BYTES = 1 << 28
+#: So many tabs are remembered.
+MOST_TABS = 32
+FILES = {"/": "text/html", "/studio.js": "text/javascript", "/studio.css": "text/css"}
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:;"
+    " frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class Studio:
+    """What the server keeps: the token, and the tabs' benches by a name that only the tab knows."""
+
+    def __init__(self, new_bench: Callable[[], Bench]) -> None:
+        self.token = secrets.token_urlsafe(24)
+        self._new_bench = new_bench
+        self._benches: dict[str, Bench] = {}
+        self._open: set[str] = set()
+        self._pool = ThreadPoolExecutor(MOST_TABS, thread_name_prefix="bench")
+        self.hosts: set[str] = set()
+
+    def application(self) -> web.Application:
+        """Return the server's routes, each behind the token."""
+        app = web.Application(middlewares=[self._guarded], client_max_size=MOST_BYTES)
+        for path in FILES:
+            app.router.add_get(path, self._file)
+        app.router.add_get("/photo", self._photo)
+        app.router.add_get("/mesh", self._mesh)
+        app.router.add_get("/bench", self._talk)
+        return app
+
+    @web.middleware
+    async def _guarded(self, request: web.Request, handler: Any) -> web.StreamResponse:
+        given = request.query.get("token", "").encode()
+        known = secrets.compare_digest(given, self.token.encode())
+        origin = request.headers.get("Origin")
+        ours = origin is None or origin in {f"http://{host}" for host in self.hosts}
+        if not (known and ours and request.host in self.hosts):
+            return web.Response(status=403, text="403: open the address that the command printed\n")
+        response = await handler(request)
+        if not response.prepared:
+            response.headers.update(HEADERS)
+        return response
+
+    async def _file(self, request: web.Request) -> web.Response:
+        name = request.path.strip("/") or "index.html"
+        text = (
+            resources.files("pinhole_jax._studio")
+            .joinpath("page", name)
+            .read_text(encoding="utf-8")
+        )
+        text = text.replace("{TOKEN}", self.token) if name == "index.html" else text
+        return web.Response(text=text, content_type=FILES[request.path], charset="utf-8")
+
+    async def _photo(self, request: web.Request) -> web.Response:
+        return await self._made(request, photo_file, "image/jpeg")
+
+    async def _mesh(self, request: web.Request) -> web.Response:
+        return await self._made(request, mesh_file, "application/octet-stream")
+
+    async def _made(self, request: web.Request, make: Callable[[Any], bytes], kind: str) -> Any:
+        bench = self._benches.get(request.query.get("tab", ""))
+        if bench is None:
+            return web.Response(status=404, text="404: no such tab\n")
+        data = await self._in_thread(make, bench.subject)
+        return web.Response(body=data, content_type=kind)
+
+    async def _talk(self, request: web.Request) -> web.WebSocketResponse:
+        """Answer a tab's messages as long as it is open."""
+        socket = web.WebSocketResponse(max_msg_size=MOST_BYTES, heartbeat=30)
+        await socket.prepare(request)
+        tab = self._opened(request.query.get("tab", ""))
+        outgoing: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
+        outgoing.put_nowait({"push": "tab", "tab": tab})
+        sender = asyncio.create_task(_send_all(socket, outgoing))
+        answers: set[asyncio.Task[None]] = set()
+        try:
+            async for message in socket:
+                if message.type == WSMsgType.TEXT:
+                    answer = self._answer(self._benches[tab], message.data, outgoing)
+                    task = asyncio.create_task(answer)
+                    answers.add(task)
+                    task.add_done_callback(answers.discard)
+        finally:
+            sender.cancel()
+            self._open.discard(tab)
+        return socket
+
+    def _opened(self, tab: str) -> str:
+        """Return the name of a tab: the one that it had, unless another tab is open under it."""
+        if tab not in self._benches or tab in self._open:
+            tab = secrets.token_urlsafe(12)
+            self._benches[tab] = self._new_bench()
+        self._open.add(tab)
+        closed = [name for name in self._benches if name not in self._open]
+        for name in closed[: max(len(self._benches) - MOST_TABS, 0)]:
+            del self._benches[name]
+        return tab
+
+    async def _answer(self, bench: Bench, text: str, outgoing: "asyncio.Queue[Any]") -> None:
+        loop = asyncio.get_running_loop()
+        push = lambda what: loop.call_soon_threadsafe(
+            outgoing.put_nowait, {"push": "progress", **what}
+        )
+        number = None
+        try:
+            number, name, asked = _question(text)
+            answer = await self._in_thread(bench.act, name, asked, push)
+            outgoing.put_nowait({"id": number, "answer": answer})
+        except (ValueError, OSError) as error:
+            outgoing.put_nowait({"id": number, "error": str(error)})
+        except Exception as error:
+            outgoing.put_nowait({"id": number, "error": f"{type(error).__name__}: {error}"})
+            raise
+
+    async def _in_thread(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        return await asyncio.get_running_loop().run_in_executor(self._pool, function, *arguments)
+
+
+def _question(text: str) -> tuple[Any, str, dict[str, Any]]:
+    """Return a message's number, what it asks for and with which numbers, or raise ValueError."""
+    asked = json.loads(text)
+    if not (isinstance(asked, dict) and isinstance(asked.get("do"), str) and "id" in asked):
+        raise ValueError("expected a JSON object with `id` and `do`")
+    return asked.pop("id"), asked.pop("do"), asked
+
+
+async def _send_all(socket: web.WebSocketResponse, outgoing: "asyncio.Queue[Any]") -> None:
+    while True:
+        message = await outgoing.get()
+        text = await asyncio.to_thread(json.dumps, message)
+        await socket.send_str(text)
+
+
+async def serve(studio: Studio, port: int, ready: Callable[[str], Any]) -> None:
+    """Serve until cancelled; `ready` is told the address, token and all. Port 0: any free one."""
+    runner = web.AppRunner(studio.application(), access_log=None)
+    await runner.setup()
+    try:
+        site = web.TCPSite(runner, HOST, port)
+        await site.start()
+        found = runner.addresses[0][1]
+        studio.hosts.update({f"{HOST}:{found}", f"localhost:{found}"})
+        ready(f"http://{HOST}:{found}/?token={studio.token}")
+        await asyncio.Event().wait()
+    finally:
+        await runner.cleanup()

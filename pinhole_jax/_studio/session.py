@@ -1,0 +1,91 @@
+"""A session as one file: which mesh and photo, the camera, what was drawn, what may move."""
+
+import json
+import os
+from typing import Any, NamedTuple
+
+from .._camera.camera import Camera
+from .._files.paths import parse_json, read_bytes, replace_file, text_of
+from .._fit.parameters import check_free
+from ..formats.native import camera_to_dict, fitted_camera_from_dict
+from .strokes import Work, work_from_list, work_to_list
+
+SCHEMA = "pinhole_jax.studio/1"
+#: The most bytes of a session: masks are in it.
+MOST_BYTES = 1 << 28
+
+
+class Session(NamedTuple):
+    """What a person has made of a photo so far.
+
+    - `mesh`, `photo`: their files; what is drawn is on a photo of the camera's size.
+    - `camera`: as it is now. `free`: what a fit may change of it.
+    - `work`: strokes and loaded masks, in order.
+    - `lines`: pairs of places (px from the upper left corner) along edges that are straight.
+    """
+
+    mesh: str
+    photo: str
+    camera: Camera
+    free: tuple[str, ...] = ("pose",)
+    work: Work = ()
+    lines: tuple[Any, ...] = ()
+
+
+def session_to_text(session: Session) -> str:
+    """Return a session as JSON."""
+    data = {
+        "schema": SCHEMA,
+        "mesh": session.mesh,
+        "photo": session.photo,
+        "camera": camera_to_dict(session.camera),
+        "free": list(session.free),
+        "strokes": work_to_list(session.work),
+        "lines": [[[*map(float, end)] for end in line] for line in session.lines],
+    }
+    return json.dumps(data, indent=1, allow_nan=False) + "\n"
+
+
+def session_from_text(text: str, name: str = "session") -> Session:
+    """Return the session of `session_to_text`, or raise ValueError naming what is wrong."""
+    data = parse_json(text, name, "a session file")
+    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+        found = data.get("schema") if isinstance(data, dict) else type(data).__name__
+        raise ValueError(f"`schema`: expected {SCHEMA!r}, got {found!r} (in {name!r})")
+    for field in ("mesh", "photo"):
+        if not isinstance(data.get(field), str) or not data[field]:
+            raise ValueError(f"`{field}`: expected a path, got {data.get(field)!r} (in {name!r})")
+    try:
+        camera = fitted_camera_from_dict(data.get("camera"))
+        work = work_from_list(data.get("strokes", []), camera.W, camera.H)
+        free = check_free(data.get("free", ["pose"]), camera, None)
+        lines = tuple(map(line_of, data.get("lines", [])))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{error} (in {name!r})") from error
+    return Session(data["mesh"], data["photo"], camera, tuple(free), work, lines)
+
+
+def save_session(path: str | os.PathLike[str], session: Session) -> None:
+    """Write a session, whole or not at all."""
+    replace_file(path, session_to_text(session).encode())
+
+
+def load_session(path: str | os.PathLike[str]) -> Session:
+    """Return the session of a file.
+
+    Raises FileNotFoundError, or ValueError naming the field that is missing or wrong.
+    """
+    text = text_of(read_bytes(path, "a session file", MOST_BYTES), path, "a session file")
+    return session_from_text(text, str(path))
+
+
+def line_of(data: Any) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return two places [x, y], or raise ValueError."""
+    try:
+        (a, b), (c, d) = data
+        line = (float(a), float(b)), (float(c), float(d))
+    except (TypeError, ValueError):
+        raise ValueError(f"`line`: expected two places [x, y] (px), got {data!r}") from None
+    if not all(abs(x) < 1e6 for end in line for x in end):
+        raise ValueError("`line`: expected places on the picture (px), got some far away")
+    return line

@@ -1,0 +1,95 @@
+"""What a session is about: a mesh and a photo, read once and shared by all tabs."""
+
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .. import io
+from .._camera.camera import Camera
+from .._scene.scene import Scene
+from .hand import Ball, ball_of, framed
+
+#: A field of view (rad) where nothing tells another.
+PHI = 0.7
+#: A photo is shown with at most so many pixels on a side.
+SHOWN_PX = 4096
+
+
+class Subject(NamedTuple):
+    """A mesh and a photo.
+
+    - `mesh`, `photo`: their files. `picture`: the photo, uint8 (H, W, 3).
+    - `ball`: about the mesh. `start`: the camera that a new session begins with.
+    """
+
+    mesh: str
+    photo: str
+    scene: Scene
+    picture: np.ndarray
+    ball: Ball
+    start: Camera
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Return the photo's W, H in px."""
+        return self.picture.shape[1], self.picture.shape[0]
+
+
+def subject_of(
+    mesh: str,
+    photo: str,
+    camera: Camera | None = None,
+    say: Callable[[str], Any] | None = None,
+) -> Subject:
+    """Return what these files hold. `camera` (of the photo's size) is where to begin; None: one
+    that sees all of the mesh, with the field of view that the photo's EXIF data tell, or 40
+    degrees.
+
+    Raises FileNotFoundError or ValueError as `load_mesh` and `load_image` do.
+    """
+    picture = three_channels(io.load_image(photo))
+    H, W = picture.shape[:2]
+    if camera is not None and (camera.W, camera.H) != (W, H):
+        raise ValueError(
+            f"`camera`: expected one of the photo's size {W} x {H}, got {camera.W} x {camera.H}"
+        )
+    scene = Scene(mesh=io.load_mesh(mesh, say=say))
+    assert scene.mesh is not None
+    ball = ball_of(np.asarray(scene.mesh.vertices, float))
+    if camera is None:
+        fov = io.photo_fov(photo)
+        phi = PHI if fov is None else fov.phi
+        camera = framed(Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, W, H), ball)
+    return Subject(str(Path(mesh)), str(Path(photo)), scene, picture, ball, camera)
+
+
+def three_channels(picture: np.ndarray) -> np.ndarray:
+    """Return a picture (H, W) or (H, W, 3 or 4) as (H, W, 3)."""
+    if picture.ndim == 2:
+        return np.repeat(picture[..., None], 3, axis=2)
+    return np.ascontiguousarray(picture[..., :3])
+
+
+def photo_file(subject: Subject) -> bytes:
+    """Return the photo as a JPEG file, upright, no larger than a browser draws with ease."""
+    from PIL import Image
+
+    image, data = Image.fromarray(subject.picture), BytesIO()
+    image.thumbnail((SHOWN_PX, SHOWN_PX))
+    image.save(data, "JPEG", quality=92)
+    return data.getvalue()
+
+
+def mesh_file(subject: Subject) -> bytes:
+    """Return the mesh for the page's shader: the middle of its box (3 float64), the number of
+    vertices and of faces (uint32), the vertices from that middle (float32), the faces (uint32)."""
+    mesh = subject.scene.mesh
+    assert mesh is not None
+    vertices = np.asarray(mesh.vertices, float) - subject.ball.centre
+    faces = np.asarray(mesh.faces)
+    counts = np.array([len(vertices), len(faces)], "<u4")
+    parts = (subject.ball.centre.astype("<f8"), counts, vertices.astype("<f4"), faces.astype("<u4"))
+    return b"".join(part.tobytes() for part in parts)

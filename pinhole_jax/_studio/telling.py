@@ -1,0 +1,53 @@
+"""What the page tells of mask and fit, in words and numbers that JSON holds."""
+
+from typing import Any
+
+import numpy as np
+
+from .._fit.result import Fit
+from .._fit.words import STATUSES, in_digits, told
+from .._scene.scene import Scene
+from ..formats import object_pose
+from ..plot import disagreement
+from .drawing import band_of
+from .strokes import Work, guides_of, png_of
+
+
+def mask_told(mask: np.ndarray | None, work: Work) -> dict[str, Any]:
+    """Return the mask as a picture, how much of the photo it is, and what it was guessed from."""
+    return {
+        "png": None if mask is None else png_of(mask),
+        "share": 0.0 if mask is None else float(np.mean(mask > 127)),
+        "guides": [stroke._asdict() for stroke in guides_of(work)],
+    }
+
+
+def fit_told(fit: Fit, scene: Scene, mask: np.ndarray | None) -> dict[str, Any]:
+    """Return a fit: its status, table and notes, its outline's band, K, R and t."""
+    status = {"status": fit.status, "meaning": STATUSES[fit.status]}
+    if fit.status == "non_finite":
+        none: dict[str, Any] = {"iou": None, "rows": [], "notes": [], "band": None, "pose": ""}
+        return {**status, **none}
+    notes = () if mask is None else disagreement(fit.camera, scene, mask)
+    return {
+        **status,
+        "iou": fit.iou,
+        "rows": _rows(fit),
+        "notes": [*fit.weak, *notes],
+        "band": band_of(fit, scene),
+        "pose": str(object_pose(fit, pixel_centres="integer")),
+    }
+
+
+def _rows(fit: Fit) -> list[list[str]]:
+    """Return the table of a fit: name, value, one sigma, unit, words."""
+    return [
+        [
+            row.name,
+            in_digits(row.value, row.std),
+            f"{row.std:.2g}" if np.isfinite(row.std) else "not told",
+            row.unit,
+            row.words,
+        ]
+        for row in told(fit).rows
+    ]

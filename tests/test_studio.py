@@ -1,0 +1,783 @@
+"""The bench: strokes, a hand on the camera, sessions, a tab's actions, who the server answers."""
+
+import asyncio
+import base64
+import json
+import re
+import socket
+import sys
+from io import BytesIO
+from pathlib import Path
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+import pinhole_jax as pj
+from pinhole_jax._camera.axes import axes_of
+from pinhole_jax._studio import drawing, hand, session, strokes
+from pinhole_jax._studio.bench import ACTIONS, Bench
+from pinhole_jax._studio.strokes import Loaded, Stroke
+from pinhole_jax._studio.subject import Subject, mesh_file, photo_file, subject_of
+
+aiohttp = pytest.importorskip("aiohttp", reason="the page's server needs aiohttp")
+
+W = H = 64
+BENT = pj.Lens([30.0, 35.0], 1.1, pj.BrownConrady(-0.2, 0.05, 0.01, -0.02, 0.01))
+
+
+def camera(lens=None, e=(1.0, 1.5, 5.0), size=(W, H)) -> pj.Camera:
+    return pj.Camera(list(e), [0.1, 0, 0], [0, 1, 0], 0.6, 1.0, *size, lens)
+
+
+@pytest.fixture(scope="module")
+def scene() -> pj.Scene:
+    return pj.Scene(mesh=pj.shapes.bumpy(2))
+
+
+@pytest.fixture(scope="module")
+def mask(scene) -> np.ndarray:
+    return np.asarray(pj.silhouette(camera(), scene))
+
+
+def eight_bits(mask: np.ndarray) -> np.ndarray:
+    return np.round(255 * mask).astype(np.uint8)
+
+
+@pytest.fixture
+def subject(scene, mask, tmp_path) -> Subject:
+    vertices, faces = np.asarray(scene.mesh.vertices), np.asarray(scene.mesh.faces) + 1
+    lines = [*("v {:.17g} {:.17g} {:.17g}".format(*v) for v in vertices)]
+    (tmp_path / "part.obj").write_text("\n".join(lines + ["f {} {} {}".format(*f) for f in faces]))
+    pj.io.save_image(tmp_path / "photo.png", np.repeat(eight_bits(mask)[..., None], 3, axis=2))
+    return subject_of(str(tmp_path / "part.obj"), str(tmp_path / "photo.png"))
+
+
+@pytest.fixture
+def bench(subject, tmp_path) -> Bench:
+    return Bench(subject, tmp_path / "out")
+
+
+def png(array: np.ndarray) -> str:
+    data = BytesIO()
+    Image.fromarray(array).save(data, "PNG")
+    return base64.b64encode(data.getvalue()).decode()
+
+
+def do(bench: Bench, action: str, /, **numbers):
+    """Return an action's answer, gone through JSON as the page's is."""
+    pushed = []
+    answer = bench.act(action, json.loads(json.dumps(numbers)), pushed.append)
+    return json.loads(json.dumps(answer, allow_nan=False))
+
+
+# Strokes.
+
+
+@pytest.mark.parametrize("radius", [0.4, 3.0, 10.5])
+def test_a_stroke_covers_the_pixels_around_its_points(radius):
+    points = ((12.0, 20.0), (50.0, 33.5))
+    drawn = strokes.drawn([Stroke("add", radius, points)], {"add": 7}, np.zeros((48, 60), np.uint8))
+    y, x = np.mgrid[:48, :60] + 0.5
+    a, b = np.array(points)
+    t = np.clip(((x - a[0]) * (b - a)[0] + (y - a[1]) * (b - a)[1]) / np.sum((b - a) ** 2), 0, 1)
+    far = np.hypot(x - a[0] - t * (b - a)[0], y - a[1] - t * (b - a)[1])
+    assert np.all(drawn[far < radius - 1] == 7)
+    assert not np.any(drawn[far > max(radius, 0.5) + 1])
+    assert np.any(drawn == 7)
+
+
+@pytest.mark.parametrize("size", [(90, 60), (330, 240)])
+@pytest.mark.parametrize("back", [False, True])
+def test_strokes_on_the_object_tell_it_from_the_background(size, back):
+    W, H = size
+    y, x = np.mgrid[:H, :W] + 0.5
+    truth = np.hypot((x - 0.45 * W) / W, (y - 0.5 * H) / H) < 0.28
+    noise = np.random.default_rng(0).normal(0, 6, (H, W, 3))
+    photo = np.where(truth[..., None], [200, 60, 40], [90, 120, 90]) + noise
+    photo = np.clip(photo, 0, 255).astype(np.uint8)
+    guides = [Stroke("object", W / 60, ((0.35 * W, 0.5 * H), (0.55 * W, 0.5 * H)))]
+    if back:
+        guides.append(Stroke("background", W / 60, ((0.05 * W, 0.1 * H), (0.95 * W, 0.1 * H))))
+    found = strokes.guessed(photo, guides)
+    assert found is not None
+    assert found.dtype == np.uint8
+    inside = found > 127
+    assert np.sum(inside & truth) / np.sum(inside | truth) > 0.985
+
+
+def test_without_a_stroke_on_the_object_nothing_is_guessed():
+    photo = np.zeros((20, 30, 3), np.uint8)
+    assert strokes.guessed(photo, []) is None
+    assert strokes.guessed(photo, [Stroke("background", 2.0, ((5, 5),))]) is None
+
+
+def test_an_object_over_all_of_the_picture_is_all_of_it():
+    photo = np.zeros((20, 30, 3), np.uint8)
+    found = strokes.guessed(photo, [Stroke("object", 50.0, ((15, 10),))])
+    assert found is not None
+    assert np.all(found == 255)
+
+
+def test_what_is_painted_comes_on_top_and_a_loaded_mask_replaces_what_was_before():
+    guide = Stroke("object", 2.0, ((5, 5),))
+    loaded = Loaded(np.full((20, 30), 255, np.uint8))
+    add, erase = Stroke("add", 3.0, ((10, 10),)), Stroke("erase", 3.0, ((10, 10),))
+    assert strokes.guides_of((guide, loaded)) == ()
+    assert strokes.guides_of((loaded, guide, add)) == (guide,)
+    assert strokes.mask_of((), None, 30, 20) is None
+    added = strokes.mask_of((add,), None, 30, 20)
+    assert added is not None
+    assert added[10, 10] == 255
+    assert added[0, 0] == 0
+    erased = strokes.mask_of((loaded, erase), None, 30, 20)
+    assert erased is not None
+    assert erased[10, 10] == 0
+    assert erased[0, 0] == 255
+    assert np.all(loaded.mask == 255)  # as it was
+    guess = np.zeros((20, 30), np.uint8)
+    assert strokes.mask_of((loaded, guide), guess, 30, 20) is guess
+
+
+def test_strokes_and_masks_come_back_from_json():
+    mask = np.random.default_rng(1).integers(0, 256, (20, 30), dtype=np.uint8)
+    work = (Stroke("background", 2.5, ((1.25, 2.0), (3.0, 4.5))), Loaded(mask))
+    again = strokes.work_from_list(json.loads(json.dumps(strokes.work_to_list(work))), 30, 20)
+    assert again[0] == work[0]
+    assert isinstance(again[1], Loaded)
+    np.testing.assert_array_equal(again[1].mask, mask)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ({}, "`strokes`: expected a list"),
+        (
+            [{"kind": "paint"}],
+            "`kind`: expected one of object, background, add, erase, got 'paint'",
+        ),
+        ([3], "`kind`: expected one of .*, got 3"),
+        ([{"kind": "add"}], "`points`: expected a radius_px and points"),
+        ([{"kind": "add", "radius_px": 1, "points": [[1]]}], "`points`: expected a radius_px and"),
+        ([{"kind": "add", "radius_px": 0, "points": [[1, 2]]}], "positive radius, got 1 points"),
+        ([{"kind": "add", "radius_px": 1, "points": []}], "got 0 points"),
+        ([{"kind": "add", "radius_px": 1, "points": [[1, 1e9]]}], "expected places on the picture"),
+        ([{"mask": "no picture"}], "`mask`: expected a PNG file in base64"),
+        ([{"mask": png(np.zeros((3, 3), np.uint8))}], "`mask`: expected 8 bits, 30 x 20 px"),
+    ],
+)
+def test_what_is_no_stroke_is_refused(data, words):
+    with pytest.raises(ValueError, match=words):
+        strokes.work_from_list(data, 30, 20)
+
+
+# A hand on the camera.
+
+CENTRE = np.array([0.2, -0.1, 0.3])
+POINTS = CENTRE + np.random.default_rng(2).normal(0, 0.3, (20, 3))
+
+
+def seen(camera: pj.Camera, points) -> np.ndarray:
+    return np.asarray(pj.project(camera, jnp.asarray(points)))
+
+
+@pytest.mark.parametrize("lens", [None, BENT])
+def test_a_turned_object_looks_as_if_it_had_turned_itself(lens):
+    before = camera(lens)
+    right, up, clockwise = 0.3, -0.2, 0.5
+    b1, b2, v = axes_of(before)
+    turn = Rotation.from_rotvec(right * b2 - up * b1 + clockwise * v)
+    after = hand.turned(before, CENTRE, right, up, clockwise)
+    turned = CENTRE + turn.apply(POINTS - CENTRE)
+    np.testing.assert_allclose(seen(after, POINTS), seen(before, turned), atol=1e-9)
+
+
+def test_the_front_follows_the_pointer():
+    before = camera(e=(0, 0, 5))
+    front = np.array([0.0, 0, 1])
+    was = seen(before, front)
+    centre = np.zeros(3)
+    assert seen(hand.turned(before, centre, 0.1, 0.0, 0.0), front)[0] > was[0] + 1
+    assert seen(hand.turned(before, centre, 0.0, 0.1, 0.0), front)[1] > was[1] + 1  # film: y up
+    side = np.array([0.0, 1, 0])
+    assert seen(hand.turned(before, centre, 0.0, 0.0, 0.1), side)[0] > seen(before, side)[0] + 1
+
+
+@pytest.mark.parametrize("aspect", [1.0, 1.3])
+def test_a_shift_is_in_pixels(aspect):
+    lens = None if aspect == 1 else pj.Lens([32.0, 32.0], aspect)
+    before = camera(lens)
+    after = hand.shifted(before, CENTRE, 5.0, 3.0)
+    np.testing.assert_allclose(seen(after, CENTRE) - seen(before, CENTRE), [5, -3], atol=1e-9)
+
+
+def test_nearer_is_nearer_and_no_nearer_than_there_is_room():
+    ball = hand.Ball(CENTRE, 0.5)
+    away = lambda c: np.asarray(c.e) - CENTRE
+    after = hand.nearer(camera(), ball, 0.5)
+    np.testing.assert_allclose(away(after), 0.5 * away(camera()))
+    least = np.linalg.norm(away(hand.nearer(camera(), ball, 0.0)))
+    assert least == pytest.approx(hand.NEAREST * 0.5)
+
+
+def test_another_field_of_view_keeps_the_size():
+    before = camera()
+    b1, b2, _ = axes_of(before)
+    plane = CENTRE + np.outer([0.3, -0.2, 0.1], b1) + np.outer([0.1, 0.4, -0.3], b2)
+    after = hand.with_phi(before, CENTRE, 1.2)
+    assert float(after.phi) == 1.2
+    np.testing.assert_allclose(seen(after, plane), seen(before, plane), atol=1e-9)
+
+
+@pytest.mark.parametrize("up", ["x", "y", "z"])
+@pytest.mark.parametrize("size", [(64, 64), (120, 40), (40, 120)])
+def test_an_object_that_is_framed_is_within_the_picture_and_upright(up, size):
+    ball = hand.ball_of(POINTS)
+    framed = hand.framed(camera(size=size), ball, up)
+    places = seen(framed, POINTS)
+    assert np.all((places > 0) & (places < size))
+    assert np.ptp(places, axis=0).max() > 0.2 * min(size)
+    top = seen(framed, ball.centre + 0.1 * np.eye(3)["xyz".index(up)]) - seen(framed, ball.centre)
+    assert top[1] > 0
+    assert top[0] == pytest.approx(0, abs=1e-9)
+    front = {"x": [0, 0, 1], "y": [0, 0, 1], "z": [0, -1, 0]}[up]
+    assert (np.asarray(framed.e) - ball.centre) @ front > 0
+
+
+def test_up_is_an_axis():
+    with pytest.raises(ValueError, match="`up`: expected one of x, y, z, got 'w'"):
+        hand.framed(camera(), hand.ball_of(POINTS), "w")
+
+
+def test_a_lens_is_changed_number_by_number_and_left_out_where_it_says_nothing():
+    bent = hand.with_lens(camera(), {"k1": -0.1, "principal_x": 30.0})
+    assert bent.lens is not None
+    np.testing.assert_allclose(bent.lens.principal_point, [30, 32])
+    assert bent.lens.distortion is not None
+    assert bent.lens.distortion.coefficients()["k1"] == -0.1
+    assert hand.with_lens(bent, {"k1": 0.0, "principal_x": 32.0}).lens is None
+    assert hand.with_lens(bent, {"k1": 0.0}).lens.distortion is None
+    eye = camera(pj.Lens([32.0, 32.0], 1.0, pj.Fisheye(0.01)))
+    assert isinstance(hand.with_lens(eye, {"k1": 0.02}).lens.distortion, pj.Fisheye)
+    with pytest.raises(ValueError, match=r"`lens`: expected some of principal_x.*, got k9"):
+        hand.with_lens(camera(), {"k9": 1.0})
+
+
+# What is drawn.
+
+
+@pytest.mark.parametrize("bent", [None, BENT.distortion, pj.Fisheye(0.05, 0.01, -0.01, 0.002)])
+def test_the_shaders_formula_projects_as_the_camera_does(bent):
+    """What page/studio.js computes from these numbers, in NumPy."""
+    lens = None if bent is None else pj.Lens([30.0, 35.0], 1.1, bent)
+    numbers = json.loads(json.dumps(drawing.camera_numbers(camera(lens))))
+    at = (POINTS - numbers["eye"]) @ np.array(numbers["axes"]).T
+    n = at[:, :2] / at[:, 2:]
+    k = numbers["distortion"]
+    s = np.sum(n**2, axis=1)
+    if numbers["model"] == "BrownConrady":
+        radial = 1 + s * (k["k1"] + s * (k["k2"] + s * k["k3"]))
+        x, y = n.T
+        tangential = [
+            -2 * k["p1"] * x * y + k["p2"] * (s + 2 * x * x),
+            -k["p1"] * (s + 2 * y * y) + 2 * k["p2"] * x * y,
+        ]
+        n = n * radial[:, None] + np.stack(tangential, axis=1)
+    elif numbers["model"] == "Fisheye":
+        r = np.sqrt(s)
+        t = np.arctan(r)
+        powers = [k[name] * t ** (2 * j + 2) for j, name in enumerate(("k1", "k2", "k3", "k4"))]
+        n = n * (t * (1 + sum(powers)) / r)[:, None]
+    film = n * numbers["focal"] + numbers["principal"]
+    np.testing.assert_allclose(film, seen(camera(lens), POINTS), atol=1e-9)
+
+
+def test_paths_have_the_lines_of_the_outline_each_once(scene):
+    lines = pj.plot.outline(camera(), scene) * [1, -1] + [0, H]
+    paths = drawing.outline_paths(camera(), scene)
+    found = {tuple(path[k : k + 4]) for path in paths for k in range(0, len(path) - 2, 2)}
+    assert found == {*map(tuple, lines.round(2).reshape(-1, 4).tolist())}
+    assert sum(len(path) // 2 - 1 for path in paths) == len(lines)
+    assert len(paths) < len(lines) / 4
+
+
+def test_lines_are_joined_whatever_their_order():
+    ring = [[0.0, 0.0, 1.0, 0.0], [1.0, 1.0, 0.0, 0.0], [1.0, 0.0, 1.0, 1.0]]
+    open_ = [[6.0, 5.0, 7.0, 5.0], [5.0, 5.0, 6.0, 5.0]]
+    paths = drawing.joined(ring + open_)
+    assert sorted(paths, key=len) == [[5, 5, 6, 5, 7, 5], [0, 0, 1, 0, 1, 1, 0, 0]]
+
+
+def straightened(points, lens: pj.Lens) -> np.ndarray:
+    """Return ideal directions of places from the upper left corner, by inverting OpenCV's lens."""
+    fy = H / 2 / np.tan(0.3)
+    K = np.array([[1.1 * fy, 0, 30.0], [0, fy, H - 35.0], [0, 0, 1]])
+    distance = np.array([*lens.distortion.coefficients().values()])
+    ideal = np.zeros((len(points), 2))
+    for _ in range(100):
+        ahead = np.append(ideal, np.ones((len(points), 1)), axis=1)
+        film = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), K, distance)[0][:, 0]
+        ideal += (points - film) / [1.1 * fy, fy]
+    return ideal
+
+
+def test_a_straight_line_is_straight_where_the_lens_bends_nothing_and_in_space_where_it_does():
+    ends = ((5.0, 60.0), (58.0, 40.0))
+    (plain,) = drawing.straight_lines(camera(), [ends])
+    np.testing.assert_allclose(plain, np.linspace(*ends, drawing.POINTS), atol=0.006)
+    (bent,) = drawing.straight_lines(camera(BENT), [ends])
+    np.testing.assert_allclose([bent[0], bent[-1]], ends, atol=0.006)
+    assert np.max(np.abs(np.array(bent) - plain)) > 0.1
+    ideal = straightened(bent, BENT)
+    along = (ideal[-1] - ideal[0]) / np.linalg.norm(ideal[-1] - ideal[0])
+    off = (ideal - ideal[0]) @ [-along[1], along[0]]
+    assert np.max(np.abs(off)) * H / 2 / np.tan(0.3) < 0.02  # px
+
+
+def test_a_grid_reaches_all_of_the_picture_and_its_lines_are_straight_in_space():
+    for lens in (None, BENT):
+        lines = drawing.grid_lines(camera(lens))
+        points = np.concatenate(lines)
+        for corner in ([0, 0], [W, 0], [0, H], [W, H]):
+            assert np.min(np.linalg.norm(points - corner, axis=1)) < W / drawing.GRID
+    for line in lines:
+        ideal = straightened(line, BENT)
+        assert min(np.ptp(ideal, axis=0)) < 0.01 / 30
+
+
+def test_a_mesh_and_a_photo_for_the_page(subject, scene):
+    data = mesh_file(subject)
+    centre, (points, faces) = np.frombuffer(data, "<f8", 3), np.frombuffer(data, "<u4", 2, 24)
+    vertices = np.frombuffer(data, "<f4", 3 * points, 32).reshape(-1, 3) + centre
+    triangles = np.frombuffer(data, "<u4", 3 * faces, 32 + 12 * points).reshape(-1, 3)
+    np.testing.assert_allclose(
+        vertices[triangles],
+        np.asarray(scene.mesh.vertices)[np.asarray(scene.mesh.faces)],
+        atol=1e-6,
+    )
+    assert Image.open(BytesIO(photo_file(subject))).size == (W, H)
+
+
+# A session.
+
+
+def one_session() -> session.Session:
+    work = (Stroke("object", 2.0, ((3.0, 4.0),)), Loaded(np.zeros((H, W), np.uint8)))
+    lines = (((1.0, 2.0), (3.0, 4.0)),)
+    return session.Session("part.obj", "photo.png", camera(BENT), ("pose", "phi"), work, lines)
+
+
+def test_a_session_comes_back_from_its_file(tmp_path):
+    was = one_session()
+    session.save_session(tmp_path / "a.json", was)
+    again = session.load_session(tmp_path / "a.json")
+    assert (again.mesh, again.photo, again.free, again.lines) == (
+        was.mesh,
+        was.photo,
+        was.free,
+        was.lines,
+    )
+    assert again.work[0] == was.work[0]
+    for a, b in zip(jax.tree.leaves(again.camera), jax.tree.leaves(was.camera), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"schema": "other"}, "`schema`: expected 'pinhole_jax.studio/1', got 'other'"),
+        ({"mesh": 3}, "`mesh`: expected a path, got 3"),
+        ({"photo": ""}, "`photo`: expected a path, got ''"),
+        ({"camera": {}}, "`camera`: expected the field 'e'"),
+        ({"free": ["nose"]}, "`free`: expected names among .*, got 'nose'"),
+        ({"strokes": [{"kind": "x"}]}, "`kind`: expected one of"),
+        ({"lines": [[1, 2]]}, "`line`: expected two places"),
+        ({"lines": [[[1, 2], [1e9, 2]]]}, "`line`: expected places on the picture"),
+    ],
+)
+def test_what_is_no_session_is_refused_by_name(changes, words):
+    data = json.loads(session.session_to_text(one_session()))
+    with pytest.raises(ValueError, match=words) as caught:
+        session.session_from_text(json.dumps({**data, **changes}), "some.json")
+    assert "some.json" in str(caught.value)
+
+
+def test_a_list_is_no_session():
+    with pytest.raises(ValueError, match=r"`schema`: expected .*, got 'list'"):
+        session.session_from_text("[]")
+
+
+# A tab's actions.
+
+
+def test_a_page_is_told_all_that_it_shows(bench):
+    told = do(bench, "hello")
+    assert (told["W"], told["H"], told["fit"]) == (W, H, None)
+    assert told["formats"] == list(pj.formats.FORMATS)
+    assert told["mask"]["png"] is None
+    assert len(told["view"]["outline"]) > 0
+
+
+def test_actions_are_methods(bench):
+    for name in ACTIONS:
+        assert name == "stop" or callable(getattr(bench, name))
+    with pytest.raises(ValueError, match=r"`do`: expected one of hello, .*, got '__init__'"):
+        do(bench, "__init__")
+    with pytest.raises(ValueError, match="`stand`: "):
+        do(bench, "stand", down="y")
+
+
+@pytest.mark.parametrize(
+    ("name", "numbers", "words"),
+    [
+        ("move", {"turn": [1, 2]}, "`turn`: expected 3 finite numbers"),
+        ("move", {"shift": ["a", 2]}, "`shift`: expected 2 finite numbers"),
+        ("move", {"nearer": 0}, "`nearer`: expected a positive factor, got 0"),
+        ("lens", {"phi_degrees": None, "k1": "x"}, "`lens`: expected 1 finite numbers"),
+        ("lens", {"phi_degrees": 190}, "`phi`: expected an angle"),
+        ("undo", {}, "nothing to undo"),
+        ("redo", {}, "nothing to redo"),
+        ("restore", {}, "nothing was fitted yet"),
+        ("way", {}, "nothing was fitted yet"),
+        ("mode", {"number": 0}, "`number`: expected one of 0 cameras"),
+        ("fit", {"free": ["pose"]}, "there is no mask yet"),
+        (
+            "export",
+            {"format": "fbx", "name": "a"},
+            "`format`: expected one of all.*'fbx'",
+        ),
+        ("export", {"format": "json", "name": "../a"}, "`name`: expected letters.*, got '../a'"),
+        ("save", {"name": "a", "free": []}, "`free`: expected at least one of"),
+        ("save", {"name": "", "free": ["pose"]}, "`name`: expected letters.*, got ''"),
+        ("save", {"name": ".a", "free": ["pose"]}, "`name`: expected letters"),
+    ],
+)
+def test_what_cannot_be_done_is_said(bench, name, numbers, words):
+    with pytest.raises(ValueError, match=words):
+        do(bench, name, **numbers)
+
+
+def test_strokes_are_undone_and_redone(bench):
+    at = {"radius_px": 3, "points": [[W / 2, H / 2]]}
+    assert do(bench, "stroke", kind="add", **at)["share"] > 0
+    assert do(bench, "stroke", kind="erase", **at)["share"] == 0
+    assert do(bench, "undo")["share"] > 0
+    assert do(bench, "redo")["share"] == 0
+    do(bench, "undo")
+    told = do(bench, "undo")
+    assert told["png"] is None
+    assert (told["can_undo"], told["can_redo"]) == (False, True)
+    assert not do(bench, "stroke", kind="add", **at)["can_redo"]
+    assert do(bench, "clear")["png"] is None
+    assert do(bench, "undo")["share"] > 0
+
+
+def test_a_mask_of_another_size_or_none_is_refused(bench):
+    with pytest.raises(ValueError, match="`mask`: expected the photo's size 64 x 64, got 10 x 20"):
+        do(bench, "load_mask", data=png(np.eye(20, 10, dtype=np.uint8) * 255))
+    with pytest.raises(ValueError, match=r"readable image .* got 'a.png'"):
+        do(bench, "load_mask", data=base64.b64encode(b"no picture").decode(), name="a.png")
+
+
+def test_the_view_guides_the_guess(bench, mask):
+    bench.camera = camera(e=(1.1, 1.5, 5.0))
+    told = do(bench, "view_guides")
+    assert {guide["kind"] for guide in told["guides"]} == {"object", "background"}
+    assert bench.mask is not None
+    inside, truth = bench.mask > 127, mask > 0.5
+    assert np.sum(inside & truth) / np.sum(inside | truth) > 0.97
+    bench.camera = pj.Camera([0, 0, 50], [0, 0, 99], [0, 1, 0], 0.6, 1.0, W, H)
+    with pytest.raises(ValueError, match="the object is not in the picture"):
+        do(bench, "view_guides")
+
+
+@pytest.fixture
+def fitted(bench, mask) -> Bench:
+    do(bench, "load_mask", data=png(eight_bits(mask)))
+    bench.camera = camera(e=(0.6, 1.8, 5.2))
+    return bench
+
+
+@pytest.mark.long
+def test_a_fit_finds_the_camera_and_tells_its_way(fitted):
+    pushed = []
+    told = fitted.act("fit", {"free": ["position", "orientation"]}, pushed.append)
+    angle, shift = pj.pose_error(fitted.camera, camera())
+    assert np.rad2deg(angle) < 0.1
+    assert shift < 0.02
+    assert told["fit"]["status"] == fitted.result.status
+    assert told["view"]["is_fit"]
+    band = told["fit"]["band"]
+    sigma = pj.plot.outline_sigma(fitted.result, fitted.subject.scene)
+    assert band["median_px"] == pytest.approx(np.median(sigma))
+    np.testing.assert_allclose(band["half_px"], band["factor"] * sigma, atol=0.006)
+    assert len(band["lines"]) == len(sigma)
+    assert [row[0] for row in told["fit"]["rows"]] == ["pitch", "yaw", "roll", "e_x", "e_y", "e_z"]
+    assert len(pushed) > 1
+    assert all(push["words"] and push["outline"] for push in pushed)
+    stops = do(fitted, "way")["stops"]
+    assert len(stops) == len(fitted.result.history)
+    assert stops[-1]["camera"] == told["view"]["camera"]
+    do(fitted, "move", turn=[0.1, 0, 0])
+    assert not do(fitted, "look")["is_fit"]
+    assert do(fitted, "restore")["is_fit"]
+
+
+def test_a_fit_is_stopped_and_nothing_else_is_done_meanwhile(fitted):
+    start, met = fitted.camera, []
+
+    def push(what):
+        with pytest.raises(ValueError, match="a fit runs: wait for it, or stop it"):
+            fitted.act("look", {}, met.append)
+        met.append(what)
+        fitted.act("stop", {}, met.append)
+
+    with pytest.raises(ValueError, match="stopped: the camera is where it was"):
+        fitted.act("fit", {"free": ["pose"]}, push)
+    assert len(met) == 1
+    assert fitted.camera is start
+    assert fitted.result is None
+    do(fitted, "look")  # it goes on
+
+
+@pytest.mark.long
+def test_modes_are_chosen_by_number(fitted):
+    do(fitted, "fit", free=["pose"])
+    best = fitted.result
+    other = best._replace(camera=camera(e=(-1, 0, 5)), iou=0.9)
+    fitted._candidates = (best._replace(status="ambiguous", modes=(other,)), other)
+    told = do(fitted, "mode", number=1)
+    assert told["fit"]["modes"] == [best.iou, 0.9]
+    assert told["fit"]["chosen"] == 1
+    assert told["fit"]["status"] == "ambiguous"
+    assert fitted.camera is other.camera
+    assert do(fitted, "mode", number=0)["fit"]["chosen"] == 0
+    with pytest.raises(ValueError, match="`number`: expected one of 2 cameras, got 2"):
+        do(fitted, "mode", number=2)
+
+
+def test_every_format_is_written_and_reads_as_the_same_camera(bench):
+    written = do(bench, "export", format="all", name="view")["written"]
+    assert len(written) == len(pj.formats.FORMATS)
+    for path, name in zip(written, pj.formats.FORMATS, strict=True):
+        if pj.formats.FORMATS[name].read is None:
+            assert "bpy" in Path(path).read_text()
+            continue
+        size = (W, H) if pj.formats.FORMATS[name].sized else None
+        (again,) = pj.formats.read(path, name, size=size).values()
+        angle, shift = pj.pose_error(again, bench.camera)
+        assert angle < 1e-5
+        assert shift < 1e-4
+        assert float(again.phi) == pytest.approx(float(bench.camera.phi), rel=1e-6)
+
+
+def test_a_session_is_saved_and_goes_on_in_another_tab(fitted, tmp_path):
+    do(fitted, "stroke", kind="erase", radius_px=2, points=[[30, 30]])
+    do(fitted, "straight", grid=True, line=[[1, 2], [3, 40]])
+    (path,) = do(fitted, "save", name="work", free=["pose", "phi"])["written"]
+    other = Bench(fitted.subject, tmp_path)
+    do(other, "stroke", kind="add", radius_px=2, points=[[1, 1]])
+    told = do(other, "open", text=Path(path).read_text(), name="work.json")
+    np.testing.assert_array_equal(other.mask, fitted.mask)
+    assert told["free"] == ["pose", "phi"]
+    assert len(told["view"]["lines"]) == 1
+    angle, shift = pj.pose_error(other.camera, fitted.camera)
+    assert max(float(angle), float(shift)) < 1e-12
+    do(other, "undo")
+    np.testing.assert_array_equal(other.mask, do(fitted, "undo") and fitted.mask)
+    do(other, "undo")
+    with pytest.raises(ValueError, match="nothing to undo"):  # of what was before
+        do(other, "undo")
+
+
+def test_a_session_of_other_files_brings_them(fitted, tmp_path, subject):
+    do(fitted, "save", name="work", free=["pose"])
+    text = (tmp_path / "out" / "work.studio.json").read_text()
+    pj.io.save_image(tmp_path / "other.png", np.zeros((H, W, 3), np.uint8))
+    do(fitted, "open", text=text.replace("photo.png", "other.png"))
+    assert fitted.subject.photo.endswith("other.png")
+    pj.io.save_image(tmp_path / "small.png", np.zeros((8, 8, 3), np.uint8))
+    with pytest.raises(ValueError, match="`camera`: expected one of the photo's size 8 x 8"):
+        do(fitted, "open", text=text.replace("photo.png", "small.png"))
+    assert fitted.subject.photo.endswith("other.png")
+
+
+# Who is answered.
+
+
+def served(bench_of, ask):
+    """Run `ask(address, studio)` beside a server."""
+    from pinhole_jax._studio import server
+
+    async def run():
+        studio = server.Studio(bench_of)
+        address = asyncio.get_running_loop().create_future()
+        task = asyncio.create_task(server.serve(studio, 0, address.set_result))
+        try:
+            return await ask(await address, studio)
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+
+    return asyncio.run(run())
+
+
+def test_without_the_token_nothing_is_answered(bench):
+    async def ask(address, studio):
+        bare = address.split("?")[0]
+        port = bare.rstrip("/").rsplit(":", 1)[1]
+        known = f"token={studio.token}"
+        refused = [
+            (path + query, headers)
+            for path in ("", "studio.js", "studio.css", "photo", "mesh", "bench", "nothing")
+            for query, headers in (
+                ("", {}),
+                ("?token=", {}),
+                (f"?token={studio.token[:-1]}", {}),
+                (f"?{known}", {"Host": "example.com"}),
+                (f"?{known}", {"Host": f"example.com:{port}"}),
+                (f"?{known}", {"Origin": "http://example.com"}),
+            )
+        ]
+        async with aiohttp.ClientSession() as client:
+            for path, headers in refused:
+                async with client.get(bare + path, headers=headers) as answer:
+                    assert answer.status == 403, (path, headers)
+                    assert studio.token not in await answer.text()
+            async with client.get(address) as answer:
+                assert answer.status == 200
+                assert f"studio.js?{known}" in await answer.text()
+                assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
+            async with client.get(f"{bare}photo?{known}&tab=unknown") as answer:
+                assert answer.status == 404
+
+    served(lambda: bench, ask)
+
+
+def test_it_listens_on_this_machine_alone(bench):
+    from pinhole_jax._studio import server
+
+    async def ask(address, studio):
+        assert address.startswith("http://127.0.0.1:")
+
+    assert server.HOST == "127.0.0.1"
+    served(lambda: bench, ask)
+
+
+class Tab:
+    """A tab's end of the line."""
+
+    def __init__(self, socket) -> None:
+        self.socket, self.count = socket, 0
+
+    async def ask(self, name, **numbers):
+        self.count += 1
+        await self.socket.send_json({"id": self.count, "do": name, **numbers})
+        while (heard := await self.socket.receive_json()).get("id") != self.count:
+            pass
+        return heard.get("answer", heard.get("error"))
+
+
+def test_tabs_do_not_mix_and_come_back_to_what_they_had(subject, tmp_path):
+    async def ask(address, studio):
+        line = address.replace("/?", "/bench?")
+        async with aiohttp.ClientSession() as client:
+            one, two = [Tab(await client.ws_connect(line)) for _ in range(2)]
+            names = [(await tab.socket.receive_json())["tab"] for tab in (one, two)]
+            assert names[0] != names[1]
+            dot = {"kind": "add", "radius_px": 3, "points": [[9, 9]]}
+            assert (await one.ask("stroke", **dot))["share"] > 0
+            assert (await two.ask("hello"))["mask"]["png"] is None
+            moved = await two.ask("move", turn=[0.5, 0, 0])
+            assert moved["camera"]["eye"] != (await one.ask("look"))["camera"]["eye"]
+            assert await one.ask("undo", x=1)  # an error is said
+            again = Tab(await client.ws_connect(f"{line}&tab={names[0]}"))  # while it is open
+            assert (await again.socket.receive_json())["tab"] not in names
+            await one.socket.close()
+            again = Tab(await client.ws_connect(f"{line}&tab={names[0]}"))
+            assert (await again.socket.receive_json())["tab"] == names[0]
+            assert (await again.ask("hello"))["mask"]["share"] > 0
+            for nothing in ("no JSON", "[]", '{"id": 1}', '{"do": "look"}', '{"id": 1, "do": 2}'):
+                await again.socket.send_str(nothing)
+                assert "error" in await again.socket.receive_json()
+
+    served(lambda: Bench(subject, tmp_path), ask)
+
+
+# The command.
+
+
+def test_without_aiohttp_the_command_names_the_extra(monkeypatch, capsys, subject):
+    import pinhole_jax._studio as package
+    from pinhole_jax.__main__ import main
+
+    monkeypatch.setitem(sys.modules, "aiohttp", None)
+    monkeypatch.delitem(sys.modules, "pinhole_jax._studio.server", raising=False)
+    monkeypatch.delattr(package, "server", raising=False)
+    assert main(["studio", subject.mesh, subject.photo, "--no-cache"]) == 2
+    assert "pip install 'pinhole-jax[studio]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "expected MESH and PHOTO, or --session FILE"),
+        (["MESH"], "expected MESH and PHOTO"),
+        (["none.obj", "PHOTO"], "`MESH`: .*no such file"),
+        (["MESH", "none.png"], "`PHOTO`: .*no such file"),
+        (["MESH", "PHOTO", "--session", "SESSION"], "`--session`: expected no MESH and PHOTO"),
+        (["--session", "SESSION", "--fov", "30"], "`--session`: expected no camera and no mask"),
+        (["--session", "MESH"], "`--session`: expected "),
+        (["MESH", "PHOTO", "--port", "70000"], "`--port`: expected a port, 0 to 65535, got 70000"),
+        (["MESH", "PHOTO", "--fov", "300"], "`--fov`: expected degrees between 0 and 180"),
+        (["MESH", "PHOTO", "--dist", "1", "2", "3", "4"], "`--dist`: expected --K beside it"),
+        (["MESH", "PHOTO", "--mask", "SMALL"], "`--mask`: expected the photo's size 64 x 64"),
+    ],
+)
+def test_the_command_says_what_is_wrong(arguments, words, capsys, subject, tmp_path):
+    from pinhole_jax.__main__ import main
+
+    files = {"MESH": subject.mesh, "PHOTO": subject.photo}
+    files |= {"SESSION": str(tmp_path / "s.json"), "SMALL": str(tmp_path / "small.png")}
+    kept = one_session()._replace(mesh=subject.mesh, photo=subject.photo)
+    session.save_session(files["SESSION"], kept)
+    pj.io.save_image(files["SMALL"], np.eye(8))
+    given = [files.get(argument, argument) for argument in arguments]
+    assert main(["studio", *given, "--no-browser", "--no-cache"]) == 2
+    assert re.search(words, capsys.readouterr().err)
+
+
+def test_a_port_that_is_taken_is_named(capsys, subject):
+    from pinhole_jax.__main__ import main
+
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        arguments = ["--port", port, "--no-browser", "--no-cache"]
+        assert main(["studio", subject.mesh, subject.photo, *arguments]) == 2
+    assert f"`--port`: expected a port that is free, got {port}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("fov", [None, "30"])
+def test_the_command_begins_with_what_it_is_told(monkeypatch, subject, tmp_path, fov):
+    from pinhole_jax.__main__ import main
+    from pinhole_jax._studio import server
+
+    met = []
+
+    async def serve(studio, port, ready):
+        met.append((studio._new_bench(), port))
+
+    monkeypatch.setattr(server, "serve", serve)
+    pj.io.save_image(tmp_path / "mask.png", np.pad(np.ones((20, 20)), 22))
+    arguments = [subject.mesh, subject.photo, "--mask", str(tmp_path / "mask.png"), "--up", "z"]
+    arguments += [] if fov is None else ["--fov", fov]
+    assert main(["studio", *arguments, "--port", "1234", "--no-browser", "--no-cache"]) == 0
+    ((bench, port),) = met
+    assert port == 1234
+    assert float(bench.mask.mean()) == pytest.approx(255 * 400 / W / H)
+    assert float(bench.camera.phi) == pytest.approx(0.7 if fov is None else np.deg2rad(30))
+    assert float(axes_of(bench.camera)[1] @ [0, 0, 1]) > 0.8
