@@ -4,6 +4,7 @@ What they show is computed by the library (cameras, contours, coverage); lines a
 """
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,14 @@ import numpy as np
 import pinhole_jax as pj
 
 PICTURES = Path(__file__).parent / "pictures"
-INK, GREY, PALE, TEAL, ORANGE, BLUE = "#1c2b36", "#8fa1ad", "#dfe7ec", "#00796b", "#d9691e", "#2f6fb0"
+INK, GREY, PALE, TEAL, ORANGE, BLUE = (
+    "#1c2b36",
+    "#8fa1ad",
+    "#dfe7ec",
+    "#00796b",
+    "#d9691e",
+    "#2f6fb0",
+)
 
 #: Words stand clear of the lines behind them.
 HALO = 'paint-order="stroke" stroke="#fff" stroke-width="4" stroke-linejoin="round"'
@@ -25,18 +33,27 @@ class Drawing:
     def __init__(self, W: float, H: float):
         self.size, self.parts = (W, H), []
 
-    def line(self, points: Iterable[Point], colour: str = INK, width: float = 1.5, **more: str) -> None:
+    def line(
+        self, points: Iterable[Point], colour: str = INK, width: float = 1.5, **more: str
+    ) -> None:
+        """Draw a line through points."""
         at = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
         self._add("polyline", points=at, fill="none", stroke=colour, stroke_width=width, **more)
 
-    def area(self, points: Iterable[Point], fill: str, edge: str = "none", width: float = 1, **more: str) -> None:
+    def area(
+        self, points: Iterable[Point], fill: str, edge: str = "none", width: float = 1, **more: str
+    ) -> None:
+        """Draw a polygon."""
         at = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
         self._add("polygon", points=at, fill=fill, stroke=edge, stroke_width=width, **more)
 
     def dot(self, at: Point, colour: str = INK, radius: float = 4) -> None:
+        """Draw a dot."""
         self._add("circle", cx=f"{at[0]:.1f}", cy=f"{at[1]:.1f}", r=radius, fill=colour)
 
-    def arrow(self, start: Point, end: Point, colour: str = INK, width: float = 2, **more: str) -> None:
+    def arrow(
+        self, start: Point, end: Point, colour: str = INK, width: float = 2, **more: str
+    ) -> None:
         """Draw a line with a head at its end."""
         a, b = np.asarray(start, float), np.asarray(end, float)
         along = (b - a) / np.linalg.norm(b - a)
@@ -45,13 +62,20 @@ class Drawing:
         self.line([a, neck], colour, width, **more)
         self.area([b, neck + 4 * across, neck - 4 * across], colour)
 
-    def words(self, at: Point, text: str, colour: str = INK, anchor: str = "start", size: int = 15) -> None:
+    def words(
+        self, at: Point, text: str, colour: str = INK, anchor: str = "start", size: int = 15
+    ) -> None:
+        """Draw words, from a point on."""
         place = f'x="{at[0]:.1f}" y="{at[1]:.1f}" font-size="{size}"'
-        self.parts.append(f'<text {place} fill="{colour}" text-anchor="{anchor}" {HALO}>{text}</text>')
+        self.parts.append(
+            f'<text {place} fill="{colour}" text-anchor="{anchor}" {HALO}>{text}</text>'
+        )
 
     def write(self, name: str, title: str) -> None:
+        """Write the drawing to a file."""
         W, H = self.size
-        head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {W} {H}" width="{W}" height="{H}"'
+        size = f'viewBox="0 0 {W} {H}" width="{W}" height="{H}"'
+        head = f'<svg xmlns="http://www.w3.org/2000/svg" {size}'
         body = "\n".join(self.parts)
         text = f'{head} font-family="sans-serif" role="img" aria-label="{title}">\n{body}\n</svg>\n'
         (PICTURES / f"{name}.svg").write_text(text, encoding="utf-8")
@@ -94,7 +118,13 @@ def conventions() -> None:
 
     for corner in (film(0, 0), film(W, 0), film(W, H), film(0, H)):
         picture.line(place(e, corner), GREY, 1)
-    picture.area(place(film(0, 0), film(W, 0), film(W, H), film(0, H)), "#00796b", TEAL, 2, fill_opacity="0.13")
+    picture.area(
+        place(film(0, 0), film(W, 0), film(W, H), film(0, H)),
+        "#00796b",
+        TEAL,
+        2,
+        fill_opacity="0.13",
+    )
     for i in range(1, W):
         picture.line(place(film(i, 0), film(i, H)), TEAL, 0.7)
     for j in range(1, H):
@@ -116,7 +146,7 @@ def conventions() -> None:
         picture.words(end + shift, name, TEAL, size=16)
     start, end = place(e, e + 1.15 * u)
     picture.arrow(start, end, GREY, 2, stroke_dasharray="5 4")
-    picture.words(end + [8, 2], "u", GREY, size=16)
+    picture.words(end + np.array([8, 2]), "u", GREY, size=16)
 
     for at, name, shift in ((e, "e  eye", (-24, 24)), (p, "p  view point", (-20, -10))):
         (spot,) = place(at)
@@ -129,7 +159,7 @@ def conventions() -> None:
     picture.line([a, b], INK, 1)
     picture.words((a + b) / 2 + [-10, 18], "w = h W/H", anchor="end")
     (spot,) = place(film(0, 0))
-    picture.words(spot + [-12, -48], "pixel (0, 0)", ORANGE, "end")
+    picture.words(spot + np.array([-12, -48]), "pixel (0, 0)", ORANGE, "end")
     a, b = place(e, middle)
     picture.words(a + 0.72 * (b - a) + [4, -6], "d", INK, size=16)
     picture.write("conventions", "Eye, view point, film and axes of the camera")
@@ -187,7 +217,11 @@ def contour() -> None:
     for segment in outline:
         picture.line(segment, ORANGE, 3.2, stroke_linecap="round")
     for n, (colour, name) in enumerate(
-        ((ORANGE, "outline: the background is beside it"), (INK, "contour, hidden or within"), ("#b9c4cb", "other edges"))
+        (
+            (ORANGE, "outline: the background is beside it"),
+            (INK, "contour, hidden or within"),
+            ("#b9c4cb", "other edges"),
+        )
     ):
         picture.line([(510, 60 + 28 * n), (536, 60 + 28 * n)], colour, 3)
         picture.words((544, 65 + 28 * n), name, size=13)
@@ -217,8 +251,19 @@ def green() -> None:
     picture.arrow(at(*b), at(*a), INK, 3)
     picture.words((left + 1.02 * cell, top + cell + 26), "its own pixel:", ORANGE, size=14)
     picture.words((left + 1.02 * cell, top + cell + 46), "the area on its right", ORANGE, size=14)
-    picture.words((left + 3.0 * cell, top + cell + 26), "every pixel to the right: its height", BLUE, "start", 14)
-    picture.words((left, top - 14), "One piece of contour, the object on its left as it runs; all pieces of a closed contour add up to coverage.", size=13)
+    picture.words(
+        (left + 3.0 * cell, top + cell + 26),
+        "every pixel to the right: its height",
+        BLUE,
+        "start",
+        14,
+    )
+    picture.words(
+        (left, top - 14),
+        "One piece of contour, the object on its left as it runs; a closed contour's pieces"
+        " add up to coverage.",
+        size=13,
+    )
     picture.write("green", "Area and height of a piece of contour")
 
 
@@ -230,7 +275,9 @@ def velocity() -> None:
     line = lambda shift: [(0.18 + shift, 0.0), (0.62 + shift * 0.7, 1.0)]
     before, after = line(0), line(0.14)
     picture.area([at(0, 0), at(*before[0]), at(*before[1]), at(0, 1)], PALE)
-    picture.area([at(*before[0]), at(*after[0]), at(*after[1]), at(*before[1])], ORANGE, fill_opacity="0.6")
+    picture.area(
+        [at(*before[0]), at(*after[0]), at(*after[1]), at(*before[1])], ORANGE, fill_opacity="0.6"
+    )
     grid(picture, left, top, 1, 1, cell)
     picture.line([at(*x) for x in before], INK, 3)
     picture.line([at(*x) for x in after], INK, 1.5, stroke_dasharray="6 4")
@@ -240,10 +287,17 @@ def velocity() -> None:
         normal = np.array([along[1], -along[0]]) / np.linalg.norm(along)
         picture.arrow(at(*a), at(*(a + normal * max((b - a) @ normal, 0))), TEAL, 2)
     for n, words in enumerate(
-        ("a parameter moves the outline (dashed)", "the pixel gains the strip: its length times",
-         "how far the outline moves across itself", "", "dI/dθ = ∫ (dx/dθ · n) ds  over the outline in the pixel")
+        (
+            "a parameter moves the outline (dashed)",
+            "the pixel gains the strip: its length times",
+            "how far the outline moves across itself",
+            "",
+            "dI/dθ = ∫ (dx/dθ · n) ds  over the outline in the pixel",
+        )
     ):
-        picture.words((left + cell + 40, 90 + 26 * n), words, TEAL if "∫" in words else INK, size=16)
+        picture.words(
+            (left + cell + 40, 90 + 26 * n), words, TEAL if "∫" in words else INK, size=16
+        )
     picture.write("velocity", "The strip that an outline sweeps")
 
 
@@ -253,7 +307,10 @@ def sweep() -> None:
 
     cell, left, top = 320, 40, 30
     at = lambda x, y: (left + cell * x, top + cell * (1 - y))
-    triangles = [[(-0.3, 0.1), (0.75, 0.22), (0.3, 0.95)], [(0.35, 0.35), (1.3, 0.12), (0.95, 0.82)]]
+    triangles = [
+        [(-0.3, 0.1), (0.75, 0.22), (0.3, 0.95)],
+        [(0.35, 0.35), (1.3, 0.12), (0.95, 0.82)],
+    ]
     pixel = shapely.box(0, 0, 1, 1)
     shapes = [shapely.Polygon(t) for t in triangles]
     union = shapely.union_all(shapes).intersection(pixel)
@@ -264,7 +321,7 @@ def sweep() -> None:
     halts |= {p.y for p in shapely.get_parts(borders[0].intersection(borders[1]))}
     picture = Drawing(720, 380)
     stops = sorted(halts)
-    for n, (low, high) in enumerate(zip(stops, stops[1:])):
+    for n, (low, high) in enumerate(pairwise(stops)):
         strip = union.intersection(shapely.box(0, low, 1, high))
         for part in shapely.get_parts(strip):
             if part.geom_type == "Polygon" and part.area > 1e-9:
@@ -273,13 +330,20 @@ def sweep() -> None:
     for y in stops[1:-1]:
         picture.line([at(-0.06, y), at(1.06, y)], GREY, 1, stroke_dasharray="5 4")
     grid(picture, left, top, 1, 1, cell)
-    for border, colour in zip(borders, (INK, ORANGE)):
+    for border, colour in zip(borders, (INK, ORANGE), strict=True):
         for part in shapely.get_parts(border):
             picture.line([at(*c) for c in part.coords], colour, 2.6)
     picture.arrow(at(1.12, 0.05), at(1.12, 0.95), TEAL, 2)
     for n, words in enumerate(
-        ("one pixel, two layers (black, orange)", "the sweep halts where a piece begins,", "ends, or meets another",
-         "between halts: trapezoids", "", f"covered: {union.area:.3f} of the pixel", f"layers added up: {sum(s.intersection(pixel).area for s in shapes):.3f}")
+        (
+            "one pixel, two layers (black, orange)",
+            "the sweep halts where a piece begins,",
+            "ends, or meets another",
+            "between halts: trapezoids",
+            "",
+            f"covered: {union.area:.3f} of the pixel",
+            f"layers added up: {sum(s.intersection(pixel).area for s in shapes):.3f}",
+        )
     ):
         picture.words((left + cell + 80, 90 + 26 * n), words, size=15)
     picture.write("sweep", "A sweep through a crowded pixel")
@@ -318,7 +382,9 @@ def kinds() -> None:
         for a, b in outline:
             middle = (np.array(a) + b) / 2 - [column, 32 - row - size]
             if np.all((middle > 0) & (middle < size)):
-                ends = [(left + cell * (x - column), top + cell * (32 - y - row)) for x, y in (a, b)]
+                ends = [
+                    (left + cell * (x - column), top + cell * (32 - y - row)) for x, y in (a, b)
+                ]
                 picture.line(ends, ORANGE, 2.4)
         picture.words((left, top - 14), name, size=15)
         picture.words((left, top + cell * size + 24), words[name], GREY, size=14)

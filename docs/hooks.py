@@ -1,8 +1,8 @@
 """What mkdocs does for this site beside its plugins.
 
 - Pages whose header says `run: true` are notebooks: their code runs while the site is built, in
-  order, in one namespace and an empty folder. What it prints and the value of each block's last line
-  follow the block. The page says where the same as an .ipynb is.
+  order, in one namespace and an empty folder. What it prints and the value of each block's last
+  line follow the block. The page says where the same as an .ipynb is.
 - The experiments' page with its pictures and scripts, the changelog and how to contribute stand
   elsewhere in the repository: they become pages here.
 - `how-to/*` in the navigation stands for the folder's pages that it does not name.
@@ -19,21 +19,33 @@ import shlex
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from mkdocs.exceptions import PluginError
+from mkdocs.plugins import get_plugin_logger
 from mkdocs.structure.files import File
 
+LOG = get_plugin_logger(__name__)
 ROOT = Path(__file__).parents[1]
 HEADER = re.compile(r"\A---\n(.*?)\n---\n", re.S)
 BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.M | re.S)
+FENCED = re.compile(r"(^```.*?^```$)", re.M | re.S)
 #: A line of shell that runs here; others (that install, or start another program) do not.
 RUNS = ("pinhole-jax ", "python ")
 #: Pages that stand elsewhere in the repository.
-ELSEWHERE = {"changelog.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
+ELSEWHERE = {
+    "changelog.md": "CHANGELOG.md",
+    "contributing.md": "CONTRIBUTING.md",
+    "experiments/index.md": "experiments/README.md",
+}
+#: A link to a file (and a place in it), which is neither an address nor an image's data.
+LINK = re.compile(r"\]\((?!\w+:)([^)#\s]+)(#[^)\s]*)?\)")
 NOTEBOOK = {
-    "metadata": {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}},
+    "metadata": {
+        "kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}
+    },
     "nbformat": 4,
     "nbformat_minor": 5,
 }
@@ -73,7 +85,11 @@ def spelled_out(page: Any, named: set[str]) -> list[Any]:
     if not (isinstance(page, str) and page.endswith("/*")):
         return [page]
     found = sorted((ROOT / "docs").glob(f"{page}.md"))
-    return [path for path in (f.relative_to(ROOT / "docs").as_posix() for f in found) if path not in named]
+    return [
+        path
+        for path in (f.relative_to(ROOT / "docs").as_posix() for f in found)
+        if path not in named
+    ]
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -81,15 +97,15 @@ def on_files(files: Any, config: Any) -> Any:
     for page, source in ELSEWHERE.items():
         text = (ROOT / source).read_text(encoding="utf-8")
         files.append(File.generated(config, page, content=text))
-    text = (ROOT / "experiments" / "README.md").read_text(encoding="utf-8")
-    files.append(File.generated(config, "experiments/index.md", content=text))
     for path in [*(ROOT / "experiments").glob("*.py"), *(ROOT / "experiments").glob("*/*.*")]:
         place = path.relative_to(ROOT).as_posix()
         files.append(File.generated(config, place, abs_src_path=str(path)))
     for file in [*files.documentation_pages()]:
         header = HEADER.match(file.content_string)
         if header and "run: true" in header[1]:
+            begin = time.process_time()
             RAN[file.src_uri] = run(file.content_string[header.end() :], file.src_uri)
+            LOG.info("%s: %.0f s of the processor", file.src_uri, time.process_time() - begin)
             notebook = file.src_uri.removesuffix("md") + "ipynb"
             content = as_notebook(RAN[file.src_uri])
             files.append(File.generated(config, notebook, content=content))
@@ -100,10 +116,19 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Return a page's text, with what its code left, and links as they are on this site."""
     if page.file.src_uri in RAN:
         markdown = as_page(RAN[page.file.src_uri], Path(page.file.src_uri).stem)
-    # In the repository the experiments are beside this folder, on the site within it.
-    return re.sub(r"\]\(((?:\.\./)*)\.\./experiments/(README\.md)?", r"](\1experiments/", markdown).replace(
-        "experiments/#", "experiments/index.md#"
-    ).replace("experiments/)", "experiments/index.md)")
+    source = ELSEWHERE.get(page.file.src_uri, f"docs/{page.file.src_uri}")
+    here = Path(page.file.src_uri).parent
+
+    def link(found: re.Match[str]) -> str:
+        """Return a link that leads on this site to what it leads to in the repository."""
+        path = os.path.normpath(Path(source).parent / found[1])
+        places = {source: place for place, source in ELSEWHERE.items()}
+        place = places.get(path, path.removeprefix("docs/"))
+        return f"]({os.path.relpath(place, here)}{found[2] or ''})"
+
+    parts = FENCED.split(markdown)  # code is every second one
+    parts[::2] = [LINK.sub(link, prose) for prose in parts[::2]]
+    return "".join(parts)
 
 
 def run(text: str, name: str) -> list[Cell]:
@@ -152,11 +177,17 @@ def shown(value: Any) -> Output:
 def shell(code: str) -> list[Output]:
     """Return what commands print; an exit status of 1 is a fit that is not to be trusted."""
     outputs = []
-    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "COLUMNS": "88"}
+    environment = {
+        **os.environ,
+        "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
+        "COLUMNS": "88",
+    }
     for line in code.replace("\\\n", " ").splitlines():
         if line.startswith(RUNS):
             words = shlex.split(line)
-            done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+            done = subprocess.run(
+                words, env=environment, capture_output=True, text=True, check=False
+            )
             if done.returncode not in (0, 1) or "Traceback" in done.stderr:
                 raise RuntimeError(f"{line}: {done.stderr}")
             outputs.append(Output("stdout", done.stdout))
@@ -165,7 +196,10 @@ def shell(code: str) -> list[Output]:
 
 def as_page(cells: list[Cell], name: str) -> str:
     """Return cells as a page's Markdown, with a line that leads to the notebook."""
-    parts = [cells[0].text, f"*Every block ran when this page was made; as a [notebook]({name}.ipynb).*{{ .ran }}"]
+    parts = [
+        cells[0].text,
+        f"*Every block ran when this page was made; as a [notebook]({name}.ipynb).*{{ .ran }}",
+    ]
     for cell in cells[1:]:
         if not cell.language:
             parts.append(cell.text)
@@ -219,4 +253,9 @@ def as_json(output: Output, number: int) -> dict[str, Any]:
     if output.kind == "stdout":
         return {"output_type": "stream", "name": "stdout", "text": output.text}
     data = {output.kind: output.text}
-    return {"output_type": "execute_result", "execution_count": number, "data": data, "metadata": {}}
+    return {
+        "output_type": "execute_result",
+        "execution_count": number,
+        "data": data,
+        "metadata": {},
+    }
