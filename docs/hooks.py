@@ -1,5 +1,6 @@
 """What mkdocs does for this site beside its plugins.
 
+- With DRAFT=1 in the environment no page runs.
 - Pages whose header says `run: true` are notebooks: their code runs while the site is built, in
   order, in one namespace and an empty folder. What it prints and the value of each block's last
   line follow the block. The page says where the same as an .ipynb is.
@@ -100,6 +101,8 @@ def on_files(files: Any, config: Any) -> Any:
     for path in [*(ROOT / "experiments").glob("*.py"), *(ROOT / "experiments").glob("*/*.*")]:
         place = path.relative_to(ROOT).as_posix()
         files.append(File.generated(config, place, abs_src_path=str(path)))
+    if os.environ.get("DRAFT"):
+        return files
     for file in [*files.documentation_pages()]:
         header = HEADER.match(file.content_string)
         if header and "run: true" in header[1]:
@@ -165,6 +168,9 @@ def python(code: str, names: dict[str, Any]) -> list[Output]:
 
 def shown(value: Any) -> Output:
     """Return a value as a notebook shows it."""
+    if hasattr(value, "savefig"):  # matplotlib's figures
+        value.savefig(drawn := io.BytesIO(), bbox_inches="tight", dpi=110)
+        return Output("image/png", base64.b64encode(drawn.getvalue()).decode())
     if hasattr(value, "_repr_png_"):
         return Output("image/png", base64.b64encode(value._repr_png_()).decode())
     if hasattr(value, "_repr_svg_"):

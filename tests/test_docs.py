@@ -6,6 +6,7 @@ of pages that say `run: true` run while the site is built.
 """
 
 import ast
+import importlib.util
 import inspect
 import json
 import os
@@ -16,6 +17,7 @@ import sys
 import textwrap
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -281,6 +283,59 @@ def test_the_site_builds_and_shows_what_its_code_found(tmp_path):
     for path in (tmp_path / "site").rglob("*.ipynb"):
         cells = json.loads(path.read_text())["cells"]
         assert any(cell.get("outputs") for cell in cells), path
+
+
+@pytest.fixture
+def hooks():
+    pytest.importorskip("mkdocs")
+    spec = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_page_that_runs_shows_what_its_code_left(hooks, another_cache):
+    page = "# A\n\n```python\nx = 2\nprint(x, 'printed')\n```\n\nprose\n\n```python\nx + 40\n```\n"
+    cells = hooks.run(page, "a.md")
+    assert [cell.language for cell in cells] == ["", "python", "", "python", ""]
+    shown = hooks.as_page(cells, "a")
+    assert re.findall(r"```\{ \.text \.output[^}]*\}\n(.*)\n```", shown) == ["2 printed", "42"]
+    notebook = json.loads(hooks.as_notebook(cells))["cells"]
+    assert [cell["cell_type"] for cell in notebook][:4] == ["markdown", "code"] * 2
+    assert notebook[1]["outputs"][0]["text"] == "2 printed\n"
+    assert notebook[3]["outputs"][0]["data"] == {"text/plain": "42"}
+    with pytest.raises(hooks.PluginError, match=r"a\.md, block 1: ZeroDivisionError"):
+        hooks.run("```python\n1 / 0\n```\n", "a.md")
+
+
+@pytest.mark.parametrize(
+    ("page", "link", "on_site"),
+    [
+        ("how-to/a.md", "../../experiments/README.md#b", "../experiments/index.md#b"),
+        ("how-to/a.md", "../../experiments/gallery.py", "../experiments/gallery.py"),
+        ("how-to/a.md", "../../CONTRIBUTING.md", "../contributing.md"),
+        ("how-to/a.md", "b.md#c", "b.md#c"),
+        ("index.md", "../experiments/results/a.png", "experiments/results/a.png"),
+        ("contributing.md", "docs/development/index.md", "development/index.md"),
+        ("contributing.md", "CHANGELOG.md", "changelog.md"),
+        ("experiments/index.md", "results/a.png", "results/a.png"),
+    ],
+)
+def test_links_lead_on_the_site_where_they_lead_in_the_repository(hooks, page, link, on_site):
+    of_page = SimpleNamespace(file=SimpleNamespace(src_uri=page))
+    code = "```python\nf[0](x)\n```"
+    shown = hooks.on_page_markdown(f"[w]({link}) ![w]({link})\n\n{code}\n", of_page, None, None)
+    assert shown == f"[w]({on_site}) ![w]({on_site})\n\n{code}\n"
+
+
+def test_pages_that_the_navigation_does_not_name_follow_those_that_it_does(hooks):
+    pages = ["how-to/questions.md", "how-to/*"]
+    config = SimpleNamespace(nav=["index.md", {"How-to": pages}])
+    (_, section) = hooks.on_config(config).nav
+    assert section["How-to"][0] == "how-to/questions.md"
+    found = {path.relative_to(DOCS).as_posix() for path in (DOCS / "how-to").glob("*.md")}
+    assert set(section["How-to"]) == found
+    assert len(section["How-to"]) == len(found)
 
 
 def test_install_lines_name_what_there_is():
