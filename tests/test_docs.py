@@ -405,6 +405,14 @@ def test_readme_is_short_and_its_picture_light():
     assert (ROOT / moving).stat().st_size < 2e6
 
 
+def test_the_version_stands_in_one_place():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert "version" in project["dynamic"]
+    assert "version" not in (ROOT / "CITATION.cff").read_text().replace("cff-version", "")
+    latest = re.search(r"^## ([\d.]+)", TEXTS["CHANGELOG.md"], re.M)
+    assert latest[1] == pj.__version__
+
+
 def test_the_map_has_every_module_once():
     page = TEXTS["docs/development/index.md"]
     (text,) = (block for block in blocks("", page) if block.startswith("__main__"))
