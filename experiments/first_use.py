@@ -1,14 +1,16 @@
 """What does a newcomer's first hour take, and does it work: the installed wheel, step by step?
 
-Builds the wheel, installs it into a fresh environment (with `--borrow` what it depends on is this
-one's, with nothing downloaded), and plays what newcomers do with files of their own: help, typos,
-masks as data sets have them, a known K, a crop, an interrupt, a report, files of other programs.
-Each step prints what it took. Pictures are small; `--all` plays the slow steps too.
+Builds the source distribution and from that the wheel, installs both into a fresh environment (with
+`--borrow` what they depend on is this one's, with nothing downloaded), and plays what newcomers do
+with files of their own: help, typos, masks as data sets have them, a known K, a crop, an interrupt,
+a report, files of other programs. Each step prints what it took. Pictures are small; `--all` plays
+the slow steps too.
 """
 
 import argparse
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -145,21 +147,30 @@ class Step:
 
 
 def installed(folder: Path, borrow: bool) -> Path:
-    """Build the wheel, install it into a fresh environment and return that one's Python."""
-    wheel, place = folder / "wheel", folder / "environment"
-    pip = ["-m", "pip", "--disable-pip-version-check", "--quiet"]
-    build = [sys.executable, *pip, "wheel", "--no-deps", "-w", str(wheel), str(ROOT)]
-    subprocess.run(build, check=True)
+    """Build both distributions, install them into a fresh environment; return that one's Python.
+
+    The sdist comes first, and the wheel that was built replaces it: they have to hold the same.
+    """
+    built, place = folder / "built", folder / "environment"
+    build = [sys.executable, "-m", "build", "--outdir", str(built), str(ROOT)]
+    subprocess.run(build, check=True, cwd=folder, stdout=subprocess.DEVNULL)
     venv.create(place, with_pip=True, symlinks=os.name != "nt")
     python = place / ("Scripts" if os.name == "nt" else "bin") / "python"
-    options = []
+    own = subprocess.run([str(python), "-c", WHERE], capture_output=True, text=True, check=True)
+    packages, options = Path(own.stdout.strip()), []
     if borrow:  # what a .pth file adds comes last, and its own .pth files are not read
-        own = subprocess.run([str(python), "-c", WHERE], capture_output=True, text=True, check=True)
-        text = sysconfig.get_path("purelib") + "\n"
-        (Path(own.stdout.strip()) / "borrowed.pth").write_text(text)
+        (packages / "borrowed.pth").write_text(sysconfig.get_path("purelib") + "\n")
         options = ["--no-deps"]
-    files = map(str, wheel.glob("*.whl"))
-    subprocess.run([str(python), *pip, "install", *options, *files], check=True)
+    pip = [str(python), "-m", "pip", "--disable-pip-version-check", "--quiet", "install", *options]
+    held = []
+    for pattern, more in (("*.tar.gz", ()), ("*.whl", ("--force-reinstall", "--no-deps"))):
+        subprocess.run([*pip, *more, *map(str, built.glob(pattern))], check=True, cwd=folder)
+        (record,) = packages.glob("pinhole_jax-*/RECORD")
+        held.append({line for line in record.open() if line.startswith("pinhole_jax/")})
+    assert held[0] == held[1], f"the sdist and the wheel differ: {held[0] ^ held[1]}"
+    shown = (record.parent / "METADATA").read_text(encoding="utf-8").partition("\n\n")[2]
+    assert "](https://" in shown, "the README has no links"
+    assert not re.search(r"\]\((?!https:)", shown), "the README has links that are no addresses"
     return python
 
 

@@ -13,7 +13,8 @@ import pinhole_jax as pj
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("pinhole_jax", "tests", "experiments")
 SOURCES = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
-TEXTS = [ROOT / "README.md", ROOT / "experiments" / "README.md", ROOT / "pyproject.toml"]
+DOCS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+TEXTS = [*DOCS, ROOT / "experiments" / "README.md", ROOT / "pyproject.toml"]
 
 #: Modules by their last name; formats and mesh files both have a `gltf`.
 MODULES: dict[str, list[str]] = {}

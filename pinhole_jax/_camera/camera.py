@@ -20,6 +20,7 @@ THE CONVENTIONS
 """
 
 import operator
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -31,6 +32,7 @@ from jaxtyping import Array, Float
 
 from .._numerics.arrays import MISSING, Numbers, float_array, float_dtype, is_concrete
 from .._numerics.safe import cross_of_difference, norm, normalize
+from .drawing import card, frustum, table
 from .film import Bend, FilmMap, FilmPart
 from .lens import Lens, check_lens
 
@@ -129,33 +131,16 @@ class Camera(eqx.Module):
 
     def __str__(self) -> str:
         """Return it as a table; what is traced, stacked or no number as equinox shows it."""
-        numbers = all(map(eqx.is_array, (self.e, self.p, self.u, self.phi, self.d)))
-        if not numbers or not is_concrete(*jax.tree.leaves(self)) or np.ndim(self.phi):
+        if not _is_plain(self):
             return repr(self)
-        # Places are told to a millionth of how far the camera looks, wherever the world begins.
-        far = float(np.linalg.norm(np.asarray(self.p, float) - np.asarray(self.e, float)))
-        known = np.isfinite(far) and far > 0
-        decimals = min(max(6 - int(np.floor(np.log10(far))), 0), 12) if known else 6
-        in_digits = lambda x: np.format_float_positional(x, precision=decimals, trim="-")
-        place = lambda x: f"({', '.join(map(in_digits, np.asarray(x, float)))})"
-        point = lambda x: "(" + ", ".join(f"{v:.6g}" for v in np.asarray(x)) + ")"
-        phi = float(self.phi)
-        lines = [
-            f"Camera of {self.W} x {self.H} px",
-            f"  e    {place(self.e)}   eye",
-            f"  p    {place(self.p)}   view point",
-            f"  u    {point(self.u)}   up",
-            f"  phi  {phi:.6g} rad   vertical field of view ({np.rad2deg(phi):.6g} degrees)",
-            f"  d    {float(self.d):.6g}   camera constant",
-        ]
-        if self.lens is not None:
-            aspect = f"aspect {float(self.lens.aspect):.6g}"
-            lines.append(f"  lens principal point {point(self.lens.principal_point)} px, {aspect}")
-        if self.lens is not None and self.lens.distortion is not None:
-            bent = self.lens.distortion
-            numbers = (f"{name} = {value:.6g}" for name, value in bent.coefficients().items())
-            lines.append(f"       {type(bent).__name__}: {', '.join(numbers)}")
-        return "\n".join(lines)
+        rows = [f"  {name:<4} {value}   {words}".rstrip() for name, value, words in _told(self)]
+        return "\n".join([f"Camera of {self.W} x {self.H} px", *rows])
+
+    def _repr_html_(self) -> str | None:
+        """Return it as notebooks show it: a table, and the camera in space."""
+        if not _is_plain(self):
+            return None
+        return card(f"<b>Camera</b> of {self.W} x {self.H} px", table(_told(self)), picture(self))
 
     def replace(self, **changes: Any) -> "Camera":
         """Return the camera with some of its arguments changed, checked as the constructor does."""
@@ -168,6 +153,51 @@ class Camera(eqx.Module):
         far = float(np.linalg.norm(np.asarray(self.p, float) - np.asarray(self.e, float)))
         pose = [jnp.asarray(x, self.e.dtype) for x in (eye, eye + far * axes[2], axes[1])]
         return eqx.tree_at(lambda c: [c.e, c.p, c.u], self, pose)
+
+
+def _is_plain(camera: Camera) -> bool:
+    """Return whether this is one camera of numbers."""
+    numbers = all(map(eqx.is_array, (camera.e, camera.p, camera.u, camera.phi, camera.d)))
+    return numbers and is_concrete(*jax.tree.leaves(camera)) and not np.ndim(camera.phi)
+
+
+def _told(camera: Camera) -> list[tuple[str, str, str]]:
+    """Return a camera's parameters: name, value, what it is."""
+    # Places are told to a millionth of how far the camera looks, wherever the world begins.
+    far = float(np.linalg.norm(np.asarray(camera.p, float) - np.asarray(camera.e, float)))
+    known = np.isfinite(far) and far > 0
+    decimals = min(max(6 - int(np.floor(np.log10(far))), 0), 12) if known else 6
+    in_digits = lambda x: np.format_float_positional(x, precision=decimals, trim="-")
+    place = lambda x: f"({', '.join(map(in_digits, np.asarray(x, float)))})"
+    point = lambda x: "(" + ", ".join(f"{v:.6g}" for v in np.asarray(x)) + ")"
+    phi = float(camera.phi)
+    rows = [
+        ("e", place(camera.e), "eye"),
+        ("p", place(camera.p), "view point"),
+        ("u", point(camera.u), "up"),
+        ("phi", f"{phi:.6g} rad", f"vertical field of view ({np.rad2deg(phi):.6g} degrees)"),
+        ("d", f"{float(camera.d):.6g}", "camera constant"),
+    ]
+    if camera.lens is not None:
+        aspect = f"aspect {float(camera.lens.aspect):.6g}"
+        middle = f"principal point {point(camera.lens.principal_point)} px, {aspect}"
+        rows.append(("lens", middle, ""))
+    if camera.lens is not None and camera.lens.distortion is not None:
+        bent = camera.lens.distortion
+        numbers = (f"{name} = {value:.6g}" for name, value in bent.coefficients().items())
+        rows.append(("", f"{type(bent).__name__}: {', '.join(numbers)}", ""))
+    return rows
+
+
+def picture(camera: Camera, way: Sequence[Camera] = (), others: Sequence[Camera] = ()) -> str:
+    """Return the camera in space as SVG, with where its eye was before and the eyes of others."""
+    e, p = np.asarray(camera.e, float), np.asarray(camera.p, float)
+    axes = np.stack([np.asarray(axis, float) for axis in basis(camera.e, camera.p, camera.u)])
+    up = float(np.tan(float(camera.phi) / 2))
+    wide = 1.0 if camera.lens is None else float(camera.lens.aspect)
+    half = (up * camera.W / camera.H / wide, up)
+    eyes = lambda cameras: np.array([np.asarray(c.e, float) for c in cameras]).reshape(-1, 3)
+    return frustum(axes, e, float(np.linalg.norm(p - e)), half, eyes(way), eyes(others))
 
 
 def check_camera(camera: Any, name: str = "camera") -> None:

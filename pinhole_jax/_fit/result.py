@@ -10,6 +10,7 @@ from jaxtyping import Float
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._numerics.arrays import is_concrete
+from .card import fit_card
 from .kinds import Kind
 from .moves import Bounds, on_film
 from .outline_errors import OutlineErrors, is_drawn
@@ -115,6 +116,10 @@ class Fit(NamedTuple):
     def __str__(self) -> str:
         """Return it as the command's table; what is traced in a line."""
         return table(self) if is_concrete(*jax.tree.leaves(self.camera)) else repr(self)
+
+    def _repr_html_(self) -> str | None:
+        """Return it as notebooks show it: its table, and its camera in space."""
+        return fit_card(self) if is_concrete(*jax.tree.leaves(self.camera)) else None
 
     def __repr__(self) -> str:
         """Return it in a line, its arrays and history left out."""

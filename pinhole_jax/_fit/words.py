@@ -80,15 +80,17 @@ def table(fit: Any) -> str:
     lines = parameter_lines(fit)
     lines.append(f"status     {fit.status}   ({STATUSES[fit.status]})")
     lines.append(f"IoU        {fit.iou:.4f}   (rms of coverage {fit.rms:.2g})")
-    lines += [f"note       {weak}" for weak in fit.weak]
-    if fit.modes:
-        views = (
-            "another view explains"
-            if len(fit.modes) == 1
-            else f"{len(fit.modes)} other views explain"
-        )
-        lines.append(f"note       {views} the mask as well")
+    lines += [f"note       {words}" for words in notes(fit)]
     return "\n".join(lines)
+
+
+def notes(fit: Any) -> list[str]:
+    """Return what else there is to say: what is weak, whether other views explain the mask."""
+    if not fit.modes:
+        return [*fit.weak]
+    several = f"{len(fit.modes)} other views explain"
+    views = "another view explains" if len(fit.modes) == 1 else several
+    return [*fit.weak, f"{views} the mask as well"]
 
 
 def in_digits(value: float, std: float) -> str:

@@ -1,0 +1,429 @@
+"""What README and docs/ show, runs: their Python, their commands (on small files); and their lists
+are the code's.
+
+The Python blocks of a page run in order and share their names, as a reader would paste them. Those
+of pages that say `run: true` run while the site is built.
+"""
+
+import ast
+import importlib.util
+import inspect
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import textwrap
+import tomllib
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax
+import numpy as np
+import pytest
+from PIL import Image
+
+import pinhole_jax as pj
+from pinhole_jax import __main__ as command, io, shapes
+from pinhole_jax._files import programs
+from pinhole_jax._fit.words import STATUSES
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+EXPERIMENTS = "experiments"
+TEXTS = {
+    path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+    for path in [
+        *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
+        ROOT / "experiments" / "README.md",
+        *sorted(DOCS.rglob("*.md")),
+    ]
+}
+README = TEXTS["README.md"]
+QUESTIONS = TEXTS["docs/how-to/questions.md"]
+BLOCK = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.M | re.S)
+LINK = re.compile(r"\]\((?!\w+:)([^)#\s]*)(?:#([\w.-]+))?\)")
+#: The files that stand for words in capitals.
+FILES = {"MESH": "part.ply", "MASK": "mask.png", "PHOTO": "photo.png", "FOLDER": "folder"}
+
+#: A mesh and a resolution as the Python has them, so that the commands find its programs compiled.
+Camera = lambda e, phi: pj.Camera(e, [0.1, 0, 0], [0.2, 1, 0.1], phi, W=256, H=256)
+
+
+def blocks(language, page=README):
+    return [textwrap.dedent(text) for _, word, text in BLOCK.findall(page) if word == language]
+
+
+def runs_in_the_site(page):
+    return TEXTS[page].startswith("---\nrun: true\n")
+
+
+#: Pages whose Python runs here; the site's first page shows what README does.
+PYTHON = [
+    page
+    for page, text in TEXTS.items()
+    if blocks("python", text) and not runs_in_the_site(page) and page != "docs/index.md"
+]
+
+
+def commands(pages=TEXTS):
+    return [
+        line for page in pages for block in blocks("sh", TEXTS[page]) for line in block.splitlines()
+    ]
+
+
+def slugs(text):
+    """Return the anchors of a page's headings, as GitHub and mkdocs make them."""
+    heads = re.findall(r"^#+ (.*)$", BLOCK.sub("", text), re.M)
+    words = (re.sub(r"[`*]|\[([^\]]*)\]\([^)]*\)", r"\1", head) for head in heads)
+    return {re.sub(r"[\s]+", "-", re.sub(r"[^\w\s-]", "", w).strip().lower()) for w in words}
+
+
+def public_names():
+    """Yield each public name, of modules each one that it shows, with what it is."""
+    for name, thing in vars(pj._public).items():
+        if name.startswith("_"):
+            continue
+        if not inspect.ismodule(thing):
+            yield name, thing
+        elif (
+            thing.__name__ == f"pinhole_jax.{name}" and name != "testing"
+        ):  # (whose are the package's)
+            yield from of_module(name, thing)
+
+
+def of_module(name, module):
+    """Yield the functions and classes of a module, or of the submodules that it re-exports."""
+    home = module.__name__
+    for part, thing in vars(module).items():
+        made = getattr(thing, "__module__", "")
+        own = made.startswith((home, "pinhole_jax._show", "pinhole_jax.formats.native"))
+        if (
+            (inspect.isfunction(thing) or inspect.isclass(thing))
+            and own
+            and not part.startswith("_")
+        ):
+            yield f"{name}.{part}", thing
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_there_is_no_block_that_no_test_knows(page):
+    text = TEXTS[page]
+    assert {word for _, word, _ in BLOCK.findall(text)} <= {"python", "sh", "text", ""}
+    assert len(BLOCK.findall(text)) * 2 == len(re.findall(r"^ *```", text, re.M))
+
+
+def test_commands_are_of_programs_that_tests_know():
+    first = {line.split()[0].removeprefix(".venv/bin/") for line in commands()}
+    tools = {"ruff", "pyright", "lint-imports", "python"}  # of CONTRIBUTING
+    assert first == {"python3", "pinhole-jax", "blender", *tools}
+
+
+@pytest.fixture
+def another_cache(monkeypatch, tmp_path):
+    """The user's cache folder is the test's, and has in it what tests share."""
+    before = jax.config.jax_compilation_cache_dir
+    least = jax.config.jax_persistent_cache_min_compile_time_secs
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    (tmp_path / "pinhole_jax").symlink_to(before)
+    yield tmp_path / "pinhole_jax"
+    pj.cache(before)
+    programs.keep_in(None)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", least)
+
+
+def test_programs_are_kept_where_the_cache_is(another_cache):
+    another_cache.unlink()
+    assert pj.cache() == another_cache
+    jax.jit(lambda x: x + 1)(2.0)
+    assert any(another_cache.iterdir())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("page", PYTHON)
+def test_python_runs(page, capsys, another_cache, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for number, block in enumerate(blocks("python", TEXTS[page]), 1):
+        exec(compile(block, f"{page}, block {number}", "exec"), names)
+    FOUND.get(page, lambda names, printed: None)(names, capsys.readouterr().out)
+
+
+def found_by_readme(names, printed):
+    assert names["fit"].status == "converged"
+    assert np.rad2deg(pj.pose_error(names["fit"].camera, names["truth"])[0]) < 1e-4
+    assert "status     converged" in printed
+
+
+def found_by_lenses(names, printed):
+    assert names["fit"].status == "converged"
+    assert abs(float(names["fit"].camera.lens.distortion.k1) + 0.27) < 1e-6
+    assert max(view.rms_px for view in names["views"]) < 1e-6
+
+
+def found_by_many_views(names, printed):
+    assert [fit.status for fit in names["fits"]] == ["converged", "converged"]
+    assert names["joint"].status == "converged"
+    assert np.rad2deg(pj.pose_error(names["joint"].camera, names["truth"])[0]) < 1e-4
+
+
+def found_by_masks(names, printed):
+    assert names["fit"].status == "converged"
+    for name, most in (("fit", 1.5), ("bent", 3)):
+        assert np.rad2deg(pj.pose_error(names[name].camera, names["truth"])[0]) < most
+    assert not names["tidied"].mask[2:4, 2:4].any()
+
+
+def found_by_questions(names, printed):
+    for name in ("fit", "found", "held", "known_to_1_percent"):
+        assert names[name].status == "converged"
+        angle, _ = pj.pose_error(names[name].camera, names["truth"])
+        assert np.rad2deg(angle) < 0.5
+    assert names["masks"].shape == (2, 80, 96)
+    assert len(names["pair"].faces) == 2 * len(names["scene"].mesh.faces)
+
+
+#: What a page's code is to find.
+FOUND = {
+    "README.md": found_by_readme,
+    "docs/how-to/lenses.md": found_by_lenses,
+    "docs/how-to/many-views.md": found_by_many_views,
+    "docs/how-to/masks.md": found_by_masks,
+    "docs/how-to/questions.md": found_by_questions,
+}
+
+
+def test_the_first_page_shows_what_readme_does():
+    (shown,), (readme,) = blocks("python", TEXTS["docs/index.md"]), blocks("python")
+    plain = lambda code: ast.dump(ast.parse(code.replace("fit := ", "")))
+    assert plain(shown) == plain(readme)
+
+
+def test_the_ten_questions_are_those_that_are_answered():
+    asked = re.findall(r"^\d+\. \[(.*)\]\(#(.*)\)$", QUESTIONS, re.M)
+    answered = re.findall(r"^## (\d+)\. (.*)$", QUESTIONS, re.M)
+    assert [question for question, _ in asked] == [question for _, question in answered]
+    for (_, anchor), (number, question) in zip(asked, answered, strict=True):
+        words = re.sub(r"[^\w\s-]", "", f"{number} {question}").lower()
+        assert anchor == words.replace(" ", "-")
+    assert len(asked) == 10
+
+
+def write_mesh(path):
+    mesh = shapes.bumpy()
+    corners = "\n".join(" ".join(map(str, v)) for v in np.asarray(mesh.vertices).tolist())
+    faces = "\n".join("3 " + " ".join(map(str, f)) for f in np.asarray(mesh.faces).tolist())
+    counts = f"element vertex {len(mesh.vertices)}\nproperty float x\nproperty float y\n"
+    counts += f"property float z\nelement face {len(mesh.faces)}\n"
+    header = f"ply\nformat ascii 1.0\n{counts}property list uchar int vertex_indices\nend_header\n"
+    path.write_text(f"{header}{corners}\n{faces}\n")
+
+
+def write_pictures(mask_path, photo_path, camera):
+    """Write what the camera sees: a mask, and a photo before a white background."""
+    coverage = np.asarray(pj.silhouette(camera, pj.Scene(mesh=shapes.bumpy())))[..., None]
+    Image.fromarray(np.uint8(255 * coverage[..., 0] + 0.5)).save(mask_path)
+    photo = 255 * (1 - coverage) + np.array([150, 60, 20]) * coverage
+    Image.fromarray(np.uint8(photo + 0.5)).save(photo_path)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A working folder with all files that the commands read."""
+    monkeypatch.chdir(tmp_path)
+    # What the command sets for its own process would change those of the other tests.
+    monkeypatch.setattr(command, "_set_up_jax", lambda options: None)
+    write_mesh(tmp_path / FILES["MESH"])
+    camera = Camera([0.3, 1, 5], np.deg2rad(34.4))
+    write_pictures(FILES["MASK"], FILES["PHOTO"], camera)
+    io.save_camera("CAMERA.json", camera)
+    io.save_camera("START.json", Camera([0.5, 1.2, 5], 0.62))
+    return tmp_path
+
+
+@pytest.mark.long
+def test_commands_run_and_write_what_they_say(folder, capsys):
+    pages = [page for page in TEXTS if not runs_in_the_site(page)]
+    lines = [line for line in commands(pages) if line.startswith("pinhole-jax ")]
+    assert len(lines) >= 5
+    for line in lines:
+        words = [FILES.get(word, word) for word in shlex.split(line)[1:]]
+        assert command.main(words) == 0, (line, capsys.readouterr())
+        # It has printed each file that it wrote.
+        written = re.search(r"^written +(.*)$", capsys.readouterr().out, re.M)[1]
+        assert all(Path(path).exists() for path in re.sub(r" \(.*", "", written).split(", "))
+
+
+@pytest.mark.long
+def test_the_site_builds_and_shows_what_its_code_found(tmp_path):
+    pytest.importorskip("mkdocs")
+    pytest.importorskip("mkdocstrings_handlers.python")
+    cache = ROOT / ".pytest_cache" / "of_the_site"
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "XDG_CACHE_HOME": str(cache)}
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    build = [sys.executable, "-m", "mkdocs", "build", "--site-dir", str(tmp_path / "site")]
+    done = subprocess.run(build, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+    shown = lambda page: (tmp_path / "site" / page / "index.html").read_text(encoding="utf-8")
+    for page in ("mask-to-camera", "robot-camera"):
+        assert re.search(r"converged", shown(f"tutorials/{page}")), page
+    assert "rank_deficient" in shown("tutorials/photo-to-blender")
+    before, after = re.search(
+        r"IoU from views between: ([\d.]+) before, ([\d.]+) after",
+        shown("tutorials/shape-from-views"),
+    ).groups()
+    assert float(before) < 0.8
+    assert float(after) > 0.95
+    assert "--mask-from" in shown("reference/command")
+
+    for path in (tmp_path / "site").rglob("*.html"):  # nothing is loaded from elsewhere
+        loads = re.findall(
+            r'<(?:script|img|link)[^>]* (?:src|href)="(https?:[^"]*)"', path.read_text()
+        )
+        assert loads == [], path
+    for path in (tmp_path / "site").rglob("*.ipynb"):
+        cells = json.loads(path.read_text())["cells"]
+        assert any(cell.get("outputs") for cell in cells), path
+
+
+@pytest.fixture
+def hooks():
+    pytest.importorskip("mkdocs")
+    spec = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_page_that_runs_shows_what_its_code_left(hooks, another_cache):
+    page = "# A\n\n```python\nx = 2\nprint(x, 'printed')\n```\n\nprose\n\n```python\nx + 40\n```\n"
+    cells = hooks.run(page, "a.md")
+    assert [cell.language for cell in cells] == ["", "python", "", "python", ""]
+    shown = hooks.as_page(cells, "a")
+    assert re.findall(r"```\{ \.text \.output[^}]*\}\n(.*)\n```", shown) == ["2 printed", "42"]
+    notebook = json.loads(hooks.as_notebook(cells))["cells"]
+    assert [cell["cell_type"] for cell in notebook][:4] == ["markdown", "code"] * 2
+    assert notebook[1]["outputs"][0]["text"] == "2 printed\n"
+    assert notebook[3]["outputs"][0]["data"] == {"text/plain": "42"}
+    with pytest.raises(hooks.PluginError, match=r"a\.md, block 1: ZeroDivisionError"):
+        hooks.run("```python\n1 / 0\n```\n", "a.md")
+
+
+@pytest.mark.parametrize(
+    ("page", "link", "on_site"),
+    [
+        ("how-to/a.md", "../../experiments/README.md#b", f"../{EXPERIMENTS}/index.md#b"),
+        ("how-to/a.md", "../../experiments/gallery.py", "../experiments/gallery.py"),
+        ("how-to/a.md", "../../CONTRIBUTING.md", "../contributing.md"),
+        ("how-to/a.md", "b.md#c", "b.md#c"),
+        ("index.md", "../experiments/results/gallery.png", "experiments/results/gallery.png"),
+        ("contributing.md", "docs/development/index.md", "development/index.md"),
+        ("contributing.md", "CHANGELOG.md", "changelog.md"),
+        (f"{EXPERIMENTS}/index.md", "results/gallery.png", "results/gallery.png"),
+    ],
+)
+def test_links_lead_on_the_site_where_they_lead_in_the_repository(hooks, page, link, on_site):
+    of_page = SimpleNamespace(file=SimpleNamespace(src_uri=page))
+    code = "```python\nf[0](x)\n```"
+    shown = hooks.on_page_markdown(f"[w]({link}) ![w]({link})\n\n{code}\n", of_page, None, None)
+    assert shown == f"[w]({on_site}) ![w]({on_site})\n\n{code}\n"
+
+
+def test_pages_that_the_navigation_does_not_name_follow_those_that_it_does(hooks):
+    pages = ["how-to/questions.md", "how-to/*"]
+    config = SimpleNamespace(nav=["index.md", {"How-to": pages}])
+    (_, section) = hooks.on_config(config).nav
+    assert section["How-to"][0] == "how-to/questions.md"
+    found = {path.relative_to(DOCS).as_posix() for path in (DOCS / "how-to").glob("*.md")}
+    assert set(section["How-to"]) == found
+    assert len(section["How-to"]) == len(found)
+
+
+def test_install_lines_name_what_there_is():
+    lines = [line for line in commands(["README.md"]) if line.startswith("python3 ")]
+    assert len(lines) == 2
+    assert commands(["docs/how-to/set-up.md"]) == lines
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = extras["optional-dependencies"]
+    for line in commands():
+        for named in re.findall(r"'\.\[([\w,]+)\]'", line):
+            assert set(named.split(",")) <= set(extras)
+    for line in lines:
+        venv, install, use = (part.split() for part in line.split(" && "))
+        assert venv == ["python3", "-m", "venv", ".venv"]
+        assert install[:3] == [".venv/bin/pip", "install", "-q"]
+        assert use[0] == ".venv/bin/python"
+        for word in use[1:]:
+            assert not word.endswith(".py") or (ROOT / word).is_file()
+    table = TEXTS["docs/how-to/set-up.md"].partition("| extra |")[2].partition("\n\n")[0]
+    assert set(re.findall(r"^\| `(\w+)` \|", table, re.M)) == set(extras)
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_links_lead_to_files_and_their_headings(page):
+    for link, anchor in LINK.findall(BLOCK.sub("", TEXTS[page])):
+        path = ((ROOT / page).parent / link).resolve() if link else ROOT / page
+        assert path.exists(), link
+        if anchor and not anchor.startswith("pinhole_jax."):
+            assert anchor in slugs(path.read_text(encoding="utf-8")), (link, anchor)
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_names_of_the_library_exist(page):
+    for name in set(re.findall(r"\bpj\.([a-zA-Z_][\w.]*\w)", TEXTS[page])):
+        thing = pj
+        for part in name.split("."):
+            if inspect.isfunction(thing) or inspect.isclass(thing):
+                break  # what an object has is not looked up
+            thing = getattr(thing, part)
+
+
+def test_every_public_name_is_in_the_reference_with_an_example():
+    pages = [text for page, text in TEXTS.items() if page.startswith("docs/reference/")]
+    told = {
+        name for text in pages for name in re.findall(r"^::: pinhole_jax\.([\w.]+)$", text, re.M)
+    }
+    code = "\n".join(block for text in pages for block in blocks("python", text))
+    names = [name for name, _ in public_names()]
+    assert len(names) > 80
+    assert [name for name in names if name not in told] == []
+    made = {"Fit", "Rays"}  # (an example makes most others by name, too)
+    assert [n for n in names if not re.search(rf"\bpj\.{n}\b", code) and n not in made] == []
+
+
+def test_every_format_command_and_status_is_told():
+    convert = TEXTS["docs/how-to/convert.md"]
+    assert [name for name in pj.formats.FORMATS if f"`{name}`" not in convert] == []
+    table = TEXTS["docs/explanation/error-bars.md"].partition("| status | meaning |")[2]
+    assert dict(re.findall(r"\| `(\w+)` \| (.*) \|", table.partition("\n\n")[0])) == STATUSES
+    shown = re.findall(r"^## (.*)$", TEXTS["docs/reference/command.md"], re.M)
+    assert [name for name in shown if f"pinhole-jax {name} " not in "\n".join(TEXTS.values())] == []
+
+
+def test_readme_is_short_and_its_picture_light():
+    assert len(README.split()) < 520
+    (moving,) = re.findall(r"!\[[^\]]*\]\((.*)\)", README)
+    assert (ROOT / moving).stat().st_size < 2e6
+
+
+def test_the_version_stands_in_one_place():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert "version" in project["dynamic"]
+    assert "version" not in (ROOT / "CITATION.cff").read_text().replace("cff-version", "")
+    latest = re.search(r"^## ([\d.]+)", TEXTS["CHANGELOG.md"], re.M)
+    assert latest[1] == pj.__version__
+
+
+def test_the_map_has_every_module_once():
+    page = TEXTS["docs/development/index.md"]
+    (text,) = (block for block in blocks("", page) if block.startswith("__main__"))
+    columns = [re.split(r" {3,}", line)[0] for line in text.splitlines()]
+    mapped = " ".join(columns).split()
+    modules = {
+        path.stem
+        for path in (ROOT / "pinhole_jax").iterdir()
+        if path.suffix == ".py" or (path / "__init__.py").exists()
+    }
+    assert sorted(mapped) == sorted(modules - {"__init__"})
