@@ -20,7 +20,7 @@ from ._fit.result import Fit, check_fit
 from ._fit.target import check_image, shares
 from ._fit.words import STATUSES, Told, in_digits, told
 from ._scene.scene import Scene, check_view
-from ._show.page import document, facts, figure, section, table
+from ._show import page as html_page
 
 #: The file that shows each format; a folder's files are shown one after another.
 FILES = {
@@ -83,15 +83,16 @@ def page(
     if photo is None:
         photo = np.round(255 * shares(mask).clip(0, 1)).astype(np.uint8)
     parameters = told(fit)
+    table = _parameter_table(fit, parameters) + _pose(fit, pixel_centres)
     sections = [
-        section("Outline", _outline_pictures(fit, scene, photo)),
-        section("Where mask and camera differ", _error_picture(fit, scene, mask)),
-        section("Parameters", _parameter_table(fit, parameters) + _pose(fit, pixel_centres)),
-        section("Correlations", _correlation_table(parameters)),
-        section("What the mask does not tell", _unknown(fit)),
-        section("Convergence", _convergence(fit, scene)),
-        section("Object and camera", _view(fit, scene)),
-        section("The camera for other programs", "".join(_files(fit.camera))),
+        html_page.section("Outline", _outline_pictures(fit, scene, photo)),
+        html_page.section("Where mask and camera differ", _error_picture(fit, scene, mask)),
+        html_page.section("Parameters", table),
+        html_page.section("Correlations", _correlation_table(parameters)),
+        html_page.section("What the mask does not tell", _unknown(fit)),
+        html_page.section("Convergence", _convergence(fit, scene)),
+        html_page.section("Object and camera", _view(fit, scene)),
+        html_page.section("The camera for other programs", "".join(_files(fit.camera))),
     ]
     camera = fit.camera
     meaning = STATUSES[fit.status][0].upper() + STATUSES[fit.status][1:]
@@ -102,7 +103,7 @@ def page(
         "picture": f"{camera.W} x {camera.H} px",
     }
     status = f'<p class="status {fit.status}"><b>{fit.status}</b> {meaning}.</p>'
-    return document(title, status + facts(numbers), sections)
+    return html_page.document(title, status + html_page.facts(numbers), sections)
 
 
 def _outline_pictures(fit: Fit, scene: Scene, photo: np.ndarray) -> str:
@@ -122,15 +123,15 @@ def _outline_pictures(fit: Fit, scene: Scene, photo: np.ndarray) -> str:
     whole = plot.overlay(photo, fit.camera, scene, band_px=band)
     left, top, right, bottom = window = plot.object_window(fit.camera, scene)
     if (right - left) * (bottom - top) > SMALL * fit.camera.W * fit.camera.H:
-        return figure(whole, words)
+        return html_page.figure(whole, words)
     part = plot.overlay(photo, fit.camera, scene, band_px=band, window=window)
-    return figure(whole, "The whole picture.") + figure(part, words)
+    return html_page.figure(whole, "The whole picture.") + html_page.figure(part, words)
 
 
 def _error_picture(fit: Fit, scene: Scene, mask: np.ndarray) -> str:
     window = plot.object_window(fit.camera, scene)
     image = plot.error_map(fit.camera, scene, mask, window=window)
-    picture = figure(
+    picture = html_page.figure(
         image,
         "Orange: the camera sees the object where the mask has none; blue: the mask has it and the"
         " camera does not; grey: both.",
@@ -162,7 +163,7 @@ def _parameter_table(fit: Fit, parameters: Told) -> str:
         rows.append([html.escape(row.name) + words, in_digits(row.value, row.std), sigma, row.unit])
     heads = ("parameter", "value", "one sigma", "unit")
     return (
-        table("What was fitted, with standard errors", heads, rows, "parameters")
+        html_page.table("What was fitted, with standard errors", heads, rows, "parameters")
         + f"<p>Pitch, yaw and roll are the camera's in the world. {_assumed(fit)}</p>"
     )
 
@@ -179,7 +180,7 @@ def _correlation_table(parameters: Told) -> str:
         matrix = parameters.covariance / np.outer(std, std)
     rows = [[name, *map(_correlation, line)] for name, line in zip(names, matrix, strict=True)]
     return (
-        table("Correlations of the parameters", ("", *names), rows, "matrix")
+        html_page.table("Correlations of the parameters", ("", *names), rows, "matrix")
         + "<p>Near 1 or -1, the mask tells a combination of two parameters far better than each of"
         " them.</p>"
     )
@@ -219,7 +220,7 @@ def _convergence(fit: Fit, scene: Scene) -> str:
     return (
         f'<figure class="diagram">{plot.convergence(fit, scene)}<figcaption>How far the outline is'
         " from its last place, by steps; each band is a level of the picture, coarse to fine."
-        f"</figcaption></figure>{table('Steps, level by level', heads, rows, 'levels')}"
+        f"</figcaption></figure>{html_page.table('Steps, level by level', heads, rows, 'levels')}"
     )
 
 
@@ -227,7 +228,7 @@ def _view(fit: Fit, scene: Scene) -> str:
     words = (
         "The object, and the camera's frustum up to the film through the object; the tick is up."
     )
-    return figure(plot.scene_view(fit.camera, scene), words)
+    return html_page.figure(plot.scene_view(fit.camera, scene), words)
 
 
 def _files(camera: Camera) -> Iterator[str]:

@@ -90,7 +90,12 @@ def public_names():
         elif (
             thing.__name__ == f"pinhole_jax.{name}" and name != "testing"
         ):  # (whose are the package's)
-            yield from of_module(name, thing)
+            yield from (x for x in of_module(name, thing) if x[1] not in of_the_package())
+
+
+def of_the_package():
+    """Return what `pj.batch` has of the package's own names: it is told there."""
+    return {pj.fit_many, pj.fit_one}
 
 
 def of_module(name, module):
