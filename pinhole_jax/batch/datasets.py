@@ -26,6 +26,8 @@ MOST_BYTES = 1 << 32
 class Dataset:
     """Records that are read anew each time they are gone through: none stays in memory."""
 
+    kind: str
+
     def __init__(self, kind: str, records: Callable[[], Iterator[Record]]):
         self.kind, self._records = kind, records
 

@@ -62,6 +62,8 @@ class Results:
     file in place of a folder; one that is not there has no rows.
     """
 
+    folder: Path
+
     def __init__(self, folder: str | os.PathLike[str]):
         self.folder = path_of(folder)
         if self.folder.exists() and not self.folder.is_dir():

@@ -11,7 +11,7 @@ from .records import Record, plain_record
 Row = dict[str, Any]
 
 #: What a row holds, with the kinds of its values; null where there is no camera.
-COLUMNS = {
+COLUMNS: dict[str, Any] = {
     "id": str,
     "status": str,  # a fit's, or one of `NO_FIT`
     "iou": float,
