@@ -40,6 +40,7 @@ ELSEWHERE = {
     "changelog.md": "CHANGELOG.md",
     "contributing.md": "CONTRIBUTING.md",
     "experiments/index.md": "experiments/README.md",
+    "experiments/reference/index.md": "experiments/reference/README.md",
 }
 #: A link to a file (and a place in it), which is neither an address nor an image's data.
 LINK = re.compile(r"\]\((?!\w+:)([^)#\s]+)(#[^)\s]*)?\)")
@@ -100,7 +101,8 @@ def on_files(files: Any, config: Any) -> Any:
         files.append(File.generated(config, page, content=text))
     for path in [*(ROOT / "experiments").glob("*.py"), *(ROOT / "experiments").glob("*/*.*")]:
         place = path.relative_to(ROOT).as_posix()
-        files.append(File.generated(config, place, abs_src_path=str(path)))
+        if place not in ELSEWHERE.values():
+            files.append(File.generated(config, place, abs_src_path=str(path)))
     if os.environ.get("DRAFT"):
         return files
     for file in [*files.documentation_pages()]:
