@@ -103,9 +103,17 @@ def _program(
         if _source() == _code:  # else it was traced from code that is no longer there
             with suppress(OSError, ValueError):  # a folder that cannot be written to keeps nothing
                 replace_file(path, hashlib.sha256(data).digest() + bytes(data))
+    _set_lapack_up()
     # (Compiled here: a jit would compile once more for arrays that are results of its own.)
     run = jax.jit(exported.call).lower(*filter(_is_array, jax.tree.leaves(arguments))).compile()
     return lambda *arrays: jax.tree.unflatten(structure, run(*arrays))
+
+
+def _set_lapack_up() -> None:
+    """Let XLA know where LAPACK is. JAX does so where it lowers a call of it: not where it reads a
+    program, which jaxlib 0.7 then ends the process for."""
+    with suppress(ImportError, AttributeError):
+        importlib.import_module("jaxlib.lapack")._lapack.initialize()
 
 
 def _path(where: str, arguments: tuple[Any, ...]) -> Path | None:
