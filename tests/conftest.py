@@ -1,8 +1,9 @@
 """JAX made strict: float64, no silent promotion of types or ranks; every test closes its oracle.
 
 Compiled programs are kept in `.pytest_cache`: modules and processes share them, and the next run.
-Nearly all of a test's time is compilation, and XLA's older emitters take two thirds of it (what
-they make runs slower); with XLA_FLAGS set, even to nothing, the compiler is as users have it.
+Nearly all of a test's time is compilation, and XLA's older emitters without optimisation take two
+fifths of it (what they make runs slower: modules marked `optimised` leave out only the emitters).
+With XLA_FLAGS set, even to nothing, the compiler is as users have it.
 """
 
 import gc
@@ -15,7 +16,8 @@ import jax
 import pytest
 
 OLDER_EMITTERS = "--xla_cpu_use_fusion_emitters=false"
-if "XLA_FLAGS" not in os.environ:
+AS_USERS_HAVE_IT = "XLA_FLAGS" in os.environ
+if not AS_USERS_HAVE_IT:
     # A flag that this XLA does not know ends the process: it is tried in another one, once for all.
     trial = subprocess.run(
         [sys.executable, "-c", "import jax; jax.devices()"],
@@ -69,6 +71,25 @@ def shared() -> Path:
     if not SHARED.exists():
         pytest.skip(f"no real data at {SHARED}")
     return SHARED
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiler(request):
+    """Compile in a hurry, but where what is compiled runs for longer than that takes."""
+    marks = {mark.name for mark in request.node.iter_markers()}
+    hurry = not AS_USERS_HAVE_IT and "optimised" not in marks
+    jax.config.update("jax_disable_most_optimizations", hurry)
+
+
+@pytest.fixture
+def optimised():
+    """Compile a test's programs with all optimisation."""
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.clear_caches()
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.clear_caches()
+    jax.config.update("jax_disable_most_optimizations", before)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -10,6 +10,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import compile as compile_table
 from _kernels import Kernels, kernels
 
+pytestmark = pytest.mark.optimised
+
 #: At most so many kernels in all, that differ, and loops.
 MOST = {
     "mask_without_overlaps": Kernels(220, 160, 8),

@@ -19,6 +19,8 @@ from pinhole_jax._fit.joint_problem import JointProblem
 from pinhole_jax._fit.joint_views import stepped
 from pinhole_jax._fit.moves import reported
 
+pytestmark = pytest.mark.optimised
+
 SIZE = 96
 TRUTH = pj.Camera([0.4, -0.9, 6], [0, 0, 0.2], [0, 1, 0], 0.6, 1.0, SIZE, SIZE)
 #: Some 10 degrees and a fifth of a unit off.

@@ -15,6 +15,8 @@ from pinhole_jax._fit.solver import Solver
 from pinhole_jax._fit.stretches import area_between, stretches_of
 from pinhole_jax._fit.target import levelled
 
+pytestmark = pytest.mark.optimised
+
 SIZE = 128
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, SIZE, SIZE)
 

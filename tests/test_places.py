@@ -23,6 +23,8 @@ from pinhole_jax._fit.outline_errors import OutlineErrors
 from pinhole_jax._fit.problem import View
 from pinhole_jax._fit.solver import Found, Solver
 
+pytestmark = pytest.mark.optimised
+
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 START = pj.Camera([3, 1, 0.8], [0, 0, 0], [0, 0, 1], 0.8, W=48, H=40)
 

@@ -19,6 +19,8 @@ from pinhole_jax._fit.thumbnails import SIZE, axes_inward, thumbnails
 from pinhole_jax._scene.scene import ball_about, bounding_box, padded, with_or_without_border
 from pinhole_jax._silhouette.contour import contour_weights
 
+pytestmark = pytest.mark.optimised
+
 
 @pytest.fixture(scope="module")
 def scene():

@@ -6,6 +6,8 @@ import trimesh
 
 import pinhole_jax as pj
 
+pytestmark = pytest.mark.optimised
+
 W, H, CAMERAS = 640, 480, 20
 
 
