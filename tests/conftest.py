@@ -26,6 +26,7 @@ if not AS_USERS_HAVE_IT:
         check=False,
     )
     os.environ["XLA_FLAGS"] = OLDER_EMITTERS if trial.returncode == 0 else ""
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # of processes that a test starts
 
 gc.set_threshold(1_000_000)  # tracing makes objects that stay: looking through them takes a third
 jax.config.update("jax_enable_x64", True)

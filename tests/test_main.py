@@ -193,7 +193,7 @@ def test_a_photo_refines_the_camera(folder):
         ),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(folder, arguments, message):
+def test_bad_input_is_one_line_and_status_2(folder, arguments, message, capsys):
     Image.new("L", (9, 9)).save(folder / "small.png")
     Image.new("L", (96, 80)).save(folder / "black.png")
     dot = Image.new("L", (96, 80))
@@ -204,11 +204,17 @@ def test_bad_input_is_one_line_and_status_2(folder, arguments, message):
     inverted.paste(0, (30, 20, 60, 50))
     inverted.save(folder / "inverted.png")
     files = [folder / a if "." in a else a for a in arguments]
-    done = run(*files, "-o", folder / "nothing", cache=folder / "cache")
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert done.stderr.count("\n") == 1
+    assert command.main([*map(str, files), "-o", str(folder / "nothing"), "--no-cache"]) == 2
+    told = capsys.readouterr().err
+    assert message in told
+    assert told.count("\n") == 1
     assert not (folder / "nothing").exists()
+
+
+def test_bad_input_ends_a_process_with_status_2(folder):
+    done = run("fit", folder / "no.ply", "no.png", "-o", folder / "x", cache=folder / "cache")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "`MASK`: expected an image file" in done.stderr
 
 
 @pytest.mark.long
