@@ -16,8 +16,7 @@ import jax
 import pytest
 
 OLDER_EMITTERS = "--xla_cpu_use_fusion_emitters=false"
-AS_USERS_HAVE_IT = "XLA_FLAGS" in os.environ
-if not AS_USERS_HAVE_IT:
+if "XLA_FLAGS" not in os.environ:
     # A flag that this XLA does not know ends the process: it is tried in another one, once for all.
     trial = subprocess.run(
         [sys.executable, "-c", "import jax; jax.devices()"],
@@ -26,7 +25,8 @@ if not AS_USERS_HAVE_IT:
         check=False,
     )
     os.environ["XLA_FLAGS"] = OLDER_EMITTERS if trial.returncode == 0 else ""
-    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # of processes that a test starts
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # workers and commands inherit it
+HURRY = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS") == "1"
 
 gc.set_threshold(1_000_000)  # tracing makes objects that stay: looking through them takes a third
 jax.config.update("jax_enable_x64", True)
@@ -78,19 +78,17 @@ def shared() -> Path:
 def compiler(request):
     """Compile in a hurry, but where what is compiled runs for longer than that takes."""
     marks = {mark.name for mark in request.node.iter_markers()}
-    hurry = not AS_USERS_HAVE_IT and "optimised" not in marks
-    jax.config.update("jax_disable_most_optimizations", hurry)
+    jax.config.update("jax_disable_most_optimizations", HURRY and "optimised" not in marks)
 
 
 @pytest.fixture
 def optimised():
     """Compile a test's programs with all optimisation."""
-    before = jax.config.read("jax_disable_most_optimizations")
     jax.clear_caches()
     jax.config.update("jax_disable_most_optimizations", False)
     yield
     jax.clear_caches()
-    jax.config.update("jax_disable_most_optimizations", before)
+    jax.config.update("jax_disable_most_optimizations", HURRY)
 
 
 @pytest.fixture(scope="module", autouse=True)
