@@ -145,6 +145,7 @@ def test_mesh_and_spheres_together(scene):
     np.testing.assert_allclose(pj.pose_error(fit.camera, CAMERA), 0, atol=1e-8)
 
 
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.long
 def test_covariance_is_that_of_refits_under_noise(scene):
     random = np.random.default_rng(0)
@@ -357,6 +358,7 @@ def test_the_cow_of_pytorch3d(shared):
         assert abs(float(fit.camera.phi - truth.phi)) < 2 * fit.std[fit.names.index("phi")]
 
 
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.long
 @pytest.mark.parametrize("photo", ["200", "201"])
 def test_the_shampoo_bottle_in_a_photo(shared, photo):
