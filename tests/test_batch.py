@@ -491,6 +491,19 @@ def test_what_is_done_is_not_done_again(records, rows, tmp_path):
     assert len(counts) == 2
 
 
+def test_what_is_done_with_other_settings_is_told(records, rows, tmp_path):
+    writer = Writer(tmp_path)
+    writer.add(rows[0])
+    writer.flush()
+    moved = records[0] | {"mask": "elsewhere.png", "mesh": "elsewhere.ply"}
+    assert [*pj.fit_many([moved], out=tmp_path)] == [rows[0]]  # a mount of another name
+    other = records[0] | {"max_steps": 7}
+    for items in ([other], iter([other])):
+        words = rf"`out`.*{re.escape(other['id'])}.*'max_steps' None, which is 7 now"
+        with pytest.raises(ValueError, match=words):
+            pj.fit_many(items, out=tmp_path)  # no worker starts
+
+
 def test_what_failed_is_tried_again_if_asked(records, rows, tmp_path):
     writer = Writer(tmp_path)
     for row in [empty_row(records[0], "crashed", ""), rows[1] | {"words": "there before"}]:
@@ -724,9 +737,11 @@ def test_the_command(records, rows, folder, tmp_path, capsys):
     assert (tmp_path / "page.html").exists()
 
     # All is done: nothing is to be fitted. But that has to be asked for.
-    again = ["batch", str(folder / "test"), "-o", str(out)]
+    again = ["batch", str(folder / "test"), "-o", str(out), "--start"]
     assert command.main(again) == 2
     assert "--resume" in capsys.readouterr().err
+    assert command.main([*again[:-1], "--resume"]) == 2
+    assert "`--output`: expected rows of records as they are now" in capsys.readouterr().err
     assert command.main([*again, "--resume"]) == 0
     assert len(batch.Results(out)) == COUNT
     writer.add(empty_row({"id": "z"}, "failed", "words"))
