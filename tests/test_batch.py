@@ -491,6 +491,19 @@ def test_what_is_done_is_not_done_again(records, rows, tmp_path):
     assert len(counts) == 2
 
 
+def test_what_is_done_with_other_settings_is_told(records, rows, tmp_path):
+    writer = Writer(tmp_path)
+    writer.add(rows[0])
+    writer.flush()
+    moved = records[0] | {"mask": "elsewhere.png", "mesh": "elsewhere.ply"}
+    assert [*pj.fit_many([moved], out=tmp_path)] == [rows[0]]  # a mount of another name
+    other = records[0] | {"max_steps": 7}
+    for items in ([other], iter([other])):
+        words = rf"`out`.*{re.escape(other['id'])}.*'max_steps' None, which is 7 now"
+        with pytest.raises(ValueError, match=words):
+            pj.fit_many(items, out=tmp_path)  # no worker starts
+
+
 def test_what_failed_is_tried_again_if_asked(records, rows, tmp_path):
     writer = Writer(tmp_path)
     for row in [empty_row(records[0], "crashed", ""), rows[1] | {"words": "there before"}]:
@@ -588,6 +601,8 @@ def fit_one(record):
         os.kill(os.getpid(), signal.SIGKILL)
     while kind == "loops":
         pass
+    while kind == "waits" and not os.path.exists("go"):
+        time.sleep(0.02)
     if kind == "sleeps":
         time.sleep(1000)
     time.sleep(0.02)
@@ -641,16 +656,17 @@ def test_a_record_has_its_time(script, tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_what_is_stopped_goes_on(script, tmp_path, number):
     """Workers end with the process that asked, and what is done is not done again."""
-    ids = [f"fine-{k:03d}" for k in range(160)]  # 40 rows are a part
+    ids = [f"fine-{k:03d}" for k in range(60)]  # 40 rows are a part
+    ids += [f"waits-{k}" for k in range(4)]
     out = tmp_path / "out"
-    process = start(script, ids, out, stderr=subprocess.DEVNULL)
+    process = start(script, ids, out, stderr=subprocess.DEVNULL, cwd=tmp_path)
     while not list(out.glob("part-*")):
         time.sleep(0.02)
         assert process.poll() is None
     process.send_signal(number)
     process.wait(30)
     before = {row["id"]: row["words"] for row in batch.Results(out)}
-    assert 40 <= len(before) < 160
+    assert 40 <= len(before) <= 60
     for pid in set(before.values()):
         for _ in range(100):
             if not Path(f"/proc/{pid}").exists():
@@ -658,7 +674,8 @@ def test_what_is_stopped_goes_on(script, tmp_path, number):
             time.sleep(0.1)
         else:
             pytest.fail("a worker is left")
-    assert start(script, ids, out).wait(60) == 0
+    (tmp_path / "go").touch()
+    assert start(script, ids, out, cwd=tmp_path).wait(60) == 0
     after = {row["id"]: row["words"] for row in batch.Results(out)}
     assert sorted(after) == ids
     assert all(after[id] == words for id, words in before.items())
@@ -724,9 +741,11 @@ def test_the_command(records, rows, folder, tmp_path, capsys):
     assert (tmp_path / "page.html").exists()
 
     # All is done: nothing is to be fitted. But that has to be asked for.
-    again = ["batch", str(folder / "test"), "-o", str(out)]
+    again = ["batch", str(folder / "test"), "-o", str(out), "--start"]
     assert command.main(again) == 2
     assert "--resume" in capsys.readouterr().err
+    assert command.main([*again[:-1], "--resume"]) == 2
+    assert "`--output`: expected rows of records as they are now" in capsys.readouterr().err
     assert command.main([*again, "--resume"]) == 0
     assert len(batch.Results(out)) == COUNT
     writer.add(empty_row({"id": "z"}, "failed", "words"))

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeGuard
 
 from .._names import STATUSES
 from .engine import rows_of
-from .parts import Results, Writer
+from .parts import Done, Results, Writer
 from .records import Record, check_id, plain_record, shard_of
 from .rows import NO_FIT, Row
 from .worker import TOKEN, Setup
@@ -67,8 +67,8 @@ def fit_many(
       user's cache folder). Other processes are set up likewise; threads have this one's JAX.
     - `workers`: how many processes (None: one a core); of an executor, how many it has.
     - `out`: a folder that rows are appended to, in parts that appear whole or not at all, some
-      seconds apart. Records whose ids it holds are not fitted again, whatever else they say: to
-      resume is to call again, and other settings want another folder.
+      seconds apart. Records whose ids it holds are not fitted again: to resume is to call again.
+      Where one of them says something else now (paths may have moved), that wants another folder.
     - `progress` is called with a `Count` after each row.
     - `shard` (i, n): the i-th (1 to n) of n parts of the records, by their ids: other machines take
       the others, into the same folder or their own.
@@ -82,12 +82,13 @@ def fit_many(
 
     A script that calls this without an executor does so below if __name__ == "__main__".
 
-    Raises ValueError for arguments of other kinds, and for items that have no `id` or one twice;
+    Raises ValueError for arguments of other kinds, for items that have no `id` or one twice, and
+    for those that are done already with other settings;
     RuntimeError where no worker starts.
     """
     _check(items, executor, workers, shard, time_limit, retry)
     results = None if out is None else Results(out)
-    done = set() if results is None else results.ids(but=retry)
+    done = Done() if results is None else results.done(but=retry)
     total, before = _planned(items, shard, done)
     order: list[str] = []
     waiting = _sorted(_left(items, shard, done, order if results is None else None))
@@ -148,9 +149,7 @@ def _is_integer(value: object) -> TypeGuard[int]:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-def _planned(
-    items: Iterable[Record], shard: tuple[int, int], done: set[str]
-) -> tuple[int | None, int]:
+def _planned(items: Iterable[Record], shard: tuple[int, int], done: Done) -> tuple[int | None, int]:
     """Return how many records there are in a shard, and how many of them are done.
 
     What can be gone through only once does not tell. All else is checked here: an id that is
@@ -161,16 +160,19 @@ def _planned(
     total = before = 0
     for record in _checked(items, shard):
         total += 1
-        before += record["id"] in done
+        before += done.has(record)
     return total, before
 
 
 def _left(
-    items: Iterable[Record], shard: tuple[int, int], done: set[str], order: list[str] | None
+    items: Iterable[Record],
+    shard: tuple[int, int],
+    done: Done,
+    order: list[str] | None,
 ) -> Iterator[Record]:
     """Yield the records that are not done, and note their ids in `order`."""
     for record in _checked(items, shard):
-        if record["id"] not in done:
+        if not done.has(record):
             record = plain_record(record)  # no worker is asked what a process cannot be handed
             if order is not None:
                 order.append(record["id"])

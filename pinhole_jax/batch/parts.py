@@ -1,5 +1,6 @@
 """Rows on disk: parts that appear whole or not at all. What has been done is what they hold."""
 
+import hashlib
 import json
 import os
 import secrets
@@ -7,11 +8,13 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
+from reprlib import repr as brief
 from typing import BinaryIO, NamedTuple
 
 from .._files.paths import path_of, replace_file
+from .records import Record, plain_record, settings_of
 from .rows import Row, line_of, row_of
 
 #: Rows wait in memory for a part of so many, or so many seconds: what a crash loses.
@@ -70,9 +73,14 @@ class Results:
             raise ValueError(f"`out`: expected a folder, got {str(folder)!r}: a file")
 
     def ids(self, but: Collection[str] = ()) -> set[str]:
-        """Return the ids of all rows, but for those of some statuses: what has been done."""
+        """Return the ids of all rows, but for those of some statuses."""
+        return {*self.done(but)}
+
+    def done(self, but: Collection[str] = ()) -> "Done":
+        """Return what has been done: all rows, but for those of some statuses."""
         places = self._places()
-        return {id for id, place in places.items() if place.status not in but}
+        settings = {id: place.settings for id, place in places.items() if place.status not in but}
+        return Done(settings, self)
 
     def __len__(self) -> int:
         return len(self._places())
@@ -105,25 +113,61 @@ class Results:
             offset = 0
             with open(path, "rb") as stream:
                 for line in stream:
-                    id, status = _head_of(line, path)
-                    places[id] = _Place(path, offset, sys.intern(status))
+                    id, status, settings = _head_of(line, path)
+                    places[id] = _Place(path, offset, sys.intern(status), settings)
                     offset += len(line)
         return places
 
 
+class Done(Mapping[str, bytes]):
+    """The ids of what has been done, and a digest of each one's settings."""
+
+    def __init__(self, settings: dict[str, bytes] | None = None, results: Results | None = None):
+        self._settings, self._results = settings or {}, results
+
+    def __getitem__(self, id: str) -> bytes:
+        return self._settings[id]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._settings)
+
+    def __len__(self) -> int:
+        return len(self._settings)
+
+    def has(self, record: Record) -> bool:
+        """Return whether a record has its row.
+
+        Raises ValueError where the row is of another record, which had that id then.
+        """
+        id, now = record["id"], settings_of(plain_record(record))
+        if id not in self or self[id] == _digest(now):
+            return id in self
+        assert self._results is not None
+        then = settings_of(json.loads(self._results.row(id)["record"]))
+        other = next(name for name in now | then if now.get(name) != then.get(name))
+        words = f"expected rows of records as they are now, got {id!r} with {other!r}"
+        values = f"{brief(then.get(other))}, which is {brief(now.get(other))} now"
+        raise ValueError(f"`out`: {words} {values}; other settings want another folder")
+
+
+def _digest(settings: Record) -> bytes:
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).digest()[:8]
+
+
 class _Place(NamedTuple):
-    """Where a row is: its part, the bytes before it; and its status."""
+    """Where a row is: its part, the bytes before it; its status, and its record's settings."""
 
     path: Path
     offset: int
     status: str
+    settings: bytes
 
 
 def _read(places: Iterable[_Place]) -> Iterator[Row]:
     """Yield the rows at places; some parts are open at a time."""
     streams: dict[Path, BinaryIO] = {}
     try:
-        for path, offset, _ in places:
+        for path, offset, *_ in places:
             if path not in streams:
                 if len(streams) >= MOST_OPEN:
                     streams.pop(next(iter(streams))).close()
@@ -135,12 +179,12 @@ def _read(places: Iterable[_Place]) -> Iterator[Row]:
             stream.close()
 
 
-def _head_of(line: bytes, path: Path) -> tuple[str, str]:
-    """Return a row's id and status."""
+def _head_of(line: bytes, path: Path) -> tuple[str, str, bytes]:
+    """Return a row's id and status, and its record's settings."""
     try:
         data = json.loads(line)
-        return data["id"], data["status"]
-    except (ValueError, KeyError, TypeError):
+        return data["id"], data["status"], _digest(settings_of(json.loads(data["record"])))
+    except (ValueError, KeyError, TypeError, AttributeError):
         words = f"expected rows as `fit_many` writes them, got {path.name}"
         cure = "where a disk has lost it, remove it: its records are fitted again"
         raise ValueError(f"`out`: {words}; {cure}") from None

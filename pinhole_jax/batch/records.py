@@ -37,6 +37,8 @@ FIELDS = {
 }
 #: Fields that name files.
 PATHS = ("mesh", "mask", "camera", "weight", "photo", "robot")
+#: What fields say that are not there.
+DEFAULTS = {"free": "pose", "pixel_centres": "integer", "invert": False, "tidy": False}
 #: Fields of one mask alone, and those in which null says something.
 ALONE, MAY_BE_NONE = {"weight", "photo", "prior", "bounds"}, {"outlier_px"}
 
@@ -111,6 +113,17 @@ def shard_of(id: str, count: int) -> int:
     """Return which of so many shards (0, 1, ...) a record is in: its id alone says so, anywhere."""
     # (A file's name need be no text.)
     return int.from_bytes(hashlib.sha256(id.encode(errors="surrogatepass")).digest()[:8]) % count
+
+
+def settings_of(record: Record) -> dict[str, Any]:
+    """Return what a plain record asks for, beside its id, where its files are, and its views."""
+    return {
+        name: value
+        for name, value in record.items()
+        if not (name in ("id", "views") or (name in PATHS and isinstance(value, str)))
+        and not (value is None and name not in MAY_BE_NONE)
+        and value != DEFAULTS.get(name, ...)
+    }
 
 
 def digest_of(record: Record) -> str:
