@@ -20,6 +20,7 @@ from .._scene.scene import Mesh, Scene, Spheres, astype
 from .bvh import Tree, mesh_tree, sphere_tree
 from .components import Parts, largest, length, outer, parts, unit, whole
 from .intersect import ray_plane, ray_sphere
+from .kept import can_keep, kept
 from .packets import first_met, in_packets, out_of_packets
 from .raster import first_seen, view_of
 
@@ -81,37 +82,81 @@ def found(scene: Any, rays: Any) -> Found:
         kinds = f"{type(scene).__name__}, {type(rays).__name__}"
         raise ValueError(f"`scene`, `rays`: expected a Scene and Rays or a Camera, got {kinds}")
     if isinstance(rays, Rays):
-        return _find(scene, rays, None)
+        return _find(*_searchable(scene, rays), rays, None)
     check_camera(rays, "rays")
     distorted = rays.lens is not None and rays.lens.distortion is not None
-    return _find(scene, _rays_of(rays), None if distorted else rays)
+    if not distorted:
+        return _find(scene, None, _rays_of(rays), rays)
+    rays = _rays_of(rays)
+    return _find(*_searchable(scene, rays), rays, None)
 
 
 _rays_of = eqx.filter_jit(camera_rays)
 
 
+class Trees(NamedTuple):
+    """Trees over a scene's faces and spheres, in a unit of length about the scene's size.
+
+    World lengths times `scale`, a power of 2, are lengths in this unit.
+    """
+
+    mesh: Tree | None
+    spheres: Tree | None
+    scale: Float[Array, ""]
+
+
+def _searchable(scene: Scene, rays: Rays) -> tuple[Scene | None, Trees | None]:
+    """Return the scene's trees, made once per scene, or of a traced scene itself."""
+    mesh, spheres = scene.mesh, scene.spheres
+    arrays = [] if mesh is None else [mesh.vertices, mesh.faces, mesh.order]
+    arrays += [] if spheres is None else [spheres.centers, spheres.radii]
+    if not (arrays and can_keep(arrays)):
+        return scene, None
+    dtype = jnp.result_type(rays.direction)
+    kind = ("trees", dtype, mesh is None)
+    return None, kept(kind, arrays, lambda: _trees_of(scene, dtype))
+
+
 @eqx.filter_jit
-def _find(scene: Scene, given: Rays, camera: Camera | None) -> Found:
+def _trees_of(scene: Scene, dtype: Any) -> Trees:
+    """Return the trees of a scene for rays of a float type."""
+    # Exact, and then the products of coordinates neither overflow nor vanish.
+    scene, scale = _to_unit_size(astype(jax.lax.stop_gradient(scene), dtype))
+    return _trees(scene, scale)
+
+
+def _trees(scene: Scene, scale: Float[Array, ""]) -> Trees:
+    mesh, spheres = scene.mesh, scene.spheres
+    of_mesh = None if mesh is None or not mesh.faces.shape[0] else mesh_tree(mesh)
+    none = spheres is None or not spheres.radii.shape[0]
+    return Trees(of_mesh, None if none else sphere_tree(spheres), scale)
+
+
+@eqx.filter_jit
+def _find(scene: Scene | None, trees: Trees | None, given: Rays, camera: Camera | None) -> Found:
     """Return what rays meet first, with the camera that they are of; not differentiated.
 
-    A program of its own: `trace`, `occluded`, `depth` and `normals` share it.
+    Give the scene or its trees. A program of its own: `trace`, `occluded`, `depth` and `normals`
+    share it.
     """
     scene, rays, camera = jax.lax.stop_gradient((scene, given, camera))
-    scene = astype(scene, rays.direction.dtype)
-    # Exact, and then the products of coordinates neither overflow nor vanish.
-    scene, scale = _to_unit_size(scene)
+    mesh = None
+    if trees is None:
+        scene, scale = _to_unit_size(astype(scene, rays.direction.dtype))
+        mesh = scene.mesh if camera is not None else None
+        drawn = scene if camera is None else Scene(spheres=scene.spheres)
+        trees = _trees(drawn, scale)
     shape = jnp.broadcast_shapes(rays.origin.shape, rays.direction.shape)[:-1]
     direction = [jnp.broadcast_to(x, shape) for x in _of_size_one(parts(rays.direction))]
-    origin = parts(rays.origin * scale)
+    origin = parts(rays.origin * trees.scale)
     face = sphere = jnp.full(shape, -1, jnp.int32)
-    mesh, spheres = scene.mesh, scene.spheres
-    if mesh is not None and mesh.faces.shape[0] and camera is not None:
+    if mesh is not None and mesh.faces.shape[0]:
         eye, film = jnp.stack(origin), view_of(camera)
         face = first_seen(mesh.vertices, mesh.faces, film, eye, direction)
-    elif mesh is not None and mesh.faces.shape[0]:
-        face = _search(mesh_tree(mesh), origin, direction, shape)
-    if spheres is not None and spheres.radii.shape[0]:
-        sphere = _search(sphere_tree(spheres), origin, direction, shape)
+    if trees.mesh is not None:
+        face = _search(trees.mesh, origin, direction, shape)
+    if trees.spheres is not None:
+        sphere = _search(trees.spheres, origin, direction, shape)
     return Found(given, face, sphere)
 
 
