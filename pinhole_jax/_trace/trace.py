@@ -163,21 +163,19 @@ def _faces_of(scene: Scene, dtype: Any) -> embree.Faces:
     return _faces(scene)
 
 
-def _faces(scene: Scene) -> embree.Faces:
+def _faces(scene: Any) -> embree.Faces:
     return embree.Faces(scene.mesh.vertices, scene.mesh.faces, jnp.int32(-1))
 
 
 def _trees(scene: Scene, scale: Float[Array, ""]) -> Trees:
     mesh, spheres = scene.mesh, scene.spheres
     of_mesh = None if mesh is None or not mesh.faces.shape[0] else mesh_tree(mesh)
-    none = spheres is None or not spheres.radii.shape[0]
-    return Trees(of_mesh, None if none else sphere_tree(spheres), scale)
+    of_spheres = None if spheres is None or not spheres.radii.shape[0] else sphere_tree(spheres)
+    return Trees(of_mesh, of_spheres, scale)
 
 
 @eqx.filter_jit
-def _find(
-    scene: Any, trees: Trees | None, given: Rays, camera: Camera | None, search: str = "tree"
-) -> Found:
+def _find(scene: Any, trees: Trees | None, given: Rays, camera: Any, search: str = "tree") -> Found:
     """Return what rays meet first, with the camera that they are of; not differentiated.
 
     Give the scene or its trees. A program of its own: `trace`, `occluded`, `depth` and `normals`
@@ -196,7 +194,7 @@ def _find(
     direction = [jnp.broadcast_to(x, shape) for x in _of_size_one(parts(rays.direction))]
     origin = parts(rays.origin * trees.scale)
     face = sphere = jnp.full(shape, -1, jnp.int32)
-    if mesh is not None and mesh.faces.shape[0]:
+    if camera is not None and mesh is not None and mesh.faces.shape[0]:
         eye, film = jnp.stack(origin), view_of(camera)
         face = first_seen(mesh.vertices, mesh.faces, film, eye, direction)
     if trees.faces is not None:
