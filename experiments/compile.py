@@ -48,6 +48,10 @@ def mask_without_overlaps():
     return jax.jit(lambda c, s: pj.silhouette(c, s, overlaps=False)), (_camera(), _scene())
 
 
+def depth():
+    return jax.jit(pj.depth), (_camera(), _scene())
+
+
 def gradient_of_camera():
     return jax.jit(jax.grad(_loss)), (_camera(), _scene())
 
@@ -81,6 +85,7 @@ PROGRAMS: dict[str, Callable] = {
     for f in (
         mask,
         mask_without_overlaps,
+        depth,
         gradient_of_camera,
         gradient_of_camera_and_vertices,
         gradient_with_spheres_and_distortion,

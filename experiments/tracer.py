@@ -80,6 +80,7 @@ def run(shape: trimesh.Trimesh, scene: pj.Scene, rays: pj.Rays, film: pj.Camera 
     origin = np.ascontiguousarray(np.broadcast_to(rays.origin, rays.direction.shape).reshape(-1, 3))
     peer = embree(shape)
     if peer is not None:
+        jobs["trace_by_embree"] = lambda: pj.trace(scene, rays, search="embree")
         jobs["embree"] = lambda: peer(origin, direction)
     seconds = timed(jobs)
     result = {"faces": len(shape.faces), "rays": len(direction)}
@@ -93,6 +94,8 @@ def run(shape: trimesh.Trimesh, scene: pj.Scene, rays: pj.Rays, film: pj.Camera 
         theirs = peer(origin, direction)
         for name in jobs:
             result[f"{name}_ratio"] = result[f"{name}_s"] / result["embree_s"]
+        by_embree = np.asarray(pj.trace(scene, rays, search="embree").primitive).reshape(-1)
+        result["by_embree_as_searched"] = float(np.mean(by_embree == ours))
         result["same_face"] = float(np.mean(ours == theirs))
         result["same_hit"] = float(np.mean((ours >= 0) == (theirs >= 0)))
     return result

@@ -16,6 +16,7 @@ pytestmark = pytest.mark.optimised
 MOST = {
     "mask_without_overlaps": Kernels(220, 160, 8),
     "mask": Kernels(710, 460, 27),
+    "depth": Kernels(200, 142, 2),
     "gradient_of_camera": Kernels(1520, 615, 58),
     "fit": Kernels(700, 455, 12),
 }

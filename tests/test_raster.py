@@ -51,7 +51,7 @@ def view(random, vertices, faces):
 def both(scene, camera):
     """Return the face in each pixel, drawn and searched for, of the same rays."""
     rays = _rays_of(camera)
-    return (np.asarray(_find(scene, rays, given).face) for given in (camera, None))
+    return (np.asarray(_find(scene, None, rays, given).face) for given in (camera, None))
 
 
 KINDS = ["scales", "lattice", "plane", "twice", "slivers", "film-covering"]

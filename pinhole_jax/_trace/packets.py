@@ -48,6 +48,19 @@ def first_met(tree: Tree, origin: Vectors, direction: Vectors) -> Int[Array, "N"
     return met[:-1].reshape(-1)[:N]
 
 
+def one_by_one(
+    tree: Tree, origin: Vectors, direction: Vectors, axis: Int[Array, "N"], number: Array
+) -> Int[Array, "N"]:
+    """Return what `first_met` does of the first `number` rays or a few more, each one's axis given;
+    -1 for the others."""
+    N = direction.shape[0]
+    origin, direction, axis = _filled_up(origin), _filled_up(direction), _filled_up(axis)
+    met = jnp.full((origin.shape[0] + 1, RAYS), -1, jnp.int32)
+    wanted = RAYS * jnp.arange(origin.shape[0], dtype=jnp.int32) < number
+    met = _search(tree, origin, direction, axis, wanted, met, split=True)
+    return met[:-1].reshape(-1)[:N]
+
+
 @first_met.def_vmap
 def _batched(size: int, batched: list, tree: Tree, origin: Array, direction: Array):
     """One batch of rays is more rays; many trees are searched in turn."""
