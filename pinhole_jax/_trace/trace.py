@@ -63,10 +63,11 @@ def trace(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Hit:
     that is not finite, or without a direction, misses.
 
     `search="embree"` has Embree (`pip install 'pinhole-jax[embree]'`) find the faces, several times
-    as fast for arbitrary rays: the same hits, as rays that pass an edge so near that float32 cannot
-    tell are searched for in the tree again. Only where faces that share no edge lie over one
-    another within some 1e-6 of the scene's size may the second be hit, that much further. Spheres
-    are searched for as before, and all derivatives are the same.
+    as fast for arbitrary rays. Rays that pass an edge so near that float32 cannot tell are searched
+    for in the tree again, so hits are the same, but for two cases: of faces that share no edge and
+    lie over one another within some 1e-6 of the scene's size the second may be hit, that much
+    further; a sliver seen from its side may be missed. Spheres are searched for as before, and all
+    derivatives are the same.
 
     Raises ValueError for another `search`, ImportError where embreex is not installed.
     """
