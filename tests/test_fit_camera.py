@@ -239,8 +239,12 @@ def test_progress_is_told_after_each_level(scene):
     assert [str(level) for level in fit.history[1:]] == [str(level) for level in told]
     assert "96 x 80" in str(told[-1])
     np.testing.assert_allclose(told[-1].camera.e, fit.camera.e, rtol=1e-12)
-    way = pj.fit_camera(scene, mask_of(CAMERA, scene), start, record=True).history
+    each = []
+    mask = mask_of(CAMERA, scene)
+    way = pj.fit_camera(scene, mask, start, record=True, progress=each.append).history
     assert [stop.steps for stop in way] == [0] + [1] * sum(fit.steps)
+    assert [str(stop) for stop in each] == [str(stop) for stop in way[1:]]
+    np.testing.assert_array_equal([s.camera.e for s in each], [s.camera.e for s in way[1:]])
     for level, last in zip(told, np.cumsum(fit.steps), strict=True):
         assert (way[last].W, way[last].H) == (level.W, level.H)
         np.testing.assert_allclose(way[last].camera.e, level.camera.e, rtol=1e-9)

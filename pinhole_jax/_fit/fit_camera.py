@@ -78,7 +78,8 @@ def fit_camera(
       residuals that the mask leaves.
     - `bounds`: between what phi, aspect or a coefficient of distortion is to stay, if free. One
       that ends at a bound is no longer determined: the status is then "rank_deficient".
-    - `max_steps`: a limit for each level. `progress` is called with a `Progress` after each level.
+    - `max_steps`: a limit for each level. `progress` is called with a `Progress` after each level,
+      where it records with one for each of the level's steps.
       `record`: `history` shall have each step (takes some more ms).
     - `photo`: (H, W, 3), sRGB, uint8 or float (0..1), that the mask was taken from. What is found
       for the mask is refined on it: colours beside the outline say what share of each pixel is the

@@ -61,7 +61,7 @@ class Progress(NamedTuple):
 
     def __str__(self) -> str:
         """Return it as a line."""
-        return f"{self.W} x {self.H} pixels: {self.steps} steps"
+        return f"{self.W} x {self.H} pixels: {self.steps} step{'s' * (self.steps != 1)}"
 
 
 def check_fit(fit: Any) -> None:

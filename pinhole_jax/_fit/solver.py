@@ -328,13 +328,14 @@ class Solver:
                 tolerance = (fine_px or self.fine_px) if finest else coarse_px
                 further, n, path, end = self._further(unit, level, tolerance, most, capacity)
                 stop = Stop(further, level, int(n))
-                way += self._each_step(unit, number, stop, path) if self._record else [stop]
+                stops = self._each_step(unit, number, stop, path) if self._record else [stop]
+                way += stops
                 if self._weighs_prior():
                     self.believe(end.touched_misfit)
                 unit = further
                 taken.append(stop.steps)
-                if told is not None:
-                    told(stop)
+                for passed in stops if told is not None else ():
+                    told(passed)
             # (What a descent saw last is differentiated by moves of where it began.)
             view = self.look(unit, levels[-1])
             if (self.capacity, self.window) == (capacity, window):

@@ -20,7 +20,7 @@ const FREE = {
 const COLOURS = { object: "#4ade80", background: "#fb7185", add: "#4ade80", erase: "#fb7185", line: "#ffd54a" };
 const CYAN = "#00f0ff", DARK = "#001e3c", YELLOW = "255, 220, 0";
 
-const studio = { ready: false, tool: "turn", view: null, fit: null, mask: null, updates: 0, busy: 0 };
+const studio = { ready: false, tool: "turn", view: null, fit: null, mask: null, updates: 0, stops: 0, busy: 0 };
 window.studio = studio; // what tests look at
 let socket, tab = sessionStorage.getItem("tab") || "", next = 1;
 let W = 1, H = 1, photo = null, maskImage = null, solid = null;
@@ -93,11 +93,15 @@ function showBusy(words) {
 }
 
 // What a fit passes on its way is shown one after another, so that an eye can follow.
-const settling = [];
+// The band is the one it comes to rest in, as soon as that is known.
+const settling = [], STOP_MS = 45, MOST_STOPS = 60;
+let rest = null;
 setInterval(() => {
   const stop = settling.shift();
-  if (stop) show({ ...studio.view, ...stop, is_fit: false });
-}, 90);
+  if (!stop) return;
+  studio.stops += 1;
+  show({ ...studio.view, ...stop, is_fit: false, settles: true });
+}, STOP_MS);
 const settled = () => new Promise((resolve) => {
   const timer = setInterval(() => { if (!settling.length) { clearInterval(timer); resolve(); } }, 30);
 });
@@ -241,7 +245,7 @@ function drawOver(over) {
   if (view) {
     trace(over, view.grid, "#ffffff80", px);
     trace(over, view.lines, COLOURS.line, 2 * px);
-    const band = view.is_fit && studio.fit && studio.fit.band;
+    const band = view.settles ? rest : view.is_fit && studio.fit && studio.fit.band;
     if (band) drawBand(over, band, px);
     paths(over, view.outline, DARK, 4 * px);
     paths(over, view.outline, CYAN, 2 * px);
@@ -478,8 +482,11 @@ async function fit(search) {
   if (studio.busy || $("fit").disabled) return;
   if (!free().length) return complain("Free something that the fit may change.");
   $("stop").hidden = false;
+  rest = null;
   const answer = await act("fitting (the first time compiles: seconds)", "fit", { free: free(), search, refine: $("refine").checked });
   $("stop").hidden = true;
+  rest = answer && answer.fit.band;
+  settling.splice(0, Math.max(settling.length - MOST_STOPS, 0)); // (a search passes many)
   await settled();
   took(answer);
   if (!answer) return void ask("look").then(show, () => {});
@@ -682,6 +689,7 @@ $("restore").onclick = async () => {
 $("way").onclick = async () => {
   const answer = await act("one moment", "way");
   if (!answer) return;
+  rest = studio.fit.band;
   settling.push(...answer.stops);
   await settled();
   show(await ask("restore"));
