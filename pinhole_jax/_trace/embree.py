@@ -2,14 +2,14 @@
 
 Embree reckons in float32. It is given faces that are somewhat larger than they are, so that a ray
 that meets a face by our test meets it there too, unless the face is seen from its side. What it
-finds is in doubt where our own test does not say that the ray passes well within the face, where another
-face has the same corners, and for rays that start far away or next to a face. Such rays are
+finds is in doubt where our own test does not say that the ray passes well within the face, where
+another face has the same corners, and for rays that start far away or next to a face. Such rays are
 searched for in the tree, so ties are resolved as there.
 
-What is left: faces that lie over one another within about 1e-6 of the scene's size without an edge in
-common, of which Embree may name the second, whose hit is that much further; and slivers seen from
-their side, which it may miss. (The margins are estimates of float32's errors, not bounds: of 160 000
-rays none differed.)
+What is left: faces that lie over one another within about 1e-6 of the scene's size, without an edge
+in common, of which Embree may name the second, whose hit is that much further; and slivers seen
+from their side, which it may miss. (The margins are estimates of float32's errors, not bounds: of
+160 000 rays none differed.)
 """
 
 import importlib
