@@ -34,7 +34,7 @@ from ._fit.joint_views import JointView as JointView
 from ._fit.metrics import iou as iou, pose_error as pose_error
 from ._fit.observability import Observability as Observability, observability as observability
 from ._fit.result import Fit as Fit, Progress as Progress
-from ._scene.assembly import Assembly as Assembly
+from ._scene.assembly import Assembly as Assembly, Posture as Posture
 from ._scene.scene import Mesh as Mesh, Scene as Scene, Spheres as Spheres
 from ._silhouette.silhouette import silhouette as silhouette
 from ._trace.images import depth as depth, normals as normals

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ._files.paths import existing, reason
-from ._scene.assembly import Assembly
+from ._scene.assembly import Assembly, Posture
 from ._scene.scene import Mesh, Scene
 from .io.meshes import load_mesh, welded
 
@@ -54,6 +54,20 @@ class Robot:
     def scene(self, angles: Any) -> Scene:
         """Return the robot with its joints at these angles (see `poses`)."""
         return self.at(self.poses(angles))
+
+    def posture(self, angles: Any) -> Posture:
+        """Return the robot with its joints at these angles (see `poses`), and how it moves with
+        their zeros: what a `JointView` takes where `fit_joint` shall find these."""
+        checked = self._checked(angles)
+
+        def poses(offsets: np.ndarray) -> list[np.ndarray]:
+            added = zip(self.joints, offsets, strict=True)
+            found = self.poses({name: checked[name] + x for name, x in added})
+            return [found[link] @ place for link, place in self._at]
+
+        kinds = {name: self._urdf.joint_map[name].type for name in self.joints}
+        units = {n: "world" if kind == "prismatic" else "rad" for n, kind in kinds.items()}
+        return Posture(self._assembly, poses, units)
 
     def at(self, poses: Mapping[str, Any]) -> Scene:
         """Return the robot with its links at poses (4, 4) that other kinematics found, by name.

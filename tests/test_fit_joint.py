@@ -141,6 +141,57 @@ def test_an_object_s_pose_before_known_cameras(arm, scenes, silhouette):
     assert np.all(found.std < 1e-6)
 
 
+@pytest.fixture(scope="module")
+def noisy(views):
+    """Masks whose pixels err independently."""
+    random = np.random.default_rng(0)
+    noise = [0.05 * random.normal(size=(SIZE, SIZE)) for _ in views]
+    return [
+        v._replace(target=np.clip(v.target + n, 0, 1)) for v, n in zip(views, noise, strict=True)
+    ]
+
+
+def test_what_is_known_of_a_camera_counts_as_in_the_fit_of_one_mask(noisy):
+    known = {"phi": (0.604, 0.004), "e_x": (0.42, 0.02)}
+    asked = START, ("pose", "phi")
+    one = pj.fit_camera(noisy[0].scene, noisy[0].target, *asked, prior=known)
+    joint = pj.fit_joint(noisy[:1], *asked, prior=known).cameras["camera"]
+    assert np.allclose(joint.std, one.std, rtol=2e-3)
+    assert max(apart(joint.camera, one.camera)) < 0.02 * np.min(one.std)
+    assert abs(float(joint.camera.phi - one.camera.phi)) < 0.01 * one.std[-1]
+    told = np.diag(joint.independent_covariance) / np.diag(one.independent_covariance)
+    assert np.allclose(told, 1, rtol=4e-3)
+
+
+def test_what_is_known_of_an_object_counts(arm, scenes, silhouette):
+    """What is known better than the mask tells is found there, as surely as it is known."""
+    place = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
+    seen = silhouette(TRUTH, arm.at([place @ pose for pose in posture(0)]))
+    seen = np.clip(seen + 0.05 * np.random.default_rng(1).normal(size=seen.shape), 0, 1)
+    view = pj.JointView(scenes[0], seen, object="part")
+    known = {"part": {"x": (0.2, 1e-5), "z": (0.3, 10.0)}}
+    fit = pj.fit_joint([view], TRUTH, (), objects={"part": place @ OFF}, prior=known)
+    found = fit.objects["part"]
+    assert fit.status == "converged"
+    assert abs(found.pose[0, 3] - 0.2) < 4e-5
+    assert abs(found.std[3] / 1e-5 - 1) < 0.01
+    assert np.all(np.abs(found.pose[1:3, 3] - place[1:3, 3]) < 4 * found.std[4:])
+    assert np.all(found.std[4:] > 1e-4)
+
+
+def test_bounds_hold_what_the_masks_would_have_elsewhere(noisy):
+    fit = pj.fit_joint(noisy[:2], START, ("pose", "phi"), bounds={"phi": (0.61, 0.7)})
+    found = fit.cameras["camera"]
+    assert fit.status == "rank_deficient"
+    assert abs(float(fit.camera.phi) - 0.61) < 1e-5
+    assert np.isinf(found.std[-1])
+    assert found.weak[-1] == "phi is held at an end of its bounds"
+    within = pj.fit_joint(noisy[:2], START, ("pose", "phi"), bounds={"camera": {"phi": (0.5, 0.7)}})
+    free = pj.fit_joint(noisy[:2], START, ("pose", "phi"))
+    assert within.status == "converged"
+    assert abs(float(within.camera.phi - free.camera.phi)) < 1e-6
+
+
 @pytest.mark.long
 def test_a_box_before_two_cameras_may_be_turned_by_half(silhouette):
     bar = trimesh.creation.box((0.6, 0.9, 2.2))
@@ -335,6 +386,35 @@ BOTH = {"camera": TRUTH, "other": TRUTH}
         ),
         (r"`outlier_px`: expected a positive", lambda v: {"outlier_px": -1.0}),
         (r"`max_steps`: expected an integer", lambda v: {"max_steps": 0}),
+        (
+            r"`prior`: expected free parameters among e_x, e_y, e_z, got 'phi'",
+            lambda v: {"prior": {"phi": (0.6, 0.1)}},
+        ),
+        (
+            r"`prior`: expected names among camera, got 'left'",
+            lambda v: {"prior": {"left": {"e_x": (0, 1)}}},
+        ),
+        (
+            r"`prior`: expected a positive deviation of 'x', got 0.0",
+            lambda v: {
+                **one(v, object="part"),
+                "objects": {"part": np.eye(4)},
+                "free": (),
+                "prior": {"part": {"x": (0, 0)}},
+            },
+        ),
+        (
+            r"`joint_zeros`: expected views with a `posture`, got none",
+            lambda v: {"joint_zeros": 0.01},
+        ),
+        (
+            r"`views\[0\].posture`: expected a Posture or None, got list",
+            lambda v: one(v, posture=[0.1]),
+        ),
+        (
+            r"`bounds`: expected low < high of 'phi'",
+            lambda v: {"free": ("pose", "phi"), "bounds": {"phi": (1, 0.5)}},
+        ),
     ],
 )
 def test_wrong_arguments_are_named(views, words, change):
@@ -387,6 +467,101 @@ def test_a_urdf_is_a_scene(tmp_path):
         pj.robots.load_urdf(tmp_path / "no.urdf")
 
 
+#: A lump and three links, their joints' axes this way and that.
+THREE = """<robot name="three">
+  <link name="base"><visual><geometry><mesh filename="body.stl"/></geometry></visual></link>
+  <link name="upper"><visual><origin xyz="0 0 0.6"/><geometry><box size="0.3 0.4 1.2"/></geometry>
+  </visual></link>
+  <link name="fore"><visual><origin xyz="0.1 0 0.5"/><geometry><box size="0.35 0.2 1.0"/></geometry>
+  </visual></link>
+  <link name="hand"><visual><origin xyz="0.15 0 0.2"/><geometry><box size="0.5 0.2 0.3"/></geometry>
+  </visual></link>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
+  <origin xyz="0 0 0.2"/><axis xyz="0 1 0"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <joint name="elbow" type="revolute"><parent link="upper"/><child link="fore"/>
+  <origin xyz="0 0 1.2"/><axis xyz="0 1 0.3"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <joint name="wrist" type="revolute"><parent link="fore"/><child link="hand"/>
+  <origin xyz="0.1 0 1.0"/><axis xyz="1 0 0"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+</robot>"""
+#: What its joints' readings lack (rad), the camera before it, and where a fit starts.
+LACK = np.deg2rad([0.7, -1.3, 2.0])
+BEFORE = pj.Camera([3, -5.5, 3], [0, 0, 0.8], [0, 0, 1], 0.6, 1.0, SIZE, SIZE)
+NEAR = at_pose(
+    BEFORE, pose_of(BEFORE) @ exponential(np.array([0.05, -0.06, 0.04, 0.1, 0.05, -0.2]))
+)
+
+
+@pytest.fixture(scope="module")
+def misread(tmp_path_factory, silhouette):
+    """Views of five postures of a robot whose joints' zeros are off."""
+    pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
+    folder, body = tmp_path_factory.mktemp("three"), shapes.bumpy(2)
+    half = trimesh.Trimesh(0.5 * np.asarray(body.vertices), body.faces, process=False)
+    half.export(folder / "body.stl")
+    (folder / "three.urdf").write_text(THREE)
+    robot = pj.robots.load_urdf(folder / "three.urdf")
+    postures = np.random.default_rng(3).uniform(-1, 1, (5, 3))
+    return [
+        pj.JointView(
+            robot.scene(read),
+            silhouette(BEFORE, robot.scene(read + LACK)),
+            posture=robot.posture(read),
+        )
+        for read in postures
+    ]
+
+
+def test_the_zeros_of_joints_are_found_with_the_camera(misread):
+    fit = pj.fit_joint(misread, NEAR, joint_zeros=np.deg2rad(1.5))
+    assert fit.status == "converged"
+    assert fit.joint_zeros.names == ("shoulder", "elbow", "wrist")
+    assert np.rad2deg(np.max(np.abs(fit.joint_zeros.values - LACK))) < 1e-4  # (0.01 was asked)
+    assert max(apart(fit.camera, BEFORE)) < 1e-5
+    assert np.all(fit.joint_zeros.std < 1e-5)
+    assert all(view.iou > 1 - 1e-6 for view in fit.views)
+
+
+@pytest.mark.long
+def test_zeros_that_are_not_sought_move_the_camera(misread):
+    fit = pj.fit_joint(misread, NEAR)
+    angle, _ = apart(fit.camera, BEFORE)
+    assert fit.status == "misfit"
+    assert angle > 0.1
+
+
+@pytest.mark.long
+def test_a_joint_that_the_masks_do_not_tell_is_as_well_known_as_before(misread):
+    """Two sigma from its readings at most; what is not named stays."""
+    known = {"wrist": 1e-5}
+    fit = pj.fit_joint(misread[:2], NEAR, joint_zeros=known)
+    assert fit.joint_zeros.names == ("wrist",)
+    assert abs(fit.joint_zeros.std[0] / 1e-5 - 1) < 0.1
+
+
+def test_what_a_view_sees_of_joints_is_what_differences_say(misread, silhouette):
+    """But for pixels in which two links end, of which a small picture has many."""
+    problem = JointProblem.of(
+        misread[:1], BEFORE, ("pose",), None, None, None, 8, joint_zeros=1
+    ).with_zeros()
+    layout, state, posture = problem.layout, problem.start, misread[0].posture
+    seen = layout.look(state, 1)[0]
+    pixels, count = seen.view.pixels, len(seen.view.pixels.cell)
+    stated = (np.asarray(seen.view.jacobian) @ seen.moves)[:count, -3:]
+    used = np.asarray(pixels.weight) > 0
+    row, column = np.divmod(np.asarray(pixels.cell)[used], int(pixels.level.W) + 2)
+    left, bottom = np.asarray(pixels.level.origin, int)
+    for k, step in enumerate(1e-5 * np.eye(3)):
+        one, other = (silhouette(BEFORE, posture.scene(sign * step)) for sign in (1, -1))
+        change = (one - other) / 2e-5
+        here = change[SIZE - 1 - row - bottom, column - 1 + left]
+        assert np.isclose(np.linalg.norm(here), np.linalg.norm(change))
+        off = np.abs(stated[used, k] - here) > 1e-3 * np.max(np.abs(here))
+        assert np.mean(off[np.abs(here) > 0]) < 0.12
+
+
 @pytest.fixture
 def robot_files(tmp_path, monkeypatch, silhouette):
     """A robot of two links, angles and masks of three postures, a camera to start from."""
@@ -409,6 +584,22 @@ def robot_files(tmp_path, monkeypatch, silhouette):
 
 
 @pytest.mark.long
+def test_the_command_finds_zeros_and_writes_a_page(robot_files, capsys):
+    Path("joints.csv").write_text("turn\n-0.61\n0.29\n1.09\n")
+    words = [*robot_files, "--camera", "start.json", "--joint-zeros", "1", "-o", "found"]
+    assert command.main([*words, "--holdout", "--report", "page.html"]) == 0
+    out = capsys.readouterr().out
+    assert max(apart(pj.io.load_fit("found/camera.json").camera, TRUTH)) < 0.02
+    found = float(re.search(r"^turn +([-+0-9.]+) ", out, re.M)[1])
+    assert abs(found - np.rad2deg(0.01)) < 0.05
+    page = Path("page.html").read_text()
+    for words in ("95 % interval", "sigma off", "mask only", "they agree", "mask_2.png", "turn"):
+        assert words in page
+    assert page.count("<img") == 3
+    assert page.count("<section") == page.count("</section>") == 6
+
+
+@pytest.mark.long
 def test_the_command_finds_the_camera_of_a_robot(robot_files, capsys):
     words = [*robot_files, "--camera", "start.json", "--holdout", "-o", "found"]
     assert command.main(words) == 0
@@ -428,6 +619,11 @@ def test_the_command_names_what_is_wrong_about_a_robot(robot_files, capsys):
     robot, masks = robot_files[:2], robot_files[3:]
     for change, words in (
         ([*robot_files[:-1], *start], "`MASK`: expected one of each of 3 rows of 'joints.csv'"),
+        ([*robot_files, *start, "--joint-zeros", "-1"], "`--joint-zeros`: expected a positive"),
+        (
+            [*robot_files, *start, "--joint-zeros", "1", "--in-hand", "arm"],
+            "`--joint-zeros`: expected none beside `--in-hand`",
+        ),
         ([*robot_files, *start, "--in-hand", "tool"], "`--in-hand`: expected a link among base"),
         ([*robot_files, *start, "--leave-out", "tool"], "`--leave-out`: expected links among base"),
         ([*robot, "other.csv", *masks, *start], "`JOINTS`: expected one of each joint, got none"),

@@ -49,10 +49,10 @@ def exponential(twist: Float[np.ndarray, "6"]) -> Pose:
     """
     turn = twist[:3]
     angle = float(np.linalg.norm(turn))
-    skew = _skew(turn)
+    by = skew(turn)
     a = np.sinc(angle / np.pi)
     b = np.sinc(angle / (2 * np.pi)) ** 2 / 2
-    return rigid(np.eye(3) + a * skew + b * skew @ skew, twist[3:])
+    return rigid(np.eye(3) + a * by + b * by @ by, twist[3:])
 
 
 def adjoint(pose: Pose) -> Float[np.ndarray, "6 6"]:
@@ -60,7 +60,7 @@ def adjoint(pose: Pose) -> Float[np.ndarray, "6 6"]:
     rotation = pose[:3, :3]
     result = np.zeros((6, 6))
     result[:3, :3] = result[3:, 3:] = rotation
-    result[3:, :3] = _skew(pose[:3, 3]) @ rotation
+    result[3:, :3] = skew(pose[:3, 3]) @ rotation
     return result
 
 
@@ -82,6 +82,7 @@ def check_pose(name: str, value: Any) -> Pose:
     return rigid(left @ right, matrix[:3, 3])
 
 
-def _skew(vector: np.ndarray) -> np.ndarray:
+def skew(vector: np.ndarray) -> np.ndarray:
+    """Return the matrix (3, 3) of a cross product with a vector."""
     x, y, z = vector
     return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

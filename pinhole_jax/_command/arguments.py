@@ -227,8 +227,15 @@ def _add_hand_eye(commands: Any) -> None:
     )
     robot.add_argument("--mask-from", metavar="HOW", help="how to read the MASKs, see below")
     robot.add_argument(
+        "--joint-zeros",
+        type=float,
+        metavar="SIGMA",
+        help="find the zeros of the turning joints, too, which are known to so many degrees",
+    )
+    robot.add_argument(
         "--holdout", action="store_true", help="fit each half of the postures, too: do they agree?"
     )
+    robot.add_argument("--report", metavar="PAGE.html", help="write one page about all of it")
     _add_folder(robot)
     _add_cache(robot)
 

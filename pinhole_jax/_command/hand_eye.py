@@ -11,7 +11,7 @@ import numpy as np
 from .. import io
 from .._camera.camera import Camera
 from .._files.naming import named
-from .._files.paths import read_json, read_text
+from .._files.paths import read_json, read_text, replace_file
 from .._fit.drift import drift
 from .._fit.fit_joint import fit_joint
 from .._fit.joint_result import JointFit
@@ -21,6 +21,7 @@ from ..formats import object_pose
 from ..plot import overlay
 from ..robots import load_urdf
 from .known import known
+from .robot_page import robot_page
 
 #: What the command calls the arguments of `fit_joint`.
 ASKED = {"target": "MASK", "free": "--free", "camera": "--camera", "cameras": "--camera"}
@@ -34,9 +35,29 @@ def hand_eye(
     camera, search = _start(options, views[0].target, tell)
     say(f"fitting {len(views)} views (the first time compiles: seconds)")
     with named(**ASKED):
-        fit = fit_joint(views, camera, as_names(options.free), search=search, progress=say)
+        fit = fit_joint(
+            views,
+            camera,
+            as_names(options.free),
+            search=search,
+            joint_zeros=zeros_of(options),
+            progress=say,
+        )
     apart = _halves(fit, views, options) if options.holdout else None
     written = _write(options, fit, views)
+    if options.report is not None and fit.status != "non_finite":
+        say("drawing the page")
+        text = robot_page(
+            fit,
+            [view.target for view in views],
+            [Path(path).name for path in options.masks],
+            frame=options.in_hand or "the base",
+            halves=apart,
+            pixel_centres=options.pixel_centres,
+        )
+        with named(path="--report"):
+            replace_file(options.report, text.encode(errors="backslashreplace"))
+        written.append(Path(options.report))
     print(fit)
     found = fit.cameras["camera"]
     if fit.status != "non_finite":
@@ -70,8 +91,21 @@ def views_of(options: argparse.Namespace, tell: Callable[[str], Any]) -> list[Jo
             words = f"expected a link among {', '.join(poses)}, got {link!r}"
             raise ValueError(f"`--in-hand`: {words}")
         mount = None if link is None else poses[link]
-        views.append(JointView(robot.at(poses), mask, mount=mount))
+        posture = robot.posture(angles) if zeros_of(options) else None
+        views.append(JointView(robot.at(poses), mask, mount=mount, posture=posture))
     return views
+
+
+def zeros_of(options: argparse.Namespace) -> float | None:
+    """Return how surely the joints' zeros are known (rad), None: exactly."""
+    degrees = getattr(options, "joint_zeros", None)
+    if degrees is None:
+        return None
+    if not 0 < degrees < np.inf:
+        raise ValueError(f"`--joint-zeros`: expected a positive number of degrees, got {degrees}")
+    if options.in_hand is not None:
+        raise ValueError("`--joint-zeros`: expected none beside `--in-hand`, whose link they move")
+    return float(np.deg2rad(degrees))
 
 
 def joint_angles(path: str) -> list[dict[str, float]]:
@@ -125,8 +159,10 @@ def _halves(fit: JointFit, views: list[JointView], options: argparse.Namespace) 
     if len(views) < 2:
         return "expected two views at least"
     start, free = fit.camera, as_names(options.free)
+    known = zeros_of(options)
     one, other = (
-        fit_joint(half, start, free).cameras["camera"] for half in (views[::2], views[1::2])
+        fit_joint(half, start, free, joint_zeros=known).cameras["camera"]
+        for half in (views[::2], views[1::2])
     )
     apart = drift(one, other)
     degrees = np.rad2deg(apart.angle)
@@ -145,5 +181,5 @@ def _write(options: argparse.Namespace, fit: JointFit, views: list[JointView]) -
         if fit.status != "non_finite":
             for k, (view, given) in enumerate(zip(fit.views, views, strict=True)):
                 written.append(folder / f"overlay_{k}.png")
-                io.save_image(written[-1], overlay(given.target, view.camera, given.scene))
+                io.save_image(written[-1], overlay(given.target, view.camera, view.scene))
     return written

@@ -18,9 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .joint_descent import Descent, Layout, Solved, solve
+from .joint_descent import Descent, Layout, Rows, Solved, solve
 from .joint_views import Eye
 from .outline_errors import OutlineErrors
+from .parameters import components
 from .problem import FINE_PX, UNIT_PX, View
 from .result import Known, gradients
 
@@ -28,6 +29,10 @@ from .result import Known, gradients
 HEAVY = 1.0
 #: Rounds of weights at most; those that change by a smaller share have settled.
 ROUNDS, SETTLED = 16, 0.1
+#: Of a normal distribution 95 % lie within so many standard deviations.
+NORMAL_95 = 1.959964
+#: How many times a residual's variance masks may err by, against what is believed.
+DESIGNS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
 #: What of a covariance of gradients counts as nothing, beside its largest.
 NOTHING = 1e-10
 
@@ -41,6 +46,8 @@ class Agreement(NamedTuple):
     - `freedom`: of how many numbers that is the mean.
     - `off` (V,): each view's residuals beside the middle one's; `weights` (V,), at most 1.
     - `errors`: how each mask's outline errs, None where it is exact, and explained.
+    - `known`: the rows of what is believed, which err by `noise`.
+    - `sigma` (V,): how surely each view disagrees with the others, as of one normal number.
     """
 
     descent: Descent
@@ -51,15 +58,48 @@ class Agreement(NamedTuple):
     off: np.ndarray
     weights: np.ndarray
     errors: list[OutlineErrors | None]
+    known: list[Rows]
+    noise: float
+    sigma: np.ndarray
+
+    def without(self, layout: Layout, view: int) -> "Agreement":
+        """Return what the other views, and what is believed, would tell by themselves."""
+        weights = np.where(np.arange(len(self.weights)) == view, 0.0, self.weights)
+        parts = layout.least_squares(self.descent.seen, weights)
+        solved = solve([*parts, *self.known], layout.size, np.zeros(layout.size))
+        return self._replace(solved=solved, weights=weights)
+
+    @property
+    def wider(self) -> float:
+        """Return by how much variances grow: as much as the views are farther apart, and as that is
+        read from few of them."""
+        if self.excess <= 1:
+            return 1.0
+        from scipy.stats import t
+
+        return (self.excess * float(t.ppf(0.975, self.freedom)) / NORMAL_95) ** 2
 
     def covariance(self, layout: Layout, place: np.ndarray) -> np.ndarray:
-        """Return the covariance (p, p) of some unknowns that the masks' errors leave (the sandwich
-        of Huber 1967, a view at a time)."""
+        """Return the covariance (p, p) of some unknowns that the masks' errors, and what is
+        believed, leave (the sandwich of Huber 1967, a view at a time)."""
         result = np.zeros((len(place), len(place)))
         seen = zip(self.descent.seen, self.gradients, self.weights, strict=True)
         for k, (view, gradient, weight) in enumerate(seen):
             influence = self.solved.inverse(place, layout.columns(k)) @ (weight * view.moves.T)
-            result += influence @ gradient @ influence.T
+            result += self.wider * influence @ gradient @ influence.T
+        return result + self._of_known(place, self.noise**2)
+
+    def independent(self, place: np.ndarray, variance: float) -> np.ndarray:
+        """Return the covariance (p, p) were the residuals independent and of one variance."""
+        by_masks = variance * self.solved.inverse(place, place)
+        return by_masks + self._of_known(place, self.noise**2 - variance)
+
+    def _of_known(self, place: np.ndarray, variance: float) -> np.ndarray:
+        """Return what rows of such a variance, of what is believed, make of some unknowns."""
+        result = np.zeros((len(place), len(place)))
+        for part in self.known:
+            influence = self.solved.inverse(place, part.columns) @ part.rows.T
+            result += variance * influence @ influence.T
         return result
 
 
@@ -79,20 +119,66 @@ def agreed(
     return _at(layout, found, weights)
 
 
+def weigh_beliefs(layout: Layout, found: Descent) -> None:
+    """Weigh what is believed against the masks so that it is told best from now on: what errs along
+    stretches, or all outwards, says less than its residuals do."""
+    if not layout.beliefs:
+        return
+    spreads, ones = [], np.ones(len(layout.eyes))
+    for design in DESIGNS:
+        layout.design = design
+        here = _at(layout, found, ones)
+        spreads.append(
+            sum(
+                float(np.trace(p.rows @ here.covariance(layout, p.columns) @ p.rows.T))
+                for p in here.known
+            )
+            / here.noise**2
+        )
+    layout.design = DESIGNS[int(np.argmin(spreads))]
+
+
 def _at(layout: Layout, found: Descent, weights: np.ndarray) -> Agreement:
     """Return how far views with these weights agree."""
-    views = [seen.view for seen in found.seen]
+    # What is at an end of its bounds, nothing determines.
+    held = layout.ways_out(found.state, found.seen) != 0
+    seen = [
+        s._replace(moves=np.where(held[layout.columns(k)], 0.0, s.moves))
+        for k, s in enumerate(found.seen)
+    ]
+    found = found._replace(seen=seen)
+    views = [one.view for one in seen]
     pairs = list(zip(layout.eyes, views, strict=True))
     errors = [eye.solver.errors(view) for eye, view in pairs]
     each = [_gradient(*pair, e) for pair, e in zip(pairs, errors, strict=True)]
-    squares, ranks = np.array([_distance(v, g) for v, g in zip(views, each, strict=True)]).T
-    freedom = max(int(ranks.sum()) - layout.size, 1)
-    excess = max(float(weights @ squares) / freedom, 1.0) ** 0.5
+    own = [len(components(eye.solver.names)) for eye in layout.eyes]
+    distances = [_distance(*one) for one in zip(views, each, own, strict=True)]
+    squares, ranks = np.array(distances).T
+    noise = layout.noise(found.seen)
+    known = layout.known(found.state, found.seen, noise)
+    believed = sum(part.squares for part in known) / noise**2
+    freedom = int(ranks.sum()) + sum(len(part.left) for part in known) - layout.size
+    freedom = max(freedom, 1)
+    excess = max((float(weights @ squares) + believed) / freedom, 1.0) ** 0.5
+    excess = excess if len(views) > 1 else 1.0  # (One view has none that it could differ from.)
     misfit = np.array([max(v.touched_misfit, e.solver.kind.least) for e, v in pairs])
     off = (misfit / np.median(misfit)) ** 0.5
     parts = layout.least_squares(found.seen, weights)
-    solved = solve(parts, layout.size, np.zeros(layout.size))
-    return Agreement(found, solved, each, excess, freedom, off, weights, errors)
+    known = [part.without(held) for part in known]
+    solved = solve([*parts, *known], layout.size, np.zeros(layout.size))
+    sigma = np.array([_sigma(*pair) for pair in zip(squares, ranks, strict=True)])
+    told = excess, freedom, off, weights, errors, known, noise, sigma
+    return Agreement(found, solved, each, *told)
+
+
+def _sigma(squares: float, rank: float) -> float:
+    """Return how unlikely chi-squared of so many numbers is, as the distance of a normal one."""
+    from scipy.stats import chi2, norm
+
+    if not (rank > 0 and np.isfinite(squares)):
+        return 0.0
+    log = float(chi2.logsf(squares, rank))
+    return float(norm.isf(np.exp(log) / 2)) if log > -600 else float(np.sqrt(squares))
 
 
 def _gradient(eye: Eye, view: View, errors: OutlineErrors | None) -> np.ndarray:
@@ -107,9 +193,14 @@ def _gradient(eye: Eye, view: View, errors: OutlineErrors | None) -> np.ndarray:
     return of_mask + normal @ normal.T
 
 
-def _distance(view: View, covariance: np.ndarray) -> tuple[float, int]:
-    """Return g' G^-1 g of a view's gradient, and of how many numbers."""
-    triangle, along = np.asarray(view.triangle, float), np.asarray(view.along, float)
+def _distance(view: View, covariance: np.ndarray, own: int) -> tuple[float, int]:
+    """Return g' G^-1 g of a view's gradient by its own camera's moves, and of how many numbers.
+
+    (What joints move is a few stretches of the outline, whose errors are not told well enough: a
+    round flange that turns made views differ by 32 times what they err.)
+    """
+    covariance = covariance[:own, :own]
+    triangle, along = np.asarray(view.triangle, float)[:, :own], np.asarray(view.along, float)
     size = np.linalg.norm(triangle, axis=0)
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))

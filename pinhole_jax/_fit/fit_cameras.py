@@ -122,17 +122,6 @@ def fit_cameras(
     return _reports(views, seen, answers, own, tuple(steps))
 
 
-def design(solver: Solver, view: View) -> float:
-    """Return how many times as large as of independent residuals the variance is that a mask's
-    errors leave, in the mean of what it determines (a survey's design effect)."""
-    errors, triangle = solver.errors(view), np.asarray(view.triangle, float)
-    if errors is None or not np.any(triangle):
-        return 1.0
-    inverse = np.linalg.pinv(triangle)
-    spread = np.trace(inverse.T @ errors.gradient @ inverse) / np.linalg.matrix_rank(triangle)
-    return errors.computed + float(spread) / max(view.touched_misfit, solver.kind.least)
-
-
 def _believe(views: list[OneView], depth: int) -> None:
     """Weigh the priors by what the residuals of all views err by on a level."""
     sums = [v.look(depth).sums for v in views]
@@ -158,7 +147,7 @@ def _reports(
     )
     unknowns = len(views) * int(own.sum()) + int((~own).sum())
     variance = squares / max(touched - unknowns, 1)
-    designs = [design(one.solver, view) for one, view in zip(views, seen, strict=True)]
+    designs = [one.solver.design(view) for one, view in zip(views, seen, strict=True)]
     noise = variance, float(np.mean(designs))
     slope: Any = sum(p.rest.T @ p.left + p.across.T @ p.known for p in parts)
     rests = others([p.rest for p in parts])

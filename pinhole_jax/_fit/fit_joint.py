@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from .._camera.camera import Camera
-from .agreement import agreed
+from .agreement import agreed, weigh_beliefs
 from .joint_descent import Descent, descend
 from .joint_problem import JointProblem, Path, Tell, depth_of, descended
 from .joint_result import JointFit, independent_variance, reported, together
 from .joint_search import equally_good, looking_alike, searched_jointly
-from .joint_views import JointView
+from .joint_views import JointView, State
 from .problem import COARSE_PX, FINE_PX
 from .strategy import EXACT
 
@@ -19,6 +19,8 @@ from .strategy import EXACT
 REACHES = (8, 4, 2, 1)
 #: A step that is negligible (px) at the end where masks err by more.
 DRAWN_PX = 5e-3
+#: With the zeros of joints a fit goes on from so many levels before the finest.
+ZEROS_FROM = 3
 #: What covers less than this share of a drawn mask may have come from a wrong start.
 LIKELY_IOU = 0.8
 
@@ -32,6 +34,9 @@ def fit_joint(
     rig: Mapping[str, Any] | None = None,
     search: bool = False,
     outlier_px: float | None = 2.0,
+    prior: Mapping[str, Any] | None = None,
+    bounds: Mapping[str, Any] | None = None,
+    joint_zeros: float | Mapping[str, float] | None = None,
     max_steps: int = 64,
     progress: Callable[[str], None] | None = None,
 ) -> JointFit:
@@ -52,6 +57,12 @@ def fit_joint(
       leads to what does not explain the masks.
     - `outlier_px`: as in `fit_camera`: pixels farther from a mask's edge lose their weight at the
       end, where masks are not exact.
+    - `prior`, `bounds`: as in `fit_camera`, the same for each camera, or by the names of cameras
+      (and objects): {"left": {"phi": (0.6, 0.01)}}. An object's prior is of its place: x, y, z.
+      Where masks err along stretches, what is known beforehand counts for as much more.
+    - `joint_zeros`: how surely the zeros of a robot's joints are known: standard deviations, by the
+      joints' names (rad; of sliding ones in world units), or one number for all that turn. They are
+      the same in all views that have a `posture`, and are found with the rest. None: exactly.
 
     Each view is reduced to a few rows by the program that a single fit has; what one view alone
     depends on is eliminated there. So the cost is linear in the views, and nothing is compiled that
@@ -63,14 +74,21 @@ def fit_joint(
 
     Raises ValueError for arguments that make no fit; what the solver met is in `JointFit.status`.
     """
-    problem = JointProblem.of(views, cameras, free, objects, rig, outlier_px, max_steps)
+    problem = JointProblem.of(
+        views, cameras, free, objects, rig, outlier_px, max_steps, prior, bounds, joint_zeros
+    )
     tell = progress if progress is not None else _silent
     parts = problem.parts()
     if search and not all(part.searchable() for part, _ in parts):
         raise ValueError(
             "`search`: expected one unknown pose in views that hang together, got several or none"
         )
-    fits = [(_fit(part, search, tell), numbers) for part, numbers in parts]
+    led = [(_led(part, search, tell), numbers) for part, numbers in parts]
+    if problem.zeros:
+        fits = _with_zeros(problem, led, tell)
+    else:
+        problems = [part for part, _ in parts]
+        fits = [(_ended(p, of, tell), n) for p, (of, n) in zip(problems, led, strict=True)]
     return fits[0][0] if len(fits) == 1 else together(fits)
 
 
@@ -78,8 +96,9 @@ def _silent(words: str) -> None:
     del words
 
 
-def _fit(problem: JointProblem, search: bool, tell: Tell) -> JointFit:
-    """Return the fit of a problem whose views hang together."""
+def _led(problem: JointProblem, search: bool, tell: Tell) -> list[Path]:
+    """Return where the start, or a search, leads to in a problem whose views hang together, the
+    best first, then what explains the masks as well."""
     starts = []
     if not search:
         starts = [descended(problem, problem.start, tell, range(depth_of(problem), 0, -1))]
@@ -88,7 +107,46 @@ def _fit(problem: JointProblem, search: bool, tell: Tell) -> JointFit:
         better = [f for f in found if not starts or f.descent.squares < starts[0].descent.squares]
         starts = better or starts
     alike = looking_alike(problem, starts[0], tell)
-    best, *others = equally_good(problem, [*starts, *alike])
+    return equally_good(problem, [*starts, *alike])
+
+
+def _with_zeros(
+    problem: JointProblem, led: list[tuple[list[Path], list[int]]], tell: Tell
+) -> list[tuple[JointFit, list[int]]]:
+    """Return the fits in which the zeros of joints are sought, from where views led to without."""
+    result = []
+    for part, numbers in problem.with_zeros().parts():
+        within = [(paths, seen) for paths, seen in led if seen[0] in numbers]
+        best = _merged(problem, [(paths[0], seen) for paths, seen in within])
+        states = [best]
+        for k, (paths, seen) in enumerate(within):
+            for other in paths[1:]:
+                bests = [(p[0], n) for p, n in within]
+                bests[k] = other, seen
+                states.append(_merged(problem, bests))
+        depths = range(min(depth_of(part), ZEROS_FROM), 0, -1)
+        paths = [descended(part, state, tell, depths) for state in states]
+        result.append((_ended(part, paths, tell), numbers))
+    return result
+
+
+def _merged(problem: JointProblem, found: list[tuple[Path, list[int]]]) -> State:
+    """Return the state in which each view's poses and lenses are where a path of its own led."""
+    poses, lenses = dict(problem.start.poses), dict(problem.start.lenses)
+    for path, numbers in found:
+        state = path.descent.state
+        for k in numbers:
+            eye = problem.layout.eyes[k]
+            poses[eye.moving] = state.poses[eye.moving]
+            lenses[eye.camera] = state.lenses[eye.camera]
+            if eye.object is not None:
+                poses[eye.object] = state.poses[eye.object]
+    return problem.start._replace(poses=poses, lenses=lenses)
+
+
+def _ended(problem: JointProblem, paths: list[Path], tell: Tell) -> JointFit:
+    """Return the fit that the first path leads to; the others are its modes."""
+    best, *others = paths
     fit = _finished(problem, best, tell)
     modes = [_finished(problem, other, tell) for other in others]
     if modes and fit.status in ("converged", "rank_deficient", "uncertain"):
@@ -101,7 +159,8 @@ def _is_content(problem: JointProblem, path: Path) -> bool:
     explained, else whether the scenes lie on them."""
     solvers = [eye.solver for eye in problem.layout.eyes]
     views = [seen.view for seen in path.descent.seen]
-    if all(solver.kind.exact for solver in solvers):
+    # (Zeros that are not where they are sought explain no mask.)
+    if all(solver.kind.exact for solver in solvers) and not problem.zeros:
         return all(s.explains(view) for s, view in zip(solvers, views, strict=True))
     overlap, union = (sum(float(getattr(v.sums, x)) for v in views) for x in ("overlap", "union"))
     return overlap >= LIKELY_IOU * union
@@ -121,6 +180,8 @@ def _finished(problem: JointProblem, path: Path, tell: Tell) -> JointFit:
             for eye in inexact:
                 eye.solver.weigh(eye.mask.near_edge(times * reach), only_finest=True)
             last = px if times == 1 else COARSE_PX
+            if times == 1:
+                weigh_beliefs(layout, path.descent)
             path = path.then(descended(problem, path.descent.state, tell, [1], last))
 
     def weighed(before: Descent, weights: np.ndarray) -> Descent:
@@ -128,8 +189,10 @@ def _finished(problem: JointProblem, path: Path, tell: Tell) -> JointFit:
 
     found = agreed(layout, path.descent, weighed)
     independent = independent_variance(layout, found)
+    state = found.descent.state
+    for eye in eyes:
+        eye.show(state)
     for eye in inexact:
         eye.solver.weigh(eye.mask.weight)
-    state = found.descent.state
     whole = [eye.solver.look(eye.unit(state), eye.solver.finest) for eye in eyes]
     return reported(problem, path.steps, found, independent, [view.sums for view in whole])

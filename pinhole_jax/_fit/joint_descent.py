@@ -14,11 +14,15 @@ import jax
 import numpy as np
 
 from .._camera.camera import Camera
-from .joint_views import Eye, State, Unknown, stepped
+from .joint_priors import Belief
+from .joint_views import ZERO, Eye, State, Unknown, stepped
+from .joint_zeros import Seen, with_joints
 from .problem import COSINE, UNIT_PX, View
 
 #: Damping of the first step, in squares of the columns' norms, and of what it is at least.
 FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
+#: A residual errs by at least as much, where something is believed: what is exact outweighs it.
+LEAST_NOISE = 1e-3
 #: Held by the thread that asks for a program.
 ASKING = Lock()
 
@@ -32,23 +36,31 @@ class Rows(NamedTuple):
     columns: np.ndarray
     own: np.ndarray
 
+    @property
+    def squares(self) -> float:
+        """Return the sum of the residuals' squares."""
+        return float(self.left @ self.left)
+
+    def without(self, held: np.ndarray) -> "Rows":
+        """Return them blind to unknowns (size,) that are held."""
+        return self._replace(rows=np.where(held[self.columns], 0.0, self.rows))
+
     def times(self, factor: float) -> "Rows":
         """Return them, each times a factor."""
         return self._replace(rows=factor * self.rows, left=factor * self.left)
 
 
-class Seen(NamedTuple):
-    """A view at a state, and its moves (n, k) by the unknowns."""
-
-    view: View
-    moves: np.ndarray
-
-
 class Layout:
     """Where each unknown's numbers are among all, and which views depend on it."""
 
-    def __init__(self, unknowns: Sequence[Unknown], eyes: Sequence[Eye]):
+    def __init__(
+        self, unknowns: Sequence[Unknown], eyes: Sequence[Eye], beliefs: Sequence[Belief] = ()
+    ):
         self.unknowns, self.eyes = list(unknowns), list(eyes)
+        known = {(u.name, u.kind) for u in self.unknowns}
+        self.beliefs = [b for b in beliefs if (b.name, b.kind) in known]
+        #: How many times as large as of independent residuals the masks' variance is.
+        self.design = 1.0
         ends = np.cumsum([u.size for u in self.unknowns], dtype=int)
         self.size = int(ends[-1]) if len(ends) else 0
         self._places = [np.arange(end - u.size, end) for u, end in zip(unknowns, ends, strict=True)]
@@ -58,15 +70,18 @@ class Layout:
         ]
         seen_by = np.bincount([k for of in self._of for k in of], minlength=len(self.unknowns))
         self.shared = seen_by > 1 if len(self.eyes) > 1 else np.ones(len(seen_by), bool)
+        # (What is believed of an unknown is no view's.)
+        believed = {(b.name, b.kind) for b in self.beliefs}
+        self.shared |= np.array([(u.name, u.kind) in believed for u in self.unknowns], bool)
 
     def of(self, k: int) -> list[Unknown]:
         """Return the unknowns that a view depends on."""
         return [self.unknowns[j] for j in self._of[k]]
 
-    def place(self, name: str, is_pose: bool) -> np.ndarray | None:
+    def place(self, name: str, kind: str) -> np.ndarray | None:
         """Return where an unknown's numbers are, None for what is none."""
         for unknown, place in zip(self.unknowns, self._places, strict=True):
-            if (unknown.name, unknown.is_pose) == (name, is_pose):
+            if (unknown.name, unknown.kind) == (name, kind):
                 return place
         return None
 
@@ -84,12 +99,17 @@ class Layout:
     def look(self, state: State, depth: int, grow: bool = True) -> list[Seen]:
         """Return what all views see on a level; NaN of what outgrows its buffers, unless these may
         `grow`."""
+        for eye in self.eyes:
+            eye.show(state)
         at = [(eye.unit(state), eye.level(depth)) for eye in self.eyes]
         begun = _side_by_side(self.eyes, at)
         result = []
         for k, (eye, a, view) in enumerate(zip(self.eyes, at, begun, strict=True)):
             view = eye.solver.look(*a, view) if grow else view
-            result.append(Seen(view, eye.moves(state, view, self.of(k))))
+            rigid = [u for u in self.of(k) if u.kind != ZERO]
+            seen = Seen(view, eye.moves(state, view, rigid))
+            joints = [u.name for u in self.of(k)[len(rigid) :]]
+            result.append(with_joints(eye, state, seen, joints) if joints else seen)
         return result
 
     def least_squares(self, seen: list[Seen], weights: np.ndarray) -> list[Rows]:
@@ -102,6 +122,34 @@ class Layout:
             ).times(weights[k] ** 0.5)
             for k, s in enumerate(seen)
         ]
+
+    def noise(self, seen: list[Seen]) -> float:
+        """Return what a residual of the masks errs by, as what is believed is weighed against it:
+        where neighbours err together, by more."""
+        if not self.beliefs:
+            return 1.0
+        touched = sum(float(s.view.sums.touched) for s in seen)
+        squares = sum(float(s.view.sums.touched_squares) for s in seen)
+        return max(self.design * squares / max(touched, 1.0), LEAST_NOISE**2) ** 0.5
+
+    def known(self, state: State, seen: list[Seen], noise: float) -> list[Rows]:
+        """Return the rows of what is believed, which err by a residual's noise."""
+        result = []
+        for belief in self.beliefs:
+            k = next(k for k, u in enumerate(self.unknowns) if u[:2] == (belief.name, belief.kind))
+            view = next(n for n, of in enumerate(self._of) if k in of)
+            left, rows = belief.residuals(state, self.eyes[view], seen[view].view)
+            part = Rows(rows, left, self._places[k], np.zeros(rows.shape[1], bool))
+            result.append(part.times(noise))
+        return result
+
+    def ways_out(self, state: State, seen: list[Seen]) -> np.ndarray:
+        """Return which way numbers (size,) would leave their bounds: 1 or -1 at an end, else 0."""
+        result = np.zeros(self.size)
+        for k, (eye, one) in enumerate(zip(self.eyes, seen, strict=True)):
+            for j in self._of[k]:
+                result[self._places[j]] = eye.ways_out(state, one.view, self.unknowns[j])
+        return result
 
 
 def _side_by_side(eyes: list[Eye], at: list[tuple[Camera, int]]) -> list[View]:
@@ -242,19 +290,25 @@ def descend(
     seen, damping, size = layout.look(state, depth, grow), FIRST_DAMPING, np.zeros(layout.size)
     squares = _squares(seen, weights)
     for n in range(1, most + 1):
-        parts = layout.least_squares(seen, weights)
+        # (What is believed is weighed by what the masks leave at this step.)
+        noise = layout.noise(seen)
+        known = layout.known(state, seen, noise)
+        squares = _squares(seen, weights) + sum(p.squares for p in known)
+        views = layout.least_squares(seen, weights)
+        parts = [*views, *known]
+        outward = layout.ways_out(state, seen) * _slope(parts, layout.size) < 0
+        views, known = ([p.without(outward) for p in some] for some in (views, known))
+        parts = [*views, *known]
         size = np.maximum(size, _column_norms(parts, layout.size))
         x = solve(parts, layout.size, damping**0.5 * size).x
-        moved = max(
-            float(np.max(np.abs(s.moves @ x[p.columns]), initial=0))
-            for s, p in zip(seen, parts, strict=True)
-        )
+        moved = moved_by(x, seen, views)
         change = sum(float(np.sum((p.rows @ x[p.columns]) ** 2)) for p in parts)
         if not np.isfinite(moved):
             return Descent(state, seen, squares, n, False)
         trial = stepped(state, layout.unknowns, x, layout.eyes)
         there = layout.look(trial, depth, grow)
         after = _squares(there, weights)
+        after += sum(p.squares for p in layout.known(trial, there, noise))
         if after <= squares:
             state, seen, squares = trial, there, after
             damping = max(damping / 10, LEAST_DAMPING)
@@ -267,6 +321,14 @@ def descend(
 
 def _squares(seen: list[Seen], weights: np.ndarray) -> float:
     return float(sum(w * s.view.squares for w, s in zip(weights, seen, strict=True)))
+
+
+def _slope(parts: list[Rows], size: int) -> np.ndarray:
+    """Return half the squares' derivative (size,)."""
+    total = np.zeros(size)
+    for part in parts:
+        np.add.at(total, part.columns, part.left @ part.rows)
+    return total
 
 
 def _column_norms(parts: list[Rows], size: int) -> np.ndarray:

@@ -7,12 +7,14 @@ import numpy as np
 
 from .._camera.camera import Camera, check_camera
 from .._camera.poses import Pose, check_pose, inverse, pose_of
+from .._scene.assembly import Posture
 from .._scene.scene import check_scene
 from .fit_camera import check_border, check_steps
 from .joint_descent import Descent, Layout, descend
-from .joint_views import TWIST, Eye, JointView, State, Unknown
+from .joint_priors import belief_of_zero, beliefs_of, bounds_by_name, zeros_of
+from .joint_views import LENS, POSE, TWIST, ZERO, Eye, JointView, State, Unknown
 from .mask import Mask
-from .moves import canonical
+from .moves import Bounds, canonical
 from .parameters import as_names, check_free, components, in_one, with_lens
 from .problem import COARSE_PX, FINE_PX
 from .residuals import Capacity
@@ -31,7 +33,8 @@ class JointProblem(NamedTuple):
     """Unknowns and views, where to start, and the cameras as they are given.
 
     `names` is what is free of a view's own camera, `moving` the name of the pose that each camera
-    goes with, `rig` the cameras' places there.
+    goes with, `rig` the cameras' places there, `zeros` how surely those of joints are known that
+    are sought in the end.
     """
 
     layout: Layout
@@ -42,6 +45,7 @@ class JointProblem(NamedTuple):
     rig: Mapping[str, Pose]
     outlier_px: float | None
     max_steps: int
+    zeros: Mapping[str, float]
 
     @classmethod
     def of(
@@ -53,12 +57,16 @@ class JointProblem(NamedTuple):
         rig: Any,
         outlier_px: float | None,
         max_steps: int,
+        prior: Any = None,
+        bounds: Any = None,
+        joint_zeros: Any = None,
     ) -> "JointProblem":
         """Return the problem, or raise ValueError."""
         check_steps(max_steps)
         if outlier_px is not None and not outlier_px > 0:
             raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
         given = _checked_views(views)
+        zeros = zeros_of(joint_zeros, given)
         cameras = {"camera": cameras} if isinstance(cameras, Camera) else cameras
         if not isinstance(cameras, Mapping):
             raise ValueError(
@@ -92,8 +100,11 @@ class JointProblem(NamedTuple):
         for name, camera in cameras.items():
             back = inverse(fixed.get(name, np.eye(4)))
             poses.setdefault(moving[name], pose_of(camera) @ back)
+        within = bounds_by_name(bounds, cameras, names)
+        beliefs = beliefs_of(prior, cameras, names, moving, fixed, [*(objects or {})])
+        settings = max_steps, outlier_px
         eyes = [
-            _eye(k, view, cameras[view.camera], own, moving, fixed, max_steps, outlier_px)
+            _eye(k, view, cameras[view.camera], own, moving, fixed, within[view.camera], settings)
             for k, view in enumerate(given)
         ]
         largest = Capacity(*np.max([eye.solver.capacity for eye in eyes], axis=0).tolist())
@@ -101,14 +112,25 @@ class JointProblem(NamedTuple):
             eye.solver.capacity = largest
         bent = sum(len(components((n,))) for n in own[1:])
         moved = dict.fromkeys(moving.values()) if "pose" in names else {}
-        unknowns = [Unknown(n, True, TWIST) for n in (*moved, *(objects or {}))]
-        unknowns += [Unknown(n, False, bent) for n in cameras if bent]
+        unknowns = [Unknown(n, POSE, TWIST) for n in (*moved, *(objects or {}))]
+        unknowns += [Unknown(n, LENS, bent) for n in cameras if bent]
         if not unknowns:
             raise ValueError("`free`: expected something to fit, got none")
-        layout, start = Layout(unknowns, eyes), State(poses, lenses)
+        layout, start = (
+            Layout(unknowns, eyes, beliefs),
+            State(poses, lenses, dict.fromkeys(zeros, 0.0)),
+        )
         if still := [k for k in range(len(eyes)) if not layout.of(k)]:
             raise ValueError(f"`views[{still[0]}]`: expected a view of something unknown, got none")
-        return cls(layout, start, cameras, own, moving, fixed, outlier_px, max_steps)
+        return cls(layout, start, cameras, own, moving, fixed, outlier_px, max_steps, zeros)
+
+    def with_zeros(self) -> "JointProblem":
+        """Return the problem in which the zeros of joints are sought, too."""
+        unknowns = [Unknown(name, ZERO, 1) for name in self.zeros]
+        believed = [belief_of_zero(name, std) for name, std in self.zeros.items()]
+        before = self.layout
+        layout = Layout([*before.unknowns, *unknowns], before.eyes, [*before.beliefs, *believed])
+        return self._replace(layout=layout)
 
     def parts(self) -> list[tuple["JointProblem", list[int]]]:
         """Return the problems that have no unknown in common, and the numbers of their views."""
@@ -127,7 +149,8 @@ class JointProblem(NamedTuple):
         result = []
         for linked, views in groups:
             eyes = [self.layout.eyes[k] for k in views]
-            layout = Layout([u for u in self.layout.unknowns if u in linked], eyes)
+            own = [u for u in self.layout.unknowns if u in linked]
+            layout = Layout(own, eyes, self.layout.beliefs)
             names = {eye.camera for eye in eyes}
             cameras = {n: c for n, c in self.cameras.items() if n in names}
             result.append((self._replace(layout=layout, cameras=cameras), views))
@@ -139,7 +162,8 @@ class JointProblem(NamedTuple):
         chosen = np.unique(np.linspace(0, len(eyes) - 1, most).round().astype(int))
         if len(chosen) == len(eyes):
             return self
-        return self._replace(layout=Layout(self.layout.unknowns, [eyes[k] for k in chosen]))
+        some = [eyes[k] for k in chosen]
+        return self._replace(layout=Layout(self.layout.unknowns, some, self.layout.beliefs))
 
     @property
     def px(self) -> float:
@@ -151,7 +175,7 @@ class JointProblem(NamedTuple):
 
     def searchable(self) -> str | None:
         """Return the name of the one pose that a search may find, if there is one."""
-        poses = [u.name for u in self.layout.unknowns if u.is_pose]
+        poses = [u.name for u in self.layout.unknowns if u.kind == POSE]
         return poses[0] if len(poses) == 1 else None
 
 
@@ -164,6 +188,9 @@ def _checked_views(views: Any) -> list[JointView]:
         if not isinstance(view, JointView):
             raise ValueError(f"`views[{k}]`: expected a JointView, got {type(view).__name__}")
         check_scene(view.scene)
+        if view.posture is not None and not isinstance(view.posture, Posture):
+            kind = type(view.posture).__name__
+            raise ValueError(f"`views[{k}].posture`: expected a Posture or None, got {kind}")
     return list(views)
 
 
@@ -174,8 +201,8 @@ def _eye(
     names: tuple[str, ...],
     moving: Mapping[str, str],
     rig: Mapping[str, Pose],
-    max_steps: int,
-    outlier_px: float | None,
+    bounds: Bounds | None,
+    settings: tuple[int, float | None],
 ) -> Eye:
     place = lambda what, x: np.eye(4) if x is None else check_pose(f"views[{k}].{what}", x)
     try:
@@ -184,14 +211,14 @@ def _eye(
     except ValueError as error:
         raise ValueError(f"`views[{k}]`: {error}") from error
     image = levelled(image, weight)
-    continued = outlier_px is not None
-    solver = Solver(
-        view.scene, image, weight, camera.e.dtype, names, max_steps, continued=continued
-    )
+    max_steps, outlier_px = settings
+    of_view = view.scene, image, weight, camera.e.dtype, names, max_steps, bounds
+    solver = Solver(*of_view, continued=outlier_px is not None)
     mask = Mask(image, weight, camera)
     mount, placed = place("mount", view.mount), place("placed", view.placed)
     pose = rig.get(view.camera, np.eye(4))
-    return Eye(mask, solver, view.camera, moving[view.camera], view.object, mount, pose, placed)
+    names_of = view.camera, moving[view.camera], view.object
+    return Eye(mask, solver, *names_of, mount, pose, placed, view.scene, view.posture)
 
 
 class Path(NamedTuple):

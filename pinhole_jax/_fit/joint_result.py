@@ -11,10 +11,11 @@ from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._camera.poses import Pose, adjoint, at_pose, inverse
 from .._names import STATUSES
+from .._scene.scene import Scene
 from .agreement import Agreement
 from .joint_descent import Layout
 from .joint_problem import JointProblem
-from .joint_views import TO_B, TWIST
+from .joint_views import LENS, POSE, TO_B, TWIST, ZERO
 from .moves import on_film
 from .parameters import LABELS, components, labels_of
 from .result import LEAST_IOU, UNCERTAIN, Fit, MaskError, widest_turn
@@ -31,8 +32,6 @@ LOST, MOST_LOST = 0.25, 1 / 3
 COUNTS = 0.1
 #: A parameter moves along a direction if by more than this share of what moves most.
 HARDLY = 1e-6
-#: Of a normal distribution 95 % lie within so many standard deviations.
-NORMAL_95 = 1.959964
 
 
 class ViewFit(NamedTuple):
@@ -44,6 +43,10 @@ class ViewFit(NamedTuple):
     - `weight`: how much it counts, at most 1: less where they go farther apart.
     - `astray`: which share of the outline is far (more than `outlier_px`) from the mask's edge.
     - `mask_error`: how the mask's outline errs; None where it is exact, and explained.
+    - `scene`: what it shows, the zeros of joints where they were found.
+    - `sigma`: how surely it disagrees with the other views, in standard errors.
+    - `worth`: by how many times the standard errors of its camera's pose would grow without it, in
+      the (geometric) mean; infinite where the other views do not determine that.
     """
 
     camera: Camera
@@ -53,6 +56,35 @@ class ViewFit(NamedTuple):
     weight: float
     astray: float
     mask_error: MaskError | None
+    scene: Scene
+    sigma: float
+    worth: float
+
+
+class JointZeros(NamedTuple):
+    """What is to be added to joints' readings: of each of `names` its value and `unit` ("rad", or
+    "world" of a joint that slides), and their covariance (n, n)."""
+
+    names: tuple[str, ...]
+    values: Float[np.ndarray, "n"]
+    units: tuple[str, ...]
+    covariance: Float[np.ndarray, "n n"]
+
+    @property
+    def std(self) -> Float[np.ndarray, "n"]:
+        """Return the standard deviations."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def __str__(self) -> str:
+        """Return it as a table."""
+        lines = ["joint         zero off   one sigma  unit"]
+        rows = zip(self.names, self.values, self.std, self.units, strict=True)
+        for name, value, std, unit in rows:
+            turns = unit == "rad"
+            value, std = (np.rad2deg(x) if turns else x for x in (value, std))
+            unit = "deg" if turns else unit
+            lines.append(f"{name:<12}{value:>+10.3g}{std:>12.2g}  {unit}")
+        return "\n".join(lines)
 
 
 class ObjectPose(NamedTuple):
@@ -81,6 +113,7 @@ class JointFit(NamedTuple):
     - `weak`: in words, what the masks determine badly, and which views disagree.
     - `modes`: other answers that explain the masks as well.
     - `steps`: on each level, coarse to fine.
+    - `joint_zeros`: those of the joints whose zeros were sought, a `JointZeros`; None of none.
     """
 
     status: str
@@ -91,6 +124,7 @@ class JointFit(NamedTuple):
     weak: tuple[str, ...]
     modes: tuple["JointFit", ...]
     steps: tuple[int, ...]
+    joint_zeros: JointZeros | None = None
 
     @property
     def camera(self) -> Camera:
@@ -109,6 +143,8 @@ class JointFit(NamedTuple):
         for name, found in self.objects.items():
             place = ", ".join(f"{x:.6g}" for x in found.pose[:3, 3])
             lines.append(f"{name}: at ({place})")
+        if self.joint_zeros is not None:
+            lines.append(str(self.joint_zeros))
         lines.append("view   IoU     rms     off  weight")
         for k, v in enumerate(self.views):
             lines.append(f"{k:4d}  {v.iou:.4f}  {v.rms:.4f}  {v.off:4.1f}  {v.weight:.2f}")
@@ -133,22 +169,17 @@ def reported(
 ) -> JointFit:
     layout = problem.layout
     views = tuple(_view_fit(problem, k, found, total) for k, total in enumerate(sums))
-    from scipy.stats import t
-
-    wider = found.excess**2
-    if found.excess > 1:
-        wider *= (float(t.ppf(0.975, found.freedom)) / NORMAL_95) ** 2
     cameras = {
-        name: _camera_fit(problem, name, steps, found, independent, sums, views, wider)
+        name: _camera_fit(problem, name, steps, found, independent, sums, views)
         for name in problem.cameras
     }
     objects = {}
     for name in dict.fromkeys(eye.object for eye in layout.eyes if eye.object is not None):
-        pose, place = found.descent.state.poses[name], layout.place(name, True)
+        pose, place = found.descent.state.poses[name], layout.place(name, POSE)
         assert place is not None
         turned = np.eye(TWIST)
         turned[3:, 3:] = pose[:3, :3]
-        covariance = wider * turned @ found.covariance(layout, place) @ turned.T
+        covariance = turned @ found.covariance(layout, place) @ turned.T
         _forget(covariance, turned @ _unseen(problem, found)[place])
         objects[name] = ObjectPose(pose, covariance)
     return JointFit(
@@ -162,7 +193,24 @@ def reported(
         weak=tuple(_words(found, views)),
         modes=(),
         steps=steps,
+        joint_zeros=_zeros(problem, found),
     )
+
+
+def _zeros(problem: JointProblem, found: Agreement) -> JointZeros | None:
+    layout = problem.layout
+    names = tuple(u.name for u in layout.unknowns if u.kind == ZERO)
+    if not names:
+        return None
+    units = {}
+    for eye in layout.eyes:
+        if eye.posture is not None:
+            units |= dict(zip(eye.posture.joints, eye.posture.units, strict=True))
+    places: Any = [layout.place(name, ZERO) for name in names]
+    place = np.concatenate(places)
+    values = np.array([found.descent.state.zeros[name] for name in names])
+    covariance = found.covariance(layout, place)
+    return JointZeros(names, values, tuple(units[name] for name in names), covariance)
 
 
 def _of_object(found: ObjectPose) -> str:
@@ -182,6 +230,22 @@ def together(fits: list[tuple[JointFit, list[int]]]) -> JointFit:
         weak=tuple(words for fit, _ in fits for words in fit.weak),
         modes=tuple(mode for fit, _ in fits for mode in fit.modes),
         steps=max((fit.steps for fit, _ in fits), key=sum),
+        joint_zeros=_all_zeros([fit.joint_zeros for fit, _ in fits]),
+    )
+
+
+def _all_zeros(parts: list[JointZeros | None]) -> JointZeros | None:
+    some = [part for part in parts if part is not None]
+    if not some:
+        return None
+    from scipy.linalg import block_diag
+
+    whole: Any = block_diag(*(part.covariance for part in some))
+    return JointZeros(
+        sum((part.names for part in some), ()),
+        np.concatenate([part.values for part in some]),
+        sum((part.units for part in some), ()),
+        whole,
     )
 
 
@@ -198,7 +262,26 @@ def _view_fit(problem: JointProblem, k: int, found: Agreement, sums: Any) -> Vie
         weight=float(found.weights[k]),
         astray=1 - near / total.touched if total.touched else 0.0,
         mask_error=None if errors is None else MaskError(errors.size, errors.length),
+        scene=eye.scene(found.descent.state),
+        sigma=float(found.sigma[k]),
+        worth=_worth(problem, k, found),
     )
+
+
+def _worth(problem: JointProblem, k: int, found: Agreement) -> float:
+    """Return by how many times a view's camera is known worse without the view."""
+    layout = problem.layout
+    place = layout.place(layout.eyes[k].moving, POSE)
+    if place is None:
+        return float("nan")
+    if len(layout.eyes) == 1:
+        return float("inf")
+    less = found.without(layout, k)
+    if np.any(np.abs(_unseen(problem, less)[place]) > HARDLY):
+        return float("inf")
+    with np.errstate(all="ignore"):
+        before, after = (np.linalg.slogdet(x.covariance(layout, place))[1] for x in (found, less))
+        return float(np.exp((after - before) / (2 * len(place))))
 
 
 def _camera_fit(
@@ -209,7 +292,6 @@ def _camera_fit(
     independent: float,
     sums: list[Any],
     views: tuple[ViewFit, ...],
-    wider: float,
 ) -> Fit:
     layout, names = problem.layout, problem.names
     seen_by = [k for k, eye in enumerate(layout.eyes) if eye.camera == name]
@@ -220,13 +302,13 @@ def _camera_fit(
 
     # What is reported, by the unknowns.
     place, columns, labels = [], [], []
-    if (at := layout.place(problem.moving[name], True)) is not None:
+    if (at := layout.place(problem.moving[name], POSE)) is not None:
         twisted = np.zeros((TWIST, TWIST))
         twisted[:3, :3], twisted[3:, 3:] = TO_B, pose[:3, :3]
         place.append(at)
         columns.append(twisted @ adjoint(inverse(back)))
         labels += labels_of(("pose",))
-    if (at := layout.place(name, False)) is not None:
+    if (at := layout.place(name, LENS)) is not None:
         n = len(components(("pose",)))
         derivative = np.array(view.to_reported, float)[n:, n:] / np.asarray(view.unit, float)[n:]
         in_px = [LABELS[label].unit == "px" for label in labels_of(names[1:])]
@@ -240,9 +322,8 @@ def _camera_fit(
         by_unknowns[row : row + len(block), row : row + len(block)] = block
         row += len(block)
     places = np.concatenate(place) if place else np.zeros(0, int)
-    covariance = wider * by_unknowns @ found.covariance(layout, places) @ by_unknowns.T
-    inverse_normal = found.solved.inverse(places, places)
-    classical = independent * by_unknowns @ inverse_normal @ by_unknowns.T
+    covariance = by_unknowns @ found.covariance(layout, places) @ by_unknowns.T
+    classical = by_unknowns @ found.independent(places, independent) @ by_unknowns.T
     for table in (covariance, classical):
         _forget(table, by_unknowns @ _unseen(problem, found)[places])
 
@@ -253,6 +334,8 @@ def _camera_fit(
     known = [e for e in errors if e is not None]
     iou = overlap / union if union > 0 else 0.0
     status, weak = _status(problem, found, covariance, labels, iou, seen_by, views, camera)
+    ended = layout.eyes[seen_by[0]].ended(found.descent.state)
+    weak += tuple(f"{label} is held at an end of its bounds" for label in ended)
     return Fit(
         camera=camera,
         status=status,

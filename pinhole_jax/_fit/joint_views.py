@@ -7,19 +7,22 @@ program says of its own camera says all about the unknowns, and no other program
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.poses import Pose, adjoint, at_pose, exponential, inverse, pose_of
+from .._scene.assembly import Posture
 from .._scene.scene import Scene
 from .mask import Mask
-from .parameters import COMPONENTS, components, labels_of
+from .parameters import COMPONENTS, PARAMETERS, components, labels_of
 from .problem import View
 from .solver import Solver
 
+#: What an unknown may be: a pose, what is free of a camera's lens, or the zero of a joint.
+POSE, LENS, ZERO = "pose", "lens", "zero"
 #: The numbers of a rigid motion: a small rotation (rad), a shift (world units).
 TWIST = 6
 #: A twist's numbers by the camera's own axes, as reported parameters have them: b1, b2, v are x,
@@ -38,6 +41,8 @@ class JointView(NamedTuple):
     - `object`: the name of an unknown pose in the world that the scene has a place in; None: its
       place is one in the world.
     - `placed`: the scene's pose there (4, 4); None: it is in place.
+    - `posture`: what the scene is where its joints' zeros are elsewhere: `Robot.posture(angles)`.
+      None: it has no joints, or their zeros are not sought.
     """
 
     scene: Scene
@@ -47,21 +52,23 @@ class JointView(NamedTuple):
     mount: Any = None
     object: str | None = None
     placed: Any = None
+    posture: Posture | None = None
 
 
 class State(NamedTuple):
     """What is sought: poses by the names of cameras (or the rig) and objects, and cameras
-    (canonical) of which the focal length and lens count."""
+    (canonical) of which the focal length and lens count; what is added to joints' readings."""
 
     poses: Mapping[str, Pose]
     lenses: Mapping[str, Camera]
+    zeros: Mapping[str, float]
 
 
 class Unknown(NamedTuple):
-    """Some columns of the problem: a pose (6), or what is free of a camera's lens."""
+    """Some columns of the problem: a pose (6), what is free of a camera's lens, a joint's zero."""
 
     name: str
-    is_pose: bool
+    kind: str
     size: int
 
 
@@ -77,6 +84,33 @@ class Eye:
     mount: Pose
     rig: Pose
     placed: Pose
+    given: Scene
+    posture: Posture | None
+    #: The offsets and the scene that the solver looks at, where it was told of any.
+    shown: list[tuple[np.ndarray, Scene]] = field(default_factory=list)
+
+    def scene(self, state: State) -> Scene:
+        """Return the view's scene, with its joints' zeros where they are."""
+        if self.posture is None:
+            return self.given
+        offsets = self.offsets(state)
+        if not (self.shown and np.array_equal(self.shown[0][0], offsets)):
+            scene = self.posture.scene(offsets) if np.any(offsets) else self.given
+            self.shown[:] = [(offsets, scene)]
+        return self.shown[0][1]
+
+    def show(self, state: State) -> None:
+        """Have the solver look at the scene with its joints' zeros where they are."""
+        if self.posture is not None:
+            before = self.shown[0][1] if self.shown else self.given
+            scene = self.scene(state)
+            if scene is not before:
+                self.solver.show(scene)
+
+    def offsets(self, state: State) -> np.ndarray:
+        """Return what is added to the joints' readings (J,)."""
+        names = () if self.posture is None else self.posture.joints
+        return np.array([state.zeros.get(name, 0.0) for name in names])
 
     def unit(self, state: State) -> Camera:
         """Return the view's own camera (canonical) in its scene's frame."""
@@ -93,10 +127,9 @@ class Eye:
             moved = camera @ inverse(self.placed @ pose)
         return state._replace(poses={**state.poses, name: moved})
 
-    def moves(self, state: State, view: View, unknowns: list[Unknown]) -> np.ndarray:
-        """Return the view's moves (n, k), in its solver's units, by the unknowns it depends on."""
-        unit, names = self.unit(state), self.solver.names
-        pose = pose_of(unit)
+    def by_twist(self, state: State, view: View) -> np.ndarray:
+        """Return the view's moves (n, 6), in its solver's units, by a twist of its own camera."""
+        names, pose = self.solver.names, pose_of(self.unit(state))
         known = [COMPONENTS[name] for name in components(names)]
         of_pose = np.array([name in _POSE for name in components(names)])
         reported = np.array([label in _REPORTED for label in labels_of(names)])
@@ -106,9 +139,18 @@ class Eye:
         by_moves = np.asarray(view.to_reported, float)[np.ix_(reported, of_pose)]
         by_twist = np.zeros((len(known), TWIST))
         by_twist[of_pose] = np.linalg.solve(by_moves, twisted)
+        return by_twist
+
+    def moves(self, state: State, view: View, unknowns: list[Unknown]) -> np.ndarray:
+        """Return the view's moves (n, k), in its solver's units, by the poses and lenses that it
+        depends on."""
+        names, pose = self.solver.names, pose_of(self.unit(state))
+        known = components(names)
+        of_pose = np.array([name in _POSE for name in known])
+        by_twist = self.by_twist(state, view)
         parts = []
         for unknown in unknowns:
-            if not unknown.is_pose:
+            if unknown.kind == LENS:
                 columns = np.zeros((len(known), unknown.size))
                 columns[~of_pose] = np.diag(1 / np.asarray(view.unit, float)[~of_pose])
             elif unknown.name == self.moving:
@@ -123,9 +165,32 @@ class Eye:
 
     def depends_on(self, unknown: Unknown) -> bool:
         """Return whether what the view sees depends on an unknown."""
-        if unknown.is_pose:
+        if unknown.kind == POSE:
             return unknown.name in (self.moving, self.object)
+        if unknown.kind == ZERO:
+            return self.posture is not None and unknown.name in self.posture.joints
         return unknown.name == self.camera
+
+    def ways_out(self, state: State, view: View, unknown: Unknown) -> np.ndarray:
+        """Return which way an unknown's numbers (size,) would leave their bounds, where they are at
+        an end of these: 1, -1, and 0 of the others."""
+        result, bounds = np.zeros(unknown.size), self.solver.problem.bounds
+        if unknown.kind != LENS or bounds is None:
+            return result
+        labels, lens = labels_of(self.solver.names), state.lenses[self.camera]
+        grows = np.diagonal(np.asarray(view.to_reported, float))[-unknown.size :]
+        for label in bounds.ended(lens):
+            k, one = labels.index(label) - len(_POSE), bounds.labels.index(label)
+            middle = float(bounds.low[one] + bounds.high[one]) / 2
+            result[k] = np.sign(grows[k]) * (
+                1 if float(PARAMETERS[label].leaves[0].of(lens)) > middle else -1
+            )
+        return result
+
+    def ended(self, state: State) -> tuple[str, ...]:
+        """Return which of the camera's parameters are at an end of their bounds."""
+        bounds = self.solver.problem.bounds
+        return () if bounds is None else bounds.ended(state.lenses[self.camera])
 
     def level(self, depth: int) -> int:
         """Return the number of the level this far from the last, or of the first."""
@@ -138,16 +203,20 @@ _REPORTED = frozenset(labels_of(("pose",)))
 
 def stepped(state: State, unknowns: list[Unknown], x: np.ndarray, eyes: list[Eye]) -> State:
     """Return the state after a step: twists of poses, and moves of what is free of lenses."""
-    poses, lenses, begin = dict(state.poses), dict(state.lenses), 0
+    poses, lenses, zeros = dict(state.poses), dict(state.lenses), dict(state.zeros)
+    begin = 0
     for unknown in unknowns:
         part = x[begin : begin + unknown.size]
         begin += unknown.size
-        if unknown.is_pose:
+        if unknown.kind == POSE:
             poses[unknown.name] = poses[unknown.name] @ exponential(part)
+            continue
+        if unknown.kind == ZERO:
+            zeros[unknown.name] = zeros.get(unknown.name, 0.0) + float(part[0])
             continue
         eye = next(eye for eye in eyes if eye.camera == unknown.name)
         lenses[unknown.name] = _lens_moved(eye, lenses[unknown.name], part)
-    return State(poses, lenses)
+    return State(poses, lenses, zeros)
 
 
 def _lens_moved(eye: Eye, unit: Camera, part: np.ndarray) -> Camera:

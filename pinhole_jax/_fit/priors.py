@@ -63,7 +63,7 @@ def prior_of(
     if not prior:
         return None
     labels = [x for x in labels_of(names) if LABELS[x].value is not None]
-    mean, std = _pairs("prior", prior, labels, "(mean, standard deviation)")
+    mean, std = pairs("prior", prior, labels, "(mean, standard deviation)")
     for label, value in zip(prior, std, strict=True):
         if not value > 0:
             raise ValueError(f"`prior`: expected a positive deviation of {label!r}, got {value}")
@@ -80,14 +80,14 @@ def bounds_of(
     if not bounds:
         return None
     labels = [name for name in names if PARAMETERS[name].bounded]
-    low, high = _pairs("bounds", bounds, labels, "(low, high)")
+    low, high = pairs("bounds", bounds, labels, "(low, high)")
     for label, a, b in zip(bounds, low, high, strict=True):
         if not a < b:
             raise ValueError(f"`bounds`: expected low < high of {label!r}, got ({a}, {b})")
     return Bounds(tuple(bounds), *(jnp.asarray(x, base.e.dtype) for x in (low, high)))
 
 
-def _pairs(name: str, given: Any, known: list[str], words: str) -> np.ndarray:
+def pairs(name: str, given: Any, known: list[str], words: str) -> np.ndarray:
     """Return the pairs (2, k) that free parameters are given, or raise ValueError."""
     if not isinstance(given, Mapping):
         raise ValueError(

@@ -110,10 +110,7 @@ class Solver:
         self._errors: tuple[View, OutlineErrors | None] | None = None
         self._made: list[tuple[_Asked, tuple[Pyramid, list[Level]]]] = []
         self._target = target
-        self._scene = with_or_without_border(padded(astype(scene, dtype)))
-        box = np.asarray(bounding_box(scene), float)
-        self._corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
-        self.ball = ball_about(box)
+        self.ball = ball_about(self._shown(scene))
         self.mesh = _mesh_of(scene)
         self.window = object_window(target)
         image = shares(self.window.of(target))
@@ -235,6 +232,28 @@ class Solver:
             return view.squares / errors.independent
         return variance * max(float(view.sums.touched) / errors.independent, 1.0)
 
+    def show(self, scene: Scene) -> None:
+        """Look at a scene whose vertices are elsewhere from now on; moves are taken as before."""
+        self._shown(scene)
+        self.problem = eqx.tree_at(lambda p: p.scene, self.problem, self._scene)
+
+    def _shown(self, scene: Scene) -> np.ndarray:
+        """Keep a scene; return its box."""
+        self._scene = with_or_without_border(padded(astype(scene, self.dtype)))
+        box = np.asarray(bounding_box(scene), float)
+        self._corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
+        return box
+
+    def design(self, view: View) -> float:
+        """Return how many times as large as of independent residuals the variance is that a mask's
+        errors leave, in the mean of what it determines (a survey's design effect)."""
+        errors, triangle = self.errors(view), np.asarray(view.triangle, float)
+        if errors is None or not np.any(triangle):
+            return 1.0
+        inverse = np.linalg.pinv(triangle)
+        spread = np.trace(inverse.T @ errors.gradient @ inverse) / np.linalg.matrix_rank(triangle)
+        return errors.computed + float(spread) / max(view.touched_misfit, self.kind.least)
+
     def begin(self, unit: Camera, level: int) -> View:
         """Return the view at a camera while it is being worked out, for `look`: views of several
         solvers are worked out side by side."""
@@ -285,7 +304,7 @@ class Solver:
         if self.window == (0, 0, W, H):
             return
         if unit.lens is None or unit.lens.distortion is None:
-            x, y, z = _on_film(unit, self._corners).T
+            x, y, z = on_film_plane(unit, self._corners).T
             shown = H * np.stack([x / z, y / z], axis=-1)
             if np.all(z > 0) and self.window.holds(shown, W, H):
                 return
@@ -371,7 +390,7 @@ class Solver:
         return [*each, end._replace(steps=end.steps - len(each))]
 
 
-def _on_film(unit: Camera, points: np.ndarray) -> np.ndarray:
+def on_film_plane(unit: Camera, points: np.ndarray) -> np.ndarray:
     """Return homogeneous film points (n, 3) of a canonical camera, in film heights."""
     seen = (points - np.asarray(unit.e, float)) @ axes_of(unit).T
     focal = 0.5 / np.tan(float(unit.phi) / 2)

@@ -1,12 +1,17 @@
-"""Several rigid bodies that move against one another, as one mesh."""
+"""Several rigid bodies that move against one another, as one mesh; joints that move them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from .scene import Mesh, Scene, with_vertices
+
+#: What the numbers of joints are measured in: those that turn, those that slide.
+UNITS = ("rad", "world")
+#: Half the step of a joint by which motions are told.
+STEP = 1e-4
 
 
 class Assembly:
@@ -28,12 +33,13 @@ class Assembly:
         faces = [np.asarray(b.faces) + n for b, n in zip(bodies, begin, strict=True)]
         self._dtype = bodies[0].vertices.dtype
         self._points = np.concatenate([np.asarray(body.vertices, float) for body in bodies])
-        self._body = np.repeat(np.arange(len(bodies)), counts)
+        #: The number of the body that each vertex is one of.
+        self.body = np.repeat(np.arange(len(bodies)), counts)
         self._mesh = Mesh(self._points.astype(self._dtype), np.concatenate(faces))
 
     def __len__(self) -> int:
         """Return the number of bodies."""
-        return int(self._body[-1]) + 1
+        return int(self.body[-1]) + 1
 
     def at(self, poses: Any) -> Scene:
         """Return the scene with each body at its pose: rigid transforms (B, 4, 4), body to world.
@@ -45,6 +51,60 @@ class Assembly:
             got = "numbers that are not finite"
             got = got if matrices.shape == (len(self), 4, 4) else f"shape {matrices.shape}"
             raise ValueError(f"`poses`: expected finite numbers ({len(self)}, 4, 4), got {got}")
-        rotation, shift = matrices[:, :3, :3][self._body], matrices[:, :3, 3][self._body]
+        rotation, shift = matrices[:, :3, :3][self.body], matrices[:, :3, 3][self.body]
         points = np.einsum("nij,nj->ni", rotation, self._points) + shift
         return Scene(mesh=with_vertices(self._mesh, jnp.asarray(points, self._dtype)))
+
+
+class Posture:
+    """Bodies in one posture, and where they are if the zeros of joints are elsewhere, which
+    `fit_joint` may find.
+
+    - `poses`: returns the poses (B, 4, 4) of the bodies of an `assembly`, by what is added to the
+      joints' readings (J,).
+    - `joints`: their names, and what each is measured in: "rad", or "world" for one that slides.
+
+    Raises ValueError for another unit.
+    """
+
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        poses: Callable[[np.ndarray], Any],
+        joints: Mapping[str, str],
+    ):
+        if wrong := [unit for unit in joints.values() if unit not in UNITS]:
+            raise ValueError(f"`joints`: expected units among {', '.join(UNITS)}, got {wrong[0]!r}")
+        self._assembly, self._poses = assembly, poses
+        self.joints, self.units = tuple(joints), tuple(joints.values())
+
+    @property
+    def body(self) -> np.ndarray:
+        """Return the number of the body that each vertex is one of (V,)."""
+        return self._assembly.body
+
+    def scene(self, offsets: Any = None) -> Scene:
+        """Return the scene where offsets (J,) are added to the joints' readings."""
+        return self._assembly.at(self._poses(self._checked(offsets)))
+
+    def twists(self, offsets: Any = None) -> np.ndarray:
+        """Return how each joint's offset moves each body (J, B, 6), about and along the scene's
+        axes: a small rotation about its origin, and a shift."""
+        at, result = self._checked(offsets), []
+        for step in STEP * np.eye(len(self.joints)):
+            one, other = (np.asarray(self._poses(at + s), float) for s in (step, -step))
+            change = one @ np.linalg.inv(other)
+            skew = (change[:, :3, :3] - change[:, :3, :3].transpose(0, 2, 1)) / 2
+            turn = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
+            result.append(np.concatenate([turn, change[:, :3, 3]], axis=1) / (2 * STEP))
+        return np.array(result)
+
+    def _checked(self, offsets: Any) -> np.ndarray:
+        values = np.zeros(len(self.joints)) if offsets is None else np.asarray(offsets, float)
+        if values.shape != (len(self.joints),):
+            words = f"expected one of each of {len(self.joints)} joints, got shape {values.shape}"
+            raise ValueError(f"`offsets`: {words}")
+        return values

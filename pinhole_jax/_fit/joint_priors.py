@@ -1,0 +1,170 @@
+"""What is known of a joint fit's cameras and objects before it: as in `fit_camera`, by their names.
+
+What is believed of a number is a residual beside those of the masks, in units in which the masks'
+noise is its standard deviation.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._camera.camera import Camera
+from .._camera.poses import skew
+from .joint_views import LENS, POSE, ZERO, Eye, JointView, State
+from .moves import Bounds
+from .parameters import LABELS, components, labels_of
+from .priors import bounds_of, pairs, prior_of
+from .problem import View
+
+#: Where an eye or an object is, and what these coordinates are called.
+EYE, PLACE = ("e_x", "e_y", "e_z"), ("x", "y", "z")
+
+
+class Belief(NamedTuple):
+    """What is known of numbers (k,) that follow one unknown: their means and standard deviations.
+
+    `told` returns the numbers and how they follow the unknown (k, n), at a state, as any view that
+    depends on it sees it.
+    """
+
+    name: str
+    kind: str
+    mean: np.ndarray
+    std: np.ndarray
+    told: Callable[[State, Eye, View], tuple[np.ndarray, np.ndarray]]
+
+    def residuals(self, state: State, eye: Eye, view: View) -> tuple[np.ndarray, np.ndarray]:
+        """Return how many deviations off the means the numbers are, and how that follows."""
+        values, rows = self.told(state, eye, view)
+        return (values - self.mean) / self.std, rows / self.std[:, None]
+
+
+def beliefs_of(
+    prior: Any,
+    cameras: Mapping[str, Camera],
+    names: tuple[str, ...],
+    moving: Mapping[str, str],
+    rig: Mapping[str, np.ndarray],
+    objects: Sequence[str],
+) -> list[Belief]:
+    """Return what is known of cameras and objects, or raise ValueError; `names` are free of each
+    camera, which goes with the pose that `moving` names, at its place on the `rig`."""
+    result = []
+    for name, given in by_name("prior", prior, cameras, objects).items():
+        if name in objects:
+            words = "(mean, standard deviation)"
+            mean, std = pairs("prior", given, list(PLACE), words)
+            _check_positive(given, std)
+            known = dict(zip(given, zip(mean, std, strict=True), strict=True))
+            result += _belief(name, POSE, known, PLACE, partial(_place, name, np.zeros(3)))
+            continue
+        checked = prior_of(given, cameras[name], names)
+        if checked is None:
+            continue
+        numbers = (np.asarray(x, float).tolist() for x in (checked.mean, checked.std))
+        known = dict(zip(checked.labels, zip(*numbers, strict=True), strict=True))
+        place = rig[name][:3, 3] if name in rig else np.zeros(3)
+        result += _belief(moving[name], POSE, known, EYE, partial(_place, moving[name], place))
+        result += _belief(name, LENS, known, labels_of(names[1:]), partial(_lens, name))
+    return result
+
+
+def zeros_of(given: Any, views: Sequence[JointView]) -> dict[str, float]:
+    """Return how surely the zeros of joints are known (standard deviations), by the names of those
+    that are sought; or raise ValueError."""
+    if given is None:
+        return {}
+    units = {
+        name: unit
+        for view in views
+        if view.posture is not None
+        for name, unit in zip(view.posture.joints, view.posture.units, strict=True)
+    }
+    if not units:
+        raise ValueError("`joint_zeros`: expected views with a `posture`, got none")
+    if not isinstance(given, Mapping):
+        given = {name: given for name, unit in units.items() if unit == "rad"}
+    if unknown := [name for name in given if name not in units]:
+        known = ", ".join(units)
+        raise ValueError(f"`joint_zeros`: expected joints among {known}, got {unknown[0]!r}")
+    for name, std in given.items():
+        if not (np.ndim(std) == 0 and np.isfinite(std) and std > 0):
+            words = f"expected a positive deviation of {name!r}, got {std!r}"
+            raise ValueError(f"`joint_zeros`: {words}")
+    return {name: float(std) for name, std in given.items()}
+
+
+def belief_of_zero(name: str, std: float) -> Belief:
+    """Return that the zero of a joint is about where its readings have it."""
+    return Belief(name, ZERO, np.zeros(1), np.full(1, std), partial(_zero, name))
+
+
+def _zero(name: str, state: State, *_: Any):
+    return np.array([state.zeros.get(name, 0.0)]), np.eye(1)
+
+
+def bounds_by_name(
+    bounds: Any, cameras: Mapping[str, Camera], names: tuple[str, ...]
+) -> dict[str, Bounds | None]:
+    """Return the bounds of each camera's parameters, or raise ValueError."""
+    given = by_name("bounds", bounds, cameras, ())
+    return {name: bounds_of(given.get(name), camera, names) for name, camera in cameras.items()}
+
+
+def by_name(
+    argument: str, given: Any, cameras: Mapping[str, Camera], objects: Sequence[str]
+) -> dict[str, Any]:
+    """Return what is given for each camera and object: by their names, or the same for each camera.
+
+    Raises ValueError for names of neither.
+    """
+    if not given:
+        return {}
+    if not (isinstance(given, Mapping) and any(isinstance(x, Mapping) for x in given.values())):
+        return dict.fromkeys(cameras, given)
+    known = [*cameras, *objects]
+    if unknown := [name for name in given if name not in known]:
+        raise ValueError(
+            f"`{argument}`: expected names among {', '.join(known)}, got {unknown[0]!r}"
+        )
+    return dict(given)
+
+
+def _check_positive(given: Mapping[str, Any], std: np.ndarray) -> None:
+    for label, value in zip(given, std, strict=True):
+        if not value > 0:
+            raise ValueError(f"`prior`: expected a positive deviation of {label!r}, got {value}")
+
+
+def _belief(
+    name: str,
+    kind: str,
+    known: Mapping[str, tuple[float, float]],
+    labels: Sequence[str],
+    told: Callable[..., tuple[np.ndarray, np.ndarray]],
+) -> list[Belief]:
+    """Return what is known of some of the labels, which `told` tells by their numbers; or none."""
+    chosen = [k for k, label in enumerate(labels) if label in known]
+    if not chosen:
+        return []
+    mean, std = np.array([known[labels[k]] for k in chosen]).T
+    return [Belief(name, kind, mean, std, partial(told, chosen))]
+
+
+def _place(name: str, point: np.ndarray, chosen: list[int], state: State, *_: Any):
+    """Return where a point that goes with a pose is."""
+    pose = state.poses[name]
+    rows = pose[:3, :3] @ np.concatenate([-skew(point), np.eye(3)], axis=1)
+    return (pose[:3, :3] @ point + pose[:3, 3])[chosen], rows[chosen]
+
+
+def _lens(name: str, chosen: list[int], state: State, eye: Eye, view: View):
+    """Return what is reported of a camera's lens, in film heights."""
+    n = len(components(("pose",)))
+    labels = labels_of(eye.solver.names)[n:]
+    value: Any = [LABELS[labels[k]].value for k in chosen]
+    values = np.array([float(of(state.lenses[name])) for of in value])
+    rows = np.array(view.to_reported, float)[n:, n:] / np.asarray(view.unit, float)[n:]
+    return values, rows[chosen]
