@@ -328,6 +328,12 @@ def test_an_assembly_is_its_parts(arm):
         arm.at(np.eye(4))
 
 
+def hinged():
+    """Return the posture of one body that turns about z."""
+    turned_by = lambda x: [exponential(np.array([0, 0, x[0], 0, 0, 0]))]
+    return pj.Posture(pj.Assembly([shapes.bumpy(1)]), turned_by, {"hinge": "rad"})
+
+
 def one(views, **change):
     """One view, something of it changed."""
     return {"views": [views[0]._replace(**change)]}
@@ -406,6 +412,13 @@ BOTH = {"camera": TRUTH, "other": TRUTH}
         (
             r"`joint_zeros`: expected views with a `posture`, got none",
             lambda v: {"joint_zeros": 0.01},
+        ),
+        (
+            r"`joint_zeros`: expected no `mount` beside a `posture`.*views\[0\]",
+            lambda v: {
+                **one(v, posture=hinged(), mount=np.eye(4)),
+                "joint_zeros": 0.01,
+            },
         ),
         (
             r"`views\[0\].posture`: expected a Posture or None, got list",

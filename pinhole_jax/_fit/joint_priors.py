@@ -84,6 +84,10 @@ def zeros_of(given: Any, views: Sequence[JointView]) -> dict[str, float]:
     }
     if not units:
         raise ValueError("`joint_zeros`: expected views with a `posture`, got none")
+    for k, view in enumerate(views):
+        if view.posture is not None and view.mount is not None:
+            words = "expected no `mount` beside a `posture`, as joints move it too"
+            raise ValueError(f"`joint_zeros`: {words}, got both in views[{k}]")
     if not isinstance(given, Mapping):
         given = {name: given for name, unit in units.items() if unit == "rad"}
     if unknown := [name for name in given if name not in units]:
