@@ -256,7 +256,11 @@ def _by_pixel(
     end = level.H * (level.W + 2)
     index = jnp.arange(P, dtype=jnp.int32)
     _, order = jax.lax.sort((pieces.cell, index), num_keys=1)
-    cell, swept, height, area, turn, counters = jax.tree.map(lambda x: x[order], pieces)
+    swept = pieces.swept
+    cell, height, area, turn, counters, jump = (
+        x[order]
+        for x in (pieces.cell, pieces.height, pieces.area, pieces.turn, pieces.counters, swept[5])
+    )
     changes = lambda x: jnp.append(True, x[1:] != x[:-1])
     number_of = lambda which: running_sum(which.astype(jnp.int32)) - 1
 
@@ -276,7 +280,7 @@ def _by_pixel(
 
     (before, after), (corner, _) = within_row(height), within_row(turn)
     beyond = jnp.where(jnp.append(new[1:], True), after, 0)
-    winding, layers = gather(slot, before + area), gather(slot, jnp.abs(swept[5]))
+    winding, layers = gather(slot, before + area), gather(slot, jnp.abs(jump))
     winding_after, corner = gather(slot, beyond), gather(slot, corner)
     marked = Marks(layers, gather(slot, counters))
     first = jnp.full(P + 1, P, jnp.int32).at[slot].min(index)
@@ -294,7 +298,7 @@ def _by_pixel(
     areas, visible = winding, [part.visible for part in parts]
     if not convex:
         crowded = Crowded(chosen, first, number, origin, corner)
-        areas, visible = resolved(crowded, jnp.stack(swept, axis=-1), order, parts)
+        areas, visible = resolved(crowded, swept, order, parts)
     flux = [
         Visible(jnp.zeros(len(seen), jnp.int32), seen).flux(part.lift)
         for seen, part in zip(visible, parts, strict=True)

@@ -29,7 +29,7 @@ from .places import (
 from .problem import COARSE_PX, FINE_PX, View
 from .search import aimed, guesses
 from .solver import Found, Solver, Stop, onward
-from .stretches import area_between
+from .stretches import area_between, outline_of
 from .uncertainty import free_turns
 
 #: A mask that leaves less than this mean square residual of an outline pixel has no outliers.
@@ -275,15 +275,19 @@ def without_outliers(
     """Return the cameras fitted to pixels near the mask's edge only, and views of all pixels.
 
     At first the surroundings are wide, so that what other stretches of the outline pulled away
-    comes back. Rivals that are far worse there are left out.
+    comes back; where nothing is far away, they are narrow at once. Rivals that are far worse there are left out.
     """
     alike = [(f, f.unit) for f in (places.best, *places.others)]
     rivals = [(f, f.unit) for f in places.rivals]
-    for reach in (8, 4, 2, 1):
+    for reach in (1,) if _is_alone(mask, places, outlier_px / 2) else (8, 4, 2, 1):
         solver.weigh(mask.near_edge(reach * outlier_px), only_finest=True)
         # (What comes next moves it by more.)
         px = COARSE_PX if reach > 1 else FINE_PX[solver.dtype]
-        finer = lambda f, px=px: onward(f, solver.solve(f.unit, [solver.finest], fine_px=px))
+        # (Where there are rivals their errors are asked for on the way.)
+        looks = bool(rivals) or reach == 1
+        finer = lambda f, px=px, looks=looks: onward(
+            f, solver.solve(f.unit, [solver.finest], fine_px=px, looks=looks)
+        )
         alike, rivals = ([(finer(f), unit) for f, unit in x] for x in (alike, rivals))
         # (Farther out, what covers the object counts against the right one.)
         if rivals and reach <= 2:
@@ -298,6 +302,17 @@ def without_outliers(
         result.append(f)
     solver.weigh(mask.weight)
     return [(f, solver.look(f.unit, solver.finest)) for f in result]
+
+
+def _is_alone(mask: Mask, places: Places, reach_px: float) -> bool:
+    """Return whether there is one camera, with all of its outline so near to the mask's edge that
+    nothing is to come back from farther away."""
+    if places.others or places.rivals:
+        return False
+    view = places.best.view
+    row, column = outline_of(view).T
+    distance = mask.distance(view.pixels.level.window())[::-1]
+    return bool(np.all(distance[row, column] <= reach_px))
 
 
 def _times(errors: OutlineErrors | None) -> float:

@@ -41,8 +41,11 @@ class Listed(NamedTuple):
 def listed(which: Bool[Array, "K"]) -> Listed:
     """Return the list of the true entries; for some thousand (for more: `select`)."""
     K = which.shape[0]
-    indices = jax.lax.sort(jnp.where(which, jnp.arange(K, dtype=jnp.int32), K))
-    return Listed(indices, jnp.sum(which, dtype=jnp.int32))
+    upto = running_sum(which.astype(jnp.int32))
+    # (To sort the indices takes 5 times as long.)
+    place = jnp.where(which, upto - 1, K)
+    indices = jnp.full(K, K, jnp.int32).at[place].set(jnp.arange(K, dtype=jnp.int32), mode="drop")
+    return Listed(indices, upto[-1])
 
 
 class Selection(NamedTuple):
