@@ -275,7 +275,8 @@ def without_outliers(
     """Return the cameras fitted to pixels near the mask's edge only, and views of all pixels.
 
     At first the surroundings are wide, so that what other stretches of the outline pulled away
-    comes back; where nothing is far away, they are narrow at once. Rivals that are far worse there are left out.
+    comes back; where nothing is far away, they are narrow at once. Rivals that are far worse there
+    are left out.
     """
     alike = [(f, f.unit) for f in (places.best, *places.others)]
     rivals = [(f, f.unit) for f in places.rivals]

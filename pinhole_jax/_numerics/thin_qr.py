@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-
 #: Rows that are reflected together.
 BLOCK = 1024
 
