@@ -280,7 +280,8 @@ def without_outliers(
     """
     alike = [(f, f.unit) for f in (places.best, *places.others)]
     rivals = [(f, f.unit) for f in places.rivals]
-    for reach in (1,) if _is_alone(mask, places, outlier_px / 2) else (8, 4, 2, 1):
+    alone = _is_alone(mask, places, outlier_px / 2)
+    for reach in (1,) if alone else (8, 4, 2, 1):
         solver.weigh(mask.near_edge(reach * outlier_px), only_finest=True)
         # (What comes next moves it by more.)
         px = COARSE_PX if reach > 1 else FINE_PX[solver.dtype]
@@ -297,7 +298,9 @@ def without_outliers(
             rivals = [(f, unit) for f, unit in rivals if f.view.squares <= most]
     result = []
     for f, before in (*alike, *rivals):
-        for unit in [before] if start is None else [before, start]:
+        # (A descent that began there, with these weights, does not end higher.)
+        others = [] if alone else [before]
+        for unit in others if start is None else [*others, start]:
             if not solver.look(unit, solver.finest).squares >= f.view.squares:
                 f = onward(f, solver.solve(unit, [solver.finest], fine_px=px))
         result.append(f)
