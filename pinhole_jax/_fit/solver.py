@@ -322,7 +322,7 @@ class Solver:
         way, taken = [Stop(unit, self.levels[levels[0]], 0)], []
         self._widen(unit)
         while True:
-            capacity, window = self.capacity, self.window
+            capacity, window, end = self.capacity, self.window, None
             for number in levels:
                 self._believe(unit, number)
                 level = self.levels[number]

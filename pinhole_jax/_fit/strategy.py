@@ -302,6 +302,7 @@ def without_outliers(
         others = [] if alone else [before]
         for unit in others if start is None else [*others, start]:
             if not solver.look(unit, solver.finest).squares >= f.view.squares:
+                px = FINE_PX[solver.dtype]
                 f = onward(f, solver.solve(unit, [solver.finest], fine_px=px))
         result.append(f)
     solver.weigh(mask.weight)
