@@ -12,6 +12,8 @@ from pinhole_jax import shapes
 from pinhole_jax._fit.moves import Move, canonical, moved, on_film
 from pinhole_jax._fit.residuals import Capacity, residuals as _residuals, touch
 from pinhole_jax._fit.target import pyramid
+from pinhole_jax._numerics.bitset import in_order, listed
+from pinhole_jax._numerics.thin_qr import triangle
 
 FREE = ("pose", "phi")
 CAPACITY = Capacity(256, 1024, 1024, 512)
@@ -168,3 +170,41 @@ def test_the_finest_level_alone_is_the_one_of_all():
             for own, cost in zip(alone[2:], sums, strict=True):
                 expected = np.append(0.0, np.cumsum(cost))
                 np.testing.assert_allclose(np.asarray(own)[:size], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("wide", [True, False])
+def test_pieces_are_put_in_order_with_64_bits_and_with_32(wide):
+    key = np.random.default_rng(0).integers(0, 50, 300).astype(np.int32)
+    key[:3] = 1 << 30
+    with jax.enable_x64(wide):
+        order = np.asarray(in_order(jnp.asarray(key)))
+    assert np.array_equal(order, np.argsort(key, kind="stable"))
+
+
+def test_true_entries_are_listed():
+    which = np.random.default_rng(0).random(150) > 0.7
+    found = listed(jnp.asarray(which))
+    assert int(found.total) == which.sum()
+    assert np.array_equal(found.indices[: which.sum()], np.flatnonzero(which))
+    assert int(found.at(jnp.int32(149))) == 149
+
+
+@pytest.mark.parametrize("filled", [0, 700, 2500, 3000])
+def test_a_table_with_more_room_than_rows_has_the_triangle_of_its_rows(filled):
+    table = np.random.default_rng(filled).normal(size=(3000, 4))
+    table[filled:] = 0
+    found = np.asarray(triangle(jnp.asarray(table)))
+    assert np.all(np.tril(found, -1) == 0)
+    assert np.allclose(found.T @ found, table.T @ table, rtol=1e-12, atol=1e-9)
+
+
+def test_what_is_not_finite_makes_a_triangle_that_is_not():
+    table = np.zeros((3000, 4))
+    table[2000, 1] = np.nan
+    assert np.isnan(np.asarray(triangle(jnp.asarray(table)))).any()
+
+
+def test_a_pyramid_is_not_copied():
+    data, _ = pyramid(np.eye(32), np.ones((32, 32)), float)
+    at = [x.unsafe_buffer_pointer() for x in data]
+    assert {*np.diff(at)} == {data.target.nbytes}  # side by side, as they were written

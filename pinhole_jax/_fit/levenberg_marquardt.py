@@ -17,7 +17,7 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
-from .._numerics.thin_qr import triangle_and_rhs
+from .._numerics.thin_qr import triangle, triangle_and_rhs
 from .moves import moved, reported
 from .problem import COSINE, UNIT_PX, Problem, View, move as move_of
 from .residuals import Capacity, residuals
@@ -69,7 +69,8 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
         del fn, args, options, tags, result
         at = state.solver.f_info
         camera, seen = state.solver.aux
-        view = View(*triangle_and_rhs(at.jac.as_matrix(), at.residual), *seen)
+        n = len(y)
+        view = View(at.jac.as_matrix()[:n], at.residual[:n], *seen)
         return y, aux, {"path": state.path, "camera": camera, "view": view}
 
     def terminate(self, fn, y, args, options, state: Any, tags):
@@ -103,18 +104,20 @@ def _silent(**kwargs: Any) -> None:
 def _residual(y: Float[Array, "n"], args: Any):
     """The function that optimistix sees: module level and all data in `args`, to compile once.
 
-    It is linear in y about each point, so its Jacobian is a table that is worked out once a step.
+    It is linear in y about each point, so its Jacobian is a table that is worked out once a step:
+    R of [J, r] = Q R, whose few rows have the sums of squares, and all that steps are made of, of
+    the thousands.
     """
     at = jax.lax.stop_gradient(y)
-    value, jacobian, aux = _linearised(at, args)
-    return value + jacobian @ (y - at), aux
+    R, aux = _linearised(at, args)
+    return R[:, -1] + R[:, :-1] @ (y - at), aux
 
 
 @eqx.filter_jit
 def _linearised(y: Float[Array, "n"], args: Any):
-    """Return all residuals (m,), their derivatives (m, n), and what else is known there: the
-    camera; sums, load, the reported parameters' derivatives, touched pixels, the squares of a prior
-    and of what other views know."""
+    """Return R (n + 1, n + 1) of all residuals' derivatives and these, and what else is known
+    there: the camera; sums, load, the reported parameters' derivatives, touched pixels, the
+    derivatives (m, n), the squares of a prior and of what other views know."""
     move, problem, level, names, capacity = args
 
     def at(y):
@@ -129,7 +132,10 @@ def _linearised(y: Float[Array, "n"], args: Any):
         return (r, told), (r, camera, sums, load, pixels, jnp.sum(known * known))
 
     (jacobian, to_reported), (r, camera, *sums, pixels, prior) = jax.jacfwd(at, has_aux=True)(y)
-    return r, jacobian, (camera, (*sums, to_reported, move.unit, pixels, jacobian, prior))
+    # (What is beside the pixels comes first: there are fewer of these than there is room for.)
+    table = jnp.roll(jnp.concatenate([jacobian, r[:, None]], axis=1), len(r) - len(pixels.cell), 0)
+    seen = *sums, to_reported, move.unit, pixels, jacobian, prior
+    return triangle(table), (camera, seen)
 
 
 class _Static(eqx.Module):

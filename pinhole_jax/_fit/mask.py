@@ -32,6 +32,11 @@ class Mask:
         window.of(near)[:] = window.of(self.weight) * near_an_edge(window.of(distance), reach)
         return near
 
+    def distance(self, window: Window) -> np.ndarray:
+        """Return how far (px) a window's pixels (H, W) are from the nearest beside the mask's edge;
+        infinite far from the object."""
+        return window.of(self._edge_distance[1])
+
     @cached_property
     def _edge_distance(self) -> tuple[Window, np.ndarray]:
         """Return the distance from the mask's edge, and about what it is finite."""

@@ -51,12 +51,15 @@ class Crowded(NamedTuple):
 
 
 def resolved(
-    crowded: Crowded, piece: Float[Array, "P 6"], order: Int[Array, "P"], parts: list[Part]
+    crowded: Crowded,
+    piece: tuple[Float[Array, "P"], ...],
+    order: Int[Array, "P"],
+    parts: list[Part],
 ) -> tuple[Float[Array, "P"], list[Float[Array, "_ _"]]]:
     """Return the chosen pixels' covered areas, and what is visible of all pieces.
 
-    `piece` holds the pieces, pixel by pixel (see `Cells`); `order` says where in the parts, one
-    after the other, each of them is.
+    `piece` holds the pieces of the parts, one after the other, column by column (see `Cells`);
+    `order` says which of them come, pixel by pixel.
     """
     P = len(order)
     slots, total = listed(crowded.chosen), jnp.sum(crowded.chosen, dtype=jnp.int32)
@@ -80,10 +83,10 @@ def resolved(
         kind = jnp.where(own, kind, -1)
         ids = source - jnp.asarray(begins, jnp.int32)[kind]
         cells = Cells(
-            jnp.where(own[..., None], piece[index], 0),
+            jnp.stack([jnp.where(own, column[source], 0) for column in piece], axis=-1),
             jnp.stack([kind, ids], axis=-1),
         )
-        scale = jnp.ones((), piece.dtype)
+        scale = jnp.ones((), crowded.corner.dtype)
         area, seen = sweep(cells, crowded.corner[slot], frames, scale, crowded.origin[slot], True)
         areas = areas.at[jnp.where(there, slot, P)].set(area, mode="drop")
         visible = [
@@ -92,6 +95,6 @@ def resolved(
         ]
         return rank + TOGETHER, areas, visible
 
-    start = jnp.int32(0), jnp.zeros(P, piece.dtype), [part.visible for part in parts]
+    start = jnp.int32(0), jnp.zeros(P, crowded.corner.dtype), [part.visible for part in parts]
     _, areas, visible = jax.lax.while_loop(lambda s: s[0] < total, body, start)
     return areas, visible

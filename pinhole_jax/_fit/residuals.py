@@ -10,19 +10,22 @@ only lead to finer ones. On the finest level such a pixel shows the union's cove
 does. One that holds more pieces than are swept is left out there.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.camera import Camera, film_map, lens_holds
 from .._camera.film import FilmMap, FilmPart
+from .._numerics.bitset import in_order
 from .._numerics.running import running_sum
 from .._scene.scene import Scene
 from .._silhouette.coverage import Pieces, monotone, piece_counts, split
 from .._silhouette.curve_sets import edge_curves, find, outline_curves
-from .._silhouette.curves import Curves, Segments, moved, piece_flux, placed
+from .._silhouette.curves import Curves, Segments, piece_flux, placed
 from .._silhouette.marks import Marks, marks, overlaps, turns
 from .._silhouette.surrounding import surrounding
 from .._silhouette.sweep import ARC, Visible, sweepable
@@ -201,9 +204,9 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
         cell = jnp.where(pieces.valid, pieces.row * (level.W + 2) + pieces.column + 1, end)
         sizes = pieces.height, pieces.area, turns(pieces)
         found.append(_Pieces(cell, sweepable(pieces), *sizes, marks(pieces).counters))
-        own = lift[pieces.curve]
-        lifts.append(own)
-        parts.append(Part(_shown(curves, pieces, own), jax.lax.stop_gradient(own)))
+        own = jax.lax.stop_gradient(lift)[pieces.curve]
+        lifts.append((lift, pieces.curve))
+        parts.append(Part(_shown(curves, pieces, own), own))
     none = (jnp.int32(0), jnp.int32(0))
     (edges, edge_pieces), (arcs, arc_pieces) = (totals.get(k, none) for k in ("edges", "arcs"))
     together = jax.tree.map(lambda *x: jnp.concatenate(x), *found)
@@ -220,6 +223,19 @@ def _shown(curves: Curves, pieces: Pieces, lift: Float[Array, "P n 3"]) -> Float
         return whole(pieces)
     flux = piece_flux(jax.lax.stop_gradient(lift), curves, pieces.start, pieces.end)
     return (-pieces.jump[:, None, None] * flux).reshape(-1, ARC)
+
+
+def _moved(
+    lift: Float[Array, "K n 3"], curve: Int[Array, "P"], flux: Float[Array, "P n 3"]
+) -> Float[Array, "P"]:
+    """Return a function linear in the curves' lifts whose derivative is each piece's `flux`.
+
+    Column by column: to gather whole lifts with their derivatives took a fifth of a step.
+    """
+    columns = np.ndindex(lift.shape[1:])
+    flux = jax.lax.stop_gradient(flux)
+    parts = [flux[:, i, j] * lift[:, i, j][curve] for i, j in columns]
+    return functools.reduce(jnp.add, parts)
 
 
 def _curves(
@@ -246,17 +262,21 @@ def _by_pixel(
     pieces: _Pieces,
     base: Int[Array, ""],
     level: Level,
-    lifts: list[Float[Array, "_ _ 3"]],
+    lifts: list[tuple[Float[Array, "_ _ 3"], Int[Array, "_"]]],
     parts: list[Part],
     convex: bool,
 ) -> Touched:
-    """Return what the pieces add up to in each pixel; `lifts` are those of each part's pieces, and
-    `convex` says that none overlap."""
+    """Return what the pieces add up to in each pixel; `lifts` are those of each part's curves, with
+    which of these each piece is of, and `convex` says that none overlap."""
     P = pieces.cell.shape[0]
     end = level.H * (level.W + 2)
     index = jnp.arange(P, dtype=jnp.int32)
-    _, order = jax.lax.sort((pieces.cell, index), num_keys=1)
-    cell, swept, height, area, turn, counters = jax.tree.map(lambda x: x[order], pieces)
+    order = in_order(pieces.cell)
+    swept = pieces.swept
+    cell, height, area, turn, counters, jump = (
+        x[order]
+        for x in (pieces.cell, pieces.height, pieces.area, pieces.turn, pieces.counters, swept[5])
+    )
     changes = lambda x: jnp.append(True, x[1:] != x[:-1])
     number_of = lambda which: running_sum(which.astype(jnp.int32)) - 1
 
@@ -276,7 +296,7 @@ def _by_pixel(
 
     (before, after), (corner, _) = within_row(height), within_row(turn)
     beyond = jnp.where(jnp.append(new[1:], True), after, 0)
-    winding, layers = gather(slot, before + area), gather(slot, jnp.abs(swept[5]))
+    winding, layers = gather(slot, before + area), gather(slot, jnp.abs(jump))
     winding_after, corner = gather(slot, beyond), gather(slot, corner)
     marked = Marks(layers, gather(slot, counters))
     first = jnp.full(P + 1, P, jnp.int32).at[slot].min(index)
@@ -294,12 +314,12 @@ def _by_pixel(
     areas, visible = winding, [part.visible for part in parts]
     if not convex:
         crowded = Crowded(chosen, first, number, origin, corner)
-        areas, visible = resolved(crowded, jnp.stack(swept, axis=-1), order, parts)
+        areas, visible = resolved(crowded, swept, order, parts)
     flux = [
         Visible(jnp.zeros(len(seen), jnp.int32), seen).flux(part.lift)
         for seen, part in zip(visible, parts, strict=True)
     ]
-    change = jnp.concatenate([moved(own, rate) for own, rate in zip(lifts, flux, strict=True)])
+    change = jnp.concatenate([_moved(*own, rate) for own, rate in zip(lifts, flux, strict=True)])
     moves = inside & (chosen | (winding < 1))
     growth = jnp.where(moves, gather(slot, change[order]), 0)
     share = jnp.where(chosen, areas, jnp.clip(winding, 0, 1))

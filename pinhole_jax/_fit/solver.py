@@ -329,17 +329,19 @@ class Solver:
         coarse_px: float = COARSE_PX,
         fine_px: float | None = None,
         steps: int | None = None,
+        looks: bool = True,
     ) -> Found:
         """Return the camera found from level to level, and its view on the last of them.
 
         Steps of `coarse_px`, on the finest level of `fine_px` (None: of what the fit asks for), are
-        negligible; at most so many `steps` are taken on a level.
+        negligible; at most so many `steps` are taken on a level. Without `looks` the view is
+        differentiated by moves of where the last steps began.
         """
         most = min(steps or self.max_steps, self.max_steps)
         way, taken = [Stop(unit, self.levels[levels[0]], 0)], []
         self._widen(unit)
         while True:
-            capacity, window = self.capacity, self.window
+            capacity, window, end = self.capacity, self.window, None
             for number in levels:
                 self._believe(unit, number)
                 level = self.levels[number]
@@ -356,7 +358,7 @@ class Solver:
                 for passed in stops if told is not None else ():
                     told(passed)
             # (What a descent saw last is differentiated by moves of where it began.)
-            view = self.look(unit, levels[-1])
+            view = self.look(unit, levels[-1], None if looks else end)
             if (self.capacity, self.window) == (capacity, window):
                 return Found(unit, view, tuple(taken), tuple(way), taken[-1] < most)
             # The view outgrew its buffers or window on the way: go on from there with larger ones.

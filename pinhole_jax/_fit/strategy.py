@@ -29,7 +29,7 @@ from .places import (
 from .problem import COARSE_PX, FINE_PX, View
 from .search import aimed, guesses
 from .solver import Found, Solver, Stop, onward
-from .stretches import area_between
+from .stretches import area_between, outline_of
 from .uncertainty import free_turns
 
 #: A mask that leaves less than this mean square residual of an outline pixel has no outliers.
@@ -275,15 +275,21 @@ def without_outliers(
     """Return the cameras fitted to pixels near the mask's edge only, and views of all pixels.
 
     At first the surroundings are wide, so that what other stretches of the outline pulled away
-    comes back. Rivals that are far worse there are left out.
+    comes back; where nothing is far away, they are narrow at once. Rivals that are far worse there
+    are left out.
     """
     alike = [(f, f.unit) for f in (places.best, *places.others)]
     rivals = [(f, f.unit) for f in places.rivals]
-    for reach in (8, 4, 2, 1):
+    alone = _is_alone(mask, places, outlier_px / 2)
+    for reach in (1,) if alone else (8, 4, 2, 1):
         solver.weigh(mask.near_edge(reach * outlier_px), only_finest=True)
         # (What comes next moves it by more.)
         px = COARSE_PX if reach > 1 else FINE_PX[solver.dtype]
-        finer = lambda f, px=px: onward(f, solver.solve(f.unit, [solver.finest], fine_px=px))
+        # (Where there are rivals their errors are asked for on the way.)
+        looks = bool(rivals) or reach == 1
+        finer = lambda f, px=px, looks=looks: onward(
+            f, solver.solve(f.unit, [solver.finest], fine_px=px, looks=looks)
+        )
         alike, rivals = ([(finer(f), unit) for f, unit in x] for x in (alike, rivals))
         # (Farther out, what covers the object counts against the right one.)
         if rivals and reach <= 2:
@@ -292,12 +298,26 @@ def without_outliers(
             rivals = [(f, unit) for f, unit in rivals if f.view.squares <= most]
     result = []
     for f, before in (*alike, *rivals):
-        for unit in [before] if start is None else [before, start]:
+        # (A descent that began there, with these weights, does not end higher.)
+        others = [] if alone else [before]
+        for unit in others if start is None else [*others, start]:
             if not solver.look(unit, solver.finest).squares >= f.view.squares:
+                px = FINE_PX[solver.dtype]
                 f = onward(f, solver.solve(unit, [solver.finest], fine_px=px))
         result.append(f)
     solver.weigh(mask.weight)
     return [(f, solver.look(f.unit, solver.finest)) for f in result]
+
+
+def _is_alone(mask: Mask, places: Places, reach_px: float) -> bool:
+    """Return whether there is one camera, with all of its outline so near to the mask's edge that
+    nothing is to come back from farther away."""
+    if places.others or places.rivals:
+        return False
+    view = places.best.view
+    row, column = outline_of(view).T
+    distance = mask.distance(view.pixels.level.window())[::-1]
+    return bool(np.all(distance[row, column] <= reach_px))
 
 
 def _times(errors: OutlineErrors | None) -> float:

@@ -141,6 +141,13 @@ def area_between(view: View, target: np.ndarray, weights: np.ndarray, cap: float
     return float(area + cap * np.sum(np.isinf(far)))
 
 
+def outline_of(view: View) -> np.ndarray:
+    """Return row (from the bottom of the level's window) and column of the pixels (P, 2) that show
+    an outline and have weight."""
+    shown = _shown(view.pixels, view.pixels.level) & (np.asarray(view.pixels.weight) > 0)
+    return _places(view.pixels, view.pixels.level)[shown]
+
+
 def _stretched(place: np.ndarray, coverage: np.ndarray, length: float) -> _Outline:
     """Return pixels (P, 2) of an outline of a length (px) by stretches; both sides of a thin part
     are stretches of their own."""

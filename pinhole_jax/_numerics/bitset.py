@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Int, UInt32
 
 from .running import running_sum
@@ -41,8 +42,26 @@ class Listed(NamedTuple):
 def listed(which: Bool[Array, "K"]) -> Listed:
     """Return the list of the true entries; for some thousand (for more: `select`)."""
     K = which.shape[0]
-    indices = jax.lax.sort(jnp.where(which, jnp.arange(K, dtype=jnp.int32), K))
-    return Listed(indices, jnp.sum(which, dtype=jnp.int32))
+    upto = running_sum(which.astype(jnp.int32))
+    # (To sort the indices takes 5 times as long.)
+    place = jnp.where(which, upto - 1, K)
+    indices = jnp.full(K, K, jnp.int32).at[place].set(jnp.arange(K, dtype=jnp.int32), mode="drop")
+    return Listed(indices, upto[-1])
+
+
+def in_order(key: Int[Array, "P"]) -> Int[Array, "P"]:
+    """Return the indices that put keys (at least 0) in order; of equal ones the first comes first.
+
+    With 64 bits key and index are sorted as one number, in a sixth of the time.
+    """
+    P = key.shape[0]
+    index = jnp.arange(P, dtype=jnp.int32)
+    wide = jax.dtypes.canonicalize_dtype(np.int64)
+    if wide != np.int64:
+        return jax.lax.sort((key, index), num_keys=1)[1]
+    bits = max(P - 1, 1).bit_length()
+    both = (key.astype(wide) << bits) | index.astype(wide)
+    return (jax.lax.sort(both, is_stable=False) & ((1 << bits) - 1)).astype(jnp.int32)
 
 
 class Selection(NamedTuple):

@@ -8,9 +8,27 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+#: Rows that are reflected together.
+BLOCK = 1024
+
 
 def triangle(table: Float[Array, "m k"]) -> Float[Array, "k k"]:
-    """Return R of table = Q R, upper triangular; m >= k."""
+    """Return R of table = Q R, upper triangular; m >= k.
+
+    Blocks of rows one after the other, up to the last row that is not all zero: the rest of a table
+    with more room than rows costs nothing.
+    """
+    m, k = table.shape
+    if m <= BLOCK + k:
+        return _triangle(table)
+    blocks = jnp.pad(table, ((0, -m % BLOCK), (0, 0))).reshape(-1, BLOCK, k)
+    counts = jnp.any(blocks != 0, axis=(1, 2))
+    number = jnp.max(jnp.where(counts, jnp.arange(1, len(blocks) + 1, dtype=jnp.int32), 0))
+    further = lambda n, R: _triangle(jnp.concatenate([R, blocks[n]]))
+    return jax.lax.fori_loop(jnp.int32(0), number, further, jnp.zeros((k, k), table.dtype))
+
+
+def _triangle(table: Float[Array, "m k"]) -> Float[Array, "k k"]:
     m, k = table.shape
     row = jnp.arange(m)
 
