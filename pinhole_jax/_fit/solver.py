@@ -355,8 +355,9 @@ class Solver:
                     self.believe(end.touched_misfit)
                 unit = further
                 taken.append(stop.steps)
-                for passed in stops if told is not None else ():
-                    told(passed)
+                if told is not None:
+                    for passed in stops:
+                        told(passed)
             # (What a descent saw last is differentiated by moves of where it began.)
             view = self.look(unit, levels[-1], None if looks else end)
             if (self.capacity, self.window) == (capacity, window):
