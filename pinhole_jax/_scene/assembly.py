@@ -34,7 +34,7 @@ class Assembly:
         self._dtype = bodies[0].vertices.dtype
         self._points = np.concatenate([np.asarray(body.vertices, float) for body in bodies])
         #: The number of the body that each vertex is one of.
-        self.body = np.repeat(np.arange(len(bodies)), counts)
+        self.body: np.ndarray = np.repeat(np.arange(len(bodies)), counts)
         self._mesh = Mesh(self._points.astype(self._dtype), np.concatenate(faces))
 
     def __len__(self) -> int:

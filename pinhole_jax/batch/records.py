@@ -38,7 +38,12 @@ FIELDS = {
 #: Fields that name files.
 PATHS = ("mesh", "mask", "camera", "weight", "photo", "robot")
 #: What fields say that are not there.
-DEFAULTS = {"free": "pose", "pixel_centres": "integer", "invert": False, "tidy": False}
+DEFAULTS: dict[str, Any] = {
+    "free": "pose",
+    "pixel_centres": "integer",
+    "invert": False,
+    "tidy": False,
+}
 #: Fields of one mask alone, and those in which null says something.
 ALONE, MAY_BE_NONE = {"weight", "photo", "prior", "bounds"}, {"outlier_px"}
 
