@@ -129,6 +129,7 @@ def test_a_hidden_handle_leaves_the_turn_of_its_view_free():
         assert fit.status in ("rank_deficient", "ambiguous")
 
 
+@pytest.mark.long
 def test_a_nut_is_as_good_turned_by_a_side_among_views():
     """One start is nearer to a camera one side on, the other to the truth."""
     nut = scene_of(trimesh.creation.cylinder(radius=1, height=0.8, sections=6))

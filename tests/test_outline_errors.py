@@ -137,6 +137,7 @@ def test_what_weighs_nothing_is_no_error_of_the_mask(scene, image):
     assert np.max(np.abs(told.offset)) < 1 < np.max(np.abs(untold.offset))
 
 
+@pytest.mark.long
 def test_the_size_of_weights_changes_nothing(scene, image):
     # (Descents end some thousandths of a px apart, and a profile is taken at a few places.)
     for mask, rtol in ((image > 0.5, 0.05), (wavy(image, np.random.default_rng(0), 1, 10), 1.0)):

@@ -117,9 +117,9 @@ def _or_infinite(x: float) -> float:
 
 def _apart(layout: Layout, states: list[State], apart: float = APART) -> list[State]:
     """Return the states whose cameras look other ways than those before them."""
-    kept: list[State] = []
+    kept: list[tuple[State, Camera]] = []
     for state in states:
-        of = lambda s: layout.eyes[0].unit(s)
-        if all(angle(of(state), of(other)) > apart for other in kept):
-            kept.append(state)
-    return kept
+        camera = layout.eyes[0].unit(state)
+        if all(angle(camera, other) > apart for _, other in kept):
+            kept.append((state, camera))
+    return [state for state, _ in kept]

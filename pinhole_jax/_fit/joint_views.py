@@ -88,6 +88,8 @@ class Eye:
     posture: Posture | None
     #: The offsets and the scene that the solver looks at, where it was told of any.
     shown: list[tuple[np.ndarray, Scene]] = field(default_factory=list)
+    #: The last state, the view's own camera in it, and this one's pose: each look asks many times.
+    standing: list[tuple[State, Camera, Pose]] = field(default_factory=list)
 
     def scene(self, state: State) -> Scene:
         """Return the view's scene, with its joints' zeros where they are."""
@@ -114,8 +116,21 @@ class Eye:
 
     def unit(self, state: State) -> Camera:
         """Return the view's own camera (canonical) in its scene's frame."""
+        return self._stands(state)[1]
+
+    def pose(self, state: State) -> Pose:
+        """Return the pose of the view's own camera in its scene's frame."""
+        return self._stands(state)[2]
+
+    def _stands(self, state: State) -> tuple[State, Camera, Pose]:
+        for known in self.standing:
+            if known[0] is state:
+                return known
         pose = self.mount @ state.poses[self.moving] @ self.rig
-        return at_pose(state.lenses[self.camera], inverse(self._scene(state)) @ pose)
+        unit = at_pose(state.lenses[self.camera], inverse(self._scene(state)) @ pose)
+        known = state, unit, pose_of(unit)
+        self.standing[:] = [known]
+        return known
 
     def at(self, name: str, pose: Pose, state: State) -> State:
         """Return the state in which the view's camera is at a pose in its scene's frame, by moving
@@ -129,7 +144,7 @@ class Eye:
 
     def by_twist(self, state: State, view: View) -> np.ndarray:
         """Return the view's moves (n, 6), in its solver's units, by a twist of its own camera."""
-        names, pose = self.solver.names, pose_of(self.unit(state))
+        names, pose = self.solver.names, self.pose(state)
         known = [COMPONENTS[name] for name in components(names)]
         of_pose = np.array([name in _POSE for name in components(names)])
         reported = np.array([label in _REPORTED for label in labels_of(names)])
@@ -144,7 +159,7 @@ class Eye:
     def moves(self, state: State, view: View, unknowns: list[Unknown]) -> np.ndarray:
         """Return the view's moves (n, k), in its solver's units, by the poses and lenses that it
         depends on."""
-        names, pose = self.solver.names, pose_of(self.unit(state))
+        names, pose = self.solver.names, self.pose(state)
         known = components(names)
         of_pose = np.array([name in _POSE for name in known])
         by_twist = self.by_twist(state, view)
