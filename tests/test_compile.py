@@ -18,7 +18,7 @@ MOST = {
     "mask": Kernels(710, 460, 27),
     "depth": Kernels(200, 142, 2),
     "gradient_of_camera": Kernels(1520, 615, 58),
-    "fit": Kernels(700, 455, 12),
+    "fit": Kernels(733, 481, 13),
 }
 
 
