@@ -5,7 +5,7 @@ and more faces at 512 px, and of 328k faces at more and more pixels; on one thre
 in a process of its own. Both sides take float32 and what is worked out once per mesh; medians of
 calls that are compiled already, ours and the loop's in turn, so that a busy machine slows both.
 
-`python experiments/limit_of_speed.py out` takes some 10 minutes, with `--quick` 2.
+`python experiments/limit_of_speed.py out` takes some 20 minutes, with `--quick` 6.
 """
 
 import json
