@@ -7,14 +7,12 @@ from typing import Any
 import numpy as np
 
 from .. import formats, plot
+from .._fit.agreement import NORMAL_95
 from .._fit.joint_result import JointFit, ViewFit
 from .._fit.target import shares
 from .._fit.words import STATUSES, in_digits, told
 from .._show import page as html_page
 from .._silhouette.silhouette import silhouette
-
-#: Of a normal distribution 95 % lie within so many standard deviations.
-NORMAL_95 = 1.959964
 
 
 def robot_page(

@@ -15,7 +15,7 @@ from .._camera.poses import skew
 from .joint_views import LENS, POSE, ZERO, Eye, JointView, State
 from .moves import Bounds
 from .parameters import LABELS, components, labels_of
-from .priors import bounds_of, pairs, prior_of
+from .priors import bounds_of, check_positive, pairs, prior_of
 from .problem import View
 
 #: Where an eye or an object is, and what these coordinates are called.
@@ -56,7 +56,7 @@ def beliefs_of(
         if name in objects:
             words = "(mean, standard deviation)"
             mean, std = pairs("prior", given, list(PLACE), words)
-            _check_positive(given, std)
+            check_positive(given, std)
             known = dict(zip(given, zip(mean, std, strict=True), strict=True))
             result += _belief(name, POSE, known, PLACE, partial(_place, name, np.zeros(3)))
             continue
@@ -134,12 +134,6 @@ def by_name(
             f"`{argument}`: expected names among {', '.join(known)}, got {unknown[0]!r}"
         )
     return dict(given)
-
-
-def _check_positive(given: Mapping[str, Any], std: np.ndarray) -> None:
-    for label, value in zip(given, std, strict=True):
-        if not value > 0:
-            raise ValueError(f"`prior`: expected a positive deviation of {label!r}, got {value}")
 
 
 def _belief(

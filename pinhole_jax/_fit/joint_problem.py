@@ -116,10 +116,8 @@ class JointProblem(NamedTuple):
         unknowns += [Unknown(n, LENS, bent) for n in cameras if bent]
         if not unknowns:
             raise ValueError("`free`: expected something to fit, got none")
-        layout, start = (
-            Layout(unknowns, eyes, beliefs),
-            State(poses, lenses, dict.fromkeys(zeros, 0.0)),
-        )
+        layout = Layout(unknowns, eyes, beliefs)
+        start = State(poses, lenses, dict.fromkeys(zeros, 0.0))
         if still := [k for k in range(len(eyes)) if not layout.of(k)]:
             raise ValueError(f"`views[{still[0]}]`: expected a view of something unknown, got none")
         return cls(layout, start, cameras, own, moving, fixed, outlier_px, max_steps, zeros)

@@ -64,9 +64,7 @@ def prior_of(
         return None
     labels = [x for x in labels_of(names) if LABELS[x].value is not None]
     mean, std = pairs("prior", prior, labels, "(mean, standard deviation)")
-    for label, value in zip(prior, std, strict=True):
-        if not value > 0:
-            raise ValueError(f"`prior`: expected a positive deviation of {label!r}, got {value}")
+    check_positive(prior, std)
     unit = np.array([base.H if LABELS[label].unit == "px" else 1 for label in prior])
     parts = np.array([views if label in labels_of(common) else 1 for label in prior])
     to = lambda x: jnp.asarray(x, base.e.dtype)
@@ -85,6 +83,13 @@ def bounds_of(
         if not a < b:
             raise ValueError(f"`bounds`: expected low < high of {label!r}, got ({a}, {b})")
     return Bounds(tuple(bounds), *(jnp.asarray(x, base.e.dtype) for x in (low, high)))
+
+
+def check_positive(given: Mapping[str, Any], std: np.ndarray) -> None:
+    """Raise ValueError unless the standard deviations of a prior are positive."""
+    for label, value in zip(given, std, strict=True):
+        if not value > 0:
+            raise ValueError(f"`prior`: expected a positive deviation of {label!r}, got {value}")
 
 
 def pairs(name: str, given: Any, known: list[str], words: str) -> np.ndarray:

@@ -2,8 +2,8 @@
 
 A tree takes as long to make as some hundred thousand rays to search in it. Arrays of JAX never
 change: what was made of the same arrays, not of equal ones, is never stale, and asking costs
-nothing. A scene that was moved (`eqx.tree_at`, an `Assembly` in another posture, a pickled copy)
-has other arrays.
+nothing (`_numerics.kept` knows arrays by what they hold, and reads them for that). A scene that was
+moved (`eqx.tree_at`, an `Assembly` in another posture, a pickled copy) has other arrays.
 """
 
 import weakref

@@ -88,7 +88,7 @@ def fit_many(
     """
     _check(items, executor, workers, shard, time_limit, retry)
     results = None if out is None else Results(out)
-    done = Done() if results is None else results.done(but=retry)
+    done = Done({}, None) if results is None else results.done(but=retry)
     total, before = _planned(items, shard, done)
     order: list[str] = []
     waiting = _sorted(_left(items, shard, done, order if results is None else None))

@@ -11,7 +11,7 @@ import warnings
 from typing import Any
 
 from .._files.naming import named
-from .records import Record, check_id, check_record, digest_of
+from .records import Record, asked, check_id, check_record, digest_of
 from .rows import Row, empty_row
 
 #: So many shapes are kept open.
@@ -74,7 +74,7 @@ def _single(record: Record, said: list[str]) -> Any:
     with named(path="mesh", vertices="mesh"), _opening:
         scene, words = _scene(*_state(record["mesh"]))
     said += words
-    return fit_camera(scene, mask, free=record.get("free", "pose"), **arguments)
+    return fit_camera(scene, mask, free=asked(record, "free"), **arguments)
 
 
 def _joint(record: Record, said: list[str]) -> Any:
@@ -93,7 +93,7 @@ def _joint(record: Record, said: list[str]) -> Any:
         mount = None if hand is None else poses[hand]
         views.append(JointView(robot.at(poses), _mask(record, view["mask"], said), mount=mount))
     H, W = views[0].target.shape
-    start, free = _start(record, W, H), record.get("free", "pose")
+    start, free = _start(record, W, H), asked(record, "free")
     search = start["camera"] is None
     camera = start["camera"] if not search else _anywhere(start, free, W, H)
     more = {name: record[name] for name in ("outlier_px", "max_steps") if name in record}
@@ -119,13 +119,13 @@ def _mask(record: Record, mask: Any, said: list[str]) -> Any:
     from .. import io
 
     with named(path="mask", rle="mask"):
-        invert = record.get("invert", False)
+        invert = asked(record, "invert")
         if isinstance(mask, str):
             image = io.load_mask(mask, record.get("mask_from"), said.append, invert=invert)
         else:
             image = io.mask_of_rle(mask)
             image = 255 - image if invert else image
-    if record.get("tidy", False):
+    if asked(record, "tidy"):
         image, done = io.tidy_mask(image)
         said += done
     return image
@@ -176,7 +176,7 @@ def _of_K(record: Record, W: int, H: int) -> Any:
     if "dist" in record:
         dist = _numbers("dist", record["dist"], (4, 5, 8))
         bent = (Rational if len(dist) == 8 else BrownConrady)(*dist.tolist())
-    centres = record.get("pixel_centres", "integer")
+    centres = asked(record, "pixel_centres")
     return from_opencv(K, pose[:3, :3], pose[:3, 3], W, H, pixel_centres=centres, distortion=bent)
 
 
@@ -250,7 +250,7 @@ def _row_of(record: Record, fit: Any, words: str) -> Row:
     }
     if fit.status == "non_finite":
         return row
-    centres = record.get("pixel_centres", "integer")
+    centres = asked(record, "pixel_centres")
     K, R, t = to_opencv(fit.camera, pixel_centres=centres)
     camera = camera_to_dict(fit.camera)
     plain = fit_to_dict(fit._replace(history=()), pixel_centres=centres)

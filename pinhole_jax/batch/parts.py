@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from reprlib import repr as brief
 from typing import BinaryIO, NamedTuple
@@ -74,7 +74,7 @@ class Results:
 
     def ids(self, but: Collection[str] = ()) -> set[str]:
         """Return the ids of all rows, but for those of some statuses."""
-        return {*self.done(but)}
+        return {*self.done(but).settings}
 
     def done(self, but: Collection[str] = ()) -> "Done":
         """Return what has been done: all rows, but for those of some statuses."""
@@ -119,31 +119,25 @@ class Results:
         return places
 
 
-class Done(Mapping[str, bytes]):
-    """The ids of what has been done, and a digest of each one's settings."""
+class Done(NamedTuple):
+    """A digest of the settings of each id that has been done, and where its row is."""
 
-    def __init__(self, settings: dict[str, bytes] | None = None, results: Results | None = None):
-        self._settings, self._results = settings or {}, results
-
-    def __getitem__(self, id: str) -> bytes:
-        return self._settings[id]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._settings)
-
-    def __len__(self) -> int:
-        return len(self._settings)
+    settings: dict[str, bytes]
+    results: Results | None
 
     def has(self, record: Record) -> bool:
         """Return whether a record has its row.
 
         Raises ValueError where the row is of another record, which had that id then.
         """
-        id, now = record["id"], settings_of(plain_record(record))
-        if id not in self or self[id] == _digest(now):
-            return id in self
-        assert self._results is not None
-        then = settings_of(json.loads(self._results.row(id)["record"]))
+        id = record["id"]
+        if id not in self.settings:
+            return False
+        now = settings_of(plain_record(record))
+        if self.settings[id] == _digest(now):
+            return True
+        assert self.results is not None
+        then = settings_of(json.loads(self.results.row(id)["record"]))
         other = next(name for name in now | then if now.get(name) != then.get(name))
         words = f"expected rows of records as they are now, got {id!r} with {other!r}"
         values = f"{brief(then.get(other))}, which is {brief(now.get(other))} now"

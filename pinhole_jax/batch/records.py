@@ -120,6 +120,11 @@ def shard_of(id: str, count: int) -> int:
     return int.from_bytes(hashlib.sha256(id.encode(errors="surrogatepass")).digest()[:8]) % count
 
 
+def asked(record: Record, name: str) -> Any:
+    """Return what a record says in one of the fields that have a default."""
+    return record.get(name, DEFAULTS[name])
+
+
 def settings_of(record: Record) -> dict[str, Any]:
     """Return what a plain record asks for, beside its id, where its files are, and its views."""
     return {
