@@ -174,7 +174,7 @@ def _render(options: argparse.Namespace) -> int:
 
 def _hand_eye(options: argparse.Namespace) -> int:
     with Progress("reading", options.verbose) as progress:
-        _set_up_jax(options)
+        _set_up_jax(options, quick=False)
         from ._command.hand_eye import hand_eye
 
         progress.count(Clock())
@@ -194,12 +194,12 @@ def _batch(options: argparse.Namespace) -> int:
     with Progress("reading", options.verbose) as progress:
         from ._command.batch import batch
 
-        return batch(options, progress.say, lambda: _set_up_jax(options))
+        return batch(options, progress.say, lambda: _set_up_jax(options, quick=False))
 
 
 def _studio(options: argparse.Namespace) -> int:
     with Progress("reading", options.verbose) as progress:
-        _set_up_jax(options)
+        _set_up_jax(options, quick=False)
         from ._command.studio import studio
 
         run = studio(options, progress.say, progress.tell)
@@ -230,8 +230,9 @@ def _say_written(path: str, words: str) -> None:
     print(f"written    {path} ({words})", file=sys.stderr if is_stream(path) else sys.stdout)
 
 
-def _set_up_jax(options: argparse.Namespace) -> None:
-    """Set what an application may and a library may not: float64, a cache of compiled programs."""
+def _set_up_jax(options: argparse.Namespace, quick: bool = True) -> None:
+    """Set what an application may and a library may not: float64, a cache of compiled programs
+    (`quick` ones but for those who run them often)."""
     import jax
 
     # Tracing makes objects that stay: to look for garbage among them takes a third of the start.
@@ -242,7 +243,7 @@ def _set_up_jax(options: argparse.Namespace) -> None:
         from ._files.cache import cache
 
         with contextlib.suppress(ValueError):  # a user without a home folder
-            cache()
+            cache(quick=quick)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Independent answers: polygon union by shapely, central differences. Nothing of pinhole_jax but
 `project`, which `test_rays` checks by hand."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import shapely
@@ -53,10 +54,12 @@ def homogeneous(camera: pj.Camera, points) -> np.ndarray:
     view = (p - e) / np.linalg.norm(p - e)
     offset = np.asarray(points, float) - e
     z = offset @ view
-    # Any point of the plane at depth 1 projects safely; film coordinates are affine there.
-    plane = e + view + offset - z[..., None] * view
-    centre = np.asarray(pj.project(camera, jnp.asarray(e + view)))
-    film = np.asarray(pj.project(camera, jnp.asarray(plane))) - centre
+    # Any point of the plane at depth 1 projects safely; film coordinates are affine there, so that
+    # three of them tell all.
+    across = np.linalg.svd(view[None])[2][1:]
+    plane = e + view + np.concatenate([np.zeros((1, 3)), across])
+    centre, *ends = np.asarray(pj.project(camera, jnp.asarray(plane)), float)
+    film = offset @ across.T @ (np.array(ends) - centre)
     return np.concatenate([film + z[..., None] * centre, z[..., None]], axis=-1)
 
 
@@ -96,6 +99,17 @@ def mesh_polygons(camera: pj.Camera, vertices, faces) -> list:
 
 def mesh_coverage(camera: pj.Camera, vertices, faces) -> np.ndarray:
     return union_per_pixel(mesh_polygons(camera, vertices, faces), camera.W, camera.H)
+
+
+def drawn(camera: pj.Camera, scene: pj.Scene) -> np.ndarray:
+    """Return a mask for a fit: of a mesh, to some 1e-13, by no program that a size or a mesh needs
+    of its own; of spheres and under distortion what the package draws."""
+    lens = camera.lens
+    if scene.mesh is None or scene.spheres is not None or (lens and lens.distortion is not None):
+        return np.asarray(pj.silhouette(camera, scene))
+    wide = jax.tree.map(lambda x: jnp.asarray(x, float), camera)
+    polygons = mesh_polygons(wide, scene.mesh.vertices, scene.mesh.faces)
+    return area_per_pixel(shapely.union_all(polygons), camera.W, camera.H)
 
 
 def sphere_polygons(camera: pj.Camera, centers, radii, corners: int = 20_000) -> list:

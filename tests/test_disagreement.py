@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
+from oracles import drawn
 from test_plot import AHEAD, SQUARE
 
-import pinhole_jax as pj
 from pinhole_jax._show.disagreement import disagreement
 
 
 def square_mask():
     """Return what AHEAD sees of SQUARE, hard."""
-    return np.asarray(pj.silhouette(AHEAD, SQUARE)) > 0.5
+    return drawn(AHEAD, SQUARE) > 0.5
 
 
 def test_nothing_is_said_of_a_perfect_mask():
@@ -34,7 +34,7 @@ def test_a_mask_that_is_cut_off_says_where():
 
 def test_what_the_film_cuts_off_is_no_fault_of_the_mask():
     camera = AHEAD.replace(p=[AHEAD.p[0] + 1.2, *AHEAD.p[1:]])
-    mask = np.asarray(pj.silhouette(camera, SQUARE)) > 0.5
+    mask = drawn(camera, SQUARE) > 0.5
     (words,) = disagreement(camera, SQUARE, mask)
     assert words.startswith("the film's edge cuts the object off: ")
 

@@ -37,7 +37,7 @@ def both(scene, rays):
     return (np.asarray(pj.trace(scene, rays, search=s).primitive) for s in ("embree", "tree"))
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.long)])
 @pytest.mark.usefixtures("optimised")
 def test_the_hits_of_the_tree(dtype):
     """Also with a sphere among the faces, and where half of the faces are there twice.
@@ -87,6 +87,7 @@ def test_few_rays_are_in_doubt(monkeypatch):
     assert doubts[0] < 0.02
 
 
+@pytest.mark.long
 def test_traced_scenes_batches_and_derivatives():
     mesh = shapes.bumpy(2)
     random = np.random.default_rng(2)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import first
-from oracles import random_camera, turned
+from oracles import drawn, random_camera, turned
 
 import pinhole_jax as pj
 from pinhole_jax import formats, io, shapes
@@ -28,7 +28,7 @@ def scene():
 
 
 def mask_of(camera, scene):
-    return np.asarray(pj.silhouette(camera, scene))
+    return drawn(camera, scene)
 
 
 def single(camera):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from oracles import turned
+from oracles import drawn, turned
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
@@ -32,7 +32,7 @@ STARTS = [turned(c, [1, 2, 3], 5, 1.03, 1.04) for c in TRUTHS]
 
 @pytest.fixture(scope="module")
 def masks(scene):
-    return [np.asarray(pj.silhouette(c, scene)) for c in TRUTHS]
+    return [drawn(c, scene) for c in TRUTHS]
 
 
 def noisy(masks, sigma=0.02):
@@ -55,7 +55,7 @@ def test_shared_intrinsics_from_exact_masks(scene, masks):
 def test_views_without_a_start_have_the_lens_that_is_known(scene):
     lens = pj.Lens([60, 33], 1.05)
     cameras = [camera.replace(lens=lens) for camera in TRUTHS[:2]]
-    masks = [np.asarray(pj.silhouette(camera, scene)) for camera in cameras]
+    masks = [drawn(camera, scene) for camera in cameras]
     for fit, camera in zip(
         pj.fit_cameras(scene, masks, None, phi=0.6, lens=lens), cameras, strict=True
     ):
@@ -93,7 +93,7 @@ OF_MUG = seen_from([(-4.8, 0.3, 1.5), (0.5, -4.9, 1.2)])
 
 
 def images(cameras, scene):
-    return [np.asarray(pj.silhouette(camera, scene)) for camera in cameras]
+    return [drawn(camera, scene) for camera in cameras]
 
 
 @pytest.mark.long

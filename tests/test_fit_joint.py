@@ -4,10 +4,10 @@ import json
 import re
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 import trimesh
+from oracles import drawn
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -49,14 +49,8 @@ def scenes(arm):
 
 
 @pytest.fixture(scope="module")
-def silhouette():
-    program = jax.jit(pj.silhouette)
-    return lambda camera, scene: np.asarray(program(camera, scene))
-
-
-@pytest.fixture(scope="module")
-def views(scenes, silhouette):
-    return [pj.JointView(scene, silhouette(TRUTH, scene)) for scene in scenes]
+def views(scenes):
+    return [pj.JointView(scene, drawn(TRUTH, scene)) for scene in scenes]
 
 
 def apart(a, b):
@@ -88,14 +82,14 @@ def test_a_start_that_leads_astray_is_searched_after(views):
     assert max(apart(fit.camera, TRUTH)) < 1e-8
 
 
-def test_a_camera_on_a_hand(scenes, silhouette):
+def test_a_camera_on_a_hand(scenes):
     held = exponential(np.array([0.2, 0.1, -0.1, 0.1, 0.2, 0.3]))
     views = []
     for k in range(4):
         random = np.random.default_rng(k)
         off = exponential(np.append(random.uniform(-0.2, 0.2, 3), random.uniform(-0.4, 0.4, 3)))
         mount = off @ pose_of(TRUTH) @ inverse(held)
-        seen = silhouette(at_pose(TRUTH, mount @ held), scenes[0])
+        seen = drawn(at_pose(TRUTH, mount @ held), scenes[0])
         views.append(pj.JointView(scenes[0], seen, mount=mount))
     fit = pj.fit_joint(views, at_pose(TRUTH, held @ OFF))
     assert fit.status == "converged"
@@ -103,9 +97,9 @@ def test_a_camera_on_a_hand(scenes, silhouette):
 
 
 @pytest.fixture(scope="module")
-def stereo(scenes, silhouette):
+def stereo(scenes):
     return [
-        pj.JointView(scene, silhouette(camera, scene), camera=name)
+        pj.JointView(scene, drawn(camera, scene), camera=name)
         for scene in scenes[:2]
         for name, camera in (("left", TRUTH), ("right", RIGHT))
     ]
@@ -126,12 +120,12 @@ def test_a_rig_is_better_determined_than_its_eyes(stereo):
     )
 
 
-def test_an_object_s_pose_before_known_cameras(arm, scenes, silhouette):
+def test_an_object_s_pose_before_known_cameras(arm, scenes):
     place = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
     moved = arm.at([place @ pose for pose in posture(0)])
     cameras = {"left": TRUTH, "right": RIGHT}
     views = [
-        pj.JointView(scenes[0], silhouette(camera, moved), camera=name, object="part")
+        pj.JointView(scenes[0], drawn(camera, moved), camera=name, object="part")
         for name, camera in cameras.items()
     ]
     fit = pj.fit_joint(views, cameras, (), objects={"part": place @ OFF})
@@ -152,6 +146,7 @@ def noisy(views):
     ]
 
 
+@pytest.mark.long
 def test_what_is_known_of_a_camera_counts_as_in_the_fit_of_one_mask(noisy):
     known = {"phi": (0.604, 0.004), "e_x": (0.42, 0.02)}
     asked = START, ("pose", "phi")
@@ -164,10 +159,10 @@ def test_what_is_known_of_a_camera_counts_as_in_the_fit_of_one_mask(noisy):
     assert np.allclose(told, 1, rtol=4e-3)
 
 
-def test_what_is_known_of_an_object_counts(arm, scenes, silhouette):
+def test_what_is_known_of_an_object_counts(arm, scenes):
     """What is known better than the mask tells is found there, as surely as it is known."""
     place = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
-    seen = silhouette(TRUTH, arm.at([place @ pose for pose in posture(0)]))
+    seen = drawn(TRUTH, arm.at([place @ pose for pose in posture(0)]))
     seen = np.clip(seen + 0.05 * np.random.default_rng(1).normal(size=seen.shape), 0, 1)
     view = pj.JointView(scenes[0], seen, object="part")
     known = {"part": {"x": (0.2, 1e-5), "z": (0.3, 10.0)}}
@@ -195,13 +190,13 @@ def test_bounds_hold_what_the_masks_would_have_elsewhere(noisy):
 
 
 @pytest.mark.long
-def test_a_box_before_two_cameras_may_be_turned_by_half(silhouette):
+def test_a_box_before_two_cameras_may_be_turned_by_half():
     bar = trimesh.creation.box((0.6, 0.9, 2.2))
     box = pj.Assembly([pj.Mesh(np.asarray(bar.vertices), bar.faces)])
     place = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
     cameras = {"left": TRUTH, "right": RIGHT}
     views = [
-        pj.JointView(box.at([np.eye(4)]), silhouette(c, box.at([place])), n, object="box")
+        pj.JointView(box.at([np.eye(4)]), drawn(c, box.at([place])), n, object="box")
         for n, c in cameras.items()
     ]
     fit = pj.fit_joint(views, cameras, (), objects={"box": place @ OFF})
@@ -212,7 +207,7 @@ def test_a_box_before_two_cameras_may_be_turned_by_half(silhouette):
 
 
 @pytest.mark.long
-def test_a_ball_tells_no_turn(silhouette):
+def test_a_ball_tells_no_turn():
     scene = pj.Scene(spheres=pj.Spheres([[0.2, 0, 0.1]], [0.8]))
     views = [
         pj.JointView(scene, np.asarray(pj.silhouette(c, scene)), camera=n)
@@ -233,7 +228,7 @@ def test_a_wrong_posture_is_named_and_counts_for_nothing(arm, views):
 
 
 @pytest.mark.long
-def test_intervals_hold_the_camera_of_masks_that_err_by_stretches(scenes, silhouette):
+def test_intervals_hold_the_camera_of_masks_that_err_by_stretches(scenes):
     """Outlines that waver by half a pixel, each mask another way: 24 fits, six numbers each."""
     from scipy.ndimage import gaussian_filter, map_coordinates
 
@@ -245,7 +240,7 @@ def test_intervals_hold_the_camera_of_masks_that_err_by_stretches(scenes, silhou
             wave = [gaussian_filter(random.normal(size=(SIZE, SIZE)), 6) for _ in range(2)]
             wave = [0.5 * w / np.std(w) for w in wave]
             at = np.indices((SIZE, SIZE)) + np.array(wave)
-            image = map_coordinates(silhouette(TRUTH, scene), at, order=1)
+            image = map_coordinates(drawn(TRUTH, scene), at, order=1)
             views.append(pj.JointView(scene, image > 0.5))
         fit = pj.fit_joint(views, TRUTH).cameras["camera"]
         turn = np.array(reported(fit.camera, TRUTH, ("pose",)))
@@ -510,7 +505,7 @@ NEAR = at_pose(
 
 
 @pytest.fixture(scope="module")
-def misread(tmp_path_factory, silhouette):
+def misread(tmp_path_factory):
     """Views of five postures of a robot whose joints' zeros are off."""
     pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
     folder, body = tmp_path_factory.mktemp("three"), shapes.bumpy(2)
@@ -522,7 +517,7 @@ def misread(tmp_path_factory, silhouette):
     return [
         pj.JointView(
             robot.scene(read),
-            silhouette(BEFORE, robot.scene(read + LACK)),
+            drawn(BEFORE, robot.scene(read + LACK)),
             posture=robot.posture(read),
         )
         for read in postures
@@ -556,7 +551,7 @@ def test_a_joint_that_the_masks_do_not_tell_is_as_well_known_as_before(misread):
     assert abs(fit.joint_zeros.std[0] / 1e-5 - 1) < 0.1
 
 
-def test_what_a_view_sees_of_joints_is_what_differences_say(misread, silhouette):
+def test_what_a_view_sees_of_joints_is_what_differences_say(misread):
     """But for pixels in which two links end, of which a small picture has some."""
     problem = JointProblem.of(
         misread[:1], BEFORE, ("pose",), None, None, None, 8, joint_zeros=1
@@ -569,7 +564,7 @@ def test_what_a_view_sees_of_joints_is_what_differences_say(misread, silhouette)
     row, column = np.divmod(np.asarray(pixels.cell)[used], int(pixels.level.W) + 2)
     left, bottom = np.asarray(pixels.level.origin, int)
     for k, step in enumerate(1e-5 * np.eye(3)):
-        one, other = (silhouette(BEFORE, posture.scene(sign * step)) for sign in (1, -1))
+        one, other = (drawn(BEFORE, posture.scene(sign * step)) for sign in (1, -1))
         change = (one - other) / 2e-5
         here = change[SIZE - 1 - row - bottom, column - 1 + left]
         assert np.isclose(np.linalg.norm(here), np.linalg.norm(change))
@@ -579,7 +574,7 @@ def test_what_a_view_sees_of_joints_is_what_differences_say(misread, silhouette)
 
 
 @pytest.fixture
-def robot_files(tmp_path, monkeypatch, silhouette):
+def robot_files(tmp_path, monkeypatch):
     """A robot of two links, angles and masks of three postures, a camera to start from."""
     pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
     # What the command sets for its own process would change those of the other tests.
@@ -594,7 +589,7 @@ def robot_files(tmp_path, monkeypatch, silhouette):
     Path("joints.csv").write_text("turn\n-0.6\n0.3\n1.1\n")
     robot = pj.robots.load_urdf("arm.urdf")
     for k, angle in enumerate((-0.6, 0.3, 1.1)):
-        pj.io.save_image(f"mask_{k}.png", silhouette(TRUTH, robot.scene([angle])))
+        pj.io.save_image(f"mask_{k}.png", drawn(TRUTH, robot.scene([angle])))
     pj.io.save_camera("start.json", START)
     return ["hand-eye", "arm.urdf", "joints.csv", *(f"mask_{k}.png" for k in range(3))]
 

@@ -123,6 +123,7 @@ def with_change(camera, scene, direction):
     return jax.jvp(lambda v: pj.silhouette(camera, moved(v)), (mesh.vertices,), (velocity,))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", STEPS)
 def test_sheets_on_the_grid_and_their_derivative_are_exact(name, exhaustive):
     for seed in range(MANY if exhaustive else SOME):

@@ -128,6 +128,7 @@ def looking(camera):
     return (jnp.sum(image), jnp.sum(points)), (image, rays.direction, hit.t, points)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NO_CAMERAS)
 def test_what_is_traced_and_no_camera_sees_nothing(name):
     part, value = NO_CAMERAS[name]

@@ -84,6 +84,7 @@ def test_a_tree_goes_with_its_scene(rays, made):
     assert not keeper._kept
 
 
+@pytest.mark.long
 def test_programs_of_a_scene_that_is_there_share_its_tree(rays, made):
     """Batches of rays, derivatives in these, and what is compiled about the scene."""
     scene = new_scene()

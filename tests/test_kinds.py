@@ -4,6 +4,7 @@ import io
 
 import numpy as np
 import pytest
+from oracles import drawn
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
@@ -17,7 +18,7 @@ CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 128, 1
 
 @pytest.fixture(scope="module")
 def mask():
-    return np.asarray(pj.silhouette(CAMERA, pj.Scene(mesh=shapes.bumpy(3))))
+    return drawn(CAMERA, pj.Scene(mesh=shapes.bumpy(3)))
 
 
 def jpeg(mask):

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from oracles import turned
+from oracles import drawn, turned
 from PIL import ExifTags, Image
 from scipy.ndimage import binary_dilation
 from test_plot import fit_of
@@ -111,7 +111,7 @@ def test_render_then_fit(folder):
     assert still.returncode == 0, still.stdout + still.stderr
     assert "no more than the errors say" in still.stdout
     other = turned(CAMERA, [1, 2, 3], 0.5, 1.0)
-    io.save_image(folder / "pushed.png", np.asarray(pj.silhouette(other, SCENE)))
+    io.save_image(folder / "pushed.png", drawn(other, SCENE))
     pushed = checked("pushed.png")
     assert pushed.returncode == 1
     assert "moved: " in pushed.stdout
@@ -120,7 +120,7 @@ def test_render_then_fit(folder):
 
 @pytest.mark.long
 def test_a_photo_refines_the_camera(folder):
-    mask = np.asarray(pj.silhouette(CAMERA, SCENE)) > 0.5
+    mask = drawn(CAMERA, SCENE) > 0.5
     io.save_image(folder / "photo.png", 1.0 * mask)
     io.save_image(folder / "large.png", 1.0 * binary_dilation(mask, iterations=2))
     files = folder / "bumpy.ply", folder / "large.png", "--camera", folder / "start.json"
@@ -221,7 +221,7 @@ def test_bad_input_ends_a_process_with_status_2(folder):
 def test_a_fit_that_is_not_to_be_trusted_has_status_1(folder):
     behind = pj.Camera([0.3, 1, 5], [0.3, 1, 9], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
     io.save_camera(folder / "behind.json", behind)
-    mask = (np.asarray(pj.silhouette(CAMERA, SCENE)) > 0.5).astype(np.uint8) * 255
+    mask = (drawn(CAMERA, SCENE) > 0.5).astype(np.uint8) * 255
     Image.fromarray(mask).save(folder / "hard.png")
     done = run(
         "fit",
@@ -242,7 +242,7 @@ def test_a_fit_that_is_not_to_be_trusted_has_status_1(folder):
 @pytest.mark.long
 def test_a_fit_needs_no_start(folder):
     # A photo before a blue background; its EXIF data tell the field of view: no start, no --fov.
-    mask = np.asarray(pj.silhouette(CAMERA, SCENE))[..., None]
+    mask = drawn(CAMERA, SCENE)[..., None]
     photo = Image.fromarray(np.uint8(mask * [220, 90, 40] + (1 - mask) * [0, 0, 255] + 0.5))
     exif = Image.Exif()
     exif[ExifTags.Base.Orientation] = 1
@@ -570,7 +570,7 @@ def test_a_known_K_needs_no_pose(folder):
     """The camera is found from K alone, off the image's middle."""
     K, R, t = [[150, 0, 55], [0, 150, 33], [0, 0, 1]], np.diag([1.0, -1, -1]), [0.1, 0.2, 5]
     truth = pj.formats.from_opencv(K, R, t, 96, 80, pixel_centres="integer")
-    io.save_image(folder / "off.png", np.asarray(pj.silhouette(truth, SCENE)))
+    io.save_image(folder / "off.png", drawn(truth, SCENE))
     arguments = (folder / "bumpy.ply", folder / "off.png", "--K", 150, 150, 55, 33)
     done = run("fit", *arguments, "-o", folder / "off", cache=folder / "cache")
     found = io.load_camera(folder / "off" / "camera.json")

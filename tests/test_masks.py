@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from oracles import drawn
 from PIL import Image
 
 import pinhole_jax as pj
@@ -14,7 +15,7 @@ CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, W, H)
 @pytest.fixture(scope="module")
 def silhouette():
     """A mask of 8 bits with soft edges, in the middle of the film."""
-    coverage = np.asarray(pj.silhouette(CAMERA, pj.Scene(mesh=shapes.bumpy(2))))
+    coverage = drawn(CAMERA, pj.Scene(mesh=shapes.bumpy(2)))
     return np.uint8(255 * coverage + 0.5)
 
 

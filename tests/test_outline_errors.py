@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from masks import outward, wavy
-from oracles import turned
+from oracles import drawn, turned
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
@@ -33,7 +33,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def image(scene):
-    return np.asarray(pj.silhouette(single(CAMERA), scene), float)
+    return drawn(single(CAMERA), scene)
 
 
 def solver_of(scene, target):
@@ -152,7 +152,7 @@ def test_the_size_of_weights_changes_nothing(scene, image):
 
 def test_a_mask_that_tells_little_says_so(scene):
     small = pj.Camera([1.8, 6.0, 30.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, SIZE, SIZE)
-    shown = np.asarray(pj.silhouette(single(small), scene))
+    shown = drawn(single(small), scene)
     fit = pj.fit_camera(scene, wavy(shown, np.random.default_rng(0), 1.5, 8.0), single(small))
     assert fit.status in ("uncertain", "ambiguous")
     assert any("degrees (one sigma)" in words for words in fit.weak)

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from oracles import turned
+from oracles import drawn, turned
 from scipy.ndimage import binary_dilation, gaussian_filter
 
 import pinhole_jax as pj
@@ -27,7 +27,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def shown(scene):
-    return np.asarray(pj.silhouette(CAMERA, scene))
+    return drawn(CAMERA, scene)
 
 
 def photo_of(shown, front=FRONT, back=BACK):
@@ -98,8 +98,8 @@ def test_coverage_is_read_from_the_pixels_that_a_contour_touches(scene, shown):
         solver = Solver(scene, shown, np.ones(shown.shape), np.float64, ("pose",), 4)
         view = solver.look(unit, solver.finest)
         level = solver.levels[solver.finest]
-        seen = np.asarray(pj.silhouette(camera, scene))
-        np.testing.assert_allclose(coverage_of(view)[::-1], level.window().of(seen), atol=1e-9)
+        expected = level.window().of(drawn(camera, scene))
+        np.testing.assert_allclose(coverage_of(view)[::-1], expected, atol=1e-9)
 
 
 def test_light_is_that_of_srgb():

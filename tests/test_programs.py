@@ -200,6 +200,29 @@ def test_to_keep_in_the_same_folder_once_more_changes_nothing(kept):
     assert programs._programs == before
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_a_quick_program_is_compiled_otherwise_where_the_compiler_knows_how(
+    kept, monkeypatch, known
+):
+    option = "xla_cpu_use_fusion_emitters" if known else "xla_of_another_age"
+    monkeypatch.setattr(programs, "QUICK", {option: False})
+    given = []
+    compile_ = jax.stages.Lowered.compile
+
+    def told(self, compiler_options=None):
+        given.append(compiler_options)
+        return compile_(self, compiler_options)
+
+    monkeypatch.setattr(jax.stages.Lowered, "compile", told)
+    programs.keep_in(kept, quick=True)
+    assert np.array_equal(called(X).first, X**2 + 1)
+    assert given == [programs.QUICK] + [None] * (not known)
+    programs.keep_in(kept)
+    assert np.array_equal(called(X).first, X**2 + 1)
+    assert given[-1] is None
+    assert len(traces) == 1
+
+
 @pytest.mark.parametrize("what", ["prior, bounds and a lens", "spheres"])
 def test_a_fit_is_one_to_keep(kept, what, monkeypatch):
     """The structure of its answer is known before it is traced."""

@@ -57,7 +57,7 @@ def both(scene, camera):
 KINDS = ["scales", "lattice", "plane", "twice", "slivers", "film-covering"]
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.long)])
 @pytest.mark.usefixtures("optimised")
 def test_the_same_face_as_the_tree_finds(dtype, exhaustive):
     """Ties too: of faces that are equally deep, to the last bit, both take the first.
@@ -164,6 +164,7 @@ def test_derivatives_are_those_of_the_rays():
     assert np.abs(drawn[0]).max() > 1e-3
 
 
+@pytest.mark.long
 def test_a_camera_that_is_none_meets_nothing():
     """While it is traced nobody can refuse it: no endless work, no hit, no NaN."""
     scene = pj.Scene(mesh=shapes.bumpy(1))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from oracles import turned
+from oracles import drawn, turned
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
@@ -40,7 +40,7 @@ def degrees(fit, truth):
 
 
 def mask_of(camera, scene):
-    return np.asarray(pj.silhouette(camera, scene))
+    return drawn(camera, scene)
 
 
 def test_a_roll_is_found_by_correlation():

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles import drawn
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -41,7 +42,7 @@ def scene() -> pj.Scene:
 
 @pytest.fixture(scope="module")
 def mask(scene) -> np.ndarray:
-    return np.asarray(pj.silhouette(camera(), scene))
+    return drawn(camera(), scene)
 
 
 def eight_bits(mask: np.ndarray) -> np.ndarray:
