@@ -27,6 +27,8 @@ FITTED = {
     "weight": "--weight",
     "photo": "--image",
 }
+#: The program of `silhouette`.
+SILHOUETTE = "pinhole_jax._silhouette.silhouette:_silhouette"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -149,8 +151,8 @@ def _render(options: argparse.Namespace) -> int:
     with Progress("rendering") as progress:
         _set_up_jax(options)
         from . import formats, io
-        from ._scene.scene import Scene
-        from ._silhouette.silhouette import silhouette
+        from ._files import programs
+        from ._scene.scene import Scene, check_view
 
         with named(path="CAMERA"):
             camera = formats.read_one(options.camera)
@@ -165,7 +167,8 @@ def _render(options: argparse.Namespace) -> int:
             )
         import numpy as np
 
-        image = np.asarray(silhouette(camera, scene))
+        check_view(camera, scene)
+        image = np.asarray(programs.call(SILHOUETTE, (camera, scene, True), lambda: 0.0))
     with named(path="--output"):
         io.save_image(options.output, image)
     _say_written(options.output, f"{camera.W} x {camera.H}, {image.mean():.1%} covered")
