@@ -239,7 +239,7 @@ def folder(tmp_path, monkeypatch):
     """A working folder with all files that the commands read."""
     monkeypatch.chdir(tmp_path)
     # What the command sets for its own process would change those of the other tests.
-    monkeypatch.setattr(command, "_set_up_jax", lambda options: None)
+    monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
     write_mesh(tmp_path / FILES["MESH"])
     camera = Camera([0.3, 1, 5], np.deg2rad(34.4))
     write_pictures(FILES["MASK"], FILES["PHOTO"], camera)

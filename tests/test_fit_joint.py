@@ -14,10 +14,12 @@ from scipy.spatial.transform import Rotation
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, shapes
 from pinhole_jax._camera.poses import adjoint, at_pose, exponential, inverse, pose_of
+from pinhole_jax._command.proposals import _tells as tells, worths
 from pinhole_jax._fit.joint_descent import Rows, solve
 from pinhole_jax._fit.joint_problem import JointProblem
 from pinhole_jax._fit.joint_views import stepped
 from pinhole_jax._fit.moves import reported
+from pinhole_jax._fit.observability import information
 
 pytestmark = pytest.mark.optimised
 
@@ -573,12 +575,32 @@ def test_what_a_view_sees_of_joints_is_what_differences_say(misread):
         assert np.linalg.norm(stated[used, k] - here) < 0.1 * np.linalg.norm(here)
 
 
+def test_a_mask_more_tells_what_its_information_adds(scenes):
+    free, mesh = ("pose", "phi"), scenes[0].mesh
+    ideal = information(TRUTH, scenes[0], free)
+    expected = pj.observability(TRUTH, scenes[0], free, noise=1.0)
+    np.testing.assert_allclose(np.linalg.inv(ideal), expected.covariance, rtol=1e-6)
+    # A camera on a link sees what it sees where the scene is given in the link's frame.
+    mount = exponential(np.array([0.4, -1.0, 0.3, 0.5, 2.0, -1.0]))
+    held = at_pose(TRUTH, inverse(mount) @ pose_of(TRUTH))
+    points = (np.asarray(mesh.vertices) - mount[:3, 3]) @ mount[:3, :3]
+    before = pj.Scene(mesh=pj.Mesh(points, mesh.faces))
+    told = tells(held, scenes[0], mount, free, expected.names)
+    np.testing.assert_allclose(told, information(held, before, free), rtol=1e-6, atol=1e-3)
+    # Of two masks that are alike a third one is worth its share; one that shows nothing, none.
+    seen, lost = (scenes[0], None), 3 * np.linalg.inv(ideal)
+    aside = pj.Scene(mesh=pj.Mesh(mesh.vertices + 90.0, mesh.faces)), None
+    found = worths(TRUTH, lost, free, [seen, seen], [seen, aside])
+    np.testing.assert_allclose(found, [1.5**0.5, 1], rtol=1e-6)
+    assert worths(TRUTH, np.nan * lost, free, [seen], [seen]) == [np.inf]
+
+
 @pytest.fixture
 def robot_files(tmp_path, monkeypatch):
     """A robot of two links, angles and masks of three postures, a camera to start from."""
     pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
     # What the command sets for its own process would change those of the other tests.
-    monkeypatch.setattr(command, "_set_up_jax", lambda options: None)
+    monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
     monkeypatch.chdir(tmp_path)
     body = shapes.bumpy(2)
     trimesh.Trimesh(body.vertices, body.faces, process=False).export("body.stl")
@@ -597,8 +619,10 @@ def robot_files(tmp_path, monkeypatch):
 @pytest.mark.long
 def test_the_command_finds_zeros_and_writes_a_page(robot_files, capsys):
     Path("joints.csv").write_text("turn\n-0.61\n0.29\n1.09\n")
+    Path("more.csv").write_text("turn\n0.31\n-1.9\n")
     words = [*robot_files, "--camera", "start.json", "--joint-zeros", "1", "-o", "found"]
-    assert command.main([*words, "--holdout", "--report", "page.html"]) == 0
+    words += ["--propose", "more.csv", "--holdout", "--report", "page.html"]
+    assert command.main(words) == 0
     out = capsys.readouterr().out
     assert max(apart(pj.io.load_fit("found/camera.json").camera, TRUTH)) < 0.02
     found = float(re.search(r"^turn +([-+0-9.]+) ", out, re.M)[1])
@@ -606,8 +630,12 @@ def test_the_command_finds_zeros_and_writes_a_page(robot_files, capsys):
     page = Path("page.html").read_text()
     for words in ("95 % interval", "sigma off", "mask only", "they agree", "mask_2.png", "turn"):
         assert words in page
+    assert re.search(r"^recorded +without view [012] .* were 1\.\d\d times as large$", out, re.M)
+    more = re.search(r"^proposed +(a mask more .*)$", out, re.M)[1]
+    assert more in page
+    assert {"1", "2"} == set(re.findall(r"row (\d) 1\.\d\d", more))
     assert page.count("<img") == 3
-    assert page.count("<section") == page.count("</section>") == 6
+    assert page.count("<section") == page.count("</section>") == 7
 
 
 @pytest.mark.long

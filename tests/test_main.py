@@ -391,7 +391,7 @@ def test_only_a_fit_that_converged_has_status_0(folder, status, monkeypatch, cap
         fit = fit._replace(rms=np.nan, iou=np.nan)
     monkeypatch.setattr("pinhole_jax._fit.fit_camera.fit_camera", lambda *_, **__: fit)
     # What the command sets for its own process would change those of the other tests.
-    monkeypatch.setattr(command, "_set_up_jax", lambda options: None)
+    monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
     Image.new("L", (96, 80)).save(folder / "any.png")
     files = [str(folder / name) for name in ("bumpy.ply", "any.png")]
     code = command.main(["fit", *files, "--fov", "34", "-o", str(folder / status)])
@@ -405,7 +405,7 @@ def test_an_inverted_mask_is_turned_where_that_is_asked_for(folder, monkeypatch)
     fit = fit_of(CAMERA, ("e_x",), [0.1])
     fitted = lambda scene, mask, *_, **__: given.append(mask) or fit
     monkeypatch.setattr("pinhole_jax._fit.fit_camera.fit_camera", fitted)
-    monkeypatch.setattr(command, "_set_up_jax", lambda options: None)
+    monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
     mask = np.zeros((80, 96), np.uint8)
     mask[20:50, 30:60] = 255
     Image.fromarray(255 - mask).save(folder / "negative.png")

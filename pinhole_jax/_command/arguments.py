@@ -235,6 +235,11 @@ def _add_hand_eye(commands: Any) -> None:
     robot.add_argument(
         "--holdout", action="store_true", help="fit each half of the postures, too: do they agree?"
     )
+    robot.add_argument(
+        "--propose",
+        metavar="JOINTS",
+        help="say what a mask more would tell in each of these postures (a file as JOINTS)",
+    )
     robot.add_argument("--report", metavar="PAGE.html", help="write one page about all of it")
     _add_folder(robot)
     _add_cache(robot)

@@ -17,10 +17,12 @@ from .._fit.fit_joint import fit_joint
 from .._fit.joint_result import JointFit
 from .._fit.joint_views import JointView
 from .._fit.parameters import as_names
+from .._scene.scene import Scene
 from ..formats import object_pose
 from ..plot import overlay
-from ..robots import load_urdf
+from ..robots import Robot, load_urdf
 from .known import known
+from .proposals import in_words, worths
 from .robot_page import robot_page
 
 #: What the command calls the arguments of `fit_joint`.
@@ -44,8 +46,10 @@ def hand_eye(
             progress=say,
         )
     apart = _halves(fit, views, options) if options.holdout else None
+    usable = fit.status != "non_finite"
+    more = _proposed(fit, views, options) if options.propose and usable else None
     written = _write(options, fit, views)
-    if options.report is not None and fit.status != "non_finite":
+    if options.report is not None and usable:
         say("drawing the page")
         text = robot_page(
             fit,
@@ -53,6 +57,7 @@ def hand_eye(
             [Path(path).name for path in options.masks],
             frame=options.in_hand or "the base",
             halves=apart,
+            proposed=more,
             pixel_centres=options.pixel_centres,
         )
         with named(path="--report"):
@@ -60,10 +65,13 @@ def hand_eye(
         written.append(Path(options.report))
     print(fit)
     found = fit.cameras["camera"]
-    if fit.status != "non_finite":
+    if usable:
         print(object_pose(found, pixel_centres=options.pixel_centres))
     if apart is not None:
         print(f"halves     {apart}")
+    if more is not None:
+        print(f"recorded   {_worth_most(fit)}")
+        print(f"proposed   {more}")
     print(f"written    {', '.join(map(str, written))}")
     return 0 if fit.status == "converged" else 1
 
@@ -71,8 +79,7 @@ def hand_eye(
 def views_of(options: argparse.Namespace, tell: Callable[[str], Any]) -> list[JointView]:
     """Return the views of a robot (`robot`, `leave_out`, `in_hand`) in the postures of a file
     (`joints`), with `masks`."""
-    with named(path="ROBOT", leave_out="--leave-out"):
-        robot = load_urdf(options.robot, _names(options.leave_out))
+    robot = _robot(options)
     with named(path="JOINTS"):
         postures = joint_angles(options.joints)
     if len(postures) != len(options.masks):
@@ -80,20 +87,45 @@ def views_of(options: argparse.Namespace, tell: Callable[[str], Any]) -> list[Jo
             f"`MASK`: expected one of each of {len(postures)} rows of {options.joints!r}, got"
             f" {len(options.masks)}"
         )
-    link = options.in_hand
     with named(path="MASK", mask_from="--mask-from"):
         masks = [io.load_mask(path, options.mask_from, tell) for path in options.masks]
     views = []
     for angles, mask in zip(postures, masks, strict=True):
-        with named(angles="JOINTS"):
-            poses = robot.poses(angles)
-        if link is not None and link not in poses:
-            words = f"expected a link among {', '.join(poses)}, got {link!r}"
-            raise ValueError(f"`--in-hand`: {words}")
-        mount = None if link is None else poses[link]
+        scene, mount = _posed(robot, angles, options.in_hand, "JOINTS")
         posture = robot.posture(angles) if zeros_of(options) else None
-        views.append(JointView(robot.at(poses), mask, mount=mount, posture=posture))
+        views.append(JointView(scene, mask, mount=mount, posture=posture))
     return views
+
+
+def _robot(options: argparse.Namespace) -> Robot:
+    with named(path="ROBOT", leave_out="--leave-out"):
+        return load_urdf(options.robot, _names(options.leave_out))
+
+
+def _posed(
+    robot: Robot, angles: dict[str, float], link: str | None, file: str
+) -> tuple[Scene, np.ndarray | None]:
+    """Return a robot in a posture of a file, and where the link is that carries the camera."""
+    with named(angles=file):
+        poses = robot.poses(angles)
+    if link is not None and link not in poses:
+        words = f"expected a link among {', '.join(poses)}, got {link!r}"
+        raise ValueError(f"`--in-hand`: {words}")
+    return robot.at(poses), None if link is None else poses[link]
+
+
+def _proposed(fit: JointFit, views: list[JointView], options: argparse.Namespace) -> str:
+    """Return in words what each posture of `--propose` would tell."""
+    free = as_names(options.free)
+    if "pose" not in free:
+        raise ValueError(f"`--propose`: expected `pose` in --free, got {options.free!r}")
+    robot = _robot(options)
+    with named(path="--propose"):
+        postures = joint_angles(options.propose)
+    scenes = [_posed(robot, angles, options.in_hand, "--propose") for angles in postures]
+    found = fit.cameras["camera"]
+    seen = [(view.scene, given.mount) for view, given in zip(fit.views, views, strict=True)]
+    return in_words(worths(found.camera, found.covariance, free, seen, scenes))
 
 
 def zeros_of(options: argparse.Namespace) -> float | None:
@@ -169,6 +201,15 @@ def _halves(fit: JointFit, views: list[JointView], options: argparse.Namespace) 
     words = f"{degrees:.2g} degrees, {apart.distance:.2g} apart, {apart.sigma:.1f} sigma"
     verdict = "they do not agree" if apart.moved else "they agree"
     return f"each half of the views by itself: {words}: {verdict}"
+
+
+def _worth_most(fit: JointFit) -> str:
+    """Return in words which mask tells most."""
+    best = max(range(len(fit.views)), key=lambda k: fit.views[k].worth)
+    worth = fit.views[best].worth
+    if not np.isfinite(worth):
+        return f"without view {best} the pose were not determined"
+    return f"without view {best} the standard errors of the pose were {worth:.2f} times as large"
 
 
 def _write(options: argparse.Namespace, fit: JointFit, views: list[JointView]) -> list[Path]:

@@ -22,10 +22,12 @@ def robot_page(
     *,
     frame: str,
     halves: str | None = None,
+    proposed: str | None = None,
     pixel_centres: Any = "integer",
 ) -> str:
     """Return a fit to the masks (H, W) of files of such names as a page; `frame` is the link that
-    its camera stands in, `halves` what the halves of the postures say."""
+    its camera stands in, `halves` what the halves of the postures say, `proposed` what other
+    postures would tell."""
     camera = fit.cameras["camera"]
     meaning = STATUSES[fit.status][0].upper() + STATUSES[fit.status][1:]
     numbers = {
@@ -36,12 +38,14 @@ def robot_page(
     }
     status = f'<p class="status {fit.status}"><b>{fit.status}</b> {meaning}.</p>'
     tested = "Not asked for (--holdout)." if halves is None else html.escape(halves)
+    further = "Not asked for (--propose)." if proposed is None else html.escape(proposed)
     pose = html.escape(str(formats.object_pose(camera, pixel_centres=pixel_centres)))
     sections = [
         html_page.section(f"The camera in the frame of {html.escape(frame)}", _camera(fit)),
         html_page.section("What the masks do not tell", _weak(fit)),
         html_page.section("Halves of the postures", f"<p>{tested}</p>"),
         html_page.section("Postures", _views(fit, masks, names)),
+        html_page.section("Other postures", f"<p>{further}</p>"),
         html_page.section("K, R and t", f"<pre>{pose}</pre>"),
         html_page.section("Outlines on the masks", _pictures(fit, masks, names)),
     ]

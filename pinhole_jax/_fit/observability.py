@@ -61,21 +61,12 @@ def observability(
 
     Raises ValueError for arguments that make no fit.
     """
-    check_view(camera, scene)
-    check_scene(scene)
     if not noise > 0:
         raise ValueError(f"`noise`: expected a positive standard deviation, got {noise}")
-    names = check_free(free, camera)
-    camera = with_lens(camera, names)
-    weights = check_weight(weight, camera.W, camera.H)
-    image = np.full(weights.shape, 0.25)  # any mask
-    solver = Solver(scene, image, weights, camera.e.dtype, names, 1)
-    view = solver.look(canonical(camera), solver.finest)
-    triangle, blind = np.asarray(view.triangle, float), BLIND[solver.dtype]
+    names, camera, triangle, reported, blind = _look(camera, scene, free, weight)
     labels = labels_of(names)
     values = np.linalg.svd(triangle, compute_uv=False)
-    gradient = noise**2 * triangle.T @ triangle
-    cov = covariance(triangle, to_units(view.to_reported, names, camera), gradient, blind)
+    cov = covariance(triangle, reported, noise**2 * triangle.T @ triangle, blind)
     _, weak = weak_directions(triangle, components(names), axes_of(camera), blind)
     return Observability(
         names=labels,
@@ -86,3 +77,31 @@ def observability(
         covariance=cov,
         weak=weak,
     )
+
+
+def information(
+    camera: Camera, scene: Scene, free: str | Sequence[str], *, weight: Numbers = None
+) -> Float[np.ndarray, "n n"]:
+    """Return the information (n, n) on the reported parameters in a mask whose noise has a standard
+    deviation of 1: the inverse of a covariance, of which more masks' add up; 0 where nothing shows.
+    """
+    *_, triangle, reported, _ = _look(camera, scene, free, weight)
+    root = triangle @ np.linalg.inv(reported)
+    return root.T @ root
+
+
+def _look(
+    camera: Camera, scene: Scene, free: str | Sequence[str], weight: Numbers
+) -> tuple[tuple[str, ...], Camera, np.ndarray, np.ndarray, float]:
+    """Return the names, the camera with all of these, R of J = QR, the derivative of the reported
+    parameters by the moves, and what counts as blind."""
+    check_view(camera, scene)
+    check_scene(scene)
+    names = check_free(free, camera)
+    camera = with_lens(camera, names)
+    weights = check_weight(weight, camera.W, camera.H)
+    image = np.full(weights.shape, 0.25)  # any mask
+    solver = Solver(scene, image, weights, camera.e.dtype, names, 1)
+    view = solver.look(canonical(camera), solver.finest)
+    reported = to_units(view.to_reported, names, camera)
+    return names, camera, np.asarray(view.triangle, float), reported, BLIND[solver.dtype]
