@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from oracles import drawn
 
 import pinhole_jax as pj
 from pinhole_jax import formats, io
@@ -79,7 +80,7 @@ def test_a_fit_that_was_made_comes_back(tmp_path):
     scene = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0], [0.6, 0.2, 0.3]], [0.5, 0.4]))
     truth = pj.Camera([0.3, 1, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 32, 24)
     start = truth.replace(e=[0.4, 1, 5])
-    fit = pj.fit_camera(scene, np.asarray(pj.silhouette(truth, scene)), start, record=True)
+    fit = pj.fit_camera(scene, drawn(truth, scene), start, record=True)
     assert np.any(np.isinf(fit.covariance))
     assert fit.history
     io.save_fit(tmp_path / "fit.json", fit)

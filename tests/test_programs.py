@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from oracles import drawn
 
 import pinhole_jax as pj
 from pinhole_jax._files import programs
@@ -283,7 +284,7 @@ print("optimistix" in sys.modules)
 @pytest.mark.long
 def test_a_later_process_finds_the_same_camera_without_tracing_the_fit(tmp_path):
     truth = pj.Camera([3, 1, 0.8], [0, 0, 0], [0, 0, 1], 0.8, W=96, H=80)
-    np.save(tmp_path / "mask.npy", np.asarray(pj.silhouette(truth, pj.Scene(pj.shapes.bumpy(3)))))
+    np.save(tmp_path / "mask.npy", drawn(truth, pj.Scene(pj.shapes.bumpy(3))))
     words = [sys.executable, "-c", FIT, tmp_path / "cache", tmp_path / "mask.npy"]
     said = []
     for _ in range(2):

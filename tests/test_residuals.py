@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from chosen import first
+from oracles import drawn
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -115,7 +116,7 @@ def test_squares_sums_and_jacobian_are_those_of_the_image(look_at, spheres, W, p
 @pytest.mark.long
 def test_coarse_levels_are_means_of_blocks():
     camera, scene, _, _ = setting(W=33, H=50)
-    target = np.asarray(pj.silhouette(camera, scene))
+    target = drawn(camera, scene)
     data, levels = pyramid(target, np.ones_like(target), float, coarsest_px=8)
     assert [(int(v.W), int(v.H)) for v in levels] == [(9, 13), (17, 25), (33, 50)]
     for level in levels:  # the target is the scene's own image: nothing is left at any level
@@ -128,7 +129,7 @@ def test_coarse_levels_are_means_of_blocks():
 @pytest.mark.long
 def test_exact_runs_cost_exactly_nothing_in_float32():
     camera, scene, _, _ = setting()
-    target = (np.asarray(pj.silhouette(camera, scene)) > 0.5).astype(float)
+    target = (drawn(camera, scene) > 0.5).astype(float)
     data, levels = pyramid(target, np.ones_like(target), np.float32)
     camera = jax.tree.map(lambda x: x.astype(jnp.float32), camera)
     scene = pj.Scene(mesh=pj.Mesh(scene.mesh.vertices.astype(jnp.float32), scene.mesh.faces))
