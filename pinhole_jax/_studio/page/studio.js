@@ -432,11 +432,8 @@ async function move(change) {
   while (pending) {
     const now = pending;
     pending = null;
-    try {
-      show(await ask("move", now));
-    } catch (error) {
-      complain(error.message);
-    }
+    const view = await act("one moment", "move", now);
+    if (view) show(view);
   }
   asking = false;
 }
@@ -449,11 +446,9 @@ async function change(numbers) {
   while (Object.keys(changes).length) {
     const now = changes;
     changes = {};
-    try {
-      show(await ask("lens", now));
-    } catch (error) {
-      complain(error.message);
-    }
+    // (The first that bends the picture compiles: seconds.)
+    const view = await act("one moment", "lens", now);
+    if (view) show(view);
   }
   changes = null;
 }
