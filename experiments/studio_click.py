@@ -234,6 +234,7 @@ def rates(context, address: str) -> dict[str, float]:
         "shown": shown,
         "ms_of_the_page": round(float(drawing), 2),
         "ms_of_chromiums_drawing": round(1000 * busy / updates, 1),
+        "load": round(os.getloadavg()[0], 1),
     }
 
 
