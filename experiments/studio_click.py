@@ -191,9 +191,24 @@ def click_through(context, address: str, out: Path, pictures: Path) -> dict:
     return seen
 
 
+def drawing_seconds() -> float:
+    """Return the processor time of Chromium's drawing process so far; 0 where /proc is not."""
+    seconds = 0.0
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            command = (folder / "cmdline").read_bytes()
+            times = (folder / "stat").read_text().rsplit(")", 1)[1].split()[11:13]
+        except OSError:  # it has just ended
+            continue
+        if b"--type=gpu-process" in command:
+            seconds += sum(map(int, times)) / os.sysconf("SC_CLK_TCK")
+    return seconds
+
+
 def rates(context, address: str) -> dict[str, float]:
     """Return how many outlines a second a tab gets (one question after another), how many it shows
-    while the mesh is dragged, and for how long (ms) the page itself works on one."""
+    while the mesh is dragged, and for how long (ms) the page itself works on one, and the process
+    in which Chromium draws."""
     page = Page(context, address)
     seconds = page.page.evaluate(
         "async () => { const begin = performance.now();"
@@ -206,14 +221,21 @@ def rates(context, address: str) -> dict[str, float]:
     mouse, (x, y) = page.page.mouse, page.at(320, 240)
     mouse.move(x, y)
     mouse.down()
-    before, begin = page.page.evaluate("studio.updates"), time.perf_counter()
+    before, busy = page.page.evaluate("studio.shown"), drawing_seconds()
+    begin = time.perf_counter()
     while (elapsed := time.perf_counter() - begin) < 4:
         mouse.move(x + 150 * np.sin(2 * elapsed), y + 80 * np.cos(3 * elapsed))
         page.page.wait_for_timeout(10)
-    updates = page.page.evaluate("studio.updates") - before
+    updates, busy = page.page.evaluate("studio.shown") - before, drawing_seconds() - busy
     mouse.up()
     got, shown = round(100 / seconds, 1), round(updates / elapsed, 1)
-    return {"got": got, "shown": shown, "ms_of_the_page": round(float(drawing), 2)}
+    return {
+        "got": got,
+        "shown": shown,
+        "ms_of_the_page": round(float(drawing), 2),
+        "ms_of_chromiums_drawing": round(1000 * busy / updates, 1),
+        "load": round(os.getloadavg()[0], 1),
+    }
 
 
 def main() -> None:

@@ -484,9 +484,13 @@ def test_a_mask_of_another_size_or_none_is_refused(bench):
         do(bench, "load_mask", data=base64.b64encode(b"no picture").decode(), name="a.png")
 
 
-def test_the_view_guides_the_guess(bench, mask):
+def test_the_view_guides_the_guess(bench, mask, monkeypatch):
     bench.camera = camera(e=(1.1, 1.5, 5.0))
     told = do(bench, "view_guides")
+    with monkeypatch.context() as patch:  # what was guessed is kept
+        patch.setattr("pinhole_jax._studio.bench.guessed", lambda photo, guides: None)
+        assert not do(bench, "undo")["png"]
+        assert do(bench, "redo")["png"] == told["png"]
     assert {guide["kind"] for guide in told["guides"]} == {"object", "background"}
     assert bench.mask is not None
     inside, truth = bench.mask > 127, mask > 0.5
@@ -634,7 +638,16 @@ def test_without_the_token_nothing_is_answered(bench):
         known = f"token={studio.token}"
         refused = [
             (path + query, headers)
-            for path in ("", "studio.js", "studio.css", "photo", "mesh", "bench", "nothing")
+            for path in (
+                "",
+                "scene.js",
+                "studio.js",
+                "studio.css",
+                "photo",
+                "mesh",
+                "bench",
+                "nothing",
+            )
             for query, headers in (
                 ("", {}),
                 ("?token=", {}),
@@ -651,7 +664,9 @@ def test_without_the_token_nothing_is_answered(bench):
                     assert studio.token not in await answer.text()
             async with client.get(address) as answer:
                 assert answer.status == 200
-                assert f"studio.js?{known}" in await answer.text()
+                page = await answer.text()
+                assert f"scene.js?{known}" in page
+                assert f"studio.js?{known}" in page
                 assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
             async with client.get(f"{bare}photo?{known}&tab=unknown") as answer:
                 assert answer.status == 404

@@ -8,7 +8,9 @@
 2. Its test of a camera that moves: differences as its generator of references takes them.
 3. With `--data` (a checkout of the repository mitsuba-data): the derivative images stored there, of
    the same scenes with a Gaussian filter (files in its folder of integrators' tests).
-4. With `--pytorch3d`: the soft silhouette of a sphere that its tests store.
+4. PyTorch3D's stored render of a cow, of which its tests say the camera: which pixels it covers
+   (`--cow`; a folder with cow.obj, cow.png, camera.json).
+5. With `--pytorch3d`: the soft silhouette of a sphere that its tests store.
 
 Asked: correlation 0.999, sums within 1 %. What is not there is skipped aloud. Needs `mitsuba`, and
 LLVM for it (of LLVM 15 Mitsuba 3.7 makes use, 3.9 cannot).
@@ -29,6 +31,8 @@ from compare import CORRELATION, SHARE, Comparison, compared
 
 import pinhole_jax as pj
 
+#: The cow, beside this repository.
+COW = Path(__file__).parents[3] / "shared" / "data" / "renders" / "pytorch3d_cow"
 #: Pixels a side, samples a pixel, and in how many rounds.
 SIZE, SAMPLES, ROUNDS = 128, 1024, 4
 #: Mitsuba's Gaussian filter: standard deviation and radius, px; and how fine it is sampled here.
@@ -240,6 +244,31 @@ def stored(mi: Any, data: Path) -> dict[str, Comparison]:
     return found
 
 
+def hard_silhouette(folder: Path) -> dict[str, Comparison]:
+    """Compare PyTorch3D's stored render of a cow: the pixels that are not white.
+
+    It asks one place in a pixel, its centre; here a pixel is covered by more than half or not.
+    """
+    if not folder.exists():
+        print(f"PyTorch3D's cow: skipped, there is no {folder}")
+        return {}
+    given = json.loads((folder / "camera.json").read_text())
+    theirs = pj.io.load_image(folder / "cow.png")[..., :3].min(axis=2) < 255
+    H, W = theirs.shape
+    camera = pj.formats.from_opencv(
+        given["K"], given["R"], given["t"], W, H, pixel_centres="integer"
+    )
+    scene = pj.Scene(mesh=pj.load_mesh(folder / "cow.obj"))
+    coverage = np.asarray(pj.silhouette(camera, scene))
+    share = theirs.sum() / coverage.sum() - 1
+    print(
+        f"PyTorch3D's cow: {np.sum(theirs != (coverage > 0.5))} of {theirs.size} pixels differ;"
+        f" its area is {share:+.2%} of the exact one off"
+    )
+    halves = (coverage > 0.5).astype(float)
+    return {"PyTorch3D, a cow": compared(theirs.astype(float), halves)}
+
+
 def soft_silhouette(checkout: Path) -> dict[str, Comparison]:
     """Compare PyTorch3D's stored silhouette of a unit sphere, 2.7 units away, 60 degrees.
 
@@ -282,6 +311,7 @@ def main() -> None:
     parser.add_argument("out", nargs="?", default="out", type=Path)
     parser.add_argument("--data", type=Path, help="a checkout of mitsuba-renderer/mitsuba-data")
     parser.add_argument("--pytorch3d", type=Path, help="a checkout of facebookresearch/pytorch3d")
+    parser.add_argument("--cow", type=Path, default=COW, help="PyTorch3D's cow and its camera")
     given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     found = {}
@@ -292,6 +322,7 @@ def main() -> None:
             found |= stored(mi, given.data)
         else:
             print("stored images: skipped, no --data FOLDER with tests/integrators/*_fwd_ref.exr")
+    found |= hard_silhouette(given.cow)
     if given.pytorch3d is not None:
         found |= soft_silhouette(given.pytorch3d)
     else:

@@ -53,8 +53,8 @@ ACTIONS = (
     "save",
     "open",
 )
-#: So many steps can be undone.
-MOST_UNDONE = 200
+#: So many steps can be undone; so many guesses from strokes are kept for that.
+MOST_UNDONE, MOST_GUESSES = 200, 16
 
 
 class Stopped(Exception):
@@ -73,7 +73,7 @@ class Bench:
         self.result: Fit | None = None
         self.mask: np.ndarray | None = None
         self._candidates: tuple[Fit, ...] = ()
-        self._guess: tuple[Any, np.ndarray | None] = ((), None)
+        self._guesses: dict[Any, np.ndarray | None] = {}
         self._undone: list[tuple[Stroke | Loaded, ...]] = []
         self._done: list[tuple[Stroke | Loaded, ...]] = []
         self._straight = False
@@ -312,7 +312,7 @@ class Bench:
         files = session.mesh, session.photo
         own = str(Path(self.subject.mesh).resolve()), str(Path(self.subject.photo).resolve())
         if files != own:
-            self.subject = subject_of(*files, session.camera)
+            self.subject, self._guesses = subject_of(*files, session.camera), {}
         elif self.subject.size != (session.camera.W, session.camera.H):
             raise ValueError("`camera`: expected one of the photo's size")
         self.camera, self.free, self.lines = session.camera, session.free, session.lines
@@ -329,11 +329,14 @@ class Bench:
     def _drawn(self, work: tuple[Stroke | Loaded, ...]) -> dict[str, Any]:
         W, H = self.subject.size
         guides = guides_of(work)
-        key = (id(self.subject.picture), guides)
-        if self._guess[0] != key:
-            self._guess = (key, guessed(self.subject.picture, guides))
+        guess = self._guesses.pop(guides, None)
+        if guess is None:
+            guess = guessed(self.subject.picture, guides)
+        self._guesses[guides] = guess  # the last of them: undo and redo need no new one
+        for oldest in list(self._guesses)[:-MOST_GUESSES]:
+            del self._guesses[oldest]
         self.work = work
-        self.mask = mask_of(work, self._guess[1], W, H)
+        self.mask = mask_of(work, guess, W, H)
         return self._mask_told()
 
     def _mask_told(self) -> dict[str, Any]:

@@ -22,7 +22,12 @@ HOST = "127.0.0.1"
 MOST_BYTES = 1 << 28
 #: So many tabs are remembered.
 MOST_TABS = 32
-FILES = {"/": "text/html", "/studio.js": "text/javascript", "/studio.css": "text/css"}
+FILES = {
+    "/": "text/html",
+    "/scene.js": "text/javascript",
+    "/studio.js": "text/javascript",
+    "/studio.css": "text/css",
+}
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:;"

@@ -18,12 +18,14 @@ const FREE = {
   principal_point: "Principal point", k1: "k1", k2: "k2", aspect: "Pixel aspect",
 };
 const COLOURS = { object: "#4ade80", background: "#fb7185", add: "#4ade80", erase: "#fb7185", line: "#ffd54a" };
-const CYAN = "#00f0ff", DARK = "#001e3c", YELLOW = "255, 220, 0";
+// (As a card takes them: red, green, blue and opacity, 0 to 1.)
+const CYAN = [0, 0.94, 1, 1], DARK = [0, 0.12, 0.24, 1], YELLOW = [1, 0.86, 0, 0.45];
+const WHITE = [1, 1, 1, 0.5], FAINT = [1, 1, 1, 0.33], STRAIGHT = [1, 0.84, 0.3, 1];
 
-const studio = { ready: false, tool: "turn", view: null, fit: null, mask: null, updates: 0, stops: 0, busy: 0 };
+const studio = { ready: false, tool: "turn", view: null, fit: null, mask: null, shown: 0, stops: 0, busy: 0 };
 window.studio = studio; // what tests look at
 let socket, tab = sessionStorage.getItem("tab") || "", next = 1;
-let W = 1, H = 1, photo = null, maskImage = null, solid = null;
+let W = 1, H = 1, photo = null, maskImage = null, scene = null;
 let zoom = { scale: 1, x: 0, y: 0, own: false };
 let stroke = null, drag = null, pointer = null;
 const waiting = new Map();
@@ -125,8 +127,8 @@ async function opened(answer) {
     load(`photo?${query}`), fetch(`mesh?${query}`).then((r) => r.arrayBuffer()),
   ]);
   photo = picture;
-  solid = makeSolid($("solid"), mesh);
-  if (!solid) complain("This browser has no WebGL 2: the outline is shown, the mesh is not.");
+  scene = makeScene($("scene"), mesh);
+  if (!scene) complain("This browser has no WebGL 2: the outline is shown, the mesh is not.");
   if (!zoom.own) whole();
   await showMask(answer.mask);
   show(answer.view);
@@ -160,7 +162,7 @@ const free = () => [...$("free").querySelectorAll("input:checked")].map((box) =>
 
 // Showing.
 
-let drawn = false, below = null;
+let drawn = false, below = null, above = null;
 function draw() {
   if (drawn) return;
   drawn = true;
@@ -181,8 +183,8 @@ function show(view) {
 }
 
 function set(id, value) {
-  if (document.activeElement !== $(id) || !drag) $(id).value = value;
-  $(id).nextElementSibling.textContent = word(id, value);
+  $(id).value = value;
+  label(id, value);
 }
 
 function word(id, value) {
@@ -192,19 +194,20 @@ function word(id, value) {
   return `${Math.round(value)} px`;
 }
 
+function label(id, value) {
+  const words = word(id, value), output = $(id).nextElementSibling;
+  // (A browser draws the panel anew for words that are set, even to what they are.)
+  if (output.textContent !== words) output.textContent = words;
+}
+
 function labels() {
-  for (const id of ["opacity", "brush"]) $(id).nextElementSibling.textContent = word(id, Number($(id).value));
+  for (const id of ["opacity", "brush"]) label(id, Number($(id).value));
 }
 
 function drawAll() {
   const stage = $("stage"), ratio = devicePixelRatio || 1;
   const [w, h] = [stage.clientWidth, stage.clientHeight];
-  for (const id of ["under", "solid", "over"]) {
-    const canvas = $(id);
-    if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) {
-      [canvas.width, canvas.height] = [Math.round(w * ratio), Math.round(h * ratio)];
-    }
-  }
+  for (const id of ["under", "over"]) resize($(id), Math.round(w * ratio), Math.round(h * ratio));
   if (!zoom.own) whole();
   const place = (context) => {
     context.setTransform(1, 0, 0, 1, 0, 0);
@@ -214,11 +217,45 @@ function drawAll() {
   const tint = !$("show-mask").checked ? 0 : paints() ? 1 : 0.4;
   const shown = [w, h, ratio, zoom.scale, zoom.x, zoom.y, photo, maskImage, tint];
   if (!below || shown.some((value, k) => value !== below[k])) drawUnder(place, shown);
-  $("solid").style.opacity = $("opacity").value * (paints() ? 0.4 : 1);
-  if (solid && studio.view) solid(studio.view.camera, zoom, w, h);
-  const over = $("over").getContext("2d");
-  place(over);
-  drawOver(over);
+  const view = studio.view, strokes = strokesOf(view);
+  if (scene && view) {
+    const opacity = $("opacity").value * (paints() ? 0.4 : 1);
+    scene({ camera: view.camera, opacity, strokes, zoom: laid(view, strokes, ratio), ratio });
+  }
+  drawOver(place, scene ? [] : strokes);
+  if (view !== above) studio.shown += 1;
+  above = view;
+}
+
+function resize(canvas, width, height) {
+  if (canvas.width === width && canvas.height === height) return;
+  [canvas.width, canvas.height] = [width, height];
+}
+
+// Lay the scene's canvas where the object is, for what it does not cover is not blended anew; return
+// the zoom as seen from its corner. Its size goes in steps: another size is another buffer.
+const STEP_PX = 128;
+function laid(view, strokes, ratio) {
+  const canvas = $("scene"), step = (value) => STEP_PX * Math.ceil(value / STEP_PX);
+  const [w, h] = [$("under").width, $("under").height];
+  let [left, top, right, bottom] = [Infinity, Infinity, -Infinity, -Infinity];
+  for (const { paths, width, half_px } of strokes) {
+    paths.forEach((path, number) => {
+      const room = ratio * (width + zoom.scale * (half_px ? half_px[number] : 0));
+      for (let k = 0; k < path.length; k += 2) {
+        const x = ratio * (zoom.scale * path[k] + zoom.x), y = ratio * (zoom.scale * path[k + 1] + zoom.y);
+        [left, top] = [Math.min(left, x - room), Math.min(top, y - room)];
+        [right, bottom] = [Math.max(right, x + room), Math.max(bottom, y + room)];
+      }
+    });
+  }
+  // (An outline that leaves the page may have parts that the server left out.)
+  const inside = left >= 0 && top >= 0 && right <= w && bottom <= h;
+  const [x, y] = inside ? [Math.floor(left), Math.floor(top)] : [0, 0];
+  resize(canvas, inside ? step(right - x) : w, inside ? step(bottom - y) : h);
+  canvas.style.cssText = `width:${canvas.width / ratio}px;height:${canvas.height / ratio}px;`
+    + `transform:translate(${x / ratio}px,${y / ratio}px)`;
+  return { scale: zoom.scale, x: zoom.x - x / ratio, y: zoom.y - y / ratio };
 }
 
 function drawUnder(place, shown) {
@@ -231,29 +268,39 @@ function drawUnder(place, shown) {
   under.globalAlpha = shown.at(-1);
   if (maskImage) under.drawImage(maskImage, 0, 0);
   under.globalAlpha = 1;
+  paint(under, { paths: [[0, 0, W, 0, W, H, 0, H, 0, 0]], colour: FAINT, width: 1 });
 }
 
-function drawOver(over) {
-  const px = 1 / zoom.scale, view = studio.view;
+// What is drawn of a view, from below; widths in px of the screen.
+function strokesOf(view) {
+  if (!view) return [];
+  const flat = (lines) => lines.map((line) => line.flat());
+  const strokes = [
+    { paths: flat(view.grid), colour: WHITE, width: 1 },
+    { paths: flat(view.lines), colour: STRAIGHT, width: 2 },
+  ];
+  const band = view.settles ? rest : view.is_fit && studio.fit && studio.fit.band;
+  if (band) strokes.push({ paths: band.lines, half_px: band.half_px, colour: YELLOW, width: 1, once: true });
+  strokes.push({ paths: view.outline, colour: DARK, width: 4 }, { paths: view.outline, colour: CYAN, width: 2 });
+  return strokes;
+}
+
+function drawOver(place, strokes) {
+  // What the pointer draws, and without WebGL all else. It is hidden where there is nothing on it:
+  // a browser blends even an empty canvas.
+  const guides = $("show-mask").checked && studio.mask && paints() ? studio.mask.guides : [];
+  const points = pointer && COLOURS[studio.tool] && studio.tool !== "line" && !drag;
+  $("over").hidden = !(strokes.length || guides.length || stroke || points);
+  if ($("over").hidden) return;
+  const over = $("over").getContext("2d");
+  place(over);
   over.lineCap = over.lineJoin = "round";
-  over.strokeStyle = "#ffffff55";
-  over.lineWidth = px;
-  over.strokeRect(0, 0, W, H);
-  if ($("show-mask").checked && studio.mask && paints()) {
-    for (const guide of studio.mask.guides) drawStroke(over, guide, "66");
-  }
-  if (view) {
-    trace(over, view.grid, "#ffffff80", px);
-    trace(over, view.lines, COLOURS.line, 2 * px);
-    const band = view.settles ? rest : view.is_fit && studio.fit && studio.fit.band;
-    if (band) drawBand(over, band, px);
-    paths(over, view.outline, DARK, 4 * px);
-    paths(over, view.outline, CYAN, 2 * px);
-  }
+  for (const each of strokes) paint(over, each);
+  for (const guide of guides) drawStroke(over, guide, "66");
   if (stroke) drawStroke(over, stroke, "aa");
-  if (pointer && COLOURS[studio.tool] && studio.tool !== "line" && !drag) {
+  if (points) {
     over.strokeStyle = COLOURS[studio.tool];
-    over.lineWidth = 1.5 * px;
+    over.lineWidth = 1.5 / zoom.scale;
     over.beginPath();
     over.arc(...pointer, brush(), 0, 2 * Math.PI);
     over.stroke();
@@ -269,136 +316,15 @@ function drawStroke(context, { kind, radius, points }, alpha) {
   context.stroke();
 }
 
-function trace(context, lines, colour, width) {
-  context.strokeStyle = colour;
-  context.lineWidth = width;
-  context.beginPath();
-  for (const line of lines) line.forEach(([x, y], k) => (k ? context.lineTo(x, y) : context.moveTo(x, y)));
-  context.stroke();
-}
-
-function paths(context, lines, colour, width) {
-  context.strokeStyle = colour;
-  context.lineWidth = width;
-  context.beginPath();
-  for (const line of lines) {
-    context.moveTo(line[0], line[1]);
-    for (let k = 2; k < line.length; k += 2) context.lineTo(line[k], line[k + 1]);
-  }
-  context.stroke();
-}
-
-const veil = document.createElement("canvas");
-function drawBand(over, band, px) {
-  // Drawn opaque on a canvas of its own, so that where its parts overlap it is no darker.
-  const { width, height } = over.canvas, context = veil.getContext("2d");
-  [veil.width, veil.height] = [width, height];
-  context.setTransform(over.getTransform());
-  context.lineCap = "round";
-  context.strokeStyle = `rgb(${YELLOW})`;
-  band.lines.forEach(([a, b, c, d], k) => {
-    context.lineWidth = Math.max(2 * band.half_px[k], px);
+// (As scene.js draws lines, where there is no WebGL.)
+function paint(context, { paths, colour: [r, g, b, a], width, half_px }) {
+  context.strokeStyle = `rgb(${255 * r} ${255 * g} ${255 * b} / ${a})`;
+  paths.forEach((path, number) => {
+    context.lineWidth = Math.max(half_px ? 2 * half_px[number] : 0, width / zoom.scale);
     context.beginPath();
-    context.moveTo(a, b);
-    context.lineTo(c, d);
+    for (let k = 0; k < path.length; k += 2) context.lineTo(path[k], path[k + 1]);
     context.stroke();
   });
-  over.save();
-  over.setTransform(1, 0, 0, 1, 0, 0);
-  over.globalAlpha = 0.45;
-  over.drawImage(veil, 0, 0);
-  over.restore();
-}
-
-// The mesh, shaded, seen by the same camera: principal point, aspect and distortion as they are.
-
-const VERTEX = `#version 300 es
-in vec3 position;
-out vec3 at;
-uniform mat3 axes;
-uniform vec3 eye;
-uniform vec2 focal, principal, depth;
-uniform vec4 window; // film px to clip space: factors and shifts
-uniform float k[8];
-uniform int model; // 0 none, 1 Brown-Conrady and rational, 2 fisheye
-void main() {
-  at = axes * (position - eye);
-  vec2 n = at.xy;
-  float z = at.z;
-  if (model > 0 && z > 1e-4 * depth.y) {
-    n /= z;
-    float s = dot(n, n);
-    if (model == 1) {
-      float radial = (1.0 + s * (k[0] + s * (k[1] + s * k[4]))) / (1.0 + s * (k[5] + s * (k[6] + s * k[7])));
-      n = n * radial + vec2(-2.0 * k[2] * n.x * n.y + k[3] * (s + 2.0 * n.x * n.x),
-                            -k[2] * (s + 2.0 * n.y * n.y) + 2.0 * k[3] * n.x * n.y);
-    } else {
-      float r = sqrt(s), t = atan(r), u = t * t;
-      n *= r > 1e-6 ? t * (1.0 + u * (k[0] + u * (k[1] + u * (k[2] + u * k[3])))) / r : 1.0;
-    }
-    n *= z;
-  }
-  vec2 film = focal * n + principal * z;
-  float near = depth.x, far = depth.y;
-  gl_Position = vec4(window.xy * film + window.zw * z, ((far + near) * z - 2.0 * far * near) / (far - near), z);
-}`;
-const FRAGMENT = `#version 300 es
-precision highp float;
-in vec3 at;
-out vec4 colour;
-void main() {
-  vec3 n = normalize(cross(dFdx(at), dFdy(at)));
-  float light = 0.3 + 0.6 * abs(dot(n, normalize(at))) + 0.1 * abs(n.y);
-  colour = vec4(vec3(0.96, 0.95, 0.92) * light, 1.0);
-}`;
-const COEFFICIENTS = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
-
-function makeSolid(canvas, data) {
-  const gl = canvas.getContext("webgl2", { antialias: false });  // (the outline is drawn over its edge)
-  if (!gl) return null;
-  const centre = new Float64Array(data, 0, 3), [points, faces] = new Uint32Array(data, 24, 2);
-  const program = gl.createProgram();
-  for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-    const shader = gl.createShader(kind);
-    gl.shaderSource(shader, source);
-    gl.compileShader(shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
-    gl.attachShader(program, shader);
-  }
-  gl.linkProgram(program);
-  gl.useProgram(program);
-  gl.bindVertexArray(gl.createVertexArray());
-  gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-  gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(data, 32, 3 * points), gl.STATIC_DRAW);
-  const position = gl.getAttribLocation(program, "position");
-  gl.enableVertexAttribArray(position);
-  gl.vertexAttribPointer(position, 3, gl.FLOAT, false, 0, 0);
-  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array(data, 32 + 12 * points, 3 * faces), gl.STATIC_DRAW);
-  gl.enable(gl.DEPTH_TEST);
-  const corners = new Float32Array(data, 32, 3 * points);
-  let radius = 1e-12;
-  for (let k = 0; k < corners.length; k += 3) {
-    radius = Math.max(radius, Math.hypot(corners[k], corners[k + 1], corners[k + 2]));
-  }
-  const at = (name) => gl.getUniformLocation(program, name);
-  return (c, { scale, x, y }, w, h) => {
-    const eye = c.eye.map((value, k) => value - centre[k]), far = Math.hypot(...eye);
-    gl.viewport(0, 0, canvas.width, canvas.height);
-    gl.clearColor(0, 0, 0, 0);
-    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    gl.uniformMatrix3fv(at("axes"), true, c.axes.flat());
-    gl.uniform3fv(at("eye"), eye);
-    gl.uniform2fv(at("focal"), c.focal);
-    gl.uniform2fv(at("principal"), c.principal);
-    gl.uniform2f(at("depth"), Math.max(far - 1.05 * radius, 1e-3 * (far + radius)), far + 1.05 * radius);
-    gl.uniform4f(at("window"), 2 * scale / w, 2 * scale / h, 2 * x / w - 1, 1 - 2 * (y + scale * c.H) / h);
-    const fisheye = c.model === "Fisheye";
-    const k = (fisheye ? ["k1", "k2", "k3", "k4", "", "", "", ""] : COEFFICIENTS).map((n) => c.distortion[n] || 0);
-    gl.uniform1fv(at("k"), k);
-    gl.uniform1i(at("model"), c.model === null ? 0 : fisheye ? 2 : 1);
-    gl.drawElements(gl.TRIANGLES, 3 * faces, gl.UNSIGNED_INT, 0);
-  };
 }
 
 // Mask and fit.
@@ -506,12 +432,8 @@ async function move(change) {
   while (pending) {
     const now = pending;
     pending = null;
-    try {
-      show(await ask("move", now));
-      studio.updates += 1;
-    } catch (error) {
-      complain(error.message);
-    }
+    const view = await act("one moment", "move", now);
+    if (view) show(view);
   }
   asking = false;
 }
@@ -524,11 +446,9 @@ async function change(numbers) {
   while (Object.keys(changes).length) {
     const now = changes;
     changes = {};
-    try {
-      show(await ask("lens", now));
-    } catch (error) {
-      complain(error.message);
-    }
+    // (The first that bends the picture compiles: seconds.)
+    const view = await act("one moment", "lens", now);
+    if (view) show(view);
   }
   changes = null;
 }
@@ -547,7 +467,7 @@ function tool(name) {
     button.classList.toggle("on", button.dataset.tool === name);
     button.setAttribute("aria-pressed", button.dataset.tool === name);
   }
-  $("over").style.cursor = name === "turn" ? "grab" : name === "line" ? "crosshair" : "none";
+  $("hand").style.cursor = name === "turn" ? "grab" : name === "line" ? "crosshair" : "none";
   $("hint").textContent = TOOLS[name];
   draw();
 }
@@ -558,20 +478,20 @@ function whole() {
   zoom = { scale, x: (w - scale * W) / 2, y: (h - scale * H) / 2, own: false };
 }
 
-$("over").addEventListener("pointerdown", (event) => {
+$("hand").addEventListener("pointerdown", (event) => {
   event.preventDefault();
   $("stage").focus();
-  $("over").setPointerCapture(event.pointerId);
+  $("hand").setPointerCapture(event.pointerId);
   drag = { x: event.clientX, y: event.clientY, button: event.button };
   if (studio.tool === "turn" || event.button !== 0) {
-    $("over").style.cursor = "grabbing";
+    $("hand").style.cursor = "grabbing";
     return;
   }
   stroke = { kind: studio.tool, radius: studio.tool === "line" ? 1 / zoom.scale : brush(), points: [place(event)] };
   draw();
 });
 
-$("over").addEventListener("pointermove", (event) => {
+$("hand").addEventListener("pointermove", (event) => {
   pointer = place(event);
   if (!drag) return draw();
   const [dx, dy] = [event.clientX - drag.x, event.clientY - drag.y];
@@ -608,12 +528,12 @@ async function released() {
   const answer = await act("one moment", "stroke", { kind: done.kind, radius_px: done.radius, points: done.points });
   await showMask(answer);
 }
-$("over").addEventListener("pointerup", released);
-$("over").addEventListener("pointercancel", released);
-$("over").addEventListener("pointerleave", () => { pointer = null; draw(); });
-$("over").addEventListener("contextmenu", (event) => event.preventDefault());
+$("hand").addEventListener("pointerup", released);
+$("hand").addEventListener("pointercancel", released);
+$("hand").addEventListener("pointerleave", () => { pointer = null; draw(); });
+$("hand").addEventListener("contextmenu", (event) => event.preventDefault());
 
-$("over").addEventListener("wheel", (event) => {
+$("hand").addEventListener("wheel", (event) => {
   event.preventDefault();
   const factor = Math.exp(Math.max(-60, Math.min(60, event.deltaY)) * 0.002);
   if (studio.tool === "turn" && !event.ctrlKey) return void move({ nearer: factor });
