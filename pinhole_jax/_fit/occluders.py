@@ -45,6 +45,8 @@ NEAR_PX, NEAR_SIZES, TURNED = 2.0, 3.0, 0.5
 #: Of the mask's edge so much is told by no camera, and at most so much lies outside of it, or may
 #: outline that is hidden lie where nothing hides it.
 LEAST_HIDDEN, MOST_BEYOND = 0.05, 0.05
+#: So much about what is hidden (a share of the object's size) is not told either.
+ROOM = 0.1
 #: A camera that explains less of the mask's edge than this is not believed.
 LEAST_EXPLAINED = 0.5
 #: ... and one that explains less than this, or of which more is beyond, not without a doubt.
@@ -76,8 +78,8 @@ class Covered(NamedTuple):
 
     unit: Camera
     explained: float
-    beyond: float
     agreed: float
+    beyond: float
     hidden: np.ndarray
     edge: np.ndarray
     rivals: tuple[Camera, ...] = ()
@@ -116,7 +118,8 @@ def edge_of(mask: Mask, most: int | None = None) -> Edge:
     from scipy.spatial import KDTree
 
     image, H = mask.image, mask.target.shape[0]
-    down, right = np.gradient(gaussian_filter(image, 2.0))
+    smooth: Any = gaussian_filter(image, 2.0)
+    down, right = np.gradient(smooth)
     places, normals = [], []
     for axis in (0, 1):
         low, high = (np.moveaxis(image, axis, 0)[s] for s in (slice(None, -1), slice(1, None)))
@@ -139,7 +142,7 @@ def edge_of(mask: Mask, most: int | None = None) -> Edge:
     own = np.arange(len(at))
     a, b = (np.concatenate([*x, own]) for x in (pairs.T, pairs.T[::-1]))
     beside = csr_matrix((np.ones(len(a)), (a, b)), shape=(len(at), len(at)))
-    counts = np.asarray(beside.sum(axis=1)).ravel()
+    counts = beside @ np.ones(len(at))
     return Edge(at, out, csr_matrix(beside.multiply(1 / counts[:, None])), size)
 
 
@@ -351,49 +354,67 @@ def _units(vectors: np.ndarray) -> np.ndarray:
 
 def _covered(solver: Solver, mask: Mask, unit: Camera, near: float) -> Covered | None:
     """Return what a camera explains of a mask, None where it sees no outline."""
-    from scipy.ndimage import binary_dilation, label
-    from scipy.spatial import KDTree
-
     outline = _seen(solver, unit, solver.finest)
     if outline is None:
         return None
     edge = edge_of(mask)  # all of it
     matched = _matched(edge, outline, 8.0)
     on = _on(matched, near)
-    stretched = edge.stretch @ on >= 0.5
-    out = ~stretched
-    outside = float(np.mean((matched.off > near) & out))
+    believed = edge.stretch @ on >= 0.5
+    close = np.clip(1 - (matched.off / near) ** 2, 0, 1)
+    agreed = float(np.mean(close * (on & believed)))
 
-    # What the camera sees and the mask does not, and where an edge that is not believed leads to.
     view = solver.look(unit, solver.finest)
-    window = view.pixels.level.window()
     seen = np.zeros(mask.target.shape, bool)
-    window.of(seen)[:] = coverage_of(view)[::-1] > 0.5
+    view.pixels.level.window().of(seen)[:] = coverage_of(view)[::-1] > 0.5
+    hidden = _hidden(mask, edge, believed, seen, near)
+    # Outline with no edge beside it has to be hidden.
+    astray = _distances(edge.at, outline.at) > 2 * near
+    astray &= ~hidden[_pixels_of(outline.at, hidden.shape)]
+    beyond = float(np.mean((matched.off > near) & ~believed)) + float(np.mean(astray))
+    explained = float(np.mean(believed))
+    return Covered(unit, explained, agreed, beyond, hidden, edge.at[~believed])
+
+
+def _hidden(
+    mask: Mask, edge: Edge, believed: np.ndarray, seen: np.ndarray, near: float
+) -> np.ndarray:
+    """Return what an occluder may hide (H, W): what an edge that is not believed is the nearest
+    to, and what is seen (H, W), and not in the mask, behind it.
+
+    Some room about that is not told either, else the camera that it was taken from is confirmed.
+    """
+    from scipy.ndimage import binary_dilation, label
+
     inside = mask.image > 0.5
     H, W = inside.shape
-    column, row = (np.stack(np.meshgrid(np.arange(W), H - 1 - np.arange(H)), -1) + 0.5).T
-    pixels = np.column_stack([column.T.ravel(), row.T.ravel()])
-    tree = KDTree(edge.at)
-    distance, nearest = tree.query(pixels)
-    of_out = out[nearest].reshape(H, W)
-    from_in = np.full((H, W), np.inf)
-    if np.any(~out):
-        from_in = KDTree(edge.at[~out]).query(pixels)[0].reshape(H, W)
-    distance = np.asarray(distance).reshape(H, W)
-    missing = seen & ~inside & (from_in > near)
-    parts, number = label(missing, np.ones((3, 3)))
-    touching = np.unique(parts[missing & binary_dilation(of_out & (distance < 2 * near + 1))])
-    hides = np.isin(parts, touching[touching > 0]) if number else missing
-    room = max(int(0.1 * edge.size), 3)
-    hidden = (binary_dilation(hides, iterations=room) | of_out) & (from_in > near)
-    hidden &= ~inside | (of_out & (distance < 2 * near))
+    row, column = np.indices((H, W))
+    pixels = np.stack([column + 0.5, H - row - 0.5], axis=-1).reshape(-1, 2)
+    from_believed, from_other = (
+        _distances(edge.at[part], pixels).reshape(H, W) for part in (believed, ~believed)
+    )
+    beside = from_other < from_believed
+    missing = seen & ~inside & (from_believed > near)
+    parts: Any = label(missing, np.ones((3, 3)))
+    grown: Any = binary_dilation(beside & (from_other < 2 * near + 1))
+    touching = missing & grown
+    behind = np.isin(parts[0], np.unique(parts[0][touching])) & missing
+    room = max(int(ROOM * edge.size), 3)
+    about: Any = binary_dilation(behind, iterations=room)
+    hidden = (about | beside) & (from_believed > near)
+    return hidden & (~inside | (beside & (from_other < 2 * near)))
 
-    # Outline with no edge beside it has to be hidden.
-    c, r = np.floor(outline.at).astype(int).T
-    r, c = np.clip(H - 1 - r, 0, H - 1), np.clip(c, 0, W - 1)
-    astray = (tree.query(outline.at)[0] > 2 * near) & ~hidden[r, c]
-    beyond = outside + float(np.mean(astray))
-    explained = float(np.mean(stretched))
-    close = np.clip(1 - (matched.off / near) ** 2, 0, 1)
-    agreed = float(np.mean(close * (on & stretched)))
-    return Covered(unit, explained, beyond, agreed, hidden, edge.at[out])
+
+def _distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return how far (n,) others (n, 2) are from the nearest point, infinite if there is none."""
+    from scipy.spatial import KDTree
+
+    nearest: Any = KDTree(points).query(others) if len(points) else (np.full(len(others), np.inf),)
+    return nearest[0]
+
+
+def _pixels_of(points: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and columns of film points (n, 2), the film's border for those beside it."""
+    column, up = np.floor(points).astype(int).T
+    row = np.clip(shape[0] - 1 - up, 0, shape[0] - 1)
+    return row, np.clip(column, 0, shape[1] - 1)

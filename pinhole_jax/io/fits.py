@@ -34,8 +34,8 @@ def fit_to_dict(fit: Fit, *, pixel_centres: Any = "integer") -> dict[str, Any]:
     - `dtype`: the camera's float type.
     - `std`: by name; null where the mask does not determine a parameter.
     - `names`: in the order of `covariance`; NaN is null there, infinity "Infinity".
-    - `independent_covariance`, `mask_error` (`px`, `over_px`), `unbelieved` (points): null where the
-      fit has none.
+    - `independent_covariance`, `mask_error` (`px`, `over_px`), `unbelieved` (points): null where
+      the fit has none.
     - `object_in_camera`: the object's pose in the camera's frame (`formats.object_pose`): OpenCV's
       `K` by its `pixel_centres`, `R`, `t`, `covariance`, the transforms `camera_from_world` and
       `world_from_camera` (4, 4), and `distortion` (null, or a model and its coefficients). It is
