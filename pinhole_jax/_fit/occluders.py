@@ -361,6 +361,9 @@ def _covered(solver: Solver, mask: Mask, unit: Camera, near: float) -> Covered |
     matched = _matched(edge, outline, 8.0)
     on = _on(matched, near)
     believed = edge.stretch @ on >= 0.5
+    # Where a stretch that is not believed ends, its points tell more exactly.
+    ends = _distances(edge.at[~believed], edge.at) < max(STRETCH * edge.size, 3.0)
+    believed &= on | ~ends
     close = np.clip(1 - (matched.off / near) ** 2, 0, 1)
     agreed = float(np.mean(close * (on & believed)))
 
@@ -401,8 +404,9 @@ def _hidden(
     behind = np.isin(parts[0], np.unique(parts[0][touching])) & missing
     room = max(int(ROOM * edge.size), 3)
     about: Any = binary_dilation(behind, iterations=room)
-    hidden = (about | beside) & (from_believed > near)
-    return hidden & (~inside | (beside & (from_other < 2 * near)))
+    hidden = (about | beside) & (from_believed > near) & ~inside
+    # (The last of an occluder's edge is so near to the outline that it looks like it.)
+    return hidden | (from_other <= 2 * near + 1)
 
 
 def _distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
