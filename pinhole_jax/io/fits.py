@@ -160,11 +160,11 @@ def _independent(fields: Fields, size: int) -> np.ndarray | None:
 
 
 def _points(fields: Fields) -> np.ndarray | None:
-    """Return the mask's edge that was not believed; None for null, and in older files."""
+    """Return the mask's edge that was not believed; None for null."""
     name = "unbelieved"
-    if fields.data.get(name) is None:
+    points = fields.get(name, "points (x, y), or null")
+    if points is None:
         return None
-    points = fields.get(name, "numbers of shape (n, 2), or null")
     return _numbers(fields, name, (len(points) if isinstance(points, list) else 0, 2))
 
 
