@@ -7,7 +7,7 @@ from oracles import turned
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
-from pinhole_jax import plot, shapes
+from pinhole_jax import plot, report, shapes
 from pinhole_jax._fit.mask import Mask
 from pinhole_jax._fit.occluders import edge_of
 
@@ -80,6 +80,7 @@ def test_from_a_start_the_rest_of_the_edge_is_enough(scene):
     drawn = plot.overlay(seen * np.uint8(255), fit.camera, scene, dots=fit.unbelieved)
     at = np.argwhere(np.all(drawn == plot.RED, axis=-1))
     assert abs(np.median(at[:, 1]) / (drawn.shape[1] / 96) - wall) < 1
+    assert "Red: the mask's edge that was not believed" in report.page(fit, scene, seen)
 
 
 @pytest.mark.long
