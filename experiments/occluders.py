@@ -86,6 +86,9 @@ def summary(rows: list[dict]) -> dict:
         "median degrees with none": float(
             np.median([r["degrees"] for r in rows if not r["start"]])
         ),
+        "median degrees where determined": float(
+            np.median([r["degrees"] for r in rows if np.isfinite(r["sigma"])])
+        ),
         "an occluder told": sum(r["told"] for r in rows),
         "converged": len(sure),
         "converged, > 5 deg": sum(r["degrees"] > 5 for r in sure),
@@ -109,7 +112,7 @@ def draw(answer: dict, path: Path) -> None:
     table = answer["table"]
     shares = [int(share) for share in table]
     figure, (errors, counts) = plt.subplots(1, 2, figsize=(8, 3.4))
-    for name in ("median degrees", "median degrees with a start", "median degrees with none"):
+    for name in ("median degrees", "median degrees where determined"):
         errors.semilogy(shares, [row[name] for row in table.values()], "o-", label=name)
     errors.axhline(1, color="0.7", lw=1)
     for name in ("converged", "converged, > 5 deg"):
