@@ -21,6 +21,7 @@ from ._show.space import scene_view as scene_view
 from ._silhouette.silhouette import silhouette
 
 CYAN = (0, 240, 255)
+RED = (235, 40, 60)
 DARK = (0, 30, 60)
 YELLOW = (255, 220, 0)
 #: How much of 255 a band covers of the picture.
@@ -76,13 +77,15 @@ def overlay(
     *,
     band_px: np.ndarray | None = None,
     window: Window | None = None,
+    dots: Float[np.ndarray, "m 2"] | None = None,
 ) -> np.ndarray:
     """Return the image as RGB uint8 with the outline drawn on it, enlarged to some 800 pixels.
 
     `image` is uint8 (H, W), (H, W, 3) or (H, W, 4), of the camera's size, row 0 on top. `band_px`
     is the half width of a yellow band about each segment of the outline (`outline_sigma`, or some
     times as much): its two borders, and a tint that lets the picture be seen.
-    `window` is the part shown: left, top, right, bottom in px from the upper left.
+    `window` is the part shown: left, top, right, bottom in px from the upper left. `dots` (film
+    coordinates, px), as `Fit.unbelieved` are, are drawn red.
     """
     from PIL import Image, ImageChops, ImageDraw, ImageFilter
 
@@ -111,6 +114,9 @@ def overlay(
     for line, width in ((DARK, 6), (colour, 3)):
         for segment in corners[near] * fine:
             draw.line([tuple(point) for point in segment], fill=line, width=width)
+    if dots is not None:
+        for x, y in (dots * [1, -1] + [-left, camera.H - top]) * fine:
+            draw.ellipse([x - fine / 2, y - fine / 2, x + fine / 2, y + fine / 2], fill=RED)
     return np.asarray(canvas.resize((W * factor, H * factor), Image.Resampling.BOX))
 
 

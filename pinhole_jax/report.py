@@ -120,11 +120,16 @@ def _outline_pictures(fit: Fit, scene: Scene, photo: np.ndarray) -> str:
     else:
         factor, words = 1.0, "The recovered outline. The mask determines no parameter: no band."
     band = factor * sigma
-    whole = plot.overlay(photo, fit.camera, scene, band_px=band)
+    if fit.unbelieved is not None:
+        words += " Red: the mask's edge that was not believed, of something before the object."
+    drawn_on = lambda window: plot.overlay(
+        photo, fit.camera, scene, band_px=band, window=window, dots=fit.unbelieved
+    )
+    whole = drawn_on(None)
     left, top, right, bottom = window = plot.object_window(fit.camera, scene)
     if (right - left) * (bottom - top) > SMALL * fit.camera.W * fit.camera.H:
         return html_page.figure(whole, words)
-    part = plot.overlay(photo, fit.camera, scene, band_px=band, window=window)
+    part = drawn_on(window)
     return html_page.figure(whole, "The whole picture.") + html_page.figure(part, words)
 
 

@@ -33,7 +33,8 @@ def fit_of(camera, status="ambiguous", modes=()):
     history = (pj.Progress(PLAIN, 16, 12, 0), pj.Progress(camera, 64, 48, 7))
     names, weak = ("rotation_b1", "e_x", "phi"), ("the turn about the axis (0.00, 1.00, 0.00)",)
     fit = pj.Fit(camera, status, names, covariance, std, 1 / 3, 0.99, (3, 4), weak)
-    return fit._replace(modes=tuple(modes), history=history)
+    edge = np.array([[1 / 3, 2.0], [40.5, 17.25]])
+    return fit._replace(modes=tuple(modes), history=history, unbelieved=edge)
 
 
 def assert_equal(fit, other):
@@ -61,7 +62,7 @@ def test_a_fit_comes_back_to_the_last_bit(name, tmp_path):
     if name == "float32":
         fit = as_float32(fit)
     if name == "plain":
-        fit = fit_of(PLAIN, "converged")._replace(history=())
+        fit = fit_of(PLAIN, "converged")._replace(history=(), unbelieved=None)
     if name == "non_finite":
         nothing = np.full((3, 3), np.nan)
         fit = fit_of(CAMERA, name)._replace(covariance=nothing, std=np.diag(nothing))

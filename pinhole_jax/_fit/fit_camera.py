@@ -1,6 +1,7 @@
 """`fit_camera`: the camera from a mask, by Levenberg-Marquardt on exact coverage."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from numbers import Real
 from typing import Any, NamedTuple
 
@@ -17,13 +18,15 @@ from .implicit import through
 from .kinds import Kind
 from .mask import Mask
 from .moves import Bounds, canonical
+from .occluders import explained_by, is_believed, is_covered, is_sure, uncovered
 from .outline_errors import OutlineErrors
 from .parameters import check_free, focal_is_free, in_one, with_lens
 from .photo import check_photo, on_photo
 from .places import Free, at
 from .priors import Prior, bounds_of, prior_of
+from .problem import View
 from .residuals import Sums
-from .result import Fit, Known, Progress, progress_at, report, with_modes
+from .result import Fit, Known, Progress, progress_at, report, with_modes, with_unbelieved
 from .solver import Found, Solver, Stop
 from .strategy import (
     EXACT,
@@ -36,6 +39,10 @@ from .strategy import (
     without_outliers,
 )
 from .target import MOST_BORDER, check_target, covered_border, levelled, shares
+
+#: An occluder's edge is looked for from so many of the cameras that were found without one; a
+#: mask's errors are no larger (px) for it: what covers the object is among them at first.
+KNOWN, MOST_ERROR_PX = 3, 1.0
 
 
 def fit_camera(
@@ -69,7 +76,8 @@ def fit_camera(
       and of the lens's distortion k1, k2, p1, p2, k3 (of a fisheye k1 to k4), or `distortion` for
       all of them. Several stand in a tuple, or in a text with commas: "pose,phi".
     - `weight`: (H, W), at least 0: how much each pixel counts, 0 where the mask is not to be
-      believed (an occluder). 1 / variance, up to a factor.
+      believed (an occluder). 1 / variance, up to a factor. An occluder that is not told is looked
+      for where the mask is not explained; `Fit.unbelieved` says what was taken for its edge.
     - `outlier_px`: how far, in px, an outline that is right may lie from the mask's edge. Farther
       away, at holes, missing and extra parts, pixels lose their weight: at the end of a fit to a
       mask that is not exact, so that the rest decides. None: plain least squares.
@@ -187,16 +195,41 @@ class _Settings(NamedTuple):
     photo: np.ndarray | None
 
 
+class _Answer(NamedTuple):
+    """What explains a mask: the cameras, the best first, with views of all pixels; what is free
+    about the best; how far (px) from the mask's edge pixels counted, None if all did; what of the
+    mask's edge (n, 2) was taken for an occluder's, in words, too."""
+
+    solver: Solver
+    mask: Mask
+    described: list[tuple[Found, View]]
+    free: list[Free]
+    reach: float | None
+    unbelieved: np.ndarray | None = None
+    note: str = ""
+    doubted: bool = False
+
+
 def _fit(
     scene: Scene, mask: Mask, anywhere: bool, names: tuple[str, ...], settings: _Settings
 ) -> tuple[Fit, Callable[[], np.ndarray]]:
     """Return the fit, and a function that gives the weights of the pixels that decided."""
-    base = mask.camera
+    start = None if anywhere else canonical(mask.camera)
+    answer = _before_occluders(scene, _answer(scene, mask, start, names, settings), start, settings)
+    reach, mask = answer.reach, answer.mask
+    trust = lambda: mask.weight if reach is None else mask.near_edge(reach)
+    return _told(answer, settings), trust
+
+
+def _answer(
+    scene: Scene, mask: Mask, start: Camera | None, names: tuple[str, ...], settings: _Settings
+) -> _Answer:
+    """Return what explains a mask, from a start (canonical) or from anywhere."""
     solver = Solver(
         scene,
         mask.target,
         mask.weight,
-        base.e.dtype,
+        mask.camera.e.dtype,
         names,
         settings.max_steps,
         settings.bounds,
@@ -207,42 +240,81 @@ def _fit(
 
     def told(stop: Stop) -> None:
         if settings.progress is not None:
-            settings.progress(progress_at(stop, base))
+            settings.progress(progress_at(stop, mask.camera))
 
-    start = None if anywhere else canonical(base)
     places = (
         everywhere(solver, mask, told) if start is None else from_start(solver, mask, start, told)
     )
     found = [places.best, *places.others]
-    trust = lambda: mask.weight
     reach, free = settings.outlier_px, places.free
     if reach is not None and found[0].view.touched_misfit > EXACT:
         described = without_outliers(solver, mask, places, reach, start)
         described = most_agreeing(solver, mask, described, len(found), start)
-        trust = lambda: mask.near_edge(reach)
     else:
         reach = None
         described = [(f, f.view) for f in to_the_end(solver, found)]
     if turns_freely(names):
         free = with_errors(solver, mask, described[0][0], places, reach)
+    return _Answer(solver, mask, described, free, reach)
+
+
+def _before_occluders(
+    scene: Scene, answer: _Answer, start: Camera | None, settings: _Settings
+) -> _Answer:
+    """Return an answer, or where something that nobody told of stands before the object what
+    explains the rest of the mask."""
+    solver, mask, (best, view) = answer.solver, answer.mask, answer.described[0]
+    asked = answer.reach is not None and turns_freely(solver.names)
+    if not asked or solver.explains(view):
+        return answer
+    errors = solver.errors(best.view)
+    error_px = min(errors.size, MOST_ERROR_PX) if errors else 0.0
+    if not is_covered(solver, mask, best.unit, error_px):
+        return answer
+    known = [f.unit for f, _ in answer.described[:KNOWN]]
+    begins = known if start is None else [start, *known]
+    covered = uncovered(solver, mask, begins, start is None, error_px)
+    if covered is None:
+        return answer
+    rest = replace(mask, weight=np.where(covered.hidden, 0.0, mask.weight))
+    after = _answer(scene, rest, covered.unit, solver.names, settings)
+    again = explained_by(solver, mask, after.described[0][0].unit, error_px)
+    if again is None or not is_believed(again):
+        return answer
+    look = lambda unit: Found(unit, solver.look(unit, solver.finest), ())
+    rivals = [look(unit) for unit in covered.rivals]
+    return after._replace(
+        described=[*after.described, *((f, f.view) for f in rivals)],
+        unbelieved=again.edge,
+        note=str(again),
+        doubted=not is_sure(again),
+    )
+
+
+def _told(answer: _Answer, settings: _Settings) -> Fit:
+    """Return an answer as a user reads it."""
+    solver, mask, free = answer.solver, answer.mask, answer.free
 
     def reported(
         found: Found, whole: Sums, kind: Kind, errors: OutlineErrors | None, free: list[Free]
     ) -> Fit:
         about = [at(solver, found, x) for x in free]
         known = Known(kind, settings.bounds, about, errors)
-        return report(base, found, whole, names, known)
+        return report(mask.camera, found, whole, solver.names, known)
 
     fit, *modes = (
-        reported(f, whole.sums, solver.kind, solver.errors(f.view), free) for f, whole in described
+        reported(f, whole.sums, solver.kind, solver.errors(f.view), free)
+        for f, whole in answer.described
     )
     if settings.photo is not None:
-        said = on_photo(solver, mask, settings.photo, described[0][0])
+        said = on_photo(solver, mask, settings.photo, answer.described[0][0])
         if said.found is not None:
             open_still = [*(f for f in free if np.isinf(f.ahead)), *said.free]
             fit = reported(said.found, said.sums, said.kind, said.errors, open_still)
         fit = fit._replace(weak=(*fit.weak, said.note))
-    return with_modes(fit, modes), trust
+    if answer.unbelieved is not None:
+        fit = with_unbelieved(fit, answer.unbelieved, answer.note, answer.doubted)
+    return with_modes(fit, modes)
 
 
 def _anywhere(

@@ -47,14 +47,14 @@ class Mask:
         phi = 2 * jnp.arctan(jnp.tan(self.camera.phi / 2) / factor)
         return replace(self, camera=eqx.tree_at(lambda c: c.phi, self.camera, phi))
 
-    def signature(self) -> Signature:
-        """Return the mask's signature."""
+    def signature(self, hidden: float | None = None) -> Signature:
+        """Return the mask's signature; as if a part were `hidden` in a direction (rad)."""
         focal = np.array([float(f) for f in focal_px(self.camera)])
         centre = np.asarray(principal_point(self.camera), float)
         if self.camera.lens is None or self.camera.lens.distortion is None:
-            return signatures(self.image[None], self._shares(), focal, centre)
+            return signatures(self.image[None], self._shares(), focal, centre, hidden)
         image, weight, corner, scale = self._straightened()
-        return signatures(image[None], weight, focal * scale, (centre - corner) * scale)
+        return signatures(image[None], weight, focal * scale, (centre - corner) * scale, hidden)
 
     def _shares(self) -> np.ndarray:
         """Return the weights, the largest as 1."""

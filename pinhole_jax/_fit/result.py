@@ -94,6 +94,9 @@ class Fit(NamedTuple):
     - `weak`: directions that the mask determines badly or not at all, in words; last, if so, how
       much of the outline is far from the mask's edge.
     - `mask_error`: how the mask's outline errs; None where it is exact, and explained.
+    - `unbelieved`: points (px, film coordinates) of the mask's edge that were taken for the edge of
+      something before the object, and left out with what it hides; None where nothing was. `rms`
+      and `iou` are then of the rest; `weak` says which share of the mask's edge it is.
     - `modes`: other cameras that were found to explain the mask as well, the best first.
     - `history`: the way to `camera`, from the start (0 steps) to the end of each level, or with
       `record` of each step; empty for fits of several cameras.
@@ -112,6 +115,7 @@ class Fit(NamedTuple):
     history: tuple[Progress, ...] = ()
     independent_covariance: Float[np.ndarray, "n n"] | None = None
     mask_error: MaskError | None = None
+    unbelieved: Float[np.ndarray, "m 2"] | None = None
 
     def __str__(self) -> str:
         """Return it as the command's table; what is traced in a line."""
@@ -242,6 +246,12 @@ def with_modes(fit: Fit, modes: Sequence[Fit]) -> Fit:
     if modes and fit.status in ("converged", "rank_deficient", "uncertain"):
         fit = fit._replace(status="ambiguous")
     return fit._replace(modes=tuple(modes))
+
+
+def with_unbelieved(fit: Fit, edge: np.ndarray, words: str, doubted: bool) -> Fit:
+    """Return the fit with the part of the mask's edge that was not believed."""
+    status = "misfit" if doubted and fit.status == "converged" else fit.status
+    return fit._replace(unbelieved=edge, weak=(*fit.weak, words), status=status)
 
 
 def without_free(triangle: np.ndarray, free: Sequence[Free]) -> np.ndarray:

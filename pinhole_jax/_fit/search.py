@@ -4,7 +4,7 @@ The scene is rendered from directions all over the sphere; a circular
 correlation finds the roll at which each view comes closest to the mask.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -35,11 +35,36 @@ def _seen(
 def guesses(mask: Mask, scene: Scene, ball: Ball) -> Iterator[Camera]:
     """Yield cameras that may see the mask, the likeliest first; the camera's pose is not used."""
     goal = mask.signature()
-    # How far away the scene is, from its mean solid angle; then what it looks like from there.
+    reach = _reach(scene, ball, goal)
+    views, axes = _seen(scene, ball, sphere_points(VIEWS), reach)
+    yield from _likely(mask, ball, goal, views, axes, reach)
+
+
+def partly_hidden(
+    mask: Mask, scene: Scene, ball: Ball, directions: Sequence[float | None]
+) -> list[Iterator[Camera]]:
+    """Return for each direction (rad, from the film's right to its top) cameras that may see the
+    mask, the likeliest first, if something hides what lies there; for None, if nothing does."""
+    goals = [mask.signature(), *(mask.signature(d) for d in directions if d is not None)]
+    reach = _reach(scene, ball, goals[0])
+    views, axes = _seen(scene, ball, sphere_points(VIEWS), reach)
+    hidden = iter(goals[1:])
+    told = [goals[0] if d is None else next(hidden) for d in directions]
+    return [_likely(mask, ball, goal, views, axes, reach) for goal in told]
+
+
+def _reach(scene: Scene, ball: Ball, goal: Signature) -> float:
+    """Return how far away, in radii, the scene is in the mean from where it has a mask's size."""
     few, _ = _seen(scene, ball, sphere_points(VIEWS // 10), 5.0)
     reach = 5.0 * np.sqrt(np.median(few.solid_angle) / goal.solid_angle[0])
-    reach, directions = float(np.clip(reach, NEAREST, 50)), sphere_points(VIEWS)
-    views, axes = _seen(scene, ball, directions, reach)
+    return float(np.clip(reach, NEAREST, 50))
+
+
+def _likely(
+    mask: Mask, ball: Ball, goal: Signature, views: Signature, axes: np.ndarray, reach: float
+) -> Iterator[Camera]:
+    """Yield cameras whose views are like a signature, the likeliest first."""
+    directions = sphere_points(VIEWS)
     score = distances(goal, views)
     dips = (score <= np.roll(score, 1, axis=1)) & (score < np.roll(score, -1, axis=1))
     # (A round mask looks the same at every roll: none of them is less than the next.)

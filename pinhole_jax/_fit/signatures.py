@@ -11,6 +11,9 @@ import numpy as np
 
 #: A signature's rings, out to `REACH` radii of the disc of the mask's own area, and angles.
 RINGS, ANGLES, REACH = 16, 72, 2.4
+#: Where a part is hidden, the middle is so many radii farther there, the object so many times as
+#: large, and unknown what lies so many radii beyond the middle.
+MIDDLE, LARGER, BEHIND = 0.2, 1.3, 0.3
 
 
 class Signature(NamedTuple):
@@ -25,11 +28,17 @@ class Signature(NamedTuple):
 
 
 def signatures(
-    images: np.ndarray, weight: np.ndarray, focal: np.ndarray, centre: np.ndarray
+    images: np.ndarray,
+    weight: np.ndarray,
+    focal: np.ndarray,
+    centre: np.ndarray,
+    hidden: float | None = None,
 ) -> Signature:
     """Return the signatures of images (N, H, W); focal lengths and principal point in px.
 
-    Where `weight` (H, W) is 0 nothing is known of the image.
+    Where `weight` (H, W) is 0 nothing is known of the image. Where a part is `hidden`, in a
+    direction (rad, from the film's right to its top), its middle lies farther there, it is larger,
+    and what lies there is not known.
     """
     images, weight = images[:, ::-1], weight[::-1]  # rows from the film's bottom
     N, H, W = images.shape
@@ -40,6 +49,13 @@ def signatures(
     middle = np.stack(
         [(share.sum(axis=1) @ x) / total, (share.sum(axis=2) @ y) / total, np.ones(N)], axis=-1
     )
+    if hidden is not None:
+        toward = np.array([np.cos(hidden), np.sin(hidden)])
+        size = np.sqrt(total / np.pi)
+        middle[:, :2] += MIDDLE * size[:, None] * toward
+        total = total * LARGER
+        far = toward[0] * (x - middle[0, 0]) + toward[1] * (y - middle[0, 1])[:, None]
+        weight = weight * (far < BEHIND * size[0])
     axes = facing(middle)
     radius = np.tan(np.minimum(np.sqrt(total / np.pi), 1.2))
     ring = (np.arange(RINGS) + 0.5) / RINGS * REACH

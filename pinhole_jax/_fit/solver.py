@@ -174,6 +174,11 @@ class Solver:
             self._made = [*first, (asked, made)]
         return made
 
+    @property
+    def target(self) -> np.ndarray:
+        """Return the mask (H, W) that is fitted."""
+        return self._target
+
     @cached_property
     def points(self) -> np.ndarray:
         """Return some hundreds of the mesh's vertices (n, 3), or none."""

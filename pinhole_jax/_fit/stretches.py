@@ -148,6 +148,17 @@ def outline_of(view: View) -> np.ndarray:
     return _places(view.pixels, view.pixels.level)[shown]
 
 
+def outline_pixels(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the places (P, 2) of `outline_of`, the derivatives (P, n) of their coverage by the
+    solver's moves, and their coverage (P,)."""
+    weight = np.asarray(view.pixels.weight, float)
+    shown = _shown(view.pixels, view.pixels.level) & (weight > 0)
+    rows = np.asarray(view.jacobian, float)[: len(shown)][shown]
+    share = np.asarray(view.pixels.coverage, float)[shown]
+    place = _places(view.pixels, view.pixels.level)[shown]
+    return place, rows / np.sqrt(weight[shown])[:, None], share
+
+
 def _stretched(place: np.ndarray, coverage: np.ndarray, length: float) -> _Outline:
     """Return pixels (P, 2) of an outline of a length (px) by stretches; both sides of a thin part
     are stretches of their own."""

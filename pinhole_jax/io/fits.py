@@ -34,7 +34,8 @@ def fit_to_dict(fit: Fit, *, pixel_centres: Any = "integer") -> dict[str, Any]:
     - `dtype`: the camera's float type.
     - `std`: by name; null where the mask does not determine a parameter.
     - `names`: in the order of `covariance`; NaN is null there, infinity "Infinity".
-    - `independent_covariance`, `mask_error` (`px`, `over_px`): null where the fit has none.
+    - `independent_covariance`, `mask_error` (`px`, `over_px`), `unbelieved` (points): null where
+      the fit has none.
     - `object_in_camera`: the object's pose in the camera's frame (`formats.object_pose`): OpenCV's
       `K` by its `pixel_centres`, `R`, `t`, `covariance`, the transforms `camera_from_world` and
       `world_from_camera` (4, 4), and `distortion` (null, or a model and its coefficients). It is
@@ -91,6 +92,7 @@ def _rest(fit: Fit, pixel_centres: Any) -> dict[str, Any]:
         "covariance": _words(fit.covariance),
         "independent_covariance": _words_or_none(fit.independent_covariance),
         "mask_error": None if fit.mask_error is None else fit.mask_error._asdict(),
+        "unbelieved": _words_or_none(fit.unbelieved),
         "object_in_camera": _pose(fit, pixel_centres),
         "steps": [int(count) for count in fit.steps],
         "weak": list(fit.weak),
@@ -146,6 +148,7 @@ def _fit(fields: Fields) -> Fit:
         history=tuple(_progress(step, dtype) for step in rest.parts("history")),
         independent_covariance=_independent(rest, len(names)),
         mask_error=_mask_error(rest),
+        unbelieved=_points(rest),
     )
 
 
@@ -154,6 +157,15 @@ def _independent(fields: Fields, size: int) -> np.ndarray | None:
     name = "independent_covariance"
     expected = f"numbers of shape {(size, size)}, or null"
     return None if fields.get(name, expected) is None else _numbers(fields, name, (size, size))
+
+
+def _points(fields: Fields) -> np.ndarray | None:
+    """Return the mask's edge that was not believed; None for null."""
+    name = "unbelieved"
+    points = fields.get(name, "points (x, y), or null")
+    if points is None:
+        return None
+    return _numbers(fields, name, (len(points) if isinstance(points, list) else 0, 2))
 
 
 def _mask_error(fields: Fields) -> MaskError | None:

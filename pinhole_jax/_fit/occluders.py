@@ -1,0 +1,424 @@
+"""Something stands before the object, and nobody said so: which part of the mask's outline is its?
+
+An occluder only takes away from a mask. Where it ends, the mask has an edge that is no edge of the
+object's, and lies inside the object's outline; the outline that it hides lies outside the mask. So
+points of the mask's edge are brought to the outline that a camera sees (iterative closest points,
+Besl and McKay 1992), in and out by stretches: what lies inside the outline, and far from it, loses
+its weight, and the more so the nearer the fit has come (graduated non-convexity, Blake and
+Zisserman 1987); what lies outside keeps its weight, since nothing that hides can put it there.
+Outline beside which the mask has none costs nothing at first. Several hypotheses of which part is
+hidden are followed; the one that explains most of the mask's edge is told.
+"""
+
+from collections.abc import Iterable
+from itertools import islice
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._camera.axes import angle
+from .._camera.camera import Camera
+from .mask import Mask
+from .moves import canonical
+from .search import partly_hidden
+from .solver import Solver
+from .stretches import coverage_of, outline_pixels
+
+#: The mask's edge is taken by stretches of this share of the object's size.
+STRETCH = 0.08
+#: So many points of the mask's edge are brought to the outline.
+POINTS = 400
+#: How far away an edge still counts: in the first step this share of the object's size, in the last
+#: so many px; in so many steps, of which the first few sort out the likely ones.
+FIRST, LAST_PX, STEPS, SORTED_IN = 0.12, 1.0, 20, 6
+#: So many of the likeliest are followed to the end.
+FOLLOWED = 12
+#: A step moves no part of the outline by more than this share of the object's size.
+LONGEST = 0.3
+#: Directions in which something may stand, and which share of the edge it may take there.
+SECTORS, TAKEN = 8, 0.35
+#: Guesses that a search tries for each of them.
+GUESSES = 6
+#: Edge and outline are one if they are so near (px), or this many times the mask's errors, and turn
+#: by less than an angle with this cosine.
+NEAR_PX, NEAR_SIZES, TURNED = 2.0, 3.0, 0.5
+#: Of the mask's edge so much is told by no camera, and at most so much lies outside of it, or may
+#: outline that is hidden lie where nothing hides it.
+LEAST_HIDDEN, MOST_BEYOND = 0.05, 0.05
+#: So much about what is hidden (a share of the object's size) is not told either.
+ROOM = 0.1
+#: A camera that explains less of the mask's edge than this is not believed.
+LEAST_EXPLAINED = 0.5
+#: ... and one that explains less than this, or of which more is beyond, not without a doubt.
+SURE, SURE_BEYOND = 0.6, 0.02
+#: Another camera, so far away (rad), that explains as much but for this share is a rival.
+RIVAL, ELSEWHERE = 0.06, np.deg2rad(3)
+
+
+class Edge(NamedTuple):
+    """The points of a mask's edge: where they are (n, 2) (px, film coordinates), the normals (n, 2)
+    outwards, which of them make stretches (a sparse mean (n, n)), and the object's size (px)."""
+
+    at: np.ndarray
+    out: np.ndarray
+    stretch: Any
+    size: float
+
+
+class Covered(NamedTuple):
+    """A camera that explains a mask but for what stands before the object.
+
+    - `explained`: which share of the mask's edge lies on the outline.
+    - `agreed`: the same, but that a point counts for less the farther it is from the outline.
+    - `beyond`: which share of edge and outline nothing that hides the object explains.
+    - `hidden` (H, W): what the mask does not tell; `edge` (n, 2): the points (px, film coordinates)
+      of the mask's edge that are no edge of the object's.
+    - `rivals`: other cameras that explain as much.
+    """
+
+    unit: Camera
+    explained: float
+    agreed: float
+    beyond: float
+    hidden: np.ndarray
+    edge: np.ndarray
+    rivals: tuple[Camera, ...] = ()
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        x, y = self.edge[np.argmin(np.linalg.norm(self.edge - np.median(self.edge, 0), axis=1))]
+        row = len(self.hidden) - 1 - int(y)
+        return (
+            f"{1 - self.explained:.0%} of the mask's edge, about column {int(x)}, row {row}, was"
+            " not believed: something stands before the object there"
+        )
+
+
+class _Outline(NamedTuple):
+    """Points of the outline that a camera sees (n, 2), px, normals (n, 2) outwards, and how far
+    these go outwards by the solver's moves (n, k)."""
+
+    at: np.ndarray
+    out: np.ndarray
+    by_move: np.ndarray
+
+
+class _Matched(NamedTuple):
+    """How far (px) points of an edge lie outside the outline, by moves, whether they turn alike."""
+
+    off: np.ndarray
+    by_move: np.ndarray
+    alike: np.ndarray
+
+
+def edge_of(mask: Mask, most: int | None = None) -> Edge:
+    """Return a mask's edge: where it passes 1/2 between two pixels that count."""
+    from scipy.ndimage import gaussian_filter
+    from scipy.sparse import csr_matrix
+    from scipy.spatial import KDTree
+
+    image, H = mask.image, mask.target.shape[0]
+    smooth: Any = gaussian_filter(image, 2.0)
+    down, right = np.gradient(smooth)
+    places, normals = [], []
+    for axis in (0, 1):
+        low, high = (np.moveaxis(image, axis, 0)[s] for s in (slice(None, -1), slice(1, None)))
+        there = np.moveaxis(np.argwhere((low > 0.5) != (high > 0.5)), 1, 0)
+        share = (0.5 - low[tuple(there)]) / (high - low)[tuple(there)]
+        one = there[::-1] if axis else there
+        step = np.array([[axis == 0], [axis == 1]])
+        known = (mask.weight[tuple(one)] > 0) & (mask.weight[tuple(one + step)] > 0)
+        row, column = (one + step * share)[:, known]
+        places.append(np.column_stack([column + 0.5, H - 0.5 - row]))
+        y, x = (z[tuple(one[:, known])] for z in (down, right))
+        normals.append(np.column_stack([-x, y]))
+    at, out = np.concatenate(places), _units(np.concatenate(normals))
+    size = float(np.sqrt(np.count_nonzero(image > 0.5)))
+    if most is not None and len(at) > most:
+        some = np.random.default_rng(0).permutation(len(at))[:most]
+        at, out = at[some], out[some]
+    radius = max(STRETCH * size, 3.0)
+    pairs = KDTree(np.column_stack([at, radius * out])).query_pairs(radius, output_type="ndarray")
+    own = np.arange(len(at))
+    a, b = (np.concatenate([*x, own]) for x in (pairs.T, pairs.T[::-1]))
+    beside = csr_matrix((np.ones(len(a)), (a, b)), shape=(len(at), len(at)))
+    counts = beside @ np.ones(len(at))
+    return Edge(at, out, csr_matrix(beside.multiply(1 / counts[:, None])), size)
+
+
+def uncovered(
+    solver: Solver, mask: Mask, cameras: Iterable[Camera], anywhere: bool, error_px: float
+) -> Covered | None:
+    """Return the camera that explains most of a mask's edge if something that nobody told of stands
+    before the object, None if nothing does or none is to be believed.
+
+    It is looked for from some cameras (canonical); with `anywhere`, or where none of these leads to
+    one that is sure, from all sides. The mask's edge errs by `error_px` (one standard deviation).
+    """
+    edge = edge_of(mask, POINTS)
+    if len(edge.at) < 4 * len(solver.names) + 16:
+        return None
+    begins = [(c, w) for c in cameras for w in (None, *_sectors(edge))]
+    found = [] if anywhere else _explained(solver, mask, edge, begins, error_px)
+    if not found or not is_sure(found[0]):
+        begins = _guessed(solver, mask, edge) + (begins if anywhere else [])
+        found += _explained(solver, mask, edge, begins, error_px)
+        found.sort(key=_worth, reverse=True)
+    if not found or not is_believed(found[0]):
+        return None
+    best, *others = found
+    rivals: list[Camera] = []
+    for other in others:
+        as_much = _worth(other) > _worth(best) - RIVAL
+        if as_much and all(angle(other.unit, c) > ELSEWHERE for c in (best.unit, *rivals)):
+            rivals.append(other.unit)
+    return best._replace(rivals=tuple(rivals))
+
+
+def _explained(
+    solver: Solver,
+    mask: Mask,
+    edge: Edge,
+    begins: list[tuple[Camera, np.ndarray | None]],
+    error_px: float,
+) -> list[Covered]:
+    """Return what the cameras explain that others lead to, the one that explains most first."""
+    told = [explained_by(solver, mask, unit, error_px) for unit in _followed(solver, edge, begins)]
+    return sorted((t for t in told if t is not None), key=_worth, reverse=True)
+
+
+def is_covered(solver: Solver, mask: Mask, unit: Camera, error_px: float) -> bool:
+    """Return whether a stretch of a mask's edge lies far from the outline that a camera sees."""
+    edge = edge_of(mask, POINTS)
+    outline = _seen(solver, unit, solver.finest)
+    if outline is None or not len(edge.at):
+        return False
+    on = _on(_matched(edge, outline, 8.0), max(NEAR_PX, NEAR_SIZES * error_px))
+    return bool(np.mean(edge.stretch @ on < 0.5) > LEAST_HIDDEN)
+
+
+def _worth(covered: Covered) -> float:
+    return covered.agreed - 2 * covered.beyond
+
+
+def explained_by(solver: Solver, mask: Mask, unit: Camera, error_px: float) -> Covered | None:
+    """Return what a camera explains of a mask whose edge errs by `error_px`, None where it sees no
+    outline."""
+    return _covered(solver, mask, unit, max(NEAR_PX, NEAR_SIZES * error_px))
+
+
+def is_sure(covered: Covered) -> bool:
+    """Return whether a camera explains so much that it is told without a doubt."""
+    return covered.explained >= SURE and covered.beyond < SURE_BEYOND
+
+
+def is_believed(covered: Covered) -> bool:
+    """Return whether a camera explains a mask but for what an occluder hides."""
+    hidden = 1 - covered.explained
+    enough = covered.explained >= LEAST_EXPLAINED and hidden > LEAST_HIDDEN
+    return enough and covered.beyond < MOST_BEYOND
+
+
+def _sectors(edge: Edge) -> list[np.ndarray]:
+    """Return weights (n,) of the mask's edge, each without the part on one side."""
+    away = edge.at - edge.at.mean(axis=0)
+    turns = 2 * np.pi * np.arange(SECTORS) / SECTORS
+    along = [away @ [np.cos(turn), np.sin(turn)] for turn in turns]
+    return [(far < np.quantile(far, 1 - TAKEN)) * 1.0 for far in along]
+
+
+def _guessed(solver: Solver, mask: Mask, edge: Edge) -> list[tuple[Camera, np.ndarray | None]]:
+    """Return cameras from all sides, with what of the mask's edge they take for the object's."""
+    directions = [None, *(2 * np.pi * np.arange(SECTORS) / SECTORS)]
+    windows = [None, *_sectors(edge)]
+    views = partly_hidden(mask, solver.problem.scene, solver.ball, directions)
+    return [
+        (canonical(guess), window)
+        for guesses, window in zip(views, windows, strict=True)
+        for guess in islice(guesses, GUESSES)
+    ]
+
+
+def _followed(
+    solver: Solver, edge: Edge, begins: list[tuple[Camera, np.ndarray | None]]
+) -> list[Camera]:
+    """Return where the likeliest cameras lead to."""
+    level = max(solver.finest - 1, 0)
+    scales = np.maximum(np.geomspace(FIRST * edge.size, LAST_PX, STEPS), LAST_PX)
+    first, rest = scales[:SORTED_IN], scales[SORTED_IN:]
+    begun = [_brought(solver, edge, unit, level, first, window) for unit, window in begins]
+    begun = sorted((b for b in begun if b is not None), key=lambda b: -b[1])
+    apart = _apart([unit for unit, _ in begun], np.deg2rad(2))[:FOLLOWED]
+    ended = [_brought(solver, edge, unit, level, rest) for unit in apart]
+    ended = sorted((b for b in ended if b is not None), key=lambda b: -b[1])
+    finest = _apart([unit for unit, _ in ended], np.deg2rad(0.5))[: FOLLOWED // 2]
+    last = [_brought(solver, edge, unit, solver.finest, scales[-4:]) for unit in finest]
+    return [b[0] for b in last if b is not None]
+
+
+def _apart(units: list[Camera], far: float) -> list[Camera]:
+    kept: list[Camera] = []
+    for unit in units:
+        if all(angle(unit, other) > far for other in kept):
+            kept.append(unit)
+    return kept
+
+
+def _brought(
+    solver: Solver,
+    edge: Edge,
+    unit: Camera,
+    level: int,
+    scales: np.ndarray,
+    window: np.ndarray | None = None,
+) -> tuple[Camera, float] | None:
+    """Return a camera whose outline the mask's edge was brought to, counting as far as `scales`
+    (px) say step by step, and the edge's mean weight there; None where no outline is seen."""
+    for scale in scales:
+        outline = _seen(solver, unit, level)
+        if outline is None:
+            return None
+        matched = _matched(edge, outline, 4 * scale + 4)
+        weight = _weights(edge, matched, scale)
+        weight = weight if window is None else weight * window
+        rows = matched.by_move * np.sqrt(weight)[:, None]
+        normal = rows.T @ rows
+        damping = 1e-3 * np.trace(normal) / len(normal) + 1e-12
+        step = np.linalg.solve(
+            normal + damping * np.eye(len(normal)), rows.T @ (np.sqrt(weight) * matched.off)
+        )
+        if not np.all(np.isfinite(step)):
+            return None
+        far = float(np.max(np.abs(matched.by_move @ step)))
+        unit = solver.step(unit, level, step * min(1.0, LONGEST * edge.size / max(far, 1e-9)))
+    outline = _seen(solver, unit, level)
+    if outline is None:
+        return None
+    matched = _matched(edge, outline, 8.0)
+    on = _on(matched, max(scales[-1], NEAR_PX))
+    beyond = float(np.mean(matched.off > 2 * max(scales[-1], NEAR_PX)))
+    return unit, float(np.mean((edge.stretch @ on) * on)) - 0.5 * beyond
+
+
+def _on(matched: _Matched, near: float) -> np.ndarray:
+    return (np.abs(matched.off) < near) & (matched.alike > TURNED)
+
+
+def _weights(edge: Edge, matched: _Matched, scale: float) -> np.ndarray:
+    """Return what points of an edge count for: by stretches, and those outside in any case."""
+    off = matched.off / scale
+    weight = (1 + off**2) ** -2 * np.where(matched.alike > TURNED, 1, 0.1)
+    weight = (edge.stretch @ weight) / (1 + off**2 / 9)
+    return np.where(off > 0, np.maximum(weight, 1 / (1 + np.abs(off))), weight)
+
+
+def _matched(edge: Edge, outline: _Outline, turn_px: float) -> _Matched:
+    """Return the edge's points with the nearest of an outline, a turn by a rad being as far as
+    `turn_px`."""
+    from scipy.spatial import KDTree
+
+    place = lambda x: np.column_stack([x.at, turn_px * x.out])
+    nearest: Any = KDTree(place(outline)).query(place(edge))[1]
+    at, out = outline.at[nearest], outline.out[nearest]
+    away = edge.at - at
+    outside = np.sum(away * out, axis=1)
+    off = np.copysign(np.maximum(np.abs(outside), np.linalg.norm(away, axis=1)), outside)
+    return _Matched(off, outline.by_move[nearest], np.sum(edge.out * out, axis=1))
+
+
+def _seen(solver: Solver, unit: Camera, number: int) -> _Outline | None:
+    """Return the outline that a camera sees on a level, None where it sees none."""
+    from scipy.ndimage import uniform_filter
+
+    view = solver.look(unit, number)
+    place, rows, share = outline_pixels(view)
+    if len(place) < 8 or not np.all(np.isfinite(rows)):
+        return None
+    level, (row, column) = view.pixels.level, place.T
+    px = len(solver.target) / float(level.scale)
+    coverage = coverage_of(view)
+    box = lambda image: uniform_filter(image, 5, mode="constant")
+    up, right = np.gradient(coverage)
+    length = np.maximum(box(np.hypot(up, right))[row, column], 1e-3)
+    out = _units(-np.column_stack([box(right)[row, column], box(up)[row, column]]))
+    moves = np.zeros((rows.shape[1], *coverage.shape))
+    moves[:, row, column] = rows.T
+    by_move = np.stack([box(image)[row, column] / length for image in moves], axis=1)
+    at = np.column_stack([column, row]) + 0.5 + np.asarray(level.origin, float)
+    return _Outline(px * (at + out * (share - 0.5)[:, None]), out, px * by_move)
+
+
+def _units(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-9)[:, None]
+
+
+def _covered(solver: Solver, mask: Mask, unit: Camera, near: float) -> Covered | None:
+    """Return what a camera explains of a mask, None where it sees no outline."""
+    outline = _seen(solver, unit, solver.finest)
+    if outline is None:
+        return None
+    edge = edge_of(mask)  # all of it
+    matched = _matched(edge, outline, 8.0)
+    on = _on(matched, near)
+    believed = edge.stretch @ on >= 0.5
+    # Where a stretch that is not believed ends, its points tell more exactly.
+    ends = _distances(edge.at[~believed], edge.at) < max(STRETCH * edge.size, 3.0)
+    believed &= on | ~ends
+    close = np.clip(1 - (matched.off / near) ** 2, 0, 1)
+    agreed = float(np.mean(close * (on & believed)))
+
+    view = solver.look(unit, solver.finest)
+    seen = np.zeros(mask.target.shape, bool)
+    view.pixels.level.window().of(seen)[:] = coverage_of(view)[::-1] > 0.5
+    hidden = _hidden(mask, edge, believed, seen, near)
+    # Outline with no edge beside it has to be hidden.
+    astray = _distances(edge.at, outline.at) > 2 * near
+    astray &= ~hidden[_pixels_of(outline.at, hidden.shape)]
+    beyond = float(np.mean((matched.off > near) & ~believed)) + float(np.mean(astray))
+    explained = float(np.mean(believed))
+    return Covered(unit, explained, agreed, beyond, hidden, edge.at[~believed])
+
+
+def _hidden(
+    mask: Mask, edge: Edge, believed: np.ndarray, seen: np.ndarray, near: float
+) -> np.ndarray:
+    """Return what an occluder may hide (H, W): what an edge that is not believed is the nearest
+    to, and what is seen (H, W), and not in the mask, behind it.
+
+    Some room about that is not told either, else the camera that it was taken from is confirmed.
+    """
+    from scipy.ndimage import binary_dilation, label
+
+    inside = mask.image > 0.5
+    H, W = inside.shape
+    row, column = np.indices((H, W))
+    pixels = np.stack([column + 0.5, H - row - 0.5], axis=-1).reshape(-1, 2)
+    from_believed, from_other = (
+        _distances(edge.at[part], pixels).reshape(H, W) for part in (believed, ~believed)
+    )
+    beside = from_other < from_believed
+    missing = seen & ~inside & (from_believed > near)
+    parts: Any = label(missing, np.ones((3, 3)))
+    grown: Any = binary_dilation(beside & (from_other < 2 * near + 1))
+    touching = missing & grown
+    behind = np.isin(parts[0], np.unique(parts[0][touching])) & missing
+    room = max(int(ROOM * edge.size), 3)
+    about: Any = binary_dilation(behind, iterations=room)
+    hidden = (about | beside) & (from_believed > near) & ~inside
+    # (The last of an occluder's edge is so near to the outline that it looks like it.)
+    return hidden | (from_other <= 2 * near + 1)
+
+
+def _distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return how far (n,) others (n, 2) are from the nearest point, infinite if there is none."""
+    from scipy.spatial import KDTree
+
+    nearest: Any = KDTree(points).query(others) if len(points) else (np.full(len(others), np.inf),)
+    return nearest[0]
+
+
+def _pixels_of(points: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and columns of film points (n, 2), the film's border for those beside it."""
+    column, up = np.floor(points).astype(int).T
+    row = np.clip(shape[0] - 1 - up, 0, shape[0] - 1)
+    return row, np.clip(column, 0, shape[1] - 1)
