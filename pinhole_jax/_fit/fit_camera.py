@@ -35,7 +35,7 @@ from .strategy import (
     with_errors,
     without_outliers,
 )
-from .target import MOST_BORDER, check_target, covered_border, levelled, shares
+from .target import MOST_BORDER, border_of, check_target, inside_of, levelled
 
 
 def fit_camera(
@@ -151,7 +151,8 @@ def check_border(
 ) -> None:
     """Raise ValueError for a mask that covers its border, where that counts, though the start sees
     the object within it, or there is no start: what it covers is the background."""
-    if (share := covered_border((shares(image) > 0.5) & (weights > 0))) <= MOST_BORDER:
+    covered = inside_of(border_of(image)) & (border_of(weights) > 0)
+    if (share := float(np.mean(covered))) <= MOST_BORDER:
         return
     if start is not None and not _is_within(scene, start):
         return
@@ -219,7 +220,7 @@ def _fit(
     if reach is not None and found[0].view.touched_misfit > EXACT:
         described = without_outliers(solver, mask, places, reach, start)
         described = most_agreeing(solver, mask, described, len(found), start)
-        trust = lambda: mask.near_edge(reach)
+        trust = lambda: mask.near_edge(reach).image()
     else:
         reach = None
         described = [(f, f.view) for f in to_the_end(solver, found)]
