@@ -83,6 +83,18 @@ def test_weights_near_an_edge_are_those_of_an_image():
         np.testing.assert_allclose(a, b, atol=1e-12)
 
 
+def test_runs_in_which_nothing_is_added_are_nothing_in_float32():
+    """What a covered or uncovered run costs is a difference of sums: not their rounding."""
+    target = disc(300, 400)
+    data, (*_, level) = pyramid(target, np.broadcast_to(1.0, target.shape), np.float32)
+    t = np.pad(target[::-1], ((0, 0), (1, 1))).ravel()
+    found = cells_of(data, level, jnp.arange(t.size + 1, dtype=jnp.int32))
+    beside = ~np.pad(np.ones(target.shape, bool), ((0, 0), (1, 1))).ravel()
+    assert not np.any(np.diff(found.empty)[(t == 0) | beside])
+    assert not np.any(np.diff(found.full)[(t == 1) | beside])
+    assert np.any(t == 1)
+
+
 @pytest.mark.parametrize("reach", [0.5, 2.0, 6.3, 14.0])
 def test_pixels_near_an_edge_and_how_near(reach):
     from scipy.spatial import KDTree

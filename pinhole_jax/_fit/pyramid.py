@@ -17,8 +17,8 @@ from jaxtyping import Array, Float, Int
 from .edges import NearWeights, Weights, alike, within
 from .target import Window, extent_of, shares
 
-#: Cells of a page (two to so many); pages that are worked on at a time: what fits into a cache.
-BITS, CACHED = 6, 1 << 9
+#: Cells of a page (two to so many); pages that are worked on at a time.
+BITS, CACHED = 6, 1 << 12
 PAGE = 1 << BITS
 #: Cells of the smallest pyramid; the next sizes are 4 times as large, from `MANY_CELLS` on twice,
 #: since what is empty takes memory as well: each is compiled for.
@@ -36,11 +36,11 @@ BYTES = np.uint64(0x0101010101010101)
 class Pyramid(NamedTuple):
     """The levels' cells, a page at a time (see `cells_of`).
 
-    `page` says which page each stretch of the raster is, and `sums` what is summed up before it. Of
-    the cells of all pages, `target` and `weight` are the pixels' own (the target only where there
-    is a weight), the rest what is summed up within the page before the cell: of the squared
-    residual if a pixel is uncovered (`empty`) or covered (`full`), of the weight (`weights`) and of
-    weight times target (`masses`).
+    `page` says which page each stretch of the raster is. Of the cells of all pages, `target` and
+    `weight` are the pixels' own (the target only where there is a weight), the rest what is summed
+    up before the cell: of the squared residual if a pixel is uncovered (`empty`) or covered
+    (`full`), of the weight (`weights`) and of weight times target (`masses`); `sums` is to be added
+    to these where stretches share a page.
     """
 
     page: Int[Array, "Q"]
@@ -304,36 +304,45 @@ def _written(rasters: list[_Raster], most: float, room: int, dtype: Any) -> Pyra
     size = size if own * PAGE <= size else room + 4 * PAGE
     flat = _aligned_zeros((6, size), dtype)
     cells = flat.reshape(6, -1, PAGE)
-    totals = np.zeros((4, own))
-    first = np.zeros((3, PAGE)), np.full((3, PAGE), most)
-    first[0][FULL], first[1][NOTHING] = 1, 0
-    begin = 0
-    for target, weight in (first, *(raster[1:] for raster in rasters)):
-        for k in range(0, len(target), CACHED):
-            t, w = target[k : k + CACHED], weight[k : k + CACHED]
-            some = slice(begin, begin + len(t))
-            cells[0, some], cells[1, some] = t, w
-            for n, values in enumerate((w * t**2, w * (1 - t) ** 2, w, w * t)):
-                sums = np.cumsum(values, axis=1)
-                cells[2 + n, some, 1:] = sums[:, :-1]
-                totals[n, some] = sums[:, -1]
-            begin += len(t)
+    shared = np.zeros((3, PAGE)), np.full((3, PAGE), most)
+    shared[0][FULL], shared[1][NOTHING] = 1, 0
+    cells[:2, :3], inside = shared, _sums(*shared)
+    cells[2:, :3, 1:] = inside[..., :-1]
 
     page = _aligned_zeros((room // PAGE,), np.int32)
     sums = _aligned_zeros((4, room // PAGE), dtype)
     begin, number = 0, 3
     for raster in rasters:
-        which = raster.page
-        mine = which < 0
-        which[mine] = number + np.arange(len(raster.target))
-        number += len(raster.target)
-        some = slice(begin, begin + len(which))
-        page[some] = which
-        for n in range(4):
-            sums[n, some][1:] = np.cumsum(totals[n, which])[:-1]
-        begin += len(which)
+        ends, done = np.zeros((4, 1)), 0
+        for first in range(0, len(raster.page), CACHED):
+            which = raster.page[first : first + CACHED]
+            mine = np.flatnonzero(which < 0)
+            some = slice(done, done + len(mine))
+            of_mine = _sums(raster.target[some], raster.weight[some])
+            totals = inside[:, which, -1]
+            totals[:, mine] = of_mine[..., -1]
+            before = np.cumsum(np.concatenate([ends, totals], axis=1), axis=1)
+            # Pages of their own hold what is summed up before each cell, rounded once: where
+            # nothing comes to it, it stays the same number, and a difference is 0.
+            at = slice(number, number + len(mine))
+            cells[0, at], cells[1, at] = raster.target[some], raster.weight[some]
+            base = before[:, mine, None]
+            cells[2:, at, :1] = base
+            cells[2:, at, 1:] = base + of_mine[..., :-1]
+            before[:, mine] = 0
+            stretch = slice(begin + first, begin + first + len(which))
+            page[stretch], sums[:, stretch] = which, before[:, :-1]
+            page[begin + first + mine] = number + np.arange(len(mine))
+            ends, done, number = before[:, -1:], done + len(mine), number + len(mine)
+        begin += len(raster.page)
     page, *put = jax.device_put([page, *sums, *flat])
     return Pyramid(page, tuple(put[:4]), *put[4:])
+
+
+def _sums(t: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """Return what pages (n, PAGE) sum up to with each of their cells: the squared residuals, the
+    weights and the masses, (4, n, PAGE)."""
+    return np.cumsum(np.stack([w * t**2, w * (1 - t) ** 2, w, w * t]), axis=2)
 
 
 def _aligned_zeros(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
