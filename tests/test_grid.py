@@ -14,8 +14,8 @@ from oracles import mesh_coverage
 
 import pinhole_jax as pj
 from pinhole_jax._fit.moves import canonical
+from pinhole_jax._fit.pyramid import pyramid
 from pinhole_jax._fit.residuals import Capacity, touch
-from pinhole_jax._fit.target import pyramid
 from pinhole_jax._scene.scene import padded
 
 W, H = 40, 32

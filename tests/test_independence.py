@@ -12,8 +12,9 @@ from oracles import mesh_coverage
 
 import pinhole_jax as pj
 from pinhole_jax._fit.moves import canonical
+from pinhole_jax._fit.pyramid import pyramid
 from pinhole_jax._fit.residuals import Capacity, residuals
-from pinhole_jax._fit.target import object_window, pyramid
+from pinhole_jax._fit.target import object_window
 from pinhole_jax._scene.scene import padded
 from pinhole_jax._silhouette.contour import contour_weights
 

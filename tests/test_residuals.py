@@ -11,8 +11,8 @@ from oracles import drawn
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._fit.moves import Move, canonical, moved, on_film
+from pinhole_jax._fit.pyramid import cells_of, pyramid
 from pinhole_jax._fit.residuals import Capacity, residuals as _residuals, touch
-from pinhole_jax._fit.target import pyramid
 from pinhole_jax._numerics.bitset import in_order, listed
 from pinhole_jax._numerics.thin_qr import triangle
 
@@ -156,21 +156,21 @@ def test_the_finest_level_alone_is_the_one_of_all():
     band = np.where(np.abs(np.arange(203) - 40)[:, None] < 9, 0.7, 0.0) * np.ones((1, 330))
     for target in (hard, soft):
         for weight in (band, rng.random(hard.shape)):
-            whole, levels = pyramid(target, weight, float)
+            whole, (*_, finest) = pyramid(target, weight, float)
             alone, (level,) = pyramid(target, weight, float, only_finest=True)
-            assert whole.target.shape == alone.target.shape
+            assert jax.tree.map(np.shape, whole) == jax.tree.map(np.shape, alone)
             H, W = target.shape
-            size, begin = H * (W + 2) + 1, int(levels[-1].start)
-            for a, b in zip(whole, alone, strict=True):
-                a = np.asarray(a)[begin : begin + size]
-                np.testing.assert_array_equal(a, np.asarray(b)[:size])
+            cell = jnp.arange(H * (W + 2) + 1, dtype=jnp.int32)
+            for a, b in zip(
+                cells_of(whole, finest, cell), cells_of(alone, level, cell), strict=True
+            ):
+                np.testing.assert_array_equal(a, b)
             assert int(level.start) == 0
-            assert level.window() == levels[-1].window()
+            assert level.window() == finest.window()
             t, w = (np.pad(x[::-1], ((0, 0), (1, 1))).ravel() for x in (target, weight))
             sums = (w * t**2, w * (1 - t) ** 2, w, w * t)
-            for own, cost in zip(alone[2:], sums, strict=True):
-                expected = np.append(0.0, np.cumsum(cost))
-                np.testing.assert_allclose(np.asarray(own)[:size], expected, atol=1e-9)
+            for own, cost in zip(cells_of(alone, level, cell)[2:], sums, strict=True):
+                np.testing.assert_allclose(own, np.append(0.0, np.cumsum(cost)), atol=1e-9)
 
 
 @pytest.mark.parametrize("wide", [True, False])
@@ -207,5 +207,5 @@ def test_what_is_not_finite_makes_a_triangle_that_is_not():
 
 def test_a_pyramid_is_not_copied():
     data, _ = pyramid(np.eye(32), np.ones((32, 32)), float)
-    at = [x.unsafe_buffer_pointer() for x in data]
+    at = [x.unsafe_buffer_pointer() for x in data[2:]]
     assert {*np.diff(at)} == {data.target.nbytes}  # side by side, as they were written

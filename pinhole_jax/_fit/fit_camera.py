@@ -38,7 +38,7 @@ from .strategy import (
     with_errors,
     without_outliers,
 )
-from .target import MOST_BORDER, check_target, covered_border, levelled, shares
+from .target import MOST_BORDER, border_of, check_target, inside_of, levelled
 
 #: An occluder's edge is looked for from so many of the cameras that were found without one; a
 #: mask's errors are no larger (px) for it: what covers the object is among them at first.
@@ -159,7 +159,8 @@ def check_border(
 ) -> None:
     """Raise ValueError for a mask that covers its border, where that counts, though the start sees
     the object within it, or there is no start: what it covers is the background."""
-    if (share := covered_border((shares(image) > 0.5) & (weights > 0))) <= MOST_BORDER:
+    covered = inside_of(border_of(image)) & (border_of(weights) > 0)
+    if (share := float(np.mean(covered))) <= MOST_BORDER:
         return
     if start is not None and not _is_within(scene, start):
         return
@@ -217,7 +218,7 @@ def _fit(
     start = None if anywhere else canonical(mask.camera)
     answer = _before_occluders(scene, _answer(scene, mask, start, names, settings), start, settings)
     reach, mask = answer.reach, answer.mask
-    trust = lambda: mask.weight if reach is None else mask.near_edge(reach)
+    trust = lambda: mask.weight if reach is None else mask.near_edge(reach).image()
     return _told(answer, settings), trust
 
 

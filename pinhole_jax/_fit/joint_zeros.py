@@ -14,9 +14,9 @@ from .._camera.camera import Camera, bend
 from .._camera.poses import adjoint, inverse, pose_of
 from .joint_views import Eye, State
 from .problem import View
+from .pyramid import Level, target_at
 from .residuals import Pixels
 from .solver import on_film_plane
-from .target import Level
 
 #: Contours are sampled so many times a pixel; what lies beside one is looked up so far away (px).
 SAMPLES, BESIDE = 2.0, 1.0
@@ -70,9 +70,8 @@ def with_joints(eye: Eye, state: State, seen: Seen, joints: list[str]) -> Seen:
 def _residuals(eye: Eye, pixels: Pixels) -> np.ndarray:
     """Return the weighted residuals of touched pixels (P,)."""
     level, weight = pixels.level, np.asarray(pixels.weight, float)
-    target = np.asarray(eye.solver.problem.pyramid.target)
     cell = np.where(weight > 0, np.asarray(pixels.cell), 0)
-    here = target[np.minimum(int(level.start) + cell, len(target) - 1)]
+    here = target_at(eye.solver.problem.pyramid, level, cell)
     return np.sqrt(weight) * (np.asarray(pixels.coverage, float) - here)
 
 

@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .edges import Near, alike, counted, looked_up, near
 from .problem import FINE_PX
-from .target import edge_distance, near_an_edge, shares
+from .target import inside_of, shares
 
 #: Quantisation leaves a step's square times this; samples at random leave half a step, times the
 #: mean of c (1 - c).
@@ -74,26 +75,57 @@ class Kind(NamedTuple):
         return misfit <= (TIMES * self.variance if strict else self.most)
 
 
+class _Between(NamedTuple):
+    """The pixels of an image (H, W) that are neither 0 nor 1: places in the flat image, ascending,
+    rows and columns, values and weights."""
+
+    shape: tuple[int, int]
+    place: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    value: np.ndarray
+    weight: np.ndarray
+
+    def where(self, kept: np.ndarray) -> "_Between":
+        """Return some of them."""
+        return _Between(self.shape, *(x[kept] for x in self[1:]))
+
+
+def _between(target: np.ndarray, weights: np.ndarray) -> _Between:
+    """Return the pixels of a mask that are neither 0 nor 1."""
+    if target.dtype == bool:
+        place = np.zeros(0, int)
+    elif target.dtype == np.uint8:
+        place = np.flatnonzero(target - np.uint8(1) < 254)  # (0 becomes 255)
+    else:
+        place = np.flatnonzero((target != 0) & (target != 1))
+    row, column = np.divmod(place, target.shape[1])
+    value, weight = shares(target[row, column]), weights[row, column]
+    return _Between(target.shape, place, row, column, value, weight)
+
+
 def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     """Return the kind of a mask (see `check_target`) that is fitted in a float type."""
-    image = shares(target)
-    if np.all((image == 0) | (image == 1)):
-        uniform = (scale := _weight_at_edges(image, weights)) * UNIFORM
+    some = _between(target, weights)
+    if not some.place.size:
+        uniform = (scale := _weight_at_edges(target, weights)) * UNIFORM
         return Kind("one bit", uniform, scale * HARD, CUT_CORNERS * uniform, False)
-    noise, far, even, spread = _noise_far_from_edges(image, weights)
+    noise, far, even, spread = _noise_far_from_edges(target, weights, some)
     threshold = max(4 * noise, 1e-3)
-    between = (image > threshold) & (image < 1 - threshold) & (weights > 0)
-    counted = image[between]
-    scale = float(np.mean(weights[between])) if counted.size else 1.0
+    between = some.where(
+        (some.value > threshold) & (some.value < 1 - threshold) & (some.weight > 0)
+    )
+    count = between.place.size
+    scale = float(np.mean(between.weight)) if count else 1.0
     # The least is rounding; the solver's last step may leave more.
     rounding = ROUNDING * float(np.finfo(dtype).eps)
     if np.issubdtype(target.dtype, np.floating):
         rounding = max(rounding, float(np.finfo(target.dtype).eps))
-    variance, step = _quantisation(counted)
+    variance, step = _quantisation(between.value)
     least = scale * max(rounding**2, UNIFORM * step**2)
     variance = scale * max(variance, rounding**2, FINE_PX[np.dtype(dtype)] ** 2)
-    if counted.size and np.mean(_shorter_run(between)[between] > 2) > WIDE_SHARE:
-        width = _edge_width(image, between)
+    if count and np.mean(_shorter_run(between) > 2) > WIDE_SHARE:
+        width = _edge_width(target, between)
         left = (max(PER_WIDTH * (width - SHARP_WIDTH), LEAST_WIDE) + noise**2) * scale
         return Kind("wide edges", left, max(HARD * scale, 1.5 * left), least, False, far)
     if noise > 0:
@@ -102,60 +134,84 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
         return Kind("noisy", variance, most, least, even, far, spread)
     # A renderer's 8 bits: some hundred samples a pixel, or its filter.
     most = TIMES * (SAMPLED / 1024 * scale if step == 1 / 255 else variance)
-    alike = max(least, scale * FINE_PX[np.dtype(dtype)] ** 2)
-    return Kind("soft", variance, most, least, True, alike=alike)
+    told = max(least, scale * FINE_PX[np.dtype(dtype)] ** 2)
+    return Kind("soft", variance, most, least, True, alike=told)
 
 
-def _weight_at_edges(image: np.ndarray, weights: np.ndarray) -> float:
+def _weights_near(target: np.ndarray, weights: np.ndarray, reach: float) -> tuple[Near, np.ndarray]:
+    """Return the pixels near the mask's edge, and their weights."""
+    close = near(inside_of(target), reach)
+    return close, weights[np.divmod(close.place, target.shape[1])]
+
+
+def _weight_at_edges(target: np.ndarray, weights: np.ndarray) -> float:
     """Return the mean weight of pixels at the mask's edge that have one, 1 if there are none."""
-    if weights.strides == (0, 0):
+    if alike(weights):
         return float(weights.flat[0])
-    counted = weights[(weights > 0) & (near_an_edge(edge_distance(image), 1.0) > 0)]
-    return float(np.mean(counted)) if counted.size else 1.0
+    _, weight = _weights_near(target, weights, 1.0)
+    told = weight[weight > 0]
+    return float(np.mean(told)) if told.size else 1.0
 
 
 def _noise_far_from_edges(
-    image: np.ndarray, weights: np.ndarray
+    target: np.ndarray, weights: np.ndarray, some: _Between
 ) -> tuple[float, float, bool, float]:
     """Return the standard deviation of pixels that are 0 or 1 for certain, the mean of their
     weighted squares, whether the noise is the same everywhere, and if it is the standard error of
-    the sum of as many as are not certain."""
-    away = (weights > 0) & (near_an_edge(edge_distance(image), FAR_PX) == 0)
-    off = (image - np.round(image))[away]
+    the sum of as many as are not certain.
+
+    `some` are the pixels that are not 0 or 1: the others are off by nothing.
+    """
+    close, weight = _weights_near(target, weights, FAR_PX)
+    is_close = looked_up(close.place, np.ones(len(close.place)), some.place, 0.0)
+    away = some.where((some.weight > 0) & (is_close == 0))
+    nearest = np.round(away.value)
+    off = away.value - nearest
     squares = off**2
     if not np.any(squares):
         return 0.0, 0.0, True, 0.0
-    mean = float(np.mean(squares))
-    even = float(np.mean(squares**2)) < UNEVEN * mean**2
-    inside = np.round(image)[away] > 0
-    clipped = np.all(off[inside] <= 0) and np.all(off[~inside] >= 0)
-    weighted = weights[away] * squares
-    near = np.count_nonzero(weights) - squares.size
-    spread = float(np.std(weighted)) * (near * (1 + near / squares.size)) ** 0.5
-    deviation = (2 * mean if clipped else mean) ** 0.5
-    return deviation, float(np.mean(weighted)), even, float(even * spread)
+    beside = int(np.count_nonzero(weight))
+    number = counted(weights) - beside
+    mean = float(np.sum(squares)) / number
+    even = float(np.sum(squares**2)) / number < UNEVEN * mean**2
+    clipped = np.all(off[nearest > 0] <= 0) and np.all(off[nearest <= 0] >= 0)
+    weighted = away.weight * squares
+    far = float(np.sum(weighted)) / number
+    rest = number - weighted.size
+    deviation = float((np.sum((weighted - far) ** 2) + rest * far**2) / number) ** 0.5
+    spread = deviation * (beside * (1 + beside / number)) ** 0.5
+    return (2 * mean if clipped else mean) ** 0.5, far, bool(even), float(even * spread)
 
 
-def _shorter_run(between: np.ndarray) -> np.ndarray:
-    """Return for each pixel the length of the run of marked ones that it is in: the shorter one of
-    its row's and its column's."""
-    return np.minimum(_runs(between), _runs(between.T).T)
+def _shorter_run(some: _Between) -> np.ndarray:
+    """Return for each pixel how many of them stand beside one another in its row or in its column,
+    the shorter way."""
+    (H, W), order = some.shape, np.lexsort((some.row, some.column))
+    down = np.zeros(len(order), int)
+    down[order] = _runs((some.column * (H + 1) + some.row)[order])
+    return np.minimum(_runs(some.row * (W + 1) + some.column), down)
 
 
-def _runs(marked: np.ndarray) -> np.ndarray:
-    """Return the length of each pixel's run of marked pixels in its row, 0 outside."""
-    flat = np.pad(marked, ((0, 0), (0, 1))).ravel().astype(np.int8)
-    change = np.diff(flat, prepend=0)
-    start, stop = np.flatnonzero(change > 0), np.flatnonzero(change < 0)
-    result = np.zeros(flat.shape, int)
-    result[flat > 0] = np.repeat(stop - start, stop - start)
-    return result.reshape(marked.shape[0], -1)[:, :-1]
+def _runs(ascending: np.ndarray) -> np.ndarray:
+    """Return for each of ascending integers how many follow one another without a gap."""
+    _, run = np.unique(ascending - np.arange(len(ascending)), return_inverse=True)
+    return np.bincount(run.ravel())[run.ravel()]
 
 
-def _edge_width(image: np.ndarray, between: np.ndarray) -> float:
+def _edge_width(target: np.ndarray, some: _Between) -> float:
     """Return the integral of m (1 - m) across an edge, in px: 1/6 for a sharp one."""
-    slope = np.hypot(*np.gradient(image))
-    return float(np.sum((image * (1 - image))[between]) / max(float(np.sum(slope[between])), 1e-9))
+    slope = np.hypot(*(_slope(target, some, axis) for axis in (0, 1)))
+    return float(np.sum(some.value * (1 - some.value)) / max(float(np.sum(slope)), 1e-9))
+
+
+def _slope(target: np.ndarray, some: _Between, axis: int) -> np.ndarray:
+    """Return the slope along an axis at some pixels, as `np.gradient` has it."""
+    at = (some.row, some.column)
+    ends = [list(at), list(at)]
+    ends[0][axis] = np.maximum(at[axis] - 1, 0)
+    ends[1][axis] = np.minimum(at[axis] + 1, target.shape[axis] - 1)
+    before, after = (shares(target[row, column]) for row, column in ends)
+    return (after - before) / np.maximum(ends[1][axis] - ends[0][axis], 1)
 
 
 def _quantisation(values: np.ndarray) -> tuple[float, float]:

@@ -20,8 +20,8 @@ from .._camera.camera import Camera
 from .._numerics.thin_qr import triangle, triangle_and_rhs
 from .moves import moved, reported
 from .problem import COSINE, UNIT_PX, Problem, View, move as move_of
+from .pyramid import Level
 from .residuals import Capacity, residuals
-from .target import Level
 
 #: Steps of a level that can be told one by one.
 RECORDED = 64

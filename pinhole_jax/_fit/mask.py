@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._camera.camera import Camera, bend, film_map, focal_px, principal_point
+from .edges import Near, NearWeights, looked_up, near, near_weights
 from .signatures import Signature, signatures
-from .target import Window, edge_distance, near_an_edge, object_window, shares
+from .target import Window, inside_of, object_window, shares
 
 
 @dataclass(frozen=True)
@@ -25,22 +26,49 @@ class Mask:
         """Return the target as floats."""
         return shares(self.target)
 
-    def near_edge(self, reach: float) -> np.ndarray:
-        """Return the weights (H, W) of pixels near the mask's edge; 0 farther than `reach` (px)."""
-        window, distance = self._edge_distance
-        near = np.zeros(self.weight.shape)
-        window.of(near)[:] = window.of(self.weight) * near_an_edge(window.of(distance), reach)
-        return near
+    def near_edge(self, reach: float) -> NearWeights:
+        """Return the weights of pixels near the mask's edge; 0 farther than `reach` (px)."""
+        made, window = self._made, self._window
+        if reach not in made:
+            some = self._near(reach)
+            made[reach] = near_weights(inside_of(self.target), self.weight, window, some, reach)
+        return made[reach]
 
-    def distance(self, window: Window) -> np.ndarray:
-        """Return how far (px) a window's pixels (H, W) are from the nearest beside the mask's edge;
-        infinite far from the object."""
-        return window.of(self._edge_distance[1])
+    def distance(
+        self, window: Window, row: np.ndarray, column: np.ndarray, reach: float
+    ) -> np.ndarray:
+        """Return how far (px) pixels of a window, by rows (from the top) and columns, are from the
+        nearest beside the mask's edge; infinite from `reach` + 1 on, and far from the object."""
+        own, some, H = self._window, self._near(reach), len(self.target)
+        row = row + (H - window.bottom - window.H) - (H - own.bottom - own.H)
+        column = column + window.left - own.left
+        inside = (row >= 0) & (row < own.H) & (column >= 0) & (column < own.W)
+        place = np.where(inside, row * own.W + column, -1)
+        found = looked_up(some.place, some.distance, place, np.inf)
+        return np.where(found < 1 + reach, found, np.inf)
+
+    def _near(self, reach: float) -> Near:
+        """Return the pixels of the object's window so near the edge, and perhaps others."""
+        widest, found = self._nearest[0] if self._nearest else (-1.0, None)
+        if found is None or widest < reach:
+            found = near(self._window.of(inside_of(self.target)), reach)
+            self._nearest[:] = [(reach, found)]
+        return found
 
     @cached_property
-    def _edge_distance(self) -> tuple[Window, np.ndarray]:
-        """Return the distance from the mask's edge, and about what it is finite."""
-        return object_window(self.image > 0.5), edge_distance(self.image)
+    def _window(self) -> Window:
+        """Return the window about what is more than half covered."""
+        return object_window(inside_of(self.target))
+
+    @cached_property
+    def _nearest(self) -> list[tuple[float, Near]]:
+        """Keep the pixels near the edge, and how near."""
+        return []
+
+    @cached_property
+    def _made(self) -> dict[float, NearWeights]:
+        """Keep the weights near the edge, by their reach."""
+        return {}
 
     def longer(self, factor: float) -> "Mask":
         """Return the mask as seen with a focal length times a factor."""

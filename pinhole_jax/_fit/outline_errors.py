@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .edges import Weights
 from .problem import View
 from .stretches import Stretches, stretches_of
 
@@ -71,7 +72,7 @@ class _Hypotheses(NamedTuple):
 
 
 def outline_errors(
-    view: View, target: np.ndarray, weights: np.ndarray, quantisation: float
+    view: View, target: np.ndarray, weights: Weights, quantisation: float
 ) -> OutlineErrors | None:
     """Return how the mask's outline errs, None where too little of an outline is seen.
 

@@ -12,8 +12,8 @@ from .._files.programs import like
 from .._scene.scene import Ball, Scene
 from .moves import Bounds, Move, units
 from .priors import Others, Prior
+from .pyramid import Level, Pyramid
 from .residuals import Load, Pixels, Sums
-from .target import Level, Pyramid
 
 #: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
 #: larger units make bolder first steps.

@@ -30,7 +30,7 @@ from .._silhouette.marks import Marks, marks, overlaps, turns
 from .._silhouette.surrounding import surrounding
 from .._silhouette.sweep import ARC, Visible, sweepable
 from .overlapping import MOST, Crowded, Part, resolved, whole
-from .target import Level, Pyramid, level_slice
+from .pyramid import Level, Pyramid, cells_of
 
 MAX_ROWS = 1 << 14
 #: A pixel that is covered, or uncovered, but for less than this shows no outline.
@@ -118,7 +118,7 @@ def residuals(
     """
     touched, load = touch(camera, scene, level, capacity)
     end = level.H * (level.W + 2)
-    here = level_slice(pyramid, level, touched.cell)
+    here = cells_of(pyramid, level, touched.cell)
     weight = jnp.where(touched.inside & touched.known, here.weight, 0)
     difference = jnp.sqrt(weight) * (touched.coverage - here.target)
 
@@ -126,7 +126,7 @@ def residuals(
     begin = jnp.minimum(jnp.append(jnp.int32(-1), touched.cell) + 1, end)
     until = jnp.append(touched.cell, end)
     row_end = jnp.minimum(_row_start(level, begin + level.W + 1), until)
-    limits = level_slice(pyramid, level, jnp.stack([begin, row_end, until]))
+    limits = cells_of(pyramid, level, jnp.stack([begin, row_end, until]))
     run = jax.tree.map(lambda x: x[1:] - x[:-1], limits)
     before = jnp.broadcast_to(touched.covered_before, until.shape)
     covered = jnp.stack([jnp.append(before[:1], touched.covered_after), before])
@@ -137,7 +137,7 @@ def residuals(
     overlap = jnp.sum(jnp.where(covered, run.masses, 0)) + jnp.sum(
         weight * jnp.minimum(coverage, here.target)
     )
-    ends = level_slice(pyramid, level, jnp.stack([jnp.zeros_like(end), end]))
+    ends = cells_of(pyramid, level, jnp.stack([jnp.zeros_like(end), end]))
     out = jnp.where(touched.inside & ~touched.known, here.weight, 0)
     mass = ends.masses[1] - ends.masses[0] - jnp.sum(out * here.target)
     total = ends.weights[1] - ends.weights[0] - jnp.sum(out)

@@ -7,8 +7,10 @@ import numpy as np
 
 from .._numerics.kept import kept
 from .._scene.scene import Mesh, Scene
+from .edges import crossings
 from .residuals import Capacity
 from .search import sphere_points
+from .target import inside_of
 from .thumbnails import axes_inward, fronts
 
 #: What the smallest buffers hold, and how much larger the next ones are.
@@ -25,9 +27,8 @@ CRUMBS = 0.005
 def first_room(scene: Scene, image: np.ndarray) -> Capacity:
     """Return the buffers that most views of a scene, as large as in a mask (H, W), need."""
     spheres = 0 if scene.spheres is None else scene.spheres.radii.shape[0]
-    inside = image > 0.5
-    outline = sum(int(np.sum(np.diff(inside, axis=k))) for k in (0, 1))
-    arc_pieces = outline + 8 * spheres if spheres else 0
+    inside = inside_of(image)
+    arc_pieces = sum(len(x) for x in crossings(inside)) + 8 * spheres if spheres else 0
     edges = pieces = 0
     if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
         number, length = contours(scene.mesh)
@@ -75,7 +76,7 @@ def _extent(inside: np.ndarray) -> float:
     """Return the length (px) of the diagonal of what is inside a mask, but for crumbs."""
     spans = []
     for axis in (0, 1):
-        upto = np.cumsum(np.sum(inside, axis=axis))
+        upto = np.cumsum(np.sum(inside.view(np.uint8), axis=axis, dtype=np.int32), dtype=np.int64)
         low, high = np.searchsorted(upto, upto[-1] * np.array([CRUMBS, 1 - CRUMBS]))
         spans.append(high - low + 1)
     return float(np.hypot(*spans))

@@ -20,16 +20,18 @@ from .._scene.scene import (
     padded,
     with_or_without_border,
 )
+from .edges import Weights, counted, total, within
 from .kinds import kind_of
 from .moves import Bounds, Move, moved
 from .outline_errors import OutlineErrors, is_drawn, outline_errors
 from .priors import Others, Prior, no_others
 from .problem import COARSE_PX, FINE_PX, Problem, View, like_descended, move as move_of
+from .pyramid import LEAST_CELLS, Level, Pyramid, pyramid
 from .residuals import Capacity
 from .revolution import Revolution, revolutions, some_of
 from .room import LEAST_ROOM, ROOMIER, first_room, more_room, size_of
 from .symmetry import Turn, turns_of_a_mesh
-from .target import LEAST_CELLS, Level, Pyramid, Window, object_window, pyramid, shares
+from .target import Window, inside_of, object_window
 
 #: Noise leaves at most so many standard errors more than on average.
 ERRORS = 4.0
@@ -76,7 +78,7 @@ class _Asked(NamedTuple):
     """What a pyramid is made of."""
 
     target: np.ndarray
-    weights: np.ndarray
+    weights: Weights
     window: Window
     least: int
     only_finest: bool
@@ -85,6 +87,8 @@ class _Asked(NamedTuple):
         """Return whether another one's pyramid is the same."""
         a, b = self.weights, other.weights
         rest = self.target is other.target and self[2:] == other[2:]
+        if not isinstance(a, np.ndarray) or not isinstance(b, np.ndarray):
+            return rest and a is b
         return rest and (a is b or np.array_equal(a, b))
 
 
@@ -113,8 +117,7 @@ class Solver:
         self.ball = ball_about(self._shown(scene))
         self.mesh = _mesh_of(scene)
         self.window = object_window(target)
-        image = shares(self.window.of(target))
-        self.capacity = first_room(scene, image)
+        self.capacity = first_room(scene, inside_of(self.window.of(target)))
         self.kind = kind_of(self.window.of(target), self.window.of(weights), dtype)
         #: What is `continued` on fewer pixels, as any mask that is not exact, moves by more then.
         rough = continued and not self.kind.exact
@@ -123,7 +126,7 @@ class Solver:
 
     def weigh(
         self,
-        weights: np.ndarray,
+        weights: Weights,
         target: np.ndarray | None = None,
         only_finest: bool = False,
     ) -> None:
@@ -141,16 +144,15 @@ class Solver:
         levels, self.levels = self._pyramid(asked)
         # Few programs: the larger image's has room for the longer outline, and the other way round.
         if self.capacity.pieces > 1:
-            size = (levels.target.size // LEAST_CELLS).bit_length() // 2
+            size = (levels.cells // LEAST_CELLS).bit_length() // 2
             pieces = max(self.capacity.pieces, LEAST_ROOM.pieces * ROOMIER**size)
             self.capacity = self.capacity._replace(pieces=pieces)
         if self.kind.exact:
             explained = np.asarray(OFF_TIMES * self.kind.variance**0.5, self.dtype)
             self.levels = [level._replace(explained=explained) for level in self.levels]
-        seen = self.levels[-1].window().of(weights)
-        whole = weights.size * weights[0, 0] if weights.strides == (0, 0) else np.sum(weights)
-        self._beside = float(whole - np.sum(seen))
-        self._counted = np.count_nonzero(seen)
+        seen = within(weights, self.levels[-1].window())
+        self._beside = total(weights) - total(seen)
+        self._counted = counted(seen)
         self.finest = len(self.levels) - 1
         others = self._others or no_others(self.names, self.dtype)
         self.problem = Problem(self._scene, levels, self.ball, others, self._bounds, self._prior)

@@ -280,7 +280,7 @@ def without_outliers(
     """
     alike = [(f, f.unit) for f in (places.best, *places.others)]
     rivals = [(f, f.unit) for f in places.rivals]
-    alone = _is_alone(mask, places, outlier_px / 2)
+    alone = _is_alone(mask, places, outlier_px)
     for reach in (1,) if alone else (8, 4, 2, 1):
         solver.weigh(mask.near_edge(reach * outlier_px), only_finest=True)
         # (What comes next moves it by more.)
@@ -309,15 +309,16 @@ def without_outliers(
     return [(f, solver.look(f.unit, solver.finest)) for f in result]
 
 
-def _is_alone(mask: Mask, places: Places, reach_px: float) -> bool:
+def _is_alone(mask: Mask, places: Places, outlier_px: float) -> bool:
     """Return whether there is one camera, with all of its outline so near to the mask's edge that
     nothing is to come back from farther away."""
     if places.others or places.rivals:
         return False
     view = places.best.view
     row, column = outline_of(view).T
-    distance = mask.distance(view.pixels.level.window())[::-1]
-    return bool(np.all(distance[row, column] <= reach_px))
+    window = view.pixels.level.window()
+    distance = mask.distance(window, window.H - 1 - row, column, outlier_px)
+    return bool(np.all(distance <= outlier_px / 2))
 
 
 def _times(errors: OutlineErrors | None) -> float:

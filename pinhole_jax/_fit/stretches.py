@@ -4,9 +4,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .edges import Weights, crossings, weights_at
 from .problem import View
+from .pyramid import Level
 from .residuals import HIDDEN, Pixels
-from .target import Level, shares
+from .target import Window, inside_of, shares
 
 #: About so many stretches. (On 90 masks that err over 2 to 30 px, of three shapes, 95 % intervals
 #: held 94 % of the truths with 48 or 60 stretches, 91 % with 80 or 100.)
@@ -72,7 +74,7 @@ class _Outline(NamedTuple):
         return np.bincount(self.stretch[nearest[near]], values[near], self.number)
 
 
-def stretches_of(view: View, target: np.ndarray, weights: np.ndarray) -> Stretches | None:
+def stretches_of(view: View, target: np.ndarray, weights: Weights) -> Stretches | None:
     """Return stretches of the outline that a view shows and that has weight, None where it shows
     none.
 
@@ -84,7 +86,7 @@ def stretches_of(view: View, target: np.ndarray, weights: np.ndarray) -> Stretch
     weight = np.asarray(view.pixels.weight, float)[shown]
     if not np.any(weight):
         return None
-    coverage = coverage_of(view)
+    coverage = _Coverage.of(view)
     place = _places(view.pixels, level)[shown]
     beside, slope = _slopes(coverage, place)
     steepness = np.linalg.norm(slope, axis=1)
@@ -92,10 +94,9 @@ def stretches_of(view: View, target: np.ndarray, weights: np.ndarray) -> Stretch
 
     # Areas, not distances: what the mask has beyond the outline, for each px of it.
     length = outline.nearby(beside, steepness)
-    missing = shares(window.of(target))[::-1] - coverage
-    missing = np.where(window.of(weights)[::-1] > 0, missing, 0)
-    differs = np.argwhere(np.abs(missing) > HIDDEN)
-    offset = outline.nearby(differs, missing[tuple(differs.T)]) / np.maximum(length, 0.5)
+    differs, missing = _differing(place, coverage, window.of(target)[::-1])
+    told = _weights_at(weights, window, differs, target.shape[0]) > 0
+    offset = outline.nearby(differs[told], missing[told]) / np.maximum(length, 0.5)
 
     # Only pixels with weight say what a move does.
     root = np.sqrt(weight)
@@ -116,7 +117,7 @@ def stretches_of(view: View, target: np.ndarray, weights: np.ndarray) -> Stretch
     return Stretches(*(x[good] for x in (at, length, offset, by_move, share)))
 
 
-def area_between(view: View, target: np.ndarray, weights: np.ndarray, cap: float) -> float:
+def area_between(view: View, target: np.ndarray, weights: Weights, cap: float) -> float:
     """Return by how much a view's outline and a mask's disagree (px^2): the area between them, but
     no more than `cap` px for each px of either.
 
@@ -131,13 +132,12 @@ def area_between(view: View, target: np.ndarray, weights: np.ndarray, cap: float
     area = stretches.length @ np.minimum(np.abs(stretches.offset), cap)
 
     window = level.window()
-    inside = shares(window.of(target))[::-1] > 0.5
-    edge = np.zeros(inside.shape, bool)
-    edge[1:] |= inside[1:] != inside[:-1]
-    edge[:, 1:] |= inside[:, 1:] != inside[:, :-1]
-    edge &= window.of(weights)[::-1] > 0
+    down, right = crossings(inside_of(window.of(target))[::-1])
+    places = np.unique(np.concatenate([down + window.W, right + 1]))
+    edge = np.column_stack(np.divmod(places, window.W))
+    edge = edge[_weights_at(weights, window, edge, target.shape[0]) > 0]
     own = _places(view.pixels, level)[_shown(view.pixels, level)]
-    far, _ = KDTree(own).query(np.argwhere(edge), distance_upper_bound=NEAREST)
+    far, _ = KDTree(own).query(edge, distance_upper_bound=NEAREST)
     return float(area + cap * np.sum(np.isinf(far)))
 
 
@@ -159,13 +159,14 @@ def outline_pixels(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return place, rows / np.sqrt(weight[shown])[:, None], share
 
 
-def _stretched(place: np.ndarray, coverage: np.ndarray, length: float) -> _Outline:
+def _stretched(place: np.ndarray, coverage: "_Coverage", length: float) -> _Outline:
     """Return pixels (P, 2) of an outline of a length (px) by stretches; both sides of a thin part
     are stretches of their own."""
     H, W = coverage.shape
     row, column = place.T
-    up = coverage[np.minimum(row + 1, H - 1), column] - coverage[np.maximum(row - 1, 0), column]
-    right = coverage[row, np.minimum(column + 1, W - 1)] - coverage[row, np.maximum(column - 1, 0)]
+    at = coverage.at
+    up = at(np.minimum(row + 1, H - 1), column) - at(np.maximum(row - 1, 0), column)
+    right = at(row, np.minimum(column + 1, W - 1)) - at(row, np.maximum(column - 1, 0))
     side = np.round(np.arctan2(up, right) / (np.pi / 2)) % 4
     key = np.column_stack([place // max(SHORTEST, length / STRETCHES), side])
     _, stretch = np.unique(key, axis=0, return_inverse=True)
@@ -173,7 +174,7 @@ def _stretched(place: np.ndarray, coverage: np.ndarray, length: float) -> _Outli
     return _Outline(place, stretch, int(stretch.max()) + 1)
 
 
-def _slopes(coverage: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _slopes(coverage: "_Coverage", place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the pixels (k, 2) of an outline and beside it, and the coverage's slope there (k, 2):
     its sum is the outline's length."""
     H, W = coverage.shape
@@ -181,7 +182,7 @@ def _slopes(coverage: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.nda
     row, column = (place[:, None] + around).reshape(-1, 2).T
     inside = (row >= 0) & (row < H) & (column >= 0) & (column < W)
     row, column = np.divmod(np.unique(row[inside] * W + column[inside]), W)
-    at = lambda r, c: coverage[np.clip(r, 0, H - 1), np.clip(c, 0, W - 1)]
+    at = lambda r, c: coverage.at(np.clip(r, 0, H - 1), np.clip(c, 0, W - 1))
     up = (at(row + 1, column) - at(row - 1, column)) / 2
     right = (at(row, column + 1) - at(row, column - 1)) / 2
     return np.column_stack([row, column]), np.column_stack([up, right])
@@ -198,6 +199,102 @@ def _shown(pixels: Pixels, level: Level) -> np.ndarray:
     (row, column), share = _places(pixels, level).T, np.asarray(pixels.coverage)
     inside = (row < int(level.H)) & (column >= 0) & (column < int(level.W))
     return inside & (share > HIDDEN) & (share < 1 - HIDDEN)
+
+
+class _Coverage(NamedTuple):
+    """The coverage of a level's window (`shape`), row 0 at the bottom, as a view has it: cells of
+    the raster that it touches, ascending, what is covered of these, whether what follows is, and
+    whether rows begin covered."""
+
+    shape: tuple[int, int]
+    cell: np.ndarray
+    share: np.ndarray
+    after: np.ndarray
+    before: bool
+
+    @classmethod
+    def of(cls, view: View) -> "_Coverage":
+        pixels = view.pixels
+        H, W = int(pixels.level.H), int(pixels.level.W)
+        cell, share, after = map(np.asarray, (pixels.cell, pixels.coverage, pixels.covered_after))
+        used = np.flatnonzero(cell < H * (W + 2))
+        share = share[used].astype(float)
+        return cls((H, W), cell[used], share, after[used], bool(pixels.covered_before))
+
+    def at(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Return the coverage of pixels."""
+        cell = row * (self.shape[1] + 2) + column + 1
+        last = np.searchsorted(self.cell, cell, side="right") - 1
+        if not self.cell.size:
+            return np.full(cell.shape, float(self.before))
+        touched = (last >= 0) & (self.cell[last] == cell)
+        return np.where(touched, self.share[last], self._covered(last, row))
+
+    def begins(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Return whether what comes just before pixels in their rows is covered."""
+        cell = row * (self.shape[1] + 2) + column + 1
+        return self._covered(np.searchsorted(self.cell, cell) - 1, row)
+
+    def changes(self) -> np.ndarray:
+        """Return by how much (-1, 0 or 1) what follows each touched cell differs from what comes
+        before it."""
+        row = self.cell // (self.shape[1] + 2)
+        before = self._covered(np.arange(len(row)) - 1, row)
+        return self.after.astype(np.int8) - before.astype(np.int8)
+
+    def _covered(self, last: np.ndarray, row: np.ndarray) -> np.ndarray:
+        """Return whether what follows the last touched cells is covered, in rows: these may begin
+        later."""
+        same = (last >= 0) & (self.cell[last] // (self.shape[1] + 2) == row)
+        return np.where(same, self.after[last], self.before)
+
+
+def _differing(
+    outline: np.ndarray, coverage: _Coverage, target: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return pixels (k, 2) about those (P, 2) of an outline where a target (H, W), row 0 at the
+    bottom, is not what is covered, and by how much it is more.
+
+    What is looked at are blocks about the outline: `nearby` asks for no more.
+    """
+    (H, W), side = coverage.shape, int(NEAREST)
+    around = np.zeros((H // side + 3, W // side + 3), bool)
+    for down, aside in np.ndindex(3, 3):
+        around[outline[:, 0] // side + down, outline[:, 1] // side + aside] = True
+    around = around[1:-1, 1:-1]
+    block = np.full(around.shape, -1)
+    corner = side * np.argwhere(around)
+    block[around] = np.arange(len(corner))
+    step = np.arange(side)
+    row, column = np.broadcast_arrays(
+        (corner[:, :1] + step)[..., None], (corner[:, 1:] + step)[:, None]
+    )
+    inside = (row < H) & (column < W)
+    image = shares(target[np.minimum(row, H - 1), np.minimum(column, W - 1)])
+
+    # In each block's row, what it begins with, and what changes in it.
+    change = np.zeros((len(corner), side, side + 1), np.int8)
+    change[..., 0] = coverage.begins(row[..., 0], column[..., 0])
+    place = np.column_stack(np.divmod(coverage.cell, W + 2)) - [0, 1]
+    some = (place[:, 1] >= 0) & (place[:, 1] < W)
+    place, share, steps = place[some], coverage.share[some], coverage.changes()[some]
+    of = block[tuple((place // side).T)]
+    some = of >= 0
+    of, (r, c) = of[some], (place[some] % side).T
+    change[of, r, c + 1] = steps[some]
+    covered = np.cumsum(change, axis=-1, dtype=np.int8)[..., :-1].astype(float)
+    covered[of, r, c] = share[some]
+
+    missing = np.where(inside, image - covered, 0)
+    differs = np.abs(missing) > HIDDEN
+    return np.column_stack([row[differs], column[differs]]), missing[differs]
+
+
+def _weights_at(weights: Weights, window: Window, place: np.ndarray, H: int) -> np.ndarray:
+    """Return the weights of a film of so many rows at a window's pixels (k, 2), rows from the
+    bottom."""
+    row, column = place.T
+    return weights_at(weights, H - 1 - window.bottom - row, column + window.left)
 
 
 def coverage_of(view: View) -> np.ndarray:
