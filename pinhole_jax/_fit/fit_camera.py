@@ -20,14 +20,16 @@ from .moves import Bounds, canonical
 from .outline_errors import OutlineErrors
 from .parameters import check_free, focal_is_free, in_one, with_lens
 from .photo import check_photo, on_photo
-from .places import Free, at
+from .places import Free, Places, at
 from .priors import Prior, bounds_of, prior_of
+from .problem import View
 from .residuals import Sums
 from .result import Fit, Known, Progress, progress_at, report, with_modes
 from .solver import Found, Solver, Stop
 from .strategy import (
     EXACT,
     everywhere,
+    from_descent,
     from_start,
     most_agreeing,
     to_the_end,
@@ -101,8 +103,7 @@ def fit_camera(
     """
     check_scene(scene)
     check_steps(max_steps)
-    if outlier_px is not None and not outlier_px > 0:
-        raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
+    check_reach(outlier_px)
     if camera is not None:
         check_camera(camera)
         check_alone("camera", phi=phi, lens=lens)
@@ -121,7 +122,7 @@ def fit_camera(
 
     known = prior_of(prior, base, names), bounds_of(bounds, base, names)
     picture = None if photo is None else check_photo(photo, base.W, base.H)
-    settings = _Settings(outlier_px, max_steps, progress, *known, record, picture)
+    settings = Settings(outlier_px, max_steps, progress, *known, record, picture)
     inputs = (scene, target, weight)
     concrete = is_concrete(*jax.tree.leaves(inputs))
     if concrete:
@@ -137,6 +138,12 @@ def check_steps(max_steps: Any) -> None:
     """Raise ValueError unless this is a number of steps."""
     if not isinstance(max_steps, int | np.integer) or max_steps < 1:
         raise ValueError(f"`max_steps`: expected an integer of at least 1, got {max_steps!r}")
+
+
+def check_reach(outlier_px: Any) -> None:
+    """Raise ValueError unless this is a distance in px, or None."""
+    if outlier_px is not None and not outlier_px > 0:
+        raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
 
 
 def check_alone(given: str, **others: Any) -> None:
@@ -177,33 +184,24 @@ def _is_within(scene: Scene, camera: Camera) -> bool:
     return bool(np.all(before) and np.all((seen > 0) & (seen < [camera.W, camera.H])))
 
 
-class _Settings(NamedTuple):
+class Settings(NamedTuple):
+    """What `fit_camera` is asked for, beside what is fitted."""
+
     outlier_px: float | None
     max_steps: int
-    progress: Callable[[Progress], None] | None
-    prior: Prior | None
-    bounds: Bounds | None
-    record: bool
-    photo: np.ndarray | None
+    progress: Callable[[Progress], None] | None = None
+    prior: Prior | None = None
+    bounds: Bounds | None = None
+    record: bool = False
+    photo: np.ndarray | None = None
 
 
 def _fit(
-    scene: Scene, mask: Mask, anywhere: bool, names: tuple[str, ...], settings: _Settings
+    scene: Scene, mask: Mask, anywhere: bool, names: tuple[str, ...], settings: Settings
 ) -> tuple[Fit, Callable[[], np.ndarray]]:
     """Return the fit, and a function that gives the weights of the pixels that decided."""
     base = mask.camera
-    solver = Solver(
-        scene,
-        mask.target,
-        mask.weight,
-        base.e.dtype,
-        names,
-        settings.max_steps,
-        settings.bounds,
-        settings.prior,
-        settings.record,
-        continued=settings.outlier_px is not None,
-    )
+    solver = _solver(scene, mask, names, settings)
 
     def told(stop: Stop) -> None:
         if settings.progress is not None:
@@ -213,6 +211,45 @@ def _fit(
     places = (
         everywhere(solver, mask, told) if start is None else from_start(solver, mask, start, told)
     )
+    return _described(solver, mask, places, start, settings)
+
+
+def fit_descended(
+    scene: Scene,
+    mask: Mask,
+    names: tuple[str, ...],
+    settings: Settings,
+    before: View,
+    found: Found,
+) -> Fit | None:
+    """Return the fit of a mask from its camera, where the descent from there has been taken: the
+    view `before` it, and what it `found`. None where that is no less than there was."""
+    solver, start = _solver(scene, mask, names, settings), canonical(mask.camera)
+    places = from_descent(solver, mask, start, before, found, lambda stop: None)
+    return None if places is None else _described(solver, mask, places, start, settings)[0]
+
+
+def _solver(scene: Scene, mask: Mask, names: tuple[str, ...], settings: Settings) -> Solver:
+    return Solver(
+        scene,
+        mask.target,
+        mask.weight,
+        mask.camera.e.dtype,
+        names,
+        settings.max_steps,
+        settings.bounds,
+        settings.prior,
+        settings.record,
+        continued=settings.outlier_px is not None,
+    )
+
+
+def _described(
+    solver: Solver, mask: Mask, places: Places, start: Camera | None, settings: Settings
+) -> tuple[Fit, Callable[[], np.ndarray]]:
+    """Return the fit that places lead to, and a function that gives the weights of the pixels that
+    decided."""
+    base, names = mask.camera, solver.names
     found = [places.best, *places.others]
     trust = lambda: mask.weight
     reach, free = settings.outlier_px, places.free

@@ -20,7 +20,7 @@ from .._scene.scene import (
     padded,
     with_or_without_border,
 )
-from .kinds import kind_of
+from .kinds import Kind, kind_of
 from .moves import Bounds, Move, moved
 from .outline_errors import OutlineErrors, is_drawn, outline_errors
 from .priors import Others, Prior, no_others
@@ -72,6 +72,20 @@ def onward(before: Found, after: Found) -> Found:
     return after._replace(steps=steps, way=way)
 
 
+def last_px(kind: Kind, dtype: Any, continued: bool) -> float:
+    """Return what step (px) is negligible on the finest level. What is `continued` on fewer pixels,
+    as any mask that is not exact, moves by more then."""
+    return CONTINUED_PX if continued and not kind.exact else FINE_PX[np.dtype(dtype)]
+
+
+def explained_by(kind: Kind, levels: list[Level], dtype: Any) -> list[Level]:
+    """Return levels that know what residual a mask's kind explains, where it says so."""
+    if not kind.exact:
+        return levels
+    explained = np.asarray(OFF_TIMES * kind.variance**0.5, dtype)
+    return [level._replace(explained=explained) for level in levels]
+
+
 class _Asked(NamedTuple):
     """What a pyramid is made of."""
 
@@ -116,9 +130,7 @@ class Solver:
         image = shares(self.window.of(target))
         self.capacity = first_room(scene, image)
         self.kind = kind_of(self.window.of(target), self.window.of(weights), dtype)
-        #: What is `continued` on fewer pixels, as any mask that is not exact, moves by more then.
-        rough = continued and not self.kind.exact
-        self.fine_px = CONTINUED_PX if rough else FINE_PX[self.dtype]
+        self.fine_px = last_px(self.kind, self.dtype, continued)
         self.weigh(weights)
 
     def weigh(
@@ -144,9 +156,7 @@ class Solver:
             size = (levels.target.size // LEAST_CELLS).bit_length() // 2
             pieces = max(self.capacity.pieces, LEAST_ROOM.pieces * ROOMIER**size)
             self.capacity = self.capacity._replace(pieces=pieces)
-        if self.kind.exact:
-            explained = np.asarray(OFF_TIMES * self.kind.variance**0.5, self.dtype)
-            self.levels = [level._replace(explained=explained) for level in self.levels]
+        self.levels = explained_by(self.kind, self.levels, self.dtype)
         seen = self.levels[-1].window().of(weights)
         whole = weights.size * weights[0, 0] if weights.strides == (0, 0) else np.sum(weights)
         self._beside = float(whole - np.sum(seen))

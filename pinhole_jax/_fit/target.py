@@ -266,6 +266,20 @@ def pyramid(
     level); None is all. There is room for `least` cells, or for the next of few sizes. Where
     `only_finest` is asked for, the last level stands alone, in the same room.
     """
+    flat, levels = pyramid_of(target, weight, dtype, coarsest_px, window, least, only_finest)
+    return Pyramid(*jax.device_put([*flat])), levels
+
+
+def pyramid_of(
+    target: np.ndarray,
+    weight: np.ndarray,
+    dtype: Any,
+    coarsest_px: int = 16,
+    window: Window | None = None,
+    least: int = LEAST_CELLS,
+    only_finest: bool = False,
+) -> tuple[Pyramid, list[Level]]:
+    """Return `pyramid`'s on the host: arrays of NumPy."""
     H, W = target.shape
     window = window or Window(0, 0, W, H)
     rows, columns = (np.flatnonzero(np.any(window.of(target) > 0.5, axis=k)) for k in (1, 0))
@@ -300,7 +314,7 @@ def pyramid(
         rest = np.array(level == 0), real(np.inf)
         levels.append(Level(integer(start), integer(w), integer(h), origin, scale, *rest))
         start += size
-    return Pyramid(*jax.device_put([*flat])), levels
+    return Pyramid(*flat), levels
 
 
 def _aligned_zeros(shape: tuple[int, int], dtype: Any) -> np.ndarray:
