@@ -127,7 +127,7 @@ def test_words(scene, masks):
         "`cameras`: expected cameras in a list, got int": (scene, masks, 3),
         "mask 1: `target`: expected a mask that covers": (
             scene,
-            [masks[0], 0 * masks[0]],
+            [masks[0], empty],
             STARTS[:2],
         ),
         "that all have a mesh or none": (
