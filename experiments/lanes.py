@@ -19,6 +19,9 @@ from pinhole_jax._fit import fit_lanes as lanes
 
 SIZE, SUBDIVISIONS, OFF_DEGREES = 64, 2, 8.0
 NUMBERS = (1, 4, 16, 64, 256, 1024, 4096)
+#: Up to so many lanes are fitted several times, the first not counted; on a device that takes more
+#: at a time, `--warm` says how many.
+WARM = 16
 #: So many are fitted alone, too: for what that takes, and to compare the cameras.
 ALONE = 16
 
@@ -28,6 +31,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--most", type=int, default=NUMBERS[-1])
     parser.add_argument("--hard", action="store_true", help="masks of zeros and ones")
+    parser.add_argument("--warm", type=int, default=WARM)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     jax.config.update("jax_enable_x64", True)
@@ -42,7 +46,7 @@ def main() -> None:
     }
     path = options.out / ("lanes_hard.json" if options.hard else "lanes.json")
     for number in numbers:
-        answer["curve"].append(row(scene, masks[:number], starts[:number]))
+        answer["curve"].append(row(scene, masks[:number], starts[:number], options.warm))
         print(json.dumps(answer["curve"][-1]), flush=True)
         path.write_text(json.dumps(answer, indent=1) + "\n")
     print(json.dumps(answer["alone"]))
@@ -72,30 +76,33 @@ def timed(call) -> tuple[float, float, object]:
     return time.perf_counter() - begin, time.process_time() - used, result
 
 
-def row(scene: pj.Scene, masks: np.ndarray, starts: list[pj.Camera]) -> dict:
+def row(scene: pj.Scene, masks: np.ndarray, starts: list[pj.Camera], warm: int) -> dict:
     """Return what so many lanes take, once all is compiled, and what becomes of them."""
     count, spent = len(starts), []
-    descend = lanes._descend
+    descend = lanes.descend
 
     def counted(*arguments, **named):
         seconds, used, result = timed(lambda: descend(*arguments, **named))
         spent.append((seconds, used))
         return result
 
-    lanes._descend = counted
+    fit = lambda: lanes.fit_lanes(scene, masks, starts)
+    first = timed(fit)[0] if count <= warm else None  # compiles; on a CPU more are the same again
+    lanes.descend = counted
     try:
-        first, *_ = timed(lambda: lanes.fit_lanes(scene, masks, starts))
-        times = 3 if count <= 64 else 1
-        runs = [timed(lambda: lanes.fit_lanes(scene, masks, starts)) for _ in range(times)]
+        runs = []
+        for _ in range(3 if count <= warm else 1):
+            spent.clear()
+            runs.append((*timed(fit), np.sum(spent, axis=0)))
     finally:
-        lanes._descend = descend
-    seconds, used, found = min(runs, key=lambda r: r[1])
+        lanes.descend = descend
+    seconds, used, found, down = min(runs, key=lambda r: r[1])
     return {
         "lanes": count,
         "lanes a second": count / seconds,
         "processor ms a lane": 1e3 * used / count,
-        "of it in descents": 1e3 * min(x[1] for x in spent[1:]) / count,
-        "seconds in descents": min(x[0] for x in spent[1:]),
+        "of it in descents": 1e3 * down[1] / count,
+        "seconds in descents": down[0],
         "seconds the first time": first,
         "statuses": Counter(fit.status for fit in found.fits),
         "alone": sum(map(bool, found.alone)),

@@ -124,7 +124,6 @@ def test_words(scene, masks):
         "`scene`: expected one for each of 2 cameras, got 1": ([scene], masks[:2], STARTS[:2]),
         "`cameras`: expected a list, or a Camera whose arrays": (scene, masks, one),
         "`cameras`: expected at least one, got none": (scene, masks[:0], []),
-        "`cameras`: expected cameras in a list, got int": (scene, masks, 3),
         "mask 1: `target`: expected a mask that covers": (
             scene,
             [masks[0], empty],

@@ -36,8 +36,9 @@ from .target import (
 
 #: Lanes of a program: few sizes, since each is compiled.
 BUCKETS = (1, 4, 16, 64, 256, 1024, 4096)
-#: Lanes at a time at most: on a CPU more are no faster, and take more memory.
-TOGETHER = {"cpu": 64}
+#: Lanes at a time at most: on a CPU more wait for one another, and are no faster. (Of 64 lanes,
+#: masks of 64 px: 20 ms of the processor each in steps of 16, 35 ms in steps of 64.)
+TOGETHER = {"cpu": 16}
 #: Buffers of a lane are one of few sizes, from these on, each twice as large; its pyramid's cells
 #: four times.
 LEAST_EDGES, LEAST_PIECES, LEAST_CELLS = 64, 128, 1 << 12
@@ -52,6 +53,27 @@ class Lanes(NamedTuple):
 
     fits: tuple[Fit, ...]
     alone: tuple[str, ...]
+
+
+@dataclass
+class _OfMask:
+    """A lane on the host: its scene, mask and start; its pyramid, and how its mask is explained;
+    where it is, and where each level ended; why it is to go alone."""
+
+    scene: Scene
+    mask: Mask
+    start: Camera
+    weight: Any
+    target: Any
+    levels: list[Level] = field(default_factory=list)
+    pyramid: Any = None
+    fine_px: float = 0.0
+    unit: Any = None
+    before: Any = None
+    view: Any = None
+    stops: list[Stop] = field(default_factory=list)
+    ended: bool = False
+    alone: str = ""
 
 
 def fit_lanes(
@@ -115,9 +137,29 @@ def fit_lanes(
             raise with_number(error) from None
         mask = Mask(levelled(image, weighed), weighed, base)
         lanes.append(_OfMask(one, mask, start, weight, target))
-    _descend(lanes, names, settings, shared=isinstance(scene, Scene))
-    fits = [_finished(lane, names, settings) for lane in lanes]
-    return Lanes(tuple(fits), tuple(lane.alone for lane in lanes))
+    rigs, capacity = _rigs(scenes, starts[0].e.dtype), _room(lanes)
+    fits, alone = [], []
+    most = TOGETHER.get(jax.default_backend(), BUCKETS[-1])
+    while lanes:
+        some, lanes = lanes[:most], lanes[most:]  # (what is done with lets its views go)
+        descend(some, rigs, names, settings, capacity, shared=isinstance(scene, Scene))
+        fits += [_finished(lane, names, settings) for lane in some]
+        alone += [lane.alone for lane in some]
+    return Lanes(tuple(fits), tuple(alone))
+
+
+def descend(
+    lanes: list[_OfMask],
+    rigs: dict[int, Rig],
+    names: tuple[str, ...],
+    settings: Settings,
+    capacity: Capacity,
+    shared: bool,
+) -> None:
+    """Bring lanes down their levels, and look at where they end."""
+    for lane in lanes:
+        _prepare(lane, settings)
+    _Descent(lanes, rigs, names, settings.max_steps, capacity, shared).run()
 
 
 def _listed(cameras: Any) -> list[Camera]:
@@ -144,27 +186,6 @@ def _listed(cameras: Any) -> list[Camera]:
     return [*cameras]
 
 
-@dataclass
-class _OfMask:
-    """A lane on the host: its scene, mask and start; its pyramid, and how its mask is explained;
-    where it is, and where each level ended; why it is to go alone."""
-
-    scene: Scene
-    mask: Mask
-    start: Camera
-    weight: Any
-    target: Any
-    levels: list[Level] = field(default_factory=list)
-    pyramid: Pyramid | None = None
-    fine_px: float = 0.0
-    unit: Any = None
-    before: View | None = None
-    view: View | None = None
-    stops: list[Stop] = field(default_factory=list)
-    ended: bool = False
-    alone: str = ""
-
-
 def _finished(lane: _OfMask, names: tuple[str, ...], settings: Settings) -> Fit:
     """Return the fit that a lane's descent leads to; from its start, if it cannot be trusted."""
     if not lane.alone:
@@ -185,26 +206,16 @@ def _finished(lane: _OfMask, names: tuple[str, ...], settings: Settings) -> Fit:
     )
 
 
-def _descend(
-    lanes: list[_OfMask], names: tuple[str, ...], settings: Settings, shared: bool
-) -> None:
-    """Bring lanes down their levels, some at a time, and look at where they end."""
-    dtype = lanes[0].start.e.dtype
-    different = list({id(lane.scene): lane.scene for lane in lanes}.values())
+def _rigs(scenes: list[Scene], dtype: Any) -> dict[int, Rig]:
+    """Return the rigs of scenes (by their identity), all of one size."""
+    different = list({id(scene): scene for scene in scenes}.values())
     filled = filled_alike([astype(scene, dtype) for scene in different])
     rigs = {}
     for scene, alike in zip(different, filled, strict=True):
         ball = ball_about(np.asarray(bounding_box(scene), float))
-        rigs[id(scene)] = Rig(alike, *(np.asarray(x, dtype) for x in ball))
-    for lane in lanes:
-        _prepare(lane, settings)
-    capacity = _room(lanes)
-    most = TOGETHER.get(jax.default_backend(), BUCKETS[-1])
-    for first in range(0, len(lanes), most):
-        some = lanes[first : first + most]
-        _Descent(some, rigs, names, settings.max_steps, capacity, shared).run()
-        for lane in some:
-            lane.pyramid = None  # (thousands of these are memory)
+        where: Any = [np.asarray(x, dtype) for x in ball]
+        rigs[id(scene)] = Rig(alike, *where)
+    return rigs
 
 
 def _prepare(lane: _OfMask, settings: Settings) -> None:
@@ -240,7 +251,8 @@ class _Descent:
 
     def __init__(self, lanes, rigs, names, max_steps: int, capacity: Capacity, shared: bool):
         self.lanes, self.names, self.capacity = lanes, names, capacity
-        self.max_steps, self.dtype = np.int32(max_steps), lanes[0].start.e.dtype
+        self.max_steps: Any = np.int32(max_steps)
+        self.dtype = lanes[0].start.e.dtype
         cells = max(lane.pyramid.target.size for lane in lanes)
         self.shared = shared
         if shared:
@@ -277,7 +289,7 @@ class _Descent:
 
     def _level(self, going: list[_OfMask], depth: int) -> None:
         """Bring lanes to the end of a level: some steps, then those that are done are dropped."""
-        zero = self.dtype.type(1), np.int32(0), np.False_, np.False_
+        zero: Any = self.dtype.type(1), np.int32(0), np.False_, np.False_
         states = {id(lane): Lane(lane.unit, *zero) for lane in going}
         todo = going
         while todo:
@@ -286,7 +298,7 @@ class _Descent:
             todo = [lane for lane in todo if not states[id(lane)].done]
         for lane in going:
             state = states[id(lane)]
-            lane.unit, lane.ended = state.camera, int(state.steps) < self.max_steps
+            lane.unit, lane.ended = state.camera, bool(state.steps < self.max_steps)
             lane.stops.append(Stop(lane.unit, lane.levels[-depth], int(state.steps)))
             if state.overflow:
                 lane.alone = "a view on the way outgrows the buffers"
@@ -294,11 +306,11 @@ class _Descent:
     def _steps(self, todo: list[_OfMask], states: dict[int, Lane], depth: int) -> Iterator[Lane]:
         """Yield the lanes' states after some steps."""
         some = self._filled_up(todo)
-        px = [lane.fine_px if depth == 1 else COARSE_PX for lane in some]
+        px: Any = [lane.fine_px if depth == 1 else COARSE_PX for lane in some]
         state = _stacked([states[id(lane)] for lane in some])
         given = self._given(some), _stacked([x.levels[-depth] for x in some])
-        end = np.asarray(px, self.dtype), self.max_steps, self.names, self.capacity
-        found = descended(state, *given, *end)
+        px = np.asarray(px, self.dtype)
+        found: Any = descended(state, *given, px, self.max_steps, self.names, self.capacity)
         return _unstacked(found, len(todo))
 
     def _look(self, name: str) -> None:
