@@ -8,7 +8,9 @@ import argparse
 import json
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -69,7 +71,7 @@ def made(count: int, hard: bool) -> tuple[pj.Scene, np.ndarray, list[pj.Camera]]
     return scene, np.stack(masks), starts
 
 
-def timed(call) -> tuple[float, float, object]:
+def timed(call: Callable[[], Any]) -> tuple[float, float, Any]:
     """Return the seconds that a call takes, those of the processor, and its result."""
     begin, used = time.perf_counter(), time.process_time()
     result = call()

@@ -147,4 +147,4 @@ def test_words(scene, masks):
     with pytest.raises(ValueError, match="`max_steps`: expected an integer"):
         pj.fit_lanes(scene, masks, STARTS, max_steps=0)
     with pytest.raises(ValueError, match="`outlier_px`: expected a positive"):
-        pj.fit_lanes(scene, masks, STARTS, outlier_px=-1)
+        pj.fit_lanes(scene, masks, STARTS, outlier_px=-1.0)

@@ -219,12 +219,13 @@ def fit_descended(
     mask: Mask,
     names: tuple[str, ...],
     settings: Settings,
+    start: Camera,
     before: View,
     found: Found,
 ) -> Fit | None:
-    """Return the fit of a mask from its camera, where the descent from there has been taken: the
-    view `before` it, and what it `found`. None where that is no less than there was."""
-    solver, start = _solver(scene, mask, names, settings), canonical(mask.camera)
+    """Return the fit of a mask from a start (canonical), where the descent from there has been
+    taken: the view `before` it, and what it `found`. None where that is no less than there was."""
+    solver = _solver(scene, mask, names, settings)
     places = from_descent(solver, mask, start, before, found, lambda stop: None)
     return None if places is None else _described(solver, mask, places, start, settings)[0]
 

@@ -191,7 +191,8 @@ def _finished(lane: _OfMask, names: tuple[str, ...], settings: Settings) -> Fit:
     if not lane.alone:
         steps = tuple(stop.steps for stop in lane.stops[1:])
         found = Found(lane.unit, lane.view, steps, tuple(lane.stops), lane.ended)
-        fit = fit_descended(lane.scene, lane.mask, names, settings, lane.before, found)
+        way = lane.stops[0].unit, lane.before, found
+        fit = fit_descended(lane.scene, lane.mask, names, settings, *way)
         if fit is not None and fit.status not in ("max_steps", "non_finite"):
             return fit
         lane.alone = "the descent did not come to rest, or led to nothing better than the start"
