@@ -224,7 +224,7 @@ def fit_descended(
     found: Found,
 ) -> Fit | None:
     """Return the fit of a mask from a start (canonical), where the descent from there has been
-    taken: the view `before` it, and what it `found`. None where that is no less than there was."""
+    taken: the view `before` it, and what it `found`. None where `from_descent` has none."""
     solver = _solver(scene, mask, names, settings)
     places = from_descent(solver, mask, start, before, found, lambda stop: None)
     return None if places is None else _described(solver, mask, places, start, settings)[0]

@@ -195,7 +195,7 @@ def _finished(lane: _OfMask, names: tuple[str, ...], settings: Settings) -> Fit:
         fit = fit_descended(lane.scene, lane.mask, names, settings, *way)
         if fit is not None and fit.status not in ("max_steps", "non_finite"):
             return fit
-        lane.alone = "the descent did not come to rest, or led to nothing better than the start"
+        lane.alone = "the descent did not come to rest, left the window, or led to nothing better"
     return fit_camera(
         lane.scene,
         lane.target,

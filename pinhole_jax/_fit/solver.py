@@ -310,16 +310,23 @@ class Solver:
 
     def _widen(self, unit: Camera) -> None:
         """Look at the whole film from now on if a camera may show the scene beside the window."""
-        H, W = self._target.shape
-        if self.window == (0, 0, W, H):
+        if self.holds(unit):
             return
-        if unit.lens is None or unit.lens.distortion is None:
-            x, y, z = on_film_plane(unit, self._corners).T
-            shown = H * np.stack([x / z, y / z], axis=-1)
-            if np.all(z > 0) and self.window.holds(shown, W, H):
-                return
+        H, W = self._target.shape
         self.window = Window(0, 0, W, H)
         self.weigh(self._weights, only_finest=self._only_finest)
+
+    def holds(self, unit: Camera) -> bool:
+        """Return whether a camera shows nothing of the scene beside the window, as far as a box
+        about it tells."""
+        H, W = self._target.shape
+        if self.window == (0, 0, W, H):
+            return True
+        if unit.lens is not None and unit.lens.distortion is not None:
+            return False
+        x, y, z = on_film_plane(unit, self._corners).T
+        shown = H * np.stack([x / z, y / z], axis=-1)
+        return bool(np.all(z > 0) and self.window.holds(shown, W, H))
 
     def move(self, unit: Camera, level: int) -> Move:
         """Return where moves of a camera start, in the solver's units."""

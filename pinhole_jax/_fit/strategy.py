@@ -95,7 +95,9 @@ def from_descent(
 ) -> Places | None:
     """Return what explains the mask best, as `from_start` does, where the descent from the start
     has been taken elsewhere: what it `found`, and the view `before` it. None where it did not lead
-    to less than there was."""
+    to less than there was, or shows more than the window."""
+    if not (solver.holds(start) and solver.holds(found.unit)):
+        return None
     found = found._replace(view=solver.look(found.unit, solver.finest, found.view))
     if not found.view.squares <= before.squares:
         return None
