@@ -39,8 +39,8 @@ BUCKETS = (1, 4, 16, 64, 256, 1024, 4096)
 #: Lanes at a time at most: on a CPU more wait for one another, and are no faster. (Of 64 lanes,
 #: masks of 64 px: 20 ms of the processor each in steps of 16, 35 ms in steps of 64.)
 TOGETHER = {"cpu": 16}
-#: Buffers of a lane are one of few sizes, from these on, each twice as large; its pyramid's cells
-#: four times.
+#: Buffers of a lane are one of few sizes, from these on, each twice as large, and its pyramid's
+#: cells.
 LEAST_EDGES, LEAST_PIECES, LEAST_CELLS = 64, 128, 1 << 12
 
 
@@ -138,11 +138,13 @@ def fit_lanes(
         mask = Mask(levelled(image, weighed), weighed, base)
         lanes.append(_OfMask(one, mask, start, weight, target))
     rigs, capacity = _rigs(scenes, starts[0].e.dtype), _room(lanes)
+    cells = _cells(lanes)
     fits, alone = [], []
     most = TOGETHER.get(jax.default_backend(), BUCKETS[-1])
     while lanes:
         some, lanes = lanes[:most], lanes[most:]  # (what is done with lets its views go)
-        descend(some, rigs, names, settings, capacity, shared=isinstance(scene, Scene))
+        room = cells, capacity, isinstance(scene, Scene)
+        descend(some, rigs, names, settings, *room)
         fits += [_finished(lane, names, settings) for lane in some]
         alone += [lane.alone for lane in some]
     return Lanes(tuple(fits), tuple(alone))
@@ -153,12 +155,13 @@ def descend(
     rigs: dict[int, Rig],
     names: tuple[str, ...],
     settings: Settings,
+    cells: int,
     capacity: Capacity,
     shared: bool,
 ) -> None:
     """Bring lanes down their levels, and look at where they end."""
     for lane in lanes:
-        _prepare(lane, settings)
+        _prepare(lane, settings, cells)
     _Descent(lanes, rigs, names, settings.max_steps, capacity, shared).run()
 
 
@@ -219,15 +222,31 @@ def _rigs(scenes: list[Scene], dtype: Any) -> dict[int, Rig]:
     return rigs
 
 
-def _prepare(lane: _OfMask, settings: Settings) -> None:
+def _prepare(lane: _OfMask, settings: Settings, cells: int) -> None:
     """Work out a lane's levels, as a fit alone does."""
     target, weights, dtype = lane.mask.target, lane.mask.weight, lane.mask.camera.e.dtype
     window = object_window(target)
     kind = kind_of(window.of(target), window.of(weights), dtype)
     lane.fine_px = last_px(kind, dtype, settings.outlier_px is not None)
-    lane.pyramid, levels = pyramid_of(target, weights, dtype, window=window, least=LEAST_CELLS)
+    lane.pyramid, levels = pyramid_of(target, weights, dtype, window=window, least=cells)
     lane.levels = explained_by(kind, levels, dtype)
     lane.unit = jax.tree.map(np.asarray, canonical(lane.mask.camera))
+
+
+def _cells(lanes: list[_OfMask]) -> int:
+    """Return room for any mask's pyramid: it depends on their size alone, so that all lanes share
+    programs."""
+    H, W = np.max([lane.mask.target.shape for lane in lanes], axis=0).tolist()
+    cells = 0
+    while H > 1 and W > 1:
+        cells += H * (W + 2) + 1
+        H, W = -(-H // 2), -(-W // 2)
+    return _grown(LEAST_CELLS, cells)
+
+
+def _grown(least: int, need: int) -> int:
+    """Return the first of sizes that double that is no less than needed; 1 for nothing."""
+    return least << max(-(-need // least) - 1, 0).bit_length() if need else 1
 
 
 def _room(lanes: list[_OfMask]) -> Capacity:
@@ -242,9 +261,8 @@ def _room(lanes: list[_OfMask]) -> Capacity:
             pieces = max(pieces, int(1.25 * np.max(number + length * extent)))
         if spheres is not None:
             arcs = max(arcs, int(4 * extent) + 8 * len(spheres.radii))
-    grown = lambda least, need: least << max(-(-need // least) - 1, 0).bit_length() if need else 1
-    arc = grown(LEAST_PIECES, arcs)
-    return Capacity(grown(LEAST_EDGES, edges), grown(LEAST_PIECES, pieces), arc, arc)
+    arc = _grown(LEAST_PIECES, arcs)
+    return Capacity(_grown(LEAST_EDGES, edges), _grown(LEAST_PIECES, pieces), arc, arc)
 
 
 class _Descent:
