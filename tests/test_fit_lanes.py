@@ -134,7 +134,7 @@ def test_words(scene, masks):
             masks[:2],
             STARTS[:2],
         ),
-        "`scene`: expected a Scene, got": ([scene, 3], masks[:2], STARTS[:2]),
+        "with a mesh or spheres, got an empty": ([scene, pj.Scene()], masks[:2], STARTS[:2]),
         "lenses and float types that are alike": (
             scene,
             masks[:2],
