@@ -1,7 +1,8 @@
 """What do many fits cost, and what do they survive: killed workers and parents, clusters, shards?
 
 Makes a data set as BOP's lie on disk (three shapes, hard masks of 256 px, starts some degrees off),
-fits it by each engine, stops runs at random places and resumes them. `--items` says how many.
+fits it by each engine, stops runs at random places and resumes them. `--items` says how many,
+`--size` and `--faces` how large each is.
 """
 
 import argparse
@@ -21,7 +22,6 @@ from pathlib import Path
 
 import numpy as np
 
-SIZE = 256
 #: Radius of the shapes, and how far the cameras are (mm).
 RADIUS, NEAR, FAR = 100.0, 500.0, 650.0
 #: Starts are off by so many degrees.
@@ -34,6 +34,9 @@ def main() -> None:
     parser.add_argument("--items", type=int, default=1000)
     parser.add_argument("--rates", type=int, default=200, help="items of each row of the table")
     parser.add_argument("--only", choices=("engines", "rates", "memory"), action="append")
+    parser.add_argument("--size", type=int, default=256, help="of the masks, in px")
+    parser.add_argument("--faces", type=int, default=5120, help="of the largest shapes")
+    parser.add_argument("--fitted", type=int, default=10_000, help="items of the memory's row")
     parser.add_argument("--run", help=argparse.SUPPRESS)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
@@ -41,20 +44,21 @@ def main() -> None:
     if options.run is not None:
         run(data / "test", **json.loads(options.run))
         return
-    make(data, options.items)
+    make(data, options.items, options.size, options.faces)
     path = options.out / "batch.json"
     answer = json.loads(path.read_text()) if path.exists() else {}
     asked = options.only or ("engines", "rates", "memory")
     for name in asked:
-        count = options.rates if name == "rates" else options.items
-        answer[name] = {"engines": engines, "rates": rates, "memory": memory}[name](
-            options.out, count
-        )
+        count = {"engines": options.items, "rates": options.rates, "memory": options.fitted}[name]
+        ask = {"engines": engines, "rates": rates, "memory": memory}[name]
+        inputs = {"mask (px)": options.size, "faces": options.faces}
+        found = ask(options.out, count)
+        answer[name] = found if name == "rates" else inputs | found
         path.write_text(json.dumps(answer, indent=1) + "\n")
         print(json.dumps(answer[name], indent=1))
 
 
-def make(folder: Path, count: int) -> None:
+def make(folder: Path, count: int, size: int, faces: int) -> None:
     """Write a data set of so many pictures, each of one object; 100 to a scene."""
     import jax
 
@@ -62,12 +66,14 @@ def make(folder: Path, count: int) -> None:
     import pinhole_jax as pj
     from pinhole_jax import formats, io
 
-    if (folder / "count").is_file() and (folder / "count").read_text() == str(count):
+    made = f"{count} of {size} px, {faces} faces"
+    if (folder / "count").is_file() and (folder / "count").read_text() == made:
         return
+    finest = round(np.log2(faces / 20) / 2)  # an icosahedron's faces, in four at each level
     seed = np.random.default_rng(0)
     shapes, draw = [], jax.jit(pj.silhouette)
     (folder / "models").mkdir(parents=True, exist_ok=True)
-    for number, fine in enumerate((4, 4, 3), 1):
+    for number, fine in enumerate((finest, finest, finest - 1), 1):
         mesh = pj.shapes.bumpy(fine)
         points = RADIUS * np.asarray(mesh.vertices) * [1 + 0.15 * number, 1, 1]
         write_ply(folder / "models" / f"obj_{number:06d}.ply", points, np.asarray(mesh.faces))
@@ -80,9 +86,8 @@ def make(folder: Path, count: int) -> None:
             number = int(seed.integers(len(shapes)))
             eye = seed.normal(size=3)
             eye *= seed.uniform(NEAR, FAR) / np.linalg.norm(eye)
-            camera = pj.Camera(
-                eye, 8 * seed.normal(size=3), seed.normal(size=3), 0.6, 1.0, SIZE, SIZE
-            )
+            aim, up = 8 * seed.normal(size=3), seed.normal(size=3)
+            camera = pj.Camera(eye, aim, up, 0.6, 1.0, size, size)
             mask = np.asarray(draw(camera, shapes[number])) > 0.5
             io.save_image(place / "mask_visib" / f"{k:06d}_000000.png", mask)
             K, R, t = formats.to_opencv(camera, pixel_centres="integer")
@@ -91,7 +96,7 @@ def make(folder: Path, count: int) -> None:
             objects[str(k)] = [pose | {"obj_id": number + 1}]
         (place / "scene_camera.json").write_text(json.dumps(cameras))
         (place / "scene_gt.json").write_text(json.dumps(objects))
-    (folder / "count").write_text(str(count))
+    (folder / "count").write_text(made)
 
 
 def off(seed: np.random.Generator) -> np.ndarray:
@@ -290,9 +295,12 @@ def memory(folder: Path, count: int) -> dict:
         with contextlib.suppress(KeyboardInterrupt):
             batch.fit_many(data, out=Path(place) / "out", progress=told)
         rows = len(batch.Results(Path(place) / "out"))
+    done_then, *sizes = np.array(held[len(held) // 4 :]).T  # the first load what they need
+    slopes = [1e3 * float(np.polyfit(done_then, size, 1)[0]) for size in sizes]
     return {
         "planned": planned,
         "fitted": rows,
+        "MB more for 1000 items: parent, worker": slopes,
         "done, MB of the parent, MB of the largest worker": held,
     }
 

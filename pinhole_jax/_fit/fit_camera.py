@@ -22,7 +22,7 @@ from .occluders import explained_by, is_believed, is_covered, is_sure, uncovered
 from .outline_errors import OutlineErrors
 from .parameters import check_free, focal_is_free, in_one, with_lens
 from .photo import check_photo, on_photo
-from .places import Free, at
+from .places import Free, Places, at
 from .priors import Prior, bounds_of, prior_of
 from .problem import View
 from .residuals import Sums
@@ -31,6 +31,7 @@ from .solver import Found, Solver, Stop
 from .strategy import (
     EXACT,
     everywhere,
+    from_descent,
     from_start,
     most_agreeing,
     to_the_end,
@@ -109,8 +110,7 @@ def fit_camera(
     """
     check_scene(scene)
     check_steps(max_steps)
-    if outlier_px is not None and not outlier_px > 0:
-        raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
+    check_reach(outlier_px)
     if camera is not None:
         check_camera(camera)
         check_alone("camera", phi=phi, lens=lens)
@@ -129,7 +129,7 @@ def fit_camera(
 
     known = prior_of(prior, base, names), bounds_of(bounds, base, names)
     picture = None if photo is None else check_photo(photo, base.W, base.H)
-    settings = _Settings(outlier_px, max_steps, progress, *known, record, picture)
+    settings = Settings(outlier_px, max_steps, progress, *known, record, picture)
     inputs = (scene, target, weight)
     concrete = is_concrete(*jax.tree.leaves(inputs))
     if concrete:
@@ -145,6 +145,12 @@ def check_steps(max_steps: Any) -> None:
     """Raise ValueError unless this is a number of steps."""
     if not isinstance(max_steps, int | np.integer) or max_steps < 1:
         raise ValueError(f"`max_steps`: expected an integer of at least 1, got {max_steps!r}")
+
+
+def check_reach(outlier_px: Any) -> None:
+    """Raise ValueError unless this is a distance in px, or None."""
+    if outlier_px is not None and not outlier_px > 0:
+        raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
 
 
 def check_alone(given: str, **others: Any) -> None:
@@ -186,14 +192,16 @@ def _is_within(scene: Scene, camera: Camera) -> bool:
     return bool(np.all(before) and np.all((seen > 0) & (seen < [camera.W, camera.H])))
 
 
-class _Settings(NamedTuple):
+class Settings(NamedTuple):
+    """What `fit_camera` is asked for, beside what is fitted."""
+
     outlier_px: float | None
     max_steps: int
-    progress: Callable[[Progress], None] | None
-    prior: Prior | None
-    bounds: Bounds | None
-    record: bool
-    photo: np.ndarray | None
+    progress: Callable[[Progress], None] | None = None
+    prior: Prior | None = None
+    bounds: Bounds | None = None
+    record: bool = False
+    photo: np.ndarray | None = None
 
 
 class _Answer(NamedTuple):
@@ -212,7 +220,7 @@ class _Answer(NamedTuple):
 
 
 def _fit(
-    scene: Scene, mask: Mask, anywhere: bool, names: tuple[str, ...], settings: _Settings
+    scene: Scene, mask: Mask, anywhere: bool, names: tuple[str, ...], settings: Settings
 ) -> tuple[Fit, Callable[[], np.ndarray]]:
     """Return the fit, and a function that gives the weights of the pixels that decided."""
     start = None if anywhere else canonical(mask.camera)
@@ -223,10 +231,42 @@ def _fit(
 
 
 def _answer(
-    scene: Scene, mask: Mask, start: Camera | None, names: tuple[str, ...], settings: _Settings
+    scene: Scene, mask: Mask, start: Camera | None, names: tuple[str, ...], settings: Settings
 ) -> _Answer:
     """Return what explains a mask, from a start (canonical) or from anywhere."""
-    solver = Solver(
+    solver = _solver(scene, mask, names, settings)
+
+    def told(stop: Stop) -> None:
+        if settings.progress is not None:
+            settings.progress(progress_at(stop, mask.camera))
+
+    places = (
+        everywhere(solver, mask, told) if start is None else from_start(solver, mask, start, told)
+    )
+    return _described(solver, mask, places, start, settings)
+
+
+def fit_descended(
+    scene: Scene,
+    mask: Mask,
+    names: tuple[str, ...],
+    settings: Settings,
+    start: Camera,
+    before: View,
+    found: Found,
+) -> Fit | None:
+    """Return the fit of a mask from a start (canonical), where the descent from there has been
+    taken: the view `before` it, and what it `found`. None where `from_descent` has none."""
+    solver = _solver(scene, mask, names, settings)
+    places = from_descent(solver, mask, start, before, found, lambda stop: None)
+    if places is None:
+        return None
+    answer = _described(solver, mask, places, start, settings)
+    return _told(_before_occluders(scene, answer, start, settings), settings)
+
+
+def _solver(scene: Scene, mask: Mask, names: tuple[str, ...], settings: Settings) -> Solver:
+    return Solver(
         scene,
         mask.target,
         mask.weight,
@@ -239,13 +279,11 @@ def _answer(
         continued=settings.outlier_px is not None,
     )
 
-    def told(stop: Stop) -> None:
-        if settings.progress is not None:
-            settings.progress(progress_at(stop, mask.camera))
 
-    places = (
-        everywhere(solver, mask, told) if start is None else from_start(solver, mask, start, told)
-    )
+def _described(
+    solver: Solver, mask: Mask, places: Places, start: Camera | None, settings: Settings
+) -> _Answer:
+    """Return what places lead to."""
     found = [places.best, *places.others]
     reach, free = settings.outlier_px, places.free
     if reach is not None and found[0].view.touched_misfit > EXACT:
@@ -254,13 +292,13 @@ def _answer(
     else:
         reach = None
         described = [(f, f.view) for f in to_the_end(solver, found)]
-    if turns_freely(names):
+    if turns_freely(solver.names):
         free = with_errors(solver, mask, described[0][0], places, reach)
     return _Answer(solver, mask, described, free, reach)
 
 
 def _before_occluders(
-    scene: Scene, answer: _Answer, start: Camera | None, settings: _Settings
+    scene: Scene, answer: _Answer, start: Camera | None, settings: Settings
 ) -> _Answer:
     """Return an answer, or where something that nobody told of stands before the object what
     explains the rest of the mask."""
@@ -292,7 +330,7 @@ def _before_occluders(
     )
 
 
-def _told(answer: _Answer, settings: _Settings) -> Fit:
+def _told(answer: _Answer, settings: Settings) -> Fit:
     """Return an answer as a user reads it."""
     solver, mask, free = answer.solver, answer.mask, answer.free
 

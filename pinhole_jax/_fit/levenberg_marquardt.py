@@ -17,11 +17,11 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
-from .._numerics.thin_qr import triangle, triangle_and_rhs
-from .moves import moved, reported
+from .._numerics.thin_qr import triangle_and_rhs
+from .linearised import triangle_at
 from .problem import COSINE, UNIT_PX, Problem, View, move as move_of
 from .pyramid import Level
-from .residuals import Capacity, residuals
+from .residuals import Capacity
 
 #: Steps of a level that can be told one by one.
 RECORDED = 64
@@ -119,23 +119,7 @@ def _linearised(y: Float[Array, "n"], args: Any):
     there: the camera; sums, load, the reported parameters' derivatives, touched pixels, the
     derivatives (m, n), the squares of a prior and of what other views know."""
     move, problem, level, names, capacity = args
-
-    def at(y):
-        camera = moved(move, y, names.value)
-        here = problem.scene, problem.pyramid, level, Capacity(*capacity.value)
-        (r, rest), sums, load, pixels = residuals(camera, *here)
-        told = reported(move.camera, camera, names.value)
-        known = problem.others.residuals(told)
-        if problem.prior is not None:
-            known = jnp.concatenate([known, problem.prior.residuals(camera, names.value)])
-        r = jnp.concatenate([r, rest[None], known])
-        return (r, told), (r, camera, sums, load, pixels, jnp.sum(known * known))
-
-    (jacobian, to_reported), (r, camera, *sums, pixels, prior) = jax.jacfwd(at, has_aux=True)(y)
-    # (What is beside the pixels comes first: there are fewer of these than there is room for.)
-    table = jnp.roll(jnp.concatenate([jacobian, r[:, None]], axis=1), len(r) - len(pixels.cell), 0)
-    seen = *sums, to_reported, move.unit, pixels, jacobian, prior
-    return triangle(table), (camera, seen)
+    return triangle_at(y, move, problem, level, names.value, Capacity(*capacity.value))
 
 
 class _Static(eqx.Module):

@@ -128,6 +128,22 @@ def pyramid(
     level); None is all. There is room for `least` cells, or for the next of few sizes. Where
     `only_finest` is asked for, the last level stands alone, in the same room.
     """
+    host, levels = pyramid_of(target, weight, dtype, coarsest_px, window, least, only_finest)
+    page, sums, *flat = host
+    page, *put = jax.device_put([page, *sums, *flat])
+    return Pyramid(page, tuple(put[:4]), *put[4:]), levels
+
+
+def pyramid_of(
+    target: np.ndarray,
+    weight: Weights,
+    dtype: Any,
+    coarsest_px: int = 16,
+    window: Window | None = None,
+    least: int = LEAST_CELLS,
+    only_finest: bool = False,
+) -> tuple[Pyramid, list[Level]]:
+    """Return `pyramid`'s on the host: arrays of NumPy."""
     H, W = target.shape
     window = window or Window(0, 0, W, H)
     depth = max(int(np.floor(np.log2(extent_of(window.of(target)) / coarsest_px))), 0)
@@ -156,7 +172,7 @@ def pyramid(
         rest = np.array(level == 0), real(np.inf)
         levels.append(Level(integer(start), integer(w), integer(h), origin, scale, *rest))
         start += _cells((h, w))
-    return _written(rasters, most, room, dtype), levels
+    return _written(rasters, most, room, min(least, LEAST_CELLS), dtype), levels
 
 
 class _Image(NamedTuple):
@@ -297,10 +313,11 @@ def _near_pages(weight: NearWeights, H: int, W: int) -> tuple[np.ndarray, np.nda
     return pages, counts
 
 
-def _written(rasters: list[_Raster], most: float, room: int, dtype: Any) -> Pyramid:
-    """Return the pages of levels, one after the other, where JAX takes them as they are."""
+def _written(rasters: list[_Raster], most: float, room: int, least: int, dtype: Any) -> Pyramid:
+    """Return the pages of levels, one after the other, where JAX takes them as they are; room for
+    the first of few sizes, `least` at least, that holds those that are not shared."""
     own = 3 + sum(len(raster.target) for raster in rasters)
-    size = max(room // ONE_IN, LEAST_CELLS) + 4 * PAGE  # (the first few come on top)
+    size = max(room // ONE_IN, least) + 4 * PAGE  # (the first few come on top)
     size = size if own * PAGE <= size else room + 4 * PAGE
     flat = _aligned_zeros((6, size), dtype)
     cells = flat.reshape(6, -1, PAGE)
@@ -335,8 +352,8 @@ def _written(rasters: list[_Raster], most: float, room: int, dtype: Any) -> Pyra
             page[begin + first + mine] = number + np.arange(len(mine))
             ends, done, number = before[:, -1:], done + len(mine), number + len(mine)
         begin += len(raster.page)
-    page, *put = jax.device_put([page, *sums, *flat])
-    return Pyramid(page, tuple(put[:4]), *put[4:])
+    host: Any = page, tuple(sums), *flat
+    return Pyramid(*host)
 
 
 def _sums(t: np.ndarray, w: np.ndarray) -> np.ndarray:

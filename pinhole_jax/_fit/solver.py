@@ -21,7 +21,7 @@ from .._scene.scene import (
     with_or_without_border,
 )
 from .edges import Weights, counted, total, within
-from .kinds import kind_of
+from .kinds import Kind, kind_of
 from .moves import Bounds, Move, moved
 from .outline_errors import OutlineErrors, is_drawn, outline_errors
 from .priors import Others, Prior, no_others
@@ -74,6 +74,20 @@ def onward(before: Found, after: Found) -> Found:
     return after._replace(steps=steps, way=way)
 
 
+def last_px(kind: Kind, dtype: Any, continued: bool) -> float:
+    """Return what step (px) is negligible on the finest level. What is `continued` on fewer pixels,
+    as any mask that is not exact, moves by more then."""
+    return CONTINUED_PX if continued and not kind.exact else FINE_PX[np.dtype(dtype)]
+
+
+def explained_by(kind: Kind, levels: list[Level], dtype: Any) -> list[Level]:
+    """Return levels that know what residual a mask's kind explains, where it says so."""
+    if not kind.exact:
+        return levels
+    explained = np.asarray(OFF_TIMES * kind.variance**0.5, dtype)
+    return [level._replace(explained=explained) for level in levels]
+
+
 class _Asked(NamedTuple):
     """What a pyramid is made of."""
 
@@ -119,9 +133,7 @@ class Solver:
         self.window = object_window(target)
         self.capacity = first_room(scene, inside_of(self.window.of(target)))
         self.kind = kind_of(self.window.of(target), self.window.of(weights), dtype)
-        #: What is `continued` on fewer pixels, as any mask that is not exact, moves by more then.
-        rough = continued and not self.kind.exact
-        self.fine_px = CONTINUED_PX if rough else FINE_PX[self.dtype]
+        self.fine_px = last_px(self.kind, self.dtype, continued)
         self.weigh(weights)
 
     def weigh(
@@ -147,9 +159,7 @@ class Solver:
             size = (levels.cells // LEAST_CELLS).bit_length() // 2
             pieces = max(self.capacity.pieces, LEAST_ROOM.pieces * ROOMIER**size)
             self.capacity = self.capacity._replace(pieces=pieces)
-        if self.kind.exact:
-            explained = np.asarray(OFF_TIMES * self.kind.variance**0.5, self.dtype)
-            self.levels = [level._replace(explained=explained) for level in self.levels]
+        self.levels = explained_by(self.kind, self.levels, self.dtype)
         seen = within(weights, self.levels[-1].window())
         self._beside = total(weights) - total(seen)
         self._counted = counted(seen)
@@ -307,16 +317,23 @@ class Solver:
 
     def _widen(self, unit: Camera) -> None:
         """Look at the whole film from now on if a camera may show the scene beside the window."""
-        H, W = self._target.shape
-        if self.window == (0, 0, W, H):
+        if self.holds(unit):
             return
-        if unit.lens is None or unit.lens.distortion is None:
-            x, y, z = on_film_plane(unit, self._corners).T
-            shown = H * np.stack([x / z, y / z], axis=-1)
-            if np.all(z > 0) and self.window.holds(shown, W, H):
-                return
+        H, W = self._target.shape
         self.window = Window(0, 0, W, H)
         self.weigh(self._weights, only_finest=self._only_finest)
+
+    def holds(self, unit: Camera) -> bool:
+        """Return whether a camera shows nothing of the scene beside the window, as far as a box
+        about it tells."""
+        H, W = self._target.shape
+        if self.window == (0, 0, W, H):
+            return True
+        if unit.lens is not None and unit.lens.distortion is not None:
+            return False
+        x, y, z = on_film_plane(unit, self._corners).T
+        shown = H * np.stack([x / z, y / z], axis=-1)
+        return bool(np.all(z > 0) and self.window.holds(shown, W, H))
 
     def move(self, unit: Camera, level: int) -> Move:
         """Return where moves of a camera start, in the solver's units."""

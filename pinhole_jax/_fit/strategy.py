@@ -90,6 +90,20 @@ def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> Places:
     return looked_round(solver, mask, found, start, told)
 
 
+def from_descent(
+    solver: Solver, mask: Mask, start: Camera, before: View, found: Found, told: Told
+) -> Places | None:
+    """Return what explains the mask best, as `from_start` does, where the descent from the start
+    has been taken elsewhere: what it `found`, and the view `before` it. None where it did not lead
+    to less than there was, or shows more than the window."""
+    if not (solver.holds(start) and solver.holds(found.unit)):
+        return None
+    found = found._replace(view=solver.look(found.unit, solver.finest, found.view))
+    if not found.view.squares <= before.squares:
+        return None
+    return looked_round(solver, mask, found, start, told)
+
+
 def looked_round(solver: Solver, mask: Mask, found: Found, start: Camera, told: Told) -> Places:
     """Return what explains the mask best or as well as what a descent from a start found, the
     nearest to the start first."""
