@@ -612,6 +612,7 @@ worker.PATIENCE, worker.GRACE, parts.ROWS = 1.0, 4.0, 40
 worker._set_up = lambda setup: None  # no JAX: quick
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
     ids, out, limit = json.loads(sys.argv[1]), sys.argv[2], float(sys.argv[3])
     # (A path, and what no process can be handed, are whatever a user's own code makes.)
     items = [

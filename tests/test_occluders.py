@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from oracles import turned
+from oracles import drawn, turned
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
@@ -33,7 +33,7 @@ def degrees(fit, truth):
 def behind_a_wall(truth, scene, share: float) -> tuple[np.ndarray, float]:
     """Return the mask without what a wall on the left hides: a share of the object's width; and
     the wall's column."""
-    inside = np.asarray(pj.silhouette(truth, scene)) > 0.5
+    inside = drawn(truth, scene) > 0.5
     there = np.flatnonzero(inside.any(axis=0))
     wall = int(there[0] + share * np.ptp(there))
     return inside & (wall < COLUMNS), float(wall)
@@ -77,9 +77,9 @@ def test_from_a_start_the_rest_of_the_edge_is_enough(scene):
     assert plain.unbelieved is None
     red = np.all(plot.overlay(seen * np.uint8(255), fit.camera, scene) == plot.RED, axis=-1)
     assert not red.any()
-    drawn = plot.overlay(seen * np.uint8(255), fit.camera, scene, dots=fit.unbelieved)
-    at = np.argwhere(np.all(drawn == plot.RED, axis=-1))
-    assert abs(np.median(at[:, 1]) / (drawn.shape[1] / 96) - wall) < 1
+    shown = plot.overlay(seen * np.uint8(255), fit.camera, scene, dots=fit.unbelieved)
+    at = np.argwhere(np.all(shown == plot.RED, axis=-1))
+    assert abs(np.median(at[:, 1]) / (shown.shape[1] / 96) - wall) < 1
     assert "Red: the mask's edge that was not believed" in report.page(fit, scene, seen)
 
 
@@ -97,7 +97,7 @@ def test_an_occluder_that_leaves_what_another_view_shows_is_not_told_as_certain(
     box = trimesh.creation.box([1.0, 2.0, 3.0])
     scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces))
     truth = pj.Camera([7.0, 0.2, 0.1], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
-    inside = np.asarray(pj.silhouette(truth, scene)) > 0.5
+    inside = drawn(truth, scene) > 0.5
     left, right = np.flatnonzero(inside.any(axis=0))[[0, -1]] + 0.5
     third = left + (right - left) / 3
     seen = inside & (third > COLUMNS if sign < 0 else left + right - third < COLUMNS)

@@ -82,6 +82,7 @@ def test_colours_that_tell_nothing_leave_the_mask_alone(scene, shown):
         np.testing.assert_array_equal(fit.camera.e, by_mask.camera.e)
 
 
+@pytest.mark.long
 def test_what_weighs_nothing_is_not_asked_of_the_photo(scene, shown):
     photo, mask, weight = photo_of(shown), grown(shown), np.ones(shown.shape)
     photo[:, :80], mask[:, :80], weight[:, :80] = (220, 0, 220), False, 0

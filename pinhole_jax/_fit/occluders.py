@@ -23,11 +23,15 @@ from .moves import canonical
 from .search import partly_hidden
 from .solver import Solver
 from .stretches import coverage_of, outline_pixels
+from .target import inside_of, shares
 
 #: The mask's edge is taken by stretches of this share of the object's size.
 STRETCH = 0.08
-#: So many points of the mask's edge are brought to the outline.
-POINTS = 400
+#: So many points of the mask's edge are brought to the outline; at most so many tell what is hidden
+#: (a mask of noise has millions).
+POINTS, MOST_POINTS = 400, 20_000
+#: Its normals are those of a mask that is smoothed over so many px.
+SMOOTH_PX = 2
 #: How far away an edge still counts: in the first step this share of the object's size, in the last
 #: so many px; in so many steps, of which the first few sort out the likely ones.
 FIRST, LAST_PX, STEPS, SORTED_IN = 0.12, 1.0, 20, 6
@@ -111,14 +115,16 @@ class _Matched(NamedTuple):
     alike: np.ndarray
 
 
-def edge_of(mask: Mask, most: int | None = None) -> Edge:
-    """Return a mask's edge: where it passes 1/2 between two pixels that count."""
+def edge_of(mask: Mask, most: int = MOST_POINTS) -> Edge:
+    """Return a mask's edge: where it passes 1/2 between two pixels that count; some points of it
+    where there are more than `most`."""
     from scipy.ndimage import gaussian_filter
     from scipy.sparse import csr_matrix
     from scipy.spatial import KDTree
 
-    image, H = mask.image, mask.target.shape[0]
-    smooth: Any = gaussian_filter(image, 2.0)
+    box, H = _about(inside_of(mask.target), SMOOTH_PX * 5), len(mask.target)
+    image, weighs = shares(mask.target[box]), mask.weight[box] > 0
+    smooth: Any = gaussian_filter(image, SMOOTH_PX)
     down, right = np.gradient(smooth)
     places, normals = [], []
     for axis in (0, 1):
@@ -127,14 +133,14 @@ def edge_of(mask: Mask, most: int | None = None) -> Edge:
         share = (0.5 - low[tuple(there)]) / (high - low)[tuple(there)]
         one = there[::-1] if axis else there
         step = np.array([[axis == 0], [axis == 1]])
-        known = (mask.weight[tuple(one)] > 0) & (mask.weight[tuple(one + step)] > 0)
-        row, column = (one + step * share)[:, known]
+        known = weighs[tuple(one)] & weighs[tuple(one + step)]
+        row, column = (one + step * share)[:, known] + [[box[0].start], [box[1].start]]
         places.append(np.column_stack([column + 0.5, H - 0.5 - row]))
         y, x = (z[tuple(one[:, known])] for z in (down, right))
         normals.append(np.column_stack([-x, y]))
     at, out = np.concatenate(places), _units(np.concatenate(normals))
     size = float(np.sqrt(np.count_nonzero(image > 0.5)))
-    if most is not None and len(at) > most:
+    if len(at) > most:
         some = np.random.default_rng(0).permutation(len(at))[:most]
         at, out = at[some], out[some]
     radius = max(STRETCH * size, 3.0)
@@ -183,7 +189,9 @@ def _explained(
     error_px: float,
 ) -> list[Covered]:
     """Return what the cameras explain that others lead to, the one that explains most first."""
-    told = [explained_by(solver, mask, unit, error_px) for unit in _followed(solver, edge, begins)]
+    whole = edge_of(mask)
+    ended = _followed(solver, edge, begins)
+    told = [explained_by(solver, mask, unit, error_px, whole) for unit in ended]
     return sorted((t for t in told if t is not None), key=_worth, reverse=True)
 
 
@@ -201,10 +209,13 @@ def _worth(covered: Covered) -> float:
     return covered.agreed - 2 * covered.beyond
 
 
-def explained_by(solver: Solver, mask: Mask, unit: Camera, error_px: float) -> Covered | None:
+def explained_by(
+    solver: Solver, mask: Mask, unit: Camera, error_px: float, edge: Edge | None = None
+) -> Covered | None:
     """Return what a camera explains of a mask whose edge errs by `error_px`, None where it sees no
     outline."""
-    return _covered(solver, mask, unit, max(NEAR_PX, NEAR_SIZES * error_px))
+    edge = edge_of(mask) if edge is None else edge
+    return _covered(solver, mask, edge, unit, max(NEAR_PX, NEAR_SIZES * error_px))
 
 
 def is_sure(covered: Covered) -> bool:
@@ -352,12 +363,11 @@ def _units(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-9)[:, None]
 
 
-def _covered(solver: Solver, mask: Mask, unit: Camera, near: float) -> Covered | None:
+def _covered(solver: Solver, mask: Mask, edge: Edge, unit: Camera, near: float) -> Covered | None:
     """Return what a camera explains of a mask, None where it sees no outline."""
     outline = _seen(solver, unit, solver.finest)
     if outline is None:
         return None
-    edge = edge_of(mask)  # all of it
     matched = _matched(edge, outline, 8.0)
     on = _on(matched, near)
     believed = edge.stretch @ on >= 0.5
@@ -389,12 +399,15 @@ def _hidden(
     """
     from scipy.ndimage import binary_dilation, label
 
-    inside = mask.image > 0.5
-    H, W = inside.shape
-    row, column = np.indices((H, W))
-    pixels = np.stack([column + 0.5, H - row - 0.5], axis=-1).reshape(-1, 2)
+    room = max(int(ROOM * edge.size), 3)
+    whole = inside_of(mask.target)
+    box = _about(whole | seen, 2 * room)
+    inside, seen = whole[box], seen[box]
+    row, column = np.indices(inside.shape)
+    at = (column + box[1].start + 0.5, len(whole) - box[0].start - row - 0.5)
+    pixels = np.stack(at, axis=-1).reshape(-1, 2)
     from_believed, from_other = (
-        _distances(edge.at[part], pixels).reshape(H, W) for part in (believed, ~believed)
+        _distances(edge.at[part], pixels).reshape(inside.shape) for part in (believed, ~believed)
     )
     beside = from_other < from_believed
     missing = seen & ~inside & (from_believed > near)
@@ -402,11 +415,22 @@ def _hidden(
     grown: Any = binary_dilation(beside & (from_other < 2 * near + 1))
     touching = missing & grown
     behind = np.isin(parts[0], np.unique(parts[0][touching])) & missing
-    room = max(int(ROOM * edge.size), 3)
     about: Any = binary_dilation(behind, iterations=room)
-    hidden = (about | beside) & (from_believed > near) & ~inside
+    result = np.zeros(whole.shape, bool)
+    result[box] = (about | beside) & (from_believed > near) & ~inside
     # (The last of an occluder's edge is so near to the outline that it looks like it.)
-    return hidden | (from_other <= 2 * near + 1)
+    result[box] |= from_other <= 2 * near + 1
+    return result
+
+
+def _about(shown: np.ndarray, margin: int) -> tuple[slice, slice]:
+    """Return the rows and columns about what is shown: a photo is much larger."""
+    found = (np.flatnonzero(np.any(shown, axis=axis)) for axis in (1, 0))
+    rows, columns = (
+        slice(max(int(x[0]) - margin, 0), int(x[-1]) + 1 + margin) if x.size else slice(0, size)
+        for x, size in zip(found, shown.shape, strict=True)
+    )
+    return rows, columns
 
 
 def _distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
