@@ -104,3 +104,13 @@ def test_an_occluder_that_leaves_what_another_view_shows_is_not_told_as_certain(
     fit = pj.fit_camera(scene, seen, turned(truth, [1, 2, 3], 10))
     assert fit.status != "converged" or degrees(fit, truth) < 5
     assert pj.fit_camera(scene, seen, None, phi=0.6).status != "converged"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [2, 4])
+def test_another_shape_is_no_covered_one(seed):
+    """Its outline lies within the object's here and there, as if something stood before it."""
+    scene, other = (pj.Scene(mesh=shapes.bumpy(3, k)) for k in (0, seed))
+    camera = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 192, 160)
+    fit = pj.fit_camera(scene, drawn(camera, other) > 0.5, turned(camera, [1, 2, 3], 10))
+    assert fit.status != "converged"
