@@ -37,7 +37,8 @@ def both(scene, rays):
     return (np.asarray(pj.trace(scene, rays, search=s).primitive) for s in ("embree", "tree"))
 
 
-@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.usefixtures("optimised")
 def test_the_hits_of_the_tree(dtype):
     """Also with a sphere among the faces, and where half of the faces are there twice.

@@ -220,6 +220,7 @@ def test_a_ball_tells_no_turn():
     assert np.any(np.isinf(fit.cameras["left"].std))
 
 
+@pytest.mark.long
 def test_a_wrong_posture_is_named_and_counts_for_nothing(arm, views):
     wrong = posture(2)[1] @ exponential(np.array([0.1, 0, 0, 0, 0, 0.05]))
     bad = [*views[:2], pj.JointView(arm.at([np.eye(4), wrong]), views[2].target), views[3]]

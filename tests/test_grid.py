@@ -160,6 +160,7 @@ def on_one_line(random):
     return corners.reshape(-1, 3) / 16, np.arange(15).reshape(-1, 3)
 
 
+@pytest.mark.long
 def test_edges_on_one_line_through_pixels_corners(exhaustive):
     # Where rounding lets one edge, and not the other, come into a pixel beside its corner.
     for seed in range(10 * MANY if exhaustive else 2 * SOME):

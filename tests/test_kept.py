@@ -44,6 +44,7 @@ def same_as_built_within(scene, rays):
     return ours
 
 
+@pytest.mark.long
 def test_a_tree_is_made_once_and_anew_for_a_scene_that_was_changed(rays, made):
     scene = new_scene()
     first = np.asarray(pj.trace(scene, rays).primitive)

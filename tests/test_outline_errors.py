@@ -56,6 +56,7 @@ def error(found, truth):
     return np.concatenate([axes @ turn, np.asarray(truth.e, float) - np.asarray(found.e, float)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("px", [-2.0, -0.7, 0.0, 0.4, 3.0])
 def test_an_offset_is_the_px_that_a_mask_is_grown_by(scene, image, px):
     # Distances are to pixels' middles, as a person's brush is: offsets are right to a tenth.

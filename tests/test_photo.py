@@ -74,6 +74,7 @@ def test_a_right_mask_is_kept(scene, shown):
         np.testing.assert_array_equal(fit.covariance, by_mask.covariance)
 
 
+@pytest.mark.long
 def test_colours_that_tell_nothing_leave_the_mask_alone(scene, shown):
     by_mask = pj.fit_camera(scene, grown(shown), START)
     for photo in (photo_of(shown, BACK, BACK), photo_of(np.roll(shown, 120, axis=1))):

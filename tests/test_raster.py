@@ -109,6 +109,7 @@ def test_a_film_across_which_the_axis_changes_in_a_tile():
     assert np.all(drawn >= 0)
 
 
+@pytest.mark.long
 def test_a_camera_stands_for_its_rays():
     scene = pj.Scene(mesh=shapes.bumpy(1), spheres=pj.Spheres([[1.1, 0.9, 0.2]], [0.4]))
     lens = pj.Lens([11.0, 7.0], aspect=1.1)

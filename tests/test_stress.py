@@ -64,6 +64,7 @@ def test_hard_cases_are_right_to_some_epsilons(name, kind, seed):
     assert error <= stress.LIMIT * view.unit * np.finfo(dtype).eps
 
 
+@pytest.mark.long
 @few
 @given(seed=SEEDS)
 def test_moving_or_scaling_camera_and_scene_together_changes_nothing(seed):
@@ -76,6 +77,7 @@ def test_moving_or_scaling_camera_and_scene_together_changes_nothing(seed):
     np.testing.assert_allclose(image(moved), image(v), atol=1e-9)
 
 
+@pytest.mark.long
 @few
 @given(seed=SEEDS)
 def test_mirrored_scenes_give_mirrored_images(seed):
