@@ -66,6 +66,7 @@ def test_the_hits_of_the_tree(dtype):
     )
 
 
+@pytest.mark.long
 def test_few_rays_are_in_doubt(monkeypatch):
     """Of rays from anywhere one in a hundred or so is searched for twice."""
     from pinhole_jax._trace import embree

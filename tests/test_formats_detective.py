@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import trimesh
+from oracles import drawn
 
 import pinhole_jax as pj
 from pinhole_jax import formats, io, shapes
@@ -17,7 +18,7 @@ CAMERA = formats.cropped(
 )
 K, R, T = formats.to_opencv(CAMERA, pixel_centres="integer")
 # One program serves the file: every camera has a lens, every mesh an icosphere's size.
-MASK = np.asarray(pj.silhouette(CAMERA, SCENE, overlaps=False)) > 0.5
+MASK = drawn(CAMERA, SCENE) > 0.5
 POSE = np.eye(4)
 POSE[:3] = np.c_[R, T]
 OPENGL = np.diag([1.0, -1, -1, 1])

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from chosen import first
 from oracles import drawn, turned
 from scipy.spatial.transform import Rotation
 
@@ -63,7 +64,7 @@ def test_facing_turns_to_a_direction():
     np.testing.assert_allclose(axes[:, 2], directions, atol=1e-12)
 
 
-@pytest.mark.parametrize("what", ["closed", "open", "border untold", "spheres"])
+@pytest.mark.parametrize("what", first(1, ["closed", "open", "border untold", "spheres"]))
 def test_thumbnails_are_silhouettes_whose_layers_are_clamped(what):
     random = np.random.default_rng(0)
     box = trimesh.creation.box((1, 2, 3)).apply_translation((7, 0, 0))
