@@ -664,6 +664,14 @@ def test_the_command_names_what_is_wrong_about_a_robot(robot_files, capsys):
             [*robot_files, *start, "--joint-zeros", "1", "--in-hand", "arm"],
             "`--joint-zeros`: expected none beside `--in-hand`",
         ),
+        (
+            [*robot_files, *start, "--propose", "short.json"],
+            "`--propose`: expected 1 angles in row 1",
+        ),
+        (
+            [*robot_files, *start, "--free", "phi", "--propose", "joints.csv"],
+            "`--propose`: expected `pose` in --free",
+        ),
         ([*robot_files, *start, "--in-hand", "tool"], "`--in-hand`: expected a link among base"),
         ([*robot_files, *start, "--leave-out", "tool"], "`--leave-out`: expected links among base"),
         ([*robot, "other.csv", *masks, *start], "`JOINTS`: expected one of each joint, got none"),

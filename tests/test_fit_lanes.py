@@ -5,7 +5,7 @@ import re
 import jax
 import numpy as np
 import pytest
-from oracles import turned
+from oracles import drawn, turned
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -27,8 +27,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def masks(scene):
-    draw = jax.jit(pj.silhouette)
-    return np.stack([np.asarray(draw(truth, scene)) for truth in TRUTHS])
+    return np.stack([drawn(truth, scene) for truth in TRUTHS])
 
 
 def angles(fits, cameras):

@@ -11,7 +11,7 @@ from pinhole_jax._fit.edges import NearWeights, near
 from pinhole_jax._fit.kinds import kind_of
 from pinhole_jax._fit.mask import Mask
 from pinhole_jax._fit.pyramid import PAGE, cells_of, pyramid
-from pinhole_jax._fit.room import extent_of
+from pinhole_jax._fit.room import diagonal_of
 from pinhole_jax._fit.target import Window, object_window
 
 
@@ -137,7 +137,7 @@ def test_a_large_photo_takes_no_image_of_floats(kind):
     steps = {
         "window": lambda: object_window(target),
         "kind": lambda: kind_of(target, ones, np.float32),
-        "extent": lambda: extent_of(target > 0),
+        "extent": lambda: diagonal_of(target > 0),
         "weights near the edge": lambda: mask.near_edge(2.0),
         "distance": lambda: mask.distance(
             Window(0, 0, 2000, 1500), np.arange(99), np.arange(99), 2.0

@@ -13,7 +13,7 @@ from .._fit.fit_joint import fit_joint
 from .._fit.result import Fit
 from .._fit.words import STATUSES
 from .._scene.scene import Scene
-from .hand_eye import views_of
+from .hand_eye import robot_of, views_of
 
 #: What the command calls the arguments of the fits.
 ASKED = {"target": "MASK", "free": "--free", "camera": "CAMERA", "cameras": "CAMERA"}
@@ -81,7 +81,7 @@ def _of_robot(
     if options.joints is None or not options.masks:
         raise ValueError("`MASK`: expected JOINTS, and an image for each of its rows, got none")
     options.robot = options.mesh
-    views = views_of(options, tell)
+    views = views_of(robot_of(options), options, tell)
     say(f"fitting {len(views)} views (the first time compiles: seconds)")
     with named(**ASKED):
         fit = fit_joint(views, camera, options.free)

@@ -17,12 +17,11 @@ from .._fit.fit_joint import fit_joint
 from .._fit.joint_result import JointFit
 from .._fit.joint_views import JointView
 from .._fit.parameters import as_names
-from .._scene.scene import Scene
 from ..formats import object_pose
 from ..plot import overlay
 from ..robots import Robot, load_urdf
 from .known import known
-from .proposals import in_words, worths
+from .proposals import Sight, in_words, worths
 from .robot_page import robot_page
 
 #: What the command calls the arguments of `fit_joint`.
@@ -33,7 +32,9 @@ def hand_eye(
     options: argparse.Namespace, say: Callable[[str], Any], tell: Callable[[str], Any]
 ) -> int:
     """Fit, write and print; return 0, or 1 for a fit that is not to be trusted."""
-    views = views_of(options, tell)
+    robot = robot_of(options)
+    views = views_of(robot, options, tell)
+    proposed = None if options.propose is None else _proposed(robot, options)
     camera, search = _start(options, views[0].target, tell)
     say(f"fitting {len(views)} views (the first time compiles: seconds)")
     with named(**ASKED):
@@ -47,7 +48,7 @@ def hand_eye(
         )
     apart = _halves(fit, views, options) if options.holdout else None
     usable = fit.status != "non_finite"
-    more = _proposed(fit, views, options) if options.propose and usable else None
+    more = None if proposed is None or not usable else _worths(fit, views, options, proposed)
     written = _write(options, fit, views)
     if options.report is not None and usable:
         say("drawing the page")
@@ -76,10 +77,10 @@ def hand_eye(
     return 0 if fit.status == "converged" else 1
 
 
-def views_of(options: argparse.Namespace, tell: Callable[[str], Any]) -> list[JointView]:
-    """Return the views of a robot (`robot`, `leave_out`, `in_hand`) in the postures of a file
-    (`joints`), with `masks`."""
-    robot = _robot(options)
+def views_of(
+    robot: Robot, options: argparse.Namespace, tell: Callable[[str], Any]
+) -> list[JointView]:
+    """Return the views of a robot in the postures of a file (`joints`), with `masks`."""
     with named(path="JOINTS"):
         postures = joint_angles(options.joints)
     if len(postures) != len(options.masks):
@@ -97,14 +98,13 @@ def views_of(options: argparse.Namespace, tell: Callable[[str], Any]) -> list[Jo
     return views
 
 
-def _robot(options: argparse.Namespace) -> Robot:
+def robot_of(options: argparse.Namespace) -> Robot:
+    """Return the robot of a file (`robot`), but for some links (`leave_out`)."""
     with named(path="ROBOT", leave_out="--leave-out"):
         return load_urdf(options.robot, _names(options.leave_out))
 
 
-def _posed(
-    robot: Robot, angles: dict[str, float], link: str | None, file: str
-) -> tuple[Scene, np.ndarray | None]:
+def _posed(robot: Robot, angles: dict[str, float], link: str | None, file: str) -> Sight:
     """Return a robot in a posture of a file, and where the link is that carries the camera."""
     with named(angles=file):
         poses = robot.poses(angles)
@@ -114,18 +114,22 @@ def _posed(
     return robot.at(poses), None if link is None else poses[link]
 
 
-def _proposed(fit: JointFit, views: list[JointView], options: argparse.Namespace) -> str:
-    """Return in words what each posture of `--propose` would tell."""
-    free = as_names(options.free)
-    if "pose" not in free:
+def _proposed(robot: Robot, options: argparse.Namespace) -> list[Sight]:
+    """Return a robot in the postures of `--propose`."""
+    if "pose" not in as_names(options.free):
         raise ValueError(f"`--propose`: expected `pose` in --free, got {options.free!r}")
-    robot = _robot(options)
     with named(path="--propose"):
         postures = joint_angles(options.propose)
-    scenes = [_posed(robot, angles, options.in_hand, "--propose") for angles in postures]
+    return [_posed(robot, angles, options.in_hand, "--propose") for angles in postures]
+
+
+def _worths(
+    fit: JointFit, views: list[JointView], options: argparse.Namespace, proposed: list[Sight]
+) -> str:
+    """Return in words what a mask of each proposed posture would tell."""
     found = fit.cameras["camera"]
     seen = [(view.scene, given.mount) for view, given in zip(fit.views, views, strict=True)]
-    return in_words(worths(found.camera, found.covariance, free, seen, scenes))
+    return in_words(worths(found.camera, found.covariance, as_names(options.free), seen, proposed))
 
 
 def zeros_of(options: argparse.Namespace) -> float | None:

@@ -18,7 +18,7 @@ from .implicit import through
 from .kinds import Kind
 from .mask import Mask
 from .moves import Bounds, canonical
-from .occluders import explained_by, is_believed, is_covered, is_sure, uncovered
+from .occluders import covered_at, edge_of, is_believed, is_sure, uncovered
 from .outline_errors import OutlineErrors
 from .parameters import check_free, focal_is_free, in_one, with_lens
 from .photo import check_photo, on_photo
@@ -308,16 +308,14 @@ def _before_occluders(
         return answer
     errors = solver.errors(best.view)
     error_px = min(errors.size, MOST_ERROR_PX) if errors else 0.0
-    if not is_covered(solver, mask, best.unit, error_px):
-        return answer
     known = [f.unit for f, _ in answer.described[:KNOWN]]
     begins = known if start is None else [start, *known]
-    covered = uncovered(solver, mask, begins, start is None, error_px)
+    covered = uncovered(solver, mask, best.unit, begins, start is None, error_px)
     if covered is None:
         return answer
     rest = replace(mask, weight=np.where(covered.hidden, 0.0, mask.weight))
     after = _answer(scene, rest, covered.unit, solver.names, settings)
-    again = explained_by(solver, mask, after.described[0][0].unit, error_px)
+    again = covered_at(solver, mask, edge_of(mask), after.described[0][0].unit, error_px)
     if again is None or not is_believed(again):
         return answer
     look = lambda unit: Found(unit, solver.look(unit, solver.finest), ())

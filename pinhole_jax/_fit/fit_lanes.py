@@ -19,10 +19,10 @@ from .moves import canonical
 from .parameters import check_free, in_one, with_lens
 from .priors import no_others
 from .problem import COARSE_PX, View
-from .pyramid import PAGE, Level, pyramid_of
+from .pyramid import PAGE, Level, pyramid
 from .residuals import Capacity
 from .result import Fit
-from .room import contours, extent_of
+from .room import contours, diagonal_of
 from .solver import Found, Stop, explained_by, last_px
 from .strategy import POOR
 from .target import check_target, inside_of, levelled, object_window
@@ -221,7 +221,7 @@ def _prepare(lane: _OfMask, settings: Settings, cells: int) -> None:
     window = object_window(target)
     kind = kind_of(window.of(target), window.of(weights), dtype)
     lane.fine_px = last_px(kind, dtype, settings.outlier_px is not None)
-    lane.pyramid, levels = pyramid_of(target, weights, dtype, window=window, least=cells)
+    lane.pyramid, levels = pyramid(target, weights, dtype, window=window, least=cells)
     lane.levels = explained_by(kind, levels, dtype)
     lane.unit = jax.tree.map(np.asarray, canonical(lane.mask.camera))
 
@@ -247,7 +247,7 @@ def _room(lanes: list[_OfMask]) -> Capacity:
     edges = pieces = arcs = 0
     spheres = lanes[0].scene.spheres
     for lane in lanes:
-        mesh, extent = lane.scene.mesh, extent_of(inside_of(lane.mask.target))
+        mesh, extent = lane.scene.mesh, diagonal_of(inside_of(lane.mask.target))
         if mesh is not None and mesh.edge_faces.shape[0]:
             number, length = contours(mesh)
             edges = max(edges, int(1.5 * np.max(number)))

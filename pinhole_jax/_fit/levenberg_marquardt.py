@@ -115,9 +115,7 @@ def _residual(y: Float[Array, "n"], args: Any):
 
 @eqx.filter_jit
 def _linearised(y: Float[Array, "n"], args: Any):
-    """Return R (n + 1, n + 1) of all residuals' derivatives and these, and what else is known
-    there: the camera; sums, load, the reported parameters' derivatives, touched pixels, the
-    derivatives (m, n), the squares of a prior and of what other views know."""
+    """Return what `triangle_at` does of what optimistix hands on."""
     move, problem, level, names, capacity = args
     return triangle_at(y, move, problem, level, names.value, Capacity(*capacity.value))
 

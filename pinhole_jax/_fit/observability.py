@@ -80,12 +80,12 @@ def observability(
 
 
 def information(
-    camera: Camera, scene: Scene, free: str | Sequence[str], *, weight: Numbers = None
+    camera: Camera, scene: Scene, free: str | Sequence[str]
 ) -> Float[np.ndarray, "n n"]:
     """Return the information (n, n) on the reported parameters in a mask whose noise has a standard
     deviation of 1: the inverse of a covariance, of which more masks' add up; 0 where nothing shows.
     """
-    *_, triangle, reported, _ = _look(camera, scene, free, weight)
+    *_, triangle, reported, _ = _look(camera, scene, free, None)
     root = triangle @ np.linalg.inv(reported)
     return root.T @ root
 

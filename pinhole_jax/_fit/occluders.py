@@ -158,22 +158,32 @@ def edge_of(mask: Mask, most: int = MOST_POINTS) -> Edge:
 
 
 def uncovered(
-    solver: Solver, mask: Mask, cameras: Iterable[Camera], anywhere: bool, error_px: float
+    solver: Solver,
+    mask: Mask,
+    plain: Camera,
+    cameras: Iterable[Camera],
+    anywhere: bool,
+    error_px: float,
 ) -> Covered | None:
     """Return the camera that explains most of a mask's edge if something that nobody told of stands
     before the object, None if nothing does or none is to be believed.
 
-    It is looked for from some cameras (canonical); with `anywhere`, or where none of these leads to
-    one that is sure, from all sides. The mask's edge errs by `error_px` (one standard deviation).
+    Something does if a stretch of the mask's edge lies far from the outline that the `plain` fit's
+    camera sees. It is looked for from some cameras (canonical); with `anywhere`, or where none of
+    these leads to one that is sure, from all sides. The mask's edge errs by `error_px` (one
+    standard deviation).
     """
     edge = edge_of(mask, POINTS)
-    if len(edge.at) < 4 * len(solver.names) + 16:
+    few = len(edge.at) < 4 * len(solver.names) + 16
+    if few or not _is_covered(solver, edge, plain, _near(error_px)):
         return None
+    whole = edge_of(mask)
+    explained = lambda begins: _explained(solver, mask, edge, whole, begins, error_px)
     begins = [(c, w) for c in cameras for w in (None, *_sectors(edge))]
-    found = [] if anywhere else _explained(solver, mask, edge, begins, error_px)
+    found = [] if anywhere else explained(begins)
     if not found or not is_sure(found[0]):
         begins = _guessed(solver, mask, edge) + (begins if anywhere else [])
-        found += _explained(solver, mask, edge, begins, error_px)
+        found += explained(begins)
         found.sort(key=_worth, reverse=True)
     if not found or not is_believed(found[0]):
         return None
@@ -190,37 +200,32 @@ def _explained(
     solver: Solver,
     mask: Mask,
     edge: Edge,
+    whole: Edge,
     begins: list[tuple[Camera, np.ndarray | None]],
     error_px: float,
 ) -> list[Covered]:
     """Return what the cameras explain that others lead to, the one that explains most first."""
-    whole = edge_of(mask)
     ended = _followed(solver, edge, begins)
-    told = [explained_by(solver, mask, unit, error_px, whole) for unit in ended]
+    told = [covered_at(solver, mask, whole, unit, error_px) for unit in ended]
     return sorted((t for t in told if t is not None), key=_worth, reverse=True)
 
 
-def is_covered(solver: Solver, mask: Mask, unit: Camera, error_px: float) -> bool:
+def _near(error_px: float) -> float:
+    """Return how near (px) edge and outline are one, of a mask that errs by so much."""
+    return max(NEAR_PX, NEAR_SIZES * error_px)
+
+
+def _is_covered(solver: Solver, edge: Edge, unit: Camera, near: float) -> bool:
     """Return whether a stretch of a mask's edge lies far from the outline that a camera sees."""
-    edge = edge_of(mask, POINTS)
     outline = _seen(solver, unit, solver.finest)
-    if outline is None or not len(edge.at):
+    if outline is None:
         return False
-    on = _on(_matched(edge, outline, 8.0), max(NEAR_PX, NEAR_SIZES * error_px))
+    on = _on(_matched(edge, outline, 8.0), near)
     return bool(np.mean(edge.stretch @ on < 0.5) > LEAST_HIDDEN)
 
 
 def _worth(covered: Covered) -> float:
     return covered.agreed - 2 * covered.beyond
-
-
-def explained_by(
-    solver: Solver, mask: Mask, unit: Camera, error_px: float, edge: Edge | None = None
-) -> Covered | None:
-    """Return what a camera explains of a mask whose edge errs by `error_px`, None where it sees no
-    outline."""
-    edge = edge_of(mask) if edge is None else edge
-    return _covered(solver, mask, edge, unit, max(NEAR_PX, NEAR_SIZES * error_px))
 
 
 def is_sure(covered: Covered) -> bool:
@@ -369,8 +374,12 @@ def _units(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-9)[:, None]
 
 
-def _covered(solver: Solver, mask: Mask, edge: Edge, unit: Camera, near: float) -> Covered | None:
-    """Return what a camera explains of a mask, None where it sees no outline."""
+def covered_at(
+    solver: Solver, mask: Mask, edge: Edge, unit: Camera, error_px: float
+) -> Covered | None:
+    """Return what a camera explains of a mask, whose edge (all of it) errs by `error_px`; None
+    where it sees no outline."""
+    near = _near(error_px)
     outline = _seen(solver, unit, solver.finest)
     if outline is None:
         return None

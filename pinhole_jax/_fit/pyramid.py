@@ -10,7 +10,6 @@ are the same few, so what is worked out and kept grows like the outline, not lik
 
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -126,24 +125,8 @@ def pyramid(
 
     Only the window is looked at (and as much beside it as makes whole pixels of the coarsest
     level); None is all. There is room for `least` cells, or for the next of few sizes. Where
-    `only_finest` is asked for, the last level stands alone, in the same room.
+    `only_finest` is asked for, the last level stands alone, in the same room. Arrays of NumPy.
     """
-    host, levels = pyramid_of(target, weight, dtype, coarsest_px, window, least, only_finest)
-    page, sums, *flat = host
-    page, *put = jax.device_put([page, *sums, *flat])
-    return Pyramid(page, tuple(put[:4]), *put[4:]), levels
-
-
-def pyramid_of(
-    target: np.ndarray,
-    weight: Weights,
-    dtype: Any,
-    coarsest_px: int = 16,
-    window: Window | None = None,
-    least: int = LEAST_CELLS,
-    only_finest: bool = False,
-) -> tuple[Pyramid, list[Level]]:
-    """Return `pyramid`'s on the host: arrays of NumPy."""
     H, W = target.shape
     window = window or Window(0, 0, W, H)
     depth = max(int(np.floor(np.log2(extent_of(window.of(target)) / coarsest_px))), 0)

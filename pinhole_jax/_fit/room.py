@@ -32,7 +32,7 @@ def first_room(scene: Scene, image: np.ndarray) -> Capacity:
     edges = pieces = 0
     if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
         number, length = contours(scene.mesh)
-        needed = number + length * extent_of(inside)
+        needed = number + length * diagonal_of(inside)
         edges, pieces = (int(np.quantile(x, MOST)) for x in (number, needed))
     _, _, *arcs = more_room(Capacity(1, 1, 1, 1), Capacity(0, 0, arc_pieces, 0))
     if not edges:
@@ -72,7 +72,7 @@ def _contours(
     return number, length
 
 
-def extent_of(inside: np.ndarray) -> float:
+def diagonal_of(inside: np.ndarray) -> float:
     """Return the length (px) of the diagonal of what is inside a mask, but for crumbs."""
     spans = []
     for axis in (0, 1):

@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array
 
@@ -173,7 +174,7 @@ class Solver:
         for before, made in self._made:
             if before.same(asked):
                 return made
-        made = pyramid(
+        host, levels = pyramid(
             asked.target,
             asked.weights,
             self.dtype,
@@ -181,6 +182,7 @@ class Solver:
             least=asked.least,
             only_finest=asked.only_finest,
         )
+        made = jax.device_put(host), levels
         if made[0].target.size <= KEPT_CELLS:
             first = [x for x in self._made[:1] if x[0].weights is not asked.weights]
             self._made = [*first, (asked, made)]
