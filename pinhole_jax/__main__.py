@@ -64,6 +64,7 @@ def _fit(options: argparse.Namespace) -> int:
         _set_up_jax(options)
         from . import formats, io, report
         from ._command.known import known
+        from ._files.pictures import three_channels
         from ._fit.fit_camera import fit_camera
         from ._fit.parameters import as_names
         from ._scene.scene import Scene
@@ -88,7 +89,7 @@ def _fit(options: argparse.Namespace) -> int:
                 )
             )
         progress.say("fitting (the first time compiles: seconds)")
-        photo = _three_channels(picture) if options.refine else None
+        photo = three_channels(picture) if options.refine else None
         fit_arguments = {"phi": phi, "lens": lens, "weight": weight, "photo": photo}
         told = lambda level: progress.say(str(level))
         record = options.report is not None
@@ -126,6 +127,7 @@ def _fit(options: argparse.Namespace) -> int:
 def _beside(options: argparse.Namespace, mask: Any) -> tuple[Any, Any]:
     """Return the weights of `--weight`, None without, and the picture to draw on."""
     from . import io
+    from ._command.photos import photo_beside
 
     weight, picture = None, mask
     if options.refine and options.image is None:
@@ -134,17 +136,8 @@ def _beside(options: argparse.Namespace, mask: Any) -> tuple[Any, Any]:
         with named(path="--weight"):
             weight = io.load_mask(options.weight, "luminance") / 255.0
     if options.image is not None:
-        with named(path="--image"):
-            picture = io.load_image(options.image)
-    if picture.shape[:2] != mask.shape:
-        (h, w), (H, W) = picture.shape[:2], mask.shape
-        raise ValueError(f"`--image`: expected the mask's size {W} x {H}, got {w} x {h}")
+        picture = photo_beside(options.image, mask, "--image")
     return weight, picture
-
-
-def _three_channels(picture: Any) -> Any:
-    """Return a picture (H, W) or (H, W, 3 or 4) as (H, W, 3)."""
-    return picture[..., None].repeat(3, axis=-1) if picture.ndim == 2 else picture[..., :3]
 
 
 def _render(options: argparse.Namespace) -> int:

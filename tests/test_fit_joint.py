@@ -642,8 +642,10 @@ def test_the_command_finds_zeros_and_writes_a_page(robot_files, capsys):
 @pytest.mark.long
 def test_the_command_finds_the_camera_of_a_robot(robot_files, capsys):
     words = [*robot_files, "--camera", "start.json", "--holdout", "-o", "found"]
+    words += ["--images", *robot_files[3:], "--refine"]
     assert command.main(words) == 0
     out = capsys.readouterr().out
+    assert len(re.findall(r"view \d: the camera is the mask's", out)) == 3
     found = pj.io.load_fit("found/camera.json")
     assert max(apart(found.camera, TRUTH)) < 2e-3
     assert re.search(r"^halves .* sigma: they agree$", out, re.M)
@@ -656,6 +658,7 @@ def test_the_command_names_what_is_wrong_about_a_robot(robot_files, capsys):
     start = ["--camera", "start.json"]
     Path("short.json").write_text('{"names": ["turn"], "postures": [[1, 2]]}')
     Path("other.csv").write_text("bend\n0\n0\n0\n")
+    pj.io.save_image("small.png", np.zeros((30, 40, 3), np.uint8))
     robot, masks = robot_files[:2], robot_files[3:]
     for change, words in (
         ([*robot_files[:-1], *start], "`MASK`: expected one of each of 3 rows of 'joints.csv'"),
@@ -671,6 +674,12 @@ def test_the_command_names_what_is_wrong_about_a_robot(robot_files, capsys):
         (
             [*robot_files, *start, "--free", "phi", "--propose", "joints.csv"],
             "`--propose`: expected `pose` in --free",
+        ),
+        ([*robot_files, *start, "--refine"], "`--refine`: expected photos, --images"),
+        ([*robot_files, *start, "--images", masks[0]], "`--images`: expected one of each of 3"),
+        (
+            [*robot_files, *start, "--images", *masks[:2], "small.png"],
+            "`--images`: expected the mask's size 96 x 96, got 40 x 30 (small.png)",
         ),
         ([*robot_files, *start, "--in-hand", "tool"], "`--in-hand`: expected a link among base"),
         ([*robot_files, *start, "--leave-out", "tool"], "`--leave-out`: expected links among base"),

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from oracles import drawn, turned
 from scipy.ndimage import binary_dilation, gaussian_filter
+from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -84,6 +85,48 @@ def test_colours_that_tell_nothing_leave_the_mask_alone(scene, shown):
 
 
 @pytest.mark.long
+def beside(scene, masks, photos):
+    """Return views of the scene in place, and turned by a third of a circle."""
+    place = np.eye(4)
+    place[:3, :3] = Rotation.from_euler("y", 120, degrees=True).as_matrix()
+    places = (None, place)
+    given = zip(masks, photos, places, strict=True)
+    return [pj.JointView(scene, mask, photo=photo, placed=at) for mask, photo, at in given]
+
+
+def turned_away(scene):
+    """Return what the second view of `beside` shows."""
+    turn = Rotation.from_euler("y", 120, degrees=True).as_matrix()
+    vertices = np.asarray(scene.mesh.vertices) @ turn.T
+    return drawn(CAMERA, pj.Scene(mesh=pj.Mesh(vertices, scene.mesh.faces)))
+
+
+def test_photos_put_grown_masks_right_together(scene, shown):
+    seen = [shown, turned_away(scene)]
+    masks, pictures = [grown(x) for x in seen], [photo_of(x) for x in seen]
+    by_masks = pj.fit_joint(beside(scene, masks, (None, None)), START)
+    fit = pj.fit_joint(beside(scene, masks, pictures), START)
+    errors = [off(f.cameras["camera"]) for f in (fit, by_masks)]
+    assert np.all(errors[0] < errors[1] / 6)
+    assert fit.status == "converged"
+    for k, words in enumerate(fit.weak):
+        assert words.startswith(f"view {k}: the camera is the photo's")
+    assert np.all(fit.cameras["camera"].std < by_masks.cameras["camera"].std / 3)
+
+    # A photo of something else is not believed, nor does it spoil the other's.
+    pictures[1] = photo_of(np.roll(seen[1], 120, axis=1))
+    fit = pj.fit_joint(beside(scene, masks, pictures), START)
+    assert fit.weak[-2].startswith("view 0: the camera is the photo's")
+    assert "the camera is the mask's" in fit.weak[-1]
+    assert np.all(off(fit.cameras["camera"]) < errors[1] / 3)
+
+
+def test_a_view_names_its_photo_that_is_none(scene, shown):
+    views = beside(scene, [shown, shown], [None, PHOTO[:, :100]])
+    with pytest.raises(ValueError, match=r"`views\[1\]`: `photo`: expected .* \(160, 192, 3\)"):
+        pj.fit_joint(views, START)
+
+
 def test_what_weighs_nothing_is_not_asked_of_the_photo(scene, shown):
     photo, mask, weight = photo_of(shown), grown(shown), np.ones(shown.shape)
     photo[:, :80], mask[:, :80], weight[:, :80] = (220, 0, 220), False, 0

@@ -227,6 +227,12 @@ def _add_hand_eye(commands: Any) -> None:
     )
     robot.add_argument("--mask-from", metavar="HOW", help="how to read the MASKs, see below")
     robot.add_argument(
+        "--images", metavar="PHOTO", nargs="+", help="what to draw the outlines on (default: MASKs)"
+    )
+    robot.add_argument(
+        "--refine", action="store_true", help="fit to the colours of --images, too, where they tell"
+    )
+    robot.add_argument(
         "--joint-zeros",
         type=float,
         metavar="SIGMA",

@@ -12,6 +12,7 @@ from .. import io
 from .._camera.camera import Camera
 from .._files.naming import named
 from .._files.paths import read_json, read_text, replace_file
+from .._files.pictures import three_channels
 from .._fit.drift import drift
 from .._fit.fit_joint import fit_joint
 from .._fit.joint_result import JointFit
@@ -21,6 +22,7 @@ from ..formats import object_pose
 from ..plot import overlay
 from ..robots import Robot, load_urdf
 from .known import known
+from .photos import photo_beside
 from .proposals import Sight, in_words, worths
 from .robot_page import robot_page
 
@@ -34,6 +36,10 @@ def hand_eye(
     """Fit, write and print; return 0, or 1 for a fit that is not to be trusted."""
     robot = robot_of(options)
     views = views_of(robot, options, tell)
+    pictures = _pictures(options, [view.target for view in views])
+    if options.refine:
+        photos = map(three_channels, pictures)
+        views = [v._replace(photo=p) for v, p in zip(views, photos, strict=True)]
     proposed = None if options.propose is None else _proposed(robot, options)
     camera, search = _start(options, views[0].target, tell)
     say(f"fitting {len(views)} views (the first time compiles: seconds)")
@@ -49,12 +55,13 @@ def hand_eye(
     apart = _halves(fit, views, options) if options.holdout else None
     usable = fit.status != "non_finite"
     more = None if proposed is None or not usable else _worths(fit, views, options, proposed)
-    written = _write(options, fit, views)
+    written = _write(options, fit, pictures)
     if options.report is not None and usable:
         say("drawing the page")
         text = robot_page(
             fit,
             [view.target for view in views],
+            pictures,
             [Path(path).name for path in options.masks],
             frame=options.in_hand or "the base",
             halves=apart,
@@ -216,15 +223,29 @@ def _worth_most(fit: JointFit) -> str:
     return f"without view {best} the standard errors of the pose were {worth:.2f} times as large"
 
 
-def _write(options: argparse.Namespace, fit: JointFit, views: list[JointView]) -> list[Path]:
-    """Write the camera, and each mask with the outline on it; return the paths."""
+def _pictures(options: argparse.Namespace, masks: list[np.ndarray]) -> list[np.ndarray]:
+    """Return what outlines are drawn on: the photos of `--images`, the masks without."""
+    if options.images is None:
+        if options.refine:
+            raise ValueError("`--refine`: expected photos, --images PHOTO ...")
+        return masks
+    if len(options.images) != len(masks):
+        raise ValueError(
+            f"`--images`: expected one of each of {len(masks)} masks, got {len(options.images)}"
+        )
+    pairs = zip(options.images, masks, strict=True)
+    return [photo_beside(path, mask, "--images") for path, mask in pairs]
+
+
+def _write(options: argparse.Namespace, fit: JointFit, pictures: list[np.ndarray]) -> list[Path]:
+    """Write the camera, and each picture with the outline on it; return the paths."""
     folder = Path(options.output)
     written = [folder / "camera.json"]
     with named(path="--output"):
         found = fit.cameras["camera"]._replace(status=fit.status)
         io.save_fit(written[0], found, pixel_centres=options.pixel_centres)
         if fit.status != "non_finite":
-            for k, (view, given) in enumerate(zip(fit.views, views, strict=True)):
+            for k, (view, picture) in enumerate(zip(fit.views, pictures, strict=True)):
                 written.append(folder / f"overlay_{k}.png")
-                io.save_image(written[-1], overlay(given.target, view.camera, view.scene))
+                io.save_image(written[-1], overlay(picture, view.camera, view.scene))
     return written

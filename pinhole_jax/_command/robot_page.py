@@ -18,6 +18,7 @@ from .._silhouette.silhouette import silhouette
 def robot_page(
     fit: JointFit,
     masks: Sequence[np.ndarray],
+    pictures: Sequence[np.ndarray],
     names: Sequence[str],
     *,
     frame: str,
@@ -25,9 +26,9 @@ def robot_page(
     proposed: str | None = None,
     pixel_centres: Any = "integer",
 ) -> str:
-    """Return a fit to the masks (H, W) of files of such names as a page; `frame` is the link that
-    its camera stands in, `halves` what the halves of the postures say, `proposed` what other
-    postures would tell."""
+    """Return a fit to the masks (H, W) of files of such names as a page; `pictures` are what
+    outlines are drawn on (the masks, or photos), `frame` is the link that its camera stands in,
+    `halves` what the halves of the postures say, `proposed` what other postures would tell."""
     camera = fit.cameras["camera"]
     meaning = STATUSES[fit.status][0].upper() + STATUSES[fit.status][1:]
     numbers = {
@@ -47,7 +48,7 @@ def robot_page(
         html_page.section("Postures", _views(fit, masks, names)),
         html_page.section("Other postures", f"<p>{further}</p>"),
         html_page.section("K, R and t", f"<pre>{pose}</pre>"),
-        html_page.section("Outlines on the masks", _pictures(fit, masks, names)),
+        html_page.section("Outlines", _pictures(fit, pictures, names)),
     ]
     return html_page.document("Camera of a robot", status + html_page.facts(numbers), sections)
 
@@ -122,12 +123,13 @@ def _beside(view: ViewFit, mask: np.ndarray) -> tuple[float, float]:
     return float(difference.clip(0).sum()) / whole, float((-difference).clip(0).sum()) / whole
 
 
-def _pictures(fit: JointFit, masks: Sequence[np.ndarray], names: Sequence[str]) -> str:
+def _pictures(fit: JointFit, pictures: Sequence[np.ndarray], names: Sequence[str]) -> str:
     result = ""
-    for k, (view, mask, name) in enumerate(zip(fit.views, masks, names, strict=True)):
-        image = np.round(255 * shares(mask).clip(0, 1)).astype(np.uint8)
+    for k, (view, picture, name) in enumerate(zip(fit.views, pictures, names, strict=True)):
+        if picture.ndim == 2:
+            picture = np.round(255 * shares(picture).clip(0, 1)).astype(np.uint8)
         window = plot.object_window(view.camera, view.scene)
-        drawn = plot.overlay(image, view.camera, view.scene, window=window)
+        drawn = plot.overlay(picture, view.camera, view.scene, window=window)
         words = f"View {k}, {html.escape(name, quote=True)}: the recovered outline, IoU"
         result += html_page.figure(drawn, f"{words} {view.iou:.4f}.")
     return result

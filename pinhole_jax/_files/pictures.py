@@ -91,3 +91,10 @@ def eight_bits(image: Image) -> np.ndarray:
     unit = max(float(np.max(ends)), 1)
     grey = lambda band: np.round(255 * (np.maximum(np.asarray(band, float), 0) / unit))
     return by_bands(image, grey)
+
+
+def three_channels(picture: np.ndarray) -> np.ndarray:
+    """Return a picture (H, W) or (H, W, 3 or 4) as (H, W, 3)."""
+    if picture.ndim == 2:
+        return np.repeat(picture[..., None], 3, axis=2)
+    return np.ascontiguousarray(picture[..., :3])

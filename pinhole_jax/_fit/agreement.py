@@ -104,19 +104,24 @@ class Agreement(NamedTuple):
 
 
 def agreed(
-    layout: Layout, found: Descent, descend: Callable[[Descent, np.ndarray], Descent]
+    layout: Layout,
+    found: Descent,
+    descend: Callable[[Descent, np.ndarray], Descent],
+    counts: np.ndarray | None = None,
 ) -> Agreement:
     """Return how far views agree where their squares are least; `descend` goes there from a descent
-    by the squares of views with weights (V,)."""
-    weights = np.ones(len(layout.eyes))
+    by the squares of views with weights (V,). Views that agree have the weights `counts` (V,): 1,
+    if None."""
+    counts = np.ones(len(layout.eyes)) if counts is None else counts
+    weights = counts
     for _ in range(ROUNDS):
-        here = _at(layout, found, weights)
-        further = np.minimum((HEAVY + 1) / (HEAVY + here.off**2), 1.0)
+        here = _at(layout, found, weights, counts)
+        further = counts * np.minimum((HEAVY + 1) / (HEAVY + here.off**2), 1.0)
         if len(weights) < 3 or np.max(np.abs(np.log(further / weights))) < SETTLED:
             return here
         weights = further
         found = descend(found, weights)
-    return _at(layout, found, weights)
+    return _at(layout, found, weights, counts)
 
 
 def weigh_beliefs(layout: Layout, found: Descent) -> None:
@@ -127,7 +132,7 @@ def weigh_beliefs(layout: Layout, found: Descent) -> None:
     spreads, ones = [], np.ones(len(layout.eyes))
     for design in DESIGNS:
         layout.design = design
-        here = _at(layout, found, ones)
+        here = _at(layout, found, ones, ones)
         spreads.append(
             sum(
                 float(np.trace(p.rows @ here.covariance(layout, p.columns) @ p.rows.T))
@@ -138,8 +143,8 @@ def weigh_beliefs(layout: Layout, found: Descent) -> None:
     layout.design = DESIGNS[int(np.argmin(spreads))]
 
 
-def _at(layout: Layout, found: Descent, weights: np.ndarray) -> Agreement:
-    """Return how far views with these weights agree."""
+def _at(layout: Layout, found: Descent, weights: np.ndarray, counts: np.ndarray) -> Agreement:
+    """Return how far views with these weights agree; those that do had the weights `counts`."""
     # What is at an end of its bounds, nothing determines.
     held = layout.ways_out(found.state, found.seen) != 0
     seen = [
@@ -162,7 +167,7 @@ def _at(layout: Layout, found: Descent, weights: np.ndarray) -> Agreement:
     excess = max((float(weights @ squares) + believed) / freedom, 1.0) ** 0.5
     excess = excess if len(views) > 1 else 1.0  # (One view has none that it could differ from.)
     misfit = np.array([max(v.touched_misfit, e.solver.kind.least) for e, v in pairs])
-    off = (misfit / np.median(misfit)) ** 0.5
+    off = (misfit * counts / np.median(misfit * counts)) ** 0.5
     parts = layout.least_squares(found.seen, weights)
     known = [part.without(held) for part in known]
     solved = solve([*parts, *known], layout.size, np.zeros(layout.size))

@@ -6,13 +6,15 @@ from typing import Any
 import numpy as np
 
 from .._camera.camera import Camera
-from .agreement import agreed, weigh_beliefs
+from .agreement import Agreement, agreed, weigh_beliefs
 from .joint_descent import Descent, descend
+from .joint_photo import OnPhotos, on_photos
 from .joint_problem import JointProblem, Path, Tell, depth_of, descended
-from .joint_result import JointFit, independent_variance, reported, together
+from .joint_result import JointFit, reported, together
 from .joint_search import equally_good, looking_alike, searched_jointly
-from .joint_views import JointView, State
+from .joint_views import Eye, JointView, State
 from .problem import COARSE_PX, FINE_PX
+from .residuals import Sums
 from .strategy import EXACT
 
 #: An outline may lie so many times `outlier_px` from the mask's at first, then less.
@@ -43,7 +45,8 @@ def fit_joint(
     """Return the cameras and objects whose masks are closest to all those given, with error bars.
 
     - `views`: `JointView`s: each names its scene, mask and camera, and where both are in the world
-      (see there). All masks seen by one camera have its size.
+      (see there). All masks seen by one camera have its size. Where they bring photos, the fit is
+      refined on these (`weak` says what each was found to say).
     - `cameras`: where to start, by name; one alone is named "camera". Its pose is on what carries
       it: in the world where a view has no `mount`, else in the mount's frame, x right, y down, z
       forward (a hand's camera).
@@ -147,7 +150,7 @@ def _merged(problem: JointProblem, found: list[tuple[Path, list[int]]]) -> State
 def _ended(problem: JointProblem, paths: list[Path], tell: Tell) -> JointFit:
     """Return the fit that the first path leads to; the others are its modes."""
     best, *others = paths
-    fit = _finished(problem, best, tell)
+    fit = _finished(problem, best, tell, photos=True)
     modes = [_finished(problem, other, tell) for other in others]
     if modes and fit.status in ("converged", "rank_deficient", "uncertain"):
         fit = fit._replace(status="ambiguous")
@@ -166,8 +169,8 @@ def _is_content(problem: JointProblem, path: Path) -> bool:
     return overlap >= LIKELY_IOU * union
 
 
-def _finished(problem: JointProblem, path: Path, tell: Tell) -> JointFit:
-    """Return the fit that a state on the finest level leads to."""
+def _finished(problem: JointProblem, path: Path, tell: Tell, photos: bool = False) -> JointFit:
+    """Return the fit that a state on the finest level leads to, refined on `photos` or not."""
     layout, reach = problem.layout, problem.outlier_px
     eyes = layout.eyes
     misfits = [seen.view.touched_misfit for seen in path.descent.seen]
@@ -188,11 +191,27 @@ def _finished(problem: JointProblem, path: Path, tell: Tell) -> JointFit:
         return descend(layout, before.state, 1, weights, problem.max_steps, px)
 
     found = agreed(layout, path.descent, weighed)
-    independent = independent_variance(layout, found)
-    state = found.descent.state
-    for eye in eyes:
-        eye.show(state)
+    said = on_photos(problem, found, px, tell) if photos else OnPhotos(problem, found, (), ())
     for eye in inexact:
         eye.solver.weigh(eye.mask.weight)
-    whole = [eye.solver.look(eye.unit(state), eye.solver.finest) for eye in eyes]
-    return reported(problem, path.steps, found, independent, [view.sums for view in whole])
+    sums = _over_masks(eyes, found.descent.state)
+    astray = _astray(found, sums)
+    if said.found is not found:
+        sums = _over_masks(eyes, said.found.descent.state)
+    fit = reported(said.problem, path.steps + said.steps, said.found, sums, astray)
+    return fit._replace(weak=(*fit.weak, *said.words))
+
+
+def _over_masks(eyes: list[Eye], state: State) -> list[Sums]:
+    """Return the sums over all pixels of each mask."""
+    for eye in eyes:
+        eye.show(state)
+    return [eye.solver.look(eye.unit(state), eye.solver.finest).sums for eye in eyes]
+
+
+def _astray(found: Agreement, sums: list[Sums]) -> list[float]:
+    """Return the share of each outline that is far from the mask's edge, so that the fit did not
+    look at it."""
+    near = [float(seen.view.sums.touched) for seen in found.descent.seen]
+    all_ = [float(s.touched) for s in sums]
+    return [1 - n / a if a else 0.0 for n, a in zip(near, all_, strict=True)]

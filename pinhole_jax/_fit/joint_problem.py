@@ -16,6 +16,7 @@ from .joint_views import LENS, POSE, TWIST, ZERO, Eye, JointView, State, Unknown
 from .mask import Mask
 from .moves import Bounds, canonical
 from .parameters import as_names, check_free, components, in_one, with_lens
+from .photo import check_photo
 from .problem import COARSE_PX, FINE_PX
 from .residuals import Capacity
 from .solver import Solver
@@ -206,6 +207,7 @@ def _eye(
     try:
         image, weight = check_target(view.target, view.weight, camera.W, camera.H)
         check_border(image, weight, view.scene, None)
+        photo = None if view.photo is None else check_photo(view.photo, camera.W, camera.H)
     except ValueError as error:
         raise ValueError(f"`views[{k}]`: {error}") from error
     image = levelled(image, weight)
@@ -216,7 +218,8 @@ def _eye(
     mount, placed = place("mount", view.mount), place("placed", view.placed)
     pose = rig.get(view.camera, np.eye(4))
     names_of = view.camera, moving[view.camera], view.object
-    return Eye(mask, solver, *names_of, mount, pose, placed, view.scene, view.posture)
+    of_view = mount, pose, placed, view.scene, view.posture, photo
+    return Eye(mask, solver, *names_of, *of_view)
 
 
 class Path(NamedTuple):

@@ -18,6 +18,7 @@ from .joint_problem import JointProblem
 from .joint_views import LENS, POSE, TO_B, TWIST, ZERO
 from .moves import on_film
 from .parameters import LABELS, components, labels_of
+from .residuals import Sums
 from .result import LEAST_IOU, UNCERTAIN, Fit, MaskError, widest_turn
 from .uncertainty import BLIND, in_words
 
@@ -151,7 +152,7 @@ class JointFit(NamedTuple):
         return "\n".join(lines)
 
 
-def independent_variance(layout: Layout, found: Agreement) -> float:
+def _independent_variance(layout: Layout, found: Agreement) -> float:
     """Return a residual's variance, were all of them independent and of one."""
     sums = [s.view.sums for s in found.descent.seen]
     squares = sum(float(s.touched_squares) for s in sums)
@@ -164,11 +165,15 @@ def reported(
     problem: JointProblem,
     steps: tuple[int, ...],
     found: Agreement,
-    independent: float,
-    sums: list[Any],
+    sums: list[Sums],
+    astray: list[float],
 ) -> JointFit:
-    layout = problem.layout
-    views = tuple(_view_fit(problem, k, found, total) for k, total in enumerate(sums))
+    """Return the fit as a user reads it: `sums` are over all pixels of each mask, and `astray` is
+    the share of each outline that is far from its mask's edge."""
+    layout, independent = problem.layout, _independent_variance(problem.layout, found)
+    views = tuple(
+        _view_fit(problem, k, found, *one) for k, one in enumerate(zip(sums, astray, strict=True))
+    )
     cameras = {
         name: _camera_fit(problem, name, steps, found, independent, sums, views)
         for name in problem.cameras
@@ -249,18 +254,20 @@ def _all_zeros(parts: list[JointZeros | None]) -> JointZeros | None:
     )
 
 
-def _view_fit(problem: JointProblem, k: int, found: Agreement, sums: Any) -> ViewFit:
+def _view_fit(
+    problem: JointProblem, k: int, found: Agreement, sums: Sums, astray: float
+) -> ViewFit:
     eye = problem.layout.eyes[k]
     camera = on_film(eye.unit(found.descent.state), problem.cameras[eye.camera])
     total: Any = jax.tree.map(float, sums)
-    near, errors = float(found.descent.seen[k].view.sums.touched), found.errors[k]
+    errors = found.errors[k]
     return ViewFit(
         camera=camera,
         iou=total.overlap / total.union if total.union > 0 else 0.0,
         rms=float(np.sqrt(total.squares / total.weight)) if total.weight > 0 else float("nan"),
         off=float(found.off[k]),
         weight=float(found.weights[k]),
-        astray=1 - near / total.touched if total.touched else 0.0,
+        astray=astray,
         mask_error=None if errors is None else MaskError(errors.size, errors.length),
         scene=eye.scene(found.descent.state),
         sigma=float(found.sigma[k]),
@@ -290,7 +297,7 @@ def _camera_fit(
     steps: tuple[int, ...],
     found: Agreement,
     independent: float,
-    sums: list[Any],
+    sums: list[Sums],
     views: tuple[ViewFit, ...],
 ) -> Fit:
     layout, names = problem.layout, problem.names

@@ -43,6 +43,7 @@ class JointView(NamedTuple):
     - `placed`: the scene's pose there (4, 4); None: it is in place.
     - `posture`: what the scene is where its joints' zeros are elsewhere: `Robot.posture(angles)`.
       None: it has no joints, or their zeros are not sought.
+    - `photo`: what the mask was made of (H, W, 3), as in `fit_camera`: the fit is refined on it.
     """
 
     scene: Scene
@@ -53,6 +54,7 @@ class JointView(NamedTuple):
     object: str | None = None
     placed: Any = None
     posture: Posture | None = None
+    photo: Any = None
 
 
 class State(NamedTuple):
@@ -86,6 +88,7 @@ class Eye:
     placed: Pose
     given: Scene
     posture: Posture | None
+    photo: np.ndarray | None = None
     #: The offsets and the scene that the solver looks at, where it was told of any.
     shown: list[tuple[np.ndarray, Scene]] = field(default_factory=list)
     #: The last state, the view's own camera in it, and this one's pose: each look asks many times.

@@ -103,11 +103,11 @@ def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
 
 def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Refined:
     """Return what a photo says of the camera that was found for a mask."""
-    before = _Outline.of(solver, solver.look(found.unit, solver.finest))
+    before = Outline.of(solver, solver.look(found.unit, solver.finest))
     read = before.read(photo, mask, ROUNDS[0])
     told = before.told(read)
     if not told >= LEAST_TOLD:
-        return Refined(None, found.view.sums, COLOURS, None, [], _untold(told))
+        return Refined(None, found.view.sums, COLOURS, None, [], untold(told))
 
     own, refined, now = copy(solver), found, before
     own.kind = COLOURS
@@ -115,14 +115,14 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Ref
         last = number == len(ROUNDS) - 1
         if number:
             read = now.read(photo, mask, band)
-        own.weigh(*_whole(mask, now.window, read))
+        own.weigh(*whole(mask, now.window, read))
         own.max_steps = LAST_STEPS if last else STEPS
         coarsest = own.finest if number else max(own.finest - COARSER, 0)
         px = FINE_PX[own.dtype] if last else ROUGH_PX
         after = own.solve(refined.unit, range(coarsest, own.finest + 1), fine_px=px)
-        refined, now = onward(refined, after), _Outline.of(own, after.view)
+        refined, now = onward(refined, after), Outline.of(own, after.view)
 
-    taken, note = _judged(mask, photo, before, now)
+    taken, note = judged(mask, photo, before, now)
     over_all = solver.look(refined.unit, solver.finest).sums
     sums = over_all._replace(touched=refined.view.sums.touched)
     if not taken:
@@ -132,7 +132,7 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Ref
     return Refined(refined, sums, COLOURS, errors, free, note)
 
 
-class _Outline(NamedTuple):
+class Outline(NamedTuple):
     """What is seen at a camera near its outline, in a window of the film: coverage (h, w), the
     distance from the outline, positive inside (px), and how much of it each pixel holds (px)."""
 
@@ -142,7 +142,7 @@ class _Outline(NamedTuple):
     length: np.ndarray
 
     @classmethod
-    def of(cls, solver: Solver, view: Any) -> "_Outline":
+    def of(cls, solver: Solver, view: Any) -> "Outline":
         """Return it from a view on the finest level."""
         seen, coverage = view.pixels.level.window(), coverage_of(view)[::-1]
         window = _about(np.abs(coverage - 0.5) < 0.5, seen)
@@ -162,6 +162,10 @@ class _Outline(NamedTuple):
         """Return the share of the outline of which colours tell."""
         clear = np.sum(self.length[read.weight > TELLING])
         return float(clear / max(np.sum(self.length), 1.0))
+
+    def off(self, read: Matte) -> float:
+        """Return by how many px (rms) a matte's edge is off the outline."""
+        return self.offsets(read.share, read.weight)[1]
 
     def of_mask(self, mask: Mask) -> tuple[float, float]:
         """Return the offsets of a mask's edge."""
@@ -198,7 +202,7 @@ def _part(window: Window, seen: Window) -> tuple[slice, slice]:
     return slice(top, top + window.H), slice(left, left + window.W)
 
 
-def _whole(mask: Mask, window: Window, read: Matte) -> tuple[np.ndarray, np.ndarray]:
+def whole(mask: Mask, window: Window, read: Matte) -> tuple[np.ndarray, np.ndarray]:
     """Return weights and target (H, W): the matte's, and a little of the mask's."""
     weight, target = np.zeros(mask.target.shape), mask.image + 0.0
     total = read.weight + OF_MASK
@@ -208,16 +212,15 @@ def _whole(mask: Mask, window: Window, read: Matte) -> tuple[np.ndarray, np.ndar
     return weight, target
 
 
-def _judged(mask: Mask, photo: np.ndarray, before: _Outline, now: _Outline) -> tuple[bool, str]:
+def judged(mask: Mask, photo: np.ndarray, before: Outline, now: Outline) -> tuple[bool, str]:
     """Return whether the photo's camera is better founded than the mask's, and a note."""
     read, first = (x.read(photo, mask, ROUNDS[-1]) for x in (now, before))
     told = now.told(read)
     if not told >= LEAST_TOLD:
-        return False, _untold(told)
+        return False, untold(told)
     bias, apart = now.of_mask(mask)
     _, of_mask = before.of_mask(mask)
-    _, own = now.offsets(read.share, read.weight)
-    _, at_first = before.offsets(first.share, first.weight)
+    own, at_first = now.off(read), before.off(first)
     better = of_mask > MASK_PX and own < of_mask
     if own < STRANGE_PX and (better or at_first > SURE * max(own, PHOTO_PX)):
         side = "outside" if bias > 0 else "inside"
@@ -231,7 +234,7 @@ def _judged(mask: Mask, photo: np.ndarray, before: _Outline, now: _Outline) -> t
     )
 
 
-def _untold(told: float) -> str:
+def untold(told: float) -> str:
     return (
         f"the photo tells the object from its surroundings along {told:.0%} of the outline only:"
         " the camera is the mask's"

@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import io
 from .._camera.camera import Camera
+from .._files.pictures import three_channels
 from .._scene.scene import Scene
 from .hand import Ball, ball_of, framed
 
@@ -64,13 +65,6 @@ def subject_of(
         phi = PHI if fov is None else fov.phi
         camera = framed(Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, W, H), ball)
     return Subject(str(Path(mesh)), str(Path(photo)), scene, picture, ball, camera)
-
-
-def three_channels(picture: np.ndarray) -> np.ndarray:
-    """Return a picture (H, W) or (H, W, 3 or 4) as (H, W, 3)."""
-    if picture.ndim == 2:
-        return np.repeat(picture[..., None], 3, axis=2)
-    return np.ascontiguousarray(picture[..., :3])
 
 
 def photo_file(subject: Subject) -> bytes:

@@ -1,0 +1,150 @@
+"""Views of a joint fit refined on their photos: what colours tell stands in for the masks.
+
+Each view learns its own colours beside its own outline, where all views' camera puts it; the mattes
+that they make are fitted together, and learned again closer to the outline. A view whose colours
+tell too little, or whose photo is no better founded than its mask, keeps the mask.
+"""
+
+from copy import copy
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from .agreement import Agreement, agreed
+from .joint_descent import Descent, Layout, descend
+from .joint_problem import JointProblem, Tell
+from .joint_views import Eye, State
+from .photo import (
+    COLOURS,
+    LAST_STEPS,
+    LEAST_TOLD,
+    OF_MASK,
+    ROUGH_PX,
+    ROUNDS,
+    STEPS,
+    Outline,
+    judged,
+    untold,
+    whole,
+)
+from .problem import COARSE_PX
+
+#: The first round begins on the level that is so many from the finest (1: that one itself).
+FIRST_DEPTH = 3
+
+
+class OnPhotos(NamedTuple):
+    """What photos lead to: the problem whose views look at them, how far these agree, the steps,
+    and what each photo says, in words."""
+
+    problem: JointProblem
+    found: Agreement
+    steps: tuple[int, ...]
+    words: tuple[str, ...]
+
+
+def on_photos(problem: JointProblem, before: Agreement, px: float, tell: Tell) -> OnPhotos:
+    """Return what photos make of the answer `before`, that of masks; steps of `px` are negligible.
+
+    The problem is the one that was given where no photo is better founded than its mask.
+    """
+    of_masks, begun = problem.layout, before.descent.state
+    photos = {k: eye.photo for k, eye in enumerate(of_masks.eyes) if eye.photo is not None}
+    first = _outlines(of_masks, begun, photos)
+    told = {
+        k: first[k].told(first[k].read(photo, of_masks.eyes[k].mask, ROUNDS[0]))
+        for k, photo in photos.items()
+    }
+    telling = {k: photos[k] for k, share in told.items() if share >= LEAST_TOLD}
+    words = {k: untold(share) for k, share in told.items() if k not in telling}
+    found, steps = before, ()
+    while telling:
+        looking = {k: _looking(of_masks.eyes[k]) for k in telling}
+        layout = _with_eyes(of_masks, looking)
+        counts = np.array([1.0 if k in telling else OF_MASK for k in range(len(layout.eyes))])
+        weights = counts * before.weights
+        state, now, further = _followed(layout, telling, first, begun, weights, px, tell)
+        steps += further
+        wrong = {}
+        for k, photo in telling.items():
+            better, words[k] = judged(layout.eyes[k].mask, photo, first[k], now[k])
+            if not better:
+                wrong[k] = now[k].off(now[k].read(photo, layout.eyes[k].mask, ROUNDS[-1]))
+        if not wrong:
+            problem = problem._replace(layout=layout)
+            found = _agreed(problem, state, counts, px)
+            steps += (found.descent.steps,)
+            break
+        # (Photos of something else pull at the others: these may be right without them.)
+        for k in sorted(wrong, key=wrong.__getitem__)[len(wrong) // 2 :]:
+            del telling[k]
+    said = tuple(f"view {k}: {words[k]}" for k in sorted(words))
+    return OnPhotos(problem, found, steps, said)
+
+
+def _followed(
+    layout: Layout,
+    photos: dict[int, np.ndarray],
+    now: dict[int, Outline],
+    state: State,
+    weights: np.ndarray,
+    px: float,
+    tell: Tell,
+) -> tuple[State, dict[int, Outline], tuple[int, ...]]:
+    """Return the state that colours lead to, learned round by round, the outlines there, and the
+    steps."""
+    steps = []
+    depths = range(FIRST_DEPTH, 0, -1)
+    for number, band in enumerate(ROUNDS):
+        last = number == len(ROUNDS) - 1
+        for k, photo in photos.items():
+            eye = layout.eyes[k]
+            read = now[k].read(photo, eye.mask, band)
+            eye.solver.weigh(*whole(eye.mask, now[k].window, read))
+        for depth in (1,) if number else depths:
+            least = COARSE_PX if depth > 1 else px if last else max(px, ROUGH_PX)
+            most = LAST_STEPS if last else STEPS
+            there = descend(layout, state, depth, weights, most, least)
+            state = there.state
+            steps.append(there.steps)
+        now = _outlines(layout, state, photos)
+        tell(f"{len(photos)} photos: round {number + 1} of {len(ROUNDS)}")
+    return state, now, tuple(steps)
+
+
+def _agreed(problem: JointProblem, state: State, counts: np.ndarray, px: float) -> Agreement:
+    """Return how far views that count so much (V,) agree, from a state on."""
+    layout = problem.layout
+
+    def weighed(there: Descent, weights: np.ndarray) -> Descent:
+        return descend(layout, there.state, 1, weights, problem.max_steps, px)
+
+    begun = descend(layout, state, 1, counts, problem.max_steps, px)
+    return agreed(layout, begun, weighed, counts)
+
+
+def _looking(eye: Eye) -> Eye:
+    """Return an eye with a solver of its own, for the photo's matte."""
+    solver = copy(eye.solver)
+    solver.kind = COLOURS
+    return replace(eye, solver=solver)
+
+
+def _with_eyes(layout: Layout, others: dict[int, Eye]) -> Layout:
+    """Return the layout with other eyes in place of some."""
+    eyes = [others.get(k, eye) for k, eye in enumerate(layout.eyes)]
+    result = Layout(layout.unknowns, eyes, layout.beliefs)
+    result.design = layout.design
+    return result
+
+
+def _outlines(layout: Layout, state: State, photos: dict[int, np.ndarray]) -> dict[int, Outline]:
+    """Return what views with photos show near their outlines."""
+    result = {}
+    for k in photos:
+        eye = layout.eyes[k]
+        eye.show(state)
+        view = eye.solver.look(eye.unit(state), eye.solver.finest)
+        result[k] = Outline.of(eye.solver, view)
+    return result
