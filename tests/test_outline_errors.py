@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._fit.moves import canonical
+from pinhole_jax._fit.outline_errors import is_drawn, outline_errors
 from pinhole_jax._fit.solver import Solver
 from pinhole_jax._fit.stretches import area_between, stretches_of
 from pinhole_jax._fit.target import levelled
@@ -83,6 +84,21 @@ def test_a_computed_mask_of_one_bit_has_no_errors_but_quantisation(scene, image)
     assert str(fit.mask_error) == "no more than quantisation leaves"
     ratio = fit.std / np.sqrt(np.diag(fit.independent_covariance))
     assert np.all((ratio > 0.9) & (ratio < 1.5))
+
+
+def test_single_pixels_tell_a_drawn_mask_whose_stretches_err_by_no_more_than_one_bit(scene, image):
+    """A mask that is shrunk may look like another camera's: all offsets are small there."""
+    mask, outline = image > 0.5, np.argwhere((image > 0.02) & (image < 0.98))
+    wrong = outline[:: len(outline) // 12]
+    mask[tuple(wrong.T)] ^= True
+    view, target, weights = seen(scene, mask)
+    solver = solver_of(scene, mask)
+    found = [outline_errors(view, target, weights, 1 / 12, hard) for hard in (True, False)]
+    assert found[0].computed < 0.05 < found[1].computed
+    assert is_drawn(solver.errors(view))
+    one = seen(scene, image > 0.5)
+    assert outline_errors(*one, 1 / 12, True).computed == 1
+    assert stretches_of(*one).beyond == 0
 
 
 def test_a_computed_soft_mask_is_asked_nothing(scene, image):

@@ -13,6 +13,7 @@ t and b integrated out), the hypothesis that the mask is computed (q alone) amon
 covariance is the mean of the hypotheses'.
 """
 
+from math import lgamma
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +33,9 @@ BIASES = ((1.5, 0.5), (8.0, 0.5))
 COMPUTED, SURE = 0.5, 0.9
 #: Below this likelihood of being computed a mask is drawn. (Masks off by 0.3 px: 1e-10 and less.)
 DRAWN = 0.05
+#: Of a computed mask's pixels beside the outline so many are on its wrong side. (Of 72 such masks
+#: one had one, of 196; masks that are shrunk or wavy have 2 to 60 %.)
+STRAYS = 0.003
 #: Quantisation's variance, beside that of pixels which err independently: straight edges that
 #: nearly follow the rows err alike.
 #: (Of 48 computed masks of one bit all are told for certain with 2, all but 8 with 1.)
@@ -72,21 +76,36 @@ class _Hypotheses(NamedTuple):
 
 
 def outline_errors(
-    view: View, target: np.ndarray, weights: Weights, quantisation: float
+    view: View, target: np.ndarray, weights: Weights, quantisation: float, hard: bool
 ) -> OutlineErrors | None:
     """Return how the mask's outline errs, None where too little of an outline is seen.
 
     `target` and `weights` are (H, W), `quantisation` is the mean square residual that quantisation
-    leaves in an outline pixel of weight 1.
+    leaves in an outline pixel of weight 1; a mask is `hard` whose pixels are 0 or 1.
     """
     stretches = stretches_of(view, target, weights)
     if stretches is None or len(stretches.offset) < 2 * stretches.by_move.shape[1] + 4:
         return None
-    return _weighed(stretches, quantisation)
+    odds = _odds_of_computed(stretches.beyond, stretches.pixels) if hard else 0.0
+    return _weighed(stretches, quantisation, odds)
 
 
-def _weighed(stretches: Stretches, quantisation: float) -> OutlineErrors:
-    """Return the mean of the hypotheses, each as likely as the offsets are under it."""
+def _odds_of_computed(beyond: int, pixels: int) -> float:
+    """Return how likely it is that a computed mask of one bit has so many of an outline's pixels on
+    the wrong side, beside that a drawn one has (any share): the logarithm.
+
+    Where an outline is drawn, offsets of whole stretches may be those of a camera that is wrong,
+    and what is left no larger than quantisation; but not its single pixels.
+    """
+    right = max(pixels - beyond, 0)
+    computed = beyond * np.log(STRAYS) + right * np.log1p(-STRAYS)
+    drawn = lgamma(beyond + 1) + lgamma(right + 1) - lgamma(beyond + right + 2)
+    return float(computed - drawn)
+
+
+def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineErrors:
+    """Return the mean of the hypotheses, each as likely as the offsets are under it, and as the
+    mask is of being computed (by logarithmic `odds`)."""
     model = _Model(stretches, quantisation)
     none = np.zeros(1)
     exact = model.hypotheses(0.0, none, none, none, np.full(1, COMPUTED))
@@ -99,6 +118,7 @@ def _weighed(stretches: Stretches, quantisation: float) -> OutlineErrors:
         found.append(model.hypotheses(length, sizes, own, bias, prior))
     together = _Hypotheses(*map(np.concatenate, zip(*found, strict=True)))
     logs = together.log_likelihood
+    logs[0] += odds
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     if weights[0] > SURE:

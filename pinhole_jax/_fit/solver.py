@@ -237,7 +237,7 @@ class Solver:
             scale = float(np.median(weight[weight > 0])) if np.any(weight > 0) else 1.0
             noise = max(self.kind.variance, view.touched_misfit) / scale
             noise = float(np.clip(noise, LEAST_VARIANCE, ONE_BIT))  # more is no noise of pixels
-            found = outline_errors(view, self._target, self._weights, noise)
+            found = outline_errors(view, self._target, self._weights, noise, self.kind.hard)
             self._errors = view, found
         return self._errors[1]
 

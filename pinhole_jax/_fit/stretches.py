@@ -19,6 +19,9 @@ SHORTEST = 2.0
 NEAREST = 16.0
 #: The outline within a pixel is this long (px) at most.
 LONGEST_WITHIN = 1.5
+#: A pixel whose coverage differs from the mask by more is on the wrong side of the outline. (One
+#: bit differs by a half at most; a camera's own error and corners move that by hundredths.)
+WRONG_SIDE = 0.6
 #: A stretch whose pixels weigh less than this share of others tells nothing.
 LEAST_WEIGHT = 0.2
 
@@ -30,6 +33,7 @@ class Stretches(NamedTuple):
     - `offset` (N,): how far outside them the mask's outline lies (px).
     - `by_move` (N, n): their own offset by the solver's moves.
     - `share` (N,): what they count for in the sum of squares.
+    - `beyond`: how many pixels of the outline the mask has on its wrong side, of so many `pixels`.
     """
 
     at: np.ndarray
@@ -37,6 +41,8 @@ class Stretches(NamedTuple):
     offset: np.ndarray
     by_move: np.ndarray
     share: np.ndarray
+    beyond: int
+    pixels: int
 
 
 class _Outline(NamedTuple):
@@ -94,9 +100,10 @@ def stretches_of(view: View, target: np.ndarray, weights: Weights) -> Stretches 
 
     # Areas, not distances: what the mask has beyond the outline, for each px of it.
     length = outline.nearby(beside, steepness)
-    differs, missing = _differing(place, coverage, window.of(target)[::-1])
-    told = _weights_at(weights, window, differs, target.shape[0]) > 0
-    offset = outline.nearby(differs[told], missing[told]) / np.maximum(length, 0.5)
+    mask = window.of(target)[::-1]
+    differing, missing = _differing(place, coverage, mask)
+    seen = _weights_at(weights, window, differing, target.shape[0]) > 0
+    offset = outline.nearby(differing[seen], missing[seen]) / np.maximum(length, 0.5)
 
     # Only pixels with weight say what a move does.
     root = np.sqrt(weight)
@@ -113,8 +120,13 @@ def stretches_of(view: View, target: np.ndarray, weights: Weights) -> Stretches 
 
     least = LEAST_WEIGHT * np.median(weight[weight > 0])
     good = (length_told > 0.5) & (outline.summed(weight) > least * pixels)
-    at = outline.means(place)
-    return Stretches(*(x[good] for x in (at, length, offset, by_move, share)))
+    at, length, offset, by_move, share = (
+        x[good] for x in (outline.means(place), length, offset, by_move, share)
+    )
+    inside = np.asarray(view.pixels.coverage, float)[shown]
+    differs = np.abs(inside - shares(mask[tuple(place.T)]))[weight > 0]
+    beyond = int(np.sum(differs > WRONG_SIDE))
+    return Stretches(at, length, offset, by_move, share, beyond, len(differs))
 
 
 def area_between(view: View, target: np.ndarray, weights: Weights, cap: float) -> float:
