@@ -30,6 +30,7 @@ def fit_joint(
     cameras: Camera | Mapping[str, Camera],
     free: str | Sequence[str] = ("pose",),
     *,
+    shared: str | Sequence[str] | Mapping[str, Sequence[Sequence[str]]] = (),
     objects: Mapping[str, Any] | None = None,
     rig: Mapping[str, Any] | None = None,
     search: bool = False,
@@ -49,6 +50,9 @@ def fit_joint(
       forward (a hand's camera).
     - `free`: "pose" (without it, the cameras stay where they are), phi, principal_point, aspect and
       the lens's coefficients, of each camera, the same in all of its views.
+    - `shared`: what of phi, principal_point, aspect and the lens's coefficients ("distortion": all)
+      is free, too, and the same for all cameras; or by such names groups of cameras that have one
+      in common: {"phi": [("left", "right"), ("front", "back")]}. It begins at the mean.
     - `objects`: where unknown objects are at first (4, 4), by the names that views give.
     - `rig`: poses (4, 4) of cameras on a rig, by name: they move as one, from where the first of
       them is.
@@ -59,13 +63,14 @@ def fit_joint(
       end, where masks are not exact.
     - `prior`, `bounds`: as in `fit_camera`, the same for each camera, or by the names of cameras
       (and objects): {"left": {"phi": (0.6, 0.01)}}. An object's prior is of its place: x, y, z.
+      Of what cameras share a prior counts once.
       Where masks err along stretches, what is known beforehand counts for as much more.
     - `joint_zeros`: how surely the zeros of a robot's joints are known: standard deviations, by the
       joints' names (rad; of sliding ones in world units), or one number for all that turn. They are
       the same in all views that have a `posture`, and are found with the rest. None: exactly.
 
-    Each view is reduced to a few rows by the program that a single fit has; what one view alone
-    depends on is eliminated there. So the cost is linear in the views, and nothing is compiled that
+    Each view is reduced to a few rows by the program that a single fit has; what few views depend
+    on is eliminated there. So the cost is linear in views and cameras, and nothing is compiled that
     `fit_camera` has not. Levenberg-Marquardt leads from coarse to fine; then a view whose residuals
     are larger than most views' counts less (`JointFit.views`). The error bars are what the masks'
     errors make of all unknowns together, and grow where views differ by more.
@@ -74,9 +79,8 @@ def fit_joint(
 
     Raises ValueError for arguments that make no fit; what the solver met is in `JointFit.status`.
     """
-    problem = JointProblem.of(
-        views, cameras, free, objects, rig, outlier_px, max_steps, prior, bounds, joint_zeros
-    )
+    settings = outlier_px, max_steps, prior, bounds, joint_zeros, shared
+    problem = JointProblem.of(views, cameras, free, objects, rig, *settings)
     tell = progress if progress is not None else _silent
     parts = problem.parts()
     if search and not all(part.searchable() for part, _ in parts):

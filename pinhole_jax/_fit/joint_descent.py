@@ -1,7 +1,9 @@
 """One least-squares problem over many views: each is reduced to a few rows, by its own program.
 
-The rows of a view are its R of J = QR times how its moves follow the unknowns. What only one view
-depends on is eliminated there, so the cost is linear in the views.
+The rows of a view are its R of J = QR times how its moves follow the unknowns. What few views
+depend on is eliminated there: those of one camera, or of one object, that have with the others only
+a lens in common, say. So the cost is linear in the views, and no matrix over all of them is ever
+made (nor normal equations, which would lose half of the digits).
 """
 
 import os
@@ -28,8 +30,8 @@ ASKING = Lock()
 
 
 class Rows(NamedTuple):
-    """Residuals (m,) `rows x[columns] + left` of one view; `own` (k,) are unknowns that no other
-    view depends on."""
+    """Residuals (m,) `rows x[columns] + left` of one view; `own` (k,) of the unknowns are to be
+    eliminated, with those of the views that depend on these, too."""
 
     rows: np.ndarray
     left: np.ndarray
@@ -57,22 +59,20 @@ class Layout:
         self, unknowns: Sequence[Unknown], eyes: Sequence[Eye], beliefs: Sequence[Belief] = ()
     ):
         self.unknowns, self.eyes = list(unknowns), list(eyes)
-        known = {(u.name, u.kind) for u in self.unknowns}
-        self.beliefs = [b for b in beliefs if (b.name, b.kind) in known]
+        number = {(u.name, u.kind): k for k, u in enumerate(self.unknowns)}
+        self._number = number
+        self.beliefs = [b for b in beliefs if (b.name, b.kind) in number]
         #: How many times as large as of independent residuals the masks' variance is.
         self.design = 1.0
         ends = np.cumsum([u.size for u in self.unknowns], dtype=int)
         self.size = int(ends[-1]) if len(ends) else 0
         self._places = [np.arange(end - u.size, end) for u, end in zip(unknowns, ends, strict=True)]
         self._of = [
-            [k for k, unknown in enumerate(self.unknowns) if eye.depends_on(unknown)]
-            for eye in self.eyes
+            sorted(number[key] for key in eye.depends_on() if key in number) for eye in self.eyes
         ]
-        seen_by = np.bincount([k for of in self._of for k in of], minlength=len(self.unknowns))
-        self.shared = seen_by > 1 if len(self.eyes) > 1 else np.ones(len(seen_by), bool)
-        # (What is believed of an unknown is no view's.)
-        believed = {(b.name, b.kind) for b in self.beliefs}
-        self.shared |= np.array([(u.name, u.kind) in believed for u in self.unknowns], bool)
+        #: One view that depends on each unknown.
+        self._seen_by = {j: k for k, of in enumerate(self._of) for j in of}
+        self.shared = held_to_the_end(self._of, [u.size for u in self.unknowns])
 
     def of(self, k: int) -> list[Unknown]:
         """Return the unknowns that a view depends on."""
@@ -80,17 +80,13 @@ class Layout:
 
     def place(self, name: str, kind: str) -> np.ndarray | None:
         """Return where an unknown's numbers are, None for what is none."""
-        for unknown, place in zip(self.unknowns, self._places, strict=True):
-            if (unknown.name, unknown.kind) == (name, kind):
-                return place
-        return None
+        number = self._number.get((name, kind))
+        return None if number is None else self._places[number]
 
     def rows(self, k: int, rows: np.ndarray, left: np.ndarray) -> Rows:
         """Return rows of a view, by the unknowns that it depends on."""
-        own = np.concatenate(
-            [np.full(len(self._places[j]), not self.shared[j]) for j in self._of[k]]
-        )
-        return Rows(rows, left, self.columns(k), own)
+        own = [np.full(len(self._places[j]), not self.shared[j]) for j in self._of[k]]
+        return Rows(rows, left, self.columns(k), np.concatenate(own))
 
     def columns(self, k: int) -> np.ndarray:
         """Return where the numbers are that a view depends on."""
@@ -136,11 +132,11 @@ class Layout:
         """Return the rows of what is believed, which err by a residual's noise."""
         result = []
         for belief in self.beliefs:
-            k = next(k for k, u in enumerate(self.unknowns) if u[:2] == (belief.name, belief.kind))
-            view = next(n for n, of in enumerate(self._of) if k in of)
+            j = self._number[belief.name, belief.kind]
+            view = self._seen_by[j]
             left, rows = belief.residuals(state, self.eyes[view], seen[view].view)
-            part = Rows(rows, left, self._places[k], np.zeros(rows.shape[1], bool))
-            result.append(part.times(noise))
+            own = np.full(rows.shape[1], not self.shared[j])
+            result.append(Rows(rows, left, self._places[j], own).times(noise))
         return result
 
     def ways_out(self, state: State, seen: list[Seen]) -> np.ndarray:
@@ -150,6 +146,37 @@ class Layout:
             for j in self._of[k]:
                 result[self._places[j]] = eye.ways_out(state, one.view, self.unknowns[j])
         return result
+
+
+def held_to_the_end(of: list[list[int]], sizes: list[int]) -> np.ndarray:
+    """Return which unknowns (of these `sizes`) stay where the others are eliminated, given those
+    that each view depends on: what most views depend on, as many as make the least work."""
+    size = np.array(sizes)
+    seen_by = np.bincount([j for some in of for j in some], minlength=len(size))
+    best, least = np.ones(len(size), bool), np.inf
+    for count in np.unique(seen_by):
+        held = seen_by >= count
+        block = 1 + _together([[j for j in some if not held[j]] for some in of], len(size))
+        within = np.bincount(block, np.where(held, 0, size), minlength=len(of) + 1)
+        views = [within[max(block[some], default=0)] for some in of]
+        rest = float(np.sum(size[held]))
+        work = np.sum((np.array(views) + rest) ** 2) + len(of) * rest**3
+        if work < least:
+            best, least = held, work
+    return best
+
+
+def _together(of: list[list[int]], size: int) -> np.ndarray:
+    """Return for each number (size,) which block it is of, given lists of some that are of one; -1
+    for what is in no list."""
+    block = np.full(size, -1)
+    for k, some in enumerate(of):
+        known = np.unique(block[some])
+        known = known[known >= 0]
+        if len(known) > 1:
+            block[np.isin(block, known)] = known[0]
+        block[some] = known[0] if len(known) else k
+    return block
 
 
 def _side_by_side(eyes: list[Eye], at: list[tuple[Camera, int]]) -> list[View]:
@@ -169,24 +196,24 @@ def _side_by_side(eyes: list[Eye], at: list[tuple[Camera, int]]) -> list[View]:
 
 
 class Solved(NamedTuple):
-    """The least squares' x, and what determines it: the shared unknowns' triangle, of each view
-    the triangle of its own unknowns and what the shared ones do to these, and of each unknown the
-    number of the view that owns it, -1 of shared ones."""
+    """The least squares' x, and what determines it: the shared unknowns' triangle, of each block of
+    views the unknowns that are its own, their triangle, and what the shared ones do to these; of
+    each unknown the number of the block that owns it, -1 of shared ones."""
 
     x: np.ndarray
     shared: np.ndarray
     triangle: np.ndarray
-    own: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+    own: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]
     owner: np.ndarray
 
     def inverse(self, place: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return the inverse of the normal matrix between some unknowns (p,) and others (q,)."""
         back = np.linalg.pinv(self.triangle)
-        left, right = self._by_shared(place), self._by_shared(columns)
+        left, right = self.by_shared(place), self.by_shared(columns)
         result = left @ back @ (right @ back).T
-        for view in self._owners(place):
-            rows, others = (np.flatnonzero(self.owner[x] == view) for x in (place, columns))
-            own, triangle, _ = self.own[view]
+        for block in self.owners(place):
+            rows, others = (np.flatnonzero(self.owner[x] == block) for x in (place, columns))
+            own, triangle, _ = self.own[block]
             inverse = np.linalg.pinv(triangle)
             of = lambda x, inverse=inverse, own=own: inverse[np.searchsorted(own, x)]
             result[np.ix_(rows, others)] += of(place[rows]) @ of(columns[others]).T
@@ -197,29 +224,30 @@ class Solved(NamedTuple):
         `blind` of what the best-seen ones do."""
         size, everything = len(self.x), np.arange(len(self.x))
         directions = []
-        for k in _null(self.triangle, blind).T:
-            directions.append(self._by_shared(everything) @ k)
-        for own, triangle, _ in self.own:
+        hidden = _null(self.triangle, blind).T
+        if len(hidden):
+            directions += [*(self.by_shared(everything) @ hidden.T).T]
+        for own, triangle, _ in self.own.values():
             for k in _null(triangle, blind).T:
                 direction = np.zeros(size)
                 direction[own] = k
                 directions.append(direction)
         return np.array(directions).reshape(-1, size).T
 
-    def _by_shared(self, place: np.ndarray) -> np.ndarray:
+    def by_shared(self, place: np.ndarray) -> np.ndarray:
         """Return how unknowns follow the shared ones (p, s)."""
         result = np.zeros((len(place), len(self.shared)))
         held = np.flatnonzero(self.owner[place] < 0)
         result[held, np.searchsorted(self.shared, place[held])] = 1
-        for view in self._owners(place):
-            at = np.flatnonzero(self.owner[place] == view)
-            own, triangle, across = self.own[view]
+        for block in self.owners(place):
+            at = np.flatnonzero(self.owner[place] == block)
+            own, triangle, across = self.own[block]
             result[at] = -(np.linalg.pinv(triangle) @ across)[np.searchsorted(own, place[at])]
         return result
 
-    def _owners(self, place: np.ndarray) -> list[int]:
-        """Return the views that own some of these unknowns."""
-        return [int(view) for view in np.unique(self.owner[place]) if view >= 0]
+    def owners(self, place: np.ndarray) -> list[int]:
+        """Return the blocks that own some of these unknowns."""
+        return [int(block) for block in np.unique(self.owner[place]) if block >= 0]
 
 
 def _null(triangle: np.ndarray, blind: float) -> np.ndarray:
@@ -235,26 +263,44 @@ def _null(triangle: np.ndarray, blind: float) -> np.ndarray:
 
 def solve(parts: list[Rows], size: int, damping: np.ndarray) -> Solved:
     """Return the x (size,) of least squares, `damping` (size,) times x among the residuals."""
-    shared = np.setdiff1d(np.arange(size), np.concatenate([p.columns[p.own] for p in parts]))
-    x, reduced, owns, owner = np.zeros(size), [], [], np.full(size, -1)
+    owner = _together([p.columns[p.own].tolist() for p in parts], size)
+    shared = np.flatnonzero(owner < 0)
+    blocks: dict[int, list[Rows]] = {}
     for k, part in enumerate(parts):
-        own = part.columns[part.own]
-        owner[own] = k
-        across = np.zeros((len(part.left), len(shared)))
-        across[:, np.searchsorted(shared, part.columns[~part.own])] = part.rows[:, ~part.own]
-        table = np.column_stack([part.rows[:, part.own], across, part.left])
-        damped = np.zeros((len(own), table.shape[1]))
-        damped[:, : len(own)] = np.diag(damping[own])
-        r: Any = np.linalg.qr(np.concatenate([table, damped]), mode="r")
+        block = int(owner[part.columns[part.own][0]]) if np.any(part.own) else -2 - k
+        blocks.setdefault(block, []).append(part)
+    x, owns, left = np.zeros(size), {}, {}
+    reduced = [np.column_stack([np.diag(damping[shared]), 0 * shared])]
+    for block, some in blocks.items():
+        own = np.flatnonzero(owner == block)
+        r = _eliminated(some, own, shared, damping[own])
         m = len(own)
-        owns.append((own, r[:m, :m], r[:m, m:-1], r[:m, -1]))
         reduced.append(r[m:, m:])
-    table = np.concatenate([*reduced, np.column_stack([np.diag(damping[shared]), 0 * shared])])
-    r: Any = np.linalg.qr(table, mode="r")[: len(shared)]
+        if m:
+            owns[block], left[block] = (own, r[:m, :m], r[:m, m:-1]), r[:m, -1]
+    r: Any = np.linalg.qr(np.concatenate(reduced), mode="r")[: len(shared)]
     x[shared] = -np.linalg.pinv(r[:, :-1]) @ r[:, -1]
-    for own, triangle, across, left in owns:
-        x[own] = -np.linalg.pinv(triangle) @ (left + across @ x[shared])
-    return Solved(x, shared, r[:, :-1], [part[:3] for part in owns], owner)
+    for block, (own, triangle, across) in owns.items():
+        x[own] = -np.linalg.pinv(triangle) @ (left[block] + across @ x[shared])
+    return Solved(x, shared, r[:, :-1], owns, owner)
+
+
+def _eliminated(
+    parts: list[Rows], own: np.ndarray, shared: np.ndarray, damping: np.ndarray
+) -> np.ndarray:
+    """Return the triangle of some rows, with columns of what is `own` (and damped) first, then of
+    what is shared, then the residuals."""
+    m, s = len(own), len(shared)
+    tables = [np.column_stack([np.diag(damping), np.zeros((m, s + 1))])]
+    for part in parts:
+        table = np.zeros((len(part.left), m + s + 1))
+        table[:, np.searchsorted(own, part.columns[part.own])] = part.rows[:, part.own]
+        at = m + np.searchsorted(shared, part.columns[~part.own])
+        table[:, at] = part.rows[:, ~part.own]
+        table[:, -1] = part.left
+        tables.append(table)
+    r: Any = np.linalg.qr(np.concatenate(tables), mode="r")
+    return r
 
 
 def moved_by(x: np.ndarray, seen: list[Seen], parts: list[Rows]) -> float:

@@ -9,15 +9,16 @@ from .._camera.camera import Camera, check_camera
 from .._camera.poses import Pose, check_pose, inverse, pose_of
 from .._scene.assembly import Posture
 from .._scene.scene import check_scene
-from .fit_camera import check_border, check_steps
+from .fit_camera import check_border, check_reach, check_steps
 from .joint_descent import Descent, Layout, descend
 from .joint_priors import belief_of_zero, beliefs_of, bounds_by_name, zeros_of
-from .joint_views import LENS, POSE, TWIST, ZERO, Eye, JointView, State, Unknown
+from .joint_views import MOTIONS, POSE, TWIST, ZERO, Eye, JointView, State, Unknown
 from .mask import Mask
 from .moves import Bounds, canonical
 from .parameters import as_names, check_free, components, in_one, with_lens
 from .problem import COARSE_PX, FINE_PX
 from .residuals import Capacity
+from .shared_unknowns import alike_in_groups, groups_of
 from .solver import Solver
 from .target import check_target, levelled
 
@@ -60,11 +61,11 @@ class JointProblem(NamedTuple):
         prior: Any = None,
         bounds: Any = None,
         joint_zeros: Any = None,
+        shared: Any = (),
     ) -> "JointProblem":
         """Return the problem, or raise ValueError."""
         check_steps(max_steps)
-        if outlier_px is not None and not outlier_px > 0:
-            raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
+        check_reach(outlier_px)
         given = _checked_views(views)
         zeros = zeros_of(joint_zeros, given)
         cameras = {"camera": cameras} if isinstance(cameras, Camera) else cameras
@@ -76,51 +77,58 @@ class JointProblem(NamedTuple):
             check_camera(camera, f"cameras[{name!r}]")
         poses = {n: check_pose(f"objects[{n!r}]", x) for n, x in (objects or {}).items()}
         fixed = {n: check_pose(f"rig[{n!r}]", x) for n, x in (rig or {}).items()}
-        for kind, known, asked in (
-            ("cameras", cameras, {v.camera for v in given} | set(fixed)),
-            ("objects", poses, {v.object for v in given if v.object is not None}),
-        ):
-            if missing := sorted(asked - set(known)):
-                have = ", ".join(known) or "none"
-                raise ValueError(f"`{kind}`: expected {', '.join(missing)} among them, got {have}")
-            if idle := sorted(set(known) - asked):
-                raise ValueError(f"`{kind}`: expected what a view names, got {', '.join(idle)}")
-        if fixed and RIG in cameras:
-            raise ValueError(f"`cameras`: expected names other than {RIG!r} beside a rig, got it")
-        if both := sorted({*cameras, *([RIG] if fixed else [])} & set(poses)):
-            raise ValueError(f"`objects`: expected names of their own, got {', '.join(both)}")
-        first = next(iter(cameras.values()))
-        names = in_one(check_free(free, first)) if len(as_names(free)) else ()
+        _check_names(given, cameras, poses, fixed)
+        groups = groups_of(shared, cameras)
+        free = (*as_names(free), *groups)
+        names = in_one(check_free(free, next(iter(cameras.values())))) if free else ()
         if {"position", "orientation", "d"} & {*names}:
             raise ValueError(f"`free`: expected pose, phi or a lens's, got {', '.join(names)}")
-        cameras = {n: with_lens(c, names) for n, c in cameras.items()}
         own = ("pose", *(n for n in names if n != "pose"))
-        moving = {n: RIG if n in fixed else n for n in cameras}
-        lenses = {n: canonical(c) for n, c in cameras.items()}
-        for name, camera in cameras.items():
-            back = inverse(fixed.get(name, np.eye(4)))
-            poses.setdefault(moving[name], pose_of(camera) @ back)
-        within = bounds_by_name(bounds, cameras, names)
-        beliefs = beliefs_of(prior, cameras, names, moving, fixed, [*(objects or {})])
-        settings = max_steps, outlier_px
-        eyes = [
-            _eye(k, view, cameras[view.camera], own, moving, fixed, within[view.camera], settings)
-            for k, view in enumerate(given)
-        ]
+        settings = outlier_px, max_steps, prior, bounds
+        asked = given, cameras, names, own, groups, poses, fixed, zeros
+        return cls.among(*asked, *settings)
+
+    @classmethod
+    def among(
+        cls,
+        views: list[JointView],
+        cameras: Mapping[str, Camera],
+        names: tuple[str, ...],
+        own: tuple[str, ...],
+        groups: Mapping[str, list[tuple[str, ...]]],
+        objects: Mapping[str, Pose],
+        rig: Mapping[str, Pose],
+        zeros: Mapping[str, float],
+        outlier_px: float | None,
+        max_steps: int,
+        prior: Any,
+        bounds: Any,
+    ) -> "JointProblem":
+        """Return the problem of views that were checked, in which `names` are free, some of them
+        the same for `groups` of cameras; `own` is what a view's own solver moves."""
+        cameras = alike_in_groups({n: with_lens(c, names) for n, c in cameras.items()}, groups)
+        moving = {n: RIG if n in rig else n for n in cameras}
+        rows = [name for name in names if name not in MOTIONS]
+        leader = {row: {n: some[0] for some in of for n in some} for row, of in groups.items()}
+        owners = {n: {row: leader.get(row, {}).get(n, n) for row in rows} for n in cameras}
+        within = bounds_by_name(bounds, cameras, names, owners)
+        beliefs = beliefs_of(prior, cameras, names, owners, moving, rig, [*objects])
+        eyes = []
+        for k, view in enumerate(views):
+            of = cameras[view.camera], own, owners[view.camera], moving, rig, within[view.camera]
+            eyes.append(_eye(k, view, *of, (max_steps, outlier_px)))
         largest = Capacity(*np.max([eye.solver.capacity for eye in eyes], axis=0).tolist())
         for eye in eyes:
             eye.solver.capacity = largest
-        bent = sum(len(components((n,))) for n in own[1:])
-        moved = dict.fromkeys(moving.values()) if "pose" in names else {}
-        unknowns = [Unknown(n, POSE, TWIST) for n in (*moved, *(objects or {}))]
-        unknowns += [Unknown(n, LENS, bent) for n in cameras if bent]
-        if not unknowns:
-            raise ValueError("`free`: expected something to fit, got none")
-        layout = Layout(unknowns, eyes, beliefs)
-        start = State(poses, lenses, dict.fromkeys(zeros, 0.0))
+        layout = Layout(_unknowns(names, owners, moving, objects), eyes, beliefs)
         if still := [k for k in range(len(eyes)) if not layout.of(k)]:
             raise ValueError(f"`views[{still[0]}]`: expected a view of something unknown, got none")
-        return cls(layout, start, cameras, own, moving, fixed, outlier_px, max_steps, zeros)
+        poses = {**objects}
+        for name, camera in cameras.items():
+            poses.setdefault(moving[name], pose_of(camera) @ inverse(rig.get(name, np.eye(4))))
+        lenses = {n: canonical(c) for n, c in cameras.items()}
+        start = State(poses, lenses, dict.fromkeys(zeros, 0.0))
+        return cls(layout, start, cameras, own, moving, rig, outlier_px, max_steps, zeros)
 
     def with_zeros(self) -> "JointProblem":
         """Return the problem in which the zeros of joints are sought, too."""
@@ -177,6 +185,51 @@ class JointProblem(NamedTuple):
         return poses[0] if len(poses) == 1 else None
 
 
+def _check_names(
+    views: list[JointView],
+    cameras: Mapping[str, Camera],
+    objects: Mapping[str, Pose],
+    rig: Mapping[str, Pose],
+) -> None:
+    """Raise ValueError where views name what is not given, or not all of that."""
+    for kind, known, asked in (
+        ("cameras", cameras, {v.camera for v in views} | set(rig)),
+        ("objects", objects, {v.object for v in views if v.object is not None}),
+    ):
+        if missing := sorted(asked - set(known)):
+            have = ", ".join(known) or "none"
+            raise ValueError(f"`{kind}`: expected {', '.join(missing)} among them, got {have}")
+        if idle := sorted(set(known) - asked):
+            raise ValueError(f"`{kind}`: expected what a view names, got {', '.join(idle)}")
+    if rig and RIG in cameras:
+        raise ValueError(f"`cameras`: expected names other than {RIG!r} beside a rig, got it")
+    if both := sorted({*cameras, *([RIG] if rig else [])} & set(objects)):
+        raise ValueError(f"`objects`: expected names of their own, got {', '.join(both)}")
+
+
+def _unknowns(
+    names: tuple[str, ...],
+    owners: Mapping[str, Mapping[str, str]],
+    moving: Mapping[str, str],
+    objects: Mapping[str, Pose],
+) -> list[Unknown]:
+    """Return what is sought, or raise ValueError where that is nothing."""
+    size = lambda name: len(components((name,)))
+    motions = [name for name in names if name in MOTIONS]
+    result = [
+        Unknown(n, kind, size(kind)) for n in dict.fromkeys(moving.values()) for kind in motions
+    ]
+    result += [Unknown(n, POSE, TWIST) for n in objects]
+    for name, of in owners.items():
+        for row, owner in of.items():
+            if owner == name:
+                having = tuple(n for n in owners if owners[n][row] == name)
+                result.append(Unknown(name, row, size(row), having))
+    if not result:
+        raise ValueError("`free`: expected something to fit, got none")
+    return result
+
+
 def _checked_views(views: Any) -> list[JointView]:
     if not isinstance(views, Sequence) or isinstance(views, JointView):
         raise ValueError(f"`views`: expected JointViews in a list, got {type(views).__name__}")
@@ -197,6 +250,7 @@ def _eye(
     view: JointView,
     camera: Camera,
     names: tuple[str, ...],
+    owners: Mapping[str, str],
     moving: Mapping[str, str],
     rig: Mapping[str, Pose],
     bounds: Bounds | None,
@@ -215,7 +269,7 @@ def _eye(
     mask = Mask(image, weight, camera)
     mount, placed = place("mount", view.mount), place("placed", view.placed)
     pose = rig.get(view.camera, np.eye(4))
-    names_of = view.camera, moving[view.camera], view.object
+    names_of = view.camera, owners, moving[view.camera], view.object
     return Eye(mask, solver, *names_of, mount, pose, placed, view.scene, view.posture)
 
 

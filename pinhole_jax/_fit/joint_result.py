@@ -15,11 +15,11 @@ from .._scene.scene import Scene
 from .agreement import Agreement
 from .joint_descent import Layout
 from .joint_problem import JointProblem
-from .joint_views import LENS, POSE, TO_B, TWIST, ZERO
+from .joint_views import POSE, TO_B, TWIST, ZERO, lens_reported
 from .moves import on_film
-from .parameters import LABELS, components, labels_of
+from .parameters import LABELS, labels_of
 from .result import LEAST_IOU, UNCERTAIN, Fit, MaskError, widest_turn
-from .uncertainty import BLIND, in_words
+from .uncertainty import in_words
 
 #: A view this many times farther off than is usual is named.
 OFF = 2.5
@@ -179,8 +179,8 @@ def reported(
         assert place is not None
         turned = np.eye(TWIST)
         turned[3:, 3:] = pose[:3, :3]
-        covariance = turned @ found.covariance(layout, place) @ turned.T
-        _forget(covariance, turned @ _unseen(problem, found)[place])
+        covariance = turned @ found.covariance(place) @ turned.T
+        _forget(covariance, turned @ found.unseen[place])
         objects[name] = ObjectPose(pose, covariance)
     return JointFit(
         status=_worst(
@@ -209,7 +209,7 @@ def _zeros(problem: JointProblem, found: Agreement) -> JointZeros | None:
     places: Any = [layout.place(name, ZERO) for name in names]
     place = np.concatenate(places)
     values = np.array([found.descent.state.zeros[name] for name in names])
-    covariance = found.covariance(layout, place)
+    covariance = found.covariance(place)
     return JointZeros(names, values, tuple(units[name] for name in names), covariance)
 
 
@@ -271,16 +271,17 @@ def _view_fit(problem: JointProblem, k: int, found: Agreement, sums: Any) -> Vie
 def _worth(problem: JointProblem, k: int, found: Agreement) -> float:
     """Return by how many times a view's camera is known worse without the view."""
     layout = problem.layout
-    place = layout.place(layout.eyes[k].moving, POSE)
+    place = layout.place(moving := layout.eyes[k].moving, POSE)
     if place is None:
         return float("nan")
-    if len(layout.eyes) == 1:
+    known = [*(eye.moving for eye in layout.eyes), *(belief.name for belief in layout.beliefs)]
+    if known.count(moving) == 1:
         return float("inf")
-    less = found.without(layout, k)
-    if np.any(np.abs(_unseen(problem, less)[place]) > HARDLY):
+    less = found.without(k)
+    if np.any(np.abs(less.unseen[place]) > HARDLY):
         return float("inf")
     with np.errstate(all="ignore"):
-        before, after = (np.linalg.slogdet(x.covariance(layout, place))[1] for x in (found, less))
+        before, after = (np.linalg.slogdet(x.covariance(place))[1] for x in (found, less))
         return float(np.exp((after - before) / (2 * len(place))))
 
 
@@ -308,24 +309,24 @@ def _camera_fit(
         place.append(at)
         columns.append(twisted @ adjoint(inverse(back)))
         labels += labels_of(("pose",))
-    if (at := layout.place(name, LENS)) is not None:
-        n = len(components(("pose",)))
-        derivative = np.array(view.to_reported, float)[n:, n:] / np.asarray(view.unit, float)[n:]
-        in_px = [LABELS[label].unit == "px" for label in labels_of(names[1:])]
-        derivative[in_px] *= camera.H
+    owners = layout.eyes[seen_by[0]].owners
+    for name in owners:
+        at = layout.place(owners[name], name)
+        assert at is not None
         place.append(at)
-        columns.append(derivative)
-        labels += labels_of(names[1:])
+        columns.append(lens_reported(view, names, name))
+        columns[-1][[LABELS[label].unit == "px" for label in labels_of((name,))]] *= camera.H
+        labels += labels_of((name,))
     by_unknowns = np.zeros((len(labels), len(labels)))
     row = 0
     for block in columns:
         by_unknowns[row : row + len(block), row : row + len(block)] = block
         row += len(block)
     places = np.concatenate(place) if place else np.zeros(0, int)
-    covariance = by_unknowns @ found.covariance(layout, places) @ by_unknowns.T
+    covariance = by_unknowns @ found.covariance(places) @ by_unknowns.T
     classical = by_unknowns @ found.independent(places, independent) @ by_unknowns.T
     for table in (covariance, classical):
-        _forget(table, by_unknowns @ _unseen(problem, found)[places])
+        _forget(table, by_unknowns @ found.unseen[places])
 
     of: Any = [jax.tree.map(float, sums[k]) for k in seen_by]
     overlap, union = sum(s.overlap for s in of), sum(s.union for s in of)
@@ -349,11 +350,6 @@ def _camera_fit(
         independent_covariance=classical,
         mask_error=max(known, key=lambda e: e.px) if known else None,
     )
-
-
-def _unseen(problem: JointProblem, found: Agreement) -> np.ndarray:
-    """Return directions of the unknowns (size, d) that change no mask."""
-    return found.solved.unseen(BLIND[problem.layout.eyes[0].solver.dtype])
 
 
 def _forget(covariance: np.ndarray, unseen: np.ndarray) -> None:

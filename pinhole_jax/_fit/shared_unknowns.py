@@ -6,7 +6,7 @@ determines the shared ones. So the cost is linear in the views, and no matrix ov
 ever made (nor normal equations, which would lose half of the digits).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,7 +16,7 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.distortion import COEFFICIENTS
 from .._camera.lens import Lens
-from .parameters import PARAMETERS, as_names, check_free
+from .parameters import PARAMETERS, as_names, check_free, in_one
 from .problem import COARSE_PX, COSINE, FINE_PX, UNIT_PX
 
 #: One view's residuals about where it is: `triangle` (R of J = QR), `along` (Q^T r), the unknowns'
@@ -38,13 +38,52 @@ def shared_and_free(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return all names in a fixed order, and those that are shared, or raise ValueError; without a
     camera those of a lens."""
-    shared, free = as_names(shared, "shared"), as_names(free)
+    free = as_names(free)
+    common = check_shared(as_names(shared, "shared"), camera, lens)
+    own = [n for n in check_free(free, camera, lens) if n not in common] if free else []
+    return in_one(check_free([*common, *own], camera, lens)), common
+
+
+def groups_of(shared: Any, cameras: Mapping[str, Camera]) -> dict[str, list[tuple[str, ...]]]:
+    """Return for each parameter that is shared the groups of cameras that have one in common, or
+    raise ValueError; `shared` are names (of all cameras), or such groups by names."""
+    given: Any = shared
+    if not isinstance(shared, Mapping):
+        given = {name: [tuple(cameras)] for name in as_names(shared, "shared")}
+    first, result = next(iter(cameras.values())), {}
+    for name, groups in given.items():
+        for row in check_shared((name,), first):
+            result[row] = [(group,) if isinstance(group, str) else tuple(group) for group in groups]
+            named = [n for group in result[row] for n in group]
+            if unknown := [n for n in named if n not in cameras]:
+                words = f"expected groups of cameras among {', '.join(cameras)}, got {unknown[0]!r}"
+                raise ValueError(f"`shared`: {words}")
+            if len({*named}) < len(named):
+                raise ValueError(f"`shared`: expected each camera in one group of {row}, got more")
+    return result
+
+
+def check_shared(
+    shared: tuple[str, ...], camera: Camera | None, lens: Lens | None = None
+) -> tuple[str, ...]:
+    """Return the names in a fixed order, or raise ValueError for what cannot be shared."""
     common = check_free(shared, camera, lens) if shared else ()
     if not {*common} <= {*SHARED}:
         known = ", ".join([*SHARED, "distortion"])
         raise ValueError(f"`shared`: expected names among {known}, got {', '.join(common)}")
-    own = [n for n in check_free(free, camera, lens) if n not in common] if free else []
-    return check_free([*common, *own], camera, lens), common
+    return common
+
+
+def alike_in_groups(
+    cameras: Mapping[str, Camera], groups: Mapping[str, list[tuple[str, ...]]]
+) -> dict[str, Camera]:
+    """Return the cameras with the mean of what each group shares."""
+    result = dict(cameras)
+    for row, some in groups.items():
+        for group in some:
+            same = alike([result[name] for name in group], (row,))
+            result.update(zip(group, same, strict=True))
+    return result
 
 
 def alike(cameras: Sequence[Camera], common: tuple[str, ...]) -> list[Camera]:
