@@ -20,8 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .joint_descent import Descent, Layout, Rows, Solved, solve
+from .joint_descent import Layout
 from .joint_views import Eye
+from .least_squares import Descent, Rows, Solved, solve
 from .outline_errors import OutlineErrors
 from .parameters import components
 from .problem import FINE_PX, UNIT_PX, View

@@ -3,22 +3,13 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from .._camera.camera import Camera
-from .agreement import agreed, weigh_beliefs
-from .joint_descent import Descent, descend
-from .joint_problem import JointProblem, Path, Tell, depth_of, descended
-from .joint_result import JointFit, independent_variance, reported, together
+from .joint_levels import Path, Tell, depth_of, descended, to_the_end
+from .joint_problem import JointProblem
+from .joint_result import JointFit, reported, together
 from .joint_search import equally_good, looking_alike, searched_jointly
 from .joint_views import JointView, State
-from .problem import COARSE_PX, FINE_PX
-from .strategy import EXACT
 
-#: An outline may lie so many times `outlier_px` from the mask's at first, then less.
-REACHES = (8, 4, 2, 1)
-#: A step that is negligible (px) at the end where masks err by more.
-DRAWN_PX = 5e-3
 #: With the zeros of joints a fit goes on from so many levels before the finest.
 ZEROS_FROM = 3
 #: What covers less than this share of a drawn mask may have come from a wrong start.
@@ -71,9 +62,10 @@ def fit_joint(
 
     Each view is reduced to a few rows by the program that a single fit has; what few views depend
     on is eliminated there. So the cost is linear in views and cameras, and nothing is compiled that
-    `fit_camera` has not. Levenberg-Marquardt leads from coarse to fine; then a view whose residuals
-    are larger than most views' counts less (`JointFit.views`). The error bars are what the masks'
-    errors make of all unknowns together, and grow where views differ by more.
+    `fit_camera` has not (but for 32 small masks and more, one program). Levenberg-Marquardt leads
+    from coarse to fine; then a view whose residuals are larger than most views' counts less
+    (`JointFit.views`). The error bars are what the masks' errors make of all unknowns together, and
+    grow where views differ by more.
 
     Runs outside `jit`; the result is not differentiable.
 
@@ -172,31 +164,4 @@ def _is_content(problem: JointProblem, path: Path) -> bool:
 
 def _finished(problem: JointProblem, path: Path, tell: Tell) -> JointFit:
     """Return the fit that a state on the finest level leads to."""
-    layout, reach = problem.layout, problem.outlier_px
-    eyes = layout.eyes
-    misfits = [seen.view.touched_misfit for seen in path.descent.seen]
-    inexact = [eye for eye, misfit in zip(eyes, misfits, strict=True) if misfit > EXACT]
-    px = DRAWN_PX if inexact else FINE_PX[eyes[0].solver.dtype]
-    if reach is None or not inexact:
-        path = path.then(descended(problem, path.descent.state, tell, [1], px))
-    else:
-        for times in REACHES:
-            for eye in inexact:
-                eye.solver.weigh(eye.mask.near_edge(times * reach), only_finest=True)
-            last = px if times == 1 else COARSE_PX
-            if times == 1:
-                weigh_beliefs(layout, path.descent)
-            path = path.then(descended(problem, path.descent.state, tell, [1], last))
-
-    def weighed(before: Descent, weights: np.ndarray) -> Descent:
-        return descend(layout, before.state, 1, weights, problem.max_steps, px)
-
-    found = agreed(layout, path.descent, weighed)
-    independent = independent_variance(layout, found)
-    state = found.descent.state
-    for eye in eyes:
-        eye.show(state)
-    for eye in inexact:
-        eye.solver.weigh(eye.mask.weight)
-    whole = [eye.solver.look(eye.unit(state), eye.solver.finest) for eye in eyes]
-    return reported(problem, path.steps, found, independent, [view.sums for view in whole])
+    return reported(problem, to_the_end(problem, path, tell))

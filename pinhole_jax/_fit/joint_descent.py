@@ -1,16 +1,13 @@
 """One least-squares problem over many views: each is reduced to a few rows, by its own program.
 
-The rows of a view are its R of J = QR times how its moves follow the unknowns. What few views
-depend on is eliminated there: those of one camera, or of one object, that have with the others only
-a lens in common, say. So the cost is linear in the views, and no matrix over all of them is ever
-made (nor normal equations, which would lose half of the digits).
+The rows of a view are its R of J = QR times how its moves follow the unknowns.
 """
 
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -19,37 +16,13 @@ from .._camera.camera import Camera
 from .joint_priors import Belief
 from .joint_views import ZERO, Eye, State, Unknown, stepped
 from .joint_zeros import Seen, with_joints
-from .problem import COSINE, UNIT_PX, View
+from .least_squares import Descent, Rows, column_norms, held_to_the_end, levenberg_marquardt
+from .problem import View
 
-#: Damping of the first step, in squares of the columns' norms, and of what it is at least.
-FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
 #: A residual errs by at least as much, where something is believed: what is exact outweighs it.
 LEAST_NOISE = 1e-3
 #: Held by the thread that asks for a program.
 ASKING = Lock()
-
-
-class Rows(NamedTuple):
-    """Residuals (m,) `rows x[columns] + left` of one view; `own` (k,) of the unknowns are to be
-    eliminated, with those of the views that depend on these, too."""
-
-    rows: np.ndarray
-    left: np.ndarray
-    columns: np.ndarray
-    own: np.ndarray
-
-    @property
-    def squares(self) -> float:
-        """Return the sum of the residuals' squares."""
-        return float(self.left @ self.left)
-
-    def without(self, held: np.ndarray) -> "Rows":
-        """Return them blind to unknowns (size,) that are held."""
-        return self._replace(rows=np.where(held[self.columns], 0.0, self.rows))
-
-    def times(self, factor: float) -> "Rows":
-        """Return them, each times a factor."""
-        return self._replace(rows=factor * self.rows, left=factor * self.left)
 
 
 class Layout:
@@ -148,37 +121,6 @@ class Layout:
         return result
 
 
-def held_to_the_end(of: list[list[int]], sizes: list[int]) -> np.ndarray:
-    """Return which unknowns (of these `sizes`) stay where the others are eliminated, given those
-    that each view depends on: what most views depend on, as many as make the least work."""
-    size = np.array(sizes)
-    seen_by = np.bincount([j for some in of for j in some], minlength=len(size))
-    best, least = np.ones(len(size), bool), np.inf
-    for count in np.unique(seen_by):
-        held = seen_by >= count
-        block = 1 + _together([[j for j in some if not held[j]] for some in of], len(size))
-        within = np.bincount(block, np.where(held, 0, size), minlength=len(of) + 1)
-        views = [within[max(block[some], default=0)] for some in of]
-        rest = float(np.sum(size[held]))
-        work = np.sum((np.array(views) + rest) ** 2) + len(of) * rest**3
-        if work < least:
-            best, least = held, work
-    return best
-
-
-def _together(of: list[list[int]], size: int) -> np.ndarray:
-    """Return for each number (size,) which block it is of, given lists of some that are of one; -1
-    for what is in no list."""
-    block = np.full(size, -1)
-    for k, some in enumerate(of):
-        known = np.unique(block[some])
-        known = known[known >= 0]
-        if len(known) > 1:
-            block[np.isin(block, known)] = known[0]
-        block[some] = known[0] if len(known) else k
-    return block
-
-
 def _side_by_side(eyes: list[Eye], at: list[tuple[Camera, int]]) -> list[View]:
     """Return the views' looks, worked out side by side: a program of its own thread each, as JAX
     runs what one thread asks for one after the other."""
@@ -195,130 +137,60 @@ def _side_by_side(eyes: list[Eye], at: list[tuple[Camera, int]]) -> list[View]:
         return list(pool.map(look, eyes, at))
 
 
-class Solved(NamedTuple):
-    """The least squares' x, and what determines it: the shared unknowns' triangle, of each block of
-    views the unknowns that are its own, their triangle, and what the shared ones do to these; of
-    each unknown the number of the block that owns it, -1 of shared ones."""
+class _OnLevel(NamedTuple):
+    """Views of weights (V,) on one level, as `LeastSquares`; NaN is seen of what outgrows its
+    buffers, unless these may `grow`."""
 
-    x: np.ndarray
-    shared: np.ndarray
-    triangle: np.ndarray
-    own: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]
-    owner: np.ndarray
+    layout: Layout
+    depth: int
+    weights: np.ndarray
+    grow: bool
 
-    def inverse(self, place: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return the inverse of the normal matrix between some unknowns (p,) and others (q,)."""
-        back = np.linalg.pinv(self.triangle)
-        left, right = self.by_shared(place), self.by_shared(columns)
-        result = left @ back @ (right @ back).T
-        for block in self.owners(place):
-            rows, others = (np.flatnonzero(self.owner[x] == block) for x in (place, columns))
-            own, triangle, _ = self.own[block]
-            inverse = np.linalg.pinv(triangle)
-            of = lambda x, inverse=inverse, own=own: inverse[np.searchsorted(own, x)]
-            result[np.ix_(rows, others)] += of(place[rows]) @ of(columns[others]).T
-        return result
+    @property
+    def size(self) -> int:
+        """Return the number of unknowns."""
+        return self.layout.size
 
-    def unseen(self, blind: float) -> np.ndarray:
-        """Return directions (size, d) of the unknowns that change no residual: less than a share
-        `blind` of what the best-seen ones do."""
-        size, everything = len(self.x), np.arange(len(self.x))
-        directions = []
-        hidden = _null(self.triangle, blind).T
-        if len(hidden):
-            directions += [*(self.by_shared(everything) @ hidden.T).T]
-        for own, triangle, _ in self.own.values():
-            for k in _null(triangle, blind).T:
-                direction = np.zeros(size)
-                direction[own] = k
-                directions.append(direction)
-        return np.array(directions).reshape(-1, size).T
+    @property
+    def dtype(self) -> np.dtype:
+        """Return the float type that views are worked out in."""
+        return self.layout.eyes[0].solver.dtype
 
-    def by_shared(self, place: np.ndarray) -> np.ndarray:
-        """Return how unknowns follow the shared ones (p, s)."""
-        result = np.zeros((len(place), len(self.shared)))
-        held = np.flatnonzero(self.owner[place] < 0)
-        result[held, np.searchsorted(self.shared, place[held])] = 1
-        for block in self.owners(place):
-            at = np.flatnonzero(self.owner[place] == block)
-            own, triangle, across = self.own[block]
-            result[at] = -(np.linalg.pinv(triangle) @ across)[np.searchsorted(own, place[at])]
-        return result
+    def look(self, state: State) -> list[Seen]:
+        """Return what all views see."""
+        return self.layout.look(state, self.depth, self.grow)
 
-    def owners(self, place: np.ndarray) -> list[int]:
-        """Return the blocks that own some of these unknowns."""
-        return [int(block) for block in np.unique(self.owner[place]) if block >= 0]
+    def noise(self, seen: list[Seen]) -> float:
+        """Return what a residual errs by."""
+        return self.layout.noise(seen)
 
+    def squares(self, state: State, seen: list[Seen], noise: float) -> float:
+        """Return the sum of the squares of all residuals, and of what is believed."""
+        views = sum(w * s.view.squares for w, s in zip(self.weights, seen, strict=True))
+        return float(views + sum(p.squares for p in self.layout.known(state, seen, noise)))
 
-def _null(triangle: np.ndarray, blind: float) -> np.ndarray:
-    """Return directions (n, d), of length 1, that a triangle does not see, whatever the units."""
-    size = np.linalg.norm(triangle, axis=0)
-    size = np.where(size > 0, size, 1.0)
-    _, values, directions = np.linalg.svd(triangle / size)
-    known = np.zeros(len(size))
-    known[: len(values)] = values
-    hidden = directions[known <= blind * max(float(np.max(known, initial=0)), 1e-300)]
-    return (hidden / np.linalg.norm(hidden / size, axis=1, keepdims=True) / size).T
+    def parts(self, state: State, seen: list[Seen], noise: float) -> list[Rows]:
+        """Return the rows of the views, and of what is believed."""
+        views = self.layout.least_squares(seen, self.weights)
+        return [*views, *self.layout.known(state, seen, noise)]
 
+    def sizes(self, seen: list[Seen], parts: list[Rows]) -> np.ndarray:
+        """Return how much each unknown shows."""
+        del seen
+        return column_norms(parts, self.size)
 
-def solve(parts: list[Rows], size: int, damping: np.ndarray) -> Solved:
-    """Return the x (size,) of least squares, `damping` (size,) times x among the residuals."""
-    owner = _together([p.columns[p.own].tolist() for p in parts], size)
-    shared = np.flatnonzero(owner < 0)
-    blocks: dict[int, list[Rows]] = {}
-    for k, part in enumerate(parts):
-        block = int(owner[part.columns[part.own][0]]) if np.any(part.own) else -2 - k
-        blocks.setdefault(block, []).append(part)
-    x, owns, left = np.zeros(size), {}, {}
-    reduced = [np.column_stack([np.diag(damping[shared]), 0 * shared])]
-    for block, some in blocks.items():
-        own = np.flatnonzero(owner == block)
-        r = _eliminated(some, own, shared, damping[own])
-        m = len(own)
-        reduced.append(r[m:, m:])
-        if m:
-            owns[block], left[block] = (own, r[:m, :m], r[:m, m:-1]), r[:m, -1]
-    r: Any = np.linalg.qr(np.concatenate(reduced), mode="r")[: len(shared)]
-    x[shared] = -np.linalg.pinv(r[:, :-1]) @ r[:, -1]
-    for block, (own, triangle, across) in owns.items():
-        x[own] = -np.linalg.pinv(triangle) @ (left[block] + across @ x[shared])
-    return Solved(x, shared, r[:, :-1], owns, owner)
+    def ways_out(self, state: State, seen: list[Seen]) -> np.ndarray:
+        """Return which way numbers would leave their bounds."""
+        return self.layout.ways_out(state, seen)
 
+    def stepped(self, state: State, x: np.ndarray) -> State:
+        """Return the state after a step."""
+        return stepped(state, self.layout.unknowns, x, self.layout.eyes)
 
-def _eliminated(
-    parts: list[Rows], own: np.ndarray, shared: np.ndarray, damping: np.ndarray
-) -> np.ndarray:
-    """Return the triangle of some rows, with columns of what is `own` (and damped) first, then of
-    what is shared, then the residuals."""
-    m, s = len(own), len(shared)
-    tables = [np.column_stack([np.diag(damping), np.zeros((m, s + 1))])]
-    for part in parts:
-        table = np.zeros((len(part.left), m + s + 1))
-        table[:, np.searchsorted(own, part.columns[part.own])] = part.rows[:, part.own]
-        at = m + np.searchsorted(shared, part.columns[~part.own])
-        table[:, at] = part.rows[:, ~part.own]
-        table[:, -1] = part.left
-        tables.append(table)
-    r: Any = np.linalg.qr(np.concatenate(tables), mode="r")
-    return r
-
-
-def moved_by(x: np.ndarray, seen: list[Seen], parts: list[Rows]) -> float:
-    """Return the largest move that a step makes in any view, in its solver's units."""
-    return max(
-        float(np.max(np.abs(s.moves @ x[p.columns]), initial=0))
-        for s, p in zip(seen, parts, strict=True)
-    )
-
-
-class Descent(NamedTuple):
-    """A state, what is seen there, the squares, steps, and whether they ended by themselves."""
-
-    state: State
-    seen: list[Seen]
-    squares: float
-    steps: int
-    ended: bool
+    def moved(self, seen: list[Seen], x: np.ndarray) -> float:
+        """Return the largest move that a step makes in any view, in its solver's units."""
+        moves = (s.moves @ x[self.layout.columns(k)] for k, s in enumerate(seen))
+        return max(float(np.max(np.abs(y), initial=0)) for y in moves)
 
 
 def descend(
@@ -331,54 +203,4 @@ def descend(
     grow: bool = True,
 ) -> Descent:
     """Return the state after Levenberg-Marquardt on one level; buffers as in `Layout.look`."""
-    dtype = layout.eyes[0].solver.dtype
-    tolerance = px / UNIT_PX
-    seen, damping, size = layout.look(state, depth, grow), FIRST_DAMPING, np.zeros(layout.size)
-    squares = _squares(seen, weights)
-    for n in range(1, most + 1):
-        # (What is believed is weighed by what the masks leave at this step.)
-        noise = layout.noise(seen)
-        known = layout.known(state, seen, noise)
-        squares = _squares(seen, weights) + sum(p.squares for p in known)
-        views = layout.least_squares(seen, weights)
-        parts = [*views, *known]
-        outward = layout.ways_out(state, seen) * _slope(parts, layout.size) < 0
-        views, known = ([p.without(outward) for p in some] for some in (views, known))
-        parts = [*views, *known]
-        size = np.maximum(size, _column_norms(parts, layout.size))
-        x = solve(parts, layout.size, damping**0.5 * size).x
-        moved = moved_by(x, seen, views)
-        change = sum(float(np.sum((p.rows @ x[p.columns]) ** 2)) for p in parts)
-        if not np.isfinite(moved):
-            return Descent(state, seen, squares, n, False)
-        trial = stepped(state, layout.unknowns, x, layout.eyes)
-        there = layout.look(trial, depth, grow)
-        after = _squares(there, weights)
-        after += sum(p.squares for p in layout.known(trial, there, noise))
-        if after <= squares:
-            state, seen, squares = trial, there, after
-            damping = max(damping / 10, LEAST_DAMPING)
-        else:
-            damping *= 10
-        if moved < tolerance or change <= COSINE[dtype] ** 2 * squares:
-            return Descent(state, seen, squares, n, True)
-    return Descent(state, seen, squares, most, False)
-
-
-def _squares(seen: list[Seen], weights: np.ndarray) -> float:
-    return float(sum(w * s.view.squares for w, s in zip(weights, seen, strict=True)))
-
-
-def _slope(parts: list[Rows], size: int) -> np.ndarray:
-    """Return half the squares' derivative (size,)."""
-    total = np.zeros(size)
-    for part in parts:
-        np.add.at(total, part.columns, part.left @ part.rows)
-    return total
-
-
-def _column_norms(parts: list[Rows], size: int) -> np.ndarray:
-    total = np.zeros(size)
-    for part in parts:
-        np.add.at(total, part.columns, np.sum(part.rows**2, axis=0))
-    return total**0.5
+    return levenberg_marquardt(_OnLevel(layout, depth, weights, grow), state, most, px)

@@ -128,10 +128,12 @@ def bounds_by_name(
     given = by_name("bounds", bounds, cameras, ())
     result = {n: bounds_of(given.get(n), camera, names) for n, camera in cameras.items()}
 
-    def ends(name: str, row: str) -> tuple[float, float] | None:
+    def ends(name: str, row: str) -> tuple[float, ...]:
         of = result[name]
-        known = of is not None and row in of.labels
-        return (*(float(x[of.labels.index(row)]) for x in (of.low, of.high)),) if known else None
+        if of is None or row not in of.labels:
+            return ()
+        k = of.labels.index(row)
+        return float(of.low[k]), float(of.high[k])
 
     for name, of in owners.items():
         for row, owner in of.items():

@@ -1,6 +1,6 @@
-"""What is sought in many views, checked at the door, and the way from coarse to fine."""
+"""What is sought in many views, checked at the door."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,24 +10,24 @@ from .._camera.poses import Pose, check_pose, inverse, pose_of
 from .._scene.assembly import Posture
 from .._scene.scene import check_scene
 from .fit_camera import check_border, check_reach, check_steps
-from .joint_descent import Descent, Layout, descend
+from .joint_descent import Layout
 from .joint_priors import belief_of_zero, beliefs_of, bounds_by_name, zeros_of
 from .joint_views import MOTIONS, POSE, TWIST, ZERO, Eye, JointView, State, Unknown
 from .mask import Mask
 from .moves import Bounds, canonical
 from .parameters import as_names, check_free, components, in_one, with_lens
 from .problem import COARSE_PX, FINE_PX
+from .pyramid import LEAST_CELLS
 from .residuals import Capacity
 from .shared_unknowns import alike_in_groups, groups_of
 from .solver import Solver
 from .target import check_target, levelled
 
-#: So many steps at most on a level that leads to finer ones.
-COARSE_STEPS = 24
+#: From so many views on, small masks have pyramids of few cells (MB less for each of them, and a
+#: program more for all): 14 MB are 14 GB of a thousand.
+MANY_VIEWS, FEW_CELLS = 32, 1 << 13
 #: The name of the pose that all cameras of a rig share.
 RIG = "rig"
-
-Tell = Callable[[str], None]
 
 
 class JointProblem(NamedTuple):
@@ -85,13 +85,15 @@ class JointProblem(NamedTuple):
             raise ValueError(f"`free`: expected pose, phi or a lens's, got {', '.join(names)}")
         own = ("pose", *(n for n in names if n != "pose"))
         settings = outlier_px, max_steps, prior, bounds
-        asked = given, cameras, names, own, groups, poses, fixed, zeros
+        masks = [_checked_mask(k, view, cameras[view.camera]) for k, view in enumerate(given)]
+        asked = given, masks, cameras, names, own, groups, poses, fixed, zeros
         return cls.among(*asked, *settings)
 
     @classmethod
     def among(
         cls,
         views: list[JointView],
+        masks: list[tuple[np.ndarray, np.ndarray]],
         cameras: Mapping[str, Camera],
         names: tuple[str, ...],
         own: tuple[str, ...],
@@ -104,8 +106,9 @@ class JointProblem(NamedTuple):
         prior: Any,
         bounds: Any,
     ) -> "JointProblem":
-        """Return the problem of views that were checked, in which `names` are free, some of them
-        the same for `groups` of cameras; `own` is what a view's own solver moves."""
+        """Return the problem of views that were checked, with their masks and weights, in which
+        `names` are free, some of them the same for `groups` of cameras; `own` is what a view's own
+        solver moves."""
         cameras = alike_in_groups({n: with_lens(c, names) for n, c in cameras.items()}, groups)
         moving = {n: RIG if n in rig else n for n in cameras}
         rows = [name for name in names if name not in MOTIONS]
@@ -113,10 +116,13 @@ class JointProblem(NamedTuple):
         owners = {n: {row: leader.get(row, {}).get(n, n) for row in rows} for n in cameras}
         within = bounds_by_name(bounds, cameras, names, owners)
         beliefs = beliefs_of(prior, cameras, names, owners, moving, rig, [*objects])
-        eyes = []
-        for k, view in enumerate(views):
+        eyes, least = [], LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
+        for k, (view, mask) in enumerate(zip(views, masks, strict=True)):
             of = cameras[view.camera], own, owners[view.camera], moving, rig, within[view.camera]
-            eyes.append(_eye(k, view, *of, (max_steps, outlier_px)))
+            eyes.append(_eye(k, view, mask, *of, (max_steps, outlier_px, least)))
+        of_scene: dict[int, Solver] = {}
+        for eye in eyes:  # (A scene's arrays are not copied for each view.)
+            eye.solver.share(of_scene.setdefault(id(eye.given), eye.solver))
         largest = Capacity(*np.max([eye.solver.capacity for eye in eyes], axis=0).tolist())
         for eye in eyes:
             eye.solver.capacity = largest
@@ -220,11 +226,12 @@ def _unknowns(
         Unknown(n, kind, size(kind)) for n in dict.fromkeys(moving.values()) for kind in motions
     ]
     result += [Unknown(n, POSE, TWIST) for n in objects]
-    for name, of in owners.items():
-        for row, owner in of.items():
-            if owner == name:
-                having = tuple(n for n in owners if owners[n][row] == name)
-                result.append(Unknown(name, row, size(row), having))
+    for row in (name for name in names if name not in MOTIONS):
+        having: dict[str, list[str]] = {}
+        for name, of in owners.items():
+            having.setdefault(of[row], []).append(name)
+        # (A view's columns are then in the order of its solver's moves.)
+        result += [Unknown(n, row, size(row), tuple(some)) for n, some in having.items()]
     if not result:
         raise ValueError("`free`: expected something to fit, got none")
     return result
@@ -245,67 +252,35 @@ def _checked_views(views: Any) -> list[JointView]:
     return list(views)
 
 
+def _checked_mask(k: int, view: JointView, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Return a view's mask and weights, or raise ValueError."""
+    try:
+        image, weight = check_target(view.target, view.weight, camera.W, camera.H)
+        check_border(image, weight, view.scene, None)
+    except ValueError as error:
+        raise ValueError(f"`views[{k}]`: {error}") from error
+    return levelled(image, weight), weight
+
+
 def _eye(
     k: int,
     view: JointView,
+    given: tuple[np.ndarray, np.ndarray],
     camera: Camera,
     names: tuple[str, ...],
     owners: Mapping[str, str],
     moving: Mapping[str, str],
     rig: Mapping[str, Pose],
     bounds: Bounds | None,
-    settings: tuple[int, float | None],
+    settings: tuple[int, float | None, int],
 ) -> Eye:
     place = lambda what, x: np.eye(4) if x is None else check_pose(f"views[{k}].{what}", x)
-    try:
-        image, weight = check_target(view.target, view.weight, camera.W, camera.H)
-        check_border(image, weight, view.scene, None)
-    except ValueError as error:
-        raise ValueError(f"`views[{k}]`: {error}") from error
-    image = levelled(image, weight)
-    max_steps, outlier_px = settings
+    image, weight = given
+    max_steps, outlier_px, least = settings
     of_view = view.scene, image, weight, camera.e.dtype, names, max_steps, bounds
-    solver = Solver(*of_view, continued=outlier_px is not None)
+    solver = Solver(*of_view, continued=outlier_px is not None, least_cells=least)
     mask = Mask(image, weight, camera)
     mount, placed = place("mount", view.mount), place("placed", view.placed)
     pose = rig.get(view.camera, np.eye(4))
     names_of = view.camera, owners, moving[view.camera], view.object
     return Eye(mask, solver, *names_of, mount, pose, placed, view.scene, view.posture)
-
-
-class Path(NamedTuple):
-    """A state that steps led to, and how many on each level."""
-
-    descent: Descent
-    steps: tuple[int, ...]
-
-    def then(self, further: "Path") -> "Path":
-        """Return a further descent, with the steps of both."""
-        return Path(further.descent, self.steps + further.steps)
-
-
-def depth_of(problem: JointProblem) -> int:
-    """Return the number of levels of the view that has most."""
-    return max(len(eye.solver.levels) for eye in problem.layout.eyes)
-
-
-def descended(
-    problem: JointProblem,
-    state: State,
-    tell: Tell,
-    depths: Sequence[int],
-    px: float | None = None,
-) -> Path:
-    """Return where a descent from level to level leads to, steps on the finest of which are
-    negligible below so many px (None: as many as tell such masks apart)."""
-    layout, steps = problem.layout, []
-    ones = np.ones(len(layout.eyes))
-    found = Descent(state, [], np.inf, 0, False)
-    for depth in depths:
-        least = (px or problem.px) if depth == 1 else COARSE_PX
-        most = problem.max_steps if depth == 1 else min(problem.max_steps, COARSE_STEPS)
-        found = descend(layout, found.state, depth, ones, most, least)
-        steps.append(found.steps)
-        left = depth - 1
-        tell(f"{len(ones)} views: {found.steps} steps, {left} level{'s' * (left != 1)} left")
-    return Path(found, tuple(steps))

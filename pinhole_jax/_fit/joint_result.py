@@ -1,6 +1,6 @@
 """What a joint fit found, as a user reads it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -14,11 +14,13 @@ from .._names import STATUSES
 from .._scene.scene import Scene
 from .agreement import Agreement
 from .joint_descent import Layout
+from .joint_levels import End, Path
 from .joint_problem import JointProblem
-from .joint_views import POSE, TO_B, TWIST, ZERO, lens_reported
+from .joint_views import POSE, TO_B, TWIST, ZERO, Eye, State, lens_reported
 from .moves import on_film
 from .parameters import LABELS, labels_of
-from .result import LEAST_IOU, UNCERTAIN, Fit, MaskError, widest_turn
+from .result import LEAST_IOU, UNCERTAIN, Fit, MaskError, Progress, progress_at, widest_turn
+from .solver import Stop
 from .uncertainty import in_words
 
 #: A view this many times farther off than is usual is named.
@@ -151,7 +153,7 @@ class JointFit(NamedTuple):
         return "\n".join(lines)
 
 
-def independent_variance(layout: Layout, found: Agreement) -> float:
+def _independent_variance(layout: Layout, found: Agreement) -> float:
     """Return a residual's variance, were all of them independent and of one."""
     sums = [s.view.sums for s in found.descent.seen]
     squares = sum(float(s.touched_squares) for s in sums)
@@ -160,18 +162,14 @@ def independent_variance(layout: Layout, found: Agreement) -> float:
     return max(squares / max(count - layout.size, 1), least)
 
 
-def reported(
-    problem: JointProblem,
-    steps: tuple[int, ...],
-    found: Agreement,
-    independent: float,
-    sums: list[Any],
-) -> JointFit:
+def reported(problem: JointProblem, end: End) -> JointFit:
+    """Return the end of a fit as a user reads it."""
+    found, sums = end.found, end.whole
+    independent = _independent_variance(problem.layout, found)
     layout = problem.layout
     views = tuple(_view_fit(problem, k, found, total) for k, total in enumerate(sums))
     cameras = {
-        name: _camera_fit(problem, name, steps, found, independent, sums, views)
-        for name in problem.cameras
+        name: _camera_fit(problem, name, end, independent, views) for name in problem.cameras
     }
     objects = {}
     for name in dict.fromkeys(eye.object for eye in layout.eyes if eye.object is not None):
@@ -192,7 +190,7 @@ def reported(
         excess=found.excess,
         weak=tuple(_words(found, views)),
         modes=(),
-        steps=steps,
+        steps=end.path.steps,
         joint_zeros=_zeros(problem, found),
     )
 
@@ -288,18 +286,19 @@ def _worth(problem: JointProblem, k: int, found: Agreement) -> float:
 def _camera_fit(
     problem: JointProblem,
     name: str,
-    steps: tuple[int, ...],
-    found: Agreement,
+    end: End,
     independent: float,
-    sums: list[Any],
     views: tuple[ViewFit, ...],
 ) -> Fit:
     layout, names = problem.layout, problem.names
+    found, sums = end.found, end.whole
     seen_by = [k for k, eye in enumerate(layout.eyes) if eye.camera == name]
     view = found.descent.seen[seen_by[0]].view
     back = problem.rig.get(name, np.eye(4))
-    pose = found.descent.state.poses[problem.moving[name]] @ back
-    camera = on_film(at_pose(found.descent.state.lenses[name], pose), problem.cameras[name])
+    state = found.descent.state
+    pose = state.poses[problem.moving[name]] @ back
+    unit = lambda state: at_pose(state.lenses[name], state.poses[problem.moving[name]] @ back)
+    camera = on_film(unit(state), problem.cameras[name])
 
     # What is reported, by the unknowns.
     place, columns, labels = [], [], []
@@ -310,13 +309,13 @@ def _camera_fit(
         columns.append(twisted @ adjoint(inverse(back)))
         labels += labels_of(("pose",))
     owners = layout.eyes[seen_by[0]].owners
-    for name in owners:
-        at = layout.place(owners[name], name)
+    for row, owner in owners.items():
+        at = layout.place(owner, row)
         assert at is not None
         place.append(at)
-        columns.append(lens_reported(view, names, name))
-        columns[-1][[LABELS[label].unit == "px" for label in labels_of((name,))]] *= camera.H
-        labels += labels_of((name,))
+        columns.append(lens_reported(view, names, row))
+        columns[-1][[LABELS[label].unit == "px" for label in labels_of((row,))]] *= camera.H
+        labels += labels_of((row,))
     by_unknowns = np.zeros((len(labels), len(labels)))
     row = 0
     for block in columns:
@@ -345,11 +344,21 @@ def _camera_fit(
         std=np.sqrt(np.diag(covariance)),
         rms=float(np.sqrt(squares / weight)) if weight > 0 else float("nan"),
         iou=iou,
-        steps=steps,
+        steps=end.path.steps,
         weak=weak,
+        history=history(end.path, layout.eyes[seen_by[0]], unit, problem.cameras[name]),
         independent_covariance=classical,
         mask_error=max(known, key=lambda e: e.px) if known else None,
     )
+
+
+def history(
+    path: Path, eye: Eye, unit: Callable[[State], Camera], camera: Camera
+) -> tuple[Progress, ...]:
+    """Return the way of a camera, canonical as `unit` has it, by the levels of one of its views."""
+    levels = eye.solver.levels
+    stops = (Stop(unit(p.state), levels[eye.level(p.depth)], p.steps) for p in path.way)
+    return tuple(progress_at(stop, camera) for stop in stops)
 
 
 def _forget(covariance: np.ndarray, unseen: np.ndarray) -> None:
