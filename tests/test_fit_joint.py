@@ -10,14 +10,17 @@ import trimesh
 from oracles import drawn
 from PIL import Image
 from scipy.spatial.transform import Rotation
+from scipy.stats import t
 
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, shapes
 from pinhole_jax._camera.poses import adjoint, at_pose, exponential, inverse, pose_of
 from pinhole_jax._command.proposals import _tells as tells, worths
-from pinhole_jax._fit.joint_descent import Rows, solve
-from pinhole_jax._fit.joint_problem import JointProblem
+from pinhole_jax._fit import levenberg_marquardt
+from pinhole_jax._fit.joint_levels import depth_of, descended, to_the_end
+from pinhole_jax._fit.joint_problem import MANY_VIEWS, JointProblem
 from pinhole_jax._fit.joint_views import stepped
+from pinhole_jax._fit.least_squares import Rows, held_to_the_end, solve
 from pinhole_jax._fit.moves import reported
 from pinhole_jax._fit.observability import information
 
@@ -284,19 +287,22 @@ def test_moves_are_those_of_differences(stereo):
     assert np.max(np.abs(stated - numeric[: len(stated)])) < 1e-7
 
 
-def test_what_one_view_alone_depends_on_is_eliminated_exactly():
+def test_what_few_views_depend_on_is_eliminated_exactly():
+    """Two views have a camera in common, all have the last numbers; of one, something is known."""
     random = np.random.default_rng(0)
     size, parts, dense, right = 9, [], [], []
-    for own in ([0, 1], [2, 3], [4, 5]):
-        columns = np.array([6, *own, 7, 8])
-        rows, left = random.normal(size=(7, 5)), random.normal(size=7)
+    for own, number in (([0, 1], 7), ([0, 1], 4), ([2, 3], 7), ([4, 5], 7), ([2], 1)):
+        columns = np.array([6, *own, 7, 8] if number > 1 else own)
+        rows, left = random.normal(size=(number, len(columns))), random.normal(size=number)
         parts.append(Rows(rows, left, columns, np.isin(columns, own)))
-        whole = np.zeros((7, size))
+        whole = np.zeros((number, size))
         whole[:, columns] = rows
         dense.append(whole)
         right.append(left)
     matrix, left = np.concatenate(dense), np.concatenate(right)
     found = solve(parts, size, np.zeros(size))
+    assert found.shared.tolist() == [6, 7, 8]
+    assert len(found.own) == 3
     assert np.allclose(found.x, -np.linalg.lstsq(matrix, left, rcond=None)[0], atol=1e-12)
     everything = np.arange(size)
     inverse_normal = np.linalg.inv(matrix.T @ matrix)
@@ -306,6 +312,150 @@ def test_what_one_view_alone_depends_on_is_eliminated_exactly():
     more = np.concatenate([matrix, np.diag(damping)])
     expected = -np.linalg.lstsq(more, np.append(left, np.zeros(size)), rcond=None)[0]
     assert np.allclose(damped, expected, atol=1e-12)
+
+
+def test_what_stays_to_the_end_makes_the_least_work():
+    """Cameras that share a lens; pictures of one part each, by both eyes of a head."""
+    cameras = [[k, 50] for k in range(50)]
+    held = held_to_the_end(cameras, [6] * 50 + [1])
+    assert np.flatnonzero(held).tolist() == [50]
+    frames = [[eye, 2 + k] for k in range(50) for eye in (0, 1)]
+    assert np.flatnonzero(held_to_the_end(frames, [6] * 52)).tolist() == [0, 1]
+    assert np.all(held_to_the_end([[0, 1], [0, 1]], [6, 1]))
+
+
+def test_many_views_hold_little_memory(scenes):
+    """Views of one scene share its arrays, and each has room for its own mask alone."""
+    mask, cameras = drawn(TRUTH, scenes[0]), {f"{k}": TRUTH for k in range(MANY_VIEWS)}
+    views = [pj.JointView(scenes[0], mask, camera=name) for name in cameras]
+    few, many = (
+        JointProblem.of(views[:k], dict([*cameras.items()][:k]), ("pose",), *[None] * 3, 8)
+        for k in (2, MANY_VIEWS)
+    )
+    size = lambda problem: [e.solver.problem.pyramid.target.size for e in problem.layout.eyes]
+    assert min(size(few)) > 10 * max(size(many))
+    scene = [eye.solver.problem.scene.mesh for eye in many.layout.eyes]
+    assert all(mesh.vertices is scene[0].vertices for mesh in scene)
+
+
+# --- what cameras share --------------------------------------------------------------------------
+
+NAMES = ("one", "two", "three")
+
+
+def lone(seed, phi):
+    """Return a camera somewhere about the object, and one some degrees off it."""
+    axes = Rotation.random(random_state=seed).as_matrix()
+    camera = pj.Camera(-5 * axes[2], [0, 0, 0], axes[1], phi, 1.0, SIZE, SIZE)
+    return camera, at_pose(camera, pose_of(camera) @ (OFF if seed else inverse(OFF)))
+
+
+@pytest.fixture(scope="module")
+def three(scenes):
+    """Noisy masks by three cameras of one kind of lens, and starts."""
+    random = np.random.default_rng(5)
+    truths, starts = zip(*(lone(k, 0.6) for k in range(3)), strict=True)
+    noise = lambda: 0.03 * random.normal(size=(SIZE, SIZE))
+    views = [
+        pj.JointView(scenes[0], drawn(camera, scenes[0]) + noise(), camera=name)
+        for name, camera in zip(NAMES, truths, strict=True)
+    ]
+    off = [s.replace(phi=phi) for s, phi in zip(starts, (0.6, 0.62, 0.64), strict=True)]
+    return views, dict(zip(NAMES, truths, strict=True)), dict(zip(NAMES, off, strict=True))
+
+
+def test_cameras_that_share_phi_are_those_of_fit_cameras(three):
+    views, truths, starts = three
+    scene, masks = views[0].scene, [view.target for view in views]
+    pj.fit_camera(scene, masks[0], starts["one"], ("pose", "phi"))
+    programs = levenberg_marquardt.descended._cached._cache_size()
+    fit = pj.fit_joint(views, starts, shared="phi")
+    others = pj.fit_cameras(scene, masks, [*starts.values()])
+    assert programs == levenberg_marquardt.descended._cached._cache_size()
+    assert fit.status == "converged"
+    assert len({float(f.camera.phi) for f in fit.cameras.values()}) == 1
+    for (name, one), other in zip(fit.cameras.items(), others, strict=True):
+        assert one.names == other.names
+        assert max(apart(one.camera, other.camera)) < 1e-4 * min(other.std[:3])
+        assert np.allclose(
+            one.independent_covariance, other.independent_covariance, rtol=1e-3, atol=1e-12
+        )
+        # (How far views differ says the joint fit from two numbers alone.)
+        wider = fit.excess * t.ppf(0.975, 2) / 1.96 if fit.excess > 1 else 1.0
+        assert np.allclose(one.std, wider * other.std, rtol=0.1)
+        assert max(apart(one.camera, truths[name])) < 1
+        assert (len(one.history), one.history[0].steps) == (len(one.steps) + 1, 0)
+        assert max(apart(one.history[0].camera, starts[name])) < 1e-9
+        assert max(apart(one.history[-1].camera, one.camera)) < 1e-9
+    assert abs(float(fit.cameras["one"].camera.phi) - 0.6) < 4 * fit.cameras["one"].std[-1]
+
+
+def test_the_covariance_is_that_of_one_dense_matrix(three):
+    """All residuals' derivatives by all unknowns side by side; what is known of some among them."""
+    views, _, starts = three
+    known = {"phi": (0.61, 0.002), "e_x": (0.0, 3.0)}
+    problem = JointProblem.of(
+        views, starts, ("pose",), None, None, 2.0, 64, prior=known, shared="phi"
+    )
+    layout = problem.layout
+    assert (layout.size, len(layout.beliefs)) == (19, 4)
+    path = descended(problem, problem.start, lambda words: None, range(depth_of(problem), 0, -1))
+    found = to_the_end(problem, path, lambda words: None).found
+    seen, rows = found.descent.seen, []
+    for k, one in enumerate(seen):
+        rows.append(np.zeros((len(one.view.triangle), layout.size)))
+        rows[-1][:, layout.columns(k)] = np.asarray(one.view.triangle) @ one.moves
+    noise, state = layout.noise(seen), found.descent.state
+    beliefs = np.zeros((4, layout.size))
+    beliefs[0, layout.place("one", "phi")] = noise / 0.002
+    for k, name in enumerate(NAMES):
+        x = layout.place(name, "pose")[3:]
+        beliefs[1 + k, x] = noise / 3 * state.poses[name][0, :3]
+    whole = np.concatenate([*rows, beliefs])
+    # (What phi follows of its own unknown, a logarithm of the focal length, a difference says.)
+    step = np.zeros(layout.size)
+    step[layout.place("one", "phi")] = h = 1e-6
+    phi = lambda sign: float(
+        stepped(state, layout.unknowns, sign * step, layout.eyes).lenses["three"].phi
+    )
+    slope = (phi(1) - phi(-1)) / (2 * h)
+    whole[-4] *= slope
+    inverse_normal = np.linalg.inv(whole.T @ whole)
+    middle = noise**2 * whole[-4:].T @ whole[-4:]
+    for k, (one, gradient) in enumerate(zip(seen, found.gradients, strict=True)):
+        by = np.zeros((layout.size, len(gradient)))
+        by[layout.columns(k)] = found.weights[k] * one.moves.T
+        middle += found.wider * by @ gradient @ by.T
+    expected = inverse_normal @ middle @ inverse_normal
+    size = np.sqrt(np.diag(expected))
+    everything = np.arange(layout.size)
+    assert np.allclose(
+        found.covariance(everything) / np.outer(size, size),
+        expected / np.outer(size, size),
+        atol=1e-6,
+    )
+    for name in NAMES:
+        place = np.append(layout.place(name, "pose"), layout.place("one", "phi"))
+        scale = np.outer(size[place], size[place])
+        assert np.allclose(found.covariance(place) / scale, expected[np.ix_(place, place)] / scale)
+    one = found.independent(everything, 0.01)
+    told = 0.01 * inverse_normal
+    told += (noise**2 - 0.01) * inverse_normal @ whole[-4:].T @ whole[-4:] @ inverse_normal
+    assert np.allclose(one / np.outer(size, size), told / np.outer(size, size), atol=1e-6)
+
+
+@pytest.mark.long
+def test_groups_of_cameras_have_a_lens_each(scenes):
+    truths = {f"{k}": lone(k, 0.6 if k < 2 else 0.7)[0] for k in range(4)}
+    views = [pj.JointView(scenes[0], drawn(c, scenes[0]), camera=n) for n, c in truths.items()]
+    starts = {n: lone(int(n), 0.65)[1] for n in truths}
+    fit = pj.fit_joint(views, starts, shared={"phi": [("0", "1"), ("3", "2")]})
+    assert fit.status == "converged"
+    phi = {n: float(f.camera.phi) for n, f in fit.cameras.items()}
+    assert phi["0"] == phi["1"] != phi["2"] == phi["3"]
+    assert abs(phi["0"] - 0.6) < 1e-9
+    assert abs(phi["2"] - 0.7) < 1e-9
+    assert all(max(apart(f.camera, truths[n])) < 1e-7 for n, f in fit.cameras.items())
 
 
 def test_twists_and_adjoints():
@@ -391,6 +541,24 @@ BOTH = {"camera": TRUTH, "other": TRUTH}
             },
         ),
         (r"`outlier_px`: expected a positive", lambda v: {"outlier_px": -1.0}),
+        (r"`shared`: expected names among phi, .* got pose", lambda v: {"shared": "pose"}),
+        (
+            r"`shared`: expected groups of cameras among camera, got 'left'",
+            lambda v: {"shared": {"phi": [("camera", "left")]}},
+        ),
+        (
+            r"`shared`: expected each camera in one group of phi, got more",
+            lambda v: {"shared": {"phi": [("camera",), ("camera",)]}},
+        ),
+        (
+            r"`bounds`: expected the same of phi for camera and other, which share it",
+            lambda v: {
+                "views": [v[0], v[1]._replace(camera="other")],
+                "cameras": BOTH,
+                "shared": "phi",
+                "bounds": {"other": {"phi": (0.5, 0.7)}},
+            },
+        ),
         (r"`max_steps`: expected an integer", lambda v: {"max_steps": 0}),
         (
             r"`prior`: expected free parameters among e_x, e_y, e_z, got 'phi'",

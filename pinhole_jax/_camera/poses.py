@@ -5,6 +5,8 @@ A camera's own frame is the field's (OpenCV's): x right, y down, z forward.
 
 from typing import Any
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -24,9 +26,12 @@ def pose_of(camera: Camera) -> Pose:
 
 
 def at_pose(camera: Camera, pose: Pose) -> Camera:
-    """Return the camera at a pose in its world."""
+    """Return the camera moved rigidly to a pose in its world: u stands to its axes as it did."""
     right, down, forward = pose[:3, :3].T
-    return camera.with_pose(pose[:3, 3], np.stack([right, -down, forward]))
+    axes = np.stack([right, -down, forward])
+    up = (axes_of(camera) @ np.asarray(camera.u, float)) @ axes
+    moved = camera.with_pose(pose[:3, 3], axes)
+    return eqx.tree_at(lambda c: c.u, moved, jnp.asarray(up, camera.u.dtype))
 
 
 def rigid(rotation: np.ndarray, translation: np.ndarray) -> Pose:

@@ -13,17 +13,21 @@ Views weighed by their G (Hansen's generalised moments, 1982) were tried in plac
 robot's ten masks the eye moved by 6 mm with where the descent began, and it was no nearer.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from .joint_descent import Descent, Layout, Rows, Solved, solve
+from .joint_descent import Layout
 from .joint_views import Eye
+from .least_squares import Descent, Rows, Solved, solve
 from .outline_errors import OutlineErrors
 from .parameters import components
 from .problem import FINE_PX, UNIT_PX, View
 from .result import Known, gradients
+from .uncertainty import BLIND
 
 #: Degrees of freedom of the t distribution of views' residuals: a few bad views count for little.
 HEAVY = 1.0
@@ -37,9 +41,20 @@ DESIGNS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
 NOTHING = 1e-10
 
 
-class Agreement(NamedTuple):
+class _Errs(NamedTuple):
+    """Some residuals' part of the right-hand side, `by` (c, n) of the unknowns `columns`, errs with
+    this `covariance` (n, n)."""
+
+    columns: np.ndarray
+    by: np.ndarray
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
     """Where the weighed views' squares are least, and how well these agree.
 
+    - `layout`: of the unknowns.
     - `descent`: the state, and what is seen there.
     - `solved`: what determines the unknowns; `gradients`: what each view's gradient (n, n) errs by.
     - `excess`: how many times as far apart the views are as their masks' errors say; at least 1.
@@ -50,6 +65,7 @@ class Agreement(NamedTuple):
     - `sigma` (V,): how surely each view disagrees with the others, as of one normal number.
     """
 
+    layout: Layout
     descent: Descent
     solved: Solved
     gradients: list[np.ndarray]
@@ -62,12 +78,12 @@ class Agreement(NamedTuple):
     noise: float
     sigma: np.ndarray
 
-    def without(self, layout: Layout, view: int) -> "Agreement":
+    def without(self, view: int) -> "Agreement":
         """Return what the other views, and what is believed, would tell by themselves."""
         weights = np.where(np.arange(len(self.weights)) == view, 0.0, self.weights)
-        parts = layout.least_squares(self.descent.seen, weights)
-        solved = solve([*parts, *self.known], layout.size, np.zeros(layout.size))
-        return self._replace(solved=solved, weights=weights)
+        parts = self.layout.least_squares(self.descent.seen, weights)
+        solved = solve([*parts, *self.known], self.layout.size, np.zeros(self.layout.size))
+        return replace(self, solved=solved, weights=weights)
 
     @property
     def wider(self) -> float:
@@ -79,28 +95,70 @@ class Agreement(NamedTuple):
 
         return (self.excess * float(t.ppf(0.975, self.freedom)) / NORMAL_95) ** 2
 
-    def covariance(self, layout: Layout, place: np.ndarray) -> np.ndarray:
+    def covariance(self, place: np.ndarray) -> np.ndarray:
         """Return the covariance (p, p) of some unknowns that the masks' errors, and what is
         believed, leave (the sandwich of Huber 1967, a view at a time)."""
-        result = np.zeros((len(place), len(place)))
-        seen = zip(self.descent.seen, self.gradients, self.weights, strict=True)
-        for k, (view, gradient, weight) in enumerate(seen):
-            influence = self.solved.inverse(place, layout.columns(k)) @ (weight * view.moves.T)
-            result += self.wider * influence @ gradient @ influence.T
-        return result + self._of_known(place, self.noise**2)
+        return self._by_masks.covariance(place) + self._by_known.covariance(place, self.noise**2)
 
     def independent(self, place: np.ndarray, variance: float) -> np.ndarray:
         """Return the covariance (p, p) were the residuals independent and of one variance."""
         by_masks = variance * self.solved.inverse(place, place)
-        return by_masks + self._of_known(place, self.noise**2 - variance)
+        return by_masks + self._by_known.covariance(place, self.noise**2 - variance)
 
-    def _of_known(self, place: np.ndarray, variance: float) -> np.ndarray:
-        """Return what rows of such a variance, of what is believed, make of some unknowns."""
-        result = np.zeros((len(place), len(place)))
-        for part in self.known:
-            influence = self.solved.inverse(place, part.columns) @ part.rows.T
-            result += variance * influence @ influence.T
-        return result
+    @cached_property
+    def unseen(self) -> np.ndarray:
+        """Return directions of the unknowns (size, d) that change no mask."""
+        return self.solved.unseen(BLIND[self.layout.eyes[0].solver.dtype])
+
+    @cached_property
+    def _by_masks(self) -> "_Sandwich":
+        seen = zip(self.descent.seen, self.gradients, self.weights, strict=True)
+        return _Sandwich(
+            self.solved,
+            [
+                _Errs(self.layout.columns(k), weight * view.moves.T, self.wider * gradient)
+                for k, (view, gradient, weight) in enumerate(seen)
+            ],
+        )
+
+    @cached_property
+    def _by_known(self) -> "_Sandwich":
+        of = lambda p: _Errs(p.columns, p.rows.T, np.eye(len(p.left)))
+        return _Sandwich(self.solved, [of(part) for part in self.known])
+
+
+class _Sandwich:
+    """What errors of the right-hand side make of the unknowns.
+
+    What they make of the shared ones is summed up once: what is a block's own follows these, and
+    only the errors of its own views come to that. So the covariances of all blocks cost as much as
+    there are views.
+    """
+
+    def __init__(self, solved: Solved, errs: Sequence[_Errs]):
+        self._solved, self._of_block = solved, dict[int, list[_Errs]]()
+        s = len(solved.shared)
+        back = np.linalg.pinv(solved.triangle)
+        self._all, self._shared = np.zeros((s, s)), dict[int, np.ndarray]()
+        for err in errs:
+            influence = back @ (solved.by_shared(err.columns) @ back).T @ err.by
+            part = influence @ err.covariance @ influence.T
+            self._all += part
+            for block in solved.owners(err.columns):
+                self._of_block.setdefault(block, []).append(err)
+                self._shared[block] = self._shared.get(block, 0) + part
+
+    def covariance(self, place: np.ndarray, times: float = 1.0) -> np.ndarray:
+        """Return the covariance (p, p) of some unknowns, of errors with `times` the covariance."""
+        solved = self._solved
+        own = [block for block in solved.owners(place) if block in self._of_block]
+        by_shared = solved.by_shared(place)
+        others = self._all - sum((self._shared[block] for block in own), np.zeros_like(self._all))
+        result = by_shared @ others @ by_shared.T
+        for err in (err for block in own for err in self._of_block[block]):
+            influence = solved.inverse(place, err.columns) @ err.by
+            result += influence @ err.covariance @ influence.T
+        return times * result
 
 
 def agreed(
@@ -134,10 +192,7 @@ def weigh_beliefs(layout: Layout, found: Descent) -> None:
         layout.design = design
         here = _at(layout, found, ones, ones)
         spreads.append(
-            sum(
-                float(np.trace(p.rows @ here.covariance(layout, p.columns) @ p.rows.T))
-                for p in here.known
-            )
+            sum(float(np.trace(p.rows @ here.covariance(p.columns) @ p.rows.T)) for p in here.known)
             / here.noise**2
         )
     layout.design = DESIGNS[int(np.argmin(spreads))]
@@ -173,7 +228,7 @@ def _at(layout: Layout, found: Descent, weights: np.ndarray, counts: np.ndarray)
     solved = solve([*parts, *known], layout.size, np.zeros(layout.size))
     sigma = np.array([_sigma(*pair) for pair in zip(squares, ranks, strict=True)])
     told = excess, freedom, off, weights, errors, known, noise, sigma
-    return Agreement(found, solved, each, *told)
+    return Agreement(layout, found, solved, each, *told)
 
 
 def _sigma(squares: float, rank: float) -> float:

@@ -6,21 +6,24 @@ the shared unknowns is among its residuals then, linear in these: so no place co
 intrinsics alone make as good.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from .._camera.camera import Camera
-from .mask import Mask
+from .joint_descent import Layout
+from .joint_levels import Path
+from .joint_views import MOTIONS, Eye
+from .least_squares import Descent, Rows
 from .moves import on_film
 from .parameters import LABELS, labels_of
 from .places import APART, EQUAL_TIMES, Places, better, separation, settled
-from .priors import Others, no_others
+from .priors import Others
 from .problem import View
-from .shared_unknowns import alike, beside, descend, others, reduced, with_rows
+from .shared_unknowns import Reduced, in_few, others, reduced, with_rows
 from .solver import Found, Solver, Stop
 from .strategy import finished, looked_alike, looked_round, with_others
 
@@ -28,121 +31,169 @@ from .strategy import finished, looked_alike, looked_round, with_others
 ROUNDS = 3
 
 
-class OneView(NamedTuple):
-    """One view: its mask (with the camera as given), the mask's solver, and the camera so far; the
-    start (canonical), if it has one, and other cameras that a fit of its own found."""
+class Begun(NamedTuple):
+    """Where a view began: its start (canonical), if it has one, and other cameras that a fit of its
+    own found."""
 
-    mask: Mask
-    solver: Solver
-    unit: Camera
     start: Camera | None = None
     modes: Sequence[Camera] = ()
 
-    def level(self, depth: int) -> int:
-        """Return the number of the level this far from the last, or of the first."""
-        return max(len(self.solver.levels) - depth, 0)
 
-    def look(self, depth: int) -> View:
-        """Return the view on a level."""
-        return self.solver.look(self.unit, self.level(depth))
+class Told(NamedTuple):
+    """A view, with what is believed of its own unknowns, and what the others tell it.
 
-    def stepped(self, depth: int, y: np.ndarray) -> "OneView":
-        """Return the view after a step in its own units."""
-        return self._replace(unit=self.solver.step(self.unit, self.level(depth), y))
+    - `view`, and `part`: what it leaves of the shared unknowns.
+    - `believed`: residuals (b, n) of its moves, and their values, among those of the view.
+    - `others` (r, k): what the others, and what is believed, know of the shared unknowns; `slope`
+      (k,): half the derivative of all residuals' squares by these.
+    """
+
+    view: View
+    part: Reduced
+    believed: tuple[np.ndarray, np.ndarray]
+    others: np.ndarray
+    slope: np.ndarray
 
 
 class Answer(NamedTuple):
-    """Where a view's camera may be, and what the others knew when it was asked."""
+    """Where a view's camera `unit` may be."""
 
+    unit: Camera
     places: Places
-    others: Others
+
+
+def told_by_others(
+    layout: Layout, found: Descent, own: np.ndarray, weights: np.ndarray
+) -> list[Told]:
+    """Return views of weights (V,), a camera each, and what the others tell each of them; `own`
+    (n,) of a view's moves are its own."""
+    known: dict[int, list[Rows]] = {}
+    for rows in layout.known(found.state, found.seen, layout.noise(found.seen)):
+        known.setdefault(rows.columns[0], []).append(rows)
+    of = lambda columns: [rows for column in columns for rows in known.get(column, ())]
+
+    views, beliefs = [], []
+    for k, seen in enumerate(found.seen):
+        columns = layout.columns(k)
+        believed = _of_moves(of(columns[own]), columns, np.linalg.pinv(seen.moves))
+        views.append(with_rows(_weighed(seen.view, weights[k]), *believed))
+        beliefs.append(believed)
+
+    parts, shared = [reduced(view, own) for view in views], layout.columns(0)[~own]
+    rows, left = _of_moves(of(shared), shared, np.eye(len(shared)))
+    rests = others([*(part.rest for part in parts), rows])[: len(views)]
+    slope = sum((part.slope for part in parts), rows.T @ left)
+    each = zip(views, parts, beliefs, rests, strict=True)
+    return [Told(*one, slope) for one in each]
+
+
+def _weighed(view: View, weight: float) -> View:
+    by = weight**0.5
+    triangle, along = (by * np.asarray(x, float) for x in (view.triangle, view.along))
+    return view._replace(triangle=triangle, along=along)
+
+
+def _of_moves(
+    known: list[Rows], columns: np.ndarray, by_moves: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return residuals of unknowns as such of moves that these follow (b, n), and their values."""
+    rows = [r.rows @ by_moves[np.searchsorted(columns, r.columns)] for r in known]
+    none = np.zeros((0, by_moves.shape[1]))
+    return np.concatenate([none, *rows]), np.concatenate([np.zeros(0), *(r.left for r in known)])
 
 
 def asked(
-    views: list[OneView],
-    seen: list[View],
+    layout: Layout,
+    path: Path,
+    begun: list[Begun],
     own: np.ndarray,
-    common: tuple[str, ...],
-    max_steps: int,
-) -> tuple[list[OneView], list[View], list[Answer]]:
-    """Return the views after a descent, what is seen on the last level, and each view's answer.
+    onward: Callable[[list[Camera]], Path],
+) -> tuple[Path, list[Answer]]:
+    """Return where views, a camera each, are after a descent, and each view's answer.
 
-    Where one is better elsewhere, all descend from there together, and are asked again. If that is
-    worse for all together, they stay, and the place is one of that view's others.
+    Where one is better elsewhere, all descend `onward` from there together, and are asked again. If
+    that is worse for all together, they stay, and the place is one of that view's others.
     """
-    answers = _answers(views, seen, own)
+    answers = _answers(layout, path.descent, begun, own)
     for _ in range(ROUNDS):
-        best = [answer.places.best.unit for answer in answers]
-        if all(unit is one.unit for unit, one in zip(best, views, strict=True)):
+        if all(answer.places.best.unit is answer.unit for answer in answers):
             break
-        units = alike(best, common)
-        moved = [one._replace(unit=unit) for one, unit in zip(views, units, strict=True)]
-        moved, there, _ = descend(moved, 1, own, max_steps, views[0].solver.dtype)
-        if not _squares(there) <= _squares(seen) + _noise(views, seen):
+        there = onward([answer.places.best.unit for answer in answers])
+        most = path.descent.squares + _noise(layout, path.descent)
+        if not there.descent.squares <= most:
             break
-        views, seen = moved, there
-        answers = _answers(views, seen, own)
-    held = [_held(*each) for each in zip(answers, views, seen, strict=True)]
-    return views, seen, held
+        path = path.then(there)
+        answers = _answers(layout, path.descent, begun, own)
+    seen = zip(answers, path.descent.seen, strict=True)
+    return path, [_held(answer, one.view) for answer, one in seen]
 
 
-def _squares(seen: list[View]) -> float:
-    return sum(view.squares for view in seen)
-
-
-def _noise(views: list[OneView], seen: list[View]) -> float:
+def _noise(layout: Layout, found: Descent) -> float:
     """Return by how much sums of squares of equal places may differ."""
-    pairs = zip(views, seen, strict=True)
-    variances = (max(one.solver.kind.variance, view.touched_misfit) for one, view in pairs)
-    return EQUAL_TIMES * max(variances)
+    pairs = zip(layout.eyes, found.seen, strict=True)
+    return EQUAL_TIMES * max(max(e.solver.kind.variance, s.view.touched_misfit) for e, s in pairs)
 
 
-def _held(answer: Answer, one: OneView, view: View) -> Answer:
+def _held(answer: Answer, view: View) -> Answer:
     """Return the answer with the view's camera as the best, and another best among the others."""
     best, others, free, _ = answer.places
-    if best.unit is one.unit:
+    if best.unit is answer.unit:
         return answer
-    return answer._replace(places=Places(Found(one.unit, view, ()), [best, *others], free))
+    return answer._replace(places=Places(Found(answer.unit, view, ()), [best, *others], free))
 
 
-def _answers(views: list[OneView], seen: list[View], own: np.ndarray) -> list[Answer]:
-    if not all(np.all(np.isfinite(view.triangle)) for view in seen):
-        names, dtype = views[0].solver.names, views[0].solver.dtype
-        found = (Found(one.unit, view, ()) for one, view in zip(views, seen, strict=True))
-        return [Answer(Places(f, [], []), no_others(names, dtype)) for f in found]
-    parts = [reduced(view, own, 0.0) for view in seen]
-    slopes = [part.rest.T @ part.left for part in parts]
-    total: Any = sum(slopes)
-    rests = others([part.rest for part in parts])
-    return [
-        _answer(one, view, *beside(view, rest, total - slope, own))
-        for one, view, rest, slope in zip(views, seen, rests, slopes, strict=True)
-    ]
+def _answers(layout: Layout, found: Descent, begun: list[Begun], own: np.ndarray) -> list[Answer]:
+    units = [eye.unit(found.state) for eye in layout.eyes]
+    if not all(np.all(np.isfinite(seen.view.triangle)) for seen in found.seen):
+        here = zip(units, found.seen, strict=True)
+        return [Answer(unit, Places(Found(unit, seen.view, ()), [], [])) for unit, seen in here]
+    told = told_by_others(layout, found, own, np.ones(len(units)))
+    views = [seen.view for seen in found.seen]
+    given = zip(layout.eyes, units, views, begun, told, strict=True)
+    return [_answer(*each, own) for each in given]
 
 
-def _answer(one: OneView, view: View, rows: np.ndarray, left: np.ndarray) -> Answer:
-    """Return where a view's camera may be, given residuals `rows y + left` of the others."""
-    solver, known = one.solver, _of_values(one, view, rows, left)
-    found = Found(one.unit, with_rows(view, rows, left), ())
-    solver.hear(known)
-    if one.start is None:
-        places = looked_alike(solver, found, finished(solver, one.modes))
+def _answer(
+    eye: Eye, unit: Camera, view: View, begun: Begun, told: Told, own: np.ndarray
+) -> Answer:
+    """Return where a view's camera may be, given what the others tell."""
+    solver = eye.solver
+    rows, left = _beside(view, told, own)
+    found = Found(unit, with_rows(view, rows, left), ())
+    solver.hear(_of_values(solver, unit, view, rows, left))
+    if begun.start is None:
+        places = looked_alike(solver, found, finished(solver, begun.modes))
     else:
-        mask = replace(one.mask, camera=on_film(one.unit, one.mask.camera))
-        places = looked_round(solver, mask, found, one.start, _untold)
-    places = _kept(solver, places, found, one.start)
+        mask = replace(eye.mask, camera=on_film(unit, eye.mask.camera))
+        places = looked_round(solver, mask, found, begun.start, _untold)
+    places = _kept(solver, places, found, begun.start)
     solver.hear(None)
-    return Answer(places, known)
+    return Answer(unit, places)
 
 
-def _of_values(one: OneView, view: View, rows: np.ndarray, left: np.ndarray) -> Others:
+def _beside(view: View, told: Told, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what the others tell a view, and what is believed, as residuals of its moves."""
+    unit = np.asarray(view.unit, float)[~own]
+    shared = np.zeros((len(told.others), len(own)))
+    shared[:, ~own] = told.others * unit
+    believed, left = told.believed
+    slope = believed.T @ left
+    slope[~own] += (told.slope - told.part.slope) * unit
+    return in_few(view, np.concatenate([shared, believed]), slope)
+
+
+def _of_values(
+    solver: Solver, unit: Camera, view: View, rows: np.ndarray, left: np.ndarray
+) -> Others:
     """Return residuals that are linear in a view's moves as such that are linear in what is
     reported of the camera."""
-    shared = np.any(rows != 0, axis=0)
-    values = [LABELS[label].value for label in labels_of(one.solver.names)]
-    at = [float(of(one.unit)) if of and s else 0.0 for of, s in zip(values, shared, strict=True)]
-    by_moves = np.where(np.outer(shared, shared), np.asarray(view.to_reported, float), 0.0)
-    to = lambda x: jnp.asarray(x, one.solver.dtype)
+    known = np.any(rows != 0, axis=0)
+    rigid = np.array([name in MOTIONS for name in solver.names for _ in labels_of((name,))])
+    known |= rigid & np.any(known & rigid)  # (a pose is told as a whole)
+    values = [LABELS[label].value for label in labels_of(solver.names)]
+    at = [float(of(unit)) if of and k else 0.0 for of, k in zip(values, known, strict=True)]
+    by_moves = np.where(np.outer(known, known), np.asarray(view.to_reported, float), 0.0)
+    to = lambda x: jnp.asarray(x, solver.dtype)
     return Others(to(rows @ np.linalg.pinv(by_moves)), to(at), to(left))
 
 

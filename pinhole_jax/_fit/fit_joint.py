@@ -3,24 +3,13 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from .._camera.camera import Camera
-from .agreement import Agreement, agreed, weigh_beliefs
-from .joint_descent import Descent, descend
-from .joint_photo import OnPhotos, on_photos
-from .joint_problem import JointProblem, Path, Tell, depth_of, descended
+from .joint_levels import Path, Tell, depth_of, descended, to_the_end
+from .joint_problem import JointProblem
 from .joint_result import JointFit, reported, together
 from .joint_search import equally_good, looking_alike, searched_jointly
-from .joint_views import Eye, JointView, State
-from .problem import COARSE_PX, FINE_PX
-from .residuals import Sums
-from .strategy import EXACT
+from .joint_views import JointView, State
 
-#: An outline may lie so many times `outlier_px` from the mask's at first, then less.
-REACHES = (8, 4, 2, 1)
-#: A step that is negligible (px) at the end where masks err by more.
-DRAWN_PX = 5e-3
 #: With the zeros of joints a fit goes on from so many levels before the finest.
 ZEROS_FROM = 3
 #: What covers less than this share of a drawn mask may have come from a wrong start.
@@ -32,6 +21,7 @@ def fit_joint(
     cameras: Camera | Mapping[str, Camera],
     free: str | Sequence[str] = ("pose",),
     *,
+    shared: str | Sequence[str] | Mapping[str, Sequence[Sequence[str]]] = (),
     objects: Mapping[str, Any] | None = None,
     rig: Mapping[str, Any] | None = None,
     search: bool = False,
@@ -52,6 +42,9 @@ def fit_joint(
       forward (a hand's camera).
     - `free`: "pose" (without it, the cameras stay where they are), phi, principal_point, aspect and
       the lens's coefficients, of each camera, the same in all of its views.
+    - `shared`: what of phi, principal_point, aspect and the lens's coefficients ("distortion": all)
+      is free, too, and the same for all cameras; or by such names groups of cameras that have one
+      in common: {"phi": [("left", "right"), ("front", "back")]}. It begins at the mean.
     - `objects`: where unknown objects are at first (4, 4), by the names that views give.
     - `rig`: poses (4, 4) of cameras on a rig, by name: they move as one, from where the first of
       them is.
@@ -62,24 +55,25 @@ def fit_joint(
       end, where masks are not exact.
     - `prior`, `bounds`: as in `fit_camera`, the same for each camera, or by the names of cameras
       (and objects): {"left": {"phi": (0.6, 0.01)}}. An object's prior is of its place: x, y, z.
+      Of what cameras share a prior counts once.
       Where masks err along stretches, what is known beforehand counts for as much more.
     - `joint_zeros`: how surely the zeros of a robot's joints are known: standard deviations, by the
       joints' names (rad; of sliding ones in world units), or one number for all that turn. They are
       the same in all views that have a `posture`, and are found with the rest. None: exactly.
 
-    Each view is reduced to a few rows by the program that a single fit has; what one view alone
-    depends on is eliminated there. So the cost is linear in the views, and nothing is compiled that
-    `fit_camera` has not. Levenberg-Marquardt leads from coarse to fine; then a view whose residuals
-    are larger than most views' counts less (`JointFit.views`). The error bars are what the masks'
-    errors make of all unknowns together, and grow where views differ by more.
+    Each view is reduced to a few rows by the program that a single fit has; what few views depend
+    on is eliminated there. So the cost is linear in views and cameras, and nothing is compiled that
+    `fit_camera` has not (but for 32 small masks and more, one program). Levenberg-Marquardt leads
+    from coarse to fine; then a view whose residuals are larger than most views' counts less
+    (`JointFit.views`). The error bars are what the masks' errors make of all unknowns together, and
+    grow where views differ by more.
 
     Runs outside `jit`; the result is not differentiable.
 
     Raises ValueError for arguments that make no fit; what the solver met is in `JointFit.status`.
     """
-    problem = JointProblem.of(
-        views, cameras, free, objects, rig, outlier_px, max_steps, prior, bounds, joint_zeros
-    )
+    settings = outlier_px, max_steps, prior, bounds, joint_zeros, shared
+    problem = JointProblem.of(views, cameras, free, objects, rig, *settings)
     tell = progress if progress is not None else _silent
     parts = problem.parts()
     if search and not all(part.searchable() for part, _ in parts):
@@ -171,47 +165,5 @@ def _is_content(problem: JointProblem, path: Path) -> bool:
 
 def _finished(problem: JointProblem, path: Path, tell: Tell, photos: bool = False) -> JointFit:
     """Return the fit that a state on the finest level leads to, refined on `photos` or not."""
-    layout, reach = problem.layout, problem.outlier_px
-    eyes = layout.eyes
-    misfits = [seen.view.touched_misfit for seen in path.descent.seen]
-    inexact = [eye for eye, misfit in zip(eyes, misfits, strict=True) if misfit > EXACT]
-    px = DRAWN_PX if inexact else FINE_PX[eyes[0].solver.dtype]
-    if reach is None or not inexact:
-        path = path.then(descended(problem, path.descent.state, tell, [1], px))
-    else:
-        for times in REACHES:
-            for eye in inexact:
-                eye.solver.weigh(eye.mask.near_edge(times * reach), only_finest=True)
-            last = px if times == 1 else COARSE_PX
-            if times == 1:
-                weigh_beliefs(layout, path.descent)
-            path = path.then(descended(problem, path.descent.state, tell, [1], last))
-
-    def weighed(before: Descent, weights: np.ndarray) -> Descent:
-        return descend(layout, before.state, 1, weights, problem.max_steps, px)
-
-    found = agreed(layout, path.descent, weighed)
-    said = on_photos(problem, found, px, tell) if photos else OnPhotos(problem, found, (), ())
-    for eye in inexact:
-        eye.solver.weigh(eye.mask.weight)
-    sums = _over_masks(eyes, found.descent.state)
-    astray = _astray(found, sums)
-    if said.found is not found:
-        sums = _over_masks(eyes, said.found.descent.state)
-    fit = reported(said.problem, path.steps + said.steps, said.found, sums, astray)
-    return fit._replace(weak=(*fit.weak, *said.words))
-
-
-def _over_masks(eyes: list[Eye], state: State) -> list[Sums]:
-    """Return the sums over all pixels of each mask."""
-    for eye in eyes:
-        eye.show(state)
-    return [eye.solver.look(eye.unit(state), eye.solver.finest).sums for eye in eyes]
-
-
-def _astray(found: Agreement, sums: list[Sums]) -> list[float]:
-    """Return the share of each outline that is far from the mask's edge, so that the fit did not
-    look at it."""
-    near = [float(seen.view.sums.touched) for seen in found.descent.seen]
-    all_ = [float(s.touched) for s in sums]
-    return [1 - n / a if a else 0.0 for n, a in zip(near, all_, strict=True)]
+    end = to_the_end(problem, path, tell, photos)
+    return reported(end.problem, end)

@@ -20,13 +20,14 @@ from .._numerics.arrays import Numbers, float_array
 from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
 from .fit_camera import check_steps
+from .least_squares import Rows, levenberg_marquardt
 from .moves import Bounds, Move, canonical, moved, on_film, reported, units
 from .parameters import components, labels_of, with_lens
 from .priors import Prior, bounds_of, prior_of
-from .problem import UNIT_PX
+from .problem import FINE_PX, UNIT_PX
 from .resection import resected
 from .result import at_rest, to_units, without_ended
-from .shared_unknowns import alike, descend, joint, others, reduced, shared_and_free
+from .shared_unknowns import alike, joint, others, reduced, shared_and_free
 from .uncertainty import BLIND, covariance, weak_directions
 from .words import parameter_lines
 
@@ -34,6 +35,8 @@ from .words import parameter_lines
 INTRINSICS = ("phi", "principal_point", "distortion")
 
 
+#: A move of `UNIT_PX` counts as so many residuals of as much, as damping has it.
+FILM = 10.0
 #: How often a prior is weighed anew by what the points err by.
 ROUNDS = 3
 
@@ -131,10 +134,11 @@ def fit_points(
     ]
     own = np.array([name not in common for name in names for _ in components((name,))])
     steps, unknowns = 0, count * int(own.sum()) + int((~own).sum())
+    problem = _Problem(own, unknowns, np.dtype(cameras[0].e.dtype))
     for _ in range(ROUNDS if prior else 1):
         views = _believed(views, unknowns)
-        views, _, more = descend(views, 1, own, max_steps, np.dtype(cameras[0].e.dtype))
-        steps += more
+        found = levenberg_marquardt(problem, views, max_steps, FINE_PX[problem.dtype])
+        views, steps = found.state, steps + found.steps
     fits = _reports(views, names, own, steps)
     return fits if np.ndim(points2d) == 3 else fits[0]
 
@@ -200,14 +204,12 @@ class _View(NamedTuple):
         """Return how many points are seen."""
         return int(np.sum(~np.isnan(self.seen_at[:, 0])))
 
-    def look(self, depth: int) -> _Seen:
-        """Return what is seen; there is one level only."""
-        del depth
+    def look(self) -> _Seen:
+        """Return what is seen."""
         return _look(self.unit, self._data(), self.names)
 
-    def stepped(self, depth: int, y: np.ndarray) -> "_View":
-        """Return the view after a step in its own units."""
-        del depth
+    def stepped(self, y: np.ndarray) -> "_View":
+        """Return the view after a step."""
         y = np.asarray(y, self.film.e.dtype)
         return self._replace(unit=_step(self.unit, self._data(), y, self.names))
 
@@ -252,9 +254,76 @@ class _Data(NamedTuple):
         return jnp.where(lens_holds(camera, FilmPart(0, self.width, 0, 1, self.H)), off, jnp.nan)
 
 
+class _Problem(NamedTuple):
+    """Views of points as `LeastSquares`, whose state are the views: which of a view's
+    moves are its own, the number of unknowns, and the float type. Shared ones come last."""
+
+    own: np.ndarray
+    size: int
+    dtype: np.dtype
+
+    def look(self, state: list[_View]) -> list[_Seen]:
+        """Return what is seen in each view."""
+        return [view.look() for view in state]
+
+    def noise(self, seen: list[_Seen]) -> float:
+        """Return that priors are weighed already."""
+        del seen
+        return 1.0
+
+    def squares(self, state: list[_View], seen: list[_Seen], noise: float) -> float:
+        """Return the sum of the squares of all residuals."""
+        del state, noise
+        return sum(one.squares for one in seen)
+
+    def parts(self, state: list[_View], seen: list[_Seen], noise: float) -> list[Rows]:
+        """Return the rows of all views."""
+        del state, noise
+        return [
+            Rows(
+                np.asarray(one.triangle, float) / np.asarray(one.unit, float),
+                np.asarray(one.along, float),
+                self._columns(k),
+                self.own,
+            )
+            for k, one in enumerate(seen)
+        ]
+
+    def sizes(self, seen: list[_Seen], parts: list[Rows]) -> np.ndarray:
+        """Return a step's size on the film: where points hardly tell a lens, it would soon fold."""
+        del parts
+        result = np.zeros(self.size)
+        for k, one in enumerate(seen):
+            columns = self._columns(k)
+            result[columns] = np.maximum(result[columns], FILM / np.asarray(one.unit, float))
+        return result
+
+    def ways_out(self, state: list[_View], seen: list[_Seen]) -> np.ndarray:
+        """Return that bounds hold nothing: within them steps swing to and fro."""
+        del state, seen
+        return np.zeros(self.size)
+
+    def stepped(self, state: list[_View], x: np.ndarray) -> list[_View]:
+        """Return the views after a step."""
+        return [view.stepped(x[self._columns(k)]) for k, view in enumerate(state)]
+
+    def moved(self, seen: list[_Seen], x: np.ndarray) -> float:
+        """Return the largest move that a step makes in any view, in its units."""
+        moves = (x[self._columns(k)] / np.asarray(one.unit) for k, one in enumerate(seen))
+        return max(float(np.max(np.abs(y))) for y in moves)
+
+    def _columns(self, k: int) -> np.ndarray:
+        """Return where the numbers are that a view depends on."""
+        m, shared = int(self.own.sum()), int((~self.own).sum())
+        result = np.empty(len(self.own), int)
+        result[self.own] = k * m + np.arange(m)
+        result[~self.own] = self.size - shared + np.arange(shared)
+        return result
+
+
 @eqx.filter_jit
 def _step(unit: Camera, data: _Data, y: Any, names: tuple[str, ...]) -> Camera:
-    return moved(data.move(unit, names), y, names)
+    return moved(data.move(unit, names)._replace(unit=jnp.ones_like(y)), y, names)
 
 
 @eqx.filter_jit
@@ -293,14 +362,14 @@ def _begun(view: _View, anywhere: bool) -> _View:
     if found is None:
         return view
     other = _inside(view._replace(unit=canonical(found)))
-    own, direct = view.look(1), other.look(1)
+    own, direct = view.look(), other.look()
     nearer = float(own.sum_squares) <= float(direct.sum_squares)
     return view if float(own.nearest) > 0 and nearer else other
 
 
 def _inside(view: _View) -> _View:
     """Return the view from within its bounds."""
-    return view if view.bounds is None else view.stepped(1, np.zeros(len(components(view.names))))
+    return view if view.bounds is None else view.stepped(np.zeros(len(components(view.names))))
 
 
 def _believed(views: list[_View], unknowns: int) -> list[_View]:
@@ -308,7 +377,7 @@ def _believed(views: list[_View], unknowns: int) -> list[_View]:
     if views[0].prior is None:
         return views
     more = max(2 * sum(v.number for v in views) - unknowns, 1)
-    mean = sum(float(v.look(1).sum_squares) for v in views) / more
+    mean = sum(float(v.look().sum_squares) for v in views) / more
     noise = np.asarray(np.sqrt(mean), views[0].film.e.dtype)
     put = lambda view: eqx.tree_at(lambda p: p.noise, view.prior, noise)
     return [view._replace(prior=put(view)) for view in views]
@@ -317,13 +386,13 @@ def _believed(views: list[_View], unknowns: int) -> list[_View]:
 def _reports(
     views: list[_View], names: tuple[str, ...], own: np.ndarray, steps: int
 ) -> tuple[PointFit, ...]:
-    seen = [v.look(1) for v in views]
-    parts = [reduced(s, own, 0.0) for s in seen]
+    seen = [v.look() for v in views]
+    parts = [reduced(s, own) for s in seen]
     count = [v.number for v in views]
     squares = sum(float(s.sum_squares) for s in seen)
     unknowns = len(views) * int(own.sum()) + int((~own).sum())
     variance = squares / max(2 * sum(count) - unknowns, 1)
-    slope: Any = sum(p.rest.T @ p.left + p.across.T @ p.known for p in parts)
+    slope: Any = sum(part.slope for part in parts)
     fits = []
     for view, one, known, n in zip(
         views, seen, others([p.rest for p in parts]), count, strict=True

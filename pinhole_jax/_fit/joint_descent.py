@@ -1,14 +1,13 @@
 """One least-squares problem over many views: each is reduced to a few rows, by its own program.
 
-The rows of a view are its R of J = QR times how its moves follow the unknowns. What only one view
-depends on is eliminated there, so the cost is linear in the views.
+The rows of a view are its R of J = QR times how its moves follow the unknowns.
 """
 
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -17,37 +16,13 @@ from .._camera.camera import Camera
 from .joint_priors import Belief
 from .joint_views import ZERO, Eye, State, Unknown, stepped
 from .joint_zeros import Seen, with_joints
-from .problem import COSINE, UNIT_PX, View
+from .least_squares import Descent, Rows, column_norms, held_to_the_end, levenberg_marquardt
+from .problem import View
 
-#: Damping of the first step, in squares of the columns' norms, and of what it is at least.
-FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
 #: A residual errs by at least as much, where something is believed: what is exact outweighs it.
 LEAST_NOISE = 1e-3
 #: Held by the thread that asks for a program.
 ASKING = Lock()
-
-
-class Rows(NamedTuple):
-    """Residuals (m,) `rows x[columns] + left` of one view; `own` (k,) are unknowns that no other
-    view depends on."""
-
-    rows: np.ndarray
-    left: np.ndarray
-    columns: np.ndarray
-    own: np.ndarray
-
-    @property
-    def squares(self) -> float:
-        """Return the sum of the residuals' squares."""
-        return float(self.left @ self.left)
-
-    def without(self, held: np.ndarray) -> "Rows":
-        """Return them blind to unknowns (size,) that are held."""
-        return self._replace(rows=np.where(held[self.columns], 0.0, self.rows))
-
-    def times(self, factor: float) -> "Rows":
-        """Return them, each times a factor."""
-        return self._replace(rows=factor * self.rows, left=factor * self.left)
 
 
 class Layout:
@@ -57,22 +32,20 @@ class Layout:
         self, unknowns: Sequence[Unknown], eyes: Sequence[Eye], beliefs: Sequence[Belief] = ()
     ):
         self.unknowns, self.eyes = list(unknowns), list(eyes)
-        known = {(u.name, u.kind) for u in self.unknowns}
-        self.beliefs = [b for b in beliefs if (b.name, b.kind) in known]
+        number = {(u.name, u.kind): k for k, u in enumerate(self.unknowns)}
+        self._number = number
+        self.beliefs = [b for b in beliefs if (b.name, b.kind) in number]
         #: How many times as large as of independent residuals the masks' variance is.
         self.design = 1.0
         ends = np.cumsum([u.size for u in self.unknowns], dtype=int)
         self.size = int(ends[-1]) if len(ends) else 0
         self._places = [np.arange(end - u.size, end) for u, end in zip(unknowns, ends, strict=True)]
         self._of = [
-            [k for k, unknown in enumerate(self.unknowns) if eye.depends_on(unknown)]
-            for eye in self.eyes
+            sorted(number[key] for key in eye.depends_on() if key in number) for eye in self.eyes
         ]
-        seen_by = np.bincount([k for of in self._of for k in of], minlength=len(self.unknowns))
-        self.shared = seen_by > 1 if len(self.eyes) > 1 else np.ones(len(seen_by), bool)
-        # (What is believed of an unknown is no view's.)
-        believed = {(b.name, b.kind) for b in self.beliefs}
-        self.shared |= np.array([(u.name, u.kind) in believed for u in self.unknowns], bool)
+        #: One view that depends on each unknown.
+        self._seen_by = {j: k for k, of in enumerate(self._of) for j in of}
+        self.shared = held_to_the_end(self._of, [u.size for u in self.unknowns])
 
     def of(self, k: int) -> list[Unknown]:
         """Return the unknowns that a view depends on."""
@@ -80,17 +53,13 @@ class Layout:
 
     def place(self, name: str, kind: str) -> np.ndarray | None:
         """Return where an unknown's numbers are, None for what is none."""
-        for unknown, place in zip(self.unknowns, self._places, strict=True):
-            if (unknown.name, unknown.kind) == (name, kind):
-                return place
-        return None
+        number = self._number.get((name, kind))
+        return None if number is None else self._places[number]
 
     def rows(self, k: int, rows: np.ndarray, left: np.ndarray) -> Rows:
         """Return rows of a view, by the unknowns that it depends on."""
-        own = np.concatenate(
-            [np.full(len(self._places[j]), not self.shared[j]) for j in self._of[k]]
-        )
-        return Rows(rows, left, self.columns(k), own)
+        own = [np.full(len(self._places[j]), not self.shared[j]) for j in self._of[k]]
+        return Rows(rows, left, self.columns(k), np.concatenate(own))
 
     def columns(self, k: int) -> np.ndarray:
         """Return where the numbers are that a view depends on."""
@@ -136,11 +105,11 @@ class Layout:
         """Return the rows of what is believed, which err by a residual's noise."""
         result = []
         for belief in self.beliefs:
-            k = next(k for k, u in enumerate(self.unknowns) if u[:2] == (belief.name, belief.kind))
-            view = next(n for n, of in enumerate(self._of) if k in of)
+            j = self._number[belief.name, belief.kind]
+            view = self._seen_by[j]
             left, rows = belief.residuals(state, self.eyes[view], seen[view].view)
-            part = Rows(rows, left, self._places[k], np.zeros(rows.shape[1], bool))
-            result.append(part.times(noise))
+            own = np.full(rows.shape[1], not self.shared[j])
+            result.append(Rows(rows, left, self._places[j], own).times(noise))
         return result
 
     def ways_out(self, state: State, seen: list[Seen]) -> np.ndarray:
@@ -168,111 +137,60 @@ def _side_by_side(eyes: list[Eye], at: list[tuple[Camera, int]]) -> list[View]:
         return list(pool.map(look, eyes, at))
 
 
-class Solved(NamedTuple):
-    """The least squares' x, and what determines it: the shared unknowns' triangle, of each view
-    the triangle of its own unknowns and what the shared ones do to these, and of each unknown the
-    number of the view that owns it, -1 of shared ones."""
+class _OnLevel(NamedTuple):
+    """Views of weights (V,) on one level, as `LeastSquares`; NaN is seen of what outgrows its
+    buffers, unless these may `grow`."""
 
-    x: np.ndarray
-    shared: np.ndarray
-    triangle: np.ndarray
-    own: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
-    owner: np.ndarray
+    layout: Layout
+    depth: int
+    weights: np.ndarray
+    grow: bool
 
-    def inverse(self, place: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return the inverse of the normal matrix between some unknowns (p,) and others (q,)."""
-        back = np.linalg.pinv(self.triangle)
-        left, right = self._by_shared(place), self._by_shared(columns)
-        result = left @ back @ (right @ back).T
-        for view in self._owners(place):
-            rows, others = (np.flatnonzero(self.owner[x] == view) for x in (place, columns))
-            own, triangle, _ = self.own[view]
-            inverse = np.linalg.pinv(triangle)
-            of = lambda x, inverse=inverse, own=own: inverse[np.searchsorted(own, x)]
-            result[np.ix_(rows, others)] += of(place[rows]) @ of(columns[others]).T
-        return result
+    @property
+    def size(self) -> int:
+        """Return the number of unknowns."""
+        return self.layout.size
 
-    def unseen(self, blind: float) -> np.ndarray:
-        """Return directions (size, d) of the unknowns that change no residual: less than a share
-        `blind` of what the best-seen ones do."""
-        size, everything = len(self.x), np.arange(len(self.x))
-        directions = []
-        for k in _null(self.triangle, blind).T:
-            directions.append(self._by_shared(everything) @ k)
-        for own, triangle, _ in self.own:
-            for k in _null(triangle, blind).T:
-                direction = np.zeros(size)
-                direction[own] = k
-                directions.append(direction)
-        return np.array(directions).reshape(-1, size).T
+    @property
+    def dtype(self) -> np.dtype:
+        """Return the float type that views are worked out in."""
+        return self.layout.eyes[0].solver.dtype
 
-    def _by_shared(self, place: np.ndarray) -> np.ndarray:
-        """Return how unknowns follow the shared ones (p, s)."""
-        result = np.zeros((len(place), len(self.shared)))
-        held = np.flatnonzero(self.owner[place] < 0)
-        result[held, np.searchsorted(self.shared, place[held])] = 1
-        for view in self._owners(place):
-            at = np.flatnonzero(self.owner[place] == view)
-            own, triangle, across = self.own[view]
-            result[at] = -(np.linalg.pinv(triangle) @ across)[np.searchsorted(own, place[at])]
-        return result
+    def look(self, state: State) -> list[Seen]:
+        """Return what all views see."""
+        return self.layout.look(state, self.depth, self.grow)
 
-    def _owners(self, place: np.ndarray) -> list[int]:
-        """Return the views that own some of these unknowns."""
-        return [int(view) for view in np.unique(self.owner[place]) if view >= 0]
+    def noise(self, seen: list[Seen]) -> float:
+        """Return what a residual errs by."""
+        return self.layout.noise(seen)
 
+    def squares(self, state: State, seen: list[Seen], noise: float) -> float:
+        """Return the sum of the squares of all residuals, and of what is believed."""
+        views = sum(w * s.view.squares for w, s in zip(self.weights, seen, strict=True))
+        return float(views + sum(p.squares for p in self.layout.known(state, seen, noise)))
 
-def _null(triangle: np.ndarray, blind: float) -> np.ndarray:
-    """Return directions (n, d), of length 1, that a triangle does not see, whatever the units."""
-    size = np.linalg.norm(triangle, axis=0)
-    size = np.where(size > 0, size, 1.0)
-    _, values, directions = np.linalg.svd(triangle / size)
-    known = np.zeros(len(size))
-    known[: len(values)] = values
-    hidden = directions[known <= blind * max(float(np.max(known, initial=0)), 1e-300)]
-    return (hidden / np.linalg.norm(hidden / size, axis=1, keepdims=True) / size).T
+    def parts(self, state: State, seen: list[Seen], noise: float) -> list[Rows]:
+        """Return the rows of the views, and of what is believed."""
+        views = self.layout.least_squares(seen, self.weights)
+        return [*views, *self.layout.known(state, seen, noise)]
 
+    def sizes(self, seen: list[Seen], parts: list[Rows]) -> np.ndarray:
+        """Return how much each unknown shows."""
+        del seen
+        return column_norms(parts, self.size)
 
-def solve(parts: list[Rows], size: int, damping: np.ndarray) -> Solved:
-    """Return the x (size,) of least squares, `damping` (size,) times x among the residuals."""
-    shared = np.setdiff1d(np.arange(size), np.concatenate([p.columns[p.own] for p in parts]))
-    x, reduced, owns, owner = np.zeros(size), [], [], np.full(size, -1)
-    for k, part in enumerate(parts):
-        own = part.columns[part.own]
-        owner[own] = k
-        across = np.zeros((len(part.left), len(shared)))
-        across[:, np.searchsorted(shared, part.columns[~part.own])] = part.rows[:, ~part.own]
-        table = np.column_stack([part.rows[:, part.own], across, part.left])
-        damped = np.zeros((len(own), table.shape[1]))
-        damped[:, : len(own)] = np.diag(damping[own])
-        r: Any = np.linalg.qr(np.concatenate([table, damped]), mode="r")
-        m = len(own)
-        owns.append((own, r[:m, :m], r[:m, m:-1], r[:m, -1]))
-        reduced.append(r[m:, m:])
-    table = np.concatenate([*reduced, np.column_stack([np.diag(damping[shared]), 0 * shared])])
-    r: Any = np.linalg.qr(table, mode="r")[: len(shared)]
-    x[shared] = -np.linalg.pinv(r[:, :-1]) @ r[:, -1]
-    for own, triangle, across, left in owns:
-        x[own] = -np.linalg.pinv(triangle) @ (left + across @ x[shared])
-    return Solved(x, shared, r[:, :-1], [part[:3] for part in owns], owner)
+    def ways_out(self, state: State, seen: list[Seen]) -> np.ndarray:
+        """Return which way numbers would leave their bounds."""
+        return self.layout.ways_out(state, seen)
 
+    def stepped(self, state: State, x: np.ndarray) -> State:
+        """Return the state after a step."""
+        return stepped(state, self.layout.unknowns, x, self.layout.eyes)
 
-def moved_by(x: np.ndarray, seen: list[Seen], parts: list[Rows]) -> float:
-    """Return the largest move that a step makes in any view, in its solver's units."""
-    return max(
-        float(np.max(np.abs(s.moves @ x[p.columns]), initial=0))
-        for s, p in zip(seen, parts, strict=True)
-    )
-
-
-class Descent(NamedTuple):
-    """A state, what is seen there, the squares, steps, and whether they ended by themselves."""
-
-    state: State
-    seen: list[Seen]
-    squares: float
-    steps: int
-    ended: bool
+    def moved(self, seen: list[Seen], x: np.ndarray) -> float:
+        """Return the largest move that a step makes in any view, in its solver's units."""
+        moves = (s.moves @ x[self.layout.columns(k)] for k, s in enumerate(seen))
+        return max(float(np.max(np.abs(y), initial=0)) for y in moves)
 
 
 def descend(
@@ -285,54 +203,4 @@ def descend(
     grow: bool = True,
 ) -> Descent:
     """Return the state after Levenberg-Marquardt on one level; buffers as in `Layout.look`."""
-    dtype = layout.eyes[0].solver.dtype
-    tolerance = px / UNIT_PX
-    seen, damping, size = layout.look(state, depth, grow), FIRST_DAMPING, np.zeros(layout.size)
-    squares = _squares(seen, weights)
-    for n in range(1, most + 1):
-        # (What is believed is weighed by what the masks leave at this step.)
-        noise = layout.noise(seen)
-        known = layout.known(state, seen, noise)
-        squares = _squares(seen, weights) + sum(p.squares for p in known)
-        views = layout.least_squares(seen, weights)
-        parts = [*views, *known]
-        outward = layout.ways_out(state, seen) * _slope(parts, layout.size) < 0
-        views, known = ([p.without(outward) for p in some] for some in (views, known))
-        parts = [*views, *known]
-        size = np.maximum(size, _column_norms(parts, layout.size))
-        x = solve(parts, layout.size, damping**0.5 * size).x
-        moved = moved_by(x, seen, views)
-        change = sum(float(np.sum((p.rows @ x[p.columns]) ** 2)) for p in parts)
-        if not np.isfinite(moved):
-            return Descent(state, seen, squares, n, False)
-        trial = stepped(state, layout.unknowns, x, layout.eyes)
-        there = layout.look(trial, depth, grow)
-        after = _squares(there, weights)
-        after += sum(p.squares for p in layout.known(trial, there, noise))
-        if after <= squares:
-            state, seen, squares = trial, there, after
-            damping = max(damping / 10, LEAST_DAMPING)
-        else:
-            damping *= 10
-        if moved < tolerance or change <= COSINE[dtype] ** 2 * squares:
-            return Descent(state, seen, squares, n, True)
-    return Descent(state, seen, squares, most, False)
-
-
-def _squares(seen: list[Seen], weights: np.ndarray) -> float:
-    return float(sum(w * s.view.squares for w, s in zip(weights, seen, strict=True)))
-
-
-def _slope(parts: list[Rows], size: int) -> np.ndarray:
-    """Return half the squares' derivative (size,)."""
-    total = np.zeros(size)
-    for part in parts:
-        np.add.at(total, part.columns, part.left @ part.rows)
-    return total
-
-
-def _column_norms(parts: list[Rows], size: int) -> np.ndarray:
-    total = np.zeros(size)
-    for part in parts:
-        np.add.at(total, part.columns, np.sum(part.rows**2, axis=0))
-    return total**0.5
+    return levenberg_marquardt(_OnLevel(layout, depth, weights, grow), state, most, px)

@@ -5,6 +5,7 @@ that they make are fitted together, and learned again closer to the outline. A v
 tell too little, or whose photo is no better founded than its mask, keeps the mask.
 """
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
@@ -12,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from .agreement import Agreement, agreed
-from .joint_descent import Descent, Layout, descend
-from .joint_problem import JointProblem, Tell
+from .joint_descent import Layout, descend
+from .joint_problem import JointProblem
 from .joint_views import Eye, State
+from .least_squares import Descent
 from .photo import (
     COLOURS,
     LAST_STEPS,
@@ -44,7 +46,9 @@ class OnPhotos(NamedTuple):
     words: tuple[str, ...]
 
 
-def on_photos(problem: JointProblem, before: Agreement, px: float, tell: Tell) -> OnPhotos:
+def on_photos(
+    problem: JointProblem, before: Agreement, px: float, tell: Callable[[str], None]
+) -> OnPhotos:
     """Return what photos make of the answer `before`, that of masks; steps of `px` are negligible.
 
     The problem is the one that was given where no photo is better founded than its mask.
@@ -90,7 +94,7 @@ def _followed(
     state: State,
     weights: np.ndarray,
     px: float,
-    tell: Tell,
+    tell: Callable[[str], None],
 ) -> tuple[State, dict[int, Outline], tuple[int, ...]]:
     """Return the state that colours lead to, learned round by round, the outlines there, and the
     steps."""

@@ -12,9 +12,9 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.poses import skew
-from .joint_views import LENS, POSE, ZERO, Eye, JointView, State
+from .joint_views import MOTIONS, POSE, ZERO, Eye, JointView, State, lens_reported
 from .moves import Bounds
-from .parameters import LABELS, components, labels_of
+from .parameters import LABELS, labels_of
 from .priors import bounds_of, check_positive, pairs, prior_of
 from .problem import View
 
@@ -45,13 +45,15 @@ def beliefs_of(
     prior: Any,
     cameras: Mapping[str, Camera],
     names: tuple[str, ...],
+    owners: Mapping[str, Mapping[str, str]],
     moving: Mapping[str, str],
     rig: Mapping[str, np.ndarray],
     objects: Sequence[str],
 ) -> list[Belief]:
     """Return what is known of cameras and objects, or raise ValueError; `names` are free of each
-    camera, which goes with the pose that `moving` names, at its place on the `rig`."""
-    result = []
+    camera, whose lens's parameters are the `owners`', and which goes with the pose that `moving`
+    names, at its place on the `rig`. What is the same of one unknown counts once."""
+    result, told = [], set()
     for name, given in by_name("prior", prior, cameras, objects).items():
         if name in objects:
             words = "(mean, standard deviation)"
@@ -66,8 +68,15 @@ def beliefs_of(
         numbers = (np.asarray(x, float).tolist() for x in (checked.mean, checked.std))
         known = dict(zip(checked.labels, zip(*numbers, strict=True), strict=True))
         place = rig[name][:3, 3] if name in rig else np.zeros(3)
-        result += _belief(moving[name], POSE, known, EYE, partial(_place, moving[name], place))
-        result += _belief(name, LENS, known, labels_of(names[1:]), partial(_lens, name))
+        kind = "position" if "position" in names else POSE
+        follows = partial(_place, moving[name], place)
+        result += _belief(moving[name], kind, known, EYE, follows, MOTIONS[kind])
+        for row, owner in owners[name].items():
+            labels = labels_of((row,))
+            which = owner, row, tuple((label, known.get(label)) for label in labels)
+            if which not in told:
+                result += _belief(owner, row, known, labels, partial(_lens, owner, row))
+            told.add(which)
     return result
 
 
@@ -110,11 +119,28 @@ def _zero(name: str, state: State, *_: Any):
 
 
 def bounds_by_name(
-    bounds: Any, cameras: Mapping[str, Camera], names: tuple[str, ...]
+    bounds: Any,
+    cameras: Mapping[str, Camera],
+    names: tuple[str, ...],
+    owners: Mapping[str, Mapping[str, str]],
 ) -> dict[str, Bounds | None]:
     """Return the bounds of each camera's parameters, or raise ValueError."""
     given = by_name("bounds", bounds, cameras, ())
-    return {name: bounds_of(given.get(name), camera, names) for name, camera in cameras.items()}
+    result = {n: bounds_of(given.get(n), camera, names) for n, camera in cameras.items()}
+
+    def ends(name: str, row: str) -> tuple[float, ...]:
+        of = result[name]
+        if of is None or row not in of.labels:
+            return ()
+        k = of.labels.index(row)
+        return float(of.low[k]), float(of.high[k])
+
+    for name, of in owners.items():
+        for row, owner in of.items():
+            if ends(name, row) != ends(owner, row):
+                words = f"expected the same of {row} for {owner} and {name}, which share it"
+                raise ValueError(f"`bounds`: {words}")
+    return result
 
 
 def by_name(
@@ -142,27 +168,27 @@ def _belief(
     known: Mapping[str, tuple[float, float]],
     labels: Sequence[str],
     told: Callable[..., tuple[np.ndarray, np.ndarray]],
+    part: slice = MOTIONS[POSE],
 ) -> list[Belief]:
-    """Return what is known of some of the labels, which `told` tells by their numbers; or none."""
+    """Return what is known of some of the labels, which `told` tells by their numbers; or none.
+    They follow a `part` of what moves."""
     chosen = [k for k, label in enumerate(labels) if label in known]
     if not chosen:
         return []
     mean, std = np.array([known[labels[k]] for k in chosen]).T
-    return [Belief(name, kind, mean, std, partial(told, chosen))]
+    return [Belief(name, kind, mean, std, partial(told, chosen, part))]
 
 
-def _place(name: str, point: np.ndarray, chosen: list[int], state: State, *_: Any):
+def _place(name: str, point: np.ndarray, chosen: list[int], part: slice, state: State, *_: Any):
     """Return where a point that goes with a pose is."""
     pose = state.poses[name]
     rows = pose[:3, :3] @ np.concatenate([-skew(point), np.eye(3)], axis=1)
-    return (pose[:3, :3] @ point + pose[:3, 3])[chosen], rows[chosen]
+    return (pose[:3, :3] @ point + pose[:3, 3])[chosen], rows[chosen, part]
 
 
-def _lens(name: str, chosen: list[int], state: State, eye: Eye, view: View):
-    """Return what is reported of a camera's lens, in film heights."""
-    n = len(components(("pose",)))
-    labels = labels_of(eye.solver.names)[n:]
+def _lens(name: str, kind: str, chosen: list[int], _: slice, state: State, eye: Eye, view: View):
+    """Return what is reported of a lens's parameter, in film heights."""
+    labels = labels_of((kind,))
     value: Any = [LABELS[labels[k]].value for k in chosen]
     values = np.array([float(of(state.lenses[name])) for of in value])
-    rows = np.array(view.to_reported, float)[n:, n:] / np.asarray(view.unit, float)[n:]
-    return values, rows[chosen]
+    return values, lens_reported(view, eye.solver.names, kind)[chosen]

@@ -1,6 +1,6 @@
-"""What is sought in many views, checked at the door, and the way from coarse to fine."""
+"""What is sought in many views, checked at the door."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,25 +9,26 @@ from .._camera.camera import Camera, check_camera
 from .._camera.poses import Pose, check_pose, inverse, pose_of
 from .._scene.assembly import Posture
 from .._scene.scene import check_scene
-from .fit_camera import check_border, check_steps
-from .joint_descent import Descent, Layout, descend
+from .fit_camera import check_border, check_reach, check_steps
+from .joint_descent import Layout
 from .joint_priors import belief_of_zero, beliefs_of, bounds_by_name, zeros_of
-from .joint_views import LENS, POSE, TWIST, ZERO, Eye, JointView, State, Unknown
+from .joint_views import MOTIONS, POSE, TWIST, ZERO, Eye, JointView, State, Unknown
 from .mask import Mask
 from .moves import Bounds, canonical
 from .parameters import as_names, check_free, components, in_one, with_lens
 from .photo import check_photo
 from .problem import COARSE_PX, FINE_PX
+from .pyramid import LEAST_CELLS
 from .residuals import Capacity
+from .shared_unknowns import alike_in_groups, groups_of
 from .solver import Solver
 from .target import check_target, levelled
 
-#: So many steps at most on a level that leads to finer ones.
-COARSE_STEPS = 24
+#: From so many views on, small masks have pyramids of few cells (MB less for each of them, and a
+#: program more for all): 14 MB are 14 GB of a thousand.
+MANY_VIEWS, FEW_CELLS = 32, 1 << 13
 #: The name of the pose that all cameras of a rig share.
 RIG = "rig"
-
-Tell = Callable[[str], None]
 
 
 class JointProblem(NamedTuple):
@@ -61,11 +62,11 @@ class JointProblem(NamedTuple):
         prior: Any = None,
         bounds: Any = None,
         joint_zeros: Any = None,
+        shared: Any = (),
     ) -> "JointProblem":
         """Return the problem, or raise ValueError."""
         check_steps(max_steps)
-        if outlier_px is not None and not outlier_px > 0:
-            raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
+        check_reach(outlier_px)
         given = _checked_views(views)
         zeros = zeros_of(joint_zeros, given)
         cameras = {"camera": cameras} if isinstance(cameras, Camera) else cameras
@@ -77,51 +78,64 @@ class JointProblem(NamedTuple):
             check_camera(camera, f"cameras[{name!r}]")
         poses = {n: check_pose(f"objects[{n!r}]", x) for n, x in (objects or {}).items()}
         fixed = {n: check_pose(f"rig[{n!r}]", x) for n, x in (rig or {}).items()}
-        for kind, known, asked in (
-            ("cameras", cameras, {v.camera for v in given} | set(fixed)),
-            ("objects", poses, {v.object for v in given if v.object is not None}),
-        ):
-            if missing := sorted(asked - set(known)):
-                have = ", ".join(known) or "none"
-                raise ValueError(f"`{kind}`: expected {', '.join(missing)} among them, got {have}")
-            if idle := sorted(set(known) - asked):
-                raise ValueError(f"`{kind}`: expected what a view names, got {', '.join(idle)}")
-        if fixed and RIG in cameras:
-            raise ValueError(f"`cameras`: expected names other than {RIG!r} beside a rig, got it")
-        if both := sorted({*cameras, *([RIG] if fixed else [])} & set(poses)):
-            raise ValueError(f"`objects`: expected names of their own, got {', '.join(both)}")
-        first = next(iter(cameras.values()))
-        names = in_one(check_free(free, first)) if len(as_names(free)) else ()
+        _check_names(given, cameras, poses, fixed)
+        groups = groups_of(shared, cameras)
+        free = (*as_names(free), *groups)
+        names = in_one(check_free(free, next(iter(cameras.values())))) if free else ()
         if {"position", "orientation", "d"} & {*names}:
             raise ValueError(f"`free`: expected pose, phi or a lens's, got {', '.join(names)}")
-        cameras = {n: with_lens(c, names) for n, c in cameras.items()}
         own = ("pose", *(n for n in names if n != "pose"))
-        moving = {n: RIG if n in fixed else n for n in cameras}
-        lenses = {n: canonical(c) for n, c in cameras.items()}
-        for name, camera in cameras.items():
-            back = inverse(fixed.get(name, np.eye(4)))
-            poses.setdefault(moving[name], pose_of(camera) @ back)
-        within = bounds_by_name(bounds, cameras, names)
-        beliefs = beliefs_of(prior, cameras, names, moving, fixed, [*(objects or {})])
-        settings = max_steps, outlier_px
-        eyes = [
-            _eye(k, view, cameras[view.camera], own, moving, fixed, within[view.camera], settings)
-            for k, view in enumerate(given)
-        ]
+        settings = outlier_px, max_steps, prior, bounds
+        masks = [_checked_mask(k, view, cameras[view.camera]) for k, view in enumerate(given)]
+        asked = given, masks, cameras, names, own, groups, poses, fixed, zeros
+        return cls.among(*asked, *settings)
+
+    @classmethod
+    def among(
+        cls,
+        views: list[JointView],
+        masks: list[tuple[np.ndarray, np.ndarray]],
+        cameras: Mapping[str, Camera],
+        names: tuple[str, ...],
+        own: tuple[str, ...],
+        groups: Mapping[str, list[tuple[str, ...]]],
+        objects: Mapping[str, Pose],
+        rig: Mapping[str, Pose],
+        zeros: Mapping[str, float],
+        outlier_px: float | None,
+        max_steps: int,
+        prior: Any,
+        bounds: Any,
+    ) -> "JointProblem":
+        """Return the problem of views that were checked, with their masks and weights, in which
+        `names` are free, some of them the same for `groups` of cameras; `own` is what a view's own
+        solver moves."""
+        cameras = alike_in_groups({n: with_lens(c, names) for n, c in cameras.items()}, groups)
+        moving = {n: RIG if n in rig else n for n in cameras}
+        rows = [name for name in names if name not in MOTIONS]
+        leader = {row: {n: some[0] for some in of for n in some} for row, of in groups.items()}
+        owners = {n: {row: leader.get(row, {}).get(n, n) for row in rows} for n in cameras}
+        within = bounds_by_name(bounds, cameras, names, owners)
+        beliefs = beliefs_of(prior, cameras, names, owners, moving, rig, [*objects])
+        eyes, least = [], LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
+        for k, (view, mask) in enumerate(zip(views, masks, strict=True)):
+            of = cameras[view.camera], own, owners[view.camera], moving, rig, within[view.camera]
+            eyes.append(_eye(k, view, mask, *of, (max_steps, outlier_px, least)))
+        of_scene: dict[int, Solver] = {}
+        for eye in eyes:  # (A scene's arrays are not copied for each view.)
+            eye.solver.share(of_scene.setdefault(id(eye.given), eye.solver))
         largest = Capacity(*np.max([eye.solver.capacity for eye in eyes], axis=0).tolist())
         for eye in eyes:
             eye.solver.capacity = largest
-        bent = sum(len(components((n,))) for n in own[1:])
-        moved = dict.fromkeys(moving.values()) if "pose" in names else {}
-        unknowns = [Unknown(n, POSE, TWIST) for n in (*moved, *(objects or {}))]
-        unknowns += [Unknown(n, LENS, bent) for n in cameras if bent]
-        if not unknowns:
-            raise ValueError("`free`: expected something to fit, got none")
-        layout = Layout(unknowns, eyes, beliefs)
-        start = State(poses, lenses, dict.fromkeys(zeros, 0.0))
+        layout = Layout(_unknowns(names, owners, moving, objects), eyes, beliefs)
         if still := [k for k in range(len(eyes)) if not layout.of(k)]:
             raise ValueError(f"`views[{still[0]}]`: expected a view of something unknown, got none")
-        return cls(layout, start, cameras, own, moving, fixed, outlier_px, max_steps, zeros)
+        poses = {**objects}
+        for name, camera in cameras.items():
+            poses.setdefault(moving[name], pose_of(camera) @ inverse(rig.get(name, np.eye(4))))
+        lenses = {n: canonical(c) for n, c in cameras.items()}
+        start = State(poses, lenses, dict.fromkeys(zeros, 0.0))
+        return cls(layout, start, cameras, own, moving, rig, outlier_px, max_steps, zeros)
 
     def with_zeros(self) -> "JointProblem":
         """Return the problem in which the zeros of joints are sought, too."""
@@ -178,6 +192,52 @@ class JointProblem(NamedTuple):
         return poses[0] if len(poses) == 1 else None
 
 
+def _check_names(
+    views: list[JointView],
+    cameras: Mapping[str, Camera],
+    objects: Mapping[str, Pose],
+    rig: Mapping[str, Pose],
+) -> None:
+    """Raise ValueError where views name what is not given, or not all of that."""
+    for kind, known, asked in (
+        ("cameras", cameras, {v.camera for v in views} | set(rig)),
+        ("objects", objects, {v.object for v in views if v.object is not None}),
+    ):
+        if missing := sorted(asked - set(known)):
+            have = ", ".join(known) or "none"
+            raise ValueError(f"`{kind}`: expected {', '.join(missing)} among them, got {have}")
+        if idle := sorted(set(known) - asked):
+            raise ValueError(f"`{kind}`: expected what a view names, got {', '.join(idle)}")
+    if rig and RIG in cameras:
+        raise ValueError(f"`cameras`: expected names other than {RIG!r} beside a rig, got it")
+    if both := sorted({*cameras, *([RIG] if rig else [])} & set(objects)):
+        raise ValueError(f"`objects`: expected names of their own, got {', '.join(both)}")
+
+
+def _unknowns(
+    names: tuple[str, ...],
+    owners: Mapping[str, Mapping[str, str]],
+    moving: Mapping[str, str],
+    objects: Mapping[str, Pose],
+) -> list[Unknown]:
+    """Return what is sought, or raise ValueError where that is nothing."""
+    size = lambda name: len(components((name,)))
+    motions = [name for name in names if name in MOTIONS]
+    result = [
+        Unknown(n, kind, size(kind)) for n in dict.fromkeys(moving.values()) for kind in motions
+    ]
+    result += [Unknown(n, POSE, TWIST) for n in objects]
+    for row in (name for name in names if name not in MOTIONS):
+        having: dict[str, list[str]] = {}
+        for name, of in owners.items():
+            having.setdefault(of[row], []).append(name)
+        # (A view's columns are then in the order of its solver's moves.)
+        result += [Unknown(n, row, size(row), tuple(some)) for n, some in having.items()]
+    if not result:
+        raise ValueError("`free`: expected something to fit, got none")
+    return result
+
+
 def _checked_views(views: Any) -> list[JointView]:
     if not isinstance(views, Sequence) or isinstance(views, JointView):
         raise ValueError(f"`views`: expected JointViews in a list, got {type(views).__name__}")
@@ -193,68 +253,39 @@ def _checked_views(views: Any) -> list[JointView]:
     return list(views)
 
 
-def _eye(
-    k: int,
-    view: JointView,
-    camera: Camera,
-    names: tuple[str, ...],
-    moving: Mapping[str, str],
-    rig: Mapping[str, Pose],
-    bounds: Bounds | None,
-    settings: tuple[int, float | None],
-) -> Eye:
-    place = lambda what, x: np.eye(4) if x is None else check_pose(f"views[{k}].{what}", x)
+def _checked_mask(k: int, view: JointView, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Return a view's mask and weights, or raise ValueError (also for its photo)."""
     try:
         image, weight = check_target(view.target, view.weight, camera.W, camera.H)
         check_border(image, weight, view.scene, None)
-        photo = None if view.photo is None else check_photo(view.photo, camera.W, camera.H)
+        if view.photo is not None:
+            check_photo(view.photo, camera.W, camera.H)
     except ValueError as error:
         raise ValueError(f"`views[{k}]`: {error}") from error
-    image = levelled(image, weight)
-    max_steps, outlier_px = settings
+    return levelled(image, weight), weight
+
+
+def _eye(
+    k: int,
+    view: JointView,
+    given: tuple[np.ndarray, np.ndarray],
+    camera: Camera,
+    names: tuple[str, ...],
+    owners: Mapping[str, str],
+    moving: Mapping[str, str],
+    rig: Mapping[str, Pose],
+    bounds: Bounds | None,
+    settings: tuple[int, float | None, int],
+) -> Eye:
+    place = lambda what, x: np.eye(4) if x is None else check_pose(f"views[{k}].{what}", x)
+    image, weight = given
+    max_steps, outlier_px, least = settings
     of_view = view.scene, image, weight, camera.e.dtype, names, max_steps, bounds
-    solver = Solver(*of_view, continued=outlier_px is not None)
+    solver = Solver(*of_view, continued=outlier_px is not None, least_cells=least)
     mask = Mask(image, weight, camera)
     mount, placed = place("mount", view.mount), place("placed", view.placed)
     pose = rig.get(view.camera, np.eye(4))
-    names_of = view.camera, moving[view.camera], view.object
+    names_of = view.camera, owners, moving[view.camera], view.object
+    photo = None if view.photo is None else np.asarray(view.photo)
     of_view = mount, pose, placed, view.scene, view.posture, photo
     return Eye(mask, solver, *names_of, *of_view)
-
-
-class Path(NamedTuple):
-    """A state that steps led to, and how many on each level."""
-
-    descent: Descent
-    steps: tuple[int, ...]
-
-    def then(self, further: "Path") -> "Path":
-        """Return a further descent, with the steps of both."""
-        return Path(further.descent, self.steps + further.steps)
-
-
-def depth_of(problem: JointProblem) -> int:
-    """Return the number of levels of the view that has most."""
-    return max(len(eye.solver.levels) for eye in problem.layout.eyes)
-
-
-def descended(
-    problem: JointProblem,
-    state: State,
-    tell: Tell,
-    depths: Sequence[int],
-    px: float | None = None,
-) -> Path:
-    """Return where a descent from level to level leads to, steps on the finest of which are
-    negligible below so many px (None: as many as tell such masks apart)."""
-    layout, steps = problem.layout, []
-    ones = np.ones(len(layout.eyes))
-    found = Descent(state, [], np.inf, 0, False)
-    for depth in depths:
-        least = (px or problem.px) if depth == 1 else COARSE_PX
-        most = problem.max_steps if depth == 1 else min(problem.max_steps, COARSE_STEPS)
-        found = descend(layout, found.state, depth, ones, most, least)
-        steps.append(found.steps)
-        left = depth - 1
-        tell(f"{len(ones)} views: {found.steps} steps, {left} level{'s' * (left != 1)} left")
-    return Path(found, tuple(steps))

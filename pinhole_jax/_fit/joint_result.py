@@ -1,6 +1,6 @@
 """What a joint fit found, as a user reads it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -14,13 +14,15 @@ from .._names import STATUSES
 from .._scene.scene import Scene
 from .agreement import Agreement
 from .joint_descent import Layout
+from .joint_levels import End, Path
 from .joint_problem import JointProblem
-from .joint_views import LENS, POSE, TO_B, TWIST, ZERO
+from .joint_views import POSE, TO_B, TWIST, ZERO, Eye, State, lens_reported
 from .moves import on_film
-from .parameters import LABELS, components, labels_of
+from .parameters import LABELS, labels_of
 from .residuals import Sums
-from .result import LEAST_IOU, UNCERTAIN, Fit, MaskError, widest_turn
-from .uncertainty import BLIND, in_words
+from .result import LEAST_IOU, UNCERTAIN, Fit, MaskError, Progress, progress_at, widest_turn
+from .solver import Stop
+from .uncertainty import in_words
 
 #: A view this many times farther off than is usual is named.
 OFF = 2.5
@@ -161,22 +163,15 @@ def _independent_variance(layout: Layout, found: Agreement) -> float:
     return max(squares / max(count - layout.size, 1), least)
 
 
-def reported(
-    problem: JointProblem,
-    steps: tuple[int, ...],
-    found: Agreement,
-    sums: list[Sums],
-    astray: list[float],
-) -> JointFit:
-    """Return the fit as a user reads it: `sums` are over all pixels of each mask, and `astray` is
-    the share of each outline that is far from its mask's edge."""
-    layout, independent = problem.layout, _independent_variance(problem.layout, found)
-    views = tuple(
-        _view_fit(problem, k, found, *one) for k, one in enumerate(zip(sums, astray, strict=True))
-    )
+def reported(problem: JointProblem, end: End) -> JointFit:
+    """Return the end of a fit as a user reads it."""
+    found, sums = end.found, end.whole
+    independent = _independent_variance(problem.layout, found)
+    layout = problem.layout
+    pairs = zip(sums, end.astray, strict=True)
+    views = tuple(_view_fit(problem, k, found, *pair) for k, pair in enumerate(pairs))
     cameras = {
-        name: _camera_fit(problem, name, steps, found, independent, sums, views)
-        for name in problem.cameras
+        name: _camera_fit(problem, name, end, independent, views) for name in problem.cameras
     }
     objects = {}
     for name in dict.fromkeys(eye.object for eye in layout.eyes if eye.object is not None):
@@ -184,8 +179,8 @@ def reported(
         assert place is not None
         turned = np.eye(TWIST)
         turned[3:, 3:] = pose[:3, :3]
-        covariance = turned @ found.covariance(layout, place) @ turned.T
-        _forget(covariance, turned @ _unseen(problem, found)[place])
+        covariance = turned @ found.covariance(place) @ turned.T
+        _forget(covariance, turned @ found.unseen[place])
         objects[name] = ObjectPose(pose, covariance)
     return JointFit(
         status=_worst(
@@ -195,9 +190,9 @@ def reported(
         objects=objects,
         views=views,
         excess=found.excess,
-        weak=tuple(_words(found, views)),
+        weak=(*_words(found, views), *end.said),
         modes=(),
-        steps=steps,
+        steps=end.path.steps,
         joint_zeros=_zeros(problem, found),
     )
 
@@ -214,7 +209,7 @@ def _zeros(problem: JointProblem, found: Agreement) -> JointZeros | None:
     places: Any = [layout.place(name, ZERO) for name in names]
     place = np.concatenate(places)
     values = np.array([found.descent.state.zeros[name] for name in names])
-    covariance = found.covariance(layout, place)
+    covariance = found.covariance(place)
     return JointZeros(names, values, tuple(units[name] for name in names), covariance)
 
 
@@ -278,34 +273,36 @@ def _view_fit(
 def _worth(problem: JointProblem, k: int, found: Agreement) -> float:
     """Return by how many times a view's camera is known worse without the view."""
     layout = problem.layout
-    place = layout.place(layout.eyes[k].moving, POSE)
+    place = layout.place(moving := layout.eyes[k].moving, POSE)
     if place is None:
         return float("nan")
-    if len(layout.eyes) == 1:
+    known = [*(eye.moving for eye in layout.eyes), *(belief.name for belief in layout.beliefs)]
+    if known.count(moving) == 1:
         return float("inf")
-    less = found.without(layout, k)
-    if np.any(np.abs(_unseen(problem, less)[place]) > HARDLY):
+    less = found.without(k)
+    if np.any(np.abs(less.unseen[place]) > HARDLY):
         return float("inf")
     with np.errstate(all="ignore"):
-        before, after = (np.linalg.slogdet(x.covariance(layout, place))[1] for x in (found, less))
+        before, after = (np.linalg.slogdet(x.covariance(place))[1] for x in (found, less))
         return float(np.exp((after - before) / (2 * len(place))))
 
 
 def _camera_fit(
     problem: JointProblem,
     name: str,
-    steps: tuple[int, ...],
-    found: Agreement,
+    end: End,
     independent: float,
-    sums: list[Sums],
     views: tuple[ViewFit, ...],
 ) -> Fit:
     layout, names = problem.layout, problem.names
+    found, sums = end.found, end.whole
     seen_by = [k for k, eye in enumerate(layout.eyes) if eye.camera == name]
     view = found.descent.seen[seen_by[0]].view
     back = problem.rig.get(name, np.eye(4))
-    pose = found.descent.state.poses[problem.moving[name]] @ back
-    camera = on_film(at_pose(found.descent.state.lenses[name], pose), problem.cameras[name])
+    state = found.descent.state
+    pose = state.poses[problem.moving[name]] @ back
+    unit = lambda state: at_pose(state.lenses[name], state.poses[problem.moving[name]] @ back)
+    camera = on_film(unit(state), problem.cameras[name])
 
     # What is reported, by the unknowns.
     place, columns, labels = [], [], []
@@ -315,24 +312,24 @@ def _camera_fit(
         place.append(at)
         columns.append(twisted @ adjoint(inverse(back)))
         labels += labels_of(("pose",))
-    if (at := layout.place(name, LENS)) is not None:
-        n = len(components(("pose",)))
-        derivative = np.array(view.to_reported, float)[n:, n:] / np.asarray(view.unit, float)[n:]
-        in_px = [LABELS[label].unit == "px" for label in labels_of(names[1:])]
-        derivative[in_px] *= camera.H
+    owners = layout.eyes[seen_by[0]].owners
+    for row, owner in owners.items():
+        at = layout.place(owner, row)
+        assert at is not None
         place.append(at)
-        columns.append(derivative)
-        labels += labels_of(names[1:])
+        columns.append(lens_reported(view, names, row))
+        columns[-1][[LABELS[label].unit == "px" for label in labels_of((row,))]] *= camera.H
+        labels += labels_of((row,))
     by_unknowns = np.zeros((len(labels), len(labels)))
     row = 0
     for block in columns:
         by_unknowns[row : row + len(block), row : row + len(block)] = block
         row += len(block)
     places = np.concatenate(place) if place else np.zeros(0, int)
-    covariance = by_unknowns @ found.covariance(layout, places) @ by_unknowns.T
+    covariance = by_unknowns @ found.covariance(places) @ by_unknowns.T
     classical = by_unknowns @ found.independent(places, independent) @ by_unknowns.T
     for table in (covariance, classical):
-        _forget(table, by_unknowns @ _unseen(problem, found)[places])
+        _forget(table, by_unknowns @ found.unseen[places])
 
     of: Any = [jax.tree.map(float, sums[k]) for k in seen_by]
     overlap, union = sum(s.overlap for s in of), sum(s.union for s in of)
@@ -351,16 +348,21 @@ def _camera_fit(
         std=np.sqrt(np.diag(covariance)),
         rms=float(np.sqrt(squares / weight)) if weight > 0 else float("nan"),
         iou=iou,
-        steps=steps,
+        steps=end.path.steps,
         weak=weak,
+        history=history(end.path, layout.eyes[seen_by[0]], unit, problem.cameras[name]),
         independent_covariance=classical,
         mask_error=max(known, key=lambda e: e.px) if known else None,
     )
 
 
-def _unseen(problem: JointProblem, found: Agreement) -> np.ndarray:
-    """Return directions of the unknowns (size, d) that change no mask."""
-    return found.solved.unseen(BLIND[problem.layout.eyes[0].solver.dtype])
+def history(
+    path: Path, eye: Eye, unit: Callable[[State], Camera], camera: Camera
+) -> tuple[Progress, ...]:
+    """Return the way of a camera, canonical as `unit` has it, by the levels of one of its views."""
+    levels = eye.solver.levels
+    stops = (Stop(unit(p.state), levels[eye.level(p.depth)], p.steps) for p in path.way)
+    return tuple(progress_at(stop, camera) for stop in stops)
 
 
 def _forget(covariance: np.ndarray, unseen: np.ndarray) -> None:

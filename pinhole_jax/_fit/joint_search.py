@@ -10,7 +10,8 @@ from .._camera.axes import angle
 from .._camera.camera import Camera
 from .._camera.poses import pose_of
 from .joint_descent import Layout, descend
-from .joint_problem import JointProblem, Path, Tell, depth_of, descended
+from .joint_levels import Path, Tell, depth_of, descended
+from .joint_problem import JointProblem
 from .joint_views import State
 from .places import EQUAL_TIMES, mirrored
 from .search import guesses

@@ -6,10 +6,11 @@ small motion of X or Y is one of the camera in the scene's frame, by an adjoint:
 program says of its own camera says all about the unknowns, and no other program is compiled.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from .._camera.camera import Camera
@@ -17,14 +18,16 @@ from .._camera.poses import Pose, adjoint, at_pose, exponential, inverse, pose_o
 from .._scene.assembly import Posture
 from .._scene.scene import Scene
 from .mask import Mask
-from .parameters import COMPONENTS, PARAMETERS, components, labels_of
+from .parameters import PARAMETERS, components, labels_of
 from .problem import View
 from .solver import Solver
 
-#: What an unknown may be: a pose, what is free of a camera's lens, or the zero of a joint.
-POSE, LENS, ZERO = "pose", "lens", "zero"
+#: What an unknown may be, beside a parameter of a camera's lens: a pose, or the zero of a joint.
+POSE, ZERO = "pose", "zero"
 #: The numbers of a rigid motion: a small rotation (rad), a shift (world units).
 TWIST = 6
+#: Which of these are free of what moves rigidly.
+MOTIONS = {POSE: slice(0, TWIST), "orientation": slice(0, 3), "position": slice(3, TWIST)}
 #: A twist's numbers by the camera's own axes, as reported parameters have them: b1, b2, v are x,
 #: -y and z of the camera's frame.
 TO_B = np.diag([1.0, -1.0, 1.0])
@@ -67,20 +70,29 @@ class State(NamedTuple):
 
 
 class Unknown(NamedTuple):
-    """Some columns of the problem: a pose (6), what is free of a camera's lens, a joint's zero."""
+    """Some columns of the problem: a pose (6, or 3 of them), a parameter of a lens, a joint's zero.
+
+    `kind` is one of `MOTIONS`, `ZERO`, or the parameter's name; `cameras` are those that have such
+    a parameter in common, the first of which gives it its name.
+    """
 
     name: str
     kind: str
     size: int
+    cameras: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Eye:
-    """One view of the problem: its mask, the solver of its own camera, and its known transforms."""
+    """One view of the problem: its mask, the solver of its own camera, and its known transforms.
+
+    `owners` names for each parameter of the lens the unknown that it is, by a camera that has it.
+    """
 
     mask: Mask
     solver: Solver
     camera: str
+    owners: Mapping[str, str]
     moving: str
     object: str | None
     mount: Pose
@@ -146,14 +158,17 @@ class Eye:
         return state._replace(poses={**state.poses, name: moved})
 
     def by_twist(self, state: State, view: View) -> np.ndarray:
-        """Return the view's moves (n, 6), in its solver's units, by a twist of its own camera."""
+        """Return the view's moves (n, 6), in its solver's units, by a twist of its own camera (by
+        the part of one that these moves are)."""
         names, pose = self.solver.names, self.pose(state)
-        known = [COMPONENTS[name] for name in components(names)]
-        of_pose = np.array([name in _POSE for name in components(names)])
-        reported = np.array([label in _REPORTED for label in labels_of(names)])
+        known = components(names)
+        of_pose = np.array([name in _POSE for name in known])
+        labels = labels_of(names)
+        reported = np.array([label in _REPORTED for label in labels])
         # How the camera's own twist is reported, and what moves do to that.
         twisted = np.zeros((TWIST, TWIST))
         twisted[:3, :3], twisted[3:, 3:] = TO_B, pose[:3, :3]
+        twisted = twisted[[_REPORTED.index(label) for label in labels if label in _REPORTED]]
         by_moves = np.asarray(view.to_reported, float)[np.ix_(reported, of_pose)]
         by_twist = np.zeros((len(known), TWIST))
         by_twist[of_pose] = np.linalg.solve(by_moves, twisted)
@@ -163,16 +178,16 @@ class Eye:
         """Return the view's moves (n, k), in its solver's units, by the poses and lenses that it
         depends on."""
         names, pose = self.solver.names, self.pose(state)
-        known = components(names)
-        of_pose = np.array([name in _POSE for name in known])
+        known, unit = components(names), np.asarray(view.unit, float)
         by_twist = self.by_twist(state, view)
-        parts = []
+        parts = [np.zeros((len(known), 0))]
         for unknown in unknowns:
-            if unknown.kind == LENS:
-                columns = np.zeros((len(known), unknown.size))
-                columns[~of_pose] = np.diag(1 / np.asarray(view.unit, float)[~of_pose])
+            if unknown.kind not in MOTIONS:
+                place = _places(names, unknown.kind)
+                columns = np.zeros((len(known), len(place)))
+                columns[place, np.arange(len(place))] = 1 / unit[place]
             elif unknown.name == self.moving:
-                columns = by_twist @ adjoint(inverse(self.rig))
+                columns = (by_twist @ adjoint(inverse(self.rig)))[:, MOTIONS[unknown.kind]]
             else:
                 columns = -by_twist @ adjoint(inverse(self.placed @ pose))
             parts.append(columns)
@@ -181,28 +196,25 @@ class Eye:
     def _scene(self, state: State) -> Pose:
         return self.placed if self.object is None else state.poses[self.object] @ self.placed
 
-    def depends_on(self, unknown: Unknown) -> bool:
-        """Return whether what the view sees depends on an unknown."""
-        if unknown.kind == POSE:
-            return unknown.name in (self.moving, self.object)
-        if unknown.kind == ZERO:
-            return self.posture is not None and unknown.name in self.posture.joints
-        return unknown.name == self.camera
+    def depends_on(self) -> Iterator[tuple[str, str]]:
+        """Yield names and kinds of what the view depends on, if it is unknown."""
+        yield from ((self.moving, kind) for kind in MOTIONS)
+        if self.object is not None:
+            yield self.object, POSE
+        yield from ((owner, kind) for kind, owner in self.owners.items())
+        if self.posture is not None:
+            yield from ((joint, ZERO) for joint in self.posture.joints)
 
     def ways_out(self, state: State, view: View, unknown: Unknown) -> np.ndarray:
         """Return which way an unknown's numbers (size,) would leave their bounds, where they are at
         an end of these: 1, -1, and 0 of the others."""
-        result, bounds = np.zeros(unknown.size), self.solver.problem.bounds
-        if unknown.kind != LENS or bounds is None:
+        result, bounds, kind = np.zeros(unknown.size), self.solver.problem.bounds, unknown.kind
+        if bounds is None or kind not in self.ended(state):
             return result
-        labels, lens = labels_of(self.solver.names), state.lenses[self.camera]
-        grows = np.diagonal(np.asarray(view.to_reported, float))[-unknown.size :]
-        for label in bounds.ended(lens):
-            k, one = labels.index(label) - len(_POSE), bounds.labels.index(label)
-            middle = float(bounds.low[one] + bounds.high[one]) / 2
-            result[k] = np.sign(grows[k]) * (
-                1 if float(PARAMETERS[label].leaves[0].of(lens)) > middle else -1
-            )
+        one, k = bounds.labels.index(kind), labels_of(self.solver.names).index(kind)
+        middle = float(bounds.low[one] + bounds.high[one]) / 2
+        value = float(PARAMETERS[kind].leaves[0].of(state.lenses[self.camera]))
+        result[:] = np.sign(np.asarray(view.to_reported)[k, k]) * (1 if value > middle else -1)
         return result
 
     def ended(self, state: State) -> tuple[str, ...]:
@@ -216,32 +228,56 @@ class Eye:
 
 
 _POSE = frozenset(components(("pose",)))
-_REPORTED = frozenset(labels_of(("pose",)))
+_REPORTED = labels_of(("pose",))
 
 
-def stepped(state: State, unknowns: list[Unknown], x: np.ndarray, eyes: list[Eye]) -> State:
+def _places(names: tuple[str, ...], kind: str) -> np.ndarray:
+    """Return where a parameter's moves are among those that names free."""
+    begin = len(components(names[: names.index(kind)]))
+    return begin + np.arange(len(components((kind,))))
+
+
+def lens_reported(view: View, names: tuple[str, ...], kind: str) -> np.ndarray:
+    """Return how what is reported of a lens's parameter (film coordinates in film heights) follows
+    its moves."""
+    at, begin = _places(names, kind), labels_of(names).index(labels_of((kind,))[0])
+    rows = np.array(view.to_reported, float)[begin : begin + len(at)]
+    return rows[:, at] / np.asarray(view.unit, float)[at]
+
+
+def stepped(state: State, unknowns: list[Unknown], x: np.ndarray, eyes: Sequence[Eye]) -> State:
     """Return the state after a step: twists of poses, and moves of what is free of lenses."""
     poses, lenses, zeros = dict(state.poses), dict(state.lenses), dict(state.zeros)
+    by_camera = {eye.camera: eye for eye in eyes}
     begin = 0
     for unknown in unknowns:
         part = x[begin : begin + unknown.size]
         begin += unknown.size
-        if unknown.kind == POSE:
-            poses[unknown.name] = poses[unknown.name] @ exponential(part)
-            continue
-        if unknown.kind == ZERO:
+        if unknown.kind in MOTIONS:
+            twist = np.zeros(TWIST)
+            twist[MOTIONS[unknown.kind]] = part
+            poses[unknown.name] = poses[unknown.name] @ exponential(twist)
+        elif unknown.kind == ZERO:
             zeros[unknown.name] = zeros.get(unknown.name, 0.0) + float(part[0])
-            continue
-        eye = next(eye for eye in eyes if eye.camera == unknown.name)
-        lenses[unknown.name] = _lens_moved(eye, lenses[unknown.name], part)
+        elif seen_by := [name for name in unknown.cameras if name in by_camera]:
+            name, kind = seen_by[0], unknown.kind
+            moved = _lens_moved(by_camera[name], lenses[name], kind, part)
+            for name in unknown.cameras:
+                lenses[name] = with_parameter(lenses[name], kind, moved)
     return State(poses, lenses, zeros)
 
 
-def _lens_moved(eye: Eye, unit: Camera, part: np.ndarray) -> Camera:
-    """Return a canonical camera with what is free of its lens moved."""
+def with_parameter(camera: Camera, kind: str, other: Camera) -> Camera:
+    """Return the camera with a parameter of another one."""
+    for leaf in PARAMETERS[kind].leaves:
+        camera = eqx.tree_at(leaf.of, camera, leaf.of(other))
+    return camera
+
+
+def _lens_moved(eye: Eye, unit: Camera, kind: str, part: np.ndarray) -> Camera:
+    """Return a canonical camera with a parameter of its lens moved."""
     solver = eye.solver
-    start = solver.move(unit, solver.finest)
-    of_pose = np.array([name in _POSE for name in components(solver.names)])
-    y = np.zeros(len(of_pose))
-    y[~of_pose] = part / np.asarray(start.unit, float)[~of_pose]
+    start, place = solver.move(unit, solver.finest), _places(solver.names, kind)
+    y = np.zeros(len(components(solver.names)))
+    y[place] = part / np.asarray(start.unit, float)[place]
     return solver.step(unit, solver.finest, y)

@@ -99,7 +99,7 @@ class Fit(NamedTuple):
       and `iou` are then of the rest; `weak` says which share of the mask's edge it is.
     - `modes`: other cameras that were found to explain the mask as well, the best first.
     - `history`: the way to `camera`, from the start (0 steps) to the end of each level, or with
-      `record` of each step; empty for fits of several cameras.
+      `record` of each step.
     """
 
     camera: Camera

@@ -1,12 +1,11 @@
-"""Many views that share unknowns, as one least-squares problem.
+"""What cameras have in common, and what many views know of that.
 
-The Jacobian is an arrow: each view has columns of its own and all have the shared ones. Each view
-is reduced to a small triangle by QR, its own unknowns are eliminated, and what is left of all views
-determines the shared ones. So the cost is linear in the views, and no matrix over all of them is
-ever made (nor normal equations, which would lose half of the digits).
+The Jacobian of views with a camera each is an arrow: each view has columns of its own and all have
+the shared ones. A view's own unknowns are eliminated, and what is left of the others is what they
+know of the shared ones, to this view.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,15 +15,8 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.distortion import COEFFICIENTS
 from .._camera.lens import Lens
-from .parameters import PARAMETERS, as_names, check_free
-from .problem import COARSE_PX, COSINE, FINE_PX, UNIT_PX
-
-#: One view's residuals about where it is: `triangle` (R of J = QR), `along` (Q^T r), the unknowns'
-#: `unit`s and `squares` (|r|^2). `problem.View` is one.
-Linearised = Any
-#: One view: `look(depth)` gives it linearised on a level, `stepped(depth, y)` after a step.
-One = Any
-
+from .parameters import PARAMETERS, as_names, check_free, in_one
+from .problem import View
 
 #: What views may share.
 SHARED = tuple(name for name, row in PARAMETERS.items() if row.shared)
@@ -38,13 +30,52 @@ def shared_and_free(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return all names in a fixed order, and those that are shared, or raise ValueError; without a
     camera those of a lens."""
-    shared, free = as_names(shared, "shared"), as_names(free)
+    free = as_names(free)
+    common = check_shared(as_names(shared, "shared"), camera, lens)
+    own = [n for n in check_free(free, camera, lens) if n not in common] if free else []
+    return in_one(check_free([*common, *own], camera, lens)), common
+
+
+def groups_of(shared: Any, cameras: Mapping[str, Camera]) -> dict[str, list[tuple[str, ...]]]:
+    """Return for each parameter that is shared the groups of cameras that have one in common, or
+    raise ValueError; `shared` are names (of all cameras), or such groups by names."""
+    given: Any = shared
+    if not isinstance(shared, Mapping):
+        given = {name: [tuple(cameras)] for name in as_names(shared, "shared")}
+    first, result = next(iter(cameras.values())), {}
+    for name, groups in given.items():
+        for row in check_shared((name,), first):
+            result[row] = [(group,) if isinstance(group, str) else tuple(group) for group in groups]
+            named = [n for group in result[row] for n in group]
+            if unknown := [n for n in named if n not in cameras]:
+                words = f"expected groups of cameras among {', '.join(cameras)}, got {unknown[0]!r}"
+                raise ValueError(f"`shared`: {words}")
+            if len({*named}) < len(named):
+                raise ValueError(f"`shared`: expected each camera in one group of {row}, got more")
+    return result
+
+
+def check_shared(
+    shared: tuple[str, ...], camera: Camera | None, lens: Lens | None = None
+) -> tuple[str, ...]:
+    """Return the names in a fixed order, or raise ValueError for what cannot be shared."""
     common = check_free(shared, camera, lens) if shared else ()
     if not {*common} <= {*SHARED}:
         known = ", ".join([*SHARED, "distortion"])
         raise ValueError(f"`shared`: expected names among {known}, got {', '.join(common)}")
-    own = [n for n in check_free(free, camera, lens) if n not in common] if free else []
-    return check_free([*common, *own], camera, lens), common
+    return common
+
+
+def alike_in_groups(
+    cameras: Mapping[str, Camera], groups: Mapping[str, list[tuple[str, ...]]]
+) -> dict[str, Camera]:
+    """Return the cameras with the mean of what each group shares."""
+    result = dict(cameras)
+    for row, some in groups.items():
+        for group in some:
+            same = alike([result[name] for name in group], (row,))
+            result.update(zip(group, same, strict=True))
+    return result
 
 
 def alike(cameras: Sequence[Camera], common: tuple[str, ...]) -> list[Camera]:
@@ -62,77 +93,28 @@ def alike(cameras: Sequence[Camera], common: tuple[str, ...]) -> list[Camera]:
 
 
 class Reduced(NamedTuple):
-    """A view's least squares with its own unknowns first, and what they leave of the shared ones:
-    own (m, m), across (m, k), known (m,); rest (., k), left (.,). Shared columns per unit.
-    """
+    """A view's least squares with its own unknowns eliminated, and what they leave of the shared
+    ones: across (m, k), known (m,); rest (., k), left (.,). Shared columns per unit."""
 
-    own: np.ndarray
     across: np.ndarray
     known: np.ndarray
     rest: np.ndarray
     left: np.ndarray
 
+    @property
+    def slope(self) -> np.ndarray:
+        """Return half the squares' derivative (k,) by the shared unknowns."""
+        return self.across.T @ self.known + self.rest.T @ self.left
 
-def reduced(view: Linearised, own: np.ndarray, damping: float) -> Reduced:
-    """Return a view's least squares with its own unknowns, damped, eliminated."""
-    columns = np.asarray(view.triangle, float).copy()
-    columns[:, ~own] /= np.asarray(view.unit, float)[~own]
+
+def reduced(view: Any, own: np.ndarray) -> Reduced:
+    """Return a view's least squares with its own unknowns eliminated; as of `View`s it takes what
+    has a `triangle`, `along` and `unit`."""
+    columns = np.asarray(view.triangle, float) / np.where(own, 1, np.asarray(view.unit, float))
     m, k = int(own.sum()), int((~own).sum())
-    table = np.concatenate(
-        [columns[:, own], columns[:, ~own], np.asarray(view.along, float)[:, None]], axis=1
-    )
-    damped = np.concatenate([damping**0.5 * np.eye(m), np.zeros((m, k + 1))], axis=1)
-    r: Any = np.linalg.qr(np.concatenate([table, damped]), mode="r")
-    return Reduced(r[:m, :m], r[:m, m : m + k], r[:m, -1], r[m:, m : m + k], r[m:, -1])
-
-
-def solved(views: list[Any], own: np.ndarray, damping: float) -> list[np.ndarray]:
-    """Return each view's damped Gauss-Newton step in its own units."""
-    parts = [reduced(v, own, damping) for v in views]
-    unit = np.mean([np.asarray(v.unit, float)[~own] for v in views], axis=0)
-    rest = np.concatenate([*(p.rest for p in parts), damping**0.5 * np.diag(1 / unit)])
-    left = np.concatenate([*(p.left for p in parts), np.zeros(len(unit))])
-    together = np.linalg.lstsq(rest * unit, -left, rcond=None)[0] * unit
-    result = []
-    for view, part in zip(views, parts, strict=True):
-        y = np.empty(len(own))
-        y[own] = np.linalg.lstsq(part.own, -part.known - part.across @ together, rcond=None)[0]
-        y[~own] = together / np.asarray(view.unit, float)[~own]
-        result.append(y)
-    return result
-
-
-class Descent(NamedTuple):
-    """The views after a descent, what each is there, linearised, and the number of steps."""
-
-    views: list[One]
-    seen: list[Linearised]
-    steps: int
-
-
-def descend(
-    views: list[One], depth: int, own: np.ndarray, max_steps: int, dtype: np.dtype
-) -> Descent:
-    """Return the views after Levenberg-Marquardt on one level."""
-    tolerance = (FINE_PX[dtype] if depth <= 2 else COARSE_PX) / UNIT_PX
-    seen, damping = [v.look(depth) for v in views], 1.0
-    for n in range(1, max_steps + 1):
-        ys = solved(seen, own, damping)
-        trial = [v.stepped(depth, y) for v, y in zip(views, ys, strict=True)]
-        there = [v.look(depth) for v in trial]
-        before, after = (sum(v.squares for v in s) for s in (seen, there))
-        change = sum(
-            float(np.sum((np.asarray(v.triangle, float) @ y) ** 2))
-            for v, y in zip(seen, ys, strict=True)
-        )
-        if after <= before:
-            views, seen, damping = trial, there, damping / 10
-        else:
-            damping = max(10 * damping, 1e-6)
-        small = max(float(np.max(np.abs(y))) for y in ys) < tolerance
-        if small or change <= COSINE[dtype] ** 2 * before:
-            return Descent(views, seen, n)
-    return Descent(views, seen, max_steps)
+    along = np.asarray(view.along, float)
+    r: Any = np.linalg.qr(np.column_stack([columns[:, own], columns[:, ~own], along]), mode="r")
+    return Reduced(r[:m, m : m + k], r[:m, -1], r[m:, m : m + k], r[m:, -1])
 
 
 def others(rests: list[np.ndarray]) -> list[np.ndarray]:
@@ -149,7 +131,8 @@ def others(rests: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def joint(view: Any, others: np.ndarray, slope: np.ndarray, own: np.ndarray) -> Any:
-    """Return the view with what the others know of the shared unknowns."""
+    """Return the view with what the others know of the shared unknowns, and with the `slope` of
+    all together by these."""
     unit = np.asarray(view.unit, float)[~own]
     more = np.zeros((len(others), len(own)))
     more[:, ~own] = others * unit
@@ -160,26 +143,24 @@ def joint(view: Any, others: np.ndarray, slope: np.ndarray, own: np.ndarray) -> 
     return view._replace(triangle=jnp.asarray(triangle), along=jnp.asarray(along))
 
 
-def beside(
-    view: Any, rest: np.ndarray, slope: np.ndarray, own: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return what the others know of the shared unknowns as residuals of the view, in its units:
-    rows (n, n) and their values (n,), from the others' triangle and slope.
+def in_few(view: View, rows: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return residuals `rows y` of a view's moves, and half their squares' derivative (n,), as not
+    more than there are moves: rows (n, n) and their values (n,).
 
     No row counts more than what the view itself sees best: it is that to which it compares what it
     hardly sees, and with many others it would hardly see anything.
     """
-    unit = np.asarray(view.unit, float)[~own]
     most = np.linalg.norm(np.asarray(view.triangle, float), 2)
-    _, values, directions = np.linalg.svd(rest * unit, full_matrices=False)
-    k = len(values)
-    rows, left = np.zeros((len(own), len(own))), np.zeros(len(own))
-    rows[:k, ~own] = np.minimum(values, most)[:, None] * directions
-    left[:k] = np.linalg.lstsq(rows[:k, ~own].T, slope * unit, rcond=None)[0]
-    return rows, left
+    told = np.any(rows != 0, axis=0)
+    _, values, directions = np.linalg.svd(rows[:, told], full_matrices=False)
+    n, k = rows.shape[1], len(values)
+    few, left = np.zeros((n, n)), np.zeros(n)
+    few[:k, told] = np.minimum(values, most)[:, None] * directions
+    left[:k] = np.linalg.lstsq(few[:k].T, slope, rcond=None)[0]
+    return few, left
 
 
-def with_rows(view: Any, rows: np.ndarray, left: np.ndarray) -> Any:
+def with_rows(view: View, rows: np.ndarray, left: np.ndarray) -> View:
     """Return the view with more residuals: their derivatives (., n) and values."""
     seen = np.column_stack([np.asarray(view.triangle, float), np.asarray(view.along, float)])
     table: Any = np.linalg.qr(np.concatenate([seen, np.column_stack([rows, left])]), mode="r")

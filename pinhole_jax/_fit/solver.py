@@ -122,7 +122,9 @@ class Solver:
         prior: Prior | None = None,
         record: bool = False,
         continued: bool = False,
+        least_cells: int = LEAST_CELLS,
     ):
+        self._least_cells = least_cells
         self._bounds, self._prior, self._record = bounds, prior, record
         self.dtype, self.names, self.max_steps = np.dtype(dtype), names, max_steps
         self._others: Others | None = None
@@ -152,7 +154,7 @@ class Solver:
         self.walked: list[tuple[Camera, Revolution, list[Found]]] = []
         self._weights = weights
         size = size_of(self.capacity.pieces)
-        least = LEAST_CELLS * 4 ** ((size + 1) // 2)
+        least = self._least_cells * 4 ** ((size + 1) // 2)
         asked = _Asked(self._target, weights, self.window, least, only_finest)
         levels, self.levels = self._pyramid(asked)
         # Few programs: the larger image's has room for the longer outline, and the other way round.
@@ -254,6 +256,11 @@ class Solver:
     def show(self, scene: Scene) -> None:
         """Look at a scene whose vertices are elsewhere from now on; moves are taken as before."""
         self._shown(scene)
+        self.problem = eqx.tree_at(lambda p: p.scene, self.problem, self._scene)
+
+    def share(self, other: "Solver") -> None:
+        """Look at the arrays of another one that was made of the same scene."""
+        self._scene, self.mesh = other._scene, other.mesh
         self.problem = eqx.tree_at(lambda p: p.scene, self.problem, self._scene)
 
     def _shown(self, scene: Scene) -> np.ndarray:

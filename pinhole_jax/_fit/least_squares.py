@@ -1,0 +1,259 @@
+"""One Levenberg-Marquardt for views and points: least squares whose residuals come in parts.
+
+Each part depends on few of the unknowns. What few parts depend on is eliminated there: those of one
+camera, or of one object, that have with the others only a lens in common, say. So the cost is
+linear in the parts, and no matrix over all of them is ever made (nor normal equations, which would
+lose half of the digits).
+"""
+
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from .problem import COSINE, UNIT_PX
+
+#: Damping of the first step, in squares of `sizes`, and what it is at least.
+FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
+
+
+class Rows(NamedTuple):
+    """Residuals (m,) `rows x[columns] + left` of one part; `own` (k,) of the unknowns are to be
+    eliminated, with the parts that depend on these, too."""
+
+    rows: np.ndarray
+    left: np.ndarray
+    columns: np.ndarray
+    own: np.ndarray
+
+    @property
+    def squares(self) -> float:
+        """Return the sum of the residuals' squares."""
+        return float(self.left @ self.left)
+
+    def without(self, held: np.ndarray) -> "Rows":
+        """Return them blind to unknowns (size,) that are held."""
+        return self._replace(rows=np.where(held[self.columns], 0.0, self.rows))
+
+    def times(self, factor: float) -> "Rows":
+        """Return them, each times a factor."""
+        return self._replace(rows=factor * self.rows, left=factor * self.left)
+
+
+@runtime_checkable
+class LeastSquares(Protocol):
+    """A problem of unknowns (size,), whose values are some `state`.
+
+    - `look`: what is seen at a state; all else is asked with that.
+    - `noise`: what the parts are weighed by at a step.
+    - `squares`, `parts`: the residuals' sum of squares, and their derivatives.
+    - `sizes` (size,): what a step is measured by, as damping has it: larger, where it may be less.
+    - `ways_out` (size,): 1 or -1 for what is at an end of its bounds, which way these are left.
+    - `stepped`: the state after a step; `moved`: how far that is, in units of `UNIT_PX`.
+    """
+
+    @property
+    def size(self) -> int: ...
+    @property
+    def dtype(self) -> np.dtype: ...
+    def look(self, state: Any) -> Any: ...
+    def noise(self, seen: Any) -> float: ...
+    def squares(self, state: Any, seen: Any, noise: float) -> float: ...
+    def parts(self, state: Any, seen: Any, noise: float) -> list[Rows]: ...
+    def sizes(self, seen: Any, parts: list[Rows]) -> np.ndarray: ...
+    def ways_out(self, state: Any, seen: Any) -> np.ndarray: ...
+    def stepped(self, state: Any, x: np.ndarray) -> Any: ...
+    def moved(self, seen: Any, x: np.ndarray) -> float: ...
+
+
+class Descent(NamedTuple):
+    """A state, what is seen there, the squares, steps, and whether they ended by themselves."""
+
+    state: Any
+    seen: Any
+    squares: float
+    steps: int
+    ended: bool
+
+
+def levenberg_marquardt(problem: LeastSquares, state: Any, most: int, px: float) -> Descent:
+    """Return the state after at most so many steps; below so many `px` one is negligible."""
+    seen, damping, size = problem.look(state), FIRST_DAMPING, np.zeros(problem.size)
+    squares = np.inf
+    for n in range(1, most + 1):
+        noise = problem.noise(seen)
+        squares = problem.squares(state, seen, noise)
+        parts = problem.parts(state, seen, noise)
+        if not all(np.all(np.isfinite(p.rows)) and np.all(np.isfinite(p.left)) for p in parts):
+            return Descent(state, seen, squares, n, False)
+        outward = problem.ways_out(state, seen) * _slope(parts, problem.size) < 0
+        parts = [part.without(outward) for part in parts]
+        size = np.maximum(size, problem.sizes(seen, parts))
+        x = solve(parts, problem.size, damping**0.5 * size).x
+        moved = problem.moved(seen, x)
+        change = sum(float(np.sum((p.rows @ x[p.columns]) ** 2)) for p in parts)
+        trial = problem.stepped(state, x)
+        there = problem.look(trial)
+        after = problem.squares(trial, there, noise)
+        if after <= squares:
+            state, seen, squares = trial, there, after
+            damping = max(damping / 10, LEAST_DAMPING)
+        else:
+            damping *= 10
+        if moved < px / UNIT_PX or change <= COSINE[problem.dtype] ** 2 * squares:
+            return Descent(state, seen, squares, n, True)
+    return Descent(state, seen, squares, most, False)
+
+
+def _slope(parts: list[Rows], size: int) -> np.ndarray:
+    """Return half the squares' derivative (size,)."""
+    total = np.zeros(size)
+    for part in parts:
+        np.add.at(total, part.columns, part.left @ part.rows)
+    return total
+
+
+def column_norms(parts: list[Rows], size: int) -> np.ndarray:
+    """Return how much each unknown (size,) shows."""
+    total = np.zeros(size)
+    for part in parts:
+        np.add.at(total, part.columns, np.sum(part.rows**2, axis=0))
+    return total**0.5
+
+
+def held_to_the_end(of: list[list[int]], sizes: list[int]) -> np.ndarray:
+    """Return which unknowns (of these `sizes`) stay where the others are eliminated, given those
+    that each view depends on: what most views depend on, as many as make the least work."""
+    size = np.array(sizes)
+    seen_by = np.bincount([j for some in of for j in some], minlength=len(size))
+    best, least = np.ones(len(size), bool), np.inf
+    for count in np.unique(seen_by):
+        held = seen_by >= count
+        block = 1 + _together([[j for j in some if not held[j]] for some in of], len(size))
+        within = np.bincount(block, np.where(held, 0, size), minlength=len(of) + 1)
+        views = [within[max(block[some], default=0)] for some in of]
+        rest = float(np.sum(size[held]))
+        work = np.sum((np.array(views) + rest) ** 2) + len(of) * rest**3
+        if work < least:
+            best, least = held, work
+    return best
+
+
+def _together(of: list[list[int]], size: int) -> np.ndarray:
+    """Return for each number (size,) which block it is of, given lists of some that are of one; -1
+    for what is in no list."""
+    block = np.full(size, -1)
+    for k, some in enumerate(of):
+        known = np.unique(block[some])
+        known = known[known >= 0]
+        if len(known) > 1:
+            block[np.isin(block, known)] = known[0]
+        block[some] = known[0] if len(known) else k
+    return block
+
+
+class Solved(NamedTuple):
+    """The least squares' x, and what determines it: the shared unknowns' triangle, of each block of
+    views the unknowns that are its own, their triangle, and what the shared ones do to these; of
+    each unknown the number of the block that owns it, -1 of shared ones."""
+
+    x: np.ndarray
+    shared: np.ndarray
+    triangle: np.ndarray
+    own: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]
+    owner: np.ndarray
+
+    def inverse(self, place: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return the inverse of the normal matrix between some unknowns (p,) and others (q,)."""
+        back = np.linalg.pinv(self.triangle)
+        left, right = self.by_shared(place), self.by_shared(columns)
+        result = left @ back @ (right @ back).T
+        for block in self.owners(place):
+            rows, others = (np.flatnonzero(self.owner[x] == block) for x in (place, columns))
+            own, triangle, _ = self.own[block]
+            inverse = np.linalg.pinv(triangle)
+            of = lambda x, inverse=inverse, own=own: inverse[np.searchsorted(own, x)]
+            result[np.ix_(rows, others)] += of(place[rows]) @ of(columns[others]).T
+        return result
+
+    def unseen(self, blind: float) -> np.ndarray:
+        """Return directions (size, d) of the unknowns that change no residual: less than a share
+        `blind` of what the best-seen ones do."""
+        size, everything = len(self.x), np.arange(len(self.x))
+        directions = []
+        hidden = _null(self.triangle, blind).T
+        if len(hidden):
+            directions += [*(self.by_shared(everything) @ hidden.T).T]
+        for own, triangle, _ in self.own.values():
+            for k in _null(triangle, blind).T:
+                direction = np.zeros(size)
+                direction[own] = k
+                directions.append(direction)
+        return np.array(directions).reshape(-1, size).T
+
+    def by_shared(self, place: np.ndarray) -> np.ndarray:
+        """Return how unknowns follow the shared ones (p, s)."""
+        result = np.zeros((len(place), len(self.shared)))
+        held = np.flatnonzero(self.owner[place] < 0)
+        result[held, np.searchsorted(self.shared, place[held])] = 1
+        for block in self.owners(place):
+            at = np.flatnonzero(self.owner[place] == block)
+            own, triangle, across = self.own[block]
+            result[at] = -(np.linalg.pinv(triangle) @ across)[np.searchsorted(own, place[at])]
+        return result
+
+    def owners(self, place: np.ndarray) -> list[int]:
+        """Return the blocks that own some of these unknowns."""
+        return [int(block) for block in np.unique(self.owner[place]) if block >= 0]
+
+
+def _null(triangle: np.ndarray, blind: float) -> np.ndarray:
+    """Return directions (n, d), of length 1, that a triangle does not see, whatever the units."""
+    size = np.linalg.norm(triangle, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    _, values, directions = np.linalg.svd(triangle / size)
+    known = np.zeros(len(size))
+    known[: len(values)] = values
+    hidden = directions[known <= blind * max(float(np.max(known, initial=0)), 1e-300)]
+    return (hidden / np.linalg.norm(hidden / size, axis=1, keepdims=True) / size).T
+
+
+def solve(parts: list[Rows], size: int, damping: np.ndarray) -> Solved:
+    """Return the x (size,) of least squares, `damping` (size,) times x among the residuals."""
+    owner = _together([p.columns[p.own].tolist() for p in parts], size)
+    shared = np.flatnonzero(owner < 0)
+    blocks: dict[int, list[Rows]] = {}
+    for k, part in enumerate(parts):
+        block = int(owner[part.columns[part.own][0]]) if np.any(part.own) else -2 - k
+        blocks.setdefault(block, []).append(part)
+    x, owns, left = np.zeros(size), {}, {}
+    reduced = [np.column_stack([np.diag(damping[shared]), 0 * shared])]
+    for block, some in blocks.items():
+        own = np.flatnonzero(owner == block)
+        r = _eliminated(some, own, shared, damping[own])
+        m = len(own)
+        reduced.append(r[m:, m:])
+        if m:
+            owns[block], left[block] = (own, r[:m, :m], r[:m, m:-1]), r[:m, -1]
+    r: Any = np.linalg.qr(np.concatenate(reduced), mode="r")[: len(shared)]
+    x[shared] = -np.linalg.pinv(r[:, :-1]) @ r[:, -1]
+    for block, (own, triangle, across) in owns.items():
+        x[own] = -np.linalg.pinv(triangle) @ (left[block] + across @ x[shared])
+    return Solved(x, shared, r[:, :-1], owns, owner)
+
+
+def _eliminated(
+    parts: list[Rows], own: np.ndarray, shared: np.ndarray, damping: np.ndarray
+) -> np.ndarray:
+    """Return the triangle of some rows, with columns of what is `own` (and damped) first, then of
+    what is shared, then the residuals."""
+    m, s = len(own), len(shared)
+    tables = [np.column_stack([np.diag(damping), np.zeros((m, s + 1))])]
+    for part in parts:
+        table = np.zeros((len(part.left), m + s + 1))
+        table[:, np.searchsorted(own, part.columns[part.own])] = part.rows[:, part.own]
+        at = m + np.searchsorted(shared, part.columns[~part.own])
+        table[:, at] = part.rows[:, ~part.own]
+        table[:, -1] = part.left
+        tables.append(table)
+    r: Any = np.linalg.qr(np.concatenate(tables), mode="r")
+    return r
