@@ -17,11 +17,17 @@ from scipy.ndimage import binary_erosion, gaussian_filter
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._files.programs import like
-from pinhole_jax._fit import strategy
+from pinhole_jax._fit import places, strategy
+from pinhole_jax._fit.kinds import Kind
 from pinhole_jax._fit.mask import Mask
+from pinhole_jax._fit.moves import canonical
 from pinhole_jax._fit.outline_errors import OutlineErrors
+from pinhole_jax._fit.priors import no_others
 from pinhole_jax._fit.problem import View
-from pinhole_jax._fit.solver import Found, Solver
+from pinhole_jax._fit.pyramid import Level
+from pinhole_jax._fit.residuals import Sums
+from pinhole_jax._fit.solver import FAR_LEVEL, Found, Solver
+from pinhole_jax._scene.scene import ball_about
 
 pytestmark = pytest.mark.optimised
 
@@ -75,6 +81,16 @@ def test_a_handle_that_only_the_mask_shows_is_not_taken_for_noise(honesty):
 def test_what_lied_once_does_not_again(honesty, number, shape, kind):
     row = honesty.trial(number, shape, kind)
     assert not honesty.is_lie(row), row
+
+
+@pytest.mark.long
+def test_a_walk_leads_as_far_in_a_large_mask_as_in_a_small_one(honesty, monkeypatch):
+    """Ten steps on the finest level moved the outline by ten pixels of 1024: that was 12.7 degrees
+    off."""
+    monkeypatch.setattr(honesty, "SIZE", 1024)
+    row = honesty.trial(3, "ellipsoid", "one bit")
+    assert row["degrees"] < 1, row
+    assert row["status"] == "converged"
 
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
@@ -236,3 +252,61 @@ def test_a_drawn_mask_asks_all_cameras_near_its_edge(monkeypatch, costs, anywher
     start = None if anywhere else START
     kept = strategy.most_agreeing(solver, mask, described, 3, start)
     assert [next(k for k, d in enumerate(described) if d is x) for x in kept] == expected
+
+
+class Walked(Solver):
+    """A solver of six levels that descends nowhere, and says which level it was asked on; views
+    leave as many squares as they are told."""
+
+    def __init__(self, squares, exact=False):
+        self.finest, self.max_steps, self._prior, self._others = 5, 64, None, None
+        self.ball = ball_about(np.array([[-1.0] * 3, [1.0] * 3]))
+        self.kind = Kind("one bit", 1 / 12, 0.1, 0.05, exact)
+        self.levels = [like(Level)._replace(scale=32.0 * 2**k) for k in range(6)]
+        self.squares, self.asked = squares, []
+
+    def errors(self, view):
+        return None
+
+    def glance(self, unit, number=-1):
+        sums = like(Sums)._replace(touched=300.0, touched_squares=0.1)
+        return like(View)._replace(sums=sums, prior=0.1)
+
+    def descended(self, unit, steps, number=-1):
+        self.asked.append(number)
+        return Found(unit, like(View)._replace(sums=like(Sums), prior=self.squares), (1,))
+
+
+@pytest.mark.parametrize(
+    ("squares", "degrees", "asked"),
+    [
+        (0.12, 9, [FAR_LEVEL, -1]),  # another place, perhaps as good: the finest level says
+        (0.12, 0.1, [FAR_LEVEL]),  # back at the best
+        (3.0, 9, [FAR_LEVEL]),  # far worse
+        (np.nan, 9, [FAR_LEVEL]),  # a view that the buffers do not hold
+    ],
+)
+def test_a_walk_in_a_large_mask_asks_the_finest_level_for_what_is_left(squares, degrees, asked):
+    """Squares on the far level are far worse from 0.23 on: 400 variances, each 1/12 of a pixel's
+    over 4^3, and at least what the best leaves there."""
+    solver, best = Walked(squares), Found(canonical(START), like(View), ())
+    walk = places._Walk.of(solver, best)
+    start = canonical(turned(START, [0, 0, 1], degrees, 1.0))
+    found = walk.led_to(start)
+    assert solver.asked == asked
+    assert (found is not None) == (asked[-1] == -1)
+    assert walk.led_to(start) is None  # known by now, or as bad as before
+
+
+def test_a_walk_in_an_exact_mask_stays_on_the_finest_level():
+    solver = Walked(0.12, exact=True)
+    walk = places._Walk.of(solver, Found(canonical(START), like(View), ()))
+    assert walk.led_to(canonical(START)) is not None
+    assert solver.asked == [-1]
+
+
+def test_what_other_views_know_is_weighed_on_the_finest_level():
+    solver = Walked(0.12)
+    assert solver.far == FAR_LEVEL
+    solver._others = no_others(("pose",), np.dtype(float))
+    assert solver.far == solver.finest

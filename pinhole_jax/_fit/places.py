@@ -48,6 +48,10 @@ LIKE_FORETOLD = 0.5
 DOUBTFUL, DOUBT_SIGMAS, DOUBT_RAD, RISE = 0.2, 12.0, np.deg2rad([4, 10]), (0.15, 10.0)
 #: ... nor be so many times as steep.
 STEEPER = 4.0
+#: A descent that ends on a level for what is far away (see `Solver.far`) is followed no further
+#: where it is worse by so many times what is equal along a walk, nor where it is at a place that
+#: another one led to: so near (rad).
+FAR_TIMES, RETURNED = 4.0, APART / 2
 #: So many equal places along a walk are no list of modes but a direction that is free.
 MANY = 4
 #: An interval larger than this (rad) is taken for the whole circle.
@@ -292,17 +296,21 @@ def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
     weak = weak_moves(triangle, components(solver.names), DOUBTFUL)
     if not weak:
         return []
-    value, vector = weak[-1]
-    direction = _direction(solver, found, value, vector)
+    direction = _direction(solver, found, *weak[-1])
     far = np.clip(DOUBT_SIGMAS * direction.sigma, *DOUBT_RAD) * _radian(solver, found)
+    number = _walked_on(solver)
+    here = view if number == solver.finest else solver.glance(found.unit, number)
+    # (The same move, in that level's units.)
+    vector = weak[-1][1]
+    moved = vector * np.asarray(view.unit, float) / np.asarray(here.unit, float)
+    shows = float(np.sum((np.asarray(here.triangle, float) @ moved) ** 2))
     for part in (far, -far, far / 2, -far / 2):
-        there = solver.step(found.unit, solver.finest, part * vector)
-        other = solver.glance(there)
+        other = solver.glance(solver.step(found.unit, solver.finest, part * vector), number)
         beside = np.asarray(other.triangle, float)
         if not np.all(np.isfinite(beside)):
             continue
-        rise = (other.squares - view.squares) / (value * part) ** 2
-        steeper = float(np.asarray(other.along) @ beside @ vector) / (value**2 * part)
+        rise = (other.squares - here.squares) / (shows * part**2)
+        steeper = float(np.asarray(other.along) @ beside @ moved) / (shows * part)
         blind = weak_moves(beside, components(solver.names))
         if blind or not RISE[0] < rise < RISE[1] or steeper > STEEPER:
             return [direction]
@@ -330,7 +338,8 @@ def _along(solver: Solver, best: Found, direction: _Direction) -> list[Found]:
 def _strides(solver: Solver, best: Found, direction: _Direction, far: list[float]) -> list[Found]:
     """Return where descents lead to from so far (rad) along a direction."""
     starts = (solver.step(best.unit, solver.finest, x * direction.move) for x in far)
-    return _finite(_descended(solver, start) for start in starts)
+    walk = _Walk.of(solver, best)
+    return _finite(p for start in starts if (p := walk.led_to(start)) is not None)
 
 
 def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
@@ -348,15 +357,16 @@ def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
     for turn in 2 * np.pi * np.arange(1, count) / count:
         rotation = _rotation(turn * line.axis)
         cameras.append(_rotated(best.unit, rotation, line.centre - rotation @ line.centre))
-    surplus = _glances(solver, cameras)
+    surplus = _glances(solver, cameras, _walked_on(solver))
     lower = (surplus <= np.roll(surplus, 1)) & (surplus <= np.roll(surplus, -1))
     lower[0] = False
-    places, worse = [], 0
+    places, worse, walk = [], 0, _Walk.of(solver, best)
     # (The golden ratio: where many are as good as one another, some all round.)
     order = np.lexsort((np.arange(count) * 0.618034 % 1, surplus))
     for k in order[lower[order]][:MOST]:
-        places.append(_descended(solver, cameras[k]))
-        worse += not equal_views(solver, places[-1].view, best.view, WALK_TIMES)
+        place = walk.led_to(cameras[k])
+        places += [] if place is None else [place]
+        worse += place is None or not equal_views(solver, place.view, best.view, WALK_TIMES)
         if worse == LIKELY:
             break
     places = _finite(places)
@@ -364,16 +374,72 @@ def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
     return places
 
 
+class _Walk(NamedTuple):
+    """Descents from far away from the best camera: on a level where steps lead far, and from what
+    is another place there, and perhaps as good, on the finest one. `here` is the best on that
+    level, `worse` what squares there are too many, `known` where others came to."""
+
+    solver: Solver
+    number: int
+    here: View
+    worse: float
+    known: list[Camera]
+
+    @classmethod
+    def of(cls, solver: Solver, best: Found) -> "_Walk":
+        number = _walked_on(solver)
+        if number == solver.finest:
+            return cls(solver, number, best.view, np.inf, [])
+        here = solver.glance(best.unit, number)
+        worse = here.squares + FAR_TIMES * WALK_TIMES * _variance_on(solver, best, number, here)
+        return cls(solver, number, here, worse, [best.unit])
+
+    def led_to(self, start: Camera) -> Found | None:
+        """Return where a descent leads to, None where it is worse or known."""
+        solver, steps = self.solver, min(STEPS, self.solver.max_steps)
+        if self.number == solver.finest:
+            return _descended(solver, start)
+        found = solver.descended(start, steps, self.number)
+        if not found.view.squares <= self.worse:
+            return None
+        if any(separation(solver, found.unit, other) < RETURNED for other in self.known):
+            return None
+        self.known.append(found.unit)
+        return _descended(solver, found.unit)
+
+
+def _walked_on(solver: Solver) -> int:
+    """Return the number of the level that walks are on: an exact mask tells facets apart that
+    coarser ones do not show."""
+    return solver.finest if solver.kind.exact else solver.far
+
+
+def _variance_on(solver: Solver, best: Found, number: int, view: View) -> float:
+    """Return what `Solver.variance` is on a coarser level, where the best camera has a view: means
+    of pixels along an edge err by less."""
+    errors, touched = solver.errors(best.view), max(float(view.sums.touched), 1.0)
+    if errors is not None and is_drawn(errors):
+        return view.squares / errors.independent
+    finest, level = solver.levels[solver.finest], solver.levels[number]
+    least = solver.kind.variance * (float(level.scale) / float(finest.scale)) ** 3
+    independent = errors.independent if errors is not None else touched
+    return max(view.touched_misfit, least) * max(touched / independent, 1.0)
+
+
 def _alike(solver: Solver, best: Found) -> list[Found]:
     """Return where descents lead to from the likeliest cameras that see the facets alike."""
     cameras = [_rotated(best.unit, *turn) for turn in solver.turns]
-    surplus = _glances(solver, cameras)
+    surplus = _glances(solver, cameras, solver.finest)
     nearest = [cameras[k] for k in np.argsort(surplus)[:FEW] if np.isfinite(surplus[k])]
     return _finite(_descended(solver, camera) for camera in nearest)
 
 
-def _glances(solver: Solver, cameras: list[Camera]) -> np.ndarray:
-    return np.array([_surplus(solver, solver.glance(camera)) for camera in cameras])
+def _glances(solver: Solver, cameras: list[Camera], number: int) -> np.ndarray:
+    """Return how badly cameras explain the mask, on a level."""
+    views = [solver.glance(camera, number) for camera in cameras]
+    if number == solver.finest:
+        return np.array([_surplus(solver, view) for view in views])
+    return np.array([view.squares if np.isfinite(view.squares) else np.inf for view in views])
 
 
 def _descended(solver: Solver, camera: Camera) -> Found:

@@ -88,8 +88,20 @@ class View(NamedTuple):
 
 def move(unit: Camera, problem: Problem, level: Level, names: tuple[str, ...]) -> Move:
     """Return where moves of a camera start, in the solver's units."""
-    one_px = units(unit, problem.pivot, problem.radius, level.scale, names)
-    return Move(unit, problem.pivot, UNIT_PX * one_px, problem.bounds)
+    about = problem.pivot, problem.radius, problem.bounds
+    return move_about(unit, *about, level.scale, names)
+
+
+def move_about(
+    unit: Camera,
+    pivot: Float[Array, "3"],
+    radius: Float[Array, ""],
+    bounds: Bounds | None,
+    scale: Any,
+    names: tuple[str, ...],
+) -> Move:
+    """Return `move`'s from what it takes of a problem, and a level's scale."""
+    return Move(unit, pivot, UNIT_PX * units(unit, pivot, radius, scale, names), bounds)
 
 
 def like_descended(unit: Camera, level: Level) -> tuple[Camera, Any, Any, View]:

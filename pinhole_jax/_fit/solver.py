@@ -26,7 +26,15 @@ from .kinds import Kind, kind_of
 from .moves import Bounds, Move, moved
 from .outline_errors import OutlineErrors, is_drawn, outline_errors
 from .priors import Others, Prior, no_others
-from .problem import COARSE_PX, FINE_PX, Problem, View, like_descended, move as move_of
+from .problem import (
+    COARSE_PX,
+    FINE_PX,
+    Problem,
+    View,
+    like_descended,
+    move as move_of,
+    move_about,
+)
 from .pyramid import LEAST_CELLS, Level, Pyramid, pyramid
 from .residuals import Capacity
 from .revolution import Revolution, revolutions, some_of
@@ -45,6 +53,10 @@ OFF_TIMES = 3.0
 CONTINUED_PX = 5e-3
 #: Pyramids of more cells than this (200 MB in float32) are not kept.
 KEPT_CELLS = 2**23
+#: Where there are finer levels, a fit looks for what is far away on this one, where the object has
+#: 128 to 256 px. A residual tells of an outline that is a pixel away at most: of 12 degrees ten
+#: steps took 10 to 12 back on this level, 1.5 on one where the object had 1500 px.
+FAR_LEVEL = 3
 #: Named, since optimistix takes a third of this package's import.
 DESCENDED = "pinhole_jax._fit.levenberg_marquardt:descended"
 
@@ -194,6 +206,13 @@ class Solver:
     def target(self) -> np.ndarray:
         """Return the mask (H, W) that is fitted."""
         return self._target
+
+    @property
+    def far(self) -> int:
+        """Return the number of the level on which what is far away is looked for: the finest where
+        a prior or other views count, whose residuals are weighed against that level's."""
+        alone = self._prior is None and self._others is None
+        return min(FAR_LEVEL, self.finest) if alone else self.finest
 
     @cached_property
     def points(self) -> np.ndarray:
@@ -350,9 +369,9 @@ class Solver:
 
     def step(self, unit: Camera, level: int, y: np.ndarray) -> Camera:
         """Return the camera moved by y (n,) in the solver's units."""
-        problem = eqx.tree_at(lambda p: (p.scene, p.pyramid), self.problem, (None, None))
+        about = self.problem.pivot, self.problem.radius, self.problem.bounds
         y = np.asarray(y, self.dtype)
-        return _step(unit, problem, self.levels[level], y, self.names)
+        return _step(unit, about, self.levels[level].scale, y, self.names)
 
     def solve(
         self,
@@ -397,20 +416,25 @@ class Solver:
                 return Found(unit, view, tuple(taken), tuple(way), taken[-1] < most)
             # The view outgrew its buffers or window on the way: go on from there with larger ones.
 
-    def glance(self, unit: Camera) -> View:
-        """Return the view on the last level in buffers as they are: NaN where these are too
-        small."""
+    def glance(self, unit: Camera, number: int = -1) -> View:
+        """Return the view on a level (the last), whose overlaps are resolved, in buffers as they
+        are: NaN where these are too small."""
         self._widen(unit)
-        return self._further(unit, self.levels[-1], 0.0, 1, self.capacity)[-1]
+        return self._further(unit, self._resolved(number), 0.0, 1, self.capacity)[-1]
 
-    def descended(self, unit: Camera, steps: int) -> Found:
-        """Return what some steps on the finest level lead to, in buffers as they are: NaN where
-        these do not suffice. It has no way, and its view is differentiated by moves of the
-        beginning: what is to be reported is to be looked at."""
+    def descended(self, unit: Camera, steps: int, number: int = -1) -> Found:
+        """Return what some steps on a level (the last), whose overlaps are resolved, lead to, in
+        buffers as they are: NaN where these do not suffice. It has no way, and its view is
+        differentiated by moves of the beginning: what is to be reported is to be looked at."""
         self._widen(unit)
-        px = FINE_PX[self.dtype]
-        unit, n, _, view = self._further(unit, self.levels[-1], px, steps, self.capacity)
+        px = FINE_PX[self.dtype] if number in (-1, self.finest) else COARSE_PX
+        unit, n, _, view = self._further(unit, self._resolved(number), px, steps, self.capacity)
         return Found(unit, view, (int(n),), ended=int(n) < steps)
+
+    def _resolved(self, number: int) -> Level:
+        """Return a level on which pixels show the union's coverage, as on the finest: so it is not
+        biased."""
+        return self.levels[number]._replace(resolved=np.array(True))
 
     @collector_at_rest()
     def _further(self, unit: Camera, level: Level, px: float, steps: int, capacity: Capacity):
@@ -439,9 +463,9 @@ def on_film_plane(unit: Camera, points: np.ndarray) -> np.ndarray:
 
 
 @eqx.filter_jit
-def _step(unit: Camera, problem: Problem, level: Level, y: Any, names) -> Camera:
-    """Return the camera moved by y in the solver's units."""
-    return moved(move_of(unit, problem, level, names), y, names)
+def _step(unit: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, y: Any, names) -> Camera:
+    """Return the camera moved by y in the solver's units, about a pivot with a radius."""
+    return moved(move_about(unit, *about, scale, names), y, names)
 
 
 def _mesh_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:

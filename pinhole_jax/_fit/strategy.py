@@ -226,8 +226,8 @@ def looked_alike(solver: Solver, found: Found, others: list[Found]) -> Places:
 def finished(solver: Solver, views: Iterable[Camera]) -> list[Found]:
     """Return where views that are nearly right lead to on the last levels, but for those that the
     first of these shows to be far worse than the best. (Coarser ones do not tell a tilt from its
-    mirror image.)"""
-    coarse, *fine = range(max(solver.finest - 1, 0), len(solver.levels))
+    mirror image, and finer ones do not lead far.)"""
+    coarse, *fine = range(max(solver.far - 1, 0), len(solver.levels))
     begun = _finite([solver.solve(view, [coarse], steps=FIRST_STEPS) for view in views])
     further = lambda f: f if f.ended else onward(f, solver.solve(f.unit, [coarse]))
     found = _likely([further(f) for f in _likely(begun, HOPELESS_AT_FIRST)])
