@@ -20,6 +20,15 @@ from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, Spheres, astype, check_view
 from .boundary import pulled, pushed
 from .coverage import Pieces, monotone
+from .covered import (
+    LEAST_FACES,
+    LEAST_SPHERES,
+    Convex,
+    faces_of,
+    spheres_of,
+    surely_covered,
+    worth,
+)
 from .curve_sets import Found, edge_curves, find, joined, outline_curves
 from .curves import piece_flux
 from .marks import Marks, drops, marks, overlaps, turns
@@ -77,7 +86,8 @@ def _silhouette(camera: Camera, scene: Scene, overlaps: bool) -> Float[Array, "H
         return jnp.zeros((camera.H, camera.W), camera.e.dtype)
     vertices = None if found.contour is None or scene.mesh is None else scene.mesh.vertices
     alone = found.contour is None and spheres is not None and spheres.radii.shape[0] == 1
-    still = _Still(found, surrounding(film, scene), () if overlaps and not alone else None)
+    faces = None if vertices is None or scene.mesh is None else scene.mesh.faces
+    still = _Still(found, surrounding(film, scene), faces, () if overlaps and not alone else None)
     return _image(_Moving(film, vertices, spheres), still)
 
 
@@ -90,13 +100,14 @@ class _Moving(NamedTuple):
 
 
 class _Still(NamedTuple):
-    """What cannot: which edges are contour, and the number of layers left of the film.
+    """What cannot: which edges are contour, the number of layers left of the film, the faces.
 
     `overlap` is None (and not an empty tuple: both have no leaves) if contours never overlap.
     """
 
     found: Found
     base: Int[Array, ""]
+    faces: Int[Array, "F 3"] | None
     overlap: tuple[()] | None
 
 
@@ -125,6 +136,17 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
         Part(s.curves, s.lifts, s.total, min(CURVES_AT_A_TIME, s.most or CURVES_AT_A_TIME), s.most)
         for s in sets
     ]
+
+
+def _things(moving: _Moving, still: _Still) -> list[Convex]:
+    """Return what may cover many pixels, if the scene is large."""
+    film, vertices, spheres = jax.lax.stop_gradient(moving)
+    kinds = []
+    if vertices is not None and still.faces is not None and len(still.faces) >= LEAST_FACES:
+        kinds.append(faces_of(film, vertices, still.faces))
+    if spheres is not None and len(spheres.radii) >= LEAST_SPHERES:
+        kinds.append(spheres_of(film, spheres))
+    return kinds
 
 
 @jax.custom_jvp
@@ -231,6 +253,11 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
             crowded |= (layers > 0) & (jnp.abs(winding - 1) < tie)
         covered = corner - dropped > 0.5
         crowded &= ~covered
+        things = _things(moving, still)
+        if things and film.bend is None:
+            dear = worth(things, winding, layers, crowded)
+            covered |= crowded & surely_covered(film, things, dear)
+            crowded &= ~covered
     alone = ~crowded & ~covered & (winding < 1 + tie)
     kept = [nothing_kept(part) for part in parts if keep and told]
     pixels = _Pixels(alone, select(crowded), layers, kept)

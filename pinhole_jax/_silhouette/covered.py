@@ -1,0 +1,211 @@
+"""Pixels that faces and spheres surely cover: whatever contours lie in them need not be looked at.
+
+Where contours are crowded things are stacked, and nearly every such pixel is covered by one of them
+alone, or by one from its left side and one from its right. A face or a sphere that lies before the
+eye is convex on the film: what it covers of a row of the film between two lines is what both lines
+have in common. So each adds an interval to each row that it crosses: the pixels that it covers from
+side to side are counted; of others it is remembered how far they are covered from either side.
+
+Nothing is called covered that is not: rows and intervals are larger than what is asked for by what
+rounding may move an outline.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from .._camera.film import FilmMap, film_points
+from .._numerics.bitset import count_upto
+from .._numerics.running import running_sum
+from .._numerics.safe import norm, safe_divide, safe_sqrt
+from .._scene.scene import Spheres
+from .curves import film_at, unit_at
+from .spheres import ARCS_PER_SPHERE, sphere_frames
+
+#: Things, and rows of them, looked at together.
+THINGS, ROWS = 1024, 4096
+#: Into how many rows a pixel is cut, if there are no more of all pixels than this.
+FINE, ROOM = 4, 1 << 19
+#: Roundings that outlines may be off by, and how far off the film (in its sizes) things may reach.
+SLACK, REACH = 64, 2
+#: Fewer pieces than this in all crowded pixels are not worth it, nor fewer than one for so many
+#: things, nor where fewer layers than this lie one behind the other (the mean).
+LEAST_LAYERS, THINGS_A_LAYER, DEEP = 2048, 5, 1.5
+#: Scenes of fewer never hold so many layers that it is worth what is compiled for it.
+LEAST_FACES, LEAST_SPHERES = 1 << 13, 1 << 10
+#: Counts are exact in every float type up to here.
+MOST_THINGS = 1 << 23
+
+
+class Convex(NamedTuple):
+    """Things that are convex on the film, `number` of them, all before the eye or not at all.
+
+    `outline(ids)` holds what their chords are worked out from, after the lowest and highest y;
+    `chords(outline, y)` where lines at two heights meet each, from and to.
+    """
+
+    number: int
+    outline: Callable[[Int[Array, "K"]], Float[Array, "K n"]]
+    chords: Callable[[Float[Array, "K n"], Float[Array, "K 2"]], tuple[Array, Array]]
+
+
+def faces_of(film: FilmMap, vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Convex:
+    """Return a mesh's faces, from whichever side they are seen."""
+
+    def outline(ids):
+        points = film_points(film, vertices[faces[ids]])
+        xy, z = points[..., :2], points[..., 2]
+        xy = safe_divide(xy, z[..., None])
+        far = jnp.max(jnp.abs(xy), axis=(1, 2)) < REACH * (film.W + film.H)
+        there = jnp.all(z > 0, axis=1) & far
+        y = xy[..., 1]
+        high = jnp.where(there, jnp.max(y, axis=1), -1)
+        columns = jnp.min(y, axis=1), high, *(xy[:, k, i] for i in (0, 1) for k in range(3))
+        return jnp.stack(columns, axis=1)
+
+    return Convex(faces.shape[0], outline, _face_chords)
+
+
+def _face_chords(outline: Float[Array, "K 8"], y: Float[Array, "K 2"]) -> tuple[Array, Array]:
+    first, last = jnp.full_like(y, jnp.inf), jnp.full_like(y, -jnp.inf)
+    for k, m in ((0, 1), (1, 2), (2, 0)):
+        x0, x1, y0, y1 = (outline[:, c, None] for c in (2 + k, 2 + m, 5 + k, 5 + m))
+        crosses = (jnp.minimum(y0, y1) <= y) & (y <= jnp.maximum(y0, y1))
+        x = x0 + jnp.clip(safe_divide(y - y0, y1 - y0), 0, 1) * (x1 - x0)
+        first = jnp.where(crosses, jnp.minimum(first, x), first)
+        last = jnp.where(crosses, jnp.maximum(last, x), last)
+    return first, last
+
+
+def spheres_of(film: FilmMap, spheres: Spheres) -> Convex:
+    """Return spheres; those that reach through the plane of the eye are left out."""
+
+    def outline(ids):
+        frame = sphere_frames(film, spheres, ARCS_PER_SPHERE * ids)
+        z, y = frame[..., 2], frame[..., 1]
+        outside = norm(spheres.centers[ids] - film.eye[None]) > spheres.radii[ids]
+        square = z[:, 0] * z[:, 0] - z[:, 1] * z[:, 1] - z[:, 2] * z[:, 2]
+        there = outside & (z[:, 0] > 0) & (square > 0.01 * z[:, 0] * z[:, 0])
+        # Where lines touch the conic, from a height within it: nothing cancels.
+        middle = safe_divide(y[:, 0], z[:, 0])
+        y = y[:, 1:] - middle[:, None] * z[:, 1:]
+        along = -jnp.sum(y * z[:, 1:], axis=1)
+        half = safe_sqrt(along * along + square * jnp.sum(y * y, axis=1))
+        low, high = (middle + safe_divide(along + s * half, square) for s in (-1, 1))
+        high = jnp.where(there, high, -1)
+        return jnp.concatenate([low[:, None], high[:, None], frame.reshape(-1, 9)], axis=1)
+
+    return Convex(spheres.radii.shape[0], outline, _sphere_chords)
+
+
+def _sphere_chords(outline: Float[Array, "K 11"], y: Float[Array, "K 2"]) -> tuple[Array, Array]:
+    frame = jnp.repeat(outline[:, 2:].reshape(-1, 1, 3, 3), 2, axis=1)
+    ends = [film_at(frame, unit_at(frame, 1, y, jnp.full_like(y, s)))[..., 0] for s in (-1, 1)]
+    return jnp.minimum(*ends), jnp.maximum(*ends)
+
+
+class _Rows(NamedTuple):
+    """Of each row, column by column: how many more things cover the pixel from side to side than
+    the one before (`more`), and how far it is covered from its left side and from its right."""
+
+    more: Float[Array, "N"]
+    sides: Float[Array, "2N"]
+
+
+def surely_covered(
+    film: FilmMap, things: list[Convex], worth: Bool[Array, ""]
+) -> Bool[Array, "HW"]:
+    """Return pixels, from the bottom row up, that things cover wholly; none if it is not `worth`
+    it."""
+    fine = max(min(FINE, ROOM // (film.W * film.H)), 1)
+    H, W, dtype = film.H * fine, film.W, film.eye.dtype
+    none = jnp.zeros(film.H * W, bool)
+    things = [x for x in things if x.number < MOST_THINGS]
+    if film.bend is not None or not things:
+        return none  # what is seen through a lens that bends is not convex
+
+    def some():
+        N = H * (W + 1)
+        rows = _Rows(jnp.zeros(N, dtype), jnp.zeros(2 * N, dtype))
+        for kind in things:
+            rows = _drawn(film, kind, H, fine, rows, worth)
+        shaped = lambda x: x.reshape(-1, H, W + 1)[..., :W]
+        whole = running_sum(shaped(rows.more)[0]) > 0.5
+        left, right = shaped(rows.sides)
+        return jnp.all((whole | (left + right >= 1)).reshape(film.H, fine, W), axis=1).reshape(-1)
+
+    return jax.lax.cond(worth, some, lambda: none)
+
+
+def _slack(film: FilmMap) -> Float[Array, ""]:
+    """Return by how many px rounding may move what is seen in the film or near it."""
+    size = film.W + film.H + jnp.max(jnp.abs(film.matrix))
+    return SLACK * jnp.finfo(film.eye.dtype).eps * size
+
+
+def _drawn(
+    film: FilmMap, kind: Convex, H: int, fine: int, rows: _Rows, worth: Bool[Array, ""]
+) -> _Rows:
+    """Return the rows with all things of a kind."""
+    slack, dtype = _slack(film), film.eye.dtype
+
+    def chunk(state):
+        begin, rows = state
+        ids = begin + jnp.arange(THINGS, dtype=jnp.int32)
+        outline = kind.outline(jnp.minimum(ids, kind.number - 1))
+        inside = lambda y: jnp.clip(y, 0, H).astype(jnp.int32)
+        first = inside(jnp.ceil((outline[:, 0] + slack) * fine))
+        after = inside(jnp.floor((outline[:, 1] - slack) * fine))
+        upto = running_sum(jnp.where(ids < kind.number, jnp.maximum(after - first, 0), 0))
+        before = upto - jnp.maximum(after - first, 0)
+        table = jax.lax.optimization_barrier(outline)
+
+        def some(state):
+            begin, rows = state
+            slot = begin + jnp.arange(ROWS, dtype=jnp.int32)
+            own = jnp.minimum(count_upto(upto, slot), THINGS - 1)
+            row = jnp.where(slot < upto[-1], first[own] + slot - before[own], H)
+            low = row.astype(dtype) / fine - slack
+            y = jnp.stack([low, low + 1 / fine + 2 * slack], axis=1)
+            left, right = kind.chords(table[own], y)
+            left = jnp.clip(jnp.max(left, axis=1) + slack, 0, film.W)
+            right = jnp.clip(jnp.min(right, axis=1) - slack, 0, film.W)
+            return begin + ROWS, _with_intervals(rows, row, left, right, film.W)
+
+        rows = jax.lax.while_loop(lambda s: s[0] < upto[-1], some, (jnp.int32(0), rows))[1]
+        return begin + THINGS, rows
+
+    number = jnp.where(worth, kind.number, 0)
+    return jax.lax.while_loop(lambda s: s[0] < number, chunk, (jnp.int32(0), rows))[1]
+
+
+def _with_intervals(rows: _Rows, row: Array, left: Array, right: Array, W: int) -> _Rows:
+    """Return the rows with more intervals; rows past the end are dropped."""
+    N, (ceil, floor) = rows.more.shape[0], (jnp.ceil, jnp.floor)
+    at = lambda x, which: jnp.where(which, row * (W + 1) + x.astype(jnp.int32), 2 * N)
+    one = jnp.ones_like(left)
+    wide, across = ceil(left) < floor(right), floor(left) < floor(right)
+    more = rows.more.at[jnp.concatenate([at(ceil(left), wide), at(floor(right), wide)])]
+    own = at(floor(left), across), at(floor(right), across)
+    own = jnp.concatenate([own[0], jnp.where(own[1] < N, own[1] + N, 2 * N)])
+    reach = jnp.concatenate([1 - (left - floor(left)), right - floor(right)])
+    return _Rows(
+        more.add(jnp.concatenate([one, -one]), mode="drop"),
+        rows.sides.at[own].max(reach, mode="drop"),
+    )
+
+
+def worth(
+    things: list[Convex],
+    winding: Float[Array, "N"],
+    layers: Float[Array, "N"],
+    crowded: Bool[Array, "N"],
+) -> Bool[Array, ""]:
+    """Return whether crowded pixels hold so many layers, one behind the other, that it takes less
+    to look for what is covered: where a surface is rough but not folded, no face covers much."""
+    number = sum(x.number for x in things)
+    sums = [jnp.sum(jnp.where(crowded, x, 0)) for x in (layers, winding - DEEP)]
+    return (sums[0] > max(LEAST_LAYERS, number / THINGS_A_LAYER)) & (sums[1] > 0)
