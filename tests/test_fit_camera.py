@@ -147,11 +147,11 @@ def test_mesh_and_spheres_together(scene):
 
 @pytest.mark.usefixtures("optimised")
 @pytest.mark.long
-def test_covariance_is_that_of_refits_under_noise(scene, exhaustive):
+def test_covariance_is_that_of_refits_under_noise(scene):
     random = np.random.default_rng(0)
     image, start = mask_of(CAMERA, scene), turned(CAMERA, [1, 2, 3], 1)
     errors, spread = [], []
-    for _ in range(40 if exhaustive else 16):
+    for _ in range(40):
         noisy = np.clip(image + 0.004 * random.normal(size=image.shape), 0, 1)
         # Inside and outside noise is clipped, and tells nothing of its size.
         noisy = np.where((image > 0) & (image < 1), noisy, image)
