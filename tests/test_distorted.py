@@ -70,10 +70,11 @@ def test_sheets_on_the_pixel_grid():
     """Sides through the principal point stay on the grid, others bend; two sheets are copies."""
     for seed in range(6):
         (vertices, faces), _ = test_grid.sheets(np.random.default_rng(seed), "quarters")
-        view, mesh = test_grid.camera(seed % 4), pj.Mesh(vertices, faces)
+        view = test_grid.camera(seed % 4)
         view = eqx.tree_at(lambda c: c.lens, view, pj.Lens([20, 16], 1.0, pj.BrownConrady(-0.2)))
-        image = silhouette(view, pj.Scene(mesh=mesh))
-        np.testing.assert_allclose(image, dense(view, mesh, 200), atol=1.5e-3)
+        image = silhouette(view, test_grid.scene_of(vertices, faces))
+        expected = dense(view, pj.Mesh(vertices, faces), 200)
+        np.testing.assert_allclose(image, expected, atol=1.5e-3)
 
 
 def test_a_scene_through_the_plane_of_the_eye():

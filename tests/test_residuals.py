@@ -73,7 +73,7 @@ def pixels_kept(unit, scene, level) -> np.ndarray:
     first(
         0,
         [
-            ((0, 0, 0), False, 30, 0.6, None),
+            ((0, 0, 0), False, 150, 0.6, None),  # (as wide as the fifth: one program)
             ((1.7, 0, 0), False, 30, 0.6, None),
             ((-1.7, 0, 0), True, 30, 0.6, None),
             ((0, 1.3, 0), True, 30, 0.6, None),

@@ -167,7 +167,7 @@ def test_a_box_is_seen_in_four_ways():
     assert min(degrees(f, truth) for f in views) < 1e-4
     for f in views:
         assert f.rms < 1e-6
-        np.testing.assert_allclose(pj.silhouette(f.camera, scene), mask_of(truth, scene), atol=1e-4)
+        np.testing.assert_allclose(mask_of(f.camera, scene), mask_of(truth, scene), atol=1e-4)
     near = turned(truth, [1, 2, 3], 20)
     assert degrees(pj.fit_camera(scene, mask_of(truth, scene), near), truth) < 1e-4
 

@@ -11,6 +11,7 @@ from oracles import area_per_pixel, mesh_coverage, random_camera, sphere_union
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
+from pinhole_jax._scene.scene import padded
 
 W, H = 40, 32
 
@@ -18,6 +19,11 @@ W, H = 40, 32
 def box(low, high):
     mesh = trimesh.creation.box(bounds=[low, high])
     return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+def filled(vertices, faces):
+    """Return the scene with its arrays filled up, so that small meshes share a program."""
+    return padded(pj.Scene(mesh=pj.Mesh(vertices, faces)))
 
 
 def bumpy(seed=0):
@@ -73,7 +79,7 @@ def test_edges_along_pixel_rows_and_corners():
     # (20 +- 8, 16 +- 8) px exactly.
     vertices, faces = box([-2.5, -2.5, -4], [2.5, 2.5, 0])
     camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], np.pi / 2, W=W, H=H)
-    image = np.asarray(pj.silhouette(camera, pj.Scene(mesh=pj.Mesh(vertices, faces))))
+    image = np.asarray(pj.silhouette(camera, filled(vertices, faces)))
     expected = np.zeros((H, W))
     expected[8:24, 12:28] = 1
     np.testing.assert_allclose(image, expected, atol=1e-12)
@@ -83,10 +89,10 @@ def test_edges_along_pixel_rows_and_corners():
 def test_a_hole_is_not_covered():
     torus = trimesh.creation.torus(1.0, 0.3, 32, 12)
     camera = pj.Camera([0, 0.5, 5], [0, 0, 0], [0, 1, 0], 0.6, W=W, H=H)
-    mesh = pj.Mesh(torus.vertices, torus.faces)
     expected = mesh_coverage(camera, torus.vertices, torus.faces)
     assert expected[H // 2, W // 2] == 0
-    np.testing.assert_allclose(pj.silhouette(camera, pj.Scene(mesh=mesh)), expected, atol=1e-9)
+    scene = filled(torus.vertices, torus.faces)
+    np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-9)
 
 
 SPHERES = {
