@@ -10,9 +10,12 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
+from pinhole_jax._fit.mask import Mask
 from pinhole_jax._fit.moves import canonical
 from pinhole_jax._fit.outline_errors import is_drawn, outline_errors
+from pinhole_jax._fit.places import Free, Places
 from pinhole_jax._fit.solver import Solver
+from pinhole_jax._fit.strategy import with_errors
 from pinhole_jax._fit.stretches import area_between, stretches_of
 from pinhole_jax._fit.target import levelled
 
@@ -99,6 +102,20 @@ def test_single_pixels_tell_a_drawn_mask_whose_stretches_err_by_no_more_than_one
     one = seen(scene, image > 0.5)
     assert outline_errors(*one, 1 / 12, True).computed == 1
     assert stretches_of(*one).beyond == 0
+
+
+def test_what_a_walk_finds_free_widens_the_interval_of_a_drawn_mask(scene, image):
+    mask = wavy(image, np.random.default_rng(0), 1.0, 10.0, 0.3)
+    solver, weights = solver_of(scene, mask), np.ones(mask.shape)
+    found = solver.solve(canonical(single(CAMERA)), [solver.finest])
+    assert is_drawn(solver.errors(found.view))
+    axis = np.array([0.0, 1.0, 0.0])
+    walked = Free(np.zeros(6), 0.3, 0.8, axis)
+    given = solver, Mask(mask, weights, single(CAMERA)), found
+    without, with_walk = (
+        with_errors(*given, Places(found, [], free), None) for free in ([], [walked])
+    )
+    assert [f.ahead for f in with_walk] == [0.8, *(f.ahead for f in without)]
 
 
 def test_a_computed_soft_mask_is_asked_nothing(scene, image):

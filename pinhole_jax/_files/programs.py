@@ -41,9 +41,22 @@ SWITCHES = (
 WATCHED = ("jax_debug_nans", "jax_debug_infs", "jax_disable_jit", "jax_default_device")
 #: At most so many programs are held.
 HELD = 64
+#: Passes of XLA's that take a twelfth of a compilation and gain nothing here: a check of its own
+#: work, and what tidies loops that need it not.
+LEFT_OUT = (
+    "hlo-verifier",
+    "reshape-mover",
+    "simplify-sorts",
+    "simplify-while-loops",
+    "while-loop-constant-sinking",
+    "while-loop-invariant-code-motion",
+)
 #: XLA's older way to write kernels for a CPU: it takes a third less of a first fit's time, and what
 #: it makes runs 1.3 to 1.6 times as long.
-QUICK = {"xla_cpu_use_fusion_emitters": False}
+QUICK: dict[str, str | bool] = {
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_disable_hlo_passes": ",".join(LEFT_OUT),
+}
 
 _folder: Path | None = None
 _code: str | None = None

@@ -394,8 +394,8 @@ def unlikely(
 def with_errors(
     solver: Solver, mask: Mask, found: Found, places: Places, reach: float | None
 ) -> list[Free]:
-    """Return what is free about a camera: of a drawn mask what is not visible at all, and how far
-    its errors leave what shows least, pixels farther than `reach` (px) from its edge left out."""
+    """Return what is free about a camera: of a drawn mask, too, how far its errors leave what shows
+    least, pixels farther than `reach` (px) from its edge left out."""
     free = places.free
     if separation(solver, found.unit, places.best.unit) > ELSEWHERE:
         free = settled(solver, found).free  # it was a rival
@@ -406,7 +406,8 @@ def with_errors(
     left = interval(solver, found)
     if reach is not None:
         solver.weigh(mask.weight)
-    return [*(f for f in free if np.isinf(f.ahead)), *left]
+    # (Facets make minima along a turn, and a profile sees but the one that it begins in.)
+    return [*free, *left]
 
 
 def _finite(found: list[Found]) -> list[Found]:
