@@ -4,13 +4,15 @@
 
 The KUKA LBR Med7 of `../shared/data/robots`: five postures before a stereo camera. Each eye is
 fitted by itself: that both are 120.09 mm apart, and parallel, no fit knows. Then halves of the
-postures, and the peers' answers. The picture has the recovered outlines on the photos.
+postures, all of it once more with the photos, and the peers' answers. The picture has the recovered
+outlines on the photos, above the peers'.
 """
 
 import json
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from _common import folder
@@ -55,8 +57,13 @@ def main() -> None:
         sys.exit(f"no robot at {DATA}")
     pj.cache()
     table: dict = {}
-    fits = {}
+    fits, refined = {}, {}
     unknown = pj.formats.from_opencv(K, np.eye(3), np.zeros(3), 960, 540, pixel_centres="integer")
+    answers = json.loads((DATA / "peer_answers.json").read_text())
+    peers = {
+        side: at_pose(unknown, np.array(answers[f"HT_{side}_dr"]) @ OPTICAL)
+        for side in ("left", "right")
+    }
     for side in ("left", "right"):
         seen = views(side)
         begin = time.perf_counter()
@@ -76,26 +83,46 @@ def main() -> None:
             "excess": found.excess,
             "IoU": [view.iou for view in found.views],
             "from a start": apart(fit, again.cameras["camera"]),
-            "halves": [
-                apart(
-                    *(
-                        pj.fit_joint([seen[k] for k in half], found.camera).cameras["camera"]
-                        for half in pair
-                    )
-                )
-                for pair in HALVES
-            ],
+            "halves": halves(seen, found.camera),
+            "with the photos": (photos := with_photos(side, seen, found.camera)).row,
         }
+        refined[side] = photos.fit.cameras["camera"]
         print(side, json.dumps(table[side], indent=1), flush=True)
-        draw(out, side, found, seen)
+        draw(out, side, photos.fit, seen, peers[side])
     table["stereo"] = stereo(fits["left"], fits["right"])
-    peers = json.loads((DATA / "peer_answers.json").read_text())
-    left, right = (
-        at_pose(unknown, np.array(peers[f"HT_{side}_dr"]) @ OPTICAL) for side in ("left", "right")
-    )
-    table["the peer's"] = stereo(*(fits["left"]._replace(camera=c) for c in (left, right)))
-    print(json.dumps({k: table[k] for k in ("stereo", "the peer's")}, indent=1))
+    table["stereo, with the photos"] = stereo(refined["left"], refined["right"])
+    theirs = (fits["left"]._replace(camera=peers[side]) for side in ("left", "right"))
+    table["the peer's"] = stereo(*theirs)
+    print(json.dumps({k: table[k] for k in table if k not in fits}, indent=1))
     (out / "robots.json").write_text(json.dumps(table, indent=1))
+
+
+def halves(seen: list[pj.JointView], start: pj.Camera) -> list[dict]:
+    """How far apart the cameras are that halves of the postures lead to."""
+    fit = lambda half: pj.fit_joint([seen[k] for k in half], start).cameras["camera"]
+    return [apart(*map(fit, pair)) for pair in HALVES]
+
+
+class WithPhotos(NamedTuple):
+    """A fit refined on photos, and what the table says of it."""
+
+    fit: pj.JointFit
+    row: dict
+
+
+def with_photos(side: str, seen: list[pj.JointView], start: pj.Camera) -> WithPhotos:
+    photos = [pj.io.load_image(DATA / f"{side}_{k}.jpg") for k in range(len(seen))]
+    views = [v._replace(photo=photo) for v, photo in zip(seen, photos, strict=True)]
+    begin = time.perf_counter()
+    found = pj.fit_joint(views, start)
+    row = {
+        "status": found.status,
+        "seconds": time.perf_counter() - begin,
+        "std": found.cameras["camera"].std.tolist(),
+        "weak": found.weak,
+        "halves": halves(views, found.camera),
+    }
+    return WithPhotos(found, row)
 
 
 def stereo(left: pj.Fit, right: pj.Fit) -> dict:
@@ -111,12 +138,19 @@ def stereo(left: pj.Fit, right: pj.Fit) -> dict:
     }
 
 
-def draw(out: Path, side: str, found: pj.JointFit, seen: list[pj.JointView]) -> None:
-    tiles = []
-    for k, (view, given) in enumerate(zip(found.views, seen, strict=True)):
-        photo = pj.io.load_image(DATA / f"{side}_{k}.jpg")
-        tiles.append(np.asarray(pj.plot.overlay(photo, view.camera, given.scene))[::2, ::2])
-    pj.io.save_image(out / f"robots_{side}.jpg", np.concatenate(tiles[:4:2] + tiles[4:], axis=1))
+def draw(
+    out: Path, side: str, found: pj.JointFit, seen: list[pj.JointView], peer: pj.Camera
+) -> None:
+    """Draw our outlines on three of the photos, and below them the peer's."""
+    rows = []
+    for cameras in ([view.camera for view in found.views], [peer] * len(seen)):
+        tiles = []
+        for k in (0, 2, 4):
+            photo = pj.io.load_image(DATA / f"{side}_{k}.jpg")
+            drawn = np.asarray(pj.plot.overlay(photo, cameras[k], seen[k].scene))
+            tiles.append(drawn[60:, 320:800])
+        rows.append(np.concatenate(tiles, axis=1))
+    pj.io.save_image(out / f"robots_{side}.jpg", np.concatenate(rows))
 
 
 if __name__ == "__main__":

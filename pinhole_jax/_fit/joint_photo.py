@@ -25,6 +25,7 @@ from .photo import (
     ROUGH_PX,
     ROUNDS,
     STEPS,
+    STRANGE_PX,
     Outline,
     judged,
     untold,
@@ -70,21 +71,36 @@ def on_photos(
         weights = counts * before.weights
         state, now, further = _followed(layout, telling, first, begun, weights, px, tell)
         steps += further
-        wrong = {}
-        for k, photo in telling.items():
-            better, words[k] = judged(layout.eyes[k].mask, photo, first[k], now[k])
-            if not better:
-                wrong[k] = now[k].off(now[k].read(photo, layout.eyes[k].mask, ROUNDS[-1]))
-        if not wrong:
+        left = _believed(layout, telling, first, now, words)
+        if len(left) == len(telling):
             problem = problem._replace(layout=layout)
             found = _agreed(problem, state, counts, px)
             steps += (found.descent.steps,)
             break
-        # (Photos of something else pull at the others: these may be right without them.)
-        for k in sorted(wrong, key=wrong.__getitem__)[len(wrong) // 2 :]:
-            del telling[k]
+        telling = left
     said = tuple(f"view {k}: {words[k]}" for k in sorted(words))
     return OnPhotos(problem, found, steps, said)
+
+
+def _believed(
+    layout: Layout,
+    photos: dict[int, np.ndarray],
+    first: dict[int, Outline],
+    now: dict[int, Outline],
+    words: dict[int, str],
+) -> dict[int, np.ndarray]:
+    """Return the photos that are better founded than their masks, or may be without others; say
+    why in `words`."""
+    wrong = {}
+    for k, photo in photos.items():
+        mask = layout.eyes[k].mask
+        better, words[k] = judged(mask, photo, first[k], now[k])
+        if not better:
+            wrong[k] = now[k].off(now[k].read(photo, mask, ROUNDS[-1]))
+    # (Photos of something else pull at the others: these may be right without them.)
+    strange = sorted((k for k in wrong if wrong[k] >= STRANGE_PX), key=wrong.__getitem__)
+    out = strange[len(strange) // 2 :] or wrong
+    return {k: photo for k, photo in photos.items() if k not in out}
 
 
 def _followed(
