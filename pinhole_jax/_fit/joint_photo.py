@@ -33,6 +33,9 @@ from .photo import (
 )
 from .problem import COARSE_PX
 
+#: Beside a photo that tells as much as one alone has to, others tell of the camera where they do so
+#: along this share of the outline: of something else they would not fit the other's camera.
+LEAST_BESIDE = LEAST_TOLD / 2
 #: The first round begins on the level that is so many from the finest (1: that one itself).
 FIRST_DEPTH = 3
 
@@ -61,7 +64,9 @@ def on_photos(
         k: first[k].told(first[k].read(photo, of_masks.eyes[k].mask, ROUNDS[0]))
         for k, photo in photos.items()
     }
-    telling = {k: photos[k] for k, share in told.items() if share >= LEAST_TOLD}
+    alone = max(told.values(), default=0.0) < LEAST_TOLD
+    least = LEAST_TOLD if alone else LEAST_BESIDE
+    telling = {k: photos[k] for k, share in told.items() if share >= least}
     words = {k: untold(share) for k, share in told.items() if k not in telling}
     found, steps = before, ()
     while telling:
@@ -71,7 +76,7 @@ def on_photos(
         weights = counts * before.weights
         state, now, further = _followed(layout, telling, first, begun, weights, px, tell)
         steps += further
-        left = _believed(layout, telling, first, now, words)
+        left = _believed(layout, telling, first, now, least, words)
         if len(left) == len(telling):
             problem = problem._replace(layout=layout)
             found = _agreed(problem, state, counts, px)
@@ -87,6 +92,7 @@ def _believed(
     photos: dict[int, np.ndarray],
     first: dict[int, Outline],
     now: dict[int, Outline],
+    least: float,
     words: dict[int, str],
 ) -> dict[int, np.ndarray]:
     """Return the photos that are better founded than their masks, or may be without others; say
@@ -94,7 +100,7 @@ def _believed(
     wrong = {}
     for k, photo in photos.items():
         mask = layout.eyes[k].mask
-        better, words[k] = judged(mask, photo, first[k], now[k])
+        better, words[k] = judged(mask, photo, first[k], now[k], least)
         if not better:
             wrong[k] = now[k].off(now[k].read(photo, mask, ROUNDS[-1]))
     # (Photos of something else pull at the others: these may be right without them.)

@@ -212,11 +212,14 @@ def whole(mask: Mask, window: Window, read: Matte) -> tuple[np.ndarray, np.ndarr
     return weight, target
 
 
-def judged(mask: Mask, photo: np.ndarray, before: Outline, now: Outline) -> tuple[bool, str]:
-    """Return whether the photo's camera is better founded than the mask's, and a note."""
+def judged(
+    mask: Mask, photo: np.ndarray, before: Outline, now: Outline, least: float = LEAST_TOLD
+) -> tuple[bool, str]:
+    """Return whether the photo's camera is better founded than the mask's, and a note; colours are
+    to tell along the share `least` of the outline."""
     read, first = (x.read(photo, mask, ROUNDS[-1]) for x in (now, before))
     told = now.told(read)
-    if not told >= LEAST_TOLD:
+    if not told >= least:
         return False, untold(told)
     bias, apart = now.of_mask(mask)
     _, of_mask = before.of_mask(mask)
