@@ -9,6 +9,7 @@ have it.
 
 import gc
 import os
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -16,16 +17,10 @@ from pathlib import Path
 import jax
 import pytest
 
-#: XLA's passes that tests do without: none of them changes what a program computes, and together
-#: they take half of what is left of a compilation without optimisation.
-LEFT_OUT = (
-    "hlo-verifier",
-    "reshape-mover",
-    "simplify-sorts",
-    "simplify-while-loops",
-    "while-loop-constant-sinking",
-    "while-loop-invariant-code-motion",
-)
+#: XLA's passes that programs are compiled without. (Read, not imported: jaxtyping is to watch the
+#: package's imports.)
+PASSES = Path(__file__).parents[1] / "pinhole_jax" / "_files" / "passes.py"
+LEFT_OUT = runpy.run_path(str(PASSES))["LEFT_OUT"]
 #: What XLA is told: to write kernels the older way, in one piece (workers fill the cores), and
 #: without those passes.
 QUICKLY = [

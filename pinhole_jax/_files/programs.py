@@ -21,6 +21,7 @@ import jax
 import numpy as np
 from jax import export
 
+from .passes import LEFT_OUT
 from .paths import read_bytes, replace_file
 
 #: What a traced program depends on beside its own code: other people's code, and JAX's switches.
@@ -41,16 +42,6 @@ SWITCHES = (
 WATCHED = ("jax_debug_nans", "jax_debug_infs", "jax_disable_jit", "jax_default_device")
 #: At most so many programs are held.
 HELD = 64
-#: Passes of XLA's that take a twelfth of a compilation and gain nothing here: a check of its own
-#: work, and what tidies loops that need it not.
-LEFT_OUT = (
-    "hlo-verifier",
-    "reshape-mover",
-    "simplify-sorts",
-    "simplify-while-loops",
-    "while-loop-constant-sinking",
-    "while-loop-invariant-code-motion",
-)
 #: XLA's older way to write kernels for a CPU: it takes a third less of a first fit's time, and what
 #: it makes runs 1.3 to 1.6 times as long.
 QUICK: dict[str, str | bool] = {

@@ -13,14 +13,14 @@ Views weighed by their G (Hansen's generalised moments, 1982) were tried in plac
 robot's ten masks the eye moved by 6 mm with where the descent began, and it was no nearer.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from .joint_descent import Layout
+from .joint_descent import Layout, descend
 from .joint_views import Eye
 from .least_squares import Descent, Rows, Solved, solve
 from .outline_errors import OutlineErrors
@@ -162,14 +162,11 @@ class _Sandwich:
 
 
 def agreed(
-    layout: Layout,
-    found: Descent,
-    descend: Callable[[Descent, np.ndarray], Descent],
-    counts: np.ndarray | None = None,
+    layout: Layout, found: Descent, most: int, px: float, counts: np.ndarray | None = None
 ) -> Agreement:
-    """Return how far views agree where their squares are least; `descend` goes there from a descent
-    by the squares of views with weights (V,). Views that agree have the weights `counts` (V,): 1,
-    if None."""
+    """Return how far views agree where the squares of views with weights (V,) are least, from a
+    descent's end on: `most` steps a time, those of `px` are negligible. Views that agree have the
+    weights `counts` (V,): 1, if None."""
     counts = np.ones(len(layout.eyes)) if counts is None else counts
     weights = counts
     for _ in range(ROUNDS):
@@ -178,7 +175,7 @@ def agreed(
         if len(weights) < 3 or np.max(np.abs(np.log(further / weights))) < SETTLED:
             return here
         weights = further
-        found = descend(found, weights)
+        found = descend(layout, found.state, 1, weights, most, px)
     return _at(layout, found, weights, counts)
 
 

@@ -15,7 +15,7 @@ from .among_views import Answer, Begun, asked, told_by_others
 from .fit_camera import check_alone, check_border, check_reach, check_steps, fit_camera
 from .joint_levels import End, Path, depth_of, descended, to_the_end
 from .joint_problem import JointProblem
-from .joint_result import OFF, history
+from .joint_result import OFF, apart_in_words, history
 from .joint_views import JointView, State
 from .moves import canonical
 from .parameters import components, with_lens
@@ -181,7 +181,7 @@ def _report(
     here = Found(eye.unit(descent.state), view, end.path.steps, ended=descent.ended)
     fit = described(here, end.whole[k])
     fit = fit._replace(history=history(end.path, eye, eye.unit, camera))
-    if (off := end.found.off[k]) > OFF and len(end.whole) > 2 and end.found.weights[k] < 1:
-        words = f"mask and outline go {off:.1f} times as far apart as in most views: it counts"
-        fit = fit._replace(weak=(*fit.weak, f"{words} {end.found.weights[k]:.2g}"))
+    off, weight = end.found.off[k], end.found.weights[k]
+    if off > OFF and len(end.whole) > 2 and weight < 1:
+        fit = fit._replace(weak=(*fit.weak, apart_in_words(off, weight)))
     return with_modes(fit, [described(f, f.view.sums) for f in places.others])

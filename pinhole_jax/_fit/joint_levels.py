@@ -110,10 +110,7 @@ def to_the_end(problem: JointProblem, path: Path, tell: Tell, photos: bool = Fal
                 weigh_beliefs(layout, path.descent)
             path = path.then(descended(problem, path.descent.state, tell, [1], last))
 
-    def weighed(before: Descent, weights: np.ndarray) -> Descent:
-        return descend(layout, before.state, 1, weights, problem.max_steps, px)
-
-    found = agreed(layout, path.descent, weighed)
+    found = agreed(layout, path.descent, problem.max_steps, px)
     on = on_photos(problem, found, px, tell) if photos else OnPhotos(problem, found, (), ())
     for eye in inexact:
         eye.solver.weigh(eye.mask.weight)

@@ -16,7 +16,6 @@ from .agreement import Agreement, agreed
 from .joint_descent import Layout, descend
 from .joint_problem import JointProblem
 from .joint_views import Eye, State
-from .least_squares import Descent
 from .photo import (
     COLOURS,
     LAST_STEPS,
@@ -79,7 +78,8 @@ def on_photos(
         left = _believed(layout, telling, first, now, least, words)
         if len(left) == len(telling):
             problem = problem._replace(layout=layout)
-            found = _agreed(problem, state, counts, px)
+            there = descend(layout, state, 1, counts, problem.max_steps, px)
+            found = agreed(layout, there, problem.max_steps, px, counts)
             steps += (found.descent.steps,)
             break
         telling = left
@@ -137,17 +137,6 @@ def _followed(
         now = _outlines(layout, state, photos)
         tell(f"{len(photos)} photos: round {number + 1} of {len(ROUNDS)}")
     return state, now, tuple(steps)
-
-
-def _agreed(problem: JointProblem, state: State, counts: np.ndarray, px: float) -> Agreement:
-    """Return how far views that count so much (V,) agree, from a state on."""
-    layout = problem.layout
-
-    def weighed(there: Descent, weights: np.ndarray) -> Descent:
-        return descend(layout, there.state, 1, weights, problem.max_steps, px)
-
-    begun = descend(layout, state, 1, counts, problem.max_steps, px)
-    return agreed(layout, begun, weighed, counts)
 
 
 def _looking(eye: Eye) -> Eye:

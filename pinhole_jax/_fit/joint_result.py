@@ -421,6 +421,13 @@ def _worst(statuses: list[str]) -> str:
     return max(statuses, key=order.index)
 
 
+def apart_in_words(off: float, weight: float) -> str:
+    """Return that a view counts less since mask and outline go so many times as far apart."""
+    return (
+        f"mask and outline go {off:.1f} times as far apart as in most views: it counts {weight:.2g}"
+    )
+
+
 def _words(found: Agreement, views: tuple[ViewFit, ...]) -> list[str]:
     result = []
     if found.excess > TELLING:
@@ -430,8 +437,7 @@ def _words(found: Agreement, views: tuple[ViewFit, ...]) -> list[str]:
         )
     if len(views) > 2:
         result += [
-            f"view {k}: mask and outline go {view.off:.1f} times as far apart as in most views: it"
-            f" counts {view.weight:.2g}"
+            f"view {k}: {apart_in_words(view.off, view.weight)}"
             for k, view in enumerate(views)
             if view.off > OFF
         ]
