@@ -13,7 +13,7 @@ from pinhole_jax import shapes
 from pinhole_jax._fit.moves import Move, canonical, moved, on_film
 from pinhole_jax._fit.pyramid import cells_of, pyramid
 from pinhole_jax._fit.residuals import Capacity, residuals as _residuals, touch
-from pinhole_jax._numerics.bitset import in_order, listed
+from pinhole_jax._numerics.bitset import in_order
 from pinhole_jax._numerics.thin_qr import triangle
 
 FREE = ("pose", "phi")
@@ -180,14 +180,6 @@ def test_pieces_are_put_in_order_with_64_bits_and_with_32(wide):
     with jax.enable_x64(wide):
         order = np.asarray(in_order(jnp.asarray(key)))
     assert np.array_equal(order, np.argsort(key, kind="stable"))
-
-
-def test_true_entries_are_listed():
-    which = np.random.default_rng(0).random(150) > 0.7
-    found = listed(jnp.asarray(which))
-    assert int(found.total) == which.sum()
-    assert np.array_equal(found.indices[: which.sum()], np.flatnonzero(which))
-    assert int(found.at(jnp.int32(149))) == 149
 
 
 @pytest.mark.parametrize("filled", [0, 700, 2500, 3000])

@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._numerics.bitset import listed
 from .._silhouette.coverage import Pieces
 from .._silhouette.sweep import STRAIGHT, Cells, sweep
 
@@ -62,7 +61,8 @@ def resolved(
     `order` says which of them come, pixel by pixel.
     """
     P = len(order)
-    slots, total = listed(crowded.chosen), jnp.sum(crowded.chosen, dtype=jnp.int32)
+    total = jnp.sum(crowded.chosen, dtype=jnp.int32)
+    slots = _by_number(crowded)
     sizes = [len(part.lift) for part in parts]
     begins = [sum(sizes[:k]) for k in range(len(parts))]
     frames = [
@@ -73,7 +73,7 @@ def resolved(
     def body(state):
         rank, areas, visible = state
         turn = rank + jnp.arange(TOGETHER, dtype=jnp.int32)
-        slot = slots.at(turn)
+        slot = slots[jnp.minimum(turn, P - 1)]
         there = turn < total
         place = jnp.arange(MOST, dtype=jnp.int32)[None]
         own = there[:, None] & (place < crowded.number[slot][:, None])
@@ -98,3 +98,12 @@ def resolved(
     start = jnp.int32(0), jnp.zeros(P, crowded.corner.dtype), [part.visible for part in parts]
     _, areas, visible = jax.lax.while_loop(lambda s: s[0] < total, body, start)
     return areas, visible
+
+
+def _by_number(crowded: Crowded) -> Int[Array, "P"]:
+    """Return the pixels, the chosen ones first, those with few pieces first: what is swept together
+    takes as long as the one with the most."""
+    P = len(crowded.number)
+    number = jnp.where(crowded.chosen, crowded.number, MOST + 1).astype(jnp.int32)
+    ranked = jax.lax.sort(number * P + jnp.arange(P, dtype=jnp.int32), is_stable=False)
+    return ranked % P

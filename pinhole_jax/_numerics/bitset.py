@@ -27,28 +27,6 @@ def count_upto(upto: Int[Array, "n"], value: Int[Array, "*K"]) -> Int[Array, "*K
     return jax.lax.fori_loop(0, bits, bisect, jnp.zeros(value.shape, jnp.int32))
 
 
-class Listed(NamedTuple):
-    """The indices of a mask's true entries, `total` of them, in order, then its length."""
-
-    indices: Int[Array, "K"]
-    total: Int[Array, ""]
-
-    def at(self, rank: Int[Array, "*R"]) -> Int[Array, "*R"]:
-        """Return the indices number `rank`; one within range past the end."""
-        last = self.indices.shape[0] - 1
-        return jnp.minimum(self.indices.at[rank].get(mode="fill", fill_value=last), last)
-
-
-def listed(which: Bool[Array, "K"]) -> Listed:
-    """Return the list of the true entries; for some thousand (for more: `select`)."""
-    K = which.shape[0]
-    upto = running_sum(which.astype(jnp.int32))
-    # (To sort the indices takes 5 times as long.)
-    place = jnp.where(which, upto - 1, K)
-    indices = jnp.full(K, K, jnp.int32).at[place].set(jnp.arange(K, dtype=jnp.int32), mode="drop")
-    return Listed(indices, upto[-1])
-
-
 def in_order(key: Int[Array, "P"]) -> Int[Array, "P"]:
     """Return the indices that put keys (at least 0) in order; of equal ones the first comes first.
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from .._numerics.safe import safe_divide
 from .coverage import Pieces
@@ -230,10 +230,13 @@ def _sweep(
     Cells are the last axis here: that is several times faster.
     """
     C, dtype = len(corner), corner.dtype
-    crossings = _straight_crossings(lines) if bent is None else _all_crossings(lines, bent)
-    halts = jnp.concatenate([lines.u0, lines.u1, crossings.reshape(C, -1)], axis=1).T
+    across = jax.tree.map(jnp.transpose, lines)
+    crossings = [_straight_crossings(across, None if bent is None else ~bent.own.T)]
+    if bent is not None:
+        crossings.append(_arc_crossings(lines, bent).reshape(C, -1).T)
+    halts = jnp.concatenate([across.u0, across.u1, *crossings])
     strides = max(LANES // C, 1)
-    lines = jax.tree.map(lambda x: jnp.tile(x.T, strides), lines)
+    lines = jax.tree.map(lambda x: jnp.tile(x, strides), across)
     corner = jnp.tile(corner, strides)
     if bent is not None:
         bent = jax.tree.map(lambda x: jnp.tile(x, (strides,) + (1,) * (x.ndim - 1)), bent)
@@ -334,25 +337,37 @@ def _common(lines: _Lines) -> tuple[Array, Array, Array]:
     return jnp.maximum(*_pairs(lines.u0)), jnp.minimum(*_pairs(lines.u1)), once
 
 
-def _straight_crossings(lines: _Lines) -> Float[Array, "C M M"]:
-    """Return the u at which straight pieces cross; 1 for pairs that do not."""
-    low, high, once = _common(lines)
+def _straight_crossings(lines: _Lines, straight: Bool[Array, "M C"] | None) -> Float[Array, "K C"]:
+    """Return the u at which pieces, of which these are straight (None: all), cross; 1 for pairs
+    that do not. `lines` have the cells as their last axis."""
     slope = safe_divide(lines.v1 - lines.v0, lines.u1 - lines.u0)
+    low = jnp.maximum(lines.u0[None], _turned(lines.u0))
+    high = jnp.minimum(lines.u1[None], _turned(lines.u1))
+    other_v, other_u, other_slope = (_turned(x) for x in (lines.v0, lines.u0, slope))
 
     def gap(u):
-        one, other = (
-            v + (u - u0) * s
-            for v, u0, s in zip(*(_pairs(x) for x in (lines.v0, lines.u0, slope)), strict=True)
-        )
-        return one - other
+        other = other_v + (u - other_u) * other_slope
+        return lines.v0[None] + (u - lines.u0[None]) * slope[None] - other
 
     before, after = gap(low), gap(high)
-    cross = once & (low < high) & ((before < 0) != (after < 0))
-    return jnp.where(cross, low + (high - low) * safe_divide(before, before - after), 1)
+    cross = (low < high) & ((before < 0) != (after < 0))
+    if straight is not None:
+        cross &= straight[None] & _turned(straight)
+    u = jnp.where(cross, low + (high - low) * safe_divide(before, before - after), 1)
+    return u.reshape(-1, u.shape[-1])
 
 
-def _all_crossings(lines: _Lines, bent: _Bent) -> Float[Array, "C M M 3"]:
-    """Return the u at which pieces may cross one another; others without harm, or 1.
+def _turned(x: Shaped[Array, "M C"]) -> Shaped[Array, "K M C"]:
+    """Return the rows turned round by one place, by two, and so on: so each pair meets once (at the
+    most, twice)."""
+    M, K = len(x), len(x) // 2
+    # (Repeated, and cut into rows that are one longer than the list: each begins one later in it.)
+    again = jnp.tile(x, (K + 2, 1))[: (K + 1) * (M + 1)]
+    return again.reshape(K + 1, M + 1, -1)[1:, :M]
+
+
+def _arc_crossings(lines: _Lines, bent: _Bent) -> Float[Array, "C M M 2"]:
+    """Return the u at which arcs may cross other pieces; others without harm, or 1.
 
     An arc meets a line where the line cuts its circle, and another arc on a line as well: both
     cones hold the rays whose products with the two axes are in the cosines' ratio.
@@ -373,5 +388,4 @@ def _all_crossings(lines: _Lines, bent: _Bent) -> Float[Array, "C M M 3"]:
         u = film_at(spread, w)[..., 0]
         there = own[:, :, None] & (once | ~own[:, None]) & (u > low) & (u < high)
         found.append(jnp.where(there, u, 1))
-    straight = jnp.where(own[:, :, None] | own[:, None], 1, _straight_crossings(lines))
-    return jnp.stack([straight, *found], axis=-1)
+    return jnp.stack(found, axis=-1)
