@@ -1,5 +1,7 @@
 """The compact residuals against the image itself: same squares, same Jacobian, same overlap."""
 
+import itertools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,10 +13,12 @@ from oracles import drawn
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._fit.moves import Move, canonical, moved, on_film
+from pinhole_jax._fit.overlapping import Crowded, _by_number
 from pinhole_jax._fit.pyramid import cells_of, pyramid
 from pinhole_jax._fit.residuals import Capacity, residuals as _residuals, touch
 from pinhole_jax._numerics.bitset import in_order
 from pinhole_jax._numerics.thin_qr import triangle
+from pinhole_jax._silhouette.sweep import _turned
 
 FREE = ("pose", "phi")
 CAPACITY = Capacity(256, 1024, 1024, 512)
@@ -180,6 +184,21 @@ def test_pieces_are_put_in_order_with_64_bits_and_with_32(wide):
     with jax.enable_x64(wide):
         order = np.asarray(in_order(jnp.asarray(key)))
     assert np.array_equal(order, np.argsort(key, kind="stable"))
+
+
+@pytest.mark.parametrize("number", [1, 2, 3, 8])
+def test_each_piece_meets_each_other_piece(number):
+    beside = np.asarray(_turned(jnp.arange(number)[:, None]))[..., 0]
+    met = {frozenset(pair) for row in beside for pair in enumerate(row.tolist())}
+    assert met == {frozenset(pair) for pair in itertools.combinations(range(number), 2)}
+
+
+def test_pixels_with_few_pieces_come_first():
+    number = np.array([3, 9, 2, 5, 1])
+    chosen = np.array([True, True, False, True, False])
+    nothing = jnp.zeros(5)
+    crowded = Crowded(jnp.asarray(chosen), nothing, jnp.asarray(number), nothing, nothing)
+    assert _by_number(crowded)[: chosen.sum()].tolist() == [0, 3, 1]
 
 
 @pytest.mark.parametrize("filled", [0, 700, 2500, 3000])
