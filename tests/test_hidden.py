@@ -35,7 +35,7 @@ def hidden(cells, corners):
     for row, polygons in zip(piece, cells, strict=True):
         sides = np.concatenate([pieces(p) for p in polygons])
         row[: len(sides)] = sides
-    owner = np.zeros((len(cells), ROOM, 2), np.int32)
+    owner = jnp.zeros((len(cells), ROOM, 2), jnp.int32)
     return np.asarray(all_hidden(Cells(jnp.asarray(piece), owner), jnp.asarray(corners, float)))
 
 
@@ -61,12 +61,12 @@ def test_no_cell_is_hidden_that_has_a_part_uncovered():
     cells, corners, least = [], [], []
     for _ in range(400):
         # Corners of one lie on sides of another now and then.
-        polygons = [np.round(random.uniform(0.05, 0.95, (n, 2)), 2) for n in (3, 4, 5)]
+        polygons = [np.round(random.uniform(0.05, 0.95, (n, 2)), 2) for n in (3, 4)]
         polygons[1][0] = polygons[0][:2].mean(axis=0)
-        corner = random.integers(1, 4)
+        corner = random.integers(1, 5)
         cells.append(polygons)
         corners.append(corner)
         least.append(np.min(corner + sum(windings(p, GRID) for p in polygons)))
     told, covered = hidden(cells, corners), np.array(least) > 0
     assert not np.any(told & ~covered)
-    assert np.sum(told) > 10
+    assert np.sum(told) > 40

@@ -173,7 +173,7 @@ class _Sizes(NamedTuple):
         room = LEAST_ROOM
         while room < min(most // CURVES_A_PIECE, ROOM):
             room *= 2
-        cells, pieces = min(max(room // 8, 256), 4096), min(max(room // 8, 512), PIECES)
+        cells, pieces = min(max(room // 16, 256), 2048), min(max(room // 8, 512), PIECES)
         # Few cells are cut twice.
         return _Sizes(cells, pieces, [room, room, *[max(room // 8, 32)] * (depth - 1)][: depth + 1])
 
