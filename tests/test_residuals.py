@@ -12,6 +12,7 @@ from oracles import drawn
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
+from pinhole_jax._fit import overlapping
 from pinhole_jax._fit.moves import Move, canonical, moved, on_film
 from pinhole_jax._fit.overlapping import Crowded, _by_number
 from pinhole_jax._fit.pyramid import cells_of, pyramid
@@ -115,6 +116,33 @@ def test_squares_sums_and_jacobian_are_those_of_the_image(look_at, spheres, W, p
     np.testing.assert_allclose(sums.union, np.sum(weight * np.maximum(covered, target)), rtol=1e-12)
     np.testing.assert_allclose(J.T @ J, dense.T @ dense, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(J.T @ r, dense.T @ difference.ravel(), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.long
+def test_coverage_of_a_rough_mesh_is_the_image(monkeypatch):
+    """Most pixels with several pieces are covered: as with large buffers, one look tells these."""
+    monkeypatch.setattr(overlapping, "LARGE", 0)
+    mesh, (camera, _, target, weight) = shapes.bumpy(3), setting(W=60, H=50)
+    off = np.random.default_rng(1).normal(0, 0.02, mesh.vertices.shape)
+    scene = pj.Scene(mesh=pj.Mesh(np.asarray(mesh.vertices) + off, mesh.faces))
+    level = jax.tree.map(jnp.asarray, pyramid(target, weight, float)[1][-1])
+    capacity = Capacity(1024, 4096, 1, 1)
+    start = Move(canonical(camera), jnp.zeros(3), jnp.full(7, 0.01))
+    way = jnp.asarray([0.3, -0.5, 0.2, 0.7, 0.1, -0.4, 0.6])
+
+    def seen(s):
+        unit = moved(start, s * way, FREE)
+        return touch(unit, scene, level, capacity), pj.silhouette(on_film(unit, camera), scene)
+
+    ((touched, load), image), (slopes, columns) = jax.jit(lambda: jax.jvp(seen, (0.0,), (1.0,)))()
+    assert bool(load.fits(capacity))
+    known = np.asarray(touched.inside & touched.known)
+    row, column = np.divmod(np.asarray(touched.cell)[known], 62)
+    told = lambda image: np.asarray(image)[49 - row, column - 1]
+    np.testing.assert_allclose(touched.coverage[known], told(image), atol=1e-12)
+    change = slopes[0].coverage[known]
+    np.testing.assert_allclose(change, told(columns), atol=1e-10)
+    assert np.sum(np.abs(change) > 1e-6) > 50 < np.sum(np.abs(change) == 0)
 
 
 @pytest.mark.long

@@ -5,13 +5,15 @@ layers coincide, a pixel is half covered, not whole. A fit has the pieces of its
 side, so such a pixel is swept as it is.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._silhouette.coverage import Pieces
+from .._silhouette.hidden import all_hidden
 from .._silhouette.sweep import STRAIGHT, Cells, sweep
 
 #: So many pixels are swept together.
@@ -19,6 +21,8 @@ TOGETHER = 64
 #: So many pieces a pixel may hold. (Of some 430 to 1250 pixels of an outline more are in none at 5k
 #: faces and 256 px, in 3 at 82k, in 10 at 328k, and in 21 at 328k and 512 px.)
 MOST = 16
+#: Buffers for so many pieces are those of rough meshes, most of whose crowded pixels are covered.
+LARGE = 1 << 13
 
 
 class Part(NamedTuple):
@@ -61,8 +65,6 @@ def resolved(
     `order` says which of them come, pixel by pixel.
     """
     P = len(order)
-    total = jnp.sum(crowded.chosen, dtype=jnp.int32)
-    slots = _by_number(crowded)
     sizes = [len(part.lift) for part in parts]
     begins = [sum(sizes[:k]) for k in range(len(parts))]
     frames = [
@@ -70,40 +72,68 @@ def resolved(
         for part in parts
     ]
 
-    def body(state):
-        rank, areas, visible = state
-        turn = rank + jnp.arange(TOGETHER, dtype=jnp.int32)
-        slot = slots[jnp.minimum(turn, P - 1)]
-        there = turn < total
+    def some(slot, there):
+        """Return the pieces of some pixels."""
         place = jnp.arange(MOST, dtype=jnp.int32)[None]
         own = there[:, None] & (place < crowded.number[slot][:, None])
-        index = jnp.minimum(crowded.first[slot][:, None] + place, P - 1)
-        source = order[index]
+        source = order[jnp.minimum(crowded.first[slot][:, None] + place, P - 1)]
         kind = sum((source >= begin).astype(jnp.int32) for begin in begins[1:])
         kind = jnp.where(own, kind, -1)
         ids = source - jnp.asarray(begins, jnp.int32)[kind]
-        cells = Cells(
-            jnp.stack([jnp.where(own, column[source], 0) for column in piece], axis=-1),
-            jnp.stack([kind, ids], axis=-1),
-        )
+        columns = [jnp.where(own, column[source], 0) for column in piece]
+        return Cells(jnp.stack(columns, axis=-1), jnp.stack([kind, ids], axis=-1))
+
+    def with_parts(visible, cells, parts):
+        """Return what is visible, with parts of some pixels' pieces."""
+        kind, ids = jnp.moveaxis(cells.owner, -1, 0)
+        return [
+            old.at[jnp.where(kind == k, ids, size)].set(new, mode="drop")
+            for k, (old, new, size) in enumerate(zip(visible, parts, sizes, strict=True))
+        ]
+
+    def look(state, slot, there):
+        chosen, areas, visible = state
+        cells = some(slot, there)
+        hidden = there & all_hidden(cells, crowded.corner[slot])
+        slot = jnp.where(hidden, slot, P)
+        inside = Cells(cells.piece, jnp.where(hidden[:, None, None], cells.owner, -1))
+        nothing = [jnp.zeros((), part.visible.dtype) for part in parts]
+        chosen = chosen.at[slot].set(False, mode="drop")
+        areas = areas.at[slot].set(1, mode="drop")
+        return chosen, areas, with_parts(visible, inside, nothing)
+
+    def resolve(state, slot, there):
+        areas, visible = state
+        cells = some(slot, there)
         scale = jnp.ones((), crowded.corner.dtype)
         area, seen = sweep(cells, crowded.corner[slot], frames, scale, crowded.origin[slot], True)
         areas = areas.at[jnp.where(there, slot, P)].set(area, mode="drop")
-        visible = [
-            old.at[jnp.where(kind == k, ids, size)].set(new.part, mode="drop")
-            for k, (old, new, size) in enumerate(zip(visible, seen, sizes, strict=True))
-        ]
-        return rank + TOGETHER, areas, visible
+        return areas, with_parts(visible, cells, [new.part for new in seen])
 
-    start = jnp.int32(0), jnp.zeros(P, crowded.corner.dtype), [part.visible for part in parts]
-    _, areas, visible = jax.lax.while_loop(lambda s: s[0] < total, body, start)
-    return areas, visible
+    areas, visible = jnp.zeros(P, crowded.corner.dtype), [part.visible for part in parts]
+    chosen = crowded.chosen
+    if P >= LARGE and frames == [None]:
+        start = chosen, areas, visible
+        chosen, areas, visible = _fold(chosen, crowded.number, look, start)
+    return _fold(chosen, crowded.number, resolve, (areas, visible))
 
 
-def _by_number(crowded: Crowded) -> Int[Array, "P"]:
-    """Return the pixels, the chosen ones first, those with few pieces first: what is swept together
-    takes as long as the one with the most."""
-    P = len(crowded.number)
-    number = jnp.where(crowded.chosen, crowded.number, MOST + 1).astype(jnp.int32)
-    ranked = jax.lax.sort(number * P + jnp.arange(P, dtype=jnp.int32), is_stable=False)
-    return ranked % P
+def _fold(
+    chosen: Bool[Array, "P"],
+    number: Int[Array, "P"],
+    add: Callable[[Any, Array, Array], Any],
+    start: Any,
+) -> Any:
+    """Return `start` after `add(state, slot, there)` over the chosen pixels, some at a time, those
+    with a small `number` of pieces first: what is swept together takes as long as the one with the
+    most."""
+    P, total = len(number), jnp.sum(chosen, dtype=jnp.int32)
+    key = jnp.where(chosen, number, MOST + 1).astype(jnp.int32)
+    slots = jax.lax.sort(key * P + jnp.arange(P, dtype=jnp.int32), is_stable=False) % P
+
+    def body(state):
+        rank, state = state
+        turn = rank + jnp.arange(TOGETHER, dtype=jnp.int32)
+        return rank + TOGETHER, add(state, slots[jnp.minimum(turn, P - 1)], turn < total)
+
+    return jax.lax.while_loop(lambda s: s[0] < total, body, (jnp.int32(0), start))[1]

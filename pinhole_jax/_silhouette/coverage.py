@@ -141,8 +141,10 @@ def split(
         x, _ = at_row(m, (rows.first + j).astype(dtype))
         return j + jnp.abs(_column(x, W) - column_first)
 
-    # A loop, not unrolled: the compiler of jax 0.12 takes minutes over the unrolled chain.
-    bits = max(max_H - 1, 0).bit_length()
+    # A loop, not unrolled: the compiler of jax 0.12 takes minutes over the unrolled chain. Where no
+    # curve is in many rows, as of a fine mesh, it is short.
+    most = jnp.maximum(jnp.max(rows.number) - 1, 0)
+    bits = jnp.minimum(32 - jax.lax.clz(most), max(max_H - 1, 0).bit_length())
 
     def bisect(k, row):
         step = row + (jnp.int32(1) << (bits - 1 - k))

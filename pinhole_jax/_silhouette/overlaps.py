@@ -8,10 +8,11 @@ pieces bound it, and over what part of their length, is all that the derivative 
 
 The sweep compares areas, never asks whether two pieces touch: pieces that coincide, end on one
 another or have no length put halts too close to matter, and nothing else. Pieces are listed cell by
-cell, and equal ones are merged. Cells that hold a few (`NARROW`) are swept together. A pixel with
-more is cut into smaller cells. Nearly all of these are covered whatever their pieces do, and are
-passed over; those with more pieces than a sweep takes (`WIDE`) are cut again, depth first, so that
-memory is bounded. At the last cut (`LAST_CUT`) the corner speaks for a cell of 1/65536 px.
+cell, and equal ones are merged. Cells that hold a few (up to `WIDE`) are swept together, in large
+scenes but for those whose pieces are all hidden (`hidden.py`). A pixel with more is cut into
+smaller cells. Nearly all of these are covered whatever their pieces do, and are passed over; those
+with more pieces than a sweep takes are cut again, depth first, so that memory is bounded. At the
+last cut (`LAST_CUT`) the corner speaks for a cell of 1/65536 px.
 """
 
 from collections.abc import Callable
@@ -26,20 +27,22 @@ from .._numerics.bitset import count_upto, nth, select
 from .._numerics.running import running_sum
 from .coverage import Monotone, Pieces, monotone, piece_counts, split
 from .curves import Curves, placed
+from .hidden import all_hidden
 from .marks import drops, turns
 from .sweep import ARC, STRAIGHT, Cells, Visible, sweep, sweepable
 
-#: Pieces that are swept together in most cells, and in any cell but a pixel; how many such cells.
+#: So many pieces a cell holds at most that are swept together, and how many such cells are swept
+#: together, and looked at for whether all of their pieces are hidden.
 NARROW, WIDE = 8, 24
-SWEPT = {NARROW: 128, WIDE: 8}
+SWEPT = {NARROW: 128, WIDE: 32}
 #: A cell is cut into `CUT` x `CUT`.
 CUT = 4
 LAST_CUT = {"float32": 4, "float64": 8}
-PIECES = 2048
+PIECES = 1024
 #: At least and at most so many pieces can be listed, one for so many curves that there may be.
 LEAST_ROOM, ROOM, CURVES_A_PIECE = 1 << 13, 1 << 15, 2
-#: Pixels with more than `NARROW` pieces are cut where there are so many of them.
-MANY = 32
+#: Where there may be more pieces than this, cells are looked for whose pieces are all hidden.
+HIDDEN_FROM = LEAST_ROOM
 #: Visible pieces kept for the derivative (where there are more, cells are resolved again).
 KEPT = 1 << 12
 KEPT_AT_A_TIME = 512
@@ -318,12 +321,10 @@ def fold_cells(
         cells, found, lists = _listed(parts, crowded, batch, found, lists)
 
         there, last = cells.place >= 0, level == depth
-        # Where few pixels hold so many pieces it takes less to sweep them as they are.
-        wide = there & (cells.number > NARROW) & (cells.number <= WIDE)
-        few = (level > 0) | (jnp.sum(wide, dtype=jnp.int32) < MANY)
-        many = jnp.where(few, WIDE, NARROW)
-        cut = there & cells.open & (~cells.fits | (cells.number > many)) & ~last
-        swept = there & cells.open & cells.fits & (cells.number <= many)
+        if sizes.rooms[0] > HIDDEN_FROM and all(part.straight for part in parts):
+            cells = _without_hidden(cells, lists)
+        cut = there & cells.open & (~cells.fits | (cells.number > WIDE)) & ~last
+        swept = there & cells.open & cells.fits & (cells.number <= WIDE)
         # Where there are too many pieces even in the last cell, its corner speaks for it.
         known = there & ~cut & ~swept
         size = 1 / (batch.scale * batch.scale)
@@ -334,13 +335,7 @@ def fold_cells(
         for most, number in SWEPT.items():
 
             def some(total, cell, there, most=most):
-                slot = jnp.arange(most, dtype=jnp.int32)[None]
-                inside = there[:, None] & (slot < cells.number[cell][:, None])
-                index = jnp.where(inside, cells.begin[cell][:, None] + slot, 0)
-                curve = lists.curve[index]
-                piece = jnp.where(inside[..., None], lists.piece[index], 0)
-                owner = jnp.where(inside, curve & 1, -1), curve >> 1
-                few = Cells(piece, jnp.stack(owner, axis=-1))
+                few = _first_pieces(cells, lists, cell, there, most)
                 at = batch.scale, cells.origin[cell]
                 area, visible = sweep(few, cells.corner[cell], frames, *at, flux)
                 visible = [
@@ -359,6 +354,34 @@ def fold_cells(
     zero = jnp.int32(0)
     nothing = tuple(kind.empty(sizes, dtype) for kind in (_Stack, _Found, _Lists))
     return jax.lax.while_loop(more, body, (zero, zero, *nothing, start))[-1]
+
+
+def _first_pieces(cells: "_Cells", lists: _Lists, cell: Array, there: Array, most: int) -> Cells:
+    """Return the first pieces of some cells, none where nothing is `there`."""
+    slot = jnp.arange(most, dtype=jnp.int32)[None]
+    inside = there[:, None] & (slot < cells.number[cell][:, None])
+    index = jnp.where(inside, cells.begin[cell][:, None] + slot, 0)
+    curve = lists.curve[index]
+    piece = jnp.where(inside[..., None], lists.piece[index], 0)
+    owner = jnp.where(inside, curve & 1, -1), curve >> 1
+    return Cells(piece, jnp.stack(owner, axis=-1))
+
+
+def _without_hidden(cells: "_Cells", lists: _Lists) -> "_Cells":
+    """Return cells, of which those are no longer open whose pieces are all hidden."""
+    least, open_ = 0, cells.open
+    for most, number in SWEPT.items():
+
+        def some(open_, cell, there, most=most):
+            few = _first_pieces(cells, lists, cell, there, most)
+            hidden = there & all_hidden(few, cells.corner[cell])
+            return open_.at[jnp.where(hidden, cell, len(open_))].set(False, mode="drop")
+
+        chosen = cells.open & cells.fits & (cells.place >= 0)
+        chosen &= (cells.number > least) & (cells.number <= most)
+        open_ = fold_chosen(chosen, number, some, open_)
+        least = most
+    return cells._replace(open=open_)
 
 
 def _batch(

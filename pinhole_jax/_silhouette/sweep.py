@@ -63,7 +63,7 @@ def sweepable(pieces: Pieces) -> tuple[Float[Array, "P"], ...]:
     return x0 - column, y0 - row, x1 - column, y1 - row, passes, pieces.jump
 
 
-class _Lines(NamedTuple):
+class Lines(NamedTuple):
     """Pieces as a line sweeps them along u: from (u0, v0) to (u1, v1), v across.
 
     `jump` is met going up in v. `halt` and `step` say where along the border v = 0 the number of
@@ -79,7 +79,7 @@ class _Lines(NamedTuple):
     step: Float[Array, "C E"]
 
 
-def _along_x(cells: Cells) -> _Lines:
+def along_x(cells: Cells) -> Lines:
     """Return the pieces as a line sweeps them that moves to the right."""
     x0, y0, x1, y1, passes, jump = jnp.moveaxis(cells.piece, -1, 0)
     right = x1 >= x0
@@ -88,7 +88,7 @@ def _along_x(cells: Cells) -> _Lines:
     enters = jnp.where(level | ((y0 == 0) & (passes == 2)), jump, 0)
     leaves = jnp.where(level, -jump, 0)
     halt, step = jnp.concatenate([x0, x1], axis=1), jnp.concatenate([enters, leaves], axis=1)
-    return _Lines(
+    return Lines(
         jnp.minimum(x0, x1),
         jnp.where(right, y0, y1),
         jnp.maximum(x0, x1),
@@ -99,7 +99,7 @@ def _along_x(cells: Cells) -> _Lines:
     )
 
 
-def _along_y(cells: Cells) -> _Lines:
+def _along_y(cells: Cells) -> Lines:
     """Return the pieces as a line sweeps them that moves up."""
     x0, y0, x1, y1, passes, jump = jnp.moveaxis(cells.piece, -1, 0)
     # One that comes in at the corner itself has met the row's bottom in the cell before, and what
@@ -107,7 +107,7 @@ def _along_y(cells: Cells) -> _Lines:
     enters = jnp.where((x0 == 0) & ((y0 > 0) | (passes == 1)), -jump, 0)
     leaves = jnp.where((x1 == 0) & (passes > 0), jump, 0)
     halt, step = jnp.concatenate([y0, y1], axis=1), jnp.concatenate([enters, leaves], axis=1)
-    return _Lines(y0, x0, y1, x1, jump, halt, step)
+    return Lines(y0, x0, y1, x1, jump, halt, step)
 
 
 def sweep(
@@ -135,11 +135,11 @@ def sweep(
             arc = (own, _placed(frame, scale, origin))
     one = jnp.ones_like(corner)[:, None]
     if not flux:
-        lines = _along_x(cells)
+        lines = along_x(cells)
         return _sweep(lines, corner, None if arc is None else _bent(*arc, one, lines), False)[0], []
 
     both = lambda a, b: jax.tree.map(lambda x, y: jnp.concatenate([x, y]), a, b)
-    lines, bent = both(_along_x(cells), _along_y(cells)), None
+    lines, bent = both(along_x(cells), _along_y(cells)), None
     if arc is not None:
         own, frame = arc
         placed = both(frame, frame[..., jnp.array([1, 0, 2])])
@@ -209,7 +209,7 @@ class _Bent(NamedTuple):
         return unit_at(self.frame, 0, jnp.broadcast_to(u[:, None], self.grows.shape), self.grows)
 
 
-def _bent(own: Array, frame: Array, turn: Array, lines: _Lines) -> _Bent:
+def _bent(own: Array, frame: Array, turn: Array, lines: Lines) -> _Bent:
     # Going up in v, cover begins (jump > 0) at an arc that runs along u, if u, v are turned so.
     grows = jnp.where((lines.jump > 0) == (turn > 0), 1, -1).astype(frame.dtype)
     return _Bent(own, frame, grows, turn)
@@ -223,7 +223,7 @@ class _Seen(NamedTuple):
 
 
 def _sweep(
-    lines: _Lines, corner: Float[Array, "C"], bent: _Bent | None, flux: bool
+    lines: Lines, corner: Float[Array, "C"], bent: _Bent | None, flux: bool
 ) -> tuple[Float[Array, "C"], _Seen | None]:
     """Return the covered area, and (with `flux`) what of each piece bounds it.
 
@@ -231,12 +231,16 @@ def _sweep(
     """
     C, dtype = len(corner), corner.dtype
     across = jax.tree.map(jnp.transpose, lines)
-    crossings = [_straight_crossings(across, None if bent is None else ~bent.own.T)]
+    crossings = _straight_crossings(across, None if bent is None else ~bent.own.T)
     if bent is not None:
-        crossings.append(_arc_crossings(lines, bent).reshape(C, -1).T)
-    halts = jnp.concatenate([across.u0, across.u1, *crossings])
+        of_arcs = _arc_crossings(lines, bent).reshape(C, -1).T
+        crossings = jnp.concatenate([crossings, of_arcs])
+    lines = across
+    # (Put beside the others in one kernel they are worked out several times over.)
+    crossings = jax.lax.optimization_barrier(crossings)
+    halts = jnp.minimum(jnp.concatenate([lines.u0, lines.u1, crossings]), 1)
     strides = max(LANES // C, 1)
-    lines = jax.tree.map(lambda x: jnp.tile(x, strides), across)
+    lines = jax.tree.map(lambda x: jnp.tile(x, strides), lines)
     corner = jnp.tile(corner, strides)
     if bent is not None:
         bent = jax.tree.map(lambda x: jnp.tile(x, (strides,) + (1,) * (x.ndim - 1)), bent)
@@ -245,13 +249,13 @@ def _sweep(
     most = jnp.max(jnp.where(lines.jump != 0, index + 1, 0))
 
     def halt(u, _):
-        u1 = jnp.minimum(jnp.min(jnp.where(halts > u[None], halts, 1), axis=0), 1)
-        return u1, (u, u1)
+        u1 = jnp.min(jnp.where(halts > u[None], halts, 1), axis=0)
+        return u1, u1
 
     def body(state):
-        u, area, seen = state
-        u, stretch = jax.lax.scan(halt, u, None, length=strides)
-        u0, u1 = (x.reshape(-1) for x in stretch)
+        begin, area, seen = state
+        u, ends = jax.lax.scan(halt, begin, None, length=strides)
+        u0, u1 = jnp.concatenate([begin[None], ends[:-1]]).reshape(-1), ends.reshape(-1)
         middle, width = ((u0 + u1) / 2)[None], (u1 - u0)[None]
         active = (lines.u0 <= middle) & (middle < lines.u1)
         v = _heights(lines, bent, middle)
@@ -311,7 +315,7 @@ def _sums_below(
     return jax.lax.fori_loop(jnp.int32(0), -(-most // some), add, jnp.zeros_like(v))
 
 
-def _heights(lines: _Lines, bent: _Bent | None, u: Float[Array, "1 C"]) -> Float[Array, "M C"]:
+def _heights(lines: Lines, bent: _Bent | None, u: Float[Array, "1 C"]) -> Float[Array, "M C"]:
     """Return the pieces' v at an abscissa; at the nearer end where it is beyond one."""
     t = jnp.clip(safe_divide(u - lines.u0, lines.u1 - lines.u0), 0, 1)
     v = lines.v0 + t * (lines.v1 - lines.v0)
@@ -330,14 +334,32 @@ def _pairs(x: Array) -> tuple[Array, Array]:
     return x[:, :, None], x[:, None]
 
 
-def _common(lines: _Lines) -> tuple[Array, Array, Array]:
+def _common(u0: Array, u1: Array) -> tuple[Array, Array, Array]:
     """Return where both pieces of a pair are: from and to; and which pairs to look at once."""
-    M = lines.u0.shape[1]
-    once = (jnp.arange(M)[:, None] < jnp.arange(M)[None])[None]
-    return jnp.maximum(*_pairs(lines.u0)), jnp.minimum(*_pairs(lines.u1)), once
+    M = u0.shape[1]
+    once = jnp.arange(M)[:, None] < jnp.arange(M)[None]
+    return jnp.maximum(*_pairs(u0)), jnp.minimum(*_pairs(u1)), once[None]
 
 
-def _straight_crossings(lines: _Lines, straight: Bool[Array, "M C"] | None) -> Float[Array, "K C"]:
+def of_both(x: Float[Array, "M C"]) -> tuple[Array, Array]:
+    """Return what the first and the second of each pair of pieces has."""
+    return x[:, None], x[None]
+
+
+def span(lines: Lines) -> tuple[Float[Array, "M M C"], Float[Array, "M M C"]]:
+    """Return where both pieces of a pair are: from and to, nowhere if that is not less."""
+    return jnp.maximum(*of_both(lines.u0)), jnp.minimum(*of_both(lines.u1))
+
+
+def gap(lines: Lines, u: Float[Array, "M #M C"]) -> Float[Array, "M M C"]:
+    """Return by how much the second of each pair of straight pieces is below the first."""
+    slope = safe_divide(lines.v1 - lines.v0, lines.u1 - lines.u0)
+    columns = (of_both(x) for x in (lines.v0, lines.u0, slope))
+    one, other = (v + (u - u0) * s for v, u0, s in zip(*columns, strict=True))
+    return one - other
+
+
+def _straight_crossings(lines: Lines, straight: Bool[Array, "M C"] | None) -> Float[Array, "K C"]:
     """Return the u at which pieces, of which these are straight (None: all), cross; 1 for pairs
     that do not. `lines` have the cells as their last axis."""
     slope = safe_divide(lines.v1 - lines.v0, lines.u1 - lines.u0)
@@ -366,13 +388,13 @@ def _turned(x: Shaped[Array, "M C"]) -> Shaped[Array, "K M C"]:
     return again.reshape(K + 1, M + 1, -1)[1:, :M]
 
 
-def _arc_crossings(lines: _Lines, bent: _Bent) -> Float[Array, "C M M 2"]:
+def _arc_crossings(lines: Lines, bent: _Bent) -> Float[Array, "C M M 2"]:
     """Return the u at which arcs may cross other pieces; others without harm, or 1.
 
     An arc meets a line where the line cuts its circle, and another arc on a line as well: both
     cones hold the rays whose products with the two axes are in the cosines' ratio.
     """
-    low, high, once = _common(lines)
+    low, high, once = _common(lines.u0, lines.u1)
     own, frame = bent.own, bent.frame
     across = jnp.cross(frame[..., 1, :], frame[..., 2, :])
     # Times a unit ray: 1 on the cone.

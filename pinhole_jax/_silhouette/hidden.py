@@ -1,0 +1,61 @@
+"""Cells that are covered all over, though pieces of contour lie in them: folds of what is behind.
+
+A piece is hidden if it has a layer on both sides, at its middle and after as many fewer as those
+that it may meet on the way can take. Where all pieces are hidden, no part of the cell is uncovered,
+since each part but the whole has a piece on its border. That takes one look at each pair of pieces,
+where a sweep looks at all pairs at each halt: of a scan's crowded pixels four of five are covered,
+and most of these are told by this.
+
+Nothing is called hidden that is not: where rounding may decide (a piece that another one touches),
+the layers are counted that may be taken away.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .sweep import Cells, Lines, along_x, gap, of_both, span
+
+#: Roundings by which heights in a cell may be off.
+SLACK = 32
+
+
+def all_hidden(cells: Cells, corner: Float[Array, "C"]) -> Bool[Array, "C"]:
+    """Return which cells, of straight pieces, are covered all over for sure.
+
+    `corner` is the winding number at their lower left corners.
+    """
+    lines = jax.tree.map(lambda x: x.T, along_x(cells))
+    # (Worked out for each pair in a kernel of its own: sums of it are several times faster.)
+    layers = jax.lax.optimization_barrier(_least_layers(lines))
+    least = corner[None] + jnp.sum(layers, axis=1) + jnp.minimum(lines.jump, 0)
+    there = lines.jump != 0
+    shown = there & (lines.u0 < lines.u1) & (least < 0.5)
+    upright = there & (lines.u0 == lines.u1) & (lines.v0 != lines.v1)
+    return (corner > 0.5) & ~jnp.any(shown | upright, axis=0)
+
+
+def _least_layers(lines: Lines) -> Float[Array, "M M C"]:
+    """Return what the second piece of a pair adds at least to the layers below the first one, from
+    its corner on."""
+    M, _ = lines.u0.shape
+    middle, jump = of_both((lines.u0 + lines.u1) / 2)[0], of_both(lines.jump)[1]
+    slack = SLACK * jnp.finfo(jump.dtype).eps
+    others = (~jnp.eye(M, dtype=bool))[..., None]
+    touches = lambda x: jnp.abs(x) <= slack
+
+    above = gap(lines, middle)
+    there = others & (of_both(lines.u0)[1] <= middle) & (middle < of_both(lines.u1)[1])
+    least = jnp.where(touches(above), jnp.minimum(jump, 0), jnp.where(above > 0, jump, 0))
+    layers = jnp.where(there, least, 0)
+    for halt, step in zip(*(x.reshape(2, M, -1) for x in (lines.halt, lines.step)), strict=True):
+        layers = layers + jnp.where(of_both(halt)[1] < middle, of_both(step)[1], 0)
+
+    # At its own ends a piece meets the next ones of its chain, and no others matter.
+    low, high = span(lines)
+    first, last = gap(lines, low), gap(lines, high)
+    ends = touches(first) & (low > of_both(lines.u0)[0])
+    ends |= touches(last) & (high < of_both(lines.u1)[0])
+    crosses = ~touches(first) & ~touches(last) & ((first < 0) != (last < 0))
+    meets = others & (low < high) & (ends | crosses)
+    return layers - jnp.where(meets, jnp.abs(jump), 0)
