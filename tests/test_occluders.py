@@ -8,8 +8,12 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import plot, report, shapes
+from pinhole_jax._fit import occluders
 from pinhole_jax._fit.mask import Mask
+from pinhole_jax._fit.moves import canonical
 from pinhole_jax._fit.occluders import edge_of
+from pinhole_jax._fit.solver import Solver
+from pinhole_jax._fit.stretches import coverage_of, outline_pixels, smoothed_about
 
 pytestmark = pytest.mark.optimised
 
@@ -52,6 +56,52 @@ def test_an_edge_has_points_on_it_and_normals_outwards():
     half = Mask(mask.target, np.broadcast_to(COLUMNS > 41.7, (80, 96)) * 1.0, mask.camera)
     assert edge_of(half).at[:, 0].min() > 41
     assert len(edge_of(mask, 40).at) == 40
+
+
+def test_of_a_large_photo_blocks_tell_what_pixels_do(monkeypatch):
+    """A square of which one side is not believed, rows and columns no multiples of a block's."""
+    along = np.arange(10, 91) + 0.5
+    sides = [(along, 10), (along, 91), (10, along), (91, along)]
+    at = np.concatenate([np.stack(np.broadcast_arrays(x, y), axis=-1) for x, y in sides])
+    edge = occluders.Edge(at.astype(float), np.zeros_like(at), None, 81.0)
+    believed, told = np.arange(len(at)) >= len(along), {}
+    for blocks in (256, 20):  # pixels; 6 px
+        monkeypatch.setattr(occluders, "BLOCKS", blocks)
+        told[blocks] = occluders._nearness(edge, believed, 2.3, np.array([0.5, 99.5]), (100, 110))
+    pixel, block = told[256], told[20]
+    row, column = np.indices((100, 110))
+    x, y = column + 0.5, 99.5 - row
+    below = np.hypot(np.clip(abs(x - 50.5) - 40, 0, None), y - 10)
+    sure = abs(below - 5.6) > 0.1  # (Points lie 1 px apart.)
+    np.testing.assert_array_equal(pixel[2][sure], (below < 5.6)[sure])
+    assert np.any(pixel[1])
+    assert np.any(pixel[0])
+    for a, b in zip(pixel[1:], block[1:], strict=True):
+        np.testing.assert_array_equal(a, b)
+    differ = pixel[0] != block[0]
+    assert np.mean(differ) < 0.03
+    assert not np.any(differ & (pixel[1] | pixel[2]))
+
+
+def test_means_about_an_outline_are_those_of_whole_images(scene):
+    """... that SciPy's filter takes, at the film's border, too."""
+    from scipy.ndimage import uniform_filter
+
+    truth = anywhere(3)
+    solver = Solver(scene, drawn(truth, scene) > 0.5, np.ones((80, 96)), np.float64, ("pose",), 8)
+    near = pj.Camera(0.5 * truth.e, truth.p, truth.u, truth.phi, 1.0, 96, 80)
+    view = solver.look(canonical(near), solver.finest)
+    place, rows, _ = outline_pixels(view)
+    coverage = coverage_of(view)
+    assert place[:, 0].min() < 2
+    slopes = np.gradient(coverage)
+    moves = np.zeros((*coverage.shape, rows.shape[1]))
+    moves[tuple(place.T)] = rows
+    found = smoothed_about(view, place, rows)
+    wanted = np.dstack([np.hypot(*slopes), slopes[1], slopes[0], moves])
+    mean = uniform_filter(wanted, (5, 5, 0), mode="constant")[tuple(place.T)]
+    got = np.column_stack(found)
+    np.testing.assert_allclose(got, mean, atol=1e-12 * np.abs(mean).max())
 
 
 def check(fit, truth, wall):

@@ -13,7 +13,7 @@ from pinhole_jax import shapes
 from pinhole_jax._fit.mask import Mask
 from pinhole_jax._fit.moves import canonical
 from pinhole_jax._fit.outline_errors import is_drawn, outline_errors
-from pinhole_jax._fit.places import Free, Places
+from pinhole_jax._fit.places import Free
 from pinhole_jax._fit.solver import Solver
 from pinhole_jax._fit.strategy import with_errors
 from pinhole_jax._fit.stretches import area_between, stretches_of
@@ -112,9 +112,7 @@ def test_what_a_walk_finds_free_widens_the_interval_of_a_drawn_mask(scene, image
     axis = np.array([0.0, 1.0, 0.0])
     walked = Free(np.zeros(6), 0.3, 0.8, axis)
     given = solver, Mask(mask, weights, single(CAMERA)), found
-    without, with_walk = (
-        with_errors(*given, Places(found, [], free), None) for free in ([], [walked])
-    )
+    without, with_walk = (with_errors(*given, free, None) for free in ([], [walked]))
     assert [f.ahead for f in with_walk] == [0.8, *(f.ahead for f in without)]
 
 

@@ -31,6 +31,7 @@ from .solver import Found, Solver, Stop
 from .strategy import (
     EXACT,
     everywhere,
+    free_about,
     from_descent,
     from_start,
     most_agreeing,
@@ -206,8 +207,8 @@ class Settings(NamedTuple):
 
 class _Answer(NamedTuple):
     """What explains a mask: the cameras, the best first, with views of all pixels; what is free
-    about the best; how far (px) from the mask's edge pixels counted, None if all did; what of the
-    mask's edge (n, 2) was taken for an occluder's, in words, too."""
+    about the best, whatever the mask's errors; how far (px) from the mask's edge pixels counted,
+    None if all did; what of that edge (n, 2) was taken for an occluder's, in words, too."""
 
     solver: Solver
     mask: Mask
@@ -293,7 +294,7 @@ def _described(
         reach = None
         described = [(f, f.view) for f in to_the_end(solver, found)]
     if turns_freely(solver.names):
-        free = with_errors(solver, mask, described[0][0], places, reach)
+        free = free_about(solver, described[0][0], places)
     return _Answer(solver, mask, described, free, reach)
 
 
@@ -330,28 +331,39 @@ def _before_occluders(
 
 def _told(answer: _Answer, settings: Settings) -> Fit:
     """Return an answer as a user reads it."""
-    solver, mask, free = answer.solver, answer.mask, answer.free
-
-    def reported(
-        found: Found, whole: Sums, kind: Kind, errors: OutlineErrors | None, free: list[Free]
-    ) -> Fit:
-        about = [at(solver, found, x) for x in free]
-        known = Known(kind, settings.bounds, about, errors)
-        return report(mask.camera, found, whole, solver.names, known)
-
+    solver, mask, best = answer.solver, answer.mask, answer.described[0][0]
+    photo, free = settings.photo, answer.free
+    said = None if photo is None else on_photo(solver, mask, photo, best)
+    if said is None or said.found is None or len(answer.described) > 1:
+        free = with_errors(solver, mask, best, free, answer.reach)
+    reported = lambda *told: _reported(answer, settings, *told)
     fit, *modes = (
         reported(f, whole.sums, solver.kind, solver.errors(f.view), free)
         for f, whole in answer.described
     )
-    if settings.photo is not None:
-        said = on_photo(solver, mask, settings.photo, answer.described[0][0])
+    if said is not None:
         if said.found is not None:
-            open_still = [*(f for f in free if np.isinf(f.ahead)), *said.free]
+            open_still = [*(f for f in answer.free if np.isinf(f.ahead)), *said.free]
             fit = reported(said.found, said.sums, said.kind, said.errors, open_still)
         fit = fit._replace(weak=(*fit.weak, said.note))
     if answer.unbelieved is not None:
         fit = with_unbelieved(fit, answer.unbelieved, answer.note, answer.doubted)
     return with_modes(fit, modes)
+
+
+def _reported(
+    answer: _Answer,
+    settings: Settings,
+    found: Found,
+    whole: Sums,
+    kind: Kind,
+    errors: OutlineErrors | None,
+    free: list[Free],
+) -> Fit:
+    """Return one of an answer's cameras, or the photo's, with its error bars."""
+    about = [at(answer.solver, found, x) for x in free]
+    known = Known(kind, settings.bounds, about, errors)
+    return report(answer.mask.camera, found, whole, answer.solver.names, known)
 
 
 def _anywhere(

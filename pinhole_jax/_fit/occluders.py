@@ -22,7 +22,7 @@ from .mask import Mask
 from .moves import canonical
 from .search import partly_hidden
 from .solver import Solver
-from .stretches import coverage_of, outline_pixels
+from .stretches import coverage_of, outline_pixels, smoothed_about
 from .target import inside_of, shares
 
 #: The mask's edge is taken by stretches of this share of the object's size.
@@ -51,6 +51,8 @@ NEAR_PX, NEAR_SIZES, TURNED = 2.0, 3.0, 0.5
 LEAST_HIDDEN, MOST_BEYOND = 0.05, 0.05
 #: So much about what is hidden (a share of the object's size) is not told either.
 ROOM = 0.1
+#: Which edge is the nearest is asked of so many blocks each way (pixels of a photo this large).
+BLOCKS = 256
 #: A camera that explains less of the mask's edge than this is not believed.
 LEAST_EXPLAINED = 0.5
 #: ... and one that explains less than this, or of which more is beyond, not without a doubt; nor
@@ -265,7 +267,7 @@ def _followed(
     solver: Solver, edge: Edge, begins: list[tuple[Camera, np.ndarray | None]]
 ) -> list[Camera]:
     """Return where the likeliest cameras lead to."""
-    level = max(solver.finest - 1, 0)
+    level = min(solver.far, max(solver.finest - 1, 0))
     scales = np.maximum(np.geomspace(FIRST * edge.size, LAST_PX, STEPS), LAST_PX)
     first, rest = scales[:SORTED_IN], scales[SORTED_IN:]
     begun = [_brought(solver, edge, unit, level, first, window) for unit, window in begins]
@@ -350,23 +352,15 @@ def _matched(edge: Edge, outline: _Outline, turn_px: float) -> _Matched:
 
 def _seen(solver: Solver, unit: Camera, number: int) -> _Outline | None:
     """Return the outline that a camera sees on a level, None where it sees none."""
-    from scipy.ndimage import uniform_filter
-
     view = solver.look(unit, number)
     place, rows, share = outline_pixels(view)
     if len(place) < 8 or not np.all(np.isfinite(rows)):
         return None
-    level, (row, column) = view.pixels.level, place.T
+    level, about = view.pixels.level, smoothed_about(view, place, rows)
     px = len(solver.target) / float(level.scale)
-    coverage = coverage_of(view)
-    box = lambda image: uniform_filter(image, 5, mode="constant")
-    up, right = np.gradient(coverage)
-    length = np.maximum(box(np.hypot(up, right))[row, column], 1e-3)
-    out = _units(-np.column_stack([box(right)[row, column], box(up)[row, column]]))
-    moves = np.zeros((rows.shape[1], *coverage.shape))
-    moves[:, row, column] = rows.T
-    by_move = np.stack([box(image)[row, column] / length for image in moves], axis=1)
-    at = np.column_stack([column, row]) + 0.5 + np.asarray(level.origin, float)
+    out = _units(-about.slope)
+    by_move = about.rows / np.maximum(about.steepness, 1e-3)[:, None]
+    at = place[:, ::-1] + 0.5 + np.asarray(level.origin, float)
     return _Outline(px * (at + out * (share - 0.5)[:, None]), out, px * by_move)
 
 
@@ -420,24 +414,51 @@ def _hidden(
     whole = inside_of(mask.target)
     box = _about(whole | seen, 2 * room)
     inside, seen = whole[box], seen[box]
-    row, column = np.indices(inside.shape)
-    at = (column + box[1].start + 0.5, len(whole) - box[0].start - row - 0.5)
-    pixels = np.stack(at, axis=-1).reshape(-1, 2)
-    from_believed, from_other = (
-        _distances(edge.at[part], pixels).reshape(inside.shape) for part in (believed, ~believed)
-    )
-    beside = from_other < from_believed
-    missing = seen & ~inside & (from_believed > near)
+    corner = np.array([box[1].start + 0.5, len(whole) - box[0].start - 0.5])
+    beside, by_believed, by_other = _nearness(edge, believed, near, corner, inside.shape)
+    missing = seen & ~inside & ~by_believed
     parts: Any = label(missing, np.ones((3, 3)))
-    grown: Any = binary_dilation(beside & (from_other < 2 * near + 1))
+    grown: Any = binary_dilation(beside & by_other)
     touching = missing & grown
     behind = np.isin(parts[0], np.unique(parts[0][touching])) & missing
     about: Any = binary_dilation(behind, iterations=room)
     result = np.zeros(whole.shape, bool)
-    result[box] = (about | beside) & (from_believed > near) & ~inside
+    result[box] = (about | beside) & ~by_believed & ~inside
     # (The last of an occluder's edge is so near to the outline that it looks like it.)
-    result[box] |= from_other <= 2 * near + 1
+    result[box] |= by_other
     return result
+
+
+def _nearness(
+    edge: Edge, believed: np.ndarray, near: float, corner: np.ndarray, shape: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return which pixels (h, w) are nearer to an edge that is not believed than to one that is,
+    which are within `near` (px) of the one that is, and within twice that and 1 of the other.
+
+    `corner` (2,) is the middle (px) of the first pixel, on the film. Of a large photo blocks are
+    asked, and pixels near an edge.
+    """
+    points, (h, w) = (edge.at[believed], edge.at[~believed]), shape
+    limits = np.array([near, 2 * near + 1])
+    side = -(-max(h, w) // BLOCKS)
+    tall, wide = -(-h // side), -(-w // side)
+
+    def asked(row: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        at = corner + np.column_stack([column, -row])
+        away = np.array([_distances(x, at) for x in points])
+        return np.concatenate([away[1:] < away[:1], away <= limits[:, None]]), away
+
+    row, column = side * np.indices((tall, wide)).reshape(2, -1)
+    told, away = asked(row + (side - 1) / 2, column + (side - 1) / 2)
+    close = np.any(away <= limits[:, None] + (side - 1) / 2**0.5, axis=0)
+    blocks = np.repeat(told[..., None], side**2, axis=-1)
+    if side > 1 and np.any(close):
+        down, right = np.indices((side, side)).reshape(2, -1)
+        inner = (row[close, None] + down).ravel(), (column[close, None] + right).ravel()
+        blocks[:, close] = asked(*inner)[0].reshape(3, -1, side**2)
+    images = blocks.reshape(3, tall, wide, side, side).swapaxes(2, 3)
+    beside, by_believed, by_other = images.reshape(3, tall * side, wide * side)[:, :h, :w]
+    return beside, by_believed, by_other
 
 
 def _about(shown: np.ndarray, margin: int) -> tuple[slice, slice]:

@@ -391,15 +391,19 @@ def unlikely(
     return max(independent, 1) * np.log(costs) + (far / START_RAD) ** 2 / 2
 
 
+def free_about(solver: Solver, found: Found, places: Places) -> list[Free]:
+    """Return what is free about a camera, one of some places or a rival of these."""
+    if separation(solver, found.unit, places.best.unit) > ELSEWHERE:
+        return settled(solver, found).free
+    return places.free
+
+
 def with_errors(
-    solver: Solver, mask: Mask, found: Found, places: Places, reach: float | None
+    solver: Solver, mask: Mask, found: Found, free: list[Free], reach: float | None
 ) -> list[Free]:
     """Return what is free about a camera: of a drawn mask, too, how far its errors leave what shows
     least, pixels farther than `reach` (px) from its edge left out."""
-    free = places.free
-    if separation(solver, found.unit, places.best.unit) > ELSEWHERE:
-        free = settled(solver, found).free  # it was a rival
-    if not is_drawn(solver.errors(found.view)):
+    if not (turns_freely(solver.names) and is_drawn(solver.errors(found.view))):
         return free
     if reach is not None:
         solver.weigh(mask.near_edge(reach), only_finest=True)

@@ -1,5 +1,6 @@
 """Stretches of a view's outline, and how far from them the mask's outline lies."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -169,6 +170,54 @@ def outline_pixels(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     share = np.asarray(view.pixels.coverage, float)[shown]
     place = _places(view.pixels, view.pixels.level)[shown]
     return place, rows / np.sqrt(weight[shown])[:, None], share
+
+
+class Smoothed(NamedTuple):
+    """Means over a block about each pixel of an outline: how steep coverage is there (P,), its
+    slope by columns and by rows (P, 2), and what some rows (P, k) hold."""
+
+    steepness: np.ndarray
+    slope: np.ndarray
+    rows: np.ndarray
+
+
+def smoothed_about(view: View, place: np.ndarray, rows: np.ndarray, reach: int = 2) -> Smoothed:
+    """Return means over the pixels up to `reach` away each way from those (P, 2) of an outline;
+    `rows` (P, k) are 0 beside it, and all is beside the window."""
+    coverage = _Coverage.of(view)
+    H, W = coverage.shape
+    width = W + 2 * reach
+    steps = np.indices((2 * reach + 1,) * 2).reshape(2, -1)
+    around = (place[:, :1] + steps[0]) * width + place[:, 1:] + steps[1]
+    # (Of zeros, what is not written to takes no time.)
+    slot = np.zeros((H + 2 * reach) * width, np.int32)
+    slot[around] = 1
+    cells = np.flatnonzero(slot)
+    slot[cells] = np.arange(len(cells))
+    around, own = slot[around], slot[(place[:, 0] + reach) * width + place[:, 1] + reach]
+
+    row, column = (x - reach for x in np.divmod(cells, width))
+    seen = (row >= 0) & (row < H) & (column >= 0) & (column < W)
+    row, column = np.clip(row, 0, H - 1), np.clip(column, 0, W - 1)
+    slope = np.column_stack(
+        [
+            _difference(lambda x: coverage.at(row, x), column, W),
+            _difference(lambda x: coverage.at(x, column), row, H),
+        ]
+    )
+    slope *= seen[:, None]
+    spread = np.zeros((len(cells), rows.shape[1]))
+    spread[own] = rows
+    mean = lambda values: np.mean(values[around], axis=1)
+    columns = np.stack([mean(x) for x in spread.T], axis=1)
+    slopes = np.stack([mean(x) for x in slope.T], axis=1)
+    return Smoothed(mean(np.hypot(*slope.T)), slopes, columns)
+
+
+def _difference(at: Callable[[np.ndarray], np.ndarray], place: np.ndarray, size: int) -> np.ndarray:
+    """Return the slope along an axis of a size at places on it, as `np.gradient` has it."""
+    before, after = np.maximum(place - 1, 0), np.minimum(place + 1, size - 1)
+    return (at(after) - at(before)) / np.maximum(after - before, 1)
 
 
 def _stretched(place: np.ndarray, coverage: "_Coverage", length: float) -> _Outline:
