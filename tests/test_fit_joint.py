@@ -33,6 +33,7 @@ OFF = exponential(np.array([0.1, -0.12, 0.08, 0.1, 0.05, -0.2]))
 START = at_pose(TRUTH, pose_of(TRUTH) @ OFF)
 RIG = {"left": np.eye(4), "right": exponential(np.array([0, -0.1, 0, 0.6, 0, 0]))}
 RIGHT = at_pose(TRUTH, pose_of(TRUTH) @ RIG["right"])
+BOTH_EYES = {"left": TRUTH, "right": RIGHT}
 
 
 def posture(k):
@@ -139,6 +140,104 @@ def test_an_object_s_pose_before_known_cameras(arm, scenes):
     assert np.max(np.abs(found.pose - place)) < 1e-9
     assert np.all(found.std > 0)
     assert np.all(found.std < 1e-6)
+
+
+# --- how large it is -----------------------------------------------------------------------------
+
+
+def grown(times):
+    return np.diag([times, times, times, 1.0])
+
+
+@pytest.fixture(scope="module")
+def larger(arm, scenes):
+    """Views of a part that is 1.1 times as large as its mesh, somewhere before known cameras."""
+    place = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
+    moved = arm.at([place @ grown(1.1) @ pose for pose in posture(0)])
+    views = [
+        pj.JointView(scenes[0], drawn(camera, moved), camera=name, object="part", scale="part")
+        for name, camera in BOTH_EYES.items()
+    ]
+    return views, {"part": place}
+
+
+def test_the_size_of_an_object_is_found_with_its_pose(arm, scenes, larger):
+    """The same for both views of it; that of what a third view shows is another."""
+    views, place = larger
+    shrunk = drawn(TRUTH, arm.at([grown(0.93) @ pose for pose in posture(1)]))
+    other = pj.JointView(scenes[1], shrunk, camera="left", scale="other")
+    start = {"part": place["part"] @ OFF}
+    fit = pj.fit_joint([*views, other], BOTH_EYES, (), objects=start)
+    assert (fit.status, fit.weak) == ("converged", ())
+    assert abs(fit.scales["part"].value - 1.1) < 1e-9
+    assert abs(fit.scales["other"].value - 0.93) < 1e-9
+    assert np.max(np.abs(fit.objects["part"].pose - place["part"])) < 1e-9
+    assert all(0 < scale.std < 1e-6 for scale in fit.scales.values())
+    # What is larger is farther away, and the other way round.
+    away = place["part"][:3, 3] - np.asarray(TRUTH.e)
+    correlation = fit.scales["part"].across["part"] / fit.objects["part"].std
+    assert correlation[3:] @ away / np.linalg.norm(away) > 0.9 * fit.scales["part"].std
+    # (Each view's camera is in its scene's frame, as the scene is given.)
+    shown = fit.views[2]
+    assert np.max(np.abs(drawn(shown.camera, shown.scene) - shrunk)) < 1e-6
+
+
+def test_one_camera_does_not_tell_a_size_from_a_distance(larger):
+    views, place = larger
+    start = {"part": place["part"] @ OFF}
+    one = {"left": TRUTH}
+    fit = pj.fit_joint(views[:1], one, (), objects=start)
+    assert fit.status == "rank_deficient"
+    assert fit.weak[0].startswith("the scale of 'part' and how far it is away are one")
+    assert np.isinf(fit.scales["part"].std)
+    assert np.any(np.isinf(fit.objects["part"].std[3:]))
+    assert np.all(fit.objects["part"].std[:3] < 1e-6)
+    # What is known of it makes it as surely known, and the distance with it.
+    known = {"part": {"scale": (1.1, 0.02)}}
+    fit = pj.fit_joint(views[:1], one, (), objects=start, prior=known)
+    found = fit.scales["part"]
+    assert (fit.status, fit.weak) == ("converged", ())
+    assert abs(found.value - 1.1) < 0.2 * 0.02
+    assert abs(found.std / 0.02 - 1) < 1e-3
+    away = place["part"][:3, 3] - np.asarray(TRUTH.e)
+    assert np.allclose(found.across["part"][3:], 0.02**2 * away / 1.1, rtol=2e-2)
+    assert abs(fit.objects["part"].std[5] / (0.02 * abs(away[2]) / 1.1) - 1) < 2e-2
+
+
+@pytest.mark.long
+def test_the_error_bars_of_a_size_hold(larger):
+    views, place = larger
+    off = []
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        noisy = [
+            v._replace(target=v.target + 0.05 * random.normal(size=(SIZE, SIZE))) for v in views
+        ]
+        fit = pj.fit_joint(noisy, BOTH_EYES, (), objects=place)
+        off.append((fit.scales["part"].value - 1.1) / fit.scales["part"].std)
+    assert np.mean(np.abs(off) < 1.96) >= 10 / 12
+    assert np.max(np.abs(off)) > 0.3
+
+
+@pytest.mark.long
+def test_the_size_of_one_body_of_several_is_found(arm):
+    """A rig before two bodies, the second of which is 5 % larger than its mesh."""
+
+    def shown(k):
+        return lambda x: [posture(k)[0], posture(k)[1] @ grown(1 + x[0])]
+
+    postures = [pj.Posture(arm, shown(k), {"bar": "scale"}) for k in range(2)]
+    views = [
+        pj.JointView(p.scene(), drawn(camera, p.scene([0.05])), name, posture=p)
+        for p in postures
+        for name, camera in (("left", TRUTH), ("right", RIGHT))
+    ]
+    right = at_pose(TRUTH, pose_of(START) @ RIG["right"])
+    fit = pj.fit_joint(views, {"left": START, "right": right}, rig=RIG, joint_zeros={"bar": 0.1})
+    assert fit.status == "converged"
+    assert abs(fit.joint_zeros.values[0] - 0.05) < 1e-5
+    assert fit.joint_zeros.units == ("scale",)
+    assert max(apart(fit.cameras["left"].camera, TRUTH)) < 1e-4
 
 
 @pytest.fixture(scope="module")
@@ -262,13 +361,14 @@ def test_moves_are_those_of_differences(stereo):
     cameras, place = {"left": START, "right": RIGHT}, exponential(np.full(6, 0.1))
     view = stereo[1]._replace(object="part", placed=exponential(np.full(6, 0.2)), mount=place)
     problem = JointProblem.of(
-        [view, stereo[0]._replace(object="part")],
+        [view._replace(scale="size"), stereo[0]._replace(object="part")],
         cameras,
         ("pose", "phi"),
         {"part": exponential(np.full(6, -0.1))},
         {**RIG},
         None,
         8,
+        prior={"size": {"scale": (1.2, 0.1)}},
     )
     layout, state, eye = problem.layout, problem.start, problem.layout.eyes[0]
     seen = layout.look(state, 1)[0]
@@ -539,6 +639,18 @@ BOTH = {"camera": TRUTH, "other": TRUTH}
                 "cameras": {"rig": TRUTH, "left": TRUTH},
                 "rig": {"left": np.eye(4)},
             },
+        ),
+        (
+            r"`views\[0\].scale`: expected a name that no camera has, got 'camera'",
+            lambda v: one(v, scale="camera"),
+        ),
+        (
+            r"`prior`: expected a positive scale of 'size', got -1.0",
+            lambda v: {**one(v, scale="size"), "prior": {"size": {"scale": (-1, 0.1)}}},
+        ),
+        (
+            r"`prior`: expected free parameters among scale, got 'x'",
+            lambda v: {**one(v, scale="size"), "prior": {"size": {"x": (0, 0.1)}}},
         ),
         (r"`outlier_px`: expected a positive", lambda v: {"outlier_px": -1.0}),
         (r"`shared`: expected names among phi, .* got pose", lambda v: {"shared": "pose"}),

@@ -6,7 +6,7 @@ from typing import Any
 from .._camera.camera import Camera
 from .joint_levels import Path, Tell, depth_of, descended, to_the_end
 from .joint_problem import JointProblem
-from .joint_result import JointFit, reported, together
+from .joint_result import JointFit, as_one, reported
 from .joint_search import equally_good, looking_alike, searched_jointly
 from .joint_views import JointView, State
 
@@ -54,7 +54,8 @@ def fit_joint(
     - `outlier_px`: as in `fit_camera`: pixels farther from a mask's edge lose their weight at the
       end, where masks are not exact.
     - `prior`, `bounds`: as in `fit_camera`, the same for each camera, or by the names of cameras
-      (and objects): {"left": {"phi": (0.6, 0.01)}}. An object's prior is of its place: x, y, z.
+      (and objects): {"left": {"phi": (0.6, 0.01)}}. An object's prior is of its place: x, y, z;
+      that of a `JointView.scale`, by its name, of "scale" (which begins there, without one at 1).
       Of what cameras share a prior counts once.
       Where masks err along stretches, what is known beforehand counts for as much more.
     - `joint_zeros`: how surely the zeros of a robot's joints are known: standard deviations, by the
@@ -86,7 +87,7 @@ def fit_joint(
     else:
         problems = [part for part, _ in parts]
         fits = [(_ended(p, of, tell), n) for p, (of, n) in zip(problems, led, strict=True)]
-    return fits[0][0] if len(fits) == 1 else together(fits)
+    return fits[0][0] if len(fits) == 1 else as_one(fits)
 
 
 def _silent(words: str) -> None:
@@ -128,8 +129,9 @@ def _with_zeros(
 
 
 def _merged(problem: JointProblem, found: list[tuple[Path, list[int]]]) -> State:
-    """Return the state in which each view's poses and lenses are where a path of its own led."""
+    """Return the state in which each view's poses, lens and scale are where its own path led."""
     poses, lenses = dict(problem.start.poses), dict(problem.start.lenses)
+    scales = dict(problem.start.scales)
     for path, numbers in found:
         state = path.descent.state
         for k in numbers:
@@ -138,7 +140,9 @@ def _merged(problem: JointProblem, found: list[tuple[Path, list[int]]]) -> State
             lenses[eye.camera] = state.lenses[eye.camera]
             if eye.object is not None:
                 poses[eye.object] = state.poses[eye.object]
-    return problem.start._replace(poses=poses, lenses=lenses)
+            if eye.sized is not None:
+                scales[eye.sized] = state.scales[eye.sized]
+    return problem.start._replace(poses=poses, lenses=lenses, scales=scales)
 
 
 def _ended(problem: JointProblem, paths: list[Path], tell: Tell) -> JointFit:
