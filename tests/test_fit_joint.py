@@ -4,6 +4,8 @@ import json
 import re
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -202,6 +204,119 @@ def test_one_camera_does_not_tell_a_size_from_a_distance(larger):
     away = place["part"][:3, 3] - np.asarray(TRUTH.e)
     assert np.allclose(found.across["part"][3:], 0.02**2 * away / 1.1, rtol=2e-2)
     assert abs(fit.objects["part"].std[5] / (0.02 * abs(away[2]) / 1.1) - 1) < 2e-2
+
+
+def of_inputs(views, place, target, vertices, mount, placed):
+    """Return the pose and size of a part, as they follow a mask, its mesh and known transforms."""
+    scene = pj.Scene(mesh=pj.Mesh(vertices, np.asarray(views[0].scene.mesh.faces)))
+    given = [
+        views[0]._replace(scene=scene, target=target, mount=mount),
+        views[1]._replace(scene=scene, placed=placed),
+    ]
+    fit = pj.fit_joint(given, BOTH_EYES, (), objects=place, outlier_px=None)
+    pose, size = fit.objects["part"].pose, fit.scales["part"].value
+    return jnp.append(jnp.ravel(pose[:3]), size)
+
+
+@pytest.mark.long
+def test_the_answer_moves_with_masks_and_transforms_as_refits_do(larger):
+    views, place = larger
+    random = np.random.default_rng(0)
+    noise = lambda: 0.03 * random.normal(size=(SIZE, SIZE))
+    views = [v._replace(target=v.target + noise()) for v in views]
+    vertices = np.asarray(views[0].scene.mesh.vertices)
+    answer = lambda t, m, p: of_inputs(views, place, t, vertices, m, p)
+    # A mask that changes, a camera's carrier and what the other sees move, all at once.
+    change = random.normal(size=(SIZE, SIZE))
+    twists = random.normal(size=(2, 6))
+
+    def at(h):
+        return views[0].target + h * change, *(exponential(10 * h * x) for x in twists)
+
+    h = 1e-5
+    velocity = [(a - b) / (2 * h) for a, b in zip(at(h), at(-h), strict=True)]
+    value, slope = jax.jvp(
+        answer, tuple(map(jnp.asarray, at(0.0))), tuple(map(jnp.asarray, velocity))
+    )
+    refits = (answer(*at(h)) - answer(*at(-h))) / (2 * h)
+    np.testing.assert_allclose(value, answer(*at(0.0)), atol=1e-9)
+    np.testing.assert_allclose(slope, refits, atol=1e-3 * np.abs(refits).max())
+
+
+@pytest.mark.full
+def test_the_answer_moves_with_the_mesh_as_refits_do(larger):
+    """Forward and reverse, where masks are explained."""
+    views, place = larger
+    vertices = jnp.asarray(views[0].scene.mesh.vertices)
+    answer = lambda v: of_inputs(views, place, views[0].target, v, None, None)
+    wrong = 0.01 * jnp.asarray(np.random.default_rng(1).normal(size=vertices.shape))
+    slope, h = jax.jvp(answer, (vertices,), (wrong,))[1], 1e-3
+    refits = (answer(vertices + h * wrong) - answer(vertices - h * wrong)) / (2 * h)
+    np.testing.assert_allclose(slope, refits, atol=1e-3 * np.abs(refits).max())
+    gradient = jax.grad(lambda v: answer(v)[-1])(vertices)
+    np.testing.assert_allclose(jnp.sum(gradient * wrong), slope[-1], rtol=1e-6)
+
+
+def test_what_is_known_beforehand_is_not_differentiated(larger):
+    views, place = larger
+    known = {"part": {"scale": (1.1, 0.1)}}
+    size = lambda target: (
+        pj.fit_joint(
+            [views[0]._replace(target=target)], {"left": TRUTH}, (), objects=place, prior=known
+        )
+        .scales["part"]
+        .value
+    )
+    with pytest.raises(ValueError, match="`photo`: expected none where the fit is differentiated"):
+        jax.grad(size)(jnp.asarray(views[0].target))
+
+
+def differences(image, h=1e-5):
+    """Return how an image follows seven numbers."""
+    ends = [(image(h * x) - image(-h * x)) / (2 * h) for x in np.eye(7)]
+    return np.stack([x.ravel() for x in ends], axis=1)
+
+
+def test_what_masks_of_several_views_would_tell(arm, larger):
+    """The error bars are those of the polygons' differences; there is no mask yet."""
+    views, place = larger
+    views = [v._replace(target=None) for v in views]
+    told = pj.joint_observability(views, BOTH_EYES, (), objects=place, noise=0.1)
+    assert told.names[:3] == ("part rotation_x", "part rotation_y", "part rotation_z")
+    assert told.names[3:] == ("part x", "part y", "part z", "part scale")
+    assert (told.rank, told.of) == (7, 7)
+
+    def shown(camera, x):
+        moved = place["part"] @ exponential(np.append(x[:3], place["part"][:3, :3].T @ x[3:6]))
+        return drawn(camera, arm.at([moved @ grown(1 + x[6]) @ pose for pose in posture(0)]))
+
+    J = [differences(lambda x, c=camera: shown(c, x)) for camera in BOTH_EYES.values()]
+    information = sum(j.T @ j for j in J) / 0.1**2
+    np.testing.assert_allclose(told.std, np.sqrt(np.diag(np.linalg.inv(information))), rtol=1e-4)
+    # What is known beforehand adds to it.
+    known = {"part": {"scale": (1.0, 1e-3), "y": (0.0, 2e-3)}}
+    both = pj.joint_observability(views, BOTH_EYES, (), objects=place, prior=known)
+    information[6, 6] += 1e-3**-2
+    information[4, 4] += 2e-3**-2
+    np.testing.assert_allclose(both.covariance, np.linalg.inv(information), rtol=1e-3, atol=1e-9)
+    # One eye does not tell a size from a distance.
+    one = pj.joint_observability(views[:1], {"left": TRUTH}, (), objects=place)
+    assert (one.rank, one.of, len(one.values)) == (6, 7, 7)
+    assert np.isinf(one.std[-1])
+    assert one.weak[0] == "the place of part against the scale of part is not visible"
+    assert "6 of 7 directions are visible" in str(one)
+
+
+def test_what_views_would_tell_of_cameras_is_what_a_fit_says(noisy):
+    asked = START, ("pose", "phi")
+    fit = pj.fit_joint(noisy[:1], *asked).cameras["camera"]
+    told = pj.joint_observability(noisy[:1], fit.camera, ("pose", "phi"), noise=0.05)
+    assert told.names == tuple(f"camera {name}" for name in fit.names)
+    np.testing.assert_allclose(told.std, np.sqrt(np.diag(fit.independent_covariance)), rtol=0.15)
+    alone = pj.observability(fit.camera, noisy[0].scene, ("pose", "phi"), noise=0.05)
+    np.testing.assert_allclose(told.covariance, alone.covariance, rtol=1e-6)
+    with pytest.raises(ValueError, match="`noise`: expected a positive standard deviation"):
+        pj.joint_observability(noisy[:1], *asked, noise=0.0)
 
 
 @pytest.mark.long

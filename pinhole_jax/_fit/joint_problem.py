@@ -63,8 +63,10 @@ class JointProblem(NamedTuple):
         bounds: Any = None,
         joint_zeros: Any = None,
         shared: Any = (),
+        as_given: bool = False,
     ) -> "JointProblem":
-        """Return the problem, or raise ValueError."""
+        """Return the problem, or raise ValueError; masks are levelled unless they are to be taken
+        `as_given`."""
         check_steps(max_steps)
         check_reach(outlier_px)
         given = _checked_views(views)
@@ -87,6 +89,8 @@ class JointProblem(NamedTuple):
         own = ("pose", *(n for n in names if n != "pose"))
         settings = outlier_px, max_steps, prior, bounds
         masks = [_checked_mask(k, view, cameras[view.camera]) for k, view in enumerate(given)]
+        if not as_given:
+            masks = [(levelled(image, weight), weight) for image, weight in masks]
         asked = given, masks, cameras, names, own, groups, poses, fixed, zeros
         return cls.among(*asked, *settings)
 
@@ -119,13 +123,14 @@ class JointProblem(NamedTuple):
         scales = scales_of(prior, views)
         told = prior, cameras, names, owners, moving, rig, [*objects], [*scales]
         beliefs = beliefs_of(*told)
-        eyes, least = [], LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
+        eyes, of_scene = [], dict[int, Solver]()
+        least = LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
         for k, (view, mask) in enumerate(zip(views, masks, strict=True)):
             of = cameras[view.camera], own, owners[view.camera], moving, rig, within[view.camera]
-            eyes.append(_eye(k, view, mask, *of, (max_steps, outlier_px, least)))
-        of_scene: dict[int, Solver] = {}
-        for eye in eyes:  # (A scene's arrays are not copied for each view.)
+            eye = _eye(k, view, mask, *of, (max_steps, outlier_px, least))
+            # (A scene's arrays are not copied for each view: not even until all are there.)
             eye.solver.share(of_scene.setdefault(id(eye.given), eye.solver))
+            eyes.append(eye)
         largest = Capacity(*np.max([eye.solver.capacity for eye in eyes], axis=0).tolist())
         for eye in eyes:
             eye.solver.capacity = largest
@@ -271,7 +276,7 @@ def _checked_mask(k: int, view: JointView, camera: Camera) -> tuple[np.ndarray, 
             check_photo(view.photo, camera.W, camera.H)
     except ValueError as error:
         raise ValueError(f"`views[{k}]`: {error}") from error
-    return levelled(image, weight), weight
+    return image, weight
 
 
 def _eye(

@@ -189,14 +189,20 @@ class Eye:
         by_twist[of_pose] = np.linalg.solve(by_moves, twisted)
         return by_twist
 
+    def by_motion(self, state: State, view: View) -> np.ndarray:
+        """Return the view's moves (n, 6), in its solver's units, by a twist of its own camera in
+        the world, whatever the scale of what it sees."""
+        result = self.by_twist(state, view)
+        result[:, 3:] /= self.scale(state)
+        return result
+
     def moves(self, state: State, view: View, unknowns: list[Unknown]) -> np.ndarray:
         """Return the view's moves (n, k), in its solver's units, by the poses and lenses that it
         depends on."""
         names, pose, scale = self.solver.names, self.pose(state), self.scale(state)
         known, unit = components(names), np.asarray(view.unit, float)
-        by_twist = self.by_twist(state, view)
-        nearer = by_twist[:, 3:] @ pose[:3, :3].T @ -pose[:3, 3]
-        by_twist[:, 3:] /= scale
+        by_twist = self.by_motion(state, view)
+        nearer = by_twist[:, 3:] @ pose[:3, :3].T @ (-scale * pose[:3, 3])
         parts = [np.zeros((len(known), 0))]
         for unknown in unknowns:
             if unknown.kind == SCALE:
