@@ -16,7 +16,7 @@ from scipy.stats import t
 
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, shapes
-from pinhole_jax._camera.poses import adjoint, at_pose, exponential, inverse, pose_of
+from pinhole_jax._camera.poses import adjoint, at_pose, exponential, inverse, pose_of, skew
 from pinhole_jax._command.proposals import _tells as tells, worths
 from pinhole_jax._fit import levenberg_marquardt
 from pinhole_jax._fit.joint_levels import depth_of, descended, to_the_end
@@ -305,6 +305,56 @@ def test_what_masks_of_several_views_would_tell(arm, larger):
     assert np.isinf(one.std[-1])
     assert one.weak[0] == "the place of part against the scale of part is not visible"
     assert "6 of 7 directions are visible" in str(one)
+
+
+def by_the_left_eye():
+    """Return how what is reported of the right eye follows what is of the left one."""
+    flip, step, turned = np.diag([1, -1, 1]), RIG["right"], pose_of(TRUTH)[:3, :3]
+    follows = np.eye(6)
+    follows[:3, :3] = flip @ step[:3, :3].T @ flip
+    follows[3:, :3] = -skew(turned @ step[:3, 3]) @ turned @ flip
+    return follows
+
+
+def by_eyes(stereo, run):
+    """Return what a rig leads to, and its left and right eye by themselves."""
+    own = {side: [v for v in stereo if v.camera == side] for side in BOTH_EYES}
+    alone = [run(own[side], {side: BOTH_EYES[side]}, {}) for side in BOTH_EYES]
+    return run(stereo, BOTH_EYES, {"rig": RIG}), *alone
+
+
+def test_what_both_eyes_of_a_rig_tell_adds_up(stereo):
+    """What a rig's masks tell of its pose is what its left eye's and its right eye's do."""
+    told = lambda views, cameras, rig: pj.joint_observability(views, cameras, **rig)
+    both, left, right = by_eyes(stereo, told)
+    assert both.names[:6] == left.names
+    assert both.of == 6
+    follows = by_the_left_eye()
+    information = np.linalg.inv(left.covariance)
+    information = information + follows.T @ np.linalg.inv(right.covariance) @ follows
+    expected = np.sqrt(np.diag(np.linalg.inv(information)))
+    np.testing.assert_allclose(both.std[:6], expected, rtol=1e-6)
+
+
+@pytest.mark.long
+def test_a_rig_s_pose_is_as_much_better_as_theory_says(stereo):
+    """Masks whose pixels err by 5 %: how far poses are off, beside what the limit is."""
+    told = lambda views, cameras, rig: pj.joint_observability(views, cameras, noise=0.05, **rig)
+    limits = [found.std[:6] for found in by_eyes(stereo, told)[:2]]
+    off = []
+    for seed in range(10):
+        random = np.random.default_rng(seed)
+        noise = lambda r=random: 0.05 * r.normal(size=(SIZE, SIZE))
+        noisy = [v._replace(target=v.target + noise()) for v in stereo]
+        fits = by_eyes(noisy, lambda views, cameras, rig: pj.fit_joint(views, cameras, **rig))
+        cameras = [fit.cameras["left"].camera for fit in fits[:2]]
+        turns = [np.array(reported(c, TRUTH, ("pose",)))[:3] for c in cameras]
+        off.append([np.append(t, TRUTH.e - c.e) for t, c in zip(turns, cameras, strict=True)])
+    rms = np.sqrt(np.mean(np.square(off), axis=0))
+    np.testing.assert_allclose(np.sqrt(np.mean((rms / limits) ** 2, axis=1)), 1, atol=0.25)
+    better, expected = (np.exp(np.mean(np.log(x[0] / x[1]))) for x in (rms, limits))
+    assert expected < 0.75
+    assert abs(better / expected - 1) < 0.3
 
 
 def test_what_views_would_tell_of_cameras_is_what_a_fit_says(noisy):
