@@ -4,13 +4,15 @@
 
 The KUKA LBR Med7 of `../shared/data/robots`: five postures before a stereo camera. Each eye is
 fitted by itself: that both are 120.09 mm apart, and parallel, no fit knows. Then halves of the
-postures, all of it once more with the photos, and the peers' answers. The picture has the recovered
-outlines on the photos, above the peers'.
+postures, all of it once more with the photos, both eyes as one rig, and the peers' answers. The
+picture has the recovered outlines on the photos, above the peers'.
 """
 
 import json
+import resource
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +21,7 @@ from _common import folder
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
-from pinhole_jax._camera.poses import at_pose, inverse, pose_of
+from pinhole_jax._camera.poses import at_pose, inverse, pose_of, skew
 from pinhole_jax._fit.drift import drift
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "robots" / "lbr_med7"
@@ -80,6 +82,7 @@ def main() -> None:
             "status": found.status,
             "seconds (first, compiled, from a start)": seconds,
             "std": fit.std.tolist(),
+            "peak of the process so far, MB": peak(),
             "excess": found.excess,
             "IoU": [view.iou for view in found.views],
             "from a start": apart(fit, again.cameras["camera"]),
@@ -91,16 +94,57 @@ def main() -> None:
         draw(out, side, photos.fit, seen, peers[side])
     table["stereo"] = stereo(fits["left"], fits["right"])
     table["stereo, with the photos"] = stereo(refined["left"], refined["right"])
+    table["both eyes as one rig"] = as_one_rig(fits)
     theirs = (fits["left"]._replace(camera=peers[side]) for side in ("left", "right"))
     table["the peer's"] = stereo(*theirs)
     print(json.dumps({k: table[k] for k in table if k not in fits}, indent=1))
     (out / "robots.json").write_text(json.dumps(table, indent=1))
 
 
+def peak() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
 def halves(seen: list[pj.JointView], start: pj.Camera) -> list[dict]:
     """How far apart the cameras are that halves of the postures lead to."""
     fit = lambda half: pj.fit_joint([seen[k] for k in half], start).cameras["camera"]
     return [apart(*map(fit, pair)) for pair in HALVES]
+
+
+def as_one_rig(fits: dict[str, pj.Fit]) -> dict:
+    """What both eyes say of the left one where their rig's transform is known: its sigmas by the
+    left eye's masks, by both, and what both should say by theory (information adds up), the sigmas'
+    geometric mean over these, and how far apart halves of the postures are."""
+    step = np.eye(4)
+    step[0, 3] = BASELINE / 1e3
+    rig, start = {"left": np.eye(4), "right": step}, fits["left"].camera
+    cameras = {side: at_pose(start, pose_of(start) @ rig[side]) for side in rig}
+    of = {side: [v._replace(camera=side) for v in views(side)] for side in rig}
+
+    def fit(half: Sequence[int]) -> pj.JointFit:
+        return pj.fit_joint([of[side][k] for k in half for side in rig], cameras, rig=rig)
+
+    both = fit(range(len(of["left"])))
+    told = both.cameras["left"]
+    # The right eye's turn is the left one's, its place follows that.
+    turned = pose_of(told.camera)[:3, :3]
+    follows = np.eye(6)
+    follows[3:, :3] = -skew(turned @ step[:3, 3]) @ turned @ np.diag([1, -1, 1])
+    right = follows.T @ np.linalg.inv(fits["right"].covariance) @ follows
+    theory = np.linalg.inv(np.linalg.inv(fits["left"].covariance) + right)
+    size = lambda covariance: float(np.exp(np.linalg.slogdet(covariance)[1] / 12))
+    alone = size(fits["left"].covariance)
+    return {
+        "status": both.status,
+        "excess": both.excess,
+        "std of the left eye alone": fits["left"].std.tolist(),
+        "std": told.std.tolist(),
+        "std by theory": np.sqrt(np.diag(theory)).tolist(),
+        "left eye alone over both": alone / size(told.covariance),
+        "by theory": alone / size(theory),
+        "from the left eye alone": apart(told, fits["left"]),
+        "halves": [apart(*(fit(half).cameras["left"] for half in pair)) for pair in HALVES],
+    }
 
 
 class WithPhotos(NamedTuple):

@@ -30,6 +30,7 @@ from ._fit.fit_cameras import fit_cameras as fit_cameras
 from ._fit.fit_joint import fit_joint as fit_joint
 from ._fit.fit_lanes import Lanes as Lanes, fit_lanes as fit_lanes
 from ._fit.fit_points import PointFit as PointFit, fit_points as fit_points
+from ._fit.joint_observability import joint_observability as joint_observability
 from ._fit.joint_result import JointFit as JointFit
 from ._fit.joint_views import JointView as JointView
 from ._fit.metrics import iou as iou, pose_error as pose_error

@@ -172,6 +172,7 @@ def found_by_many_views(names, printed):
     assert [fit.status for fit in names["fits"]] == ["converged", "converged"]
     assert names["joint"].status == "converged"
     assert np.rad2deg(pj.pose_error(names["joint"].camera, names["truth"])[0]) < 1e-4
+    assert abs(names["sized"].scales["part"].value - 1.1) < 1e-4
 
 
 def found_by_masks(names, printed):

@@ -4,6 +4,8 @@ import json
 import re
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -14,7 +16,7 @@ from scipy.stats import t
 
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, shapes
-from pinhole_jax._camera.poses import adjoint, at_pose, exponential, inverse, pose_of
+from pinhole_jax._camera.poses import adjoint, at_pose, exponential, inverse, pose_of, skew
 from pinhole_jax._command.proposals import _tells as tells, worths
 from pinhole_jax._fit import levenberg_marquardt
 from pinhole_jax._fit.joint_levels import depth_of, descended, to_the_end
@@ -33,6 +35,7 @@ OFF = exponential(np.array([0.1, -0.12, 0.08, 0.1, 0.05, -0.2]))
 START = at_pose(TRUTH, pose_of(TRUTH) @ OFF)
 RIG = {"left": np.eye(4), "right": exponential(np.array([0, -0.1, 0, 0.6, 0, 0]))}
 RIGHT = at_pose(TRUTH, pose_of(TRUTH) @ RIG["right"])
+BOTH_EYES = {"left": TRUTH, "right": RIGHT}
 
 
 def posture(k):
@@ -139,6 +142,267 @@ def test_an_object_s_pose_before_known_cameras(arm, scenes):
     assert np.max(np.abs(found.pose - place)) < 1e-9
     assert np.all(found.std > 0)
     assert np.all(found.std < 1e-6)
+
+
+# --- how large it is -----------------------------------------------------------------------------
+
+
+def grown(times):
+    return np.diag([times, times, times, 1.0])
+
+
+@pytest.fixture(scope="module")
+def larger(arm, scenes):
+    """Views of a part that is 1.1 times as large as its mesh, somewhere before known cameras."""
+    place = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
+    moved = arm.at([place @ grown(1.1) @ pose for pose in posture(0)])
+    views = [
+        pj.JointView(scenes[0], drawn(camera, moved), camera=name, object="part", scale="part")
+        for name, camera in BOTH_EYES.items()
+    ]
+    return views, {"part": place}
+
+
+def test_the_size_of_an_object_is_found_with_its_pose(arm, scenes, larger):
+    """The same for both views of it; that of what a third view shows is another."""
+    views, place = larger
+    shrunk = drawn(TRUTH, arm.at([grown(0.93) @ pose for pose in posture(1)]))
+    other = pj.JointView(scenes[1], shrunk, camera="left", scale="other")
+    start = {"part": place["part"] @ OFF}
+    fit = pj.fit_joint([*views, other], BOTH_EYES, (), objects=start)
+    assert (fit.status, fit.weak) == ("converged", ())
+    assert abs(fit.scales["part"].value - 1.1) < 1e-9
+    assert abs(fit.scales["other"].value - 0.93) < 1e-9
+    assert np.max(np.abs(fit.objects["part"].pose - place["part"])) < 1e-9
+    assert all(0 < scale.std < 1e-6 for scale in fit.scales.values())
+    # What is larger is farther away, and the other way round.
+    away = place["part"][:3, 3] - np.asarray(TRUTH.e)
+    correlation = fit.scales["part"].across["part"] / fit.objects["part"].std
+    assert correlation[3:] @ away / np.linalg.norm(away) > 0.9 * fit.scales["part"].std
+    # (Each view's camera is in its scene's frame, as the scene is given.)
+    shown = fit.views[2]
+    assert np.max(np.abs(drawn(shown.camera, shown.scene) - shrunk)) < 1e-6
+
+
+def test_one_camera_does_not_tell_a_size_from_a_distance(larger):
+    views, place = larger
+    start = {"part": place["part"] @ OFF}
+    one = {"left": TRUTH}
+    fit = pj.fit_joint(views[:1], one, (), objects=start)
+    assert fit.status == "rank_deficient"
+    assert fit.weak[0].startswith("the scale of 'part' and how far it is away are one")
+    assert np.isinf(fit.scales["part"].std)
+    assert np.any(np.isinf(fit.objects["part"].std[3:]))
+    assert np.all(fit.objects["part"].std[:3] < 1e-6)
+    # What is known of it makes it as surely known, and the distance with it.
+    known = {"part": {"scale": (1.1, 0.02)}}
+    fit = pj.fit_joint(views[:1], one, (), objects=start, prior=known)
+    found = fit.scales["part"]
+    assert (fit.status, fit.weak) == ("converged", ())
+    assert abs(found.value - 1.1) < 0.2 * 0.02
+    assert abs(found.std / 0.02 - 1) < 1e-3
+    away = place["part"][:3, 3] - np.asarray(TRUTH.e)
+    assert np.allclose(found.across["part"][3:], 0.02**2 * away / 1.1, rtol=2e-2)
+    assert abs(fit.objects["part"].std[5] / (0.02 * abs(away[2]) / 1.1) - 1) < 2e-2
+
+
+def of_inputs(views, place, target, vertices, mount, placed):
+    """Return the pose and size of a part, as they follow a mask, its mesh and known transforms."""
+    scene = pj.Scene(mesh=pj.Mesh(vertices, np.asarray(views[0].scene.mesh.faces)))
+    given = [
+        views[0]._replace(scene=scene, target=target, mount=mount),
+        views[1]._replace(scene=scene, placed=placed),
+    ]
+    fit = pj.fit_joint(given, BOTH_EYES, (), objects=place, outlier_px=None)
+    pose, size = fit.objects["part"].pose, fit.scales["part"].value
+    return jnp.append(jnp.ravel(pose[:3]), size)
+
+
+@pytest.mark.long
+def test_the_answer_moves_with_masks_and_transforms_as_refits_do(larger):
+    views, place = larger
+    random = np.random.default_rng(0)
+    noise = lambda: 0.03 * random.normal(size=(SIZE, SIZE))
+    views = [v._replace(target=v.target + noise()) for v in views]
+    vertices = np.asarray(views[0].scene.mesh.vertices)
+    answer = lambda t, m, p: of_inputs(views, place, t, vertices, m, p)
+    # A mask that changes, a camera's carrier and what the other sees move, all at once.
+    change = random.normal(size=(SIZE, SIZE))
+    twists = random.normal(size=(2, 6))
+
+    def at(h):
+        return views[0].target + h * change, *(exponential(10 * h * x) for x in twists)
+
+    h = 1e-5
+    velocity = [(a - b) / (2 * h) for a, b in zip(at(h), at(-h), strict=True)]
+    value, slope = jax.jvp(
+        answer, tuple(map(jnp.asarray, at(0.0))), tuple(map(jnp.asarray, velocity))
+    )
+    refits = (answer(*at(h)) - answer(*at(-h))) / (2 * h)
+    np.testing.assert_allclose(value, answer(*at(0.0)), atol=1e-9)
+    np.testing.assert_allclose(slope, refits, atol=1e-3 * np.abs(refits).max())
+
+
+@pytest.mark.full
+def test_the_answer_moves_with_the_mesh_as_refits_do(larger):
+    """Forward and reverse, where masks are explained."""
+    views, place = larger
+    vertices = jnp.asarray(views[0].scene.mesh.vertices)
+    answer = lambda v: of_inputs(views, place, views[0].target, v, None, None)
+    wrong = 0.01 * jnp.asarray(np.random.default_rng(1).normal(size=vertices.shape))
+    slope, h = jax.jvp(answer, (vertices,), (wrong,))[1], 1e-3
+    refits = (answer(vertices + h * wrong) - answer(vertices - h * wrong)) / (2 * h)
+    np.testing.assert_allclose(slope, refits, atol=1e-3 * np.abs(refits).max())
+    gradient = jax.grad(lambda v: answer(v)[-1])(vertices)
+    np.testing.assert_allclose(jnp.sum(gradient * wrong), slope[-1], rtol=1e-6)
+
+
+def test_what_is_known_beforehand_is_not_differentiated(larger):
+    views, place = larger
+    known = {"part": {"scale": (1.1, 0.1)}}
+    size = lambda target: (
+        pj.fit_joint(
+            [views[0]._replace(target=target)], {"left": TRUTH}, (), objects=place, prior=known
+        )
+        .scales["part"]
+        .value
+    )
+    with pytest.raises(ValueError, match="`photo`: expected none where the fit is differentiated"):
+        jax.grad(size)(jnp.asarray(views[0].target))
+
+
+def differences(image, h=1e-5):
+    """Return how an image follows seven numbers."""
+    ends = [(image(h * x) - image(-h * x)) / (2 * h) for x in np.eye(7)]
+    return np.stack([x.ravel() for x in ends], axis=1)
+
+
+def test_what_masks_of_several_views_would_tell(arm, larger):
+    """The error bars are those of the polygons' differences; there is no mask yet."""
+    views, place = larger
+    views = [v._replace(target=None) for v in views]
+    told = pj.joint_observability(views, BOTH_EYES, (), objects=place, noise=0.1)
+    assert told.names[:3] == ("part rotation_x", "part rotation_y", "part rotation_z")
+    assert told.names[3:] == ("part x", "part y", "part z", "part scale")
+    assert (told.rank, told.of) == (7, 7)
+
+    def shown(camera, x):
+        moved = place["part"] @ exponential(np.append(x[:3], place["part"][:3, :3].T @ x[3:6]))
+        return drawn(camera, arm.at([moved @ grown(1 + x[6]) @ pose for pose in posture(0)]))
+
+    J = [differences(lambda x, c=camera: shown(c, x)) for camera in BOTH_EYES.values()]
+    information = sum(j.T @ j for j in J) / 0.1**2
+    np.testing.assert_allclose(told.std, np.sqrt(np.diag(np.linalg.inv(information))), rtol=1e-4)
+    # What is known beforehand adds to it.
+    known = {"part": {"scale": (1.0, 1e-3), "y": (0.0, 2e-3)}}
+    both = pj.joint_observability(views, BOTH_EYES, (), objects=place, prior=known)
+    information[6, 6] += 1e-3**-2
+    information[4, 4] += 2e-3**-2
+    np.testing.assert_allclose(both.covariance, np.linalg.inv(information), rtol=1e-3, atol=1e-9)
+    # One eye does not tell a size from a distance.
+    one = pj.joint_observability(views[:1], {"left": TRUTH}, (), objects=place)
+    assert (one.rank, one.of, len(one.values)) == (6, 7, 7)
+    assert np.isinf(one.std[-1])
+    assert one.weak[0] == "the place of part against the scale of part is not visible"
+    assert "6 of 7 directions are visible" in str(one)
+
+
+def by_the_left_eye():
+    """Return how what is reported of the right eye follows what is of the left one."""
+    flip, step, turned = np.diag([1, -1, 1]), RIG["right"], pose_of(TRUTH)[:3, :3]
+    follows = np.eye(6)
+    follows[:3, :3] = flip @ step[:3, :3].T @ flip
+    follows[3:, :3] = -skew(turned @ step[:3, 3]) @ turned @ flip
+    return follows
+
+
+def by_eyes(stereo, run):
+    """Return what a rig leads to, and its left and right eye by themselves."""
+    own = {side: [v for v in stereo if v.camera == side] for side in BOTH_EYES}
+    alone = [run(own[side], {side: BOTH_EYES[side]}, {}) for side in BOTH_EYES]
+    return run(stereo, BOTH_EYES, {"rig": RIG}), *alone
+
+
+def test_what_both_eyes_of_a_rig_tell_adds_up(stereo):
+    """What a rig's masks tell of its pose is what its left eye's and its right eye's do."""
+    told = lambda views, cameras, rig: pj.joint_observability(views, cameras, **rig)
+    both, left, right = by_eyes(stereo, told)
+    assert both.names[:6] == left.names
+    assert both.of == 6
+    follows = by_the_left_eye()
+    information = np.linalg.inv(left.covariance)
+    information = information + follows.T @ np.linalg.inv(right.covariance) @ follows
+    expected = np.sqrt(np.diag(np.linalg.inv(information)))
+    np.testing.assert_allclose(both.std[:6], expected, rtol=1e-6)
+
+
+@pytest.mark.long
+def test_a_rig_s_pose_is_as_much_better_as_theory_says(stereo):
+    """Masks whose pixels err by 5 %: how far poses are off, beside what the limit is."""
+    told = lambda views, cameras, rig: pj.joint_observability(views, cameras, noise=0.05, **rig)
+    limits = [found.std[:6] for found in by_eyes(stereo, told)[:2]]
+    off = []
+    for seed in range(10):
+        random = np.random.default_rng(seed)
+        noise = lambda r=random: 0.05 * r.normal(size=(SIZE, SIZE))
+        noisy = [v._replace(target=v.target + noise()) for v in stereo]
+        fits = by_eyes(noisy, lambda views, cameras, rig: pj.fit_joint(views, cameras, **rig))
+        cameras = [fit.cameras["left"].camera for fit in fits[:2]]
+        turns = [np.array(reported(c, TRUTH, ("pose",)))[:3] for c in cameras]
+        off.append([np.append(t, TRUTH.e - c.e) for t, c in zip(turns, cameras, strict=True)])
+    rms = np.sqrt(np.mean(np.square(off), axis=0))
+    np.testing.assert_allclose(np.sqrt(np.mean((rms / limits) ** 2, axis=1)), 1, atol=0.25)
+    better, expected = (np.exp(np.mean(np.log(x[0] / x[1]))) for x in (rms, limits))
+    assert expected < 0.75
+    assert abs(better / expected - 1) < 0.3
+
+
+def test_what_views_would_tell_of_cameras_is_what_a_fit_says(noisy):
+    asked = START, ("pose", "phi")
+    fit = pj.fit_joint(noisy[:1], *asked).cameras["camera"]
+    told = pj.joint_observability(noisy[:1], fit.camera, ("pose", "phi"), noise=0.05)
+    assert told.names == tuple(f"camera {name}" for name in fit.names)
+    np.testing.assert_allclose(told.std, np.sqrt(np.diag(fit.independent_covariance)), rtol=0.15)
+    alone = pj.observability(fit.camera, noisy[0].scene, ("pose", "phi"), noise=0.05)
+    np.testing.assert_allclose(told.covariance, alone.covariance, rtol=1e-6)
+    with pytest.raises(ValueError, match="`noise`: expected a positive standard deviation"):
+        pj.joint_observability(noisy[:1], *asked, noise=0.0)
+
+
+@pytest.mark.long
+def test_the_error_bars_of_a_size_hold(larger):
+    views, place = larger
+    off = []
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        noisy = [
+            v._replace(target=v.target + 0.05 * random.normal(size=(SIZE, SIZE))) for v in views
+        ]
+        fit = pj.fit_joint(noisy, BOTH_EYES, (), objects=place)
+        off.append((fit.scales["part"].value - 1.1) / fit.scales["part"].std)
+    assert np.mean(np.abs(off) < 1.96) >= 10 / 12
+    assert np.max(np.abs(off)) > 0.3
+
+
+@pytest.mark.long
+def test_the_size_of_one_body_of_several_is_found(arm):
+    """A rig before two bodies, the second of which is 5 % larger than its mesh."""
+
+    def shown(k):
+        return lambda x: [posture(k)[0], posture(k)[1] @ grown(1 + x[0])]
+
+    postures = [pj.Posture(arm, shown(k), {"bar": "scale"}) for k in range(2)]
+    views = [
+        pj.JointView(p.scene(), drawn(camera, p.scene([0.05])), name, posture=p)
+        for p in postures
+        for name, camera in (("left", TRUTH), ("right", RIGHT))
+    ]
+    right = at_pose(TRUTH, pose_of(START) @ RIG["right"])
+    fit = pj.fit_joint(views, {"left": START, "right": right}, rig=RIG, joint_zeros={"bar": 0.1})
+    assert fit.status == "converged"
+    assert abs(fit.joint_zeros.values[0] - 0.05) < 1e-5
+    assert fit.joint_zeros.units == ("scale",)
+    assert max(apart(fit.cameras["left"].camera, TRUTH)) < 1e-4
 
 
 @pytest.fixture(scope="module")
@@ -262,13 +526,14 @@ def test_moves_are_those_of_differences(stereo):
     cameras, place = {"left": START, "right": RIGHT}, exponential(np.full(6, 0.1))
     view = stereo[1]._replace(object="part", placed=exponential(np.full(6, 0.2)), mount=place)
     problem = JointProblem.of(
-        [view, stereo[0]._replace(object="part")],
+        [view._replace(scale="size"), stereo[0]._replace(object="part")],
         cameras,
         ("pose", "phi"),
         {"part": exponential(np.full(6, -0.1))},
         {**RIG},
         None,
         8,
+        prior={"size": {"scale": (1.2, 0.1)}},
     )
     layout, state, eye = problem.layout, problem.start, problem.layout.eyes[0]
     seen = layout.look(state, 1)[0]
@@ -539,6 +804,18 @@ BOTH = {"camera": TRUTH, "other": TRUTH}
                 "cameras": {"rig": TRUTH, "left": TRUTH},
                 "rig": {"left": np.eye(4)},
             },
+        ),
+        (
+            r"`views\[0\].scale`: expected a name that no camera has, got 'camera'",
+            lambda v: one(v, scale="camera"),
+        ),
+        (
+            r"`prior`: expected a positive scale of 'size', got -1.0",
+            lambda v: {**one(v, scale="size"), "prior": {"size": {"scale": (-1, 0.1)}}},
+        ),
+        (
+            r"`prior`: expected free parameters among scale, got 'x'",
+            lambda v: {**one(v, scale="size"), "prior": {"size": {"x": (0, 0.1)}}},
         ),
         (r"`outlier_px`: expected a positive", lambda v: {"outlier_px": -1.0}),
         (r"`shared`: expected names among phi, .* got pose", lambda v: {"shared": "pose"}),

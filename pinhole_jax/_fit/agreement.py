@@ -88,7 +88,13 @@ class Agreement:
     @property
     def wider(self) -> float:
         """Return by how much variances grow: as much as the views are farther apart, and as that is
-        read from few of them."""
+        read from few of them.
+
+        It jumps where the excess passes 1, since few numbers do not tell 1 from 1.5: of intervals
+        97 % hold where nothing but masks errs, 93 to 95 % where more does (86 to 90 % where one
+        number alone says so). Of 2 to 6 numbers, widened by what is beyond 1 alone 91 to 94 % would
+        hold, by Birge's factor 83 to 92 % (`experiments/few_views.py`).
+        """
         if self.excess <= 1:
             return 1.0
         from scipy.stats import t

@@ -14,7 +14,7 @@ from .._camera.lens import Lens
 from .._camera.rays import project
 from .._numerics.arrays import Numbers, float_dtype, is_concrete
 from .._scene.scene import Scene, check_scene
-from .implicit import through
+from .implicit import of_camera
 from .kinds import Kind
 from .mask import Mask
 from .moves import Bounds, canonical
@@ -139,7 +139,7 @@ def fit_camera(
         raise ValueError("`prior`, `bounds`: expected none where the fit is differentiated")
     if photo is not None:
         raise ValueError("`photo`: expected None where the fit is differentiated")
-    return through(run, inputs, names)
+    return of_camera(run, names)(inputs)
 
 
 def check_steps(max_steps: Any) -> None:

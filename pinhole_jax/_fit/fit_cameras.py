@@ -145,7 +145,7 @@ def _views(
 def _state_at(units: list[Camera], problem: JointProblem, common: tuple[str, ...]) -> State:
     """Return the state with the views' cameras (canonical), alike in what is common."""
     same = dict(zip(problem.cameras, alike(units, common), strict=True))
-    return State({name: pose_of(unit) for name, unit in same.items()}, same, {})
+    return State({name: pose_of(unit) for name, unit in same.items()}, same, {}, {})
 
 
 def _reports(

@@ -3,10 +3,14 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import jax
+
 from .._camera.camera import Camera
+from .._numerics.arrays import is_concrete
+from .joint_implicit import Part, through
 from .joint_levels import Path, Tell, depth_of, descended, to_the_end
 from .joint_problem import JointProblem
-from .joint_result import JointFit, reported, together
+from .joint_result import JointFit, as_one, reported
 from .joint_search import equally_good, looking_alike, searched_jointly
 from .joint_views import JointView, State
 
@@ -54,7 +58,8 @@ def fit_joint(
     - `outlier_px`: as in `fit_camera`: pixels farther from a mask's edge lose their weight at the
       end, where masks are not exact.
     - `prior`, `bounds`: as in `fit_camera`, the same for each camera, or by the names of cameras
-      (and objects): {"left": {"phi": (0.6, 0.01)}}. An object's prior is of its place: x, y, z.
+      (and objects): {"left": {"phi": (0.6, 0.01)}}. An object's prior is of its place: x, y, z;
+      that of a `JointView.scale`, by its name, of "scale" (which begins there, without one at 1).
       Of what cameras share a prior counts once.
       Where masks err along stretches, what is known beforehand counts for as much more.
     - `joint_zeros`: how surely the zeros of a robot's joints are known: standard deviations, by the
@@ -68,13 +73,31 @@ def fit_joint(
     (`JointFit.views`). The error bars are what the masks' errors make of all unknowns together, and
     grow where views differ by more.
 
-    Runs outside `jit`; the result is not differentiable.
+    Runs outside `jit` and `vmap`. Cameras, objects' poses and scales of the result are
+    differentiable (once, forward and reverse) with respect to views' scenes, targets, weights,
+    mounts and places, by the implicit function theorem, as views and pixels count in the end; where
+    nothing is known beforehand, and there are no photos.
 
     Raises ValueError for arguments that make no fit; what the solver met is in `JointFit.status`.
     """
     settings = outlier_px, max_steps, prior, bounds, joint_zeros, shared
-    problem = JointProblem.of(views, cameras, free, objects, rig, *settings)
     tell = progress if progress is not None else _silent
+    concrete = is_concrete(*jax.tree.leaves(views))
+
+    def run(views: Any) -> tuple[JointFit, list[Part]]:
+        asked = views, cameras, free, objects, rig, *settings
+        return _fit(JointProblem.of(*asked, as_given=not concrete), search, tell)
+
+    if concrete:
+        return run(views)[0]
+    if prior or bounds or joint_zeros or any(view.photo is not None for view in views):
+        words = "expected none where the fit is differentiated"
+        raise ValueError(f"`prior`, `bounds`, `joint_zeros`, `photo`: {words}")
+    return through(run, views)
+
+
+def _fit(problem: JointProblem, search: bool, tell: Tell) -> tuple[JointFit, list[Part]]:
+    """Return the fit, and what ended those of views that hang together."""
     parts = problem.parts()
     if search and not all(part.searchable() for part, _ in parts):
         raise ValueError(
@@ -84,9 +107,11 @@ def fit_joint(
     if problem.zeros:
         fits = _with_zeros(problem, led, tell)
     else:
-        problems = [part for part, _ in parts]
-        fits = [(_ended(p, of, tell), n) for p, (of, n) in zip(problems, led, strict=True)]
-    return fits[0][0] if len(fits) == 1 else together(fits)
+        pairs = zip(parts, led, strict=True)
+        fits = [_ended(part, paths, tell, numbers) for (part, _), (paths, numbers) in pairs]
+    ends = [end for _, end in fits]
+    several = [(fit, end.numbers) for fit, end in fits]
+    return several[0][0] if len(several) == 1 else as_one(several), ends
 
 
 def _silent(words: str) -> None:
@@ -109,7 +134,7 @@ def _led(problem: JointProblem, search: bool, tell: Tell) -> list[Path]:
 
 def _with_zeros(
     problem: JointProblem, led: list[tuple[list[Path], list[int]]], tell: Tell
-) -> list[tuple[JointFit, list[int]]]:
+) -> list[tuple[JointFit, Part]]:
     """Return the fits in which the zeros of joints are sought, from where views led to without."""
     result = []
     for part, numbers in problem.with_zeros().parts():
@@ -123,13 +148,14 @@ def _with_zeros(
                 states.append(_merged(problem, bests))
         depths = range(min(depth_of(part), ZEROS_FROM), 0, -1)
         paths = [descended(part, state, tell, depths) for state in states]
-        result.append((_ended(part, paths, tell), numbers))
+        result.append(_ended(part, paths, tell, numbers))
     return result
 
 
 def _merged(problem: JointProblem, found: list[tuple[Path, list[int]]]) -> State:
-    """Return the state in which each view's poses and lenses are where a path of its own led."""
+    """Return the state in which each view's poses, lens and scale are where its own path led."""
     poses, lenses = dict(problem.start.poses), dict(problem.start.lenses)
+    scales = dict(problem.start.scales)
     for path, numbers in found:
         state = path.descent.state
         for k in numbers:
@@ -138,17 +164,24 @@ def _merged(problem: JointProblem, found: list[tuple[Path, list[int]]]) -> State
             lenses[eye.camera] = state.lenses[eye.camera]
             if eye.object is not None:
                 poses[eye.object] = state.poses[eye.object]
-    return problem.start._replace(poses=poses, lenses=lenses)
+            if eye.sized is not None:
+                scales[eye.sized] = state.scales[eye.sized]
+    return problem.start._replace(poses=poses, lenses=lenses, scales=scales)
 
 
-def _ended(problem: JointProblem, paths: list[Path], tell: Tell) -> JointFit:
-    """Return the fit that the first path leads to; the others are its modes."""
+def _ended(
+    problem: JointProblem, paths: list[Path], tell: Tell, numbers: list[int]
+) -> tuple[JointFit, Part]:
+    """Return the fit of views of these numbers that the first path leads to, and what ended it; the
+    others are its modes."""
     best, *others = paths
-    fit = _finished(problem, best, tell, photos=True)
-    modes = [_finished(problem, other, tell) for other in others]
+    end = to_the_end(problem, best, tell, photos=True)
+    fit = reported(end.problem, end)
+    ends = [to_the_end(problem, other, tell) for other in others]
+    modes = [reported(other.problem, other) for other in ends]
     if modes and fit.status in ("converged", "rank_deficient", "uncertain"):
         fit = fit._replace(status="ambiguous")
-    return fit._replace(modes=tuple(modes))
+    return fit._replace(modes=tuple(modes)), Part(end.problem, end.found, numbers)
 
 
 def _is_content(problem: JointProblem, path: Path) -> bool:
@@ -161,9 +194,3 @@ def _is_content(problem: JointProblem, path: Path) -> bool:
         return all(s.explains(view) for s, view in zip(solvers, views, strict=True))
     overlap, union = (sum(float(getattr(v.sums, x)) for v in views) for x in ("overlap", "union"))
     return overlap >= LIKELY_IOU * union
-
-
-def _finished(problem: JointProblem, path: Path, tell: Tell, photos: bool = False) -> JointFit:
-    """Return the fit that a state on the finest level leads to, refined on `photos` or not."""
-    end = to_the_end(problem, path, tell, photos)
-    return reported(end.problem, end)

@@ -7,7 +7,7 @@ they are central differences of its exact first derivatives.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -31,67 +31,101 @@ NO_RESIDUAL = 1e-5
 Inputs = tuple[Scene, Any, Any]
 
 
-def through(run: Callable[[Inputs], tuple[Any, Callable]], inputs: Inputs, names: tuple) -> Any:
-    """Return what `run` does, with a camera that is differentiable by the scene, target and weight.
+class Through(NamedTuple):
+    """How a fit's result is made differentiable.
 
-    `run` takes these three and returns its result, and a function that gives the weights (H, W) of
-    the pixels that decided.
+    - `run`: returns the result of inputs, and something that `velocity` needs.
+    - `answer`: what of the result is differentiable, a pytree.
+    - `put`: returns the result with such an answer in place of its own.
+    - `velocity`: returns the answer's rate of change, given the result, that something, the inputs
+      and their velocities: None of what does not change.
     """
-    changing, fixed = eqx.partition(inputs, eqx.is_inexact_array)
-    box: list[Any] = []
 
-    def solve(changing: Any) -> tuple[Camera, Callable]:
-        if not is_concrete(*jax.tree.leaves(changing)):
-            raise ValueError(
-                "`target`, `scene`, `weight`: expected concrete arrays, got traced ones; a fit runs"
-                " outside `jit` and `vmap` (in `grad`, `jvp` and `jacfwd`, if these are outside)"
-            )
-        result, decided = run(eqx.combine(changing, fixed))
-        box.append(result)
-        return result.camera, decided
+    run: Callable[[Any], tuple[Any, Any]]
+    answer: Callable[[Any], Any]
+    put: Callable[[Any, Any], Any]
+    velocity: Callable[[Any, Any, Any, Any], Any]
 
-    @jax.custom_jvp
-    def camera_of(changing: Any) -> Camera:
-        return solve(changing)[0]
+    def __call__(self, inputs: Any) -> Any:
+        """Return the result, its answer differentiable by those of the inputs that are traced."""
+        changing, fixed = eqx.partition(inputs, lambda leaf: not is_concrete(leaf))
+        box: list[Any] = []
 
-    @camera_of.defjvp
-    def _(primals: Any, tangents: Any) -> tuple[Camera, Camera]:
-        camera, decided = solve(primals[0])
-        still = eqx.combine(primals[0], fixed)
-        return camera, _velocity(camera, still, tangents[0], decided(), names)
+        def solve(changing: Any) -> tuple[Any, Any]:
+            if not is_concrete(*jax.tree.leaves(changing)):
+                raise ValueError(
+                    "`target`, `scene`, `weight`: expected concrete arrays, got traced ones; a fit"
+                    " runs outside `jit` and `vmap` (in `grad`, `jvp` and `jacfwd`, if these are"
+                    " outside)"
+                )
+            result, more = self.run(eqx.combine(changing, fixed))
+            box.append(result)
+            return result, more
 
-    camera = camera_of(changing)
-    return box[-1]._replace(camera=camera)
+        @jax.custom_jvp
+        def answer_of(changing: Any) -> Any:
+            return self.answer(solve(changing)[0])
+
+        @answer_of.defjvp
+        def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
+            result, more = solve(primals[0])
+            still = eqx.combine(primals[0], fixed)
+            return self.answer(result), self.velocity(result, more, still, tangents[0])
+
+        answer = answer_of(changing)
+        return self.put(box[-1], answer)
 
 
-def _velocity(
-    camera: Camera,
-    inputs: Inputs,
-    velocity: Inputs,
-    weight: np.ndarray,
-    names: tuple[str, ...],
-) -> Camera:
-    """Return how the camera moves when scene, target and weight do."""
+def of_camera(
+    run: Callable[[Inputs], tuple[Any, Callable[[], np.ndarray]]], names: tuple[str, ...]
+) -> Through:
+    """Return how a fit of one camera is made differentiable by scene, target and weight; `run` has
+    a function that gives the weights (H, W) of the pixels that decided."""
+
+    def velocity(result: Any, decided: Callable, inputs: Inputs, velocity: Inputs) -> Camera:
+        camera = result.camera
+        unit, scene = canonical(camera), inputs[0]
+        pivot, radius = (jnp.asarray(x, camera.e.dtype) for x in bounding_sphere(scene))
+        size = units(unit, pivot, radius, jnp.asarray(camera.H, camera.e.dtype), names)
+        at = At(Move(unit, pivot, size), camera, scene, names)
+        pull, bend = pulled(at, inputs, velocity, decided())
+        step = -jnp.linalg.pinv(bend, hermitian=True) @ pull
+        return jax.jvp(at.camera, (jnp.zeros_like(step),), (step,))[1]
+
+    put = lambda result, camera: result._replace(camera=camera)
+    return Through(run, lambda result: result.camera, put, velocity)
+
+
+class Pulled(NamedTuple):
+    """How half the gradient of the sum of squares, by a camera's moves, changes: with the inputs
+    (n,), and with the moves (n, n)."""
+
+    pull: Float[Array, "n"]
+    bend: Float[Array, "n n"]
+
+
+def pulled(
+    at: At, inputs: Inputs, velocity: Inputs, weight: np.ndarray, unit_px: float = 1.0
+) -> Pulled:
+    """Return how the gradient changes where pixels have a weight (H, W) and the moves are in units
+    of so many px."""
     scene, target, given_weight = inputs
-    dtype = camera.e.dtype
-    unit = canonical(camera)
-    pivot, radius = (jnp.asarray(x, dtype) for x in bounding_sphere(scene))
-    size = units(unit, pivot, radius, jnp.asarray(camera.H, dtype), names)
-    move = Move(unit, pivot, size)
-    at = At(move, camera, scene, names)
-    zero = jnp.zeros_like(move.unit)
+    dtype = at.film.e.dtype
+    zero = jnp.zeros_like(at.move.unit)
     shown, J = image_and_jacobian(zero, at)
-    goal = jnp.asarray(shares(check_image("target", target, camera.W, camera.H)), dtype)
+    goal = jnp.asarray(shares(check_image("target", target, at.film.W, at.film.H)), dtype)
     w, difference = jnp.asarray(weight, dtype), shown - goal
     scene_velocity, target_velocity, weight_velocity = velocity
     held = w * difference
     left = float(jnp.sqrt(jnp.mean(held * difference))) > NO_RESIDUAL
-    h = STEP_PX[np.dtype(dtype)]
+    h = STEP_PX[np.dtype(dtype)] / unit_px
     places = zero[None]
     if left:
         steps = h * jnp.eye(len(zero), dtype=dtype)
         places = jnp.concatenate([places, steps, -steps])
-    changes = _along(places, at, scene_velocity)
+    changes = jnp.zeros((len(places), *shown.shape), dtype)
+    if jax.tree.leaves(scene_velocity):
+        changes = _along(places, at, _of_all(scene, scene_velocity))
     # dg by what changes while the camera stays: linear in the velocities.
     toward = changes[0]
     if target_velocity is not None:
@@ -107,8 +141,13 @@ def _velocity(
         bend = bend + (ahead - behind) / (2 * h)
         ahead, behind = jnp.split(jnp.einsum("khw,hw->k", changes[1:], held), 2)
         pull = pull + (ahead - behind) / (2 * h)
-    step = -jnp.linalg.pinv((bend + bend.T) / 2, hermitian=True) @ pull
-    return jax.jvp(at.camera, (zero,), (step,))[1]
+    return Pulled(pull, (bend + bend.T) / 2)
+
+
+def _of_all(scene: Scene, velocity: Any) -> Any:
+    """Return the velocity of a scene's arrays, 0 of those that do not change."""
+    solid = eqx.filter(scene, eqx.is_inexact_array)
+    return eqx.combine(velocity, jax.tree.map(jnp.zeros_like, solid))
 
 
 @eqx.filter_jit

@@ -12,7 +12,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.poses import skew
-from .joint_views import MOTIONS, POSE, ZERO, Eye, JointView, State, lens_reported
+from .joint_views import MOTIONS, POSE, SCALE, ZERO, Eye, JointView, State, lens_reported
 from .moves import Bounds
 from .parameters import LABELS, labels_of
 from .priors import bounds_of, check_positive, pairs, prior_of
@@ -49,18 +49,19 @@ def beliefs_of(
     moving: Mapping[str, str],
     rig: Mapping[str, np.ndarray],
     objects: Sequence[str],
+    scales: Sequence[str],
 ) -> list[Belief]:
-    """Return what is known of cameras and objects, or raise ValueError; `names` are free of each
-    camera, whose lens's parameters are the `owners`', and which goes with the pose that `moving`
-    names, at its place on the `rig`. What is the same of one unknown counts once."""
+    """Return what is known of cameras, objects and scales, or raise ValueError; `names` are free of
+    each camera, whose lens's parameters are the `owners`', and which goes with the pose that
+    `moving` names, at its place on the `rig`. What is the same of one unknown counts once."""
     result, told = [], set()
-    for name, given in by_name("prior", prior, cameras, objects).items():
-        if name in objects:
-            words = "(mean, standard deviation)"
-            mean, std = pairs("prior", given, list(PLACE), words)
-            check_positive(given, std)
-            known = dict(zip(given, zip(mean, std, strict=True), strict=True))
+    others = list(dict.fromkeys([*objects, *scales]))
+    for name, given in by_name("prior", prior, cameras, others).items():
+        if name in others:
+            labels = [*(PLACE if name in objects else ()), *([SCALE] if name in scales else ())]
+            known = _checked(given, labels)
             result += _belief(name, POSE, known, PLACE, partial(_place, name, np.zeros(3)))
+            result += _belief(name, SCALE, known, [SCALE], partial(_scale, name))
             continue
         checked = prior_of(given, cameras[name], names)
         if checked is None:
@@ -78,6 +79,27 @@ def beliefs_of(
                 result += _belief(owner, row, known, labels, partial(_lens, owner, row))
             told.add(which)
     return result
+
+
+def scales_of(prior: Any, views: Sequence[JointView]) -> dict[str, float]:
+    """Return where the scales that views name begin: where a prior has them, or at 1; or raise
+    ValueError for a scale that is not positive."""
+    result = {}
+    for name in dict.fromkeys(view.scale for view in views if view.scale is not None):
+        given = prior.get(name) if isinstance(prior, Mapping) else None
+        known = given.get(SCALE) if isinstance(given, Mapping) else None
+        mean = 1.0 if known is None else _checked({SCALE: known}, [SCALE])[SCALE][0]
+        if not mean > 0:
+            raise ValueError(f"`prior`: expected a positive scale of {name!r}, got {mean}")
+        result[name] = mean
+    return result
+
+
+def _checked(given: Any, labels: list[str]) -> dict[str, tuple[float, float]]:
+    """Return means and standard deviations by labels, or raise ValueError."""
+    mean, std = pairs("prior", given, labels, "(mean, standard deviation)")
+    check_positive(given, std)
+    return {label: (float(m), float(s)) for label, m, s in zip(given, mean, std, strict=True)}
 
 
 def zeros_of(given: Any, views: Sequence[JointView]) -> dict[str, float]:
@@ -184,6 +206,12 @@ def _place(name: str, point: np.ndarray, chosen: list[int], part: slice, state: 
     pose = state.poses[name]
     rows = pose[:3, :3] @ np.concatenate([-skew(point), np.eye(3)], axis=1)
     return (pose[:3, :3] @ point + pose[:3, 3])[chosen], rows[chosen, part]
+
+
+def _scale(name: str, chosen: list[int], part: slice, state: State, *_: Any):
+    """Return a scale; its logarithm is what is sought."""
+    del chosen, part
+    return np.array([state.scales[name]]), np.array([[state.scales[name]]])
 
 
 def _lens(name: str, kind: str, chosen: list[int], _: slice, state: State, eye: Eye, view: View):

@@ -11,8 +11,8 @@ from .._scene.assembly import Posture
 from .._scene.scene import check_scene
 from .fit_camera import check_border, check_reach, check_steps
 from .joint_descent import Layout
-from .joint_priors import belief_of_zero, beliefs_of, bounds_by_name, zeros_of
-from .joint_views import MOTIONS, POSE, TWIST, ZERO, Eye, JointView, State, Unknown
+from .joint_priors import belief_of_zero, beliefs_of, bounds_by_name, scales_of, zeros_of
+from .joint_views import MOTIONS, POSE, SCALE, TWIST, ZERO, Eye, JointView, State, Unknown
 from .mask import Mask
 from .moves import Bounds, canonical
 from .parameters import as_names, check_free, components, in_one, with_lens
@@ -63,8 +63,10 @@ class JointProblem(NamedTuple):
         bounds: Any = None,
         joint_zeros: Any = None,
         shared: Any = (),
+        as_given: bool = False,
     ) -> "JointProblem":
-        """Return the problem, or raise ValueError."""
+        """Return the problem, or raise ValueError; masks are levelled unless they are to be taken
+        `as_given`."""
         check_steps(max_steps)
         check_reach(outlier_px)
         given = _checked_views(views)
@@ -87,6 +89,8 @@ class JointProblem(NamedTuple):
         own = ("pose", *(n for n in names if n != "pose"))
         settings = outlier_px, max_steps, prior, bounds
         masks = [_checked_mask(k, view, cameras[view.camera]) for k, view in enumerate(given)]
+        if not as_given:
+            masks = [(levelled(image, weight), weight) for image, weight in masks]
         asked = given, masks, cameras, names, own, groups, poses, fixed, zeros
         return cls.among(*asked, *settings)
 
@@ -116,25 +120,28 @@ class JointProblem(NamedTuple):
         leader = {row: {n: some[0] for some in of for n in some} for row, of in groups.items()}
         owners = {n: {row: leader.get(row, {}).get(n, n) for row in rows} for n in cameras}
         within = bounds_by_name(bounds, cameras, names, owners)
-        beliefs = beliefs_of(prior, cameras, names, owners, moving, rig, [*objects])
-        eyes, least = [], LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
+        scales = scales_of(prior, views)
+        told = prior, cameras, names, owners, moving, rig, [*objects], [*scales]
+        beliefs = beliefs_of(*told)
+        eyes, of_scene = [], dict[int, Solver]()
+        least = LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
         for k, (view, mask) in enumerate(zip(views, masks, strict=True)):
             of = cameras[view.camera], own, owners[view.camera], moving, rig, within[view.camera]
-            eyes.append(_eye(k, view, mask, *of, (max_steps, outlier_px, least)))
-        of_scene: dict[int, Solver] = {}
-        for eye in eyes:  # (A scene's arrays are not copied for each view.)
+            eye = _eye(k, view, mask, *of, (max_steps, outlier_px, least))
+            # (A scene's arrays are not copied for each view: not even until all are there.)
             eye.solver.share(of_scene.setdefault(id(eye.given), eye.solver))
+            eyes.append(eye)
         largest = Capacity(*np.max([eye.solver.capacity for eye in eyes], axis=0).tolist())
         for eye in eyes:
             eye.solver.capacity = largest
-        layout = Layout(_unknowns(names, owners, moving, objects), eyes, beliefs)
+        layout = Layout(_unknowns(names, owners, moving, objects, scales), eyes, beliefs)
         if still := [k for k in range(len(eyes)) if not layout.of(k)]:
             raise ValueError(f"`views[{still[0]}]`: expected a view of something unknown, got none")
         poses = {**objects}
         for name, camera in cameras.items():
             poses.setdefault(moving[name], pose_of(camera) @ inverse(rig.get(name, np.eye(4))))
         lenses = {n: canonical(c) for n, c in cameras.items()}
-        start = State(poses, lenses, dict.fromkeys(zeros, 0.0))
+        start = State(poses, lenses, scales, dict.fromkeys(zeros, 0.0))
         return cls(layout, start, cameras, own, moving, rig, outlier_px, max_steps, zeros)
 
     def with_zeros(self) -> "JointProblem":
@@ -210,8 +217,13 @@ def _check_names(
             raise ValueError(f"`{kind}`: expected what a view names, got {', '.join(idle)}")
     if rig and RIG in cameras:
         raise ValueError(f"`cameras`: expected names other than {RIG!r} beside a rig, got it")
-    if both := sorted({*cameras, *([RIG] if rig else [])} & set(objects)):
+    of_cameras = {*cameras, *([RIG] if rig else [])}
+    if both := sorted(of_cameras & set(objects)):
         raise ValueError(f"`objects`: expected names of their own, got {', '.join(both)}")
+    for k, view in enumerate(views):
+        if view.scale in of_cameras:
+            words = f"expected a name that no camera has, got {view.scale!r}"
+            raise ValueError(f"`views[{k}].scale`: {words}")
 
 
 def _unknowns(
@@ -219,6 +231,7 @@ def _unknowns(
     owners: Mapping[str, Mapping[str, str]],
     moving: Mapping[str, str],
     objects: Mapping[str, Pose],
+    scales: Mapping[str, float],
 ) -> list[Unknown]:
     """Return what is sought, or raise ValueError where that is nothing."""
     size = lambda name: len(components((name,)))
@@ -227,6 +240,7 @@ def _unknowns(
         Unknown(n, kind, size(kind)) for n in dict.fromkeys(moving.values()) for kind in motions
     ]
     result += [Unknown(n, POSE, TWIST) for n in objects]
+    result += [Unknown(n, SCALE, 1) for n in scales]
     for row in (name for name in names if name not in MOTIONS):
         having: dict[str, list[str]] = {}
         for name, of in owners.items():
@@ -262,7 +276,7 @@ def _checked_mask(k: int, view: JointView, camera: Camera) -> tuple[np.ndarray, 
             check_photo(view.photo, camera.W, camera.H)
     except ValueError as error:
         raise ValueError(f"`views[{k}]`: {error}") from error
-    return levelled(image, weight), weight
+    return image, weight
 
 
 def _eye(
@@ -285,7 +299,7 @@ def _eye(
     mask = Mask(image, weight, camera)
     mount, placed = place("mount", view.mount), place("placed", view.placed)
     pose = rig.get(view.camera, np.eye(4))
-    names_of = view.camera, owners, moving[view.camera], view.object
+    names_of = view.camera, owners, moving[view.camera], view.object, view.scale
     photo = None if view.photo is None else np.asarray(view.photo)
     of_view = mount, pose, placed, view.scene, view.posture, photo
     return Eye(mask, solver, *names_of, *of_view)

@@ -1,6 +1,7 @@
 """What a joint fit found, as a user reads it."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -9,16 +10,17 @@ from jaxtyping import Float
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
-from .._camera.poses import Pose, adjoint, at_pose, inverse
+from .._camera.poses import Pose, at_pose
 from .._names import STATUSES
 from .._scene.scene import Scene
 from .agreement import Agreement
 from .joint_descent import Layout
 from .joint_levels import End, Path
 from .joint_problem import JointProblem
-from .joint_views import POSE, TO_B, TWIST, ZERO, Eye, State, lens_reported
+from .joint_reported import HARDLY, of_camera, of_object, of_scale, together
+from .joint_views import POSE, SCALE, ZERO, Eye, State
 from .moves import on_film
-from .parameters import LABELS, labels_of
+from .parameters import labels_of
 from .residuals import Sums
 from .result import LEAST_IOU, UNCERTAIN, Fit, MaskError, Progress, progress_at, widest_turn
 from .solver import Stop
@@ -33,8 +35,6 @@ TELLING = 2.0
 LOST, MOST_LOST = 0.25, 1 / 3
 #: A view with less weight than this decides nothing.
 COUNTS = 0.1
-#: A parameter moves along a direction if by more than this share of what moves most.
-HARDLY = 1e-6
 
 
 class ViewFit(NamedTuple):
@@ -65,8 +65,8 @@ class ViewFit(NamedTuple):
 
 
 class JointZeros(NamedTuple):
-    """What is to be added to joints' readings: of each of `names` its value and `unit` ("rad", or
-    "world" of a joint that slides), and their covariance (n, n)."""
+    """What is to be added to joints' readings: of each of `names` its value and `unit` ("rad", of a
+    joint that slides "world", of a body that grows "scale"), and their covariance (n, n)."""
 
     names: tuple[str, ...]
     values: Float[np.ndarray, "n"]
@@ -103,6 +103,16 @@ class ObjectPose(NamedTuple):
         return np.sqrt(np.diag(self.covariance))
 
 
+class SceneScale(NamedTuple):
+    """By how many times a scene is larger than it was given: the `value`, its standard deviation,
+    and `across` (k,), its covariances with the pose of each unknown camera and object, by name, as
+    these report it."""
+
+    value: float
+    std: float
+    across: Mapping[str, Float[np.ndarray, "k"]]
+
+
 class JointFit(NamedTuple):
     """The result of `fit_joint`.
 
@@ -116,6 +126,7 @@ class JointFit(NamedTuple):
     - `weak`: in words, what the masks determine badly, and which views disagree.
     - `modes`: other answers that explain the masks as well.
     - `steps`: on each level, coarse to fine.
+    - `scales`: for each scale that views name a `SceneScale`.
     - `joint_zeros`: those of the joints whose zeros were sought, a `JointZeros`; None of none.
     """
 
@@ -127,6 +138,7 @@ class JointFit(NamedTuple):
     weak: tuple[str, ...]
     modes: tuple["JointFit", ...]
     steps: tuple[int, ...]
+    scales: Mapping[str, SceneScale]
     joint_zeros: JointZeros | None = None
 
     @property
@@ -146,6 +158,8 @@ class JointFit(NamedTuple):
         for name, found in self.objects.items():
             place = ", ".join(f"{x:.6g}" for x in found.pose[:3, 3])
             lines.append(f"{name}: at ({place})")
+        for name, scale in self.scales.items():
+            lines.append(f"{name}: {scale.value:.6g} times as large, one sigma {scale.std:.2g}")
         if self.joint_zeros is not None:
             lines.append(str(self.joint_zeros))
         lines.append("view   IoU     rms     off  weight")
@@ -173,26 +187,27 @@ def reported(problem: JointProblem, end: End) -> JointFit:
     cameras = {
         name: _camera_fit(problem, name, end, independent, views) for name in problem.cameras
     }
-    objects = {}
+    objects, state = {}, found.descent.state
     for name in dict.fromkeys(eye.object for eye in layout.eyes if eye.object is not None):
-        pose, place = found.descent.state.poses[name], layout.place(name, POSE)
-        assert place is not None
-        turned = np.eye(TWIST)
-        turned[3:, 3:] = pose[:3, :3]
-        covariance = turned @ found.covariance(place) @ turned.T
-        _forget(covariance, turned @ found.unseen[place])
-        objects[name] = ObjectPose(pose, covariance)
+        told = of_object(problem, name, state)
+        covariance = told.covariance(found.covariance, found.unseen)
+        objects[name] = ObjectPose(state.poses[name], covariance)
+    scales = _scales(problem, found)
     return JointFit(
         status=_worst(
-            [*(fit.status for fit in cameras.values()), *map(_of_object, objects.values())]
+            [
+                *(fit.status for fit in cameras.values()),
+                *(_determined(part.std) for part in (*objects.values(), *scales.values())),
+            ]
         ),
         cameras=cameras,
         objects=objects,
         views=views,
         excess=found.excess,
-        weak=(*_words(found, views), *end.said),
+        weak=(*_untold(scales), *_words(found, views), *end.said),
         modes=(),
         steps=end.path.steps,
+        scales=scales,
         joint_zeros=_zeros(problem, found),
     )
 
@@ -213,12 +228,43 @@ def _zeros(problem: JointProblem, found: Agreement) -> JointZeros | None:
     return JointZeros(names, values, tuple(units[name] for name in names), covariance)
 
 
-def _of_object(found: ObjectPose) -> str:
-    """Return how well a pose is determined, as a status."""
-    return "converged" if np.all(np.isfinite(found.std)) else "rank_deficient"
+def _scales(problem: JointProblem, found: Agreement) -> dict[str, SceneScale]:
+    layout, state, result = problem.layout, found.descent.state, {}
+    seen = zip(layout.eyes, found.descent.seen, strict=True)
+    poses = {
+        eye.camera: of_camera(problem, eye.camera, state, one.view).part(labels_of((POSE,)))
+        for eye, one in seen
+    }
+    objects = [eye.object for eye in layout.eyes if eye.object is not None]
+    poses |= {name: of_object(problem, name, state) for name in objects}
+    for name in (u.name for u in layout.unknowns if u.kind == SCALE):
+        told = of_scale(problem, name, state)
+        variance = told.covariance(found.covariance, found.unseen)
+        across = {
+            of: together([pose, told]).covariance(found.covariance, found.unseen)[:-1, -1]
+            for of, pose in poses.items()
+            if pose.labels
+        }
+        result[name] = SceneScale(state.scales[name], float(variance[0, 0] ** 0.5), across)
+    return result
 
 
-def together(fits: list[tuple[JointFit, list[int]]]) -> JointFit:
+def _untold(scales: Mapping[str, SceneScale]) -> list[str]:
+    """Return which scales the masks do not tell, in words."""
+    return [
+        f"the scale of {name!r} and how far it is away are one: larger and farther it looks the"
+        " same; a camera more at a known place, a known distance or scale (`prior`) would tell"
+        for name, found in scales.items()
+        if np.isinf(found.std)
+    ]
+
+
+def _determined(std: Any) -> str:
+    """Return how well something is determined, as a status."""
+    return "converged" if np.all(np.isfinite(std)) else "rank_deficient"
+
+
+def as_one(fits: list[tuple[JointFit, list[int]]]) -> JointFit:
     """Return fits that have nothing in common, and the numbers of their views, as one."""
     views = {k: v for fit, numbers in fits for k, v in zip(numbers, fit.views, strict=True)}
     return JointFit(
@@ -230,6 +276,7 @@ def together(fits: list[tuple[JointFit, list[int]]]) -> JointFit:
         weak=tuple(words for fit, _ in fits for words in fit.weak),
         modes=tuple(mode for fit, _ in fits for mode in fit.modes),
         steps=max((fit.steps for fit, _ in fits), key=sum),
+        scales={n: s for fit, _ in fits for n, s in fit.scales.items()},
         joint_zeros=_all_zeros([fit.joint_zeros for fit, _ in fits]),
     )
 
@@ -294,42 +341,17 @@ def _camera_fit(
     independent: float,
     views: tuple[ViewFit, ...],
 ) -> Fit:
-    layout, names = problem.layout, problem.names
+    layout = problem.layout
     found, sums = end.found, end.whole
     seen_by = [k for k, eye in enumerate(layout.eyes) if eye.camera == name]
-    view = found.descent.seen[seen_by[0]].view
     back = problem.rig.get(name, np.eye(4))
     state = found.descent.state
-    pose = state.poses[problem.moving[name]] @ back
     unit = lambda state: at_pose(state.lenses[name], state.poses[problem.moving[name]] @ back)
     camera = on_film(unit(state), problem.cameras[name])
 
-    # What is reported, by the unknowns.
-    place, columns, labels = [], [], []
-    if (at := layout.place(problem.moving[name], POSE)) is not None:
-        twisted = np.zeros((TWIST, TWIST))
-        twisted[:3, :3], twisted[3:, 3:] = TO_B, pose[:3, :3]
-        place.append(at)
-        columns.append(twisted @ adjoint(inverse(back)))
-        labels += labels_of(("pose",))
-    owners = layout.eyes[seen_by[0]].owners
-    for row, owner in owners.items():
-        at = layout.place(owner, row)
-        assert at is not None
-        place.append(at)
-        columns.append(lens_reported(view, names, row))
-        columns[-1][[LABELS[label].unit == "px" for label in labels_of((row,))]] *= camera.H
-        labels += labels_of((row,))
-    by_unknowns = np.zeros((len(labels), len(labels)))
-    row = 0
-    for block in columns:
-        by_unknowns[row : row + len(block), row : row + len(block)] = block
-        row += len(block)
-    places = np.concatenate(place) if place else np.zeros(0, int)
-    covariance = by_unknowns @ found.covariance(places) @ by_unknowns.T
-    classical = by_unknowns @ found.independent(places, independent) @ by_unknowns.T
-    for table in (covariance, classical):
-        _forget(table, by_unknowns @ found.unseen[places])
+    told = of_camera(problem, name, state, found.descent.seen[seen_by[0]].view)
+    covariance = told.covariance(found.covariance, found.unseen)
+    classical = told.covariance(partial(found.independent, variance=independent), found.unseen)
 
     of: Any = [jax.tree.map(float, sums[k]) for k in seen_by]
     overlap, union = sum(s.overlap for s in of), sum(s.union for s in of)
@@ -337,13 +359,13 @@ def _camera_fit(
     errors = [views[k].mask_error for k in seen_by]
     known = [e for e in errors if e is not None]
     iou = overlap / union if union > 0 else 0.0
-    status, weak = _status(problem, found, covariance, labels, iou, seen_by, views, camera)
+    status, weak = _status(problem, found, covariance, told.labels, iou, seen_by, views, camera)
     ended = layout.eyes[seen_by[0]].ended(found.descent.state)
     weak += tuple(f"{label} is held at an end of its bounds" for label in ended)
     return Fit(
         camera=camera,
         status=status,
-        names=tuple(labels),
+        names=told.labels,
         covariance=covariance,
         std=np.sqrt(np.diag(covariance)),
         rms=float(np.sqrt(squares / weight)) if weight > 0 else float("nan"),
@@ -365,20 +387,11 @@ def history(
     return tuple(progress_at(stop, camera) for stop in stops)
 
 
-def _forget(covariance: np.ndarray, unseen: np.ndarray) -> None:
-    """Put infinite variances, and no covariances, where parameters move along directions (p, d)
-    that change no mask."""
-    most = np.max(np.abs(unseen), axis=0, initial=0)
-    lost = np.any(np.abs(unseen) > HARDLY * np.maximum(most, 1e-300), axis=1)
-    covariance[lost, :] = covariance[:, lost] = np.nan
-    covariance[lost, lost] = np.inf
-
-
 def _status(
     problem: JointProblem,
     found: Agreement,
     covariance: np.ndarray,
-    labels: list[str],
+    labels: tuple[str, ...],
     iou: float,
     seen_by: list[int],
     views: tuple[ViewFit, ...],
@@ -407,7 +420,7 @@ def _status(
         return "misfit", (f"{len(lost)} of {len(seen_by)} masks show something else",)
     if np.any(np.isinf(np.diag(covariance))):
         return "rank_deficient", ("some move changes no mask",)
-    turn, about = widest_turn(covariance, tuple(labels))
+    turn, about = widest_turn(covariance, labels)
     if turn > UNCERTAIN:
         axis, degrees = in_words(about @ axes_of(camera)), np.rad2deg(turn)
         words = f"the turn about the axis {axis} is told to {degrees:.0f} degrees (one sigma)"

@@ -2,8 +2,9 @@
 
 A view sees its scene through `mount X rig`, where X is the unknown pose of a camera (or of the rig
 that it is fixed to) on what carries it, and Y `placed`, where Y is the unknown pose of an object. A
-small motion of X or Y is one of the camera in the scene's frame, by an adjoint: so what one view's
-program says of its own camera says all about the unknowns, and no other program is compiled.
+small motion of X or Y is one of the camera in the scene's frame, by an adjoint; and a scene that is
+s times as large looks as it did from s times as near. So what one view's program says of its own
+camera says all about the unknowns, and no other program is compiled.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,7 +15,7 @@ import equinox as eqx
 import numpy as np
 
 from .._camera.camera import Camera
-from .._camera.poses import Pose, adjoint, at_pose, exponential, inverse, pose_of
+from .._camera.poses import Pose, adjoint, at_pose, exponential, inverse, pose_of, rigid
 from .._scene.assembly import Posture
 from .._scene.scene import Scene
 from .mask import Mask
@@ -22,8 +23,9 @@ from .parameters import PARAMETERS, components, labels_of
 from .problem import View
 from .solver import Solver
 
-#: What an unknown may be, beside a parameter of a camera's lens: a pose, or the zero of a joint.
-POSE, ZERO = "pose", "zero"
+#: What an unknown may be, beside a parameter of a camera's lens: a pose, the scale of what is seen,
+#: or the zero of a joint.
+POSE, SCALE, ZERO = "pose", "scale", "zero"
 #: The numbers of a rigid motion: a small rotation (rad), a shift (world units).
 TWIST = 6
 #: Which of these are free of what moves rigidly.
@@ -47,6 +49,8 @@ class JointView(NamedTuple):
     - `posture`: what the scene is where its joints' zeros are elsewhere: `Robot.posture(angles)`.
       None: it has no joints, or their zeros are not sought.
     - `photo`: what the mask was made of (H, W, 3), as in `fit_camera`: the fit is refined on it.
+    - `scale`: the name of an unknown number by which the scene is larger than it is given, about
+      its frame's origin; views that give the same name have it in common. None: it is as given.
     """
 
     scene: Scene
@@ -58,22 +62,26 @@ class JointView(NamedTuple):
     placed: Any = None
     posture: Posture | None = None
     photo: Any = None
+    scale: str | None = None
 
 
 class State(NamedTuple):
     """What is sought: poses by the names of cameras (or the rig) and objects, and cameras
-    (canonical) of which the focal length and lens count; what is added to joints' readings."""
+    (canonical) of which the focal length and lens count; scales of what is seen; what is added to
+    joints' readings."""
 
     poses: Mapping[str, Pose]
     lenses: Mapping[str, Camera]
+    scales: Mapping[str, float]
     zeros: Mapping[str, float]
 
 
 class Unknown(NamedTuple):
-    """Some columns of the problem: a pose (6, or 3 of them), a parameter of a lens, a joint's zero.
+    """Some columns of the problem: a pose (6, or 3 of them), a parameter of a lens, a scale's
+    logarithm, a joint's zero.
 
-    `kind` is one of `MOTIONS`, `ZERO`, or the parameter's name; `cameras` are those that have such
-    a parameter in common, the first of which gives it its name.
+    `kind` is one of `MOTIONS`, `SCALE`, `ZERO`, or the parameter's name; `cameras` are those that
+    have such a parameter in common, the first of which gives it its name.
     """
 
     name: str
@@ -95,6 +103,7 @@ class Eye:
     owners: Mapping[str, str]
     moving: str
     object: str | None
+    sized: str | None
     mount: Pose
     rig: Pose
     placed: Pose
@@ -130,26 +139,32 @@ class Eye:
         return np.array([state.zeros.get(name, 0.0) for name in names])
 
     def unit(self, state: State) -> Camera:
-        """Return the view's own camera (canonical) in its scene's frame."""
+        """Return the view's own camera (canonical) in its scene's frame, as the scene is given."""
         return self._stands(state)[1]
 
     def pose(self, state: State) -> Pose:
-        """Return the pose of the view's own camera in its scene's frame."""
+        """Return the pose of the view's own camera in its scene's frame, as the scene is given."""
         return self._stands(state)[2]
+
+    def scale(self, state: State) -> float:
+        """Return by how many times the scene is larger than it is given."""
+        return 1.0 if self.sized is None else state.scales[self.sized]
 
     def _stands(self, state: State) -> tuple[State, Camera, Pose]:
         for known in self.standing:
             if known[0] is state:
                 return known
         pose = self.mount @ state.poses[self.moving] @ self.rig
-        unit = at_pose(state.lenses[self.camera], inverse(self._scene(state)) @ pose)
+        there = stretched(inverse(self._scene(state)) @ pose, 1 / self.scale(state))
+        unit = at_pose(state.lenses[self.camera], there)
         known = state, unit, pose_of(unit)
         self.standing[:] = [known]
         return known
 
     def at(self, name: str, pose: Pose, state: State) -> State:
-        """Return the state in which the view's camera is at a pose in its scene's frame, by moving
-        the camera or the object of that name alone."""
+        """Return the state in which the view's camera is at a pose in its scene's frame, as the
+        scene is given, by moving the camera or the object of that name alone."""
+        pose = stretched(pose, self.scale(state))
         if name == self.moving:
             moved = inverse(self.mount) @ self._scene(state) @ pose @ inverse(self.rig)
         else:
@@ -174,22 +189,32 @@ class Eye:
         by_twist[of_pose] = np.linalg.solve(by_moves, twisted)
         return by_twist
 
+    def by_motion(self, state: State, view: View) -> np.ndarray:
+        """Return the view's moves (n, 6), in its solver's units, by a twist of its own camera in
+        the world, whatever the scale of what it sees."""
+        result = self.by_twist(state, view)
+        result[:, 3:] /= self.scale(state)
+        return result
+
     def moves(self, state: State, view: View, unknowns: list[Unknown]) -> np.ndarray:
         """Return the view's moves (n, k), in its solver's units, by the poses and lenses that it
         depends on."""
-        names, pose = self.solver.names, self.pose(state)
+        names, pose, scale = self.solver.names, self.pose(state), self.scale(state)
         known, unit = components(names), np.asarray(view.unit, float)
-        by_twist = self.by_twist(state, view)
+        by_twist = self.by_motion(state, view)
+        nearer = by_twist[:, 3:] @ pose[:3, :3].T @ (-scale * pose[:3, 3])
         parts = [np.zeros((len(known), 0))]
         for unknown in unknowns:
-            if unknown.kind not in MOTIONS:
+            if unknown.kind == SCALE:
+                columns = nearer[:, None]
+            elif unknown.kind not in MOTIONS:
                 place = _places(names, unknown.kind)
                 columns = np.zeros((len(known), len(place)))
                 columns[place, np.arange(len(place))] = 1 / unit[place]
             elif unknown.name == self.moving:
                 columns = (by_twist @ adjoint(inverse(self.rig)))[:, MOTIONS[unknown.kind]]
             else:
-                columns = -by_twist @ adjoint(inverse(self.placed @ pose))
+                columns = -by_twist @ adjoint(inverse(self.placed @ stretched(pose, scale)))
             parts.append(columns)
         return np.concatenate(parts, axis=1)
 
@@ -201,6 +226,8 @@ class Eye:
         yield from ((self.moving, kind) for kind in MOTIONS)
         if self.object is not None:
             yield self.object, POSE
+        if self.sized is not None:
+            yield self.sized, SCALE
         yield from ((owner, kind) for kind, owner in self.owners.items())
         if self.posture is not None:
             yield from ((joint, ZERO) for joint in self.posture.joints)
@@ -227,6 +254,11 @@ class Eye:
         return max(len(self.solver.levels) - depth, 0)
 
 
+def stretched(pose: Pose, times: float) -> Pose:
+    """Return the pose in a world that is so many times as large."""
+    return rigid(pose[:3, :3], times * pose[:3, 3])
+
+
 _POSE = frozenset(components(("pose",)))
 _REPORTED = labels_of(("pose",))
 
@@ -247,7 +279,8 @@ def lens_reported(view: View, names: tuple[str, ...], kind: str) -> np.ndarray:
 
 def stepped(state: State, unknowns: list[Unknown], x: np.ndarray, eyes: Sequence[Eye]) -> State:
     """Return the state after a step: twists of poses, and moves of what is free of lenses."""
-    poses, lenses, zeros = dict(state.poses), dict(state.lenses), dict(state.zeros)
+    poses, lenses = dict(state.poses), dict(state.lenses)
+    scales, zeros = dict(state.scales), dict(state.zeros)
     by_camera = {eye.camera: eye for eye in eyes}
     begin = 0
     for unknown in unknowns:
@@ -257,6 +290,8 @@ def stepped(state: State, unknowns: list[Unknown], x: np.ndarray, eyes: Sequence
             twist = np.zeros(TWIST)
             twist[MOTIONS[unknown.kind]] = part
             poses[unknown.name] = poses[unknown.name] @ exponential(twist)
+        elif unknown.kind == SCALE:
+            scales[unknown.name] *= float(np.exp(part[0]))
         elif unknown.kind == ZERO:
             zeros[unknown.name] = zeros.get(unknown.name, 0.0) + float(part[0])
         elif seen_by := [name for name in unknown.cameras if name in by_camera]:
@@ -264,7 +299,7 @@ def stepped(state: State, unknowns: list[Unknown], x: np.ndarray, eyes: Sequence
             moved = _lens_moved(by_camera[name], lenses[name], kind, part)
             for name in unknown.cameras:
                 lenses[name] = with_parameter(lenses[name], kind, moved)
-    return State(poses, lenses, zeros)
+    return State(poses, lenses, scales, zeros)
 
 
 def with_parameter(camera: Camera, kind: str, other: Camera) -> Camera:

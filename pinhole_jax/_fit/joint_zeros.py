@@ -38,6 +38,9 @@ def with_joints(eye: Eye, state: State, seen: Seen, joints: list[str]) -> Seen:
     unit, pixels = eye.unit(state), view.pixels
     share = _shares(eye, state, unit, pixels)
     twists = posture.twists(eye.offsets(state))[[posture.joints.index(name) for name in joints]]
+    # (What grows looks as if it moved on, as seen from the eye.)
+    grows, twists = twists[..., 6:], twists[..., :6]
+    twists[..., 3:] += grows * np.asarray(unit.e, float)
 
     # How each touched pixel follows a twist of the whole scene, and of what is seen in it.
     jacobian, weight = np.asarray(view.jacobian, float), np.asarray(pixels.weight)

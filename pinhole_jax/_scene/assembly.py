@@ -8,10 +8,13 @@ import numpy as np
 
 from .scene import Mesh, Scene, with_vertices
 
-#: What the numbers of joints are measured in: those that turn, those that slide.
-UNITS = ("rad", "world")
+#: What the numbers of joints are measured in: those that turn, those that slide; a body that is as
+#: many times larger, and one.
+UNITS = ("rad", "world", "scale")
 #: Half the step of a joint by which motions are told.
 STEP = 1e-4
+#: A body's shape changes by no more for a joint's unit.
+STIFF = 1e-2
 
 
 class Assembly:
@@ -62,7 +65,9 @@ class Posture:
 
     - `poses`: returns the poses (B, 4, 4) of the bodies of an `assembly`, by what is added to the
       joints' readings (J,).
-    - `joints`: their names, and what each is measured in: "rad", or "world" for one that slides.
+    - `joints`: their names, and what each is measured in: "rad", or "world" for one that slides. A
+      body whose size is not known has a "joint" of its own, "scale": `poses` returns then what
+      makes it 1 + x times as large, too.
 
     Raises ValueError for another unit.
     """
@@ -91,15 +96,15 @@ class Posture:
         return self._assembly.at(self._poses(self._checked(offsets)))
 
     def twists(self, offsets: Any = None) -> np.ndarray:
-        """Return how each joint's offset moves each body (J, B, 6), about and along the scene's
-        axes: a small rotation about its origin, and a shift."""
+        """Return how each joint's offset moves each body (J, B, 7), about and along the scene's
+        axes: a small rotation about its origin, a shift, and by how much it grows about it.
+
+        Raises ValueError for bodies that are bent, or stretched more one way than another.
+        """
         at, result = self._checked(offsets), []
         for step in STEP * np.eye(len(self.joints)):
             one, other = (np.asarray(self._poses(at + s), float) for s in (step, -step))
-            change = one @ np.linalg.inv(other)
-            skew = (change[:, :3, :3] - change[:, :3, :3].transpose(0, 2, 1)) / 2
-            turn = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
-            result.append(np.concatenate([turn, change[:, :3, 3]], axis=1) / (2 * STEP))
+            result.append(_motion(one @ np.linalg.inv(other)) / (2 * STEP))
         return np.array(result)
 
     def _checked(self, offsets: Any) -> np.ndarray:
@@ -108,3 +113,15 @@ class Posture:
             words = f"expected one of each of {len(self.joints)} joints, got shape {values.shape}"
             raise ValueError(f"`offsets`: {words}")
         return values
+
+
+def _motion(change: np.ndarray) -> np.ndarray:
+    """Return small changes of bodies (B, 4, 4) as rotation, shift and growth (B, 7)."""
+    linear, turned = change[:, :3, :3], change[:, :3, :3].transpose(0, 2, 1)
+    grows = np.cbrt(np.linalg.det(linear))[:, None] - 1
+    bent = (linear + turned) / 2 - (1 + grows[..., None]) * np.eye(3)
+    if np.max(np.abs(bent)) > 2 * STEP * STIFF:
+        raise ValueError("`poses`: expected bodies that move rigidly or grow evenly, got bent ones")
+    skew = (linear - turned) / 2
+    turn = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
+    return np.concatenate([turn, change[:, :3, 3], grows], axis=1)
