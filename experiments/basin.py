@@ -52,7 +52,7 @@ def question() -> dict:
         truth = random_camera(np.random.default_rng(1))
         mask = np.asarray(pj.silhouette(truth, scene))
         weights = np.ones(mask.shape)
-        solver = Solver(scene, mask, weights, np.float32, ("pose",), 64)
+        solver = Solver.of(scene, mask, weights, np.float32, ("pose",), 64)
 
         def ends_right(start: pj.Camera, solver=solver, truth=truth) -> bool:
             return degrees(solver.solve(canonical(start), solver.levels).unit, truth) < 0.1

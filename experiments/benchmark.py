@@ -654,7 +654,7 @@ def skip_steps() -> dict[str, dict[str, Callable]]:
         np.broadcast_to(1.0, target.shape),
         off(truth, 10, 0.05, np.random.default_rng(0)),
     )
-    solver, unit = Solver(scene, target, weights, np.float32, free, 64), canonical(truth)
+    solver, unit = Solver.of(scene, target, weights, np.float32, free, 64), canonical(truth)
     pixels = {
         "the contour's": lambda: solver.look(unit, solver.finest).triangle,
         "all": our_jacobian(Moves(truth), scene).call,

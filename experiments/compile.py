@@ -77,7 +77,9 @@ def fit():
     truth, scene = _camera(), _scene()
     mask = np.isfinite(np.asarray(pj.trace(scene, pj.camera_rays(truth)).t))
     weights = np.broadcast_to(1.0, mask.shape)
-    return descended, one_step(Solver(scene, mask, weights, np.float32, ("pose", "phi"), 64), truth)
+    return descended, one_step(
+        Solver.of(scene, mask, weights, np.float32, ("pose", "phi"), 64), truth
+    )
 
 
 PROGRAMS: dict[str, Callable] = {

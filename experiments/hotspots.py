@@ -133,7 +133,7 @@ def main() -> None:
     start = orbited(truth, Rotation.from_rotvec(np.deg2rad([4, -9, 2])).as_matrix(), 1.05)
     free, weights = ("pose", "phi"), np.broadcast_to(1.0, mask.shape)
 
-    solver = Solver(scene, mask, weights, np.float32, free, 64)
+    solver = Solver.of(scene, mask, weights, np.float32, free, 64)
     solver.look(canonical(truth), solver.finest)
     calls = {
         "mask": (_silhouette, lambda: pj.silhouette(truth, scene), (truth, scene, True)),

@@ -88,7 +88,8 @@ def test_means_about_an_outline_are_those_of_whole_images(scene):
     from scipy.ndimage import uniform_filter
 
     truth = anywhere(3)
-    solver = Solver(scene, drawn(truth, scene) > 0.5, np.ones((80, 96)), np.float64, ("pose",), 8)
+    hard, ones = drawn(truth, scene) > 0.5, np.ones((80, 96))
+    solver = Solver.of(scene, hard, ones, np.float64, ("pose",), 8)
     near = pj.Camera(0.5 * truth.e, truth.p, truth.u, truth.phi, 1.0, 96, 80)
     view = solver.look(canonical(near), solver.finest)
     place, rows, _ = outline_pixels(view)

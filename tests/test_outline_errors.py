@@ -41,7 +41,7 @@ def image(scene):
 
 
 def solver_of(scene, target):
-    return Solver(scene, target, np.ones(target.shape), np.float32, ("pose",), 64)
+    return Solver.of(scene, target, np.ones(target.shape), np.float32, ("pose",), 64)
 
 
 def seen(scene, target):

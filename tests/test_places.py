@@ -3,6 +3,8 @@
 import importlib.util
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -246,8 +248,9 @@ def test_a_drawn_mask_asks_all_cameras_near_its_edge(monkeypatch, costs, anywher
     views = [like(View)._replace(prior=cost) for cost in costs]
     described = [(Found(c, view, ()), view) for c, view in zip(cameras, views, strict=True)]
     monkeypatch.setattr(strategy, "area_between", lambda view, *_: view.prior)
+    errors = OutlineErrors(1.0, 5.0, 0.0, 20.0, np.eye(6))
     solver = object.__new__(Solver)
-    solver.errors = lambda view: OutlineErrors(1.0, 5.0, 0.0, 20.0, np.eye(6))
+    vars(solver).update(errors=lambda view: errors)
     mask = Mask(np.eye(40, 48), np.ones((40, 48)), START)
     start = None if anywhere else START
     kept = strategy.most_agreeing(solver, mask, described, 3, start)
@@ -258,12 +261,14 @@ class Walked(Solver):
     """A solver of six levels that descends nowhere, and says which level it was asked on; views
     leave as many squares as they are told."""
 
-    def __init__(self, squares, exact=False):
-        self.finest, self.max_steps, self._prior, self._others = 5, 64, None, None
-        self.ball = ball_about(np.array([[-1.0] * 3, [1.0] * 3]))
-        self.kind = Kind("one bit", 1 / 12, 0.1, 0.05, exact)
-        self.levels = [like(Level)._replace(scale=32.0 * 2**k) for k in range(6)]
-        self.squares, self.asked = squares, []
+    levels: ClassVar[list[Level]] = [like(Level)._replace(scale=32.0 * 2**k) for k in range(6)]
+
+    def __init__(self, squares, exact=False, others=None):
+        ball = ball_about(np.array([[-1.0] * 3, [1.0] * 3]))
+        kind = Kind("one bit", 1 / 12, 0.1, 0.05, exact)
+        subject = SimpleNamespace(ball=ball)
+        vars(self).update(kind=kind, subject=subject, max_steps=64, prior=None, others=others)
+        vars(self).update(squares=squares, asked=[])
 
     def errors(self, view):
         return None
@@ -306,7 +311,6 @@ def test_a_walk_in_an_exact_mask_stays_on_the_finest_level():
 
 
 def test_what_other_views_know_is_weighed_on_the_finest_level():
-    solver = Walked(0.12)
-    assert solver.far == FAR_LEVEL
-    solver._others = no_others(("pose",), np.dtype(float))
-    assert solver.far == solver.finest
+    assert Walked(0.12).far == FAR_LEVEL
+    among_others = Walked(0.12, others=no_others(("pose",), np.dtype(float)))
+    assert among_others.far == among_others.finest

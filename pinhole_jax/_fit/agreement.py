@@ -185,20 +185,19 @@ def agreed(
     return _at(layout, found, weights, counts)
 
 
-def weigh_beliefs(layout: Layout, found: Descent) -> None:
-    """Weigh what is believed against the masks so that it is told best from now on: what errs along
-    stretches, or all outwards, says less than its residuals do."""
+def beliefs_weighed(layout: Layout, found: Descent) -> Layout:
+    """Return the layout in which what is believed is weighed against the masks so that it is told
+    best: what errs along stretches, or all outwards, says less than its residuals do."""
     if not layout.beliefs:
-        return
+        return layout
     spreads, ones = [], np.ones(len(layout.eyes))
     for design in DESIGNS:
-        layout.design = design
-        here = _at(layout, found, ones, ones)
+        here = _at(layout.weighing(design), found, ones, ones)
         spreads.append(
             sum(float(np.trace(p.rows @ here.covariance(p.columns) @ p.rows.T)) for p in here.known)
             / here.noise**2
         )
-    layout.design = DESIGNS[int(np.argmin(spreads))]
+    return layout.weighing(DESIGNS[int(np.argmin(spreads))])
 
 
 def _at(layout: Layout, found: Descent, weights: np.ndarray, counts: np.ndarray) -> Agreement:

@@ -160,14 +160,13 @@ def _answer(
     solver = eye.solver
     rows, left = _beside(view, told, own)
     found = Found(unit, with_rows(view, rows, left), ())
-    solver.hear(_of_values(solver, unit, view, rows, left))
+    solver = solver.beside(_of_values(solver, unit, view, rows, left))
     if begun.start is None:
         places = looked_alike(solver, found, finished(solver, begun.modes))
     else:
         mask = replace(eye.mask, camera=on_film(unit, eye.mask.camera))
         places = looked_round(solver, mask, found, begun.start, _untold)
     places = _kept(solver, places, found, begun.start)
-    solver.hear(None)
     return Answer(unit, places)
 
 

@@ -267,7 +267,7 @@ def fit_descended(
 
 
 def _solver(scene: Scene, mask: Mask, names: tuple[str, ...], settings: Settings) -> Solver:
-    return Solver(
+    return Solver.of(
         scene,
         mask.target,
         mask.weight,

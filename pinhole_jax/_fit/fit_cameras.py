@@ -151,7 +151,8 @@ def _state_at(units: list[Camera], problem: JointProblem, common: tuple[str, ...
 def _reports(
     problem: JointProblem, end: End, answers: list[Answer], own: np.ndarray
 ) -> tuple[Fit, ...]:
-    layout, found = problem.layout, end.found
+    found = end.found
+    layout = found.layout
     told = told_by_others(layout, found.descent, own, found.weights)
     sums = [seen.view.sums for seen in found.descent.seen]
     squares = sum(w * float(s.touched_squares) for w, s in zip(found.weights, sums, strict=True))
@@ -175,7 +176,7 @@ def _report(
 
     def described(f: Found, whole: Any) -> Fit:
         free = [at(solver, f, direction) for direction in places.free]
-        known = Known(solver.kind, solver.problem.bounds, free, None, *noise)
+        known = Known(solver.kind, solver.bounds, free, None, *noise)
         return report(camera, f, whole, solver.names, known)
 
     here = Found(eye.unit(descent.state), view, end.path.steps, ended=descent.ended)

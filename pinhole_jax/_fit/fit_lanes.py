@@ -11,6 +11,7 @@ import numpy as np
 from .._camera.camera import Camera, check_camera
 from .._numerics.arrays import Numbers
 from .._scene.scene import Scene, astype, ball_about, bounding_box, check_scene, filled_alike
+from .buffers import explained_by
 from .fit_camera import Settings, check_border, check_reach, check_steps, fit_camera, fit_descended
 from .kinds import kind_of
 from .lanes import Given, Lane, Rig, descended, looked
@@ -23,7 +24,7 @@ from .pyramid import PAGE, Level, pyramid
 from .residuals import Capacity
 from .result import Fit
 from .room import contours, diagonal_of
-from .solver import Found, Stop, explained_by, last_px
+from .solver import Found, Stop, last_px
 from .strategy import POOR
 from .target import check_target, inside_of, levelled, object_window
 

@@ -4,8 +4,9 @@ The rows of a view are its R of J = QR times how its moves follow the unknowns.
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from threading import Lock
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from .joint_views import ZERO, Eye, State, Unknown, stepped
 from .joint_zeros import Seen, with_joints
 from .least_squares import Descent, Rows, column_norms, held_to_the_end, levenberg_marquardt
 from .problem import View
+from .solver import Solver
 
 #: A residual errs by at least as much, where something is believed: what is exact outweighs it.
 LEAST_NOISE = 1e-3
@@ -47,6 +49,18 @@ class Layout:
         self._seen_by = {j: k for k, of in enumerate(self._of) for j in of}
         self.shared = held_to_the_end(self._of, [u.size for u in self.unknowns])
 
+    def seeing(self, others: Mapping[int, Eye]) -> "Layout":
+        """Return the layout with other eyes in place of some."""
+        result = copy(self)
+        result.eyes = [others.get(k, eye) for k, eye in enumerate(self.eyes)]
+        return result
+
+    def weighing(self, design: float) -> "Layout":
+        """Return the layout in which beliefs are weighed against masks of this design effect."""
+        result = copy(self)
+        result.design = design
+        return result
+
     def of(self, k: int) -> list[Unknown]:
         """Return the unknowns that a view depends on."""
         return [self.unknowns[j] for j in self._of[k]]
@@ -68,13 +82,13 @@ class Layout:
     def look(self, state: State, depth: int, grow: bool = True) -> list[Seen]:
         """Return what all views see on a level; NaN of what outgrows its buffers, unless these may
         `grow`."""
-        for eye in self.eyes:
-            eye.show(state)
+        solvers = [eye.looking(state) for eye in self.eyes]
         at = [(eye.unit(state), eye.level(depth)) for eye in self.eyes]
-        begun = _side_by_side(self.eyes, at)
+        begun = _side_by_side(solvers, at)
         result = []
-        for k, (eye, a, view) in enumerate(zip(self.eyes, at, begun, strict=True)):
-            view = eye.solver.look(*a, view) if grow else view
+        for k, (solver, a, view) in enumerate(zip(solvers, at, begun, strict=True)):
+            eye = self.eyes[k]
+            view = solver.look(*a, view) if grow else view
             rigid = [u for u in self.of(k) if u.kind != ZERO]
             seen = Seen(view, eye.moves(state, view, rigid))
             joints = [u.name for u in self.of(k)[len(rigid) :]]
@@ -121,20 +135,20 @@ class Layout:
         return result
 
 
-def _side_by_side(eyes: list[Eye], at: list[tuple[Camera, int]]) -> list[View]:
+def _side_by_side(solvers: list[Solver], at: list[tuple[Camera, int]]) -> list[View]:
     """Return the views' looks, worked out side by side: a program of its own thread each, as JAX
     runs what one thread asks for one after the other."""
 
-    def look(eye: Eye, place: tuple[Camera, int]) -> View:
+    def look(solver: Solver, place: tuple[Camera, int]) -> View:
         with ASKING:  # (Python's part of it: what is kept of programs is not made for threads.)
-            view = eye.solver.begin(*place)
+            view = solver.begin(*place)
         return jax.block_until_ready(view)
 
-    workers = min(len(eyes), os.cpu_count() or 1)
+    workers = min(len(at), os.cpu_count() or 1)
     if workers == 1:
-        return [eye.solver.begin(*place) for eye, place in zip(eyes, at, strict=True)]
+        return [solver.begin(*place) for solver, place in zip(solvers, at, strict=True)]
     with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(look, eyes, at))
+        return list(pool.map(look, solvers, at))
 
 
 class _OnLevel(NamedTuple):

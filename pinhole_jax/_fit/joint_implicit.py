@@ -92,11 +92,12 @@ def _put(fit: Any, answer: Answer) -> Any:
 def _velocity(part: Part, inputs: Any, velocity: Any) -> Answer:
     """Return the rates of change of a part's cameras, objects and scales."""
     problem, found, numbers = part
+    problem, weights = _deciding(problem)
     layout, state = problem.layout, found.descent.state
     dtype = layout.eyes[0].solver.dtype
     pull, bend = jnp.zeros(layout.size, dtype), np.zeros((layout.size, layout.size))
-    for k, (eye, number) in enumerate(zip(layout.eyes, numbers, strict=True)):
-        place, of_view = layout.columns(k), _OfView(problem, k, state, _decided(problem, eye))
+    for k, (number, weight) in enumerate(zip(numbers, weights, strict=True)):
+        place, of_view = layout.columns(k), _OfView(problem, k, state, weight)
         counts = float(found.weights[k])
         changes = of_view.by_inputs(inputs[number], velocity[number])
         pull = pull.at[place].add(counts * changes)
@@ -106,14 +107,17 @@ def _velocity(part: Part, inputs: Any, velocity: Any) -> Answer:
     return jax.jvp(lambda x: _moved(problem, state, x), (jnp.zeros_like(step),), (step,))[1]
 
 
-def _decided(problem: JointProblem, eye: Eye) -> np.ndarray:
-    """Return the weights (H, W) of the pixels that decided, and have the solver look at these."""
-    reach, mask = problem.outlier_px, eye.mask
-    if eye.solver.kind.exact or reach is None:
-        return mask.weight
-    near = mask.near_edge(reach)
-    eye.solver.weigh(near, only_finest=True)
-    return near.image()
+def _deciding(problem: JointProblem) -> tuple[JointProblem, list[np.ndarray]]:
+    """Return the problem whose views look at the pixels that decided, and the weights (H, W) of
+    these in each view."""
+    reach, near, weights = problem.outlier_px, {}, []
+    for k, eye in enumerate(problem.layout.eyes):
+        if eye.solver.kind.exact or reach is None:
+            weights.append(eye.mask.weight)
+        else:
+            near[k] = eye.near_edge(reach)
+            weights.append(eye.mask.near_edge(reach).image())
+    return problem.seeing(near), weights
 
 
 class _OfView(NamedTuple):
@@ -146,7 +150,7 @@ class _OfView(NamedTuple):
         eye, view = self.eye, self._view()
         dtype = eye.solver.dtype
         start = eye.solver.move(eye.unit(self.state), eye.solver.finest)
-        at = At(start, eye.mask.camera, eye.given, eye.solver.names)
+        at = At(start, eye.mask.camera, eye.solver.subject.given, eye.solver.names)
         own = pulled(at, inputs[:3], velocity[:3], self.weight, UNIT_PX).pull
         result = jnp.asarray(self._moves(eye, self.state, view).T, dtype) @ own
         on_mount = self.state.poses[eye.moving] @ eye.rig

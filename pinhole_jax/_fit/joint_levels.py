@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .agreement import Agreement, agreed, weigh_beliefs
+from .agreement import Agreement, agreed, beliefs_weighed
 from .joint_descent import descend
 from .joint_photo import OnPhotos, on_photos
 from .joint_problem import JointProblem
@@ -94,39 +94,34 @@ def to_the_end(problem: JointProblem, path: Path, tell: Tell, photos: bool = Fal
     """Return where a path to the finest level ends: where masks are not exact, pixels far from
     their edges lose their weight, and views that err by more than most count less. Then views are
     refined on `photos`, if that is asked for."""
-    layout, reach = problem.layout, problem.outlier_px
-    eyes = layout.eyes
+    eyes, reach, near = problem.layout.eyes, problem.outlier_px, problem
     misfits = [seen.view.touched_misfit for seen in path.descent.seen]
-    inexact = [eye for eye, misfit in zip(eyes, misfits, strict=True) if misfit > EXACT]
+    inexact = [k for k, misfit in enumerate(misfits) if misfit > EXACT]
     px = DRAWN_PX if inexact else FINE_PX[eyes[0].solver.dtype]
     if reach is None or not inexact:
         path = path.then(descended(problem, path.descent.state, tell, [1], px))
     else:
         for times in REACHES:
-            for eye in inexact:
-                eye.solver.weigh(eye.mask.near_edge(times * reach), only_finest=True)
+            near = problem.seeing({k: eyes[k].near_edge(times * reach) for k in inexact})
             last = px if times == 1 else COARSE_PX
             if times == 1:
-                weigh_beliefs(layout, path.descent)
-            path = path.then(descended(problem, path.descent.state, tell, [1], last))
+                near = near._replace(layout=beliefs_weighed(near.layout, path.descent))
+            path = path.then(descended(near, path.descent.state, tell, [1], last))
 
-    found = agreed(layout, path.descent, problem.max_steps, px)
-    on = on_photos(problem, found, px, tell) if photos else OnPhotos(problem, found, (), ())
-    for eye in inexact:
-        eye.solver.weigh(eye.mask.weight)
+    found = agreed(near.layout, path.descent, problem.max_steps, px)
+    on = on_photos(near, found, px, tell) if photos else OnPhotos(near, found, (), ())
     whole = _over_masks(eyes, found.descent.state)
     astray = _astray(found, whole)
     if on.found is not found:
         whole = _over_masks(eyes, on.found.descent.state)
     path = path._replace(steps=path.steps + on.steps)
-    return End(on.problem, path, on.found, whole, astray, on.words)
+    again = {k: eyes[k] for k in inexact if on.problem.layout.eyes[k] is near.layout.eyes[k]}
+    return End(on.problem.seeing(again), path, on.found, whole, astray, on.words)
 
 
 def _over_masks(eyes: list[Eye], state: State) -> list[Sums]:
     """Return the sums over all pixels of each mask."""
-    for eye in eyes:
-        eye.show(state)
-    return [eye.solver.look(eye.unit(state), eye.solver.finest).sums for eye in eyes]
+    return [eye.look(state).sums for eye in eyes]
 
 
 def _astray(found: Agreement, whole: list[Sums]) -> list[float]:

@@ -6,7 +6,6 @@ tell too little, or whose photo is no better founded than its mask, keeps the ma
 """
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -69,11 +68,11 @@ def on_photos(
     words = {k: untold(share) for k, share in told.items() if k not in telling}
     found, steps = before, ()
     while telling:
-        looking = {k: _looking(of_masks.eyes[k]) for k in telling}
-        layout = _with_eyes(of_masks, looking)
+        layout = of_masks.seeing({k: _on_photo(of_masks.eyes[k]) for k in telling})
         counts = np.array([1.0 if k in telling else OF_MASK for k in range(len(layout.eyes))])
         weights = counts * before.weights
-        state, now, further = _followed(layout, telling, first, begun, weights, px, tell)
+        given = layout, telling, first, begun
+        layout, state, now, further = _followed(*given, weights, px, tell)
         steps += further
         left = _believed(layout, telling, first, now, least, words)
         if len(left) == len(telling):
@@ -117,17 +116,20 @@ def _followed(
     weights: np.ndarray,
     px: float,
     tell: Callable[[str], None],
-) -> tuple[State, dict[int, Outline], tuple[int, ...]]:
-    """Return the state that colours lead to, learned round by round, the outlines there, and the
-    steps."""
+) -> tuple[Layout, State, dict[int, Outline], tuple[int, ...]]:
+    """Return where colours lead to, learned round by round: the layout that looks at the last of
+    them, the state, the outlines there, and the steps."""
     steps = []
     depths = range(FIRST_DEPTH, 0, -1)
     for number, band in enumerate(ROUNDS):
         last = number == len(ROUNDS) - 1
+        looking = {}
         for k, photo in photos.items():
             eye = layout.eyes[k]
             read = now[k].read(photo, eye.mask, band)
-            eye.solver.weigh(*whole(eye.mask, now[k].window, read))
+            weighed = eye.solver.weighed(*whole(eye.mask, now[k].window, read))
+            looking[k] = replace(eye, solver=weighed)
+        layout = layout.seeing(looking)
         for depth in (1,) if number else depths:
             least = COARSE_PX if depth > 1 else px if last else max(px, ROUGH_PX)
             most = LAST_STEPS if last else STEPS
@@ -136,22 +138,12 @@ def _followed(
             steps.append(there.steps)
         now = _outlines(layout, state, photos)
         tell(f"{len(photos)} photos: round {number + 1} of {len(ROUNDS)}")
-    return state, now, tuple(steps)
+    return layout, state, now, tuple(steps)
 
 
-def _looking(eye: Eye) -> Eye:
-    """Return an eye with a solver of its own, for the photo's matte."""
-    solver = copy(eye.solver)
-    solver.kind = COLOURS
-    return replace(eye, solver=solver)
-
-
-def _with_eyes(layout: Layout, others: dict[int, Eye]) -> Layout:
-    """Return the layout with other eyes in place of some."""
-    eyes = [others.get(k, eye) for k, eye in enumerate(layout.eyes)]
-    result = Layout(layout.unknowns, eyes, layout.beliefs)
-    result.design = layout.design
-    return result
+def _on_photo(eye: Eye) -> Eye:
+    """Return an eye for the photo's matte."""
+    return replace(eye, solver=eye.solver.like(COLOURS))
 
 
 def _outlines(layout: Layout, state: State, photos: dict[int, np.ndarray]) -> dict[int, Outline]:
@@ -159,7 +151,5 @@ def _outlines(layout: Layout, state: State, photos: dict[int, np.ndarray]) -> di
     result = {}
     for k in photos:
         eye = layout.eyes[k]
-        eye.show(state)
-        view = eye.solver.look(eye.unit(state), eye.solver.finest)
-        result[k] = Outline.of(eye.solver, view)
+        result[k] = Outline.of(eye.solver, eye.look(state))
     return result

@@ -22,6 +22,7 @@ from .pyramid import LEAST_CELLS
 from .residuals import Capacity
 from .shared_unknowns import alike_in_groups, groups_of
 from .solver import Solver
+from .subject import Subject
 from .target import check_target, levelled
 
 #: From so many views on, small masks have pyramids of few cells (MB less for each of them, and a
@@ -121,19 +122,20 @@ class JointProblem(NamedTuple):
         owners = {n: {row: leader.get(row, {}).get(n, n) for row in rows} for n in cameras}
         within = bounds_by_name(bounds, cameras, names, owners)
         scales = scales_of(prior, views)
-        told = prior, cameras, names, owners, moving, rig, [*objects], [*scales]
-        beliefs = beliefs_of(*told)
-        eyes, of_scene = [], dict[int, Solver]()
-        least = LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
+        known = prior, cameras, names, owners, moving, rig, [*objects], [*scales]
+        beliefs = beliefs_of(*known)
+        eyes, cells = [], LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
+        subjects: dict[int, Subject] = {}  # (a scene's arrays are not copied for each view)
         for k, (view, mask) in enumerate(zip(views, masks, strict=True)):
             of = cameras[view.camera], own, owners[view.camera], moving, rig, within[view.camera]
-            eye = _eye(k, view, mask, *of, (max_steps, outlier_px, least))
-            # (A scene's arrays are not copied for each view: not even until all are there.)
-            eye.solver.share(of_scene.setdefault(id(eye.given), eye.solver))
-            eyes.append(eye)
+            if id(view.scene) not in subjects:
+                dtype = cameras[view.camera].e.dtype
+                subjects[id(view.scene)] = Subject.of(view.scene, dtype)
+            subject, settings = subjects[id(view.scene)], (max_steps, outlier_px, cells)
+            eyes.append(_eye(k, view, subject, mask, *of, settings))
         largest = Capacity(*np.max([eye.solver.capacity for eye in eyes], axis=0).tolist())
         for eye in eyes:
-            eye.solver.capacity = largest
+            eye.solver.buffers.capacity = largest
         layout = Layout(_unknowns(names, owners, moving, objects, scales), eyes, beliefs)
         if still := [k for k in range(len(eyes)) if not layout.of(k)]:
             raise ValueError(f"`views[{still[0]}]`: expected a view of something unknown, got none")
@@ -151,6 +153,10 @@ class JointProblem(NamedTuple):
         before = self.layout
         layout = Layout([*before.unknowns, *unknowns], before.eyes, [*before.beliefs, *believed])
         return self._replace(layout=layout)
+
+    def seeing(self, others: Mapping[int, Eye]) -> "JointProblem":
+        """Return the problem with other eyes in place of some."""
+        return self._replace(layout=self.layout.seeing(others))
 
     def parts(self) -> list[tuple["JointProblem", list[int]]]:
         """Return the problems that have no unknown in common, and the numbers of their views."""
@@ -282,6 +288,7 @@ def _checked_mask(k: int, view: JointView, camera: Camera) -> tuple[np.ndarray, 
 def _eye(
     k: int,
     view: JointView,
+    subject: Subject,
     given: tuple[np.ndarray, np.ndarray],
     camera: Camera,
     names: tuple[str, ...],
@@ -293,13 +300,13 @@ def _eye(
 ) -> Eye:
     place = lambda what, x: np.eye(4) if x is None else check_pose(f"views[{k}].{what}", x)
     image, weight = given
-    max_steps, outlier_px, least = settings
-    of_view = view.scene, image, weight, camera.e.dtype, names, max_steps, bounds
-    solver = Solver(*of_view, continued=outlier_px is not None, least_cells=least)
+    max_steps, outlier_px, cells = settings
+    of_view = subject, image, weight, names, max_steps, bounds
+    solver = Solver.on(*of_view, continued=outlier_px is not None, cells=cells)
     mask = Mask(image, weight, camera)
     mount, placed = place("mount", view.mount), place("placed", view.placed)
     pose = rig.get(view.camera, np.eye(4))
     names_of = view.camera, owners, moving[view.camera], view.object, view.scale
     photo = None if view.photo is None else np.asarray(view.photo)
-    of_view = mount, pose, placed, view.scene, view.posture, photo
+    of_view = mount, pose, placed, view.posture, photo
     return Eye(mask, solver, *names_of, *of_view)

@@ -103,7 +103,7 @@ def _guessed(problem: JointProblem) -> list[State]:
     result = []
     for eye in problem.layout.eyes:
         seen: list[Camera] = []
-        for guess in guesses(eye.mask, eye.solver.problem.scene, eye.solver.ball):
+        for guess in guesses(eye.mask, eye.solver.subject.scene, eye.solver.subject.ball):
             if len(seen) == TRIED:
                 break
             if all(angle(guess, other) > APART for other in seen):

@@ -8,7 +8,7 @@ camera says all about the unknowns, and no other program is compiled.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -22,6 +22,7 @@ from .mask import Mask
 from .parameters import PARAMETERS, components, labels_of
 from .problem import View
 from .solver import Solver
+from .subject import Subject
 
 #: What an unknown may be, beside a parameter of a camera's lens: a pose, the scale of what is seen,
 #: or the zero of a joint.
@@ -107,31 +108,42 @@ class Eye:
     mount: Pose
     rig: Pose
     placed: Pose
-    given: Scene
     posture: Posture | None
     photo: np.ndarray | None = None
-    #: The offsets and the scene that the solver looks at, where it was told of any.
-    shown: list[tuple[np.ndarray, Scene]] = field(default_factory=list)
+    #: The last offsets that were asked for, and the subject with its joints' zeros there.
+    shown: list[tuple[np.ndarray, Subject]] = field(default_factory=list)
     #: The last state, the view's own camera in it, and this one's pose: each look asks many times.
     standing: list[tuple[State, Camera, Pose]] = field(default_factory=list)
 
     def scene(self, state: State) -> Scene:
         """Return the view's scene, with its joints' zeros where they are."""
-        if self.posture is None:
-            return self.given
-        offsets = self.offsets(state)
-        if not (self.shown and np.array_equal(self.shown[0][0], offsets)):
-            scene = self.posture.scene(offsets) if np.any(offsets) else self.given
-            self.shown[:] = [(offsets, scene)]
-        return self.shown[0][1]
+        return self._subject(state).given
 
-    def show(self, state: State) -> None:
-        """Have the solver look at the scene with its joints' zeros where they are."""
-        if self.posture is not None:
-            before = self.shown[0][1] if self.shown else self.given
-            scene = self.scene(state)
-            if scene is not before:
-                self.solver.show(scene)
+    def looking(self, state: State) -> Solver:
+        """Return the solver that looks at the scene with its joints' zeros where they are."""
+        subject = self._subject(state)
+        same = subject is self.solver.subject
+        return self.solver if same else replace(self.solver, subject=subject)
+
+    def look(self, state: State) -> View:
+        """Return what is seen on the finest level."""
+        solver = self.looking(state)
+        return solver.look(self.unit(state), solver.finest)
+
+    def near_edge(self, reach: float) -> "Eye":
+        """Return the eye to which pixels farther than this (px) from the mask's edge do not
+        count."""
+        near = self.solver.weighed(self.mask.near_edge(reach), only_finest=True)
+        return replace(self, solver=near)
+
+    def _subject(self, state: State) -> Subject:
+        offsets = self.offsets(state)
+        if self.posture is None or not np.any(offsets):
+            return self.solver.subject
+        if not (self.shown and np.array_equal(self.shown[0][0], offsets)):
+            subject = self.solver.subject.elsewhere(self.posture.scene(offsets))
+            self.shown[:] = [(offsets, subject)]
+        return self.shown[0][1]
 
     def offsets(self, state: State) -> np.ndarray:
         """Return what is added to the joints' readings (J,)."""
@@ -235,7 +247,7 @@ class Eye:
     def ways_out(self, state: State, view: View, unknown: Unknown) -> np.ndarray:
         """Return which way an unknown's numbers (size,) would leave their bounds, where they are at
         an end of these: 1, -1, and 0 of the others."""
-        result, bounds, kind = np.zeros(unknown.size), self.solver.problem.bounds, unknown.kind
+        result, bounds, kind = np.zeros(unknown.size), self.solver.bounds, unknown.kind
         if bounds is None or kind not in self.ended(state):
             return result
         one, k = bounds.labels.index(kind), labels_of(self.solver.names).index(kind)
@@ -246,7 +258,7 @@ class Eye:
 
     def ended(self, state: State) -> tuple[str, ...]:
         """Return which of the camera's parameters are at an end of their bounds."""
-        bounds = self.solver.problem.bounds
+        bounds = self.solver.bounds
         return () if bounds is None else bounds.ended(state.lenses[self.camera])
 
     def level(self, depth: int) -> int:

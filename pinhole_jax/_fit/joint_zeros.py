@@ -16,7 +16,7 @@ from .joint_views import Eye, State
 from .problem import View
 from .pyramid import Level, target_at
 from .residuals import Pixels
-from .solver import on_film_plane
+from .subject import on_film_plane
 
 #: Contours are sampled so many times a pixel; what lies beside one is looked up so far away (px).
 SAMPLES, BESIDE = 2.0, 1.0

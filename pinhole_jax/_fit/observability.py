@@ -101,7 +101,7 @@ def _look(
     camera = with_lens(camera, names)
     weights = check_weight(weight, camera.W, camera.H)
     image = np.full(weights.shape, 0.25)  # any mask
-    solver = Solver(scene, image, weights, camera.e.dtype, names, 1)
+    solver = Solver.of(scene, image, weights, camera.e.dtype, names, 1)
     view = solver.look(canonical(camera), solver.finest)
     reported = to_units(view.to_reported, names, camera)
     return names, camera, np.asarray(view.triangle, float), reported, BLIND[solver.dtype]

@@ -7,7 +7,7 @@ where its edge fits an outline of the scene better than the mask's edge does; wh
 or colours tell too little, the mask's camera stays, and the fit says so.
 """
 
-from copy import copy
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -109,14 +109,13 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Ref
     if not told >= LEAST_TOLD:
         return Refined(None, found.view.sums, COLOURS, None, [], untold(told))
 
-    own, refined, now = copy(solver), found, before
-    own.kind = COLOURS
+    own, refined, now = solver.like(COLOURS), found, before
     for number, band in enumerate(ROUNDS):
         last = number == len(ROUNDS) - 1
         if number:
             read = now.read(photo, mask, band)
-        own.weigh(*whole(mask, now.window, read))
-        own.max_steps = LAST_STEPS if last else STEPS
+        own = own.weighed(*whole(mask, now.window, read))
+        own = replace(own, max_steps=LAST_STEPS if last else STEPS)
         coarsest = own.finest if number else max(own.finest - COARSER, 0)
         px = FINE_PX[own.dtype] if last else ROUGH_PX
         after = own.solve(refined.unit, range(coarsest, own.finest + 1), fine_px=px)
@@ -128,7 +127,7 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Ref
     if not taken:
         return Refined(None, sums, COLOURS, None, [], note)
     errors = own.errors(refined.view)
-    free = interval(own, refined) if is_drawn(errors) else []
+    free = interval(own, refined, errors) if is_drawn(errors) else []
     return Refined(refined, sums, COLOURS, errors, free, note)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
-from .outline_errors import is_drawn
+from .outline_errors import OutlineErrors, is_drawn
 from .parameters import components
 from .problem import View
 from .revolution import Revolution
@@ -155,22 +155,23 @@ def _worth_a_walk(solver: Solver, best: Found) -> list[_Direction]:
     round_about = _round(solver, best)
     other = _nearly_free(solver, best) or _doubtful(solver, best)
     if len(round_about) == 1:
-        axis = solver.revolutions[0].axis
+        axis = solver.subject.revolutions[0].axis
         other = [d for d in other if d.axis is None or abs(d.axis @ axis) < SAME_AXIS]
     elif any(d.axis is not None for d in other):
         return other
     return other + round_about
 
 
-def interval(solver: Solver, best: Found) -> list[Free]:
-    """Return the turn that a drawn mask leaves more open than the Jacobian says, and how far.
+def interval(solver: Solver, best: Found, errors: OutlineErrors | None) -> list[Free]:
+    """Return the turn that a drawn mask, which errs so, leaves more open than the Jacobian says,
+    and how far.
 
     Its errors carry a fit along curved valleys to where they end, and there all looks determined.
     So cameras that are turned by some standard errors, and best so, are asked how much worse they
     are: the profile of the likelihood, whose logarithm is as many times that of the squares as
     there are independent errors.
     """
-    errors, triangle = solver.errors(best.view), np.asarray(best.view.triangle, float)
+    triangle = np.asarray(best.view.triangle, float)
     turns = [name.startswith("turn") for name in components(solver.names)]
     if errors is None or not (np.all(np.isfinite(triangle)) and any(turns)):
         return []
@@ -276,7 +277,7 @@ def _round(solver: Solver, found: Found) -> list[_Direction]:
     if not np.all(np.isfinite(triangle)):
         return []
     deviations = np.linalg.pinv(triangle).T
-    for line in solver.revolutions:
+    for line in solver.subject.revolutions:
         move = np.zeros(len(names))
         move[turns] = axes_of(found.unit) @ line.axis
         value = 1 / max(float(np.linalg.norm(deviations @ move)), 1e-300)
@@ -323,9 +324,9 @@ def _radian(solver: Solver, found: Found) -> float:
     for name, size in zip(names, unit, strict=True):
         if name.startswith("turn"):
             return 1 / size
-    reach = np.linalg.norm(np.asarray(found.unit.e, float) - solver.ball.centre)
+    reach = np.linalg.norm(np.asarray(found.unit.e, float) - solver.subject.ball.centre)
     size = next(s for n, s in zip(names, unit, strict=True) if n.split("_")[0] in ("spin", "shift"))
-    return float(np.clip(solver.ball.radius / reach, 1e-3, 1) / size)
+    return float(np.clip(solver.subject.ball.radius / reach, 1e-3, 1) / size)
 
 
 def _along(solver: Solver, best: Found, direction: _Direction) -> list[Found]:
@@ -428,7 +429,7 @@ def _variance_on(solver: Solver, best: Found, number: int, view: View) -> float:
 
 def _alike(solver: Solver, best: Found) -> list[Found]:
     """Return where descents lead to from the likeliest cameras that see the facets alike."""
-    cameras = [_rotated(best.unit, *turn) for turn in solver.turns]
+    cameras = [_rotated(best.unit, *turn) for turn in solver.subject.turns]
     surplus = _glances(solver, cameras, solver.finest)
     nearest = [cameras[k] for k in np.argsort(surplus)[:FEW] if np.isfinite(surplus[k])]
     return _finite(_descended(solver, camera) for camera in nearest)
@@ -531,9 +532,9 @@ def _distinct(solver: Solver, places: list[Found], apart: float) -> list[Found]:
 def separation(solver: Solver, a: Camera, b: Camera) -> float:
     """Return how far two cameras are apart: the angle between them, or how far aside they see the
     object, in its radii."""
-    centre = np.asarray(solver.ball.centre, float)
+    centre = np.asarray(solver.subject.ball.centre, float)
     seen = [axes_of(c) @ (centre - np.asarray(c.e, float)) for c in (a, b)]
-    aside = np.linalg.norm((seen[0] - seen[1])[:2]) / float(solver.ball.radius)
+    aside = np.linalg.norm((seen[0] - seen[1])[:2]) / float(solver.subject.ball.radius)
     return max(angle(a, b), float(aside))
 
 
@@ -555,8 +556,8 @@ def mirrored(solver: Solver, found: Found) -> Iterator[Camera]:
     """Yield views that an object shows alike: one that is near its own mirror image, in its
     principal axes, half turns about these, and turned so that near and far change places, which
     changes a silhouette only by perspective; turns that bring its faces to one another."""
-    centre = np.asarray(solver.ball.centre, float)
-    points = solver.points - centre
+    centre = np.asarray(solver.subject.ball.centre, float)
+    points = solver.subject.points - centre
     if not len(points):
         return
     _, principal = np.linalg.eigh(points.T @ points)
@@ -574,9 +575,9 @@ def mirrored(solver: Solver, found: Found) -> Iterator[Camera]:
         rotation = turned.T @ axes
         seen.append(rotation)
         yield _rotated(found.unit, rotation, centre - rotation @ centre)
-    if solver.revolutions:
+    if solver.subject.revolutions:
         return  # turns about these are walked
-    for rotation, shift in solver.turns[:TURNS]:
+    for rotation, shift in solver.subject.turns[:TURNS]:
         if all(np.linalg.norm(rotation - other) > ONE_TURN for other in seen):
             yield _rotated(found.unit, rotation, shift)
 

@@ -1,27 +1,19 @@
-"""A fit of one scene to one mask: levels from coarse to fine, and buffers that grow as needed."""
+"""A fit of one scene to one mask: what is asked, and steps and looks, level by level."""
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Array
 
-from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._files import programs
 from .._numerics.tracing import collector_at_rest
-from .._scene.scene import (
-    Scene,
-    astype,
-    ball_about,
-    bounding_box,
-    padded,
-    with_or_without_border,
-)
-from .edges import Weights, counted, total, within
+from .._scene.scene import Scene
+from .buffers import Asked, Buffers, Levels
+from .edges import Weights
 from .kinds import Kind, kind_of
 from .moves import Bounds, Move, moved
 from .outline_errors import OutlineErrors, is_drawn, outline_errors
@@ -35,24 +27,20 @@ from .problem import (
     move as move_of,
     move_about,
 )
-from .pyramid import LEAST_CELLS, Level, Pyramid, pyramid
+from .pyramid import LEAST_CELLS, Level
 from .residuals import Capacity
-from .revolution import Revolution, revolutions, some_of
-from .room import LEAST_ROOM, ROOMIER, first_room, more_room, size_of
-from .symmetry import Turn, turns_of_a_mesh
+from .revolution import Revolution
+from .room import first_room
+from .subject import Subject
 from .target import Window, inside_of, object_window
 
 #: Noise leaves at most so many standard errors more than on average.
 ERRORS = 4.0
 #: What a hard edge leaves in a pixel of the outline, and what 8 bits do.
 ONE_BIT, LEAST_VARIANCE = 1 / 12, 1 / 12 / 255**2
-#: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
-OFF_TIMES = 3.0
 #: A step that is negligible (px) where a fit goes on to fewer pixels: half as many steps as to the
 #: end of what float32 resolves, and squares within a hundred thousandth.
 CONTINUED_PX = 5e-3
-#: Pyramids of more cells than this (200 MB in float32) are not kept.
-KEPT_CELLS = 2**23
 #: Where there are finer levels, a fit looks for what is far away on this one, where the object has
 #: 128 to 256 px. A residual tells of an outline that is a pixel away at most: of 12 degrees ten
 #: steps took 10 to 12 back on this level, 1.5 on one where the object had 1500 px.
@@ -93,37 +81,43 @@ def last_px(kind: Kind, dtype: Any, continued: bool) -> float:
     return CONTINUED_PX if continued and not kind.exact else FINE_PX[np.dtype(dtype)]
 
 
-def explained_by(kind: Kind, levels: list[Level], dtype: Any) -> list[Level]:
-    """Return levels that know what residual a mask's kind explains, where it says so."""
-    if not kind.exact:
-        return levels
-    explained = np.asarray(OFF_TIMES * kind.variance**0.5, dtype)
-    return [level._replace(explained=explained) for level in levels]
+@dataclass(frozen=True, eq=False)
+class Solver:
+    """One subject, one mask, and what is asked of them.
 
+    A value: with other weights, another scene or other views' knowledge it is another solver. What
+    grows with use is in its `buffers`, which they share.
 
-class _Asked(NamedTuple):
-    """What a pyramid is made of."""
+    - `target`: the mask (H, W); `weights`: how much its pixels count; `kind`: its kind.
+    - `names`: what is free; `bounds` and `prior`: what is known of it; `others`: what other views
+      know.
+    - `max_steps`: the most steps on a level; `fine_px`: what step is negligible on the finest.
+    - `record`: whether the way is to hold each step.
+    - `only_finest`: whether there is but one level, the finest.
+    - `least`: pyramids have room for so many cells.
+    - `walked`: walks all round a line: from there another need not be taken.
+    """
 
+    subject: Subject
     target: np.ndarray
     weights: Weights
-    window: Window
+    kind: Kind
+    names: tuple[str, ...]
+    max_steps: int
+    fine_px: float
+    buffers: Buffers
     least: int
-    only_finest: bool
+    bounds: Bounds | None = None
+    prior: Prior | None = None
+    others: Others | None = None
+    record: bool = False
+    only_finest: bool = False
+    walked: list[tuple[Camera, Revolution, list[Found]]] = field(default_factory=list, init=False)
+    _errors: list[tuple[View, OutlineErrors | None]] = field(default_factory=list, init=False)
 
-    def same(self, other: "_Asked") -> bool:
-        """Return whether another one's pyramid is the same."""
-        a, b = self.weights, other.weights
-        rest = self.target is other.target and self[2:] == other[2:]
-        if not isinstance(a, np.ndarray) or not isinstance(b, np.ndarray):
-            return rest and a is b
-        return rest and (a is b or np.array_equal(a, b))
-
-
-class Solver:
-    """One scene and mask; holds the buffers' sizes, which grow where a view outgrows them."""
-
-    def __init__(
-        self,
+    @classmethod
+    def of(
+        cls,
         scene: Scene,
         target: np.ndarray,
         weights: np.ndarray,
@@ -134,106 +128,102 @@ class Solver:
         prior: Prior | None = None,
         record: bool = False,
         continued: bool = False,
-        least_cells: int = LEAST_CELLS,
-    ):
-        self._least_cells = least_cells
-        self._bounds, self._prior, self._record = bounds, prior, record
-        self.dtype, self.names, self.max_steps = np.dtype(dtype), names, max_steps
-        self._others: Others | None = None
-        self._errors: tuple[View, OutlineErrors | None] | None = None
-        self._made: list[tuple[_Asked, tuple[Pyramid, list[Level]]]] = []
-        self._target = target
-        self.ball = ball_about(self._shown(scene))
-        self.mesh = _mesh_of(scene)
-        self.window = object_window(target)
-        self.capacity = first_room(scene, inside_of(self.window.of(target)))
-        self.kind = kind_of(self.window.of(target), self.window.of(weights), dtype)
-        self.fine_px = last_px(self.kind, self.dtype, continued)
-        self.weigh(weights)
+    ) -> "Solver":
+        """Return the solver of a scene and a mask, in a float type; `continued` as in `last_px`."""
+        given = target, weights, names, max_steps, bounds
+        made = cls.on(Subject.of(scene, dtype), *given, continued=continued)
+        return replace(made, prior=prior, record=record)
 
-    def weigh(
-        self,
-        weights: Weights,
-        target: np.ndarray | None = None,
-        only_finest: bool = False,
-    ) -> None:
-        """Set how much each pixel counts, and if given another target; until it is called again,
-        there may be the finest level alone."""
-        if target is not None:
-            self._target = target
-        self._only_finest = only_finest
-        #: Walks all round a line: from there another need not be taken.
-        self.walked: list[tuple[Camera, Revolution, list[Found]]] = []
-        self._weights = weights
-        size = size_of(self.capacity.pieces)
-        least = self._least_cells * 4 ** ((size + 1) // 2)
-        asked = _Asked(self._target, weights, self.window, least, only_finest)
-        levels, self.levels = self._pyramid(asked)
-        # Few programs: the larger image's has room for the longer outline, and the other way round.
-        if self.capacity.pieces > 1:
-            size = (levels.cells // LEAST_CELLS).bit_length() // 2
-            pieces = max(self.capacity.pieces, LEAST_ROOM.pieces * ROOMIER**size)
-            self.capacity = self.capacity._replace(pieces=pieces)
-        self.levels = explained_by(self.kind, self.levels, self.dtype)
-        seen = within(weights, self.levels[-1].window())
-        self._beside = total(weights) - total(seen)
-        self._counted = counted(seen)
-        self.finest = len(self.levels) - 1
-        others = self._others or no_others(self.names, self.dtype)
-        self.problem = Problem(self._scene, levels, self.ball, others, self._bounds, self._prior)
+    @classmethod
+    def on(
+        cls,
+        subject: Subject,
+        target: np.ndarray,
+        weights: np.ndarray,
+        names: tuple[str, ...],
+        max_steps: int,
+        bounds: Bounds | None = None,
+        continued: bool = False,
+        cells: int = LEAST_CELLS,
+    ) -> "Solver":
+        """Return the solver of a subject and a mask, whose pyramids hold `cells` at least."""
+        window, dtype = object_window(target), subject.dtype
+        capacity = first_room(subject.given, inside_of(window.of(target)))
+        buffers = Buffers(capacity, window, cells)
+        kind = kind_of(window.of(target), window.of(weights), dtype)
+        ends = max_steps, last_px(kind, dtype, continued)
+        least = buffers.room_for_cells()
+        return cls(subject, target, weights, kind, names, *ends, buffers, least, bounds)
 
-    def _pyramid(self, asked: "_Asked") -> tuple[Pyramid, list[Level]]:
-        """Return the levels of a target with weights: those of the first weights, which fits come
-        back to, and of the last are kept, but for large ones."""
-        for before, made in self._made:
-            if before.same(asked):
-                return made
-        host, levels = pyramid(
-            asked.target,
-            asked.weights,
-            self.dtype,
-            window=asked.window,
-            least=asked.least,
-            only_finest=asked.only_finest,
-        )
-        made = jax.device_put(host), levels
-        if made[0].target.size <= KEPT_CELLS:
-            first = [x for x in self._made[:1] if x[0].weights is not asked.weights]
-            self._made = [*first, (asked, made)]
-        return made
+    def weighed(
+        self, weights: Weights, target: np.ndarray | None = None, only_finest: bool = False
+    ) -> "Solver":
+        """Return the solver to which pixels count otherwise, and of another mask if one is given;
+        of the finest level alone, if that is all that is asked for."""
+        target, least = self.target if target is None else target, self.buffers.room_for_cells()
+        return replace(self, weights=weights, target=target, only_finest=only_finest, least=least)
+
+    def beside(self, others: Others) -> "Solver":
+        """Return the solver to which what other views know counts. They weigh the prior, too."""
+        return replace(self, others=others)
+
+    def like(self, kind: Kind) -> "Solver":
+        """Return a solver for masks of another kind, with buffers of its own."""
+        return replace(self, kind=kind, buffers=self.buffers.copy())
 
     @property
-    def target(self) -> np.ndarray:
-        """Return the mask (H, W) that is fitted."""
-        return self._target
+    def dtype(self) -> np.dtype:
+        """Return the float type that a fit works in."""
+        return self.subject.dtype
+
+    @property
+    def capacity(self) -> Capacity:
+        """Return what a view has room for."""
+        return self.buffers.capacity
+
+    @property
+    def _levels(self) -> Levels:
+        buffers = self.buffers
+        least = max(self.least, buffers.least)
+        of = self.target, self.weights, self.kind, buffers.window, least, self.only_finest
+        return buffers.levels(Asked(*of), self.dtype)
+
+    @property
+    def levels(self) -> list[Level]:
+        """Return the mask's levels, from coarse to fine."""
+        return self._levels.each
+
+    @property
+    def finest(self) -> int:
+        """Return the number of the finest level."""
+        return len(self.levels) - 1
 
     @property
     def far(self) -> int:
         """Return the number of the level on which what is far away is looked for: the finest where
         a prior or other views count, whose residuals are weighed against that level's."""
-        alone = self._prior is None and self._others is None
+        alone = self.prior is None and self.others is None
         return min(FAR_LEVEL, self.finest) if alone else self.finest
 
-    @cached_property
-    def points(self) -> np.ndarray:
-        """Return some hundreds of the mesh's vertices (n, 3), or none."""
-        return some_of(self.mesh[0])
+    @property
+    def problem(self) -> Problem:
+        """Return what the fit's programs are given beside a camera and a level."""
+        others = self.others or no_others(self.names, self.dtype)
+        known = others, self.bounds, self._weighed_prior()
+        return Problem(self.subject.scene, self._levels.pyramid, self.subject.pivot, *known)
 
-    @cached_property
-    def revolutions(self) -> list[Revolution]:
-        """Return the lines that the mesh is round about, but for a part of it."""
-        return revolutions(self.mesh[0])
-
-    @cached_property
-    def turns(self) -> list[Turn]:
-        """Return the turns that bring most of the mesh's faces to other faces."""
-        return turns_of_a_mesh(*self.mesh)
+    def _weighed_prior(self) -> Prior | None:
+        """Return the prior, weighed by what a residual of the mask errs by."""
+        if self.prior is None or self.buffers.noise is None:
+            return self.prior
+        noise = np.asarray(self.buffers.noise, self.dtype)
+        return eqx.tree_at(lambda prior: prior.noise, self.prior, noise)
 
     def misfit_above_noise(self, view: View) -> float:
         """Return the mean square residual of an outline pixel, all squares put on these pixels but
         what noise leaves in others."""
         touched = float(view.sums.touched)
-        noise = self.kind.far * max(self._counted - touched, 0.0)
+        noise = self.kind.far * max(self._levels.counted - touched, 0.0)
         return max(view.squares - noise, 0.0) / max(touched, 1.0)
 
     def explains(self, view: View) -> bool:
@@ -253,14 +243,14 @@ class Solver:
         computed and explained, and where too little is seen."""
         if self.kind.exact and self.kind.explains(view.touched_misfit, False):
             return None
-        if self._errors is None or self._errors[0] is not view:
+        if not self._errors or self._errors[0][0] is not view:
             weight = np.asarray(view.pixels.weight)
             scale = float(np.median(weight[weight > 0])) if np.any(weight > 0) else 1.0
             noise = max(self.kind.variance, view.touched_misfit) / scale
             noise = float(np.clip(noise, LEAST_VARIANCE, ONE_BIT))  # more is no noise of pixels
-            found = outline_errors(view, self._target, self._weights, noise, self.kind.hard)
-            self._errors = view, found
-        return self._errors[1]
+            found = outline_errors(view, self.target, self.weights, noise, self.kind.hard)
+            self._errors[:] = [(view, found)]
+        return self._errors[0][1]
 
     def variance(self, view: View) -> float:
         """Return by what, times two, squares at two cameras differ for each standard error between
@@ -271,23 +261,6 @@ class Solver:
         if is_drawn(errors):  # what lies beside the outline is of these errors, too
             return view.squares / errors.independent
         return variance * max(float(view.sums.touched) / errors.independent, 1.0)
-
-    def show(self, scene: Scene) -> None:
-        """Look at a scene whose vertices are elsewhere from now on; moves are taken as before."""
-        self._shown(scene)
-        self.problem = eqx.tree_at(lambda p: p.scene, self.problem, self._scene)
-
-    def share(self, other: "Solver") -> None:
-        """Look at the arrays of another one that was made of the same scene."""
-        self._scene, self.mesh = other._scene, other.mesh
-        self.problem = eqx.tree_at(lambda p: p.scene, self.problem, self._scene)
-
-    def _shown(self, scene: Scene) -> np.ndarray:
-        """Keep a scene; return its box."""
-        self._scene = with_or_without_border(padded(astype(scene, self.dtype)))
-        box = np.asarray(bounding_box(scene), float)
-        self._corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
-        return box
 
     def design(self, view: View) -> float:
         """Return how many times as large as of independent residuals the variance is that a mask's
@@ -311,57 +284,29 @@ class Solver:
         while True:
             view = self.begin(unit, level) if begun is None else begun
             begun = None
-            room = more_room(self.capacity, view.load)
-            if room == self.capacity:
-                share = float(self.levels[level].scale) / len(self._target)
-                weight = float(view.sums.weight) + share**2 * self._beside
+            if not self.buffers.grow(view.load):
+                share = float(self.levels[level].scale) / len(self.target)
+                weight = float(view.sums.weight) + share**2 * self._levels.beside
                 return view._replace(sums=view.sums._replace(weight=np.asarray(weight)))
-            larger = size_of(room.pieces) > size_of(self.capacity.pieces)
-            self.capacity = room
-            if larger:
-                self.weigh(self._weights, only_finest=self._only_finest)
-
-    def hear(self, others: Others | None) -> None:
-        """Count what other views know from now on, None: nothing. They weigh the prior, too."""
-        self.walked, self._others = [], others
-        known = others or no_others(self.names, self.dtype)
-        self.problem = eqx.tree_at(lambda p: p.others, self.problem, known)
 
     def _weighs_prior(self) -> bool:
-        return self._prior is not None and self._others is None
+        return self.prior is not None and self.others is None
 
-    def _believe(self, unit: Camera, level: int) -> None:
-        if self._weighs_prior():
-            self.believe(self.look(unit, level).touched_misfit)
-
-    def believe(self, misfit: float) -> None:
-        """Weigh the prior by the mean square that a touched pixel's residual errs by."""
-        if self._prior is None:
-            return
-        noise = np.sqrt(max(misfit, np.finfo(self.dtype).eps ** 2))
-        put = lambda prior: eqx.tree_at(lambda p: p.noise, prior, np.asarray(noise, self.dtype))
-        self._prior = put(self._prior)
-        self.problem = eqx.tree_at(lambda p: p.prior, self.problem, self._prior)
+    def _heed(self, misfit: float) -> None:
+        """Weigh a prior by the mean square that a touched pixel's residual errs by, from now on."""
+        self.buffers.noise = np.sqrt(max(misfit, np.finfo(self.dtype).eps ** 2))
 
     def _widen(self, unit: Camera) -> None:
         """Look at the whole film from now on if a camera may show the scene beside the window."""
-        if self.holds(unit):
-            return
-        H, W = self._target.shape
-        self.window = Window(0, 0, W, H)
-        self.weigh(self._weights, only_finest=self._only_finest)
+        if not self.holds(unit):
+            H, W = self.target.shape
+            self.buffers.window = Window(0, 0, W, H)
 
     def holds(self, unit: Camera) -> bool:
         """Return whether a camera shows nothing of the scene beside the window, as far as a box
         about it tells."""
-        H, W = self._target.shape
-        if self.window == (0, 0, W, H):
-            return True
-        if unit.lens is not None and unit.lens.distortion is not None:
-            return False
-        x, y, z = on_film_plane(unit, self._corners).T
-        shown = H * np.stack([x / z, y / z], axis=-1)
-        return bool(np.all(z > 0) and self.window.holds(shown, W, H))
+        H, W = self.target.shape
+        return self.subject.within(self.buffers.window, unit, W, H)
 
     def move(self, unit: Camera, level: int) -> Move:
         """Return where moves of a camera start, in the solver's units."""
@@ -369,7 +314,7 @@ class Solver:
 
     def step(self, unit: Camera, level: int, y: np.ndarray) -> Camera:
         """Return the camera moved by y (n,) in the solver's units."""
-        about = self.problem.pivot, self.problem.radius, self.problem.bounds
+        about = *self.subject.pivot, self.bounds
         y = np.asarray(y, self.dtype)
         return _step(unit, about, self.levels[level].scale, y, self.names)
 
@@ -393,18 +338,19 @@ class Solver:
         way, taken = [Stop(unit, self.levels[levels[0]], 0)], []
         self._widen(unit)
         while True:
-            capacity, window, end = self.capacity, self.window, None
+            capacity, window, end = self.capacity, self.buffers.window, None
             for number in levels:
-                self._believe(unit, number)
+                if self._weighs_prior():
+                    self._heed(self.look(unit, number).touched_misfit)
                 level = self.levels[number]
                 finest = number == self.finest
                 tolerance = (fine_px or self.fine_px) if finest else coarse_px
                 further, n, path, end = self._further(unit, level, tolerance, most, capacity)
                 stop = Stop(further, level, int(n))
-                stops = self._each_step(unit, number, stop, path) if self._record else [stop]
+                stops = self._each_step(unit, number, stop, path) if self.record else [stop]
                 way += stops
                 if self._weighs_prior():
-                    self.believe(end.touched_misfit)
+                    self._heed(end.touched_misfit)
                 unit = further
                 taken.append(stop.steps)
                 if told is not None:
@@ -412,7 +358,7 @@ class Solver:
                         told(passed)
             # (What a descent saw last is differentiated by moves of where it began.)
             view = self.look(unit, levels[-1], None if looks else end)
-            if (self.capacity, self.window) == (capacity, window):
+            if (self.capacity, self.buffers.window) == (capacity, window):
                 return Found(unit, view, tuple(taken), tuple(way), taken[-1] < most)
             # The view outgrew its buffers or window on the way: go on from there with larger ones.
 
@@ -450,26 +396,7 @@ class Solver:
         return [*each, end._replace(steps=end.steps - len(each))]
 
 
-def on_film_plane(unit: Camera, points: np.ndarray) -> np.ndarray:
-    """Return homogeneous film points (n, 3) of a canonical camera, in film heights."""
-    seen = (points - np.asarray(unit.e, float)) @ axes_of(unit).T
-    focal = 0.5 / np.tan(float(unit.phi) / 2)
-    if unit.lens is None:
-        aspect, centre = 1.0, np.array([unit.W / 2 / unit.H, 0.5])
-    else:
-        aspect, centre = float(unit.lens.aspect), np.asarray(unit.lens.principal_point, float)
-    scale = np.array([focal * aspect, focal])
-    return np.column_stack([seen[:, :2] * scale + centre * seen[:, 2:], seen[:, 2]])
-
-
 @eqx.filter_jit
 def _step(unit: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, y: Any, names) -> Camera:
     """Return the camera moved by y in the solver's units, about a pivot with a radius."""
     return moved(move_about(unit, *about, scale, names), y, names)
-
-
-def _mesh_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return a scene's vertices (V, 3) and faces (F, 3), none where there is no mesh."""
-    if scene.mesh is None:
-        return np.zeros((0, 3)), np.zeros((0, 3), int)
-    return np.asarray(scene.mesh.vertices), np.asarray(scene.mesh.faces)

@@ -82,7 +82,7 @@ def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> Places:
     before = solver.look(start, -1)
     begin = start
     if turns_freely(solver.names) and float(before.sums.overlap) <= POOR * float(before.sums.union):
-        over = canonical(aimed(mask, solver.problem.scene, solver.ball))
+        over = canonical(aimed(mask, solver.subject.scene, solver.subject.ball))
         begin = min((start, over), key=lambda camera: solver.look(camera, 0).squares)
     found = solver.solve(begin, range(len(solver.levels)), told)
     if not found.view.squares <= before.squares:
@@ -202,11 +202,11 @@ def searched(solver: Solver, mask: Mask, told: Told, rounds: int) -> list[Found]
     """
     found: list[Found] = []
     free = focal_is_free(solver.names)
-    source = guesses(mask, solver.problem.scene, solver.ball)
+    source = guesses(mask, solver.subject.scene, solver.subject.ball)
     for n in range(rounds):
         if free and n:
             longer = mask.longer(FOCAL_FACTORS[n])
-            source = guesses(longer, solver.problem.scene, solver.ball)
+            source = guesses(longer, solver.subject.scene, solver.subject.ball)
         source, likely = tee(source)
         apart = APART / (1 if free else 2**n)
         found = _one_of_each([*found, *_followed(solver, likely, apart, told)], solver.names)
@@ -294,32 +294,31 @@ def without_outliers(
     """
     alike = [(f, f.unit) for f in (places.best, *places.others)]
     rivals = [(f, f.unit) for f in places.rivals]
-    alone = _is_alone(mask, places, outlier_px)
+    alone, near = _is_alone(mask, places, outlier_px), solver
     for reach in (1,) if alone else (8, 4, 2, 1):
-        solver.weigh(mask.near_edge(reach * outlier_px), only_finest=True)
+        near = solver.weighed(mask.near_edge(reach * outlier_px), only_finest=True)
         # (What comes next moves it by more.)
         px = COARSE_PX if reach > 1 else FINE_PX[solver.dtype]
         # (Where there are rivals their errors are asked for on the way.)
         looks = bool(rivals) or reach == 1
-        finer = lambda f, px=px, looks=looks: onward(
-            f, solver.solve(f.unit, [solver.finest], fine_px=px, looks=looks)
+        finer = lambda f, near=near, px=px, looks=looks: onward(
+            f, near.solve(f.unit, [near.finest], fine_px=px, looks=looks)
         )
         alike, rivals = ([(finer(f), unit) for f, unit in x] for x in (alike, rivals))
         # (Farther out, what covers the object counts against the right one.)
         if rivals and reach <= 2:
             view = alike[0][0].view
-            most = HOPELESS * _times(solver.errors(view)) * view.squares
+            most = HOPELESS * _times(near.errors(view)) * view.squares
             rivals = [(f, unit) for f, unit in rivals if f.view.squares <= most]
     result = []
     for f, before in (*alike, *rivals):
         # (A descent that began there, with these weights, does not end higher.)
         others = [] if alone else [before]
         for unit in others if start is None else [*others, start]:
-            if not solver.look(unit, solver.finest).squares >= f.view.squares:
-                px = FINE_PX[solver.dtype]
-                f = onward(f, solver.solve(unit, [solver.finest], fine_px=px))
+            if not near.look(unit, near.finest).squares >= f.view.squares:
+                px = FINE_PX[near.dtype]
+                f = onward(f, near.solve(unit, [near.finest], fine_px=px))
         result.append(f)
-    solver.weigh(mask.weight)
     return [(f, solver.look(f.unit, solver.finest)) for f in result]
 
 
@@ -403,13 +402,13 @@ def with_errors(
 ) -> list[Free]:
     """Return what is free about a camera: of a drawn mask, too, how far its errors leave what shows
     least, pixels farther than `reach` (px) from its edge left out."""
-    if not (turns_freely(solver.names) and is_drawn(solver.errors(found.view))):
+    errors = solver.errors(found.view) if turns_freely(solver.names) else None
+    if not is_drawn(errors):
         return free
+    near = solver
     if reach is not None:
-        solver.weigh(mask.near_edge(reach), only_finest=True)
-    left = interval(solver, found)
-    if reach is not None:
-        solver.weigh(mask.weight)
+        near = solver.weighed(mask.near_edge(reach), only_finest=True)
+    left = interval(near, found, errors)
     # (Facets make minima along a turn, and a profile sees but the one that it begins in.)
     return [*free, *left]
 
