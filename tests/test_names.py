@@ -1,5 +1,6 @@
 """Comments and docstrings name modules, names and files that there are."""
 
+import ast
 import importlib
 import pkgutil
 import re
@@ -75,3 +76,15 @@ def test_files_that_are_named_exist(path):
 def test_a_wrong_name_is_found():
     prose = "`solver.Stopped`, `problem.View`, `_nowhere`, `io.read_camera`, `_own`, `self._rays`"
     assert wrong_names(prose, {"_own"}) == ["solver.Stopped", "_nowhere", "io.read_camera"]
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in SOURCES if ROOT / "experiments" in p.parents], ids=lambda p: p.stem
+)
+def test_an_experiment_imports_what_there_is(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pinhole_jax"):
+            module = importlib.import_module(node.module)
+            for name in node.names:
+                known = hasattr(module, name.name) or name.name in MODULES
+                assert known, f"{node.module} has no {name.name}"
