@@ -114,26 +114,28 @@ def resolved(
     chosen = crowded.chosen
     if P >= LARGE and frames == [None]:
         start = chosen, areas, visible
-        chosen, areas, visible = _fold(chosen, crowded.number, look, start)
-    return _fold(chosen, crowded.number, resolve, (areas, visible))
+        chosen, areas, visible = _fold(_by_number(chosen, crowded.number), look, start)
+    return _fold(_by_number(chosen, crowded.number), resolve, (areas, visible))
 
 
-def _fold(
-    chosen: Bool[Array, "P"],
-    number: Int[Array, "P"],
-    add: Callable[[Any, Array, Array], Any],
-    start: Any,
-) -> Any:
-    """Return `start` after `add(state, slot, there)` over the chosen pixels, some at a time, those
-    with a small `number` of pieces first: what is swept together takes as long as the one with the
-    most."""
-    P, total = len(number), jnp.sum(chosen, dtype=jnp.int32)
+def _by_number(chosen: Bool[Array, "P"], number: Int[Array, "P"]) -> tuple[Array, Array]:
+    """Return the pixels (P,), the chosen ones first, and how many these are. Those with few pieces
+    come first: what is swept together takes as long as the one with the most."""
+    P = len(number)
     key = jnp.where(chosen, number, MOST + 1).astype(jnp.int32)
-    slots = jax.lax.sort(key * P + jnp.arange(P, dtype=jnp.int32), is_stable=False) % P
+    ranked = jax.lax.sort(key * P + jnp.arange(P, dtype=jnp.int32), is_stable=False)
+    return ranked % P, jnp.sum(chosen, dtype=jnp.int32)
+
+
+def _fold(among: tuple[Array, Array], add: Callable[[Any, Array, Array], Any], start: Any) -> Any:
+    """Return `start` after `add(state, slot, there)` over the first of some pixels, some at a
+    time."""
+    slots, total = among
 
     def body(state):
         rank, state = state
         turn = rank + jnp.arange(TOGETHER, dtype=jnp.int32)
-        return rank + TOGETHER, add(state, slots[jnp.minimum(turn, P - 1)], turn < total)
+        slot = slots[jnp.minimum(turn, len(slots) - 1)]
+        return rank + TOGETHER, add(state, slot, turn < total)
 
     return jax.lax.while_loop(lambda s: s[0] < total, body, (jnp.int32(0), start))[1]
