@@ -55,7 +55,7 @@ def question() -> dict:
         solver = Solver.of(scene, mask, weights, np.float32, ("pose",), 64)
 
         def ends_right(start: pj.Camera, solver=solver, truth=truth) -> bool:
-            return degrees(solver.solve(canonical(start), solver.levels).unit, truth) < 0.1
+            return degrees(solver.solve(canonical(start), solver.levels).camera, truth) < 0.1
 
         turns = [[ends_right(turned(truth, a, b, 1)) for b in angles] for a in angles]
         reach = np.geomspace(0.6, 1.6, n)

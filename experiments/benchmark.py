@@ -233,7 +233,7 @@ def boundary_error(image: np.ndarray, coverage: np.ndarray) -> float:
 def moving(moves: Moves, scene: pj.Scene, free: tuple[str, ...]) -> tuple[jax.Array, At]:
     """Return no move, and where `moves` start, as our Jacobian is told."""
     reach = np.linalg.norm(moves.start.e)
-    unit = moves.unit / [1, 1, 1, reach, reach, 1, 1]  # our shifts are shares of the distance
+    unit = moves.scale / [1, 1, 1, reach, reach, 1, 1]  # our shifts are shares of the distance
     of = {"pose": unit[:6], "phi": unit[6:]}
     unit = jnp.asarray(np.concatenate([of[name] for name in free]), jnp.float32)
     camera = moves.camera(np.zeros(7))

@@ -91,11 +91,11 @@ def _fit(options: argparse.Namespace) -> int:
         progress.say("fitting (the first time compiles: seconds)")
         photo = three_channels(picture) if options.refine else None
         fit_arguments = {"phi": phi, "lens": lens, "weight": weight, "photo": photo}
-        told = lambda level: progress.say(str(level))
+        on_step = lambda level: progress.say(str(level))
         record = options.report is not None
         with named(**FITTED):
             fit = fit_camera(
-                scene, mask, camera, free, progress=told, record=record, **fit_arguments
+                scene, mask, camera, free, progress=on_step, record=record, **fit_arguments
             )
         finite = fit.status != "non_finite"
         progress.say("drawing")

@@ -13,7 +13,7 @@ from ._camera.camera import Camera
 from ._camera.rays import project
 from ._fit.moves import displaced
 from ._fit.result import Fit, Progress, check_fit
-from ._fit.target import check_image, shares
+from ._fit.target import as_coverage, check_image
 from ._scene.scene import Scene, check_view
 from ._show.disagreement import disagreement as disagreement
 from ._show.outline import contour_points, outline as outline
@@ -131,7 +131,7 @@ def error_map(
     check_view(camera, scene)
     _check_size("target", target, camera)
     left, top, right, bottom = window or (0, 0, camera.W, camera.H)
-    mask = shares(check_image("target", target, camera.W, camera.H))
+    mask = as_coverage(check_image("target", target, camera.W, camera.H))
     both = [np.asarray(silhouette(camera, scene), float), mask]
     shown, mask = (x[top:bottom, left:right, None] for x in both)
     ground = 255 - 45 * np.minimum(shown, mask).clip(0, 1)
@@ -148,9 +148,9 @@ def object_window(camera: Camera, scene: Scene) -> Window:
     if not len(ends):
         return 0, 0, camera.W, camera.H
     low, high = ends.min(axis=0), ends.max(axis=0)
-    room = 0.08 * np.max(high - low) + 2
-    left, top = np.floor(np.maximum(low - room, 0)).astype(int).tolist()
-    right, bottom = np.ceil(np.minimum(high + room, [camera.W, camera.H])).astype(int).tolist()
+    margin = 0.08 * np.max(high - low) + 2
+    left, top = np.floor(np.maximum(low - margin, 0)).astype(int).tolist()
+    right, bottom = np.ceil(np.minimum(high + margin, [camera.W, camera.H])).astype(int).tolist()
     return left, top, right, bottom
 
 

@@ -17,8 +17,8 @@ from . import formats, plot
 from ._camera.camera import Camera
 from ._files.paths import replace_file
 from ._fit.result import Fit, check_fit
-from ._fit.target import check_image, shares
-from ._fit.words import STATUSES, Told, in_digits, told
+from ._fit.target import as_coverage, check_image
+from ._fit.words import STATUSES, ParameterTable, in_digits, parameter_table
 from ._scene.scene import Scene, check_view
 from ._show import page as html_page
 
@@ -81,8 +81,8 @@ def page(
         raise ValueError("`fit`: expected a finite camera, got status non_finite")
     mask = check_image("target", target, fit.camera.W, fit.camera.H)
     if photo is None:
-        photo = np.round(255 * shares(mask).clip(0, 1)).astype(np.uint8)
-    parameters = told(fit)
+        photo = np.round(255 * as_coverage(mask).clip(0, 1)).astype(np.uint8)
+    parameters = parameter_table(fit)
     table = _parameter_table(fit, parameters) + _pose(fit, pixel_centres)
     sections = [
         html_page.section("Outline", _outline_pictures(fit, scene, photo)),
@@ -159,7 +159,7 @@ def _is_same(covariance: np.ndarray, other: np.ndarray | None) -> bool:
     return other is None or np.array_equal(covariance, other, equal_nan=True)
 
 
-def _parameter_table(fit: Fit, parameters: Told) -> str:
+def _parameter_table(fit: Fit, parameters: ParameterTable) -> str:
     rows = []
     for row in parameters.rows:
         known = np.isfinite(row.std)
@@ -178,7 +178,7 @@ def _pose(fit: Fit, pixel_centres: Any) -> str:
     return f"<h3>K, R and t, and the object's pose</h3><pre>{words}</pre>"
 
 
-def _correlation_table(parameters: Told) -> str:
+def _correlation_table(parameters: ParameterTable) -> str:
     names = [html.escape(row.name) for row in parameters.rows]
     std = np.array([row.std for row in parameters.rows])
     with np.errstate(invalid="ignore", divide="ignore"):

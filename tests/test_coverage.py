@@ -7,7 +7,7 @@ from oracles import area_per_pixel
 
 from pinhole_jax._silhouette.coverage import monotone, piece_counts, split
 from pinhole_jax._silhouette.curves import Arcs, Segments
-from pinhole_jax._silhouette.marks import turns
+from pinhole_jax._silhouette.marks import winding_jumps
 from pinhole_jax._silhouette.spheres import _monotone_stretches
 
 W, H = 7, 5
@@ -122,7 +122,7 @@ def test_a_curve_enters_a_row_once_however_near_to_a_pixel_corner():
         upto = jnp.cumsum(piece_counts(m, size, size))
         slots = jnp.arange(1 << 16, dtype=jnp.int32)
         pieces = split(m, upto, slots, size, size, size)
-        return m, pieces, turns(pieces)
+        return m, pieces, winding_jumps(pieces)
 
     m, pieces, turned = jax.tree.map(np.asarray, found(Segments(a, b, jnp.ones(512, jnp.float32))))
     assert not pieces.valid[-1]

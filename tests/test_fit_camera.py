@@ -14,7 +14,7 @@ from oracles import drawn, random_camera, turned
 
 import pinhole_jax as pj
 from pinhole_jax import formats, io, shapes
-from pinhole_jax._fit import buffers, levenberg_marquardt, room, solver
+from pinhole_jax._fit import buffers, capacity, levenberg_marquardt, solver
 from pinhole_jax._fit.fit_camera import check_border
 from pinhole_jax._fit.residuals import Capacity
 from pinhole_jax._fit.uncertainty import covariance
@@ -209,7 +209,7 @@ def test_meshes_and_images_of_similar_size_share_compiled_programs(scene):
 
 @pytest.mark.long
 def test_a_view_that_outgrows_its_buffers_is_fitted_with_larger_ones(monkeypatch, scene):
-    for module in (room, buffers):
+    for module in (capacity, buffers):
         monkeypatch.setattr(module, "LEAST_ROOM", Capacity(1024, 1024, 1024, 1024))
     monkeypatch.setattr(solver, "first_room", lambda *_: Capacity(1024, 1024, 1))
     truth = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 320, 320)

@@ -537,7 +537,7 @@ def test_moves_are_those_of_differences(stereo):
     )
     layout, state, eye = problem.layout, problem.start, problem.layout.eyes[0]
     seen = layout.look(state, 1)[0]
-    before, n = eye.unit(state), len(layout.columns(0))
+    before, n = eye.canonical(state), len(layout.columns(0))
     numeric = np.zeros((n, n))
     to_reported = np.asarray(seen.view.to_reported)
     for k, column in enumerate(layout.columns(0)):
@@ -545,7 +545,7 @@ def test_moves_are_those_of_differences(stereo):
         sides = []
         for sign in (1, -1):
             x[column] = sign * 1e-6
-            there = eye.unit(stepped(state, layout.unknowns, x, layout.eyes))
+            there = eye.canonical(stepped(state, layout.unknowns, x, layout.eyes))
             sides.append(np.asarray(reported(before, there, eye.solver.names)))
         numeric[: len(to_reported), k] = (sides[0] - sides[1]) / 2e-6
     stated = to_reported @ seen.moves

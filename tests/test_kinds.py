@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._fit.kinds import kind_of
-from pinhole_jax._fit.target import check_target, shares
+from pinhole_jax._fit.target import as_coverage, check_target
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 128, 128)
 
@@ -103,4 +103,4 @@ def test_masks_of_two_values_are_taken_whatever_their_type(dtype, full):
         return
     mask = disc.astype(dtype) * dtype(full)
     taken, _ = check_target(mask, None, 24, 18)
-    np.testing.assert_array_equal(shares(taken), disc)
+    np.testing.assert_array_equal(as_coverage(taken), disc)

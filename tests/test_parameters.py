@@ -14,7 +14,7 @@ from pinhole_jax._fit.moves import (
     on_film,
     reported,
     rotation,
-    units,
+    scales,
 )
 from pinhole_jax._fit.parameters import (
     NAMES,
@@ -107,7 +107,7 @@ def test_a_canonical_camera_sees_the_same_in_film_heights():
 def test_units_move_the_outline_by_about_a_pixel():
     free = ("pose", "phi", "principal_point", "aspect")
     unit = canonical(CAMERA)
-    step = units(unit, PIVOT, jnp.asarray(1.0), jnp.asarray(20.0), free)
+    step = scales(unit, PIVOT, jnp.asarray(1.0), jnp.asarray(20.0), free)
     rim = PIVOT[None] + jnp.asarray(np.random.default_rng(0).normal(size=(50, 3)) / 2)
 
     def film(y):

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._fit import search
+from pinhole_jax._fit.capacity import FAR, LEAST_CAPACITY, SIDES, contours, first_capacity
 from pinhole_jax._fit.mask import Mask
-from pinhole_jax._fit.room import FAR, LEAST_ROOM, SIDES, contours, first_room
 from pinhole_jax._fit.search import VIEWS, sphere_points
 from pinhole_jax._fit.signatures import ANGLES, distances, facing, signatures
 from pinhole_jax._fit.thumbnails import SIZE, axes_inward, thumbnails
@@ -104,8 +104,8 @@ def test_a_mask_of_crumbs_is_as_large_as_the_object():
     crumbs = inside.copy()
     crumbs[199, 199] = crumbs[0, 0] = 1
     scene = pj.Scene(mesh=shapes.bumpy(5))
-    assert first_room(scene, crumbs) == first_room(scene, inside)
-    assert first_room(scene, np.zeros((9, 9))).pieces >= LEAST_ROOM.pieces
+    assert first_capacity(scene, crumbs) == first_capacity(scene, inside)
+    assert first_capacity(scene, np.zeros((9, 9))).pieces >= LEAST_CAPACITY.pieces
 
 
 def test_a_camera_is_found_with_no_start(scene):

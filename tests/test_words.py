@@ -4,7 +4,7 @@ import pytest
 import pinhole_jax as pj
 from pinhole_jax._fit.heading import carried, heading
 from pinhole_jax._fit.moves import displaced
-from pinhole_jax._fit.words import in_digits, told
+from pinhole_jax._fit.words import in_digits, parameter_table
 
 TURNS = ("rotation_b1", "rotation_b2", "rotation_v")
 
@@ -89,7 +89,7 @@ def test_turns_have_values_and_the_sigma_of_what_is_told():
     covariance, names = root @ root.T, (*TURNS, "e_x")
     std = np.sqrt(np.diag(covariance))
     fit = pj.Fit(camera, "converged", names, covariance, std, 0.01, 0.99, (3,), ())
-    rows = told(fit).rows
+    rows = parameter_table(fit).rows
     assert [row.name for row in rows] == ["pitch", "yaw", "roll", "e_x"]
     draws = random.multivariate_normal(np.zeros(4), covariance, 2000)
     angles = [heading(displaced(camera, names, step)).angles for step in draws]

@@ -125,22 +125,22 @@ class Camera(eqx.Module):
             raise ValueError(f"`d`: expected a positive distance, got {float(self.d)}")
         if is_concrete(self.e, self.p, self.u):
             _check_view(*(np.asarray(x) for x in (self.e, self.p, self.u)))
-        bent = self.lens is not None and self.lens.distortion is not None
-        if bent and is_concrete(self.phi, *jax.tree.leaves(self.lens)):
+        distorted = self.lens is not None and self.lens.distortion is not None
+        if distorted and is_concrete(self.phi, *jax.tree.leaves(self.lens)):
             _check_lens(self)
 
     def __str__(self) -> str:
         """Return it as a table; what is traced, stacked or no number as equinox shows it."""
         if not _is_plain(self):
             return repr(self)
-        rows = [f"  {name:<4} {value}   {words}".rstrip() for name, value, words in _told(self)]
+        rows = [f"  {name:<4} {value}   {words}".rstrip() for name, value, words in _rows(self)]
         return "\n".join([f"Camera of {self.W} x {self.H} px", *rows])
 
     def _repr_html_(self) -> str | None:
         """Return it as notebooks show it: a table, and the camera in space."""
         if not _is_plain(self):
             return None
-        return card(f"<b>Camera</b> of {self.W} x {self.H} px", table(_told(self)), picture(self))
+        return card(f"<b>Camera</b> of {self.W} x {self.H} px", table(_rows(self)), picture(self))
 
     def replace(self, **changes: Any) -> "Camera":
         """Return the camera with some of its arguments changed, checked as the constructor does."""
@@ -161,7 +161,7 @@ def _is_plain(camera: Camera) -> bool:
     return numbers and is_concrete(*jax.tree.leaves(camera)) and not np.ndim(camera.phi)
 
 
-def _told(camera: Camera) -> list[tuple[str, str, str]]:
+def _rows(camera: Camera) -> list[tuple[str, str, str]]:
     """Return a camera's parameters: name, value, what it is."""
     # Places are told to a millionth of how far the camera looks, wherever the world begins.
     far = float(np.linalg.norm(np.asarray(camera.p, float) - np.asarray(camera.e, float)))
@@ -183,9 +183,9 @@ def _told(camera: Camera) -> list[tuple[str, str, str]]:
         middle = f"principal point {point(camera.lens.principal_point)} px, {aspect}"
         rows.append(("lens", middle, ""))
     if camera.lens is not None and camera.lens.distortion is not None:
-        bent = camera.lens.distortion
-        numbers = (f"{name} = {value:.6g}" for name, value in bent.coefficients().items())
-        rows.append(("", f"{type(bent).__name__}: {', '.join(numbers)}", ""))
+        distortion = camera.lens.distortion
+        numbers = (f"{name} = {value:.6g}" for name, value in distortion.coefficients().items())
+        rows.append(("", f"{type(distortion).__name__}: {', '.join(numbers)}", ""))
     return rows
 
 

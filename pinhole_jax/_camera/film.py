@@ -22,8 +22,8 @@ class Bend(eqx.Module):
     def __call__(self, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
         """Return the film points (px) of ideal ones."""
         x, y = ((points[..., k] - self.centre[k]) / self.focal[k] for k in (0, 1))
-        bent = self.distortion(x, y)
-        return jnp.stack([self.focal[k] * bent[k] + self.centre[k] for k in (0, 1)], axis=-1)
+        distorted = self.distortion(x, y)
+        return jnp.stack([self.focal[k] * distorted[k] + self.centre[k] for k in (0, 1)], axis=-1)
 
     def around(self, part: "FilmPart") -> Float[Array, "4"]:
         """Return an ideal rectangle (left, right, bottom, top) about a part of the film, of which

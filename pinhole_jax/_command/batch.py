@@ -75,13 +75,13 @@ def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any
             " --resume goes on with what is not done"
         )
     say("counting records")
-    told: Callable[[Count], Any] = lambda count: say(str(count))
+    on_step: Callable[[Count], Any] = lambda count: say(str(count))
     with interrupts_raise(), _ended_as_interrupted():
         fit_many(
             data,
             workers=options.workers,
             out=options.output,
-            progress=told,
+            progress=on_step,
             shard=shard,
             time_limit=options.time_limit or None,
             cached=not options.no_cache,

@@ -132,10 +132,14 @@ def _of_K(options: argparse.Namespace, size: Size) -> Camera:
         words = " ".join(f"{x:g}" for x in options.K)
         raise ValueError(f"`--K`: expected four finite numbers (px), got {words}")
     K, turn = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-    bent, centres = options.dist, options.pixel_centres
-    if bent is not None and len(bent) not in (4, 5, 8):
-        raise ValueError(f"`--dist`: expected 4, 5 or 8 coefficients, got {len(bent)}")
-    model = None if bent is None else (Rational if len(bent) == 8 else BrownConrady)(*bent)
+    coefficients, centres = options.dist, options.pixel_centres
+    if coefficients is not None and len(coefficients) not in (4, 5, 8):
+        raise ValueError(f"`--dist`: expected 4, 5 or 8 coefficients, got {len(coefficients)}")
+    model = (
+        None
+        if coefficients is None
+        else (Rational if len(coefficients) == 8 else BrownConrady)(*coefficients)
+    )
     with named(K="--K", lens="--dist"):
         return from_opencv(K, turn, [0, 0, 0], *size, pixel_centres=centres, distortion=model)
 

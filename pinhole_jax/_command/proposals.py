@@ -62,12 +62,12 @@ def _tells(
     """Return what a mask tells of the camera in its own frame: the world, or the link it is on."""
     if mount is None:
         return information(camera, scene, free)
-    told = information(at_pose(camera, mount @ pose_of(camera)), scene, free)
+    known = information(at_pose(camera, mount @ pose_of(camera)), scene, free)
     # Turns are about the camera's own axes, in whatever frame it is; its eye is in the link's.
     eye = [names.index(name) for name in ("e_x", "e_y", "e_z")]
     frame = np.eye(len(names))
     frame[np.ix_(eye, eye)] = mount[:3, :3]
-    return frame.T @ told @ frame
+    return frame.T @ known @ frame
 
 
 def _regular(total: Float[np.ndarray, "n n"]) -> bool:

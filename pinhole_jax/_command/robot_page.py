@@ -9,8 +9,8 @@ import numpy as np
 from .. import formats, plot
 from .._fit.agreement import NORMAL_95
 from .._fit.joint_result import JointFit, ViewFit
-from .._fit.target import shares
-from .._fit.words import STATUSES, in_digits, told
+from .._fit.target import as_coverage
+from .._fit.words import STATUSES, in_digits, parameter_table
 from .._show import page as html_page
 from .._silhouette.silhouette import silhouette
 
@@ -56,7 +56,7 @@ def robot_page(
 def _camera(fit: JointFit) -> str:
     rows = [
         _row(row.name, row.words, row.value, row.std, row.unit)
-        for row in told(fit.cameras["camera"]).rows
+        for row in parameter_table(fit.cameras["camera"]).rows
     ]
     heads = ("parameter", "value", "95 % interval", "unit")
     text = html_page.table("What was fitted", heads, rows, "parameters")
@@ -117,7 +117,10 @@ def _views(fit: JointFit, masks: Sequence[np.ndarray], names: Sequence[str]) -> 
 
 def _beside(view: ViewFit, mask: np.ndarray) -> tuple[float, float]:
     """Return which share of the mask the model leaves out, and by which it covers more."""
-    shown, there = np.asarray(silhouette(view.camera, view.scene), float), shares(mask).clip(0, 1)
+    shown, there = (
+        np.asarray(silhouette(view.camera, view.scene), float),
+        as_coverage(mask).clip(0, 1),
+    )
     whole = max(float(there.sum()), 1.0)
     difference = there - shown
     return float(difference.clip(0).sum()) / whole, float((-difference).clip(0).sum()) / whole
@@ -127,7 +130,7 @@ def _pictures(fit: JointFit, pictures: Sequence[np.ndarray], names: Sequence[str
     result = ""
     for k, (view, picture, name) in enumerate(zip(fit.views, pictures, names, strict=True)):
         if picture.ndim == 2:
-            picture = np.round(255 * shares(picture).clip(0, 1)).astype(np.uint8)
+            picture = np.round(255 * as_coverage(picture).clip(0, 1)).astype(np.uint8)
         window = plot.object_window(view.camera, view.scene)
         drawn = plot.overlay(picture, view.camera, view.scene, window=window)
         words = f"View {k}, {html.escape(name, quote=True)}: the recovered outline, IoU"

@@ -229,8 +229,8 @@ def _at(layout: Layout, found: Descent, weights: np.ndarray, counts: np.ndarray)
     known = [part.without(held) for part in known]
     solved = solve([*parts, *known], layout.size, np.zeros(layout.size))
     sigma = np.array([_sigma(*pair) for pair in zip(squares, ranks, strict=True)])
-    told = excess, freedom, off, weights, errors, known, noise, sigma
-    return Agreement(layout, found, solved, each, *told)
+    rest = excess, freedom, off, weights, errors, known, noise, sigma
+    return Agreement(layout, found, solved, each, *rest)
 
 
 def _sigma(squares: float, rank: float) -> float:

@@ -39,7 +39,7 @@ class Begun(NamedTuple):
     modes: Sequence[Camera] = ()
 
 
-class Told(NamedTuple):
+class FromOthers(NamedTuple):
     """A view, with what is believed of its own unknowns, and what the others tell it.
 
     - `view`, and `part`: what it leaves of the shared unknowns.
@@ -56,15 +56,15 @@ class Told(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """Where a view's camera `unit` may be."""
+    """Where a view's camera `camera` may be."""
 
-    unit: Camera
+    camera: Camera
     places: Places
 
 
-def told_by_others(
+def known_by_others(
     layout: Layout, found: Descent, own: np.ndarray, weights: np.ndarray
-) -> list[Told]:
+) -> list[FromOthers]:
     """Return views of weights (V,), a camera each, and what the others tell each of them; `own`
     (n,) of a view's moves are its own."""
     known: dict[int, list[Rows]] = {}
@@ -84,7 +84,7 @@ def told_by_others(
     rests = others([*(part.rest for part in parts), rows])[: len(views)]
     slope = sum((part.slope for part in parts), rows.T @ left)
     each = zip(views, parts, beliefs, rests, strict=True)
-    return [Told(*one, slope) for one in each]
+    return [FromOthers(*one, slope) for one in each]
 
 
 def _weighed(view: View, weight: float) -> View:
@@ -116,9 +116,9 @@ def asked(
     """
     answers = _answers(layout, path.descent, begun, own)
     for _ in range(ROUNDS):
-        if all(answer.places.best.unit is answer.unit for answer in answers):
+        if all(answer.places.best.camera is answer.camera for answer in answers):
             break
-        there = onward([answer.places.best.unit for answer in answers])
+        there = onward([answer.places.best.camera for answer in answers])
         most = path.descent.squares + _noise(layout, path.descent)
         if not there.descent.squares <= most:
             break
@@ -137,52 +137,54 @@ def _noise(layout: Layout, found: Descent) -> float:
 def _held(answer: Answer, view: View) -> Answer:
     """Return the answer with the view's camera as the best, and another best among the others."""
     best, others, free, _ = answer.places
-    if best.unit is answer.unit:
+    if best.camera is answer.camera:
         return answer
-    return answer._replace(places=Places(Found(answer.unit, view, ()), [best, *others], free))
+    return answer._replace(places=Places(Found(answer.camera, view, ()), [best, *others], free))
 
 
 def _answers(layout: Layout, found: Descent, begun: list[Begun], own: np.ndarray) -> list[Answer]:
-    units = [eye.unit(found.state) for eye in layout.eyes]
+    cameras = [eye.canonical(found.state) for eye in layout.eyes]
     if not all(np.all(np.isfinite(seen.view.triangle)) for seen in found.seen):
-        here = zip(units, found.seen, strict=True)
-        return [Answer(unit, Places(Found(unit, seen.view, ()), [], [])) for unit, seen in here]
-    told = told_by_others(layout, found, own, np.ones(len(units)))
+        here = zip(cameras, found.seen, strict=True)
+        return [
+            Answer(camera, Places(Found(camera, seen.view, ()), [], [])) for camera, seen in here
+        ]
+    from_others = known_by_others(layout, found, own, np.ones(len(cameras)))
     views = [seen.view for seen in found.seen]
-    given = zip(layout.eyes, units, views, begun, told, strict=True)
+    given = zip(layout.eyes, cameras, views, begun, from_others, strict=True)
     return [_answer(*each, own) for each in given]
 
 
 def _answer(
-    eye: Eye, unit: Camera, view: View, begun: Begun, told: Told, own: np.ndarray
+    eye: Eye, camera: Camera, view: View, begun: Begun, from_others: FromOthers, own: np.ndarray
 ) -> Answer:
     """Return where a view's camera may be, given what the others tell."""
     solver = eye.solver
-    rows, left = _beside(view, told, own)
-    found = Found(unit, with_rows(view, rows, left), ())
-    solver = solver.beside(_of_values(solver, unit, view, rows, left))
+    rows, left = _beside(view, from_others, own)
+    found = Found(camera, with_rows(view, rows, left), ())
+    solver = solver.beside(_of_values(solver, camera, view, rows, left))
     if begun.start is None:
         places = looked_alike(solver, found, finished(solver, begun.modes))
     else:
-        mask = replace(eye.mask, camera=on_film(unit, eye.mask.camera))
+        mask = replace(eye.mask, camera=on_film(camera, eye.mask.camera))
         places = looked_round(solver, mask, found, begun.start, _untold)
     places = _kept(solver, places, found, begun.start)
-    return Answer(unit, places)
+    return Answer(camera, places)
 
 
-def _beside(view: View, told: Told, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _beside(view: View, from_others: FromOthers, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return what the others tell a view, and what is believed, as residuals of its moves."""
-    unit = np.asarray(view.unit, float)[~own]
-    shared = np.zeros((len(told.others), len(own)))
-    shared[:, ~own] = told.others * unit
-    believed, left = told.believed
+    scale = np.asarray(view.scale, float)[~own]
+    shared = np.zeros((len(from_others.others), len(own)))
+    shared[:, ~own] = from_others.others * scale
+    believed, left = from_others.believed
     slope = believed.T @ left
-    slope[~own] += (told.slope - told.part.slope) * unit
+    slope[~own] += (from_others.slope - from_others.part.slope) * scale
     return in_few(view, np.concatenate([shared, believed]), slope)
 
 
 def _of_values(
-    solver: Solver, unit: Camera, view: View, rows: np.ndarray, left: np.ndarray
+    solver: Solver, camera: Camera, view: View, rows: np.ndarray, left: np.ndarray
 ) -> Others:
     """Return residuals that are linear in a view's moves as such that are linear in what is
     reported of the camera."""
@@ -190,7 +192,7 @@ def _of_values(
     rigid = np.array([name in MOTIONS for name in solver.names for _ in labels_of((name,))])
     known |= rigid & np.any(known & rigid)  # (a pose is told as a whole)
     values = [LABELS[label].value for label in labels_of(solver.names)]
-    at = [float(of(unit)) if of and k else 0.0 for of, k in zip(values, known, strict=True)]
+    at = [float(of(camera)) if of and k else 0.0 for of, k in zip(values, known, strict=True)]
     by_moves = np.where(np.outer(known, known), np.asarray(view.to_reported, float), 0.0)
     to = lambda x: jnp.asarray(x, solver.dtype)
     return Others(to(rows @ np.linalg.pinv(by_moves)), to(at), to(left))
@@ -213,7 +215,7 @@ def _kept(solver: Solver, places: Places, found: Found, start: Camera | None) ->
 
 def _is(solver: Solver, place: Found, found: Found) -> bool:
     """Return whether a place is where a view is, and no better."""
-    near = separation(solver, place.unit, found.unit) < APART
+    near = separation(solver, place.camera, found.camera) < APART
     return bool(near and not better(solver, place.view, found.view))
 
 

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from .capacity import GROWTH, LEAST_CAPACITY, grown, size_of
 from .edges import Weights, counted, total, within
 from .kinds import Kind
 from .pyramid import LEAST_CELLS, Level, Pyramid, pyramid
 from .residuals import Capacity
-from .room import LEAST_ROOM, ROOMIER, more_room, size_of
 from .target import Window
 
 #: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
@@ -78,16 +78,16 @@ class Buffers:
         """Return buffers of the same size, for another mask."""
         return Buffers(self.capacity, self.window, self.cells, self.least, self.noise)
 
-    def room_for_cells(self) -> int:
+    def least_cells(self) -> int:
         """Return how many cells a pyramid has room for at least, beside buffers of this size: so
         there are few programs."""
         return self.cells * 4 ** ((size_of(self.capacity.pieces) + 1) // 2)
 
     def grow(self, load: Iterable[Any]) -> bool:
         """Give a view that takes so much half as much room again; return whether it lacked any."""
-        before, self.capacity = self.capacity, more_room(self.capacity, load)
+        before, self.capacity = self.capacity, grown(self.capacity, load)
         if size_of(self.capacity.pieces) > size_of(before.pieces):
-            self.least = self.room_for_cells()
+            self.least = self.least_cells()
         return self.capacity != before
 
     def levels(self, asked: Asked, dtype: Any) -> Levels:
@@ -102,7 +102,7 @@ class Buffers:
         # The larger image's program has room for the longer outline, and the other way round.
         if self.capacity.pieces > 1:
             size = (made.pyramid.cells // LEAST_CELLS).bit_length() // 2
-            pieces = max(self.capacity.pieces, LEAST_ROOM.pieces * ROOMIER**size)
+            pieces = max(self.capacity.pieces, LEAST_CAPACITY.pieces * GROWTH**size)
             self.capacity = self.capacity._replace(pieces=pieces)
         return made
 

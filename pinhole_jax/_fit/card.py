@@ -7,7 +7,7 @@ import numpy as np
 
 from .._camera.camera import picture
 from .._camera.drawing import card, table
-from .words import STATUSES, in_digits, notes, told
+from .words import STATUSES, in_digits, notes, parameter_table
 
 #: Behind the status: what is to be trusted, and what is not.
 GOOD, BAD = "#2e7d4f", "#b4541a"
@@ -20,7 +20,7 @@ def fit_card(fit: Any) -> str:
     other views that explain the mask as well.
     """
     rows = []
-    for row in told(fit).rows:
+    for row in parameter_table(fit).rows:
         sigma = f"{row.std:.2g}" if np.isfinite(row.std) else "not determined"
         rows.append([row.name, in_digits(row.value, row.std), sigma, row.unit, row.words])
     parameters = table(rows, ("parameter", "value", "one sigma", "unit", ""))

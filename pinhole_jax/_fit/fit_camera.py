@@ -228,7 +228,7 @@ def _fit(
     answer = _before_occluders(scene, _answer(scene, mask, start, names, settings), start, settings)
     reach, mask = answer.reach, answer.mask
     trust = lambda: mask.weight if reach is None else mask.near_edge(reach).image()
-    return _told(answer, settings), trust
+    return _fit_of(answer, settings), trust
 
 
 def _answer(
@@ -237,12 +237,14 @@ def _answer(
     """Return what explains a mask, from a start (canonical) or from anywhere."""
     solver = _solver(scene, mask, names, settings)
 
-    def told(stop: Stop) -> None:
+    def on_stop(stop: Stop) -> None:
         if settings.progress is not None:
             settings.progress(progress_at(stop, mask.camera))
 
     places = (
-        everywhere(solver, mask, told) if start is None else from_start(solver, mask, start, told)
+        everywhere(solver, mask, on_stop)
+        if start is None
+        else from_start(solver, mask, start, on_stop)
     )
     return _described(solver, mask, places, start, settings)
 
@@ -263,7 +265,7 @@ def fit_descended(
     if places is None:
         return None
     answer = _described(solver, mask, places, start, settings)
-    return _told(_before_occluders(scene, answer, start, settings), settings)
+    return _fit_of(_before_occluders(scene, answer, start, settings), settings)
 
 
 def _solver(scene: Scene, mask: Mask, names: tuple[str, ...], settings: Settings) -> Solver:
@@ -309,18 +311,18 @@ def _before_occluders(
         return answer
     errors = solver.errors(best.view)
     error_px = min(errors.size, MOST_ERROR_PX) if errors else 0.0
-    known = [f.unit for f, _ in answer.described[:KNOWN]]
+    known = [f.camera for f, _ in answer.described[:KNOWN]]
     begins = known if start is None else [start, *known]
-    covered = uncovered(solver, mask, best.unit, begins, start is None, error_px)
+    covered = uncovered(solver, mask, best.camera, begins, start is None, error_px)
     if covered is None:
         return answer
     rest = replace(mask, weight=np.where(covered.hidden, 0.0, mask.weight))
-    after = _answer(scene, rest, covered.unit, solver.names, settings)
-    again = covered_at(solver, mask, edge_of(mask), after.described[0][0].unit, error_px)
+    after = _answer(scene, rest, covered.camera, solver.names, settings)
+    again = covered_at(solver, mask, edge_of(mask), after.described[0][0].camera, error_px)
     if again is None or not is_believed(again):
         return answer
-    look = lambda unit: Found(unit, solver.look(unit, solver.finest), ())
-    rivals = [look(unit) for unit in covered.rivals]
+    look = lambda camera: Found(camera, solver.look(camera, solver.finest), ())
+    rivals = [look(camera) for camera in covered.rivals]
     return after._replace(
         described=[*after.described, *((f, f.view) for f in rivals)],
         unbelieved=again.edge,
@@ -329,14 +331,14 @@ def _before_occluders(
     )
 
 
-def _told(answer: _Answer, settings: Settings) -> Fit:
+def _fit_of(answer: _Answer, settings: Settings) -> Fit:
     """Return an answer as a user reads it."""
     solver, mask, best = answer.solver, answer.mask, answer.described[0][0]
     photo, free = settings.photo, answer.free
     said = None if photo is None else on_photo(solver, mask, photo, best)
     if said is None or said.found is None or len(answer.described) > 1:
         free = with_errors(solver, mask, best, free, answer.reach)
-    reported = lambda *told: _reported(answer, settings, *told)
+    reported = lambda *on_stop: _reported(answer, settings, *on_stop)
     fit, *modes = (
         reported(f, whole.sums, solver.kind, solver.errors(f.view), free)
         for f, whole in answer.described

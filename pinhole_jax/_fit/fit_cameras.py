@@ -11,7 +11,7 @@ from .._camera.lens import Lens
 from .._camera.poses import pose_of
 from .._numerics.arrays import Numbers
 from .._scene.scene import Scene, check_scene
-from .among_views import Answer, Begun, asked, told_by_others
+from .among_views import Answer, Begun, asked, known_by_others
 from .fit_camera import check_alone, check_border, check_reach, check_steps, fit_camera
 from .joint_levels import End, Path, depth_of, descended, to_the_end
 from .joint_problem import JointProblem
@@ -97,7 +97,7 @@ def fit_cameras(
         return descended(problem, state, tell, depths, FINE_PX[cameras[0].e.dtype])
 
     path = further(problem.start, range(depth_of(problem), 0, -1))
-    onward = lambda units: further(_state_at(units, problem, common), [1])
+    onward = lambda cameras_there: further(_state_at(cameras_there, problem, common), [1])
     path, answers = asked(problem.layout, path, begun, own, onward)
     return _reports(problem, to_the_end(problem, path, tell), answers, own)
 
@@ -142,9 +142,9 @@ def _views(
     return views, masks
 
 
-def _state_at(units: list[Camera], problem: JointProblem, common: tuple[str, ...]) -> State:
+def _state_at(cameras_there: list[Camera], problem: JointProblem, common: tuple[str, ...]) -> State:
     """Return the state with the views' cameras (canonical), alike in what is common."""
-    same = dict(zip(problem.cameras, alike(units, common), strict=True))
+    same = dict(zip(problem.cameras, alike(cameras_there, common), strict=True))
     return State({name: pose_of(unit) for name, unit in same.items()}, same, {}, {})
 
 
@@ -153,7 +153,7 @@ def _reports(
 ) -> tuple[Fit, ...]:
     found = end.found
     layout = found.layout
-    told = told_by_others(layout, found.descent, own, found.weights)
+    from_others = known_by_others(layout, found.descent, own, found.weights)
     sums = [seen.view.sums for seen in found.descent.seen]
     squares = sum(w * float(s.touched_squares) for w, s in zip(found.weights, sums, strict=True))
     touched = sum(float(s.touched) for s in sums)
@@ -162,7 +162,7 @@ def _reports(
     noise = squares / max(touched - layout.size, 1), float(np.mean(designs))
     return tuple(
         _report(problem, k, end, joint(one.view, one.others, one.slope, own), answer, noise)
-        for k, (one, answer) in enumerate(zip(told, answers, strict=True))
+        for k, (one, answer) in enumerate(zip(from_others, answers, strict=True))
     )
 
 
@@ -179,9 +179,9 @@ def _report(
         known = Known(solver.kind, solver.bounds, free, None, *noise)
         return report(camera, f, whole, solver.names, known)
 
-    here = Found(eye.unit(descent.state), view, end.path.steps, ended=descent.ended)
+    here = Found(eye.canonical(descent.state), view, end.path.steps, ended=descent.ended)
     fit = described(here, end.whole[k])
-    fit = fit._replace(history=history(end.path, eye, eye.unit, camera))
+    fit = fit._replace(history=history(end.path, eye, eye.canonical, camera))
     off, weight = end.found.off[k], end.found.weights[k]
     if off > OFF and len(end.whole) > 2 and weight < 1:
         fit = fit._replace(weak=(*fit.weak, apart_in_words(off, weight)))

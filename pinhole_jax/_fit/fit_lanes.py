@@ -12,6 +12,7 @@ from .._camera.camera import Camera, check_camera
 from .._numerics.arrays import Numbers
 from .._scene.scene import Scene, astype, ball_about, bounding_box, check_scene, filled_alike
 from .buffers import explained_by
+from .capacity import contours, diagonal_of
 from .fit_camera import Settings, check_border, check_reach, check_steps, fit_camera, fit_descended
 from .kinds import kind_of
 from .lanes import Given, Lane, Rig, descended, looked
@@ -23,7 +24,6 @@ from .problem import COARSE_PX, View
 from .pyramid import PAGE, Level, pyramid
 from .residuals import Capacity
 from .result import Fit
-from .room import contours, diagonal_of
 from .solver import Found, Stop, last_px
 from .strategy import POOR
 from .target import check_target, inside_of, levelled, object_window
@@ -62,7 +62,7 @@ class _OfMask:
     levels: list[Level] = field(default_factory=list)
     pyramid: Any = None
     fine_px: float = 0.0
-    unit: Any = None
+    camera: Any = None
     before: Any = None
     view: Any = None
     stops: list[Stop] = field(default_factory=list)
@@ -187,8 +187,8 @@ def _finished(lane: _OfMask, names: tuple[str, ...], settings: Settings) -> Fit:
     """Return the fit that a lane's descent leads to; from its start, if it cannot be trusted."""
     if not lane.alone:
         steps = tuple(stop.steps for stop in lane.stops[1:])
-        found = Found(lane.unit, lane.view, steps, tuple(lane.stops), lane.ended)
-        way = lane.stops[0].unit, lane.before, found
+        found = Found(lane.camera, lane.view, steps, tuple(lane.stops), lane.ended)
+        way = lane.stops[0].camera, lane.before, found
         fit = fit_descended(lane.scene, lane.mask, names, settings, *way)
         if fit is not None and fit.status not in ("max_steps", "non_finite"):
             return fit
@@ -224,7 +224,7 @@ def _prepare(lane: _OfMask, settings: Settings, cells: int) -> None:
     lane.fine_px = last_px(kind, dtype, settings.outlier_px is not None)
     lane.pyramid, levels = pyramid(target, weights, dtype, window=window, least=cells)
     lane.levels = explained_by(kind, levels, dtype)
-    lane.unit = jax.tree.map(np.asarray, canonical(lane.mask.camera))
+    lane.camera = jax.tree.map(np.asarray, canonical(lane.mask.camera))
 
 
 def _cells(lanes: list[_OfMask]) -> int:
@@ -283,7 +283,7 @@ class _Descent:
                 lane.alone = "the start's view outgrows the buffers"
             elif float(sums.overlap) <= POOR * float(sums.union):
                 lane.alone = "the start hardly overlaps the mask"
-            lane.stops = [Stop(lane.unit, lane.levels[0], 0)]
+            lane.stops = [Stop(lane.camera, lane.levels[0], 0)]
         for depth in range(max(len(lane.levels) for lane in self.lanes), 0, -1):
             going = [lane for lane in self._going() if len(lane.levels) >= depth]
             if going:
@@ -299,7 +299,7 @@ class _Descent:
     def _level(self, going: list[_OfMask], depth: int) -> None:
         """Bring lanes to the end of a level: some steps, then those that are done are dropped."""
         zero: Any = self.dtype.type(1), np.int32(0), np.False_, np.False_
-        states = {id(lane): Lane(lane.unit, *zero) for lane in going}
+        states = {id(lane): Lane(lane.camera, *zero) for lane in going}
         todo = going
         while todo:
             for state, lane in zip(self._steps(todo, states, depth), todo, strict=True):
@@ -307,8 +307,8 @@ class _Descent:
             todo = [lane for lane in todo if not states[id(lane)].done]
         for lane in going:
             state = states[id(lane)]
-            lane.unit, lane.ended = state.camera, bool(state.steps < self.max_steps)
-            lane.stops.append(Stop(lane.unit, lane.levels[-depth], int(state.steps)))
+            lane.camera, lane.ended = state.camera, bool(state.steps < self.max_steps)
+            lane.stops.append(Stop(lane.camera, lane.levels[-depth], int(state.steps)))
             if state.overflow:
                 lane.alone = "a view on the way outgrows the buffers"
 
@@ -329,8 +329,8 @@ class _Descent:
             return
         some = self._filled_up(going)
         given = self._given(some), _stacked([x.levels[-1] for x in some])
-        units = _stacked([lane.unit for lane in some])
-        views = looked(units, *given, self.names, self.capacity)
+        cameras = _stacked([lane.camera for lane in some])
+        views = looked(cameras, *given, self.names, self.capacity)
         for lane, view in zip(going, _unstacked(views, len(going)), strict=True):
             setattr(lane, name, view)
 

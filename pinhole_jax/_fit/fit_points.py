@@ -21,7 +21,7 @@ from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
 from .fit_camera import check_steps
 from .least_squares import Rows, levenberg_marquardt
-from .moves import Bounds, Move, canonical, moved, on_film, reported, units
+from .moves import Bounds, Move, canonical, moved, on_film, reported, scales
 from .parameters import components, labels_of, with_lens
 from .priors import Prior, bounds_of, prior_of
 from .problem import FINE_PX, UNIT_PX
@@ -175,7 +175,7 @@ class _Seen(NamedTuple):
 
     triangle: Float[Array, "n n"]
     along: Float[Array, "n"]
-    unit: Float[Array, "n"]
+    scale: Float[Array, "n"]
     to_reported: Float[Array, "m n"]
     sum_squares: Float[Array, ""]
     prior_squares: Float[Array, ""]
@@ -195,7 +195,7 @@ class _View(NamedTuple):
     seen_at: Float[np.ndarray, "N 2"]
     ball: Ball
     names: tuple[str, ...]
-    unit: Camera
+    camera: Camera
     bounds: Bounds | None = None
     prior: Prior | None = None
 
@@ -206,12 +206,12 @@ class _View(NamedTuple):
 
     def look(self) -> _Seen:
         """Return what is seen."""
-        return _look(self.unit, self._data(), self.names)
+        return _look(self.camera, self._data(), self.names)
 
     def stepped(self, y: np.ndarray) -> "_View":
         """Return the view after a step."""
         y = np.asarray(y, self.film.e.dtype)
-        return self._replace(unit=_step(self.unit, self._data(), y, self.names))
+        return self._replace(camera=_step(self.camera, self._data(), y, self.names))
 
     def _data(self) -> "_Data":
         to = lambda x: np.asarray(x, self.film.e.dtype)
@@ -242,10 +242,10 @@ class _Data(NamedTuple):
     bounds: Bounds | None
     prior: Prior | None
 
-    def move(self, unit: Camera, names: tuple[str, ...]) -> Move:
+    def move(self, camera: Camera, names: tuple[str, ...]) -> Move:
         """Return where moves of a camera start, in the solver's units."""
         pivot, radius, H = (jnp.asarray(x) for x in (self.pivot, self.radius, self.H))
-        return Move(unit, pivot, UNIT_PX * units(unit, pivot, radius, H, names), self.bounds)
+        return Move(camera, pivot, UNIT_PX * scales(camera, pivot, radius, H, names), self.bounds)
 
     def residuals(self, camera: Camera) -> Float[Array, "k"]:
         """Return where points project less where they are seen (px), NaN where the lens folds."""
@@ -281,7 +281,7 @@ class _Problem(NamedTuple):
         del state, noise
         return [
             Rows(
-                np.asarray(one.triangle, float) / np.asarray(one.unit, float),
+                np.asarray(one.triangle, float) / np.asarray(one.scale, float),
                 np.asarray(one.along, float),
                 self._columns(k),
                 self.own,
@@ -295,7 +295,7 @@ class _Problem(NamedTuple):
         result = np.zeros(self.size)
         for k, one in enumerate(seen):
             columns = self._columns(k)
-            result[columns] = np.maximum(result[columns], FILM / np.asarray(one.unit, float))
+            result[columns] = np.maximum(result[columns], FILM / np.asarray(one.scale, float))
         return result
 
     def ways_out(self, state: list[_View], seen: list[_Seen]) -> np.ndarray:
@@ -309,7 +309,7 @@ class _Problem(NamedTuple):
 
     def moved(self, seen: list[_Seen], x: np.ndarray) -> float:
         """Return the largest move that a step makes in any view, in its units."""
-        moves = (x[self._columns(k)] / np.asarray(one.unit) for k, one in enumerate(seen))
+        moves = (x[self._columns(k)] / np.asarray(one.scale) for k, one in enumerate(seen))
         return max(float(np.max(np.abs(y))) for y in moves)
 
     def _columns(self, k: int) -> np.ndarray:
@@ -322,14 +322,14 @@ class _Problem(NamedTuple):
 
 
 @eqx.filter_jit
-def _step(unit: Camera, data: _Data, y: Any, names: tuple[str, ...]) -> Camera:
-    return moved(data.move(unit, names)._replace(unit=jnp.ones_like(y)), y, names)
+def _step(camera: Camera, data: _Data, y: Any, names: tuple[str, ...]) -> Camera:
+    return moved(data.move(camera, names)._replace(scale=jnp.ones_like(y)), y, names)
 
 
 @eqx.filter_jit
-def _look(unit: Camera, data: _Data, names: tuple[str, ...]) -> _Seen:
-    move = data.move(unit, names)
-    zero = jnp.zeros_like(move.unit)
+def _look(start: Camera, data: _Data, names: tuple[str, ...]) -> _Seen:
+    move = data.move(start, names)
+    zero = jnp.zeros_like(move.scale)
     room = jnp.zeros(zero.shape[0] + 1, zero.dtype)  # more rows than columns
 
     def at(y):
@@ -342,10 +342,10 @@ def _look(unit: Camera, data: _Data, names: tuple[str, ...]) -> _Seen:
 
     jacobian, (rows, squares, prior) = jax.jacfwd(at, has_aux=True)(zero)
     triangle, along = triangle_and_rhs(jacobian, rows)
-    to_reported = jax.jacfwd(lambda y: reported(unit, moved(move, y, names), names))(zero)
-    depth = to_camera(unit, jnp.asarray(data.points))[:, 2]
+    to_reported = jax.jacfwd(lambda y: reported(start, moved(move, y, names), names))(zero)
+    depth = to_camera(start, jnp.asarray(data.points))[:, 2]
     nearest = jnp.min(jnp.where(jnp.asarray(data.there), depth, jnp.inf))
-    return _Seen(triangle, along, move.unit, to_reported, squares, prior, nearest)
+    return _Seen(triangle, along, move.scale, to_reported, squares, prior, nearest)
 
 
 def _view(camera: Camera, points: np.ndarray, seen_at: np.ndarray, names: tuple) -> _View:
@@ -361,7 +361,7 @@ def _begun(view: _View, anywhere: bool) -> _View:
     view = _inside(view)
     if found is None:
         return view
-    other = _inside(view._replace(unit=canonical(found)))
+    other = _inside(view._replace(camera=canonical(found)))
     own, direct = view.look(), other.look()
     nearer = float(own.sum_squares) <= float(direct.sum_squares)
     return view if float(own.nearest) > 0 and nearer else other
@@ -405,9 +405,9 @@ def _reports(
 
 def _report(view: _View, seen: _Seen, variance: float, squares: float, count: int) -> PointFit:
     names, dtype = view.names, np.dtype(view.film.e.dtype)
-    triangle, ended = without_ended(seen.triangle, view.unit, names, view.bounds)
+    triangle, ended = without_ended(seen.triangle, view.camera, names, view.bounds)
     along = np.asarray(seen.along, float)
-    labels, camera = labels_of(names), on_film(view.unit, view.film)
+    labels, camera = labels_of(names), on_film(view.camera, view.film)
     if not (np.isfinite(squares) and np.all(np.isfinite(triangle))):
         nothing = np.full((len(labels), len(labels)), np.nan)
         nan = float("nan")

@@ -19,8 +19,8 @@ from .._camera.camera import Camera
 from .._numerics.arrays import is_concrete
 from .._scene.scene import Scene, bounding_sphere
 from .full_image import At, image, image_and_jacobian
-from .moves import Move, canonical, units
-from .target import check_image, shares
+from .moves import Move, canonical, scales
+from .target import as_coverage, check_image
 
 #: The step of central differences, in px, by float type.
 STEP_PX = {np.dtype(np.float32): 0.1, np.dtype(np.float64): 1e-3}
@@ -84,10 +84,10 @@ def of_camera(
 
     def velocity(result: Any, decided: Callable, inputs: Inputs, velocity: Inputs) -> Camera:
         camera = result.camera
-        unit, scene = canonical(camera), inputs[0]
+        start, scene = canonical(camera), inputs[0]
         pivot, radius = (jnp.asarray(x, camera.e.dtype) for x in bounding_sphere(scene))
-        size = units(unit, pivot, radius, jnp.asarray(camera.H, camera.e.dtype), names)
-        at = At(Move(unit, pivot, size), camera, scene, names)
+        size = scales(start, pivot, radius, jnp.asarray(camera.H, camera.e.dtype), names)
+        at = At(Move(start, pivot, size), camera, scene, names)
         pull, bend = pulled(at, inputs, velocity, decided())
         step = -jnp.linalg.pinv(bend, hermitian=True) @ pull
         return jax.jvp(at.camera, (jnp.zeros_like(step),), (step,))[1]
@@ -111,9 +111,9 @@ def pulled(
     of so many px."""
     scene, target, given_weight = inputs
     dtype = at.film.e.dtype
-    zero = jnp.zeros_like(at.move.unit)
+    zero = jnp.zeros_like(at.move.scale)
     shown, J = image_and_jacobian(zero, at)
-    goal = jnp.asarray(shares(check_image("target", target, at.film.W, at.film.H)), dtype)
+    goal = jnp.asarray(as_coverage(check_image("target", target, at.film.W, at.film.H)), dtype)
     w, difference = jnp.asarray(weight, dtype), shown - goal
     scene_velocity, target_velocity, weight_velocity = velocity
     held = w * difference

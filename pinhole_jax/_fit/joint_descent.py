@@ -83,7 +83,7 @@ class Layout:
         """Return what all views see on a level; NaN of what outgrows its buffers, unless these may
         `grow`."""
         solvers = [eye.looking(state) for eye in self.eyes]
-        at = [(eye.unit(state), eye.level(depth)) for eye in self.eyes]
+        at = [(eye.canonical(state), eye.level(depth)) for eye in self.eyes]
         begun = _side_by_side(solvers, at)
         result = []
         for k, (solver, a, view) in enumerate(zip(solvers, at, begun, strict=True)):

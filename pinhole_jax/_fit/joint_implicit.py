@@ -149,7 +149,7 @@ class _OfView(NamedTuple):
         """Return its rate of change (p,) with scene, target and weight, mount and place."""
         eye, view = self.eye, self._view()
         dtype = eye.solver.dtype
-        start = eye.solver.move(eye.unit(self.state), eye.solver.finest)
+        start = eye.solver.move(eye.canonical(self.state), eye.solver.finest)
         at = At(start, eye.mask.camera, eye.solver.subject.given, eye.solver.names)
         own = pulled(at, inputs[:3], velocity[:3], self.weight, UNIT_PX).pull
         result = jnp.asarray(self._moves(eye, self.state, view).T, dtype) @ own
@@ -181,7 +181,7 @@ class _OfView(NamedTuple):
         return self._look(self.eye, self.state)
 
     def _look(self, eye: Eye, state: State) -> View:
-        return eye.solver.look(eye.unit(state), eye.solver.finest)
+        return eye.solver.look(eye.canonical(state), eye.solver.finest)
 
     def _moves(self, eye: Eye, state: State, view: View) -> np.ndarray:
         return eye.moves(state, view, self.problem.layout.of(self.number))

@@ -18,7 +18,7 @@ from .joint_views import Eye, State
 from .photo import (
     COLOURS,
     LAST_STEPS,
-    LEAST_TOLD,
+    LEAST_RESOLVED,
     OF_MASK,
     ROUGH_PX,
     ROUNDS,
@@ -26,14 +26,14 @@ from .photo import (
     STRANGE_PX,
     Outline,
     judged,
-    untold,
+    unresolved,
     whole,
 )
 from .problem import COARSE_PX
 
 #: Beside a photo that tells as much as one alone has to, others tell of the camera where they do so
 #: along this share of the outline: of something else they would not fit the other's camera.
-LEAST_BESIDE = LEAST_TOLD / 2
+LEAST_BESIDE = LEAST_RESOLVED / 2
 #: The first round begins on the level that is so many from the finest (1: that one itself).
 FIRST_DEPTH = 3
 
@@ -58,14 +58,14 @@ def on_photos(
     of_masks, begun = problem.layout, before.descent.state
     photos = {k: eye.photo for k, eye in enumerate(of_masks.eyes) if eye.photo is not None}
     first = _outlines(of_masks, begun, photos)
-    told = {
-        k: first[k].told(first[k].read(photo, of_masks.eyes[k].mask, ROUNDS[0]))
+    resolved = {
+        k: first[k].resolved(first[k].read(photo, of_masks.eyes[k].mask, ROUNDS[0]))
         for k, photo in photos.items()
     }
-    alone = max(told.values(), default=0.0) < LEAST_TOLD
-    least = LEAST_TOLD if alone else LEAST_BESIDE
-    telling = {k: photos[k] for k, share in told.items() if share >= least}
-    words = {k: untold(share) for k, share in told.items() if k not in telling}
+    alone = max(resolved.values(), default=0.0) < LEAST_RESOLVED
+    least = LEAST_RESOLVED if alone else LEAST_BESIDE
+    telling = {k: photos[k] for k, share in resolved.items() if share >= least}
+    words = {k: unresolved(share) for k, share in resolved.items() if k not in telling}
     found, steps = before, ()
     while telling:
         layout = of_masks.seeing({k: _on_photo(of_masks.eyes[k]) for k in telling})

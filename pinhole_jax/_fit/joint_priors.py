@@ -25,19 +25,19 @@ EYE, PLACE = ("e_x", "e_y", "e_z"), ("x", "y", "z")
 class Belief(NamedTuple):
     """What is known of numbers (k,) that follow one unknown: their means and standard deviations.
 
-    `told` returns the numbers and how they follow the unknown (k, n), at a state, as any view that
-    depends on it sees it.
+    `reported` returns the numbers and how they follow the unknown (k, n), at a state, as any view
+    that depends on it sees it.
     """
 
     name: str
     kind: str
     mean: np.ndarray
     std: np.ndarray
-    told: Callable[[State, Eye, View], tuple[np.ndarray, np.ndarray]]
+    reported: Callable[[State, Eye, View], tuple[np.ndarray, np.ndarray]]
 
     def residuals(self, state: State, eye: Eye, view: View) -> tuple[np.ndarray, np.ndarray]:
         """Return how many deviations off the means the numbers are, and how that follows."""
-        values, rows = self.told(state, eye, view)
+        values, rows = self.reported(state, eye, view)
         return (values - self.mean) / self.std, rows / self.std[:, None]
 
 
@@ -54,7 +54,7 @@ def beliefs_of(
     """Return what is known of cameras, objects and scales, or raise ValueError; `names` are free of
     each camera, whose lens's parameters are the `owners`', and which goes with the pose that
     `moving` names, at its place on the `rig`. What is the same of one unknown counts once."""
-    result, told = [], set()
+    result, seen = [], set()
     others = list(dict.fromkeys([*objects, *scales]))
     for name, given in by_name("prior", prior, cameras, others).items():
         if name in others:
@@ -75,9 +75,9 @@ def beliefs_of(
         for row, owner in owners[name].items():
             labels = labels_of((row,))
             which = owner, row, tuple((label, known.get(label)) for label in labels)
-            if which not in told:
+            if which not in seen:
                 result += _belief(owner, row, known, labels, partial(_lens, owner, row))
-            told.add(which)
+            seen.add(which)
     return result
 
 
@@ -189,16 +189,16 @@ def _belief(
     kind: str,
     known: Mapping[str, tuple[float, float]],
     labels: Sequence[str],
-    told: Callable[..., tuple[np.ndarray, np.ndarray]],
+    reported: Callable[..., tuple[np.ndarray, np.ndarray]],
     part: slice = MOTIONS[POSE],
 ) -> list[Belief]:
-    """Return what is known of some of the labels, which `told` tells by their numbers; or none.
+    """Return what is known of some of the labels, which `reported` tells by their numbers; or none.
     They follow a `part` of what moves."""
     chosen = [k for k, label in enumerate(labels) if label in known]
     if not chosen:
         return []
     mean, std = np.array([known[labels[k]] for k in chosen]).T
-    return [Belief(name, kind, mean, std, partial(told, chosen, part))]
+    return [Belief(name, kind, mean, std, partial(reported, chosen, part))]
 
 
 def _place(name: str, point: np.ndarray, chosen: list[int], part: slice, state: State, *_: Any):

@@ -300,7 +300,7 @@ def _view_fit(
     problem: JointProblem, k: int, found: Agreement, sums: Sums, astray: float
 ) -> ViewFit:
     eye = problem.layout.eyes[k]
-    camera = on_film(eye.unit(found.descent.state), problem.cameras[eye.camera])
+    camera = on_film(eye.canonical(found.descent.state), problem.cameras[eye.camera])
     total: Any = jax.tree.map(float, sums)
     errors = found.errors[k]
     return ViewFit(
@@ -346,8 +346,9 @@ def _camera_fit(
     seen_by = [k for k, eye in enumerate(layout.eyes) if eye.camera == name]
     back = problem.rig.get(name, np.eye(4))
     state = found.descent.state
-    unit = lambda state: at_pose(state.lenses[name], state.poses[problem.moving[name]] @ back)
-    camera = on_film(unit(state), problem.cameras[name])
+    moving, lens = problem.moving[name], problem.cameras[name]
+    seen_from = lambda state: at_pose(state.lenses[name], state.poses[moving] @ back)
+    camera = on_film(seen_from(state), lens)
 
     told = of_camera(problem, name, state, found.descent.seen[seen_by[0]].view)
     covariance = told.covariance(found.covariance, found.unseen)
@@ -372,18 +373,18 @@ def _camera_fit(
         iou=iou,
         steps=end.path.steps,
         weak=weak,
-        history=history(end.path, layout.eyes[seen_by[0]], unit, problem.cameras[name]),
+        history=history(end.path, layout.eyes[seen_by[0]], seen_from, lens),
         independent_covariance=classical,
         mask_error=max(known, key=lambda e: e.px) if known else None,
     )
 
 
 def history(
-    path: Path, eye: Eye, unit: Callable[[State], Camera], camera: Camera
+    path: Path, eye: Eye, seen_from: Callable[[State], Camera], camera: Camera
 ) -> tuple[Progress, ...]:
-    """Return the way of a camera, canonical as `unit` has it, by the levels of one of its views."""
+    """Return the way of a camera, canonical from `seen_from`, by the levels of one of its views."""
     levels = eye.solver.levels
-    stops = (Stop(unit(p.state), levels[eye.level(p.depth)], p.steps) for p in path.way)
+    stops = (Stop(seen_from(p.state), levels[eye.level(p.depth)], p.steps) for p in path.way)
     return tuple(progress_at(stop, camera) for stop in stops)
 
 

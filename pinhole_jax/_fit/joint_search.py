@@ -81,7 +81,7 @@ def looking_alike(problem: JointProblem, best: Path, tell: Tell) -> list[Path]:
     if moving is None:
         return []
     eye, state = problem.layout.eyes[0], best.descent.state
-    found = Found(eye.unit(state), best.descent.seen[0].view, ())
+    found = Found(eye.canonical(state), best.descent.seen[0].view, ())
     alike = [eye.at(moving, pose_of(c), state) for c in mirrored(eye.solver, found)]
     few, depth = problem.few(LOOKED_AT), min(depth_of(problem), 2)
     ones = np.ones(len(few.layout.eyes))
@@ -120,7 +120,7 @@ def _apart(layout: Layout, states: list[State], apart: float = APART) -> list[St
     """Return the states whose cameras look other ways than those before them."""
     kept: list[tuple[State, Camera]] = []
     for state in states:
-        camera = layout.eyes[0].unit(state)
+        camera = layout.eyes[0].canonical(state)
         if all(angle(camera, other) > apart for _, other in kept):
             kept.append((state, camera))
     return [state for state, _ in kept]

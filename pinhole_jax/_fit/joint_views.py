@@ -128,7 +128,7 @@ class Eye:
     def look(self, state: State) -> View:
         """Return what is seen on the finest level."""
         solver = self.looking(state)
-        return solver.look(self.unit(state), solver.finest)
+        return solver.look(self.canonical(state), solver.finest)
 
     def near_edge(self, reach: float) -> "Eye":
         """Return the eye to which pixels farther than this (px) from the mask's edge do not
@@ -150,7 +150,7 @@ class Eye:
         names = () if self.posture is None else self.posture.joints
         return np.array([state.zeros.get(name, 0.0) for name in names])
 
-    def unit(self, state: State) -> Camera:
+    def canonical(self, state: State) -> Camera:
         """Return the view's own camera (canonical) in its scene's frame, as the scene is given."""
         return self._stands(state)[1]
 
@@ -168,8 +168,8 @@ class Eye:
                 return known
         pose = self.mount @ state.poses[self.moving] @ self.rig
         there = stretched(inverse(self._scene(state)) @ pose, 1 / self.scale(state))
-        unit = at_pose(state.lenses[self.camera], there)
-        known = state, unit, pose_of(unit)
+        camera = at_pose(state.lenses[self.camera], there)
+        known = state, camera, pose_of(camera)
         self.standing[:] = [known]
         return known
 
@@ -212,7 +212,7 @@ class Eye:
         """Return the view's moves (n, k), in its solver's units, by the poses and lenses that it
         depends on."""
         names, pose, scale = self.solver.names, self.pose(state), self.scale(state)
-        known, unit = components(names), np.asarray(view.unit, float)
+        known, sizes = components(names), np.asarray(view.scale, float)
         by_twist = self.by_motion(state, view)
         nearer = by_twist[:, 3:] @ pose[:3, :3].T @ (-scale * pose[:3, 3])
         parts = [np.zeros((len(known), 0))]
@@ -222,7 +222,7 @@ class Eye:
             elif unknown.kind not in MOTIONS:
                 place = _places(names, unknown.kind)
                 columns = np.zeros((len(known), len(place)))
-                columns[place, np.arange(len(place))] = 1 / unit[place]
+                columns[place, np.arange(len(place))] = 1 / sizes[place]
             elif unknown.name == self.moving:
                 columns = (by_twist @ adjoint(inverse(self.rig)))[:, MOTIONS[unknown.kind]]
             else:
@@ -286,7 +286,7 @@ def lens_reported(view: View, names: tuple[str, ...], kind: str) -> np.ndarray:
     its moves."""
     at, begin = _places(names, kind), labels_of(names).index(labels_of((kind,))[0])
     rows = np.array(view.to_reported, float)[begin : begin + len(at)]
-    return rows[:, at] / np.asarray(view.unit, float)[at]
+    return rows[:, at] / np.asarray(view.scale, float)[at]
 
 
 def stepped(state: State, unknowns: list[Unknown], x: np.ndarray, eyes: Sequence[Eye]) -> State:
@@ -321,10 +321,10 @@ def with_parameter(camera: Camera, kind: str, other: Camera) -> Camera:
     return camera
 
 
-def _lens_moved(eye: Eye, unit: Camera, kind: str, part: np.ndarray) -> Camera:
+def _lens_moved(eye: Eye, camera: Camera, kind: str, part: np.ndarray) -> Camera:
     """Return a canonical camera with a parameter of its lens moved."""
     solver = eye.solver
-    start, place = solver.move(unit, solver.finest), _places(solver.names, kind)
+    start, place = solver.move(camera, solver.finest), _places(solver.names, kind)
     y = np.zeros(len(components(solver.names)))
-    y[place] = part / np.asarray(start.unit, float)[place]
-    return solver.step(unit, solver.finest, y)
+    y[place] = part / np.asarray(start.scale, float)[place]
+    return solver.step(camera, solver.finest, y)

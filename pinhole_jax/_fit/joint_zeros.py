@@ -35,17 +35,17 @@ def with_joints(eye: Eye, state: State, seen: Seen, joints: list[str]) -> Seen:
     """Return what is seen with the offsets of some joints among its moves."""
     posture, view = eye.posture, seen.view
     assert posture is not None
-    unit, pixels = eye.unit(state), view.pixels
-    share = _shares(eye, state, unit, pixels)
+    camera, pixels = eye.canonical(state), view.pixels
+    share = _shares(eye, state, camera, pixels)
     twists = posture.twists(eye.offsets(state))[[posture.joints.index(name) for name in joints]]
     # (What grows looks as if it moved on, as seen from the eye.)
     grows, twists = twists[..., 6:], twists[..., :6]
-    twists[..., 3:] += grows * np.asarray(unit.e, float)
+    twists[..., 3:] += grows * np.asarray(camera.e, float)
 
     # How each touched pixel follows a twist of the whole scene, and of what is seen in it.
     jacobian, weight = np.asarray(view.jacobian, float), np.asarray(pixels.weight)
     used = np.flatnonzero(weight > 0)  # (of buffers with room for many more)
-    of_scene = -jacobian[used] @ eye.by_twist(state, view) @ adjoint(inverse(pose_of(unit)))
+    of_scene = -jacobian[used] @ eye.by_twist(state, view) @ adjoint(inverse(pose_of(camera)))
     by_joint = np.zeros((len(jacobian), len(joints)))
     by_joint[used] = np.sum((of_scene @ twists.transpose(0, 2, 1)) * share[used], axis=-1).T
 
@@ -78,16 +78,16 @@ def _residuals(eye: Eye, pixels: Pixels) -> np.ndarray:
     return np.sqrt(weight) * (np.asarray(pixels.coverage, float) - here)
 
 
-def _shares(eye: Eye, state: State, unit: Camera, pixels: Pixels) -> np.ndarray:
+def _shares(eye: Eye, state: State, camera: Camera, pixels: Pixels) -> np.ndarray:
     """Return how much of the outline in each touched pixel is each body's (P, B)."""
     mesh, posture = eye.scene(state).mesh, eye.posture
     assert mesh is not None
     assert posture is not None
     bodies = int(posture.body[-1]) + 1
     points = np.asarray(mesh.vertices, float)
-    edges, third = _contour(points, mesh, np.asarray(unit.e, float))
+    edges, third = _contour(points, mesh, np.asarray(camera.e, float))
     ends, level = points[edges], pixels.level
-    film = [_in_pixels(unit, level, x) for x in (ends[:, 0], ends[:, 1], points[third])]
+    film = [_in_pixels(camera, level, x) for x in (ends[:, 0], ends[:, 1], points[third])]
     ahead = np.all([np.all(np.isfinite(x), axis=1) for x in film], axis=0)
     start, end, inner = (x[ahead] for x in film)
     body = posture.body[edges[ahead, 0]]
@@ -125,16 +125,16 @@ def _contour(points: np.ndarray, mesh: Any, e: np.ndarray) -> tuple[np.ndarray, 
     return edges, faces[face].sum(axis=1) - edges.sum(axis=1)
 
 
-def _in_pixels(unit: Camera, level: Level, points: np.ndarray) -> np.ndarray:
+def _in_pixels(camera: Camera, level: Level, points: np.ndarray) -> np.ndarray:
     """Return where points (n, 3) are on a level's window (n, 2), NaN behind the eye."""
-    x, y, z = on_film_plane(unit, points).T
+    x, y, z = on_film_plane(camera, points).T
     ahead = z > 0
     film = np.stack([x, y], axis=1) / np.where(ahead, z, np.nan)[:, None]
-    if (lens := bend(unit)) is not None:
+    if (lens := bend(camera)) is not None:
         filled = np.full((len(film) + -len(film) % ROUND, 2), 0.5)
         filled[: len(film)] = np.nan_to_num(film)
-        bent = np.asarray(lens(jnp.asarray(filled, unit.e.dtype)), float)[: len(film)]
-        film = np.where(ahead[:, None], bent, np.nan)
+        distorted = np.asarray(lens(jnp.asarray(filled, camera.e.dtype)), float)[: len(film)]
+        film = np.where(ahead[:, None], distorted, np.nan)
     return film * float(level.scale) - np.asarray(level.origin, float)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from .edges import Near, alike, counted, looked_up, near
 from .problem import FINE_PX
-from .target import inside_of, shares
+from .target import as_coverage, inside_of
 
 #: Quantisation leaves a step's square times this; samples at random leave half a step, times the
 #: mean of c (1 - c).
@@ -100,7 +100,7 @@ def _between(target: np.ndarray, weights: np.ndarray) -> _Between:
     else:
         place = np.flatnonzero((target != 0) & (target != 1))
     row, column = np.divmod(place, target.shape[1])
-    value, weight = shares(target[row, column]), weights[row, column]
+    value, weight = as_coverage(target[row, column]), weights[row, column]
     return _Between(target.shape, place, row, column, value, weight)
 
 
@@ -134,8 +134,8 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
         return Kind("noisy", variance, most, least, even, far, spread)
     # A renderer's 8 bits: some hundred samples a pixel, or its filter.
     most = TIMES * (SAMPLED / 1024 * scale if step == 1 / 255 else variance)
-    told = max(least, scale * FINE_PX[np.dtype(dtype)] ** 2)
-    return Kind("soft", variance, most, least, True, alike=told)
+    counted = max(least, scale * FINE_PX[np.dtype(dtype)] ** 2)
+    return Kind("soft", variance, most, least, True, alike=counted)
 
 
 def _weights_near(target: np.ndarray, weights: np.ndarray, reach: float) -> tuple[Near, np.ndarray]:
@@ -149,8 +149,8 @@ def _weight_at_edges(target: np.ndarray, weights: np.ndarray) -> float:
     if alike(weights):
         return float(weights.flat[0])
     _, weight = _weights_near(target, weights, 1.0)
-    told = weight[weight > 0]
-    return float(np.mean(told)) if told.size else 1.0
+    counted = weight[weight > 0]
+    return float(np.mean(counted)) if counted.size else 1.0
 
 
 def _noise_far_from_edges(
@@ -210,7 +210,7 @@ def _slope(target: np.ndarray, some: _Between, axis: int) -> np.ndarray:
     ends = [list(at), list(at)]
     ends[0][axis] = np.maximum(at[axis] - 1, 0)
     ends[1][axis] = np.minimum(at[axis] + 1, target.shape[axis] - 1)
-    before, after = (shares(target[row, column]) for row, column in ends)
+    before, after = (as_coverage(target[row, column]) for row, column in ends)
     return (after - before) / np.maximum(ends[1][axis] - ends[0][axis], 1)
 
 

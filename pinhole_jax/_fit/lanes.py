@@ -164,10 +164,10 @@ def looked(
 ) -> View:
     """Return the views at cameras (all of a leading axis)."""
 
-    def look(unit, parts, level):
+    def look(camera, parts, level):
         problem = _problem(*parts)
-        move = move_of(unit, problem, level, names)
-        y = jnp.zeros_like(move.unit)
+        move = move_of(camera, problem, level, names)
+        y = jnp.zeros_like(move.scale)
         R, (_, seen) = triangle_at(y, move, problem, level, names, capacity)
         n = len(y)
         return View(R[:n, :n], R[:n, n], *seen)

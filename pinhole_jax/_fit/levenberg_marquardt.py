@@ -127,14 +127,14 @@ class _Static(eqx.Module):
 
 
 @eqx.filter_jit
-def descended(unit: Camera, problem: Problem, level: Level, px, steps, names, capacity):
+def descended(camera: Camera, problem: Problem, level: Level, px, steps, names, capacity):
     """Return the camera after so many steps at most, or when steps are shorter than `px`; how many
     it took, the first of them, and the view: after one step (which evaluates the start) of the
     start.
     """
-    move = move_of(unit, problem, level, names)
+    move = move_of(camera, problem, level, names)
     args = (move, problem, level, _Static(names), _Static(tuple(capacity)))
-    solver, zero = _LevenbergMarquardt(px / UNIT_PX, steps), jnp.zeros_like(move.unit)
+    solver, zero = _LevenbergMarquardt(px / UNIT_PX, steps), jnp.zeros_like(move.scale)
     found = optx.least_squares(
         _residual, solver, zero, args, has_aux=True, max_steps=None, throw=False
     )

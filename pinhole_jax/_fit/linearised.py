@@ -30,17 +30,17 @@ def table_at(
         camera = moved(move, y, names)
         here = problem.scene, problem.pyramid, level, capacity
         (r, rest), sums, load, pixels = residuals(camera, *here)
-        told = reported(move.camera, camera, names)
-        known = problem.others.residuals(told)
+        values = reported(move.camera, camera, names)
+        known = problem.others.residuals(values)
         if problem.prior is not None:
             known = jnp.concatenate([known, problem.prior.residuals(camera, names)])
         r = jnp.concatenate([r, rest[None], known])
-        return (r, told), (r, camera, sums, load, pixels, jnp.sum(known * known))
+        return (r, values), (r, camera, sums, load, pixels, jnp.sum(known * known))
 
     (jacobian, to_reported), (r, camera, *sums, pixels, prior) = jax.jacfwd(at, has_aux=True)(y)
     # (What is beside the pixels comes first: there are fewer of these than there is room for.)
     table = jnp.roll(jnp.concatenate([jacobian, r[:, None]], axis=1), len(r) - len(pixels.cell), 0)
-    seen = *sums, to_reported, move.unit, pixels, jacobian, prior
+    seen = *sums, to_reported, move.scale, pixels, jacobian, prior
     return table, (camera, seen)
 
 

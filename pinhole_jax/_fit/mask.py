@@ -10,7 +10,7 @@ import numpy as np
 from .._camera.camera import Camera, bend, film_map, focal_px, principal_point
 from .edges import Near, NearWeights, looked_up, near, near_weights
 from .signatures import Signature, signatures
-from .target import Window, inside_of, object_window, shares
+from .target import Window, as_coverage, inside_of, object_window
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Mask:
     @property
     def image(self) -> np.ndarray:
         """Return the target as floats."""
-        return shares(self.target)
+        return as_coverage(self.target)
 
     def near_edge(self, reach: float) -> NearWeights:
         """Return the weights of pixels near the mask's edge; 0 farther than `reach` (px)."""
@@ -99,7 +99,9 @@ class Mask:
         x, y = (
             c + (np.arange(n) + 0.5) / n * s for c, n, s in zip(corner, (W, H), size, strict=True)
         )
-        column, row = np.moveaxis(_bent(self.camera, np.stack(np.meshgrid(x, y[::-1]), -1)), -1, 0)
+        column, row = np.moveaxis(
+            _distorted(self.camera, np.stack(np.meshgrid(x, y[::-1]), -1)), -1, 0
+        )
         at = np.stack([H - row - 0.5, column - 0.5])
         image, weight = (
             map_coordinates(z, at, order=1, cval=0.0) for z in (self.image, self._shares() + 0.0)
@@ -113,8 +115,8 @@ def _ideal_rectangle(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return np.array([left, bottom]), np.array([right - left, top - bottom])
 
 
-def _bent(camera: Camera, points: np.ndarray) -> np.ndarray:
+def _distorted(camera: Camera, points: np.ndarray) -> np.ndarray:
     """Return where ideal film points (px) are seen."""
-    bent = bend(camera)
-    assert bent is not None
-    return np.asarray(bent(jnp.asarray(points, camera.e.dtype)), float)
+    distorted = bend(camera)
+    assert distorted is not None
+    return np.asarray(distorted(jnp.asarray(points, camera.e.dtype)), float)

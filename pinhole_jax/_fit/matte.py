@@ -78,9 +78,9 @@ def matte(
     here = lambda x: _at_pixels(x, rows, columns)
     squared = np.maximum(here(contrast), 1e-6)
     along = np.sum(colours[rows, columns] * np.stack([*map(here, axis)], -1), axis=-1)
-    told = (along - here(start)) / squared
+    along_axis = (along - here(start)) / squared
     share = (distance > 0) + np.zeros(distance.shape)
-    share[rows, columns] = np.clip(0.5 + SHARPER * (told - 0.5), 0, 1)
+    share[rows, columns] = np.clip(0.5 + SHARPER * (along_axis - 0.5), 0, 1)
     weight = np.zeros(distance.shape)
     nearness = 1 - (distance[rows, columns] / (band.reach + 1)) ** 2
     weight[rows, columns] = nearness / (1 + 1 / (LEAST_ERROR**2 * squared))

@@ -53,15 +53,15 @@ class Bounds(eqx.Module):
 
 
 class Move(NamedTuple):
-    """Where a vector of moves starts: the camera, the pivot, and the size of one unit of each."""
+    """Where a vector of moves starts: the camera, the pivot, and the scale of each move."""
 
     camera: Camera
     pivot: Float[Array, "3"]
-    unit: Float[Array, "n"]
+    scale: Float[Array, "n"]
     bounds: Bounds | None = None
 
 
-def units(
+def scales(
     camera: Camera,
     pivot: Float[Array, "3"],
     radius: Float[Array, ""],
@@ -74,20 +74,20 @@ def units(
     `camera` is canonical, `radius` that of the scene about the pivot, `scale` px per film height.
     """
     focal = focal_px(camera)[1]
-    bent = None if camera.lens is None else camera.lens.distortion
+    distortion = None if camera.lens is None else camera.lens.distortion
     here = Scale(
         pixel=1 / (focal * scale),
         spread=jnp.clip(safe_divide(radius, norm(pivot - camera.e)), 1e-3, 1),
         film=1 / jnp.asarray(scale),
         corner=CORNER / focal,
-        powers={} if bent is None else bent.powers,
+        powers={} if distortion is None else distortion.powers,
     )
     return jnp.stack([COMPONENTS[name].size(here) for name in components(free)])
 
 
 def moved(move: Move, y: Float[Array, "n"], free: tuple[str, ...]) -> Camera:
-    """Return the camera moved by y (in units of `move.unit`); a rigid motion keeps the gauge."""
-    step, camera = y * move.unit, move.camera
+    """Return the camera moved by y (in units of `move.scale`); a rigid motion keeps the gauge."""
+    step, camera = y * move.scale, move.camera
     by_name = dict(zip(components(free), step, strict=True))
     if not {"pose", "position", "orientation"}.isdisjoint(free):
         camera = _moved_rigidly(camera, move.pivot, by_name)
@@ -197,19 +197,21 @@ def canonical(camera: Camera) -> Camera:
     """
     point = principal_point(camera) / camera.H
     aspect = 1.0 if camera.lens is None else camera.lens.aspect
-    unit = camera.replace(W=1, H=1, lens=Lens(point, aspect))
+    result = camera.replace(W=1, H=1, lens=Lens(point, aspect))
     if camera.lens is None or camera.lens.distortion is None:
-        return unit
-    bent = lambda c: c.lens.distortion  # (put in here, it is not asked whether the film's corners
-    return eqx.tree_at(bent, unit, camera.lens.distortion, is_leaf=lambda x: x is None)  # are seen)
+        return result
+    # (Put in here, it is not asked whether the film's corners are seen.)
+    place, model = lambda c: c.lens.distortion, camera.lens.distortion
+    return eqx.tree_at(place, result, model, is_leaf=lambda x: x is None)
 
 
-def on_film(unit: Camera, camera: Camera) -> Camera:
+def on_film(canonical_one: Camera, camera: Camera) -> Camera:
     """Return a canonical camera on `camera`'s film, with a lens if that has one."""
-    lens = unit.lens
+    one = canonical_one
+    lens = one.lens
     if lens is not None:
         place = lens.principal_point * camera.H
         lens = None if camera.lens is None else Lens(place, lens.aspect, lens.distortion)
     moving = lambda c: (c.e, c.p, c.u, c.phi, c.d, c.lens)
-    values = (unit.e, unit.p, unit.u, unit.phi, unit.d, lens)
+    values = (one.e, one.p, one.u, one.phi, one.d, lens)
     return eqx.tree_at(moving, camera, values, is_leaf=lambda x: x is None)

@@ -23,7 +23,7 @@ from .moves import canonical
 from .search import partly_hidden
 from .solver import Solver
 from .stretches import coverage_of, outline_pixels, smoothed_about
-from .target import inside_of, shares
+from .target import as_coverage, inside_of
 
 #: The mask's edge is taken by stretches of this share of the object's size.
 STRETCH = 0.08
@@ -86,7 +86,7 @@ class Covered(NamedTuple):
     - `rivals`: other cameras that explain as much.
     """
 
-    unit: Camera
+    camera: Camera
     explained: float
     agreed: float
     beyond: float
@@ -130,7 +130,7 @@ def edge_of(mask: Mask, most: int = MOST_POINTS) -> Edge:
     from scipy.spatial import KDTree
 
     box, H = _about(inside_of(mask.target), SMOOTH_PX * 5), len(mask.target)
-    image, weighs = shares(mask.target[box]), mask.weight[box] > 0
+    image, weighs = as_coverage(mask.target[box]), mask.weight[box] > 0
     smooth: Any = gaussian_filter(image, SMOOTH_PX)
     down, right = np.gradient(smooth)
     places, normals = [], []
@@ -193,8 +193,8 @@ def uncovered(
     rivals: list[Camera] = []
     for other in others:
         as_much = _worth(other) > _worth(best) - RIVAL
-        if as_much and all(angle(other.unit, c) > ELSEWHERE for c in (best.unit, *rivals)):
-            rivals.append(other.unit)
+        if as_much and all(angle(other.camera, c) > ELSEWHERE for c in (best.camera, *rivals)):
+            rivals.append(other.camera)
     return best._replace(rivals=tuple(rivals))
 
 
@@ -208,8 +208,8 @@ def _explained(
 ) -> list[Covered]:
     """Return what the cameras explain that others lead to, the one that explains most first."""
     ended = _followed(solver, edge, begins)
-    told = [covered_at(solver, mask, whole, unit, error_px) for unit in ended]
-    return sorted((t for t in told if t is not None), key=_worth, reverse=True)
+    reported = [covered_at(solver, mask, whole, camera, error_px) for camera in ended]
+    return sorted((t for t in reported if t is not None), key=_worth, reverse=True)
 
 
 def _near(error_px: float) -> float:
@@ -217,9 +217,9 @@ def _near(error_px: float) -> float:
     return max(NEAR_PX, NEAR_SIZES * error_px)
 
 
-def _is_covered(solver: Solver, edge: Edge, unit: Camera, near: float) -> bool:
+def _is_covered(solver: Solver, edge: Edge, camera: Camera, near: float) -> bool:
     """Return whether a stretch of a mask's edge lies far from the outline that a camera sees."""
-    outline = _seen(solver, unit, solver.finest)
+    outline = _seen(solver, camera, solver.finest)
     if outline is None:
         return False
     on = _on(_matched(edge, outline, 8.0), near)
@@ -270,28 +270,28 @@ def _followed(
     level = min(solver.far, max(solver.finest - 1, 0))
     scales = np.maximum(np.geomspace(FIRST * edge.size, LAST_PX, STEPS), LAST_PX)
     first, rest = scales[:SORTED_IN], scales[SORTED_IN:]
-    begun = [_brought(solver, edge, unit, level, first, window) for unit, window in begins]
+    begun = [_brought(solver, edge, camera, level, first, window) for camera, window in begins]
     begun = sorted((b for b in begun if b is not None), key=lambda b: -b[1])
-    apart = _apart([unit for unit, _ in begun], np.deg2rad(2))[:FOLLOWED]
-    ended = [_brought(solver, edge, unit, level, rest) for unit in apart]
+    apart = _apart([camera for camera, _ in begun], np.deg2rad(2))[:FOLLOWED]
+    ended = [_brought(solver, edge, camera, level, rest) for camera in apart]
     ended = sorted((b for b in ended if b is not None), key=lambda b: -b[1])
-    finest = _apart([unit for unit, _ in ended], np.deg2rad(0.5))[: FOLLOWED // 2]
-    last = [_brought(solver, edge, unit, solver.finest, scales[-4:]) for unit in finest]
+    finest = _apart([camera for camera, _ in ended], np.deg2rad(0.5))[: FOLLOWED // 2]
+    last = [_brought(solver, edge, camera, solver.finest, scales[-4:]) for camera in finest]
     return [b[0] for b in last if b is not None]
 
 
-def _apart(units: list[Camera], far: float) -> list[Camera]:
+def _apart(cameras: list[Camera], far: float) -> list[Camera]:
     kept: list[Camera] = []
-    for unit in units:
-        if all(angle(unit, other) > far for other in kept):
-            kept.append(unit)
+    for camera in cameras:
+        if all(angle(camera, other) > far for other in kept):
+            kept.append(camera)
     return kept
 
 
 def _brought(
     solver: Solver,
     edge: Edge,
-    unit: Camera,
+    camera: Camera,
     level: int,
     scales: np.ndarray,
     window: np.ndarray | None = None,
@@ -299,7 +299,7 @@ def _brought(
     """Return a camera whose outline the mask's edge was brought to, counting as far as `scales`
     (px) say step by step, and the edge's mean weight there; None where no outline is seen."""
     for scale in scales:
-        outline = _seen(solver, unit, level)
+        outline = _seen(solver, camera, level)
         if outline is None:
             return None
         matched = _matched(edge, outline, 4 * scale + 4)
@@ -314,14 +314,14 @@ def _brought(
         if not np.all(np.isfinite(step)):
             return None
         far = float(np.max(np.abs(matched.by_move @ step)))
-        unit = solver.step(unit, level, step * min(1.0, LONGEST * edge.size / max(far, 1e-9)))
-    outline = _seen(solver, unit, level)
+        camera = solver.step(camera, level, step * min(1.0, LONGEST * edge.size / max(far, 1e-9)))
+    outline = _seen(solver, camera, level)
     if outline is None:
         return None
     matched = _matched(edge, outline, 8.0)
     on = _on(matched, max(scales[-1], NEAR_PX))
     beyond = float(np.mean(matched.off > 2 * max(scales[-1], NEAR_PX)))
-    return unit, float(np.mean((edge.stretch @ on) * on)) - 0.5 * beyond
+    return camera, float(np.mean((edge.stretch @ on) * on)) - 0.5 * beyond
 
 
 def _on(matched: _Matched, near: float) -> np.ndarray:
@@ -350,9 +350,9 @@ def _matched(edge: Edge, outline: _Outline, turn_px: float) -> _Matched:
     return _Matched(off, outline.by_move[nearest], np.sum(edge.out * out, axis=1))
 
 
-def _seen(solver: Solver, unit: Camera, number: int) -> _Outline | None:
+def _seen(solver: Solver, camera: Camera, number: int) -> _Outline | None:
     """Return the outline that a camera sees on a level, None where it sees none."""
-    view = solver.look(unit, number)
+    view = solver.look(camera, number)
     place, rows, share = outline_pixels(view)
     if len(place) < 8 or not np.all(np.isfinite(rows)):
         return None
@@ -369,12 +369,12 @@ def _units(vectors: np.ndarray) -> np.ndarray:
 
 
 def covered_at(
-    solver: Solver, mask: Mask, edge: Edge, unit: Camera, error_px: float
+    solver: Solver, mask: Mask, edge: Edge, camera: Camera, error_px: float
 ) -> Covered | None:
     """Return what a camera explains of a mask, whose edge (all of it) errs by `error_px`; None
     where it sees no outline."""
     near = _near(error_px)
-    outline = _seen(solver, unit, solver.finest)
+    outline = _seen(solver, camera, solver.finest)
     if outline is None:
         return None
     matched = _matched(edge, outline, 8.0)
@@ -386,7 +386,7 @@ def covered_at(
     close = np.clip(1 - (matched.off / near) ** 2, 0, 1)
     agreed = float(np.mean(close * (on & believed)))
 
-    view = solver.look(unit, solver.finest)
+    view = solver.look(camera, solver.finest)
     seen = np.zeros(mask.target.shape, bool)
     view.pixels.level.window().of(seen)[:] = coverage_of(view)[::-1] > 0.5
     hidden = _hidden(mask, edge, believed, seen, near)
@@ -397,7 +397,7 @@ def covered_at(
     explained = float(np.mean(believed))
     lies = matched.off[on & believed]
     off = float(np.sqrt(np.mean(lies**2))) if lies.size else np.inf
-    return Covered(unit, explained, agreed, beyond, off, hidden, edge.at[~believed])
+    return Covered(camera, explained, agreed, beyond, off, hidden, edge.at[~believed])
 
 
 def _hidden(
@@ -449,9 +449,9 @@ def _nearness(
         return np.concatenate([away[1:] < away[:1], away <= limits[:, None]]), away
 
     row, column = side * np.indices((tall, wide)).reshape(2, -1)
-    told, away = asked(row + (side - 1) / 2, column + (side - 1) / 2)
+    reported, away = asked(row + (side - 1) / 2, column + (side - 1) / 2)
     close = np.any(away <= limits[:, None] + (side - 1) / 2**0.5, axis=0)
-    blocks = np.repeat(told[..., None], side**2, axis=-1)
+    blocks = np.repeat(reported[..., None], side**2, axis=-1)
     if side > 1 and np.any(close):
         down, right = np.indices((side, side)).reshape(2, -1)
         inner = (row[close, None] + down).ravel(), (column[close, None] + right).ravel()

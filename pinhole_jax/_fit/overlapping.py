@@ -42,7 +42,7 @@ def whole(pieces: Pieces) -> Float[Array, "P numbers"]:
     return jnp.concatenate([pieces.start, pieces.end, rest], axis=-1)
 
 
-class Crowded(NamedTuple):
+class Overlapping(NamedTuple):
     """Pixels, of which some are `chosen` to be resolved: the first of a pixel's pieces, and their
     number; its lower left corner (px), and the winding number there."""
 
@@ -54,7 +54,7 @@ class Crowded(NamedTuple):
 
 
 def resolved(
-    crowded: Crowded,
+    overlapping: Overlapping,
     piece: tuple[Float[Array, "P"], ...],
     order: Int[Array, "P"],
     parts: list[Part],
@@ -75,8 +75,8 @@ def resolved(
     def some(slot, there):
         """Return the pieces of some pixels."""
         place = jnp.arange(MOST, dtype=jnp.int32)[None]
-        own = there[:, None] & (place < crowded.number[slot][:, None])
-        source = order[jnp.minimum(crowded.first[slot][:, None] + place, P - 1)]
+        own = there[:, None] & (place < overlapping.number[slot][:, None])
+        source = order[jnp.minimum(overlapping.first[slot][:, None] + place, P - 1)]
         kind = sum((source >= begin).astype(jnp.int32) for begin in begins[1:])
         kind = jnp.where(own, kind, -1)
         ids = source - jnp.asarray(begins, jnp.int32)[kind]
@@ -94,7 +94,7 @@ def resolved(
     def look(state, slot, there):
         chosen, areas, visible = state
         cells = some(slot, there)
-        hidden = there & all_hidden(cells, crowded.corner[slot])
+        hidden = there & all_hidden(cells, overlapping.corner[slot])
         slot = jnp.where(hidden, slot, P)
         inside = Cells(cells.piece, jnp.where(hidden[:, None, None], cells.owner, -1))
         nothing = [jnp.zeros((), part.visible.dtype) for part in parts]
@@ -105,17 +105,19 @@ def resolved(
     def resolve(state, slot, there):
         areas, visible = state
         cells = some(slot, there)
-        scale = jnp.ones((), crowded.corner.dtype)
-        area, seen = sweep(cells, crowded.corner[slot], frames, scale, crowded.origin[slot], True)
+        scale = jnp.ones((), overlapping.corner.dtype)
+        area, seen = sweep(
+            cells, overlapping.corner[slot], frames, scale, overlapping.origin[slot], True
+        )
         areas = areas.at[jnp.where(there, slot, P)].set(area, mode="drop")
         return areas, with_parts(visible, cells, [new.part for new in seen])
 
-    areas, visible = jnp.zeros(P, crowded.corner.dtype), [part.visible for part in parts]
-    chosen = crowded.chosen
+    areas, visible = jnp.zeros(P, overlapping.corner.dtype), [part.visible for part in parts]
+    chosen = overlapping.chosen
     if P >= LARGE and frames == [None]:
         start = chosen, areas, visible
-        chosen, areas, visible = _fold(_by_number(chosen, crowded.number), look, start)
-    return _fold(_by_number(chosen, crowded.number), resolve, (areas, visible))
+        chosen, areas, visible = _fold(_by_number(chosen, overlapping.number), look, start)
+    return _fold(_by_number(chosen, overlapping.number), resolve, (areas, visible))
 
 
 def _by_number(chosen: Bool[Array, "P"], number: Int[Array, "P"]) -> tuple[Array, Array]:

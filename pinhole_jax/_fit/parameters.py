@@ -249,10 +249,10 @@ def in_one(names: tuple[str, ...]) -> tuple[str, ...]:
 
 def with_lens(camera: Camera, names: tuple[str, ...]) -> Camera:
     """Return the camera with what these names need: a lens, a distortion (that bends nothing)."""
-    lens, bent = camera.lens, not set(COEFFICIENTS).isdisjoint(names)
-    if lens is None and (bent or {"principal_point", "aspect"} & {*names}):
+    lens, distorted = camera.lens, not set(COEFFICIENTS).isdisjoint(names)
+    if lens is None and (distorted or {"principal_point", "aspect"} & {*names}):
         lens = Lens(principal_point(camera))
-    if lens is not None and lens.distortion is None and bent:
+    if lens is not None and lens.distortion is None and distorted:
         lens = Lens(lens.principal_point, lens.aspect, BrownConrady())
     return camera if lens is camera.lens else camera.replace(lens=lens)
 

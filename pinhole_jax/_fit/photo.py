@@ -42,7 +42,7 @@ TELLING = 0.25
 #: ... and of the camera where they do so along this share of it. (Grey objects before grey clutter
 #: begin with 0.16 and end 4 to 10 times as exact as their masks; photos of something else: 0 to
 #: 0.17.)
-LEAST_TOLD = 0.1
+LEAST_RESOLVED = 0.1
 #: The mask's edge does not fit the scene if it is off by more than this many px (rms): one bit and
 #: the scene's own mask leave 0.09 to 0.14.
 MASK_PX = 0.2
@@ -103,11 +103,11 @@ def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
 
 def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Refined:
     """Return what a photo says of the camera that was found for a mask."""
-    before = Outline.of(solver, solver.look(found.unit, solver.finest))
+    before = Outline.of(solver, solver.look(found.camera, solver.finest))
     read = before.read(photo, mask, ROUNDS[0])
-    told = before.told(read)
-    if not told >= LEAST_TOLD:
-        return Refined(None, found.view.sums, COLOURS, None, [], untold(told))
+    resolved = before.resolved(read)
+    if not resolved >= LEAST_RESOLVED:
+        return Refined(None, found.view.sums, COLOURS, None, [], unresolved(resolved))
 
     own, refined, now = solver.like(COLOURS), found, before
     for number, band in enumerate(ROUNDS):
@@ -118,11 +118,11 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Ref
         own = replace(own, max_steps=LAST_STEPS if last else STEPS)
         coarsest = own.finest if number else max(own.finest - COARSER, 0)
         px = FINE_PX[own.dtype] if last else ROUGH_PX
-        after = own.solve(refined.unit, range(coarsest, own.finest + 1), fine_px=px)
+        after = own.solve(refined.camera, range(coarsest, own.finest + 1), fine_px=px)
         refined, now = onward(refined, after), Outline.of(own, after.view)
 
     taken, note = judged(mask, photo, before, now)
-    over_all = solver.look(refined.unit, solver.finest).sums
+    over_all = solver.look(refined.camera, solver.finest).sums
     sums = over_all._replace(touched=refined.view.sums.touched)
     if not taken:
         return Refined(None, sums, COLOURS, None, [], note)
@@ -157,7 +157,7 @@ class Outline(NamedTuple):
         read = matte(light(self.window.of(photo)), self.distance, band, weight > 0)
         return read._replace(weight=np.where(weight > 0, read.weight, 0))
 
-    def told(self, read: Matte) -> float:
+    def resolved(self, read: Matte) -> float:
         """Return the share of the outline of which colours tell."""
         clear = np.sum(self.length[read.weight > TELLING])
         return float(clear / max(np.sum(self.length), 1.0))
@@ -212,14 +212,14 @@ def whole(mask: Mask, window: Window, read: Matte) -> tuple[np.ndarray, np.ndarr
 
 
 def judged(
-    mask: Mask, photo: np.ndarray, before: Outline, now: Outline, least: float = LEAST_TOLD
+    mask: Mask, photo: np.ndarray, before: Outline, now: Outline, least: float = LEAST_RESOLVED
 ) -> tuple[bool, str]:
     """Return whether the photo's camera is better founded than the mask's, and a note; colours are
     to tell along the share `least` of the outline."""
     read, first = (x.read(photo, mask, ROUNDS[-1]) for x in (now, before))
-    told = now.told(read)
-    if not told >= least:
-        return False, untold(told)
+    resolved = now.resolved(read)
+    if not resolved >= least:
+        return False, unresolved(resolved)
     bias, apart = now.of_mask(mask)
     _, of_mask = before.of_mask(mask)
     own, at_first = now.off(read), before.off(first)
@@ -236,8 +236,8 @@ def judged(
     )
 
 
-def untold(told: float) -> str:
+def unresolved(resolved: float) -> str:
     return (
-        f"the photo tells the object from its surroundings along {told:.0%} of the outline only:"
+        f"the photo tells the object from its surroundings along {resolved:.0%} of the outline only:"
         " the camera is the mask's"
     )

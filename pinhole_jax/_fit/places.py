@@ -129,11 +129,11 @@ def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
         places = [p for d in directions for p in _along(solver, best, d)]
         seen += [best, *places]
         left -= len(places)
-        near = (p for p in places if start is None or angle(p.unit, start) < NEAR_START)
+        near = (p for p in places if start is None or angle(p.camera, start) < NEAR_START)
         place = min(near, key=lambda p: _surplus(solver, p.view), default=best)
         if not better(solver, place.view, best.view):
             break
-        view = solver.look(place.unit, solver.finest)
+        view = solver.look(place.camera, solver.finest)
         best = place._replace(view=view, steps=best.steps + place.steps, way=best.way)
         directions = _nearly_free(solver, best)
     if not seen:
@@ -141,7 +141,7 @@ def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
     if solver.kind.exact and not solver.kind.spread:
         seen += _alike(solver, best)
     # What is as good, but only far from the start, the start rules out.
-    near = [p for p in seen if start is None or angle(p.unit, start) < NEAR_START]
+    near = [p for p in seen if start is None or angle(p.camera, start) < NEAR_START]
     places = _as_good(solver, best, near, last)
     return _as_good(solver, best, seen, last) if places.others or places.free else places
 
@@ -175,7 +175,7 @@ def interval(solver: Solver, best: Found, errors: OutlineErrors | None) -> list[
     turns = [name.startswith("turn") for name in components(solver.names)]
     if errors is None or not (np.all(np.isfinite(triangle)) and any(turns)):
         return []
-    widest, least = Free(np.zeros(len(turns)), 0.0, 0.0, None), solver.glance(best.unit).squares
+    widest, least = Free(np.zeros(len(turns)), 0.0, 0.0, None), solver.glance(best.camera).squares
     weak = weak_moves(triangle, components(solver.names), 1.0)
     directions = [_direction(solver, best, *pair) for pair in weak]
     about = [d for d in directions if d.axis is not None and d.sigma < np.pi]
@@ -184,7 +184,7 @@ def interval(solver: Solver, best: Found, errors: OutlineErrors | None) -> list[
             for side in (far, -far):
                 place, squares = _best_turned(solver, best, side * direction.move)
                 odds = errors.independent * np.log(max(squares / max(least, 1e-300), 1.0))
-                turn = turned_by(best.unit, place)
+                turn = turned_by(best.camera, place)
                 size = float(np.linalg.norm(turn))
                 open_by = size / max(odds, 0.5) ** 0.5
                 if np.isfinite(squares) and open_by > max(WIDER * direction.sigma, widest.ahead):
@@ -201,22 +201,22 @@ def _best_turned(solver: Solver, best: Found, move: np.ndarray) -> tuple[Camera,
     turns it, and its sum of squares."""
     names = components(solver.names)
     turns = np.array([name.startswith("turn") for name in names])
-    unit, least = solver.step(best.unit, solver.finest, move), (best.unit, np.inf)
-    far = angle(unit, best.unit)
+    camera, least = solver.step(best.camera, solver.finest, move), (best.camera, np.inf)
+    far = angle(camera, best.camera)
     for _ in range(PROFILE_STEPS):
-        view = solver.glance(unit)
+        view = solver.glance(camera)
         if not view.squares < least[1]:
             break
-        least = unit, view.squares
+        least = camera, view.squares
         away = np.zeros(len(names))
-        away[turns] = axes_of(unit) @ turned_by(best.unit, unit)
+        away[turns] = axes_of(camera) @ turned_by(best.camera, camera)
         away /= max(float(np.linalg.norm(away)), 1e-12)
         along = np.linalg.svd(away[None])[2][1:].T
         triangle = np.asarray(view.triangle, float) @ along
         step = -along @ np.linalg.lstsq(triangle, np.asarray(view.along, float), rcond=1e-3)[0]
         turn = float(np.linalg.norm(step[turns])) / _radian(solver, best)
         step *= min(1.0, far / max(turn, 1e-12) / 2)
-        unit = solver.step(unit, solver.finest, step)
+        camera = solver.step(camera, solver.finest, step)
     return least
 
 
@@ -261,7 +261,7 @@ def _direction(solver: Solver, found: Found, value: float, vector: np.ndarray) -
     axis, move = None, vector
     if np.linalg.norm(vector[turns]) > 0.3:  # a large turn is a turn alone
         move = np.where(turns, vector, 0) / np.linalg.norm(vector[turns])
-        axis = move[turns] @ axes_of(found.unit)
+        axis = move[turns] @ axes_of(found.camera)
     sigma = solver.variance(found.view) ** 0.5 / max(value, 1e-300) / radian
     return _Direction(move * radian, axis, min(sigma, np.pi))
 
@@ -279,7 +279,7 @@ def _round(solver: Solver, found: Found) -> list[_Direction]:
     deviations = np.linalg.pinv(triangle).T
     for line in solver.subject.revolutions:
         move = np.zeros(len(names))
-        move[turns] = axes_of(found.unit) @ line.axis
+        move[turns] = axes_of(found.camera) @ line.axis
         value = 1 / max(float(np.linalg.norm(deviations @ move)), 1e-300)
         direction = _direction(solver, found, value, move)
         result.append(direction._replace(line=line))
@@ -300,13 +300,13 @@ def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
     direction = _direction(solver, found, *weak[-1])
     far = np.clip(DOUBT_SIGMAS * direction.sigma, *DOUBT_RAD) * _radian(solver, found)
     number = _walked_on(solver)
-    here = view if number == solver.finest else solver.glance(found.unit, number)
+    here = view if number == solver.finest else solver.glance(found.camera, number)
     # (The same move, in that level's units.)
     vector = weak[-1][1]
-    moved = vector * np.asarray(view.unit, float) / np.asarray(here.unit, float)
+    moved = vector * np.asarray(view.scale, float) / np.asarray(here.scale, float)
     shows = float(np.sum((np.asarray(here.triangle, float) @ moved) ** 2))
     for part in (far, -far, far / 2, -far / 2):
-        other = solver.glance(solver.step(found.unit, solver.finest, part * vector), number)
+        other = solver.glance(solver.step(found.camera, solver.finest, part * vector), number)
         beside = np.asarray(other.triangle, float)
         if not np.all(np.isfinite(beside)):
             continue
@@ -320,12 +320,14 @@ def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
 
 def _radian(solver: Solver, found: Found) -> float:
     """Return the size of a move, in the solver's units, that is as large as a turn by one rad."""
-    names, unit = components(solver.names), np.asarray(found.view.unit, float)
-    for name, size in zip(names, unit, strict=True):
+    names, scale = components(solver.names), np.asarray(found.view.scale, float)
+    for name, size in zip(names, scale, strict=True):
         if name.startswith("turn"):
             return 1 / size
-    reach = np.linalg.norm(np.asarray(found.unit.e, float) - solver.subject.ball.centre)
-    size = next(s for n, s in zip(names, unit, strict=True) if n.split("_")[0] in ("spin", "shift"))
+    reach = np.linalg.norm(np.asarray(found.camera.e, float) - solver.subject.ball.centre)
+    size = next(
+        s for n, s in zip(names, scale, strict=True) if n.split("_")[0] in ("spin", "shift")
+    )
     return float(np.clip(solver.subject.ball.radius / reach, 1e-3, 1) / size)
 
 
@@ -338,7 +340,7 @@ def _along(solver: Solver, best: Found, direction: _Direction) -> list[Found]:
 
 def _strides(solver: Solver, best: Found, direction: _Direction, far: list[float]) -> list[Found]:
     """Return where descents lead to from so far (rad) along a direction."""
-    starts = (solver.step(best.unit, solver.finest, x * direction.move) for x in far)
+    starts = (solver.step(best.camera, solver.finest, x * direction.move) for x in far)
     walk = _Walk.of(solver, best)
     return _finite(p for start in starts if (p := walk.led_to(start)) is not None)
 
@@ -346,18 +348,18 @@ def _strides(solver: Solver, best: Found, direction: _Direction, far: list[float
 def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
     """Return where descents lead to from likely cameras all round a line, and so many more while
     those are as good."""
-    for unit, other, places in solver.walked:
-        if other is line and separation(solver, unit, best.unit) < WALKED:
+    for camera, other, places in solver.walked:
+        if other is line and separation(solver, camera, best.camera) < WALKED:
             return places
     pitch = line.pitch or LONGEST
     parts = int(np.ceil(pitch / LONGEST))
     if line.pitch is not None and pitch > LONGEST:
         parts = max(parts, 2)  # minima are on facets, some between them
     count = round(2 * np.pi / pitch) * parts
-    cameras = [best.unit]
+    cameras = [best.camera]
     for turn in 2 * np.pi * np.arange(1, count) / count:
         rotation = _rotation(turn * line.axis)
-        cameras.append(_rotated(best.unit, rotation, line.centre - rotation @ line.centre))
+        cameras.append(_rotated(best.camera, rotation, line.centre - rotation @ line.centre))
     surplus = _glances(solver, cameras, _walked_on(solver))
     lower = (surplus <= np.roll(surplus, 1)) & (surplus <= np.roll(surplus, -1))
     lower[0] = False
@@ -371,7 +373,7 @@ def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
         if worse == LIKELY:
             break
     places = _finite(places)
-    solver.walked.append((best.unit, line, places))
+    solver.walked.append((best.camera, line, places))
     return places
 
 
@@ -391,9 +393,9 @@ class _Walk(NamedTuple):
         number = _walked_on(solver)
         if number == solver.finest:
             return cls(solver, number, best.view, np.inf, [])
-        here = solver.glance(best.unit, number)
+        here = solver.glance(best.camera, number)
         worse = here.squares + FAR_TIMES * WALK_TIMES * _variance_on(solver, best, number, here)
-        return cls(solver, number, here, worse, [best.unit])
+        return cls(solver, number, here, worse, [best.camera])
 
     def led_to(self, start: Camera) -> Found | None:
         """Return where a descent leads to, None where it is worse or known."""
@@ -403,10 +405,10 @@ class _Walk(NamedTuple):
         found = solver.descended(start, steps, self.number)
         if not found.view.squares <= self.worse:
             return None
-        if any(separation(solver, found.unit, other) < RETURNED for other in self.known):
+        if any(separation(solver, found.camera, other) < RETURNED for other in self.known):
             return None
-        self.known.append(found.unit)
-        return _descended(solver, found.unit)
+        self.known.append(found.camera)
+        return _descended(solver, found.camera)
 
 
 def _walked_on(solver: Solver) -> int:
@@ -429,7 +431,7 @@ def _variance_on(solver: Solver, best: Found, number: int, view: View) -> float:
 
 def _alike(solver: Solver, best: Found) -> list[Found]:
     """Return where descents lead to from the likeliest cameras that see the facets alike."""
-    cameras = [_rotated(best.unit, *turn) for turn in solver.subject.turns]
+    cameras = [_rotated(best.camera, *turn) for turn in solver.subject.turns]
     surplus = _glances(solver, cameras, solver.finest)
     nearest = [cameras[k] for k in np.argsort(surplus)[:FEW] if np.isfinite(surplus[k])]
     return _finite(_descended(solver, camera) for camera in nearest)
@@ -465,7 +467,7 @@ def _as_good(
     def others(places: list[Found]) -> list[Found]:
         as_good = []
         for place in places:
-            far = separation(solver, place.unit, best.unit)
+            far = separation(solver, place.camera, best.camera)
             # (What the Jacobian foretells so far away is no other place: a descent on its way.)
             foretold = float(LIKE_FORETOLD * (far / sigma) ** 2)
             if far > apart and equal_views(solver, place.view, best.view, min(times, foretold)):
@@ -475,7 +477,7 @@ def _as_good(
     equal = others(seen)
     if exact and 0 < len(equal) < MANY:
         # Each minimum may be exact: how far is it to the next, and how many follow?
-        pitch = min(separation(solver, p.unit, best.unit) for p in equal)
+        pitch = min(separation(solver, p.camera, best.camera) for p in equal)
         for d in directions:
             steps = [s * k * pitch for s in (1, -1) for k in range(1, 2 * MANY)]
             equal = others([*equal, *_strides(solver, best, d, steps)])
@@ -490,7 +492,7 @@ def at(solver: Solver, found: Found, direction: Any) -> Any:
         return direction
     turns = np.array([name.startswith("turn") for name in components(solver.names)])
     move = np.zeros(len(turns))
-    move[turns] = axes_of(found.unit) @ direction.axis * _radian(solver, found)
+    move[turns] = axes_of(found.camera) @ direction.axis * _radian(solver, found)
     return direction._replace(move=move)
 
 
@@ -498,10 +500,10 @@ def _intervals(
     solver: Solver, best: Found, equal: list[Found], directions: list[_Direction]
 ) -> list[Free]:
     """Return how far the directions are free if these places are as good as the best."""
-    turns = [turned_by(best.unit, p.unit) for p in equal]
+    turns = [turned_by(best.camera, p.camera) for p in equal]
     far: list[list[float]] = [[] for _ in directions]
     for place, turn in zip(equal, turns, strict=True):
-        along = [separation(solver, place.unit, best.unit)] * len(directions)
+        along = [separation(solver, place.camera, best.camera)] * len(directions)
         for k, d in enumerate(directions):
             along[k] = along[k] if d.axis is None else float(turn @ d.axis)
         chief = int(np.argmax(np.abs(along)))
@@ -524,7 +526,7 @@ def _intervals(
 def _distinct(solver: Solver, places: list[Found], apart: float) -> list[Found]:
     kept: list[Found] = []
     for place in sorted(places, key=lambda p: _surplus(solver, p.view)):
-        if all(separation(solver, place.unit, k.unit) > apart for k in kept):
+        if all(separation(solver, place.camera, k.camera) > apart for k in kept):
             kept.append(place)
     return kept
 
@@ -562,7 +564,7 @@ def mirrored(solver: Solver, found: Found) -> Iterator[Camera]:
         return
     _, principal = np.linalg.eigh(points.T @ points)
     reach = np.max(points @ DIRECTIONS.T, axis=0)
-    axes = axes_of(found.unit)
+    axes = axes_of(found.camera)
     seen: list[np.ndarray] = []
     for signs in np.array(np.meshgrid(*[[1, -1]] * 3)).reshape(3, 8).T[1:]:
         image = principal @ (signs[:, None] * principal.T)
@@ -574,12 +576,12 @@ def mirrored(solver: Solver, found: Found) -> Iterator[Camera]:
             turned[2] = -turned[2]
         rotation = turned.T @ axes
         seen.append(rotation)
-        yield _rotated(found.unit, rotation, centre - rotation @ centre)
+        yield _rotated(found.camera, rotation, centre - rotation @ centre)
     if solver.subject.revolutions:
         return  # turns about these are walked
     for rotation, shift in solver.subject.turns[:TURNS]:
         if all(np.linalg.norm(rotation - other) > ONE_TURN for other in seen):
-            yield _rotated(found.unit, rotation, shift)
+            yield _rotated(found.camera, rotation, shift)
 
 
 def _rotated(camera: Camera, rotation: np.ndarray, shift: np.ndarray) -> Camera:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera
 from .._files.programs import like
 from .._scene.scene import Ball, Scene
-from .moves import Bounds, Move, units
+from .moves import Bounds, Move, scales
 from .priors import Others, Prior
 from .pyramid import Level, Pyramid
 from .residuals import Load, Pixels, Sums
@@ -55,7 +55,7 @@ class Problem(eqx.Module):
 class View(NamedTuple):
     """What is known at one camera: R of J = QR, Q^T r, sums, load, reported parameters' derivative.
 
-    J is the residuals' derivative by the moves, in the solver's units (`UNIT_PX` pixels): `unit`.
+    J is the residuals' derivative by the moves, in the solver's units (`UNIT_PX` pixels): `scale`.
     Its first rows are those of the touched `pixels`.
     """
 
@@ -64,7 +64,7 @@ class View(NamedTuple):
     sums: Sums
     load: Load
     to_reported: Float[Array, "n n"]
-    unit: Float[Array, "n"]
+    scale: Float[Array, "n"]
     pixels: Pixels
     jacobian: Float[Array, "m n"]
     prior: Any = 0.0
@@ -86,14 +86,14 @@ class View(NamedTuple):
         return self.squares / max(float(self.sums.touched), 1.0)
 
 
-def move(unit: Camera, problem: Problem, level: Level, names: tuple[str, ...]) -> Move:
+def move(camera: Camera, problem: Problem, level: Level, names: tuple[str, ...]) -> Move:
     """Return where moves of a camera start, in the solver's units."""
     about = problem.pivot, problem.radius, problem.bounds
-    return move_about(unit, *about, level.scale, names)
+    return move_about(camera, *about, level.scale, names)
 
 
 def move_about(
-    unit: Camera,
+    camera: Camera,
     pivot: Float[Array, "3"],
     radius: Float[Array, ""],
     bounds: Bounds | None,
@@ -101,10 +101,10 @@ def move_about(
     names: tuple[str, ...],
 ) -> Move:
     """Return `move`'s from what it takes of a problem, and a level's scale."""
-    return Move(unit, pivot, UNIT_PX * units(unit, pivot, radius, scale, names), bounds)
+    return Move(camera, pivot, UNIT_PX * scales(camera, pivot, radius, scale, names), bounds)
 
 
-def like_descended(unit: Camera, level: Level) -> tuple[Camera, Any, Any, View]:
+def like_descended(camera: Camera, level: Level) -> tuple[Camera, Any, Any, View]:
     """Return something of the structure of what `levenberg_marquardt.descended` returns."""
     view = like(View)._replace(sums=like(Sums), load=like(Load))
-    return unit, 0, 0, view._replace(pixels=like(Pixels)._replace(level=level))
+    return camera, 0, 0, view._replace(pixels=like(Pixels)._replace(level=level))

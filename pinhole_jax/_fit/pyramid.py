@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .edges import NearWeights, Weights, alike, within
-from .target import Window, extent_of, shares
+from .target import Window, as_coverage, extent_of
 
 #: Cells of a page (two to so many); pages that are worked on at a time.
 BITS, CACHED = 6, 1 << 12
@@ -170,7 +170,7 @@ class _Image(NamedTuple):
             return cls(image.view(np.uint8), 1.0)
         if image.dtype == np.uint8:
             return cls(image, 255.0)
-        return cls(shares(image), 1.0)
+        return cls(as_coverage(image), 1.0)
 
     def halved(self) -> "_Image":
         """Return means over 2 x 2 blocks from the film's bottom left; 0 is what lies outside."""
@@ -197,7 +197,7 @@ def _weights_of_levels(weight: Weights, number: int) -> list[Weights]:
     if alike(weight) or number == 1:
         return [weight] * number
     whole = weight.image() if isinstance(weight, NearWeights) else weight
-    return [x.values for x in _halvings(_Image(shares(whole), 1.0), number - 1)]
+    return [x.values for x in _halvings(_Image(as_coverage(whole), 1.0), number - 1)]
 
 
 class _Raster(NamedTuple):

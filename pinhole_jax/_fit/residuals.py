@@ -26,10 +26,10 @@ from .._scene.scene import Scene
 from .._silhouette.coverage import Pieces, monotone, piece_counts, split
 from .._silhouette.curve_sets import edge_curves, find, outline_curves
 from .._silhouette.curves import Curves, Segments, piece_flux, placed
-from .._silhouette.marks import Marks, marks, overlaps, turns
+from .._silhouette.marks import Marks, marks, overlaps, winding_jumps
 from .._silhouette.surrounding import surrounding
 from .._silhouette.sweep import ARC, Visible, sweepable
-from .overlapping import MOST, Crowded, Part, resolved, whole
+from .overlapping import MOST, Overlapping, Part, resolved, whole
 from .pyramid import Level, Pyramid, cells_of
 
 MAX_ROWS = 1 << 14
@@ -202,7 +202,7 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
         # (Each column of a table of these would work out all of them anew: 1.3 of a step's 5 ms.)
         pieces = jax.lax.optimization_barrier(pieces)
         cell = jnp.where(pieces.valid, pieces.row * (level.W + 2) + pieces.column + 1, end)
-        sizes = pieces.height, pieces.area, turns(pieces)
+        sizes = pieces.height, pieces.area, winding_jumps(pieces)
         found.append(_Pieces(cell, sweepable(pieces), *sizes, marks(pieces).counters))
         own = jax.lax.stop_gradient(lift)[pieces.curve]
         lifts.append((lift, pieces.curve))
@@ -313,8 +313,8 @@ def _by_pixel(
     origin = jnp.stack([column - 1, cells // (level.W + 2)], axis=-1).astype(height.dtype)
     areas, visible = winding, [part.visible for part in parts]
     if not convex:
-        crowded = Crowded(chosen, first, number, origin, corner)
-        areas, visible = resolved(crowded, swept, order, parts)
+        overlapping = Overlapping(chosen, first, number, origin, corner)
+        areas, visible = resolved(overlapping, swept, order, parts)
     flux = [
         Visible(jnp.zeros(len(seen), jnp.int32), seen).flux(part.lift)
         for seen, part in zip(visible, parts, strict=True)

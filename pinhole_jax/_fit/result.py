@@ -134,7 +134,7 @@ def progress_at(stop: Stop, camera: Camera) -> Progress:
     """Return how far a fit has come at a stop, on the user's film."""
     shrunk = float(stop.level.scale) / camera.H
     W, H = (int(np.ceil(shrunk * x)) for x in (camera.W, camera.H))
-    return Progress(on_film(stop.unit, camera), W, H, stop.steps)
+    return Progress(on_film(stop.camera, camera), W, H, stop.steps)
 
 
 class Known(NamedTuple):
@@ -154,10 +154,10 @@ def report(
     camera: Camera, found: Found, over_all: Sums, names: tuple[str, ...], known: Known
 ) -> Fit:
     """Return what was found, as a user reads it."""
-    unit, view, steps, way, _ = found
-    fitted = on_film(unit, camera)
+    at, view, steps, way, _ = found
+    fitted = on_film(at, camera)
     dtype = np.dtype(camera.e.dtype)
-    triangle, ended = without_ended(view.triangle, unit, names, known.bounds)
+    triangle, ended = without_ended(view.triangle, at, names, known.bounds)
     along = np.asarray(view.along, float)
     sums: Any = jax.tree.map(float, view.sums)
     whole: Any = jax.tree.map(float, over_all)
@@ -183,12 +183,12 @@ def report(
     # (How far a drawn mask's errors reach is in the covariance: no direction is free for that.)
     free = [f for f in known.free if not drawn or np.isinf(f.ahead)]
     moves = [f.move for f in free]
-    blind, weak = weak_directions(triangle, names_of_moves, axes_of(unit), BLIND[dtype], moves)
+    blind, weak = weak_directions(triangle, names_of_moves, axes_of(at), BLIND[dtype], moves)
     weak = (*map(str, free), *weak, *ended)
     turn, about = widest_turn(cov, labels)
     wide_open = bool(turn > UNCERTAIN)
     if wide_open:
-        axis, degrees = in_words(about @ axes_of(unit)), np.rad2deg(turn)
+        axis, degrees = in_words(about @ axes_of(at)), np.rad2deg(turn)
         weak += (f"the turn about the axis {axis} is told to {degrees:.0f} degrees (one sigma)",)
     nearly_free = bool(known.free or weak_moves(triangle, names_of_moves))
     astray = 1 - sums.touched / whole.touched if whole.touched else 0.0
@@ -286,12 +286,12 @@ def widened(
 
 
 def without_ended(
-    triangle: Any, unit: Camera, names: tuple[str, ...], bounds: Bounds | None
+    triangle: Any, camera: Camera, names: tuple[str, ...], bounds: Bounds | None
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return R without the columns of parameters that are held at an end of their bounds, and words
     about them."""
     result = np.array(triangle, float)
-    ended = () if bounds is None else bounds.ended(unit)
+    ended = () if bounds is None else bounds.ended(camera)
     moves = [PARAMETERS[label].components[0].name for label in ended]
     result[:, [components(names).index(move) for move in moves]] = 0
     return result, tuple(f"{label} is held at an end of its bounds" for label in ended)

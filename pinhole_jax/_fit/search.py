@@ -49,8 +49,8 @@ def partly_hidden(
     reach = _reach(scene, ball, goals[0])
     views, axes = _seen(scene, ball, sphere_points(VIEWS), reach)
     hidden = iter(goals[1:])
-    told = [goals[0] if d is None else next(hidden) for d in directions]
-    return [_likely(mask, ball, goal, views, axes, reach) for goal in told]
+    asked = [goals[0] if d is None else next(hidden) for d in directions]
+    return [_likely(mask, ball, goal, views, axes, reach) for goal in asked]
 
 
 def _reach(scene: Scene, ball: Ball, goal: Signature) -> float:

@@ -109,8 +109,8 @@ class Reduced(NamedTuple):
 
 def reduced(view: Any, own: np.ndarray) -> Reduced:
     """Return a view's least squares with its own unknowns eliminated; as of `View`s it takes what
-    has a `triangle`, `along` and `unit`."""
-    columns = np.asarray(view.triangle, float) / np.where(own, 1, np.asarray(view.unit, float))
+    has a `triangle`, `along` and `scale`."""
+    columns = np.asarray(view.triangle, float) / np.where(own, 1, np.asarray(view.scale, float))
     m, k = int(own.sum()), int((~own).sum())
     along = np.asarray(view.along, float)
     r: Any = np.linalg.qr(np.column_stack([columns[:, own], columns[:, ~own], along]), mode="r")
@@ -133,12 +133,12 @@ def others(rests: list[np.ndarray]) -> list[np.ndarray]:
 def joint(view: Any, others: np.ndarray, slope: np.ndarray, own: np.ndarray) -> Any:
     """Return the view with what the others know of the shared unknowns, and with the `slope` of
     all together by these."""
-    unit = np.asarray(view.unit, float)[~own]
+    scale = np.asarray(view.scale, float)[~own]
     more = np.zeros((len(others), len(own)))
-    more[:, ~own] = others * unit
+    more[:, ~own] = others * scale
     triangle: Any = np.linalg.qr(np.concatenate([np.asarray(view.triangle, float), more]), mode="r")
     gradient = np.asarray(view.triangle, float).T @ np.asarray(view.along, float)
-    gradient[~own] = slope * unit
+    gradient[~own] = slope * scale
     along = np.linalg.lstsq(triangle.T, gradient, rcond=None)[0]
     return view._replace(triangle=jnp.asarray(triangle), along=jnp.asarray(along))
 
@@ -151,11 +151,11 @@ def in_few(view: View, rows: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray,
     hardly sees, and with many others it would hardly see anything.
     """
     most = np.linalg.norm(np.asarray(view.triangle, float), 2)
-    told = np.any(rows != 0, axis=0)
-    _, values, directions = np.linalg.svd(rows[:, told], full_matrices=False)
+    seen = np.any(rows != 0, axis=0)
+    _, values, directions = np.linalg.svd(rows[:, seen], full_matrices=False)
     n, k = rows.shape[1], len(values)
     few, left = np.zeros((n, n)), np.zeros(n)
-    few[:k, told] = np.minimum(values, most)[:, None] * directions
+    few[:k, seen] = np.minimum(values, most)[:, None] * directions
     left[:k] = np.linalg.lstsq(few[:k].T, slope, rcond=None)[0]
     return few, left
 

@@ -13,6 +13,7 @@ from .._files import programs
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene
 from .buffers import Asked, Buffers, Levels
+from .capacity import first_capacity
 from .edges import Weights
 from .kinds import Kind, kind_of
 from .moves import Bounds, Move, moved
@@ -30,7 +31,6 @@ from .problem import (
 from .pyramid import LEAST_CELLS, Level
 from .residuals import Capacity
 from .revolution import Revolution
-from .room import first_room
 from .subject import Subject
 from .target import Window, inside_of, object_window
 
@@ -52,7 +52,7 @@ DESCENDED = "pinhole_jax._fit.levenberg_marquardt:descended"
 class Stop(NamedTuple):
     """Where steps on a level ended: the camera (canonical), the level, their number."""
 
-    unit: Camera
+    camera: Camera
     level: Level
     steps: int
 
@@ -62,7 +62,7 @@ class Found(NamedTuple):
     the start (0 steps) on, by levels or (a solver that records) by steps; whether the last steps
     ended by themselves, not at a limit."""
 
-    unit: Camera
+    camera: Camera
     view: View
     steps: tuple[int, ...]
     way: tuple[Stop, ...] = ()
@@ -148,11 +148,11 @@ class Solver:
     ) -> "Solver":
         """Return the solver of a subject and a mask, whose pyramids hold `cells` at least."""
         window, dtype = object_window(target), subject.dtype
-        capacity = first_room(subject.given, inside_of(window.of(target)))
+        capacity = first_capacity(subject.given, inside_of(window.of(target)))
         buffers = Buffers(capacity, window, cells)
         kind = kind_of(window.of(target), window.of(weights), dtype)
         ends = max_steps, last_px(kind, dtype, continued)
-        least = buffers.room_for_cells()
+        least = buffers.least_cells()
         return cls(subject, target, weights, kind, names, *ends, buffers, least, bounds)
 
     def weighed(
@@ -160,7 +160,7 @@ class Solver:
     ) -> "Solver":
         """Return the solver to which pixels count otherwise, and of another mask if one is given;
         of the finest level alone, if that is all that is asked for."""
-        target, least = self.target if target is None else target, self.buffers.room_for_cells()
+        target, least = self.target if target is None else target, self.buffers.least_cells()
         return replace(self, weights=weights, target=target, only_finest=only_finest, least=least)
 
     def beside(self, others: Others) -> "Solver":
@@ -272,17 +272,17 @@ class Solver:
         spread = np.trace(inverse.T @ errors.gradient @ inverse) / np.linalg.matrix_rank(triangle)
         return errors.computed + float(spread) / max(view.touched_misfit, self.kind.least)
 
-    def begin(self, unit: Camera, level: int) -> View:
+    def begin(self, camera: Camera, level: int) -> View:
         """Return the view at a camera while it is being worked out, for `look`: views of several
         solvers are worked out side by side."""
-        self._widen(unit)
-        return self._further(unit, self.levels[level], 0.0, 1, self.capacity)[-1]
+        self._widen(camera)
+        return self._further(camera, self.levels[level], 0.0, 1, self.capacity)[-1]
 
-    def look(self, unit: Camera, level: int, begun: View | None = None) -> View:
+    def look(self, camera: Camera, level: int, begun: View | None = None) -> View:
         """Return the view at a camera (that was `begun` there); capacities get half as much room
         again as it takes."""
         while True:
-            view = self.begin(unit, level) if begun is None else begun
+            view = self.begin(camera, level) if begun is None else begun
             begun = None
             if not self.buffers.grow(view.load):
                 share = float(self.levels[level].scale) / len(self.target)
@@ -296,33 +296,33 @@ class Solver:
         """Weigh a prior by the mean square that a touched pixel's residual errs by, from now on."""
         self.buffers.noise = np.sqrt(max(misfit, np.finfo(self.dtype).eps ** 2))
 
-    def _widen(self, unit: Camera) -> None:
+    def _widen(self, camera: Camera) -> None:
         """Look at the whole film from now on if a camera may show the scene beside the window."""
-        if not self.holds(unit):
+        if not self.holds(camera):
             H, W = self.target.shape
             self.buffers.window = Window(0, 0, W, H)
 
-    def holds(self, unit: Camera) -> bool:
+    def holds(self, camera: Camera) -> bool:
         """Return whether a camera shows nothing of the scene beside the window, as far as a box
         about it tells."""
         H, W = self.target.shape
-        return self.subject.within(self.buffers.window, unit, W, H)
+        return self.subject.within(self.buffers.window, camera, W, H)
 
-    def move(self, unit: Camera, level: int) -> Move:
+    def move(self, camera: Camera, level: int) -> Move:
         """Return where moves of a camera start, in the solver's units."""
-        return move_of(unit, self.problem, self.levels[level], self.names)
+        return move_of(camera, self.problem, self.levels[level], self.names)
 
-    def step(self, unit: Camera, level: int, y: np.ndarray) -> Camera:
+    def step(self, camera: Camera, level: int, y: np.ndarray) -> Camera:
         """Return the camera moved by y (n,) in the solver's units."""
         about = *self.subject.pivot, self.bounds
         y = np.asarray(y, self.dtype)
-        return _step(unit, about, self.levels[level].scale, y, self.names)
+        return _step(camera, about, self.levels[level].scale, y, self.names)
 
     def solve(
         self,
-        unit: Camera,
+        camera: Camera,
         levels: Sequence[int],
-        told: Callable[[Stop], None] | None = None,
+        on_stop: Callable[[Stop], None] | None = None,
         coarse_px: float = COARSE_PX,
         fine_px: float | None = None,
         steps: int | None = None,
@@ -335,47 +335,47 @@ class Solver:
         differentiated by moves of where the last steps began.
         """
         most = min(steps or self.max_steps, self.max_steps)
-        way, taken = [Stop(unit, self.levels[levels[0]], 0)], []
-        self._widen(unit)
+        way, taken = [Stop(camera, self.levels[levels[0]], 0)], []
+        self._widen(camera)
         while True:
             capacity, window, end = self.capacity, self.buffers.window, None
             for number in levels:
                 if self._weighs_prior():
-                    self._heed(self.look(unit, number).touched_misfit)
+                    self._heed(self.look(camera, number).touched_misfit)
                 level = self.levels[number]
                 finest = number == self.finest
                 tolerance = (fine_px or self.fine_px) if finest else coarse_px
-                further, n, path, end = self._further(unit, level, tolerance, most, capacity)
+                further, n, path, end = self._further(camera, level, tolerance, most, capacity)
                 stop = Stop(further, level, int(n))
-                stops = self._each_step(unit, number, stop, path) if self.record else [stop]
+                stops = self._each_step(camera, number, stop, path) if self.record else [stop]
                 way += stops
                 if self._weighs_prior():
                     self._heed(end.touched_misfit)
-                unit = further
+                camera = further
                 taken.append(stop.steps)
-                if told is not None:
+                if on_stop is not None:
                     for passed in stops:
-                        told(passed)
+                        on_stop(passed)
             # (What a descent saw last is differentiated by moves of where it began.)
-            view = self.look(unit, levels[-1], None if looks else end)
+            view = self.look(camera, levels[-1], None if looks else end)
             if (self.capacity, self.buffers.window) == (capacity, window):
-                return Found(unit, view, tuple(taken), tuple(way), taken[-1] < most)
+                return Found(camera, view, tuple(taken), tuple(way), taken[-1] < most)
             # The view outgrew its buffers or window on the way: go on from there with larger ones.
 
-    def glance(self, unit: Camera, number: int = -1) -> View:
+    def glance(self, camera: Camera, number: int = -1) -> View:
         """Return the view on a level (the last), whose overlaps are resolved, in buffers as they
         are: NaN where these are too small."""
-        self._widen(unit)
-        return self._further(unit, self._resolved(number), 0.0, 1, self.capacity)[-1]
+        self._widen(camera)
+        return self._further(camera, self._resolved(number), 0.0, 1, self.capacity)[-1]
 
-    def descended(self, unit: Camera, steps: int, number: int = -1) -> Found:
+    def descended(self, camera: Camera, steps: int, number: int = -1) -> Found:
         """Return what some steps on a level (the last), whose overlaps are resolved, lead to, in
         buffers as they are: NaN where these do not suffice. It has no way, and its view is
         differentiated by moves of the beginning: what is to be reported is to be looked at."""
-        self._widen(unit)
+        self._widen(camera)
         px = FINE_PX[self.dtype] if number in (-1, self.finest) else COARSE_PX
-        unit, n, _, view = self._further(unit, self._resolved(number), px, steps, self.capacity)
-        return Found(unit, view, (int(n),), ended=int(n) < steps)
+        camera, n, _, view = self._further(camera, self._resolved(number), px, steps, self.capacity)
+        return Found(camera, view, (int(n),), ended=int(n) < steps)
 
     def _resolved(self, number: int) -> Level:
         """Return a level on which pixels show the union's coverage, as on the finest: so it is not
@@ -383,20 +383,22 @@ class Solver:
         return self.levels[number]._replace(resolved=np.array(True))
 
     @collector_at_rest()
-    def _further(self, unit: Camera, level: Level, px: float, steps: int, capacity: Capacity):
+    def _further(self, camera: Camera, level: Level, px: float, steps: int, capacity: Capacity):
         """Return `descended`'s from a camera: one program, whether it takes steps or only looks."""
         ends = np.asarray(px, self.dtype), np.asarray(steps, np.int32)
-        given = unit, self.problem, level, *ends, self.names, capacity
-        return programs.call(DESCENDED, given, lambda: like_descended(unit, level))
+        given = camera, self.problem, level, *ends, self.names, capacity
+        return programs.call(DESCENDED, given, lambda: like_descended(camera, level))
 
-    def _each_step(self, unit: Camera, level: int, end: Stop, path: Array) -> list[Stop]:
+    def _each_step(self, camera: Camera, level: int, end: Stop, path: Array) -> list[Stop]:
         """Return where each step of a level ended; those past `RECORDED` together."""
         before = np.asarray(path)[: max(end.steps - 1, 0)]
-        each = [Stop(self.step(unit, level, y), end.level, 1) for y in before]
+        each = [Stop(self.step(camera, level, y), end.level, 1) for y in before]
         return [*each, end._replace(steps=end.steps - len(each))]
 
 
 @eqx.filter_jit
-def _step(unit: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, y: Any, names) -> Camera:
+def _step(
+    camera: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, y: Any, names
+) -> Camera:
     """Return the camera moved by y in the solver's units, about a pivot with a radius."""
-    return moved(move_about(unit, *about, scale, names), y, names)
+    return moved(move_about(camera, *about, scale, names), y, names)

@@ -69,7 +69,7 @@ WORSE, FIRST_STEPS, HOPELESS_AT_FIRST = 4.0, 8, 16.0
 #: Where the focal length is free, a search tries several: this much times the first guess.
 FOCAL_FACTORS = (1.0, 1.5, 0.67)
 
-Told = Callable[[Stop], None]
+OnStop = Callable[[Stop], None]
 
 
 def turns_freely(names: tuple[str, ...]) -> bool:
@@ -77,34 +77,36 @@ def turns_freely(names: tuple[str, ...]) -> bool:
     return "pose" in names
 
 
-def from_start(solver: Solver, mask: Mask, start: Camera, told: Told) -> Places:
+def from_start(solver: Solver, mask: Mask, start: Camera, on_stop: OnStop) -> Places:
     """Return what explains the mask best, the nearest to the start first if several do equally."""
     before = solver.look(start, -1)
     begin = start
     if turns_freely(solver.names) and float(before.sums.overlap) <= POOR * float(before.sums.union):
         over = canonical(aimed(mask, solver.subject.scene, solver.subject.ball))
         begin = min((start, over), key=lambda camera: solver.look(camera, 0).squares)
-    found = solver.solve(begin, range(len(solver.levels)), told)
+    found = solver.solve(begin, range(len(solver.levels)), on_stop)
     if not found.view.squares <= before.squares:
-        found = found._replace(unit=start, view=before, ended=False)  # never worse than the start
-    return looked_round(solver, mask, found, start, told)
+        found = found._replace(camera=start, view=before, ended=False)  # never worse than the start
+    return looked_round(solver, mask, found, start, on_stop)
 
 
 def from_descent(
-    solver: Solver, mask: Mask, start: Camera, before: View, found: Found, told: Told
+    solver: Solver, mask: Mask, start: Camera, before: View, found: Found, on_stop: OnStop
 ) -> Places | None:
     """Return what explains the mask best, as `from_start` does, where the descent from the start
     has been taken elsewhere: what it `found`, and the view `before` it. None where it did not lead
     to less than there was, or shows more than the window."""
-    if not (solver.holds(start) and solver.holds(found.unit)):
+    if not (solver.holds(start) and solver.holds(found.camera)):
         return None
-    found = found._replace(view=solver.look(found.unit, solver.finest, found.view))
+    found = found._replace(view=solver.look(found.camera, solver.finest, found.view))
     if not found.view.squares <= before.squares:
         return None
-    return looked_round(solver, mask, found, start, told)
+    return looked_round(solver, mask, found, start, on_stop)
 
 
-def looked_round(solver: Solver, mask: Mask, found: Found, start: Camera, told: Told) -> Places:
+def looked_round(
+    solver: Solver, mask: Mask, found: Found, start: Camera, on_stop: OnStop
+) -> Places:
     """Return what explains the mask best or as well as what a descent from a start found, the
     nearest to the start first."""
     if not turns_freely(solver.names):
@@ -116,9 +118,11 @@ def looked_round(solver: Solver, mask: Mask, found: Found, start: Camera, told: 
         places = with_others(solver, places, finished(solver, alike))
         content = solver.explains(places.best.view)
     explained = solver.kind.exact and content
-    astray = not explained and angle(places.best.unit, start) > ASTRAY
+    astray = not explained and angle(places.best.camera, start) > ASTRAY
     if astray or not content or is_drawn(solver.errors(places.best.view)):
-        places = _with_the_searched(solver, places, searched(solver, mask, told, rounds=1), start)
+        places = _with_the_searched(
+            solver, places, searched(solver, mask, on_stop, rounds=1), start
+        )
     else:
         places = places._replace(rivals=())  # all of the mask is explained
     return _nearest_first(places, start)
@@ -135,7 +139,7 @@ def _with_the_searched(solver: Solver, places: Places, seen: list[Found], start:
     alike = finished(solver, mirrored(solver, best))
     places = with_others(solver, places, not_copies([*seen, *alike], places.best), free=[])
 
-    near = angle(places.best.unit, start) < NEAR_START
+    near = angle(places.best.camera, start) < NEAR_START
     walked = settled(solver, places.best, start if near else None)
     more = [*places.others, *places.rivals]
     if walked.best is not places.best:
@@ -149,13 +153,13 @@ def _copied(solver: Solver, found: Found, near: Found, start: Camera) -> bool:
     equal = not any(better(solver, *pair) for pair in views)
     known = np.isfinite(near.view.squares)
     return bool(
-        known and equal and angle(near.unit, start) < NEAR_START <= angle(found.unit, start)
+        known and equal and angle(near.camera, start) < NEAR_START <= angle(found.camera, start)
     )
 
 
 def _nearest_first(places: Places, start: Camera) -> Places:
     """Return the places with the one nearest to the start as the best, if it is as good."""
-    best, *others = sorted([places.best, *places.others], key=lambda f: angle(f.unit, start))
+    best, *others = sorted([places.best, *places.others], key=lambda f: angle(f.camera, start))
     return places._replace(best=best, others=others)
 
 
@@ -179,22 +183,22 @@ def with_others(
 
 def _within(places: Places, solver: Solver, found: Found) -> bool:
     """Return whether a camera is the best one but for a move that is free."""
-    turn = turned_by(places.best.unit, found.unit)
+    turn = turned_by(places.best.camera, found.camera)
     far = float(np.linalg.norm(turn))
     for free in places.free:
         along = free.axis is not None and abs(turn @ free.axis) > 0.95 * far
         if along and far <= max(free.behind, free.ahead):
             return True
-    return bool(separation(solver, places.best.unit, found.unit) < SAME)
+    return bool(separation(solver, places.best.camera, found.camera) < SAME)
 
 
-def everywhere(solver: Solver, mask: Mask, told: Told) -> Places:
+def everywhere(solver: Solver, mask: Mask, on_stop: OnStop) -> Places:
     """Return the best camera that a search over all views finds, and what is as good."""
-    found = searched(solver, mask, told, rounds=3)
+    found = searched(solver, mask, on_stop, rounds=3)
     return looked_alike(solver, found[0], found[1:])
 
 
-def searched(solver: Solver, mask: Mask, told: Told, rounds: int) -> list[Found]:
+def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[Found]:
     """Return the cameras that a search over all views leads to, the best first.
 
     Further rounds try guesses that lie closer together, and other focal lengths where that is free,
@@ -209,7 +213,7 @@ def searched(solver: Solver, mask: Mask, told: Told, rounds: int) -> list[Found]
             source = guesses(longer, solver.subject.scene, solver.subject.ball)
         source, likely = tee(source)
         apart = APART / (1 if free else 2**n)
-        found = _one_of_each([*found, *_followed(solver, likely, apart, told)], solver.names)
+        found = _one_of_each([*found, *_followed(solver, likely, apart, on_stop)], solver.names)
         if solver.explains(found[0].view):
             break
     return found
@@ -229,9 +233,9 @@ def finished(solver: Solver, views: Iterable[Camera]) -> list[Found]:
     mirror image, and finer ones do not lead far.)"""
     coarse, *fine = range(max(solver.far - 1, 0), len(solver.levels))
     begun = _finite([solver.solve(view, [coarse], steps=FIRST_STEPS) for view in views])
-    further = lambda f: f if f.ended else onward(f, solver.solve(f.unit, [coarse]))
+    further = lambda f: f if f.ended else onward(f, solver.solve(f.camera, [coarse]))
     found = _likely([further(f) for f in _likely(begun, HOPELESS_AT_FIRST)])
-    return [onward(f, solver.solve(f.unit, fine)) for f in found] if fine else found
+    return [onward(f, solver.solve(f.camera, fine)) for f in found] if fine else found
 
 
 def _likely(found: list[Found], times: float = WORSE) -> list[Found]:
@@ -242,7 +246,9 @@ def _likely(found: list[Found], times: float = WORSE) -> list[Found]:
     return [f for f in found if f is best or f.view.misfit < times * best.view.misfit + EXACT]
 
 
-def _followed(solver: Solver, likely: Iterator[Camera], apart: float, told: Told) -> list[Found]:
+def _followed(
+    solver: Solver, likely: Iterator[Camera], apart: float, on_stop: OnStop
+) -> list[Found]:
     """Return the cameras that the first few guesses, so far apart, lead to."""
     coarsest, *finer = range(len(solver.levels))
     seen: list[Camera] = []
@@ -250,12 +256,12 @@ def _followed(solver: Solver, likely: Iterator[Camera], apart: float, told: Told
     for guess in likely:
         if all(angle(guess, other) > apart for other in seen):
             found.append(solver.solve(canonical(guess), [coarsest], coarse_px=ROUGH_PX))
-            seen += [guess, found[-1].unit]
+            seen += [guess, found[-1].camera]
             if len(found) == TRIED:
                 break
     found = _one_of_each(found, solver.names)[:FOLLOWED]
     for level in finer:
-        found = [onward(f, solver.solve(f.unit, [level], told)) for f in found]
+        found = [onward(f, solver.solve(f.camera, [level], on_stop)) for f in found]
         found = _likely(_one_of_each(found, solver.names))
     return found
 
@@ -278,9 +284,9 @@ def to_the_end(solver: Solver, found: list[Found]) -> list[Found]:
     looked at."""
     px = FINE_PX[solver.dtype]
     if solver.fine_px <= px:
-        look = lambda f: f._replace(view=solver.look(f.unit, solver.finest))
+        look = lambda f: f._replace(view=solver.look(f.camera, solver.finest))
         return [f if f.way else look(f) for f in found]
-    return [onward(f, solver.solve(f.unit, [solver.finest], fine_px=px)) for f in found]
+    return [onward(f, solver.solve(f.camera, [solver.finest], fine_px=px)) for f in found]
 
 
 def without_outliers(
@@ -292,8 +298,8 @@ def without_outliers(
     comes back; where nothing is far away, they are narrow at once. Rivals that are far worse there
     are left out.
     """
-    alike = [(f, f.unit) for f in (places.best, *places.others)]
-    rivals = [(f, f.unit) for f in places.rivals]
+    alike = [(f, f.camera) for f in (places.best, *places.others)]
+    rivals = [(f, f.camera) for f in places.rivals]
     alone, near = _is_alone(mask, places, outlier_px), solver
     for reach in (1,) if alone else (8, 4, 2, 1):
         near = solver.weighed(mask.near_edge(reach * outlier_px), only_finest=True)
@@ -302,24 +308,24 @@ def without_outliers(
         # (Where there are rivals their errors are asked for on the way.)
         looks = bool(rivals) or reach == 1
         finer = lambda f, near=near, px=px, looks=looks: onward(
-            f, near.solve(f.unit, [near.finest], fine_px=px, looks=looks)
+            f, near.solve(f.camera, [near.finest], fine_px=px, looks=looks)
         )
-        alike, rivals = ([(finer(f), unit) for f, unit in x] for x in (alike, rivals))
+        alike, rivals = ([(finer(f), camera) for f, camera in x] for x in (alike, rivals))
         # (Farther out, what covers the object counts against the right one.)
         if rivals and reach <= 2:
             view = alike[0][0].view
             most = HOPELESS * _times(near.errors(view)) * view.squares
-            rivals = [(f, unit) for f, unit in rivals if f.view.squares <= most]
+            rivals = [(f, camera) for f, camera in rivals if f.view.squares <= most]
     result = []
     for f, before in (*alike, *rivals):
         # (A descent that began there, with these weights, does not end higher.)
         others = [] if alone else [before]
-        for unit in others if start is None else [*others, start]:
-            if not near.look(unit, near.finest).squares >= f.view.squares:
+        for camera in others if start is None else [*others, start]:
+            if not near.look(camera, near.finest).squares >= f.view.squares:
                 px = FINE_PX[near.dtype]
-                f = onward(f, near.solve(unit, [near.finest], fine_px=px))
+                f = onward(f, near.solve(camera, [near.finest], fine_px=px))
         result.append(f)
-    return [(f, solver.look(f.unit, solver.finest)) for f in result]
+    return [(f, solver.look(f.camera, solver.finest)) for f in result]
 
 
 def _is_alone(mask: Mask, places: Places, outlier_px: float) -> bool:
@@ -375,8 +381,8 @@ def most_agreeing(
     if start is None:  # the first left the least squares of all pixels: it stands first if it may
         return kept if kept[0] is described[0] else sorted(kept, key=lambda d: d is not closest)
     if not drawn:
-        return sorted(kept, key=lambda d: angle(d[0].unit, start))
-    far = np.array([angle(f.unit, start) for f, _ in kept])
+        return sorted(kept, key=lambda d: angle(d[0].camera, start))
+    far = np.array([angle(f.camera, start) for f, _ in kept])
     agreed = np.array([costs[k] for k in places])
     independent = found.independent if found else 1.0
     return [kept[k] for k in np.argsort(unlikely(agreed, far, independent), kind="stable")]
@@ -392,7 +398,7 @@ def unlikely(
 
 def free_about(solver: Solver, found: Found, places: Places) -> list[Free]:
     """Return what is free about a camera, one of some places or a rival of these."""
-    if separation(solver, found.unit, places.best.unit) > ELSEWHERE:
+    if separation(solver, found.camera, places.best.camera) > ELSEWHERE:
         return settled(solver, found).free
     return places.free
 
@@ -428,7 +434,7 @@ def _one_of_each(found: list[Found], names: tuple[str, ...]) -> list[Found]:
 
 def _same(a: Found, b: Found, names: tuple[str, ...]) -> bool:
     """Return whether two cameras look the same way, but for a turn that changes no pixel of a's."""
-    axes_a, axes_b = (axes_of(f.unit) for f in (a, b))
+    axes_a, axes_b = (axes_of(f.camera) for f in (a, b))
     turn: Any = axes_a.T @ axes_b - np.eye(3)
     free = free_turns(np.asarray(a.view.triangle, float), components(names), axes_a)
     if len(free) > 1:

@@ -9,7 +9,7 @@ from .edges import Weights, crossings, weights_at
 from .problem import View
 from .pyramid import Level
 from .residuals import HIDDEN, Pixels
-from .target import Window, inside_of, shares
+from .target import Window, as_coverage, inside_of
 
 #: About so many stretches. (On 90 masks that err over 2 to 30 px, of three shapes, 95 % intervals
 #: held 94 % of the truths with 48 or 60 stretches, 91 % with 80 or 100.)
@@ -110,9 +110,9 @@ def stretches_of(view: View, target: np.ndarray, weights: Weights) -> Stretches 
     root = np.sqrt(weight)
     rows = np.asarray(view.jacobian, float)[: len(shown)][shown]
     rows /= np.where(root > 0, root, 1)[:, None]
-    pixels, told = outline.summed(), outline.summed(root > 0)
-    length_told = length * told / pixels
-    by_move = outline.means(rows) * (pixels / np.maximum(length_told, 0.5))[:, None]
+    pixels, counted = outline.summed(), outline.summed(root > 0)
+    length_counted = length * counted / pixels
+    by_move = outline.means(rows) * (pixels / np.maximum(length_counted, 0.5))[:, None]
 
     # How much of the outline is in a pixel: what a move covers there for each px.
     of_pixel = by_move[outline.stretch]
@@ -120,12 +120,12 @@ def stretches_of(view: View, target: np.ndarray, weights: Weights) -> Stretches 
     share = outline.summed(weight * np.clip(within, 0, LONGEST_WITHIN) ** 2)
 
     least = LEAST_WEIGHT * np.median(weight[weight > 0])
-    good = (length_told > 0.5) & (outline.summed(weight) > least * pixels)
+    good = (length_counted > 0.5) & (outline.summed(weight) > least * pixels)
     at, length, offset, by_move, share = (
         x[good] for x in (outline.means(place), length, offset, by_move, share)
     )
     inside = np.asarray(view.pixels.coverage, float)[shown]
-    differs = np.abs(inside - shares(mask[tuple(place.T)]))[weight > 0]
+    differs = np.abs(inside - as_coverage(mask[tuple(place.T)]))[weight > 0]
     beyond = int(np.sum(differs > WRONG_SIDE))
     return Stretches(at, length, offset, by_move, share, beyond, len(differs))
 
@@ -331,7 +331,7 @@ def _differing(
         (corner[:, :1] + step)[..., None], (corner[:, 1:] + step)[:, None]
     )
     inside = (row < H) & (column < W)
-    image = shares(target[np.minimum(row, H - 1), np.minimum(column, W - 1)])
+    image = as_coverage(target[np.minimum(row, H - 1), np.minimum(column, W - 1)])
 
     # In each block's row, what it begins with, and what changes in it.
     change = np.zeros((len(corner), side, side + 1), np.int8)

@@ -80,26 +80,26 @@ class Subject:
         """Return the turns that bring most of the mesh's faces to other faces."""
         return turns_of_a_mesh(*self.mesh)
 
-    def within(self, window: Window, unit: Camera, W: int, H: int) -> bool:
+    def within(self, window: Window, camera: Camera, W: int, H: int) -> bool:
         """Return whether a camera (canonical) shows nothing of the scene beside a window of the
         film, as far as a box about the scene tells."""
         if window == (0, 0, W, H):
             return True
-        if unit.lens is not None and unit.lens.distortion is not None:
+        if camera.lens is not None and camera.lens.distortion is not None:
             return False
-        x, y, z = on_film_plane(unit, self.corners).T
+        x, y, z = on_film_plane(camera, self.corners).T
         shown = H * np.stack([x / z, y / z], axis=-1)
         return bool(np.all(z > 0) and window.holds(shown, W, H))
 
 
-def on_film_plane(unit: Camera, points: np.ndarray) -> np.ndarray:
+def on_film_plane(camera: Camera, points: np.ndarray) -> np.ndarray:
     """Return homogeneous film points (n, 3) of a canonical camera, in film heights."""
-    seen = (points - np.asarray(unit.e, float)) @ axes_of(unit).T
-    focal = 0.5 / np.tan(float(unit.phi) / 2)
-    if unit.lens is None:
-        aspect, centre = 1.0, np.array([unit.W / 2 / unit.H, 0.5])
+    seen = (points - np.asarray(camera.e, float)) @ axes_of(camera).T
+    focal = 0.5 / np.tan(float(camera.phi) / 2)
+    if camera.lens is None:
+        aspect, centre = 1.0, np.array([camera.W / 2 / camera.H, 0.5])
     else:
-        aspect, centre = float(unit.lens.aspect), np.asarray(unit.lens.principal_point, float)
+        aspect, centre = float(camera.lens.aspect), np.asarray(camera.lens.principal_point, float)
     scale = np.array([focal * aspect, focal])
     return np.column_stack([seen[:, :2] * scale + centre * seen[:, 2:], seen[:, 2]])
 

@@ -42,7 +42,7 @@ class Window(NamedTuple):
         )
 
 
-def shares(image: np.ndarray) -> np.ndarray:
+def as_coverage(image: np.ndarray) -> np.ndarray:
     """Return an image that passed `check_image` as float64, 255 of uint8 being 1."""
     return image / 255.0 if image.dtype == np.uint8 else np.asarray(image, np.float64)
 
@@ -103,7 +103,7 @@ def check_target(target: Any, weight: Any, W: int, H: int) -> tuple[np.ndarray, 
         if counted.size == 0:
             raise ValueError("`weight`: expected some pixels to count, got 0 everywhere")
         ends = counted.min(), counted.max()
-    low, high = shares(np.array(ends))
+    low, high = as_coverage(np.array(ends))
     if high < 0.5:
         hint = "; give `target > 0` if what is not 0 is the object" if high > 0 else ""
         raise ValueError(
@@ -158,12 +158,12 @@ def levelled(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
     if image.dtype == bool:
         return image
     step = max(int((image.size / SAMPLED) ** 0.5), 1)
-    some = shares(image[::step, ::step])
+    some = as_coverage(image[::step, ::step])
     inside = some > 0.5
     low, high = _median(some, ~inside, 0.0), _median(some, inside, 1.0)
     if max(low, 1 - high) <= LEVEL:
         return image
-    values = shares(image)
+    values = as_coverage(image)
     inside = values > 0.5
     far = (near_an_edge(edge_distance(values), LEVEL_PX) == 0) & (weights > 0)
     low, high = _median(values, far & ~inside, 0.0), _median(values, far & inside, 1.0)

@@ -26,14 +26,14 @@ class Row(NamedTuple):
     words: str
 
 
-class Told(NamedTuple):
+class ParameterTable(NamedTuple):
     """The fitted parameters as they are told, angles in degrees, and their covariance."""
 
     rows: list[Row]
     covariance: Float[np.ndarray, "n n"]
 
 
-def told(fit: Any) -> Told:
+def parameter_table(fit: Any) -> ParameterTable:
     """Return the fitted parameters with their standard errors.
 
     Small turns become pitch, yaw and roll (`heading`), whose covariance is carried along.
@@ -61,13 +61,13 @@ def told(fit: Any) -> Told:
         std = float(np.sqrt(covariance[k, k]))
         own = TURNS.get(name) or name
         rows.append(Row(own, factor * value, std, unit, words))
-    return Told(rows, covariance)
+    return ParameterTable(rows, covariance)
 
 
 def parameter_lines(fit: Any) -> list[str]:
     """Return the lines of a table: parameter, value, one sigma, unit, what it is."""
     lines = [f"{'parameter':<16}{'value':>16}{'one sigma':>14}  unit"]
-    for row in told(fit).rows:
+    for row in parameter_table(fit).rows:
         value = in_digits(row.value, row.std)
         lines.append(
             f"{row.name:<16}{value:>16}{row.std:>14.2g}  {row.unit:<6} {row.words}".rstrip()

@@ -7,7 +7,7 @@ all lead to the right camera. They are told apart here.
 import numpy as np
 
 from .._camera.camera import Camera
-from .._fit.target import check_image, edge_distance, shares
+from .._fit.target import as_coverage, check_image, edge_distance
 from .._scene.scene import Scene, check_view
 from .outline import outline
 
@@ -22,7 +22,7 @@ def disagreement(camera: Camera, scene: Scene, target: np.ndarray) -> tuple[str,
     """Return in words where the outline that a camera sees and a mask (H, W) go apart; nothing
     where they do not."""
     check_view(camera, scene)
-    mask = shares(check_image("target", target, camera.W, camera.H)) > 0.5
+    mask = as_coverage(check_image("target", target, camera.W, camera.H)) > 0.5
     lines = outline(camera, scene)
     if not len(lines) or np.all(mask) or not np.any(mask):
         return ()

@@ -32,8 +32,8 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     check_view(camera, scene)
     scene = astype(scene, camera.e.dtype)
     start, end, weight = _pieces(camera, scene)
-    turned = weight < 0  # cover on the right: the same contour run the other way
-    start[turned], end[turned] = end[turned], start[turned]
+    reversed_ = weight < 0  # cover on the right: the same contour run the other way
+    start[reversed_], end[reversed_] = end[reversed_], start[reversed_]
     weight = np.abs(weight)
     of, first, last = _short_parts(start, end)
     along = (end - start)[of]
@@ -137,8 +137,8 @@ def _pieces(camera: Camera, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.nd
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
         arcs = _arcs(camera, scene.spheres)
         begin, until = (np.arctan2(w[:, 1], w[:, 0]) for w in map(np.asarray, arcs[1:3]))
-        turn = (until - begin) % (2 * np.pi)
-        angle = begin[:, None] + turn[:, None] * np.linspace(1e-6, 1 - 1e-6, 65)
+        sweep = (until - begin) % (2 * np.pi)
+        angle = begin[:, None] + sweep[:, None] * np.linspace(1e-6, 1 - 1e-6, 65)
         w = np.stack([np.cos(angle), np.sin(angle)], axis=-1).astype(arcs.frame.dtype)
         frames = np.broadcast_to(np.asarray(arcs.frame)[:, None], (*angle.shape, 3, 3))
         points = np.asarray(film_at(jnp.asarray(frames), jnp.asarray(w)), float)
@@ -179,10 +179,10 @@ def _meetings(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarra
         one, other = np.nonzero(~apart.any(axis=2))
         one = one + begin
         own, theirs = end[one] - start[one], end[other] - start[other]
-        turn, offset = cross(own, theirs), start[other] - start[one]
-        safe = np.where(turn == 0, 1, turn)
+        sweep, offset = cross(own, theirs), start[other] - start[one]
+        safe = np.where(sweep == 0, 1, sweep)
         t, reach = cross(offset, theirs) / safe, cross(offset, own) / safe
-        met = (turn != 0) & (t > 0) & (t < 1) & (np.abs(reach - 0.5) < 0.5 + 1e-9)
+        met = (sweep != 0) & (t > 0) & (t < 1) & (np.abs(reach - 0.5) < 0.5 + 1e-9)
         lines.append(one[met])
         along.append(t[met])
     return np.concatenate(lines), np.concatenate(along)

@@ -79,14 +79,14 @@ def pulled(build: Build, changing: list, fold: Fold, weigh: Callable) -> list:
     return _each_block(parts, block, jax.tree.map(jnp.zeros_like, changing))
 
 
-def _room(part: Part) -> int:
+def _capacity(part: Part) -> int:
     """Return how many rows a part's table has: whole chunks."""
     chunks = -(-min(BLOCK, part.most or BLOCK) // DIFFERENTIATED)
     return chunks * DIFFERENTIATED
 
 
 def _table(part: Part) -> Float[Array, "rows n 3"]:
-    return jnp.zeros((_room(part), *part.lift.shape[1:]), part.dtype)
+    return jnp.zeros((_capacity(part), *part.lift.shape[1:]), part.dtype)
 
 
 def _row(curve: Int[Array, "P"], first: Int[Array, ""]) -> Int[Array, "P"]:
@@ -97,7 +97,7 @@ def _row(curve: Int[Array, "P"], first: Int[Array, ""]) -> Int[Array, "P"]:
 def _each_chunk(part: Part, first: Array, add: Callable[[Any, Array, Array], Any], start: Any):
     """Return `start` after `add(total, row, ids)` over the curves of a block, from whose first row
     on; past the last of all it is repeated."""
-    end = jnp.minimum(part.total, first + _room(part)) - first
+    end = jnp.minimum(part.total, first + _capacity(part)) - first
 
     def body(state):
         row, total = state

@@ -74,10 +74,12 @@ def mesh_contour(film: FilmMap, mesh: Mesh) -> MeshContour:
     left = jnp.where(reaches_left(film, mesh), contour.segments, 0)
     if film.bend is None:
         return contour._replace(segments=contour.segments + left)
-    bent, edges = bending(film), mesh.edge_faces.shape[0]
+    distorted, edges = bending(film), mesh.edge_faces.shape[0]
 
     def number(rank):
-        return bent.parts(_ideal_segments(film, mesh.vertices, contour, rank, rank < 0), film.px)
+        return distorted.parts(
+            _ideal_segments(film, mesh.vertices, contour, rank, rank < 0), film.px
+        )
 
     parts = cuts(number, contour.segments, edges)
     return contour._replace(segments=parts.total + left, cuts=parts)

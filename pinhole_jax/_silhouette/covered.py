@@ -202,10 +202,10 @@ def worth(
     things: list[Convex],
     winding: Float[Array, "N"],
     layers: Float[Array, "N"],
-    crowded: Bool[Array, "N"],
+    overlapping: Bool[Array, "N"],
 ) -> Bool[Array, ""]:
     """Return whether crowded pixels hold so many layers, one behind the other, that it takes less
     to look for what is covered: where a surface is rough but not folded, no face covers much."""
     number = sum(x.number for x in things)
-    sums = [jnp.sum(jnp.where(crowded, x, 0)) for x in (layers, winding - DEEP)]
+    sums = [jnp.sum(jnp.where(overlapping, x, 0)) for x in (layers, winding - DEEP)]
     return (sums[0] > max(LEAST_LAYERS, number / THINGS_A_LAYER)) & (sums[1] > 0)

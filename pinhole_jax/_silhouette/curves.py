@@ -184,11 +184,11 @@ def piece_flux(
         return arc_flux(lift, _unit(lift, start), _unit(lift, end))
     dx, dy = jnp.moveaxis(end - start, -1, 0)
     steep = jnp.abs(dy) > jnp.abs(dx)
-    share = (edge_shares(lift, steep, start) + edge_shares(lift, steep, end)) / 2
+    share = (edge_fractions(lift, steep, start) + edge_fractions(lift, steep, end)) / 2
     return edge_flux(lift, steep, jnp.where(steep, dy, -dx)[:, None] * share)
 
 
-def edge_shares(
+def edge_fractions(
     lift: Float[Array, "*K 2 3"], steep: Array, point: Float[Array, "*K 2"]
 ) -> Float[Array, "*K 2"]:
     """Return how much a film point of an edge moves with the edge's ends, over their depth.
@@ -203,13 +203,13 @@ def edge_shares(
 
 
 def edge_flux(
-    lift: Float[Array, "*K 2 3"], steep: Array, shares: Float[Array, "*K 2"]
+    lift: Float[Array, "*K 2 3"], steep: Array, fractions: Float[Array, "*K 2"]
 ) -> Float[Array, "*K 2 3"]:
     """Return what area gains by the ends, from the shares' integral over the height of a steep
     edge (then of what lies left of it) or the width of another (what lies below)."""
     line = jnp.cross(lift[..., 0, :], lift[..., 1, :])
     across = jnp.where(steep, line[..., 0], line[..., 1])[..., None]
-    return shares[..., None] * safe_divide(line, across)[..., None, :]
+    return fractions[..., None] * safe_divide(line, across)[..., None, :]
 
 
 def arc_flux(

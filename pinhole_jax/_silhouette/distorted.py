@@ -16,7 +16,7 @@ from .._camera.film import Bend, FilmMap
 from .._numerics.bitset import count_upto
 from .._numerics.running import running_sum
 from .._numerics.safe import dot, norm, safe_divide
-from .curves import Arcs, Segments, edge_shares, ends, film_at, homogeneous, unit_at
+from .curves import Arcs, Segments, edge_fractions, ends, film_at, homogeneous, unit_at
 
 #: How far straight parts may lie from the bent image, in px, and how many one curve may have.
 TOLERANCE_PX = 1e-3
@@ -46,16 +46,16 @@ class Cuts(NamedTuple):
         return curve, ids - before, self.upto[curve] - before
 
 
-def cuts(number: Callable[[Array], Array], total: Int[Array, ""] | int, room: int) -> Cuts:
-    """Return the cuts of curves 0 to `total` - 1 into `number(ids)` parts; `room` is static."""
+def cuts(number: Callable[[Array], Array], total: Int[Array, ""] | int, capacity: int) -> Cuts:
+    """Return the cuts of curves 0 to `total` - 1 into `number(ids)` parts; `capacity` is static."""
 
     def body(state):
         first, counts = state
-        ids = first + jnp.arange(min(COUNTED, room), dtype=jnp.int32)
-        n = jnp.where(ids < total, number(jnp.minimum(ids, room - 1)), 0)
+        ids = first + jnp.arange(min(COUNTED, capacity), dtype=jnp.int32)
+        n = jnp.where(ids < total, number(jnp.minimum(ids, capacity - 1)), 0)
         return first + COUNTED, counts.at[ids].set(n.astype(jnp.int32), mode="drop")
 
-    start = (jnp.int32(0), jnp.zeros(room, jnp.int32))
+    start = (jnp.int32(0), jnp.zeros(capacity, jnp.int32))
     return Cuts(running_sum(jax.lax.while_loop(lambda s: s[0] < total, body, start)[1]))
 
 
@@ -116,12 +116,12 @@ def along(
     segments: Segments, part: Int[Array, "K"], parts: Int[Array, "K"]
 ) -> Float[Array, "K 2 2"]:
     """Return the ends of parts of straight lines; parts that meet agree on where."""
-    share = _shares(part, parts, segments.a.dtype)[..., None]
+    share = _fractions(part, parts, segments.a.dtype)[..., None]
     a, b = segments.a[:, None], segments.b[:, None]
     return jnp.where(share >= 1, b, a + share * (b - a))
 
 
-def _shares(part: Array, parts: Array, dtype) -> Float[Array, "K 2"]:
+def _fractions(part: Array, parts: Array, dtype) -> Float[Array, "K 2"]:
     """Return at which shares of a curve a part begins and ends."""
     number = jnp.stack([part, part + 1], axis=-1).astype(dtype)
     return number / jnp.maximum(parts, 1).astype(dtype)[:, None]
@@ -133,7 +133,7 @@ def following(lift: Float[Array, "K 2 3"], points: Float[Array, "K 2 2"]) -> Flo
     line = jnp.cross(held[:, 0], held[:, 1])
     steep = jnp.abs(line[:, 0]) > jnp.abs(line[:, 1])
     both = jnp.broadcast_to(lift[:, None], (*points.shape[:2], 2, 3))
-    share = edge_shares(jax.lax.stop_gradient(both), jnp.repeat(steep[:, None], 2, 1), points)
+    share = edge_fractions(jax.lax.stop_gradient(both), jnp.repeat(steep[:, None], 2, 1), points)
     offset = both[..., :2] - points[..., None, :] * both[..., 2:]
     move = jnp.sum(share[..., None] * offset, axis=-2)
     return points + (move - jax.lax.stop_gradient(move))
@@ -221,7 +221,7 @@ def arc_part_ends(
     """Return the ends of parts of arcs on the ideal film, which move as the frames do."""
     stretch = _stretch(film, jax.lax.stop_gradient(arcs))
     inner = parts - stretch.beside
-    w = stretch.at(_shares(part, inner, frame.dtype))
+    w = stretch.at(_fractions(part, inner, frame.dtype))
     held = film_at(stretch.frame[:, None], w)
     point = homogeneous(frame[:, None], w)
     z = jax.lax.stop_gradient(point[..., 2:])

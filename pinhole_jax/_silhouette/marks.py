@@ -59,7 +59,7 @@ def overlaps(marks: Marks, winding: Float[Array, "*N"]) -> Bool[Array, "*N"]:
     return (layers > 0) & (chain_layers(marks) != 1) & (winding <= layers)
 
 
-def turns(pieces: Pieces) -> Float[Array, "P"]:
+def winding_jumps(pieces: Pieces) -> Float[Array, "P"]:
     """Return by how much a row's winding number, at its bottom line, jumps at each piece.
 
     Of the pieces of a curve in a row the first counts, if the curve enters the row there.

@@ -28,7 +28,7 @@ from .._numerics.running import running_sum
 from .coverage import Monotone, Pieces, monotone, piece_counts, split
 from .curves import Curves, placed
 from .hidden import all_hidden
-from .marks import drops, turns
+from .marks import drops, winding_jumps
 from .sweep import ARC, STRAIGHT, Cells, Visible, sweep, sweepable
 
 #: So many pieces a cell holds at most that are swept together, and how many such cells are swept
@@ -40,9 +40,9 @@ CUT = 4
 LAST_CUT = {"float32": 4, "float64": 8}
 PIECES = 1024
 #: At least and at most so many pieces can be listed, one for so many curves that there may be.
-LEAST_ROOM, ROOM, CURVES_A_PIECE = 1 << 13, 1 << 15, 2
+LEAST_CAPACITY, CAPACITY, CURVES_A_PIECE = 1 << 13, 1 << 15, 2
 #: Where there may be more pieces than this, cells are looked for whose pieces are all hidden.
-HIDDEN_FROM = LEAST_ROOM
+HIDDEN_FROM = LEAST_CAPACITY
 #: Visible pieces kept for the derivative (where there are more, cells are resolved again).
 KEPT = 1 << 12
 KEPT_AT_A_TIME = 512
@@ -78,7 +78,7 @@ class Part(NamedTuple):
         return jax.eval_shape(self.lifts, jnp.zeros(1, jnp.int32))
 
 
-class Crowded(NamedTuple):
+class Overlapping(NamedTuple):
     """Pixels to be resolved, `total` of them.
 
     `cell(rank)` gives row (from the bottom), column and place of the rank-th, and about how many
@@ -146,11 +146,13 @@ def nothing_kept(part: Part) -> Kept:
 def all_kept(place: Int[Array, "C"], visible: Visible) -> Kept:
     """Return all pieces of cells at `place`, visible or not."""
     place = jnp.broadcast_to(place[:, None], visible.curve.shape).reshape(-1)
-    room = -place.shape[0] % KEPT_AT_A_TIME
+    capacity = -place.shape[0] % KEPT_AT_A_TIME
     flat = Visible(visible.curve.reshape(-1), visible.part.reshape(-1, visible.part.shape[-1]))
-    more = lambda x: jnp.pad(x, [(0, room)] + [(0, 0)] * (x.ndim - 1))
+    more = lambda x: jnp.pad(x, [(0, capacity)] + [(0, 0)] * (x.ndim - 1))
     used = jnp.int32(place.shape[0])
-    return Kept(jnp.pad(place, (0, room), constant_values=NOWHERE), jax.tree.map(more, flat), used)
+    return Kept(
+        jnp.pad(place, (0, capacity), constant_values=NOWHERE), jax.tree.map(more, flat), used
+    )
 
 
 class _Sizes(NamedTuple):
@@ -159,7 +161,7 @@ class _Sizes(NamedTuple):
 
     cells: int
     pieces: int
-    rooms: list[int]
+    capacities: list[int]
 
     @property
     def films(self) -> int:
@@ -169,13 +171,17 @@ class _Sizes(NamedTuple):
     @staticmethod
     def of(parts: list[Part], depth: int) -> "_Sizes":
         """Return what suits a scene: large buffers take time even where they stay empty."""
-        most = sum(part.most or CURVES_A_PIECE * ROOM for part in parts)
-        room = LEAST_ROOM
-        while room < min(most // CURVES_A_PIECE, ROOM):
-            room *= 2
-        cells, pieces = min(max(room // 16, 256), 2048), min(max(room // 8, 512), PIECES)
+        most = sum(part.most or CURVES_A_PIECE * CAPACITY for part in parts)
+        capacity = LEAST_CAPACITY
+        while capacity < min(most // CURVES_A_PIECE, CAPACITY):
+            capacity *= 2
+        cells, pieces = min(max(capacity // 16, 256), 2048), min(max(capacity // 8, 512), PIECES)
         # Few cells are cut twice.
-        return _Sizes(cells, pieces, [room, room, *[max(room // 8, 32)] * (depth - 1)][: depth + 1])
+        return _Sizes(
+            cells,
+            pieces,
+            [capacity, capacity, *[max(capacity // 8, 32)] * (depth - 1)][: depth + 1],
+        )
 
 
 class _Stack(NamedTuple):
@@ -193,7 +199,7 @@ class _Stack(NamedTuple):
     @staticmethod
     def empty(sizes: _Sizes, dtype: Any) -> "_Stack":
         """Return a stack without cells."""
-        depth = len(sizes.rooms) - 1
+        depth = len(sizes.capacities) - 1
         levels = (depth + 1, sizes.cells)
         whole, real = jnp.zeros(levels, jnp.int32), jnp.zeros(levels, dtype)
         origin = jnp.zeros((*levels, 2), dtype)
@@ -233,7 +239,7 @@ class _Lists(NamedTuple):
     @staticmethod
     def empty(sizes: _Sizes, dtype: Any) -> "_Lists":
         """Return lists without pieces."""
-        N = sum(sizes.rooms)
+        N = sum(sizes.capacities)
         whole = lambda n: jnp.zeros(n, jnp.int32)
         return _Lists(jnp.zeros((N, 6), dtype), whole(N), whole(N) - 1, whole(2 * N))
 
@@ -245,7 +251,7 @@ class _Batch(NamedTuple):
     `W`, `bottom` and `top` are what is looked at of the films, `scale` the number of their pixels
     in a pixel. `begin` and `number` tell where in the lists the pieces of each film are (`begin`
     -1: all curves are looked at). `corner` is the winding number at each cell's film's lower left
-    corner, `row` the cell's in the film. The lists of the cells have `room` from `listed` on.
+    corner, `row` the cell's in the film. The lists of the cells have `capacity` from `listed` on.
     `stamp` is the first cell's.
     """
 
@@ -264,7 +270,7 @@ class _Batch(NamedTuple):
     corner: Float[Array, "C"]
     row: Int[Array, "C"]
     listed: Int[Array, ""]
-    room: Int[Array, ""]
+    capacity: Int[Array, ""]
     stamp: Int[Array, ""]
     sizes: _Sizes
 
@@ -272,12 +278,12 @@ class _Batch(NamedTuple):
 class _Sums(NamedTuple):
     """What the pieces of cells add up to: `layers`, `drops`, and by how much the winding number
     changes along a film's left side up to a row (`side`, at the row's first cell), and from there
-    along the row's bottom (`turn`)."""
+    along the row's bottom (`jump`)."""
 
     layers: Float[Array, "C"]
     drop: Float[Array, "C"]
     side: Float[Array, "C"]
-    turn: Float[Array, "C"]
+    jump: Float[Array, "C"]
 
 
 class _Cells(NamedTuple):
@@ -295,7 +301,7 @@ class _Cells(NamedTuple):
 
 def fold_cells(
     parts: list[Part],
-    crowded: Crowded,
+    overlapping: Overlapping,
     W: Any,
     max_H: int,
     base: Int[Array, ""],
@@ -316,12 +322,12 @@ def fold_cells(
         first, stamp, stack, found, lists, total = state
         level = stack.deepest()
         films = W, max_H, base
-        batch, taken, height = _batch(crowded, first, stack, level, films, stamp, sizes)
+        batch, taken, height = _batch(overlapping, first, stack, level, films, stamp, sizes)
         stack = stack._replace(height=stack.height.at[level].set(height))
-        cells, found, lists = _listed(parts, crowded, batch, found, lists)
+        cells, found, lists = _listed(parts, overlapping, batch, found, lists)
 
         there, last = cells.place >= 0, level == depth
-        if sizes.rooms[0] > HIDDEN_FROM and all(part.straight for part in parts):
+        if sizes.capacities[0] > HIDDEN_FROM and all(part.straight for part in parts):
             cells = _without_hidden(cells, lists)
         cut = there & cells.open & (~cells.fits | (cells.number > WIDE)) & ~last
         swept = there & cells.open & cells.fits & (cells.number <= WIDE)
@@ -350,7 +356,7 @@ def fold_cells(
         stack = stack.push(cut, jnp.minimum(level + 1, depth), cells)
         return first + taken, stamp + sizes.cells, stack, found, lists, total
 
-    more = lambda state: (state[0] < crowded.total) | jnp.any(state[2].height > 0)
+    more = lambda state: (state[0] < overlapping.total) | jnp.any(state[2].height > 0)
     zero = jnp.int32(0)
     nothing = tuple(kind.empty(sizes, dtype) for kind in (_Stack, _Found, _Lists))
     return jax.lax.while_loop(more, body, (zero, zero, *nothing, start))[-1]
@@ -385,7 +391,7 @@ def _without_hidden(cells: "_Cells", lists: _Lists) -> "_Cells":
 
 
 def _batch(
-    crowded: Crowded,
+    overlapping: Overlapping,
     first: Array,
     stack: _Stack,
     level: Array,
@@ -396,24 +402,24 @@ def _batch(
     """Return the next cells: parts of the deepest level's that has any, else the next pixels; how
     many pixels are taken, and how high the level's stack is without what is taken."""
     W, max_H, base = film
-    dtype, room = stack.origin.dtype, jnp.asarray(sizes.rooms, jnp.int32)[level]
+    dtype, capacity = stack.origin.dtype, jnp.asarray(sizes.capacities, jnp.int32)[level]
     at_pixels = level == 0
     rank = first + jnp.arange(sizes.cells, dtype=jnp.int32)
-    last = jnp.maximum(crowded.total - 1, 0)
-    row, column, place, layers = crowded.cell(jnp.clip(rank, 0, last))
-    there = rank < crowded.total
-    upto = running_sum(jnp.where(there, jnp.minimum(layers, sizes.rooms[0] + 1), 0))
+    last = jnp.maximum(overlapping.total - 1, 0)
+    row, column, place, layers = overlapping.cell(jnp.clip(rank, 0, last))
+    there = rank < overlapping.total
+    upto = running_sum(jnp.where(there, jnp.minimum(layers, sizes.capacities[0] + 1), 0))
     # (The image's pieces may be rounded otherwise, and be others.)
-    there &= (upto <= room - room // 8) | (rank == first)
+    there &= (upto <= capacity - capacity // 8) | (rank == first)
     pixels = jnp.sum(there, dtype=jnp.int32)
 
-    turn = jnp.arange(sizes.films, dtype=jnp.int32)
-    slot = stack.height[level] - 1 - turn
+    number_asked = jnp.arange(sizes.films, dtype=jnp.int32)
+    slot = stack.height[level] - 1 - number_asked
     own = jnp.maximum(slot, 0)
     begin, number = stack.begin[level, own], stack.number[level, own]
     # As many as there is room for, whatever becomes of their pieces.
-    needed = running_sum(jnp.where(begin < 0, room, jnp.minimum(number, room)))
-    cut = (slot >= 0) & (((2 * CUT - 1) * needed <= room) | (turn == 0))
+    needed = running_sum(jnp.where(begin < 0, capacity, jnp.minimum(number, capacity)))
+    cut = (slot >= 0) & (((2 * CUT - 1) * needed <= capacity) | (number_asked == 0))
     parents = jnp.sum(cut, dtype=jnp.int32)
 
     scale = jnp.asarray(CUT, dtype) ** level.astype(dtype)
@@ -443,8 +449,8 @@ def _batch(
             at_pixels | each(begin < 0), base.astype(dtype), each(stack.corner[level, own])
         ),
         row=row,
-        listed=jnp.asarray(np.cumsum([0, *sizes.rooms[:-1]]), jnp.int32)[level],
-        room=room,
+        listed=jnp.asarray(np.cumsum([0, *sizes.capacities[:-1]]), jnp.int32)[level],
+        capacity=capacity,
         stamp=stamp,
         sizes=sizes,
     )
@@ -529,9 +535,9 @@ class _Found(NamedTuple):
     @staticmethod
     def empty(sizes: _Sizes, dtype: Any) -> "_Found":
         """Return room for pieces."""
-        room = max(sizes.rooms) + sizes.pieces
-        whole = jnp.zeros(room, jnp.int32)
-        return _Found((jnp.zeros(room, dtype),) * 6, whole, whole, jnp.int32(0))
+        capacity = max(sizes.capacities) + sizes.pieces
+        whole = jnp.zeros(capacity, jnp.int32)
+        return _Found((jnp.zeros(capacity, dtype),) * 6, whole, whole, jnp.int32(0))
 
     def append(
         self, cell: Int[Array, "P"], there: Bool[Array, "P"], pieces: Pieces, curve: Array
@@ -546,7 +552,7 @@ class _Found(NamedTuple):
 
 
 def _listed(
-    parts: list[Part], crowded: Crowded, batch: _Batch, found: _Found, lists: _Lists
+    parts: list[Part], overlapping: Overlapping, batch: _Batch, found: _Found, lists: _Lists
 ) -> tuple[_Cells, _Found, _Lists]:
     """Return a batch's cells, and the lists with the pieces of those that have to be resolved.
 
@@ -556,9 +562,9 @@ def _listed(
     none, sizes = jnp.zeros_like(batch.corner), batch.sizes
     sums, found = _Sums(none, none, none, none), found._replace(used=jnp.int32(0))
     for number, part in enumerate(parts):
-        sums, found = _gone_through(number, part, crowded, batch, lists, (sums, found))
+        sums, found = _gone_through(number, part, overlapping, batch, lists, (sums, found))
     cells = _cells(batch, sums)
-    cells = cells._replace(fits=cells.fits & (found.used <= batch.room))
+    cells = cells._replace(fits=cells.fits & (found.used <= batch.capacity))
     listed = cells.open & cells.fits & (cells.place >= 0)
 
     def some(state):
@@ -566,12 +572,12 @@ def _listed(
         cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, sizes.pieces)
         piece = jnp.stack([cut(x) for x in found.piece], axis=-1)
         curve, cell = cut(found.curve), cut(found.cell)
-        turn = first + jnp.arange(sizes.pieces, dtype=jnp.int32)
-        cell = jnp.where(listed[cell] & (turn < found.used), cell, sizes.cells)
+        place = first + jnp.arange(sizes.pieces, dtype=jnp.int32)
+        cell = jnp.where(listed[cell] & (place < found.used), cell, sizes.cells)
         more = _inserted(cells.begin, cell, piece, curve, batch.stamp, (number, lists))
         return first + sizes.pieces, *more
 
-    upto = jnp.where(found.used <= batch.room, found.used, 0)
+    upto = jnp.where(found.used <= batch.capacity, found.used, 0)
     start = jnp.int32(0), cells.number, lists
     _, number, lists = jax.lax.while_loop(lambda s: s[0] < upto, some, start)
     return cells._replace(number=number), found, lists
@@ -579,23 +585,23 @@ def _listed(
 
 def _cells(batch: _Batch, sums: _Sums) -> _Cells:
     """Return a batch's cells, before they have pieces."""
-    side, turn = (x.reshape(-1, CUT, CUT) for x in (sums.side, sums.turn))
+    side, jump = (x.reshape(-1, CUT, CUT) for x in (sums.side, sums.jump))
     # Of all curves those left of a row are known; else the way goes up the film's left side.
     whole = (batch.begin < 0)[:, None]
     left = jnp.where(whole, side[..., 0], jnp.cumsum(side[..., 0], axis=1))
-    change = (left[..., None] + jnp.cumsum(turn, axis=2)).reshape(-1)
+    change = (left[..., None] + jnp.cumsum(jump, axis=2)).reshape(-1)
     # Pixels: along the bottom of each row.
-    upto, index = running_sum(sums.turn), jnp.arange(batch.sizes.cells, dtype=jnp.int32)
+    upto, index = running_sum(sums.jump), jnp.arange(batch.sizes.cells, dtype=jnp.int32)
     starts = jnp.append(True, batch.row[1:] != batch.row[:-1])
     start = jax.lax.cummax(jnp.where(starts, index, 0))
     at_pixels = batch.level == 0
-    corner = batch.corner + jnp.where(at_pixels, upto - (upto - sums.turn)[start], change)
+    corner = batch.corner + jnp.where(at_pixels, upto - (upto - sums.jump)[start], change)
     covered = corner - sums.drop > 0.5
-    most = (batch.room + 1).astype(sums.layers.dtype)
+    most = (batch.capacity + 1).astype(sums.layers.dtype)
     layers = jnp.minimum(sums.layers, most).astype(jnp.int32)
     layers = jnp.where(covered, 0, layers)
     upto = running_sum(layers)
-    begin, fits = batch.listed + upto - layers, upto <= batch.room
+    begin, fits = batch.listed + upto - layers, upto <= batch.capacity
     none = jnp.zeros_like(layers)
     return _Cells(batch.origin, batch.place, corner, layers > 0, begin, fits, none)
 
@@ -641,7 +647,7 @@ def _source(
 def _gone_through(
     number: int,
     part: Part,
-    crowded: Crowded,
+    overlapping: Overlapping,
     batch: _Batch,
     lists: _Lists,
     state: tuple[_Sums, _Found],
@@ -671,7 +677,7 @@ def _gone_through(
             )
             inside = pieces.valid & (pieces.column >= 0) & (pieces.column < batch.W)
             row, column = (jnp.where(inside, x, 0) for x in (pieces.row, pieces.column))
-            rank = crowded.rank(row, column) - batch.first
+            rank = overlapping.rank(row, column) - batch.first
             wanted = (rank >= 0) & (rank < none) & (batch.place[jnp.clip(rank, 0, none - 1)] >= 0)
             pixel = jnp.where(wanted, rank, none)
             child = (film * CUT + row) * CUT + column
@@ -680,7 +686,7 @@ def _gone_through(
             beside = jnp.where(left & ~at_pixels, (film * CUT + pieces.row) * CUT, none)
             # In a row of pixels the next crowded one.
             beyond = jnp.clip(pieces.column + 1, 0, batch.W - 1)
-            later = crowded.below(jnp.where(pieces.valid, pieces.row, 0), beyond) - batch.first
+            later = overlapping.below(jnp.where(pieces.valid, pieces.row, 0), beyond) - batch.first
             there = pieces.valid & (pieces.column < batch.W - 1) & (later < none)
             later = jnp.clip(later, 0, none - 1)
             there &= batch.place[later] >= 0
@@ -727,12 +733,12 @@ def _added(
     """Return the sums with more pieces: in a cell, `beside` a row's first, before the one `after`;
     past the end they are dropped."""
     put = lambda total, at, value: total.at[at].add(value, mode="drop")
-    turn = turns(pieces)
+    jump = winding_jumps(pieces)
     return _Sums(
         put(sums.layers, cell, jnp.abs(pieces.jump)),
         put(sums.drop, cell, drops(pieces)),
-        put(sums.side, beside, turn),
-        put(sums.turn, after, turn),
+        put(sums.side, beside, jump),
+        put(sums.jump, after, jump),
     )
 
 

@@ -31,10 +31,10 @@ from .covered import (
 )
 from .curve_sets import Found, edge_curves, find, joined, outline_curves
 from .curves import piece_flux
-from .marks import Marks, drops, marks, overlaps, turns
+from .marks import Marks, drops, marks, overlaps, winding_jumps
 from .overlaps import (
-    Crowded,
     Kept,
+    Overlapping,
     Part,
     Resolved,
     all_kept,
@@ -116,7 +116,7 @@ class _Pixels(NamedTuple):
     layers of their pieces; for the derivative, what is visible in the crowded ones."""
 
     alone: Bool[Array, "N"]
-    crowded: Selection
+    overlapping: Selection
     layers: Float[Array, "N"]
     kept: list[Kept]
 
@@ -211,7 +211,7 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
         del ids
 
         def add(sums, pieces: Pieces):
-            deltas, marked, turned, dropped = sums
+            deltas, marked, jumped, dropped = sums
             place = lambda k: jnp.where((k >= 0) & (k < W), pieces.row * W + k, H * W)
             own, after = jax.lax.optimization_barrier(
                 (place(pieces.column), place(pieces.column + 1))
@@ -223,45 +223,45 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
                 return deltas, None, None, None
             put = lambda image, value: image.at[own].add(value, mode="drop")
             marked = jax.tree.map(put, marked, marks(pieces))
-            turned = turned.at[after].add(turns(pieces), mode="drop")
-            return deltas, marked, turned, put(dropped, drops(pieces))
+            jumped = jumped.at[after].add(winding_jumps(pieces), mode="drop")
+            return deltas, marked, jumped, put(dropped, drops(pieces))
 
         return fold_pieces(monotone(curves), (W, H, H), add, sums)
 
-    told = still.overlap is not None
+    resolves = still.overlap is not None
     zeros = jnp.zeros(H * W, dtype)
-    marked = Marks(zeros, zeros.astype(jnp.int32)) if told else None
-    sums = (zeros, marked, *((zeros, zeros) if told else (None, None)))
+    marked = Marks(zeros, zeros.astype(jnp.int32)) if resolves else None
+    sums = (zeros, marked, *((zeros, zeros) if resolves else (None, None)))
     for part in parts:
         sums = fold_curves(part, chunk, sums, part.size)
-    deltas, marked, turned, dropped = sums
+    deltas, marked, jumped, dropped = sums
     row_sums = lambda x: running_sum(x.reshape(H, W)).reshape(-1)
     winding = row_sums(deltas) + still.base.astype(dtype)
     none = jnp.zeros(H * W, bool)
     layers = jnp.zeros(0, dtype)
-    covered = crowded = none
+    covered = overlapping = none
     tie = 64 * jnp.finfo(dtype).eps
-    if marked is not None and turned is not None and dropped is not None:
+    if marked is not None and jumped is not None and dropped is not None:
         layers = marked.layers
-        corner = row_sums(turned) + still.base.astype(dtype)
+        corner = row_sums(jumped) + still.base.astype(dtype)
         # Where no curve is, the number is known exactly; sums of areas err with the layers.
         winding = jnp.where(layers == 0, corner, winding)
-        crowded = overlaps(marked, winding)
+        overlapping = overlaps(marked, winding)
         if keep:
             # A contour along the pixel's side, of whose layers the mean does not tell which it
             # bounds.
-            crowded |= (layers > 0) & (jnp.abs(winding - 1) < tie)
+            overlapping |= (layers > 0) & (jnp.abs(winding - 1) < tie)
         covered = corner - dropped > 0.5
-        crowded &= ~covered
+        overlapping &= ~covered
         things = _things(moving, still)
         if things and film.bend is None:
-            dear = worth(things, winding, layers, crowded)
-            covered |= crowded & surely_covered(film, things, dear)
-            crowded &= ~covered
-    alone = ~crowded & ~covered & (winding < 1 + tie)
-    kept = [nothing_kept(part) for part in parts if keep and told]
-    pixels = _Pixels(alone, select(crowded), layers, kept)
-    image = jnp.where(covered, 1, jnp.where(crowded, 0, jnp.clip(winding, 0, 1)))
+            dear = worth(things, winding, layers, overlapping)
+            covered |= overlapping & surely_covered(film, things, dear)
+            overlapping &= ~covered
+    alone = ~overlapping & ~covered & (winding < 1 + tie)
+    kept = [nothing_kept(part) for part in parts if keep and resolves]
+    pixels = _Pixels(alone, select(overlapping), layers, kept)
+    image = jnp.where(covered, 1, jnp.where(overlapping, 0, jnp.clip(winding, 0, 1)))
 
     def add(total, resolved: Resolved):
         image, kept = total
@@ -271,8 +271,8 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
         more = zip(kept, resolved.visible, strict=True)
         return image, [k.append(resolved.place, visible) for k, visible in more]
 
-    if told:
-        args = parts, _crowded(pixels, W), W, H, still.base
+    if resolves:
+        args = parts, _overlapping(pixels, W), W, H, still.base
         image, kept = fold_cells(*args, add, (image, kept), flux=keep)
     return jnp.flip(image.reshape(H, W), axis=0), pixels._replace(kept=kept)
 
@@ -286,8 +286,8 @@ def _top_down(pixel: Int[Array, "P"], film: FilmMap) -> Int[Array, "P"]:
     return jnp.where(row < film.H, (film.H - 1 - 2 * row) * film.W + pixel, pixel)
 
 
-def _crowded(pixels: _Pixels, W: int) -> Crowded:
-    chosen, layers = pixels.crowded, pixels.layers
+def _overlapping(pixels: _Pixels, W: int) -> Overlapping:
+    chosen, layers = pixels.overlapping, pixels.layers
 
     def cell(rank):
         pixel = nth(chosen, rank)
@@ -295,7 +295,7 @@ def _crowded(pixels: _Pixels, W: int) -> Crowded:
         room = jnp.minimum(layers[pixel], np.iinfo(np.int32).max // 2).astype(jnp.int32)
         return row, pixel - row * W, pixel, room
 
-    return Crowded(
+    return Overlapping(
         chosen.total,
         cell,
         lambda row, column: rank_in(chosen, row * W + column),
@@ -353,6 +353,6 @@ def _fold_visible(
     for number, kept in enumerate(pixels.kept):
         kept = kept._replace(used=jnp.where(complete, kept.used, 0))
         start = kept.fold(partial(crowd, number=number), start)
-    crowded = _crowded(pixels, W)
-    crowded = crowded._replace(total=jnp.where(complete, 0, crowded.total))
-    return fold_cells(parts, crowded, W, H, still.base, again, start, flux=True)
+    overlapping = _overlapping(pixels, W)
+    overlapping = overlapping._replace(total=jnp.where(complete, 0, overlapping.total))
+    return fold_cells(parts, overlapping, W, H, still.base, again, start, flux=True)

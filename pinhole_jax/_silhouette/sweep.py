@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from .._numerics.safe import safe_divide
 from .coverage import Pieces
-from .curves import arc_flux, cut_circle, edge_flux, edge_shares, film_at, nodes, unit_at
+from .curves import arc_flux, cut_circle, edge_flux, edge_fractions, film_at, nodes, unit_at
 
 #: So many lanes sweep at a time: where cells are few, each moves on by several stretches.
 LANES = 64
@@ -49,7 +49,7 @@ class Visible(NamedTuple):
         if lift.shape[-2] == 3:
             return self.part.reshape(lift.shape)
         start, end, steep = self.part[..., :2], self.part[..., 2:4], self.part[..., 4] > 0
-        first, last = (edge_shares(lift, steep, point) for point in (start, end))
+        first, last = (edge_fractions(lift, steep, point) for point in (start, end))
         length, moment = self.part[..., 5:6], self.part[..., 6:7]
         return edge_flux(lift, steep, -(length * first + moment * (last - first)))
 
@@ -136,15 +136,17 @@ def sweep(
     one = jnp.ones_like(corner)[:, None]
     if not flux:
         lines = along_x(cells)
-        return _sweep(lines, corner, None if arc is None else _bent(*arc, one, lines), False)[0], []
+        return _sweep(lines, corner, None if arc is None else _curved_of(*arc, one, lines), False)[
+            0
+        ], []
 
     both = lambda a, b: jax.tree.map(lambda x, y: jnp.concatenate([x, y]), a, b)
-    lines, bent = both(along_x(cells), _along_y(cells)), None
+    lines, curved = both(along_x(cells), _along_y(cells)), None
     if arc is not None:
         own, frame = arc
         placed = both(frame, frame[..., jnp.array([1, 0, 2])])
-        bent = _bent(both(own, own), placed, both(one, -one), lines)
-    area, seen = _sweep(lines, both(corner, corner), bent, True)
+        curved = _curved_of(both(own, own), placed, both(one, -one), lines)
+    area, seen = _sweep(lines, both(corner, corner), curved, True)
     C = corner.shape[0]
     flat, upright = (
         jax.tree.map(lambda x, of=of: x[of], seen) for of in (slice(C), slice(C, None))
@@ -192,27 +194,28 @@ def _straight_part(cells: Cells, steep: Array, seen: Array, scale: Array, origin
     return jnp.where(there, jnp.concatenate(parts, axis=-1), 0)
 
 
-class _Bent(NamedTuple):
+class _Curved(NamedTuple):
     """Which of the pieces are arcs, their frames with rows (u, v, 1), and their sense.
 
-    Along the arc's own direction u grows where `grows` is 1, and falls where it is -1; `turn` is 1
+    Along the arc's own direction u grows where `grows` is 1, and falls where it is -1; `orientation`
+    is 1
     where going from u to v is counter-clockwise, else -1.
     """
 
     own: Bool[Array, "C M"]
     frame: Float[Array, "C M 3 3"]
     grows: Float[Array, "C M"]
-    turn: Float[Array, "C 1"]
+    orientation: Float[Array, "C 1"]
 
     def at(self, u: Float[Array, "C"]) -> Float[Array, "C M 2"]:
         """Return the arcs' points of the unit circle at an abscissa."""
         return unit_at(self.frame, 0, jnp.broadcast_to(u[:, None], self.grows.shape), self.grows)
 
 
-def _bent(own: Array, frame: Array, turn: Array, lines: Lines) -> _Bent:
+def _curved_of(own: Array, frame: Array, orientation: Array, lines: Lines) -> _Curved:
     # Going up in v, cover begins (jump > 0) at an arc that runs along u, if u, v are turned so.
-    grows = jnp.where((lines.jump > 0) == (turn > 0), 1, -1).astype(frame.dtype)
-    return _Bent(own, frame, grows, turn)
+    grows = jnp.where((lines.jump > 0) == (orientation > 0), 1, -1).astype(frame.dtype)
+    return _Curved(own, frame, grows, orientation)
 
 
 class _Seen(NamedTuple):
@@ -223,7 +226,7 @@ class _Seen(NamedTuple):
 
 
 def _sweep(
-    lines: Lines, corner: Float[Array, "C"], bent: _Bent | None, flux: bool
+    lines: Lines, corner: Float[Array, "C"], curved: _Curved | None, flux: bool
 ) -> tuple[Float[Array, "C"], _Seen | None]:
     """Return the covered area, and (with `flux`) what of each piece bounds it.
 
@@ -231,9 +234,9 @@ def _sweep(
     """
     C, dtype = len(corner), corner.dtype
     across = jax.tree.map(jnp.transpose, lines)
-    crossings = _straight_crossings(across, None if bent is None else ~bent.own.T)
-    if bent is not None:
-        of_arcs = _arc_crossings(lines, bent).reshape(C, -1).T
+    crossings = _straight_crossings(across, None if curved is None else ~curved.own.T)
+    if curved is not None:
+        of_arcs = _arc_crossings(lines, curved).reshape(C, -1).T
         crossings = jnp.concatenate([crossings, of_arcs])
     lines = across
     # (Put beside the others in one kernel they are worked out several times over.)
@@ -242,8 +245,8 @@ def _sweep(
     strides = max(LANES // C, 1)
     lines = jax.tree.map(lambda x: jnp.tile(x, strides), lines)
     corner = jnp.tile(corner, strides)
-    if bent is not None:
-        bent = jax.tree.map(lambda x: jnp.tile(x, (strides,) + (1,) * (x.ndim - 1)), bent)
+    if curved is not None:
+        curved = jax.tree.map(lambda x: jnp.tile(x, (strides,) + (1,) * (x.ndim - 1)), curved)
 
     index = jnp.arange(len(lines.jump), dtype=jnp.int32)[:, None]
     most = jnp.max(jnp.where(lines.jump != 0, index + 1, 0))
@@ -258,23 +261,25 @@ def _sweep(
         u0, u1 = jnp.concatenate([begin[None], ends[:-1]]).reshape(-1), ends.reshape(-1)
         middle, width = ((u0 + u1) / 2)[None], (u1 - u0)[None]
         active = (lines.u0 <= middle) & (middle < lines.u1)
-        v = _heights(lines, bent, middle)
+        v = _heights(lines, curved, middle)
         jump = jnp.where(active, lines.jump, 0)
         first = corner + jnp.sum(jnp.where(lines.halt < middle, lines.step, 0), axis=0)
         below = first[None] + _sums_below(v, jump, most)
         change = jnp.where(active, _covers(below + jump) - _covers(below), 0)
         top = _covers(first + jnp.sum(jump, axis=0))
         under = v * width
-        if bent is not None:
-            w0, w1 = bent.at(u0), bent.at(u1)
-            q = nodes(bent.frame, w0, w1)
+        if curved is not None:
+            w0, w1 = curved.at(u0), curved.at(u1)
+            q = nodes(curved.frame, w0, w1)
             true = jnp.sum(q.weight * q.point[..., 1] * q.slope[..., 0], axis=-1)
-            visible = bent.own & (change.T != 0) & (width.T > 0)
+            visible = curved.own & (change.T != 0) & (width.T > 0)
             under = jnp.where(visible.T, true.T, under)
             if seen is not None:
                 # An arc has its covered side on its left wherever it is visible.
-                turned = (bent.grows * bent.turn)[..., None, None] * arc_flux(bent.frame, w0, w1)
-                gain = jnp.where(visible[..., None, None], turned, 0)
+                oriented = (curved.grows * curved.orientation)[..., None, None] * arc_flux(
+                    curved.frame, w0, w1
+                )
+                gain = jnp.where(visible[..., None, None], oriented, 0)
                 seen = seen._replace(arcs=seen.arcs + gain)
         area = area + top * width[0] - jnp.sum(under * change, axis=0)
         if seen is not None:
@@ -284,7 +289,7 @@ def _sweep(
         return u, area, seen
 
     shape = lines.u0.shape
-    arcs = None if bent is None else jnp.zeros((*shape[::-1], 3, 3), dtype)
+    arcs = None if curved is None else jnp.zeros((*shape[::-1], 3, 3), dtype)
     nothing = _Seen(jnp.zeros((*shape, 2), dtype), arcs) if flux else None
     start = (jnp.zeros(C, dtype), jnp.zeros_like(corner), nothing)
     _, area, seen = jax.lax.while_loop(lambda s: jnp.any(s[0] < 1), body, start)
@@ -315,15 +320,15 @@ def _sums_below(
     return jax.lax.fori_loop(jnp.int32(0), -(-most // some), add, jnp.zeros_like(v))
 
 
-def _heights(lines: Lines, bent: _Bent | None, u: Float[Array, "1 C"]) -> Float[Array, "M C"]:
+def _heights(lines: Lines, curved: _Curved | None, u: Float[Array, "1 C"]) -> Float[Array, "M C"]:
     """Return the pieces' v at an abscissa; at the nearer end where it is beyond one."""
     t = jnp.clip(safe_divide(u - lines.u0, lines.u1 - lines.u0), 0, 1)
     v = lines.v0 + t * (lines.v1 - lines.v0)
-    if bent is None:
+    if curved is None:
         return v
     low, high = jnp.minimum(lines.v0, lines.v1), jnp.maximum(lines.v0, lines.v1)
-    true = film_at(bent.frame, bent.at(u[0]))[..., 1].T
-    return jnp.where(bent.own.T, jnp.clip(true, low, high), v)
+    true = film_at(curved.frame, curved.at(u[0]))[..., 1].T
+    return jnp.where(curved.own.T, jnp.clip(true, low, high), v)
 
 
 def _covers(layers: Array) -> Array:
@@ -388,14 +393,14 @@ def _turned(x: Shaped[Array, "M C"]) -> Shaped[Array, "K M C"]:
     return again.reshape(K + 1, M + 1, -1)[1:, :M]
 
 
-def _arc_crossings(lines: Lines, bent: _Bent) -> Float[Array, "C M M 2"]:
+def _arc_crossings(lines: Lines, curved: _Curved) -> Float[Array, "C M M 2"]:
     """Return the u at which arcs may cross other pieces; others without harm, or 1.
 
     An arc meets a line where the line cuts its circle, and another arc on a line as well: both
     cones hold the rays whose products with the two axes are in the cosines' ratio.
     """
     low, high, once = _common(lines.u0, lines.u1)
-    own, frame = bent.own, bent.frame
+    own, frame = curved.own, curved.frame
     across = jnp.cross(frame[..., 1, :], frame[..., 2, :])
     # Times a unit ray: 1 on the cone.
     cone = safe_divide(across, jnp.sum(across * frame[..., 0, :], axis=-1)[..., None])

@@ -28,7 +28,7 @@ from .exports import export, plain
 from .session import Session, line_of, save_session, session_from_text
 from .strokes import Loaded, Stroke, guessed, guides_about, guides_of, mask_of, stroke_of
 from .subject import Subject, subject_of
-from .telling import fit_told, mask_told
+from .telling import fit_described, mask_described
 
 #: What the page may ask for.
 ACTIONS = (
@@ -118,8 +118,8 @@ class Bench:
             "formats": list(FORMATS),
             "folder": str(self.folder),
             "view": self.look(),
-            "mask": self._mask_told(),
-            "fit": None if self.result is None else self._fit_told(self.result),
+            "mask": self._mask_described(),
+            "fit": None if self.result is None else self._fit_described(self.result),
         }
 
     def look(self) -> dict[str, Any]:
@@ -201,7 +201,7 @@ class Bench:
 
     def clear(self) -> dict[str, Any]:
         """Drop all that was drawn or loaded."""
-        return self._with(()) if self.work else self._mask_told()
+        return self._with(()) if self.work else self._mask_described()
 
     def load_mask(self, data: str, name: str = "mask") -> dict[str, Any]:
         """Take a mask from a picture's file (in base64)."""
@@ -238,24 +238,30 @@ class Bench:
         start = None if search else self.camera
         known: Any = {"phi": self.camera.phi, "lens": self.camera.lens} if search else {}
         known["photo"] = self.subject.picture if refine else None
-        told = partial(self._on_the_way, push)
+        described = partial(self._on_the_way, push)
         try:
             found = fit_camera(
-                self.subject.scene, self.mask, start, self.free, progress=told, record=True, **known
+                self.subject.scene,
+                self.mask,
+                start,
+                self.free,
+                progress=described,
+                record=True,
+                **known,
             )
         except Stopped:
             raise ValueError("stopped: the camera is where it was") from None
         self._candidates = (found, *found.modes)
         self.result, self.camera = found, found.camera
-        return {"fit": self._fit_told(found), "view": self.look()}
+        return {"fit": self._fit_described(found), "view": self.look()}
 
     def _on_the_way(self, push: Callable[[Any], None] | None, progress: Progress) -> None:
         if self._stopping.is_set():
             raise Stopped
         if push is not None:
-            push(self._stop_told(progress))
+            push(self._stop_described(progress))
 
-    def _stop_told(self, stop: Progress) -> dict[str, Any]:
+    def _stop_described(self, stop: Progress) -> dict[str, Any]:
         return {
             "words": str(stop),
             "camera": camera_numbers(stop.camera),
@@ -266,7 +272,7 @@ class Bench:
         """Return each step of the last fit, from its start."""
         if self.result is None or not self.result.history:
             raise ValueError("nothing was fitted yet")
-        return {"stops": [self._stop_told(stop) for stop in self.result.history]}
+        return {"stops": [self._stop_described(stop) for stop in self.result.history]}
 
     def mode(self, number: Any) -> dict[str, Any]:
         """Take one of the cameras that explain the mask: 0 is the best, others are its modes."""
@@ -276,7 +282,7 @@ class Bench:
         best = self._candidates[0]
         self.result = self._candidates[number]._replace(status=best.status, modes=best.modes)
         self.camera = self.result.camera
-        return {"fit": self._fit_told(self.result), "view": self.look()}
+        return {"fit": self._fit_described(self.result), "view": self.look()}
 
     def restore(self) -> dict[str, Any]:
         """Go back to the camera of the last fit."""
@@ -337,17 +343,17 @@ class Bench:
             del self._guesses[oldest]
         self.work = work
         self.mask = mask_of(work, guess, W, H)
-        return self._mask_told()
+        return self._mask_described()
 
-    def _mask_told(self) -> dict[str, Any]:
-        told = mask_told(self.mask, self.work)
-        return {**told, "can_undo": bool(self._done), "can_redo": bool(self._undone)}
+    def _mask_described(self) -> dict[str, Any]:
+        described = mask_described(self.mask, self.work)
+        return {**described, "can_undo": bool(self._done), "can_redo": bool(self._undone)}
 
-    def _fit_told(self, fit: Fit) -> dict[str, Any]:
-        told = fit_told(fit, self.subject.scene, self.mask)
+    def _fit_described(self, fit: Fit) -> dict[str, Any]:
+        described = fit_described(fit, self.subject.scene, self.mask)
         modes = [m.iou for m in self._candidates] if fit.status != "non_finite" else []
         chosen = [m.camera is fit.camera for m in self._candidates].index(True)
-        return {**told, "modes": modes, "chosen": chosen}
+        return {**described, "modes": modes, "chosen": chosen}
 
 
 def _numbers(name: str, values: Any, count: int) -> list[float]:

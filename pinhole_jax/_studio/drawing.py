@@ -29,7 +29,7 @@ Line = tuple[tuple[float, float], tuple[float, float]]
 def camera_numbers(camera: Camera) -> dict[str, Any]:
     """Return what a shader needs to project points as the camera does, and what sliders show."""
     lens = camera.lens
-    bent = None if lens is None or lens.distortion is None else lens.distortion
+    distortion = None if lens is None or lens.distortion is None else lens.distortion
     where = np.asarray(principal_point(camera), float)
     return {
         "W": camera.W,
@@ -40,8 +40,8 @@ def camera_numbers(camera: Camera) -> dict[str, Any]:
         "principal": where.tolist(),
         "phi_degrees": float(np.rad2deg(float(camera.phi))),
         "aspect": 1.0 if lens is None else float(lens.aspect),
-        "model": None if bent is None else type(bent).__name__,
-        "distortion": {} if bent is None else bent.coefficients(),
+        "model": None if distortion is None else type(distortion).__name__,
+        "distortion": {} if distortion is None else distortion.coefficients(),
     }
 
 
@@ -109,7 +109,7 @@ def grid_lines(camera: Camera) -> list[list[list[float]]]:
             line[:, axis] = where[axis] + spacing * (k - np.round((first + last) / 2))
             line[:, 1 - axis] = along
             lines.append(line)
-    return [part for line in _bent(camera, np.array(lines)) for part in _within(line, camera)]
+    return [part for line in _distorted(camera, np.array(lines)) for part in _within(line, camera)]
 
 
 def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[float]]]:
@@ -121,10 +121,10 @@ def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[floa
     share = np.linspace(0, 1, POINTS)[:, None]
     ideal = _straightened(camera, ends)
     rows = ideal[:, None, 0] * (1 - share) + ideal[:, None, 1] * share
-    return _flipped(_bent(camera, rows), camera).round(2).tolist()
+    return _flipped(_distorted(camera, rows), camera).round(2).tolist()
 
 
-def _bent(camera: Camera, points: np.ndarray) -> np.ndarray:
+def _distorted(camera: Camera, points: np.ndarray) -> np.ndarray:
     """Return where the lens shows ideal film points."""
     lens = bend(camera)
     if lens is None:
@@ -144,8 +144,8 @@ def _straightened(camera: Camera, points: np.ndarray) -> np.ndarray:
 
 def _within(line: np.ndarray, camera: Camera) -> list[list[list[float]]]:
     """Return the parts of a line of points that are on the film or beside it."""
-    room = np.array([camera.W, camera.H]) * 0.1
-    on = np.all((line > -room) & (line < np.array([camera.W, camera.H]) + room), axis=1)
+    margin = np.array([camera.W, camera.H]) * 0.1
+    on = np.all((line > -margin) & (line < np.array([camera.W, camera.H]) + margin), axis=1)
     cuts = np.flatnonzero(np.diff(on.astype(int))) + 1
     parts = np.split(_flipped(line, camera).round(2), cuts)
     return [

@@ -110,18 +110,18 @@ def with_lens(camera: Camera, changes: dict[str, float]) -> Camera:
     lens = camera.lens
     centred = np.array([camera.W / 2, camera.H / 2])
     where = centred if lens is None else np.asarray(lens.principal_point, float)
-    bent: Distortion = (lens.distortion if lens is not None else None) or BrownConrady()
+    distortion: Distortion = (lens.distortion if lens is not None else None) or BrownConrady()
     values = {
         "principal_x": where[0],
         "principal_y": where[1],
         "aspect": 1.0 if lens is None else float(lens.aspect),
-        **bent.coefficients(),
+        **distortion.coefficients(),
     }
     if unknown := sorted(changes.keys() - values.keys()):
         raise ValueError(f"`lens`: expected some of {', '.join(values)}, got {', '.join(unknown)}")
     values.update(changes)
-    names = [field.name for field in fields(bent)]
-    new: Any = type(bent)(**{name: values[name] for name in names})
+    names = [field.name for field in fields(distortion)]
+    new: Any = type(distortion)(**{name: values[name] for name in names})
     if not any(values[name] for name in names):
         new = None
     where, aspect = np.array([values["principal_x"], values["principal_y"]]), values["aspect"]

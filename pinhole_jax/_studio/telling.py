@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from .._fit.result import Fit
-from .._fit.words import STATUSES, in_digits, told
+from .._fit.words import STATUSES, in_digits, parameter_table
 from .._scene.scene import Scene
 from ..formats import object_pose
 from ..plot import disagreement
@@ -13,7 +13,7 @@ from .drawing import band_of
 from .strokes import Work, guides_of, png_of
 
 
-def mask_told(mask: np.ndarray | None, work: Work) -> dict[str, Any]:
+def mask_described(mask: np.ndarray | None, work: Work) -> dict[str, Any]:
     """Return the mask as a picture, how much of the photo it is, and what it was guessed from."""
     return {
         "png": None if mask is None else png_of(mask),
@@ -22,7 +22,7 @@ def mask_told(mask: np.ndarray | None, work: Work) -> dict[str, Any]:
     }
 
 
-def fit_told(fit: Fit, scene: Scene, mask: np.ndarray | None) -> dict[str, Any]:
+def fit_described(fit: Fit, scene: Scene, mask: np.ndarray | None) -> dict[str, Any]:
     """Return a fit: its status, table and notes, its outline's band, K, R and t."""
     status = {"status": fit.status, "meaning": STATUSES[fit.status]}
     if fit.status == "non_finite":
@@ -49,5 +49,5 @@ def _rows(fit: Fit) -> list[list[str]]:
             row.unit,
             row.words,
         ]
-        for row in told(fit).rows
+        for row in parameter_table(fit).rows
     ]

@@ -96,7 +96,7 @@ def beams(
     axis: Int[Array, "packets"],
 ) -> Beams:
     """Return the beams of packets whose rays all run along an axis, all the same way."""
-    along = turned(parts(direction), axis[:, None], jnp.ones((), direction.dtype))[2]
+    along = permuted(parts(direction), axis[:, None], jnp.ones((), direction.dtype))[2]
     tiny = jnp.finfo(direction.dtype).tiny
     slope = direction / jnp.maximum(jnp.abs(along), tiny)[..., None]
     sign = jnp.where(along[:, :1] < 0, -1, 1).astype(direction.dtype)
@@ -104,7 +104,7 @@ def beams(
     return Beams(jnp.concatenate([*bounds, sign, axis[:, None].astype(direction.dtype)], axis=1))
 
 
-def turned(vector: Parts, axis: Array, sign: Array | int) -> tuple[Array, Array, Array]:
+def permuted(vector: Parts, axis: Array, sign: Array | int) -> tuple[Array, Array, Array]:
     """Return the components, turned so that `axis` comes last, and that one times `sign`."""
     x, y, z = vector
     pick = lambda a, b, c: jnp.where(axis == 0, a, jnp.where(axis == 1, b, c))
@@ -160,7 +160,7 @@ class Reached(NamedTuple):
     number: Int[Array, ""]
 
 
-def room(tree: Tree) -> int:
+def capacity(tree: Tree) -> int:
     """Return how many pairs `reach` has room for: always enough for one packet."""
     return max(tree.primitive.shape[0], 128 * BLOCK)
 
@@ -172,16 +172,16 @@ def node_bits(tree: Tree) -> int:
 
 def new_buffer(tree: Tree) -> Int[Array, "buffer"]:
     """Return room for `reach` to work in; what is in it does not matter."""
-    return jnp.zeros(2 * (room(tree) + 2 * BLOCK), jnp.int32)
+    return jnp.zeros(2 * (capacity(tree) + 2 * BLOCK), jnp.int32)
 
 
 def reach(tree: Tree, beams: Beams, wanted: Bool[Array, "packets"], buffer: Array) -> Reached:
     """Return the leaves that the wanted packets' beams may meet, by packet.
 
     The list goes down the tree a level at a time, between the two halves of the buffer. It stops
-    where it outgrows its room: then `number` is above `room` and fewer packets must be asked for.
+    where it outgrows its room: then `number` is above `capacity` and fewer packets must be asked for.
     """
-    bits, limit, half = node_bits(tree), room(tree), buffer.shape[0] // 2
+    bits, limit, half = node_bits(tree), capacity(tree), buffer.shape[0] // 2
     root = (jnp.arange(wanted.shape[0], dtype=jnp.int32) << bits) | 1
     first, count = packed(wanted, root)
     buffer = jax.lax.dynamic_update_slice(buffer, first, (0,))

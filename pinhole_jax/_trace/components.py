@@ -38,8 +38,8 @@ def inner(a: Parts, b: Parts) -> Array:
 
 def outer(a: Parts, b: Parts) -> list[Array]:
     """Return the cross product."""
-    turns = ((1, 2), (2, 0), (0, 1))
-    return [a[i] * b[j] - a[j] * b[i] for i, j in turns]
+    cycle = ((1, 2), (2, 0), (0, 1))
+    return [a[i] * b[j] - a[j] * b[i] for i, j in cycle]
 
 
 def largest(*vectors: Parts) -> Array:

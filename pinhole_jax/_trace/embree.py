@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._numerics.batches import in_turn
-from .bvh import Tree, packed, turned
+from .bvh import Tree, packed, permuted
 from .components import largest, parts
 from .packets import RAYS, Vectors, axes_of, one_by_one
 
@@ -127,13 +127,13 @@ def _well_within(
     mesh: Faces, origin: Vectors, direction: Vectors, axis: Int[Array, "N"], face: Int[Array, "N"]
 ) -> Bool[Array, "N"]:
     """Return whether rays pass well within the faces and well ahead of their origins."""
-    x, y, z = turned(parts(direction), axis, 1)
+    x, y, z = permuted(parts(direction), axis, 1)
     index = jnp.maximum(face, 0)
     seen = []
     for k in range(3):
         corner = mesh.faces[index, k]
         offset = [mesh.vertices[corner, i] - origin[:, i] for i in range(3)]
-        u, v, w = turned(offset, axis, 1)
+        u, v, w = permuted(offset, axis, 1)
         seen.append((u - x / z * w, v - y / z * w, w / z))
     p, q, r = seen
     areas, well = [], True

@@ -145,13 +145,13 @@ def ray_sphere(
     along = dot(offset, direction)
     aside = offset - along[..., None] * direction
     distance = safe_sqrt(dot(aside, aside))
-    room = (radius - distance) * (radius + distance)
-    root = safe_sqrt(room)
+    half_chord_squared = (radius - distance) * (radius + distance)
+    root = safe_sqrt(half_chord_squared)
     far = along + jnp.where(along < 0, -root, root)  # the root of larger magnitude
     length = safe_sqrt(dot(offset, offset))
     near = safe_divide((length - radius) * (length + radius), far)
     near = jnp.where(root > 0, near, far)  # a ray that touches: the same derivative, too
     least, most = jnp.minimum(near, far), jnp.maximum(near, far)
     t = jnp.where(least > 0, least, most)
-    met = (room >= 0) & (t > 0)
+    met = (half_chord_squared >= 0) & (t > 0)
     return Meeting(jnp.where(met, t, jnp.inf), jnp.zeros((*t.shape, 3), t.dtype))

@@ -13,7 +13,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Num
 
 from .._numerics.batches import in_turn
-from .bvh import Beams, Reached, Tree, beams, new_buffer, node_bits, packed, reach, room, turned
+from .bvh import (
+    Beams,
+    Reached,
+    Tree,
+    beams,
+    capacity,
+    new_buffer,
+    node_bits,
+    packed,
+    permuted,
+    reach,
+)
 from .components import Parts, parts
 from .intersect import sphere_depth, triangle_depth
 
@@ -163,7 +174,7 @@ def _search(
             take, o, d = jnp.repeat(take, RAYS), o.reshape(-1, 1, 3), d.reshape(-1, 1, 3)
         bounds = beams(o, d, along.reshape(-1) if split else along[:, 0])
         found = reach(tree, bounds, take, buffer)
-        full = found.number > room(tree)
+        full = found.number > capacity(tree)
         hits = _closest(tree, o, d, bounds, found._replace(number=jnp.where(full, 0, found.number)))
         met = met.at[jnp.where(full, total, row)].set(hits.reshape(size, RAYS))
         start, step = jnp.where(full, start, start + step), jnp.where(full, step // 2, step)
@@ -182,8 +193,8 @@ def _closest(tree: Tree, origin, direction, bounds: Beams, found: Reached) -> In
     leaves, order = jax.lax.sort(
         (first[:-1] - first[1:], jnp.arange(n, dtype=jnp.int32)), num_keys=1
     )
-    turn = partial(turned, axis=bounds.axis[:, None], sign=bounds.sign[:, None])
-    o, d = turn(parts(origin)), turn(parts(direction))
+    permute = partial(permuted, axis=bounds.axis[:, None], sign=bounds.sign[:, None])
+    o, d = permute(parts(origin)), permute(parts(direction))
     columns = jnp.stack([*o, d[0] / d[2], d[1] / d[2]], axis=1)
 
     def group(state):
@@ -219,9 +230,9 @@ def _loader(tree: Tree, found: Reached, first, number, axis, sign) -> Callable:
     """
     bits = node_bits(tree)
     _, columns, slots = tree.data.shape
-    turn = jnp.stack(turned([jnp.int32(k) for k in range(3)], axis, 1))  # (3, lanes)
+    order = jnp.stack(permuted([jnp.int32(k) for k in range(3)], axis, 1))  # (3, lanes)
     whole = columns // 3
-    column = (3 * jnp.arange(whole, dtype=jnp.int32)[:, None, None] + turn[None]).reshape(
+    column = (3 * jnp.arange(whole, dtype=jnp.int32)[:, None, None] + order[None]).reshape(
         3 * whole, -1
     )
     factor = jnp.tile(jnp.stack([jnp.ones_like(sign), jnp.ones_like(sign), sign]), (whole, 1))

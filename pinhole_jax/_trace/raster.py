@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from .._camera.camera import Camera, camera_basis, focal_px, principal_point
 from .._numerics.batches import in_turn
 from .._numerics.running import running_sum
-from .bvh import packed, turned
+from .bvh import packed, permuted
 from .components import Parts, parts
 from .intersect import triangle_depth
 from .packets import axes_of, in_packets, out_of_packets
@@ -103,7 +103,7 @@ def first_seen(
         now, image = state
         mine = kind == now
         sign = jnp.where(now % 2 == 1, -1, 1).astype(offset.dtype)
-        seen = turned(parts(offset), now // 2, sign)
+        seen = permuted(parts(offset), now // 2, sign)
         rays = [jnp.where(mine, x, jnp.nan).reshape(-1) for x in slopes]
         image = _drawn(_within(boxes, mine), faces, seen, rays, image, W)
         return jnp.min(jnp.where(kind > now, kind, KINDS)), image
@@ -125,7 +125,7 @@ def _kinds(view: View, direction: Parts) -> tuple[Array, tuple[Array, Array]]:
     backwards, and its two slopes there; of rays that can meet nothing `KINDS`."""
     axis, _ = axes_of([in_packets(x) for x in direction])
     axis = out_of_packets(axis, direction[0].shape)
-    x, y, z = turned(direction, axis, 1)
+    x, y, z = permuted(direction, axis, 1)
     sign = jnp.where(z < 0, -1, 1).astype(z.dtype)
     kind = 2 * axis + (z < 0).astype(jnp.int32)
     real = jnp.all(jnp.any(view.axes != 0, axis=1)) & (jnp.abs(z) > 0) & jnp.isfinite(x + y + z)

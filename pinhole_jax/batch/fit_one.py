@@ -172,12 +172,14 @@ def _of_K(record: Record, W: int, H: int) -> Any:
     pose = np.eye(4)
     if "start" in record:
         pose = _numbers("start", record["start"], (16,)).reshape(4, 4)
-    bent = None
+    distortion = None
     if "dist" in record:
         dist = _numbers("dist", record["dist"], (4, 5, 8))
-        bent = (Rational if len(dist) == 8 else BrownConrady)(*dist.tolist())
+        distortion = (Rational if len(dist) == 8 else BrownConrady)(*dist.tolist())
     centres = asked(record, "pixel_centres")
-    return from_opencv(K, pose[:3, :3], pose[:3, 3], W, H, pixel_centres=centres, distortion=bent)
+    return from_opencv(
+        K, pose[:3, :3], pose[:3, 3], W, H, pixel_centres=centres, distortion=distortion
+    )
 
 
 def _matrix(fx: float, fy: float, cx: float, cy: float) -> Any:

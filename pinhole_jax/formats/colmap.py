@@ -133,8 +133,10 @@ def _camera(intrinsics: Fields, pose: Fields) -> Camera:
     plain = {"f", "fx", "fy", "cx", "cy", "WIDTH", "HEIGHT"}
     fisheye = bool(number("FISHEYE"))
     plain.add("FISHEYE")
-    bent = {name: number(name) for name in intrinsics.data if name not in plain}
-    distortion = model_of(bent, intrinsics, (Fisheye,) if fisheye else (BrownConrady, Rational))
+    distorted = {name: number(name) for name in intrinsics.data if name not in plain}
+    distortion = model_of(
+        distorted, intrinsics, (Fisheye,) if fisheye else (BrownConrady, Rational)
+    )
     q = pose.array("QUATERNION", (4,))
     if not is_unit(q):
         raise pose.wrong("QUATERNION", "one of length 1", q)
@@ -336,7 +338,7 @@ class View(NamedTuple):
 
 
 def _view(camera: Camera) -> View:
-    view, distortion = pinhole(camera, bent=True), distortion_of(camera)
+    view, distortion = pinhole(camera, distorted=True), distortion_of(camera)
     number = 5 if isinstance(distortion, Fisheye) else 1
     if isinstance(distortion, BrownConrady):
         number = 6 if float(distortion.k3) else 4

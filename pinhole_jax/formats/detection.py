@@ -157,9 +157,9 @@ def _poses(pose: Numbers) -> Iterator[tuple[str, str, np.ndarray]]:
     given = rigid(matrix.T if rows else matrix, fields, "pose")
     readings = [(", row vectors" if rows else "", given)]
     if not rows:  # R of row vectors beside a translation: [R | t] of PyTorch3D's R and T
-        turned = given.copy()
-        turned[:3, :3] = given[:3, :3].T
-        readings.append((", rotation for row vectors", turned))
+        transposed = given.copy()
+        transposed[:3, :3] = given[:3, :3].T
+        readings.append((", rotation for row vectors", transposed))
     for (words, transform), (axes, columns) in product(readings, AXES.items()):
         frame = np.eye(4)
         frame[:3, :3] = columns.T

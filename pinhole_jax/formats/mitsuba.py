@@ -224,8 +224,8 @@ def _step(element: ET.Element, defaults: Mapping[str, str], where: str) -> np.nd
         angle = _number("angle", _filled(element, "angle", defaults, where), where)
         if not np.any(axis):
             raise ValueError(f"`rotate`: expected an axis, got none (in {where})")
-        turn = np.deg2rad(angle) * axis / np.linalg.norm(axis)
-        matrix[:3, :3] = matrix_of_vector(turn)
+        rotation = np.deg2rad(angle) * axis / np.linalg.norm(axis)
+        matrix[:3, :3] = matrix_of_vector(rotation)
     elif kind == "translate":
         matrix[:3, 3] = _xyz(element, 0.0, defaults, where)
     elif kind == "scale":

@@ -107,10 +107,10 @@ def _numbers_and_lens(data: Any) -> tuple[Any, ...]:
 
 def _phi(data: dict[str, Any]) -> Any:
     """Return a file's field of view (rad), None where it has none; degrees stand for radians."""
-    phi, told = data.get("phi"), data.get("phi_degrees")
-    if told is None:
+    phi, given = data.get("phi"), data.get("phi_degrees")
+    if given is None:
         return phi
-    (degrees,) = _told({"phi_degrees": told}, "phi_degrees", 1)
+    (degrees,) = _given({"phi_degrees": given}, "phi_degrees", 1)
     if "phi" not in data:
         return float(np.deg2rad(degrees))
     if (
@@ -148,17 +148,17 @@ def _check_pose(camera: Camera, pose: Any) -> None:
     }
     for name in own.keys() & pose.keys():
         value, scale, source = own[name]
-        told = _told(pose, name, len(value))
+        given = _given(pose, name, len(value))
         with np.errstate(over="ignore"):
-            same = np.all(np.abs(told - value) <= SAME * scale)
+            same = np.all(np.abs(given - value) <= SAME * scale)
         if not same:
             raise ValueError(
-                f"`pose`: expected {name} = {short(value)}, as {source} say, got {short(told)};"
+                f"`pose`: expected {name} = {short(value)}, as {source} say, got {short(given)};"
                 " leave out what is not meant (`pose` may be left out)"
             )
 
 
-def _told(data: dict[str, Any], name: str, count: int) -> np.ndarray:
+def _given(data: dict[str, Any], name: str, count: int) -> np.ndarray:
     """Return a field's numbers (count,), or raise ValueError where it has others."""
     value = data[name]
     numbers = value if isinstance(value, list) else [value]
@@ -192,15 +192,15 @@ def _lens_from_dict(data: Any) -> Lens:
         raise ValueError(f"`lens`: expected principal_point and aspect, got {data!r}")
     if unknown := sorted(set(data) - {"principal_point", "aspect", "distortion"}):
         raise ValueError(f"`lens`: expected principal_point and aspect, got also {unknown}")
-    bent = data.get("distortion")
-    if bent is not None:
-        model = MODELS.get(str(bent.get("model"))) if isinstance(bent, dict) else None
+    distortion = data.get("distortion")
+    if distortion is not None:
+        model = MODELS.get(str(distortion.get("model"))) if isinstance(distortion, dict) else None
         names = {field.name for field in fields(model)} if model else set()
-        if model is None or set(bent) - names - {"model"}:
+        if model is None or set(distortion) - names - {"model"}:
             words = f"a model ({', '.join(MODELS)}) and its coefficients"
-            raise ValueError(f"`distortion`: expected {words}, got {bent!r}")
-        bent = model(**{name: bent[name] for name in bent if name != "model"})
-    return Lens(data["principal_point"], data.get("aspect", 1.0), bent)
+            raise ValueError(f"`distortion`: expected {words}, got {distortion!r}")
+        distortion = model(**{name: distortion[name] for name in distortion if name != "model"})
+    return Lens(data["principal_point"], data.get("aspect", 1.0), distortion)
 
 
 def save_camera(path: str | os.PathLike[str], camera: Camera, **more: Any) -> None:

@@ -95,12 +95,12 @@ def _intrinsics(fields: Fields, size: Size | None) -> Pinhole:
 
 
 def _numbers(camera: Camera) -> dict[str, float | int]:
-    view, distortion = pinhole(camera, bent=True), distortion_of(camera)
+    view, distortion = pinhole(camera, distorted=True), distortion_of(camera)
     if isinstance(distortion, Rational):  # k4 here is another term of the numerator
         raise ValueError("`cameras`: expected OpenCV's k1, k2, p1, p2, k3, got a Rational")
-    bent = {} if distortion is None else distortion.coefficients()
+    distorted = {} if distortion is None else distortion.coefficients()
     return {
-        **bent,
+        **distorted,
         "w": view.W,
         "h": view.H,
         "fl_x": view.fx,

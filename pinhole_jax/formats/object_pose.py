@@ -66,7 +66,7 @@ class ObjectPose(NamedTuple):
                 *_lines("", self.world_from_camera[:3]),
                 f"intrinsics, px; the first pixel's centre is {first}",
                 *_lines("K", self.K),
-                *_bent(self.distortion),
+                *_distorted(self.distortion),
             ]
         )
 
@@ -113,7 +113,7 @@ def _rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def _bent(distortion: Distortion | None) -> list[str]:
+def _distorted(distortion: Distortion | None) -> list[str]:
     """Return a lens's distortion as a line, nothing if it has none."""
     if distortion is None:
         return []

@@ -71,9 +71,9 @@ def read_opencv(
     W, H = fields.size("image_width", "image_height", size)
     view = Pinhole(K[0, 0], K[1, 1], K[0, 2] + half, K[1, 2] + half, W, H)
     poses = _poses(fields)
-    names, bent = _names(fields, len(poses)), _distortion(fields)
+    names, distortion = _names(fields, len(poses)), _distortion(fields)
     return {
-        name: camera_of(view, inverse(pose), OPENCV, fields, bent)
+        name: camera_of(view, inverse(pose), OPENCV, fields, distortion)
         for name, pose in zip(names, poses, strict=True)
     }
 
@@ -91,10 +91,10 @@ def write_opencv(
     matrices = [to_opencv(camera, pixel_centres=pixel_centres) for camera in cameras.values()]
     sizes = [(camera.W, camera.H) for camera in cameras.values()]
     models = [distortion_of(camera) for camera in cameras.values()]
-    bent = [{} if m is None else {type(m).__name__: m.coefficients()} for m in models]
+    distortion = [{} if m is None else {type(m).__name__: m.coefficients()} for m in models]
     K = matrices[0][0]
-    for name, size, (other, _, _), own in zip(cameras, sizes, matrices, bent, strict=True):
-        if size != sizes[0] or np.abs(other - K).max() > 1e-9 or own != bent[0]:
+    for name, size, (other, _, _), own in zip(cameras, sizes, matrices, distortion, strict=True):
+        if size != sizes[0] or np.abs(other - K).max() > 1e-9 or own != distortion[0]:
             raise ValueError(
                 "`cameras`: expected one K, lens and image size in an OpenCV file, got others in"
                 f" {name!r} than in {next(iter(cameras))!r}; write one file each"
@@ -141,15 +141,15 @@ def _poses(fields: Fields) -> list[np.ndarray]:
             raise fields.wrong("extrinsic_parameters", "one kind of pose", words)
         rows = fields.array("extrinsic_parameters", (-1, 6))
         name = "extrinsic_parameters"
-        parts = [(_turn(row[:3], fields, name), row[3:]) for row in rows]
+        parts = [(_rotation(row[:3], fields, name), row[3:]) for row in rows]
     elif "rvec" in fields:
         if "R" in fields:
             raise fields.wrong("rvec", "one kind of pose", "both it and R")
         rvec = fields.array("rvec", (3,))
-        parts = [(_turn(rvec, fields, "rvec"), fields.array("t", (3,)))]
+        parts = [(_rotation(rvec, fields, "rvec"), fields.array("t", (3,)))]
     elif "R" in fields and np.ndim(fields.data["R"]) == 1:
         rvec = fields.array("R", (3,))
-        parts = [(_turn(rvec, fields, "R"), fields.array("t", (3,)))]
+        parts = [(_rotation(rvec, fields, "R"), fields.array("t", (3,)))]
     else:
         if "R" not in fields:
             words = "no pose: a file of intrinsics alone is no camera; see `from_opencv`"
@@ -162,7 +162,7 @@ def _poses(fields: Fields) -> list[np.ndarray]:
     return poses
 
 
-def _turn(rvec: np.ndarray, fields: Fields, name: str) -> np.ndarray:
+def _rotation(rvec: np.ndarray, fields: Fields, name: str) -> np.ndarray:
     if np.any(np.abs(rvec) > MOST_ANGLE):
         raise fields.wrong(name, f"a turn of at most {MOST_ANGLE:g} rad", rvec)
     return matrix_of_vector(rvec)

@@ -36,12 +36,12 @@ class Pinhole(NamedTuple):
     H: int
 
 
-def pinhole(camera: Camera, *, bent: bool = False) -> Pinhole:
+def pinhole(camera: Camera, *, distorted: bool = False) -> Pinhole:
     """Return the camera's intrinsics, or raise ValueError for a distortion unless it goes beside
-    (`bent`)."""
+    (`distorted`)."""
     check_camera(camera)
     model = distortion_of(camera)
-    if model is not None and not bent:
+    if model is not None and not distorted:
         raise ValueError(
             "`cameras`: expected no lens distortion, which this format cannot hold, got a"
             f" {type(model).__name__}"
@@ -61,13 +61,13 @@ def model_of(
 ) -> Distortion | None:
     """Return the distortion with these coefficients, of the first of some models that has them;
     None if those of no fisheye are all 0."""
-    bent = {name: value for name, value in coefficients.items() if value != 0}
-    model = next((model for model in models if bent.keys() <= model.powers.keys()), models[-1])
-    if unknown := {name: value for name, value in bent.items() if name not in model.powers}:
+    distorted = {name: value for name, value in coefficients.items() if value != 0}
+    model = next((model for model in models if distorted.keys() <= model.powers.keys()), models[-1])
+    if unknown := {name: value for name, value in distorted.items() if name not in model.powers}:
         words = ", ".join(f"{name} = {value:g}" for name, value in unknown.items())
         known = ", ".join(model.powers)
         raise fields.wrong("distortion", f"{known} of a {model.__name__} only", words)
-    return model(**bent) if bent or model is Fisheye else None
+    return model(**distorted) if distorted or model is Fisheye else None
 
 
 def camera_from_world(camera: Camera, axes: np.ndarray) -> np.ndarray:

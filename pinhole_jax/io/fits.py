@@ -107,8 +107,8 @@ def _pose(fit: Fit, pixel_centres: Any) -> dict[str, Any] | None:
     pose = object_pose(fit, pixel_centres=pixel_centres)
     names = ("K", "R", "t", "covariance", "camera_from_world", "world_from_camera")
     parts = {name: _words(getattr(pose, name)) for name in names}
-    bent = None if pose.distortion is None else distortion_to_dict(pose.distortion)
-    return {"pixel_centres": pose.pixel_centres, **parts, "distortion": bent}
+    distortion = None if pose.distortion is None else distortion_to_dict(pose.distortion)
+    return {"pixel_centres": pose.pixel_centres, **parts, "distortion": distortion}
 
 
 def _words_or_none(numbers: Any) -> Any:

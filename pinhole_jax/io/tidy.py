@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._files.pictures import rows
-from .._fit.target import check_image, shares
+from .._fit.target import as_coverage, check_image
 
 #: Parts and holes smaller than this share of the largest part are noise.
 SPECK = 5e-3
@@ -38,7 +38,7 @@ def tidy_mask(mask: Any, speck: float = SPECK) -> Tidied:
         raise ValueError(f"`speck`: expected a share of the object, 0 <= speck < 1, got {speck}")
     H, W = np.shape(mask) if np.ndim(mask) == 2 else (0, 0)
     array = check_image("mask", mask, W, H)
-    inside = shares(array) >= 0.5
+    inside = as_coverage(array) >= 0.5
     if np.all(inside) or not np.any(inside):
         return Tidied(array, ("the mask covers " + ("all" if np.any(inside) else "nothing"),))
 

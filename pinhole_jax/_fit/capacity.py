@@ -14,7 +14,7 @@ from .target import inside_of
 from .thumbnails import axes_inward, fronts
 
 #: What the smallest buffers hold, and how much larger the next ones are.
-LEAST_ROOM, ROOMIER = Capacity(edges=1024, pieces=2048, arc_pieces=2048, arcs=1024), 2
+LEAST_CAPACITY, GROWTH = Capacity(edges=1024, pieces=2048, arc_pieces=2048, arcs=1024), 2
 #: From so many sides a mesh's contour is measured, so many of its radii away; of 4 views about 3
 #: fit into the first buffers.
 SIDES, FAR, MOST = 16, 5.0, 0.75
@@ -24,7 +24,7 @@ ROWS = 1 << 14
 CRUMBS = 0.005
 
 
-def first_room(scene: Scene, image: np.ndarray) -> Capacity:
+def first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
     """Return the buffers that most views of a scene, as large as in a mask (H, W), need."""
     spheres = 0 if scene.spheres is None else scene.spheres.radii.shape[0]
     inside = inside_of(image)
@@ -34,10 +34,10 @@ def first_room(scene: Scene, image: np.ndarray) -> Capacity:
         number, length = contours(scene.mesh)
         needed = number + length * diagonal_of(inside)
         edges, pieces = (int(np.quantile(x, MOST)) for x in (number, needed))
-    _, _, *arcs = more_room(Capacity(1, 1, 1, 1), Capacity(0, 0, arc_pieces, 0))
+    _, _, *arcs = grown(Capacity(1, 1, 1, 1), Capacity(0, 0, arc_pieces, 0))
     if not edges:
         return Capacity(1, 1, *arcs)
-    least = LEAST_ROOM
+    least = LEAST_CAPACITY
     return Capacity(_grown(least.edges, 1.25 * edges), _grown(least.pieces, 1.25 * pieces), *arcs)
 
 
@@ -85,24 +85,24 @@ def diagonal_of(inside: np.ndarray) -> float:
 def size_of(pieces: int) -> int:
     """Return which of the sizes a number of pieces needs, 0 the smallest."""
     size = 0
-    while LEAST_ROOM.pieces * ROOMIER**size < pieces:
+    while LEAST_CAPACITY.pieces * GROWTH**size < pieces:
         size += 1
     return size
 
 
-def more_room(have: Capacity, need: Iterable[Any]) -> Capacity:
+def grown(have: Capacity, need: Iterable[Any]) -> Capacity:
     """Return what is 9/8 of the need as it is, of the rest the next of few sizes that is 3/2 of
     it."""
-    rooms = []
-    for least, room, load in zip(LEAST_ROOM, have, need, strict=True):
-        if 8 * room < 9 * int(load):
-            room = _grown(max(room, least), 1.5 * int(load))
-        rooms.append(room)
-    return Capacity(*rooms)
+    capacities = []
+    for least, capacity, load in zip(LEAST_CAPACITY, have, need, strict=True):
+        if 8 * capacity < 9 * int(load):
+            capacity = _grown(max(capacity, least), 1.5 * int(load))
+        capacities.append(capacity)
+    return Capacity(*capacities)
 
 
-def _grown(room: int, need: float) -> int:
+def _grown(capacity: int, need: float) -> int:
     """Return the first of few sizes, from a room on, that holds what is needed."""
-    while room < need:
-        room *= ROOMIER
-    return room
+    while capacity < need:
+        capacity *= GROWTH
+    return capacity
