@@ -10,8 +10,8 @@ import jax
 import numpy as np
 
 import pinhole_jax as pj
-from pinhole_jax._fit.moves import canonical
-from pinhole_jax._fit.solver import Solver
+from pinhole_jax._solver.moves import canonical
+from pinhole_jax._solver.solver import Solver
 
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "meshes"
 

@@ -12,8 +12,8 @@ from _common import degrees, folder, meshes, orbited, random_camera, run, trials
 from PIL import Image, ImageDraw
 
 import pinhole_jax as pj
-from pinhole_jax._fit.moves import canonical
-from pinhole_jax._fit.solver import Solver
+from pinhole_jax._solver.moves import canonical
+from pinhole_jax._solver.solver import Solver
 
 FAR = 60
 

@@ -31,8 +31,8 @@ from _peers import PEERS, Job, Moves, Peer, Trail, central_difference, film_matr
 
 import pinhole_jax as pj
 from pinhole_jax._fit.full_image import At, image_and_jacobian
-from pinhole_jax._fit.moves import Move, canonical
-from pinhole_jax._fit.solver import Solver
+from pinhole_jax._solver.moves import Move, canonical
+from pinhole_jax._solver.solver import Solver
 
 OURS = "pinhole_jax"
 TURNS, TURN_S, BUDGET_S = 9, 0.05, 4.0

@@ -22,8 +22,8 @@ from _common import camera_at, folder, one_step
 from _kernels import kernels
 
 import pinhole_jax as pj
-from pinhole_jax._fit.levenberg_marquardt import descended
-from pinhole_jax._fit.solver import Solver
+from pinhole_jax._solver.levenberg_marquardt import descended
+from pinhole_jax._solver.solver import Solver
 
 RUNS = 30
 

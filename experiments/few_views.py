@@ -16,7 +16,7 @@ from scipy.stats import t
 
 import pinhole_jax as pj
 from pinhole_jax._camera.poses import at_pose, exponential, pose_of
-from pinhole_jax._fit.agreement import NORMAL_95
+from pinhole_jax._joint.agreement import NORMAL_95
 
 SIZE, PHI, NOISE = 64, 0.6, 0.03
 NUMBERS, FITS, DRAWN = (2, 3, 5), 16, 200_000

@@ -28,10 +28,10 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
-from pinhole_jax._fit.levenberg_marquardt import descended
-from pinhole_jax._fit.moves import canonical
-from pinhole_jax._fit.solver import Solver
 from pinhole_jax._silhouette.silhouette import _silhouette
+from pinhole_jax._solver.levenberg_marquardt import descended
+from pinhole_jax._solver.moves import canonical
+from pinhole_jax._solver.solver import Solver
 
 PACKAGE = Path(pj.__file__).parent
 CALLS, SHOWN, PROCESSES = 20, 12, 5

@@ -66,8 +66,8 @@ def _fit(options: argparse.Namespace) -> int:
         from ._command.known import known
         from ._files.pictures import three_channels
         from ._fit.fit_camera import fit_camera
-        from ._fit.parameters import as_names
         from ._scene.scene import Scene
+        from ._solver.parameters import as_names
         from .plot import disagreement, overlay
 
         clock = Clock()

@@ -26,16 +26,16 @@ from ._camera.rays import (
 from ._files.cache import cache as cache
 from ._fit.drift import Drift as Drift, drift as drift
 from ._fit.fit_camera import fit_camera as fit_camera
-from ._fit.fit_cameras import fit_cameras as fit_cameras
-from ._fit.fit_joint import fit_joint as fit_joint
 from ._fit.fit_lanes import Lanes as Lanes, fit_lanes as fit_lanes
-from ._fit.fit_points import PointFit as PointFit, fit_points as fit_points
-from ._fit.joint_observability import joint_observability as joint_observability
-from ._fit.joint_result import JointFit as JointFit
-from ._fit.joint_views import JointView as JointView
 from ._fit.metrics import iou as iou, pose_error as pose_error
 from ._fit.observability import Observability as Observability, observability as observability
 from ._fit.result import Fit as Fit, Progress as Progress
+from ._joint.fit_cameras import fit_cameras as fit_cameras
+from ._joint.fit_joint import fit_joint as fit_joint
+from ._joint.fit_points import PointFit as PointFit, fit_points as fit_points
+from ._joint.observability import joint_observability as joint_observability
+from ._joint.result import JointFit as JointFit
+from ._joint.views import JointView as JointView
 from ._scene.assembly import Assembly as Assembly, Posture as Posture
 from ._scene.scene import Mesh as Mesh, Scene as Scene, Spheres as Spheres
 from ._silhouette.silhouette import silhouette as silhouette

@@ -11,14 +11,14 @@ from jaxtyping import Float
 
 from ._camera.camera import Camera
 from ._camera.rays import project
-from ._fit.moves import displaced
 from ._fit.result import Fit, Progress, check_fit
-from ._fit.target import as_coverage, check_image
+from ._mask.target import as_coverage, check_image
 from ._scene.scene import Scene, check_view
 from ._show.disagreement import disagreement as disagreement
 from ._show.outline import contour_points, outline as outline
 from ._show.space import scene_view as scene_view
 from ._silhouette.silhouette import silhouette
+from ._solver.moves import displaced
 
 CYAN = (0, 240, 255)
 RED = (235, 40, 60)

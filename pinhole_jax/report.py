@@ -17,8 +17,8 @@ from . import formats, plot
 from ._camera.camera import Camera
 from ._files.paths import replace_file
 from ._fit.result import Fit, check_fit
-from ._fit.target import as_coverage, check_image
 from ._fit.words import STATUSES, ParameterTable, in_digits, parameter_table
+from ._mask.target import as_coverage, check_image
 from ._scene.scene import Scene, check_view
 from ._show import page as html_page
 

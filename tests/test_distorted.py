@@ -13,7 +13,7 @@ from oracles import central_difference, union_per_pixel
 from test_distortion import by_opencv
 
 import pinhole_jax as pj
-from pinhole_jax._fit.mask import Mask
+from pinhole_jax._mask.mask import Mask
 
 W, H = 24, 18
 BROWN = pj.BrownConrady(-0.2, 0.05, 4e-3, -3e-3, 0.004)

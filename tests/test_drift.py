@@ -6,7 +6,7 @@ from scipy.stats import kstest
 
 import pinhole_jax as pj
 from pinhole_jax._camera.poses import at_pose, exponential, pose_of
-from pinhole_jax._fit.moves import displaced
+from pinhole_jax._solver.moves import displaced
 
 NAMES = ("rotation_b1", "rotation_b2", "rotation_v", "e_x", "e_y", "e_z", "phi")
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)

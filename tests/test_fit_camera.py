@@ -14,10 +14,10 @@ from oracles import drawn, random_camera, turned
 
 import pinhole_jax as pj
 from pinhole_jax import formats, io, shapes
-from pinhole_jax._fit import buffers, capacity, levenberg_marquardt, solver
 from pinhole_jax._fit.fit_camera import check_border
-from pinhole_jax._fit.residuals import Capacity
-from pinhole_jax._fit.uncertainty import covariance
+from pinhole_jax._solver import buffers, capacity, levenberg_marquardt, solver
+from pinhole_jax._solver.residuals import Capacity
+from pinhole_jax._solver.uncertainty import covariance
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 

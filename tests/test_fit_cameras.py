@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._fit.problem import View
-from pinhole_jax._fit.shared_unknowns import alike, others, reduced
+from pinhole_jax._joint.shared_unknowns import alike, others, reduced
+from pinhole_jax._solver.problem import View
 
 
 @pytest.fixture(scope="module")

@@ -18,13 +18,13 @@ import pinhole_jax as pj
 from pinhole_jax import __main__ as command, shapes
 from pinhole_jax._camera.poses import adjoint, at_pose, exponential, inverse, pose_of, skew
 from pinhole_jax._command.proposals import _tells as tells, worths
-from pinhole_jax._fit import levenberg_marquardt
-from pinhole_jax._fit.joint_levels import depth_of, descended, to_the_end
-from pinhole_jax._fit.joint_problem import MANY_VIEWS, JointProblem
-from pinhole_jax._fit.joint_views import stepped
-from pinhole_jax._fit.least_squares import Rows, held_to_the_end, solve
-from pinhole_jax._fit.moves import reported
 from pinhole_jax._fit.observability import information
+from pinhole_jax._joint.levels import depth_of, descended, to_the_end
+from pinhole_jax._joint.problem import MANY_VIEWS, JointProblem
+from pinhole_jax._joint.views import stepped
+from pinhole_jax._solver import levenberg_marquardt
+from pinhole_jax._solver.least_squares import Rows, held_to_the_end, solve
+from pinhole_jax._solver.moves import reported
 
 pytestmark = pytest.mark.optimised
 

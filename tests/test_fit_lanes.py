@@ -10,9 +10,9 @@ from oracles import drawn, turned
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._fit import fit_lanes as module
-from pinhole_jax._fit.residuals import Capacity
 from pinhole_jax._numerics.cholesky import solve_normal
 from pinhole_jax._scene.scene import padded, with_or_without_border
+from pinhole_jax._solver.residuals import Capacity
 
 W, H = 48, 40
 EYES = np.array([[4, 2, 3], [-3, 4, 2], [1, -4, 4.0]])

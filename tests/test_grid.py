@@ -13,10 +13,10 @@ import shapely
 from oracles import mesh_coverage
 
 import pinhole_jax as pj
-from pinhole_jax._fit.moves import canonical
-from pinhole_jax._fit.pyramid import pyramid
-from pinhole_jax._fit.residuals import Capacity, touch
+from pinhole_jax._mask.pyramid import pyramid
 from pinhole_jax._scene.scene import padded
+from pinhole_jax._solver.moves import canonical
+from pinhole_jax._solver.residuals import Capacity, touch
 
 W, H = 40, 32
 UP = np.array([[0, 1, 0], [1, 0, 0], [0, -1, 0], [-1, 0, 0]])

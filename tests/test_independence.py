@@ -11,12 +11,12 @@ import pytest
 from oracles import mesh_coverage
 
 import pinhole_jax as pj
-from pinhole_jax._fit.moves import canonical
-from pinhole_jax._fit.pyramid import pyramid
-from pinhole_jax._fit.residuals import Capacity, residuals
-from pinhole_jax._fit.target import object_window
+from pinhole_jax._mask.pyramid import pyramid
+from pinhole_jax._mask.target import object_window
 from pinhole_jax._scene.scene import padded
 from pinhole_jax._silhouette.contour import contour_weights
+from pinhole_jax._solver.moves import canonical
+from pinhole_jax._solver.residuals import Capacity, residuals
 
 SIZES = sorted({0, 1, 2} | {2**k + d for k in range(1, 8) for d in (-1, 1)})
 FEW = [0, 1, 2, 33]

@@ -8,7 +8,7 @@ from test_words import TURNS, random_camera
 
 import pinhole_jax as pj
 from pinhole_jax import formats, io
-from pinhole_jax._fit.moves import displaced
+from pinhole_jax._solver.moves import displaced
 
 NAMES = (*TURNS, "e_x", "e_y", "e_z", "phi")
 

@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 import pinhole_jax as pj
 from pinhole_jax import plot, report, shapes
 from pinhole_jax._fit import occluders
-from pinhole_jax._fit.mask import Mask
-from pinhole_jax._fit.moves import canonical
 from pinhole_jax._fit.occluders import edge_of
-from pinhole_jax._fit.solver import Solver
-from pinhole_jax._fit.stretches import coverage_of, outline_pixels, smoothed_about
+from pinhole_jax._mask.mask import Mask
+from pinhole_jax._solver.moves import canonical
+from pinhole_jax._solver.solver import Solver
+from pinhole_jax._solver.stretches import coverage_of, outline_pixels, smoothed_about
 
 pytestmark = pytest.mark.optimised
 

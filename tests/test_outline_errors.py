@@ -10,14 +10,14 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._fit.mask import Mask
-from pinhole_jax._fit.moves import canonical
-from pinhole_jax._fit.outline_errors import is_drawn, outline_errors
 from pinhole_jax._fit.places import Free
-from pinhole_jax._fit.solver import Solver
 from pinhole_jax._fit.strategy import with_errors
-from pinhole_jax._fit.stretches import area_between, stretches_of
-from pinhole_jax._fit.target import levelled
+from pinhole_jax._mask.mask import Mask
+from pinhole_jax._mask.target import levelled
+from pinhole_jax._solver.moves import canonical
+from pinhole_jax._solver.outline_errors import is_drawn, outline_errors
+from pinhole_jax._solver.solver import Solver
+from pinhole_jax._solver.stretches import area_between, stretches_of
 
 pytestmark = pytest.mark.optimised
 

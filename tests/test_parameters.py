@@ -6,7 +6,7 @@ import pytest
 import pinhole_jax as pj
 from pinhole_jax._camera.camera import camera_basis
 from pinhole_jax._camera.distortion import COEFFICIENTS
-from pinhole_jax._fit.moves import (
+from pinhole_jax._solver.moves import (
     Move,
     canonical,
     displaced,
@@ -16,7 +16,7 @@ from pinhole_jax._fit.moves import (
     rotation,
     scales,
 )
-from pinhole_jax._fit.parameters import (
+from pinhole_jax._solver.parameters import (
     NAMES,
     check_free,
     components,

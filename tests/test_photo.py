@@ -9,10 +9,11 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._fit import matte, photo as photos
-from pinhole_jax._fit.moves import canonical
-from pinhole_jax._fit.solver import Solver
-from pinhole_jax._fit.stretches import coverage_of
+from pinhole_jax._fit import photo as photos
+from pinhole_jax._mask import matte
+from pinhole_jax._solver.moves import canonical
+from pinhole_jax._solver.solver import Solver
+from pinhole_jax._solver.stretches import coverage_of
 
 pytestmark = pytest.mark.optimised
 

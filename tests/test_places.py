@@ -20,16 +20,16 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._files.programs import like
 from pinhole_jax._fit import places, strategy
-from pinhole_jax._fit.kinds import Kind
-from pinhole_jax._fit.mask import Mask
-from pinhole_jax._fit.moves import canonical
-from pinhole_jax._fit.outline_errors import OutlineErrors
-from pinhole_jax._fit.priors import no_others
-from pinhole_jax._fit.problem import View
-from pinhole_jax._fit.pyramid import Level
-from pinhole_jax._fit.residuals import Sums
-from pinhole_jax._fit.solver import FAR_LEVEL, Found, Solver
+from pinhole_jax._mask.mask import Mask
+from pinhole_jax._mask.pyramid import Level
 from pinhole_jax._scene.scene import ball_about
+from pinhole_jax._solver.kinds import Kind
+from pinhole_jax._solver.moves import canonical
+from pinhole_jax._solver.outline_errors import OutlineErrors
+from pinhole_jax._solver.priors import no_others
+from pinhole_jax._solver.problem import View
+from pinhole_jax._solver.residuals import Sums
+from pinhole_jax._solver.solver import FAR_LEVEL, Found, Solver
 
 pytestmark = pytest.mark.optimised
 

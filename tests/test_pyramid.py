@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import pinhole_jax as pj
-from pinhole_jax._fit.capacity import diagonal_of
-from pinhole_jax._fit.edges import NearWeights, near
-from pinhole_jax._fit.kinds import kind_of
-from pinhole_jax._fit.mask import Mask
-from pinhole_jax._fit.pyramid import PAGE, cells_of, pyramid
-from pinhole_jax._fit.target import Window, object_window
+from pinhole_jax._mask.edges import NearWeights, near
+from pinhole_jax._mask.mask import Mask
+from pinhole_jax._mask.pyramid import PAGE, cells_of, pyramid
+from pinhole_jax._mask.target import Window, object_window
+from pinhole_jax._solver.capacity import diagonal_of
+from pinhole_jax._solver.kinds import kind_of
 
 
 def disc(H: int, W: int) -> np.ndarray:

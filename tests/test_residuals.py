@@ -12,14 +12,14 @@ from oracles import drawn
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._fit import overlapping
-from pinhole_jax._fit.moves import Move, canonical, moved, on_film
-from pinhole_jax._fit.overlapping import _by_number
-from pinhole_jax._fit.pyramid import cells_of, pyramid
-from pinhole_jax._fit.residuals import Capacity, residuals as _residuals, touch
+from pinhole_jax._mask.pyramid import cells_of, pyramid
 from pinhole_jax._numerics.bitset import in_order
 from pinhole_jax._numerics.thin_qr import triangle
 from pinhole_jax._silhouette.sweep import _turned
+from pinhole_jax._solver import overlapping
+from pinhole_jax._solver.moves import Move, canonical, moved, on_film
+from pinhole_jax._solver.overlapping import _by_number
+from pinhole_jax._solver.residuals import Capacity, residuals as _residuals, touch
 
 FREE = ("pose", "phi")
 CAPACITY = Capacity(256, 1024, 1024, 512)

@@ -11,14 +11,14 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._fit import search
-from pinhole_jax._fit.capacity import FAR, LEAST_CAPACITY, SIDES, contours, first_capacity
-from pinhole_jax._fit.mask import Mask
-from pinhole_jax._fit.search import VIEWS, sphere_points
-from pinhole_jax._fit.signatures import ANGLES, distances, facing, signatures
-from pinhole_jax._fit.thumbnails import SIZE, axes_inward, thumbnails
+from pinhole_jax._mask import search
+from pinhole_jax._mask.mask import Mask
+from pinhole_jax._mask.search import VIEWS, sphere_points
+from pinhole_jax._mask.signatures import ANGLES, distances, facing, signatures
+from pinhole_jax._mask.thumbnails import SIZE, axes_inward, thumbnails
 from pinhole_jax._scene.scene import ball_about, bounding_box, padded, with_or_without_border
 from pinhole_jax._silhouette.contour import contour_weights
+from pinhole_jax._solver.capacity import FAR, LEAST_CAPACITY, SIDES, contours, first_capacity
 
 pytestmark = pytest.mark.optimised
 

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from pinhole_jax._fit.symmetry import turns_of_a_mesh
+from pinhole_jax._solver.symmetry import turns_of_a_mesh
 
 
 def with_a_part(body, radius=0.15, at=(0.8, 0.1, 0.3)):

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 import pinhole_jax as pj
-from pinhole_jax._fit.heading import carried, heading
-from pinhole_jax._fit.moves import displaced
 from pinhole_jax._fit.words import in_digits, parameter_table
+from pinhole_jax._solver.heading import carried, heading
+from pinhole_jax._solver.moves import displaced
 
 TURNS = ("rotation_b1", "rotation_b2", "rotation_v")
 

@@ -9,9 +9,9 @@ from .._camera.camera import Camera
 from .._files.naming import named
 from .._fit.drift import drift
 from .._fit.fit_camera import fit_camera
-from .._fit.fit_joint import fit_joint
 from .._fit.result import Fit
 from .._fit.words import STATUSES
+from .._joint.fit_joint import fit_joint
 from .._scene.scene import Scene
 from .hand_eye import robot_of, views_of
 

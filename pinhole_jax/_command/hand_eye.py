@@ -14,10 +14,10 @@ from .._files.naming import named
 from .._files.paths import read_json, read_text, replace_file
 from .._files.pictures import three_channels
 from .._fit.drift import drift
-from .._fit.fit_joint import fit_joint
-from .._fit.joint_result import JointFit
-from .._fit.joint_views import JointView
-from .._fit.parameters import as_names
+from .._joint.fit_joint import fit_joint
+from .._joint.result import JointFit
+from .._joint.views import JointView
+from .._solver.parameters import as_names
 from ..formats import object_pose
 from ..plot import overlay
 from ..robots import Robot, load_urdf

@@ -8,8 +8,8 @@ from jaxtyping import Float
 from .._camera.camera import Camera
 from .._camera.poses import Pose, at_pose, pose_of
 from .._fit.observability import information
-from .._fit.parameters import check_free, labels_of
 from .._scene.scene import Scene
+from .._solver.parameters import check_free, labels_of
 
 #: The pose's parameters, as a fit names them.
 POSE = labels_of(("pose",))

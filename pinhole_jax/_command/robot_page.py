@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from .. import formats, plot
-from .._fit.agreement import NORMAL_95
-from .._fit.joint_result import JointFit, ViewFit
-from .._fit.target import as_coverage
 from .._fit.words import STATUSES, in_digits, parameter_table
+from .._joint.agreement import NORMAL_95
+from .._joint.result import JointFit, ViewFit
+from .._mask.target import as_coverage
 from .._show import page as html_page
 from .._silhouette.silhouette import silhouette
 

@@ -12,22 +12,23 @@ import numpy as np
 from .._camera.camera import Camera, check_camera, to_camera
 from .._camera.lens import Lens
 from .._camera.rays import project
+from .._mask.mask import Mask
+from .._mask.target import MOST_BORDER, border_of, check_target, inside_of, levelled
 from .._numerics.arrays import Numbers, float_dtype, is_concrete
 from .._scene.scene import Scene, check_scene
+from .._solver.kinds import Kind
+from .._solver.moves import Bounds, canonical
+from .._solver.outline_errors import OutlineErrors
+from .._solver.parameters import check_free, focal_is_free, in_one, with_lens
+from .._solver.priors import Prior, bounds_of, prior_of
+from .._solver.problem import View
+from .._solver.residuals import Sums
+from .._solver.solver import Found, Solver, Stop
 from .implicit import of_camera
-from .kinds import Kind
-from .mask import Mask
-from .moves import Bounds, canonical
 from .occluders import covered_at, edge_of, is_believed, is_sure, uncovered
-from .outline_errors import OutlineErrors
-from .parameters import check_free, focal_is_free, in_one, with_lens
 from .photo import check_photo, on_photo
 from .places import Free, Places, at
-from .priors import Prior, bounds_of, prior_of
-from .problem import View
-from .residuals import Sums
 from .result import Fit, Known, Progress, progress_at, report, with_modes, with_unbelieved
-from .solver import Found, Solver, Stop
 from .strategy import (
     EXACT,
     everywhere,
@@ -40,7 +41,6 @@ from .strategy import (
     with_errors,
     without_outliers,
 )
-from .target import MOST_BORDER, border_of, check_target, inside_of, levelled
 
 #: An occluder's edge is looked for from so many of the cameras that were found without one; a
 #: mask's errors are no larger (px) for it: what covers the object is among them at first.

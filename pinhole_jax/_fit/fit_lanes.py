@@ -9,24 +9,24 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._camera.camera import Camera, check_camera
+from .._mask.mask import Mask
+from .._mask.pyramid import PAGE, Level, pyramid
+from .._mask.target import check_target, inside_of, levelled, object_window
 from .._numerics.arrays import Numbers
 from .._scene.scene import Scene, astype, ball_about, bounding_box, check_scene, filled_alike
-from .buffers import explained_by
-from .capacity import contours, diagonal_of
+from .._solver.buffers import explained_by
+from .._solver.capacity import contours, diagonal_of
+from .._solver.kinds import kind_of
+from .._solver.lanes import Given, Lane, Rig, descended, looked
+from .._solver.moves import canonical
+from .._solver.parameters import check_free, in_one, with_lens
+from .._solver.priors import no_others
+from .._solver.problem import COARSE_PX, View
+from .._solver.residuals import Capacity
+from .._solver.solver import Found, Stop, last_px
 from .fit_camera import Settings, check_border, check_reach, check_steps, fit_camera, fit_descended
-from .kinds import kind_of
-from .lanes import Given, Lane, Rig, descended, looked
-from .mask import Mask
-from .moves import canonical
-from .parameters import check_free, in_one, with_lens
-from .priors import no_others
-from .problem import COARSE_PX, View
-from .pyramid import PAGE, Level, pyramid
-from .residuals import Capacity
 from .result import Fit
-from .solver import Found, Stop, last_px
 from .strategy import POOR
-from .target import check_target, inside_of, levelled, object_window
 
 #: Lanes of a program: few sizes, since each is compiled.
 BUCKETS = (1, 4, 16, 64, 256, 1024, 4096)

@@ -10,7 +10,7 @@ from .._camera.camera import Camera
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene
 from .._silhouette.silhouette import silhouette
-from .moves import Move, moved, on_film
+from .._solver.moves import Move, moved, on_film
 
 
 class At(NamedTuple):

@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
+from .._mask.target import as_coverage, check_image
 from .._numerics.arrays import is_concrete
 from .._scene.scene import Scene, bounding_sphere
+from .._solver.moves import Move, canonical, scales
 from .full_image import At, image, image_and_jacobian
-from .moves import Move, canonical, scales
-from .target import as_coverage, check_image
 
 #: The step of central differences, in px, by float type.
 STEP_PX = {np.dtype(np.float32): 0.1, np.dtype(np.float64): 1e-3}

@@ -8,15 +8,15 @@ from jaxtyping import Float
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
+from .._mask.target import check_weight
 from .._numerics.arrays import Numbers
 from .._scene.scene import Scene, check_scene, check_view
-from .moves import canonical
-from .parameters import check_free, components, labels_of, with_lens
-from .problem import UNIT_PX
+from .._solver.moves import canonical
+from .._solver.parameters import check_free, components, labels_of, with_lens
+from .._solver.problem import UNIT_PX
+from .._solver.solver import Solver
+from .._solver.uncertainty import BLIND, covariance, weak_directions
 from .result import to_units
-from .solver import Solver
-from .target import check_weight
-from .uncertainty import BLIND, covariance, weak_directions
 
 
 class Observability(NamedTuple):

@@ -18,12 +18,12 @@ import numpy as np
 
 from .._camera.axes import angle
 from .._camera.camera import Camera
-from .mask import Mask
-from .moves import canonical
-from .search import partly_hidden
-from .solver import Solver
-from .stretches import coverage_of, outline_pixels, smoothed_about
-from .target import as_coverage, inside_of
+from .._mask.mask import Mask
+from .._mask.search import partly_hidden
+from .._mask.target import as_coverage, inside_of
+from .._solver.moves import canonical
+from .._solver.solver import Solver
+from .._solver.stretches import coverage_of, outline_pixels, smoothed_about
 
 #: The mask's edge is taken by stretches of this share of the object's size.
 STRETCH = 0.08

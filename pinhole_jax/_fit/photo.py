@@ -12,16 +12,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .kinds import Kind
-from .mask import Mask
-from .matte import Band, Matte, light, matte, tiles
-from .outline_errors import OutlineErrors, is_drawn
+from .._mask.mask import Mask
+from .._mask.matte import Band, Matte, light, matte, tiles
+from .._mask.target import NOISE, Window, edge_distance
+from .._solver.kinds import Kind
+from .._solver.outline_errors import OutlineErrors, is_drawn
+from .._solver.problem import FINE_PX
+from .._solver.residuals import Sums
+from .._solver.solver import Found, Solver, onward
+from .._solver.stretches import coverage_of
 from .places import Free, interval
-from .problem import FINE_PX
-from .residuals import Sums
-from .solver import Found, Solver, onward
-from .stretches import coverage_of
-from .target import NOISE, Window, edge_distance
 
 #: Where colours are learned and asked for, round by round: masks are off by some px at first. (A
 #: fourth round changes nothing; the last one's tiles hold what is seen within 10 px.)

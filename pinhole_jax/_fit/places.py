@@ -14,13 +14,13 @@ import numpy as np
 
 from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
-from .outline_errors import OutlineErrors, is_drawn
-from .parameters import components
-from .problem import View
-from .revolution import Revolution
-from .search import sphere_points
-from .solver import Found, Solver
-from .uncertainty import in_words, weak_moves
+from .._mask.search import sphere_points
+from .._solver.outline_errors import OutlineErrors, is_drawn
+from .._solver.parameters import components
+from .._solver.problem import View
+from .._solver.revolution import Revolution
+from .._solver.solver import Found, Solver
+from .._solver.uncertainty import in_words, weak_moves
 
 #: How far a walk goes to either side (rad, at the object's radius), each place twice as far.
 STRIDES = np.deg2rad(1.5) * 2.0 ** np.arange(7)

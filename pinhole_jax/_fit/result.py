@@ -10,16 +10,16 @@ from jaxtyping import Float
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._numerics.arrays import is_concrete
+from .._solver.kinds import Kind
+from .._solver.moves import Bounds, on_film
+from .._solver.outline_errors import OutlineErrors, is_drawn
+from .._solver.parameters import LABELS, PARAMETERS, components, labels_of
+from .._solver.problem import COSINE, FINE_PX, UNIT_PX, View
+from .._solver.residuals import Sums
+from .._solver.solver import Found, Stop
+from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions, weak_moves
 from .card import fit_card
-from .kinds import Kind
-from .moves import Bounds, on_film
-from .outline_errors import OutlineErrors, is_drawn
-from .parameters import LABELS, PARAMETERS, components, labels_of
 from .places import Free
-from .problem import COSINE, FINE_PX, UNIT_PX, View
-from .residuals import Sums
-from .solver import Found, Stop
-from .uncertainty import BLIND, covariance, in_words, weak_directions, weak_moves
 from .words import table
 
 #: Below this intersection over union a fit has found something else than the object.

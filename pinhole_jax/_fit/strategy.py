@@ -9,10 +9,15 @@ from jaxtyping import Float
 
 from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
-from .mask import Mask
-from .moves import canonical
-from .outline_errors import OutlineErrors, is_drawn
-from .parameters import components, focal_is_free
+from .._mask.mask import Mask
+from .._mask.search import aimed, guesses
+from .._solver.moves import canonical
+from .._solver.outline_errors import OutlineErrors, is_drawn
+from .._solver.parameters import components, focal_is_free
+from .._solver.problem import COARSE_PX, FINE_PX, View
+from .._solver.solver import Found, Solver, Stop, onward
+from .._solver.stretches import area_between, outline_of
+from .._solver.uncertainty import free_turns
 from .places import (
     DRAWN_TIMES,
     NEAR_START,
@@ -26,11 +31,6 @@ from .places import (
     settled,
     turned_by,
 )
-from .problem import COARSE_PX, FINE_PX, View
-from .search import aimed, guesses
-from .solver import Found, Solver, Stop, onward
-from .stretches import area_between, outline_of
-from .uncertainty import free_turns
 
 #: A mask that leaves less than this mean square residual of an outline pixel has no outliers.
 EXACT = 0.01

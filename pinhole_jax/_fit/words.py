@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from .._names import STATUSES as STATUSES
-from .heading import carried, heading
-from .parameters import LABELS
+from .._solver.heading import carried, heading
+from .._solver.parameters import LABELS
 
 #: What small turns about the camera's axes are told as.
 TURNS = {"rotation_b1": "pitch", "rotation_b2": "yaw", "rotation_v": "roll"}

@@ -7,7 +7,7 @@ all lead to the right camera. They are told apart here.
 import numpy as np
 
 from .._camera.camera import Camera
-from .._fit.target import as_coverage, check_image, edge_distance
+from .._mask.target import as_coverage, check_image, edge_distance
 from .._scene.scene import Scene, check_view
 from .outline import outline
 

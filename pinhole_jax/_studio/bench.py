@@ -18,9 +18,9 @@ import numpy as np
 from .. import io
 from .._camera.camera import Camera
 from .._fit.fit_camera import fit_camera
-from .._fit.parameters import check_free
 from .._fit.result import Fit, Progress
 from .._silhouette.silhouette import silhouette
+from .._solver.parameters import check_free
 from ..formats import FORMATS
 from . import hand
 from .drawing import camera_numbers, grid_lines, outline_paths, straight_lines

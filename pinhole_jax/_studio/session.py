@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from .._camera.camera import Camera
 from .._files.paths import parse_json, read_bytes, replace_file, text_of
-from .._fit.parameters import check_free
+from .._solver.parameters import check_free
 from ..formats.native import camera_to_dict, fitted_camera_from_dict
 from .strokes import Work, work_from_list, work_to_list
 

@@ -79,8 +79,8 @@ def _single(record: Record, said: list[str]) -> Any:
 
 def _joint(record: Record, said: list[str]) -> Any:
     """Return the camera's fit of a robot's views."""
-    from .._fit.fit_joint import fit_joint
-    from .._fit.joint_views import JointView
+    from .._joint.fit_joint import fit_joint
+    from .._joint.views import JointView
 
     with named(path="robot"), _opening:
         robot = _robot(*_state(record["robot"]), tuple(record.get("leave_out", ())))
@@ -105,7 +105,7 @@ def _joint(record: Record, said: list[str]) -> Any:
 def _anywhere(start: dict[str, Any], free: Any, W: int, H: int) -> Any:
     """Return a camera that has the lens alone of one to look for."""
     from .._camera.camera import Camera
-    from .._fit.parameters import as_names
+    from .._solver.parameters import as_names
 
     phi = start.get("phi")
     if phi is None and not {"phi", "d"} & {*as_names(free)}:

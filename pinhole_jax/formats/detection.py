@@ -9,7 +9,7 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.lens import Lens
 from .._camera.poses import inverse
-from .._fit.target import check_image
+from .._mask.target import check_image
 from .._numerics.arrays import Numbers
 from .._scene.scene import Scene
 from .._silhouette.silhouette import silhouette

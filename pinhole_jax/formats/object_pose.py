@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from .._camera.distortion import Distortion
-from .._fit.heading import carried
 from .._fit.result import Fit, check_fit
 from .._fit.words import in_digits
+from .._solver.heading import carried
 from .matrices import to_opencv
 from .rotations import quaternion_of_matrix
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._files.pictures import BAND, Image, bands, by_bands, eight_bits, from_picture, rows
-from .._fit.target import MOST_BORDER, covered_border
+from .._mask.target import MOST_BORDER, covered_border
 from .tidy import SPECK, parts
 
 #: The ways to read a mask, as `mask_from` and the command's `--mask-from` name them.

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._files.pictures import rows
-from .._fit.target import as_coverage, check_image
+from .._mask.target import as_coverage, check_image
 
 #: Parts and holes smaller than this share of the largest part are noise.
 SPECK = 5e-3

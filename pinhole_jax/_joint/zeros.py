@@ -1,0 +1,158 @@
+"""What a view sees of its joints: a body that moves is a camera that moves the other way, where the
+outline is that body's.
+
+So what a view's program says of its own camera, pixel by pixel, says all about the joints, and no
+other program is compiled. Pixels in which several bodies end count by the lengths of these ends.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._camera.camera import Camera, bend
+from .._camera.poses import adjoint, inverse, pose_of
+from .._mask.pyramid import Level, target_at
+from .._solver.problem import View
+from .._solver.residuals import Pixels
+from .._solver.subject import on_film_plane
+from .views import Eye, State
+
+#: Contours are sampled so many times a pixel; what lies beside one is looked up so far away (px).
+SAMPLES, BESIDE = 2.0, 1.0
+#: Samples of one edge at most; numbers of points that a lens bends are rounded up to these.
+MOST, ROUND = 2000, 4096
+
+
+class Seen(NamedTuple):
+    """A view at a state, and its moves (n, k) by the unknowns."""
+
+    view: View
+    moves: np.ndarray
+
+
+def with_joints(eye: Eye, state: State, seen: Seen, joints: list[str]) -> Seen:
+    """Return what is seen with the offsets of some joints among its moves."""
+    posture, view = eye.posture, seen.view
+    assert posture is not None
+    camera, pixels = eye.canonical(state), view.pixels
+    share = _shares(eye, state, camera, pixels)
+    twists = posture.twists(eye.offsets(state))[[posture.joints.index(name) for name in joints]]
+    # (What grows looks as if it moved on, as seen from the eye.)
+    grows, twists = twists[..., 6:], twists[..., :6]
+    twists[..., 3:] += grows * np.asarray(camera.e, float)
+
+    # How each touched pixel follows a twist of the whole scene, and of what is seen in it.
+    jacobian, weight = np.asarray(view.jacobian, float), np.asarray(pixels.weight)
+    used = np.flatnonzero(weight > 0)  # (of buffers with room for many more)
+    of_scene = -jacobian[used] @ eye.by_twist(state, view) @ adjoint(inverse(pose_of(camera)))
+    by_joint = np.zeros((len(jacobian), len(joints)))
+    by_joint[used] = np.sum((of_scene @ twists.transpose(0, 2, 1)) * share[used], axis=-1).T
+
+    # (In units in which a joint shows as much as a move of the camera does.)
+    size = np.linalg.norm(by_joint, axis=0)
+    usual = float(np.mean(np.linalg.norm(jacobian, axis=0)))
+    scale = np.where(size > 1e-9 * usual, usual / np.maximum(size, 1e-300), 1.0)
+    together = np.concatenate([jacobian, by_joint * scale], axis=1)
+    n = together.shape[1]
+    table = np.column_stack([together[used], _residuals(eye, pixels)[used]])
+    table = np.concatenate([table, np.zeros((n, n + 1))])
+    r: Any = np.linalg.qr(table, mode="r")
+    ok = np.all(np.isfinite(np.asarray(view.triangle)))
+    whole = view._replace(
+        triangle=r[:n, :n] if ok else np.full((n, n), np.nan),
+        along=r[:n, n] if ok else np.full(n, np.nan),
+        jacobian=together,
+    )
+    moves = np.zeros((n, seen.moves.shape[1] + len(joints)))
+    moves[: len(seen.moves), : seen.moves.shape[1]] = seen.moves
+    moves[len(seen.moves) :, seen.moves.shape[1] :] = np.diag(1 / scale)
+    return Seen(whole, moves)
+
+
+def _residuals(eye: Eye, pixels: Pixels) -> np.ndarray:
+    """Return the weighted residuals of touched pixels (P,)."""
+    level, weight = pixels.level, np.asarray(pixels.weight, float)
+    cell = np.where(weight > 0, np.asarray(pixels.cell), 0)
+    here = target_at(eye.solver.problem.pyramid, level, cell)
+    return np.sqrt(weight) * (np.asarray(pixels.coverage, float) - here)
+
+
+def _shares(eye: Eye, state: State, camera: Camera, pixels: Pixels) -> np.ndarray:
+    """Return how much of the outline in each touched pixel is each body's (P, B)."""
+    mesh, posture = eye.scene(state).mesh, eye.posture
+    assert mesh is not None
+    assert posture is not None
+    bodies = int(posture.body[-1]) + 1
+    points = np.asarray(mesh.vertices, float)
+    edges, third = _contour(points, mesh, np.asarray(camera.e, float))
+    ends, level = points[edges], pixels.level
+    film = [_in_pixels(camera, level, x) for x in (ends[:, 0], ends[:, 1], points[third])]
+    ahead = np.all([np.all(np.isfinite(x), axis=1) for x in film], axis=0)
+    start, end, inner = (x[ahead] for x in film)
+    body = posture.body[edges[ahead, 0]]
+
+    along = end - start
+    length = np.linalg.norm(along, axis=1)
+    number = np.clip(np.ceil(SAMPLES * length), 1, MOST).astype(int)
+    of = np.repeat(np.arange(len(number)), number)
+    part = (np.arange(len(of)) - (np.cumsum(number) - number)[of] + 0.5) / number[of]
+    at = start[of] + part[:, None] * along[of]
+    right = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.maximum(length, 1e-12)[:, None]
+    inwards = np.sum(right * (inner - start), axis=1) > 0
+    outside = at + BESIDE * np.where(inwards, -1, 1)[of, None] * right[of]
+
+    # What lies within the object, or behind it, is no outline.
+    cell, cells = _cells(level, at), np.asarray(pixels.cell)
+    slot = np.searchsorted(cells, cell)
+    found = (slot < len(cells)) & (cells[np.minimum(slot, len(cells) - 1)] == cell)
+    weight = (length / number)[of] * (1 - _covered(pixels, _cells(level, outside)))
+    result = np.zeros((len(cells), bodies))
+    np.add.at(result, (slot[found], body[of][found]), weight[found])
+    total = result.sum(axis=1, keepdims=True)
+    return result / np.where(total > 0, total, 1.0)
+
+
+def _contour(points: np.ndarray, mesh: Any, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the contour's edges (n, 2), and the third corner (n,) of the front face of each."""
+    faces, sides = np.asarray(mesh.faces), np.asarray(mesh.edge_faces)
+    a, b, c = points[faces].transpose(1, 0, 2)
+    front = np.append(np.sum(np.cross(b - a, c - a) * (e - a), axis=1) > 0, False)
+    one, other = front[sides[:, 0]], front[sides[:, 1]]
+    on = (one != other) | (sides[:, 1] < 0)
+    edges = np.asarray(mesh.edge_vertices)[on]
+    face = np.where(one[on] | (sides[on, 1] < 0), sides[on, 0], sides[on, 1])
+    return edges, faces[face].sum(axis=1) - edges.sum(axis=1)
+
+
+def _in_pixels(camera: Camera, level: Level, points: np.ndarray) -> np.ndarray:
+    """Return where points (n, 3) are on a level's window (n, 2), NaN behind the eye."""
+    x, y, z = on_film_plane(camera, points).T
+    ahead = z > 0
+    film = np.stack([x, y], axis=1) / np.where(ahead, z, np.nan)[:, None]
+    if (lens := bend(camera)) is not None:
+        filled = np.full((len(film) + -len(film) % ROUND, 2), 0.5)
+        filled[: len(film)] = np.nan_to_num(film)
+        distorted = np.asarray(lens(jnp.asarray(filled, camera.e.dtype)), float)[: len(film)]
+        film = np.where(ahead[:, None], distorted, np.nan)
+    return film * float(level.scale) - np.asarray(level.origin, float)
+
+
+def _cells(level: Level, at: np.ndarray) -> np.ndarray:
+    """Return the cells that points lie in, -1 beside the window."""
+    column, row = np.floor(at).astype(int).T
+    W, H = int(level.W), int(level.H)
+    inside = (column >= 0) & (column < W) & (row >= 0) & (row < H)
+    return np.where(inside, row * (W + 2) + column + 1, -1)
+
+
+def _covered(pixels: Pixels, cell: np.ndarray) -> np.ndarray:
+    """Return how much of cells is covered (n,), 0 beside the window."""
+    cells, width = np.asarray(pixels.cell), int(pixels.level.W) + 2
+    slot = np.maximum(np.searchsorted(cells, cell, side="right") - 1, 0)
+    touched = cells[slot] == cell
+    follows = (cells[slot] < cell) & (cells[slot] // width == cell // width)
+    after = np.asarray(pixels.covered_after)[slot]
+    after = np.where(follows, after, bool(pixels.covered_before))
+    result = np.where(touched, np.asarray(pixels.coverage, float)[slot], after)
+    return np.where(cell < 0, 0.0, np.clip(result, 0, 1))

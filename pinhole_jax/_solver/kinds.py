@@ -1,0 +1,231 @@
+"""What residual a right camera leaves in a mask, by the kind of mask.
+
+A mask tells by itself how it was made: computed (each pixel its exact coverage), quantised to 8
+bits or to a few samples a pixel, cut to one bit, noisy all over, or with edges wider than a pixel.
+Where that settles what is left at a right camera, a fit that leaves more is not at one.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._mask.edges import Near, alike, counted, looked_up, near
+from .._mask.target import as_coverage, inside_of
+from .problem import FINE_PX
+
+#: Quantisation leaves a step's square times this; samples at random leave half a step, times the
+#: mean of c (1 - c).
+UNIFORM, SAMPLED = 1 / 12, 1 / 6
+#: An outline that cuts off pixels' corners leaves less of that: 0.6 to 1 of it was found.
+CUT_CORNERS = 0.6
+#: Rounding leaves this many machine epsilons in a pixel of the outline.
+ROUNDING = 100
+#: As many samples a pixel at most are told from 8 bits.
+SAMPLES = 64
+#: Far from edges: this many px away.
+FAR_PX = 3.0
+#: Edges are wide if this share of the pixels between 0 and 1 lies in runs of 3 and more both ways.
+#: (Exact coverage: 0 to 0.01, a blur of 0.3 px: 0.01 to 0.18, of 0.5 px: 0.98 and more.)
+WIDE_SHARE = 0.3
+#: A wide edge's residual beside a sharp one: this much for each px of `_edge_width` above the
+#: exact edge's. (Blurs of 0.5, 0.8, 1.5 px: 0.011, 0.056, 0.17; widths 0.30, 0.48, 0.86 px.)
+PER_WIDTH, SHARP_WIDTH, LEAST_WIDE = 0.3, 0.25, 0.01
+#: Noise whose fourth moment is above this many squares of its second is not the same everywhere
+#: (Gaussian: 3; what JPEG leaves: tens).
+UNEVEN = 8.0
+#: A right camera leaves at most this many times the variance.
+TIMES = 4.0
+#: ... and of a mask that says nothing exact, as much as a hard edge may (1/12 on average).
+HARD = 0.1
+
+
+class Kind(NamedTuple):
+    """A kind of mask.
+
+    - `name`: one bit, soft, noisy or wide edges.
+    - `variance`: the mean square residual of an outline pixel that a right camera leaves.
+    - `most`: what it leaves at most, with samples, filters and thresholds as masks have them.
+    - `least`: what it has to leave: quantisation and rounding.
+    - `exact`: whether more than `most` says that the camera, the mesh or the mask is wrong; else it
+      may be what the mask's maker did to its edges.
+    - `far`: the mean weighted square of a pixel far from the mask's edges.
+    - `alike`: what quantisation, rounding and the last step leave: less is not told apart.
+    - `spread`: of noise that is even, the standard error of the sum of squares of all pixels that
+      are not so far; else 0.
+    """
+
+    name: str
+    variance: float
+    most: float
+    least: float
+    exact: bool
+    far: float = 0.0
+    spread: float = 0.0
+    alike: float = 0.0
+
+    @property
+    def hard(self) -> bool:
+        """Return whether every pixel is 0 or 1."""
+        return self.name == "one bit"
+
+    def explains(self, misfit: float, nearly_free: bool) -> bool:
+        """Return whether a right camera may leave this mean square residual of an outline pixel;
+        where a turn or shift is nearly free, no more than the kind has to leave."""
+        strict = nearly_free and self.exact
+        return misfit <= (TIMES * self.variance if strict else self.most)
+
+
+class _Between(NamedTuple):
+    """The pixels of an image (H, W) that are neither 0 nor 1: places in the flat image, ascending,
+    rows and columns, values and weights."""
+
+    shape: tuple[int, int]
+    place: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    value: np.ndarray
+    weight: np.ndarray
+
+    def where(self, kept: np.ndarray) -> "_Between":
+        """Return some of them."""
+        return _Between(self.shape, *(x[kept] for x in self[1:]))
+
+
+def _between(target: np.ndarray, weights: np.ndarray) -> _Between:
+    """Return the pixels of a mask that are neither 0 nor 1."""
+    if target.dtype == bool:
+        place = np.zeros(0, int)
+    elif target.dtype == np.uint8:
+        place = np.flatnonzero(target - np.uint8(1) < 254)  # (0 becomes 255)
+    else:
+        place = np.flatnonzero((target != 0) & (target != 1))
+    row, column = np.divmod(place, target.shape[1])
+    value, weight = as_coverage(target[row, column]), weights[row, column]
+    return _Between(target.shape, place, row, column, value, weight)
+
+
+def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
+    """Return the kind of a mask (see `check_target`) that is fitted in a float type."""
+    some = _between(target, weights)
+    if not some.place.size:
+        uniform = (scale := _weight_at_edges(target, weights)) * UNIFORM
+        return Kind("one bit", uniform, scale * HARD, CUT_CORNERS * uniform, False)
+    noise, far, even, spread = _noise_far_from_edges(target, weights, some)
+    threshold = max(4 * noise, 1e-3)
+    between = some.where(
+        (some.value > threshold) & (some.value < 1 - threshold) & (some.weight > 0)
+    )
+    count = between.place.size
+    scale = float(np.mean(between.weight)) if count else 1.0
+    # The least is rounding; the solver's last step may leave more.
+    rounding = ROUNDING * float(np.finfo(dtype).eps)
+    if np.issubdtype(target.dtype, np.floating):
+        rounding = max(rounding, float(np.finfo(target.dtype).eps))
+    variance, step = _quantisation(between.value)
+    least = scale * max(rounding**2, UNIFORM * step**2)
+    variance = scale * max(variance, rounding**2, FINE_PX[np.dtype(dtype)] ** 2)
+    if count and np.mean(_shorter_run(between) > 2) > WIDE_SHARE:
+        width = _edge_width(target, between)
+        left = (max(PER_WIDTH * (width - SHARP_WIDTH), LEAST_WIDE) + noise**2) * scale
+        return Kind("wide edges", left, max(HARD * scale, 1.5 * left), least, False, far)
+    if noise > 0:
+        variance = scale * noise**2 + least
+        most = TIMES * variance if even else HARD * scale
+        return Kind("noisy", variance, most, least, even, far, spread)
+    # A renderer's 8 bits: some hundred samples a pixel, or its filter.
+    most = TIMES * (SAMPLED / 1024 * scale if step == 1 / 255 else variance)
+    counted = max(least, scale * FINE_PX[np.dtype(dtype)] ** 2)
+    return Kind("soft", variance, most, least, True, alike=counted)
+
+
+def _weights_near(target: np.ndarray, weights: np.ndarray, reach: float) -> tuple[Near, np.ndarray]:
+    """Return the pixels near the mask's edge, and their weights."""
+    close = near(inside_of(target), reach)
+    return close, weights[np.divmod(close.place, target.shape[1])]
+
+
+def _weight_at_edges(target: np.ndarray, weights: np.ndarray) -> float:
+    """Return the mean weight of pixels at the mask's edge that have one, 1 if there are none."""
+    if alike(weights):
+        return float(weights.flat[0])
+    _, weight = _weights_near(target, weights, 1.0)
+    counted = weight[weight > 0]
+    return float(np.mean(counted)) if counted.size else 1.0
+
+
+def _noise_far_from_edges(
+    target: np.ndarray, weights: np.ndarray, some: _Between
+) -> tuple[float, float, bool, float]:
+    """Return the standard deviation of pixels that are 0 or 1 for certain, the mean of their
+    weighted squares, whether the noise is the same everywhere, and if it is the standard error of
+    the sum of as many as are not certain.
+
+    `some` are the pixels that are not 0 or 1: the others are off by nothing.
+    """
+    close, weight = _weights_near(target, weights, FAR_PX)
+    is_close = looked_up(close.place, np.ones(len(close.place)), some.place, 0.0)
+    away = some.where((some.weight > 0) & (is_close == 0))
+    nearest = np.round(away.value)
+    off = away.value - nearest
+    squares = off**2
+    if not np.any(squares):
+        return 0.0, 0.0, True, 0.0
+    beside = int(np.count_nonzero(weight))
+    number = counted(weights) - beside
+    mean = float(np.sum(squares)) / number
+    even = float(np.sum(squares**2)) / number < UNEVEN * mean**2
+    clipped = np.all(off[nearest > 0] <= 0) and np.all(off[nearest <= 0] >= 0)
+    weighted = away.weight * squares
+    far = float(np.sum(weighted)) / number
+    rest = number - weighted.size
+    deviation = float((np.sum((weighted - far) ** 2) + rest * far**2) / number) ** 0.5
+    spread = deviation * (beside * (1 + beside / number)) ** 0.5
+    return (2 * mean if clipped else mean) ** 0.5, far, bool(even), float(even * spread)
+
+
+def _shorter_run(some: _Between) -> np.ndarray:
+    """Return for each pixel how many of them stand beside one another in its row or in its column,
+    the shorter way."""
+    (H, W), order = some.shape, np.lexsort((some.row, some.column))
+    down = np.zeros(len(order), int)
+    down[order] = _runs((some.column * (H + 1) + some.row)[order])
+    return np.minimum(_runs(some.row * (W + 1) + some.column), down)
+
+
+def _runs(ascending: np.ndarray) -> np.ndarray:
+    """Return for each of ascending integers how many follow one another without a gap."""
+    _, run = np.unique(ascending - np.arange(len(ascending)), return_inverse=True)
+    return np.bincount(run.ravel())[run.ravel()]
+
+
+def _edge_width(target: np.ndarray, some: _Between) -> float:
+    """Return the integral of m (1 - m) across an edge, in px: 1/6 for a sharp one."""
+    slope = np.hypot(*(_slope(target, some, axis) for axis in (0, 1)))
+    return float(np.sum(some.value * (1 - some.value)) / max(float(np.sum(slope)), 1e-9))
+
+
+def _slope(target: np.ndarray, some: _Between, axis: int) -> np.ndarray:
+    """Return the slope along an axis at some pixels, as `np.gradient` has it."""
+    at = (some.row, some.column)
+    ends = [list(at), list(at)]
+    ends[0][axis] = np.maximum(at[axis] - 1, 0)
+    ends[1][axis] = np.minimum(at[axis] + 1, target.shape[axis] - 1)
+    before, after = (as_coverage(target[row, column]) for row, column in ends)
+    return (after - before) / np.maximum(ends[1][axis] - ends[0][axis], 1)
+
+
+def _quantisation(values: np.ndarray) -> tuple[float, float]:
+    """Return the variance that steps between a mask's possible values leave, and the step."""
+    if not values.size:
+        return 0.0, 0.0
+    sample = values[:: max(values.size // 2000, 1)]
+    if sample.size > 32:
+        for n in (*range(2, SAMPLES + 1), 128, 256, 512, 1024):
+            # 8 bits may have rounded a small number of samples once more.
+            slack = 0.6 * n / 255 if n <= SAMPLES else 0
+            if np.all(np.abs(n * sample - np.round(n * sample)) < slack + 1e-3):
+                return SAMPLED / n, 1 / n
+    for steps in (255, 65535):
+        if np.all(np.abs(steps * values - np.round(steps * values)) < 1e-2):
+            return UNIFORM / steps**2, 1 / steps
+    return 0.0, 0.0

@@ -1,0 +1,166 @@
+"""Levenberg-Marquardt in one compiled program (optimistix, with a linear solver of lineax's kind).
+
+Both take a while to import, so this is imported where a fit begins.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jax.flatten_util import ravel_pytree
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Float
+
+from .._camera.camera import Camera
+from .._mask.pyramid import Level
+from .._numerics.thin_qr import triangle_and_rhs
+from .linearised import triangle_at
+from .problem import COSINE, UNIT_PX, Problem, View, move as move_of
+from .residuals import Capacity
+
+#: Steps of a level that can be told one by one.
+RECORDED = 64
+
+
+class _Recorded(NamedTuple):
+    """The solver's state, and where the first steps came to."""
+
+    solver: Any
+    path: Float[Array, "RECORDED n"]
+
+
+class _LevenbergMarquardt(optx.AbstractGaussNewton):
+    """optimistix's Levenberg-Marquardt, which also stops when the next step is negligible, or after
+    `steps`, and has its way and what it last accepted among its `stats`.
+
+    Its own test compares residuals entry by entry, which change places here from step to step, and
+    never stops while steps are rejected (in float32, at the rounding floor, until `max_steps`).
+    """
+
+    rtol: float
+    atol: Any
+    steps: Any
+    norm: Callable
+    descent: optx.AbstractDescent
+    search: optx.AbstractSearch
+    verbose: Callable
+
+    def __init__(self, atol: Any, steps: Any):
+        self.rtol, self.atol, self.steps, self.norm = 0.0, atol, steps, optx.max_norm
+        self.descent = optx.DampedNewtonDescent(linear_solver=_ThinQR())
+        self.search = _TrustRegion()
+        self.verbose = _silent
+
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> Any:
+        state = super().init(fn, y, args, options, f_struct, aux_struct, tags)
+        return _Recorded(state, jnp.zeros((RECORDED, *y.shape), y.dtype))
+
+    def step(self, fn, y, args, options, state: Any, tags) -> Any:
+        y, solver, aux = super().step(fn, y, args, options, state.solver, tags)
+        path = state.path.at[state.solver.num_steps].set(y, mode="drop")
+        return y, _Recorded(solver, path), aux
+
+    def postprocess(self, fn, y, aux, args, options, state: Any, tags, result):
+        del fn, args, options, tags, result
+        at = state.solver.f_info
+        camera, seen = state.solver.aux
+        n = len(y)
+        view = View(at.jac.as_matrix()[:n], at.residual[:n], *seen)
+        return y, aux, {"path": state.path, "camera": camera, "view": view}
+
+    def terminate(self, fn, y, args, options, state: Any, tags):
+        del fn, args, options, tags
+        state = state.solver
+        step = state.y_eval - y
+        change = state.f_info.jac.mv(step)
+        cosine = COSINE[np.dtype(step.dtype)]
+        flat = _sum_squares(change) <= cosine**2 * _sum_squares(state.f_info.residual)
+        small = jnp.max(jnp.abs(step)) < self.atol
+        enough = state.num_steps >= self.steps
+        return ~state.first_step & (small | flat | enough), state.result
+
+
+class _TrustRegion(optx.ClassicalTrustRegion):
+    """optimistix's, with its step size in the problem's float type, not the configuration's."""
+
+    def init(self, y, f_info_struct):
+        state = super().init(y, f_info_struct)
+        return eqx.tree_at(lambda s: s.step_size, state, state.step_size.astype(y.dtype))
+
+
+def _sum_squares(x: Array) -> Array:
+    return jnp.sum(x * x)
+
+
+def _silent(**kwargs: Any) -> None:
+    del kwargs
+
+
+def _residual(y: Float[Array, "n"], args: Any):
+    """The function that optimistix sees: module level and all data in `args`, to compile once.
+
+    It is linear in y about each point, so its Jacobian is a table that is worked out once a step:
+    R of [J, r] = Q R, whose few rows have the sums of squares, and all that steps are made of, of
+    the thousands.
+    """
+    at = jax.lax.stop_gradient(y)
+    R, aux = _linearised(at, args)
+    return R[:, -1] + R[:, :-1] @ (y - at), aux
+
+
+@eqx.filter_jit
+def _linearised(y: Float[Array, "n"], args: Any):
+    """Return what `triangle_at` does of what optimistix hands on."""
+    move, problem, level, names, capacity = args
+    return triangle_at(y, move, problem, level, names.value, Capacity(*capacity.value))
+
+
+class _Static(eqx.Module):
+    """A static value inside a pytree of arguments."""
+
+    value: tuple = eqx.field(static=True)
+
+
+@eqx.filter_jit
+def descended(camera: Camera, problem: Problem, level: Level, px, steps, names, capacity):
+    """Return the camera after so many steps at most, or when steps are shorter than `px`; how many
+    it took, the first of them, and the view: after one step (which evaluates the start) of the
+    start.
+    """
+    move = move_of(camera, problem, level, names)
+    args = (move, problem, level, _Static(names), _Static(tuple(capacity)))
+    solver, zero = _LevenbergMarquardt(px / UNIT_PX, steps), jnp.zeros_like(move.scale)
+    found = optx.least_squares(
+        _residual, solver, zero, args, has_aux=True, max_steps=None, throw=False
+    )
+    return tuple(found.stats[name] for name in ("camera", "num_steps", "path", "view"))
+
+
+class _ThinQR(lx.AbstractLinearSolver[Any]):
+    """Least squares with far more equations than unknowns, which are one flat array.
+
+    A lineax solver. It has no transpose: it is not differentiated.
+    """
+
+    def init(self, operator, options):
+        del options
+        return operator.as_matrix()
+
+    def compute(self, state, vector, options):
+        del options
+        R, rhs = triangle_and_rhs(state, ravel_pytree(vector)[0])
+        return solve_triangular(R, rhs), lx.RESULTS.successful, {}
+
+    def transpose(self, state, options):
+        raise NotImplementedError("ThinQR has no transpose")
+
+    def conj(self, state, options):
+        raise NotImplementedError("ThinQR has no conjugate")
+
+    def assume_full_rank(self):
+        return True

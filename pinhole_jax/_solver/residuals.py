@@ -1,0 +1,328 @@
+"""Coverage minus target, only at the pixels that a contour touches.
+
+Pieces of the contour are sorted by pixel. A running sum of their heights gives the coverage of each
+touched pixel and of the runs of untouched pixels between them, whose cost is a difference of the
+target's running sums. The work does not depend on the number of pixels, so one compiled program
+serves every level and every image.
+
+Where contours overlap within a pixel, its layers are added up and clamped on coarse levels: these
+only lead to finer ones. On the finest level such a pixel shows the union's coverage, as the image
+does. One that holds more pieces than are swept is left out there.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from .._camera.camera import Camera, film_map, lens_holds
+from .._camera.film import FilmMap, FilmPart
+from .._mask.pyramid import Level, Pyramid, cells_of
+from .._numerics.bitset import in_order
+from .._numerics.running import running_sum
+from .._scene.scene import Scene
+from .._silhouette.coverage import Pieces, monotone, piece_counts, split
+from .._silhouette.curve_sets import edge_curves, find, outline_curves
+from .._silhouette.curves import Curves, Segments, piece_flux, placed
+from .._silhouette.marks import Marks, marks, overlaps, winding_jumps
+from .._silhouette.surrounding import surrounding
+from .._silhouette.sweep import ARC, Visible, sweepable
+from .overlapping import MOST, Overlapping, Part, resolved, whole
+
+MAX_ROWS = 1 << 14
+#: A pixel that is covered, or uncovered, but for less than this shows no outline.
+HIDDEN = 1e-4
+
+
+class Capacity(NamedTuple):
+    """Static sizes: contour edges of the mesh (their parts, under distortion), pieces of edges and
+    of arcs, and parts of arcs (under distortion)."""
+
+    edges: int
+    pieces: int
+    arc_pieces: int
+    arcs: int = 1
+
+
+class Touched(NamedTuple):
+    """The pixels that the contour touches, in raster order; unused slots have `cell` past the end.
+
+    `coverage` is differentiable, and exact where `known`; `covered_after` tells whether the
+    untouched pixels that follow in the row are covered, `covered_before` whether those before are.
+    """
+
+    cell: Int[Array, "P"]
+    inside: Bool[Array, "P"]
+    known: Bool[Array, "P"]
+    coverage: Float[Array, "P"]
+    covered_after: Bool[Array, "P"]
+    covered_before: Bool[Array, ""]
+
+
+class Sums(NamedTuple):
+    """Weighted sums over all pixels but those left out: squared residual, min and max of coverage
+    and target, weight.
+
+    `touched` counts the pixels with weight that the outline crosses, where the background is seen
+    beside the object (not contours within it), `touched_squares` is theirs; `off` counts those with
+    a residual that the mask's kind does not explain.
+    """
+
+    squares: Float[Array, ""]
+    overlap: Float[Array, ""]
+    union: Float[Array, ""]
+    weight: Float[Array, ""]
+    touched: Float[Array, ""]
+    touched_squares: Float[Array, ""]
+    off: Float[Array, ""]
+
+
+class Pixels(NamedTuple):
+    """The touched pixels of a view, in raster order (see `Touched`), with their weights: 0 where a
+    pixel is left out or beside the window; and the level that they are of."""
+
+    level: Level
+    cell: Int[Array, "P"]
+    coverage: Float[Array, "P"]
+    weight: Float[Array, "P"]
+    covered_after: Bool[Array, "P"]
+    covered_before: Bool[Array, ""]
+
+
+class Load(NamedTuple):
+    """How much of each capacity a view needs; a lower bound once `edges` is over its capacity."""
+
+    edges: Int[Array, ""]
+    pieces: Int[Array, ""]
+    arc_pieces: Int[Array, ""]
+    arcs: Int[Array, ""]
+
+    def fits(self, capacity: Capacity) -> Bool[Array, ""]:
+        """Return whether every capacity suffices."""
+        return jnp.all(jnp.stack(self) <= jnp.array(capacity, jnp.int32))
+
+
+def residuals(
+    camera: Camera, scene: Scene, pyramid: Pyramid, level: Level, capacity: Capacity
+) -> tuple[tuple[Float[Array, "P"], Float[Array, ""]], Sums, Load, Pixels]:
+    """Return the weighted residuals at touched pixels, the rest's root sum of squares, sums, load,
+    and these pixels.
+
+    The sum of all squares is the weighted squared distance of the image from the target, but for
+    pixels where contours overlap. The rest
+    is constant in the camera to first order. Where a capacity is too small, or a lens folds within
+    what is looked at, all is NaN, so that a solver does not step there.
+    """
+    touched, load = touch(camera, scene, level, capacity)
+    end = level.H * (level.W + 2)
+    here = cells_of(pyramid, level, touched.cell)
+    weight = jnp.where(touched.inside & touched.known, here.weight, 0)
+    difference = jnp.sqrt(weight) * (touched.coverage - here.target)
+
+    # Runs of untouched pixels: after each slot up to the row's end, then up to the next slot.
+    begin = jnp.minimum(jnp.append(jnp.int32(-1), touched.cell) + 1, end)
+    until = jnp.append(touched.cell, end)
+    row_end = jnp.minimum(_row_start(level, begin + level.W + 1), until)
+    limits = cells_of(pyramid, level, jnp.stack([begin, row_end, until]))
+    run = jax.tree.map(lambda x: x[1:] - x[:-1], limits)
+    before = jnp.broadcast_to(touched.covered_before, until.shape)
+    covered = jnp.stack([jnp.append(before[:1], touched.covered_after), before])
+    rest = jnp.sum(jnp.where(covered, run.full, run.empty))
+
+    coverage = jax.lax.stop_gradient(touched.coverage)
+    covered_weight = jnp.sum(jnp.where(covered, run.weights, 0)) + jnp.sum(weight * coverage)
+    overlap = jnp.sum(jnp.where(covered, run.masses, 0)) + jnp.sum(
+        weight * jnp.minimum(coverage, here.target)
+    )
+    ends = cells_of(pyramid, level, jnp.stack([jnp.zeros_like(end), end]))
+    out = jnp.where(touched.inside & ~touched.known, here.weight, 0)
+    mass = ends.masses[1] - ends.masses[0] - jnp.sum(out * here.target)
+    total = ends.weights[1] - ends.weights[0] - jnp.sum(out)
+    held = jax.lax.stop_gradient(difference)
+    outline = (weight > 0) & (coverage > HIDDEN) & (coverage < 1 - HIDDEN)
+    sums = Sums(
+        squares=jnp.sum(held * held) + rest,
+        overlap=overlap,
+        union=covered_weight + mass - overlap,
+        weight=total,
+        touched=jnp.sum(jnp.where(outline, 1, 0)).astype(total.dtype),
+        touched_squares=jnp.sum(jnp.where(outline, held * held, 0)),
+        off=jnp.sum(outline & (jnp.abs(held) > level.explained)).astype(total.dtype),
+    )
+    ok = load.fits(capacity) & lens_holds(camera, _part(level))
+    ok = jnp.where(ok, 1, jnp.nan).astype(total.dtype)
+    sums = sums._replace(squares=sums.squares * ok)
+    sides = touched.covered_after, touched.covered_before
+    pixels = Pixels(level, touched.cell, coverage, weight, *sides)
+    return (difference * ok, jnp.sqrt(jnp.maximum(rest, 0)) * ok), sums, load, pixels
+
+
+def _row_start(level: Level, cell: Int[Array, "P"]) -> Int[Array, "P"]:
+    """Return the first cell of the row that a cell is in."""
+    return cell - cell % (level.W + 2)
+
+
+def _part(level: Level) -> FilmPart:
+    """Return a level's window in film heights."""
+    scale = jnp.asarray(level.scale)
+    left, bottom = jnp.asarray(level.origin) / scale
+    W, H = (jnp.asarray(x, scale.dtype) / scale for x in (level.W, level.H))
+    return FilmPart(left, left + W, bottom, bottom + H, scale)
+
+
+class _Pieces(NamedTuple):
+    """All pieces: their pixels, and what they add to these and beyond; `swept` is what a sweep asks
+    of them. Columns of their own: put together, each would be worked out for all the others."""
+
+    cell: Int[Array, "P"]
+    swept: tuple[Float[Array, "P"], ...]
+    height: Float[Array, "P"]
+    area: Float[Array, "P"]
+    turn: Float[Array, "P"]
+    counters: Int[Array, "P"]
+
+
+def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
+    """Return the touched pixels of a level, and what they take of the capacities."""
+    film = film_map(camera).looking_at(_part(level))
+    end, totals, found, lifts, parts = level.H * (level.W + 2), {}, [], [], []
+    for kind, curves, lift, count, size in _curves(film, scene, capacity):
+        curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))
+        xy, z = lift[..., :2], lift[..., 2:]
+        xy = xy * level.scale - level.origin[None, None] * z
+        lift = jnp.concatenate([xy, z], axis=-1)
+        m = monotone(curves)
+        upto = running_sum(piece_counts(m, level.W, level.H))
+        totals[kind] = (count, upto[-1].astype(jnp.int32))
+        slots = jnp.arange(size, dtype=jnp.int32)
+        pieces = split(m, upto, slots, level.W, level.H, MAX_ROWS)
+        # (Each column of a table of these would work out all of them anew: 1.3 of a step's 5 ms.)
+        pieces = jax.lax.optimization_barrier(pieces)
+        cell = jnp.where(pieces.valid, pieces.row * (level.W + 2) + pieces.column + 1, end)
+        sizes = pieces.height, pieces.area, winding_jumps(pieces)
+        found.append(_Pieces(cell, sweepable(pieces), *sizes, marks(pieces).counters))
+        own = jax.lax.stop_gradient(lift)[pieces.curve]
+        lifts.append((lift, pieces.curve))
+        parts.append(Part(_shown(curves, pieces, own), own))
+    none = (jnp.int32(0), jnp.int32(0))
+    (edges, edge_pieces), (arcs, arc_pieces) = (totals.get(k, none) for k in ("edges", "arcs"))
+    together = jax.tree.map(lambda *x: jnp.concatenate(x), *found)
+    base = surrounding(film, scene)
+    alone = scene.spheres is not None and scene.spheres.radii.shape[0] == 1 and len(parts) == 1
+    convex = alone and "arcs" in totals  # one sphere overlaps nothing
+    touched = _by_pixel(together, base, level, lifts, parts, convex)
+    return touched, Load(edges, edge_pieces, arc_pieces, arcs)
+
+
+def _shown(curves: Curves, pieces: Pieces, lift: Float[Array, "P n 3"]) -> Float[Array, "P k"]:
+    """Return what is visible of pieces that are alone in their pixels (see `Visible`)."""
+    if isinstance(curves, Segments):
+        return whole(pieces)
+    flux = piece_flux(jax.lax.stop_gradient(lift), curves, pieces.start, pieces.end)
+    return (-pieces.jump[:, None, None] * flux).reshape(-1, ARC)
+
+
+def _moved(
+    lift: Float[Array, "K n 3"], curve: Int[Array, "P"], flux: Float[Array, "P n 3"]
+) -> Float[Array, "P"]:
+    """Return a function linear in the curves' lifts whose derivative is each piece's `flux`.
+
+    Column by column: to gather whole lifts with their derivatives took a fifth of a step.
+    """
+    columns = np.ndindex(lift.shape[1:])
+    flux = jax.lax.stop_gradient(flux)
+    parts = [flux[:, i, j] * lift[:, i, j][curve] for i, j in columns]
+    return functools.reduce(jnp.add, parts)
+
+
+def _curves(
+    film: FilmMap, scene: Scene, capacity: Capacity
+) -> list[tuple[str, Curves, Array, Array, int]]:
+    """Return the curves by kind, their lifts, how many need room, and the room for their pieces."""
+    mesh, spheres = scene.mesh, scene.spheres
+    found = find(film, scene)
+    kinds: list[tuple[str, Curves, Array, Array, int]] = []
+    if mesh is not None and found.contour is not None:
+        edges = edge_curves(film, mesh.vertices, found.contour)
+        ids = jnp.arange(capacity.edges, dtype=jnp.int32)
+        drawn = edges.curves(ids), edges.lifts(ids)
+        kinds.append(("edges", *drawn, edges.total, capacity.pieces))
+    if spheres is not None and spheres.radii.shape[0]:
+        arcs = outline_curves(film, spheres, found.arcs)
+        ids = jnp.arange(arcs.most or capacity.arcs, dtype=jnp.int32)
+        needed = jnp.int32(0) if arcs.most else arcs.total
+        kinds.append(("arcs", arcs.curves(ids), arcs.lifts(ids), needed, capacity.arc_pieces))
+    return kinds
+
+
+def _by_pixel(
+    pieces: _Pieces,
+    base: Int[Array, ""],
+    level: Level,
+    lifts: list[tuple[Float[Array, "_ _ 3"], Int[Array, "_"]]],
+    parts: list[Part],
+    convex: bool,
+) -> Touched:
+    """Return what the pieces add up to in each pixel; `lifts` are those of each part's curves, with
+    which of these each piece is of, and `convex` says that none overlap."""
+    P = pieces.cell.shape[0]
+    end = level.H * (level.W + 2)
+    index = jnp.arange(P, dtype=jnp.int32)
+    order = in_order(pieces.cell)
+    swept = pieces.swept
+    cell, height, area, turn, counters, jump = (
+        x[order]
+        for x in (pieces.cell, pieces.height, pieces.area, pieces.turn, pieces.counters, swept[5])
+    )
+    changes = lambda x: jnp.append(True, x[1:] != x[:-1])
+    number_of = lambda which: running_sum(which.astype(jnp.int32)) - 1
+
+    def gather(slot, x):
+        return jnp.zeros((P, *x.shape[1:]), x.dtype).at[slot].add(x)
+
+    new, new_row = changes(cell), changes(_row_start(level, cell))
+    slot, row = number_of(new), number_of(new_row)
+
+    # Curves right of the film are left out: each row is summed up by itself.
+    def within_row(steps):
+        """Return the winding number before and after each piece's step."""
+        running = running_sum(steps)
+        upto = gather(row, jnp.where(new_row, running - steps, 0))[row]
+        after = running - upto + base.astype(steps.dtype)
+        return jnp.where(new, after - steps, 0), after
+
+    (before, after), (corner, _) = within_row(height), within_row(turn)
+    beyond = jnp.where(jnp.append(new[1:], True), after, 0)
+    winding, layers = gather(slot, before + area), gather(slot, jnp.abs(jump))
+    winding_after, corner = gather(slot, beyond), gather(slot, corner)
+    marked = Marks(layers, gather(slot, counters))
+    first = jnp.full(P + 1, P, jnp.int32).at[slot].min(index)
+    first, number = first[:-1], first[1:] - first[:-1]
+    cells = jnp.where(number > 0, cell[jnp.minimum(first, P - 1)], end)
+    column = cells % (level.W + 2)
+    inside = (cells < end) & (column > 0) & (column <= level.W)
+    # A contour along the pixel's side: the mean does not tell which of its layers that bounds.
+    tie = 64 * jnp.finfo(winding.dtype).eps
+    shared = overlaps(marked, winding) | ((layers > 0) & (jnp.abs(winding - 1) < tie))
+    shared &= inside & level.resolved
+    shared &= not convex
+    chosen = shared & (number <= MOST)
+    origin = jnp.stack([column - 1, cells // (level.W + 2)], axis=-1).astype(height.dtype)
+    areas, visible = winding, [part.visible for part in parts]
+    if not convex:
+        overlapping = Overlapping(chosen, first, number, origin, corner)
+        areas, visible = resolved(overlapping, swept, order, parts)
+    flux = [
+        Visible(jnp.zeros(len(seen), jnp.int32), seen).flux(part.lift)
+        for seen, part in zip(visible, parts, strict=True)
+    ]
+    change = jnp.concatenate([_moved(*own, rate) for own, rate in zip(lifts, flux, strict=True)])
+    moves = inside & (chosen | (winding < 1))
+    growth = jnp.where(moves, gather(slot, change[order]), 0)
+    share = jnp.where(chosen, areas, jnp.clip(winding, 0, 1))
+    coverage = share + growth - jax.lax.stop_gradient(growth)
+    known = ~shared | chosen
+    return Touched(cells, inside, known, coverage, winding_after > 0.5, base > 0)

@@ -1,0 +1,404 @@
+"""A fit of one scene to one mask: what is asked, and steps and looks, level by level."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array
+
+from .._camera.camera import Camera
+from .._files import programs
+from .._mask.edges import Weights
+from .._mask.pyramid import LEAST_CELLS, Level
+from .._mask.target import Window, inside_of, object_window
+from .._numerics.tracing import collector_at_rest
+from .._scene.scene import Scene
+from .buffers import Asked, Buffers, Levels
+from .capacity import first_capacity
+from .kinds import Kind, kind_of
+from .moves import Bounds, Move, moved
+from .outline_errors import OutlineErrors, is_drawn, outline_errors
+from .priors import Others, Prior, no_others
+from .problem import (
+    COARSE_PX,
+    FINE_PX,
+    Problem,
+    View,
+    like_descended,
+    move as move_of,
+    move_about,
+)
+from .residuals import Capacity
+from .revolution import Revolution
+from .subject import Subject
+
+#: Noise leaves at most so many standard errors more than on average.
+ERRORS = 4.0
+#: What a hard edge leaves in a pixel of the outline, and what 8 bits do.
+ONE_BIT, LEAST_VARIANCE = 1 / 12, 1 / 12 / 255**2
+#: A step that is negligible (px) where a fit goes on to fewer pixels: half as many steps as to the
+#: end of what float32 resolves, and squares within a hundred thousandth.
+CONTINUED_PX = 5e-3
+#: Where there are finer levels, a fit looks for what is far away on this one, where the object has
+#: 128 to 256 px. A residual tells of an outline that is a pixel away at most: of 12 degrees ten
+#: steps took 10 to 12 back on this level, 1.5 on one where the object had 1500 px.
+FAR_LEVEL = 3
+#: Named, since optimistix takes a third of this package's import.
+DESCENDED = "pinhole_jax._solver.levenberg_marquardt:descended"
+
+
+class Stop(NamedTuple):
+    """Where steps on a level ended: the camera (canonical), the level, their number."""
+
+    camera: Camera
+    level: Level
+    steps: int
+
+
+class Found(NamedTuple):
+    """A camera (canonical), what is seen there, the steps taken on each level; the way there, from
+    the start (0 steps) on, by levels or (a solver that records) by steps; whether the last steps
+    ended by themselves, not at a limit."""
+
+    camera: Camera
+    view: View
+    steps: tuple[int, ...]
+    way: tuple[Stop, ...] = ()
+    ended: bool = False
+
+
+def onward(before: Found, after: Found) -> Found:
+    """Return what a further descent found, with the steps of both."""
+    steps, way = before.steps + after.steps, before.way + after.way[1:]
+    return after._replace(steps=steps, way=way)
+
+
+def last_px(kind: Kind, dtype: Any, continued: bool) -> float:
+    """Return what step (px) is negligible on the finest level. What is `continued` on fewer pixels,
+    as any mask that is not exact, moves by more then."""
+    return CONTINUED_PX if continued and not kind.exact else FINE_PX[np.dtype(dtype)]
+
+
+@dataclass(frozen=True, eq=False)
+class Solver:
+    """One subject, one mask, and what is asked of them.
+
+    A value: with other weights, another scene or other views' knowledge it is another solver. What
+    grows with use is in its `buffers`, which they share.
+
+    - `target`: the mask (H, W); `weights`: how much its pixels count; `kind`: its kind.
+    - `names`: what is free; `bounds` and `prior`: what is known of it; `others`: what other views
+      know.
+    - `max_steps`: the most steps on a level; `fine_px`: what step is negligible on the finest.
+    - `record`: whether the way is to hold each step.
+    - `only_finest`: whether there is but one level, the finest.
+    - `least`: pyramids have room for so many cells.
+    - `walked`: walks all round a line: from there another need not be taken.
+    """
+
+    subject: Subject
+    target: np.ndarray
+    weights: Weights
+    kind: Kind
+    names: tuple[str, ...]
+    max_steps: int
+    fine_px: float
+    buffers: Buffers
+    least: int
+    bounds: Bounds | None = None
+    prior: Prior | None = None
+    others: Others | None = None
+    record: bool = False
+    only_finest: bool = False
+    walked: list[tuple[Camera, Revolution, list[Found]]] = field(default_factory=list, init=False)
+    _errors: list[tuple[View, OutlineErrors | None]] = field(default_factory=list, init=False)
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        target: np.ndarray,
+        weights: np.ndarray,
+        dtype: Any,
+        names: tuple[str, ...],
+        max_steps: int,
+        bounds: Bounds | None = None,
+        prior: Prior | None = None,
+        record: bool = False,
+        continued: bool = False,
+    ) -> "Solver":
+        """Return the solver of a scene and a mask, in a float type; `continued` as in `last_px`."""
+        given = target, weights, names, max_steps, bounds
+        made = cls.on(Subject.of(scene, dtype), *given, continued=continued)
+        return replace(made, prior=prior, record=record)
+
+    @classmethod
+    def on(
+        cls,
+        subject: Subject,
+        target: np.ndarray,
+        weights: np.ndarray,
+        names: tuple[str, ...],
+        max_steps: int,
+        bounds: Bounds | None = None,
+        continued: bool = False,
+        cells: int = LEAST_CELLS,
+    ) -> "Solver":
+        """Return the solver of a subject and a mask, whose pyramids hold `cells` at least."""
+        window, dtype = object_window(target), subject.dtype
+        capacity = first_capacity(subject.given, inside_of(window.of(target)))
+        buffers = Buffers(capacity, window, cells)
+        kind = kind_of(window.of(target), window.of(weights), dtype)
+        ends = max_steps, last_px(kind, dtype, continued)
+        least = buffers.least_cells()
+        return cls(subject, target, weights, kind, names, *ends, buffers, least, bounds)
+
+    def weighed(
+        self, weights: Weights, target: np.ndarray | None = None, only_finest: bool = False
+    ) -> "Solver":
+        """Return the solver to which pixels count otherwise, and of another mask if one is given;
+        of the finest level alone, if that is all that is asked for."""
+        target, least = self.target if target is None else target, self.buffers.least_cells()
+        return replace(self, weights=weights, target=target, only_finest=only_finest, least=least)
+
+    def beside(self, others: Others) -> "Solver":
+        """Return the solver to which what other views know counts. They weigh the prior, too."""
+        return replace(self, others=others)
+
+    def like(self, kind: Kind) -> "Solver":
+        """Return a solver for masks of another kind, with buffers of its own."""
+        return replace(self, kind=kind, buffers=self.buffers.copy())
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Return the float type that a fit works in."""
+        return self.subject.dtype
+
+    @property
+    def capacity(self) -> Capacity:
+        """Return what a view has room for."""
+        return self.buffers.capacity
+
+    @property
+    def _levels(self) -> Levels:
+        buffers = self.buffers
+        least = max(self.least, buffers.least)
+        of = self.target, self.weights, self.kind, buffers.window, least, self.only_finest
+        return buffers.levels(Asked(*of), self.dtype)
+
+    @property
+    def levels(self) -> list[Level]:
+        """Return the mask's levels, from coarse to fine."""
+        return self._levels.each
+
+    @property
+    def finest(self) -> int:
+        """Return the number of the finest level."""
+        return len(self.levels) - 1
+
+    @property
+    def far(self) -> int:
+        """Return the number of the level on which what is far away is looked for: the finest where
+        a prior or other views count, whose residuals are weighed against that level's."""
+        alone = self.prior is None and self.others is None
+        return min(FAR_LEVEL, self.finest) if alone else self.finest
+
+    @property
+    def problem(self) -> Problem:
+        """Return what the fit's programs are given beside a camera and a level."""
+        others = self.others or no_others(self.names, self.dtype)
+        known = others, self.bounds, self._weighed_prior()
+        return Problem(self.subject.scene, self._levels.pyramid, self.subject.pivot, *known)
+
+    def _weighed_prior(self) -> Prior | None:
+        """Return the prior, weighed by what a residual of the mask errs by."""
+        if self.prior is None or self.buffers.noise is None:
+            return self.prior
+        noise = np.asarray(self.buffers.noise, self.dtype)
+        return eqx.tree_at(lambda prior: prior.noise, self.prior, noise)
+
+    def misfit_above_noise(self, view: View) -> float:
+        """Return the mean square residual of an outline pixel, all squares put on these pixels but
+        what noise leaves in others."""
+        touched = float(view.sums.touched)
+        noise = self.kind.far * max(self._levels.counted - touched, 0.0)
+        return max(view.squares - noise, 0.0) / max(touched, 1.0)
+
+    def explains(self, view: View) -> bool:
+        """Return whether a right camera may leave these squares in a mask of this kind.
+
+        Noise that is even says how much it leaves in all, and how exactly: what is beyond that is
+        something else, as a handle that only the mask shows.
+        """
+        misfit, kind = self.misfit_above_noise(view), self.kind
+        if not kind.spread:
+            return bool(misfit <= kind.most)
+        excess = (misfit - kind.variance) * max(float(view.sums.touched), 1.0)
+        return bool(excess <= ERRORS * kind.spread)
+
+    def errors(self, view: View) -> OutlineErrors | None:
+        """Return how the mask's outline errs, as a view's shows it; None for a mask that is
+        computed and explained, and where too little is seen."""
+        if self.kind.exact and self.kind.explains(view.touched_misfit, False):
+            return None
+        if not self._errors or self._errors[0][0] is not view:
+            weight = np.asarray(view.pixels.weight)
+            scale = float(np.median(weight[weight > 0])) if np.any(weight > 0) else 1.0
+            noise = max(self.kind.variance, view.touched_misfit) / scale
+            noise = float(np.clip(noise, LEAST_VARIANCE, ONE_BIT))  # more is no noise of pixels
+            found = outline_errors(view, self.target, self.weights, noise, self.kind.hard)
+            self._errors[:] = [(view, found)]
+        return self._errors[0][1]
+
+    def variance(self, view: View) -> float:
+        """Return by what, times two, squares at two cameras differ for each standard error between
+        them: a residual's variance, larger where neighbours err together."""
+        variance, errors = max(self.kind.variance, view.touched_misfit), self.errors(view)
+        if errors is None:
+            return variance
+        if is_drawn(errors):  # what lies beside the outline is of these errors, too
+            return view.squares / errors.independent
+        return variance * max(float(view.sums.touched) / errors.independent, 1.0)
+
+    def design(self, view: View) -> float:
+        """Return how many times as large as of independent residuals the variance is that a mask's
+        errors leave, in the mean of what it determines (a survey's design effect)."""
+        errors, triangle = self.errors(view), np.asarray(view.triangle, float)
+        if errors is None or not np.any(triangle):
+            return 1.0
+        inverse = np.linalg.pinv(triangle)
+        spread = np.trace(inverse.T @ errors.gradient @ inverse) / np.linalg.matrix_rank(triangle)
+        return errors.computed + float(spread) / max(view.touched_misfit, self.kind.least)
+
+    def begin(self, camera: Camera, level: int) -> View:
+        """Return the view at a camera while it is being worked out, for `look`: views of several
+        solvers are worked out side by side."""
+        self._widen(camera)
+        return self._further(camera, self.levels[level], 0.0, 1, self.capacity)[-1]
+
+    def look(self, camera: Camera, level: int, begun: View | None = None) -> View:
+        """Return the view at a camera (that was `begun` there); capacities get half as much room
+        again as it takes."""
+        while True:
+            view = self.begin(camera, level) if begun is None else begun
+            begun = None
+            if not self.buffers.grow(view.load):
+                share = float(self.levels[level].scale) / len(self.target)
+                weight = float(view.sums.weight) + share**2 * self._levels.beside
+                return view._replace(sums=view.sums._replace(weight=np.asarray(weight)))
+
+    def _weighs_prior(self) -> bool:
+        return self.prior is not None and self.others is None
+
+    def _heed(self, misfit: float) -> None:
+        """Weigh a prior by the mean square that a touched pixel's residual errs by, from now on."""
+        self.buffers.noise = np.sqrt(max(misfit, np.finfo(self.dtype).eps ** 2))
+
+    def _widen(self, camera: Camera) -> None:
+        """Look at the whole film from now on if a camera may show the scene beside the window."""
+        if not self.holds(camera):
+            H, W = self.target.shape
+            self.buffers.window = Window(0, 0, W, H)
+
+    def holds(self, camera: Camera) -> bool:
+        """Return whether a camera shows nothing of the scene beside the window, as far as a box
+        about it tells."""
+        H, W = self.target.shape
+        return self.subject.within(self.buffers.window, camera, W, H)
+
+    def move(self, camera: Camera, level: int) -> Move:
+        """Return where moves of a camera start, in the solver's units."""
+        return move_of(camera, self.problem, self.levels[level], self.names)
+
+    def step(self, camera: Camera, level: int, y: np.ndarray) -> Camera:
+        """Return the camera moved by y (n,) in the solver's units."""
+        about = *self.subject.pivot, self.bounds
+        y = np.asarray(y, self.dtype)
+        return _step(camera, about, self.levels[level].scale, y, self.names)
+
+    def solve(
+        self,
+        camera: Camera,
+        levels: Sequence[int],
+        on_stop: Callable[[Stop], None] | None = None,
+        coarse_px: float = COARSE_PX,
+        fine_px: float | None = None,
+        steps: int | None = None,
+        looks: bool = True,
+    ) -> Found:
+        """Return the camera found from level to level, and its view on the last of them.
+
+        Steps of `coarse_px`, on the finest level of `fine_px` (None: of what the fit asks for), are
+        negligible; at most so many `steps` are taken on a level. Without `looks` the view is
+        differentiated by moves of where the last steps began.
+        """
+        most = min(steps or self.max_steps, self.max_steps)
+        way, taken = [Stop(camera, self.levels[levels[0]], 0)], []
+        self._widen(camera)
+        while True:
+            capacity, window, end = self.capacity, self.buffers.window, None
+            for number in levels:
+                if self._weighs_prior():
+                    self._heed(self.look(camera, number).touched_misfit)
+                level = self.levels[number]
+                finest = number == self.finest
+                tolerance = (fine_px or self.fine_px) if finest else coarse_px
+                further, n, path, end = self._further(camera, level, tolerance, most, capacity)
+                stop = Stop(further, level, int(n))
+                stops = self._each_step(camera, number, stop, path) if self.record else [stop]
+                way += stops
+                if self._weighs_prior():
+                    self._heed(end.touched_misfit)
+                camera = further
+                taken.append(stop.steps)
+                if on_stop is not None:
+                    for passed in stops:
+                        on_stop(passed)
+            # (What a descent saw last is differentiated by moves of where it began.)
+            view = self.look(camera, levels[-1], None if looks else end)
+            if (self.capacity, self.buffers.window) == (capacity, window):
+                return Found(camera, view, tuple(taken), tuple(way), taken[-1] < most)
+            # The view outgrew its buffers or window on the way: go on from there with larger ones.
+
+    def glance(self, camera: Camera, number: int = -1) -> View:
+        """Return the view on a level (the last), whose overlaps are resolved, in buffers as they
+        are: NaN where these are too small."""
+        self._widen(camera)
+        return self._further(camera, self._resolved(number), 0.0, 1, self.capacity)[-1]
+
+    def descended(self, camera: Camera, steps: int, number: int = -1) -> Found:
+        """Return what some steps on a level (the last), whose overlaps are resolved, lead to, in
+        buffers as they are: NaN where these do not suffice. It has no way, and its view is
+        differentiated by moves of the beginning: what is to be reported is to be looked at."""
+        self._widen(camera)
+        px = FINE_PX[self.dtype] if number in (-1, self.finest) else COARSE_PX
+        camera, n, _, view = self._further(camera, self._resolved(number), px, steps, self.capacity)
+        return Found(camera, view, (int(n),), ended=int(n) < steps)
+
+    def _resolved(self, number: int) -> Level:
+        """Return a level on which pixels show the union's coverage, as on the finest: so it is not
+        biased."""
+        return self.levels[number]._replace(resolved=np.array(True))
+
+    @collector_at_rest()
+    def _further(self, camera: Camera, level: Level, px: float, steps: int, capacity: Capacity):
+        """Return `descended`'s from a camera: one program, whether it takes steps or only looks."""
+        ends = np.asarray(px, self.dtype), np.asarray(steps, np.int32)
+        given = camera, self.problem, level, *ends, self.names, capacity
+        return programs.call(DESCENDED, given, lambda: like_descended(camera, level))
+
+    def _each_step(self, camera: Camera, level: int, end: Stop, path: Array) -> list[Stop]:
+        """Return where each step of a level ended; those past `RECORDED` together."""
+        before = np.asarray(path)[: max(end.steps - 1, 0)]
+        each = [Stop(self.step(camera, level, y), end.level, 1) for y in before]
+        return [*each, end._replace(steps=end.steps - len(each))]
+
+
+@eqx.filter_jit
+def _step(
+    camera: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, y: Any, names
+) -> Camera:
+    """Return the camera moved by y in the solver's units, about a pivot with a radius."""
+    return moved(move_about(camera, *about, scale, names), y, names)

@@ -1,0 +1,112 @@
+"""What a fit looks at: a scene as its programs take it, and what its shape says of views."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._camera.axes import axes_of
+from .._camera.camera import Camera
+from .._mask.target import Window
+from .._scene.scene import (
+    Ball,
+    Scene,
+    astype,
+    ball_about,
+    bounding_box,
+    padded,
+    with_or_without_border,
+)
+from .revolution import Revolution, revolutions, some_of
+from .symmetry import Turn, turns_of_a_mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A scene that masks show; solvers of many masks may have one in common.
+
+    - `given`: the scene as the user gave it; `scene`: filled up, of the fit's float type.
+    - `ball`: a ball about it; moves of a camera are taken about its centre, `pivot` in that type.
+    - `corners`: those of a box about it (8, 3).
+    """
+
+    given: Scene
+    scene: Scene
+    ball: Ball
+    pivot: Ball
+    corners: np.ndarray
+
+    @classmethod
+    def of(cls, scene: Scene, dtype: Any) -> "Subject":
+        """Return a scene as a fit of a float type looks at it."""
+        box = np.asarray(bounding_box(scene), float)
+        ball = ball_about(box)
+        pivot = Ball(*(jnp.asarray(x, dtype) for x in ball))
+        return cls(scene, _worked_on(scene, dtype), ball, pivot, _corners(box))
+
+    def elsewhere(self, scene: Scene) -> "Subject":
+        """Return the subject with its vertices elsewhere; moves are taken as before."""
+        box = np.asarray(bounding_box(scene), float)
+        worked_on = _worked_on(scene, self.dtype)
+        return replace(self, given=scene, scene=worked_on, corners=_corners(box))
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Return the float type that a fit works in."""
+        return np.dtype(self.pivot.centre.dtype)
+
+    @cached_property
+    def mesh(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mesh's vertices (V, 3) and faces (F, 3), none where there is no mesh."""
+        mesh = self.given.mesh
+        if mesh is None:
+            return np.zeros((0, 3)), np.zeros((0, 3), int)
+        return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """Return some hundreds of the mesh's vertices (n, 3), or none."""
+        return some_of(self.mesh[0])
+
+    @cached_property
+    def revolutions(self) -> list[Revolution]:
+        """Return the lines that the mesh is round about, but for a part of it."""
+        return revolutions(self.mesh[0])
+
+    @cached_property
+    def turns(self) -> list[Turn]:
+        """Return the turns that bring most of the mesh's faces to other faces."""
+        return turns_of_a_mesh(*self.mesh)
+
+    def within(self, window: Window, camera: Camera, W: int, H: int) -> bool:
+        """Return whether a camera (canonical) shows nothing of the scene beside a window of the
+        film, as far as a box about the scene tells."""
+        if window == (0, 0, W, H):
+            return True
+        if camera.lens is not None and camera.lens.distortion is not None:
+            return False
+        x, y, z = on_film_plane(camera, self.corners).T
+        shown = H * np.stack([x / z, y / z], axis=-1)
+        return bool(np.all(z > 0) and window.holds(shown, W, H))
+
+
+def on_film_plane(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Return homogeneous film points (n, 3) of a canonical camera, in film heights."""
+    seen = (points - np.asarray(camera.e, float)) @ axes_of(camera).T
+    focal = 0.5 / np.tan(float(camera.phi) / 2)
+    if camera.lens is None:
+        aspect, centre = 1.0, np.array([camera.W / 2 / camera.H, 0.5])
+    else:
+        aspect, centre = float(camera.lens.aspect), np.asarray(camera.lens.principal_point, float)
+    scale = np.array([focal * aspect, focal])
+    return np.column_stack([seen[:, :2] * scale + centre * seen[:, 2:], seen[:, 2]])
+
+
+def _worked_on(scene: Scene, dtype: Any) -> Scene:
+    return with_or_without_border(padded(astype(scene, dtype)))
+
+
+def _corners(box: np.ndarray) -> np.ndarray:
+    return np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
