@@ -346,7 +346,7 @@ def sweep() -> None:
         )
     ):
         picture.words((left + cell + 80, 90 + 26 * n), words, size=15)
-    picture.write("sweep", "A sweep through a crowded pixel")
+    picture.write("sweep", "A sweep through a pixel with overlaps")
 
 
 def kinds() -> None:

@@ -145,7 +145,7 @@ def _error_picture(fit: Fit, scene: Scene, mask: np.ndarray) -> str:
 
 
 def _assumed(fit: Fit) -> str:
-    """Return in words what the standard errors take the mask and the mesh for."""
+    """Return a sentence that says what the standard errors take the mask and the mesh for."""
     if fit.mask_error is not None:
         mask = f"The mask's outline errs by {fit.mask_error}, which the sigmas allow for"
     elif _is_same(fit.covariance, fit.independent_covariance):

@@ -210,8 +210,8 @@ def test_meshes_and_images_of_similar_size_share_compiled_programs(scene):
 @pytest.mark.long
 def test_a_view_that_outgrows_its_buffers_is_fitted_with_larger_ones(monkeypatch, scene):
     for module in (capacity, buffers):
-        monkeypatch.setattr(module, "LEAST_ROOM", Capacity(1024, 1024, 1024, 1024))
-    monkeypatch.setattr(solver, "first_room", lambda *_: Capacity(1024, 1024, 1))
+        monkeypatch.setattr(module, "LEAST_CAPACITY", Capacity(1024, 1024, 1024, 1024))
+    monkeypatch.setattr(solver, "first_capacity", lambda *_: Capacity(1024, 1024, 1))
     truth = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 320, 320)
     fit = pj.fit_camera(scene, mask_of(truth, scene), turned(truth, [1, 2, 3], 5, 2.5))
     assert len(fit.steps) == 10  # two rounds of five levels

@@ -252,7 +252,7 @@ def test_no_pixel_of_a_rough_mesh_is_wrong_in_float32():
 
 @pytest.mark.long
 def test_what_there_is_no_room_for_is_resolved_all_the_same(monkeypatch):
-    monkeypatch.setattr(overlaps, "LEAST_ROOM", 64)
+    monkeypatch.setattr(overlaps, "LEAST_CAPACITY", 64)
     vertices, faces = soup(60)
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
     for distance in (30, 4):

@@ -159,7 +159,7 @@ def test_no_number_of_contour_edges_or_pieces_is_too_many(monkeypatch):
     gradient = eqx.filter_grad(lambda c: jnp.sum(weight * pj.silhouette(c, scene)))(camera)
     monkeypatch.setattr("pinhole_jax._silhouette.silhouette.CURVES_AT_A_TIME", 16)
     monkeypatch.setattr("pinhole_jax._silhouette.overlaps.PIECES", 8)
-    # So many pieces are visible in crowded pixels that these are resolved again.
+    # So many pieces are visible in overlapping pixels that these are resolved again.
     monkeypatch.setattr("pinhole_jax._silhouette.overlaps.KEPT", 4)
     monkeypatch.setattr("pinhole_jax._silhouette.overlaps.KEPT_AT_A_TIME", 2)
     monkeypatch.setattr("pinhole_jax._silhouette.overlaps.SWEPT", {8: 32, 24: 2})

@@ -169,7 +169,7 @@ def test_more_rays_than_are_searched_at_a_time(kind, rays, monkeypatch):
     monkeypatch.setattr(packets, "PACKETS", 128)
     monkeypatch.setattr(bvh, "BLOCK", 64)
     for module in (bvh, packets):
-        monkeypatch.setattr(module, "room", lambda _: 600)
+        monkeypatch.setattr(module, "capacity", lambda _: 600)
     jax.clear_caches()
     mesh = shapes.bumpy(1)
     if kind == "image":

@@ -29,7 +29,7 @@ from .._numerics.safe import norm, safe_divide, safe_sqrt
 #: The coefficients of all models, in OpenCV's order.
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 #: Where the image grows by less than this share of what it does on the axis it is about to fold;
-#: where it grows by more than so many times that, no lens is left.
+#: where it grows by more than this many times that, no lens is left.
 LEAST_SLOPE, MOST_SLOPE = 0.05, 100.0
 #: Radii of the ideal image looked at: the last is a tenth of a degree from the plane of the eye.
 RADII = np.geomspace(1e-3, 600.0, 1024)

@@ -236,7 +236,7 @@ def _add_hand_eye(commands: Any) -> None:
         "--joint-zeros",
         type=float,
         metavar="SIGMA",
-        help="find the zeros of the turning joints, too, which are known to so many degrees",
+        help="find the zeros of the turning joints, too, which are known to this many degrees",
     )
     robot.add_argument(
         "--holdout", action="store_true", help="fit each half of the postures, too: do they agree?"

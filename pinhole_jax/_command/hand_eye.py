@@ -133,7 +133,7 @@ def _proposed(robot: Robot, options: argparse.Namespace) -> list[Sight]:
 def _worths(
     fit: JointFit, views: list[JointView], options: argparse.Namespace, proposed: list[Sight]
 ) -> str:
-    """Return in words what a mask of each proposed posture would tell."""
+    """Return a sentence that says what a mask of each proposed posture would tell."""
     found = fit.cameras["camera"]
     seen = [(view.scene, given.mount) for view, given in zip(fit.views, views, strict=True)]
     return in_words(worths(found.camera, found.covariance, as_names(options.free), seen, proposed))
@@ -198,7 +198,7 @@ def _start(
 
 
 def _halves(fit: JointFit, views: list[JointView], options: argparse.Namespace) -> str:
-    """Return in words how far apart the fits to each half of the views are."""
+    """Return a sentence that says how far apart the fits to each half of the views are."""
     if len(views) < 2:
         return "expected two views at least"
     start, free = fit.camera, as_names(options.free)
@@ -215,7 +215,7 @@ def _halves(fit: JointFit, views: list[JointView], options: argparse.Namespace) 
 
 
 def _worth_most(fit: JointFit) -> str:
-    """Return in words which mask tells most."""
+    """Return a sentence that says which mask tells most."""
     best = max(range(len(fit.views)), key=lambda k: fit.views[k].worth)
     worth = fit.views[best].worth
     if not np.isfinite(worth):

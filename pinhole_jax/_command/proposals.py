@@ -53,7 +53,7 @@ def in_words(numbers: Sequence[float]) -> str:
     """Return which of the proposed postures tell most, the best first."""
     best = sorted(range(len(numbers)), key=lambda k: -numbers[k])
     each = ", ".join(f"row {k + 1} {numbers[k]:.2f}" for k in best[:5])
-    return f"a mask more would make the standard errors of the pose so many times smaller: {each}"
+    return f"a mask more would make the standard errors of the pose this many times smaller: {each}"
 
 
 def _tells(

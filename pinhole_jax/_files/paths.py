@@ -1,7 +1,7 @@
 """The door of files: what is read is bounded, and what is written is whole.
 
 Every file from outside comes in here. It is a regular file (a pipe would hang, a device never end)
-of at most so many bytes; text is UTF-8, and JSON is no deeper than cameras are.
+of at most this many bytes; text is UTF-8, and JSON is no deeper than cameras are.
 """
 
 import json
@@ -51,7 +51,7 @@ def is_folder(path: Any) -> bool:
 
 
 def existing(path: Any, kind: str, most: int | None = None) -> Path:
-    """Return the path of a regular file to read, of at most so many bytes.
+    """Return the path of a regular file to read, of at most this many bytes.
 
     Raises FileNotFoundError, or ValueError where it is no regular file, too large or out of reach.
     """

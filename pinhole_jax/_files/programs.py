@@ -40,7 +40,7 @@ SWITCHES = (
 )
 #: Switches with which JAX has to look at each call, and one that says where it runs.
 WATCHED = ("jax_debug_nans", "jax_debug_infs", "jax_disable_jit", "jax_default_device")
-#: At most so many programs are held.
+#: At most this many programs are held.
 HELD = 64
 #: XLA's older way to write kernels for a CPU: it takes a third less of a first fit's time, and what
 #: it makes runs 1.3 to 1.6 times as long.

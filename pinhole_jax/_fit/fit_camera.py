@@ -42,7 +42,7 @@ from .strategy import (
     without_outliers,
 )
 
-#: An occluder's edge is looked for from so many of the cameras that were found without one; a
+#: An occluder's edge is looked for from this many of the cameras that were found without one; a
 #: mask's errors are no larger (px) for it: what covers the object is among them at first.
 KNOWN, MOST_ERROR_PX = 3, 1.0
 
@@ -208,7 +208,7 @@ class Settings(NamedTuple):
 class _Answer(NamedTuple):
     """What explains a mask: the cameras, the best first, with views of all pixels; what is free
     about the best, whatever the mask's errors; how far (px) from the mask's edge pixels counted,
-    None if all did; what of that edge (n, 2) was taken for an occluder's, in words, too."""
+    None if all did; what of that edge (n, 2) was taken for an occluder's, as sentences, too."""
 
     solver: Solver
     mask: Mask

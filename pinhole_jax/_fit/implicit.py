@@ -108,7 +108,7 @@ def pulled(
     at: At, inputs: Inputs, velocity: Inputs, weight: np.ndarray, unit_px: float = 1.0
 ) -> Pulled:
     """Return how the gradient changes where pixels have a weight (H, W) and the moves are in units
-    of so many px."""
+    of this many px."""
     scene, target, given_weight = inputs
     dtype = at.film.e.dtype
     zero = jnp.zeros_like(at.move.scale)

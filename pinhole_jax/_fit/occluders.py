@@ -27,15 +27,15 @@ from .._solver.stretches import coverage_of, outline_pixels, smoothed_about
 
 #: The mask's edge is taken by stretches of this share of the object's size.
 STRETCH = 0.08
-#: So many points of the mask's edge are brought to the outline; at most so many tell what is hidden
-#: (a mask of noise has millions).
+#: This many points of the mask's edge are brought to the outline; at most this many tell what is
+#: hidden (a mask of noise has millions).
 POINTS, MOST_POINTS = 400, 20_000
-#: Its normals are those of a mask that is smoothed over so many px.
+#: Its normals are those of a mask that is smoothed over this many px.
 SMOOTH_PX = 2
 #: How far away an edge still counts: in the first step this share of the object's size, in the last
-#: so many px; in so many steps, of which the first few sort out the likely ones.
+#: this many px; in this many steps, of which the first few sort out the likely ones.
 FIRST, LAST_PX, STEPS, SORTED_IN = 0.12, 1.0, 20, 6
-#: So many of the likeliest are followed to the end.
+#: This many of the likeliest are followed to the end.
 FOLLOWED = 12
 #: A step moves no part of the outline by more than this share of the object's size.
 LONGEST = 0.3
@@ -51,7 +51,7 @@ NEAR_PX, NEAR_SIZES, TURNED = 2.0, 3.0, 0.5
 LEAST_HIDDEN, MOST_BEYOND = 0.05, 0.05
 #: So much about what is hidden (a share of the object's size) is not told either.
 ROOM = 0.1
-#: Which edge is the nearest is asked of so many blocks each way (pixels of a photo this large).
+#: Which edge is the nearest is asked of this many blocks each way (pixels of a photo this large).
 BLOCKS = 256
 #: A camera that explains less of the mask's edge than this is not believed.
 LEAST_EXPLAINED = 0.5
@@ -96,7 +96,7 @@ class Covered(NamedTuple):
     rivals: tuple[Camera, ...] = ()
 
     def __str__(self) -> str:
-        """Return it in words."""
+        """Return it as a sentence."""
         x, y = self.edge[np.argmin(np.linalg.norm(self.edge - np.median(self.edge, 0), axis=1))]
         row = len(self.hidden) - 1 - int(y)
         return (

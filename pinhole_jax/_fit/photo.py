@@ -47,7 +47,7 @@ LEAST_RESOLVED = 0.1
 #: the scene's own mask leave 0.09 to 0.14.
 MASK_PX = 0.2
 #: The photo contradicts a mask that does if its edge is off the mask's outline by this many times
-#: what it is off at best, or than so many px, which blur and noise leave. (At most 1.7 times for
+#: what it is off at best, or than this many px, which blur and noise leave. (At most 1.7 times for
 #: right masks, at least 3.2 times for those off by 1 px and more.)
 SURE, PHOTO_PX = 2.5, 0.15
 #: A photo whose edge is farther than this from every outline (rms) shows another edge. (At most
@@ -75,7 +75,7 @@ class Refined(NamedTuple):
 
 
 def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
-    """Return a photo (H, W, 3) of type uint8 or float, or raise ValueError in words."""
+    """Return a photo (H, W, 3) of type uint8 or float, or raise ValueError."""
     array = np.asarray(photo)
     expected = f"the mask's size and three colours, shape (H, W, 3) = ({H}, {W}, 3)"
     if array.shape != (H, W, 3):
@@ -238,6 +238,6 @@ def judged(
 
 def unresolved(resolved: float) -> str:
     return (
-        f"the photo tells the object from its surroundings along {resolved:.0%} of the outline only:"
-        " the camera is the mask's"
+        f"the photo tells the object from its surroundings along {resolved:.0%} of the outline"
+        " only: the camera is the mask's"
     )

@@ -28,7 +28,7 @@ STRIDES = np.deg2rad(1.5) * 2.0 ** np.arange(7)
 STEPS, DESCENTS = 10, 240
 #: Cameras closer than this (rad), or this many standard errors, are one place.
 APART, SIGMAS = np.deg2rad(0.5), 1.5
-#: Places that differ by less than so many variances of a residual are equal: 5.5 standard errors.
+#: Places that differ by less than this many variances of a residual are equal: 5.5 standard errors.
 EQUAL_TIMES = 30.0
 #: ... along a walk, whose places are samples of many: what lies between may be better.
 WALK_TIMES = 100.0
@@ -37,7 +37,7 @@ WALK_TIMES = 100.0
 DRAWN_TIMES = 2 * np.log(100)
 #: How many of the weakest directions are followed to where a drawn mask forbids them, how many
 #: standard errors away at first (between these angles, rad), in how many steps each; an interval
-#: counts if it is so many times as wide as the Jacobian says.
+#: counts if it is this many times as wide as the Jacobian says.
 LOOKED, PROFILE_SIGMAS, PROFILE_RAD = 2, np.array([2.0, 5.0]), np.deg2rad([1, 25])
 PROFILE_STEPS, WIDER = 5, 1.3
 #: ... and if they leave this share of what the Jacobian foretells at their distance, or less.
@@ -46,13 +46,13 @@ LIKE_FORETOLD = 0.5
 #: many standard errors away and half as far (between these angles, rad): there the squares have to
 #: have risen by about as much as the Jacobian says, within these factors, and it has to show, too.
 DOUBTFUL, DOUBT_SIGMAS, DOUBT_RAD, RISE = 0.2, 12.0, np.deg2rad([4, 10]), (0.15, 10.0)
-#: ... nor be so many times as steep.
+#: ... nor be this many times as steep.
 STEEPER = 4.0
 #: A descent that ends on a level for what is far away (see `Solver.far`) is followed no further
-#: where it is worse by so many times what is equal along a walk, nor where it is at a place that
+#: where it is worse by this many times what is equal along a walk, nor where it is at a place that
 #: another one led to: so near (rad).
 FAR_TIMES, RETURNED = 4.0, APART / 2
-#: So many equal places along a walk are no list of modes but a direction that is free.
+#: This many equal places along a walk are no list of modes but a direction that is free.
 MANY = 4
 #: An interval larger than this (rad) is taken for the whole circle.
 ALL_ROUND = np.deg2rad(190)
@@ -61,14 +61,14 @@ MIRRORED = 0.15
 #: The directions in which that is looked at.
 DIRECTIONS = sphere_points(64)
 #: Turns about a line that a body is round about are looked at so far apart (rad) at most, and
-#: followed, the likeliest first, until so many were worse, or there are this many. An axis is
+#: followed, the likeliest first, until this many were worse, or there are this many. An axis is
 #: another one if the cosine between them is less than this.
 LONGEST, LIKELY, MOST, SAME_AXIS = np.deg2rad(4.0), 6, 24, np.cos(np.deg2rad(30))
 #: Cameras so close (rad) are the same to a walk all round.
 WALKED = 1e-3
-#: Of turns that bring facets to facets, so many are followed.
+#: Of turns that bring facets to facets, this many are followed.
 FEW = 12
-#: ... and of a body that is not round so many; closer than this (the matrices' distance) are one.
+#: ... and of a body that is not round this many; closer than this (the matrices' distance) are one.
 TURNS, ONE_TURN = 24, 0.05
 #: What is farther from the start than this (rad) the start rules out.
 NEAR_START = np.deg2rad(60)
@@ -88,7 +88,7 @@ class Free(NamedTuple):
     axis: np.ndarray | None
 
     def __str__(self) -> str:
-        """Return it in words."""
+        """Return it as a sentence."""
         name = "a shift" if self.axis is None else f"the turn about the axis {in_words(self.axis)}"
         if np.isinf(self.ahead):
             return f"{name} is not visible"
@@ -346,7 +346,7 @@ def _strides(solver: Solver, best: Found, direction: _Direction, far: list[float
 
 
 def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
-    """Return where descents lead to from likely cameras all round a line, and so many more while
+    """Return where descents lead to from likely cameras all round a line, and this many more while
     those are as good."""
     for camera, other, places in solver.walked:
         if other is line and separation(solver, camera, best.camera) < WALKED:

@@ -45,7 +45,7 @@ class MaskError(NamedTuple):
     over_px: float
 
     def __str__(self) -> str:
-        """Return it in words."""
+        """Return it as a sentence."""
         if not self.px:
             return "no more than quantisation leaves"
         return f"{self.px:.1f} px, over some {self.over_px:.0f} px of the outline"
@@ -91,8 +91,8 @@ class Fit(NamedTuple):
       where contours overlap in an exact mask; `iou` their intersection over union.
     - `steps`: Levenberg-Marquardt steps on each level, coarse to fine; more than one round of
       levels where the view outgrew its buffers on the way.
-    - `weak`: directions that the mask determines badly or not at all, in words; last, if so, how
-      much of the outline is far from the mask's edge.
+    - `weak`: directions that the mask determines badly or not at all, as sentences; last, if so,
+      how much of the outline is far from the mask's edge.
     - `mask_error`: how the mask's outline errs; None where it is exact, and explained.
     - `unbelieved`: points (px, film coordinates) of the mask's edge that were taken for the edge of
       something before the object, and left out with what it hides; None where nothing was. `rms`

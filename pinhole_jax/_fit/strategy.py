@@ -36,8 +36,8 @@ from .places import (
 EXACT = 0.01
 #: A start whose intersection over union is below this may have the object beside the mask.
 POOR = 0.7
-#: Cameras that leave up to so many times the least squares may be right if a part of the mask is
-#: not to be believed; so many are looked at.
+#: Cameras that leave up to this many times the least squares may be right if a part of the mask is
+#: not to be believed; this many are looked at.
 RIVAL, RIVALS = 6.0, 6
 #: ... and near the mask's edge twice as many as its errors leave undecided.
 HOPELESS = 2.0
@@ -63,8 +63,9 @@ SAME = np.deg2rad(1.0)
 TRIED, APART, FOLLOWED = 16, np.deg2rad(15), 8
 #: A step that is negligible there, in coarse px.
 ROUGH_PX = 0.3
-#: What leaves so many times the best one's mean square on a level is followed no further; after the
-#: first few steps there (hopeless ones take 50, and are still 12 times worse) it is so many times.
+#: What leaves this many times the best one's mean square on a level is followed no further; after
+#: the first few steps there (hopeless ones take 50, and are still 12 times worse) it is this many
+#: times.
 WORSE, FIRST_STEPS, HOPELESS_AT_FIRST = 4.0, 8, 16.0
 #: Where the focal length is free, a search tries several: this much times the first guess.
 FOCAL_FACTORS = (1.0, 1.5, 0.67)
@@ -392,7 +393,7 @@ def unlikely(
     costs: Float[np.ndarray, " n"], far: Float[np.ndarray, " n"], independent: float
 ) -> Float[np.ndarray, " n"]:
     """Return how unlikely cameras are, minus a logarithm, from what they and a mask disagree by,
-    with so many independent errors, and how far (rad) they are from the start."""
+    with this many independent errors, and how far (rad) they are from the start."""
     return max(independent, 1) * np.log(costs) + (far / START_RAD) ** 2 / 2
 
 

@@ -33,7 +33,7 @@ from .views import Eye
 HEAVY = 1.0
 #: Rounds of weights at most; those that change by a smaller share have settled.
 ROUNDS, SETTLED = 16, 0.1
-#: Of a normal distribution 95 % lie within so many standard deviations.
+#: Of a normal distribution 95 % lie within this many standard deviations.
 NORMAL_95 = 1.959964
 #: How many times a residual's variance masks may err by, against what is believed.
 DESIGNS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
@@ -234,7 +234,7 @@ def _at(layout: Layout, found: Descent, weights: np.ndarray, counts: np.ndarray)
 
 
 def _sigma(squares: float, rank: float) -> float:
-    """Return how unlikely chi-squared of so many numbers is, as the distance of a normal one."""
+    """Return how unlikely chi-squared of this many numbers is, as the distance of a normal one."""
     from scipy.stats import chi2, norm
 
     if not (rank > 0 and np.isfinite(squares)):

@@ -14,7 +14,7 @@ from .result import JointFit, as_one, reported
 from .search import equally_good, looking_alike, searched_jointly
 from .views import JointView, State
 
-#: With the zeros of joints a fit goes on from so many levels before the finest.
+#: With the zeros of joints a fit goes on from this many levels before the finest.
 ZEROS_FROM = 3
 #: What covers less than this share of a drawn mask may have come from a wrong start.
 LIKELY_IOU = 0.8

@@ -35,7 +35,7 @@ from .shared_unknowns import alike, joint, others, reduced, shared_and_free
 INTRINSICS = ("phi", "principal_point", "distortion")
 
 
-#: A move of `UNIT_PX` counts as so many residuals of as much, as damping has it.
+#: A move of `UNIT_PX` counts as this many residuals of as much, as damping has it.
 FILM = 10.0
 #: How often a prior is weighed anew by what the points err by.
 ROUNDS = 3
@@ -53,7 +53,7 @@ class PointFit(NamedTuple):
       independently and alike, by as much as the residuals say.
     - `rms_px`: root mean square distance of the view's points from where they are seen.
     - `steps`: Levenberg-Marquardt steps.
-    - `weak`: directions that the points determine badly or not at all, in words.
+    - `weak`: directions that the points determine badly or not at all, as sentences.
     """
 
     camera: Camera

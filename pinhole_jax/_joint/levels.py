@@ -15,9 +15,9 @@ from .photo import OnPhotos, on_photos
 from .problem import JointProblem
 from .views import Eye, State
 
-#: So many steps at most on a level that leads to finer ones.
+#: This many steps at most on a level that leads to finer ones.
 COARSE_STEPS = 24
-#: An outline may lie so many times `outlier_px` from the mask's at first, then less.
+#: An outline may lie this many times `outlier_px` from the mask's at first, then less.
 REACHES = (8, 4, 2, 1)
 #: A step that is negligible (px) at the end where masks err by more.
 DRAWN_PX = 5e-3
@@ -58,7 +58,7 @@ def descended(
     px: float | None = None,
 ) -> Path:
     """Return where a descent from level to level leads to, steps on the finest of which are
-    negligible below so many px (None: as many as tell such masks apart)."""
+    negligible below this many px (None: as many as tell such masks apart)."""
     layout, steps, way = problem.layout, [], [Passed(state, depths[0], 0)]
     ones = np.ones(len(layout.eyes))
     found = Descent(state, [], np.inf, 0, False)
@@ -79,7 +79,7 @@ class End(NamedTuple):
     - `problem`: whose views look at their masks, or at their photos where these decided.
     - `whole`: the sums over all pixels of each mask.
     - `astray`: the share of each outline that is far from the mask's edge.
-    - `said`: what photos say, in words.
+    - `said`: what photos say, as sentences.
     """
 
     problem: JointProblem

@@ -121,7 +121,8 @@ def _pixels(problem: JointProblem, seen: list[Seen]) -> np.ndarray:
 def _weak(
     problem: JointProblem, values: np.ndarray, directions: np.ndarray, hidden: int
 ) -> list[str]:
-    """Return the directions that change masks little, or not at all (so many of them), in words."""
+    """Return the directions that change masks little, or not at all (this many of them), as
+    sentences."""
     top, result = max(float(values[0]), 1e-300), []
     for k, (value, direction) in enumerate(zip(values[::-1], directions[::-1], strict=True)):
         if k >= hidden and value > WEAK * top:

@@ -34,13 +34,13 @@ from .views import Eye, State
 #: Beside a photo that tells as much as one alone has to, others tell of the camera where they do so
 #: along this share of the outline: of something else they would not fit the other's camera.
 LEAST_BESIDE = LEAST_RESOLVED / 2
-#: The first round begins on the level that is so many from the finest (1: that one itself).
+#: The first round begins on the level that is this many from the finest (1: that one itself).
 FIRST_DEPTH = 3
 
 
 class OnPhotos(NamedTuple):
     """What photos lead to: the problem whose views look at them, how far these agree, the steps,
-    and what each photo says, in words."""
+    and what each photo says, as sentences."""
 
     problem: JointProblem
     found: Agreement

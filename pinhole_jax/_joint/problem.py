@@ -25,7 +25,7 @@ from .priors import belief_of_zero, beliefs_of, bounds_by_name, scales_of, zeros
 from .shared_unknowns import alike_in_groups, groups_of
 from .views import MOTIONS, POSE, SCALE, TWIST, ZERO, Eye, JointView, State, Unknown
 
-#: From so many views on, small masks have pyramids of few cells (MB less for each of them, and a
+#: From this many views on, small masks have pyramids of few cells (MB less for each of them, and a
 #: program more for all): 14 MB are 14 GB of a thousand.
 MANY_VIEWS, FEW_CELLS = 32, 1 << 13
 #: The name of the pose that all cameras of a rig share.
@@ -183,7 +183,7 @@ class JointProblem(NamedTuple):
         return result
 
     def few(self, most: int) -> "JointProblem":
-        """Return the problem with so many views at most, spread among all."""
+        """Return the problem with this many views at most, spread among all."""
         eyes = self.layout.eyes
         chosen = np.unique(np.linspace(0, len(eyes) - 1, most).round().astype(int))
         if len(chosen) == len(eyes):

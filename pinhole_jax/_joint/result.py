@@ -28,7 +28,7 @@ from .views import POSE, SCALE, ZERO, Eye, State
 
 #: A view this many times farther off than is usual is named.
 OFF = 2.5
-#: Views that differ by so many times what their masks' errors say do not do so by chance.
+#: Views that differ by this many times what their masks' errors say do not do so by chance.
 TELLING = 2.0
 #: A view with more than this share of its outline far from the mask's edge shows something else; a
 #: fit to more than this share of such views is none.
@@ -250,7 +250,7 @@ def _scales(problem: JointProblem, found: Agreement) -> dict[str, SceneScale]:
 
 
 def _untold(scales: Mapping[str, SceneScale]) -> list[str]:
-    """Return which scales the masks do not tell, in words."""
+    """Return which scales the masks do not tell, as sentences."""
     return [
         f"the scale of {name!r} and how far it is away are one: larger and farther it looks the"
         " same; a camera more at a known place, a known distance or scale (`prior`) would tell"
@@ -398,7 +398,7 @@ def _status(
     views: tuple[ViewFit, ...],
     camera: Camera,
 ) -> tuple[str, tuple[str, ...]]:
-    """Return the status of a camera, and what its masks determine badly, in words."""
+    """Return the status of a camera, and what its masks determine badly, as sentences."""
     layout = problem.layout
     squares = found.descent.squares
     if not np.isfinite(squares) or np.any(np.isnan(np.diag(covariance))):
@@ -436,7 +436,7 @@ def _worst(statuses: list[str]) -> str:
 
 
 def apart_in_words(off: float, weight: float) -> str:
-    """Return that a view counts less since mask and outline go so many times as far apart."""
+    """Return that a view counts less since mask and outline go this many times as far apart."""
     return (
         f"mask and outline go {off:.1f} times as far apart as in most views: it counts {weight:.2g}"
     )

@@ -18,13 +18,14 @@ from .levels import Path, Tell, depth_of, descended
 from .problem import JointProblem
 from .views import State
 
-#: Of each view so many guesses are tried, so far apart (rad), and so many of all followed further.
+#: Of each view this many guesses are tried, so far apart (rad), and this many of all followed
+#: further.
 TRIED, APART, FOLLOWED = 12, np.deg2rad(15), 4
-#: So many views that look alike are tried at most.
+#: This many views that look alike are tried at most.
 ALIKE = 6
-#: So many views are looked at before few states are left.
+#: This many views are looked at before few states are left.
 LOOKED_AT = 4
-#: Steps on the coarsest level at first; what leaves so many times the least squares is given up.
+#: Steps on the coarsest level at first; what leaves this many times the least squares is given up.
 FIRST_STEPS, WORSE = 8, 4.0
 
 

@@ -267,7 +267,7 @@ class Eye:
 
 
 def stretched(pose: Pose, times: float) -> Pose:
-    """Return the pose in a world that is so many times as large."""
+    """Return the pose in a world that is this many times as large."""
     return rigid(pose[:3, :3], times * pose[:3, 3])
 
 

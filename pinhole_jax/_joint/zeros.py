@@ -18,7 +18,7 @@ from .._solver.residuals import Pixels
 from .._solver.subject import on_film_plane
 from .views import Eye, State
 
-#: Contours are sampled so many times a pixel; what lies beside one is looked up so far away (px).
+#: Contours are sampled this many times a pixel; what lies beside one is looked up so far away (px).
 SAMPLES, BESIDE = 2.0, 1.0
 #: Samples of one edge at most; numbers of points that a lens bends are rounded up to these.
 MOST, ROUND = 2000, 4096

@@ -1,1 +1,1 @@
-"""What a mask says: its pixels, its edge, its levels, its signature and the views that look alike."""
+"""What a mask says: its pixels, its edge and levels, and which views have such a signature."""

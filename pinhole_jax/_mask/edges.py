@@ -10,7 +10,7 @@ import numpy as np
 
 from .target import Window, edge_distance, near_an_edge
 
-#: Pixels about each pixel of an edge are visited one by one, unless these are more than so many
+#: Pixels about each pixel of an edge are visited one by one, unless these are more than this many
 #: for each pixel of the image: then the distances of all are worked out at once.
 VISITS = 8
 

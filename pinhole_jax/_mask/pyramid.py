@@ -16,14 +16,14 @@ from jaxtyping import Array, Float, Int
 from .edges import NearWeights, Weights, alike, within
 from .target import Window, as_coverage, extent_of
 
-#: Cells of a page (two to so many); pages that are worked on at a time.
+#: Cells of a page (two to this many); pages that are worked on at a time.
 BITS, CACHED = 6, 1 << 12
 PAGE = 1 << BITS
 #: Cells of the smallest pyramid; the next sizes are 4 times as large, from `MANY_CELLS` on twice,
 #: since what is empty takes memory as well: each is compiled for.
 LEAST_CELLS, MANY_CELLS = 1 << 19, 1 << 23
-#: There is room for pages of their own for one cell in so many, and for `LEAST_CELLS`; where these
-#: are not enough, for all.
+#: There is room for pages of their own for one cell in this many, and for `LEAST_CELLS`; where
+#: these are not enough, for all.
 ONE_IN = 8
 #: Where JAX takes an array of NumPy as it is, its address is a multiple of this.
 ALIGNED = 64
@@ -193,7 +193,7 @@ def _halvings(image: _Image, times: int) -> list[_Image]:
 
 
 def _weights_of_levels(weight: Weights, number: int) -> list[Weights]:
-    """Return the weights of so many levels, each halved."""
+    """Return the weights of this many levels, each halved."""
     if alike(weight) or number == 1:
         return [weight] * number
     whole = weight.image() if isinstance(weight, NearWeights) else weight
@@ -362,7 +362,7 @@ def _cells(shape: tuple[int, int]) -> int:
 
 
 def _room(cells: int, least: int) -> int:
-    """Return the first of few sizes, from `least` on, that holds so many cells."""
+    """Return the first of few sizes, from `least` on, that holds this many cells."""
     room = least
     while room < cells:
         room *= 4 if room < MANY_CELLS else 2

@@ -11,8 +11,8 @@ import numpy as np
 
 #: A signature's rings, out to `REACH` radii of the disc of the mask's own area, and angles.
 RINGS, ANGLES, REACH = 16, 72, 2.4
-#: Where a part is hidden, the middle is so many radii farther there, the object so many times as
-#: large, and unknown what lies so many radii beyond the middle.
+#: Where a part is hidden, the middle is this many radii farther there, the object this many times
+#: as large, and unknown what lies this many radii beyond the middle.
 MIDDLE, LARGER, BEHIND = 0.2, 1.3, 0.3
 
 

@@ -48,7 +48,7 @@ def as_coverage(image: np.ndarray) -> np.ndarray:
 
 
 def check_image(name: str, image: Any, W: int, H: int) -> np.ndarray:
-    """Return an image (H, W) of type bool, uint8 or float, or raise ValueError in words."""
+    """Return an image (H, W) of type bool, uint8 or float, or raise ValueError."""
     return _with_range(name, image, W, H)[0]
 
 
@@ -137,7 +137,7 @@ def covered_border(mask: np.ndarray) -> float:
 
 
 def check_weight(weight: Any, W: int, H: int) -> np.ndarray:
-    """Return weights as float64 (H, W), ones for None, or raise ValueError in words."""
+    """Return weights as float64 (H, W), ones for None, or raise ValueError."""
     if weight is None:
         return np.broadcast_to(1.0, (H, W))
     array = np.asarray(weight)

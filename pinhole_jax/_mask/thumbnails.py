@@ -12,8 +12,8 @@ from .._scene.scene import Ball, Mesh, Scene
 SIZE = 48
 #: A line's parts within a row (px), and points of small and large spheres' outlines.
 STEP, OUTLINE = 0.5, (12, 32, 96)
-#: So many views have a bit of a word each; so many faces, edges or points of outlines are looked at
-#: at a time.
+#: This many views have a bit of a word each; this many faces, edges or points of outlines are
+#: looked at at a time.
 WORD, FACES, EDGES, POINTS = 64, 1 << 14, 1 << 12, 1 << 18
 
 
@@ -131,7 +131,7 @@ def _outlines(centre: np.ndarray, radius: np.ndarray, points: int) -> np.ndarray
 def _draw(
     sums: np.ndarray, view: np.ndarray, start: np.ndarray, end: np.ndarray, weight: np.ndarray
 ) -> None:
-    """Add lines (px, from the film's bottom left) that have so many layers more on their left."""
+    """Add lines (px, from the film's bottom left) that have this many layers more on their left."""
     falls = start[:, 1] - end[:, 1]
     weight = weight * np.sign(falls)
     swap = (falls > 0)[:, None]
@@ -160,6 +160,6 @@ def _draw(
 
 
 def _each(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for things of which there are so many each, whose each is and its number there."""
+    """Return, for things of which there are this many each, whose each is and its number there."""
     of = np.repeat(np.arange(len(counts)), counts)
     return of, np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)

@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 MOST_EAR_STEPS = 10**10
 #: The least area takes n^3 / 6 steps.
 MOST_LEAST_AREA = 400
-#: ... and so many steps for all faces of a file (some seconds).
+#: ... and this many steps for all faces of a file (some seconds).
 MOST_LEAST_AREA_STEPS = 6 * 10**8
 #: Areas agree where they differ by less than this, the polygon being of size 1.
 EXACT = 1e-9

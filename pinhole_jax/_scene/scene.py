@@ -209,7 +209,7 @@ def filled_alike(scenes: Sequence[Scene]) -> list[Scene]:
     """Return scenes with their meshes' arrays filled up to the largest one's, so that one program
     serves them side by side: small meshes, of which every edge is looked at.
 
-    Raises ValueError where some have a mesh, or so many spheres, and others do not.
+    Raises ValueError where some have a mesh, or as many spheres, and others do not.
     """
     made = {(s.mesh is None, 0 if s.spheres is None else len(s.spheres.radii)) for s in scenes}
     if len(made) > 1:

@@ -1,4 +1,4 @@
-"""Where outline and mask go apart, in words: what is cut off by the film, what lost or added.
+"""Where outline and mask go apart, as sentences: what is cut off by the film, what lost or added.
 
 A perfect mask, one of an object that the film's edge cuts off, and one that is itself cut off can
 all lead to the right camera. They are told apart here.
@@ -19,8 +19,8 @@ LEAST = 0.02
 
 
 def disagreement(camera: Camera, scene: Scene, target: np.ndarray) -> tuple[str, ...]:
-    """Return in words where the outline that a camera sees and a mask (H, W) go apart; nothing
-    where they do not."""
+    """Return a sentence that says where the outline that a camera sees and a mask (H, W) go apart;
+    nothing where they do not."""
     check_view(camera, scene)
     mask = as_coverage(check_image("target", target, camera.W, camera.H)) > 0.5
     lines = outline(camera, scene)

@@ -3,7 +3,7 @@ image, and back.
 
 What a piece adds to a pixel is linear in its curve's lift. So the curves' lifts are differentiated
 once, in one loop, and written to a table; a visible piece reads its row of it (or adds to it). The
-table has room for so many curves (`BLOCK`); of more, one block after the other is worked off.
+table has room for this many curves (`BLOCK`); of more, one block after the other is worked off.
 """
 
 from collections.abc import Callable

@@ -221,7 +221,7 @@ def edge_segments(
     """Return contour edges in and near the film, then what of them lies left of it; then nothing.
 
     The second half is there only if something may lie on the left. Under distortion edges are cut
-    into parts, as which they are seen.
+    into parts, the way they are seen.
     """
     rank, beside, *part = _place(contour, ids)
     segments = _ideal_segments(film, vertices, contour, rank, beside)

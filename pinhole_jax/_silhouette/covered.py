@@ -1,6 +1,6 @@
 """Pixels that faces and spheres surely cover: whatever contours lie in them need not be looked at.
 
-Where contours are crowded things are stacked, and nearly every such pixel is covered by one of them
+Where contours overlap things are stacked, and nearly every such pixel is covered by one of them
 alone, or by one from its left side and one from its right. A face or a sphere that lies before the
 eye is convex on the film: what it covers of a row of the film between two lines is what both lines
 have in common. So each adds an interval to each row that it crosses: the pixels that it covers from
@@ -31,8 +31,8 @@ THINGS, ROWS = 1024, 4096
 FINE, ROOM = 4, 1 << 19
 #: Roundings that outlines may be off by, and how far off the film (in its sizes) things may reach.
 SLACK, REACH = 64, 2
-#: Fewer pieces than this in all crowded pixels are not worth it, nor fewer than one for so many
-#: things, nor where fewer layers than this lie one behind the other (the mean).
+#: Fewer pieces than this in all overlapping pixels are not worth it, nor fewer than one for this
+#: many things, nor where fewer layers than this lie one behind the other (the mean).
 LEAST_LAYERS, THINGS_A_LAYER, DEEP = 2048, 5, 1.5
 #: Scenes of fewer never hold so many layers that it is worth what is compiled for it.
 LEAST_FACES, LEAST_SPHERES = 1 << 13, 1 << 10
@@ -204,8 +204,9 @@ def worth(
     layers: Float[Array, "N"],
     overlapping: Bool[Array, "N"],
 ) -> Bool[Array, ""]:
-    """Return whether crowded pixels hold so many layers, one behind the other, that it takes less
-    to look for what is covered: where a surface is rough but not folded, no face covers much."""
+    """Return whether overlapping pixels hold so many layers, one behind the other, that it takes
+    less to look for what is covered: where a surface is rough but not folded, no face covers
+    much."""
     number = sum(x.number for x in things)
     sums = [jnp.sum(jnp.where(overlapping, x, 0)) for x in (layers, winding - DEEP)]
     return (sums[0] > max(LEAST_LAYERS, number / THINGS_A_LAYER)) & (sums[1] > 0)

@@ -3,8 +3,8 @@
 A piece is hidden if it has a layer on both sides, at its middle and after as many fewer as those
 that it may meet on the way can take. Where all pieces are hidden, no part of the cell is uncovered,
 since each part but the whole has a piece on its border. That takes one look at each pair of pieces,
-where a sweep looks at all pairs at each halt: of a scan's crowded pixels four of five are covered,
-and most of these are told by this.
+where a sweep looks at all pairs at each halt: of a scan's overlapping pixels four of five are
+covered, and most of these are told by this.
 
 Nothing is called hidden that is not: where rounding may decide (a piece that another one touches),
 the layers are counted that may be taken away.

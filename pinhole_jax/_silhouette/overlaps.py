@@ -31,7 +31,7 @@ from .hidden import all_hidden
 from .marks import drops, winding_jumps
 from .sweep import ARC, STRAIGHT, Cells, Visible, sweep, sweepable
 
-#: So many pieces a cell holds at most that are swept together, and how many such cells are swept
+#: This many pieces a cell holds at most that are swept together, and how many such cells are swept
 #: together, and looked at for whether all of their pieces are hidden.
 NARROW, WIDE = 8, 24
 SWEPT = {NARROW: 128, WIDE: 32}
@@ -39,7 +39,7 @@ SWEPT = {NARROW: 128, WIDE: 32}
 CUT = 4
 LAST_CUT = {"float32": 4, "float64": 8}
 PIECES = 1024
-#: At least and at most so many pieces can be listed, one for so many curves that there may be.
+#: At least and at most this many pieces can be listed, one for this many curves that there may be.
 LEAST_CAPACITY, CAPACITY, CURVES_A_PIECE = 1 << 13, 1 << 15, 2
 #: Where there may be more pieces than this, cells are looked for whose pieces are all hidden.
 HIDDEN_FROM = LEAST_CAPACITY
@@ -102,8 +102,8 @@ class Resolved(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """The visible pieces of one part in crowded pixels, for the derivative: their places, curves
-    and parts. If more than there is room for are `used`, they are not complete."""
+    """The visible pieces of one part in overlapping pixels, for the derivative: their places,
+    curves and parts. If more than there is room for are `used`, they are not complete."""
 
     place: Int[Array, "N"]
     visible: Visible
@@ -309,7 +309,7 @@ def fold_cells(
     start: Any,
     flux: bool,
 ) -> Any:
-    """Return `start` after `add(total, resolved)` over all crowded pixels, however many.
+    """Return `start` after `add(total, resolved)` over all overlapping pixels, however many.
 
     `base` is the number of layers left of the film. With `flux` the visible parts are worked out.
     """
@@ -492,7 +492,7 @@ def fold_pieces(
     number: int = PIECES,
 ) -> Any:
     """Return `start` after `add(total, pieces)` over all pieces of some curves, in the rows from
-    `bottom` up to H, so many at a time; `size` is W, H and a static bound of H."""
+    `bottom` up to H, this many at a time; `size` is W, H and a static bound of H."""
     W, H, max_H = size
     upto = running_sum(piece_counts(m, W, H, bottom))
 
@@ -684,7 +684,7 @@ def _gone_through(
             cell = jnp.where(inside, jnp.where(at_pixels, pixel, child), none)
             left = pieces.valid & (pieces.column < 0) & (passes < 0)
             beside = jnp.where(left & ~at_pixels, (film * CUT + pieces.row) * CUT, none)
-            # In a row of pixels the next crowded one.
+            # In a row of pixels the next overlapping one.
             beyond = jnp.clip(pieces.column + 1, 0, batch.W - 1)
             later = overlapping.below(jnp.where(pieces.valid, pieces.row, 0), beyond) - batch.first
             there = pieces.valid & (pieces.column < batch.W - 1) & (later < none)

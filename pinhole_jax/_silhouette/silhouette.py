@@ -112,8 +112,8 @@ class _Still(NamedTuple):
 
 
 class _Pixels(NamedTuple):
-    """Which pixels one chain of contour crosses, and which are crowded, from the bottom row up; the
-    layers of their pieces; for the derivative, what is visible in the crowded ones."""
+    """Which pixels one chain of contour crosses, and which are overlapping, from the bottom row up;
+    the layers of their pieces; for the derivative, what is visible in the overlapping ones."""
 
     alone: Bool[Array, "N"]
     overlapping: Selection

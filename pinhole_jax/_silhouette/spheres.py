@@ -79,7 +79,7 @@ def arc_part_lifts(
 def arc_part_segments(
     film: FilmMap, spheres: Spheres, parts: Cuts, ids: Int[Array, "K"]
 ) -> Segments:
-    """Return the arcs' parts, as which they are seen under distortion; then nothing."""
+    """Return the arcs' parts, the way they are seen under distortion; then nothing."""
     weight = sphere_arcs(film, spheres, parts.find(ids)[0]).weight
     ends = arc_part_lifts(film, spheres, parts, ids)[..., :2]
     return Segments(ends[:, 0], ends[:, 1], jnp.where(ids < parts.total, weight, 0))

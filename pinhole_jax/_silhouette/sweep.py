@@ -11,7 +11,7 @@ from .._numerics.safe import safe_divide
 from .coverage import Pieces
 from .curves import arc_flux, cut_circle, edge_flux, edge_fractions, film_at, nodes, unit_at
 
-#: So many lanes sweep at a time: where cells are few, each moves on by several stretches.
+#: This many lanes sweep at a time: where cells are few, each moves on by several stretches.
 LANES = 64
 
 
@@ -197,9 +197,8 @@ def _straight_part(cells: Cells, steep: Array, seen: Array, scale: Array, origin
 class _Curved(NamedTuple):
     """Which of the pieces are arcs, their frames with rows (u, v, 1), and their sense.
 
-    Along the arc's own direction u grows where `grows` is 1, and falls where it is -1; `orientation`
-    is 1
-    where going from u to v is counter-clockwise, else -1.
+    Along the arc's own direction u grows where `grows` is 1, and falls where it is -1;
+    `orientation` is 1 where going from u to v is counter-clockwise, else -1.
     """
 
     own: Bool[Array, "C M"]

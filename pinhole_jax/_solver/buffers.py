@@ -62,8 +62,8 @@ class Buffers:
 
     - `capacity`: what a view has room for.
     - `window`: the part of the film that is looked at.
-    - `cells`: room for at least so many cells in a pyramid of the smallest size.
-    - `least`: since a view outgrew its buffers: room for so many.
+    - `cells`: room for at least this many cells in a pyramid of the smallest size.
+    - `least`: since a view outgrew its buffers: room for this many.
     - `noise`: what a residual of the mask errs by, as it was last seen: a prior is weighed by it.
     """
 

@@ -15,10 +15,10 @@ from .residuals import Capacity
 
 #: What the smallest buffers hold, and how much larger the next ones are.
 LEAST_CAPACITY, GROWTH = Capacity(edges=1024, pieces=2048, arc_pieces=2048, arcs=1024), 2
-#: From so many sides a mesh's contour is measured, so many of its radii away; of 4 views about 3
-#: fit into the first buffers.
+#: From this many sides a mesh's contour is measured, this many of its radii away; of 4 views about
+#: 3 fit into the first buffers.
 SIDES, FAR, MOST = 16, 5.0, 0.75
-#: So many rows of its arrays tell a mesh from others.
+#: This many rows of its arrays tell a mesh from others.
 ROWS = 1 << 14
 #: This share of a mask's rows and columns, at either end, may be crumbs.
 CRUMBS = 0.005

@@ -76,7 +76,7 @@ class Descent(NamedTuple):
 
 
 def levenberg_marquardt(problem: LeastSquares, state: Any, most: int, px: float) -> Descent:
-    """Return the state after at most so many steps; below so many `px` one is negligible."""
+    """Return the state after at most this many steps; below this many `px` one is negligible."""
     seen, damping, size = problem.look(state), FIRST_DAMPING, np.zeros(problem.size)
     squares = np.inf
     for n in range(1, most + 1):

@@ -128,8 +128,8 @@ class _Static(eqx.Module):
 
 @eqx.filter_jit
 def descended(camera: Camera, problem: Problem, level: Level, px, steps, names, capacity):
-    """Return the camera after so many steps at most, or when steps are shorter than `px`; how many
-    it took, the first of them, and the view: after one step (which evaluates the start) of the
+    """Return the camera after this many steps at most, or when steps are shorter than `px`; how
+    many it took, the first of them, and the view: after one step (which evaluates the start) of the
     start.
     """
     move = move_of(camera, problem, level, names)

@@ -33,7 +33,7 @@ BIASES = ((1.5, 0.5), (8.0, 0.5))
 COMPUTED, SURE = 0.5, 0.9
 #: Below this likelihood of being computed a mask is drawn. (Masks off by 0.3 px: 1e-10 and less.)
 DRAWN = 0.05
-#: Of a computed mask's pixels beside the outline so many are on its wrong side. (Of 72 such masks
+#: Of a computed mask's pixels beside the outline this many are on its wrong side. (Of 72 such masks
 #: one had one, of 196; masks that are shrunk or wavy have 2 to 60 %.)
 STRAYS = 0.003
 #: Quantisation's variance, beside that of pixels which err independently: straight edges that
@@ -91,8 +91,8 @@ def outline_errors(
 
 
 def _odds_of_computed(beyond: int, pixels: int) -> float:
-    """Return how likely it is that a computed mask of one bit has so many of an outline's pixels on
-    the wrong side, beside that a drawn one has (any share): the logarithm.
+    """Return how likely it is that a computed mask of one bit has this many of an outline's pixels
+    on the wrong side, beside that a drawn one has (any share): the logarithm.
 
     Where an outline is drawn, offsets of whole stretches may be those of a camera that is wrong,
     and what is left no larger than quantisation; but not its single pixels.

@@ -16,12 +16,12 @@ from .._silhouette.coverage import Pieces
 from .._silhouette.hidden import all_hidden
 from .._silhouette.sweep import STRAIGHT, Cells, sweep
 
-#: So many pixels are swept together.
+#: This many pixels are swept together.
 TOGETHER = 64
-#: So many pieces a pixel may hold. (Of some 430 to 1250 pixels of an outline more are in none at 5k
-#: faces and 256 px, in 3 at 82k, in 10 at 328k, and in 21 at 328k and 512 px.)
+#: This many pieces a pixel may hold. (Of some 430 to 1250 pixels of an outline more are in none at
+#: 5k faces and 256 px, in 3 at 82k, in 10 at 328k, and in 21 at 328k and 512 px.)
 MOST = 16
-#: Buffers for so many pieces are those of rough meshes, most of whose crowded pixels are covered.
+#: Buffers for this many pieces are those of rough meshes, most of whose crowded pixels are covered.
 LARGE = 1 << 13
 
 

@@ -17,7 +17,7 @@ from .._numerics.kept import kept
 #: A body is round if its support is a circle's to within this share of its radius ... (Mugs: 1e-4,
 #: prisms of 16 sides: 4e-3; elbows, cows and what else has no axis: 0.03 and more.)
 ROUND = 0.02
-#: ... in so many of the directions looked in; and nearly so, before the axis is made better.
+#: ... in this many of the directions looked in; and nearly so, before the axis is made better.
 MOST, NEARLY = 0.6, 0.15
 #: Directions looked in: angles about the axis, and heights above its normal plane (rad).
 ROUND_ABOUT, HEIGHTS, MIDDLE = 60, np.deg2rad([-40.0, 0.0, 40.0]), 1

@@ -34,7 +34,7 @@ from .residuals import Capacity
 from .revolution import Revolution
 from .subject import Subject
 
-#: Noise leaves at most so many standard errors more than on average.
+#: Noise leaves at most this many standard errors more than on average.
 ERRORS = 4.0
 #: What a hard edge leaves in a pixel of the outline, and what 8 bits do.
 ONE_BIT, LEAST_VARIANCE = 1 / 12, 1 / 12 / 255**2
@@ -94,7 +94,7 @@ class Solver:
     - `max_steps`: the most steps on a level; `fine_px`: what step is negligible on the finest.
     - `record`: whether the way is to hold each step.
     - `only_finest`: whether there is but one level, the finest.
-    - `least`: pyramids have room for so many cells.
+    - `least`: pyramids have room for this many cells.
     - `walked`: walks all round a line: from there another need not be taken.
     """
 
@@ -331,7 +331,7 @@ class Solver:
         """Return the camera found from level to level, and its view on the last of them.
 
         Steps of `coarse_px`, on the finest level of `fine_px` (None: of what the fit asks for), are
-        negligible; at most so many `steps` are taken on a level. Without `looks` the view is
+        negligible; at most this many `steps` are taken on a level. Without `looks` the view is
         differentiated by moves of where the last steps began.
         """
         most = min(steps or self.max_steps, self.max_steps)

@@ -11,12 +11,13 @@ from .._mask.target import Window, as_coverage, inside_of
 from .problem import View
 from .residuals import HIDDEN, Pixels
 
-#: About so many stretches. (On 90 masks that err over 2 to 30 px, of three shapes, 95 % intervals
+#: About this many stretches. (On 90 masks that err over 2 to 30 px, of three shapes, 95 % intervals
 #: held 94 % of the truths with 48 or 60 stretches, 91 % with 80 or 100.)
 STRETCHES = 60
-#: ... of at least so many px.
+#: ... of at least this many px.
 SHORTEST = 2.0
-#: What a pixel's coverage differs by counts for the stretch nearest to it, so many px away at most.
+#: What a pixel's coverage differs by counts for the stretch nearest to it, this many px away at
+#: most.
 NEAREST = 16.0
 #: The outline within a pixel is this long (px) at most.
 LONGEST_WITHIN = 1.5
@@ -34,7 +35,8 @@ class Stretches(NamedTuple):
     - `offset` (N,): how far outside them the mask's outline lies (px).
     - `by_move` (N, n): their own offset by the solver's moves.
     - `share` (N,): what they count for in the sum of squares.
-    - `beyond`: how many pixels of the outline the mask has on its wrong side, of so many `pixels`.
+    - `beyond`: how many pixels of the outline the mask has on its wrong side, of this many
+      `pixels`.
     """
 
     at: np.ndarray
@@ -352,7 +354,7 @@ def _differing(
 
 
 def _weights_at(weights: Weights, window: Window, place: np.ndarray, H: int) -> np.ndarray:
-    """Return the weights of a film of so many rows at a window's pixels (k, 2), rows from the
+    """Return the weights of a film of this many rows at a window's pixels (k, 2), rows from the
     bottom."""
     row, column = place.T
     return weights_at(weights, H - 1 - window.bottom - row, column + window.left)

@@ -20,7 +20,8 @@ ALIKE = 1e-4
 #: A turn counts if so much of the area comes to where faces were (a dent is missed by two), of so
 #: many places that are looked at; half as much has to in the first few.
 MOST, LOOKED_AT, FIRST = 0.4, 200, 20
-#: A few faces of each shape are turned to all others of it: so many shapes, so many turns at most.
+#: A few faces of each shape are turned to all others of it: this many shapes, this many turns at
+#: most.
 SHAPES, TURNS = 8, 2000
 #: Turns closer than this (its trace's distance) are one.
 ONE = 1e-4

@@ -1,4 +1,5 @@
-"""What a fit knows: covariance, and the directions in which the image does not change, in words."""
+"""What a fit knows: covariance, and the directions in which the image does not change, as
+sentences."""
 
 from collections.abc import Sequence
 

@@ -53,7 +53,7 @@ ACTIONS = (
     "save",
     "open",
 )
-#: So many steps can be undone; so many guesses from strokes are kept for that.
+#: This many steps can be undone; this many guesses from strokes are kept for that.
 MOST_UNDONE, MOST_GUESSES = 200, 16
 
 
@@ -357,7 +357,7 @@ class Bench:
 
 
 def _numbers(name: str, values: Any, count: int) -> list[float]:
-    """Return so many finite numbers, or raise ValueError."""
+    """Return this many finite numbers, or raise ValueError."""
     try:
         numbers = [float(x) for x in values]
     except (TypeError, ValueError):

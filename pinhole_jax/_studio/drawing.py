@@ -14,9 +14,9 @@ from .._fit.result import Fit
 from .._scene.scene import Scene
 from ..plot import outline, outline_sigma
 
-#: A grid of straight lines has so many of them along the shorter side of the picture.
+#: A grid of straight lines has this many of them along the shorter side of the picture.
 GRID = 8
-#: A bent line has so many points.
+#: A bent line has this many points.
 POINTS = 49
 #: A band is drawn wider by a power of ten until its median half width is about this (px).
 BAND_PX = 4.0

@@ -73,7 +73,7 @@ def turned(camera: Camera, centre: Vector, right: float, up: float, clockwise: f
 
 
 def shifted(camera: Camera, centre: Vector, right: float, down: float) -> Camera:
-    """Return the camera that sees the object's centre shifted in the picture by so many px."""
+    """Return the camera that sees the object's centre shifted in the picture by this many px."""
     axes, eye = axes_of(camera), np.asarray(camera.e, float)
     fy = camera.H / (2 * np.tan(float(camera.phi) / 2))
     fx = fy if camera.lens is None else fy * float(camera.lens.aspect)

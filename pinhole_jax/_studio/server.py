@@ -20,7 +20,7 @@ from .subject import mesh_file, photo_file
 HOST = "127.0.0.1"
 #: The most bytes of a message: a mask's or a session's file, in base64.
 MOST_BYTES = 1 << 28
-#: So many tabs are remembered.
+#: This many tabs are remembered.
 MOST_TABS = 32
 FILES = {
     "/": "text/html",

@@ -16,7 +16,7 @@ import numpy as np
 GUIDES, PAINTS = ("object", "background"), ("add", "erase")
 KINDS = (*GUIDES, *PAINTS)
 #: A guess is made on a picture of about this many pixels, then along its edge on finer ones, up to
-#: so many: there a stroke still takes no more than some seconds.
+#: this many: there a stroke still takes no more than some seconds.
 COARSE_PX, FINEST_PX = 40_000, 800_000
 #: How far (px) the edge may move from one to the next.
 EDGE_PX = 4

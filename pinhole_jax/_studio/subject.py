@@ -15,7 +15,7 @@ from .hand import Ball, ball_of, framed
 
 #: A field of view (rad) where nothing tells another.
 PHI = 0.7
-#: A photo is shown with at most so many pixels on a side.
+#: A photo is shown with at most this many pixels on a side.
 SHOWN_PX = 4096
 
 

@@ -179,7 +179,8 @@ def reach(tree: Tree, beams: Beams, wanted: Bool[Array, "packets"], buffer: Arra
     """Return the leaves that the wanted packets' beams may meet, by packet.
 
     The list goes down the tree a level at a time, between the two halves of the buffer. It stops
-    where it outgrows its room: then `number` is above `capacity` and fewer packets must be asked for.
+    where it outgrows its room: then `number` is above `capacity`, and fewer packets must be asked
+    for.
     """
     bits, limit, half = node_bits(tree), capacity(tree), buffer.shape[0] // 2
     root = (jnp.arange(wanted.shape[0], dtype=jnp.int32) << bits) | 1

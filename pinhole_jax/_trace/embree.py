@@ -30,7 +30,7 @@ from .packets import RAYS, Vectors, axes_of, one_by_one
 #: By how much faces are larger, and within which distance of an edge, or of the ray's origin, a hit
 #: is in doubt; the scene's size is about 1.
 LARGER, DOUBT = 2e-6, 6e-6
-#: A face is enlarged at most so many times: a sliver's corners would go far away.
+#: A face is enlarged at most this many times: a sliver's corners would go far away.
 AT_MOST = 3.0
 #: From so far away (in scenes) on, float32 says too little of where a ray is.
 FAR = 8.0

@@ -22,9 +22,9 @@ from .records import Record
 from .rows import Row, empty_row
 from .worker import Setup
 
-#: Workers that end as they start are started so many times.
+#: Workers that end as they start are started this many times.
 STARTS = 3
-#: So many records a worker are on their way to an executor that is not our own.
+#: This many records a worker are on their way to an executor that is not our own.
 AHEAD = 4
 
 

@@ -15,7 +15,7 @@ from .records import Record, check_id, plain_record, shard_of
 from .rows import NO_FIT, Row
 from .worker import TOKEN, Setup
 
-#: So many records at a time are sorted, so that a worker meets one mesh after another.
+#: This many records at a time are sorted, so that a worker meets one mesh after another.
 WINDOW = 4096
 #: A record's seconds, unless others are asked for.
 TIME_LIMIT = 600.0

@@ -14,7 +14,7 @@ from .._files.naming import named
 from .records import Record, asked, check_id, check_record, digest_of
 from .rows import Row, empty_row
 
-#: So many shapes are kept open.
+#: This many shapes are kept open.
 OPEN = 8
 #: Threads open one file after another: what is opened is kept, and warnings are caught.
 _opening = threading.Lock()

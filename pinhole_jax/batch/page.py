@@ -15,7 +15,7 @@ from .parts import Results
 from .rows import NO_FIT, Row
 from .tables import fit_of
 
-#: So many of the worst rows are shown, and how large their pictures are (px).
+#: This many of the worst rows are shown, and how large their pictures are (px).
 WORST, SHOWN_PX = 12, 400
 BINS = 32
 

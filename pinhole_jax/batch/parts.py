@@ -17,9 +17,9 @@ from .._files.paths import path_of, replace_file
 from .records import Record, plain_record, settings_of
 from .rows import Row, line_of, row_of
 
-#: Rows wait in memory for a part of so many, or so many seconds: what a crash loses.
+#: Rows wait in memory for a part of this many, or this many seconds: what a crash loses.
 ROWS, SECONDS = 500, 10.0
-#: So many parts are open at a time while rows are read.
+#: This many parts are open at a time while rows are read.
 MOST_OPEN = 128
 
 

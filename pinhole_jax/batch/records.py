@@ -115,7 +115,8 @@ def _plain(value: Any) -> Any:
 
 
 def shard_of(id: str, count: int) -> int:
-    """Return which of so many shards (0, 1, ...) a record is in: its id alone says so, anywhere."""
+    """Return which of this many shards (0, 1, ...) a record is in: its id alone says so,
+    anywhere."""
     # (A file's name need be no text.)
     return int.from_bytes(hashlib.sha256(id.encode(errors="surrogatepass")).digest()[:8]) % count
 

@@ -10,7 +10,7 @@ from .._files.paths import path_of, replace_file
 from .parts import Results
 from .rows import COLUMNS, Row, line_of
 
-#: So many rows at a time are in memory.
+#: This many rows at a time are in memory.
 GROUP = 1000
 #: What a path's ending asks for.
 ENDINGS = (".parquet", ".jsonl", ".csv")

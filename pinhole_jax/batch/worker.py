@@ -19,8 +19,8 @@ from .fit_one import fit_one
 from .records import Record
 from .rows import Row, empty_row
 
-#: A worker that does not heed a record's limit is ended after so many times the limit, and so many
-#: seconds: what it runs is not Python.
+#: A worker that does not heed a record's limit is ended after this many times the limit, and this
+#: many seconds: what it runs is not Python.
 PATIENCE, GRACE = 2.0, 30.0
 
 #: This process's, and those of its threads: no other has it.

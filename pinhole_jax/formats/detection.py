@@ -38,7 +38,7 @@ COARSE_PX, FULL_PX = 96, 320
 #: How many poses get a second look.
 KEPT = 6
 #: Two hypotheses are told apart where, of the pixels in which their masks differ, the target takes
-#: one's side in this share, and in more than chance would by so many standard deviations.
+#: one's side in this share, and in more than chance would by this many standard deviations.
 SHARE = 0.6
 SIGMAS = 4.0
 

@@ -126,10 +126,10 @@ def camera_of(
 
 
 def focal_of_fov(fov: float, length: float | int) -> float:
-    """Return the focal length in px of a field of view (rad) over so many px."""
+    """Return the focal length in px of a field of view (rad) over this many px."""
     return float(length / (2 * np.tan(fov / 2)))
 
 
 def fov_of_focal(focal: float, length: float | int) -> float:
-    """Return the field of view in rad of a focal length in px over so many px."""
+    """Return the field of view in rad of a focal length in px over this many px."""
     return float(2 * np.arctan(length / (2 * focal)))

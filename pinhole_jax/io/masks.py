@@ -25,7 +25,7 @@ GREY = 8
 ALPHA = "mask: the transparency (alpha)"
 #: Soft edges of a background mask reach this far (px) to both sides.
 BAND_PX = 2
-#: The nearest colour of the object is looked for so many rows (px) around.
+#: The nearest colour of the object is looked for this many rows (px) around.
 REACH_PX = 64
 #: More parts than this are noise.
 MOST_PARTS = 1 << 20

@@ -70,7 +70,8 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], Any] | None = N
 
 
 def _coarse(points: np.ndarray, mesh: Mesh) -> str:
-    """Return in words that vertices are rounded to a good part of the object, if they are."""
+    """Return a sentence that says that vertices are rounded to a good part of the object, if they
+    are."""
     in_file = bool(np.all(points == points.astype(np.float32)))
     if not in_file and mesh.vertices.dtype != np.float32:
         return ""
