@@ -56,6 +56,15 @@ def test_folds_are_hidden_and_holes_are_not():
     np.testing.assert_array_equal(hidden(cells, corners), expected)
 
 
+def test_layers_that_end_where_nothing_is_looked_at():
+    """... in a point at the corner; and beside a piece that begins below another one's middle."""
+    piece = np.zeros((3, ROOM, 6))
+    piece[:2, 0] = [0, 0, 0, 0, 1, 1], [0, 0, 0, 0, 1, -1]
+    piece[2, :2] = [0, 0.6, 1, 0.8, 1, 4], [0.5, 0, 1, 0.1, 2, -1]
+    owner = jnp.zeros((3, ROOM, 2), jnp.int32)
+    assert not np.any(all_hidden(Cells(jnp.asarray(piece), owner), jnp.array([1.0, 1.0, 4.0])))
+
+
 def test_no_cell_is_hidden_that_has_a_part_uncovered():
     random = np.random.default_rng(0)
     cells, corners, least = [], [], []

@@ -31,8 +31,9 @@ def all_hidden(cells: Cells, corner: Float[Array, "C"]) -> Bool[Array, "C"]:
     least = corner[None] + jnp.sum(layers, axis=1) + jnp.minimum(lines.jump, 0)
     there = lines.jump != 0
     shown = there & (lines.u0 < lines.u1) & (least < 0.5)
-    upright = there & (lines.u0 == lines.u1) & (lines.v0 != lines.v1)
-    return (corner > 0.5) & ~jnp.any(shown | upright, axis=0)
+    # (A point at the corner may end the layers there: no side of it is in the cell to be looked at.)
+    narrow = there & (lines.u0 == lines.u1)
+    return (corner > 0.5) & ~jnp.any(shown | narrow, axis=0)
 
 
 def _least_layers(lines: Lines) -> Float[Array, "M M C"]:
@@ -45,7 +46,8 @@ def _least_layers(lines: Lines) -> Float[Array, "M M C"]:
     touches = lambda x: jnp.abs(x) <= slack
 
     above = gap(lines, middle)
-    there = others & (of_both(lines.u0)[1] <= middle) & (middle < of_both(lines.u1)[1])
+    # (All as it is just before the middle: a piece that begins there counts no more than its step.)
+    there = others & (of_both(lines.u0)[1] < middle) & (middle <= of_both(lines.u1)[1])
     least = jnp.where(touches(above), jnp.minimum(jump, 0), jnp.where(above > 0, jump, 0))
     layers = jnp.where(there, least, 0)
     for halt, step in zip(*(x.reshape(2, M, -1) for x in (lines.halt, lines.step)), strict=True):
