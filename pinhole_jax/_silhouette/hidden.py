@@ -31,7 +31,7 @@ def all_hidden(cells: Cells, corner: Float[Array, "C"]) -> Bool[Array, "C"]:
     least = corner[None] + jnp.sum(layers, axis=1) + jnp.minimum(lines.jump, 0)
     there = lines.jump != 0
     shown = there & (lines.u0 < lines.u1) & (least < 0.5)
-    # (A point at the corner may end the layers there: no side of it is in the cell to be looked at.)
+    # (A point at the corner may end the layers there: it has no side in the cell to be looked at.)
     narrow = there & (lines.u0 == lines.u1)
     return (corner > 0.5) & ~jnp.any(shown | narrow, axis=0)
 
