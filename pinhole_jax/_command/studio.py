@@ -25,7 +25,7 @@ def studio(
 ) -> Callable[[], None]:
     """Return a function that serves the page until interrupted.
 
-    Raises ModuleNotFoundError, as sentences, where aiohttp is not installed.
+    Raises ModuleNotFoundError where aiohttp is not installed.
     """
     server = _server()
     if not 0 <= options.port < 1 << 16:

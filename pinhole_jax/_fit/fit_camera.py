@@ -208,7 +208,7 @@ class Settings(NamedTuple):
 class _Answer(NamedTuple):
     """What explains a mask: the cameras, the best first, with views of all pixels; what is free
     about the best, whatever the mask's errors; how far (px) from the mask's edge pixels counted,
-    None if all did; what of that edge (n, 2) was taken for an occluder's, as sentences, too."""
+    None if all did; what of that edge (n, 2) was taken for an occluder's, and a sentence on it."""
 
     solver: Solver
     mask: Mask

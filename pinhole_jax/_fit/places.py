@@ -61,7 +61,7 @@ MIRRORED = 0.15
 #: The directions in which that is looked at.
 DIRECTIONS = sphere_points(64)
 #: Turns about a line that a body is round about are looked at so far apart (rad) at most, and
-#: followed, the likeliest first, until this many were worse, or there are this many. An axis is
+#: followed, the likeliest first, until `LIKELY` were worse, or there are `MOST`. An axis is
 #: another one if the cosine between them is less than this.
 LONGEST, LIKELY, MOST, SAME_AXIS = np.deg2rad(4.0), 6, 24, np.cos(np.deg2rad(30))
 #: Cameras so close (rad) are the same to a walk all round.

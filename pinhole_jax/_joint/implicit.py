@@ -115,8 +115,9 @@ def _deciding(problem: JointProblem) -> tuple[JointProblem, list[np.ndarray]]:
         if eye.solver.kind.exact or reach is None:
             weights.append(eye.mask.weight)
         else:
-            near[k] = eye.near_edge(reach)
-            weights.append(eye.mask.near_edge(reach).image())
+            edge = eye.mask.near_edge(reach)
+            near[k] = eye.weighed(edge, only_finest=True)
+            weights.append(edge.image())
     return problem.seeing(near), weights
 
 

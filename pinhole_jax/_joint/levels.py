@@ -102,7 +102,8 @@ def to_the_end(problem: JointProblem, path: Path, tell: Tell, photos: bool = Fal
         path = path.then(descended(problem, path.descent.state, tell, [1], px))
     else:
         for times in REACHES:
-            near = problem.seeing({k: eyes[k].near_edge(times * reach) for k in inexact})
+            edges = {k: eyes[k].mask.near_edge(times * reach) for k in inexact}
+            near = problem.seeing({k: eyes[k].weighed(edges[k], only_finest=True) for k in inexact})
             last = px if times == 1 else COARSE_PX
             if times == 1:
                 near = near._replace(layout=beliefs_weighed(near.layout, path.descent))

@@ -127,8 +127,7 @@ def _followed(
         for k, photo in photos.items():
             eye = layout.eyes[k]
             read = now[k].read(photo, eye.mask, band)
-            weighed = eye.solver.weighed(*whole(eye.mask, now[k].window, read))
-            looking[k] = replace(eye, solver=weighed)
+            looking[k] = eye.weighed(*whole(eye.mask, now[k].window, read))
         layout = layout.seeing(looking)
         for depth in (1,) if number else depths:
             least = COARSE_PX if depth > 1 else px if last else max(px, ROUGH_PX)

@@ -16,6 +16,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.poses import Pose, adjoint, at_pose, exponential, inverse, pose_of, rigid
+from .._mask.edges import Weights
 from .._mask.mask import Mask
 from .._scene.assembly import Posture
 from .._scene.scene import Scene
@@ -130,11 +131,11 @@ class Eye:
         solver = self.looking(state)
         return solver.look(self.canonical(state), solver.finest)
 
-    def near_edge(self, reach: float) -> "Eye":
-        """Return the eye to which pixels farther than this (px) from the mask's edge do not
-        count."""
-        near = self.solver.weighed(self.mask.near_edge(reach), only_finest=True)
-        return replace(self, solver=near)
+    def weighed(
+        self, weights: Weights, target: np.ndarray | None = None, only_finest: bool = False
+    ) -> "Eye":
+        """Return the eye to which pixels count otherwise, as `Solver.weighed` has it."""
+        return replace(self, solver=self.solver.weighed(weights, target, only_finest))
 
     def _subject(self, state: State) -> Subject:
         offsets = self.offsets(state)

@@ -160,6 +160,6 @@ def _draw(
 
 
 def _each(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for things of which there are this many each, whose each is and its number there."""
+    """Return, for things of which there are so many each, whose each is and its number there."""
     of = np.repeat(np.arange(len(counts)), counts)
     return of, np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)

@@ -37,7 +37,7 @@ def read_off(data: bytes) -> Polygons:
 
 
 def _faces(points: np.ndarray, lines: list[bytes]) -> Polygons:
-    """Return polygons of lines: a number of corners, this many vertices, then perhaps a colour."""
+    """Return polygons of lines: a number of corners, as many vertices, then perhaps a colour."""
     words = counts_of(lines)
     numbers = numbers_of(b"\n".join(lines), float, "faces", int(np.sum(words)))
     starts = np.cumsum(words) - words

@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .sweep import Cells, Lines, along_x, gap, of_both, span
+from .._numerics.safe import safe_divide
+from .sweep import Cells, Lines, along_x
 
 #: Roundings by which heights in a cell may be off.
 SLACK = 32
@@ -40,24 +41,42 @@ def _least_layers(lines: Lines) -> Float[Array, "M M C"]:
     """Return what the second piece of a pair adds at least to the layers below the first one, from
     its corner on."""
     M, _ = lines.u0.shape
-    middle, jump = of_both((lines.u0 + lines.u1) / 2)[0], of_both(lines.jump)[1]
+    middle, jump = _of_both((lines.u0 + lines.u1) / 2)[0], _of_both(lines.jump)[1]
     slack = SLACK * jnp.finfo(jump.dtype).eps
     others = (~jnp.eye(M, dtype=bool))[..., None]
     touches = lambda x: jnp.abs(x) <= slack
 
-    above = gap(lines, middle)
+    above = _gap(lines, middle)
     # (All as it is just before the middle: a piece that begins there counts no more than its step.)
-    there = others & (of_both(lines.u0)[1] < middle) & (middle <= of_both(lines.u1)[1])
+    there = others & (_of_both(lines.u0)[1] < middle) & (middle <= _of_both(lines.u1)[1])
     least = jnp.where(touches(above), jnp.minimum(jump, 0), jnp.where(above > 0, jump, 0))
     layers = jnp.where(there, least, 0)
     for halt, step in zip(*(x.reshape(2, M, -1) for x in (lines.halt, lines.step)), strict=True):
-        layers = layers + jnp.where(of_both(halt)[1] < middle, of_both(step)[1], 0)
+        layers = layers + jnp.where(_of_both(halt)[1] < middle, _of_both(step)[1], 0)
 
     # At its own ends a piece meets the next ones of its chain, and no others matter.
-    low, high = span(lines)
-    first, last = gap(lines, low), gap(lines, high)
-    ends = touches(first) & (low > of_both(lines.u0)[0])
-    ends |= touches(last) & (high < of_both(lines.u1)[0])
+    low, high = _span(lines)
+    first, last = _gap(lines, low), _gap(lines, high)
+    ends = touches(first) & (low > _of_both(lines.u0)[0])
+    ends |= touches(last) & (high < _of_both(lines.u1)[0])
     crosses = ~touches(first) & ~touches(last) & ((first < 0) != (last < 0))
     meets = others & (low < high) & (ends | crosses)
     return layers - jnp.where(meets, jnp.abs(jump), 0)
+
+
+def _of_both(x: Float[Array, "M C"]) -> tuple[Array, Array]:
+    """Return what the first and the second of each pair of pieces has."""
+    return x[:, None], x[None]
+
+
+def _span(lines: Lines) -> tuple[Float[Array, "M M C"], Float[Array, "M M C"]]:
+    """Return where both pieces of a pair are: from and to, nowhere if that is not less."""
+    return jnp.maximum(*_of_both(lines.u0)), jnp.minimum(*_of_both(lines.u1))
+
+
+def _gap(lines: Lines, u: Float[Array, "M #M C"]) -> Float[Array, "M M C"]:
+    """Return by how much the second of each pair of straight pieces is below the first."""
+    slope = safe_divide(lines.v1 - lines.v0, lines.u1 - lines.u0)
+    columns = (_of_both(x) for x in (lines.v0, lines.u0, slope))
+    one, other = (v + (u - u0) * s for v, u0, s in zip(*columns, strict=True))
+    return one - other

@@ -345,24 +345,6 @@ def _common(u0: Array, u1: Array) -> tuple[Array, Array, Array]:
     return jnp.maximum(*_pairs(u0)), jnp.minimum(*_pairs(u1)), once[None]
 
 
-def of_both(x: Float[Array, "M C"]) -> tuple[Array, Array]:
-    """Return what the first and the second of each pair of pieces has."""
-    return x[:, None], x[None]
-
-
-def span(lines: Lines) -> tuple[Float[Array, "M M C"], Float[Array, "M M C"]]:
-    """Return where both pieces of a pair are: from and to, nowhere if that is not less."""
-    return jnp.maximum(*of_both(lines.u0)), jnp.minimum(*of_both(lines.u1))
-
-
-def gap(lines: Lines, u: Float[Array, "M #M C"]) -> Float[Array, "M M C"]:
-    """Return by how much the second of each pair of straight pieces is below the first."""
-    slope = safe_divide(lines.v1 - lines.v0, lines.u1 - lines.u0)
-    columns = (of_both(x) for x in (lines.v0, lines.u0, slope))
-    one, other = (v + (u - u0) * s for v, u0, s in zip(*columns, strict=True))
-    return one - other
-
-
 def _straight_crossings(lines: Lines, straight: Bool[Array, "M C"] | None) -> Float[Array, "K C"]:
     """Return the u at which pieces, of which these are straight (None: all), cross; 1 for pairs
     that do not. `lines` have the cells as their last axis."""

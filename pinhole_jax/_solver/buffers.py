@@ -93,7 +93,7 @@ class Buffers:
     def levels(self, asked: Asked, dtype: Any) -> Levels:
         """Return a mask's levels: the first that were asked for, which fits come back to, and the
         last are kept, but of large masks the last alone."""
-        for before, made in self._made:
+        for before, made in reversed(self._made):
             if before.same(asked):
                 return made
         made = _made(asked, dtype)

@@ -134,8 +134,8 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
         return Kind("noisy", variance, most, least, even, far, spread)
     # A renderer's 8 bits: some hundred samples a pixel, or its filter.
     most = TIMES * (SAMPLED / 1024 * scale if step == 1 / 255 else variance)
-    counted = max(least, scale * FINE_PX[np.dtype(dtype)] ** 2)
-    return Kind("soft", variance, most, least, True, alike=counted)
+    indistinct = max(least, scale * FINE_PX[np.dtype(dtype)] ** 2)
+    return Kind("soft", variance, most, least, True, alike=indistinct)
 
 
 def _weights_near(target: np.ndarray, weights: np.ndarray, reach: float) -> tuple[Near, np.ndarray]:

@@ -21,7 +21,8 @@ TOGETHER = 64
 #: This many pieces a pixel may hold. (Of some 430 to 1250 pixels of an outline more are in none at
 #: 5k faces and 256 px, in 3 at 82k, in 10 at 328k, and in 21 at 328k and 512 px.)
 MOST = 16
-#: Buffers for this many pieces are those of rough meshes, most of whose crowded pixels are covered.
+#: Buffers for this many pieces are those of rough meshes, most of whose overlapping pixels are
+#: covered.
 LARGE = 1 << 13
 
 

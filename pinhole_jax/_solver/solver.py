@@ -27,7 +27,6 @@ from .problem import (
     Problem,
     View,
     like_descended,
-    move as move_of,
     move_about,
 )
 from .residuals import Capacity
@@ -310,7 +309,8 @@ class Solver:
 
     def move(self, camera: Camera, level: int) -> Move:
         """Return where moves of a camera start, in the solver's units."""
-        return move_of(camera, self.problem, self.levels[level], self.names)
+        scale = self.levels[level].scale
+        return move_about(camera, *self.subject.pivot, self.bounds, scale, self.names)
 
     def step(self, camera: Camera, level: int, y: np.ndarray) -> Camera:
         """Return the camera moved by y (n,) in the solver's units."""

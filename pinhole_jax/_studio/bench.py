@@ -238,14 +238,14 @@ class Bench:
         start = None if search else self.camera
         known: Any = {"phi": self.camera.phi, "lens": self.camera.lens} if search else {}
         known["photo"] = self.subject.picture if refine else None
-        described = partial(self._on_the_way, push)
+        on_step = partial(self._on_the_way, push)
         try:
             found = fit_camera(
                 self.subject.scene,
                 self.mask,
                 start,
                 self.free,
-                progress=described,
+                progress=on_step,
                 record=True,
                 **known,
             )
