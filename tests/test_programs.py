@@ -201,12 +201,21 @@ def test_to_keep_in_the_same_folder_once_more_changes_nothing(kept):
     assert programs._programs == before
 
 
-@pytest.mark.parametrize("known", [True, False])
+KNOWN, UNKNOWN = {"xla_disable_hlo_passes": "hlo-verifier"}, {"xla_of_another_age": False}
+
+
+@pytest.mark.parametrize(
+    ("quick", "tried"),
+    [
+        ((KNOWN, UNKNOWN), [KNOWN]),
+        ((UNKNOWN, KNOWN), [UNKNOWN, KNOWN]),
+        ((UNKNOWN,), [UNKNOWN, None]),
+    ],
+)
 def test_a_quick_program_is_compiled_otherwise_where_the_compiler_knows_how(
-    kept, monkeypatch, known
+    kept, monkeypatch, quick, tried
 ):
-    option = "xla_cpu_use_fusion_emitters" if known else "xla_of_another_age"
-    monkeypatch.setattr(programs, "QUICK", {option: False})
+    monkeypatch.setattr(programs, "QUICK", quick)
     given = []
     compile_ = jax.stages.Lowered.compile
 
@@ -217,11 +226,17 @@ def test_a_quick_program_is_compiled_otherwise_where_the_compiler_knows_how(
     monkeypatch.setattr(jax.stages.Lowered, "compile", told)
     programs.keep_in(kept, quick=True)
     assert np.array_equal(called(X).first, X**2 + 1)
-    assert given == [programs.QUICK] + [None] * (not known)
+    assert given == tried
     programs.keep_in(kept)
     assert np.array_equal(called(X).first, X**2 + 1)
     assert given[-1] is None
     assert len(traces) == 1
+
+
+def test_this_compiler_knows_a_quick_way():
+    """The last way leaves out passes alone, which each XLA that JAX comes with lets us do."""
+    lowered = jax.jit(lambda x: x + 1).lower(X)
+    assert lowered.compile(compiler_options=programs.QUICK[-1])(X)[0] == X[0] + 1
 
 
 @pytest.mark.parametrize("what", ["prior, bounds and a lens", "spheres"])

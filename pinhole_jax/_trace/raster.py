@@ -4,7 +4,8 @@ The rays of a pinhole leave from one point through the pixels' centres, so a fac
 pixels of the box about its image alone. Boxes are cut into blocks of 4 x 4 px, and some thousand
 blocks at a time are tested with long vector operations. Boxes are larger than the images by what
 rounding may do, and each ray's test is the tree's, in the frame that the tree takes for this ray:
-so the answer is the tree's.
+so the answer is the tree's, but where the last bit decides (two faces of one plane, the eye in a
+face) and the compiler rounds the two programs differently, as XLA does from JAX 0.12 on.
 """
 
 from collections.abc import Sequence
@@ -89,9 +90,9 @@ def first_seen(
 ) -> Int[Array, "H W"]:
     """Return the index of the face that each pixel's ray meets first, -1 for none.
 
-    The same as `first_met` returns for these rays, which have to be the view's. Directions are x, y
-    and z, (H, W) each, of about unit length. Of a view without axes (`e = p`, `u` along the view)
-    no pixel meets anything.
+    The same as `first_met` returns for these rays, which have to be the view's, but for what the
+    last bit decides (see above). Directions are x, y and z, (H, W) each, of about unit length. Of a
+    view without axes (`e = p`, `u` along the view) no pixel meets anything.
     """
     H, W = direction[0].shape
     F = faces.shape[0]
