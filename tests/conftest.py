@@ -19,7 +19,7 @@ import pytest
 
 #: XLA's passes that programs are compiled without. (Read, not imported: jaxtyping is to watch the
 #: package's imports.)
-PASSES = Path(__file__).parents[1] / "pinhole_jax" / "_files" / "passes.py"
+PASSES = Path(__file__).parents[1] / "pinhole_jax" / "_numerics" / "passes.py"
 LEFT_OUT = runpy.run_path(str(PASSES))["LEFT_OUT"]
 #: What XLA is told: to write kernels the older way, in one piece (workers fill the cores), and
 #: without those passes.

@@ -147,11 +147,11 @@ def test_mesh_and_spheres_together(scene):
 
 @pytest.mark.usefixtures("optimised")
 @pytest.mark.long
-def test_covariance_is_that_of_refits_under_noise(scene):
+def test_covariance_is_that_of_refits_under_noise(scene, exhaustive):
     random = np.random.default_rng(0)
     image, start = mask_of(CAMERA, scene), turned(CAMERA, [1, 2, 3], 1)
     errors, spread = [], []
-    for _ in range(40):
+    for _ in range(40 if exhaustive else 20):
         noisy = np.clip(image + 0.004 * random.normal(size=image.shape), 0, 1)
         # Inside and outside noise is clipped, and tells nothing of its size.
         noisy = np.where((image > 0) & (image < 1), noisy, image)
@@ -364,7 +364,7 @@ def test_the_cow_of_pytorch3d(shared):
 
 @pytest.mark.usefixtures("optimised")
 @pytest.mark.long
-@pytest.mark.parametrize("photo", ["200", "201"])
+@pytest.mark.parametrize("photo", [full("200"), "201"])
 def test_the_shampoo_bottle_in_a_photo(shared, photo):
     folder = shared / "photos" / "m3t_shampoo"
     given = json.loads((folder / "camera.json").read_text())

@@ -15,6 +15,7 @@ from oracles import drawn
 
 import pinhole_jax as pj
 from pinhole_jax._files import programs
+from pinhole_jax._numerics.jitted import options
 
 WHERE = f"{__name__}:raised"
 HERE = Path(__file__).parent
@@ -201,21 +202,11 @@ def test_to_keep_in_the_same_folder_once_more_changes_nothing(kept):
     assert programs._programs == before
 
 
-KNOWN, UNKNOWN = {"xla_disable_hlo_passes": "hlo-verifier"}, {"xla_of_another_age": False}
-
-
-@pytest.mark.parametrize(
-    ("quick", "tried"),
-    [
-        ((KNOWN, UNKNOWN), [KNOWN]),
-        ((UNKNOWN, KNOWN), [UNKNOWN, KNOWN]),
-        ((UNKNOWN,), [UNKNOWN, None]),
-    ],
-)
+@pytest.mark.parametrize("option", ["xla_disable_hlo_passes", "xla_of_another_age"])
 def test_a_quick_program_is_compiled_otherwise_where_the_compiler_knows_how(
-    kept, monkeypatch, quick, tried
+    kept, monkeypatch, option
 ):
-    monkeypatch.setattr(programs, "QUICK", quick)
+    monkeypatch.setattr(programs, "QUICK", {option: ""})
     given = []
     compile_ = jax.stages.Lowered.compile
 
@@ -226,17 +217,12 @@ def test_a_quick_program_is_compiled_otherwise_where_the_compiler_knows_how(
     monkeypatch.setattr(jax.stages.Lowered, "compile", told)
     programs.keep_in(kept, quick=True)
     assert np.array_equal(called(X).first, X**2 + 1)
-    assert given == tried
+    known = option == "xla_disable_hlo_passes"
+    assert given == [{**options(), **programs.QUICK}] + [options()] * (not known)
     programs.keep_in(kept)
     assert np.array_equal(called(X).first, X**2 + 1)
-    assert given[-1] is None
+    assert given[-1] == options()
     assert len(traces) == 1
-
-
-def test_this_compiler_knows_a_quick_way():
-    """The last way leaves out passes alone, which each XLA that JAX comes with lets us do."""
-    lowered = jax.jit(lambda x: x + 1).lower(X)
-    assert lowered.compile(compiler_options=programs.QUICK[-1])(X)[0] == X[0] + 1
 
 
 @pytest.mark.parametrize("what", ["prior, bounds and a lens", "spheres"])

@@ -31,6 +31,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics.arrays import MISSING, Numbers, float_array, float_dtype, is_concrete
+from .._numerics.jitted import jitted
 from .._numerics.safe import cross_of_difference, norm, normalize
 from .drawing import card, frustum, table
 from .film import Bend, FilmMap, FilmPart
@@ -289,7 +290,7 @@ def _cast(lens: Lens, dtype: np.dtype) -> Lens:
     return jax.tree.map(lambda x: x.astype(dtype), lens)
 
 
-@eqx.filter_jit
+@jitted
 def _lens_holds(camera: Camera) -> Array:
     return lens_holds(camera, FilmPart(0, camera.W, 0, camera.H, 1))
 

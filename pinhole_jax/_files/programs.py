@@ -21,7 +21,7 @@ import jax
 import numpy as np
 from jax import export
 
-from .passes import LEFT_OUT
+from .._numerics.jitted import options
 from .paths import read_bytes, replace_file
 
 #: What a traced program depends on beside its own code: other people's code, and JAX's switches.
@@ -42,11 +42,9 @@ SWITCHES = (
 WATCHED = ("jax_debug_nans", "jax_debug_infs", "jax_disable_jit", "jax_default_device")
 #: At most this many programs are held.
 HELD = 64
-#: XLA's older way to write kernels for a CPU: it takes a third less of a first fit's time, and what
-#: it makes runs 1.3 to 1.6 times as long. From jaxlib 0.12 on XLA no longer has it, and refuses
-#: what it does not know: fewer passes alone take a fifth less of a gradient's compilation.
-FEWER_PASSES: dict[str, str | bool] = {"xla_disable_hlo_passes": ",".join(LEFT_OUT)}
-QUICK = ({"xla_cpu_use_fusion_emitters": False, **FEWER_PASSES}, FEWER_PASSES)
+#: XLA's older way to write kernels for a CPU: a mask takes a fifth less time to compile, and what
+#: it makes runs 1.3 to 1.6 times as long. From jaxlib 0.12 on XLA no longer has it, and refuses it.
+QUICK = {"xla_cpu_use_fusion_emitters": False}
 
 _folder: Path | None = None
 _code: str | None = None
@@ -69,7 +67,7 @@ def keep_in(folder: Path | None, quick: bool = False) -> None:
 def call(where: str, arguments: tuple[Any, ...], answer: Callable[[], Any]) -> Any:
     """Return what a jitted function returns, traced by an earlier process where that can be.
 
-    `where` names a function that `equinox.filter_jit` made, as "module:name": its module is not
+    `where` names a `jitted` function, as "module:name": its module is not
     imported where it need not be traced. `answer` returns something of its result's structure.
     """
     if _folder is None:
@@ -122,10 +120,10 @@ def _program(
 
 
 def _compiled(lowered: Any) -> Any:
-    for options in QUICK if _quick else ():
-        with suppress(RuntimeError):  # an XLA that does not know one of them
-            return lowered.compile(compiler_options=options)
-    return lowered.compile()
+    if _quick:
+        with suppress(RuntimeError):  # an XLA that does not know the way
+            return lowered.compile(compiler_options={**options(), **QUICK})
+    return lowered.compile(compiler_options=options())
 
 
 def _set_lapack_up() -> None:

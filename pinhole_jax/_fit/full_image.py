@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
+from .._numerics.jitted import jitted
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene
 from .._silhouette.silhouette import silhouette
@@ -26,14 +26,14 @@ class At(NamedTuple):
         return on_film(moved(self.move, y, self.names), self.film)
 
 
-@eqx.filter_jit
+@jitted
 def image(y: Float[Array, "n"], at: At) -> Float[Array, "H W"]:
     """Return the image after a move."""
     return silhouette(at.camera(y), at.scene)
 
 
 @collector_at_rest()
-@eqx.filter_jit
+@jitted
 def image_and_jacobian(
     y: Float[Array, "n"], at: At
 ) -> tuple[Float[Array, "H W"], Float[Array, "H W n"]]:

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera
 from .._mask.target import as_coverage, check_image
 from .._numerics.arrays import is_concrete
+from .._numerics.jitted import jitted
 from .._scene.scene import Scene, bounding_sphere
 from .._solver.moves import Move, canonical, scales
 from .full_image import At, image, image_and_jacobian
@@ -150,13 +151,13 @@ def _of_all(scene: Scene, velocity: Any) -> Any:
     return eqx.combine(velocity, jax.tree.map(jnp.zeros_like, solid))
 
 
-@eqx.filter_jit
+@jitted
 def _slopes(places: Float[Array, "k n"], at: At, held: Any) -> Float[Array, "k n"]:
     """Return at some moves the derivative of the image's product with `held`."""
     return jax.lax.map(jax.grad(lambda y: jnp.sum(held * image(y, at))), places)
 
 
-@eqx.filter_jit
+@jitted
 def _along(places: Float[Array, "k n"], at: At, velocity: Any) -> Float[Array, "k H W"]:
     """Return the image's rate of change, at some moves, where the scene moves with a velocity."""
     solid, fixed = eqx.partition(at.scene, eqx.is_inexact_array)

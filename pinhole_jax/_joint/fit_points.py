@@ -20,6 +20,7 @@ from .._fit.fit_camera import check_steps
 from .._fit.result import at_rest, to_units, without_ended
 from .._fit.words import parameter_lines
 from .._numerics.arrays import Numbers, float_array
+from .._numerics.jitted import jitted
 from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
 from .._solver.least_squares import Rows, levenberg_marquardt
@@ -321,12 +322,12 @@ class _Problem(NamedTuple):
         return result
 
 
-@eqx.filter_jit
+@jitted
 def _step(camera: Camera, data: _Data, y: Any, names: tuple[str, ...]) -> Camera:
     return moved(data.move(camera, names)._replace(scale=jnp.ones_like(y)), y, names)
 
 
-@eqx.filter_jit
+@jitted
 def _look(start: Camera, data: _Data, names: tuple[str, ...]) -> _Seen:
     move = data.move(start, names)
     zero = jnp.zeros_like(move.scale)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.camera import Camera, check_camera
 from .._numerics.arrays import MISSING, Numbers, float_array, float_dtype, is_concrete
+from .._numerics.jitted import jitted
 from .._numerics.safe import binary_scale, norm, safe_divide
 from .topology import edge_records, without_copies
 
@@ -286,7 +287,7 @@ def _filled(x: Array, size: int, axis: int, value: float = 0.0) -> Array:
     return jnp.pad(x, widths, constant_values=value)
 
 
-@eqx.filter_jit
+@jitted
 def planes_are_current(mesh: Mesh) -> Bool[Array, ""]:
     """Return whether the planes were made from the vertices as they are now."""
     return mesh.planes.fingerprint == _fingerprint(mesh.vertices)
@@ -344,7 +345,7 @@ class Ball(NamedTuple):
     radius: Any
 
 
-@eqx.filter_jit
+@jitted
 def bounding_box(scene: Scene) -> Float[Array, "2 3"]:
     """Return the least and largest coordinates of the scene."""
     points = []

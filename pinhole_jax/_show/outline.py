@@ -1,6 +1,5 @@
 """The silhouette's outline as lines on the film, and the points of the object that make it."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -9,6 +8,7 @@ from .._camera.axes import axes_of
 from .._camera.camera import Camera, bend, film_map, to_camera
 from .._camera.rays import project
 from .._files import programs
+from .._numerics.jitted import jitted
 from .._scene.scene import Mesh, Scene, Spheres, astype, check_view
 from .._silhouette.clip import clipped
 from .._silhouette.contour import contour_weights
@@ -87,7 +87,7 @@ def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
     return points[ahead]
 
 
-@eqx.filter_jit
+@jitted
 def _segments(camera: Camera, mesh: Mesh) -> Segments:
     """Return all edges as segments in and near the film, and then what of them lies left of it."""
     film = film_map(camera)
@@ -110,17 +110,17 @@ def _base(camera: Camera, scene: Scene) -> int:
     return 0 if min(nearest) > 0 else int(_layers(camera, scene))
 
 
-@eqx.filter_jit
+@jitted
 def _layers(camera: Camera, scene: Scene) -> Int[Array, ""]:
     return surrounding(film_map(camera), scene)
 
 
-@eqx.filter_jit
+@jitted
 def _edge_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
     return contour_weights(mesh, e)
 
 
-@eqx.filter_jit
+@jitted
 def _arcs(camera: Camera, spheres: Spheres) -> Arcs:
     ids = jnp.arange(ARCS_PER_SPHERE * spheres.radii.shape[0], dtype=jnp.int32)
     return sphere_arcs(film_map(camera), spheres, ids)

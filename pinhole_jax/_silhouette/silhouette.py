@@ -4,7 +4,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._camera.camera import Camera, film_map
 from .._camera.film import FilmMap
 from .._numerics.bitset import Selection, count_below, nth, rank_in, select
+from .._numerics.jitted import jitted
 from .._numerics.linear_map import linear_map
 from .._numerics.running import running_sum
 from .._numerics.tracing import collector_at_rest
@@ -75,7 +75,7 @@ def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Arr
     return _silhouette(camera, scene, overlaps)
 
 
-@eqx.filter_jit
+@jitted
 def _silhouette(camera: Camera, scene: Scene, overlaps: bool) -> Float[Array, "H W"]:
     scene = astype(scene, camera.e.dtype)
     film, spheres = film_map(camera), scene.spheres

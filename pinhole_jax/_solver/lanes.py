@@ -5,7 +5,6 @@ All lanes take a step together, those that are done as well: after few steps the
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._camera.camera import Camera
 from .._mask.pyramid import Level, Pyramid
 from .._numerics.cholesky import solve_normal
+from .._numerics.jitted import jitted
 from .._scene.scene import Ball, Scene
 from .linearised import table_at, triangle_at
 from .parameters import components
@@ -77,7 +77,7 @@ class _State(NamedTuple):
     normal: Float[Array, "k k"]
 
 
-@eqx.filter_jit
+@jitted
 def descended(
     lanes: Lane,
     given: Given,
@@ -154,7 +154,7 @@ def _stepped(
     return _State(lane, stays(normal, kept))
 
 
-@eqx.filter_jit
+@jitted
 def looked(
     cameras: Camera,
     given: Given,

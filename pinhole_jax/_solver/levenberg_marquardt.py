@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._mask.pyramid import Level
+from .._numerics.jitted import jitted
 from .._numerics.thin_qr import triangle_and_rhs
 from .linearised import triangle_at
 from .problem import COSINE, UNIT_PX, Problem, View, move as move_of
@@ -113,7 +114,7 @@ def _residual(y: Float[Array, "n"], args: Any):
     return R[:, -1] + R[:, :-1] @ (y - at), aux
 
 
-@eqx.filter_jit
+@jitted
 def _linearised(y: Float[Array, "n"], args: Any):
     """Return what `triangle_at` does of what optimistix hands on."""
     move, problem, level, names, capacity = args
@@ -126,7 +127,7 @@ class _Static(eqx.Module):
     value: tuple = eqx.field(static=True)
 
 
-@eqx.filter_jit
+@jitted
 def descended(camera: Camera, problem: Problem, level: Level, px, steps, names, capacity):
     """Return the camera after this many steps at most, or when steps are shorter than `px`; how
     many it took, the first of them, and the view: after one step (which evaluates the start) of the

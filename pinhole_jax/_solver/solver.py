@@ -13,6 +13,7 @@ from .._files import programs
 from .._mask.edges import Weights
 from .._mask.pyramid import LEAST_CELLS, Level
 from .._mask.target import Window, inside_of, object_window
+from .._numerics.jitted import jitted
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene
 from .buffers import Asked, Buffers, Levels
@@ -396,7 +397,7 @@ class Solver:
         return [*each, end._replace(steps=end.steps - len(each))]
 
 
-@eqx.filter_jit
+@jitted
 def _step(
     camera: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, y: Any, names
 ) -> Camera:

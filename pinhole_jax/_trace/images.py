@@ -5,11 +5,11 @@ the pixel. They are differentiable where the primitive that a ray hits stays the
 and folds they jump, and no derivative tells of it: how an edge moves is what `silhouette` knows.
 """
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera, camera_basis
+from .._numerics.jitted import jitted
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, check_view
 from .components import inner, parts
@@ -46,7 +46,7 @@ def normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
     return _towards_eye(camera, scene, found(scene, camera))
 
 
-@eqx.filter_jit
+@jitted
 def _ahead(camera: Camera, scene: Scene, seen: Found) -> Float[Array, "H W"]:
     t = hits(scene, seen).t
     met = jnp.isfinite(t)
@@ -55,7 +55,7 @@ def _ahead(camera: Camera, scene: Scene, seen: Found) -> Float[Array, "H W"]:
     return jnp.where(met, jnp.where(met, t, 0) * ahead, jnp.inf)
 
 
-@eqx.filter_jit
+@jitted
 def _towards_eye(camera: Camera, scene: Scene, seen: Found) -> Float[Array, "H W 3"]:
     normal = hits(scene, seen).normal
     away = inner(parts(normal), parts(seen.rays.direction)) > 0

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.camera import Camera, check_camera
 from .._camera.rays import Rays, camera_rays
+from .._numerics.jitted import jitted
 from .._numerics.safe import binary_inverse, binary_scale, normalize
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Mesh, Scene, Spheres, astype
@@ -111,7 +112,7 @@ def found(scene: Any, rays: Any, search: Any = "tree") -> Found:
     return _find(scene, trees, rays, None, search)
 
 
-_rays_of = eqx.filter_jit(camera_rays)
+_rays_of = jitted(camera_rays)
 
 
 class Trees(NamedTuple):
@@ -149,7 +150,7 @@ def _held(faces: embree.Faces) -> tuple[embree.Faces, embree.Held]:
     return faces._replace(held=jnp.int32(held.number)), held
 
 
-@eqx.filter_jit
+@jitted
 def _trees_of(scene: Scene, dtype: Any) -> Trees:
     """Return the trees of a scene for rays of a float type."""
     # Exact, and then the products of coordinates neither overflow nor vanish.
@@ -157,7 +158,7 @@ def _trees_of(scene: Scene, dtype: Any) -> Trees:
     return _trees(scene, scale)
 
 
-@eqx.filter_jit
+@jitted
 def _faces_of(scene: Scene, dtype: Any) -> embree.Faces:
     """Return the faces in the trees' unit, which Embree does not hold yet."""
     scene, _ = _to_unit_size(astype(jax.lax.stop_gradient(scene), dtype))
@@ -175,7 +176,7 @@ def _trees(scene: Scene, scale: Float[Array, ""]) -> Trees:
     return Trees(of_mesh, of_spheres, scale)
 
 
-@eqx.filter_jit
+@jitted
 def _find(scene: Any, trees: Trees | None, given: Rays, camera: Any, search: str = "tree") -> Found:
     """Return what rays meet first, with the camera that they are of; not differentiated.
 
@@ -225,7 +226,7 @@ def _to_unit_size(scene: Scene) -> tuple[Scene, Float[Array, ""]]:
     return eqx.tree_at(where, scene, [x * scale for x in where(scene)]), scale
 
 
-@eqx.filter_jit
+@jitted
 def hits(scene: Scene, met: Found) -> Hit:
     """Return what is to be said of the rays' hits with what they are known to meet."""
     rays = met.rays

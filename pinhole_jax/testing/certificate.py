@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._numerics.arrays import is_concrete
+from .._numerics.jitted import jitted
 from .._scene.scene import Scene, astype, check_view
 from .._silhouette.silhouette import silhouette
 from .differences import STEPS, Scales, Slopes, outside, slopes
@@ -132,18 +133,18 @@ def check_gradients(
     return certificate
 
 
-@eqx.filter_jit
+@jitted
 def _render(image: Callable, point: Any) -> Any:
     return image(*point)
 
 
-@eqx.filter_jit
+@jitted
 def _forward(image: Callable, point: Any, tangent: Any) -> Float[Array, "H W"]:
     moving, still = eqx.partition(point, eqx.is_inexact_array)
     return jax.jvp(lambda m: image(*eqx.combine(m, still)), (moving,), (tangent,))[1]
 
 
-@eqx.filter_jit
+@jitted
 def _gradient(image: Callable, point: Any, weight: Array) -> Any:
     def loss(x):
         value = image(*x)

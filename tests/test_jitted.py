@@ -1,0 +1,72 @@
+"""The package's own programs are compiled in less time, alone and within others."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinhole_jax._numerics import jitted as module
+from pinhole_jax._numerics.jitted import OPTIONS, jitted, options
+
+X = np.arange(1.0, 4.0)
+
+
+@jitted
+def doubled(x, times=2):
+    """Say what it does."""
+    return {"value": times * x, "times": times}
+
+
+@pytest.fixture
+def optimised_here():
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """What XLA is told of each program that is compiled."""
+    given = []
+    own, part = doubled._own, doubled._part
+    monkeypatch.setattr(doubled, "_own", lambda *a, **k: given.append(OPTIONS) or own(*a, **k))
+    monkeypatch.setattr(doubled, "_part", lambda *a, **k: given.append({}) or part(*a, **k))
+    return given
+
+
+@pytest.mark.usefixtures("optimised_here")
+def test_alone_it_takes_options_and_within_others_it_is_a_part(told):
+    """JAX refuses options within another program, whether that hands on its arguments or not."""
+    assert options() == OPTIONS
+    np.testing.assert_array_equal(doubled(X)["value"], 2 * X)
+    assert told == [OPTIONS]
+    value = lambda x: jnp.sum(doubled(x, times=3)["value"])
+    assert jax.jit(value)(X) == jnp.sum(jax.vmap(value)(X)) == 18
+    np.testing.assert_array_equal(jax.grad(value)(X), 3.0)
+    np.testing.assert_array_equal(jax.jit(jax.grad(value))(X), 3.0)
+    assert {} in told
+    assert told.count(OPTIONS) == 1
+    of_a_constant = jax.jit(lambda x: x + doubled(X)["value"])
+    np.testing.assert_array_equal(of_a_constant(X), 3 * X)
+    assert told.count(OPTIONS) == 1
+
+
+def test_a_compiler_that_is_told_to_hurry_is_told_nothing_else(told):
+    if not jax.config.read("jax_disable_most_optimizations"):
+        pytest.skip("the compiler is as users have it")
+    assert doubled(X)["times"] == 2
+    assert told == [{}]
+
+
+@pytest.mark.usefixtures("optimised_here")
+def test_a_compiler_that_does_not_know_an_option_gets_none(monkeypatch):
+    monkeypatch.setattr(module, "OPTIONS", {"xla_of_another_age": 1})
+    module._known.cache_clear()
+    assert options() == {}
+    module._known.cache_clear()
+
+
+def test_it_keeps_its_name_and_says_what_it_does():
+    assert (doubled.__name__, doubled.__doc__) == ("doubled", "Say what it does.")
+    assert "multiply" in doubled.lower(X).as_text()
