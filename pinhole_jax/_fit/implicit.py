@@ -39,12 +39,14 @@ class Through(NamedTuple):
     - `put`: returns the result with such an answer in place of its own.
     - `velocity`: returns the answer's rate of change, given the result, that something, the inputs
       and their velocities: None of what does not change.
+    - `names`: the arguments that inputs come from, as errors name them.
     """
 
     run: Callable[[Any], tuple[Any, Any]]
     answer: Callable[[Any], Any]
     put: Callable[[Any, Any], Any]
     velocity: Callable[[Any, Any, Any, Any], Any]
+    names: str = "`target`, `scene`, `weight`"
 
     def __call__(self, inputs: Any) -> Any:
         """Return the result, its answer differentiable by those of the inputs that are traced."""
@@ -54,9 +56,8 @@ class Through(NamedTuple):
         def solve(changing: Any) -> tuple[Any, Any]:
             if not is_concrete(*jax.tree.leaves(changing)):
                 raise ValueError(
-                    "`target`, `scene`, `weight`: expected concrete arrays, got traced ones; a fit"
-                    " runs outside `jit` and `vmap` (in `grad`, `jvp` and `jacfwd`, if these are"
-                    " outside)"
+                    f"{self.names}: expected concrete arrays, got traced ones; a fit runs outside"
+                    " `jit` and `vmap` (in `grad`, `jvp` and `jacfwd`, if these are outside)"
                 )
             result, more = self.run(eqx.combine(changing, fixed))
             box.append(result)
@@ -74,6 +75,13 @@ class Through(NamedTuple):
 
         answer = answer_of(changing)
         return self.put(box[-1], answer)
+
+
+def check_plain(**given: Any) -> None:
+    """Raise ValueError where some of these arguments, which no derivative knows, are given."""
+    if any(given.values()):
+        names = ", ".join(f"`{name}`" for name in given)
+        raise ValueError(f"{names}: expected none where the fit is differentiated")
 
 
 def of_camera(
