@@ -8,18 +8,19 @@ import numpy as np
 
 from .._camera.axes import angle
 from .._fit.places import APART
+from .._joint.levels import REACHES
 from .._solver.least_squares import levenberg_marquardt
 from .._solver.parameters import components, labels_of
 from .._solver.priors import Prior
 from .._solver.problem import FINE_PX
-from .levels import REACHES
-from .points import PointProblem, PointView
-from .points_starts import seen_from_behind
+from .starts import seen_from_behind
+from .views import PointProblem, PointView
 
 #: How often a prior is weighed anew by what the points err by.
 ROUNDS = 3
-#: A place is as good as the best where chance makes its squares so much larger once in so many
-#: times (an F test): the wrong one of two poses of a plane is then the better one once in 2000.
+#: A place is as good as the best where its squares are no larger than chance makes them with this
+#: probability (an F test). Then a plane's wrong pose passes for the only one at most once in 2000
+#: times.
 CHANCE = 1e-3
 
 Tell = Callable[[str], None]

@@ -6,8 +6,8 @@ from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._solver.moves import canonical
 from .._solver.parameters import components
-from .points import PointView
 from .resection import plane_of, resected
+from .views import PointView
 
 #: Draws of few points. Where 40 % are outliers 1 draw of 6 points in 21 has none, so 95 % of
 #: searches meet one; with draws of 4, or fewer outliers, all do.

@@ -13,15 +13,15 @@ from .._fit.fit_camera import check_reach, check_steps
 from .._fit.implicit import Through, check_plain
 from .._fit.result import at_rest, to_units, without_ended
 from .._fit.words import parameter_lines
+from .._joint.shared_unknowns import alike, joint, others, reduced, shared_and_free
 from .._numerics.arrays import Numbers, float_array, is_concrete
 from .._solver.moves import on_film
 from .._solver.parameters import components, labels_of, with_lens
 from .._solver.priors import bounds_of, prior_of
 from .._solver.uncertainty import BLIND, covariance, weak_directions
-from .points import Given, PointProblem, PointsSeen, PointView, velocities
-from .points_descent import Descended, descended, variance
-from .points_starts import begun
-from .shared_unknowns import alike, joint, others, reduced, shared_and_free
+from .descent import Descended, descended, variance
+from .starts import begun
+from .views import Given, PointProblem, PointsSeen, PointView, velocities
 
 #: What several views share if nothing is said: the intrinsics of one physical camera.
 INTRINSICS = ("phi", "principal_point", "distortion")
