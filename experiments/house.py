@@ -58,7 +58,8 @@ def question() -> dict:
         k: sum(f[k] for f in files) for k in ("lines", "code", "characters", "comments", "blank")
     }
     functions = sorted((one for f in files for one in f["functions"]), reverse=True)
-    beside = [sum(p.parent == folder for p in paths) for folder in {p.parent for p in paths}]
+    named = [p.parent for p in paths if p.stem != "__init__"]
+    beside = [named.count(folder) for folder in named]
     short = sum(length <= LONG for length, _ in functions) / len(functions)
     answer = {
         "files": len(files),
