@@ -340,6 +340,66 @@ def test_the_camera_moves_with_target_and_weight_as_refits_do(scene, masks):
         np.testing.assert_allclose(slope, refits, atol=1e-4 * np.abs(refits).max())
 
 
+def all_numbers(fits):
+    return jnp.concatenate([jnp.stack([*f.camera.e, *f.camera.p, f.camera.phi]) for f in fits])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("free", ["pose", pytest.param("position", marks=pytest.mark.full)])
+def test_views_move_with_masks_and_weights_as_refits_do(scene, masks, free):
+    """Of two views, both of whose masks and one of whose weights change."""
+    targets = [jnp.asarray(mask) for mask in noisy(masks[:2])]
+    starts = STARTS[:2] if free == "pose" else [c.replace(phi=0.61) for c in TRUTHS[:2]]
+
+    def answer(a, b, weight):
+        given = {"weights": [weight, None], "outlier_px": None}
+        return all_numbers(pj.fit_cameras(scene, [a, b], starts, free=free, **given))
+
+    random = np.random.default_rng(2)
+    inputs = [*targets, jnp.ones((80, 96))]
+    velocity = [jnp.asarray(random.normal(size=(80, 96))) for _ in inputs]
+    slope, h = jax.jvp(answer, inputs, velocity)[1], 1e-4
+    ends = (
+        answer(*(np.asarray(x + s * h * v) for x, v in zip(inputs, velocity, strict=True)))
+        for s in (1, -1)
+    )
+    refits = np.subtract(*ends) / (2 * h)
+    np.testing.assert_allclose(slope, refits, atol=1e-3 * np.abs(refits).max())
+
+
+@pytest.mark.long
+def test_views_move_with_pixels_as_their_information_says(scene, masks):
+    """Independent errors of pixels make the error bars that `joint_observability` tells."""
+    phi = lambda targets: pj.fit_cameras(scene, targets, TRUTHS)[0].camera.phi
+    by_pixels = jax.grad(phi)([jnp.asarray(mask) for mask in masks])
+    views = [pj.JointView(scene, None, camera=str(k)) for k in range(3)]
+    cameras = {str(k): camera for k, camera in enumerate(TRUTHS)}
+    known = pj.joint_observability(views, cameras, shared="phi", noise=1.0)
+    expected = known.std[known.names.index("0 phi")]
+    std = sum(float(jnp.sum(x * x)) for x in by_pixels) ** 0.5
+    np.testing.assert_allclose(std, expected, rtol=1e-3)
+
+
+@pytest.mark.full
+def test_views_move_with_their_scene_as_refits_do(scene, masks):
+    eyes = lambda v: all_numbers(
+        pj.fit_cameras(
+            pj.Scene(mesh=pj.Mesh(v, np.asarray(scene.mesh.faces))), masks[:2], STARTS[:2]
+        )
+    )
+    vertices = scene.mesh.vertices
+    wrong = 0.01 * jnp.asarray(np.random.default_rng(1).normal(size=vertices.shape))
+    slope, h = jax.jvp(eyes, (vertices,), (wrong,))[1], 1e-3
+    refits = (eyes(vertices + h * wrong) - eyes(vertices - h * wrong)) / (2 * h)
+    np.testing.assert_allclose(slope, refits, atol=1e-3 * np.abs(refits).max())
+
+
+def test_what_is_known_of_views_beforehand_is_not_differentiated(scene, masks):
+    fit = lambda t: pj.fit_cameras(scene, [t], STARTS[:1], prior={"phi": (0.6, 0.1)})[0].camera.phi
+    with pytest.raises(ValueError, match="`prior`, `bounds`: expected none where the fit is diff"):
+        jax.grad(fit)(jnp.asarray(masks[0]))
+
+
 def test_a_fit_under_jit_is_refused_in_words(scene, masks):
     with pytest.raises(ValueError, match="a fit runs outside `jit` and `vmap`"):
         jax.jit(lambda t: pj.fit_camera(scene, t, POSE_START).camera.e)(jnp.asarray(masks[0]))

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -131,6 +132,117 @@ def test_points_keep_bounds():
         assert -0.1 <= float(h.camera.lens.distortion.k1) < -0.099
 
 
+def near(eye):
+    return pj.Camera(eye, [0.1, 0, 0], [0.1, 1, 0.05], 0.75, W=W, H=H)
+
+
+def numbers(fits):
+    """Return eyes, view points and fields of view."""
+    return jnp.concatenate([jnp.stack([*f.camera.e, *f.camera.p, f.camera.phi]) for f in fits])
+
+
+@pytest.mark.parametrize("common", [("phi",), ()])
+def test_cameras_move_with_points_and_weights_as_refits_do(common):
+    """Residuals are large, so the second derivatives count; one point is not seen by one view."""
+    random = np.random.default_rng(3)
+    points2d = seen([near(e) for e in EYES[:3]], SOLID) + random.normal(0, 1, (3, 30, 2))
+    points2d[1, 3] = np.nan
+    weights = random.uniform(0.5, 2, (3, 30))
+    free = ("pose",) if common else ("pose", "phi")
+    cameras = [near(e) for e in EYES[:3]]
+    answer = lambda *given: numbers(
+        pj.fit_points(*given[:2], cameras, free, common, weights=given[2])
+    )
+    inputs = [jnp.asarray(x) for x in (SOLID, points2d, weights)]
+    velocity = [jnp.asarray(random.normal(size=x.shape)) for x in inputs]
+    slope = jax.jvp(answer, inputs, velocity)[1]
+    h = 1e-4
+    ends = (
+        answer(*(np.asarray(x + s * h * v) for x, v in zip(inputs, velocity, strict=True)))
+        for s in (1, -1)
+    )
+    refits = np.subtract(*ends) / (2 * h)
+    np.testing.assert_allclose(slope, refits, atol=1e-4 * np.abs(refits).max())
+    gradient = jax.grad(lambda x: answer(inputs[0], x, inputs[2])[-1])(inputs[1])
+    assert np.all(np.isfinite(gradient))
+    assert np.all(gradient[1, 3] == 0)
+    still = [0 * velocity[0], velocity[1], 0 * velocity[2]]
+    along = jax.jvp(answer, inputs, still)[1][-1]
+    np.testing.assert_allclose(jnp.nansum(gradient * velocity[1]), along, rtol=1e-6)
+
+
+def test_what_points_err_by_makes_the_error_bars():
+    """The linear theory: the covariance is that of independent points, through the derivative."""
+    truth = near(EYES[1])
+    points2d = seen([truth], SOLID)[0] + np.random.default_rng(4).normal(0, 1e-4, (30, 2))
+    eye = lambda x: jnp.append(
+        (fit := pj.fit_points(SOLID, x, truth, ("pose", "phi"))).camera.e, fit.camera.phi
+    )
+    D = np.asarray(jax.jacrev(eye)(jnp.asarray(points2d))).reshape(4, -1)
+    fit = pj.fit_points(SOLID, points2d, truth, ("pose", "phi"))
+    of = [fit.names.index(name) for name in ("e_x", "e_y", "e_z", "phi")]
+    variance = fit.rms_px**2 * 30 / (60 - 7)
+    np.testing.assert_allclose(variance * D @ D.T, fit.covariance[np.ix_(of, of)], rtol=1e-3)
+
+
+def test_what_is_known_of_points_beforehand_is_not_differentiated():
+    fit = lambda x: pj.fit_points(SOLID, x, START, prior={"e_x": (0.0, 1.0)}).camera.e[0]
+    with pytest.raises(ValueError, match="`prior`, `bounds`: expected none where the fit is diff"):
+        jax.grad(fit)(jnp.zeros((30, 2)))
+    with pytest.raises(ValueError, match="`points3d`, `points2d`, `weights`: expected concrete"):
+        jax.jit(lambda x: pj.fit_points(SOLID, x, START).camera.e)(jnp.zeros((30, 2)))
+
+
+def test_a_weight_of_two_is_a_point_seen_twice():
+    points2d = seen([near(EYES[0])], SOLID)[0] + np.random.default_rng(5).normal(0, 0.3, (30, 2))
+    weights = np.where(np.arange(30) < 10, 2.0, 1.0)
+    start = START.replace(phi=0.75)
+    once = pj.fit_points(SOLID, points2d, start, weights=1e-4 * weights)
+    rows = np.concatenate([np.arange(30), np.arange(10)])
+    twice = pj.fit_points(SOLID[rows], points2d[rows], start)
+    assert max(float(x) for x in pj.pose_error(once.camera, twice.camera)) < 1e-7
+    np.testing.assert_allclose(once.rms_px, twice.rms_px, rtol=1e-7)
+    np.testing.assert_allclose(once.std / twice.std, ((80 - 6) / (60 - 6)) ** 0.5, rtol=1e-6)
+
+
+@pytest.mark.parametrize("points", [SOLID, PLANE], ids=["solid", "plane"])
+def test_points_that_are_somewhere_else_do_not_count(points):
+    """Two of five are: too many for a direct solution by all. The rest is fitted as if alone."""
+    random = np.random.default_rng(6)
+    truth = near(EYES[1])
+    points2d = seen([truth], points)[0] + random.normal(0, 0.1, (30, 2))
+    good = np.arange(30) >= 12
+    points2d[~good] = random.uniform(0, [W, H], (12, 2))
+    start, told = START.replace(phi=0.75), []
+    fit = pj.fit_points(points, points2d, start, outlier_px=0.6, progress=told.append)
+    only = pj.fit_points(points[good], points2d[good], start)
+    assert fit.status == only.status == "converged"
+    assert max(float(x) for x in pj.pose_error(fit.camera, only.camera)) < 1e-6
+    assert fit.weak == ("12 of 30 points are far from where they are seen, and left out",)
+    assert (len(told), told[0][:9]) == (4, "1 views: ")
+    assert float(pj.pose_error(pj.fit_points(points, points2d, start).camera, truth)[0]) > 0.05
+
+
+@pytest.mark.parametrize("common", [("phi",), ()])
+def test_a_plane_far_away_is_seen_as_well_with_its_depths_reversed(common):
+    """And is told apart where it is near, in 40 draws of the noise."""
+    random, truth = np.random.default_rng(7), [near(e) for e in EYES[1:3]]
+    points2d = seen(truth, 0.05 * PLANE) + random.normal(0, 0.05, (2, 30, 2))
+    fits = pj.fit_points(0.05 * PLANE, points2d, truth, "pose", common)
+    for fit, true in zip(fits, truth, strict=True):
+        assert (fit.status, len(fit.modes)) == ("ambiguous", 1)
+        poses = [fit.camera, fit.modes[0].camera]
+        assert min(float(pj.pose_error(c, true)[0]) for c in poses) < 0.15
+        assert float(pj.pose_error(*poses)[0]) > 0.5
+    for _ in range(40):
+        points2d = seen(truth, PLANE) + random.normal(0, 0.3, (2, 30, 2))
+        for fit, true in zip(
+            pj.fit_points(PLANE, points2d, truth, "pose", common), truth, strict=True
+        ):
+            assert (fit.status, fit.modes) == ("converged", ())
+            assert float(pj.pose_error(fit.camera, true)[0]) < 0.05
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -143,6 +255,10 @@ def test_points_keep_bounds():
         ({"camera": None}, "`camera`: expected a Camera"),
         ({"free": "k4"}, r"`free`: expected coefficients of a BrownConrady \(k1, k2, p1, p2, k3\)"),
         ({"shared": "pose"}, "`shared`: expected names among phi"),
+        ({"weights": np.ones(29)}, r"`weights`: expected a real array of shape \(30,\), got"),
+        ({"weights": np.full(30, -1.0)}, "`weights`: expected none below 0, got -1"),
+        ({"weights": np.zeros(30)}, "`points2d`: expected at least 3 points in each"),
+        ({"outlier_px": 0.0}, "`outlier_px`: expected a positive number of px, got 0"),
     ],
 )
 def test_bad_points_are_said_in_words(change, message):

@@ -199,5 +199,5 @@ def test_a_fit_on_a_photo_is_not_differentiated(scene, shown):
     def eye(target):
         return pj.fit_camera(scene, target, START, photo=photo_of(shown)).camera.e[0]
 
-    with pytest.raises(ValueError, match="`photo`: expected None where the fit is differentiated"):
+    with pytest.raises(ValueError, match="`photo`: expected none where the fit is differentiated"):
         jax.grad(eye)(shown)

@@ -33,6 +33,8 @@ COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 LEAST_SLOPE, MOST_SLOPE = 0.05, 100.0
 #: Radii of the ideal image looked at: the last is a tenth of a degree from the plane of the eye.
 RADII = np.geomspace(1e-3, 600.0, 1024)
+#: Steps at most: lenses of cameras (k1 from -0.35 to 0.3, to 40 degrees from the axis) take 2 to 8
+#: to 1e-12; more only those that are about to fold.
 NEWTON_STEPS = 40
 
 

@@ -24,7 +24,7 @@ from .._solver.priors import Prior, bounds_of, prior_of
 from .._solver.problem import View
 from .._solver.residuals import Sums
 from .._solver.solver import Found, Solver, Stop
-from .implicit import of_camera
+from .implicit import check_plain, of_camera
 from .occluders import covered_at, edge_of, is_believed, is_sure, uncovered
 from .photo import check_photo, on_photo
 from .places import Free, Places, at
@@ -135,10 +135,7 @@ def fit_camera(
     concrete = is_concrete(*jax.tree.leaves(inputs))
     if concrete:
         return run(inputs)[0]
-    if prior or bounds:
-        raise ValueError("`prior`, `bounds`: expected none where the fit is differentiated")
-    if photo is not None:
-        raise ValueError("`photo`: expected None where the fit is differentiated")
+    check_plain(prior=prior, bounds=bounds, photo=photo is not None)
     return of_camera(run, names)(inputs)
 
 

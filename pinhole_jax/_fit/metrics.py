@@ -9,10 +9,13 @@ from .._numerics.safe import norm
 
 
 def pose_error(camera_a: Camera, camera_b: Camera) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Return the angle between two cameras' orientations (rad) and the distance of their eyes.
+    """Return how far two cameras are from one another.
 
-    Free of the gauge: `|p-e|`, `|u|`, `u.v` and `d` do not count. The distance is in world units.
-    The angle is taken from the chord between the frames, so it is accurate down to rounding.
+    - the angle between their orientations (rad), from the chord between the frames: accurate down
+      to rounding.
+    - the distance of their eyes (world units).
+
+    Free of the gauge: `|p-e|`, `|u|`, `u.v` and `d` do not count.
     """
     check_camera(camera_a, "camera_a")
     check_camera(camera_b, "camera_b")

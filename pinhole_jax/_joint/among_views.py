@@ -55,7 +55,7 @@ class FromOthers(NamedTuple):
     slope: np.ndarray
 
 
-class Answer(NamedTuple):
+class Asked(NamedTuple):
     """Where a view's camera `camera` may be."""
 
     camera: Camera
@@ -108,7 +108,7 @@ def asked(
     begun: list[Begun],
     own: np.ndarray,
     onward: Callable[[list[Camera]], Path],
-) -> tuple[Path, list[Answer]]:
+) -> tuple[Path, list[Asked]]:
     """Return where views, a camera each, are after a descent, and each view's answer.
 
     Where one is better elsewhere, all descend `onward` from there together, and are asked again. If
@@ -134,7 +134,7 @@ def _noise(layout: Layout, found: Descent) -> float:
     return EQUAL_TIMES * max(max(e.solver.kind.variance, s.view.touched_misfit) for e, s in pairs)
 
 
-def _held(answer: Answer, view: View) -> Answer:
+def _held(answer: Asked, view: View) -> Asked:
     """Return the answer with the view's camera as the best, and another best among the others."""
     best, others, free, _ = answer.places
     if best.camera is answer.camera:
@@ -142,12 +142,12 @@ def _held(answer: Answer, view: View) -> Answer:
     return answer._replace(places=Places(Found(answer.camera, view, ()), [best, *others], free))
 
 
-def _answers(layout: Layout, found: Descent, begun: list[Begun], own: np.ndarray) -> list[Answer]:
+def _answers(layout: Layout, found: Descent, begun: list[Begun], own: np.ndarray) -> list[Asked]:
     cameras = [eye.canonical(found.state) for eye in layout.eyes]
     if not all(np.all(np.isfinite(seen.view.triangle)) for seen in found.seen):
         here = zip(cameras, found.seen, strict=True)
         return [
-            Answer(camera, Places(Found(camera, seen.view, ()), [], [])) for camera, seen in here
+            Asked(camera, Places(Found(camera, seen.view, ()), [], [])) for camera, seen in here
         ]
     from_others = known_by_others(layout, found, own, np.ones(len(cameras)))
     views = [seen.view for seen in found.seen]
@@ -157,7 +157,7 @@ def _answers(layout: Layout, found: Descent, begun: list[Begun], own: np.ndarray
 
 def _answer(
     eye: Eye, camera: Camera, view: View, begun: Begun, from_others: FromOthers, own: np.ndarray
-) -> Answer:
+) -> Asked:
     """Return where a view's camera may be, given what the others tell."""
     solver = eye.solver
     rows, left = _beside(view, from_others, own)
@@ -169,7 +169,7 @@ def _answer(
         mask = replace(eye.mask, camera=on_film(camera, eye.mask.camera))
         places = looked_round(solver, mask, found, begun.start, _untold)
     places = _kept(solver, places, found, begun.start)
-    return Answer(camera, places)
+    return Asked(camera, places)
 
 
 def _beside(view: View, from_others: FromOthers, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

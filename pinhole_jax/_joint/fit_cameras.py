@@ -13,14 +13,15 @@ from .._fit.fit_camera import check_alone, check_border, check_reach, check_step
 from .._fit.places import at
 from .._fit.result import Fit, Known, report, with_modes
 from .._mask.target import check_target, levelled
-from .._numerics.arrays import Numbers
+from .._numerics.arrays import Numbers, is_concrete
 from .._scene.scene import Scene, check_scene
 from .._solver.moves import canonical
 from .._solver.parameters import components, with_lens
 from .._solver.problem import FINE_PX, View
 from .._solver.solver import Found
-from .among_views import Answer, Begun, asked, known_by_others
-from .levels import End, Path, depth_of, descended, to_the_end
+from .among_views import Asked, Begun, asked, known_by_others
+from .implicit import Answer, Differentiable, Part, differentiable
+from .levels import End, Path, Tell, depth_of, descended, to_the_end
 from .problem import JointProblem
 from .result import OFF, apart_in_words, history
 from .shared_unknowns import SHARED, alike, joint, shared_and_free
@@ -66,6 +67,10 @@ def fit_cameras(
     The covariance of each fit is that of the joint problem: knowledge of all views is in it. The
     cost of a step grows linearly with the number of views.
 
+    Runs outside `jit` and `vmap`. Cameras of the result are differentiable (once, forward and
+    reverse) with respect to scene, targets and weights, by the implicit function theorem, as views
+    and pixels count in the end; where nothing is known beforehand.
+
     Raises ValueError for arguments that make no fit; what the solver met is in each `Fit.status`.
     """
     check_scene(scene)
@@ -78,28 +83,56 @@ def fit_cameras(
     names, common = shared_and_free(shared, free, cameras[0] if cameras else None, lens)
     if not common:
         raise ValueError(f"`shared`: expected at least one of {', '.join(SHARED)}, got none")
-    begun: list[Begun] | None = None
-    if cameras is None:
-        given = {"phi": phi, "lens": lens, "outlier_px": outlier_px, "max_steps": max_steps}
-        cameras, begun = _alone(scene, targets, weights, names, given)
-    cameras = alike([with_lens(c, names) for c in cameras], common)
-    views, masks = _views(scene, targets, weights, cameras)
-    by_name = {view.camera: camera for view, camera in zip(views, cameras, strict=True)}
-    groups = {name: [(*by_name,)] for name in common}
-    of = views, masks, by_name, names, names, groups, {}, {}, {}
-    problem = JointProblem.among(*of, outlier_px, max_steps, prior, bounds)
-    begun = begun or [Begun(start) for start in problem.start.lenses.values()]
-
+    views = [
+        JointView(scene, target, camera=str(k), weight=weight)
+        for k, (target, weight) in enumerate(zip(targets, weights, strict=True))
+    ]
+    given = {"phi": phi, "lens": lens, "outlier_px": outlier_px, "max_steps": max_steps}
     tell = progress if progress is not None else lambda words: None
+    concrete = is_concrete(*jax.tree.leaves(views))
+
+    def run(views: Sequence[JointView]) -> tuple[tuple[Fit, ...], list[Part]]:
+        starts, begun = (cameras, None) if cameras is not None else _alone(views, names, given)
+        starts = alike([with_lens(c, names) for c in starts], common)
+        masks = [_mask(*each, as_given=not concrete) for each in zip(views, starts, strict=True)]
+        by_name = {view.camera: camera for view, camera in zip(views, starts, strict=True)}
+        groups = {name: [(*by_name,)] for name in common}
+        of = [*views], masks, by_name, names, names, groups, {}, {}, {}
+        problem = JointProblem.among(*of, outlier_px, max_steps, prior, bounds)
+        return _fit(problem, begun, common, tell)
+
+    refused = {"prior": prior, "bounds": bounds}
+    return differentiable(run, views, Differentiable(_answer, _put), refused)
+
+
+def _fit(
+    problem: JointProblem, begun: list[Begun] | None, common: tuple[str, ...], tell: Tell
+) -> tuple[tuple[Fit, ...], list[Part]]:
+    """Return the fits of a problem in which `common` is shared, and what ended them."""
+    names = problem.names
+    begun = begun or [Begun(start) for start in problem.start.lenses.values()]
     own = np.array([name not in common for name in names for _ in components((name,))])
+    px = FINE_PX[problem.layout.eyes[0].solver.dtype]
 
     def further(state: State, depths: Sequence[int]) -> Path:
-        return descended(problem, state, tell, depths, FINE_PX[cameras[0].e.dtype])
+        return descended(problem, state, tell, depths, px)
 
     path = further(problem.start, range(depth_of(problem), 0, -1))
     onward = lambda cameras_there: further(_state_at(cameras_there, problem, common), [1])
     path, answers = asked(problem.layout, path, begun, own, onward)
-    return _reports(problem, to_the_end(problem, path, tell), answers, own)
+    end = to_the_end(problem, path, tell)
+    part = Part(end.problem, end.found, [*range(len(end.whole))])
+    return _reports(problem, end, answers, own), [part]
+
+
+def _answer(fits: tuple[Fit, ...]) -> Answer:
+    return Answer({str(k): fit.camera for k, fit in enumerate(fits)}, {}, {})
+
+
+def _put(fits: tuple[Fit, ...], answer: Answer) -> tuple[Fit, ...]:
+    """Return the fits with other cameras."""
+    cameras = answer.cameras.values()
+    return tuple(fit._replace(camera=c) for fit, c in zip(fits, cameras, strict=True))
 
 
 def _checked_count(targets: Any, cameras: Any, weights: Any) -> int:
@@ -120,26 +153,20 @@ def _checked_count(targets: Any, cameras: Any, weights: Any) -> int:
 
 
 def _alone(
-    scene: Scene, targets: Any, weights: Any, names: tuple[str, ...], given: Mapping[str, Any]
+    views: Sequence[JointView], names: tuple[str, ...], given: Mapping[str, Any]
 ) -> tuple[list[Camera], list[Begun]]:
     """Return cameras that masks by themselves lead to, and where else each may be."""
-    pairs = zip(targets, weights, strict=True)
-    fits = [fit_camera(scene, t, None, names, weight=w, **given) for t, w in pairs]
+    fits = [fit_camera(v.scene, v.target, None, names, weight=v.weight, **given) for v in views]
     modes = [[canonical(with_lens(mode.camera, names)) for mode in f.modes] for f in fits]
     return [fit.camera for fit in fits], [Begun(modes=some) for some in modes]
 
 
-def _views(
-    scene: Scene, targets: Any, weights: Any, cameras: Sequence[Camera]
-) -> tuple[list[JointView], list[tuple[np.ndarray, np.ndarray]]]:
-    """Return views of a scene, by numbered cameras, and their masks and weights, checked."""
-    views, masks = [], []
-    for k, (target, weight, camera) in enumerate(zip(targets, weights, cameras, strict=True)):
-        image, w = check_target(target, weight, camera.W, camera.H)
-        check_border(image, w, scene, camera)
-        masks.append((levelled(image, w), w))
-        views.append(JointView(scene, target, camera=str(k)))
-    return views, masks
+def _mask(view: JointView, camera: Camera, as_given: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return a view's mask and weights, checked; the mask is levelled unless it is to be taken
+    `as_given`."""
+    image, weight = check_target(view.target, view.weight, camera.W, camera.H)
+    check_border(image, weight, view.scene, camera)
+    return (image if as_given else levelled(image, weight)), weight
 
 
 def _state_at(cameras_there: list[Camera], problem: JointProblem, common: tuple[str, ...]) -> State:
@@ -149,7 +176,7 @@ def _state_at(cameras_there: list[Camera], problem: JointProblem, common: tuple[
 
 
 def _reports(
-    problem: JointProblem, end: End, answers: list[Answer], own: np.ndarray
+    problem: JointProblem, end: End, answers: list[Asked], own: np.ndarray
 ) -> tuple[Fit, ...]:
     found = end.found
     layout = found.layout
@@ -167,7 +194,7 @@ def _reports(
 
 
 def _report(
-    problem: JointProblem, k: int, end: End, view: View, answer: Answer, noise: tuple[float, float]
+    problem: JointProblem, k: int, end: End, view: View, answer: Asked, noise: tuple[float, float]
 ) -> Fit:
     """Return the fit of a view, and those of other places that its mask does not tell from it;
     `noise` is a residual's variance, and the design effect of all views."""

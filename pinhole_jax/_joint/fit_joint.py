@@ -4,10 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from .._camera.camera import Camera
 from .._numerics.arrays import is_concrete
-from .implicit import Part, through
+from .implicit import Answer, Differentiable, Part, differentiable
 from .levels import Path, Tell, depth_of, descended, to_the_end
 from .problem import JointProblem
 from .result import JointFit, as_one, reported
@@ -88,12 +89,28 @@ def fit_joint(
         asked = views, cameras, free, objects, rig, *settings
         return _fit(JointProblem.of(*asked, as_given=not concrete), search, tell)
 
-    if concrete:
-        return run(views)[0]
-    if prior or bounds or joint_zeros or any(view.photo is not None for view in views):
-        words = "expected none where the fit is differentiated"
-        raise ValueError(f"`prior`, `bounds`, `joint_zeros`, `photo`: {words}")
-    return through(run, views)
+    photos = not concrete and any(view.photo is not None for view in views)
+    refused = {"prior": prior, "bounds": bounds, "joint_zeros": joint_zeros, "photo": photos}
+    return differentiable(run, views, Differentiable(_answer, _put), refused)
+
+
+def _answer(fit: JointFit) -> Answer:
+    number: Any = jnp.asarray
+    return Answer(
+        {name: one.camera for name, one in fit.cameras.items()},
+        {name: number(one.pose) for name, one in fit.objects.items()},
+        {name: number(one.value) for name, one in fit.scales.items()},
+    )
+
+
+def _put(fit: JointFit, answer: Answer) -> JointFit:
+    """Return the fit with another answer."""
+    cameras, poses, scales = answer
+    return fit._replace(
+        cameras={n: one._replace(camera=cameras[n]) for n, one in fit.cameras.items()},
+        objects={n: one._replace(pose=poses[n]) for n, one in fit.objects.items()},
+        scales={n: one._replace(value=scales[n]) for n, one in fit.scales.items()},
+    )
 
 
 def _fit(problem: JointProblem, search: bool, tell: Tell) -> tuple[JointFit, list[Part]]:

@@ -6,7 +6,7 @@ with x, and with transforms that are known, central differences say; with masks 
 view's own.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -19,13 +19,25 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera
 from .._camera.poses import Pose, adjoint, at_pose, exponential, inverse
 from .._fit.full_image import At
-from .._fit.implicit import NO_RESIDUAL, STEP_PX, Through, pulled
+from .._fit.implicit import NO_RESIDUAL, STEP_PX, Through, check_plain, pulled
+from .._numerics.arrays import is_concrete
 from .._solver.moves import on_film
 from .._solver.parameters import PARAMETERS
 from .._solver.problem import UNIT_PX, View
 from .agreement import Agreement
+from .descent import Layout
 from .problem import JointProblem
-from .views import POSE, SCALE, Eye, JointView, State, stepped, stretched
+from .views import (
+    MOTIONS,
+    POSE,
+    SCALE,
+    TWIST,
+    Eye,
+    JointView,
+    State,
+    stepped,
+    stretched,
+)
 
 #: What of a view a joint fit is differentiated by.
 DIFFERENTIABLE = ("scene", "target", "weight", "mount", "placed")
@@ -48,10 +60,26 @@ class Answer(NamedTuple):
     scales: dict[str, Any]
 
 
-def through(
-    run: Callable[[Sequence[JointView]], tuple[Any, list[Part]]], views: Sequence[JointView]
+class Differentiable(NamedTuple):
+    """What of a fit's result is differentiable, and the result with another `Answer`."""
+
+    answer: Callable[[Any], Answer]
+    put: Callable[[Any, Answer], Any]
+
+
+def differentiable(
+    run: Callable[[Sequence[JointView]], tuple[Any, list[Part]]],
+    views: Sequence[JointView],
+    of: Differentiable,
+    refused: Mapping[str, Any],
 ) -> Any:
-    """Return the fit that `run` returns, its answer differentiable by what is traced of views."""
+    """Return the fit that `run` returns, its answer differentiable by what is traced of views.
+
+    Raises ValueError where something is traced, and something given that is `refused` then.
+    """
+    if is_concrete(*jax.tree.leaves(views)):
+        return run(views)[0]
+    check_plain(**refused)
     of_views = lambda inputs: [
         view._replace(**dict(zip(DIFFERENTIABLE, given, strict=True)))
         for view, given in zip(views, inputs, strict=True)
@@ -63,30 +91,11 @@ def through(
             {k: v for some in kind for k, v in some.items()} for kind in zip(*moving, strict=True)
         ]
         return Answer(
-            *({k: of[k] for k in own} for own, of in zip(_answer(fit), whole, strict=True))
+            *({k: of[k] for k in own} for own, of in zip(of.answer(fit), whole, strict=True))
         )
 
     inputs = [tuple(getattr(view, name) for name in DIFFERENTIABLE) for view in views]
-    return Through(lambda inputs: run(of_views(inputs)), _answer, _put, velocity)(inputs)
-
-
-def _answer(fit: Any) -> Answer:
-    number: Any = jnp.asarray
-    return Answer(
-        {name: one.camera for name, one in fit.cameras.items()},
-        {name: number(one.pose) for name, one in fit.objects.items()},
-        {name: number(one.value) for name, one in fit.scales.items()},
-    )
-
-
-def _put(fit: Any, answer: Answer) -> Any:
-    """Return the fit with another answer."""
-    cameras, poses, scales = answer
-    return fit._replace(
-        cameras={n: one._replace(camera=cameras[n]) for n, one in fit.cameras.items()},
-        objects={n: one._replace(pose=poses[n]) for n, one in fit.objects.items()},
-        scales={n: one._replace(value=scales[n]) for n, one in fit.scales.items()},
-    )
+    return Through(lambda inputs: run(of_views(inputs)), of.answer, of.put, velocity)(inputs)
 
 
 def _velocity(part: Part, inputs: Any, velocity: Any) -> Answer:
@@ -220,8 +229,8 @@ def _moved(problem: JointProblem, state: State, x: Float[Array, "size"]) -> Answ
     for name, film in problem.cameras.items():
         pose = state.poses[problem.moving[name]]
         unit = at_pose(state.lenses[name], pose @ problem.rig.get(name, np.eye(4)))
-        if (place := layout.place(problem.moving[name], POSE)) is not None:
-            unit = _carried(unit, pose, x[place])
+        if (twist := _twist_of(layout, problem.moving[name], x)) is not None:
+            unit = _carried(unit, pose, twist)
         for row, owner in owners[name].items():
             place = layout.place(owner, row)
             for leaf in PARAMETERS[row].leaves:
@@ -238,6 +247,16 @@ def _moved(problem: JointProblem, state: State, x: Float[Array, "size"]) -> Answ
             if u.kind == SCALE
         },
     )
+
+
+def _twist_of(layout: Layout, name: str, x: Float[Array, "size"]) -> Float[Array, "6"] | None:
+    """Return the twist that a step has for a pose, None where no part of that is free."""
+    whole = None
+    for kind, part in MOTIONS.items():
+        if (place := layout.place(name, kind)) is not None:
+            whole = jnp.zeros(TWIST, x.dtype) if whole is None else whole
+            whole = whole.at[part].add(x[place])
+    return whole
 
 
 def _carried(unit: Camera, pose: Pose, twist: Float[Array, "6"]) -> Camera:

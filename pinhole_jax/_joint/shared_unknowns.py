@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from .._camera.camera import Camera
@@ -140,7 +139,8 @@ def joint(view: Any, others: np.ndarray, slope: np.ndarray, own: np.ndarray) -> 
     gradient = np.asarray(view.triangle, float).T @ np.asarray(view.along, float)
     gradient[~own] = slope * scale
     along = np.linalg.lstsq(triangle.T, gradient, rcond=None)[0]
-    return view._replace(triangle=jnp.asarray(triangle), along=jnp.asarray(along))
+    # (As NumPy's: within `grad` JAX's would be traced, and no report could look at them.)
+    return view._replace(triangle=triangle, along=along)
 
 
 def in_few(view: View, rows: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

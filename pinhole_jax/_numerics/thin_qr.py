@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-#: Rows that are reflected together.
+#: Rows that are reflected together. (8192 x 8 take 0.31 to 0.44 ms with 256 to 4096: it hardly
+#: matters.)
 BLOCK = 1024
 
 

@@ -18,6 +18,7 @@ from .._silhouette.surrounding import surrounding
 
 #: Outline points are at most this far apart (px), and no closer than that.
 STEP_PX = 2.0
+#: ... nor does a gap count that is shorter (px): rounding makes these.
 LEAST_PX = 1e-6
 #: A program that is kept.
 SEGMENTS = "pinhole_jax._show.outline:_segments"

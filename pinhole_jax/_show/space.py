@@ -11,6 +11,7 @@ from .._scene.scene import Scene, check_view
 
 #: Rays through each side of the film; those as wide as this are drawn no longer.
 SIDE = 16
+#: (The cosine from the axis: 78 degrees. At 90 they would be endless.)
 LEAST_COSINE = 0.2
 
 

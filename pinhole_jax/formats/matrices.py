@@ -71,11 +71,13 @@ def from_opencv(
 
 
 def to_opencv(camera: Camera, *, pixel_centres: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return OpenCV's K (3, 3), R (3, 3), t (3,), float64: x right, y down, z forward.
+    """Return OpenCV's matrices in float64: x right, y down, z forward.
 
-    `X_camera = R X_world + t` and `(u, v, 1) ~ K X_camera`, px, y down. `pixel_centres` says where
-    the reader puts them: "integer" (OpenCV: the first pixel's centre is 0) or "half" (0.5). A
-    lens's distortion is not in them: `camera.lens.distortion` goes beside.
+    - K (3, 3): `(u, v, 1) ~ K X_camera`, px, y down.
+    - R (3, 3) and t (3,): `X_camera = R X_world + t`.
+
+    `pixel_centres` says where the reader puts them: "integer" (OpenCV: the first pixel's centre is
+    0) or "half" (0.5). A lens's distortion is not in them: `camera.lens.distortion` goes beside.
     """
     check_camera(camera)
     half = half_pixel(pixel_centres)

@@ -17,16 +17,12 @@ FLAT = 1e-3
 def resected(
     camera: Camera, points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"]
 ) -> Camera | None:
-    """Return the camera posed so that it sees points (world) where they are seen (px; NaN: not), or
-    None.
+    """Return the camera posed so that it sees points (world) where they are seen (px), or None.
 
     None where there are too few points (4 of a plane, else 6), or where they are degenerate.
     """
-    there = ~np.isnan(seen_at[:, 0])
-    view = _normalised(camera, np.where(there[:, None], seen_at, 0))[there]
-    points = points[there]
-    middle = points.mean(axis=0)
-    _, spread, axes = np.linalg.svd(points - middle, full_matrices=True)
+    view = _normalised(camera, seen_at)
+    middle, spread, axes = _spread(points)
     flat = spread[-1] <= FLAT * spread[0]
     if len(points) < (4 if flat else 6) or not spread[1] > FLAT * spread[0]:
         return None
@@ -56,6 +52,21 @@ def resected(
     rotation = (left @ right) @ axes
     translation = shift * (scale / size) - rotation @ middle
     return _posed(camera, rotation, translation)
+
+
+def plane_of(points: Float[np.ndarray, "N 3"]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the middle and the normal of the plane that points are of, None if of none."""
+    middle, spread, axes = _spread(points)
+    if not spread[-1] <= FLAT * spread[0] < spread[1]:
+        return None
+    return middle, axes[-1]
+
+
+def _spread(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the middle of points, how far they spread along three axes, and these (rows)."""
+    middle = points.mean(axis=0)
+    _, spread, axes = np.linalg.svd(points - middle, full_matrices=True)
+    return middle, np.pad(spread, (0, 3 - len(spread))), axes
 
 
 def _normalised(camera: Camera, seen_at: np.ndarray) -> np.ndarray:

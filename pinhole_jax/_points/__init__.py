@@ -1,0 +1,1 @@
+"""Views of points whose places in the world are known: calibration, and poses."""

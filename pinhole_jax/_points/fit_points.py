@@ -1,0 +1,289 @@
+"""`fit_points`: cameras from points whose places in the world are known (calibration, pose)."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._camera.axes import axes_of
+from .._camera.camera import Camera, check_camera
+from .._fit.fit_camera import check_reach, check_steps
+from .._fit.implicit import Through, check_plain
+from .._fit.result import at_rest, to_units, without_ended
+from .._fit.words import parameter_lines
+from .._joint.shared_unknowns import alike, joint, others, reduced, shared_and_free
+from .._numerics.arrays import Numbers, float_array, is_concrete
+from .._solver.moves import on_film
+from .._solver.parameters import components, labels_of, with_lens
+from .._solver.priors import bounds_of, prior_of
+from .._solver.uncertainty import BLIND, covariance, weak_directions
+from .descent import Descended, descended, variance
+from .starts import begun
+from .views import Given, PointProblem, PointsSeen, PointView, velocities
+
+#: What several views share if nothing is said: the intrinsics of one physical camera.
+INTRINSICS = ("phi", "principal_point", "distortion")
+
+
+class PointFit(NamedTuple):
+    """The result of `fit_points` for one view.
+
+    - `camera`: the fitted camera.
+    - `status`: "converged" (trust the camera only then), "ambiguous" (points of a plane that are
+      seen as well by the cameras of `modes`), "rank_deficient" (some direction moves no point:
+      `weak` names it), "max_steps", "behind" (a point would lie behind the eye) or "non_finite".
+    - `names`: the fitted parameters, in the order of `covariance` (n, n) and `std` (n,), as in
+      `Fit`. The covariance is that of the joint problem and assumes that all coordinates err
+      independently and alike (those of points with weights, with variances in inverse proportion
+      to these), by as much as the residuals say.
+    - `rms_px`: root mean square distance of the view's points from where they are seen, each as it
+      counts.
+    - `steps`: Levenberg-Marquardt steps.
+    - `weak`: directions that the points determine badly or not at all, and how many points do not
+      count, as sentences.
+    - `modes`: other cameras that the view's points do not tell from this one.
+    """
+
+    camera: Camera
+    status: str
+    names: tuple[str, ...]
+    covariance: Float[np.ndarray, "n n"]
+    std: Float[np.ndarray, "n"]
+    rms_px: float
+    steps: int
+    weak: tuple[str, ...]
+    modes: tuple["PointFit", ...] = ()
+
+    def __str__(self) -> str:
+        """Return it as a table."""
+        lines = [*parameter_lines(self), f"status     {self.status}"]
+        lines.append(f"rms        {self.rms_px:.3g} px")
+        return "\n".join([*lines, *(f"note       {weak}" for weak in self.weak)])
+
+    def __repr__(self) -> str:
+        """Return it in a line, its arrays left out."""
+        return f"<PointFit: {self.status}, rms {self.rms_px:.3g} px, {', '.join(self.names)}>"
+
+
+def fit_points(
+    points3d: Numbers,
+    points2d: Numbers,
+    camera: Any,
+    free: str | Sequence[str] = ("pose",),
+    shared: str | Sequence[str] | None = None,
+    *,
+    weights: Numbers = None,
+    outlier_px: float | None = None,
+    prior: Mapping[str, Any] | None = None,
+    bounds: Mapping[str, Any] | None = None,
+    max_steps: int = 100,
+    progress: Callable[[str], None] | None = None,
+) -> Any:
+    """Return the camera that sees points where they were seen: a `PointFit`, or one for each view.
+
+    - `points3d`: (N, 3), world units; or (V, N, 3) if each of V views has its own.
+    - `points2d`: (N, 2), or (V, N, 2) for V views: film coordinates (px, origin at the film's
+      bottom-left corner, y up; of OpenCV's (u, v) they are (u + 1/2, H - v - 1/2)). NaN: not seen.
+    - `camera`: resolution, and where to start; one for all views, or one for each. Its pose is used
+      only where it is nearer than what a plane homography (4 points of a plane) or a direct linear
+      transformation (6 points) says, or where there are fewer points. The focal length may be off
+      by some tens of percent.
+    - `free`: what each view has of its own; `shared`: what all have in common. Names are those of
+      `fit_camera`. None: with several views phi, principal_point and distortion, else nothing.
+    - `weights`: (N,), or (V, N): how much each point counts, 0 or more. 1 / variance, up to a
+      factor.
+    - `outlier_px`: points that end farther than this from where they are seen do not count, as long
+      as half of a view's points do; some five times what the others err by. None: all count.
+    - `prior`, `bounds`: as in `fit_camera`; of what is shared once, else for each view.
+    - `max_steps`: a limit for each descent. `progress` is called with words after each.
+
+    Points of a plane are seen almost as well with their depths reversed, the farther away the
+    better: each such view is asked whether its points tell the two apart (`PointFit.modes`).
+
+    Returns a `PointFit` for points2d (N, 2), a tuple of them for (V, N, 2). Levenberg-Marquardt as
+    in `fit_cameras`: a step's cost is linear in the views. Works in the float type of `camera`.
+    Steps that would make the lens fold within the film are not taken.
+
+    Runs outside `jit` and `vmap`. Cameras of the result are differentiable (once, forward and
+    reverse) with respect to points3d, points2d and weights, by the implicit function theorem, as
+    points count in the end; where nothing is known beforehand.
+
+    Raises ValueError for arguments that make no fit; what the solver met is in each `status`.
+    """
+    check_steps(max_steps)
+    check_reach(outlier_px)
+    tell = progress if progress is not None else lambda words: None
+
+    def run(inputs: Any) -> tuple[tuple[PointFit, ...], Descended]:
+        given = _checked(*inputs)
+        cameras = _cameras(camera, len(given))
+        several = INTRINSICS if len(given) > 1 else ()
+        names, common = shared_and_free(several if shared is None else shared, free, cameras[0])
+        own = np.array([name not in common for name in names for _ in components((name,))])
+        cameras, scale = alike([with_lens(c, names) for c in cameras], common), _scale(given)
+        views = []
+        for one, c in zip(given, cameras, strict=True):
+            view = PointView.of(c, one._replace(weight=one.weight / scale), names)
+            known = prior_of(prior, c, names, common, len(given))
+            view = view._replace(bounds=bounds_of(bounds, c, names), prior=known)
+            views.append(begun(view, outlier_px is not None))
+        found = descended(views, own, outlier_px, max_steps, tell)
+        return _reports(found, given), found
+
+    inputs = points3d, points2d, weights
+    if is_concrete(*inputs):
+        fits = run(inputs)[0]
+    else:
+        check_plain(prior=prior, bounds=bounds)
+        named = "`points3d`, `points2d`, `weights`"
+        fits = Through(run, _answer, _put, _velocity, named)(inputs)
+    return fits if np.ndim(points2d) == 3 else fits[0]
+
+
+def _answer(fits: tuple[PointFit, ...]) -> tuple[Camera, ...]:
+    return tuple(fit.camera for fit in fits)
+
+
+def _put(fits: tuple[PointFit, ...], cameras: tuple[Camera, ...]) -> tuple[PointFit, ...]:
+    """Return the fits with other cameras."""
+    return tuple(fit._replace(camera=c) for fit, c in zip(fits, cameras, strict=True))
+
+
+def _velocity(
+    fits: tuple[PointFit, ...], found: Descended, inputs: Any, velocity: Any
+) -> tuple[Camera, ...]:
+    """Return how the cameras change with the inputs."""
+    given = _checked(*inputs)
+    V, N, dtype = len(given), len(given[0].points), fits[0].camera.e.dtype
+
+    def of_each(change: Any, shape: tuple[int, ...], scale: float = 1.0) -> Sequence[Any]:
+        if change is None:
+            return [None] * V
+        return list(jnp.broadcast_to(jnp.asarray(change, dtype) / scale, (V, *shape)))
+
+    points, seen_at, weights = velocity
+    each = of_each(points, (N, 3)), of_each(seen_at, (N, 2)), of_each(weights, (N,), _scale(given))
+    changes = [Given(*parts) for parts in zip(*each, strict=True)]
+    return velocities(found.views, changes, found.own)
+
+
+def _scale(given: list[Given]) -> float:
+    """Return the mean of all weights that count: what weights are times is nothing."""
+    weights = np.concatenate([one.weight for one in given])
+    return float(np.mean(weights[weights > 0]))
+
+
+def _cameras(camera: Any, count: int) -> list[Camera]:
+    """Return a camera for each of this many views, or raise ValueError."""
+    cameras = [camera] * count if isinstance(camera, Camera) else camera
+    if not isinstance(cameras, Sequence):
+        kind = type(camera).__name__
+        raise ValueError(f"`camera`: expected a Camera, or one for each view, got {kind}")
+    for one in cameras:
+        check_camera(one)
+    if len(cameras) != count:
+        raise ValueError(f"`camera`: expected one for each of {count} views, got {len(cameras)}")
+    return list(cameras)
+
+
+def _checked(points3d: Numbers, points2d: Numbers, weights: Numbers) -> list[Given]:
+    """Return what each view is given in float64, NaN and a weight of 0 of points that are not seen,
+    or raise ValueError."""
+    many = np.ndim(points2d) == 3
+    seen_at = np.asarray(points2d)
+    if seen_at.dtype.kind not in "fiu" or seen_at.ndim not in (2, 3) or seen_at.shape[-1] != 2:
+        raise ValueError(
+            "`points2d`: expected real numbers of shape (N, 2), or (V, N, 2) for V views, got"
+            f" shape {seen_at.shape}, dtype {seen_at.dtype}"
+        )
+    seen_at = np.array(seen_at if many else seen_at[None], float)
+    V, N = seen_at.shape[:2]
+    if np.any(np.isinf(seen_at)):
+        raise ValueError("`points2d`: expected finite values, or NaN where not seen, got inf")
+    shape = (V, N, 3) if np.ndim(points3d) == 3 else (N, 3)
+    points = np.asarray(float_array("points3d", points3d, shape, np.dtype(np.float64)), float)
+
+    seen_at[np.isnan(seen_at).any(axis=-1)] = np.nan
+    weight = np.where(np.isnan(seen_at[..., 0]), 0.0, _weights(weights, V, N))
+    few = np.sum(weight > 0, axis=1)
+    if V == 0 or np.any(few < 3):
+        k = int(np.argmin(few)) if V else 0
+        raise ValueError(
+            "`points2d`: expected at least 3 points in each view, got"
+            f" {few[k] if V else 'no view'} in view {k}"
+        )
+    points = np.broadcast_to(points, (V, N, 3))
+    return [Given(*each) for each in zip(points, seen_at, weight, strict=True)]
+
+
+def _weights(weights: Numbers, V: int, N: int) -> np.ndarray:
+    """Return weights that broadcast to (V, N), or raise ValueError."""
+    if weights is None:
+        return np.ones(N)
+    shape = (V, N) if np.ndim(weights) == 2 else (N,)
+    weight = np.asarray(float_array("weights", weights, shape, np.dtype(np.float64)), float)
+    if np.any(weight < 0):
+        raise ValueError(f"`weights`: expected none below 0, got {weight.min()}")
+    return weight
+
+
+def _reports(found: Descended, given: list[Given]) -> tuple[PointFit, ...]:
+    """Return what a user reads of each view, and of its other places."""
+    views, own = found.views, found.own
+    seen = [v.look() for v in views]
+    parts = [reduced(s, own) for s in seen]
+    slope: Any = sum(part.slope for part in parts)
+    noise = variance(views, PointProblem.of(views, own).size)
+    whole = sum(one.squares for one in seen), 2.0 * sum(view.number for view in views)
+
+    def report(view: PointView, one: PointsSeen, known: np.ndarray) -> PointFit:
+        return _report(view, joint(one, known, slope, own), noise, *whole)
+
+    fits = []
+    for k, known in enumerate(others([p.rest for p in parts])):
+        fit = report(views[k], seen[k], known)._replace(steps=found.steps)
+        fit = _without(fit, views[k].number, int(np.sum(given[k].weight > 0)))
+        fits.append(_with_modes(fit, [report(v, v.look(), known) for v in found.others[k]]))
+    return tuple(fits)
+
+
+def _without(fit: PointFit, number: int, given: int) -> PointFit:
+    """Return the fit with a sentence on how many points do not count."""
+    if number == given:
+        return fit
+    words = f"{given - number} of {given} points are far from where they are seen, and left out"
+    return fit._replace(weak=(*fit.weak, words))
+
+
+def _with_modes(fit: PointFit, modes: list[PointFit]) -> PointFit:
+    """Return the fit with the other cameras that see its points as well."""
+    if modes and fit.status in ("converged", "rank_deficient"):
+        fit = fit._replace(status="ambiguous")
+    return fit._replace(modes=tuple(modes))
+
+
+def _report(
+    view: PointView, seen: PointsSeen, variance: float, squares: float, count: float
+) -> PointFit:
+    """Return what a user reads of a view, given what is seen there and what others know, and the
+    sum of the squares of this many residuals of all views."""
+    names, dtype = view.names, np.dtype(view.film.e.dtype)
+    triangle, ended = without_ended(seen.triangle, view.camera, names, view.bounds)
+    along = np.asarray(seen.along, float)
+    labels, camera = labels_of(names), on_film(view.camera, view.film)
+    if not (np.isfinite(squares) and np.all(np.isfinite(triangle))):
+        nothing = np.full((len(labels), len(labels)), np.nan)
+        nan = float("nan")
+        return PointFit(camera, "non_finite", labels, nothing, np.diag(nothing), nan, 0, ())
+    blind, weak = weak_directions(triangle, components(names), axes_of(camera), BLIND[dtype])
+    gradient = variance * triangle.T @ triangle
+    cov = covariance(triangle, to_units(seen.to_reported, names, camera), gradient, BLIND[dtype])
+    status = "rank_deficient" if blind else "converged"
+    if not at_rest(triangle, along, squares, count, dtype):
+        status = "max_steps"
+    if not float(seen.nearest) > 0:
+        status = "behind"
+    rms = float(np.sqrt(float(seen.sum_squares) / np.sum(view.weight)))
+    return PointFit(camera, status, labels, cov, np.sqrt(np.diag(cov)), rms, 0, weak + ended)

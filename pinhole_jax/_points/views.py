@@ -1,0 +1,322 @@
+"""Views of points whose places in the world are known, as least squares.
+
+The problem of `fit_cameras` with other residuals: where points are seen, less where they project.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._camera.camera import Camera, lens_holds, to_camera
+from .._camera.film import FilmPart
+from .._camera.rays import project
+from .._numerics.jitted import jitted
+from .._numerics.thin_qr import triangle_and_rhs
+from .._scene.scene import Ball, ball_about
+from .._solver.least_squares import Rows
+from .._solver.moves import Bounds, Move, canonical, moved, on_film, reported, scales
+from .._solver.priors import Prior
+from .._solver.problem import UNIT_PX
+
+#: A move of `UNIT_PX` counts as this many residuals of as much, as damping has it.
+FILM = 10.0
+
+
+class PointsSeen(NamedTuple):
+    """What is known at one camera (as `problem.View`): in px over `UNIT_PX`.
+
+    - `sum_squares` (px^2, weighed) is of the points alone, `prior_squares` of a prior.
+    - `nearest`: the least depth of a point.
+    """
+
+    triangle: Float[Array, "n n"]
+    along: Float[Array, "n"]
+    scale: Float[Array, "n"]
+    to_reported: Float[Array, "m n"]
+    sum_squares: Float[Array, ""]
+    prior_squares: Float[Array, ""]
+    nearest: Float[Array, ""]
+
+    @property
+    def squares(self) -> float:
+        """Return the sum of squared residuals, those of a prior among them."""
+        return float(self.sum_squares) + float(self.prior_squares)
+
+
+class PointView(NamedTuple):
+    """One view: its film, points in the world, where these are seen (px) and how much each counts,
+    what is free, and the camera so far (canonical)."""
+
+    film: Camera
+    points: Float[np.ndarray, "N 3"]
+    seen_at: Float[np.ndarray, "N 2"]
+    weight: Float[np.ndarray, "N"]
+    ball: Ball
+    names: tuple[str, ...]
+    camera: Camera
+    bounds: Bounds | None = None
+    prior: Prior | None = None
+
+    @classmethod
+    def of(cls, film: Camera, given: "Given", names: tuple[str, ...]) -> "PointView":
+        """Return the view from where its film's camera is."""
+        points, seen_at, weight = given
+        used = points[weight > 0]
+        ball = ball_about(np.stack([used.min(axis=0), used.max(axis=0)]))
+        # (What does not count may be NaN, whose derivative would be, too.)
+        seen_at = np.where((weight > 0)[:, None], seen_at, 0)
+        return cls(film, points, seen_at, weight, ball, names, canonical(film))
+
+    @property
+    def number(self) -> int:
+        """Return how many points count."""
+        return int(np.sum(self.weight > 0))
+
+    def look(self) -> PointsSeen:
+        """Return what is seen."""
+        return _look(self.camera, self._data(), self.names)
+
+    def stepped(self, y: np.ndarray) -> "PointView":
+        """Return the view after a step."""
+        y = np.asarray(y, self.film.e.dtype)
+        return self._replace(camera=_step(self.camera, self._data(), y, self.names))
+
+    def distances(self) -> Float[np.ndarray, "N"]:
+        """Return how far points project from where they are seen (px), infinite behind the eye."""
+        return np.asarray(_distances(self.camera, self._data()), float)
+
+    def pull(self, velocity: "Given") -> Float[Array, "n"]:
+        """Return how half the gradient of the squares, by moves, changes with what is given."""
+        zero = jax.tree.map(jnp.zeros_like, self._given())
+        velocity = Given(*(z if v is None else v for v, z in zip(velocity, zero, strict=True)))
+        return _pull(self.camera, self._data(), velocity, self.names)
+
+    def bend(self) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
+        """Return how it changes with the moves, and these ones' scale."""
+        bend, scale = _bend(self.camera, self._data(), self.names)
+        return np.asarray(bend, float), np.asarray(scale, float)
+
+    def camera_velocity(self, y: Float[Array, "n"]) -> Camera:
+        """Return how the camera, on its film, changes with moves."""
+        move = self._data().move(self.camera, self.names)
+        at = lambda y: on_film(moved(move, y, self.names), self.film)
+        return jax.jvp(at, (jnp.zeros_like(y),), (y,))[1]
+
+    def _given(self) -> "Given":
+        to = lambda x: jnp.asarray(x, self.film.e.dtype)
+        return Given(to(self.points), to(self.seen_at), to(self.weight))
+
+    def _data(self) -> "_Data":
+        to = lambda x: np.asarray(x, self.film.e.dtype)
+        film = self.film
+        about = to(self.ball[0]), to(self.ball[1]), to(film.W / film.H), to(film.H)
+        return _Data(self._given(), *about, self.bounds, self.prior)
+
+
+class Given(NamedTuple):
+    """Points in the world (N, 3), where they are seen (N, 2) in px, and how much each counts (N,);
+    or velocities of these, None of what stays."""
+
+    points: Any
+    seen_at: Any
+    weight: Any
+
+    def off(self, camera: Camera, H: Any) -> Float[Array, "N 2"]:
+        """Return where points project less where they are seen (px), 0 of what does not count."""
+        off = project(camera, self.points) * H - self.seen_at
+        return jnp.where((self.weight > 0)[:, None], off, 0)
+
+
+class _Data(NamedTuple):
+    given: Given
+    pivot: Any
+    radius: Any
+    width: Any
+    H: Any
+    bounds: Bounds | None
+    prior: Prior | None
+
+    def move(self, camera: Camera, names: tuple[str, ...]) -> Move:
+        """Return where moves of a camera start, in the solver's units."""
+        pivot, radius, H = (jnp.asarray(x) for x in (self.pivot, self.radius, self.H))
+        return Move(camera, pivot, UNIT_PX * scales(camera, pivot, radius, H, names), self.bounds)
+
+    def residuals(self, camera: Camera) -> Float[Array, "k"]:
+        """Return what is squared: how far off points are (px), NaN where the lens folds."""
+        off = jnp.sqrt(self.given.weight)[:, None] * self.given.off(camera, self.H)
+        holds = lens_holds(camera, FilmPart(0, self.width, 0, 1, self.H))
+        return jnp.where(holds, off.reshape(-1), jnp.nan)
+
+
+class PointProblem(NamedTuple):
+    """Views of points as `LeastSquares`, whose state are the views: which of a view's moves are its
+    own, the number of unknowns, and the float type. Shared ones come last."""
+
+    own: np.ndarray
+    size: int
+    dtype: np.dtype
+
+    @classmethod
+    def of(cls, views: Sequence[PointView], own: np.ndarray) -> "PointProblem":
+        """Return the problem in which `own` (n,) of each view's moves are its own."""
+        size = len(views) * int(own.sum()) + int((~own).sum())
+        return cls(own, size, np.dtype(views[0].film.e.dtype))
+
+    def look(self, state: list[PointView]) -> list[PointsSeen]:
+        """Return what is seen in each view."""
+        return [view.look() for view in state]
+
+    def noise(self, seen: list[PointsSeen]) -> float:
+        """Return that priors are weighed already."""
+        del seen
+        return 1.0
+
+    def squares(self, state: list[PointView], seen: list[PointsSeen], noise: float) -> float:
+        """Return the sum of the squares of all residuals."""
+        del state, noise
+        return sum(one.squares for one in seen)
+
+    def parts(self, state: list[PointView], seen: list[PointsSeen], noise: float) -> list[Rows]:
+        """Return the rows of all views."""
+        del state, noise
+        return [
+            Rows(
+                np.asarray(one.triangle, float) / np.asarray(one.scale, float),
+                np.asarray(one.along, float),
+                self._columns(k),
+                self.own,
+            )
+            for k, one in enumerate(seen)
+        ]
+
+    def sizes(self, seen: list[PointsSeen], parts: list[Rows]) -> np.ndarray:
+        """Return a step's size on the film: where points hardly tell a lens, it would soon fold."""
+        del parts
+        result = np.zeros(self.size)
+        for k, one in enumerate(seen):
+            columns = self._columns(k)
+            result[columns] = np.maximum(result[columns], FILM / np.asarray(one.scale, float))
+        return result
+
+    def ways_out(self, state: list[PointView], seen: list[PointsSeen]) -> np.ndarray:
+        """Return that bounds hold nothing: within them steps swing to and fro."""
+        del state, seen
+        return np.zeros(self.size)
+
+    def stepped(self, state: list[PointView], x: np.ndarray) -> list[PointView]:
+        """Return the views after a step."""
+        return [view.stepped(x[self._columns(k)]) for k, view in enumerate(state)]
+
+    def moved(self, seen: list[PointsSeen], x: np.ndarray) -> float:
+        """Return the largest move that a step makes in any view, in its units."""
+        moves = (x[self._columns(k)] / np.asarray(one.scale) for k, one in enumerate(seen))
+        return max(float(np.max(np.abs(y))) for y in moves)
+
+    def _columns(self, k: int) -> np.ndarray:
+        """Return where the numbers are that a view depends on."""
+        m, shared = int(self.own.sum()), int((~self.own).sum())
+        result = np.empty(len(self.own), int)
+        result[self.own] = k * m + np.arange(m)
+        result[~self.own] = self.size - shared + np.arange(shared)
+        return result
+
+
+@jitted
+def _step(camera: Camera, data: _Data, y: Any, names: tuple[str, ...]) -> Camera:
+    return moved(data.move(camera, names)._replace(scale=jnp.ones_like(y)), y, names)
+
+
+@jitted
+def _distances(camera: Camera, data: _Data) -> Float[Array, "N"]:
+    off = data.given.off(camera, data.H)
+    ahead = to_camera(camera, data.given.points)[:, 2] > 0
+    return jnp.where(ahead, jnp.sqrt(jnp.sum(off * off, axis=1)), jnp.inf)
+
+
+@jitted
+def _look(start: Camera, data: _Data, names: tuple[str, ...]) -> PointsSeen:
+    move = data.move(start, names)
+    zero = jnp.zeros_like(move.scale)
+    capacity = jnp.zeros(zero.shape[0] + 1, zero.dtype)  # more rows than columns
+
+    def at(y):
+        camera = moved(move, y, names)
+        r, believed = data.residuals(camera), capacity[:0]
+        if data.prior is not None:
+            believed = data.prior.residuals(camera, names)
+        rows = jnp.concatenate([r, believed, capacity])
+        return rows, (rows, jnp.sum(r * r), jnp.sum(believed * believed))
+
+    jacobian, (rows, squares, prior) = jax.jacfwd(at, has_aux=True)(zero)
+    triangle, along = triangle_and_rhs(jacobian, rows)
+    to_reported = jax.jacfwd(lambda y: reported(start, moved(move, y, names), names))(zero)
+    depth = to_camera(start, data.given.points)[:, 2]
+    nearest = jnp.min(jnp.where(data.given.weight > 0, depth, jnp.inf))
+    return PointsSeen(triangle, along, move.scale, to_reported, squares, prior, nearest)
+
+
+def _slope(y: Any, given: Given, start: Camera, data: _Data, names: tuple[str, ...]) -> Array:
+    """Return half the gradient (n,) of the squares by moves."""
+    move = data.move(start, names)
+
+    def half_squares(y: Any) -> Array:
+        off = given.off(moved(move, y, names), data.H)
+        return jnp.sum(given.weight[:, None] * off * off) / 2
+
+    return jax.grad(half_squares)(y)
+
+
+@jitted
+def _pull(start: Camera, data: _Data, velocity: Given, names: tuple[str, ...]) -> Array:
+    zero = jnp.zeros_like(data.move(start, names).scale)
+    slope = lambda given: _slope(zero, given, start, data, names)
+    return jax.jvp(slope, (data.given,), (velocity,))[1]
+
+
+@jitted
+def _bend(start: Camera, data: _Data, names: tuple[str, ...]) -> tuple[Array, Array]:
+    scale = data.move(start, names).scale
+    slope = lambda y: _slope(y, data.given, start, data, names)
+    return jax.jacfwd(slope)(jnp.zeros_like(scale)), scale
+
+
+def velocities(
+    views: Sequence[PointView], changes: Sequence[Given], own: np.ndarray
+) -> tuple[Camera, ...]:
+    """Return how views' cameras, where the squares are least, change with what is given (the
+    implicit function theorem): half the gradient of all squares stays 0.
+
+    A view's own moves are eliminated, as in a step, so the cost is linear in the views.
+    """
+    dtype = views[0].film.e.dtype
+    to = lambda x: jnp.asarray(x, dtype)
+    bends, pulls, ratios, unit = [], [], [], np.ones(len(own))
+    for view, change in zip(views, changes, strict=True):
+        bend, scale = view.bend()
+        # What is shared is measured by the first view's moves.
+        unit = unit if ratios else scale
+        ratio = np.where(own, 1, unit / scale)
+        ratios.append(to(ratio))
+        bends.append(ratio[:, None] * bend * ratio[None])
+        pulls.append(to(ratio) * view.pull(change))
+
+    alone = [np.linalg.pinv(bend[np.ix_(own, own)], hermitian=True) for bend in bends]
+    # How a view's own moves follow the shared ones, and what is left of these.
+    follow = [-back @ bend[np.ix_(own, ~own)] for back, bend in zip(alone, bends, strict=True)]
+    left: Any = sum(
+        bend[np.ix_(~own, ~own)] + bend[np.ix_(~own, own)] @ by
+        for bend, by in zip(bends, follow, strict=True)
+    )
+    pull: Any = sum(p[~own] + to(by).T @ p[own] for p, by in zip(pulls, follow, strict=True))
+    shared = -to(np.linalg.pinv((left + left.T) / 2, hermitian=True)) @ pull
+
+    result = []
+    for view, ratio, back, by, p in zip(views, ratios, alone, follow, pulls, strict=True):
+        step = jnp.zeros(len(own), dtype).at[~own].add(shared)
+        step = step.at[own].add(to(by) @ shared - to(back) @ p[own])
+        result.append(view.camera_velocity(ratio * step))
+    return tuple(result)
