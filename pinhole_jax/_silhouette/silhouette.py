@@ -48,8 +48,8 @@ from .surrounding import surrounding
 from .sweep import Visible
 
 CURVES_AT_A_TIME = 512
-#: To be exact takes less than to err by less than this.
-LEAST_TOLERANCE = 1e-3
+#: To be exact takes no longer than to err by less than this.
+LEAST_TOLERANCE = 5e-3
 
 
 @collector_at_rest()
@@ -85,7 +85,7 @@ def silhouette(
     derivative, what is visible of each piece of contour errs by the distance of two stops for each
     stretch: where all moves by a pixel, by 1.5 times `tolerance` in the worst pixel of a scan, and
     0.3 times in the mean. A mask of a scan takes half as long with 1/64, a smooth one what it did;
-    below 1e-3 to be exact takes less, and is what is done.
+    below 5e-3 to be exact takes no longer, and is what is done.
     """
     check_view(camera, scene)
     return _silhouette(camera, scene, overlaps, _stops(tolerance))

@@ -50,8 +50,9 @@ class Capacity(NamedTuple):
 class Touched(NamedTuple):
     """The pixels that the contour touches, in raster order; unused slots have `cell` past the end.
 
-    `coverage` is differentiable, and exact where `known`; `covered_after` tells whether the
-    untouched pixels that follow in the row are covered, `covered_before` whether those before are.
+    `coverage` is differentiable, and exact where `known`, but for what lines sweep (see
+    `overlapping`); `covered_after` tells whether the untouched pixels that follow in the row are
+    covered, `covered_before` whether those before are.
     """
 
     cell: Int[Array, "P"]
