@@ -32,7 +32,7 @@ import pinhole_jax as pj
 CALLS, LONG = 7, 3.0
 SMOOTH, SCAN, HEDGEHOG = 0.0, 0.12, 1.2
 WIDTHS = (500, 1000, 2000, 4000)
-TOLERANCES = (1 / 4, 1 / 16, 1 / 64, 1 / 256)
+TOLERANCES = (1 / 4, 1 / 16, 1 / 64, 1 / 128)
 CROWDED = ("scan, 82k", "hedgehog 1.2, 82k", "soup, 10k", "2000 spheres", "20000 spheres")
 REAL = ("counter.stl", "cycloidal.ply", "suzanne.ply")
 
