@@ -1,13 +1,14 @@
 """What do rough meshes and large photos cost, beside smooth shapes and small masks?
 
-    python experiments/rough.py OUT [masks] [fits] [slopes] [photos]
+    python experiments/rough.py OUT [masks] [fits] [slopes] [photos] [tolerance]
 
 Bumpy spheres with noise on their vertices (as a share of the mean edge: a scan has 0.12, a
 hedgehog 1.2), loose triangles, interlocked boxes, overlapping spheres, and real meshes where
 `../shared` has them; masks beside a smooth mesh of about as many faces and Embree's one sample a
 pixel, fits to hard and soft masks, and how the time of a mask grows with noise, faces and pixels.
 Then fits to photos of 500 to 4000 pixels' width. Everything is compiled when it is timed; medians
-of calls, float32.
+of calls, float32. Last, what masks cost that may err (`silhouette(..., tolerance=)`), in
+milliseconds of the processor, the least of some calls, and by how much the worst pixel errs.
 """
 
 import json
@@ -31,6 +32,8 @@ import pinhole_jax as pj
 CALLS, LONG = 7, 3.0
 SMOOTH, SCAN, HEDGEHOG = 0.0, 0.12, 1.2
 WIDTHS = (500, 1000, 2000, 4000)
+TOLERANCES = (1 / 4, 1 / 16, 1 / 64, 1 / 128)
+CROWDED = ("scan, 82k", "hedgehog 1.2, 82k", "soup, 10k", "2000 spheres", "20000 spheres")
 REAL = ("counter.stl", "cycloidal.ply", "suzanne.ply")
 
 
@@ -225,6 +228,56 @@ def photos() -> dict[str, Any]:
     return found
 
 
+def processor_ms(call: Callable[[], Any]) -> float:
+    """Return the least of a call's times on the processor, of few if they take long."""
+    jax.block_until_ready(call())
+    times: list[float] = []
+    while len(times) < CALLS and sum(times) < 1e3 * LONG:
+        begin = time.process_time()
+        jax.block_until_ready(call())
+        times.append(1e3 * (time.process_time() - begin))
+    return min(times)
+
+
+def tolerances() -> dict[str, Any]:
+    """Return ms of masks of crowded scenes by their tolerance (0: exact; "clamped": layers are
+    summed), and by how much the worst pixel errs."""
+    found: dict[str, Any] = {}
+    for name in CROWDED:
+        scene = cases()[name][0]()
+        exact = np.asarray(pj.silhouette(view(), scene))
+        ways = {"clamped": {"overlaps": False}, "0": {}}
+        ways |= {f"1/{round(1 / x)}": {"tolerance": x} for x in TOLERANCES}
+        found[name] = {key: ms_and_error(scene, exact, **way) for key, way in ways.items()}
+        told = [f"{k}: {v['ms']:.1f} ms ({v['worst']:.1e})" for k, v in found[name].items()]
+        print(f"{name:18s} {', '.join(told)}", flush=True)
+    return found
+
+
+def ms_and_error(scene: pj.Scene, exact: np.ndarray, **way: Any) -> dict[str, float]:
+    """Return what a mask costs, and by how much its worst pixel errs."""
+    call = lambda: pj.silhouette(view(), scene, **way)
+    worst = float(np.max(np.abs(np.asarray(call()) - exact)))
+    return {"ms": processor_ms(call), "worst": worst}
+
+
+def draw_tolerances(found: dict[str, Any], path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axis = plt.subplots(figsize=(5, 3.6))
+    for name, row in found.items():
+        few = [row[f"1/{round(1 / t)}"] for t in TOLERANCES]
+        (line,) = axis.loglog([x["worst"] for x in few], [x["ms"] for x in few], "-o", label=name)
+        axis.axhline(row["0"]["ms"], color=line.get_color(), linestyle=":")
+    axis.set(xlabel="worst error of a pixel", ylabel="ms of the processor (dotted: exact)")
+    axis.legend(fontsize=7)
+    figure.tight_layout()
+    figure.savefig(path, dpi=90)
+
+
 def slope(row: dict[str, float], least: float = 0) -> float:
     """Return the log-log slope of a row's upper half."""
     x, y = np.array([(float(k), v) for k, v in row.items() if float(k) > least]).T
@@ -260,6 +313,7 @@ def draw(found: dict[str, Any], path: Path) -> None:
 
 def main() -> None:
     parts = {"masks": masks, "fits": fits, "slopes": slopes, "photos": photos}
+    parts["tolerance"] = tolerances
     asked = [name for name in sys.argv[2:] if name in parts] or [*parts]
     path = folder() / "rough.json"
     found = json.loads(path.read_text()) if path.exists() else {}
@@ -268,6 +322,8 @@ def main() -> None:
     path.write_text(json.dumps(found, indent=1) + "\n")
     if {"slopes", "photos"} <= found.keys():
         draw(found, folder() / "rough.png")
+    if "tolerance" in found:
+        draw_tolerances(found["tolerance"], folder() / "rough_tolerance.png")
 
 
 if __name__ == "__main__":

@@ -355,3 +355,66 @@ def test_derivatives_of_a_union_equal_central_differences_of_the_oracle(mixed):
         # averages that out.
         np.testing.assert_allclose(columns[..., k], expected, atol=2e-5 * scale)
         np.testing.assert_allclose(gradient[k], np.sum(weight * expected), rtol=1e-5)
+
+
+def slivers(number=300):
+    random = np.random.default_rng(6)
+    middle, along, across = (
+        random.uniform(-1, 1, (number, 1, 3)),
+        *random.normal(size=(2, number, 1, 3)),
+    )
+    corners = np.concatenate([middle - along, middle + along, middle + 0.02 * across], axis=1)
+    return corners.reshape(-1, 3), np.arange(3 * number).reshape(-1, 3)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("make", [noisy_sphere, crowd, slivers, lambda: rough(4, 1.2)])
+def test_a_mask_errs_by_its_tolerance_at_most(make):
+    vertices, faces = make()
+    scene = filled(vertices, faces)
+    for camera in cameras(2):
+        expected = mesh_coverage(camera, vertices, faces)
+        for tolerance in (1 / 8, 0.03, 1 / 128):
+            error = np.abs(pj.silhouette(camera, scene, tolerance=tolerance) - expected)
+            assert np.max(error) <= tolerance
+        assert np.max(error) > 1e-6  # lines were swept
+    tiny = pj.silhouette(camera, scene, tolerance=1e-9)
+    np.testing.assert_allclose(tiny, expected, atol=1e-9)
+
+
+@pytest.mark.long
+def test_cells_that_are_cut_err_by_the_tolerance_at_most():
+    vertices, faces = soup(60)
+    scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
+    for distance in (30, 15):
+        camera = pj.Camera([0, 0, distance], [0, 0, 0], [0, 1, 0], 0.3, W=3, H=3)
+        image = pj.silhouette(camera, scene, tolerance=1 / 32)
+        error = np.abs(image - mesh_coverage(camera, vertices, faces))
+        assert 1e-5 < np.max(error) <= 1 / 32
+
+
+@pytest.mark.long
+def test_spheres_and_their_derivative_err_by_the_tolerance(mixed):
+    """... of what a pixel's width of motion changes, where arcs and edges are swept by lines."""
+    camera, scene = mixed
+
+    def slid(x, tolerance):
+        """The picture slides by x pixels, roughly."""
+        step = jnp.array([0.1, 0.05, 0]) * x
+        moved = camera.replace(e=camera.e + step, p=camera.p + step)
+        return pj.silhouette(moved, scene, tolerance=tolerance)
+
+    exact, slope = jax.jvp(lambda x: slid(x, 0.0), (0.0,), (1.0,))
+    tolerance, image, near = 0.0, exact, slope
+    for tolerance in (1 / 8, 1 / 32):
+        image, near = jax.jvp(lambda x, t=tolerance: slid(x, t), (0.0,), (1.0,))
+        assert 0 < np.max(np.abs(image - exact)) <= tolerance
+        assert 0 < np.max(np.abs(near - slope)) <= 4 * tolerance
+    pulled = jax.grad(lambda x: jnp.sum(slid(x, tolerance) ** 2))(0.0)
+    np.testing.assert_allclose(pulled, jnp.sum(2 * image * near), rtol=1e-9)
+
+
+@pytest.mark.parametrize("tolerance", [-0.1, 1.0, np.nan, np.inf])
+def test_a_tolerance_that_is_none_is_refused(mixed, tolerance):
+    with pytest.raises(ValueError, match="`tolerance` must be at least 0"):
+        pj.silhouette(*mixed, tolerance=tolerance)

@@ -35,6 +35,9 @@ from .sweep import ARC, STRAIGHT, Cells, Visible, sweep, sweepable
 #: together, and looked at for whether all of their pieces are hidden.
 NARROW, WIDE = 8, 24
 SWEPT = {NARROW: 128, WIDE: 32}
+#: The same where lines stop at equal distances.
+CROWDED = 64
+SWEPT_BY_STOPS = {NARROW: 128, WIDE: 64, CROWDED: 32}
 #: A cell is cut into `CUT` x `CUT`.
 CUT = 4
 LAST_CUT = {"float32": 4, "float64": 8}
@@ -308,15 +311,20 @@ def fold_cells(
     add: Callable[[Any, Resolved], Any],
     start: Any,
     flux: bool,
+    stops: Int[Array, ""] | None = None,
 ) -> Any:
     """Return `start` after `add(total, resolved)` over all overlapping pixels, however many.
 
     `base` is the number of layers left of the film. With `flux` the visible parts are worked out.
+    With `stops` lines sweep a pixel that stop this many times, at equal distances (see `sweep`).
     """
     dtype = parts[0].dtype
     depth = LAST_CUT[jnp.dtype(dtype).name]
     frames = [None if part.straight else part.lifts for part in parts]
     sizes = _Sizes.of(parts, depth)
+    swept_by = SWEPT if stops is None else SWEPT_BY_STOPS
+    widest = max(swept_by)
+    looks = stops is None and sizes.capacities[0] > HIDDEN_FROM
 
     def body(state):
         first, stamp, stack, found, lists, total = state
@@ -327,10 +335,10 @@ def fold_cells(
         cells, found, lists = _listed(parts, overlapping, batch, found, lists)
 
         there, last = cells.place >= 0, level == depth
-        if sizes.capacities[0] > HIDDEN_FROM and all(part.straight for part in parts):
+        if looks and all(part.straight for part in parts):
             cells = _without_hidden(cells, lists)
-        cut = there & cells.open & (~cells.fits | (cells.number > WIDE)) & ~last
-        swept = there & cells.open & cells.fits & (cells.number <= WIDE)
+        cut = there & cells.open & (~cells.fits | (cells.number > widest)) & ~last
+        swept = there & cells.open & cells.fits & (cells.number <= widest)
         # Where there are too many pieces even in the last cell, its corner speaks for it.
         known = there & ~cut & ~swept
         size = 1 / (batch.scale * batch.scale)
@@ -338,12 +346,14 @@ def fold_cells(
         total = add(total, Resolved(jnp.where(known, cells.place, NOWHERE), area, []))
 
         least = 0
-        for most, number in SWEPT.items():
+        # (As far apart in parts of a pixel as in a whole one.)
+        own_stops = None if stops is None else -(-stops // CUT**level)
+        for most, number in swept_by.items():
 
             def some(total, cell, there, most=most):
                 few = _first_pieces(cells, lists, cell, there, most)
                 at = batch.scale, cells.origin[cell]
-                area, visible = sweep(few, cells.corner[cell], frames, *at, flux)
+                area, visible = sweep(few, cells.corner[cell], frames, *at, flux, own_stops)
                 visible = [
                     v._replace(part=jnp.where(there[:, None, None], v.part, 0)) for v in visible
                 ]

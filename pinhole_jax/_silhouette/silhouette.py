@@ -1,5 +1,6 @@
 """`silhouette`: the image of a scene's exact coverage, with its exact derivative."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -47,10 +48,14 @@ from .surrounding import surrounding
 from .sweep import Visible
 
 CURVES_AT_A_TIME = 512
+#: To be exact takes no longer than to err by less than this.
+LEAST_TOLERANCE = 5e-3
 
 
 @collector_at_rest()
-def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Array, "H W"]:
+def silhouette(
+    camera: Camera, scene: Scene, overlaps: bool = True, tolerance: float = 0.0
+) -> Float[Array, "H W"]:
     """Return the fraction of each pixel's square that the scene covers: (H, W), row 0 on top.
 
     Exact (box filter, no sampling, no blur) for any scene: the coverage of the union of all
@@ -70,13 +75,36 @@ def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Arr
     pixel's side, and where a sphere touches the eye; there it is the derivative of the contour as
     it is (of one of the coinciding pieces), which is a one-sided derivative, and it is finite. A
     contour along a pixel's side counts for the pixel above it or to its right.
+
+    `tolerance` is for rough meshes and crowds: pixels in which contours overlap may err by that. A
+    line sweeps such a pixel and stops 1 / `tolerance` times, at equal distances; what is covered
+    along it there is exact, and stands for half a distance to either side. So a pixel errs by
+    `tolerance` / 2 at most for each pixel that the outline seen in it goes along the line, there
+    and back added up: by `tolerance` at most, unless it goes over the pixel more than twice. (In
+    hostile views the worst pixel erred by 0.7 times `tolerance`, and 1.1 times at 1/2.) Of the
+    derivative, what is visible of each piece of contour errs by the distance of two stops for each
+    stretch: where all moves by a pixel, by 1.5 times `tolerance` in the worst pixel of a scan, and
+    0.3 times in the mean. A mask of a scan takes half as long with 1/16, two thirds with 1/64, a
+    smooth one what it did; below 5e-3 to be exact takes no longer, and is what is done.
     """
     check_view(camera, scene)
-    return _silhouette(camera, scene, overlaps)
+    return _silhouette(camera, scene, overlaps, _stops(tolerance))
+
+
+def _stops(tolerance: float) -> Int[Array, ""] | None:
+    """Return how often a line stops that sweeps a pixel, None where it does at all that it meets.
+
+    What it meets between two stops stands for half a distance to either side.
+    """
+    if not 0 <= tolerance < 1:
+        raise ValueError(f"`tolerance` must be at least 0 (exact) and below 1, got {tolerance}")
+    return None if tolerance < LEAST_TOLERANCE else jnp.int32(math.ceil(1 / tolerance))
 
 
 @jitted
-def _silhouette(camera: Camera, scene: Scene, overlaps: bool) -> Float[Array, "H W"]:
+def _silhouette(
+    camera: Camera, scene: Scene, overlaps: bool, stops: Int[Array, ""] | None = None
+) -> Float[Array, "H W"]:
     scene = astype(scene, camera.e.dtype)
     film, spheres = film_map(camera), scene.spheres
     if spheres is not None and not spheres.radii.shape[0]:
@@ -87,7 +115,9 @@ def _silhouette(camera: Camera, scene: Scene, overlaps: bool) -> Float[Array, "H
     vertices = None if found.contour is None or scene.mesh is None else scene.mesh.vertices
     alone = found.contour is None and spheres is not None and spheres.radii.shape[0] == 1
     faces = None if vertices is None or scene.mesh is None else scene.mesh.faces
-    still = _Still(found, surrounding(film, scene), faces, () if overlaps and not alone else None)
+    still = _Still(
+        found, surrounding(film, scene), faces, () if overlaps and not alone else None, stops
+    )
     return _image(_Moving(film, vertices, spheres), still)
 
 
@@ -102,13 +132,15 @@ class _Moving(NamedTuple):
 class _Still(NamedTuple):
     """What cannot: which edges are contour, the number of layers left of the film, the faces.
 
-    `overlap` is None (and not an empty tuple: both have no leaves) if contours never overlap.
+    `overlap` is None (and not an empty tuple: both have no leaves) if contours never overlap;
+    `stops` is how often lines stop that sweep pixels where they do, None if that is exact.
     """
 
     found: Found
     base: Int[Array, ""]
     faces: Int[Array, "F 3"] | None
     overlap: tuple[()] | None
+    stops: Int[Array, ""] | None
 
 
 class _Pixels(NamedTuple):
@@ -273,7 +305,7 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
 
     if resolves:
         args = parts, _overlapping(pixels, W), W, H, still.base
-        image, kept = fold_cells(*args, add, (image, kept), flux=keep)
+        image, kept = fold_cells(*args, add, (image, kept), keep, still.stops)
     return jnp.flip(image.reshape(H, W), axis=0), pixels._replace(kept=kept)
 
 
@@ -355,4 +387,4 @@ def _fold_visible(
         start = kept.fold(partial(crowd, number=number), start)
     overlapping = _overlapping(pixels, W)
     overlapping = overlapping._replace(total=jnp.where(complete, 0, overlapping.total))
-    return fold_cells(parts, overlapping, W, H, still.base, again, start, flux=True)
+    return fold_cells(parts, overlapping, W, H, still.base, again, start, True, still.stops)

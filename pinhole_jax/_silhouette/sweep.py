@@ -13,6 +13,8 @@ from .curves import arc_flux, cut_circle, edge_flux, edge_fractions, film_at, no
 
 #: This many lanes sweep at a time: where cells are few, each moves on by several stretches.
 LANES = 64
+#: As many where it stops at equal distances.
+LANES_OF_STOPS = 512
 
 
 class Cells(NamedTuple):
@@ -117,6 +119,7 @@ def sweep(
     scale: Float[Array, ""],
     origin: Float[Array, "C 2"],
     flux: bool,
+    stops: Int[Array, ""] | None = None,
 ) -> tuple[Float[Array, "C"], list[Visible]]:
     """Return the covered share of each cell, and (with `flux`) what of each piece bounds it.
 
@@ -124,6 +127,11 @@ def sweep(
     make a pixel; `frames` are those of the parts' arcs, None for straight curves. The area comes
     from the sweep along x, and so does the flux of pieces flatter than 45 degrees; that of steep
     ones from one along y.
+
+    With `stops` the line does not halt where the order of pieces changes but this many times, at
+    equal distances, and what it meets there stands for its surroundings: an area errs by half a
+    distance at most for each unit that what is seen of the pieces reaches along the line. So it
+    moves across the pieces if they are steep, taken together.
     """
     owners, arc = [], None
     for number, of in enumerate(frames):
@@ -136,9 +144,12 @@ def sweep(
     one = jnp.ones_like(corner)[:, None]
     if not flux:
         lines = along_x(cells)
-        return _sweep(lines, corner, None if arc is None else _curved_of(*arc, one, lines), False)[
-            0
-        ], []
+        if stops is not None:
+            turn = lambda y, x: jnp.where(_steep(cells).reshape(-1, *(1,) * (x.ndim - 1)), y, x)
+            lines, one = jax.tree.map(turn, (_along_y(cells), -one), (lines, one))
+            arc = None if arc is None else (arc[0], turn(arc[1][..., jnp.array([1, 0, 2])], arc[1]))
+        curved = None if arc is None else _curved_of(*arc, one, lines)
+        return _sweep(lines, corner, curved, False, stops)[0], []
 
     both = lambda a, b: jax.tree.map(lambda x, y: jnp.concatenate([x, y]), a, b)
     lines, curved = both(along_x(cells), _along_y(cells)), None
@@ -146,7 +157,7 @@ def sweep(
         own, frame = arc
         placed = both(frame, frame[..., jnp.array([1, 0, 2])])
         curved = _curved_of(both(own, own), placed, both(one, -one), lines)
-    area, seen = _sweep(lines, both(corner, corner), curved, True)
+    area, seen = _sweep(lines, both(corner, corner), curved, True, stops)
     C = corner.shape[0]
     flat, upright = (
         jax.tree.map(lambda x, of=of: x[of], seen) for of in (slice(C), slice(C, None))
@@ -163,7 +174,14 @@ def sweep(
             value = _unplaced(jnp.where(steep[..., None, None], back, flat.arcs), scale, origin)
             value = value.reshape(*ids.shape, ARC)
         visible.append(Visible(ids, jnp.where(own[..., None], value, 0)))
-    return area[:C], visible
+    area = area[:C] if stops is None else jnp.where(_steep(cells), area[C:], area[:C])
+    return area, visible
+
+
+def _steep(cells: Cells) -> Bool[Array, "C"]:
+    """Return which cells' pieces, taken together, reach further along y than along x."""
+    reach = jnp.sum(jnp.abs(cells.piece[..., 2:4] - cells.piece[..., :2]), axis=1)
+    return reach[:, 1] > reach[:, 0]
 
 
 def _placed(frame: Float[Array, "C M 3 3"], scale: Array, origin: Array) -> Array:
@@ -225,7 +243,11 @@ class _Seen(NamedTuple):
 
 
 def _sweep(
-    lines: Lines, corner: Float[Array, "C"], curved: _Curved | None, flux: bool
+    lines: Lines,
+    corner: Float[Array, "C"],
+    curved: _Curved | None,
+    flux: bool,
+    stops: Int[Array, ""] | None,
 ) -> tuple[Float[Array, "C"], _Seen | None]:
     """Return the covered area, and (with `flux`) what of each piece bounds it.
 
@@ -233,25 +255,26 @@ def _sweep(
     """
     C, dtype = len(corner), corner.dtype
     across = jax.tree.map(jnp.transpose, lines)
-    crossings = _straight_crossings(across, None if curved is None else ~curved.own.T)
-    if curved is not None:
-        of_arcs = _arc_crossings(lines, curved).reshape(C, -1).T
-        crossings = jnp.concatenate([crossings, of_arcs])
+    if stops is None:
+        halts = _halts(lines, across, curved)
+        after = lambda u: jnp.min(jnp.where(halts > u[None], halts, 1), axis=0)
+    else:
+        apart = 1 / stops.astype(dtype)
+        after = lambda u: jnp.minimum(u + apart, 1)
+    strides = max((LANES if stops is None else LANES_OF_STOPS) // C, 1)
     lines = across
-    # (Put beside the others in one kernel they are worked out several times over.)
-    crossings = jax.lax.optimization_barrier(crossings)
-    halts = jnp.minimum(jnp.concatenate([lines.u0, lines.u1, crossings]), 1)
-    strides = max(LANES // C, 1)
     lines = jax.tree.map(lambda x: jnp.tile(x, strides), lines)
     corner = jnp.tile(corner, strides)
     if curved is not None:
         curved = jax.tree.map(lambda x: jnp.tile(x, (strides,) + (1,) * (x.ndim - 1)), curved)
 
+    # Where it stops it may stop at an end: that is of what comes, on the border as well.
+    before = jnp.less if stops is None else jnp.less_equal
     index = jnp.arange(len(lines.jump), dtype=jnp.int32)[:, None]
     most = jnp.max(jnp.where(lines.jump != 0, index + 1, 0))
 
     def halt(u, _):
-        u1 = jnp.min(jnp.where(halts > u[None], halts, 1), axis=0)
+        u1 = after(u)
         return u1, u1
 
     def body(state):
@@ -262,17 +285,18 @@ def _sweep(
         active = (lines.u0 <= middle) & (middle < lines.u1)
         v = _heights(lines, curved, middle)
         jump = jnp.where(active, lines.jump, 0)
-        first = corner + jnp.sum(jnp.where(lines.halt < middle, lines.step, 0), axis=0)
+        first = corner + jnp.sum(jnp.where(before(lines.halt, middle), lines.step, 0), axis=0)
         below = first[None] + _sums_below(v, jump, most)
         change = jnp.where(active, _covers(below + jump) - _covers(below), 0)
         top = _covers(first + jnp.sum(jump, axis=0))
         under = v * width
         if curved is not None:
             w0, w1 = curved.at(u0), curved.at(u1)
-            q = nodes(curved.frame, w0, w1)
-            true = jnp.sum(q.weight * q.point[..., 1] * q.slope[..., 0], axis=-1)
             visible = curved.own & (change.T != 0) & (width.T > 0)
-            under = jnp.where(visible.T, true.T, under)
+            if stops is None:
+                q = nodes(curved.frame, w0, w1)
+                true = jnp.sum(q.weight * q.point[..., 1] * q.slope[..., 0], axis=-1)
+                under = jnp.where(visible.T, true.T, under)
             if seen is not None:
                 # An arc has its covered side on its left wherever it is visible.
                 oriented = (curved.grows * curved.orientation)[..., None, None] * arc_flux(
@@ -297,6 +321,17 @@ def _sweep(
         moments = whole(jnp.moveaxis(seen.moments, 1, 0))
         seen = _Seen(moments, None if seen.arcs is None else whole(seen.arcs))
     return jnp.clip(whole(area), 0, 1), seen
+
+
+def _halts(lines: Lines, across: Lines, curved: _Curved | None) -> Float[Array, "K C"]:
+    """Return where pieces begin, end or cross; `across` are the lines, cells as their last axis."""
+    crossings = _straight_crossings(across, None if curved is None else ~curved.own.T)
+    if curved is not None:
+        of_arcs = _arc_crossings(lines, curved).reshape(len(lines.jump), -1).T
+        crossings = jnp.concatenate([crossings, of_arcs])
+    # (Put beside the others in one kernel they are worked out several times over.)
+    crossings = jax.lax.optimization_barrier(crossings)
+    return jnp.minimum(jnp.concatenate([across.u0, across.u1, crossings]), 1)
 
 
 def _sums_below(

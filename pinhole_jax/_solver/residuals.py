@@ -30,7 +30,7 @@ from .._silhouette.curves import Curves, Segments, piece_flux, placed
 from .._silhouette.marks import Marks, marks, overlaps, winding_jumps
 from .._silhouette.surrounding import surrounding
 from .._silhouette.sweep import ARC, Visible, sweepable
-from .overlapping import MOST, Overlapping, Part, resolved, whole
+from .overlapping import Overlapping, Part, most_pieces, resolved, whole
 
 MAX_ROWS = 1 << 14
 #: A pixel that is covered, or uncovered, but for less than this shows no outline.
@@ -50,8 +50,9 @@ class Capacity(NamedTuple):
 class Touched(NamedTuple):
     """The pixels that the contour touches, in raster order; unused slots have `cell` past the end.
 
-    `coverage` is differentiable, and exact where `known`; `covered_after` tells whether the
-    untouched pixels that follow in the row are covered, `covered_before` whether those before are.
+    `coverage` is differentiable, and exact where `known`, but for what lines sweep (see
+    `overlapping`); `covered_after` tells whether the untouched pixels that follow in the row are
+    covered, `covered_before` whether those before are.
     """
 
     cell: Int[Array, "P"]
@@ -309,7 +310,8 @@ def _by_pixel(
     shared = overlaps(marked, winding) | ((layers > 0) & (jnp.abs(winding - 1) < tie))
     shared &= inside & level.resolved
     shared &= not convex
-    chosen = shared & (number <= MOST)
+    straight = all(part.visible.shape[-1] != ARC for part in parts)
+    chosen = shared & (number <= most_pieces(P, straight))
     origin = jnp.stack([column - 1, cells // (level.W + 2)], axis=-1).astype(height.dtype)
     areas, visible = winding, [part.visible for part in parts]
     if not convex:
