@@ -107,6 +107,59 @@ def degrees(fit, truth=CAMERA):
 
 
 @pytest.mark.long
+def test_coarse_levels_of_a_large_mask_look_the_same_in_buffers_of_their_own():
+    scene, size = pj.Scene(mesh=shapes.bumpy(3)), 1500
+    truth = pj.Camera([3, 4, 2], [0, 0, 0], [0, 0, 1], 0.6, 1.0, size, size)
+    hard, off = drawn(truth, scene) > 0.5, canonical(turned(truth, [1, 2, 3], 5))
+    solver = Solver.of(scene, hard, np.ones(hard.shape), np.float64, ("pose",), 50)
+    seen = lambda: [solver.look(off, level) for level in range(solver.far + 1)]
+    before = seen()
+    solver.expect_many()
+    small = solver.buffers.small
+    assert small is not None
+    assert small.pieces < solver.capacity.pieces
+    for a, b in zip(before, seen(), strict=True):
+        assert len(b.pixels.cell) < len(a.pixels.cell)
+        np.testing.assert_allclose(b.squares, a.squares, rtol=1e-9)
+        np.testing.assert_allclose(abs(b.triangle), abs(a.triangle), rtol=1e-6, atol=1e-9)
+    assert len(solver.look(off, solver.far + 1).pixels.cell) == len(before[0].pixels.cell)
+
+    # What outgrows them is looked at in larger ones.
+    solver.buffers.small = small._replace(edges=16)
+    np.testing.assert_allclose(solver.look(off, 1).squares, before[1].squares, rtol=1e-9)
+    assert solver.buffers.small.edges > 16
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("degrees", [122, -75, 40])
+def test_what_is_nearly_round_about_an_axis_is_looked_at_all_round_it(degrees):
+    """A ball with a dent: a turn about the dent shows facets alone, in valleys some degrees wide. A
+    search led to wrong ones, which a hard mask of 2000 px told apart and strides passed over."""
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    dent = np.array([0.6, 0.64, 0.48])
+    off = np.linalg.norm(mesh.vertices - dent, axis=1)
+    vertices = mesh.vertices * (1 - 0.3 * np.exp(-((off / 0.35) ** 2)))[:, None]
+    scene = pj.Scene(mesh=pj.Mesh(np.asarray(vertices, np.float32), np.asarray(mesh.faces)))
+    side = np.cross(dent, [0, 0, 1]) / np.hypot(*dent[:2])
+    pose = [np.asarray(x, np.float32) for x in (5.5 * side + 0.5 * dent, np.zeros(3), dent)]
+    truth = pj.Camera(*pose, np.float32(0.6), 1.0, 800, 800)
+    hard = drawn(truth, scene) > 0.5
+    solver = Solver.of(scene, hard, np.ones(hard.shape), np.float32, ("pose",), 50, continued=True)
+    right = solver.look(canonical(truth), solver.finest)
+
+    begin = canonical(turned(truth, dent, degrees))
+    wrong = solver.solve(begin, range(1, len(solver.levels)))
+    assert wrong.view.squares > 1.3 * right.squares
+    directions = places._nearly_free(solver, wrong)
+    found = places._all_round(solver, wrong, directions)
+    best = min(found, key=lambda place: place.view.squares)
+    assert best.view.squares < 1.02 * right.squares
+    assert np.rad2deg(pj.pose_error(best.camera, truth)[0]) < 0.3
+
+    assert places._all_round(solver, best, directions) == []  # that one is explained
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("clipped", [False, True])
 def test_a_noisy_mask_that_is_explained_is_not_searched(monkeypatch, clipped):
     """Noise is no misfit, wherever in the image it is: one descent finds the camera."""

@@ -9,7 +9,7 @@ import pytest
 import pinhole_jax as pj
 from pinhole_jax._mask.edges import NearWeights, near
 from pinhole_jax._mask.mask import Mask
-from pinhole_jax._mask.pyramid import PAGE, cells_of, pyramid
+from pinhole_jax._mask.pyramid import PAGE, cells_of, first_of, pyramid
 from pinhole_jax._mask.target import Window, object_window
 from pinhole_jax._solver.capacity import diagonal_of
 from pinhole_jax._solver.kinds import kind_of
@@ -67,6 +67,24 @@ def test_pages_say_what_plain_running_sums_do(kind, weights):
         for told, each in zip(found[2:], sums, strict=True):
             plain_sums = np.concatenate([[0], np.cumsum(each)])
             np.testing.assert_allclose(told, plain_sums, rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("weights", WEIGHTS)
+def test_the_first_levels_stand_in_the_smallest_pyramid_as_they_are(weights):
+    """Its arrays are as large as a small mask's, so that these share a program."""
+    soft = disc(1500, 1400)
+    data, levels = pyramid(soft > 0.5, WEIGHTS[weights](*soft.shape), np.float32)
+    least, _ = pyramid(disc(90, 80) > 0.5, np.broadcast_to(1.0, (90, 80)), np.float32)
+    small = first_of(data, int(levels[4].start))
+    assert small is not None
+    assert small.cells < data.cells
+    sizes = lambda of: [np.shape(x) for x in (of.page, *of.sums, *of[2:])]
+    assert sizes(small) == sizes(least)
+    for level in levels[:4]:
+        cells = jnp.arange(int(level.H) * (int(level.W) + 2) + 1, dtype=jnp.int32)
+        for a, b in zip(cells_of(small, level, cells), cells_of(data, level, cells), strict=True):
+            np.testing.assert_array_equal(a, b)
+    assert first_of(data, int(levels[-1].start)) is None or weights != "random"
 
 
 def test_weights_near_an_edge_are_those_of_an_image():

@@ -179,6 +179,7 @@ def uncovered(
     few = len(edge.at) < 4 * len(solver.names) + 16
     if few or not _is_covered(solver, edge, plain, _near(error_px)):
         return None
+    solver.expect_many()
     whole = edge_of(mask)
     explained = lambda begins: _explained(solver, mask, edge, whole, begins, error_px)
     begins = [(c, w) for c in cameras for w in (None, *_sectors(edge))]

@@ -114,9 +114,9 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Ref
         last = number == len(ROUNDS) - 1
         if number:
             read = now.read(photo, mask, band)
-        own = own.weighed(*whole(mask, now.window, read))
+        own = own.weighed(*whole(mask, now.window, read), only_finest=number > 0)
         own = replace(own, max_steps=LAST_STEPS if last else STEPS)
-        coarsest = own.finest if number else max(own.finest - COARSER, 0)
+        coarsest = max(own.finest - COARSER, 0)
         px = FINE_PX[own.dtype] if last else ROUGH_PX
         after = own.solve(refined.camera, range(coarsest, own.finest + 1), fine_px=px)
         refined, now = onward(refined, after), Outline.of(own, after.view)

@@ -36,10 +36,11 @@ WALK_TIMES = 100.0
 #: one is a hundred times as likely as the other.
 DRAWN_TIMES = 2 * np.log(100)
 #: How many of the weakest directions are followed to where a drawn mask forbids them, how many
-#: standard errors away at first (between these angles, rad), in how many steps each; an interval
-#: counts if it is this many times as wide as the Jacobian says.
+#: standard errors away at first (between these angles, rad), in how many steps each, the last one
+#: that which gains less than this share of what is lost; an interval counts if it is this many
+#: times as wide as the Jacobian says.
 LOOKED, PROFILE_SIGMAS, PROFILE_RAD = 2, np.array([2.0, 5.0]), np.deg2rad([1, 25])
-PROFILE_STEPS, WIDER = 5, 1.3
+PROFILE_STEPS, PROFILE_ENDS, WIDER = 5, 0.02, 1.3
 #: ... and if they leave this share of what the Jacobian foretells at their distance, or less.
 LIKE_FORETOLD = 0.5
 #: A direction that shows less than this share of the best-seen one is looked at on both sides, so
@@ -64,6 +65,11 @@ DIRECTIONS = sphere_points(64)
 #: followed, the likeliest first, until `LIKELY` were worse, or there are `MOST`. An axis is
 #: another one if the cosine between them is less than this.
 LONGEST, LIKELY, MOST, SAME_AXIS = np.deg2rad(4.0), 6, 24, np.cos(np.deg2rad(30))
+#: A hard mask's right camera leaves less than this many times its variance on the level that walks
+#: are on (0.4 to 0.8 times; on a wrong facet 3 times and more). Where more is left, nearly free
+#: turns are looked at all round, so far apart as `LONGEST`, and this many places followed. The step
+#: that brings all but the turn to rest leaves out what shows less than this share.
+UNEXPLAINED, ALL_ROUND_MOST, AT_REST = 2.0, 4, 0.02
 #: Cameras so close (rad) are the same to a walk all round.
 WALKED = 1e-3
 #: Of turns that bring facets to facets, this many are followed.
@@ -109,12 +115,13 @@ class Places(NamedTuple):
 class _Direction(NamedTuple):
     """A turn about an axis (3,) in the world, or a shift (None): the move (n,) by one rad of it, in
     the solver's units, its standard error (rad) by the Jacobian, and the line that the body is
-    round about, if that is what it turns about."""
+    round about, if that is what it turns about; whether the Jacobian shows it, and is doubted."""
 
     move: np.ndarray
     axis: np.ndarray | None
     sigma: float
     line: Revolution | None = None
+    doubted: bool = False
 
 
 def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
@@ -129,8 +136,11 @@ def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
         places = [p for d in directions for p in _along(solver, best, d)]
         seen += [best, *places]
         left -= len(places)
-        near = (p for p in places if start is None or angle(p.camera, start) < NEAR_START)
-        place = min(near, key=lambda p: _surplus(solver, p.view), default=best)
+        place = _likeliest(solver, best, places, start)
+        if not better(solver, place.view, best.view):
+            places = _all_round(solver, best, directions)
+            place = _likeliest(solver, best, places, start)
+            seen += places
         if not better(solver, place.view, best.view):
             break
         view = solver.look(place.camera, solver.finest)
@@ -144,6 +154,13 @@ def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
     near = [p for p in seen if start is None or angle(p.camera, start) < NEAR_START]
     places = _as_good(solver, best, near, last)
     return _as_good(solver, best, seen, last) if places.others or places.free else places
+
+
+def _likeliest(solver: Solver, best: Found, places: list[Found], start: Camera | None) -> Found:
+    """Return the best of some places that are not far from a start; where there are none, the best
+    so far."""
+    near = (p for p in places if start is None or angle(p.camera, start) < NEAR_START)
+    return min(near, key=lambda p: _surplus(solver, p.view), default=best)
 
 
 def _worth_a_walk(solver: Solver, best: Found) -> list[_Direction]:
@@ -180,9 +197,9 @@ def interval(solver: Solver, best: Found, errors: OutlineErrors | None) -> list[
     directions = [_direction(solver, best, *pair) for pair in weak]
     about = [d for d in directions if d.axis is not None and d.sigma < np.pi]
     for direction in about[-LOOKED:]:
-        for far in np.clip(PROFILE_SIGMAS * direction.sigma, *PROFILE_RAD):
+        for far in np.unique(np.clip(PROFILE_SIGMAS * direction.sigma, *PROFILE_RAD)):
             for side in (far, -far):
-                place, squares = _best_turned(solver, best, side * direction.move)
+                place, squares = _best_turned(solver, best, side * direction.move, least)
                 odds = errors.independent * np.log(max(squares / max(least, 1e-300), 1.0))
                 turn = turned_by(best.camera, place)
                 size = float(np.linalg.norm(turn))
@@ -196,9 +213,11 @@ def interval(solver: Solver, best: Found, errors: OutlineErrors | None) -> list[
     return [at(solver, best, widest._replace(behind=ends, ahead=ends))]
 
 
-def _best_turned(solver: Solver, best: Found, move: np.ndarray) -> tuple[Camera, float]:
-    """Return the best camera found among those that are as far turned from another one as a move
-    turns it, and its sum of squares."""
+def _best_turned(
+    solver: Solver, best: Found, move: np.ndarray, squares: float
+) -> tuple[Camera, float]:
+    """Return the best camera found among those that are as far turned from another one, which has
+    these squares, as a move turns it, and its sum of squares."""
     names = components(solver.names)
     turns = np.array([name.startswith("turn") for name in names])
     camera, least = solver.step(best.camera, solver.finest, move), (best.camera, np.inf)
@@ -213,7 +232,11 @@ def _best_turned(solver: Solver, best: Found, move: np.ndarray) -> tuple[Camera,
         away /= max(float(np.linalg.norm(away)), 1e-12)
         along = np.linalg.svd(away[None])[2][1:].T
         triangle = np.asarray(view.triangle, float) @ along
-        step = -along @ np.linalg.lstsq(triangle, np.asarray(view.along, float), rcond=1e-3)[0]
+        solution = np.linalg.lstsq(triangle, np.asarray(view.along, float), rcond=1e-3)[0]
+        step = -along @ solution
+        # (The odds would change by so little.)
+        if np.sum((triangle @ solution) ** 2) < PROFILE_ENDS * (view.squares - squares):
+            break
         turn = float(np.linalg.norm(step[turns])) / _radian(solver, best)
         step *= min(1.0, far / max(turn, 1e-12) / 2)
         camera = solver.step(camera, solver.finest, step)
@@ -314,7 +337,7 @@ def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
         steeper = float(np.asarray(other.along) @ beside @ moved) / (shows * part)
         blind = weak_moves(beside, components(solver.names))
         if blind or not RISE[0] < rise < RISE[1] or steeper > STEEPER:
-            return [direction]
+            return [direction._replace(doubted=True)]
     return []
 
 
@@ -336,6 +359,61 @@ def _along(solver: Solver, best: Found, direction: _Direction) -> list[Found]:
     if direction.line is not None:
         return _around(solver, best, direction.line)
     return _strides(solver, best, direction, [s * x for s in (1, -1) for x in STRIDES])
+
+
+def _is_explained(solver: Solver, best: Found) -> bool:
+    """Return whether a camera leaves no more of a mask than a right one does.
+
+    On coarser levels a hard edge averages out, and what the wrong facets leave does not.
+    """
+    if not (solver.kind.hard and solver.explains(best.view)):
+        return solver.explains(best.view)
+    number = _walked_on(solver)
+    least = _least_on(solver, number)
+    return solver.glance(best.camera, number).touched_misfit < UNEXPLAINED * least
+
+
+def _all_round(solver: Solver, best: Found, directions: list[_Direction]) -> list[Found]:
+    """Return where descents lead to from the likeliest cameras all round turns that are nearly
+    free, where the mask is not explained: of a body that has such turns every way there are none.
+
+    What is nearly round about an axis may show its facets: each leaves a valley some degrees wide,
+    which strides pass over.
+    """
+    turns = [d for d in directions if d.axis is not None and d.line is None and not d.doubted]
+    if not 0 < len(turns) < 3 or _is_explained(solver, best):
+        return []
+    solver.expect_many()
+    number, walk = max(_walked_on(solver) - 1, 0), _Walk.of(solver, best)
+    led = [walk.led_to(c) for d in turns for c in _likely_round(solver, best, d, number)]
+    return _finite(place for place in led if place is not None)
+
+
+def _likely_round(
+    solver: Solver, best: Found, direction: _Direction, number: int
+) -> Iterator[Camera]:
+    """Yield the likeliest cameras all round a turn, by a level.
+
+    All but the turn is brought to rest by one step, since an axis that is off by half a degree
+    shows more than facets do.
+    """
+    far = np.arange(LONGEST, 2 * np.pi, LONGEST)
+    turned = (solver.step(best.camera, solver.finest, x * direction.move) for x in far)
+    rested = [_rested(solver, camera, number) for camera in turned]
+    squares = _glances(solver, rested, number)
+    lower = (squares <= np.roll(squares, 1)) & (squares <= np.roll(squares, -1))
+    likely = [k for k in np.argsort(squares) if lower[k] and np.isfinite(squares[k])]
+    yield from (rested[k] for k in likely[:ALL_ROUND_MOST])
+
+
+def _rested(solver: Solver, camera: Camera, number: int) -> Camera:
+    """Return a camera after one step by all that shows on a level."""
+    view = solver.glance(camera, number)
+    triangle, along = (np.asarray(x, float) for x in (view.triangle, view.along))
+    if not (np.all(np.isfinite(triangle)) and np.any(triangle)):
+        return camera
+    step = np.linalg.lstsq(triangle, -along, rcond=AT_REST)[0]
+    return solver.step(camera, number, step)
 
 
 def _strides(solver: Solver, best: Found, direction: _Direction, far: list[float]) -> list[Found]:
@@ -418,15 +496,19 @@ def _walked_on(solver: Solver) -> int:
 
 
 def _variance_on(solver: Solver, best: Found, number: int, view: View) -> float:
-    """Return what `Solver.variance` is on a coarser level, where the best camera has a view: means
-    of pixels along an edge err by less."""
+    """Return what `Solver.variance` is on a coarser level, where the best camera has a view."""
     errors, touched = solver.errors(best.view), max(float(view.sums.touched), 1.0)
     if errors is not None and is_drawn(errors):
         return view.squares / errors.independent
-    finest, level = solver.levels[solver.finest], solver.levels[number]
-    least = solver.kind.variance * (float(level.scale) / float(finest.scale)) ** 3
     independent = errors.independent if errors is not None else touched
-    return max(view.touched_misfit, least) * max(touched / independent, 1.0)
+    return max(view.touched_misfit, _least_on(solver, number)) * max(touched / independent, 1.0)
+
+
+def _least_on(solver: Solver, number: int) -> float:
+    """Return the mean square residual that a mask's kind leaves on a level: means of pixels along
+    an edge err by less."""
+    finest, level = solver.levels[solver.finest], solver.levels[number]
+    return solver.kind.variance * (float(level.scale) / float(finest.scale)) ** 3
 
 
 def _alike(solver: Solver, best: Found) -> list[Found]:

@@ -205,6 +205,7 @@ def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[F
     Further rounds try guesses that lie closer together, and other focal lengths where that is free,
     until the mask is explained as its kind allows.
     """
+    solver.expect_many()
     found: list[Found] = []
     free = focal_is_free(solver.names)
     source = guesses(mask, solver.subject.scene, solver.subject.ball)

@@ -158,6 +158,18 @@ def pyramid(
     return _written(rasters, most, room, min(least, LEAST_CELLS), dtype), levels
 
 
+def first_of(host: Pyramid, until: int) -> Pyramid | None:
+    """Return the first levels of a pyramid, those before the cell `until` of its raster, in the
+    smallest one; None where that has no room for them. Arrays of NumPy, which share its memory."""
+    stretches, cells = LEAST_CELLS // PAGE, LEAST_CELLS + 4 * PAGE
+    page = host.page[:stretches]
+    used = np.asarray(page[: until // PAGE])
+    if until > LEAST_CELLS or np.max(used, initial=0) >= cells // PAGE:
+        return None
+    sums = tuple(x[:stretches] for x in host.sums)
+    return Pyramid(page, sums, *(x[:cells] for x in host[2:]))
+
+
 class _Image(NamedTuple):
     """An image whose largest value stands for 1: sums of integers stay integers."""
 

@@ -24,15 +24,17 @@ ROWS = 1 << 14
 CRUMBS = 0.005
 
 
-def first_capacity(scene: Scene, image: np.ndarray) -> Capacity:
-    """Return the buffers that most views of a scene, as large as in a mask (H, W), need."""
+def first_capacity(scene: Scene, image: np.ndarray, coarser: float = 1.0) -> Capacity:
+    """Return the buffers that most views of a scene need that are as large as in a mask (H, W), or
+    on a level that is this much `coarser`."""
     spheres = 0 if scene.spheres is None else scene.spheres.radii.shape[0]
     inside = inside_of(image)
-    arc_pieces = sum(len(x) for x in crossings(inside)) + 8 * spheres if spheres else 0
+    crossed = sum(len(x) for x in crossings(inside)) if spheres else 0
+    arc_pieces = int(crossed / coarser) + 8 * spheres
     edges = pieces = 0
     if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
         number, length = contours(scene.mesh)
-        needed = number + length * diagonal_of(inside)
+        needed = number + length * diagonal_of(inside) / coarser
         edges, pieces = (int(np.quantile(x, MOST)) for x in (number, needed))
     _, _, *arcs = grown(Capacity(1, 1, 1, 1), Capacity(0, 0, arc_pieces, 0))
     if not edges:

@@ -181,6 +181,34 @@ class Solver:
         """Return what a view has room for."""
         return self.buffers.capacity
 
+    def expect_many(self) -> None:
+        """Let coarse levels of a large mask have buffers of their own size from now on: where there
+        are hundreds of views to look at, these repay the program that is compiled for them."""
+        buffers, coarser = self.buffers, 2.0 ** (self.finest - self.far)
+        if self._levels.small is None or buffers.small is not None:
+            return
+        inside = inside_of(buffers.window.of(self.target))
+        small = first_capacity(self.subject.given, inside, coarser)
+        edges, arcs = self.capacity.edges, self.capacity.arcs
+        small = small._replace(edges=edges, arcs=arcs)
+        if small.pieces < self.capacity.pieces or small.arc_pieces < self.capacity.arc_pieces:
+            buffers.small = small
+
+    def _small(self, level: Level) -> Capacity | None:
+        """Return what a level's views have room for if they are looked at in small buffers."""
+        small = self.buffers.small
+        return small if small is not None and int(level.start) < self._levels.until else None
+
+    def _room(self) -> tuple[Any, ...]:
+        """Return what a descent that outgrew it is to be taken on in."""
+        return self.capacity, self.buffers.small, self.buffers.window
+
+    def _grow(self, view: View) -> bool:
+        """Give a view half as much room again as it takes; return whether it lacked any."""
+        if self._small(view.pixels.level) is not None:
+            return self.buffers.grow_small(view.load)
+        return self.buffers.grow(view.load)
+
     @property
     def _levels(self) -> Levels:
         buffers = self.buffers
@@ -276,7 +304,7 @@ class Solver:
         """Return the view at a camera while it is being worked out, for `look`: views of several
         solvers are worked out side by side."""
         self._widen(camera)
-        return self._further(camera, self.levels[level], 0.0, 1, self.capacity)[-1]
+        return self._further(camera, self.levels[level], 0.0, 1)[-1]
 
     def look(self, camera: Camera, level: int, begun: View | None = None) -> View:
         """Return the view at a camera (that was `begun` there); capacities get half as much room
@@ -284,7 +312,7 @@ class Solver:
         while True:
             view = self.begin(camera, level) if begun is None else begun
             begun = None
-            if not self.buffers.grow(view.load):
+            if not self._grow(view):
                 share = float(self.levels[level].scale) / len(self.target)
                 weight = float(view.sums.weight) + share**2 * self._levels.beside
                 return view._replace(sums=view.sums._replace(weight=np.asarray(weight)))
@@ -339,14 +367,16 @@ class Solver:
         way, taken = [Stop(camera, self.levels[levels[0]], 0)], []
         self._widen(camera)
         while True:
-            capacity, window, end = self.capacity, self.buffers.window, None
+            room, end = self._room(), None
             for number in levels:
                 if self._weighs_prior():
                     self._heed(self.look(camera, number).touched_misfit)
                 level = self.levels[number]
                 finest = number == self.finest
                 tolerance = (fine_px or self.fine_px) if finest else coarse_px
-                further, n, path, end = self._further(camera, level, tolerance, most, capacity)
+                further, n, path, end = self._further(camera, level, tolerance, most)
+                if self._small(level) is not None:  # (else the last level, which takes most, tells)
+                    self._grow(end)
                 stop = Stop(further, level, int(n))
                 stops = self._each_step(camera, number, stop, path) if self.record else [stop]
                 way += stops
@@ -359,7 +389,7 @@ class Solver:
                         on_stop(passed)
             # (What a descent saw last is differentiated by moves of where it began.)
             view = self.look(camera, levels[-1], None if looks else end)
-            if (self.capacity, self.buffers.window) == (capacity, window):
+            if self._room() == room:
                 return Found(camera, view, tuple(taken), tuple(way), taken[-1] < most)
             # The view outgrew its buffers or window on the way: go on from there with larger ones.
 
@@ -367,7 +397,7 @@ class Solver:
         """Return the view on a level (the last), whose overlaps are resolved, in buffers as they
         are: NaN where these are too small."""
         self._widen(camera)
-        return self._further(camera, self._resolved(number), 0.0, 1, self.capacity)[-1]
+        return self._further(camera, self._resolved(number), 0.0, 1)[-1]
 
     def descended(self, camera: Camera, steps: int, number: int = -1) -> Found:
         """Return what some steps on a level (the last), whose overlaps are resolved, lead to, in
@@ -375,7 +405,7 @@ class Solver:
         differentiated by moves of the beginning: what is to be reported is to be looked at."""
         self._widen(camera)
         px = FINE_PX[self.dtype] if number in (-1, self.finest) else COARSE_PX
-        camera, n, _, view = self._further(camera, self._resolved(number), px, steps, self.capacity)
+        camera, n, _, view = self._further(camera, self._resolved(number), px, steps)
         return Found(camera, view, (int(n),), ended=int(n) < steps)
 
     def _resolved(self, number: int) -> Level:
@@ -384,10 +414,14 @@ class Solver:
         return self.levels[number]._replace(resolved=np.array(True))
 
     @collector_at_rest()
-    def _further(self, camera: Camera, level: Level, px: float, steps: int, capacity: Capacity):
+    def _further(self, camera: Camera, level: Level, px: float, steps: int):
         """Return `descended`'s from a camera: one program, whether it takes steps or only looks."""
         ends = np.asarray(px, self.dtype), np.asarray(steps, np.int32)
-        given = camera, self.problem, level, *ends, self.names, capacity
+        problem, capacity = self.problem, self.capacity
+        if (small := self._small(level)) is not None:
+            problem = eqx.tree_at(lambda p: p.pyramid, problem, self._levels.small)
+            capacity = small
+        given = camera, problem, level, *ends, self.names, capacity
         return programs.call(DESCENDED, given, lambda: like_descended(camera, level))
 
     def _each_step(self, camera: Camera, level: int, end: Stop, path: Array) -> list[Stop]:
