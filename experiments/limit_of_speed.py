@@ -24,8 +24,8 @@ FACES = (1e2, 1e3, 1e4, 1e5, 3.28e5, 1e6, 4e6)
 PIXELS = (64, 128, 256, 512, 1024, 2048, 4096)
 QUICK = ((1e2, 1e5), (64, 512))
 AT_PX, AT_FACES = 512, 3.28e5
-#: Of these a fit's step is measured: a program of it takes 10 s to compile.
-STEPS = ((1e2, 1e4, 3.28e5, 4e6), (64, 256, 1024, 4096))
+#: Of these a Jacobian and a fit's step are measured: their programs take 12 s each to compile.
+SLOW = ((1e2, 1e4, 3.28e5, 4e6), (64, 256, 1024, 4096))
 MOST_PX = 1024  # of a Jacobian: at 4096 px it is 470 MB
 SMALL_PX, FILMS = 64, (256, 4096)
 SECONDS = 1.0  # for the calls of one figure
@@ -101,7 +101,7 @@ def fit_step(mesh, px: int, target: np.ndarray):
     return lambda: descended(camera, *given)[-1].sums.squares
 
 
-def measured(mesh, px: int, with_step: bool) -> dict:
+def measured(mesh, px: int, slow: bool) -> dict:
     """Return times of the library and of the loop, and how far apart their answers are."""
     import _plain_loop as loop
 
@@ -112,12 +112,12 @@ def measured(mesh, px: int, with_step: bool) -> dict:
     our_mask, our_both = library(pj.Scene(mesh=mesh), px)
     jobs = {"mask": our_mask, "mask, loop": lambda: loop.mask(shape, film)}
     apart = {"mask": float(np.abs(np.asarray(our_mask()) - loop.mask(shape, film)).max())}
-    if px <= MOST_PX:
+    if slow and px <= MOST_PX:
         plain = lambda: loop.mask_and_jacobian(shape, film)
         jobs |= {"jacobian": our_both, "jacobian, loop": plain}
         ours, theirs = np.asarray(our_both()[1]), plain()[1]
         apart["jacobian"] = float(np.abs(ours - theirs).max() / np.abs(theirs).max())
-    if with_step:
+    if slow:
         moved = np.add(PARAMETERS, (0, 0, 0, 0.01, 0.01, 0, 0.002))
         target = loop.mask(shape, loop.film_of(moved, np.array(UP), px, px))
         step = fit_step(mesh, px, target)
@@ -154,11 +154,11 @@ def child(threads: int, quick: bool) -> dict:
     sweeps = QUICK if quick else (FACES, PIXELS)
     result: dict = {"faces": [], "pixels": []}
     mesh = sphere(AT_FACES)
-    for name, sizes, steps in zip(result, sweeps, STEPS, strict=True):
+    for name, sizes, slow in zip(result, sweeps, SLOW, strict=True):
         for n in sizes:
             shape, px = (sphere(n), AT_PX) if name == "faces" else (mesh, n)
             same = [r for r in result["faces"] if (r["faces"], r["px"]) == (len(shape.faces), px)]
-            result[name].append(same[0] if same else measured(shape, px, n in steps))
+            result[name].append(same[0] if same else measured(shape, px, n in slow))
             print(threads, line(result[name][-1]), file=sys.stderr, flush=True)
     result["small"] = small(mesh)
     return result
