@@ -6,7 +6,8 @@ is right where no contour overlaps another. Planes and edges are worked out once
 library's are; nothing is behind the eye.
 
 The derivative of a pixel is the contour's length in it times its normal velocity, which is linear
-along an edge: each piece adds the middle's, once for each column.
+along an edge: each piece adds the middle's, once for each column. A step of a fit needs it of the
+pixels that the contour crosses, and no others.
 """
 
 from typing import NamedTuple
@@ -78,14 +79,32 @@ def mask(shape: Shape, film: Film) -> np.ndarray:
 def mask_and_jacobian(shape: Shape, film: Film) -> tuple[np.ndarray, np.ndarray]:
     """Return the coverage, (H, W), and its derivatives, (H, W, 7)."""
     image = np.zeros((film.H, film.W + 2), np.float32)
-    jacobian = np.zeros((film.H, film.W, COLUMNS), np.float32)
+    jacobian = np.zeros((film.H * film.W, COLUMNS), np.float32)
     edges = _contour(
         film.eye, shape.normal, shape.corner, shape.edge_faces, numba.get_num_threads()
     )
     ends = shape.vertices, shape.edge_vertices
     _covered(edges, *ends, film.matrix, image)
-    _moved(edges, *ends, film.matrix, film.slopes, jacobian)
-    return _summed(image), jacobian
+    every = np.zeros((0, 0), np.int32)
+    _moved(edges, *ends, film.matrix, film.slopes, film.W, film.H, every, jacobian)
+    return _summed(image), jacobian.reshape(film.H, film.W, COLUMNS)
+
+
+def step(shape: Shape, film: Film, target: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the sum of squared differences from a target (H, W), and a damped step (7,) that makes
+    it less (Levenberg-Marquardt)."""
+    image = np.zeros((film.H, film.W + 2), np.float32)
+    edges = _contour(
+        film.eye, shape.normal, shape.corner, shape.edge_faces, numba.get_num_threads()
+    )
+    ends = shape.vertices, shape.edge_vertices
+    _covered(edges, *ends, film.matrix, image)
+    slot = np.zeros((film.H, film.W), np.int32)
+    rows = np.zeros((4 * (film.H + film.W), COLUMNS), np.float32)
+    rows = _moved(edges, *ends, film.matrix, film.slopes, film.W, film.H, slot, rows)
+    squares, normal, along = _normal_equations(_summed(image), target, slot, rows)
+    damping = 1e-3 * np.trace(normal) / COLUMNS
+    return squares, np.linalg.solve(normal + damping * np.eye(COLUMNS), -along)
 
 
 @numba.njit(parallel=True, cache=True)
@@ -194,10 +213,11 @@ def _summed(image):
 
 
 @numba.njit(cache=True)
-def _moved(edges, vertices, edge_vertices, matrix, slopes, jacobian):
-    """Add to each pixel the contour's length in it times its normal velocities."""
-    H, W, _ = jacobian.shape
-    flow = np.empty((2, COLUMNS))
+def _moved(edges, vertices, edge_vertices, matrix, slopes, W, H, slot, rows):
+    """Return rows, one of each pixel, to which the contour's length in it times its normal
+    velocities is added: of all pixels, or in the order in which they are met if there are slots
+    (H, W) for their rows' numbers, from 1 on."""
+    flow, met = np.empty((2, COLUMNS)), 0
     for edge in edges:
         tail, head = _ends(edge, edge_vertices)
         x0, y0, z0 = _on_film(matrix, vertices[tail])
@@ -214,14 +234,43 @@ def _moved(edges, vertices, edge_vertices, matrix, slopes, jacobian):
             until = min(to_column, to_row, 1.0)
             if 0 <= column < W and 0 <= row < H and until > s:
                 middle = (s + until) / 2
+                place = row * W + column
+                if slot.size:
+                    if slot[row, column] == 0:
+                        met += 1
+                        slot[row, column] = met
+                        if met == len(rows):
+                            rows = np.concatenate((rows, np.zeros_like(rows)))
+                    place = slot[row, column]
                 for k in range(COLUMNS):
                     here = (1 - middle) * flow[0, k] + middle * flow[1, k]
-                    jacobian[row, column, k] += here * (until - s)
+                    rows[place, k] += here * (until - s)
             if to_column <= to_row:
                 column += 1 if across > 0 else -1
             else:
                 row += 1 if down > 0 else -1
             s = max(s, until)
+    return rows
+
+
+@numba.njit(cache=True)
+def _normal_equations(image, target, slot, rows):
+    """Return the sum of squared residuals, J^T J and J^T r."""
+    squares, normal, along = 0.0, np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS)
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
+            r = image[row, column] - target[row, column]
+            squares += r * r
+            if slot[row, column]:
+                jacobian = rows[slot[row, column]]
+                for k in range(COLUMNS):
+                    along[k] += jacobian[k] * r
+                    for m in range(k + 1):
+                        normal[k, m] += jacobian[k] * jacobian[m]
+    for k in range(COLUMNS):
+        for m in range(k):
+            normal[m, k] = normal[k, m]
+    return squares, normal, along
 
 
 @numba.njit(cache=True, inline="always")

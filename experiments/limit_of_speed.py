@@ -1,11 +1,13 @@
-"""How far are a mask and its Jacobian from what the machine can do?
+"""How far are a mask, its Jacobian and a fit's step from what the machine can do?
 
 The yardstick is a plain compiled loop that does the least work (`_plain_loop.py`). Spheres of more
 and more faces at 512 px, and of 328k faces at more and more pixels; on one thread and on two, each
 in a process of its own. Both sides take float32 and what is worked out once per mesh; medians of
 calls that are compiled already, ours and the loop's in turn, so that a busy machine slows both.
+A fit's step is what it does at one camera on its finest level: residuals, their derivatives by pose
+and phi, and where to go. Last, an object of 64 px on a small film and on a large one.
 
-`python experiments/limit_of_speed.py out` takes some 20 minutes, with `--quick` 6.
+`python experiments/limit_of_speed.py out` takes some 8 minutes, with `--quick` 2.
 """
 
 import json
@@ -20,10 +22,14 @@ import numpy as np
 
 FACES = (1e2, 1e3, 1e4, 1e5, 3.28e5, 1e6, 4e6)
 PIXELS = (64, 128, 256, 512, 1024, 2048, 4096)
-QUICK = ((1e2, 1e4, 3.28e5), (64, 256, 1024))
+QUICK = ((1e2, 1e5), (64, 512))
 AT_PX, AT_FACES = 512, 3.28e5
+#: Of these a Jacobian and a fit's step are measured: their programs take 12 s each to compile.
+SLOW = ((1e2, 1e4, 3.28e5, 4e6), (64, 256, 1024, 4096))
 MOST_PX = 1024  # of a Jacobian: at 4096 px it is 470 MB
-SECONDS = 2.0  # for the calls of one figure
+SMALL_PX, FILMS = 64, (256, 4096)
+SECONDS = 1.0  # for the calls of one figure
+NAMES = ("mask", "jacobian", "step")
 THREADS = (1, 2)
 PARAMETERS = (0.4, 1.1, 4.8, 0.05, -0.02, 0.03, 0.55)  # e, p, phi
 UP = (0.1, 1.0, 0.05)
@@ -78,7 +84,24 @@ def library(scene, px: int):
     return [lambda f=f: f(x, scene) for f in compiled]
 
 
-def measured(mesh, px: int) -> dict:
+def fit_step(mesh, px: int, target: np.ndarray):
+    """Return a step of a fit to a target as a function, which returns the squares there."""
+    import pinhole_jax as pj
+    from pinhole_jax._solver.levenberg_marquardt import descended
+    from pinhole_jax._solver.moves import canonical
+    from pinhole_jax._solver.solver import Solver
+
+    scene, weights = pj.Scene(mesh=mesh), np.broadcast_to(1.0, target.shape)
+    solver = Solver.of(scene, target, weights, np.float32, ("pose", "phi"), 64)
+    e, p, u, phi = (np.float32(x) for x in (PARAMETERS[:3], PARAMETERS[3:6], UP, PARAMETERS[6]))
+    camera = canonical(pj.Camera(e, p, u, phi, 1.0, px, px))
+    solver.look(camera, solver.finest)  # its buffers grow
+    ends = np.float32(1e-3), np.int32(1)
+    given = solver.problem, solver.levels[solver.finest], *ends, solver.names, solver.capacity
+    return lambda: descended(camera, *given)[-1].sums.squares
+
+
+def measured(mesh, px: int, slow: bool) -> dict:
     """Return times of the library and of the loop, and how far apart their answers are."""
     import _plain_loop as loop
 
@@ -89,33 +112,61 @@ def measured(mesh, px: int) -> dict:
     our_mask, our_both = library(pj.Scene(mesh=mesh), px)
     jobs = {"mask": our_mask, "mask, loop": lambda: loop.mask(shape, film)}
     apart = {"mask": float(np.abs(np.asarray(our_mask()) - loop.mask(shape, film)).max())}
-    if px <= MOST_PX:
+    if slow and px <= MOST_PX:
         plain = lambda: loop.mask_and_jacobian(shape, film)
         jobs |= {"jacobian": our_both, "jacobian, loop": plain}
         ours, theirs = np.asarray(our_both()[1]), plain()[1]
         apart["jacobian"] = float(np.abs(ours - theirs).max() / np.abs(theirs).max())
-    if apart["mask"] > 1e-3 or apart.get("jacobian", 0) > 1e-2:
+    if slow:
+        moved = np.add(PARAMETERS, (0, 0, 0, 0.01, 0.01, 0, 0.002))
+        target = loop.mask(shape, loop.film_of(moved, np.array(UP), px, px))
+        step = fit_step(mesh, px, target)
+        jobs |= {"step": step, "step, loop": lambda: loop.step(shape, film, target)}
+        apart["step"] = abs(float(step()) / loop.step(shape, film, target)[0] - 1)
+    if apart["mask"] > 1e-3 or max(apart.get("jacobian", 0), apart.get("step", 0)) > 1e-2:
         raise SystemExit(f"loop and library differ: {apart}")
     return {"faces": len(mesh.faces), "px": px, "apart": apart, "seconds": in_turn(jobs)}
 
 
+def small(mesh) -> dict:
+    """Return seconds of an object of so many px on films of several sizes, and of writing these."""
+    import jax
+    import jax.numpy as jnp
+
+    import pinhole_jax as pj
+
+    scene, jobs = pj.Scene(mesh=mesh), {}
+    size = SMALL_PX / 2 / np.tan(np.arcsin(1 / np.linalg.norm(PARAMETERS[:3])))
+    for px in FILMS:
+        e, p, u = (jnp.asarray(x, jnp.float32) for x in (PARAMETERS[:3], PARAMETERS[3:6], UP))
+        phi, d = jnp.float32(2 * np.arctan(px / 2 / size)), jnp.float32(1)
+        camera = pj.Camera(e, p, u, phi, d, px, px)
+        jobs[f"{px} px"] = lambda camera=camera: pj.silhouette(camera, scene)
+        write = jax.jit(lambda x, px=px: jnp.full((px, px), x))
+        jobs[f"{px} px, written"] = lambda write=write: write(jnp.float32(0))
+    for job in jobs.values():
+        job()
+    return in_turn(jobs)
+
+
 def child(threads: int, quick: bool) -> dict:
     """Return both sweeps on so many threads."""
-    faces, pixels = QUICK if quick else (FACES, PIXELS)
+    sweeps = QUICK if quick else (FACES, PIXELS)
     result: dict = {"faces": [], "pixels": []}
-    for number in faces:
-        result["faces"].append(measured(sphere(number), AT_PX))
-        print(threads, line(result["faces"][-1]), file=sys.stderr, flush=True)
     mesh = sphere(AT_FACES)
-    for px in pixels:
-        result["pixels"].append(measured(mesh, px))
-        print(threads, line(result["pixels"][-1]), file=sys.stderr, flush=True)
+    for name, sizes, slow in zip(result, sweeps, SLOW, strict=True):
+        for n in sizes:
+            shape, px = (sphere(n), AT_PX) if name == "faces" else (mesh, n)
+            same = [r for r in result["faces"] if (r["faces"], r["px"]) == (len(shape.faces), px)]
+            result[name].append(same[0] if same else measured(shape, px, n in slow))
+            print(threads, line(result[name][-1]), file=sys.stderr, flush=True)
+    result["small"] = small(mesh)
     return result
 
 
 def line(row: dict) -> str:
     cells = [f"{row['faces']:8d} faces {row['px']:5d} px"]
-    for name in ("mask", "jacobian"):
+    for name in NAMES:
         if name in row["seconds"]:
             ours, plain = row["seconds"][name], row["seconds"][f"{name}, loop"]
             figures = f"{1e3 * ours:.2f} ms, loop {1e3 * plain:.2f}, {ours / plain:.1f} times"
@@ -158,8 +209,10 @@ def plot(results: dict, path: Path) -> None:
     for axis, (sweep, by) in zip(axes, (("faces", "faces"), ("pixels", "px")), strict=True):
         for threads, style in zip(results["threads"], ("-", "--"), strict=False):
             rows = results["threads"][threads][sweep]
-            for color, name in enumerate(("mask", "mask, loop", "jacobian", "jacobian, loop")):
+            for color, name in enumerate(x + loop for x in NAMES for loop in ("", ", loop")):
                 some = [r for r in rows if name in r["seconds"]]
+                if len(some) < 2:
+                    continue
                 power = slope(rows, by, name)
                 axis.loglog(
                     [r[by] for r in some],
@@ -180,12 +233,14 @@ def plot(results: dict, path: Path) -> None:
 
 def table(results: dict) -> str:
     """Return the figures as a table of README's kind."""
-    lines = ["| threads | faces | px | mask, ms | loop | ratio | + Jacobian, ms | loop | ratio |"]
-    lines.append("|---|---|---|---|---|---|---|---|---|")
+    cells = ["threads", "faces", "px"]
+    for words in ("mask, ms", "+ Jacobian, ms", "fit's step, ms"):
+        cells += [words, "loop", "ratio"]
+    lines = ["| " + " | ".join(cells) + " |", "|---" * len(cells) + "|"]
     for threads, sweeps in results["threads"].items():
         for row in (*sweeps["faces"], *sweeps["pixels"]):
             cells = [threads, str(row["faces"]), str(row["px"])]
-            for name in ("mask", "jacobian"):
+            for name in NAMES:
                 if name not in row["seconds"]:
                     cells += ["–"] * 3
                     continue
@@ -210,6 +265,16 @@ def main() -> None:
     large = [r for r in rows if r["faces"] >= 9e4]
     worst = max(r["seconds"]["mask"] / r["seconds"]["mask, loop"] for r in large)
     print(f"a mask takes at most {worst:.1f} times the loop from 100k faces on (asked: 4)")
+    for threads, sweeps in results["threads"].items():
+        less, more, *written = (
+            sweeps["small"][f"{px} px{w}"] for w in ("", ", written") for px in FILMS
+        )
+        beyond = 1e3 * (more - written[1] - less + written[0])
+        print(
+            f"{threads} threads: {SMALL_PX} px of {FILMS[0]} take {1e3 * less:.2f} ms,"
+            f" of {FILMS[1]} {1e3 * more:.2f}, of which writing takes {1e3 * written[1]:.2f}:"
+            f" {beyond:.2f} more"
+        )
     print(table(results))
     import jax
     import numba

@@ -13,12 +13,15 @@ from pinhole_jax import shapes
 from pinhole_jax._camera.camera import check_camera
 from pinhole_jax._scene.scene import (
     astype,
+    at_rest,
     bounding_sphere,
     check_view,
     front_facing,
     padded,
+    planes_are_current,
     with_or_without_border,
 )
+from pinhole_jax._silhouette.contour import contour_bits
 
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])  # counter-clockwise from outside
@@ -155,6 +158,20 @@ def test_padding_stale_planes_makes_them_anew():
     assert (
         front_facing(padded(stretched).mesh, e)[:F].tolist() == front_facing(fresh.mesh, e).tolist()
     )
+
+
+def test_planes_at_rest_are_not_asked_whether_they_are_current():
+    scene = at_rest(pj.Scene(mesh=shapes.bumpy(1)))
+    assert bool(planes_are_current(scene.mesh))
+    program = jax.jit(contour_bits).lower(scene.mesh, jnp.array([1.0, 2, 3])).compile()
+    assert "conditional(" not in program.as_text()
+    assert at_rest(pj.Scene()).mesh is None
+
+
+def test_faces_are_ordered_alike_where_the_mesh_is_traced():
+    mesh = shapes.bumpy(2)
+    traced = jax.jit(lambda x: pj.Mesh(x, mesh.faces).order)(mesh.vertices)
+    np.testing.assert_array_equal(mesh.order, traced)
 
 
 def test_a_mesh_of_another_library_is_taken():

@@ -16,8 +16,11 @@ from pinhole_jax._mask.mask import Mask
 from pinhole_jax._mask.search import VIEWS, sphere_points
 from pinhole_jax._mask.signatures import ANGLES, distances, facing, signatures
 from pinhole_jax._mask.thumbnails import SIZE, axes_inward, thumbnails
+from pinhole_jax._numerics import kept
+from pinhole_jax._scene import coarse
 from pinhole_jax._scene.scene import ball_about, bounding_box, padded, with_or_without_border
 from pinhole_jax._silhouette.contour import contour_weights
+from pinhole_jax._solver import capacity
 from pinhole_jax._solver.capacity import FAR, LEAST_CAPACITY, SIDES, contours, first_capacity
 
 pytestmark = pytest.mark.optimised
@@ -83,6 +86,45 @@ def test_thumbnails_are_silhouettes_whose_layers_are_clamped(what):
         exact = np.asarray(pj.silhouette(camera, scene, overlaps=False))
         np.testing.assert_allclose(image, exact, atol=0.15)
         assert np.mean(np.abs(image - exact)) < 2e-3
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_fine_mesh_is_seen_from_afar_as_a_coarse_one(closed, monkeypatch):
+    """A search of all views of 5M faces took 35 s: pictures of 48 px need some 60 000 of them."""
+    fine = shapes.bumpy(5)
+    fine = fine if closed else pj.Mesh(fine.vertices, fine.faces[:-3000])
+    monkeypatch.setattr(coarse, "FINE", 1000)
+    monkeypatch.setattr(coarse, "CELLS", 40)
+    mesh = coarse.seen_from_afar(fine)
+    assert len(mesh.faces) < 0.6 * len(fine.faces)
+    assert np.all(mesh.edge_faces >= 0) == closed
+    ball, directions = (
+        ball_about(np.asarray(bounding_box(pj.Scene(mesh=fine)), float)),
+        sphere_points(9),
+    )
+    drawn = [
+        thumbnails(
+            pj.Scene(mesh=m), ball, 4 * directions, axes_inward(directions), 2 * np.arcsin(1 / 4)
+        )
+        for m in (fine, mesh)
+    ]
+    assert np.sqrt(np.mean((drawn[0] - drawn[1]) ** 2)) < 0.02
+    assert np.mean(drawn[0]) > 0.1
+
+
+def test_what_is_coarse_is_seen_as_it_is(scene):
+    assert coarse.seen_from_afar(scene.mesh) is scene.mesh
+
+
+def test_contours_of_a_fine_mesh_are_those_of_some_of_its_edges(monkeypatch):
+    mesh = shapes.bumpy(5)
+    number, length = contours(mesh)
+    monkeypatch.setattr(capacity, "MEASURED", len(mesh.edge_faces) // 4)
+    monkeypatch.setattr(kept, "_answers", {})
+    few, part = contours(mesh)
+    assert np.all(few % 4 == 0)
+    np.testing.assert_allclose(few, number, rtol=0.25)
+    np.testing.assert_allclose(part, length, rtol=0.25)
 
 
 @pytest.mark.parametrize("closed", [True, False])

@@ -8,6 +8,7 @@ from oracles import drawn, mesh_coverage, turned
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._scene.scene import padded
+from pinhole_jax._scene.topology import by_place
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 BODY = shapes.bumpy(2)
@@ -145,3 +146,34 @@ def test_a_long_row_of_faces_without_area_is_taken_out():
     faces = np.concatenate([[[0, n, n + 1]], np.stack([0 * k, k, k + 1], axis=1)])
     mesh = pj.Mesh(vertices, faces)
     assert np.all(np.asarray(mesh.edge_faces)[:, 0] == 0)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("kind", ["grid", "ties in x and y", "any", "far in float64"])
+def test_points_are_put_in_order_of_place(kind, dtype):
+    random = np.random.default_rng(0)
+    points = {
+        "grid": random.integers(-3, 3, (500, 3)) * -1.0,  # (0 and -0 are one place)
+        "ties in x and y": np.column_stack(
+            [random.integers(0, 2, (300, 2)), random.normal(size=300)]
+        ),
+        "any": random.normal(size=(300, 3)),
+        "far in float64": 1e300 * random.integers(-2, 3, (200, 3)),
+    }[kind]
+    if kind == "far in float64" and dtype == np.float32:
+        points = points * 1e-263  # what float32 holds
+    points = points.astype(dtype)
+    order, first = by_place(points)
+    assert np.array_equal(np.sort(order), np.arange(len(points)))
+    expected = np.lexsort(points.T[::-1])
+    np.testing.assert_array_equal(points[order], points[expected])
+    np.testing.assert_array_equal(points[order[first]], np.unique(points, axis=0))
+    again, single = by_place(points[order[first]])  # they ascend already
+    np.testing.assert_array_equal(again, np.arange(int(first.sum())))
+    assert np.all(single)
+
+
+def test_no_points_and_one_are_in_order():
+    for number in (0, 1):
+        order, first = by_place(np.zeros((number, 3)))
+        assert len(order) == len(first) == number

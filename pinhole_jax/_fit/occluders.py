@@ -256,7 +256,7 @@ def _guessed(solver: Solver, mask: Mask, edge: Edge) -> list[tuple[Camera, np.nd
     """Return cameras from all sides, with what of the mask's edge they take for the object's."""
     directions = [None, *(2 * np.pi * np.arange(SECTORS) / SECTORS)]
     windows = [None, *_sectors(edge)]
-    views = partly_hidden(mask, solver.subject.scene, solver.subject.ball, directions)
+    views = partly_hidden(mask, solver.subject.from_afar, solver.subject.ball, directions)
     return [
         (canonical(guess), window)
         for guesses, window in zip(views, windows, strict=True)

@@ -83,7 +83,7 @@ def from_start(solver: Solver, mask: Mask, start: Camera, on_stop: OnStop) -> Pl
     before = solver.look(start, -1)
     begin = start
     if turns_freely(solver.names) and float(before.sums.overlap) <= POOR * float(before.sums.union):
-        over = canonical(aimed(mask, solver.subject.scene, solver.subject.ball))
+        over = canonical(aimed(mask, solver.subject.from_afar, solver.subject.ball))
         begin = min((start, over), key=lambda camera: solver.look(camera, 0).squares)
     found = solver.solve(begin, range(len(solver.levels)), on_stop)
     if not found.view.squares <= before.squares:
@@ -208,11 +208,11 @@ def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[F
     solver.expect_many()
     found: list[Found] = []
     free = focal_is_free(solver.names)
-    source = guesses(mask, solver.subject.scene, solver.subject.ball)
+    source = guesses(mask, solver.subject.from_afar, solver.subject.ball)
     for n in range(rounds):
         if free and n:
             longer = mask.longer(FOCAL_FACTORS[n])
-            source = guesses(longer, solver.subject.scene, solver.subject.ball)
+            source = guesses(longer, solver.subject.from_afar, solver.subject.ball)
         source, likely = tee(source)
         apart = APART / (1 if free else 2**n)
         found = _one_of_each([*found, *_followed(solver, likely, apart, on_stop)], solver.names)

@@ -45,5 +45,5 @@ def _read_text(data: bytes) -> Polygons:
 
 
 def _own_corners(corners: np.ndarray) -> Polygons:
-    points = corners.astype(float).reshape(-1, 3)
+    points = corners.astype(corners.dtype.newbyteorder("=")).reshape(-1, 3)
     return Polygons(points, np.arange(len(points)), np.full(len(points) // 3, 3))

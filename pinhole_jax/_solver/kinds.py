@@ -110,8 +110,12 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     if not some.place.size:
         uniform = (scale := _weight_at_edges(target, weights)) * UNIFORM
         return Kind("one bit", uniform, scale * HARD, CUT_CORNERS * uniform, False)
-    rounding = ROUNDING * float(np.finfo(dtype).eps)
-    noise, far, even, spread = _noise_far_from_edges(target, weights, some, rounding)
+    # A sum along a row of a fine mesh's mask is 1 to rounding only: one such pixel in an image is
+    # not to make a computed mask a noisy one.
+    computed = target.dtype if np.issubdtype(target.dtype, np.floating) else dtype
+    single = min(np.dtype(x).itemsize for x in (dtype, computed)) < 8
+    quiet = FINE_PX[np.dtype(np.float32 if single else np.float64)]
+    noise, far, even, spread = _noise_far_from_edges(target, weights, some, quiet)
     threshold = max(4 * noise, 1e-3)
     between = some.where(
         (some.value > threshold) & (some.value < 1 - threshold) & (some.weight > 0)
@@ -119,6 +123,7 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     count = between.place.size
     scale = float(np.mean(between.weight)) if count else 1.0
     # The least is rounding; the solver's last step may leave more.
+    rounding = ROUNDING * float(np.finfo(dtype).eps)
     if np.issubdtype(target.dtype, np.floating):
         rounding = max(rounding, float(np.finfo(target.dtype).eps))
     variance, step = _quantisation(between.value)
@@ -154,21 +159,21 @@ def _weight_at_edges(target: np.ndarray, weights: np.ndarray) -> float:
 
 
 def _noise_far_from_edges(
-    target: np.ndarray, weights: np.ndarray, some: _Between, rounding: float
+    target: np.ndarray, weights: np.ndarray, some: _Between, quiet: float
 ) -> tuple[float, float, bool, float]:
     """Return the standard deviation of pixels that are 0 or 1 for certain, the mean of their
     weighted squares, whether the noise is the same everywhere, and if it is the standard error of
     the sum of as many as are not certain.
 
-    `some` are the pixels that are not 0 or 1: the others are off by nothing. (Nor is one off by
-    `rounding`: a pixel that folds of a surface cover is 1 to rounding.)
+    `some` are the pixels that are not 0 or 1: the others are off by nothing. What is off by `quiet`
+    at most is no noise.
     """
     close, weight = _weights_near(target, weights, FAR_PX)
     is_close = looked_up(close.place, np.ones(len(close.place)), some.place, 0.0)
     away = some.where((some.weight > 0) & (is_close == 0))
     nearest = np.round(away.value)
     off = away.value - nearest
-    off = np.where(np.abs(off) <= rounding, 0, off)
+    off[np.abs(off) <= quiet] = 0
     squares = off**2
     if not np.any(squares):
         return 0.0, 0.0, True, 0.0

@@ -10,10 +10,12 @@ import numpy as np
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._mask.target import Window
+from .._scene.coarse import seen_from_afar
 from .._scene.scene import (
     Ball,
     Scene,
     astype,
+    at_rest,
     ball_about,
     bounding_box,
     padded,
@@ -66,6 +68,12 @@ class Subject:
         return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
     @cached_property
+    def from_afar(self) -> Scene:
+        """Return the scene as small pictures of it show it (`_mask.search`)."""
+        mesh = self.given.mesh
+        return Scene(None if mesh is None else seen_from_afar(mesh), self.given.spheres)
+
+    @cached_property
     def points(self) -> np.ndarray:
         """Return some hundreds of the mesh's vertices (n, 3), or none."""
         return some_of(self.mesh[0])
@@ -105,7 +113,7 @@ def on_film_plane(camera: Camera, points: np.ndarray) -> np.ndarray:
 
 
 def _worked_on(scene: Scene, dtype: Any) -> Scene:
-    return with_or_without_border(padded(astype(scene, dtype)))
+    return at_rest(with_or_without_border(padded(astype(scene, dtype))))
 
 
 def _corners(box: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from .._files.paths import existing, reason
 from .._mesh_files import MESH_ENDINGS, Polygons, read_polygons, triangulated
 from .._scene.scene import Mesh
+from .._scene.topology import by_place
 
 #: Steps between float32 numbers that are more than this share of the object are told: a fit's own
 #: rounding is far smaller.
@@ -59,6 +60,7 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], Any] | None = N
     if not len(faces):
         raise ValueError(f"`path`: expected a mesh with faces, got {str(path)!r}: none")
     merged, place = welded(polygons.points, faces)
+    merged = merged.astype(float)
     try:
         mesh = Mesh(merged, place)
     except ValueError as error:  # too large for float32
@@ -95,7 +97,7 @@ def _check_corners(polygons: Polygons, path: Any) -> None:
             f"`path`: expected faces with vertices 0 to {len(points) - 1}, got {str(path)!r}:"
             f" {corners.min()} to {corners.max()}"
         )
-    if not np.all(np.isfinite(points[corners])):
+    if not (np.all(np.isfinite(points)) or np.all(np.isfinite(points[corners]))):
         raise ValueError(f"`path`: expected finite vertices, got {str(path)!r}: NaN or infinity")
 
 
@@ -104,11 +106,7 @@ def welded(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
     used = np.zeros(len(points), bool)
     used[faces] = True
     places = points[used]
-    order = np.lexsort(places.T[::-1])  # four times as fast as np.unique
-    places = places[order]
-    first = np.ones(len(places), bool)
-    first[1:] = np.any(places[1:] != places[:-1], axis=1)
-
-    number = np.empty(len(points), int)
-    number[np.flatnonzero(used)[order]] = np.cumsum(first) - 1
-    return places[first], number[faces]
+    order, first = by_place(places)
+    number = np.empty(len(points), np.int32)
+    number[np.flatnonzero(used)[order]] = np.cumsum(first, dtype=np.int32) - 1
+    return places[order[first]], number[faces]

@@ -1,0 +1,59 @@
+"""A mesh as it looks from afar: vertices near one another made one.
+
+A small picture of a mesh of millions of faces shows no more than one of some ten thousand. Whatever
+the map of vertices is, a closed mesh's image is closed, and shows as many layers: what sticks
+together cancels.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from .scene import Mesh, Planes
+from .topology import edge_records
+
+#: A mesh is coarsened from this many faces on.
+FINE = 1 << 17
+#: Cells along the longest side of a mesh's box: vertices in one are made one.
+CELLS = 96
+
+
+def seen_from_afar(mesh: Mesh) -> Mesh:
+    """Return a mesh of a few ten thousand faces that looks like a fine one to within a cell, or a
+    coarse one itself.
+
+    For pictures that are worked out from the edge records (`_mask.thumbnails`) only: what else is
+    known of a mesh, planes and the faces' order, is left out.
+    """
+    if mesh.faces.shape[0] < FINE:
+        return mesh
+    vertices, faces = _joined(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    edge_vertices, edge_faces = edge_records(faces, None, len(vertices))
+    none = jnp.zeros((3, 0))
+    planes = Planes(none, none, jnp.zeros((2, 3)), jnp.zeros((), jnp.uint32))
+    return eqx.tree_at(
+        lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.planes, m.order),
+        mesh,
+        (vertices, faces, edge_vertices, edge_faces, planes, np.zeros(0, np.int32)),
+    )
+
+
+def _joined(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"]]:
+    """Return the middles of the vertices in each cell of a grid, and the faces that have their
+    corners in three of them."""
+    low, high = (f(axis=0).astype(float) for f in (vertices.min, vertices.max))
+    size = max(float(np.max(high - low)), np.finfo(float).tiny)
+    number = np.zeros(len(vertices), np.int32)
+    for k in range(3):
+        place = ((vertices[:, k] - low[k]) * (CELLS / size)).astype(np.int32)
+        number = number * CELLS + np.minimum(place, CELLS - 1)
+    count = np.bincount(number, minlength=CELLS**3)
+    middles = [np.bincount(number, vertices[:, k], CELLS**3)[count > 0] for k in range(3)]
+
+    a, b, c = number[faces].T
+    some = faces[(a != b) & (b != c) & (c != a)]
+    name = np.cumsum(count > 0, dtype=np.int32) - 1
+    return np.stack(middles, axis=1) / count[count > 0][:, None], name[number[some]]
