@@ -60,7 +60,7 @@ def orbited(truth: pj.Camera, turn: np.ndarray, far: float) -> pj.Camera:
 def one_step(solver: Solver, camera: pj.Camera) -> tuple:
     """Return the arguments with which `descended` takes one step on the finest level."""
     level, ends = solver.levels[solver.finest], (np.float32(1e-3), np.int32(1))
-    return canonical(camera), solver.problem, level, *ends, solver.names, solver.capacity
+    return canonical(camera), solver.problem, level, *ends, solver.freed, solver.capacity
 
 
 def degrees(camera: pj.Camera, truth: pj.Camera) -> float:

@@ -25,7 +25,7 @@ import numpy as np
 
 #: Radius of the shapes, and how far the cameras are (mm).
 RADIUS, NEAR, FAR = 100.0, 500.0, 650.0
-#: Starts are off by so many degrees.
+#: Starts are off by this many degrees.
 OFF_DEGREES = 5.0
 
 
@@ -65,7 +65,7 @@ def main() -> None:
 
 
 def make(folder: Path, count: int, size: int, faces: int) -> None:
-    """Write a data set of so many pictures, each of one object; 100 to a scene."""
+    """Write a data set of this many pictures, each of one object; 100 to a scene."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -259,7 +259,7 @@ def rates(folder: Path, count: int) -> list[dict]:
 
 
 def timed(folder: Path, engine: str, workers: int, count: int) -> tuple[float, float]:
-    """Return the seconds, and the processor's, that a run of so many items takes."""
+    """Return the seconds, and the processor's, that a run of this many items takes."""
     with tempfile.TemporaryDirectory() as place:
         before, begin = used(), time.perf_counter()
         assert started(folder, engine, Path(place) / "out", workers, count).wait() == 0

@@ -84,7 +84,7 @@ def seconds(call: Callable[[], Any]) -> float:
 
 
 def let_go() -> None:
-    """Let go of compiled programs: each takes memory maps, of which a process may have 65530."""
+    """Let go of compiled programs: each takes memory maps, and a process may have 65530."""
     jax.clear_caches()
 
 

@@ -9,11 +9,11 @@ than the first three originals do.
 - nvdiffrast, `samples/torch/pose.py`: the rotation of a cube with coloured faces, from a random
   one, by 1000 steps of stochastic search and Adam. Colours tell its 24 turns onto itself apart; an
   outline does not, so errors here are taken up to them, and the fit has to say that it cannot tell.
-  The sample logs its error, but none is published. (Its cube's size is not at hand: side 1.)
+  The sample logs its error, but none is published. (Its cube's size is not published: side 1.)
 - Mitsuba 3, "Object pose estimation": a bunny 2 units away, 64 x 64 pixels, moved by (0.1, -0.25)
   and turned by 25 degrees about y, found in 100 steps of Adam. What is free is this turn and the
   sideways shift. Its notebook ends at a turn of -0.0015 (times 100 degrees) and a shift of
-  (-0.0013, -0.0016). The bunny is not at hand: a cow of its size stands in for it.
+  (-0.0013, -0.0016). The bunny is not there: a cow of its size stands in for it.
 - redner, `tutorials/02_pose_estimation.py`: a teapot 200 units away, moved by (10, -10, 10) and
   turned by (0.1, -0.1, 0.1) rad, in 200 steps of Adam. It prints its pose, but none is published.
 """

@@ -63,7 +63,7 @@ import json
 json.dump(data, open("edited.json", "w"))
 """
 
-#: Wrong arguments of the library: refused at the door, in words.
+#: Wrong arguments of the library: refused at the door, with an error that names them.
 DOOR = """
 import numpy as np
 import pinhole_jax as pj

@@ -21,8 +21,8 @@ from pinhole_jax._fit import fit_lanes as lanes
 
 SIZE, SUBDIVISIONS, OFF_DEGREES = 64, 2, 8.0
 NUMBERS = (1, 4, 16, 64, 256, 1024, 4096)
-#: Up to so many lanes are fitted several times, the first not counted; on a device that takes more
-#: at a time, `--warm` says how many.
+#: Up to this many lanes are fitted several times, the first not counted; on a device that takes
+#: more at a time, `--warm` says how many.
 WARM = 16
 #: So many are fitted alone, too: for what that takes, and to compare the cameras.
 ALONE = 16
@@ -79,7 +79,7 @@ def timed(call: Callable[[], Any]) -> tuple[float, float, Any]:
 
 
 def row(scene: pj.Scene, masks: np.ndarray, starts: list[pj.Camera], warm: int) -> dict:
-    """Return what so many lanes take, once all is compiled, and what becomes of them."""
+    """Return what this many lanes take, once all is compiled, and what becomes of them."""
     count, spent = len(starts), []
     descend = lanes.descend
 

@@ -36,7 +36,7 @@ UP = (0.1, 1.0, 0.05)
 
 
 def sphere(faces: float):
-    """Return a sphere of about so many faces, in rings of twice as many as there are rings."""
+    """Return a sphere of about this many faces, in rings of twice as many as there are rings."""
     import pinhole_jax as pj
 
     rings = max(4, round((faces / 4) ** 0.5))
@@ -97,7 +97,7 @@ def fit_step(mesh, px: int, target: np.ndarray):
     camera = canonical(pj.Camera(e, p, u, phi, 1.0, px, px))
     solver.look(camera, solver.finest)  # its buffers grow
     ends = np.float32(1e-3), np.int32(1)
-    given = solver.problem, solver.levels[solver.finest], *ends, solver.names, solver.capacity
+    given = solver.problem, solver.levels[solver.finest], *ends, solver.freed, solver.capacity
     return lambda: descended(camera, *given)[-1].sums.squares
 
 
@@ -150,7 +150,7 @@ def small(mesh) -> dict:
 
 
 def child(threads: int, quick: bool) -> dict:
-    """Return both sweeps on so many threads."""
+    """Return both sweeps on this many threads."""
     sweeps = QUICK if quick else (FACES, PIXELS)
     result: dict = {"faces": [], "pixels": []}
     mesh = sphere(AT_FACES)
@@ -175,7 +175,7 @@ def line(row: dict) -> str:
 
 
 def on_threads(threads: int, quick: bool) -> dict:
-    """Return what a process of its own measures, which has so many processors."""
+    """Return what a process of its own measures, which has this many processors."""
     settings = {"NUMBA_NUM_THREADS": str(threads), "OMP_WAIT_POLICY": "PASSIVE"}
     command = [sys.executable, __file__, "--threads", str(threads), *["--quick"] * quick]
     pin = None

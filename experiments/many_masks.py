@@ -23,7 +23,7 @@ from skimage.draw import polygon
 
 import pinhole_jax as pj
 
-#: Compilations that take so many seconds are counted: a fit's program, not what fills an array.
+#: Compilations that take this many seconds are counted: a fit's program, not what fills an array.
 LARGE = 3.0
 SIZES = 20
 #: Samples along a pixel's side that soft masks are made of.

@@ -39,7 +39,7 @@ def views(number: int) -> tuple[pj.Scene, list[pj.Camera], list[pj.Camera]]:
 
 
 def one(number: int) -> dict:
-    """Return what a fit of so many views takes, and how far off it is."""
+    """Return what a fit of this many views takes, and how far off it is."""
     scene, truth, starts = views(number)
     masks = [np.asarray(pj.silhouette(camera, scene)) for camera in truth]
     before, held = processor(), memory()

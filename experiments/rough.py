@@ -38,7 +38,7 @@ REAL = ("counter.stl", "cycloidal.ply", "suzanne.ply")
 
 
 def bumpy(subdivisions: int, noise: float) -> pj.Scene:
-    """Return a bumpy sphere whose vertices are off by so many edges (one standard deviation)."""
+    """Return a bumpy sphere whose vertices are off by this many edges (one standard deviation)."""
     mesh = pj.shapes.bumpy(subdivisions)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     edge = np.mean(np.linalg.norm(vertices[faces[:, 0]] - vertices[faces[:, 1]], axis=1))

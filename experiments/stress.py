@@ -425,7 +425,7 @@ def worst(view: View, dtype: type) -> float:
 
 
 def drawn(case: Callable, number: int, dtype: type) -> Iterator[View]:
-    """Yield views of which the camera is one: what float32 rounds to none is refused in words."""
+    """Yield views that have a camera: what float32 rounds to none is refused with an error."""
     random = np.random.default_rng(0)
     for _ in range(number):
         view = case(random)

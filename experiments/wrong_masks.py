@@ -80,7 +80,7 @@ def soft(image, random):
 
 
 def cut(image, random):
-    """Return a mask of which a straight cut takes 5 to 20 %."""
+    """Return a mask from which a straight cut takes 5 to 20 %."""
     return (image > 0.5) & ~occluder(image, random.uniform(0.05, 0.2), random)
 
 
@@ -109,7 +109,7 @@ KINDS = {
 
 
 def start_off(truth: pj.Camera, far: float, axis: np.ndarray, aside: np.ndarray) -> pj.Camera:
-    """Return a camera so many degrees off about an axis, 5 % of the origin's distance aside."""
+    """Return a camera this many degrees off about an axis, 5 % of the origin's distance aside."""
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_rotvec(np.deg2rad(far) * axis / np.linalg.norm(axis)).as_matrix()

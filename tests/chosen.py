@@ -7,7 +7,7 @@ import pytest
 
 
 def first(number: int, cases: Iterable[Any], of: int = 1) -> list[Any]:
-    """Return the cases, all but the first so many marked long: each is compiled.
+    """Return the cases, all but the first few marked long: each is compiled.
 
     Of the long ones only each `of`-th runs with these, the others where all tests do.
     """

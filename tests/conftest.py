@@ -112,7 +112,7 @@ def optimised():
 
 @pytest.fixture(scope="module", autouse=True)
 def programs_are_let_go():
-    """Compiled programs hold memory maps, of which a process may have 65530: let go of a module's.
+    """Compiled programs hold memory maps, and a process may have 65530: let go of a module's.
 
     Without it the compiler aborts in the middle of a long run. What they took is given back to the
     system: the C library keeps gigabytes of it in small pieces.

@@ -10,6 +10,6 @@ def outward(image):
 
 
 def wavy(image, random, px, length, bias=0.0):
-    """Return a mask whose outline errs by so many px over a length, and a bias."""
+    """Return a mask whose outline errs by this many px over a length, and a bias."""
     field = gaussian_filter(random.normal(size=image.shape), length / 2**0.5)
     return outward(image) + px * field / field.std() + bias > 0

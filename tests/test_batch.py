@@ -524,7 +524,7 @@ def test_shards_make_the_whole(records, rows, tmp_path):
 
 
 class Failing(Executor):
-    """Raises for the records of some ids, so many times each."""
+    """Raises for the records of some ids, each a given number of times."""
 
     def __init__(self, times):
         self.times, self.asked = dict(times), []

@@ -11,7 +11,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 from _kernels import Kernels, kernels
 
-#: At most so many kernels in all, that differ, and loops.
+#: At most this many kernels in all, that differ, and loops.
 MOST = {
     "mask_without_overlaps": Kernels(220, 160, 8),
     "mask": Kernels(710, 460, 27),

@@ -54,10 +54,10 @@ def test_edges_are_cut_before_the_eye_and_left_of_the_film():
     film = film_map(pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], np.pi / 2, W=10, H=10))
     # In front; passes the eye on the right; behind; leaves the film on the left at height 5.
     edges = [[[1, 0, 0], [2, 1, 0]], [[1, 0, 0], [1, 0, 10]], [[1, 0, 10], [2, 0, 10]]]
-    lift = film(jnp.array([*edges, [[0, 0, 0], [-50, 0, 0]]], float))
+    homogeneous = film(jnp.array([*edges, [[0, 0, 0], [-50, 0, 0]]], float))
     one = jnp.ones(4, jnp.int32)
-    inside = clipped(lift, one, one < 0, film.bounds)
-    beside = clipped(lift, one, one > 0, film.bounds)
+    inside = clipped(homogeneous, one, one < 0, film.bounds)
+    beside = clipped(homogeneous, one, one > 0, film.bounds)
     assert inside.weight.tolist() == [1, 1, 0, 1]
     assert beside.weight.tolist() == [0, 0, 0, 1]
     np.testing.assert_allclose(inside.a, [[6, 5], [6, 5], inside.a[2], [5, 5]])

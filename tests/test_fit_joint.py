@@ -546,7 +546,7 @@ def test_moves_are_those_of_differences(stereo):
         for sign in (1, -1):
             x[column] = sign * 1e-6
             there = eye.canonical(stepped(state, layout.unknowns, x, layout.eyes))
-            sides.append(np.asarray(reported(before, there, eye.solver.names)))
+            sides.append(np.asarray(reported(before, there, eye.solver.freed)))
         numeric[: len(to_reported), k] = (sides[0] - sides[1]) / 2e-6
     stated = to_reported @ seen.moves
     assert np.max(np.abs(stated - numeric[: len(stated)])) < 1e-7
@@ -633,10 +633,10 @@ def test_cameras_that_share_phi_are_those_of_fit_cameras(three):
     views, truths, starts = three
     scene, masks = views[0].scene, [view.target for view in views]
     pj.fit_camera(scene, masks[0], starts["one"], ("pose", "phi"))
-    programs = levenberg_marquardt.descended._cached._cache_size()
+    programs = levenberg_marquardt.descended.made()
     fit = pj.fit_joint(views, starts, shared="phi")
     others = pj.fit_cameras(scene, masks, [*starts.values()])
-    assert programs == levenberg_marquardt.descended._cached._cache_size()
+    assert programs == levenberg_marquardt.descended.made()
     assert fit.status == "converged"
     assert len({float(f.camera.phi) for f in fit.cameras.values()}) == 1
     for (name, one), other in zip(fit.cameras.items(), others, strict=True):
@@ -663,7 +663,7 @@ def test_the_covariance_is_that_of_one_dense_matrix(three):
         views, starts, ("pose",), None, None, 2.0, 64, prior=known, shared="phi"
     )
     layout = problem.layout
-    assert (layout.size, len(layout.beliefs)) == (19, 4)
+    assert (layout.size, len(layout.priors)) == (19, 4)
     path = descended(problem, problem.start, lambda words: None, range(depth_of(problem), 0, -1))
     found = to_the_end(problem, path, lambda words: None).found
     seen, rows = found.descent.seen, []
@@ -1000,7 +1000,7 @@ def test_a_joint_that_the_masks_do_not_tell_is_as_well_known_as_before(misread):
 
 
 def test_what_a_view_sees_of_joints_is_what_differences_say(misread):
-    """But for pixels in which two links end, of which a small picture has some."""
+    """But for pixels in which two links end: a small picture has some."""
     problem = JointProblem.of(
         misread[:1], BEFORE, ("pose",), None, None, None, 8, joint_zeros=1
     ).with_zeros()

@@ -1,4 +1,4 @@
-"""What is wrong with a camera file is said, with the file and the field; and the doors."""
+"""An error names what is wrong with a camera file, the file and the field; and the doors."""
 
 import json
 import struct

@@ -415,7 +415,7 @@ def test_poses_that_opencv_wrote(shared):
 
 
 def test_published_files(shared):
-    """NeRF's lego, and a file that is no camera to us, which is said."""
+    """NeRF's lego, and a file that is no camera to us, with an error that says so."""
     (camera,) = formats.read(
         shared / "cameras/nerf_blender_lego/transforms_train.json", size=(800, 800)
     ).values()

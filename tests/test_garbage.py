@@ -1,4 +1,4 @@
-"""Whatever comes in gives the documented result or an error in words that names the argument."""
+"""Whatever comes in gives the documented result or an error that names the argument."""
 
 import base64
 import json

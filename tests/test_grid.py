@@ -28,7 +28,7 @@ CAPACITY = Capacity(64, 2048, 0)
 
 
 def camera(turn, dtype=float) -> pj.Camera:
-    """Return a camera that sees 16 pixels to a unit of z = 0, turned by so many right angles."""
+    """Return a camera that sees 16 pixels to a unit of z = 0, turned by this many right angles."""
     arrays = ([0, 0, 4], [0, 0, 0], UP[turn], 2 * np.arctan(0.25), 1.0)
     return pj.Camera(*(np.asarray(x, dtype) for x in arrays), W, H)
 
@@ -108,7 +108,7 @@ def by_pixel(halves) -> np.ndarray:
 
 
 def shifted_change(covered, across, up) -> np.ndarray:
-    """Return how fast pixels fill when all moves to the right and up, by so many px."""
+    """Return how fast pixels fill when all moves to the right and up, by this many px."""
     own = covered
     change = across * (np.roll(own, 1, axis=1) - own) + up * (np.roll(own, 1, axis=0) - own)
     return by_pixel(2 * change)

@@ -40,7 +40,7 @@ def test_vertices_that_are_coarse_beside_the_object_are_told(tmp_path):
     pj.load_mesh(path, say=said.append)
     assert "the file has float32 numbers, and it lies 1e+05 from the origin" in said[0]
 
-    text = tmp_path / "far.obj"  # digits, of which float64 loses none
+    text = tmp_path / "far.obj"  # digits, all of which float64 holds
     text.write_text("v 100000.1 0 0\nv 100000.2 0.3 0\nv 100000.3 0 0.1\nf 1 2 3\n")
     pj.load_mesh(text)
     jax.config.update("jax_enable_x64", False)

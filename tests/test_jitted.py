@@ -70,3 +70,11 @@ def test_a_compiler_that_does_not_know_an_option_gets_none(monkeypatch):
 def test_it_keeps_its_name_and_says_what_it_does():
     assert (doubled.__name__, doubled.__doc__) == ("doubled", "Say what it does.")
     assert "multiply" in doubled.lower(X).as_text()
+
+
+def test_it_counts_its_programs():
+    made = []
+    for shape in (7, 7, 8):
+        doubled(np.ones(shape))
+        made.append(doubled.made())
+    assert made[1:] == [made[0], made[0] + 1]

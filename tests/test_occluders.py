@@ -59,15 +59,15 @@ def test_an_edge_has_points_on_it_and_normals_outwards():
 
 
 def test_of_a_large_photo_blocks_tell_what_pixels_do(monkeypatch):
-    """A square of which one side is not believed, rows and columns no multiples of a block's."""
+    """A square, one side of which is not trusted, rows and columns no multiples of a block's."""
     along = np.arange(10, 91) + 0.5
     sides = [(along, 10), (along, 91), (10, along), (91, along)]
     at = np.concatenate([np.stack(np.broadcast_arrays(x, y), axis=-1) for x, y in sides])
     edge = occluders.Edge(at.astype(float), np.zeros_like(at), None, 81.0)
-    believed, told = np.arange(len(at)) >= len(along), {}
+    trusted, told = np.arange(len(at)) >= len(along), {}
     for blocks in (256, 20):  # pixels; 6 px
         monkeypatch.setattr(occluders, "BLOCKS", blocks)
-        told[blocks] = occluders._nearness(edge, believed, 2.3, np.array([0.5, 99.5]), (100, 110))
+        told[blocks] = occluders._nearness(edge, trusted, 2.3, np.array([0.5, 99.5]), (100, 110))
     pixel, block = told[256], told[20]
     row, column = np.indices((100, 110))
     x, y = column + 0.5, 99.5 - row
@@ -144,7 +144,7 @@ def test_with_no_start_the_rest_of_the_edge_is_enough(scene):
 @pytest.mark.long
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_an_occluder_that_leaves_what_another_view_shows_is_not_told_as_certain(sign):
-    """A box of 1 x 2 x 3, of which a wall leaves 1 x 2: another side of it."""
+    """A box of 1 x 2 x 3; a wall leaves 1 x 2 of it: another side."""
     box = trimesh.creation.box([1.0, 2.0, 3.0])
     scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces))
     truth = pj.Camera([7.0, 0.2, 0.1], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)

@@ -220,7 +220,7 @@ def test_crowded_cells_are_cut_until_they_are_resolved(monkeypatch):
 
 
 def rough(subdivisions, noise, seed=0):
-    """A sphere whose vertices are off by so many edges, in all directions."""
+    """A sphere whose vertices are off by this many edges, in all directions."""
     sphere = trimesh.creation.icosphere(subdivisions)
     edge = sphere.edges_unique_length.mean()
     off = np.random.default_rng(seed).normal(0, noise * edge, sphere.vertices.shape)

@@ -39,7 +39,7 @@ START = pj.Camera([3, 1, 0.8], [0, 0, 0], [0, 0, 1], 0.8, W=48, H=40)
 
 @pytest.fixture(scope="module")
 def honesty():
-    """The experiment `honesty.py`, of which this is the reduced run."""
+    """The experiment `honesty.py`, reduced."""
     sys.path.insert(0, str(EXPERIMENTS))
     try:
         spec = importlib.util.spec_from_file_location("honesty", EXPERIMENTS / "honesty.py")

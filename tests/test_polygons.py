@@ -185,7 +185,7 @@ def test_two_million_corners_are_cut_in_seconds_or_refused():
 
 
 def test_many_faces_that_ear_clipping_cannot_cut_are_refused_not_waited_for(monkeypatch):
-    """The sure way takes n^3 steps a face, so a file has so many of them for all of its faces."""
+    """The sure way takes n^3 steps a face, so a file has a budget of them for all of its faces."""
     monkeypatch.setattr(polygons, "_ears", lambda flat: np.zeros((0, 3), int))
     corner = comb(20)
     n = len(corner)

@@ -710,7 +710,7 @@ def test_tabs_do_not_mix_and_come_back_to_what_they_had(subject, tmp_path):
             assert (await two.ask("hello"))["mask"]["png"] is None
             moved = await two.ask("move", turn=[0.5, 0, 0])
             assert moved["camera"]["eye"] != (await one.ask("look"))["camera"]["eye"]
-            assert await one.ask("undo", x=1)  # an error is said
+            assert await one.ask("undo", x=1)  # it is an error
             again = Tab(await client.ws_connect(f"{line}&tab={names[0]}"))  # while it is open
             assert (await again.socket.receive_json())["tab"] not in names
             await one.socket.close()

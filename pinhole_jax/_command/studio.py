@@ -50,7 +50,7 @@ def studio(
         return bench
 
     with named(**ASKED):
-        new_bench().look()  # what is wrong is said here, and the outline's program is compiled
+        new_bench().look()  # what is wrong comes up here, and the outline's program is compiled
 
     def ready(address: str) -> None:
         tell(f"studio     {address}")

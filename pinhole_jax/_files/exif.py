@@ -12,7 +12,8 @@ SAME_SHAPE, SAME_FOCAL = 0.01, 0.1
 
 
 class FieldOfView(NamedTuple):
-    """The vertical field of view `phi` (rad) of a photo held upright, and in words whence."""
+    """The vertical field of view `phi` (rad) of a photo held upright, and a text on where it is
+    from."""
 
     phi: float
     words: str

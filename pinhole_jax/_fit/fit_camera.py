@@ -25,10 +25,10 @@ from .._solver.problem import View
 from .._solver.residuals import Sums
 from .._solver.solver import Found, Solver, Stop
 from .implicit import check_plain, of_camera
-from .occluders import covered_at, edge_of, is_believed, is_sure, uncovered
+from .occluders import covered_at, edge_of, is_sure, is_trusted, uncovered
 from .photo import check_photo, on_photo
 from .places import Free, Places, at
-from .result import Fit, Known, Progress, progress_at, report, with_modes, with_unbelieved
+from .result import Context, Fit, Progress, progress_at, report, with_modes, with_unbelieved
 from .strategy import (
     EXACT,
     everywhere,
@@ -115,9 +115,9 @@ def fit_camera(
     if camera is not None:
         check_camera(camera)
         check_alone("camera", phi=phi, lens=lens)
-    names = in_one(check_free(free, camera, lens))
-    start = _anywhere(scene, target, names, phi, lens) if camera is None else camera
-    base = with_lens(start, names)
+    freed = in_one(check_free(free, camera, lens))
+    start = _anywhere(scene, target, freed, phi, lens) if camera is None else camera
+    base = with_lens(start, freed)
 
     def run(inputs: Any) -> tuple[Fit, Callable]:
         scene, target, weight = inputs
@@ -126,9 +126,9 @@ def fit_camera(
         # (A derivative is one by the target as it is.)
         image = levelled(image, weights) if concrete else image
         mask = Mask(image, weights, base)
-        return _fit(scene, mask, camera is None, names, settings)
+        return _fit(scene, mask, camera is None, freed, settings)
 
-    known = prior_of(prior, base, names), bounds_of(bounds, base, names)
+    known = prior_of(prior, base, freed), bounds_of(bounds, base, freed)
     picture = None if photo is None else check_photo(photo, base.W, base.H)
     settings = Settings(outlier_px, max_steps, progress, *known, record, picture)
     inputs = (scene, target, weight)
@@ -136,7 +136,7 @@ def fit_camera(
     if concrete:
         return run(inputs)[0]
     check_plain(prior=prior, bounds=bounds, photo=photo is not None)
-    return of_camera(run, names)(inputs)
+    return of_camera(run, freed)(inputs)
 
 
 def check_steps(max_steps: Any) -> None:
@@ -218,21 +218,21 @@ class _Answer(NamedTuple):
 
 
 def _fit(
-    scene: Scene, mask: Mask, anywhere: bool, names: tuple[str, ...], settings: Settings
+    scene: Scene, mask: Mask, anywhere: bool, freed: tuple[str, ...], settings: Settings
 ) -> tuple[Fit, Callable[[], np.ndarray]]:
     """Return the fit, and a function that gives the weights of the pixels that decided."""
     start = None if anywhere else canonical(mask.camera)
-    answer = _before_occluders(scene, _answer(scene, mask, start, names, settings), start, settings)
+    answer = _before_occluders(scene, _answer(scene, mask, start, freed, settings), start, settings)
     reach, mask = answer.reach, answer.mask
     trust = lambda: mask.weight if reach is None else mask.near_edge(reach).image()
     return _fit_of(answer, settings), trust
 
 
 def _answer(
-    scene: Scene, mask: Mask, start: Camera | None, names: tuple[str, ...], settings: Settings
+    scene: Scene, mask: Mask, start: Camera | None, freed: tuple[str, ...], settings: Settings
 ) -> _Answer:
     """Return what explains a mask, from a start (canonical) or from anywhere."""
-    solver = _solver(scene, mask, names, settings)
+    solver = _solver(scene, mask, freed, settings)
 
     def on_stop(stop: Stop) -> None:
         if settings.progress is not None:
@@ -249,7 +249,7 @@ def _answer(
 def fit_descended(
     scene: Scene,
     mask: Mask,
-    names: tuple[str, ...],
+    freed: tuple[str, ...],
     settings: Settings,
     start: Camera,
     before: View,
@@ -257,7 +257,7 @@ def fit_descended(
 ) -> Fit | None:
     """Return the fit of a mask from a start (canonical), where the descent from there has been
     taken: the view `before` it, and what it `found`. None where `from_descent` has none."""
-    solver = _solver(scene, mask, names, settings)
+    solver = _solver(scene, mask, freed, settings)
     places = from_descent(solver, mask, start, before, found, lambda stop: None)
     if places is None:
         return None
@@ -265,13 +265,13 @@ def fit_descended(
     return _fit_of(_before_occluders(scene, answer, start, settings), settings)
 
 
-def _solver(scene: Scene, mask: Mask, names: tuple[str, ...], settings: Settings) -> Solver:
+def _solver(scene: Scene, mask: Mask, freed: tuple[str, ...], settings: Settings) -> Solver:
     return Solver.of(
         scene,
         mask.target,
         mask.weight,
         mask.camera.e.dtype,
-        names,
+        freed,
         settings.max_steps,
         settings.bounds,
         settings.prior,
@@ -292,7 +292,7 @@ def _described(
     else:
         reach = None
         described = [(f, f.view) for f in to_the_end(solver, found)]
-    if turns_freely(solver.names):
+    if turns_freely(solver.freed):
         free = free_about(solver, described[0][0], places)
     return _Answer(solver, mask, described, free, reach)
 
@@ -303,7 +303,7 @@ def _before_occluders(
     """Return an answer, or where something that nobody told of stands before the object what
     explains the rest of the mask."""
     solver, mask, (best, view) = answer.solver, answer.mask, answer.described[0]
-    asked = answer.reach is not None and turns_freely(solver.names)
+    asked = answer.reach is not None and turns_freely(solver.freed)
     if not asked or solver.explains(view):
         return answer
     errors = solver.errors(best.view)
@@ -314,9 +314,9 @@ def _before_occluders(
     if covered is None:
         return answer
     rest = replace(mask, weight=np.where(covered.hidden, 0.0, mask.weight))
-    after = _answer(scene, rest, covered.camera, solver.names, settings)
+    after = _answer(scene, rest, covered.camera, solver.freed, settings)
     again = covered_at(solver, mask, edge_of(mask), after.described[0][0].camera, error_px)
-    if again is None or not is_believed(again):
+    if again is None or not is_trusted(again):
         return answer
     look = lambda camera: Found(camera, solver.look(camera, solver.finest), ())
     rivals = [look(camera) for camera in covered.rivals]
@@ -361,24 +361,24 @@ def _reported(
 ) -> Fit:
     """Return one of an answer's cameras, or the photo's, with its error bars."""
     about = [at(answer.solver, found, x) for x in free]
-    known = Known(kind, settings.bounds, about, errors)
-    return report(answer.mask.camera, found, whole, answer.solver.names, known)
+    context = Context(kind, settings.bounds, about, errors)
+    return report(answer.mask.camera, found, whole, answer.solver.freed, context)
 
 
 def _anywhere(
-    scene: Scene, target: Numbers, names: tuple[str, ...], phi: Numbers, lens: Lens | None
+    scene: Scene, target: Numbers, freed: tuple[str, ...], phi: Numbers, lens: Lens | None
 ) -> Camera:
     """Return a camera of the target's size to begin a search with."""
-    if not turns_freely(names):
+    if not turns_freely(freed):
         raise ValueError(
             "`camera`: expected a camera to start from where the pose is not free, got none with"
-            f" `free` {','.join(names)}"
+            f" `free` {','.join(freed)}"
         )
     shape = np.shape(target)
     if len(shape) != 2 or 0 in shape:
         raise ValueError(f"`target`: expected shape (H, W), got shape {shape}")
     if phi is None:
-        if not focal_is_free(names):
+        if not focal_is_free(freed):
             raise ValueError(
                 "`phi`: expected the field of view (rad) where there is no `camera` and phi is not"
                 " free, got None"

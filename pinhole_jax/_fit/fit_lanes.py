@@ -116,13 +116,13 @@ def fit_lanes(
             raise ValueError(f"`{name}`: expected one for each of {count} cameras, got {number}")
     for one in {id(s): s for s in scenes}.values():
         check_scene(one)
-    names = in_one(check_free(free, starts[0]))
+    freed = in_one(check_free(free, starts[0]))
     settings = Settings(outlier_px, max_steps)
 
     lanes = []
     inputs = zip(scenes, targets, starts, weights, strict=True)
     for number, (one, target, start, weight) in enumerate(inputs):
-        base = with_lens(start, names)
+        base = with_lens(start, freed)
         with_number = lambda error, k=number: ValueError(f"mask {k}: {error}")
         try:
             image, weighed = check_target(target, weight, base.W, base.H)
@@ -138,8 +138,8 @@ def fit_lanes(
     while lanes:
         some, lanes = lanes[:most], lanes[most:]  # (what is done with lets its views go)
         room = cells, capacity, isinstance(scene, Scene)
-        descend(some, rigs, names, settings, *room)
-        fits += [_finished(lane, names, settings) for lane in some]
+        descend(some, rigs, freed, settings, *room)
+        fits += [_finished(lane, freed, settings) for lane in some]
         alone += [lane.alone for lane in some]
     return Lanes(tuple(fits), tuple(alone))
 
@@ -147,7 +147,7 @@ def fit_lanes(
 def descend(
     lanes: list[_OfMask],
     rigs: dict[int, Rig],
-    names: tuple[str, ...],
+    freed: tuple[str, ...],
     settings: Settings,
     cells: int,
     capacity: Capacity,
@@ -156,7 +156,7 @@ def descend(
     """Bring lanes down their levels, and look at where they end."""
     for lane in lanes:
         _prepare(lane, settings, cells)
-    _Descent(lanes, rigs, names, settings.max_steps, capacity, shared).run()
+    _Descent(lanes, rigs, freed, settings.max_steps, capacity, shared).run()
 
 
 def _listed(cameras: Any) -> list[Camera]:
@@ -183,13 +183,13 @@ def _listed(cameras: Any) -> list[Camera]:
     return [*cameras]
 
 
-def _finished(lane: _OfMask, names: tuple[str, ...], settings: Settings) -> Fit:
+def _finished(lane: _OfMask, freed: tuple[str, ...], settings: Settings) -> Fit:
     """Return the fit that a lane's descent leads to; from its start, if it cannot be trusted."""
     if not lane.alone:
         steps = tuple(stop.steps for stop in lane.stops[1:])
         found = Found(lane.camera, lane.view, steps, tuple(lane.stops), lane.ended)
         way = lane.stops[0].camera, lane.before, found
-        fit = fit_descended(lane.scene, lane.mask, names, settings, *way)
+        fit = fit_descended(lane.scene, lane.mask, freed, settings, *way)
         if fit is not None and fit.status not in ("max_steps", "non_finite"):
             return fit
         lane.alone = "the descent did not come to rest, left the window, or led to nothing better"
@@ -197,7 +197,7 @@ def _finished(lane: _OfMask, names: tuple[str, ...], settings: Settings) -> Fit:
         lane.scene,
         lane.target,
         lane.start,
-        names,
+        freed,
         weight=lane.weight,
         outlier_px=settings.outlier_px,
         max_steps=settings.max_steps,
@@ -262,8 +262,8 @@ def _room(lanes: list[_OfMask]) -> Capacity:
 class _Descent:
     """Some lanes on their way down."""
 
-    def __init__(self, lanes, rigs, names, max_steps: int, capacity: Capacity, shared: bool):
-        self.lanes, self.names, self.capacity = lanes, names, capacity
+    def __init__(self, lanes, rigs, freed, max_steps: int, capacity: Capacity, shared: bool):
+        self.lanes, self.freed, self.capacity = lanes, freed, capacity
         self.max_steps: Any = np.int32(max_steps)
         self.dtype = lanes[0].start.e.dtype
         self.shared = shared
@@ -319,7 +319,7 @@ class _Descent:
         state = _stacked([states[id(lane)] for lane in some])
         given = self._given(some), _stacked([x.levels[-depth] for x in some])
         px = np.asarray(px, self.dtype)
-        found: Any = descended(state, *given, px, self.max_steps, self.names, self.capacity)
+        found: Any = descended(state, *given, px, self.max_steps, self.freed, self.capacity)
         return _unstacked(found, len(todo))
 
     def _look(self, name: str) -> None:
@@ -330,7 +330,7 @@ class _Descent:
         some = self._filled_up(going)
         given = self._given(some), _stacked([x.levels[-1] for x in some])
         cameras = _stacked([lane.camera for lane in some])
-        views = looked(cameras, *given, self.names, self.capacity)
+        views = looked(cameras, *given, self.freed, self.capacity)
         for lane, view in zip(going, _unstacked(views, len(going)), strict=True):
             setattr(lane, name, view)
 
@@ -345,7 +345,7 @@ class _Descent:
         index = np.array([number[id(lane)] for lane in some])
         of = lambda tree: jax.tree.map(lambda x: jnp.take(x, index, axis=0), tree)
         rig = self.rig if self.shared else of(self.rig)
-        others = no_others(self.names, self.dtype)
+        others = no_others(self.freed, self.dtype)
         return Given(rig, of(self.pyramid), others, self.shared)
 
 

@@ -19,11 +19,11 @@ class At(NamedTuple):
     move: Move
     film: Camera
     scene: Scene
-    names: tuple[str, ...]
+    freed: tuple[str, ...]
 
     def camera(self, y: Float[Array, "n"]) -> Camera:
         """Return the camera moved by y."""
-        return on_film(moved(self.move, y, self.names), self.film)
+        return on_film(moved(self.move, y, self.freed), self.film)
 
 
 @jitted

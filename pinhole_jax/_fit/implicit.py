@@ -88,7 +88,7 @@ def check_plain(**given: Any) -> None:
 
 
 def of_camera(
-    run: Callable[[Inputs], tuple[Any, Callable[[], np.ndarray]]], names: tuple[str, ...]
+    run: Callable[[Inputs], tuple[Any, Callable[[], np.ndarray]]], freed: tuple[str, ...]
 ) -> Through:
     """Return how a fit of one camera is made differentiable by scene, target and weight; `run` has
     a function that gives the weights (H, W) of the pixels that decided."""
@@ -97,8 +97,8 @@ def of_camera(
         camera = result.camera
         start, scene = canonical(camera), inputs[0]
         pivot, radius = (jnp.asarray(x, camera.e.dtype) for x in bounding_sphere(scene))
-        size = scales(start, pivot, radius, jnp.asarray(camera.H, camera.e.dtype), names)
-        at = At(Move(start, pivot, size), camera, scene, names)
+        size = scales(start, pivot, radius, jnp.asarray(camera.H, camera.e.dtype), freed)
+        at = At(Move(start, pivot, size), camera, scene, freed)
         pull, bend = pulled(at, inputs, velocity, decided())
         step = -jnp.linalg.pinv(bend, hermitian=True) @ pull
         return jax.jvp(at.camera, (jnp.zeros_like(step),), (step,))[1]

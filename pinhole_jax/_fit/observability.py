@@ -57,17 +57,18 @@ def observability(
 
     `noise` is the standard deviation of coverage in a pixel that the outline touches (a hard edge
     has 0.29), `weight` (H, W) as in `fit_camera`. Singular directions have infinite `std` and are
-    named in words. A sphere shows 4 of the 7 directions of pose and focal length, two 6, three 7.
+    named in sentences. A sphere shows 4 of the 7 directions of pose and focal length, two 6, three
+    7.
 
     Raises ValueError for arguments that make no fit.
     """
     if not noise > 0:
         raise ValueError(f"`noise`: expected a positive standard deviation, got {noise}")
-    names, camera, triangle, reported, blind = _look(camera, scene, free, weight)
-    labels = labels_of(names)
+    freed, camera, triangle, reported, blind = _look(camera, scene, free, weight)
+    labels = labels_of(freed)
     values = np.linalg.svd(triangle, compute_uv=False)
     cov = covariance(triangle, reported, noise**2 * triangle.T @ triangle, blind)
-    _, weak = weak_directions(triangle, components(names), axes_of(camera), blind)
+    _, weak = weak_directions(triangle, components(freed), axes_of(camera), blind)
     return Observability(
         names=labels,
         rank=int(np.sum(values > blind * max(values[0], np.finfo(float).tiny))),
@@ -83,7 +84,8 @@ def information(
     camera: Camera, scene: Scene, free: str | Sequence[str]
 ) -> Float[np.ndarray, "n n"]:
     """Return the information (n, n) on the reported parameters in a mask whose noise has a standard
-    deviation of 1: the inverse of a covariance, of which more masks' add up; 0 where nothing shows.
+    deviation of 1: the inverse of a covariance, such that more masks' add up; 0 where nothing
+    shows.
     """
     *_, triangle, reported, _ = _look(camera, scene, free, None)
     root = triangle @ np.linalg.inv(reported)
@@ -97,11 +99,11 @@ def _look(
     parameters by the moves, and what counts as blind."""
     check_view(camera, scene)
     check_scene(scene)
-    names = check_free(free, camera)
-    camera = with_lens(camera, names)
+    freed = check_free(free, camera)
+    camera = with_lens(camera, freed)
     weights = check_weight(weight, camera.W, camera.H)
     image = np.full(weights.shape, 0.25)  # any mask
-    solver = Solver.of(scene, image, weights, camera.e.dtype, names, 1)
+    solver = Solver.of(scene, image, weights, camera.e.dtype, freed, 1)
     view = solver.look(canonical(camera), solver.finest)
-    reported = to_units(view.to_reported, names, camera)
-    return names, camera, np.asarray(view.triangle, float), reported, BLIND[solver.dtype]
+    reported = to_units(view.to_reported, freed, camera)
+    return freed, camera, np.asarray(view.triangle, float), reported, BLIND[solver.dtype]

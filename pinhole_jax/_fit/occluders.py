@@ -6,8 +6,8 @@ points of the mask's edge are brought to the outline that a camera sees (iterati
 Besl and McKay 1992), in and out by stretches: what lies inside the outline, and far from it, loses
 its weight, and the more so the nearer the fit has come (graduated non-convexity, Blake and
 Zisserman 1987); what lies outside keeps its weight, since nothing that hides can put it there.
-Outline beside which the mask has none costs nothing at first. Several hypotheses of which part is
-hidden are followed; the one that explains most of the mask's edge is told.
+Outline beside which the mask has none costs nothing at first. Several hypotheses about which part
+is hidden are followed; the one that explains most of the mask's edge is told.
 """
 
 from collections.abc import Iterable
@@ -33,7 +33,7 @@ POINTS, MOST_POINTS = 400, 20_000
 #: Its normals are those of a mask that is smoothed over this many px.
 SMOOTH_PX = 2
 #: How far away an edge still counts: in the first step this share of the object's size, in the last
-#: this many px; in this many steps, of which the first few sort out the likely ones.
+#: this many px; in this many steps, the first few to sort out the likely ones.
 FIRST, LAST_PX, STEPS, SORTED_IN = 0.12, 1.0, 20, 6
 #: This many of the likeliest are followed to the end.
 FOLLOWED = 12
@@ -55,7 +55,7 @@ ROOM = 0.1
 BLOCKS = 256
 #: A camera that explains less of the mask's edge than this is not believed.
 LEAST_EXPLAINED = 0.5
-#: ... and one that explains less than this, or of which more is beyond, not without a doubt; nor
+#: ... and one that explains less than this, or has more beyond, not without a doubt; nor
 #: one from whose outline the rest of the edge lies so far (px, root mean square). Pixels of a hard
 #: mask leave 0.37 to 0.45 of it behind real occluders; another shape, taken for a covered one, 1.05
 #: to 1.3. So masks that err by more and are covered are never told without a doubt.
@@ -176,7 +176,7 @@ def uncovered(
     standard deviation).
     """
     edge = edge_of(mask, POINTS)
-    few = len(edge.at) < 4 * len(solver.names) + 16
+    few = len(edge.at) < 4 * len(solver.freed) + 16
     if few or not _is_covered(solver, edge, plain, _near(error_px)):
         return None
     solver.expect_many()
@@ -188,7 +188,7 @@ def uncovered(
         begins = _guessed(solver, mask, edge) + (begins if anywhere else [])
         found += explained(begins)
         found.sort(key=_worth, reverse=True)
-    if not found or not is_believed(found[0]):
+    if not found or not is_trusted(found[0]):
         return None
     best, *others = found
     rivals: list[Camera] = []
@@ -237,7 +237,7 @@ def is_sure(covered: Covered) -> bool:
     return much and covered.off < SURE_PX
 
 
-def is_believed(covered: Covered) -> bool:
+def is_trusted(covered: Covered) -> bool:
     """Return whether a camera explains a mask but for what an occluder hides."""
     hidden = 1 - covered.explained
     enough = covered.explained >= LEAST_EXPLAINED and hidden > LEAST_HIDDEN
@@ -282,11 +282,11 @@ def _followed(
 
 
 def _apart(cameras: list[Camera], far: float) -> list[Camera]:
-    kept: list[Camera] = []
+    distinct: list[Camera] = []
     for camera in cameras:
-        if all(angle(camera, other) > far for other in kept):
-            kept.append(camera)
-    return kept
+        if all(angle(camera, other) > far for other in distinct):
+            distinct.append(camera)
+    return distinct
 
 
 def _brought(
@@ -380,29 +380,29 @@ def covered_at(
         return None
     matched = _matched(edge, outline, 8.0)
     on = _on(matched, near)
-    believed = edge.stretch @ on >= 0.5
+    trusted = edge.stretch @ on >= 0.5
     # Where a stretch that is not believed ends, its points tell more exactly.
-    ends = _distances(edge.at[~believed], edge.at) < max(STRETCH * edge.size, 3.0)
-    believed &= on | ~ends
+    ends = _distances(edge.at[~trusted], edge.at) < max(STRETCH * edge.size, 3.0)
+    trusted &= on | ~ends
     close = np.clip(1 - (matched.off / near) ** 2, 0, 1)
-    agreed = float(np.mean(close * (on & believed)))
+    agreed = float(np.mean(close * (on & trusted)))
 
     view = solver.look(camera, solver.finest)
     seen = np.zeros(mask.target.shape, bool)
     view.pixels.level.window().of(seen)[:] = coverage_of(view)[::-1] > 0.5
-    hidden = _hidden(mask, edge, believed, seen, near)
+    hidden = _hidden(mask, edge, trusted, seen, near)
     # Outline with no edge beside it has to be hidden.
     astray = _distances(edge.at, outline.at) > 2 * near
     astray &= ~hidden[_pixels_of(outline.at, hidden.shape)]
-    beyond = float(np.mean((matched.off > near) & ~believed)) + float(np.mean(astray))
-    explained = float(np.mean(believed))
-    lies = matched.off[on & believed]
+    beyond = float(np.mean((matched.off > near) & ~trusted)) + float(np.mean(astray))
+    explained = float(np.mean(trusted))
+    lies = matched.off[on & trusted]
     off = float(np.sqrt(np.mean(lies**2))) if lies.size else np.inf
-    return Covered(camera, explained, agreed, beyond, off, hidden, edge.at[~believed])
+    return Covered(camera, explained, agreed, beyond, off, hidden, edge.at[~trusted])
 
 
 def _hidden(
-    mask: Mask, edge: Edge, believed: np.ndarray, seen: np.ndarray, near: float
+    mask: Mask, edge: Edge, trusted: np.ndarray, seen: np.ndarray, near: float
 ) -> np.ndarray:
     """Return what an occluder may hide (H, W): what an edge that is not believed is the nearest
     to, and what is seen (H, W), and not in the mask, behind it.
@@ -416,22 +416,22 @@ def _hidden(
     box = _about(whole | seen, 2 * room)
     inside, seen = whole[box], seen[box]
     corner = np.array([box[1].start + 0.5, len(whole) - box[0].start - 0.5])
-    beside, by_believed, by_other = _nearness(edge, believed, near, corner, inside.shape)
-    missing = seen & ~inside & ~by_believed
+    beside, by_trusted, by_other = _nearness(edge, trusted, near, corner, inside.shape)
+    missing = seen & ~inside & ~by_trusted
     parts: Any = label(missing, np.ones((3, 3)))
     grown: Any = binary_dilation(beside & by_other)
     touching = missing & grown
     behind = np.isin(parts[0], np.unique(parts[0][touching])) & missing
     about: Any = binary_dilation(behind, iterations=room)
     result = np.zeros(whole.shape, bool)
-    result[box] = (about | beside) & ~by_believed & ~inside
+    result[box] = (about | beside) & ~by_trusted & ~inside
     # (The last of an occluder's edge is so near to the outline that it looks like it.)
     result[box] |= by_other
     return result
 
 
 def _nearness(
-    edge: Edge, believed: np.ndarray, near: float, corner: np.ndarray, shape: tuple[int, int]
+    edge: Edge, trusted: np.ndarray, near: float, corner: np.ndarray, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return which pixels (h, w) are nearer to an edge that is not believed than to one that is,
     which are within `near` (px) of the one that is, and within twice that and 1 of the other.
@@ -439,7 +439,7 @@ def _nearness(
     `corner` (2,) is the middle (px) of the first pixel, on the film. Of a large photo blocks are
     asked, and pixels near an edge.
     """
-    points, (h, w) = (edge.at[believed], edge.at[~believed]), shape
+    points, (h, w) = (edge.at[trusted], edge.at[~trusted]), shape
     limits = np.array([near, 2 * near + 1])
     side = -(-max(h, w) // BLOCKS)
     tall, wide = -(-h // side), -(-w // side)
@@ -458,8 +458,8 @@ def _nearness(
         inner = (row[close, None] + down).ravel(), (column[close, None] + right).ravel()
         blocks[:, close] = asked(*inner)[0].reshape(3, -1, side**2)
     images = blocks.reshape(3, tall, wide, side, side).swapaxes(2, 3)
-    beside, by_believed, by_other = images.reshape(3, tall * side, wide * side)[:, :h, :w]
-    return beside, by_believed, by_other
+    beside, by_trusted, by_other = images.reshape(3, tall * side, wide * side)[:, :h, :w]
+    return beside, by_trusted, by_other
 
 
 def _about(shown: np.ndarray, margin: int) -> tuple[slice, slice]:

@@ -57,7 +57,7 @@ STRANGE_PX = 0.8
 NEAR_PX = 3.0
 
 
-#: What colours make: a mask of which no residual can be told to be too large.
+#: What colours make: a mask whose residuals are never too large.
 COLOURS = Kind("photo", 0.0, np.inf, 0.0, False)
 
 
@@ -158,7 +158,7 @@ class Outline(NamedTuple):
         return read._replace(weight=np.where(weight > 0, read.weight, 0))
 
     def resolved(self, read: Matte) -> float:
-        """Return the share of the outline of which colours tell."""
+        """Return the share of the outline that colours show."""
         clear = np.sum(self.length[read.weight > TELLING])
         return float(clear / max(np.sum(self.length), 1.0))
 

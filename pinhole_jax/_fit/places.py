@@ -189,11 +189,11 @@ def interval(solver: Solver, best: Found, errors: OutlineErrors | None) -> list[
     there are independent errors.
     """
     triangle = np.asarray(best.view.triangle, float)
-    turns = [name.startswith("turn") for name in components(solver.names)]
+    turns = [name.startswith("turn") for name in components(solver.freed)]
     if errors is None or not (np.all(np.isfinite(triangle)) and any(turns)):
         return []
     widest, least = Free(np.zeros(len(turns)), 0.0, 0.0, None), solver.glance(best.camera).squares
-    weak = weak_moves(triangle, components(solver.names), 1.0)
+    weak = weak_moves(triangle, components(solver.freed), 1.0)
     directions = [_direction(solver, best, *pair) for pair in weak]
     about = [d for d in directions if d.axis is not None and d.sigma < np.pi]
     for direction in about[-LOOKED:]:
@@ -218,8 +218,8 @@ def _best_turned(
 ) -> tuple[Camera, float]:
     """Return the best camera found among those that are as far turned from another one, which has
     these squares, as a move turns it, and its sum of squares."""
-    names = components(solver.names)
-    turns = np.array([name.startswith("turn") for name in names])
+    parts = components(solver.freed)
+    turns = np.array([name.startswith("turn") for name in parts])
     camera, least = solver.step(best.camera, solver.finest, move), (best.camera, np.inf)
     far = angle(camera, best.camera)
     for _ in range(PROFILE_STEPS):
@@ -227,7 +227,7 @@ def _best_turned(
         if not view.squares < least[1]:
             break
         least = camera, view.squares
-        away = np.zeros(len(names))
+        away = np.zeros(len(parts))
         away[turns] = axes_of(camera) @ turned_by(best.camera, camera)
         away /= max(float(np.linalg.norm(away)), 1e-12)
         along = np.linalg.svd(away[None])[2][1:].T
@@ -273,13 +273,13 @@ def _nearly_free(solver: Solver, found: Found) -> list[_Direction]:
     triangle = np.asarray(found.view.triangle, float)
     if not np.all(np.isfinite(triangle)):
         return []
-    weak = weak_moves(triangle, components(solver.names))
+    weak = weak_moves(triangle, components(solver.freed))
     return [_direction(solver, found, *pair) for pair in weak]
 
 
 def _direction(solver: Solver, found: Found, value: float, vector: np.ndarray) -> _Direction:
     """Return a direction of moves that shows this much (a singular value) as a turn or a shift."""
-    turns = np.array([name.startswith("turn") for name in components(solver.names)])
+    turns = np.array([name.startswith("turn") for name in components(solver.freed)])
     radian = _radian(solver, found)
     axis, move = None, vector
     if np.linalg.norm(vector[turns]) > 0.3:  # a large turn is a turn alone
@@ -292,8 +292,8 @@ def _direction(solver: Solver, found: Found, value: float, vector: np.ndarray) -
 def _round(solver: Solver, found: Found) -> list[_Direction]:
     """Return the turns about lines that the body is round about: facets, teeth or sections there
     repeat, and each place where they fit is a minimum."""
-    names = components(solver.names)
-    turns = np.array([name.startswith("turn") for name in names])
+    parts = components(solver.freed)
+    turns = np.array([name.startswith("turn") for name in parts])
     if np.sum(turns) < 3:
         return []
     result, triangle = [], np.asarray(found.view.triangle, float)
@@ -301,7 +301,7 @@ def _round(solver: Solver, found: Found) -> list[_Direction]:
         return []
     deviations = np.linalg.pinv(triangle).T
     for line in solver.subject.revolutions:
-        move = np.zeros(len(names))
+        move = np.zeros(len(parts))
         move[turns] = axes_of(found.camera) @ line.axis
         value = 1 / max(float(np.linalg.norm(deviations @ move)), 1e-300)
         direction = _direction(solver, found, value, move)
@@ -310,14 +310,14 @@ def _round(solver: Solver, found: Found) -> list[_Direction]:
 
 
 def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
-    """Return a turn or shift of which the Jacobian does not tell what the mask does: where a part
+    """Return a turn or shift whose effect on the mask the Jacobian does not tell: where a part
     of the object is just about to show, residuals rise on one side only, or far steeper there."""
     view, kind = found.view, solver.kind
     triangle = np.asarray(view.triangle, float)
     sharp = kind.exact and not kind.spread and view.touched_misfit <= kind.most
     if sharp or not np.all(np.isfinite(triangle)):
         return []
-    weak = weak_moves(triangle, components(solver.names), DOUBTFUL)
+    weak = weak_moves(triangle, components(solver.freed), DOUBTFUL)
     if not weak:
         return []
     direction = _direction(solver, found, *weak[-1])
@@ -335,7 +335,7 @@ def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
             continue
         rise = (other.squares - here.squares) / (shows * part**2)
         steeper = float(np.asarray(other.along) @ beside @ moved) / (shows * part)
-        blind = weak_moves(beside, components(solver.names))
+        blind = weak_moves(beside, components(solver.freed))
         if blind or not RISE[0] < rise < RISE[1] or steeper > STEEPER:
             return [direction._replace(doubted=True)]
     return []
@@ -343,13 +343,13 @@ def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
 
 def _radian(solver: Solver, found: Found) -> float:
     """Return the size of a move, in the solver's units, that is as large as a turn by one rad."""
-    names, scale = components(solver.names), np.asarray(found.view.scale, float)
-    for name, size in zip(names, scale, strict=True):
+    parts, scale = components(solver.freed), np.asarray(found.view.scale, float)
+    for name, size in zip(parts, scale, strict=True):
         if name.startswith("turn"):
             return 1 / size
     reach = np.linalg.norm(np.asarray(found.camera.e, float) - solver.subject.ball.centre)
     size = next(
-        s for n, s in zip(names, scale, strict=True) if n.split("_")[0] in ("spin", "shift")
+        s for n, s in zip(parts, scale, strict=True) if n.split("_")[0] in ("spin", "shift")
     )
     return float(np.clip(solver.subject.ball.radius / reach, 1e-3, 1) / size)
 
@@ -572,7 +572,7 @@ def at(solver: Solver, found: Found, direction: Any) -> Any:
     """Return a `_Direction`, or a `Free` one, as moves of a camera that it was not taken at."""
     if direction.axis is None:
         return direction
-    turns = np.array([name.startswith("turn") for name in components(solver.names)])
+    turns = np.array([name.startswith("turn") for name in components(solver.freed)])
     move = np.zeros(len(turns))
     move[turns] = axes_of(found.camera) @ direction.axis * _radian(solver, found)
     return direction._replace(move=move)
@@ -606,11 +606,11 @@ def _intervals(
 
 
 def _distinct(solver: Solver, places: list[Found], apart: float) -> list[Found]:
-    kept: list[Found] = []
+    distinct: list[Found] = []
     for place in sorted(places, key=lambda p: _surplus(solver, p.view)):
-        if all(separation(solver, place.camera, k.camera) > apart for k in kept):
-            kept.append(place)
-    return kept
+        if all(separation(solver, place.camera, k.camera) > apart for k in distinct):
+            distinct.append(place)
+    return distinct
 
 
 def separation(solver: Solver, a: Camera, b: Camera) -> float:

@@ -25,7 +25,7 @@ from .words import table
 #: Below this intersection over union a fit has found something else than the object.
 LEAST_IOU = 0.5
 #: More than this share of the outline far from the mask's edge is a misfit; where an exact mask is
-#: not explained anyway, less is said in words.
+#: not explained anyway, `weak` has fewer sentences.
 ASTRAY, SOME = 0.1, 0.02
 #: Rounding leaves a root mean square residual of this many machine epsilons in a touched pixel.
 FLOOR = 1000
@@ -137,7 +137,7 @@ def progress_at(stop: Stop, camera: Camera) -> Progress:
     return Progress(on_film(stop.camera, camera), W, H, stop.steps)
 
 
-class Known(NamedTuple):
+class Context(NamedTuple):
     """What is known beside a view: the mask's kind, bounds, the directions found to be free, how
     the outline errs; a residual's variance if known better, and how many times as large it is as
     of independent residuals."""
@@ -151,37 +151,37 @@ class Known(NamedTuple):
 
 
 def report(
-    camera: Camera, found: Found, over_all: Sums, names: tuple[str, ...], known: Known
+    camera: Camera, found: Found, over_all: Sums, freed: tuple[str, ...], context: Context
 ) -> Fit:
     """Return what was found, as a user reads it."""
     at, view, steps, way, _ = found
     fitted = on_film(at, camera)
     dtype = np.dtype(camera.e.dtype)
-    triangle, ended = without_ended(view.triangle, at, names, known.bounds)
+    triangle, ended = without_ended(view.triangle, at, freed, context.bounds)
     along = np.asarray(view.along, float)
     sums: Any = jax.tree.map(float, view.sums)
     whole: Any = jax.tree.map(float, over_all)
-    labels, to_reported = labels_of(names), to_units(view.to_reported, names, camera)
+    labels, to_reported = labels_of(freed), to_units(view.to_reported, freed, camera)
     n = len(labels)
     if not (np.all(np.isfinite(triangle)) and np.isfinite(sums.squares)):
         empty = np.full((n, n), np.nan)
         nan = float("nan")
         return Fit(fitted, "non_finite", labels, empty, np.diag(empty), nan, nan, steps, ())
     rest = at_rest(triangle, along, sums.squares, sums.touched, dtype, found.ended)
-    triangle = without_free(triangle, known.free)
+    triangle = without_free(triangle, context.free)
     noise = sums.touched_squares / max(sums.touched - n, 1)
-    noise = max(noise if known.variance is None else known.variance, known.kind.least)
+    noise = max(noise if context.variance is None else context.variance, context.kind.least)
     independent, cov = (
         covariance(triangle, to_reported, gradient, BLIND[dtype])
-        for gradient in gradients(view, noise, known)
+        for gradient in gradients(view, noise, context)
     )
-    tolerance, drawn = LAST_STEP * FINE_PX[dtype] / UNIT_PX, is_drawn(known.errors)
-    independent = independent + widened(to_reported, [] if drawn else known.free, tolerance)
+    tolerance, drawn = LAST_STEP * FINE_PX[dtype] / UNIT_PX, is_drawn(context.errors)
+    independent = independent + widened(to_reported, [] if drawn else context.free, tolerance)
     known_by = cov if drawn else np.zeros_like(cov)
-    cov = cov + widened(to_reported, known.free, tolerance, known_by)
-    names_of_moves = components(names)
+    cov = cov + widened(to_reported, context.free, tolerance, known_by)
+    names_of_moves = components(freed)
     # (How far a drawn mask's errors reach is in the covariance: no direction is free for that.)
-    free = [f for f in known.free if not drawn or np.isinf(f.ahead)]
+    free = [f for f in context.free if not drawn or np.isinf(f.ahead)]
     moves = [f.move for f in free]
     blind, weak = weak_directions(triangle, names_of_moves, axes_of(at), BLIND[dtype], moves)
     weak = (*map(str, free), *weak, *ended)
@@ -190,19 +190,19 @@ def report(
     if wide_open:
         axis, degrees = in_words(about @ axes_of(at)), np.rad2deg(turn)
         weak += (f"the turn about the axis {axis} is told to {degrees:.0f} degrees (one sigma)",)
-    nearly_free = bool(known.free or weak_moves(triangle, names_of_moves))
+    nearly_free = bool(context.free or weak_moves(triangle, names_of_moves))
     astray = 1 - sums.touched / whole.touched if whole.touched else 0.0
-    explained = known.kind.explains(view.touched_misfit, nearly_free)
-    if known.kind.exact and not explained:
+    explained = context.kind.explains(view.touched_misfit, nearly_free)
+    if context.kind.exact and not explained:
         off = sums.off / max(sums.touched, 1)
         weak += (f"{off:.0%} of the outline is off by more than the mask's kind explains",)
-    if astray > (SOME if known.kind.exact and not explained else ASTRAY):
+    if astray > (SOME if context.kind.exact and not explained else ASTRAY):
         weak += (f"{astray:.0%} of the outline is far from the mask's edge: {WRONG}",)
-    explained = astray <= ASTRAY and (explained or not known.kind.exact)
+    explained = astray <= ASTRAY and (explained or not context.kind.exact)
     status = _status(triangle, rest, whole, explained, bool(blind or free))
     if status == "converged" and wide_open:
         status = "uncertain"
-    errors = known.errors
+    errors = context.errors
     return Fit(
         camera=fitted,
         status=status,
@@ -219,12 +219,12 @@ def report(
     )
 
 
-def gradients(view: View, variance: float, known: Known) -> tuple[np.ndarray, np.ndarray]:
+def gradients(view: View, variance: float, context: Context) -> tuple[np.ndarray, np.ndarray]:
     """Return the covariance (n, n) of J^T r if residuals are independent, and as the mask errs."""
     triangle = np.asarray(view.triangle, float)
-    independent, errors = variance * triangle.T @ triangle, known.errors
+    independent, errors = variance * triangle.T @ triangle, context.errors
     if errors is None:
-        return independent, known.design * independent
+        return independent, context.design * independent
     # What is not of this mask's pixels, as a prior, keeps its variance.
     rows = np.asarray(view.jacobian, float)[len(view.pixels.cell) :]
     beside, share = variance * rows.T @ rows, errors.computed
@@ -267,7 +267,7 @@ def widened(
     to_reported: np.ndarray,
     free: Sequence[Free],
     tolerance: float,
-    known: np.ndarray | None = None,
+    context: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return what to add to the reported parameters' covariance (n, n): the solver's `tolerance`
     (in its units), and intervals of directions that are free (all places in one as likely), but for
@@ -278,32 +278,32 @@ def widened(
             along = to_reported @ direction.move
             a, b = direction.behind, direction.ahead
             variance = (a**3 + b**3) / (3 * (a + b))
-            if known is not None and np.all(np.isfinite(known)):
+            if context is not None and np.all(np.isfinite(context)):
                 turn = along[:3]  # rotations are reported first
-                variance -= turn @ known[:3, :3] @ turn / max(turn @ turn, 1e-150) ** 2
+                variance -= turn @ context[:3, :3] @ turn / max(turn @ turn, 1e-150) ** 2
             added += max(variance, 0.0) * np.outer(along, along)
     return added
 
 
 def without_ended(
-    triangle: Any, camera: Camera, names: tuple[str, ...], bounds: Bounds | None
+    triangle: Any, camera: Camera, freed: tuple[str, ...], bounds: Bounds | None
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return R without the columns of parameters that are held at an end of their bounds, and words
     about them."""
     result = np.array(triangle, float)
     ended = () if bounds is None else bounds.ended(camera)
     moves = [PARAMETERS[label].components[0].name for label in ended]
-    result[:, [components(names).index(move) for move in moves]] = 0
+    result[:, [components(freed).index(move) for move in moves]] = 0
     return result, tuple(f"{label} is held at an end of its bounds" for label in ended)
 
 
-def to_units(derivative: Any, names: tuple[str, ...], camera: Camera) -> np.ndarray:
+def to_units(derivative: Any, freed: tuple[str, ...], camera: Camera) -> np.ndarray:
     """Return the derivative of the reported parameters by the solver's moves.
 
     Film coordinates are in film heights inside the fit: the principal point's come back in px.
     """
     to_reported = np.array(derivative, float)
-    to_reported[[LABELS[label].unit == "px" for label in labels_of(names)]] *= camera.H
+    to_reported[[LABELS[label].unit == "px" for label in labels_of(freed)]] *= camera.H
     return to_reported
 
 

@@ -73,16 +73,16 @@ FOCAL_FACTORS = (1.0, 1.5, 0.67)
 OnStop = Callable[[Stop], None]
 
 
-def turns_freely(names: tuple[str, ...]) -> bool:
+def turns_freely(freed: tuple[str, ...]) -> bool:
     """Return whether the whole pose is free."""
-    return "pose" in names
+    return "pose" in freed
 
 
 def from_start(solver: Solver, mask: Mask, start: Camera, on_stop: OnStop) -> Places:
     """Return what explains the mask best, the nearest to the start first if several do equally."""
     before = solver.look(start, -1)
     begin = start
-    if turns_freely(solver.names) and float(before.sums.overlap) <= POOR * float(before.sums.union):
+    if turns_freely(solver.freed) and float(before.sums.overlap) <= POOR * float(before.sums.union):
         over = canonical(aimed(mask, solver.subject.from_afar, solver.subject.ball))
         begin = min((start, over), key=lambda camera: solver.look(camera, 0).squares)
     found = solver.solve(begin, range(len(solver.levels)), on_stop)
@@ -110,7 +110,7 @@ def looked_round(
 ) -> Places:
     """Return what explains the mask best or as well as what a descent from a start found, the
     nearest to the start first."""
-    if not turns_freely(solver.names):
+    if not turns_freely(solver.freed):
         return settled(solver, found, start)
     places, content = Places(found, [], []), solver.explains(found.view)
     if content or solver.misfit_above_noise(found.view) <= EXACT:
@@ -170,7 +170,7 @@ def with_others(
     """Return the best of all, and what explains the mask as well."""
     if not more:
         return places
-    found = _one_of_each([places.best, *places.others, *places.rivals, *more], solver.names)
+    found = _one_of_each([places.best, *places.others, *places.rivals, *more], solver.freed)
     best, *others = equally_good(solver, found)
     rivals = [f for f in found if all(f is not g for g in (best, *others))]
     rivals = [f for f in rivals if f.view.squares <= RIVAL * best.view.squares][:RIVALS]
@@ -207,7 +207,7 @@ def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[F
     """
     solver.expect_many()
     found: list[Found] = []
-    free = focal_is_free(solver.names)
+    free = focal_is_free(solver.freed)
     source = guesses(mask, solver.subject.from_afar, solver.subject.ball)
     for n in range(rounds):
         if free and n:
@@ -215,7 +215,7 @@ def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[F
             source = guesses(longer, solver.subject.from_afar, solver.subject.ball)
         source, likely = tee(source)
         apart = APART / (1 if free else 2**n)
-        found = _one_of_each([*found, *_followed(solver, likely, apart, on_stop)], solver.names)
+        found = _one_of_each([*found, *_followed(solver, likely, apart, on_stop)], solver.freed)
         if solver.explains(found[0].view):
             break
     return found
@@ -261,10 +261,10 @@ def _followed(
             seen += [guess, found[-1].camera]
             if len(found) == TRIED:
                 break
-    found = _one_of_each(found, solver.names)[:FOLLOWED]
+    found = _one_of_each(found, solver.freed)[:FOLLOWED]
     for level in finer:
         found = [onward(f, solver.solve(f.camera, [level], on_stop)) for f in found]
-        found = _likely(_one_of_each(found, solver.names))
+        found = _likely(_one_of_each(found, solver.freed))
     return found
 
 
@@ -379,15 +379,17 @@ def most_agreeing(
         for k, cost in enumerate(costs)
         if cost <= limit or k == least or (max(k, least) < alike and not drawn)
     ]
-    kept = [described[k] for k in places]
+    chosen = [described[k] for k in places]
     if start is None:  # the first left the least squares of all pixels: it stands first if it may
-        return kept if kept[0] is described[0] else sorted(kept, key=lambda d: d is not closest)
+        return (
+            chosen if chosen[0] is described[0] else sorted(chosen, key=lambda d: d is not closest)
+        )
     if not drawn:
-        return sorted(kept, key=lambda d: angle(d[0].camera, start))
-    far = np.array([angle(f.camera, start) for f, _ in kept])
+        return sorted(chosen, key=lambda d: angle(d[0].camera, start))
+    far = np.array([angle(f.camera, start) for f, _ in chosen])
     agreed = np.array([costs[k] for k in places])
     independent = found.independent if found else 1.0
-    return [kept[k] for k in np.argsort(unlikely(agreed, far, independent), kind="stable")]
+    return [chosen[k] for k in np.argsort(unlikely(agreed, far, independent), kind="stable")]
 
 
 def unlikely(
@@ -410,7 +412,7 @@ def with_errors(
 ) -> list[Free]:
     """Return what is free about a camera: of a drawn mask, too, how far its errors leave what shows
     least, pixels farther than `reach` (px) from its edge left out."""
-    errors = solver.errors(found.view) if turns_freely(solver.names) else None
+    errors = solver.errors(found.view) if turns_freely(solver.freed) else None
     if not is_drawn(errors):
         return free
     near = solver
@@ -425,20 +427,20 @@ def _finite(found: list[Found]) -> list[Found]:
     return [f for f in found if np.isfinite(f.view.squares)] or found[:1]
 
 
-def _one_of_each(found: list[Found], names: tuple[str, ...]) -> list[Found]:
+def _one_of_each(found: list[Found], freed: tuple[str, ...]) -> list[Found]:
     """Return the finite ones, the best first, and of those with the same view the best."""
-    kept: list[Found] = []
+    distinct: list[Found] = []
     for f in sorted(_finite(found), key=lambda f: f.view.squares):
-        if not any(_same(k, f, names) for k in kept):
-            kept.append(f)
-    return kept
+        if not any(_same(k, f, freed) for k in distinct):
+            distinct.append(f)
+    return distinct
 
 
-def _same(a: Found, b: Found, names: tuple[str, ...]) -> bool:
+def _same(a: Found, b: Found, freed: tuple[str, ...]) -> bool:
     """Return whether two cameras look the same way, but for a turn that changes no pixel of a's."""
     axes_a, axes_b = (axes_of(f.camera) for f in (a, b))
     turn: Any = axes_a.T @ axes_b - np.eye(3)
-    free = free_turns(np.asarray(a.view.triangle, float), components(names), axes_a)
+    free = free_turns(np.asarray(a.view.triangle, float), components(freed), axes_a)
     if len(free) > 1:
         return True
     return bool(np.linalg.norm(turn @ free[0] if len(free) else turn) < SAME)

@@ -1,4 +1,4 @@
-"""A fit in words: its parameters with their standard errors, as a table."""
+"""A fit as text: its parameters with their standard errors, as a table."""
 
 import math
 from typing import Any, NamedTuple

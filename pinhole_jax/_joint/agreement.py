@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._fit.result import Known, gradients
+from .._fit.result import Context, gradients
 from .._solver.least_squares import Descent, Rows, Solved, solve
 from .._solver.outline_errors import OutlineErrors
 from .._solver.parameters import components
@@ -37,7 +37,7 @@ HEAVY = 1.0
 ROUNDS, SETTLED = 16, 0.1
 #: Of a normal distribution 95 % lie within this many standard deviations.
 NORMAL_95 = 1.959964
-#: How many times a residual's variance masks may err by, against what is believed.
+#: How many times a residual's variance masks may err by, against priors.
 DESIGNS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
 #: What of a covariance of gradients counts as nothing, beside its largest.
 NOTHING = 1e-10
@@ -63,7 +63,7 @@ class Agreement:
     - `freedom`: of how many numbers that is the mean.
     - `off` (V,): each view's residuals beside the middle one's; `weights` (V,), at most 1.
     - `errors`: how each mask's outline errs, None where it is exact, and explained.
-    - `known`: the rows of what is believed, which err by `noise`.
+    - `prior_rows`: those of priors, which err by `noise`.
     - `sigma` (V,): how surely each view disagrees with the others, as of one normal number.
     """
 
@@ -76,15 +76,15 @@ class Agreement:
     off: np.ndarray
     weights: np.ndarray
     errors: list[OutlineErrors | None]
-    known: list[Rows]
+    prior_rows: list[Rows]
     noise: float
     sigma: np.ndarray
 
     def without(self, view: int) -> "Agreement":
-        """Return what the other views, and what is believed, would tell by themselves."""
+        """Return what the other views, and priors, would tell by themselves."""
         weights = np.where(np.arange(len(self.weights)) == view, 0.0, self.weights)
         parts = self.layout.least_squares(self.descent.seen, weights)
-        solved = solve([*parts, *self.known], self.layout.size, np.zeros(self.layout.size))
+        solved = solve([*parts, *self.prior_rows], self.layout.size, np.zeros(self.layout.size))
         return replace(self, solved=solved, weights=weights)
 
     @property
@@ -104,14 +104,14 @@ class Agreement:
         return (self.excess * float(t.ppf(0.975, self.freedom)) / NORMAL_95) ** 2
 
     def covariance(self, place: np.ndarray) -> np.ndarray:
-        """Return the covariance (p, p) of some unknowns that the masks' errors, and what is
-        believed, leave (the sandwich of Huber 1967, a view at a time)."""
-        return self._by_masks.covariance(place) + self._by_known.covariance(place, self.noise**2)
+        """Return the covariance (p, p) of some unknowns that the masks' errors, and priors,
+        leave (the sandwich of Huber 1967, a view at a time)."""
+        return self._by_masks.covariance(place) + self._by_priors.covariance(place, self.noise**2)
 
     def independent(self, place: np.ndarray, variance: float) -> np.ndarray:
         """Return the covariance (p, p) were the residuals independent and of one variance."""
         by_masks = variance * self.solved.inverse(place, place)
-        return by_masks + self._by_known.covariance(place, self.noise**2 - variance)
+        return by_masks + self._by_priors.covariance(place, self.noise**2 - variance)
 
     @cached_property
     def unseen(self) -> np.ndarray:
@@ -130,9 +130,9 @@ class Agreement:
         )
 
     @cached_property
-    def _by_known(self) -> "_Sandwich":
+    def _by_priors(self) -> "_Sandwich":
         of = lambda p: _Errs(p.columns, p.rows.T, np.eye(len(p.left)))
-        return _Sandwich(self.solved, [of(part) for part in self.known])
+        return _Sandwich(self.solved, [of(part) for part in self.prior_rows])
 
 
 class _Sandwich:
@@ -187,16 +187,19 @@ def agreed(
     return _at(layout, found, weights, counts)
 
 
-def beliefs_weighed(layout: Layout, found: Descent) -> Layout:
-    """Return the layout in which what is believed is weighed against the masks so that it is told
-    best: what errs along stretches, or all outwards, says less than its residuals do."""
-    if not layout.beliefs:
+def priors_weighed(layout: Layout, found: Descent) -> Layout:
+    """Return the layout in which priors are weighed against the masks so that they are told best:
+    what errs along stretches, or all outwards, says less than its residuals do."""
+    if not layout.priors:
         return layout
     spreads, ones = [], np.ones(len(layout.eyes))
     for design in DESIGNS:
         here = _at(layout.weighing(design), found, ones, ones)
         spreads.append(
-            sum(float(np.trace(p.rows @ here.covariance(p.columns) @ p.rows.T)) for p in here.known)
+            sum(
+                float(np.trace(p.rows @ here.covariance(p.columns) @ p.rows.T))
+                for p in here.prior_rows
+            )
             / here.noise**2
         )
     return layout.weighing(DESIGNS[int(np.argmin(spreads))])
@@ -215,23 +218,23 @@ def _at(layout: Layout, found: Descent, weights: np.ndarray, counts: np.ndarray)
     pairs = list(zip(layout.eyes, views, strict=True))
     errors = [eye.solver.errors(view) for eye, view in pairs]
     each = [_gradient(*pair, e) for pair, e in zip(pairs, errors, strict=True)]
-    own = [len(components(eye.solver.names)) for eye in layout.eyes]
+    own = [len(components(eye.solver.freed)) for eye in layout.eyes]
     distances = [_distance(*one) for one in zip(views, each, own, strict=True)]
     squares, ranks = np.array(distances).T
     noise = layout.noise(found.seen)
-    known = layout.known(found.state, found.seen, noise)
-    believed = sum(part.squares for part in known) / noise**2
-    freedom = int(ranks.sum()) + sum(len(part.left) for part in known) - layout.size
+    prior_rows = layout.prior_rows(found.state, found.seen, noise)
+    of_priors = sum(part.squares for part in prior_rows) / noise**2
+    freedom = int(ranks.sum()) + sum(len(part.left) for part in prior_rows) - layout.size
     freedom = max(freedom, 1)
-    excess = max((float(weights @ squares) + believed) / freedom, 1.0) ** 0.5
+    excess = max((float(weights @ squares) + of_priors) / freedom, 1.0) ** 0.5
     excess = excess if len(views) > 1 else 1.0  # (One view has none that it could differ from.)
     misfit = np.array([max(v.touched_misfit, e.solver.kind.least) for e, v in pairs])
     off = (misfit * counts / np.median(misfit * counts)) ** 0.5
     parts = layout.least_squares(found.seen, weights)
-    known = [part.without(held) for part in known]
-    solved = solve([*parts, *known], layout.size, np.zeros(layout.size))
+    prior_rows = [part.without(held) for part in prior_rows]
+    solved = solve([*parts, *prior_rows], layout.size, np.zeros(layout.size))
     sigma = np.array([_sigma(*pair) for pair in zip(squares, ranks, strict=True)])
-    rest = excess, freedom, off, weights, errors, known, noise, sigma
+    rest = excess, freedom, off, weights, errors, prior_rows, noise, sigma
     return Agreement(layout, found, solved, each, *rest)
 
 
@@ -250,7 +253,7 @@ def _gradient(eye: Eye, view: View, errors: OutlineErrors | None) -> np.ndarray:
     touched, squares = float(view.sums.touched), float(view.sums.touched_squares)
     n = len(np.asarray(view.along))
     noise = max(squares / max(touched - n, 1), eye.solver.kind.least)
-    of_mask = gradients(view, noise, Known(eye.solver.kind, errors=errors))[1]
+    of_mask = gradients(view, noise, Context(eye.solver.kind, errors=errors))[1]
     # The last step was off by as much as is negligible.
     triangle = np.asarray(view.triangle, float)
     normal = FINE_PX[eye.solver.dtype] / UNIT_PX * triangle.T @ triangle
@@ -268,6 +271,6 @@ def _distance(view: View, covariance: np.ndarray, own: int) -> tuple[float, int]
     size = np.linalg.norm(triangle, axis=0)
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-    kept = values > NOTHING * max(values[-1], 1e-300)
-    parts = vectors[:, kept].T @ (triangle.T @ along / size)
-    return float(np.sum(parts**2 / values[kept])), int(np.count_nonzero(kept))
+    counted = values > NOTHING * max(values[-1], 1e-300)
+    parts = vectors[:, counted].T @ (triangle.T @ along / size)
+    return float(np.sum(parts**2 / values[counted])), int(np.count_nonzero(counted))

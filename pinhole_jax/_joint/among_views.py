@@ -40,17 +40,17 @@ class Begun(NamedTuple):
 
 
 class FromOthers(NamedTuple):
-    """A view, with what is believed of its own unknowns, and what the others tell it.
+    """A view, with the priors of its own unknowns, and what the others tell it.
 
     - `view`, and `part`: what it leaves of the shared unknowns.
-    - `believed`: residuals (b, n) of its moves, and their values, among those of the view.
-    - `others` (r, k): what the others, and what is believed, know of the shared unknowns; `slope`
+    - `from_prior`: residuals (b, n) of its moves, and their values, among those of the view.
+    - `others` (r, k): what the others, and priors, know of the shared unknowns; `slope`
       (k,): half the derivative of all residuals' squares by these.
     """
 
     view: View
     part: Reduced
-    believed: tuple[np.ndarray, np.ndarray]
+    from_prior: tuple[np.ndarray, np.ndarray]
     others: np.ndarray
     slope: np.ndarray
 
@@ -68,22 +68,22 @@ def known_by_others(
     """Return views of weights (V,), a camera each, and what the others tell each of them; `own`
     (n,) of a view's moves are its own."""
     known: dict[int, list[Rows]] = {}
-    for rows in layout.known(found.state, found.seen, layout.noise(found.seen)):
+    for rows in layout.prior_rows(found.state, found.seen, layout.noise(found.seen)):
         known.setdefault(rows.columns[0], []).append(rows)
     of = lambda columns: [rows for column in columns for rows in known.get(column, ())]
 
-    views, beliefs = [], []
+    views, from_priors = [], []
     for k, seen in enumerate(found.seen):
         columns = layout.columns(k)
-        believed = _of_moves(of(columns[own]), columns, np.linalg.pinv(seen.moves))
-        views.append(with_rows(_weighed(seen.view, weights[k]), *believed))
-        beliefs.append(believed)
+        from_prior = _of_moves(of(columns[own]), columns, np.linalg.pinv(seen.moves))
+        views.append(with_rows(_weighed(seen.view, weights[k]), *from_prior))
+        from_priors.append(from_prior)
 
     parts, shared = [reduced(view, own) for view in views], layout.columns(0)[~own]
     rows, left = _of_moves(of(shared), shared, np.eye(len(shared)))
     rests = others([*(part.rest for part in parts), rows])[: len(views)]
     slope = sum((part.slope for part in parts), rows.T @ left)
-    each = zip(views, parts, beliefs, rests, strict=True)
+    each = zip(views, parts, from_priors, rests, strict=True)
     return [FromOthers(*one, slope) for one in each]
 
 
@@ -168,19 +168,19 @@ def _answer(
     else:
         mask = replace(eye.mask, camera=on_film(camera, eye.mask.camera))
         places = looked_round(solver, mask, found, begun.start, _untold)
-    places = _kept(solver, places, found, begun.start)
+    places = _stayed(solver, places, found, begun.start)
     return Asked(camera, places)
 
 
 def _beside(view: View, from_others: FromOthers, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what the others tell a view, and what is believed, as residuals of its moves."""
+    """Return what the others tell a view, and its priors, as residuals of its moves."""
     scale = np.asarray(view.scale, float)[~own]
     shared = np.zeros((len(from_others.others), len(own)))
     shared[:, ~own] = from_others.others * scale
-    believed, left = from_others.believed
-    slope = believed.T @ left
+    from_prior, left = from_others.from_prior
+    slope = from_prior.T @ left
     slope[~own] += (from_others.slope - from_others.part.slope) * scale
-    return in_few(view, np.concatenate([shared, believed]), slope)
+    return in_few(view, np.concatenate([shared, from_prior]), slope)
 
 
 def _of_values(
@@ -189,16 +189,16 @@ def _of_values(
     """Return residuals that are linear in a view's moves as such that are linear in what is
     reported of the camera."""
     known = np.any(rows != 0, axis=0)
-    rigid = np.array([name in MOTIONS for name in solver.names for _ in labels_of((name,))])
+    rigid = np.array([name in MOTIONS for name in solver.freed for _ in labels_of((name,))])
     known |= rigid & np.any(known & rigid)  # (a pose is told as a whole)
-    values = [LABELS[label].value for label in labels_of(solver.names)]
+    values = [LABELS[label].value for label in labels_of(solver.freed)]
     at = [float(of(camera)) if of and k else 0.0 for of, k in zip(values, known, strict=True)]
     by_moves = np.where(np.outer(known, known), np.asarray(view.to_reported, float), 0.0)
     to = lambda x: jnp.asarray(x, solver.dtype)
     return Others(to(rows @ np.linalg.pinv(by_moves)), to(at), to(left))
 
 
-def _kept(solver: Solver, places: Places, found: Found, start: Camera | None) -> Places:
+def _stayed(solver: Solver, places: Places, found: Found, start: Camera | None) -> Places:
     """Return the places with the camera so far as the best, unless another one is better, or as
     good and nearer to the start."""
     best, *others = places.best, *places.others

@@ -23,11 +23,11 @@ from .._solver.least_squares import (
 )
 from .._solver.problem import View
 from .._solver.solver import Solver
-from .priors import Belief
+from .priors import JointPrior
 from .views import ZERO, Eye, State, Unknown, stepped
 from .zeros import Seen, with_joints
 
-#: A residual errs by at least as much, where something is believed: what is exact outweighs it.
+#: A residual errs by at least as much, where there are priors: what is exact outweighs them.
 LEAST_NOISE = 1e-3
 #: Held by the thread that asks for a program.
 ASKING = Lock()
@@ -37,12 +37,12 @@ class Layout:
     """Where each unknown's numbers are among all, and which views depend on it."""
 
     def __init__(
-        self, unknowns: Sequence[Unknown], eyes: Sequence[Eye], beliefs: Sequence[Belief] = ()
+        self, unknowns: Sequence[Unknown], eyes: Sequence[Eye], priors: Sequence[JointPrior] = ()
     ):
         self.unknowns, self.eyes = list(unknowns), list(eyes)
         number = {(u.name, u.kind): k for k, u in enumerate(self.unknowns)}
         self._number = number
-        self.beliefs = [b for b in beliefs if (b.name, b.kind) in number]
+        self.priors = [b for b in priors if (b.name, b.kind) in number]
         #: How many times as large as of independent residuals the masks' variance is.
         self.design = 1.0
         ends = np.cumsum([u.size for u in self.unknowns], dtype=int)
@@ -62,7 +62,7 @@ class Layout:
         return result
 
     def weighing(self, design: float) -> "Layout":
-        """Return the layout in which beliefs are weighed against masks of this design effect."""
+        """Return the layout in which priors are weighed against masks of this design effect."""
         result = copy(self)
         result.design = design
         return result
@@ -113,21 +113,21 @@ class Layout:
         ]
 
     def noise(self, seen: list[Seen]) -> float:
-        """Return what a residual of the masks errs by, as what is believed is weighed against it:
+        """Return what a residual of the masks errs by, as priors are weighed against it:
         where neighbours err together, by more."""
-        if not self.beliefs:
+        if not self.priors:
             return 1.0
         touched = sum(float(s.view.sums.touched) for s in seen)
         squares = sum(float(s.view.sums.touched_squares) for s in seen)
         return max(self.design * squares / max(touched, 1.0), LEAST_NOISE**2) ** 0.5
 
-    def known(self, state: State, seen: list[Seen], noise: float) -> list[Rows]:
-        """Return the rows of what is believed, which err by a residual's noise."""
+    def prior_rows(self, state: State, seen: list[Seen], noise: float) -> list[Rows]:
+        """Return the rows of priors, which err by a residual's noise."""
         result = []
-        for belief in self.beliefs:
-            j = self._number[belief.name, belief.kind]
+        for prior in self.priors:
+            j = self._number[prior.name, prior.kind]
             view = self._seen_by[j]
-            left, rows = belief.residuals(state, self.eyes[view], seen[view].view)
+            left, rows = prior.residuals(state, self.eyes[view], seen[view].view)
             own = np.full(rows.shape[1], not self.shared[j])
             result.append(Rows(rows, left, self._places[j], own).times(noise))
         return result
@@ -185,14 +185,14 @@ class _OnLevel(NamedTuple):
         return self.layout.noise(seen)
 
     def squares(self, state: State, seen: list[Seen], noise: float) -> float:
-        """Return the sum of the squares of all residuals, and of what is believed."""
+        """Return the sum of the squares of all residuals, those of priors among them."""
         views = sum(w * s.view.squares for w, s in zip(self.weights, seen, strict=True))
-        return float(views + sum(p.squares for p in self.layout.known(state, seen, noise)))
+        return float(views + sum(p.squares for p in self.layout.prior_rows(state, seen, noise)))
 
     def parts(self, state: State, seen: list[Seen], noise: float) -> list[Rows]:
-        """Return the rows of the views, and of what is believed."""
+        """Return the rows of the views, and of priors."""
         views = self.layout.least_squares(seen, self.weights)
-        return [*views, *self.layout.known(state, seen, noise)]
+        return [*views, *self.layout.prior_rows(state, seen, noise)]
 
     def sizes(self, seen: list[Seen], parts: list[Rows]) -> np.ndarray:
         """Return how much each unknown shows."""

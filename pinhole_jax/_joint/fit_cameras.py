@@ -11,7 +11,7 @@ from .._camera.lens import Lens
 from .._camera.poses import pose_of
 from .._fit.fit_camera import check_alone, check_border, check_reach, check_steps, fit_camera
 from .._fit.places import at
-from .._fit.result import Fit, Known, report, with_modes
+from .._fit.result import Context, Fit, report, with_modes
 from .._mask.target import check_target, levelled
 from .._numerics.arrays import Numbers, is_concrete
 from .._scene.scene import Scene, check_scene
@@ -80,7 +80,7 @@ def fit_cameras(
     if cameras is not None:
         check_alone("cameras", phi=phi, lens=lens)
     weights = [None] * count if weights is None else weights
-    names, common = shared_and_free(shared, free, cameras[0] if cameras else None, lens)
+    freed, common = shared_and_free(shared, free, cameras[0] if cameras else None, lens)
     if not common:
         raise ValueError(f"`shared`: expected at least one of {', '.join(SHARED)}, got none")
     views = [
@@ -92,12 +92,12 @@ def fit_cameras(
     concrete = is_concrete(*jax.tree.leaves(views))
 
     def run(views: Sequence[JointView]) -> tuple[tuple[Fit, ...], list[Part]]:
-        starts, begun = (cameras, None) if cameras is not None else _alone(views, names, given)
-        starts = alike([with_lens(c, names) for c in starts], common)
+        starts, begun = (cameras, None) if cameras is not None else _alone(views, freed, given)
+        starts = alike([with_lens(c, freed) for c in starts], common)
         masks = [_mask(*each, as_given=not concrete) for each in zip(views, starts, strict=True)]
         by_name = {view.camera: camera for view, camera in zip(views, starts, strict=True)}
         groups = {name: [(*by_name,)] for name in common}
-        of = [*views], masks, by_name, names, names, groups, {}, {}, {}
+        of = [*views], masks, by_name, freed, freed, groups, {}, {}, {}
         problem = JointProblem.among(*of, outlier_px, max_steps, prior, bounds)
         return _fit(problem, begun, common, tell)
 
@@ -109,9 +109,9 @@ def _fit(
     problem: JointProblem, begun: list[Begun] | None, common: tuple[str, ...], tell: Tell
 ) -> tuple[tuple[Fit, ...], list[Part]]:
     """Return the fits of a problem in which `common` is shared, and what ended them."""
-    names = problem.names
+    freed = problem.freed
     begun = begun or [Begun(start) for start in problem.start.lenses.values()]
-    own = np.array([name not in common for name in names for _ in components((name,))])
+    own = np.array([name not in common for name in freed for _ in components((name,))])
     px = FINE_PX[problem.layout.eyes[0].solver.dtype]
 
     def further(state: State, depths: Sequence[int]) -> Path:
@@ -153,11 +153,11 @@ def _checked_count(targets: Any, cameras: Any, weights: Any) -> int:
 
 
 def _alone(
-    views: Sequence[JointView], names: tuple[str, ...], given: Mapping[str, Any]
+    views: Sequence[JointView], freed: tuple[str, ...], given: Mapping[str, Any]
 ) -> tuple[list[Camera], list[Begun]]:
     """Return cameras that masks by themselves lead to, and where else each may be."""
-    fits = [fit_camera(v.scene, v.target, None, names, weight=v.weight, **given) for v in views]
-    modes = [[canonical(with_lens(mode.camera, names)) for mode in f.modes] for f in fits]
+    fits = [fit_camera(v.scene, v.target, None, freed, weight=v.weight, **given) for v in views]
+    modes = [[canonical(with_lens(mode.camera, freed)) for mode in f.modes] for f in fits]
     return [fit.camera for fit in fits], [Begun(modes=some) for some in modes]
 
 
@@ -203,8 +203,8 @@ def _report(
 
     def described(f: Found, whole: Any) -> Fit:
         free = [at(solver, f, direction) for direction in places.free]
-        known = Known(solver.kind, solver.bounds, free, None, *noise)
-        return report(camera, f, whole, solver.names, known)
+        context = Context(solver.kind, solver.bounds, free, None, *noise)
+        return report(camera, f, whole, solver.freed, context)
 
     here = Found(eye.canonical(descent.state), view, end.path.steps, ended=descent.ended)
     fit = described(here, end.whole[k])

@@ -160,7 +160,7 @@ class _OfView(NamedTuple):
         eye, view = self.eye, self._view()
         dtype = eye.solver.dtype
         start = eye.solver.move(eye.canonical(self.state), eye.solver.finest)
-        at = At(start, eye.mask.camera, eye.solver.subject.given, eye.solver.names)
+        at = At(start, eye.mask.camera, eye.solver.subject.given, eye.solver.freed)
         own = pulled(at, inputs[:3], velocity[:3], self.weight, UNIT_PX).pull
         result = jnp.asarray(self._moves(eye, self.state, view).T, dtype) @ own
         on_mount = self.state.poses[eye.moving] @ eye.rig

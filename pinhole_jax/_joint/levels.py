@@ -9,7 +9,7 @@ from .._fit.strategy import EXACT
 from .._solver.least_squares import Descent
 from .._solver.problem import COARSE_PX, FINE_PX
 from .._solver.residuals import Sums
-from .agreement import Agreement, agreed, beliefs_weighed
+from .agreement import Agreement, agreed, priors_weighed
 from .descent import descend
 from .photo import OnPhotos, on_photos
 from .problem import JointProblem
@@ -106,7 +106,7 @@ def to_the_end(problem: JointProblem, path: Path, tell: Tell, photos: bool = Fal
             near = problem.seeing({k: eyes[k].weighed(edges[k], only_finest=True) for k in inexact})
             last = px if times == 1 else COARSE_PX
             if times == 1:
-                near = near._replace(layout=beliefs_weighed(near.layout, path.descent))
+                near = near._replace(layout=priors_weighed(near.layout, path.descent))
             path = path.then(descended(near, path.descent.state, tell, [1], last))
 
     found = agreed(near.layout, path.descent, problem.max_steps, px)

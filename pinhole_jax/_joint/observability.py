@@ -50,7 +50,7 @@ def joint_observability(
     seen = layout.look(state, 1)
     parts = [
         *layout.least_squares(seen, np.ones(len(seen))),
-        *layout.known(state, seen, noise),
+        *layout.prior_rows(state, seen, noise),
     ]
     solved = solve(parts, layout.size, np.zeros(layout.size))
     unseen = solved.unseen(BLIND[layout.eyes[0].solver.dtype])

@@ -74,7 +74,7 @@ def on_photos(
         given = layout, telling, first, begun
         layout, state, now, further = _followed(*given, weights, px, tell)
         steps += further
-        left = _believed(layout, telling, first, now, least, words)
+        left = _trusted(layout, telling, first, now, least, words)
         if len(left) == len(telling):
             problem = problem._replace(layout=layout)
             there = descend(layout, state, 1, counts, problem.max_steps, px)
@@ -86,7 +86,7 @@ def on_photos(
     return OnPhotos(problem, found, steps, said)
 
 
-def _believed(
+def _trusted(
     layout: Layout,
     photos: dict[int, np.ndarray],
     first: dict[int, Outline],

@@ -1,6 +1,6 @@
 """What is known of a joint fit's cameras and objects before it: as in `fit_camera`, by their names.
 
-What is believed of a number is a residual beside those of the masks, in units in which the masks'
+A prior of a number is a residual beside those of the masks, in units in which the masks'
 noise is its standard deviation.
 """
 
@@ -22,7 +22,7 @@ from .views import MOTIONS, POSE, SCALE, ZERO, Eye, JointView, State, lens_repor
 EYE, PLACE = ("e_x", "e_y", "e_z"), ("x", "y", "z")
 
 
-class Belief(NamedTuple):
+class JointPrior(NamedTuple):
     """What is known of numbers (k,) that follow one unknown: their means and standard deviations.
 
     `reported` returns the numbers and how they follow the unknown (k, n), at a state, as any view
@@ -41,17 +41,17 @@ class Belief(NamedTuple):
         return (values - self.mean) / self.std, rows / self.std[:, None]
 
 
-def beliefs_of(
+def priors_of(
     prior: Any,
     cameras: Mapping[str, Camera],
-    names: tuple[str, ...],
+    freed: tuple[str, ...],
     owners: Mapping[str, Mapping[str, str]],
     moving: Mapping[str, str],
     rig: Mapping[str, np.ndarray],
     objects: Sequence[str],
     scales: Sequence[str],
-) -> list[Belief]:
-    """Return what is known of cameras, objects and scales, or raise ValueError; `names` are free of
+) -> list[JointPrior]:
+    """Return what is known of cameras, objects and scales, or raise ValueError; `freed` are free of
     each camera, whose lens's parameters are the `owners`', and which goes with the pose that
     `moving` names, at its place on the `rig`. What is the same of one unknown counts once."""
     result, seen = [], set()
@@ -60,23 +60,23 @@ def beliefs_of(
         if name in others:
             labels = [*(PLACE if name in objects else ()), *([SCALE] if name in scales else ())]
             known = _checked(given, labels)
-            result += _belief(name, POSE, known, PLACE, partial(_place, name, np.zeros(3)))
-            result += _belief(name, SCALE, known, [SCALE], partial(_scale, name))
+            result += _prior(name, POSE, known, PLACE, partial(_place, name, np.zeros(3)))
+            result += _prior(name, SCALE, known, [SCALE], partial(_scale, name))
             continue
-        checked = prior_of(given, cameras[name], names)
+        checked = prior_of(given, cameras[name], freed)
         if checked is None:
             continue
         numbers = (np.asarray(x, float).tolist() for x in (checked.mean, checked.std))
         known = dict(zip(checked.labels, zip(*numbers, strict=True), strict=True))
         place = rig[name][:3, 3] if name in rig else np.zeros(3)
-        kind = "position" if "position" in names else POSE
+        kind = "position" if "position" in freed else POSE
         follows = partial(_place, moving[name], place)
-        result += _belief(moving[name], kind, known, EYE, follows, MOTIONS[kind])
+        result += _prior(moving[name], kind, known, EYE, follows, MOTIONS[kind])
         for row, owner in owners[name].items():
             labels = labels_of((row,))
             which = owner, row, tuple((label, known.get(label)) for label in labels)
             if which not in seen:
-                result += _belief(owner, row, known, labels, partial(_lens, owner, row))
+                result += _prior(owner, row, known, labels, partial(_lens, owner, row))
             seen.add(which)
     return result
 
@@ -131,9 +131,9 @@ def zeros_of(given: Any, views: Sequence[JointView]) -> dict[str, float]:
     return {name: float(std) for name, std in given.items()}
 
 
-def belief_of_zero(name: str, std: float) -> Belief:
+def prior_of_zero(name: str, std: float) -> JointPrior:
     """Return that the zero of a joint is about where its readings have it."""
-    return Belief(name, ZERO, np.zeros(1), np.full(1, std), partial(_zero, name))
+    return JointPrior(name, ZERO, np.zeros(1), np.full(1, std), partial(_zero, name))
 
 
 def _zero(name: str, state: State, *_: Any):
@@ -143,12 +143,12 @@ def _zero(name: str, state: State, *_: Any):
 def bounds_by_name(
     bounds: Any,
     cameras: Mapping[str, Camera],
-    names: tuple[str, ...],
+    freed: tuple[str, ...],
     owners: Mapping[str, Mapping[str, str]],
 ) -> dict[str, Bounds | None]:
     """Return the bounds of each camera's parameters, or raise ValueError."""
     given = by_name("bounds", bounds, cameras, ())
-    result = {n: bounds_of(given.get(n), camera, names) for n, camera in cameras.items()}
+    result = {n: bounds_of(given.get(n), camera, freed) for n, camera in cameras.items()}
 
     def ends(name: str, row: str) -> tuple[float, ...]:
         of = result[name]
@@ -184,21 +184,21 @@ def by_name(
     return dict(given)
 
 
-def _belief(
+def _prior(
     name: str,
     kind: str,
     known: Mapping[str, tuple[float, float]],
     labels: Sequence[str],
     reported: Callable[..., tuple[np.ndarray, np.ndarray]],
     part: slice = MOTIONS[POSE],
-) -> list[Belief]:
+) -> list[JointPrior]:
     """Return what is known of some of the labels, which `reported` tells by their numbers; or none.
     They follow a `part` of what moves."""
     chosen = [k for k, label in enumerate(labels) if label in known]
     if not chosen:
         return []
     mean, std = np.array([known[labels[k]] for k in chosen]).T
-    return [Belief(name, kind, mean, std, partial(reported, chosen, part))]
+    return [JointPrior(name, kind, mean, std, partial(reported, chosen, part))]
 
 
 def _place(name: str, point: np.ndarray, chosen: list[int], part: slice, state: State, *_: Any):
@@ -219,4 +219,4 @@ def _lens(name: str, kind: str, chosen: list[int], _: slice, state: State, eye: 
     labels = labels_of((kind,))
     value: Any = [LABELS[labels[k]].value for k in chosen]
     values = np.array([float(of(state.lenses[name])) for of in value])
-    return values, lens_reported(view, eye.solver.names, kind)[chosen]
+    return values, lens_reported(view, eye.solver.freed, kind)[chosen]

@@ -21,7 +21,7 @@ from .._solver.residuals import Capacity
 from .._solver.solver import Solver
 from .._solver.subject import Subject
 from .descent import Layout
-from .priors import belief_of_zero, beliefs_of, bounds_by_name, scales_of, zeros_of
+from .priors import bounds_by_name, prior_of_zero, priors_of, scales_of, zeros_of
 from .shared_unknowns import alike_in_groups, groups_of
 from .views import MOTIONS, POSE, SCALE, TWIST, ZERO, Eye, JointView, State, Unknown
 
@@ -35,7 +35,7 @@ RIG = "rig"
 class JointProblem(NamedTuple):
     """Unknowns and views, where to start, and the cameras as they are given.
 
-    `names` is what is free of a view's own camera, `moving` the name of the pose that each camera
+    `freed` is what is free of a view's own camera, `moving` the name of the pose that each camera
     goes with, `rig` the cameras' places there, `zeros` how surely those of joints are known that
     are sought in the end.
     """
@@ -43,7 +43,7 @@ class JointProblem(NamedTuple):
     layout: Layout
     start: State
     cameras: Mapping[str, Camera]
-    names: tuple[str, ...]
+    freed: tuple[str, ...]
     moving: Mapping[str, str]
     rig: Mapping[str, Pose]
     outlier_px: float | None
@@ -84,15 +84,15 @@ class JointProblem(NamedTuple):
         _check_names(given, cameras, poses, fixed)
         groups = groups_of(shared, cameras)
         free = (*as_names(free), *groups)
-        names = in_one(check_free(free, next(iter(cameras.values())))) if free else ()
-        if {"position", "orientation", "d"} & {*names}:
-            raise ValueError(f"`free`: expected pose, phi or a lens's, got {', '.join(names)}")
-        own = ("pose", *(n for n in names if n != "pose"))
+        freed = in_one(check_free(free, next(iter(cameras.values())))) if free else ()
+        if {"position", "orientation", "d"} & {*freed}:
+            raise ValueError(f"`free`: expected pose, phi or a lens's, got {', '.join(freed)}")
+        own = ("pose", *(n for n in freed if n != "pose"))
         settings = outlier_px, max_steps, prior, bounds
         masks = [_checked_mask(k, view, cameras[view.camera]) for k, view in enumerate(given)]
         if not as_given:
             masks = [(levelled(image, weight), weight) for image, weight in masks]
-        asked = given, masks, cameras, names, own, groups, poses, fixed, zeros
+        asked = given, masks, cameras, freed, own, groups, poses, fixed, zeros
         return cls.among(*asked, *settings)
 
     @classmethod
@@ -101,7 +101,7 @@ class JointProblem(NamedTuple):
         views: list[JointView],
         masks: list[tuple[np.ndarray, np.ndarray]],
         cameras: Mapping[str, Camera],
-        names: tuple[str, ...],
+        freed: tuple[str, ...],
         own: tuple[str, ...],
         groups: Mapping[str, list[tuple[str, ...]]],
         objects: Mapping[str, Pose],
@@ -113,17 +113,17 @@ class JointProblem(NamedTuple):
         bounds: Any,
     ) -> "JointProblem":
         """Return the problem of views that were checked, with their masks and weights, in which
-        `names` are free, some of them the same for `groups` of cameras; `own` is what a view's own
+        `freed` are free, some of them the same for `groups` of cameras; `own` is what a view's own
         solver moves."""
-        cameras = alike_in_groups({n: with_lens(c, names) for n, c in cameras.items()}, groups)
+        cameras = alike_in_groups({n: with_lens(c, freed) for n, c in cameras.items()}, groups)
         moving = {n: RIG if n in rig else n for n in cameras}
-        rows = [name for name in names if name not in MOTIONS]
+        rows = [name for name in freed if name not in MOTIONS]
         leader = {row: {n: some[0] for some in of for n in some} for row, of in groups.items()}
         owners = {n: {row: leader.get(row, {}).get(n, n) for row in rows} for n in cameras}
-        within = bounds_by_name(bounds, cameras, names, owners)
+        within = bounds_by_name(bounds, cameras, freed, owners)
         scales = scales_of(prior, views)
-        known = prior, cameras, names, owners, moving, rig, [*objects], [*scales]
-        beliefs = beliefs_of(*known)
+        known = prior, cameras, freed, owners, moving, rig, [*objects], [*scales]
+        priors = priors_of(*known)
         eyes, cells = [], LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
         subjects: dict[int, Subject] = {}  # (a scene's arrays are not copied for each view)
         for k, (view, mask) in enumerate(zip(views, masks, strict=True)):
@@ -136,7 +136,7 @@ class JointProblem(NamedTuple):
         largest = Capacity(*np.max([eye.solver.capacity for eye in eyes], axis=0).tolist())
         for eye in eyes:
             eye.solver.buffers.capacity = largest
-        layout = Layout(_unknowns(names, owners, moving, objects, scales), eyes, beliefs)
+        layout = Layout(_unknowns(freed, owners, moving, objects, scales), eyes, priors)
         if still := [k for k in range(len(eyes)) if not layout.of(k)]:
             raise ValueError(f"`views[{still[0]}]`: expected a view of something unknown, got none")
         poses = {**objects}
@@ -149,9 +149,9 @@ class JointProblem(NamedTuple):
     def with_zeros(self) -> "JointProblem":
         """Return the problem in which the zeros of joints are sought, too."""
         unknowns = [Unknown(name, ZERO, 1) for name in self.zeros]
-        believed = [belief_of_zero(name, std) for name, std in self.zeros.items()]
+        of_zeros = [prior_of_zero(name, std) for name, std in self.zeros.items()]
         before = self.layout
-        layout = Layout([*before.unknowns, *unknowns], before.eyes, [*before.beliefs, *believed])
+        layout = Layout([*before.unknowns, *unknowns], before.eyes, [*before.priors, *of_zeros])
         return self._replace(layout=layout)
 
     def seeing(self, others: Mapping[int, Eye]) -> "JointProblem":
@@ -176,7 +176,7 @@ class JointProblem(NamedTuple):
         for linked, views in groups:
             eyes = [self.layout.eyes[k] for k in views]
             own = [u for u in self.layout.unknowns if u in linked]
-            layout = Layout(own, eyes, self.layout.beliefs)
+            layout = Layout(own, eyes, self.layout.priors)
             names = {eye.camera for eye in eyes}
             cameras = {n: c for n, c in self.cameras.items() if n in names}
             result.append((self._replace(layout=layout, cameras=cameras), views))
@@ -189,7 +189,7 @@ class JointProblem(NamedTuple):
         if len(chosen) == len(eyes):
             return self
         some = [eyes[k] for k in chosen]
-        return self._replace(layout=Layout(self.layout.unknowns, some, self.layout.beliefs))
+        return self._replace(layout=Layout(self.layout.unknowns, some, self.layout.priors))
 
     @property
     def px(self) -> float:
@@ -233,7 +233,7 @@ def _check_names(
 
 
 def _unknowns(
-    names: tuple[str, ...],
+    freed: tuple[str, ...],
     owners: Mapping[str, Mapping[str, str]],
     moving: Mapping[str, str],
     objects: Mapping[str, Pose],
@@ -241,13 +241,13 @@ def _unknowns(
 ) -> list[Unknown]:
     """Return what is sought, or raise ValueError where that is nothing."""
     size = lambda name: len(components((name,)))
-    motions = [name for name in names if name in MOTIONS]
+    motions = [name for name in freed if name in MOTIONS]
     result = [
         Unknown(n, kind, size(kind)) for n in dict.fromkeys(moving.values()) for kind in motions
     ]
     result += [Unknown(n, POSE, TWIST) for n in objects]
     result += [Unknown(n, SCALE, 1) for n in scales]
-    for row in (name for name in names if name not in MOTIONS):
+    for row in (name for name in freed if name not in MOTIONS):
         having: dict[str, list[str]] = {}
         for name, of in owners.items():
             having.setdefault(of[row], []).append(name)
@@ -291,7 +291,7 @@ def _eye(
     subject: Subject,
     given: tuple[np.ndarray, np.ndarray],
     camera: Camera,
-    names: tuple[str, ...],
+    freed: tuple[str, ...],
     owners: Mapping[str, str],
     moving: Mapping[str, str],
     rig: Mapping[str, Pose],
@@ -301,7 +301,7 @@ def _eye(
     place = lambda what, x: np.eye(4) if x is None else check_pose(f"views[{k}].{what}", x)
     image, weight = given
     max_steps, outlier_px, cells = settings
-    of_view = subject, image, weight, names, max_steps, bounds
+    of_view = subject, image, weight, freed, max_steps, bounds
     solver = Solver.on(*of_view, continued=outlier_px is not None, cells=cells)
     mask = Mask(image, weight, camera)
     mount, placed = place("mount", view.mount), place("placed", view.placed)

@@ -72,7 +72,7 @@ def of_camera(problem: JointProblem, name: str, state: State, view: View) -> Rep
     for row, owner in owners.items():
         place, labels = layout.place(owner, row), labels_of((row,))
         assert place is not None
-        by_unknowns = lens_reported(view, problem.names, row)
+        by_unknowns = lens_reported(view, problem.freed, row)
         by_unknowns[[LABELS[x].unit == "px" for x in labels]] *= problem.cameras[name].H
         parts.append(Reported(labels, place, by_unknowns))
     return together(parts)

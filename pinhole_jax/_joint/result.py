@@ -123,7 +123,7 @@ class JointFit(NamedTuple):
     - `views`: what became of each mask, in their order.
     - `excess`: by how many times views differ more than their masks' errors say (1: no more): joint
       angles, meshes or lenses err. The covariances have grown by its square.
-    - `weak`: in words, what the masks determine badly, and which views disagree.
+    - `weak`: sentences on what the masks determine badly, and which views disagree.
     - `modes`: other answers that explain the masks as well.
     - `steps`: on each level, coarse to fine.
     - `scales`: for each scale that views name a `SceneScale`.
@@ -323,7 +323,7 @@ def _worth(problem: JointProblem, k: int, found: Agreement) -> float:
     place = layout.place(moving := layout.eyes[k].moving, POSE)
     if place is None:
         return float("nan")
-    known = [*(eye.moving for eye in layout.eyes), *(belief.name for belief in layout.beliefs)]
+    known = [*(eye.moving for eye in layout.eyes), *(prior.name for prior in layout.priors)]
     if known.count(moving) == 1:
         return float("inf")
     less = found.without(k)

@@ -56,8 +56,8 @@ def searched_jointly(problem: JointProblem, tell: Tell) -> list[Path]:
         paths = sorted(paths, key=lambda p: _or_infinite(p.descent.squares))
         least = paths[0].descent.squares
         times = WORSE if level > 1 else 1 + EQUAL
-        kept = _apart(problem.layout, [p.descent.state for p in paths], SAME)
-        likely = [p for p in paths if any(p.descent.state is s for s in kept)]
+        distinct = _apart(problem.layout, [p.descent.state for p in paths], SAME)
+        likely = [p for p in paths if any(p.descent.state is s for s in distinct)]
         paths = [p for p in likely if p is paths[0] or p.descent.squares <= times * least]
     return paths
 
@@ -71,8 +71,8 @@ def equally_good(problem: JointProblem, paths: list[Path]) -> list[Path]:
     good = [p for p in paths if _or_infinite(p.descent.squares) <= limit] or paths[:1]
     if good[0] is not paths[0]:
         good.sort(key=lambda p: p.descent.squares)
-    kept = _apart(problem.layout, [p.descent.state for p in good], SAME)
-    return [p for p in good if any(p.descent.state is state for state in kept)]
+    distinct = _apart(problem.layout, [p.descent.state for p in good], SAME)
+    return [p for p in good if any(p.descent.state is state for state in distinct)]
 
 
 def looking_alike(problem: JointProblem, best: Path, tell: Tell) -> list[Path]:
@@ -119,9 +119,9 @@ def _or_infinite(x: float) -> float:
 
 def _apart(layout: Layout, states: list[State], apart: float = APART) -> list[State]:
     """Return the states whose cameras look other ways than those before them."""
-    kept: list[tuple[State, Camera]] = []
+    distinct: list[tuple[State, Camera]] = []
     for state in states:
         camera = layout.eyes[0].canonical(state)
-        if all(angle(camera, other) > apart for _, other in kept):
-            kept.append((state, camera))
-    return [state for state, _ in kept]
+        if all(angle(camera, other) > apart for _, other in distinct):
+            distinct.append((state, camera))
+    return [state for state, _ in distinct]

@@ -93,17 +93,17 @@ def alike(cameras: Sequence[Camera], common: tuple[str, ...]) -> list[Camera]:
 
 class Reduced(NamedTuple):
     """A view's least squares with its own unknowns eliminated, and what they leave of the shared
-    ones: across (m, k), known (m,); rest (., k), left (.,). Shared columns per unit."""
+    ones: across (m, k), along (m,); rest (., k), left (.,). Shared columns per unit."""
 
     across: np.ndarray
-    known: np.ndarray
+    along: np.ndarray
     rest: np.ndarray
     left: np.ndarray
 
     @property
     def slope(self) -> np.ndarray:
         """Return half the squares' derivative (k,) by the shared unknowns."""
-        return self.across.T @ self.known + self.rest.T @ self.left
+        return self.across.T @ self.along + self.rest.T @ self.left
 
 
 def reduced(view: Any, own: np.ndarray) -> Reduced:

@@ -69,7 +69,7 @@ class JointView(NamedTuple):
 
 class State(NamedTuple):
     """What is sought: poses by the names of cameras (or the rig) and objects, and cameras
-    (canonical) of which the focal length and lens count; scales of what is seen; what is added to
+    (canonical) whose focal length and lens count; scales of what is seen; what is added to
     joints' readings."""
 
     poses: Mapping[str, Pose]
@@ -188,10 +188,10 @@ class Eye:
     def by_twist(self, state: State, view: View) -> np.ndarray:
         """Return the view's moves (n, 6), in its solver's units, by a twist of its own camera (by
         the part of one that these moves are)."""
-        names, pose = self.solver.names, self.pose(state)
-        known = components(names)
+        freed, pose = self.solver.freed, self.pose(state)
+        known = components(freed)
         of_pose = np.array([name in _POSE for name in known])
-        labels = labels_of(names)
+        labels = labels_of(freed)
         reported = np.array([label in _REPORTED for label in labels])
         # How the camera's own twist is reported, and what moves do to that.
         twisted = np.zeros((TWIST, TWIST))
@@ -212,8 +212,8 @@ class Eye:
     def moves(self, state: State, view: View, unknowns: list[Unknown]) -> np.ndarray:
         """Return the view's moves (n, k), in its solver's units, by the poses and lenses that it
         depends on."""
-        names, pose, scale = self.solver.names, self.pose(state), self.scale(state)
-        known, sizes = components(names), np.asarray(view.scale, float)
+        freed, pose, scale = self.solver.freed, self.pose(state), self.scale(state)
+        known, sizes = components(freed), np.asarray(view.scale, float)
         by_twist = self.by_motion(state, view)
         nearer = by_twist[:, 3:] @ pose[:3, :3].T @ (-scale * pose[:3, 3])
         parts = [np.zeros((len(known), 0))]
@@ -221,7 +221,7 @@ class Eye:
             if unknown.kind == SCALE:
                 columns = nearer[:, None]
             elif unknown.kind not in MOTIONS:
-                place = _places(names, unknown.kind)
+                place = _places(freed, unknown.kind)
                 columns = np.zeros((len(known), len(place)))
                 columns[place, np.arange(len(place))] = 1 / sizes[place]
             elif unknown.name == self.moving:
@@ -251,7 +251,7 @@ class Eye:
         result, bounds, kind = np.zeros(unknown.size), self.solver.bounds, unknown.kind
         if bounds is None or kind not in self.ended(state):
             return result
-        one, k = bounds.labels.index(kind), labels_of(self.solver.names).index(kind)
+        one, k = bounds.labels.index(kind), labels_of(self.solver.freed).index(kind)
         middle = float(bounds.low[one] + bounds.high[one]) / 2
         value = float(PARAMETERS[kind].leaves[0].of(state.lenses[self.camera]))
         result[:] = np.sign(np.asarray(view.to_reported)[k, k]) * (1 if value > middle else -1)
@@ -276,16 +276,16 @@ _POSE = frozenset(components(("pose",)))
 _REPORTED = labels_of(("pose",))
 
 
-def _places(names: tuple[str, ...], kind: str) -> np.ndarray:
+def _places(freed: tuple[str, ...], kind: str) -> np.ndarray:
     """Return where a parameter's moves are among those that names free."""
-    begin = len(components(names[: names.index(kind)]))
+    begin = len(components(freed[: freed.index(kind)]))
     return begin + np.arange(len(components((kind,))))
 
 
-def lens_reported(view: View, names: tuple[str, ...], kind: str) -> np.ndarray:
+def lens_reported(view: View, freed: tuple[str, ...], kind: str) -> np.ndarray:
     """Return how what is reported of a lens's parameter (film coordinates in film heights) follows
     its moves."""
-    at, begin = _places(names, kind), labels_of(names).index(labels_of((kind,))[0])
+    at, begin = _places(freed, kind), labels_of(freed).index(labels_of((kind,))[0])
     rows = np.array(view.to_reported, float)[begin : begin + len(at)]
     return rows[:, at] / np.asarray(view.scale, float)[at]
 
@@ -325,7 +325,7 @@ def with_parameter(camera: Camera, kind: str, other: Camera) -> Camera:
 def _lens_moved(eye: Eye, camera: Camera, kind: str, part: np.ndarray) -> Camera:
     """Return a canonical camera with a parameter of its lens moved."""
     solver = eye.solver
-    start, place = solver.move(camera, solver.finest), _places(solver.names, kind)
-    y = np.zeros(len(components(solver.names)))
+    start, place = solver.move(camera, solver.finest), _places(solver.freed, kind)
+    y = np.zeros(len(components(solver.freed)))
     y[place] = part / np.asarray(start.scale, float)[place]
     return solver.step(camera, solver.finest, y)

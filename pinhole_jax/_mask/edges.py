@@ -153,8 +153,8 @@ def near_weights(
 ) -> NearWeights:
     """Return the weights of pixels `near` the edge of a window of a mask, less the farther they
     are from it: none `reach` + 1 (px) away."""
-    W, kept = inside.shape[1], some.distance < 1 + reach
-    row, column = np.divmod(some.place[kept], window.W)
+    W, chosen = inside.shape[1], some.distance < 1 + reach
+    row, column = np.divmod(some.place[chosen], window.W)
     row, column = row + inside.shape[0] - window.bottom - window.H, column + window.left
-    value = weights[row, column] * near_an_edge(some.distance[kept], reach)
+    value = weights[row, column] * near_an_edge(some.distance[chosen], reach)
     return NearWeights((inside.shape[0], W), row * W + column, value)

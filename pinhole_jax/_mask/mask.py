@@ -15,7 +15,7 @@ from .target import Window, as_coverage, inside_of, object_window
 
 @dataclass(frozen=True)
 class Mask:
-    """A target (H, W), its weights, and a camera of which film, phi and lens are used."""
+    """A target (H, W), its weights, and a camera whose film, phi and lens are used."""
 
     target: np.ndarray
     weight: np.ndarray

@@ -160,6 +160,7 @@ def _draw(
 
 
 def _each(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for things of which there are so many each, whose each is and its number there."""
+    """Return, for things that come in groups of these sizes, each one's group and its number
+    there."""
     of = np.repeat(np.arange(len(counts)), counts)
     return of, np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)

@@ -1,4 +1,4 @@
-"""The door: what a user hands in becomes arrays of one float type, or an error in words."""
+"""The door: what a user hands in becomes arrays of one float type, or an error that names it."""
 
 from typing import Any
 
@@ -8,10 +8,11 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array
 
-#: What a front door takes: anything that becomes an array, and is checked there in words. (A type
+#: What a front door takes: anything that becomes an array, and is checked there. (A type
 #: checker's own error would come first and say less.)
 Numbers = Any
-#: The default of an argument that must be given, where None is an answer that is refused in words.
+#: The default of an argument that must be given, where None is an answer that is refused with an
+#: error of its own.
 MISSING: Any = object()
 
 

@@ -31,8 +31,8 @@ class jitted(Generic[P, T]):
 
     def __init__(self, function: Callable[P, T]):
         update_wrapper(self, function)
-        self._part: Callable[P, T] = eqx.filter_jit(function)
-        self._own = eqx.filter_jit(function, compiler_options=OPTIONS)  # pyright: ignore
+        self._part: Any = eqx.filter_jit(function)
+        self._own: Any = eqx.filter_jit(function, compiler_options=OPTIONS)  # pyright: ignore
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
         return self._program(args, kwargs)(*args, **kwargs)
@@ -40,6 +40,10 @@ class jitted(Generic[P, T]):
     def lower(self, *args: P.args, **kwargs: P.kwargs) -> Any:
         """Return the program of some arguments, not compiled yet."""
         return self._program(args, kwargs).lower(*args, **kwargs)
+
+    def made(self) -> int:
+        """Return how many programs there are by now."""
+        return sum(f._cached._cache_size() for f in (self._own, self._part))
 
     def _program(self, args: Any, kwargs: Any) -> Any:
         traced = any(isinstance(x, Tracer) for x in jax.tree.leaves((args, kwargs)))

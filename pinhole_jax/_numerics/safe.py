@@ -52,7 +52,7 @@ def binary_scale(x: Float[Array, "..."]) -> Float[Array, ""]:
 
 
 def binary_inverse(size: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """Return powers of 2 of which the products with the sizes are between 1/2 and 1, or nearly.
+    """Return powers of 2 whose products with the sizes are between 1/2 and 1, or nearly.
 
     1 for sizes of 0 and for what is not finite.
     """
@@ -108,5 +108,5 @@ def _product_error(x: Array, y: Array, product: Array) -> Array:
 
 
 def _held(x: Array) -> Array:
-    """Return x, of which the compiler knows nothing: it is rounded as it is written."""
+    """Return x, hidden from the compiler: it is rounded as it is written."""
     return jax.lax.optimization_barrier(x)

@@ -15,7 +15,7 @@ COMPILED = 1.0
 def collector_at_rest() -> Iterator[None]:
     """Leave Python's garbage collector out until the end (or, as a decorator, the function's).
 
-    Tracing a program makes some hundred thousand objects, nearly all of which stay: looking through
+    Tracing a program makes some hundred thousand objects, that nearly all stay: looking through
     them again and again took 0.4 of 1.1 s for a mask, and of 1.5 s for a fit.
 
     A compiler leaves its memory to the process, in holes (glibc: 0.57 of 1.4 GB after four fits'

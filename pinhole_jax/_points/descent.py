@@ -67,7 +67,7 @@ def _together(
     """Return views where the squares of all are least, and the number of steps."""
     steps, problem = 0, PointProblem.of(views, own)
     for _ in range(ROUNDS if views[0].prior is not None else 1):
-        views = _believed(views, problem.size)
+        views = _prior_weighed(views, problem.size)
         found = levenberg_marquardt(problem, views, most, FINE_PX[problem.dtype])
         views, steps = found.state, steps + found.steps
     tell(f"{len(views)} views: {steps} steps, {variance(views, problem.size) ** 0.5:.3g} px")
@@ -82,7 +82,7 @@ class _Other(NamedTuple):
 def _other(view: PointView, views: list[PointView], own: np.ndarray, most: int) -> _Other | None:
     """Return the place to which a view of a plane descends by itself with the depths of its points
     reversed, if it sees them as well as from where it is, or better; what is shared is held."""
-    start = seen_from_behind(view) if "pose" in view.names else None
+    start = seen_from_behind(view) if "pose" in view.freed else None
     if start is None:
         return None
     alone = _alone(start, own)
@@ -101,10 +101,10 @@ def _other(view: PointView, views: list[PointView], own: np.ndarray, most: int) 
 
 def _alone(view: PointView, own: np.ndarray) -> PointView:
     """Return the view in which what is shared is held."""
-    moves = components(view.names)
+    moves = components(view.freed)
     held = {move for move, is_own in zip(moves, own, strict=True) if not is_own}
-    names = tuple(name for name in view.names if held.isdisjoint(components((name,))))
-    return view._replace(names=names, prior=_of_labels(view.prior, labels_of(names)))
+    freed = tuple(name for name in view.freed if held.isdisjoint(components((name,))))
+    return view._replace(freed=freed, prior=_of_labels(view.prior, labels_of(freed)))
 
 
 def _near(views: list[PointView], given: list[np.ndarray], reach: float) -> list[PointView]:
@@ -129,7 +129,7 @@ def variance(views: list[PointView], unknowns: int) -> float:
     return squares / _freedom(views, unknowns)
 
 
-def _believed(views: list[PointView], unknowns: int) -> list[PointView]:
+def _prior_weighed(views: list[PointView], unknowns: int) -> list[PointView]:
     """Return the views with their priors weighed by what the points of all err by."""
     if views[0].prior is None:
         return views

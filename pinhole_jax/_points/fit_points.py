@@ -23,7 +23,7 @@ from .descent import Descended, descended, variance
 from .starts import begun
 from .views import Given, PointProblem, PointsSeen, PointView, velocities
 
-#: What several views share if nothing is said: the intrinsics of one physical camera.
+#: What several views share by default: the intrinsics of one physical camera.
 INTRINSICS = ("phi", "principal_point", "distortion")
 
 
@@ -120,14 +120,14 @@ def fit_points(
         given = _checked(*inputs)
         cameras = _cameras(camera, len(given))
         several = INTRINSICS if len(given) > 1 else ()
-        names, common = shared_and_free(several if shared is None else shared, free, cameras[0])
-        own = np.array([name not in common for name in names for _ in components((name,))])
-        cameras, scale = alike([with_lens(c, names) for c in cameras], common), _scale(given)
+        freed, common = shared_and_free(several if shared is None else shared, free, cameras[0])
+        own = np.array([name not in common for name in freed for _ in components((name,))])
+        cameras, scale = alike([with_lens(c, freed) for c in cameras], common), _scale(given)
         views = []
         for one, c in zip(given, cameras, strict=True):
-            view = PointView.of(c, one._replace(weight=one.weight / scale), names)
-            known = prior_of(prior, c, names, common, len(given))
-            view = view._replace(bounds=bounds_of(bounds, c, names), prior=known)
+            view = PointView.of(c, one._replace(weight=one.weight / scale), freed)
+            known = prior_of(prior, c, freed, common, len(given))
+            view = view._replace(bounds=bounds_of(bounds, c, freed), prior=known)
             views.append(begun(view, outlier_px is not None))
         found = descended(views, own, outlier_px, max_steps, tell)
         return _reports(found, given), found
@@ -269,17 +269,17 @@ def _report(
 ) -> PointFit:
     """Return what a user reads of a view, given what is seen there and what others know, and the
     sum of the squares of this many residuals of all views."""
-    names, dtype = view.names, np.dtype(view.film.e.dtype)
-    triangle, ended = without_ended(seen.triangle, view.camera, names, view.bounds)
+    freed, dtype = view.freed, np.dtype(view.film.e.dtype)
+    triangle, ended = without_ended(seen.triangle, view.camera, freed, view.bounds)
     along = np.asarray(seen.along, float)
-    labels, camera = labels_of(names), on_film(view.camera, view.film)
+    labels, camera = labels_of(freed), on_film(view.camera, view.film)
     if not (np.isfinite(squares) and np.all(np.isfinite(triangle))):
         nothing = np.full((len(labels), len(labels)), np.nan)
         nan = float("nan")
         return PointFit(camera, "non_finite", labels, nothing, np.diag(nothing), nan, 0, ())
-    blind, weak = weak_directions(triangle, components(names), axes_of(camera), BLIND[dtype])
+    blind, weak = weak_directions(triangle, components(freed), axes_of(camera), BLIND[dtype])
     gradient = variance * triangle.T @ triangle
-    cov = covariance(triangle, to_units(seen.to_reported, names, camera), gradient, BLIND[dtype])
+    cov = covariance(triangle, to_units(seen.to_reported, freed, camera), gradient, BLIND[dtype])
     status = "rank_deficient" if blind else "converged"
     if not at_rest(triangle, along, squares, count, dtype):
         status = "max_steps"

@@ -20,7 +20,7 @@ def begun(view: PointView, robust: bool) -> PointView:
     """Return the view from its own camera, or from where direct solutions say, what is nearer; if
     `robust` by half of the points (least median of squares, Rousseeuw 1984), else by all."""
     view = inside(view)
-    cameras = _direct(view, robust) if "pose" in view.names else []
+    cameras = _direct(view, robust) if "pose" in view.freed else []
     places = [view, *(inside(view._replace(camera=canonical(c))) for c in cameras)]
     return min(places, key=lambda place: _distance(place, robust))
 
@@ -45,7 +45,7 @@ def _direct(view: PointView, robust: bool) -> list[Camera]:
 
 def inside(view: PointView) -> PointView:
     """Return the view from within its bounds."""
-    return view if view.bounds is None else view.stepped(np.zeros(len(components(view.names))))
+    return view if view.bounds is None else view.stepped(np.zeros(len(components(view.freed))))
 
 
 def seen_from_behind(view: PointView) -> PointView | None:

@@ -56,20 +56,20 @@ class PointView(NamedTuple):
     seen_at: Float[np.ndarray, "N 2"]
     weight: Float[np.ndarray, "N"]
     ball: Ball
-    names: tuple[str, ...]
+    freed: tuple[str, ...]
     camera: Camera
     bounds: Bounds | None = None
     prior: Prior | None = None
 
     @classmethod
-    def of(cls, film: Camera, given: "Given", names: tuple[str, ...]) -> "PointView":
+    def of(cls, film: Camera, given: "Given", freed: tuple[str, ...]) -> "PointView":
         """Return the view from where its film's camera is."""
         points, seen_at, weight = given
         used = points[weight > 0]
         ball = ball_about(np.stack([used.min(axis=0), used.max(axis=0)]))
         # (What does not count may be NaN, whose derivative would be, too.)
         seen_at = np.where((weight > 0)[:, None], seen_at, 0)
-        return cls(film, points, seen_at, weight, ball, names, canonical(film))
+        return cls(film, points, seen_at, weight, ball, freed, canonical(film))
 
     @property
     def number(self) -> int:
@@ -78,12 +78,12 @@ class PointView(NamedTuple):
 
     def look(self) -> PointsSeen:
         """Return what is seen."""
-        return _look(self.camera, self._data(), self.names)
+        return _look(self.camera, self._data(), self.freed)
 
     def stepped(self, y: np.ndarray) -> "PointView":
         """Return the view after a step."""
         y = np.asarray(y, self.film.e.dtype)
-        return self._replace(camera=_step(self.camera, self._data(), y, self.names))
+        return self._replace(camera=_step(self.camera, self._data(), y, self.freed))
 
     def distances(self) -> Float[np.ndarray, "N"]:
         """Return how far points project from where they are seen (px), infinite behind the eye."""
@@ -93,17 +93,17 @@ class PointView(NamedTuple):
         """Return how half the gradient of the squares, by moves, changes with what is given."""
         zero = jax.tree.map(jnp.zeros_like, self._given())
         velocity = Given(*(z if v is None else v for v, z in zip(velocity, zero, strict=True)))
-        return _pull(self.camera, self._data(), velocity, self.names)
+        return _pull(self.camera, self._data(), velocity, self.freed)
 
     def bend(self) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
         """Return how it changes with the moves, and these ones' scale."""
-        bend, scale = _bend(self.camera, self._data(), self.names)
+        bend, scale = _bend(self.camera, self._data(), self.freed)
         return np.asarray(bend, float), np.asarray(scale, float)
 
     def camera_velocity(self, y: Float[Array, "n"]) -> Camera:
         """Return how the camera, on its film, changes with moves."""
-        move = self._data().move(self.camera, self.names)
-        at = lambda y: on_film(moved(move, y, self.names), self.film)
+        move = self._data().move(self.camera, self.freed)
+        at = lambda y: on_film(moved(move, y, self.freed), self.film)
         return jax.jvp(at, (jnp.zeros_like(y),), (y,))[1]
 
     def _given(self) -> "Given":
@@ -140,10 +140,10 @@ class _Data(NamedTuple):
     bounds: Bounds | None
     prior: Prior | None
 
-    def move(self, camera: Camera, names: tuple[str, ...]) -> Move:
+    def move(self, camera: Camera, freed: tuple[str, ...]) -> Move:
         """Return where moves of a camera start, in the solver's units."""
         pivot, radius, H = (jnp.asarray(x) for x in (self.pivot, self.radius, self.H))
-        return Move(camera, pivot, UNIT_PX * scales(camera, pivot, radius, H, names), self.bounds)
+        return Move(camera, pivot, UNIT_PX * scales(camera, pivot, radius, H, freed), self.bounds)
 
     def residuals(self, camera: Camera) -> Float[Array, "k"]:
         """Return what is squared: how far off points are (px), NaN where the lens folds."""
@@ -226,8 +226,8 @@ class PointProblem(NamedTuple):
 
 
 @jitted
-def _step(camera: Camera, data: _Data, y: Any, names: tuple[str, ...]) -> Camera:
-    return moved(data.move(camera, names)._replace(scale=jnp.ones_like(y)), y, names)
+def _step(camera: Camera, data: _Data, y: Any, freed: tuple[str, ...]) -> Camera:
+    return moved(data.move(camera, freed)._replace(scale=jnp.ones_like(y)), y, freed)
 
 
 @jitted
@@ -238,49 +238,49 @@ def _distances(camera: Camera, data: _Data) -> Float[Array, "N"]:
 
 
 @jitted
-def _look(start: Camera, data: _Data, names: tuple[str, ...]) -> PointsSeen:
-    move = data.move(start, names)
+def _look(start: Camera, data: _Data, freed: tuple[str, ...]) -> PointsSeen:
+    move = data.move(start, freed)
     zero = jnp.zeros_like(move.scale)
     capacity = jnp.zeros(zero.shape[0] + 1, zero.dtype)  # more rows than columns
 
     def at(y):
-        camera = moved(move, y, names)
-        r, believed = data.residuals(camera), capacity[:0]
+        camera = moved(move, y, freed)
+        r, from_prior = data.residuals(camera), capacity[:0]
         if data.prior is not None:
-            believed = data.prior.residuals(camera, names)
-        rows = jnp.concatenate([r, believed, capacity])
-        return rows, (rows, jnp.sum(r * r), jnp.sum(believed * believed))
+            from_prior = data.prior.residuals(camera, freed)
+        rows = jnp.concatenate([r, from_prior, capacity])
+        return rows, (rows, jnp.sum(r * r), jnp.sum(from_prior * from_prior))
 
     jacobian, (rows, squares, prior) = jax.jacfwd(at, has_aux=True)(zero)
     triangle, along = triangle_and_rhs(jacobian, rows)
-    to_reported = jax.jacfwd(lambda y: reported(start, moved(move, y, names), names))(zero)
+    to_reported = jax.jacfwd(lambda y: reported(start, moved(move, y, freed), freed))(zero)
     depth = to_camera(start, data.given.points)[:, 2]
     nearest = jnp.min(jnp.where(data.given.weight > 0, depth, jnp.inf))
     return PointsSeen(triangle, along, move.scale, to_reported, squares, prior, nearest)
 
 
-def _slope(y: Any, given: Given, start: Camera, data: _Data, names: tuple[str, ...]) -> Array:
+def _slope(y: Any, given: Given, start: Camera, data: _Data, freed: tuple[str, ...]) -> Array:
     """Return half the gradient (n,) of the squares by moves."""
-    move = data.move(start, names)
+    move = data.move(start, freed)
 
     def half_squares(y: Any) -> Array:
-        off = given.off(moved(move, y, names), data.H)
+        off = given.off(moved(move, y, freed), data.H)
         return jnp.sum(given.weight[:, None] * off * off) / 2
 
     return jax.grad(half_squares)(y)
 
 
 @jitted
-def _pull(start: Camera, data: _Data, velocity: Given, names: tuple[str, ...]) -> Array:
-    zero = jnp.zeros_like(data.move(start, names).scale)
-    slope = lambda given: _slope(zero, given, start, data, names)
+def _pull(start: Camera, data: _Data, velocity: Given, freed: tuple[str, ...]) -> Array:
+    zero = jnp.zeros_like(data.move(start, freed).scale)
+    slope = lambda given: _slope(zero, given, start, data, freed)
     return jax.jvp(slope, (data.given,), (velocity,))[1]
 
 
 @jitted
-def _bend(start: Camera, data: _Data, names: tuple[str, ...]) -> tuple[Array, Array]:
-    scale = data.move(start, names).scale
-    slope = lambda y: _slope(y, data.given, start, data, names)
+def _bend(start: Camera, data: _Data, freed: tuple[str, ...]) -> tuple[Array, Array]:
+    scale = data.move(start, freed).scale
+    slope = lambda y: _slope(y, data.given, start, data, freed)
     return jax.jacfwd(slope)(jnp.zeros_like(scale)), scale
 
 

@@ -208,7 +208,7 @@ def padded(scene: Scene) -> Scene:
 
 def filled_alike(scenes: Sequence[Scene]) -> list[Scene]:
     """Return scenes with their meshes' arrays filled up to the largest one's, so that one program
-    serves them side by side: small meshes, of which every edge is looked at.
+    serves them side by side: small meshes, whose edges are all looked at.
 
     Raises ValueError where some have a mesh, or as many spheres, and others do not.
     """

@@ -94,9 +94,9 @@ def _segments(camera: Camera, mesh: Mesh) -> Segments:
     film = film_map(camera)
     twice = lambda x: jnp.concatenate([x, x])
     weights = twice(contour_weights(mesh, camera.e))
-    lift = twice(film(mesh.vertices[mesh.edge_vertices]))
+    homogeneous = twice(film(mesh.vertices[mesh.edge_vertices]))
     beside = jnp.arange(len(weights)) >= len(weights) // 2
-    return clipped(lift, weights, beside, film.bounds)
+    return clipped(homogeneous, weights, beside, film.bounds)
 
 
 def _base(camera: Camera, scene: Scene) -> int:

@@ -1,9 +1,10 @@
 """The boundary integral: how what is seen of a contour carries motion from scene and camera to an
 image, and back.
 
-What a piece adds to a pixel is linear in its curve's lift. So the curves' lifts are differentiated
-once, in one loop, and written to a table; a visible piece reads its row of it (or adds to it). The
-table has room for this many curves (`BLOCK`); of more, one block after the other is worked off.
+What a piece adds to a pixel is linear in its curve's homogeneous points. So these are
+differentiated once, in one loop, and written to a table; a visible piece reads its row of it (or
+adds to it). The table has room for this many curves (`BLOCK`); of more, one block after the other
+is worked off.
 """
 
 from collections.abc import Callable
@@ -37,8 +38,8 @@ def pushed(
         for number, part in enumerate(parts):
 
             def rates(table, row, ids, number=number):
-                lifts = lambda changing: build(changing)[number].lifts(ids)
-                rate = jax.jvp(lifts, (changing,), (velocity,))[1]
+                homogeneous = lambda changing: build(changing)[number].homogeneous_of(ids)
+                rate = jax.jvp(homogeneous, (changing,), (velocity,))[1]
                 return jax.lax.dynamic_update_slice_in_dim(table, rate, row, 0)
 
             tables.append(_each_chunk(part, first, rates, _table(part)))
@@ -68,9 +69,9 @@ def pulled(build: Build, changing: list, fold: Fold, weigh: Callable) -> list:
         for number, (part, table) in enumerate(zip(parts, tables, strict=True)):
 
             def back(total, row, ids, number=number, table=table):
-                lifts = lambda changing: build(changing)[number].lifts(ids)
+                homogeneous = lambda changing: build(changing)[number].homogeneous_of(ids)
                 share = jax.lax.dynamic_slice_in_dim(table, row, DIFFERENTIATED)
-                _, pull = jax.vjp(lifts, changing)
+                _, pull = jax.vjp(homogeneous, changing)
                 return jax.tree.map(jnp.add, total, pull(share)[0])
 
             total = _each_chunk(part, first, back, total)
@@ -86,7 +87,7 @@ def _capacity(part: Part) -> int:
 
 
 def _table(part: Part) -> Float[Array, "rows n 3"]:
-    return jnp.zeros((_capacity(part), *part.lift.shape[1:]), part.dtype)
+    return jnp.zeros((_capacity(part), *part.homogeneous.shape[1:]), part.dtype)
 
 
 def _row(curve: Int[Array, "P"], first: Int[Array, ""]) -> Int[Array, "P"]:

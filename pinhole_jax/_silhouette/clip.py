@@ -8,7 +8,7 @@ from .curves import Segments
 
 
 def clipped(
-    lift: Float[Array, "K 2 3"],
+    homogeneous: Float[Array, "K 2 3"],
     weight: Int[Array, "K"],
     beside: Bool[Array, "K"],
     bounds: list[Array],
@@ -23,19 +23,21 @@ def clipped(
     """
     left, right, low, high = bounds
     first = jnp.array([[True, False]])
-    is_low, is_high = (f > 0 for f in _rows_outside(lift, low, high))
-    t_low, t_high = (_crossing(f)[:, None] for f in _rows_outside(lift, low, high))
+    is_low, is_high = (f > 0 for f in _rows_outside(homogeneous, low, high))
+    t_low, t_high = (_crossing(f)[:, None] for f in _rows_outside(homogeneous, low, high))
     later, sooner = jnp.maximum(t_low, t_high), jnp.minimum(t_low, t_high)
     both = jnp.where(first, later, sooner)
     t = jnp.where(is_low & is_high, both, jnp.where(is_low, t_low, t_high))
     t = jnp.where(is_low | is_high, t, jnp.where(first, 0, 1))
     at_top = is_high & (~is_low | (t == t_high))
-    spot = lift[:, :1] + t[..., None] * (lift[:, 1:] - lift[:, :1])
-    spot = jnp.where((is_low | is_high)[..., None], spot, lift)
+    spot = homogeneous[:, :1] + t[..., None] * (homogeneous[:, 1:] - homogeneous[:, :1])
+    spot = jnp.where((is_low | is_high)[..., None], spot, homogeneous)
     x, y, z = jnp.moveaxis(spot, -1, 0)
     height = jnp.where(at_top, high, jnp.where(is_low, low, safe_divide(y, z)))
     none = jnp.all(is_low, axis=1) | jnp.all(is_high, axis=1) | (t[:, 0] > t[:, 1])
-    weight = jnp.where(none | jnp.all(lift[..., 2] <= 0, axis=1), 0, weight).astype(lift.dtype)
+    weight = jnp.where(none | jnp.all(homogeneous[..., 2] <= 0, axis=1), 0, weight).astype(
+        homogeneous.dtype
+    )
 
     is_left, is_right = left * z - x > 0, x - right * z > 0
     y_left, y_right = (_height_of_crossing(f, y, z, height) for f in (left * z - x, x - right * z))
@@ -54,9 +56,9 @@ def clipped(
     return Segments(ends[:, 0], ends[:, 1], jnp.where(shown, weight, 0))
 
 
-def _rows_outside(lift: Float[Array, "K 2 3"], low: Array, high: Array) -> list:
+def _rows_outside(homogeneous: Float[Array, "K 2 3"], low: Array, high: Array) -> list:
     """Return by how much the ends are below and above the rows, times depth."""
-    y, z = lift[..., 1], lift[..., 2]
+    y, z = homogeneous[..., 1], homogeneous[..., 2]
     return [low * z - y, y - high * z]
 
 

@@ -166,7 +166,7 @@ def _weight(closed: Any, first, second, second_face) -> Int[Array, "*E"]:
     return both if closed is False else jnp.where(closed, fronts, both)
 
 
-def edge_lifts(
+def homogeneous_edges(
     film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour, ids: Int[Array, "K"]
 ) -> Float[Array, "K 2 3"]:
     """Return the ends of contour edges as homogeneous film points, differentiably.
@@ -174,12 +174,12 @@ def edge_lifts(
     Under distortion those of the edges' parts, and what they move with is their images.
     """
     rank, beside, *part = _place(contour, ids)
-    lift = _edge_ends(film, vertices, contour, _edge(contour, rank))
+    homogeneous = _edge_ends(film, vertices, contour, _edge(contour, rank))
     if not part:
-        return lift
+        return homogeneous
     held = jax.lax.stop_gradient((film, vertices))
     ideal = _ideal_segments(*held, contour, rank, beside)
-    return seen_through(film, following(lift, along(ideal, *part)))
+    return seen_through(film, following(homogeneous, along(ideal, *part)))
 
 
 def _edge_ends(
@@ -189,8 +189,8 @@ def _edge_ends(
 
     Times a power of 2 for each end: products of them neither overflow nor vanish.
     """
-    lifts = film_points(film, vertices[contour.edge_vertices[edge]])
-    return lifts * binary_inverse(jnp.max(jnp.abs(lifts), axis=-1))[..., None]
+    homogeneous = film_points(film, vertices[contour.edge_vertices[edge]])
+    return homogeneous * binary_inverse(jnp.max(jnp.abs(homogeneous), axis=-1))[..., None]
 
 
 def _place(contour: MeshContour, ids: Int[Array, "K"]) -> tuple[Array, ...]:
@@ -237,7 +237,7 @@ def _ideal_segments(
 ) -> Segments:
     """Return contour edges, or what of them lies left of the film, on the ideal film."""
     edge = _edge(contour, rank)
-    weight, lift = contour.weight(edge), _edge_ends(film, vertices, contour, edge)
+    weight, homogeneous = contour.weight(edge), _edge_ends(film, vertices, contour, edge)
     # Without the barriers the compiler repeats the gathers in each of the clip's many consumers.
-    lift, weight = jax.lax.optimization_barrier((lift, weight))
-    return clipped(lift, weight, beside, film.bounds)
+    homogeneous, weight = jax.lax.optimization_barrier((homogeneous, weight))
+    return clipped(homogeneous, weight, beside, film.bounds)

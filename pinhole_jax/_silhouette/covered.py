@@ -34,7 +34,7 @@ SLACK, REACH = 64, 2
 #: Fewer pieces than this in all overlapping pixels are not worth it, nor fewer than one for this
 #: many things, nor where fewer layers than this lie one behind the other (the mean).
 LEAST_LAYERS, THINGS_A_LAYER, DEEP = 2048, 5, 1.5
-#: Scenes of fewer never hold so many layers that it is worth what is compiled for it.
+#: Scenes of fewer never hold enough layers to be worth what is compiled for it.
 LEAST_FACES, LEAST_SPHERES = 1 << 13, 1 << 10
 #: Counts are exact in every float type up to here.
 MOST_THINGS = 1 << 23
@@ -204,7 +204,7 @@ def worth(
     layers: Float[Array, "N"],
     overlapping: Bool[Array, "N"],
 ) -> Bool[Array, ""]:
-    """Return whether overlapping pixels hold so many layers, one behind the other, that it takes
+    """Return whether overlapping pixels hold enough layers, one behind the other, that it takes
     less to look for what is covered: where a surface is rough but not folded, no face covers
     much."""
     number = sum(x.number for x in things)

@@ -13,14 +13,14 @@ from jaxtyping import Array, Float, Int
 
 from .._camera.film import FilmMap
 from .._scene.scene import Scene, Spheres
-from .contour import MeshContour, edge_lifts, edge_segments, mesh_contour
+from .contour import MeshContour, edge_segments, homogeneous_edges, mesh_contour
 from .curves import Curves
 from .distorted import Cuts
 from .spheres import (
     ARCS_PER_SPHERE,
     arc_cuts,
-    arc_part_lifts,
     arc_part_segments,
+    homogeneous_arc_parts,
     sphere_arcs,
     sphere_frames,
 )
@@ -38,13 +38,13 @@ class CurveSet(NamedTuple):
     """Curves of one kind.
 
     - `curves(ids)`: those with ids below `total`.
-    - `lifts(ids)`: what they move with, differentiably.
+    - `homogeneous_of(ids)`: what they move with, differentiably.
     - `total`: how many there are.
     - `most`: how many there may be, None where that depends on the view.
     """
 
     curves: Callable[[Int[Array, "K"]], Curves]
-    lifts: Callable[[Int[Array, "K"]], Float[Array, "K n 3"]]
+    homogeneous_of: Callable[[Int[Array, "K"]], Float[Array, "K n 3"]]
     total: Int[Array, ""]
     most: int | None
 
@@ -64,7 +64,7 @@ def edge_curves(film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshConto
     """Return the mesh's contour edges, and once more for what of them lies left of the film."""
     return CurveSet(
         lambda ids: edge_segments(film, vertices, contour, ids),
-        lambda ids: edge_lifts(film, vertices, contour, ids),
+        lambda ids: homogeneous_edges(film, vertices, contour, ids),
         contour.segments,
         2 * contour.edge_vertices.shape[0] if contour.cuts is None else None,
     )
@@ -75,7 +75,7 @@ def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveS
     if cuts is not None:
         return CurveSet(
             lambda ids: arc_part_segments(film, spheres, cuts, ids),
-            lambda ids: arc_part_lifts(film, spheres, cuts, ids),
+            lambda ids: homogeneous_arc_parts(film, spheres, cuts, ids),
             cuts.total,
             None,
         )
@@ -99,7 +99,7 @@ def joined(first: CurveSet, second: CurveSet) -> CurveSet:
 
     return CurveSet(
         lambda ids: either(first.curves, second.curves, ids),
-        lambda ids: either(first.lifts, second.lifts, ids),
+        lambda ids: either(first.homogeneous_of, second.homogeneous_of, ids),
         first.total + second.total,
         None if first.most is None or second.most is None else first.most + second.most,
     )

@@ -34,7 +34,7 @@ class Segments(NamedTuple):
 class Arcs(NamedTuple):
     """Arcs `frame[0] + frame[1] w_1 + frame[2] w_2`, w on the unit circle from `start` to `end`.
 
-    The frame's rows are homogeneous film points (x z, y z, z), of which z > 0 is seen. They are
+    The frame's rows are homogeneous film points (x z, y z, z), seen where z > 0. They are
     scaled so that the ray that they stand for has unit length.
     """
 
@@ -48,7 +48,7 @@ Curves = Segments | Arcs
 
 
 def placed(curves: Curves, scale: Array | float, origin: Array | float = 0.0) -> Curves:
-    """Return curves in pixels of which `scale` make one of now, from the new film's `origin`."""
+    """Return curves in pixels `scale` times as small as now, from the new film's `origin`."""
     shift = jnp.broadcast_to(jnp.asarray(origin, curves.weight.dtype), (*curves.weight.shape, 2))
     if isinstance(curves, Segments):
         return curves._replace(a=(curves.a - shift) * scale, b=(curves.b - shift) * scale)
@@ -169,45 +169,47 @@ def bulge(
 
 
 # --- how the area grows as a curve moves ---------------------------------------------------------
-#
-# A curve moves with its lift: the homogeneous ends of a segment's edge, or the frame of an arc.
+# A curve moves with its homogeneous points: the ends of a segment's edge, or the frame of an arc.
 
 
 def piece_flux(
-    lift: Float[Array, "K n 3"],
+    homogeneous: Float[Array, "K n 3"],
     curves: Curves,
     start: Float[Array, "K 2"],
     end: Float[Array, "K 2"],
 ) -> Float[Array, "K n 3"]:
-    """Return the derivative, by the lift, of the area left of a curve's piece from start to end."""
+    """Return the derivative, by its points, of the area left of a curve's piece from start to
+    end."""
     if isinstance(curves, Arcs):
-        return arc_flux(lift, _unit(lift, start), _unit(lift, end))
+        return arc_flux(homogeneous, _unit(homogeneous, start), _unit(homogeneous, end))
     dx, dy = jnp.moveaxis(end - start, -1, 0)
     steep = jnp.abs(dy) > jnp.abs(dx)
-    share = (edge_fractions(lift, steep, start) + edge_fractions(lift, steep, end)) / 2
-    return edge_flux(lift, steep, jnp.where(steep, dy, -dx)[:, None] * share)
+    share = (
+        edge_fractions(homogeneous, steep, start) + edge_fractions(homogeneous, steep, end)
+    ) / 2
+    return edge_flux(homogeneous, steep, jnp.where(steep, dy, -dx)[:, None] * share)
 
 
 def edge_fractions(
-    lift: Float[Array, "*K 2 3"], steep: Array, point: Float[Array, "*K 2"]
+    homogeneous: Float[Array, "*K 2 3"], steep: Array, point: Float[Array, "*K 2"]
 ) -> Float[Array, "*K 2"]:
     """Return how much a film point of an edge moves with the edge's ends, over their depth.
 
     Linear along the edge's image.
     """
-    past = lift[..., :2] - point[..., None, :] * lift[..., 2:]  # (*K, end, xy)
+    past = homogeneous[..., :2] - point[..., None, :] * homogeneous[..., 2:]  # (*K, end, xy)
     past = jnp.where(steep[..., None], past[..., 1], past[..., 0])
     t = jnp.clip(safe_divide(past[..., 0], past[..., 0] - past[..., 1]), 0, 1)
-    z = lift[..., 0, 2] + t * (lift[..., 1, 2] - lift[..., 0, 2])
+    z = homogeneous[..., 0, 2] + t * (homogeneous[..., 1, 2] - homogeneous[..., 0, 2])
     return jnp.stack([safe_divide(1 - t, z), safe_divide(t, z)], axis=-1)
 
 
 def edge_flux(
-    lift: Float[Array, "*K 2 3"], steep: Array, fractions: Float[Array, "*K 2"]
+    homogeneous: Float[Array, "*K 2 3"], steep: Array, fractions: Float[Array, "*K 2"]
 ) -> Float[Array, "*K 2 3"]:
     """Return what area gains by the ends, from the shares' integral over the height of a steep
     edge (then of what lies left of it) or the width of another (what lies below)."""
-    line = jnp.cross(lift[..., 0, :], lift[..., 1, :])
+    line = jnp.cross(homogeneous[..., 0, :], homogeneous[..., 1, :])
     across = jnp.where(steep, line[..., 0], line[..., 1])[..., None]
     return fractions[..., None] * safe_divide(line, across)[..., None, :]
 
@@ -225,6 +227,6 @@ def arc_flux(
     return jnp.sum(basis[..., :, None] * normal[..., None, :], axis=-3)
 
 
-def moved(lift: Float[Array, "*K n 3"], flux: Float[Array, "*K n 3"]) -> Float[Array, "*K"]:
-    """Return a function linear in the lift whose derivative is the area's: `flux`, held."""
-    return jnp.sum(jax.lax.stop_gradient(flux) * lift, axis=(-2, -1))
+def moved(homogeneous: Float[Array, "*K n 3"], flux: Float[Array, "*K n 3"]) -> Float[Array, "*K"]:
+    """Return a function linear in the points whose derivative is the area's: `flux`, held."""
+    return jnp.sum(jax.lax.stop_gradient(flux) * homogeneous, axis=(-2, -1))

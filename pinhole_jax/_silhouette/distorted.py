@@ -106,7 +106,8 @@ def bending(film: FilmMap) -> Bending:
 
 
 def seen_through(film: FilmMap, points: Float[Array, "K 2 2"]) -> Float[Array, "K 2 3"]:
-    """Return the ends of parts on the ideal film as the lift that their image moves with."""
+    """Return the ends of parts on the ideal film as the homogeneous points that their image moves
+    with."""
     assert film.bend is not None
     image = film.bend(points)
     return jnp.concatenate([image, jnp.ones_like(image[..., :1])], axis=-1)
@@ -127,12 +128,14 @@ def _fractions(part: Array, parts: Array, dtype) -> Float[Array, "K 2"]:
     return number / jnp.maximum(parts, 1).astype(dtype)[:, None]
 
 
-def following(lift: Float[Array, "K 2 3"], points: Float[Array, "K 2 2"]) -> Float[Array, "K 2 2"]:
+def following(
+    homogeneous: Float[Array, "K 2 3"], points: Float[Array, "K 2 2"]
+) -> Float[Array, "K 2 2"]:
     """Return points of edges, which move as their edges do."""
-    held, points = jax.lax.stop_gradient((lift, points))
+    held, points = jax.lax.stop_gradient((homogeneous, points))
     line = jnp.cross(held[:, 0], held[:, 1])
     steep = jnp.abs(line[:, 0]) > jnp.abs(line[:, 1])
-    both = jnp.broadcast_to(lift[:, None], (*points.shape[:2], 2, 3))
+    both = jnp.broadcast_to(homogeneous[:, None], (*points.shape[:2], 2, 3))
     share = edge_fractions(jax.lax.stop_gradient(both), jnp.repeat(steep[:, None], 2, 1), points)
     offset = both[..., :2] - points[..., None, :] * both[..., 2:]
     move = jnp.sum(share[..., None] * offset, axis=-2)

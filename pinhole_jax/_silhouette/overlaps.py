@@ -56,11 +56,12 @@ NOWHERE = np.iinfo(np.int32).max
 class Part(NamedTuple):
     """Curves of one kind: `curves(ids)` for ids below `total`; `size` is a static chunk of them.
 
-    `lifts(ids)` is what the curves move with, differentiably. There are at most `most`, if known.
+    `homogeneous_of(ids)` is what the curves move with, differentiably. There are at most `most`, if
+    known.
     """
 
     curves: Callable[[Int[Array, "K"]], Curves]
-    lifts: Callable[[Int[Array, "K"]], Float[Array, "K n 3"]]
+    homogeneous_of: Callable[[Int[Array, "K"]], Float[Array, "K n 3"]]
     total: Int[Array, ""]
     size: int
     most: int | None
@@ -68,17 +69,17 @@ class Part(NamedTuple):
     @property
     def straight(self) -> bool:
         """Whether its curves are segments, not arcs."""
-        return self.lift.shape[-2] == 2
+        return self.homogeneous.shape[-2] == 2
 
     @property
     def dtype(self) -> Any:
         """The float type."""
-        return self.lift.dtype
+        return self.homogeneous.dtype
 
     @property
-    def lift(self) -> Any:
-        """Shape (1, n, 3) and type of a curve's lift."""
-        return jax.eval_shape(self.lifts, jnp.zeros(1, jnp.int32))
+    def homogeneous(self) -> Any:
+        """Shape (1, n, 3) and type of a curve's homogeneous points."""
+        return jax.eval_shape(self.homogeneous_of, jnp.zeros(1, jnp.int32))
 
 
 class Overlapping(NamedTuple):
@@ -320,7 +321,7 @@ def fold_cells(
     """
     dtype = parts[0].dtype
     depth = LAST_CUT[jnp.dtype(dtype).name]
-    frames = [None if part.straight else part.lifts for part in parts]
+    frames = [None if part.straight else part.homogeneous_of for part in parts]
     sizes = _Sizes.of(parts, depth)
     swept_by = SWEPT if stops is None else SWEPT_BY_STOPS
     widest = max(swept_by)
@@ -384,7 +385,7 @@ def _first_pieces(cells: "_Cells", lists: _Lists, cell: Array, there: Array, mos
 
 
 def _without_hidden(cells: "_Cells", lists: _Lists) -> "_Cells":
-    """Return cells, of which those are no longer open whose pieces are all hidden."""
+    """Return cells; those whose pieces are all hidden are no longer open."""
     least, open_ = 0, cells.open
     for most, number in SWEPT.items():
 
@@ -535,7 +536,7 @@ def fold_chosen(
 
 class _Found(NamedTuple):
     """The pieces of a batch in the order in which they are found (see `_Lists`), with their cells:
-    `used` of them, of which those that there is room for are here."""
+    `used` of them; here are those that there is room for."""
 
     piece: tuple[Float[Array, "R"], ...]
     curve: Int[Array, "R"]

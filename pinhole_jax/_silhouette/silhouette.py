@@ -165,7 +165,13 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
     if film.bend is not None and len(sets) == 2:
         sets = [joined(*sets)]  # under distortion arcs are straight parts, too
     return [
-        Part(s.curves, s.lifts, s.total, min(CURVES_AT_A_TIME, s.most or CURVES_AT_A_TIME), s.most)
+        Part(
+            s.curves,
+            s.homogeneous_of,
+            s.total,
+            min(CURVES_AT_A_TIME, s.most or CURVES_AT_A_TIME),
+            s.most,
+        )
         for s in sets
     ]
 
@@ -345,7 +351,7 @@ def _fold_visible(
     block: tuple[Array, Array],
 ) -> Any:
     """Return `start` after `add(total, number, pixel, curve, flux)` over the visible contour: the
-    part's number, the curve's in it, and how the pixel's area grows with that curve's lift.
+    part's number, the curve's in it, and how the pixel's area grows with that curve's points.
 
     Where contours do not overlap only a block of curves is gone through, from one to another.
     """
@@ -354,14 +360,14 @@ def _fold_visible(
 
         def chunk(total, ids, curves, part=part, number=number):
             ids = jnp.minimum(ids, part.total - 1)
-            lifts = jax.lax.stop_gradient(part.lifts(ids))
+            homogeneous = jax.lax.stop_gradient(part.homogeneous_of(ids))
 
             def single(total, pieces: Pieces):
                 inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
                 pixel = jnp.where(inside, pieces.row * W + pieces.column, 0)
                 seen = inside & pixels.alone[pixel]
                 own = jax.tree.map(lambda x: x[pieces.curve], curves)
-                rate = piece_flux(lifts[pieces.curve], own, pieces.start, pieces.end)
+                rate = piece_flux(homogeneous[pieces.curve], own, pieces.start, pieces.end)
                 rate = jnp.where(seen[:, None, None], -pieces.jump[:, None, None] * rate, 0)
                 return add(total, number, pixel, ids[pieces.curve], rate)
 
@@ -370,8 +376,8 @@ def _fold_visible(
         start = fold_curves(part, chunk, start, part.size, block)
 
     def crowd(total, place, visible: Visible, number: int):
-        lifts = jax.lax.stop_gradient(parts[number].lifts(visible.curve))
-        return add(total, number, place, visible.curve, visible.flux(lifts))
+        homogeneous = jax.lax.stop_gradient(parts[number].homogeneous_of(visible.curve))
+        return add(total, number, place, visible.curve, visible.flux(homogeneous))
 
     def again(total, resolved: Resolved):
         for number, visible in enumerate(resolved.visible):

@@ -66,7 +66,7 @@ def arc_cuts(film: FilmMap, spheres: Spheres) -> Cuts:
     return cuts(lambda ids: arc_parts(film, sphere_arcs(film, spheres, ids)), number, number)
 
 
-def arc_part_lifts(
+def homogeneous_arc_parts(
     film: FilmMap, spheres: Spheres, parts: Cuts, ids: Int[Array, "K"]
 ) -> Float[Array, "K 2 3"]:
     """Return the ends of the arcs' parts as what their images move with, differentiably."""
@@ -81,7 +81,7 @@ def arc_part_segments(
 ) -> Segments:
     """Return the arcs' parts, the way they are seen under distortion; then nothing."""
     weight = sphere_arcs(film, spheres, parts.find(ids)[0]).weight
-    ends = arc_part_lifts(film, spheres, parts, ids)[..., :2]
+    ends = homogeneous_arc_parts(film, spheres, parts, ids)[..., :2]
     return Segments(ends[:, 0], ends[:, 1], jnp.where(ids < parts.total, weight, 0))
 
 

@@ -46,14 +46,14 @@ class Visible(NamedTuple):
     curve: Int[Array, "*K"]
     part: Float[Array, "*K numbers"]
 
-    def flux(self, lift: Float[Array, "*K n 3"]) -> Float[Array, "*K n 3"]:
-        """Return the derivative of the cell's area (px^2) by the curve's lift."""
-        if lift.shape[-2] == 3:
-            return self.part.reshape(lift.shape)
+    def flux(self, homogeneous: Float[Array, "*K n 3"]) -> Float[Array, "*K n 3"]:
+        """Return the derivative of the cell's area (px^2) by the curve's homogeneous points."""
+        if homogeneous.shape[-2] == 3:
+            return self.part.reshape(homogeneous.shape)
         start, end, steep = self.part[..., :2], self.part[..., 2:4], self.part[..., 4] > 0
-        first, last = (edge_fractions(lift, steep, point) for point in (start, end))
+        first, last = (edge_fractions(homogeneous, steep, point) for point in (start, end))
         length, moment = self.part[..., 5:6], self.part[..., 6:7]
-        return edge_flux(lift, steep, -(length * first + moment * (last - first)))
+        return edge_flux(homogeneous, steep, -(length * first + moment * (last - first)))
 
 
 def sweepable(pieces: Pieces) -> tuple[Float[Array, "P"], ...]:
@@ -381,7 +381,7 @@ def _common(u0: Array, u1: Array) -> tuple[Array, Array, Array]:
 
 
 def _straight_crossings(lines: Lines, straight: Bool[Array, "M C"] | None) -> Float[Array, "K C"]:
-    """Return the u at which pieces, of which these are straight (None: all), cross; 1 for pairs
+    """Return the u at which pieces (these are straight, None: all) cross; 1 for pairs
     that do not. `lines` have the cells as their last axis."""
     slope = safe_divide(lines.v1 - lines.v0, lines.u1 - lines.u0)
     low = jnp.maximum(lines.u0[None], _turned(lines.u0))

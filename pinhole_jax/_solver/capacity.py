@@ -9,7 +9,7 @@ from .._mask.edges import crossings
 from .._mask.search import sphere_points
 from .._mask.target import inside_of
 from .._mask.thumbnails import axes_inward, fronts
-from .._numerics.kept import kept
+from .._numerics.memo import memoised
 from .._scene.scene import Mesh, Scene
 from .residuals import Capacity
 
@@ -54,7 +54,7 @@ def contours(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     # Some rows tell a mesh from others well enough for this: to read all takes longer than a fit.
     few = (x[:: -(-len(x) // ROWS)] for x in (vertices, faces))
     sizes = np.array([len(vertices), len(faces)])
-    return kept(_contours, *few, sizes, given=(vertices, faces, *edges))
+    return memoised(_contours, *few, sizes, given=(vertices, faces, *edges))
 
 
 def _contours(

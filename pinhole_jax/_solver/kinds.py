@@ -86,9 +86,9 @@ class _Between(NamedTuple):
     value: np.ndarray
     weight: np.ndarray
 
-    def where(self, kept: np.ndarray) -> "_Between":
+    def where(self, chosen: np.ndarray) -> "_Between":
         """Return some of them."""
-        return _Between(self.shape, *(x[kept] for x in self[1:]))
+        return _Between(self.shape, *(x[chosen] for x in self[1:]))
 
 
 def _between(target: np.ndarray, weights: np.ndarray) -> _Between:

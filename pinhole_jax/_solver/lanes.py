@@ -84,15 +84,15 @@ def descended(
     level: Level,
     px: Float[Array, "N"],
     most: Int[Array, ""],
-    names: tuple[str, ...],
+    freed: tuple[str, ...],
     capacity: Capacity,
 ) -> Lane:
     """Return lanes (of a leading axis) after `STEPS` steps of a level, or fewer if all are done: at
     rest (the next step is shorter than `px`, or changes next to nothing), or `most` steps taken."""
-    count, n = len(lanes.done), len(components(names))
+    count, n = len(lanes.done), len(components(freed))
 
     def step(state, parts, level, px):
-        return _stepped(state, _problem(*parts), level, px, most, names, capacity)
+        return _stepped(state, _problem(*parts), level, px, most, freed, capacity)
 
     together = jax.vmap(step, in_axes=(0, given.axes(), 0, 0))
 
@@ -116,7 +116,7 @@ def _stepped(
     level: Level,
     px: Float[Array, ""],
     most: Int[Array, ""],
-    names: tuple[str, ...],
+    freed: tuple[str, ...],
     capacity: Capacity,
 ) -> _State:
     """Return one lane after a step, or after its start is evaluated; as it is if it is done."""
@@ -125,7 +125,7 @@ def _stepped(
     first = jnp.isinf(normal[n, n])
     A, slope, squares = normal[:n, :n], normal[:n, n], normal[n, n]
     damping = jnp.eye(n, dtype=A.dtype) / lane.size
-    move = move_of(lane.camera, problem, level, names)
+    move = move_of(lane.camera, problem, level, freed)
     y = -solve_normal(A + damping, slope)
 
     change = y @ A @ y
@@ -133,7 +133,7 @@ def _stepped(
     small = jnp.max(jnp.abs(y)) < px / UNIT_PX
     done = lane.done | (~first & (small | flat | (lane.steps >= most)))
 
-    table, (camera, seen) = table_at(y, move, problem, level, names, capacity)
+    table, (camera, seen) = table_at(y, move, problem, level, freed, capacity)
     there = jnp.sum(table[:, :, None] * table[:, None, :], axis=0)
     promised = -(2 * slope @ y + change)
     gained = squares - there[n, n]
@@ -148,10 +148,10 @@ def _stepped(
         done=(first & ~fair) | lane.done,
         overflow=lane.overflow | ~seen[1].fits(capacity),
     )
-    kept = jnp.where(fair, there, normal)
+    accepted = jnp.where(fair, there, normal)
     stays = lambda a, b: jnp.where(done, a, b)
     lane = jax.tree.map(stays, lane._replace(done=done), after)
-    return _State(lane, stays(normal, kept))
+    return _State(lane, stays(normal, accepted))
 
 
 @jitted
@@ -159,16 +159,16 @@ def looked(
     cameras: Camera,
     given: Given,
     level: Level,
-    names: tuple[str, ...],
+    freed: tuple[str, ...],
     capacity: Capacity,
 ) -> View:
     """Return the views at cameras (all of a leading axis)."""
 
     def look(camera, parts, level):
         problem = _problem(*parts)
-        move = move_of(camera, problem, level, names)
+        move = move_of(camera, problem, level, freed)
         y = jnp.zeros_like(move.scale)
-        R, (_, seen) = triangle_at(y, move, problem, level, names, capacity)
+        R, (_, seen) = triangle_at(y, move, problem, level, freed, capacity)
         n = len(y)
         return View(R[:n, :n], R[:n, n], *seen)
 

@@ -117,8 +117,8 @@ def _residual(y: Float[Array, "n"], args: Any):
 @jitted
 def _linearised(y: Float[Array, "n"], args: Any):
     """Return what `triangle_at` does of what optimistix hands on."""
-    move, problem, level, names, capacity = args
-    return triangle_at(y, move, problem, level, names.value, Capacity(*capacity.value))
+    move, problem, level, freed, capacity = args
+    return triangle_at(y, move, problem, level, freed.value, Capacity(*capacity.value))
 
 
 class _Static(eqx.Module):
@@ -128,13 +128,13 @@ class _Static(eqx.Module):
 
 
 @jitted
-def descended(camera: Camera, problem: Problem, level: Level, px, steps, names, capacity):
+def descended(camera: Camera, problem: Problem, level: Level, px, steps, freed, capacity):
     """Return the camera after this many steps at most, or when steps are shorter than `px`; how
     many it took, the first of them, and the view: after one step (which evaluates the start) of the
     start.
     """
-    move = move_of(camera, problem, level, names)
-    args = (move, problem, level, _Static(names), _Static(tuple(capacity)))
+    move = move_of(camera, problem, level, freed)
+    args = (move, problem, level, _Static(freed), _Static(tuple(capacity)))
     solver, zero = _LevenbergMarquardt(px / UNIT_PX, steps), jnp.zeros_like(move.scale)
     found = optx.least_squares(
         _residual, solver, zero, args, has_aux=True, max_steps=None, throw=False

@@ -19,7 +19,7 @@ def table_at(
     move: Move,
     problem: Problem,
     level: Level,
-    names: tuple[str, ...],
+    freed: tuple[str, ...],
     capacity: Capacity,
 ) -> tuple[Float[Array, "m n+1"], tuple[Camera, Any]]:
     """Return the derivatives of all residuals and these, [J, r], and what else is known there: the
@@ -27,13 +27,13 @@ def table_at(
     (m, n), the squares of a prior and of what other views know."""
 
     def at(y):
-        camera = moved(move, y, names)
+        camera = moved(move, y, freed)
         here = problem.scene, problem.pyramid, level, capacity
         (r, rest), sums, load, pixels = residuals(camera, *here)
-        values = reported(move.camera, camera, names)
+        values = reported(move.camera, camera, freed)
         known = problem.others.residuals(values)
         if problem.prior is not None:
-            known = jnp.concatenate([known, problem.prior.residuals(camera, names)])
+            known = jnp.concatenate([known, problem.prior.residuals(camera, freed)])
         r = jnp.concatenate([r, rest[None], known])
         return (r, values), (r, camera, sums, load, pixels, jnp.sum(known * known))
 
@@ -49,9 +49,9 @@ def triangle_at(
     move: Move,
     problem: Problem,
     level: Level,
-    names: tuple[str, ...],
+    freed: tuple[str, ...],
     capacity: Capacity,
 ) -> tuple[Float[Array, "k k"], tuple[Camera, Any]]:
     """Return R (n + 1, n + 1) of `table_at`'s table, and what else is known there."""
-    table, seen = table_at(y, move, problem, level, names, capacity)
+    table, seen = table_at(y, move, problem, level, freed, capacity)
     return triangle(table), seen

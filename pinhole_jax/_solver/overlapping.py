@@ -34,14 +34,14 @@ CROWDED, STOPS = 64, 32
 
 class Part(NamedTuple):
     """The pieces of one kind: what of each bounds the union (see `Visible`), and their curves'
-    lifts."""
+    homogeneous points."""
 
     visible: Float[Array, "P numbers"]
-    lift: Float[Array, "P n 3"]
+    homogeneous: Float[Array, "P n 3"]
 
 
 def whole(pieces: Pieces) -> Float[Array, "P numbers"]:
-    """Return straight pieces of which all is visible (see `Visible`)."""
+    """Return straight pieces that are visible throughout (see `Visible`)."""
     dx, dy = jnp.moveaxis(pieces.end - pieces.start, -1, 0)
     steep = jnp.abs(dy) > jnp.abs(dx)
     length = pieces.jump * jnp.where(steep, dy, -dx)
@@ -50,7 +50,7 @@ def whole(pieces: Pieces) -> Float[Array, "P numbers"]:
 
 
 class Overlapping(NamedTuple):
-    """Pixels, of which some are `chosen` to be resolved: the first of a pixel's pieces, and their
+    """Pixels, some `chosen` to be resolved: the first of a pixel's pieces, and their
     number; its lower left corner (px), and the winding number there."""
 
     chosen: Bool[Array, "P"]
@@ -77,10 +77,10 @@ def resolved(
     `order` says which of them come, pixel by pixel.
     """
     P = len(order)
-    sizes = [len(part.lift) for part in parts]
+    sizes = [len(part.homogeneous) for part in parts]
     begins = [sum(sizes[:k]) for k in range(len(parts))]
     frames = [
-        None if part.visible.shape[-1] == STRAIGHT else lambda ids, part=part: part.lift[ids]
+        None if part.visible.shape[-1] == STRAIGHT else lambda ids, part=part: part.homogeneous[ids]
         for part in parts
     ]
 

@@ -220,9 +220,9 @@ def check_free(
     lens = lens if camera is None else camera.lens
     model = BrownConrady if lens is None or lens.distortion is None else type(lens.distortion)
     own = [field.name for field in fields(model)]
-    names = tuple(n for name in as_names(free) for n in (own if name == "distortion" else [name]))
+    freed = tuple(n for name in as_names(free) for n in (own if name == "distortion" else [name]))
     known = ", ".join(NAMES)
-    for name in names:
+    for name in freed:
         if name not in PARAMETERS:
             raise ValueError(f"`free`: expected names among {known}, got {name!r}")
         if name in COEFFICIENTS and name not in own:
@@ -230,36 +230,36 @@ def check_free(
                 f"`free`: expected coefficients of a {model.__name__} ({', '.join(own)}), got"
                 f" {name!r}"
             )
-    if not names:
+    if not freed:
         raise ValueError(f"`free`: expected at least one of {known}, got none")
-    if {"phi", "d"} <= set(names):
+    if {"phi", "d"} <= set(freed):
         raise ValueError("`free`: expected phi or d (both set the focal length), got both")
-    if "pose" in names and {"position", "orientation"} & set(names):
+    if "pose" in freed and {"position", "orientation"} & set(freed):
         raise ValueError("`free`: expected pose, or position or orientation, got both")
-    return tuple(name for name in PARAMETERS if name in names)
+    return tuple(name for name in PARAMETERS if name in freed)
 
 
-def in_one(names: tuple[str, ...]) -> tuple[str, ...]:
+def in_one(freed: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names with the pose in place of position and orientation, where both are free."""
     both = {"position", "orientation"}
-    if not both <= {*names}:
-        return names
-    return ("pose", *(name for name in names if name not in both))
+    if not both <= {*freed}:
+        return freed
+    return ("pose", *(name for name in freed if name not in both))
 
 
-def with_lens(camera: Camera, names: tuple[str, ...]) -> Camera:
+def with_lens(camera: Camera, freed: tuple[str, ...]) -> Camera:
     """Return the camera with what these names need: a lens, a distortion (that bends nothing)."""
-    lens, distorted = camera.lens, not set(COEFFICIENTS).isdisjoint(names)
-    if lens is None and (distorted or {"principal_point", "aspect"} & {*names}):
+    lens, distorted = camera.lens, not set(COEFFICIENTS).isdisjoint(freed)
+    if lens is None and (distorted or {"principal_point", "aspect"} & {*freed}):
         lens = Lens(principal_point(camera))
     if lens is not None and lens.distortion is None and distorted:
         lens = Lens(lens.principal_point, lens.aspect, BrownConrady())
     return camera if lens is camera.lens else camera.replace(lens=lens)
 
 
-def labels_of(names: tuple[str, ...]) -> tuple[str, ...]:
+def labels_of(freed: tuple[str, ...]) -> tuple[str, ...]:
     """Return the reported parameters of the names that are free."""
-    return tuple(label.name for name in names for label in PARAMETERS[name].labels)
+    return tuple(label.name for name in freed for label in PARAMETERS[name].labels)
 
 
 def components(free: tuple[str, ...]) -> list[str]:

@@ -52,7 +52,7 @@ def no_others(free: tuple[str, ...], dtype: Any) -> Others:
 def prior_of(
     prior: Mapping[str, Any] | None,
     base: Camera,
-    names: tuple[str, ...],
+    freed: tuple[str, ...],
     common: tuple[str, ...] = (),
     views: int = 1,
 ) -> Prior | None:
@@ -62,7 +62,7 @@ def prior_of(
     """
     if not prior:
         return None
-    labels = [x for x in labels_of(names) if LABELS[x].value is not None]
+    labels = [x for x in labels_of(freed) if LABELS[x].value is not None]
     mean, std = pairs("prior", prior, labels, "(mean, standard deviation)")
     check_positive(prior, std)
     unit = np.array([base.H if LABELS[label].unit == "px" else 1 for label in prior])
@@ -72,12 +72,12 @@ def prior_of(
 
 
 def bounds_of(
-    bounds: Mapping[str, Any] | None, base: Camera, names: tuple[str, ...]
+    bounds: Mapping[str, Any] | None, base: Camera, freed: tuple[str, ...]
 ) -> Bounds | None:
     """Return the bounds, or raise ValueError."""
     if not bounds:
         return None
-    labels = [name for name in names if PARAMETERS[name].bounded]
+    labels = [name for name in freed if PARAMETERS[name].bounded]
     low, high = pairs("bounds", bounds, labels, "(low, high)")
     for label, a, b in zip(bounds, low, high, strict=True):
         if not a < b:

@@ -86,10 +86,10 @@ class View(NamedTuple):
         return self.squares / max(float(self.sums.touched), 1.0)
 
 
-def move(camera: Camera, problem: Problem, level: Level, names: tuple[str, ...]) -> Move:
+def move(camera: Camera, problem: Problem, level: Level, freed: tuple[str, ...]) -> Move:
     """Return where moves of a camera start, in the solver's units."""
     about = problem.pivot, problem.radius, problem.bounds
-    return move_about(camera, *about, level.scale, names)
+    return move_about(camera, *about, level.scale, freed)
 
 
 def move_about(
@@ -98,10 +98,10 @@ def move_about(
     radius: Float[Array, ""],
     bounds: Bounds | None,
     scale: Any,
-    names: tuple[str, ...],
+    freed: tuple[str, ...],
 ) -> Move:
     """Return `move`'s from what it takes of a problem, and a level's scale."""
-    return Move(camera, pivot, UNIT_PX * scales(camera, pivot, radius, scale, names), bounds)
+    return Move(camera, pivot, UNIT_PX * scales(camera, pivot, radius, scale, freed), bounds)
 
 
 def like_descended(camera: Camera, level: Level) -> tuple[Camera, Any, Any, View]:

@@ -189,12 +189,12 @@ class _Pieces(NamedTuple):
 def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
     """Return the touched pixels of a level, and what they take of the capacities."""
     film = film_map(camera).looking_at(_part(level))
-    end, totals, found, lifts, parts = level.H * (level.W + 2), {}, [], [], []
-    for kind, curves, lift, count, size in _curves(film, scene, capacity):
+    end, totals, found, of_curves, parts = level.H * (level.W + 2), {}, [], [], []
+    for kind, curves, homogeneous, count, size in _curves(film, scene, capacity):
         curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))
-        xy, z = lift[..., :2], lift[..., 2:]
+        xy, z = homogeneous[..., :2], homogeneous[..., 2:]
         xy = xy * level.scale - level.origin[None, None] * z
-        lift = jnp.concatenate([xy, z], axis=-1)
+        homogeneous = jnp.concatenate([xy, z], axis=-1)
         m = monotone(curves)
         upto = running_sum(piece_counts(m, level.W, level.H))
         totals[kind] = (count, upto[-1].astype(jnp.int32))
@@ -205,8 +205,8 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
         cell = jnp.where(pieces.valid, pieces.row * (level.W + 2) + pieces.column + 1, end)
         sizes = pieces.height, pieces.area, winding_jumps(pieces)
         found.append(_Pieces(cell, sweepable(pieces), *sizes, marks(pieces).counters))
-        own = jax.lax.stop_gradient(lift)[pieces.curve]
-        lifts.append((lift, pieces.curve))
+        own = jax.lax.stop_gradient(homogeneous)[pieces.curve]
+        of_curves.append((homogeneous, pieces.curve))
         parts.append(Part(_shown(curves, pieces, own), own))
     none = (jnp.int32(0), jnp.int32(0))
     (edges, edge_pieces), (arcs, arc_pieces) = (totals.get(k, none) for k in ("edges", "arcs"))
@@ -214,48 +214,53 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
     base = surrounding(film, scene)
     alone = scene.spheres is not None and scene.spheres.radii.shape[0] == 1 and len(parts) == 1
     convex = alone and "arcs" in totals  # one sphere overlaps nothing
-    touched = _by_pixel(together, base, level, lifts, parts, convex)
+    touched = _by_pixel(together, base, level, of_curves, parts, convex)
     return touched, Load(edges, edge_pieces, arc_pieces, arcs)
 
 
-def _shown(curves: Curves, pieces: Pieces, lift: Float[Array, "P n 3"]) -> Float[Array, "P k"]:
+def _shown(
+    curves: Curves, pieces: Pieces, homogeneous: Float[Array, "P n 3"]
+) -> Float[Array, "P k"]:
     """Return what is visible of pieces that are alone in their pixels (see `Visible`)."""
     if isinstance(curves, Segments):
         return whole(pieces)
-    flux = piece_flux(jax.lax.stop_gradient(lift), curves, pieces.start, pieces.end)
+    flux = piece_flux(jax.lax.stop_gradient(homogeneous), curves, pieces.start, pieces.end)
     return (-pieces.jump[:, None, None] * flux).reshape(-1, ARC)
 
 
 def _moved(
-    lift: Float[Array, "K n 3"], curve: Int[Array, "P"], flux: Float[Array, "P n 3"]
+    homogeneous: Float[Array, "K n 3"], curve: Int[Array, "P"], flux: Float[Array, "P n 3"]
 ) -> Float[Array, "P"]:
-    """Return a function linear in the curves' lifts whose derivative is each piece's `flux`.
+    """Return a function linear in the curves' points whose derivative is each piece's `flux`.
 
-    Column by column: to gather whole lifts with their derivatives took a fifth of a step.
+    Column by column: to gather whole points with their derivatives took a fifth of a step.
     """
-    columns = np.ndindex(lift.shape[1:])
+    columns = np.ndindex(homogeneous.shape[1:])
     flux = jax.lax.stop_gradient(flux)
-    parts = [flux[:, i, j] * lift[:, i, j][curve] for i, j in columns]
+    parts = [flux[:, i, j] * homogeneous[:, i, j][curve] for i, j in columns]
     return functools.reduce(jnp.add, parts)
 
 
 def _curves(
     film: FilmMap, scene: Scene, capacity: Capacity
 ) -> list[tuple[str, Curves, Array, Array, int]]:
-    """Return the curves by kind, their lifts, how many need room, and the room for their pieces."""
+    """Return the curves by kind, their points, how many there are, and the capacity for their
+    pieces."""
     mesh, spheres = scene.mesh, scene.spheres
     found = find(film, scene)
     kinds: list[tuple[str, Curves, Array, Array, int]] = []
     if mesh is not None and found.contour is not None:
         edges = edge_curves(film, mesh.vertices, found.contour)
         ids = jnp.arange(capacity.edges, dtype=jnp.int32)
-        drawn = edges.curves(ids), edges.lifts(ids)
+        drawn = edges.curves(ids), edges.homogeneous_of(ids)
         kinds.append(("edges", *drawn, edges.total, capacity.pieces))
     if spheres is not None and spheres.radii.shape[0]:
         arcs = outline_curves(film, spheres, found.arcs)
         ids = jnp.arange(arcs.most or capacity.arcs, dtype=jnp.int32)
         needed = jnp.int32(0) if arcs.most else arcs.total
-        kinds.append(("arcs", arcs.curves(ids), arcs.lifts(ids), needed, capacity.arc_pieces))
+        kinds.append(
+            ("arcs", arcs.curves(ids), arcs.homogeneous_of(ids), needed, capacity.arc_pieces)
+        )
     return kinds
 
 
@@ -263,12 +268,12 @@ def _by_pixel(
     pieces: _Pieces,
     base: Int[Array, ""],
     level: Level,
-    lifts: list[tuple[Float[Array, "_ _ 3"], Int[Array, "_"]]],
+    of_curves: list[tuple[Float[Array, "_ _ 3"], Int[Array, "_"]]],
     parts: list[Part],
     convex: bool,
 ) -> Touched:
-    """Return what the pieces add up to in each pixel; `lifts` are those of each part's curves, with
-    which of these each piece is of, and `convex` says that none overlap."""
+    """Return what the pieces add up to in each pixel; `of_curves` are those of each part's curves,
+    with which of these each piece is of, and `convex` says that none overlap."""
     P = pieces.cell.shape[0]
     end = level.H * (level.W + 2)
     index = jnp.arange(P, dtype=jnp.int32)
@@ -318,10 +323,12 @@ def _by_pixel(
         overlapping = Overlapping(chosen, first, number, origin, corner)
         areas, visible = resolved(overlapping, swept, order, parts)
     flux = [
-        Visible(jnp.zeros(len(seen), jnp.int32), seen).flux(part.lift)
+        Visible(jnp.zeros(len(seen), jnp.int32), seen).flux(part.homogeneous)
         for seen, part in zip(visible, parts, strict=True)
     ]
-    change = jnp.concatenate([_moved(*own, rate) for own, rate in zip(lifts, flux, strict=True)])
+    change = jnp.concatenate(
+        [_moved(*own, rate) for own, rate in zip(of_curves, flux, strict=True)]
+    )
     moves = inside & (chosen | (winding < 1))
     growth = jnp.where(moves, gather(slot, change[order]), 0)
     share = jnp.where(chosen, areas, jnp.clip(winding, 0, 1))

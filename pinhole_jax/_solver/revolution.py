@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._mask.search import sphere_points
-from .._numerics.kept import kept
+from .._numerics.memo import memoised
 
 #: A body is round if its support is a circle's to within this share of its radius ... (Mugs: 1e-4,
 #: prisms of 16 sides: 4e-3; elbows, cows and what else has no axis: 0.03 and more.)
@@ -55,7 +55,7 @@ class Revolution(NamedTuple):
 
 def revolutions(vertices: np.ndarray) -> list[Revolution]:
     """Return the lines that vertices (n, 3) are round about, but for a part of them."""
-    return kept(_revolutions, vertices)
+    return memoised(_revolutions, vertices)
 
 
 def some_of(vertices: np.ndarray) -> np.ndarray:
@@ -104,11 +104,11 @@ def _revolutions(vertices: np.ndarray) -> list[Revolution]:
 
 def _different(lines: Iterable[_Line]) -> list[_Line]:
     """Return those that fit best, of those that are near one another the best."""
-    kept: list[_Line] = []
+    distinct: list[_Line] = []
     for line in sorted(lines, key=lambda line: line[2]):
-        if all(abs(line[0] @ other[0]) < APART for other in kept):
-            kept.append(line)
-    return kept
+        if all(abs(line[0] @ other[0]) < APART for other in distinct):
+            distinct.append(line)
+    return distinct
 
 
 def _line(points: np.ndarray, axis: np.ndarray) -> _Line | None:

@@ -89,7 +89,7 @@ class Solver:
     grows with use is in its `buffers`, which they share.
 
     - `target`: the mask (H, W); `weights`: how much its pixels count; `kind`: its kind.
-    - `names`: what is free; `bounds` and `prior`: what is known of it; `others`: what other views
+    - `freed`: what is free; `bounds` and `prior`: what is known of it; `others`: what other views
       know.
     - `max_steps`: the most steps on a level; `fine_px`: what step is negligible on the finest.
     - `record`: whether the way is to hold each step.
@@ -102,7 +102,7 @@ class Solver:
     target: np.ndarray
     weights: Weights
     kind: Kind
-    names: tuple[str, ...]
+    freed: tuple[str, ...]
     max_steps: int
     fine_px: float
     buffers: Buffers
@@ -122,7 +122,7 @@ class Solver:
         target: np.ndarray,
         weights: np.ndarray,
         dtype: Any,
-        names: tuple[str, ...],
+        freed: tuple[str, ...],
         max_steps: int,
         bounds: Bounds | None = None,
         prior: Prior | None = None,
@@ -130,7 +130,7 @@ class Solver:
         continued: bool = False,
     ) -> "Solver":
         """Return the solver of a scene and a mask, in a float type; `continued` as in `last_px`."""
-        given = target, weights, names, max_steps, bounds
+        given = target, weights, freed, max_steps, bounds
         made = cls.on(Subject.of(scene, dtype), *given, continued=continued)
         return replace(made, prior=prior, record=record)
 
@@ -140,7 +140,7 @@ class Solver:
         subject: Subject,
         target: np.ndarray,
         weights: np.ndarray,
-        names: tuple[str, ...],
+        freed: tuple[str, ...],
         max_steps: int,
         bounds: Bounds | None = None,
         continued: bool = False,
@@ -153,7 +153,7 @@ class Solver:
         kind = kind_of(window.of(target), window.of(weights), dtype)
         ends = max_steps, last_px(kind, dtype, continued)
         least = buffers.least_cells()
-        return cls(subject, target, weights, kind, names, *ends, buffers, least, bounds)
+        return cls(subject, target, weights, kind, freed, *ends, buffers, least, bounds)
 
     def weighed(
         self, weights: Weights, target: np.ndarray | None = None, only_finest: bool = False
@@ -236,7 +236,7 @@ class Solver:
     @property
     def problem(self) -> Problem:
         """Return what the fit's programs are given beside a camera and a level."""
-        others = self.others or no_others(self.names, self.dtype)
+        others = self.others or no_others(self.freed, self.dtype)
         known = others, self.bounds, self._weighed_prior()
         return Problem(self.subject.scene, self._levels.pyramid, self.subject.pivot, *known)
 
@@ -339,13 +339,13 @@ class Solver:
     def move(self, camera: Camera, level: int) -> Move:
         """Return where moves of a camera start, in the solver's units."""
         scale = self.levels[level].scale
-        return move_about(camera, *self.subject.pivot, self.bounds, scale, self.names)
+        return move_about(camera, *self.subject.pivot, self.bounds, scale, self.freed)
 
     def step(self, camera: Camera, level: int, y: np.ndarray) -> Camera:
         """Return the camera moved by y (n,) in the solver's units."""
         about = *self.subject.pivot, self.bounds
         y = np.asarray(y, self.dtype)
-        return _step(camera, about, self.levels[level].scale, y, self.names)
+        return _step(camera, about, self.levels[level].scale, y, self.freed)
 
     def solve(
         self,
@@ -421,7 +421,7 @@ class Solver:
         if (small := self._small(level)) is not None:
             problem = eqx.tree_at(lambda p: p.pyramid, problem, self._levels.small)
             capacity = small
-        given = camera, problem, level, *ends, self.names, capacity
+        given = camera, problem, level, *ends, self.freed, capacity
         return programs.call(DESCENDED, given, lambda: like_descended(camera, level))
 
     def _each_step(self, camera: Camera, level: int, end: Stop, path: Array) -> list[Stop]:
@@ -433,7 +433,7 @@ class Solver:
 
 @jitted
 def _step(
-    camera: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, y: Any, names
+    camera: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, y: Any, freed
 ) -> Camera:
     """Return the camera moved by y in the solver's units, about a pivot with a radius."""
-    return moved(move_about(camera, *about, scale, names), y, names)
+    return moved(move_about(camera, *about, scale, freed), y, freed)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._numerics.kept import kept
+from .._numerics.memo import memoised
 
 #: Finer meshes have facets that no mask shows: they are not looked at.
 MOST_FACES = 30_000
@@ -38,7 +38,7 @@ def turns_of_a_mesh(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> list[Turn]:
     """Return the turns (but for none at all) that bring most of a mesh's faces to other faces."""
-    return kept(_turns, vertices, faces) if 2 <= len(faces) <= MOST_FACES else []
+    return memoised(_turns, vertices, faces) if 2 <= len(faces) <= MOST_FACES else []
 
 
 def _turns(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> list[Turn]:

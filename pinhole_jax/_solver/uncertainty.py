@@ -47,7 +47,7 @@ def weak_directions(
     blind: float,
     named: Sequence[np.ndarray] = (),
 ) -> tuple[bool, tuple[str, ...]]:
-    """Return whether a direction is not seen at all, and each weak direction in words, but for
+    """Return whether a direction is not seen at all, and each weak direction as a sentence, but for
     those that are `named` already.
 
     `components` names the moves (in pixels), `axes` (3, 3) are the camera's in world coordinates.

@@ -1,7 +1,7 @@
 """The bench of one tab: what a person does to camera and mask, and what the page is told of it.
 
 An action is a method whose name the page sends, with numbers as JSON has them; it returns
-JSON-ready values, and raises ValueError, in words for the person, where it cannot be.
+JSON-ready values, and raises ValueError, with a message for the person, where it cannot be.
 """
 
 import base64

@@ -76,7 +76,7 @@ def guides_of(work: Work) -> tuple[Stroke, ...]:
 
 def guides_about(inside: np.ndarray) -> tuple[Stroke, ...]:
     """Return dots on the object and on the background, well away from the outline of a view
-    (H, W) of which it is not known how right it is."""
+    (H, W), right by nobody knows how much."""
     H, W = inside.shape
     off = max(KEEP_OFF * float(np.sqrt(np.count_nonzero(inside))), 2.0)
     step = int(off)

@@ -1,4 +1,4 @@
-"""What the page tells of mask and fit, in words and numbers that JSON holds."""
+"""What the page tells of mask and fit, as text and numbers that JSON holds."""
 
 from typing import Any
 

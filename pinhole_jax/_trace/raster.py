@@ -240,7 +240,7 @@ def _drawn(boxes: Boxes, faces, seen: Parts, rays: Sequence[Array], image: Image
 
 
 def _shared_out(count: Int[Array, "n"], done: Int[Array, ""]) -> tuple[Array, Array, Array, Array]:
-    """Return the next n blocks of faces that have so many each, `done` of the first face's
+    """Return the next n blocks of faces that have these numbers each, `done` of the first face's
     already.
 
     As each block's face, a place in the list of counts, and its number among the face's blocks (-1:

@@ -25,7 +25,7 @@ from . import embree
 from .bvh import Tree, mesh_tree, sphere_tree
 from .components import Parts, largest, length, outer, parts, unit, whole
 from .intersect import ray_plane, ray_sphere
-from .kept import can_keep, kept
+from .memo import can_memoise, memoised
 from .packets import first_met, in_packets, out_of_packets
 from .raster import first_seen, view_of
 
@@ -133,14 +133,14 @@ def _searchable(scene: Scene, rays: Rays, search: str) -> tuple[Any, Trees | Non
     mesh, spheres = scene.mesh, scene.spheres
     arrays = [] if mesh is None else [mesh.vertices, mesh.faces, mesh.order]
     arrays += [] if spheres is None else [spheres.centers, spheres.radii]
-    if not (arrays and can_keep(arrays)):
+    if not (arrays and can_memoise(arrays)):
         return scene, None
     dtype = jnp.result_type(rays.direction)
-    trees = kept(("trees", dtype, mesh is None), arrays, lambda: _trees_of(scene, dtype))
+    trees = memoised(("trees", dtype, mesh is None), arrays, lambda: _trees_of(scene, dtype))
     if search == "tree" or trees.mesh is None:
         return None, trees
     kind = ("embree", dtype, mesh is None)
-    faces, _ = kept(kind, arrays, lambda: _held(_faces_of(scene, dtype)))
+    faces, _ = memoised(kind, arrays, lambda: _held(_faces_of(scene, dtype)))
     return None, trees._replace(faces=faces)
 
 
@@ -210,7 +210,7 @@ def _find(scene: Any, trees: Trees | None, given: Rays, camera: Any, search: str
 
 
 def _of_size_one(direction: Parts) -> Parts:
-    """Return directions of about unit length, of which nothing is rounded."""
+    """Return directions of about unit length, without rounding."""
     size = binary_inverse(largest(direction))
     return [x * size for x in direction]
 

@@ -105,9 +105,9 @@ def detect(
         raise ValueError("`mask`: expected one that covers some pixels, got none or all")
     H, W = target.shape
     views = _intrinsics(W, H, K, focal_px, fov)
-    kept = _promising(scene, target, list(_poses(pose)), views)
+    promising = _promising(scene, target, list(_poses(pose)), views)
     scale = float(max(abs(np.asarray(pose, float)).max(), 1))
-    merged = _merged([(view, one) for one in kept for view in views], scale)
+    merged = _merged([(view, one) for one in promising for view in views], scale)
     ranked = []
     for (view, (_, _, matrix)), words in merged:
         camera = _with_lens(_camera(view[2], matrix))

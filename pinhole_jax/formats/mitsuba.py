@@ -1,7 +1,7 @@
 """Mitsuba XML sensors, `<sensor type="perspective">`.
 
 Axes: x left, y up, z forward; `to_world` is world_from_camera. `fov` is in degrees, and `fov_axis`
-says of which side: x (the default: HORIZONTAL), y (vertical), diagonal, smaller or larger.
+names the side: x (the default: HORIZONTAL), y (vertical), diagonal, smaller or larger.
 `principal_point_offset_x` and `principal_point_offset_y` are fractions of the film's width and
 height, positive where the principal point moves left and up. Film positions count from its edges:
 pixel centres at halves.

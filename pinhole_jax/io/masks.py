@@ -73,7 +73,7 @@ class Way(NamedTuple):
 
 
 class Read(NamedTuple):
-    """A mask (H, W), 255 where the object is, and in words how it was read, if not plainly."""
+    """A mask (H, W), 255 where the object is, and a text on how it was read, if not plainly."""
 
     mask: np.ndarray
     words: str

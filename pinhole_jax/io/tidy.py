@@ -16,14 +16,14 @@ SOFT_PX = 2
 
 
 class Tidied(NamedTuple):
-    """A mask (H, W), and in words what was changed and what else there is to know about it."""
+    """A mask (H, W), and sentences on what was changed and what else there is to know about it."""
 
     mask: np.ndarray
     notes: tuple[str, ...]
 
 
 def tidy_mask(mask: Any, speck: float = SPECK) -> Tidied:
-    """Return a mask without crumbs and pinholes, and in words what was done and found.
+    """Return a mask without crumbs and pinholes, and sentences on what was done and found.
 
     - `mask`: (H, W), as `fit_camera` takes it. A pixel that is half covered or more is inside.
     - `speck`: islands smaller than this share of the largest part are dropped, and holes smaller

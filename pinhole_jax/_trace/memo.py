@@ -2,7 +2,7 @@
 
 A tree takes as long to make as some hundred thousand rays to search in it. Arrays of JAX never
 change: what was made of the same arrays, not of equal ones, is never stale, and asking costs
-nothing (`_numerics.kept` knows arrays by what they hold, and reads them for that). A scene that was
+nothing (`_numerics.memo` knows arrays by what they hold, and reads them for that). A scene that was
 moved (`eqx.tree_at`, an `Assembly` in another posture, a pickled copy) has other arrays.
 """
 
@@ -13,21 +13,21 @@ from typing import Any
 import jax
 from jax.core import Tracer
 
-_kept: dict[tuple, tuple[tuple[weakref.ref, ...], Any]] = {}
+_memo: dict[tuple, tuple[tuple[weakref.ref, ...], Any]] = {}
 
 
-def can_keep(arrays: Sequence[Any]) -> bool:
+def can_memoise(arrays: Sequence[Any]) -> bool:
     """Return whether all are arrays of JAX that hold numbers: these are never written to."""
     return all(isinstance(x, jax.Array) and not isinstance(x, Tracer) for x in arrays)
 
 
-def kept(kind: Any, arrays: Sequence[jax.Array], make: Callable[[], Any]) -> Any:
+def memoised(kind: Any, arrays: Sequence[jax.Array], make: Callable[[], Any]) -> Any:
     """Return what `make` returns, made once for these arrays and this kind of thing.
 
     It is made now, also where a program is being traced, and goes with the first of the arrays.
     """
     key = (kind, *(id(x) for x in arrays))
-    refs, value = _kept.get(key, ((), None))
+    refs, value = _memo.get(key, ((), None))
     # An identity may be that of an array that is gone, whose entry is just being dropped.
     if refs and all(ref() is x for ref, x in zip(refs, arrays, strict=True)):
         return value
@@ -36,9 +36,9 @@ def kept(kind: Any, arrays: Sequence[jax.Array], make: Callable[[], Any]) -> Any
     entry: list = []
 
     def drop(_: Any) -> None:
-        if _kept.get(key, (None,))[0] is entry[0]:  # (another may have taken the place)
-            _kept.pop(key, None)
+        if _memo.get(key, (None,))[0] is entry[0]:  # (another may have taken the place)
+            _memo.pop(key, None)
 
     entry.append(tuple(weakref.ref(x, drop) for x in arrays))
-    _kept[key] = (entry[0], value)
+    _memo[key] = (entry[0], value)
     return value

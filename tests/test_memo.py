@@ -11,7 +11,7 @@ import pytest
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._trace import kept as keeper, trace as tracer
+from pinhole_jax._trace import memo as keeper, trace as tracer
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def made(monkeypatch):
     """The scenes whose trees are made from here on."""
     scenes = []
     function = tracer._trees_of
-    monkeypatch.setattr(keeper, "_kept", {})
+    monkeypatch.setattr(keeper, "_memo", {})
     monkeypatch.setattr(tracer, "_trees_of", lambda s, d: scenes.append(s) or function(s, d))
     return scenes
 
@@ -78,11 +78,11 @@ def test_postures_of_an_assembly_have_trees_of_their_own(rays, made):
 def test_a_tree_goes_with_its_scene(rays, made):
     scene = new_scene()
     pj.trace(scene, rays)
-    assert len(keeper._kept) == 1
+    assert len(keeper._memo) == 1
     del scene
     made.clear()
     gc.collect()
-    assert not keeper._kept
+    assert not keeper._memo
 
 
 @pytest.mark.long

@@ -6,17 +6,18 @@ from typing import Any
 
 import numpy as np
 
-#: Answers kept, at most.
-KEPT = 64
+#: The most answers that are held.
+MEMOISED = 64
 _answers: dict[Any, Any] = {}
 
 
-def kept(
+def memoised(
     function: Callable[..., Any], *arrays: np.ndarray, given: tuple[Any, ...] | None = None
 ) -> Any:
     """Return a function of arrays, or its answer for the same ones before.
 
-    The function is `given` something else than what tells the arrays from others, if that is said.
+    The function is `given` something else than what tells the arrays from others, where there is
+    such.
     """
     digest = hashlib.sha1(usedforsecurity=False)
     for array in arrays:
@@ -25,7 +26,7 @@ def kept(
     key = function, digest.digest()
     if key in _answers:
         return _answers[key]
-    if len(_answers) >= KEPT:
+    if len(_answers) >= MEMOISED:
         _answers.clear()
     answer = _answers[key] = function(*(arrays if given is None else given))
     return answer
