@@ -16,7 +16,7 @@ from pinhole_jax._mask.mask import Mask
 from pinhole_jax._mask.search import VIEWS, sphere_points
 from pinhole_jax._mask.signatures import ANGLES, distances, facing, signatures
 from pinhole_jax._mask.thumbnails import SIZE, axes_inward, thumbnails
-from pinhole_jax._numerics import kept
+from pinhole_jax._numerics import memo
 from pinhole_jax._scene import coarse
 from pinhole_jax._scene.scene import ball_about, bounding_box, padded, with_or_without_border
 from pinhole_jax._silhouette.contour import contour_weights
@@ -120,7 +120,7 @@ def test_contours_of_a_fine_mesh_are_those_of_some_of_its_edges(monkeypatch):
     mesh = shapes.bumpy(5)
     number, length = contours(mesh)
     monkeypatch.setattr(capacity, "MEASURED", len(mesh.edge_faces) // 4)
-    monkeypatch.setattr(kept, "_answers", {})
+    monkeypatch.setattr(memo, "_answers", {})
     few, part = contours(mesh)
     assert np.all(few % 4 == 0)
     np.testing.assert_allclose(few, number, rtol=0.25)

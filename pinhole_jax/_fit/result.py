@@ -267,20 +267,20 @@ def widened(
     to_reported: np.ndarray,
     free: Sequence[Free],
     tolerance: float,
-    context: np.ndarray | None = None,
+    already: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return what to add to the reported parameters' covariance (n, n): the solver's `tolerance`
     (in its units), and intervals of directions that are free (all places in one as likely), but for
-    what of them a `known` covariance has already."""
+    what of them the covariance `already` has."""
     added = tolerance**2 * to_reported @ to_reported.T
     for direction in free:
         if np.isfinite(direction.ahead):
             along = to_reported @ direction.move
             a, b = direction.behind, direction.ahead
             variance = (a**3 + b**3) / (3 * (a + b))
-            if context is not None and np.all(np.isfinite(context)):
+            if already is not None and np.all(np.isfinite(already)):
                 turn = along[:3]  # rotations are reported first
-                variance -= turn @ context[:3, :3] @ turn / max(turn @ turn, 1e-150) ** 2
+                variance -= turn @ already[:3, :3] @ turn / max(turn @ turn, 1e-150) ** 2
             added += max(variance, 0.0) * np.outer(along, along)
     return added
 

@@ -241,14 +241,14 @@ def _distances(camera: Camera, data: _Data) -> Float[Array, "N"]:
 def _look(start: Camera, data: _Data, freed: tuple[str, ...]) -> PointsSeen:
     move = data.move(start, freed)
     zero = jnp.zeros_like(move.scale)
-    capacity = jnp.zeros(zero.shape[0] + 1, zero.dtype)  # more rows than columns
+    padding = jnp.zeros(zero.shape[0] + 1, zero.dtype)  # more rows than columns
 
     def at(y):
         camera = moved(move, y, freed)
-        r, from_prior = data.residuals(camera), capacity[:0]
+        r, from_prior = data.residuals(camera), padding[:0]
         if data.prior is not None:
             from_prior = data.prior.residuals(camera, freed)
-        rows = jnp.concatenate([r, from_prior, capacity])
+        rows = jnp.concatenate([r, from_prior, padding])
         return rows, (rows, jnp.sum(r * r), jnp.sum(from_prior * from_prior))
 
     jacobian, (rows, squares, prior) = jax.jacfwd(at, has_aux=True)(zero)
