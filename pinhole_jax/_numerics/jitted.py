@@ -14,13 +14,11 @@ from .passes import LEFT_OUT
 P = ParamSpec("P")
 T = TypeVar("T")
 
-#: What XLA is told of programs on a CPU: fewer passes, and less work on each kernel, of which there
-#: are hundreds that are small. A mask takes 10 to 15 % less of the processor to compile, its
-#: gradient 15 to 25 %; they run as fast (5k and 328k faces, jaxlib 0.10 and 0.12).
-OPTIONS: dict[str, str | int] = {
-    "xla_disable_hlo_passes": ",".join(LEFT_OUT),
-    "xla_backend_optimization_level": 1,
-}
+#: What XLA is told of programs on a CPU: fewer passes. A mask, its gradient and a fit take 5 to
+#: 15 % less of the processor to compile, and run as fast (5k and 328k faces, jaxlib 0.10 and 0.12).
+#: Less work on each kernel (`xla_backend_optimization_level` 1 or 2) saves as much again, but a fit
+#: then takes a quarter longer.
+OPTIONS: dict[str, str] = {"xla_disable_hlo_passes": ",".join(LEFT_OUT)}
 
 
 class jitted(Generic[P, T]):
@@ -50,7 +48,7 @@ class jitted(Generic[P, T]):
         return self._part if traced or _within_another() or not options() else self._own
 
 
-def options() -> dict[str, str | int]:
+def options() -> dict[str, str]:
     """Return what XLA is to be told of a program; nothing where it is told to do still less."""
     return {} if jax.config.read("jax_disable_most_optimizations") or not _known() else OPTIONS
 
