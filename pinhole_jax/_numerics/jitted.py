@@ -36,8 +36,8 @@ class jitted(Generic[P, T]):
         return self._program(args, kwargs)(*args, **kwargs)
 
     def lower(self, *args: P.args, **kwargs: P.kwargs) -> Any:
-        """Return the program of some arguments, not compiled yet."""
-        return self._program(args, kwargs).lower(*args, **kwargs)
+        """Return the program of some arguments, not compiled yet, and without options."""
+        return self._part.lower(*args, **kwargs)
 
     def made(self) -> int:
         """Return how many programs there are by now."""
