@@ -7,7 +7,7 @@ calls that are compiled already, ours and the loop's in turn, so that a busy mac
 A fit's step is what it does at one camera on its finest level: residuals, their derivatives by pose
 and phi, and where to go. Last, an object of 64 px on a small film and on a large one.
 
-`python experiments/limit_of_speed.py out` takes some 8 minutes, with `--quick` 2.
+`python experiments/limit_of_speed.py out` takes some 25 minutes, with `--quick` 4.
 """
 
 import json
@@ -129,7 +129,7 @@ def measured(mesh, px: int, slow: bool) -> dict:
 
 
 def small(mesh) -> dict:
-    """Return seconds of an object of so many px on films of several sizes, and of writing these."""
+    """Return seconds of a small object on films of several sizes, and of writing these."""
     import jax
     import jax.numpy as jnp
 

@@ -18,14 +18,6 @@ def doubled(x, times=2):
 
 
 @pytest.fixture
-def optimised_here():
-    before = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", False)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
-
-
-@pytest.fixture
 def told(monkeypatch):
     """What XLA is told of each program that is compiled."""
     given = []
@@ -35,7 +27,7 @@ def told(monkeypatch):
     return given
 
 
-@pytest.mark.usefixtures("optimised_here")
+@pytest.mark.usefixtures("optimised")
 def test_alone_it_takes_options_and_within_others_it_is_a_part(told):
     """JAX refuses options within another program, whether that hands on its arguments or not."""
     assert options() == OPTIONS
@@ -59,7 +51,7 @@ def test_a_compiler_that_is_told_to_hurry_is_told_nothing_else(told):
     assert told == [{}]
 
 
-@pytest.mark.usefixtures("optimised_here")
+@pytest.mark.usefixtures("optimised")
 def test_a_compiler_that_does_not_know_an_option_gets_none(monkeypatch):
     monkeypatch.setattr(module, "OPTIONS", {"xla_of_another_age": 1})
     module._known.cache_clear()

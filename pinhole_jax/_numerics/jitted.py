@@ -7,8 +7,8 @@ from typing import Any, Generic, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
-from jax.core import Tracer
 
+from .arrays import is_concrete
 from .passes import LEFT_OUT
 
 P = ParamSpec("P")
@@ -44,8 +44,8 @@ class jitted(Generic[P, T]):
         return sum(f._cached._cache_size() for f in (self._own, self._part))
 
     def _program(self, args: Any, kwargs: Any) -> Any:
-        traced = any(isinstance(x, Tracer) for x in jax.tree.leaves((args, kwargs)))
-        return self._part if traced or _within_another() or not options() else self._own
+        alone = is_concrete(*jax.tree.leaves((args, kwargs))) and not _within_another()
+        return self._own if alone and options() else self._part
 
 
 def options() -> dict[str, str]:
@@ -59,7 +59,7 @@ _nothing = jax.jit(lambda: 0)
 
 def _within_another() -> bool:
     """Return whether a program is being traced now."""
-    return isinstance(_nothing(), Tracer)
+    return not is_concrete(_nothing())
 
 
 @cache
