@@ -40,6 +40,10 @@ def outline_sigma(fit: Fit, scene: Scene) -> Float[np.ndarray, "n"]:
 
     To first order: points of the contour stay on the object while the camera moves by each
     principal axis of its covariance. Parameters that the mask does not determine are left out.
+
+    ```python
+    sigma = pj.plot.outline_sigma(fit, scene)  # px, for each segment
+    ```
     """
     from scipy.spatial import KDTree
 
@@ -86,6 +90,10 @@ def overlay(
     times as much): its two borders, and a tint that lets the picture be seen.
     `window` is the part shown: left, top, right, bottom in px from the upper left. `dots` (film
     coordinates, px), as `Fit.unbelieved` are, are drawn red.
+
+    ```python
+    picture = pj.plot.overlay(np.uint8(255 * mask), fit.camera, scene)  # (H', W', 3)
+    ```
     """
     from PIL import Image, ImageChops, ImageDraw, ImageFilter
 
@@ -127,6 +135,10 @@ def error_map(
     the camera sees more of the object than the mask, blue where less; grey is the object.
 
     `target` is a mask (H, W) as `fit_camera` takes it; `window` as in `overlay`.
+
+    ```python
+    differ = pj.plot.error_map(fit.camera, scene, mask)
+    ```
     """
     check_view(camera, scene)
     _check_size("target", target, camera)
@@ -142,7 +154,12 @@ def error_map(
 
 
 def object_window(camera: Camera, scene: Scene) -> Window:
-    """Return the part of the picture (left, top, right, bottom, px) about the object's outline."""
+    """Return the part of the picture (left, top, right, bottom, px) about the object's outline.
+
+    ```python
+    left, top, right, bottom = pj.plot.object_window(fit.camera, scene)
+    ```
+    """
     ends = (outline(camera, scene) * [1, -1] + [0, camera.H]).reshape(-1, 2)
     ends = ends[np.all((ends >= 0) & (ends <= [camera.W, camera.H]), axis=1)]
     if not len(ends):
@@ -163,7 +180,12 @@ def _check_size(name: str, image: Any, camera: Camera) -> None:
 
 
 class Svg(str):
-    """SVG text, which notebooks show as a picture."""
+    """SVG text, which notebooks show as a picture.
+
+    ```python
+    diagram.partition(">")[0]  # text: write it to a file as it is
+    ```
+    """
 
     def _repr_svg_(self) -> str:
         return str(self)
@@ -171,7 +193,12 @@ class Svg(str):
 
 def off_px(fit: Fit, scene: Scene) -> list[float]:
     """Return how far (px, root mean square over the final contour's points) the outline was from
-    its place at the end, at each entry of `fit.history`."""
+    its place at the end, at each entry of `fit.history`.
+
+    ```python
+    pj.plot.off_px(fit, scene)[-1]
+    ```
+    """
     check_fit(fit)
     check_view(fit.camera, scene)
     points = jnp.asarray(contour_points(fit.camera, scene), fit.camera.e.dtype)
@@ -185,7 +212,12 @@ def off_px(fit: Fit, scene: Scene) -> list[float]:
 
 def levels(fit: Fit) -> list[tuple[Progress, int, int]]:
     """Return each level's end with all its steps, and at which entries of `fit.history` the level
-    begins (the end of the one before) and ends."""
+    begins (the end of the one before) and ends.
+
+    ```python
+    [end.W for end, first, last in pj.plot.levels(fit)]
+    ```
+    """
     check_fit(fit)
     found, last = [], 0
     for _, each in groupby(fit.history[1:], lambda stop: (stop.W, stop.H)):
@@ -198,7 +230,12 @@ def levels(fit: Fit) -> list[tuple[Progress, int, int]]:
 
 def convergence(fit: Fit, scene: Scene) -> Svg:
     """Return a diagram of how far the outline was from its last place (px) by steps, at each entry
-    of `fit.history`; the levels are bands with their size in px."""
+    of `fit.history`; the levels are bands with their size in px.
+
+    ```python
+    diagram = pj.plot.convergence(fit, scene)  # SVG
+    ```
+    """
     off = np.maximum(off_px(fit, scene), 1e-12)
     if len(off) < 2 or not np.all(np.isfinite(off)):
         return Svg('<svg xmlns="http://www.w3.org/2000/svg" width="1" height="1"/>')

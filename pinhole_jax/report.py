@@ -15,10 +15,12 @@ import numpy as np
 
 from . import formats, plot
 from ._camera.camera import Camera
+from ._camera.matrices import Centres
 from ._files.paths import replace_file
 from ._fit.result import Fit, check_fit
 from ._fit.words import STATUSES, ParameterTable, in_digits, parameter_table
 from ._mask.target import as_coverage, check_image
+from ._numerics.arrays import Input
 from ._scene.scene import Scene, check_view
 from ._show import page as html_page
 
@@ -47,11 +49,15 @@ def write(
     photo: np.ndarray | None = None,
     title: str = "Camera from a mask",
     *,
-    pixel_centres: Any = "integer",
+    pixel_centres: Input[Centres, "of K"] = "integer",
 ) -> None:
     """Write `page` to a file, whole or not at all.
 
     Raises ValueError as `page` does, and for a path that cannot be written.
+
+    ```python
+    pj.report.write("page.html", fit, scene, mask)
+    ```
     """
     text = page(fit, scene, target, photo, title, pixel_centres=pixel_centres)
     replace_file(path, text.encode(errors="backslashreplace"))  # files' names need be no text
@@ -64,7 +70,7 @@ def page(
     photo: np.ndarray | None = None,
     title: str = "Camera from a mask",
     *,
-    pixel_centres: Any = "integer",
+    pixel_centres: Input[Centres, "of K"] = "integer",
 ) -> str:
     """Return a fit as an HTML page.
 
@@ -74,6 +80,10 @@ def page(
 
     Raises ValueError for images that are not of the camera's size, and for a fit that is not
     finite: there is no camera to show.
+
+    ```python
+    html = pj.report.page(fit, scene, mask)
+    ```
     """
     check_fit(fit)
     check_view(fit.camera, scene)

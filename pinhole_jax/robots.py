@@ -8,30 +8,48 @@ import os
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
 from ._files.paths import existing, reason
+from ._numerics.arrays import ArrayLike, Input
 from ._scene.assembly import Assembly, Posture
 from ._scene.scene import Mesh, Scene
 from .io.meshes import load_mesh, welded
 
+if TYPE_CHECKING:
+    from yourdfpy import URDF
+
 #: What only another library reads, of the mesh files that robots have.
 OTHERS = (".dae",)
+
+
+#: Of joints, by name or in their order: rad; of sliding ones m.
+Angles = Input[Mapping[str, float] | ArrayLike, "J"]
 
 
 class Robot:
     """A robot: `joints` in the order that angles are given in, `links` that have a shape.
 
     `scene(angles)` is what a camera sees of it, in the frame of its base.
+
+    ```python
+    lamp.joints, lamp.links
+    scene = lamp.scene([1.2])  # in the order of `joints`, or by name
+    posture = lamp.posture([1.2])  # the same, and what it is where the joints' zeros are elsewhere
+    ```
     """
 
     joints: tuple[str, ...]
     links: tuple[str, ...]
 
-    def __init__(self, urdf: Any, bodies: Sequence[tuple[str, Float[np.ndarray, "4 4"], Mesh]]):
+    def __init__(
+        self,
+        urdf: Input["URDF", "yourdfpy's"],
+        bodies: Sequence[tuple[str, Float[np.ndarray, "4 4"], Mesh]],
+    ):
         self._urdf, self._posing = urdf, threading.Lock()
         self.joints = tuple(urdf.actuated_joint_names)
         self._following = {n for n, j in urdf.joint_map.items() if j.mimic is not None}
@@ -39,7 +57,7 @@ class Robot:
         self.links = tuple(dict.fromkeys(link for link, _ in self._at))
         self._assembly = Assembly([mesh for _, _, mesh in bodies])
 
-    def poses(self, angles: Any) -> dict[str, Float[np.ndarray, "4 4"]]:
+    def poses(self, angles: Angles) -> dict[str, Float[np.ndarray, "4 4"]]:
         """Return the pose of each link in the base's frame: what carries a camera on a link is one.
 
         - `angles`: of the joints (rad; of sliding ones in m), by name or in the order of `joints`.
@@ -51,11 +69,11 @@ class Robot:
             self._urdf.update_cfg(checked)
             return {name: np.array(self._urdf.get_transform(name), float) for name in names}
 
-    def scene(self, angles: Any) -> Scene:
+    def scene(self, angles: Angles) -> Scene:
         """Return the robot with its joints at these angles (see `poses`)."""
         return self.at(self.poses(angles))
 
-    def posture(self, angles: Any) -> Posture:
+    def posture(self, angles: Angles) -> Posture:
         """Return the robot with its joints at these angles (see `poses`), and how it moves with
         their zeros: what a `JointView` takes where `fit_joint` shall find these."""
         checked = self._checked(angles)
@@ -69,7 +87,7 @@ class Robot:
         units = {n: "world" if kind == "prismatic" else "rad" for n, kind in kinds.items()}
         return Posture(self._assembly, poses, units)
 
-    def at(self, poses: Mapping[str, Any]) -> Scene:
+    def at(self, poses: Input[Mapping[str, ArrayLike], "4 4 each"]) -> Scene:
         """Return the robot with its links at poses (4, 4) that other kinematics found, by name.
 
         Raises ValueError where a link's is missing.
@@ -78,7 +96,7 @@ class Robot:
             raise ValueError(f"`poses`: expected one of each link, got none of {missing[0]}")
         return self._assembly.at([np.asarray(poses[link]) @ place for link, place in self._at])
 
-    def _checked(self, angles: Any) -> dict[str, float]:
+    def _checked(self, angles: Angles) -> dict[str, float]:
         if not isinstance(angles, Mapping):
             values = np.asarray(angles, float)
             if values.shape != (len(self.joints),):
@@ -112,6 +130,10 @@ def load_urdf(path: str | os.PathLike[str], leave_out: Sequence[str] = ()) -> Ro
 
     Raises ModuleNotFoundError without yourdfpy (`pip install pinhole-jax[robots]`),
     FileNotFoundError, and ValueError for what is no URDF, has no shapes, or no such link.
+
+    ```python
+    lamp = pj.robots.load_urdf("lamp.urdf")
+    ```
     """
     file = existing(path, "a URDF file")
     try:

@@ -9,6 +9,10 @@ def bumpy(subdivisions: int = 4, seed: int = 0, bumps: float = 0.12) -> Mesh:
     """Return a bumpy ellipsoid with no symmetry: 20 * 4**subdivisions faces, radius about 1.
 
     A sphere whose radius is modulated by eight sine waves of relative amplitude `bumps`.
+
+    ```python
+    mesh = pj.shapes.bumpy(2)
+    ```
     """
     import trimesh
 
@@ -27,6 +31,10 @@ def revolved(profile: np.ndarray, sections: int = 64) -> Mesh:
 
     The profile runs from the axis to the axis (radius 0 at both ends), counter-clockwise as seen
     with the radius to the right and the height up.
+
+    ```python
+    cone = pj.shapes.revolved(np.array([(0, 0), (1, 0), (0, 2)]))
+    ```
     """
     r, z = np.asarray(profile, float).T
     if r.shape[0] < 3 or r[0] != 0 or r[-1] != 0 or np.any(r[1:-1] <= 0):

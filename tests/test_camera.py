@@ -158,3 +158,82 @@ def test_a_camera_is_printed_as_a_table():
     with pytest.raises(ValueError, match="`lens`: expected a Lens or None, got tuple"):
         check_lens((320.0, 240.0))
     jax.jit(lambda c: str(c) and c.e)(pj.Camera([1, 2, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48))
+
+
+K = np.array([[70.0, 0, 30], [0, 65, 26], [0, 0, 1]])
+
+
+def with_matrices(k, rotated, t):
+    """Return a camera of OpenCV's matrices: its rotation follows a vector by Rodrigues."""
+    angle = jnp.linalg.norm(rotated)
+    x, y, z = rotated / angle
+    by = jnp.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    R = jnp.eye(3) + jnp.sin(angle) * by + (1 - jnp.cos(angle)) * by @ by
+    return pj.Camera.from_K(k, R, t, 64, 48, pixel_centres="half")
+
+
+def test_a_camera_of_matrices_projects_as_they_do_and_follows_them():
+    """u, v, w = K (R X + t) by themselves, and their derivative."""
+    point, rotated, t = arrays([0.3, -0.2, 0.4], [2.9, 0.3, -0.2], [0.1, 0.2, 4.0])
+
+    def by_hand(k, rotated, t):
+        angle = jnp.linalg.norm(rotated)
+        axis = rotated / angle
+        seen = point * jnp.cos(angle) + jnp.cross(axis, point) * jnp.sin(angle)
+        u, v, w = k @ (seen + axis * jnp.dot(axis, point) * (1 - jnp.cos(angle)) + t)
+        return jnp.stack([u / w, 48 - v / w])  # film coordinates: y up
+
+    by_camera = lambda *given: pj.project(with_matrices(*given), point)
+    given = jnp.asarray(K), rotated, t
+    np.testing.assert_allclose(by_camera(*given), by_hand(*given), atol=1e-10)
+    ours, theirs = (jax.jacrev(f, argnums=(0, 1, 2))(*given) for f in (by_camera, by_hand))
+    free = np.diag([0, 0, 1]) != K  # (the last row is no parameter, and there is no skew)
+    free[0, 1] = free[2] = False
+    np.testing.assert_allclose(ours[0][:, free], theirs[0][:, free], atol=1e-9)
+    for mine, hand in zip(ours[1:], theirs[1:], strict=True):
+        np.testing.assert_allclose(mine, hand, atol=1e-8)
+    # A column is a translation, too, and a centred camera has no lens.
+    centred = pj.Camera.from_K(
+        [*np.diag([70.0, 70, 1]), [0, 0, 31.5], [0, 0, 23.5], [0, 0, 0]],
+        np.eye(3),
+        [[0.0], [0], [4]],
+        64,
+        48,
+        pixel_centres="integer",
+    )
+    assert centred.lens is None
+
+
+def test_another_focal_length_keeps_all_else():
+    camera = pj.Camera(E, P, U, 0.5, W=200, H=100, lens=pj.Lens([90.0, 40.0], 1.5))
+    np.testing.assert_allclose(focal_px(camera.with_focal(80.0)), [120, 80])
+    other = camera.with_focal([90.0, 80.0])
+    np.testing.assert_allclose(focal_px(other), [90, 80])
+    np.testing.assert_allclose(other.lens.principal_point, [90, 40])
+    plain = pj.Camera(E, P, U, 0.5, W=200, H=100)
+    assert plain.with_focal(80.0).lens is None
+    np.testing.assert_allclose(plain.with_focal([90.0, 80.0]).lens.principal_point, [100, 50])
+    of_focal = lambda f: pj.project(plain.with_focal(f), jnp.array([1.0, 2.0, 1.0]))
+    np.testing.assert_allclose(jax.jacrev(of_focal)(80.0), [1 / 4, 2 / 4], atol=1e-12)
+
+
+@pytest.mark.parametrize("focal", [0.0, [80.0, -1.0], [1.0, 2, 3], np.nan, None])
+def test_what_is_no_focal_length_is_refused(focal):
+    with pytest.raises(ValueError, match="`focal_px`: expected"):
+        pj.Camera(E, P, U, 0.5, W=200, H=100).with_focal(focal)
+
+
+@pytest.mark.parametrize(
+    ("eye", "axes", "words"),
+    [
+        ([1.0, 2], np.diag([1.0, 1, -1]), "`eye`: expected finite numbers of shape"),
+        ([1.0, 2, np.inf], np.diag([1.0, 1, -1]), "`eye`: expected finite numbers of shape"),
+        ([1.0, 2, 3], np.eye(2), r"`axes`: expected shape \(3, 3\)"),
+        ([1.0, 2, 3], np.eye(3), "`axes`: expected unit vectors right, up, forward"),
+        ([1.0, 2, 3], 2 * np.diag([1.0, 1, -1]), "`axes`: expected unit vectors"),
+        ([1.0, 2, 3], np.full((3, 3), np.nan), "`axes`: expected unit vectors"),
+    ],
+)
+def test_what_is_no_pose_is_refused(eye, axes, words):
+    with pytest.raises(ValueError, match=words):
+        pj.Camera(E, P, U, 0.5, W=4, H=4).with_pose(eye, axes)

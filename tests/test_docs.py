@@ -6,6 +6,7 @@ of pages that say `run: true` run while the site is built.
 """
 
 import ast
+import functools
 import importlib.util
 import inspect
 import json
@@ -32,8 +33,23 @@ from pinhole_jax._fit.words import STATUSES
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 EXPERIMENTS = "experiments"
+SHOWN = re.compile(r"^::: pinhole_jax\.([\w.]+)$", re.M)
+
+
+def docstrings(name):
+    """Return what the reference shows of a public name: its docstring, a class's methods' too."""
+    thing = functools.reduce(getattr, name.split("."), pj)
+    members = vars(thing).values() if inspect.isclass(thing) else ()
+    methods = [getattr(part, "__func__", part) for part in members]
+    methods = [m for m in methods if inspect.isfunction(m) and not m.__name__.startswith("_")]
+    return "\n\n".join(inspect.getdoc(part) or "" for part in [thing, *methods])
+
+
+#: All pages by their path, with what the site puts into them.
 TEXTS = {
-    path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+    path.relative_to(ROOT).as_posix(): SHOWN.sub(
+        lambda shown: f"{shown[0]}\n\n{docstrings(shown[1])}", path.read_text(encoding="utf-8")
+    )
     for path in [
         *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
         ROOT / "experiments" / "README.md",
@@ -110,6 +126,25 @@ def of_module(name, module):
             and not part.startswith("_")
         ):
             yield f"{name}.{part}", thing
+
+
+def annotations_of(thing):
+    """Yield what a public function, or a class's fields and public methods, say of types."""
+    (node,) = ast.parse(textwrap.dedent(inspect.getsource(inspect.unwrap(thing)))).body
+    for part in [node] if isinstance(node, ast.FunctionDef) else node.body:
+        name = part.name if isinstance(part, ast.FunctionDef) else ""
+        if isinstance(part, ast.AnnAssign) and not part.target.id.startswith("_"):
+            yield part.annotation
+        elif isinstance(part, ast.FunctionDef) and not re.match(r"_(?!_)", name):
+            yield from (arg.annotation for arg in ast.walk(part.args) if isinstance(arg, ast.arg))
+            yield part.returns
+
+
+@pytest.mark.parametrize(("name", "thing"), [*public_names()])
+def test_a_public_name_says_its_types(name, thing):
+    """None of them is `Any`, which a reader and a type checker learn nothing from."""
+    said = [ast.unparse(annotation) for annotation in annotations_of(thing) if annotation]
+    assert not [words for words in said if re.search(r"\bAny\b", words)]
 
 
 @pytest.mark.parametrize("page", TEXTS)
@@ -389,15 +424,11 @@ def test_names_of_the_library_exist(page):
 
 def test_every_public_name_is_in_the_reference_with_an_example():
     pages = [text for page, text in TEXTS.items() if page.startswith("docs/reference/")]
-    told = {
-        name for text in pages for name in re.findall(r"^::: pinhole_jax\.([\w.]+)$", text, re.M)
-    }
-    code = "\n".join(block for text in pages for block in blocks("python", text))
+    told = {name for text in pages for name in SHOWN.findall(text)}
     names = [name for name, _ in public_names()]
     assert len(names) > 80
     assert [name for name in names if name not in told] == []
-    made = {"Fit", "Rays"}  # (an example makes most others by name, too)
-    assert [n for n in names if not re.search(rf"\bpj\.{n}\b", code) and n not in made] == []
+    assert [name for name in names if not blocks("python", docstrings(name))] == []
 
 
 def test_every_format_command_and_status_is_told():

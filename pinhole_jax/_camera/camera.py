@@ -30,12 +30,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics.arrays import MISSING, Numbers, float_array, float_dtype, is_concrete
+from .._numerics.arrays import (
+    MISSING,
+    ArrayLike,
+    Input,
+    float_array,
+    float_dtype,
+    is_concrete,
+)
 from .._numerics.jitted import jitted
 from .._numerics.safe import cross_of_difference, norm, normalize
+from .distortion import Distortion
 from .drawing import card, frustum, table
 from .film import Bend, FilmMap, FilmPart
 from .lens import Lens, check_lens
+from .matrices import ORTHOGONAL, Centres, from_matrices
 
 #: Pixels are counted in 32 bits, with some room beside the film.
 MOST_PIXELS = 1 << 30
@@ -82,6 +91,11 @@ class Camera(eqx.Module):
     only: where they make no camera (e = p, u along the view) all points project to the principal
     point, a silhouette is 0, rays run along the view (and are shorter than 1) or are null and miss,
     and derivatives are finite.
+
+    ```python
+    nearer = camera.replace(e=[0.3, 1, 4])  # checked as the constructor does
+    print(nearer)
+    ```
     """
 
     e: Float[Array, "3"]
@@ -95,13 +109,13 @@ class Camera(eqx.Module):
 
     def __init__(
         self,
-        e: Numbers,
-        p: Numbers,
-        u: Numbers,
-        phi: Numbers,
-        d: Numbers = 1.0,
-        W: Any = MISSING,
-        H: Any = MISSING,
+        e: Input[ArrayLike, "3"],
+        p: Input[ArrayLike, "3"],
+        u: Input[ArrayLike, "3"],
+        phi: Input[ArrayLike, ""],
+        d: Input[ArrayLike, ""] = 1.0,
+        W: Input[int, "px"] = MISSING,
+        H: Input[int, "px"] = MISSING,
         lens: Lens | None = None,
     ):
         if W is MISSING or H is MISSING:
@@ -143,14 +157,82 @@ class Camera(eqx.Module):
             return None
         return card(f"<b>Camera</b> of {self.W} x {self.H} px", table(_rows(self)), picture(self))
 
-    def replace(self, **changes: Any) -> "Camera":
+    def replace(self, **changes: Input[ArrayLike | Lens | None, "by name"]) -> "Camera":
         """Return the camera with some of its arguments changed, checked as the constructor does."""
         return replace(self, **changes)
 
-    def with_pose(self, eye: Any, axes: Any) -> "Camera":
-        """Return the camera at an eye (3,) with these axes (3, 3), rows b1, b2, v: numbers, not
-        traced; p stays as far from the eye as it is."""
+    @classmethod
+    def from_K(
+        cls,
+        K: Input[ArrayLike, "3 3"],
+        R: Input[ArrayLike, "3 3"],
+        t: Input[ArrayLike, "3"],
+        W: Input[int, "px"],
+        H: Input[int, "px"],
+        *,
+        pixel_centres: Input[Centres, "of K"],
+        d: Input[ArrayLike, ""] = 1.0,
+        distortion: Input[Distortion | None, "model"] = None,
+    ) -> "Camera":
+        """Return the camera of OpenCV's K (3, 3), R (3, 3), t (3,): x right, y down, z forward.
+
+        `X_camera = R X_world + t` and `(u, v, 1) ~ K X_camera`. `pixel_centres` says where the
+        source puts them: "integer" (OpenCV, M3T: the first pixel's centre is 0) or "half" (COLMAP,
+        NeRF: 0.5). It costs half a pixel to get it wrong, so it has no default. Skew must be 0.
+
+        `distortion` is the lens's (`BrownConrady(*distCoeffs)`, `Fisheye`). The view point is put
+        at unit distance, up along the image's columns. Differentiable with respect to K, R and t;
+        a camera of traced ones always has a `Lens`.
+
+        Raises ValueError naming the argument where one has another shape, is not finite, or makes
+        no camera: R no rotation, focal lengths not positive, K with skew or another last row.
+
+        ```python
+        K = [[120.0, 0, 48], [0, 120, 40], [0, 0, 1]]
+        seen = pj.Camera.from_K(K, np.eye(3), [0, 0, 5], 96, 80, pixel_centres="half")
+        ```
+        """
+        W, H = resolution("W", W), resolution("H", H)
+        found = from_matrices(K, R, t, W, H, pixel_centres)
+        ideal = found.plain and distortion is None
+        lens = None if ideal else Lens(found.principal_point, found.aspect, distortion)
+        return cls(found.e, found.p, found.u, found.phi, d, W, H, lens)
+
+    def with_focal(self, focal_px: Input[ArrayLike, "px"]) -> "Camera":
+        """Return the camera with another focal length in px, all else as it is.
+
+        One number is that along y, `H / (2 tan(phi/2))`, and x keeps its aspect; or (fx, fy).
+
+        Raises ValueError for what is not one or two positive numbers.
+
+        ```python
+        longer = camera.with_focal(200.0)  # px
+        ```
+        """
+        dtype = self.e.dtype
+        both = np.ndim(focal_px) == 1
+        focal = float_array("focal_px", focal_px, (2,) if both else (), dtype)
+        if is_concrete(focal) and not np.all(np.asarray(focal) > 0):
+            raise ValueError(f"`focal_px`: expected positive numbers, got {np.asarray(focal)}")
+        fx, fy = focal if both else (None, focal)
+        phi = 2 * jnp.arctan(self.H / (2 * fy))
+        if fx is None:
+            return self.replace(phi=phi)
+        distortion = None if self.lens is None else self.lens.distortion
+        return self.replace(phi=phi, lens=Lens(principal_point(self), fx / fy, distortion))
+
+    def with_pose(self, eye: Input[ArrayLike, "3"], axes: Input[ArrayLike, "3 3"]) -> "Camera":
+        """Return the camera at an eye (3,) with these axes (3, 3), rows b1, b2, v: right, up,
+        forward, in world coordinates. Numbers, not traced; p stays as far from the eye as it is.
+
+        Raises ValueError where they have another shape, are not finite, or no such axes.
+
+        ```python
+        above = camera.with_pose([0, 4, 0], [[1, 0, 0], [0, 0, -1], [0, -1, 0]])
+        ```
+        """
         eye, axes = np.asarray(eye, float), np.asarray(axes, float)
+        _check_pose(eye, axes)
         far = float(np.linalg.norm(np.asarray(self.p, float) - np.asarray(self.e, float)))
         pose = [jnp.asarray(x, self.e.dtype) for x in (eye, eye + far * axes[2], axes[1])]
         return eqx.tree_at(lambda c: [c.e, c.p, c.u], self, pose)
@@ -213,7 +295,12 @@ def check_camera(camera: Any, name: str = "camera") -> None:
 
 
 def camera_basis(camera: Camera) -> Basis:
-    """Return the camera's axes in world coordinates."""
+    """Return the camera's axes in world coordinates.
+
+    ```python
+    right, up, forward = pj.camera_basis(camera)
+    ```
+    """
     check_camera(camera)
     return basis(camera.e, camera.p, camera.u)
 
@@ -304,6 +391,16 @@ def _check_lens(camera: Camera) -> None:
         f"`lens`: expected a distortion that holds up to the film's corners, got a {model} whose"
         " image folds back, or shows 90 degrees from the axis, within the film"
     )
+
+
+def _check_pose(eye: np.ndarray, axes: np.ndarray) -> None:
+    if eye.shape != (3,) or not np.all(np.isfinite(eye)):
+        raise ValueError(f"`eye`: expected finite numbers of shape (3,), got {eye}")
+    if axes.shape != (3, 3):
+        raise ValueError(f"`axes`: expected shape (3, 3), got {axes.shape}")
+    apart = np.abs(axes @ axes.T - np.eye(3)).max()
+    if not (apart < ORTHOGONAL and np.dot(np.cross(axes[0], axes[1]), axes[2]) < 0):
+        raise ValueError(f"`axes`: expected unit vectors right, up, forward, got {axes.tolist()}")
 
 
 def _check_view(e: np.ndarray, p: np.ndarray, u: np.ndarray) -> None:

@@ -23,8 +23,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics.arrays import Numbers, float_array, float_dtype
+from .._numerics.arrays import ArrayLike, Input, float_array, float_dtype
 from .._numerics.safe import norm, safe_divide, safe_sqrt
+
+Real = Input[ArrayLike, ""]
 
 #: The coefficients of all models, in OpenCV's order.
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -131,6 +133,10 @@ class BrownConrady(Decentred):
 
     `x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)`, and so for y, with OpenCV's y
     (down). Raises ValueError for values that are not finite numbers.
+
+    ```python
+    pj.BrownConrady(k1=-0.27, k2=0.05, p1=1e-3, p2=0.0, k3=0.0).coefficients()
+    ```
     """
 
     powers: ClassVar[Mapping[str, int]] = {"k1": 3, "k2": 5, "p1": 2, "p2": 2, "k3": 7}
@@ -143,11 +149,11 @@ class BrownConrady(Decentred):
 
     def __init__(
         self,
-        k1: Numbers = 0.0,
-        k2: Numbers = 0.0,
-        p1: Numbers = 0.0,
-        p2: Numbers = 0.0,
-        k3: Numbers = 0.0,
+        k1: Real = 0.0,
+        k2: Real = 0.0,
+        p1: Real = 0.0,
+        p2: Real = 0.0,
+        k3: Real = 0.0,
     ):
         values = {"k1": k1, "k2": k2, "p1": p1, "p2": p2, "k3": k3}
         self.k1, self.k2, self.p1, self.p2, self.k3 = _coefficients(values)
@@ -167,6 +173,10 @@ class Rational(Decentred):
     `BrownConrady` with the radial factor
     `(1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)`. Raises ValueError for values
     that are not finite numbers.
+
+    ```python
+    pj.Rational(k1=-0.27, k4=0.01)
+    ```
     """
 
     powers: ClassVar[Mapping[str, int]] = {**BrownConrady.powers, "k4": 3, "k5": 5, "k6": 7}
@@ -182,14 +192,14 @@ class Rational(Decentred):
 
     def __init__(
         self,
-        k1: Numbers = 0.0,
-        k2: Numbers = 0.0,
-        p1: Numbers = 0.0,
-        p2: Numbers = 0.0,
-        k3: Numbers = 0.0,
-        k4: Numbers = 0.0,
-        k5: Numbers = 0.0,
-        k6: Numbers = 0.0,
+        k1: Real = 0.0,
+        k2: Real = 0.0,
+        p1: Real = 0.0,
+        p2: Real = 0.0,
+        k3: Real = 0.0,
+        k4: Real = 0.0,
+        k5: Real = 0.0,
+        k6: Real = 0.0,
     ):
         given = (k1, k2, p1, p2, k3, k4, k5, k6)
         values = _coefficients(dict(zip(COEFFICIENTS, given, strict=True)))
@@ -221,6 +231,10 @@ class Fisheye(Distortion):
     `theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)`, theta in rad. Only what lies in
     front of the eye is seen: less than 90 degrees from the axis. Raises ValueError for values that
     are not finite numbers.
+
+    ```python
+    pj.Fisheye(k1=0.02, k2=-0.01)
+    ```
     """
 
     powers: ClassVar[Mapping[str, int]] = {"k1": 3, "k2": 5, "k3": 7, "k4": 9}
@@ -230,7 +244,13 @@ class Fisheye(Distortion):
     k3: Float[Array, ""]
     k4: Float[Array, ""]
 
-    def __init__(self, k1: Numbers = 0.0, k2: Numbers = 0.0, k3: Numbers = 0.0, k4: Numbers = 0.0):
+    def __init__(
+        self,
+        k1: Real = 0.0,
+        k2: Real = 0.0,
+        k3: Real = 0.0,
+        k4: Real = 0.0,
+    ):
         self.k1, self.k2, self.k3, self.k4 = _coefficients({"k1": k1, "k2": k2, "k3": k3, "k4": k4})
 
     def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
@@ -281,7 +301,7 @@ def _powers(s: Array, *factors: Array) -> Array:
     return total
 
 
-def _coefficients(values: dict[str, Numbers]) -> list[Array]:
+def _coefficients(values: dict[str, ArrayLike]) -> list[Array]:
     dtype = float_dtype(*values.values())
     return [float_array(name, value, (), dtype) for name, value in values.items()]
 

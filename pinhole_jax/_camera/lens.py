@@ -9,7 +9,7 @@ from typing import Any
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from .._numerics.arrays import Numbers, float_array, float_dtype, is_concrete
+from .._numerics.arrays import ArrayLike, Input, float_array, float_dtype, is_concrete
 from .distortion import MODELS, Distortion
 
 
@@ -24,6 +24,11 @@ class Lens(eqx.Module):
       another.
 
     Raises ValueError for wrong shapes, non-finite values and an aspect that is not positive.
+
+    ```python
+    lens = pj.Lens([47.5, 41.0], aspect=1.0, distortion=pj.BrownConrady(k1=-0.1))
+    distorted = camera.replace(lens=lens)
+    ```
     """
 
     principal_point: Float[Array, "2"]
@@ -32,9 +37,9 @@ class Lens(eqx.Module):
 
     def __init__(
         self,
-        principal_point: Numbers,
-        aspect: Numbers = 1.0,
-        distortion: Any = None,
+        principal_point: Input[ArrayLike, "2"],
+        aspect: Input[ArrayLike, ""] = 1.0,
+        distortion: Input[Distortion | None, "model"] = None,
     ):
         dtype = float_dtype(principal_point, aspect)
         self.principal_point = float_array("principal_point", principal_point, (2,), dtype)

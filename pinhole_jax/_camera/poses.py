@@ -12,11 +12,9 @@ from jaxtyping import Float
 
 from .axes import axes_of
 from .camera import Camera
+from .matrices import ORTHOGONAL
 
 Pose = Float[np.ndarray, "4 4"]
-
-#: A matrix is a rotation if it is orthogonal to this.
-ORTHOGONAL = 1e-4
 
 
 def pose_of(camera: Camera) -> Pose:

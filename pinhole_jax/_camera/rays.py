@@ -6,24 +6,29 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from .._numerics.arrays import Numbers
+from .._numerics.arrays import ArrayLike, Input
 from .._numerics.safe import binary_inverse, safe_divide
 from .camera import Camera, basis, check_camera, film_size, focal_px, principal_point, to_camera
 
 
 class Rays(NamedTuple):
-    """Half lines: `origin` (..., 3) broadcasts against `direction` (..., 3), of unit length."""
+    """Half lines: `origin` (..., 3) broadcasts against `direction` (..., 3), of unit length.
+
+    ```python
+    one = pj.Rays(camera.e, jnp.array([[0.0, 0.0, -1.0]]))  # any rays of one origin
+    ```
+    """
 
     origin: Float[Array, "*#batch 3"]
     direction: Float[Array, "*batch 3"]
 
 
 def generate_rays(
-    e: Numbers,
-    p: Numbers,
-    u: Numbers,
-    phi: Numbers,
-    d: Numbers,
+    e: Input[ArrayLike, "3"],
+    p: Input[ArrayLike, "3"],
+    u: Input[ArrayLike, "3"],
+    phi: Input[ArrayLike, ""],
+    d: Input[ArrayLike, ""],
     W: int,
     H: int,
     samples: int | None = None,
@@ -37,6 +42,11 @@ def generate_rays(
     uniformly random point of each cell (stratified).
 
     Raises ValueError where `samples` is below 1 or a `key` comes without `samples`.
+
+    ```python
+    rays = pj.generate_rays(camera.e, camera.p, camera.u, camera.phi, camera.d, 96, 80)
+    rays.origin, rays.direction.shape  # (3,), (H, W, 3)
+    ```
     """
     camera = Camera(e, p, u, phi, d, W, H)
     return camera_rays(camera, samples, key)
@@ -48,6 +58,10 @@ def camera_rays(
     """Return the camera's rays: origin (3,), direction (H, W, 3) or (H, W, samples**2, 3).
 
     The same as `generate_rays` for a `Camera`; a lens shifts, stretches and bends the film.
+
+    ```python
+    rays = pj.camera_rays(camera)  # the lens is counted, too
+    ```
     """
     check_camera(camera)
     x, y = _film_samples(camera.W, camera.H, samples, key, camera.e.dtype)
@@ -84,12 +98,18 @@ def rays_through(
     return direction.reshape(*direction.shape[:-1], n, 3)
 
 
-def project(camera: Camera, points: Numbers) -> Float[Array, "*batch 2"]:
+def project(camera: Camera, points: Input[ArrayLike, "*batch 3"]) -> Float[Array, "*batch 2"]:
     """Return the film coordinates (px, origin bottom left, y up) of world points (..., 3).
 
     A point behind the eye projects through it, as the equations say; one in the eye's own plane
     gives the principal point. `to_camera(camera, points)[..., 2] > 0` tells points in front. Where
     a lens's polynomial would fold back it goes on straight (see `distortion`).
+
+    ```python
+    corner = jnp.array([0.5, 0.5, 0.5])
+    x, y = pj.project(camera, corner)  # film coordinates: px from the bottom left, y up
+    row, column = 80 - 1 - int(y), int(x)  # of the array
+    ```
     """
     check_camera(camera)
     points = jnp.asarray(points)

@@ -36,12 +36,12 @@ def hand_eye(
     """Fit, write and print; return 0, or 1 for a fit that is not to be trusted."""
     robot = robot_of(options)
     views = views_of(robot, options, tell)
-    pictures = _pictures(options, [view.target for view in views])
+    pictures = _pictures(options, masks := [np.asarray(view.target) for view in views])
     if options.refine:
         photos = map(three_channels, pictures)
         views = [v._replace(photo=p) for v, p in zip(views, photos, strict=True)]
     proposed = None if options.propose is None else _proposed(robot, options)
-    camera, search = _start(options, views[0].target, tell)
+    camera, search = _start(options, masks[0], tell)
     say(f"fitting {len(views)} views (the first time compiles: seconds)")
     with named(**ASKED):
         fit = fit_joint(
@@ -60,7 +60,7 @@ def hand_eye(
         say("drawing the page")
         text = robot_page(
             fit,
-            [view.target for view in views],
+            masks,
             pictures,
             [Path(path).name for path in options.masks],
             frame=options.in_hand or "the base",
@@ -135,7 +135,8 @@ def _worths(
 ) -> str:
     """Return a sentence that says what a mask of each proposed posture would tell."""
     found = fit.cameras["camera"]
-    seen = [(view.scene, given.mount) for view, given in zip(fit.views, views, strict=True)]
+    mounts = [None if v.mount is None else np.asarray(v.mount) for v in views]
+    seen = [(view.scene, mount) for view, mount in zip(fit.views, mounts, strict=True)]
     return in_words(worths(found.camera, found.covariance, as_names(options.free), seen, proposed))
 
 

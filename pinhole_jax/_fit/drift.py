@@ -26,6 +26,10 @@ class Drift(NamedTuple):
       NaN where it was not fitted, 0 where the masks do not determine it.
     - `sigma`: how surely it has moved, as of one normal number: from all parameters together and
       their covariance (chi-squared), so that errors which go together count once.
+
+    ```python
+    found.moved, found.sigma, np.rad2deg(found.turn), found.shift
+    ```
     """
 
     angle: float
@@ -67,6 +71,11 @@ def drift(fit: Fit, reference: Camera | Fit) -> Drift:
     calibration is checked by one more mask.
 
     Raises ValueError for other arguments, and for a fit whose pose was not free.
+
+    ```python
+    found = pj.drift(fit, truth)  # the calibration that was: a camera, or a fit of other masks
+    print(found)
+    ```
     """
     check_fit(fit)
     if not isinstance(reference, Camera | Fit):

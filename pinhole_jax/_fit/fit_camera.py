@@ -14,13 +14,13 @@ from .._camera.lens import Lens
 from .._camera.rays import project
 from .._mask.mask import Mask
 from .._mask.target import MOST_BORDER, border_of, check_target, inside_of, levelled
-from .._numerics.arrays import Numbers, float_dtype, is_concrete
+from .._numerics.arrays import ArrayLike, Input, float_dtype, is_concrete
 from .._scene.scene import Scene, check_scene
 from .._solver.kinds import Kind
 from .._solver.moves import Bounds, canonical
 from .._solver.outline_errors import OutlineErrors
 from .._solver.parameters import check_free, focal_is_free, in_one, with_lens
-from .._solver.priors import Prior, bounds_of, prior_of
+from .._solver.priors import Pair, Prior, bounds_of, prior_of
 from .._solver.problem import View
 from .._solver.residuals import Sums
 from .._solver.solver import Found, Solver, Stop
@@ -49,20 +49,20 @@ KNOWN, MOST_ERROR_PX = 3, 1.0
 
 def fit_camera(
     scene: Scene,
-    target: Numbers,
+    target: Input[ArrayLike, "H W"],
     camera: Camera | None,
     free: str | Sequence[str] = ("pose",),
     *,
-    phi: Numbers = None,
+    phi: Input[ArrayLike | None, "rad"] = None,
     lens: Lens | None = None,
-    weight: Numbers = None,
+    weight: Input[ArrayLike | None, "H W"] = None,
     outlier_px: float | None = 2.0,
-    prior: Mapping[str, Any] | None = None,
-    bounds: Mapping[str, Any] | None = None,
+    prior: Input[Mapping[str, Pair] | None, "mean, sigma"] = None,
+    bounds: Input[Mapping[str, Pair] | None, "low, high"] = None,
     max_steps: int = 64,
     progress: Callable[[Progress], None] | None = None,
     record: bool = False,
-    photo: Numbers = None,
+    photo: Input[ArrayLike | None, "H W 3"] = None,
 ) -> Fit:
     """Return the camera whose silhouette of the scene is closest to a mask, with error bars.
 
@@ -108,6 +108,11 @@ def fit_camera(
     reverse) with respect to scene, target and weight, by the implicit function theorem.
 
     Raises ValueError for arguments that make no fit; what the solver met is in `Fit.status`.
+
+    ```python
+    fit = pj.fit_camera(scene, mask, start, free=("pose", "phi"))
+    print(fit)
+    ```
     """
     check_scene(scene)
     check_steps(max_steps)
@@ -366,7 +371,11 @@ def _reported(
 
 
 def _anywhere(
-    scene: Scene, target: Numbers, freed: tuple[str, ...], phi: Numbers, lens: Lens | None
+    scene: Scene,
+    target: ArrayLike,
+    freed: tuple[str, ...],
+    phi: ArrayLike | None,
+    lens: Lens | None,
 ) -> Camera:
     """Return a camera of the target's size to begin a search with."""
     if not turns_freely(freed):

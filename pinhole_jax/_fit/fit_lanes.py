@@ -7,12 +7,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from .._camera.camera import Camera, check_camera
 from .._mask.mask import Mask
 from .._mask.pyramid import PAGE, Level, pyramid
 from .._mask.target import check_target, inside_of, levelled, object_window
-from .._numerics.arrays import Numbers
+from .._numerics.arrays import ArrayLike, Input
 from .._scene.scene import Scene, astype, ball_about, bounding_box, check_scene, filled_alike
 from .._solver.buffers import explained_by
 from .._solver.capacity import contours, diagonal_of
@@ -43,6 +44,10 @@ class Lanes(NamedTuple):
 
     - `fits`: a `Fit` for each mask, as `fit_camera` gives it.
     - `alone`: for each mask why it was fitted alone once more, "" where it was not.
+
+    ```python
+    lanes.fits[0].status, lanes.alone
+    ```
     """
 
     fits: tuple[Fit, ...]
@@ -72,11 +77,11 @@ class _OfMask:
 
 def fit_lanes(
     scene: Scene | Sequence[Scene],
-    targets: Sequence[Numbers] | Numbers,
+    targets: Input[Sequence[ArrayLike] | np.ndarray | Array, "N H W"],
     cameras: Camera | Sequence[Camera],
     free: str | Sequence[str] = ("pose",),
     *,
-    weights: Sequence[Numbers] | None = None,
+    weights: Input[Sequence[ArrayLike | None] | np.ndarray | Array | None, "N H W"] = None,
     outlier_px: float | None = 2.0,
     max_steps: int = 64,
 ) -> Lanes:
@@ -103,6 +108,10 @@ def fit_lanes(
     `pinhole_jax.fit_many` is faster, which has all cores.
 
     Raises ValueError for arguments that make no fits; what the solver met is in each `Fit.status`.
+
+    ```python
+    lanes = pj.fit_lanes(scene, masks[:1], [start])
+    ```
     """
     check_steps(max_steps)
     check_reach(outlier_px)

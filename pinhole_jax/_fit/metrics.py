@@ -16,6 +16,10 @@ def pose_error(camera_a: Camera, camera_b: Camera) -> tuple[Float[Array, ""], Fl
     - the distance of their eyes (world units).
 
     Free of the gauge: `|p-e|`, `|u|`, `u.v` and `d` do not count.
+
+    ```python
+    angle, distance = pj.pose_error(fit.camera, truth)  # rad, world units: free of the gauge
+    ```
     """
     check_camera(camera_a, "camera_a")
     check_camera(camera_b, "camera_b")
@@ -29,6 +33,10 @@ def iou(mask_a: Float[Array, "H W"], mask_b: Float[Array, "H W"]) -> Float[Array
     """Return intersection over union of two coverage images in [0, 1]; 1 if both are empty.
 
     Raises ValueError where they are not of one shape.
+
+    ```python
+    pj.iou(mask, jnp.round(mask))
+    ```
     """
     if np.shape(mask_a) != np.shape(mask_b):
         words = f"a mask of {np.shape(mask_a)}, the shape of `mask_a`, got {np.shape(mask_b)}"

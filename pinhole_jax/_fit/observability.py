@@ -9,7 +9,7 @@ from jaxtyping import Float
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._mask.target import check_weight
-from .._numerics.arrays import Numbers
+from .._numerics.arrays import ArrayLike, Input
 from .._scene.scene import Scene, check_scene, check_view
 from .._solver.moves import canonical
 from .._solver.parameters import check_free, components, labels_of, with_lens
@@ -28,6 +28,10 @@ class Observability(NamedTuple):
     - `values` (n,): the Jacobian's singular values, largest first: root sum of squares of the
       change of coverage for a move of the outline by about one pixel.
     - `weak`: the directions that change it little or not at all, as sentences.
+
+    ```python
+    told.rank, told.std, told.weak
+    ```
     """
 
     names: tuple[str, ...]
@@ -50,7 +54,7 @@ def observability(
     scene: Scene,
     free: str | Sequence[str] = ("pose", "phi"),
     *,
-    weight: Numbers = None,
+    weight: Input[ArrayLike | None, "H W"] = None,
     noise: float = 0.1,
 ) -> Observability:
     """Return which directions of the free parameters a mask can determine, and how well.
@@ -61,6 +65,11 @@ def observability(
     7.
 
     Raises ValueError for arguments that make no fit.
+
+    ```python
+    told = pj.observability(truth, scene)
+    print(told)
+    ```
     """
     if not noise > 0:
         raise ValueError(f"`noise`: expected a positive standard deviation, got {noise}")
@@ -93,7 +102,7 @@ def information(
 
 
 def _look(
-    camera: Camera, scene: Scene, free: str | Sequence[str], weight: Numbers
+    camera: Camera, scene: Scene, free: str | Sequence[str], weight: ArrayLike | None
 ) -> tuple[tuple[str, ...], Camera, np.ndarray, np.ndarray, float]:
     """Return the names, the camera with all of these, R of J = QR, the derivative of the reported
     parameters by the moves, and what counts as blind."""

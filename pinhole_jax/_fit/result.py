@@ -52,7 +52,13 @@ class MaskError(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """How far a fit has come: the camera so far, the level in px, the steps since the last word."""
+    """How far a fit has come: the camera so far, the level in px, the steps since the last word.
+
+    ```python
+    says = lambda stop: print(stop)  # "96 x 80 pixels: 3 steps"
+    fit = pj.fit_camera(scene, mask, start, progress=says)
+    ```
+    """
 
     camera: Camera
     W: int
@@ -100,6 +106,10 @@ class Fit(NamedTuple):
     - `modes`: other cameras that were found to explain the mask as well, the best first.
     - `history`: the way to `camera`, from the start (0 steps) to the end of each level, or with
       `record` of each step.
+
+    ```python
+    dict(zip(fit.names, fit.std))
+    ```
     """
 
     camera: Camera

@@ -13,10 +13,11 @@ from .._fit.fit_camera import check_alone, check_border, check_reach, check_step
 from .._fit.places import at
 from .._fit.result import Context, Fit, report, with_modes
 from .._mask.target import check_target, levelled
-from .._numerics.arrays import Numbers, is_concrete
+from .._numerics.arrays import ArrayLike, Input, is_concrete
 from .._scene.scene import Scene, check_scene
 from .._solver.moves import canonical
 from .._solver.parameters import components, with_lens
+from .._solver.priors import Pair
 from .._solver.problem import FINE_PX, View
 from .._solver.solver import Found
 from .among_views import Asked, Begun, asked, known_by_others
@@ -30,17 +31,17 @@ from .views import JointView, State
 
 def fit_cameras(
     scene: Scene,
-    targets: Sequence[Numbers],
+    targets: Input[Sequence[ArrayLike], "H W each"],
     cameras: Sequence[Camera] | None,
     shared: str | Sequence[str] = ("phi",),
     free: str | Sequence[str] = ("pose",),
     *,
-    phi: Numbers = None,
+    phi: Input[ArrayLike | None, "rad"] = None,
     lens: Lens | None = None,
-    weights: Sequence[Numbers] | None = None,
+    weights: Input[Sequence[ArrayLike | None] | None, "H W each"] = None,
     outlier_px: float | None = 2.0,
-    prior: Mapping[str, Any] | None = None,
-    bounds: Mapping[str, Any] | None = None,
+    prior: Input[Mapping[str, Pair] | None, "mean, sigma"] = None,
+    bounds: Input[Mapping[str, Pair] | None, "low, high"] = None,
     max_steps: int = 64,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Fit, ...]:
@@ -72,6 +73,12 @@ def fit_cameras(
     and pixels count in the end; where nothing is known beforehand.
 
     Raises ValueError for arguments that make no fit; what the solver met is in each `Fit.status`.
+
+    ```python
+    other = truth.replace(e=[4.2, 1.5, 2.5])
+    masks = [mask, pj.silhouette(other, scene)]
+    fits = pj.fit_cameras(scene, masks, [start, other.replace(e=[4.2, 1.2, 2.8])], shared=("phi",))
+    ```
     """
     check_scene(scene)
     check_steps(max_steps)
@@ -156,7 +163,10 @@ def _alone(
     views: Sequence[JointView], freed: tuple[str, ...], given: Mapping[str, Any]
 ) -> tuple[list[Camera], list[Begun]]:
     """Return cameras that masks by themselves lead to, and where else each may be."""
-    fits = [fit_camera(v.scene, v.target, None, freed, weight=v.weight, **given) for v in views]
+    fits = [
+        fit_camera(v.scene, np.asarray(v.target), None, freed, weight=v.weight, **given)
+        for v in views
+    ]
     modes = [[canonical(with_lens(mode.camera, freed)) for mode in f.modes] for f in fits]
     return [fit.camera for fit in fits], [Begun(modes=some) for some in modes]
 

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from .._camera.camera import Camera
-from .._numerics.arrays import is_concrete
+from .._numerics.arrays import ArrayLike, Input, is_concrete
+from .._solver.priors import Pair
 from .implicit import Answer, Differentiable, Part, differentiable
 from .levels import Path, Tell, depth_of, descended, to_the_end
 from .problem import JointProblem
@@ -27,12 +28,12 @@ def fit_joint(
     free: str | Sequence[str] = ("pose",),
     *,
     shared: str | Sequence[str] | Mapping[str, Sequence[Sequence[str]]] = (),
-    objects: Mapping[str, Any] | None = None,
-    rig: Mapping[str, Any] | None = None,
+    objects: Input[Mapping[str, ArrayLike] | None, "4 4 each"] = None,
+    rig: Input[Mapping[str, ArrayLike] | None, "4 4 each"] = None,
     search: bool = False,
     outlier_px: float | None = 2.0,
-    prior: Mapping[str, Any] | None = None,
-    bounds: Mapping[str, Any] | None = None,
+    prior: Input[Mapping[str, Pair | Mapping[str, Pair]] | None, "mean, sigma"] = None,
+    bounds: Input[Mapping[str, Pair | Mapping[str, Pair]] | None, "low, high"] = None,
     joint_zeros: float | Mapping[str, float] | None = None,
     max_steps: int = 64,
     progress: Callable[[str], None] | None = None,
@@ -80,6 +81,15 @@ def fit_joint(
     nothing is known beforehand, and there are no photos.
 
     Raises ValueError for arguments that make no fit; what the solver met is in `JointFit.status`.
+
+    ```python
+    views = [pj.JointView(scene, mask)]
+    joint = pj.fit_joint(views, start, ("pose", "phi"), prior={"phi": (0.6, 0.01)})
+    print(joint)
+    cameras = {"here": start, "there": other.replace(e=[4.2, 1.2, 2.8])}
+    views = [pj.JointView(scene, m, camera=name) for m, name in zip(masks, cameras)]
+    joint = pj.fit_joint(views, cameras, shared="phi")
+    ```
     """
     settings = outlier_px, max_steps, prior, bounds, joint_zeros, shared
     tell = progress if progress is not None else _silent

@@ -7,7 +7,9 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._fit.observability import Observability
+from .._numerics.arrays import ArrayLike, Input
 from .._solver.least_squares import solve
+from .._solver.priors import Pair
 from .._solver.problem import UNIT_PX
 from .._solver.uncertainty import BLIND, WEAK
 from .problem import JointProblem
@@ -25,9 +27,9 @@ def joint_observability(
     free: str | Sequence[str] = ("pose",),
     *,
     shared: str | Sequence[str] | Mapping[str, Sequence[Sequence[str]]] = (),
-    objects: Mapping[str, Any] | None = None,
-    rig: Mapping[str, Any] | None = None,
-    prior: Mapping[str, Any] | None = None,
+    objects: Input[Mapping[str, ArrayLike] | None, "4 4 each"] = None,
+    rig: Input[Mapping[str, ArrayLike] | None, "4 4 each"] = None,
+    prior: Input[Mapping[str, Pair | Mapping[str, Pair]] | None, "mean, sigma"] = None,
     joint_zeros: float | Mapping[str, float] | None = None,
     noise: float = 0.1,
 ) -> Observability:
@@ -39,6 +41,10 @@ def joint_observability(
     a pixel that the outline touches, independent (what views differ by comes to that).
 
     Raises ValueError for arguments that make no fit.
+
+    ```python
+    print(pj.joint_observability([pj.JointView(scene, None)], truth, ("pose", "phi")))
+    ```
     """
     if not noise > 0:
         raise ValueError(f"`noise`: expected a positive standard deviation, got {noise}")

@@ -128,6 +128,10 @@ class JointFit(NamedTuple):
     - `steps`: on each level, coarse to fine.
     - `scales`: for each scale that views name a `SceneScale`.
     - `joint_zeros`: those of the joints whose zeros were sought, a `JointZeros`; None of none.
+
+    ```python
+    joint.status, joint.cameras
+    ```
     """
 
     status: str

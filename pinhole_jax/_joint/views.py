@@ -9,7 +9,7 @@ camera says all about the unknowns, and no other program is compiled.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -18,6 +18,7 @@ from .._camera.camera import Camera
 from .._camera.poses import Pose, adjoint, at_pose, exponential, inverse, pose_of, rigid
 from .._mask.edges import Weights
 from .._mask.mask import Mask
+from .._numerics.arrays import ArrayLike, Input
 from .._scene.assembly import Posture
 from .._scene.scene import Scene
 from .._solver.parameters import PARAMETERS, components, labels_of
@@ -53,17 +54,21 @@ class JointView(NamedTuple):
     - `photo`: what the mask was made of (H, W, 3), as in `fit_camera`: the fit is refined on it.
     - `scale`: the name of an unknown number by which the scene is larger than it is given, about
       its frame's origin; views that give the same name have it in common. None: it is as given.
+
+    ```python
+    pj.JointView(scene, mask, camera="left", mount=np.eye(4))
+    ```
     """
 
     scene: Scene
-    target: Any
+    target: Input[ArrayLike | None, "H W"]
     camera: str = "camera"
-    weight: Any = None
-    mount: Any = None
+    weight: Input[ArrayLike | None, "H W"] = None
+    mount: Input[ArrayLike | None, "4 4"] = None
     object: str | None = None
-    placed: Any = None
+    placed: Input[ArrayLike | None, "4 4"] = None
     posture: Posture | None = None
-    photo: Any = None
+    photo: Input[ArrayLike | None, "H W 3"] = None
     scale: str | None = None
 
 

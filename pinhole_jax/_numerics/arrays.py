@@ -1,6 +1,6 @@
 """The door: what a user hands in becomes arrays of one float type, or an error that names it."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -8,9 +8,23 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array
 
-#: What a front door takes: anything that becomes an array, and is checked there. (A type
-#: checker's own error would come first and say less.)
-Numbers = Any
+# What a function that users call is given: `Input[ArrayLike, "N 3"]`, `Input[int, "px"]`. To a type
+# checker it is the type, its shape or unit beside it. While the program runs it is anything: the
+# function's own check names the argument, and a checker of annotations would speak before it.
+if TYPE_CHECKING:
+    from typing import Annotated as Input
+
+    from numpy.typing import ArrayLike as ArrayLike
+else:
+    ArrayLike = Any
+
+    class Input:
+        """What a user gives, checked by the function that takes it."""
+
+        def __class_getitem__(cls, _):
+            return Any
+
+
 #: The default of an argument that must be given, where None is an answer that is refused with an
 #: error of its own.
 MISSING: Any = object()
@@ -50,7 +64,9 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.
     except ValueError as error:
         raise ValueError(f"`{name}`: expected {expected}, got {value!r}") from error
     if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
-        raise ValueError(f"`{name}`: expected {expected}, got dtype {array.dtype}")
+        is_one = not array.ndim and array.dtype.kind in "OU"  # None, a text
+        got = repr(value) if is_one else f"dtype {array.dtype}"
+        raise ValueError(f"`{name}`: expected {expected}, got {got}")
     if len(array.shape) != len(shape) or any(
         want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
     ):

@@ -14,10 +14,10 @@ from .._fit.implicit import Through, check_plain
 from .._fit.result import at_rest, to_units, without_ended
 from .._fit.words import parameter_lines
 from .._joint.shared_unknowns import alike, joint, others, reduced, shared_and_free
-from .._numerics.arrays import Numbers, float_array, is_concrete
+from .._numerics.arrays import ArrayLike, Input, float_array, is_concrete
 from .._solver.moves import on_film
 from .._solver.parameters import components, labels_of, with_lens
-from .._solver.priors import bounds_of, prior_of
+from .._solver.priors import Pair, bounds_of, prior_of
 from .._solver.uncertainty import BLIND, covariance, weak_directions
 from .descent import Descended, descended, variance
 from .starts import begun
@@ -44,6 +44,10 @@ class PointFit(NamedTuple):
     - `weak`: directions that the points determine badly or not at all, and how many points do not
       count, as sentences.
     - `modes`: other cameras that the view's points do not tell from this one.
+
+    ```python
+    found.status, found.rms_px
+    ```
     """
 
     camera: Camera
@@ -68,19 +72,19 @@ class PointFit(NamedTuple):
 
 
 def fit_points(
-    points3d: Numbers,
-    points2d: Numbers,
-    camera: Any,
+    points3d: Input[ArrayLike, "*V N 3"],
+    points2d: Input[ArrayLike, "*V N 2"],
+    camera: Input[Camera | Sequence[Camera], "one, or one a view"],
     free: str | Sequence[str] = ("pose",),
     shared: str | Sequence[str] | None = None,
     *,
-    weights: Numbers = None,
+    weights: Input[ArrayLike | None, "*V N"] = None,
     outlier_px: float | None = None,
-    prior: Mapping[str, Any] | None = None,
-    bounds: Mapping[str, Any] | None = None,
+    prior: Input[Mapping[str, Pair] | None, "mean, sigma"] = None,
+    bounds: Input[Mapping[str, Pair] | None, "low, high"] = None,
     max_steps: int = 100,
     progress: Callable[[str], None] | None = None,
-) -> Any:
+) -> PointFit | tuple[PointFit, ...]:
     """Return the camera that sees points where they were seen: a `PointFit`, or one for each view.
 
     - `points3d`: (N, 3), world units; or (V, N, 3) if each of V views has its own.
@@ -111,6 +115,13 @@ def fit_points(
     points count in the end; where nothing is known beforehand.
 
     Raises ValueError for arguments that make no fit; what the solver met is in each `status`.
+
+    ```python
+    points = scene.mesh.vertices[::50]
+    seen_at = pj.project(truth, points)
+    found = pj.fit_points(points, seen_at, start)  # no pose is needed to start from
+    found = pj.fit_points(points, seen_at, start, outlier_px=1.0)  # some may be wrong
+    ```
     """
     check_steps(max_steps)
     check_reach(outlier_px)
@@ -188,7 +199,7 @@ def _cameras(camera: Any, count: int) -> list[Camera]:
     return list(cameras)
 
 
-def _checked(points3d: Numbers, points2d: Numbers, weights: Numbers) -> list[Given]:
+def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None) -> list[Given]:
     """Return what each view is given in float64, NaN and a weight of 0 of points that are not seen,
     or raise ValueError."""
     many = np.ndim(points2d) == 3
@@ -218,7 +229,7 @@ def _checked(points3d: Numbers, points2d: Numbers, weights: Numbers) -> list[Giv
     return [Given(*each) for each in zip(points, seen_at, weight, strict=True)]
 
 
-def _weights(weights: Numbers, V: int, N: int) -> np.ndarray:
+def _weights(weights: ArrayLike | None, V: int, N: int) -> np.ndarray:
     """Return weights that broadcast to (V, N), or raise ValueError."""
     if weights is None:
         return np.ones(N)

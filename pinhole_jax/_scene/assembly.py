@@ -1,11 +1,11 @@
 """Several rigid bodies that move against one another, as one mesh; joints that move them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
+from .._numerics.arrays import ArrayLike, Input
 from .scene import Mesh, Scene, with_vertices
 
 #: What the numbers of joints are measured in: those that turn, those that slide; a body that is as
@@ -24,6 +24,13 @@ class Assembly:
     the vertices; scenes of all postures share their faces, and compiled programs.
 
     Raises ValueError for what are no meshes.
+
+    ```python
+    arm = pj.Assembly([mesh, mesh])
+    moved = np.eye(4)
+    moved[:3, 3] = [0, 0, 2]
+    scene = arm.at([np.eye(4), moved])  # faces and edges are worked out once, for all postures
+    ```
     """
 
     def __init__(self, bodies: Sequence[Mesh]):
@@ -44,7 +51,7 @@ class Assembly:
         """Return the number of bodies."""
         return int(self.body[-1]) + 1
 
-    def at(self, poses: Any) -> Scene:
+    def at(self, poses: Input[ArrayLike, "B 4 4"]) -> Scene:
         """Return the scene with each body at its pose: rigid transforms (B, 4, 4), body to world.
 
         Raises ValueError for another shape, and for numbers that are not finite.
@@ -70,6 +77,19 @@ class Posture:
       makes it 1 + x times as large, too.
 
     Raises ValueError for another unit.
+
+    ```python
+    def raised(offsets):
+        pose = np.eye(4)
+        pose[2, 3] = 2 + offsets[0]
+        return [np.eye(4), pose]
+
+
+    posture = pj.Posture(arm, raised, {"lift": "world"})
+    scene = posture.scene(
+        [0.1]
+    )  # a `JointView` takes the posture where `fit_joint` shall find the zero
+    ```
     """
 
     joints: tuple[str, ...]
@@ -78,7 +98,7 @@ class Posture:
     def __init__(
         self,
         assembly: Assembly,
-        poses: Callable[[np.ndarray], Any],
+        poses: Callable[[np.ndarray], ArrayLike],
         joints: Mapping[str, str],
     ):
         if wrong := [unit for unit in joints.values() if unit not in UNITS]:
@@ -91,11 +111,11 @@ class Posture:
         """Return the number of the body that each vertex is one of (V,)."""
         return self._assembly.body
 
-    def scene(self, offsets: Any = None) -> Scene:
+    def scene(self, offsets: Input[ArrayLike | None, "J"] = None) -> Scene:
         """Return the scene where offsets (J,) are added to the joints' readings."""
         return self._assembly.at(self._poses(self._checked(offsets)))
 
-    def twists(self, offsets: Any = None) -> np.ndarray:
+    def twists(self, offsets: Input[ArrayLike | None, "J"] = None) -> np.ndarray:
         """Return how each joint's offset moves each body (J, B, 7), about and along the scene's
         axes: a small rotation about its origin, a shift, and by how much it grows about it.
 
@@ -107,7 +127,7 @@ class Posture:
             result.append(_motion(one @ np.linalg.inv(other)) / (2 * STEP))
         return np.array(result)
 
-    def _checked(self, offsets: Any) -> np.ndarray:
+    def _checked(self, offsets: ArrayLike | None) -> np.ndarray:
         values = np.zeros(len(self.joints)) if offsets is None else np.asarray(offsets, float)
         if values.shape != (len(self.joints),):
             words = f"expected one of each of {len(self.joints)} joints, got shape {values.shape}"

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import equinox as eqx
 import jax
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.camera import Camera, check_camera
-from .._numerics.arrays import MISSING, Numbers, float_array, float_dtype, is_concrete
+from .._numerics.arrays import MISSING, ArrayLike, Input, float_array, float_dtype, is_concrete
 from .._numerics.jitted import jitted
 from .._numerics.safe import binary_scale, norm, safe_divide
 from .topology import edge_records, without_copies
@@ -62,6 +62,16 @@ class Planes(NamedTuple):
     clusters: Clusters | None = None
 
 
+class Triangles(Protocol):
+    """What other libraries hold a mesh in, as trimesh does."""
+
+    @property
+    def vertices(self) -> ArrayLike: ...
+
+    @property
+    def faces(self) -> ArrayLike: ...
+
+
 class Mesh(eqx.Module):
     """Triangles: `vertices` (V, 3) in world units, `faces` (F, 3) indices of vertices; or one
     object that has both, as trimesh's.
@@ -79,6 +89,12 @@ class Mesh(eqx.Module):
 
     `vertices` may be traced and differentiated, also by way of `eqx.tree_at`; `faces` may not.
     Raises ValueError for wrong shapes or dtypes, non-finite vertices and indices out of range.
+
+    ```python
+    corners = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    mesh = pj.Mesh(corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    mesh.closed
+    ```
     """
 
     vertices: Float[Array, "V 3"]
@@ -89,9 +105,14 @@ class Mesh(eqx.Module):
     order: Int[Array, "F"]
     closed: bool | None = eqx.field(static=True)
 
-    def __init__(self, vertices: Any, faces: Any = MISSING):
+    def __init__(
+        self,
+        vertices: Input[ArrayLike | Triangles, "V 3"],
+        faces: Input[ArrayLike, "F 3"] = MISSING,
+    ):
         if faces is MISSING and hasattr(vertices, "vertices") and hasattr(vertices, "faces"):
-            vertices, faces = vertices.vertices, vertices.faces  # as trimesh and others have them
+            whole: Any = vertices
+            vertices, faces = whole.vertices, whole.faces
         if faces is MISSING:
             raise TypeError("Mesh() missing 1 required argument: 'faces'")
         self.vertices = float_array("vertices", vertices, (None, 3), float_dtype(vertices))
@@ -120,12 +141,16 @@ class Spheres(eqx.Module):
     """Spheres: `centers` (S, 3) and `radii` (S,), world units, both differentiable.
 
     Raises ValueError for wrong shapes or dtypes, non-finite values and radii that are not positive.
+
+    ```python
+    spheres = pj.Spheres(centers=[[0.0, 0, 0], [2, 0, 0]], radii=[1.0, 0.5])
+    ```
     """
 
     centers: Float[Array, "S 3"]
     radii: Float[Array, "S"]
 
-    def __init__(self, centers: Numbers, radii: Numbers):
+    def __init__(self, centers: Input[ArrayLike, "S 3"], radii: Input[ArrayLike, "S"]):
         dtype = float_dtype(centers, radii)
         self.centers = float_array("centers", centers, (None, 3), dtype)
         self.radii = float_array("radii", radii, (self.centers.shape[0],), dtype)
@@ -134,12 +159,21 @@ class Spheres(eqx.Module):
 
 
 class Scene(eqx.Module):
-    """A mesh, spheres, or both; what is left out costs nothing. An empty scene covers nothing."""
+    """A mesh, spheres, or both; what is left out costs nothing. An empty scene covers nothing.
+
+    ```python
+    scene = pj.Scene(mesh=mesh, spheres=spheres)  # either may be left out
+    ```
+    """
 
     mesh: Mesh | None
     spheres: Spheres | None
 
-    def __init__(self, mesh: Any = None, spheres: Any = None):
+    def __init__(
+        self,
+        mesh: Input[Mesh | None, "triangles"] = None,
+        spheres: Input[Spheres | None, "spheres"] = None,
+    ):
         if not (mesh is None or isinstance(mesh, Mesh)):
             hint = "; give `Mesh(mesh)`" if hasattr(mesh, "vertices") else ""
             raise ValueError(f"`mesh`: expected a Mesh or None, got {type(mesh).__name__}{hint}")

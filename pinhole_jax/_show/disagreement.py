@@ -20,7 +20,13 @@ LEAST = 0.02
 
 def disagreement(camera: Camera, scene: Scene, target: np.ndarray) -> tuple[str, ...]:
     """Return a sentence that says where the outline that a camera sees and a mask (H, W) go apart;
-    nothing where they do not."""
+    nothing where they do not.
+
+    ```python
+    for sentence in pj.plot.disagreement(fit.camera, scene, mask):
+        print(sentence)
+    ```
+    """
     check_view(camera, scene)
     mask = as_coverage(check_image("target", target, camera.W, camera.H)) > 0.5
     lines = outline(camera, scene)

@@ -29,6 +29,10 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
 
     Only the parts of the contour with background on their outer side: folds within the object and
     parts behind it are left out.
+
+    ```python
+    segments = pj.plot.outline(fit.camera, scene)  # (n, 2, 2) in px: matplotlib's LineCollection
+    ```
     """
     check_view(camera, scene)
     scene = astype(scene, camera.e.dtype)
@@ -55,7 +59,12 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
 
 def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
     """Return points in space, in front of the eye, that the contour is made of: on edges some
-    px apart, on spheres where rays touch them."""
+    px apart, on spheres where rays touch them.
+
+    ```python
+    pj.plot.contour_points(fit.camera, scene).shape
+    ```
+    """
     check_view(camera, scene)
     scene = astype(scene, camera.e.dtype)
     parts = [np.zeros((0, 3))]

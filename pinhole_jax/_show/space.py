@@ -21,6 +21,10 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
     frustum is bent as the rays through the film's border are.
 
     Faces are painted from back to front, shaded by their angle to the view.
+
+    ```python
+    space = pj.plot.scene_view(fit.camera, scene, size=200)
+    ```
     """
     from PIL import Image, ImageDraw
 

@@ -86,6 +86,11 @@ def silhouette(
     stretch: where all moves by a pixel, by 1.5 times `tolerance` in the worst pixel of a scan, and
     0.3 times in the mean. A mask of a scan takes half as long with 1/16, two thirds with 1/64, a
     smooth one what it did; below 5e-3 to be exact takes no longer, and is what is done.
+
+    ```python
+    mask = pj.silhouette(camera, scene)  # (H, W), in [0, 1]
+    moves = jax.jacfwd(lambda phi: pj.silhouette(camera.replace(phi=phi), scene))(camera.phi)
+    ```
     """
     check_view(camera, scene)
     return _silhouette(camera, scene, overlaps, _stops(tolerance))

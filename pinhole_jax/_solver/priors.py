@@ -10,8 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
+from .._numerics.arrays import ArrayLike
 from .moves import Bounds, reported
 from .parameters import LABELS, PARAMETERS, labels_of
+
+#: What a parameter is known by: mean and standard deviation, or low and high.
+Pair = tuple[ArrayLike, ArrayLike]
 
 
 class Prior(eqx.Module):

@@ -26,6 +26,10 @@ def depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
 
     Differentiable in camera, vertices, centers and radii where the hit primitive stays the same;
     the derivative of a miss is 0. Outlines move without it noticing: use `silhouette` for these.
+
+    ```python
+    far = pj.depth(camera, scene)  # inf where nothing is
+    ```
     """
     check_view(camera, scene)
     return _ahead(camera, scene, found(scene, camera))
@@ -41,6 +45,10 @@ def normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
 
     Differentiable where the hit primitive stays the same: a face's normal in its vertices, a
     sphere's also in the camera. Outlines move without it noticing: use `silhouette` for these.
+
+    ```python
+    towards = pj.normals(camera, scene)  # (H, W, 3)
+    ```
     """
     check_view(camera, scene)
     return _towards_eye(camera, scene, found(scene, camera))

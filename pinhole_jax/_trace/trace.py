@@ -38,6 +38,10 @@ class Hit(NamedTuple):
     - `barycentric`: weights of the face's three vertices; 0 for spheres and misses.
     - `normal`: the geometric unit normal, of a face as it is wound, of a sphere outwards; 0 on a
       miss.
+
+    ```python
+    hit.t, hit.primitive, hit.normal
+    ```
     """
 
     t: Float[Array, "*batch"]
@@ -71,6 +75,11 @@ def trace(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Hit:
     derivatives are the same.
 
     Raises ValueError for another `search`, ImportError where embreex is not installed.
+
+    ```python
+    hit = pj.trace(scene, pj.camera_rays(camera))
+    hit.t.shape
+    ```
     """
     return hits(scene, found(scene, rays, search))
 
@@ -80,6 +89,10 @@ def occluded(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Bool
     """Return whether each ray, or each ray of a camera, meets anything at all.
 
     `search` as in `trace`.
+
+    ```python
+    shadow = pj.occluded(scene, pj.camera_rays(camera))  # any hit, bool
+    ```
     """
     _, face, sphere = found(scene, rays, search)
     return (face >= 0) | (sphere >= 0)

@@ -24,7 +24,12 @@ MOST_BYTES = 1 << 32
 
 
 class Dataset:
-    """Records that are read anew each time they are gone through: none stays in memory."""
+    """Records that are read anew each time they are gone through: none stays in memory.
+
+    ```python
+    [record["id"] for record in data]
+    ```
+    """
 
     kind: str
 
@@ -44,7 +49,7 @@ def read_dataset(
     start: bool = False,
     models: str | os.PathLike[str] | None = None,
     detections: str | os.PathLike[str] | None = None,
-    **fields: Any,
+    **fields: object,
 ) -> Dataset:
     """Return the records of a data set.
 
@@ -61,6 +66,11 @@ def read_dataset(
     `fields` stand in records that have none of their own: `free`, `K`, `fov`, ...
 
     Raises FileNotFoundError, or ValueError for what is none of these.
+
+    ```python
+    data = pj.batch.read_dataset("data.csv", free="pose,phi")
+    list(data)
+    ```
     """
     if unknown := [name for name in fields if name not in FIELDS]:
         raise ValueError(f"`{unknown[0]}`: expected fields among {', '.join(FIELDS)}")

@@ -23,7 +23,14 @@ TIME_LIMIT = 600.0
 
 class Count(NamedTuple):
     """How far `fit_many` has come: rows that this run has `done`, of how many in all (None where
-    nobody knows), how many there were `before`, the `statuses` of those done, and the `seconds`."""
+    nobody knows), how many there were `before`, the `statuses` of those done, and the `seconds`.
+
+    ```python
+    told = lambda count: print(count)  # "2 of 2, 3.1 a second, ..."
+    with ThreadPoolExecutor(1) as threads:
+        rows = pj.fit_many(records, executor=threads, progress=told)
+    ```
+    """
 
     done: int
     total: int | None
@@ -85,6 +92,12 @@ def fit_many(
     Raises ValueError for arguments of other kinds, for items that have no `id` or one twice, and
     for those that are done already with other settings;
     RuntimeError where no worker starts.
+
+    ```python
+    records = [{"id": id, "mesh": "part.obj", "mask": "mask.png", "fov": 34.4} for id in "ab"]
+    with ThreadPoolExecutor(2) as threads:
+        results = pj.fit_many(records, executor=threads, out="results")
+    ```
     """
     _check(items, executor, workers, shard, time_limit, retry)
     results = None if out is None else Results(out)

@@ -28,6 +28,11 @@ def fit_one(record: Record) -> Row:
     files, and JAX's float type; a shape that was opened is kept for records that follow.
 
     Raises ValueError for what has no `id`.
+
+    ```python
+    row = pj.fit_one({"id": "a", "mesh": "part.obj", "mask": "mask.png", "camera": "camera.json"})
+    row["status"], row["K"], row["R"], row["t"]
+    ```
     """
     begin = time.perf_counter()
     check_id(record)

@@ -63,6 +63,11 @@ class Results:
 
     One row at a time is in memory. Of a record's rows the last one counts. Raises ValueError for a
     file in place of a folder; one that is not there has no rows.
+
+    ```python
+    results = pj.batch.Results("results")
+    len(results), results.counts(), results.row("a")["iou"]
+    ```
     """
 
     folder: Path

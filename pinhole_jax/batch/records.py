@@ -116,7 +116,12 @@ def _plain(value: Any) -> Any:
 
 def shard_of(id: str, count: int) -> int:
     """Return which of this many shards (0, 1, ...) a record is in: its id alone says so,
-    anywhere."""
+    anywhere.
+
+    ```python
+    [record["id"] for record in records if pj.batch.shard_of(record["id"], 2) == 0]
+    ```
+    """
     # (A file's name need be no text.)
     return int.from_bytes(hashlib.sha256(id.encode(errors="surrogatepass")).digest()[:8]) % count
 

@@ -4,11 +4,16 @@ import itertools
 import json
 import os
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .._files.paths import path_of, replace_file
 from .parts import Results
 from .rows import COLUMNS, Row, line_of
+
+if TYPE_CHECKING:
+    from .._fit.result import Fit
+else:
+    Fit = Any  # it needs JAX, which takes a second
 
 #: This many rows at a time are in memory.
 GROUP = 1000
@@ -25,6 +30,10 @@ def merge(results: Results, path: str | os.PathLike[str]) -> int:
       come from a BOP data set; the score is the IoU, lengths are the models' (there mm).
 
     Raises ValueError for other endings, and for a file that cannot be written.
+
+    ```python
+    pj.batch.merge(results, "table.jsonl")
+    ```
     """
     ending = path_of(path).suffix.lower()
     if ending == ".parquet":
@@ -106,11 +115,16 @@ def _bop_lines(results: Results) -> Iterator[str]:
             yield f"{scene},{image},{object_},{row['iou']!r},{R},{t},{time}"
 
 
-def fit_of(row: Row) -> Any:
+def fit_of(row: Row) -> Fit:
     """Return the `Fit` of a row, with covariance and modes; its `camera` goes into any format
     (`formats.write`).
 
     Raises ValueError for a row without a camera.
+
+    ```python
+    fit = pj.batch.fit_of(results.row("a"))
+    pj.formats.write("camera.yaml", {"a": fit.camera})
+    ```
     """
     from ..io.fits import fit_from_dict
 

@@ -31,6 +31,11 @@ def read_blender(path: str | os.PathLike[str], *, size: Size | None = None) -> d
 
     Raises ValueError naming file and field where something is missing or wrong; `type` other than
     PERSP, too.
+
+    ```python
+    pj.formats.write_blender("blender.json", {"left.png": camera})
+    cameras = pj.formats.read_blender("blender.json")
+    ```
     """
     top = load_json(path)
     if "cameras" not in top:
@@ -43,17 +48,26 @@ def read_blender(path: str | os.PathLike[str], *, size: Size | None = None) -> d
 
 
 def write_blender(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
-    """Write what Blender's cameras have, as JSON: see `to_blender`."""
+    """Write what Blender's cameras have, as JSON: see `to_blender`.
+
+    ```python
+    pj.formats.write_blender("blender.json", {"left.png": camera})
+    ```
+    """
     check_cameras(cameras, "JSON")
     parts = {name: to_blender(camera) for name, camera in cameras.items()}
     save_json(path, {"schema": SCHEMA, "cameras": parts})
 
 
-def to_blender(camera: Camera) -> dict[str, Any]:
+def to_blender(camera: Camera) -> dict[str, object]:
     """Return Blender's settings of a camera: lens and sensor in mm, shifts, resolution, pose.
 
     `sensor_fit` is HORIZONTAL: the sensor of 36 mm spans the image's width, so
     `2 atan(36/(2 lens))` is the horizontal field of view. Blender itself keeps 32-bit floats.
+
+    ```python
+    pj.formats.to_blender(camera)["lens"]
+    ```
     """
     view = pinhole(camera)
     tall = view.fx / view.fy  # a pixel's height over its width
@@ -80,9 +94,15 @@ def to_blender_script(cameras: Mapping[str, Camera]) -> str:
     In Blender's text editor, or as `blender --python FILE`. The last camera becomes the scene's.
     Resolution and pixel aspect belong to Blender's scene: cameras must share them. Blender's names
     have 1 to 63 bytes; a longer one it would cut.
+
+    ```python
+    print(pj.formats.to_blender_script({"left": camera})[:60])
+    ```
     """
     check_cameras(cameras, "Blender", lambda name: 0 < len(name.encode()) < 64 and "\0" not in name)
-    settings = {name: to_blender(camera) for name, camera in cameras.items()}
+    settings: dict[str, dict[str, Any]] = {
+        name: to_blender(camera) for name, camera in cameras.items()
+    }
     shared = ("resolution_x", "resolution_y", "pixel_aspect_x", "pixel_aspect_y")
     first = next(iter(settings.values()))
     for name, one in settings.items():
@@ -101,7 +121,12 @@ def to_blender_script(cameras: Mapping[str, Camera]) -> str:
 
 
 def write_blender_script(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
-    """Write the script of `to_blender_script`."""
+    """Write the script of `to_blender_script`.
+
+    ```python
+    pj.formats.write_blender_script("left.py", {"left": camera})
+    ```
+    """
     save_text(path, to_blender_script(cameras))
 
 

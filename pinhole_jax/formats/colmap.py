@@ -56,6 +56,11 @@ def read_colmap(folder: str | os.PathLike[str]) -> dict[str, Camera]:
 
     Raises FileNotFoundError, or ValueError naming file and field where something is missing,
     truncated or wrong, and where the camera model is none of OpenCV's (FOV, thin prisms, ...).
+
+    ```python
+    pj.formats.write_colmap("model", {"left.png": camera})
+    cameras = pj.formats.read_colmap("model")
+    ```
     """
     place = Path(folder)
     for ending, read in ((".bin", _read_binary), (".txt", _read_text)):
@@ -89,6 +94,10 @@ def write_colmap(
     Raises ValueError for names that are empty, long or, in text, hold white space, where COLMAP
     would end them; and where the folder holds a model of the other kind, or rigs and frames: COLMAP
     would read those, or take them together.
+
+    ```python
+    pj.formats.write_colmap("model", {"left.png": camera})
+    ```
     """
     place, ending = Path(folder), ".bin" if binary else ".txt"
     if place.exists() and not place.is_dir():

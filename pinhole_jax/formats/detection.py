@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from .._camera.camera import Camera
 from .._camera.lens import Lens
 from .._camera.poses import inverse
 from .._mask.target import check_image
-from .._numerics.arrays import Numbers
+from .._numerics.arrays import ArrayLike, Input
 from .._scene.scene import Scene
 from .._silhouette.silhouette import silhouette
 from .fields import Fields
@@ -51,6 +51,10 @@ class Hypothesis(NamedTuple):
     - `fov_axis`: "vertical", "horizontal" or "diagonal"; empty where no angle was given.
 
     Readings that come to the same camera are one hypothesis, their words joined by "or".
+
+    ```python
+    pj.formats.Hypothesis._fields
+    ```
     """
 
     iou: float
@@ -67,7 +71,12 @@ class Hypothesis(NamedTuple):
 
 
 class Detection(NamedTuple):
-    """Hypotheses, best first; a sentence that says which one it is; whether the mask tells."""
+    """Hypotheses, best first; a sentence that says which one it is; whether the mask tells.
+
+    ```python
+    told.sentence, told.hypotheses[0].camera
+    ```
+    """
 
     hypotheses: tuple[Hypothesis, ...]
     sentence: str
@@ -76,12 +85,12 @@ class Detection(NamedTuple):
 
 def detect(
     scene: Scene,
-    mask: Any,
-    pose: Numbers,
+    mask: Input[ArrayLike, "H W"],
+    pose: Input[ArrayLike, "3 4 or 4 4"],
     *,
-    K: Numbers = None,
-    focal_px: Numbers = None,
-    fov: Numbers = None,
+    K: Input[ArrayLike | None, "3 3"] = None,
+    focal_px: Input[ArrayLike | None, "px"] = None,
+    fov: Input[ArrayLike | None, "rad"] = None,
 ) -> Detection:
     """Return which convention a camera's numbers follow, by agreement with a mask of the scene.
 
@@ -97,6 +106,13 @@ def detect(
 
     Raises ValueError where the mask is empty or full, the pose no rigid transform, or the
     intrinsics are none or several.
+
+    ```python
+    K, R, t = pj.formats.to_opencv(camera, pixel_centres="half")
+    pose = np.block([[R, t[:, None]], [np.zeros(3), 1]])
+    told = pj.formats.detect(scene, pj.silhouette(camera, scene), pose, K=K)
+    print(told)
+    ```
     """
     if np.ndim(mask) != 2:
         raise ValueError(f"`mask`: expected shape (H, W), got {np.shape(mask)}")
@@ -119,7 +135,7 @@ def detect(
 
 
 def _intrinsics(
-    W: int, H: int, K: Numbers, focal_px: Numbers, fov: Numbers
+    W: int, H: int, K: ArrayLike | None, focal_px: ArrayLike | None, fov: ArrayLike | None
 ) -> list[tuple[str, str, Pinhole]]:
     """Return (pixel_centres, fov_axis, intrinsics) of every reading."""
     given = {"K": K, "focal_px": focal_px, "fov": fov}
@@ -149,7 +165,7 @@ def _intrinsics(
     ]
 
 
-def _poses(pose: Numbers) -> Iterator[tuple[str, str, np.ndarray]]:
+def _poses(pose: ArrayLike) -> Iterator[tuple[str, str, np.ndarray]]:
     """Yield (axes, direction, world_from_camera in OpenCV's axes) of every reading."""
     fields = Fields({"pose": pose}, "the arguments")
     matrix = fields.array("pose", (3, 4) if np.shape(pose) == (3, 4) else (4, 4))

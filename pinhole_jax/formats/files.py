@@ -61,6 +61,11 @@ def read(
     `size` is the image's (W, H) in px, for files that do not hold it.
 
     Raises FileNotFoundError, or ValueError naming the file and the field that is missing or wrong.
+
+    ```python
+    pj.formats.write("camera.json", {"left": camera})
+    cameras = pj.formats.read("camera.json")
+    ```
     """
     place = path_of(path)
     if not is_folder(place):
@@ -88,6 +93,10 @@ def read_one(path: str | os.PathLike[str], *, size: Size | None = None) -> Camer
 
     Raises FileNotFoundError or ValueError as `read` does, and ValueError where there are several
     cameras and no name, or none of this name.
+
+    ```python
+    camera_again = pj.formats.read_one("camera.json")  # FILE:NAME is one of several
+    ```
     """
     place, name = path_of(path), None
     if not place.exists() and ":" in place.name:
@@ -118,6 +127,10 @@ def write(
     project's own, unless its name holds transforms (NeRF), blender or pytorch3d.
 
     Raises ValueError where there is no camera, or one that the format cannot hold.
+
+    ```python
+    pj.formats.write("transforms.json", {"left": camera, "right": camera.replace(e=[1, 1, 5])})
+    ```
     """
     FORMATS[_checked(format) or guess_write(path)].write(path, cameras)
 
@@ -145,7 +158,12 @@ def _guess_read(path: Path) -> str:
 
 
 def guess_write(path: str | os.PathLike[str]) -> str:
-    """Return the format that a path to be written asks for."""
+    """Return the format that a path to be written asks for.
+
+    ```python
+    pj.formats.guess_write("camera.yaml")  # "opencv"
+    ```
+    """
     place = path_of(path)
     if is_folder(place) or not place.suffix:
         return "colmap"

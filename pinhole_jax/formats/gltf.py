@@ -44,6 +44,11 @@ def read_gltf(path: str | os.PathLike[str], *, size: Size | None = None) -> dict
     Raises ValueError naming file and field where something is missing or wrong: an orthographic
     camera, a node that scales, an `aspectRatio` that is not W/H (to 1 %; trimesh's files, where it
     is something else, are exempt).
+
+    ```python
+    pj.formats.write_gltf("left.gltf", {"left.png": camera})
+    cameras = pj.formats.read_gltf("left.gltf", size=(96, 80))
+    ```
     """
     top = Fields(_header(path), repr(str(path)))
     nodes = top.parts("nodes") if "nodes" in top else []
@@ -72,6 +77,10 @@ def write_gltf(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> N
 
     Raises ValueError for a camera that glTF cannot say: a principal point off the image's centre,
     or pixels that are not square.
+
+    ```python
+    pj.formats.write_gltf("left.gltf", {"left.png": camera})
+    ```
     """
     check_cameras(cameras, "JSON")
     for name, camera in cameras.items():

@@ -46,6 +46,11 @@ def read_mitsuba(path: str | os.PathLike[str], *, size: Size | None = None) -> d
 
     Raises ValueError naming file and field where something is missing or wrong: another type of
     sensor, a transform that scales or mirrors, an unknown transform, a property given twice.
+
+    ```python
+    pj.formats.write_mitsuba("left.xml", {"left.png": camera})
+    cameras = pj.formats.read_mitsuba("left.xml")
+    ```
     """
     try:
         root = ET.fromstring(read_text(path, KIND), ET.XMLParser(target=_NoDoctype()))
@@ -68,6 +73,10 @@ def write_mitsuba(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -
 
     Raises ValueError for a camera whose pixels are not square (Mitsuba has no other), and for a
     name that XML cannot hold, or that holds a `$`, which Mitsuba fills in.
+
+    ```python
+    pj.formats.write_mitsuba("left.xml", {"left.png": camera})
+    ```
     """
     check_cameras(
         cameras, "Mitsuba", lambda name: name and "$" not in name and not NO_XML.search(name)

@@ -14,6 +14,7 @@ from .._camera.camera import Basis, Camera, camera_basis, check_camera, focal_px
 from .._camera.distortion import MODELS, Distortion
 from .._camera.lens import Lens
 from .._files.paths import read_json as read_json_file, replace_file
+from .._numerics.arrays import Input
 from .._numerics.jitted import jitted
 from .fields import Fields, add_named, check_cameras, load_json, save_json, short
 
@@ -23,7 +24,7 @@ CAMERAS_SCHEMA = "pinhole_jax.cameras/1"
 SAME = 1e-4
 
 
-def camera_to_dict(camera: Camera) -> dict[str, Any]:
+def camera_to_dict(camera: Camera) -> dict[str, object]:
     """Return the camera as JSON-ready numbers.
 
     - `e, p, u, phi, d, W, H`: the note's parameters (world units, rad, px); `phi_degrees` beside.
@@ -32,6 +33,10 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
       coefficients.
     - `pose`: free of the gauge. `right`, `up`, `forward` are the camera's unit axes and `eye` its
       place, in world coordinates; `focal_px` is [fx, fy].
+
+    ```python
+    data = pj.io.camera_to_dict(camera)
+    ```
     """
     check_camera(camera)
     (b1, b2, v), focal, principal = _pose(camera)
@@ -64,13 +69,17 @@ def _pose(camera: Camera) -> tuple[Basis, Any, Any]:
     return camera_basis(camera), focal_px(camera), principal_point(camera)
 
 
-def camera_from_dict(data: Any) -> Camera:
+def camera_from_dict(data: Input[Mapping[str, object], "JSON"]) -> Camera:
     """Return the camera of `camera_to_dict`'s numbers.
 
     `phi_degrees` stands for `phi` where that is not there. `pose` and `phi_degrees` say again what
     the other fields do, and may be left out; where they say something else, nothing is guessed.
 
     Raises ValueError where a field is missing, is not what it should be, or contradicts others.
+
+    ```python
+    camera = pj.io.camera_from_dict(data)
+    ```
     """
     camera = Camera(*_numbers_and_lens(data))
     _check_pose(camera, data.get("pose"))
@@ -204,11 +213,15 @@ def _lens_from_dict(data: Any) -> Lens:
     return Lens(data["principal_point"], data.get("aspect", 1.0), distortion)
 
 
-def save_camera(path: str | os.PathLike[str], camera: Camera, **more: Any) -> None:
+def save_camera(path: str | os.PathLike[str], camera: Camera, **more: object) -> None:
     """Write a camera as JSON (see `camera_to_dict`); `more` are further fields.
 
     Raises ValueError for what is no camera, fields that JSON cannot hold (NaN is one), and a path
     that cannot be written.
+
+    ```python
+    pj.io.save_camera("camera.json", camera)
+    ```
     """
     if not isinstance(camera, Camera):
         raise ValueError(f"`camera`: expected a Camera, got {type(camera).__name__}")
@@ -228,6 +241,10 @@ def load_camera(path: str | os.PathLike[str]) -> Camera:
     """Return the camera of a JSON file that `save_camera` wrote.
 
     Raises FileNotFoundError, or ValueError naming the field that is missing or wrong.
+
+    ```python
+    camera = pj.io.load_camera("camera.json")
+    ```
     """
     data = read_json_file(path, "a camera file")
     try:
@@ -245,6 +262,11 @@ def read_json(path: str | os.PathLike[str]) -> dict[str, Camera]:
 
     Frisvad's parameters: world units, `phi` the VERTICAL field of view in rad, the principal point
     in film coordinates (px from the film's bottom-left corner, y up; pixel centres at halves).
+
+    ```python
+    pj.formats.write_json("left.json", {"left.png": camera})
+    cameras = pj.formats.read_json("left.json")
+    ```
     """
     top = load_json(path)
     if top.data.get("schema") != CAMERAS_SCHEMA:
@@ -257,7 +279,12 @@ def read_json(path: str | os.PathLike[str]) -> dict[str, Camera]:
 
 
 def write_json(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
-    """Write the project's own JSON: one camera as `io.save_camera` does, many by name."""
+    """Write the project's own JSON: one camera as `io.save_camera` does, many by name.
+
+    ```python
+    pj.formats.write_json("left.json", {"left.png": camera})
+    ```
+    """
     check_cameras(cameras, "JSON")
     if len(cameras) == 1:
         ((name, camera),) = cameras.items()

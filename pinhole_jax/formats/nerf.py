@@ -37,6 +37,11 @@ def read_nerf(path: str | os.PathLike[str], *, size: Size | None = None) -> dict
 
     Raises ValueError naming file and field where something is missing or wrong, for other camera
     models (equirectangular, ...), and for coefficients that OpenCV's models have not.
+
+    ```python
+    pj.formats.write_nerf("transforms.json", {"left.png": camera})
+    cameras = pj.formats.read_nerf("transforms.json")
+    ```
     """
     top = load_json(path)
     cameras: dict[str, Camera] = {}
@@ -60,6 +65,10 @@ def write_nerf(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> N
     """Write a transforms.json that nerfstudio, instant-ngp and NeRF's own readers understand.
 
     Intrinsics that all cameras share stand at the top, otherwise with each frame.
+
+    ```python
+    pj.formats.write_nerf("transforms.json", {"left.png": camera})
+    ```
     """
     check_cameras(cameras, "JSON")
     fisheye = [isinstance(distortion_of(camera), Fisheye) for camera in cameras.values()]

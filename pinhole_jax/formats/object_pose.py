@@ -6,8 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from .._camera.distortion import Distortion
+from .._camera.matrices import Centres
 from .._fit.result import Fit, check_fit
 from .._fit.words import in_digits
+from .._numerics.arrays import Input
 from .._solver.heading import carried
 from .matrices import to_opencv
 from .rotations import quaternion_of_matrix
@@ -26,6 +28,10 @@ class ObjectPose(NamedTuple):
       the object makes about its own origin, and then of t (world units). Infinite, with NaN beside
       it, where the mask does not determine one; 0 of what was not free.
     - `distortion`: the lens's, beside K; None if it has none.
+
+    ```python
+    pose.camera_from_world, pose.covariance
+    ```
     """
 
     K: Float[np.ndarray, "3 3"]
@@ -71,13 +77,19 @@ class ObjectPose(NamedTuple):
         )
 
 
-def object_pose(fit: Fit, *, pixel_centres: Any) -> ObjectPose:
+def object_pose(fit: Fit, *, pixel_centres: Input[Centres, "of K"]) -> ObjectPose:
     """Return the object's pose in the camera's frame with its covariance, K beside it (OpenCV).
 
     `pixel_centres` ("integer", "half") says where the reader of K puts them, as in `to_opencv`.
 
     The covariance is that of the inverse of what the fit has: `Fit.covariance` is the camera's, of
     small turns about its own axes and of the eye in the world. It is exact to first order.
+
+    ```python
+    fit = pj.fit_camera(scene, pj.silhouette(camera, scene), camera.replace(e=[0.5, 1.2, 5]))
+    pose = pj.formats.object_pose(fit, pixel_centres="integer")
+    print(pose)
+    ```
     """
     check_fit(fit)
     K, R, t = to_opencv(fit.camera, pixel_centres=pixel_centres)

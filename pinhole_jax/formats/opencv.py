@@ -12,11 +12,13 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
+from .._camera.matrices import Centres, half_pixel
 from .._camera.poses import inverse
 from .._files.paths import read_text
+from .._numerics.arrays import Input
 from . import yaml
 from .fields import KIND, Fields, Size, check_cameras, save_text, short
-from .matrices import half_pixel, to_opencv
+from .matrices import to_opencv
 from .pinhole import OPENCV, Pinhole, camera_of, distortion_of, model_of, rotation
 from .rotations import matrix_of_vector, vector_of_matrix
 
@@ -61,6 +63,11 @@ def read_opencv(
 
     Raises ValueError naming file and field where something is missing or wrong, and where
     coefficients of other models are not zero.
+
+    ```python
+    pj.formats.write_opencv("left.yaml", {"left.png": camera})
+    cameras = pj.formats.read_opencv("left.yaml")
+    ```
     """
     fields = _known(yaml.parse(read_text(path, KIND), repr(str(path))), repr(str(path)))
     K = fields.array("camera_matrix", (3, 3))
@@ -79,13 +86,20 @@ def read_opencv(
 
 
 def write_opencv(
-    path: str | os.PathLike[str], cameras: Mapping[str, Camera], *, pixel_centres: str = "integer"
+    path: str | os.PathLike[str],
+    cameras: Mapping[str, Camera],
+    *,
+    pixel_centres: Input[Centres, "of K"] = "integer",
 ) -> None:
     """Write cameras as OpenCV YAML: `camera_matrix`, then `R` and `t`, or many poses.
 
     A file has one K and one image size: several cameras must share them; their poses are then
     `extrinsic_parameters`, rvec and tvec (camera_from_world). The file also says `pixel_centres`
     and `distortion_model`, which OpenCV does not read.
+
+    ```python
+    pj.formats.write_opencv("left.yaml", {"left.png": camera})
+    ```
     """
     check_cameras(cameras, "OpenCV", yaml.can_hold)
     matrices = [to_opencv(camera, pixel_centres=pixel_centres) for camera in cameras.values()]

@@ -14,7 +14,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.poses import inverse
-from .._numerics.arrays import Numbers
+from .._numerics.arrays import ArrayLike, Input
 from .fields import Fields, Size, add_named, check_cameras, load_json, save_json
 from .pinhole import (
     LEFT_UP_FORWARD,
@@ -33,6 +33,10 @@ def to_pytorch3d(camera: Camera) -> dict[str, np.ndarray]:
 
     `R` (1, 3, 3), `T` (1, 3), `focal_length` (1, 2) and `principal_point` (1, 2) in px, and
     `image_size` (1, 2) as (H, W). PyTorch3D wants tensors: `torch.as_tensor` each.
+
+    ```python
+    arrays = pj.formats.to_pytorch3d(camera)
+    ```
     """
     view = pinhole(camera)
     matrix = camera_from_world(camera, LEFT_UP_FORWARD)
@@ -46,15 +50,15 @@ def to_pytorch3d(camera: Camera) -> dict[str, np.ndarray]:
 
 
 def from_pytorch3d(
-    R: Numbers,
-    T: Numbers,
-    image_size: Any,
+    R: Input[ArrayLike, "3 3"],
+    T: Input[ArrayLike, "3"],
+    image_size: Input[ArrayLike, "2"],
     *,
-    focal_length: Numbers = None,
-    principal_point: Numbers = None,
+    focal_length: Input[ArrayLike | None, "NDC or px"] = None,
+    principal_point: Input[ArrayLike | None, "2"] = None,
     in_ndc: bool = True,
-    fov: Numbers = None,
-    aspect_ratio: Numbers = 1.0,
+    fov: Input[ArrayLike | None, "rad"] = None,
+    aspect_ratio: Input[ArrayLike, ""] = 1.0,
 ) -> Camera:
     """Return the camera of one PerspectiveCameras or, with `fov`, FoVPerspectiveCameras.
 
@@ -63,6 +67,10 @@ def from_pytorch3d(
     in px with `in_ndc=False`; left out, the principal point is the image's centre. `fov` is in rad
     and spans the image's SHORTER side (the vertical one of a wide image, as PyTorch3D's NDC has
     it); `aspect_ratio` is that of FoVPerspectiveCameras: fy over fx.
+
+    ```python
+    same = pj.formats.from_pytorch3d(**arrays, in_ndc=False)
+    ```
     """
     data = {"R": _one(R, 2), "T": _one(T, 1), "image_size": _one(image_size, 1)}
     fields = Fields(data, "the arguments")
@@ -98,6 +106,11 @@ def read_pytorch3d(path: str | os.PathLike[str], *, size: Size | None = None) ->
 
     `R` (N, 3, 3), `T` (N, 3), `focal_length` (N, 2), `principal_point` (N, 2), `image_size` (N, 2)
     as (H, W), and `in_ndc`, which must be there. `size` is (W, H) where there is no `image_size`.
+
+    ```python
+    pj.formats.write_pytorch3d("pytorch3d.json", {"left.png": camera})
+    cameras = pj.formats.read_pytorch3d("pytorch3d.json")
+    ```
     """
     top = load_json(path)
     R = top.array("R", (-1, 3, 3))
@@ -128,7 +141,12 @@ def read_pytorch3d(path: str | os.PathLike[str], *, size: Size | None = None) ->
 
 
 def write_pytorch3d(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
-    """Write PyTorch3D's arrays of all cameras, screen space (px), as JSON."""
+    """Write PyTorch3D's arrays of all cameras, screen space (px), as JSON.
+
+    ```python
+    pj.formats.write_pytorch3d("pytorch3d.json", {"left.png": camera})
+    ```
+    """
     check_cameras(cameras, "JSON")
     each = [to_pytorch3d(camera) for camera in cameras.values()]
     arrays = {name: np.concatenate([a[name] for a in each]).tolist() for name in each[0]}

@@ -1,20 +1,28 @@
 """Crops and resizes of a camera's image."""
 
-from typing import Any
-
 import jax.numpy as jnp
 
 from .._camera.camera import Camera, check_camera, focal_px, principal_point
 from .._camera.lens import Lens
-from .._numerics.arrays import Numbers, float_array, is_concrete
+from .._numerics.arrays import ArrayLike, Input, float_array, is_concrete
 
 
-def cropped(camera: Camera, left: Numbers, top: Numbers, W: Any, H: Any) -> Camera:
+def cropped(
+    camera: Camera,
+    left: Input[ArrayLike, "px"],
+    top: Input[ArrayLike, "px"],
+    W: Input[int, "px"],
+    H: Input[int, "px"],
+) -> Camera:
     """Return the camera of a window of the image: W x H px, whose top-left corner is (left, top).
 
     In image coordinates (px, from the image's top-left corner, y down): the window is
     `image[top : top + H, left : left + W]`. It may reach out of the image (padding), and its
     corner may lie between pixels. The pose stays, and so do the focal lengths in px.
+
+    ```python
+    window = pj.formats.cropped(camera, 16, 8, 64, 64)  # left, top, W, H
+    ```
     """
     check_camera(camera)
     camera.replace(W=W, H=H, lens=None)  # checks W and H
@@ -32,12 +40,16 @@ def cropped(camera: Camera, left: Numbers, top: Numbers, W: Any, H: Any) -> Came
     return camera.replace(phi=phi, W=W, H=H, lens=lens)
 
 
-def resized(camera: Camera, W: Any, H: Any) -> Camera:
+def resized(camera: Camera, W: Input[int, "px"], H: Input[int, "px"]) -> Camera:
     """Return the camera of the image resized to W x H px: corners stay corners.
 
     This is what resizing does in OpenCV, PIL and torch (`align_corners=False`): film coordinates
     are multiplied by W and H over the old ones. Pose and vertical field of view stay; the pixel
     aspect changes where the two factors differ.
+
+    ```python
+    half = pj.formats.resized(camera, 48, 40)
+    ```
     """
     check_camera(camera)
     camera.replace(W=W, H=H, lens=None)  # checks W and H

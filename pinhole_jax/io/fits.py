@@ -5,15 +5,18 @@ finite: NaN is null, infinities are texts; a standard error is null where it is 
 """
 
 import os
+from collections.abc import Mapping
 from typing import Any
 
 import jax
 import numpy as np
 
 from .._camera.camera import Camera
+from .._camera.matrices import Centres
 from .._files.paths import read_json
 from .._fit.result import Fit, MaskError, Progress, check_fit
 from .._fit.words import STATUSES
+from .._numerics.arrays import Input
 from ..formats.fields import Fields, short
 from ..formats.native import (
     camera_to_dict,
@@ -28,7 +31,9 @@ FIT_SCHEMA = "pinhole_jax.fit/1"
 NOT_FINITE: dict[str | None, float] = {None: np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
 
 
-def fit_to_dict(fit: Fit, *, pixel_centres: Any = "integer") -> dict[str, Any]:
+def fit_to_dict(
+    fit: Fit, *, pixel_centres: Input[Centres, "of K"] = "integer"
+) -> dict[str, object]:
     """Return the fit as JSON-ready numbers: its camera's (`camera_to_dict`), and in `fit` the rest.
 
     - `dtype`: the camera's float type.
@@ -42,26 +47,40 @@ def fit_to_dict(fit: Fit, *, pixel_centres: Any = "integer") -> dict[str, Any]:
       not read back.
     - `modes`: each is a fit of its own. `history`: `camera`, `W`, `H`, `steps` of each.
     - all else as a `Fit` has it.
+
+    ```python
+    data = pj.io.fit_to_dict(fit)
+    ```
     """
     check_fit(fit)
     return {**camera_to_dict(fit.camera), "fit": _rest(fit, pixel_centres)}
 
 
-def fit_from_dict(data: Any) -> Fit:
+def fit_from_dict(data: Input[Mapping[str, object], "JSON"]) -> Fit:
     """Return the fit of `fit_to_dict`'s numbers, equal to the last bit.
 
     A camera of float64 becomes one of float32 where JAX has no other (`jax_enable_x64` is off).
 
     Raises ValueError where a field is missing or is not what it should be.
+
+    ```python
+    fit = pj.io.fit_from_dict(data)
+    ```
     """
     return _fit(Fields(data, "`fit`"))
 
 
-def save_fit(path: str | os.PathLike[str], fit: Fit, *, pixel_centres: Any = "integer") -> None:
+def save_fit(
+    path: str | os.PathLike[str], fit: Fit, *, pixel_centres: Input[Centres, "of K"] = "integer"
+) -> None:
     """Write a fit as JSON (see `fit_to_dict`); `load_camera` and `formats.read` read its camera.
 
     Raises ValueError for what is no fit, a camera that is not finite, and a path that cannot be
     written.
+
+    ```python
+    pj.io.save_fit("fit.json", fit)
+    ```
     """
     rest = fit_to_dict(fit, pixel_centres=pixel_centres)["fit"]
     save_camera(path, fit.camera, fit=rest)
@@ -71,6 +90,10 @@ def load_fit(path: str | os.PathLike[str]) -> Fit:
     """Return the fit of a JSON file that `save_fit` (or the command) wrote, as `fit_from_dict`.
 
     Raises FileNotFoundError, or ValueError naming the field that is missing or wrong.
+
+    ```python
+    fit = pj.io.load_fit("fit.json")  # to the last bit of its float type
+    ```
     """
     return _fit(Fields(read_json(path, "a fit's file"), repr(str(path))))
 

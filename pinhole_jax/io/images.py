@@ -23,6 +23,10 @@ def load_image(path: str | os.PathLike[str]) -> np.ndarray:
     Raises FileNotFoundError, or ValueError where the file is no PNG, JPEG, TIFF, WebP, BMP or PNM
     that can be read, has values that are not finite, or more than some 179 million pixels
     (Pillow's limit; half of it in WebP). It takes at most ten bytes a pixel as it works, WebP 17.
+
+    ```python
+    picture = pj.io.load_image("mask.png")
+    ```
     """
 
     def read(image: Any) -> np.ndarray:
@@ -40,6 +44,10 @@ def photo_fov(path: str | os.PathLike[str]) -> FieldOfView | None:
     how; None where they do not. It is a first guess, as good as some per cent.
 
     Raises FileNotFoundError or ValueError like `load_image`.
+
+    ```python
+    pj.io.photo_fov("copy.png")  # None: it has no EXIF data
+    ```
     """
     return from_picture(path, "a readable image", field_of_view)
 
@@ -52,6 +60,10 @@ def save_image(path: str | os.PathLike[str], image: np.ndarray) -> None:
 
     Raises ValueError for other shapes and types, for values that are not finite, and for a path
     that cannot be written.
+
+    ```python
+    pj.io.save_image("copy.png", picture)
+    ```
     """
     from PIL import Image
 

@@ -34,7 +34,7 @@ MOST_PARTS = 1 << 20
 def load_mask(
     path: str | os.PathLike[str],
     mask_from: str | None = None,
-    say: Callable[[str], Any] | None = None,
+    say: Callable[[str], object] | None = None,
     *,
     invert: bool = False,
 ) -> np.ndarray:
@@ -56,6 +56,11 @@ def load_mask(
 
     Raises FileNotFoundError or ValueError like `load_image`, and ValueError for a picture that does
     not hold what is asked for.
+
+    ```python
+    pj.io.save_image("mask.png", np.uint8(255 * pj.silhouette(camera, scene)))
+    mask = pj.io.load_mask("mask.png")
+    ```
     """
     way = way_of(mask_from)
     read = from_picture(path, "a mask", lambda image: read_mask(image, way, invert))

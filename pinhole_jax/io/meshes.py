@@ -17,7 +17,7 @@ from .._scene.topology import by_place
 COARSE = 1 / 2000
 
 
-def load_mesh(path: str | os.PathLike[str], say: Callable[[str], Any] | None = None) -> Mesh:
+def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None = None) -> Mesh:
     """Return the triangles of a mesh file (obj, ply, stl, glb, gltf, off), as one mesh.
 
     Polygons of any shape in any plane are cut into triangles that run the way they do, and vertices
@@ -38,6 +38,10 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], Any] | None = N
     unless its first corner sees them all), curved surfaces (obj), binary or not three dimensions
     (off), or a required glTF extension that is not read (KHR_draco_mesh_compression,
     EXT_meshopt_compression): the extension, field or face is named.
+
+    ```python
+    mesh = pj.load_mesh("part.off")
+    ```
     """
     file = existing(path, "a mesh file")
     if file.suffix.lower() not in MESH_ENDINGS:

@@ -1,24 +1,31 @@
 """COCO's run lengths of a mask: how data sets of detections and segmentations write one."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
 
+from .._numerics.arrays import Input
 from .images import MOST_PIXELS
 
 
-def mask_of_rle(rle: Any) -> UInt8[np.ndarray, "H W"]:
+def mask_of_rle(rle: Input[Mapping[str, object], "size, counts"]) -> UInt8[np.ndarray, "H W"]:
     """Return the mask of COCO's run lengths, 255 where the object is.
 
     - `rle`: `size` [H, W], and `counts`: how many pixels are 0, then 1, then 0, ... down the
       columns from the top left, as numbers or as pycocotools' text.
 
     Raises ValueError where a field is missing, or the runs do not fill the picture.
+
+    ```python
+    pj.io.mask_of_rle({"size": [2, 3], "counts": [2, 4]})  # (2, 3): down the columns, 0 first
+    ```
     """
     if not isinstance(rle, dict) or not {"size", "counts"} <= rle.keys():
         raise ValueError("`rle`: expected run lengths with `size` and `counts`")
-    size, counts = rle["size"], rle["counts"]
+    size: Any = rle["size"]
+    counts: Any = rle["counts"]
     fits = isinstance(size, list) and len(size) == 2 and all(_is_count(n) for n in size)
     if not fits or not 0 < size[0] * size[1] <= MOST_PIXELS:
         raise ValueError(f"`rle`: expected `size` [H, W], got {size!r}")

@@ -6,6 +6,7 @@ import numpy as np
 
 from .._files.pictures import rows
 from .._mask.target import as_coverage, check_image
+from .._numerics.arrays import ArrayLike, Input
 
 #: Parts and holes smaller than this share of the largest part are noise.
 SPECK = 5e-3
@@ -16,13 +17,18 @@ SOFT_PX = 2
 
 
 class Tidied(NamedTuple):
-    """A mask (H, W), and sentences on what was changed and what else there is to know about it."""
+    """A mask (H, W), and sentences on what was changed and what else there is to know about it.
+
+    ```python
+    tidied.mask, tidied.notes
+    ```
+    """
 
     mask: np.ndarray
     notes: tuple[str, ...]
 
 
-def tidy_mask(mask: Any, speck: float = SPECK) -> Tidied:
+def tidy_mask(mask: Input[ArrayLike, "H W"], speck: float = SPECK) -> Tidied:
     """Return a mask without crumbs and pinholes, and sentences on what was done and found.
 
     - `mask`: (H, W), as `fit_camera` takes it. A pixel that is half covered or more is inside.
@@ -33,6 +39,10 @@ def tidy_mask(mask: Any, speck: float = SPECK) -> Tidied:
     edges of the film that cut the mask off, a mask that covers all or nothing.
 
     Raises ValueError for what is no mask, and for a share outside [0, 1).
+
+    ```python
+    tidied = pj.io.tidy_mask(mask > 0.5)
+    ```
     """
     if not 0 <= speck < 1:
         raise ValueError(f"`speck`: expected a share of the object, 0 <= speck < 1, got {speck}")

@@ -56,7 +56,12 @@ class Row(NamedTuple):
 
 
 class Certificate(NamedTuple):
-    """The rows of `check_gradients`; `passed`: all of them are right, and at least one moves."""
+    """The rows of `check_gradients`; `passed`: all of them are right, and at least one moves.
+
+    ```python
+    certificate.status, print(certificate)
+    ```
+    """
 
     rows: tuple[Row, ...]
     passed: bool
@@ -110,6 +115,12 @@ def check_gradients(
 
     Raises ValueError where camera or scene are traced, `tolerance` is not positive, `directions` is
     below 1, or the image is not (H, W) floats.
+
+    ```python
+    small = pj.Scene(mesh=pj.shapes.bumpy(2))
+    certificate = pj.check_gradients(camera.replace(W=64, H=64), small)
+    print(certificate)
+    ```
     """
     _check(camera, scene, tolerance, directions)
     # Casting up is exact: the differences are taken at the very same camera and scene.
