@@ -73,7 +73,7 @@ def fit_camera(
       the whole sphere of views is searched, and the start decides between equals. None:
       search at once; then `phi` (rad) is the field of view, or if it is free a first guess (0.7),
       and `lens` the principal point, aspect and distortion (None: centred, square pixels). Those
-      of a known K are `formats.from_opencv(K, I, 0, W, H, ...)`'s.
+      of a known K are `Camera.from_K(K, I, 0, W, H, ...)`'s.
     - `free`: any of pose (or position, orientation: both are pose), phi, d, principal_point, aspect
       and of the lens's distortion k1, k2, p1, p2, k3 (of a fisheye k1 to k4), or `distortion` for
       all of them. Several stand in a tuple, or in a text with commas: "pose,phi".

@@ -32,12 +32,14 @@ class Descended(NamedTuple):
     - `own` (n,): which of a view's moves are its own, not shared.
     - `steps`: how many it took.
     - `others`: other places of each view that are as good, what is shared held.
+    - `way`: the views at the start, and where each descent ended, with its steps.
     """
 
     views: list[PointView]
     own: np.ndarray
     steps: int
     others: list[list[PointView]]
+    way: list[tuple[list[PointView], int]]
 
 
 def descended(
@@ -45,20 +47,20 @@ def descended(
 ) -> Descended:
     """Return where views descend to together, this many steps at most each time; points farther
     than `reach` (px) lose their weight on the way (None: none do)."""
-    given, steps = [view.weight for view in views], 0
+    given, way = [view.weight for view in views], [(views, 0)]
     for reach_px in [None] if reach is None else [times * reach for times in REACHES]:
         views = views if reach_px is None else _near(views, given, reach_px)
-        views, more = _together(views, own, most, tell)
-        steps += more
+        views, steps = _together(views, own, most, tell)
+        way.append((views, steps))
     others = [_other(view, views, own, most) for view in views]
     if any(other is not None and other.is_better for other in others):
         pairs = zip(views, others, strict=True)
         begin = [other.place if other and other.is_better else view for view, other in pairs]
-        views, more = _together(begin, own, most, tell)
-        steps += more
+        views, steps = _together(begin, own, most, tell)
+        way.append((views, steps))
         others = [_other(view, views, own, most) for view in views]
     places = [[] if other is None else [other.place] for other in others]
-    return Descended(views, own, steps, places)
+    return Descended(views, own, sum(steps for _, steps in way), places, way)
 
 
 def _together(

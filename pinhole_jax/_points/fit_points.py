@@ -11,7 +11,7 @@ from .._camera.axes import axes_of
 from .._camera.camera import Camera, check_camera
 from .._fit.fit_camera import check_reach, check_steps
 from .._fit.implicit import Through, check_plain
-from .._fit.result import at_rest, to_units, without_ended
+from .._fit.result import Progress, at_rest, to_units, without_ended
 from .._fit.words import parameter_lines
 from .._joint.shared_unknowns import alike, joint, others, reduced, shared_and_free
 from .._numerics.arrays import ArrayLike, Input, float_array, is_concrete
@@ -44,6 +44,8 @@ class PointFit(NamedTuple):
     - `weak`: directions that the points determine badly or not at all, and how many points do not
       count, as sentences.
     - `modes`: other cameras that the view's points do not tell from this one.
+    - `history`: the way to `camera`: the start of the descents (0 steps), and where each of them
+      ended; with `outlier_px` there are several.
 
     ```python
     found.status, found.rms_px
@@ -59,6 +61,7 @@ class PointFit(NamedTuple):
     steps: int
     weak: tuple[str, ...]
     modes: tuple["PointFit", ...] = ()
+    history: tuple[Progress, ...] = ()
 
     def __str__(self) -> str:
         """Return it as a table."""
@@ -255,9 +258,19 @@ def _reports(found: Descended, given: list[Given]) -> tuple[PointFit, ...]:
     fits = []
     for k, known in enumerate(others([p.rest for p in parts])):
         fit = report(views[k], seen[k], known)._replace(steps=found.steps)
+        fit = fit._replace(history=_way(found, k))
         fit = _without(fit, views[k].number, int(np.sum(given[k].weight > 0)))
         fits.append(_with_modes(fit, [report(v, v.look(), known) for v in found.others[k]]))
     return tuple(fits)
+
+
+def _way(found: Descended, number: int) -> tuple[Progress, ...]:
+    """Return the cameras of a view on its way."""
+    at = [(views[number], steps) for views, steps in found.way]
+    return tuple(
+        Progress(on_film(view.camera, view.film), view.film.W, view.film.H, steps)
+        for view, steps in at
+    )
 
 
 def _without(fit: PointFit, number: int, given: int) -> PointFit:
