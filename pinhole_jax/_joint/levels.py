@@ -15,7 +15,8 @@ from .photo import OnPhotos, on_photos
 from .problem import JointProblem
 from .views import Eye, State
 
-#: This many steps at most on a level that leads to finer ones.
+#: This many steps at most on a level that leads to finer ones. (An arm in three postures, 24 fits:
+#: with 6 to 48 all end at the right place; most levels take 1 to 12, now and then one all of them.)
 COARSE_STEPS = 24
 #: An outline may lie this many times `outlier_px` from the mask's at first, then less.
 REACHES = (8, 4, 2, 1)

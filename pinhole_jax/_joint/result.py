@@ -28,7 +28,8 @@ from .views import POSE, SCALE, ZERO, Eye, State
 
 #: A view this many times farther off than is usual is named: it has less than 0.28 of the weight.
 OFF = 2.5
-#: Views that differ by this many times what their masks' errors say do not do so by chance.
+#: Views that differ by this many times what their masks' errors say do not do so by chance: where
+#: two views determine one pose (6 numbers) that has a chance of 5e-4 (chi-squared), with more less.
 TELLING = 2.0
 #: A view with more than this share of its outline far from the mask's edge shows something else; a
 #: fit to more than this share of such views is none.

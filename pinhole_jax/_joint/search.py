@@ -19,7 +19,8 @@ from .problem import JointProblem
 from .views import State
 
 #: Of each view this many guesses are tried, so far apart (rad), and this many of all followed
-#: further.
+#: further. (Before an arm 4 and 2 find all of 8 cameras as well, in half the time, 1.6 for 3.0 s;
+#: the rest is for parts that look alike from several sides.)
 TRIED, APART, FOLLOWED = 12, np.deg2rad(15), 4
 #: This many views that look alike are tried at most.
 ALIKE = 6

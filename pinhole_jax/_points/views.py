@@ -22,7 +22,8 @@ from .._solver.moves import Bounds, Move, canonical, moved, on_film, reported, s
 from .._solver.priors import Prior
 from .._solver.problem import UNIT_PX
 
-#: A move of `UNIT_PX` counts as this many residuals of as much, as damping has it.
+#: A move of `UNIT_PX` counts as this many residuals of as much, as damping has it. (40 draws of 12
+#: points, phi and k1 free: 4.3 steps with 0.1 and 1, 4.8 with 10, 6.7 with 100, all end right.)
 FILM = 10.0
 
 
