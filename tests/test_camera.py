@@ -193,14 +193,9 @@ def test_a_camera_of_matrices_projects_as_they_do_and_follows_them():
     for mine, hand in zip(ours[1:], theirs[1:], strict=True):
         np.testing.assert_allclose(mine, hand, atol=1e-8)
     # A column is a translation, too, and a centred camera has no lens.
-    centred = pj.Camera.from_K(
-        [*np.diag([70.0, 70, 1]), [0, 0, 31.5], [0, 0, 23.5], [0, 0, 0]],
-        np.eye(3),
-        [[0.0], [0], [4]],
-        64,
-        48,
-        pixel_centres="integer",
-    )
+    middle = [[70.0, 0, 31.5], [0, 70, 23.5], [0, 0, 1]]
+    column = [[0.0], [0], [4]]
+    centred = pj.Camera.from_K(middle, np.eye(3), column, 64, 48, pixel_centres="integer")
     assert centred.lens is None
 
 

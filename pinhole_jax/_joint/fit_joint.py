@@ -16,10 +16,13 @@ from .result import JointFit, as_one, reported
 from .search import equally_good, looking_alike, searched_jointly
 from .views import JointView, State
 
-#: With the zeros of joints a fit goes on from this many levels before the finest.
+#: With the zeros of joints a fit goes on from this many levels before the finest. (Zeros off by 3
+#: degrees, one sigma, six robots: from 1 to 4 all are found, in the same time to a tenth.)
 ZEROS_FROM = 3
-#: What covers less than this share of a drawn mask may have come from a wrong start.
-LIKELY_IOU = 0.8
+#: What covers less than this share of a drawn mask may have come from a wrong start. (An arm's hard
+#: masks: right ends have 0.98, of 100 wrong ones two had 0.82 and 0.86. A robot's, by a network:
+#: 0.93.)
+LIKELY_IOU = 0.9
 
 
 def fit_joint(
@@ -213,11 +216,11 @@ def _ended(
 
 def _is_content(problem: JointProblem, path: Path) -> bool:
     """Return whether a descent's end may be right: where masks are exact, whether they are
-    explained, else whether the scenes lie on them."""
+    explained, else whether it is at rest and the scenes lie on the masks."""
     solvers = [eye.solver for eye in problem.layout.eyes]
     views = [seen.view for seen in path.descent.seen]
     # (Zeros that are not where they are sought explain no mask.)
     if all(solver.kind.exact for solver in solvers) and not problem.zeros:
         return all(s.explains(view) for s, view in zip(solvers, views, strict=True))
     overlap, union = (sum(float(getattr(v.sums, x)) for v in views) for x in ("overlap", "union"))
-    return overlap >= LIKELY_IOU * union
+    return path.descent.ended and overlap >= LIKELY_IOU * union

@@ -11,7 +11,17 @@ from jaxtyping import Float
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._camera.poses import Pose, at_pose
-from .._fit.result import LEAST_IOU, UNCERTAIN, Fit, MaskError, Progress, progress_at, widest_turn
+from .._fit.result import (
+    ASTRAY,
+    LEAST_IOU,
+    UNCERTAIN,
+    WRONG,
+    Fit,
+    MaskError,
+    Progress,
+    progress_at,
+    widest_turn,
+)
 from .._names import STATUSES
 from .._scene.scene import Scene
 from .._solver.moves import on_film
@@ -424,6 +434,10 @@ def _status(
     lost = [k for k in seen_by if views[k].astray > LOST]
     if len(lost) > MOST_LOST * len(seen_by):
         return "misfit", (f"{len(lost)} of {len(seen_by)} masks show something else",)
+    far = float(np.median([views[k].astray for k in seen_by]))
+    # (A search has compared the places that such a mask may be seen from.)
+    if far > ASTRAY and not problem.searchable():
+        return "misfit", (f"{far:.0%} of the outline is far from the edges of most masks: {WRONG}",)
     if np.any(np.isinf(np.diag(covariance))):
         return "rank_deficient", ("some move changes no mask",)
     turn, about = widest_turn(covariance, labels)
