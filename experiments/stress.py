@@ -20,6 +20,7 @@ import trimesh
 from _common import run, trials
 
 import pinhole_jax as pj
+from pinhole_jax._scene.scene import with_vertices
 
 W, H = 24, 18
 LIMIT = 256.0
@@ -288,7 +289,8 @@ def scene_of(view: View, vertices: np.ndarray, room: int = 256) -> pj.Scene:
     mesh = pj.Mesh(pad(vertices, vertices[:1]), pad(view.faces, np.zeros((1, 3), int)))
     edges = lambda m: (m.edge_vertices, m.edge_faces)
     fill = lambda x: jnp.pad(x, ((0, 2 * room - x.shape[0]), (0, 0)))
-    return pj.Scene(mesh=eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh)))))
+    mesh = eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh))))
+    return pj.Scene(mesh=with_vertices(mesh, mesh.vertices))  # (its clusters of edges: as many)
 
 
 def decimals(x: np.ndarray) -> np.ndarray:

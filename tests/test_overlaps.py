@@ -14,7 +14,9 @@ from chosen import first
 from oracles import mesh_coverage, mesh_polygons, sphere_polygons, union_per_pixel
 
 import pinhole_jax as pj
+from pinhole_jax._scene.scene import with_vertices
 from pinhole_jax._silhouette import overlaps
+from pinhole_jax._silhouette.silhouette import _silhouette, _stops
 
 W, H = 64, 48
 SHARED = ["bob.obj", "counter.stl", "cycloidal.ply", "spot.obj", "suzanne.ply", "teapot.obj"]
@@ -112,7 +114,8 @@ def filled(vertices, faces, dtype=float) -> pj.Scene:
     )
     fill = lambda x: jnp.pad(x, ((0, 40_000 - x.shape[0]), (0, 0)))
     edges = lambda m: (m.edge_vertices, m.edge_faces)
-    return pj.Scene(mesh=eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh)))))
+    mesh = eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh))))
+    return pj.Scene(mesh=with_vertices(mesh, mesh.vertices))  # (its clusters of edges: as many)
 
 
 @pytest.mark.parametrize("name", first(1, reversed(MESHES)))
@@ -325,6 +328,28 @@ def leaves(moving):
     )
 
 
+def image_of(mixed, x, stops):
+    moved = eqx.tree_at(leaves, mixed, x)
+    return pj.silhouette(*moved) if stops is None else _silhouette(*moved, True, stops)
+
+
+@jax.jit
+def pushed(mixed, directions, stops=None):
+    """Return the image, and its derivative along directions of all leaves: one program for all."""
+    return jax.jvp(lambda *x: image_of(mixed, x, stops), leaves(mixed), directions)
+
+
+@jax.jit
+def pulled(mixed, weight, stops=None):
+    """Return the derivatives of the image's weighted sum by all leaves."""
+    loss = lambda x: jnp.sum(weight * image_of(mixed, x, stops))
+    return jax.grad(loss)(leaves(mixed))
+
+
+def dot(gradient, directions) -> float:
+    return sum(float(jnp.sum(g * d)) for g, d in zip(gradient, directions, strict=True))
+
+
 @pytest.mark.long
 def test_derivatives_of_a_union_equal_central_differences_of_the_oracle(mixed):
     camera, _ = mixed
@@ -333,28 +358,25 @@ def test_derivatives_of_a_union_equal_central_differences_of_the_oracle(mixed):
     start = leaves(mixed)
     directions = [random.normal(size=x.shape) for x in start]
 
-    def at(steps):
-        moved = [x + s * d for x, s, d in zip(start, steps, directions, strict=True)]
-        return eqx.tree_at(lambda m: leaves(m), mixed, tuple(moved))
-
-    def oracle(steps):
-        camera, scene = at(steps)
+    def oracle(way, step):
+        moved = tuple(x + step * d for x, d in zip(start, way, strict=True))
+        camera, scene = eqx.tree_at(leaves, mixed, moved)
         polygons = mesh_polygons(camera, scene.mesh.vertices, scene.mesh.faces)
         polygons += sphere_polygons(camera, scene.spheres.centers, scene.spheres.radii, 100_000)
         return union_per_pixel(polygons, camera.W, camera.H)
 
-    image = jax.jit(lambda steps: pj.silhouette(*at(steps)))
-    zero = jnp.zeros(len(start))
-    columns = np.asarray(jax.jit(jax.jacfwd(image))(zero))
-    gradient = jax.jit(jax.grad(lambda steps: jnp.sum(weight * image(steps))))(zero)
-    np.testing.assert_allclose(gradient, np.tensordot(weight, columns, 2), rtol=1e-10, atol=1e-10)
-    for k, step in enumerate(np.eye(len(start)) * 1e-5):
-        expected = (oracle(step) - oracle(-step)) / 2e-5
+    gradient = pulled(mixed, weight)
+    for k, direction in enumerate(directions):
+        way = tuple(direction if n == k else jnp.zeros_like(x) for n, x in enumerate(start))
+        _, column = pushed(mixed, way)
+        slope = dot(gradient, way)
+        np.testing.assert_allclose(slope, np.sum(weight * column), rtol=1e-10, atol=1e-10)
+        expected = (oracle(way, 1e-5) - oracle(way, -1e-5)) / 2e-5
         scale = np.abs(expected).max()
         # Per pixel the oracle's polygons err by 1e-8 px^2, over the step 1e-3 at most; the loss
         # averages that out.
-        np.testing.assert_allclose(columns[..., k], expected, atol=2e-5 * scale)
-        np.testing.assert_allclose(gradient[k], np.sum(weight * expected), rtol=1e-5)
+        np.testing.assert_allclose(column, expected, atol=2e-5 * scale)
+        np.testing.assert_allclose(slope, np.sum(weight * expected), rtol=1e-5)
 
 
 def slivers(number=300):
@@ -396,22 +418,17 @@ def test_cells_that_are_cut_err_by_the_tolerance_at_most():
 @pytest.mark.long
 def test_spheres_and_their_derivative_err_by_the_tolerance(mixed):
     """... of what a pixel's width of motion changes, where arcs and edges are swept by lines."""
-    camera, scene = mixed
-
-    def slid(x, tolerance):
-        """The picture slides by x pixels, roughly."""
-        step = jnp.array([0.1, 0.05, 0]) * x
-        moved = camera.replace(e=camera.e + step, p=camera.p + step)
-        return pj.silhouette(moved, scene, tolerance=tolerance)
-
-    exact, slope = jax.jvp(lambda x: slid(x, 0.0), (0.0,), (1.0,))
-    tolerance, image, near = 0.0, exact, slope
+    step = jnp.array([0.1, 0.05, 0])  # the picture slides by a pixel, roughly
+    slide = step, step, *map(jnp.zeros_like, leaves(mixed)[2:])
+    exact, slope = pushed(mixed, slide)
+    stops, image, near = _stops(1 / 8), exact, slope
     for tolerance in (1 / 8, 1 / 32):
-        image, near = jax.jvp(lambda x, t=tolerance: slid(x, t), (0.0,), (1.0,))
+        stops = _stops(tolerance)
+        image, near = pushed(mixed, slide, stops)
         assert 0 < np.max(np.abs(image - exact)) <= tolerance
         assert 0 < np.max(np.abs(near - slope)) <= 4 * tolerance
-    pulled = jax.grad(lambda x: jnp.sum(slid(x, tolerance) ** 2))(0.0)
-    np.testing.assert_allclose(pulled, jnp.sum(2 * image * near), rtol=1e-9)
+    of_squares = dot(pulled(mixed, 2 * image, stops), slide)
+    np.testing.assert_allclose(of_squares, jnp.sum(2 * image * near), rtol=1e-9)
 
 
 @pytest.mark.parametrize("tolerance", [-0.1, 1.0, np.nan, np.inf])

@@ -73,6 +73,7 @@ def test_same_hits_as_embree(name, rays, request):
     np.testing.assert_allclose(np.asarray(hit.t)[both], t, rtol=1e-6)
 
 
+@jax.jit
 def brute_force(mesh, rays):
     """Return t and face of each ray by testing every face."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]][None] for k in range(3))
