@@ -63,8 +63,8 @@ LEAST_EXPLAINED = 0.5
 #: ... and one that explains less than this, or has more beyond, not without a doubt; nor
 #: one from whose outline the rest of the edge lies so far across it (px, root mean square). Pixels
 #: of a hard mask leave 0.16 to 0.35 of it behind real occluders (144 masks; median 0.24), other
-#: views of a bracket, that explain as much of its edge, 0.39 to 0.55. So masks that err by more and
-#: are covered are never told without a doubt.
+#: views of a bracket, that explain as much of its edge, 0.39 to 0.55 (but for twins of the right
+#: one). So masks that err by more and are covered are never told without a doubt.
 SURE, SURE_BEYOND, SURE_PX = 0.6, 0.02, 0.35
 #: Another camera, so far away (rad), that explains as much but for this share is a rival.
 RIVAL, ELSEWHERE = 0.06, np.deg2rad(3)
