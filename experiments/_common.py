@@ -98,18 +98,24 @@ def trials(default: int) -> int:
     return int(sys.argv[2]) if len(sys.argv) > 2 else default
 
 
+def first() -> int:
+    """Return the number of the first trial, from which its seed is made: after that of trials."""
+    return int(sys.argv[3]) if len(sys.argv) > 3 and sys.argv[3].isdigit() else 0
+
+
 def rows_of(
     shapes: Iterable[str],
     kinds: Collection[str],
     trial: Callable[[int, str, str], dict],
     line: Callable[[dict], str],
 ) -> list[dict]:
-    """Return the rows of 1000 trials, or as many as the command line asks for; `-v` prints each."""
+    """Return the rows of 1000 trials, or as many as the command line asks for, from the seed on
+    that it names after that; `-v` prints each."""
     cases = [(shape, kind) for shape in shapes for kind in kinds]
     total, rows = trials(1000), []
     for number in range(total):
         # All kinds of a shape follow one another: they share compiled programs.
-        rows.append(trial(number, *cases[(number * len(cases)) // total]))
+        rows.append(trial(first() + number, *cases[(number * len(cases)) // total]))
         if "-v" in sys.argv:
             print(line(rows[-1]), flush=True)
     return rows

@@ -16,7 +16,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from _common import camera_at, run, trials
+from _common import camera_at, first, run, trials
 from scipy.ndimage import gaussian_filter
 from wrong_masks import PHI, SHAPES, SIZE, signed_distance
 
@@ -110,7 +110,7 @@ def question() -> dict:
     cases = [(shape, kind) for shape in SHAPES for kind in KINDS]
     for number in range(count):
         case = cases[number * len(cases) // count]
-        rows.append(trial(number, *case, DTYPES[number % 2]))
+        rows.append(trial(first() + number, *case, DTYPES[number % 2]))
         if "-v" in sys.argv:
             print(rows[-1], flush=True)
     told = [r for r in rows if r["errors"]]

@@ -1,5 +1,7 @@
 """Something stands before the object, and nobody said so."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
@@ -105,6 +107,24 @@ def test_means_about_an_outline_are_those_of_whole_images(scene):
     np.testing.assert_allclose(got, mean, atol=1e-12 * np.abs(mean).max())
 
 
+def test_an_edge_lies_a_third_of_a_pixel_across_its_own_outline_and_farther_from_anothers(scene):
+    """Half a pixel along it, to the next point that is known, says nothing."""
+    truth = anywhere(0)
+    seen, _ = behind_a_wall(truth, scene, 0.3)
+    mask = Mask(seen * 1.0, np.ones((80, 96)), truth)
+    solver = Solver.of(scene, mask.target, mask.weight, np.float64, ("pose",), 8)
+    right, near = (
+        occluders.covered_at(solver, mask, edge_of(mask), canonical(camera), 0.0)
+        for camera in (truth, turned(truth, [1, 2, 3], 3))
+    )
+    assert right is not None
+    assert near is not None
+    assert 0.15 < right.off < occluders.SURE_PX
+    assert near.off > occluders.SURE_PX
+    assert occluders.is_sure(right)
+    assert not occluders.is_sure(near)
+
+
 def check(fit, truth, wall):
     # (With a weight image that tells the wall: 1.18 degrees from the start, sigma 0.8.)
     assert degrees(fit, truth) < 1.5
@@ -155,6 +175,27 @@ def test_an_occluder_that_leaves_what_another_view_shows_is_not_told_as_certain(
     fit = pj.fit_camera(scene, seen, turned(truth, [1, 2, 3], 10))
     assert fit.status != "converged" or degrees(fit, truth) < 5
     assert pj.fit_camera(scene, seen, None, phi=0.6).status != "converged"
+
+
+@pytest.mark.long
+def test_of_views_that_explain_most_of_an_edge_the_closest_is_found():
+    """Three plates that meet at a corner, 40 % of the outline behind a half-plane, no start: a view
+    turned by 179 degrees explains nearly as much of the edge, 0.5 px off."""
+    parts = [([1.6, 1.2, 0.15], [0, 0, 0]), ([0.15, 1.2, 0.9], [-0.72, 0, 0.5])]
+    parts += [([0.9, 0.15, 0.5], [-0.3, 0.52, 0.3])]
+    plates = [trimesh.creation.box(size) for size, _ in parts]
+    for plate, (_, place) in zip(plates, parts, strict=True):
+        plate.apply_translation(place)
+    bracket: Any = trimesh.util.concatenate(plates)
+    scene = pj.Scene(mesh=pj.Mesh(np.asarray(bracket.vertices, np.float32), bracket.faces))
+    pose = [-0.3207, 4.8651, 5.4846], [0.0262, -0.0893, 0.0836], [0.5031, 0.6527, -0.5664]
+    e, p, u = (np.array(x, np.float32) for x in pose)
+    truth = pj.Camera(e, p, u, np.float32(0.6), 1.0, 256, 256)
+    row, column = np.mgrid[:256, :256]
+    hidden = np.cos(3.0755) * row + np.sin(3.0755) * column < -136.52
+    fit = pj.fit_camera(scene, (drawn(truth, scene) > 0.5) & ~hidden, None, phi=0.6)
+    assert degrees(fit, truth) < 1
+    assert fit.status == "converged"
 
 
 @pytest.mark.long
