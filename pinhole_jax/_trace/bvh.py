@@ -69,7 +69,7 @@ def _build(order, low, high, rows: Float[Array, "F rows corners"]) -> Tree:
     index = order[jnp.asarray(slots.astype(np.int32))]
     data = jnp.moveaxis(rows[index], 1, -1).reshape(leaves, rows.shape[1], -1)
     eps, extent = jnp.finfo(low.dtype).eps, jnp.max(high - low, axis=1, keepdims=True)
-    # Slivers are met up to the root of the rounding beside them: `_around` leaves as much open.
+    # Slivers are met up to the root of the rounding beside them: so much their test leaves open.
     pad = 4 * eps * jnp.maximum(jnp.abs(low), jnp.abs(high)) + 16 * eps**0.5 * extent
     low, high = jnp.min((low - pad)[index], axis=1), jnp.max((high + pad)[index], axis=1)
     return Tree(_planes(low, high), index, data, jnp.max(extent))
