@@ -10,9 +10,10 @@ from oracles import central_difference
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._trace import bvh, packets
-from pinhole_jax._trace.bvh import mesh_tree, packed
+from pinhole_jax._trace import packets, walk
+from pinhole_jax._trace.bvh import mesh_tree, packed, sphere_tree
 from pinhole_jax._trace.intersect import perpendicular, ray_triangle
+from pinhole_jax._trace.order import near_order
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 24, 20)
 
@@ -100,18 +101,28 @@ def test_the_tree_finds_what_testing_every_face_finds(faces, rays):
     np.testing.assert_array_equal(pj.occluded(pj.Scene(mesh=mesh), some), face >= 0)
 
 
-def test_every_face_is_in_one_leaf_and_every_box_holds_its_faces():
-    tree = mesh_tree(shapes.bumpy(2))
-    leaves = tree.primitive.shape[0]
-    assert set(np.unique(tree.primitive)) == set(range(320))
-    boxes = np.asarray(tree.boxes).reshape(-1, 6)
-    for leaf in range(leaves):
-        corners = np.asarray(tree.data[leaf]).reshape(3, 3, -1)
-        node = leaf + leaves
-        while node > 1:
-            assert np.all(corners.min(axis=(0, 2)) >= boxes[node, :3])
-            assert np.all(corners.max(axis=(0, 2)) <= boxes[node, 3:])
-            node //= 2
+@pytest.mark.parametrize("faces", [1, 5, 9, 33, 65, 320])
+def test_every_face_is_in_one_leaf_and_every_box_holds_its_faces(faces):
+    whole = shapes.bumpy(2)
+    tree = mesh_tree(pj.Mesh(whole.vertices, np.asarray(whole.faces)[:faces]))
+    nodes, leaves = tree.planes.shape[0], tree.primitive.shape[0]
+    assert set(np.unique(tree.primitive)) == set(range(faces))
+    planes, reached = np.asarray(tree.planes), set()
+
+    def look(node, low, high):
+        if node < nodes:
+            first = 8 * node + nodes + leaves - 8 * nodes
+            for k in np.flatnonzero(np.all(planes[node, :3] <= planes[node, 3:], axis=0)):
+                here = np.maximum(low, planes[node, :3, k]), np.minimum(high, planes[node, 3:, k])
+                look(first + k, *here)  # a box is inside all those above it
+            return
+        reached.add(node - nodes)
+        corners = np.asarray(tree.data[node - nodes]).reshape(3, 3, -1)
+        assert np.all(corners.min(axis=(1, 2)) >= low)
+        assert np.all(corners.max(axis=(1, 2)) <= high)
+
+    look(0, np.full(3, -np.inf), np.full(3, np.inf))
+    assert reached == set(range(leaves))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.9, 1.0])
@@ -145,8 +156,8 @@ def test_no_ray_leaks_through_edges_or_vertices(dtype, offset):
 @pytest.mark.long
 @pytest.mark.parametrize("offset", [0.0, 1.0])
 @pytest.mark.parametrize("tile", [1, 40])
-def test_many_rays_in_packets_and_one_by_one_do_not_leak(exhaustive, offset, tile):
-    """Rays aimed at vertices and edges, as they come (one by one) and near together (packets)."""
+def test_many_rays_do_not_leak(exhaustive, offset, tile):
+    """Rays aimed at vertices and edges, each apart from the next, and near together."""
     count = 100_000 if exhaustive else 6_000
     mesh = shapes.bumpy(3)
     random = np.random.default_rng(1)
@@ -164,25 +175,56 @@ def test_many_rays_in_packets_and_one_by_one_do_not_leak(exhaustive, offset, til
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["image", "anyhow"])
-def test_more_rays_than_are_searched_at_a_time(kind, rays, monkeypatch):
-    """Several chunks, halved where there is no room, in tiles and ray by ray."""
-    monkeypatch.setattr(packets, "PACKETS", 128)
-    monkeypatch.setattr(bvh, "BLOCK", 64)
-    for module in (bvh, packets):
-        monkeypatch.setattr(module, "capacity", lambda _: 600)
-    jax.clear_caches()
-    mesh = shapes.bumpy(1)
-    if kind == "image":
-        rays = pj.camera_rays(pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 61, 50))
+@pytest.mark.parametrize("kind", ["faces", "spheres"])
+def test_rays_side_by_side_find_what_rays_in_turn_do(kind, rays, monkeypatch):
+    """Where XLA makes no loop of the walk, as on a GPU; and not all rays are asked about."""
+    monkeypatch.setattr(walk, "BESIDE", 64)
+    random = np.random.default_rng(0)
+    if kind == "faces":
+        tree = mesh_tree(shapes.bumpy(1))
     else:
-        rays = jax.tree.map(lambda x: jnp.tile(x, (2, 1)), rays)
-    hit = pj.trace(pj.Scene(mesh=mesh), rays)
-    flat = [jnp.broadcast_to(x, rays.direction.shape).reshape(-1, 3) for x in rays]
-    t, face = brute_force(mesh, pj.Rays(*flat))
-    np.testing.assert_array_equal(hit.primitive.reshape(-1), face)
-    np.testing.assert_allclose(hit.t.reshape(-1), t, rtol=1e-13)
-    jax.clear_caches()
+        centers, radii = random.uniform(-1, 1, (50, 3)), random.uniform(0.05, 0.3, 50)
+        tree = sphere_tree(pj.Spheres(centers, radii))
+    some = pj.Rays(rays.origin[:300], rays.direction[:300])
+    axis, _ = packets.axes_of([some.direction[:, k] for k in range(3)])
+    order = jnp.asarray(random.permutation(300).astype(np.int32)).at[250:].set(-1)
+    in_turn = walk.walk(tree, *some, axis, order)
+    elsewhere = lambda *arguments, cpu, default: default(*arguments)
+    monkeypatch.setattr(jax.lax, "platform_dependent", elsewhere)
+    beside = walk.walk(tree, *some, axis, order)
+    np.testing.assert_array_equal(in_turn, beside)
+    asked = np.isin(np.arange(300), order)
+    assert np.all(np.asarray(in_turn)[~asked] == -1)
+    whole = packets.first_met(tree, *some)  # in the order in which they come
+    np.testing.assert_array_equal(np.asarray(in_turn)[asked], np.asarray(whole)[asked])
+    assert np.mean(np.asarray(whole) >= 0) > 0.3
+
+
+def test_rays_that_enter_at_one_place_follow_one_another():
+    tree = mesh_tree(shapes.bumpy(1))
+    random = np.random.default_rng(0)
+    ends = random.normal(size=(40, 3))
+    origin = 4 * np.repeat(ends / np.linalg.norm(ends, axis=1, keepdims=True), 50, axis=0)
+    mixed = random.permutation(2000)
+    direction = -origin / 4
+    direction[::50] = [[np.nan, 0, 1]]  # one of each end is no ray
+    order = near_order(tree, jnp.asarray(origin[mixed]), jnp.asarray(direction[mixed]))
+    assert sorted(np.asarray(order)) == list(range(2000))
+    number = mixed[np.asarray(order)]
+    end = number[number % 50 > 0] // 50
+    assert np.sum(np.diff(end) != 0) < 200  # (two ends may be in one cell); else some 1900
+
+
+def test_the_walk_is_one_kernel():
+    """XLA leaves the call alone, whose loop it makes one kernel of; else rays take 100 times as
+    long."""
+    tree, ray = mesh_tree(shapes.bumpy(1)), jnp.ones((40, 3))
+    order = jnp.arange(40, dtype=jnp.int32)
+    program = jax.jit(walk.walk).lower(tree, ray, ray, order % 3, order).compile().as_text()
+    assert program is not None
+    entry = program[program.index("\nENTRY") :]
+    assert 'xla_cpu_small_call="true"' in entry
+    assert " while(" not in entry
 
 
 @pytest.mark.long

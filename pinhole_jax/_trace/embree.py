@@ -25,7 +25,9 @@ from jaxtyping import Array, Bool, Float, Int
 from .._numerics.batches import in_turn
 from .bvh import Tree, packed, permuted
 from .components import largest, parts
-from .packets import RAYS, Vectors, axes_of, one_by_one
+from .order import order_of
+from .packets import Vectors, axes_of
+from .walk import walk
 
 #: By how much faces are larger, and within which distance of an edge, or of the ray's origin, a hit
 #: is in doubt; the scene's size is about 1.
@@ -34,7 +36,6 @@ LARGER, DOUBT = 2e-6, 6e-6
 AT_MOST = 3.0
 #: From so far away (in scenes) on, float32 says too little of where a ray is.
 FAR = 8.0
-AGAIN = 1 << 13  # rays that are searched again, at a time
 
 
 class Faces(NamedTuple):
@@ -92,7 +93,11 @@ def first_met(tree: Tree, mesh: Faces, origin: Vectors, direction: Vectors) -> I
     like = jax.ShapeDtypeStruct((N,), jnp.int32), jax.ShapeDtypeStruct((N,), jnp.bool_)
     # From a little behind: what is met next to the origin is in doubt, and must not be passed by.
     behind = origin - 2 * DOUBT * direction
-    face, twin = jax.pure_callback(_ask, like, mesh, behind, direction, vmap_method="sequential")
+    # In such an order Embree takes half as long, too.
+    order = order_of(tree, origin, direction)
+    face, twin = jax.pure_callback(
+        _ask, like, mesh, behind, direction, order, vmap_method="sequential"
+    )
     axis, _ = axes_of(parts(direction))
     sure = _near_and_real(origin, direction)
     sure &= (face < 0) | (~twin & _well_within(mesh, origin, direction, axis, face))
@@ -110,11 +115,16 @@ def _batched(size: int, batched: list, tree: Tree, mesh: Faces, origin: Array, d
     return met.reshape(size, -1), True
 
 
-def _ask(mesh: Faces, origin: Array, direction: Array) -> tuple[np.ndarray, np.ndarray]:
+def _ask(
+    mesh: Faces, origin: Array, direction: Array, order: Array
+) -> tuple[np.ndarray, np.ndarray]:
     """Return Embree's answers; of a mesh that is not held (a traced one) it is made now."""
     held = _held.get(int(mesh.held))
     held = held or Held(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-    return held.first(np.asarray(origin), np.asarray(direction))
+    ray = np.asarray(order)
+    face, twin = np.empty(len(ray), np.int32), np.empty(len(ray), bool)
+    face[ray], twin[ray] = held.first(np.asarray(origin)[ray], np.asarray(direction)[ray])
+    return face, twin
 
 
 def _near_and_real(origin: Vectors, direction: Vectors) -> Bool[Array, "N"]:
@@ -152,16 +162,8 @@ def _searched_again(tree: Tree, origin, direction, axis, face, doubt) -> Int[Arr
     N = face.shape[0]
     fill = -N % 32
     ids, number = packed(jnp.pad(doubt, (0, fill)), jnp.arange(N + fill, dtype=jnp.int32))
-    size = min(AGAIN, N + -N % RAYS)
-
-    def some(state):
-        start, face = state
-        k = start + jnp.arange(size, dtype=jnp.int32)
-        ray = ids[jnp.minimum(k, number - 1)]  # the last again and again
-        met = one_by_one(tree, origin[ray], direction[ray], axis[ray], number - start)
-        return start + size, face.at[ray].set(met[jnp.minimum(k, number - 1) - start])
-
-    return jax.lax.while_loop(lambda s: s[0] < number, some, (jnp.int32(0), face))[1]
+    order = jnp.where(jnp.arange(N, dtype=jnp.int32) < number, ids[:N], -1)
+    return jnp.where(doubt, walk(tree, origin, direction, axis, order), face)
 
 
 def _has_twin(corners: np.ndarray) -> np.ndarray:

@@ -60,9 +60,7 @@ def ray_plane(direction: Parts, a: Parts, b: Parts, c: Parts) -> tuple[Array, Pa
     return _weighted(*seen)
 
 
-def triangle_depth(
-    ray: Float[Array, "5 *#batch"], corners: Float[Array, "9 *#batch"]
-) -> Float[Array, "*batch"]:
+def triangle_depth(ray: Parts | Array, corners: Parts | Array) -> Float[Array, "*batch"]:
     """Return how deep rays meet triangles, along the third axis; inf where they do not.
 
     A ray is its origin and two slopes, (sx, sy): its direction is (sx, sy, 1); corners are nine
@@ -80,9 +78,7 @@ def triangle_depth(
     return jnp.where(_around(p, q, r) & (det != 0) & (depth > 0), depth, jnp.inf)
 
 
-def sphere_depth(
-    ray: Float[Array, "5 *#batch"], sphere: Float[Array, "4 *#batch"]
-) -> Float[Array, "*batch"]:
+def sphere_depth(ray: Parts, sphere: Parts) -> Float[Array, "*batch"]:
     """Return how deep rays, as in `triangle_depth`, meet spheres (centre and radius)."""
     length = jnp.sqrt(1 + ray[3] * ray[3] + ray[4] * ray[4])
     direction = jnp.stack([ray[3] / length, ray[4] / length, 1 / length], axis=-1)
