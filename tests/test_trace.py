@@ -10,7 +10,7 @@ from oracles import central_difference
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._trace import packets, walk
+from pinhole_jax._trace import cores, packets, walk
 from pinhole_jax._trace.bvh import mesh_tree, packed, sphere_tree
 from pinhole_jax._trace.intersect import perpendicular, ray_triangle
 from pinhole_jax._trace.order import near_order
@@ -213,6 +213,39 @@ def test_rays_that_enter_at_one_place_follow_one_another():
     number = mixed[np.asarray(order)]
     end = number[number % 50 > 0] // 50
     assert np.sum(np.diff(end) != 0) < 200  # (two ends may be in one cell); else some 1900
+
+
+@pytest.mark.parametrize("shape", [(640,), (40, 24), (12, 8, 5)], ids=str)
+def test_rays_shared_out_to_cores_find_the_same(shape, rays, monkeypatch):
+    """Whose packets are the same: shares begin where packets do."""
+    monkeypatch.setattr(cores, "LEAST", 64)
+    monkeypatch.setattr(cores, "_cores", lambda: 2)
+    number = int(np.prod(shape))
+    some = pj.Rays(rays.origin[0], rays.direction[:number].reshape(*shape, 3))
+    axis = lambda x: packets.axes_of([packets.in_packets(x[..., k]) for k in range(3)])[0]
+    asked = []
+
+    def find(where, part):
+        asked.append(part.direction.shape)
+        return packets.out_of_packets(where + axis(part.direction), part.direction.shape[:-1])
+
+    shared = cores.by_cores(find, jnp.int32(1), some)
+    assert len(asked) > 1
+    np.testing.assert_array_equal(shared, find(jnp.int32(1), some))
+    assert cores._shares(pj.Rays(some.origin, some.direction[:-1])) == 1  # (does not divide)
+
+
+@pytest.mark.long
+def test_traces_on_all_cores_are_those_on_one(rays, monkeypatch):
+    scene = pj.Scene(mesh=shapes.bumpy(1), spheres=pj.Spheres([[0.9, 0, 0]], [0.4]))
+    some = pj.Rays(rays.origin[:512], rays.direction[:512])
+    monkeypatch.setattr(cores, "LEAST", 64)
+    monkeypatch.setattr(cores, "_cores", lambda: 1)
+    alone = pj.trace(scene, some)
+    monkeypatch.setattr(cores, "_cores", lambda: 3)
+    for _ in range(2):  # the first compiles
+        for one, other in zip(alone, pj.trace(scene, some), strict=True):
+            np.testing.assert_array_equal(one, other)
 
 
 def test_the_walk_is_one_kernel():

@@ -95,5 +95,12 @@ def out_of_packets(values: Array, shape: tuple[int, ...]) -> Array:
     return values.reshape(-1, rows * TILE, columns * TILE)[:, :H, :W].reshape(shape)
 
 
+def begins_anew(shape: tuple[int, ...]) -> int:
+    """Return a number of steps along the first axis after which packets begin anew."""
+    if not _has_tiles(shape):
+        return RAYS
+    return TILE if len(shape) == 2 else 1
+
+
 def _has_tiles(shape: tuple[int, ...]) -> bool:
     return len(shape) >= 2 and min(shape[-2:]) >= TILE

@@ -24,6 +24,7 @@ from .._scene.scene import Mesh, Scene, Spheres, astype
 from . import embree
 from .bvh import Tree, mesh_tree, sphere_tree
 from .components import Parts, largest, length, outer, parts, unit, whole
+from .cores import by_cores
 from .intersect import ray_plane, ray_sphere
 from .memo import can_memoise, memoised
 from .packets import first_met, in_packets, out_of_packets
@@ -122,7 +123,10 @@ def found(scene: Any, rays: Any, search: Any = "tree") -> Found:
             return _find(scene, None, _rays_of(rays), rays)
         rays = _rays_of(rays)
     scene, trees = _searchable(scene, rays, search)
-    return _find(scene, trees, rays, None, search)
+    if search == "embree" or trees is None:
+        return _find(scene, trees, rays, None, search)
+    primitives = lambda trees, some: _find(None, trees, some, None)[1:]
+    return Found(rays, *by_cores(primitives, trees, rays))
 
 
 _rays_of = jitted(camera_rays)

@@ -26,8 +26,9 @@ BESIDE = 1 << 15  # rays side by side: memory for what each has still to look at
 def one_kernel(function: Callable) -> Callable:
     """Return a function that XLA's CPU compiler makes a single kernel of, loops and all.
 
-    Of small loops it does so by itself, by these two marks. Its arrays are the function's
-    arguments; there must be no sort and no scatter in it.
+    Of small loops it does so by itself, by these two marks. There must be no sort, no scatter and
+    nothing as long as an array in it: what it fills is an argument. (What it would share out to
+    several cores does not compile within a kernel.)
     """
 
     def call(*arguments: Any) -> Any:
@@ -48,12 +49,15 @@ def walk(
     # Rays are turned first: what is read where it is would be waited for.
     ray = jnp.maximum(order, 0)
     rays = _turned(parts(origin[ray]), parts(direction[ray]), axis[ray])
+    nothing = jnp.full(order.shape, -1, jnp.int32)
     return jax.lax.platform_dependent(
-        tree, rays, order, cpu=one_kernel(_in_turn), default=_side_by_side
+        tree, rays, order, nothing, cpu=one_kernel(_in_turn), default=_side_by_side
     )
 
 
-def _in_turn(tree: Tree, rays: "_Ray", order: Int[Array, "N"]) -> Int[Array, "N"]:
+def _in_turn(
+    tree: Tree, rays: "_Ray", order: Int[Array, "N"], met: Int[Array, "N"]
+) -> Int[Array, "N"]:
     def one(state):
         k, met = state
         first = _first_met(tree, jax.tree.map(lambda x: x[k], rays))
@@ -61,13 +65,15 @@ def _in_turn(tree: Tree, rays: "_Ray", order: Int[Array, "N"]) -> Int[Array, "N"
 
     N = order.shape[0]
     more = lambda state: (state[0] < N) & (order[jnp.minimum(state[0], N - 1)] >= 0)
-    return jax.lax.while_loop(more, one, (jnp.int32(0), jnp.full(N, -1, jnp.int32)))[1]
+    return jax.lax.while_loop(more, one, (jnp.int32(0), met))[1]
 
 
-def _side_by_side(tree: Tree, rays: "_Ray", order: Int[Array, "N"]) -> Int[Array, "N"]:
+def _side_by_side(
+    tree: Tree, rays: "_Ray", order: Int[Array, "N"], met: Int[Array, "N"]
+) -> Int[Array, "N"]:
     N = order.shape[0]
-    met = jax.lax.map(partial(_first_met, tree), rays, batch_size=min(BESIDE, N))
-    return jnp.full(N + 1, -1, jnp.int32).at[jnp.where(order < 0, N, order)].set(met)[:-1]
+    found = jax.lax.map(partial(_first_met, tree), rays, batch_size=min(BESIDE, N))
+    return met.at[jnp.where(order < 0, N, order)].set(found, mode="drop")
 
 
 class _Ray(NamedTuple):
