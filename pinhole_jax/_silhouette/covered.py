@@ -119,7 +119,7 @@ def surely_covered(
     film: FilmMap, things: list[Convex], worth: Bool[Array, ""]
 ) -> Bool[Array, "HW"]:
     """Return pixels, from the bottom row up, that things cover wholly; none if it is not `worth`
-    it."""
+    it: then nothing is gone through."""
     fine = max(min(FINE, ROOM // (film.W * film.H)), 1)
     H, W, dtype = film.H * fine, film.W, film.eye.dtype
     none = jnp.zeros(film.H * W, bool)
@@ -127,17 +127,14 @@ def surely_covered(
     if film.bend is not None or not things:
         return none  # what is seen through a lens that bends is not convex
 
-    def some():
-        N = H * (W + 1)
-        rows = _Rows(jnp.zeros(N, dtype), jnp.zeros(2 * N, dtype))
-        for kind in things:
-            rows = _drawn(film, kind, H, fine, rows, worth)
-        shaped = lambda x: x.reshape(-1, H, W + 1)[..., :W]
-        whole = running_sum(shaped(rows.more)[0]) > 0.5
-        left, right = shaped(rows.sides)
-        return jnp.all((whole | (left + right >= 1)).reshape(film.H, fine, W), axis=1).reshape(-1)
-
-    return jax.lax.cond(worth, some, lambda: none)
+    N = H * (W + 1)
+    rows = _Rows(jnp.zeros(N, dtype), jnp.zeros(2 * N, dtype))
+    for kind in things:
+        rows = _drawn(film, kind, H, fine, rows, worth)
+    shaped = lambda x: x.reshape(-1, H, W + 1)[..., :W]
+    whole = running_sum(shaped(rows.more)[0]) > 0.5
+    left, right = shaped(rows.sides)
+    return jnp.all((whole | (left + right >= 1)).reshape(film.H, fine, W), axis=1).reshape(-1)
 
 
 def _slack(film: FilmMap) -> Float[Array, ""]:
@@ -199,14 +196,13 @@ def _with_intervals(rows: _Rows, row: Array, left: Array, right: Array, W: int) 
 
 
 def worth(
-    things: list[Convex],
-    winding: Float[Array, "N"],
-    layers: Float[Array, "N"],
-    overlapping: Bool[Array, "N"],
+    things: list[Convex], layers: Float[Array, ""], depth: Float[Array, ""]
 ) -> Bool[Array, ""]:
     """Return whether overlapping pixels hold enough layers, one behind the other, that it takes
-    less to look for what is covered: where a surface is rough but not folded, no face covers
-    much."""
+    less to look for what is covered: where a surface is rough but not folded, no face covers much.
+
+    `layers` is the sum of their pieces' layers, `depth` of what their mean winding numbers are
+    above `DEEP`.
+    """
     number = sum(x.number for x in things)
-    sums = [jnp.sum(jnp.where(overlapping, x, 0)) for x in (layers, winding - DEEP)]
-    return (sums[0] > max(LEAST_LAYERS, number / THINGS_A_LAYER)) & (sums[1] > 0)
+    return (layers > max(LEAST_LAYERS, number / THINGS_A_LAYER)) & (depth > 0)

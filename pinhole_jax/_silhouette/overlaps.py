@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from .._numerics.bitset import count_upto, nth, select
+from .._numerics.bitset import Selection, count_upto, nth, select
 from .._numerics.running import running_sum
 from .coverage import Monotone, Pieces, monotone, piece_counts, split
 from .curves import Curves, placed
@@ -362,7 +362,7 @@ def fold_cells(
                 return add(total, Resolved(place, area * size, visible))
 
             chosen = swept & (cells.number >= least) & (cells.number <= most)
-            total = fold_chosen(chosen, number, some, total)
+            total = fold_chosen(select(chosen), number, some, total)
             least = most + 1
         stack = stack.push(cut, jnp.minimum(level + 1, depth), cells)
         return first + taken, stamp + sizes.cells, stack, found, lists, total
@@ -396,7 +396,7 @@ def _without_hidden(cells: "_Cells", lists: _Lists) -> "_Cells":
 
         chosen = cells.open & cells.fits & (cells.place >= 0)
         chosen &= (cells.number > least) & (cells.number <= most)
-        open_ = fold_chosen(chosen, number, some, open_)
+        open_ = fold_chosen(select(chosen), number, some, open_)
         least = most
     return cells._replace(open=open_)
 
@@ -516,13 +516,12 @@ def fold_pieces(
 
 
 def fold_chosen(
-    which: Bool[Array, "K"], number: int, add: Callable[[Any, Array, Array], Any], start: Any
+    chosen: Selection, number: int, add: Callable[[Any, Array, Array], Any], start: Any
 ) -> Any:
     """Return `start` after `add(total, index, there)` over the chosen indices, `number` at a time.
 
     `there` is False for what fills up the last turn.
     """
-    chosen = select(which)
 
     def body(state):
         rank, total = state

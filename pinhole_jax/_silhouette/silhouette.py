@@ -9,19 +9,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.camera import Camera, film_map
 from .._camera.film import FilmMap
-from .._numerics.bitset import Selection, count_below, nth, rank_in, select
+from .._numerics.bitset import Selection, count_below, nth, rank_in, selection, words_of
 from .._numerics.jitted import jitted
 from .._numerics.linear_map import linear_map
-from .._numerics.running import running_sum
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, Spheres, astype, check_view
 from .boundary import pulled, pushed
 from .coverage import Pieces, monotone
 from .covered import (
+    DEEP,
     LEAST_FACES,
     LEAST_SPHERES,
     Convex,
@@ -32,7 +32,7 @@ from .covered import (
 )
 from .curve_sets import Found, edge_curves, find, joined, outline_curves
 from .curves import piece_flux
-from .marks import Marks, drops, marks, overlaps, winding_jumps
+from .drawing import WORD, Asked, drawn, in_words, is_large, words_in_row
 from .overlaps import (
     Kept,
     Overlapping,
@@ -40,14 +40,17 @@ from .overlaps import (
     Resolved,
     all_kept,
     fold_cells,
+    fold_chosen,
     fold_curves,
     fold_pieces,
     nothing_kept,
 )
-from .surrounding import surrounding
+from .surrounding import box_seen, surrounding
 from .sweep import Visible
 
 CURVES_AT_A_TIME = 512
+#: So many pixels that are surely covered are set at a time.
+COVERED = 4096
 #: To be exact takes no longer than to err by less than this.
 LEAST_TOLERANCE = 5e-3
 
@@ -120,9 +123,9 @@ def _silhouette(
     vertices = None if found.contour is None or scene.mesh is None else scene.mesh.vertices
     alone = found.contour is None and spheres is not None and spheres.radii.shape[0] == 1
     faces = None if vertices is None or scene.mesh is None else scene.mesh.faces
-    still = _Still(
-        found, surrounding(film, scene), faces, () if overlaps and not alone else None, stops
-    )
+    box = box_seen(film, scene) if is_large(film) else None
+    overlap = () if overlaps and not alone else None
+    still = _Still(found, surrounding(film, scene), box, faces, overlap, stops)
     return _image(_Moving(film, vertices, spheres), still)
 
 
@@ -137,24 +140,27 @@ class _Moving(NamedTuple):
 class _Still(NamedTuple):
     """What cannot: which edges are contour, the number of layers left of the film, the faces.
 
+    `box` is the part of the film that the contour may meet (None: the film is drawn at once).
     `overlap` is None (and not an empty tuple: both have no leaves) if contours never overlap;
     `stops` is how often lines stop that sweep pixels where they do, None if that is exact.
     """
 
     found: Found
     base: Int[Array, ""]
+    box: Int[Array, "4"] | None
     faces: Int[Array, "F 3"] | None
     overlap: tuple[()] | None
     stops: Int[Array, ""] | None
 
 
 class _Pixels(NamedTuple):
-    """Which pixels one chain of contour crosses, and which are overlapping, from the bottom row up;
-    the layers of their pieces; for the derivative, what is visible in the overlapping ones."""
+    """Which pixels one chain of contour crosses (as in the image), and which are overlapping, from
+    the bottom row up, words of a row after each other; for each word how many layers the pieces in
+    its overlapping pixels have; for the derivative, what is visible in these."""
 
-    alone: Bool[Array, "N"]
+    alone: Bool[Array, "H W"] | None
     overlapping: Selection
-    layers: Float[Array, "N"]
+    layers: Float[Array, "words"]
     kept: list[Kept]
 
 
@@ -223,7 +229,7 @@ def _image_jvp(primals: Any, tangents: Any):
             changing,
             velocity,
             partial(_fold_visible, film, still, pixels),
-            lambda image, pixel, change: image.at[_top_down(pixel, film)].add(change, mode="drop"),
+            lambda image, pixel, change: image.at[pixel].add(change, mode="drop"),
             image,
         )
         return image.reshape(film.H, film.W)
@@ -235,7 +241,7 @@ def _image_jvp(primals: Any, tangents: Any):
             parts_of(residuals),
             changing,
             partial(_fold_visible, film, still, pixels),
-            lambda pixel: cotangent.at[_top_down(pixel, film)].get(**get),
+            lambda pixel: cotangent.at[pixel].get(**get),
         )
 
     held = [x for x, m in zip(leaves, moves, strict=True) if not m]
@@ -247,64 +253,25 @@ def _image_jvp(primals: Any, tangents: Any):
 
 def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "H W"], _Pixels]:
     """Return the image, and which pixels the contour crosses in which way."""
-    film, parts = moving.film, _parts(moving, still)
-    W, H, dtype = film.W, film.H, film.eye.dtype
-
-    def chunk(sums, ids, curves):
-        del ids
-
-        def add(sums, pieces: Pieces):
-            deltas, marked, jumped, dropped = sums
-            place = lambda k: jnp.where((k >= 0) & (k < W), pieces.row * W + k, H * W)
-            own, after = jax.lax.optimization_barrier(
-                (place(pieces.column), place(pieces.column + 1))
-            )
-            rest = pieces.height - jnp.where(pieces.column < 0, 0, pieces.area)
-            deltas = deltas.at[own].add(pieces.area, mode="drop")
-            deltas = deltas.at[after].add(rest, mode="drop")
-            if marked is None:
-                return deltas, None, None, None
-            put = lambda image, value: image.at[own].add(value, mode="drop")
-            marked = jax.tree.map(put, marked, marks(pieces))
-            jumped = jumped.at[after].add(winding_jumps(pieces), mode="drop")
-            return deltas, marked, jumped, put(dropped, drops(pieces))
-
-        return fold_pieces(monotone(curves), (W, H, H), add, sums)
-
-    resolves = still.overlap is not None
-    zeros = jnp.zeros(H * W, dtype)
-    marked = Marks(zeros, zeros.astype(jnp.int32)) if resolves else None
-    sums = (zeros, marked, *((zeros, zeros) if resolves else (None, None)))
-    for part in parts:
-        sums = fold_curves(part, chunk, sums, part.size)
-    deltas, marked, jumped, dropped = sums
-    row_sums = lambda x: running_sum(x.reshape(H, W)).reshape(-1)
-    winding = row_sums(deltas) + still.base.astype(dtype)
-    none = jnp.zeros(H * W, bool)
-    layers = jnp.zeros(0, dtype)
-    covered = overlapping = none
-    tie = 64 * jnp.finfo(dtype).eps
-    if marked is not None and jumped is not None and dropped is not None:
-        layers = marked.layers
-        corner = row_sums(jumped) + still.base.astype(dtype)
-        # Where no curve is, the number is known exactly; sums of areas err with the layers.
-        winding = jnp.where(layers == 0, corner, winding)
-        overlapping = overlaps(marked, winding)
-        if keep:
-            # A contour along the pixel's side, of whose layers the mean does not tell which it
-            # bounds.
-            overlapping |= (layers > 0) & (jnp.abs(winding - 1) < tie)
-        covered = corner - dropped > 0.5
+    film, parts, things = moving.film, _parts(moving, still), _things(moving, still)
+    asked = Asked(
+        film, parts, still.base, still.overlap is not None, keep, DEEP if things else None
+    )
+    image, alone, overlapping, layers, depth = drawn(asked, still.box)
+    if overlapping is None or layers is None:
+        none = selection(jnp.zeros(0, jnp.uint32))
+        return image, _Pixels(alone, none, jnp.zeros(0, image.dtype), [])
+    image, overlapping, layers = (x.reshape(-1) for x in (image, overlapping, layers))
+    if depth is not None:
+        dear = worth(things, jnp.sum(layers), depth)
+        covered = overlapping & _surely_covered(film, things, dear)
         overlapping &= ~covered
-        things = _things(moving, still)
-        if things and film.bend is None:
-            dear = worth(things, winding, layers, overlapping)
-            covered |= overlapping & surely_covered(film, things, dear)
-            overlapping &= ~covered
-    alone = ~overlapping & ~covered & (winding < 1 + tie)
-    kept = [nothing_kept(part) for part in parts if keep and resolves]
-    pixels = _Pixels(alone, select(overlapping), layers, kept)
-    image = jnp.where(covered, 1, jnp.where(overlapping, 0, jnp.clip(winding, 0, 1)))
+        one = lambda image, index, there: image.at[
+            jnp.where(there, _place(index, film), image.shape[0])
+        ].set(1, mode="drop")
+        image = fold_chosen(selection(covered), COVERED, one, image)
+    kept = [nothing_kept(part) for part in parts if keep]
+    pixels = _Pixels(alone, selection(overlapping), layers, kept)
 
     def add(total, resolved: Resolved):
         image, kept = total
@@ -314,35 +281,55 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
         more = zip(kept, resolved.visible, strict=True)
         return image, [k.append(resolved.place, visible) for k, visible in more]
 
-    if resolves:
-        args = parts, _overlapping(pixels, W), W, H, still.base
-        image, kept = fold_cells(*args, add, (image, kept), keep, still.stops)
-    return jnp.flip(image.reshape(H, W), axis=0), pixels._replace(kept=kept)
+    args = parts, _overlapping(pixels, film), film.W, film.H, still.base
+    image, kept = fold_cells(*args, add, (image, kept), keep, still.stops)
+    return image.reshape(film.H, film.W), pixels._replace(kept=kept)
 
 
-def _top_down(pixel: Int[Array, "P"], film: FilmMap) -> Int[Array, "P"]:
-    """Return where pixels, counted from the bottom row up, are in an image; past the end stays so.
+def _surely_covered(
+    film: FilmMap, things: list[Convex], worth: Bool[Array, ""]
+) -> UInt32[Array, "words"]:
+    """Return the pixels that things cover wholly as words of bits; none if it is not `worth` it."""
 
-    For derivatives: the few places that change are turned over, not each column of a Jacobian.
-    """
-    row = jax.lax.div(pixel, jnp.int32(film.W))
-    return jnp.where(row < film.H, (film.H - 1 - 2 * row) * film.W + pixel, pixel)
+    def some():
+        found = surely_covered(film, things, worth).reshape(film.H, film.W)
+        return words_of(in_words(found))
+
+    none = jnp.zeros(film.H * words_in_row(film.W), jnp.uint32)
+    return jax.lax.cond(worth, some, lambda: none)
 
 
-def _overlapping(pixels: _Pixels, W: int) -> Overlapping:
+def _place(index: Int[Array, "P"], film: FilmMap) -> Int[Array, "P"]:
+    """Return where the pixels of such bits are in an image."""
+    row, column = _row_and_column(index, film)
+    return (film.H - 1 - row) * film.W + column
+
+
+def _row_and_column(index: Int[Array, "P"], film: FilmMap) -> tuple[Array, Array]:
+    """Return row (from the bottom) and column of the pixels of bits in `Drawn.overlapping`."""
+    width = words_in_row(film.W) * WORD
+    row = jax.lax.div(index, jnp.int32(width))
+    return row, index - row * width
+
+
+def _overlapping(pixels: _Pixels, film: FilmMap) -> Overlapping:
     chosen, layers = pixels.overlapping, pixels.layers
+    width = words_in_row(film.W) * WORD
 
     def cell(rank):
-        pixel = nth(chosen, rank)
-        row = jax.lax.div(pixel, jnp.int32(W))
-        room = jnp.minimum(layers[pixel], np.iinfo(np.int32).max // 2).astype(jnp.int32)
-        return row, pixel - row * W, pixel, room
+        index = nth(chosen, rank)
+        word = index >> 5
+        # (Those of a word share its layers.)
+        number = jax.lax.population_count(chosen.words[word]).astype(layers.dtype)
+        room = jnp.ceil(layers[word] / jnp.maximum(number, 1))
+        room = jnp.minimum(room, np.iinfo(np.int32).max // 2).astype(jnp.int32)
+        return *_row_and_column(index, film), _place(index, film), room
 
     return Overlapping(
         chosen.total,
         cell,
-        lambda row, column: rank_in(chosen, row * W + column),
-        lambda row, column: count_below(chosen, row * W + column),
+        lambda row, column: rank_in(chosen, row * width + column),
+        lambda row, column: count_below(chosen, row * width + column),
     )
 
 
@@ -360,7 +347,8 @@ def _fold_visible(
 
     Where contours do not overlap only a block of curves is gone through, from one to another.
     """
-    W, H = film.W, film.H
+    W, H, alone = film.W, film.H, pixels.alone
+    assert alone is not None
     for number, part in enumerate(parts):
 
         def chunk(total, ids, curves, part=part, number=number):
@@ -369,8 +357,9 @@ def _fold_visible(
 
             def single(total, pieces: Pieces):
                 inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
-                pixel = jnp.where(inside, pieces.row * W + pieces.column, 0)
-                seen = inside & pixels.alone[pixel]
+                row = jnp.where(inside, H - 1 - pieces.row, 0)
+                column = jnp.where(inside, pieces.column, 0)
+                seen, pixel = inside & alone[row, column], row * W + column
                 own = jax.tree.map(lambda x: x[pieces.curve], curves)
                 rate = piece_flux(homogeneous[pieces.curve], own, pieces.start, pieces.end)
                 rate = jnp.where(seen[:, None, None], -pieces.jump[:, None, None] * rate, 0)
@@ -396,6 +385,6 @@ def _fold_visible(
     for number, kept in enumerate(pixels.kept):
         kept = kept._replace(used=jnp.where(complete, kept.used, 0))
         start = kept.fold(partial(crowd, number=number), start)
-    overlapping = _overlapping(pixels, W)
+    overlapping = _overlapping(pixels, film)
     overlapping = overlapping._replace(total=jnp.where(complete, 0, overlapping.total))
     return fold_cells(parts, overlapping, W, H, still.base, again, start, True, still.stops)

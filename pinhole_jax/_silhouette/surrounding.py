@@ -6,11 +6,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.film import FilmMap, film_points
-from .._numerics.safe import binary_inverse, dot, norm, normalize, safe_sqrt
+from .._numerics.safe import binary_inverse, dot, norm, normalize, safe_divide, safe_sqrt
 from .._scene.scene import Mesh, Scene, front_facing, is_closed, vertex_box
 
 #: Layers that cover everything, whatever else there is.
 EVERYWHERE = 1 << 20
+#: A box in space is before the eye for sure if its least depth is more than this share of its
+#: largest; by which share of its place on the film rounding may then move them, at the most.
+DEPTHS, SLACK = 0.01, 1e-3
 
 
 def surrounding(film: FilmMap, scene: Scene) -> Int[Array, ""]:
@@ -24,7 +27,7 @@ def surrounding(film: FilmMap, scene: Scene) -> Int[Array, ""]:
     if scene.mesh is not None and scene.mesh.faces.shape[0]:
         mesh = scene.mesh
         layers = layers + jax.lax.cond(
-            jnp.any(_corners(film, mesh)[:, 2] <= 0),
+            jnp.any(_corners(film, vertex_box(mesh))[:, 2] <= 0),
             lambda: _layers_on_the_left(mesh, film).astype(jnp.int32),
             lambda: jnp.int32(0),
         )
@@ -42,13 +45,42 @@ def surrounding(film: FilmMap, scene: Scene) -> Int[Array, ""]:
 
 def reaches_left(film: FilmMap, mesh: Mesh) -> Bool[Array, ""]:
     """Return whether anything may lie left of what contours are cut off at."""
-    x, _, z = jnp.moveaxis(_corners(film, mesh), -1, 0)
+    x, _, z = jnp.moveaxis(_corners(film, vertex_box(mesh)), -1, 0)
     return jnp.any(x < film.bounds[0] * z)
 
 
-def _corners(film: FilmMap, mesh: Mesh) -> Float[Array, "8 3"]:
-    """Return the corners of the vertices' bounding box as homogeneous film points."""
-    bounds = vertex_box(mesh)
+def box_seen(film: FilmMap, scene: Scene) -> Int[Array, "4"]:
+    """Return where on the film the scene may be seen: from which column and row (counted from the
+    film's lower left corner), and up to which.
+
+    All of the film where the scene is not surely before the eye, and through a lens that bends.
+    """
+    whole = jnp.asarray([0, 0, film.W, film.H], jnp.int32)
+    if film.bend is not None:
+        return whole
+    film, scene = jax.lax.stop_gradient((film, scene))
+    mesh, boxes = scene.mesh, []
+    if mesh is not None and mesh.faces.shape[0]:
+        boxes.append(vertex_box(mesh))
+    if scene.spheres is not None and scene.spheres.radii.shape[0]:
+        centre, radius = scene.spheres.centers, scene.spheres.radii[:, None]
+        boxes.append(
+            jnp.stack([jnp.min(centre - radius, axis=0), jnp.max(centre + radius, axis=0)])
+        )
+    corners = jnp.concatenate([_corners(film, box) for box in boxes])
+    z = corners[:, 2:]
+    # (False of what is no number.)
+    before = jnp.min(z) > DEPTHS * jnp.max(z)
+    places = safe_divide(corners[:, :2], z)
+    slack = 1 + SLACK * jnp.max(jnp.abs(places))
+    low, high = jnp.min(places, axis=0) - slack, jnp.max(places, axis=0) + slack
+    size = jnp.asarray([film.W, film.H] * 2, z.dtype)
+    seen = jnp.clip(jnp.concatenate([jnp.floor(low), jnp.ceil(high)]), 0, size)
+    return jnp.where(before, seen.astype(jnp.int32), whole)
+
+
+def _corners(film: FilmMap, bounds: Float[Array, "2 3"]) -> Float[Array, "8 3"]:
+    """Return the corners of a box in space as homogeneous film points."""
     which = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
     return film_points(film, jnp.stack([bounds[which[:, k], k] for k in range(3)], axis=-1))
 
