@@ -1,4 +1,4 @@
-"""A large film, drawn tile by tile, is what it is drawn at once."""
+"""A large film, drawn band by band, is what it is drawn at once."""
 
 import equinox as eqx
 import jax
@@ -13,9 +13,9 @@ from pinhole_jax._silhouette import drawing
 from pinhole_jax._silhouette.curve_sets import find
 from pinhole_jax._silhouette.drawing import Asked, drawn
 from pinhole_jax._silhouette.silhouette import _Moving, _parts, _Still
-from pinhole_jax._silhouette.surrounding import box_seen, surrounding
+from pinhole_jax._silhouette.surrounding import rows_seen, surrounding
 
-#: Columns and rows: fewer and more than tiles have, with and without whole words.
+#: Columns and rows: fewer and more than bands have, with and without whole words.
 SIZES = [(1, 1), (1, 90), (200, 1), (64, 64), (99, 70), (131, 37)]
 #: Eye, view point and field of view.
 VIEWS = {
@@ -42,12 +42,13 @@ def crumpled(open_mesh: bool) -> pj.Mesh:
 
 
 @pytest.fixture
-def tiled(monkeypatch):
+def banded(monkeypatch):
     """Every film is large, and few pieces can be listed."""
 
     def at_most(listed: int) -> None:
         monkeypatch.setattr(drawing, "LARGE", 0)
-        monkeypatch.setattr(drawing, "TILE", 32)
+        monkeypatch.setattr(drawing, "BAND", 1024)
+        monkeypatch.setattr(drawing, "BLOCK", 32)
         monkeypatch.setattr(drawing, "LISTED", listed)
         jax.clear_caches()
 
@@ -56,51 +57,51 @@ def tiled(monkeypatch):
 
 
 def both(camera, scene):
-    """Return the film at once and in tiles."""
+    """Return the film at once and in bands."""
     film = film_map(camera)
-    box = box_seen(film, scene)
-    still = _Still(find(film, scene), surrounding(film, scene), box, None, (), None)
+    rows = rows_seen(film, scene)
+    still = _Still(find(film, scene), surrounding(film, scene), rows, None, (), None)
     parts = _parts(_Moving(film, scene.mesh.vertices, scene.spheres), still)
     asked = Asked(film, parts, still.base, True, True, 1.5)
-    return drawn(asked, None), drawn(asked, box)
+    return drawn(asked, None), drawn(asked, rows)
 
 
-def same(whole, tiles):
-    np.testing.assert_allclose(tiles.image, whole.image, atol=1e-12)
+def same(whole, bands):
+    np.testing.assert_allclose(bands.image, whole.image, atol=1e-12)
     for name in ("overlapping", "layers"):
-        np.testing.assert_array_equal(getattr(tiles, name), getattr(whole, name))
+        np.testing.assert_array_equal(getattr(bands, name), getattr(whole, name))
     crossed = (whole.image > 0) & (whole.image < 1)
-    np.testing.assert_array_equal(tiles.alone[crossed], whole.alone[crossed])
+    np.testing.assert_array_equal(bands.alone[crossed], whole.alone[crossed])
 
 
 @pytest.mark.parametrize(("W", "H"), SIZES)
-def test_tiles_are_the_film_drawn_at_once(W, H, tiled):
+def test_bands_are_the_film_drawn_at_once(W, H, banded):
     """All views by one program, one after the other; in the last size there is little room."""
-    tiled(40 if SIZES[-1] == (W, H) else 1 << 12)
+    banded(40 if SIZES[-1] == (W, H) else 1 << 12)
     scene = pj.Scene(mesh=crumpled(open_mesh=W % 2 == 0))
     draw = jax.jit(both)
     seen = []
     for view in VIEWS:
-        whole, tiles = draw(camera_of(view, W, H), scene)
-        same(whole, tiles)
-        np.testing.assert_allclose(tiles.winding, whole.winding, atol=1e-9)
+        whole, bands = draw(camera_of(view, W, H), scene)
+        same(whole, bands)
+        np.testing.assert_allclose(bands.winding, whole.winding, atol=1e-9)
         seen.append(float(jnp.sum(whole.image)))
     assert max(seen) > 0.5 * W * H
     assert min(seen) == 0
 
 
 @pytest.mark.long
-def test_views_side_by_side_are_drawn_in_tiles_as_each_alone(tiled):
-    tiled(300)
+def test_views_side_by_side_are_drawn_in_bands_as_each_alone(banded):
+    banded(300)
     scene = pj.Scene(mesh=crumpled(False), spheres=pj.Spheres([[0.5, 0.9, 0.2]], [0.4]))
     cameras = [camera_of(view, 99, 70) for view in VIEWS]
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *cameras)
-    whole, tiles = jax.jit(jax.vmap(both, (0, None)))(stacked, scene)
-    same(whole, tiles)
+    whole, bands = jax.jit(jax.vmap(both, (0, None)))(stacked, scene)
+    same(whole, bands)
 
 
 @pytest.mark.long
-def test_masks_and_derivatives_of_large_films(tiled):
+def test_masks_and_derivatives_of_large_films(banded):
     scene = pj.Scene(mesh=crumpled(False), spheres=pj.Spheres([[0.5, 0.9, 0.2]], [0.4]))
     camera = camera_of("whole", 99, 70)
     weight = jnp.asarray(np.random.default_rng(1).normal(size=(70, 99)))
@@ -110,7 +111,7 @@ def test_masks_and_derivatives_of_large_films(tiled):
         return eqx.filter_value_and_grad(loss, has_aux=True)(camera)
 
     (_, image), slope = value_and_slope(camera)
-    tiled(1 << 12)
+    banded(1 << 12)
     (_, again), slope_again = value_and_slope(camera)
     np.testing.assert_allclose(again, image, atol=1e-12)
     for one, other in zip(jax.tree.leaves(slope), jax.tree.leaves(slope_again), strict=True):

@@ -1,10 +1,9 @@
 """Winding numbers of a film's pixels: sums over the pieces of contour in them and left of them.
 
 A film that is not large is drawn at once. Of a large one, whose sums no cache would hold, the
-pieces are listed first, and then the tiles that the contour may meet are drawn, one after the
-other: the cost follows these and the outline, and the rest of the film is only written. Where there
-are more pieces than can be listed, fewer rows are drawn at a time; a row of tiles that still holds
-more gets its pieces from the curves, tile by tile.
+pieces are listed first, and then the bands of rows that the contour may meet are drawn, one after
+the other: the cost follows these and the outline, and the rest of the film is only written. Where
+there are more pieces than can be listed, as of a hedgehog, the film is drawn at once after all.
 """
 
 from collections.abc import Callable
@@ -23,16 +22,17 @@ from .coverage import Pieces, monotone
 from .marks import Marks, drops, marks, overlaps, winding_jumps
 from .overlaps import Part, fold_curves, fold_pieces
 
-#: A film of more pixels is large; about so wide are its tiles.
-LARGE, TILE = 1 << 18, 256
-#: So many pieces can be listed, and are added at a time.
-LISTED, ADDED = 1 << 16, 1024
+#: A film of more pixels is large; so many, or one row, are drawn at a time. (A smooth mesh of 82k
+#: faces, 2048 px: 37 ms in bands, 75 at once; 1024 px: 11 to 20, and 10 to 14. A scan: as long.)
+LARGE, BAND = 1 << 21, 1 << 16
+#: So many pieces can be listed, are listed at a time at most, and are added at a time.
+LISTED, ADDED, BLOCK = 1 << 18, 1024, 256
 #: Pixels in a word of bits.
 WORD = 32
 
 
 class Drawn(NamedTuple):
-    """A film, or a tile of it; None is what is not asked for.
+    """A film, or a band of it; None is what is not asked for.
 
     - `image`: the coverage, 0 where contours overlap.
     - `alone`: which pixels one chain of contour crosses, or none (both from the top row down).
@@ -71,101 +71,68 @@ def in_words(x: Array) -> Array:
 
 
 def is_large(film: FilmMap) -> bool:
-    """Return whether a film is drawn in tiles."""
+    """Return whether a film is drawn in bands."""
     return film.W * film.H > LARGE
 
 
-def drawn(asked: Asked, box: Int[Array, "4"] | None) -> Drawn:
-    """Return the film, of which the contour may meet this box: from which column and row, and up to
-    which (None: any)."""
+def drawn(asked: Asked, rows: Int[Array, "2"] | None) -> Drawn:
+    """Return the film, of which the contour may meet these rows: from which on, and up to which
+    (None: any)."""
     film = asked.film
-    if box is None or not is_large(film):
-        whole = _Tile(film.W, film.H, *[jnp.int32(0)] * 4)
-        return _tile_drawn(asked, whole, _summed(asked, whole, None))
-    size = _tile_size(film)
-
-    def more(state):
-        rows, film_drawn = state
-        # (Tiles at the film's top begin lower.)
-        low = jnp.minimum(rows[0], film.H - size[1])
-        found = _listed(asked, (low, rows[1]))
-        complete = found.used <= LISTED
-        ready = complete | (rows[1] - rows[0] <= size[1])
-        part = jnp.stack([box[0], jnp.where(ready, rows[0], rows[1]), box[2], rows[1]])
-        film_drawn = _tiles_drawn(asked, part, found, film_drawn)
-        return _next_rows(rows, box[3], ready, found.used, size[1]), film_drawn
-
-    tile = _Tile(*size, *[box[0]] * 4)
-    like = jax.eval_shape(lambda: _tile_drawn(asked, tile, _Sums.empty(asked, tile)))
-    image, words = (film.H, film.W), (film.H, words_in_row(film.W))
-    zeros = lambda x, shape: jnp.zeros(shape, x.dtype)
-    start = _each(zeros, like, (image, image, words, words, ()))
-    # (Under `vmap` as many turns for all: else all that is drawn would be copied at each.)
-    rows = jnp.stack([box[1], box[3]])
-    unfinished = lambda state: largest((state[0][0] < box[3]).astype(jnp.int32)) > 0
-    return jax.lax.while_loop(unfinished, more, (rows, start))[1]
+    whole = _Band(film.H, jnp.int32(0), jnp.int32(0))
+    at_once = lambda: _band_drawn(asked, whole, _from_curves(asked, whole))
+    if rows is None or not is_large(film):
+        return at_once()
+    found = _listed(asked)
+    return jax.lax.cond(found.used <= LISTED, lambda: _in_bands(asked, rows, found), at_once)
 
 
-def _next_rows(rows: Int[Array, "2"], end: Array, ready: Array, used: Array, h: int) -> Array:
-    """Return the rows after these, if they are ready; else fewer of them, as pieces are listed."""
-    number = rows[1] - rows[0]
-    share = 0.8 * LISTED / jnp.maximum(used, 1).astype(jnp.float32)
-    fewer = jnp.clip((share * number.astype(jnp.float32)).astype(jnp.int32), h, number)
-    fewer = jnp.minimum(fewer, jnp.maximum(number - 1, h))
-    return jnp.where(ready, jnp.stack([rows[1], end]), jnp.stack([rows[0], rows[0] + fewer]))
+# --- bands ---------------------------------------------------------------------------------------
 
 
-# --- tiles ---------------------------------------------------------------------------------------
+class _Band(NamedTuple):
+    """Rows of the film: how many, the first one, and from which on they are new."""
 
-
-class _Tile(NamedTuple):
-    """A part of the film: its size, its first column and row, and from which on pixels are new."""
-
-    W: int
     H: int
-    left: Int[Array, ""]
     bottom: Int[Array, ""]
-    new_left: Int[Array, ""]
     new_bottom: Int[Array, ""]
 
 
-def _tile_size(film: FilmMap) -> tuple[int, int]:
-    """Return columns and rows of a large film's tiles: the last one begins with a whole word."""
-    W, H = film.W, film.H
-    width = min(W, TILE * max(1, TILE // H) + W % WORD)
-    return width, max(min(H, TILE * TILE // width), 1)
+def _height(film: FilmMap) -> int:
+    """Return how many rows a large film's bands have."""
+    return min(film.H, max(BAND // film.W, 1))
 
 
-def _tiles_drawn(asked: Asked, box: Int[Array, "4"], found: "_Listed", start: Drawn) -> Drawn:
-    """Return the film with the tiles of a box of it."""
-    film, (w, h) = asked.film, _tile_size(asked.film)
-    step = w // WORD * WORD if w < film.W else w
-    first = box[0] // WORD * WORD if w < film.W else jnp.zeros_like(box[0])
-    across, up = (
-        jnp.maximum(-(-x // s), 0) for x, s in ((box[2] - first, step), (box[3] - box[1], h))
-    )
+def _in_bands(asked: Asked, rows: Int[Array, "2"], found: "_Listed") -> Drawn:
+    """Return the film, on which listed pieces are in these rows."""
+    film, height = asked.film, _height(asked.film)
+    number = jnp.maximum(-(-(rows[1] - rows[0]) // height), 0)
+    sums = lambda band: found.fold(_Sums.empty(asked, band), band)
 
     def more(k, film_drawn: Drawn):
-        column, row = k % jnp.maximum(across, 1), k // jnp.maximum(across, 1)
-        new_left, new_bottom = first + column * step, box[1] + row * h
-        left = jnp.clip(new_left, 0, film.W - w)
-        bottom = jnp.clip(new_bottom, 0, film.H - h)
-        tile = _Tile(w, h, left, bottom, new_left, new_bottom)
-        new, top = _tile_drawn(asked, tile, _summed(asked, tile, found)), film.H - h - bottom
-        word = left // WORD
-        at = (top, left), (top, left), (bottom, word), (bottom, word), ()
-        # (Under `vmap` there may be fewer tiles than turns.)
-        return _each(partial(_put, k < across * up), film_drawn, new, at)
+        new_bottom = rows[0] + k * height
+        # (The last band at the film's top begins lower.)
+        bottom = jnp.clip(new_bottom, 0, film.H - height)
+        band = _Band(height, bottom, new_bottom)
+        new, top = _band_drawn(asked, band, sums(band)), film.H - height - bottom
+        at = top, top, bottom, bottom, None
+        # (Under `vmap` there may be fewer bands than turns.)
+        return _each(partial(_put, k < number), film_drawn, new, at)
 
-    return jax.lax.fori_loop(0, largest(across * up), more, start)
+    band = _Band(height, rows[0], rows[0])
+    like = jax.eval_shape(lambda: _band_drawn(asked, band, _Sums.empty(asked, band)))
+    image, words = (film.H, film.W), (film.H, words_in_row(film.W))
+    zeros = lambda x, shape: jnp.zeros(shape, x.dtype)
+    start = _each(zeros, like, (image, image, words, words, ()))
+    return jax.lax.fori_loop(0, largest(number), more, start)
 
 
-def _put(there: Bool[Array, ""], old: Array, new: Array, at: tuple) -> Array:
-    """Return a film with a tile of it, if that is there; a sum with one more."""
-    if not at:
+def _put(there: Bool[Array, ""], old: Array, new: Array, row: Array | None) -> Array:
+    """Return a film with a band of it from a row on, if that is there; a sum with one more."""
+    if row is None:
         return old + jnp.where(there, new, 0)
-    known = jax.lax.dynamic_slice(old, at, new.shape)
-    return jax.lax.dynamic_update_slice(old, jnp.where(there, new, known), at)
+    known = jax.lax.dynamic_slice_in_dim(old, row, len(new))
+    return jax.lax.dynamic_update_slice_in_dim(old, jnp.where(there, new, known), row, 0)
 
 
 def _each(function: Callable, drawn: Drawn, *others: tuple) -> Drawn:
@@ -174,9 +141,9 @@ def _each(function: Callable, drawn: Drawn, *others: tuple) -> Drawn:
     return Drawn(*(None if x[0] is None else function(*x) for x in things))  # pyright: ignore
 
 
-def _tile_drawn(asked: Asked, tile: _Tile, sums: "_Sums") -> Drawn:
-    """Return a tile."""
-    (W, H), base = tile[:2], asked.base.astype(asked.film.eye.dtype)
+def _band_drawn(asked: Asked, band: _Band, sums: "_Sums") -> Drawn:
+    """Return a band."""
+    W, H, base = asked.film.W, band.H, asked.base.astype(asked.film.eye.dtype)
     row_sums = lambda x: running_sum(x.reshape(H, W))
     winding = row_sums(sums.deltas) + base
     overlapping = covered = jnp.zeros((H, W), bool)
@@ -204,22 +171,11 @@ def _tile_drawn(asked: Asked, tile: _Tile, sums: "_Sums") -> Drawn:
     summed = lambda x: jnp.sum(jnp.where(inside, in_words(x), 0), axis=1)
     depth = None
     if asked.deep is not None:
-        depth = jnp.sum(
-            jnp.where(_is_new(tile, asked.film.W), summed(winding - asked.deep).reshape(H, -1), 0)
-        )
+        is_new = H - 1 - jnp.arange(H, dtype=jnp.int32) >= band.new_bottom - band.bottom
+        depth = summed(winding - asked.deep).reshape(H, -1)
+        depth = jnp.sum(jnp.where(is_new[:, None], depth, 0))
     up = lambda x: jnp.flip(x.reshape(H, -1), axis=0)
     return Drawn(image, alone, up(bits), up(summed(layers)), depth)
-
-
-def _is_new(tile: _Tile, W: int) -> Bool[Array, "H words"]:
-    """Return which words of a tile, from the top row down, are in no other that is drawn before,
-    nor in the next one."""
-    column = jnp.arange(words_in_row(tile.W), dtype=jnp.int32) * WORD
-    row = jnp.arange(tile.H, dtype=jnp.int32)
-    new = column >= tile.new_left - tile.left
-    if tile.W < W:
-        new &= (column + WORD <= tile.W) | (tile.new_left + tile.W // WORD * WORD >= W)
-    return (tile.H - 1 - row >= tile.new_bottom - tile.bottom)[:, None] & new[None]
 
 
 # --- sums over pieces ----------------------------------------------------------------------------
@@ -247,7 +203,7 @@ class _Adds(NamedTuple):
 
 
 class _Sums(NamedTuple):
-    """Of a tile's pixels, from the top row down: by how much the winding number's mean grows from
+    """Of a band's pixels, from the top row down: by how much the winding number's mean grows from
     pixel to pixel in a row, and if contours may overlap `marks`, and sums of `winding_jumps` (left
     of the pixel) and `drops`."""
 
@@ -257,18 +213,18 @@ class _Sums(NamedTuple):
     drops: Float[Array, "N"] | None
 
     @staticmethod
-    def empty(asked: Asked, tile: _Tile) -> "_Sums":
+    def empty(asked: Asked, band: _Band) -> "_Sums":
         """Return the sums of nothing."""
-        zeros = jnp.zeros(tile.W * tile.H, asked.film.eye.dtype)
+        zeros = jnp.zeros(asked.film.W * band.H, asked.film.eye.dtype)
         if not asked.resolves:
             return _Sums(zeros, None, None, None)
         return _Sums(zeros, Marks(zeros, zeros.astype(jnp.int32)), zeros, zeros)
 
-    def add(self, more: _Adds, tile: _Tile) -> "_Sums":
-        """Return the sums with more pieces; what lies left of the tile counts at its left side."""
-        # (From the top row down, as images are: to turn a tile over takes longer than to draw it.)
-        (W, H), row = tile[:2], tile.bottom + tile.H - 1 - more.row
-        column = jnp.maximum(more.column - tile.left, -1)
+    def add(self, more: _Adds, band: _Band) -> "_Sums":
+        """Return the sums with more pieces; what lies left of the film counts at its left side."""
+        # (From the top row down, as images are: to turn a band over takes longer than to draw it.)
+        H, row, column = band.H, band.bottom + band.H - 1 - more.row, more.column
+        W = self.deltas.shape[0] // H
         inside = (row >= 0) & (row < H)
         place = lambda k: jnp.where(inside & (k >= 0) & (k < W), row * W + k, H * W)
         own, after = jax.lax.optimization_barrier((place(column), place(column + 1)))
@@ -284,41 +240,27 @@ class _Sums(NamedTuple):
         )
 
 
-def _summed(asked: Asked, tile: _Tile, found: "_Listed | None") -> _Sums:
-    """Return the sums of a tile: over the pieces that are listed, if all are, else over curves."""
-    add = lambda sums, pieces: sums.add(_Adds.of(pieces, asked.resolves), tile)
-    sums, rows = _Sums.empty(asked, tile), (tile.bottom, tile.bottom + tile.H)
-    if found is None:
-        return _each_piece(asked, add, sums, rows, tile.H, jnp.array(True))
-    complete = found.used <= LISTED
-    sums = found.fold(lambda sums, more: sums.add(more, tile), sums, complete)
-    return _each_piece(asked, add, sums, rows, tile.H, ~complete)
+def _from_curves(asked: Asked, band: _Band) -> _Sums:
+    """Return the sums of a band over the pieces of all curves."""
+    add = lambda sums, pieces: sums.add(_Adds.of(pieces, asked.resolves), band)
+    return _each_piece(asked, add, _Sums.empty(asked, band))
 
 
-def _each_piece(
-    asked: Asked,
-    add: Callable[[Any, Pieces], Any],
-    start: Any,
-    rows: tuple,
-    most: int,
-    wanted: Array,
-) -> Any:
-    """Return `start` after `add(total, pieces)` over all pieces in some rows (`most` at most), if
-    that is wanted."""
-    bottom, top = rows
+def _each_piece(asked: Asked, add: Callable[[Any, Pieces], Any], start: Any) -> Any:
+    """Return `start` after `add(total, pieces)` over all pieces."""
+    film = asked.film
 
     def chunk(total, ids, curves):
         del ids
-        return fold_pieces(monotone(curves), (asked.film.W, top, most), add, total, bottom)
+        return fold_pieces(monotone(curves), (film.W, film.H, film.H), add, total)
 
     for part in asked.parts:
-        block = jnp.int32(0), jnp.where(wanted, part.total, 0)
-        start = fold_curves(part, chunk, start, part.size, block)
+        start = fold_curves(part, chunk, start, part.size)
     return start
 
 
 class _Listed(NamedTuple):
-    """Pieces in some rows, `used` of them: there is room for `LISTED`."""
+    """Pieces, `used` of them: there is room for `LISTED`."""
 
     adds: _Adds
     used: Int[Array, ""]
@@ -329,27 +271,37 @@ class _Listed(NamedTuple):
         adds = jax.tree.map(put, self.adds, more)
         return _Listed(adds, self.used + jnp.sum(valid, dtype=jnp.int32))
 
-    def fold(self, add: Callable[[Any, _Adds], Any], start: Any, wanted: Array) -> Any:
-        """Return `start` after `add(total, adds)` over all, some at a time, if that is wanted."""
+    def fold(self, start: _Sums, band: _Band) -> _Sums:
+        """Return sums after those of all pieces in a band are added.
 
-        def body(state):
-            first, total = state
-            cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, ADDED)
-            return first + ADDED, add(total, jax.tree.map(cut, self.adds))
+        Pieces are listed as curves come, neighbours together: most blocks of them have none there.
+        """
+        bottom, top = band.bottom, band.bottom + band.H
+        row = self.adds.row.reshape(-1, BLOCK)
+        known = jnp.arange(row.size, dtype=jnp.int32).reshape(row.shape) < self.used
+        here = jnp.any(known & (row >= bottom) & (row < top), axis=1)
+        order = jnp.cumsum(here, dtype=jnp.int32)
+        place = jnp.where(here, order - 1, len(row))
+        number = jnp.arange(len(row), dtype=jnp.int32)
+        blocks = jnp.zeros(len(row), jnp.int32).at[place].set(number, mode="drop")
 
-        end = jnp.where(wanted, self.used, 0)
-        return jax.lax.while_loop(lambda s: s[0] < end, body, (jnp.int32(0), start))[1]
+        def body(k, sums):
+            cut = lambda x: jax.lax.dynamic_slice_in_dim(x, blocks[k] * BLOCK, BLOCK)
+            some = jax.tree.map(cut, self.adds)
+            # (Under `vmap` there may be fewer blocks than turns.)
+            return sums.add(some._replace(row=jnp.where(k < order[-1], some.row, -1)), band)
+
+        return jax.lax.fori_loop(0, largest(order[-1]), body, start)
 
 
-def _listed(asked: Asked, rows: tuple[Array, Array]) -> _Listed:
-    """Return the pieces in some rows."""
+def _listed(asked: Asked) -> _Listed:
+    """Return all pieces, as far as there is room."""
 
     def add(found: _Listed, pieces: Pieces):
         return found.append(_Adds.of(pieces, asked.resolves), pieces.valid)
 
-    number, real = LISTED + ADDED, asked.film.eye.dtype
+    number, real = -(-(LISTED + ADDED) // BLOCK) * BLOCK, asked.film.eye.dtype
     whole, zeros = jnp.zeros(number, jnp.int32), jnp.zeros(number, real)
-    nowhere = whole - 1
     more = (Marks(zeros, whole), zeros, zeros) if asked.resolves else (None, None, None)
-    start = _Listed(_Adds(nowhere, whole, zeros, zeros, *more), jnp.int32(0))
-    return _each_piece(asked, add, start, rows, asked.film.H, jnp.array(True))
+    start = _Listed(_Adds(whole - 1, whole, zeros, zeros, *more), jnp.int32(0))
+    return _each_piece(asked, add, start)

@@ -45,7 +45,7 @@ from .overlaps import (
     fold_pieces,
     nothing_kept,
 )
-from .surrounding import box_seen, surrounding
+from .surrounding import rows_seen, surrounding
 from .sweep import Visible
 
 CURVES_AT_A_TIME = 512
@@ -123,9 +123,9 @@ def _silhouette(
     vertices = None if found.contour is None or scene.mesh is None else scene.mesh.vertices
     alone = found.contour is None and spheres is not None and spheres.radii.shape[0] == 1
     faces = None if vertices is None or scene.mesh is None else scene.mesh.faces
-    box = box_seen(film, scene) if is_large(film) else None
+    rows = rows_seen(film, scene) if is_large(film) else None
     overlap = () if overlaps and not alone else None
-    still = _Still(found, surrounding(film, scene), box, faces, overlap, stops)
+    still = _Still(found, surrounding(film, scene), rows, faces, overlap, stops)
     return _image(_Moving(film, vertices, spheres), still)
 
 
@@ -140,14 +140,14 @@ class _Moving(NamedTuple):
 class _Still(NamedTuple):
     """What cannot: which edges are contour, the number of layers left of the film, the faces.
 
-    `box` is the part of the film that the contour may meet (None: the film is drawn at once).
+    `rows` are those of the film that the contour may meet (None: the film is drawn at once).
     `overlap` is None (and not an empty tuple: both have no leaves) if contours never overlap;
     `stops` is how often lines stop that sweep pixels where they do, None if that is exact.
     """
 
     found: Found
     base: Int[Array, ""]
-    box: Int[Array, "4"] | None
+    rows: Int[Array, "2"] | None
     faces: Int[Array, "F 3"] | None
     overlap: tuple[()] | None
     stops: Int[Array, ""] | None
@@ -257,7 +257,7 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
     asked = Asked(
         film, parts, still.base, still.overlap is not None, keep, DEEP if things else None
     )
-    image, alone, overlapping, layers, depth = drawn(asked, still.box)
+    image, alone, overlapping, layers, depth = drawn(asked, still.rows)
     if overlapping is None or layers is None:
         none = selection(jnp.zeros(0, jnp.uint32))
         return image, _Pixels(alone, none, jnp.zeros(0, image.dtype), [])

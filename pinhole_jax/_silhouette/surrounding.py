@@ -49,13 +49,13 @@ def reaches_left(film: FilmMap, mesh: Mesh) -> Bool[Array, ""]:
     return jnp.any(x < film.bounds[0] * z)
 
 
-def box_seen(film: FilmMap, scene: Scene) -> Int[Array, "4"]:
-    """Return where on the film the scene may be seen: from which column and row (counted from the
-    film's lower left corner), and up to which.
+def rows_seen(film: FilmMap, scene: Scene) -> Int[Array, "2"]:
+    """Return where on the film the scene may be seen: from which row (counted from the film's lower
+    side), and up to which.
 
     All of the film where the scene is not surely before the eye, and through a lens that bends.
     """
-    whole = jnp.asarray([0, 0, film.W, film.H], jnp.int32)
+    whole = jnp.asarray([0, film.H], jnp.int32)
     if film.bend is not None:
         return whole
     film, scene = jax.lax.stop_gradient((film, scene))
@@ -71,11 +71,10 @@ def box_seen(film: FilmMap, scene: Scene) -> Int[Array, "4"]:
     z = corners[:, 2:]
     # (False of what is no number.)
     before = jnp.min(z) > DEPTHS * jnp.max(z)
-    places = safe_divide(corners[:, :2], z)
-    slack = 1 + SLACK * jnp.max(jnp.abs(places))
-    low, high = jnp.min(places, axis=0) - slack, jnp.max(places, axis=0) + slack
-    size = jnp.asarray([film.W, film.H] * 2, z.dtype)
-    seen = jnp.clip(jnp.concatenate([jnp.floor(low), jnp.ceil(high)]), 0, size)
+    y = safe_divide(corners[:, 1:2], z)
+    slack = 1 + SLACK * jnp.max(jnp.abs(y))
+    seen = jnp.stack([jnp.floor(jnp.min(y) - slack), jnp.ceil(jnp.max(y) + slack)])
+    seen = jnp.clip(seen, 0, film.H)
     return jnp.where(before, seen.astype(jnp.int32), whole)
 
 
