@@ -57,6 +57,7 @@ def trace(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Hit:
 
     Differentiable in the rays and in the scene, where the hit primitive stays the same. Watertight:
     no ray passes between two faces that share an edge. `t` counts in lengths of the direction.
+    Many rays are shared out to all cores of a CPU where nothing is traced, not within `jit`.
     A ray from inside a sphere meets its far wall, one that touches it meets it there: then the
     derivative leaves out the infinite part. A miss has derivative 0.
 
