@@ -59,7 +59,7 @@ class Certificate(NamedTuple):
     """The rows of `check_gradients`; `passed`: all of them are right, and at least one moves.
 
     ```python
-    certificate.status, print(certificate)
+    certificate.passed, {row.parameter: row.verdict for row in certificate.rows}
     ```
     """
 
