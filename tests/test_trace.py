@@ -186,7 +186,7 @@ def test_rays_side_by_side_find_what_rays_in_turn_do(kind, rays, monkeypatch):
         centers, radii = random.uniform(-1, 1, (50, 3)), random.uniform(0.05, 0.3, 50)
         tree = sphere_tree(pj.Spheres(centers, radii))
     some = pj.Rays(rays.origin[:300], rays.direction[:300])
-    axis, _ = packets.axes_of([some.direction[:, k] for k in range(3)])
+    axis = packets.axes_of([some.direction[:, k] for k in range(3)])
     order = jnp.asarray(random.permutation(300).astype(np.int32)).at[250:].set(-1)
     in_turn = walk.walk(tree, *some, axis, order)
     elsewhere = lambda *arguments, cpu, default: default(*arguments)
@@ -219,10 +219,10 @@ def test_rays_that_enter_at_one_place_follow_one_another():
 def test_rays_shared_out_to_cores_find_the_same(shape, rays, monkeypatch):
     """Whose packets are the same: shares begin where packets do."""
     monkeypatch.setattr(cores, "LEAST", 64)
-    monkeypatch.setattr(cores, "_cores", lambda: 2)
+    monkeypatch.setattr(cores, "usable_cores", lambda: 2)
     number = int(np.prod(shape))
     some = pj.Rays(rays.origin[0], rays.direction[:number].reshape(*shape, 3))
-    axis = lambda x: packets.axes_of([packets.in_packets(x[..., k]) for k in range(3)])[0]
+    axis = lambda x: packets.axes_of([packets.in_packets(x[..., k]) for k in range(3)])
     asked = []
 
     def find(where, part):
@@ -240,9 +240,9 @@ def test_traces_on_all_cores_are_those_on_one(rays, monkeypatch):
     scene = pj.Scene(mesh=shapes.bumpy(1), spheres=pj.Spheres([[0.9, 0, 0]], [0.4]))
     some = pj.Rays(rays.origin[:512], rays.direction[:512])
     monkeypatch.setattr(cores, "LEAST", 64)
-    monkeypatch.setattr(cores, "_cores", lambda: 1)
+    monkeypatch.setattr(cores, "usable_cores", lambda: 1)
     alone = pj.trace(scene, some)
-    monkeypatch.setattr(cores, "_cores", lambda: 3)
+    monkeypatch.setattr(cores, "usable_cores", lambda: 3)
     for _ in range(2):  # the first compiles
         for one, other in zip(alone, pj.trace(scene, some), strict=True):
             np.testing.assert_array_equal(one, other)

@@ -30,21 +30,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics.arrays import (
-    MISSING,
-    ArrayLike,
-    Input,
-    float_array,
-    float_dtype,
-    is_concrete,
-)
+from .._numerics.arrays import MISSING, ArrayLike, Input, float_array, float_dtype, is_concrete
 from .._numerics.jitted import jitted
 from .._numerics.safe import cross_of_difference, norm, normalize
 from .distortion import Distortion
 from .drawing import card, frustum, table
 from .film import Bend, FilmMap, FilmPart
 from .lens import Lens, check_lens
-from .matrices import ORTHOGONAL, Centres, from_matrices
+from .matrices import Centres, from_matrices, is_rotation
 
 #: Pixels are counted in 32 bits, with some room beside the film.
 MOST_PIXELS = 1 << 30
@@ -398,8 +391,7 @@ def _check_pose(eye: np.ndarray, axes: np.ndarray) -> None:
         raise ValueError(f"`eye`: expected finite numbers of shape (3,), got {eye}")
     if axes.shape != (3, 3):
         raise ValueError(f"`axes`: expected shape (3, 3), got {axes.shape}")
-    apart = np.abs(axes @ axes.T - np.eye(3)).max()
-    if not (apart < ORTHOGONAL and np.dot(np.cross(axes[0], axes[1]), axes[2]) < 0):
+    if not is_rotation(axes * [[1], [-1], [1]]):  # right, down, forward
         raise ValueError(f"`axes`: expected unit vectors right, up, forward, got {axes.tolist()}")
 
 

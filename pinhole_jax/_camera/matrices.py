@@ -39,8 +39,8 @@ def from_matrices(
     k, r, shift = _real("K", K, (3, 3)), _real("R", R, (3, 3)), _translation(t)
     if is_concrete(k):
         _check_intrinsics(k, W, H)
-    if is_concrete(r):
-        _check_rotation(r)
+    if is_concrete(r) and not is_rotation(r):
+        raise ValueError(f"`R`: expected a rotation matrix, got {r.tolist()}")
     traced = not is_concrete(k, r, shift)
     xp: ModuleType = jnp if traced else np
 
@@ -58,6 +58,12 @@ def half_pixel(pixel_centres: object) -> float:
     if not isinstance(pixel_centres, str) or pixel_centres not in ("integer", "half"):
         raise ValueError(f"`pixel_centres`: expected 'integer' or 'half', got {pixel_centres!r}")
     return 0.5 if pixel_centres == "integer" else 0.0
+
+
+def is_rotation(matrix: np.ndarray) -> bool:
+    """Return whether a matrix (3, 3) turns and does nothing else, to within rounding."""
+    apart = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    return bool(apart < ORTHOGONAL and np.linalg.det(matrix) > 0)
 
 
 def _translation(t: ArrayLike) -> Any:
@@ -89,9 +95,3 @@ def _check_intrinsics(K: np.ndarray, W: int, H: int) -> None:
                 "`K`: expected positive focal lengths in px, with a field of view in (0, pi) rad,"
                 f" got fx = {K[0, 0]:g}, fy = {K[1, 1]:g}"
             )
-
-
-def _check_rotation(R: np.ndarray) -> None:
-    """Raise ValueError unless R turns and does nothing else."""
-    if np.abs(R @ R.T - np.eye(3)).max() > ORTHOGONAL or np.linalg.det(R) < 0:
-        raise ValueError(f"`R`: expected a rotation matrix, got {R.tolist()}")

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from .axes import axes_of
 from .camera import Camera
-from .matrices import ORTHOGONAL
+from .matrices import ORTHOGONAL, is_rotation
 
 Pose = Float[np.ndarray, "4 4"]
 
@@ -77,9 +77,8 @@ def check_pose(name: str, value: Any) -> Pose:
     if matrix.shape != (4, 4):
         raise ValueError(f"`{name}`: expected shape (4, 4), got {matrix.shape}")
     rotation = matrix[:3, :3]
-    apart = np.max(np.abs(rotation.T @ rotation - np.eye(3))) if np.all(np.isfinite(matrix)) else 1
-    last = np.max(np.abs(matrix[3] - [0, 0, 0, 1]))
-    if not (apart < ORTHOGONAL and last < ORTHOGONAL and np.linalg.det(rotation) > 0):
+    turns = np.all(np.isfinite(matrix)) and is_rotation(rotation.T)
+    if not (turns and np.max(np.abs(matrix[3] - [0, 0, 0, 1])) < ORTHOGONAL):
         raise ValueError(f"`{name}`: expected a rotation and a translation, got\n{matrix}")
     left, _, right = np.linalg.svd(rotation)
     return rigid(left @ right, matrix[:3, 3])

@@ -36,7 +36,8 @@ def hand_eye(
     """Fit, write and print; return 0, or 1 for a fit that is not to be trusted."""
     robot = robot_of(options)
     views = views_of(robot, options, tell)
-    pictures = _pictures(options, masks := [np.asarray(view.target) for view in views])
+    masks = [np.asarray(view.target) for view in views]
+    pictures = _pictures(options, masks)
     if options.refine:
         photos = map(three_channels, pictures)
         views = [v._replace(photo=p) for v, p in zip(views, photos, strict=True)]

@@ -76,12 +76,12 @@ def is_large(film: FilmMap) -> bool:
 
 
 def drawn(asked: Asked, rows: Int[Array, "2"] | None) -> Drawn:
-    """Return the film, of which the contour may meet these rows: from which on, and up to which
-    (None: any)."""
+    """Return the film: in bands, where the contour may meet these rows (from which on, and up to
+    which), or at once (None)."""
     film = asked.film
     whole = _Band(film.H, jnp.int32(0), jnp.int32(0))
     at_once = lambda: _band_drawn(asked, whole, _from_curves(asked, whole))
-    if rows is None or not is_large(film):
+    if rows is None:
         return at_once()
     found = _listed(asked)
     return jax.lax.cond(found.used <= LISTED, lambda: _in_bands(asked, rows, found), at_once)

@@ -1,6 +1,5 @@
 """Rays shared out to the machine's cores: XLA runs a program's walk on one of them."""
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -10,6 +9,7 @@ import jax.numpy as jnp
 
 from .._camera.rays import Rays
 from .._numerics.arrays import is_concrete
+from .._numerics.machine import usable_cores
 from .packets import begins_anew
 
 #: A share has this many rays at the least (of a million, shares of 8000 to 130 000 take as long).
@@ -45,7 +45,7 @@ def _shares(rays: Rays) -> int:
     whole = origin.ndim == 1 or origin.shape == direction.shape
     if not (whole and direction.ndim > 1):
         return 1
-    if jax.default_backend() != "cpu" or (cores := _cores()) == 1:
+    if jax.default_backend() != "cpu" or (cores := usable_cores()) == 1:
         return 1
     unit = begins_anew(direction.shape[:-1])
     most = min(EACH * cores, direction.size // 3 // LEAST)
@@ -66,14 +66,7 @@ def _in_threads(run: Callable[[Rays], Any], parts: list[Rays]) -> list[Any]:
     (A thread knows nothing of the `with` blocks of JAX's settings that another is in.)
     """
     longest = lambda: jax.dtypes.canonicalize_dtype(float)
-    with ThreadPoolExecutor(_cores()) as threads:
+    with ThreadPoolExecutor(usable_cores()) as threads:
         if threads.submit(longest).result() == longest():
             return list(threads.map(run, parts))
     return [run(part) for part in parts]
-
-
-def _cores() -> int:
-    """Return how many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

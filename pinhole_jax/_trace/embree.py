@@ -98,7 +98,7 @@ def first_met(tree: Tree, mesh: Faces, origin: Vectors, direction: Vectors) -> I
     face, twin = jax.pure_callback(
         _ask, like, mesh, behind, direction, order, vmap_method="sequential"
     )
-    axis, _ = axes_of(parts(direction))
+    axis = axes_of(parts(direction))
     sure = _near_and_real(origin, direction)
     sure &= (face < 0) | (~twin & _well_within(mesh, origin, direction, axis, face))
     return _searched_again(tree, origin, direction, axis, face, ~sure)

@@ -6,7 +6,7 @@ rays meet what drawing it meets.
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Num
+from jaxtyping import Array, Float, Int, Num
 
 from .._numerics.batches import in_turn
 from .bvh import Tree
@@ -29,7 +29,7 @@ def first_met(tree: Tree, origin: Vectors, direction: Vectors) -> Int[Array, "N"
     """
     if direction.shape[0] == 0:
         return jnp.zeros(0, jnp.int32)
-    axis, _ = axes_of(parts(direction))
+    axis = axes_of(parts(direction))
     return walk(tree, origin, direction, axis, order_of(tree, origin, direction))
 
 
@@ -43,8 +43,8 @@ def _batched(size: int, batched: list, tree: Tree, origin: Array, direction: Arr
     return first_met(tree, origin.reshape(-1, 3), direction.reshape(-1, 3)).reshape(size, -1), True
 
 
-def axes_of(direction: Parts) -> tuple[Int[Array, "N"], Bool[Array, "packets"]]:
-    """Return the axis along which each ray is tested, 0 to 2, and in which packets it is common.
+def axes_of(direction: Parts) -> Int[Array, "N"]:
+    """Return the axis along which each ray is tested, 0 to 2.
 
     Directions are x, y and z, (N,) each. The axis is that along which all rays of a packet run, or
     else each ray's own. What a ray meets depends on it by rounding, so it depends on directions
@@ -56,7 +56,7 @@ def axes_of(direction: Parts) -> tuple[Int[Array, "N"], Bool[Array, "packets"]]:
     common = jnp.maximum(jnp.maximum(least[0], least[1]), least[2]) > 0.3
     of_ray = _largest_of(*(jnp.abs(x) for x in by_packet))
     axis = jnp.where(common[:, None], _largest_of(*least)[:, None], of_ray)
-    return axis.reshape(-1)[:N], common
+    return axis.reshape(-1)[:N]
 
 
 def _largest_of(x: Array, y: Array, z: Array) -> Array:

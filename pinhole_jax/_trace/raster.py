@@ -124,7 +124,7 @@ def _batched(size: int, batched: list, *args):
 def _kinds(view: View, direction: Parts) -> tuple[Array, tuple[Array, Array]]:
     """Return each ray's kind, twice the axis that it is tested along and one more if it runs
     backwards, and its two slopes there; of rays that can meet nothing `KINDS`."""
-    axis, _ = axes_of([in_packets(x) for x in direction])
+    axis = axes_of([in_packets(x) for x in direction])
     axis = out_of_packets(axis, direction[0].shape)
     x, y, z = permuted(direction, axis, 1)
     sign = jnp.where(z < 0, -1, 1).astype(z.dtype)

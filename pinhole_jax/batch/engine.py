@@ -3,7 +3,6 @@
 import itertools
 import math
 import multiprocessing
-import os
 import time
 from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import (
@@ -17,6 +16,7 @@ from concurrent.futures import (
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
+from .._numerics.machine import usable_cores
 from . import worker
 from .records import Record
 from .rows import Row, empty_row
@@ -40,17 +40,12 @@ def rows_of(
     if executor is not None:
         yield from _by(executor, records, workers, setup)
         return
-    count = workers if workers is not None else cores()
+    count = workers if workers is not None else usable_cores()
     pool = _Pool(count, setup._replace(workers=count))
     try:
         yield from _by_pool(pool, records)
     finally:
         pool.end()
-
-
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class _Pool:

@@ -19,17 +19,10 @@ def from_opencv(
     d: float = 1.0,
     distortion: Distortion | None = None,
 ) -> Camera:
-    """Return the camera of OpenCV's K (3, 3), R (3, 3), t (3,): x right, y down, z forward.
+    """Return the camera of OpenCV's K (3, 3) in px, R (3, 3) and t (3,): `Camera.from_K`, beside
+    the other conventions.
 
-    `X_camera = R X_world + t` and `(u, v, 1) ~ K X_camera`. `pixel_centres` says where the source
-    puts them: "integer" (OpenCV, M3T: the first pixel's centre is 0) or "half" (COLMAP, NeRF: 0.5).
-    It costs half a pixel to get it wrong, so it has no default. Skew must be 0.
-
-    `distortion` is the lens's (`BrownConrady(*distCoeffs)`, `Fisheye`). The view point is put at
-    unit distance, up along the image's columns.
-
-    Raises ValueError naming the argument where one has another shape, is not finite, or makes no
-    camera: R no rotation, focal lengths not positive, K with skew or another last row.
+    Raises ValueError as it does.
 
     ```python
     same = pj.formats.from_opencv(K, R, t, 96, 80, pixel_centres="integer")

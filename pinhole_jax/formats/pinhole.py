@@ -11,6 +11,7 @@ import numpy as np
 
 from .._camera.camera import Camera, check_camera
 from .._camera.distortion import Distortion, Fisheye
+from .._camera.matrices import is_rotation
 from .fields import Fields
 from .matrices import from_opencv, to_opencv
 
@@ -89,7 +90,7 @@ def world_from_camera(camera: Camera, axes: np.ndarray) -> np.ndarray:
 def rotation(matrix: np.ndarray, fields: Fields, name: str) -> np.ndarray:
     """Return the rotation nearest to a (3, 3) matrix, which must be one to within rounding."""
     small = np.all(np.abs(matrix) < 2)  # no product overflows
-    if not small or np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-4 or np.linalg.det(matrix) < 0:
+    if not (small and is_rotation(matrix)):
         raise fields.wrong(name, "a rotation (orthonormal, determinant 1)", matrix)
     left, _, right = np.linalg.svd(matrix)
     return left @ right
