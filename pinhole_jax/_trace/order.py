@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from .._numerics.one_kernel import one_kernel
 from .bvh import Tree
 from .components import inner
-from .walk import one_kernel
 
 Vectors = Float[Array, "N 3"]
 CELLS = 16  # along an axis; more gain nothing

@@ -6,36 +6,20 @@ a call that it is told to make a single kernel of. In it a vector is the eight b
 the primitives of a leaf. On other machines rays go side by side (`_side_by_side`).
 """
 
-from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.experimental.xla_metadata import set_xla_metadata
 from jaxtyping import Array, Float, Int
 
+from .._numerics.one_kernel import one_kernel
 from .bvh import CHILDREN, Tree, levels, permuted
 from .components import Parts, largest, parts
 from .intersect import sphere_depth, triangle_depth
 
 Vectors = Float[Array, "N 3"]
 BESIDE = 1 << 15  # rays side by side: memory for what each has still to look at
-
-
-def one_kernel(function: Callable) -> Callable:
-    """Return a function that XLA's CPU compiler makes a single kernel of, loops and all.
-
-    Of small loops it does so by itself, by these two marks. There must be no sort, no scatter and
-    nothing as long as an array in it: what it fills is an argument. (What it would share out to
-    several cores does not compile within a kernel.)
-    """
-
-    def call(*arguments: Any) -> Any:
-        result = jax.jit(function)(*arguments)
-        return set_xla_metadata(result, inlineable="false", xla_cpu_small_call="true")
-
-    return call
 
 
 def walk(
