@@ -260,6 +260,13 @@ def test_the_walk_is_one_kernel():
     assert " while(" not in entry
 
 
+def test_a_program_may_hold_the_scene_as_a_constant(rays):
+    """Of which XLA moved the tree into the walk, and then ended the process."""
+    scene = pj.Scene(mesh=shapes.bumpy(2))
+    inside = jax.jit(lambda rays: pj.trace(scene, rays).primitive)
+    np.testing.assert_array_equal(inside(rays), pj.trace(scene, rays).primitive)
+
+
 @pytest.mark.long
 def test_batches_of_rays_and_of_vertices(rays):
     mesh = shapes.bumpy(1)

@@ -18,6 +18,9 @@ def one_kernel(function: Callable) -> Callable:
 
     @jax.custom_batching.sequential_vmap
     def call(*arguments: Any) -> Any:
+        # A table that is a constant would be moved into the loop: a parameter that nothing reads
+        # then ends the process (`ir_emitter.cc`, "All or none of the slices ...").
+        arguments = jax.lax.optimization_barrier(arguments)
         result = jax.jit(function)(*arguments)
         return set_xla_metadata(result, inlineable="false", xla_cpu_small_call="true")
 
