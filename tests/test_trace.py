@@ -10,10 +10,11 @@ from oracles import central_difference
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._trace import cores, packets, walk
+from pinhole_jax._trace import cores, packets, together, walk
 from pinhole_jax._trace.bvh import mesh_tree, packed, sphere_tree
 from pinhole_jax._trace.intersect import perpendicular, ray_triangle
 from pinhole_jax._trace.order import near_order
+from pinhole_jax._trace.turned import turned
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 24, 20)
 
@@ -198,6 +199,56 @@ def test_rays_side_by_side_find_what_rays_in_turn_do(kind, rays, monkeypatch):
     whole = packets.first_met(tree, *some)  # in the order in which they come
     np.testing.assert_array_equal(np.asarray(in_turn)[asked], np.asarray(whole)[asked])
     assert np.mean(np.asarray(whole) >= 0) > 0.3
+
+
+def hostile_packets(mesh, dtype):
+    """Return rays by packets that stay together: along the axes, through corners and edges, from on
+    the surface; of some packets one ray is none, and one of a packet's comes from elsewhere."""
+    random = np.random.default_rng(0)
+    vertices = np.asarray(mesh.vertices)
+    a, b = vertices[np.asarray(mesh.edge_vertices)[random.integers(0, 400, 60)]].transpose(1, 0, 2)
+    along = np.linspace(0, 1, 16)[:, None, None]
+    edges = np.swapaxes(a + along * (b - a), 0, 1)  # each packet along one edge, ends included
+    from_afar = np.broadcast_to([0.3, 1.0, 3.0], edges.shape)
+    grid = np.stack(np.meshgrid(np.arange(4), np.arange(4)), -1).reshape(16, 2) / 16
+    corners = random.uniform(-0.8, 0.8, (60, 1, 2)) + grid
+    corners[:10] = vertices[:10, None, :2]  # all sixteen through one vertex
+    down = np.concatenate([corners, np.full((60, 16, 1), 3.0)], axis=2)
+    axis = np.broadcast_to([0.0, 0, -1], down.shape)
+    turn = [np.roll(x, k, axis=2) for k in range(3) for x in (down, axis)]
+    outward = edges / np.linalg.norm(edges, axis=2, keepdims=True)
+    origin = np.concatenate([from_afar, *turn[::2], edges, edges])
+    direction = np.concatenate([edges - from_afar, *turn[1::2], outward, -outward])
+    direction[3::17, 5] = [np.nan, 0, 1]
+    direction[4::17, 6] = 0
+    origin[5::17, 7] = np.inf
+    origin[6::17, 8] += 5
+    direction /= np.maximum(np.abs(direction).max(axis=2, keepdims=True), 1e-3)
+    return jnp.asarray(origin.reshape(-1, 3), dtype), jnp.asarray(direction.reshape(-1, 3), dtype)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "kind", "leaves"),
+    [("float32", "faces", 256), ("float64", "spheres", 256), ("float32", "faces", 3)],
+)
+def test_packets_find_what_their_rays_find_one_by_one(dtype, kind, leaves, monkeypatch):
+    monkeypatch.setattr(packets, "FEW", 0)
+    monkeypatch.setattr(together, "LEAVES", leaves)  # few: most packets give up
+    jax.clear_caches()
+    mesh = shapes.bumpy(2)
+    origin, direction = hostile_packets(mesh, dtype)
+    origin, direction = origin[:-5], direction[:-5]  # the last packet is not full
+    mesh = pj.Mesh(np.asarray(mesh.vertices, dtype), np.asarray(mesh.faces))
+    radii = np.full(len(mesh.vertices), 0.1, dtype)
+    tree = mesh_tree(mesh) if kind == "faces" else sphere_tree(pj.Spheres(mesh.vertices, radii))
+    by_packets = packets.first_met(tree, origin, direction)
+    axis = packets.axes_of([direction[:, k] for k in range(3)])
+    order = jnp.arange(len(axis), dtype=jnp.int32)
+    np.testing.assert_array_equal(by_packets, walk.walk(tree, origin, direction, axis, order))
+    assert 0.3 < np.mean(np.asarray(by_packets) >= 0) < 0.95
+    rays = turned([origin[:, k] for k in range(3)], [direction[:, k] for k in range(3)], axis)
+    assert np.sum(together.beams(rays).whole) > 100  # of some 360
+    jax.clear_caches()
 
 
 def test_rays_that_enter_at_one_place_follow_one_another():

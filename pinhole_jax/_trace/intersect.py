@@ -74,8 +74,10 @@ def triangle_depth(ray: Parts | Array, corners: Parts | Array) -> Float[Array, "
     p, q, r = (seen(k) for k in range(3))
     u, v, w = _edge(q, r), _edge(r, p), _edge(p, q)
     det = u + v + w
-    depth = (u * p[2] + v * q[2] + w * r[2]) / jnp.where(det == 0, 1, det)
-    return jnp.where(_around(p, q, r) & (det != 0) & (depth > 0), depth, jnp.inf)
+    met = _around(p, q, r) & (det != 0)
+    # XLA works out a quotient once, what comes after it once for each use.
+    depth = jnp.where(met, u * p[2] + v * q[2] + w * r[2], jnp.inf) / jnp.where(met, det, 1)
+    return jnp.where(depth > 0, depth, jnp.inf)
 
 
 def sphere_depth(ray: Parts, sphere: Parts) -> Float[Array, "*batch"]:

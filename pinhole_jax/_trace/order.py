@@ -6,7 +6,7 @@ scene where that one did.
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._numerics.one_kernel import one_kernel
 from .bvh import Tree
@@ -23,9 +23,11 @@ def order_of(tree: Tree, origin: Vectors, direction: Vectors) -> Int[Array, "N"]
     return jnp.arange(N, dtype=jnp.int32) if N < FEW else near_order(tree, origin, direction)
 
 
-def near_order(tree: Tree, origin: Vectors, direction: Vectors) -> Int[Array, "N"]:
+def near_order(
+    tree: Tree, origin: Vectors, direction: Vectors, together: Bool[Array, "N"] | None = None
+) -> Int[Array, "N"]:
     """Return the order of rays by the cell where they enter the ellipsoid in the scene's box, start
-    within it, or pass it nearest."""
+    within it, or pass it nearest; after those that are `together`."""
     low, high = jnp.min(tree.planes[0, :3], axis=1), jnp.max(tree.planes[0, 3:], axis=1)
     half = jnp.maximum((high - low) / 2, jnp.finfo(low.dtype).tiny)
     o = [(origin[:, k] - (low[k] + high[k]) / 2) / half[k] for k in range(3)]
@@ -39,11 +41,11 @@ def near_order(tree: Tree, origin: Vectors, direction: Vectors) -> Int[Array, "N
         for x, y in zip(o, d, strict=True)
     ]
     x, y, z = (_spread(jnp.where(p == p, p, 0).astype(jnp.int32)) for p in place)
+    cell = (x | y << 1 | z << 2) + 1
+    key = cell if together is None else jnp.where(together, 0, cell)
     in_order = lambda key, _: jnp.argsort(key).astype(jnp.int32)
     nothing = jnp.zeros(direction.shape[0], jnp.int32)
-    return jax.lax.platform_dependent(
-        x | y << 1 | z << 2, nothing, cpu=one_kernel(_counted), default=in_order
-    )
+    return jax.lax.platform_dependent(key, nothing, cpu=one_kernel(_counted), default=in_order)
 
 
 def _spread(x: Int[Array, "N"]) -> Int[Array, "N"]:
@@ -54,7 +56,7 @@ def _spread(x: Int[Array, "N"]) -> Int[Array, "N"]:
 
 def _counted(key: Int[Array, "N"], order: Int[Array, "N"]) -> Int[Array, "N"]:
     """Return the order of keys by counting: a tenth of the time that XLA takes to sort."""
-    N, total = key.shape[0], CELLS**3
+    N, total = key.shape[0], CELLS**3 + 1
     put = lambda x, k, value: jax.lax.dynamic_update_slice(x, value[None], (k,))
     one_more = lambda number, k: put(number, k, number[k] + 1)
     number = jnp.zeros(total, jnp.int32)
@@ -65,8 +67,9 @@ def _counted(key: Int[Array, "N"], order: Int[Array, "N"]) -> Int[Array, "N"]:
         start += number[k]
         return start, put(number, k, start)
 
-    def place(i, state):
+    def place(k, state):
         end, order = state
+        i = N - 1 - k  # of equal keys the last is the last
         end = put(end, key[i], end[key[i]] - 1)  # (read after it is written to: else it is copied)
         return end, put(order, end[key[i]], jnp.int32(i))
 

@@ -6,16 +6,19 @@ rays meet what drawing it meets.
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Num
+from jaxtyping import Array, Bool, Float, Int, Num
 
 from .._numerics.batches import in_turn
 from .bvh import Tree
 from .components import Parts, parts
-from .order import order_of
+from .order import FEW, near_order
+from .together import RAYS
 from .walk import walk
 
-TILE = 4  # rays of an image that are near one another: TILE x TILE
-RAYS = TILE * TILE  # in a packet
+TILE = 4  # rays of an image that are near one another: TILE x TILE = RAYS
+APART = (
+    0.25  # how far a packet's rays may be apart, in directions, and origins over the scene's size
+)
 
 Vectors = Float[Array, "N 3"]
 
@@ -30,7 +33,10 @@ def first_met(tree: Tree, origin: Vectors, direction: Vectors) -> Int[Array, "N"
     if direction.shape[0] == 0:
         return jnp.zeros(0, jnp.int32)
     axis = axes_of(parts(direction))
-    return walk(tree, origin, direction, axis, order_of(tree, origin, direction))
+    if direction.shape[0] < FEW:
+        return walk(tree, origin, direction, axis, jnp.arange(direction.shape[0], dtype=jnp.int32))
+    order = near_order(tree, origin, direction, stay_together(parts(origin), parts(direction)))
+    return walk(tree, origin, direction, axis, order, together=True)
 
 
 @first_met.def_vmap
@@ -57,6 +63,19 @@ def axes_of(direction: Parts) -> Int[Array, "N"]:
     of_ray = _largest_of(*(jnp.abs(x) for x in by_packet))
     axis = jnp.where(common[:, None], _largest_of(*least)[:, None], of_ray)
     return axis.reshape(-1)[:N]
+
+
+def stay_together(origin: Parts, direction: Parts) -> Bool[Array, "N"]:
+    """Return which rays are of packets that start near one another, and go the same way.
+
+    The last packet is none if rays do not fill it.
+    """
+    N = origin[0].shape[0]
+    near = jnp.arange(-(-N // RAYS)) < N // RAYS
+    for x in (*origin, *direction):
+        by_packet = _filled_up(x)
+        near &= jnp.max(by_packet, axis=1) - jnp.min(by_packet, axis=1) < APART
+    return jnp.repeat(near, RAYS)[:N]
 
 
 def _largest_of(x: Array, y: Array, z: Array) -> Array:
