@@ -25,7 +25,8 @@ class Beam(NamedTuple):
     """Bounds of the rays of a packet, or of many; by axes, as in `Ray`.
 
     - `near`, `far`: which planes of a box they all pass first and last.
-    - `least`, `most`: bounds of their `scale`.
+    - `least`, `most`: bounds of their `scale`. Of one ray they are two equal arrays: the loop over
+      boxes is then long enough for LLVM to make vectors of it; a shorter one it unrolls instead.
     - `first`, `last`: the bounds of their origins from which near planes are the least way off, and
       far ones the longest.
     - `slack`: by which a plane may be passed sooner or later than that.
@@ -58,12 +59,18 @@ def beams(rays: Ray) -> Beam:
         most.append(b)
         first.append(jnp.where(a < 0, low(o), high(o)))
         last.append(jnp.where(a < 0, high(o), low(o)))
-        slack.append(high(packets.end[k] - packets.start[k]))
-    finite = sum(x * 0 for x in (*packets.start, *packets.line)) == 0
-    whole &= jnp.all(finite, axis=1)
+        slack.append(high(packets.slack[k]))
+    whole &= jnp.all(packets.real, axis=1)
     whole = jnp.pad(whole, (0, int(N % RAYS > 0)))
     row = lambda parts: [x[:, 0] for x in parts]
     return Beam(row(packets.near), row(packets.far), least, most, first, last, slack, whole)
+
+
+def beam_of(ray: Ray) -> Beam:
+    """Return the bounds of a single ray."""
+    x, y, z = ray.line[:3]
+    origin = [x, y, z * ray.scale[2]]
+    return Beam(ray.near, ray.far, ray.scale, ray.again, origin, origin, ray.slack, ray.real)
 
 
 def first_met_of_packet(tree: Tree, rays: Ray, beam: Beam) -> tuple[Int[Array, "rays"], Array]:
@@ -74,7 +81,7 @@ def first_met_of_packet(tree: Tree, rays: Ray, beam: Beam) -> tuple[Int[Array, "
     met = jnp.full(RAYS, -1, jnp.int32)
     end = search(
         tree,
-        partial(_children, tree, beam),
+        partial(children, tree, beam),
         partial(_met_in_leaf, tree, rays),
         best,
         met,
@@ -84,8 +91,8 @@ def first_met_of_packet(tree: Tree, rays: Ray, beam: Beam) -> tuple[Int[Array, "
     return end.met, beam.whole & (end.left >= 0)
 
 
-def _children(tree: Tree, beam: Beam, node: Int[Array, ""], far: Array) -> Int[Array, "children"]:
-    """Return a node's children that some ray of a packet may meet before what all met already."""
+def children(tree: Tree, beam: Beam, node: Int[Array, ""], far: Array) -> Int[Array, "children"]:
+    """Return a node's children that some ray may meet before what all met already."""
 
     def passes(k, rows, origin):
         way = planes_of(tree, node, rows[k]) - origin[k]

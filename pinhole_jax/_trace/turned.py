@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Int
+from jaxtyping import Array, Bool, Int
 
 from .bvh import permuted
 from .components import Parts, largest
@@ -14,18 +14,21 @@ class Ray(NamedTuple):
 
     - `axes`: which axes are its three.
     - `near`, `far`: which planes of a box it passes first and last, of those across each axis.
-    - `scale`, `start`, `end`: planes, scaled and shifted, are the depths where the ray passes them:
-      the near ones no sooner than by `start`, the far ones no later than by `end`.
+    - `scale`: how deep it goes while it passes a unit of length across each axis.
+    - `again`: the same, as an array of its own (see `Beam.most`).
+    - `slack`: how much sooner or later a plane may be passed than is worked out.
     - `line`: origin and slopes, as primitives' tests take them.
+    - `real`: whether all this is finite.
     """
 
     axes: Parts
     near: Parts
     far: Parts
     scale: Parts
-    start: Parts
-    end: Parts
+    again: Parts
+    slack: Parts
     line: Parts
+    real: Bool[Array, "*rays"]
 
 
 def turned(origin: Parts, direction: Parts, axis: Int[Array, "N"]) -> Ray:
@@ -43,13 +46,12 @@ def turned(origin: Parts, direction: Parts, axis: Int[Array, "N"]) -> Ray:
     upper = [jnp.where(slope < 0, 3, 0).astype(jnp.int32) for slope in slopes]
     near = [k + up for k, up in zip(axes, upper, strict=True)]
     far = [k + 3 - up for k, up in zip(axes, upper, strict=True)]
-    scale, start, end = [], [], []
-    for slope, x in zip(slopes, o, strict=True):
+    scale, slack = [], []
+    for slope in slopes:
         size = jnp.maximum(jnp.abs(slope), eps)  # flatter ones go aside by less than the slack
-        inverse = jnp.where(slope < 0, -1 / size, 1 / size)
-        slack = 16 * eps * reach * (1 + size) / size
-        scale.append(inverse)
-        start.append(-x * inverse - slack)
-        end.append(-x * inverse + slack)
+        scale.append(jnp.where(slope < 0, -1 / size, 1 / size))
+        slack.append(16 * eps * reach * (1 + size) / size)
     line = [o[0], o[1], o[2] * sign, slopes[0], slopes[1]]
-    return Ray(axes, near, far, scale, start, end, line)
+    deep = [x * y for x, y in zip(o, scale, strict=True)]
+    real = jnp.equal(sum(x * 0 for x in (*deep, *slack, *line)), 0)
+    return Ray(axes, near, far, scale, list(scale), slack, line, real)

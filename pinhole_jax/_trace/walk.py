@@ -15,8 +15,8 @@ from jaxtyping import Array, Float, Int
 from .._numerics.one_kernel import one_kernel
 from .bvh import Tree
 from .components import parts
-from .search import depths_of, numbers_of, planes_of, search
-from .together import ALONE, RAYS, Beam, beams, first_met_of_packet
+from .search import depths_of, search
+from .together import ALONE, RAYS, Beam, beam_of, beams, children, first_met_of_packet
 from .turned import Ray, turned
 
 Vectors = Float[Array, "N 3"]
@@ -111,21 +111,9 @@ def _side_by_side(
 
 def _first_met(tree: Tree, ray: Ray) -> Int[Array, ""]:
     """Return the index of the primitive that a ray meets first, -1 for none."""
-    finite = jnp.equal(sum(x * 0 for x in (*ray.start, *ray.line)), 0)
     best, met = jnp.array(jnp.inf, ray.line[0].dtype), jnp.int32(-1)
-    look, test = partial(_children, tree, ray), partial(_met_in_leaf, tree, ray)
-    return search(tree, look, test, best, met, finite).met
-
-
-def _children(tree: Tree, ray: Ray, node: Int[Array, ""], best: Array) -> Int[Array, "children"]:
-    """Return a node's children that a ray may meet before what it met already."""
-
-    def passes(k, row, shift):
-        return planes_of(tree, node, row[k]) * ray.scale[k] + shift[k]
-
-    enter = [passes(k, ray.near, ray.start) for k in range(3)]
-    leave = [passes(k, ray.far, ray.end) for k in range(3)]
-    return numbers_of(tree, enter, leave, best)
+    look, test = partial(children, tree, beam_of(ray)), partial(_met_in_leaf, tree, ray)
+    return search(tree, look, test, best, met, ray.real).met
 
 
 def _met_in_leaf(tree: Tree, ray: Ray, leaf: Int[Array, ""], best: Array, met: Array):
