@@ -1,9 +1,10 @@
-"""Which primitive each ray meets first: down the tree, ray after ray.
+"""Which primitive each ray meets first: down the tree, packet after packet or ray after ray.
 
 What a ray does next depends on what it met: vectors of many rays wait for the slowest, or look at
 all that each may meet. A compiled loop over rays does neither, and XLA's CPU compiler makes one of
-a call that it is told to make a single kernel of. In it a vector is the eight boxes of a node, or
-the primitives of a leaf. On other machines rays go side by side (`_side_by_side`).
+a call that it is told to make a single kernel of. In it a vector is the eight boxes of a node, the
+primitives of a leaf or, of rays that stay together, the rays of a packet. On other
+machines rays go side by side (`_side_by_side`).
 """
 
 from functools import partial
