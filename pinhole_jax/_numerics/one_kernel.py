@@ -77,7 +77,8 @@ def at_once(
 
     @call.defjvp
     def _(primals, tangents):
-        found, back = table(*primals, True), shaped(*primals)
+        x, held = primals
+        found, back = table(x, held, True), shaped(x, held)
         return back(found[:, 0]), back(found[:, 1:] @ ravel_pytree(tangents[0])[0])
 
     return lambda x, *held: call(x, jax.lax.stop_gradient(held))
