@@ -156,7 +156,9 @@ def test_no_fault_passes():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["e", "p", "u", "phi"])
+@pytest.mark.parametrize(
+    "name", ["e", "phi", *(pytest.param(name, marks=pytest.mark.full) for name in "pu")]
+)
 def test_a_flipped_sign_is_caught_and_named(name):
     """Of one coordinate, or of phi; no other row is accused."""
     vector = name != "phi"

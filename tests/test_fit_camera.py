@@ -365,7 +365,7 @@ def test_the_cow_of_pytorch3d(shared):
 @pytest.mark.usefixtures("optimised")
 @pytest.mark.long
 @pytest.mark.parametrize("photo", [full("200"), "201"])
-def test_the_shampoo_bottle_in_a_photo(shared, photo):
+def test_the_shampoo_bottle_in_a_photo(shared, photo, exhaustive):
     folder = shared / "photos" / "m3t_shampoo"
     given = json.loads((folder / "camera.json").read_text())
     bottle = given["objects"]["shampoo"]
@@ -376,7 +376,7 @@ def test_the_shampoo_bottle_in_a_photo(shared, photo):
     mask = io.load_mask(folder / bottle["mask"][photo])
     centre = scene.mesh.vertices.mean(axis=0)
     random = np.random.default_rng(0)
-    for distance in (1.05, 0.95):
+    for distance in (1.05, 0.95) if exhaustive else (1.05,):
         fit = pj.fit_camera(scene, mask, about(truth, centre, random.normal(size=3), distance, 1.0))
         assert fit.status == "ambiguous"  # it is nearly the same from the other side
         assert [np.rad2deg(pj.pose_error(m.camera, truth)[0]) > 175 for m in fit.modes] == [True]

@@ -12,6 +12,7 @@ import pytest
 import trimesh
 from chosen import first
 from oracles import mesh_coverage, mesh_polygons, sphere_polygons, union_per_pixel
+from slopes import both_ways
 
 import pinhole_jax as pj
 from pinhole_jax._scene.scene import with_vertices
@@ -334,16 +335,11 @@ def image_of(mixed, x, stops):
 
 
 @jax.jit
-def pushed(mixed, directions, stops=None):
-    """Return the image, and its derivative along directions of all leaves: one program for all."""
-    return jax.jvp(lambda *x: image_of(mixed, x, stops), leaves(mixed), directions)
-
-
-@jax.jit
-def pulled(mixed, weight, stops=None):
-    """Return the derivatives of the image's weighted sum by all leaves."""
-    loss = lambda x: jnp.sum(weight * image_of(mixed, x, stops))
-    return jax.grad(loss)(leaves(mixed))
+def pushed_and_pulled(mixed, directions, weight, stops=None):
+    """Return the image, its derivative along directions of all leaves, and those of its weighted
+    sum by all leaves: one program for all."""
+    image = lambda x: image_of(mixed, x, stops)
+    return both_ways(image, leaves(mixed), directions, weight)
 
 
 def dot(gradient, directions) -> float:
@@ -365,10 +361,9 @@ def test_derivatives_of_a_union_equal_central_differences_of_the_oracle(mixed):
         polygons += sphere_polygons(camera, scene.spheres.centers, scene.spheres.radii, 100_000)
         return union_per_pixel(polygons, camera.W, camera.H)
 
-    gradient = pulled(mixed, weight)
     for k, direction in enumerate(directions):
         way = tuple(direction if n == k else jnp.zeros_like(x) for n, x in enumerate(start))
-        _, column = pushed(mixed, way)
+        _, column, gradient = pushed_and_pulled(mixed, way, weight)
         slope = dot(gradient, way)
         np.testing.assert_allclose(slope, np.sum(weight * column), rtol=1e-10, atol=1e-10)
         expected = (oracle(way, 1e-5) - oracle(way, -1e-5)) / 2e-5
@@ -420,15 +415,13 @@ def test_spheres_and_their_derivative_err_by_the_tolerance(mixed):
     """... of what a pixel's width of motion changes, where arcs and edges are swept by lines."""
     step = jnp.array([0.1, 0.05, 0])  # the picture slides by a pixel, roughly
     slide = step, step, *map(jnp.zeros_like, leaves(mixed)[2:])
-    exact, slope = pushed(mixed, slide)
-    stops, image, near = _stops(1 / 8), exact, slope
+    weight = jnp.asarray(np.random.default_rng(1).normal(size=(mixed[0].H, mixed[0].W)))
+    exact, slope, _ = pushed_and_pulled(mixed, slide, weight)
     for tolerance in (1 / 8, 1 / 32):
-        stops = _stops(tolerance)
-        image, near = pushed(mixed, slide, stops)
+        image, near, pulled = pushed_and_pulled(mixed, slide, weight, _stops(tolerance))
         assert 0 < np.max(np.abs(image - exact)) <= tolerance
         assert 0 < np.max(np.abs(near - slope)) <= 4 * tolerance
-    of_squares = dot(pulled(mixed, 2 * image, stops), slide)
-    np.testing.assert_allclose(of_squares, jnp.sum(2 * image * near), rtol=1e-9)
+        np.testing.assert_allclose(dot(pulled, slide), jnp.sum(weight * near), rtol=1e-9)
 
 
 @pytest.mark.parametrize("tolerance", [-0.1, 1.0, np.nan, np.inf])

@@ -16,7 +16,7 @@ from pinhole_jax._mask.pyramid import cells_of, pyramid
 from pinhole_jax._numerics.bitset import in_order
 from pinhole_jax._numerics.thin_qr import triangle
 from pinhole_jax._silhouette.sweep import _turned
-from pinhole_jax._solver import overlapping
+from pinhole_jax._solver import by_pixel, overlapping, runs
 from pinhole_jax._solver.moves import Move, canonical, moved, on_film
 from pinhole_jax._solver.overlapping import _by_number
 from pinhole_jax._solver.residuals import Capacity, residuals as _residuals, touch
@@ -255,3 +255,34 @@ def test_a_pyramid_is_not_copied():
     data = jax.device_put(pyramid(np.eye(32), np.ones((32, 32)), float)[0])
     at = [x.unsafe_buffer_pointer() for x in data[2:]]
     assert {*np.diff(at)} == {data.target.nbytes}  # side by side, as they were written
+
+
+def test_pieces_and_runs_in_turn_are_those_side_by_side():
+    """On a CPU one after the other, on other machines side by side."""
+    random, P, W, H = np.random.default_rng(5), 200, 12, 9
+    end, width = jnp.int32(H * (W + 2)), jnp.int32(W + 2)
+    cell = jnp.asarray(np.where(random.random(P) < 0.8, random.integers(0, H * (W + 2), P), end))
+    cell = cell.astype(jnp.int32)
+    sizes = [jnp.asarray(random.integers(-2, 3, P) / 4.0) for _ in range(4)]
+    counters = jnp.asarray(random.integers(0, 9, P), jnp.int32)
+    steps, order = by_pixel.Steps(cell, *sizes, counters), in_order(cell)
+    given = steps, order, jnp.array(2.0), width, end
+    for one, other in zip(*both_ways(by_pixel.by_pixel, given), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+    totals = by_pixel.by_pixel(*given)
+    some = lambda share: jnp.asarray(random.random(P) < share)
+    seen = runs.Seen(totals.cell, some(0.9), some(0.8), jnp.asarray(random.random(P)), some(0.5))
+    target, weight = random.random((2, H, W))
+    data, levels = pyramid(target, weight, np.float64, only_finest=True)
+    given = *jax.tree.map(jnp.asarray, (data, levels[-1])), seen, jnp.array(True)
+    for one, other in zip(*map(jax.tree.leaves, both_ways(runs.summed, given)), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-13)
+
+
+def both_ways(function, given):
+    """Return what a function makes of what it is given on a CPU, and elsewhere."""
+    on_cpu = function(*given)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jax.lax, "platform_dependent", lambda *given, cpu, default: default(*given))
+        return on_cpu, function(*given)

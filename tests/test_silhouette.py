@@ -1,5 +1,7 @@
 """Coverage against the union of all projected triangles and of spheres' outlines: shapely."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -153,10 +155,15 @@ def test_no_number_of_contour_edges_or_pieces_is_too_many(monkeypatch):
     scene = pj.Scene(mesh=pj.Mesh(mesh.vertices, mesh.faces))
     camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.1, 1, 0], 0.6, W=W, H=H + 1)
     simple = pj.silhouette(camera, scene, overlaps=False)
-    image = pj.silhouette(camera, scene)
+    weight = jnp.asarray(np.random.default_rng(0).normal(size=simple.shape))
+
+    @partial(eqx.filter_value_and_grad, has_aux=True)
+    def loss(camera):
+        image = pj.silhouette(camera, scene)
+        return jnp.sum(weight * image), image
+
+    (_, image), gradient = loss(camera)
     assert np.sum(np.abs(image - simple) > 1e-6) > 4
-    weight = jnp.asarray(np.random.default_rng(0).normal(size=image.shape))
-    gradient = eqx.filter_grad(lambda c: jnp.sum(weight * pj.silhouette(c, scene)))(camera)
     monkeypatch.setattr("pinhole_jax._silhouette.silhouette.CURVES_AT_A_TIME", 16)
     monkeypatch.setattr("pinhole_jax._silhouette.overlaps.PIECES", 8)
     # So many pieces are visible in overlapping pixels that these are resolved again.
@@ -167,8 +174,8 @@ def test_no_number_of_contour_edges_or_pieces_is_too_many(monkeypatch):
     monkeypatch.setattr("pinhole_jax._silhouette.boundary.BLOCK", 64)
     monkeypatch.setattr("pinhole_jax._silhouette.boundary.DIFFERENTIATED", 32)
     jax.clear_caches()
-    np.testing.assert_allclose(pj.silhouette(camera, scene), image, atol=1e-13)
-    again = eqx.filter_grad(lambda c: jnp.sum(weight * pj.silhouette(c, scene)))(camera)
+    (_, image_again), again = loss(camera)
+    np.testing.assert_allclose(image_again, image, atol=1e-13)
     for one, other in zip(jax.tree.leaves(gradient), jax.tree.leaves(again), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-11)
     jax.clear_caches()

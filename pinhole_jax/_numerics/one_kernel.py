@@ -1,10 +1,16 @@
-"""Loops that XLA's CPU compiler makes a single kernel of."""
+"""What XLA's CPU compiler makes a single kernel of: loops, and arithmetic of a few numbers."""
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jax.experimental.xla_metadata import set_xla_metadata
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+from jax.flatten_util import ravel_pytree
+from jax.interpreters.partial_eval import dce_jaxpr
+from jaxtyping import Array, Float, PyTree
 
 
 def one_kernel(function: Callable) -> Callable:
@@ -18,10 +24,61 @@ def one_kernel(function: Callable) -> Callable:
 
     @jax.custom_batching.sequential_vmap
     def call(*arguments: Any) -> Any:
-        # A table that is a constant would be moved into the loop: a parameter that nothing reads
-        # then ends the process (`ir_emitter.cc`, "All or none of the slices ...").
-        arguments = jax.lax.optimization_barrier(arguments)
-        result = jax.jit(function)(*arguments)
-        return set_xla_metadata(result, inlineable="false", xla_cpu_small_call="true")
+        program, leaves, back = _with_what_it_uses(function, arguments)
+        # (A constant among them would be moved into the loop, and not be used any more.)
+        leaves = jax.lax.optimization_barrier(leaves)
+        result = jax.jit(program)(*leaves)
+        return back(set_xla_metadata(result, inlineable="false", xla_cpu_small_call="true"))
 
     return call
+
+
+def _with_what_it_uses(function: Callable, arguments: tuple) -> tuple[Callable, list, Callable]:
+    """Return a function as one of those arrays among its arguments that it uses, these, and the way
+    back from what it returns: the compiler aborts where a kernel is given others."""
+    leaves, tree = jax.tree.flatten(arguments)
+    flat = lambda *leaves: function(*tree.unflatten(leaves))
+    traced, out = jax.make_jaxpr(flat, return_shape=True)(*leaves)
+    short, used = dce_jaxpr(traced.jaxpr, [True] * len(traced.jaxpr.outvars))
+    program = jaxpr_as_fun(ClosedJaxpr(short, traced.consts))
+    return program, list(itertools.compress(leaves, used)), jax.tree.structure(out).unflatten
+
+
+def at_once(
+    function: Callable[..., PyTree[Float[Array, "..."]]],
+) -> Callable[..., PyTree[Float[Array, "..."]]]:
+    """Return a function of a few numbers (a pytree of them), and of others that are held, to a few
+    numbers, that is one kernel on a CPU: with its derivative by the first argument, where that is
+    asked for.
+
+    Each small step of such arithmetic is a kernel else, and takes the compiler as long as one that
+    goes through thousands of numbers.
+    """
+
+    def table(x: PyTree, held: tuple, columns: bool) -> Float[Array, "m columns"]:
+        numbers, back = ravel_pytree(x)
+        flat = lambda numbers, held: ravel_pytree(function(back(numbers), *held))[0]
+
+        def both(numbers, held):
+            value = flat(numbers, held)[:, None]
+            if not columns:
+                return value
+            return jnp.concatenate([value, jax.jacfwd(flat)(numbers, held)], axis=1)
+
+        return jax.lax.platform_dependent(numbers, held, cpu=one_kernel(both), default=both)
+
+    def shaped(x: PyTree, held: tuple) -> Callable[[Array], PyTree]:
+        like = jax.eval_shape(function, x, *held)
+        return ravel_pytree(jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), like))[1]
+
+    @jax.custom_jvp
+    def call(x, held):
+        return shaped(x, held)(table(x, held, False)[:, 0])
+
+    @call.defjvp
+    def _(primals, tangents):
+        x, held = primals
+        found, back = table(x, held, True), shaped(x, held)
+        return back(found[:, 0]), back(found[:, 1:] @ ravel_pytree(tangents[0])[0])
+
+    return lambda x, *held: call(x, jax.lax.stop_gradient(held))

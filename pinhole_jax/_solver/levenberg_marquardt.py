@@ -13,13 +13,12 @@ import lineax as lx
 import numpy as np
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
-from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._mask.pyramid import Level
 from .._numerics.jitted import jitted
-from .._numerics.thin_qr import triangle_and_rhs
+from .._numerics.thin_qr import solved
 from .linearised import triangle_at
 from .problem import COSINE, UNIT_PX, Problem, View, move as move_of
 from .residuals import Capacity
@@ -154,8 +153,8 @@ class _ThinQR(lx.AbstractLinearSolver[Any]):
 
     def compute(self, state, vector, options):
         del options
-        R, rhs = triangle_and_rhs(state, ravel_pytree(vector)[0])
-        return solve_triangular(R, rhs), lx.RESULTS.successful, {}
+        right = ravel_pytree(vector)[0]
+        return solved(jnp.concatenate([state, right[:, None]], axis=1)), lx.RESULTS.successful, {}
 
     def transpose(self, state, options):
         raise NotImplementedError("ThinQR has no transpose")

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._mask.pyramid import Level
+from .._numerics.one_kernel import at_once
 from .._numerics.thin_qr import triangle
 from .moves import Move, moved, reported
 from .problem import Problem
@@ -26,11 +27,14 @@ def table_at(
     camera; sums, load, the reported parameters' derivatives, touched pixels, the derivatives
     (m, n), the squares of a prior and of what other views know."""
 
-    def at(y):
+    def step(y, move):
         camera = moved(move, y, freed)
+        return camera, reported(move.camera, camera, freed)
+
+    def at(y):
+        camera, values = at_once(step)(y, move)
         here = problem.scene, problem.pyramid, level, capacity
         (r, rest), sums, load, pixels = residuals(camera, *here)
-        values = reported(move.camera, camera, freed)
         known = problem.others.residuals(values)
         if problem.prior is not None:
             known = jnp.concatenate([known, problem.prior.residuals(camera, freed)])

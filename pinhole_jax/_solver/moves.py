@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from .._camera.axes import axes_of
 from .._camera.camera import Camera, camera_basis, focal_px, principal_point
 from .._camera.lens import Lens
-from .._numerics.safe import norm, safe_divide, safe_sqrt
+from .._numerics.safe import norm, safe_divide, safe_sqrt, times
 from .parameters import AXES, COMPONENTS, LABELS, PARAMETERS, TABLE, Scale, components, labels_of
 
 #: Where the corner of a film is, in film heights from the middle.
@@ -108,18 +108,18 @@ def _moved_rigidly(camera: Camera, pivot: Float[Array, "3"], step: dict[str, Arr
     of = lambda kind, names: jnp.stack([step.get(f"{kind}_{b}", zero) for b in names])
     view, up = camera.p - camera.e, camera.u
     if "spin_v" in step:
-        about_eye = rotation(of("spin", AXES) @ axes)
-        view, up = about_eye @ view, about_eye @ up
+        about_eye = rotation(times(of("spin", AXES), axes))
+        view, up = times(about_eye, view), times(about_eye, up)
 
     offset = camera.e - pivot
     if "log_distance" in step:
         # The pivot as the camera sees it slides sideways and comes nearer; the eye goes the other
         # way.
-        aside = norm(offset) * (of("shift", AXES[:2]) @ axes[:2])
+        aside = norm(offset) * times(of("shift", AXES[:2]), axes[:2])
         offset = (offset + aside) * jnp.exp(step["log_distance"])
     if "turn_v" in step:
-        about_pivot = rotation(of("turn", AXES) @ axes)
-        view, up, offset = about_pivot @ view, about_pivot @ up, about_pivot @ offset
+        about_pivot = rotation(times(of("turn", AXES), axes))
+        view, up, offset = (times(about_pivot, x) for x in (view, up, offset))
     e = pivot + offset if "log_distance" in step else camera.e
     return eqx.tree_at(lambda c: (c.e, c.p, c.u), camera, (e, e + view, up))
 
@@ -135,7 +135,7 @@ def reported(camera: Camera, moved: Camera, free: tuple[str, ...]) -> Float[Arra
     if "rotation_v" in labels:
         before, after = jnp.stack(camera_basis(camera)), jnp.stack(camera_basis(moved))
         cross = jnp.sum(jnp.cross(before, after), axis=0) / 2  # rotation vector, to first order
-        small = dict(zip((f"rotation_{b}" for b in AXES), before @ cross, strict=True))
+        small = dict(zip((f"rotation_{b}" for b in AXES), times(before, cross), strict=True))
 
     def value(label: str) -> Any:
         of = LABELS[label].value
@@ -187,7 +187,7 @@ def rotation(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
     a = jnp.where(small, series_a, safe_divide(jnp.sin(angle), angle))
     half = safe_divide(jnp.sin(angle / 2), angle)
     b = jnp.where(small, series_b, 2 * half * half)
-    return jnp.eye(3, dtype=vector.dtype) + a * skew + b * (skew @ skew)
+    return jnp.eye(3, dtype=vector.dtype) + a * skew + b * times(skew, skew)
 
 
 def canonical(camera: Camera) -> Camera:

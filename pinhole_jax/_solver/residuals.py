@@ -20,8 +20,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.camera import Camera, film_map, lens_holds
 from .._camera.film import FilmMap, FilmPart
-from .._mask.pyramid import Level, Pyramid, cells_of
+from .._mask.pyramid import Level, Pyramid
 from .._numerics.bitset import in_order
+from .._numerics.one_kernel import at_once
 from .._numerics.running import running_sum
 from .._scene.scene import Scene
 from .._silhouette.coverage import Pieces, monotone, piece_counts, split
@@ -30,11 +31,11 @@ from .._silhouette.curves import Curves, Segments, piece_flux, placed
 from .._silhouette.marks import Marks, marks, overlaps, winding_jumps
 from .._silhouette.surrounding import surrounding
 from .._silhouette.sweep import ARC, Visible, sweepable
+from .by_pixel import Steps, by_pixel
 from .overlapping import Overlapping, Part, most_pieces, resolved, whole
+from .runs import Seen, summed
 
 MAX_ROWS = 1 << 14
-#: A pixel that is covered, or uncovered, but for less than this shows no outline.
-HIDDEN = 1e-4
 
 
 class Capacity(NamedTuple):
@@ -118,52 +119,24 @@ def residuals(
     what is looked at, all is NaN, so that a solver does not step there.
     """
     touched, load = touch(camera, scene, level, capacity)
-    end = level.H * (level.W + 2)
-    here = cells_of(pyramid, level, touched.cell)
-    weight = jnp.where(touched.inside & touched.known, here.weight, 0)
-    difference = jnp.sqrt(weight) * (touched.coverage - here.target)
-
-    # Runs of untouched pixels: after each slot up to the row's end, then up to the next slot.
-    begin = jnp.minimum(jnp.append(jnp.int32(-1), touched.cell) + 1, end)
-    until = jnp.append(touched.cell, end)
-    row_end = jnp.minimum(_row_start(level, begin + level.W + 1), until)
-    limits = cells_of(pyramid, level, jnp.stack([begin, row_end, until]))
-    run = jax.tree.map(lambda x: x[1:] - x[:-1], limits)
-    before = jnp.broadcast_to(touched.covered_before, until.shape)
-    covered = jnp.stack([jnp.append(before[:1], touched.covered_after), before])
-    rest = jnp.sum(jnp.where(covered, run.full, run.empty))
-
-    coverage = jax.lax.stop_gradient(touched.coverage)
-    covered_weight = jnp.sum(jnp.where(covered, run.weights, 0)) + jnp.sum(weight * coverage)
-    overlap = jnp.sum(jnp.where(covered, run.masses, 0)) + jnp.sum(
-        weight * jnp.minimum(coverage, here.target)
-    )
-    ends = cells_of(pyramid, level, jnp.stack([jnp.zeros_like(end), end]))
-    out = jnp.where(touched.inside & ~touched.known, here.weight, 0)
-    mass = ends.masses[1] - ends.masses[0] - jnp.sum(out * here.target)
-    total = ends.weights[1] - ends.weights[0] - jnp.sum(out)
-    held = jax.lax.stop_gradient(difference)
-    outline = (weight > 0) & (coverage > HIDDEN) & (coverage < 1 - HIDDEN)
+    seen = Seen(*jax.lax.stop_gradient(touched[:5]))
+    target, weight, parts = summed(pyramid, level, seen, touched.covered_before)
+    difference = jnp.sqrt(weight) * (touched.coverage - target)
     sums = Sums(
-        squares=jnp.sum(held * held) + rest,
-        overlap=overlap,
-        union=covered_weight + mass - overlap,
-        weight=total,
-        touched=jnp.sum(jnp.where(outline, 1, 0)).astype(total.dtype),
-        touched_squares=jnp.sum(jnp.where(outline, held * held, 0)),
-        off=jnp.sum(outline & (jnp.abs(held) > level.explained)).astype(total.dtype),
+        squares=parts.squares + parts.rest,
+        overlap=parts.overlap,
+        union=parts.covered + parts.mass - parts.overlap,
+        weight=parts.weight,
+        touched=parts.touched,
+        touched_squares=parts.touched_squares,
+        off=parts.off,
     )
     ok = load.fits(capacity) & lens_holds(camera, _part(level))
-    ok = jnp.where(ok, 1, jnp.nan).astype(total.dtype)
+    ok = jnp.where(ok, 1, jnp.nan).astype(difference.dtype)
     sums = sums._replace(squares=sums.squares * ok)
     sides = touched.covered_after, touched.covered_before
-    pixels = Pixels(level, touched.cell, coverage, weight, *sides)
-    return (difference * ok, jnp.sqrt(jnp.maximum(rest, 0)) * ok), sums, load, pixels
-
-
-def _row_start(level: Level, cell: Int[Array, "P"]) -> Int[Array, "P"]:
-    """Return the first cell of the row that a cell is in."""
-    return cell - cell % (level.W + 2)
+    pixels = Pixels(level, touched.cell, seen.coverage, weight, *sides)
+    return (difference * ok, jnp.sqrt(jnp.maximum(parts.rest, 0)) * ok), sums, load, pixels
 
 
 def _part(level: Level) -> FilmPart:
@@ -188,7 +161,8 @@ class _Pieces(NamedTuple):
 
 def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
     """Return the touched pixels of a level, and what they take of the capacities."""
-    film = film_map(camera).looking_at(_part(level))
+    part = _part(level)
+    film = at_once(lambda camera, part: film_map(camera).looking_at(part))(camera, part)
     end, totals, found, of_curves, parts = level.H * (level.W + 2), {}, [], [], []
     for kind, curves, homogeneous, count, size in _curves(film, scene, capacity):
         curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))
@@ -275,40 +249,13 @@ def _by_pixel(
     """Return what the pieces add up to in each pixel; `of_curves` are those of each part's curves,
     with which of these each piece is of, and `convex` says that none overlap."""
     P = pieces.cell.shape[0]
-    end = level.H * (level.W + 2)
-    index = jnp.arange(P, dtype=jnp.int32)
-    order = in_order(pieces.cell)
-    swept = pieces.swept
-    cell, height, area, turn, counters, jump = (
-        x[order]
-        for x in (pieces.cell, pieces.height, pieces.area, pieces.turn, pieces.counters, swept[5])
-    )
-    changes = lambda x: jnp.append(True, x[1:] != x[:-1])
-    number_of = lambda which: running_sum(which.astype(jnp.int32)) - 1
-
-    def gather(slot, x):
-        return jnp.zeros((P, *x.shape[1:]), x.dtype).at[slot].add(x)
-
-    new, new_row = changes(cell), changes(_row_start(level, cell))
-    slot, row = number_of(new), number_of(new_row)
-
-    # Curves right of the film are left out: each row is summed up by itself.
-    def within_row(steps):
-        """Return the winding number before and after each piece's step."""
-        running = running_sum(steps)
-        upto = gather(row, jnp.where(new_row, running - steps, 0))[row]
-        after = running - upto + base.astype(steps.dtype)
-        return jnp.where(new, after - steps, 0), after
-
-    (before, after), (corner, _) = within_row(height), within_row(turn)
-    beyond = jnp.where(jnp.append(new[1:], True), after, 0)
-    winding, layers = gather(slot, before + area), gather(slot, jnp.abs(jump))
-    winding_after, corner = gather(slot, beyond), gather(slot, corner)
-    marked = Marks(layers, gather(slot, counters))
-    first = jnp.full(P + 1, P, jnp.int32).at[slot].min(index)
-    first, number = first[:-1], first[1:] - first[:-1]
-    cells = jnp.where(number > 0, cell[jnp.minimum(first, P - 1)], end)
-    column = cells % (level.W + 2)
+    end, width = level.H * (level.W + 2), level.W + 2
+    order, swept = in_order(pieces.cell), pieces.swept
+    jump, real = swept[5], pieces.height.dtype
+    steps = Steps(pieces.cell, pieces.height, pieces.area, pieces.turn, jump, pieces.counters)
+    totals = by_pixel(steps, order, base.astype(real), width, end)
+    cells, winding, layers = totals.cell, totals.winding, totals.layers
+    marked, column = Marks(layers, totals.counters), cells % width
     inside = (cells < end) & (column > 0) & (column <= level.W)
     # A contour along the pixel's side: the mean does not tell which of its layers that bounds.
     tie = 64 * jnp.finfo(winding.dtype).eps
@@ -316,11 +263,11 @@ def _by_pixel(
     shared &= inside & level.resolved
     shared &= not convex
     straight = all(part.visible.shape[-1] != ARC for part in parts)
-    chosen = shared & (number <= most_pieces(P, straight))
-    origin = jnp.stack([column - 1, cells // (level.W + 2)], axis=-1).astype(height.dtype)
+    chosen = shared & (totals.number <= most_pieces(P, straight))
+    origin = jnp.stack([column - 1, cells // width], axis=-1).astype(real)
     areas, visible = winding, [part.visible for part in parts]
     if not convex:
-        overlapping = Overlapping(chosen, first, number, origin, corner)
+        overlapping = Overlapping(chosen, totals.first, totals.number, origin, totals.corner)
         areas, visible = resolved(overlapping, swept, order, parts)
     flux = [
         Visible(jnp.zeros(len(seen), jnp.int32), seen).flux(part.homogeneous)
@@ -330,8 +277,9 @@ def _by_pixel(
         [_moved(*own, rate) for own, rate in zip(of_curves, flux, strict=True)]
     )
     moves = inside & (chosen | (winding < 1))
-    growth = jnp.where(moves, gather(slot, change[order]), 0)
+    growth = jnp.zeros(P, real).at[totals.slot].add(change, mode="drop")
+    growth = jnp.where(moves, growth, 0)
     share = jnp.where(chosen, areas, jnp.clip(winding, 0, 1))
     coverage = share + growth - jax.lax.stop_gradient(growth)
     known = ~shared | chosen
-    return Touched(cells, inside, known, coverage, winding_after > 0.5, base > 0)
+    return Touched(cells, inside, known, coverage, totals.after > 0.5, base > 0)

@@ -9,7 +9,8 @@ from .._mask.edges import Weights, crossings, weights_at
 from .._mask.pyramid import Level
 from .._mask.target import Window, as_coverage, inside_of
 from .problem import View
-from .residuals import HIDDEN, Pixels
+from .residuals import Pixels
+from .runs import HIDDEN
 
 #: About this many stretches. (On 90 masks that err over 2 to 30 px, of three shapes, 95 % intervals
 #: held 94 % of the truths with 48 or 60 stretches, 91 % with 80 or 100.)

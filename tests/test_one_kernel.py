@@ -1,0 +1,50 @@
+"""Programs of which XLA's CPU compiler makes a single kernel; what it cannot ends the process."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinhole_jax._numerics.one_kernel import at_once, one_kernel
+
+
+def running(x, steps, unused):
+    del unused
+    put = lambda k, x: jax.lax.dynamic_update_slice(x, (x[k - 1] + steps[k])[None], (k,))
+    return jax.lax.fori_loop(1, len(x), put, x), jnp.array(3.0)
+
+
+def test_a_loop_is_one_kernel_and_may_be_given_constants_and_what_it_does_not_use():
+    steps, unused = jnp.arange(5.0), jnp.ones((7, 3))
+    kernel = lambda x: one_kernel(running)(x, steps, unused)  # (`steps` is a constant)
+    program = jax.jit(kernel).lower(jnp.ones(5)).compile().as_text()
+    assert program is not None
+    assert " while(" not in program[program.index("\nENTRY") :]
+    expected = np.array([1, 2, 4, 7, 11.0])
+    np.testing.assert_array_equal(jax.jit(kernel)(jnp.ones(5))[0], expected)
+    several = jnp.outer(jnp.arange(3.0), jnp.ones(5))
+    found, three = jax.jit(jax.vmap(kernel))(several)
+    np.testing.assert_array_equal(found, np.arange(3.0)[:, None] + expected - 1)
+    assert three.tolist() == [3] * 3
+
+
+def polar(x, unit):
+    length = jnp.sqrt(jnp.sum(x["at"] ** 2))
+    return {"length": length * unit, "angle": jnp.arctan2(x["at"][1], x["at"][0]) + x["turn"]}
+
+
+@pytest.mark.parametrize("transform", [jax.jacfwd, jax.jacrev, lambda f: jax.vmap(jax.jacfwd(f))])
+def test_a_derivative_comes_with_the_value(transform):
+    x = {"at": jnp.array([3.0, 4.0]), "turn": jnp.array(0.5)}
+    if transform not in (jax.jacfwd, jax.jacrev):
+        x = jax.tree.map(lambda x: jnp.stack([x, 2 * x]), x)
+    at = lambda function: jax.jit(transform(lambda x: function(x, jnp.array(2.0))))(x)
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12), at(at_once(polar)), at(polar)
+    )
+
+
+def test_what_is_held_is_not_differentiated():
+    x = {"at": jnp.array([3.0, 4.0]), "turn": jnp.array(0.5)}
+    by_unit = jax.grad(lambda unit: at_once(polar)(x, unit)["length"])(jnp.array(2.0))
+    assert by_unit == 0
