@@ -15,6 +15,8 @@ FREE = {
     "tuple",
     "while",
 }
+#: What a call says of which the compiler makes a single kernel, with all that is in it.
+ONE = 'xla_cpu_small_call="true"'
 
 
 class Kernels(NamedTuple):
@@ -37,17 +39,12 @@ def kernels(text: str) -> Kernels:
         for line in bodies[name]:
             operation = _operation(line)
             loops += operation == "while"
-            if operation in FREE and not is_one_kernel(line):
+            if operation in FREE and ONE not in line:
                 todo += [n for n in _called(line) if n in bodies]
                 continue
             number += 1
             distinct.add(_canonical(line, bodies))
     return Kernels(number, len(distinct), loops)
-
-
-def is_one_kernel(line: str) -> bool:
-    """Whether an instruction calls what the compiler makes a single kernel of."""
-    return 'xla_cpu_small_call="true"' in line
 
 
 def _computations(text: str) -> tuple[dict[str, list[str]], str]:
@@ -61,7 +58,9 @@ def _computations(text: str) -> tuple[dict[str, list[str]], str]:
             bodies[name] = []
             entry = name if head.group(1) else entry
         elif " = " in line and name:
-            bodies[name].append(re.sub(r", (metadata|backend_config)=\{.*", "", line.strip()))
+            marks = ONE if ONE in line else ""
+            cut = re.sub(r", (metadata|backend_config|frontend_attributes)=\{.*", "", line.strip())
+            bodies[name].append(cut + marks)
     return bodies, entry
 
 

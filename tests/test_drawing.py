@@ -1,4 +1,4 @@
-"""A large film, drawn band by band, is what it is drawn at once."""
+"""A film drawn piece by piece, at once and in bands, is what it is drawn of vectors of pieces."""
 
 import equinox as eqx
 import jax
@@ -9,9 +9,10 @@ import pytest
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._camera.camera import film_map
-from pinhole_jax._silhouette import drawing
+from pinhole_jax._silhouette import drawing, piece_by_piece
+from pinhole_jax._silhouette.asked import Asked
 from pinhole_jax._silhouette.curve_sets import find
-from pinhole_jax._silhouette.drawing import Asked, drawn
+from pinhole_jax._silhouette.drawing import drawn, drawn_in_vectors
 from pinhole_jax._silhouette.silhouette import _Moving, _parts, _Still
 from pinhole_jax._silhouette.surrounding import rows_seen, surrounding
 
@@ -43,66 +44,90 @@ def crumpled(open_mesh: bool) -> pj.Mesh:
 
 @pytest.fixture
 def banded(monkeypatch):
-    """Every film is large, and few pieces can be listed."""
-
-    def at_most(listed: int) -> None:
-        monkeypatch.setattr(drawing, "LARGE", 0)
-        monkeypatch.setattr(drawing, "BAND", 1024)
-        monkeypatch.setattr(drawing, "BLOCK", 32)
-        monkeypatch.setattr(drawing, "LISTED", listed)
-        jax.clear_caches()
-
-    yield at_most
+    """Bands have few words, and few curves can be listed; every film is large."""
+    monkeypatch.setattr(drawing, "LARGE", 0)
+    monkeypatch.setattr(piece_by_piece, "BAND", 32)
+    monkeypatch.setattr(piece_by_piece, "LISTED", 600)
+    jax.clear_caches()
+    yield
     jax.clear_caches()
 
 
-def both(camera, scene):
-    """Return the film at once and in bands."""
+def asked_of(film, scene):
+    """Return what is asked of a film."""
+    vertices = None if scene.mesh is None else scene.mesh.vertices
+    still = _Still(find(film, scene), surrounding(film, scene), None, None, (), None)
+    parts = _parts(_Moving(film, vertices, scene.spheres), still)
+    return Asked(film, parts, still.base, True, True, 1.5)
+
+
+def each_way(camera, scene):
+    """Return the film of vectors, and piece by piece: all rows, and those where the scene is."""
     film = film_map(camera)
-    rows = rows_seen(film, scene)
-    still = _Still(find(film, scene), surrounding(film, scene), rows, None, (), None)
-    parts = _parts(_Moving(film, scene.mesh.vertices, scene.spheres), still)
-    asked = Asked(film, parts, still.base, True, True, 1.5)
-    return drawn(asked, None), drawn(asked, rows)
+    asked = asked_of(film, scene)
+    return drawn_in_vectors(asked), drawn(asked, None), drawn(asked, rows_seen(film, scene))
 
 
-def same(whole, bands):
-    np.testing.assert_allclose(bands.image, whole.image, atol=1e-12)
-    for name in ("overlapping", "layers"):
-        np.testing.assert_array_equal(getattr(bands, name), getattr(whole, name))
-    crossed = (whole.image > 0) & (whole.image < 1)
-    np.testing.assert_array_equal(bands.alone[crossed], whole.alone[crossed])
+def same(vectors, *others, atol=1e-13):
+    """Which pixels hold what is the same to the last bit: the pieces are the same ones."""
+    for pieces in others:
+        np.testing.assert_allclose(pieces.image, vectors.image, atol=atol)
+        for name in ("overlapping", "layers"):
+            np.testing.assert_array_equal(getattr(pieces, name), getattr(vectors, name))
+        crossed = (vectors.image > 0) & (vectors.image < 1)
+        np.testing.assert_array_equal(pieces.alone[crossed], vectors.alone[crossed])
+        np.testing.assert_allclose(pieces.winding, vectors.winding, rtol=1e4 * atol, atol=1e-9)
+    np.testing.assert_array_equal(others[0].alone, vectors.alone)
 
 
 @pytest.mark.parametrize(("W", "H"), SIZES)
-def test_bands_are_the_film_drawn_at_once(W, H, banded):
-    """All views by one program, one after the other; in the last size there is little room."""
-    banded(40 if SIZES[-1] == (W, H) else 1 << 12)
+def test_piece_by_piece_is_as_of_vectors(W, H, banded):
+    """All views by one program, one after the other."""
     scene = pj.Scene(mesh=crumpled(open_mesh=W % 2 == 0))
-    draw = jax.jit(both)
+    draw = jax.jit(each_way)
     seen = []
     for view in VIEWS:
-        whole, bands = draw(camera_of(view, W, H), scene)
-        same(whole, bands)
-        np.testing.assert_allclose(bands.winding, whole.winding, atol=1e-9)
-        seen.append(float(jnp.sum(whole.image)))
+        vectors, *pieces = draw(camera_of(view, W, H), scene)
+        same(vectors, *pieces)
+        seen.append(float(jnp.sum(vectors.image)))
     assert max(seen) > 0.5 * W * H
     assert min(seen) == 0
 
 
-@pytest.mark.long
-def test_views_side_by_side_are_drawn_in_bands_as_each_alone(banded):
-    banded(300)
-    scene = pj.Scene(mesh=crumpled(False), spheres=pj.Spheres([[0.5, 0.9, 0.2]], [0.4]))
+SPHERES = pj.Spheres([[0.5, 0.9, 0.2], [0.3, 0.2, 1.1]], [0.4, 0.5])
+
+
+@pytest.mark.parametrize("what", ["spheres", "on the grid", "lens", "float32"])
+def test_piece_by_piece_is_as_of_vectors_whatever_curves_are(what):
+    """Arcs; vertices where pixels meet; parts of bent curves; the other float type."""
+    camera, scene, atol = camera_of("whole", 40, 40), pj.Scene(crumpled(False), SPHERES), 1e-13
+    if what == "spheres":
+        scene = pj.Scene(spheres=SPHERES)
+    elif what == "on the grid":  # 10 pixels to a unit of length
+        corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1.5, 0]])
+        scene = pj.Scene(mesh=pj.Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]])))
+        camera = pj.Camera([0.0, 0, 2], [0.0, 0, 0], [0.0, 1, 0], np.pi / 2, 1.0, 40, 40)
+    elif what == "lens":
+        lens = pj.Lens((20.0, 20.0), distortion=pj.BrownConrady(k1=0.1))
+        camera = eqx.tree_at(lambda c: c.lens, camera, lens, is_leaf=lambda x: x is None)
+    else:
+        short = lambda x: x.astype(np.float32) if eqx.is_inexact_array(x) else x
+        (camera, scene), atol = jax.tree.map(short, (camera, scene)), 1e-5
+    vectors, *pieces = jax.jit(each_way)(camera, scene)
+    assert 0 < float(jnp.sum(vectors.image)) < 1600
+    same(vectors, *pieces, atol=atol)
+
+
+def test_views_side_by_side_are_drawn_as_each_alone(banded):
+    scene = pj.Scene(mesh=crumpled(False), spheres=SPHERES)
     cameras = [camera_of(view, 99, 70) for view in VIEWS]
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *cameras)
-    whole, bands = jax.jit(jax.vmap(both, (0, None)))(stacked, scene)
-    same(whole, bands)
+    same(*jax.jit(jax.vmap(each_way, (0, None)))(stacked, scene))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("balls", [0, pytest.param(1, marks=pytest.mark.full)])
-def test_masks_and_derivatives_of_large_films(banded, balls):
+def test_masks_and_derivatives_of_large_films(request, balls):
     """(With arcs there is twice as much to compile; they are drawn in bands above.)"""
     ball = pj.Spheres([[0.5, 0.9, 0.2]], [0.4]) if balls else None
     scene = pj.Scene(mesh=crumpled(False), spheres=ball)
@@ -114,7 +139,7 @@ def test_masks_and_derivatives_of_large_films(banded, balls):
         return eqx.filter_value_and_grad(loss, has_aux=True)(camera)
 
     (_, image), slope = value_and_slope(camera)
-    banded(1 << 12)
+    request.getfixturevalue("banded")
     (_, again), slope_again = value_and_slope(camera)
     np.testing.assert_allclose(again, image, atol=1e-12)
     for one, other in zip(jax.tree.leaves(slope), jax.tree.leaves(slope_again), strict=True):

@@ -2,8 +2,9 @@
 
 import itertools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.experimental.xla_metadata import set_xla_metadata
@@ -12,14 +13,18 @@ from jax.flatten_util import ravel_pytree
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float, PyTree
 
+T = TypeVar("T")
+
 
 def one_kernel(function: Callable) -> Callable:
     """Return a function of arrays that XLA's CPU compiler makes a single kernel of, loops and all.
 
     Of small loops it does so by itself, by these two marks. There must be no sort, no scatter and
     nothing as long as an array in it: what it fills is an argument. (What it would share out to
-    several cores does not compile within a kernel.) Under `vmap` it is called for one after the
-    other: loops side by side wait for the longest, and copy what they fill at each turn.
+    several cores does not compile within a kernel.) What it fills has two entries at least: over an
+    argument that need not be read, as one that is written over as a whole, the compiler aborts.
+    Under `vmap` it is called for one after the other: loops side by side wait for the longest, and
+    copy what they fill at each turn.
     """
 
     @jax.custom_batching.sequential_vmap
@@ -82,3 +87,18 @@ def at_once(
         return back(found[:, 0]), back(found[:, 1:] @ ravel_pytree(tangents[0])[0])
 
     return lambda x, *held: call(x, jax.lax.stop_gradient(held))
+
+
+def one_by_one(function: Callable[[], T]) -> T:
+    """Return what a function of nothing returns, which is not differentiated.
+
+    Under `vmap` it is called for one after the other: its loops copy nothing then.
+    """
+    made = eqx.filter_closure_convert(function)
+    arrays, rest = eqx.partition(made, eqx.is_array)
+
+    @jax.custom_batching.sequential_vmap
+    def call(arrays: Any) -> Any:
+        return eqx.combine(arrays, rest)()
+
+    return call(jax.lax.stop_gradient(arrays))

@@ -5,12 +5,14 @@ to its own pixel and its signed height to every pixel to the right (as exact fon
 so a sum along the row gives the winding-weighted coverage. The derivative is the boundary integral:
 a pixel's area grows by the piece's length times its outward normal velocity.
 
-Splitting is a closed formula per piece, not a loop: a curve that is monotone in x and y passes
+A curve that is monotone in x and y goes through rows (`in_row`) and in each of them through pixels
+(`in_pixel`): pieces of one curve agree exactly on the points where they meet. A loop takes one
+after the other (`piece_by_piece.py`). Vectors of pieces (`split`) need none: a curve passes
 `j + |column(y_j) - column(y_0)|` pixels before its j-th row, so the k-th pixel that it meets is
-found by bisection, and pieces of one curve agree exactly on the points where they meet.
+found by bisection. Both ask the same expressions, and find the same pieces.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,89 +35,155 @@ class Pieces(NamedTuple):
     curve, or it begins on the pixel's side.
     """
 
-    curve: Int[Array, "P"]
-    row: Int[Array, "P"]
-    column: Int[Array, "P"]
-    start: Float[Array, "P 2"]
-    end: Float[Array, "P 2"]
-    height: Float[Array, "P"]
-    area: Float[Array, "P"]
-    valid: Bool[Array, "P"]
-    jump: Float[Array, "P"]
-    passes: Bool[Array, "P"]
-    first: Bool[Array, "P"]
-    enters: Bool[Array, "P"]
+    curve: Int[Array, "*P"]
+    row: Int[Array, "*P"]
+    column: Int[Array, "*P"]
+    start: Float[Array, "*P 2"]
+    end: Float[Array, "*P 2"]
+    height: Float[Array, "*P"]
+    area: Float[Array, "*P"]
+    valid: Bool[Array, "*P"]
+    jump: Float[Array, "*P"]
+    passes: Bool[Array, "*P"]
+    first: Bool[Array, "*P"]
+    enters: Bool[Array, "*P"]
 
 
 class Monotone(NamedTuple):
     """Curves from a lower end to an upper end; `rising` is +1 where that is their direction, and
     `rightward` is +1 where the upper end is the right one, both else -1."""
 
-    low: Float[Array, "K 2"]
-    high: Float[Array, "K 2"]
-    rising: Float[Array, "K"]
-    rightward: Float[Array, "K"]
+    low: Float[Array, "*K 2"]
+    high: Float[Array, "*K 2"]
+    rising: Float[Array, "*K"]
+    rightward: Float[Array, "*K"]
     curves: Curves
 
 
 def monotone(curves: Curves) -> Monotone:
     """Return the curves ordered by height."""
     start, end = ends(curves)
-    up = end[:, 1] >= start[:, 1]
-    low, high = jnp.where(up[:, None], start, end), jnp.where(up[:, None], end, start)
-    sign = lambda positive: jnp.where(positive, 1, -1).astype(low.dtype)
-    return Monotone(low, high, sign(up), sign(high[:, 0] >= low[:, 0]), curves)
+    up = end[..., 1] >= start[..., 1]
+    low, high = jnp.where(up[..., None], start, end), jnp.where(up[..., None], end, start)
+    rising = jnp.where(up, 1, -1).astype(low.dtype)
+    return Monotone(low, high, rising, rightward(low, high), curves)
 
 
-def _take(tree, index):
+def rightward(low: Float[Array, "*K 2"], high: Float[Array, "*K 2"]) -> Float[Array, "*K"]:
+    """Return +1 where the upper end is the right one, else -1."""
+    return jnp.where(high[..., 0] >= low[..., 0], 1, -1).astype(low.dtype)
+
+
+def taken(tree: Any, index: Array) -> Any:
+    """Return the rows of arrays with these indices, or with this one."""
     return jax.tree.map(lambda x: x[index], tree)
 
 
 # --- splitting -----------------------------------------------------------------------------------
 
 
-class _Rows(NamedTuple):
-    first: Int[Array, "K"]
-    number: Int[Array, "K"]
+class Rows(NamedTuple):
+    """Which rows a curve meets: the first, and how many."""
+
+    first: Int[Array, "*K"]
+    number: Int[Array, "*K"]
 
 
-def _rows(m: Monotone, H, bottom) -> _Rows:
+def rows_of(m: Monotone, H, bottom) -> Rows:
     """Return which rows of those from `bottom` to H a curve meets; a level one meets one row all
     the same, and none beside it."""
     top, bottom = (jnp.asarray(x, m.low.dtype) for x in (H, bottom))
-    first = jnp.maximum(jnp.floor(m.low[:, 1]), 0)
-    last = jnp.maximum(jnp.ceil(m.high[:, 1]), first + 1)
+    first = jnp.maximum(jnp.floor(m.low[..., 1]), 0)
+    last = jnp.maximum(jnp.ceil(m.high[..., 1]), first + 1)
     first, last = jnp.clip(first, bottom, top), jnp.clip(last, bottom, top)
-    inside = (m.high[:, 1] >= 0) & (m.low[:, 1] < top)
+    inside = (m.high[..., 1] >= 0) & (m.low[..., 1] < top)
     count = jnp.where(inside, last - first, 0)
-    return _Rows(first.astype(jnp.int32), count.astype(jnp.int32))
+    return Rows(first.astype(jnp.int32), count.astype(jnp.int32))
 
 
-def _column(x: Float[Array, "K"], W) -> Int[Array, "K"]:
+def _column(x: Float[Array, "*K"], W) -> Int[Array, "*K"]:
     return jnp.clip(jnp.floor(x), -1, jnp.asarray(W, x.dtype)).astype(jnp.int32)
 
 
-def at_row(m: Monotone, y: Float[Array, "K"]) -> tuple[Float[Array, "K"], Float[Array, "K"]]:
+def at_row(m: Monotone, y: Float[Array, "*K"]) -> tuple[Float[Array, "*K"], Float[Array, "*K"]]:
     """Return the curve's point at height y, or the end that y lies beyond."""
-    between_low = jnp.minimum(m.low[:, 0], m.high[:, 0])
-    between_high = jnp.maximum(m.low[:, 0], m.high[:, 0])
+    between_low = jnp.minimum(m.low[..., 0], m.high[..., 0])
+    between_high = jnp.maximum(m.low[..., 0], m.high[..., 0])
     x = jnp.clip(_x_at(m, y), between_low, between_high)
-    below, above = y <= m.low[:, 1], y >= m.high[:, 1]
-    x = jnp.where(below, m.low[:, 0], jnp.where(above, m.high[:, 0], x))
-    y = jnp.where(below, m.low[:, 1], jnp.where(above, m.high[:, 1], y))
+    below, above = y <= m.low[..., 1], y >= m.high[..., 1]
+    x = jnp.where(below, m.low[..., 0], jnp.where(above, m.high[..., 0], x))
+    y = jnp.where(below, m.low[..., 1], jnp.where(above, m.high[..., 1], y))
     return x, y
 
 
-def piece_counts(m: Monotone, W, H, bottom=0) -> Int[Array, "K"]:
+def piece_counts(m: Monotone, W, H, bottom=0) -> Int[Array, "*K"]:
     """Return how many pixels (with those left and right of the film) each curve meets in the rows
     from `bottom` up to H."""
-    rows = _rows(m, H, bottom)
+    rows = rows_of(m, H, bottom)
     x0, _ = at_row(m, rows.first.astype(m.low.dtype))
     x1, _ = at_row(m, (rows.first + rows.number).astype(m.low.dtype))
     first, last = _column(x0, W), _column(x1, W)
     weight = m.curves.weight
     count = rows.number + jnp.abs(last - first)
     return jnp.where((weight == 0) | (rows.number == 0), 0, count)
+
+
+class InRow(NamedTuple):
+    """What of a curve is in a row: where it comes in and goes out, and the columns there."""
+
+    row: Int[Array, "*K"]
+    x0: Float[Array, "*K"]
+    y0: Float[Array, "*K"]
+    x1: Float[Array, "*K"]
+    y1: Float[Array, "*K"]
+    c0: Int[Array, "*K"]
+    c1: Int[Array, "*K"]
+
+    @property
+    def further(self) -> Int[Array, "*K"]:
+        """Return how many pixels there are beside the first."""
+        return jnp.abs(self.c1 - self.c0)
+
+
+def in_row(m: Monotone, row: Int[Array, "*K"], W, H, bottom=0) -> InRow:
+    """Return what of curves is in these of the rows that they meet (`rows_of`)."""
+    dtype = m.low.dtype
+    x0, y0 = at_row(m, row.astype(dtype))
+    x1, y1 = at_row(m, (row + 1).astype(dtype))
+    # What lies above and below is cut off.
+    top, foot = jnp.asarray(H, dtype), jnp.asarray(bottom, dtype)
+    y0, y1 = jnp.clip(y0, foot, top), jnp.clip(y1, foot, top)
+    return InRow(row, x0, y0, x1, y1, _column(x0, W), _column(x1, W))
+
+
+def in_pixel(
+    m: Monotone, own: InRow, along: Int[Array, "*K"], curve: Int[Array, "*K"], valid: Array, W
+) -> Pieces:
+    """Return the pieces of curves that are the `along`-th in their row."""
+    row, x0, y0, x1, y1, c0, c1 = own
+    dtype, rightward = m.low.dtype, c1 >= c0
+    column = jnp.where(rightward, c0 + along, c0 - along)
+    left, right = column.astype(dtype), (column + 1).astype(dtype)
+    x_in = jnp.where(column == c0, x0, jnp.where(rightward, left, right))
+    x_out = jnp.where(column == c1, x1, jnp.where(rightward, right, left))
+    y_in = jnp.where(column == c0, y0, jnp.clip(_y_at(m, x_in, x0, y0, x1, y1), y0, y1))
+    y_out = jnp.where(column == c1, y1, jnp.clip(_y_at(m, x_out, x0, y0, x1, y1), y0, y1))
+
+    start, end = jnp.stack([x_in, y_in], -1), jnp.stack([x_out, y_out], -1)
+    height, area = _areas(m, start, end, column, W)
+    height, area = jnp.where(valid, height, 0), jnp.where(valid, area, 0)
+    jump = jnp.where(valid, -m.rising * m.curves.weight, 0)
+    passes = m.high[..., 1] > row.astype(dtype)
+
+    def beyond(x, y, own):
+        # By component: of vectors the compiler makes several kernels.
+        sides = zip((x, y), (left, row.astype(dtype)), (0, 1), strict=True)
+        each = [(v != own[..., k]) | (v == side) | (v == side + 1) for v, side, k in sides]
+        return each[0] | each[1]
+
+    enters = jnp.where(jump <= 0, beyond(x_in, y_in, m.low), beyond(x_out, y_out, m.high))
+    ends, first = (start, end), valid & (along == 0)
+    return Pieces(curve, row, column, *ends, height, area, valid, jump, passes, first, enters)
 
 
 def split(
@@ -130,8 +198,8 @@ def split(
     valid = slots < upto[-1]
     curve = jnp.minimum(curve, upto.shape[0] - 1)
     rank = slots - jnp.where(curve > 0, upto[curve - 1], 0)
-    m = _take(m, curve)
-    rows = _rows(m, H, bottom)
+    m = taken(m, curve)
+    rows = rows_of(m, H, bottom)
     dtype = m.low.dtype
 
     x_first, _ = at_row(m, rows.first.astype(dtype))
@@ -152,43 +220,16 @@ def split(
 
     row = jax.lax.fori_loop(0, bits, bisect, jnp.zeros_like(rows.first))
 
-    x0, y0 = at_row(m, (rows.first + row).astype(dtype))
-    x1, y1 = at_row(m, (rows.first + row + 1).astype(dtype))
-    # What lies above and below is cut off.
-    top, foot = jnp.asarray(H, dtype), jnp.asarray(bottom, dtype)
-    y0, y1 = jnp.clip(y0, foot, top), jnp.clip(y1, foot, top)
-    c0, c1 = _column(x0, W), _column(x1, W)
-    rightward = c1 >= c0
-    along = jnp.clip(rank - passed(row), 0, jnp.abs(c1 - c0))
-    column = jnp.where(rightward, c0 + along, c0 - along)
-    left, right = column.astype(dtype), (column + 1).astype(dtype)
-    x_in = jnp.where(column == c0, x0, jnp.where(rightward, left, right))
-    x_out = jnp.where(column == c1, x1, jnp.where(rightward, right, left))
-    y_in = jnp.where(column == c0, y0, jnp.clip(_y_at(m, x_in, x0, y0, x1, y1), y0, y1))
-    y_out = jnp.where(column == c1, y1, jnp.clip(_y_at(m, x_out, x0, y0, x1, y1), y0, y1))
-
-    start, end = jnp.stack([x_in, y_in], -1), jnp.stack([x_out, y_out], -1)
-    height, area = _areas(m, start, end, column, W)
-    height, area = jnp.where(valid, height, 0), jnp.where(valid, area, 0)
-    jump = jnp.where(valid, -m.rising * m.curves.weight, 0)
-    number, passes = rows.first + row, m.high[:, 1] > (rows.first + row).astype(dtype)
-
-    def beyond(x, y, own):
-        # By component: of vectors the compiler makes several kernels.
-        sides = zip((x, y), (column.astype(dtype), number.astype(dtype)), (0, 1), strict=True)
-        each = [(v != own[:, k]) | (v == side) | (v == side + 1) for v, side, k in sides]
-        return each[0] | each[1]
-
-    enters = jnp.where(jump <= 0, beyond(x_in, y_in, m.low), beyond(x_out, y_out, m.high))
-    ends, first = (start, end), valid & (along == 0)
-    return Pieces(curve, number, column, *ends, height, area, valid, jump, passes, first, enters)
+    own = in_row(m, rows.first + row, W, H, bottom)
+    along = jnp.clip(rank - passed(row), 0, own.further)
+    return in_pixel(m, own, along, curve, valid, W)
 
 
 def _areas(m: Monotone, start, end, column, W):
     """Return what a piece adds to the pixels on its right and to its own pixel."""
-    height = -m.rising * m.curves.weight * (end[:, 1] - start[:, 1])
+    height = -m.rising * m.curves.weight * (end[..., 1] - start[..., 1])
     inside = (column >= 0) & (column < W)
-    middle = (start[:, 0] + end[:, 0]) / 2 - column.astype(start.dtype)
+    middle = (start[..., 0] + end[..., 0]) / 2 - column.astype(start.dtype)
     share = jnp.where(inside, 1 - jnp.clip(middle, 0, 1), jnp.where(column < 0, 1, 0))
     area = height * share
     if isinstance(m.curves, Arcs):
@@ -202,18 +243,18 @@ def _areas(m: Monotone, start, end, column, W):
 
 def _x_at(m: Monotone, y):
     if isinstance(m.curves, Segments):
-        rise = m.high[:, 1] - m.low[:, 1]
-        width = m.high[:, 0] - m.low[:, 0]
-        return m.low[:, 0] + _share(width, (y - m.low[:, 1]) * safe_divide(width, rise))
+        rise = m.high[..., 1] - m.low[..., 1]
+        width = m.high[..., 0] - m.low[..., 0]
+        return m.low[..., 0] + _share(width, (y - m.low[..., 1]) * safe_divide(width, rise))
     frame = m.curves.frame
-    return film_at(frame, unit_at(frame, 1, y, m.rising))[:, 0]
+    return film_at(frame, unit_at(frame, 1, y, m.rising))[..., 0]
 
 
 def _y_at(m: Monotone, x, x0, y0, x1, y1):
     if isinstance(m.curves, Segments):
         return y0 + _share(y1 - y0, (x - x0) * safe_divide(y1 - y0, x1 - x0))
     frame = m.curves.frame
-    return film_at(frame, unit_at(frame, 0, x, m.rising * m.rightward))[:, 1]
+    return film_at(frame, unit_at(frame, 0, x, m.rising * m.rightward))[..., 1]
 
 
 def _share(whole, part):

@@ -25,7 +25,7 @@ class Marks(NamedTuple):
 
 def marks(pieces: Pieces) -> Marks:
     """Return what each piece adds to its pixel's marks."""
-    dx, dy = (pieces.end[:, k] - pieces.start[:, k] for k in (0, 1))
+    dx, dy = (pieces.end[..., k] - pieces.start[..., k] for k in (0, 1))
     up, right = -pieces.jump * dy, -pieces.jump * dx
     tiny = 8 * jnp.finfo(dx.dtype).eps
     entries = pieces.valid & pieces.enters
@@ -59,16 +59,16 @@ def overlaps(marks: Marks, winding: Float[Array, "*N"]) -> Bool[Array, "*N"]:
     return (layers > 0) & (chain_layers(marks) != 1) & (winding <= layers)
 
 
-def winding_jumps(pieces: Pieces) -> Float[Array, "P"]:
+def winding_jumps(pieces: Pieces) -> Float[Array, "*P"]:
     """Return by how much a row's winding number, at its bottom line, jumps at each piece.
 
     Of the pieces of a curve in a row the first counts, if the curve enters the row there.
     """
-    enters = pieces.start[:, 1] <= pieces.row.astype(pieces.jump.dtype)
+    enters = pieces.start[..., 1] <= pieces.row.astype(pieces.jump.dtype)
     return jnp.where(pieces.passes & pieces.first & enters, pieces.jump, 0)
 
 
-def drops(pieces: Pieces) -> Float[Array, "P"]:
+def drops(pieces: Pieces) -> Float[Array, "*P"]:
     """Return how many layers fewer than at the pixel's lower left corner there may be on one side
     of each piece: what is more at the corner than all of these is covered all over the pixel.
 
@@ -77,8 +77,8 @@ def drops(pieces: Pieces) -> Float[Array, "P"]:
     """
     column, row = pieces.column.astype(pieces.jump.dtype), pieces.row.astype(pieces.jump.dtype)
     # One that comes in at the corner itself has met the row's bottom in the pixel before.
-    after = (pieces.start[:, 1] > row) | (pieces.passes & ~pieces.first)
-    comes_in = (pieces.start[:, 0] == column) & after
+    after = (pieces.start[..., 1] > row) | (pieces.passes & ~pieces.first)
+    comes_in = (pieces.start[..., 0] == column) & after
     change = jnp.where(comes_in, -pieces.jump, pieces.jump)
     # Below what lies on the row's bottom there is the pixel's border.
     return jnp.where(pieces.passes, jnp.maximum(-change, 0), jnp.abs(change))

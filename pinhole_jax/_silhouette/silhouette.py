@@ -18,6 +18,7 @@ from .._numerics.jitted import jitted
 from .._numerics.linear_map import linear_map
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, Spheres, astype, check_view
+from .asked import WORD, Asked, words_in_row
 from .boundary import pulled, pushed
 from .coverage import Pieces, monotone
 from .covered import (
@@ -32,7 +33,7 @@ from .covered import (
 )
 from .curve_sets import Found, edge_curves, find, joined, outline_curves
 from .curves import piece_flux
-from .drawing import WORD, Asked, drawn, in_words, is_large, words_in_row
+from .drawing import drawn, in_words, is_large
 from .overlaps import (
     Kept,
     Overlapping,
