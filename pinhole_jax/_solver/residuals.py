@@ -162,7 +162,9 @@ class _Pieces(NamedTuple):
 def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
     """Return the touched pixels of a level, and what they take of the capacities."""
     part = _part(level)
-    film = at_once(lambda camera, part: film_map(camera).looking_at(part))(camera, part)
+    look = lambda camera, part: film_map(camera).looking_at(part)
+    bends = camera.lens is not None and camera.lens.distortion is not None
+    film = (look if bends else at_once(look))(camera, part)
     end, totals, found, of_curves, parts = level.H * (level.W + 2), {}, [], [], []
     for kind, curves, homogeneous, count, size in _curves(film, scene, capacity):
         curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))
