@@ -25,10 +25,9 @@ from .stretches import Stretches, stretches_of
 #: Sizes (px) and lengths (px) of errors, and the share of their variance that is each stretch's
 #: own. (Twice as fine grids gave the same intervals.)
 SIZES, LENGTHS, OWN = (0.08, 0.2, 0.5, 1.2, 3.0), (6.0, 16.0, 40.0, 100.0), (0.0, 0.7)
-#: The standard deviation of the bias, in sizes of the other errors and in px at least, and how
-#: likely it is: segmenters are off by as much as they waver, masks that were grown or shrunk by
-#: more, and by some px though nothing else is wrong with them.
-BIASES = ((1.5, 0.0, 0.5), (8.0, 2.0, 0.5))
+#: The standard deviation of the bias, in sizes of the other errors, and how likely it is:
+#: segmenters are off by as much as they waver, masks that were grown or shrunk by more.
+BIASES = ((1.5, 0.5), (8.0, 0.5))
 #: How likely it is beforehand that a mask is computed; above `SURE`, it is. (An interval of 95 %
 #: has no room for what is less likely.)
 COMPUTED, SURE = 0.5, 0.9
@@ -111,12 +110,10 @@ def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineE
     none = np.zeros(1)
     exact = model.hypotheses(0.0, none, none, none, np.full(1, COMPUTED))
     found = [exact._replace(independent=np.full(1, np.sum(stretches.length)))]
-    sizes, own, which = (
-        x.ravel() for x in np.meshgrid(SIZES, OWN, range(len(BIASES)), indexing="ij")
-    )
-    times, least_px, likely = np.array(BIASES)[which].T
+    bias, likely = np.array(BIASES).T
+    sizes, own, bias = (x.ravel() for x in np.meshgrid(SIZES, OWN, bias, indexing="ij"))
     each = (1 - COMPUTED) / (len(SIZES) * len(LENGTHS) * len(OWN))
-    prior, bias = each * likely, np.maximum(times * sizes, least_px)
+    prior, bias = each * np.resize(likely, sizes.shape), bias * sizes
     for length in LENGTHS:
         found.append(model.hypotheses(length, sizes, own, bias, prior))
     together = _Hypotheses(*map(np.concatenate, zip(*found, strict=True)))
