@@ -138,6 +138,10 @@ def test_bad_lens_is_said_in_words(point, aspect, message):
 def test_traced_cameras_are_made_without_a_look_at_values():
     make = jax.jit(lambda e, phi: pj.Camera(e, jnp.zeros(3), jnp.array([0.0, 1, 0]), phi, W=2, H=2))
     assert make(jnp.array([0.0, 0, 5]), 0.5).W == 2
+    lens = pj.Lens([1, 1], distortion=pj.BrownConrady(0.05))
+    known = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.5, 1.0, 2, 2, lens)
+    moves = jax.grad(lambda e: jnp.sum(known.replace(e=e).e ** 2))  # (phi and lens are not traced)
+    assert moves(jnp.array([0.0, 0, 5])).tolist() == [0, 0, 10]
 
 
 def test_a_camera_without_a_resolution_is_told_what_is_missing():

@@ -134,7 +134,8 @@ class Camera(eqx.Module):
         if is_concrete(self.e, self.p, self.u):
             _check_view(*(np.asarray(x) for x in (self.e, self.p, self.u)))
         distorted = self.lens is not None and self.lens.distortion is not None
-        if distorted and is_concrete(self.phi, *jax.tree.leaves(self.lens)):
+        pose = self.e, self.p, self.u, self.d
+        if distorted and is_concrete(*pose, self.phi, *jax.tree.leaves(self.lens)):
             _check_lens(self)
 
     def __str__(self) -> str:

@@ -35,9 +35,9 @@ def memoised(kind: Any, arrays: Sequence[jax.Array], make: Callable[[], Any]) ->
         value = make()
     entry: list = []
 
-    def drop(_: Any) -> None:
-        if _memo.get(key, (None,))[0] is entry[0]:  # (another may have taken the place)
-            _memo.pop(key, None)
+    def drop(_: Any, memo: dict = _memo) -> None:  # (at a process's end the module's is gone)
+        if memo.get(key, (None,))[0] is entry[0]:  # (another may have taken the place)
+            memo.pop(key, None)
 
     entry.append(tuple(weakref.ref(x, drop) for x in arrays))
     _memo[key] = (entry[0], value)
