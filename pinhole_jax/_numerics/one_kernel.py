@@ -38,6 +38,14 @@ def one_kernel(function: Callable) -> Callable:
     return call
 
 
+def on_cpu(function: Callable, *arguments: Any, elsewhere: Callable | None = None) -> Any:
+    """Return what a function makes of arrays: on a CPU it is `one_kernel`, on other machines what
+    it is by itself, or the one for `elsewhere`."""
+    return jax.lax.platform_dependent(
+        *arguments, cpu=one_kernel(function), default=elsewhere or function
+    )
+
+
 def _with_what_it_uses(function: Callable, arguments: tuple) -> tuple[Callable, list, Callable]:
     """Return a function as one of those arrays among its arguments that it uses, these, and the way
     back from what it returns: the compiler aborts where a kernel is given others."""
@@ -70,7 +78,7 @@ def at_once(
                 return value
             return jnp.concatenate([value, jax.jacfwd(flat)(numbers, held)], axis=1)
 
-        return jax.lax.platform_dependent(numbers, held, cpu=one_kernel(both), default=both)
+        return on_cpu(both, numbers, held)
 
     def shaped(x: PyTree, held: tuple) -> Callable[[Array], PyTree]:
         like = jax.eval_shape(function, x, *held)

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._numerics.one_kernel import one_kernel
+from .._numerics.one_kernel import on_cpu
 from .._numerics.running import running_sum
 
 
@@ -54,9 +54,7 @@ def by_pixel(
     P = len(order)
     real, whole = jnp.zeros(P, steps.height.dtype), jnp.zeros(P, jnp.int32)
     none = Totals(whole + end, whole + P, whole, real, real, real, real, whole, whole + P)
-    return jax.lax.platform_dependent(
-        *(steps, order, base, width, end, none), cpu=one_kernel(_in_turn), default=_side_by_side
-    )
+    return on_cpu(_in_turn, steps, order, base, width, end, none, elsewhere=_side_by_side)
 
 
 class _Here(NamedTuple):

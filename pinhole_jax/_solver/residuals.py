@@ -147,18 +147,6 @@ def _part(level: Level) -> FilmPart:
     return FilmPart(left, left + W, bottom, bottom + H, scale)
 
 
-class _Pieces(NamedTuple):
-    """All pieces: their pixels, and what they add to these and beyond; `swept` is what a sweep asks
-    of them. Columns of their own: put together, each would be worked out for all the others."""
-
-    cell: Int[Array, "P"]
-    swept: tuple[Float[Array, "P"], ...]
-    height: Float[Array, "P"]
-    area: Float[Array, "P"]
-    turn: Float[Array, "P"]
-    counters: Int[Array, "P"]
-
-
 def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
     """Return the touched pixels of a level, and what they take of the capacities."""
     part = _part(level)
@@ -179,18 +167,20 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
         # (Each column of a table of these would work out all of them anew: 1.3 of a step's 5 ms.)
         pieces = jax.lax.optimization_barrier(pieces)
         cell = jnp.where(pieces.valid, pieces.row * (level.W + 2) + pieces.column + 1, end)
-        sizes = pieces.height, pieces.area, winding_jumps(pieces)
-        found.append(_Pieces(cell, sweepable(pieces), *sizes, marks(pieces).counters))
+        sizes = pieces.height, pieces.area, winding_jumps(pieces), pieces.jump
+        found.append((Steps(cell, *sizes, marks(pieces).counters), sweepable(pieces)))
         own = jax.lax.stop_gradient(homogeneous)[pieces.curve]
         of_curves.append((homogeneous, pieces.curve))
         parts.append(Part(_shown(curves, pieces, own), own))
     none = (jnp.int32(0), jnp.int32(0))
     (edges, edge_pieces), (arcs, arc_pieces) = (totals.get(k, none) for k in ("edges", "arcs"))
-    together = jax.tree.map(lambda *x: jnp.concatenate(x), *found)
+    # (`swept` is what a sweep asks of them; columns of their own: put together, each would be
+    # worked out for all the others.)
+    steps, swept = jax.tree.map(lambda *x: jnp.concatenate(x), *found)
     base = surrounding(film, scene)
     alone = scene.spheres is not None and scene.spheres.radii.shape[0] == 1 and len(parts) == 1
     convex = alone and "arcs" in totals  # one sphere overlaps nothing
-    touched = _by_pixel(together, base, level, of_curves, parts, convex)
+    touched = _by_pixel(steps, swept, base, level, of_curves, parts, convex)
     return touched, Load(edges, edge_pieces, arc_pieces, arcs)
 
 
@@ -241,7 +231,8 @@ def _curves(
 
 
 def _by_pixel(
-    pieces: _Pieces,
+    steps: Steps,
+    swept: tuple[Float[Array, "P"], ...],
     base: Int[Array, ""],
     level: Level,
     of_curves: list[tuple[Float[Array, "_ _ 3"], Int[Array, "_"]]],
@@ -250,11 +241,9 @@ def _by_pixel(
 ) -> Touched:
     """Return what the pieces add up to in each pixel; `of_curves` are those of each part's curves,
     with which of these each piece is of, and `convex` says that none overlap."""
-    P = pieces.cell.shape[0]
+    P, real = steps.cell.shape[0], steps.height.dtype
     end, width = level.H * (level.W + 2), level.W + 2
-    order, swept = in_order(pieces.cell), pieces.swept
-    jump, real = swept[5], pieces.height.dtype
-    steps = Steps(pieces.cell, pieces.height, pieces.area, pieces.turn, jump, pieces.counters)
+    order = in_order(steps.cell)
     totals = by_pixel(steps, order, base.astype(real), width, end)
     cells, winding, layers = totals.cell, totals.winding, totals.layers
     marked, column = Marks(layers, totals.counters), cells % width

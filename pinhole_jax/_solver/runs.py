@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._mask.pyramid import Level, Pyramid, cells_of
-from .._numerics.one_kernel import one_kernel
+from .._numerics.one_kernel import on_cpu
 
 #: A pixel that is covered, or uncovered, but for less than this shows no outline.
 HIDDEN = 1e-4
@@ -51,11 +51,8 @@ def summed(
     """Return target and weight (0 where a pixel does not count) of touched pixels, and the sums
     over all of the level; `covered_before` says whether rows begin covered."""
     none = jnp.zeros_like(seen.coverage)
-    return jax.lax.platform_dependent(
-        *(pyramid, level, seen, covered_before, none, none),
-        cpu=one_kernel(_in_turn),
-        default=_side_by_side,
-    )
+    given = pyramid, level, seen, covered_before, none, none
+    return on_cpu(_in_turn, *given, elsewhere=_side_by_side)
 
 
 def _in_turn(pyramid, level, seen, covered_before, target, weight):
@@ -99,8 +96,8 @@ def _side_by_side(pyramid, level, seen, covered_before, target, weight):
 
 def _with_all(parts: Parts, pyramid: Pyramid, level: Level) -> Parts:
     """Return the sums with all pixels' weights and masses, of which those left out are known."""
-    ends = [cells_of(pyramid, level, jnp.int32(k)) for k in (0, level.H * (level.W + 2))]
-    mass, weight = (ends[1][k] - ends[0][k] for k in (5, 4))
+    first, end = (cells_of(pyramid, level, jnp.int32(k)) for k in (0, level.H * (level.W + 2)))
+    mass, weight = end.masses - first.masses, end.weights - first.weights
     return parts._replace(mass=mass - parts.mass, weight=weight - parts.weight)
 
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._numerics.one_kernel import one_kernel
+from .._numerics.one_kernel import on_cpu
 from .bvh import Tree
 from .components import inner
 
@@ -45,7 +45,7 @@ def near_order(
     key = cell if together is None else jnp.where(together, 0, cell)
     in_order = lambda key, _: jnp.argsort(key).astype(jnp.int32)
     nothing = jnp.zeros(direction.shape[0], jnp.int32)
-    return jax.lax.platform_dependent(key, nothing, cpu=one_kernel(_counted), default=in_order)
+    return on_cpu(_counted, key, nothing, elsewhere=in_order)
 
 
 def _spread(x: Int[Array, "N"]) -> Int[Array, "N"]:
