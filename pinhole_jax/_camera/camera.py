@@ -367,6 +367,11 @@ def resolution(name: str, value: Any) -> int:
     return size
 
 
+def unplaced(phi: ArrayLike, W: int, H: int, lens: Lens | None = None) -> Camera:
+    """Return a camera of which only the lens is known: it looks at the origin from 1 unit away."""
+    return Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, W, H, lens)
+
+
 def _cast(lens: Lens, dtype: np.dtype) -> Lens:
     return jax.tree.map(lambda x: x.astype(dtype), lens)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .. import io
-from .._camera.camera import Camera
+from .._camera.camera import Camera, unplaced
 from .._files.naming import named
 from .._files.paths import read_json, read_text, replace_file
 from .._files.pictures import three_channels
@@ -196,7 +196,7 @@ def _start(
     camera, phi, lens = known(asked, as_names(options.free), (W, H), tell)
     if camera is not None:
         return camera, False
-    return Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, W, H, lens), True
+    return unplaced(phi, W, H, lens), True
 
 
 def _halves(fit: JointFit, views: list[JointView], options: argparse.Namespace) -> str:

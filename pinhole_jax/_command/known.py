@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from .._camera.camera import Camera
+from .._camera.camera import Camera, unplaced
 from .._camera.distortion import BrownConrady, Rational
 from .._camera.lens import Lens
 from .._files.naming import named
@@ -55,7 +55,7 @@ def known(
     if phi is None or window.before == size:
         return Known(phi=phi)
     with named(phi="--fov"):
-        camera = window.of(Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, *window.before))
+        camera = window.of(unplaced(phi, *window.before))
     return Known(phi=camera.phi, lens=camera.lens)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import io
-from .._camera.camera import Camera
+from .._camera.camera import unplaced
 from .._files.naming import named, renamed
 from .._studio.bench import Bench
 from .._studio.hand import framed
@@ -104,7 +104,7 @@ def _subject(
     with named(**ASKED):
         subject = subject_of(options.mesh, options.photo, camera, words)
         if camera is None and phi is not None:
-            start = Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, *subject.size, lens)
+            start = unplaced(phi, *subject.size, lens)
             subject = subject._replace(start=framed(start, subject.ball, options.up))
         elif camera is None:
             subject = subject._replace(start=framed(subject.start, subject.ball, options.up))

@@ -3,7 +3,6 @@
 The rows of a view are its R of J = QR times how its moves follow the unknowns.
 """
 
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
@@ -14,6 +13,7 @@ import jax
 import numpy as np
 
 from .._camera.camera import Camera
+from .._numerics.machine import usable_cores
 from .._solver.least_squares import (
     Descent,
     Rows,
@@ -150,7 +150,7 @@ def _side_by_side(solvers: list[Solver], at: list[tuple[Camera, int]]) -> list[V
             view = solver.begin(*place)
         return jax.block_until_ready(view)
 
-    workers = min(len(at), os.cpu_count() or 1)
+    workers = min(len(at), usable_cores())
     if workers == 1:
         return [solver.begin(*place) for solver, place in zip(solvers, at, strict=True)]
     with ThreadPoolExecutor(workers) as pool:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import io
-from .._camera.camera import Camera
+from .._camera.camera import Camera, unplaced
 from .._files.pictures import three_channels
 from .._scene.scene import Scene
 from .hand import Ball, ball_of, framed
@@ -63,7 +63,7 @@ def subject_of(
     if camera is None:
         fov = io.photo_fov(photo)
         phi = PHI if fov is None else fov.phi
-        camera = framed(Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, W, H), ball)
+        camera = framed(unplaced(phi, W, H), ball)
     return Subject(str(Path(mesh)), str(Path(photo)), scene, picture, ball, camera)
 
 

@@ -109,14 +109,14 @@ def _joint(record: Record, said: list[str]) -> Any:
 
 def _anywhere(start: dict[str, Any], free: Any, W: int, H: int) -> Any:
     """Return a camera that has the lens alone of one to look for."""
-    from .._camera.camera import Camera
+    from .._camera.camera import unplaced
     from .._solver.parameters import as_names
 
     phi = start.get("phi")
     if phi is None and not {"phi", "d"} & {*as_names(free)}:
         raise ValueError("`K`: expected the intrinsics (or `fov`, or phi among `free`), got none")
     phi = 0.7 if phi is None else phi
-    return Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, W, H, start.get("lens"))
+    return unplaced(phi, W, H, start.get("lens"))
 
 
 def _mask(record: Record, mask: Any, said: list[str]) -> Any:
