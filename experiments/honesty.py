@@ -4,16 +4,21 @@ Closed shapes that look alike from several sides (a mug and a can whose handle o
 the outline, an ellipsoid, a sphere with a dent, a plate, a box; a knee's implants, where these are
 there), five kinds of mask of 128 x 128 pixels, starts 10 to 30 degrees off and none. A lie is a fit
 that says `converged` while it is more than one degree and more than 4 standard errors off. The
-command line may name the number of trials and the first seed.
+command line may name the number of trials and the first seed; `checks` after the folder asks what
+the looks after convergence, by which a fit knows, add to one of an ordinary shape.
 """
 
+import sys
 import time
 from collections import Counter
+from unittest import mock
 
 import numpy as np
-from _common import SHARED, camera_at, orbited, percentiles, rows_of, run
+from _common import SHARED, camera_at, meshes, orbited, percentiles, random_camera, rows_of, run
 
 import pinhole_jax as pj
+from pinhole_jax._fit import strategy
+from pinhole_jax._fit.places import Places
 
 SIZE = 128
 KNEE = SHARED.with_name("knee")
@@ -130,10 +135,14 @@ KINDS = {
 }
 
 
-def trial(number: int, shape: str, kind: str) -> dict:
-    """Return one fit: how far off, in degrees and standard errors, its status and seconds."""
+def turn_by(degrees: float, axis: np.ndarray) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
+    return Rotation.from_rotvec(np.deg2rad(degrees) * axis / np.linalg.norm(axis)).as_matrix()
+
+
+def trial(number: int, shape: str, kind: str) -> dict:
+    """Return one fit: how far off, in degrees and standard errors, its status and seconds."""
     random = np.random.default_rng([number, *map(ord, shape)])
     mesh, axes = SHAPES[shape](random)
     scene = pj.Scene(mesh=mesh)
@@ -141,9 +150,8 @@ def trial(number: int, shape: str, kind: str) -> dict:
     truth = camera_at(axes, random.uniform(-0.1, 0.1, 2), distance, 0.6, SIZE)
     target = KINDS[kind](np.asarray(pj.silhouette(truth, scene)), random)
     axis = random.normal(size=3)
-    angle = np.deg2rad(random.uniform(10, 30))
-    turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
-    start = orbited(truth, turn, random.uniform(0.95, 1.05))
+    angle = random.uniform(10, 30)
+    start = orbited(truth, turn_by(angle, axis), random.uniform(0.95, 1.05))
     if random.uniform() < 0.15:
         start = None
     begin = time.perf_counter()
@@ -156,7 +164,7 @@ def trial(number: int, shape: str, kind: str) -> dict:
         "number": number,
         "shape": shape,
         "kind": kind,
-        "start": None if start is None else float(np.rad2deg(angle)),
+        "start": None if start is None else angle,
         "status": fit.status,
         "degrees": off,
         "sigmas": float(np.deg2rad(off) / known) if known > 0 else float("inf"),
@@ -203,5 +211,40 @@ def question() -> dict:
     return {"trials": len(rows), "lies": lies, "table": table}
 
 
+#: How often a fit is timed with and without its looks round, in turn.
+REPEATS = 5
+
+
+def cost() -> dict:
+    """Return what looks round add to fits of ordinary shapes, compiled, in processor time."""
+    rows = []
+    for name, scene in meshes("spot.obj", "bob.obj", "teapot.obj"):
+        random = np.random.default_rng([5, *map(ord, name)])
+        for _ in range(2):
+            truth, axis = random_camera(random), random.normal(size=3)
+            image = np.asarray(pj.silhouette(truth, scene))
+            start = orbited(truth, turn_by(15, axis), 1.05)
+            for kind in ("exact", "8 bits", "one bit"):
+                rows.append({"shape": name, **looks(scene, KINDS[kind](image, random), start)})
+                rows[-1]["kind"] = kind
+                print(rows[-1], flush=True)
+    return {"rows": rows}
+
+
+def looks(scene: pj.Scene, target: np.ndarray, start: pj.Camera) -> dict:
+    """Return a fit's seconds of the processor (medians) with its looks round and without them."""
+    nowhere = lambda solver, mask, found, *_: Places(found, [], [])
+    seconds: dict[str, list[float]] = {"without": [], "with": []}
+    fit = pj.fit_camera(scene, target, start)
+    for _ in range(REPEATS):
+        for name, look in (("without", nowhere), ("with", strategy.looked_round)):
+            with mock.patch.object(strategy, "looked_round", look):
+                begin = time.process_time()
+                pj.fit_camera(scene, target, start)
+                seconds[name].append(time.process_time() - begin)
+    without, whole = (float(np.median(x)) for x in seconds.values())
+    return {"status": fit.status, "without": without, "with": whole, "more": whole / without - 1}
+
+
 if __name__ == "__main__":
-    run(question)
+    run(cost if "checks" in sys.argv else question)

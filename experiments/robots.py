@@ -32,6 +32,11 @@ K = [
 ]
 BASELINE = 120.09
 HALVES = (((0, 2, 4), (1, 3)), ((0, 1), (2, 3, 4)))
+#: A start that far off (a camera's own frame: degrees and m), and how many standard deviations an
+#: interval of 95 % reaches.
+OFF, WITHIN = np.eye(4), 1.96
+OFF[:3, :3] = Rotation.from_euler("xyz", [3, -2, 5], degrees=True).as_matrix()
+OFF[:3, 3] = [0.02, -0.02, 0.05]
 #: ROS has x forward, y left, z up where a camera's frame has z, -x, -y.
 OPTICAL = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
 
@@ -94,6 +99,7 @@ def main() -> None:
         draw(out, side, photos.fit, seen, peers[side])
     table["stereo"] = stereo(fits["left"], fits["right"])
     table["stereo, with the photos"] = stereo(refined["left"], refined["right"])
+    table["postures one by one"] = one_by_one({s: fits[s].camera for s in fits})
     table["both eyes as one rig"] = as_one_rig(fits)
     theirs = (fits["left"]._replace(camera=peers[side]) for side in ("left", "right"))
     table["the peer's"] = stereo(*theirs)
@@ -170,15 +176,35 @@ def with_photos(side: str, seen: list[pj.JointView], start: pj.Camera) -> WithPh
 
 
 def stereo(left: pj.Fit, right: pj.Fit) -> dict:
-    """How two eyes lie to one another, beside the truth, and how many sigmas off."""
+    """How two eyes lie to one another, beside the truth, and how many sigmas off, number by number:
+    three turns, three shifts."""
     step = inverse(pose_of(left.camera)) @ pose_of(right.camera)
     turn = Rotation.from_matrix(step[:3, :3]).as_rotvec()
     sigma = np.hypot(left.std, right.std)
     shift = pose_of(left.camera)[:3, :3] @ (step[:3, 3] - [BASELINE / 1e3, 0, 0])
+    off = np.abs(np.append(turn * [1, -1, 1], shift) / sigma)
     return {
         "baseline, mm": float(1e3 * np.linalg.norm(step[:3, 3])),
         "degrees from parallel": float(np.rad2deg(np.linalg.norm(turn))),
-        "most sigmas": float(np.max(np.abs(np.append(turn * [1, -1, 1], shift) / sigma))),
+        "most sigmas": float(np.max(off)),
+        "sigmas": off.tolist(),
+    }
+
+
+def one_by_one(cameras: dict[str, pj.Camera]) -> dict:
+    """What each posture's two masks say alone, from a start some degrees off, and how many of the
+    95 % intervals between the eyes hold."""
+    fits = {}
+    for side, camera in cameras.items():
+        start = at_pose(camera, pose_of(camera) @ OFF)
+        fits[side] = [pj.fit_joint([v], start).cameras["camera"] for v in views(side)]
+    pairs = [stereo(*pair) for pair in zip(*fits.values(), strict=True)]
+    off = np.array([pair["sigmas"] for pair in pairs])
+    return {
+        "statuses": {side: [fit.status for fit in fits[side]] for side in fits},
+        "std": {side: [fit.std.tolist() for fit in fits[side]] for side in fits},
+        "pairs": pairs,
+        "intervals that hold": f"{np.sum(off < WITHIN)} of {off.size}",
     }
 
 

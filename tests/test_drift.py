@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 import pinhole_jax as pj
 from pinhole_jax._camera.poses import at_pose, exponential, pose_of
+from pinhole_jax._fit.drift import other_places
 from pinhole_jax._solver.moves import displaced
 
 NAMES = ("rotation_b1", "rotation_b2", "rotation_v", "e_x", "e_y", "e_z", "phi")
@@ -121,3 +123,40 @@ def test_a_certain_move_is_no_infinity():
 def test_a_fit_without_pose_is_refused():
     with pytest.raises(ValueError, match="`fit`: expected one whose pose was free, got phi"):
         pj.drift(fit_at(CAMERA, np.eye(1), ("phi",)), CAMERA)
+
+
+def test_modes_that_the_noise_does_not_tell_apart_are_one():
+    """One standard error away is the same place, ten are another one; told twice, it is one."""
+    covariance = np.diag(np.full(7, 0.02) ** 2)
+    fit = fit_at(CAMERA, covariance)
+    near, far, beside = (moved(turn=(0.02 * x, 0, 0)) for x in (1, 10, 10.5))
+    modes = [fit_at(camera, covariance) for camera in (near, far, beside)]
+    assert [m.camera for m in other_places(fit, modes)] == [far]
+    # What is as near is another place where the noise is less, or does not say.
+    sharp, blind = 1e-4 * covariance, covariance.copy()
+    blind[0, 0] = np.inf
+    for told in (sharp, blind):
+        found = other_places(fit_at(CAMERA, told), modes)
+        assert [m.camera for m in found] == [near, far, beside]
+    assert other_places(fit, []) == []
+    # One that is left keeps the status, the farthest of those that are the fit's place.
+    assert [m.camera for m in other_places(fit, [fit_at(CAMERA, covariance), modes[0]])] == [near]
+    # However wide the error bars are, what is far away is told.
+    wide = fit_at(CAMERA, 1e4 * covariance)
+    assert [m.camera for m in other_places(wide, modes)] == [far]
+
+
+def test_modes_but_for_a_free_turn_are_one():
+    """A can is seen upright from one side, or upside down from any."""
+    about = lambda axis, angle: Rotation.from_rotvec(angle * np.array(axis)).as_matrix()
+
+    def seen(turn):
+        e, p, u = (turn @ x for x in np.eye(3)[[2, 0, 1]])
+        return fit_at(pj.Camera(5 * e, p, u, 0.6, 1.0, 96, 80), np.full((7, 7), np.inf))
+
+    over = about([1.0, 0, 0], np.pi)
+    fit, beside = seen(np.eye(3)), seen(about([0, 1.0, 0], 2.0))
+    below, beside_below = seen(over), seen(about([0, 1.0, 0], 1.0) @ over)
+    modes = [beside, below, beside_below]
+    assert other_places(fit, modes) == modes
+    assert other_places(fit, modes, [np.array([0, 1.0, 0])]) == [below]

@@ -182,6 +182,22 @@ def test_the_size_of_weights_changes_nothing(scene, image):
         np.testing.assert_allclose(one.std, other.std, rtol=rtol)
 
 
+def test_what_last_steps_left_as_it_was_is_not_asked_again(scene, image):
+    mask = wavy(image, np.random.default_rng(0), 1, 10)
+    solver, camera = solver_of(scene, mask), canonical(single(CAMERA))
+    here, again = (solver.look(camera, solver.finest) for _ in range(2))
+    errors = solver.errors(here)
+    assert errors is not None
+    solver.take_errors(again, here)  # of which nothing is known
+    assert solver.errors(here) is errors
+    solver.take_errors(here, again)
+    assert solver.errors(again) is errors
+    aside = solver.step(camera, solver.finest, np.array([0, 0, 0, 2.0, 0, 0]))
+    moved = solver.look(aside, solver.finest)
+    solver.take_errors(again, moved)
+    assert solver.errors(moved) is not errors
+
+
 def test_a_mask_that_tells_little_says_so(scene):
     small = pj.Camera([1.8, 6.0, 30.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, SIZE, SIZE)
     shown = drawn(single(small), scene)

@@ -370,3 +370,26 @@ def test_what_other_views_know_is_weighed_on_the_finest_level():
     assert Walked(0.12).far == FAR_LEVEL
     among_others = Walked(0.12, others=no_others(("pose",), np.dtype(float)))
     assert among_others.far == among_others.finest
+
+
+@pytest.mark.parametrize(
+    ("rises", "doubted"),
+    [
+        ([0.9, 1.1], False),  # as foretold on both sides: nothing hides on the way
+        ([0.9, 0.4, 0.9, 0.9], False),
+        ([0.9, 0.1], True),  # a part is about to show
+        ([0.4, 0.4, 0.9, 20.0], True),
+        ([np.nan] * 4, False),  # views that the buffers do not hold say nothing
+    ],
+)
+def test_a_doubt_looks_nearer_where_squares_do_not_rise_as_foretold(monkeypatch, rises, doubted):
+    """Squares rise by so much, beside what the Jacobian foretells, in the looks that are taken."""
+    asked = iter(rises)
+    monkeypatch.setattr(places, "_beside", lambda *_: places._Beside(next(asked), 1.0))
+    solver = Walked(0.12)
+    vars(solver).update(freed=("pose",))
+    triangle = np.diag([0.05, 1, 1, 1, 1, 1])
+    view = solver.glance(None)._replace(triangle=triangle, scale=np.ones(6))
+    found = places._doubtful(solver, Found(canonical(START), view, ()))
+    assert [direction.doubted for direction in found] == [True] * doubted
+    assert next(asked, None) is None

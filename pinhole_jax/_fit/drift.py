@@ -14,6 +14,9 @@ from .result import Fit, check_fit
 POSE = ("rotation_b1", "rotation_b2", "rotation_v", "e_x", "e_y", "e_z")
 #: A drift of more standard errors than this is one.
 MOVED = 3.0
+#: Cameras this close (rad), or within this many standard errors (an interval of 95 %), are one, but
+#: none that are so far apart (rad): who chooses among modes is to see both.
+SAME, SAME_SIGMAS, ANOTHER = np.deg2rad(0.5), 2.0, np.deg2rad(10)
 
 
 class Drift(NamedTuple):
@@ -105,6 +108,35 @@ def drift(fit: Fit, reference: Camera | Fit) -> Drift:
         by,
         _sigma(change[fitted], covariance[np.ix_(fitted, fitted)]),
     )
+
+
+def other_places(
+    fit: Fit, modes: Sequence[Fit], free: Sequence[Float[np.ndarray, "3"]] = ()
+) -> list[Fit]:
+    """Return the modes that the mask's own noise tells from the fit, and from one another; where it
+    tells none of them from the fit, the farthest.
+
+    What descents from several sides end at may be one place, told several times: within the fit's
+    error bars, or but for a turn about an axis of the world that is `free`. Where the mask leaves a
+    parameter open, there is no noise to ask. (One that stays keeps the status: it is not to hang on
+    whether a mode is 1.9 or 2.1 standard errors away.)
+    """
+    if fit.status == "non_finite" or not modes:
+        return [*modes]
+    limit = ANOTHER if np.all(np.isfinite(fit.covariance)) else 0.0
+    kept = [fit]
+    for mode in modes:
+        away = [drift(k._replace(covariance=fit.covariance), mode.camera) for k in kept]
+        same = any(d.angle < SAME or (d.angle < limit and d.sigma < SAME_SIGMAS) for d in away)
+        if not (same or any(_turned_about(k, mode, axis) for k in kept for axis in free)):
+            kept.append(mode)
+    return kept[1:] or [max(modes, key=lambda mode: drift(fit, mode.camera).angle)]
+
+
+def _turned_about(a: Fit, b: Fit, axis: np.ndarray) -> bool:
+    """Return whether two cameras are the same but for a turn about an axis (3,) of the world."""
+    turned = axes_of(b.camera).T @ axes_of(a.camera) @ axis
+    return bool(np.linalg.norm(turned - axis) < SAME)
 
 
 def _covariance(fit: Fit, held: Sequence[str] | None = None) -> Any:

@@ -24,6 +24,7 @@ from .._solver.priors import Pair, Prior, bounds_of, prior_of
 from .._solver.problem import View
 from .._solver.residuals import Sums
 from .._solver.solver import Found, Solver, Stop
+from .drift import other_places
 from .implicit import check_plain, of_camera
 from .occluders import covered_at, edge_of, is_sure, is_trusted, uncovered
 from .photo import check_photo, on_photo
@@ -352,7 +353,8 @@ def _fit_of(answer: _Answer, settings: Settings) -> Fit:
         fit = fit._replace(weak=(*fit.weak, said.note))
     if answer.unbelieved is not None:
         fit = with_unbelieved(fit, answer.unbelieved, answer.note, answer.doubted)
-    return with_modes(fit, modes)
+    turns = [f.axis for f in answer.free if f.axis is not None and np.isinf(f.ahead)]
+    return with_modes(fit, other_places(fit, modes, turns))
 
 
 def _reported(

@@ -49,6 +49,10 @@ LIKE_FORETOLD = 0.5
 DOUBTFUL, DOUBT_SIGMAS, DOUBT_RAD, RISE = 0.2, 12.0, np.deg2rad([4, 10]), (0.15, 10.0)
 #: ... nor be this many times as steep.
 STEEPER = 4.0
+#: Where both of the farther ones rise as foretold within these factors, the nearer ones need not be
+#: looked at. (The right cameras of 20 hard and noisy masks rise 0.7 to 1.2 times as much, of
+#: blurred ones 0.3 to 0.9; two whose knob is about to show 0.08 and 0.2, on that side.)
+FORETOLD = (0.5, 2.0)
 #: A descent that ends on a level for what is far away (see `Solver.far`) is followed no further
 #: where it is worse by this many times what is equal along a walk, nor where it is at a place that
 #: another one led to: so near (rad).
@@ -324,21 +328,45 @@ def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
     far = np.clip(DOUBT_SIGMAS * direction.sigma, *DOUBT_RAD) * _radian(solver, found)
     number = _walked_on(solver)
     here = view if number == solver.finest else solver.glance(found.camera, number)
-    # (The same move, in that level's units.)
-    vector = weak[-1][1]
-    moved = vector * np.asarray(view.scale, float) / np.asarray(here.scale, float)
-    shows = float(np.sum((np.asarray(here.triangle, float) @ moved) ** 2))
-    for part in (far, -far, far / 2, -far / 2):
-        other = solver.glance(solver.step(found.camera, solver.finest, part * vector), number)
-        beside = np.asarray(other.triangle, float)
-        if not np.all(np.isfinite(beside)):
-            continue
-        rise = (other.squares - here.squares) / (shows * part**2)
-        steeper = float(np.asarray(other.along) @ beside @ moved) / (shows * part)
-        blind = weak_moves(beside, components(solver.freed))
-        if blind or not RISE[0] < rise < RISE[1] or steeper > STEEPER:
+    for part in (far, far / 2):
+        moves = part * weak[-1][1], -part * weak[-1][1]
+        beside = [_beside(solver, found, here, number, move) for move in moves]
+        if any(seen.is_strange() for seen in beside):
             return [direction._replace(doubted=True)]
+        if all(seen.is_foretold() for seen in beside):
+            break  # what is as foretold so far away was so on the way
     return []
+
+
+class _Beside(NamedTuple):
+    """What is seen at a camera beside another one: by how much squares rose, and how steeply they
+    rise on, beside what the Jacobian foretells, and whether another direction hardly shows there;
+    NaN of what buffers had no room for."""
+
+    rise: float
+    slope: float
+    blind: bool = False
+
+    def is_strange(self) -> bool:
+        usual = RISE[0] < self.rise < RISE[1] and self.slope <= STEEPER and not self.blind
+        return not usual and bool(np.isfinite(self.rise))
+
+    def is_foretold(self) -> bool:
+        return FORETOLD[0] < self.rise < FORETOLD[1] and self.slope < FORETOLD[1]
+
+
+def _beside(solver: Solver, found: Found, here: View, number: int, move: np.ndarray) -> _Beside:
+    """Return what a level shows at a move of a camera whose view there is `here`."""
+    other = solver.glance(solver.step(found.camera, solver.finest, move), number)
+    triangle = np.asarray(other.triangle, float)
+    if not np.all(np.isfinite(triangle)):
+        return _Beside(np.nan, np.nan)
+    # (The same move, in that level's units.)
+    moved = move * np.asarray(found.view.scale, float) / np.asarray(here.scale, float)
+    shows = float(np.sum((np.asarray(here.triangle, float) @ moved) ** 2))
+    slope = float(np.asarray(other.along) @ triangle @ moved) / shows
+    blind = bool(weak_moves(triangle, components(solver.freed)))
+    return _Beside((other.squares - here.squares) / shows, slope, blind)
 
 
 def _radian(solver: Solver, found: Found) -> float:

@@ -327,6 +327,7 @@ def without_outliers(
                 px = FINE_PX[near.dtype]
                 f = onward(f, near.solve(camera, [near.finest], fine_px=px))
         result.append(f)
+    solver.take_errors(places.best.view, result[0].view)
     return [(f, solver.look(f.camera, solver.finest)) for f in result]
 
 
