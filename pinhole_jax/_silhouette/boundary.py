@@ -132,7 +132,11 @@ def _product(flux: Float[Array, "K m n 3"], rate: Float[Array, "K n 3 ways"]) ->
     """Return what areas gain (K, m, ways) where points move so."""
     # Else the compiler works each out anew for each number of the product.
     flux, rate = jax.lax.optimization_barrier((flux, rate))
-    return jnp.sum(flux[..., None] * rate[:, None], axis=(2, 3))
+    rate = rate[:, None]
+    each = [
+        flux[..., i, j, None] * rate[:, :, i, j] for i in range(flux.shape[2]) for j in range(3)
+    ]
+    return jnp.asarray(sum(each))
 
 
 def _flux_back(
