@@ -16,7 +16,7 @@ MOST = {
     "mask_without_overlaps": Kernels(206, 150, 7),
     "mask": Kernels(692, 463, 25),
     "depth": Kernels(200, 142, 2),
-    "gradient_of_camera": Kernels(1512, 622, 55),
+    "gradient_of_camera": Kernels(1451, 622, 49),
     "fit": Kernels(530, 370, 10),
 }
 #: Kernels are the compiler's as users have it, but not looked over, and written in a hurry.

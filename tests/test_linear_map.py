@@ -38,6 +38,17 @@ def test_batches_over_residuals_and_over_what_is_linear():
     np.testing.assert_array_equal(slopes, np.repeat([[1], [3], [6]], 3, 1))
 
 
+def test_a_jacobian_maps_all_directions_at_once():
+    widths = []
+
+    def twice(r, x):
+        widths.append(x.shape)
+        return 2.0 * x
+
+    jax.jit(jax.jacfwd(lambda x: linear_map(twice, twice, (), x)))(X)
+    assert widths[-1] == (3, 3)
+
+
 def test_what_is_not_linear_has_no_derivative_and_says_so():
     def scaled(s):
         return linear_map(lambda r, x: r * x, lambda r, y: r * y, s, X).sum()

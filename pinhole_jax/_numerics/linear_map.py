@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
-from jaxtyping import PyTree
+from jaxtyping import Array, PyTree
 
 from .tracing import collector_at_rest
 
@@ -29,11 +29,13 @@ def linear_map(
     """Return forward(residuals, linear), which `transpose(residuals, cotangent)` transposes.
 
     `forward` must be linear in its second argument; every leaf of `linear` and of the result is a
-    float array. It can be differentiated with respect to `linear` only.
+    float array. It can be differentiated with respect to `linear` only. Both functions are given
+    and return leaves with one more axis, the last: along it are the vectors that are mapped.
     """
     residual_leaves, residual_tree = jax.tree.flatten(residuals)
-    linear_leaves, linear_tree = jax.tree.flatten(linear)
-    out_shapes, out_tree = jax.tree.flatten(jax.eval_shape(forward, residuals, linear))
+    one = jax.tree.map(lambda x: jnp.asarray(x)[..., None], linear)
+    linear_leaves, linear_tree = jax.tree.flatten(one)
+    out_shapes, out_tree = jax.tree.flatten(jax.eval_shape(forward, residuals, one))
 
     @collector_at_rest()
     def forward_flat(residual: list, x: list) -> list:
@@ -53,7 +55,8 @@ def linear_map(
         n_residuals=len(residual_leaves),
         out_shapes=tuple((x.shape, x.dtype) for x in out_shapes),
     )
-    return out_tree.unflatten(out)
+    # (A sum of one: `vmap` moves its axis to the front in what is indexed or squeezed.)
+    return out_tree.unflatten([jnp.sum(x, axis=-1) for x in out])
 
 
 _linear_map_p = Primitive("pinhole_linear_map")
@@ -101,21 +104,37 @@ def _transpose(cotangents, *args, forward, transpose, n_residuals, out_shapes):
 
 def _batch(args, dims, *, forward, transpose, n_residuals, out_shapes):
     size = next(x.shape[d] for x, d in zip(args, dims, strict=True) if d is not None)
-    residuals, linear = args[:n_residuals], args[n_residuals:]
-    axes = list(dims[:n_residuals])
-    moved = [
-        jnp.broadcast_to(x, (size, *x.shape)) if d is None else jnp.moveaxis(x, d, 0)
-        for x, d in zip(linear, dims[n_residuals:], strict=True)
+    residuals, axes = args[:n_residuals], list(dims[:n_residuals])
+    linear = [
+        _with_axis(x, d, size) for x, d in zip(args[n_residuals:], dims[n_residuals:], strict=True)
     ]
+    if all(d is None for d in axes):
+        out = _linear_map_p.bind(
+            *residuals,
+            *(x.reshape(*x.shape[:-2], -1) for x in linear),
+            forward=forward,
+            transpose=transpose,
+            n_residuals=n_residuals,
+            out_shapes=tuple(((*s[:-1], size * s[-1]), dtype) for s, dtype in out_shapes),
+        )
+        out = [x.reshape(*x.shape[:-1], size, -1) for x in out]
+        return out, [x.ndim - 2 for x in out]
     out = _linear_map_p.bind(
         *residuals,
-        *moved,
+        *(jnp.moveaxis(x, -2, 0) for x in linear),
         forward=jax.vmap(forward, in_axes=(axes, 0), axis_size=size),
         transpose=jax.vmap(transpose, in_axes=(axes, 0), axis_size=size),
         n_residuals=n_residuals,
         out_shapes=tuple(((size, *shape), dtype) for shape, dtype in out_shapes),
     )
     return out, [0] * len(out)
+
+
+def _with_axis(x: Array, axis: int | None, size: int) -> Array:
+    """Return an array whose batch axis is the last but one."""
+    if axis is None:
+        return jnp.broadcast_to(x[..., None, :], (*x.shape[:-1], size, x.shape[-1]))
+    return jnp.moveaxis(x, axis, -2)
 
 
 _linear_map_p.def_impl(_impl)

@@ -189,7 +189,9 @@ def _edge_ends(
 
     Times a power of 2 for each end: products of them neither overflow nor vanish.
     """
-    homogeneous = film_points(film, vertices[contour.edge_vertices[edge]])
+    # (Without the barrier the compiler finds the ends anew for each number of a derivative.)
+    ends = jax.lax.optimization_barrier(contour.edge_vertices[edge])
+    homogeneous = film_points(film, vertices[ends])
     return homogeneous * binary_inverse(jnp.max(jnp.abs(homogeneous), axis=-1))[..., None]
 
 

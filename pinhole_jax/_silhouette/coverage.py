@@ -20,7 +20,18 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._numerics.bitset import count_upto
 from .._numerics.safe import safe_divide
-from .curves import Arcs, Curves, Segments, bulge, ends, film_at, unit_at
+from .curves import (
+    Arcs,
+    Curves,
+    Segments,
+    bulge,
+    edge_flux,
+    edge_fractions,
+    ends,
+    film_at,
+    piece_flux,
+    unit_at,
+)
 
 
 class Pieces(NamedTuple):
@@ -236,6 +247,38 @@ def _areas(m: Monotone, start, end, column, W):
         grown = m.rising * m.curves.weight * bulge(m.curves.frame, start, end)
         area = area + jnp.where(inside, grown, 0)
     return height, area
+
+
+# --- how the area grows as a curve moves ---------------------------------------------------------
+# What a straight curve sweeps of a pixel is linear between its ends: these are worked out once, and
+# a piece takes its shares of both. An arc's pieces take theirs of all numbers of its frame.
+
+
+def end_flux(m: Monotone, homogeneous: Float[Array, "K 2 3"]) -> Float[Array, "K 2 2 3"]:
+    """Return how the area left of straight curves grows with their points, per px of height (of
+    width, if they are not steep): as fast as at the lower and at the upper end."""
+    steep = _is_steep(m)
+    each = [edge_fractions(homogeneous, steep, point) for point in (m.low, m.high)]
+    return jnp.stack([edge_flux(homogeneous, steep, fractions) for fractions in each], axis=1)
+
+
+def _is_steep(m: Monotone) -> Bool[Array, "*K"]:
+    width, height = (jnp.abs(m.high[..., k] - m.low[..., k]) for k in (0, 1))
+    return height > width
+
+
+def shares(m: Monotone, start: Float[Array, "*P 2"], end: Float[Array, "*P 2"]) -> Array:
+    """Return by how much the area left of a curve's piece grows (*P, n): of a straight one with
+    each number of `end_flux`, of an arc with each of its frame."""
+    if isinstance(m.curves, Arcs):
+        flux = piece_flux(m.curves.frame, m.curves, start, end)
+        return flux.reshape(*flux.shape[:-2], -1)
+    steep = _is_steep(m)
+    past = lambda a, b: jnp.where(steep, b[..., 1] - a[..., 1], b[..., 0] - a[..., 0])
+    before = (past(m.low, start) + past(m.low, end)) / 2
+    share, along = jnp.clip(safe_divide(before, past(m.low, m.high)), 0, 1), past(start, end)
+    along = jnp.where(steep, along, -along)
+    return jnp.stack([along * (1 - share), along * share], axis=-1)
 
 
 # --- points of a curve ---------------------------------------------------------------------------

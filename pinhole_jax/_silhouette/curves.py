@@ -173,11 +173,11 @@ def bulge(
 
 
 def piece_flux(
-    homogeneous: Float[Array, "K n 3"],
+    homogeneous: Float[Array, "*K n 3"],
     curves: Curves,
-    start: Float[Array, "K 2"],
-    end: Float[Array, "K 2"],
-) -> Float[Array, "K n 3"]:
+    start: Float[Array, "*K 2"],
+    end: Float[Array, "*K 2"],
+) -> Float[Array, "*K n 3"]:
     """Return the derivative, by its points, of the area left of a curve's piece from start to
     end."""
     if isinstance(curves, Arcs):
@@ -187,7 +187,7 @@ def piece_flux(
     share = (
         edge_fractions(homogeneous, steep, start) + edge_fractions(homogeneous, steep, end)
     ) / 2
-    return edge_flux(homogeneous, steep, jnp.where(steep, dy, -dx)[:, None] * share)
+    return edge_flux(homogeneous, steep, jnp.where(steep, dy, -dx)[..., None] * share)
 
 
 def edge_fractions(

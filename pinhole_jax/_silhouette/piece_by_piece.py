@@ -77,7 +77,7 @@ def _drawn(asked: Asked, rows: Int[Array, "2"] | None) -> Drawn:
 # --- curves --------------------------------------------------------------------------------------
 
 
-class _Ordered(NamedTuple):
+class Ordered(NamedTuple):
     """What is needed of `Monotone` (all of it is read: see `LEAST`); `frame` of arcs."""
 
     low: Float[Array, "*K 2"]
@@ -87,11 +87,11 @@ class _Ordered(NamedTuple):
     frame: Float[Array, "*K 3 3"] | None
 
     @staticmethod
-    def of(curves: Curves) -> "_Ordered":
+    def of(curves: Curves) -> "Ordered":
         """Return curves ordered by height."""
         low, high, rising, _, own = monotone(curves)
         frame = None if isinstance(own, Segments) else own.frame
-        return _Ordered(low, high, rising, own.weight, frame)
+        return Ordered(low, high, rising, own.weight, frame)
 
     @property
     def monotone(self) -> Monotone:
@@ -104,7 +104,7 @@ class _Ordered(NamedTuple):
 class _Listed(NamedTuple):
     """Curves from the one with the id `begin` on, as many as there is room for (-1: none yet)."""
 
-    curves: _Ordered
+    curves: Ordered
     begin: Int[Array, ""]
 
     @staticmethod
@@ -112,7 +112,7 @@ class _Listed(NamedTuple):
         """Return a list of no curves."""
         room = -(-min(LISTED, part.most or LISTED) // part.size) * part.size
         ids = jnp.zeros(max(room, LEAST), jnp.int32)
-        like = jax.eval_shape(lambda: _Ordered.of(part.curves(ids)))
+        like = jax.eval_shape(lambda: Ordered.of(part.curves(ids)))
         return _Listed(jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), like), jnp.int32(-1))
 
 
@@ -134,11 +134,11 @@ def _with_part(asked: Asked, part: Part, band: _Band, listed: _Listed) -> tuple[
     return jax.lax.while_loop(lambda s: s[0] < part.total, more, start)[1:]
 
 
-def _put(curves: Curves, first: Int[Array, ""], known: _Ordered) -> _Ordered:
+def _put(curves: Curves, first: Int[Array, ""], known: Ordered) -> Ordered:
     """Return listed curves with more of them from a place on."""
 
     def one(k, known):
-        return _with_row(known, _Ordered.of(taken(curves, k)), first + k)
+        return _with_row(known, Ordered.of(taken(curves, k)), first + k)
 
     return jax.lax.fori_loop(0, curves.weight.shape[0], one, known)
 
@@ -152,35 +152,52 @@ def _with_row(table: Any, row: Any, place: Int[Array, ""]) -> Any:
 # --- pieces --------------------------------------------------------------------------------------
 
 
-def _walked(W: int, H: int, curves: _Ordered, number: Int[Array, ""], band: _Band) -> _Band:
-    """Return a band with the pieces of the first so many curves."""
-    bottom, top = band.bottom, band.top
+def walked(
+    size: tuple[int, int],
+    curves: Ordered,
+    number: Int[Array, ""],
+    rows: tuple[Any, Any],
+    add: Callable[[Any, Int[Array, ""], Monotone, Pieces], Any],
+    start: Any,
+) -> Any:
+    """Return `start` after `add(total, k, curve, piece)` over the pieces of the first so many
+    curves, on a film of W x H pixels, in the rows from one up to another."""
+    (W, H), (bottom, top) = size, rows
 
     def of_curve(state):
-        k, sums, touched = state
+        k, total = state
         m = taken(curves, k).monotone
         rows = rows_of(m, top, bottom)
 
         def of_row(state):
-            row, sums, touched = state
+            row, total = state
             own = in_row(m, row, W, H)
 
             def of_pixel(state):
-                along, sums, touched = state
+                along, total = state
                 piece = in_pixel(m, own, along, k, jnp.array(True), W)
-                return along + 1, *_with_piece(W, piece, row - bottom, sums, touched)
+                return along + 1, add(total, k, m, piece)
 
-            inner = jax.lax.while_loop(
-                lambda s: s[0] <= own.further, of_pixel, (jnp.int32(0), sums, touched)
-            )
-            return row + 1, *inner[1:]
+            start = jnp.int32(0), total
+            return row + 1, jax.lax.while_loop(lambda s: s[0] <= own.further, of_pixel, start)[1]
 
         end = rows.first + jnp.where(m.curves.weight == 0, 0, rows.number)
-        inner = jax.lax.while_loop(lambda s: s[0] < end, of_row, (rows.first, sums, touched))
-        return k + 1, *inner[1:]
+        start = rows.first, total
+        return k + 1, jax.lax.while_loop(lambda s: s[0] < end, of_row, start)[1]
 
-    start = jnp.int32(0), band.sums, band.touched
-    _, sums, touched = jax.lax.while_loop(lambda s: s[0] < number, of_curve, start)
+    return jax.lax.while_loop(lambda s: s[0] < number, of_curve, (jnp.int32(0), start))[1]
+
+
+def _walked(W: int, H: int, curves: Ordered, number: Int[Array, ""], band: _Band) -> _Band:
+    """Return a band with the pieces of the first so many curves."""
+    bottom, top = band.bottom, band.top
+
+    def add(state, k, m, piece):
+        del k, m
+        return _with_piece(W, piece, piece.row - bottom, *state)
+
+    start = band.sums, band.touched
+    sums, touched = walked((W, H), curves, number, (bottom, top), add, start)
     return _Band(sums, touched, bottom, top)
 
 

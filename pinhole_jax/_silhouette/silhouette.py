@@ -19,8 +19,7 @@ from .._numerics.linear_map import linear_map
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, Spheres, astype, check_view
 from .asked import WORD, Asked, words_in_row
-from .boundary import pulled, pushed
-from .coverage import Pieces, monotone
+from .boundary import Seen, pulled, pushed
 from .covered import (
     DEEP,
     LEAST_FACES,
@@ -32,7 +31,6 @@ from .covered import (
     worth,
 )
 from .curve_sets import Found, edge_curves, find, joined, outline_curves
-from .curves import piece_flux
 from .drawing import drawn, in_words, is_large
 from .overlaps import (
     Kept,
@@ -42,10 +40,9 @@ from .overlaps import (
     all_kept,
     fold_cells,
     fold_chosen,
-    fold_curves,
-    fold_pieces,
     nothing_kept,
 )
+from .piece_by_piece import LEAST
 from .surrounding import rows_seen, surrounding
 from .sweep import Visible
 
@@ -222,28 +219,23 @@ def _image_jvp(primals: Any, tangents: Any):
         held, _, still, _ = residuals
         return lambda changing: _parts(rebuild(held, changing), still)
 
-    def forward(residuals, velocity):
+    def seen(residuals) -> Seen:
         _, changing, still, pixels = residuals
-        image = jnp.zeros(film.H * film.W, film.eye.dtype)
-        image = pushed(
-            parts_of(residuals),
-            changing,
-            velocity,
-            partial(_fold_visible, film, still, pixels),
-            lambda image, pixel, change: image.at[pixel].add(change, mode="drop"),
-            image,
-        )
-        return image.reshape(film.H, film.W)
+        assert pixels.alone is not None
+        parts = parts_of(residuals)(changing)
+        crowd = partial(_fold_crowd, film, still, pixels, parts)
+        return Seen(film.W, film.H, pixels.alone.reshape(-1), crowd)
+
+    def forward(residuals, velocity):
+        changing, ways = residuals[1], velocity[0].shape[-1]
+        # (Of one pixel more than one: see `one_kernel`.)
+        image = jnp.zeros((max(film.H * film.W, LEAST), ways), film.eye.dtype)
+        image = pushed(parts_of(residuals), changing, velocity, seen(residuals), image)
+        return image[: film.H * film.W].reshape(film.H, film.W, ways)
 
     def transpose(residuals, cotangent):
-        _, changing, still, pixels = residuals
-        cotangent, get = cotangent.reshape(-1), {"mode": "fill", "fill_value": 0}
-        return pulled(
-            parts_of(residuals),
-            changing,
-            partial(_fold_visible, film, still, pixels),
-            lambda pixel: cotangent.at[pixel].get(**get),
-        )
+        weights = cotangent.reshape(film.H * film.W, -1)
+        return pulled(parts_of(residuals), residuals[1], seen(residuals), weights)
 
     held = [x for x, m in zip(leaves, moves, strict=True) if not m]
     changing = [x for x, m in zip(leaves, moves, strict=True) if m]
@@ -334,45 +326,19 @@ def _overlapping(pixels: _Pixels, film: FilmMap) -> Overlapping:
     )
 
 
-def _fold_visible(
+def _fold_crowd(
     film: FilmMap,
     still: _Still,
     pixels: _Pixels,
     parts: list[Part],
     add: Callable,
     start: Any,
-    block: tuple[Array, Array],
 ) -> Any:
-    """Return `start` after `add(total, number, pixel, curve, flux)` over the visible contour: the
-    part's number, the curve's in it, and how the pixel's area grows with that curve's points.
-
-    Where contours do not overlap only a block of curves is gone through, from one to another.
-    """
-    W, H, alone = film.W, film.H, pixels.alone
-    assert alone is not None
-    for number, part in enumerate(parts):
-
-        def chunk(total, ids, curves, part=part, number=number):
-            ids = jnp.minimum(ids, part.total - 1)
-            homogeneous = jax.lax.stop_gradient(part.homogeneous_of(ids))
-
-            def single(total, pieces: Pieces):
-                inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
-                row = jnp.where(inside, H - 1 - pieces.row, 0)
-                column = jnp.where(inside, pieces.column, 0)
-                seen, pixel = inside & alone[row, column], row * W + column
-                own = jax.tree.map(lambda x: x[pieces.curve], curves)
-                rate = piece_flux(homogeneous[pieces.curve], own, pieces.start, pieces.end)
-                rate = jnp.where(seen[:, None, None], -pieces.jump[:, None, None] * rate, 0)
-                return add(total, number, pixel, ids[pieces.curve], rate)
-
-            return fold_pieces(monotone(curves), (W, H, H), single, total)
-
-        start = fold_curves(part, chunk, start, part.size, block)
+    """Return `start` after `add(total, number, pixel, visible)` over what is visible where contours
+    overlap (see `Crowd`)."""
 
     def crowd(total, place, visible: Visible, number: int):
-        homogeneous = jax.lax.stop_gradient(parts[number].homogeneous_of(visible.curve))
-        return add(total, number, place, visible.curve, visible.flux(homogeneous))
+        return add(total, number, place, visible)
 
     def again(total, resolved: Resolved):
         for number, visible in enumerate(resolved.visible):
@@ -388,4 +354,5 @@ def _fold_visible(
         start = kept.fold(partial(crowd, number=number), start)
     overlapping = _overlapping(pixels, film)
     overlapping = overlapping._replace(total=jnp.where(complete, 0, overlapping.total))
-    return fold_cells(parts, overlapping, W, H, still.base, again, start, True, still.stops)
+    size = film.W, film.H
+    return fold_cells(parts, overlapping, *size, still.base, again, start, True, still.stops)

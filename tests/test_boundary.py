@@ -1,0 +1,67 @@
+"""How areas grow as curves move: one by one as of vectors, straight pieces as by their points."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pinhole_jax as pj
+from pinhole_jax._camera.camera import film_map
+from pinhole_jax._silhouette import boundary
+from pinhole_jax._silhouette.boundary import Seen
+from pinhole_jax._silhouette.coverage import end_flux, shares
+from pinhole_jax._silhouette.curves import Segments, piece_flux
+from pinhole_jax._silhouette.piece_by_piece import Ordered
+from pinhole_jax._silhouette.spheres import sphere_arcs
+
+W, H, WAYS = 12, 9, 3
+CAMERA = pj.Camera([0.3, 0.2, 4.0], [0.0, 0, 0], [0.0, 1, 0], 0.5, 1.0, W, H)
+
+
+@pytest.fixture
+def random():
+    return np.random.default_rng(5)
+
+
+def segments(random):
+    ends = random.uniform(-2, 14, (2, 20, 2))
+    return Segments(jnp.asarray(ends[0]), jnp.asarray(ends[1]), jnp.asarray([1.0, -2.0] * 10))
+
+
+def arcs(random):
+    del random
+    spheres = pj.Spheres(jnp.array([[0.1, 0, 0], [0.5, 0.3, 0]]), jnp.array([0.6, 0.4]))
+    return sphere_arcs(film_map(CAMERA), spheres, jnp.arange(12, dtype=jnp.int32))
+
+
+@pytest.mark.parametrize("kind", [segments, arcs])
+def test_piece_by_piece_is_as_of_vectors(kind, random, monkeypatch):
+    curves = Ordered.of(kind(random))
+    seen = Seen(W, H, jnp.asarray(random.random(W * H) < 0.7), lambda add, start: start)
+    flux = jnp.asarray(random.normal(size=(len(curves.rising), 2 if kind is segments else 9, WAYS)))
+    weights = jnp.asarray(random.normal(size=(W * H, WAYS)))
+
+    def both():
+        image = boundary._ordinary_pushed(seen, curves, flux, jnp.zeros((W * H, WAYS)))
+        return np.asarray(image), np.asarray(boundary._ordinary_pulled(seen, curves, weights))
+
+    image, back = both()
+    monkeypatch.setattr(boundary, "on_cpu", lambda one, *rest, elsewhere: elsewhere(*rest))
+    for found, expected in zip((image, back), both(), strict=True):
+        assert np.abs(expected).max() > 0.1
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
+    assert not image[~np.asarray(seen.alone)].any()
+    # Each is the other's transpose, way by way.
+    there, here = (weights * image).sum(axis=0), (np.asarray(flux) * back).sum(axis=(0, 1))
+    np.testing.assert_allclose(there, here, rtol=1e-9)
+
+
+def test_shares_of_a_straight_piece_are_its_flux(random):
+    points = random.uniform(0.5, 2, (20, 2, 3))
+    a, b = (points[:, k, :2] / points[:, k, 2:] for k in (0, 1))
+    m = Ordered.of(Segments(jnp.asarray(a), jnp.asarray(b), jnp.ones(20))).monotone
+    low, high = np.asarray(m.low), np.asarray(m.high)
+    start, end = (jnp.asarray(low + t * (high - low)) for t in (0.2, 0.7))
+    points = jnp.asarray(points)
+    found = jnp.sum(shares(m, start, end)[..., None, None] * end_flux(m, points), axis=1)
+    expected = piece_flux(points, m.curves, start, end)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
