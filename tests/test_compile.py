@@ -14,9 +14,9 @@ from _kernels import Kernels, kernels
 #: At most this many kernels in all, that differ, and loops.
 MOST = {
     "mask_without_overlaps": Kernels(206, 150, 7),
-    "mask": Kernels(692, 463, 25),
+    "mask": Kernels(330, 217, 10),
     "depth": Kernels(200, 142, 2),
-    "gradient_of_camera": Kernels(1451, 622, 49),
+    "gradient_of_camera": Kernels(750, 365, 28),
     "fit": Kernels(530, 370, 10),
 }
 #: Kernels are the compiler's as users have it, but not looked over, and written in a hurry.

@@ -16,7 +16,7 @@ from slopes import both_ways
 
 import pinhole_jax as pj
 from pinhole_jax._scene.scene import with_vertices
-from pinhole_jax._silhouette import overlaps
+from pinhole_jax._silhouette import in_turn, overlaps
 from pinhole_jax._silhouette.silhouette import _silhouette, _stops
 
 W, H = 64, 48
@@ -209,18 +209,39 @@ def test_a_room_without_a_wall_around_the_eye(offset):
 
 
 @pytest.mark.long
-def test_crowded_cells_are_cut_until_they_are_resolved(monkeypatch):
-    # One pixel that holds everything: hundreds of pieces.
+def test_one_pixel_that_holds_everything_is_resolved():
+    """Hundreds of pieces."""
     vertices, faces = soup(60)
     camera = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, W=2, H=2)
+    image = pj.silhouette(camera, pj.Scene(mesh=pj.Mesh(vertices, faces)))
+    np.testing.assert_allclose(image, mesh_coverage(camera, vertices, faces), atol=1e-12)
+
+
+@pytest.fixture(params=["in turn", "side by side"])
+def way(request, monkeypatch) -> int:
+    """Resolve pixels one after the other, as on a CPU, or as vectors, as elsewhere; return a number
+    of rows that is the way's own (what is compiled for one is not taken for the other)."""
+    if request.param == "in turn":
+        return 2
+    monkeypatch.setattr(overlaps, "_in_turn", overlaps._side_by_side)
+    return 3
+
+
+@pytest.mark.long
+def test_crowded_cells_are_cut_until_they_are_resolved(way, monkeypatch):
+    monkeypatch.setattr(in_turn, "MANY", 6)
+    vertices, faces = soup(60)
+    camera = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, W=4, H=way)
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
     expected = mesh_coverage(camera, vertices, faces)
     np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-8)
     # Where the cutting ends early, what is left unresolved is bounded by the cells' size.
+    monkeypatch.setattr(overlaps, "LAST_FILM", {"float64": 1})
     monkeypatch.setattr(overlaps, "LAST_CUT", {"float64": 1})
-    coarse = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, W=2, H=1)
+    coarse = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, W=6, H=way)
     image = pj.silhouette(coarse, scene)
-    np.testing.assert_allclose(image, mesh_coverage(coarse, vertices, faces), atol=0.5)
+    error = np.abs(image - mesh_coverage(coarse, vertices, faces))
+    assert 1e-7 < np.max(error) < 0.5
 
 
 def rough(subdivisions, noise, seed=0):
@@ -255,12 +276,13 @@ def test_no_pixel_of_a_rough_mesh_is_wrong_in_float32():
 
 
 @pytest.mark.long
-def test_what_there_is_no_room_for_is_resolved_all_the_same(monkeypatch):
+def test_what_there_is_no_room_for_is_resolved_all_the_same(way, monkeypatch):
     monkeypatch.setattr(overlaps, "LEAST_CAPACITY", 64)
+    monkeypatch.setattr(overlaps, "IN_TURN", 64)
     vertices, faces = soup(60)
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
     for distance in (30, 4):
-        camera = pj.Camera([0, 0, distance], [0, 0, 0], [0, 1, 0], 0.3, W=3, H=2)
+        camera = pj.Camera([0, 0, distance], [0, 0, 0], [0, 1, 0], 0.3, W=5, H=way)
         expected = mesh_coverage(camera, vertices, faces)
         np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-8)
 
@@ -340,6 +362,46 @@ def pushed_and_pulled(mixed, directions, weight, stops=None):
     sum by all leaves: one program for all."""
     image = lambda x: image_of(mixed, x, stops)
     return both_ways(image, leaves(mixed), directions, weight)
+
+
+def checker():
+    """Squares of a chess board of one colour, which meet at their corners."""
+    place = np.stack(np.meshgrid(*2 * [np.arange(8)], indexing="ij"), axis=-1).reshape(-1, 2)
+    place = place[place.sum(axis=1) % 2 == 0]
+    corner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    flat = ((place[:, None] + corner - 4) / 4).reshape(-1, 2)
+    faces = np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(len(place))[:, None, None]
+    return np.column_stack([flat, np.zeros(len(flat))]), faces.reshape(-1, 3)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("stops", [None, 16])
+def test_pixels_in_turn_are_what_they_are_side_by_side(mixed, monkeypatch, stops):
+    """Images and derivatives, of edges and arcs; and of edges along the sides of pixels."""
+    random = np.random.default_rng(3)
+    weight = random.normal(size=(mixed[0].H, mixed[0].W))
+    directions = tuple(random.normal(size=x.shape) for x in leaves(mixed))
+    vertices, faces = checker()
+    camera = pj.Camera([0, 0, 2], [0, 0, 0], [0, 1, 0], 2 * np.arctan(0.5), W=24, H=18)
+
+    def of_board(vertices):
+        board = pj.Scene(mesh=pj.Mesh(vertices, faces))
+        return jnp.sum(weight * _silhouette(camera, board, True, number))
+
+    number = None if stops is None else jnp.int32(stops)
+
+    def told():
+        image = lambda x: image_of(mixed, x, number)
+        several = jax.jit(lambda x: both_ways(image, x, directions, weight))(leaves(mixed))
+        return several, jax.jit(jax.value_and_grad(of_board))(vertices)
+
+    one = told()
+    monkeypatch.setattr(overlaps, "_in_turn", overlaps._side_by_side)
+    jax.clear_caches()
+    other = told()
+    jax.clear_caches()
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-11 * max(1, np.abs(b).max()))
 
 
 def dot(gradient, directions) -> float:

@@ -87,12 +87,12 @@ def nth(selection: Selection, rank: Int[Array, "K"]) -> Int[Array, "K"]:
     return word * 32 + position.astype(jnp.int32)
 
 
-def rank_in(selection: Selection, index: Int[Array, "K"]) -> Int[Array, "K"]:
+def rank_in(selection: Selection, index: Int[Array, "*K"]) -> Int[Array, "*K"]:
     """Return which number each index has in the set, -1 if it is not in it."""
     return jnp.where(bit(selection.words, index), count_below(selection, index), -1)
 
 
-def count_below(selection: Selection, index: Int[Array, "K"]) -> Int[Array, "K"]:
+def count_below(selection: Selection, index: Int[Array, "*K"]) -> Int[Array, "*K"]:
     """Return how many of the set are smaller than each index."""
     word, place = index >> 5, (index & 31).astype(jnp.uint32)
     bits = selection.words[word] & ((jnp.uint32(1) << place) - 1)

@@ -11,6 +11,7 @@ rounding may move an outline.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -19,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.film import FilmMap, film_points
 from .._numerics.bitset import count_upto
+from .._numerics.one_kernel import on_cpu
 from .._numerics.running import running_sum
 from .._numerics.safe import norm, safe_divide, safe_sqrt
 from .._scene.scene import Spheres
@@ -147,7 +149,8 @@ def _drawn(
     film: FilmMap, kind: Convex, H: int, fine: int, rows: _Rows, worth: Bool[Array, ""]
 ) -> _Rows:
     """Return the rows with all things of a kind."""
-    slack, dtype = _slack(film), film.eye.dtype
+    slack = _slack(film)
+    size = _Size(film.W, H, fine)
 
     def chunk(state):
         begin, rows = state
@@ -156,27 +159,86 @@ def _drawn(
         inside = lambda y: jnp.clip(y, 0, H).astype(jnp.int32)
         first = inside(jnp.ceil((outline[:, 0] + slack) * fine))
         after = inside(jnp.floor((outline[:, 1] - slack) * fine))
-        upto = running_sum(jnp.where(ids < kind.number, jnp.maximum(after - first, 0), 0))
-        before = upto - jnp.maximum(after - first, 0)
+        after = jnp.where(ids < kind.number, after, 0)
         table = jax.lax.optimization_barrier(outline)
-
-        def some(state):
-            begin, rows = state
-            slot = begin + jnp.arange(ROWS, dtype=jnp.int32)
-            own = jnp.minimum(count_upto(upto, slot), THINGS - 1)
-            row = jnp.where(slot < upto[-1], first[own] + slot - before[own], H)
-            low = row.astype(dtype) / fine - slack
-            y = jnp.stack([low, low + 1 / fine + 2 * slack], axis=1)
-            left, right = kind.chords(table[own], y)
-            left = jnp.clip(jnp.max(left, axis=1) + slack, 0, film.W)
-            right = jnp.clip(jnp.min(right, axis=1) - slack, 0, film.W)
-            return begin + ROWS, _with_intervals(rows, row, left, right, film.W)
-
-        rows = jax.lax.while_loop(lambda s: s[0] < upto[-1], some, (jnp.int32(0), rows))[1]
+        of_each, of_all = (partial(f, kind.chords, size) for f in (_of_each, _of_all))
+        rows = on_cpu(of_each, first, after, table, slack, rows, elsewhere=of_all)
         return begin + THINGS, rows
 
     number = jnp.where(worth, kind.number, 0)
     return jax.lax.while_loop(lambda s: s[0] < number, chunk, (jnp.int32(0), rows))[1]
+
+
+class _Size(NamedTuple):
+    """Columns of a film, and rows, so many of them in a pixel."""
+
+    W: int
+    H: int
+    fine: int
+
+
+def _chord(
+    chords: Callable, size: _Size, outline: Array, row: Int[Array, "K"], slack: Array
+) -> tuple[Array, Array]:
+    """Return from where and up to where things cover rows for sure."""
+    low = row.astype(outline.dtype) / size.fine - slack
+    y = jnp.stack([low, low + 1 / size.fine + 2 * slack], axis=1)
+    left, right = chords(outline, y)
+    left = jnp.clip(jnp.max(left, axis=1) + slack, 0, size.W)
+    return left, jnp.clip(jnp.min(right, axis=1) - slack, 0, size.W)
+
+
+def _of_each(
+    chords: Callable, size: _Size, first: Array, after: Array, table: Array, slack, rows: _Rows
+) -> _Rows:
+    """Return the rows with things' intervals, one after the other."""
+
+    def of_thing(k, rows):
+        outline = jax.lax.dynamic_slice_in_dim(table, k, 1)
+
+        def of_row(state):
+            row, rows = state
+            left, right = _chord(chords, size, outline, row[None], slack)
+            return row + 1, _with_interval(rows, row * (size.W + 1), left[0], right[0])
+
+        return jax.lax.while_loop(lambda s: s[0] < after[k], of_row, (first[k], rows))[1]
+
+    return jax.lax.fori_loop(0, len(first), of_thing, rows)
+
+
+def _with_interval(rows: _Rows, begin: Array, left: Array, right: Array) -> _Rows:
+    """Return the rows with another interval of the row that begins at this place."""
+    more, sides = rows
+    ceil, floor = (f(x).astype(jnp.int32) for f, x in ((jnp.ceil, left), (jnp.floor, right)))
+    one = jnp.where(ceil < floor, 1, 0).astype(left.dtype)
+    put = lambda x, at, value: jax.lax.dynamic_update_slice(x, value[None], (at,))
+    for at, step in ((begin + ceil, one), (begin + floor, -one)):
+        more = put(more, at, more[at] + step)
+    low, across = jnp.floor(left), jnp.floor(left) < jnp.floor(right)
+    own = begin + low.astype(jnp.int32), len(rows.more) + begin + floor
+    reach = 1 - (left - low), right - jnp.floor(right)
+    for at, value in zip(own, reach, strict=True):
+        sides = put(sides, at, jnp.maximum(sides[at], jnp.where(across, value, 0)))
+    return _Rows(more, sides)
+
+
+def _of_all(
+    chords: Callable, size: _Size, first: Array, after: Array, table: Array, slack, rows: _Rows
+) -> _Rows:
+    """Return the rows with things' intervals, as vectors of these."""
+    number = jnp.maximum(after - first, 0)
+    upto = running_sum(number)
+    before = upto - number
+
+    def some(state):
+        begin, rows = state
+        slot = begin + jnp.arange(ROWS, dtype=jnp.int32)
+        own = jnp.minimum(count_upto(upto, slot), THINGS - 1)
+        row = jnp.where(slot < upto[-1], first[own] + slot - before[own], size.H)
+        left, right = _chord(chords, size, table[own], row, slack)
+        return begin + ROWS, _with_intervals(rows, row, left, right, size.W)
+
+    return jax.lax.while_loop(lambda s: s[0] < upto[-1], some, (jnp.int32(0), rows))[1]
 
 
 def _with_intervals(rows: _Rows, row: Array, left: Array, right: Array, W: int) -> _Rows:

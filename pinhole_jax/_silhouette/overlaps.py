@@ -7,12 +7,15 @@ pieces keep their order, so what is covered is a row of trapezoids (with arcs fo
 pieces bound it, and over what part of their length, is all that the derivative needs.
 
 The sweep compares areas, never asks whether two pieces touch: pieces that coincide, end on one
-another or have no length put halts too close to matter, and nothing else. Pieces are listed cell by
-cell, and equal ones are merged. Cells that hold a few (up to `WIDE`) are swept together, in large
-scenes but for those whose pieces are all hidden (`hidden.py`). A pixel with more is cut into
-smaller cells. Nearly all of these are covered whatever their pieces do, and are passed over; those
-with more pieces than a sweep takes are cut again, depth first, so that memory is bounded. At the
-last cut (`LAST_CUT`) the corner speaks for a cell of 1/65536 px.
+another or have no length put halts too close to matter, and nothing else. Equal pieces are merged.
+
+On a CPU pixels are resolved one after the other, by compiled loops (`in_turn.py`). On other
+machines many are at once: pieces are listed cell by cell, and cells that hold a few (up to `WIDE`)
+are swept together, in large scenes but for those whose pieces are all hidden (`hidden.py`). A pixel
+with more than can be swept is cut into smaller cells, either way. Nearly all of these are covered
+whatever their pieces do, and are passed over; those with too many are cut again, depth first, so
+that memory is bounded. At the last cut (`LAST_CUT`, `LAST_FILM`) the corner speaks for a cell of
+1/65536 px.
 """
 
 from collections.abc import Callable
@@ -23,8 +26,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from .._numerics.bitset import Selection, count_upto, nth, select
+from .._numerics.bitset import Selection, count_below, count_upto, nth, rank_in, select
+from .._numerics.one_kernel import one_by_one
 from .._numerics.running import running_sum
+from . import in_turn
 from .coverage import Monotone, Pieces, monotone, piece_counts, split
 from .curves import Curves, placed
 from .hidden import all_hidden
@@ -46,6 +51,10 @@ PIECES = 1024
 LEAST_CAPACITY, CAPACITY, CURVES_A_PIECE = 1 << 13, 1 << 15, 2
 #: Where there may be more pieces than this, cells are looked for whose pieces are all hidden.
 HIDDEN_FROM = LEAST_CAPACITY
+#: One after the other: at most so many pieces are listed, so many for each cell; and so often a
+#: cell is cut.
+IN_TURN, PIECES_A_CELL = 1 << 16, 4
+LAST_FILM = {"float32": 2, "float64": 4}
 #: Visible pieces kept for the derivative (where there are more, cells are resolved again).
 KEPT = 1 << 12
 KEPT_AT_A_TIME = 512
@@ -83,17 +92,48 @@ class Part(NamedTuple):
 
 
 class Overlapping(NamedTuple):
-    """Pixels to be resolved, `total` of them.
+    """Pixels to be resolved, `total` of them, row by row from the bottom, from left to right.
 
-    `cell(rank)` gives row (from the bottom), column and place of the rank-th, and about how many
-    layers its pieces have; `rank(row, column)` the rank of a pixel, -1 for others, and `below` how
-    many come before it: row by row from the bottom, from left to right.
+    `chosen` are their places, rows of `width` bits of a film of W x H pixels; `layers` how many
+    layers the pieces in each word's pixels have.
     """
 
+    chosen: Selection
+    layers: Float[Array, "words"]
     total: Int[Array, ""]
-    cell: Callable[[Int[Array, "K"]], tuple[Array, Array, Array, Array]]
-    rank: Callable[[Int[Array, "K"], Int[Array, "K"]], Int[Array, "K"]]
-    below: Callable[[Int[Array, "K"], Int[Array, "K"]], Int[Array, "K"]]
+    width: int
+    W: int
+    H: int
+
+    def cell(self, number: Int[Array, "K"]) -> tuple[Array, Array, Array, Array]:
+        """Return row (from the bottom), column and place of pixels, and about how many layers
+        their pieces have."""
+        index = nth(self.chosen, number)
+        word = index >> 5
+        # (Those of a word share its layers.)
+        shared = jax.lax.population_count(self.chosen.words[word]).astype(self.layers.dtype)
+        room = jnp.ceil(self.layers[word] / jnp.maximum(shared, 1))
+        room = jnp.minimum(room, np.iinfo(np.int32).max // 2).astype(jnp.int32)
+        row, column = self.row_and_column(index)
+        return row, column, self.place(index), room
+
+    def row_and_column(self, index: Int[Array, "K"]) -> tuple[Array, Array]:
+        """Return row (from the bottom) and column of the pixels of bits."""
+        row = jax.lax.div(index, jnp.int32(self.width))
+        return row, index - row * self.width
+
+    def place(self, index: Int[Array, "K"]) -> Int[Array, "K"]:
+        """Return where the pixels of bits are in an image."""
+        row, column = self.row_and_column(index)
+        return (self.H - 1 - row) * self.W + column
+
+    def rank(self, row: Int[Array, "K"], column: Int[Array, "K"]) -> Int[Array, "K"]:
+        """Return the numbers of pixels, -1 for others."""
+        return rank_in(self.chosen, row * self.width + column)
+
+    def below(self, row: Int[Array, "K"], column: Int[Array, "K"]) -> Int[Array, "K"]:
+        """Return how many come before pixels."""
+        return count_below(self.chosen, row * self.width + column)
 
 
 class Resolved(NamedTuple):
@@ -319,6 +359,189 @@ def fold_cells(
     `base` is the number of layers left of the film. With `flux` the visible parts are worked out.
     With `stops` lines sweep a pixel that stop this many times, at equal distances (see `sweep`).
     """
+    film = W, max_H, base
+
+    def turn(start):
+        return _in_turn(parts, overlapping, film, add, start, flux, stops)
+
+    def beside(start):
+        return _side_by_side(parts, overlapping, film, add, start, flux, stops)
+
+    return jax.lax.platform_dependent(start, cpu=turn, default=beside)
+
+
+# --- one after the other -------------------------------------------------------------------------
+
+
+class _Films(NamedTuple):
+    """Cells that are films of their own, the last one first: how far they are cut, the pixel's
+    place, the corner (px); `height` of them."""
+
+    level: Int[Array, "K"]
+    place: Int[Array, "K"]
+    x: Float[Array, "K"]
+    y: Float[Array, "K"]
+    height: Int[Array, ""]
+
+    @staticmethod
+    def empty(number: int, dtype: Any) -> "_Films":
+        """Return room for so many."""
+        whole, real = jnp.zeros(number, jnp.int32), jnp.zeros(number, dtype)
+        return _Films(whole, whole, real, real, jnp.int32(0))
+
+    def push(self, level: Array, at: in_turn.At, swept: in_turn.Swept) -> "_Films":
+        """Return these and the cells of a level that hold too many pieces."""
+        index = jnp.arange(len(swept.crowded), dtype=jnp.int32)
+        slot = jnp.where(index < swept.left, self.height + index, len(self.level))
+        put = lambda old, new: old.at[slot].set(new, mode="drop")
+        place, x, y = (v[swept.crowded] for v in at)
+        level = jnp.full_like(place, 0) + level
+        films = put(self.level, level), put(self.place, place), put(self.x, x), put(self.y, y)
+        return _Films(*films, self.height + swept.left)
+
+
+def _in_turn(
+    parts: list[Part],
+    overlapping: Overlapping,
+    film: tuple[Any, int, Int[Array, ""]],
+    add: Callable[[Any, Resolved], Any],
+    start: Any,
+    flux: bool,
+    stops: Int[Array, ""] | None,
+) -> Any:
+    """Return what `fold_cells` does, one pixel after the other."""
+    dtype, depth = parts[0].dtype, LAST_FILM[jnp.dtype(parts[0].dtype).name]
+    room = LEAST_CAPACITY
+    while room < min(sum(part.most or IN_TURN for part in parts), IN_TURN):
+        room *= 2
+    cells = max(room // PIECES_A_CELL, in_turn.CUT**2)
+    arcs = next((k for k, part in enumerate(parts) if not part.straight), None)
+    manner = in_turn.Manner(arcs, flux, stops is not None)
+
+    def body(state):
+        first, limit, films, total = state
+        number = jnp.minimum(limit, overlapping.total - first)
+        level, where, row, at = _film_or_cell(overlapping, film, films, first, number, cells)
+        own_stops = None if stops is None else -(-stops // jnp.int32(in_turn.CUT) ** level)
+
+        def resolved():
+            listed = in_turn.Listed.empty(room, cells, arcs is not None, dtype)
+            for number, part in enumerate(parts):
+                more = lambda listed, ids, curves, number=number: listed.append(
+                    where, curves, ids[0], number
+                )
+                listed = fold_curves(part, more, listed, part.size)
+            last = (level >= depth).astype(jnp.int32)
+            base = film[2].astype(dtype)
+            swept = in_turn.swept(manner, listed, where, row, at, base, last, own_stops)
+            return swept, listed.used
+
+        swept, used = one_by_one(resolved)
+        index = jnp.arange(cells, dtype=jnp.int32)
+        place = jnp.where(index < where.number, at.place, NOWHERE)
+        total = add(total, Resolved(place, swept.area, []))
+        if flux:
+            total = _fold_shown(parts, swept, add, total)
+        whole, done = where.whole > 0, swept.fits == where.number
+        films = films._replace(height=jnp.where(whole, 0, films.height - 1))
+        wider = jnp.where(used < room // 2, jnp.minimum(2 * limit, cells), limit)
+        limit = jnp.where(whole, jnp.where(done, wider, swept.fits), limit)
+        first = jnp.where(whole & done, first + number, first)
+        return first, limit, films.push(level + 1, at, swept), total
+
+    more = lambda state: (state[0] < overlapping.total) | (state[2].height > 0)
+    films = _Films.empty(cells + depth * in_turn.CUT**2, dtype)
+    return jax.lax.while_loop(more, body, (jnp.int32(0), jnp.int32(cells), films, start))[-1]
+
+
+def _film_or_cell(
+    overlapping: Overlapping,
+    film: tuple[Any, int, Int[Array, ""]],
+    films: _Films,
+    first: Int[Array, ""],
+    number: Int[Array, ""],
+    cells: int,
+) -> tuple[Int[Array, ""], in_turn.Where, Int[Array, "C"], in_turn.At]:
+    """Return how far the next cells are cut, which these are, their rows, and where they are: those
+    of the last of the films, else pixels from the first on."""
+    whole, top = films.height == 0, jnp.maximum(films.height - 1, 0)
+    level, dtype = jnp.where(whole, 0, films.level[top]), films.x.dtype
+    index = jnp.arange(cells, dtype=jnp.int32)
+    row, column, place, _ = overlapping.cell(
+        jnp.clip(first + index, 0, jnp.maximum(overlapping.total - 1, 0))
+    )
+    either = lambda a, b: jnp.where(whole, a, b)
+    count = lambda a, b: either(jnp.int32(a), jnp.int32(b))
+    scale = jnp.asarray(in_turn.CUT, dtype) ** level.astype(dtype)
+    own_row = jax.lax.div(index, jnp.int32(in_turn.CUT))
+    own_column, x, y = index - own_row * in_turn.CUT, films.x[top], films.y[top]
+    real = lambda v: v.astype(dtype)
+    at = in_turn.At(
+        either(place, films.place[top]),
+        either(real(column), x + real(own_column) / scale),
+        either(real(row), y + real(own_row) / scale),
+    )
+    chosen = overlapping.chosen
+    where = in_turn.Where(
+        scale,
+        either(0, jnp.stack([x, y])),
+        whole.astype(jnp.int32),
+        *chosen,
+        jnp.int32(overlapping.width),
+        first,
+        count(number, in_turn.CUT**2),
+        count(row[0], 0),
+        count(row[jnp.maximum(number - 1, 0)] + 1, in_turn.CUT),
+        count(film[0], in_turn.CUT),
+        count(film[1], in_turn.CUT),
+    )
+    return level, where, either(row, own_row), at
+
+
+def _fold_shown(
+    parts: list[Part], swept: in_turn.Swept, add: Callable[[Any, Resolved], Any], start: Any
+) -> Any:
+    """Return `start` after `add(total, resolved)` over what is visible, some pieces at a time."""
+    seen, code, places, shown = swept.seen, swept.code, swept.place, swept.shown
+    assert shown is not None
+    assert seen is not None
+    assert code is not None
+    assert places is not None
+
+    some = min(KEPT_AT_A_TIME, len(code))
+
+    def body(state):
+        first, total = state
+        cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, some)
+        # (Where it reaches past the end, the slice begins earlier.)
+        index = jnp.minimum(first, len(code) - some) + jnp.arange(some, dtype=jnp.int32)
+        there = (index >= first) & (index < shown)
+        own_code, row = cut(code), cut(seen)
+        visible = []
+        for number, part in enumerate(parts):
+            own = (there & (own_code & 1 == number))[:, None]
+            value = jnp.where(own, row[:, : STRAIGHT if part.straight else ARC], 0)
+            visible.append(Visible((own_code >> 1)[:, None], value[:, None]))
+        place = jnp.where(there, cut(places), NOWHERE)
+        total = add(total, Resolved(place, jnp.zeros(some, seen.dtype), visible))
+        return first + some, total
+
+    return jax.lax.while_loop(lambda s: s[0] < shown, body, (jnp.int32(0), start))[1]
+
+
+# --- side by side --------------------------------------------------------------------------------
+
+
+def _side_by_side(
+    parts: list[Part],
+    overlapping: Overlapping,
+    film: tuple[Any, int, Int[Array, ""]],
+    add: Callable[[Any, Resolved], Any],
+    start: Any,
+    flux: bool,
+    stops: Int[Array, ""] | None,
+) -> Any:
+    """Return what `fold_cells` does, of vectors of cells."""
     dtype = parts[0].dtype
     depth = LAST_CUT[jnp.dtype(dtype).name]
     frames = [None if part.straight else part.homogeneous_of for part in parts]
@@ -330,8 +553,7 @@ def fold_cells(
     def body(state):
         first, stamp, stack, found, lists, total = state
         level = stack.deepest()
-        films = W, max_H, base
-        batch, taken, height = _batch(overlapping, first, stack, level, films, stamp, sizes)
+        batch, taken, height = _batch(overlapping, first, stack, level, film, stamp, sizes)
         stack = stack._replace(height=stack.height.at[level].set(height))
         cells, found, lists = _listed(parts, overlapping, batch, found, lists)
 

@@ -56,11 +56,11 @@ class Visible(NamedTuple):
         return edge_flux(homogeneous, steep, -(length * first + moment * (last - first)))
 
 
-def sweepable(pieces: Pieces) -> tuple[Float[Array, "P"], ...]:
+def sweepable(pieces: Pieces) -> tuple[Float[Array, "*P"], ...]:
     """Return what a sweep asks of pieces (see `Cells`), column by column."""
     dtype = pieces.jump.dtype
     column, row = pieces.column.astype(dtype), pieces.row.astype(dtype)
-    x0, y0, x1, y1 = (point[:, k] for point in (pieces.start, pieces.end) for k in (0, 1))
+    x0, y0, x1, y1 = (point[..., k] for point in (pieces.start, pieces.end) for k in (0, 1))
     passes = jnp.where(pieces.passes, 1 + pieces.first.astype(jnp.int32), 0).astype(dtype)
     return x0 - column, y0 - row, x1 - column, y1 - row, passes, pieces.jump
 
