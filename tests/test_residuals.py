@@ -283,26 +283,28 @@ def test_pieces_and_runs_in_turn_are_those_side_by_side():
 
 
 def test_pieces_are_cut_and_pixels_swept_in_turn_as_side_by_side():
-    """Random segments, many in a pixel, some that are level or upright, some of no weight."""
+    """Random polygons, with sides that are level, upright or on pixels' sides, or of no weight."""
     random, K, P, W, H = np.random.default_rng(3), 60, 400, 5, 4
-    a, b = random.uniform(-1, 6, (2, K, 2))
-    a[:8, 0], a[8:16, 1] = b[:8, 0], b[8:16, 1]
-    a[16:24] = np.round(a[16:24])
-    weight = random.choice([-1.0, 0.0, 1.0, 2.0], K)
+    corners = random.uniform(-1, 6, (12, 5, 2))
+    corners[:3] = np.round(corners[:3])
+    corners[3:6, 1, 0], corners[6:9, 1, 1] = corners[3:6, 0, 0], corners[6:9, 0, 1]
+    a, b = (x.reshape(K, 2) for x in (corners, np.roll(corners, -1, axis=1)))
+    weight = np.repeat(random.choice([0.0, 1.0, 2.0], 12, p=[0.1, 0.5, 0.4]), 5)
     size = jnp.int32(W), jnp.int32(H)
     given = Segments(*map(jnp.asarray, (a, b, weight))), jnp.int32(K), P, *size
     (one, number), (other, same) = both_ways(cutting.cut, given)
     there = np.asarray(one.steps.cell) < H * (W + 2)
-    assert there.sum() == number == same
+    assert there.sum() == int(number) == int(same)
     for x, y in zip(*map(jax.tree.leaves, (one, other)), strict=True):
         np.testing.assert_allclose(x[there], y[there], atol=1e-12)
 
     order, width, end = in_order(one.steps.cell), size[0] + 2, size[1] * (size[0] + 2)
     totals = by_pixel.by_pixel(one.steps, order, jnp.array(0.0), width, end)
-    chosen = (totals.number > 0) & (totals.number <= overlapping.MOST)
-    assert np.sum(chosen) > 10
-    assert np.max(totals.number) > 10
     column, row = totals.cell % width - 1, totals.cell // width
+    chosen = (totals.cell < end) & (column >= 0) & (column < W)
+    chosen &= totals.number <= overlapping.MOST
+    assert np.sum(chosen) > 10
+    assert np.max(totals.number) >= 10
     origin = jnp.stack([column, row], axis=-1).astype(float)
     pixels = overlapping.Overlapping(chosen, totals.first, totals.number, origin, totals.corner)
     visible = overlapping.whole(jnp.stack(one.ends, axis=-1), one.steps.jump)
@@ -310,13 +312,11 @@ def test_pieces_are_cut_and_pixels_swept_in_turn_as_side_by_side():
     resolve = lambda: overlapping.resolved(pixels, one.swept, order, [part])
     (areas, (seen,)), (others, (also,)) = both_ways(resolve, ())
     np.testing.assert_allclose(areas[chosen], others[chosen], atol=1e-12)
-    assert np.ptp(np.asarray(areas)[chosen]) == 1
+    assert np.ptp(np.asarray(areas)[chosen]) > 0.9
     of_chosen = np.asarray(chosen)[np.minimum(totals.slot, P - 1)] & there
-    shown = np.any(np.asarray(also) != 0, axis=1)
-    np.testing.assert_allclose(seen[of_chosen & shown], also[of_chosen & shown], atol=1e-12)
-    assert np.all(np.asarray(seen)[of_chosen & ~shown, overlapping.LENGTH :] == 0)
-    assert np.any(shown[of_chosen])
-    assert not np.all(shown[of_chosen])
+    np.testing.assert_allclose(seen[of_chosen], also[of_chosen], atol=1e-12)
+    hidden = np.asarray(seen)[of_chosen, overlapping.LENGTH] == 0
+    assert 0.05 < np.mean(hidden) < 0.95
 
 
 def both_ways(function, given):
