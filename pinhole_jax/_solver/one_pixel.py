@@ -91,9 +91,10 @@ def swept(pixel: Pixel, seen: Seen, room: Room) -> tuple[Seen, Room]:
 
     What a line moving to the right tells is the area and what is seen of flat pieces; one moving
     up tells it of steep ones. A line that stops moves across the pieces first: that is the area.
-    Where the first sees nothing but cover, the second is left out.
+    Where the first halts at all and sees nothing but cover, the second is left out.
     """
-    across, along = loop(pixel.number, lambda k, s: _reach(pixel.row(k), s), (0 * seen.area,) * 2)
+    none = 0 * seen.area, 0 * seen.area, pixel.stops > 0
+    across, along, twice = loop(pixel.number, lambda k, s: _reach(pixel.row(k), s), none)
     upright = (pixel.stops > 0) & (across < along)
     nothing = lambda k, s: tuple(put(x, 0, pixel.place(k)) for x in s)
     length, moment = loop(pixel.number, nothing, (seen.length, seen.moment))
@@ -108,7 +109,7 @@ def swept(pixel: Pixel, seen: Seen, room: Room) -> tuple[Seen, Room]:
 
     def goes_on(state):
         number, (_, _, shows) = state
-        return (number == 0) | ((number == 1) & shows)
+        return (number == 0) | ((number == 1) & (shows | twice))
 
     start = Seen(seen.area, length, moment), room, jnp.array(True)
     step = lambda s: (s[0] + 1, turn(*s))
@@ -116,9 +117,11 @@ def swept(pixel: Pixel, seen: Seen, room: Room) -> tuple[Seen, Room]:
     return seen, room
 
 
-def _reach(row: Float[Array, "6"], reach: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return how far pieces reach along x and along y, with one more of them."""
-    return reach[0] + jnp.abs(row[2] - row[0]), reach[1] + jnp.abs(row[3] - row[1])
+def _reach(row: Float[Array, "6"], reach: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """Return how far pieces reach along x and along y, with one more of them, and whether one may
+    be seen by a line that moves up alone: one on the pixel's side, all of which is covered."""
+    across, along = jnp.abs(row[2] - row[0]), jnp.abs(row[3] - row[1])
+    return reach[0] + across, reach[1] + along, reach[2] | (across == 0)
 
 
 def _listed(pixel: Pixel, up: Bool[Array, ""], room: Room) -> tuple[Room, Array]:
