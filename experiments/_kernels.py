@@ -39,7 +39,9 @@ def kernels(text: str) -> Kernels:
         for line in bodies[name]:
             operation = _operation(line)
             loops += operation == "while"
-            if operation in FREE and ONE not in line:
+            # (What reads one of the results of such a call bears its mark, too.)
+            one = operation == "call" and ONE in line
+            if operation in FREE and not one:
                 todo += [n for n in _called(line) if n in bodies]
                 continue
             number += 1

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinhole_jax._numerics.one_kernel import at_once, one_kernel
+from pinhole_jax._numerics.one_kernel import at_once, for_this_machine, on_cpu, one_kernel
 
 
 def running(x, steps, unused):
@@ -26,6 +26,21 @@ def test_a_loop_is_one_kernel_and_may_be_given_constants_and_what_it_does_not_us
     found, three = jax.jit(jax.vmap(kernel))(several)
     np.testing.assert_array_equal(found, np.arange(3.0)[:, None] + expected - 1)
     assert three.tolist() == [3] * 3
+
+
+def test_what_is_for_other_machines_is_traced_where_there_may_be_some():
+    traced = []
+
+    def elsewhere(x):
+        traced.append(x)
+        return 2 * x
+
+    double = lambda x: on_cpu(lambda x: x + x, x, elsewhere=elsewhere)
+    with for_this_machine():
+        assert jax.jit(double)(jnp.ones(3)).tolist() == [2, 2, 2]
+    assert not traced
+    assert jax.jit(lambda x: double(x))(jnp.ones(3)).tolist() == [2, 2, 2]
+    assert traced
 
 
 def polar(x, unit):

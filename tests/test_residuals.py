@@ -15,8 +15,9 @@ from pinhole_jax import shapes
 from pinhole_jax._mask.pyramid import cells_of, pyramid
 from pinhole_jax._numerics.bitset import in_order
 from pinhole_jax._numerics.thin_qr import triangle
+from pinhole_jax._silhouette.curves import Segments
 from pinhole_jax._silhouette.sweep import _turned
-from pinhole_jax._solver import by_pixel, overlapping, runs
+from pinhole_jax._solver import by_pixel, cutting, overlapping, runs
 from pinhole_jax._solver.moves import Move, canonical, moved, on_film
 from pinhole_jax._solver.overlapping import _by_number
 from pinhole_jax._solver.residuals import Capacity, residuals as _residuals, touch
@@ -218,8 +219,9 @@ def test_pieces_are_put_in_order_with_64_bits_and_with_32(wide):
     key = np.random.default_rng(0).integers(0, 50, 300).astype(np.int32)
     key[:3] = 1 << 30
     with jax.enable_x64(wide):
-        order = np.asarray(in_order(jnp.asarray(key)))
-    assert np.array_equal(order, np.argsort(key, kind="stable"))
+        orders = both_ways(in_order, (jnp.asarray(key),))
+    for order in orders:
+        assert np.array_equal(order, np.argsort(key, kind="stable"))
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 8])
@@ -278,6 +280,43 @@ def test_pieces_and_runs_in_turn_are_those_side_by_side():
     given = *jax.tree.map(jnp.asarray, (data, levels[-1])), seen, jnp.array(True)
     for one, other in zip(*map(jax.tree.leaves, both_ways(runs.summed, given)), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-13)
+
+
+def test_pieces_are_cut_and_pixels_swept_in_turn_as_side_by_side():
+    """Random polygons, with sides that are level, upright or on pixels' sides, or of no weight."""
+    random, K, P, W, H = np.random.default_rng(3), 60, 400, 5, 4
+    corners = random.uniform(-1, 6, (12, 5, 2))
+    corners[:3] = np.round(corners[:3])
+    corners[3:6, 1, 0], corners[6:9, 1, 1] = corners[3:6, 0, 0], corners[6:9, 0, 1]
+    a, b = (x.reshape(K, 2) for x in (corners, np.roll(corners, -1, axis=1)))
+    weight = np.repeat(random.choice([0.0, 1.0, 2.0], 12, p=[0.1, 0.5, 0.4]), 5)
+    size = jnp.int32(W), jnp.int32(H)
+    given = Segments(*map(jnp.asarray, (a, b, weight))), jnp.int32(K), P, *size
+    (one, number), (other, same) = both_ways(cutting.cut, given)
+    there = np.asarray(one.steps.cell) < H * (W + 2)
+    assert there.sum() == int(number) == int(same)
+    for x, y in zip(*map(jax.tree.leaves, (one, other)), strict=True):
+        np.testing.assert_allclose(x[there], y[there], atol=1e-12)
+
+    order, width, end = in_order(one.steps.cell), size[0] + 2, size[1] * (size[0] + 2)
+    totals = by_pixel.by_pixel(one.steps, order, jnp.array(0.0), width, end)
+    column, row = totals.cell % width - 1, totals.cell // width
+    chosen = (totals.cell < end) & (column >= 0) & (column < W)
+    chosen &= totals.number <= overlapping.MOST
+    assert np.sum(chosen) > 10
+    assert np.max(totals.number) >= 10
+    origin = jnp.stack([column, row], axis=-1).astype(float)
+    pixels = overlapping.Overlapping(chosen, totals.first, totals.number, origin, totals.corner)
+    visible = overlapping.whole(jnp.stack(one.ends, axis=-1), one.steps.jump)
+    part = overlapping.Part(visible, jnp.zeros((P, 2, 3)))
+    resolve = lambda: overlapping.resolved(pixels, one.swept, order, [part])
+    (areas, (seen,)), (others, (also,)) = both_ways(resolve, ())
+    np.testing.assert_allclose(areas[chosen], others[chosen], atol=1e-12)
+    assert np.ptp(np.asarray(areas)[chosen]) > 0.9
+    of_chosen = np.asarray(chosen)[np.minimum(totals.slot, P - 1)] & there
+    np.testing.assert_allclose(seen[of_chosen], also[of_chosen], atol=1e-12)
+    hidden = np.asarray(seen)[of_chosen, overlapping.LENGTH] == 0
+    assert 0.05 < np.mean(hidden) < 0.95
 
 
 def both_ways(function, given):

@@ -11,7 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int, UInt32
 
+from .one_kernel import on_cpu
 from .running import running_sum
+
+#: Keys of 31 bits are put in order by so many at a time.
+KEY_BITS, DIGIT = 31, 11
 
 
 def count_upto(upto: Int[Array, "n"], value: Int[Array, "*K"]) -> Int[Array, "*K"]:
@@ -30,8 +34,16 @@ def count_upto(upto: Int[Array, "n"], value: Int[Array, "*K"]) -> Int[Array, "*K
 def in_order(key: Int[Array, "P"]) -> Int[Array, "P"]:
     """Return the indices that put keys (at least 0) in order; of equal ones the first comes first.
 
-    With 64 bits key and index are sorted as one number, in a sixth of the time.
+    On a CPU digit by digit, in a twentieth of the time of a sort. Elsewhere, with 64 bits, key and
+    index are sorted as one number, in a sixth of the time.
     """
+    index = jnp.arange(key.shape[0], dtype=jnp.int32)
+    numbers = jnp.zeros(1 << DIGIT, jnp.int32)
+    room = index, jnp.zeros_like(index), numbers
+    return on_cpu(_by_digits, key, *room, elsewhere=lambda key, *_: _sorted(key))
+
+
+def _sorted(key: Int[Array, "P"]) -> Int[Array, "P"]:
     P = key.shape[0]
     index = jnp.arange(P, dtype=jnp.int32)
     wide = jax.dtypes.canonicalize_dtype(np.int64)
@@ -40,6 +52,40 @@ def in_order(key: Int[Array, "P"]) -> Int[Array, "P"]:
     bits = max(P - 1, 1).bit_length()
     both = (key.astype(wide) << bits) | index.astype(wide)
     return (jax.lax.sort(both, is_stable=False) & ((1 << bits) - 1)).astype(jnp.int32)
+
+
+def _by_digits(
+    key: Int[Array, "P"], order: Int[Array, "P"], further: Int[Array, "P"], number: Int[Array, "n"]
+) -> Int[Array, "P"]:
+    """Return an `order` of keys, put in order by each of their digits, the lowest first."""
+    P = key.shape[0]
+    put = lambda x, k, value: jax.lax.dynamic_update_slice(x, value[None], (k,))
+    loop = lambda n, body, state: jax.lax.fori_loop(jnp.int32(0), jnp.int32(n), body, state)
+
+    def one(state):
+        shift, order, further, number = state
+        digit = lambda i: (key[i] >> shift) & ((1 << DIGIT) - 1)
+        number = loop(1 << DIGIT, lambda k, x: put(x, k, jnp.int32(0)), number)
+        number = loop(P, lambda i, x: put(x, digit(i), x[digit(i)] + 1), number)
+
+        def add(k, state):
+            total, number = state
+            total += number[k]
+            return total, put(number, k, total)
+
+        def place(k, state):
+            number, further = state
+            i = order[P - 1 - k]  # of equal digits the last is the last
+            number = put(number, digit(i), number[digit(i)] - 1)
+            return number, put(further, number[digit(i)], i)
+
+        _, number = loop(1 << DIGIT, add, (jnp.int32(0), number))
+        number, further = loop(P, place, (number, further))
+        return shift + DIGIT, further, order, number
+
+    most = loop(P, lambda i, most: jnp.maximum(most, key[i]), jnp.int32(0))
+    goes_on = lambda s: (s[0] < KEY_BITS) & ((most >> jnp.minimum(s[0], KEY_BITS)) > 0)
+    return jax.lax.while_loop(goes_on, one, (jnp.int32(0), order, further, number))[1]
 
 
 class Selection(NamedTuple):

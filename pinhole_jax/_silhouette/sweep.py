@@ -101,7 +101,7 @@ def along_x(cells: Cells) -> Lines:
     )
 
 
-def _along_y(cells: Cells) -> Lines:
+def along_y(cells: Cells) -> Lines:
     """Return the pieces as a line sweeps them that moves up."""
     x0, y0, x1, y1, passes, jump = jnp.moveaxis(cells.piece, -1, 0)
     # One that comes in at the corner itself has met the row's bottom in the cell before, and what
@@ -146,13 +146,13 @@ def sweep(
         lines = along_x(cells)
         if stops is not None:
             turn = lambda y, x: jnp.where(_steep(cells).reshape(-1, *(1,) * (x.ndim - 1)), y, x)
-            lines, one = jax.tree.map(turn, (_along_y(cells), -one), (lines, one))
+            lines, one = jax.tree.map(turn, (along_y(cells), -one), (lines, one))
             arc = None if arc is None else (arc[0], turn(arc[1][..., jnp.array([1, 0, 2])], arc[1]))
         curved = None if arc is None else _curved_of(*arc, one, lines)
         return _sweep(lines, corner, curved, False, stops)[0], []
 
     both = lambda a, b: jax.tree.map(lambda x, y: jnp.concatenate([x, y]), a, b)
-    lines, curved = both(along_x(cells), _along_y(cells)), None
+    lines, curved = both(along_x(cells), along_y(cells)), None
     if arc is not None:
         own, frame = arc
         placed = both(frame, frame[..., jnp.array([1, 0, 2])])

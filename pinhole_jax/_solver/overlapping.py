@@ -3,7 +3,8 @@
 Winding numbers add up where parts of a scene overlap, coverage does not: where two half covered
 layers coincide, a pixel is half covered, not whole. A fit has the pieces of its pixels side by
 side, so such a pixel is swept as it is. One of a rough mesh that holds many is swept by a line that
-stops a few times.
+stops a few times. Where all curves are straight, a CPU sweeps one pixel after the other, in a
+single kernel (`one_pixel`).
 """
 
 from collections.abc import Callable
@@ -14,9 +15,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._silhouette.coverage import Pieces
+from .._numerics.one_kernel import on_cpu
 from .._silhouette.hidden import all_hidden
 from .._silhouette.sweep import STRAIGHT, Cells, sweep
+from .one_pixel import Pixel, Room, Seen, loop, put, swept
 
 #: This many pixels are swept together.
 TOGETHER = 64
@@ -32,6 +34,10 @@ LARGE = 1 << 13
 CROWDED, STOPS = 64, 32
 
 
+#: Where the numbers of a straight piece say its visible length and that's first moment.
+LENGTH, MOMENT = 5, 6
+
+
 class Part(NamedTuple):
     """The pieces of one kind: what of each bounds the union (see `Visible`), and their curves'
     homogeneous points."""
@@ -40,13 +46,14 @@ class Part(NamedTuple):
     homogeneous: Float[Array, "P n 3"]
 
 
-def whole(pieces: Pieces) -> Float[Array, "P numbers"]:
-    """Return straight pieces that are visible throughout (see `Visible`)."""
-    dx, dy = jnp.moveaxis(pieces.end - pieces.start, -1, 0)
+def whole(ends: Float[Array, "P 4"], jump: Float[Array, "P"]) -> Float[Array, "P numbers"]:
+    """Return straight pieces with these ends (x, y, x, y) that are visible throughout (see
+    `Visible`)."""
+    dx, dy = ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1]
     steep = jnp.abs(dy) > jnp.abs(dx)
-    length = pieces.jump * jnp.where(steep, dy, -dx)
+    length = jump * jnp.where(steep, dy, -dx)
     rest = jnp.stack([steep.astype(dx.dtype), length, length / 2], axis=-1)
-    return jnp.concatenate([pieces.start, pieces.end, rest], axis=-1)
+    return jnp.concatenate([ends, rest], axis=-1)
 
 
 class Overlapping(NamedTuple):
@@ -76,6 +83,68 @@ def resolved(
     `piece` holds the pieces of the parts, one after the other, column by column (see `Cells`);
     `order` says which of them come, pixel by pixel.
     """
+    given, straight = (overlapping, piece, order), _all_straight(parts)
+    if not straight:
+        return _side_by_side(*given, parts)
+
+    def columns(visible):
+        whole = jnp.concatenate(visible)
+        return whole[:, LENGTH], whole[:, MOMENT]
+
+    def elsewhere(overlapping, piece, order, seen, parts, room):
+        del seen, room
+        areas, visible = _side_by_side(overlapping, piece, order, parts)
+        return areas, *columns(visible)
+
+    P, real = len(order), overlapping.corner.dtype
+    seen = jnp.zeros(P, real), *columns([part.visible for part in parts])
+    room = Room.of(most_pieces(P, straight), MOST, real)
+    areas, *seen = on_cpu(_in_turn, *given, seen, parts, room, elsewhere=elsewhere)
+    visible, begin = [], 0
+    for part in parts:
+        own = [x[begin : begin + len(part.visible), None] for x in seen]
+        visible.append(jnp.concatenate([part.visible[:, :LENGTH], *own], axis=1))
+        begin += len(part.visible)
+    return areas, visible
+
+
+def _all_straight(parts: list[Part]) -> bool:
+    return all(part.visible.shape[-1] == STRAIGHT for part in parts)
+
+
+def _in_turn(overlapping: Overlapping, piece, order, seen, parts, room):
+    """Return the areas, and all pieces' visible lengths and their first moments."""
+    del parts
+    P = len(order)
+
+    def one(state):
+        slot, areas, length, moment, room = state
+        first, number = overlapping.first[slot], overlapping.number[slot]
+        place = lambda k: order[first + k]
+        row = lambda k: jnp.stack([x[place(k)] for x in piece])
+        stops = jnp.where(number > MOST, STOPS, 0)
+        pixel = Pixel(row, place, number, overlapping.corner[slot], stops)
+
+        def sweep_it(_, state):
+            areas, length, moment, room = state
+            nothing = Seen(jnp.zeros((), areas.dtype), length, moment)
+            seen, room = swept(pixel, nothing, room)
+            return put(areas, seen.area, slot), seen.length, seen.moment, room
+
+        chosen = overlapping.chosen[slot].astype(jnp.int32)
+        return slot + 1, *loop(chosen, sweep_it, (areas, length, moment, room))
+
+    goes_on = lambda s: (s[0] < P) & (overlapping.number[jnp.minimum(s[0], P - 1)] > 0)
+    return jax.lax.while_loop(goes_on, one, (jnp.int32(0), *seen, room))[1:4]
+
+
+def _side_by_side(
+    overlapping: Overlapping,
+    piece: tuple[Float[Array, "P"], ...],
+    order: Int[Array, "P"],
+    parts: list[Part],
+) -> tuple[Float[Array, "P"], list[Float[Array, "_ _"]]]:
+    """Return what `resolved` does, of pixels some at a time."""
     P = len(order)
     sizes = [len(part.homogeneous) for part in parts]
     begins = [sum(sizes[:k]) for k in range(len(parts))]

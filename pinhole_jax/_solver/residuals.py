@@ -23,19 +23,16 @@ from .._camera.film import FilmMap, FilmPart
 from .._mask.pyramid import Level, Pyramid
 from .._numerics.bitset import in_order
 from .._numerics.one_kernel import at_once
-from .._numerics.running import running_sum
 from .._scene.scene import Scene
-from .._silhouette.coverage import Pieces, monotone, piece_counts, split
 from .._silhouette.curve_sets import edge_curves, find, outline_curves
 from .._silhouette.curves import Curves, Segments, piece_flux, placed
-from .._silhouette.marks import Marks, marks, overlaps, winding_jumps
+from .._silhouette.marks import Marks, overlaps
 from .._silhouette.surrounding import surrounding
-from .._silhouette.sweep import ARC, Visible, sweepable
+from .._silhouette.sweep import ARC, Visible
 from .by_pixel import Steps, by_pixel
+from .cutting import Cut, cut
 from .overlapping import Overlapping, Part, most_pieces, resolved, whole
 from .runs import Seen, summed
-
-MAX_ROWS = 1 << 14
 
 
 class Capacity(NamedTuple):
@@ -153,22 +150,15 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
     look = lambda camera, part: film_map(camera).looking_at(part)
     bends = camera.lens is not None and camera.lens.distortion is not None
     film = (look if bends else at_once(look))(camera, part)
-    end, totals, found, of_curves, parts = level.H * (level.W + 2), {}, [], [], []
+    totals, found, of_curves, parts = {}, [], [], []
     for kind, curves, homogeneous, count, size in _curves(film, scene, capacity):
         curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))
         xy, z = homogeneous[..., :2], homogeneous[..., 2:]
         xy = xy * level.scale - level.origin[None, None] * z
         homogeneous = jnp.concatenate([xy, z], axis=-1)
-        m = monotone(curves)
-        upto = running_sum(piece_counts(m, level.W, level.H))
-        totals[kind] = (count, upto[-1].astype(jnp.int32))
-        slots = jnp.arange(size, dtype=jnp.int32)
-        pieces = split(m, upto, slots, level.W, level.H, MAX_ROWS)
-        # (Each column of a table of these would work out all of them anew: 1.3 of a step's 5 ms.)
-        pieces = jax.lax.optimization_barrier(pieces)
-        cell = jnp.where(pieces.valid, pieces.row * (level.W + 2) + pieces.column + 1, end)
-        sizes = pieces.height, pieces.area, winding_jumps(pieces), pieces.jump
-        found.append((Steps(cell, *sizes, marks(pieces).counters), sweepable(pieces)))
+        pieces, number = cut(curves, count, size, level.W, level.H)
+        totals[kind] = (count, number)
+        found.append((pieces.steps, pieces.swept))
         own = jax.lax.stop_gradient(homogeneous)[pieces.curve]
         of_curves.append((homogeneous, pieces.curve))
         parts.append(Part(_shown(curves, pieces, own), own))
@@ -184,14 +174,14 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
     return touched, Load(edges, edge_pieces, arc_pieces, arcs)
 
 
-def _shown(
-    curves: Curves, pieces: Pieces, homogeneous: Float[Array, "P n 3"]
-) -> Float[Array, "P k"]:
+def _shown(curves: Curves, pieces: Cut, homogeneous: Float[Array, "P n 3"]) -> Float[Array, "P k"]:
     """Return what is visible of pieces that are alone in their pixels (see `Visible`)."""
+    jump, ends = pieces.steps.jump, jnp.stack(pieces.ends, axis=-1)
     if isinstance(curves, Segments):
-        return whole(pieces)
-    flux = piece_flux(jax.lax.stop_gradient(homogeneous), curves, pieces.start, pieces.end)
-    return (-pieces.jump[:, None, None] * flux).reshape(-1, ARC)
+        return whole(ends, jump)
+    # (An unused slot is no piece of any curve.)
+    flux = piece_flux(jax.lax.stop_gradient(homogeneous), curves, ends[:, :2], ends[:, 2:])
+    return (-jump[:, None, None] * flux).reshape(-1, ARC)
 
 
 def _moved(

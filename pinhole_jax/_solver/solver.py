@@ -14,6 +14,7 @@ from .._mask.edges import Weights
 from .._mask.pyramid import LEAST_CELLS, Level
 from .._mask.target import Window, inside_of, object_window
 from .._numerics.jitted import jitted
+from .._numerics.one_kernel import for_this_machine
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene
 from .buffers import Asked, Buffers, Levels
@@ -434,7 +435,8 @@ class Solver:
             problem = eqx.tree_at(lambda p: p.pyramid, problem, self._levels.small)
             capacity = small
         given = camera, problem, level, *ends, self.freed, capacity
-        return programs.call(DESCENDED, given, lambda: like_descended(camera, level))
+        with for_this_machine():
+            return programs.call(DESCENDED, given, lambda: like_descended(camera, level))
 
     def _each_step(self, camera: Camera, level: int, end: Stop, path: Array) -> list[Stop]:
         """Return where each step of a level ended; those past `RECORDED` together."""

@@ -1,0 +1,341 @@
+"""A line sweeps pixels in which straight contours overlap, on a CPU: one after the other, in a
+single kernel.
+
+The line halts, and what is seen of the pieces there counts, as in `sweep`, which sweeps cells side
+by side: those take as long as the one with the most pieces, and some eighty kernels. Here pieces
+stay in order from one halt to the next.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from .._numerics.safe import safe_divide
+from .._silhouette.sweep import Cells, Lines, along_x, along_y
+
+
+class Seen(NamedTuple):
+    """A pixel's covered area; of each of all pieces, which are straight, the visible length and its
+    first moment (see `Visible`)."""
+
+    area: Float[Array, ""]
+    length: Float[Array, "P"]
+    moment: Float[Array, "P"]
+
+
+class Pixel(NamedTuple):
+    """A pixel that is swept: `row(k)` are the numbers of its k-th piece (see `Cells`), and
+    `place(k)` is where among all pieces it is; how many there are; the winding number at the
+    pixel's lower left corner; how many times the line stops (0: it halts where the order of pieces
+    changes)."""
+
+    row: Callable[[Array], Array]
+    place: Callable[[Array], Array]
+    number: Int[Array, ""]
+    corner: Float[Array, ""]
+    stops: Int[Array, ""]
+
+
+class Listed(NamedTuple):
+    """The pieces of a pixel as a line sweeps them, by where they begin: from (u0, v0) to u1, v
+    growing by `slope`; the layers met there, and which piece it is."""
+
+    u0: Float[Array, "M"]
+    v0: Float[Array, "M"]
+    u1: Float[Array, "M"]
+    slope: Float[Array, "M"]
+    jump: Float[Array, "M"]
+    which: Int[Array, "M"]
+
+
+class Room(NamedTuple):
+    """Room for a pixel: its pieces; where along the border the number of layers changes, and by
+    how much; where the line halts, in order; the pieces that it meets, in order; what of each piece
+    was seen so far."""
+
+    pieces: Listed
+    border: Float[Array, "2*M"]
+    step: Float[Array, "2*M"]
+    halts: Float[Array, "K"]
+    met: Int[Array, "M"]
+    height: Float[Array, "M"]
+    length: Float[Array, "M"]
+    moment: Float[Array, "M"]
+
+    @classmethod
+    def of(cls, most: int, crossed: int, dtype: Any) -> "Room":
+        """Return room for so many pieces, `crossed` of which at most cross one another."""
+        real, whole = jnp.zeros(most, dtype), jnp.zeros(most, jnp.int32)
+        both = jnp.zeros(2 * most, dtype)
+        halts = jnp.zeros(2 * most + crossed * (crossed - 1) // 2, dtype)
+        pieces = Listed(real, real, real, real, real, whole)
+        return cls(pieces, both, both, halts, whole, real, real, real)
+
+
+def put(x: Array, value: Array | int, place: Array) -> Array:
+    """Return an array with an entry of it overwritten."""
+    return jax.lax.dynamic_update_slice(x, jnp.asarray(value, x.dtype)[None], (place,))
+
+
+def loop(number: Array, body: Callable[[Array, Any], Any], state: Any) -> Any:
+    """Return the state after `body(k, state)` for each k below a number."""
+    step = lambda s: (s[0] + 1, body(*s))
+    return jax.lax.while_loop(lambda s: s[0] < number, step, (jnp.int32(0), state))[1]
+
+
+def swept(pixel: Pixel, seen: Seen, room: Room) -> tuple[Seen, Room]:
+    """Return the area of a pixel, and `seen` with what is seen of its pieces.
+
+    What a line moving to the right tells is the area and what is seen of flat pieces; one moving
+    up tells it of steep ones. A line that stops moves across the pieces first: that is the area.
+    Where the first halts at all and sees nothing but cover, the second is left out.
+    """
+    none = 0 * seen.area, 0 * seen.area, pixel.stops > 0
+    across, along, twice = loop(pixel.number, lambda k, s: _reach(pixel.row(k), s), none)
+    upright = (pixel.stops > 0) & (across < along)
+    nothing = lambda k, s: tuple(put(x, 0, pixel.place(k)) for x in s)
+    length, moment = loop(pixel.number, nothing, (seen.length, seen.moment))
+
+    def turn(number, state):
+        seen, room, _ = state
+        up = upright ^ (number == 1)
+        room, borders = _listed(pixel, up, room)
+        area, shows, room = _sweep(pixel, borders, room)
+        seen = seen._replace(area=jnp.where(number == 0, area, seen.area))
+        return _with_parts(pixel, up, seen, room), room, shows
+
+    def goes_on(state):
+        number, (_, _, shows) = state
+        return (number == 0) | ((number == 1) & (shows | twice))
+
+    start = Seen(seen.area, length, moment), room, jnp.array(True)
+    step = lambda s: (s[0] + 1, turn(*s))
+    _, (seen, room, _) = jax.lax.while_loop(goes_on, step, (jnp.int32(0), start))
+    return seen, room
+
+
+def _reach(row: Float[Array, "6"], reach: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """Return how far pieces reach along x and along y, with one more of them, and whether one may
+    be seen by a line that moves up alone: one on the pixel's side, all of which is covered."""
+    across, along = jnp.abs(row[2] - row[0]), jnp.abs(row[3] - row[1])
+    return reach[0] + across, reach[1] + along, reach[2] | (across == 0)
+
+
+def _listed(pixel: Pixel, up: Bool[Array, ""], room: Room) -> tuple[Room, Array]:
+    """Return room with a pixel's pieces as a line sweeps them, `up` or to the right, and how often
+    the number of layers changes along the border."""
+
+    def one(k, state):
+        pieces, border, step, borders = state
+        cell = Cells(pixel.row(k)[None, None], jnp.zeros((1, 1, 2), jnp.int32))
+        line = _either(up, along_y(cell), along_x(cell))
+        u0, v0, u1, v1, jump = (x[0, 0] for x in line[:5])
+        row = Listed(u0, v0, u1, safe_divide(v1 - v0, u1 - u0), jump, k)
+        pieces = _inserted(pieces, k, row)
+        for halt, change in zip(line.halt[0], line.step[0], strict=True):
+            border, step = put(border, halt, borders), put(step, change, borders)
+            borders = borders + (change != 0).astype(jnp.int32)
+        return pieces, border, step, borders
+
+    start = room.pieces, room.border, room.step, jnp.int32(0)
+    pieces, border, step, borders = loop(pixel.number, one, start)
+    zero = lambda k, s: tuple(put(x, 0, k) for x in s)
+    length, moment = loop(pixel.number, zero, (room.length, room.moment))
+    room = room._replace(pieces=pieces, border=border, step=step)
+    return room._replace(length=length, moment=moment), borders
+
+
+def _either(which: Array, a: Lines, b: Lines) -> Lines:
+    return jax.tree.map(lambda x, y: jnp.where(which, x, y), a, b)
+
+
+def _inserted(pieces: Listed, number: Array, row: Listed) -> Listed:
+    """Return listed pieces with one more, after those that begin no later."""
+
+    def before(state):
+        place, pieces = state
+        return (place > 0) & (pieces.u0[jnp.maximum(place - 1, 0)] > row.u0)
+
+    def shift(state):
+        place, pieces = state
+        return place - 1, jax.tree.map(lambda x: put(x, x[place - 1], place), pieces)
+
+    place, pieces = jax.lax.while_loop(before, shift, (number, pieces))
+    return jax.tree.map(lambda x, value: put(x, value, place), pieces, row)
+
+
+def _with_halt(halts: Array, number: Array, halt: Array) -> Array:
+    """Return halts in order with one more."""
+    later = lambda s: (s[0] > 0) & (s[1][jnp.maximum(s[0] - 1, 0)] > halt)
+    shift = lambda s: (s[0] - 1, put(s[1], s[1][s[0] - 1], s[0]))
+    place, halts = jax.lax.while_loop(later, shift, (number, halts))
+    return put(halts, halt, place)
+
+
+def _halts(number: Array, pieces: Listed, halts: Array) -> tuple[Array, Array]:
+    """Return where pieces begin, end or cross, in order, and how many of these there are."""
+
+    def of_piece(i, state):
+        halts, count = state
+        halts = _with_halt(halts, count, pieces.u0[i])
+        halts = _with_halt(halts, count + 1, pieces.u1[i])
+
+        def of_pair(state):
+            j, halts, count = state
+            u, crosses = _crossing(pieces, i, j)
+            more = lambda _, s: (_with_halt(s[0], s[1], u), s[1] + 1)
+            return j + 1, *loop(crosses.astype(jnp.int32), more, (halts, count))
+
+        overlap = lambda s: (s[0] < number) & (pieces.u0[s[0]] < pieces.u1[i])
+        return jax.lax.while_loop(overlap, of_pair, (i + 1, halts, count + 2))[1:]
+
+    return loop(number, of_piece, (halts, jnp.int32(0)))
+
+
+def _crossing(pieces: Listed, i: Array, j: Array) -> tuple[Array, Array]:
+    """Return where two pieces cross, and whether they do."""
+    low = jnp.maximum(pieces.u0[i], pieces.u0[j])
+    high = jnp.minimum(pieces.u1[i], pieces.u1[j])
+    height = lambda k, u: pieces.v0[k] + (u - pieces.u0[k]) * pieces.slope[k]
+    before, after = (height(i, u) - height(j, u) for u in (low, high))
+    crosses = (low < high) & ((before < 0) != (after < 0))
+    return low + (high - low) * safe_divide(before, before - after), crosses
+
+
+class _Line(NamedTuple):
+    """Where the line is, how many halts are behind it, and how many pieces; how many it meets; the
+    area so far; whether there was anything but cover."""
+
+    u: Float[Array, ""]
+    halts: Int[Array, ""]
+    begun: Int[Array, ""]
+    number: Int[Array, ""]
+    area: Float[Array, ""]
+    shows: Bool[Array, ""]
+
+
+def _sweep(pixel: Pixel, borders: Array, room: Room) -> tuple[Array, Array, Room]:
+    """Return the covered area, whether anything else is seen than cover, and room with what of each
+    piece is seen."""
+    stopping = pixel.stops > 0
+    halts, count = _halts(jnp.where(stopping, 0, pixel.number), room.pieces, room.halts)
+    apart = 1 / jnp.maximum(pixel.stops, 1).astype(pixel.corner.dtype)
+
+    def passed(state):
+        k, u = state
+        return (k < count) & (halts[jnp.minimum(k, count - 1)] <= u)
+
+    def one(state):
+        line, *lists = state
+        further = jax.lax.while_loop(passed, lambda s: (s[0] + 1, s[1]), (line.halts, line.u))[0]
+        halt = jnp.where(further < count, halts[jnp.minimum(further, jnp.maximum(count - 1, 0))], 1)
+        after = jnp.minimum(jnp.where(stopping, line.u + apart, halt), 1)
+        line = line._replace(halts=further)
+        return _stretch(pixel, borders, room, after, line, *lists)
+
+    zero, none = 0 * pixel.corner, jnp.int32(0)
+    start = _Line(zero, none, none, none, zero, jnp.array(False))
+    lists = room.met, room.height, room.length, room.moment
+    line, *lists = jax.lax.while_loop(lambda s: s[0].u < 1, one, (start, *lists))
+    room = room._replace(
+        halts=halts, **dict(zip(("met", "height", "length", "moment"), lists, strict=True))
+    )
+    return jnp.where(line.shows, jnp.clip(line.area, 0, 1), 1), line.shows, room
+
+
+def _stretch(pixel, borders, room, after, line, met, height, length, moment):
+    """Return the line at the next halt, and what it met and saw on the way."""
+    middle, width = (line.u + after) / 2, after - line.u
+    first = pixel.corner + loop(
+        borders, lambda k, s: s + _stepped(room, pixel.stops > 0, middle, k), 0 * middle
+    )
+    begun, number, met, height = _met(pixel, room.pieces, middle, line, met, height)
+
+    def see(i, state):
+        below, area, shows, length, moment = state
+        piece = met[i]
+        above = below + room.pieces.jump[piece]
+        change = _covers(above) - _covers(below)
+        share, k = change * width, room.pieces.which[piece]
+        length, moment = (
+            put(length, length[k] + share, k),
+            put(moment, moment[k] + share * middle, k),
+        )
+        return above, area - height[i] * share, shows | (change != 0), length, moment
+
+    start = first, line.area, line.shows, length, moment
+    top, area, shows, length, moment = loop(number, see, start)
+    covered = _covers(top)
+    shows |= covered < 1
+    line = _Line(after, line.halts, begun, number, area + covered * width, shows)
+    return line, met, height, length, moment
+
+
+def _stepped(room: Room, stopping: Array, middle: Array, k: Array) -> Array:
+    """Return by how much layers changed at a place on the border, if that is before the line.
+
+    Where the line stops it may stop at an end: that is of what comes, on the border as well.
+    """
+    halt = room.border[k]
+    return jnp.where((halt < middle) | (stopping & (halt == middle)), room.step[k], 0)
+
+
+def _met(pixel, pieces, middle, line, met, height):
+    """Return how many pieces have begun, and those that the line meets from below, with their
+    heights: of equal ones the first in the list is the lower."""
+
+    def enter(state):
+        begun, number, met = state
+        return begun + 1, number + 1, put(met, begun, number)
+
+    begins = lambda s: (
+        (s[0] < pixel.number) & (pieces.u0[jnp.minimum(s[0], pixel.number - 1)] <= middle)
+    )
+    begun, number, met = jax.lax.while_loop(begins, enter, (line.begun, line.number, met))
+
+    def keep(i, state):
+        count, met, height = state
+        piece = met[i]
+        v = pieces.v0[piece] + (middle - pieces.u0[piece]) * pieces.slope[piece]
+        there = middle < pieces.u1[piece]
+
+        def above(state):
+            place, met, height = state
+            last = jnp.maximum(place - 1, 0)
+            tie = (height[last] == v) & (pieces.which[met[last]] > pieces.which[piece])
+            return there & (place > 0) & ((height[last] > v) | tie)
+
+        def shift(state):
+            place, met, height = state
+            return place - 1, *(put(x, x[place - 1], place) for x in (met, height))
+
+        place, met, height = jax.lax.while_loop(above, shift, (count, met, height))
+        return count + there.astype(jnp.int32), put(met, piece, place), put(height, v, place)
+
+    count, met, height = loop(number, keep, (jnp.int32(0), met, height))
+    return begun, count, met, height
+
+
+def _covers(layers: Array) -> Array:
+    return (layers > 0.5).astype(layers.dtype)
+
+
+def _with_parts(pixel: Pixel, up: Array, seen: Seen, room: Room) -> Seen:
+    """Return what is seen, with what a line that moves this way tells of pieces: of the steep ones
+    one that moves up."""
+
+    def one(k, state):
+        length, moment = state
+        row, place = pixel.row(k), pixel.place(k)
+        steep = jnp.abs(row[3] - row[1]) > jnp.abs(row[2] - row[0])
+        u0, u1 = (jnp.where(up, row[i + 1], row[i]) for i in (0, 2))
+        whole, own = room.length[k], steep == up
+        first = safe_divide(room.moment[k] - whole * u0, u1 - u0)
+        length = put(length, jnp.where(own, whole, length[place]), place)
+        return length, put(moment, jnp.where(own, first, moment[place]), place)
+
+    length, moment = loop(pixel.number, one, (seen.length, seen.moment))
+    return Seen(seen.area, length, moment)
