@@ -10,7 +10,7 @@ from pinhole_jax._silhouette import boundary
 from pinhole_jax._silhouette.boundary import Seen
 from pinhole_jax._silhouette.coverage import end_flux, shares
 from pinhole_jax._silhouette.curves import Segments, piece_flux
-from pinhole_jax._silhouette.piece_by_piece import Ordered
+from pinhole_jax._silhouette.parts import Ordered
 from pinhole_jax._silhouette.spheres import sphere_arcs
 
 W, H, WAYS = 12, 9, 3

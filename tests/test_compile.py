@@ -13,10 +13,10 @@ from _kernels import Kernels, kernels
 
 #: At most this many kernels in all, that differ, and loops.
 MOST = {
-    "mask_without_overlaps": Kernels(206, 150, 7),
-    "mask": Kernels(330, 217, 10),
+    "mask_without_overlaps": Kernels(194, 140, 7),
+    "mask": Kernels(270, 195, 9),
     "depth": Kernels(200, 142, 2),
-    "gradient_of_camera": Kernels(750, 365, 28),
+    "gradient_of_camera": Kernels(625, 325, 23),
     "fit": Kernels(345, 240, 5),
 }
 #: Kernels are the compiler's as users have it, but not looked over, and written in a hurry.

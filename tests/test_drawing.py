@@ -9,10 +9,11 @@ import pytest
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._camera.camera import film_map
-from pinhole_jax._silhouette import drawing, piece_by_piece
+from pinhole_jax._silhouette import drawing, parts, piece_by_piece
 from pinhole_jax._silhouette.asked import Asked
 from pinhole_jax._silhouette.curve_sets import find
-from pinhole_jax._silhouette.drawing import drawn, drawn_in_vectors
+from pinhole_jax._silhouette.drawing import drawn_in_vectors
+from pinhole_jax._silhouette.piece_by_piece import drawn_piece_by_piece
 from pinhole_jax._silhouette.silhouette import _Moving, _parts, _Still
 from pinhole_jax._silhouette.surrounding import rows_seen, surrounding
 
@@ -47,7 +48,7 @@ def banded(monkeypatch):
     """Bands have few words, and few curves can be listed; every film is large."""
     monkeypatch.setattr(drawing, "LARGE", 0)
     monkeypatch.setattr(piece_by_piece, "BAND", 32)
-    monkeypatch.setattr(piece_by_piece, "LISTED", 600)
+    monkeypatch.setattr(parts, "LISTED", 600)
     jax.clear_caches()
     yield
     jax.clear_caches()
@@ -65,7 +66,8 @@ def each_way(camera, scene):
     """Return the film of vectors, and piece by piece: all rows, and those where the scene is."""
     film = film_map(camera)
     asked = asked_of(film, scene)
-    return drawn_in_vectors(asked), drawn(asked, None), drawn(asked, rows_seen(film, scene))
+    pieces = [drawn_piece_by_piece(asked, rows)[0] for rows in (None, rows_seen(film, scene))]
+    return drawn_in_vectors(asked), *pieces
 
 
 def same(vectors, *others, atol=1e-13):

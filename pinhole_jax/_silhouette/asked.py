@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.film import FilmMap
 from .marks import Marks, overlaps
-from .overlaps import Part
+from .parts import Part
 
 #: Pixels in a word of bits.
 WORD = 32

@@ -18,8 +18,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._numerics.one_kernel import on_cpu
 from .coverage import Monotone, Pieces, end_flux, shares, taken
-from .overlaps import Part, fold_curves, fold_pieces
-from .piece_by_piece import Ordered, walked
+from .overlaps import fold_pieces
+from .parts import Ordered, Part, fold_curves
+from .piece_by_piece import walked
 from .sweep import Visible
 
 #: Curves in a table.

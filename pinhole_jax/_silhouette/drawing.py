@@ -6,7 +6,7 @@ are added up as vectors, and the passes over the film after it are vectors, too.
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Int
+from jaxtyping import Array
 
 from .._camera.film import FilmMap
 from .._numerics.bitset import words_of
@@ -14,8 +14,8 @@ from .._numerics.running import running_sum
 from .asked import WORD, Asked, Drawn, Sums, judged
 from .coverage import Pieces, monotone
 from .marks import drops, marks, winding_jumps
-from .overlaps import fold_curves, fold_pieces
-from .piece_by_piece import drawn_piece_by_piece
+from .overlaps import fold_pieces
+from .parts import fold_curves
 
 #: Of a film of more pixels only the rows are looked at in which the scene may be seen.
 LARGE = 1 << 18
@@ -29,14 +29,6 @@ def in_words(x: Array) -> Array:
 def is_large(film: FilmMap) -> bool:
     """Return whether it is worth to know where on the film the scene may be seen."""
     return film.W * film.H > LARGE
-
-
-def drawn(asked: Asked, rows: Int[Array, "2"] | None) -> Drawn:
-    """Return the film, where contours may be met in these rows: from which on, and up to which
-    (None: in all)."""
-    return jax.lax.platform_dependent(
-        cpu=lambda: drawn_piece_by_piece(asked, rows), default=lambda: drawn_in_vectors(asked)
-    )
 
 
 def drawn_in_vectors(asked: Asked) -> Drawn:

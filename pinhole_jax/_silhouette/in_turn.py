@@ -22,9 +22,10 @@ from jaxtyping import Array, Bool, Float, Int
 from .._numerics.bitset import Selection, count_below, rank_in
 from .._numerics.one_kernel import one_kernel
 from .._numerics.safe import safe_divide
-from .coverage import InRow, Monotone, Pieces, in_pixel, in_row, monotone, rows_of, taken
-from .curves import Curves, Segments, arc_flux, cut_circle, film_at, nodes, placed, unit_at
+from .coverage import InRow, Monotone, Pieces, in_pixel, in_row, rows_of, taken
+from .curves import Segments, arc_flux, cut_circle, film_at, nodes, unit_at
 from .marks import drops, winding_jumps
+from .parts import Ordered
 from .sweep import sweepable
 
 #: So many pieces of a cell are swept; so many crossings may be ahead of a line.
@@ -108,14 +109,19 @@ class Listed(NamedTuple):
         zeros = whole(pieces, 0)
         return Listed(table, zeros, zeros, none, whole(cells, 0), real, real, jnp.int32(0))
 
-    def append(self, where: Where, curves: Curves, first: Int[Array, ""], number: int) -> "Listed":
-        """Return these with the pieces of more curves, of a part's: from id `first` on."""
-        return one_kernel(partial(_appended, number))(where, curves, first, self)
+    def append(
+        self, where: Where, part: int, curves: Ordered, first: Int[Array, ""], number: Array
+    ) -> "Listed":
+        """Return these with the pieces of the first so many curves of a list, of a part's: from id
+        `first` on."""
+        return one_kernel(partial(_appended, part))(where, curves, first, number, self)
 
 
-def _appended(part: int, where: Where, curves: Curves, first: Array, listed: Listed) -> Listed:
+def _appended(
+    part: int, where: Where, curves: Ordered, first: Array, number: Array, listed: Listed
+) -> Listed:
     def of_curve(k, listed):
-        m = monotone(placed(taken(curves, k), where.scale, where.origin))
+        m = taken(curves, k).placed(where.scale, where.origin)
         rows = rows_of(m, where.top, where.bottom)
         code = 2 * (first + k) + part
 
@@ -140,7 +146,7 @@ def _appended(part: int, where: Where, curves: Curves, first: Array, listed: Lis
         end = rows.first + jnp.where(m.curves.weight == 0, 0, rows.number)
         return jax.lax.while_loop(lambda s: s[0] < end, of_row, (rows.first, listed))[1]
 
-    return jax.lax.fori_loop(0, curves.weight.shape[0], of_curve, listed)
+    return jax.lax.fori_loop(0, number, of_curve, listed)
 
 
 def _with_jump(where: Where, m: Monotone, own: InRow, listed: Listed) -> Listed:

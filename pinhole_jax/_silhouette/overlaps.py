@@ -31,9 +31,10 @@ from .._numerics.one_kernel import one_by_one
 from .._numerics.running import running_sum
 from . import in_turn
 from .coverage import Monotone, Pieces, monotone, piece_counts, split
-from .curves import Curves, placed
+from .curves import placed
 from .hidden import all_hidden
 from .marks import drops, winding_jumps
+from .parts import CurveList, Part
 from .sweep import ARC, STRAIGHT, Cells, Visible, sweep, sweepable
 
 #: This many pieces a cell holds at most that are swept together, and how many such cells are swept
@@ -60,35 +61,6 @@ KEPT = 1 << 12
 KEPT_AT_A_TIME = 512
 #: The place of what is in no pixel.
 NOWHERE = np.iinfo(np.int32).max
-
-
-class Part(NamedTuple):
-    """Curves of one kind: `curves(ids)` for ids below `total`; `size` is a static chunk of them.
-
-    `homogeneous_of(ids)` is what the curves move with, differentiably. There are at most `most`, if
-    known.
-    """
-
-    curves: Callable[[Int[Array, "K"]], Curves]
-    homogeneous_of: Callable[[Int[Array, "K"]], Float[Array, "K n 3"]]
-    total: Int[Array, ""]
-    size: int
-    most: int | None
-
-    @property
-    def straight(self) -> bool:
-        """Whether its curves are segments, not arcs."""
-        return self.homogeneous.shape[-2] == 2
-
-    @property
-    def dtype(self) -> Any:
-        """The float type."""
-        return self.homogeneous.dtype
-
-    @property
-    def homogeneous(self) -> Any:
-        """Shape (1, n, 3) and type of a curve's homogeneous points."""
-        return jax.eval_shape(self.homogeneous_of, jnp.zeros(1, jnp.int32))
 
 
 class Overlapping(NamedTuple):
@@ -362,10 +334,10 @@ def fold_cells(
     film = W, max_H, base
 
     def turn(start):
-        return _in_turn(parts, overlapping, film, add, start, flux, stops)
+        return fold_in_turn(parts, overlapping, film, add, start, flux, stops)
 
     def beside(start):
-        return _side_by_side(parts, overlapping, film, add, start, flux, stops)
+        return fold_side_by_side(parts, overlapping, film, add, start, flux, stops)
 
     return jax.lax.platform_dependent(start, cpu=turn, default=beside)
 
@@ -400,7 +372,7 @@ class _Films(NamedTuple):
         return _Films(*films, self.height + swept.left)
 
 
-def _in_turn(
+def fold_in_turn(
     parts: list[Part],
     overlapping: Overlapping,
     film: tuple[Any, int, Int[Array, ""]],
@@ -408,8 +380,10 @@ def _in_turn(
     start: Any,
     flux: bool,
     stops: Int[Array, ""] | None,
+    lists: list[CurveList] | None = None,
 ) -> Any:
-    """Return what `fold_cells` does, one pixel after the other."""
+    """Return what `fold_cells` does, one pixel after the other; `lists` of the parts' curves, if
+    there are such."""
     dtype, depth = parts[0].dtype, LAST_FILM[jnp.dtype(parts[0].dtype).name]
     room = LEAST_CAPACITY
     while room < min(sum(part.most or IN_TURN for part in parts), IN_TURN):
@@ -417,26 +391,29 @@ def _in_turn(
     cells = max(room // PIECES_A_CELL, in_turn.CUT**2)
     arcs = next((k for k, part in enumerate(parts) if not part.straight), None)
     manner = in_turn.Manner(arcs, flux, stops is not None)
+    has_all = lists is not None
 
     def body(state):
-        first, limit, films, total = state
+        first, limit, films, lists, total = state
         number = jnp.minimum(limit, overlapping.total - first)
         level, where, row, at = _film_or_cell(overlapping, film, films, first, number, cells)
         own_stops = None if stops is None else -(-stops // jnp.int32(in_turn.CUT) ** level)
 
         def resolved():
             listed = in_turn.Listed.empty(room, cells, arcs is not None, dtype)
-            for number, part in enumerate(parts):
-                more = lambda listed, ids, curves, number=number: listed.append(
-                    where, curves, ids[0], number
+            again = []
+            for number, (part, known) in enumerate(zip(parts, lists, strict=True)):
+                more = lambda listed, curves, first, count, number=number: listed.append(
+                    where, number, curves, first, count
                 )
-                listed = fold_curves(part, more, listed, part.size)
+                listed, known = known.fold(part, more, listed, has_all)
+                again.append(known)
             last = (level >= depth).astype(jnp.int32)
             base = film[2].astype(dtype)
             swept = in_turn.swept(manner, listed, where, row, at, base, last, own_stops)
-            return swept, listed.used
+            return swept, listed.used, again
 
-        swept, used = one_by_one(resolved)
+        swept, used, lists = one_by_one(resolved)
         index = jnp.arange(cells, dtype=jnp.int32)
         place = jnp.where(index < where.number, at.place, NOWHERE)
         total = add(total, Resolved(place, swept.area, []))
@@ -447,11 +424,13 @@ def _in_turn(
         wider = jnp.where(used < room // 2, jnp.minimum(2 * limit, cells), limit)
         limit = jnp.where(whole, jnp.where(done, wider, swept.fits), limit)
         first = jnp.where(whole & done, first + number, first)
-        return first, limit, films.push(level + 1, at, swept), total
+        return first, limit, films.push(level + 1, at, swept), lists, total
 
     more = lambda state: (state[0] < overlapping.total) | (state[2].height > 0)
     films = _Films.empty(cells + depth * in_turn.CUT**2, dtype)
-    return jax.lax.while_loop(more, body, (jnp.int32(0), jnp.int32(cells), films, start))[-1]
+    lists = [CurveList.empty(part) for part in parts] if lists is None else lists
+    start = jnp.int32(0), jnp.int32(cells), films, lists, start
+    return jax.lax.while_loop(more, body, start)[-1]
 
 
 def _film_or_cell(
@@ -532,7 +511,7 @@ def _fold_shown(
 # --- side by side --------------------------------------------------------------------------------
 
 
-def _side_by_side(
+def fold_side_by_side(
     parts: list[Part],
     overlapping: Overlapping,
     film: tuple[Any, int, Int[Array, ""]],
@@ -540,8 +519,10 @@ def _side_by_side(
     start: Any,
     flux: bool,
     stops: Int[Array, ""] | None,
+    lists: None = None,
 ) -> Any:
-    """Return what `fold_cells` does, of vectors of cells."""
+    """Return what `fold_cells` does, of vectors of cells; without `lists` of curves."""
+    del lists
     dtype = parts[0].dtype
     depth = LAST_CUT[jnp.dtype(dtype).name]
     frames = [None if part.straight else part.homogeneous_of for part in parts]
@@ -692,28 +673,6 @@ def _batch(
 
 
 # --- which pieces lie in which cell --------------------------------------------------------------
-
-
-def fold_curves(
-    part: Part,
-    add: Callable[[Any, Array, Curves], Any],
-    start: Any,
-    size: int,
-    block: tuple[Any, Any] | None = None,
-) -> Any:
-    """Return `start` after `add(total, ids, curves)` over all curves, `size` at a time; or over a
-    block of them, from its first id up to another, in whole chunks."""
-    begin, end = (jnp.int32(0), part.total) if block is None else block
-    end = jnp.minimum(part.total, end)
-
-    def body(state):
-        first, total = state
-        ids = first + jnp.arange(size, dtype=jnp.int32)
-        curves = jax.lax.stop_gradient(part.curves(jnp.minimum(ids, part.total - 1)))
-        weight = jnp.where(ids < part.total, curves.weight, 0)
-        return first + size, add(total, ids, curves._replace(weight=weight))
-
-    return jax.lax.while_loop(lambda s: s[0] < end, body, (begin, start))[1]
 
 
 def fold_pieces(

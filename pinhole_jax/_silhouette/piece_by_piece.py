@@ -17,20 +17,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from .._numerics.one_kernel import one_by_one, one_kernel
+from .._numerics.one_kernel import one_kernel
 from .asked import WORD, Asked, Drawn, Pixels, Sums, judged, words_in_row
-from .coverage import Monotone, Pieces, in_pixel, in_row, monotone, rightward, rows_of, taken
-from .curves import Arcs, Curves, Segments
+from .coverage import Monotone, Pieces, in_pixel, in_row, rows_of, taken
 from .marks import drops, marks, winding_jumps
-from .overlaps import Part, fold_curves
+from .parts import LEAST, CurveList, Ordered
 
-#: Words in a band, and how many curves are listed. (First passes, ms of the processor: a scan of
-#: 82k faces at 2048 px 22; with 2^13 curves, found anew for each band, 56; with 2^15 words 31. A
-#: hedgehog of as many at 1024 px 157; with 2^15 words 113, but a smooth mesh 3.8 and not 3.0.)
-BAND, LISTED = 1 << 13, 1 << 16
-#: Rows that an array has at least: one that is written over as a whole is not read, and XLA's CPU
-#: compiler aborts over arguments of a kernel that it need not read.
-LEAST = 2
+#: Words in a band. (First passes, ms of the processor: a scan of 82k faces at 2048 px 22; with 2^15
+#: words 31. A hedgehog of as many at 1024 px 157; with 2^15 words 113, but a smooth mesh 3.8 and
+#: not 3.0.)
+BAND = 1 << 13
 
 
 class _Band(NamedTuple):
@@ -43,12 +39,11 @@ class _Band(NamedTuple):
     top: Int[Array, ""]
 
 
-def drawn_piece_by_piece(asked: Asked, rows: Int[Array, "2"] | None) -> Drawn:
-    """Return the film, on which contours may be met in these rows (None: in all)."""
-    return one_by_one(lambda: _drawn(asked, rows))
-
-
-def _drawn(asked: Asked, rows: Int[Array, "2"] | None) -> Drawn:
+def drawn_piece_by_piece(
+    asked: Asked, rows: Int[Array, "2"] | None
+) -> tuple[Drawn, list[CurveList]]:
+    """Return the film, on which contours may be met in these rows (None: in all), and the curves
+    that were listed last."""
     W, H, real = asked.film.W, asked.film.H, asked.film.eye.dtype
     words = words_in_row(W)
     height = min(H, max(BAND // words, 1))
@@ -57,96 +52,23 @@ def _drawn(asked: Asked, rows: Int[Array, "2"] | None) -> Drawn:
     empty = Sums.of(asked.resolves, number * WORD, real)
     nothing = _Band(empty, jnp.zeros(number, jnp.int32), begin, begin)
     judge = partial(judged, keep=asked.keep)
+    walk = one_kernel(partial(_walked, W, H))
     draw = one_kernel(partial(_rows_drawn, judge, asked.deep or 0.0, W, H))
 
     def more(state):
         band, lists, film = state
         band = band._replace(bottom=band.top, top=jnp.minimum(band.top + height, end))
         more_lists = []
-        for part, listed in zip(asked.parts, lists, strict=True):
-            band, listed = _with_part(asked, part, band, listed)
-            more_lists.append(listed)
+        for part, known in zip(asked.parts, lists, strict=True):
+            add = lambda band, curves, begin, number: walk(curves, number, band)
+            band, known = known.fold(part, add, band)
+            more_lists.append(known)
         band, film = draw(band, film, asked.base.astype(real))
         return band, more_lists, film
 
-    start = nothing, [_Listed.empty(part) for part in asked.parts], _Film.empty(asked)
-    film = jax.lax.while_loop(lambda s: s[0].top < end, more, start)[-1]
-    return film.whole(W, H)
-
-
-# --- curves --------------------------------------------------------------------------------------
-
-
-class Ordered(NamedTuple):
-    """What is needed of `Monotone` (all of it is read: see `LEAST`); `frame` of arcs."""
-
-    low: Float[Array, "*K 2"]
-    high: Float[Array, "*K 2"]
-    rising: Float[Array, "*K"]
-    weight: Float[Array, "*K"]
-    frame: Float[Array, "*K 3 3"] | None
-
-    @staticmethod
-    def of(curves: Curves) -> "Ordered":
-        """Return curves ordered by height."""
-        low, high, rising, _, own = monotone(curves)
-        frame = None if isinstance(own, Segments) else own.frame
-        return Ordered(low, high, rising, own.weight, frame)
-
-    @property
-    def monotone(self) -> Monotone:
-        """Return the curves as what they were made of."""
-        low, high, rising, weight, frame = self
-        own = Segments(low, high, weight) if frame is None else Arcs(frame, low, high, weight)
-        return Monotone(low, high, rising, rightward(low, high), own)
-
-
-class _Listed(NamedTuple):
-    """Curves from the one with the id `begin` on, as many as there is room for (-1: none yet)."""
-
-    curves: Ordered
-    begin: Int[Array, ""]
-
-    @staticmethod
-    def empty(part: Part) -> "_Listed":
-        """Return a list of no curves."""
-        room = -(-min(LISTED, part.most or LISTED) // part.size) * part.size
-        ids = jnp.zeros(max(room, LEAST), jnp.int32)
-        like = jax.eval_shape(lambda: Ordered.of(part.curves(ids)))
-        return _Listed(jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), like), jnp.int32(-1))
-
-
-def _with_part(asked: Asked, part: Part, band: _Band, listed: _Listed) -> tuple[_Band, _Listed]:
-    """Return a band with the pieces of a part's curves, and curves for the next band."""
-    room = listed.curves.rising.shape[0]
-    put, walk = one_kernel(_put), one_kernel(partial(_walked, asked.film.W, asked.film.H))
-
-    def more(state):
-        begin, band, listed = state
-        # What is listed for the band before is for this one.
-        end = jnp.where(listed.begin == begin, begin, begin + room)
-        chunk = lambda known, ids, curves: put(curves, ids[0] - begin, known)
-        curves = fold_curves(part, chunk, listed.curves, part.size, (begin, end))
-        band = walk(curves, jnp.minimum(part.total - begin, room), band)
-        return begin + room, band, _Listed(curves, begin)
-
-    start = jnp.int32(0), band, listed
-    return jax.lax.while_loop(lambda s: s[0] < part.total, more, start)[1:]
-
-
-def _put(curves: Curves, first: Int[Array, ""], known: Ordered) -> Ordered:
-    """Return listed curves with more of them from a place on."""
-
-    def one(k, known):
-        return _with_row(known, Ordered.of(taken(curves, k)), first + k)
-
-    return jax.lax.fori_loop(0, curves.weight.shape[0], one, known)
-
-
-def _with_row(table: Any, row: Any, place: Int[Array, ""]) -> Any:
-    """Return arrays with a row of them put in its place."""
-    put = lambda x, new: jax.lax.dynamic_update_slice_in_dim(x, new[None], place, 0)
-    return jax.tree.map(put, table, row)
+    start = nothing, [CurveList.empty(part) for part in asked.parts], _Film.empty(asked)
+    _, lists, film = jax.lax.while_loop(lambda s: s[0].top < end, more, start)
+    return film.whole(W, H), lists
 
 
 # --- pieces --------------------------------------------------------------------------------------

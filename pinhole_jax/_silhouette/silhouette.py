@@ -15,9 +15,10 @@ from .._camera.film import FilmMap
 from .._numerics.bitset import Selection, selection, words_of
 from .._numerics.jitted import jitted
 from .._numerics.linear_map import linear_map
+from .._numerics.one_kernel import one_by_one
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, Spheres, astype, check_view
-from .asked import WORD, Asked, words_in_row
+from .asked import WORD, Asked, Drawn, words_in_row
 from .boundary import Seen, pulled, pushed
 from .covered import (
     DEEP,
@@ -30,18 +31,20 @@ from .covered import (
     worth,
 )
 from .curve_sets import Found, edge_curves, find, joined, outline_curves
-from .drawing import drawn, in_words, is_large
+from .drawing import drawn_in_vectors, in_words, is_large
 from .overlaps import (
     Kept,
     Overlapping,
-    Part,
     Resolved,
     all_kept,
     fold_cells,
     fold_chosen,
+    fold_in_turn,
+    fold_side_by_side,
     nothing_kept,
 )
-from .piece_by_piece import LEAST
+from .parts import LEAST, Part
+from .piece_by_piece import drawn_piece_by_piece
 from .surrounding import rows_seen, surrounding
 from .sweep import Visible
 
@@ -246,11 +249,25 @@ def _image_jvp(primals: Any, tangents: Any):
 
 def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "H W"], _Pixels]:
     """Return the image, and which pixels the contour crosses in which way."""
+    turn = partial(_resolved, moving, still, keep, drawn_piece_by_piece, fold_in_turn)
+    beside = partial(_resolved, moving, still, keep, _drawn_in_vectors, fold_side_by_side)
+    return jax.lax.platform_dependent(cpu=lambda: one_by_one(turn), default=beside)
+
+
+def _drawn_in_vectors(asked: Asked, rows: Int[Array, "2"] | None) -> tuple[Drawn, None]:
+    """Return the film, without lists of curves."""
+    del rows
+    return drawn_in_vectors(asked), None
+
+
+def _resolved(
+    moving: _Moving, still: _Still, keep: bool, draw: Callable, fold: Callable
+) -> tuple[Float[Array, "H W"], _Pixels]:
     film, parts, things = moving.film, _parts(moving, still), _things(moving, still)
     asked = Asked(
         film, parts, still.base, still.overlap is not None, keep, DEEP if things else None
     )
-    image, alone, overlapping, layers, depth = drawn(asked, still.rows)
+    (image, alone, overlapping, layers, depth), lists = draw(asked, still.rows)
     if overlapping is None or layers is None:
         none = selection(jnp.zeros(0, jnp.uint32))
         return image, _Pixels(alone, none, jnp.zeros(0, image.dtype), [])
@@ -277,8 +294,8 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
         return image, [k.append(resolved.place, visible) for k, visible in more]
 
     crowd = _overlapping(film, pixels.overlapping, layers)
-    args = parts, crowd, film.W, film.H, still.base
-    image, kept = fold_cells(*args, add, (image, kept), keep, still.stops)
+    args = parts, crowd, (film.W, film.H, still.base)
+    image, kept = fold(*args, add, (image, kept), keep, still.stops, lists)
     return image.reshape(film.H, film.W), pixels._replace(kept=kept)
 
 
