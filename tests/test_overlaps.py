@@ -217,13 +217,20 @@ def test_one_pixel_that_holds_everything_is_resolved():
     np.testing.assert_allclose(image, mesh_coverage(camera, vertices, faces), atol=1e-12)
 
 
+def resolve_side_by_side(monkeypatch):
+    """Let pixels be resolved as vectors, as on other machines."""
+    for module in ("overlaps", "silhouette"):
+        name = f"pinhole_jax._silhouette.{module}.fold_in_turn"
+        monkeypatch.setattr(name, overlaps.fold_side_by_side)
+
+
 @pytest.fixture(params=["in turn", "side by side"])
 def way(request, monkeypatch) -> int:
     """Resolve pixels one after the other, as on a CPU, or as vectors, as elsewhere; return a number
     of rows that is the way's own (what is compiled for one is not taken for the other)."""
     if request.param == "in turn":
         return 2
-    monkeypatch.setattr(overlaps, "_in_turn", overlaps._side_by_side)
+    resolve_side_by_side(monkeypatch)
     return 3
 
 
@@ -396,7 +403,7 @@ def test_pixels_in_turn_are_what_they_are_side_by_side(mixed, monkeypatch, stops
         return several, jax.jit(jax.value_and_grad(of_board))(vertices)
 
     one = told()
-    monkeypatch.setattr(overlaps, "_in_turn", overlaps._side_by_side)
+    resolve_side_by_side(monkeypatch)
     jax.clear_caches()
     other = told()
     jax.clear_caches()

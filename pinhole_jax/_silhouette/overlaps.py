@@ -519,9 +519,9 @@ def fold_side_by_side(
     start: Any,
     flux: bool,
     stops: Int[Array, ""] | None,
-    lists: None = None,
+    lists: list[CurveList] | None = None,
 ) -> Any:
-    """Return what `fold_cells` does, of vectors of cells; without `lists` of curves."""
+    """Return what `fold_cells` does, of vectors of cells, which need no `lists` of curves."""
     del lists
     dtype = parts[0].dtype
     depth = LAST_CUT[jnp.dtype(dtype).name]
