@@ -170,9 +170,8 @@ def test_no_number_of_contour_edges_or_pieces_is_too_many(monkeypatch):
     monkeypatch.setattr("pinhole_jax._silhouette.overlaps.KEPT", 4)
     monkeypatch.setattr("pinhole_jax._silhouette.overlaps.KEPT_AT_A_TIME", 2)
     monkeypatch.setattr("pinhole_jax._silhouette.overlaps.SWEPT", {8: 32, 24: 2})
-    # The curves' derivatives need several tables.
+    # What is visible in overlapping pixels needs several tables.
     monkeypatch.setattr("pinhole_jax._silhouette.boundary.BLOCK", 64)
-    monkeypatch.setattr("pinhole_jax._silhouette.boundary.DIFFERENTIATED", 32)
     jax.clear_caches()
     (_, image_again), again = loss(camera)
     np.testing.assert_allclose(image_again, image, atol=1e-13)

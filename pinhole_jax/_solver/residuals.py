@@ -151,13 +151,13 @@ def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tup
     bends = camera.lens is not None and camera.lens.distortion is not None
     film = (look if bends else at_once(look))(camera, part)
     totals, found, of_curves, parts = {}, [], [], []
-    for kind, curves, homogeneous, count, size in _curves(film, scene, capacity):
+    for kind, curves, homogeneous, (count, needed), size in _curves(film, scene, capacity):
         curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))
         xy, z = homogeneous[..., :2], homogeneous[..., 2:]
         xy = xy * level.scale - level.origin[None, None] * z
         homogeneous = jnp.concatenate([xy, z], axis=-1)
         pieces, number = cut(curves, count, size, level.W, level.H)
-        totals[kind] = (count, number)
+        totals[kind] = (needed, number)
         found.append((pieces.steps, pieces.swept))
         own = jax.lax.stop_gradient(homogeneous)[pieces.curve]
         of_curves.append((homogeneous, pieces.curve))
@@ -199,24 +199,23 @@ def _moved(
 
 def _curves(
     film: FilmMap, scene: Scene, capacity: Capacity
-) -> list[tuple[str, Curves, Array, Array, int]]:
-    """Return the curves by kind, their points, how many there are, and the capacity for their
-    pieces."""
+) -> list[tuple[str, Curves, Array, tuple[Array, Array], int]]:
+    """Return the curves by kind, their points, how many there are and how many of these need room,
+    and the capacity for their pieces."""
     mesh, spheres = scene.mesh, scene.spheres
     found = find(film, scene)
-    kinds: list[tuple[str, Curves, Array, Array, int]] = []
+    kinds: list[tuple[str, Curves, Array, tuple[Array, Array], int]] = []
     if mesh is not None and found.contour is not None:
         edges = edge_curves(film, mesh.vertices, found.contour)
         ids = jnp.arange(capacity.edges, dtype=jnp.int32)
         drawn = edges.curves(ids), edges.homogeneous_of(ids)
-        kinds.append(("edges", *drawn, edges.total, capacity.pieces))
+        kinds.append(("edges", *drawn, (edges.total, edges.total), capacity.pieces))
     if spheres is not None and spheres.radii.shape[0]:
         arcs = outline_curves(film, spheres, found.arcs)
         ids = jnp.arange(arcs.most or capacity.arcs, dtype=jnp.int32)
-        needed = jnp.int32(0) if arcs.most else arcs.total
-        kinds.append(
-            ("arcs", arcs.curves(ids), arcs.homogeneous_of(ids), needed, capacity.arc_pieces)
-        )
+        drawn = arcs.curves(ids), arcs.homogeneous_of(ids)
+        number = arcs.total, jnp.int32(0) if arcs.most else arcs.total
+        kinds.append(("arcs", *drawn, number, capacity.arc_pieces))
     return kinds
 
 
