@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int, UInt32
 
-from .one_kernel import on_cpu
+from .one_kernel import on_cpu, put
 from .running import running_sum
 
 #: Keys of 31 bits are put in order by so many at a time.
@@ -59,25 +59,24 @@ def _by_digits(
 ) -> Int[Array, "P"]:
     """Return an `order` of keys, put in order by each of their digits, the lowest first."""
     P = key.shape[0]
-    put = lambda x, k, value: jax.lax.dynamic_update_slice(x, value[None], (k,))
     loop = lambda n, body, state: jax.lax.fori_loop(jnp.int32(0), jnp.int32(n), body, state)
 
     def one(state):
         shift, order, further, number = state
         digit = lambda i: (key[i] >> shift) & ((1 << DIGIT) - 1)
-        number = loop(1 << DIGIT, lambda k, x: put(x, k, jnp.int32(0)), number)
-        number = loop(P, lambda i, x: put(x, digit(i), x[digit(i)] + 1), number)
+        number = loop(1 << DIGIT, lambda k, x: put(x, jnp.int32(0), k), number)
+        number = loop(P, lambda i, x: put(x, x[digit(i)] + 1, digit(i)), number)
 
         def add(k, state):
             total, number = state
             total += number[k]
-            return total, put(number, k, total)
+            return total, put(number, total, k)
 
         def place(k, state):
             number, further = state
             i = order[P - 1 - k]  # of equal digits the last is the last
-            number = put(number, digit(i), number[digit(i)] - 1)
-            return number, put(further, number[digit(i)], i)
+            number = put(number, number[digit(i)] - 1, digit(i))
+            return number, put(further, i, number[digit(i)])
 
         _, number = loop(1 << DIGIT, add, (jnp.int32(0), number))
         number, further = loop(P, place, (number, further))

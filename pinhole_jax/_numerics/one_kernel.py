@@ -63,6 +63,12 @@ def on_cpu(function: Callable, *arguments: Any, elsewhere: Callable | None = Non
     )
 
 
+def put(x: Array, value: Any, place: Array) -> Array:
+    """Return an array with an entry, or a table with a row, written over: in place, within a
+    kernel, if it is not read as it was thereafter."""
+    return jax.lax.dynamic_update_index_in_dim(x, jnp.asarray(value, x.dtype), place, 0)
+
+
 def _with_what_it_uses(function: Callable, arguments: tuple) -> tuple[Callable, list, Callable]:
     """Return a function as one of those arrays among its arguments that it uses, these, and the way
     back from what it returns: the compiler aborts where a kernel is given others."""

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._numerics.one_kernel import on_cpu
+from .._numerics.one_kernel import on_cpu, put
 from .coverage import Monotone, Pieces, end_flux, shares, taken
 from .overlaps import fold_pieces
 from .parts import Ordered, Part, fold_curves
@@ -161,7 +161,7 @@ def _ordinary_pushed(
     def one(curves, flux, alone, image):
         def add(image, k, share, pixel):
             change = jnp.sum(share[:, None] * flux[k], axis=0)
-            return _with_row(image, image[pixel] + change, pixel)
+            return put(image, image[pixel] + change, pixel)
 
         return _one_by_one(W, H, curves, alone, add, image)
 
@@ -183,7 +183,7 @@ def _ordinary_pulled(
 
     def one(curves, flux, alone, weights):
         def add(flux, k, share, pixel):
-            return _with_row(flux, flux[k] + share[:, None] * weights[pixel][None], k)
+            return put(flux, flux[k] + share[:, None] * weights[pixel][None], k)
 
         return _one_by_one(W, H, curves, alone, add, flux)
 
@@ -236,7 +236,3 @@ def _place(W: int, H: int, pieces: Pieces) -> tuple[Bool[Array, "*P"], Int[Array
     there = (pieces.column >= 0) & (pieces.column < W)
     row, column = (jnp.clip(x, 0, n - 1) for x, n in ((pieces.row, H), (pieces.column, W)))
     return there, (H - 1 - row) * W + column
-
-
-def _with_row(table: Array, row: Array, place: Int[Array, ""]) -> Array:
-    return jax.lax.dynamic_update_slice_in_dim(table, row[None], place, 0)

@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.film import FilmMap, film_points
 from .._numerics.bitset import count_upto
-from .._numerics.one_kernel import on_cpu
+from .._numerics.one_kernel import on_cpu, put
 from .._numerics.running import running_sum
 from .._numerics.safe import norm, safe_divide, safe_sqrt
 from .._scene.scene import Spheres
@@ -211,14 +211,13 @@ def _with_interval(rows: _Rows, begin: Array, left: Array, right: Array) -> _Row
     more, sides = rows
     ceil, floor = (f(x).astype(jnp.int32) for f, x in ((jnp.ceil, left), (jnp.floor, right)))
     one = jnp.where(ceil < floor, 1, 0).astype(left.dtype)
-    put = lambda x, at, value: jax.lax.dynamic_update_slice(x, value[None], (at,))
     for at, step in ((begin + ceil, one), (begin + floor, -one)):
-        more = put(more, at, more[at] + step)
+        more = put(more, more[at] + step, at)
     low, across = jnp.floor(left), jnp.floor(left) < jnp.floor(right)
     own = begin + low.astype(jnp.int32), len(rows.more) + begin + floor
     reach = 1 - (left - low), right - jnp.floor(right)
     for at, value in zip(own, reach, strict=True):
-        sides = put(sides, at, jnp.maximum(sides[at], jnp.where(across, value, 0)))
+        sides = put(sides, jnp.maximum(sides[at], jnp.where(across, value, 0)), at)
     return _Rows(more, sides)
 
 

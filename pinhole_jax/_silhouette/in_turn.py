@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._numerics.bitset import Selection, count_below, rank_in
-from .._numerics.one_kernel import one_kernel
+from .._numerics.one_kernel import one_kernel, put
 from .._numerics.safe import safe_divide
 from .coverage import InRow, Monotone, Pieces, in_pixel, in_row, rows_of, taken
 from .curves import Segments, arc_flux, cut_circle, film_at, nodes, unit_at
@@ -136,9 +136,9 @@ def _appended(
                 inside = (column >= 0) & (column < where.W)
                 cell = where.cell(row, jnp.clip(column, 0, where.W - 1))
                 there = inside & (cell >= 0) & (cell < where.number)
-                put = partial(_in_cell, where, m, own, along, code)
+                fill = partial(_in_cell, where, m, own, along, code)
                 start = jnp.where(there, cell, -1), listed
-                return along + 1, jax.lax.while_loop(lambda s: s[0] >= 0, put, start)[1]
+                return along + 1, jax.lax.while_loop(lambda s: s[0] >= 0, fill, start)[1]
 
             start = jnp.int32(0), listed
             return row + 1, jax.lax.while_loop(lambda s: s[0] <= own.further, of_pixel, start)[1]
@@ -158,13 +158,13 @@ def _with_jump(where: Where, m: Monotone, own: InRow, listed: Listed) -> Listed:
     end = jnp.minimum(where.before_column(own.row + 1, jnp.int32(0)), where.number)
     jump = jnp.where((own.c0 < where.W - 1) & (later < end), winding_jumps(piece), 0)
 
-    def put(state):
+    def fill(state):
         at, listed = state
-        more = _put(listed.jump, at, listed.jump[at] + jump)
+        more = put(listed.jump, listed.jump[at] + jump, at)
         return jnp.int32(-1), listed._replace(jump=more)
 
     start = jnp.where(jump == 0, -1, later), listed
-    return jax.lax.while_loop(lambda s: s[0] >= 0, put, start)[1]
+    return jax.lax.while_loop(lambda s: s[0] >= 0, fill, start)[1]
 
 
 def _in_cell(
@@ -184,12 +184,12 @@ def _in_cell(
     whole = jnp.where(fresh & ~room, _row(listed.piece, slot), whole)
     one = fresh.astype(jnp.int32)
     return jnp.int32(-1), listed._replace(
-        piece=_put(listed.piece, slot, whole),
-        code=_put(listed.code, slot, jnp.where(new, piece.curve, listed.code[slot])),
-        after=_put(listed.after, slot, jnp.where(new, head, listed.after[slot])),
-        head=_put(listed.head, cell, jnp.where(new, slot, head)),
-        number=_put(listed.number, cell, listed.number[cell] + one),
-        drop=_put(listed.drop, cell, listed.drop[cell] + drops(piece)),
+        piece=put(listed.piece, whole, slot),
+        code=put(listed.code, jnp.where(new, piece.curve, listed.code[slot]), slot),
+        after=put(listed.after, jnp.where(new, head, listed.after[slot]), slot),
+        head=put(listed.head, jnp.where(new, slot, head), cell),
+        number=put(listed.number, listed.number[cell] + one, cell),
+        drop=put(listed.drop, listed.drop[cell] + drops(piece), cell),
         used=listed.used + one,
     )
 
@@ -349,8 +349,8 @@ def _swept(manner: Manner, listed, pick, places, base, last, stops, filled, room
         area, lost, swept, room = _cell(manner, cell, asks, area, stops, swept, room)
         left = (many | lost) & ~(last > 0)
         swept = swept._replace(
-            area=_put(swept.area, c, jnp.where(left, 0, area) / (scale * scale)),
-            crowded=_put(swept.crowded, swept.left, c),
+            area=put(swept.area, jnp.where(left, 0, area) / (scale * scale), c),
+            crowded=put(swept.crowded, c, swept.left),
             left=swept.left + left.astype(jnp.int32),
         )
         return c + 1, rows[c], corner, swept, room
@@ -445,19 +445,19 @@ def _lines(manner: Manner, cell: _Cell, up: Array, room: _Room):
         there = (jump != 0) & jnp.isfinite(u0 + v0 + u1 + v1 + jump)
         at, lines = jax.lax.while_loop(
             lambda s: (s[0] > 0) & (_row(s[1], jnp.maximum(s[0] - 1, 0))[0] > u0),
-            lambda s: (s[0] - 1, _put(s[1], s[0], _row(s[1], s[0] - 1))),
+            lambda s: (s[0] - 1, put(s[1], _row(s[1], s[0] - 1), s[0])),
             (jnp.where(there, n, 0), room.line),
         )
         # (One that is not there is written where the next is.)
-        lines = _put(lines, jnp.where(there, at, n), jnp.stack(line))
+        lines = put(lines, jnp.stack(line), jnp.where(there, at, n))
         border = room.border
         ends = [(x0, y0, low, low_up), (x1, y1, high, high_up)]
         for halt, step in ((jnp.where(up, y, x), jnp.where(up, b, a)) for x, y, a, b in ends):
-            border = _put(border, m, jnp.stack([halt, step]))
+            border = put(border, jnp.stack([halt, step]), m)
             m = m + _one((step != 0) & there)
         seen = room.seen
         if seen is not None:
-            seen = _put(seen, n, jnp.zeros(seen.shape[1], seen.dtype))
+            seen = put(seen, jnp.zeros(seen.shape[1], seen.dtype), n)
         room = room._replace(line=lines, border=border, seen=seen)
         # What lies on the cell's side is visible if what is beside the cell is not covered.
         on_side = (x0 == x1) & ((x0 <= 0) | (x0 >= 1))
@@ -552,7 +552,7 @@ def _begun(manner: Manner, lines, reach, line: _Line) -> _Line:
             begun=line.begun + 1,
             cuts=line.cuts + _one(there),
             end=jnp.where(there, jnp.minimum(line.end, own[2]), line.end),
-            room=line.room._replace(met=_put(line.room.met, slot, line.begun)),
+            room=line.room._replace(met=put(line.room.met, line.begun, slot)),
         )
 
     more = lambda s: (s.begun < lines) & (_row(s.room.line, s.begun)[0] <= reach)
@@ -580,16 +580,16 @@ def _with_crossing(there, u, ahead, lost, places):
     """Return the crossings ahead with one more, the next place last."""
     fits = there & (ahead < AHEAD)
 
-    def put(state):
+    def fill(state):
         _, ahead, places = state
         at, places = jax.lax.while_loop(
             lambda s: (s[0] > 0) & (s[1][jnp.maximum(s[0] - 1, 0)] < u),
-            lambda s: (s[0] - 1, _put(s[1], s[0], s[1][s[0] - 1])),
+            lambda s: (s[0] - 1, put(s[1], s[1][s[0] - 1], s[0])),
             (ahead, places),
         )
-        return jnp.bool_(False), ahead + 1, _put(places, at, u)
+        return jnp.bool_(False), ahead + 1, put(places, u, at)
 
-    _, ahead, places = jax.lax.while_loop(lambda s: s[0], put, (fits, ahead, places))
+    _, ahead, places = jax.lax.while_loop(lambda s: s[0], fill, (fits, ahead, places))
     return ahead, lost | _one(there & ~fits), places
 
 
@@ -620,12 +620,12 @@ def _in_order(manner: Manner, reach, middle, line: _Line) -> _Line:
         there = own[2] > reach
         place, order = jax.lax.while_loop(
             lambda s: (s[0] > 0) & (_row(s[1], jnp.maximum(s[0] - 1, 0))[0] > v),
-            lambda s: (s[0] - 1, _put(s[1], s[0], _row(s[1], s[0] - 1))),
+            lambda s: (s[0] - 1, put(s[1], _row(s[1], s[0] - 1), s[0])),
             (jnp.where(there, cuts, 0), order),
         )
         # (One that ends is written where the next is.)
         row = jnp.stack([v, number.astype(v.dtype)])
-        return k + 1, cuts + _one(there), _put(order, jnp.where(there, place, cuts), row)
+        return k + 1, cuts + _one(there), put(order, row, jnp.where(there, place, cuts))
 
     zero = jnp.int32(0)
     start = zero, zero, line.room.order
@@ -662,8 +662,8 @@ def _covered(manner: Manner, turn, first, until, line: _Line) -> _Line:
         area = area - under * change
         end = jnp.where(own[2] > until, jnp.minimum(end, own[2]), end)
         if seen is not None:
-            seen = _put(seen, number, _row(seen, number) + jnp.stack(gain[: seen.shape[1]]))
-        met = _put(met, k, number)
+            seen = put(seen, _row(seen, number) + jnp.stack(gain[: seen.shape[1]]), number)
+        met = put(met, number, k)
         return k + 1, below + own[5], area, end, shows | (change != 0), met, seen
 
     start = jnp.int32(0), first, jnp.zeros_like(width), jnp.ones_like(width)
@@ -696,9 +696,9 @@ def _shown(manner, cell: _Cell, lines, up, swept: Swept, room: _Room) -> Swept:
         return (
             k + 1,
             shown + _one(there),
-            _put(seen, end, keep(seen, row)),
-            _put(code, end, keep(code, cell.listed.code[slot])),
-            _put(places, end, keep(places, at.place)),
+            put(seen, keep(seen, row), end),
+            put(code, keep(code, cell.listed.code[slot]), end),
+            put(places, keep(places, at.place), end),
         )
 
     start = jnp.int32(0), swept.shown, swept.seen, swept.code, swept.place
@@ -797,8 +797,3 @@ def _one(there: Array) -> Array:
 def _row(x: Array, k: Int[Array, ""]) -> Array:
     """Return a row of a table, or a number of a list."""
     return jax.lax.dynamic_index_in_dim(x, k, keepdims=False)
-
-
-def _put(x: Array, k: Int[Array, ""], value: Array) -> Array:
-    """Return a list with a number, or a table with a row, put somewhere."""
-    return jax.lax.dynamic_update_index_in_dim(x, jnp.asarray(value, x.dtype), k, 0)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._numerics.one_kernel import one_kernel
+from .._numerics.one_kernel import one_kernel, put
 from .coverage import Monotone, monotone, rightward, taken
 from .curves import Arcs, Curves, Segments, placed
 
@@ -132,13 +132,13 @@ class CurveList(NamedTuple):
         room = self.curves.rising.shape[0]
         if has_all and part.most is not None and part.most <= room:
             return add(start, self.curves, jnp.int32(0), part.total), self
-        put = one_kernel(_put)
+        append = one_kernel(_appended)
 
         def more(state):
             begin, total, known = state
             # What is listed already stays.
             end = jnp.where(known.begin == begin, begin, begin + room)
-            chunk = lambda known, ids, curves: put(curves, ids[0] - begin, known)
+            chunk = lambda known, ids, curves: append(curves, ids[0] - begin, known)
             curves = fold_curves(part, chunk, known.curves, part.size, (begin, end))
             total = add(total, curves, begin, jnp.minimum(part.total - begin, room))
             return begin + room, total, CurveList(curves, begin)
@@ -147,12 +147,11 @@ class CurveList(NamedTuple):
         return jax.lax.while_loop(lambda s: s[0] < part.total, more, start)[1:]
 
 
-def _put(curves: Curves, first: Int[Array, ""], known: Ordered) -> Ordered:
+def _appended(curves: Curves, first: Int[Array, ""], known: Ordered) -> Ordered:
     """Return listed curves with more of them from a place on."""
 
     def one(k, known):
         row = Ordered.of(taken(curves, k))
-        put = lambda x, new: jax.lax.dynamic_update_slice_in_dim(x, new[None], first + k, 0)
-        return jax.tree.map(put, known, row)
+        return jax.tree.map(lambda x, new: put(x, new, first + k), known, row)
 
     return jax.lax.fori_loop(0, curves.weight.shape[0], one, known)

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._numerics.one_kernel import on_cpu
+from .._numerics.one_kernel import on_cpu, put
 from .._numerics.running import running_sum
 
 
@@ -98,7 +98,6 @@ def _in_turn(steps: Steps, order, base, width, end, none: Totals) -> Totals:
             slot=slot,
         )
         at = Totals._make([slot] * 8 + [source])
-        put = lambda x, value, k: jax.lax.dynamic_update_slice(x, value[None], (k,))
         return k + 1, _Here(row, slot, after, turned), jax.tree.map(put, totals, new, at)
 
     start = _Here(jnp.int32(-1), jnp.int32(-1), base, base)

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._numerics.one_kernel import on_cpu
+from .._numerics.one_kernel import on_cpu, put
 from .._numerics.running import running_sum
 from .._silhouette.coverage import (
     Pieces,
@@ -26,7 +26,7 @@ from .._silhouette.curves import Curves
 from .._silhouette.marks import marks, winding_jumps
 from .._silhouette.sweep import sweepable
 from .by_pixel import Steps
-from .one_pixel import loop, put
+from .one_pixel import loop
 
 MAX_ROWS = 1 << 14
 

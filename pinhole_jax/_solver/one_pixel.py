@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from .._numerics.one_kernel import put
 from .._numerics.safe import safe_divide
 from .._silhouette.sweep import Cells, Lines, along_x, along_y
 
@@ -73,11 +74,6 @@ class Room(NamedTuple):
         halts = jnp.zeros(2 * most + crossed * (crossed - 1) // 2, dtype)
         pieces = Listed(real, real, real, real, real, whole)
         return cls(pieces, both, both, halts, whole, real, real, real)
-
-
-def put(x: Array, value: Array | int, place: Array) -> Array:
-    """Return an array with an entry of it overwritten."""
-    return jax.lax.dynamic_update_slice(x, jnp.asarray(value, x.dtype)[None], (place,))
 
 
 def loop(number: Array, body: Callable[[Array, Any], Any], state: Any) -> Any:

@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._numerics.one_kernel import on_cpu
+from .._numerics.one_kernel import on_cpu, put
 from .._silhouette.hidden import all_hidden
 from .._silhouette.sweep import STRAIGHT, Cells, sweep
-from .one_pixel import Pixel, Room, Seen, loop, put, swept
+from .one_pixel import Pixel, Room, Seen, loop, swept
 
 #: This many pixels are swept together.
 TOGETHER = 64
