@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -17,6 +18,8 @@ LISTED = 1 << 16
 #: Rows that an array has at least: one that is written over as a whole is not read, and XLA's CPU
 #: compiler aborts over arguments of a kernel that it need not read.
 LEAST = 2
+#: So many curves are found at a time where they are listed.
+AT_A_TIME = 16
 
 
 class Part(NamedTuple):
@@ -132,14 +135,17 @@ class CurveList(NamedTuple):
         room = self.curves.rising.shape[0]
         if has_all and part.most is not None and part.most <= room:
             return add(start, self.curves, jnp.int32(0), part.total), self
-        append = one_kernel(_appended)
+        # (A function that the compiler is told all of what it reads of.)
+        ids = jnp.zeros(AT_A_TIME, jnp.int32)
+        reads, rest = eqx.partition(eqx.filter_closure_convert(part.curves, ids), eqx.is_array)
+        listed = one_kernel(lambda reads, *more: _listed(eqx.combine(reads, rest), *more))
 
         def more(state):
             begin, total, known = state
             # What is listed already stays.
             end = jnp.where(known.begin == begin, begin, begin + room)
-            chunk = lambda known, ids, curves: append(curves, ids[0] - begin, known)
-            curves = fold_curves(part, chunk, known.curves, part.size, (begin, end))
+            end = jnp.minimum(end, part.total)
+            curves = listed(reads, begin, end, known.curves)
             total = add(total, curves, begin, jnp.minimum(part.total - begin, room))
             return begin + room, total, CurveList(curves, begin)
 
@@ -147,11 +153,21 @@ class CurveList(NamedTuple):
         return jax.lax.while_loop(lambda s: s[0] < part.total, more, start)[1:]
 
 
-def _appended(curves: Curves, first: Int[Array, ""], known: Ordered) -> Ordered:
-    """Return listed curves with more of them from a place on."""
+def _listed(
+    curves_of: Callable[[Array], Curves], begin: Int[Array, ""], end: Int[Array, ""], known: Ordered
+) -> Ordered:
+    """Return a list that begins with an id, with the curves up to another."""
 
-    def one(k, known):
-        row = Ordered.of(taken(curves, k))
-        return jax.tree.map(lambda x, new: put(x, new, first + k), known, row)
+    def some(state):
+        first, known = state
+        ids = first + jnp.arange(AT_A_TIME, dtype=jnp.int32)
+        curves = curves_of(jnp.minimum(ids, end - 1))
 
-    return jax.lax.fori_loop(0, curves.weight.shape[0], one, known)
+        def one(k, known):
+            row = Ordered.of(taken(curves, k))
+            return jax.tree.map(lambda x, new: put(x, new, first - begin + k), known, row)
+
+        number = jnp.minimum(end - first, AT_A_TIME)
+        return first + AT_A_TIME, jax.lax.fori_loop(jnp.int32(0), number, one, known)
+
+    return jax.lax.while_loop(lambda s: s[0] < end, some, (begin, known))[1]
