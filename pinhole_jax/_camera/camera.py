@@ -32,6 +32,7 @@ from jaxtyping import Array, Float
 
 from .._numerics.arrays import MISSING, ArrayLike, Input, float_array, float_dtype, is_concrete
 from .._numerics.jitted import jitted
+from .._numerics.one_kernel import at_once
 from .._numerics.safe import cross_of_difference, norm, normalize
 from .distortion import Distortion
 from .drawing import card, frustum, table
@@ -335,6 +336,18 @@ def film_map(camera: Camera) -> FilmMap:
     film = FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H, lens)
     whole = FilmPart(0, camera.W, 0, camera.H, 1)
     return film if lens is None else film.looking_at(whole)
+
+
+def film_at_once(camera: Camera, part: FilmPart | None = None) -> FilmMap:
+    """Return the camera as a map to the film, or to a part of it, in one kernel on a CPU (but
+    where a lens bends: where that sees what is a table)."""
+
+    def look(camera: Camera, part: FilmPart | None) -> FilmMap:
+        film = film_map(camera)
+        return film if part is None else film.looking_at(part)
+
+    bends = camera.lens is not None and camera.lens.distortion is not None
+    return (look if bends else at_once(look))(camera, part)
 
 
 def bend(camera: Camera) -> Bend | None:

@@ -31,6 +31,16 @@ def for_this_machine() -> Iterator[None]:
         _here.reset(before)
 
 
+@contextmanager
+def for_cpus() -> Iterator[None]:
+    """Let what is traced within be for CPUs alone: a branch of a program that is theirs."""
+    before = _here.set(True)
+    try:
+        yield
+    finally:
+        _here.reset(before)
+
+
 def one_kernel(function: Callable) -> Callable:
     """Return a function of arrays that XLA's CPU compiler makes a single kernel of, loops and all.
 

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from .._camera.camera import Camera, film_map
+from .._camera.camera import Camera, film_at_once
 from .._camera.film import FilmMap
 from .._numerics.bitset import Selection, selection, words_of
 from .._numerics.jitted import jitted
 from .._numerics.linear_map import linear_map
-from .._numerics.one_kernel import one_by_one
+from .._numerics.one_kernel import for_cpus, one_by_one
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, Spheres, astype, check_view
 from .asked import WORD, Asked, Drawn, words_in_row
@@ -115,7 +115,7 @@ def _silhouette(
     camera: Camera, scene: Scene, overlaps: bool, stops: Int[Array, ""] | None = None
 ) -> Float[Array, "H W"]:
     scene = astype(scene, camera.e.dtype)
-    film, spheres = film_map(camera), scene.spheres
+    film, spheres = film_at_once(camera), scene.spheres
     if spheres is not None and not spheres.radii.shape[0]:
         spheres = None
     found = find(film, scene)
@@ -251,7 +251,12 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
     """Return the image, and which pixels the contour crosses in which way."""
     turn = partial(_resolved, moving, still, keep, drawn_piece_by_piece, fold_in_turn)
     beside = partial(_resolved, moving, still, keep, _drawn_in_vectors, fold_side_by_side)
-    return jax.lax.platform_dependent(cpu=lambda: one_by_one(turn), default=beside)
+
+    def on_a_cpu():
+        with for_cpus():
+            return one_by_one(turn)
+
+    return jax.lax.platform_dependent(cpu=on_a_cpu, default=beside)
 
 
 def _drawn_in_vectors(asked: Asked, rows: Int[Array, "2"] | None) -> tuple[Drawn, None]:

@@ -18,11 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._camera.camera import Camera, film_map, lens_holds
+from .._camera.camera import Camera, film_at_once, lens_holds
 from .._camera.film import FilmMap, FilmPart
 from .._mask.pyramid import Level, Pyramid
 from .._numerics.bitset import in_order
-from .._numerics.one_kernel import at_once
 from .._scene.scene import Scene
 from .._silhouette.curve_sets import edge_curves, find, outline_curves
 from .._silhouette.curves import Curves, Segments, piece_flux, placed
@@ -146,10 +145,7 @@ def _part(level: Level) -> FilmPart:
 
 def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
     """Return the touched pixels of a level, and what they take of the capacities."""
-    part = _part(level)
-    look = lambda camera, part: film_map(camera).looking_at(part)
-    bends = camera.lens is not None and camera.lens.distortion is not None
-    film = (look if bends else at_once(look))(camera, part)
+    film = film_at_once(camera, _part(level))
     totals, found, of_curves, parts = {}, [], [], []
     for kind, curves, homogeneous, (count, needed), size in _curves(film, scene, capacity):
         curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))
