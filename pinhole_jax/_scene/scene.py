@@ -260,7 +260,7 @@ def filled_alike(scenes: Sequence[Scene]) -> list[Scene]:
     for scene, mesh in zip(scenes, meshes, strict=True):
         own = (getattr(mesh, name) for name in arrays)
         vertices, faces, *edges = (_filled(x, n, 0) for x, n in zip(own, sizes, strict=True))
-        parts = vertices, faces, *edges, jnp.zeros(0, jnp.int32), _planes(vertices, faces)
+        parts = vertices, faces, *edges, jnp.zeros(0, jnp.int32), planes_of(vertices, faces)
         of = lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.order, m.planes)
         mesh = eqx.tree_at(of, mesh, parts)
         object.__setattr__(mesh, "closed", None)  # (`tree_at` changes no static field)
@@ -338,17 +338,21 @@ def planes_are_current(mesh: Mesh) -> Bool[Array, ""]:
     return mesh.planes.fingerprint == _fingerprint(mesh.vertices)
 
 
-def front_facing(mesh: Mesh, e: Float[Array, "3"]) -> Bool[Array, "F"]:
+def front_facing(
+    mesh: Mesh, e: Float[Array, "3"], current: Bool[Array, ""] | None = None
+) -> Bool[Array, "F"]:
     """Return which faces show their front (counter-clockwise) side to the eye; edge-on: False.
 
     Uses the stored planes; where the vertices are no longer those that the planes were made from
     (`eqx.tree_at`, an optimiser's update), the planes are made anew, so they are never stale.
+    (Within a branch `current` is for those who asked `planes_are_current` before it: the compiler
+    makes that anew for each branch.)
     """
     mesh, e = jax.lax.stop_gradient((mesh, e))
     return jax.lax.cond(
-        planes_are_current(mesh),
+        planes_are_current(mesh) if current is None else current,
         lambda: in_front(mesh.planes, e),
-        lambda: in_front(_planes(mesh.vertices, mesh.faces), e),
+        lambda: in_front(planes_of(mesh.vertices, mesh.faces), e),
     )
 
 
@@ -417,7 +421,8 @@ def ball_about(box: Any) -> Ball:
 
 
 @jax.jit
-def _planes(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Planes:
+def planes_of(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Planes:
+    """Return the faces' planes, without clusters of edges."""
     vertices = jax.lax.stop_gradient(vertices)
     a, b, c = jnp.moveaxis(vertices[faces], 1, 0)
     unit = binary_scale(vertices) / 4
@@ -442,7 +447,7 @@ def vertex_box(mesh: Mesh) -> Float[Array, "2 3"]:
 def _planes_and_clusters(
     vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"], edge_faces: Int[Array, "E 2"]
 ) -> Planes:
-    planes = _planes(vertices, faces)
+    planes = planes_of(vertices, faces)
     if not (is_concrete(vertices) and edge_faces.shape[0]):
         return planes
     return planes._replace(clusters=_clusters(planes, vertices, edge_faces))

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.film import FilmMap, film_points
 from .._numerics.bitset import Selection, bit, nth, select, selection, words_of
+from .._numerics.one_kernel import on_cpu, put
 from .._numerics.safe import binary_inverse
 from .._scene.scene import (
     CLUSTER,
@@ -25,8 +26,10 @@ from .._scene.scene import (
     Mesh,
     faces_eye,
     front_facing,
+    in_front,
     is_closed,
     planes_are_current,
+    planes_of,
     undecided,
 )
 from .clip import clipped
@@ -102,19 +105,18 @@ def contour_bits(
     whichever side it is seen. Whole clusters of edges whose faces all show the same side are passed
     over.
     """
-    clusters, closed = mesh.planes.clusters, is_closed(mesh)
+    clusters, current = mesh.planes.clusters, planes_are_current(mesh)
 
-    def plain():
-        front = front_facing(mesh, e)
+    def plain(front):
         first, second = mesh.edge_faces[:, 0], mesh.edge_faces[:, 1]
-        weight = _weight(closed, front[first], front[jnp.maximum(second, 0)], second)
-        return words_of(weight != 0), words_of(weight > 0)
+        found = _seen_as(front[first], front[jnp.maximum(second, 0)], second < 0)
+        return words_of(found.contour), words_of(found.positive)
 
     if clusters is None:
-        return plain()
-    current = planes_are_current(mesh)
+        return plain(front_facing(mesh, e, current))
     none = jnp.zeros(-(-mesh.edge_faces.shape[0] // CLUSTER), jnp.uint32)
-    words, positive = jax.lax.cond(current, lambda: (none, none), plain)
+    anew = lambda: plain(in_front(planes_of(mesh.vertices, mesh.faces), e))
+    words, positive = jax.lax.cond(current, lambda: (none, none), anew)
     return _culled(mesh, clusters, current, e, words, positive)
 
 
@@ -128,42 +130,106 @@ def contour_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
 
 def _culled(
     mesh: Mesh, clusters: Clusters, current: Array, e: Array, words: Array, positive: Array
-):
+) -> tuple[UInt32[Array, "words"], UInt32[Array, "words"]]:
     """Return the bits with those of the clusters that need to be looked at, if these are current.
 
     (As a branch of a condition this loop would have its arguments copied.)
     """
-    E, closed = mesh.edge_faces.shape[0], is_closed(mesh)
-    look = select(undecided(clusters, e) & current)
+    look = undecided(clusters, e) & current
+    arguments = look, clusters.planes, mesh.edge_faces, e, words, positive
+    if words.shape[0] < 2:  # (see `one_kernel`)
+        return _looked_at_beside(*arguments)
+    return on_cpu(_looked_at, *arguments, elsewhere=_looked_at_beside)
+
+
+def _looked_at(
+    look: Bool[Array, "N"],
+    planes: Float[Array, "F 6"],
+    edge_faces: Int[Array, "E 2"],
+    e: Float[Array, "3"],
+    words: UInt32[Array, "N"],
+    positive: UInt32[Array, "N"],
+) -> tuple[UInt32[Array, "N"], UInt32[Array, "N"]]:
+    """Return the bits with those of some clusters, edge by edge."""
+    E = edge_faces.shape[0]
+
+    def of_cluster(state):
+        cluster, _, words, positive = state
+
+        def of_edge(k, bits):
+            faces = edge_faces[jnp.minimum(cluster * CLUSTER + k, E - 1)]
+
+            def of_side(side, fronts):
+                # One loop: the same rounding on both sides of an edge.
+                plane = planes[jnp.maximum(faces[side], 0)]
+                front = faces_eye(plane[:3], plane[3:], e)
+                return jnp.where(jnp.arange(2) == side, front, fronts)
+
+            front = jax.lax.fori_loop(0, 2, of_side, jnp.zeros(2, bool))
+            found = _seen_as(front[0], front[1], faces[1] < 0)
+            inside = cluster * CLUSTER + k < E
+            more = lambda bits, there: bits | ((inside & there).astype(jnp.uint32) << k)
+            return jax.tree.map(more, bits, found)
+
+        none = _SeenAs(jnp.uint32(0), jnp.uint32(0))
+        bits = jax.lax.fori_loop(0, CLUSTER, of_edge, none)
+        done = jnp.array(False)
+        return (
+            cluster,
+            done,
+            put(words, bits.contour, cluster),
+            put(positive, bits.positive, cluster),
+        )
+
+    def one(cluster, state):
+        state = cluster, look[cluster], *state
+        return jax.lax.while_loop(lambda s: s[1], of_cluster, state)[2:]
+
+    return jax.lax.fori_loop(0, look.shape[0], one, (words, positive))
+
+
+def _looked_at_beside(
+    look: Bool[Array, "N"],
+    planes: Float[Array, "F 6"],
+    edge_faces: Int[Array, "E 2"],
+    e: Float[Array, "3"],
+    words: UInt32[Array, "N"],
+    positive: UInt32[Array, "N"],
+) -> tuple[UInt32[Array, "N"], UInt32[Array, "N"]]:
+    """Return the bits with those of some clusters, side by side."""
+    E, chosen = edge_faces.shape[0], select(look)
 
     def body(state):
         rank, words, positive = state
         some = rank + jnp.arange(CLUSTERS, dtype=jnp.int32)
-        cluster = jnp.where(some < look.total, nth(look, some), words.shape[0])
+        cluster = jnp.where(some < chosen.total, nth(chosen, some), words.shape[0])
         edge = cluster[:, None] * CLUSTER + jnp.arange(CLUSTER, dtype=jnp.int32)[None]
-        faces = mesh.edge_faces[jnp.minimum(edge, E - 1)]
+        faces = edge_faces[jnp.minimum(edge, E - 1)]
         second = faces[..., 1]
         # One list of faces: the same rounding on both sides of an edge.
         both = jnp.stack([faces[..., 0], jnp.maximum(second, 0)])
-        plane = jax.lax.optimization_barrier(clusters.planes[both])
+        plane = jax.lax.optimization_barrier(planes[both])
         normal, corner = ([plane[..., k + i] for i in range(3)] for k in (0, 3))
         front = faces_eye(normal, corner, e)
-        weight = jnp.where(edge < E, _weight(closed, front[0], front[1], second), 0)
-        words = words.at[cluster].set(words_of(weight != 0), mode="drop")
-        return rank + CLUSTERS, words, positive.at[cluster].set(words_of(weight > 0), mode="drop")
+        found = _seen_as(front[0], front[1], second < 0)
+        put = lambda words, there: words.at[cluster].set(words_of((edge < E) & there), mode="drop")
+        return rank + CLUSTERS, put(words, found.contour), put(positive, found.positive)
 
     start = (jnp.int32(0), words, positive)
-    return jax.lax.while_loop(lambda s: s[0] < look.total, body, start)[1:]
+    return jax.lax.while_loop(lambda s: s[0] < chosen.total, body, start)[1:]
 
 
-def _weight(closed: Any, first, second, second_face) -> Int[Array, "*E"]:
-    """Return the edges' weights from whether their two faces show their front."""
-    first, second = first.astype(jnp.int8), second.astype(jnp.int8)
-    fronts = first - second
-    if closed is True:
-        return fronts
-    both = 2 * first - 1 - jnp.where(second_face < 0, 0, 2 * second - 1)
-    return both if closed is False else jnp.where(closed, fronts, both)
+class _SeenAs(NamedTuple):
+    """Whether edges are contour, and whether they bound more cover on their left."""
+
+    contour: Any
+    positive: Any
+
+
+def _seen_as(first: Array, second: Array, border: Array) -> _SeenAs:
+    """Return what edges are seen as, from whether their two faces show their front: of those at a
+    border there is one."""
+    return _SeenAs(border | (first != second), first & (border | ~second))
 
 
 def homogeneous_edges(

@@ -1,13 +1,16 @@
 """Scenes that surround the eye: how many layers lie where no curve is."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.film import FilmMap, film_points
+from .._numerics.one_kernel import on_cpu
 from .._numerics.safe import binary_inverse, dot, norm, normalize, safe_divide, safe_sqrt
-from .._scene.scene import Mesh, Scene, front_facing, is_closed, vertex_box
+from .._scene.scene import Mesh, Scene, front_facing, is_closed, planes_are_current, vertex_box
 
 #: Layers that cover everything, whatever else there is.
 EVERYWHERE = 1 << 20
@@ -25,10 +28,10 @@ def surrounding(film: FilmMap, scene: Scene) -> Int[Array, ""]:
     layers = jnp.int32(0)
     film, scene = jax.lax.stop_gradient((film, scene))
     if scene.mesh is not None and scene.mesh.faces.shape[0]:
-        mesh = scene.mesh
+        mesh, current = scene.mesh, planes_are_current(scene.mesh)
         layers = layers + jax.lax.cond(
             jnp.any(_corners(film, vertex_box(mesh))[:, 2] <= 0),
-            lambda: _layers_on_the_left(mesh, film).astype(jnp.int32),
+            lambda: _layers_on_the_left(mesh, film, current),
             lambda: jnp.int32(0),
         )
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
@@ -84,7 +87,7 @@ def _corners(film: FilmMap, bounds: Float[Array, "2 3"]) -> Float[Array, "8 3"]:
     return film_points(film, jnp.stack([bounds[which[:, k], k] for k in range(3)], axis=-1))
 
 
-def _layers_on_the_left(mesh: Mesh, film: FilmMap) -> Int[Array, ""]:
+def _layers_on_the_left(mesh: Mesh, film: FilmMap, current: Bool[Array, ""]) -> Int[Array, ""]:
     """Return how many layers the ray along -x from the eye meets, by signed crossings.
 
     The ray is thought to lie a little below y = 0, and much less in front of z = 0, so that it
@@ -92,27 +95,58 @@ def _layers_on_the_left(mesh: Mesh, film: FilmMap) -> Int[Array, ""]:
     """
     points = film_points(film, mesh.vertices)
     points = points * binary_inverse(jnp.max(jnp.abs(points), axis=1))[:, None]
+    front = front_facing(mesh, film.eye, current)
+    none = _Layers(*(jnp.int32(0) for _ in _Layers._fields))
+    found = on_cpu(_crossed, points, mesh.faces, front, none, elsewhere=_crossed_beside)
+    inside = jnp.where(found.crossings != 0, EVERYWHERE, 0)
+    closed = is_closed(mesh)
+    if closed is False:
+        return found.both
+    fronts = found.fronts + inside
+    return fronts if closed is True else jnp.where(closed, fronts, found.both)
+
+
+class _Layers(NamedTuple):
+    """Sums over the faces that a ray meets: of their orientation (1: it leaves, -1: it enters);
+    of this for those that show their front, and for all, seen from whichever side."""
+
+    crossings: Int[Array, ""]
+    fronts: Int[Array, ""]
+    both: Int[Array, ""]
+
+
+def _crossed(
+    points: Float[Array, "V 3"], faces: Int[Array, "F 3"], front: Bool[Array, "F"], none: _Layers
+) -> _Layers:
+    """Return what the ray meets, face by face."""
+
+    def one(f, sums):
+        more = _crossed_beside(points, faces[f][None], front[f][None], none)
+        return jax.tree.map(jnp.add, sums, more)
+
+    return jax.lax.fori_loop(0, faces.shape[0], one, none)
+
+
+def _crossed_beside(
+    points: Float[Array, "V 3"], faces: Int[Array, "F 3"], front: Bool[Array, "F"], none: _Layers
+) -> _Layers:
+    """Return what the ray meets, all faces side by side."""
 
     def around(k, sums):
         toward, signs = sums
         first, second, third = (
-            jax.lax.dynamic_index_in_dim(mesh.faces, (k + j) % 3, 1, keepdims=False)
-            for j in range(3)
+            jax.lax.dynamic_index_in_dim(faces, (k + j) % 3, 1, keepdims=False) for j in range(3)
         )
         value, sign = _side(points, first, second)
         return toward + points[third, 0] * value, signs + sign
 
-    none = jnp.zeros(mesh.faces.shape[0], points.dtype)
-    toward, signs = jax.lax.fori_loop(0, 3, around, (none, none.astype(jnp.int32)))
+    zero = jnp.zeros(faces.shape[0], points.dtype)
+    toward, signs = jax.lax.fori_loop(0, 3, around, (zero, zero.astype(jnp.int32)))
     met = ((signs == 3) & (toward < 0)) | ((signs == -3) & (toward > 0))
     orientation = jnp.where(met, -jnp.sign(signs), 0)
-    front = front_facing(mesh, film.eye)
-    closed, both = is_closed(mesh), jnp.where(front, orientation, -orientation)
-    if closed is False:
-        return jnp.sum(both)
-    inside = jnp.sum(orientation) != 0
-    fronts = jnp.sum(jnp.where(front, orientation, 0)) + jnp.where(inside, EVERYWHERE, 0)
-    return fronts if closed is True else jnp.where(closed, fronts, jnp.sum(both))
+    shown = jnp.where(front, orientation, 0)
+    sums = (orientation, shown, 2 * shown - orientation)
+    return _Layers(*(jnp.sum(x, dtype=jnp.int32) for x in sums))
 
 
 def _side(points: Float[Array, "V 3"], first: Int[Array, "F"], second: Int[Array, "F"]):
