@@ -63,14 +63,22 @@ def one_kernel(function: Callable) -> Callable:
     return call
 
 
+def by_machine(*arguments: Any, cpu: Callable, elsewhere: Callable) -> Any:
+    """Return what one function makes of arrays on a CPU, and another on other machines."""
+    if _here.get():
+        return cpu(*arguments)
+
+    def there(*arguments: Any) -> Any:
+        with for_cpus():
+            return cpu(*arguments)
+
+    return jax.lax.platform_dependent(*arguments, cpu=there, default=elsewhere)
+
+
 def on_cpu(function: Callable, *arguments: Any, elsewhere: Callable | None = None) -> Any:
     """Return what a function makes of arrays: on a CPU it is `one_kernel`, on other machines what
     it is by itself, or the one for `elsewhere`."""
-    if _here.get():
-        return one_kernel(function)(*arguments)
-    return jax.lax.platform_dependent(
-        *arguments, cpu=one_kernel(function), default=elsewhere or function
-    )
+    return by_machine(*arguments, cpu=one_kernel(function), elsewhere=elsewhere or function)
 
 
 def put(x: Array, value: Any, place: Array) -> Array:

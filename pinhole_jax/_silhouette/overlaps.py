@@ -19,6 +19,7 @@ that memory is bounded. At the last cut (`LAST_CUT`, `LAST_FILM`) the corner spe
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -27,7 +28,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._numerics.bitset import Selection, count_below, count_upto, nth, rank_in, select
-from .._numerics.one_kernel import one_by_one
+from .._numerics.one_kernel import by_machine, one_by_one, one_kernel, put
 from .._numerics.running import running_sum
 from . import in_turn
 from .coverage import Monotone, Pieces, monotone, piece_counts, split
@@ -339,7 +340,7 @@ def fold_cells(
     def beside(start):
         return fold_side_by_side(parts, overlapping, film, add, start, flux, stops)
 
-    return jax.lax.platform_dependent(start, cpu=turn, default=beside)
+    return by_machine(start, cpu=turn, elsewhere=beside)
 
 
 # --- one after the other -------------------------------------------------------------------------
@@ -361,16 +362,6 @@ class _Films(NamedTuple):
         whole, real = jnp.zeros(number, jnp.int32), jnp.zeros(number, dtype)
         return _Films(whole, whole, real, real, jnp.int32(0))
 
-    def push(self, level: Array, at: in_turn.At, swept: in_turn.Swept) -> "_Films":
-        """Return these and the cells of a level that hold too many pieces."""
-        index = jnp.arange(len(swept.crowded), dtype=jnp.int32)
-        slot = jnp.where(index < swept.left, self.height + index, len(self.level))
-        put = lambda old, new: old.at[slot].set(new, mode="drop")
-        place, x, y = (v[swept.crowded] for v in at)
-        level = jnp.full_like(place, 0) + level
-        films = put(self.level, level), put(self.place, place), put(self.x, x), put(self.y, y)
-        return _Films(*films, self.height + swept.left)
-
 
 def fold_in_turn(
     parts: list[Part],
@@ -388,93 +379,193 @@ def fold_in_turn(
     room = LEAST_CAPACITY
     while room < min(sum(part.most or IN_TURN for part in parts), IN_TURN):
         room *= 2
-    cells = max(room // PIECES_A_CELL, in_turn.CUT**2)
+    number = max(room // PIECES_A_CELL, in_turn.CUT**2)
     arcs = next((k for k, part in enumerate(parts) if not part.straight), None)
     manner = in_turn.Manner(arcs, flux, stops is not None)
     has_all = lists is not None
 
     def body(state):
-        first, limit, films, lists, total = state
-        number = jnp.minimum(limit, overlapping.total - first)
-        level, where, row, at = _film_or_cell(overlapping, film, films, first, number, cells)
-        own_stops = None if stops is None else -(-stops // jnp.int32(in_turn.CUT) ** level)
+        turn, cells, lists, total = state
 
         def resolved():
-            listed = in_turn.Listed.empty(room, cells, arcs is not None, dtype)
-            again = []
+            found, listed = _next_cells(overlapping, film[:2], turn, cells, empty)
+            where, again = found.where(overlapping, turn.first), []
             for number, (part, known) in enumerate(zip(parts, lists, strict=True)):
                 more = lambda listed, curves, first, count, number=number: listed.append(
                     where, number, curves, first, count
                 )
                 listed, known = known.fold(part, more, listed, has_all)
                 again.append(known)
-            last = (level >= depth).astype(jnp.int32)
+            last = (found.level >= depth).astype(jnp.int32)
             base = film[2].astype(dtype)
-            swept = in_turn.swept(manner, listed, where, row, at, base, last, own_stops)
-            return swept, listed.used, again
+            row, at = found.cells
+            swept = in_turn.swept(manner, listed, where, row, at, base, last, stops_of(found))
+            after = one_kernel(partial(_after, room // 2))(turn, found, swept, listed.used)
+            return swept, after, found.cells, again
 
-        swept, used, lists = one_by_one(resolved)
-        index = jnp.arange(cells, dtype=jnp.int32)
-        place = jnp.where(index < where.number, at.place, NOWHERE)
-        total = add(total, Resolved(place, swept.area, []))
+        swept, turn, cells, lists = one_by_one(resolved)
+        total = add(total, Resolved(cells.at.place, swept.area, []))
         if flux:
             total = _fold_shown(parts, swept, add, total)
-        whole, done = where.whole > 0, swept.fits == where.number
-        films = films._replace(height=jnp.where(whole, 0, films.height - 1))
-        wider = jnp.where(used < room // 2, jnp.minimum(2 * limit, cells), limit)
-        limit = jnp.where(whole, jnp.where(done, wider, swept.fits), limit)
-        first = jnp.where(whole & done, first + number, first)
-        return first, limit, films.push(level + 1, at, swept), lists, total
+        return turn, cells, lists, total
 
-    more = lambda state: (state[0] < overlapping.total) | (state[2].height > 0)
-    films = _Films.empty(cells + depth * in_turn.CUT**2, dtype)
+    def stops_of(found: _Next) -> Array | None:
+        return None if stops is None else -(-stops // jnp.int32(in_turn.CUT) ** found.level)
+
+    more = lambda state: (state[0].first < overlapping.total) | (state[0].films.height > 0)
+    empty = in_turn.Listed.empty(room, number, arcs is not None, dtype)
+    films = _Films.empty(number + depth * in_turn.CUT**2, dtype)
     lists = [CurveList.empty(part) for part in parts] if lists is None else lists
-    start = jnp.int32(0), jnp.int32(cells), films, lists, start
-    return jax.lax.while_loop(more, body, start)[-1]
+    turn, cells = _Turn(jnp.int32(0), jnp.int32(number), films), _CellsAt.empty(number, dtype)
+    return jax.lax.while_loop(more, body, (turn, cells, lists, start))[-1]
 
 
-def _film_or_cell(
+class _Turn(NamedTuple):
+    """Whose turn it is: the pixels from the `first` on, at most `limit` of them, but before them
+    the last of the films."""
+
+    first: Int[Array, ""]
+    limit: Int[Array, ""]
+    films: _Films
+
+
+class _CellsAt(NamedTuple):
+    """Rows of cells, and where they are; those past the last one are `NOWHERE`."""
+
+    row: Int[Array, "C"]
+    at: in_turn.At
+
+    @staticmethod
+    def empty(number: int, dtype: Any) -> "_CellsAt":
+        """Return room for so many."""
+        whole, real = jnp.zeros(number, jnp.int32), jnp.zeros(number, dtype)
+        return _CellsAt(whole, in_turn.At(whole, real, real))
+
+
+class _Next(NamedTuple):
+    """The next cells: those of a film, or (`whole`) pixels; how far they are cut, and as in
+    `in_turn.Where`."""
+
+    cells: _CellsAt
+    level: Int[Array, ""]
+    scale: Float[Array, ""]
+    origin: Float[Array, "2"]
+    whole: Int[Array, ""]
+    number: Int[Array, ""]
+    bottom: Int[Array, ""]
+    top: Int[Array, ""]
+    W: Int[Array, ""]
+    H: Int[Array, ""]
+
+    def where(self, overlapping: Overlapping, first: Int[Array, ""]) -> in_turn.Where:
+        """Return these cells of a film, if they are pixels from the `first` on."""
+        return in_turn.Where(
+            self.scale,
+            self.origin,
+            self.whole,
+            *overlapping.chosen,
+            jnp.int32(overlapping.width),
+            first,
+            self.number,
+            self.bottom,
+            self.top,
+            self.W,
+            self.H,
+        )
+
+
+def _next_cells(
     overlapping: Overlapping,
-    film: tuple[Any, int, Int[Array, ""]],
-    films: _Films,
-    first: Int[Array, ""],
-    number: Int[Array, ""],
-    cells: int,
-) -> tuple[Int[Array, ""], in_turn.Where, Int[Array, "C"], in_turn.At]:
-    """Return how far the next cells are cut, which these are, their rows, and where they are: those
-    of the last of the films, else pixels from the first on."""
-    whole, top = films.height == 0, jnp.maximum(films.height - 1, 0)
-    level, dtype = jnp.where(whole, 0, films.level[top]), films.x.dtype
-    index = jnp.arange(cells, dtype=jnp.int32)
-    row, column, place, _ = overlapping.cell(
-        jnp.clip(first + index, 0, jnp.maximum(overlapping.total - 1, 0))
-    )
-    either = lambda a, b: jnp.where(whole, a, b)
-    count = lambda a, b: either(jnp.int32(a), jnp.int32(b))
+    film: tuple[Any, int],
+    turn: _Turn,
+    cells: _CellsAt,
+    listed: in_turn.Listed,
+) -> tuple[_Next, in_turn.Listed]:
+    """Return the next cells, and of the lists what is of cells as none."""
+    whole = overlapping.width, overlapping.W, overlapping.H
+    size = tuple(jnp.int32(x) for x in film)
+    by_cell = listed.head, listed.number, listed.jump, listed.drop
+    kernel = one_kernel(partial(_cells_found, whole))
+    found, by_cell = kernel(overlapping.chosen, size, turn, cells, by_cell)
+    names = ("head", "number", "jump", "drop")
+    return found, listed._replace(**dict(zip(names, by_cell, strict=True)))
+
+
+def _cells_found(
+    whole_film: tuple[int, int, int],
+    chosen: Selection,
+    size: tuple[Array, Array],
+    turn: _Turn,
+    cells: _CellsAt,
+    by_cell: tuple[Array, ...],
+) -> tuple[_Next, tuple[Array, ...]]:
+    first, limit, films = turn
+    width, W, H = whole_film
+    whole, top, cut = films.height == 0, jnp.maximum(films.height - 1, 0), jnp.int32(in_turn.CUT)
+    level, place = jnp.where(whole, 0, films.level[top]), films.place[top]
+    x, y, dtype = films.x[top], films.y[top], films.x.dtype
     scale = jnp.asarray(in_turn.CUT, dtype) ** level.astype(dtype)
-    own_row = jax.lax.div(index, jnp.int32(in_turn.CUT))
-    own_column, x, y = index - own_row * in_turn.CUT, films.x[top], films.y[top]
-    real = lambda v: v.astype(dtype)
-    at = in_turn.At(
-        either(place, films.place[top]),
-        either(real(column), x + real(own_column) / scale),
-        either(real(row), y + real(own_row) / scale),
-    )
-    chosen = overlapping.chosen
-    where = in_turn.Where(
+    number = jnp.where(whole, jnp.minimum(limit, chosen.total - first), cut * cut)
+
+    def one(k, state):
+        (rows, at), by_cell = state
+        index = nth(chosen, (first + jnp.where(whole, k, 0))[None])[0]
+        row = jax.lax.div(index, jnp.int32(width))
+        column = index - row * width
+        own_row = jax.lax.div(k, cut)
+        own_x, own_y = (v.astype(dtype) / scale for v in (k - own_row * cut, own_row))
+        at = in_turn.At(
+            put(at.place, jnp.where(whole, (H - 1 - row) * W + column, place), k),
+            put(at.x, jnp.where(whole, column.astype(dtype), x + own_x), k),
+            put(at.y, jnp.where(whole, row.astype(dtype), y + own_y), k),
+        )
+        rows = put(rows, jnp.where(whole, row, own_row), k)
+        head, *sums = by_cell
+        by_cell = put(head, -1, k), *(put(x, 0, k) for x in sums)
+        return _CellsAt(rows, at), by_cell
+
+    cells, by_cell = jax.lax.fori_loop(jnp.int32(0), number, one, (cells, by_cell))
+    last = jnp.int32(cells.row.shape[0])
+    none = lambda k, place: put(place, NOWHERE, k)
+    places = jax.lax.fori_loop(number, last, none, cells.at.place)
+    cells = cells._replace(at=cells.at._replace(place=places))
+    either = lambda a, b: jnp.where(whole, a, b).astype(jnp.int32)
+    return _Next(
+        cells,
+        level,
         scale,
-        either(0, jnp.stack([x, y])),
+        jnp.where(whole, 0, jnp.stack([x, y])),
         whole.astype(jnp.int32),
-        *chosen,
-        jnp.int32(overlapping.width),
-        first,
-        count(number, in_turn.CUT**2),
-        count(row[0], 0),
-        count(row[jnp.maximum(number - 1, 0)] + 1, in_turn.CUT),
-        count(film[0], in_turn.CUT),
-        count(film[1], in_turn.CUT),
-    )
-    return level, where, either(row, own_row), at
+        number,
+        either(cells.row[0], 0),
+        either(cells.row[jnp.maximum(number - 1, 0)] + 1, cut),
+        *(either(x, cut) for x in size),
+    ), by_cell
+
+
+def _after(
+    half: int, turn: _Turn, found: _Next, swept: in_turn.Swept, used: Int[Array, ""]
+) -> _Turn:
+    """Return whose turn it is after some cells; those with too many pieces are films."""
+    first, limit, films = turn
+    whole, done, cells = found.whole > 0, swept.fits == found.number, found.cells
+    most = cells.row.shape[0]
+    height = jnp.where(whole, 0, films.height - 1)
+
+    def push(k, films: _Films) -> _Films:
+        slot, cell = height + k, swept.crowded[k]
+        return films._replace(
+            level=put(films.level, found.level + 1, slot),
+            place=put(films.place, cells.at.place[cell], slot),
+            x=put(films.x, cells.at.x[cell], slot),
+            y=put(films.y, cells.at.y[cell], slot),
+        )
+
+    films = jax.lax.fori_loop(jnp.int32(0), swept.left, push, films)
+    wider = jnp.where(used < half, jnp.minimum(2 * limit, most), limit)
+    limit = jnp.where(whole, jnp.where(done, wider, swept.fits), limit)
+    first = jnp.where(whole & done, first + found.number, first)
+    return _Turn(first, limit, films._replace(height=height + swept.left))
 
 
 def _fold_shown(

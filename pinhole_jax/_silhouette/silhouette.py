@@ -15,7 +15,7 @@ from .._camera.film import FilmMap
 from .._numerics.bitset import Selection, selection, words_of
 from .._numerics.jitted import jitted
 from .._numerics.linear_map import linear_map
-from .._numerics.one_kernel import for_cpus, one_by_one
+from .._numerics.one_kernel import by_machine, for_this_machine, one_by_one
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, Spheres, astype, check_view
 from .asked import WORD, Asked, Drawn, words_in_row
@@ -56,6 +56,7 @@ LEAST_TOLERANCE = 5e-3
 
 
 @collector_at_rest()
+@for_this_machine()
 def silhouette(
     camera: Camera, scene: Scene, overlaps: bool = True, tolerance: float = 0.0
 ) -> Float[Array, "H W"]:
@@ -229,6 +230,7 @@ def _image_jvp(primals: Any, tangents: Any):
         crowd = partial(_fold_crowd, film, still, pixels, parts)
         return Seen(film.W, film.H, pixels.alone.reshape(-1), crowd)
 
+    @for_this_machine()
     def forward(residuals, velocity):
         changing, ways = residuals[1], velocity[0].shape[-1]
         # (Of one pixel more than one: see `one_kernel`.)
@@ -236,6 +238,7 @@ def _image_jvp(primals: Any, tangents: Any):
         image = pushed(parts_of(residuals), changing, velocity, seen(residuals), image)
         return image[: film.H * film.W].reshape(film.H, film.W, ways)
 
+    @for_this_machine()
     def transpose(residuals, cotangent):
         weights = cotangent.reshape(film.H * film.W, -1)
         return pulled(parts_of(residuals), residuals[1], seen(residuals), weights)
@@ -251,12 +254,7 @@ def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "
     """Return the image, and which pixels the contour crosses in which way."""
     turn = partial(_resolved, moving, still, keep, drawn_piece_by_piece, fold_in_turn)
     beside = partial(_resolved, moving, still, keep, _drawn_in_vectors, fold_side_by_side)
-
-    def on_a_cpu():
-        with for_cpus():
-            return one_by_one(turn)
-
-    return jax.lax.platform_dependent(cpu=on_a_cpu, default=beside)
+    return by_machine(cpu=lambda: one_by_one(turn), elsewhere=beside)
 
 
 def _drawn_in_vectors(asked: Asked, rows: Int[Array, "2"] | None) -> tuple[Drawn, None]:

@@ -102,10 +102,20 @@ def _monotone_stretches(frame: Float[Array, "S 3 3"]):
     # that do not exist repeat it.
     exists[0] = jnp.ones_like(exists[0])
     cuts = jnp.where(jnp.stack(exists)[..., None], jnp.stack(cuts), cuts[0][None])
-    angle = jnp.arctan2(cuts[..., 1], cuts[..., 0])
-    order = jnp.argsort(angle, axis=0)
-    start = jnp.take_along_axis(cuts, order[..., None], axis=0)
+    start = jnp.stack(_by_angle(list(cuts)))
     return start, jnp.roll(start, -1, axis=0)
+
+
+def _by_angle(points: list[Float[Array, "S 2"]]) -> list[Float[Array, "S 2"]]:
+    """Return points in the order of their angles, by neighbours that change places: a sort would
+    be a kernel of its own."""
+    points = [jnp.column_stack([p, jnp.arctan2(p[:, 1], p[:, 0])]) for p in points]
+    for turn in range(len(points)):
+        for k in range(turn % 2, len(points) - 1, 2):
+            a, b = points[k : k + 2]
+            swap = (a[:, 2] > b[:, 2])[:, None]
+            points[k : k + 2] = jnp.where(swap, b, a), jnp.where(swap, a, b)
+    return [p[:, :2] for p in points]
 
 
 def _middle(start: Float[Array, "*K 2"], end: Float[Array, "*K 2"]) -> Float[Array, "*K 2"]:

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._numerics.one_kernel import one_kernel
+from .._numerics.one_kernel import by_machine, one_kernel
 from .bvh import Tree
 from .components import parts
 from .search import depths_of, search
@@ -42,13 +42,13 @@ def walk(
     ray = jnp.maximum(order, 0)
     rays = turned(parts(origin[ray]), parts(direction[ray]), axis[ray])
     nothing = jnp.full(order.shape, -1, jnp.int32)
-    return jax.lax.platform_dependent(
+    return by_machine(
         tree,
         rays,
         order,
         nothing,
         cpu=_by_packets if together else one_kernel(_in_turn),
-        default=_side_by_side,
+        elsewhere=_side_by_side,
     )
 
 
