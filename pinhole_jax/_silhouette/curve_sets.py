@@ -41,12 +41,15 @@ class CurveSet(NamedTuple):
     - `homogeneous_of(ids)`: what they move with, differentiably.
     - `total`: how many there are.
     - `most`: how many there may be, None where that depends on the view.
+    - `at_a_time`: so many are found at a time within a kernel (as few as run as fast: it compiles
+      sooner); None where a kernel of it all would compile longer than one of each step.
     """
 
     curves: Callable[[Int[Array, "K"]], Curves]
     homogeneous_of: Callable[[Int[Array, "K"]], Float[Array, "K n 3"]]
     total: Int[Array, ""]
     most: int | None
+    at_a_time: int | None
 
 
 def find(film: FilmMap, scene: Scene) -> Found:
@@ -67,6 +70,7 @@ def edge_curves(film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshConto
         lambda ids: homogeneous_edges(film, vertices, contour, ids),
         contour.segments,
         2 * contour.edge_vertices.shape[0] if contour.cuts is None else None,
+        16 if contour.cuts is None else None,
     )
 
 
@@ -78,6 +82,7 @@ def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveS
             lambda ids: homogeneous_arc_parts(film, spheres, cuts, ids),
             cuts.total,
             None,
+            None,
         )
     number = ARCS_PER_SPHERE * spheres.radii.shape[0]
     return CurveSet(
@@ -85,6 +90,7 @@ def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveS
         lambda ids: sphere_frames(film, spheres, ids),
         jnp.int32(number),
         number,
+        1,
     )
 
 
@@ -102,4 +108,5 @@ def joined(first: CurveSet, second: CurveSet) -> CurveSet:
         lambda ids: either(first.homogeneous_of, second.homogeneous_of, ids),
         first.total + second.total,
         None if first.most is None or second.most is None else first.most + second.most,
+        None,
     )

@@ -1,6 +1,7 @@
 """The contour's curves by kind: some at a time, or lists of as many as there is room for."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -18,15 +19,13 @@ LISTED = 1 << 16
 #: Rows that an array has at least: one that is written over as a whole is not read, and XLA's CPU
 #: compiler aborts over arguments of a kernel that it need not read.
 LEAST = 2
-#: So many curves are found at a time where they are listed.
-AT_A_TIME = 16
 
 
 class Part(NamedTuple):
     """Curves of one kind: `curves(ids)` for ids below `total`; `size` is a static chunk of them.
 
     `homogeneous_of(ids)` is what the curves move with, differentiably. There are at most `most`, if
-    known.
+    known; so many are found `at_a_time` within a kernel, None where that would be too large a one.
     """
 
     curves: Callable[[Int[Array, "K"]], Curves]
@@ -34,6 +33,7 @@ class Part(NamedTuple):
     total: Int[Array, ""]
     size: int
     most: int | None
+    at_a_time: int | None
 
     @property
     def straight(self) -> bool:
@@ -135,17 +135,14 @@ class CurveList(NamedTuple):
         room = self.curves.rising.shape[0]
         if has_all and part.most is not None and part.most <= room:
             return add(start, self.curves, jnp.int32(0), part.total), self
-        # (A function that the compiler is told all of what it reads of.)
-        ids = jnp.zeros(AT_A_TIME, jnp.int32)
-        reads, rest = eqx.partition(eqx.filter_closure_convert(part.curves, ids), eqx.is_array)
-        listed = one_kernel(lambda reads, *more: _listed(eqx.combine(reads, rest), *more))
+        listed = _listing(part)
 
         def more(state):
             begin, total, known = state
             # What is listed already stays.
             end = jnp.where(known.begin == begin, begin, begin + room)
             end = jnp.minimum(end, part.total)
-            curves = listed(reads, begin, end, known.curves)
+            curves = listed(begin, end, known.curves)
             total = add(total, curves, begin, jnp.minimum(part.total - begin, room))
             return begin + room, total, CurveList(curves, begin)
 
@@ -153,21 +150,54 @@ class CurveList(NamedTuple):
         return jax.lax.while_loop(lambda s: s[0] < part.total, more, start)[1:]
 
 
+def _listing(part: Part) -> Callable[[Array, Array, Ordered], Ordered]:
+    """Return the function that makes a list of curves from an id up to another, in one kernel if
+    that is not too large."""
+    number = part.at_a_time
+    if number is None:
+        append = one_kernel(_appended)
+
+        def by_chunks(begin: Array, end: Array, known: Ordered) -> Ordered:
+            chunk = lambda known, ids, curves: append(curves, ids[0] - begin, known)
+            return fold_curves(part, chunk, known, part.size, (begin, end))
+
+        return by_chunks
+    # (A kernel is told all that it reads of.)
+    made = eqx.filter_closure_convert(part.curves, jnp.zeros(number, jnp.int32))
+    reads, rest = eqx.partition(made, eqx.is_array)
+    all_of = lambda reads, *more: _listed(number, eqx.combine(reads, rest), *more)
+    return partial(one_kernel(all_of), reads)
+
+
+def _appended(curves: Curves, first: Int[Array, ""], known: Ordered) -> Ordered:
+    """Return listed curves with more of them from a place on."""
+
+    def one(k, known):
+        row = Ordered.of(taken(curves, k))
+        return jax.tree.map(lambda x, new: put(x, new, first + k), known, row)
+
+    return jax.lax.fori_loop(0, curves.weight.shape[0], one, known)
+
+
 def _listed(
-    curves_of: Callable[[Array], Curves], begin: Int[Array, ""], end: Int[Array, ""], known: Ordered
+    at_a_time: int,
+    curves_of: Callable[[Array], Curves],
+    begin: Int[Array, ""],
+    end: Int[Array, ""],
+    known: Ordered,
 ) -> Ordered:
     """Return a list that begins with an id, with the curves up to another."""
 
     def some(state):
         first, known = state
-        ids = first + jnp.arange(AT_A_TIME, dtype=jnp.int32)
+        ids = first + jnp.arange(at_a_time, dtype=jnp.int32)
         curves = curves_of(jnp.minimum(ids, end - 1))
 
         def one(k, known):
             row = Ordered.of(taken(curves, k))
             return jax.tree.map(lambda x, new: put(x, new, first - begin + k), known, row)
 
-        number = jnp.minimum(end - first, AT_A_TIME)
-        return first + AT_A_TIME, jax.lax.fori_loop(jnp.int32(0), number, one, known)
+        number = jnp.minimum(end - first, at_a_time)
+        return first + at_a_time, jax.lax.fori_loop(jnp.int32(0), number, one, known)
 
     return jax.lax.while_loop(lambda s: s[0] < end, some, (begin, known))[1]

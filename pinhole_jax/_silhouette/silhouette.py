@@ -184,6 +184,7 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
             s.total,
             min(CURVES_AT_A_TIME, s.most or CURVES_AT_A_TIME),
             s.most,
+            s.at_a_time,
         )
         for s in sets
     ]
