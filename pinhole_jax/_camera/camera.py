@@ -354,7 +354,8 @@ def bend(camera: Camera) -> Bend | None:
     """Return what the lens's distortion does to film points, None if there is none."""
     if camera.lens is None or camera.lens.distortion is None:
         return None
-    return Bend(camera.lens.distortion, jnp.stack(focal_px(camera)), camera.lens.principal_point)
+    distortion, centre = camera.lens.distortion, camera.lens.principal_point
+    return Bend(distortion, distortion.trusted_radius(), jnp.stack(focal_px(camera)), centre)
 
 
 def lens_holds(camera: Camera, part: FilmPart) -> Array:

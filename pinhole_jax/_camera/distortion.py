@@ -68,8 +68,9 @@ class Distortion(eqx.Module):
         dtype = jax.tree.leaves(self)[0].dtype
         radii = jnp.asarray(RADII, dtype)
         slope = held.slope(radii)
-        grows = jnp.cumsum(~((slope > LEAST_SLOPE) & (slope < MOST_SLOPE))) == 0
-        return jnp.max(jnp.where(grows, radii, radii[0]))
+        wrong = ~((slope > LEAST_SLOPE) & (slope < MOST_SLOPE))
+        first = jnp.min(jnp.where(wrong, jnp.arange(len(RADII)), len(RADII)))
+        return radii[jnp.maximum(first - 1, 0)]
 
     def __call__(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
         """Return the distorted points of ideal ones."""

@@ -13,16 +13,18 @@ from .distortion import Distortion
 
 
 class Bend(eqx.Module):
-    """Ideal film points (px) to those of a lens with distortion."""
+    """Ideal film points (px) to those of a lens with distortion, whose formula is trusted up to a
+    radius (which is the same for all points: it is looked for once)."""
 
     distortion: Distortion
+    trusted: Float[Array, ""]
     focal: Float[Array, "2"]
     centre: Float[Array, "2"]
 
     def __call__(self, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
         """Return the film points (px) of ideal ones."""
         x, y = ((points[..., k] - self.centre[k]) / self.focal[k] for k in (0, 1))
-        distorted = self.distortion(x, y)
+        distorted = self.distortion.continued(self.trusted, x, y)
         return jnp.stack([self.focal[k] * distorted[k] + self.centre[k] for k in (0, 1)], axis=-1)
 
     def around(self, part: "FilmPart") -> Float[Array, "4"]:
@@ -37,8 +39,14 @@ class Bend(eqx.Module):
         share = jnp.asarray(np.linspace(0, 1, 33)[None], sides.dtype)
         x, y = (boxes[:, k : k + 1] * (1 - share) + boxes[:, k + 1 : k + 2] * share for k in (0, 2))
         none = jnp.zeros_like(x)
-        seen = [held.distortion(boxes[:, k : k + 1] + none, y)[0] for k in (0, 1)]
-        seen += [held.distortion(x, boxes[:, k : k + 1] + none)[1] for k in (2, 3)]
+        seen = [
+            held.distortion.continued(held.trusted, boxes[:, k : k + 1] + none, y)[0]
+            for k in (0, 1)
+        ]
+        seen += [
+            held.distortion.continued(held.trusted, x, boxes[:, k : k + 1] + none)[1]
+            for k in (2, 3)
+        ]
         beyond = jnp.min(
             sign[:, None, None] * (jnp.stack(seen) - sides[:, None, None]), axis=(0, 2)
         )
