@@ -105,9 +105,28 @@ def select(mask: Bool[Array, "E"]) -> Selection:
 
 def selection(words: UInt32[Array, "words"]) -> Selection:
     """Return the set of a word's bits."""
+    if words.shape[0] < 2:  # (see `one_kernel`)
+        return Selection(words, *_counted_beside(words))
+    before = jnp.zeros(words.shape, jnp.int32)
+    beside = lambda words, before: _counted_beside(words)
+    return Selection(words, *on_cpu(_counted, words, before, elsewhere=beside))
+
+
+def _counted(words: UInt32[Array, "words"], before: Int[Array, "words"]) -> tuple[Array, Array]:
+    """Return how many bits are set before each word, and in all; word by word."""
+
+    def one(k, state):
+        before, total = state
+        before = put(before, total, k)
+        return before, total + jax.lax.population_count(words[k]).astype(jnp.int32)
+
+    return jax.lax.fori_loop(0, words.shape[0], one, (before, jnp.int32(0)))
+
+
+def _counted_beside(words: UInt32[Array, "words"]) -> tuple[Array, Array]:
     ones = jax.lax.population_count(words).astype(jnp.int32)
     upto = running_sum(ones)
-    return Selection(words, upto - ones, upto[-1] if upto.shape[0] else jnp.int32(0))
+    return upto - ones, upto[-1] if upto.shape[0] else jnp.int32(0)
 
 
 def words_of(mask: Bool[Array, "*N"]) -> UInt32[Array, "*words"]:
