@@ -5,7 +5,10 @@ and more faces at 512 px, and of 328k faces at more and more pixels; on one thre
 in a process of its own. Both sides take float32 and what is worked out once per mesh; medians of
 calls that are compiled already, ours and the loop's in turn, so that a busy machine slows both.
 A fit's step is what it does at one camera on its finest level: residuals, their derivatives by pose
-and phi, and where to go. Last, an object of 64 px on a small film and on a large one.
+and phi, and where to go. Then an object of 64 px on a small film and on a large one. Last, memory,
+each figure in a process of its own: what is resident while a program runs for the first time (it is
+compiled already), with the scene and what is returned, over these two; and of 1000 views at once.
+(Linux alone tells.)
 
 `python experiments/limit_of_speed.py out` takes some 25 minutes, with `--quick` 4.
 """
@@ -29,6 +32,9 @@ SLOW = ((1e2, 1e4, 3.28e5, 4e6), (64, 256, 1024, 4096))
 MOST_PX = 1024  # of a Jacobian: at 4096 px it is 470 MB
 SMALL_PX, FILMS = 64, (256, 4096)
 SECONDS = 1.0  # for the calls of one figure
+#: Faces and px of which memory is measured, and how many masks of 64 px are made at once.
+MEMORY = [(n, px) for n in (1e5, 1e6, 4e6) for px in (512, 4096)]
+VIEWS, VIEWS_PX, VIEWS_FACES = 1000, 64, 1e5
 NAMES = ("mask", "jacobian", "step")
 THREADS = (1, 2)
 PARAMETERS = (0.4, 1.1, 4.8, 0.05, -0.02, 0.03, 0.55)  # e, p, phi
@@ -149,6 +155,62 @@ def small(mesh) -> dict:
     return in_turn(jobs)
 
 
+def resident(field: str) -> int:
+    """Return bytes of a field of the process's memory: `VmRSS`, now, `VmHWM`, at most."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return 1024 * int(next(x for x in lines if x.startswith(field)).split()[1])
+
+
+def memory(faces: float, px: int, views: int) -> dict:
+    """Return bytes of the scene, of what is returned, and by how many more are resident while masks
+    are made: of one view, or of as many under `vmap`."""
+    import ctypes
+
+    import jax
+    import jax.numpy as jnp
+
+    import pinhole_jax as pj
+
+    def mask(x, scene):
+        up, d = jnp.asarray(UP, jnp.float32), jnp.float32(1)
+        return pj.silhouette(pj.Camera(x[:3], x[3:6], up, x[6], d, px, px), scene)
+
+    scene = pj.Scene(mesh=sphere(faces))
+    x = jnp.asarray(PARAMETERS, jnp.float32)
+    if views > 1:
+        mask, x = jax.vmap(mask, (0, None)), jnp.broadcast_to(x, (views, 7))
+    compiled = jax.jit(mask).lower(x, scene).compile()
+    jax.block_until_ready(jax.tree.leaves(scene))
+    ctypes.CDLL(None).malloc_trim(0)  # what compiling took is given back
+    Path("/proc/self/clear_refs").write_text("5")  # at most, from now on
+    before = resident("VmRSS")
+    image = jax.block_until_ready(compiled(x, scene))
+    beyond = resident("VmHWM") - before
+    size = sum(x.nbytes for x in jax.tree.leaves(scene) if isinstance(x, jax.Array))
+    return {"scene": size, "image": image.nbytes, "beyond": beyond}
+
+
+def all_memory(quick: bool) -> list[dict]:
+    """Return the figures of `memory`, each from a process of its own."""
+    if not Path("/proc/self/clear_refs").exists():
+        return []
+    some = [(n, px, 1) for n, px in (MEMORY[:2] if quick else MEMORY)]
+    rows = []
+    for faces, px, views in (*some, (VIEWS_FACES, VIEWS_PX, VIEWS)):
+        command = [sys.executable, __file__, "--memory", str(faces), str(px), str(views)]
+        done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
+        row = {"faces": faces, "px": px, "views": views, **json.loads(done.stdout)}
+        rows.append(row)
+        scene, image, beyond = (row[k] / 1e6 for k in ("scene", "image", "beyond"))
+        print(
+            f"memory, {faces:.0f} faces, {px} px, {views} views: scene {scene:.0f} MB, masks"
+            f" {image:.0f}, beyond the scene {beyond:.0f}: {(scene + beyond) / (scene + image):.2f}"
+            " times both (asked: 4)",
+            flush=True,
+        )
+    return rows
+
+
 def child(threads: int, quick: bool) -> dict:
     """Return both sweeps on this many threads."""
     sweeps = QUICK if quick else (FACES, PIXELS)
@@ -255,6 +317,10 @@ def main() -> None:
     if "--threads" in sys.argv:
         print(json.dumps(child(int(sys.argv[sys.argv.index("--threads") + 1]), quick)))
         return
+    if "--memory" in sys.argv:
+        faces, px, views = map(float, sys.argv[sys.argv.index("--memory") + 1 :])
+        print(json.dumps(memory(faces, int(px), int(views))))
+        return
     named = [x for x in sys.argv[1:] if not x.startswith("-")]
     folder = Path(named[0] if named else "out")
     folder.mkdir(parents=True, exist_ok=True)
@@ -276,6 +342,7 @@ def main() -> None:
             f" {beyond:.2f} more"
         )
     print(table(results))
+    results["memory"] = all_memory(quick)
     import jax
     import numba
 

@@ -11,11 +11,10 @@ from pinhole_jax import shapes
 from pinhole_jax._camera.camera import film_map
 from pinhole_jax._silhouette import drawing, parts, piece_by_piece
 from pinhole_jax._silhouette.asked import Asked
-from pinhole_jax._silhouette.curve_sets import find
 from pinhole_jax._silhouette.drawing import drawn_in_vectors
 from pinhole_jax._silhouette.piece_by_piece import drawn_piece_by_piece
-from pinhole_jax._silhouette.silhouette import _Moving, _parts, _Still
-from pinhole_jax._silhouette.surrounding import rows_seen, surrounding
+from pinhole_jax._silhouette.silhouette import _Given, _Moving, _parts, _Still, _View
+from pinhole_jax._silhouette.surrounding import rows_seen
 
 #: Columns and rows: fewer and more than bands have, with and without whole words.
 SIZES = [(1, 1), (1, 90), (200, 1), (64, 64), (99, 70), (131, 37)]
@@ -57,9 +56,9 @@ def banded(monkeypatch):
 def asked_of(film, scene):
     """Return what is asked of a film."""
     vertices = None if scene.mesh is None else scene.mesh.vertices
-    still = _Still(find(film, scene), surrounding(film, scene), None, None, (), None)
+    still = _Still(_Given(scene, (), None), _View.of(film, scene))
     parts = _parts(_Moving(film, vertices, scene.spheres), still)
-    return Asked(film, parts, still.base, True, True, 1.5)
+    return Asked(film, parts, still.view.base, True, True, 1.5)
 
 
 def each_way(camera, scene):

@@ -38,6 +38,19 @@ def test_batches_over_residuals_and_over_what_is_linear():
     np.testing.assert_array_equal(slopes, np.repeat([[1], [3], [6]], 3, 1))
 
 
+def test_on_a_cpu_a_batch_is_mapped_one_after_the_other():
+    """What one takes for its loop is held once, not for each."""
+
+    def with_room(n, x):
+        room = jnp.zeros(1 << 16) + x[:1, 0]
+        return x + jax.lax.fori_loop(0, n, lambda k, room: room + k, room)[5]
+
+    batch = jax.jit(jax.vmap(lambda n: linear_map(with_room, with_room, n, X)))
+    used = batch.lower(jnp.arange(64)).compile().memory_analysis()
+    if jax.default_backend() == "cpu":
+        assert used.temp_size_in_bytes < 8 * 8 << 16
+
+
 def test_a_jacobian_maps_all_directions_at_once():
     widths = []
 

@@ -231,3 +231,17 @@ def test_vmap_over_cameras_is_the_same_as_one_by_one():
     eyes = camera.e[None] + jnp.array([[0, 0, 0], [0.5, 0, 0], [0, -1, 2.0]])
     at = lambda e: pj.silhouette(eqx.tree_at(lambda c: c.e, camera, e), scene)
     np.testing.assert_allclose(jax.vmap(at)(eyes), jnp.stack([at(e) for e in eyes]), atol=1e-14)
+
+
+@pytest.mark.long
+def test_a_thousand_views_take_memory_for_their_masks_and_for_one():
+    scene = pj.Scene(mesh=pj.Mesh(*bumpy()))
+    camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.1, 1, 0], 0.6, W=W, H=H)
+    at = lambda e: pj.silhouette(eqx.tree_at(lambda c: c.e, camera, e), scene)
+    eyes = jnp.broadcast_to(camera.e, (1000, 3))
+    used = [
+        jax.jit(f).lower(x).compile().memory_analysis().temp_size_in_bytes
+        for f, x in ((at, eyes[0]), (jax.vmap(at), eyes))
+    ]
+    masks = 8 * 1000 * W * H
+    assert used[1] < 2 * used[0] + 2 * masks, (used, masks)

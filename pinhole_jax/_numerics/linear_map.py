@@ -15,6 +15,8 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, PyTree
 
+from .batches import in_turn
+from .one_kernel import by_machine
 from .tracing import collector_at_rest
 
 Direction = Callable[[list, list], list]
@@ -122,12 +124,30 @@ def _batch(args, dims, *, forward, transpose, n_residuals, out_shapes):
     out = _linear_map_p.bind(
         *residuals,
         *(jnp.moveaxis(x, -2, 0) for x in linear),
-        forward=jax.vmap(forward, in_axes=(axes, 0), axis_size=size),
-        transpose=jax.vmap(transpose, in_axes=(axes, 0), axis_size=size),
+        forward=_of_each(forward, axes),
+        transpose=_of_each(transpose, axes),
         n_residuals=n_residuals,
         out_shapes=tuple(((size, *shape), dtype) for shape, dtype in out_shapes),
     )
     return out, [0] * len(out)
+
+
+def _of_each(direction: Direction, axes: list) -> Direction:
+    """Return a direction of a batch, residuals along these axes: on a CPU one after the other, so
+    that what one takes is held once."""
+
+    def mapped(residuals: list, x: list) -> list:
+        beside = jax.vmap(direction, in_axes=(axes, 0))
+
+        def turn(residuals, x):
+            pairs = zip(residuals, axes, strict=True)
+            moved = [r if d is None else jnp.moveaxis(r, d, 0) for r, d in pairs]
+            batched = [d is not None for d in axes], [True] * len(x)
+            return in_turn(direction, batched, (moved, x))
+
+        return by_machine(residuals, x, cpu=turn, elsewhere=beside)
+
+    return mapped
 
 
 def _with_axis(x: Array, axis: int | None, size: int) -> Array:

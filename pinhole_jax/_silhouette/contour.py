@@ -58,6 +58,18 @@ class MeshContour(NamedTuple):
     segments: Int[Array, ""]
     cuts: Cuts | None = None
 
+    @staticmethod
+    def of(mesh: Mesh, of_view: tuple) -> "MeshContour":
+        """Return the contour edges of a mesh in a view: see `of_view`."""
+        second = None if mesh.closed else mesh.edge_faces[:, 1]
+        closed = is_closed(mesh) if mesh.closed is None else None
+        return MeshContour(mesh.edge_vertices, second, closed, *of_view)
+
+    @property
+    def of_view(self) -> tuple:
+        """What is of the view, and not of the mesh: `positive` and what follows."""
+        return self[3:]
+
     def weight(self, edge: Int[Array, "*K"]) -> Int[Array, "*K"]:
         """Return how many layers of cover contour edges bound on their left less on their right."""
         sign = jnp.where(bit(self.positive, edge), 1, -1)
@@ -91,9 +103,7 @@ def mesh_contour(film: FilmMap, mesh: Mesh) -> MeshContour:
 def _contour(mesh: Mesh, words: Array, positive: Array) -> MeshContour:
     """Return the edges of `contour_bits`, each seen as one segment."""
     chosen = selection(words)
-    second = None if mesh.closed else mesh.edge_faces[:, 1]
-    closed = is_closed(mesh) if mesh.closed is None else None
-    return MeshContour(mesh.edge_vertices, second, closed, positive, chosen, chosen.total)
+    return MeshContour.of(mesh, (positive, chosen, chosen.total))
 
 
 def contour_bits(

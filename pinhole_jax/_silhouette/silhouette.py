@@ -20,6 +20,7 @@ from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, Spheres, astype, check_view
 from .asked import WORD, Asked, Drawn, words_in_row
 from .boundary import Seen, pulled, pushed
+from .contour import MeshContour
 from .covered import (
     DEEP,
     LEAST_FACES,
@@ -31,6 +32,7 @@ from .covered import (
     worth,
 )
 from .curve_sets import Found, edge_curves, find, joined, outline_curves
+from .distorted import Cuts
 from .drawing import drawn_in_vectors, in_words, is_large
 from .overlaps import (
     Kept,
@@ -119,16 +121,15 @@ def _silhouette(
     film, spheres = film_at_once(camera), scene.spheres
     if spheres is not None and not spheres.radii.shape[0]:
         spheres = None
-    found = find(film, scene)
-    if found.contour is None and spheres is None:
+    mesh = scene.mesh
+    if mesh is not None and not mesh.edge_faces.shape[0]:
+        mesh = None
+    if mesh is None and spheres is None:
         return jnp.zeros((camera.H, camera.W), camera.e.dtype)
-    vertices = None if found.contour is None or scene.mesh is None else scene.mesh.vertices
-    alone = found.contour is None and spheres is not None and spheres.radii.shape[0] == 1
-    faces = None if vertices is None or scene.mesh is None else scene.mesh.faces
-    rows = rows_seen(film, scene) if is_large(film) else None
+    alone = mesh is None and spheres is not None and spheres.radii.shape[0] == 1
     overlap = () if overlaps and not alone else None
-    still = _Still(found, surrounding(film, scene), rows, faces, overlap, stops)
-    return _image(_Moving(film, vertices, spheres), still)
+    given = _Given(jax.lax.stop_gradient(scene), overlap, stops)
+    return _image(_Moving(film, None if mesh is None else mesh.vertices, spheres), given)
 
 
 class _Moving(NamedTuple):
@@ -139,20 +140,58 @@ class _Moving(NamedTuple):
     spheres: Spheres | None
 
 
-class _Still(NamedTuple):
-    """What cannot: which edges are contour, the number of layers left of the film, the faces.
+class _Given(NamedTuple):
+    """What cannot: the scene as it is.
 
-    `rows` are those of the film that the contour may meet (None: the film is drawn at once).
     `overlap` is None (and not an empty tuple: both have no leaves) if contours never overlap;
     `stops` is how often lines stop that sweep pixels where they do, None if that is exact.
     """
 
-    found: Found
-    base: Int[Array, ""]
-    rows: Int[Array, "2"] | None
-    faces: Int[Array, "F 3"] | None
+    scene: Scene
     overlap: tuple[()] | None
     stops: Int[Array, ""] | None
+
+
+class _View(NamedTuple):
+    """What a view of it is: which edges are contour (`MeshContour.of_view`), where outlines are
+    cut, the number of layers left of the film.
+
+    `rows` are those of the film that the contour may meet (None: the film is drawn at once).
+    """
+
+    contour: tuple | None
+    arcs: Cuts | None
+    base: Int[Array, ""]
+    rows: Int[Array, "2"] | None
+
+    @staticmethod
+    def of(film: FilmMap, scene: Scene) -> "_View":
+        """Return what a film sees of a scene."""
+        contour, arcs = find(film, scene)
+        of_view = None if contour is None else contour.of_view
+        rows = rows_seen(film, scene) if is_large(film) else None
+        return _View(of_view, arcs, surrounding(film, scene), rows)
+
+
+class _Still(NamedTuple):
+    """What is held where things move: what is given, and the view of it."""
+
+    given: _Given
+    view: _View
+
+    @property
+    def found(self) -> Found:
+        """Which edges are contour, and where outlines are cut."""
+        mesh, of_view = self.given.scene.mesh, self.view.contour
+        if mesh is None or of_view is None:
+            return Found(None, self.view.arcs)
+        return Found(MeshContour.of(mesh, of_view), self.view.arcs)
+
+    @property
+    def faces(self) -> Int[Array, "F 3"] | None:
+        """The mesh's faces."""
+        mesh = self.given.scene.mesh
+        return None if mesh is None or self.view.contour is None else mesh.faces
 
 
 class _Pixels(NamedTuple):
@@ -202,15 +241,15 @@ def _things(moving: _Moving, still: _Still) -> list[Convex]:
 
 
 @jax.custom_jvp
-def _image(moving: _Moving, still: _Still) -> Float[Array, "H W"]:
-    return _resolve(moving, still, keep=False)[0]
+def _image(moving: _Moving, given: _Given) -> Float[Array, "H W"]:
+    return _resolve(moving, given, keep=False)[0]
 
 
 @partial(_image.defjvp, symbolic_zeros=True)
 @collector_at_rest()
 def _image_jvp(primals: Any, tangents: Any):
     """Return the image and its boundary integral for the leaves that move; others cost nothing."""
-    moving, still = primals
+    moving, given = primals
     leaves, tree = jax.tree.flatten(moving)
     velocities = tree.flatten_up_to(tangents[0])
     moves = [not isinstance(t, SymbolicZero) for t in velocities]
@@ -247,14 +286,19 @@ def _image_jvp(primals: Any, tangents: Any):
     held = [x for x, m in zip(leaves, moves, strict=True) if not m]
     changing = [x for x, m in zip(leaves, moves, strict=True) if m]
     velocity = [t for t, m in zip(velocities, moves, strict=True) if m]
-    image, pixels = _resolve(moving, still, keep=True)
+    image, (view, pixels) = _resolve(moving, given, keep=True)
+    still = _Still(given, view)
     return image, linear_map(forward, transpose, (held, changing, still, pixels), velocity)
 
 
-def _resolve(moving: _Moving, still: _Still, keep: bool) -> tuple[Float[Array, "H W"], _Pixels]:
-    """Return the image, and which pixels the contour crosses in which way."""
-    turn = partial(_resolved, moving, still, keep, drawn_piece_by_piece, fold_in_turn)
-    beside = partial(_resolved, moving, still, keep, _drawn_in_vectors, fold_side_by_side)
+def _resolve(moving: _Moving, given: _Given, keep: bool) -> tuple[Float[Array, "H W"], Any]:
+    """Return the image and, if asked for, the view and which pixels the contour crosses in which
+    way.
+
+    On a CPU one view after the other: of a thousand under `vmap`, what one takes is held once.
+    """
+    turn = partial(_resolved, moving, given, keep, drawn_piece_by_piece, fold_in_turn)
+    beside = partial(_resolved, moving, given, keep, _drawn_in_vectors, fold_side_by_side)
     return by_machine(cpu=lambda: one_by_one(turn), elsewhere=beside)
 
 
@@ -265,27 +309,28 @@ def _drawn_in_vectors(asked: Asked, rows: Int[Array, "2"] | None) -> tuple[Drawn
 
 
 def _resolved(
+    moving: _Moving, given: _Given, keep: bool, draw: Callable, fold: Callable
+) -> tuple[Float[Array, "H W"], tuple[_View, _Pixels] | None]:
+    view = _View.of(moving.film, given.scene)
+    image, pixels = _pixels(moving, _Still(given, view), keep, draw, fold)
+    return image, (view, pixels) if keep else None
+
+
+def _pixels(
     moving: _Moving, still: _Still, keep: bool, draw: Callable, fold: Callable
 ) -> tuple[Float[Array, "H W"], _Pixels]:
+    """Return the image, and which pixels the contour crosses in which way."""
     film, parts, things = moving.film, _parts(moving, still), _things(moving, still)
-    asked = Asked(
-        film, parts, still.base, still.overlap is not None, keep, DEEP if things else None
-    )
-    (image, alone, overlapping, layers, depth), lists = draw(asked, still.rows)
+    base, resolves = still.view.base, still.given.overlap is not None
+    asked = Asked(film, parts, base, resolves, keep, DEEP if things else None)
+    (image, alone, overlapping, layers, depth), lists = draw(asked, still.view.rows)
     if overlapping is None or layers is None:
         none = selection(jnp.zeros(0, jnp.uint32))
         return image, _Pixels(alone, none, jnp.zeros(0, image.dtype), [])
     image, overlapping, layers = (x.reshape(-1) for x in (image, overlapping, layers))
     if depth is not None:
         dear = worth(things, jnp.sum(layers), depth)
-        covered = overlapping & _surely_covered(film, things, dear)
-        overlapping &= ~covered
-        chosen = selection(covered)
-        place = _overlapping(film, chosen, layers).place
-        one = lambda image, index, there: image.at[
-            jnp.where(there, place(index), image.shape[0])
-        ].set(1, mode="drop")
-        image = fold_chosen(chosen, COVERED, one, image)
+        image, overlapping = _without_covered(film, things, dear, layers, image, overlapping)
     kept = [nothing_kept(part) for part in parts if keep]
     pixels = _Pixels(alone, selection(overlapping), layers, kept)
 
@@ -298,22 +343,36 @@ def _resolved(
         return image, [k.append(resolved.place, visible) for k, visible in more]
 
     crowd = _overlapping(film, pixels.overlapping, layers)
-    args = parts, crowd, (film.W, film.H, still.base)
-    image, kept = fold(*args, add, (image, kept), keep, still.stops, lists)
+    args = parts, crowd, (film.W, film.H, base)
+    image, kept = fold(*args, add, (image, kept), keep, still.given.stops, lists)
     return image.reshape(film.H, film.W), pixels._replace(kept=kept)
 
 
-def _surely_covered(
-    film: FilmMap, things: list[Convex], worth: Bool[Array, ""]
-) -> UInt32[Array, "words"]:
-    """Return the pixels that things cover wholly as words of bits; none if it is not `worth` it."""
+def _without_covered(
+    film: FilmMap,
+    things: list[Convex],
+    worth: Bool[Array, ""],
+    layers: Float[Array, "words"],
+    image: Float[Array, "pixels"],
+    overlapping: UInt32[Array, "words"],
+) -> tuple[Float[Array, "pixels"], UInt32[Array, "words"]]:
+    """Return the image with those overlapping pixels that things cover wholly, and the others; both
+    as they were if it is not `worth` it."""
 
-    def some():
+    def once(state):
+        worth, image, overlapping = state
         found = surely_covered(film, things, worth).reshape(film.H, film.W)
-        return words_of(in_words(found))
+        covered = overlapping & words_of(in_words(found))
+        chosen = selection(covered)
+        place = _overlapping(film, chosen, layers).place
+        one = lambda image, index, there: image.at[
+            jnp.where(there, place(index), image.shape[0])
+        ].set(1, mode="drop")
+        image = fold_chosen(chosen, COVERED, one, image)
+        return jnp.zeros_like(worth), image, overlapping & ~covered
 
-    none = jnp.zeros(film.H * words_in_row(film.W), jnp.uint32)
-    return jax.lax.cond(worth, some, lambda: none)
+    # (A condition would work out lists of covered pixels where it is not worth it, too.)
+    return jax.lax.while_loop(lambda s: s[0], once, (worth, image, overlapping))[1:]
 
 
 def _overlapping(film: FilmMap, chosen: Selection, layers: Float[Array, "words"]) -> Overlapping:
@@ -340,7 +399,7 @@ def _fold_crowd(
             total = kept.fold(partial(crowd, number=number), total)
         return total
 
-    if still.overlap is None:
+    if still.given.overlap is None:
         return start
     complete = jnp.stack([kept.complete for kept in pixels.kept]).all()
     for number, kept in enumerate(pixels.kept):
@@ -348,5 +407,5 @@ def _fold_crowd(
         start = kept.fold(partial(crowd, number=number), start)
     overlapping = _overlapping(film, pixels.overlapping, pixels.layers)
     overlapping = overlapping._replace(total=jnp.where(complete, 0, overlapping.total))
-    size = film.W, film.H
-    return fold_cells(parts, overlapping, *size, still.base, again, start, True, still.stops)
+    args = parts, overlapping, film.W, film.H, still.view.base
+    return fold_cells(*args, again, start, True, still.given.stops)
