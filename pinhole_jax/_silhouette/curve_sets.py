@@ -41,12 +41,14 @@ class CurveSet(NamedTuple):
     - `homogeneous_of(ids)`: what they move with, differentiably.
     - `total`: how many there are.
     - `most`: how many there may be, None where that depends on the view.
+    - `plain`: whether a kernel can make one of them (see `one_kernel`).
     """
 
     curves: Callable[[Int[Array, "K"]], Curves]
     homogeneous_of: Callable[[Int[Array, "K"]], Float[Array, "K n 3"]]
     total: Int[Array, ""]
     most: int | None
+    plain: bool = False
 
 
 def find(film: FilmMap, scene: Scene) -> Found:
@@ -67,6 +69,7 @@ def edge_curves(film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshConto
         lambda ids: homogeneous_edges(film, vertices, contour, ids),
         contour.segments,
         2 * contour.edge_vertices.shape[0] if contour.cuts is None else None,
+        contour.cuts is None,
     )
 
 

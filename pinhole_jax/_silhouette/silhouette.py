@@ -183,6 +183,7 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
             s.total,
             min(CURVES_AT_A_TIME, s.most or CURVES_AT_A_TIME),
             s.most,
+            s.plain,
         )
         for s in sets
     ]
