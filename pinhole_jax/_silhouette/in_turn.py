@@ -211,23 +211,28 @@ def _equal(cell: Array, row: Array, code: Array, listed: Listed) -> tuple[Array,
     """Return the piece of a cell that equals another, -1 if none of its last ones does; and the
     cell's first piece (read within the loop: else what it is read from is copied)."""
 
-    def one(state):
-        slot, _, looks, head = state
-        slot = jnp.where(looks == 0, listed.head[cell], slot)
-        head = jnp.where(looks == 0, slot, head)
+    arcs = listed.piece.shape[1] > 6
+
+    def differs(state):
+        slot, _, _ = state
         at = jnp.maximum(slot, 0)
         own = _row(listed.piece, at)
-        same = (slot >= 0) & ((listed.code[at] ^ code) & 1 == 0)
+        other = (listed.code[at] ^ code) & 1 != 0 if arcs else jnp.bool_(False)
         for k in range(5):
-            same &= own[k] == row[k]
-        following = jnp.where(slot < 0, -1, listed.after[at])
-        return jnp.where(same, slot, following), same, looks + 1, head
+            other |= own[k] != row[k]
+        return (slot == first) | ((slot >= 0) & other)
 
-    more = lambda s: (s[2] == 0) | ((s[0] >= 0) & ~s[1] & (s[2] < LOOKS))
-    none = jnp.int32(-1)
-    start = none, jnp.bool_(False), jnp.int32(0), none
-    slot, same, _, head = jax.lax.while_loop(more, one, start)
-    return jnp.where(same, slot, -1), head
+    def one(state):
+        slot, looks, head = state
+        own = listed.head[cell]
+        begins = slot == first
+        following = jnp.where(begins, own, listed.after[jnp.maximum(slot, 0)])
+        slot = jnp.where(looks < LOOKS, following, -1)
+        return slot, looks + 1, jnp.where(begins, own, head)
+
+    first = jnp.int32(-2)
+    slot, _, head = jax.lax.while_loop(differs, one, (first, jnp.int32(0), jnp.int32(-1)))
+    return slot, head
 
 
 # --- cells ---------------------------------------------------------------------------------------
@@ -263,17 +268,20 @@ class Swept(NamedTuple):
 class _Room(NamedTuple):
     """What a cell is swept in: rows.
 
-    - `line`: pieces by where they begin: u0, v0, u1, v1, dv / du, jump, slot, whether it is steep
-      (see `Lines`); then of arcs: frame, cone, sense (see `_curved`).
+    - `line`: pieces: u0, v0, u1, v1, dv / du, jump, slot, whether it is steep (see `Lines`); then
+      of arcs: frame, cone, sense (see `_curved`).
+    - `begins`: where they begin, in order, and their rows in `line`.
     - `met`: those that the line cuts, as rows of `line`: in the order of the last halt.
     - `order`: the same from below: v, and the row in `line`. (Two lists: what is read and written
       over in one loop is copied.)
-    - `border`: where along the border v = 0 the number of layers changes, and by how much.
+    - `border`: where along the border v = 0 the number of layers changes, in order, and by how
+      much.
     - `ahead`: where pieces cross that are cut, the next place last.
     - `seen`: of each line the visible length and its first moment, and an arc's flux.
     """
 
     line: Float[Array, "M numbers"]
+    begins: Float[Array, "M 2"]
     met: Int[Array, "M"]
     order: Float[Array, "M 2"]
     border: Float[Array, "M 2"]
@@ -307,6 +315,7 @@ def swept(
     M, arcs, flux = MANY + 2, manner.arcs is not None, manner.flux
     room = _Room(
         zeros(M, 21 if arcs else 8),
+        zeros(M, 2),
         whole(M),
         zeros(M, 2),
         zeros(2 * M, 2),
@@ -443,22 +452,19 @@ def _lines(manner: Manner, cell: _Cell, up: Array, room: _Room):
             line += _curved(piece, sign, up, (listed.code[slot] & 1) == manner.arcs)
         # What is no number is left out.
         there = (jump != 0) & jnp.isfinite(u0 + v0 + u1 + v1 + jump)
-        at, lines = jax.lax.while_loop(
-            lambda s: (s[0] > 0) & (_row(s[1], jnp.maximum(s[0] - 1, 0))[0] > u0),
-            lambda s: (s[0] - 1, put(s[1], _row(s[1], s[0] - 1), s[0])),
-            (jnp.where(there, n, 0), room.line),
-        )
         # (One that is not there is written where the next is.)
-        lines = put(lines, jnp.stack(line), jnp.where(there, at, n))
+        lines = put(room.line, jnp.stack(line), n)
+        begins = _with_place(room.begins, n, u0, real(n), there)
         border = room.border
         ends = [(x0, y0, low, low_up), (x1, y1, high, high_up)]
         for halt, step in ((jnp.where(up, y, x), jnp.where(up, b, a)) for x, y, a, b in ends):
-            border = put(border, jnp.stack([halt, step]), m)
-            m = m + _one((step != 0) & there)
+            changes = (step != 0) & there
+            border = _with_place(border, m, halt, step, changes)
+            m = m + _one(changes)
         seen = room.seen
         if seen is not None:
             seen = put(seen, jnp.zeros(seen.shape[1], seen.dtype), n)
-        room = room._replace(line=lines, border=border, seen=seen)
+        room = room._replace(line=lines, begins=begins, border=border, seen=seen)
         # What lies on the cell's side is visible if what is beside the cell is not covered.
         on_side = (x0 == x1) & ((x0 <= 0) | (x0 >= 1))
         steepness = jnp.maximum(steepness, jnp.where(steep & there, 1 + _one(on_side), 0))
@@ -469,6 +475,17 @@ def _lines(manner: Manner, cell: _Cell, up: Array, room: _Room):
     return jax.lax.while_loop(lambda s: s[0] >= 0, one, start)[1:]
 
 
+def _with_place(places: Array, number: Array, u: Array, value: Array, there: Array) -> Array:
+    """Return so many places along a line and their values, in order, with one more if it is
+    `there`."""
+    at, places = jax.lax.while_loop(
+        lambda s: (s[0] > 0) & (_row(s[1], jnp.maximum(s[0] - 1, 0))[0] > u),
+        lambda s: (s[0] - 1, put(s[1], _row(s[1], s[0] - 1), s[0])),
+        (jnp.where(there, number, 0), places),
+    )
+    return put(places, jnp.stack([u, value]), jnp.where(there, at, number))
+
+
 # --- a line --------------------------------------------------------------------------------------
 
 
@@ -477,6 +494,8 @@ class _Line(NamedTuple):
 
     - `u`: where it halts; `end`: where the next of the pieces that it cuts ends.
     - `begun`, `cuts`, `ahead`: how many pieces have begun, are cut, and crossings lie ahead.
+    - `passed`, `first`: how many changes along the border it has passed, and the number of layers
+      there.
     - `area`: what was covered so far; `lost`: how many crossings there was no room for; `shows`:
       whether a piece was visible.
     """
@@ -486,6 +505,8 @@ class _Line(NamedTuple):
     begun: Int[Array, ""]
     cuts: Int[Array, ""]
     ahead: Int[Array, ""]
+    passed: Int[Array, ""]
+    first: Float[Array, ""]
     area: Float[Array, ""]
     lost: Int[Array, ""]
     shows: Bool[Array, ""]
@@ -495,13 +516,14 @@ class _Line(NamedTuple):
 def _swept_line(manner, cell: _Cell, up, lines, borders, stops, room: _Room) -> _Line:
     """Return the line at the end of its way."""
     zero, none = jnp.zeros_like(cell.corner), jnp.int32(0)
-    line = _Line(zero, zero + 1, none, none, none, zero, none, jnp.bool_(False), room)
+    begun, border = (none, none, none), (none, cell.corner)
+    line = _Line(zero, zero + 1, *begun, *border, zero, none, jnp.bool_(False), room)
     turn = jnp.where(up > 0, -1, 1).astype(zero.dtype)
-    halt = partial(_halted, manner, cell.corner, turn, lines, borders, stops)
+    halt = partial(_halted, manner, turn, lines, borders, stops)
     return jax.lax.while_loop(lambda s: s.u < 1, halt, line)
 
 
-def _halted(manner: Manner, corner, turn, lines, borders, stops, line: _Line) -> _Line:
+def _halted(manner: Manner, turn, lines, borders, stops, line: _Line) -> _Line:
     """Return the line where it halts next."""
     one = jnp.ones_like(line.u)
     if manner.stops:
@@ -511,12 +533,12 @@ def _halted(manner: Manner, corner, turn, lines, borders, stops, line: _Line) ->
     else:
         reach = line.u
         line = _begun(manner, lines, reach, line)
-        comes = jnp.where(line.begun < lines, _row(line.room.line, line.begun)[0], one)
+        comes = jnp.where(line.begun < lines, _row(line.room.begins, line.begun)[0], one)
         comes = jnp.minimum(comes, jnp.where(line.ahead > 0, _next_crossing(line), one))
         until = jnp.minimum(comes, jnp.minimum(line.end, one))
     line = _in_order(manner, reach, (line.u + until) / 2, line)
-    first = _at_border(corner, reach, borders, line.room.border)
-    line = _covered(manner, turn, first, until, line)._replace(u=until)
+    line = _at_border(reach, borders, line)
+    line = _covered(manner, turn, until, line)._replace(u=until)
     if manner.stops:
         return line
     passed = lambda k: (k > 0) & (_next_crossing(line._replace(ahead=k)) <= until)
@@ -530,21 +552,23 @@ def _next_crossing(line: _Line) -> Float[Array, ""]:
     return _row(places, jnp.maximum(line.ahead - 1, 0))
 
 
-def _at_border(corner, reach, borders, border: Float[Array, "M 2"]) -> Float[Array, ""]:
-    """Return the number of layers at the border v = 0 from where the line halts."""
-
-    def one(k, first):
-        at, step = (_row(border, k)[j] for j in range(2))
-        return first + jnp.where(at <= reach, step, 0)
-
-    return jax.lax.fori_loop(0, borders, one, corner)
+def _at_border(reach, borders, line: _Line) -> _Line:
+    """Return the line with the number of layers at the border v = 0 from where it halts."""
+    border = line.room.border
+    passed, first = jax.lax.while_loop(
+        lambda s: (s[0] < borders) & (_row(border, s[0])[0] <= reach),
+        lambda s: (s[0] + 1, s[1] + _row(border, s[0])[1]),
+        (line.passed, line.first),
+    )
+    return line._replace(passed=passed, first=first)
 
 
 def _begun(manner: Manner, lines, reach, line: _Line) -> _Line:
     """Return the line with the pieces that begin where it halts, and where these cross others."""
 
     def one(line: _Line):
-        own = _row(line.room.line, line.begun)
+        number = _row(line.room.begins, line.begun)[1].astype(jnp.int32)
+        own = _row(line.room.line, number)
         there, slot = own[2] > reach, line.cuts
         if not manner.stops:
             line, slot = _crossed(manner, own, there, line)
@@ -552,10 +576,10 @@ def _begun(manner: Manner, lines, reach, line: _Line) -> _Line:
             begun=line.begun + 1,
             cuts=line.cuts + _one(there),
             end=jnp.where(there, jnp.minimum(line.end, own[2]), line.end),
-            room=line.room._replace(met=put(line.room.met, line.begun, slot)),
+            room=line.room._replace(met=put(line.room.met, number, slot)),
         )
 
-    more = lambda s: (s.begun < lines) & (_row(s.room.line, s.begun)[0] <= reach)
+    more = lambda s: (s.begun < lines) & (_row(s.room.begins, s.begun)[0] <= reach)
     return jax.lax.while_loop(more, one, line)
 
 
@@ -589,8 +613,9 @@ def _with_crossing(there, u, ahead, lost, places):
         )
         return jnp.bool_(False), ahead + 1, put(places, u, at)
 
+    before = ahead
     _, ahead, places = jax.lax.while_loop(lambda s: s[0], fill, (fits, ahead, places))
-    return ahead, lost | _one(there & ~fits), places
+    return ahead, jnp.where(there & (before >= AHEAD), 1, lost), places
 
 
 def _crossings(manner: Manner, own: Array, other: Array) -> list[Array]:
@@ -644,7 +669,7 @@ def _height(manner: Manner, own: Array, u: Array) -> Array:
     return jnp.where(own[20] != 0, jnp.clip(true, jnp.minimum(v0, v1), jnp.maximum(v0, v1)), v)
 
 
-def _covered(manner: Manner, turn, first, until, line: _Line) -> _Line:
+def _covered(manner: Manner, turn, until, line: _Line) -> _Line:
     """Return the line with what is covered up to where it halts next, and what was visible."""
     width, middle = until - line.u, (line.u + until) / 2
     cover = lambda layers: (layers > 0.5).astype(width.dtype)
@@ -666,7 +691,7 @@ def _covered(manner: Manner, turn, first, until, line: _Line) -> _Line:
         met = put(met, number, k)
         return k + 1, below + own[5], area, end, shows | (change != 0), met, seen
 
-    start = jnp.int32(0), first, jnp.zeros_like(width), jnp.ones_like(width)
+    start = jnp.int32(0), line.first, jnp.zeros_like(width), jnp.ones_like(width)
     start = *start, line.shows, line.room.met, line.room.seen
     loop = jax.lax.while_loop(lambda s: s[0] < line.cuts, one, start)
     _, top, area, end, shows, met, seen = loop
