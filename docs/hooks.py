@@ -101,7 +101,7 @@ def on_files(files: Any, config: Any) -> Any:
         files.append(File.generated(config, page, content=text))
     for path in [*(ROOT / "experiments").glob("*.py"), *(ROOT / "experiments").glob("*/*.*")]:
         place = path.relative_to(ROOT).as_posix()
-        if place not in ELSEWHERE.values():
+        if place not in ELSEWHERE.values() and "__pycache__" not in place:
             files.append(File.generated(config, place, abs_src_path=str(path)))
     if os.environ.get("DRAFT"):
         return files

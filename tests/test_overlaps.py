@@ -4,6 +4,8 @@ Against the union of all projected triangles by shapely. Meshes are filled up to
 they share a compiled program.
 """
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -105,15 +107,13 @@ def cameras(number, dtype=float, W=W, H=H):
         yield pj.Camera(*arrays, W, H)
 
 
-def filled(vertices, faces, dtype=float) -> pj.Scene:
+def filled(vertices, faces, dtype=float, room=20_000) -> pj.Scene:
     """Return the scene with arrays of one size, whatever the mesh; what is added shows nowhere."""
     mesh = pj.Mesh(
-        np.concatenate([vertices, np.repeat(vertices[:1], 20_000 - len(vertices), 0)]).astype(
-            dtype
-        ),
-        np.concatenate([faces, np.zeros((20_000 - len(faces), 3), int)]),
+        np.concatenate([vertices, np.repeat(vertices[:1], room - len(vertices), 0)]).astype(dtype),
+        np.concatenate([faces, np.zeros((room - len(faces), 3), int)]),
     )
-    fill = lambda x: jnp.pad(x, ((0, 40_000 - x.shape[0]), (0, 0)))
+    fill = lambda x: jnp.pad(x, ((0, 2 * room - x.shape[0]), (0, 0)))
     edges = lambda m: (m.edge_vertices, m.edge_faces)
     mesh = eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh))))
     return pj.Scene(mesh=with_vertices(mesh, mesh.vertices))  # (its clusters of edges: as many)
@@ -338,12 +338,15 @@ def test_what_is_known_not_to_overlap_is_compiled_without():
     assert np.all(np.isfinite(slope.e))
 
 
+def with_balls(mesh, centers):
+    """Return a scene of a few faces and two balls, with arrays of one size: one program for all."""
+    return pj.Scene(mesh=filled(*mesh, room=128).mesh, spheres=pj.Spheres(centers, [0.3, 0.35]))
+
+
 @pytest.fixture(scope="module")
 def mixed():
-    vertices, faces = soup(12)
-    spheres = pj.Spheres([[0.4, 0.3, 0.2], [-0.3, 0.1, 0.5]], [0.3, 0.35])
     camera = pj.Camera([0.3, 0.4, 4], [0, 0, 0], [0.1, 1, 0], 0.6, W=24, H=18)
-    return camera, pj.Scene(mesh=pj.Mesh(vertices, faces), spheres=spheres)
+    return camera, with_balls(soup(12), [[0.4, 0.3, 0.2], [-0.3, 0.1, 0.5]])
 
 
 def leaves(moving):
@@ -369,46 +372,6 @@ def pushed_and_pulled(mixed, directions, weight, stops=None):
     sum by all leaves: one program for all."""
     image = lambda x: image_of(mixed, x, stops)
     return both_ways(image, leaves(mixed), directions, weight)
-
-
-def checker():
-    """Squares of a chess board of one colour, which meet at their corners."""
-    place = np.stack(np.meshgrid(*2 * [np.arange(8)], indexing="ij"), axis=-1).reshape(-1, 2)
-    place = place[place.sum(axis=1) % 2 == 0]
-    corner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    flat = ((place[:, None] + corner - 4) / 4).reshape(-1, 2)
-    faces = np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(len(place))[:, None, None]
-    return np.column_stack([flat, np.zeros(len(flat))]), faces.reshape(-1, 3)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("stops", [None, 16])
-def test_pixels_in_turn_are_what_they_are_side_by_side(mixed, monkeypatch, stops):
-    """Images and derivatives, of edges and arcs; and of edges along the sides of pixels."""
-    random = np.random.default_rng(3)
-    weight = random.normal(size=(mixed[0].H, mixed[0].W))
-    directions = tuple(random.normal(size=x.shape) for x in leaves(mixed))
-    vertices, faces = checker()
-    camera = pj.Camera([0, 0, 2], [0, 0, 0], [0, 1, 0], 2 * np.arctan(0.5), W=24, H=18)
-
-    def of_board(vertices):
-        board = pj.Scene(mesh=pj.Mesh(vertices, faces))
-        return jnp.sum(weight * _silhouette(camera, board, True, number))
-
-    number = None if stops is None else jnp.int32(stops)
-
-    def told():
-        image = lambda x: image_of(mixed, x, number)
-        several = jax.jit(lambda x: both_ways(image, x, directions, weight))(leaves(mixed))
-        return several, jax.jit(jax.value_and_grad(of_board))(vertices)
-
-    one = told()
-    resolve_side_by_side(monkeypatch)
-    jax.clear_caches()
-    other = told()
-    jax.clear_caches()
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-11 * max(1, np.abs(b).max()))
 
 
 def dot(gradient, directions) -> float:
@@ -491,6 +454,56 @@ def test_spheres_and_their_derivative_err_by_the_tolerance(mixed):
         assert 0 < np.max(np.abs(image - exact)) <= tolerance
         assert 0 < np.max(np.abs(near - slope)) <= 4 * tolerance
         np.testing.assert_allclose(dot(pulled, slide), jnp.sum(weight * near), rtol=1e-9)
+
+
+def checker():
+    """Squares of a chess board of one colour, which meet at their corners."""
+    place = np.stack(np.meshgrid(*2 * [np.arange(8)], indexing="ij"), axis=-1).reshape(-1, 2)
+    place = place[place.sum(axis=1) % 2 == 0]
+    corner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    flat = ((place[:, None] + corner - 4) / 4).reshape(-1, 2)
+    faces = np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(len(place))[:, None, None]
+    return np.column_stack([flat, np.zeros(len(flat))]), faces.reshape(-1, 3)
+
+
+@pytest.fixture(scope="module")
+def board():
+    """Edges along the sides of pixels, and balls behind the eye."""
+    camera = pj.Camera([0, 0, 2], [0, 0, 0], [0, 1, 0], 2 * np.arctan(0.5), W=24, H=18)
+    return camera, with_balls(checker(), [[0.0, 0, 20], [0, 1, 20]])
+
+
+@pytest.fixture(scope="module")
+def told(mixed, board):
+    """Return a function of what bounds the lines of a pixel, which returns images and derivatives,
+    of edges and arcs; and of edges along the sides of pixels. What it has returned it knows."""
+    random = np.random.default_rng(3)
+    weight = random.normal(size=(mixed[0].H, mixed[0].W))
+    directions = tuple(random.normal(size=x.shape) for x in leaves(mixed))
+
+    @functools.cache
+    def of(stops, way):
+        number = None if stops is None else jnp.int32(stops)
+        several, (image, _, gradient) = (
+            pushed_and_pulled(scene, directions, weight, number) for scene in (mixed, board)
+        )
+        return several, image, gradient[4]
+
+    for stops in (None, 16):
+        of(stops, "in turn")
+    return of
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("stops", [None, 16])
+def test_pixels_in_turn_are_what_they_are_side_by_side(told, monkeypatch, stops):
+    one = told(stops, "in turn")
+    resolve_side_by_side(monkeypatch)
+    jax.clear_caches()
+    other = told(stops, "side by side")
+    jax.clear_caches()
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-11 * max(1, np.abs(b).max()))
 
 
 @pytest.mark.parametrize("tolerance", [-0.1, 1.0, np.nan, np.inf])
