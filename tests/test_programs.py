@@ -280,7 +280,7 @@ truth = pj.Camera([3, 1, 0.8], [0, 0, 0], [0, 0, 1], 0.8, W=96, H=80)
 start = pj.Camera([3, 1.1, 0.8], [0, 0, 0], [0, 0, 1], 0.8, W=96, H=80)
 fit = pj.fit_camera(scene, np.load(sys.argv[2]), start)
 print(fit.status, *(np.asarray(x).tobytes().hex() for x in (fit.camera.e, fit.covariance)))
-print("optimistix" in sys.modules)
+print("pinhole_jax._solver.levenberg_marquardt" in sys.modules)
 """
 
 

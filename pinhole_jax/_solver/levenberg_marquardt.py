@@ -1,166 +1,203 @@
-"""Levenberg-Marquardt in one compiled program (optimistix, with a linear solver of lineax's kind).
+"""Levenberg-Marquardt of one view, in one compiled program.
 
-Both take a while to import, so this is imported where a fit begins.
+All that is few numbers is a single kernel: each small step of it would take the compiler as long as
+one that goes through thousands.
 """
 
-from collections.abc import Callable
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
-import optimistix as optx
-from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.camera import Camera
 from .._mask.pyramid import Level
 from .._numerics.jitted import jitted
-from .._numerics.thin_qr import solved
-from .linearised import triangle_at
-from .problem import COSINE, UNIT_PX, Problem, View, move as move_of
-from .residuals import Capacity
+from .._numerics.one_kernel import on_cpu, put
+from .._numerics.safe import times
+from .._numerics.thin_qr import solved, triangle_of
+from .linearised import Seen, columns_at
+from .parameters import components
+from .problem import BOLDER, COSINE, FAIR, GOOD, SHORTER, UNIT_PX, Problem, View
+from .residuals import Capacity, Pixels
 
 #: Steps of a level that can be told one by one.
 RECORDED = 64
+#: How many columns hold what is known of pixels.
+OF_PIXELS = 5
 
 
-class _Recorded(NamedTuple):
-    """The solver's state, and where the first steps came to."""
+class _Known(NamedTuple):
+    """Where a descent is: the move from its start, R of [J, r] there, and what else is `seen`; how
+    bold the next step is, and how many there were (0: nothing is known yet). Arrays, or
+    their shapes."""
 
-    solver: Any
-    path: Float[Array, "RECORDED n"]
-
-
-class _LevenbergMarquardt(optx.AbstractGaussNewton):
-    """optimistix's Levenberg-Marquardt, which also stops when the next step is negligible, or after
-    `steps`, and has its way and what it last accepted among its `stats`.
-
-    Its own test compares residuals entry by entry, which change places here from step to step, and
-    never stops while steps are rejected (in float32, at the rounding floor, until `max_steps`).
-    """
-
-    rtol: float
-    atol: Any
+    y: Any
+    R: Any
+    seen: Any
+    size: Any
     steps: Any
-    norm: Callable
-    descent: optx.AbstractDescent
-    search: optx.AbstractSearch
-    verbose: Callable
-
-    def __init__(self, atol: Any, steps: Any):
-        self.rtol, self.atol, self.steps, self.norm = 0.0, atol, steps, optx.max_norm
-        self.descent = optx.DampedNewtonDescent(linear_solver=_ThinQR())
-        self.search = _TrustRegion()
-        self.verbose = _silent
-
-    def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> Any:
-        state = super().init(fn, y, args, options, f_struct, aux_struct, tags)
-        return _Recorded(state, jnp.zeros((RECORDED, *y.shape), y.dtype))
-
-    def step(self, fn, y, args, options, state: Any, tags) -> Any:
-        y, solver, aux = super().step(fn, y, args, options, state.solver, tags)
-        path = state.path.at[state.solver.num_steps].set(y, mode="drop")
-        return y, _Recorded(solver, path), aux
-
-    def postprocess(self, fn, y, aux, args, options, state: Any, tags, result):
-        del fn, args, options, tags, result
-        at = state.solver.f_info
-        camera, seen = state.solver.aux
-        n = len(y)
-        view = View(at.jac.as_matrix()[:n], at.residual[:n], *seen)
-        return y, aux, {"path": state.path, "camera": camera, "view": view}
-
-    def terminate(self, fn, y, args, options, state: Any, tags):
-        del fn, args, options, tags
-        state = state.solver
-        step = state.y_eval - y
-        change = state.f_info.jac.mv(step)
-        cosine = COSINE[np.dtype(step.dtype)]
-        flat = _sum_squares(change) <= cosine**2 * _sum_squares(state.f_info.residual)
-        small = jnp.max(jnp.abs(step)) < self.atol
-        enough = state.num_steps >= self.steps
-        return ~state.first_step & (small | flat | enough), state.result
 
 
-class _TrustRegion(optx.ClassicalTrustRegion):
-    """optimistix's, with its step size in the problem's float type, not the configuration's."""
+class _Carried(NamedTuple):
+    """A descent on its way: whether it goes on, and to which move; `_Known`, flat; the first moves;
+    the residuals, their derivatives and the pixels at the last one that was taken."""
 
-    def init(self, y, f_info_struct):
-        state = super().init(y, f_info_struct)
-        return eqx.tree_at(lambda s: s.step_size, state, state.step_size.astype(y.dtype))
-
-
-def _sum_squares(x: Array) -> Array:
-    return jnp.sum(x * x)
-
-
-def _silent(**kwargs: Any) -> None:
-    del kwargs
-
-
-def _residual(y: Float[Array, "n"], args: Any):
-    """The function that optimistix sees: module level and all data in `args`, to compile once.
-
-    It is linear in y about each point, so its Jacobian is a table that is worked out once a step:
-    R of [J, r] = Q R, whose few rows have the sums of squares, and all that steps are made of, of
-    the thousands.
-    """
-    at = jax.lax.stop_gradient(y)
-    R, aux = _linearised(at, args)
-    return R[:, -1] + R[:, :-1] @ (y - at), aux
+    goes_on: Bool[Array, ""]
+    ahead: Float[Array, "n"]
+    known: Float[Array, "_"]
+    path: Float[Array, "RECORDED n"]
+    columns: Float[Array, "c m"]
 
 
 @jitted
-def _linearised(y: Float[Array, "n"], args: Any):
-    """Return what `triangle_at` does of what optimistix hands on."""
-    move, problem, level, freed, capacity = args
-    return triangle_at(y, move, problem, level, freed.value, Capacity(*capacity.value))
-
-
-class _Static(eqx.Module):
-    """A static value inside a pytree of arguments."""
-
-    value: tuple = eqx.field(static=True)
-
-
-@jitted
-def descended(camera: Camera, problem: Problem, level: Level, px, steps, freed, capacity):
+def descended(
+    camera: Camera,
+    problem: Problem,
+    level: Level,
+    px: Any,
+    steps: Any,
+    freed: tuple[str, ...],
+    capacity: Capacity,
+) -> tuple[Camera, Int[Array, ""], Float[Array, "RECORDED n"], View]:
     """Return the camera after this many steps at most, or when steps are shorter than `px`; how
     many it took, the first of them, and the view: after one step (which evaluates the start) of the
     start.
+
+    A step that does not bring what was promised is not taken, and the next one is shorter. (It is
+    not differentiated.)
     """
-    move = move_of(camera, problem, level, freed)
-    args = (move, problem, level, _Static(freed), _Static(tuple(capacity)))
-    solver, zero = _LevenbergMarquardt(px / UNIT_PX, steps), jnp.zeros_like(move.scale)
-    found = optx.least_squares(
-        _residual, solver, zero, args, has_aux=True, max_steps=None, throw=False
+    given = camera, problem, level, freed, capacity
+    y = jnp.zeros(len(components(freed)), problem.pyramid.target.dtype)
+    columns, number, seen, pixels = eqx.filter_eval_shape(_looked, y, *given)
+    known = _known_like(y, seen)
+
+    def further(carried):
+        columns, _, seen, pixels = _looked(carried.ahead, *given)
+        columns = jnp.concatenate([columns, _as_columns(pixels, columns)])
+        there = triangle_of(columns, len(y) + 1), _flat(seen, y.dtype)
+        advanced = lambda *of: _advanced(known, *of)
+        goes_on, taken, ahead, *few = on_cpu(advanced, *carried[1:4], *there, px, steps)
+        columns = jnp.where(taken, columns, carried.columns)
+        return _Carried(goes_on, ahead, few[0], few[1], columns)
+
+    rows = len(columns) + OF_PIXELS
+    none = lambda *shape: jnp.zeros(shape, y.dtype)
+    few = none(_size(known)), none(RECORDED, len(y)), none(rows, columns.shape[1])
+    start = _Carried(jnp.array(True), y, *few)
+    end = jax.lax.while_loop(lambda carried: carried.goes_on, further, start)
+
+    seen, R, taken = on_cpu(lambda flat: _told(known, seen, flat), end.known)
+    pixels = _as_pixels(end.columns[len(columns) :, : len(pixels.cell)], level)
+    view = seen.view(R, pixels, end.columns[: len(y), :number].T)
+    return seen.camera, taken, end.path, view
+
+
+_looked = jitted(columns_at)
+
+
+def _advanced(
+    like: _Known,
+    ahead: Float[Array, "n"],
+    flat: Float[Array, "_"],
+    path: Float[Array, "RECORDED n"],
+    R: Float[Array, "k k"],
+    seen: Float[Array, "s"],
+    px: Any,
+    most: Any,
+) -> tuple[Any, ...]:
+    """Return whether to go on, whether the step `ahead` is taken, where R and what else is `seen`
+    are known now; and what `_Carried` has of few numbers thereafter."""
+    known, n = _unflat(flat, like), len(ahead)
+    first, residual = known.steps == 0, known.R[:, n]
+    squares = _squares(residual)
+    promised = _squares(times(known.R[:, :n], ahead - known.y) + residual) - squares
+    gained = _squares(R[:, n]) - squares
+    taken = first | (gained <= FAIR * promised)
+    good = ~first & (gained < GOOD * promised) & (promised < 0)
+    longer = jnp.where(taken, jnp.where(good, BOLDER, 1), SHORTER).astype(flat.dtype)
+    now = _Known(
+        jnp.where(taken, ahead, known.y),
+        jnp.where(taken, R, known.R),
+        jnp.where(taken, seen, known.seen),
+        jnp.where(first, 1, known.size) * longer,
+        known.steps + 1,
     )
-    return tuple(found.stats[name] for name in ("camera", "num_steps", "path", "view"))
+    place = jnp.minimum(known.steps.astype(jnp.int32), RECORDED - 1)
+    path = put(path, jnp.where(known.steps < RECORDED, now.y, path[place]), place)
+    ahead = now.y + _step(now)
+    # (From where the last step began: so a descent ends one step after it might.)
+    step = ahead - known.y
+    change = _squares(times(now.R[:, :n], step))
+    flat_there = change <= COSINE[np.dtype(step.dtype)] ** 2 * _squares(now.R[:, n])
+    small = jnp.max(jnp.abs(step)) < px / UNIT_PX
+    finite = jnp.all(jnp.isfinite(ahead)) & jnp.all(jnp.isfinite(now.R))
+    goes_on = finite & ~(small | flat_there | (now.steps.astype(jnp.int32) >= most))
+    return goes_on, taken, ahead, _flat(now, step.dtype), path
 
 
-class _ThinQR(lx.AbstractLinearSolver[Any]):
-    """Least squares with far more equations than unknowns, which are one flat array.
+def _step(known: _Known) -> Float[Array, "n"]:
+    """Return the damped step from what is known."""
+    n, dtype = len(known.y), known.y.dtype
+    there_is = known.size > jnp.finfo(dtype).eps
+    damping = jnp.where(there_is, 1 / jnp.where(there_is, known.size, 1), jnp.finfo(dtype).max)
+    damped = jnp.sqrt(damping) * jnp.eye(n, n + 1, dtype=dtype)
+    return -solved(jnp.concatenate([known.R, damped]))
 
-    A lineax solver. It has no transpose: it is not differentiated.
-    """
 
-    def init(self, operator, options):
-        del options
-        return operator.as_matrix()
+def _squares(x: Float[Array, "_"]) -> Float[Array, ""]:
+    return jnp.sum(x * x)
 
-    def compute(self, state, vector, options):
-        del options
-        right = ravel_pytree(vector)[0]
-        return solved(jnp.concatenate([state, right[:, None]], axis=1)), lx.RESULTS.successful, {}
 
-    def transpose(self, state, options):
-        raise NotImplementedError("ThinQR has no transpose")
+def _told(like: _Known, seen: Seen, flat: Float[Array, "_"]) -> tuple[Any, ...]:
+    """Return what is known as it is told: what else is seen there, R, the number of steps."""
+    known = _unflat(flat, like)
+    return _unflat(known.seen, seen), known.R, known.steps.astype(jnp.int32)
 
-    def conj(self, state, options):
-        raise NotImplementedError("ThinQR has no conjugate")
 
-    def assume_full_rank(self):
-        return True
+def _known_like(y: Float[Array, "n"], seen: Seen) -> _Known:
+    """Return the shapes of what is known of moves like y, and where this is `seen`."""
+    shape = lambda *sizes: jax.ShapeDtypeStruct(sizes, y.dtype)
+    n = len(y)
+    return _Known(shape(n), shape(n + 1, n + 1), shape(_size(seen)), shape(), shape())
+
+
+def _size(like: Any) -> int:
+    return sum(math.prod(x.shape) for x in jax.tree.leaves(like))
+
+
+def _flat(tree: Any, dtype: Any) -> Float[Array, "_"]:
+    """Return all numbers of a tree, whole ones among them, in one float type."""
+    return jnp.concatenate([jnp.ravel(x).astype(dtype) for x in jax.tree.leaves(tree)])
+
+
+def _unflat(numbers: Float[Array, "_"], like: Any) -> Any:
+    """Return the tree that numbers are of (`_flat`)."""
+    leaves, tree = jax.tree.flatten(like)
+    ends = np.cumsum([_size(x) for x in leaves]).tolist()
+    parts = (numbers[end - _size(x) : end] for end, x in zip(ends, leaves, strict=True))
+    return tree.unflatten(
+        part.reshape(x.shape).astype(x.dtype) for part, x in zip(parts, leaves, strict=True)
+    )
+
+
+def _as_columns(pixels: Pixels, columns: Float[Array, "c m"]) -> Float[Array, "5 m"]:
+    """Return pixels as columns, their cells bit by bit."""
+    dtype = columns.dtype
+    whole = {4: jnp.int32, 8: jnp.int64}[dtype.itemsize]
+    cell = jax.lax.bitcast_convert_type(pixels.cell.astype(whole), dtype)
+    after, before = (x.astype(dtype) for x in (pixels.covered_after, pixels.covered_before))
+    rows = [cell, pixels.coverage, pixels.weight, after]
+    rows = [jnp.pad(x, (0, columns.shape[1] - len(x))) for x in rows]
+    return jnp.stack([*rows, jnp.broadcast_to(before, rows[0].shape)])
+
+
+def _as_pixels(columns: Float[Array, "5 P"], level: Level) -> Pixels:
+    """Return the pixels of a level that these columns are of."""
+    cell, coverage, weight, after, before = columns
+    whole = {4: jnp.int32, 8: jnp.int64}[cell.dtype.itemsize]
+    cell = jax.lax.bitcast_convert_type(cell, whole).astype(jnp.int32)
+    return Pixels(level, cell, coverage, weight, after > 0, before[0] > 0)

@@ -105,7 +105,12 @@ class Load(NamedTuple):
 
 
 def residuals(
-    camera: Camera, scene: Scene, pyramid: Pyramid, level: Level, capacity: Capacity
+    camera: Camera,
+    scene: Scene,
+    pyramid: Pyramid,
+    level: Level,
+    capacity: Capacity,
+    film: FilmMap | None = None,
 ) -> tuple[tuple[Float[Array, "P"], Float[Array, ""]], Sums, Load, Pixels]:
     """Return the weighted residuals at touched pixels, the rest's root sum of squares, sums, load,
     and these pixels.
@@ -113,9 +118,10 @@ def residuals(
     The sum of all squares is the weighted squared distance of the image from the target, but for
     pixels where contours overlap. The rest
     is constant in the camera to first order. Where a capacity is too small, or a lens folds within
-    what is looked at, all is NaN, so that a solver does not step there.
+    what is looked at, all is NaN, so that a solver does not step there. `film` is the camera's
+    `film_of` the level, where that is known.
     """
-    touched, load = touch(camera, scene, level, capacity)
+    touched, load = touch(camera, scene, level, capacity, film)
     seen = Seen(*jax.lax.stop_gradient(touched[:5]))
     target, weight, parts = summed(pyramid, level, seen, touched.covered_before)
     difference = jnp.sqrt(weight) * (touched.coverage - target)
@@ -144,12 +150,26 @@ def _part(level: Level) -> FilmPart:
     return FilmPart(left, left + W, bottom, bottom + H, scale)
 
 
-def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
+def film_of(camera: Camera, level: Level) -> FilmMap:
+    """Return a camera as a map to a level's window."""
+    return film_map(camera).looking_at(_part(level))
+
+
+def bends(camera: Camera) -> bool:
+    """Return whether there is more to a camera's film than a few numbers."""
+    return camera.lens is not None and camera.lens.distortion is not None
+
+
+def touch(
+    camera: Camera,
+    scene: Scene,
+    level: Level,
+    capacity: Capacity,
+    film: FilmMap | None = None,
+) -> tuple[Touched, Load]:
     """Return the touched pixels of a level, and what they take of the capacities."""
-    part = _part(level)
-    look = lambda camera, part: film_map(camera).looking_at(part)
-    bends = camera.lens is not None and camera.lens.distortion is not None
-    film = (look if bends else at_once(look))(camera, part)
+    if film is None:
+        film = (film_of if bends(camera) else at_once(film_of))(camera, level)
     totals, found, of_curves, parts = {}, [], [], []
     for kind, curves, homogeneous, (count, needed), size in _curves(film, scene, capacity):
         curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))
