@@ -17,7 +17,7 @@ MOST = {
     "mask": Kernels(270, 195, 9),
     "depth": Kernels(200, 142, 2),
     "gradient_of_camera": Kernels(625, 325, 23),
-    "fit": Kernels(345, 240, 5),
+    "fit": Kernels(226, 190, 5),
 }
 #: Kernels are the compiler's as users have it, but not looked over, and written in a hurry.
 FLAGS = "--xla_disable_hlo_passes=hlo-verifier --xla_cpu_parallel_codegen_split_count=1"

@@ -5,7 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pinhole_jax._numerics.one_kernel import at_once, for_this_machine, on_cpu, one_kernel
+from pinhole_jax._numerics.one_kernel import (
+    at_once,
+    for_this_machine,
+    on_cpu,
+    one_kernel,
+    with_slopes,
+)
 
 
 def running(x, steps, unused):
@@ -57,6 +63,17 @@ def test_a_derivative_comes_with_the_value(transform):
     jax.tree.map(
         lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12), at(at_once(polar)), at(polar)
     )
+
+
+def test_slopes_come_with_the_value():
+    unit, at = jnp.array(2.0), jnp.array([3.0, 4.0])
+    of = lambda at, unit: polar({"at": at, "turn": jnp.array(0.5)}, unit)
+    value, slopes = jax.jit(lambda at: with_slopes(of, at, unit))(at)
+    expected = {"length": 10.0, "angle": np.arctan2(4, 3) + 0.5}
+    along = {"length": [1.2, 1.6], "angle": [-0.16, 0.12]}
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12), value, expected)
+    for name, slope in along.items():
+        np.testing.assert_allclose(slopes[name], slope, rtol=1e-12)
 
 
 def test_what_is_held_is_not_differentiated():

@@ -340,14 +340,18 @@ def film_map(camera: Camera) -> FilmMap:
 
 def film_at_once(camera: Camera, part: FilmPart | None = None) -> FilmMap:
     """Return the camera as a map to the film, or to a part of it, in one kernel on a CPU (but
-    where a lens bends: where that sees what is a table)."""
+    where a lens bends: what that sees is a table)."""
 
     def look(camera: Camera, part: FilmPart | None) -> FilmMap:
         film = film_map(camera)
         return film if part is None else film.looking_at(part)
 
-    bends = camera.lens is not None and camera.lens.distortion is not None
-    return (look if bends else at_once(look))(camera, part)
+    return (look if bends(camera) else at_once(look))(camera, part)
+
+
+def bends(camera: Camera) -> bool:
+    """Return whether the camera's lens has a distortion."""
+    return camera.lens is not None and camera.lens.distortion is not None
 
 
 def bend(camera: Camera) -> Bend | None:

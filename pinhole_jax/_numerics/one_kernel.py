@@ -109,33 +109,44 @@ def at_once(
     goes through thousands of numbers.
     """
 
-    def table(x: PyTree, held: tuple, columns: bool) -> Float[Array, "m columns"]:
-        numbers, back = ravel_pytree(x)
-        flat = lambda numbers, held: ravel_pytree(function(back(numbers), *held))[0]
-
-        def both(numbers, held):
-            value = flat(numbers, held)[:, None]
-            if not columns:
-                return value
-            return jnp.concatenate([value, jax.jacfwd(flat)(numbers, held)], axis=1)
-
-        return on_cpu(both, numbers, held)
-
-    def shaped(x: PyTree, held: tuple) -> Callable[[Array], PyTree]:
-        like = jax.eval_shape(function, x, *held)
-        return ravel_pytree(jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), like))[1]
-
     @jax.custom_jvp
     def call(x, held):
-        return shaped(x, held)(table(x, held, False)[:, 0])
+        return _shaped(function, x, held)(_table(function, x, held, False)[:, 0])
 
     @call.defjvp
     def _(primals, tangents):
         x, held = primals
-        found, back = table(x, held, True), shaped(x, held)
+        found, back = _table(function, x, held, True), _shaped(function, x, held)
         return back(found[:, 0]), back(found[:, 1:] @ ravel_pytree(tangents[0])[0])
 
     return lambda x, *held: call(x, jax.lax.stop_gradient(held))
+
+
+def with_slopes(function: Callable, x: Float[Array, "n"], *held: Any) -> tuple[Any, Any]:
+    """Return what `at_once` of a function does, and its derivatives along each entry of `x`, with a
+    leading axis (n): what comes next is pushed forward along these, with no product before it."""
+    table, back = _table(function, x, held, True), _shaped(function, x, held)
+    return back(table[:, 0]), jax.vmap(back)(table[:, 1:].T)
+
+
+def _table(function: Callable, x: PyTree, held: tuple, columns: bool) -> Float[Array, "m columns"]:
+    """Return what a function returns, flat, and if asked for its derivatives along all of `x`."""
+    numbers, back = ravel_pytree(x)
+    flat = lambda numbers, held: ravel_pytree(function(back(numbers), *held))[0]
+
+    def both(numbers, held):
+        value = flat(numbers, held)[:, None]
+        if not columns:
+            return value
+        return jnp.concatenate([value, jax.jacfwd(flat)(numbers, held)], axis=1)
+
+    return on_cpu(both, numbers, held)
+
+
+def _shaped(function: Callable, x: PyTree, held: tuple) -> Callable[[Array], Any]:
+    """Return the way back from numbers to what a function returns."""
+    like = jax.eval_shape(function, x, *held)
+    return ravel_pytree(jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), like))[1]
 
 
 def one_by_one(function: Callable[[], T]) -> T:

@@ -6,7 +6,7 @@ reflections, written as a few passes over the columns, take 0.2 ms.
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from .one_kernel import on_cpu
 
@@ -16,33 +16,34 @@ BLOCK = 128
 
 
 def triangle(table: Float[Array, "m k"]) -> Float[Array, "k k"]:
-    """Return R of table = Q R, upper triangular; m >= k.
+    """Return R of table = Q R, upper triangular; m >= k."""
+    return triangle_of(jnp.pad(table, ((0, -len(table) % BLOCK), (0, 0))).T, table.shape[1])
 
-    Blocks of rows one after the other, up to the last row that is not all zero: the rest of a table
-    with more room than rows costs nothing.
+
+def triangle_of(columns: Float[Array, "c m"], k: int) -> Float[Array, "k k"]:
+    """Return R of the first k of some columns, of a multiple of `BLOCK` rows.
+
+    Blocks of rows one after the other, but those that are all zero: what a table has more room
+    than rows costs next to nothing.
     """
-    m, k = table.shape
-    blocks = jnp.pad(table, ((0, -m % BLOCK), (0, 0))).reshape(-1, BLOCK, k)
-    counts = jnp.any(blocks != 0, axis=(1, 2))
-    number = jnp.max(jnp.where(counts, jnp.arange(1, len(blocks) + 1, dtype=jnp.int32), 0))
-    return on_cpu(_one_by_one, blocks, number, jnp.zeros((k, k), table.dtype))
+    return on_cpu(_one_by_one, columns, jnp.zeros((k, k), columns.dtype))
 
 
-def _one_by_one(blocks: Float[Array, "B rows k"], number: Int[Array, ""], R: Float[Array, "k k"]):
+def _one_by_one(columns: Float[Array, "c m"], R: Float[Array, "k k"]) -> Float[Array, "k k"]:
+    k = len(R)
+
     def further(n, R):
-        rows = jax.lax.dynamic_index_in_dim(blocks, n, keepdims=False)
-        return _triangle(jnp.concatenate([R, rows]))
+        block = jax.lax.dynamic_slice(columns, (jnp.int32(0), n * BLOCK), (k, BLOCK))
+        taken = lambda R: _triangle(jnp.concatenate([R.T, block], axis=1))
+        return jax.lax.cond(jnp.any(block != 0), taken, lambda R: R, R)
 
-    return jax.lax.fori_loop(jnp.int32(0), number, further, R)
+    return jax.lax.fori_loop(jnp.int32(0), jnp.int32(columns.shape[1] // BLOCK), further, R)
 
 
 def solved(table: Float[Array, "m k"]) -> Float[Array, "n"]:
-    """Return x that minimises |J x - r| of a short table [J, r], of at most `BLOCK` rows."""
-    return on_cpu(_solved, table)
-
-
-def _solved(table: Float[Array, "m k"]) -> Float[Array, "n"]:
-    R = _triangle(table)
+    """Return x that minimises |J x - r| of a short table [J, r], of at most `BLOCK` rows: a part of
+    a kernel, not one by itself."""
+    R = _triangle(table.T)
     n = R.shape[0] - 1
 
     def back(k, x):
@@ -52,8 +53,8 @@ def _solved(table: Float[Array, "m k"]) -> Float[Array, "n"]:
     return jax.lax.fori_loop(0, n, back, jnp.zeros(n, R.dtype))
 
 
-def _triangle(table: Float[Array, "m k"]) -> Float[Array, "k k"]:
-    m, k = table.shape
+def _triangle(columns: Float[Array, "k m"]) -> Float[Array, "k k"]:
+    k, m = columns.shape
     row = jnp.arange(m)
 
     def reflect(j, columns):
@@ -65,7 +66,7 @@ def _triangle(table: Float[Array, "m k"]) -> Float[Array, "k k"]:
         along = jnp.sum(columns * v[None], axis=1) * scale
         return columns - along[:, None] * v[None]
 
-    return jnp.triu(jax.lax.fori_loop(0, k, reflect, table.T)[:, :k].T)
+    return jnp.triu(jax.lax.fori_loop(0, k, reflect, columns)[:, :k].T)
 
 
 def triangle_and_rhs(

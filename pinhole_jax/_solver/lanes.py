@@ -15,17 +15,14 @@ from .._mask.pyramid import Level, Pyramid
 from .._numerics.cholesky import solve_normal
 from .._numerics.jitted import jitted
 from .._scene.scene import Ball, Scene
-from .linearised import table_at, triangle_at
+from .linearised import columns_at, look
 from .parameters import components
 from .priors import Others
-from .problem import COSINE, UNIT_PX, Problem, View, move as move_of
+from .problem import BOLDER, COSINE, FAIR, GOOD, SHORTER, UNIT_PX, Problem, View
 from .residuals import Capacity
 
 #: Steps of a program: then lanes that are done are dropped.
 STEPS = 6
-#: A step is taken if it brings this share of what was promised; from `GOOD` on the next is bolder.
-#: (optimistix's numbers.)
-FAIR, GOOD, BOLDER, SHORTER = 0.01, 0.99, 3.5, 0.25
 
 
 class Lane(NamedTuple):
@@ -125,7 +122,6 @@ def _stepped(
     first = jnp.isinf(normal[n, n])
     A, slope, squares = normal[:n, :n], normal[:n, n], normal[n, n]
     damping = jnp.eye(n, dtype=A.dtype) / lane.size
-    move = move_of(lane.camera, problem, level, freed)
     y = -solve_normal(A + damping, slope)
 
     change = y @ A @ y
@@ -133,8 +129,8 @@ def _stepped(
     small = jnp.max(jnp.abs(y)) < px / UNIT_PX
     done = lane.done | (~first & (small | flat | (lane.steps >= most)))
 
-    table, (camera, seen) = table_at(y, move, problem, level, freed, capacity)
-    there = jnp.sum(table[:, :, None] * table[:, None, :], axis=0)
+    columns, _, seen, _ = columns_at(y, lane.camera, problem, level, freed, capacity)
+    there = jnp.sum(columns[:, None] * columns[None], axis=-1)
     promised = -(2 * slope @ y + change)
     gained = squares - there[n, n]
     fair = first | (gained >= FAIR * promised)
@@ -142,11 +138,11 @@ def _stepped(
     bolder = jnp.where(gained >= GOOD * promised, BOLDER, 1)
     size = jnp.where(first, lane.size, lane.size * jnp.where(fair, bolder, SHORTER))
     after = Lane(
-        camera=jax.tree.map(lambda a, b: jnp.where(fair, a, b), camera, lane.camera),
+        camera=jax.tree.map(lambda a, b: jnp.where(fair, a, b), seen.camera, lane.camera),
         size=size.astype(lane.size.dtype),
         steps=lane.steps + jnp.where(first, 0, 1).astype(jnp.int32),
         done=(first & ~fair) | lane.done,
-        overflow=lane.overflow | ~seen[1].fits(capacity),
+        overflow=lane.overflow | ~seen.load.fits(capacity),
     )
     accepted = jnp.where(fair, there, normal)
     stays = lambda a, b: jnp.where(done, a, b)
@@ -164,12 +160,7 @@ def looked(
 ) -> View:
     """Return the views at cameras (all of a leading axis)."""
 
-    def look(camera, parts, level):
-        problem = _problem(*parts)
-        move = move_of(camera, problem, level, freed)
-        y = jnp.zeros_like(move.scale)
-        R, (_, seen) = triangle_at(y, move, problem, level, freed, capacity)
-        n = len(y)
-        return View(R[:n, :n], R[:n, n], *seen)
+    def one(camera, parts, level):
+        return look(camera, _problem(*parts), level, freed, capacity)
 
-    return jax.vmap(look, in_axes=(0, given.axes(), 0))(cameras, given.parts(), level)
+    return jax.vmap(one, in_axes=(0, given.axes(), 0))(cameras, given.parts(), level)

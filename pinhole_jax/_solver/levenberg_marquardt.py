@@ -18,9 +18,11 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera
 from .._mask.pyramid import Level
 from .._numerics.jitted import jitted
-from .._numerics.thin_qr import solved
-from .linearised import triangle_at
-from .problem import COSINE, UNIT_PX, Problem, View, move as move_of
+from .._numerics.one_kernel import on_cpu
+from .._numerics.thin_qr import solved, triangle_of
+from .linearised import columns_at
+from .parameters import components
+from .problem import COSINE, UNIT_PX, Problem
 from .residuals import Capacity
 
 #: Steps of a level that can be told one by one.
@@ -68,10 +70,9 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     def postprocess(self, fn, y, aux, args, options, state: Any, tags, result):
         del fn, args, options, tags, result
         at = state.solver.f_info
-        camera, seen = state.solver.aux
-        n = len(y)
-        view = View(at.jac.as_matrix()[:n], at.residual[:n], *seen)
-        return y, aux, {"path": state.path, "camera": camera, "view": view}
+        seen, pixels, jacobian = state.solver.aux
+        view = seen.view((at.jac.as_matrix(), at.residual), pixels, jacobian)
+        return y, aux, {"path": state.path, "camera": seen.camera, "view": view}
 
     def terminate(self, fn, y, args, options, state: Any, tags):
         del fn, args, options, tags
@@ -114,10 +115,13 @@ def _residual(y: Float[Array, "n"], args: Any):
 
 
 @jitted
-def _linearised(y: Float[Array, "n"], args: Any):
-    """Return what `triangle_at` does of what optimistix hands on."""
-    move, problem, level, freed, capacity = args
-    return triangle_at(y, move, problem, level, freed.value, Capacity(*capacity.value))
+def _linearised(y: Float[Array, "n"], args: Any) -> tuple[Float[Array, "k k"], Any]:
+    """Return R of what optimistix hands on, and what else is known there."""
+    camera, problem, level, freed, capacity = args
+    given = camera, problem, level, freed.value, Capacity(*capacity.value)
+    columns, number, seen, pixels = columns_at(y, *given)
+    n = len(y)
+    return triangle_of(columns, n + 1), (seen, pixels, columns[:n, :number].T)
 
 
 class _Static(eqx.Module):
@@ -132,9 +136,9 @@ def descended(camera: Camera, problem: Problem, level: Level, px, steps, freed, 
     many it took, the first of them, and the view: after one step (which evaluates the start) of the
     start.
     """
-    move = move_of(camera, problem, level, freed)
-    args = (move, problem, level, _Static(freed), _Static(tuple(capacity)))
-    solver, zero = _LevenbergMarquardt(px / UNIT_PX, steps), jnp.zeros_like(move.scale)
+    args = (camera, problem, level, _Static(freed), _Static(tuple(capacity)))
+    zero = jnp.zeros(len(components(freed)), problem.pyramid.target.dtype)
+    solver = _LevenbergMarquardt(px / UNIT_PX, steps)
     found = optx.least_squares(
         _residual, solver, zero, args, has_aux=True, max_steps=None, throw=False
     )
@@ -154,7 +158,8 @@ class _ThinQR(lx.AbstractLinearSolver[Any]):
     def compute(self, state, vector, options):
         del options
         right = ravel_pytree(vector)[0]
-        return solved(jnp.concatenate([state, right[:, None]], axis=1)), lx.RESULTS.successful, {}
+        table = jnp.concatenate([state, right[:, None]], axis=1)
+        return on_cpu(solved, table), lx.RESULTS.successful, {}
 
     def transpose(self, state, options):
         raise NotImplementedError("ThinQR has no transpose")

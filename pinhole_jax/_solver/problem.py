@@ -24,6 +24,9 @@ FINE_PX = {np.dtype(np.float32): 3e-4, np.dtype(np.float64): 1e-7}
 #: ... or where it would change the residuals by less than this share of their norm: MINPACK's
 #: cosine between residual and Jacobian, some thousandths of the error that noise leaves anyway.
 COSINE = {np.dtype(np.float32): 1e-4, np.dtype(np.float64): 1e-5}
+#: A step is taken if it brings this share of what was promised; from `GOOD` on the next is bolder.
+#: (Gould and others, "Sensitivity of trust region algorithms to their parameters".)
+FAIR, GOOD, BOLDER, SHORTER = 0.01, 0.99, 3.5, 0.25
 
 
 class Problem(eqx.Module):

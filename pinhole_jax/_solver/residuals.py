@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._camera.camera import Camera, film_at_once, lens_holds
+from .._camera.camera import Camera, film_at_once, film_map, lens_holds
 from .._camera.film import FilmMap, FilmPart
 from .._mask.pyramid import Level, Pyramid
 from .._numerics.bitset import in_order
@@ -104,7 +104,12 @@ class Load(NamedTuple):
 
 
 def residuals(
-    camera: Camera, scene: Scene, pyramid: Pyramid, level: Level, capacity: Capacity
+    camera: Camera,
+    scene: Scene,
+    pyramid: Pyramid,
+    level: Level,
+    capacity: Capacity,
+    film: FilmMap | None = None,
 ) -> tuple[tuple[Float[Array, "P"], Float[Array, ""]], Sums, Load, Pixels]:
     """Return the weighted residuals at touched pixels, the rest's root sum of squares, sums, load,
     and these pixels.
@@ -112,9 +117,10 @@ def residuals(
     The sum of all squares is the weighted squared distance of the image from the target, but for
     pixels where contours overlap. The rest
     is constant in the camera to first order. Where a capacity is too small, or a lens folds within
-    what is looked at, all is NaN, so that a solver does not step there.
+    what is looked at, all is NaN, so that a solver does not step there. `film` is the camera's
+    `film_of` the level, where that is known.
     """
-    touched, load = touch(camera, scene, level, capacity)
+    touched, load = touch(camera, scene, level, capacity, film)
     seen = Seen(*jax.lax.stop_gradient(touched[:5]))
     target, weight, parts = summed(pyramid, level, seen, touched.covered_before)
     difference = jnp.sqrt(weight) * (touched.coverage - target)
@@ -143,9 +149,21 @@ def _part(level: Level) -> FilmPart:
     return FilmPart(left, left + W, bottom, bottom + H, scale)
 
 
-def touch(camera: Camera, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
+def film_of(camera: Camera, level: Level) -> FilmMap:
+    """Return a camera as a map to a level's window."""
+    return film_map(camera).looking_at(_part(level))
+
+
+def touch(
+    camera: Camera,
+    scene: Scene,
+    level: Level,
+    capacity: Capacity,
+    film: FilmMap | None = None,
+) -> tuple[Touched, Load]:
     """Return the touched pixels of a level, and what they take of the capacities."""
-    film = film_at_once(camera, _part(level))
+    if film is None:
+        film = film_at_once(camera, _part(level))
     totals, found, of_curves, parts = {}, [], [], []
     for kind, curves, homogeneous, (count, needed), size in _curves(film, scene, capacity):
         curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))
