@@ -137,7 +137,7 @@ def test_frozen_leaves_cost_no_derivative(mesh):
     """What does not move is no input of the linear map: its derivative is not computed.
 
     A camera enters by four arrays, eye, view point, film matrix and where the view point is, of
-    which phi moves one; a mesh by one more.
+    which phi moves two (they are worked out together); a mesh by one more.
     """
     scene = pj.Scene(mesh=mesh)
 
@@ -153,7 +153,9 @@ def test_frozen_leaves_cost_no_derivative(mesh):
         raise AssertionError("no linear map")
 
     phi = lambda x: pj.silhouette(with_value(CAMERA, "phi", x), scene)
-    assert inputs(phi, CAMERA.phi) == 1
+    assert inputs(phi, CAMERA.phi) == 2
+    turn = lambda x: pj.silhouette(with_value(CAMERA, "e", x), scene)
+    assert inputs(turn, CAMERA.e) == 3
     everything = lambda c: pj.silhouette(c, scene)
     assert inputs(everything, CAMERA) == 4
     moving = lambda x: pj.silhouette(x[0], pj.Scene(mesh=pj.Mesh(x[1], mesh.faces)))

@@ -76,6 +76,11 @@ def test_slopes_come_with_the_value():
         np.testing.assert_allclose(slopes[name], slope, rtol=1e-12)
 
 
+def test_a_second_derivative_goes_step_by_step():
+    bend = lambda x: at_once(lambda x: {"y": jnp.sin(x["at"])})({"at": x})["y"]
+    assert jax.jit(jax.grad(jax.grad(bend)))(jnp.array(0.3)) == pytest.approx(-np.sin(0.3))
+
+
 def test_what_is_held_is_not_differentiated():
     x = {"at": jnp.array([3.0, 4.0]), "turn": jnp.array(0.5)}
     by_unit = jax.grad(lambda unit: at_once(polar)(x, unit)["length"])(jnp.array(2.0))

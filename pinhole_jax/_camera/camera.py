@@ -338,15 +338,18 @@ def film_map(camera: Camera) -> FilmMap:
     return film if lens is None else film.looking_at(whole)
 
 
-def film_at_once(camera: Camera, part: FilmPart | None = None) -> FilmMap:
-    """Return the camera as a map to the film, or to a part of it, in one kernel on a CPU (but
+def film_at_once(camera: Camera) -> FilmMap:
+    """Return the camera as a map to the film; what is worked out for it is one kernel on a CPU (but
     where a lens bends: what that sees is a table)."""
+    if bends(camera):
+        return film_map(camera)
 
-    def look(camera: Camera, part: FilmPart | None) -> FilmMap:
+    def tables(camera: Camera) -> tuple[Array, Array]:
         film = film_map(camera)
-        return film if part is None else film.looking_at(part)
+        return film.matrix, film.base
 
-    return (look if bends(camera) else at_once(look))(camera, part)
+    matrix, base = at_once(tables)(camera)
+    return FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H)
 
 
 def bends(camera: Camera) -> bool:

@@ -163,7 +163,7 @@ def touch(
 ) -> tuple[Touched, Load]:
     """Return the touched pixels of a level, and what they take of the capacities."""
     if film is None:
-        film = film_at_once(camera, _part(level))
+        film = film_at_once(camera).looking_at(_part(level))
     totals, found, of_curves, parts = {}, [], [], []
     for kind, curves, homogeneous, (count, needed), size in _curves(film, scene, capacity):
         curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))
