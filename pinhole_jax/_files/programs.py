@@ -25,7 +25,7 @@ from .._numerics.jitted import options
 from .paths import read_bytes, replace_file
 
 #: What a traced program depends on beside its own code: other people's code, and JAX's switches.
-PACKAGES = ("jax", "jaxlib", "equinox", "numpy")
+PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
 SWITCHES = (
     "jax_enable_x64",
     "jax_explicit_x64_dtypes",

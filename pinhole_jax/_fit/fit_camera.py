@@ -98,7 +98,7 @@ def fit_camera(
       the mask's still: where colours tell too little, or where the mask's edge fits the scene
       better than the photo's. `rms` and `iou` are the mask's in any case.
 
-    Levenberg-Marquardt minimises the weighted squared difference of exact coverage and
+    Levenberg-Marquardt (optimistix) minimises the weighted squared difference of exact coverage and
     target over the camera's pose and log focal length, on images from about 16 pixels across the
     object up to the full size. Pixels in which contours overlap count as the clamped sum of layers
     on the coarser ones, and as the union that they are on the full size. Works in the float type of

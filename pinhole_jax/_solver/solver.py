@@ -49,7 +49,7 @@ UNCHANGED = 1e-2
 #: 128 to 256 px. A residual tells of an outline that is a pixel away at most: of 12 degrees ten
 #: steps took 10 to 12 back on this level, 1.5 on one where the object had 1500 px.
 FAR_LEVEL = 3
-#: Named, since a process that finds it traced needs none of its module.
+#: Named, since optimistix takes a third of this package's import.
 DESCENDED = "pinhole_jax._solver.levenberg_marquardt:descended"
 
 
