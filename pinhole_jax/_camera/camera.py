@@ -348,7 +348,8 @@ def film_at_once(camera: Camera) -> FilmMap:
         film = film_map(camera)
         return film.matrix, film.base
 
-    matrix, base = at_once(tables)(camera)
+    # (It knows no d: there is no derivative by that, not one of 0.)
+    matrix, base = at_once(tables)(eqx.tree_at(lambda c: c.d, camera, None))
     return FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H)
 
 
