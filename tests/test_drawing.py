@@ -57,7 +57,7 @@ def banded(monkeypatch):
 def asked_of(film, scene):
     """Return what is asked of a film."""
     vertices = None if scene.mesh is None else scene.mesh.vertices
-    still = _Still(_Given(scene, (), None), _View.of(film, scene))
+    still = _Still.of(_Given(scene, (), None), _View.of(film, scene))
     parts = _parts(_Moving(film, vertices, scene.spheres), still)
     return Asked(film, parts, still.view.base, True, True, 1.5)
 

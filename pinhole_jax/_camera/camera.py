@@ -341,7 +341,7 @@ def film_map(camera: Camera) -> FilmMap:
 def film_at_once(camera: Camera) -> FilmMap:
     """Return the camera as a map to the film; what is worked out for it is one kernel on a CPU (but
     where a lens bends: what that sees is a table)."""
-    if bends(camera):
+    if has_distortion(camera):
         return film_map(camera)
 
     def tables(camera: Camera) -> tuple[Array, Array]:
@@ -353,7 +353,7 @@ def film_at_once(camera: Camera) -> FilmMap:
     return FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H)
 
 
-def bends(camera: Camera) -> bool:
+def has_distortion(camera: Camera) -> bool:
     """Return whether the camera's lens has a distortion."""
     return camera.lens is not None and camera.lens.distortion is not None
 

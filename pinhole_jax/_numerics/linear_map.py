@@ -16,7 +16,7 @@ from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, PyTree
 
 from .batches import in_turn
-from .one_kernel import by_machine
+from .one_kernel import by_machine, for_this_machine
 from .tracing import collector_at_rest
 
 Direction = Callable[[list, list], list]
@@ -136,6 +136,7 @@ def _of_each(direction: Direction, axes: list) -> Direction:
     """Return a direction of a batch, residuals along these axes: on a CPU one after the other, so
     that what one takes is held once."""
 
+    @for_this_machine()
     def mapped(residuals: list, x: list) -> list:
         beside = jax.vmap(direction, in_axes=(axes, 0))
 

@@ -15,6 +15,8 @@ from jax.flatten_util import ravel_pytree
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float, PyTree
 
+from .safe import times
+
 T = TypeVar("T")
 
 _here: ContextVar[bool] = ContextVar("_here", default=False)
@@ -24,7 +26,7 @@ _here: ContextVar[bool] = ContextVar("_here", default=False)
 def for_this_machine() -> Iterator[None]:
     """Let programs that are traced within run on this process's machine alone: where that is a CPU,
     what is for other machines is not traced (of a fit's program a quarter of the time)."""
-    before = _here.set(jax.default_backend() == "cpu")
+    before = _here.set(_here.get() or jax.default_backend() == "cpu")
     try:
         yield
     finally:
@@ -117,7 +119,7 @@ def at_once(
     def _(primals, tangents):
         x, held = primals
         found, back = _table(function, x, held, True), _shaped(function, x, held)
-        return back(found[:, 0]), back(found[:, 1:] @ ravel_pytree(tangents[0])[0])
+        return back(found[:, 0]), back(times(found[:, 1:], ravel_pytree(tangents[0])[0]))
 
     return lambda x, *held: call(x, jax.lax.stop_gradient(held))
 

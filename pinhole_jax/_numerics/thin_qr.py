@@ -41,8 +41,8 @@ def _one_by_one(columns: Float[Array, "c m"], R: Float[Array, "k k"]) -> Float[A
 
 
 def solved(table: Float[Array, "m k"]) -> Float[Array, "n"]:
-    """Return x that minimises |J x - r| of a short table [J, r], of at most `BLOCK` rows: a part of
-    a kernel, not one by itself."""
+    """Return x that minimises |J x - r| of a short table [J, r], of at most `BLOCK` rows, in
+    what can be one kernel."""
     R = _triangle(table.T)
     n = R.shape[0] - 1
 

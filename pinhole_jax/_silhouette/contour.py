@@ -222,8 +222,8 @@ def _looked_at_beside(
         normal, corner = ([plane[..., k + i] for i in range(3)] for k in (0, 3))
         front = faces_eye(normal, corner, e)
         found = _seen_as(front[0], front[1], second < 0)
-        put = lambda words, there: words.at[cluster].set(words_of((edge < E) & there), mode="drop")
-        return rank + CLUSTERS, put(words, found.contour), put(positive, found.positive)
+        into = lambda words, there: words.at[cluster].set(words_of((edge < E) & there), mode="drop")
+        return rank + CLUSTERS, into(words, found.contour), into(positive, found.positive)
 
     start = (jnp.int32(0), words, positive)
     return jax.lax.while_loop(lambda s: s[0] < chosen.total, body, start)[1:]

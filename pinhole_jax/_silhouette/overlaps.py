@@ -388,8 +388,8 @@ def fold_in_turn(
         turn, cells, lists, total = state
 
         def resolved():
-            found, listed = _next_cells(overlapping, film[:2], turn, cells, empty)
-            where, again = found.where(overlapping, turn.first), []
+            found = _next_cells(overlapping, film[:2], turn, cells)
+            where, listed, again = found.where(overlapping, turn.first), empty, []
             for number, (part, known) in enumerate(zip(parts, lists, strict=True)):
                 more = lambda listed, curves, first, count, number=number: listed.append(
                     where, number, curves, first, count
@@ -479,16 +479,12 @@ def _next_cells(
     film: tuple[Any, int],
     turn: _Turn,
     cells: _CellsAt,
-    listed: in_turn.Listed,
-) -> tuple[_Next, in_turn.Listed]:
-    """Return the next cells, and of the lists what is of cells as none."""
+) -> _Next:
+    """Return the next cells, in the place of others."""
     whole = overlapping.width, overlapping.W, overlapping.H
     size = tuple(jnp.int32(x) for x in film)
-    by_cell = listed.head, listed.number, listed.jump, listed.drop
     kernel = one_kernel(partial(_cells_found, whole))
-    found, by_cell = kernel(overlapping.chosen, size, turn, cells, by_cell)
-    names = ("head", "number", "jump", "drop")
-    return found, listed._replace(**dict(zip(names, by_cell, strict=True)))
+    return kernel(overlapping.chosen._replace(total=overlapping.total), size, turn, cells)
 
 
 def _cells_found(
@@ -497,8 +493,8 @@ def _cells_found(
     size: tuple[Array, Array],
     turn: _Turn,
     cells: _CellsAt,
-    by_cell: tuple[Array, ...],
-) -> tuple[_Next, tuple[Array, ...]]:
+) -> _Next:
+    """Return the next cells of a whole film (its row's bits, W, H) or of one that a cell is."""
     first, limit, films = turn
     width, W, H = whole_film
     whole, top, cut = films.height == 0, jnp.maximum(films.height - 1, 0), jnp.int32(in_turn.CUT)
@@ -508,7 +504,7 @@ def _cells_found(
     number = jnp.where(whole, jnp.minimum(limit, chosen.total - first), cut * cut)
 
     def one(k, state):
-        (rows, at), by_cell = state
+        rows, at = state
         index = nth(chosen, (first + jnp.where(whole, k, 0))[None])[0]
         row = jax.lax.div(index, jnp.int32(width))
         column = index - row * width
@@ -519,12 +515,9 @@ def _cells_found(
             put(at.x, jnp.where(whole, column.astype(dtype), x + own_x), k),
             put(at.y, jnp.where(whole, row.astype(dtype), y + own_y), k),
         )
-        rows = put(rows, jnp.where(whole, row, own_row), k)
-        head, *sums = by_cell
-        by_cell = put(head, -1, k), *(put(x, 0, k) for x in sums)
-        return _CellsAt(rows, at), by_cell
+        return _CellsAt(put(rows, jnp.where(whole, row, own_row), k), at)
 
-    cells, by_cell = jax.lax.fori_loop(jnp.int32(0), number, one, (cells, by_cell))
+    cells = jax.lax.fori_loop(jnp.int32(0), number, one, cells)
     last = jnp.int32(cells.row.shape[0])
     none = lambda k, place: put(place, NOWHERE, k)
     places = jax.lax.fori_loop(number, last, none, cells.at.place)
@@ -540,7 +533,7 @@ def _cells_found(
         either(cells.row[0], 0),
         either(cells.row[jnp.maximum(number - 1, 0)] + 1, cut),
         *(either(x, cut) for x in size),
-    ), by_cell
+    )
 
 
 def _after(

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
@@ -17,7 +18,7 @@ from .._numerics.jitted import jitted
 from .._numerics.linear_map import linear_map
 from .._numerics.one_kernel import by_machine, for_this_machine, one_by_one
 from .._numerics.tracing import collector_at_rest
-from .._scene.scene import Scene, Spheres, astype, check_view
+from .._scene.scene import Mesh, Scene, Spheres, astype, check_view
 from .asked import WORD, Asked, Drawn, words_in_row
 from .boundary import Seen, pulled, pushed
 from .contour import MeshContour
@@ -174,24 +175,28 @@ class _View(NamedTuple):
 
 
 class _Still(NamedTuple):
-    """What is held where things move: what is given, and the view of it."""
+    """What is held where things move: the mesh's edges and faces (what else it has would be copied
+    without `jit`), the view of it, and what is given beside the scene."""
 
-    given: _Given
+    mesh: Mesh | None
     view: _View
+    overlap: tuple[()] | None
+    stops: Int[Array, ""] | None
+
+    @staticmethod
+    def of(given: _Given, view: _View) -> "_Still":
+        """Return what is held of what is given, in a view of it."""
+        mesh = None if view.contour is None else given.scene.mesh
+        if mesh is not None:
+            mesh = eqx.tree_at(lambda m: (m.vertices, m.planes, m.order), mesh, (None,) * 3)
+        return _Still(mesh, view, given.overlap, given.stops)
 
     @property
     def found(self) -> Found:
         """Which edges are contour, and where outlines are cut."""
-        mesh, of_view = self.given.scene.mesh, self.view.contour
-        if mesh is None or of_view is None:
+        if self.mesh is None or self.view.contour is None:
             return Found(None, self.view.arcs)
-        return Found(MeshContour.of(mesh, of_view), self.view.arcs)
-
-    @property
-    def faces(self) -> Int[Array, "F 3"] | None:
-        """The mesh's faces."""
-        mesh = self.given.scene.mesh
-        return None if mesh is None or self.view.contour is None else mesh.faces
+        return Found(MeshContour.of(self.mesh, self.view.contour), self.view.arcs)
 
 
 class _Pixels(NamedTuple):
@@ -233,8 +238,8 @@ def _things(moving: _Moving, still: _Still) -> list[Convex]:
     """Return what may cover many pixels, if the scene is large."""
     film, vertices, spheres = jax.lax.stop_gradient(moving)
     kinds = []
-    if vertices is not None and still.faces is not None and len(still.faces) >= LEAST_FACES:
-        kinds.append(faces_of(film, vertices, still.faces))
+    if vertices is not None and still.mesh is not None and len(still.mesh.faces) >= LEAST_FACES:
+        kinds.append(faces_of(film, vertices, still.mesh.faces))
     if spheres is not None and len(spheres.radii) >= LEAST_SPHERES:
         kinds.append(spheres_of(film, spheres))
     return kinds
@@ -247,6 +252,7 @@ def _image(moving: _Moving, given: _Given) -> Float[Array, "H W"]:
 
 @partial(_image.defjvp, symbolic_zeros=True)
 @collector_at_rest()
+@for_this_machine()
 def _image_jvp(primals: Any, tangents: Any):
     """Return the image and its boundary integral for the leaves that move; others cost nothing."""
     moving, given = primals
@@ -287,7 +293,7 @@ def _image_jvp(primals: Any, tangents: Any):
     changing = [x for x, m in zip(leaves, moves, strict=True) if m]
     velocity = [t for t, m in zip(velocities, moves, strict=True) if m]
     image, (view, pixels) = _resolve(moving, given, keep=True)
-    still = _Still(given, view)
+    still = _Still.of(given, view)
     return image, linear_map(forward, transpose, (held, changing, still, pixels), velocity)
 
 
@@ -312,7 +318,7 @@ def _resolved(
     moving: _Moving, given: _Given, keep: bool, draw: Callable, fold: Callable
 ) -> tuple[Float[Array, "H W"], tuple[_View, _Pixels] | None]:
     view = _View.of(moving.film, given.scene)
-    image, pixels = _pixels(moving, _Still(given, view), keep, draw, fold)
+    image, pixels = _pixels(moving, _Still.of(given, view), keep, draw, fold)
     return image, (view, pixels) if keep else None
 
 
@@ -321,7 +327,7 @@ def _pixels(
 ) -> tuple[Float[Array, "H W"], _Pixels]:
     """Return the image, and which pixels the contour crosses in which way."""
     film, parts, things = moving.film, _parts(moving, still), _things(moving, still)
-    base, resolves = still.view.base, still.given.overlap is not None
+    base, resolves = still.view.base, still.overlap is not None
     asked = Asked(film, parts, base, resolves, keep, DEEP if things else None)
     (image, alone, overlapping, layers, depth), lists = draw(asked, still.view.rows)
     if overlapping is None or layers is None:
@@ -344,7 +350,7 @@ def _pixels(
 
     crowd = _overlapping(film, pixels.overlapping, layers)
     args = parts, crowd, (film.W, film.H, base)
-    image, kept = fold(*args, add, (image, kept), keep, still.given.stops, lists)
+    image, kept = fold(*args, add, (image, kept), keep, still.stops, lists)
     return image.reshape(film.H, film.W), pixels._replace(kept=kept)
 
 
@@ -399,7 +405,7 @@ def _fold_crowd(
             total = kept.fold(partial(crowd, number=number), total)
         return total
 
-    if still.given.overlap is None:
+    if still.overlap is None:
         return start
     complete = jnp.stack([kept.complete for kept in pixels.kept]).all()
     for number, kept in enumerate(pixels.kept):
@@ -408,4 +414,4 @@ def _fold_crowd(
     overlapping = _overlapping(film, pixels.overlapping, pixels.layers)
     overlapping = overlapping._replace(total=jnp.where(complete, 0, overlapping.total))
     args = parts, overlapping, film.W, film.H, still.view.base
-    return fold_cells(*args, again, start, True, still.given.stops)
+    return fold_cells(*args, again, start, True, still.stops)

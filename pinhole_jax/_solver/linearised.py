@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._camera.camera import Camera, bends
+from .._camera.camera import Camera, has_distortion
 from .._mask.pyramid import Level
 from .._numerics.one_kernel import with_slopes
 from .._numerics.thin_qr import BLOCK, triangle_of
@@ -53,7 +53,7 @@ def columns_at(
     def step(y, camera, about, level):
         move = move_about(camera, *about, scale=level.scale, freed=freed)
         there = moved(move, y, freed)
-        film = None if bends(camera) else film_of(there, level)
+        film = None if has_distortion(camera) else film_of(there, level)
         return there, reported(camera, there, freed), film, move.scale
 
     def at(there, values, film):

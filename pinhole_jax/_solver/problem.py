@@ -24,9 +24,6 @@ FINE_PX = {np.dtype(np.float32): 3e-4, np.dtype(np.float64): 1e-7}
 #: ... or where it would change the residuals by less than this share of their norm: MINPACK's
 #: cosine between residual and Jacobian, some thousandths of the error that noise leaves anyway.
 COSINE = {np.dtype(np.float32): 1e-4, np.dtype(np.float64): 1e-5}
-#: A step is taken if it brings this share of what was promised; from `GOOD` on the next is bolder.
-#: (Gould and others, "Sensitivity of trust region algorithms to their parameters".)
-FAIR, GOOD, BOLDER, SHORTER = 0.01, 0.99, 3.5, 0.25
 
 
 class Problem(eqx.Module):
@@ -89,12 +86,6 @@ class View(NamedTuple):
         return self.squares / max(float(self.sums.touched), 1.0)
 
 
-def move(camera: Camera, problem: Problem, level: Level, freed: tuple[str, ...]) -> Move:
-    """Return where moves of a camera start, in the solver's units."""
-    about = problem.pivot, problem.radius, problem.bounds
-    return move_about(camera, *about, level.scale, freed)
-
-
 def move_about(
     camera: Camera,
     pivot: Float[Array, "3"],
@@ -103,7 +94,8 @@ def move_about(
     scale: Any,
     freed: tuple[str, ...],
 ) -> Move:
-    """Return `move`'s from what it takes of a problem, and a level's scale."""
+    """Return where moves of a camera start, in the solver's units, from what a problem says of it
+    and a level's scale."""
     return Move(camera, pivot, UNIT_PX * scales(camera, pivot, radius, scale, freed), bounds)
 
 
