@@ -24,8 +24,11 @@ class Bend(eqx.Module):
     def __call__(self, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
         """Return the film points (px) of ideal ones."""
         x, y = ((points[..., k] - self.centre[k]) / self.focal[k] for k in (0, 1))
-        distorted = self.distortion.continued(self.trusted, x, y)
+        distorted = self._distorted(x, y)
         return jnp.stack([self.focal[k] * distorted[k] + self.centre[k] for k in (0, 1)], axis=-1)
+
+    def _distorted(self, x: Array, y: Array) -> tuple[Array, Array]:
+        return self.distortion.continued(self.trusted, x, y)
 
     def around(self, part: "FilmPart") -> Float[Array, "4"]:
         """Return an ideal rectangle (left, right, bottom, top) about a part of the film, of which
@@ -39,14 +42,8 @@ class Bend(eqx.Module):
         share = jnp.asarray(np.linspace(0, 1, 33)[None], sides.dtype)
         x, y = (boxes[:, k : k + 1] * (1 - share) + boxes[:, k + 1 : k + 2] * share for k in (0, 2))
         none = jnp.zeros_like(x)
-        seen = [
-            held.distortion.continued(held.trusted, boxes[:, k : k + 1] + none, y)[0]
-            for k in (0, 1)
-        ]
-        seen += [
-            held.distortion.continued(held.trusted, x, boxes[:, k : k + 1] + none)[1]
-            for k in (2, 3)
-        ]
+        seen = [held._distorted(boxes[:, k : k + 1] + none, y)[0] for k in (0, 1)]
+        seen += [held._distorted(x, boxes[:, k : k + 1] + none)[1] for k in (2, 3)]
         beyond = jnp.min(
             sign[:, None, None] * (jnp.stack(seen) - sides[:, None, None]), axis=(0, 2)
         )

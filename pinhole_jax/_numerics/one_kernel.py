@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from typing import Any, TypeVar
 
@@ -26,11 +26,8 @@ _here: ContextVar[bool] = ContextVar("_here", default=False)
 def for_this_machine() -> Iterator[None]:
     """Let programs that are traced within run on this process's machine alone: where that is a CPU,
     what is for other machines is not traced (of a fit's program a quarter of the time)."""
-    before = _here.set(_here.get() or jax.default_backend() == "cpu")
-    try:
+    with for_cpus() if jax.default_backend() == "cpu" else nullcontext():
         yield
-    finally:
-        _here.reset(before)
 
 
 @contextmanager

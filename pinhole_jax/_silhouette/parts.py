@@ -169,14 +169,18 @@ def _listing(part: Part) -> Callable[[Array, Array, Ordered], Ordered]:
     return partial(one_kernel(all_of), reads)
 
 
-def _appended(curves: Curves, first: Int[Array, ""], known: Ordered) -> Ordered:
-    """Return listed curves with more of them from a place on."""
+def _appended(
+    curves: Curves, first: Int[Array, ""], known: Ordered, number: Int[Array, ""] | None = None
+) -> Ordered:
+    """Return listed curves with more of them from a place on, so many or (None) all."""
 
     def one(k, known):
         row = Ordered.of(taken(curves, k))
         return jax.tree.map(lambda x, new: put(x, new, first + k), known, row)
 
-    return jax.lax.fori_loop(0, curves.weight.shape[0], one, known)
+    if number is None:
+        return jax.lax.fori_loop(0, curves.weight.shape[0], one, known)
+    return jax.lax.fori_loop(jnp.int32(0), number, one, known)
 
 
 def _listed(
@@ -192,12 +196,7 @@ def _listed(
         first, known = state
         ids = first + jnp.arange(at_a_time, dtype=jnp.int32)
         curves = curves_of(jnp.minimum(ids, end - 1))
-
-        def one(k, known):
-            row = Ordered.of(taken(curves, k))
-            return jax.tree.map(lambda x, new: put(x, new, first - begin + k), known, row)
-
         number = jnp.minimum(end - first, at_a_time)
-        return first + at_a_time, jax.lax.fori_loop(jnp.int32(0), number, one, known)
+        return first + at_a_time, _appended(curves, first - begin, known, number)
 
     return jax.lax.while_loop(lambda s: s[0] < end, some, (begin, known))[1]
