@@ -20,7 +20,8 @@ ONE = 'xla_cpu_small_call="true"'
 
 
 class Kernels(NamedTuple):
-    """Kernels of a program; those that differ (equal ones are compiled once); `while` loops."""
+    """Kernels of a program; those that are compiled (equal ones once, but loops that are one kernel
+    each time); `while` loops."""
 
     all: int
     distinct: int
@@ -45,7 +46,7 @@ def kernels(text: str) -> Kernels:
                 todo += [n for n in _called(line) if n in bodies]
                 continue
             number += 1
-            distinct.add(_canonical(line, bodies))
+            distinct.add(line if one else _canonical(line, bodies))
     return Kernels(number, len(distinct), loops)
 
 
@@ -60,7 +61,7 @@ def _computations(text: str) -> tuple[dict[str, list[str]], str]:
             bodies[name] = []
             entry = name if head.group(1) else entry
         elif " = " in line and name:
-            marks = ONE if ONE in line else ""
+            marks = ", " + ONE if ONE in line else ""
             cut = re.sub(r", (metadata|backend_config|frontend_attributes)=\{.*", "", line.strip())
             bodies[name].append(cut + marks)
     return bodies, entry

@@ -10,16 +10,17 @@ room for this many curves (`BLOCK`); of more, one block after the other is worke
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._numerics.one_kernel import on_cpu, put
+from .._numerics.one_kernel import by_machine, on_cpu, put
 from .coverage import Monotone, Pieces, end_flux, shares, taken
 from .overlaps import fold_pieces
-from .parts import Ordered, Part, fold_curves
+from .parts import CurveList, Ordered, Part, fold_curves
 from .piece_by_piece import walked
 from .sweep import Visible
 
@@ -28,9 +29,13 @@ BLOCK = 1 << 13
 
 #: `build(changing)` gives the parts of the contour.
 Build = Callable[[list], list[Part]]
-#: `crowd(add, start)` gives `start` after `add(total, number, pixel, visible)` over all that is
-#: visible where contours overlap, of the part with a number.
-Crowd = Callable[[Callable[[Any, int, Array, Visible], Any], Any], Any]
+#: `crowd(add, start, lists)` gives `start` after `add(total, number, pixel, visible)` over all that
+#: is visible where contours overlap, of the part with a number; `lists` of the parts' curves, if
+#: there are such.
+Crowd = Callable[
+    [Callable[[Any, int, Array, Visible], Any], Any, list[CurveList] | None],
+    Any,
+]
 
 
 class Seen(NamedTuple):
@@ -43,11 +48,100 @@ class Seen(NamedTuple):
     crowd: Crowd
 
 
+class Some(NamedTuple):
+    """So many curves of a list, from the `first` on."""
+
+    curves: Ordered
+    first: Int[Array, ""]
+    number: Int[Array, ""]
+
+    def cut(self, size: int) -> Ordered:
+        """Return these curves alone, and what follows them up to a number."""
+        cut = lambda x: jax.lax.dynamic_slice_in_dim(x, self.first, size)
+        return jax.tree.map(cut, self.curves)
+
+
+class _Listed(NamedTuple):
+    """The parts' curves, on a CPU: listed once, for all that is asked of them."""
+
+    lists: list[CurveList] | None
+
+    @staticmethod
+    def of(parts: list[Part]) -> "_Listed":
+        """Return lists with all curves that there is room for."""
+        lists = [CurveList.empty(part) for part in parts]
+        pairs = zip(parts, lists, strict=True)
+        return _Listed([x.listing(p, jnp.int32(0)) if x.has_room(p) else x for p, x in pairs])
+
+    def fold(
+        self,
+        parts: list[Part],
+        number: int,
+        add: Callable[[Any, Array, Some], Any],
+        start: Any,
+        begin: Array,
+        end: Array,
+    ) -> Any:
+        """Return `start` after `add(total, ids, some)` over a block of a part's curves, from an id
+        up to another, some at a time."""
+        assert self.lists is not None
+        part, known = parts[number], self.lists[number]
+        if not known.has_room(part):
+            known = known.listing(part, begin - begin % known.room)
+
+        def body(state):
+            first, total = state
+            ids = first + jnp.arange(part.size, dtype=jnp.int32)
+            number = jnp.minimum(end - first, part.size)
+            some = Some(known.curves, first - known.begin, number)
+            return first + part.size, add(total, ids, some)
+
+        end = jnp.minimum(part.total, end)
+        return jax.lax.while_loop(lambda s: s[0] < end, body, (begin, start))[1]
+
+
+class _Found(NamedTuple):
+    """The parts' curves, on other machines: found wherever they are asked for."""
+
+    lists: None = None
+
+    def fold(
+        self,
+        parts: list[Part],
+        number: int,
+        add: Callable[[Any, Array, Some], Any],
+        start: Any,
+        begin: Array,
+        end: Array,
+    ) -> Any:
+        """Return what `_Listed.fold` does."""
+        part = parts[number]
+
+        def chunk(total, ids, curves):
+            some = Some(Ordered.of(curves), jnp.int32(0), jnp.int32(part.size))
+            return add(total, ids, some)
+
+        return fold_curves(part, chunk, start, part.size, (begin, end))
+
+
 def pushed(
     build: Build, changing: list, velocity: list, seen: Seen, image: Float[Array, "pixels ways"]
 ) -> Float[Array, "pixels ways"]:
     """Return the image with what the visible contour changes where things move with velocities,
     each along the last axis of what moves."""
+    way = partial(_pushed, build, changing, velocity, seen, image)
+    return by_machine(cpu=lambda: way(_Listed.of(build(changing))), elsewhere=lambda: way(_Found()))
+
+
+def _pushed(
+    build: Build,
+    changing: list,
+    velocity: list,
+    seen: Seen,
+    image: Float[Array, "pixels ways"],
+    found: _Listed | _Found,
+) -> Float[Array, "pixels ways"]:
+    parts = build(changing)
 
     def moved(number, ids):
         homogeneous = lambda changing: build(changing)[number].homogeneous_of(ids)
@@ -59,20 +153,31 @@ def pushed(
         change = _product(visible.flux(points)[:, None], rate)[:, 0]
         return image.at[pixel].add(change, mode="drop")
 
-    for number, part in enumerate(build(changing)):
+    for number, part in enumerate(parts):
 
-        def chunk(image, ids, curves, number=number, part=part):
+        def chunk(image, ids, some, number=number, part=part):
             points, rate = moved(number, jnp.minimum(ids, part.total - 1))
-            curves = Ordered.of(curves)
-            return _ordinary_pushed(seen, curves, _flux(curves.monotone, points, rate), image)
+            flux = _flux(some.cut(part.size).monotone, points, rate)
+            return _ordinary_pushed(seen, some, flux, image)
 
-        image = fold_curves(part, chunk, image, part.size)
-    return seen.crowd(crowd, image)
+        image = found.fold(parts, number, chunk, image, jnp.int32(0), part.total)
+    return seen.crowd(crowd, image, found.lists)
 
 
 def pulled(build: Build, changing: list, seen: Seen, weights: Float[Array, "pixels ways"]) -> list:
     """Return by how much the sums of the pixels' areas, each times its weight, grow with what
     changes: along the last axis for each way to weigh."""
+    way = partial(_pulled, build, changing, seen, weights)
+    return by_machine(cpu=lambda: way(_Listed.of(build(changing))), elsewhere=lambda: way(_Found()))
+
+
+def _pulled(
+    build: Build,
+    changing: list,
+    seen: Seen,
+    weights: Float[Array, "pixels ways"],
+    found: _Listed | _Found,
+) -> list:
     parts, ways = build(changing), weights.shape[-1]
 
     def block(first, total):
@@ -84,20 +189,18 @@ def pulled(build: Build, changing: list, seen: Seen, weights: Float[Array, "pixe
             table = tables[number].at[row].add(share, mode="drop")
             return [*tables[:number], table, *tables[number + 1 :]]
 
-        tables = seen.crowd(crowd, [_table(part, ways) for part in parts])
+        tables = seen.crowd(crowd, [_table(part, ways) for part in parts], found.lists)
         for number, (part, table) in enumerate(zip(parts, tables, strict=True)):
 
-            def chunk(total, ids, curves, number=number, part=part, table=table):
+            def chunk(total, ids, some, number=number, part=part, table=table):
                 own = jnp.minimum(ids, part.total - 1)
                 homogeneous = lambda changing: build(changing)[number].homogeneous_of(own)
                 points, pull = jax.vjp(homogeneous, changing)
-                curves = Ordered.of(curves)
-                share = _ordinary_pulled(seen, curves, weights)
-                share = _flux_back(curves.monotone, points, share)
-                share += jax.lax.dynamic_slice_in_dim(table, ids[0] - first, part.size)
+                share = jax.lax.dynamic_slice_in_dim(table, ids[0] - first, part.size)
+                share = _ordinary_pulled(seen, some, points, weights, share)
                 return jax.tree.map(jnp.add, total, jax.vmap(pull, -1, -1)(share)[0])
 
-            total = fold_curves(part, chunk, total, part.size, (first, first + BLOCK))
+            total = found.fold(parts, number, chunk, total, first, first + BLOCK)
         return total
 
     nothing = jax.tree.map(lambda x: jnp.zeros((*x.shape, ways), x.dtype), changing)
@@ -153,53 +256,65 @@ def _flux_back(
 
 
 def _ordinary_pushed(
-    seen: Seen, curves: Ordered, flux: Float[Array, "K m ways"], image: Float[Array, "N ways"]
+    seen: Seen, some: Some, flux: Float[Array, "K m ways"], image: Float[Array, "N ways"]
 ) -> Float[Array, "N ways"]:
     """Return the image with the pieces of curves in pixels that one chain of contour crosses."""
     W, H, alone, _ = seen
 
-    def one(curves, flux, alone, image):
+    def one(some, flux, alone, image):
         def add(image, k, share, pixel):
             change = jnp.sum(share[:, None] * flux[k], axis=0)
             return put(image, image[pixel] + change, pixel)
 
-        return _one_by_one(W, H, curves, alone, add, image)
+        return _one_by_one(W, H, some, alone, add, image)
 
-    def vectors(curves, flux, alone, image):
+    def vectors(some, flux, alone, image):
         def add(image, k, share, pixel):
             change = jnp.sum(share[..., None] * flux[k], axis=1)
             return image.at[pixel].add(change, mode="drop")
 
-        return _in_vectors(W, H, curves, alone, add, image)
+        return _in_vectors(W, H, some, alone, add, image)
 
-    return on_cpu(one, curves, flux, alone, image, elsewhere=vectors)
+    return on_cpu(one, some, flux, alone, image, elsewhere=vectors)
 
 
 def _ordinary_pulled(
-    seen: Seen, curves: Ordered, weights: Float[Array, "pixels ways"]
-) -> Float[Array, "K m ways"]:
-    """Return what the weights of such pixels say of that which pieces have `shares` of."""
+    seen: Seen,
+    some: Some,
+    points: Float[Array, "K n 3"],
+    weights: Float[Array, "pixels ways"],
+    share: Float[Array, "K n 3 ways"],
+) -> Float[Array, "K n 3 ways"]:
+    """Return how much the curves' points count, with what the weights of such pixels say of the
+    pieces there."""
     W, H, alone, _ = seen
 
-    def one(curves, flux, alone, weights):
+    def one(some, points, alone, weights, flux, share):
         def add(flux, k, share, pixel):
             return put(flux, flux[k] + share[:, None] * weights[pixel][None], k)
 
-        return _one_by_one(W, H, curves, alone, add, flux)
+        def back(k, share):
+            own = taken(some.curves, (some.first + k)[None]).monotone
+            more = _flux_back(own, points[k][None], flux[k][None])[0]
+            return put(share, share[k] + more, k)
 
-    def vectors(curves, flux, alone, weights):
+        flux = _one_by_one(W, H, some, alone, add, flux)
+        return jax.lax.fori_loop(jnp.int32(0), some.number, back, share)
+
+    def vectors(some, points, alone, weights, flux, share):
         def add(flux, k, share, pixel):
             weight = weights.at[pixel].get(mode="fill", fill_value=0)
             return flux.at[k].add(share[..., None] * weight[:, None], mode="drop")
 
-        return _in_vectors(W, H, curves, alone, add, flux)
+        flux = _in_vectors(W, H, some, alone, add, flux)
+        return share + _flux_back(some.curves.monotone, points, flux)
 
-    numbers = 2 if curves.frame is None else 9
-    flux = jnp.zeros((curves.rising.shape[0], numbers, weights.shape[-1]), weights.dtype)
-    return on_cpu(one, curves, flux, alone, weights, elsewhere=vectors)
+    numbers = 2 if some.curves.frame is None else 9
+    flux = jnp.zeros((points.shape[0], numbers, weights.shape[-1]), weights.dtype)
+    return on_cpu(one, some, points, alone, weights, flux, share, elsewhere=vectors)
 
 
-def _one_by_one(W: int, H: int, curves: Ordered, alone: Array, add: Callable, start: Any) -> Any:
+def _one_by_one(W: int, H: int, some: Some, alone: Array, add: Callable, start: Any) -> Any:
     """Return `start` after `add(total, curve, shares, pixel)` over such pieces, one by one."""
 
     def of_piece(total, k, m: Monotone, piece: Pieces):
@@ -213,22 +328,21 @@ def _one_by_one(W: int, H: int, curves: Ordered, alone: Array, add: Callable, st
         state = there & alone[pixel], total
         return jax.lax.while_loop(lambda s: s[0], one, state)[1]
 
-    number = jnp.int32(curves.rising.shape[0])
-    return walked((W, H), curves, number, (0, H), of_piece, start)
+    return walked((W, H), some.curves, some.number, (0, H), of_piece, start, some.first)
 
 
-def _in_vectors(W: int, H: int, curves: Ordered, alone: Array, add: Callable, start: Any) -> Any:
-    """Return the same of vectors of pieces; those elsewhere are past the end."""
-    m = curves.monotone
+def _in_vectors(W: int, H: int, some: Some, alone: Array, add: Callable, start: Any) -> Any:
+    """Return the same of vectors of pieces, of all curves; those elsewhere are past the end."""
+    m = some.curves.monotone
 
-    def some(total, pieces: Pieces):
+    def few(total, pieces: Pieces):
         there, pixel = _place(W, H, pieces)
         seen = pieces.valid & there & alone[pixel]
         share = shares(taken(m, pieces.curve), pieces.start, pieces.end)
         share = jnp.where(seen, -pieces.jump, 0)[:, None] * share
         return add(total, pieces.curve, share, jnp.where(seen, pixel, H * W))
 
-    return fold_pieces(m, (W, H, H), some, start)
+    return fold_pieces(m, (W, H, H), few, start)
 
 
 def _place(W: int, H: int, pieces: Pieces) -> tuple[Bool[Array, "*P"], Int[Array, "*P"]]:

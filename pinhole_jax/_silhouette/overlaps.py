@@ -326,16 +326,18 @@ def fold_cells(
     start: Any,
     flux: bool,
     stops: Int[Array, ""] | None = None,
+    lists: list[CurveList] | None = None,
 ) -> Any:
     """Return `start` after `add(total, resolved)` over all overlapping pixels, however many.
 
     `base` is the number of layers left of the film. With `flux` the visible parts are worked out.
     With `stops` lines sweep a pixel that stop this many times, at equal distances (see `sweep`).
+    `lists` are of the parts' curves, if there are such.
     """
     film = W, max_H, base
 
     def turn(start):
-        return fold_in_turn(parts, overlapping, film, add, start, flux, stops)
+        return fold_in_turn(parts, overlapping, film, add, start, flux, stops, lists)
 
     def beside(start):
         return fold_side_by_side(parts, overlapping, film, add, start, flux, stops)

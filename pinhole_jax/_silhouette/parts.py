@@ -132,22 +132,33 @@ class CurveList(NamedTuple):
         """Return `start` after `add(total, curves, begin, number)` over all curves of a part, as
         many at a time as there is room for: the first so many of a list, which begins with an id;
         and the last list. One that `has_all`, where there is room for all, is as it is."""
-        room = self.curves.rising.shape[0]
-        if has_all and part.most is not None and part.most <= room:
+        room = self.room
+        if has_all and self.has_room(part):
             return add(start, self.curves, jnp.int32(0), part.total), self
-        listed = _listing(part)
 
         def more(state):
             begin, total, known = state
-            # What is listed already stays.
-            end = jnp.where(known.begin == begin, begin, begin + room)
-            end = jnp.minimum(end, part.total)
-            curves = listed(begin, end, known.curves)
-            total = add(total, curves, begin, jnp.minimum(part.total - begin, room))
-            return begin + room, total, CurveList(curves, begin)
+            known = known.listing(part, begin)
+            total = add(total, known.curves, begin, jnp.minimum(part.total - begin, room))
+            return begin + room, total, known
 
         start = jnp.int32(0), start, self
         return jax.lax.while_loop(lambda s: s[0] < part.total, more, start)[1:]
+
+    @property
+    def room(self) -> int:
+        """How many curves there is room for."""
+        return self.curves.rising.shape[0]
+
+    def has_room(self, part: Part) -> bool:
+        """Return whether there is room for all curves of a part."""
+        return part.most is not None and part.most <= self.room
+
+    def listing(self, part: Part, begin: Int[Array, ""]) -> "CurveList":
+        """Return a list of a part's curves from an id on. What is listed already stays."""
+        end = jnp.where(self.begin == begin, begin, begin + self.room)
+        curves = _listing(part)(begin, jnp.minimum(end, part.total), self.curves)
+        return CurveList(curves, begin)
 
 
 def _listing(part: Part) -> Callable[[Array, Array, Ordered], Ordered]:

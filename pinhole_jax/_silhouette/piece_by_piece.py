@@ -81,14 +81,15 @@ def walked(
     rows: tuple[Any, Any],
     add: Callable[[Any, Int[Array, ""], Monotone, Pieces], Any],
     start: Any,
+    first: Int[Array, ""] | int = 0,
 ) -> Any:
-    """Return `start` after `add(total, k, curve, piece)` over the pieces of the first so many
-    curves, on a film of W x H pixels, in the rows from one up to another."""
+    """Return `start` after `add(total, k, curve, piece)` over the pieces of so many curves from the
+    `first` on, the k-th of these, on a film of W x H pixels, in the rows from one up to another."""
     (W, H), (bottom, top) = size, rows
 
     def of_curve(state):
         k, total = state
-        m = taken(curves, k).monotone
+        m = taken(curves, first + k).monotone
         rows = rows_of(m, top, bottom)
 
         def of_row(state):

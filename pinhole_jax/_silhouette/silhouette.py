@@ -46,7 +46,7 @@ from .overlaps import (
     fold_side_by_side,
     nothing_kept,
 )
-from .parts import LEAST, Part
+from .parts import LEAST, CurveList, Part
 from .piece_by_piece import drawn_piece_by_piece
 from .surrounding import rows_seen, surrounding
 from .sweep import Visible
@@ -392,6 +392,7 @@ def _fold_crowd(
     parts: list[Part],
     add: Callable,
     start: Any,
+    lists: list[CurveList] | None,
 ) -> Any:
     """Return `start` after `add(total, number, pixel, visible)` over what is visible where contours
     overlap (see `Crowd`)."""
@@ -414,4 +415,4 @@ def _fold_crowd(
     overlapping = _overlapping(film, pixels.overlapping, pixels.layers)
     overlapping = overlapping._replace(total=jnp.where(complete, 0, overlapping.total))
     args = parts, overlapping, film.W, film.H, still.view.base
-    return fold_cells(*args, again, start, True, still.stops)
+    return fold_cells(*args, again, start, True, still.stops, lists)
