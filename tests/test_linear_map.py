@@ -12,7 +12,7 @@ def forward(n, x):
 
 
 def apply(n, x):
-    return linear_map(forward, forward, n, x)
+    return linear_map(forward, forward, n, x, x)
 
 
 X = jnp.array([1.0, -2.0, 3.0])
@@ -45,7 +45,7 @@ def test_on_a_cpu_a_batch_is_mapped_one_after_the_other():
         room = jnp.zeros(1 << 16) + x[:1, 0]
         return x + jax.lax.fori_loop(0, n, lambda k, room: room + k, room)[5]
 
-    batch = jax.jit(jax.vmap(lambda n: linear_map(with_room, with_room, n, X)))
+    batch = jax.jit(jax.vmap(lambda n: linear_map(with_room, with_room, n, X, X)))
     used = batch.lower(jnp.arange(64)).compile().memory_analysis()
     if jax.default_backend() == "cpu":
         assert used.temp_size_in_bytes < 8 * 8 << 16
@@ -58,13 +58,13 @@ def test_a_jacobian_maps_all_directions_at_once():
         widths.append(x.shape)
         return 2.0 * x
 
-    jax.jit(jax.jacfwd(lambda x: linear_map(twice, twice, (), x)))(X)
+    jax.jit(jax.jacfwd(lambda x: linear_map(twice, twice, (), x, x)))(X)
     assert widths[-1] == (3, 3)
 
 
 def test_what_is_not_linear_has_no_derivative_and_says_so():
     def scaled(s):
-        return linear_map(lambda r, x: r * x, lambda r, y: r * y, s, X).sum()
+        return linear_map(lambda r, x: r * x, lambda r, y: r * y, s, X, X).sum()
 
     with pytest.raises(NotImplementedError, match="differentiated once"):
         jax.grad(scaled)(2.0)

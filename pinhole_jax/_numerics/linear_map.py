@@ -27,17 +27,20 @@ def linear_map(
     transpose: Callable[[Any, Any], Any],
     residuals: PyTree,
     linear: PyTree,
+    like: PyTree,
 ) -> PyTree:
     """Return forward(residuals, linear), which `transpose(residuals, cotangent)` transposes.
 
     `forward` must be linear in its second argument; every leaf of `linear` and of the result is a
-    float array. It can be differentiated with respect to `linear` only. Both functions are given
-    and return leaves with one more axis, the last: along it are the vectors that are mapped.
+    float array, and the result is `like` others in shape and type: a program that asks for one
+    direction does not trace the other. It can be differentiated with respect to `linear` only. Both
+    functions are given and return leaves with one more axis, the last: along it are the vectors
+    that are mapped.
     """
     residual_leaves, residual_tree = jax.tree.flatten(residuals)
     one = jax.tree.map(lambda x: jnp.asarray(x)[..., None], linear)
     linear_leaves, linear_tree = jax.tree.flatten(one)
-    out_shapes, out_tree = jax.tree.flatten(jax.eval_shape(forward, residuals, one))
+    out_leaves, out_tree = jax.tree.flatten(like)
 
     @collector_at_rest()
     def forward_flat(residual: list, x: list) -> list:
@@ -55,7 +58,7 @@ def linear_map(
         forward=forward_flat,
         transpose=transpose_flat,
         n_residuals=len(residual_leaves),
-        out_shapes=tuple((x.shape, x.dtype) for x in out_shapes),
+        out_shapes=tuple(((*x.shape, 1), x.dtype) for x in out_leaves),
     )
     # (A sum of one: `vmap` moves its axis to the front in what is indexed or squeezed.)
     return out_tree.unflatten([jnp.sum(x, axis=-1) for x in out])

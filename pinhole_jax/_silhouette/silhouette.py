@@ -294,7 +294,8 @@ def _image_jvp(primals: Any, tangents: Any):
     velocity = [t for t, m in zip(velocities, moves, strict=True) if m]
     image, (view, pixels) = _resolve(moving, given, keep=True)
     still = _Still.of(given, view)
-    return image, linear_map(forward, transpose, (held, changing, still, pixels), velocity)
+    residuals = held, changing, still, pixels
+    return image, linear_map(forward, transpose, residuals, velocity, image)
 
 
 def _resolve(moving: _Moving, given: _Given, keep: bool) -> tuple[Float[Array, "H W"], Any]:
