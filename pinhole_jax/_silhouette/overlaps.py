@@ -161,12 +161,13 @@ def nothing_kept(part: Part) -> Kept:
 
 
 def all_kept(place: Int[Array, "C"], visible: Visible) -> Kept:
-    """Return all pieces of cells at `place`, visible or not."""
+    """Return all pieces of cells at `place`, visible or not, up to the last that is anywhere."""
     place = jnp.broadcast_to(place[:, None], visible.curve.shape).reshape(-1)
     capacity = -place.shape[0] % KEPT_AT_A_TIME
+    upto = jnp.arange(1, place.shape[0] + 1, dtype=jnp.int32)
+    used = jnp.max(jnp.where(place == NOWHERE, 0, upto))
     flat = Visible(visible.curve.reshape(-1), visible.part.reshape(-1, visible.part.shape[-1]))
     more = lambda x: jnp.pad(x, [(0, capacity)] + [(0, 0)] * (x.ndim - 1))
-    used = jnp.int32(place.shape[0])
     return Kept(
         jnp.pad(place, (0, capacity), constant_values=NOWHERE), jax.tree.map(more, flat), used
     )
@@ -337,7 +338,9 @@ def fold_cells(
     film = W, max_H, base
 
     def turn(start):
-        return fold_in_turn(parts, overlapping, film, add, start, flux, stops, lists)
+        # (As many pieces at a time as are kept: what is done with these is one kernel then.)
+        more = lists, KEPT
+        return fold_in_turn(parts, overlapping, film, add, start, flux, stops, *more)
 
     def beside(start):
         return fold_side_by_side(parts, overlapping, film, add, start, flux, stops)
@@ -374,9 +377,10 @@ def fold_in_turn(
     flux: bool,
     stops: Int[Array, ""] | None,
     lists: list[CurveList] | None = None,
+    shown_at_a_time: int = KEPT_AT_A_TIME,
 ) -> Any:
     """Return what `fold_cells` does, one pixel after the other; `lists` of the parts' curves, if
-    there are such."""
+    there are such; what is visible is handed over some pieces at a time."""
     dtype, depth = parts[0].dtype, LAST_FILM[jnp.dtype(parts[0].dtype).name]
     room = LEAST_CAPACITY
     while room < min(sum(part.most or IN_TURN for part in parts), IN_TURN):
@@ -408,7 +412,7 @@ def fold_in_turn(
         swept, turn, cells, lists = one_by_one(resolved)
         total = add(total, Resolved(cells.at.place, swept.area, []))
         if flux:
-            total = _fold_shown(parts, swept, add, total)
+            total = _fold_shown(parts, swept, shown_at_a_time, add, total)
         return turn, cells, lists, total
 
     def stops_of(found: _Next) -> Array | None:
@@ -564,7 +568,11 @@ def _after(
 
 
 def _fold_shown(
-    parts: list[Part], swept: in_turn.Swept, add: Callable[[Any, Resolved], Any], start: Any
+    parts: list[Part],
+    swept: in_turn.Swept,
+    at_a_time: int,
+    add: Callable[[Any, Resolved], Any],
+    start: Any,
 ) -> Any:
     """Return `start` after `add(total, resolved)` over what is visible, some pieces at a time."""
     seen, code, places, shown = swept.seen, swept.code, swept.place, swept.shown
@@ -573,7 +581,7 @@ def _fold_shown(
     assert code is not None
     assert places is not None
 
-    some = min(KEPT_AT_A_TIME, len(code))
+    some = min(at_a_time, len(code))
 
     def body(state):
         first, total = state
