@@ -7,7 +7,7 @@ import pytest
 import pinhole_jax as pj
 from pinhole_jax._camera.camera import film_map
 from pinhole_jax._silhouette import boundary
-from pinhole_jax._silhouette.boundary import Seen
+from pinhole_jax._silhouette.boundary import Seen, Some
 from pinhole_jax._silhouette.coverage import end_flux, shares
 from pinhole_jax._silhouette.curves import Segments, piece_flux
 from pinhole_jax._silhouette.parts import Ordered
@@ -36,13 +36,19 @@ def arcs(random):
 @pytest.mark.parametrize("kind", [segments, arcs])
 def test_piece_by_piece_is_as_of_vectors(kind, random, monkeypatch):
     curves = Ordered.of(kind(random))
-    seen = Seen(W, H, jnp.asarray(random.random(W * H) < 0.7), lambda add, start: start)
-    flux = jnp.asarray(random.normal(size=(len(curves.rising), 2 if kind is segments else 9, WAYS)))
+    number, ends = len(curves.rising), 2 if kind is segments else 3
+    some = Some(curves, jnp.int32(0), jnp.int32(number))
+    seen = Seen(W, H, jnp.asarray(random.random(W * H) < 0.7), lambda add, start, lists: start)
+    points = jnp.asarray(random.uniform(0.5, 2, (number, ends, 3)))
+    rate = jnp.asarray(random.normal(size=(number, ends, 3, WAYS)))
+    flux = boundary._flux(curves.monotone, points, rate)
     weights = jnp.asarray(random.normal(size=(W * H, WAYS)))
+    before = jnp.asarray(random.normal(size=rate.shape))
 
     def both():
-        image = boundary._ordinary_pushed(seen, curves, flux, jnp.zeros((W * H, WAYS)))
-        return np.asarray(image), np.asarray(boundary._ordinary_pulled(seen, curves, weights))
+        image = boundary._ordinary_pushed(seen, some, flux, jnp.zeros((W * H, WAYS)))
+        back = boundary._ordinary_pulled(seen, some, points, weights, before)
+        return np.asarray(image), np.asarray(back - before)
 
     image, back = both()
     monkeypatch.setattr(boundary, "on_cpu", lambda one, *rest, elsewhere: elsewhere(*rest))
@@ -51,8 +57,26 @@ def test_piece_by_piece_is_as_of_vectors(kind, random, monkeypatch):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
     assert not image[~np.asarray(seen.alone)].any()
     # Each is the other's transpose, way by way.
-    there, here = (weights * image).sum(axis=0), (np.asarray(flux) * back).sum(axis=(0, 1))
+    there, here = (weights * image).sum(axis=0), (np.asarray(rate) * back).sum(axis=(0, 1, 2))
     np.testing.assert_allclose(there, here, rtol=1e-9)
+
+
+def test_some_curves_of_a_list_are_as_these_alone(random):
+    curves = Ordered.of(segments(random))
+    seen = Seen(W, H, jnp.ones(W * H, bool), lambda add, start, lists: start)
+    weights = jnp.asarray(random.normal(size=(W * H, WAYS)))
+    points, none = jnp.asarray(random.uniform(0.5, 2, (6, 2, 3))), jnp.zeros((6, 2, 3, WAYS))
+
+    def back(some):
+        return np.asarray(boundary._ordinary_pulled(seen, some, points, weights, none))
+
+    alone = Some(curves, jnp.int32(7), jnp.int32(6)).cut(6)
+    expected = back(Some(alone, jnp.int32(0), jnp.int32(6)))
+    assert np.abs(expected[5]).max() > 0.1
+    np.testing.assert_array_equal(back(Some(curves, jnp.int32(7), jnp.int32(6))), expected)
+    fewer = back(Some(curves, jnp.int32(7), jnp.int32(5)))
+    np.testing.assert_array_equal(fewer[:5], expected[:5])
+    assert not fewer[5].any()
 
 
 def test_shares_of_a_straight_piece_are_its_flux(random):

@@ -85,3 +85,23 @@ def test_what_is_held_is_not_differentiated():
     x = {"at": jnp.array([3.0, 4.0]), "turn": jnp.array(0.5)}
     by_unit = jax.grad(lambda unit: at_once(polar)(x, unit)["length"])(jnp.array(2.0))
     assert by_unit == 0
+
+
+def test_within_a_kernel_what_is_put_down_is_worked_out_once():
+    """Else each of those that read it holds it; elsewhere it is what the function makes."""
+
+    def chain(put_down):
+        def steps(x, number):
+            y = put_down(lambda x: jnp.sin(x) * jnp.cos(x), x)
+            return y[::-1] + number, jnp.sum(y * y), jnp.max(y[1:])
+
+        return steps
+
+    x, number = jnp.linspace(0.0, 1.0, 8), jnp.array([2.0, 3.0] * 4)
+    plain = chain(lambda f, *x: f(*x))
+    kernel = jax.jit(one_kernel.one_kernel(chain(one_kernel.put_down)))
+    for found, expected in zip(kernel(x, number), plain(x, number), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+    loops = lambda f: f.lower(x, number).as_text().count("stablehlo.while")
+    assert loops(kernel) == 1
+    assert loops(jax.jit(chain(one_kernel.put_down))) == 0

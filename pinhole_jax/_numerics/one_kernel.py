@@ -51,6 +51,11 @@ def for_a_kernel() -> Iterator[None]:
         _within.reset(before)
 
 
+def is_for_cpus() -> bool:
+    """Return whether what is traced now is for CPUs alone."""
+    return _here.get()
+
+
 def one_kernel(function: Callable) -> Callable:
     """Return a function of arrays that XLA's CPU compiler makes a single kernel of, loops and all.
 

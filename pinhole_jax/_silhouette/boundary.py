@@ -210,7 +210,7 @@ def _pulled(
 def _table(part: Part, ways: int) -> Float[Array, "rows n 3 ways"]:
     """Return a row of zeros for each curve of a block, in whole chunks."""
     rows = -(-min(BLOCK, part.most or BLOCK) // part.size) * part.size
-    return jnp.zeros((rows, *part.homogeneous.shape[1:], ways), part.dtype)
+    return jnp.zeros((rows, 2 if part.straight else 3, 3, ways), part.dtype)
 
 
 def _each_block(parts: list[Part], block: Callable[[Array, Any], Any], start: Any) -> Any:

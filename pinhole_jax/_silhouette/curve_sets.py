@@ -43,6 +43,7 @@ class CurveSet(NamedTuple):
     - `most`: how many there may be, None where that depends on the view.
     - `at_a_time`: so many are found at a time within a kernel (as few as run as fast: it compiles
       sooner); None where a kernel of it all would compile longer than one of each step.
+    - `straight`: whether they are segments, not arcs.
     """
 
     curves: Callable[[Int[Array, "K"]], Curves]
@@ -50,6 +51,7 @@ class CurveSet(NamedTuple):
     total: Int[Array, ""]
     most: int | None
     at_a_time: int | None
+    straight: bool
 
 
 def find(film: FilmMap, scene: Scene) -> Found:
@@ -71,6 +73,7 @@ def edge_curves(film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshConto
         contour.segments,
         2 * contour.edge_vertices.shape[0] if contour.cuts is None else None,
         16 if contour.cuts is None else None,
+        True,
     )
 
 
@@ -83,6 +86,7 @@ def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveS
             cuts.total,
             None,
             None,
+            True,
         )
     number = ARCS_PER_SPHERE * spheres.radii.shape[0]
     return CurveSet(
@@ -91,6 +95,7 @@ def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveS
         jnp.int32(number),
         number,
         1,
+        False,
     )
 
 
@@ -109,4 +114,5 @@ def joined(first: CurveSet, second: CurveSet) -> CurveSet:
         first.total + second.total,
         None if first.most is None or second.most is None else first.most + second.most,
         None,
+        True,
     )

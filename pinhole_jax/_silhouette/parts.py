@@ -26,6 +26,7 @@ class Part(NamedTuple):
 
     `homogeneous_of(ids)` is what the curves move with, differentiably. There are at most `most`, if
     known; so many are found `at_a_time` within a kernel, None where that would be too large a one.
+    They are segments if `straight`, else arcs; `dtype` is the float type.
     """
 
     curves: Callable[[Int[Array, "K"]], Curves]
@@ -34,21 +35,8 @@ class Part(NamedTuple):
     size: int
     most: int | None
     at_a_time: int | None
-
-    @property
-    def straight(self) -> bool:
-        """Whether its curves are segments, not arcs."""
-        return self.homogeneous.shape[-2] == 2
-
-    @property
-    def dtype(self) -> Any:
-        """The float type."""
-        return self.homogeneous.dtype
-
-    @property
-    def homogeneous(self) -> Any:
-        """Shape (1, n, 3) and type of a curve's homogeneous points."""
-        return jax.eval_shape(self.homogeneous_of, jnp.zeros(1, jnp.int32))
+    straight: bool
+    dtype: Any
 
 
 def fold_curves(
@@ -118,9 +106,9 @@ class CurveList(NamedTuple):
     def empty(part: Part) -> "CurveList":
         """Return a list of no curves."""
         room = -(-min(LISTED, part.most or LISTED) // part.size) * part.size
-        ids = jnp.zeros(max(room, LEAST), jnp.int32)
-        like = jax.eval_shape(lambda: Ordered.of(part.curves(ids)))
-        return CurveList(jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), like), jnp.int32(-1))
+        zeros = lambda *shape: jnp.zeros((max(room, LEAST), *shape), part.dtype)
+        frame = None if part.straight else zeros(3, 3)
+        return CurveList(Ordered(zeros(2), zeros(2), zeros(), zeros(), frame), jnp.int32(-1))
 
     def fold(
         self,

@@ -15,6 +15,7 @@ from .._camera.camera import Camera, film_at_once
 from .._camera.film import FilmMap
 from .._numerics.bitset import Selection, selection, words_of
 from .._numerics.jitted import jitted
+from .._numerics.later import later
 from .._numerics.linear_map import linear_map
 from .._numerics.one_kernel import by_machine, for_this_machine, one_by_one
 from .._numerics.tracing import collector_at_rest
@@ -229,6 +230,8 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
             min(CURVES_AT_A_TIME, s.most or CURVES_AT_A_TIME),
             s.most,
             s.at_a_time,
+            s.straight,
+            film.eye.dtype,
         )
         for s in sets
     ]
@@ -247,6 +250,15 @@ def _things(moving: _Moving, still: _Still) -> list[Convex]:
 
 @jax.custom_jvp
 def _image(moving: _Moving, given: _Given) -> Float[Array, "H W"]:
+    film = moving.film
+    # (A program of the derivative has an image of its own: this one is not even traced there.)
+    like = jax.ShapeDtypeStruct((film.H, film.W), film.eye.dtype)
+    return later(_image_alone, like, moving, given)
+
+
+@collector_at_rest()
+@for_this_machine()
+def _image_alone(moving: _Moving, given: _Given) -> Float[Array, "H W"]:
     return _resolve(moving, given, keep=False)[0]
 
 
