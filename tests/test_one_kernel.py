@@ -10,6 +10,7 @@ from pinhole_jax._numerics.one_kernel import (
     for_this_machine,
     on_cpu,
     one_kernel,
+    put_down,
     with_slopes,
 )
 
@@ -90,18 +91,18 @@ def test_what_is_held_is_not_differentiated():
 def test_within_a_kernel_what_is_put_down_is_worked_out_once():
     """Else each of those that read it holds it; elsewhere it is what the function makes."""
 
-    def chain(put_down):
+    def chain(once):
         def steps(x, number):
-            y = put_down(lambda x: jnp.sin(x) * jnp.cos(x), x)
+            y = once(lambda x: jnp.sin(x) * jnp.cos(x), x)
             return y[::-1] + number, jnp.sum(y * y), jnp.max(y[1:])
 
         return steps
 
     x, number = jnp.linspace(0.0, 1.0, 8), jnp.array([2.0, 3.0] * 4)
     plain = chain(lambda f, *x: f(*x))
-    kernel = jax.jit(one_kernel.one_kernel(chain(one_kernel.put_down)))
+    kernel = jax.jit(one_kernel(chain(put_down)))
     for found, expected in zip(kernel(x, number), plain(x, number), strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-6)
     loops = lambda f: f.lower(x, number).as_text().count("stablehlo.while")
     assert loops(kernel) == 1
-    assert loops(jax.jit(chain(one_kernel.put_down))) == 0
+    assert loops(jax.jit(chain(put_down))) == 0

@@ -244,11 +244,9 @@ def _product(flux: Float[Array, "K m n 3"], rate: Float[Array, "K n 3 ways"]) ->
 
 
 def _flux_back(
-    m: Monotone, points: Float[Array, "K n 3"], shared: Float[Array, "K m ways"]
-) -> Float[Array, "K n 3 ways"]:
-    """Return what `_flux` is made of, where what it returns counts so much."""
-    if points.shape[1] == 3:
-        return shared.reshape(*points.shape, -1)
+    m: Monotone, points: Float[Array, "K 2 3"], shared: Float[Array, "K 2 ways"]
+) -> Float[Array, "K 2 3 ways"]:
+    """Return what `_flux` of straight curves is made of, where what it returns counts so much."""
     return jnp.sum(end_flux(m, points)[..., None] * shared[:, :, None, None], axis=1)
 
 
@@ -289,29 +287,40 @@ def _ordinary_pulled(
     pieces there."""
     W, H, alone, _ = seen
 
-    def one(some, points, alone, weights, flux, share):
+    def one(some, alone, weights, flux):
         def add(flux, k, share, pixel):
             return put(flux, flux[k] + share[:, None] * weights[pixel][None], k)
 
+        return _one_by_one(W, H, some, alone, add, flux)
+
+    def with_points(some, points, alone, weights, flux, share):
         def back(k, share):
             own = taken(some.curves, (some.first + k)[None]).monotone
             more = _flux_back(own, points[k][None], flux[k][None])[0]
             return put(share, share[k] + more, k)
 
-        flux = _one_by_one(W, H, some, alone, add, flux)
-        return jax.lax.fori_loop(jnp.int32(0), some.number, back, share)
+        flux = one(some, alone, weights, flux)
+        # (What is filled is returned: else the compiler would have to find room for it.)
+        return jax.lax.fori_loop(jnp.int32(0), some.number, back, share), flux
 
-    def vectors(some, points, alone, weights, flux, share):
+    def vectors(some, alone, weights, flux):
         def add(flux, k, share, pixel):
             weight = weights.at[pixel].get(mode="fill", fill_value=0)
             return flux.at[k].add(share[..., None] * weight[:, None], mode="drop")
 
-        flux = _in_vectors(W, H, some, alone, add, flux)
-        return share + _flux_back(some.curves.monotone, points, flux)
+        return _in_vectors(W, H, some, alone, add, flux)
 
-    numbers = 2 if some.curves.frame is None else 9
-    flux = jnp.zeros((points.shape[0], numbers, weights.shape[-1]), weights.dtype)
-    return on_cpu(one, some, points, alone, weights, flux, share, elsewhere=vectors)
+    def vectors_with_points(some, points, alone, weights, flux, share):
+        flux = vectors(some, alone, weights, flux)
+        return share + _flux_back(some.curves.monotone, points, flux), flux
+
+    arcs = some.curves.frame is not None
+    flux = jnp.zeros((points.shape[0], 9 if arcs else 2, weights.shape[-1]), weights.dtype)
+    if arcs:
+        flux = on_cpu(one, some, alone, weights, flux, elsewhere=vectors)
+        return share + flux.reshape(share.shape)
+    args = some, points, alone, weights, flux, share
+    return on_cpu(with_points, *args, elsewhere=vectors_with_points)[0]
 
 
 def _one_by_one(W: int, H: int, some: Some, alone: Array, add: Callable, start: Any) -> Any:
