@@ -36,7 +36,7 @@ def sphere_frames(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Floa
     middle = film_points(film, spheres.centers[sphere]) / distance[:, None]
     middle = middle * cosine[:, None] / binary_scale(film.matrix)
     around = sine[:, None, None] * jnp.stack([e1, e2], axis=1)
-    around = film.turn(*jnp.moveaxis(around, -1, 0))
+    around = jnp.stack(film.turn(*jnp.moveaxis(around, -1, 0)), axis=-1)
     return jnp.concatenate([middle[:, None], around], axis=1)
 
 
