@@ -204,6 +204,11 @@ class FilmMap(eqx.Module):
 
 def film_points(film: FilmMap, points: Float[Array, "*K 3"]) -> Float[Array, "*K 3"]:
     """Return homogeneous film points that are no larger than the points: none overflows."""
+    return scaled(film)(points)
+
+
+def scaled(film: FilmMap) -> FilmMap:
+    """Return the map to homogeneous points that are no larger than what is mapped."""
     unit = binary_scale(film.matrix)
     where = lambda f: (f.matrix, f.base)
-    return eqx.tree_at(where, film, [x * unit for x in where(film)])(points)
+    return eqx.tree_at(where, film, [x * unit for x in where(film)])

@@ -13,7 +13,7 @@ from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jax.flatten_util import ravel_pytree
 from jax.interpreters.partial_eval import dce_jaxpr
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, Int, Num, PyTree
 
 from .safe import times
 
@@ -82,7 +82,7 @@ def on_cpu(function: Callable, *arguments: Any, elsewhere: Callable | None = Non
 
 def rows(
     function: Callable[..., Sequence[Array]], ids: Int[Array, "K"], *held: Any
-) -> Float[Array, "K m"]:
+) -> Num[Array, "K m"]:
     """Return the row of numbers that a function makes of each id (and of what is held), none of it
     differentiated: on a CPU one kernel of a loop over the ids.
 
