@@ -182,24 +182,51 @@ class FilmMap(eqx.Module):
 
     def __call__(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
         """Return the homogeneous film points (px times depth, depth) of world points."""
-        return jnp.stack(self.at(*(points[..., k] for k in range(3))), axis=-1)
+        return _mapped(self.eye, self.view, self.matrix, self.base, points)
 
     def at(self, x: Array, y: Array, z: Array) -> tuple[Array, ...]:
         """Return the homogeneous film points of world points, by components."""
-        from_eye, from_view = (
-            [p - origin[k] for k, p in enumerate((x, y, z))] for origin in (self.eye, self.view)
-        )
-        far, near = (
-            functools.reduce(jnp.maximum, map(jnp.abs, way)) for way in (from_eye, from_view)
-        )
-        there = jax.lax.stop_gradient(near < far)
-        chosen = (jnp.where(there, a, b) for a, b in zip(from_view, from_eye, strict=True))
+        there, chosen = _from_nearer(self.eye, self.view, (x, y, z))
         turned = self.turn(*chosen)
         return tuple(p + jnp.where(there, b, 0) for p, b in zip(turned, self.base, strict=True))
 
     def turn(self, x: Array, y: Array, z: Array) -> tuple[Array, ...]:
         """Return the homogeneous film points of directions from the eye, by components."""
         return tuple(row[0] * x + row[1] * y + row[2] * z for row in self.matrix)
+
+
+def _from_nearer(eye: Array, view: Array, points: Sequence[Array]) -> tuple[Array, list[Array]]:
+    """Return whether points are nearer to the view point than to the eye, and where they are from
+    the nearer one."""
+    from_eye, from_view = ([p - o[k] for k, p in enumerate(points)] for o in (eye, view))
+    far, near = (functools.reduce(jnp.maximum, map(jnp.abs, way)) for way in (from_eye, from_view))
+    there = jax.lax.stop_gradient(near < far)
+    return there, [jnp.where(there, a, b) for a, b in zip(from_view, from_eye, strict=True)]
+
+
+@jax.custom_jvp
+def _mapped(eye: Array, view: Array, matrix: Array, base: Array, points: Array) -> Array:
+    film = FilmMap(eye, view, matrix, base, 0, 0)
+    return jnp.stack(film.at(*(points[..., k] for k in range(3))), axis=-1)
+
+
+@_mapped.defjvp
+def _(primals: Any, tangents: Any):
+    """(By vectors: to go back by components is a kernel for each number of the matrix.)"""
+    eye, view, matrix, base, points = primals
+    eye_moves, view_moves, turns, base_moves, moves = tangents
+    there, chosen = _from_nearer(eye, view, [points[..., k] for k in range(3)])
+    there = there[..., None]
+    raised = lambda x: x.reshape((1,) * (points.ndim - 1) + x.shape)
+    moves = moves - jnp.where(there, raised(view_moves), raised(eye_moves))
+    rate = turned(matrix, moves) + turned(turns, jnp.stack(chosen, axis=-1))
+    return _mapped(*primals), rate + jnp.where(there, raised(base_moves), 0)
+
+
+def turned(matrix: Float[Array, "3 3"], directions: Float[Array, "*batch 3"]) -> Array:
+    """Return a matrix times directions."""
+    matrix = matrix.reshape((1,) * (directions.ndim - 1) + (3, 3))
+    return jnp.sum(matrix * directions[..., None, :], axis=-1)
 
 
 def film_points(film: FilmMap, points: Float[Array, "*K 3"]) -> Float[Array, "*K 3"]:

@@ -89,23 +89,42 @@ def rows(
     The function reckons with single numbers. Of them the compiler makes a kernel in a tenth of the
     time that it takes over vectors of 2 or 3, whose entries it works out anew for each that asks.
     """
+    return rows_of_each(lambda id, *held: lambda _: function(id, *held), 1, ids, *held)[:, 0]
+
+
+def rows_of_each(
+    function: Callable[..., Callable[[Array], Sequence[Array]]],
+    number: int,
+    ids: Int[Array, "K"],
+    *held: Any,
+) -> Num[Array, "K n m"]:
+    """Return several `rows` of each id: `function(id, *held)` returns a function of 0, 1, ... that
+    returns them. That is a loop, so that all are rounded alike."""
     ids, held = jax.lax.stop_gradient((ids, held))
-    K, like = ids.shape[0], jax.eval_shape(function, jnp.int32(0), *held)
+    K, zero = ids.shape[0], jnp.int32(0)
+    like = jax.eval_shape(lambda *held: function(zero, *held)(zero), *held)
     # (One row would be written over as a whole.)
-    room = jnp.zeros((max(K, 2), len(like)), like[0].dtype)
+    room = jnp.zeros((max(K * number, 2), len(like)), like[0].dtype)
 
     def one_by_one(ids: Array, held: tuple, table: Array) -> Array:
-        def one(k, table):
-            row = jax.lax.optimization_barrier(list(function(ids[k], *held)))
-            return put(table, jnp.stack(row), k)
+        def one(i, table):
+            row_of = function(ids[i], *held)
+
+            def fill(k, table):
+                row = jax.lax.optimization_barrier(list(row_of(k)))
+                return put(table, jnp.stack(row), i * number + k)
+
+            return jax.lax.fori_loop(0, number, fill, table)
 
         return jax.lax.fori_loop(0, K, one, table)
 
     def beside(ids: Array, held: tuple, table: Array) -> Array:
-        row = lambda i: jnp.stack(list(function(i, *held)))
-        return table.at[:K].set(jax.vmap(row)(ids))
+        k = jnp.arange(number, dtype=jnp.int32)
+        some = lambda i: jax.vmap(lambda k: jnp.stack(list(function(i, *held)(k))))(k)
+        return table.at[: K * number].set(jax.vmap(some)(ids).reshape(K * number, -1))
 
-    return on_cpu(one_by_one, ids, held, room, elsewhere=beside)[:K]
+    table = on_cpu(one_by_one, ids, held, room, elsewhere=beside)
+    return table[: K * number].reshape(K, number, -1)
 
 
 def for_both(function: Callable[[Array], Sequence[Array]]) -> tuple[list[Array], list[Array]]:
@@ -115,8 +134,8 @@ def for_both(function: Callable[[Array], Sequence[Array]]) -> tuple[list[Array],
     none = [jnp.zeros(x.shape, x.dtype) for x in like]
 
     def one(k, found):
-        new = list(function(k))
-        return [[jnp.where(k == i, x, y) for x, y in zip(new, found[i], strict=True)] for i in (0, 1)]
+        pairs = (zip(function(k), old, strict=True) for old in found)
+        return [[jnp.where(k == i, x, y) for x, y in pair] for i, pair in enumerate(pairs)]
 
     first, second = jax.lax.fori_loop(0, 2, one, [none, none])
     return first, second

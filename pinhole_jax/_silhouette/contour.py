@@ -11,6 +11,7 @@ many layers lie there.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -41,7 +42,6 @@ from .distorted import (
     End,
     along,
     bending,
-    bent,
     bent_parts,
     cuts,
     fraction,
@@ -264,10 +264,9 @@ def homogeneous_edges(
     """
     if contour.cuts is None:
         return _edge_ends(film, vertices, contour, _edge(contour, _place(contour, ids)[0]))
-    assert film.bend is not None
     ends = jax.lax.optimization_barrier(rows(_vertices_of, ids, contour))
-    held = film, vertices, contour
-    return moving_parts(_part_row, film_points(film, vertices[ends]), film.bend.numbers, ids, *held)
+    points = film_points(film, vertices[ends])
+    return moving_parts(_part, points, film, ids, vertices, contour)
 
 
 def _vertices_of(id: Int[Array, ""], contour: MeshContour) -> list[Array]:
@@ -314,19 +313,20 @@ class _Ideal(NamedTuple):
         return [safe_divide(s, z) * scale for s, scale in zip((1 - t, t), self.scales, strict=True)]
 
 
-def _part_row(
-    slopes: bool, id: Int[Array, ""], film: FilmMap, vertices: Array, contour: MeshContour
-) -> list[Array]:
-    """Return what is `bent` of a part of a contour edge, and its weight."""
+def _part(
+    id: Int[Array, ""], film: FilmMap, vertices: Array, contour: MeshContour
+) -> Callable[[Array], End]:
+    """Return the ends of a part of a contour edge, or of what of one lies left of the film."""
     rank, beside, part, parts = _place(contour, id)
     ideal = _Ideal.of(film, vertices, contour, rank, beside)
     ends, weight = ideal.cut_off
+    weight = jnp.where(id < contour.segments, weight, 0)
 
     def end(k):
         place = along(ends, fraction(part + k, parts, weight.dtype))
-        return End(*place, ideal.shares(*place) if slopes else ())
+        return End(*place, ideal.shares(*place), weight)
 
-    return [*bent(film, slopes, end), jnp.where(id < contour.segments, weight, 0)]
+    return end
 
 
 def _edge_ends(
@@ -373,7 +373,7 @@ def edge_segments(
     into parts, the way they are seen.
     """
     if contour.cuts is not None:
-        return bent_parts(_part_row, ids, film, vertices, contour)
+        return bent_parts(_part, film, ids, vertices, contour)
     rank, beside = _place(contour, ids)
     edge = _edge(contour, rank)
     weight, homogeneous = contour.weight(edge), _edge_ends(film, vertices, contour, edge)

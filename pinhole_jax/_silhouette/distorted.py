@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from .._camera.film import FilmMap
 from .._numerics.bitset import count_upto
-from .._numerics.one_kernel import for_both, on_cpu, put, rows
+from .._numerics.one_kernel import on_cpu, put, rows, rows_of_each
 from .._numerics.running import running_sum
 from .._numerics.safe import length, safe_divide
 from .curves import Frame, Point, Segments, arc_end, cut_at, homogeneous_at, point_at
@@ -152,11 +152,16 @@ def _bending_at(
 
 class End(NamedTuple):
     """An end of a part on the ideal film: a point, and how much it moves with each of the
-    homogeneous points that it moves with, over its depth."""
+    homogeneous points that it moves with, over its depth; and the part's weight."""
 
     x: Array
     y: Array
     shares: Sequence[Array]
+    weight: Array
+
+
+#: `part(id, *held)` gives the ends of a part, 0 and 1.
+Part = Callable[..., Callable[[Array], End]]
 
 
 def fraction(part: Array, parts: Array, dtype: Any) -> Array:
@@ -170,66 +175,65 @@ def along(ends: tuple[Point, Point], share: Array) -> Point:
     return x, y
 
 
-def bent(film: FilmMap, slopes: bool, end: Callable[[Array], End]) -> list[Array]:
-    """Return where the lens shows the ends of a part, 0 and 1: the x and y of each, and if asked
-    for their derivatives after them, by the homogeneous points and by `Bend.numbers`."""
-    assert film.bend is not None
-    bend = film.bend
-
-    def of_end(k):
-        x, y, shares = end(k)
-        if not slopes:
-            return bend.at(x, y)
-        place, by_point, by_numbers = bend.moving_at(x, y)
-        by_points = [
-            share * g for gx, gy in by_point for share in shares for g in (gx, gy, -(gx * x + gy * y))
-        ]
-        return [*place, *by_points, *by_numbers[0], *by_numbers[1]]
-
-    first, last = for_both(of_end)
-    return first + last
-
-
-Row = Callable[..., Sequence[Array]]
-
-
-def bent_parts(row: Row, ids: Int[Array, "K"], *held: Any) -> Segments:
-    """Return parts as they are seen: `row(slopes, id, *held)` is what is `bent`, and its weight."""
-    table = rows(partial(row, False), ids, *held)
-    return Segments(table[:, :2], table[:, 2:4], table[:, 4])
+def bent_parts(part: Part, film: FilmMap, ids: Int[Array, "K"], *held: Any) -> Segments:
+    """Return parts as they are seen."""
+    table = _bent(part, False, film, ids, *held)
+    return Segments(table[:, 0, :2], table[:, 1, :2], table[:, 0, 2])
 
 
 def moving_parts(
-    row: Row,
+    part: Part,
     points: Float[Array, "K n 3"],
-    numbers: Float[Array, "m"],
+    film: FilmMap,
     ids: Int[Array, "K"],
     *held: Any,
 ) -> Float[Array, "K 2 3"]:
     """Return the ends of the same as the homogeneous points that their image moves with: it moves
-    as the homogeneous points do, and as the lens's numbers."""
+    as homogeneous points of the ideal film do, and as the lens's numbers."""
+    assert film.bend is not None
     K, n = ids.shape[0], 3 * points.shape[1]
 
     @jax.custom_jvp
-    def image(points, numbers, ids, held):
+    def image(points, numbers, film, ids, held):
         del points, numbers
-        table = rows(partial(row, False), ids, *held)
-        return _lifted(table[:, :4].reshape(K, 2, 2), 1)
+        return _lifted(_bent(part, False, film, ids, *held)[..., :2], 1)
 
     def pushed(primals, tangents):
-        _, numbers, ids, held = primals
-        moves = tangents[0], tangents[1]
-        table = rows(partial(row, True), ids, *held)[:, :-1].reshape(K, 2, -1)
-        by_points, by_numbers = jnp.split(table[..., 2:], [2 * n], axis=-1)
+        table = _bent(part, True, *primals[2:4], *primals[4])
+        by_points, by_numbers = jnp.split(table[..., 3:], [2 * n], axis=-1)
+        moves, changes = tangents[:2]
         rate = jnp.zeros((K, 2, 2), table.dtype)
-        if not isinstance(moves[0], SymbolicZero):
-            rate += _sum(by_points.reshape(K, 2, 2, n), moves[0].reshape(K, 1, 1, n))
-        if not isinstance(moves[1], SymbolicZero):
-            rate += _sum(by_numbers.reshape(K, 2, 2, -1), moves[1].reshape(1, 1, 1, -1))
+        if not isinstance(moves, SymbolicZero):
+            rate += _sum(by_points.reshape(K, 2, 2, n), moves.reshape(K, 1, 1, n))
+        if not isinstance(changes, SymbolicZero):
+            rate += _sum(by_numbers.reshape(K, 2, 2, -1), changes.reshape(1, 1, 1, -1))
         return _lifted(table[..., :2], 1), _lifted(rate, 0)
 
     image.defjvp(pushed, symbolic_zeros=True)
-    return image(points, numbers, *jax.lax.stop_gradient((ids, held)))
+    return image(points, film.bend.numbers, *jax.lax.stop_gradient((film, ids, held)))
+
+
+def _bent(
+    part: Part, slopes: bool, film: FilmMap, ids: Int[Array, "K"], *held: Any
+) -> Float[Array, "K 2 m"]:
+    """Return where the lens shows the ends of parts, x and y, and the weight; if asked for, after
+    them the derivatives of x and y by the homogeneous points, and those by `Bend.numbers`."""
+
+    def ends(id, film, *held):
+        end = part(id, film, *held)
+
+        def row(k):
+            x, y, shares, weight = end(k)
+            if not slopes:
+                return *film.bend.at(x, y), weight
+            place, by_point, by_numbers = film.bend.moving_at(x, y)
+            moved = ((gx, gy, -(gx * x + gy * y)) for gx, gy in by_point)
+            by_points = [share * g for of in moved for share in shares for g in of]
+            return *place, weight, *by_points, *by_numbers[0], *by_numbers[1]
+
+        return row
+
+    return rows_of_each(ends, 2, ids, film, *held)
 
 
 def _lifted(xy: Float[Array, "K 2 2"], z: int) -> Float[Array, "K 2 3"]:
@@ -335,24 +339,22 @@ def arc_parts(film: FilmMap, arc: Arc) -> Int[Array, ""]:
     return jnp.where(arc.turn > 0, inner, 0) + arc.beside.astype(jnp.int32)
 
 
-def arc_part_row(
-    slopes: bool, id: Int[Array, ""], film: FilmMap, parts: Cuts
-) -> Sequence[Array]:
-    """Return what is `bent` of a part of an arc, which moves as the frame does, and its weight; of
-    an id past the last part nothing."""
+def arc_part(id: Int[Array, ""], film: FilmMap, parts: Cuts) -> Callable[[Array], End]:
+    """Return the ends of a part of an arc, which move as its frame does; of an id past the last
+    part nothing."""
     assert parts.curves is not None
     number, part, all_of = parts.find(id)
     arc = Arc.of([parts.curves[number, k] for k in range(parts.curves.shape[1])])
     inner = all_of - arc.beside.astype(jnp.int32)
     inside = part < inner
+    weight = jnp.where(id < parts.total, arc.weight, 0)
 
     def end(k):
-        w = arc.at(fraction(part + k, inner, arc.turn.dtype))
+        w = arc.at(fraction(part + k, inner, weight.dtype))
         x, y, z = homogeneous_at(arc.frame, w)
         beside = film.bounds[0], jnp.where(k == 0, *arc.heights)
         place = _either(inside, (safe_divide(x, z), safe_divide(y, z)), beside)
-        ways = [jnp.where(inside, safe_divide(s, z), 0) for s in (jnp.ones_like(z), *w)]
-        return End(*place, ways)
+        shares = [jnp.where(inside, safe_divide(s, z), 0) for s in (jnp.ones_like(z), *w)]
+        return End(*place, shares, weight)
 
-    weight = jnp.where(id < parts.total, arc.weight, 0)
-    return [*bent(film, slopes, end), weight]
+    return end

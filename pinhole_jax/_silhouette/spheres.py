@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._camera.film import FilmMap, scaled
+from .._camera.film import FilmMap, film_points, scaled, turned
 from .._numerics.one_kernel import rows
 from .._numerics.safe import binary_scale, dot, length, norm, safe_divide, safe_sqrt
 from .._scene.scene import Spheres
 from .curves import Arcs, Frame, Point, Segments, cut_at, frame_of, homogeneous_at
-from .distorted import Cuts, arc_part_row, arc_parts, arc_within, bent_parts, cuts, moving_parts
+from .distorted import Cuts, arc_part, arc_parts, arc_within, bent_parts, cuts, moving_parts
 
 #: A conic has at most 4 points where it turns back in x or y, and 2 where it leaves for infinity.
 ARCS_PER_SPHERE = 6
@@ -29,13 +29,16 @@ def sphere_frames(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Floa
     sphere = jax.lax.div(ids, jnp.int32(ARCS_PER_SPHERE))
     centre, radius = spheres.centers[sphere], spheres.radii[sphere]
     ring = _ring(jnp.concatenate([centre - film.eye[None], radius[:, None]], axis=1))
-    frame = _frame(film, [centre[:, k] for k in range(3)], [ring[:, k] for k in range(7)])
-    return jnp.stack([jnp.stack(row, axis=-1) for row in frame], axis=1)
+    middle = film_points(film, centre) * ring[:, :1] / binary_scale(film.matrix)
+    around = turned(film.matrix, ring[:, 1:].reshape(-1, 2, 3))
+    return jnp.concatenate([middle[:, None], around], axis=1)
 
 
-def _frame(film: FilmMap, centre: Sequence[Array], ring: Sequence[Array]) -> Frame:
-    # Of the centre counts its place beside the view point, as for a mesh's vertices.
+def _frame(film: FilmMap, centre: Sequence[Array], radius: Array) -> Frame:
+    """Return one of these frames, by components."""
+    ring = _ring_at(*(c - film.eye[k] for k, c in enumerate(centre)), radius)
     unit = binary_scale(film.matrix)
+    # Of the centre counts its place beside the view point, as for a mesh's vertices.
     middle = tuple(x * ring[0] / unit for x in scaled(film).at(*centre))
     return middle, film.turn(*ring[1:4]), film.turn(*ring[4:])
 
@@ -50,15 +53,17 @@ def _ring(seen: Float[Array, "K 4"]) -> Float[Array, "K 7"]:
 def _(primals: Any, tangents: Any):
     seen, moves = primals[0], tangents[0]
     ids = jnp.arange(seen.shape[0], dtype=jnp.int32)
-    slopes = rows(_ring_slopes, ids, seen).reshape(-1, 7, 4)
-    return _ring(seen), jnp.sum(slopes * moves[:, None], axis=-1)
+    table = rows(_ring_row, ids, seen)
+    slopes = table[:, 7:].reshape(-1, 7, 4)
+    return table[:, :7], jnp.sum(slopes * moves[:, None], axis=-1)
 
 
-def _ring_slopes(id: Int[Array, ""], seen: Float[Array, "K 4"]) -> list[Array]:
+def _ring_row(id: Int[Array, ""], seen: Float[Array, "K 4"]) -> list[Array]:
+    """Return what `_ring_at` does, and the derivatives of each of its numbers."""
     at, number = [seen[id, k] for k in range(4)], range(4)
     along = lambda k: [jnp.asarray(m == k, seen.dtype) for m in number]
-    by = [jax.jvp(_ring_at, at, along(k))[1] for k in number]
-    return [by[k][m] for m in range(7) for k in number]
+    by = [jax.jvp(_ring_at, at, along(k)) for k in number]
+    return [*by[0][0], *(by[k][1][m] for m in range(7) for k in number)]
 
 
 def _ring_at(x: Array, y: Array, z: Array, radius: Array) -> tuple[Array, ...]:
@@ -117,7 +122,7 @@ def _arc_row(id: Int[Array, ""], film: FilmMap, spheres: Spheres) -> list[Array]
     part = id - sphere * ARCS_PER_SPHERE
     centre, radius = [spheres.centers[sphere, k] for k in range(3)], spheres.radii[sphere]
     from_eye = [c - film.eye[k] for k, c in enumerate(centre)]
-    frame = _frame(film, centre, _ring_at(*from_eye, radius))
+    frame = _frame(film, centre, radius)
     points = _turning_points(frame)
     start, end = (
         tuple(jax.lax.select_n(part, *(p[i] for p in around)) for i in (0, 1))
@@ -135,15 +140,14 @@ def homogeneous_arc_parts(
     film: FilmMap, spheres: Spheres, parts: Cuts, ids: Int[Array, "K"]
 ) -> Float[Array, "K 2 3"]:
     """Return the ends of the arcs' parts as what their images move with, differentiably."""
-    assert film.bend is not None
     arc = rows(lambda id, parts: [parts.find(id)[0]], ids, parts)[:, 0]
     frame = sphere_frames(film, spheres, arc)
-    return moving_parts(arc_part_row, frame, film.bend.numbers, ids, film, parts)
+    return moving_parts(arc_part, frame, film, ids, parts)
 
 
 def arc_part_segments(film: FilmMap, parts: Cuts, ids: Int[Array, "K"]) -> Segments:
     """Return the arcs' parts, the way they are seen under distortion; then nothing."""
-    return bent_parts(arc_part_row, ids, film, parts)
+    return bent_parts(arc_part, film, ids, parts)
 
 
 def _monotone_stretches(frame: Float[Array, "S 3 3"]):
