@@ -24,7 +24,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics.arrays import ArrayLike, Input, float_array, float_dtype
-from .._numerics.safe import norm, safe_divide, safe_sqrt
+from .._numerics.one_kernel import by_machine, one_kernel
+from .._numerics.safe import length, safe_divide, safe_sqrt
 
 Real = Input[ArrayLike, ""]
 
@@ -65,12 +66,8 @@ class Distortion(eqx.Module):
     def trusted_radius(self) -> Float[Array, ""]:
         """Return up to which radius of the ideal image the formula counts; not differentiated."""
         held = jax.lax.stop_gradient(self)
-        dtype = jax.tree.leaves(self)[0].dtype
-        radii = jnp.asarray(RADII, dtype)
-        slope = held.slope(radii)
-        wrong = ~((slope > LEAST_SLOPE) & (slope < MOST_SLOPE))
-        first = jnp.min(jnp.where(wrong, jnp.arange(len(RADII)), len(RADII)))
-        return radii[jnp.maximum(first - 1, 0)]
+        radii = jnp.asarray(RADII, jax.tree.leaves(self)[0].dtype)
+        return by_machine(held, radii, cpu=one_kernel(_walked), elsewhere=_looked_at)
 
     def __call__(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
         """Return the distorted points of ideal ones."""
@@ -122,7 +119,7 @@ class Decentred(Distortion):
 
     def slope(self, radius: Array) -> Array:
         """Return a lower bound of how much the image grows at a radius."""
-        return self.growth(radius * radius) - 6 * norm(jnp.stack([self.p1, self.p2])) * radius
+        return self.growth(radius * radius) - 6 * length(self.p1, self.p2) * radius
 
     def first_guess(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Return the point itself."""
@@ -305,6 +302,26 @@ def _powers(s: Array, *factors: Array) -> Array:
 def _coefficients(values: dict[str, ArrayLike]) -> list[Array]:
     dtype = float_dtype(*values.values())
     return [float_array(name, value, (), dtype) for name, value in values.items()]
+
+
+def _walked(model: Distortion, radii: Float[Array, "N"]) -> Float[Array, ""]:
+    """Return the last of some radii up to which an image holds (the first at least), from one to
+    the next."""
+    goes_on = lambda k: (k < radii.shape[0]) & _holds(model, radii[jnp.minimum(k, len(radii) - 1)])
+    number = jax.lax.while_loop(goes_on, lambda k: k + 1, jnp.int32(0))
+    return radii[jnp.maximum(number - 1, 0)]
+
+
+def _looked_at(model: Distortion, radii: Float[Array, "N"]) -> Float[Array, ""]:
+    """Return the same, of all of them side by side."""
+    first = jnp.argmin(jnp.append(_holds(model, radii), jnp.zeros(1, bool)))
+    return radii[jnp.maximum(first - 1, 0)]
+
+
+def _holds(model: Distortion, radius: Array) -> Array:
+    """Return whether the image grows at a radius as lenses' do."""
+    slope = model.slope(radius)
+    return (slope > LEAST_SLOPE) & (slope < MOST_SLOPE)
 
 
 def _linearised(model: Distortion, trusted: Array, x: Array, y: Array) -> tuple:

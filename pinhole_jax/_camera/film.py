@@ -1,15 +1,24 @@
 """The film: homogeneous points of it, a lens's bend, and the part that is looked at."""
 
+import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from .._numerics.one_kernel import by_machine, one_kernel
 from .._numerics.safe import binary_scale
 from .distortion import Distortion
+
+#: How many times as large as the film the rectangles are that are tried for what a lens sees, along
+#: whose sides so many points are looked at; which way out of it its left, right, bottom and top lie.
+BOXES = np.geomspace(1.02, 600, 96)
+SAMPLES = 33
+OUT = (-1, 1, -1, 1)
 
 
 class Bend(eqx.Module):
@@ -21,34 +30,61 @@ class Bend(eqx.Module):
     focal: Float[Array, "2"]
     centre: Float[Array, "2"]
 
+    @property
+    def numbers(self) -> Float[Array, "n"]:
+        """Return what the image moves with: coefficients, focal lengths, principal point."""
+        return jnp.concatenate(
+            [jnp.stack(jax.tree.leaves(self.distortion)), self.focal, self.centre]
+        )
+
     def __call__(self, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
         """Return the film points (px) of ideal ones."""
-        x, y = ((points[..., k] - self.centre[k]) / self.focal[k] for k in (0, 1))
-        distorted = self._distorted(x, y)
-        return jnp.stack([self.focal[k] * distorted[k] + self.centre[k] for k in (0, 1)], axis=-1)
+        return jnp.stack(self.at(points[..., 0], points[..., 1]), axis=-1)
 
-    def _distorted(self, x: Array, y: Array) -> tuple[Array, Array]:
-        return self.distortion.continued(self.trusted, x, y)
+    def at(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return the film point (px) of an ideal one, by components."""
+        return _image(self.distortion, self.trusted, self.focal, self.centre, x, y)
+
+    def moving_at(self, x: Array, y: Array) -> "Moving":
+        """Return the film point of one ideal point, and how it moves."""
+        leaves, tree = jax.tree.flatten(self.distortion)
+        numbers = [*leaves, self.focal[0], self.focal[1], self.centre[0], self.centre[1]]
+
+        def image(x, y, *numbers):
+            focal, centre = numbers[-4:-2], numbers[-2:]
+            distortion = tree.unflatten(numbers[:-4])
+            return _image(distortion, self.trusted, focal, centre, x, y)
+
+        place, back = jax.vjp(image, x, y, *numbers)
+        one, none = jnp.ones_like(x), jnp.zeros_like(x)
+        of_x, of_y = back((one, none)), back((none, one))
+        return Moving(place, (of_x[:2], of_y[:2]), (of_x[2:], of_y[2:]))
 
     def around(self, part: "FilmPart") -> Float[Array, "4"]:
         """Return an ideal rectangle (left, right, bottom, top) about a part of the film, of which
-        each side is seen beyond that side of the part; not differentiated."""
-        held = jax.lax.stop_gradient(self)
-        sides = (jnp.stack(part[:4]) - jnp.repeat(held.centre, 2)) / jnp.repeat(held.focal, 2)
-        sign = jnp.asarray([-1, 1, -1, 1], sides.dtype)
-        size = jnp.max(jnp.abs(sides))
-        outer = sign * jnp.maximum(sign * sides, size / 10)
-        boxes = jnp.asarray(np.geomspace(1.02, 600, 96)[:, None], sides.dtype) * outer[None]
-        share = jnp.asarray(np.linspace(0, 1, 33)[None], sides.dtype)
-        x, y = (boxes[:, k : k + 1] * (1 - share) + boxes[:, k + 1 : k + 2] * share for k in (0, 2))
-        none = jnp.zeros_like(x)
-        seen = [held._distorted(boxes[:, k : k + 1] + none, y)[0] for k in (0, 1)]
-        seen += [held._distorted(x, boxes[:, k : k + 1] + none)[1] for k in (2, 3)]
-        beyond = jnp.min(
-            sign[:, None, None] * (jnp.stack(seen) - sides[:, None, None]), axis=(0, 2)
-        )
-        box = boxes[jnp.argmax(jnp.append(beyond[:-1] > size / 50, jnp.ones(1, bool)))]
-        return box * jnp.repeat(held.focal, 2) + jnp.repeat(held.centre, 2)
+        each side is seen beyond that side of the part; not differentiated.
+
+        The first of `BOXES` that is.
+        """
+        held = jax.lax.stop_gradient((self, part, jnp.asarray(BOXES, self.focal.dtype)))
+        return by_machine(*held, cpu=one_kernel(_first_box), elsewhere=_box_of_all)
+
+
+class Moving(NamedTuple):
+    """A film point, and of each of its two numbers the derivatives: by the ideal point's two, and
+    by `Bend.numbers`."""
+
+    place: tuple[Array, Array]
+    by_point: tuple[Sequence[Array], Sequence[Array]]
+    by_numbers: tuple[Sequence[Array], Sequence[Array]]
+
+
+def _image(
+    distortion: Distortion, trusted: Array, focal: Any, centre: Any, x: Array, y: Array
+) -> tuple[Array, Array]:
+    x, y = (x - centre[0]) / focal[0], (y - centre[1]) / focal[1]
+    x, y = distortion.continued(trusted, x, y)
+    return focal[0] * x + centre[0], focal[1] * y + centre[1]
 
 
 class FilmPart(NamedTuple):
@@ -59,6 +95,51 @@ class FilmPart(NamedTuple):
     bottom: Any
     top: Any
     px: Any
+
+
+def _first_box(bend: Bend, part: FilmPart, boxes: Float[Array, "N"]) -> Float[Array, "4"]:
+    """Return the first rectangle about a part of the film that holds it, or the last."""
+
+    def larger(state):
+        k, _, _ = state
+        box, holds = _box(bend, part, boxes[k])
+        return k + 1, holds, box
+
+    start = jnp.int32(0), jnp.array(False), jnp.zeros(4, boxes.dtype)
+    goes_on = lambda state: ~state[1] & (state[0] < boxes.shape[0])
+    return jax.lax.while_loop(goes_on, larger, start)[2]
+
+
+def _box_of_all(bend: Bend, part: FilmPart, boxes: Float[Array, "N"]) -> Float[Array, "4"]:
+    """Return the same, of all that are tried side by side."""
+    box, holds = jax.vmap(lambda size: _box(bend, part, size))(boxes)
+    return box[jnp.argmax(holds.at[-1].set(True))]
+
+
+def _box(bend: Bend, part: FilmPart, scale: Array) -> tuple[Float[Array, "4"], Bool[Array, ""]]:
+    """Return an ideal rectangle about a part of the film, and whether it is seen beyond it."""
+    f, c = bend.focal, bend.centre
+    ends = ((part[k] - c[k // 2]) / f[k // 2] for k in range(4))
+    left, right, bottom, top = ends = [jnp.asarray(x, f.dtype) for x in ends]
+    size = functools.reduce(jnp.maximum, map(jnp.abs, ends))
+    outward = [jnp.maximum(sign * x, size / 10) for sign, x in zip(OUT, ends, strict=True)]
+    x0, x1, y0, y1 = box = [sign * scale * x for sign, x in zip(OUT, outward, strict=True)]
+
+    def along(k, least):
+        share = k.astype(f.dtype) / (SAMPLES - 1)
+        x, y = x0 * (1 - share) + x1 * share, y0 * (1 - share) + y1 * share
+
+        def of_side(side, least):
+            at = lambda *values: jax.lax.select_n(side, *values)
+            seen = bend.distortion.continued(bend.trusted, at(x0, x1, x, x), at(y, y, y0, y1))
+            beyond = at(left - seen[0], seen[0] - right, bottom - seen[1], seen[1] - top)
+            return jnp.minimum(least, beyond)
+
+        return jax.lax.fori_loop(0, 4, of_side, least)
+
+    least = jax.lax.fori_loop(0, SAMPLES, along, jnp.asarray(jnp.inf, f.dtype))
+    placed = [x * f[k // 2] + c[k // 2] for k, x in enumerate(box)]
+    return jnp.stack(placed), least > size / 50
 
 
 class FilmMap(eqx.Module):
@@ -101,27 +182,60 @@ class FilmMap(eqx.Module):
 
     def __call__(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
         """Return the homogeneous film points (px times depth, depth) of world points."""
-        from_eye, from_view = (
-            [points[..., k] - origin[k] for k in range(3)] for origin in (self.eye, self.view)
-        )
-        far, near = (
-            jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), jnp.abs(z))
-            for x, y, z in (from_eye, from_view)
-        )
-        there = jax.lax.stop_gradient(near < far)
-        chosen = (jnp.where(there, a, b) for a, b in zip(from_view, from_eye, strict=True))
-        return self.turn(*chosen) + jnp.where(
-            there[..., None], self.base.reshape((1,) * there.ndim + (3,)), 0
-        )
+        return _mapped(self.eye, self.view, self.matrix, self.base, points)
 
-    def turn(self, x: Array, y: Array, z: Array) -> Float[Array, "*batch 3"]:
-        """Return the homogeneous film points of directions from the eye."""
-        column = lambda k: self.matrix[:, k].reshape((1,) * x.ndim + (3,))
-        return column(0) * x[..., None] + column(1) * y[..., None] + column(2) * z[..., None]
+    def at(self, x: Array, y: Array, z: Array) -> tuple[Array, ...]:
+        """Return the homogeneous film points of world points, by components."""
+        there, chosen = _from_nearer(self.eye, self.view, (x, y, z))
+        turned = self.turn(*chosen)
+        return tuple(p + jnp.where(there, b, 0) for p, b in zip(turned, self.base, strict=True))
+
+    def turn(self, x: Array, y: Array, z: Array) -> tuple[Array, ...]:
+        """Return the homogeneous film points of directions from the eye, by components."""
+        return tuple(row[0] * x + row[1] * y + row[2] * z for row in self.matrix)
+
+
+def _from_nearer(eye: Array, view: Array, points: Sequence[Array]) -> tuple[Array, list[Array]]:
+    """Return whether points are nearer to the view point than to the eye, and where they are from
+    the nearer one."""
+    from_eye, from_view = ([p - o[k] for k, p in enumerate(points)] for o in (eye, view))
+    far, near = (functools.reduce(jnp.maximum, map(jnp.abs, way)) for way in (from_eye, from_view))
+    there = jax.lax.stop_gradient(near < far)
+    return there, [jnp.where(there, a, b) for a, b in zip(from_view, from_eye, strict=True)]
+
+
+@jax.custom_jvp
+def _mapped(eye: Array, view: Array, matrix: Array, base: Array, points: Array) -> Array:
+    film = FilmMap(eye, view, matrix, base, 0, 0)
+    return jnp.stack(film.at(*(points[..., k] for k in range(3))), axis=-1)
+
+
+@_mapped.defjvp
+def _(primals: Any, tangents: Any):
+    """(By vectors: to go back by components is a kernel for each number of the matrix.)"""
+    eye, view, matrix, base, points = primals
+    eye_moves, view_moves, turns, base_moves, moves = tangents
+    there, chosen = _from_nearer(eye, view, [points[..., k] for k in range(3)])
+    there = there[..., None]
+    raised = lambda x: x.reshape((1,) * (points.ndim - 1) + x.shape)
+    moves = moves - jnp.where(there, raised(view_moves), raised(eye_moves))
+    rate = turned(matrix, moves) + turned(turns, jnp.stack(chosen, axis=-1))
+    return _mapped(*primals), rate + jnp.where(there, raised(base_moves), 0)
+
+
+def turned(matrix: Float[Array, "3 3"], directions: Float[Array, "*batch 3"]) -> Array:
+    """Return a matrix times directions."""
+    matrix = matrix.reshape((1,) * (directions.ndim - 1) + (3, 3))
+    return jnp.sum(matrix * directions[..., None, :], axis=-1)
 
 
 def film_points(film: FilmMap, points: Float[Array, "*K 3"]) -> Float[Array, "*K 3"]:
     """Return homogeneous film points that are no larger than the points: none overflows."""
+    return scaled(film)(points)
+
+
+def scaled(film: FilmMap) -> FilmMap:
+    """Return the map to homogeneous points that are no larger than what is mapped."""
     unit = binary_scale(film.matrix)
     where = lambda f: (f.matrix, f.base)
-    return eqx.tree_at(where, film, [x * unit for x in where(film)])(points)
+    return eqx.tree_at(where, film, [x * unit for x in where(film)])

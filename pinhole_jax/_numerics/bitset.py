@@ -137,7 +137,7 @@ def words_of(mask: Bool[Array, "*N"]) -> UInt32[Array, "*words"]:
     return functools.reduce(jnp.bitwise_or, (bits[:, k] << k for k in range(32)))
 
 
-def nth(selection: Selection, rank: Int[Array, "K"]) -> Int[Array, "K"]:
+def nth(selection: Selection, rank: Int[Array, "*K"]) -> Int[Array, "*K"]:
     """Return the indices of the set's entries number `rank`; an index within range past the end."""
     word = jnp.maximum(count_upto(selection.before, rank) - 1, 0)
     bits, rest = selection.words[word], (rank - selection.before[word]).astype(jnp.uint32)

@@ -5,6 +5,8 @@ differentiated, and 0 * inf is NaN. Each function here therefore feeds the singu
 harmless argument first (the "double where").
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -41,6 +43,14 @@ def norm(vector: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
     scale = jax.lax.stop_gradient(jnp.max(jnp.abs(vector), axis=-1, keepdims=True))
     unit = safe_divide(vector, scale)
     return scale[..., 0] * safe_sqrt(dot(unit, unit))
+
+
+def length(*components: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Return the Euclidean length of a vector's components, as `norm` does."""
+    size = functools.reduce(jnp.maximum, map(jnp.abs, components))
+    scale = jax.lax.stop_gradient(size)
+    units = [safe_divide(x, scale) for x in components]
+    return scale * safe_sqrt(functools.reduce(jnp.add, [x * x for x in units]))
 
 
 def normalize(vector: Float[Array, "*batch n"]) -> Float[Array, "*batch n"]:

@@ -10,16 +10,18 @@ A scene may surround the eye: then its curves leave towards infinity, and `surro
 many layers lie there.
 """
 
+import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from .._camera.film import FilmMap, film_points
+from .._camera.film import FilmMap, film_points, scaled
 from .._numerics.bitset import Selection, bit, nth, select, selection, words_of
-from .._numerics.one_kernel import on_cpu, put
-from .._numerics.safe import binary_inverse
+from .._numerics.one_kernel import for_both, on_cpu, put, rows
+from .._numerics.safe import binary_inverse, safe_divide
 from .._scene.scene import (
     CLUSTER,
     Clusters,
@@ -32,9 +34,19 @@ from .._scene.scene import (
     planes_of,
     undecided,
 )
-from .clip import clipped
-from .curves import Segments
-from .distorted import Cuts, along, bending, cuts, following, seen_through
+from .clip import Homogeneous, clipped, cut_off
+from .curves import Point, Segments
+from .distorted import (
+    Bending,
+    Cuts,
+    End,
+    along,
+    bending,
+    bent_parts,
+    cuts,
+    fraction,
+    moving_parts,
+)
 from .surrounding import reaches_left
 
 #: Clusters of edges looked at together.
@@ -89,15 +101,16 @@ def mesh_contour(film: FilmMap, mesh: Mesh) -> MeshContour:
     left = jnp.where(reaches_left(film, mesh), contour.segments, 0)
     if film.bend is None:
         return contour._replace(segments=contour.segments + left)
-    distorted, edges = bending(film), mesh.edge_faces.shape[0]
-
-    def number(rank):
-        return distorted.parts(
-            _ideal_segments(film, mesh.vertices, contour, rank, rank < 0), film.px
-        )
-
-    parts = cuts(number, contour.segments, edges)
+    held = film, mesh.vertices, contour, bending(film)
+    parts = cuts(_parts_of, contour.segments, mesh.edge_faces.shape[0], *held)
     return contour._replace(segments=parts.total + left, cuts=parts)
+
+
+def _parts_of(
+    rank: Int[Array, ""], film: FilmMap, vertices: Array, contour: MeshContour, table: Bending
+) -> Int[Array, ""]:
+    """Return into how many parts a contour edge is to be cut."""
+    return table.parts(film, *_Ideal.of(film, vertices, contour, rank, rank < 0).cut_off)
 
 
 def _contour(mesh: Mesh, words: Array, positive: Array) -> MeshContour:
@@ -249,13 +262,71 @@ def homogeneous_edges(
 
     Under distortion those of the edges' parts, and what they move with is their images.
     """
-    rank, beside, *part = _place(contour, ids)
-    homogeneous = _edge_ends(film, vertices, contour, _edge(contour, rank))
-    if not part:
-        return homogeneous
-    held = jax.lax.stop_gradient((film, vertices))
-    ideal = _ideal_segments(*held, contour, rank, beside)
-    return seen_through(film, following(homogeneous, along(ideal, *part)))
+    if contour.cuts is None:
+        return _edge_ends(film, vertices, contour, _edge(contour, _place(contour, ids)[0]))
+    ends = jax.lax.optimization_barrier(rows(_vertices_of, ids, contour))
+    points = film_points(film, vertices[ends])
+    return moving_parts(_part, points, film, ids, vertices, contour)
+
+
+def _vertices_of(id: Int[Array, ""], contour: MeshContour) -> list[Array]:
+    edge = _edge(contour, _place(contour, id)[0])
+    return [contour.edge_vertices[edge, k] for k in (0, 1)]
+
+
+class _Ideal(NamedTuple):
+    """A contour edge on the ideal film, or what of it lies left of the film: its ends as
+    homogeneous points, how many times as large these are as those of `film_points`, and the
+    `cut_off` of it."""
+
+    first: Homogeneous
+    last: Homogeneous
+    scales: tuple[Array, Array]
+    cut_off: tuple[tuple[Point, Point], Array]
+
+    @staticmethod
+    def of(
+        film: FilmMap, vertices: Array, contour: MeshContour, rank: Array, beside: Array
+    ) -> "_Ideal":
+        """Return a contour edge, by its number."""
+        edge, to_film = _edge(contour, rank), scaled(film)
+
+        def end(k):
+            vertex = contour.edge_vertices[edge, k]
+            x, y, z = to_film.at(*(vertices[vertex, i] for i in range(3)))
+            size = functools.reduce(jnp.maximum, map(jnp.abs, (x, y, z)))
+            scale = binary_inverse(size)
+            return x * scale, y * scale, z * scale, scale
+
+        (*first, scale), (*last, other) = for_both(end)
+        ends = Homogeneous(*first), Homogeneous(*last)
+        cut = cut_off(*ends, contour.weight(edge), beside, film.bounds)
+        return _Ideal(*ends, (scale, other), cut)
+
+    def shares(self, x: Array, y: Array) -> list[Array]:
+        """Return how much a point of it moves with each end of `film_points`, over depth."""
+        a, b = self.first, self.last
+        steep = jnp.abs(a.y * b.z - a.z * b.y) > jnp.abs(a.z * b.x - a.x * b.z)
+        past = [jnp.where(steep, p.y - y * p.z, p.x - x * p.z) for p in (a, b)]
+        t = jnp.clip(safe_divide(past[0], past[0] - past[1]), 0, 1)
+        z = a.z + t * (b.z - a.z)
+        return [safe_divide(s, z) * scale for s, scale in zip((1 - t, t), self.scales, strict=True)]
+
+
+def _part(
+    id: Int[Array, ""], film: FilmMap, vertices: Array, contour: MeshContour
+) -> Callable[[Array], End]:
+    """Return the ends of a part of a contour edge, or of what of one lies left of the film."""
+    rank, beside, part, parts = _place(contour, id)
+    ideal = _Ideal.of(film, vertices, contour, rank, beside)
+    ends, weight = ideal.cut_off
+    weight = jnp.where(id < contour.segments, weight, 0)
+
+    def end(k):
+        place = along(ends, fraction(part + k, parts, weight.dtype))
+        return End(*place, ideal.shares(*place), weight)
+
+    return end
 
 
 def _edge_ends(
@@ -271,7 +342,7 @@ def _edge_ends(
     return homogeneous * binary_inverse(jnp.max(jnp.abs(homogeneous), axis=-1))[..., None]
 
 
-def _place(contour: MeshContour, ids: Int[Array, "K"]) -> tuple[Array, ...]:
+def _place(contour: MeshContour, ids: Int[Array, "*K"]) -> tuple[Array, ...]:
     """Return which contour edge each id stands for, and whether for what of it lies left of the
     film; under distortion also the part of the edge, and how many it has."""
     if contour.cuts is None:
@@ -301,21 +372,13 @@ def edge_segments(
     The second half is there only if something may lie on the left. Under distortion edges are cut
     into parts, the way they are seen.
     """
-    rank, beside, *part = _place(contour, ids)
-    segments = _ideal_segments(film, vertices, contour, rank, beside)
-    weight = jnp.where(ids < contour.segments, segments.weight, 0)
-    if part:
-        ends = seen_through(film, along(segments, *part))[..., :2]
-        segments = Segments(ends[:, 0], ends[:, 1], weight)
-    return jax.lax.optimization_barrier(segments._replace(weight=weight))
-
-
-def _ideal_segments(
-    film: FilmMap, vertices: Array, contour: MeshContour, rank: Array, beside: Array
-) -> Segments:
-    """Return contour edges, or what of them lies left of the film, on the ideal film."""
+    if contour.cuts is not None:
+        return bent_parts(_part, film, ids, vertices, contour)
+    rank, beside = _place(contour, ids)
     edge = _edge(contour, rank)
     weight, homogeneous = contour.weight(edge), _edge_ends(film, vertices, contour, edge)
     # Without the barriers the compiler repeats the gathers in each of the clip's many consumers.
     homogeneous, weight = jax.lax.optimization_barrier((homogeneous, weight))
-    return clipped(homogeneous, weight, beside, film.bounds)
+    segments = clipped(homogeneous, weight, beside, film.bounds)
+    weight = jnp.where(ids < contour.segments, segments.weight, 0)
+    return jax.lax.optimization_barrier(segments._replace(weight=weight))

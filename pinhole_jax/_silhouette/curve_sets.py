@@ -81,7 +81,7 @@ def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveS
     """Return the spheres' outlines: arcs, or straight parts of them under distortion."""
     if cuts is not None:
         return CurveSet(
-            lambda ids: arc_part_segments(film, spheres, cuts, ids),
+            lambda ids: arc_part_segments(film, cuts, ids),
             lambda ids: homogeneous_arc_parts(film, spheres, cuts, ids),
             cuts.total,
             None,

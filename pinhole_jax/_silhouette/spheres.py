@@ -1,14 +1,19 @@
 """Spheres on the film: conics, cut into arcs that are monotone in x and in y."""
 
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._camera.film import FilmMap, film_points
-from .._numerics.safe import binary_scale, dot, norm, normalize, safe_sqrt
+from .._camera.film import FilmMap, film_points, scaled, turned
+from .._numerics.one_kernel import rows
+from .._numerics.safe import binary_scale, dot, length, norm, safe_divide, safe_sqrt
 from .._scene.scene import Spheres
-from .curves import Arcs, Segments, cut_circle
-from .distorted import Cuts, arc_part_ends, arc_parts, cuts, seen_through
+from .curves import Arcs, Frame, Point, Segments, cut_at, frame_of, homogeneous_at
+from .distorted import Cuts, arc_part, arc_parts, arc_within, bent_parts, cuts, moving_parts
 
 #: A conic has at most 4 points where it turns back in x or y, and 2 where it leaves for infinity.
 ARCS_PER_SPHERE = 6
@@ -22,22 +27,65 @@ def sphere_frames(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Floa
     e2 perpendicular to c. Their film points are a conic.
     """
     sphere = jax.lax.div(ids, jnp.int32(ARCS_PER_SPHERE))
-    centre = spheres.centers[sphere] - film.eye[None]
-    distance, radius = norm(centre), spheres.radii[sphere]
+    centre, radius = spheres.centers[sphere], spheres.radii[sphere]
+    ring = _ring(jnp.concatenate([centre - film.eye[None], radius[:, None]], axis=1))
+    middle = film_points(film, centre) * ring[:, :1] / binary_scale(film.matrix)
+    around = turned(film.matrix, ring[:, 1:].reshape(-1, 2, 3))
+    return jnp.concatenate([middle[:, None], around], axis=1)
+
+
+def _frame(film: FilmMap, centre: Sequence[Array], radius: Array) -> Frame:
+    """Return one of these frames, by components."""
+    ring = _ring_at(*(c - film.eye[k] for k, c in enumerate(centre)), radius)
+    unit = binary_scale(film.matrix)
+    # Of the centre counts its place beside the view point, as for a mesh's vertices.
+    middle = tuple(x * ring[0] / unit for x in scaled(film).at(*centre))
+    return middle, film.turn(*ring[1:4]), film.turn(*ring[4:])
+
+
+@jax.custom_jvp
+def _ring(seen: Float[Array, "K 4"]) -> Float[Array, "K 7"]:
+    """Return what a frame is made of: see `_ring_at`."""
+    return jnp.stack(_ring_at(*(seen[:, k] for k in range(4))), axis=1)
+
+
+@_ring.defjvp
+def _(primals: Any, tangents: Any):
+    seen, moves = primals[0], tangents[0]
+    ids = jnp.arange(seen.shape[0], dtype=jnp.int32)
+    table = rows(_ring_row, ids, seen)
+    slopes = table[:, 7:].reshape(-1, 7, 4)
+    return table[:, :7], jnp.sum(slopes * moves[:, None], axis=-1)
+
+
+def _ring_row(id: Int[Array, ""], seen: Float[Array, "K 4"]) -> list[Array]:
+    """Return what `_ring_at` does, and the derivatives of each of its numbers."""
+    at, number = [seen[id, k] for k in range(4)], range(4)
+    along = lambda k: [jnp.asarray(m == k, seen.dtype) for m in number]
+    by = [jax.jvp(_ring_at, at, along(k)) for k in number]
+    return [*by[0][0], *(by[k][1][m] for m in range(7) for k in number)]
+
+
+def _ring_at(x: Array, y: Array, z: Array, radius: Array) -> tuple[Array, ...]:
+    """Return of the circle on which rays touch a sphere, whose centre is at (x, y, z) from the eye:
+    by how much the centre's direction counts, over the distance, and the other two rows in space.
+    """
+    distance = length(x, y, z)
     distance = jnp.where(jax.lax.stop_gradient(distance > radius), distance, 2 * radius)
     sine = radius / distance
     cosine = safe_sqrt((distance - radius) / distance * (1 + sine))
-    axis = centre / distance[:, None]
-    least = jax.lax.stop_gradient(jnp.argmin(jnp.abs(axis), axis=1))
-    aside = jax.nn.one_hot(least, 3, dtype=axis.dtype)
-    e1 = normalize(aside - axis * dot(aside, axis)[:, None])
-    e2 = jnp.cross(e1, axis)  # counter-clockwise as the eye sees it
-    # Of the centre counts its place beside the view point, as for a mesh's vertices.
-    middle = film_points(film, spheres.centers[sphere]) / distance[:, None]
-    middle = middle * cosine[:, None] / binary_scale(film.matrix)
-    around = sine[:, None, None] * jnp.stack([e1, e2], axis=1)
-    around = film.turn(*jnp.moveaxis(around, -1, 0))
-    return jnp.concatenate([middle[:, None], around], axis=1)
+    axis = x / distance, y / distance, z / distance
+    sizes = [jax.lax.stop_gradient(jnp.abs(a)) for a in axis]
+    is_x = (sizes[0] <= sizes[1]) & (sizes[0] <= sizes[2])
+    is_y = ~is_x & (sizes[1] <= sizes[2])
+    which = is_x, is_y, ~is_x & ~is_y
+    least = jnp.where(is_x, axis[0], jnp.where(is_y, axis[1], axis[2]))
+    aside = [there.astype(x.dtype) - a * least for there, a in zip(which, axis, strict=True)]
+    size = length(*aside)
+    e1 = [safe_divide(a, size) for a in aside]
+    pairs = (1, 2), (2, 0), (0, 1)
+    e2 = [e1[i] * axis[j] - e1[j] * axis[i] for i, j in pairs]  # counter-clockwise to the eye
+    return cosine / distance, *(sine * a for a in (*e1, *e2))
 
 
 def sphere_arcs(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Arcs:
@@ -61,65 +109,93 @@ def sphere_arcs(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Arcs:
 
 def arc_cuts(film: FilmMap, spheres: Spheres) -> Cuts:
     """Return into how many parts each arc of `sphere_arcs` is to be cut under distortion."""
-    film, spheres = jax.lax.stop_gradient((film, spheres))
     number = ARCS_PER_SPHERE * spheres.radii.shape[0]
-    return cuts(lambda ids: arc_parts(film, sphere_arcs(film, spheres, ids)), number, number)
+    ids = jnp.arange(number, dtype=jnp.int32)
+    table = rows(_arc_row, ids, film, spheres)
+    found = cuts(lambda k, table: table[k, -1].astype(jnp.int32), number, number, table)
+    return found._replace(curves=table[:, :-1])
+
+
+def _arc_row(id: Int[Array, ""], film: FilmMap, spheres: Spheres) -> list[Array]:
+    """Return the numbers of an `Arc`, and into how many parts it is to be cut."""
+    sphere = jax.lax.div(id, jnp.int32(ARCS_PER_SPHERE))
+    part = id - sphere * ARCS_PER_SPHERE
+    centre, radius = [spheres.centers[sphere, k] for k in range(3)], spheres.radii[sphere]
+    from_eye = [c - film.eye[k] for k, c in enumerate(centre)]
+    frame = _frame(film, centre, radius)
+    points = _turning_points(frame)
+    start, end = (
+        tuple(jax.lax.select_n(part, *(p[i] for p in around)) for i in (0, 1))
+        for around in (points, [*points[1:], points[0]])
+    )
+    middle = _middle_at(start, end)
+    z = homogeneous_at(frame, middle)[2]
+    differ = (start[0] != end[0]) | (start[1] != end[1])
+    shown = (length(*from_eye) > radius) & (z > 0) & differ
+    arc = arc_within(film, frame, start, end, shown.astype(radius.dtype))
+    return [*arc.numbers, arc_parts(film, arc).astype(radius.dtype)]
 
 
 def homogeneous_arc_parts(
     film: FilmMap, spheres: Spheres, parts: Cuts, ids: Int[Array, "K"]
 ) -> Float[Array, "K 2 3"]:
     """Return the ends of the arcs' parts as what their images move with, differentiably."""
-    arc, *part = parts.find(ids)
-    arcs = sphere_arcs(*jax.lax.stop_gradient((film, spheres)), arc)
+    arc = rows(lambda id, parts: [parts.find(id)[0]], ids, parts)[:, 0]
     frame = sphere_frames(film, spheres, arc)
-    return seen_through(film, arc_part_ends(film, arcs, frame, *part))
+    return moving_parts(arc_part, frame, film, ids, parts)
 
 
-def arc_part_segments(
-    film: FilmMap, spheres: Spheres, parts: Cuts, ids: Int[Array, "K"]
-) -> Segments:
+def arc_part_segments(film: FilmMap, parts: Cuts, ids: Int[Array, "K"]) -> Segments:
     """Return the arcs' parts, the way they are seen under distortion; then nothing."""
-    weight = sphere_arcs(film, spheres, parts.find(ids)[0]).weight
-    ends = homogeneous_arc_parts(film, spheres, parts, ids)[..., :2]
-    return Segments(ends[:, 0], ends[:, 1], jnp.where(ids < parts.total, weight, 0))
+    return bent_parts(arc_part, film, ids, parts)
 
 
 def _monotone_stretches(frame: Float[Array, "S 3 3"]):
     """Return the ends (6, S, 2) of the arcs between points where the conic turns or is cut."""
-    p = jnp.moveaxis(frame, (1, 2), (0, 1))  # p[k][i]: row k, component i of all spheres
-    levels = [p[:, 2]]
-    for i in (0, 1):  # where the derivative of x (of y) by the angle vanishes
-        minor = lambda k, m, i=i: p[k][i] * p[m][2] - p[m][i] * p[k][2]
-        levels.append(jnp.stack([minor(2, 1), minor(2, 0), minor(0, 1)]))
-    cuts, exists = [], []
-    for level in levels:
-        reach = jnp.sqrt(level[1] ** 2 + level[2] ** 2)
-        for growing in (1.0, -1.0):
-            cuts.append(cut_circle(jnp.moveaxis(level, 0, -1), jnp.full_like(reach, growing)))
-            exists.append(jnp.abs(level[0]) < reach)
-    # The first cut counts in any case: at the point nearest to infinity, if none is there. Cuts
-    # that do not exist repeat it.
-    exists[0] = jnp.ones_like(exists[0])
-    cuts = jnp.where(jnp.stack(exists)[..., None], jnp.stack(cuts), cuts[0][None])
-    start = jnp.stack(_by_angle(list(cuts)))
+    points = _turning_points(frame_of(frame))
+    start = jnp.stack([jnp.stack(p, axis=-1) for p in points])
     return start, jnp.roll(start, -1, axis=0)
 
 
-def _by_angle(points: list[Float[Array, "S 2"]]) -> list[Float[Array, "S 2"]]:
+def _turning_points(frame: Frame) -> list[Point]:
+    """Return the points where the conic turns or is cut, in order, by components."""
+    levels = [[row[2] for row in frame]]
+    for i in (0, 1):  # where the derivative of x (of y) by the angle vanishes
+        minor = lambda k, m, i=i: frame[k][i] * frame[m][2] - frame[m][i] * frame[k][2]
+        levels.append([minor(2, 1), minor(2, 0), minor(0, 1)])
+    cuts: list[Point] = []
+    for level in levels:
+        exists = jnp.abs(level[0]) < jnp.sqrt(level[1] ** 2 + level[2] ** 2)
+        for growing in (1.0, -1.0):
+            cut = cut_at(level, growing)
+            # The first cut counts in any case: at the point nearest to infinity, if none is there.
+            # Cuts that do not exist repeat it.
+            x, y = (jnp.where(exists, a, b) for a, b in zip(cut, (cuts or [cut])[0], strict=True))
+            cuts.append((x, y))
+    return _by_angle(cuts)
+
+
+def _by_angle(points: list[Point]) -> list[Point]:
     """Return points in the order of their angles, by neighbours that change places: a sort would
     be a kernel of its own."""
-    points = [jnp.column_stack([p, jnp.arctan2(p[:, 1], p[:, 0])]) for p in points]
+    ordered = [(x, y, jnp.arctan2(y, x)) for x, y in points]
     for turn in range(len(points)):
         for k in range(turn % 2, len(points) - 1, 2):
-            a, b = points[k : k + 2]
-            swap = (a[:, 2] > b[:, 2])[:, None]
-            points[k : k + 2] = jnp.where(swap, b, a), jnp.where(swap, a, b)
-    return [p[:, :2] for p in points]
+            a, b = ordered[k : k + 2]
+            swap = a[2] > b[2]
+            either = lambda a, b, swap=swap: tuple(map(partial(jnp.where, swap), a, b))
+            ordered[k : k + 2] = either(b, a), either(a, b)
+    return [(x, y) for x, y, _ in ordered]
 
 
 def _middle(start: Float[Array, "*K 2"], end: Float[Array, "*K 2"]) -> Float[Array, "*K 2"]:
     """Return the unit vector half way from start to end, counter-clockwise."""
-    chord = end - start
-    across = normalize(jnp.stack([chord[..., 1], -chord[..., 0]], axis=-1))
-    return across
+    halves = _middle_at(*((w[..., 0], w[..., 1]) for w in (start, end)))
+    return jnp.stack(halves, axis=-1)
+
+
+def _middle_at(start: Point, end: Point) -> Point:
+    """Return the same, by components."""
+    x, y = end[1] - start[1], start[0] - end[0]
+    size = length(x, y)
+    return safe_divide(x, size), safe_divide(y, size)
