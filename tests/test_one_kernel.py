@@ -10,6 +10,8 @@ from pinhole_jax._numerics.one_kernel import (
     for_this_machine,
     on_cpu,
     one_kernel,
+    rows,
+    rows_of_each,
     with_slopes,
 )
 
@@ -85,3 +87,18 @@ def test_what_is_held_is_not_differentiated():
     x = {"at": jnp.array([3.0, 4.0]), "turn": jnp.array(0.5)}
     by_unit = jax.grad(lambda unit: at_once(polar)(x, unit)["length"])(jnp.array(2.0))
     assert by_unit == 0
+
+
+@pytest.mark.parametrize("number", [1, 5])
+def test_rows_are_one_kernel_and_not_differentiated(number):
+    ids, table = jnp.arange(number, dtype=jnp.int32), jnp.linspace(1, 2, 7)
+    row = lambda i, table: [table[i] ** 2, 1 / table[i + 1]]
+    held = np.asarray(table)
+    expected = np.stack([held[:number] ** 2, 1 / held[1 : number + 1]], axis=1)
+    np.testing.assert_allclose(jax.jit(lambda *a: rows(row, *a))(ids, table), expected)
+    both = lambda i, table: lambda k: [table[i + k]]
+    pairs = rows_of_each(both, 2, ids, table)
+    np.testing.assert_array_equal(pairs[..., 0], np.stack([held[:number], held[1 : number + 1]], 1))
+    many = jax.vmap(lambda table: rows(row, ids, table))(jnp.stack([table, 2 * table]))
+    np.testing.assert_allclose(many[0], expected)
+    assert not np.any(jax.grad(lambda table: jnp.sum(rows(row, ids, table)))(table))
