@@ -10,7 +10,8 @@ from pinhole_jax._numerics.one_kernel import (
     for_this_machine,
     on_cpu,
     one_kernel,
-    put_down,
+    rows,
+    rows_of_each,
     with_slopes,
 )
 
@@ -88,21 +89,16 @@ def test_what_is_held_is_not_differentiated():
     assert by_unit == 0
 
 
-def test_within_a_kernel_what_is_put_down_is_worked_out_once():
-    """Else each of those that read it holds it; elsewhere it is what the function makes."""
-
-    def chain(once):
-        def steps(x, number):
-            y = once(lambda x: jnp.sin(x) * jnp.cos(x), x)
-            return y[::-1] + number, jnp.sum(y * y), jnp.max(y[1:])
-
-        return steps
-
-    x, number = jnp.linspace(0.0, 1.0, 8), jnp.array([2.0, 3.0] * 4)
-    plain = chain(lambda f, *x: f(*x))
-    kernel = jax.jit(one_kernel(chain(put_down)))
-    for found, expected in zip(kernel(x, number), plain(x, number), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-6)
-    loops = lambda f: f.lower(x, number).as_text().count("stablehlo.while")
-    assert loops(kernel) == 1
-    assert loops(jax.jit(chain(put_down))) == 0
+@pytest.mark.parametrize("number", [1, 5])
+def test_rows_are_one_kernel_and_not_differentiated(number):
+    ids, table = jnp.arange(number, dtype=jnp.int32), jnp.linspace(1, 2, 7)
+    row = lambda i, table: [table[i] ** 2, 1 / table[i + 1]]
+    held = np.asarray(table)
+    expected = np.stack([held[:number] ** 2, 1 / held[1 : number + 1]], axis=1)
+    np.testing.assert_allclose(jax.jit(lambda *a: rows(row, *a))(ids, table), expected)
+    both = lambda i, table: lambda k: [table[i + k]]
+    pairs = rows_of_each(both, 2, ids, table)
+    np.testing.assert_array_equal(pairs[..., 0], np.stack([held[:number], held[1 : number + 1]], 1))
+    many = jax.vmap(lambda table: rows(row, ids, table))(jnp.stack([table, 2 * table]))
+    np.testing.assert_allclose(many[0], expected)
+    assert not np.any(jax.grad(lambda table: jnp.sum(rows(row, ids, table)))(table))

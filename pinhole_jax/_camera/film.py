@@ -15,7 +15,7 @@ from .._numerics.safe import binary_scale
 from .distortion import Distortion
 
 #: How many times as large as the film the rectangles are that are tried for what a lens sees, along
-#: whose sides so many points are looked at; which way out of it its left, right, bottom and top lie.
+#: whose sides so many points are looked at; which way is out at the left, right, bottom and top.
 BOXES = np.geomspace(1.02, 600, 96)
 SAMPLES = 33
 OUT = (-1, 1, -1, 1)
@@ -213,7 +213,7 @@ def _mapped(eye: Array, view: Array, matrix: Array, base: Array, points: Array) 
 @_mapped.defjvp
 def _(primals: Any, tangents: Any):
     """(By vectors: to go back by components is a kernel for each number of the matrix.)"""
-    eye, view, matrix, base, points = primals
+    eye, view, matrix, _, points = primals
     eye_moves, view_moves, turns, base_moves, moves = tangents
     there, chosen = _from_nearer(eye, view, [points[..., k] for k in range(3)])
     there = there[..., None]

@@ -20,7 +20,6 @@ from .safe import times
 T = TypeVar("T")
 
 _here: ContextVar[bool] = ContextVar("_here", default=False)
-_within: ContextVar[bool] = ContextVar("_within", default=False)
 
 
 @contextmanager
@@ -39,16 +38,6 @@ def for_cpus() -> Iterator[None]:
         yield
     finally:
         _here.reset(before)
-
-
-@contextmanager
-def for_a_kernel() -> Iterator[None]:
-    """Let what is traced within be part of `one_kernel`."""
-    before = _within.set(True)
-    try:
-        yield
-    finally:
-        _within.reset(before)
 
 
 def is_for_cpus() -> bool:
@@ -163,30 +152,12 @@ def put(x: Array, value: Any, place: Array) -> Array:
     return jax.lax.dynamic_update_index_in_dim(x, jnp.asarray(value, x.dtype), place, 0)
 
 
-def put_down(function: Callable[..., T], *arguments: Any) -> T:
-    """Return what a function makes of arrays; within a kernel worked out once, and put down.
-
-    What comes of plain arithmetic is worked out anew by all that reads it there: of a chain of such
-    steps the last holds the first many times over, and the compiler is long about it. What a loop
-    reads and returns is not; this one has a single turn.
-    """
-    if not _within.get():
-        return function(*arguments)
-    like = jax.eval_shape(function, *arguments)
-    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), like)
-    once = lambda _: (jnp.bool_(False), function(*arguments))
-    # (Known not to end at once, it would not be a loop.)
-    start = jax.lax.optimization_barrier(jnp.bool_(True)), nothing
-    return jax.lax.while_loop(lambda state: state[0], once, start)[1]
-
-
 def _with_what_it_uses(function: Callable, arguments: tuple) -> tuple[Callable, list, Callable]:
     """Return a function as one of those arrays among its arguments that it uses, these, and the way
     back from what it returns: the compiler aborts where a kernel is given others."""
     leaves, tree = jax.tree.flatten(arguments)
     flat = lambda *leaves: function(*tree.unflatten(leaves))
-    with for_a_kernel():
-        traced, out = jax.make_jaxpr(flat, return_shape=True)(*leaves)
+    traced, out = jax.make_jaxpr(flat, return_shape=True)(*leaves)
     short, used = dce_jaxpr(traced.jaxpr, [True] * len(traced.jaxpr.outvars))
     program = jaxpr_as_fun(ClosedJaxpr(short, traced.consts))
     return program, list(itertools.compress(leaves, used)), jax.tree.structure(out).unflatten

@@ -24,13 +24,9 @@ def clipped(
     A cut end lies at exactly its bound. An edge that passes through the eye's x axis leaves for
     infinity at the top (`surrounding` decides alike).
     """
-    ends, weight = cut_off(
-        *(Homogeneous(*(homogeneous[:, k, i] for i in range(3))) for k in (0, 1)),
-        weight,
-        beside,
-        bounds,
-    )
-    return Segments(*(jnp.stack(end, axis=-1) for end in ends), weight)
+    end = lambda k: Homogeneous(homogeneous[:, k, 0], homogeneous[:, k, 1], homogeneous[:, k, 2])
+    (a, b), weight = cut_off(end(0), end(1), weight, beside, bounds)
+    return Segments(jnp.stack(a, axis=-1), jnp.stack(b, axis=-1), weight)
 
 
 class Homogeneous(NamedTuple):

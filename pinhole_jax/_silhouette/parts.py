@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._numerics.one_kernel import for_a_kernel, one_kernel, put
+from .._numerics.one_kernel import one_kernel, put
 from .coverage import Monotone, monotone, rightward, taken
 from .curves import Arcs, Curves, Segments, placed
 
@@ -162,8 +162,7 @@ def _listing(part: Part) -> Callable[[Array, Array, Ordered], Ordered]:
 
         return by_chunks
     # (A kernel is told all that it reads of.)
-    with for_a_kernel():
-        made = eqx.filter_closure_convert(part.curves, jnp.zeros(number, jnp.int32))
+    made = eqx.filter_closure_convert(part.curves, jnp.zeros(number, jnp.int32))
     reads, rest = eqx.partition(made, eqx.is_array)
     all_of = lambda reads, *more: _listed(number, eqx.combine(reads, rest), *more)
     return partial(one_kernel(all_of), reads)

@@ -36,7 +36,8 @@ def sphere_frames(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Floa
 
 def _frame(film: FilmMap, centre: Sequence[Array], radius: Array) -> Frame:
     """Return one of these frames, by components."""
-    ring = _ring_at(*(c - film.eye[k] for k, c in enumerate(centre)), radius)
+    x, y, z = (c - film.eye[k] for k, c in enumerate(centre))
+    ring = _ring_at(x, y, z, radius)
     unit = binary_scale(film.matrix)
     # Of the centre counts its place beside the view point, as for a mesh's vertices.
     middle = tuple(x * ring[0] / unit for x in scaled(film).at(*centre))
@@ -124,9 +125,9 @@ def _arc_row(id: Int[Array, ""], film: FilmMap, spheres: Spheres) -> list[Array]
     from_eye = [c - film.eye[k] for k, c in enumerate(centre)]
     frame = _frame(film, centre, radius)
     points = _turning_points(frame)
+    pick = lambda points, i: jax.lax.select_n(part, *(p[i] for p in points))
     start, end = (
-        tuple(jax.lax.select_n(part, *(p[i] for p in around)) for i in (0, 1))
-        for around in (points, [*points[1:], points[0]])
+        (pick(around, 0), pick(around, 1)) for around in (points, [*points[1:], points[0]])
     )
     middle = _middle_at(start, end)
     z = homogeneous_at(frame, middle)[2]
@@ -178,13 +179,12 @@ def _turning_points(frame: Frame) -> list[Point]:
 def _by_angle(points: list[Point]) -> list[Point]:
     """Return points in the order of their angles, by neighbours that change places: a sort would
     be a kernel of its own."""
-    ordered = [(x, y, jnp.arctan2(y, x)) for x, y in points]
+    ordered = [[x, y, jnp.arctan2(y, x)] for x, y in points]
     for turn in range(len(points)):
         for k in range(turn % 2, len(points) - 1, 2):
             a, b = ordered[k : k + 2]
-            swap = a[2] > b[2]
-            either = lambda a, b, swap=swap: tuple(map(partial(jnp.where, swap), a, b))
-            ordered[k : k + 2] = either(b, a), either(a, b)
+            either = partial(map, partial(jnp.where, a[2] > b[2]))
+            ordered[k : k + 2] = [list(either(b, a)), list(either(a, b))]
     return [(x, y) for x, y, _ in ordered]
 
 
