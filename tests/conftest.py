@@ -57,6 +57,9 @@ jax.config.update(
 )
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # (small ones: by the hundred)
 
+#: Programs are kept for later modules while a process has fewer memory maps: 1.5 GB.
+KEPT = 4000
+
 SHARED = Path(__file__).parents[2] / "shared" / "data"
 
 
@@ -96,9 +99,16 @@ def shared() -> Path:
 
 @pytest.fixture(scope="module", autouse=True)
 def compiler(request):
-    """Compile in a hurry, but where what is compiled runs for longer than that takes."""
+    """Compile in a hurry, but where what is compiled runs for longer than that takes.
+
+    What earlier modules compiled is there to be used again, if it was compiled in the same way: to
+    trace it anew takes longer than to read it from the disk.
+    """
     marks = {mark.name for mark in request.node.iter_markers()}
-    jax.config.update("jax_disable_most_optimizations", HURRY and "optimised" not in marks)
+    hurry = HURRY and "optimised" not in marks
+    if "altered" in marks or hurry != jax.config.read("jax_disable_most_optimizations"):
+        jax.clear_caches()
+    jax.config.update("jax_disable_most_optimizations", hurry)
 
 
 @pytest.fixture
@@ -111,18 +121,26 @@ def optimised():
     jax.config.update("jax_disable_most_optimizations", HURRY)
 
 
+def memory_maps() -> int:
+    """Return how many the process has; where that is not told, more than are kept."""
+    maps = Path("/proc/self/maps")
+    return maps.read_bytes().count(b"\n") if maps.exists() else KEPT
+
+
 @pytest.fixture(scope="module", autouse=True)
-def programs_are_let_go():
-    """Compiled programs hold memory maps, and a process may have 65530: let go of a module's.
+def programs_are_let_go(compiler, request):
+    """Compiled programs hold memory maps, and a process may have 65530: let go of a module's, where
+    there are many, or where it alone can use them.
 
     Without it the compiler aborts in the middle of a long run. What they took is given back to the
     system: the C library keeps gigabytes of it in small pieces.
     """
     yield
-    jax.clear_caches()
-    from pinhole_jax._numerics.tracing import give_back  # not before jaxtyping watches imports
+    if request.node.get_closest_marker("altered") or memory_maps() >= KEPT:
+        jax.clear_caches()
+        from pinhole_jax._numerics.tracing import give_back  # not before jaxtyping watches imports
 
-    give_back()
+        give_back()
 
 
 @pytest.fixture(autouse=True)
@@ -134,7 +152,6 @@ def maps_are_not_used_up():
     """
     begin = time.perf_counter()
     yield
-    maps = Path("/proc/self/maps")
     slow = time.perf_counter() - begin > 0.1
-    if slow and maps.exists() and maps.read_bytes().count(b"\n") > 30_000:
+    if slow and memory_maps() > 30_000:
         jax.clear_caches()

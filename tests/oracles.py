@@ -26,8 +26,9 @@ def area_per_pixel(shape, W: int, H: int) -> np.ndarray:
     return area
 
 
-def union_per_pixel(shapes, W: int, H: int) -> np.ndarray:
-    """Return the area of a union of polygons within each pixel's square.
+def union_per_pixel(shapes, W: int, H: int, only=None) -> np.ndarray:
+    """Return the area of a union of polygons within each pixel's square, 0 where it is not asked
+    for: `only` says in which pixels it is (H, W).
 
     Shape by shape and pixel by pixel: a union of many at once loses area where edges nearly agree.
     """
@@ -35,7 +36,9 @@ def union_per_pixel(shapes, W: int, H: int) -> np.ndarray:
     shapes = shapes[shapely.area(shapes) > 0]
     squares = pixel_squares(W, H).ravel()
     area = np.zeros(W * H)
-    square, of = shapely.STRtree(shapes).query(squares, predicate="intersects")
+    asked = np.arange(W * H) if only is None else np.flatnonzero(only)
+    square, of = shapely.STRtree(shapes).query(squares[asked], predicate="intersects")
+    square = asked[square]
     area[square[shapely.covers(shapes[of], squares[square])]] = 1
     left = area[square] == 0
     square, of = square[left], of[left]
@@ -97,8 +100,8 @@ def mesh_polygons(camera: pj.Camera, vertices, faces) -> list:
     ]
 
 
-def mesh_coverage(camera: pj.Camera, vertices, faces) -> np.ndarray:
-    return union_per_pixel(mesh_polygons(camera, vertices, faces), camera.W, camera.H)
+def mesh_coverage(camera: pj.Camera, vertices, faces, only=None) -> np.ndarray:
+    return union_per_pixel(mesh_polygons(camera, vertices, faces), camera.W, camera.H, only)
 
 
 def drawn(camera: pj.Camera, scene: pj.Scene) -> np.ndarray:

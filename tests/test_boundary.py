@@ -1,5 +1,7 @@
 """How areas grow as curves move: one by one as of vectors, straight pieces as by their points."""
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,6 +14,8 @@ from pinhole_jax._silhouette.coverage import end_flux, shares
 from pinhole_jax._silhouette.curves import Segments, piece_flux
 from pinhole_jax._silhouette.parts import Ordered
 from pinhole_jax._silhouette.spheres import sphere_arcs
+
+pytestmark = pytest.mark.altered
 
 W, H, WAYS = 12, 9, 3
 CAMERA = pj.Camera([0.3, 0.2, 4.0], [0.0, 0, 0], [0.0, 1, 0], 0.5, 1.0, W, H)
@@ -30,12 +34,13 @@ def segments(random):
 def arcs(random):
     del random
     spheres = pj.Spheres(jnp.array([[0.1, 0, 0], [0.5, 0.3, 0]]), jnp.array([0.6, 0.4]))
-    return sphere_arcs(film_map(CAMERA), spheres, jnp.arange(12, dtype=jnp.int32))
+    ids = jnp.arange(12, dtype=jnp.int32)
+    return jax.jit(lambda camera: sphere_arcs(film_map(camera), spheres, ids))(CAMERA)
 
 
 @pytest.mark.parametrize("kind", [segments, arcs])
 def test_piece_by_piece_is_as_of_vectors(kind, random, monkeypatch):
-    curves = Ordered.of(kind(random))
+    curves = jax.jit(Ordered.of)(kind(random))
     number, ends = len(curves.rising), 2 if kind is segments else 3
     some = Some(curves, jnp.int32(0), jnp.int32(number))
     seen = Seen(W, H, jnp.asarray(random.random(W * H) < 0.7), lambda add, start, lists: start)
@@ -46,9 +51,12 @@ def test_piece_by_piece_is_as_of_vectors(kind, random, monkeypatch):
     before = jnp.asarray(random.normal(size=rate.shape))
 
     def both():
-        image = boundary._ordinary_pushed(seen, some, flux, jnp.zeros((W * H, WAYS)))
-        back = boundary._ordinary_pulled(seen, some, points, weights, before)
-        return np.asarray(image), np.asarray(back - before)
+        @eqx.filter_jit  # anew for each way
+        def images(seen, some, points, flux, weights, before):
+            image = boundary._ordinary_pushed(seen, some, flux, jnp.zeros((W * H, WAYS)))
+            return image, boundary._ordinary_pulled(seen, some, points, weights, before) - before
+
+        return jax.tree.map(np.asarray, images(seen, some, points, flux, weights, before))
 
     image, back = both()
     monkeypatch.setattr(boundary, "on_cpu", lambda one, *rest, elsewhere: elsewhere(*rest))
@@ -83,10 +91,15 @@ def test_some_curves_of_a_list_are_as_these_alone(random):
 def test_shares_of_a_straight_piece_are_its_flux(random):
     points = random.uniform(0.5, 2, (20, 2, 3))
     a, b = (points[:, k, :2] / points[:, k, 2:] for k in (0, 1))
-    m = Ordered.of(Segments(jnp.asarray(a), jnp.asarray(b), jnp.ones(20))).monotone
+    m = jax.jit(Ordered.of)(Segments(jnp.asarray(a), jnp.asarray(b), jnp.ones(20))).monotone
     low, high = np.asarray(m.low), np.asarray(m.high)
     start, end = (jnp.asarray(low + t * (high - low)) for t in (0.2, 0.7))
     points = jnp.asarray(points)
-    found = jnp.sum(shares(m, start, end)[..., None, None] * end_flux(m, points), axis=1)
-    expected = piece_flux(points, m.curves, start, end)
+
+    @jax.jit
+    def both(m, points, start, end):
+        of_ends = shares(m, start, end)[..., None, None] * end_flux(m, points)
+        return jnp.sum(of_ends, axis=1), piece_flux(points, m.curves, start, end)
+
+    found, expected = both(m, points, start, end)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)

@@ -1,4 +1,5 @@
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,19 +11,27 @@ from pinhole_jax._camera.camera import film_map
 from pinhole_jax._numerics.bitset import nth, rank_in, select
 from pinhole_jax._scene.scene import undecided
 from pinhole_jax._silhouette.clip import clipped
-from pinhole_jax._silhouette.contour import contour_weights
+from pinhole_jax._silhouette.contour import contour_weights as _contour_weights
 from pinhole_jax._silhouette.curves import ends, film_at
 from pinhole_jax._silhouette.spheres import sphere_arcs
+
+#: One program a mesh: step by step they are some fifty.
+contour_weights = eqx.filter_jit(_contour_weights)
+
+
+@jax.jit
+def listed_by(mask):
+    chosen = select(mask)
+    return chosen.total, nth(chosen, jnp.arange(len(mask), dtype=jnp.int32))
 
 
 @pytest.mark.parametrize("size", [1, 31, 32, 33, 500])
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.6, 1.0])
 def test_nth_lists_what_select_holds(size, share):
     mask = np.random.default_rng(size).random(size) < share
-    chosen = select(jnp.asarray(mask))
-    assert int(chosen.total) == mask.sum()
-    listed = nth(chosen, jnp.arange(mask.sum(), dtype=jnp.int32))
-    np.testing.assert_array_equal(listed, np.flatnonzero(mask))
+    total, listed = listed_by(mask)
+    assert int(total) == mask.sum()
+    np.testing.assert_array_equal(listed[: mask.sum()], np.flatnonzero(mask))
 
 
 def test_the_contour_of_a_closed_mesh_closes():
@@ -45,7 +54,7 @@ def test_the_contour_of_an_open_mesh_counts_both_sides():
 
 def test_rank_in_is_the_inverse_of_nth():
     mask = np.random.default_rng(0).random(100) < 0.3
-    ranks = rank_in(select(jnp.asarray(mask)), jnp.arange(100, dtype=jnp.int32))
+    ranks = jax.jit(lambda mask: rank_in(select(mask), jnp.arange(100, dtype=jnp.int32)))(mask)
     np.testing.assert_array_equal(ranks, np.where(mask, np.cumsum(mask) - 1, -1))
 
 
@@ -96,14 +105,13 @@ def test_clusters_pass_over_no_contour_edge(shape):
     mesh = pj.Mesh(vertices, ball.faces if shape == "closed" else ball.faces[:-7])
     assert mesh.planes.clusters is not None
     plain = eqx.tree_at(lambda m: m.planes.clusters, mesh, None)
-    weights = eqx.filter_jit(contour_weights)
     random = np.random.default_rng(0)
     passed = []
     for distance in np.repeat([0.0, 0.3, 0.9, 1.01, 1.5, 4, 1e3, 1e6], 5):
         direction = random.normal(size=3)
         e = jnp.asarray(distance * direction / np.linalg.norm(direction))
-        np.testing.assert_array_equal(weights(mesh, e), weights(plain, e))
-        passed.append(1 - np.mean(undecided(mesh.planes.clusters, e)))
+        np.testing.assert_array_equal(contour_weights(mesh, e), contour_weights(plain, e))
+        passed.append(1 - np.mean(jax.jit(undecided)(mesh.planes.clusters, e)))
     assert np.mean(passed) > 0.5  # most need no look
 
 

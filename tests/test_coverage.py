@@ -95,7 +95,7 @@ ELLIPSES = {
 def test_ellipses_have_their_exact_area_in_each_pixel(name):
     centre, (l11, l21, l22) = ELLIPSES[name]
     frame = jnp.array([[*centre, 1], [l11, l21, 0], [0, l22, 0]], float)[None]
-    start, end = (w[:, 0] for w in _monotone_stretches(frame))
+    start, end = (w[:, 0] for w in jax.jit(_monotone_stretches)(frame))
     arcs = Arcs(jnp.tile(frame, (6, 1, 1)), start, end, jnp.ones(6))
     n = 200_000
     angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
@@ -143,6 +143,7 @@ def test_the_pieces_of_a_band_of_rows_are_those_of_the_whole_film():
     )
     bottom, top = 1, 4
 
+    @jax.jit
     def pieces(low, high):
         m = monotone(curves)
         upto = jnp.cumsum(piece_counts(m, W, high, low))

@@ -1,11 +1,13 @@
 """Cells whose pieces are all hidden, against winding numbers at many points of them."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pinhole_jax._silhouette.hidden import all_hidden
+from pinhole_jax._silhouette import hidden as module
 from pinhole_jax._silhouette.sweep import Cells
 
+all_hidden = jax.jit(module.all_hidden)
 ROOM = 16
 GRID = (np.stack(np.meshgrid(*2 * [np.arange(200)]), axis=-1).reshape(-1, 2) + 0.5) / 200
 

@@ -21,6 +21,8 @@ from pinhole_jax._scene.scene import with_vertices
 from pinhole_jax._silhouette import in_turn, overlaps
 from pinhole_jax._silhouette.silhouette import _silhouette, _stops
 
+pytestmark = pytest.mark.altered
+
 W, H = 64, 48
 SHARED = ["bob.obj", "counter.stl", "cycloidal.ply", "spot.obj", "suzanne.ply", "teapot.obj"]
 

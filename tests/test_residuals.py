@@ -22,6 +22,8 @@ from pinhole_jax._solver.moves import Move, canonical, moved, on_film
 from pinhole_jax._solver.overlapping import _by_number
 from pinhole_jax._solver.residuals import Capacity, residuals as _residuals, touch
 
+pytestmark = pytest.mark.altered
+
 FREE = ("pose", "phi")
 CAPACITY = Capacity(256, 1024, 1024, 512)
 LENS = pj.BrownConrady(-0.3, 0.1, 2e-3, 1e-3, 0.02)
@@ -242,7 +244,7 @@ def test_pixels_with_few_pieces_come_first():
 def test_a_table_with_more_room_than_rows_has_the_triangle_of_its_rows(filled):
     table = np.random.default_rng(filled).normal(size=(3000, 4))
     table[filled:] = 0
-    found = np.asarray(triangle(jnp.asarray(table)))
+    found = np.asarray(jax.jit(triangle)(table))
     assert np.all(np.tril(found, -1) == 0)
     assert np.allclose(found.T @ found, table.T @ table, rtol=1e-12, atol=1e-9)
 
@@ -250,7 +252,7 @@ def test_a_table_with_more_room_than_rows_has_the_triangle_of_its_rows(filled):
 def test_what_is_not_finite_makes_a_triangle_that_is_not():
     table = np.zeros((3000, 4))
     table[2000, 1] = np.nan
-    assert np.isnan(np.asarray(triangle(jnp.asarray(table)))).any()
+    assert np.isnan(np.asarray(jax.jit(triangle)(table))).any()
 
 
 def test_a_pyramid_is_not_copied():
@@ -267,12 +269,12 @@ def test_pieces_and_runs_in_turn_are_those_side_by_side():
     cell = cell.astype(jnp.int32)
     sizes = [jnp.asarray(random.integers(-2, 3, P) / 4.0) for _ in range(4)]
     counters = jnp.asarray(random.integers(0, 9, P), jnp.int32)
-    steps, order = by_pixel.Steps(cell, *sizes, counters), in_order(cell)
+    steps, order = by_pixel.Steps(cell, *sizes, counters), jax.jit(in_order)(cell)
     given = steps, order, jnp.array(2.0), width, end
     for one, other in zip(*both_ways(by_pixel.by_pixel, given), strict=True):
         np.testing.assert_array_equal(one, other)
 
-    totals = by_pixel.by_pixel(*given)
+    totals = eqx.filter_jit(by_pixel.by_pixel)(*given)
     some = lambda share: jnp.asarray(random.random(P) < share)
     seen = runs.Seen(totals.cell, some(0.9), some(0.8), jnp.asarray(random.random(P)), some(0.5))
     target, weight = random.random((2, H, W))
@@ -298,8 +300,8 @@ def test_pieces_are_cut_and_pixels_swept_in_turn_as_side_by_side():
     for x, y in zip(*map(jax.tree.leaves, (one, other)), strict=True):
         np.testing.assert_allclose(x[there], y[there], atol=1e-12)
 
-    order, width, end = in_order(one.steps.cell), size[0] + 2, size[1] * (size[0] + 2)
-    totals = by_pixel.by_pixel(one.steps, order, jnp.array(0.0), width, end)
+    order, width, end = jax.jit(in_order)(one.steps.cell), size[0] + 2, size[1] * (size[0] + 2)
+    totals = eqx.filter_jit(by_pixel.by_pixel)(one.steps, order, jnp.array(0.0), width, end)
     column, row = totals.cell % width - 1, totals.cell // width
     chosen = (totals.cell < end) & (column >= 0) & (column < W)
     chosen &= totals.number <= overlapping.MOST
@@ -309,8 +311,8 @@ def test_pieces_are_cut_and_pixels_swept_in_turn_as_side_by_side():
     pixels = overlapping.Overlapping(chosen, totals.first, totals.number, origin, totals.corner)
     visible = overlapping.whole(jnp.stack(one.ends, axis=-1), one.steps.jump)
     part = overlapping.Part(visible, jnp.zeros((P, 2, 3)))
-    resolve = lambda: overlapping.resolved(pixels, one.swept, order, [part])
-    (areas, (seen,)), (others, (also,)) = both_ways(resolve, ())
+    given = pixels, one.swept, order, [part]
+    (areas, (seen,)), (others, (also,)) = both_ways(overlapping.resolved, given)
     np.testing.assert_allclose(areas[chosen], others[chosen], atol=1e-12)
     assert np.ptp(np.asarray(areas)[chosen]) > 0.9
     of_chosen = np.asarray(chosen)[np.minimum(totals.slot, P - 1)] & there
@@ -321,7 +323,9 @@ def test_pieces_are_cut_and_pixels_swept_in_turn_as_side_by_side():
 
 def both_ways(function, given):
     """Return what a function makes of what it is given on a CPU, and elsewhere."""
-    on_cpu = function(*given)
+    # (A program of each call: step by step they are a hundred.)
+    made = lambda: eqx.filter_jit(lambda given: function(*given))(given)
+    on_cpu = made()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jax.lax, "platform_dependent", lambda *given, cpu, default: default(*given))
-        return on_cpu, function(*given)
+        return on_cpu, made()

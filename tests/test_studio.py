@@ -92,7 +92,7 @@ def test_a_stroke_covers_the_pixels_around_its_points(radius):
     assert np.any(drawn == 7)
 
 
-@pytest.mark.parametrize("size", [(90, 60), (330, 240)])
+@pytest.mark.parametrize("size", [(90, 60), (240, 180)])  # some pixels, and more than `COARSE_PX`
 @pytest.mark.parametrize("back", [False, True])
 def test_strokes_on_the_object_tell_it_from_the_background(size, back):
     W, H = size

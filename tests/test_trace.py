@@ -10,13 +10,15 @@ from oracles import central_difference
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._trace import cores, packets, together, walk
-from pinhole_jax._trace.bvh import mesh_tree, packed, sphere_tree
+from pinhole_jax._trace import bvh, cores, packets, together, walk
+from pinhole_jax._trace.components import parts
 from pinhole_jax._trace.intersect import perpendicular, ray_triangle
 from pinhole_jax._trace.order import near_order
 from pinhole_jax._trace.turned import turned
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 24, 20)
+#: One program each: step by step they are some fifty.
+mesh_tree, sphere_tree, packed = map(jax.jit, (bvh.mesh_tree, bvh.sphere_tree, bvh.packed))
 
 
 @pytest.fixture(scope="module")
@@ -189,16 +191,18 @@ def test_rays_side_by_side_find_what_rays_in_turn_do(kind, rays, monkeypatch):
         centers, radii = random.uniform(-1, 1, (50, 3)), random.uniform(0.05, 0.3, 50)
         tree = sphere_tree(pj.Spheres(centers, radii))
     some = pj.Rays(rays.origin[:300], rays.direction[:300])
-    axis = packets.axes_of([some.direction[:, k] for k in range(3)])
-    order = jnp.asarray(random.permutation(300).astype(np.int32)).at[250:].set(-1)
-    in_turn = walk.walk(tree, *some, axis, order)
+    axis = jax.jit(packets.axes_of)(parts(some.direction))
+    order = random.permutation(300).astype(np.int32)
+    order[250:] = -1
+    walked = lambda: jax.jit(lambda *given: walk.walk(*given))(tree, *some, axis, order)
+    in_turn = walked()
     elsewhere = lambda *arguments, cpu, default: default(*arguments)
     monkeypatch.setattr(jax.lax, "platform_dependent", elsewhere)
-    beside = walk.walk(tree, *some, axis, order)
+    beside = walked()
     np.testing.assert_array_equal(in_turn, beside)
     asked = np.isin(np.arange(300), order)
     assert np.all(np.asarray(in_turn)[~asked] == -1)
-    whole = packets.first_met(tree, *some)  # in the order in which they come
+    whole = jax.jit(packets.first_met)(tree, *some)  # in the order in which they come
     np.testing.assert_array_equal(np.asarray(in_turn)[asked], np.asarray(whole)[asked])
     assert np.mean(np.asarray(whole) >= 0) > 0.3
 
@@ -236,21 +240,25 @@ def hostile_packets(mesh, dtype):
 def test_packets_find_what_their_rays_find_one_by_one(dtype, kind, leaves, monkeypatch):
     monkeypatch.setattr(packets, "FEW", 0)
     monkeypatch.setattr(together, "LEAVES", leaves)  # few: most packets give up
-    jax.clear_caches()
     mesh = shapes.bumpy(2)
     origin, direction = hostile_packets(mesh, dtype)
     origin, direction = origin[:-5], direction[:-5]  # the last packet is not full
     mesh = pj.Mesh(np.asarray(mesh.vertices, dtype), np.asarray(mesh.faces))
     radii = np.full(len(mesh.vertices), 0.1, dtype)
     tree = mesh_tree(mesh) if kind == "faces" else sphere_tree(pj.Spheres(mesh.vertices, radii))
-    by_packets = packets.first_met(tree, origin, direction)
-    axis = packets.axes_of([direction[:, k] for k in range(3)])
-    order = jnp.arange(len(axis), dtype=jnp.int32)
-    np.testing.assert_array_equal(by_packets, walk.walk(tree, origin, direction, axis, order))
+
+    @jax.jit  # a function of this test: none is taken that was compiled with other numbers
+    def both_ways(tree, origin, direction):
+        axis = packets.axes_of(parts(direction))
+        order = jnp.arange(len(axis), dtype=jnp.int32)
+        whole = together.beams(turned(parts(origin), parts(direction), axis)).whole
+        one_by_one = walk.walk(tree, origin, direction, axis, order)
+        return packets.first_met(tree, origin, direction), one_by_one, whole
+
+    by_packets, one_by_one, whole = both_ways(tree, origin, direction)
+    np.testing.assert_array_equal(by_packets, one_by_one)
     assert 0.3 < np.mean(np.asarray(by_packets) >= 0) < 0.95
-    rays = turned([origin[:, k] for k in range(3)], [direction[:, k] for k in range(3)], axis)
-    assert np.sum(together.beams(rays).whole) > 100  # of some 360
-    jax.clear_caches()
+    assert np.sum(whole) > 100  # of some 360
 
 
 def test_rays_that_enter_at_one_place_follow_one_another():
@@ -261,7 +269,7 @@ def test_rays_that_enter_at_one_place_follow_one_another():
     mixed = random.permutation(2000)
     direction = -origin / 4
     direction[::50] = [[np.nan, 0, 1]]  # one of each end is no ray
-    order = near_order(tree, jnp.asarray(origin[mixed]), jnp.asarray(direction[mixed]))
+    order = jax.jit(near_order)(tree, origin[mixed], direction[mixed])
     assert sorted(np.asarray(order)) == list(range(2000))
     number = mixed[np.asarray(order)]
     end = number[number % 50 > 0] // 50
@@ -275,12 +283,16 @@ def test_rays_shared_out_to_cores_find_the_same(shape, rays, monkeypatch):
     monkeypatch.setattr(cores, "usable_cores", lambda: 2)
     number = int(np.prod(shape))
     some = pj.Rays(rays.origin[0], rays.direction[:number].reshape(*shape, 3))
-    axis = lambda x: packets.axes_of([packets.in_packets(x[..., k]) for k in range(3)])
     asked = []
+
+    @jax.jit
+    def axis(direction):
+        found = packets.axes_of([packets.in_packets(direction[..., k]) for k in range(3)])
+        return packets.out_of_packets(found, direction.shape[:-1])
 
     def find(where, part):
         asked.append(part.direction.shape)
-        return packets.out_of_packets(where + axis(part.direction), part.direction.shape[:-1])
+        return where + axis(part.direction)
 
     shared = cores.by_cores(find, jnp.int32(1), some)
     assert len(asked) > 1
