@@ -133,11 +133,12 @@ def _listed(pixel: Pixel, up: Bool[Array, ""], room: Room) -> tuple[Room, Array]
         cell = Cells(pixel.row(k)[None, None], jnp.zeros((1, 1, 2), jnp.int32))
         line = _either(up, along_y(cell), along_x(cell))
         u0, v0, u1, v1, jump = (x[0, 0] for x in line[:5])
-        own = u0, v0, u1, safe_divide(v1 - v0, u1 - u0), jump
-        pieces = Listed(*map(lambda x, new: put(x, new, k), pieces[:5], own), pieces.begin)
+        own = {"u0": u0, "v0": v0, "u1": u1, "slope": safe_divide(v1 - v0, u1 - u0), "jump": jump}
+        own = {name: put(getattr(pieces, name), x, k) for name, x in own.items()}
+        pieces = pieces._replace(**own)
         pieces = pieces._replace(begin=_with_begin(pieces, k))
         for halt, change in zip(line.halt[0], line.step[0], strict=True):
-            further = lambda _, s, halt=halt, change=change: _with_step(*s, halt, change)
+            further = lambda _, s, halt=halt, change=change: _with_step(s, halt, change)
             some = (change != 0).astype(jnp.int32)
             border, step, borders = loop(some, further, (border, step, borders))
         return pieces, border, step, borders
@@ -164,9 +165,11 @@ def _with_begin(pieces: Listed, k: Array) -> Array:
 
 
 def _with_step(
-    border: Array, step: Array, number: Array, halt: Array, change: Array
+    state: tuple[Array, Array, Array], halt: Array, change: Array
 ) -> tuple[Array, Array, Array]:
-    """Return where along the border layers change, in order, and by how much, with one more."""
+    """Return where along the border layers change, in order, by how much, and how often, with one
+    more."""
+    border, step, number = state
     later = lambda s: (s[0] > 0) & (s[1][jnp.maximum(s[0] - 1, 0)] > halt)
     shift = lambda s: (s[0] - 1, *(put(x, x[s[0] - 1], s[0]) for x in s[1:]))
     place, border, step = jax.lax.while_loop(later, shift, (number, border, step))
