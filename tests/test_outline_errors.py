@@ -104,6 +104,19 @@ def test_single_pixels_tell_a_drawn_mask_whose_stretches_err_by_no_more_than_one
     assert stretches_of(*one).beyond == 0
 
 
+def test_a_computed_mask_of_loose_triangles_is_none_that_was_drawn():
+    """Pixels in which several edges lie err for each of them."""
+    random = np.random.default_rng(0)
+    corners = random.normal(0, 0.5, (800, 1, 3)) + random.normal(0, 0.1, (800, 3, 3))
+    soup = single(pj.Scene(mesh=pj.Mesh(corners.reshape(-1, 3), np.arange(2400).reshape(-1, 3))))
+    image = drawn(single(CAMERA), soup)
+    for mask, told in ((image > 0.5, False), (wavy(image, random, 0.3, 20), True)):
+        view, target, weights = seen(soup, mask)
+        stretches = stretches_of(view, target, weights)
+        assert stretches.pixels > 1.9 * np.sum(stretches.length)
+        assert is_drawn(solver_of(soup, mask).errors(view)) == told
+
+
 def test_what_a_walk_finds_free_widens_the_interval_of_a_drawn_mask(scene, image):
     mask = wavy(image, np.random.default_rng(0), 1.0, 10.0, 0.3)
     solver, weights = solver_of(scene, mask), np.ones(mask.shape)

@@ -236,7 +236,7 @@ def gradients(view: View, variance: float, context: Context) -> tuple[np.ndarray
     if errors is None:
         return independent, context.design * independent
     # What is not of this mask's pixels, as a prior, keeps its variance.
-    rows = np.asarray(view.jacobian, float)[len(view.pixels.cell) :]
+    rows = view.jacobian[len(view.pixels.cell) :].astype(float)
     beside, share = variance * rows.T @ rows, errors.computed
     return independent, share * independent + (1 - share) * beside + errors.gradient
 

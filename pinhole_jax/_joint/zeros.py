@@ -62,7 +62,7 @@ def with_joints(eye: Eye, state: State, seen: Seen, joints: list[str]) -> Seen:
     whole = view._replace(
         triangle=r[:n, :n] if ok else np.full((n, n), np.nan),
         along=r[:n, n] if ok else np.full(n, np.nan),
-        jacobian=together,
+        columns=together.T,
     )
     moves = np.zeros((n, seen.moves.shape[1] + len(joints)))
     moves[: len(seen.moves), : seen.moves.shape[1]] = seen.moves

@@ -132,7 +132,7 @@ def _stepped(
     small = jnp.max(jnp.abs(y)) < px / UNIT_PX
     done = lane.done | (~first & (small | flat | (lane.steps >= most)))
 
-    columns, _, seen, _ = columns_at(y, lane.camera, problem, level, freed, capacity)
+    columns, seen, _ = columns_at(y, lane.camera, problem, level, freed, capacity)
     there = jnp.sum(columns[:, None] * columns[None], axis=-1)
     promised = -(2 * slope @ y + change)
     gained = squares - there[n, n]

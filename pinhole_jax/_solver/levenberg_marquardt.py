@@ -70,8 +70,8 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     def postprocess(self, fn, y, aux, args, options, state: Any, tags, result):
         del fn, args, options, tags, result
         at = state.solver.f_info
-        seen, pixels, jacobian = state.solver.aux
-        view = seen.view((at.jac.as_matrix(), at.residual), pixels, jacobian)
+        seen, pixels, columns = state.solver.aux
+        view = seen.view((at.jac.as_matrix(), at.residual), pixels, columns)
         return y, aux, {"path": state.path, "camera": seen.camera, "view": view}
 
     def terminate(self, fn, y, args, options, state: Any, tags):
@@ -119,9 +119,8 @@ def _linearised(y: Float[Array, "n"], args: Any) -> tuple[Float[Array, "k k"], A
     """Return R of what optimistix hands on, and what else is known there."""
     camera, problem, level, freed, capacity = args
     given = camera, problem, level, freed.value, Capacity(*capacity.value)
-    columns, number, seen, pixels = columns_at(y, *given)
-    n = len(y)
-    return triangle_of(columns, n + 1), (seen, pixels, columns[:n, :number].T)
+    columns, seen, pixels = columns_at(y, *given)
+    return triangle_of(columns, len(y) + 1), (seen, pixels, columns)
 
 
 class _Static(eqx.Module):

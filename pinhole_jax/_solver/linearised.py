@@ -31,12 +31,12 @@ class Seen(NamedTuple):
         self,
         triangle: tuple[Float[Array, "k n"], Float[Array, "k"]],
         pixels: Pixels,
-        jacobian: Float[Array, "m n"],
+        columns: Float[Array, "k m"],
     ) -> View:
         """Return the view, with R of its residuals' derivatives and of these."""
         R, r = (x[: len(self.scale)] for x in triangle)
         few, of_moves = (self.sums, self.load), (self.to_reported, self.scale)
-        return View(R, r, *few, *of_moves, pixels, jacobian, self.prior)
+        return View(R, r, *few, *of_moves, pixels, columns, self.prior)
 
 
 def columns_at(
@@ -46,7 +46,7 @@ def columns_at(
     level: Level,
     freed: tuple[str, ...],
     capacity: Capacity,
-) -> tuple[Float[Array, "k m"], int, Seen, Pixels]:
+) -> tuple[Float[Array, "k m"], Seen, Pixels]:
     """Return all residuals' derivatives by moves from a camera, where it is moved by y, and these
     residuals: columns [J, r], those of the touched pixels first, zeros after how many there are."""
 
@@ -73,7 +73,7 @@ def columns_at(
     number = sum(len(x) for x in r)
     rows.append(jnp.zeros((len(y) + 1, -number % BLOCK), y.dtype))
     seen = Seen(found[0], sums, load, slopes[1].T, found[3], prior)
-    return jnp.concatenate(rows, axis=1), number, seen, pixels
+    return jnp.concatenate(rows, axis=1), seen, pixels
 
 
 def look(
@@ -82,6 +82,6 @@ def look(
     """Return the view at a camera."""
     n = len(components(freed))
     y = jnp.zeros(n, problem.pyramid.target.dtype)
-    columns, number, seen, pixels = columns_at(y, camera, problem, level, freed, capacity)
+    columns, seen, pixels = columns_at(y, camera, problem, level, freed, capacity)
     R = triangle_of(columns, n + 1)
-    return seen.view((R[:, :n], R[:, n]), pixels, columns[:n, :number].T)
+    return seen.view((R[:, :n], R[:, n]), pixels, columns)

@@ -41,21 +41,25 @@ class Pixel(NamedTuple):
 
 
 class Listed(NamedTuple):
-    """The pieces of a pixel as a line sweeps them, by where they begin: from (u0, v0) to u1, v
-    growing by `slope`; the layers met there, and which piece it is."""
+    """The pieces of a pixel as a line sweeps them: from (u0, v0) to u1, v growing by `slope`; the
+    layers met there; their numbers in the order in which they `begin`."""
 
     u0: Float[Array, "M"]
     v0: Float[Array, "M"]
     u1: Float[Array, "M"]
     slope: Float[Array, "M"]
     jump: Float[Array, "M"]
-    which: Int[Array, "M"]
+    begin: Int[Array, "M"]
+
+    def height(self, k: Array, u: Array) -> Array:
+        """Return how high a piece is at an abscissa."""
+        return self.v0[k] + (u - self.u0[k]) * self.slope[k]
 
 
 class Room(NamedTuple):
-    """Room for a pixel: its pieces; where along the border the number of layers changes, and by
-    how much; where the line halts, in order; the pieces that it meets, in order; what of each piece
-    was seen so far."""
+    """Room for a pixel: its pieces; where along the border the number of layers changes, in order,
+    and by how much; where the line halts, in order; the pieces that it meets, in order; what of
+    each piece was seen so far."""
 
     pieces: Listed
     border: Float[Array, "2*M"]
@@ -129,11 +133,14 @@ def _listed(pixel: Pixel, up: Bool[Array, ""], room: Room) -> tuple[Room, Array]
         cell = Cells(pixel.row(k)[None, None], jnp.zeros((1, 1, 2), jnp.int32))
         line = _either(up, along_y(cell), along_x(cell))
         u0, v0, u1, v1, jump = (x[0, 0] for x in line[:5])
-        row = Listed(u0, v0, u1, safe_divide(v1 - v0, u1 - u0), jump, k)
-        pieces = _inserted(pieces, k, row)
+        own = {"u0": u0, "v0": v0, "u1": u1, "slope": safe_divide(v1 - v0, u1 - u0), "jump": jump}
+        own = {name: put(getattr(pieces, name), x, k) for name, x in own.items()}
+        pieces = pieces._replace(**own)
+        pieces = pieces._replace(begin=_with_begin(pieces, k))
         for halt, change in zip(line.halt[0], line.step[0], strict=True):
-            border, step = put(border, halt, borders), put(step, change, borders)
-            borders = borders + (change != 0).astype(jnp.int32)
+            further = lambda _, s, halt=halt, change=change: _with_step(s, halt, change)
+            some = (change != 0).astype(jnp.int32)
+            border, step, borders = loop(some, further, (border, step, borders))
         return pieces, border, step, borders
 
     start = room.pieces, room.border, room.step, jnp.int32(0)
@@ -148,19 +155,25 @@ def _either(which: Array, a: Lines, b: Lines) -> Lines:
     return jax.tree.map(lambda x, y: jnp.where(which, x, y), a, b)
 
 
-def _inserted(pieces: Listed, number: Array, row: Listed) -> Listed:
-    """Return listed pieces with one more, after those that begin no later."""
+def _with_begin(pieces: Listed, k: Array) -> Array:
+    """Return the numbers of listed pieces with one more, after those that begin no later."""
+    u0 = pieces.u0
+    later = lambda s: (s[0] > 0) & (u0[s[1][jnp.maximum(s[0] - 1, 0)]] > u0[k])
+    shift = lambda s: (s[0] - 1, put(s[1], s[1][s[0] - 1], s[0]))
+    place, begin = jax.lax.while_loop(later, shift, (k, pieces.begin))
+    return put(begin, k, place)
 
-    def before(state):
-        place, pieces = state
-        return (place > 0) & (pieces.u0[jnp.maximum(place - 1, 0)] > row.u0)
 
-    def shift(state):
-        place, pieces = state
-        return place - 1, jax.tree.map(lambda x: put(x, x[place - 1], place), pieces)
-
-    place, pieces = jax.lax.while_loop(before, shift, (number, pieces))
-    return jax.tree.map(lambda x, value: put(x, value, place), pieces, row)
+def _with_step(
+    state: tuple[Array, Array, Array], halt: Array, change: Array
+) -> tuple[Array, Array, Array]:
+    """Return where along the border layers change, in order, by how much, and how often, with one
+    more."""
+    border, step, number = state
+    later = lambda s: (s[0] > 0) & (s[1][jnp.maximum(s[0] - 1, 0)] > halt)
+    shift = lambda s: (s[0] - 1, *(put(x, x[s[0] - 1], s[0]) for x in s[1:]))
+    place, border, step = jax.lax.while_loop(later, shift, (number, border, step))
+    return put(border, halt, place), put(step, change, place), number + 1
 
 
 def _with_halt(halts: Array, number: Array, halt: Array) -> Array:
@@ -174,19 +187,23 @@ def _with_halt(halts: Array, number: Array, halt: Array) -> Array:
 def _halts(number: Array, pieces: Listed, halts: Array) -> tuple[Array, Array]:
     """Return where pieces begin, end or cross, in order, and how many of these there are."""
 
-    def of_piece(i, state):
+    def of_piece(rank, state):
         halts, count = state
+        i = pieces.begin[rank]
         halts = _with_halt(halts, count, pieces.u0[i])
         halts = _with_halt(halts, count + 1, pieces.u1[i])
 
         def of_pair(state):
-            j, halts, count = state
-            u, crosses = _crossing(pieces, i, j)
+            other, halts, count = state
+            u, crosses = _crossing(pieces, i, pieces.begin[other])
             more = lambda _, s: (_with_halt(s[0], s[1], u), s[1] + 1)
-            return j + 1, *loop(crosses.astype(jnp.int32), more, (halts, count))
+            return other + 1, *loop(crosses.astype(jnp.int32), more, (halts, count))
 
-        overlap = lambda s: (s[0] < number) & (pieces.u0[s[0]] < pieces.u1[i])
-        return jax.lax.while_loop(overlap, of_pair, (i + 1, halts, count + 2))[1:]
+        def overlap(state):
+            other = pieces.begin[jnp.minimum(state[0], number - 1)]
+            return (state[0] < number) & (pieces.u0[other] < pieces.u1[i])
+
+        return jax.lax.while_loop(overlap, of_pair, (rank + 1, halts, count + 2))[1:]
 
     return loop(number, of_piece, (halts, jnp.int32(0)))
 
@@ -195,18 +212,20 @@ def _crossing(pieces: Listed, i: Array, j: Array) -> tuple[Array, Array]:
     """Return where two pieces cross, and whether they do."""
     low = jnp.maximum(pieces.u0[i], pieces.u0[j])
     high = jnp.minimum(pieces.u1[i], pieces.u1[j])
-    height = lambda k, u: pieces.v0[k] + (u - pieces.u0[k]) * pieces.slope[k]
-    before, after = (height(i, u) - height(j, u) for u in (low, high))
+    before, after = (pieces.height(i, u) - pieces.height(j, u) for u in (low, high))
     crosses = (low < high) & ((before < 0) != (after < 0))
     return low + (high - low) * safe_divide(before, before - after), crosses
 
 
 class _Line(NamedTuple):
-    """Where the line is, how many halts are behind it, and how many pieces; how many it meets; the
-    area so far; whether there was anything but cover."""
+    """Where the line is, how many halts are behind it, how many changes along the border, the
+    layers there, and how many pieces are behind it; how many it meets; the area so far; whether
+    there was anything but cover."""
 
     u: Float[Array, ""]
     halts: Int[Array, ""]
+    borders: Int[Array, ""]
+    first: Float[Array, ""]
     begun: Int[Array, ""]
     number: Int[Array, ""]
     area: Float[Array, ""]
@@ -233,7 +252,7 @@ def _sweep(pixel: Pixel, borders: Array, room: Room) -> tuple[Array, Array, Room
         return _stretch(pixel, borders, room, after, line, *lists)
 
     zero, none = 0 * pixel.corner, jnp.int32(0)
-    start = _Line(zero, none, none, none, zero, jnp.array(False))
+    start = _Line(zero, none, none, pixel.corner, none, none, zero, jnp.array(False))
     lists = room.met, room.height, room.length, room.moment
     line, *lists = jax.lax.while_loop(lambda s: s[0].u < 1, one, (start, *lists))
     room = room._replace(
@@ -245,38 +264,47 @@ def _sweep(pixel: Pixel, borders: Array, room: Room) -> tuple[Array, Array, Room
 def _stretch(pixel, borders, room, after, line, met, height, length, moment):
     """Return the line at the next halt, and what it met and saw on the way."""
     middle, width = (line.u + after) / 2, after - line.u
-    first = pixel.corner + loop(
-        borders, lambda k, s: s + _stepped(room, pixel.stops > 0, middle, k), 0 * middle
-    )
+    passed, first = _along_border(room, borders, pixel.stops > 0, middle, line)
     begun, number, met, height = _met(pixel, room.pieces, middle, line, met, height)
 
     def see(i, state):
-        below, area, shows, length, moment = state
-        piece = met[i]
-        above = below + room.pieces.jump[piece]
+        below, *shown = state
+        k = met[i]
+        above = below + room.pieces.jump[k]
         change = _covers(above) - _covers(below)
-        share, k = change * width, room.pieces.which[piece]
-        length, moment = (
-            put(length, length[k] + share, k),
-            put(moment, moment[k] + share * middle, k),
-        )
-        return above, area - height[i] * share, shows | (change != 0), length, moment
+
+        def add(_, shown):
+            area, _, length, moment = shown
+            share = change * width
+            length = put(length, length[k] + share, k)
+            moment = put(moment, moment[k] + share * middle, k)
+            return area - height[i] * share, jnp.array(True), length, moment
+
+        return above, *loop((change != 0).astype(jnp.int32), add, tuple(shown))
 
     start = first, line.area, line.shows, length, moment
     top, area, shows, length, moment = loop(number, see, start)
     covered = _covers(top)
     shows |= covered < 1
-    line = _Line(after, line.halts, begun, number, area + covered * width, shows)
+    area = area + covered * width
+    line = _Line(after, line.halts, passed, first, begun, number, area, shows)
     return line, met, height, length, moment
 
 
-def _stepped(room: Room, stopping: Array, middle: Array, k: Array) -> Array:
-    """Return by how much layers changed at a place on the border, if that is before the line.
+def _along_border(
+    room: Room, borders: Array, stopping: Array, middle: Array, line: _Line
+) -> tuple[Array, Array]:
+    """Return how many changes along the border are behind a line, and the layers there.
 
     Where the line stops it may stop at an end: that is of what comes, on the border as well.
     """
-    halt = room.border[k]
-    return jnp.where((halt < middle) | (stopping & (halt == middle)), room.step[k], 0)
+
+    def behind(state):
+        halt = room.border[jnp.minimum(state[0], borders - 1)]
+        return (state[0] < borders) & ((halt < middle) | (stopping & (halt == middle)))
+
+    further = lambda s: (s[0] + 1, s[1] + room.step[s[0]])
+    return jax.lax.while_loop(behind, further, (line.borders, line.first))
 
 
 def _met(pixel, pieces, middle, line, met, height):
@@ -285,23 +313,24 @@ def _met(pixel, pieces, middle, line, met, height):
 
     def enter(state):
         begun, number, met = state
-        return begun + 1, number + 1, put(met, begun, number)
+        return begun + 1, number + 1, put(met, pieces.begin[begun], number)
 
-    begins = lambda s: (
-        (s[0] < pixel.number) & (pieces.u0[jnp.minimum(s[0], pixel.number - 1)] <= middle)
-    )
+    def begins(state):
+        k = pieces.begin[jnp.minimum(state[0], pixel.number - 1)]
+        return (state[0] < pixel.number) & (pieces.u0[k] <= middle)
+
     begun, number, met = jax.lax.while_loop(begins, enter, (line.begun, line.number, met))
 
     def keep(i, state):
         count, met, height = state
         piece = met[i]
-        v = pieces.v0[piece] + (middle - pieces.u0[piece]) * pieces.slope[piece]
+        v = pieces.height(piece, middle)
         there = middle < pieces.u1[piece]
 
         def above(state):
             place, met, height = state
             last = jnp.maximum(place - 1, 0)
-            tie = (height[last] == v) & (pieces.which[met[last]] > pieces.which[piece])
+            tie = (height[last] == v) & (met[last] > piece)
             return there & (place > 0) & ((height[last] > v) | tie)
 
         def shift(state):

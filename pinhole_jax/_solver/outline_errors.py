@@ -36,10 +36,15 @@ DRAWN = 0.05
 #: Of a computed mask's pixels beside the outline this many are on its wrong side. (Of 72 such masks
 #: one had one, of 196; masks that are shrunk or wavy have 2 to 60 %.)
 STRAYS = 0.003
+#: ... and of a drawn one's at least this many: errors of the least size put 0.008 there.
+LEAST_DRAWN = 0.005
 #: Quantisation's variance, beside that of pixels which err independently: straight edges that
 #: nearly follow the rows err alike.
 #: (Of 48 computed masks of one bit all are told for certain with 2, all but 8 with 1.)
 ALIKE = 2.0
+#: Of a straight edge each px is in so many pixels at most; an outline in more of them has several
+#: edges in a pixel, and each errs. (A smooth one or a scan's: 1.25; a hedgehog's 1.4, soup's 2.2.)
+STRAIGHT = 2**0.5
 #: At least so much of an outline is within a pixel of the mask's.
 LEAST_RATE = 0.1
 
@@ -92,14 +97,20 @@ def outline_errors(
 
 def _odds_of_computed(beyond: int, pixels: int) -> float:
     """Return how likely it is that a computed mask of one bit has this many of an outline's pixels
-    on the wrong side, beside that a drawn one has (any share): the logarithm.
+    on the wrong side, beside that a drawn one has (any share that is not less than its least): the
+    logarithm.
 
     Where an outline is drawn, offsets of whole stretches may be those of a camera that is wrong,
     and what is left no larger than quantisation; but not its single pixels.
     """
+    from scipy.special import bdtr
+
     right = max(pixels - beyond, 0)
     computed = beyond * np.log(STRAYS) + right * np.log1p(-STRAYS)
     drawn = lgamma(beyond + 1) + lgamma(right + 1) - lgamma(beyond + right + 2)
+    # (Of such shares, each as likely as any other beforehand, so many are not less.)
+    likely = bdtr(beyond, beyond + right + 1, LEAST_DRAWN) / (1 - LEAST_DRAWN)
+    drawn += np.log(max(likely, np.finfo(float).tiny))
     return float(computed - drawn)
 
 
@@ -152,7 +163,8 @@ class _Model:
         felt = _felt(stretches.offset, stretches.share)
         between = stretches.at[:, None] - stretches.at[None]
         self._distance = np.sqrt(np.sum(between**2, axis=-1))
-        self._quantisation = ALIKE * quantisation / float(np.mean(stretches.length))
+        crowded = max(1.0, stretches.pixels / float(np.sum(stretches.length)) / STRAIGHT)
+        self._quantisation = ALIKE * quantisation * crowded / float(np.mean(stretches.length))
         units = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
         self._columns = np.column_stack([units, np.ones(self.count), felt])
         self._pull = X.T * stretches.share

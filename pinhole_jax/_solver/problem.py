@@ -56,7 +56,8 @@ class View(NamedTuple):
     """What is known at one camera: R of J = QR, Q^T r, sums, load, reported parameters' derivative.
 
     J is the residuals' derivative by the moves, in the solver's units (`UNIT_PX` pixels): `scale`.
-    Its first rows are those of the touched `pixels`.
+    Its first rows are those of the touched `pixels`; it is kept column by column, what follows
+    them is no column of its. (To turn it took a quarter of a step where a buffer is large.)
     """
 
     triangle: Float[Array, "n n"]
@@ -66,8 +67,13 @@ class View(NamedTuple):
     to_reported: Float[Array, "n n"]
     scale: Float[Array, "n"]
     pixels: Pixels
-    jacobian: Float[Array, "m n"]
+    columns: Float[Array, "k m"]
     prior: Any = 0.0
+
+    @property
+    def jacobian(self) -> np.ndarray:
+        """Return J (m, n), zeros after its last row."""
+        return np.asarray(self.columns)[: len(self.along)].T
 
     @property
     def squares(self) -> float:

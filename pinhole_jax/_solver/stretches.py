@@ -111,7 +111,7 @@ def stretches_of(view: View, target: np.ndarray, weights: Weights) -> Stretches 
 
     # Only pixels with weight say what a move does.
     root = np.sqrt(weight)
-    rows = np.asarray(view.jacobian, float)[: len(shown)][shown]
+    rows = view.jacobian[: len(shown)][shown].astype(float)
     rows /= np.where(root > 0, root, 1)[:, None]
     pixels, counted = outline.summed(), outline.summed(root > 0)
     length_counted = length * counted / pixels
@@ -169,7 +169,7 @@ def outline_pixels(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     solver's moves, and their coverage (P,)."""
     weight = np.asarray(view.pixels.weight, float)
     shown = _shown(view.pixels, view.pixels.level) & (weight > 0)
-    rows = np.asarray(view.jacobian, float)[: len(shown)][shown]
+    rows = view.jacobian[: len(shown)][shown].astype(float)
     share = np.asarray(view.pixels.coverage, float)[shown]
     place = _places(view.pixels, view.pixels.level)[shown]
     return place, rows / np.sqrt(weight[shown])[:, None], share
