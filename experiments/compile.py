@@ -3,8 +3,9 @@
     python experiments/compile.py OUT
 
 Each program in a process of its own with nothing kept: tracing, lowering, compiling, one run. Equal
-kernels are compiled once (`distinct`), so what a program takes follows these. (The command with an
-empty and a filled cache is in `hotspots.py`.)
+kernels are compiled once, but for loops that are one kernel, which are compiled wherever they stand
+(`distinct`): what a program takes follows these. (The command with an empty and a filled cache is
+in `hotspots.py`.)
 """
 
 import json

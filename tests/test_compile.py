@@ -13,11 +13,12 @@ from _kernels import Kernels, kernels
 
 #: At most this many kernels in all, that differ, and loops.
 MOST = {
-    "mask_without_overlaps": Kernels(80, 62, 2),
-    "mask": Kernels(118, 91, 3),
+    "mask_without_overlaps": Kernels(81, 63, 2),
+    "mask": Kernels(119, 92, 3),
     "depth": Kernels(197, 141, 2),
-    "gradient_of_camera": Kernels(380, 226, 14),
-    "fit": Kernels(276, 189, 2),
+    "gradient_of_camera": Kernels(305, 182, 13),
+    "gradient_with_spheres_and_distortion": Kernels(468, 277, 16),
+    "fit": Kernels(264, 177, 2),
 }
 #: Kernels are the compiler's as users have it, but not looked over, and written in a hurry.
 FLAGS = "--xla_disable_hlo_passes=hlo-verifier --xla_cpu_parallel_codegen_split_count=1"

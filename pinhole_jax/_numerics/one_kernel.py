@@ -139,8 +139,9 @@ def for_both(function: Callable[[Array], Sequence[Array]]) -> tuple[list[Array],
     none = [jnp.zeros(x.shape, x.dtype) for x in like]
 
     def one(k, found):
-        pairs = (zip(function(k), old, strict=True) for old in found)
-        return [[jnp.where(k == i, x, y) for x, y in pair] for i, pair in enumerate(pairs)]
+        new = list(function(k))
+        either = lambda i, old: [jnp.where(k == i, x, y) for x, y in zip(new, old, strict=True)]
+        return [either(i, old) for i, old in enumerate(found)]
 
     first, second = jax.lax.fori_loop(0, 2, one, [none, none])
     return first, second
