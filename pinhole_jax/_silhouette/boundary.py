@@ -61,17 +61,18 @@ class Some(NamedTuple):
         return jax.tree.map(cut, self.curves)
 
 
-class _Listed(NamedTuple):
-    """The parts' curves, on a CPU: listed once, for all that is asked of them."""
+class _Found(NamedTuple):
+    """The parts' curves: on a CPU listed once, for all that is asked of them; on other machines
+    (None) found wherever they are asked for."""
 
-    lists: list[CurveList] | None
+    lists: list[CurveList] | None = None
 
     @staticmethod
-    def of(parts: list[Part]) -> "_Listed":
+    def listed(parts: list[Part]) -> "_Found":
         """Return lists with all curves that there is room for."""
         lists = [CurveList.empty(part) for part in parts]
         pairs = zip(parts, lists, strict=True)
-        return _Listed([x.listing(p, jnp.int32(0)) if x.has_room(p) else x for p, x in pairs])
+        return _Found([x.listing(p, jnp.int32(0)) if x.has_room(p) else x for p, x in pairs])
 
     def fold(
         self,
@@ -84,8 +85,16 @@ class _Listed(NamedTuple):
     ) -> Any:
         """Return `start` after `add(total, ids, some)` over a block of a part's curves, from an id
         up to another, some at a time."""
-        assert self.lists is not None
-        part, known = parts[number], self.lists[number]
+        part = parts[number]
+        if self.lists is None:
+
+            def chunk(total, ids, curves):
+                some = Some(Ordered.of(curves), jnp.int32(0), jnp.int32(part.size))
+                return add(total, ids, some)
+
+            return fold_curves(part, chunk, start, part.size, (begin, end))
+
+        known = self.lists[number]
         if not known.has_room(part):
             known = known.listing(part, begin - begin % known.room)
 
@@ -100,37 +109,15 @@ class _Listed(NamedTuple):
         return jax.lax.while_loop(lambda s: s[0] < end, body, (begin, start))[1]
 
 
-class _Found(NamedTuple):
-    """The parts' curves, on other machines: found wherever they are asked for."""
-
-    lists: None = None
-
-    def fold(
-        self,
-        parts: list[Part],
-        number: int,
-        add: Callable[[Any, Array, Some], Any],
-        start: Any,
-        begin: Array,
-        end: Array,
-    ) -> Any:
-        """Return what `_Listed.fold` does."""
-        part = parts[number]
-
-        def chunk(total, ids, curves):
-            some = Some(Ordered.of(curves), jnp.int32(0), jnp.int32(part.size))
-            return add(total, ids, some)
-
-        return fold_curves(part, chunk, start, part.size, (begin, end))
-
-
 def pushed(
     build: Build, changing: list, velocity: list, seen: Seen, image: Float[Array, "pixels ways"]
 ) -> Float[Array, "pixels ways"]:
     """Return the image with what the visible contour changes where things move with velocities,
     each along the last axis of what moves."""
     way = partial(_pushed, build, changing, velocity, seen, image)
-    return by_machine(cpu=lambda: way(_Listed.of(build(changing))), elsewhere=lambda: way(_Found()))
+    return by_machine(
+        cpu=lambda: way(_Found.listed(build(changing))), elsewhere=lambda: way(_Found())
+    )
 
 
 def _pushed(
@@ -139,7 +126,7 @@ def _pushed(
     velocity: list,
     seen: Seen,
     image: Float[Array, "pixels ways"],
-    found: _Listed | _Found,
+    found: _Found,
 ) -> Float[Array, "pixels ways"]:
     parts = build(changing)
 
@@ -168,7 +155,9 @@ def pulled(build: Build, changing: list, seen: Seen, weights: Float[Array, "pixe
     """Return by how much the sums of the pixels' areas, each times its weight, grow with what
     changes: along the last axis for each way to weigh."""
     way = partial(_pulled, build, changing, seen, weights)
-    return by_machine(cpu=lambda: way(_Listed.of(build(changing))), elsewhere=lambda: way(_Found()))
+    return by_machine(
+        cpu=lambda: way(_Found.listed(build(changing))), elsewhere=lambda: way(_Found())
+    )
 
 
 def _pulled(
@@ -176,7 +165,7 @@ def _pulled(
     changing: list,
     seen: Seen,
     weights: Float[Array, "pixels ways"],
-    found: _Listed | _Found,
+    found: _Found,
 ) -> list:
     parts, ways = build(changing), weights.shape[-1]
 
