@@ -126,3 +126,9 @@ def percentiles(values: Iterable[float]) -> dict[str, float]:
     array = np.array([*values])
     kinds = {"median": np.median, "mean": np.mean, "max": np.max}
     return {name: float(kind(array)) for name, kind in kinds.items()}
+
+
+def noisy(vertices: np.ndarray, faces: np.ndarray, noise: float) -> np.ndarray:
+    """Return vertices (V, 3) that are off by so many mean edges (one standard deviation)."""
+    edge = np.mean(np.linalg.norm(vertices[faces[:, 0]] - vertices[faces[:, 1]], axis=1))
+    return vertices + np.random.default_rng(0).normal(0, noise * edge, vertices.shape)

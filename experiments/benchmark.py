@@ -26,7 +26,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from _common import camera_at, degrees, folder, orbited, random_camera
+from _common import camera_at, degrees, folder, noisy, orbited, random_camera
 from _peers import PEERS, Job, Moves, Peer, Trail, central_difference, film_matrix, pose_of, usable
 
 import pinhole_jax as pj
@@ -52,6 +52,9 @@ ASKED: dict[str, float | None] = {
     "mask, bumpy 9.5k faces, 256 px: over Open3D's cast_rays, 1 sample": 1 / 5,
     "mask, bumpy 9.5k faces, 256 px: over Open3D's test_occlusions, 1 sample": None,
     "mask, bumpy 9.5k faces, 256 px: error over the most exact peer's": 1e-3,
+    "mask, scan of 82k faces, 256 px: ms": None,
+    "mask, scan of 82k faces, 256 px: over Open3D's cast_rays, 1 sample": None,
+    "mask, scan of 82k faces, 256 px: error over the most exact peer's": 1e-3,
     "image and 7-column Jacobian over image, bumpy 9.5k faces, 256 px": 2.5,
     "image and 7-column Jacobian over image, sphere of 328k faces, 512 px": 2.5,
     "gradient of a loss over image, bumpy 9.5k faces, 256 px": 2.0,
@@ -146,6 +149,14 @@ def bumpy(subdivisions: int) -> Shape:
     vertices = np.asarray(mesh.vertices, float)
     vertices = vertices / np.linalg.norm(vertices, axis=1).max()
     return Shape(vertices.astype(np.float32), np.asarray(mesh.faces))
+
+
+@cache
+def scan(subdivisions: int = 6, noise: float = 0.12) -> Shape:
+    """Return the bumpy sphere with what a scanner adds: noise, as a share of the mean edge."""
+    smooth = bumpy(subdivisions)
+    vertices = noisy(smooth.vertices, smooth.faces, noise)
+    return smooth._replace(vertices=vertices.astype(np.float32))
 
 
 @cache
@@ -286,11 +297,13 @@ CASES: dict[str, tuple[Callable[[], Shape], int, tuple[int, ...]]] = {
     "bumpy 9.5k faces, 256 px": (marched, 256, (1, 2, 4, 8)),
     "sphere of 328k faces, 512 px": (sphere, 512, (1, 2, 4)),
 }
+SCAN = "scan of 82k faces, 256 px"
+MASKS = CASES | {SCAN: (scan, 256, (1, 2, 4, 8))}
 
 
 def masks(peers: Peers) -> dict:
     answer: dict[str, Any] = {"ratios": {}}
-    for case, (make, size, sides) in CASES.items():
+    for case, (make, size, sides) in MASKS.items():
         shape, camera = make(), view(size)
         systems = [peer(shape.vertices, shape.faces) for peer in peers]
         found = masks_of(case, shape, camera, systems, sides)
@@ -732,7 +745,7 @@ def draw(answers: dict[str, dict], path: Path) -> None:
     import matplotlib.pyplot as plt
 
     panels = []
-    for case in CASES if "masks" in answers else ():
+    for case in MASKS if "masks" in answers else ():
         panels.append(lambda axis, case=case: draw_errors(axis, case, answers["masks"][case]))
     for name, words in (("faces", "faces"), ("resolution", "pixels across")):
         if name in answers:

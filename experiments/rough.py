@@ -23,7 +23,7 @@ from typing import Any
 import jax
 import numpy as np
 import trimesh
-from _common import SHARED, camera_at, degrees, folder, orbited
+from _common import SHARED, camera_at, degrees, folder, noisy, orbited
 from scipy.spatial.transform import Rotation
 from tracer import embree
 
@@ -41,9 +41,7 @@ def bumpy(subdivisions: int, noise: float) -> pj.Scene:
     """Return a bumpy sphere whose vertices are off by this many edges (one standard deviation)."""
     mesh = pj.shapes.bumpy(subdivisions)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    edge = np.mean(np.linalg.norm(vertices[faces[:, 0]] - vertices[faces[:, 1]], axis=1))
-    off = np.random.default_rng(0).normal(0, noise * edge, vertices.shape)
-    return scene_of(vertices + off, faces)
+    return scene_of(noisy(vertices, faces, noise), faces)
 
 
 def scene_of(vertices: np.ndarray, faces: np.ndarray) -> pj.Scene:
@@ -305,7 +303,9 @@ def draw(found: dict[str, Any], path: Path) -> None:
         row = {k: v[kind]["s"] for k, v in found["photos"].items()}
         told = f"{kind}: slope {slope(row):.2f}"
         axes[3].loglog([float(k) for k in row], [*row.values()], "-o", label=told)
-    axes[3].set(title="fit to a photo", xlabel="px wide", ylabel="s")
+    axes[3].set(title="fit to a photo", xlabel="px wide", ylabel="s of the processor")
+    axes[3].set_xticks(WIDTHS, [str(width) for width in WIDTHS])
+    axes[3].minorticks_off()
     axes[3].legend(fontsize=7)
     figure.tight_layout()
     figure.savefig(path, dpi=90)
