@@ -23,6 +23,7 @@ from .._numerics.safe import safe_divide
 from .curves import (
     Arcs,
     Curves,
+    Point,
     Segments,
     bulge,
     edge_flux,
@@ -113,14 +114,14 @@ def rows_of(m: Monotone, H, bottom) -> Rows:
 
 
 def _column(x: Float[Array, "*K"], W) -> Int[Array, "*K"]:
-    return jnp.clip(jnp.floor(x), -1, jnp.asarray(W, x.dtype)).astype(jnp.int32)
+    return jnp.floor(held_within(x, jnp.asarray(-1, x.dtype), jnp.asarray(W, x.dtype))).astype(jnp.int32)
 
 
 def at_row(m: Monotone, y: Float[Array, "*K"]) -> tuple[Float[Array, "*K"], Float[Array, "*K"]]:
     """Return the curve's point at height y, or the end that y lies beyond."""
-    between_low = jnp.minimum(m.low[..., 0], m.high[..., 0])
-    between_high = jnp.maximum(m.low[..., 0], m.high[..., 0])
-    x = jnp.clip(_x_at(m, y), between_low, between_high)
+    first, last = m.low[..., 0], m.high[..., 0]
+    rightward = first < last
+    x = held_within(_x_at(m, y), jnp.where(rightward, first, last), jnp.where(rightward, last, first))
     below, above = y <= m.low[..., 1], y >= m.high[..., 1]
     x = jnp.where(below, m.low[..., 0], jnp.where(above, m.high[..., 0], x))
     y = jnp.where(below, m.low[..., 1], jnp.where(above, m.high[..., 1], y))
@@ -155,31 +156,75 @@ class InRow(NamedTuple):
         """Return how many pixels there are beside the first."""
         return jnp.abs(self.c1 - self.c0)
 
+    @property
+    def goes_right(self) -> Bool[Array, "*K"]:
+        """Return whether columns grow along the curve."""
+        return self.c1 >= self.c0
+
+    def column(self, along: Int[Array, "*K"]) -> Int[Array, "*K"]:
+        """Return the column of the `along`-th pixel."""
+        return jnp.where(self.goes_right, self.c0 + along, self.c0 - along)
+
 
 def in_row(m: Monotone, row: Int[Array, "*K"], W, H, bottom=0) -> InRow:
     """Return what of curves is in these of the rows that they meet (`rows_of`)."""
-    dtype = m.low.dtype
-    x0, y0 = at_row(m, row.astype(dtype))
-    x1, y1 = at_row(m, (row + 1).astype(dtype))
-    # What lies above and below is cut off.
-    top, foot = jnp.asarray(H, dtype), jnp.asarray(bottom, dtype)
-    y0, y1 = jnp.clip(y0, foot, top), jnp.clip(y1, foot, top)
-    return InRow(row, x0, y0, x1, y1, _column(x0, W), _column(x1, W))
+    return between(row, on_line(m, row, H, bottom), on_line(m, row + 1, H, bottom), W)
+
+
+def on_line(m: Monotone, row: Int[Array, "*K"], H, bottom=0) -> Point:
+    """Return where curves meet the lower line of a row; what lies above and below the film is cut
+    off."""
+    x, y = at_row(m, row.astype(m.low.dtype))
+    return x, held_within(y, jnp.asarray(bottom, y.dtype), jnp.asarray(H, y.dtype))
+
+
+def between(row: Int[Array, "*K"], low: Point, high: Point, W) -> InRow:
+    """Return what of curves is in a row, from where they come in and where they go out."""
+    return InRow(row, *low, *high, _column(low[0], W), _column(high[0], W))
 
 
 def in_pixel(
     m: Monotone, own: InRow, along: Int[Array, "*K"], curve: Int[Array, "*K"], valid: Array, W
 ) -> Pieces:
     """Return the pieces of curves that are the `along`-th in their row."""
-    row, x0, y0, x1, y1, c0, c1 = own
-    dtype, rightward = m.low.dtype, c1 >= c0
-    column = jnp.where(rightward, c0 + along, c0 - along)
-    left, right = column.astype(dtype), (column + 1).astype(dtype)
-    x_in = jnp.where(column == c0, x0, jnp.where(rightward, left, right))
-    x_out = jnp.where(column == c1, x1, jnp.where(rightward, right, left))
-    y_in = jnp.where(column == c0, y0, jnp.clip(_y_at(m, x_in, x0, y0, x1, y1), y0, y1))
-    y_out = jnp.where(column == c1, y1, jnp.clip(_y_at(m, x_out, x0, y0, x1, y1), y0, y1))
+    start, end = entry(m, own, along), exit_(m, own, along)
+    return piece_between(m, own, along, (start, end), curve, valid, W)
 
+
+def entry(m: Monotone, own: InRow, along: Int[Array, "*K"]) -> Point:
+    """Return where curves come into the `along`-th pixel of their row."""
+    column = own.column(along)
+    side = (column + jnp.where(own.goes_right, 0, 1)).astype(own.x0.dtype)
+    return _on_side(m, own, column == own.c0, (own.x0, own.y0), side)
+
+
+def exit_(m: Monotone, own: InRow, along: Int[Array, "*K"]) -> Point:
+    """Return where curves go out of the `along`-th pixel of their row."""
+    column = own.column(along)
+    side = (column + jnp.where(own.goes_right, 1, 0)).astype(own.x0.dtype)
+    return _on_side(m, own, column == own.c1, (own.x1, own.y1), side)
+
+
+def _on_side(m: Monotone, own: InRow, ends: Array, end: Point, side: Array) -> Point:
+    """Return where curves meet a side of a pixel, or the end of what of them is in the row."""
+    x, (y0, y1) = jnp.where(ends, end[0], side), (own.y0, own.y1)
+    y = held_within(_y_at(m, x, own.x0, y0, own.x1, y1), y0, y1)
+    return x, jnp.where(ends, end[1], y)
+
+
+def piece_between(
+    m: Monotone,
+    own: InRow,
+    along: Int[Array, "*K"],
+    ends: tuple[Point, Point],
+    curve: Int[Array, "*K"],
+    valid: Array,
+    W,
+) -> Pieces:
+    """Return the pieces of curves from where they come into a pixel to where they go out."""
+    (x_in, y_in), (x_out, y_out) = ends
+    row, dtype, column = own.row, m.low.dtype, own.column(along)
+    left = column.astype(dtype)
     start, end = jnp.stack([x_in, y_in], -1), jnp.stack([x_out, y_out], -1)
     height, area = _areas(m, start, end, column, W)
     height, area = jnp.where(valid, height, 0), jnp.where(valid, area, 0)
@@ -193,8 +238,10 @@ def in_pixel(
         return each[0] | each[1]
 
     enters = jnp.where(jump <= 0, beyond(x_in, y_in, m.low), beyond(x_out, y_out, m.high))
-    ends, first = (start, end), valid & (along == 0)
-    return Pieces(curve, row, column, *ends, height, area, valid, jump, passes, first, enters)
+    first = valid & (along == 0)
+    return Pieces(
+        curve, row, column, start, end, height, area, valid, jump, passes, first, enters
+    )
 
 
 def split(
@@ -306,4 +353,10 @@ def _share(whole, part):
     Kernels work out a curve's point anew, and must agree on it. A sum of a product is rounded once
     or twice, as the compiler likes; a bounded product is rounded before it is added.
     """
-    return jnp.clip(part, jnp.minimum(whole, 0), jnp.maximum(whole, 0))
+    return held_within(part, jnp.where(whole < 0, whole, 0), jnp.where(whole > 0, whole, 0))
+
+
+def held_within(x: Array, low: Array, high: Array) -> Array:
+    """Return x between bounds."""
+    x = jnp.where(x > low, x, low)
+    return jnp.where(x < high, x, high)

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._numerics.one_kernel import one_kernel
 from .asked import WORD, Asked, Drawn, Pixels, Sums, judged, words_in_row
-from .coverage import Monotone, Pieces, in_pixel, in_row, rows_of, taken
+from .coverage import Monotone, Pieces, between, exit_, on_line, piece_between, rows_of, taken
 from .marks import drops, marks, winding_jumps
 from .parts import LEAST, CurveList, Ordered
 
@@ -93,20 +93,25 @@ def walked(
         rows = rows_of(m, top, bottom)
 
         def of_row(state):
-            row, total = state
-            own = in_row(m, row, W, H)
+            row, low, total = state
+            high = on_line(m, row + 1, H)
+            own = between(row, low, high, W)
 
             def of_pixel(state):
-                along, total = state
-                piece = in_pixel(m, own, along, k, jnp.array(True), W)
-                return along + 1, add(total, k, m, piece)
+                along, ends, total = state
+                piece = piece_between(m, own, along, ends, k, jnp.array(True), W)
+                after = ends[1], exit_(m, own, along + 1)
+                return along + 1, after, add(total, k, m, piece)
 
-            start = jnp.int32(0), total
-            return row + 1, jax.lax.while_loop(lambda s: s[0] <= own.further, of_pixel, start)[1]
+            # (What is in a loop's state is worked out once, not for each that asks.)
+            along = jnp.int32(0)
+            start = along, (low, exit_(m, own, along)), total
+            total = jax.lax.while_loop(lambda s: s[0] <= own.further, of_pixel, start)[2]
+            return row + 1, high, total
 
         end = rows.first + jnp.where(m.curves.weight == 0, 0, rows.number)
-        start = rows.first, total
-        return k + 1, jax.lax.while_loop(lambda s: s[0] < end, of_row, start)[1]
+        start = rows.first, on_line(m, rows.first, H), total
+        return k + 1, jax.lax.while_loop(lambda s: s[0] < end, of_row, start)[2]
 
     return jax.lax.while_loop(lambda s: s[0] < number, of_curve, (jnp.int32(0), start))[1]
 
