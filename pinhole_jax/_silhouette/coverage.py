@@ -113,7 +113,8 @@ def rows_of(m: Monotone, H, bottom) -> Rows:
     return Rows(first.astype(jnp.int32), count.astype(jnp.int32))
 
 
-def _column(x: Float[Array, "*K"], W) -> Int[Array, "*K"]:
+def column_of(x: Float[Array, "*K"], W) -> Int[Array, "*K"]:
+    """Return the columns of abscissas, -1 left of the film and W right of it."""
     return jnp.floor(held_within(x, jnp.asarray(-1, x.dtype), jnp.asarray(W, x.dtype))).astype(jnp.int32)
 
 
@@ -134,7 +135,7 @@ def piece_counts(m: Monotone, W, H, bottom=0) -> Int[Array, "*K"]:
     rows = rows_of(m, H, bottom)
     x0, _ = at_row(m, rows.first.astype(m.low.dtype))
     x1, _ = at_row(m, (rows.first + rows.number).astype(m.low.dtype))
-    first, last = _column(x0, W), _column(x1, W)
+    first, last = column_of(x0, W), column_of(x1, W)
     weight = m.curves.weight
     count = rows.number + jnp.abs(last - first)
     return jnp.where((weight == 0) | (rows.number == 0), 0, count)
@@ -180,7 +181,7 @@ def on_line(m: Monotone, row: Int[Array, "*K"], H, bottom=0) -> Point:
 
 def between(row: Int[Array, "*K"], low: Point, high: Point, W) -> InRow:
     """Return what of curves is in a row, from where they come in and where they go out."""
-    return InRow(row, *low, *high, _column(low[0], W), _column(high[0], W))
+    return InRow(row, *low, *high, column_of(low[0], W), column_of(high[0], W))
 
 
 def in_pixel(
@@ -261,11 +262,11 @@ def split(
     dtype = m.low.dtype
 
     x_first, _ = at_row(m, rows.first.astype(dtype))
-    column_first = _column(x_first, W)
+    column_first = column_of(x_first, W)
 
     def passed(j):
         x, _ = at_row(m, (rows.first + j).astype(dtype))
-        return j + jnp.abs(_column(x, W) - column_first)
+        return j + jnp.abs(column_of(x, W) - column_first)
 
     # A loop, not unrolled: the compiler of jax 0.12 takes minutes over the unrolled chain. Where no
     # curve is in many rows, as of a fine mesh, it is short.

@@ -17,15 +17,15 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._numerics.bitset import Selection, count_below, rank_in
 from .._numerics.one_kernel import one_kernel, put
 from .._numerics.safe import safe_divide
-from .coverage import InRow, Monotone, Pieces, in_pixel, in_row, rows_of, taken
+from .coverage import InRow, Monotone, Pieces, Rows, column_of, in_pixel, in_row, rows_of, taken
 from .curves import Segments, arc_flux, cut_circle, film_at, nodes, unit_at
 from .marks import drops, winding_jumps
-from .parts import Ordered
+from .parts import LEAST, Ordered
 from .sweep import sweepable
 
 #: So many pieces of a cell are swept; so many crossings may be ahead of a line.
@@ -34,6 +34,8 @@ MANY, AHEAD = 384, 2048
 CUT = 16
 #: So many pieces of a cell are looked at for one that equals a new one.
 LOOKS = 64
+#: Rows of pixels in a tile: a word of bits, which tell the columns that cells are in.
+TILE = 8
 
 
 class Where(NamedTuple):
@@ -41,7 +43,7 @@ class Where(NamedTuple):
 
     `chosen` are its cells' places, rows of `width` bits, if it is the whole one; else all are. Of
     these the ones from number `first` on are listed, `number` of them, in the rows from `bottom` up
-    to `top`. It has W columns and H rows.
+    to `top`; `tiles` tell where these are, if it is the whole one. It has W columns and H rows.
     """
 
     scale: Float[Array, ""]
@@ -50,6 +52,7 @@ class Where(NamedTuple):
     words: Array
     before: Int[Array, "words"]
     total: Int[Array, ""]
+    tiles: UInt32[Array, "tiles"]
     width: Int[Array, ""]
     first: Int[Array, ""]
     number: Int[Array, ""]
@@ -77,6 +80,39 @@ class Where(NamedTuple):
         return jnp.where(self.whole > 0, upto - self.first, row * CUT + column)
 
 
+    def may_meet(self, m: Monotone, rows: Rows) -> Bool[Array, ""]:
+        """Return whether a curve may meet cells that are listed, in these rows: of a short one the
+        tiles tell."""
+        x0, x1 = (column_of(x, self.W) for x in (m.low[0], m.high[0]))
+        inside = lambda x: jnp.clip(x, 0, self.W - 1)
+        left, right = inside(jnp.minimum(x0, x1)), inside(jnp.maximum(x0, x1))
+        low, high = rows.first // TILE, (rows.first + rows.number - 1) // TILE
+        first, last = left >> 5, right >> 5
+
+        def word(k):
+            at = k + (self.width >> 5) * jnp.stack([low, high])
+            both = self.tiles[jnp.clip(at, 0, len(self.tiles) - 1)]
+            return both[0] | both[1]
+
+        ones = jnp.uint32(0xFFFFFFFF)
+        after = ones << (left & 31).astype(jnp.uint32)
+        upto = ones >> (31 - (right & 31)).astype(jnp.uint32)
+        one = first == last
+        met = (word(first) & after & jnp.where(one, upto, ones)) | (word(last) & upto & jnp.where(one, after, ones))
+        return (self.whole == 0) | (high - low > 1) | (last - first > 1) | (met != 0)
+
+
+def tiles_of(width: int, H: int) -> int:
+    """Return how many tiles there are on a film of H rows of so many bits."""
+    return max(-(-H // TILE) * (width // 32), LEAST)
+
+
+def with_pixel(tiles: UInt32[Array, "tiles"], width: int, row: Array, column: Array) -> Array:
+    """Return tiles with a pixel."""
+    tile = (row // TILE) * (width // 32) + (column >> 5)
+    return put(tiles, tiles[tile] | (jnp.uint32(1) << (column & 31).astype(jnp.uint32)), tile)
+
+
 # --- lists ---------------------------------------------------------------------------------------
 
 
@@ -86,7 +122,8 @@ class Listed(NamedTuple):
     - `piece`: what a sweep asks of a piece (see `Cells`), and an arc's frame.
     - `code`: its curve (times 2, plus its part's number); `after`: the next of its cell (-1: none).
     - `head`: of each cell, its first piece; `number`: how many it has.
-    - `jump`, `drop`: of each cell, sums of `winding_jumps` before it in its row, and of `drops`.
+    - `jump`, `drop`: of each cell, sums of `winding_jumps` before it in its row (0 of a whole
+      film's pixels), and of `drops`.
     - `used`: how many pieces there are, with those that there is no room for.
     """
 
@@ -123,6 +160,7 @@ def _appended(
     def of_curve(k, listed):
         m = taken(curves, k).placed(where.scale, where.origin)
         rows = rows_of(m, where.top, where.bottom)
+        met = (m.curves.weight != 0) & where.may_meet(m, rows)
         code = 2 * (first + k) + part
 
         def of_row(state):
@@ -143,20 +181,22 @@ def _appended(
             start = jnp.int32(0), listed
             return row + 1, jax.lax.while_loop(lambda s: s[0] <= own.further, of_pixel, start)[1]
 
-        end = rows.first + jnp.where(m.curves.weight == 0, 0, rows.number)
+        end = rows.first + jnp.where(met, rows.number, 0)
         return jax.lax.while_loop(lambda s: s[0] < end, of_row, (rows.first, listed))[1]
 
     return jax.lax.fori_loop(0, number, of_curve, listed)
 
 
 def _with_jump(where: Where, m: Monotone, own: InRow, listed: Listed) -> Listed:
-    """Return lists with what a curve does to the winding number along the bottom of a row."""
+    """Return lists with what a curve does to the winding number along the bottom of a row; of a
+    whole film's pixels it is known."""
     # (Of its pieces in a row the first is asked: see `winding_jumps`.)
     piece = in_pixel(m, own, jnp.int32(0), jnp.int32(0), jnp.array(True), where.W)
     later = where.before_column(own.row, jnp.clip(own.c0 + 1, 0, where.W - 1))
     later = jnp.maximum(later, 0)
     end = jnp.minimum(where.before_column(own.row + 1, jnp.int32(0)), where.number)
-    jump = jnp.where((own.c0 < where.W - 1) & (later < end), winding_jumps(piece), 0)
+    counts = (where.whole == 0) & (own.c0 < where.W - 1) & (later < end)
+    jump = jnp.where(counts, winding_jumps(piece), 0)
 
     def fill(state):
         at, listed = state
@@ -304,12 +344,14 @@ def swept(
     where: Where,
     row: Int[Array, "C"],
     at: At,
+    corner: Float[Array, "C"],
     base: Float[Array, ""],
     last: Array,
     stops: Int[Array, ""] | None,
 ) -> Swept:
     """Return what the cells are covered, and what is visible in them. There are `base` layers left
-    of each row; cells are no longer cut if they are the `last` ones."""
+    of each row (of pixels the winding number at the `corner` is known); cells are no longer cut if
+    they are the `last` ones."""
     (C,), (N, _), dtype = row.shape, listed.piece.shape, listed.piece.dtype
     zeros, whole = (lambda *shape: jnp.zeros(shape, dtype)), lambda n: jnp.zeros(n, jnp.int32)
     M, arcs, flux = MANY + 2, manner.arcs is not None, manner.flux
@@ -326,14 +368,14 @@ def swept(
     filled = zeros(C), whole(C), *seen
     pick = where.number, where.whole, where.scale
     # (The compiler aborts over what a kernel does not read.)
-    places = row, at if flux else None
+    places = row, at if flux else None, corner
     kernel = one_kernel(partial(_swept, manner))
     return kernel(listed, pick, places, jnp.broadcast_to(base, 2), last, stops, filled, room)
 
 
 def _swept(manner: Manner, listed, pick, places, base, last, stops, filled, room) -> Swept:
     number, whole, scale = pick
-    rows, at = places
+    rows, at, corners = places
     area, crowded, seen, code, place = filled
     zero, base = jnp.int32(0), base[0]
     full = listed.used > listed.piece.shape[0]
@@ -348,6 +390,7 @@ def _swept(manner: Manner, listed, pick, places, base, last, stops, filled, room
     def one(state):
         c, row, corner, swept, room = state
         corner = jnp.where(rows[c] == row, corner, base) + listed.jump[c]
+        corner = jnp.where(whole > 0, corners[c], corner)
         own = listed.number[c]
         known = (corner - listed.drop[c] > 0.5) | (own == 0)
         many = ~known & ((own > MANY) | full)

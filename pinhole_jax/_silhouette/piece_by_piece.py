@@ -163,6 +163,7 @@ class _Film(NamedTuple):
     alone: Bool[Array, "pixels"] | None
     overlapping: UInt32[Array, "words"] | None
     layers: Float[Array, "words"] | None
+    corner: Float[Array, "pixels"] | None
     winding: Float[Array, ""] | None
 
     @staticmethod
@@ -173,19 +174,21 @@ class _Film(NamedTuple):
         zeros = jnp.zeros(number * WORD, real)
         alone = jnp.zeros(number * WORD, bool) if asked.keep else None
         if not asked.resolves:
-            return _Film(zeros, alone, None, None, None)
+            return _Film(zeros, alone, None, None, None, None)
         winding = None if asked.deep is None else jnp.zeros((), real)
-        return _Film(zeros, alone, jnp.zeros(number, jnp.uint32), jnp.zeros(number, real), winding)
+        bits, layers = jnp.zeros(number, jnp.uint32), jnp.zeros(number, real)
+        return _Film(zeros, alone, bits, layers, zeros, winding)
 
     def whole(self, W: int, H: int) -> Drawn:
         """Return the film as rows."""
-        words, (image, alone, bits, layers, winding) = words_in_row(W), self
+        words, (image, alone, bits, layers, corner, winding) = words_in_row(W), self
         pixels = lambda x: x[: H * words * WORD].reshape(H, -1)[:, :W]
         by_word = lambda x: x[: H * words].reshape(H, words)
         alone = None if alone is None else pixels(alone)
-        if bits is None or layers is None:
-            return Drawn(pixels(image), alone, None, None, None)
-        return Drawn(pixels(image), alone, by_word(bits), by_word(layers), winding)
+        if bits is None or layers is None or corner is None:
+            return Drawn(pixels(image), alone, None, None, None, None)
+        corner = corner[: H * words * WORD].reshape(H, -1)
+        return Drawn(pixels(image), alone, by_word(bits), by_word(layers), corner, winding)
 
     def with_word(self, pixels: Pixels, at: Int[Array, ""]) -> "_Film":
         """Return the film with the image of a word from a pixel on."""
@@ -194,10 +197,15 @@ class _Film(NamedTuple):
         return self._replace(image=put(self.image, pixels.image), alone=alone)
 
     def with_bits(
-        self, pixels: Pixels, layers: Float[Array, "32"], word: Int[Array, ""], deep: float
+        self,
+        pixels: Pixels,
+        layers: Float[Array, "32"],
+        corner: Float[Array, "32"],
+        word: Int[Array, ""],
+        deep: float,
     ) -> "_Film":
         """Return the film with a word's overlapping pixels."""
-        if self.overlapping is None or self.layers is None:
+        if self.overlapping is None or self.layers is None or self.corner is None:
             return self
         inside = pixels.overlapping
         bits = jnp.where(inside, jnp.uint32(1) << jnp.arange(WORD, dtype=jnp.uint32), 0)
@@ -210,6 +218,7 @@ class _Film(NamedTuple):
         return self._replace(
             overlapping=put(self.overlapping, bits),
             layers=put(self.layers, jnp.where(inside, layers, 0)),
+            corner=jax.lax.dynamic_update_slice(self.corner, corner, (word * WORD,)),
             winding=winding,
         )
 
@@ -269,10 +278,11 @@ def _word_drawn(
     sums = sums._replace(deltas=deltas, jumps=jumps)
     here = jax.tree.map(cut, sums)
     winding = here.deltas
-    pixels = judge(winding, winding if jumps is None else here.jumps, here)
+    corners = winding if jumps is None else here.jumps
+    pixels = judge(winding, corners, here)
     film = state.film.with_word(pixels, to)
     if here.marks is not None:
-        film = film.with_bits(pixels, here.marks.layers, bits, deep)
+        film = film.with_bits(pixels, here.marks.layers, corners, bits, deep)
         # Where no curve is, both are the same: but this one is exact.
         mean = jnp.where(here.marks.layers[-1] == 0, corner, mean)
     return _Word(jnp.int32(2), mean, corner, state.band._replace(sums=sums), film)
