@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._numerics.bitset import count_upto
+from .._numerics.bounds import least, most, within
 from .._numerics.safe import safe_divide
 from .curves import (
     Arcs,
@@ -105,9 +106,9 @@ def rows_of(m: Monotone, H, bottom) -> Rows:
     """Return which rows of those from `bottom` to H a curve meets; a level one meets one row all
     the same, and none beside it."""
     top, bottom = (jnp.asarray(x, m.low.dtype) for x in (H, bottom))
-    first = jnp.maximum(jnp.floor(m.low[..., 1]), 0)
-    last = jnp.maximum(jnp.ceil(m.high[..., 1]), first + 1)
-    first, last = jnp.clip(first, bottom, top), jnp.clip(last, bottom, top)
+    first = most(jnp.floor(m.low[..., 1]), 0)
+    last = most(jnp.ceil(m.high[..., 1]), first + 1)
+    first, last = within(first, bottom, top), within(last, bottom, top)
     inside = (m.high[..., 1] >= 0) & (m.low[..., 1] < top)
     count = jnp.where(inside, last - first, 0)
     return Rows(first.astype(jnp.int32), count.astype(jnp.int32))
@@ -115,14 +116,13 @@ def rows_of(m: Monotone, H, bottom) -> Rows:
 
 def column_of(x: Float[Array, "*K"], W) -> Int[Array, "*K"]:
     """Return the columns of abscissas, -1 left of the film and W right of it."""
-    return jnp.floor(held_within(x, jnp.asarray(-1, x.dtype), jnp.asarray(W, x.dtype))).astype(jnp.int32)
+    return jnp.floor(within(x, -1, jnp.asarray(W, x.dtype))).astype(jnp.int32)
 
 
 def at_row(m: Monotone, y: Float[Array, "*K"]) -> tuple[Float[Array, "*K"], Float[Array, "*K"]]:
     """Return the curve's point at height y, or the end that y lies beyond."""
-    first, last = m.low[..., 0], m.high[..., 0]
-    rightward = first < last
-    x = held_within(_x_at(m, y), jnp.where(rightward, first, last), jnp.where(rightward, last, first))
+    ends = m.low[..., 0], m.high[..., 0]
+    x = within(_x_at(m, y), least(*ends), most(*ends))
     below, above = y <= m.low[..., 1], y >= m.high[..., 1]
     x = jnp.where(below, m.low[..., 0], jnp.where(above, m.high[..., 0], x))
     y = jnp.where(below, m.low[..., 1], jnp.where(above, m.high[..., 1], y))
@@ -176,7 +176,7 @@ def on_line(m: Monotone, row: Int[Array, "*K"], H, bottom=0) -> Point:
     """Return where curves meet the lower line of a row; what lies above and below the film is cut
     off."""
     x, y = at_row(m, row.astype(m.low.dtype))
-    return x, held_within(y, jnp.asarray(bottom, y.dtype), jnp.asarray(H, y.dtype))
+    return x, within(y, jnp.asarray(bottom, y.dtype), jnp.asarray(H, y.dtype))
 
 
 def between(row: Int[Array, "*K"], low: Point, high: Point, W) -> InRow:
@@ -209,7 +209,7 @@ def exit_(m: Monotone, own: InRow, along: Int[Array, "*K"]) -> Point:
 def _on_side(m: Monotone, own: InRow, ends: Array, end: Point, side: Array) -> Point:
     """Return where curves meet a side of a pixel, or the end of what of them is in the row."""
     x, (y0, y1) = jnp.where(ends, end[0], side), (own.y0, own.y1)
-    y = held_within(_y_at(m, x, own.x0, y0, own.x1, y1), y0, y1)
+    y = within(_y_at(m, x, own.x0, y0, own.x1, y1), y0, y1)
     return x, jnp.where(ends, end[1], y)
 
 
@@ -289,7 +289,7 @@ def _areas(m: Monotone, start, end, column, W):
     height = -m.rising * m.curves.weight * (end[..., 1] - start[..., 1])
     inside = (column >= 0) & (column < W)
     middle = (start[..., 0] + end[..., 0]) / 2 - column.astype(start.dtype)
-    share = jnp.where(inside, 1 - jnp.clip(middle, 0, 1), jnp.where(column < 0, 1, 0))
+    share = jnp.where(inside, 1 - within(middle, 0, 1), jnp.where(column < 0, 1, 0))
     area = height * share
     if isinstance(m.curves, Arcs):
         grown = m.rising * m.curves.weight * bulge(m.curves.frame, start, end)
@@ -354,10 +354,5 @@ def _share(whole, part):
     Kernels work out a curve's point anew, and must agree on it. A sum of a product is rounded once
     or twice, as the compiler likes; a bounded product is rounded before it is added.
     """
-    return held_within(part, jnp.where(whole < 0, whole, 0), jnp.where(whole > 0, whole, 0))
+    return within(part, least(whole, 0), most(whole, 0))
 
-
-def held_within(x: Array, low: Array, high: Array) -> Array:
-    """Return x between bounds."""
-    x = jnp.where(x > low, x, low)
-    return jnp.where(x < high, x, high)

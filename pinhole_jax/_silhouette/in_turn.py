@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from .._numerics.bitset import Selection, count_below, rank_in
+from .._numerics.bitset import Selection, rank_in
 from .._numerics.one_kernel import one_kernel, put
 from .._numerics.safe import safe_divide
 from .coverage import InRow, Monotone, Pieces, Rows, column_of, in_pixel, in_row, rows_of, taken
@@ -35,7 +35,7 @@ CUT = 16
 #: So many pieces of a cell are looked at for one that equals a new one.
 LOOKS = 64
 #: Rows of pixels in a tile: a word of bits, which tell the columns that cells are in.
-TILE = 8
+TILE = 4
 
 
 class Where(NamedTuple):
@@ -71,35 +71,34 @@ class Where(NamedTuple):
         own = jnp.where(rank < 0, -1, rank - self.first)
         return jnp.where(self.whole > 0, own, row * CUT + column)
 
-    def before_column(self, row: Int[Array, ""], column: Int[Array, ""]) -> Int[Array, ""]:
-        """Return how many of those that are listed come before a place (negative: so many before
-        the first)."""
-        index = jnp.where(self.whole > 0, row * self.width + column, 0)
-        inside = count_below(self._chosen, jnp.minimum(index, len(self.words) * 32 - 1))
-        upto = jnp.where(index >= len(self.words) * 32, self.total, inside)
-        return jnp.where(self.whole > 0, upto - self.first, row * CUT + column)
-
-
     def may_meet(self, m: Monotone, rows: Rows) -> Bool[Array, ""]:
         """Return whether a curve may meet cells that are listed, in these rows: of a short one the
         tiles tell."""
-        x0, x1 = (column_of(x, self.W) for x in (m.low[0], m.high[0]))
-        inside = lambda x: jnp.clip(x, 0, self.W - 1)
-        left, right = inside(jnp.minimum(x0, x1)), inside(jnp.maximum(x0, x1))
+        ends = (column_of(x, self.W) for x in (m.low[0], m.high[0]))
         low, high = rows.first // TILE, (rows.first + rows.number - 1) // TILE
-        first, last = left >> 5, right >> 5
+        long = (self.whole == 0) | (high - low > 1)
+        left, right = self._between(*ends)
+        return long | self._any(self.tiles, low, left, right) | self._any(self.tiles, high, left, right)
 
-        def word(k):
-            at = k + (self.width >> 5) * jnp.stack([low, high])
-            both = self.tiles[jnp.clip(at, 0, len(self.tiles) - 1)]
-            return both[0] | both[1]
+    def may_meet_in(self, own: InRow) -> Bool[Array, ""]:
+        """Return whether a curve may meet cells in a row."""
+        return (self.whole == 0) | self._any(self.words, own.row, *self._between(own.c0, own.c1))
 
+    def _between(self, first: Int[Array, ""], last: Int[Array, ""]) -> tuple[Array, Array]:
+        """Return the leftmost and the rightmost column of a curve, on the film."""
+        inside = lambda x: jnp.clip(x, 0, self.W - 1)
+        return inside(jnp.minimum(first, last)), inside(jnp.maximum(first, last))
+
+    def _any(self, words: Array, row: Array, left: Array, right: Array) -> Bool[Array, ""]:
+        """Return whether a row of words has bits from one column up to another, or reaches over
+        more than two words there."""
+        first, last, begin = left >> 5, right >> 5, row * (self.width >> 5)
+        word = lambda k: words[jnp.clip(begin + k, 0, len(words) - 1)]
         ones = jnp.uint32(0xFFFFFFFF)
-        after = ones << (left & 31).astype(jnp.uint32)
-        upto = ones >> (31 - (right & 31)).astype(jnp.uint32)
-        one = first == last
-        met = (word(first) & after & jnp.where(one, upto, ones)) | (word(last) & upto & jnp.where(one, after, ones))
-        return (self.whole == 0) | (high - low > 1) | (last - first > 1) | (met != 0)
+        after = word(first) & (ones << (left & 31).astype(jnp.uint32))
+        upto = word(last) & (ones >> (31 - (right & 31)).astype(jnp.uint32))
+        found = jnp.where(first == last, after & upto, after | upto)
+        return (last - first > 1) | (found != 0)
 
 
 def tiles_of(width: int, H: int) -> int:
@@ -178,8 +177,9 @@ def _appended(
                 start = jnp.where(there, cell, -1), listed
                 return along + 1, jax.lax.while_loop(lambda s: s[0] >= 0, fill, start)[1]
 
+            further = jnp.where(where.may_meet_in(own), own.further, -1)
             start = jnp.int32(0), listed
-            return row + 1, jax.lax.while_loop(lambda s: s[0] <= own.further, of_pixel, start)[1]
+            return row + 1, jax.lax.while_loop(lambda s: s[0] <= further, of_pixel, start)[1]
 
         end = rows.first + jnp.where(met, rows.number, 0)
         return jax.lax.while_loop(lambda s: s[0] < end, of_row, (rows.first, listed))[1]
@@ -192,11 +192,10 @@ def _with_jump(where: Where, m: Monotone, own: InRow, listed: Listed) -> Listed:
     whole film's pixels it is known."""
     # (Of its pieces in a row the first is asked: see `winding_jumps`.)
     piece = in_pixel(m, own, jnp.int32(0), jnp.int32(0), jnp.array(True), where.W)
-    later = where.before_column(own.row, jnp.clip(own.c0 + 1, 0, where.W - 1))
-    later = jnp.maximum(later, 0)
-    end = jnp.minimum(where.before_column(own.row + 1, jnp.int32(0)), where.number)
-    counts = (where.whole == 0) & (own.c0 < where.W - 1) & (later < end)
+    column = own.c0 + 1
+    counts = (where.whole == 0) & (column < where.W)
     jump = jnp.where(counts, winding_jumps(piece), 0)
+    later = own.row * CUT + column
 
     def fill(state):
         at, listed = state

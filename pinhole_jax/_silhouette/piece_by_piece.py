@@ -135,8 +135,9 @@ def _with_piece(
     """Return sums with a piece; what lies left of the film counts at its left side."""
     width = words_in_row(W) * WORD
     inside, follows = (piece.column >= 0) & (piece.column < W), piece.column < W - 1
-    own = row * width + jnp.clip(piece.column, 0, W - 1)
-    after = row * width + jnp.clip(piece.column + 1, 0, W - 1)
+    # (No sign: the compiler need not ask for it.)
+    place = lambda column: (row * width + jnp.clip(column, 0, W - 1)).astype(jnp.uint32)
+    own, after = place(piece.column), place(piece.column + 1)
     add = lambda x, at, value: jax.lax.dynamic_update_slice(x, (x[at] + value)[None], (at,))
     touch = lambda x, at: jax.lax.dynamic_update_slice(x, jnp.ones(1, x.dtype), (at // WORD,))
     only = lambda there, value: jnp.where(there, value, 0).astype(value.dtype)
