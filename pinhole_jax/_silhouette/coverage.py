@@ -240,9 +240,7 @@ def piece_between(
 
     enters = jnp.where(jump <= 0, beyond(x_in, y_in, m.low), beyond(x_out, y_out, m.high))
     first = valid & (along == 0)
-    return Pieces(
-        curve, row, column, start, end, height, area, valid, jump, passes, first, enters
-    )
+    return Pieces(curve, row, column, start, end, height, area, valid, jump, passes, first, enters)
 
 
 def split(
@@ -355,4 +353,3 @@ def _share(whole, part):
     or twice, as the compiler likes; a bounded product is rounded before it is added.
     """
     return within(part, least(whole, 0), most(whole, 0))
-

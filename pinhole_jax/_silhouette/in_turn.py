@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._numerics.bitset import Selection, rank_in
+from .._numerics.bounds import least, most, within
 from .._numerics.one_kernel import one_kernel, put
 from .._numerics.safe import safe_divide
 from .coverage import InRow, Monotone, Pieces, Rows, column_of, in_pixel, in_row, rows_of, taken
@@ -78,7 +79,11 @@ class Where(NamedTuple):
         low, high = rows.first // TILE, (rows.first + rows.number - 1) // TILE
         long = (self.whole == 0) | (high - low > 1)
         left, right = self._between(*ends)
-        return long | self._any(self.tiles, low, left, right) | self._any(self.tiles, high, left, right)
+        return (
+            long
+            | self._any(self.tiles, low, left, right)
+            | self._any(self.tiles, high, left, right)
+        )
 
     def may_meet_in(self, own: InRow) -> Bool[Array, ""]:
         """Return whether a curve may meet cells in a row."""
@@ -569,15 +574,15 @@ def _halted(manner: Manner, turn, lines, borders, stops, line: _Line) -> _Line:
     """Return the line where it halts next."""
     one = jnp.ones_like(line.u)
     if manner.stops:
-        until = jnp.minimum(line.u + one / stops.astype(one.dtype), one)
+        until = least(line.u + one / stops.astype(one.dtype), one)
         reach = (line.u + until) / 2
         line = _begun(manner, lines, reach, line)
     else:
         reach = line.u
         line = _begun(manner, lines, reach, line)
         comes = jnp.where(line.begun < lines, _row(line.room.begins, line.begun)[0], one)
-        comes = jnp.minimum(comes, jnp.where(line.ahead > 0, _next_crossing(line), one))
-        until = jnp.minimum(comes, jnp.minimum(line.end, one))
+        comes = least(comes, jnp.where(line.ahead > 0, _next_crossing(line), one))
+        until = least(comes, least(line.end, one))
     line = _in_order(manner, reach, (line.u + until) / 2, line)
     line = _at_border(reach, borders, line)
     line = _covered(manner, turn, until, line)._replace(u=until)
@@ -617,7 +622,7 @@ def _begun(manner: Manner, lines, reach, line: _Line) -> _Line:
         return line._replace(
             begun=line.begun + 1,
             cuts=line.cuts + _one(there),
-            end=jnp.where(there, jnp.minimum(line.end, own[2]), line.end),
+            end=jnp.where(there, least(line.end, own[2]), line.end),
             room=line.room._replace(met=put(line.room.met, number, slot)),
         )
 
@@ -662,7 +667,7 @@ def _with_crossing(there, u, ahead, lost, places):
 
 def _crossings(manner: Manner, own: Array, other: Array) -> list[Array]:
     """Return where two pieces may cross, 0 for nowhere."""
-    low, high = jnp.maximum(own[0], other[0]), jnp.minimum(own[2], other[2])
+    low, high = most(own[0], other[0]), least(own[2], other[2])
     gap = lambda u: own[1] + (u - own[0]) * own[4] - (other[1] + (u - other[0]) * other[4])
     before, after = gap(low), gap(high)
     cross = (low < high) & ((before < 0) != (after < 0))
@@ -703,12 +708,12 @@ def _in_order(manner: Manner, reach, middle, line: _Line) -> _Line:
 def _height(manner: Manner, own: Array, u: Array) -> Array:
     """Return a piece's v at an abscissa; at the nearer end where it is beyond one."""
     u0, v0, v1 = (own[k] for k in (0, 1, 3))
-    v = jnp.clip(v0 + (u - u0) * own[4], jnp.minimum(v0, v1), jnp.maximum(v0, v1))
+    v = within(v0 + (u - u0) * own[4], least(v0, v1), most(v0, v1))
     if manner.arcs is None:
         return v
     frame = own[8:17].reshape(3, 3)
     true = film_at(frame, unit_at(frame, 0, u, own[20]))[1]
-    return jnp.where(own[20] != 0, jnp.clip(true, jnp.minimum(v0, v1), jnp.maximum(v0, v1)), v)
+    return jnp.where(own[20] != 0, within(true, least(v0, v1), most(v0, v1)), v)
 
 
 def _covered(manner: Manner, turn, until, line: _Line) -> _Line:
@@ -727,7 +732,7 @@ def _covered(manner: Manner, turn, until, line: _Line) -> _Line:
             under, more = _under(manner, own, change, turn, line.u, until, under)
             gain += more
         area = area - under * change
-        end = jnp.where(own[2] > until, jnp.minimum(end, own[2]), end)
+        end = jnp.where(own[2] > until, least(end, own[2]), end)
         if seen is not None:
             seen = put(seen, _row(seen, number) + jnp.stack(gain[: seen.shape[1]]), number)
         met = put(met, number, k)
