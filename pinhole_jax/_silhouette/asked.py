@@ -32,6 +32,8 @@ class Drawn(NamedTuple):
     - `alone`: which pixels one chain of contour crosses, or none (both from the top row down).
     - `overlapping`: which must be resolved, as bits; each row has whole words, from the bottom up.
     - `layers`: of each word, the sum of the layers of the pieces in these.
+    - `corner`: of each bit, if any of its word's is set, the winding number at its pixel's lower
+      left corner.
     - `winding`: the sum of these pixels' winding numbers (each the mean), less `deep` each.
     """
 
@@ -39,6 +41,7 @@ class Drawn(NamedTuple):
     alone: Bool[Array, "H W"] | None
     overlapping: UInt32[Array, "H words"] | None
     layers: Float[Array, "H words"] | None
+    corner: Float[Array, "H bits"] | None
     winding: Float[Array, ""] | None
 
 

@@ -178,30 +178,32 @@ def _looked_at(
 
     def of_cluster(state):
         cluster, _, words, positive = state
+        first = cluster * CLUSTER
 
-        def of_edge(k, bits):
-            faces = edge_faces[jnp.minimum(cluster * CLUSTER + k, E - 1)]
+        def of_side(turn, sides):
+            # One loop: the same rounding on both sides of an edge.
+            k, second = turn >> 1, (turn & 1) > 0
+            face = edge_faces[jnp.minimum(first + k, E - 1), turn & 1]
+            plane = [planes[jnp.maximum(face, 0), i] for i in range(6)]
+            front, there = faces_eye(plane[:3], plane[3:], e), jnp.uint32(1) << k
+            more = lambda bits, is_so: bits | jnp.where(is_so, there, 0)
+            return (
+                more(sides[0], ~second & front),
+                more(sides[1], second & front),
+                more(sides[2], second & (face < 0)),
+            )
 
-            def of_side(side, fronts):
-                # One loop: the same rounding on both sides of an edge.
-                plane = planes[jnp.maximum(faces[side], 0)]
-                front = faces_eye(plane[:3], plane[3:], e)
-                return jnp.where(jnp.arange(2) == side, front, fronts)
-
-            front = jax.lax.fori_loop(0, 2, of_side, jnp.zeros(2, bool))
-            found = _seen_as(front[0], front[1], faces[1] < 0)
-            inside = cluster * CLUSTER + k < E
-            more = lambda bits, there: bits | ((inside & there).astype(jnp.uint32) << k)
-            return jax.tree.map(more, bits, found)
-
-        none = _SeenAs(jnp.uint32(0), jnp.uint32(0))
-        bits = jax.lax.fori_loop(0, CLUSTER, of_edge, none)
+        none = jnp.uint32(0)
+        sides = jax.lax.fori_loop(0, 2 * CLUSTER, of_side, (none,) * 3)
+        past = jnp.clip(first + CLUSTER - E, 0, CLUSTER - 1).astype(jnp.uint32)
+        inside = ~none >> past
+        found = _seen_as(*sides)
         done = jnp.array(False)
         return (
             cluster,
             done,
-            put(words, bits.contour, cluster),
-            put(positive, bits.positive, cluster),
+            put(words, found.contour & inside, cluster),
+            put(positive, found.positive & inside, cluster),
         )
 
     def one(cluster, state):
@@ -251,8 +253,8 @@ class _SeenAs(NamedTuple):
 
 def _seen_as(first: Array, second: Array, border: Array) -> _SeenAs:
     """Return what edges are seen as, from whether their two faces show their front: of those at a
-    border there is one."""
-    return _SeenAs(border | (first != second), first & (border | ~second))
+    border there is one. (Or of words of bits.)"""
+    return _SeenAs(border | (first ^ second), first & (border | ~second))
 
 
 def homogeneous_edges(

@@ -19,10 +19,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._numerics.bitset import count_upto
+from .._numerics.bounds import least, most, within
 from .._numerics.safe import safe_divide
 from .curves import (
     Arcs,
     Curves,
+    Point,
     Segments,
     bulge,
     edge_flux,
@@ -104,23 +106,23 @@ def rows_of(m: Monotone, H, bottom) -> Rows:
     """Return which rows of those from `bottom` to H a curve meets; a level one meets one row all
     the same, and none beside it."""
     top, bottom = (jnp.asarray(x, m.low.dtype) for x in (H, bottom))
-    first = jnp.maximum(jnp.floor(m.low[..., 1]), 0)
-    last = jnp.maximum(jnp.ceil(m.high[..., 1]), first + 1)
-    first, last = jnp.clip(first, bottom, top), jnp.clip(last, bottom, top)
+    first = most(jnp.floor(m.low[..., 1]), 0)
+    last = most(jnp.ceil(m.high[..., 1]), first + 1)
+    first, last = within(first, bottom, top), within(last, bottom, top)
     inside = (m.high[..., 1] >= 0) & (m.low[..., 1] < top)
     count = jnp.where(inside, last - first, 0)
     return Rows(first.astype(jnp.int32), count.astype(jnp.int32))
 
 
-def _column(x: Float[Array, "*K"], W) -> Int[Array, "*K"]:
-    return jnp.clip(jnp.floor(x), -1, jnp.asarray(W, x.dtype)).astype(jnp.int32)
+def column_of(x: Float[Array, "*K"], W) -> Int[Array, "*K"]:
+    """Return the columns of abscissas, -1 left of the film and W right of it."""
+    return jnp.floor(within(x, -1, jnp.asarray(W, x.dtype))).astype(jnp.int32)
 
 
 def at_row(m: Monotone, y: Float[Array, "*K"]) -> tuple[Float[Array, "*K"], Float[Array, "*K"]]:
     """Return the curve's point at height y, or the end that y lies beyond."""
-    between_low = jnp.minimum(m.low[..., 0], m.high[..., 0])
-    between_high = jnp.maximum(m.low[..., 0], m.high[..., 0])
-    x = jnp.clip(_x_at(m, y), between_low, between_high)
+    ends = m.low[..., 0], m.high[..., 0]
+    x = within(_x_at(m, y), least(*ends), most(*ends))
     below, above = y <= m.low[..., 1], y >= m.high[..., 1]
     x = jnp.where(below, m.low[..., 0], jnp.where(above, m.high[..., 0], x))
     y = jnp.where(below, m.low[..., 1], jnp.where(above, m.high[..., 1], y))
@@ -133,7 +135,7 @@ def piece_counts(m: Monotone, W, H, bottom=0) -> Int[Array, "*K"]:
     rows = rows_of(m, H, bottom)
     x0, _ = at_row(m, rows.first.astype(m.low.dtype))
     x1, _ = at_row(m, (rows.first + rows.number).astype(m.low.dtype))
-    first, last = _column(x0, W), _column(x1, W)
+    first, last = column_of(x0, W), column_of(x1, W)
     weight = m.curves.weight
     count = rows.number + jnp.abs(last - first)
     return jnp.where((weight == 0) | (rows.number == 0), 0, count)
@@ -155,31 +157,75 @@ class InRow(NamedTuple):
         """Return how many pixels there are beside the first."""
         return jnp.abs(self.c1 - self.c0)
 
+    @property
+    def goes_right(self) -> Bool[Array, "*K"]:
+        """Return whether columns grow along the curve."""
+        return self.c1 >= self.c0
+
+    def column(self, along: Int[Array, "*K"]) -> Int[Array, "*K"]:
+        """Return the column of the `along`-th pixel."""
+        return jnp.where(self.goes_right, self.c0 + along, self.c0 - along)
+
 
 def in_row(m: Monotone, row: Int[Array, "*K"], W, H, bottom=0) -> InRow:
     """Return what of curves is in these of the rows that they meet (`rows_of`)."""
-    dtype = m.low.dtype
-    x0, y0 = at_row(m, row.astype(dtype))
-    x1, y1 = at_row(m, (row + 1).astype(dtype))
-    # What lies above and below is cut off.
-    top, foot = jnp.asarray(H, dtype), jnp.asarray(bottom, dtype)
-    y0, y1 = jnp.clip(y0, foot, top), jnp.clip(y1, foot, top)
-    return InRow(row, x0, y0, x1, y1, _column(x0, W), _column(x1, W))
+    return between(row, on_line(m, row, H, bottom), on_line(m, row + 1, H, bottom), W)
+
+
+def on_line(m: Monotone, row: Int[Array, "*K"], H, bottom=0) -> Point:
+    """Return where curves meet the lower line of a row; what lies above and below the film is cut
+    off."""
+    x, y = at_row(m, row.astype(m.low.dtype))
+    return x, within(y, jnp.asarray(bottom, y.dtype), jnp.asarray(H, y.dtype))
+
+
+def between(row: Int[Array, "*K"], low: Point, high: Point, W) -> InRow:
+    """Return what of curves is in a row, from where they come in and where they go out."""
+    return InRow(row, *low, *high, column_of(low[0], W), column_of(high[0], W))
 
 
 def in_pixel(
     m: Monotone, own: InRow, along: Int[Array, "*K"], curve: Int[Array, "*K"], valid: Array, W
 ) -> Pieces:
     """Return the pieces of curves that are the `along`-th in their row."""
-    row, x0, y0, x1, y1, c0, c1 = own
-    dtype, rightward = m.low.dtype, c1 >= c0
-    column = jnp.where(rightward, c0 + along, c0 - along)
-    left, right = column.astype(dtype), (column + 1).astype(dtype)
-    x_in = jnp.where(column == c0, x0, jnp.where(rightward, left, right))
-    x_out = jnp.where(column == c1, x1, jnp.where(rightward, right, left))
-    y_in = jnp.where(column == c0, y0, jnp.clip(_y_at(m, x_in, x0, y0, x1, y1), y0, y1))
-    y_out = jnp.where(column == c1, y1, jnp.clip(_y_at(m, x_out, x0, y0, x1, y1), y0, y1))
+    start, end = entry(m, own, along), exit_(m, own, along)
+    return piece_between(m, own, along, (start, end), curve, valid, W)
 
+
+def entry(m: Monotone, own: InRow, along: Int[Array, "*K"]) -> Point:
+    """Return where curves come into the `along`-th pixel of their row."""
+    column = own.column(along)
+    side = (column + jnp.where(own.goes_right, 0, 1)).astype(own.x0.dtype)
+    return _on_side(m, own, column == own.c0, (own.x0, own.y0), side)
+
+
+def exit_(m: Monotone, own: InRow, along: Int[Array, "*K"]) -> Point:
+    """Return where curves go out of the `along`-th pixel of their row."""
+    column = own.column(along)
+    side = (column + jnp.where(own.goes_right, 1, 0)).astype(own.x0.dtype)
+    return _on_side(m, own, column == own.c1, (own.x1, own.y1), side)
+
+
+def _on_side(m: Monotone, own: InRow, ends: Array, end: Point, side: Array) -> Point:
+    """Return where curves meet a side of a pixel, or the end of what of them is in the row."""
+    x, (y0, y1) = jnp.where(ends, end[0], side), (own.y0, own.y1)
+    y = within(_y_at(m, x, own.x0, y0, own.x1, y1), y0, y1)
+    return x, jnp.where(ends, end[1], y)
+
+
+def piece_between(
+    m: Monotone,
+    own: InRow,
+    along: Int[Array, "*K"],
+    ends: tuple[Point, Point],
+    curve: Int[Array, "*K"],
+    valid: Array,
+    W,
+) -> Pieces:
+    """Return the pieces of curves from where they come into a pixel to where they go out."""
+    (x_in, y_in), (x_out, y_out) = ends
+    row, dtype, column = own.row, m.low.dtype, own.column(along)
+    left = column.astype(dtype)
     start, end = jnp.stack([x_in, y_in], -1), jnp.stack([x_out, y_out], -1)
     height, area = _areas(m, start, end, column, W)
     height, area = jnp.where(valid, height, 0), jnp.where(valid, area, 0)
@@ -193,8 +239,8 @@ def in_pixel(
         return each[0] | each[1]
 
     enters = jnp.where(jump <= 0, beyond(x_in, y_in, m.low), beyond(x_out, y_out, m.high))
-    ends, first = (start, end), valid & (along == 0)
-    return Pieces(curve, row, column, *ends, height, area, valid, jump, passes, first, enters)
+    first = valid & (along == 0)
+    return Pieces(curve, row, column, start, end, height, area, valid, jump, passes, first, enters)
 
 
 def split(
@@ -214,11 +260,11 @@ def split(
     dtype = m.low.dtype
 
     x_first, _ = at_row(m, rows.first.astype(dtype))
-    column_first = _column(x_first, W)
+    column_first = column_of(x_first, W)
 
     def passed(j):
         x, _ = at_row(m, (rows.first + j).astype(dtype))
-        return j + jnp.abs(_column(x, W) - column_first)
+        return j + jnp.abs(column_of(x, W) - column_first)
 
     # A loop, not unrolled: the compiler of jax 0.12 takes minutes over the unrolled chain. Where no
     # curve is in many rows, as of a fine mesh, it is short.
@@ -241,7 +287,7 @@ def _areas(m: Monotone, start, end, column, W):
     height = -m.rising * m.curves.weight * (end[..., 1] - start[..., 1])
     inside = (column >= 0) & (column < W)
     middle = (start[..., 0] + end[..., 0]) / 2 - column.astype(start.dtype)
-    share = jnp.where(inside, 1 - jnp.clip(middle, 0, 1), jnp.where(column < 0, 1, 0))
+    share = jnp.where(inside, 1 - within(middle, 0, 1), jnp.where(column < 0, 1, 0))
     area = height * share
     if isinstance(m.curves, Arcs):
         grown = m.rising * m.curves.weight * bulge(m.curves.frame, start, end)
@@ -306,4 +352,4 @@ def _share(whole, part):
     Kernels work out a curve's point anew, and must agree on it. A sum of a product is rounded once
     or twice, as the compiler likes; a bounded product is rounded before it is added.
     """
-    return jnp.clip(part, jnp.minimum(whole, 0), jnp.maximum(whole, 0))
+    return within(part, least(whole, 0), most(whole, 0))

@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.film import FilmMap, film_points
 from .._numerics.bitset import count_upto
+from .._numerics.bounds import least, most, within
 from .._numerics.one_kernel import on_cpu, put
 from .._numerics.running import running_sum
 from .._numerics.safe import norm, safe_divide, safe_sqrt
@@ -75,10 +76,10 @@ def _face_chords(outline: Float[Array, "K 8"], y: Float[Array, "K 2"]) -> tuple[
     first, last = jnp.full_like(y, jnp.inf), jnp.full_like(y, -jnp.inf)
     for k, m in ((0, 1), (1, 2), (2, 0)):
         x0, x1, y0, y1 = (outline[:, c, None] for c in (2 + k, 2 + m, 5 + k, 5 + m))
-        crosses = (jnp.minimum(y0, y1) <= y) & (y <= jnp.maximum(y0, y1))
-        x = x0 + jnp.clip(safe_divide(y - y0, y1 - y0), 0, 1) * (x1 - x0)
-        first = jnp.where(crosses, jnp.minimum(first, x), first)
-        last = jnp.where(crosses, jnp.maximum(last, x), last)
+        crosses = (least(y0, y1) <= y) & (y <= most(y0, y1))
+        x = x0 + within(safe_divide(y - y0, y1 - y0), 0, 1) * (x1 - x0)
+        first = jnp.where(crosses, least(first, x), first)
+        last = jnp.where(crosses, most(last, x), last)
     return first, last
 
 
@@ -106,7 +107,7 @@ def spheres_of(film: FilmMap, spheres: Spheres) -> Convex:
 def _sphere_chords(outline: Float[Array, "K 11"], y: Float[Array, "K 2"]) -> tuple[Array, Array]:
     frame = jnp.repeat(outline[:, 2:].reshape(-1, 1, 3, 3), 2, axis=1)
     ends = [film_at(frame, unit_at(frame, 1, y, jnp.full_like(y, s)))[..., 0] for s in (-1, 1)]
-    return jnp.minimum(*ends), jnp.maximum(*ends)
+    return least(*ends), most(*ends)
 
 
 class _Rows(NamedTuple):
@@ -184,8 +185,8 @@ def _chord(
     low = row.astype(outline.dtype) / size.fine - slack
     y = jnp.stack([low, low + 1 / size.fine + 2 * slack], axis=1)
     left, right = chords(outline, y)
-    left = jnp.clip(jnp.max(left, axis=1) + slack, 0, size.W)
-    return left, jnp.clip(jnp.min(right, axis=1) - slack, 0, size.W)
+    left = within(jnp.max(left, axis=1) + slack, 0, size.W)
+    return left, within(jnp.min(right, axis=1) - slack, 0, size.W)
 
 
 def _of_each(

@@ -20,6 +20,7 @@ from .spheres import (
     ARCS_PER_SPHERE,
     arc_cuts,
     arc_part_segments,
+    arcs_of_sphere,
     homogeneous_arc_parts,
     sphere_arcs,
     sphere_frames,
@@ -43,6 +44,7 @@ class CurveSet(NamedTuple):
     - `most`: how many there may be, None where that depends on the view.
     - `at_a_time`: so many are found at a time within a kernel (as few as run as fast: it compiles
       sooner); None where a kernel of it all would compile longer than one of each step.
+    - `together(ids)`: so many, with consecutive ids, the first of which is a multiple of that.
     - `straight`: whether they are segments, not arcs.
     """
 
@@ -51,6 +53,7 @@ class CurveSet(NamedTuple):
     total: Int[Array, ""]
     most: int | None
     at_a_time: int | None
+    together: Callable[[Int[Array, "K"]], Curves]
     straight: bool
 
 
@@ -67,12 +70,14 @@ def find(film: FilmMap, scene: Scene) -> Found:
 
 def edge_curves(film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour) -> CurveSet:
     """Return the mesh's contour edges, and once more for what of them lies left of the film."""
+    curves = lambda ids: edge_segments(film, vertices, contour, ids)
     return CurveSet(
-        lambda ids: edge_segments(film, vertices, contour, ids),
+        curves,
         lambda ids: homogeneous_edges(film, vertices, contour, ids),
         contour.segments,
         2 * contour.edge_vertices.shape[0] if contour.cuts is None else None,
         16 if contour.cuts is None else None,
+        curves,
         True,
     )
 
@@ -80,12 +85,14 @@ def edge_curves(film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshConto
 def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveSet:
     """Return the spheres' outlines: arcs, or straight parts of them under distortion."""
     if cuts is not None:
+        segments = lambda ids: arc_part_segments(film, cuts, ids)
         return CurveSet(
-            lambda ids: arc_part_segments(film, cuts, ids),
+            segments,
             lambda ids: homogeneous_arc_parts(film, spheres, cuts, ids),
             cuts.total,
             None,
             None,
+            segments,
             True,
         )
     number = ARCS_PER_SPHERE * spheres.radii.shape[0]
@@ -94,7 +101,8 @@ def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveS
         lambda ids: sphere_frames(film, spheres, ids),
         jnp.int32(number),
         number,
-        1,
+        ARCS_PER_SPHERE,
+        lambda ids: arcs_of_sphere(film, spheres, ids),
         False,
     )
 
@@ -108,11 +116,13 @@ def joined(first: CurveSet, second: CurveSet) -> CurveSet:
         shaped = lambda x: of_first.reshape(of_first.shape + (1,) * (x.ndim - 1))
         return jax.tree.map(lambda x, y: jnp.where(shaped(x), x, y), *pairs)
 
+    curves = lambda ids: either(first.curves, second.curves, ids)
     return CurveSet(
-        lambda ids: either(first.curves, second.curves, ids),
+        curves,
         lambda ids: either(first.homogeneous_of, second.homogeneous_of, ids),
         first.total + second.total,
         None if first.most is None or second.most is None else first.most + second.most,
         None,
+        curves,
         True,
     )

@@ -42,14 +42,15 @@ def drawn_in_vectors(asked: Asked) -> Drawn:
     pixels = judged(winding, corner, sums, asked.keep)
     alone = pixels.alone if asked.keep else None
     if sums.marks is None:
-        return Drawn(pixels.image, alone, None, None, None)
+        return Drawn(pixels.image, alone, None, None, None, None)
     bits = words_of(in_words(pixels.overlapping))
     # (From the bits: the compiler works `overlapping` out anew for each that reads it.)
     inside = bits[:, None] >> jnp.arange(WORD, dtype=jnp.uint32)[None] & 1 > 0
     summed = lambda x: jnp.sum(jnp.where(inside, in_words(x), 0), axis=1)
     depth = None if asked.deep is None else jnp.sum(summed(pixels.winding - asked.deep))
     up = lambda x: jnp.flip(x.reshape(H, -1), axis=0)
-    return Drawn(pixels.image, alone, up(bits), up(summed(sums.marks.layers)), depth)
+    layers = summed(sums.marks.layers)
+    return Drawn(pixels.image, alone, up(bits), up(layers), up(in_words(corner)), depth)
 
 
 def _sums(asked: Asked) -> Sums:

@@ -17,15 +17,16 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from .._numerics.bitset import Selection, count_below, rank_in
+from .._numerics.bitset import Selection, rank_in
+from .._numerics.bounds import least, most, within
 from .._numerics.one_kernel import one_kernel, put
 from .._numerics.safe import safe_divide
-from .coverage import InRow, Monotone, Pieces, in_pixel, in_row, rows_of, taken
+from .coverage import InRow, Monotone, Pieces, Rows, column_of, in_pixel, in_row, rows_of, taken
 from .curves import Segments, arc_flux, cut_circle, film_at, nodes, unit_at
 from .marks import drops, winding_jumps
-from .parts import Ordered
+from .parts import LEAST, Ordered
 from .sweep import sweepable
 
 #: So many pieces of a cell are swept; so many crossings may be ahead of a line.
@@ -34,6 +35,8 @@ MANY, AHEAD = 384, 2048
 CUT = 16
 #: So many pieces of a cell are looked at for one that equals a new one.
 LOOKS = 64
+#: Rows of pixels in a tile: a word of bits, which tell the columns that cells are in.
+TILE = 4
 
 
 class Where(NamedTuple):
@@ -41,7 +44,7 @@ class Where(NamedTuple):
 
     `chosen` are its cells' places, rows of `width` bits, if it is the whole one; else all are. Of
     these the ones from number `first` on are listed, `number` of them, in the rows from `bottom` up
-    to `top`. It has W columns and H rows.
+    to `top`; `tiles` tell where these are, if it is the whole one. It has W columns and H rows.
     """
 
     scale: Float[Array, ""]
@@ -50,6 +53,7 @@ class Where(NamedTuple):
     words: Array
     before: Int[Array, "words"]
     total: Int[Array, ""]
+    tiles: UInt32[Array, "tiles"]
     width: Int[Array, ""]
     first: Int[Array, ""]
     number: Int[Array, ""]
@@ -68,13 +72,49 @@ class Where(NamedTuple):
         own = jnp.where(rank < 0, -1, rank - self.first)
         return jnp.where(self.whole > 0, own, row * CUT + column)
 
-    def before_column(self, row: Int[Array, ""], column: Int[Array, ""]) -> Int[Array, ""]:
-        """Return how many of those that are listed come before a place (negative: so many before
-        the first)."""
-        index = jnp.where(self.whole > 0, row * self.width + column, 0)
-        inside = count_below(self._chosen, jnp.minimum(index, len(self.words) * 32 - 1))
-        upto = jnp.where(index >= len(self.words) * 32, self.total, inside)
-        return jnp.where(self.whole > 0, upto - self.first, row * CUT + column)
+    def may_meet(self, m: Monotone, rows: Rows) -> Bool[Array, ""]:
+        """Return whether a curve may meet cells that are listed, in these rows: of a short one the
+        tiles tell."""
+        ends = (column_of(x, self.W) for x in (m.low[0], m.high[0]))
+        low, high = rows.first // TILE, (rows.first + rows.number - 1) // TILE
+        long = (self.whole == 0) | (high - low > 1)
+        left, right = self._between(*ends)
+        return (
+            long
+            | self._any(self.tiles, low, left, right)
+            | self._any(self.tiles, high, left, right)
+        )
+
+    def may_meet_in(self, own: InRow) -> Bool[Array, ""]:
+        """Return whether a curve may meet cells in a row."""
+        return (self.whole == 0) | self._any(self.words, own.row, *self._between(own.c0, own.c1))
+
+    def _between(self, first: Int[Array, ""], last: Int[Array, ""]) -> tuple[Array, Array]:
+        """Return the leftmost and the rightmost column of a curve, on the film."""
+        inside = lambda x: jnp.clip(x, 0, self.W - 1)
+        return inside(jnp.minimum(first, last)), inside(jnp.maximum(first, last))
+
+    def _any(self, words: Array, row: Array, left: Array, right: Array) -> Bool[Array, ""]:
+        """Return whether a row of words has bits from one column up to another, or reaches over
+        more than two words there."""
+        first, last, begin = left >> 5, right >> 5, row * (self.width >> 5)
+        word = lambda k: words[jnp.clip(begin + k, 0, len(words) - 1)]
+        ones = jnp.uint32(0xFFFFFFFF)
+        after = word(first) & (ones << (left & 31).astype(jnp.uint32))
+        upto = word(last) & (ones >> (31 - (right & 31)).astype(jnp.uint32))
+        found = jnp.where(first == last, after & upto, after | upto)
+        return (last - first > 1) | (found != 0)
+
+
+def tiles_of(width: int, H: int) -> int:
+    """Return how many tiles there are on a film of H rows of so many bits."""
+    return max(-(-H // TILE) * (width // 32), LEAST)
+
+
+def with_pixel(tiles: UInt32[Array, "tiles"], width: int, row: Array, column: Array) -> Array:
+    """Return tiles with a pixel."""
+    tile = (row // TILE) * (width // 32) + (column >> 5)
+    return put(tiles, tiles[tile] | (jnp.uint32(1) << (column & 31).astype(jnp.uint32)), tile)
 
 
 # --- lists ---------------------------------------------------------------------------------------
@@ -86,7 +126,8 @@ class Listed(NamedTuple):
     - `piece`: what a sweep asks of a piece (see `Cells`), and an arc's frame.
     - `code`: its curve (times 2, plus its part's number); `after`: the next of its cell (-1: none).
     - `head`: of each cell, its first piece; `number`: how many it has.
-    - `jump`, `drop`: of each cell, sums of `winding_jumps` before it in its row, and of `drops`.
+    - `jump`, `drop`: of each cell, sums of `winding_jumps` before it in its row (0 of a whole
+      film's pixels), and of `drops`.
     - `used`: how many pieces there are, with those that there is no room for.
     """
 
@@ -123,6 +164,7 @@ def _appended(
     def of_curve(k, listed):
         m = taken(curves, k).placed(where.scale, where.origin)
         rows = rows_of(m, where.top, where.bottom)
+        met = (m.curves.weight != 0) & where.may_meet(m, rows)
         code = 2 * (first + k) + part
 
         def of_row(state):
@@ -140,23 +182,25 @@ def _appended(
                 start = jnp.where(there, cell, -1), listed
                 return along + 1, jax.lax.while_loop(lambda s: s[0] >= 0, fill, start)[1]
 
+            further = jnp.where(where.may_meet_in(own), own.further, -1)
             start = jnp.int32(0), listed
-            return row + 1, jax.lax.while_loop(lambda s: s[0] <= own.further, of_pixel, start)[1]
+            return row + 1, jax.lax.while_loop(lambda s: s[0] <= further, of_pixel, start)[1]
 
-        end = rows.first + jnp.where(m.curves.weight == 0, 0, rows.number)
+        end = rows.first + jnp.where(met, rows.number, 0)
         return jax.lax.while_loop(lambda s: s[0] < end, of_row, (rows.first, listed))[1]
 
     return jax.lax.fori_loop(0, number, of_curve, listed)
 
 
 def _with_jump(where: Where, m: Monotone, own: InRow, listed: Listed) -> Listed:
-    """Return lists with what a curve does to the winding number along the bottom of a row."""
+    """Return lists with what a curve does to the winding number along the bottom of a row; of a
+    whole film's pixels it is known."""
     # (Of its pieces in a row the first is asked: see `winding_jumps`.)
     piece = in_pixel(m, own, jnp.int32(0), jnp.int32(0), jnp.array(True), where.W)
-    later = where.before_column(own.row, jnp.clip(own.c0 + 1, 0, where.W - 1))
-    later = jnp.maximum(later, 0)
-    end = jnp.minimum(where.before_column(own.row + 1, jnp.int32(0)), where.number)
-    jump = jnp.where((own.c0 < where.W - 1) & (later < end), winding_jumps(piece), 0)
+    column = own.c0 + 1
+    counts = (where.whole == 0) & (column < where.W)
+    jump = jnp.where(counts, winding_jumps(piece), 0)
+    later = own.row * CUT + column
 
     def fill(state):
         at, listed = state
@@ -304,12 +348,14 @@ def swept(
     where: Where,
     row: Int[Array, "C"],
     at: At,
+    corner: Float[Array, "C"],
     base: Float[Array, ""],
     last: Array,
     stops: Int[Array, ""] | None,
 ) -> Swept:
     """Return what the cells are covered, and what is visible in them. There are `base` layers left
-    of each row; cells are no longer cut if they are the `last` ones."""
+    of each row (of pixels the winding number at the `corner` is known); cells are no longer cut if
+    they are the `last` ones."""
     (C,), (N, _), dtype = row.shape, listed.piece.shape, listed.piece.dtype
     zeros, whole = (lambda *shape: jnp.zeros(shape, dtype)), lambda n: jnp.zeros(n, jnp.int32)
     M, arcs, flux = MANY + 2, manner.arcs is not None, manner.flux
@@ -326,14 +372,14 @@ def swept(
     filled = zeros(C), whole(C), *seen
     pick = where.number, where.whole, where.scale
     # (The compiler aborts over what a kernel does not read.)
-    places = row, at if flux else None
+    places = row, at if flux else None, corner
     kernel = one_kernel(partial(_swept, manner))
     return kernel(listed, pick, places, jnp.broadcast_to(base, 2), last, stops, filled, room)
 
 
 def _swept(manner: Manner, listed, pick, places, base, last, stops, filled, room) -> Swept:
     number, whole, scale = pick
-    rows, at = places
+    rows, at, corners = places
     area, crowded, seen, code, place = filled
     zero, base = jnp.int32(0), base[0]
     full = listed.used > listed.piece.shape[0]
@@ -348,6 +394,7 @@ def _swept(manner: Manner, listed, pick, places, base, last, stops, filled, room
     def one(state):
         c, row, corner, swept, room = state
         corner = jnp.where(rows[c] == row, corner, base) + listed.jump[c]
+        corner = jnp.where(whole > 0, corners[c], corner)
         own = listed.number[c]
         known = (corner - listed.drop[c] > 0.5) | (own == 0)
         many = ~known & ((own > MANY) | full)
@@ -527,15 +574,15 @@ def _halted(manner: Manner, turn, lines, borders, stops, line: _Line) -> _Line:
     """Return the line where it halts next."""
     one = jnp.ones_like(line.u)
     if manner.stops:
-        until = jnp.minimum(line.u + one / stops.astype(one.dtype), one)
+        until = least(line.u + one / stops.astype(one.dtype), one)
         reach = (line.u + until) / 2
         line = _begun(manner, lines, reach, line)
     else:
         reach = line.u
         line = _begun(manner, lines, reach, line)
         comes = jnp.where(line.begun < lines, _row(line.room.begins, line.begun)[0], one)
-        comes = jnp.minimum(comes, jnp.where(line.ahead > 0, _next_crossing(line), one))
-        until = jnp.minimum(comes, jnp.minimum(line.end, one))
+        comes = least(comes, jnp.where(line.ahead > 0, _next_crossing(line), one))
+        until = least(comes, least(line.end, one))
     line = _in_order(manner, reach, (line.u + until) / 2, line)
     line = _at_border(reach, borders, line)
     line = _covered(manner, turn, until, line)._replace(u=until)
@@ -575,7 +622,7 @@ def _begun(manner: Manner, lines, reach, line: _Line) -> _Line:
         return line._replace(
             begun=line.begun + 1,
             cuts=line.cuts + _one(there),
-            end=jnp.where(there, jnp.minimum(line.end, own[2]), line.end),
+            end=jnp.where(there, least(line.end, own[2]), line.end),
             room=line.room._replace(met=put(line.room.met, number, slot)),
         )
 
@@ -620,7 +667,7 @@ def _with_crossing(there, u, ahead, lost, places):
 
 def _crossings(manner: Manner, own: Array, other: Array) -> list[Array]:
     """Return where two pieces may cross, 0 for nowhere."""
-    low, high = jnp.maximum(own[0], other[0]), jnp.minimum(own[2], other[2])
+    low, high = most(own[0], other[0]), least(own[2], other[2])
     gap = lambda u: own[1] + (u - own[0]) * own[4] - (other[1] + (u - other[0]) * other[4])
     before, after = gap(low), gap(high)
     cross = (low < high) & ((before < 0) != (after < 0))
@@ -661,12 +708,12 @@ def _in_order(manner: Manner, reach, middle, line: _Line) -> _Line:
 def _height(manner: Manner, own: Array, u: Array) -> Array:
     """Return a piece's v at an abscissa; at the nearer end where it is beyond one."""
     u0, v0, v1 = (own[k] for k in (0, 1, 3))
-    v = jnp.clip(v0 + (u - u0) * own[4], jnp.minimum(v0, v1), jnp.maximum(v0, v1))
+    v = within(v0 + (u - u0) * own[4], least(v0, v1), most(v0, v1))
     if manner.arcs is None:
         return v
     frame = own[8:17].reshape(3, 3)
     true = film_at(frame, unit_at(frame, 0, u, own[20]))[1]
-    return jnp.where(own[20] != 0, jnp.clip(true, jnp.minimum(v0, v1), jnp.maximum(v0, v1)), v)
+    return jnp.where(own[20] != 0, within(true, least(v0, v1), most(v0, v1)), v)
 
 
 def _covered(manner: Manner, turn, until, line: _Line) -> _Line:
@@ -685,7 +732,7 @@ def _covered(manner: Manner, turn, until, line: _Line) -> _Line:
             under, more = _under(manner, own, change, turn, line.u, until, under)
             gain += more
         area = area - under * change
-        end = jnp.where(own[2] > until, jnp.minimum(end, own[2]), end)
+        end = jnp.where(own[2] > until, least(end, own[2]), end)
         if seen is not None:
             seen = put(seen, _row(seen, number) + jnp.stack(gain[: seen.shape[1]]), number)
         met = put(met, number, k)

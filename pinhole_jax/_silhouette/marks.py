@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from .._numerics.bounds import most
 from .coverage import Pieces
 
 #: How many pieces there are, may come in from other pixels, rise, fall, go right and left. (What
@@ -81,4 +82,4 @@ def drops(pieces: Pieces) -> Float[Array, "*P"]:
     comes_in = (pieces.start[..., 0] == column) & after
     change = jnp.where(comes_in, -pieces.jump, pieces.jump)
     # Below what lies on the row's bottom there is the pixel's border.
-    return jnp.where(pieces.passes, jnp.maximum(-change, 0), jnp.abs(change))
+    return jnp.where(pieces.passes, most(-change, 0), jnp.abs(change))

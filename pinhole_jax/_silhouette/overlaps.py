@@ -68,11 +68,13 @@ class Overlapping(NamedTuple):
     """Pixels to be resolved, `total` of them, row by row from the bottom, from left to right.
 
     `chosen` are their places, rows of `width` bits of a film of W x H pixels; `layers` how many
-    layers the pieces in each word's pixels have.
+    layers the pieces in each word's pixels have; `corner` the winding number at the lower left
+    corner of each bit's pixel.
     """
 
     chosen: Selection
     layers: Float[Array, "words"]
+    corner: Float[Array, "bits"]
     total: Int[Array, ""]
     width: int
     W: int
@@ -87,18 +89,8 @@ class Overlapping(NamedTuple):
         shared = jax.lax.population_count(self.chosen.words[word]).astype(self.layers.dtype)
         room = jnp.ceil(self.layers[word] / jnp.maximum(shared, 1))
         room = jnp.minimum(room, np.iinfo(np.int32).max // 2).astype(jnp.int32)
-        row, column = self.row_and_column(index)
-        return row, column, self.place(index), room
-
-    def row_and_column(self, index: Int[Array, "K"]) -> tuple[Array, Array]:
-        """Return row (from the bottom) and column of the pixels of bits."""
-        row = jax.lax.div(index, jnp.int32(self.width))
-        return row, index - row * self.width
-
-    def place(self, index: Int[Array, "K"]) -> Int[Array, "K"]:
-        """Return where the pixels of bits are in an image."""
-        row, column = self.row_and_column(index)
-        return (self.H - 1 - row) * self.W + column
+        row, column = _row_and_column(index, self.width)
+        return row, column, place_of(index, self.width, self.W, self.H), room
 
     def rank(self, row: Int[Array, "K"], column: Int[Array, "K"]) -> Int[Array, "K"]:
         """Return the numbers of pixels, -1 for others."""
@@ -107,6 +99,18 @@ class Overlapping(NamedTuple):
     def below(self, row: Int[Array, "K"], column: Int[Array, "K"]) -> Int[Array, "K"]:
         """Return how many come before pixels."""
         return count_below(self.chosen, row * self.width + column)
+
+
+def _row_and_column(index: Int[Array, "*K"], width: int) -> tuple[Array, Array]:
+    """Return row (from the bottom) and column of bits, so many to a row."""
+    row = jax.lax.div(index, jnp.int32(width))
+    return row, index - row * width
+
+
+def place_of(index: Int[Array, "*K"], width: int, W: int, H: int) -> Int[Array, "*K"]:
+    """Return where the pixels of bits are in an image of W x H pixels."""
+    row, column = _row_and_column(index, width)
+    return (H - 1 - row) * W + column
 
 
 class Resolved(NamedTuple):
@@ -394,7 +398,7 @@ def fold_in_turn(
         turn, cells, lists, total = state
 
         def resolved():
-            found = _next_cells(overlapping, film[:2], turn, cells)
+            found = _next_cells(overlapping, film[:2], turn, cells, tiles)
             where, listed, again = found.where(overlapping, turn.first), empty, []
             for number, (part, known) in enumerate(zip(parts, lists, strict=True)):
                 more = lambda listed, curves, first, count, number=number: listed.append(
@@ -404,8 +408,10 @@ def fold_in_turn(
                 again.append(known)
             last = (found.level >= depth).astype(jnp.int32)
             base = film[2].astype(dtype)
-            row, at = found.cells
-            swept = in_turn.swept(manner, listed, where, row, at, base, last, stops_of(found))
+            row, at, corner = found.cells
+            swept = in_turn.swept(
+                manner, listed, where, row, at, corner, base, last, stops_of(found)
+            )
             after = one_kernel(partial(_after, room // 2))(turn, found, swept, listed.used)
             return swept, after, found.cells, again
 
@@ -423,6 +429,7 @@ def fold_in_turn(
     films = _Films.empty(number + depth * in_turn.CUT**2, dtype)
     lists = [CurveList.empty(part) for part in parts] if lists is None else lists
     turn, cells = _Turn(jnp.int32(0), jnp.int32(number), films), _CellsAt.empty(number, dtype)
+    tiles = jnp.zeros(in_turn.tiles_of(overlapping.width, overlapping.H), jnp.uint32)
     return jax.lax.while_loop(more, body, (turn, cells, lists, start))[-1]
 
 
@@ -436,16 +443,18 @@ class _Turn(NamedTuple):
 
 
 class _CellsAt(NamedTuple):
-    """Rows of cells, and where they are; those past the last one are `NOWHERE`."""
+    """Rows of cells, and where they are; those past the last one are `NOWHERE`. Of pixels the
+    winding number at the `corner`."""
 
     row: Int[Array, "C"]
     at: in_turn.At
+    corner: Float[Array, "C"]
 
     @staticmethod
     def empty(number: int, dtype: Any) -> "_CellsAt":
         """Return room for so many."""
         whole, real = jnp.zeros(number, jnp.int32), jnp.zeros(number, dtype)
-        return _CellsAt(whole, in_turn.At(whole, real, real))
+        return _CellsAt(whole, in_turn.At(whole, real, real), real)
 
 
 class _Next(NamedTuple):
@@ -453,6 +462,7 @@ class _Next(NamedTuple):
     `in_turn.Where`."""
 
     cells: _CellsAt
+    tiles: UInt32[Array, "tiles"]
     level: Int[Array, ""]
     scale: Float[Array, ""]
     origin: Float[Array, "2"]
@@ -470,6 +480,7 @@ class _Next(NamedTuple):
             self.origin,
             self.whole,
             *overlapping.chosen,
+            self.tiles,
             jnp.int32(overlapping.width),
             first,
             self.number,
@@ -485,20 +496,24 @@ def _next_cells(
     film: tuple[Any, int],
     turn: _Turn,
     cells: _CellsAt,
+    tiles: UInt32[Array, "tiles"],
 ) -> _Next:
-    """Return the next cells, in the place of others."""
+    """Return the next cells, in the place of others, and which tiles they are in."""
     whole = overlapping.width, overlapping.W, overlapping.H
     size = tuple(jnp.int32(x) for x in film)
     kernel = one_kernel(partial(_cells_found, whole))
-    return kernel(overlapping.chosen._replace(total=overlapping.total), size, turn, cells)
+    chosen = overlapping.chosen._replace(total=overlapping.total)
+    return kernel(chosen, overlapping.corner, size, turn, cells, tiles)
 
 
 def _cells_found(
     whole_film: tuple[int, int, int],
     chosen: Selection,
+    corners: Float[Array, "bits"],
     size: tuple[Array, Array],
     turn: _Turn,
     cells: _CellsAt,
+    tiles: UInt32[Array, "tiles"],
 ) -> _Next:
     """Return the next cells of a whole film (its row's bits, W, H) or of one that a cell is."""
     first, limit, films = turn
@@ -510,10 +525,9 @@ def _cells_found(
     number = jnp.where(whole, jnp.minimum(limit, chosen.total - first), cut * cut)
 
     def one(k, state):
-        rows, at = state
+        (rows, at, corner), tiles = state
         index = nth(chosen, (first + jnp.where(whole, k, 0))[None])[0]
-        row = jax.lax.div(index, jnp.int32(width))
-        column = index - row * width
+        row, column = _row_and_column(index, width)
         own_row = jax.lax.div(k, cut)
         own_x, own_y = (v.astype(dtype) / scale for v in (k - own_row * cut, own_row))
         at = in_turn.At(
@@ -521,9 +535,12 @@ def _cells_found(
             put(at.x, jnp.where(whole, column.astype(dtype), x + own_x), k),
             put(at.y, jnp.where(whole, row.astype(dtype), y + own_y), k),
         )
-        return _CellsAt(put(rows, jnp.where(whole, row, own_row), k), at)
+        cells = _CellsAt(
+            put(rows, jnp.where(whole, row, own_row), k), at, put(corner, corners[index], k)
+        )
+        return cells, in_turn.with_pixel(tiles, width, row, column)
 
-    cells = jax.lax.fori_loop(jnp.int32(0), number, one, cells)
+    cells, tiles = jax.lax.fori_loop(jnp.int32(0), number, one, (cells, tiles))
     last = jnp.int32(cells.row.shape[0])
     none = lambda k, place: put(place, NOWHERE, k)
     places = jax.lax.fori_loop(number, last, none, cells.at.place)
@@ -531,6 +548,7 @@ def _cells_found(
     either = lambda a, b: jnp.where(whole, a, b).astype(jnp.int32)
     return _Next(
         cells,
+        tiles,
         level,
         scale,
         jnp.where(whole, 0, jnp.stack([x, y])),

@@ -25,8 +25,9 @@ class Part(NamedTuple):
     """Curves of one kind: `curves(ids)` for ids below `total`; `size` is a static chunk of them.
 
     `homogeneous_of(ids)` is what the curves move with, differentiably. There are at most `most`, if
-    known; so many are found `at_a_time` within a kernel, None where that would be too large a one.
-    They are segments if `straight`, else arcs; `dtype` is the float type.
+    known; so many are found `at_a_time` within a kernel, None where that would be too large a one:
+    `together(ids)` are those of consecutive ids, the first of which is a multiple of that. They are
+    segments if `straight`, else arcs; `dtype` is the float type.
     """
 
     curves: Callable[[Int[Array, "K"]], Curves]
@@ -35,6 +36,7 @@ class Part(NamedTuple):
     size: int
     most: int | None
     at_a_time: int | None
+    together: Callable[[Int[Array, "K"]], Curves]
     straight: bool
     dtype: Any
 
@@ -162,7 +164,7 @@ def _listing(part: Part) -> Callable[[Array, Array, Ordered], Ordered]:
 
         return by_chunks
     # (A kernel is told all that it reads of.)
-    made = eqx.filter_closure_convert(part.curves, jnp.zeros(number, jnp.int32))
+    made = eqx.filter_closure_convert(part.together, jnp.zeros(number, jnp.int32))
     reads, rest = eqx.partition(made, eqx.is_array)
     all_of = lambda reads, *more: _listed(number, eqx.combine(reads, rest), *more)
     return partial(one_kernel(all_of), reads)
@@ -171,11 +173,12 @@ def _listing(part: Part) -> Callable[[Array, Array, Ordered], Ordered]:
 def _appended(
     curves: Curves, first: Int[Array, ""], known: Ordered, number: Int[Array, ""] | None = None
 ) -> Ordered:
-    """Return listed curves with more of them from a place on, so many or (None) all."""
+    """Return listed curves with more of them from a place on, so many or (None) all; those that
+    come before the list are written over."""
 
     def one(k, known):
         row = Ordered.of(taken(curves, k))
-        return jax.tree.map(lambda x, new: put(x, new, first + k), known, row)
+        return jax.tree.map(lambda x, new: put(x, new, jnp.maximum(first + k, 0)), known, row)
 
     if number is None:
         return jax.lax.fori_loop(0, curves.weight.shape[0], one, known)
@@ -190,6 +193,7 @@ def _listed(
     known: Ordered,
 ) -> Ordered:
     """Return a list that begins with an id, with the curves up to another."""
+    none = begin >= end
 
     def some(state):
         first, known = state
@@ -198,4 +202,5 @@ def _listed(
         number = jnp.minimum(end - first, at_a_time)
         return first + at_a_time, _appended(curves, first - begin, known, number)
 
-    return jax.lax.while_loop(lambda s: s[0] < end, some, (begin, known))[1]
+    first = jnp.where(none, end, begin - begin % at_a_time)
+    return jax.lax.while_loop(lambda s: s[0] < end, some, (first, known))[1]

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._numerics.one_kernel import one_kernel
 from .asked import WORD, Asked, Drawn, Pixels, Sums, judged, words_in_row
-from .coverage import Monotone, Pieces, in_pixel, in_row, rows_of, taken
+from .coverage import Monotone, Pieces, between, exit_, on_line, piece_between, rows_of, taken
 from .marks import drops, marks, winding_jumps
 from .parts import LEAST, CurveList, Ordered
 
@@ -93,20 +93,25 @@ def walked(
         rows = rows_of(m, top, bottom)
 
         def of_row(state):
-            row, total = state
-            own = in_row(m, row, W, H)
+            row, low, total = state
+            high = on_line(m, row + 1, H)
+            own = between(row, low, high, W)
 
             def of_pixel(state):
-                along, total = state
-                piece = in_pixel(m, own, along, k, jnp.array(True), W)
-                return along + 1, add(total, k, m, piece)
+                along, ends, total = state
+                piece = piece_between(m, own, along, ends, k, jnp.array(True), W)
+                after = ends[1], exit_(m, own, along + 1)
+                return along + 1, after, add(total, k, m, piece)
 
-            start = jnp.int32(0), total
-            return row + 1, jax.lax.while_loop(lambda s: s[0] <= own.further, of_pixel, start)[1]
+            # (What is in a loop's state is worked out once, not for each that asks.)
+            along = jnp.int32(0)
+            start = along, (low, exit_(m, own, along)), total
+            total = jax.lax.while_loop(lambda s: s[0] <= own.further, of_pixel, start)[2]
+            return row + 1, high, total
 
         end = rows.first + jnp.where(m.curves.weight == 0, 0, rows.number)
-        start = rows.first, total
-        return k + 1, jax.lax.while_loop(lambda s: s[0] < end, of_row, start)[1]
+        start = rows.first, on_line(m, rows.first, H), total
+        return k + 1, jax.lax.while_loop(lambda s: s[0] < end, of_row, start)[2]
 
     return jax.lax.while_loop(lambda s: s[0] < number, of_curve, (jnp.int32(0), start))[1]
 
@@ -130,8 +135,9 @@ def _with_piece(
     """Return sums with a piece; what lies left of the film counts at its left side."""
     width = words_in_row(W) * WORD
     inside, follows = (piece.column >= 0) & (piece.column < W), piece.column < W - 1
-    own = row * width + jnp.clip(piece.column, 0, W - 1)
-    after = row * width + jnp.clip(piece.column + 1, 0, W - 1)
+    # (No sign: the compiler need not ask for it.)
+    place = lambda column: (row * width + jnp.clip(column, 0, W - 1)).astype(jnp.uint32)
+    own, after = place(piece.column), place(piece.column + 1)
     add = lambda x, at, value: jax.lax.dynamic_update_slice(x, (x[at] + value)[None], (at,))
     touch = lambda x, at: jax.lax.dynamic_update_slice(x, jnp.ones(1, x.dtype), (at // WORD,))
     only = lambda there, value: jnp.where(there, value, 0).astype(value.dtype)
@@ -158,6 +164,7 @@ class _Film(NamedTuple):
     alone: Bool[Array, "pixels"] | None
     overlapping: UInt32[Array, "words"] | None
     layers: Float[Array, "words"] | None
+    corner: Float[Array, "pixels"] | None
     winding: Float[Array, ""] | None
 
     @staticmethod
@@ -168,19 +175,21 @@ class _Film(NamedTuple):
         zeros = jnp.zeros(number * WORD, real)
         alone = jnp.zeros(number * WORD, bool) if asked.keep else None
         if not asked.resolves:
-            return _Film(zeros, alone, None, None, None)
+            return _Film(zeros, alone, None, None, None, None)
         winding = None if asked.deep is None else jnp.zeros((), real)
-        return _Film(zeros, alone, jnp.zeros(number, jnp.uint32), jnp.zeros(number, real), winding)
+        bits, layers = jnp.zeros(number, jnp.uint32), jnp.zeros(number, real)
+        return _Film(zeros, alone, bits, layers, zeros, winding)
 
     def whole(self, W: int, H: int) -> Drawn:
         """Return the film as rows."""
-        words, (image, alone, bits, layers, winding) = words_in_row(W), self
+        words, (image, alone, bits, layers, corner, winding) = words_in_row(W), self
         pixels = lambda x: x[: H * words * WORD].reshape(H, -1)[:, :W]
         by_word = lambda x: x[: H * words].reshape(H, words)
         alone = None if alone is None else pixels(alone)
-        if bits is None or layers is None:
-            return Drawn(pixels(image), alone, None, None, None)
-        return Drawn(pixels(image), alone, by_word(bits), by_word(layers), winding)
+        if bits is None or layers is None or corner is None:
+            return Drawn(pixels(image), alone, None, None, None, None)
+        corner = corner[: H * words * WORD].reshape(H, -1)
+        return Drawn(pixels(image), alone, by_word(bits), by_word(layers), corner, winding)
 
     def with_word(self, pixels: Pixels, at: Int[Array, ""]) -> "_Film":
         """Return the film with the image of a word from a pixel on."""
@@ -189,10 +198,15 @@ class _Film(NamedTuple):
         return self._replace(image=put(self.image, pixels.image), alone=alone)
 
     def with_bits(
-        self, pixels: Pixels, layers: Float[Array, "32"], word: Int[Array, ""], deep: float
+        self,
+        pixels: Pixels,
+        layers: Float[Array, "32"],
+        corner: Float[Array, "32"],
+        word: Int[Array, ""],
+        deep: float,
     ) -> "_Film":
         """Return the film with a word's overlapping pixels."""
-        if self.overlapping is None or self.layers is None:
+        if self.overlapping is None or self.layers is None or self.corner is None:
             return self
         inside = pixels.overlapping
         bits = jnp.where(inside, jnp.uint32(1) << jnp.arange(WORD, dtype=jnp.uint32), 0)
@@ -205,6 +219,7 @@ class _Film(NamedTuple):
         return self._replace(
             overlapping=put(self.overlapping, bits),
             layers=put(self.layers, jnp.where(inside, layers, 0)),
+            corner=jax.lax.dynamic_update_slice(self.corner, corner, (word * WORD,)),
             winding=winding,
         )
 
@@ -264,10 +279,11 @@ def _word_drawn(
     sums = sums._replace(deltas=deltas, jumps=jumps)
     here = jax.tree.map(cut, sums)
     winding = here.deltas
-    pixels = judge(winding, winding if jumps is None else here.jumps, here)
+    corners = winding if jumps is None else here.jumps
+    pixels = judge(winding, corners, here)
     film = state.film.with_word(pixels, to)
     if here.marks is not None:
-        film = film.with_bits(pixels, here.marks.layers, bits, deep)
+        film = film.with_bits(pixels, here.marks.layers, corners, bits, deep)
         # Where no curve is, both are the same: but this one is exact.
         mean = jnp.where(here.marks.layers[-1] == 0, corner, mean)
     return _Word(jnp.int32(2), mean, corner, state.band._replace(sums=sums), film)

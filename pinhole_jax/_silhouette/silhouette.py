@@ -46,6 +46,7 @@ from .overlaps import (
     fold_in_turn,
     fold_side_by_side,
     nothing_kept,
+    place_of,
 )
 from .parts import LEAST, CurveList, Part
 from .piece_by_piece import drawn_piece_by_piece
@@ -203,11 +204,13 @@ class _Still(NamedTuple):
 class _Pixels(NamedTuple):
     """Which pixels one chain of contour crosses (as in the image), and which are overlapping, from
     the bottom row up, words of a row after each other; for each word how many layers the pieces in
-    its overlapping pixels have; for the derivative, what is visible in these."""
+    its overlapping pixels have; for each of these the winding number at its corner; for the
+    derivative, what is visible in these."""
 
     alone: Bool[Array, "H W"] | None
     overlapping: Selection
     layers: Float[Array, "words"]
+    corner: Float[Array, "bits"]
     kept: list[Kept]
 
 
@@ -230,6 +233,7 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
             min(CURVES_AT_A_TIME, s.most or CURVES_AT_A_TIME),
             s.most,
             s.at_a_time,
+            s.together,
             s.straight,
             film.eye.dtype,
         )
@@ -342,16 +346,18 @@ def _pixels(
     film, parts, things = moving.film, _parts(moving, still), _things(moving, still)
     base, resolves = still.view.base, still.overlap is not None
     asked = Asked(film, parts, base, resolves, keep, DEEP if things else None)
-    (image, alone, overlapping, layers, depth), lists = draw(asked, still.view.rows)
-    if overlapping is None or layers is None:
-        none = selection(jnp.zeros(0, jnp.uint32))
-        return image, _Pixels(alone, none, jnp.zeros(0, image.dtype), [])
-    image, overlapping, layers = (x.reshape(-1) for x in (image, overlapping, layers))
+    (image, alone, overlapping, layers, corner, depth), lists = draw(asked, still.view.rows)
+    if overlapping is None or layers is None or corner is None:
+        none = jnp.zeros(0, image.dtype)
+        return image, _Pixels(alone, selection(jnp.zeros(0, jnp.uint32)), none, none, [])
+    image, overlapping, layers, corner = (
+        x.reshape(-1) for x in (image, overlapping, layers, corner)
+    )
     if depth is not None:
         dear = worth(things, jnp.sum(layers), depth)
-        image, overlapping = _without_covered(film, things, dear, layers, image, overlapping)
+        image, overlapping = _without_covered(film, things, dear, image, overlapping)
     kept = [nothing_kept(part) for part in parts if keep]
-    pixels = _Pixels(alone, selection(overlapping), layers, kept)
+    pixels = _Pixels(alone, selection(overlapping), layers, corner, kept)
 
     def add(total, resolved: Resolved):
         image, kept = total
@@ -361,7 +367,7 @@ def _pixels(
         more = zip(kept, resolved.visible, strict=True)
         return image, [k.append(resolved.place, visible) for k, visible in more]
 
-    crowd = _overlapping(film, pixels.overlapping, layers)
+    crowd = _overlapping(film, pixels)
     args = parts, crowd, (film.W, film.H, base)
     image, kept = fold(*args, add, (image, kept), keep, still.stops, lists)
     return image.reshape(film.H, film.W), pixels._replace(kept=kept)
@@ -371,7 +377,6 @@ def _without_covered(
     film: FilmMap,
     things: list[Convex],
     worth: Bool[Array, ""],
-    layers: Float[Array, "words"],
     image: Float[Array, "pixels"],
     overlapping: UInt32[Array, "words"],
 ) -> tuple[Float[Array, "pixels"], UInt32[Array, "words"]]:
@@ -383,9 +388,9 @@ def _without_covered(
         found = surely_covered(film, things, worth).reshape(film.H, film.W)
         covered = overlapping & words_of(in_words(found))
         chosen = selection(covered)
-        place = _overlapping(film, chosen, layers).place
+        bits = words_in_row(film.W) * WORD
         one = lambda image, index, there: image.at[
-            jnp.where(there, place(index), image.shape[0])
+            jnp.where(there, place_of(index, bits, film.W, film.H), image.shape[0])
         ].set(1, mode="drop")
         image = fold_chosen(chosen, COVERED, one, image)
         return jnp.zeros_like(worth), image, overlapping & ~covered
@@ -394,8 +399,9 @@ def _without_covered(
     return jax.lax.while_loop(lambda s: s[0], once, (worth, image, overlapping))[1:]
 
 
-def _overlapping(film: FilmMap, chosen: Selection, layers: Float[Array, "words"]) -> Overlapping:
-    return Overlapping(chosen, layers, chosen.total, words_in_row(film.W) * WORD, film.W, film.H)
+def _overlapping(film: FilmMap, pixels: _Pixels) -> Overlapping:
+    (_, chosen, layers, corner, _), width = pixels, words_in_row(film.W) * WORD
+    return Overlapping(chosen, layers, corner, chosen.total, width, film.W, film.H)
 
 
 def _fold_crowd(
@@ -425,7 +431,7 @@ def _fold_crowd(
     for number, kept in enumerate(pixels.kept):
         kept = kept._replace(used=jnp.where(complete, kept.used, 0))
         start = kept.fold(partial(crowd, number=number), start)
-    overlapping = _overlapping(film, pixels.overlapping, pixels.layers)
+    overlapping = _overlapping(film, pixels)
     overlapping = overlapping._replace(total=jnp.where(complete, 0, overlapping.total))
     args = parts, overlapping, film.W, film.H, still.view.base
     return fold_cells(*args, again, start, True, still.stops, lists)

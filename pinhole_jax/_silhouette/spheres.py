@@ -95,12 +95,34 @@ def sphere_arcs(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Arcs:
     The conic is cut where it is level or upright, and where it meets the plane through the eye;
     what is behind is left out, and so is a sphere that holds the eye.
     """
-    frame = sphere_frames(film, spheres, ids)
     sphere = jax.lax.div(ids, jnp.int32(ARCS_PER_SPHERE))
     part = ids - sphere * ARCS_PER_SPHERE
+    frame = sphere_frames(film, spheres, ids)
     start, end = (
         jnp.take_along_axis(w, part[None, :, None], axis=0)[0] for w in _monotone_stretches(frame)
     )
+    return _shown(film, spheres, sphere, frame, start, end)
+
+
+def arcs_of_sphere(film: FilmMap, spheres: Spheres, ids: Int[Array, "6"]) -> Arcs:
+    """Return the `sphere_arcs` of one sphere, from its first id: what they share is worked out
+    once."""
+    sphere = jax.lax.div(ids[:1], jnp.int32(ARCS_PER_SPHERE))
+    frame = sphere_frames(film, spheres, ids[:1])
+    start, end = (w[:, 0] for w in _monotone_stretches(frame))
+    frame = jnp.broadcast_to(frame, (ARCS_PER_SPHERE, 3, 3))
+    return _shown(film, spheres, sphere, frame, start, end)
+
+
+def _shown(
+    film: FilmMap,
+    spheres: Spheres,
+    sphere: Int[Array, "#K"],
+    frame: Float[Array, "K 3 3"],
+    start: Float[Array, "K 2"],
+    end: Float[Array, "K 2"],
+) -> Arcs:
+    """Return parts of the spheres' outlines; what is not seen weighs nothing."""
     middle = _middle(start, end)
     z = dot(frame[..., 2], jnp.concatenate([jnp.ones_like(middle[:, :1]), middle], axis=1))
     outside = norm(spheres.centers[sphere] - film.eye[None]) > spheres.radii[sphere]
