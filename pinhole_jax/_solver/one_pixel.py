@@ -30,14 +30,12 @@ class Seen(NamedTuple):
 class Pixel(NamedTuple):
     """A pixel that is swept: `row(k)` are the numbers of its k-th piece (see `Cells`), and
     `place(k)` is where among all pieces it is; how many there are; the winding number at the
-    pixel's lower left corner; how many times the line stops (0: it halts where the order of pieces
-    changes)."""
+    pixel's lower left corner."""
 
     row: Callable[[Array], Array]
     place: Callable[[Array], Array]
     number: Int[Array, ""]
     corner: Float[Array, ""]
-    stops: Int[Array, ""]
 
 
 class Listed(NamedTuple):
@@ -71,11 +69,11 @@ class Room(NamedTuple):
     moment: Float[Array, "M"]
 
     @classmethod
-    def of(cls, most: int, crossed: int, dtype: Any) -> "Room":
-        """Return room for so many pieces, `crossed` of which at most cross one another."""
+    def of(cls, most: int, dtype: Any) -> "Room":
+        """Return room for so many pieces."""
         real, whole = jnp.zeros(most, dtype), jnp.zeros(most, jnp.int32)
         both = jnp.zeros(2 * most, dtype)
-        halts = jnp.zeros(2 * most + crossed * (crossed - 1) // 2, dtype)
+        halts = jnp.zeros(2 * most + most * (most - 1) // 2, dtype)
         pieces = Listed(real, real, real, real, real, whole)
         return cls(pieces, both, both, halts, whole, real, real, real)
 
@@ -90,18 +88,17 @@ def swept(pixel: Pixel, seen: Seen, room: Room) -> tuple[Seen, Room]:
     """Return the area of a pixel, and `seen` with what is seen of its pieces.
 
     What a line moving to the right tells is the area and what is seen of flat pieces; one moving
-    up tells it of steep ones. A line that stops moves across the pieces first: that is the area.
-    Where the first halts at all and sees nothing but cover, the second is left out.
+    up tells it of steep ones. Where the first sees nothing but cover, the second is left out.
     """
-    none = 0 * seen.area, 0 * seen.area, pixel.stops > 0
-    across, along, twice = loop(pixel.number, lambda k, s: _reach(pixel.row(k), s), none)
-    upright = (pixel.stops > 0) & (across < along)
+    on_side = lambda k, twice: twice | (pixel.row(k)[0] == pixel.row(k)[2])
+    # (One on the pixel's side, all of which is covered, may be seen by a line that moves up alone.)
+    twice = loop(pixel.number, on_side, jnp.array(False))
     nothing = lambda k, s: tuple(put(x, 0, pixel.place(k)) for x in s)
     length, moment = loop(pixel.number, nothing, (seen.length, seen.moment))
 
     def turn(number, state):
         seen, room, _ = state
-        up = upright ^ (number == 1)
+        up = number == 1
         room, borders = _listed(pixel, up, room)
         area, shows, room = _sweep(pixel, borders, room)
         seen = seen._replace(area=jnp.where(number == 0, area, seen.area))
@@ -117,13 +114,6 @@ def swept(pixel: Pixel, seen: Seen, room: Room) -> tuple[Seen, Room]:
     return seen, room
 
 
-def _reach(row: Float[Array, "6"], reach: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-    """Return how far pieces reach along x and along y, with one more of them, and whether one may
-    be seen by a line that moves up alone: one on the pixel's side, all of which is covered."""
-    across, along = jnp.abs(row[2] - row[0]), jnp.abs(row[3] - row[1])
-    return reach[0] + across, reach[1] + along, reach[2] | (across == 0)
-
-
 def _listed(pixel: Pixel, up: Bool[Array, ""], room: Room) -> tuple[Room, Array]:
     """Return room with a pixel's pieces as a line sweeps them, `up` or to the right, and how often
     the number of layers changes along the border."""
@@ -131,7 +121,7 @@ def _listed(pixel: Pixel, up: Bool[Array, ""], room: Room) -> tuple[Room, Array]
     def one(k, state):
         pieces, border, step, borders = state
         cell = Cells(pixel.row(k)[None, None], jnp.zeros((1, 1, 2), jnp.int32))
-        line = _either(up, along_y(cell), along_x(cell))
+        line = either(up, along_y(cell), along_x(cell))
         u0, v0, u1, v1, jump = (x[0, 0] for x in line[:5])
         own = {"u0": u0, "v0": v0, "u1": u1, "slope": safe_divide(v1 - v0, u1 - u0), "jump": jump}
         own = {name: put(getattr(pieces, name), x, k) for name, x in own.items()}
@@ -151,7 +141,8 @@ def _listed(pixel: Pixel, up: Bool[Array, ""], room: Room) -> tuple[Room, Array]
     return room._replace(length=length, moment=moment), borders
 
 
-def _either(which: Array, a: Lines, b: Lines) -> Lines:
+def either(which: Array, a: Lines, b: Lines) -> Lines:
+    """Return what a line moves across this way, or that way."""
     return jax.tree.map(lambda x, y: jnp.where(which, x, y), a, b)
 
 
@@ -235,9 +226,7 @@ class _Line(NamedTuple):
 def _sweep(pixel: Pixel, borders: Array, room: Room) -> tuple[Array, Array, Room]:
     """Return the covered area, whether anything else is seen than cover, and room with what of each
     piece is seen."""
-    stopping = pixel.stops > 0
-    halts, count = _halts(jnp.where(stopping, 0, pixel.number), room.pieces, room.halts)
-    apart = 1 / jnp.maximum(pixel.stops, 1).astype(pixel.corner.dtype)
+    halts, count = _halts(pixel.number, room.pieces, room.halts)
 
     def passed(state):
         k, u = state
@@ -247,7 +236,7 @@ def _sweep(pixel: Pixel, borders: Array, room: Room) -> tuple[Array, Array, Room
         line, *lists = state
         further = jax.lax.while_loop(passed, lambda s: (s[0] + 1, s[1]), (line.halts, line.u))[0]
         halt = jnp.where(further < count, halts[jnp.minimum(further, jnp.maximum(count - 1, 0))], 1)
-        after = jnp.minimum(jnp.where(stopping, line.u + apart, halt), 1)
+        after = jnp.minimum(halt, 1)
         line = line._replace(halts=further)
         return _stretch(pixel, borders, room, after, line, *lists)
 
@@ -264,14 +253,14 @@ def _sweep(pixel: Pixel, borders: Array, room: Room) -> tuple[Array, Array, Room
 def _stretch(pixel, borders, room, after, line, met, height, length, moment):
     """Return the line at the next halt, and what it met and saw on the way."""
     middle, width = (line.u + after) / 2, after - line.u
-    passed, first = _along_border(room, borders, pixel.stops > 0, middle, line)
+    passed, first = _along_border(room, borders, middle, line)
     begun, number, met, height = _met(pixel, room.pieces, middle, line, met, height)
 
     def see(i, state):
         below, *shown = state
         k = met[i]
         above = below + room.pieces.jump[k]
-        change = _covers(above) - _covers(below)
+        change = covers(above) - covers(below)
 
         def add(_, shown):
             area, _, length, moment = shown
@@ -284,24 +273,18 @@ def _stretch(pixel, borders, room, after, line, met, height, length, moment):
 
     start = first, line.area, line.shows, length, moment
     top, area, shows, length, moment = loop(number, see, start)
-    covered = _covers(top)
+    covered = covers(top)
     shows |= covered < 1
     area = area + covered * width
     line = _Line(after, line.halts, passed, first, begun, number, area, shows)
     return line, met, height, length, moment
 
 
-def _along_border(
-    room: Room, borders: Array, stopping: Array, middle: Array, line: _Line
-) -> tuple[Array, Array]:
-    """Return how many changes along the border are behind a line, and the layers there.
-
-    Where the line stops it may stop at an end: that is of what comes, on the border as well.
-    """
+def _along_border(room: Room, borders: Array, middle: Array, line: _Line) -> tuple[Array, Array]:
+    """Return how many changes along the border are behind a line, and the layers there."""
 
     def behind(state):
-        halt = room.border[jnp.minimum(state[0], borders - 1)]
-        return (state[0] < borders) & ((halt < middle) | (stopping & (halt == middle)))
+        return (state[0] < borders) & (room.border[jnp.minimum(state[0], borders - 1)] < middle)
 
     further = lambda s: (s[0] + 1, s[1] + room.step[s[0]])
     return jax.lax.while_loop(behind, further, (line.borders, line.first))
@@ -344,7 +327,8 @@ def _met(pixel, pieces, middle, line, met, height):
     return begun, count, met, height
 
 
-def _covers(layers: Array) -> Array:
+def covers(layers: Array) -> Array:
+    """Return 1 where there are layers, else 0."""
     return (layers > 0.5).astype(layers.dtype)
 
 

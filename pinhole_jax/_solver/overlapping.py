@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._numerics.one_kernel import on_cpu, put
 from .._silhouette.hidden import all_hidden
 from .._silhouette.sweep import STRAIGHT, Cells, sweep
+from .at_stops import STOPS, Stops, stopping
 from .one_pixel import Pixel, Room, Seen, loop, swept
 
 #: This many pixels are swept together.
@@ -28,11 +29,10 @@ MOST = 16
 #: Buffers for this many pieces are those of rough meshes, most of whose overlapping pixels are
 #: covered.
 LARGE = 1 << 13
-#: There a pixel with more, up to so many, is swept by a line that stops this many times. (Of a scan
-#: of 82k faces more than 16 are in 240 to 470 pixels, 60 to 190 of which show an outline; more than
-#: 64 in 24 at most, 4 of these. The worst pixel errs by 2e-4.)
-CROWDED, STOPS = 64, 32
-
+#: There a pixel with more, up to so many, is swept by a line that stops a few times. (Of a scan of
+#: 82k faces more than 16 are in 240 to 470 pixels, 60 to 190 of which show an outline; more than 64
+#: in 24 at most, 4 of these.)
+CROWDED = 64
 
 #: Where the numbers of a straight piece say its visible length and that's first moment.
 LENGTH, MOMENT = 5, 6
@@ -98,7 +98,9 @@ def resolved(
 
     P, real = len(order), overlapping.corner.dtype
     seen = jnp.zeros(P, real), *columns([part.visible for part in parts])
-    room = Room.of(most_pieces(P, straight), MOST, real)
+    room: tuple[Any, ...] = (Room.of(MOST, real),)
+    if (most := most_pieces(P, straight)) > MOST:
+        room = *room, Stops.of(most, real)
     areas, *seen = on_cpu(_in_turn, *given, seen, parts, room, elsewhere=elsewhere)
     visible, begin = [], 0
     for part in parts:
@@ -122,17 +124,25 @@ def _in_turn(overlapping: Overlapping, piece, order, seen, parts, room):
         first, number = overlapping.first[slot], overlapping.number[slot]
         place = lambda k: order[first + k]
         row = lambda k: jnp.stack([x[place(k)] for x in piece])
-        stops = jnp.where(number > MOST, STOPS, 0)
-        pixel = Pixel(row, place, number, overlapping.corner[slot], stops)
+        pixel = Pixel(row, place, number, overlapping.corner[slot])
 
-        def sweep_it(_, state):
-            areas, length, moment, room = state
-            nothing = Seen(jnp.zeros((), areas.dtype), length, moment)
-            seen, room = swept(pixel, nothing, room)
-            return put(areas, seen.area, slot), seen.length, seen.moment, room
+        def by(way):
+            def sweep_it(_, state):
+                areas, length, moment, room = state
+                nothing = Seen(jnp.zeros((), areas.dtype), length, moment)
+                seen, room = way(pixel, nothing, room)
+                return put(areas, seen.area, slot), seen.length, seen.moment, room
 
-        chosen = overlapping.chosen[slot].astype(jnp.int32)
-        return slot + 1, *loop(chosen, sweep_it, (areas, length, moment, room))
+            return sweep_it
+
+        chosen, few = overlapping.chosen[slot], number <= MOST
+        state, rooms = (areas, length, moment), []
+        ways = ((swept, few), (stopping, ~few))[: len(room)]
+        for (way, own), its in zip(ways, room, strict=True):
+            once = (chosen & own).astype(jnp.int32)
+            *state, its = loop(once, by(way), (*state, its))
+            rooms.append(its)
+        return slot + 1, *state, tuple(rooms)
 
     goes_on = lambda s: (s[0] < P) & (overlapping.number[jnp.minimum(s[0], P - 1)] > 0)
     return jax.lax.while_loop(goes_on, one, (jnp.int32(0), *seen, room))[1:4]

@@ -10,12 +10,10 @@ only lead to finer ones. On the finest level such a pixel shows the union's cove
 does. One that holds more pieces than are swept is left out there.
 """
 
-import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.camera import Camera, film_at_once, film_map, lens_holds
@@ -30,6 +28,7 @@ from .._silhouette.surrounding import surrounding
 from .._silhouette.sweep import ARC, Visible
 from .by_pixel import Steps, by_pixel
 from .cutting import Cut, cut
+from .growth import Bounds, growing
 from .overlapping import Overlapping, Part, most_pieces, resolved, whole
 from .runs import Seen, summed
 
@@ -198,19 +197,6 @@ def _shown(curves: Curves, pieces: Cut, homogeneous: Float[Array, "P n 3"]) -> F
     return (-jump[:, None, None] * flux).reshape(-1, ARC)
 
 
-def _moved(
-    homogeneous: Float[Array, "K n 3"], curve: Int[Array, "P"], flux: Float[Array, "P n 3"]
-) -> Float[Array, "P"]:
-    """Return a function linear in the curves' points whose derivative is each piece's `flux`.
-
-    Column by column: to gather whole points with their derivatives took a fifth of a step.
-    """
-    columns = np.ndindex(homogeneous.shape[1:])
-    flux = jax.lax.stop_gradient(flux)
-    parts = [flux[:, i, j] * homogeneous[:, i, j][curve] for i, j in columns]
-    return functools.reduce(jnp.add, parts)
-
-
 def _curves(
     film: FilmMap, scene: Scene, capacity: Capacity
 ) -> list[tuple[str, Curves, Array, tuple[Array, Array], int]]:
@@ -267,13 +253,11 @@ def _by_pixel(
         Visible(jnp.zeros(len(seen), jnp.int32), seen).flux(part.homogeneous)
         for seen, part in zip(visible, parts, strict=True)
     ]
-    change = jnp.concatenate(
-        [_moved(*own, rate) for own, rate in zip(of_curves, flux, strict=True)]
-    )
-    moves = inside & (chosen | (winding < 1))
-    growth = jnp.zeros(P, real).at[totals.slot].add(change, mode="drop")
-    growth = jnp.where(moves, growth, 0)
-    share = jnp.where(chosen, areas, jnp.clip(winding, 0, 1))
-    coverage = share + growth - jax.lax.stop_gradient(growth)
+    moves, bounds, begin = inside & (chosen | (winding < 1)), [], 0
+    for (_, curve), rate in zip(of_curves, flux, strict=True):
+        bounds.append(Bounds(curve, rate, totals.slot[begin : begin + len(curve)]))
+        begin += len(curve)
+    growth = growing([points for points, _ in of_curves], bounds, moves)
+    coverage = jnp.where(chosen, areas, jnp.clip(winding, 0, 1)) + growth
     known = ~shared | chosen
     return Touched(cells, inside, known, coverage, totals.after > 0.5, base > 0)
