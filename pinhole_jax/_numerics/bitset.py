@@ -133,8 +133,10 @@ def words_of(mask: Bool[Array, "*N"]) -> UInt32[Array, "*words"]:
     """Return booleans, 32 to a word; those of a last axis of 32 as its word."""
     mask = jnp.pad(mask, (0, -mask.shape[0] % 32)) if mask.ndim == 1 else mask
     bits = mask.reshape(-1, 32).astype(jnp.uint32)
-    # One by one: the compiler makes two kernels of a sum.
-    return functools.reduce(jnp.bitwise_or, (bits[:, k] << k for k in range(32)))
+    # One by one: the compiler makes two kernels of a sum. And as columns: a shape that changes at
+    # each moves on by one of these each time that the compiler goes through the whole program.
+    columns = (bits[:, k : k + 1] << k for k in range(32))
+    return functools.reduce(jnp.bitwise_or, columns).reshape(-1)
 
 
 def nth(selection: Selection, rank: Int[Array, "*K"]) -> Int[Array, "*K"]:
