@@ -153,6 +153,21 @@ def nth(selection: Selection, rank: Int[Array, "*K"]) -> Int[Array, "*K"]:
     return word * 32 + position.astype(jnp.int32)
 
 
+def following(selection: Selection, index: Int[Array, ""]) -> Int[Array, ""]:
+    """Return the set's next entry after an index (-1: its first), found word by word; what is past
+    the last word if there is none."""
+    last = jnp.int32(selection.words.shape[0] - 1)
+    begin = index + 1
+    word = jnp.minimum(begin >> 5, last)
+    bits = selection.words[word] & (~jnp.uint32(0) << (begin & 31).astype(jnp.uint32))
+    further = lambda s: (s[1] == 0) & (s[0] < last)
+    word, bits = jax.lax.while_loop(
+        further, lambda s: (s[0] + 1, selection.words[s[0] + 1]), (word, bits)
+    )
+    lowest = bits & (~bits + 1)
+    return word * 32 + jax.lax.population_count(lowest - 1).astype(jnp.int32)
+
+
 def rank_in(selection: Selection, index: Int[Array, "*K"]) -> Int[Array, "*K"]:
     """Return which number each index has in the set, -1 if it is not in it."""
     return jnp.where(bit(selection.words, index), count_below(selection, index), -1)

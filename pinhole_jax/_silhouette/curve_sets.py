@@ -13,9 +13,17 @@ from jaxtyping import Array, Float, Int
 
 from .._camera.film import FilmMap
 from .._scene.scene import Scene, Spheres
-from .contour import MeshContour, edge_segments, homogeneous_edges, mesh_contour
+from .contour import (
+    MeshContour,
+    edge_before,
+    edge_segments,
+    homogeneous_edges,
+    mesh_contour,
+    next_edge,
+)
 from .curves import Curves
 from .distorted import Cuts
+from .parts import InTurn
 from .spheres import (
     ARCS_PER_SPHERE,
     arc_cuts,
@@ -43,6 +51,7 @@ class CurveSet(NamedTuple):
     - `most`: how many there may be, None where that depends on the view.
     - `at_a_time`: so many are found at a time within a kernel (as few as run as fast: it compiles
       sooner); None where a kernel of it all would compile longer than one of each step.
+    - `in_turn`: the same, one after the other in single numbers, where that is how they are found.
     - `straight`: whether they are segments, not arcs.
     """
 
@@ -51,6 +60,7 @@ class CurveSet(NamedTuple):
     total: Int[Array, ""]
     most: int | None
     at_a_time: int | None
+    in_turn: InTurn | None
     straight: bool
 
 
@@ -67,12 +77,17 @@ def find(film: FilmMap, scene: Scene) -> Found:
 
 def edge_curves(film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour) -> CurveSet:
     """Return the mesh's contour edges, and once more for what of them lies left of the film."""
+    in_turn = InTurn(
+        lambda id: edge_before(contour, id),
+        lambda id, before: next_edge(film, vertices, contour, id, before),
+    )
     return CurveSet(
         lambda ids: edge_segments(film, vertices, contour, ids),
         lambda ids: homogeneous_edges(film, vertices, contour, ids),
         contour.segments,
         2 * contour.edge_vertices.shape[0] if contour.cuts is None else None,
-        16 if contour.cuts is None else None,
+        None,
+        in_turn if contour.cuts is None else None,
         True,
     )
 
@@ -86,6 +101,7 @@ def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveS
             cuts.total,
             None,
             None,
+            None,
             True,
         )
     number = ARCS_PER_SPHERE * spheres.radii.shape[0]
@@ -95,6 +111,7 @@ def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveS
         jnp.int32(number),
         number,
         1,
+        None,
         False,
     )
 
@@ -113,6 +130,7 @@ def joined(first: CurveSet, second: CurveSet) -> CurveSet:
         lambda ids: either(first.homogeneous_of, second.homogeneous_of, ids),
         first.total + second.total,
         None if first.most is None or second.most is None else first.most + second.most,
+        None,
         None,
         True,
     )

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from .._numerics.one_kernel import one_kernel, put
 from .coverage import Monotone, monotone, rightward, taken
-from .curves import Arcs, Curves, Segments, placed
+from .curves import Arcs, Curves, Point, Segments, placed
 
 #: So many curves are listed. (First passes, ms of the processor: a scan of 82k faces at 2048 px 22;
 #: with 2^13 curves, found anew for each band, 56.)
@@ -21,12 +21,23 @@ LISTED = 1 << 16
 LEAST = 2
 
 
+class InTurn(NamedTuple):
+    """Segments one after the other, in single numbers: `before(id)` is the place of the one before
+    that of an id, `following(id, before)` the place, the ends and the weight of this."""
+
+    before: Callable[[Int[Array, ""]], Int[Array, ""]]
+    following: Callable[
+        [Int[Array, ""], Int[Array, ""]], tuple[Int[Array, ""], tuple[Point, Point], Array]
+    ]
+
+
 class Part(NamedTuple):
     """Curves of one kind: `curves(ids)` for ids below `total`; `size` is a static chunk of them.
 
     `homogeneous_of(ids)` is what the curves move with, differentiably. There are at most `most`, if
-    known; so many are found `at_a_time` within a kernel, None where that would be too large a one.
-    They are segments if `straight`, else arcs; `dtype` is the float type.
+    known; so many are found `at_a_time` within a kernel, None where that would be too large a one,
+    or (`in_turn`) one after the other. They are segments if `straight`, else arcs; `dtype` is the
+    float type.
     """
 
     curves: Callable[[Int[Array, "K"]], Curves]
@@ -35,6 +46,7 @@ class Part(NamedTuple):
     size: int
     most: int | None
     at_a_time: int | None
+    in_turn: InTurn | None
     straight: bool
     dtype: Any
 
@@ -152,6 +164,10 @@ class CurveList(NamedTuple):
 def _listing(part: Part) -> Callable[[Array, Array, Ordered], Ordered]:
     """Return the function that makes a list of curves from an id up to another, in one kernel if
     that is not too large."""
+    if part.in_turn is not None:
+        zero = jnp.int32(0)
+        before, following = part.in_turn
+        return _in_one_kernel(_listed_in_turn, (before, zero), (following, zero, zero))
     number = part.at_a_time
     if number is None:
         append = one_kernel(_appended)
@@ -161,10 +177,16 @@ def _listing(part: Part) -> Callable[[Array, Array, Ordered], Ordered]:
             return fold_curves(part, chunk, known, part.size, (begin, end))
 
         return by_chunks
-    # (A kernel is told all that it reads of.)
-    made = eqx.filter_closure_convert(part.curves, jnp.zeros(number, jnp.int32))
+    ids = jnp.zeros(number, jnp.int32)
+    return _in_one_kernel(partial(_listed, number), (part.curves, ids))
+
+
+def _in_one_kernel(listed: Callable[..., Ordered], *functions: tuple) -> Callable[..., Ordered]:
+    """Return `listed` of functions, each given with its arguments' like, as one kernel: it is told
+    all that they read of."""
+    made = [eqx.filter_closure_convert(*function) for function in functions]
     reads, rest = eqx.partition(made, eqx.is_array)
-    all_of = lambda reads, *more: _listed(number, eqx.combine(reads, rest), *more)
+    all_of = lambda reads, *more: listed(*eqx.combine(reads, rest), *more)
     return partial(one_kernel(all_of), reads)
 
 
@@ -199,3 +221,24 @@ def _listed(
         return first + at_a_time, _appended(curves, first - begin, known, number)
 
     return jax.lax.while_loop(lambda s: s[0] < end, some, (begin, known))[1]
+
+
+def _listed_in_turn(
+    before: Callable[[Array], Array],
+    following: Callable[[Array, Array], tuple[Array, tuple[Point, Point], Array]],
+    begin: Int[Array, ""],
+    end: Int[Array, ""],
+    known: Ordered,
+) -> Ordered:
+    """Return the same of segments that are found one after the other."""
+
+    def one(id, state):
+        place, known = state
+        place, ((x, y), (last_x, last_y)), weight = following(id, place)
+        up = last_y >= y
+        either = lambda a, b: jnp.where(up, a, b)
+        low, high = (either(x, last_x), either(y, last_y)), (either(last_x, x), either(last_y, y))
+        row = Ordered(jnp.stack(low), jnp.stack(high), either(1, -1), weight, None)
+        return place, jax.tree.map(lambda x, new: put(x, new, id - begin), known, row)
+
+    return jax.lax.fori_loop(begin, end, one, (before(begin), known))[1]

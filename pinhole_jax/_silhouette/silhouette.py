@@ -230,6 +230,7 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
             min(CURVES_AT_A_TIME, s.most or CURVES_AT_A_TIME),
             s.most,
             s.at_a_time,
+            s.in_turn,
             s.straight,
             film.eye.dtype,
         )
