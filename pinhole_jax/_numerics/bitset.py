@@ -133,8 +133,10 @@ def words_of(mask: Bool[Array, "*N"]) -> UInt32[Array, "*words"]:
     """Return booleans, 32 to a word; those of a last axis of 32 as its word."""
     mask = jnp.pad(mask, (0, -mask.shape[0] % 32)) if mask.ndim == 1 else mask
     bits = mask.reshape(-1, 32).astype(jnp.uint32)
-    # One by one: the compiler makes two kernels of a sum.
-    return functools.reduce(jnp.bitwise_or, (bits[:, k] << k for k in range(32)))
+    # One by one: the compiler makes two kernels of a sum. And as columns: a shape that changes at
+    # each moves on by one of these each time that the compiler goes through the whole program.
+    columns = (bits[:, k : k + 1] << k for k in range(32))
+    return functools.reduce(jnp.bitwise_or, columns).reshape(-1)
 
 
 def nth(selection: Selection, rank: Int[Array, "*K"]) -> Int[Array, "*K"]:
@@ -149,6 +151,21 @@ def nth(selection: Selection, rank: Int[Array, "*K"]) -> Int[Array, "*K"]:
         rest = jnp.where(upper, rest - ones, rest)
         position = jnp.where(upper, position + jnp.uint32(width), position)
     return word * 32 + position.astype(jnp.int32)
+
+
+def following(selection: Selection, index: Int[Array, ""]) -> Int[Array, ""]:
+    """Return the set's next entry after an index (-1: its first), found word by word; what is past
+    the last word if there is none."""
+    last = jnp.int32(selection.words.shape[0] - 1)
+    begin = index + 1
+    word = jnp.minimum(begin >> 5, last)
+    bits = selection.words[word] & (~jnp.uint32(0) << (begin & 31).astype(jnp.uint32))
+    further = lambda s: (s[1] == 0) & (s[0] < last)
+    word, bits = jax.lax.while_loop(
+        further, lambda s: (s[0] + 1, selection.words[s[0] + 1]), (word, bits)
+    )
+    lowest = bits & (~bits + 1)
+    return word * 32 + jax.lax.population_count(lowest - 1).astype(jnp.int32)
 
 
 def rank_in(selection: Selection, index: Int[Array, "*K"]) -> Int[Array, "*K"]:

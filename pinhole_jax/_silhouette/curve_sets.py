@@ -13,9 +13,17 @@ from jaxtyping import Array, Float, Int
 
 from .._camera.film import FilmMap
 from .._scene.scene import Scene, Spheres
-from .contour import MeshContour, edge_segments, homogeneous_edges, mesh_contour
+from .contour import (
+    MeshContour,
+    edge_before,
+    edge_segments,
+    homogeneous_edges,
+    mesh_contour,
+    next_edge,
+)
 from .curves import Curves
 from .distorted import Cuts
+from .parts import InTurn, Together
 from .spheres import (
     ARCS_PER_SPHERE,
     arc_cuts,
@@ -42,9 +50,8 @@ class CurveSet(NamedTuple):
     - `homogeneous_of(ids)`: what they move with, differentiably.
     - `total`: how many there are.
     - `most`: how many there may be, None where that depends on the view.
-    - `at_a_time`: so many are found at a time within a kernel (as few as run as fast: it compiles
-      sooner); None where a kernel of it all would compile longer than one of each step.
-    - `together(ids)`: so many, with consecutive ids, the first of which is a multiple of that.
+    - `together`, `in_turn`: how a kernel finds them, so many at a time or one after the other (see
+      `Part`); both None where it would compile longer than a kernel of each step.
     - `straight`: whether they are segments, not arcs.
     """
 
@@ -52,8 +59,8 @@ class CurveSet(NamedTuple):
     homogeneous_of: Callable[[Int[Array, "K"]], Float[Array, "K n 3"]]
     total: Int[Array, ""]
     most: int | None
-    at_a_time: int | None
-    together: Callable[[Int[Array, "K"]], Curves]
+    together: Together | None
+    in_turn: InTurn | None
     straight: bool
 
 
@@ -70,14 +77,17 @@ def find(film: FilmMap, scene: Scene) -> Found:
 
 def edge_curves(film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour) -> CurveSet:
     """Return the mesh's contour edges, and once more for what of them lies left of the film."""
-    curves = lambda ids: edge_segments(film, vertices, contour, ids)
+    in_turn = InTurn(
+        lambda id: edge_before(contour, id),
+        lambda id, before: next_edge(film, vertices, contour, id, before),
+    )
     return CurveSet(
-        curves,
+        lambda ids: edge_segments(film, vertices, contour, ids),
         lambda ids: homogeneous_edges(film, vertices, contour, ids),
         contour.segments,
         2 * contour.edge_vertices.shape[0] if contour.cuts is None else None,
-        16 if contour.cuts is None else None,
-        curves,
+        None,
+        in_turn if contour.cuts is None else None,
         True,
     )
 
@@ -92,7 +102,7 @@ def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveS
             cuts.total,
             None,
             None,
-            segments,
+            None,
             True,
         )
     number = ARCS_PER_SPHERE * spheres.radii.shape[0]
@@ -101,8 +111,8 @@ def outline_curves(film: FilmMap, spheres: Spheres, cuts: Cuts | None) -> CurveS
         lambda ids: sphere_frames(film, spheres, ids),
         jnp.int32(number),
         number,
-        ARCS_PER_SPHERE,
-        lambda ids: arcs_of_sphere(film, spheres, ids),
+        Together(ARCS_PER_SPHERE, lambda ids: arcs_of_sphere(film, spheres, ids)),
+        None,
         False,
     )
 
@@ -123,6 +133,6 @@ def joined(first: CurveSet, second: CurveSet) -> CurveSet:
         first.total + second.total,
         None if first.most is None or second.most is None else first.most + second.most,
         None,
-        curves,
+        None,
         True,
     )

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from .._numerics.one_kernel import one_kernel, put
 from .coverage import Monotone, monotone, rightward, taken
-from .curves import Arcs, Curves, Segments, placed
+from .curves import Arcs, Curves, Point, Segments, placed
 
 #: So many curves are listed. (First passes, ms of the processor: a scan of 82k faces at 2048 px 22;
 #: with 2^13 curves, found anew for each band, 56.)
@@ -21,13 +21,31 @@ LISTED = 1 << 16
 LEAST = 2
 
 
+class Together(NamedTuple):
+    """Curves so many at a time (as few as run as fast: that compiles sooner): `curves(ids)`, with
+    consecutive ids, the first of which is a multiple of their number."""
+
+    number: int
+    curves: Callable[[Int[Array, "K"]], Curves]
+
+
+class InTurn(NamedTuple):
+    """Segments one after the other, in single numbers: `before(id)` is the place of the one before
+    that of an id, `following(id, before)` the place, the ends and the weight of this."""
+
+    before: Callable[[Int[Array, ""]], Int[Array, ""]]
+    following: Callable[
+        [Int[Array, ""], Int[Array, ""]], tuple[Int[Array, ""], tuple[Point, Point], Array]
+    ]
+
+
 class Part(NamedTuple):
     """Curves of one kind: `curves(ids)` for ids below `total`; `size` is a static chunk of them.
 
     `homogeneous_of(ids)` is what the curves move with, differentiably. There are at most `most`, if
-    known; so many are found `at_a_time` within a kernel, None where that would be too large a one:
-    `together(ids)` are those of consecutive ids, the first of which is a multiple of that. They are
-    segments if `straight`, else arcs; `dtype` is the float type.
+    known; a kernel finds some `together`, or one after the other (`in_turn`): neither where that
+    would be too large a kernel. They are segments if `straight`, else arcs; `dtype` is the float
+    type.
     """
 
     curves: Callable[[Int[Array, "K"]], Curves]
@@ -35,8 +53,8 @@ class Part(NamedTuple):
     total: Int[Array, ""]
     size: int
     most: int | None
-    at_a_time: int | None
-    together: Callable[[Int[Array, "K"]], Curves]
+    together: Together | None
+    in_turn: InTurn | None
     straight: bool
     dtype: Any
 
@@ -154,8 +172,11 @@ class CurveList(NamedTuple):
 def _listing(part: Part) -> Callable[[Array, Array, Ordered], Ordered]:
     """Return the function that makes a list of curves from an id up to another, in one kernel if
     that is not too large."""
-    number = part.at_a_time
-    if number is None:
+    if part.in_turn is not None:
+        zero = jnp.int32(0)
+        before, following = part.in_turn
+        return _in_one_kernel(_listed_in_turn, (before, zero), (following, zero, zero))
+    if part.together is None:
         append = one_kernel(_appended)
 
         def by_chunks(begin: Array, end: Array, known: Ordered) -> Ordered:
@@ -163,10 +184,17 @@ def _listing(part: Part) -> Callable[[Array, Array, Ordered], Ordered]:
             return fold_curves(part, chunk, known, part.size, (begin, end))
 
         return by_chunks
-    # (A kernel is told all that it reads of.)
-    made = eqx.filter_closure_convert(part.together, jnp.zeros(number, jnp.int32))
+    number, curves = part.together
+    ids = jnp.zeros(number, jnp.int32)
+    return _in_one_kernel(partial(_listed, number), (curves, ids))
+
+
+def _in_one_kernel(listed: Callable[..., Ordered], *functions: tuple) -> Callable[..., Ordered]:
+    """Return `listed` of functions, each given with its arguments' like, as one kernel: it is told
+    all that they read of."""
+    made = [eqx.filter_closure_convert(*function) for function in functions]
     reads, rest = eqx.partition(made, eqx.is_array)
-    all_of = lambda reads, *more: _listed(number, eqx.combine(reads, rest), *more)
+    all_of = lambda reads, *more: listed(*eqx.combine(reads, rest), *more)
     return partial(one_kernel(all_of), reads)
 
 
@@ -204,3 +232,24 @@ def _listed(
 
     first = jnp.where(none, end, begin - begin % at_a_time)
     return jax.lax.while_loop(lambda s: s[0] < end, some, (first, known))[1]
+
+
+def _listed_in_turn(
+    before: Callable[[Array], Array],
+    following: Callable[[Array, Array], tuple[Array, tuple[Point, Point], Array]],
+    begin: Int[Array, ""],
+    end: Int[Array, ""],
+    known: Ordered,
+) -> Ordered:
+    """Return the same of segments that are found one after the other."""
+
+    def one(id, state):
+        place, known = state
+        place, ((x, y), (last_x, last_y)), weight = following(id, place)
+        up = last_y >= y
+        either = lambda a, b: jnp.where(up, a, b)
+        low, high = (either(x, last_x), either(y, last_y)), (either(last_x, x), either(last_y, y))
+        row = Ordered(jnp.stack(low), jnp.stack(high), either(1, -1), weight, None)
+        return place, jax.tree.map(lambda x, new: put(x, new, id - begin), known, row)
+
+    return jax.lax.fori_loop(begin, end, one, (before(begin), known))[1]

@@ -232,8 +232,8 @@ def _parts(moving: _Moving, still: _Still) -> list[Part]:
             s.total,
             min(CURVES_AT_A_TIME, s.most or CURVES_AT_A_TIME),
             s.most,
-            s.at_a_time,
             s.together,
+            s.in_turn,
             s.straight,
             film.eye.dtype,
         )
