@@ -8,18 +8,20 @@ import jax.numpy as jnp
 from jaxtyping import Array, Num
 
 
-def least(x: Num[Array, "*#K"], y: Num[Array, "*#K"] | float) -> Num[Array, "*K"]:
+def least(x: Num[Array, "*#K"], y: Num[Array, "*#K"] | int | float) -> Num[Array, "*K"]:
     """Return the smaller one."""
     return jnp.where(x < y, x, y)
 
 
-def most(x: Num[Array, "*#K"], y: Num[Array, "*#K"] | float) -> Num[Array, "*K"]:
+def most(x: Num[Array, "*#K"], y: Num[Array, "*#K"] | int | float) -> Num[Array, "*K"]:
     """Return the larger one."""
     return jnp.where(x > y, x, y)
 
 
 def within(
-    x: Num[Array, "*#K"], low: Num[Array, "*#K"] | float, high: Num[Array, "*#K"] | float
+    x: Num[Array, "*#K"],
+    low: Num[Array, "*#K"] | int | float,
+    high: Num[Array, "*#K"] | int | float,
 ) -> Num[Array, "*K"]:
     """Return x, or the bound that it is beyond."""
     return least(most(x, low), high)

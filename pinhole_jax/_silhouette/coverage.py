@@ -188,18 +188,18 @@ def in_pixel(
     m: Monotone, own: InRow, along: Int[Array, "*K"], curve: Int[Array, "*K"], valid: Array, W
 ) -> Pieces:
     """Return the pieces of curves that are the `along`-th in their row."""
-    start, end = entry(m, own, along), exit_(m, own, along)
+    start, end = entered_at(m, own, along), left_at(m, own, along)
     return piece_between(m, own, along, (start, end), curve, valid, W)
 
 
-def entry(m: Monotone, own: InRow, along: Int[Array, "*K"]) -> Point:
+def entered_at(m: Monotone, own: InRow, along: Int[Array, "*K"]) -> Point:
     """Return where curves come into the `along`-th pixel of their row."""
     column = own.column(along)
     side = (column + jnp.where(own.goes_right, 0, 1)).astype(own.x0.dtype)
     return _on_side(m, own, column == own.c0, (own.x0, own.y0), side)
 
 
-def exit_(m: Monotone, own: InRow, along: Int[Array, "*K"]) -> Point:
+def left_at(m: Monotone, own: InRow, along: Int[Array, "*K"]) -> Point:
     """Return where curves go out of the `along`-th pixel of their row."""
     column = own.column(along)
     side = (column + jnp.where(own.goes_right, 1, 0)).astype(own.x0.dtype)

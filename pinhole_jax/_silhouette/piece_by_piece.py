@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._numerics.one_kernel import one_kernel
 from .asked import WORD, Asked, Drawn, Pixels, Sums, judged, words_in_row
-from .coverage import Monotone, Pieces, between, exit_, on_line, piece_between, rows_of, taken
+from .coverage import Monotone, Pieces, between, left_at, on_line, piece_between, rows_of, taken
 from .marks import drops, marks, winding_jumps
 from .parts import LEAST, CurveList, Ordered
 
@@ -100,12 +100,12 @@ def walked(
             def of_pixel(state):
                 along, ends, total = state
                 piece = piece_between(m, own, along, ends, k, jnp.array(True), W)
-                after = ends[1], exit_(m, own, along + 1)
+                after = ends[1], left_at(m, own, along + 1)
                 return along + 1, after, add(total, k, m, piece)
 
             # (What is in a loop's state is worked out once, not for each that asks.)
             along = jnp.int32(0)
-            start = along, (low, exit_(m, own, along)), total
+            start = along, (low, left_at(m, own, along)), total
             total = jax.lax.while_loop(lambda s: s[0] <= own.further, of_pixel, start)[2]
             return row + 1, high, total
 
