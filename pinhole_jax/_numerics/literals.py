@@ -71,7 +71,7 @@ class _Folding:
     def _sum(self, eqn: JaxprEqn) -> JaxprEqn:
         """Return a step that adds a number, or takes one away, as one that adds; a whole number at
         once with the one before it."""
-        x, y = eqn.invars
+        x, y = list[Any](eqn.invars)
         number = np.asarray(y.val).astype(y.aval.dtype)
         number = np.negative(number) if eqn.primitive is sub_p else number
         whole = number.dtype.kind in "iu" and not isinstance(x, Literal)
