@@ -6,6 +6,7 @@ these have in place of a function is not used, but tracing it takes as long.
 
 from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 from typing import Any
 
 import jax
@@ -14,6 +15,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 from jaxtyping import PyTree
 
+from .literals import tidied
 from .one_kernel import for_cpus, is_for_cpus
 
 
@@ -58,4 +60,5 @@ def _batch(args, dims, *, function, shapes):
 _later_p.def_impl(_impl)
 _later_p.def_abstract_eval(_abstract)
 batching.primitive_batchers[_later_p] = _batch
-mlir.register_lowering(_later_p, mlir.lower_fun(_impl, multiple_results=True))
+_lowered = lambda *args, **params: tidied(partial(_impl, **params))(*args)
+mlir.register_lowering(_later_p, mlir.lower_fun(_lowered, multiple_results=True))

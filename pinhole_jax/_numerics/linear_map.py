@@ -6,6 +6,7 @@ is a sum over a dynamic number of terms runs under `jvp`, `vjp`, `jacfwd`, `jacr
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -16,6 +17,7 @@ from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, PyTree
 
 from .batches import in_turn
+from .literals import tidied
 from .one_kernel import by_machine, for_this_machine
 from .tracing import collector_at_rest
 
@@ -166,4 +168,5 @@ _linear_map_p.def_abstract_eval(_abstract)
 ad.primitive_jvps[_linear_map_p] = _jvp
 ad.primitive_transposes[_linear_map_p] = _transpose
 batching.primitive_batchers[_linear_map_p] = _batch
-mlir.register_lowering(_linear_map_p, mlir.lower_fun(_impl, multiple_results=True))
+_lowered = lambda *args, **params: tidied(partial(_impl, **params))(*args)
+mlir.register_lowering(_linear_map_p, mlir.lower_fun(_lowered, multiple_results=True))

@@ -15,6 +15,7 @@ from jax.flatten_util import ravel_pytree
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float, Int, Num, PyTree
 
+from .literals import folded, tidied
 from .safe import times
 
 T = TypeVar("T")
@@ -159,7 +160,7 @@ def _with_what_it_uses(function: Callable, arguments: tuple) -> tuple[Callable, 
     leaves, tree = jax.tree.flatten(arguments)
     flat = lambda *leaves: function(*tree.unflatten(leaves))
     traced, out = jax.make_jaxpr(flat, return_shape=True)(*leaves)
-    short, used = dce_jaxpr(traced.jaxpr, [True] * len(traced.jaxpr.outvars))
+    short, used = dce_jaxpr(folded(traced.jaxpr), [True] * len(traced.jaxpr.outvars))
     program = jaxpr_as_fun(ClosedJaxpr(short, traced.consts))
     return program, list(itertools.compress(leaves, used)), jax.tree.structure(out).unflatten
 
@@ -231,6 +232,6 @@ def one_by_one(function: Callable[[], T]) -> T:
 
     @jax.custom_batching.sequential_vmap
     def call(arrays: Any) -> Any:
-        return eqx.combine(arrays, rest)()
+        return tidied(lambda arrays: eqx.combine(arrays, rest)())(arrays)
 
     return call(jax.lax.stop_gradient(arrays))
