@@ -175,7 +175,7 @@ def loss_of(image, scene):
 
 def both_of(loss, values):
     """Return a program of a loss and its gradient: one compiles sooner than two."""
-    return program(jax.value_and_grad(loss, argnums=tuple(range(len(values)))))
+    return jax.jit(jax.value_and_grad(loss, argnums=tuple(range(len(values)))))
 
 
 @pytest.mark.parametrize("image", first(1, [pj.depth, pj.normals]))
@@ -212,7 +212,7 @@ def test_forward_and_reverse_agree(image, scene):
     loss, values = loss_of(image, scene)
     random = np.random.default_rng(2)
     directions = tuple(jnp.asarray(random.normal(size=x.shape)) for x in values)
-    _, forward = program(lambda v, d: jax.jvp(loss, v, d))(values, directions)
+    _, forward = jax.jit(lambda v, d: jax.jvp(loss, v, d))(values, directions)
     _, reverse = both_of(loss, values)(*values)
     products = [
         np.sum(np.asarray(a) * np.asarray(b)) for a, b in zip(reverse, directions, strict=True)

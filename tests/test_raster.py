@@ -205,10 +205,10 @@ def test_derivatives_are_those_of_the_rays():
         return jnp.sum(jnp.where(hit.primitive >= 0, hit.t * weight, 0)) + jnp.sum(hit.normal**3)
 
     at = jnp.array([0.3, 1.0, 5.0]), mesh.vertices
-    slopes = program(jax.grad(loss, argnums=(1, 2)), static_argnums=0)
+    slopes = jax.jit(jax.grad(loss, argnums=(1, 2)), static_argnums=0)
     drawn, searched = slopes(False, *at), slopes(True, *at)
     along = jax.tree.map(lambda x: jnp.sin(jnp.arange(x.size, dtype=x.dtype)).reshape(x.shape), at)
-    _, forward = program(lambda x, d: jax.jvp(lambda *x: loss(False, *x), x, d))(at, along)
+    _, forward = jax.jit(lambda x, d: jax.jvp(lambda *x: loss(False, *x), x, d))(at, along)
     for a, b in zip(drawn, searched, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-11)
     np.testing.assert_allclose(
