@@ -180,14 +180,14 @@ def test_exact_runs_cost_exactly_nothing_in_float32():
     assert float(rest) == 0
 
 
-def test_too_small_a_capacity_is_never_silent():
+@pytest.mark.parametrize("short", first(1, [(Capacity(8, 1024, 0),), (Capacity(256, 16, 0),)]))
+def test_too_small_a_capacity_is_never_silent(short):
     camera, scene, target, weight = setting()
     data, levels = pyramid(target, weight, float)
-    for short in (Capacity(8, 1024, 0), Capacity(256, 16, 0)):
-        (r, rest), _, load, _ = residuals(canonical(camera), scene, data, levels[-1], short)
-        assert not bool(load.fits(short))
-        assert np.all(np.isnan(r))
-        assert np.isnan(rest)
+    (r, rest), _, load, _ = residuals(canonical(camera), scene, data, levels[-1], short)
+    assert not bool(load.fits(short))
+    assert np.all(np.isnan(r))
+    assert np.isnan(rest)
 
 
 def test_the_finest_level_alone_is_the_one_of_all():
