@@ -99,6 +99,6 @@ def _side_by_side(moved, bounds, moves, table):
     table = table.reshape(-1, moves.shape[0])
     for way, pieces in zip(moved, bounds, strict=True):
         columns = np.ndindex(way.shape[2:])
-        parts = [pieces.flux[:, i, j] * way[:, :, i, j][:, pieces.curve] for i, j in columns]
+        parts = [pieces.flux[None, :, i, j] * way[:, :, i, j][:, pieces.curve] for i, j in columns]
         table = table.at[:, pieces.slot].add(functools.reduce(jnp.add, parts), mode="drop")
     return jnp.where(moves, table, 0).reshape(-1)
