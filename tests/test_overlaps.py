@@ -18,7 +18,7 @@ from slopes import both_ways
 
 import pinhole_jax as pj
 from pinhole_jax._scene.scene import with_vertices
-from pinhole_jax._silhouette import in_turn, overlaps
+from pinhole_jax._silhouette import asked, in_turn, overlaps
 from pinhole_jax._silhouette.silhouette import _silhouette, _stops
 
 pytestmark = pytest.mark.altered
@@ -295,6 +295,18 @@ def test_what_there_is_no_room_for_is_resolved_all_the_same(way, monkeypatch):
         camera = pj.Camera([0, 0, distance], [0, 0, 0], [0, 1, 0], 0.3, W=5, H=way)
         expected = mesh_coverage(camera, vertices, faces)
         np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-8)
+
+
+@pytest.mark.long
+def test_corners_that_there_is_no_room_for_are_added_up(monkeypatch):
+    """The winding numbers at pixels' corners, of which so many words are kept."""
+    monkeypatch.setattr(asked, "CORNERS", 2)
+    jax.clear_caches()
+    vertices, faces = rough(3, 0.6)
+    for camera in cameras(3):
+        expected = mesh_coverage(camera, vertices, faces)
+        image = pj.silhouette(camera, filled(vertices, faces))
+        np.testing.assert_allclose(image, expected, atol=1e-9)
 
 
 @pytest.mark.long

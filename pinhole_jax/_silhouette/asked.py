@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
@@ -11,6 +12,8 @@ from .parts import Part
 
 #: Pixels in a word of bits.
 WORD = 32
+#: Corners of pixels are kept of so many words: of all they would be as much as a large film.
+CORNERS = 1 << 12
 
 
 class Asked(NamedTuple):
@@ -25,6 +28,39 @@ class Asked(NamedTuple):
     deep: float | None
 
 
+class Corners(NamedTuple):
+    """Winding numbers at pixels' lower left corners, of words in which pixels overlap: `of_word`
+    says in which row of 32 of a table they are; so many rows are `used`, if there is room."""
+
+    of_word: Int[Array, "words"]
+    table: Float[Array, "numbers"]
+    used: Int[Array, ""]
+
+    @staticmethod
+    def empty(words: int, real: Any) -> "Corners":
+        """Return room for some of so many words."""
+        rows = min(words, CORNERS) + 1  # what is in no row is written past the last one
+        return Corners(jnp.zeros(words, jnp.int32), jnp.zeros(rows * WORD, real), jnp.int32(0))
+
+    @property
+    def known(self) -> Bool[Array, ""]:
+        """Return whether there was room."""
+        return self.used * WORD < self.table.shape[0]
+
+    def with_word(
+        self, word: Int[Array, ""], corner: Float[Array, "32"], there: Bool[Array, ""]
+    ) -> "Corners":
+        """Return these with a word's, if they are `there`."""
+        put = lambda x, new, at: jax.lax.dynamic_update_slice(x, new, (at,))
+        of_word = put(self.of_word, self.used[None], word)
+        table = put(self.table, corner, self.used * WORD)
+        return Corners(of_word, table, self.used + there.astype(jnp.int32))
+
+    def at(self, index: Int[Array, ""]) -> Float[Array, ""]:
+        """Return a bit's."""
+        return self.table[self.of_word[index >> 5] * WORD + (index & 31)]
+
+
 class Drawn(NamedTuple):
     """A film; None is what is not asked for.
 
@@ -32,8 +68,7 @@ class Drawn(NamedTuple):
     - `alone`: which pixels one chain of contour crosses, or none (both from the top row down).
     - `overlapping`: which must be resolved, as bits; each row has whole words, from the bottom up.
     - `layers`: of each word, the sum of the layers of the pieces in these.
-    - `corner`: of each bit, if any of its word's is set, the winding number at its pixel's lower
-      left corner.
+    - `corners`: the winding numbers at these pixels' corners.
     - `winding`: the sum of these pixels' winding numbers (each the mean), less `deep` each.
     """
 
@@ -41,7 +76,7 @@ class Drawn(NamedTuple):
     alone: Bool[Array, "H W"] | None
     overlapping: UInt32[Array, "H words"] | None
     layers: Float[Array, "H words"] | None
-    corner: Float[Array, "H bits"] | None
+    corners: Corners | None
     winding: Float[Array, ""] | None
 
 

@@ -11,11 +11,11 @@ from jaxtyping import Array
 from .._camera.film import FilmMap
 from .._numerics.bitset import words_of
 from .._numerics.running import running_sum
-from .asked import WORD, Asked, Drawn, Sums, judged
+from .asked import WORD, Asked, Corners, Drawn, Sums, judged
 from .coverage import Pieces, monotone
 from .marks import drops, marks, winding_jumps
 from .overlaps import fold_pieces
-from .parts import fold_curves
+from .parts import LEAST, fold_curves
 
 #: Of a film of more pixels only the rows are looked at in which the scene may be seen.
 LARGE = 1 << 18
@@ -50,7 +50,10 @@ def drawn_in_vectors(asked: Asked) -> Drawn:
     depth = None if asked.deep is None else jnp.sum(summed(pixels.winding - asked.deep))
     up = lambda x: jnp.flip(x.reshape(H, -1), axis=0)
     layers = summed(sums.marks.layers)
-    return Drawn(pixels.image, alone, up(bits), up(layers), up(in_words(corner)), depth)
+    # (Pixels that are resolved side by side do not ask.)
+    none = Corners.empty(max(len(bits), LEAST), base.dtype)
+    corners = none._replace(used=jnp.int32(none.table.shape[0]))
+    return Drawn(pixels.image, alone, up(bits), up(layers), corners, depth)
 
 
 def _sums(asked: Asked) -> Sums:

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from .._numerics.bitset import Selection, rank_in
+from .._numerics.bitset import Selection, count_below, rank_in
 from .._numerics.bounds import least, most, within
 from .._numerics.one_kernel import one_kernel, put
 from .._numerics.safe import safe_divide
@@ -44,7 +44,8 @@ class Where(NamedTuple):
 
     `chosen` are its cells' places, rows of `width` bits, if it is the whole one; else all are. Of
     these the ones from number `first` on are listed, `number` of them, in the rows from `bottom` up
-    to `top`; `tiles` tell where these are, if it is the whole one. It has W columns and H rows.
+    to `top`; `tiles` tell where these are, if it is the whole one. It has W columns and H rows. The
+    winding numbers at their corners are known, or (`jumps` 1) added up.
     """
 
     scale: Float[Array, ""]
@@ -53,6 +54,7 @@ class Where(NamedTuple):
     words: Array
     before: Int[Array, "words"]
     total: Int[Array, ""]
+    jumps: Int[Array, ""]
     tiles: UInt32[Array, "tiles"]
     width: Int[Array, ""]
     first: Int[Array, ""]
@@ -71,6 +73,14 @@ class Where(NamedTuple):
         rank = rank_in(self._chosen, jnp.where(self.whole > 0, row * self.width + column, 0))
         own = jnp.where(rank < 0, -1, rank - self.first)
         return jnp.where(self.whole > 0, own, row * CUT + column)
+
+    def before_column(self, row: Int[Array, ""], column: Int[Array, ""]) -> Int[Array, ""]:
+        """Return how many of those that are listed come before a place (negative: so many before
+        the first)."""
+        index = jnp.where(self.whole > 0, row * self.width + column, 0)
+        inside = count_below(self._chosen, jnp.minimum(index, len(self.words) * 32 - 1))
+        upto = jnp.where(index >= len(self.words) * 32, self.total, inside)
+        return jnp.where(self.whole > 0, upto - self.first, row * CUT + column)
 
     def may_meet(self, m: Monotone, rows: Rows) -> Bool[Array, ""]:
         """Return whether a curve may meet cells that are listed, in these rows: of a short one the
@@ -126,8 +136,8 @@ class Listed(NamedTuple):
     - `piece`: what a sweep asks of a piece (see `Cells`), and an arc's frame.
     - `code`: its curve (times 2, plus its part's number); `after`: the next of its cell (-1: none).
     - `head`: of each cell, its first piece; `number`: how many it has.
-    - `jump`, `drop`: of each cell, sums of `winding_jumps` before it in its row (0 of a whole
-      film's pixels), and of `drops`.
+    - `jump`, `drop`: of each cell, sums of `winding_jumps` before it in its row (0 where corners
+      are known), and of `drops`.
     - `used`: how many pieces there are, with those that there is no room for.
     """
 
@@ -164,7 +174,7 @@ def _appended(
     def of_curve(k, listed):
         m = taken(curves, k).placed(where.scale, where.origin)
         rows = rows_of(m, where.top, where.bottom)
-        met = (m.curves.weight != 0) & where.may_meet(m, rows)
+        met = (m.curves.weight != 0) & ((where.jumps > 0) | where.may_meet(m, rows))
         code = 2 * (first + k) + part
 
         def of_row(state):
@@ -193,22 +203,21 @@ def _appended(
 
 
 def _with_jump(where: Where, m: Monotone, own: InRow, listed: Listed) -> Listed:
-    """Return lists with what a curve does to the winding number along the bottom of a row; of a
-    whole film's pixels it is known."""
-    # (Of its pieces in a row the first is asked: see `winding_jumps`.)
-    piece = in_pixel(m, own, jnp.int32(0), jnp.int32(0), jnp.array(True), where.W)
-    column = own.c0 + 1
-    counts = (where.whole == 0) & (column < where.W)
-    jump = jnp.where(counts, winding_jumps(piece), 0)
-    later = own.row * CUT + column
+    """Return lists with what a curve does to the winding number along the bottom of a row, if that
+    is added up."""
 
     def fill(state):
-        at, listed = state
-        more = put(listed.jump, listed.jump[at] + jump, at)
-        return jnp.int32(-1), listed._replace(jump=more)
+        _, listed = state
+        # (Of its pieces in a row the first is asked: see `winding_jumps`.)
+        piece = in_pixel(m, own, jnp.int32(0), jnp.int32(0), jnp.array(True), where.W)
+        later = jnp.maximum(where.before_column(own.row, own.c0 + 1), 0)
+        end = jnp.minimum(where.before_column(own.row + 1, jnp.int32(0)), where.number)
+        jump = jnp.where(later < end, winding_jumps(piece), 0)
+        at = jnp.minimum(later, jnp.maximum(where.number - 1, 0))
+        return jnp.int32(0), listed._replace(jump=put(listed.jump, listed.jump[at] + jump, at))
 
-    start = jnp.where(jump == 0, -1, later), listed
-    return jax.lax.while_loop(lambda s: s[0] >= 0, fill, start)[1]
+    adds = jnp.where(own.c0 + 1 < where.W, where.jumps, 0)
+    return jax.lax.while_loop(lambda s: s[0] > 0, fill, (adds, listed))[1]
 
 
 def _in_cell(
@@ -370,7 +379,7 @@ def swept(
     )
     seen = (zeros(N, 9 if arcs else 7), whole(N), whole(N)) if flux else (None,) * 3
     filled = zeros(C), whole(C), *seen
-    pick = where.number, where.whole, where.scale
+    pick = where.number, where.whole, where.scale, where.jumps
     # (The compiler aborts over what a kernel does not read.)
     places = row, at if flux else None, corner
     kernel = one_kernel(partial(_swept, manner))
@@ -378,7 +387,7 @@ def swept(
 
 
 def _swept(manner: Manner, listed, pick, places, base, last, stops, filled, room) -> Swept:
-    number, whole, scale = pick
+    number, whole, scale, jumps = pick
     rows, at, corners = places
     area, crowded, seen, code, place = filled
     zero, base = jnp.int32(0), base[0]
@@ -394,7 +403,7 @@ def _swept(manner: Manner, listed, pick, places, base, last, stops, filled, room
     def one(state):
         c, row, corner, swept, room = state
         corner = jnp.where(rows[c] == row, corner, base) + listed.jump[c]
-        corner = jnp.where(whole > 0, corners[c], corner)
+        corner = jnp.where(jumps > 0, corner, corners[c])
         own = listed.number[c]
         known = (corner - listed.drop[c] > 0.5) | (own == 0)
         many = ~known & ((own > MANY) | full)

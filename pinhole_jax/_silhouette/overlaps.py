@@ -31,6 +31,7 @@ from .._numerics.bitset import Selection, count_below, count_upto, nth, rank_in,
 from .._numerics.one_kernel import by_machine, one_by_one, one_kernel, put
 from .._numerics.running import running_sum
 from . import in_turn
+from .asked import Corners
 from .coverage import Monotone, Pieces, monotone, piece_counts, split
 from .curves import placed
 from .hidden import all_hidden
@@ -68,13 +69,12 @@ class Overlapping(NamedTuple):
     """Pixels to be resolved, `total` of them, row by row from the bottom, from left to right.
 
     `chosen` are their places, rows of `width` bits of a film of W x H pixels; `layers` how many
-    layers the pieces in each word's pixels have; `corner` the winding number at the lower left
-    corner of each bit's pixel.
+    layers the pieces in each word's pixels have; `corners` the winding numbers at the pixels'.
     """
 
     chosen: Selection
     layers: Float[Array, "words"]
-    corner: Float[Array, "bits"]
+    corners: Corners
     total: Int[Array, ""]
     width: int
     W: int
@@ -480,6 +480,7 @@ class _Next(NamedTuple):
             self.origin,
             self.whole,
             *overlapping.chosen,
+            jnp.where(overlapping.corners.known, 1 - self.whole, 1),
             self.tiles,
             jnp.int32(overlapping.width),
             first,
@@ -503,13 +504,13 @@ def _next_cells(
     size = tuple(jnp.int32(x) for x in film)
     kernel = one_kernel(partial(_cells_found, whole))
     chosen = overlapping.chosen._replace(total=overlapping.total)
-    return kernel(chosen, overlapping.corner, size, turn, cells, tiles)
+    return kernel(chosen, overlapping.corners, size, turn, cells, tiles)
 
 
 def _cells_found(
     whole_film: tuple[int, int, int],
     chosen: Selection,
-    corners: Float[Array, "bits"],
+    corners: Corners,
     size: tuple[Array, Array],
     turn: _Turn,
     cells: _CellsAt,
@@ -536,7 +537,7 @@ def _cells_found(
             put(at.y, jnp.where(whole, row.astype(dtype), y + own_y), k),
         )
         cells = _CellsAt(
-            put(rows, jnp.where(whole, row, own_row), k), at, put(corner, corners[index], k)
+            put(rows, jnp.where(whole, row, own_row), k), at, put(corner, corners.at(index), k)
         )
         return cells, in_turn.with_pixel(tiles, width, row, column)
 

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._numerics.one_kernel import one_kernel
-from .asked import WORD, Asked, Drawn, Pixels, Sums, judged, words_in_row
+from .asked import WORD, Asked, Corners, Drawn, Pixels, Sums, judged, words_in_row
 from .coverage import Monotone, Pieces, between, left_at, on_line, piece_between, rows_of, taken
 from .marks import drops, marks, winding_jumps
 from .parts import LEAST, CurveList, Ordered
@@ -164,7 +164,7 @@ class _Film(NamedTuple):
     alone: Bool[Array, "pixels"] | None
     overlapping: UInt32[Array, "words"] | None
     layers: Float[Array, "words"] | None
-    corner: Float[Array, "pixels"] | None
+    corners: Corners | None
     winding: Float[Array, ""] | None
 
     @staticmethod
@@ -178,18 +178,17 @@ class _Film(NamedTuple):
             return _Film(zeros, alone, None, None, None, None)
         winding = None if asked.deep is None else jnp.zeros((), real)
         bits, layers = jnp.zeros(number, jnp.uint32), jnp.zeros(number, real)
-        return _Film(zeros, alone, bits, layers, zeros, winding)
+        return _Film(zeros, alone, bits, layers, Corners.empty(number, real), winding)
 
     def whole(self, W: int, H: int) -> Drawn:
         """Return the film as rows."""
-        words, (image, alone, bits, layers, corner, winding) = words_in_row(W), self
+        words, (image, alone, bits, layers, corners, winding) = words_in_row(W), self
         pixels = lambda x: x[: H * words * WORD].reshape(H, -1)[:, :W]
         by_word = lambda x: x[: H * words].reshape(H, words)
         alone = None if alone is None else pixels(alone)
-        if bits is None or layers is None or corner is None:
+        if bits is None or layers is None:
             return Drawn(pixels(image), alone, None, None, None, None)
-        corner = corner[: H * words * WORD].reshape(H, -1)
-        return Drawn(pixels(image), alone, by_word(bits), by_word(layers), corner, winding)
+        return Drawn(pixels(image), alone, by_word(bits), by_word(layers), corners, winding)
 
     def with_word(self, pixels: Pixels, at: Int[Array, ""]) -> "_Film":
         """Return the film with the image of a word from a pixel on."""
@@ -206,7 +205,7 @@ class _Film(NamedTuple):
         deep: float,
     ) -> "_Film":
         """Return the film with a word's overlapping pixels."""
-        if self.overlapping is None or self.layers is None or self.corner is None:
+        if self.overlapping is None or self.layers is None or self.corners is None:
             return self
         inside = pixels.overlapping
         bits = jnp.where(inside, jnp.uint32(1) << jnp.arange(WORD, dtype=jnp.uint32), 0)
@@ -219,7 +218,7 @@ class _Film(NamedTuple):
         return self._replace(
             overlapping=put(self.overlapping, bits),
             layers=put(self.layers, jnp.where(inside, layers, 0)),
-            corner=jax.lax.dynamic_update_slice(self.corner, corner, (word * WORD,)),
+            corners=self.corners.with_word(word, corner, jnp.any(inside)),
             winding=winding,
         )
 

@@ -20,7 +20,7 @@ from .._numerics.linear_map import linear_map
 from .._numerics.one_kernel import by_machine, for_this_machine, one_by_one
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Mesh, Scene, Spheres, astype, check_view
-from .asked import WORD, Asked, Drawn, words_in_row
+from .asked import WORD, Asked, Corners, Drawn, words_in_row
 from .boundary import Seen, pulled, pushed
 from .contour import MeshContour
 from .covered import (
@@ -210,7 +210,7 @@ class _Pixels(NamedTuple):
     alone: Bool[Array, "H W"] | None
     overlapping: Selection
     layers: Float[Array, "words"]
-    corner: Float[Array, "bits"]
+    corners: Corners
     kept: list[Kept]
 
 
@@ -346,18 +346,16 @@ def _pixels(
     film, parts, things = moving.film, _parts(moving, still), _things(moving, still)
     base, resolves = still.view.base, still.overlap is not None
     asked = Asked(film, parts, base, resolves, keep, DEEP if things else None)
-    (image, alone, overlapping, layers, corner, depth), lists = draw(asked, still.view.rows)
-    if overlapping is None or layers is None or corner is None:
-        none = jnp.zeros(0, image.dtype)
-        return image, _Pixels(alone, selection(jnp.zeros(0, jnp.uint32)), none, none, [])
-    image, overlapping, layers, corner = (
-        x.reshape(-1) for x in (image, overlapping, layers, corner)
-    )
+    (image, alone, overlapping, layers, corners, depth), lists = draw(asked, still.view.rows)
+    if overlapping is None or layers is None or corners is None:
+        none, corners = jnp.zeros(0, image.dtype), Corners.empty(0, image.dtype)
+        return image, _Pixels(alone, selection(jnp.zeros(0, jnp.uint32)), none, corners, [])
+    image, overlapping, layers = (x.reshape(-1) for x in (image, overlapping, layers))
     if depth is not None:
         dear = worth(things, jnp.sum(layers), depth)
         image, overlapping = _without_covered(film, things, dear, image, overlapping)
     kept = [nothing_kept(part) for part in parts if keep]
-    pixels = _Pixels(alone, selection(overlapping), layers, corner, kept)
+    pixels = _Pixels(alone, selection(overlapping), layers, corners, kept)
 
     def add(total, resolved: Resolved):
         image, kept = total
@@ -400,8 +398,8 @@ def _without_covered(
 
 
 def _overlapping(film: FilmMap, pixels: _Pixels) -> Overlapping:
-    (_, chosen, layers, corner, _), width = pixels, words_in_row(film.W) * WORD
-    return Overlapping(chosen, layers, corner, chosen.total, width, film.W, film.H)
+    (_, chosen, layers, corners, _), width = pixels, words_in_row(film.W) * WORD
+    return Overlapping(chosen, layers, corners, chosen.total, width, film.W, film.H)
 
 
 def _fold_crowd(
