@@ -184,7 +184,7 @@ def _appended(
 
             def of_pixel(state):
                 along, listed = state
-                column = jnp.where(own.c1 >= own.c0, own.c0 + along, own.c0 - along)
+                column = own.column(along)
                 inside = (column >= 0) & (column < where.W)
                 cell = where.cell(row, jnp.clip(column, 0, where.W - 1))
                 there = inside & (cell >= 0) & (cell < where.number)

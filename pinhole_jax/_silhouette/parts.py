@@ -221,7 +221,6 @@ def _listed(
     known: Ordered,
 ) -> Ordered:
     """Return a list that begins with an id, with the curves up to another."""
-    none = begin >= end
 
     def some(state):
         first, known = state
@@ -230,7 +229,7 @@ def _listed(
         number = jnp.minimum(end - first, at_a_time)
         return first + at_a_time, _appended(curves, first - begin, known, number)
 
-    first = jnp.where(none, end, begin - begin % at_a_time)
+    first = jnp.where(begin >= end, end, begin - begin % at_a_time)
     return jax.lax.while_loop(lambda s: s[0] < end, some, (first, known))[1]
 
 
