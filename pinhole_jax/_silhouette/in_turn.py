@@ -33,7 +33,7 @@ from .sweep import sweepable
 MANY, AHEAD = 384, 2048
 #: A cell with more is cut into `CUT` x `CUT`.
 CUT = 16
-#: So many pieces of a cell are looked at for one that equals a new one.
+#: A piece that equals a new one is looked for at so many places of a table at most.
 LOOKS = 64
 #: Rows of pixels in a tile: a word of bits, which tell the columns that cells are in.
 TILE = 4
@@ -135,6 +135,7 @@ class Listed(NamedTuple):
 
     - `piece`: what a sweep asks of a piece (see `Cells`), and an arc's frame.
     - `code`: its curve (times 2, plus its part's number); `after`: the next of its cell (-1: none).
+    - `cell`: a piece's cell; `table`: pieces (plus 1) at places that they themselves tell.
     - `head`: of each cell, its first piece; `number`: how many it has.
     - `jump`, `drop`: of each cell, sums of `winding_jumps` before it in its row (0 where corners
       are known), and of `drops`.
@@ -144,6 +145,8 @@ class Listed(NamedTuple):
     piece: Float[Array, "N numbers"]
     code: Int[Array, "N"]
     after: Int[Array, "N"]
+    cell: Int[Array, "N"]
+    table: Int[Array, "T"]
     head: Int[Array, "C"]
     number: Int[Array, "C"]
     jump: Float[Array, "C"]
@@ -152,13 +155,13 @@ class Listed(NamedTuple):
 
     @staticmethod
     def empty(pieces: int, cells: int, arcs: bool, dtype: Any) -> "Listed":
-        """Return room for as many pieces in as many cells."""
+        """Return room for as many pieces (a power of 2) in as many cells."""
         whole = lambda n, value: jnp.full(n, value, jnp.int32)
         real = jnp.zeros(cells, dtype)
         table = jnp.zeros((pieces, 15 if arcs else 6), dtype)
-        none = whole(cells, -1)
         zeros = whole(pieces, 0)
-        return Listed(table, zeros, zeros, none, whole(cells, 0), real, real, jnp.int32(0))
+        owners = zeros, zeros, zeros, whole(2 * pieces, 0)
+        return Listed(table, *owners, whole(cells, -1), whole(cells, 0), real, real, jnp.int32(0))
 
     def append(
         self, where: Where, part: int, curves: Ordered, first: Int[Array, ""], number: Array
@@ -227,7 +230,7 @@ def _in_cell(
     cell, listed = state
     piece = in_pixel(m, own, along, code, jnp.array(True), where.W)
     row = jnp.stack(_row_of(piece, m, listed.piece.shape[1]))
-    old, head = _equal(cell, row, piece.curve, listed)
+    old, place, head = _equal(cell, row, piece.curve, listed)
     fresh, room = old < 0, listed.used < len(listed.code)
     new = fresh & room
     slot = jnp.where(fresh, jnp.minimum(listed.used, len(listed.code) - 1), old)
@@ -240,6 +243,8 @@ def _in_cell(
         piece=put(listed.piece, whole, slot),
         code=put(listed.code, jnp.where(new, piece.curve, listed.code[slot]), slot),
         after=put(listed.after, jnp.where(new, head, listed.after[slot]), slot),
+        cell=put(listed.cell, jnp.where(new, cell, listed.cell[slot]), slot),
+        table=put(listed.table, slot + 1, place),
         head=put(listed.head, jnp.where(new, slot, head), cell),
         number=put(listed.number, listed.number[cell] + one, cell),
         drop=put(listed.drop, listed.drop[cell] + drops(piece), cell),
@@ -260,32 +265,40 @@ def _row_of(piece: Pieces, m: Monotone, numbers: int) -> list[Array]:
     return row
 
 
-def _equal(cell: Array, row: Array, code: Array, listed: Listed) -> tuple[Array, Array]:
-    """Return the piece of a cell that equals another, -1 if none of its last ones does; and the
-    cell's first piece (read within the loop: else what it is read from is copied)."""
-
-    arcs = listed.piece.shape[1] > 6
-
-    def differs(state):
-        slot, _, _ = state
-        at = jnp.maximum(slot, 0)
-        own = _row(listed.piece, at)
-        other = (listed.code[at] ^ code) & 1 != 0 if arcs else jnp.bool_(False)
-        for k in range(5):
-            other |= own[k] != row[k]
-        return (slot == first) | ((slot >= 0) & other)
+def _equal(cell: Array, row: Array, code: Array, listed: Listed) -> tuple[Array, Array, Array]:
+    """Return the piece of a cell that equals another, -1 if none is found; its place in the table,
+    or that of the other; and the cell's first piece (read within the loop: else what it is read
+    from is copied)."""
+    arcs, last = listed.piece.shape[1] > 6, len(listed.table) - 1
 
     def one(state):
-        slot, looks, head = state
-        own = listed.head[cell]
-        begins = slot == first
-        following = jnp.where(begins, own, listed.after[jnp.maximum(slot, 0)])
-        slot = jnp.where(looks < LOOKS, following, -1)
-        return slot, looks + 1, jnp.where(begins, own, head)
+        place, looks, _, _, _ = state
+        slot = listed.table[place] - 1
+        at = jnp.maximum(slot, 0)
+        own = _row(listed.piece, at)
+        other = listed.cell[at] != cell
+        if arcs:
+            other |= (listed.code[at] ^ code) & 1 != 0
+        for k in range(5):
+            other |= own[k] != row[k]
+        ends = (slot < 0) | ~other | (looks >= LOOKS)
+        following = jnp.where(ends, place, (place + 1) & last)
+        return following, looks + 1, ends, jnp.where(other, -1, slot), listed.head[cell]
 
-    first = jnp.int32(-2)
-    slot, _, head = jax.lax.while_loop(differs, one, (first, jnp.int32(0), jnp.int32(-1)))
-    return slot, head
+    zero = jnp.int32(0)
+    start = _place(cell, row) & last, zero, jnp.array(False), zero - 1, zero - 1
+    place, _, _, slot, head = jax.lax.while_loop(lambda s: ~s[2], one, start)
+    return slot, place, head
+
+
+def _place(cell: Array, row: Array) -> Int[Array, ""]:
+    """Return a number that a cell and a piece's ends tell, well mixed (Fibonacci hashing)."""
+    mixed = cell.astype(jnp.uint32)
+    for end in (row[k] for k in range(4)):
+        bits = jax.lax.bitcast_convert_type(end.astype(jnp.float32), jnp.uint32)
+        mixed = (mixed ^ bits) * jnp.uint32(0x9E3779B1)
+        mixed = mixed ^ (mixed >> 15)
+    return (mixed >> 1).astype(jnp.int32)
 
 
 # --- cells ---------------------------------------------------------------------------------------
@@ -646,7 +659,7 @@ def _crossed(manner: Manner, own: Array, there: Array, line: _Line) -> tuple[_Li
 
     def one(state):
         k, ahead, lost, places = state
-        other = _row(table, _row(met, k))
+        other = _Row(table, _row(met, k))
         for u in _crossings(manner, own, other):
             ahead, lost, places = _with_crossing(there & (u > line.u), u, ahead, lost, places)
         return k + 1, ahead, lost, places
@@ -696,11 +709,11 @@ def _in_order(manner: Manner, reach, middle, line: _Line) -> _Line:
     def one(state):
         k, cuts, order = state
         number = _row(met, k)
-        own = _row(table, number)
+        own = _Row(table, number)
         v = _height(manner, own, middle)
         there = own[2] > reach
         place, order = jax.lax.while_loop(
-            lambda s: (s[0] > 0) & (_row(s[1], jnp.maximum(s[0] - 1, 0))[0] > v),
+            lambda s: (s[0] > 0) & (_Row(s[1], jnp.maximum(s[0] - 1, 0))[0] > v),
             lambda s: (s[0] - 1, put(s[1], _row(s[1], s[0] - 1), s[0])),
             (jnp.where(there, cuts, 0), order),
         )
@@ -732,9 +745,9 @@ def _covered(manner: Manner, turn, until, line: _Line) -> _Line:
 
     def one(state):
         k, below, area, end, shows, met, seen = state
-        v, number = (_row(line.room.order, k)[j] for j in range(2))
+        v, number = (_Row(line.room.order, k)[j] for j in range(2))
         number = number.astype(jnp.int32)
-        own = _row(line.room.line, number)
+        own = _Row(line.room.line, number)
         change = cover(below + own[5]) - cover(below)
         under, gain = v * width, [change * width, change * width * middle]
         if manner.arcs is not None:
@@ -873,6 +886,19 @@ def _unplaced(scale, at: At, flux: Float[Array, "9"], up: Array) -> Float[Array,
 
 def _one(there: Array) -> Array:
     return there.astype(jnp.int32)
+
+
+class _Row:
+    """A row of a table, whose numbers are read one by one."""
+
+    def __init__(self, table, k):
+        self.table, self.k = table, k.astype(jnp.uint32)
+
+    def __getitem__(self, j):
+        if isinstance(j, slice):
+            return jnp.stack([self[i] for i in range(*j.indices(self.table.shape[1]))])
+        at = self.k, jnp.uint32(j)
+        return jax.lax.dynamic_slice(self.table, at, (1, 1))[0, 0]
 
 
 def _row(x: Array, k: Int[Array, ""]) -> Array:

@@ -7,6 +7,7 @@ worked out side by side. To keep pieces in order from one stop to the next took 
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -47,10 +48,12 @@ def stopping(pixel: Pixel, seen: Seen, room: Stops) -> tuple[Seen, Stops]:
 
     A line that moves across the pieces, most of which are steep or are not, tells the area. What is
     seen of flat pieces is told by a line that moves to the right, of steep ones by one that moves
-    up.
+    up. Where the first sees nothing but cover, the second is left out.
     """
     none = jnp.zeros((), seen.length.dtype)
-    across, along = loop(pixel.number, lambda k, s: _reach(pixel, k, s), (none, none))
+    # (A piece on the pixel's side, all of which is covered, may be seen by the second alone.)
+    start = none, none, jnp.array(False)
+    across, along, twice = loop(pixel.number, lambda k, s: _reach(pixel, k, s), start)
     nothing = lambda k, s: tuple(put(x, 0, pixel.place(k)) for x in s)
     length, moment = loop(pixel.number, nothing, (seen.length, seen.moment))
 
@@ -59,15 +62,22 @@ def stopping(pixel: Pixel, seen: Seen, room: Stops) -> tuple[Seen, Stops]:
         up = (across < along) ^ (number == 1)
         room, layers = _listed(pixel, up, room)
         area, *shown = _seen(pixel, up, room, layers, seen)
-        return Seen(jnp.where(number == 0, area, seen.area), *shown), room
+        return number + 1, Seen(jnp.where(number == 0, area, seen.area), *shown), room
 
-    return loop(jnp.int32(2), turn, (Seen(seen.area, length, moment), room))
+    def goes_on(state):
+        number, seen, _ = state
+        return (number == 0) | ((number == 1) & ((seen.area < 1) | twice))
+
+    start = jnp.int32(0), Seen(seen.area, length, moment), room
+    return jax.lax.while_loop(goes_on, lambda s: turn(s[0], s[1:]), start)[1:]
 
 
-def _reach(pixel: Pixel, k: Array, reach: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return how far pieces reach along x and along y, with one more of them."""
+def _reach(pixel: Pixel, k: Array, reach: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Return how far pieces reach along x and along y, and whether one runs along either, with one
+    more of them."""
     row = pixel.row(k)
-    return reach[0] + jnp.abs(row[2] - row[0]), reach[1] + jnp.abs(row[3] - row[1])
+    dx, dy = (jnp.abs(row[k + 2] - row[k]) for k in (0, 1))
+    return reach[0] + dx, reach[1] + dy, reach[2] | (dx == 0) | (dy == 0)
 
 
 def _places(dtype: jnp.dtype) -> Float[Array, "S"]:
