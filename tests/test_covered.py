@@ -15,6 +15,7 @@ from pinhole_jax._silhouette.covered import faces_of, spheres_of, surely_covered
 pytestmark = pytest.mark.altered
 
 W, H, FACES = 40, 32, 4096
+ALL = jnp.full(H * 2, 0xFFFFFFFF, jnp.uint32)
 
 
 def loose(number, spread, size, seed=0):
@@ -75,11 +76,16 @@ def wide(camera):
     return jax.tree.map(lambda x: jnp.asarray(x, float), camera)
 
 
+def pixels(words):
+    """Return bits (each row in whole words, from the bottom up) as an image."""
+    bits = words.reshape(H, -1, 1) >> jnp.arange(32, dtype=jnp.uint32)[None, None] & 1
+    return jnp.flip(bits.reshape(H, -1)[:, :W] > 0, axis=0)
+
+
 @jax.jit
 def covered_by_faces(camera, vertices, faces):
     film = film_map(camera)
-    found = surely_covered(film, [faces_of(film, vertices, faces)], jnp.array(True))
-    return jnp.flip(found.reshape(H, W), axis=0)
+    return pixels(surely_covered(film, [faces_of(film, vertices, faces)], jnp.array(True), ALL))
 
 
 def filled(vertices, faces, dtype):
@@ -102,6 +108,21 @@ def test_no_pixel_is_called_covered_by_faces_that_is_not(mesh, dtype):
         given = wide(camera), vertices.astype(float), np.asarray(faces)[known]
         area = mesh_coverage(*given, only=found)
         assert np.all(area[found] > 1 - 1e-9)
+
+
+def test_of_pixels_that_are_asked_for_the_same_is_found():
+    """Few, some, most."""
+    camera, (vertices, faces) = camera_of(float), filled(*loose(FACES, 0.5, 0.2), float)
+    film = film_map(camera)
+    things = [faces_of(film, vertices, faces)]
+    found = jax.jit(lambda asked: surely_covered(film, things, jnp.array(True), asked))
+    every = np.asarray(found(ALL))
+    assert np.sum(pixels(jnp.asarray(every))) > 50
+    random = np.random.default_rng(0)
+    for few in (0.02, 0.3, 0.9):
+        bits = random.random((2 * H, 32)) < few
+        asked = np.packbits(bits, axis=1, bitorder="little").view(np.uint32)[:, 0]
+        np.testing.assert_array_equal(found(jnp.asarray(asked)), every & asked)
 
 
 def test_what_one_face_covers_or_two_side_by_side_is_found():
@@ -128,8 +149,7 @@ def test_no_pixel_is_called_covered_by_spheres_that_is_not():
     @jax.jit
     def covered(camera, spheres):
         film = film_map(camera)
-        found = surely_covered(film, [spheres_of(film, spheres)], jnp.array(True))
-        return jnp.flip(found.reshape(H, W), axis=0)
+        return pixels(surely_covered(film, [spheres_of(film, spheres)], jnp.array(True), ALL))
 
     # The same numbers in both types, as they are in the shorter one: the oracle takes long.
     camera = camera_of(np.float32, 4)
@@ -151,7 +171,7 @@ def test_nothing_is_called_covered_through_a_lens_that_bends_or_where_it_is_not_
     @jax.jit
     def covered(camera, worth):
         film = film_map(camera)
-        return surely_covered(film, [faces_of(film, vertices, faces)], worth)
+        return surely_covered(film, [faces_of(film, vertices, faces)], worth, ALL)
 
     for camera, worth in ((camera_of(float, lens=lens), True), (camera_of(float), False)):
         assert not np.any(covered(camera, jnp.array(worth)))
@@ -165,12 +185,13 @@ def test_masks_and_derivatives_are_the_same_whether_or_not_it_is_looked_for(monk
     camera, weight = camera_of(float), np.random.default_rng(2).normal(size=(H, W))
     passed, wanted = [], [True]
 
-    def looked(film, things, worth):
+    def looked(film, things, worth, asked):
         """Look for it, where that is wanted when the program runs: one program does both."""
-        found = surely_covered(film, things, worth)
-        jax.debug.callback(lambda n: passed.append(int(n)), jnp.sum(found))
+        found = surely_covered(film, things, worth, asked)
+        number = jnp.sum(jax.lax.population_count(found))
+        jax.debug.callback(lambda n: passed.append(int(n)), number)
         flag = jax.pure_callback(lambda: np.bool_(wanted[0]), jax.ShapeDtypeStruct((), bool))
-        return found & flag
+        return jnp.where(flag, found, 0)
 
     @jax.jit
     def both(camera):

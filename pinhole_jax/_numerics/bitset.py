@@ -183,3 +183,20 @@ def count_below(selection: Selection, index: Int[Array, "*K"]) -> Int[Array, "*K
 def bit(words: UInt32[Array, "words"], index: Int[Array, "*K"]) -> Bool[Array, "*K"]:
     """Return whether each index is in the set of the words' bits."""
     return (words[index >> 5] >> (index & 31).astype(jnp.uint32)) & 1 > 0
+
+
+def any_bit(
+    words: UInt32[Array, "words"],
+    begin: Int[Array, ""],
+    first: Int[Array, ""],
+    last: Int[Array, ""],
+) -> Bool[Array, ""]:
+    """Return whether some words, from one on, have bits between two (both counted), or these are
+    in more than two words."""
+    word = lambda k: words[jnp.clip(begin + (k >> 5), 0, len(words) - 1)]
+    ones = jnp.uint32(0xFFFFFFFF)
+    after = word(first) & (ones << (first & 31).astype(jnp.uint32))
+    upto = word(last) & (ones >> (31 - (last & 31)).astype(jnp.uint32))
+    same = (first >> 5) == (last >> 5)
+    found = jnp.where(same, after & upto, after | upto)
+    return ((last >> 5) - (first >> 5) > 1) | (found != 0)

@@ -131,3 +131,8 @@ def judged(
 def words_in_row(W: int) -> int:
     """Return how many words of bits a row of the film has."""
     return -(-W // WORD)
+
+
+def in_words(x: Array) -> Array:
+    """Return rows of pixels (H, W) as rows of words (H words, `WORD`), filled up with 0."""
+    return jnp.pad(x, ((0, 0), (0, -x.shape[1] % WORD))).reshape(-1, WORD)

@@ -10,26 +10,30 @@ Nothing is called covered that is not: rows and intervals are larger than what i
 rounding may move an outline.
 """
 
+import functools
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.film import FilmMap, film_points
-from .._numerics.bitset import count_upto
+from .._numerics.bitset import any_bit, count_upto, words_of
 from .._numerics.bounds import least, most, within
 from .._numerics.one_kernel import on_cpu, put
 from .._numerics.running import running_sum
 from .._numerics.safe import norm, safe_divide, safe_sqrt
 from .._scene.scene import Spheres
+from .asked import in_words, words_in_row
 from .curves import film_at, unit_at
 from .spheres import ARCS_PER_SPHERE, sphere_frames
 
 #: Things, and rows of them, looked at together.
 THINGS, ROWS = 1024, 4096
+#: What outlines begin with: lowest y, highest y, leftmost x, rightmost x.
+BOX = 4
 #: Into how many rows a pixel is cut, if there are no more of all pixels than this.
 FINE, ROOM = 4, 1 << 19
 #: Roundings that outlines may be off by, and how far off the film (in its sizes) things may reach.
@@ -46,7 +50,7 @@ MOST_THINGS = 1 << 23
 class Convex(NamedTuple):
     """Things that are convex on the film, `number` of them, all before the eye or not at all.
 
-    `outline(ids)` holds what their chords are worked out from, after the lowest and highest y;
+    `outline(ids)` holds what their chords are worked out from, after their `BOX`;
     `chords(outline, y)` where lines at two heights meet each, from and to.
     """
 
@@ -58,24 +62,28 @@ class Convex(NamedTuple):
 def faces_of(film: FilmMap, vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Convex:
     """Return a mesh's faces, from whichever side they are seen."""
 
+    # (Behind barriers: else each column of an outline would work them out anew.)
+    points = film_points(film, vertices)
+    x, y = (safe_divide(points[:, k], points[:, 2]) for k in (0, 1))
+    far = jnp.maximum(jnp.abs(x), jnp.abs(y)) >= REACH * (film.W + film.H)
+    y = jnp.where((points[:, 2] > 0) & ~far, y, jnp.nan)
+    x, y = jax.lax.optimization_barrier((x, y))
+
     def outline(ids):
-        points = film_points(film, vertices[faces[ids]])
-        xy, z = points[..., :2], points[..., 2]
-        xy = safe_divide(xy, z[..., None])
-        far = jnp.max(jnp.abs(xy), axis=(1, 2)) < REACH * (film.W + film.H)
-        there = jnp.all(z > 0, axis=1) & far
-        y = xy[..., 1]
-        high = jnp.where(there, jnp.max(y, axis=1), -1)
-        columns = jnp.min(y, axis=1), high, *(xy[:, k, i] for i in (0, 1) for k in range(3))
-        return jnp.stack(columns, axis=1)
+        corners = jax.lax.optimization_barrier(faces[ids])
+        xs, ys = ([v[corners[:, k]] for k in range(3)] for v in (x, y))
+        xs, ys = jax.lax.optimization_barrier((xs, ys))
+        low, high = (functools.reduce(f, ys) for f in (jnp.minimum, jnp.maximum))
+        left, right = (functools.reduce(f, xs) for f in (jnp.minimum, jnp.maximum))
+        return jnp.stack([low, jnp.where(jnp.isnan(high), -1, high), left, right, *xs, *ys], axis=1)
 
     return Convex(faces.shape[0], outline, _face_chords)
 
 
-def _face_chords(outline: Float[Array, "K 8"], y: Float[Array, "K 2"]) -> tuple[Array, Array]:
+def _face_chords(outline: Float[Array, "K 10"], y: Float[Array, "K 2"]) -> tuple[Array, Array]:
     first, last = jnp.full_like(y, jnp.inf), jnp.full_like(y, -jnp.inf)
     for k, m in ((0, 1), (1, 2), (2, 0)):
-        x0, x1, y0, y1 = (outline[:, c, None] for c in (2 + k, 2 + m, 5 + k, 5 + m))
+        x0, x1, y0, y1 = (outline[:, BOX + c, None] for c in (k, m, 3 + k, 3 + m))
         crosses = (least(y0, y1) <= y) & (y <= most(y0, y1))
         x = x0 + within(safe_divide(y - y0, y1 - y0), 0, 1) * (x1 - x0)
         first = jnp.where(crosses, least(first, x), first)
@@ -88,24 +96,28 @@ def spheres_of(film: FilmMap, spheres: Spheres) -> Convex:
 
     def outline(ids):
         frame = sphere_frames(film, spheres, ARCS_PER_SPHERE * ids)
-        z, y = frame[..., 2], frame[..., 1]
+        z = frame[..., 2]
         outside = norm(spheres.centers[ids] - film.eye[None]) > spheres.radii[ids]
         square = z[:, 0] * z[:, 0] - z[:, 1] * z[:, 1] - z[:, 2] * z[:, 2]
         there = outside & (z[:, 0] > 0) & (square > 0.01 * z[:, 0] * z[:, 0])
-        # Where lines touch the conic, from a height within it: nothing cancels.
-        middle = safe_divide(y[:, 0], z[:, 0])
-        y = y[:, 1:] - middle[:, None] * z[:, 1:]
-        along = -jnp.sum(y * z[:, 1:], axis=1)
-        half = safe_sqrt(along * along + square * jnp.sum(y * y, axis=1))
-        low, high = (middle + safe_divide(along + s * half, square) for s in (-1, 1))
-        high = jnp.where(there, high, -1)
-        return jnp.concatenate([low[:, None], high[:, None], frame.reshape(-1, 9)], axis=1)
+
+        def ends(axis):
+            # Where lines touch the conic, from a place within it: nothing cancels.
+            middle = safe_divide(frame[:, 0, axis], z[:, 0])
+            across = frame[:, 1:, axis] - middle[:, None] * z[:, 1:]
+            along = -jnp.sum(across * z[:, 1:], axis=1)
+            half = safe_sqrt(along * along + square * jnp.sum(across * across, axis=1))
+            return [middle + safe_divide(along + s * half, square) for s in (-1, 1)]
+
+        (low, high), (left, right) = ends(1), ends(0)
+        box = jnp.stack([low, jnp.where(there, high, -1), left, right], axis=1)
+        return jnp.concatenate([box, frame.reshape(-1, 9)], axis=1)
 
     return Convex(spheres.radii.shape[0], outline, _sphere_chords)
 
 
-def _sphere_chords(outline: Float[Array, "K 11"], y: Float[Array, "K 2"]) -> tuple[Array, Array]:
-    frame = jnp.repeat(outline[:, 2:].reshape(-1, 1, 3, 3), 2, axis=1)
+def _sphere_chords(outline: Float[Array, "K 13"], y: Float[Array, "K 2"]) -> tuple[Array, Array]:
+    frame = jnp.repeat(outline[:, BOX:].reshape(-1, 1, 3, 3), 2, axis=1)
     ends = [film_at(frame, unit_at(frame, 1, y, jnp.full_like(y, s)))[..., 0] for s in (-1, 1)]
     return least(*ends), most(*ends)
 
@@ -119,25 +131,25 @@ class _Rows(NamedTuple):
 
 
 def surely_covered(
-    film: FilmMap, things: list[Convex], worth: Bool[Array, ""]
-) -> Bool[Array, "HW"]:
-    """Return pixels, from the bottom row up, that things cover wholly; none if it is not `worth`
-    it: then nothing is gone through."""
+    film: FilmMap, things: list[Convex], worth: Bool[Array, ""], asked: UInt32[Array, "words"]
+) -> UInt32[Array, "words"]:
+    """Return pixels that things cover wholly, of those that are `asked` for (as bits, each row in
+    whole words, from the bottom up); none if it is not `worth` it: then nothing is gone through."""
     fine = max(min(FINE, ROOM // (film.W * film.H)), 1)
     H, W, dtype = film.H * fine, film.W, film.eye.dtype
-    none = jnp.zeros(film.H * W, bool)
     things = [x for x in things if x.number < MOST_THINGS]
     if film.bend is not None or not things:
-        return none  # what is seen through a lens that bends is not convex
+        return jnp.zeros_like(asked)  # what is seen through a lens that bends is not convex
 
     N = H * (W + 1)
     rows = _Rows(jnp.zeros(N, dtype), jnp.zeros(2 * N, dtype))
     for kind in things:
-        rows = _drawn(film, kind, H, fine, rows, worth)
+        rows = _drawn(film, kind, H, fine, rows, worth, asked)
     shaped = lambda x: x.reshape(-1, H, W + 1)[..., :W]
     whole = running_sum(shaped(rows.more)[0]) > 0.5
     left, right = shaped(rows.sides)
-    return jnp.all((whole | (left + right >= 1)).reshape(film.H, fine, W), axis=1).reshape(-1)
+    found = jnp.all((whole | (left + right >= 1)).reshape(film.H, fine, W), axis=1)
+    return asked & words_of(in_words(found))
 
 
 def _slack(film: FilmMap) -> Float[Array, ""]:
@@ -147,7 +159,13 @@ def _slack(film: FilmMap) -> Float[Array, ""]:
 
 
 def _drawn(
-    film: FilmMap, kind: Convex, H: int, fine: int, rows: _Rows, worth: Bool[Array, ""]
+    film: FilmMap,
+    kind: Convex,
+    H: int,
+    fine: int,
+    rows: _Rows,
+    worth: Bool[Array, ""],
+    asked: UInt32[Array, "words"],
 ) -> _Rows:
     """Return the rows with all things of a kind."""
     slack = _slack(film)
@@ -163,7 +181,7 @@ def _drawn(
         after = jnp.where(ids < kind.number, after, 0)
         table = jax.lax.optimization_barrier(outline)
         of_each, of_all = (partial(f, kind.chords, size) for f in (_of_each, _of_all))
-        rows = on_cpu(of_each, first, after, table, slack, rows, elsewhere=of_all)
+        rows = on_cpu(of_each, first, after, table, asked, slack, rows, elsewhere=of_all)
         return begin + THINGS, rows
 
     number = jnp.where(worth, kind.number, 0)
@@ -190,17 +208,26 @@ def _chord(
 
 
 def _of_each(
-    chords: Callable, size: _Size, first: Array, after: Array, table: Array, slack, rows: _Rows
+    chords: Callable, size: _Size, first: Array, after: Array, table: Array, asked, slack, rows
 ) -> _Rows:
-    """Return the rows with things' intervals, one after the other."""
+    """Return the rows with things' intervals, one after the other, where pixels are asked for."""
+    words = words_in_row(size.W)
 
     def of_thing(k, rows):
         outline = jax.lax.dynamic_slice_in_dim(table, k, 1)
+        column = lambda x: jnp.clip(x, 0, size.W - 1).astype(jnp.int32)
+        ends = column(outline[0, 2] - slack), column(outline[0, 3] + slack)
 
         def of_row(state):
             row, rows = state
-            left, right = _chord(chords, size, outline, row[None], slack)
-            return row + 1, _with_interval(rows, row * (size.W + 1), left[0], right[0])
+
+            def add(state):
+                left, right = _chord(chords, size, outline, row[None], slack)
+                rows = _with_interval(state[1], row * (size.W + 1), left[0], right[0])
+                return jnp.array(False), rows
+
+            wanted = any_bit(asked, row // size.fine * words, *ends)
+            return row + 1, jax.lax.while_loop(lambda s: s[0], add, (wanted, rows))[1]
 
         return jax.lax.while_loop(lambda s: s[0] < after[k], of_row, (first[k], rows))[1]
 
@@ -223,9 +250,10 @@ def _with_interval(rows: _Rows, begin: Array, left: Array, right: Array) -> _Row
 
 
 def _of_all(
-    chords: Callable, size: _Size, first: Array, after: Array, table: Array, slack, rows: _Rows
+    chords: Callable, size: _Size, first: Array, after: Array, table: Array, asked, slack, rows
 ) -> _Rows:
     """Return the rows with things' intervals, as vectors of these."""
+    del asked
     number = jnp.maximum(after - first, 0)
     upto = running_sum(number)
     before = upto - number

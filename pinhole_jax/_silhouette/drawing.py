@@ -6,12 +6,11 @@ are added up as vectors, and the passes over the film after it are vectors, too.
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from .._camera.film import FilmMap
 from .._numerics.bitset import words_of
 from .._numerics.running import running_sum
-from .asked import WORD, Asked, Corners, Drawn, Sums, judged
+from .asked import WORD, Asked, Corners, Drawn, Sums, in_words, judged
 from .coverage import Pieces, monotone
 from .marks import drops, marks, winding_jumps
 from .overlaps import fold_pieces
@@ -19,11 +18,6 @@ from .parts import LEAST, fold_curves
 
 #: Of a film of more pixels only the rows are looked at in which the scene may be seen.
 LARGE = 1 << 18
-
-
-def in_words(x: Array) -> Array:
-    """Return rows of pixels (H, W) as rows of words (H words, `WORD`), filled up with 0."""
-    return jnp.pad(x, ((0, 0), (0, -x.shape[1] % WORD))).reshape(-1, WORD)
 
 
 def is_large(film: FilmMap) -> bool:

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from .._numerics.bitset import Selection, count_below, rank_in
+from .._numerics.bitset import Selection, any_bit, count_below, rank_in
 from .._numerics.bounds import least, most, within
 from .._numerics.one_kernel import one_kernel, put
 from .._numerics.safe import safe_divide
@@ -107,13 +107,7 @@ class Where(NamedTuple):
     def _any(self, words: Array, row: Array, left: Array, right: Array) -> Bool[Array, ""]:
         """Return whether a row of words has bits from one column up to another, or reaches over
         more than two words there."""
-        first, last, begin = left >> 5, right >> 5, row * (self.width >> 5)
-        word = lambda k: words[jnp.clip(begin + k, 0, len(words) - 1)]
-        ones = jnp.uint32(0xFFFFFFFF)
-        after = word(first) & (ones << (left & 31).astype(jnp.uint32))
-        upto = word(last) & (ones >> (31 - (right & 31)).astype(jnp.uint32))
-        found = jnp.where(first == last, after & upto, after | upto)
-        return (last - first > 1) | (found != 0)
+        return any_bit(words, row * (self.width >> 5), left, right)
 
 
 def tiles_of(width: int, H: int) -> int:
@@ -659,7 +653,7 @@ def _crossed(manner: Manner, own: Array, there: Array, line: _Line) -> tuple[_Li
 
     def one(state):
         k, ahead, lost, places = state
-        other = _Row(table, _row(met, k))
+        other = _row(table, _row(met, k))
         for u in _crossings(manner, own, other):
             ahead, lost, places = _with_crossing(there & (u > line.u), u, ahead, lost, places)
         return k + 1, ahead, lost, places
@@ -709,11 +703,11 @@ def _in_order(manner: Manner, reach, middle, line: _Line) -> _Line:
     def one(state):
         k, cuts, order = state
         number = _row(met, k)
-        own = _Row(table, number)
+        own = _row(table, number)
         v = _height(manner, own, middle)
         there = own[2] > reach
         place, order = jax.lax.while_loop(
-            lambda s: (s[0] > 0) & (_Row(s[1], jnp.maximum(s[0] - 1, 0))[0] > v),
+            lambda s: (s[0] > 0) & (_row(s[1], jnp.maximum(s[0] - 1, 0))[0] > v),
             lambda s: (s[0] - 1, put(s[1], _row(s[1], s[0] - 1), s[0])),
             (jnp.where(there, cuts, 0), order),
         )
@@ -745,9 +739,9 @@ def _covered(manner: Manner, turn, until, line: _Line) -> _Line:
 
     def one(state):
         k, below, area, end, shows, met, seen = state
-        v, number = (_Row(line.room.order, k)[j] for j in range(2))
+        v, number = (_row(line.room.order, k)[j] for j in range(2))
         number = number.astype(jnp.int32)
-        own = _Row(line.room.line, number)
+        own = _row(line.room.line, number)
         change = cover(below + own[5]) - cover(below)
         under, gain = v * width, [change * width, change * width * middle]
         if manner.arcs is not None:
@@ -886,19 +880,6 @@ def _unplaced(scale, at: At, flux: Float[Array, "9"], up: Array) -> Float[Array,
 
 def _one(there: Array) -> Array:
     return there.astype(jnp.int32)
-
-
-class _Row:
-    """A row of a table, whose numbers are read one by one."""
-
-    def __init__(self, table, k):
-        self.table, self.k = table, k.astype(jnp.uint32)
-
-    def __getitem__(self, j):
-        if isinstance(j, slice):
-            return jnp.stack([self[i] for i in range(*j.indices(self.table.shape[1]))])
-        at = self.k, jnp.uint32(j)
-        return jax.lax.dynamic_slice(self.table, at, (1, 1))[0, 0]
 
 
 def _row(x: Array, k: Int[Array, ""]) -> Array:

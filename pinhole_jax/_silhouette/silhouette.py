@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.camera import Camera, film_at_once
 from .._camera.film import FilmMap
-from .._numerics.bitset import Selection, selection, words_of
+from .._numerics.bitset import Selection, selection
 from .._numerics.jitted import jitted
 from .._numerics.later import later
 from .._numerics.linear_map import linear_map
@@ -35,7 +35,7 @@ from .covered import (
 )
 from .curve_sets import Found, edge_curves, find, joined, outline_curves
 from .distorted import Cuts
-from .drawing import drawn_in_vectors, in_words, is_large
+from .drawing import drawn_in_vectors, is_large
 from .overlaps import (
     Kept,
     Overlapping,
@@ -383,8 +383,7 @@ def _without_covered(
 
     def once(state):
         worth, image, overlapping = state
-        found = surely_covered(film, things, worth).reshape(film.H, film.W)
-        covered = overlapping & words_of(in_words(found))
+        covered = surely_covered(film, things, worth, overlapping)
         chosen = selection(covered)
         bits = words_in_row(film.W) * WORD
         one = lambda image, index, there: image.at[
