@@ -155,7 +155,7 @@ def test_intervals_hold_for_masks_that_waver(scene, image):
     assert np.mean(independent < 1.96) < 0.5  # what they would be without
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_intervals_hold_as_often_as_they_say(scene, image, exhaustive):
     stated, _ = intervals(scene, image, range(3, 63 if exhaustive else 11))
     assert 0.9 < np.mean(stated < 1.96) < 0.99

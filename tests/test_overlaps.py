@@ -520,7 +520,7 @@ def told(mixed, board):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("stops", [None, 16])
+@pytest.mark.parametrize("stops", [16, pytest.param(None, marks=pytest.mark.full)])
 def test_pixels_in_turn_are_what_they_are_side_by_side(told, monkeypatch, stops):
     one = told(stops, "in turn")
     resolve_side_by_side(monkeypatch)

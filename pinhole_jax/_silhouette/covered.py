@@ -50,34 +50,38 @@ MOST_THINGS = 1 << 23
 class Convex(NamedTuple):
     """Things that are convex on the film, `number` of them, all before the eye or not at all.
 
-    `outline(ids)` holds what their chords are worked out from, after their `BOX`;
+    `outlines()(ids)` holds what their chords are worked out from, after their `BOX` (the first call
+    works out what is asked for again and again: it costs nothing where nobody asks);
     `chords(outline, y)` where lines at two heights meet each, from and to.
     """
 
     number: int
-    outline: Callable[[Int[Array, "K"]], Float[Array, "K n"]]
+    outlines: Callable[[], Callable[[Int[Array, "K"]], Float[Array, "K n"]]]
     chords: Callable[[Float[Array, "K n"], Float[Array, "K 2"]], tuple[Array, Array]]
 
 
 def faces_of(film: FilmMap, vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Convex:
     """Return a mesh's faces, from whichever side they are seen."""
 
-    # (Behind barriers: else each column of an outline would work them out anew.)
-    points = film_points(film, vertices)
-    x, y = (safe_divide(points[:, k], points[:, 2]) for k in (0, 1))
-    far = jnp.maximum(jnp.abs(x), jnp.abs(y)) >= REACH * (film.W + film.H)
-    y = jnp.where((points[:, 2] > 0) & ~far, y, jnp.nan)
-    x, y = jax.lax.optimization_barrier((x, y))
+    def outlines():
+        points = film_points(film, vertices)
+        x, y = (safe_divide(points[:, k], points[:, 2]) for k in (0, 1))
+        far = jnp.maximum(jnp.abs(x), jnp.abs(y)) >= REACH * (film.W + film.H)
+        y = jnp.where((points[:, 2] > 0) & ~far, y, jnp.nan)
+        # (Behind barriers: else each column of an outline would work them out anew.)
+        x, y = jax.lax.optimization_barrier((x, y))
 
-    def outline(ids):
-        corners = jax.lax.optimization_barrier(faces[ids])
-        xs, ys = ([v[corners[:, k]] for k in range(3)] for v in (x, y))
-        xs, ys = jax.lax.optimization_barrier((xs, ys))
-        low, high = (functools.reduce(f, ys) for f in (jnp.minimum, jnp.maximum))
-        left, right = (functools.reduce(f, xs) for f in (jnp.minimum, jnp.maximum))
-        return jnp.stack([low, jnp.where(jnp.isnan(high), -1, high), left, right, *xs, *ys], axis=1)
+        def outline(ids):
+            corners = jax.lax.optimization_barrier(faces[ids])
+            each = [[v[corners[:, k]] for k in range(3)] for v in (y, x)]
+            ys, xs = jax.lax.optimization_barrier(each)
+            ends = [functools.reduce(f, v) for v in (ys, xs) for f in (jnp.minimum, jnp.maximum)]
+            ends[1] = jnp.where(jnp.isnan(ends[1]), -1, ends[1])
+            return jnp.stack([*ends, *xs, *ys], axis=1)
 
-    return Convex(faces.shape[0], outline, _face_chords)
+        return outline
+
+    return Convex(faces.shape[0], outlines, _face_chords)
 
 
 def _face_chords(outline: Float[Array, "K 10"], y: Float[Array, "K 2"]) -> tuple[Array, Array]:
@@ -113,7 +117,7 @@ def spheres_of(film: FilmMap, spheres: Spheres) -> Convex:
         box = jnp.stack([low, jnp.where(there, high, -1), left, right], axis=1)
         return jnp.concatenate([box, frame.reshape(-1, 9)], axis=1)
 
-    return Convex(spheres.radii.shape[0], outline, _sphere_chords)
+    return Convex(spheres.radii.shape[0], lambda: outline, _sphere_chords)
 
 
 def _sphere_chords(outline: Float[Array, "K 13"], y: Float[Array, "K 2"]) -> tuple[Array, Array]:
@@ -168,13 +172,13 @@ def _drawn(
     asked: UInt32[Array, "words"],
 ) -> _Rows:
     """Return the rows with all things of a kind."""
-    slack = _slack(film)
+    slack, outline_of = _slack(film), kind.outlines()
     size = _Size(film.W, H, fine)
 
     def chunk(state):
         begin, rows = state
         ids = begin + jnp.arange(THINGS, dtype=jnp.int32)
-        outline = kind.outline(jnp.minimum(ids, kind.number - 1))
+        outline = outline_of(jnp.minimum(ids, kind.number - 1))
         inside = lambda y: jnp.clip(y, 0, H).astype(jnp.int32)
         first = inside(jnp.ceil((outline[:, 0] + slack) * fine))
         after = inside(jnp.floor((outline[:, 1] - slack) * fine))
