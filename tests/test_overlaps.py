@@ -519,8 +519,7 @@ def told(mixed, board):
     return of
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("stops", [16, pytest.param(None, marks=pytest.mark.full)])
+@pytest.mark.parametrize("stops", first(0, [None, 16], of=2))
 def test_pixels_in_turn_are_what_they_are_side_by_side(told, monkeypatch, stops):
     one = told(stops, "in turn")
     resolve_side_by_side(monkeypatch)

@@ -76,7 +76,7 @@ def _reach(pixel: Pixel, k: Array, reach: tuple[Array, ...]) -> tuple[Array, ...
     """Return how far pieces reach along x and along y, and whether one runs along either, with one
     more of them."""
     row = pixel.row(k)
-    dx, dy = (jnp.abs(row[k + 2] - row[k]) for k in (0, 1))
+    dx, dy = (jnp.abs(row[i + 2] - row[i]) for i in (0, 1))
     return reach[0] + dx, reach[1] + dy, reach[2] | (dx == 0) | (dy == 0)
 
 
