@@ -6,11 +6,21 @@ from typing import Any
 import pytest
 
 
+def long(*case: Any) -> Any:
+    """Return a case of a test that runs with the long ones."""
+    return pytest.param(*case, marks=pytest.mark.long)
+
+
+def full(*case: Any) -> Any:
+    """Return a case of a test that runs where all tests do: others take the same way."""
+    return pytest.param(*case, marks=pytest.mark.full)
+
+
 def first(number: int, cases: Iterable[Any], of: int = 1) -> list[Any]:
     """Return the cases, all but the first few marked long: each is compiled.
 
     Of the long ones only each `of`-th runs with these, the others where all tests do.
     """
-    marks = lambda k: [] if k < number else [pytest.mark.full if k % of else pytest.mark.long]
+    marked = lambda k: pytest.param if k < number else full if k % of else long
     rows = [case if isinstance(case, tuple) else (case,) for case in cases]
-    return [pytest.param(*row, marks=marks(k)) for k, row in enumerate(rows)]
+    return [marked(k)(*row) for k, row in enumerate(rows)]

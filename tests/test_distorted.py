@@ -58,7 +58,7 @@ CASES = {
 silhouette = jax.jit(pj.silhouette)
 
 
-@pytest.mark.parametrize("case", first(1, CASES))
+@pytest.mark.parametrize("case", first(1, CASES, of=2))
 def test_coverage_is_that_of_the_bent_triangles(case):
     view, mesh = camera(*CASES[case]), sheet()
     image = silhouette(view, pj.Scene(mesh=mesh))
@@ -137,7 +137,7 @@ def test_spheres_are_the_bent_images_of_their_rims(case):
     np.testing.assert_allclose(image, union_per_pixel(rims(view, BALLS), W, H), atol=1.5e-3)
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_derivatives_are_differences_of_the_oracle():
     """In all of the camera, its lens too, the vertices and the spheres."""
     rng = np.random.default_rng(3)

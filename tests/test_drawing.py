@@ -82,7 +82,7 @@ def same(vectors, *others, atol=1e-13):
     np.testing.assert_array_equal(others[0].alone, vectors.alone)
 
 
-@pytest.mark.parametrize(("W", "H"), first(1, SIZES))
+@pytest.mark.parametrize(("W", "H"), first(1, SIZES, of=2))
 def test_piece_by_piece_is_as_of_vectors(W, H, banded):
     """All views by one program, one after the other."""
     scene = pj.Scene(mesh=crumpled(open_mesh=W % 2 == 0))

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chosen import first
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -37,8 +38,7 @@ def both(scene, rays):
     return (np.asarray(pj.trace(scene, rays, search=s).primitive) for s in ("embree", "tree"))
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("dtype", first(0, ["float32", "float64"], of=2))
 @pytest.mark.usefixtures("optimised")
 def test_the_hits_of_the_tree(dtype):
     """Also with a sphere among the faces, and where half of the faces are there twice.

@@ -2,14 +2,13 @@
 
 import json
 import re
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from chosen import first
+from chosen import first, full
 from oracles import drawn, random_camera, turned
 
 import pinhole_jax as pj
@@ -57,14 +56,11 @@ def test_pose_and_focal_length_from_exact_masks(convert, worst, exhaustive):
         assert fit.iou > 1 - 1e-5
 
 
-full = partial(pytest.param, marks=pytest.mark.full)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("free", "change"),
     [
-        (("position",), {"e": [0.4, 1.1, 5.2]}),
+        full(("position",), {"e": [0.4, 1.1, 5.2]}),
         full(("orientation",), {"p": [0.2, 0.1, 0]}),
         full(("phi",), {"phi": 0.65}),
         (("d",), {"d": 1.1, "phi": 2 * np.arctan(np.tan(0.3) / 1.1)}),

@@ -322,7 +322,7 @@ def test_the_camera_moves_with_the_mesh_as_refits_do(scene, masks, kind):
     np.testing.assert_allclose(jnp.sum(gradient * wrong), slope[0], rtol=1e-6, atol=1e-12)
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_the_camera_moves_with_target_and_weight_as_refits_do(scene, masks):
     target, weight = jnp.asarray(noisy(masks)[0]), jnp.ones((80, 96))
     eye = lambda t, w: pj.fit_camera(scene, t, POSE_START, weight=w).camera.e
@@ -344,7 +344,7 @@ def all_numbers(fits):
     return jnp.concatenate([jnp.stack([*f.camera.e, *f.camera.p, f.camera.phi]) for f in fits])
 
 
-@pytest.mark.long
+@pytest.mark.full
 @pytest.mark.parametrize("free", ["pose", pytest.param("position", marks=pytest.mark.full)])
 def test_views_move_with_masks_and_weights_as_refits_do(scene, masks, free):
     """Of two views, both of whose masks and one of whose weights change."""
@@ -367,7 +367,7 @@ def test_views_move_with_masks_and_weights_as_refits_do(scene, masks, free):
     np.testing.assert_allclose(slope, refits, atol=1e-3 * np.abs(refits).max())
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_views_move_with_pixels_as_their_information_says(scene, masks):
     """Independent errors of pixels make the error bars that `joint_observability` tells."""
     phi = lambda targets: pj.fit_cameras(scene, targets, TRUTHS)[0].camera.phi

@@ -154,7 +154,7 @@ def stereo(scenes):
     ]
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_a_rig_is_better_determined_than_its_eyes(stereo):
     right = at_pose(TRUTH, pose_of(RIGHT) @ OFF)
     together = pj.fit_joint(stereo, {"left": START, "right": right}, rig=RIG)
@@ -259,7 +259,7 @@ def of_inputs(views, place, target, vertices, mount, placed):
     return jnp.append(jnp.ravel(pose[:3]), size)
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_the_answer_moves_with_masks_and_transforms_as_refits_do(larger):
     views, place = larger
     random = np.random.default_rng(0)
@@ -425,7 +425,7 @@ def test_the_error_bars_of_a_size_hold(larger):
     assert np.max(np.abs(off)) > 0.3
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_the_size_of_one_body_of_several_is_found(arm):
     """A rig before two bodies, the second of which is 5 % larger than its mesh."""
 
@@ -456,7 +456,7 @@ def noisy(views):
     ]
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_what_is_known_of_a_camera_counts_as_in_the_fit_of_one_mask(noisy):
     known = {"phi": (0.604, 0.004), "e_x": (0.42, 0.02)}
     asked = START, ("pose", "phi")
@@ -485,7 +485,7 @@ def test_what_is_known_of_an_object_counts(arm, scenes):
     assert np.all(found.std[4:] > 1e-4)
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_bounds_hold_what_the_masks_would_have_elsewhere(noisy):
     fit = pj.fit_joint(noisy[:2], START, ("pose", "phi"), bounds={"phi": (0.61, 0.7)})
     found = fit.cameras["camera"]
@@ -516,7 +516,7 @@ def test_a_box_before_two_cameras_may_be_turned_by_half():
     assert max(np.max(np.abs(np.abs(turn) - np.eye(3))) for turn in turns) < 1e-6
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_a_ball_tells_no_turn():
     scene = pj.Scene(spheres=pj.Spheres([[0.2, 0, 0.1]], [0.8]))
     views = [

@@ -103,7 +103,7 @@ def test_what_a_lane_cannot_do_alone_is_said(scene, masks):
     assert fits[1].status != "converged"
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_meshes_of_different_sizes(masks):
     shallow = shapes.bumpy(1, seed=3)
     opened = pj.Mesh(shallow.vertices, np.asarray(shallow.faces)[:-6])

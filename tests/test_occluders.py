@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from chosen import first
 from oracles import drawn, turned
 from scipy.spatial.transform import Rotation
 
@@ -154,7 +155,7 @@ def test_from_a_start_the_rest_of_the_edge_is_enough(scene):
     assert "Red: the mask's edge that was not believed" in report.page(fit, scene, seen)
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_with_no_start_the_rest_of_the_edge_is_enough(scene):
     truth = anywhere(1)
     seen, wall = behind_a_wall(truth, scene, 0.25)
@@ -177,7 +178,7 @@ def test_an_occluder_that_leaves_what_another_view_shows_is_not_told_as_certain(
     assert pj.fit_camera(scene, seen, None, phi=0.6).status != "converged"
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_of_views_that_explain_most_of_an_edge_the_closest_is_found():
     """Three plates that meet at a corner, 40 % of the outline behind a half-plane, no start: a view
     turned by 179 degrees explains nearly as much of the edge, 0.5 px off."""
@@ -199,8 +200,7 @@ def test_of_views_that_explain_most_of_an_edge_the_closest_is_found():
     assert fit.status in ("converged", "misfit")
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("seed", [2, 4])
+@pytest.mark.parametrize("seed", first(0, [2, 4], of=2))
 def test_another_shape_is_no_covered_one(seed):
     """Its outline lies within the object's here and there, as if something stood before it."""
     scene, other = (pj.Scene(mesh=shapes.bumpy(3, k)) for k in (0, seed))

@@ -121,7 +121,7 @@ def filled(vertices, faces, dtype=float, room=20_000) -> pj.Scene:
     return pj.Scene(mesh=with_vertices(mesh, mesh.vertices))  # (its clusters of edges: as many)
 
 
-@pytest.mark.parametrize("name", first(1, reversed(MESHES)))
+@pytest.mark.parametrize("name", first(1, reversed(MESHES), of=2))
 def test_any_mesh_matches_the_polygon_union(name, exhaustive):
     vertices, faces = MESHES[name]()
     scene = filled(vertices, faces)
@@ -130,8 +130,7 @@ def test_any_mesh_matches_the_polygon_union(name, exhaustive):
         np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-9)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("name", first(0, MESHES, of=2))
 def test_in_float32_to_1e_4(name, exhaustive):
     vertices, faces = MESHES[name]()
     vertices = vertices.astype(np.float32)
@@ -318,7 +317,7 @@ def test_many_copies_of_a_face_are_one():
     np.testing.assert_allclose(image, mesh_coverage(camera, corners, [[0, 1, 2]]), atol=1e-9)
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_hard_masks_of_an_open_mesh_converge_to_it():
     vertices, faces = bowl()
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
@@ -332,7 +331,7 @@ def test_hard_masks_of_an_open_mesh_converge_to_it():
     assert errors[1] < errors[0] / 4  # a regular grid: error about samples^-3/2
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_what_is_known_not_to_overlap_is_compiled_without():
     camera = next(cameras(1))
     ball = trimesh.creation.icosphere(2)
@@ -441,8 +440,9 @@ def slivers(number=300):
     return corners.reshape(-1, 3), np.arange(3 * number).reshape(-1, 3)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("make", [noisy_sphere, crowd, slivers, lambda: rough(4, 1.2)])
+@pytest.mark.parametrize(
+    "make", first(0, [noisy_sphere, crowd, slivers, lambda: rough(4, 1.2)], of=3)
+)
 def test_a_mask_errs_by_its_tolerance_at_most(make):
     vertices, faces = make()
     scene = filled(vertices, faces)
@@ -467,7 +467,7 @@ def test_cells_that_are_cut_err_by_the_tolerance_at_most():
         assert 1e-5 < np.max(error) <= 1 / 32
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_spheres_and_their_derivative_err_by_the_tolerance(mixed):
     """... of what a pixel's width of motion changes, where arcs and edges are swept by lines."""
     step = jnp.array([0.1, 0.05, 0])  # the picture slides by a pixel, roughly
@@ -514,8 +514,6 @@ def told(mixed, board):
         )
         return several, image, gradient[4]
 
-    for stops in (None, 16):
-        of(stops, "in turn")
     return of
 
 

@@ -141,7 +141,7 @@ def test_a_camera_that_a_format_cannot_hold_is_said():
     assert "no other view was found" in page.text["what-the-mask-does-not-tell"]
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_coefficients_of_distortion_have_rows_a_band_and_formats():
     lens = pj.Lens([46.0, 41.0], 1.0, pj.BrownConrady(-0.2, 0.05))
     camera = pj.Camera(AHEAD.e, AHEAD.p, AHEAD.u, 0.6, 1.0, 96, 80, lens)

@@ -89,8 +89,9 @@ def pixels_kept(unit, scene, level) -> np.ndarray:
             ((0, -1.3, 0), False, 30, 0.6, None),
             ((-1, 0, 0), True, 30, 0.05, None),  # the object goes on far right of the film
             ((1, 0, 0), True, 30, 0.05, None),
-            ((-1.2, 0, 0), True, 30, 0.6, LENS),
+            ((-1.2, 0, 0), False, 30, 0.6, LENS),
             ((-1, 0, 0), True, 30, 0.05, LENS),
+            ((-1.2, 0, 0), True, 30, 0.6, LENS),
         ],
         of=4,
     ),

@@ -36,7 +36,7 @@ def beside_the_handle(random: np.random.Generator) -> pj.Camera:
     return pj.Camera(aside - distance * axes[2], aside, axes[1], 0.7, 1.0, W, H)
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_a_hard_mask_of_parts_that_share_a_surface_is_fitted_within_its_sigmas(exhaustive):
     scene, random, errors = mug(), np.random.default_rng(0), []
     cameras = CAMERAS if exhaustive else CAMERAS // 4

@@ -7,14 +7,13 @@ worked out side by side. To keep pieces in order from one stop to the next took 
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._numerics.one_kernel import put
 from .._numerics.safe import safe_divide
 from .._silhouette.sweep import Cells, along_x, along_y
-from .one_pixel import Pixel, Seen, covers, either, loop
+from .one_pixel import Pixel, Seen, both_ways, covers, either, loop
 
 #: The line stops this many times. (The worst pixel of a scan errs by 2e-4.)
 STOPS = 32
@@ -46,30 +45,18 @@ class _Layers(NamedTuple):
 def stopping(pixel: Pixel, seen: Seen, room: Stops) -> tuple[Seen, Stops]:
     """Return the area of a pixel, and `seen` with what is seen of its pieces.
 
-    A line that moves across the pieces, most of which are steep or are not, tells the area. What is
-    seen of flat pieces is told by a line that moves to the right, of steep ones by one that moves
-    up. Where the first sees nothing but cover, the second is left out.
+    The first line moves across the pieces, most of which are steep or are not.
     """
     none = jnp.zeros((), seen.length.dtype)
-    # (A piece on the pixel's side, all of which is covered, may be seen by the second alone.)
     start = none, none, jnp.array(False)
     across, along, twice = loop(pixel.number, lambda k, s: _reach(pixel, k, s), start)
-    nothing = lambda k, s: tuple(put(x, 0, pixel.place(k)) for x in s)
-    length, moment = loop(pixel.number, nothing, (seen.length, seen.moment))
 
-    def turn(number, state):
-        seen, room = state
-        up = (across < along) ^ (number == 1)
+    def line(up, seen, room):
         room, layers = _listed(pixel, up, room)
-        area, *shown = _seen(pixel, up, room, layers, seen)
-        return number + 1, Seen(jnp.where(number == 0, area, seen.area), *shown), room
+        seen, shows = _seen(pixel, up, room, layers, seen)
+        return seen, room, shows
 
-    def goes_on(state):
-        number, seen, _ = state
-        return (number == 0) | ((number == 1) & ((seen.area < 1) | twice))
-
-    start = jnp.int32(0), Seen(seen.area, length, moment), room
-    return jax.lax.while_loop(goes_on, lambda s: turn(s[0], s[1:]), start)[1:]
+    return both_ways(pixel, across < along, twice, line, seen, room)
 
 
 def _reach(pixel: Pixel, k: Array, reach: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -113,11 +100,10 @@ def _listed(pixel: Pixel, up: Bool[Array, ""], room: Stops) -> tuple[Stops, _Lay
     return loop(jnp.int32(AT_A_TIME - 1), end, room), layers
 
 
-def _seen(
-    pixel: Pixel, up: Array, room: Stops, layers: _Layers, seen: Seen
-) -> tuple[Array, Array, Array]:
+def _seen(pixel: Pixel, up: Array, room: Stops, layers: _Layers, seen: Seen) -> tuple[Seen, Array]:
     """Return the covered area, and the lengths and moments of all pieces, with what such a line
-    tells of the pixel's: of the steep ones one that moves up."""
+    tells of the pixel's: of the steep ones one that moves up; and whether it saw anything but
+    cover."""
     stop, apart = _places(room.height.dtype), 1 / STOPS
 
     def one(k, state):
@@ -142,7 +128,7 @@ def _seen(
     covered = covers(layers.above)
     start = jnp.sum(covered) * apart, jnp.any(covered < 1), seen.length, seen.moment
     area, shows, length, moment = loop(pixel.number, one, start)
-    return jnp.where(shows, jnp.clip(area, 0, 1), 1), length, moment
+    return Seen(jnp.where(shows, jnp.clip(area, 0, 1), 1), length, moment), shows
 
 
 def _below(

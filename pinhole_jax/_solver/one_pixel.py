@@ -85,33 +85,45 @@ def loop(number: Array, body: Callable[[Array, Any], Any], state: Any) -> Any:
 
 
 def swept(pixel: Pixel, seen: Seen, room: Room) -> tuple[Seen, Room]:
-    """Return the area of a pixel, and `seen` with what is seen of its pieces.
-
-    What a line moving to the right tells is the area and what is seen of flat pieces; one moving
-    up tells it of steep ones. Where the first sees nothing but cover, the second is left out.
-    """
+    """Return the area of a pixel, and `seen` with what is seen of its pieces."""
     on_side = lambda k, twice: twice | (pixel.row(k)[0] == pixel.row(k)[2])
-    # (One on the pixel's side, all of which is covered, may be seen by a line that moves up alone.)
     twice = loop(pixel.number, on_side, jnp.array(False))
+
+    def line(up, seen, room):
+        room, borders = _listed(pixel, up, room)
+        area, shows, room = _sweep(pixel, borders, room)
+        return _with_parts(pixel, up, seen._replace(area=area), room), room, shows
+
+    return both_ways(pixel, jnp.array(False), twice, line, seen, room)
+
+
+def both_ways(
+    pixel: Pixel,
+    up: Bool[Array, ""],
+    twice: Bool[Array, ""],
+    line: Callable[[Array, Seen, Any], tuple[Seen, Any, Array]],
+    seen: Seen,
+    room: Any,
+) -> tuple[Seen, Any]:
+    """Return `seen` and room after a line that moves `up` or to the right, and one the other way.
+
+    `line(up, seen, room)` returns them, and whether it saw anything but cover. What is seen of flat
+    pieces is told by a line that moves to the right, of steep ones by one that moves up; the first
+    tells the area. Where it sees nothing but cover the second is left out, but for pixels that ask
+    for it: a piece on the pixel's side, all of which is covered, may be seen by that one alone.
+    """
     nothing = lambda k, s: tuple(put(x, 0, pixel.place(k)) for x in s)
     length, moment = loop(pixel.number, nothing, (seen.length, seen.moment))
 
-    def turn(number, state):
-        seen, room, _ = state
-        up = number == 1
-        room, borders = _listed(pixel, up, room)
-        area, shows, room = _sweep(pixel, borders, room)
-        seen = seen._replace(area=jnp.where(number == 0, area, seen.area))
-        return _with_parts(pixel, up, seen, room), room, shows
+    def turn(state):
+        number, _, before, room = state
+        seen, room, shows = line(up ^ (number == 1), before, room)
+        area = jnp.where(number == 0, seen.area, before.area)
+        return number + 1, shows, seen._replace(area=area), room
 
-    def goes_on(state):
-        number, (_, _, shows) = state
-        return (number == 0) | ((number == 1) & (shows | twice))
-
-    start = Seen(seen.area, length, moment), room, jnp.array(True)
-    step = lambda s: (s[0] + 1, turn(*s))
-    _, (seen, room, _) = jax.lax.while_loop(goes_on, step, (jnp.int32(0), start))
-    return seen, room
+    goes_on = lambda s: (s[0] == 0) | ((s[0] == 1) & (s[1] | twice))
+    start = jnp.int32(0), jnp.array(True), Seen(seen.area, length, moment), room
+    return jax.lax.while_loop(goes_on, turn, start)[2:]
 
 
 def _listed(pixel: Pixel, up: Bool[Array, ""], room: Room) -> tuple[Room, Array]:
