@@ -138,6 +138,7 @@ def test_what_one_face_covers_or_two_side_by_side_is_found():
     assert np.mean(found[each[0] | each[1]]) > 0.98
 
 
+@pytest.mark.long
 def test_no_pixel_is_called_covered_by_spheres_that_is_not():
     """Small, large, through one another, about the eye, behind it and through its plane."""
     random = np.random.default_rng(0)

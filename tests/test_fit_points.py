@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chosen import long
 
 import pinhole_jax as pj
 
@@ -141,7 +142,7 @@ def numbers(fits):
     return jnp.concatenate([jnp.stack([*f.camera.e, *f.camera.p, f.camera.phi]) for f in fits])
 
 
-@pytest.mark.parametrize("common", [("phi",), ()])
+@pytest.mark.parametrize("common", [("phi",), long(())])
 def test_cameras_move_with_points_and_weights_as_refits_do(common):
     """Residuals are large, so the second derivatives count; one point is not seen by one view."""
     random = np.random.default_rng(3)
@@ -226,7 +227,7 @@ def test_points_that_are_somewhere_else_do_not_count(points):
     assert float(pj.pose_error(pj.fit_points(points, points2d, start).camera, truth)[0]) > 0.05
 
 
-@pytest.mark.parametrize("common", [("phi",), ()])
+@pytest.mark.parametrize("common", [("phi",), long(())])
 def test_a_plane_far_away_is_seen_as_well_with_its_depths_reversed(common):
     """And is told apart where it is near, in 40 draws of the noise."""
     random, truth = np.random.default_rng(7), [near(e) for e in EYES[1:3]]

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chosen import first
 from emitters import NEWER
 
 import pinhole_jax as pj
@@ -63,7 +64,7 @@ def batch(cameras, scenes, whole):
     return image, each(lambda *x: eqx.filter_grad(lambda x: summary(*x, True))(x)) if whole else ()
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("bad", first(1, [np.nan, np.inf]))
 def test_one_poisoned_element_of_a_batch_leaves_the_others_bit_for_bit(bad, exhaustive):
     many = lambda x: jnp.stack([x, x, x]) if eqx.is_array(x) else x
     cameras, scenes = jax.tree.map(many, (CAMERA, SCENE))

@@ -104,6 +104,7 @@ def test_single_pixels_tell_a_drawn_mask_whose_stretches_err_by_no_more_than_one
     assert stretches_of(*one).beyond == 0
 
 
+@pytest.mark.long
 def test_a_computed_mask_of_loose_triangles_is_none_that_was_drawn():
     """Pixels in which several edges lie err for each of them."""
     random = np.random.default_rng(0)

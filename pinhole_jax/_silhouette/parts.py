@@ -139,19 +139,24 @@ class CurveList(NamedTuple):
     ) -> tuple[Any, "CurveList"]:
         """Return `start` after `add(total, curves, begin, number)` over all curves of a part, as
         many at a time as there is room for: the first so many of a list, which begins with an id;
-        and the last list. One that `has_all`, where there is room for all, is as it is."""
+        and the last list. One that `has_all`, where there is room for all, is as it is.
+
+        Lists go down to the first curve, and from there up again: one is there already.
+        """
         room = self.room
         if has_all and self.has_room(part):
             return add(start, self.curves, jnp.int32(0), part.total), self
+        last = jnp.maximum(part.total - 1, 0) // room * room
+        first, step = jnp.where(self.begin == 0, 0, last), jnp.where(self.begin == 0, room, -room)
 
         def more(state):
             begin, total, known = state
             known = known.listing(part, begin)
             total = add(total, known.curves, begin, jnp.minimum(part.total - begin, room))
-            return begin + room, total, known
+            return begin + step, total, known
 
-        start = jnp.int32(0), start, self
-        return jax.lax.while_loop(lambda s: s[0] < part.total, more, start)[1:]
+        inside = lambda s: (s[0] >= 0) & (s[0] < part.total)
+        return jax.lax.while_loop(inside, more, (first, start, self))[1:]
 
     @property
     def room(self) -> int:
