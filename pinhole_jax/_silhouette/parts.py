@@ -143,9 +143,10 @@ class CurveList(NamedTuple):
 
         Lists go down to the first curve, and from there up again: one is there already.
         """
-        room = self.room
-        if has_all and self.has_room(part):
-            return add(start, self.curves, jnp.int32(0), part.total), self
+        room, zero = self.room, jnp.int32(0)
+        if self.has_room(part):
+            known = self if has_all else self.listing(part, zero)
+            return add(start, known.curves, zero, part.total), known
         last = jnp.maximum(part.total - 1, 0) // room * room
         first, step = jnp.where(self.begin == 0, 0, last), jnp.where(self.begin == 0, room, -room)
 
