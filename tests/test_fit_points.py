@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chosen import long
+from chosen import full, long
 
 import pinhole_jax as pj
 
@@ -142,7 +142,7 @@ def numbers(fits):
     return jnp.concatenate([jnp.stack([*f.camera.e, *f.camera.p, f.camera.phi]) for f in fits])
 
 
-@pytest.mark.parametrize("common", [("phi",), long(())])
+@pytest.mark.parametrize("common", [("phi",), full(())])
 def test_cameras_move_with_points_and_weights_as_refits_do(common):
     """Residuals are large, so the second derivatives count; one point is not seen by one view."""
     random = np.random.default_rng(3)

@@ -121,7 +121,7 @@ def filled(vertices, faces, dtype=float, room=20_000) -> pj.Scene:
     return pj.Scene(mesh=with_vertices(mesh, mesh.vertices))  # (its clusters of edges: as many)
 
 
-@pytest.mark.parametrize("name", first(1, reversed(MESHES), of=2))
+@pytest.mark.parametrize("name", first(1, reversed(MESHES), of=3))
 def test_any_mesh_matches_the_polygon_union(name, exhaustive):
     vertices, faces = MESHES[name]()
     scene = filled(vertices, faces)
@@ -226,7 +226,7 @@ def resolve_side_by_side(monkeypatch):
         monkeypatch.setattr(f"pinhole_jax._silhouette.{module}.fold_in_turn", beside)
 
 
-@pytest.fixture(params=["in turn", "side by side"])
+@pytest.fixture(params=[full("in turn"), "side by side"])
 def way(request, monkeypatch) -> int:
     """Resolve pixels one after the other, as on a CPU, or as vectors, as elsewhere; return a number
     of rows that is the way's own (what is compiled for one is not taken for the other)."""

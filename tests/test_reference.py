@@ -69,7 +69,7 @@ def test_a_file_says_the_same_camera_as_K_R_t():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["triangle", "sphere"])
+@pytest.mark.parametrize("name", ["triangle", full("sphere")])
 def test_derivatives_are_the_oracle_s_differences(views, name):
     view = smaller(views[name])
     found = make.made(view)

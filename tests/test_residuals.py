@@ -81,11 +81,11 @@ def pixels_kept(unit, scene, level) -> np.ndarray:
     first(
         0,
         [
-            ((0, 0, 0), False, 150, 0.6, None),  # (as wide as the fifth: one program)
+            ((-8, 0, 0), False, 150, 0.6, None),  # more film heights away than a 1 x 1 film has
+            ((0, 0, 0), False, 150, 0.6, None),  # (as wide: one program)
             ((1.7, 0, 0), False, 30, 0.6, None),
             ((-1.7, 0, 0), True, 30, 0.6, None),
             ((0, 1.3, 0), True, 30, 0.6, None),
-            ((-8, 0, 0), False, 150, 0.6, None),  # more film heights away than a 1 x 1 film has
             ((0, -1.3, 0), False, 30, 0.6, None),
             ((-1, 0, 0), True, 30, 0.05, None),  # the object goes on far right of the film
             ((1, 0, 0), True, 30, 0.05, None),
@@ -93,7 +93,7 @@ def pixels_kept(unit, scene, level) -> np.ndarray:
             ((-1, 0, 0), True, 30, 0.05, LENS),
             ((-1.2, 0, 0), True, 30, 0.6, LENS),
         ],
-        of=4,
+        of=8,
     ),
 )
 def test_squares_sums_and_jacobian_are_those_of_the_image(look_at, spheres, W, phi, model):

@@ -206,7 +206,7 @@ def test_it_converges_as_a_supersampled_hard_mask_does():
 
 @pytest.mark.parametrize(
     ("camera_type", "scene_type"),
-    first(0, [("float32", "float64"), ("float64", "float32"), ("float32", "float32")], of=2),
+    first(0, [("float32", "float64"), ("float64", "float32"), ("float32", "float32")], of=3),
 )
 def test_float_types_mix_and_the_camera_decides(camera_type, scene_type):
     vertices, faces = bumpy()

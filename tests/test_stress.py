@@ -135,7 +135,7 @@ def slopes(camera: pj.Camera, scene: pj.Scene, weight: jax.Array):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", first(1, SLOPED, of=4))
+@pytest.mark.parametrize("name", first(1, SLOPED, of=8))
 @settings(few, max_examples=2)
 @given(seed=SEEDS)
 def test_derivatives_are_finite_and_know_no_origin(name, seed):
