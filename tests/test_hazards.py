@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chosen import first
+from chosen import first, full
 from emitters import NEWER
 
 import pinhole_jax as pj

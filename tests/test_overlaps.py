@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from chosen import first
+from chosen import first, full
 from oracles import mesh_coverage, mesh_polygons, sphere_polygons, union_per_pixel
 from slopes import both_ways
 
