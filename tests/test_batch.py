@@ -644,6 +644,7 @@ def test_a_worker_that_ends_costs_its_record_one_more_try(script, tmp_path):
     assert len(found) == 7
 
 
+@pytest.mark.long
 def test_a_record_has_its_time(script, tmp_path):
     ids = ["loops", "sleeps", *(f"fine-{k}" for k in range(4))]
     assert start(script, ids, tmp_path / "out", 1.0).wait(60) == 0

@@ -43,7 +43,7 @@ def blob(camera, scene):
     return jnp.exp(-((column[None] - x) ** 2 + (row[:, None] - y) ** 2) / 40)
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_the_silhouette_of_a_bumpy_mesh_through_a_lens(capsys):
     found = pj.check_gradients(camera(lens=LENS), pj.Scene(mesh=shapes.bumpy(3)))
     assert found.passed, found

@@ -120,7 +120,7 @@ def test_piece_by_piece_is_as_of_vectors_whatever_curves_are(what):
     same(vectors, *pieces, atol=atol)
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_views_side_by_side_are_drawn_as_each_alone(banded):
     scene = pj.Scene(mesh=crumpled(False), spheres=SPHERES)
     cameras = [camera_of(view, 99, 70) for view in VIEWS]

@@ -74,7 +74,7 @@ def test_the_gradient_of_all_vertices_is_minus_that_of_the_camera(gradients):
     np.testing.assert_allclose(along, -camera, rtol=1e-10)
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_image_jacobian_equals_per_pixel_differences(mesh):
     scene = pj.Scene(mesh=mesh)
     image = lambda e: pj.silhouette(with_value(CAMERA, "e", e), scene)

@@ -79,7 +79,7 @@ def test_a_handle_that_only_the_mask_shows_is_not_taken_for_noise(honesty):
         full(57, "mug", "8 bits"),  # ten facets on, each a minimum
         full(93, "mug", "one bit"),  # nearly the mug's axis, but not quite
         full(104, "mug", "noisy"),  # noise explains itself
-        (516, "dented", "exact"),  # a ball of facets is itself from sixty sides
+        full(516, "dented", "exact"),  # a ball of facets is itself from sixty sides
         (905, "box", "one bit"),  # squares as of a right mask, but on the wrong side of a half
     ],
 )

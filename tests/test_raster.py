@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chosen import full, long
 from emitters import NEWER
 
 import pinhole_jax as pj
@@ -140,8 +141,8 @@ def test_the_same_face_as_the_tree_finds(dtype, exhaustive):
     assert met > 5000
 
 
-@pytest.mark.parametrize("size", [(1, 1), (3, 7), (61, 50)])
-@pytest.mark.parametrize("kind", ["before", pytest.param("within", marks=pytest.mark.long)])
+@pytest.mark.parametrize("size", [full((1, 1)), full((3, 7)), (61, 50)])
+@pytest.mark.parametrize("kind", ["before", long("within")])
 def test_films_of_any_size_from_before_and_within(size, kind):
     """More blocks than are drawn at a time where the film is large; axes that change within it."""
     scene = pj.Scene(mesh=shapes.bumpy(2))

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from chosen import full, long
 from oracles import central_difference
 
 import pinhole_jax as pj
@@ -47,7 +48,7 @@ def edge_distance(vertices, faces, origin, direction, face):
     return np.min(distances, axis=0), t
 
 
-@pytest.mark.parametrize("name", ["spot.obj", "bob.obj", "bumpy"])
+@pytest.mark.parametrize("name", ["spot.obj", full("bob.obj"), "bumpy"])
 def test_same_hits_as_embree(name, rays, request):
     pytest.importorskip("embreex")
     from trimesh.ray.ray_pyembree import RayMeshIntersector
@@ -235,7 +236,7 @@ def hostile_packets(mesh, dtype):
 
 @pytest.mark.parametrize(
     ("dtype", "kind", "leaves"),
-    [("float32", "faces", 256), ("float64", "spheres", 256), ("float32", "faces", 3)],
+    [("float32", "faces", 256), long("float64", "spheres", 256), long("float32", "faces", 3)],
 )
 def test_packets_find_what_their_rays_find_one_by_one(dtype, kind, leaves, monkeypatch):
     monkeypatch.setattr(packets, "FEW", 0)
