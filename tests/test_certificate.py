@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chosen import full
 from jax.custom_derivatives import linear_call
 
 import pinhole_jax as pj
@@ -156,9 +157,7 @@ def test_no_fault_passes():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "name", ["e", "phi", *(pytest.param(name, marks=pytest.mark.full) for name in "pu")]
-)
+@pytest.mark.parametrize("name", ["e", "phi", *(full(name) for name in "pu")])
 def test_a_flipped_sign_is_caught_and_named(name):
     """Of one coordinate, or of phi; no other row is accused."""
     vector = name != "phi"

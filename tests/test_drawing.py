@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chosen import first
+from chosen import first, full
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -129,7 +129,7 @@ def test_views_side_by_side_are_drawn_as_each_alone(banded):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("balls", [0, pytest.param(1, marks=pytest.mark.full)])
+@pytest.mark.parametrize("balls", [0, full(1)])
 def test_masks_and_derivatives_of_large_films(request, balls):
     """(With arcs there is twice as much to compile; they are drawn in bands above.)"""
     ball = pj.Spheres([[0.5, 0.9, 0.2]], [0.4]) if balls else None

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from chosen import full
 from oracles import drawn, turned
 from scipy.spatial.transform import Rotation
 
@@ -97,7 +98,7 @@ def images(cameras, scene):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("hard", [False, pytest.param(True, marks=pytest.mark.full)])
+@pytest.mark.parametrize("hard", [False, full(True)])
 def test_a_box_is_as_ambiguous_among_views_as_alone(hard):
     masks = [m > 0.5 if hard else m for m in images(OF_BOX, BOX)]
     for fit, camera in zip(pj.fit_cameras(BOX, masks, None, phi=0.6), OF_BOX, strict=True):
@@ -300,9 +301,7 @@ POSE_START = eqx.tree_at(lambda c: c.phi, STARTS[0], TRUTHS[0].phi)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "kind", ["exact", *(pytest.param(k, marks=pytest.mark.full) for k in ("noisy", "hard"))]
-)
+@pytest.mark.parametrize("kind", ["exact", *(full(k) for k in ("noisy", "hard"))])
 def test_the_camera_moves_with_the_mesh_as_refits_do(scene, masks, kind):
     target = {"exact": masks[0], "noisy": noisy(masks)[0], "hard": masks[0] > 0.5}[kind]
 
@@ -345,7 +344,7 @@ def all_numbers(fits):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("free", ["pose", pytest.param("position", marks=pytest.mark.full)])
+@pytest.mark.parametrize("free", ["pose", full("position")])
 def test_views_move_with_masks_and_weights_as_refits_do(scene, masks, free):
     """Of two views, both of whose masks and one of whose weights change."""
     targets = [jnp.asarray(mask) for mask in noisy(masks[:2])]

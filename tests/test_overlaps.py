@@ -4,8 +4,6 @@ Against the union of all projected triangles by shapely. Meshes are filled up to
 they share a compiled program.
 """
 
-import functools
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -226,7 +224,7 @@ def resolve_side_by_side(monkeypatch):
         monkeypatch.setattr(f"pinhole_jax._silhouette.{module}.fold_in_turn", beside)
 
 
-@pytest.fixture(params=[full("in turn"), "side by side"])
+@pytest.fixture(params=["in turn", full("side by side")])
 def way(request, monkeypatch) -> int:
     """Resolve pixels one after the other, as on a CPU, or as vectors, as elsewhere; return a number
     of rows that is the way's own (what is compiled for one is not taken for the other)."""
@@ -501,13 +499,12 @@ def board():
 @pytest.fixture(scope="module")
 def told(mixed, board):
     """Return a function of what bounds the lines of a pixel, which returns images and derivatives,
-    of edges and arcs; and of edges along the sides of pixels. What it has returned it knows."""
+    of edges and arcs; and of edges along the sides of pixels."""
     random = np.random.default_rng(3)
     weight = random.normal(size=(mixed[0].H, mixed[0].W))
     directions = tuple(random.normal(size=x.shape) for x in leaves(mixed))
 
-    @functools.cache
-    def of(stops, way):
+    def of(stops):
         number = None if stops is None else jnp.int32(stops)
         several, (image, _, gradient) = (
             pushed_and_pulled(scene, directions, weight, number) for scene in (mixed, board)
@@ -519,10 +516,10 @@ def told(mixed, board):
 
 @pytest.mark.parametrize("stops", first(0, [None, 16], of=2))
 def test_pixels_in_turn_are_what_they_are_side_by_side(told, monkeypatch, stops):
-    one = told(stops, "in turn")
+    one = told(stops)
     resolve_side_by_side(monkeypatch)
     jax.clear_caches()
-    other = told(stops, "side by side")
+    other = told(stops)
     jax.clear_caches()
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-11 * max(1, np.abs(b).max()))

@@ -93,9 +93,7 @@ def brute_force(mesh, rays):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "faces", [1, 4, 5, 64, 65, *(pytest.param(n, marks=pytest.mark.full) for n in (2, 3, 63))]
-)
+@pytest.mark.parametrize("faces", [1, 4, 5, 64, 65, *(full(n) for n in (2, 3, 63))])
 def test_the_tree_finds_what_testing_every_face_finds(faces, rays):
     whole = shapes.bumpy(1)
     mesh = pj.Mesh(whole.vertices, np.asarray(whole.faces)[:faces])
