@@ -11,6 +11,7 @@ cannot be told, nothing is kept.
 import hashlib
 import importlib
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
@@ -50,6 +51,7 @@ _folder: Path | None = None
 _code: str | None = None
 _quick = False
 _programs: dict[Any, Callable[..., Any] | None] = {}
+_making = threading.RLock()
 
 
 def keep_in(folder: Path | None, quick: bool = False) -> None:
@@ -75,14 +77,14 @@ def call(where: str, arguments: tuple[Any, ...], answer: Callable[[], Any]) -> A
     leaves, tree = jax.tree.flatten(arguments)
     given = where, tree, tuple(map(_described, leaves)), _settings(SWITCHES), _settings(WATCHED)
     key = given, _imported(where)
-    if key in _programs:
+    with _making:
+        if key not in _programs:
+            if len(_programs) >= HELD:
+                _programs.clear()
+            program = _program(where, arguments, answer)
+            # (To trace it imports its module.)
+            _programs[key] = _programs[given, _imported(where)] = program
         program = _programs[key]
-    else:
-        if len(_programs) >= HELD:
-            _programs.clear()
-        program = _program(where, arguments, answer)
-        # (To trace it imports its module.)
-        _programs[key] = _programs[given, _imported(where)] = program
     if program is None:
         return _function(where)(*arguments)
     return program(*filter(_is_array, leaves))

@@ -413,8 +413,8 @@ def _all_round(solver: Solver, best: Found, directions: list[_Direction]) -> lis
         return []
     solver.expect_many()
     number, walk = max(_walked_on(solver) - 1, 0), _Walk.of(solver, best)
-    led = [walk.led_to(c) for d in turns for c in _likely_round(solver, best, d, number)]
-    return _finite(place for place in led if place is not None)
+    likely = [c for d in turns for c in _likely_round(solver, best, d, number)]
+    return _finite(place for place in walk.led_to(likely) if place is not None)
 
 
 def _likely_round(
@@ -426,17 +426,17 @@ def _likely_round(
     shows more than facets do.
     """
     far = np.arange(LONGEST, 2 * np.pi, LONGEST)
-    turned = (solver.step(best.camera, solver.finest, x * direction.move) for x in far)
-    rested = [_rested(solver, camera, number) for camera in turned]
+    turned = [solver.step(best.camera, solver.finest, x * direction.move) for x in far]
+    seen = zip(turned, solver.glances(turned, number), strict=True)
+    rested = [_rested(solver, camera, view, number) for camera, view in seen]
     squares = _glances(solver, rested, number)
     lower = (squares <= np.roll(squares, 1)) & (squares <= np.roll(squares, -1))
     likely = [k for k in np.argsort(squares) if lower[k] and np.isfinite(squares[k])]
     yield from (rested[k] for k in likely[:ALL_ROUND_MOST])
 
 
-def _rested(solver: Solver, camera: Camera, number: int) -> Camera:
-    """Return a camera after one step by all that shows on a level."""
-    view = solver.glance(camera, number)
+def _rested(solver: Solver, camera: Camera, view: View, number: int) -> Camera:
+    """Return a camera after one step by all that shows on a level, where it has a view."""
     triangle, along = (np.asarray(x, float) for x in (view.triangle, view.along))
     if not (np.all(np.isfinite(triangle)) and np.any(triangle)):
         return camera
@@ -447,8 +447,7 @@ def _rested(solver: Solver, camera: Camera, number: int) -> Camera:
 def _strides(solver: Solver, best: Found, direction: _Direction, far: list[float]) -> list[Found]:
     """Return where descents lead to from so far (rad) along a direction."""
     starts = (solver.step(best.camera, solver.finest, x * direction.move) for x in far)
-    walk = _Walk.of(solver, best)
-    return _finite(p for start in starts if (p := walk.led_to(start)) is not None)
+    return _finite(p for p in _Walk.of(solver, best).led_to(starts) if p is not None)
 
 
 def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
@@ -469,11 +468,11 @@ def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
     surplus = _glances(solver, cameras, _walked_on(solver))
     lower = (surplus <= np.roll(surplus, 1)) & (surplus <= np.roll(surplus, -1))
     lower[0] = False
-    places, worse, walk = [], 0, _Walk.of(solver, best)
+    places, worse = [], 0
     # (The golden ratio: where many are as good as one another, some all round.)
     order = np.lexsort((np.arange(count) * 0.618034 % 1, surplus))
-    for k in order[lower[order]][:MOST]:
-        place = walk.led_to(cameras[k])
+    likely = [cameras[k] for k in order[lower[order]][:MOST]]
+    for place in _Walk.of(solver, best).led_to(likely):
         places += [] if place is None else [place]
         worse += place is None or not equal_views(solver, place.view, best.view, WALK_TIMES)
         if worse == LIKELY:
@@ -503,18 +502,19 @@ class _Walk(NamedTuple):
         worse = here.squares + FAR_TIMES * WALK_TIMES * _variance_on(solver, best, number, here)
         return cls(solver, number, here, worse, [best.camera])
 
-    def led_to(self, start: Camera) -> Found | None:
-        """Return where a descent leads to, None where it is worse or known."""
-        solver, steps = self.solver, min(STEPS, self.solver.max_steps)
+    def led_to(self, starts: Iterable[Camera]) -> Iterator[Found | None]:
+        """Yield where descents lead to, None for one that leads to what is worse or known."""
+        solver = self.solver
         if self.number == solver.finest:
-            return _descended(solver, start)
-        found = solver.descended(start, steps, self.number)
-        if not found.view.squares <= self.worse:
-            return None
-        if any(separation(solver, found.camera, other) < RETURNED for other in self.known):
-            return None
-        self.known.append(found.camera)
-        return _descended(solver, found.camera)
+            yield from _descended(solver, starts)
+            return
+        for found in _descended(solver, starts, self.number):
+            known = any(separation(solver, found.camera, c) < RETURNED for c in self.known)
+            if known or not found.view.squares <= self.worse:
+                yield None
+            else:
+                self.known.append(found.camera)
+                yield from _descended(solver, [found.camera])
 
 
 def _walked_on(solver: Solver) -> int:
@@ -544,19 +544,19 @@ def _alike(solver: Solver, best: Found) -> list[Found]:
     cameras = [_rotated(best.camera, *turn) for turn in solver.subject.turns]
     surplus = _glances(solver, cameras, solver.finest)
     nearest = [cameras[k] for k in np.argsort(surplus)[:FEW] if np.isfinite(surplus[k])]
-    return _finite(_descended(solver, camera) for camera in nearest)
+    return _finite(_descended(solver, nearest))
 
 
 def _glances(solver: Solver, cameras: list[Camera], number: int) -> np.ndarray:
     """Return how badly cameras explain the mask, on a level."""
-    views = [solver.glance(camera, number) for camera in cameras]
+    views = solver.glances(cameras, number)
     if number == solver.finest:
         return np.array([_surplus(solver, view) for view in views])
     return np.array([view.squares if np.isfinite(view.squares) else np.inf for view in views])
 
 
-def _descended(solver: Solver, camera: Camera) -> Found:
-    return solver.descended(camera, min(STEPS, solver.max_steps))
+def _descended(solver: Solver, cameras: Iterable[Camera], number: int = -1) -> Iterator[Found]:
+    return solver.descents(cameras, min(STEPS, solver.max_steps), number)
 
 
 def _finite(places: Iterable[Found]) -> list[Found]:

@@ -4,16 +4,12 @@ The rows of a view are its R of J = QR times how its moves follow the unknowns.
 """
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from copy import copy
-from threading import Lock
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
-from .._camera.camera import Camera
-from .._numerics.machine import usable_cores
+from .._numerics.threads import in_threads
 from .._solver.least_squares import (
     Descent,
     Rows,
@@ -21,16 +17,12 @@ from .._solver.least_squares import (
     held_to_the_end,
     levenberg_marquardt,
 )
-from .._solver.problem import View
-from .._solver.solver import Solver
 from .priors import JointPrior
 from .views import ZERO, Eye, State, Unknown, stepped
 from .zeros import Seen, with_joints
 
 #: A residual errs by at least as much, where there are priors: what is exact outweighs them.
 LEAST_NOISE = 1e-3
-#: Held by the thread that asks for a program.
-ASKING = Lock()
 
 
 class Layout:
@@ -90,7 +82,9 @@ class Layout:
         `grow`."""
         solvers = [eye.looking(state) for eye in self.eyes]
         at = [(eye.canonical(state), eye.level(depth)) for eye in self.eyes]
-        begun = _side_by_side(solvers, at)
+        begin = lambda given: given[0].begin(*given[1])
+        program = lambda given: given[0].program(*given[1])
+        begun = in_threads(begin, list(zip(solvers, at, strict=True)), program)
         result = []
         for k, (solver, a, view) in enumerate(zip(solvers, at, begun, strict=True)):
             eye = self.eyes[k]
@@ -139,22 +133,6 @@ class Layout:
             for j in self._of[k]:
                 result[self._places[j]] = eye.ways_out(state, one.view, self.unknowns[j])
         return result
-
-
-def _side_by_side(solvers: list[Solver], at: list[tuple[Camera, int]]) -> list[View]:
-    """Return the views' looks, worked out side by side: a program of its own thread each, as JAX
-    runs what one thread asks for one after the other."""
-
-    def look(solver: Solver, place: tuple[Camera, int]) -> View:
-        with ASKING:  # (Python's part of it: what is kept of programs is not made for threads.)
-            view = solver.begin(*place)
-        return jax.block_until_ready(view)
-
-    workers = min(len(at), usable_cores())
-    if workers == 1:
-        return [solver.begin(*place) for solver, place in zip(solvers, at, strict=True)]
-    with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(look, solvers, at))
 
 
 class _OnLevel(NamedTuple):

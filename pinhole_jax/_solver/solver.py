@@ -1,10 +1,12 @@
 """A fit of one scene to one mask: what is asked, and steps and looks, level by level."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -15,6 +17,7 @@ from .._mask.pyramid import LEAST_CELLS, Level
 from .._mask.target import Window, inside_of, object_window
 from .._numerics.jitted import jitted
 from .._numerics.one_kernel import for_this_machine
+from .._numerics.threads import in_threads, some_at_once
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene
 from .buffers import Asked, Buffers, Levels
@@ -409,31 +412,58 @@ class Solver:
     def glance(self, camera: Camera, number: int = -1) -> View:
         """Return the view on a level (the last), whose overlaps are resolved, in buffers as they
         are: NaN where these are too small."""
-        self._widen(camera)
-        return self._further(camera, self._resolved(number), 0.0, 1)[-1]
+        return self.glances([camera], number)[0]
 
-    def descended(self, camera: Camera, steps: int, number: int = -1) -> Found:
-        """Return what some steps on a level (the last), whose overlaps are resolved, lead to, in
-        buffers as they are: NaN where these do not suffice. It has no way, and its view is
-        differentiated by moves of the beginning: what is to be reported is to be looked at."""
-        self._widen(camera)
+    def glances(self, cameras: Sequence[Camera], number: int = -1) -> list[View]:
+        """Return the `glance` at each camera, as many at once as there are cores."""
+        return [end for *_, end in self._each_further(cameras, number, 0.0, 1)]
+
+    def descents(self, cameras: Iterable[Camera], steps: int, number: int = -1) -> Iterator[Found]:
+        """Yield what some steps on a level (the last), whose overlaps are resolved, lead to from
+        each camera, in buffers as they are: NaN where these do not suffice. As many are worked out
+        at once as there are cores, asked for or not. They have no way, and views differentiated by
+        moves of the beginning: what is to be reported is to be looked at."""
         px = FINE_PX[self.dtype] if number in (-1, self.finest) else COARSE_PX
-        camera, n, _, view = self._further(camera, self._resolved(number), px, steps)
-        return Found(camera, view, (int(n),), ended=int(n) < steps)
+        for some in some_at_once(cameras):
+            for camera, n, _, view in self._each_further(some, number, px, steps):
+                yield Found(camera, view, (int(n),), ended=int(n) < steps)
+
+    def _each_further(
+        self, cameras: Sequence[Camera], number: int, px: float, steps: int
+    ) -> list[Any]:
+        """Return `_further` from each camera on a level, whose overlaps are resolved."""
+        for camera in cameras:
+            self._widen(camera)
+        level = self._resolved(number)
+        further = lambda camera: self._further(camera, level, px, steps)
+        return in_threads(further, cameras, lambda camera: self._program(camera, level))
 
     def _resolved(self, number: int) -> Level:
         """Return a level on which pixels show the union's coverage, as on the finest: so it is not
         biased."""
         return self.levels[number]._replace(resolved=np.array(True))
 
+    def program(self, camera: Camera, level: int) -> Hashable:
+        """Return the name of the program that looks at a camera."""
+        return self._program(camera, self.levels[level])
+
+    def _program(self, camera: Camera, level: Level) -> Hashable:
+        problem, capacity = self._asked(level)
+        leaves, tree = jax.tree.flatten((camera, problem, level))
+        return tree, self.freed, capacity, *[(np.shape(x), jnp.result_type(x)) for x in leaves]
+
+    def _asked(self, level: Level) -> tuple[Problem, Capacity]:
+        """Return the problem of a level, and what its views have room for."""
+        problem = self.problem
+        if (small := self._small(level)) is None:
+            return problem, self.capacity
+        return eqx.tree_at(lambda p: p.pyramid, problem, self._levels.small), small
+
     @collector_at_rest()
     def _further(self, camera: Camera, level: Level, px: float, steps: int):
-        """Return `descended`'s from a camera: one program, whether it takes steps or only looks."""
+        """Return `descents`'s from a camera: one program, whether it takes steps or only looks."""
         ends = np.asarray(px, self.dtype), np.asarray(steps, np.int32)
-        problem, capacity = self.problem, self.capacity
-        if (small := self._small(level)) is not None:
-            problem = eqx.tree_at(lambda p: p.pyramid, problem, self._levels.small)
-            capacity = small
+        problem, capacity = self._asked(level)
         given = camera, problem, level, *ends, self.freed, capacity
         with for_this_machine():
             return programs.call(DESCENDED, given, lambda: like_descended(camera, level))

@@ -1,7 +1,6 @@
 """Rays shared out to the machine's cores: XLA runs a program's walk on one of them."""
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -10,15 +9,13 @@ import jax.numpy as jnp
 from .._camera.rays import Rays
 from .._numerics.arrays import is_concrete
 from .._numerics.machine import usable_cores
+from .._numerics.threads import in_threads
 from .packets import begins_anew
 
 #: A share has this many rays at the least (of a million, shares of 8000 to 130 000 take as long).
 LEAST = 1 << 15
 #: Shares for each core.
 EACH = 4
-
-#: What programs there are for: the shapes of what was asked.
-_compiled: set[tuple] = set()
 
 
 def by_cores(find: Callable[[Any, Rays], Any], where: Any, rays: Rays) -> Any:
@@ -32,10 +29,8 @@ def by_cores(find: Callable[[Any, Rays], Any], where: Any, rays: Rays) -> Any:
         return find(where, rays)
     parts = _shared_out(rays, number)
     shapes = tuple((x.shape, str(x.dtype)) for x in jax.tree.leaves((where, parts[0])))
-    alone = int(shapes not in _compiled)  # else each thread would compile the same program
-    found = [jax.block_until_ready(find(where, part)) for part in parts[:alone]]
-    _compiled.add(shapes)
-    found += _in_threads(lambda part: jax.block_until_ready(find(where, part)), parts[alone:])
+    program = find, shapes
+    found = in_threads(lambda part: find(where, part), parts, lambda _: program)
     return jax.tree.map(lambda *x: jnp.concatenate(x), *found)
 
 
@@ -58,15 +53,3 @@ def _shared_out(rays: Rays, number: int) -> list[Rays]:
     directions = jnp.split(direction, number)
     origins = [origin] * number if origin.ndim == 1 else jnp.split(origin, number)
     return [Rays(o, d) for o, d in zip(origins, directions, strict=True)]
-
-
-def _in_threads(run: Callable[[Rays], Any], parts: list[Rays]) -> list[Any]:
-    """Return what threads make of the parts; one does it where they would count otherwise.
-
-    (A thread knows nothing of the `with` blocks of JAX's settings that another is in.)
-    """
-    longest = lambda: jax.dtypes.canonicalize_dtype(float)
-    with ThreadPoolExecutor(usable_cores()) as threads:
-        if threads.submit(longest).result() == longest():
-            return list(threads.map(run, parts))
-    return [run(part) for part in parts]

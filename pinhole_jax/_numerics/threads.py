@@ -1,0 +1,50 @@
+"""Programs side by side, a thread each: JAX runs what one thread asks for one after the other."""
+
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
+from typing import TypeVar
+
+import jax
+
+from .machine import usable_cores
+
+X = TypeVar("X")
+Y = TypeVar("Y")
+
+#: What programs were run: from the second time on none is compiled.
+_compiled: set[Hashable] = set()
+
+
+def in_threads(
+    run: Callable[[X], Y], given: Sequence[X], program: Callable[[X], Hashable]
+) -> list[Y]:
+    """Return what programs make of each that is given, as many at once as there are cores.
+
+    `program` names the program that one takes: where it is the first that takes it, it is alone,
+    since several threads would compile the same. Where a thread would count otherwise (it knows
+    nothing of the `with` blocks of JAX's settings that another is in), and where a program has a
+    device of its own, one thread does it all.
+    """
+    ask = lambda x: jax.block_until_ready(run(x))
+    cores = min(usable_cores(), len(given)) if jax.default_backend() == "cpu" else 1
+    if cores <= 1:
+        return [ask(x) for x in given]
+    made: dict[int, Y] = {}
+    for k, x in enumerate(given):
+        if (name := program(x)) not in _compiled:
+            made[k] = ask(x)
+            _compiled.add(name)
+    rest = [x for k, x in enumerate(given) if k not in made]
+    longest = lambda: jax.dtypes.canonicalize_dtype(float)
+    with ThreadPoolExecutor(cores) as threads:
+        alike = threads.submit(longest).result() == longest()
+        further = iter(list(threads.map(ask, rest) if alike else map(ask, rest)))
+    return [made[k] if k in made else next(further) for k in range(len(given))]
+
+
+def some_at_once(given: Iterable[X]) -> Iterator[list[X]]:
+    """Yield what is given, as many at once as there are cores."""
+    rest = iter(given)
+    while some := list(islice(rest, usable_cores())):
+        yield some
