@@ -1,0 +1,79 @@
+"""Programs side by side: as many at once as there are cores, the same as one after the other."""
+
+from threading import Barrier, Lock, get_ident
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinhole_jax._numerics import threads
+from pinhole_jax._numerics.threads import in_threads, some_at_once
+
+
+@pytest.fixture(autouse=True)
+def cores(monkeypatch):
+    """A machine of two cores, on which nothing is compiled yet."""
+    monkeypatch.setattr(threads, "usable_cores", lambda: 2)
+    monkeypatch.setattr(threads, "_compiled", set())
+
+
+def test_two_run_at_once():
+    """Else they wait for each other in vain."""
+    beside = Barrier(2, timeout=30)
+
+    def meet(x):
+        if x > 0:
+            beside.wait()
+        return jnp.float32(x)
+
+    assert in_threads(meet, list(range(5)), lambda x: "one") == [0, 1, 2, 3, 4]
+
+
+def test_the_first_of_each_program_is_alone():
+    """Several threads would compile the same."""
+    running, met, lock = set(), {}, Lock()
+
+    def look(x):
+        with lock:
+            running.add(x)
+        met[x] = len(running)
+        with lock:
+            running.discard(x)
+        return x
+
+    given = ["a1", "a2", "b1", "a3", "b2"]
+    assert in_threads(look, given, lambda x: x[0]) == given
+    assert met["a1"] == met["b1"] == 1
+    assert threads._compiled == {"a", "b"}
+
+
+@pytest.mark.parametrize("count", [1, 2], ids=["one core", "settings of another thread"])
+def test_one_thread_does_it_all_where_another_would_count_otherwise(monkeypatch, count):
+    monkeypatch.setattr(threads, "usable_cores", lambda: count)
+    lengths, by = [np.dtype("float32"), np.dtype("float64")], []
+    if count == 2:
+        monkeypatch.setattr(jax.dtypes, "canonicalize_dtype", lambda _: lengths.pop())
+    assert in_threads(lambda x: by.append(get_ident()), [1, 2, 3], lambda x: x) == [None] * 3
+    assert set(by) == {get_ident()}
+
+
+def test_what_is_given_is_taken_as_it_is_asked_for():
+    taken = []
+    some = some_at_once(taken.append(k) or k for k in range(5))
+    assert (next(some), taken) == ([0, 1], [0, 1])
+    assert list(some) == [[2, 3], [4]]
+
+
+@pytest.mark.parametrize("errors", [None, ValueError("a mesh without faces")], ids=str)
+def test_what_a_thread_raises_is_raised(errors):
+    def ask(x):
+        if x == 3 and errors is not None:
+            raise errors
+        return x
+
+    if errors is None:
+        assert in_threads(ask, [1, 2, 3], lambda x: 0) == [1, 2, 3]
+    else:
+        with pytest.raises(ValueError, match="without faces"):
+            in_threads(ask, [1, 2, 3], lambda x: 0)
