@@ -44,7 +44,7 @@ def test_small_systems():
     assert np.all(np.isnan(solve_normal(-jax.numpy.eye(2), jax.numpy.ones(2))))
 
 
-@pytest.mark.long
+@pytest.mark.full
 def test_lanes_find_the_cameras(scene, masks):
     fits, alone = pj.fit_lanes(scene, masks, STARTS)
     assert [fit.status for fit in fits] == ["converged"] * 3
