@@ -1,10 +1,11 @@
 """What XLA's CPU compiler makes a single kernel of: loops, and arithmetic of a few numbers."""
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import equinox as eqx
 import jax
@@ -15,12 +16,18 @@ from jax.flatten_util import ravel_pytree
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float, Int, Num, PyTree
 
+from .alike import name_of
 from .literals import folded, tidied
 from .safe import times
 
 T = TypeVar("T")
 
 _here: ContextVar[bool] = ContextVar("_here", default=False)
+
+#: Functions of which kernels were made, at most so many of them, and the programs of these.
+KEPT = 256
+_flats: dict[Hashable, Callable] = {}
+_short: WeakKeyDictionary[ClosedJaxpr, tuple[Callable, list[bool]]] = WeakKeyDictionary()
 
 
 @contextmanager
@@ -158,11 +165,26 @@ def _with_what_it_uses(function: Callable, arguments: tuple) -> tuple[Callable, 
     """Return a function as one of those arrays among its arguments that it uses, these, and the way
     back from what it returns: the compiler aborts where a kernel is given others."""
     leaves, tree = jax.tree.flatten(arguments)
+    traced = jax.jit(_flat(function, tree)).trace(*leaves)
+    if traced.jaxpr not in _short:
+        jaxpr, consts = traced.jaxpr.jaxpr, traced.jaxpr.consts
+        short, used = dce_jaxpr(folded(jaxpr), [True] * len(jaxpr.outvars))
+        _short[traced.jaxpr] = jaxpr_as_fun(ClosedJaxpr(short, consts)), used
+    program, used = _short[traced.jaxpr]
+    back = jax.tree.structure(traced.out_info).unflatten
+    return program, list(itertools.compress(leaves, used)), back
+
+
+def _flat(function: Callable, tree: jax.tree_util.PyTreeDef) -> Callable:
+    """Return a function of the leaves of its arguments: one function for all that do the same,
+    since JAX keeps what it has traced as long as that is there."""
     flat = lambda *leaves: function(*tree.unflatten(leaves))
-    traced, out = jax.make_jaxpr(flat, return_shape=True)(*leaves)
-    short, used = dce_jaxpr(folded(traced.jaxpr), [True] * len(traced.jaxpr.outvars))
-    program = jaxpr_as_fun(ClosedJaxpr(short, traced.consts))
-    return program, list(itertools.compress(leaves, used)), jax.tree.structure(out).unflatten
+    name = name_of(function)
+    if name is None:
+        return flat
+    if len(_flats) >= KEPT:
+        _flats.clear()
+    return _flats.setdefault((name, tree, _here.get()), flat)
 
 
 def at_once(
