@@ -114,11 +114,14 @@ def compiler(request):
 @pytest.fixture(autouse=True)
 def what_is_patched_is_traced(request):
     """Kernels that were traced stand for equal ones, whatever the code that they call is by now."""
-    if "monkeypatch" in request.fixturenames:
-        from pinhole_jax._numerics import one_kernel  # not before jaxtyping watches imports
+    from pinhole_jax._numerics import one_kernel  # not before jaxtyping watches imports
 
+    patched = "monkeypatch" in request.fixturenames
+    if patched:
         one_kernel._flats.clear()
-        request.addfinalizer(one_kernel._flats.clear)
+    yield
+    if patched:
+        one_kernel._flats.clear()
 
 
 @pytest.fixture

@@ -175,7 +175,7 @@ def _with_what_it_uses(function: Callable, arguments: tuple) -> tuple[Callable, 
     return program, list(itertools.compress(leaves, used)), back
 
 
-def _flat(function: Callable, tree: jax.tree_util.PyTreeDef) -> Callable:
+def _flat(function: Callable, tree: Any) -> Callable:
     """Return a function of the leaves of its arguments: one function for all that do the same,
     since JAX keeps what it has traced as long as that is there."""
     flat = lambda *leaves: function(*tree.unflatten(leaves))
