@@ -37,6 +37,8 @@ def holding_itself(x):
         (times(2), times(3), False),
         (times(2), times(2.0), False),  # of another type
         (times(1), times(True), False),
+        (times(2.0), times(2.0), True),
+        (times(0.0), times(-0.0), False),
         (times(2, default), times(2, default), True),
         (times(2, times(3)), times(2, times(3)), True),
         (times(2, times(3)), times(2, times(4)), False),
@@ -57,6 +59,7 @@ def test_functions_do_the_same_if_their_code_and_all_they_hold_are_equal(one, ot
         times(np.ones(2)),
         times(jnp.ones(2)),
         times(object()),
+        times(np.float64(2)),
         holding_itself(1),
         jax.jit(default),
         partial(default, np.ones(2)),

@@ -8,8 +8,10 @@ from typing import Any
 import jax
 import numpy as np
 
-#: What is known to be the same if it is equal.
-PLAIN = bool, int, float, str, bytes, type(None), type, np.dtype, jax.tree_util.PyTreeDef
+#: What is known to be the same if it is equal: of just these types (JAX's own numbers are integers
+#: that have a type of their own, too), or of these and those derived from them.
+PLAIN = bool, int, str, bytes, type(None)
+DERIVED = type, np.dtype, jax.tree_util.PyTreeDef
 
 
 class _Unknown(Exception):
@@ -38,6 +40,8 @@ def _name(x: Any, within: tuple[Any, ...]) -> Hashable:
         return partial, *named(x.func, *x.args), tuple(x.keywords), named(*x.keywords.values())
     if type(x) in (tuple, list):
         return type(x), named(*x)
-    if isinstance(x, PLAIN):
+    if type(x) is float:
+        return float, x.hex()  # 0.0 is equal to -0.0
+    if type(x) in PLAIN or isinstance(x, DERIVED):
         return type(x), x
     raise _Unknown
