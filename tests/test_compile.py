@@ -17,7 +17,7 @@ MOST = {
     "mask": Kernels(122, 95, 2),
     "depth": Kernels(197, 141, 2),
     "gradient_of_camera": Kernels(317, 188, 12),
-    "gradient_with_spheres_and_distortion": Kernels(501, 290, 16),
+    "gradient_with_spheres_and_distortion": Kernels(485, 285, 16),
     "fit": Kernels(258, 172, 2),
 }
 #: Counted with all tests: what the others have in them, and one that takes as long as these.

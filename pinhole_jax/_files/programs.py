@@ -12,7 +12,7 @@ import hashlib
 import importlib
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -74,8 +74,7 @@ def call(where: str, arguments: tuple[Any, ...], answer: Callable[[], Any]) -> A
     """
     if _folder is None:
         return _function(where)(*arguments)
-    leaves, tree = jax.tree.flatten(arguments)
-    given = where, tree, tuple(map(_described, leaves)), _settings(SWITCHES), _settings(WATCHED)
+    given = name_of(where, arguments)
     key = given, _imported(where)
     with _making:
         if key not in _programs:
@@ -87,7 +86,14 @@ def call(where: str, arguments: tuple[Any, ...], answer: Callable[[], Any]) -> A
         program = _programs[key]
     if program is None:
         return _function(where)(*arguments)
-    return program(*filter(_is_array, leaves))
+    return program(*filter(_is_array, jax.tree.leaves(arguments)))
+
+
+def name_of(where: str, arguments: tuple[Any, ...]) -> Hashable:
+    """Return what tells the program from all others of this process that `call` calls with such
+    arguments."""
+    leaves, tree = jax.tree.flatten(arguments)
+    return where, tree, tuple(map(_described, leaves)), _settings(SWITCHES), _settings(WATCHED)
 
 
 def like(kind: Any) -> Any:

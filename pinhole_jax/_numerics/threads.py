@@ -30,17 +30,17 @@ def in_threads(
     cores = min(usable_cores(), len(given)) if jax.default_backend() == "cpu" else 1
     if cores <= 1:
         return [ask(x) for x in given]
-    made: dict[int, Y] = {}
+    found: dict[int, Y] = {}
     for k, x in enumerate(given):
         if (name := program(x)) not in _compiled:
-            made[k] = ask(x)
+            found[k] = ask(x)
             _compiled.add(name)
-    rest = [x for k, x in enumerate(given) if k not in made]
+    rest = {k: x for k, x in enumerate(given) if k not in found}
     longest = lambda: jax.dtypes.canonicalize_dtype(float)
     with ThreadPoolExecutor(cores) as threads:
         alike = threads.submit(longest).result() == longest()
-        further = iter(list(threads.map(ask, rest) if alike else map(ask, rest)))
-    return [made[k] if k in made else next(further) for k in range(len(given))]
+        found.update(zip(rest, (threads.map if alike else map)(ask, rest.values()), strict=True))
+    return [found[k] for k in range(len(given))]
 
 
 def some_at_once(given: Iterable[X]) -> Iterator[list[X]]:

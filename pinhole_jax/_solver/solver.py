@@ -5,8 +5,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -448,23 +446,21 @@ class Solver:
         return self._program(camera, self.levels[level])
 
     def _program(self, camera: Camera, level: Level) -> Hashable:
-        problem, capacity = self._asked(level)
-        leaves, tree = jax.tree.flatten((camera, problem, level))
-        return tree, self.freed, capacity, *[(np.shape(x), jnp.result_type(x)) for x in leaves]
+        return programs.name_of(DESCENDED, self._given(camera, level, 0.0, 1))
 
-    def _asked(self, level: Level) -> tuple[Problem, Capacity]:
-        """Return the problem of a level, and what its views have room for."""
-        problem = self.problem
-        if (small := self._small(level)) is None:
-            return problem, self.capacity
-        return eqx.tree_at(lambda p: p.pyramid, problem, self._levels.small), small
+    def _given(self, camera: Camera, level: Level, px: float, steps: int) -> tuple[Any, ...]:
+        """Return what the fit's program is given."""
+        problem, capacity = self.problem, self.capacity
+        if (small := self._small(level)) is not None:
+            problem = eqx.tree_at(lambda p: p.pyramid, problem, self._levels.small)
+            capacity = small
+        ends = np.asarray(px, self.dtype), np.asarray(steps, np.int32)
+        return camera, problem, level, *ends, self.freed, capacity
 
     @collector_at_rest()
     def _further(self, camera: Camera, level: Level, px: float, steps: int):
         """Return `descents`'s from a camera: one program, whether it takes steps or only looks."""
-        ends = np.asarray(px, self.dtype), np.asarray(steps, np.int32)
-        problem, capacity = self._asked(level)
-        given = camera, problem, level, *ends, self.freed, capacity
+        given = self._given(camera, level, px, steps)
         with for_this_machine():
             return programs.call(DESCENDED, given, lambda: like_descended(camera, level))
 
