@@ -35,7 +35,7 @@ def descents(number: int) -> dict:
 
     def compiled() -> int:
         begin = [(eye.solver, eye.canonical(problem.start)) for eye in eyes]
-        ends = [solver.descended(camera, 64) for solver, camera in begin]
+        ends = [next(solver.descents([camera], 64)) for solver, camera in begin]
         return jax.block_until_ready(ends[0]).steps[0]
 
     def many() -> int:
