@@ -3,7 +3,6 @@ also `python -m pinhole_jax`."""
 
 import argparse
 import atexit
-import contextlib
 import gc
 import sys
 from collections.abc import Sequence
@@ -227,19 +226,13 @@ def _say_written(path: str, words: str) -> None:
 
 
 def _set_up_jax(options: argparse.Namespace, quick: bool = True) -> None:
-    """Set what an application may and a library may not: float64, a cache of compiled programs
-    (`quick` ones but for those who run them often)."""
-    import jax
+    """Set JAX up (`quick` programs but for those who run them often)."""
+    from ._files.process import set_up
 
     # Tracing makes objects that stay: to look for garbage among them takes a third of the start.
     gc.set_threshold(1_000_000)
     atexit.register(gc.freeze)
-    jax.config.update("jax_enable_x64", True)
-    if not options.no_cache:
-        from ._files.cache import cache
-
-        with contextlib.suppress(ValueError):  # a user without a home folder
-            cache(quick=quick)
+    set_up(not options.no_cache, quick=quick)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,11 @@
 from collections.abc import Iterable
 from typing import Any
 
+import jax
 import pytest
+
+#: Of a test of how a CPU does it: other machines do it another way.
+on_cpu = pytest.mark.skipif(jax.default_backend() != "cpu", reason="it is about a CPU's programs")
 
 
 def long(*case: Any) -> Any:

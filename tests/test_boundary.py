@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chosen import first
+from chosen import first, on_cpu
 
 import pinhole_jax as pj
 from pinhole_jax._camera.camera import film_map
@@ -70,6 +70,7 @@ def test_piece_by_piece_is_as_of_vectors(kind, random, monkeypatch):
     np.testing.assert_allclose(there, here, rtol=1e-9)
 
 
+@on_cpu
 def test_some_curves_of_a_list_are_as_these_alone(random):
     ends = jnp.asarray(random.uniform(1, 8, (2, 20, 2)))
     curves = Ordered.of(Segments(ends[0], ends[1], jnp.ones(20)))

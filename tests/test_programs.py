@@ -16,6 +16,7 @@ from oracles import drawn
 
 import pinhole_jax as pj
 from pinhole_jax._files import programs
+from pinhole_jax._files.process import set_up
 from pinhole_jax._numerics.jitted import options
 
 WHERE = f"{__name__}:raised"
@@ -309,3 +310,15 @@ def test_what_is_named_is_there():
     }
     assert named
     assert all(callable(programs._function(name)) for name in named)
+
+
+@pytest.mark.parametrize(("said", "expected"), [("", "cpu"), ("cuda,cpu", "cuda,cpu")])
+def test_our_own_processes_go_to_the_cpu_unless_told_otherwise(said, expected):
+    before = jax.config.jax_platforms
+    try:
+        jax.config.update("jax_platforms", said)
+        set_up(cached=False)
+        assert jax.config.jax_platforms == expected
+        assert jax.config.jax_enable_x64
+    finally:
+        jax.config.update("jax_platforms", before)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from chosen import full, long
+from chosen import full, long, on_cpu
 from oracles import central_difference
 
 import pinhole_jax as pj
@@ -275,6 +275,7 @@ def test_rays_that_enter_at_one_place_follow_one_another():
     assert np.sum(np.diff(end) != 0) < 200  # (two ends may be in one cell); else some 1900
 
 
+@on_cpu
 @pytest.mark.parametrize("shape", [(640,), (40, 24), (12, 8, 5)], ids=str)
 def test_rays_shared_out_to_cores_find_the_same(shape, rays, monkeypatch):
     """Whose packets are the same: shares begin where packets do."""
@@ -312,6 +313,7 @@ def test_traces_on_all_cores_are_those_on_one(rays, monkeypatch):
             np.testing.assert_array_equal(one, other)
 
 
+@on_cpu
 def test_the_walk_is_one_kernel():
     """XLA leaves the call alone, whose loop it makes one kernel of; else rays take 100 times as
     long."""

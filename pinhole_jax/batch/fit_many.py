@@ -70,8 +70,9 @@ def fit_many(
       and what is known of the camera. They may come from a generator.
     - `executor`: any `concurrent.futures.Executor`: dask.distributed's
       (`Client.get_executor()`), mpi4py's, loky's. None: worker processes on this machine, each with
-      its share of the cores, in float64, with one cache of compiled programs (`cached`: in the
-      user's cache folder). Other processes are set up likewise; threads have this one's JAX.
+      its share of the cores, in float64, on the CPU (unless `JAX_PLATFORMS` is set), with one
+      cache of compiled programs (`cached`: in the user's cache folder). Other processes are set up
+      likewise; threads have this one's JAX.
     - `workers`: how many processes (None: one a core); of an executor, how many it has.
     - `out`: a folder that rows are appended to, in parts that appear whole or not at all, some
       seconds apart. Records whose ids it holds are not fitted again: to resume is to call again.

@@ -96,14 +96,9 @@ def _set_up(setup: Setup) -> None:
     global _is_set_up
     if _is_set_up or setup.parent == TOKEN:
         return
-    import jax
+    from .._files.process import set_up
 
-    jax.config.update("jax_enable_x64", True)
-    if setup.cached:
-        from .._files.cache import cache
-
-        with contextlib.suppress(ValueError):  # a user without a home folder
-            cache()
+    set_up(setup.cached)
     _is_set_up = True
 
 
