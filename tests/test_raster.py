@@ -13,7 +13,7 @@ from emitters import NEWER
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._trace.raster import _shared_out
-from pinhole_jax._trace.trace import _find, _rays_of
+from pinhole_jax._trace.trace import _find
 
 V, F, W, H = 60, 40, 22, 18
 program = partial(jax.jit, compiler_options=NEWER)
@@ -55,7 +55,7 @@ def view(random, vertices, faces):
 
 def both(scene, camera):
     """Return the face in each pixel, drawn and searched for, of the same rays."""
-    rays = _rays_of(camera)
+    rays = pj.camera_rays(camera)
     return (np.asarray(_find(scene, None, rays, given).face) for given in (camera, None))
 
 
@@ -66,7 +66,7 @@ def differ(scene, camera, drawn, searched):
     eye is in one of them; where one pixel shows nothing, where the ray meets the other's face at
     its edge. In long numbers.
     """
-    rays, corners = _rays_of(camera), np.asarray(scene.mesh.vertices)[scene.mesh.faces]
+    rays, corners = pj.camera_rays(camera), np.asarray(scene.mesh.vertices)[scene.mesh.faces]
     eps = 16 * np.finfo(corners.dtype).eps
     at = drawn != searched
     origin, direction = (

@@ -133,3 +133,20 @@ def test_rays_jit_and_vmap_in_float32():
     rays = jax.jit(jax.vmap(lambda e: pj.generate_rays(e, p, u, phi, d, 4, 2)))(eyes)
     assert rays.direction.shape == (2, 2, 4, 3)
     assert rays.direction.dtype == jnp.float32
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda c, x: pj.generate_rays(c.e, c.p, c.u, c.phi, c.d, 4, 2, 2),
+        lambda c, x: pj.camera_rays(c),
+        lambda c, x: pj.project(c, x),
+        lambda c, x: pj.pose_error(c, c),
+        lambda c, x: pj.iou(x, x),
+    ],
+    ids=["generate_rays", "camera_rays", "project", "pose_error", "iou"],
+)
+def test_a_call_outside_of_jit_is_one_program(call):
+    """Step by step each step would be compiled: 47 for the rays of a camera."""
+    steps = jax.make_jaxpr(call)(pj.Camera(E, P, U, PHI, D, 4, 2), jnp.ones((5, 3))).eqns
+    assert len(steps) == 1, steps

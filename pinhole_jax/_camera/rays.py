@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._numerics.arrays import ArrayLike, Input
+from .._numerics.jitted import jitted
 from .._numerics.safe import binary_inverse, safe_divide
 from .camera import Camera, basis, check_camera, film_size, focal_px, principal_point, to_camera
 
@@ -64,6 +65,15 @@ def camera_rays(
     ```
     """
     check_camera(camera)
+    if samples is None and key is not None:
+        raise ValueError("`key`: expected `samples` to go with it, got None")
+    if samples is not None and samples < 1:
+        raise ValueError(f"`samples`: expected at least 1 per side of a pixel, got {samples}")
+    return _rays(camera, samples, key)
+
+
+@jitted
+def _rays(camera: Camera, samples: int | None, key: PRNGKeyArray | None) -> Rays:
     x, y = _film_samples(camera.W, camera.H, samples, key, camera.e.dtype)
     return Rays(camera.e, rays_through(camera, x, y))
 
@@ -115,6 +125,11 @@ def project(camera: Camera, points: Input[ArrayLike, "*batch 3"]) -> Float[Array
     points = jnp.asarray(points)
     if points.shape[-1:] != (3,):
         raise ValueError(f"`points`: expected shape (..., 3), got shape {points.shape}")
+    return _projected(camera, points)
+
+
+@jitted
+def _projected(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
     x, y, z = jnp.moveaxis(to_camera(camera, points), -1, 0)
     fx, fy = focal_px(camera)
     centre = principal_point(camera)
@@ -131,11 +146,7 @@ def _film_samples(
     column = jnp.arange(W, dtype=dtype)
     row = jnp.arange(H - 1, -1, -1, dtype=dtype)
     if samples is None:
-        if key is not None:
-            raise ValueError("`key`: expected `samples` to go with it, got None")
         return column[None, :] + 0.5, row[:, None] + 0.5
-    if samples < 1:
-        raise ValueError(f"`samples`: expected at least 1 per side of a pixel, got {samples}")
     cell = jnp.arange(samples, dtype=dtype)
     cell_x, cell_y = jnp.tile(cell, samples), jnp.repeat(cell, samples)
     if key is None:

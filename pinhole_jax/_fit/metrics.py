@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._camera.camera import Camera, camera_basis, check_camera
+from .._camera.camera import Camera, basis, check_camera
+from .._numerics.jitted import jitted
 from .._numerics.safe import norm
 
 
@@ -23,10 +24,15 @@ def pose_error(camera_a: Camera, camera_b: Camera) -> tuple[Float[Array, ""], Fl
     """
     check_camera(camera_a, "camera_a")
     check_camera(camera_b, "camera_b")
-    a, b = (jnp.stack(camera_basis(c)) for c in (camera_a, camera_b))
+    return _apart(*((c.e, c.p, c.u) for c in (camera_a, camera_b)))
+
+
+@jitted
+def _apart(placed_a: tuple, placed_b: tuple) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    a, b = (jnp.stack(basis(*placed)) for placed in (placed_a, placed_b))
     # |A - B|_F = 2 sqrt(2) sin(angle / 2)
     half_chord = norm((a - b).reshape(-1)) / (2 * 2**0.5)
-    return 2 * jnp.arcsin(jnp.minimum(half_chord, 1)), norm(camera_a.e - camera_b.e)
+    return 2 * jnp.arcsin(jnp.minimum(half_chord, 1)), norm(placed_a[0] - placed_b[0])
 
 
 def iou(mask_a: Float[Array, "H W"], mask_b: Float[Array, "H W"]) -> Float[Array, ""]:
@@ -41,5 +47,10 @@ def iou(mask_a: Float[Array, "H W"], mask_b: Float[Array, "H W"]) -> Float[Array
     if np.shape(mask_a) != np.shape(mask_b):
         words = f"a mask of {np.shape(mask_a)}, the shape of `mask_a`, got {np.shape(mask_b)}"
         raise ValueError(f"`mask_b`: expected {words}")
+    return _iou(jnp.asarray(mask_a), jnp.asarray(mask_b))
+
+
+@jitted
+def _iou(mask_a: Array, mask_b: Array) -> Float[Array, ""]:
     both, either = jnp.sum(jnp.minimum(mask_a, mask_b)), jnp.sum(jnp.maximum(mask_a, mask_b))
     return jnp.where(either > 0, both / jnp.where(either > 0, either, 1), 1)

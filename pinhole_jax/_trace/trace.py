@@ -121,16 +121,13 @@ def found(scene: Any, rays: Any, search: Any = "tree") -> Found:
         check_camera(rays, "rays")
         distorted = rays.lens is not None and rays.lens.distortion is not None
         if search == "tree" and not distorted:
-            return _find(scene, None, _rays_of(rays), rays)
-        rays = _rays_of(rays)
+            return _find(scene, None, camera_rays(rays), rays)
+        rays = camera_rays(rays)
     scene, trees = _searchable(scene, rays, search)
     if search == "embree" or trees is None:
         return _find(scene, trees, rays, None, search)
     primitives = lambda trees, some: _find(None, trees, some, None)[1:]
     return Found(rays, *by_cores(primitives, trees, rays))
-
-
-_rays_of = jitted(camera_rays)
 
 
 class Trees(NamedTuple):
