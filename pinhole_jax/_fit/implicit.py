@@ -20,7 +20,7 @@ from .._mask.target import as_coverage, check_image
 from .._numerics.arrays import is_concrete
 from .._numerics.jitted import jitted
 from .._scene.scene import Scene, bounding_sphere
-from .._solver.moves import Move, canonical, scales
+from .._solver.moves import Move, camera_velocity, canonical, scales
 from .full_image import At, image, image_and_jacobian
 
 #: The step of central differences, in px, by float type. (Derivatives by it agree with refits to
@@ -101,7 +101,7 @@ def of_camera(
         at = At(Move(start, pivot, size), camera, scene, freed)
         pull, bend = pulled(at, inputs, velocity, decided())
         step = -jnp.linalg.pinv(bend, hermitian=True) @ pull
-        return jax.jvp(at.camera, (jnp.zeros_like(step),), (step,))[1]
+        return camera_velocity(at.move, camera, freed, step)
 
     put = lambda result, camera: result._replace(camera=camera)
     return Through(run, lambda result: result.camera, put, velocity)

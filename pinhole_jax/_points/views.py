@@ -18,7 +18,7 @@ from .._numerics.jitted import jitted
 from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
 from .._solver.least_squares import Rows
-from .._solver.moves import Bounds, Move, canonical, moved, on_film, reported, scales
+from .._solver.moves import Bounds, Move, camera_velocity, canonical, moved, reported, scales
 from .._solver.priors import Prior
 from .._solver.problem import UNIT_PX
 
@@ -104,8 +104,7 @@ class PointView(NamedTuple):
     def camera_velocity(self, y: Float[Array, "n"]) -> Camera:
         """Return how the camera, on its film, changes with moves."""
         move = self._data().move(self.camera, self.freed)
-        at = lambda y: on_film(moved(move, y, self.freed), self.film)
-        return jax.jvp(at, (jnp.zeros_like(y),), (y,))[1]
+        return camera_velocity(move, self.film, self.freed, y)
 
     def _given(self) -> "Given":
         to = lambda x: jnp.asarray(x, self.film.e.dtype)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from .._camera.axes import axes_of
 from .._camera.camera import Camera, camera_basis, focal_px, principal_point
 from .._camera.lens import Lens
+from .._numerics.jitted import jitted
 from .._numerics.safe import norm, safe_divide, safe_sqrt, times
 from .parameters import AXES, COMPONENTS, LABELS, PARAMETERS, TABLE, Scale, components, labels_of
 
@@ -215,3 +216,12 @@ def on_film(canonical_one: Camera, camera: Camera) -> Camera:
     moving = lambda c: (c.e, c.p, c.u, c.phi, c.d, c.lens)
     values = (one.e, one.p, one.u, one.phi, one.d, lens)
     return eqx.tree_at(moving, camera, values, is_leaf=lambda x: x is None)
+
+
+@jitted
+def camera_velocity(
+    move: Move, film: Camera, free: tuple[str, ...], y: Float[Array, "n"]
+) -> Camera:
+    """Return how a camera, on its film, changes with moves by y from where it is."""
+    at = lambda y: on_film(moved(move, y, free), film)
+    return jax.jvp(at, (jnp.zeros_like(y),), (y,))[1]
