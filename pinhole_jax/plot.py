@@ -5,7 +5,6 @@ photo, where mask and camera differ, how the fit came there, the object and the 
 from itertools import groupby
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -56,9 +55,9 @@ def outline_sigma(fit: Fit, scene: Scene) -> Float[np.ndarray, "n"]:
     variance, axes = np.linalg.eigh(fit.covariance[np.ix_(known, known)])
     place = lambda camera: np.asarray(project(camera, points), float)
     moved = lambda step: displaced(fit.camera, fit.names, step)
-    points = jnp.asarray(contour_points(fit.camera, scene), fit.camera.e.dtype)
+    points = np.asarray(contour_points(fit.camera, scene), fit.camera.e.dtype)
     points = points[KDTree(place(fit.camera)).query(segments.mean(axis=1))[1]]
-    far = float(np.linalg.norm(np.mean(np.asarray(points) - np.asarray(fit.camera.e), axis=0)))
+    far = float(np.linalg.norm(np.mean(points - np.asarray(fit.camera.e), axis=0)))
     large = {"e": far, "d": float(fit.camera.d), "principal": fit.camera.H}
     small = 1e-3 * np.array([large.get(name.split("_")[0], 1.0) for name in fit.names])
     along = segments[:, 1] - segments[:, 0]
@@ -201,7 +200,7 @@ def off_px(fit: Fit, scene: Scene) -> list[float]:
     """
     check_fit(fit)
     check_view(fit.camera, scene)
-    points = jnp.asarray(contour_points(fit.camera, scene), fit.camera.e.dtype)
+    points = np.asarray(contour_points(fit.camera, scene), fit.camera.e.dtype)
     if not len(points):
         return [float("nan")] * len(fit.history)
     last = np.asarray(project(fit.camera, points), float)

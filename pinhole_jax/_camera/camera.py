@@ -325,6 +325,10 @@ def to_camera(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, 
     return FilmMap(camera.e, camera.p, axes, base, camera.W, camera.H)(points)
 
 
+#: The same as one program, for arrays that are there.
+camera_coordinates = jitted(to_camera)
+
+
 def film_map(camera: Camera) -> FilmMap:
     """Return the camera as a map to the film."""
     return _film_of(camera, _film_numbers(camera))

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._camera.camera import Camera, check_camera, to_camera
+from .._camera.camera import Camera, camera_coordinates, check_camera
 from .._camera.lens import Lens
 from .._camera.rays import project
 from .._mask.mask import Mask
@@ -191,8 +191,8 @@ def _is_within(scene: Scene, camera: Camera) -> bool:
         around = np.asarray(scene.spheres.radii)[:, None, None] * corners
         points.append((np.asarray(scene.spheres.centers)[:, None] + around).reshape(-1, 3))
     corners = jnp.asarray(np.concatenate(points), camera.e.dtype)
-    seen, ahead = np.asarray(project(camera, corners)), np.asarray(to_camera(camera, corners))
-    before = ahead[:, 2] > 0
+    seen = np.asarray(project(camera, corners))
+    before = np.asarray(camera_coordinates(camera, corners))[:, 2] > 0
     return bool(np.all(before) and np.all((seen > 0) & (seen < [camera.W, camera.H])))
 
 

@@ -103,8 +103,7 @@ class PointView(NamedTuple):
 
     def camera_velocity(self, y: Float[Array, "n"]) -> Camera:
         """Return how the camera, on its film, changes with moves."""
-        move = self._data().move(self.camera, self.freed)
-        return camera_velocity(move, self.film, self.freed, y)
+        return _camera_velocity(self.camera, self._data(), self.film, y, self.freed)
 
     def _given(self) -> "Given":
         to = lambda x: jnp.asarray(x, self.film.e.dtype)
@@ -231,6 +230,13 @@ def _step(camera: Camera, data: _Data, y: Any, freed: tuple[str, ...]) -> Camera
 
 
 @jitted
+def _camera_velocity(
+    start: Camera, data: _Data, film: Camera, y: Float[Array, "n"], freed: tuple[str, ...]
+) -> Camera:
+    return camera_velocity(data.move(start, freed), film, freed, y)
+
+
+@jitted
 def _distances(camera: Camera, data: _Data) -> Float[Array, "N"]:
     off = data.given.off(camera, data.H)
     ahead = to_camera(camera, data.given.points)[:, 2] > 0
@@ -311,12 +317,15 @@ def velocities(
         bend[np.ix_(~own, ~own)] + bend[np.ix_(~own, own)] @ by
         for bend, by in zip(bends, follow, strict=True)
     )
-    pull: Any = sum(p[~own] + to(by).T @ p[own] for p, by in zip(pulls, follow, strict=True))
+    # (What is linear in the velocities is products with matrices: entries one by one are a program
+    # each.)
+    among, its = np.eye(len(own))[~own], np.eye(len(own))[own]
+    toward = [among + by.T @ its for by in follow]  # from a view's pull to that on the shared ones
+    pull: Any = sum(to(by) @ p for by, p in zip(toward, pulls, strict=True))
     shared = -to(np.linalg.pinv((left + left.T) / 2, hermitian=True)) @ pull
 
     result = []
-    for view, ratio, back, by, p in zip(views, ratios, alone, follow, pulls, strict=True):
-        step = jnp.zeros(len(own), dtype).at[~own].add(shared)
-        step = step.at[own].add(to(by) @ shared - to(back) @ p[own])
+    for view, ratio, back, by, p in zip(views, ratios, alone, toward, pulls, strict=True):
+        step = to(by.T) @ shared - to(its.T @ back @ its) @ p
         result.append(view.camera_velocity(ratio * step))
     return tuple(result)

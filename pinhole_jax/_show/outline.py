@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._camera.axes import axes_of
-from .._camera.camera import Camera, bend, film_map, to_camera
+from .._camera.camera import Camera, bend, camera_coordinates, film_map
 from .._camera.rays import project
 from .._files import programs
 from .._numerics.jitted import jitted
@@ -93,7 +93,7 @@ def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
                 sine = r / far
                 parts.append(centre + r * (np.sqrt(1 - sine**2) * ring - sine * axis))
     points = np.concatenate(parts)
-    ahead = np.asarray(to_camera(camera, jnp.asarray(points, camera.e.dtype)))[:, 2] > 0
+    ahead = np.asarray(camera_coordinates(camera, jnp.asarray(points, camera.e.dtype)))[:, 2] > 0
     return points[ahead]
 
 

@@ -7,12 +7,15 @@ import numpy as np
 
 from .._camera.camera import Camera, camera_basis
 from .._camera.rays import rays_through
+from .._numerics.jitted import jitted
 from .._scene.scene import Scene, check_view
 
 #: Rays through each side of the film; those as wide as this are drawn no longer.
 SIDE = 16
 #: (The cosine from the axis: 78 degrees. At 90 they would be endless.)
 LEAST_COSINE = 0.2
+
+_rays_through = jitted(rays_through)
 
 
 def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
@@ -87,7 +90,7 @@ def _border(camera: Camera) -> np.ndarray:
     share = np.linspace(0, 1, SIDE, endpoint=False)
     x = np.concatenate([share, np.ones(SIDE), 1 - share, np.zeros(SIDE)]) * camera.W
     y = np.concatenate([np.zeros(SIDE), share, np.ones(SIDE), 1 - share]) * camera.H
-    rays = rays_through(camera, *(jnp.asarray(z, camera.e.dtype) for z in (x, y)))
+    rays = _rays_through(camera, *(jnp.asarray(z, camera.e.dtype) for z in (x, y)))
     return np.asarray(rays, float)
 
 

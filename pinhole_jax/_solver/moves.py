@@ -156,7 +156,7 @@ def displaced(camera: Camera, labels: tuple[str, ...], step: np.ndarray) -> Came
     of = lambda kind, names: np.array([change.get(f"{kind}_{x}", 0.0) for x in names])
     e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
     turn = jnp.asarray(of("rotation", AXES) @ axes_of(camera), camera.e.dtype)
-    turned = np.asarray(rotation(turn), float)
+    turned = np.asarray(_rotation(turn), float)
     eye = e + of("e", "xyz")
     pose = [np.asarray(x, camera.e.dtype) for x in (eye, eye + turned @ (p - e), turned @ u)]
     camera = eqx.tree_at(lambda c: [c.e, c.p, c.u], camera, pose)
@@ -189,6 +189,10 @@ def rotation(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
     half = safe_divide(jnp.sin(angle / 2), angle)
     b = jnp.where(small, series_b, 2 * half * half)
     return jnp.eye(3, dtype=vector.dtype) + a * skew + b * times(skew, skew)
+
+
+#: The same as one program, for an array that is there.
+_rotation = jitted(rotation)
 
 
 def canonical(camera: Camera) -> Camera:
