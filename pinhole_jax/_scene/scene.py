@@ -121,15 +121,16 @@ class Mesh(eqx.Module):
         if points is not None:
             triangles = without_copies(points, triangles)
         edge_vertices, edge_faces = edge_records(triangles, points, self.vertices.shape[0])
-        self.faces = jnp.asarray(triangles)
+        # (With no type named, JAX compiles a copy of an array of each size.)
+        self.faces = jnp.asarray(triangles, np.int32)
         self.order = _face_order(self.vertices, self.faces)
         if is_concrete(self.order) and edge_faces.size:
             rank = np.empty(len(triangles), np.int32)
             rank[np.asarray(self.order)] = np.arange(len(triangles), dtype=np.int32)
             along = np.argsort(rank[edge_faces[:, 0]], kind="stable")
             edge_vertices, edge_faces = edge_vertices[along], edge_faces[along]
-        self.edge_vertices = jnp.asarray(edge_vertices)
-        self.edge_faces = jnp.asarray(edge_faces)
+        self.edge_vertices = jnp.asarray(edge_vertices, np.int32)
+        self.edge_faces = jnp.asarray(edge_faces, np.int32)
         self.planes = _planes_and_clusters(self.vertices, self.faces, self.edge_faces)
         self.closed = bool(np.all(edge_faces >= 0))
         borders = np.count_nonzero(edge_faces < 0)
@@ -488,7 +489,7 @@ def _face_order(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Int[
     if not is_concrete(codes):
         return jnp.argsort(codes).astype(jnp.int32)
     order = np.argsort(np.asarray(codes), kind="stable")  # five times as fast as XLA's
-    return jnp.asarray(order.astype(np.int32))
+    return jnp.asarray(order.astype(np.int32), np.int32)
 
 
 @jax.jit

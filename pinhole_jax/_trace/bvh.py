@@ -66,7 +66,7 @@ def _build(order, low, high, rows: Float[Array, "F rows corners"]) -> Tree:
     first = np.arange(leaves + 1, dtype=np.int64) * F // leaves
     slots = first[:-1, None] + np.arange(LEAF)
     slots = np.minimum(slots, np.maximum(first[1:, None] - 1, 0))  # the last is there again
-    index = order[jnp.asarray(slots.astype(np.int32))]
+    index = order[jnp.asarray(slots.astype(np.int32), np.int32)]
     data = jnp.moveaxis(rows[index], 1, -1).reshape(leaves, rows.shape[1], -1)
     eps, extent = jnp.finfo(low.dtype).eps, jnp.max(high - low, axis=1, keepdims=True)
     # Slivers are met up to the root of the rounding beside them: so much their test leaves open.
