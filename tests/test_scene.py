@@ -12,13 +12,17 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._camera.camera import check_camera
 from pinhole_jax._scene.scene import (
+    _clusters,
+    _middles_codes,
     astype,
     at_rest,
+    bounding_box,
     bounding_sphere,
     check_view,
     front_facing,
     padded,
     planes_are_current,
+    planes_of,
     with_or_without_border,
 )
 from pinhole_jax._silhouette.contour import contour_bits
@@ -76,6 +80,35 @@ def test_planes_are_never_stale():
     fresh = pj.Mesh(turned.vertices, FACES)
     for e in jnp.array([[5.0, 5, 5], [-5, -4, -3], [0.2, -3, 0.1]]):
         assert front_facing(turned, e).tolist() == front_facing(fresh, e).tolist()
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("cut", [0, 57], ids=["closed", "border"])
+def test_planes_and_clusters_are_those_of_no_filled_up_mesh(dtype, cut):
+    ball = trimesh.creation.icosphere(2)
+    vertices = np.random.default_rng(0).normal(1, 0.05, ball.vertices.shape) * ball.vertices
+    mesh = pj.Mesh(vertices.astype(dtype), ball.faces[cut:])
+    planes = planes_of(mesh.vertices, mesh.faces)
+    for name in ("normal", "corner", "box", "fingerprint"):
+        np.testing.assert_array_equal(getattr(mesh.planes, name), getattr(planes, name))
+    expected = _clusters(planes, mesh.vertices, mesh.edge_faces)
+    for own, x in zip(mesh.planes.clusters, expected, strict=True):
+        assert own.dtype == x.dtype
+        np.testing.assert_allclose(own, x, rtol=1e-5, atol=1e-6)
+    order = jnp.argsort(_middles_codes(mesh.vertices, mesh.faces))
+    np.testing.assert_array_equal(mesh.order, order)
+
+
+def test_meshes_of_similar_size_share_all_programs():
+    made = lambda: [f._cache_size() for f in (planes_of, _clusters, _middles_codes)]
+    sizes = []
+    for sections in (11, 12, 17):
+        ring = trimesh.creation.torus(1, 0.3, sections, 9)
+        of = padded(pj.Scene(mesh=pj.Mesh(ring.vertices, ring.faces)))
+        box = np.asarray(bounding_box(pj.Scene(mesh=pj.Mesh(ring.vertices, ring.faces))))
+        np.testing.assert_array_equal(box, [ring.vertices.min(axis=0), ring.vertices.max(axis=0)])
+        sizes.append((len(of.mesh.faces), made()))
+    assert all(size == sizes[0] for size in sizes)
 
 
 def test_vertices_may_be_traced_and_faces_may_not():

@@ -44,7 +44,7 @@ class jitted(Generic[P, T]):
         return sum(f._cached._cache_size() for f in (self._own, self._part))
 
     def _program(self, args: Any, kwargs: Any) -> Any:
-        alone = is_concrete(*jax.tree.leaves((args, kwargs))) and not _within_another()
+        alone = is_concrete(*jax.tree.leaves((args, kwargs))) and not is_within_another()
         return self._own if alone and options() else self._part
 
 
@@ -57,7 +57,7 @@ def options() -> dict[str, str]:
 _nothing = jax.jit(lambda: 0)
 
 
-def _within_another() -> bool:
+def is_within_another() -> bool:
     """Return whether a program is being traced now."""
     return not is_concrete(_nothing())
 

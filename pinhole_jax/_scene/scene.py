@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.camera import Camera, check_camera
 from .._numerics.arrays import MISSING, ArrayLike, Input, float_array, float_dtype, is_concrete
-from .._numerics.jitted import jitted
+from .._numerics.jitted import is_within_another, jitted
 from .._numerics.safe import binary_scale, norm, safe_divide
 from .topology import edge_records, without_copies
 
@@ -226,7 +226,9 @@ def padded(scene: Scene) -> Scene:
     if scene.mesh is None or not scene.mesh.edge_faces.shape[0]:
         return scene
     mesh, planes = scene.mesh, None
-    if planes_are_current(mesh) and mesh.planes.clusters is not None:
+    made_from = mesh.planes.fingerprint
+    current = made_from is None or int(made_from) == _fingerprint_of(np.asarray(mesh.vertices))
+    if current and mesh.planes.clusters is not None:
         planes = mesh.planes
     parts = (mesh.vertices, mesh.faces, mesh.edge_vertices, mesh.edge_faces)
     *parts, planes = _filled_up(*parts, planes)
@@ -294,7 +296,6 @@ def is_closed(mesh: Mesh) -> Any:
     return jnp.all(mesh.edge_faces >= 0) if mesh.closed is None else mesh.closed
 
 
-@jax.jit
 def _filled_up(
     vertices: Array, faces: Array, edge_vertices: Array, edge_faces: Array, planes: Planes | None
 ) -> tuple:
@@ -302,17 +303,26 @@ def _filled_up(
 
     V, F, E = _filled_sizes(vertices.shape[0], faces.shape[0], edge_faces.shape[0])
     parts = (vertices, V), (faces, F), (edge_vertices, E), (edge_faces, E)
-    arrays = tuple(_filled(x, size, 0) for x, size in parts)
+    arrays = tuple(_with_room(x, size, 0) for x, size in parts)
     if planes is None or planes.clusters is None:
         return *arrays, None
     # What is filled up is behind everything: no contour.
     number = -(-arrays[2].shape[0] // CLUSTER)
     c = planes.clusters
-    axis, cosine, sine, middle = (_filled(x, number, x.ndim - 1) for x in c[:4])
-    radius = _filled(c.radius, number, 0, -jnp.inf)
-    clusters = Clusters(axis, cosine, sine, middle, radius, _filled(c.planes, F, 0), *c[6:])
-    faces_of = _filled(planes.normal, F, 1), _filled(planes.corner, F, 1)
-    return *arrays, Planes(*faces_of, planes.box, _fingerprint(arrays[0]), clusters)
+    axis, cosine, sine, middle = (_with_room(x, number, x.ndim - 1) for x in c[:4])
+    radius = _with_room(c.radius, number, 0, -np.inf)
+    clusters = Clusters(axis, cosine, sine, middle, radius, _with_room(c.planes, F, 0), *c[6:])
+    faces_of = _with_room(planes.normal, F, 1), _with_room(planes.corner, F, 1)
+    # (Zeros add nothing to a fingerprint.)
+    fingerprint = jnp.asarray(_fingerprint_of(np.asarray(vertices)), np.uint32)
+    return *arrays, Planes(*faces_of, planes.box, fingerprint, clusters)
+
+
+def _with_room(x: Array, size: int, axis: int, value: float = 0.0) -> Array:
+    """Return an array, filled up by NumPy: JAX would compile that for each size."""
+    widths = [(0, 0)] * x.ndim
+    widths[axis] = (0, size - x.shape[axis])
+    return jnp.asarray(np.pad(np.asarray(x), widths, constant_values=value), x.dtype)
 
 
 def _filled_sizes(vertices: int, faces: int, edges: int) -> tuple[int, int, int]:
@@ -395,15 +405,19 @@ class Ball(NamedTuple):
     radius: Any
 
 
-@jitted
 def bounding_box(scene: Scene) -> Float[Array, "2 3"]:
     """Return the least and largest coordinates of the scene."""
-    points = []
+    if is_concrete(*jax.tree.leaves(scene)) and not is_within_another():
+        scene = jax.tree.map(np.asarray, scene)  # (JAX would compile that for each size)
+    points: list[Any] = []
     if scene.mesh is not None:
         points.append(scene.mesh.vertices)
     if scene.spheres is not None:
         centers, radii = scene.spheres.centers, scene.spheres.radii[:, None]
         points += [centers - radii, centers + radii]
+    if isinstance(points[0], np.ndarray):
+        every = np.concatenate(points)
+        return jnp.asarray(np.stack([every.min(axis=0), every.max(axis=0)]), every.dtype)
     return _box(jnp.concatenate(points))
 
 
@@ -448,10 +462,30 @@ def vertex_box(mesh: Mesh) -> Float[Array, "2 3"]:
 def _planes_and_clusters(
     vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"], edge_faces: Int[Array, "E 2"]
 ) -> Planes:
-    planes = planes_of(vertices, faces)
     if not (is_concrete(vertices) and edge_faces.shape[0]):
-        return planes
-    return planes._replace(clusters=_clusters(planes, vertices, edge_faces))
+        return planes_of(vertices, faces)
+    if is_within_another():
+        planes = planes_of(vertices, faces)
+        return planes._replace(clusters=_clusters(planes, vertices, edge_faces))
+    # (By programs that meshes of similar size share; what is filled up with is the last again.)
+    points, triangles, edges = (np.asarray(x) for x in (vertices, faces, edge_faces))
+    V, F, E = _filled_sizes(len(points), len(triangles), len(edges))
+    filled = _lasting(points, V)
+    planes = planes_of(filled, _lasting(triangles, F))
+    c = _clusters(planes, filled, _lasting(edges, E))
+    F, N = len(triangles), -(-len(edges) // CLUSTER)
+    cut = lambda x, n: jnp.asarray(np.ascontiguousarray(np.asarray(x)[..., :n]), x.dtype)
+    table = jnp.asarray(np.asarray(c.planes)[:F], c.planes.dtype)
+    axis, cosine, sine, middle, radius = (cut(x, N) for x in c[:5])
+    clusters = Clusters(axis, cosine, sine, middle, radius, table, c.centre, c.scale)
+    box = jnp.asarray(np.stack([points.min(axis=0), points.max(axis=0)]), points.dtype)
+    fingerprint = jnp.asarray(_fingerprint_of(points), np.uint32)
+    return Planes(cut(planes.normal, F), cut(planes.corner, F), box, fingerprint, clusters)
+
+
+def _lasting(x: np.ndarray, size: int) -> np.ndarray:
+    """Return rows, filled up with the last one."""
+    return np.concatenate([x, np.broadcast_to(x[-1:], (size - len(x), *x.shape[1:]))])
 
 
 @jax.jit
@@ -485,10 +519,13 @@ def _clusters(
 def _face_order(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Int[Array, "F"]:
     if not (faces.shape[0] and vertices.shape[0]):
         return jnp.zeros(faces.shape[0], jnp.int32)
-    codes = _middles_codes(jax.lax.stop_gradient(vertices), faces)
-    if not is_concrete(codes):
+    if not is_concrete(vertices, faces) or is_within_another():
+        codes = _middles_codes(jax.lax.stop_gradient(vertices), faces)
         return jnp.argsort(codes).astype(jnp.int32)
-    order = np.argsort(np.asarray(codes), kind="stable")  # five times as fast as XLA's
+    points, triangles = np.asarray(vertices), np.asarray(faces)
+    V, F, _ = _filled_sizes(len(points), len(triangles), 0)
+    codes = np.asarray(_middles_codes(_lasting(points, V), _lasting(triangles, F)))
+    order = np.argsort(codes[: len(triangles)], kind="stable")  # five times as fast as XLA's
     return jnp.asarray(order.astype(np.int32), np.int32)
 
 
@@ -521,6 +558,14 @@ def _fingerprint(vertices: Float[Array, "V 3"]) -> UInt32[Array, ""]:
     weight = jnp.arange(bits.shape[0], dtype=jnp.uint32) * jnp.uint32(2654435761) | jnp.uint32(1)
     mixed = (bits ^ (bits >> 16)) * weight  # round numbers have nothing but zeros in their low bits
     return jnp.sum(mixed ^ (mixed >> 15), dtype=jnp.uint32)
+
+
+def _fingerprint_of(points: np.ndarray) -> int:
+    """Return `_fingerprint` of vertices that are there."""
+    bits = np.ascontiguousarray(points).view(np.uint32).reshape(-1)
+    weight = np.arange(len(bits), dtype=np.uint32) * np.uint32(2654435761) | np.uint32(1)
+    mixed = (bits ^ (bits >> 16)) * weight
+    return int(np.sum(mixed ^ (mixed >> 15), dtype=np.uint32))
 
 
 def _say_if_loose(points: np.ndarray, triangles: np.ndarray) -> None:
