@@ -44,6 +44,8 @@ CLUSTER = 32
 MOSTLY_BORDER, LOOSE = 0.5, 0.6
 #: Faces (and vertices) that a small mesh's arrays are filled up to.
 FILLED_UP = (1 << 14, 1 << 16)
+#: The same of arrays that planes are made from: that takes a time that follows their size.
+MADE_FROM = (1 << 11, *FILLED_UP)
 
 
 class Planes(NamedTuple):
@@ -325,10 +327,12 @@ def _with_room(x: Array, size: int, axis: int, value: float = 0.0) -> Array:
     return jnp.asarray(np.pad(np.asarray(x), widths, constant_values=value), x.dtype)
 
 
-def _filled_sizes(vertices: int, faces: int, edges: int) -> tuple[int, int, int]:
+def _filled_sizes(
+    vertices: int, faces: int, edges: int, sizes: tuple[int, ...] = FILLED_UP
+) -> tuple[int, int, int]:
     """Return how many vertices, faces and edges a mesh is filled up to: few sizes, as each is
     compiled for; in steps of an eighth where the mesh is large and memory counts."""
-    for most in FILLED_UP:
+    for most in sizes:
         if max(vertices, faces) <= most and 2 * edges <= 3 * most:
             return most, most, 3 * most // 2
     up = lambda size: size + -size % (1 << max(size.bit_length() - 3, 6))
@@ -469,7 +473,7 @@ def _planes_and_clusters(
         return planes._replace(clusters=_clusters(planes, vertices, edge_faces))
     # (By programs that meshes of similar size share; what is filled up with is the last again.)
     points, triangles, edges = (np.asarray(x) for x in (vertices, faces, edge_faces))
-    V, F, E = _filled_sizes(len(points), len(triangles), len(edges))
+    V, F, E = _filled_sizes(len(points), len(triangles), len(edges), MADE_FROM)
     filled = _lasting(points, V)
     planes = planes_of(filled, _lasting(triangles, F))
     c = _clusters(planes, filled, _lasting(edges, E))
@@ -523,7 +527,7 @@ def _face_order(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Int[
         codes = _middles_codes(jax.lax.stop_gradient(vertices), faces)
         return jnp.argsort(codes).astype(jnp.int32)
     points, triangles = np.asarray(vertices), np.asarray(faces)
-    V, F, _ = _filled_sizes(len(points), len(triangles), 0)
+    V, F, _ = _filled_sizes(len(points), len(triangles), 0, MADE_FROM)
     codes = np.asarray(_middles_codes(_lasting(points, V), _lasting(triangles, F)))
     order = np.argsort(codes[: len(triangles)], kind="stable")  # five times as fast as XLA's
     return jnp.asarray(order.astype(np.int32), np.int32)
