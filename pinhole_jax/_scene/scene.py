@@ -264,7 +264,7 @@ def filled_alike(scenes: Sequence[Scene]) -> list[Scene]:
     result = []
     for scene, mesh in zip(scenes, meshes, strict=True):
         own = (getattr(mesh, name) for name in arrays)
-        vertices, faces, *edges = (_filled(x, n, 0) for x, n in zip(own, sizes, strict=True))
+        vertices, faces, *edges = (_with_room(x, n, 0) for x, n in zip(own, sizes, strict=True))
         parts = vertices, faces, *edges, jnp.zeros(0, jnp.int32), planes_of(vertices, faces)
         of = lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.order, m.planes)
         mesh = eqx.tree_at(of, mesh, parts)
@@ -337,12 +337,6 @@ def _filled_sizes(
             return most, most, 3 * most // 2
     up = lambda size: size + -size % (1 << max(size.bit_length() - 3, 6))
     return up(vertices), up(faces), up(edges)
-
-
-def _filled(x: Array, size: int, axis: int, value: float = 0.0) -> Array:
-    widths = [(0, 0)] * x.ndim
-    widths[axis] = (0, size - x.shape[axis])
-    return jnp.pad(x, widths, constant_values=value)
 
 
 @jitted
