@@ -33,6 +33,7 @@ from jaxtyping import Array, Float
 from .._numerics.arrays import MISSING, ArrayLike, Input, float_array, float_dtype, is_concrete
 from .._numerics.jitted import jitted
 from .._numerics.one_kernel import at_once
+from .._numerics.pointwise import pointwise
 from .._numerics.safe import cross_of_difference, norm, normalize
 from .distortion import Distortion
 from .drawing import card, frustum, table
@@ -309,7 +310,8 @@ def focal_px(camera: Camera) -> tuple[Float[Array, ""], Float[Array, ""]]:
 def principal_point(camera: Camera) -> Float[Array, "2"]:
     """Return where the view axis meets the film, in film coordinates (px)."""
     if camera.lens is None:
-        return jnp.array([camera.W / 2, camera.H / 2], camera.e.dtype)
+        middle = np.array([camera.W / 2, camera.H / 2], camera.e.dtype)
+        return jnp.asarray(middle, middle.dtype)
     return camera.lens.principal_point
 
 
@@ -326,7 +328,7 @@ def to_camera(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, 
 
 
 #: The same as one program, for arrays that are there.
-camera_coordinates = jitted(to_camera)
+camera_coordinates = pointwise(to_camera)
 
 
 def film_map(camera: Camera) -> FilmMap:

@@ -4,10 +4,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._numerics.arrays import ArrayLike, Input
 from .._numerics.jitted import jitted
+from .._numerics.pointwise import pointwise
 from .._numerics.safe import binary_inverse, safe_divide
 from .camera import Camera, basis, check_camera, film_size, focal_px, principal_point, to_camera
 
@@ -122,13 +124,13 @@ def project(camera: Camera, points: Input[ArrayLike, "*batch 3"]) -> Float[Array
     ```
     """
     check_camera(camera)
-    points = jnp.asarray(points)
+    points = points if isinstance(points, jax.Array) else np.asarray(points)
     if points.shape[-1:] != (3,):
         raise ValueError(f"`points`: expected shape (..., 3), got shape {points.shape}")
     return _projected(camera, points)
 
 
-@jitted
+@pointwise
 def _projected(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
     x, y, z = jnp.moveaxis(to_camera(camera, points), -1, 0)
     fx, fy = focal_px(camera)

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import jax
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
@@ -35,7 +36,7 @@ def image(y: Float[Array, "n"], at: At) -> Float[Array, "H W"]:
 @collector_at_rest()
 @jitted
 def image_and_jacobian(
-    y: Float[Array, "n"], at: At
+    y: Float[Array, "n"] | Float[np.ndarray, "n"], at: At
 ) -> tuple[Float[Array, "H W"], Float[Array, "H W n"]]:
     """Return the image after a move, and its derivative by further ones."""
     both = lambda y: (lambda x: (x, x))(image(y, at))

@@ -95,81 +95,121 @@ def of_camera(
 
     def velocity(result: Any, decided: Callable, inputs: Inputs, velocity: Inputs) -> Camera:
         camera = result.camera
-        start, scene = canonical(camera), inputs[0]
-        pivot, radius = (jnp.asarray(x, camera.e.dtype) for x in bounding_sphere(scene))
-        size = scales(start, pivot, radius, jnp.asarray(camera.H, camera.e.dtype), freed)
-        at = At(Move(start, pivot, size), camera, scene, freed)
-        pull, bend = pulled(at, inputs, velocity, decided())
-        step = -jnp.linalg.pinv(bend, hermitian=True) @ pull
-        return camera_velocity(at.move, camera, freed, step)
+        start, dtype = canonical(camera), camera.e.dtype
+        pivot, radius = (np.asarray(x, dtype) for x in bounding_sphere(inputs[0]))
+        move = _move(start, pivot, radius, np.asarray(camera.H, dtype), freed)
+        end = End.of(At(move, camera, inputs[0], freed), inputs, decided())
+        return _answer(move, camera, freed, end.back(), end.pull(inputs, velocity))
 
     put = lambda result, camera: result._replace(camera=camera)
     return Through(run, lambda result: result.camera, put, velocity)
 
 
-class Pulled(NamedTuple):
-    """How half the gradient of the sum of squares, by a camera's moves, changes: with the inputs
-    (n,), and with the moves (n, n)."""
+class End(NamedTuple):
+    """Where a fit ended: the image's `jacobian` (H, W, n) there by moves, the image less the target
+    (H, W), and how much pixels count (H, W).
 
-    pull: Float[Array, "n"]
-    bend: Float[Array, "n n"]
+    `step`: of the differences that tell second derivatives, in the moves' unit; None where what is
+    left of the target is as good as nothing.
+    """
+
+    at: At
+    jacobian: Float[Array, "H W n"]
+    difference: np.ndarray
+    weight: np.ndarray
+    step: float | None
+
+    @classmethod
+    def of(cls, at: At, inputs: Inputs, weight: np.ndarray, unit_px: float = 1.0) -> "End":
+        """Return the end of a fit whose moves are in units of this many px."""
+        film, dtype = at.film, np.dtype(at.film.e.dtype)
+        shown, jacobian = image_and_jacobian(np.zeros(at.move.scale.shape, dtype), at)
+        target = as_coverage(check_image("target", inputs[1], film.W, film.H))
+        difference, weight = np.asarray(shown) - target.astype(dtype), weight.astype(dtype)
+        left = float(np.mean(weight * difference * difference)) ** 0.5
+        step = STEP_PX[dtype] / unit_px if left > NO_RESIDUAL else None
+        return cls(at, jacobian, difference, weight, step)
+
+    def back(self) -> np.ndarray:
+        """Return the inverse of how half the gradient changes with the moves (n, n)."""
+        n = self.jacobian.shape[-1]
+        rows, weight = np.asarray(self.jacobian).reshape(-1, n), self.weight.reshape(-1, 1)
+        bend = rows.T @ (weight * rows)
+        if self.step is not None:
+            places = self._places()[1:]
+            slopes = np.asarray(_slopes(places, self.at, self.weight * self.difference))
+            bend = bend + (slopes[:n] - slopes[n:]) / (2 * self.step)
+        least = 10 * n * float(np.finfo(bend.dtype).eps)
+        return np.linalg.pinv((bend + bend.T) / 2, least, hermitian=True)
+
+    def pull(self, inputs: Inputs, velocity: Inputs) -> Float[Array, "n"]:
+        """Return how half the gradient changes with the inputs while the camera stays: linear in
+        their velocities."""
+        scene, of_target, of_weight = velocity
+        changes = share = None
+        if jax.tree.leaves(scene):
+            changes = _along(self._places(), self.at, _of_all(inputs[0], scene))
+        if of_weight is not None:
+            given = np.asarray(inputs[2])
+            share = np.where(given > 0, self.weight / np.where(given > 0, given, 1), 0)
+            share = share.astype(self.weight.dtype)
+        return _pull(self._replace(at=None), changes, of_target, share, of_weight)
+
+    def _places(self) -> np.ndarray:
+        """Return no move; and, where second derivatives count, a step each way along each."""
+        n, dtype = self.jacobian.shape[-1], self.weight.dtype
+        if self.step is None:
+            return np.zeros((1, n), dtype)
+        each = self.step * np.eye(n, dtype=dtype)
+        return np.concatenate([np.zeros((1, n), dtype), each, -each])
 
 
-def pulled(
-    at: At, inputs: Inputs, velocity: Inputs, weight: np.ndarray, unit_px: float = 1.0
-) -> Pulled:
-    """Return how the gradient changes where pixels have a weight (H, W) and the moves are in units
-    of this many px."""
-    scene, target, given_weight = inputs
-    dtype = at.film.e.dtype
-    zero = jnp.zeros_like(at.move.scale)
-    shown, J = image_and_jacobian(zero, at)
-    goal = jnp.asarray(as_coverage(check_image("target", target, at.film.W, at.film.H)), dtype)
-    w, difference = jnp.asarray(weight, dtype), shown - goal
-    scene_velocity, target_velocity, weight_velocity = velocity
-    held = w * difference
-    left = float(jnp.sqrt(jnp.mean(held * difference))) > NO_RESIDUAL
-    h = STEP_PX[np.dtype(dtype)] / unit_px
-    places = zero[None]
-    if left:
-        steps = h * jnp.eye(len(zero), dtype=dtype)
-        places = jnp.concatenate([places, steps, -steps])
-    changes = jnp.zeros((len(places), *shown.shape), dtype)
-    if jax.tree.leaves(scene_velocity):
-        changes = _along(places, at, _of_all(scene, scene_velocity))
-    # dg by what changes while the camera stays: linear in the velocities.
-    toward = changes[0]
-    if target_velocity is not None:
-        toward = toward - target_velocity.astype(dtype)
-    toward = w * toward
-    if weight_velocity is not None:
-        share = np.where(np.asarray(given_weight) > 0, weight / np.asarray(given_weight), 0)
-        toward = toward + jnp.asarray(share, dtype) * weight_velocity.astype(dtype) * difference
-    pull = jnp.einsum("hwn,hw->n", J, toward)
-    bend = jnp.einsum("hwm,hwn,hw->mn", J, J, w)
-    if left:
-        ahead, behind = jnp.split(_slopes(places[1:], at, held), 2)
-        bend = bend + (ahead - behind) / (2 * h)
-        ahead, behind = jnp.split(jnp.einsum("khw,hw->k", changes[1:], held), 2)
-        pull = pull + (ahead - behind) / (2 * h)
-    return Pulled(pull, (bend + bend.T) / 2)
+@jitted
+def _move(start: Camera, pivot: Any, radius: Any, H: Any, freed: tuple[str, ...]) -> Move:
+    return Move(start, pivot, scales(start, pivot, radius, H, freed))
+
+
+@jitted
+def _pull(end: End, changes: Any, of_target: Any, share: Any, of_weight: Any) -> Array:
+    """Return `End.pull`, with the image's changes (k, H, W) at its places while the scene moves."""
+    dtype, toward = end.weight.dtype, jnp.zeros_like(end.difference)
+    if changes is not None:
+        toward = changes[0]
+    if of_target is not None:
+        toward = toward - of_target.astype(dtype)
+    toward = end.weight * toward
+    if of_weight is not None:
+        toward = toward + share * of_weight.astype(dtype) * end.difference
+    pull = jnp.einsum("hwn,hw->n", end.jacobian, toward)
+    if changes is not None and end.step is not None:
+        along = jnp.einsum("khw,hw->k", changes[1:], end.weight * end.difference)
+        ahead, behind = jnp.split(along, 2)
+        pull = pull + (ahead - behind) / (2 * end.step)
+    return pull
+
+
+@jitted
+def _answer(move: Move, film: Camera, freed: tuple[str, ...], back: Any, pull: Array) -> Camera:
+    """Return how the camera changes so that the gradient stays 0."""
+    return camera_velocity(move, film, freed, -back @ pull)
 
 
 def _of_all(scene: Scene, velocity: Any) -> Any:
     """Return the velocity of a scene's arrays, 0 of those that do not change."""
     solid = eqx.filter(scene, eqx.is_inexact_array)
-    return eqx.combine(velocity, jax.tree.map(jnp.zeros_like, solid))
+    still = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), solid)
+    return eqx.combine(velocity, still)
 
 
 @jitted
-def _slopes(places: Float[Array, "k n"], at: At, held: Any) -> Float[Array, "k n"]:
-    """Return at some moves the derivative of the image's product with `held`."""
+def _slopes(places: Any, at: At, held: Any) -> Float[Array, "k n"]:
+    """Return at some moves (k, n) the derivative of the image's product with `held`."""
     return jax.lax.map(jax.grad(lambda y: jnp.sum(held * image(y, at))), places)
 
 
 @jitted
-def _along(places: Float[Array, "k n"], at: At, velocity: Any) -> Float[Array, "k H W"]:
-    """Return the image's rate of change, at some moves, where the scene moves with a velocity."""
+def _along(places: Any, at: At, velocity: Any) -> Float[Array, "k H W"]:
+    """Return the image's rate of change, at some moves (k, n), where the scene moves with a velocity."""
     solid, fixed = eqx.partition(at.scene, eqx.is_inexact_array)
 
     def change(y: Any) -> Any:

@@ -7,10 +7,10 @@ other program is compiled. Pixels in which several bodies end count by the lengt
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
-from .._camera.camera import Camera, bend
+from .._camera.bent import bent
+from .._camera.camera import Camera
 from .._camera.poses import adjoint, inverse, pose_of
 from .._mask.pyramid import Level, target_at
 from .._solver.problem import View
@@ -20,8 +20,8 @@ from .views import Eye, State
 
 #: Contours are sampled this many times a pixel; what lies beside one is looked up so far away (px).
 SAMPLES, BESIDE = 2.0, 1.0
-#: Samples of one edge at most; numbers of points that a lens bends are rounded up to these.
-MOST, ROUND = 2000, 4096
+#: Samples of one edge at most.
+MOST = 2000
 
 
 class Seen(NamedTuple):
@@ -130,11 +130,7 @@ def _in_pixels(camera: Camera, level: Level, points: np.ndarray) -> np.ndarray:
     x, y, z = on_film_plane(camera, points).T
     ahead = z > 0
     film = np.stack([x, y], axis=1) / np.where(ahead, z, np.nan)[:, None]
-    if (lens := bend(camera)) is not None:
-        filled = np.full((len(film) + -len(film) % ROUND, 2), 0.5)
-        filled[: len(film)] = np.nan_to_num(film)
-        distorted = np.asarray(lens(jnp.asarray(filled, camera.e.dtype)), float)[: len(film)]
-        film = np.where(ahead[:, None], distorted, np.nan)
+    film = np.where(ahead[:, None], bent(camera, np.nan_to_num(film)), np.nan)
     return film * float(level.scale) - np.asarray(level.origin, float)
 
 

@@ -7,7 +7,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._camera.camera import Camera, bend, film_map, focal_px, principal_point
+from .._camera.bent import bent
+from .._camera.camera import Camera, film_map, focal_px, principal_point
 from .edges import Near, NearWeights, looked_up, near, near_weights
 from .signatures import Signature, signatures
 from .target import Window, as_coverage, inside_of, object_window
@@ -72,7 +73,8 @@ class Mask:
 
     def longer(self, factor: float) -> "Mask":
         """Return the mask as seen with a focal length times a factor."""
-        phi = 2 * jnp.arctan(jnp.tan(self.camera.phi / 2) / factor)
+        phi = 2 * np.arctan(np.tan(np.asarray(self.camera.phi) / 2) / factor)
+        phi = jnp.asarray(np.asarray(phi, self.camera.e.dtype))
         return replace(self, camera=eqx.tree_at(lambda c: c.phi, self.camera, phi))
 
     def signature(self, hidden: float | None = None) -> Signature:
@@ -99,9 +101,8 @@ class Mask:
         x, y = (
             c + (np.arange(n) + 0.5) / n * s for c, n, s in zip(corner, (W, H), size, strict=True)
         )
-        column, row = np.moveaxis(
-            _distorted(self.camera, np.stack(np.meshgrid(x, y[::-1]), -1)), -1, 0
-        )
+        ideal = np.stack(np.meshgrid(x, y[::-1]), axis=-1)
+        column, row = np.moveaxis(bent(self.camera, ideal), -1, 0)
         at = np.stack([H - row - 0.5, column - 0.5])
         image, weight = (
             map_coordinates(z, at, order=1, cval=0.0) for z in (self.image, self._shares() + 0.0)
@@ -113,10 +114,3 @@ def _ideal_rectangle(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Return lower left corner and size (px) of a part of the ideal film that shows all."""
     left, right, bottom, top = (float(x) for x in film_map(camera).bounds)
     return np.array([left, bottom]), np.array([right - left, top - bottom])
-
-
-def _distorted(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """Return where ideal film points (px) are seen."""
-    distorted = bend(camera)
-    assert distorted is not None
-    return np.asarray(distorted(jnp.asarray(points, camera.e.dtype)), float)

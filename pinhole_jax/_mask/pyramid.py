@@ -89,7 +89,7 @@ class Level(NamedTuple):
 
     def window(self) -> Window:
         """Return the window in the level's pixels."""
-        left, bottom = (int(x) for x in self.origin)
+        left, bottom = (int(x) for x in np.asarray(self.origin))
         return Window(left, bottom, int(self.W), int(self.H))
 
 

@@ -35,6 +35,12 @@ def is_concrete(*values: Any) -> bool:
     return not any(isinstance(v, Tracer) for v in values)
 
 
+def at_hand(value: Any) -> Any:
+    """Return an array that can be looked at now as NumPy's, which compiles nothing of what is done
+    with it; a traced one as it is."""
+    return np.asarray(value) if is_concrete(value) else value
+
+
 def float_dtype(*values: Any) -> np.dtype:
     """Return the float type that the arrays among the values ask for.
 
@@ -58,6 +64,13 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.
     Raises ValueError naming the argument, what was expected and what came. Values that are being
     traced are checked for shape only.
     """
+    array = checked(name, value, shape, dtype)
+    return jnp.asarray(array, dtype)
+
+
+def checked(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.dtype) -> Any:
+    """Return the same, an array of JAX's as it is and another as NumPy's of this type: in float64
+    too, which JAX may not know."""
     expected = f"a real array of shape {_words(shape)}" if shape else "a real number"
     try:
         array = value if isinstance(value, jax.Array) else np.asarray(value)
@@ -86,7 +99,7 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.
             )
         if not isinstance(array, jax.Array):
             array = cast  # of a type that JAX knows: a long double is not
-    return jnp.asarray(array, dtype)
+    return array
 
 
 def _words(shape: tuple[int | None, ...]) -> str:

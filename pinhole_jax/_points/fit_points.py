@@ -14,7 +14,7 @@ from .._fit.implicit import Through, check_plain
 from .._fit.result import Progress, at_rest, to_units, without_ended
 from .._fit.words import parameter_lines
 from .._joint.shared_unknowns import alike, joint, others, reduced, shared_and_free
-from .._numerics.arrays import ArrayLike, Input, float_array, is_concrete
+from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
 from .._solver.moves import on_film
 from .._solver.parameters import components, labels_of, with_lens
 from .._solver.priors import Pair, bounds_of, prior_of
@@ -217,7 +217,7 @@ def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None
     if np.any(np.isinf(seen_at)):
         raise ValueError("`points2d`: expected finite values, or NaN where not seen, got inf")
     shape = (V, N, 3) if np.ndim(points3d) == 3 else (N, 3)
-    points = np.asarray(float_array("points3d", points3d, shape, np.dtype(np.float64)), float)
+    points = np.asarray(checked("points3d", points3d, shape, np.dtype(np.float64)), float)
 
     seen_at[np.isnan(seen_at).any(axis=-1)] = np.nan
     weight = np.where(np.isnan(seen_at[..., 0]), 0.0, _weights(weights, V, N))
@@ -237,7 +237,7 @@ def _weights(weights: ArrayLike | None, V: int, N: int) -> np.ndarray:
     if weights is None:
         return np.ones(N)
     shape = (V, N) if np.ndim(weights) == 2 else (N,)
-    weight = np.asarray(float_array("weights", weights, shape, np.dtype(np.float64)), float)
+    weight = np.asarray(checked("weights", weights, shape, np.dtype(np.float64)), float)
     if np.any(weight < 0):
         raise ValueError(f"`weights`: expected none below 0, got {weight.min()}")
     return weight

@@ -4,10 +4,10 @@ Sources: R. Hartley and A. Zisserman, "Multiple View Geometry" (2004), 4.1 and 7
 plane Z. Zhang, "A Flexible New Technique for Camera Calibration" (2000), 3.1.
 """
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._camera.bent import straightened
 from .._camera.camera import Camera, focal_px, principal_point
 
 #: Points whose spread across a plane is below this share of that within are points of the plane.
@@ -75,13 +75,7 @@ def _normalised(camera: Camera, seen_at: np.ndarray) -> np.ndarray:
     focal, centre = (
         np.array([float(z) for z in x]) for x in (focal_px(camera), principal_point(camera))
     )
-    view = (seen_at - centre) / focal
-    if camera.lens is not None and camera.lens.distortion is not None:
-        x, y = (jnp.asarray(z, camera.e.dtype) for z in view.T)
-        view = np.stack(
-            [np.asarray(z, float) for z in camera.lens.distortion.undistorted(x, y)], -1
-        )
-    return view * [1, -1]
+    return (straightened(camera, seen_at) - centre) / focal * [1, -1]
 
 
 def _posed(camera: Camera, rotation: np.ndarray, translation: np.ndarray) -> Camera:

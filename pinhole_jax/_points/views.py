@@ -14,7 +14,9 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera, lens_holds, to_camera
 from .._camera.film import FilmPart
 from .._camera.rays import project
+from .._numerics.arrays import is_concrete
 from .._numerics.jitted import jitted
+from .._numerics.pointwise import filled_up, room
 from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
 from .._solver.least_squares import Rows
@@ -49,8 +51,9 @@ class PointsSeen(NamedTuple):
 
 
 class PointView(NamedTuple):
-    """One view: its film, points in the world, where these are seen (px) and how much each counts,
-    what is free, and the camera so far (canonical)."""
+    """One view: its film, points in the world, where these are seen (px) and how much each counts
+    (filled up: there is a program of few sizes), what is free, and the camera so far (canonical).
+    """
 
     film: Camera
     points: Float[np.ndarray, "N 3"]
@@ -70,7 +73,9 @@ class PointView(NamedTuple):
         ball = ball_about(np.stack([used.min(axis=0), used.max(axis=0)]))
         # (What does not count may be NaN, whose derivative would be, too.)
         seen_at = np.where((weight > 0)[:, None], seen_at, 0)
-        return cls(film, points, seen_at, weight, ball, freed, canonical(film))
+        size = room(len(points))  # (what is filled up does not count either)
+        arrays = filled_up(points, size), filled_up(seen_at, size, 0), filled_up(weight, size, 0)
+        return cls(film, *arrays, ball, freed, canonical(film))
 
     @property
     def number(self) -> int:
@@ -92,9 +97,8 @@ class PointView(NamedTuple):
 
     def pull(self, velocity: "Given") -> Float[Array, "n"]:
         """Return how half the gradient of the squares, by moves, changes with what is given."""
-        zero = jax.tree.map(jnp.zeros_like, self._given())
-        velocity = Given(*(z if v is None else v for v, z in zip(velocity, zero, strict=True)))
-        return _pull(self.camera, self._data(), velocity, self.freed)
+        changes = (_change(*pair) for pair in zip(velocity, self._given(), strict=True))
+        return _pull(self.camera, self._data(), Given(*changes), self.freed)
 
     def bend(self) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
         """Return how it changes with the moves, and these ones' scale."""
@@ -106,14 +110,15 @@ class PointView(NamedTuple):
         return _camera_velocity(self.camera, self._data(), self.film, y, self.freed)
 
     def _given(self) -> "Given":
-        to = lambda x: jnp.asarray(x, self.film.e.dtype)
-        return Given(to(self.points), to(self.seen_at), to(self.weight))
+        return Given(*(self._typed(x) for x in (self.points, self.seen_at, self.weight)))
 
     def _data(self) -> "_Data":
-        to = lambda x: np.asarray(x, self.film.e.dtype)
-        film = self.film
-        about = to(self.ball[0]), to(self.ball[1]), to(film.W / film.H), to(film.H)
+        (centre, radius), film, to = self.ball, self.film, self._typed
+        about = to(centre), to(radius), to(film.W / film.H), to(film.H)
         return _Data(self._given(), *about, self.bounds, self.prior)
+
+    def _typed(self, x: Any) -> np.ndarray:
+        return np.asarray(x, self.film.e.dtype)
 
 
 class Given(NamedTuple):
@@ -288,6 +293,16 @@ def _bend(start: Camera, data: _Data, freed: tuple[str, ...]) -> tuple[Array, Ar
     scale = data.move(start, freed).scale
     slope = lambda y: _slope(y, data.given, start, data, freed)
     return jax.jacfwd(slope)(jnp.zeros_like(scale)), scale
+
+
+def _change(velocity: Any, of: np.ndarray) -> Any:
+    """Return the velocity of what is filled up: none of what was added."""
+    if velocity is None:
+        return np.zeros_like(of)
+    if is_concrete(velocity):
+        return filled_up(np.asarray(velocity), len(of), 0)
+    rest = jnp.zeros((len(of) - len(velocity), *of.shape[1:]), of.dtype)
+    return jnp.concatenate([velocity, rest])
 
 
 def velocities(

@@ -11,8 +11,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.camera import Camera, check_camera
-from .._numerics.arrays import MISSING, ArrayLike, Input, float_array, float_dtype, is_concrete
-from .._numerics.jitted import is_within_another, jitted
+from .._numerics.arrays import (
+    MISSING,
+    ArrayLike,
+    Input,
+    at_hand,
+    float_array,
+    float_dtype,
+    is_concrete,
+)
+from .._numerics.jitted import is_within_another, jitted, stands_alone
 from .._numerics.safe import binary_scale, norm, safe_divide
 from .topology import edge_records, without_copies
 
@@ -236,7 +244,7 @@ def padded(scene: Scene) -> Scene:
     *parts, planes = _filled_up(*parts, planes)
     if planes is None:
         planes = _planes_and_clusters(parts[0], parts[1], parts[3])
-    order = jnp.zeros(0, jnp.int32)
+    order = jnp.asarray(np.zeros(0, np.int32), jnp.int32)
     mesh = eqx.tree_at(
         lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.order, m.planes),
         mesh,
@@ -301,8 +309,7 @@ def is_closed(mesh: Mesh) -> Any:
 def _filled_up(
     vertices: Array, faces: Array, edge_vertices: Array, edge_faces: Array, planes: Planes | None
 ) -> tuple:
-    """Return a mesh's arrays filled up to one of a few sizes."""
-
+    """Return a mesh's arrays filled up to one of a few sizes, and its planes, which are current."""
     V, F, E = _filled_sizes(vertices.shape[0], faces.shape[0], edge_faces.shape[0])
     parts = (vertices, V), (faces, F), (edge_vertices, E), (edge_faces, E)
     arrays = tuple(_with_room(x, size, 0) for x, size in parts)
@@ -316,8 +323,7 @@ def _filled_up(
     clusters = Clusters(axis, cosine, sine, middle, radius, _with_room(c.planes, F, 0), *c[6:])
     faces_of = _with_room(planes.normal, F, 1), _with_room(planes.corner, F, 1)
     # (Zeros add nothing to a fingerprint.)
-    fingerprint = jnp.asarray(_fingerprint_of(np.asarray(vertices)), np.uint32)
-    return *arrays, Planes(*faces_of, planes.box, fingerprint, clusters)
+    return *arrays, Planes(*faces_of, planes.box, planes.fingerprint, clusters)
 
 
 def _with_room(x: Array, size: int, axis: int, value: float = 0.0) -> Array:
@@ -405,7 +411,7 @@ class Ball(NamedTuple):
 
 def bounding_box(scene: Scene) -> Float[Array, "2 3"]:
     """Return the least and largest coordinates of the scene."""
-    if is_concrete(*jax.tree.leaves(scene)) and not is_within_another():
+    if stands_alone(scene):
         scene = jax.tree.map(np.asarray, scene)  # (JAX would compile that for each size)
     points: list[Any] = []
     if scene.mesh is not None:
@@ -421,7 +427,7 @@ def bounding_box(scene: Scene) -> Float[Array, "2 3"]:
 
 def bounding_sphere(scene: Scene) -> Ball:
     """Return a sphere about the scene (the bounding box's, not the least)."""
-    return ball_about(bounding_box(scene))
+    return ball_about(at_hand(bounding_box(scene)))
 
 
 def ball_about(box: Any) -> Ball:
@@ -517,7 +523,7 @@ def _clusters(
 def _face_order(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Int[Array, "F"]:
     if not (faces.shape[0] and vertices.shape[0]):
         return jnp.zeros(faces.shape[0], jnp.int32)
-    if not is_concrete(vertices, faces) or is_within_another():
+    if not stands_alone(vertices, faces):
         codes = _middles_codes(jax.lax.stop_gradient(vertices), faces)
         return jnp.argsort(codes).astype(jnp.int32)
     points, triangles = np.asarray(vertices), np.asarray(faces)

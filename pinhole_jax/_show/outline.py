@@ -5,7 +5,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._camera.axes import axes_of
-from .._camera.camera import Camera, bend, camera_coordinates, film_map
+from .._camera.bent import bent
+from .._camera.camera import Camera, camera_coordinates, film_map
 from .._camera.rays import project
 from .._files import programs
 from .._numerics.jitted import jitted
@@ -51,10 +52,7 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
         _winding(short.mean(axis=1) + side, start, end, weight) + base for side in (right, -right)
     )
     visible = (outside <= 0) & (inside > 0)
-    lens = bend(camera)
-    if lens is None:
-        return short[visible]
-    return np.asarray(lens(jnp.asarray(short[visible], camera.e.dtype)), float)
+    return bent(camera, short[visible])
 
 
 def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
@@ -71,7 +69,7 @@ def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
     if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
         on = np.flatnonzero(np.asarray(_edge_weights(scene.mesh, camera.e)))
         edges = np.asarray(scene.mesh.vertices, float)[np.asarray(scene.mesh.edge_vertices)[on]]
-        film = np.asarray(project(camera, jnp.asarray(edges, camera.e.dtype)), float)
+        film = np.asarray(project(camera, np.asarray(edges, camera.e.dtype)), float)
         length = np.linalg.norm(film[:, 1] - film[:, 0], axis=1)
         counts = np.clip(np.ceil(length / STEP_PX), 1, 200).astype(int)
         of = np.repeat(np.arange(len(counts)), counts)
@@ -93,7 +91,7 @@ def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
                 sine = r / far
                 parts.append(centre + r * (np.sqrt(1 - sine**2) * ring - sine * axis))
     points = np.concatenate(parts)
-    ahead = np.asarray(camera_coordinates(camera, jnp.asarray(points, camera.e.dtype)))[:, 2] > 0
+    ahead = np.asarray(camera_coordinates(camera, np.asarray(points, camera.e.dtype)))[:, 2] > 0
     return points[ahead]
 
 

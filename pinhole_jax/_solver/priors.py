@@ -50,7 +50,7 @@ class Others(eqx.Module):
 def no_others(free: tuple[str, ...], dtype: Any) -> Others:
     """Return that no other views know anything of what is free."""
     n = len(labels_of(free))
-    return Others(*(jnp.zeros(shape, dtype) for shape in ((n, n), n, n)))
+    return Others(*(jnp.asarray(np.zeros(shape, dtype), dtype) for shape in ((n, n), n, n)))
 
 
 def prior_of(

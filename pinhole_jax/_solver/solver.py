@@ -352,8 +352,8 @@ class Solver:
 
     def move(self, camera: Camera, level: int) -> Move:
         """Return where moves of a camera start, in the solver's units."""
-        scale = self.levels[level].scale
-        return move_about(camera, *self.subject.pivot, self.bounds, scale, self.freed)
+        about = *self.subject.pivot, self.bounds
+        return _move(camera, about, self.levels[level].scale, self.freed)
 
     def step(self, camera: Camera, level: int, y: np.ndarray) -> Camera:
         """Return the camera moved by y (n,) in the solver's units."""
@@ -469,6 +469,11 @@ class Solver:
         before = np.asarray(path)[: max(end.steps - 1, 0)]
         each = [Stop(self.step(camera, level, y), end.level, 1) for y in before]
         return [*each, end._replace(steps=end.steps - len(each))]
+
+
+@jitted
+def _move(camera: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, freed) -> Move:
+    return move_about(camera, *about, scale, freed)
 
 
 @jitted

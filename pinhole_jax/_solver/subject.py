@@ -45,7 +45,7 @@ class Subject:
         """Return a scene as a fit of a float type looks at it."""
         box = np.asarray(bounding_box(scene), float)
         ball = ball_about(box)
-        pivot = Ball(*(jnp.asarray(x, dtype) for x in ball))
+        pivot = Ball(*(jnp.asarray(np.asarray(x, dtype), dtype) for x in ball))
         return cls(scene, _worked_on(scene, dtype), ball, pivot, _corners(box))
 
     def elsewhere(self, scene: Scene) -> "Subject":

@@ -5,11 +5,11 @@ as the lens bends them. Places are in px from the picture's upper left corner, x
 from collections.abc import Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from .._camera.axes import axes_of
-from .._camera.camera import Camera, bend, focal_px, principal_point
+from .._camera.bent import bent, straightened
+from .._camera.camera import Camera, focal_px, principal_point
 from .._fit.result import Fit
 from .._scene.scene import Scene
 from ..plot import outline, outline_sigma
@@ -109,7 +109,7 @@ def grid_lines(camera: Camera) -> list[list[list[float]]]:
             line[:, axis] = where[axis] + spacing * (k - np.round((first + last) / 2))
             line[:, 1 - axis] = along
             lines.append(line)
-    return [part for line in _distorted(camera, np.array(lines)) for part in _within(line, camera)]
+    return [part for line in bent(camera, np.array(lines)) for part in _within(line, camera)]
 
 
 def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[float]]]:
@@ -119,27 +119,9 @@ def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[floa
         return []
     ends = np.array(lines, float) * [1, -1] + [0, camera.H]
     share = np.linspace(0, 1, POINTS)[:, None]
-    ideal = _straightened(camera, ends)
+    ideal = straightened(camera, ends)
     rows = ideal[:, None, 0] * (1 - share) + ideal[:, None, 1] * share
-    return _flipped(_distorted(camera, rows), camera).round(2).tolist()
-
-
-def _distorted(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """Return where the lens shows ideal film points."""
-    lens = bend(camera)
-    if lens is None:
-        return points
-    return np.asarray(lens(jnp.asarray(points, camera.e.dtype)), float)
-
-
-def _straightened(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """Return ideal film points of those that the lens shows."""
-    lens = bend(camera)
-    if lens is None:
-        return points
-    focal, centre = np.asarray(lens.focal, float), np.asarray(lens.centre, float)
-    x, y = (jnp.asarray(z, camera.e.dtype) for z in np.moveaxis((points - centre) / focal, -1, 0))
-    return np.stack(lens.distortion.undistorted(x, y), axis=-1) * focal + centre
+    return _flipped(bent(camera, rows), camera).round(2).tolist()
 
 
 def _within(line: np.ndarray, camera: Camera) -> list[list[list[float]]]:

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._camera.camera import Camera, check_camera
 from .._camera.rays import Rays, camera_rays
 from .._numerics.jitted import jitted
+from .._numerics.pointwise import filled_up, may_be_filled_up, room
 from .._numerics.safe import binary_inverse, binary_scale, normalize
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Mesh, Scene, Spheres, astype
@@ -83,7 +84,8 @@ def trace(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Hit:
     hit.t.shape
     ```
     """
-    return hits(scene, found(scene, rays, search))
+    given, number = _with_room(scene, rays)
+    return _first(number, hits(scene, found(scene, given, search)))
 
 
 @collector_at_rest()
@@ -96,7 +98,8 @@ def occluded(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Bool
     shadow = pj.occluded(scene, pj.camera_rays(camera))  # any hit, bool
     ```
     """
-    _, face, sphere = found(scene, rays, search)
+    given, number = _with_room(scene, rays)
+    face, sphere = _first(number, found(scene, given, search)[1:])
     return (face >= 0) | (sphere >= 0)
 
 
@@ -128,6 +131,27 @@ def found(scene: Any, rays: Any, search: Any = "tree") -> Found:
         return _find(scene, trees, rays, None, search)
     primitives = lambda trees, some: _find(None, trees, some, None)[1:]
     return Found(rays, *by_cores(primitives, trees, rays))
+
+
+def _with_room(scene: Any, rays: Any) -> tuple[Any, int | None]:
+    """Return rays in a row filled up to one of few sizes, which are compiled, and how many they
+    are; None of what is not filled up (the rays of an image have a size that stays)."""
+    if not (isinstance(scene, Scene) and isinstance(rays, Rays) and may_be_filled_up(scene, rays)):
+        return rays, None
+    origin, direction = rays
+    if direction.ndim != 2 or not len(direction) or origin.shape not in ((3,), direction.shape):
+        return rays, None
+    filled: list[Any] = [
+        x if x.ndim == 1 else filled_up(np.asarray(x), room(len(direction))) for x in rays
+    ]
+    return Rays(*filled), len(direction)
+
+
+def _first(number: int | None, found: Any) -> Any:
+    """Return what there was before it was filled up."""
+    if number is None:
+        return found
+    return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[:number], x.dtype), found)
 
 
 class Trees(NamedTuple):

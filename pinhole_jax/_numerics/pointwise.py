@@ -1,0 +1,60 @@
+"""Programs for any number of points: few sizes are compiled, what is given is filled up to one."""
+
+import math
+from collections.abc import Callable
+from functools import update_wrapper
+from typing import Any, Generic, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .jitted import jitted, stands_alone
+
+S = TypeVar("S")
+
+#: Sizes that there are programs for: each takes 0.1 to 4 s to compile, a thousand points some 10
+#: microseconds. Beyond the last there are four from one power of two to the next.
+SIZES = (64, 256, 1024, 4096)
+
+
+def room(number: int) -> int:
+    """Return the least of these sizes that holds so many points."""
+    enough = [size for size in SIZES if size >= number]
+    unit = 1 << max((number - 1).bit_length() - 3, 0)
+    return enough[0] if enough else number + -number % unit
+
+
+def filled_up(points: np.ndarray, number: int, value: Any = None) -> np.ndarray:
+    """Return so many points, those that are added like the first, or of a value."""
+    size = number - len(points)
+    added = np.broadcast_to(points[:1] if value is None else value, (size, *points.shape[1:]))
+    return np.concatenate([points, added.astype(points.dtype)]) if size else points
+
+
+class pointwise(Generic[S]):
+    """A function of something and of points (*batch, m), each by itself, as `jitted` makes it.
+
+    Outside of other programs, on a CPU, it is one of few sizes.
+    """
+
+    def __init__(self, function: Callable[[S, Any], Any]):
+        update_wrapper(self, function)
+        self._run: Any = jitted(function)
+
+    def __call__(self, of: S, points: Any) -> Any:
+        lead = points.shape[:-1]
+        number = math.prod(lead)
+        if not (number and may_be_filled_up(of, points)):
+            return self._run(of, points)
+        rows = np.asarray(points).reshape(number, -1)
+        found = np.asarray(self._run(of, filled_up(rows, room(number))))
+        return jnp.asarray(found[:number].reshape(*lead, -1), found.dtype)
+
+
+def may_be_filled_up(*given: Any) -> bool:
+    """Return whether what is called with this is a program of its own, on a CPU, where NumPy reads
+    arrays without a copy; and nobody asked for a device."""
+    if jax.default_backend() != "cpu" or not stands_alone(given):
+        return False
+    return not any(getattr(x, "committed", False) for x in jax.tree.leaves(given))
