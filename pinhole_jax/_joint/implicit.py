@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera
 from .._camera.poses import Pose, adjoint, at_pose, exponential, inverse
 from .._fit.full_image import At
-from .._fit.implicit import NO_RESIDUAL, STEP_PX, End, Through, check_plain
+from .._fit.implicit import STEP_PX, End, Through, check_plain, is_left
 from .._numerics.arrays import is_concrete
 from .._solver.moves import on_film
 from .._solver.parameters import PARAMETERS
@@ -161,7 +161,7 @@ class _OfView(NamedTuple):
         dtype = eye.solver.dtype
         start = eye.solver.move(eye.canonical(self.state), eye.solver.finest)
         at = At(start, eye.mask.camera, eye.solver.subject.given, eye.solver.freed)
-        own = End.of(at, inputs[:3], self.weight, UNIT_PX).pull(inputs[:3], velocity[:3])
+        own = End.of(at, inputs[:3], self.weight).pull(inputs[:3], velocity[:3])
         result = jnp.asarray(self._moves(eye, self.state, view).T, dtype) @ own
         on_mount = self.state.poses[eye.moving] @ eye.rig
         in_scene = stretched(eye.pose(self.state), eye.scale(self.state))
@@ -206,7 +206,7 @@ class _OfView(NamedTuple):
     ) -> np.ndarray:
         """Return how a slope (p,) follows a vector (q,) that makes moves (n, q)."""
         view = self._view()
-        if float(view.squares / self.weight.size) ** 0.5 <= NO_RESIDUAL:
+        if not is_left(float(view.squares), self.weight):
             seen = np.asarray(view.triangle, float)
             return (seen @ self._moves(self.eye, self.state, view)).T @ (seen @ moves)
         size = np.maximum(np.max(np.abs(moves), axis=0), 1e-300)
