@@ -13,6 +13,7 @@ import runpy
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import jax
@@ -132,6 +133,21 @@ def optimised():
     yield
     jax.clear_caches()
     jax.config.update("jax_disable_most_optimizations", HURRY)
+
+
+@pytest.fixture
+def compiled():
+    """Return the programs that are compiled (or read) from now on: a growing list."""
+    programs = []
+
+    def listen(event, duration, **_):
+        if event == "/jax/core/compile/backend_compile_duration":
+            programs.append(duration)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    yield programs
+    with suppress(AttributeError):  # (there from JAX 0.8 on)
+        jax.monitoring.unregister_event_duration_listener(listen)
 
 
 def memory_maps() -> int:

@@ -1,6 +1,7 @@
 """Cameras from points: exact ones, noisy ones, and OpenCV's own photos of a chessboard."""
 
 import sys
+import warnings
 from pathlib import Path
 
 import equinox as eqx
@@ -8,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chosen import full, long
+from chosen import full, long, on_cpu
 
 import pinhole_jax as pj
 
@@ -41,6 +42,34 @@ def test_one_view_gives_pose_and_focal_length_from_nowhere():
     assert repr(fit).startswith("<PointFit: converged, rms")
     for words in ("pitch", "vertical field of view", "status     converged", "rms  "):
         assert words in str(fit)
+
+
+@on_cpu
+def test_another_number_of_points_compiles_nothing(compiled):
+    """Boards that are seen in part, cloud after cloud: each was 4 s."""
+    truth = pj.Camera(EYES[1], [0.1, 0, 0], [0.1, 1, 0.05], 0.75, W=W, H=H)
+    counts = []
+    for number in (30, 7, 19, 30):
+        points = SOLID[:: 30 // number][:number]
+        fit = pj.fit_points(points, seen([truth], points)[0], START, free=("pose", "phi"))
+        assert abs(float(fit.camera.phi - truth.phi)) < 1e-9
+        counts.append(len(compiled))
+    assert counts[1:] == counts[:1] * 3
+
+
+def test_points_in_float64_are_no_matter_to_warn_of_where_jax_has_float32():
+    truth = pj.Camera(EYES[1], [0.1, 0, 0], [0.1, 1, 0.05], 0.85, W=W, H=H)
+    seen_at = seen([truth], SOLID)[0]
+    single = jax.tree.map(lambda x: np.asarray(x, np.float32), START)
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            fit = pj.fit_points(SOLID, seen_at, single, weights=np.ones(30))
+    finally:
+        jax.config.update("jax_enable_x64", True)
+    assert fit.camera.e.dtype == np.float32
+    assert np.max(np.abs(np.asarray(fit.camera.e) - EYES[1])) < 1e-3
 
 
 @pytest.mark.long

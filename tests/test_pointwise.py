@@ -1,0 +1,173 @@
+"""Any number of points: a few programs serve all, and what was filled up is not there."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from chosen import on_cpu
+
+import pinhole_jax as pj
+from pinhole_jax import plot
+from pinhole_jax._camera.bent import bent, straightened
+from pinhole_jax._camera.camera import camera_coordinates, to_camera
+from pinhole_jax._numerics.pointwise import SIZES, filled_up, pointwise, room
+
+LENS = pj.Lens([23.0, 21.0], 1.0, pj.BrownConrady(0.1, 0.02, 1e-3, -2e-3, 0.0))
+PLAIN = pj.Camera([0.3, 0.2, 4.0], [0.1, 0, 0], [0, 1, 0], 0.7, 1.0, 48, 40)
+BENT = PLAIN.replace(lens=LENS)
+RANDOM = np.random.default_rng(7)
+
+
+def test_rooms_are_few_and_hold_what_they_are_for():
+    numbers = np.arange(1, 70_000)
+    rooms = np.array([room(int(n)) for n in numbers])
+    assert np.all(rooms >= numbers)
+    assert np.all(np.diff(rooms) >= 0)
+    large = numbers > SIZES[-1]
+    assert np.all(rooms[large] <= 1.25 * numbers[large])
+    assert len(set(rooms)) == len(SIZES) + 4 * 4 + 1  # four octaves, and the begin of a fifth
+    assert all(room(int(n)) == n for n in set(rooms))
+
+
+def test_what_is_filled_up_is_like_the_first_or_of_a_value():
+    points = RANDOM.standard_normal((3, 2))
+    np.testing.assert_array_equal(filled_up(points, 5)[3:], points[[0, 0]])
+    np.testing.assert_array_equal(filled_up(points, 5, 0)[3:], 0)
+    assert filled_up(points, 3) is points
+    assert filled_up(np.float32([[1]]), 2, 0).dtype == np.float32
+
+
+@pytest.mark.parametrize("camera", [PLAIN, BENT], ids=["plain", "bent"])
+@pytest.mark.parametrize("shape", [(), (1,), (64,), (65,), (3, 30)], ids=str)
+def test_points_are_where_a_program_of_their_own_has_them(camera, shape):
+    points = RANDOM.standard_normal((*shape, 3))
+    for ours, own in (
+        (pj.project, lambda c, x: pj.project(c, x)),
+        (camera_coordinates, to_camera),
+    ):
+        found = ours(camera, points)
+        assert isinstance(found, jax.Array)
+        assert found.shape == (*shape, found.shape[-1])
+        np.testing.assert_allclose(found, jax.jit(own)(camera, points), rtol=1e-14, atol=1e-13)
+
+
+def test_no_points_are_projected_to_none():
+    assert pj.project(PLAIN, np.zeros((0, 3))).shape == (0, 2)
+    assert pj.project(PLAIN, np.zeros((4, 0, 3))).shape == (4, 0, 2)
+
+
+def test_a_point_that_is_not_finite_changes_no_other():
+    points = RANDOM.standard_normal((5, 3))
+    whole = np.asarray(pj.project(BENT, points))
+    points[0] = np.nan  # what is filled up is like it
+    np.testing.assert_array_equal(np.asarray(pj.project(BENT, points))[1:], whole[1:])
+
+
+def test_the_type_of_points_is_what_it_was():
+    single = jax.tree.map(lambda x: x.astype(np.float32), PLAIN)
+    points = RANDOM.standard_normal((5, 3)).astype(np.float32)
+    assert pj.project(single, points).dtype == np.float32
+    assert pj.project(single, jnp.asarray(points, jnp.float32)).dtype == np.float32
+    assert pj.project(PLAIN, points.astype(float)).dtype == np.float64
+
+
+def test_a_lens_bends_and_straightens():
+    ideal = RANDOM.uniform(0, 40, (70, 2))
+    assert bent(PLAIN, ideal) is ideal
+    seen = bent(BENT, ideal)
+    assert 0.01 < np.max(np.abs(seen - ideal)) < 10
+    np.testing.assert_allclose(straightened(BENT, seen), ideal, atol=1e-9)
+    # By the rays, which undistort film points: an ideal point lies where its ray does.
+    film = np.array([[10.5, 30.5]])
+    direction = np.asarray(pj.camera_rays(BENT).direction)[40 - 1 - 30, 10]
+    there = np.asarray(
+        pj.project(
+            BENT.replace(lens=pj.Lens(LENS.principal_point)), direction * 2 + np.asarray(BENT.e)
+        )
+    )
+    np.testing.assert_allclose(straightened(BENT, film)[0], there, atol=1e-9)
+
+
+def test_derivatives_pass():
+    points = jnp.asarray(RANDOM.standard_normal((5, 3)))
+    slope = jax.jacfwd(lambda x: pj.project(BENT, x))(points)
+    h = 1e-6
+    for k in range(3):
+        step = h * np.eye(3)[k]
+        change = (pj.project(BENT, points + step) - pj.project(BENT, points - step)) / (2 * h)
+        own = np.stack([slope[n, :, n, k] for n in range(5)])
+        np.testing.assert_allclose(own, change, rtol=1e-6, atol=1e-6)
+    batch = jax.vmap(lambda x: pj.project(BENT, x))(points)
+    np.testing.assert_allclose(batch, pj.project(BENT, points), rtol=1e-13)
+
+
+@on_cpu
+def test_where_a_device_was_asked_for_points_stay():
+    asked = jax.device_put(jnp.ones((5, 3)), jax.devices()[0])
+    assert pj.project(PLAIN, asked).committed
+    assert not pj.project(PLAIN, np.ones((5, 3))).committed
+
+
+@pytest.mark.parametrize("number", [1, 5, 64, 70])
+def test_rays_in_a_row_meet_what_they_meet_alone(number):
+    mesh = pj.shapes.bumpy(1)
+    spheres = pj.Spheres(np.array([[1.4, 0, 0]]), np.array([0.3]))
+    scene = pj.Scene(mesh=mesh, spheres=spheres)
+    towards = np.column_stack([RANDOM.uniform(-2, 2, (number, 2)), np.zeros(number)])
+    eyes = np.array([0.0, 0, 5]) + RANDOM.uniform(-1, 1, (number, 3))
+    for origin in (eyes[0], eyes):
+        way = towards - origin
+        rays = pj.Rays(jnp.asarray(origin), jnp.asarray(way))
+        hit, meets = pj.trace(scene, rays), pj.occluded(scene, rays)
+        alone = jax.jit(lambda rays: pj.trace(scene, rays))(rays)
+        assert hit.normal.shape == (number, 3)
+        for ours, theirs in zip(hit, alone, strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12)
+        np.testing.assert_array_equal(meets, np.isfinite(hit.t))
+
+
+@on_cpu
+def test_further_numbers_compile_nothing(compiled):
+    scene = pj.Scene(mesh=pj.shapes.bumpy(1))
+
+    def all_of_it(n):
+        points = RANDOM.standard_normal((n, 3))
+        pj.project(PLAIN, points)
+        pj.project(BENT, points.reshape(1, n, 3))
+        camera_coordinates(PLAIN, points)
+        bent(BENT, points[:, :2])
+        straightened(BENT, points[:, :2])
+        pj.trace(scene, pj.Rays(PLAIN.e, jnp.asarray(points, points.dtype)))
+
+    all_of_it(11)
+    first = len(compiled)
+    for n in (3, 12, 40, 64):
+        all_of_it(n)
+    assert len(compiled) == first
+    all_of_it(65)  # (it would be seen)
+    assert len(compiled) > first
+
+
+@on_cpu
+def test_another_view_is_drawn_without_a_new_program(compiled):
+    """Its outline has another number of parts."""
+    scene, image = pj.Scene(mesh=pj.shapes.bumpy(1)), np.zeros((40, 48), np.uint8)
+    drawn, programs = [], []
+    for x in (0.0, 0.4, 1.0):
+        camera = BENT.replace(e=jnp.asarray([x, 0.2, 4.0]))
+        plot.overlay(image, camera, scene)
+        drawn.append(len(plot.outline(camera, scene)))
+        plot.contour_points(camera, scene)
+        programs.append(len(compiled))
+    assert len(set(drawn)) == 3
+    assert programs[0] == programs[2]
+
+
+def test_a_program_of_points_is_one_to_name():
+    @pointwise
+    def twice(factor, points):
+        """Return them times a factor."""
+        return factor * points
+
+    assert twice.__doc__ == "Return them times a factor."
+    np.testing.assert_array_equal(twice(jnp.asarray(2.0), np.ones((3, 1))), 2 * np.ones((3, 1)))
