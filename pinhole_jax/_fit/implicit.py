@@ -125,9 +125,13 @@ def _bend(solver: Solver, camera: Camera, weight: np.ndarray) -> np.ndarray:
         there = solver.look(solver.step(camera, solver.finest, y), solver.finest)
         return np.asarray(there.triangle, float).T @ np.asarray(there.along, float)
 
-    steps = STEP_PX[solver.dtype] / UNIT_PX * np.eye(len(np.asarray(view.scale)))
-    changes = [(slope(y) - slope(-y)) / (2 * np.max(y)) for y in steps]
-    return np.array(changes).T
+    return differences(slope, STEP_PX[solver.dtype] / UNIT_PX * np.eye(len(view.scale)))
+
+
+def differences(slope: Callable[[np.ndarray], np.ndarray], steps: np.ndarray) -> np.ndarray:
+    """Return how a slope (p,) follows each of some steps (q, p), by as much as this is long:
+    (p, q)."""
+    return np.array([(slope(y) - slope(-y)) / (2 * np.max(y)) for y in steps]).T
 
 
 def is_left(squares: float, weight: np.ndarray) -> bool:

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera
 from .._camera.poses import Pose, adjoint, at_pose, exponential, inverse
 from .._fit.full_image import At
-from .._fit.implicit import STEP_PX, End, Through, check_plain, is_left
+from .._fit.implicit import STEP_PX, End, Through, check_plain, differences, is_left
 from .._numerics.arrays import is_concrete
 from .._solver.moves import on_film
 from .._solver.parameters import PARAMETERS
@@ -210,9 +210,7 @@ class _OfView(NamedTuple):
             seen = np.asarray(view.triangle, float)
             return (seen @ self._moves(self.eye, self.state, view)).T @ (seen @ moves)
         size = np.maximum(np.max(np.abs(moves), axis=0), 1e-300)
-        steps = np.diag(STEP_PX[self.eye.solver.dtype] / UNIT_PX / size)
-        changes = [(slope(x) - slope(-x)) / (2 * np.max(x)) for x in steps]
-        return np.array(changes).T
+        return differences(slope, np.diag(STEP_PX[self.eye.solver.dtype] / UNIT_PX / size))
 
 
 def _twist(pose: Pose, change: Any) -> Float[Array, "6"]:
