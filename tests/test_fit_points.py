@@ -51,7 +51,7 @@ def test_another_number_of_points_compiles_nothing(compiled):
     counts = []
     for number in (30, 7, 19, 30):
         points = SOLID[:: 30 // number][:number]
-        fit = pj.fit_points(points, seen([truth], points)[0], START, free=("pose", "phi"))
+        fit = pj.fit_points(points, pj.project(truth, points), START, free=("pose", "phi"))
         assert abs(float(fit.camera.phi - truth.phi)) < 1e-9
         counts.append(len(compiled))
     assert counts[1:] == counts[:1] * 3
