@@ -87,7 +87,7 @@ def fit_camera(number: int):
 
 def fit_cameras(number: int):
     masks, starts = ([of(n) for n in (number, number + 1)] for of in (_mask, _start))
-    return pj.fit_cameras(_scene(), masks, starts).fits[0].camera
+    return pj.fit_cameras(_scene(), masks, starts)
 
 
 def derivative_of_a_fit(number: int):
