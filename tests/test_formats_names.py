@@ -129,7 +129,7 @@ def test_hostile_names_come_back_or_are_refused(tmp_path, format):
 
 @pytest.mark.parametrize("format", OTHERS)
 @settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(names=st.lists(NAMES, min_size=1, max_size=4, unique=True))
 @example(names=["a\nR: 3", "b"])
