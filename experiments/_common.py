@@ -1,7 +1,9 @@
 """What several experiments share: meshes, random cameras, starts that are off."""
 
 import json
+import os
 import platform
+import subprocess
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
@@ -84,6 +86,22 @@ def run(question: Callable[[], dict], draw: Callable[[dict, Path], None] | None 
     else:
         matplotlib.use("Agg")
         draw(answer, folder() / f"{name}.png")
+
+
+def one_by_one(names: Iterable[str], answer: Callable[[str], dict]) -> None:
+    """Answer for each name in a process of its own, with nothing kept; write the table's JSON."""
+    if len(sys.argv) > 2:
+        print(json.dumps(answer(sys.argv[2])))
+        return
+    environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
+    table: dict[str, dict] = {}
+    for name in names:
+        words = [sys.executable, sys.argv[0], str(folder()), name]
+        out = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+        table[name] = json.loads(out.stdout)
+        print(name.replace("_", " "), table[name], flush=True)
+    table["versions"] = {"jax": jax.__version__}
+    (folder() / f"{Path(sys.argv[0]).stem}.json").write_text(json.dumps(table, indent=1) + "\n")
 
 
 def folder() -> Path:

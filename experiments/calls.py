@@ -7,17 +7,13 @@ of the first call and of three further ones, with another camera, another mask o
 points. What a further call compiles is paid for again and again.
 """
 
-import json
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from functools import cache
 
 import jax
 import numpy as np
-from _common import folder
+from _common import one_by_one
 
 import pinhole_jax as pj
 
@@ -167,20 +163,5 @@ def measured(name: str) -> dict:
     }
 
 
-def main() -> None:
-    if len(sys.argv) > 2:
-        print(json.dumps(measured(sys.argv[2])))
-        return
-    environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
-    table = {}
-    for name in CALLS:
-        words = [sys.executable, __file__, str(folder()), name]
-        out = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
-        table[name] = json.loads(out.stdout)
-        print(name.replace("_", " "), table[name], flush=True)
-    table["versions"] = {"jax": jax.__version__}
-    (folder() / "calls.json").write_text(json.dumps(table, indent=1) + "\n")
-
-
 if __name__ == "__main__":
-    main()
+    one_by_one(CALLS, measured)

@@ -8,10 +8,6 @@ kernels are compiled once, but for loops that are one kernel, which are compiled
 in `hotspots.py`.)
 """
 
-import json
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 
@@ -19,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from _common import camera_at, folder, one_step
+from _common import camera_at, one_by_one, one_step
 from _kernels import kernels
 
 import pinhole_jax as pj
@@ -115,20 +111,5 @@ def program(name: str) -> dict:
     return {**kernels(inner.as_text())._asdict(), **seconds, "run ms": 1e3 * float(np.median(run))}
 
 
-def main() -> None:
-    if len(sys.argv) > 2:
-        print(json.dumps(program(sys.argv[2])))
-        return
-    environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
-    table = {}
-    for name in PROGRAMS:
-        words = [sys.executable, __file__, str(folder()), name]
-        out = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
-        table[name] = json.loads(out.stdout)
-        print(name.replace("_", " "), table[name], flush=True)
-    table["versions"] = {"jax": jax.__version__}
-    (folder() / "compile.json").write_text(json.dumps(table, indent=1) + "\n")
-
-
 if __name__ == "__main__":
-    main()
+    one_by_one(PROGRAMS, program)

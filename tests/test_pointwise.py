@@ -71,6 +71,12 @@ def test_the_type_of_points_is_what_it_was():
     assert pj.project(PLAIN, points.astype(float)).dtype == np.float64
 
 
+@pytest.mark.parametrize("points", [["a", "b", "c"], [1j, 2, 3], np.zeros((2, 3), bool)], ids=str)
+def test_what_is_no_real_number_is_refused(points):
+    with pytest.raises(ValueError, match="`points`: expected real numbers, got dtype"):
+        pj.project(PLAIN, points)
+
+
 def test_a_lens_bends_and_straightens():
     ideal = RANDOM.uniform(0, 40, (70, 2))
     assert bent(PLAIN, ideal) is ideal
@@ -97,6 +103,9 @@ def test_derivatives_pass():
         change = (pj.project(BENT, points + step) - pj.project(BENT, points - step)) / (2 * h)
         own = np.stack([slope[n, :, n, k] for n in range(5)])
         np.testing.assert_allclose(own, change, rtol=1e-6, atol=1e-6)
+    x, y, z = points[0]
+    of_a_list = jax.grad(lambda z: pj.project(BENT, [x, y, z])[1])(z)
+    np.testing.assert_allclose(of_a_list, slope[0, 1, 0, 2], rtol=1e-12)
     batch = jax.vmap(lambda x: pj.project(BENT, x))(points)
     np.testing.assert_allclose(batch, pj.project(BENT, points), rtol=1e-13)
 

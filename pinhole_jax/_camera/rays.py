@@ -4,10 +4,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from .._numerics.arrays import ArrayLike, Input
+from .._numerics.arrays import ArrayLike, Input, as_array, is_real
 from .._numerics.jitted import jitted
 from .._numerics.pointwise import pointwise
 from .._numerics.safe import binary_inverse, safe_divide
@@ -124,10 +123,12 @@ def project(camera: Camera, points: Input[ArrayLike, "*batch 3"]) -> Float[Array
     ```
     """
     check_camera(camera)
-    points = points if isinstance(points, jax.Array) else np.asarray(points)
-    if points.shape[-1:] != (3,):
-        raise ValueError(f"`points`: expected shape (..., 3), got shape {points.shape}")
-    return _projected(camera, points)
+    at = as_array(points)
+    if at.shape[-1:] != (3,):
+        raise ValueError(f"`points`: expected shape (..., 3), got shape {at.shape}")
+    if not is_real(at):
+        raise ValueError(f"`points`: expected real numbers, got dtype {at.dtype}")
+    return _projected(camera, at)
 
 
 @pointwise

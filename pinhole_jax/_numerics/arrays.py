@@ -35,6 +35,19 @@ def is_concrete(*values: Any) -> bool:
     return not any(isinstance(v, Tracer) for v in values)
 
 
+def is_real(array: Any) -> bool:
+    """Return whether an array's entries are floats or integers."""
+    return any(jnp.issubdtype(array.dtype, kind) for kind in (jnp.floating, jnp.integer))
+
+
+def as_array(value: Any) -> Any:
+    """Return numbers as an array, of NumPy's where they are none of JAX's: JAX would compile a copy
+    of each shape."""
+    if isinstance(value, jax.Array) or not is_concrete(*jax.tree.leaves(value)):
+        return jnp.asarray(value)
+    return np.asarray(value)
+
+
 def at_hand(value: Any) -> Any:
     """Return an array that can be looked at now as NumPy's, which compiles nothing of what is done
     with it; a traced one as it is."""
@@ -76,7 +89,7 @@ def checked(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.dtyp
         array = value if isinstance(value, jax.Array) else np.asarray(value)
     except ValueError as error:
         raise ValueError(f"`{name}`: expected {expected}, got {value!r}") from error
-    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+    if not is_real(array):
         is_one = not array.ndim and array.dtype.kind in "OU"  # None, a text
         got = repr(value) if is_one else f"dtype {array.dtype}"
         raise ValueError(f"`{name}`: expected {expected}, got {got}")
