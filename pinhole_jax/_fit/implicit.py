@@ -117,15 +117,20 @@ class Decided(NamedTuple):
 def _bend(solver: Solver, camera: Camera, weight: np.ndarray) -> np.ndarray:
     """Return how half the gradient of the squares changes with the moves (n, n)."""
     view = solver.look(camera, solver.finest)
+    triangle = np.asarray(view.triangle, float)
+    first = triangle.T @ triangle
     if not is_left(float(view.squares), weight):
-        triangle = np.asarray(view.triangle, float)
-        return triangle.T @ triangle
+        return first
 
     def slope(y: np.ndarray) -> np.ndarray:
+        """Return the slope there of the product with what is left here, to first order: what the
+        move itself leaves is taken away, as `first` has it exactly."""
         there = solver.look(solver.step(camera, solver.finest, y), solver.finest)
-        return np.asarray(there.triangle, float).T @ np.asarray(there.along, float)
+        triangle, along = np.asarray(there.triangle, float), np.asarray(there.along, float)
+        return triangle.T @ (along - triangle @ y)
 
-    return differences(slope, STEP_PX[solver.dtype] / UNIT_PX * np.eye(len(view.scale)))
+    steps = STEP_PX[solver.dtype] / UNIT_PX * np.eye(len(first))
+    return first + differences(slope, steps)
 
 
 def differences(slope: Callable[[np.ndarray], np.ndarray], steps: np.ndarray) -> np.ndarray:
