@@ -159,7 +159,9 @@ def test_further_numbers_compile_nothing(compiled):
         camera_coordinates(PLAIN, points)
         bent(BENT, points[:, :2])
         straightened(BENT, points[:, :2])
-        pj.trace(scene, pj.Rays(np.asarray(PLAIN.e), points))
+        rays = pj.Rays(np.asarray(PLAIN.e), points)
+        pj.trace(scene, rays)
+        pj.occluded(scene, rays)
 
     all_of_it(11)
     first = len(compiled)

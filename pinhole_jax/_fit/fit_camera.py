@@ -25,7 +25,7 @@ from .._solver.problem import View
 from .._solver.residuals import Sums
 from .._solver.solver import Found, Solver, Stop
 from .drift import other_places
-from .implicit import Decided, check_plain, of_camera
+from .implicit import check_plain, of_camera
 from .occluders import covered_at, edge_of, is_sure, is_trusted, uncovered
 from .photo import check_photo, on_photo
 from .places import Free, Places, at
@@ -225,17 +225,13 @@ class _Answer(NamedTuple):
 
 def _fit(
     scene: Scene, mask: Mask, anywhere: bool, freed: tuple[str, ...], settings: Settings
-) -> tuple[Fit, Callable[[], Decided]]:
-    """Return the fit, and a function that gives what decided."""
+) -> tuple[Fit, Callable[[], np.ndarray]]:
+    """Return the fit, and a function that gives the weights of the pixels that decided."""
     start = None if anywhere else canonical(mask.camera)
     answer = _before_occluders(scene, _answer(scene, mask, start, freed, settings), start, settings)
     reach, mask = answer.reach, answer.mask
-
-    def decided() -> Decided:
-        weight = mask.weight if reach is None else mask.near_edge(reach).image()
-        return Decided(_solver(scene, replace(mask, weight=weight), freed, settings), weight)
-
-    return _fit_of(answer, settings), decided
+    trust = lambda: mask.weight if reach is None else mask.near_edge(reach).image()
+    return _fit_of(answer, settings), trust
 
 
 def _answer(

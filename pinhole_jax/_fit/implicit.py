@@ -19,10 +19,8 @@ from .._camera.camera import Camera
 from .._mask.target import as_coverage, check_image
 from .._numerics.arrays import is_concrete
 from .._numerics.jitted import jitted
-from .._scene.scene import Scene
-from .._solver.moves import Move, camera_velocity, canonical
-from .._solver.problem import UNIT_PX
-from .._solver.solver import Solver
+from .._scene.scene import Scene, bounding_sphere
+from .._solver.moves import Move, camera_velocity, canonical, scales
 from .full_image import At, image, image_and_jacobian
 
 #: The step of central differences, in px, by float type. (Derivatives by it agree with refits to
@@ -90,64 +88,21 @@ def check_plain(**given: Any) -> None:
 
 
 def of_camera(
-    run: Callable[[Inputs], tuple[Any, Callable[[], "Decided"]]], freed: tuple[str, ...]
+    run: Callable[[Inputs], tuple[Any, Callable[[], np.ndarray]]], freed: tuple[str, ...]
 ) -> Through:
     """Return how a fit of one camera is made differentiable by scene, target and weight; `run` has
-    a function that gives what decided."""
+    a function that gives the weights (H, W) of the pixels that decided."""
 
     def velocity(result: Any, decided: Callable, inputs: Inputs, velocity: Inputs) -> Camera:
-        film, (solver, weight) = result.camera, decided()
-        start = canonical(film)
-        move = solver.move(start, solver.finest)
-        pull = End.of(At(move, film, inputs[0], freed), inputs, weight).pull(inputs, velocity)
-        back = pseudo_inverse(_bend(solver, start, weight), solver.dtype)
-        return _answer(move, film, freed, back.astype(solver.dtype), pull)
+        camera = result.camera
+        start, dtype = canonical(camera), camera.e.dtype
+        pivot, radius = (np.asarray(x, dtype) for x in bounding_sphere(inputs[0]))
+        move = _move(start, pivot, radius, np.asarray(camera.H, dtype), freed)
+        end = End.of(At(move, camera, inputs[0], freed), inputs, decided())
+        return _answer(move, camera, freed, end.back(), end.pull(inputs, velocity))
 
     put = lambda result, camera: result._replace(camera=camera)
     return Through(run, lambda result: result.camera, put, velocity)
-
-
-class Decided(NamedTuple):
-    """What looks at the pixels that decided, and the weights (H, W) of these."""
-
-    solver: Solver
-    weight: np.ndarray
-
-
-def _bend(solver: Solver, camera: Camera, weight: np.ndarray) -> np.ndarray:
-    """Return how half the gradient of the squares changes with the moves (n, n)."""
-    view = solver.look(camera, solver.finest)
-    triangle = np.asarray(view.triangle, float)
-    first = triangle.T @ triangle
-    if not is_left(float(view.squares), weight):
-        return first
-
-    def slope(y: np.ndarray) -> np.ndarray:
-        """Return the slope there of the product with what is left here, to first order: what the
-        move itself leaves is taken away, as `first` has it exactly."""
-        there = solver.look(solver.step(camera, solver.finest, y), solver.finest)
-        triangle, along = np.asarray(there.triangle, float), np.asarray(there.along, float)
-        return triangle.T @ (along - triangle @ y)
-
-    steps = STEP_PX[solver.dtype] / UNIT_PX * np.eye(len(first))
-    return first + differences(slope, steps)
-
-
-def differences(slope: Callable[[np.ndarray], np.ndarray], steps: np.ndarray) -> np.ndarray:
-    """Return how a slope (p,) follows each of some steps (q, p), by as much as this is long:
-    (p, q)."""
-    return np.array([(slope(y) - slope(-y)) / (2 * np.max(y)) for y in steps]).T
-
-
-def is_left(squares: float, weight: np.ndarray) -> bool:
-    """Return whether what is left of the target, its squares (px^2), is more than nothing."""
-    return (squares / weight.size) ** 0.5 > NO_RESIDUAL
-
-
-def pseudo_inverse(bend: np.ndarray, dtype: Any) -> np.ndarray:
-    """Return the inverse of a symmetric matrix whose entries are of a float type."""
-    least = 10 * len(bend) * float(np.finfo(dtype).eps)
-    return np.linalg.pinv((bend + bend.T) / 2, least, hermitian=True)
 
 
 class End(NamedTuple):
@@ -165,14 +120,30 @@ class End(NamedTuple):
     step: float | None
 
     @classmethod
-    def of(cls, at: At, inputs: Inputs, weight: np.ndarray) -> "End":
-        """Return the end of a fit, from which a camera may move."""
+    def of(cls, at: At, inputs: Inputs, weight: np.ndarray, unit_px: float = 1.0) -> "End":
+        """Return the end of a fit whose moves are in units of this many px."""
         film, dtype = at.film, np.dtype(at.film.e.dtype)
         shown, jacobian = image_and_jacobian(np.zeros(at.move.scale.shape, dtype), at)
         target = as_coverage(check_image("target", inputs[1], film.W, film.H))
         difference, weight = np.asarray(shown) - target.astype(dtype), weight.astype(dtype)
-        left = is_left(float(np.sum(weight * difference * difference)), weight)
-        return cls(at, jacobian, difference, weight, STEP_PX[dtype] / UNIT_PX if left else None)
+        left = float(np.mean(weight * difference * difference)) ** 0.5
+        step = STEP_PX[dtype] / unit_px if left > NO_RESIDUAL else None
+        return cls(at, jacobian, difference, weight, step)
+
+    def back(self) -> np.ndarray:
+        """Return the inverse of how half the gradient changes with the moves (n, n)."""
+        bend, n = self.seen(), self.jacobian.shape[-1]
+        if self.step is not None:
+            places = self._places()[1:]
+            slopes = np.asarray(_slopes(places, self.at, self.weight * self.difference))
+            bend = bend + (slopes[:n] - slopes[n:]) / (2 * self.step)
+        least = 10 * n * float(np.finfo(bend.dtype).eps)
+        return np.linalg.pinv((bend + bend.T) / 2, least, hermitian=True)
+
+    def seen(self) -> np.ndarray:
+        """Return how half the gradient changes with the moves where nothing is left (n, n)."""
+        rows = np.asarray(self.jacobian).reshape(-1, self.jacobian.shape[-1])
+        return rows.T @ (self.weight.reshape(-1, 1) * rows)
 
     def pull(self, inputs: Inputs, velocity: Inputs) -> Float[Array, "n"]:
         """Return how half the gradient changes with the inputs while the camera stays: linear in
@@ -194,6 +165,11 @@ class End(NamedTuple):
             return np.zeros((1, n), dtype)
         each = self.step * np.eye(n, dtype=dtype)
         return np.concatenate([np.zeros((1, n), dtype), each, -each])
+
+
+@jitted
+def _move(start: Camera, pivot: Any, radius: Any, H: Any, freed: tuple[str, ...]) -> Move:
+    return Move(start, pivot, scales(start, pivot, radius, H, freed))
 
 
 @jitted
@@ -226,6 +202,12 @@ def _of_all(scene: Scene, velocity: Any) -> Any:
     solid = eqx.filter(scene, eqx.is_inexact_array)
     still = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), solid)
     return eqx.combine(velocity, still)
+
+
+@jitted
+def _slopes(places: Any, at: At, held: Any) -> Float[Array, "k n"]:
+    """Return at some moves (k, n) the derivative of the image's product with `held`."""
+    return jax.lax.map(jax.grad(lambda y: jnp.sum(held * image(y, at))), places)
 
 
 @jitted

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera
 from .._camera.poses import Pose, adjoint, at_pose, exponential, inverse
 from .._fit.full_image import At
-from .._fit.implicit import STEP_PX, End, Through, check_plain, differences, is_left
+from .._fit.implicit import STEP_PX, End, Through, check_plain
 from .._numerics.arrays import is_concrete
 from .._solver.moves import on_film
 from .._solver.parameters import PARAMETERS
@@ -108,9 +108,10 @@ def _velocity(part: Part, inputs: Any, velocity: Any) -> Answer:
     for k, (number, weight) in enumerate(zip(numbers, weights, strict=True)):
         place, of_view = layout.columns(k), _OfView(problem, k, state, weight)
         counts = float(found.weights[k])
-        changes = of_view.by_inputs(inputs[number], velocity[number])
+        end = of_view.end(inputs[number])
+        changes = of_view.by_inputs(end, inputs[number], velocity[number])
         pull = pull.at[place].add(counts * changes)
-        bend[np.ix_(place, place)] += counts * of_view.by_unknowns()
+        bend[np.ix_(place, place)] += counts * of_view.by_unknowns(end)
     back = np.linalg.pinv((bend + bend.T) / 2, hermitian=True)
     step = -jnp.asarray(back, dtype) @ pull
     return jax.jvp(lambda x: _moved(problem, state, x), (jnp.zeros_like(step),), (step,))[1]
@@ -143,7 +144,15 @@ class _OfView(NamedTuple):
     def eye(self) -> Eye:
         return self.problem.layout.eyes[self.number]
 
-    def by_unknowns(self) -> np.ndarray:
+    def end(self, inputs: Any) -> End:
+        """Return where the fit ended in the view: all its pixels, of which a look sweeps no more
+        than are not too crowded."""
+        eye = self.eye
+        start = eye.solver.move(eye.canonical(self.state), eye.solver.finest)
+        at = At(start, eye.mask.camera, eye.solver.subject.given, eye.solver.freed)
+        return End.of(at, inputs[:3], self.weight, UNIT_PX)
+
+    def by_unknowns(self, end: End) -> np.ndarray:
         """Return how it changes with the unknowns that it depends on (p, p)."""
         layout = self.problem.layout
         place, unknowns, eyes = layout.columns(self.number), layout.unknowns, layout.eyes
@@ -153,29 +162,27 @@ class _OfView(NamedTuple):
             x[place] = step
             return self._slope(self.eye, stepped(self.state, unknowns, x, eyes))
 
-        return self._differences(there, self._moves(self.eye, self.state, self._view()))
+        return self._differences(end, there, self._moves(self.eye, self.state, self._view()))
 
-    def by_inputs(self, inputs: Any, velocity: Any) -> Float[Array, "p"]:
+    def by_inputs(self, end: End, inputs: Any, velocity: Any) -> Float[Array, "p"]:
         """Return its rate of change (p,) with scene, target and weight, mount and place."""
         eye, view = self.eye, self._view()
         dtype = eye.solver.dtype
-        start = eye.solver.move(eye.canonical(self.state), eye.solver.finest)
-        at = At(start, eye.mask.camera, eye.solver.subject.given, eye.solver.freed)
-        own = End.of(at, inputs[:3], self.weight).pull(inputs[:3], velocity[:3])
+        own = end.pull(inputs[:3], velocity[:3])
         result = jnp.asarray(self._moves(eye, self.state, view).T, dtype) @ own
         on_mount = self.state.poses[eye.moving] @ eye.rig
         in_scene = stretched(eye.pose(self.state), eye.scale(self.state))
         if velocity[3] is not None:
-            result = result + self._by_transform("mount", on_mount, 1) @ _twist(
+            result = result + self._by_transform(end, "mount", on_mount, 1) @ _twist(
                 eye.mount, velocity[3]
             )
         if velocity[4] is not None:
-            result = result + self._by_transform("placed", in_scene, -1) @ _twist(
+            result = result + self._by_transform(end, "placed", in_scene, -1) @ _twist(
                 eye.placed, velocity[4]
             )
         return result
 
-    def _by_transform(self, name: str, after: Pose, sign: int) -> Float[Array, "p 6"]:
+    def _by_transform(self, end: End, name: str, after: Pose, sign: int) -> Float[Array, "p 6"]:
         """Return how it changes with a twist of a known transform, `after` which the camera's pose
         stands; the scene's moves the other way round."""
         eye, before = self.eye, getattr(self.eye, name)
@@ -185,7 +192,7 @@ class _OfView(NamedTuple):
             moved: Any = {name: before @ exponential(twist), "standing": []}
             return self._slope(replace(eye, **moved), self.state)
 
-        return jnp.asarray(self._differences(there, moves), eye.solver.dtype)
+        return jnp.asarray(self._differences(end, there, moves), eye.solver.dtype)
 
     def _view(self) -> View:
         return self._look(self.eye, self.state)
@@ -202,15 +209,16 @@ class _OfView(NamedTuple):
         return self._moves(eye, state, view).T @ left
 
     def _differences(
-        self, slope: Callable[[np.ndarray], np.ndarray], moves: np.ndarray
+        self, end: End, slope: Callable[[np.ndarray], np.ndarray], moves: np.ndarray
     ) -> np.ndarray:
         """Return how a slope (p,) follows a vector (q,) that makes moves (n, q)."""
-        view = self._view()
-        if not is_left(float(view.squares), self.weight):
-            seen = np.asarray(view.triangle, float)
-            return (seen @ self._moves(self.eye, self.state, view)).T @ (seen @ moves)
+        if end.step is None:
+            own = self._moves(self.eye, self.state, self._view())
+            return own.T @ np.asarray(end.seen(), float) @ moves
         size = np.maximum(np.max(np.abs(moves), axis=0), 1e-300)
-        return differences(slope, np.diag(STEP_PX[self.eye.solver.dtype] / UNIT_PX / size))
+        steps = np.diag(STEP_PX[self.eye.solver.dtype] / UNIT_PX / size)
+        changes = [(slope(x) - slope(-x)) / (2 * np.max(x)) for x in steps]
+        return np.array(changes).T
 
 
 def _twist(pose: Pose, change: Any) -> Float[Array, "6"]:

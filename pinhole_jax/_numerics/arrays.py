@@ -43,9 +43,10 @@ def is_real(array: Any) -> bool:
 def as_array(value: Any) -> Any:
     """Return numbers as an array, of NumPy's where they are none of JAX's: JAX would compile a copy
     of each shape."""
-    if isinstance(value, jax.Array) or not is_concrete(*jax.tree.leaves(value)):
-        return jnp.asarray(value)
-    return np.asarray(value)
+    plain = isinstance(value, np.ndarray | np.number | list | tuple | float | int)
+    if plain and is_concrete(*jax.tree.leaves(value)):
+        return np.asarray(value)
+    return jnp.asarray(value)
 
 
 def at_hand(value: Any) -> Any:

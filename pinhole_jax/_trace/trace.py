@@ -99,8 +99,8 @@ def occluded(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Bool
     ```
     """
     given, number = _with_room(scene, rays)
-    face, sphere = _first(number, found(scene, given, search)[1:])
-    return (face >= 0) | (sphere >= 0)
+    _, face, sphere = found(scene, given, search)
+    return _first(number, (face >= 0) | (sphere >= 0))
 
 
 class Found(NamedTuple):
