@@ -83,6 +83,20 @@ def test_it_is_found_with_no_start(views):
 
 
 @pytest.mark.long
+def test_the_camera_follows_a_rough_mesh_s_mask():
+    """In whose pixels lie more pieces than a look sweeps: these count as all others do."""
+    smooth = pj.shapes.bumpy(4)
+    size = 1 + 0.05 * np.random.default_rng(0).standard_normal((len(smooth.vertices), 1))
+    scene = pj.Scene(mesh=pj.Mesh(np.asarray(smooth.vertices) * size, smooth.faces))
+    here = pj.Camera([0.3, 0.2, 5.0], [0.1, 0, 0], [0, 1, 0], 0.7, 1.0, 24, 20)
+    way = jnp.eye(3)[0]
+    aside = lambda s: here.replace(e=here.e + s * way, p=here.p + s * way)
+    mask, change = jax.jvp(lambda s: pj.silhouette(aside(s), scene), (0.0,), (1.0,))
+    eye = lambda target: pj.fit_joint([pj.JointView(scene, target)], here).camera.e
+    np.testing.assert_allclose(jax.jvp(eye, (mask,), (change,))[1], way, atol=1e-6)
+
+
+@pytest.mark.long
 def test_a_start_that_leads_astray_is_searched_after(views):
     far = at_pose(TRUTH, pose_of(START) @ exponential(np.array([0.1, 0.2, 2.5, 0.5, 0.3, 0.5])))
     fit = pj.fit_joint(views, far)
