@@ -145,8 +145,8 @@ class _OfView(NamedTuple):
         return self.problem.layout.eyes[self.number]
 
     def end(self, inputs: Any) -> End:
-        """Return where the fit ended in the view: all its pixels, of which a look sweeps no more
-        than are not too crowded."""
+        """Return where the fit ended in the view, with all pixels (a look leaves out crowded
+        ones)."""
         eye = self.eye
         start = eye.solver.move(eye.canonical(self.state), eye.solver.finest)
         at = At(start, eye.mask.camera, eye.solver.subject.given, eye.solver.freed)

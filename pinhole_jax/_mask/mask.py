@@ -73,8 +73,9 @@ class Mask:
 
     def longer(self, factor: float) -> "Mask":
         """Return the mask as seen with a focal length times a factor."""
-        phi = 2 * np.arctan(np.tan(np.asarray(self.camera.phi) / 2) / factor)
-        phi = jnp.asarray(np.asarray(phi, self.camera.e.dtype))
+        dtype = self.camera.e.dtype
+        phi = np.asarray(2 * np.arctan(np.tan(np.asarray(self.camera.phi) / 2) / factor), dtype)
+        phi = jnp.asarray(phi, dtype)
         return replace(self, camera=eqx.tree_at(lambda c: c.phi, self.camera, phi))
 
     def signature(self, hidden: float | None = None) -> Signature:

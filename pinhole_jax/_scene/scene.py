@@ -21,6 +21,7 @@ from .._numerics.arrays import (
     is_concrete,
 )
 from .._numerics.jitted import is_within_another, jitted, stands_alone
+from .._numerics.pointwise import filled_up
 from .._numerics.safe import binary_scale, norm, safe_divide
 from .topology import edge_records, without_copies
 
@@ -489,7 +490,7 @@ def _planes_and_clusters(
 
 def _lasting(x: np.ndarray, size: int) -> np.ndarray:
     """Return rows, filled up with the last one."""
-    return np.concatenate([x, np.broadcast_to(x[-1:], (size - len(x), *x.shape[1:]))])
+    return filled_up(x, size, x[-1:])
 
 
 @jax.jit
