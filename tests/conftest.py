@@ -17,12 +17,15 @@ from contextlib import suppress
 from pathlib import Path
 
 import jax
+import jaxtyping
 import pytest
 
+PACKAGE = Path(__file__).parents[1] / "pinhole_jax"
+#: What checks annotations while tests run.
+CHECKER = "beartype.beartype"
 #: XLA's passes that programs are compiled without. (Read, not imported: jaxtyping is to watch the
 #: package's imports.)
-PASSES = Path(__file__).parents[1] / "pinhole_jax" / "_numerics" / "passes.py"
-LEFT_OUT = runpy.run_path(str(PASSES))["LEFT_OUT"]
+LEFT_OUT = runpy.run_path(str(PACKAGE / "_numerics" / "passes.py"))["LEFT_OUT"]
 #: What XLA is told: to write kernels the older way, in one piece (workers fill the cores), and
 #: without those passes.
 QUICKLY = [
@@ -66,6 +69,17 @@ SHARED = Path(__file__).parents[2] / "shared" / "data"
 
 def pytest_addoption(parser):
     parser.addoption("--exhaustive", action="store_true", help="every test, at full size: hours")
+
+
+def pytest_configure(config):
+    """Check the annotations of modules that tell shapes there: types alone are what pyright checks.
+
+    `--jaxtyping-packages=pinhole_jax,beartype.beartype` checks all, in an eighth more time.
+    """
+    if not config.option.jaxtyping_packages:
+        told = [path for path in PACKAGE.rglob("*.py") if "from jaxtyping" in path.read_text()]
+        parts = [path.relative_to(PACKAGE.parent).with_suffix("").parts for path in told]
+        jaxtyping.install_import_hook([".".join(names) for names in parts], CHECKER)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -81,7 +81,7 @@ def runs_in_the_site(page):
 
 #: Pages that take 20 s and show what other tests ask for.
 DEAR = {
-    *("docs/how-to/gradients.md", "docs/how-to/render.md"),
+    *("docs/how-to/gradients.md", "docs/how-to/lenses.md", "docs/how-to/render.md"),
     *("docs/reference/fits.md", "docs/reference/images.md"),
 }
 #: Pages whose Python runs here; the site's first page shows what README does.

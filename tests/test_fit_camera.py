@@ -63,7 +63,7 @@ def test_pose_and_focal_length_from_exact_masks(convert, worst, exhaustive):
         full(("position",), {"e": [0.4, 1.1, 5.2]}),
         full(("orientation",), {"p": [0.2, 0.1, 0]}),
         full(("phi",), {"phi": 0.65}),
-        (("d",), {"d": 1.1, "phi": 2 * np.arctan(np.tan(0.3) / 1.1)}),
+        full(("d",), {"d": 1.1, "phi": 2 * np.arctan(np.tan(0.3) / 1.1)}),
         full(("phi", "position"), {"e": [0.4, 1.1, 5.2], "phi": 0.65}),
         full(("principal_point",), {"lens": pj.Lens([46.0, 42.0])}),
         (("pose", "aspect"), {"u": [0.3, 1, 0.1], "lens": pj.Lens([48.0, 40.0], 1.1)}),

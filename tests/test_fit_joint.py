@@ -1016,7 +1016,7 @@ def misread(tmp_path_factory):
     half.export(folder / "body.stl")
     (folder / "three.urdf").write_text(THREE)
     robot = pj.robots.load_urdf(folder / "three.urdf")
-    postures = np.random.default_rng(3).uniform(-1, 1, (5, 3))
+    postures = np.random.default_rng(3).uniform(-1, 1, (3, 3))
     return [
         pj.JointView(
             robot.scene(read),

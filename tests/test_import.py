@@ -1,9 +1,6 @@
 import subprocess
 import sys
 
-import pytest
-from chosen import first
-
 
 def run(code):
     """Return what a program prints, in a process of its own."""
@@ -30,33 +27,43 @@ def test_the_package_alone_imports_no_jax():
     assert run(code) == "[]"
 
 
-@pytest.mark.parametrize(
-    "code",
-    first(
-        3,
-        [
-            "import pinhole_jax as pj; print(pj.Camera.__name__)",
-            "from pinhole_jax import Camera; print(Camera.__name__)",
-            "from pinhole_jax import *; print(Camera.__name__)",
-            "import pinhole_jax as pj; print('Camera' * ('Camera' in dir(pj)))",
-            "import pinhole_jax as pj; pj.io.load_camera; pj.Camera = int; dir(pj); pj.Lens;"
-            "print('Camera' if pj.Camera is int else '')",
-        ],
-    ),
-)
-def test_a_public_name_is_there_when_it_is_asked_for(code):
-    assert run(code) == "Camera"
+#: Ways to a public name: each prints it.
+WAYS = [
+    "import pinhole_jax as pj; print(pj.Camera.__name__)",
+    "from pinhole_jax import Camera; print(Camera.__name__)",
+    "from pinhole_jax import *; print(Camera.__name__)",
+    "import pinhole_jax as pj; print('Camera' * ('Camera' in dir(pj)))",
+    "import pinhole_jax as pj; pj.io.load_camera; pj.Camera = int; dir(pj); pj.Lens;"
+    "print('Camera' if pj.Camera is int else '')",
+]
+MODULES = ["io", "plot", "formats", "report", "shapes", "testing"]
 
 
-@pytest.mark.parametrize("name", first(2, ["io", "plot", "formats", "report", "shapes", "testing"]))
-def test_modules_may_be_imported_first_and_in_any_way(name):
+def imported_anew(codes):
+    """Return what programs print, one after the other in one process that keeps JAX alone."""
     code = (
-        f"import sys, pinhole_jax as pj; module = pj.{name};"
-        f"import pinhole_jax.{name}; from pinhole_jax import {name};"
-        f"assert module is {name} is sys.modules['pinhole_jax.{name}'];"
-        f"pj.Camera; print(pj.{name} is module, '{name}' in dir(pj), 'TYPE_CHECKING' in dir(pj))"
+        "import sys\n"
+        f"for code in {codes!r}:\n"
+        "    for name in [*sys.modules]:\n"
+        "        if name.split('.')[0] == 'pinhole_jax': del sys.modules[name]\n"
+        "    exec(code, {})"
     )
-    assert run(code) == "True True False"
+    return run(code).splitlines()
+
+
+def test_a_public_name_is_there_when_it_is_asked_for():
+    assert imported_anew(WAYS) == ["Camera"] * len(WAYS)
+
+
+def test_modules_may_be_imported_first_and_in_any_way():
+    way = (
+        "import sys, pinhole_jax as pj; module = pj.{0};"
+        "import pinhole_jax.{0}; from pinhole_jax import {0};"
+        "assert module is {0} is sys.modules['pinhole_jax.{0}'];"
+        "pj.Camera; print(pj.{0} is module, '{0}' in dir(pj), 'TYPE_CHECKING' in dir(pj))"
+    )
+    codes = [way.format(name) for name in MODULES]
+    assert imported_anew(codes) == ["True True False"] * len(MODULES)
 
 
 def test_a_name_that_is_not_there_is_told():

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from chosen import first, full
+from chosen import first, full, long
 from oracles import mesh_coverage, mesh_polygons, sphere_polygons, union_per_pixel
 from slopes import both_ways
 
@@ -496,30 +496,28 @@ def board():
     return camera, with_balls(checker(), [[0.0, 0, 20], [0, 1, 20]])
 
 
-@pytest.fixture(scope="module")
-def told(mixed, board):
-    """Return a function of what bounds the lines of a pixel, which returns images and derivatives,
-    of edges and arcs; and of edges along the sides of pixels."""
+def told(several, board, stops):
+    """Return images and derivatives, of edges and arcs; and of edges along the sides of pixels,
+    whose lines are bounded by `stops`."""
     random = np.random.default_rng(3)
-    weight = random.normal(size=(mixed[0].H, mixed[0].W))
-    directions = tuple(random.normal(size=x.shape) for x in leaves(mixed))
-
-    def of(stops):
-        number = None if stops is None else jnp.int32(stops)
-        several, (image, _, gradient) = (
-            pushed_and_pulled(scene, directions, weight, number) for scene in (mixed, board)
-        )
-        return several, image, gradient[4]
-
-    return of
+    weight = random.normal(size=(several[0].H, several[0].W))
+    directions = tuple(random.normal(size=x.shape) for x in leaves(several))
+    all_of_it, (image, _, gradient) = (
+        pushed_and_pulled(scene, directions, weight, stops) for scene in (several, board)
+    )
+    return all_of_it, image, gradient[4]
 
 
-@pytest.mark.parametrize("stops", first(0, [None, 16], of=2))
-def test_pixels_in_turn_are_what_they_are_side_by_side(told, monkeypatch, stops):
-    one = told(stops)
+@pytest.mark.parametrize(
+    ("balls", "stops"), [long(False, None), full(True, None), full(True, jnp.int32(16))]
+)
+def test_pixels_in_turn_are_what_they_are_side_by_side(mixed, board, monkeypatch, balls, stops):
+    """(With balls it takes four times as long.)"""
+    scenes = [(c, s if balls else pj.Scene(mesh=s.mesh)) for c, s in (mixed, board)]
+    one = told(*scenes, stops)
     resolve_side_by_side(monkeypatch)
     jax.clear_caches()
-    other = told(stops)
+    other = told(*scenes, stops)
     jax.clear_caches()
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-11 * max(1, np.abs(b).max()))
