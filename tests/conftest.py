@@ -74,7 +74,7 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     """Check the annotations of modules that tell shapes there: types alone are what pyright checks.
 
-    `--jaxtyping-packages=pinhole_jax,beartype.beartype` checks all, in an eighth more time.
+    `--jaxtyping-packages=pinhole_jax,beartype.beartype` checks all, in a twentieth more time.
     """
     if not config.option.jaxtyping_packages:
         told = [path for path in PACKAGE.rglob("*.py") if "from jaxtyping" in path.read_text()]

@@ -99,7 +99,7 @@ def test_piece_by_piece_is_as_of_vectors(W, H, banded):
 SPHERES = pj.Spheres([[0.5, 0.9, 0.2], [0.3, 0.2, 1.1]], [0.4, 0.5])
 
 
-@pytest.mark.parametrize("what", first(0, ["spheres", "on the grid", "float32", "lens"], of=3))
+@pytest.mark.parametrize("what", first(0, ["spheres", "on the grid", "float32", "lens"], of=4))
 def test_piece_by_piece_is_as_of_vectors_whatever_curves_are(what):
     """Arcs; vertices where pixels meet; parts of bent curves; the other float type."""
     camera, scene, atol = camera_of("whole", 40, 40), pj.Scene(crumpled(False), SPHERES), 1e-13

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from chosen import first
+from chosen import first, full
 from oracles import drawn, turned
 from scipy.spatial.transform import Rotation
 
@@ -163,7 +163,7 @@ def test_with_no_start_the_rest_of_the_edge_is_enough(scene):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("sign", [-1, full(1)])
 def test_an_occluder_that_leaves_what_another_view_shows_is_not_told_as_certain(sign):
     """A box of 1 x 2 x 3; a wall leaves 1 x 2 of it: another side."""
     box = trimesh.creation.box([1.0, 2.0, 3.0])

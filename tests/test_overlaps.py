@@ -119,7 +119,7 @@ def filled(vertices, faces, dtype=float, room=20_000) -> pj.Scene:
     return pj.Scene(mesh=with_vertices(mesh, mesh.vertices))  # (its clusters of edges: as many)
 
 
-@pytest.mark.parametrize("name", first(1, reversed(MESHES), of=3))
+@pytest.mark.parametrize("name", first(1, reversed(MESHES), of=6))
 def test_any_mesh_matches_the_polygon_union(name, exhaustive):
     vertices, faces = MESHES[name]()
     scene = filled(vertices, faces)
@@ -128,7 +128,7 @@ def test_any_mesh_matches_the_polygon_union(name, exhaustive):
         np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", first(0, MESHES, of=2))
+@pytest.mark.parametrize("name", first(0, MESHES, of=3))
 def test_in_float32_to_1e_4(name, exhaustive):
     vertices, faces = MESHES[name]()
     vertices = vertices.astype(np.float32)
@@ -168,7 +168,7 @@ SPHERES = {
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize("mixed", [full(False), True])
 @pytest.mark.parametrize("name", SPHERES)
 def test_spheres_that_overlap_match_the_polygon_union(name, mixed):
     centers, radii = (np.array(x, float) for x in SPHERES[name])

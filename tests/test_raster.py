@@ -108,7 +108,7 @@ def met_within(seen, direction, rounding):
 KINDS = ["scales", "lattice", "plane", "twice", "slivers", "film-covering"]
 
 
-@pytest.mark.parametrize("dtype", ["float32", long("float64")])
+@pytest.mark.parametrize("dtype", ["float32", full("float64")])
 @pytest.mark.usefixtures("optimised")
 def test_the_same_face_as_the_tree_finds(dtype, exhaustive):
     """Ties too: of faces that are equally deep, to the last bit, both take the first.

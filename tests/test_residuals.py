@@ -80,7 +80,7 @@ def pixels_kept(unit, scene, level) -> np.ndarray:
     ("look_at", "spheres", "W", "phi", "model"),
     [
         long((-1.2, 0, 0), False, 30, 0.6, LENS),
-        long((0, 0, 0), False, 150, 0.6, None),  # (as wide as the next: one program)
+        full((0, 0, 0), False, 150, 0.6, None),  # (as wide as the next: one program)
         full((-8, 0, 0), False, 150, 0.6, None),  # more film heights away than a 1 x 1 film has
         full((1.7, 0, 0), False, 30, 0.6, None),
         full((-1.7, 0, 0), True, 30, 0.6, None),

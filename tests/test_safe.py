@@ -2,8 +2,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import TypeCheckError
 
-from pinhole_jax._numerics.safe import norm, normalize, safe_divide, safe_sqrt
+from pinhole_jax._numerics.safe import dot, norm, normalize, safe_divide, safe_sqrt
 
 
 @pytest.mark.parametrize(
@@ -29,3 +30,8 @@ def test_norm_neither_under_nor_overflows(scale):
 
 def test_norm_has_the_derivative_of_a_norm():
     np.testing.assert_allclose(jax.grad(norm)(jnp.array([3.0, 4, 0])), [0.6, 0.8, 0], rtol=1e-15)
+
+
+def test_shapes_that_annotations_tell_are_checked_while_tests_run():
+    with pytest.raises(TypeCheckError, match="dot"):
+        dot(jnp.ones(3), jnp.ones(4))
