@@ -21,8 +21,6 @@ import jaxtyping
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "pinhole_jax"
-#: What checks annotations while tests run.
-CHECKER = "beartype.beartype"
 #: XLA's passes that programs are compiled without. (Read, not imported: jaxtyping is to watch the
 #: package's imports.)
 LEFT_OUT = runpy.run_path(str(PACKAGE / "_numerics" / "passes.py"))["LEFT_OUT"]
@@ -77,9 +75,10 @@ def pytest_configure(config):
     `--jaxtyping-packages=pinhole_jax,beartype.beartype` checks all, in a twentieth more time.
     """
     if not config.option.jaxtyping_packages:
-        told = [path for path in PACKAGE.rglob("*.py") if "from jaxtyping" in path.read_text()]
-        parts = [path.relative_to(PACKAGE.parent).with_suffix("").parts for path in told]
-        jaxtyping.install_import_hook([".".join(names) for names in parts], CHECKER)
+        tells = lambda path: "from jaxtyping" in path.read_text(encoding="utf-8")
+        paths = [p.relative_to(PACKAGE.parent) for p in PACKAGE.rglob("*.py") if tells(p)]
+        names = [".".join(path.with_suffix("").parts) for path in paths]
+        jaxtyping.install_import_hook(names, "beartype.beartype")
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -509,10 +509,10 @@ def told(several, board, stops):
 
 
 @pytest.mark.parametrize(
-    ("balls", "stops"), [long(False, None), full(True, None), full(True, jnp.int32(16))]
+    ("balls", "stops"), [long(False, None), full(True, None), full(True, np.int32(16))]
 )
 def test_pixels_in_turn_are_what_they_are_side_by_side(mixed, board, monkeypatch, balls, stops):
-    """(With balls it takes four times as long.)"""
+    """(With balls it takes twice as long.)"""
     scenes = [(c, s if balls else pj.Scene(mesh=s.mesh)) for c, s in (mixed, board)]
     one = told(*scenes, stops)
     resolve_side_by_side(monkeypatch)
