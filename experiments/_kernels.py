@@ -1,4 +1,7 @@
-"""How many kernels a compiled program has: what it takes to compile follows their number."""
+"""How many kernels a compiled program has: what it takes to compile follows their number.
+
+A copy of an array is none: it is moved as it is (`memcpy`), nothing is compiled for it.
+"""
 
 import re
 from typing import NamedTuple
@@ -10,6 +13,7 @@ FREE = {
     "call",
     "conditional",
     "constant",
+    "copy",
     "get-tuple-element",
     "parameter",
     "tuple",

@@ -145,6 +145,12 @@ class End(NamedTuple):
         rows = np.asarray(self.jacobian).reshape(-1, self.jacobian.shape[-1])
         return rows.T @ (self.weight.reshape(-1, 1) * rows)
 
+    def left_along(self, at: At) -> np.ndarray:
+        """Return what is left of the target along the image's derivative elsewhere (n,)."""
+        still = np.zeros(at.move.scale.shape, self.weight.dtype)
+        rows = np.asarray(image_and_jacobian(still, at)[1], float)
+        return np.einsum("hwn,hw->n", rows, self.weight * self.difference)
+
     def pull(self, inputs: Inputs, velocity: Inputs) -> Float[Array, "n"]:
         """Return how half the gradient changes with the inputs while the camera stays: linear in
         their velocities."""

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera
 from .._camera.poses import Pose, adjoint, at_pose, exponential, inverse
 from .._fit.full_image import At
-from .._fit.implicit import STEP_PX, End, Through, check_plain
+from .._fit.implicit import End, Through, check_plain
 from .._numerics.arrays import is_concrete
 from .._solver.moves import on_film
 from .._solver.parameters import PARAMETERS
@@ -147,10 +147,11 @@ class _OfView(NamedTuple):
     def end(self, inputs: Any) -> End:
         """Return where the fit ended in the view, with all pixels (a look leaves out crowded
         ones)."""
-        eye = self.eye
-        start = eye.solver.move(eye.canonical(self.state), eye.solver.finest)
-        at = At(start, eye.mask.camera, eye.solver.subject.given, eye.solver.freed)
-        return End.of(at, inputs[:3], self.weight, UNIT_PX)
+        return End.of(self._at(self.eye, self.state), inputs[:3], self.weight, UNIT_PX)
+
+    def _at(self, eye: Eye, state: State) -> At:
+        start = eye.solver.move(eye.canonical(state), eye.solver.finest)
+        return At(start, eye.mask.camera, eye.solver.subject.given, eye.solver.freed)
 
     def by_unknowns(self, end: End) -> np.ndarray:
         """Return how it changes with the unknowns that it depends on (p, p)."""
@@ -160,16 +161,15 @@ class _OfView(NamedTuple):
         def there(step: np.ndarray) -> np.ndarray:
             x = np.zeros(layout.size)
             x[place] = step
-            return self._slope(self.eye, stepped(self.state, unknowns, x, eyes))
+            return self._slope(end, self.eye, stepped(self.state, unknowns, x, eyes))
 
-        return self._differences(end, there, self._moves(self.eye, self.state, self._view()))
+        return self._changes(end, there, self._moves(self.eye, self.state))
 
     def by_inputs(self, end: End, inputs: Any, velocity: Any) -> Float[Array, "p"]:
         """Return its rate of change (p,) with scene, target and weight, mount and place."""
-        eye, view = self.eye, self._view()
-        dtype = eye.solver.dtype
+        eye, dtype = self.eye, self.eye.solver.dtype
         own = end.pull(inputs[:3], velocity[:3])
-        result = jnp.asarray(self._moves(eye, self.state, view).T, dtype) @ own
+        result = jnp.asarray(self._moves(eye, self.state).T, dtype) @ own
         on_mount = self.state.poses[eye.moving] @ eye.rig
         in_scene = stretched(eye.pose(self.state), eye.scale(self.state))
         if velocity[3] is not None:
@@ -186,39 +186,38 @@ class _OfView(NamedTuple):
         """Return how it changes with a twist of a known transform, `after` which the camera's pose
         stands; the scene's moves the other way round."""
         eye, before = self.eye, getattr(self.eye, name)
-        moves = sign * eye.by_motion(self.state, self._view()) @ adjoint(inverse(after))
+        moves = (
+            sign * eye.by_motion(self.state, self._look(eye, self.state)) @ adjoint(inverse(after))
+        )
 
         def there(twist: np.ndarray) -> np.ndarray:
             moved: Any = {name: before @ exponential(twist), "standing": []}
-            return self._slope(replace(eye, **moved), self.state)
+            return self._slope(end, replace(eye, **moved), self.state)
 
-        return jnp.asarray(self._differences(end, there, moves), eye.solver.dtype)
-
-    def _view(self) -> View:
-        return self._look(self.eye, self.state)
+        return jnp.asarray(self._changes(end, there, moves), eye.solver.dtype)
 
     def _look(self, eye: Eye, state: State) -> View:
         return eye.solver.look(eye.canonical(state), eye.solver.finest)
 
-    def _moves(self, eye: Eye, state: State, view: View) -> np.ndarray:
-        return eye.moves(state, view, self.problem.layout.of(self.number))
+    def _moves(self, eye: Eye, state: State) -> np.ndarray:
+        return eye.moves(state, self._look(eye, state), self.problem.layout.of(self.number))
 
-    def _slope(self, eye: Eye, state: State) -> np.ndarray:
-        view = self._look(eye, state)
-        left = np.asarray(view.triangle, float).T @ np.asarray(view.along, float)
-        return self._moves(eye, state, view).T @ left
+    def _slope(self, end: End, eye: Eye, state: State) -> np.ndarray:
+        """Return the slope (p,) that what is left of the target has along the image's derivative in
+        another state."""
+        return self._moves(eye, state).T @ end.left_along(self._at(eye, state))
 
-    def _differences(
+    def _changes(
         self, end: End, slope: Callable[[np.ndarray], np.ndarray], moves: np.ndarray
     ) -> np.ndarray:
-        """Return how a slope (p,) follows a vector (q,) that makes moves (n, q)."""
+        """Return how the gradient (p,) follows a vector (q,) that makes moves (n, q): by what is
+        seen, and by how the `slope` of what is left changes."""
+        result = self._moves(self.eye, self.state).T @ np.asarray(end.seen(), float) @ moves
         if end.step is None:
-            own = self._moves(self.eye, self.state, self._view())
-            return own.T @ np.asarray(end.seen(), float) @ moves
+            return result
         size = np.maximum(np.max(np.abs(moves), axis=0), 1e-300)
-        steps = np.diag(STEP_PX[self.eye.solver.dtype] / UNIT_PX / size)
-        changes = [(slope(x) - slope(-x)) / (2 * np.max(x)) for x in steps]
-        return np.array(changes).T
+        steps = np.diag(end.step / size)
+        return result + np.array([(slope(x) - slope(-x)) / (2 * np.max(x)) for x in steps]).T
 
 
 def _twist(pose: Pose, change: Any) -> Float[Array, "6"]:
