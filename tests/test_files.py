@@ -269,9 +269,8 @@ BOMBS = {
     "xml": XML,
     "model": MODELS,
 }  # fmt: skip
-#: Each reader on its own: 5 s of processor time, 500 MB more than it began with. (The longest, a
-#: file with 200 cameras, takes 0.6 s, three times that where annotations are checked on a slow
-#: machine; what hangs takes minutes.)
+#: Each reader on its own, and the command: 2 s of processor time, 500 MB more than they began with.
+#: (The longest, a file with 200 cameras, takes either 0.6 s.)
 READ_ALL = """
 import resource, signal, sys
 from pathlib import Path
@@ -284,7 +283,7 @@ for path in sorted(folder.iterdir()):
     readers = [formats.read] + [io.load_camera] * (path.suffix == ".json")
     for read in readers:
         print(path.name, flush=True)
-        signal.setitimer(signal.ITIMER_VIRTUAL, 5)
+        signal.setitimer(signal.ITIMER_VIRTUAL, 2)
         try:
             read(path)
             sys.exit("was read")
@@ -292,7 +291,7 @@ for path in sorted(folder.iterdir()):
             assert len(str(error)) < 1000, f"long: {len(str(error))}"
             assert path.name in str(error) or path.is_dir(), f"not named: {error}"
     out = folder / "out.json"
-    signal.setitimer(signal.ITIMER_VIRTUAL, 5)
+    signal.setitimer(signal.ITIMER_VIRTUAL, 2)
     assert __main__.main(["convert", str(path), str(out)]) == 2
     assert not out.exists()
     signal.setitimer(signal.ITIMER_VIRTUAL, 0)
