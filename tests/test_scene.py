@@ -11,9 +11,8 @@ import trimesh
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._camera.camera import check_camera
+from pinhole_jax._scene.planes import CLUSTER, planes_of
 from pinhole_jax._scene.scene import (
-    _clusters,
-    _middles_codes,
     astype,
     at_rest,
     bounding_box,
@@ -22,7 +21,6 @@ from pinhole_jax._scene.scene import (
     front_facing,
     padded,
     planes_are_current,
-    planes_of,
     with_or_without_border,
 )
 from pinhole_jax._silhouette.contour import contour_bits
@@ -83,32 +81,50 @@ def test_planes_are_never_stale():
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("size", [1.0, 1e-30, 1e30])
 @pytest.mark.parametrize("cut", [0, 57], ids=["closed", "border"])
-def test_planes_and_clusters_are_those_of_no_filled_up_mesh(dtype, cut):
+def test_planes_and_clusters_are_what_they_say(dtype, size, cut):
     ball = trimesh.creation.icosphere(2)
     vertices = np.random.default_rng(0).normal(1, 0.05, ball.vertices.shape) * ball.vertices
-    mesh = pj.Mesh(vertices.astype(dtype), ball.faces[cut:])
-    planes = planes_of(mesh.vertices, mesh.faces)
-    for name in ("normal", "corner", "box", "fingerprint"):
-        np.testing.assert_array_equal(getattr(mesh.planes, name), getattr(planes, name))
-    expected = _clusters(planes, mesh.vertices, mesh.edge_faces)
-    for own, x in zip(mesh.planes.clusters, expected, strict=True):
-        assert own.dtype == x.dtype
-        np.testing.assert_allclose(own, x, rtol=1e-5, atol=1e-6)
-    order = jnp.argsort(_middles_codes(mesh.vertices, mesh.faces))
-    np.testing.assert_array_equal(mesh.order, order)
+    mesh = pj.Mesh((size * vertices).astype(dtype), ball.faces[cut:])
+    traced = planes_of(mesh.vertices, mesh.faces)
+    for name in ("corner", "box", "fingerprint"):
+        np.testing.assert_array_equal(getattr(mesh.planes, name), getattr(traced, name))
+    np.testing.assert_allclose(mesh.planes.normal, traced.normal, rtol=1e-5, atol=1e-6)
+
+    clusters = mesh.planes.clusters
+    assert [x.dtype for x in clusters] == [dtype] * len(clusters)
+    points = np.asarray(mesh.vertices, float)
+    a, b, c = np.moveaxis(points[np.asarray(mesh.faces)] / size, 1, 0)
+    unit = np.cross(b - a, c - a)
+    unit /= np.linalg.norm(unit, axis=1)[:, None]
+    places = (a - points[0] / size) * (float(clusters.scale) * size)
+    assert 0.5 <= np.abs((points - points[0]) * float(clusters.scale)).max() <= 1
+    edges = np.asarray(mesh.edge_faces)
+    for n in range(-(-len(edges) // CLUSTER)):
+        own = edges[n * CLUSTER : (n + 1) * CLUSTER]
+        faces = own[own >= 0]
+        axis, cosine, sine, middle, radius = (np.asarray(x)[..., n] for x in clusters[:5])
+        np.testing.assert_allclose(np.min(unit[faces] @ axis), cosine, rtol=1e-5)
+        np.testing.assert_allclose(np.hypot(cosine, sine), 1, rtol=1e-5)
+        reach = np.linalg.norm(places[faces] - middle, axis=1).max()
+        last = (own < 0).any() or cosine <= 0
+        np.testing.assert_allclose(radius, np.inf if last else reach, rtol=1e-5)
 
 
-def test_meshes_of_similar_size_share_all_programs():
-    made = lambda: [f._cache_size() for f in (planes_of, _clusters, _middles_codes)]
+def test_nothing_is_compiled_for_a_mesh(compiled):
+    ring = trimesh.creation.torus(1, 0.3, 11, 9)
+    pj.Mesh(ring.vertices, ring.faces)
+    compiled.clear()  # (to hold an array takes a program of JAX's own, once)
     sizes = []
     for sections in (11, 12, 17):
         ring = trimesh.creation.torus(1, 0.3, sections, 9)
-        of = padded(pj.Scene(mesh=pj.Mesh(ring.vertices, ring.faces)))
-        box = np.asarray(bounding_box(pj.Scene(mesh=pj.Mesh(ring.vertices, ring.faces))))
+        scene = pj.Scene(mesh=pj.Mesh(ring.vertices, ring.faces))
+        sizes.append(len(padded(scene).mesh.faces))
+        box = np.asarray(bounding_box(scene))
         np.testing.assert_array_equal(box, [ring.vertices.min(axis=0), ring.vertices.max(axis=0)])
-        sizes.append((len(of.mesh.faces), made()))
-    assert all(size == sizes[0] for size in sizes)
+    assert len({*sizes}) == 1
+    assert not compiled
 
 
 def test_vertices_may_be_traced_and_faces_may_not():

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from .scene import Mesh, Planes
+from .planes import Planes
+from .scene import Mesh
 from .topology import edge_records
 
 #: A mesh is coarsened from this many faces on.

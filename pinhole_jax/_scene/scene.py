@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.camera import Camera, check_camera
 from .._numerics.arrays import (
@@ -20,57 +20,25 @@ from .._numerics.arrays import (
     float_dtype,
     is_concrete,
 )
-from .._numerics.jitted import is_within_another, jitted, stands_alone
-from .._numerics.pointwise import filled_up
-from .._numerics.safe import binary_scale, norm, safe_divide
+from .._numerics.jitted import jitted, stands_alone
+from .planes import (
+    CLUSTER,
+    Clusters,
+    Planes,
+    box_of,
+    fingerprint,
+    fingerprint_of,
+    in_front,
+    planes_and_clusters,
+    planes_of,
+)
 from .topology import edge_records, without_copies
 
-
-class Clusters(NamedTuple):
-    """The edges in groups of `CLUSTER`, as they come: what their faces' planes have in common.
-
-    Unit normals within a cone (`axis`, cosine and sine of its half angle), a point of each plane in
-    a ball (`middle`; `radius`, infinite where nothing can be said), as seen from `centre` and in a
-    unit of length of the mesh's own (world lengths times `scale`, a power of 2): no square of a
-    length overflows. `planes` holds the faces' normals and corners once more, face by face, to be
-    looked up fast.
-    """
-
-    axis: Float[Array, "3 N"]
-    cosine: Float[Array, "N"]
-    sine: Float[Array, "N"]
-    middle: Float[Array, "3 N"]
-    radius: Float[Array, "N"]
-    planes: Float[Array, "F 6"]
-    centre: Float[Array, "3"]
-    scale: Float[Array, ""]
-
-
-#: Edges of a cluster: as many as bits in a word of `Selection`.
-CLUSTER = 32
 #: Of a mesh with more than this share of its edges at a border it is asked whether its vertices
 #: stand at fewer places than this share of their number.
 MOSTLY_BORDER, LOOSE = 0.5, 0.6
 #: Faces (and vertices) that a small mesh's arrays are filled up to.
 FILLED_UP = (1 << 14, 1 << 16)
-#: The same of arrays that planes are made from: that takes a time that follows their size.
-MADE_FROM = (1 << 11, *FILLED_UP)
-
-
-class Planes(NamedTuple):
-    """A mesh's face planes: x is before face f where `normal[:, f].(x - corner[:, f]) > 0`.
-
-    A normal's length is the face's area in a unit of the mesh's own, so that it neither overflows
-    nor vanishes. `box` holds the vertices' least and largest coordinates, `fingerprint`
-    names the vertices that all this was made from; None where these are known to stay. `clusters`
-    is None for a mesh made of traced vertices, whose planes would not be used often enough.
-    """
-
-    normal: Float[Array, "3 F"]
-    corner: Float[Array, "3 F"]
-    box: Float[Array, "2 3"]
-    fingerprint: UInt32[Array, ""] | None
-    clusters: Clusters | None = None
 
 
 class Triangles(Protocol):
@@ -134,15 +102,16 @@ class Mesh(eqx.Module):
         edge_vertices, edge_faces = edge_records(triangles, points, self.vertices.shape[0])
         # (With no type named, JAX compiles a copy of an array of each size.)
         self.faces = jnp.asarray(triangles, np.int32)
-        self.order = _face_order(self.vertices, self.faces)
-        if is_concrete(self.order) and edge_faces.size:
+        order = _face_order(self.vertices if points is None else points, triangles)
+        self.order = jnp.asarray(order, np.int32)
+        if points is not None and edge_faces.size:
             rank = np.empty(len(triangles), np.int32)
-            rank[np.asarray(self.order)] = np.arange(len(triangles), dtype=np.int32)
+            rank[order] = np.arange(len(triangles), dtype=np.int32)
             along = np.argsort(rank[edge_faces[:, 0]], kind="stable")
             edge_vertices, edge_faces = edge_vertices[along], edge_faces[along]
         self.edge_vertices = jnp.asarray(edge_vertices, np.int32)
         self.edge_faces = jnp.asarray(edge_faces, np.int32)
-        self.planes = _planes_and_clusters(self.vertices, self.faces, self.edge_faces)
+        self.planes = _planes(self.vertices if points is None else points, triangles, edge_faces)
         self.closed = bool(np.all(edge_faces >= 0))
         borders = np.count_nonzero(edge_faces < 0)
         if points is not None and borders > MOSTLY_BORDER * len(edge_faces):
@@ -224,7 +193,7 @@ def astype(scene: Scene, dtype: Any) -> Scene:
 
 def with_vertices(mesh: Mesh, vertices: Float[Array, "V 3"]) -> Mesh:
     """Return the mesh with its vertices elsewhere, and planes made of these."""
-    planes = _planes_and_clusters(vertices, mesh.faces, mesh.edge_faces)
+    planes = _planes(vertices, mesh.faces, mesh.edge_faces)
     return eqx.tree_at(lambda m: (m.vertices, m.planes), mesh, (vertices, planes))
 
 
@@ -238,13 +207,13 @@ def padded(scene: Scene) -> Scene:
         return scene
     mesh, planes = scene.mesh, None
     made_from = mesh.planes.fingerprint
-    current = made_from is None or int(made_from) == _fingerprint_of(np.asarray(mesh.vertices))
+    current = made_from is None or int(made_from) == fingerprint_of(np.asarray(mesh.vertices))
     if current and mesh.planes.clusters is not None:
         planes = mesh.planes
     parts = (mesh.vertices, mesh.faces, mesh.edge_vertices, mesh.edge_faces)
     *parts, planes = _filled_up(*parts, planes)
     if planes is None:
-        planes = _planes_and_clusters(parts[0], parts[1], parts[3])
+        planes = _planes(parts[0], parts[1], parts[3])
     order = jnp.asarray(np.zeros(0, np.int32), jnp.int32)
     mesh = eqx.tree_at(
         lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.order, m.planes),
@@ -274,7 +243,8 @@ def filled_alike(scenes: Sequence[Scene]) -> list[Scene]:
     for scene, mesh in zip(scenes, meshes, strict=True):
         own = (getattr(mesh, name) for name in arrays)
         vertices, faces, *edges = (_with_room(x, n, 0) for x, n in zip(own, sizes, strict=True))
-        parts = vertices, faces, *edges, jnp.zeros(0, jnp.int32), planes_of(vertices, faces)
+        planes = planes_and_clusters(vertices, faces, edges[1])._replace(clusters=None)
+        parts = vertices, faces, *edges, jnp.zeros(0, jnp.int32), planes
         of = lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.order, m.planes)
         mesh = eqx.tree_at(of, mesh, parts)
         object.__setattr__(mesh, "closed", None)  # (`tree_at` changes no static field)
@@ -334,12 +304,10 @@ def _with_room(x: Array, size: int, axis: int, value: float = 0.0) -> Array:
     return jnp.asarray(np.pad(np.asarray(x), widths, constant_values=value), x.dtype)
 
 
-def _filled_sizes(
-    vertices: int, faces: int, edges: int, sizes: tuple[int, ...] = FILLED_UP
-) -> tuple[int, int, int]:
+def _filled_sizes(vertices: int, faces: int, edges: int) -> tuple[int, int, int]:
     """Return how many vertices, faces and edges a mesh is filled up to: few sizes, as each is
     compiled for; in steps of an eighth where the mesh is large and memory counts."""
-    for most in sizes:
+    for most in FILLED_UP:
         if max(vertices, faces) <= most and 2 * edges <= 3 * most:
             return most, most, 3 * most // 2
     up = lambda size: size + -size % (1 << max(size.bit_length() - 3, 6))
@@ -351,7 +319,7 @@ def planes_are_current(mesh: Mesh) -> Bool[Array, ""]:
     """Return whether the planes were made from the vertices as they are now."""
     if mesh.planes.fingerprint is None:
         return jnp.array(True)
-    return mesh.planes.fingerprint == _fingerprint(mesh.vertices)
+    return mesh.planes.fingerprint == fingerprint(mesh.vertices)
 
 
 def front_facing(
@@ -370,37 +338,6 @@ def front_facing(
         lambda: in_front(mesh.planes, e),
         lambda: in_front(planes_of(mesh.vertices, mesh.faces), e),
     )
-
-
-def in_front(planes: Planes, e: Float[Array, "3"]) -> Bool[Array, "*F"]:
-    """Return which planes the eye is before; taken from the planes' own corners, so that a scene
-    that is much larger than the object and the eye beside it loses nothing."""
-    return faces_eye(planes.normal, planes.corner, e)
-
-
-def faces_eye(normal, corner, e: Float[Array, "3"]) -> Bool[Array, "*F"]:
-    """Return whether an eye is before planes, given x, y and z of normals and corners."""
-    x, y, z = (normal[k] * (e[k] - corner[k]) for k in range(3))
-    return x + y + z > 0
-
-
-def undecided(clusters: Clusters, e: Float[Array, "3"]) -> Bool[Array, "N"]:
-    """Return in which clusters the eye may be in front of some planes and behind others."""
-    eye = (e - clusters.centre) * clusters.scale
-    to_eye = [eye[k] - clusters.middle[k] for k in range(3)]
-    along = sum(clusters.axis[k] * to_eye[k] for k in range(3))
-    distance = jnp.sqrt(sum(x * x for x in to_eye))
-    across = jnp.sqrt(jnp.maximum(distance * distance - along * along, 0))
-    # |to_eye| cos(angle to the axis, plus and minus the cone's half angle)
-    nearest = along * clusters.cosine - across * clusters.sine
-    farthest = along * clusters.cosine + across * clusters.sine
-    # Where the cone reaches the axis itself, or its opposite, that is the extreme.
-    farthest = jnp.where(along >= distance * clusters.cosine, distance, farthest)
-    nearest = jnp.where(-along >= distance * clusters.cosine, -distance, nearest)
-    reach = jnp.sqrt(jnp.sum(eye * eye)) + distance
-    info = jnp.finfo(e.dtype)
-    radius = clusters.radius * (1 + 1e-3) + 256 * info.eps * reach + 16 * info.tiny**0.5
-    return ~((nearest > radius) | (farthest < -radius))
 
 
 class Ball(NamedTuple):
@@ -423,7 +360,7 @@ def bounding_box(scene: Scene) -> Float[Array, "2 3"]:
     if isinstance(points[0], np.ndarray):
         every = np.concatenate(points)
         return jnp.asarray(np.stack([every.min(axis=0), every.max(axis=0)]), every.dtype)
-    return _box(jnp.concatenate(points))
+    return box_of(jnp.concatenate(points))
 
 
 def bounding_sphere(scene: Scene) -> Ball:
@@ -440,137 +377,47 @@ def ball_about(box: Any) -> Ball:
     return Ball(low + half, size * (unit**2).sum() ** 0.5)
 
 
-@jax.jit
-def planes_of(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Planes:
-    """Return the faces' planes, without clusters of edges."""
-    vertices = jax.lax.stop_gradient(vertices)
-    a, b, c = jnp.moveaxis(vertices[faces], 1, 0)
-    unit = binary_scale(vertices) / 4
-    normal = jnp.cross((b - a) * unit, (c - a) * unit)
-    return Planes(normal.T, a.T, _box(vertices), _fingerprint(vertices))
-
-
-def _box(vertices: Float[Array, "V 3"]) -> Float[Array, "2 3"]:
-    if not vertices.shape[0]:
-        return jnp.zeros((2, 3), vertices.dtype)
-    return jnp.stack([jnp.min(vertices, axis=0), jnp.max(vertices, axis=0)])
-
-
 def vertex_box(mesh: Mesh) -> Float[Array, "2 3"]:
     """Return the least and largest coordinates of the vertices, as far as known already."""
     mesh = jax.lax.stop_gradient(mesh)
     return jax.lax.cond(
-        planes_are_current(mesh), lambda: mesh.planes.box, lambda: _box(mesh.vertices)
+        planes_are_current(mesh), lambda: mesh.planes.box, lambda: box_of(mesh.vertices)
     )
 
 
-def _planes_and_clusters(
-    vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"], edge_faces: Int[Array, "E 2"]
-) -> Planes:
-    if not (is_concrete(vertices) and edge_faces.shape[0]):
-        return planes_of(vertices, faces)
-    if is_within_another():
-        planes = planes_of(vertices, faces)
-        return planes._replace(clusters=_clusters(planes, vertices, edge_faces))
-    # (By programs that meshes of similar size share; what is filled up with is the last again.)
-    points, triangles, edges = (np.asarray(x) for x in (vertices, faces, edge_faces))
-    V, F, E = _filled_sizes(len(points), len(triangles), len(edges), MADE_FROM)
-    filled = _lasting(points, V)
-    planes = planes_of(filled, _lasting(triangles, F))
-    c = _clusters(planes, filled, _lasting(edges, E))
-    F, N = len(triangles), -(-len(edges) // CLUSTER)
-    cut = lambda x, n: jnp.asarray(np.ascontiguousarray(np.asarray(x)[..., :n]), x.dtype)
-    table = jnp.asarray(np.asarray(c.planes)[:F], c.planes.dtype)
-    axis, cosine, sine, middle, radius = (cut(x, N) for x in c[:5])
-    clusters = Clusters(axis, cosine, sine, middle, radius, table, c.centre, c.scale)
-    box = jnp.asarray(np.stack([points.min(axis=0), points.max(axis=0)]), points.dtype)
-    fingerprint = jnp.asarray(_fingerprint_of(points), np.uint32)
-    return Planes(cut(planes.normal, F), cut(planes.corner, F), box, fingerprint, clusters)
+def _planes(vertices: Any, faces: Any, edge_faces: Any) -> Planes:
+    at_hand = is_concrete(vertices, faces, edge_faces)
+    return (
+        planes_and_clusters(vertices, faces, edge_faces) if at_hand else planes_of(vertices, faces)
+    )
 
 
-def _lasting(x: np.ndarray, size: int) -> np.ndarray:
-    """Return rows, filled up with the last one."""
-    return filled_up(x, size, x[-1:])
-
-
-@jax.jit
-def _clusters(
-    planes: Planes, vertices: Float[Array, "V 3"], edge_faces: Int[Array, "E 2"]
-) -> Clusters:
-    first, second = edge_faces[:, 0], edge_faces[:, 1]
-    both = jnp.stack([first, jnp.where(second < 0, first, second)], axis=1)
-    both = jnp.pad(both, ((0, -len(both) % CLUSTER), (0, 0)), mode="edge")
-    both = both.reshape(-1, 2 * CLUSTER)
-    length = norm(planes.normal.T)
-    unit = safe_divide(planes.normal, length[None])[:, both]
-    centre = vertices[0]
-    scale = binary_scale(vertices - centre[None])
-    point = ((planes.corner - centre[:, None]) * scale)[:, both]  # (3, N, 64)
-    axis = jnp.sum(unit, axis=2)
-    size = jnp.sqrt(jnp.sum(axis**2, axis=0))
-    axis = safe_divide(axis, size[None])
-    cosine = jnp.min(jnp.sum(unit * axis[..., None], axis=0), axis=1)
-    middle = jnp.mean(point, axis=2)
-    radius = jnp.sqrt(jnp.max(jnp.sum((point - middle[..., None]) ** 2, axis=0), axis=1))
-    # Border edges are always contour; a face without area has no normal.
-    border = jnp.pad(second < 0, (0, -len(second) % CLUSTER)).reshape(-1, CLUSTER)
-    unknown = jnp.any(border, axis=1) | jnp.any(length[both] == 0, axis=1) | (cosine <= 0)
-    sine = jnp.sqrt(jnp.clip(1 - cosine**2, 0, 1))
-    radius = jnp.where(unknown, jnp.inf, radius)
-    table = jnp.concatenate([planes.normal, planes.corner]).T
-    return Clusters(axis, cosine, sine, middle, radius, table, centre, scale)
-
-
-def _face_order(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Int[Array, "F"]:
+def _face_order(vertices: Any, faces: np.ndarray) -> Any:
     if not (faces.shape[0] and vertices.shape[0]):
-        return jnp.zeros(faces.shape[0], jnp.int32)
-    if not stands_alone(vertices, faces):
-        codes = _middles_codes(jax.lax.stop_gradient(vertices), faces)
-        return jnp.argsort(codes).astype(jnp.int32)
-    points, triangles = np.asarray(vertices), np.asarray(faces)
-    V, F, _ = _filled_sizes(len(points), len(triangles), 0, MADE_FROM)
-    codes = np.asarray(_middles_codes(_lasting(points, V), _lasting(triangles, F)))
-    order = np.argsort(codes[: len(triangles)], kind="stable")  # five times as fast as XLA's
-    return jnp.asarray(order.astype(np.int32), np.int32)
-
-
-@jax.jit
-def _middles_codes(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> UInt32[Array, "F"]:
-    return morton_codes(jnp.mean(vertices[faces], axis=1))
+        return np.zeros(faces.shape[0], np.int32)
+    if not isinstance(vertices, np.ndarray):
+        return morton_order(jnp.mean(vertices[faces], axis=1))
+    with np.errstate(all="ignore"):
+        middles = sum(np.take(vertices, corner, axis=0) / 3 for corner in faces.T)
+        return np.argsort(morton_codes(middles), kind="stable").astype(np.int32)
 
 
 @jax.jit
 def morton_order(points: Float[Array, "N 3"]) -> Int[Array, "N"]:
     """Return the order of at least one point by Morton code."""
-    return jnp.argsort(morton_codes(points)).astype(jnp.int32)
+    return jnp.argsort(morton_codes(jax.lax.stop_gradient(points))).astype(jnp.int32)
 
 
-def morton_codes(points: Float[Array, "N 3"]) -> UInt32[Array, "N"]:
-    """Return the Morton codes of at least one point, 10 bits an axis."""
-    low, high = jnp.min(points, axis=0), jnp.max(points, axis=0)
-    extent = jnp.maximum(jnp.max(high - low), jnp.finfo(points.dtype).tiny)
-    cell = jnp.clip((points - low[None]) / extent * 1024, 0, 1023).astype(jnp.uint32)
-    spread = jnp.zeros_like(cell)
-    for bit in range(10):
+def morton_codes(points: Any) -> Any:
+    """Return the Morton codes of at least one point, 10 bits an axis; of NumPy or JAX, as points
+    are."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    extent = (high - low).max(initial=np.finfo(points.dtype).tiny)
+    cell = ((points - low[None]) / extent * 1024).clip(0, 1023).astype(np.uint32)
+    spread = cell & 1
+    for bit in range(1, 10):
         spread |= ((cell >> bit) & 1) << (3 * bit)
     return spread[:, 0] | spread[:, 1] << 1 | spread[:, 2] << 2
-
-
-@jax.jit
-def _fingerprint(vertices: Float[Array, "V 3"]) -> UInt32[Array, ""]:
-    """Return a checksum of the bits; integer sums do not depend on the order of summation."""
-    bits = jax.lax.bitcast_convert_type(vertices, jnp.uint32).reshape(-1)
-    weight = jnp.arange(bits.shape[0], dtype=jnp.uint32) * jnp.uint32(2654435761) | jnp.uint32(1)
-    mixed = (bits ^ (bits >> 16)) * weight  # round numbers have nothing but zeros in their low bits
-    return jnp.sum(mixed ^ (mixed >> 15), dtype=jnp.uint32)
-
-
-def _fingerprint_of(points: np.ndarray) -> int:
-    """Return `_fingerprint` of vertices that are there."""
-    bits = np.ascontiguousarray(points).view(np.uint32).reshape(-1)
-    weight = np.arange(len(bits), dtype=np.uint32) * np.uint32(2654435761) | np.uint32(1)
-    mixed = (bits ^ (bits >> 16)) * weight
-    return int(np.sum(mixed ^ (mixed >> 15), dtype=np.uint32))
 
 
 def _say_if_loose(points: np.ndarray, triangles: np.ndarray) -> None:

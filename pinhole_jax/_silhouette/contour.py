@@ -22,18 +22,8 @@ from .._camera.film import FilmMap, film_points, scaled
 from .._numerics.bitset import Selection, bit, following, nth, select, selection, words_of
 from .._numerics.one_kernel import for_both, on_cpu, put, rows
 from .._numerics.safe import binary_inverse, safe_divide
-from .._scene.scene import (
-    CLUSTER,
-    Clusters,
-    Mesh,
-    faces_eye,
-    front_facing,
-    in_front,
-    is_closed,
-    planes_are_current,
-    planes_of,
-    undecided,
-)
+from .._scene.planes import CLUSTER, Clusters, faces_eye, in_front, planes_of, undecided
+from .._scene.scene import Mesh, front_facing, is_closed, planes_are_current
 from .clip import Homogeneous, clipped, cut_off
 from .curves import Point, Segments
 from .distorted import (
