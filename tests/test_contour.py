@@ -9,7 +9,7 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._camera.camera import film_map
 from pinhole_jax._numerics.bitset import nth, rank_in, select
-from pinhole_jax._scene.scene import undecided
+from pinhole_jax._scene.planes import undecided
 from pinhole_jax._silhouette.clip import clipped
 from pinhole_jax._silhouette.contour import contour_weights as _contour_weights
 from pinhole_jax._silhouette.curves import ends, film_at
