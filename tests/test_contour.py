@@ -9,7 +9,7 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._camera.camera import film_map
 from pinhole_jax._numerics.bitset import nth, rank_in, select
-from pinhole_jax._scene.planes import undecided
+from pinhole_jax._scene.planes import CLUSTER, in_front, undecided
 from pinhole_jax._silhouette.clip import clipped
 from pinhole_jax._silhouette.contour import contour_weights as _contour_weights
 from pinhole_jax._silhouette.curves import ends, film_at
@@ -50,6 +50,30 @@ def test_the_contour_of_an_open_mesh_counts_both_sides():
     below = np.asarray(contour_weights(mesh, jnp.array([0.2, 0.2, -3.0])))
     np.testing.assert_array_equal(above, [1, 1, 1])
     np.testing.assert_array_equal(below, -above)
+
+
+@pytest.mark.parametrize("bulge", [1e-2, 3e-3, 1e-3])
+def test_edges_of_flat_parts_are_asked_for_from_afar(bulge):
+    """Of faces whose normals lie so close that the cosine of their angle is 1 in float32."""
+    n, random = 40, np.random.default_rng(0)
+    x, y = map(np.ravel, np.meshgrid(*2 * [np.linspace(-1, 1, n)]))
+    vertices = np.stack([x, y, bulge * (1 - (x * x + y * y) / 2)], axis=1)
+    first = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    faces = [first[:, None] + np.array(of) for of in ([0, 1, n], [1, n + 1, n])]
+    mesh = pj.Mesh(vertices.astype(np.float32), np.concatenate(faces))
+    sides = jax.jit(lambda e: (in_front(mesh.planes, e), undecided(mesh.planes.clusters, e)))
+    edges = np.asarray(mesh.edge_faces)
+    inner = edges[:, 1] >= 0
+    number = 0
+    for _ in range(300):
+        x, y, _ = vertices[random.integers(len(vertices))]
+        way, far = random.uniform(0, 2 * np.pi), 10 ** random.uniform(2, 4)
+        slope = -bulge * (x * np.cos(way) + y * np.sin(way))  # along the surface there
+        front, asked = sides(np.float32(far * np.array([np.cos(way), np.sin(way), slope])))
+        contour = inner & np.not_equal(*np.asarray(front)[edges.T])
+        assert np.all(np.asarray(asked)[np.flatnonzero(contour) // CLUSTER])
+        number += contour.sum()
+    assert number > 3000
 
 
 def test_rank_in_is_the_inverse_of_nth():

@@ -133,12 +133,13 @@ def _clusters(
         normals, at = (np.stack([np.take(x, of) for x in rows]) for rows in (unit, places))
         axis = normals.sum(axis=1)
         axis = _divided(axis, np.sqrt((axis**2).sum(axis=0)))
-        cosine = (normals * axis[:, None]).sum(axis=0).min(axis=0)
+        # (Of the chord: from a cosine, which rounds to 1, flat clusters' angles could not be told.)
+        chord = ((normals - axis[:, None]) ** 2).sum(axis=0).max(axis=0)
+        cosine, sine = 1 - chord / 2, np.sqrt(np.clip(chord * (1 - chord / 4), 0, 1))
         middle = at.mean(axis=1)
         radius = np.sqrt(((at - middle[:, None]) ** 2).sum(axis=0).max(axis=0))
         # (Border edges are always contour.)
         nothing = border[k : k + AT_A_TIME] | unknown[of].any(axis=0) | ~(cosine > 0)
-        sine = np.sqrt(np.clip(1 - cosine**2, 0, 1))
         parts.append((axis, cosine, sine, middle, np.where(nothing, np.inf, radius)))
     whole: Any = [np.concatenate(x, axis=-1).astype(points.dtype) for x in zip(*parts, strict=True)]
     rest: Any = table, centre, scale
