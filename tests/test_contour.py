@@ -9,7 +9,7 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._camera.camera import film_map
 from pinhole_jax._numerics.bitset import nth, rank_in, select
-from pinhole_jax._scene.planes import CLUSTER, in_front, undecided
+from pinhole_jax._scene.planes import CLUSTER, in_front, planes_and_clusters, undecided
 from pinhole_jax._silhouette.clip import clipped
 from pinhole_jax._silhouette.contour import contour_weights as _contour_weights
 from pinhole_jax._silhouette.curves import ends, film_at
@@ -74,6 +74,35 @@ def test_edges_of_flat_parts_are_asked_for_from_afar(bulge):
         assert np.all(np.asarray(asked)[np.flatnonzero(contour) // CLUSTER])
         number += contour.sum()
     assert number > 3000
+
+
+@pytest.mark.parametrize("draft", [2e-4, 5e-4])
+def test_edges_of_walls_are_asked_for_from_above(draft):
+    """Walls all around that lean inwards by less than float32 tells of a cosine's complement."""
+    n, random = 16, np.random.default_rng(0)  # (a cluster: as many diagonals as upright edges)
+    turn = 2 * np.pi * np.arange(n) / n
+    low = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    vertices = np.concatenate([low, low * (1 - draft) + [0, 0, 1]]).astype(np.float32)
+    k, after = np.arange(n), (np.arange(n) + 1) % n
+    faces = np.concatenate(
+        [np.stack(of, 1) for of in ([k, after, n + k], [after, n + after, n + k])]
+    )
+    edges = np.asarray(pj.Mesh(vertices, faces).edge_faces)
+    edges = edges[edges[:, 1] >= 0]
+    planes = planes_and_clusters(vertices, faces, edges)
+    assert planes.clusters.radius.shape == (1,)
+    assert np.isfinite(planes.clusters.radius[0])
+    sides = jax.jit(lambda e: (in_front(planes, e), undecided(planes.clusters, e)))
+    seen = 0
+    for _ in range(1000):
+        way, far = random.uniform(0, 2 * np.pi), 10 ** random.uniform(3.5, 5)
+        aside = random.uniform(0, 2) * draft
+        e = far * np.array([aside * np.cos(way), aside * np.sin(way), 1])
+        front, asked = map(np.asarray, sides(e.astype(np.float32)))
+        if np.any(np.not_equal(*front[edges.T])):
+            assert asked[0]
+            seen += 1
+    assert seen > 100
 
 
 def test_rank_in_is_the_inverse_of_nth():

@@ -176,7 +176,8 @@ def undecided(clusters: Clusters, e: Float[Array, "3"]) -> Bool[Array, "N"]:
     to_eye = [eye[k] - clusters.middle[k] for k in range(3)]
     along = sum(clusters.axis[k] * to_eye[k] for k in range(3))
     distance = jnp.sqrt(sum(x * x for x in to_eye))
-    across = jnp.sqrt(jnp.maximum(distance * distance - along * along, 0))
+    # (Not of the other two: a small one would be lost in what they are rounded by.)
+    across = jnp.sqrt(sum((to_eye[k] - along * clusters.axis[k]) ** 2 for k in range(3)))
     # |to_eye| cos(angle to the axis, plus and minus the cone's half angle)
     nearest = along * clusters.cosine - across * clusters.sine
     farthest = along * clusters.cosine + across * clusters.sine
