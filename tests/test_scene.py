@@ -19,6 +19,7 @@ from pinhole_jax._scene.scene import (
     bounding_sphere,
     check_view,
     front_facing,
+    morton_order,
     padded,
     planes_are_current,
     with_or_without_border,
@@ -110,6 +111,9 @@ def test_planes_and_clusters_are_what_they_say(dtype, size, cut):
         reach = np.linalg.norm(places[faces] - middle, axis=1).max()
         last = (own < 0).any() or cosine <= 0
         np.testing.assert_allclose(radius, np.inf if last else reach, rtol=1e-5)
+
+    order = morton_order(jnp.mean(mesh.vertices[mesh.faces], axis=1))
+    np.testing.assert_array_equal(mesh.order, order)
 
 
 def test_nothing_is_compiled_for_a_mesh(compiled):

@@ -102,7 +102,8 @@ class Mesh(eqx.Module):
         edge_vertices, edge_faces = edge_records(triangles, points, self.vertices.shape[0])
         # (With no type named, JAX compiles a copy of an array of each size.)
         self.faces = jnp.asarray(triangles, np.int32)
-        order = _face_order(self.vertices if points is None else points, triangles)
+        corners = self.vertices if points is None else points
+        order = _face_order(corners, triangles)
         self.order = jnp.asarray(order, np.int32)
         if points is not None and edge_faces.size:
             rank = np.empty(len(triangles), np.int32)
@@ -111,7 +112,7 @@ class Mesh(eqx.Module):
             edge_vertices, edge_faces = edge_vertices[along], edge_faces[along]
         self.edge_vertices = jnp.asarray(edge_vertices, np.int32)
         self.edge_faces = jnp.asarray(edge_faces, np.int32)
-        self.planes = _planes(self.vertices if points is None else points, triangles, edge_faces)
+        self.planes = _planes(corners, triangles, edge_faces)
         self.closed = bool(np.all(edge_faces >= 0))
         borders = np.count_nonzero(edge_faces < 0)
         if points is not None and borders > MOSTLY_BORDER * len(edge_faces):
@@ -396,16 +397,16 @@ def _face_order(vertices: Any, faces: np.ndarray) -> Any:
     if not (faces.shape[0] and vertices.shape[0]):
         return np.zeros(faces.shape[0], np.int32)
     if not isinstance(vertices, np.ndarray):
-        return morton_order(jnp.mean(vertices[faces], axis=1))
+        return morton_order(jnp.mean(jax.lax.stop_gradient(vertices)[faces], axis=1))
     with np.errstate(all="ignore"):
-        middles = sum(np.take(vertices, corner, axis=0) / 3 for corner in faces.T)
+        middles = sum(np.take(vertices, corner, axis=0) for corner in faces.T) / 3
         return np.argsort(morton_codes(middles), kind="stable").astype(np.int32)
 
 
 @jax.jit
 def morton_order(points: Float[Array, "N 3"]) -> Int[Array, "N"]:
     """Return the order of at least one point by Morton code."""
-    return jnp.argsort(morton_codes(jax.lax.stop_gradient(points))).astype(jnp.int32)
+    return jnp.argsort(morton_codes(points)).astype(jnp.int32)
 
 
 def morton_codes(points: Any) -> Any:
