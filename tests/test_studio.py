@@ -549,6 +549,61 @@ def test_a_fit_is_stopped_and_nothing_else_is_done_meanwhile(fitted):
     do(fitted, "look")  # it goes on
 
 
+@pytest.fixture
+def unsaid(fitted) -> Bench:
+    """A bench whose photo has no EXIF data, off by 20 % in its field of view: 0.7 for 0.6."""
+    fitted.camera = hand.with_phi(camera(e=(0.6, 1.8, 5.2)), np.zeros(3), 0.7)
+    return fitted
+
+
+def test_field_of_view_that_nobody_gives_is_free_and_named(subject, tmp_path, mask):
+    assert subject.phi is None
+    bench = Bench(subject, tmp_path)
+    told = do(bench, "hello")
+    assert told["free"] == ["pose", "phi"]
+    assert told["view"]["phi_is_assumed"]
+    given = subject_of(subject.mesh, subject.photo, phi=0.6)
+    assert given.phi == pytest.approx(0.6)
+    told = do(Bench(given, tmp_path), "hello")
+    assert told["free"] == ["pose"]
+    assert not told["view"]["phi_is_assumed"]
+    assert subject_of(subject.mesh, subject.photo, camera()).phi == pytest.approx(0.6)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("way", ["guess", "slider", "session", "earlier fit"])
+def test_fit_that_holds_an_assumed_field_of_view_is_not_converged(unsaid, tmp_path, way):
+    words = "field of view assumed: 40.1 degrees"
+    if way == "slider":
+        do(unsaid, "lens", phi_degrees=36.0)
+        words = "field of view assumed: 36.0 degrees"
+    if way == "session":
+        (path,) = do(unsaid, "save", name="work", free=["pose"])["written"]
+        do(unsaid, "open", text=Path(path).read_text())
+    if way == "earlier fit":
+        told = do(unsaid, "fit", free=unsaid.free)
+        assert told["fit"]["status"] == "converged"
+        assert not told["view"]["phi_is_assumed"]
+        angle, shift = pj.pose_error(unsaid.camera, camera())
+        assert np.rad2deg(angle) < 0.3
+        assert shift < 0.1
+        words = r"field of view from an earlier fit: 34.\d degrees"
+    told = do(unsaid, "fit", free=["pose"])["fit"]
+    assert told["status"] not in ("converged", "non_finite")
+    assert re.match(words, told["notes"][0])
+    assert re.match(words, do(unsaid, "mode", number=0)["fit"]["notes"][0])
+    told = do(unsaid, "hello")["fit"]
+    assert told["status"] != "converged"
+
+
+@pytest.mark.long
+def test_fit_with_a_given_field_of_view_is_converged(fitted):
+    fitted.known_phi = 0.6
+    told = do(fitted, "fit", free=["pose"])["fit"]
+    assert told["status"] == "converged"
+    assert not any("field of view" in note for note in told["notes"])
+
+
 @pytest.mark.long
 def test_modes_are_chosen_by_number(fitted):
     do(fitted, "fit", free=["pose"])

@@ -2,16 +2,15 @@
 
 import argparse
 import asyncio
+import math
 import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from .. import io
-from .._camera.camera import unplaced
 from .._files.naming import named, renamed
 from .._studio.bench import Bench
-from .._studio.hand import framed
 from .._studio.session import Session, load_session
 from .._studio.subject import Subject, subject_of
 from .known import known
@@ -102,12 +101,13 @@ def _subject(
         size = io.load_image(options.photo).shape[1::-1]
     camera, phi, lens = _start(options, (size[0], size[1]), tell)
     with named(**ASKED):
-        subject = subject_of(options.mesh, options.photo, camera, words)
-        if camera is None and phi is not None:
-            start = unplaced(phi, *subject.size, lens)
-            subject = subject._replace(start=framed(start, subject.ball, options.up))
-        elif camera is None:
-            subject = subject._replace(start=framed(subject.start, subject.ball, options.up))
+        phi = None if phi is None else float(phi)
+        subject = subject_of(
+            options.mesh, options.photo, camera, words, phi=phi, lens=lens, up=options.up
+        )
+    if subject.phi is None:
+        degrees = math.degrees(float(subject.start.phi))
+        tell(f"phi: assumed {degrees:.0f} degrees, and free: the photo does not say (--fov does)")
     return subject
 
 

@@ -6,6 +6,7 @@ JSON-ready values, and raises ValueError, with a message for the person, where i
 
 import base64
 import inspect
+import math
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
@@ -28,7 +29,7 @@ from .exports import export, plain
 from .session import Session, line_of, save_session, session_from_text
 from .strokes import Loaded, Stroke, guessed, guides_about, guides_of, mask_of, stroke_of
 from .subject import Subject, subject_of
-from .telling import fit_described, mask_described
+from .telling import fit_described, holding, mask_described
 
 #: What the page may ask for.
 ACTIONS = (
@@ -67,12 +68,14 @@ class Bench:
     def __init__(self, subject: Subject, folder: Path) -> None:
         self.subject, self.folder = subject, folder
         self.camera: Camera = subject.start
-        self.free: tuple[str, ...] = ("pose",)
+        self.known_phi = subject.phi
+        self.free: tuple[str, ...] = ("pose",) if self.known_phi is not None else ("pose", "phi")
         self.work: tuple[Stroke | Loaded, ...] = ()
         self.lines: tuple[Any, ...] = ()
         self.result: Fit | None = None
         self.mask: np.ndarray | None = None
         self._candidates: tuple[Fit, ...] = ()
+        self._phi_was_free, self._held_phi = False, None
         self._guesses: dict[Any, np.ndarray | None] = {}
         self._undone: list[tuple[Stroke | Loaded, ...]] = []
         self._done: list[tuple[Stroke | Loaded, ...]] = []
@@ -131,7 +134,16 @@ class Bench:
             "grid": grid_lines(camera) if self._straight else [],
             "lines": straight_lines(camera, self.lines),
             "is_fit": self.result is not None and camera is self.result.camera,
+            "phi_is_assumed": self._phi_from() == "assumed",
         }
+
+    def _phi_from(self) -> str | None:
+        """Return where the field of view is from, None if somebody (or the photo) gave it."""
+        is_ = lambda phi: math.isclose(float(self.camera.phi), float(phi), rel_tol=1e-6)
+        if self.known_phi is not None and is_(self.known_phi):
+            return None
+        fitted = self._phi_was_free and any(is_(each.camera.phi) for each in self._candidates)
+        return "from an earlier fit" if fitted else "assumed"
 
     def move(self, turn: Any = (0, 0, 0), shift: Any = (0, 0), nearer: Any = 1) -> dict[str, Any]:
         """Turn the object (rad: right, up, clockwise), shift it (px: right, down), scale its
@@ -235,6 +247,8 @@ class Bench:
             raise ValueError("there is no mask yet: draw on the object, or load one")
         self._stopping.clear()
         self.free = check_free(free, self.camera)
+        focal_is_free = not {"phi", "d"}.isdisjoint(self.free)
+        held = None if focal_is_free else self._phi_from()
         start = None if search else self.camera
         known: Any = {"phi": self.camera.phi, "lens": self.camera.lens} if search else {}
         known["photo"] = self.subject.picture if refine else None
@@ -251,9 +265,10 @@ class Bench:
             )
         except Stopped:
             raise ValueError("stopped: the camera is where it was") from None
-        self._candidates = (found, *found.modes)
-        self.result, self.camera = found, found.camera
-        return {"fit": self._fit_described(found), "view": self.look()}
+        self._candidates = tuple(holding(each, held) for each in (found, *found.modes))
+        self._phi_was_free, self._held_phi = focal_is_free, held
+        self.result, self.camera = self._candidates[0], found.camera
+        return {"fit": self._fit_described(self.result), "view": self.look()}
 
     def _on_the_way(self, push: Callable[[Any], None] | None, progress: Progress) -> None:
         if self._stopping.is_set():
@@ -306,7 +321,7 @@ class Bench:
     def session(self) -> Session:
         """Return the session as it is."""
         mesh, photo = (str(Path(p).resolve()) for p in (self.subject.mesh, self.subject.photo))
-        return Session(mesh, photo, self.camera, self.free, self.work, self.lines)
+        return Session(mesh, photo, self.camera, self.free, self.work, self.lines, self.known_phi)
 
     def open(self, text: str, name: str = "session") -> dict[str, Any]:
         """Go on with a session's file (its text)."""
@@ -322,7 +337,7 @@ class Bench:
         elif self.subject.size != (session.camera.W, session.camera.H):
             raise ValueError("`camera`: expected one of the photo's size")
         self.camera, self.free, self.lines = session.camera, session.free, session.lines
-        self.result, self._candidates = None, ()
+        self.known_phi, self.result, self._candidates = session.known_phi, None, ()
         work = session.work
         self._done, self._undone = [work[:k] for k in range(len(work))][-MOST_UNDONE:], []
         self._drawn(work)
@@ -350,7 +365,7 @@ class Bench:
         return {**described, "can_undo": bool(self._done), "can_redo": bool(self._undone)}
 
     def _fit_described(self, fit: Fit) -> dict[str, Any]:
-        described = fit_described(fit, self.subject.scene, self.mask)
+        described = fit_described(fit, self.subject.scene, self.mask, self._held_phi)
         modes = [m.iou for m in self._candidates] if fit.status != "non_finite" else []
         chosen = [m.camera is fit.camera for m in self._candidates].index(True)
         return {**described, "modes": modes, "chosen": chosen}

@@ -1,6 +1,7 @@
 """A session as one file: which mesh and photo, the camera, what was drawn, what may move."""
 
 import json
+import math
 import os
 from typing import Any, NamedTuple
 
@@ -22,6 +23,7 @@ class Session(NamedTuple):
     - `camera`: as it is now. `free`: what a fit may change of it.
     - `work`: strokes and loaded masks, in order.
     - `lines`: pairs of places (px from the upper left corner) along edges that are straight.
+    - `known_phi`: the field of view (rad) that an option, a file or the photo gave, if any.
     """
 
     mesh: str
@@ -30,6 +32,7 @@ class Session(NamedTuple):
     free: tuple[str, ...] = ("pose",)
     work: Work = ()
     lines: tuple[Any, ...] = ()
+    known_phi: float | None = None
 
 
 def session_to_text(session: Session) -> str:
@@ -40,6 +43,7 @@ def session_to_text(session: Session) -> str:
         "photo": session.photo,
         "camera": camera_to_dict(session.camera),
         "free": list(session.free),
+        "known_phi": session.known_phi,
         "strokes": work_to_list(session.work),
         "lines": [[[*map(float, end)] for end in line] for line in session.lines],
     }
@@ -60,9 +64,10 @@ def session_from_text(text: str, name: str = "session") -> Session:
         work = work_from_list(data.get("strokes", []), camera.W, camera.H)
         free = check_free(data.get("free", ["pose"]), camera, None)
         lines = tuple(map(line_of, data.get("lines", [])))
+        known_phi = _phi_or_none(data.get("known_phi"))
     except (TypeError, ValueError) as error:
         raise ValueError(f"{error} (in {name!r})") from error
-    return Session(data["mesh"], data["photo"], camera, tuple(free), work, lines)
+    return Session(data["mesh"], data["photo"], camera, tuple(free), work, lines, known_phi)
 
 
 def save_session(path: str | os.PathLike[str], session: Session) -> None:
@@ -77,6 +82,14 @@ def load_session(path: str | os.PathLike[str]) -> Session:
     """
     text = text_of(read_bytes(path, "a session file", MOST_BYTES), path, "a session file")
     return session_from_text(text, str(path))
+
+
+def _phi_or_none(data: Any) -> float | None:
+    if data is None:
+        return None
+    if isinstance(data, bool) or not (isinstance(data, int | float) and 0 < data < math.pi):
+        raise ValueError(f"`known_phi`: expected radians below pi, or null, got {data!r}")
+    return float(data)
 
 
 def line_of(data: Any) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -9,11 +9,12 @@ import numpy as np
 
 from .. import io
 from .._camera.camera import Camera, unplaced
+from .._camera.lens import Lens
 from .._files.pictures import three_channels
 from .._scene.scene import Scene
 from .hand import Ball, ball_of, framed
 
-#: A field of view (rad) where nothing tells another.
+#: The field of view (rad) that a session starts from if nobody gives one: a guess.
 PHI = 0.7
 #: A photo is shown with at most this many pixels on a side.
 SHOWN_PX = 4096
@@ -24,6 +25,8 @@ class Subject(NamedTuple):
 
     - `mesh`, `photo`: their files. `picture`: the photo, uint8 (H, W, 3).
     - `ball`: about the mesh. `start`: the camera that a new session begins with.
+    - `phi`: the field of view (rad) that an option, a file or the photo gives; None: `start` has
+      an assumed one.
     """
 
     mesh: str
@@ -32,6 +35,7 @@ class Subject(NamedTuple):
     picture: np.ndarray
     ball: Ball
     start: Camera
+    phi: float | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -44,10 +48,14 @@ def subject_of(
     photo: str,
     camera: Camera | None = None,
     say: Callable[[str], Any] | None = None,
+    *,
+    phi: float | None = None,
+    lens: Lens | None = None,
+    up: str = "y",
 ) -> Subject:
     """Return what these files hold. `camera` (of the photo's size) is where to begin; None: one
-    that sees all of the mesh, with the field of view that the photo's EXIF data tell, or 40
-    degrees.
+    that sees all of the mesh, upright along `up`, with the field of view `phi`, the one in the
+    photo's EXIF data, or 40 degrees, which is a guess.
 
     Raises FileNotFoundError or ValueError as `load_mesh` and `load_image` do.
     """
@@ -60,11 +68,13 @@ def subject_of(
     scene = Scene(mesh=io.load_mesh(mesh, say=say))
     assert scene.mesh is not None
     ball = ball_of(np.asarray(scene.mesh.vertices, float))
+    if camera is not None:
+        phi = float(camera.phi)
+    elif phi is None and (fov := io.photo_fov(photo)) is not None:
+        phi = fov.phi
     if camera is None:
-        fov = io.photo_fov(photo)
-        phi = PHI if fov is None else fov.phi
-        camera = framed(unplaced(phi, W, H), ball)
-    return Subject(str(Path(mesh)), str(Path(photo)), scene, picture, ball, camera)
+        camera = framed(unplaced(PHI if phi is None else phi, W, H, lens), ball, up)
+    return Subject(str(Path(mesh)), str(Path(photo)), scene, picture, ball, camera, phi)
 
 
 def photo_file(subject: Subject) -> bytes:

@@ -22,9 +22,28 @@ def mask_described(mask: np.ndarray | None, work: Work) -> dict[str, Any]:
     }
 
 
-def fit_described(fit: Fit, scene: Scene, mask: np.ndarray | None) -> dict[str, Any]:
-    """Return a fit: its status, table and notes, its outline's band, K, R and t."""
+def holding(fit: Fit, phi_from: str | None) -> Fit:
+    """Return a fit that names its field of view if that was held and nobody gave it: the camera is
+    only as right as that one is, so it has not `converged`. `phi_from`: where it is from."""
+    if phi_from is None:
+        return fit
+    words = f"{_held(fit, phi_from)}; the sigmas leave out its error: free it, or give --fov"
+    status = "uncertain" if fit.status == "converged" else fit.status
+    return fit._replace(status=status, weak=(words, *fit.weak))
+
+
+def _held(fit: Fit, phi_from: str) -> str:
+    return f"field of view {phi_from}: {np.rad2deg(float(fit.camera.phi)):.1f} degrees"
+
+
+def fit_described(
+    fit: Fit, scene: Scene, mask: np.ndarray | None, phi_from: str | None = None
+) -> dict[str, Any]:
+    """Return a fit: its status, table and notes, its outline's band, K, R and t; `phi_from` as
+    `holding` takes it."""
     status = {"status": fit.status, "meaning": STATUSES[fit.status]}
+    if phi_from is not None and fit.status == "uncertain":
+        status["meaning"] = f"The {_held(fit, phi_from)}"
     if fit.status == "non_finite":
         none: dict[str, Any] = {"iou": None, "rows": [], "notes": [], "band": None, "pose": ""}
         return {**status, **none}

@@ -175,6 +175,7 @@ function show(view) {
   studio.view = view;
   const c = view.camera;
   set("phi", c.phi_degrees);
+  $("assumed").hidden = !view.phi_is_assumed;
   set("k1", c.distortion.k1 || 0);
   set("k2", c.distortion.k2 || 0);
   set("principal_x", c.principal[0]);
