@@ -1,0 +1,565 @@
+"""The size and the habits of the code stay at or below the ceilings in `tests/house.toml`.
+
+A ceiling only falls. `python tests/test_house.py --update` lowers each one to what is there now:
+run it after you delete something, and after a merge that conflicts in `house.toml`. `--update
+--grow` also raises ceilings: do that on purpose, and say in the commit what it pays for.
+"""
+
+import ast
+import io
+import re
+import sys
+import tokenize
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from itertools import pairwise
+from pathlib import Path, PurePosixPath
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+LEDGER = Path(__file__).with_name("house.toml")
+
+#: Source or prose by path.
+Texts = dict[str, str]
+Figures = dict[str, int]
+
+#: A ceiling that is this much above its figure has to be lowered.
+SLACK = 1.02
+#: A new ceiling of tokens leaves room for small repairs.
+ROOM = 1.01
+#: Functions of more lines, docstrings not counted, are listed.
+LONG = 60
+
+LAYOUT = {
+    tokenize.COMMENT,
+    tokenize.NL,
+    tokenize.NEWLINE,
+    tokenize.INDENT,
+    tokenize.DEDENT,
+    tokenize.ENDMARKER,
+}
+#: Python 3.12 cuts an f-string into pieces, Python 3.11 does not: it counts as one token.
+F_STRING_STARTS = getattr(tokenize, "FSTRING_START", None)
+F_STRING_ENDS = getattr(tokenize, "FSTRING_END", None)
+
+#: Modules of JAX that it does not promise to keep.
+PRIVATE_MODULES = ("jax.extend", "jax.interpreters", "jax._src", "jax.experimental.xla_metadata")
+OWN = ("pinhole_jax", "_common", "_peers", "_plain_loop", "_scenes")
+
+PHRASES = (
+    "is told",
+    "is said",
+    "of what",
+    "of which",
+    "so many",
+    "at hand",
+    "in words",
+    "goes apart",
+)
+VAGUE = re.compile(r"Return (what|how|whether|that|where|those)\b")
+#: Last words of class names that name no thing. (Those in -ed are found by their ending.)
+NO_NOUNS = {
+    "As",
+    "At",
+    "Begun",
+    "Beside",
+    "Between",
+    "Done",
+    "Drawn",
+    "Found",
+    "Given",
+    "Held",
+    "Here",
+    "Kept",
+    "Known",
+    "Made",
+    "Near",
+    "Next",
+    "Of",
+    "On",
+    "Others",
+    "Said",
+    "Seen",
+    "Shown",
+    "Some",
+    "Still",
+    "Swept",
+    "Taken",
+    "Through",
+    "Together",
+    "Told",
+    "Where",
+}
+NOUNS_IN_ED = {"Bed", "Feed", "Seed", "Shed", "Speed", "Embed"}
+FILLERS = {"one", "of", "at", "some"}
+
+
+@cache
+def texts() -> Texts:
+    """All Python and Markdown of the project, by path."""
+    folders = ("pinhole_jax", "tests", "experiments", "docs")
+    paths = [path for name in folders for path in (ROOT / name).rglob("*.*")]
+    paths += ROOT.glob("*.md")
+    return {
+        path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+        for path in sorted(paths)
+        if path.suffix in {".py", ".md"}
+    }
+
+
+def syntax(files: Texts, folder: str = "") -> Iterator[tuple[str, ast.AST]]:
+    """All nodes of the syntax trees below a folder, each with the path of its file."""
+    for path, text in files.items():
+        if path.endswith(".py") and path.startswith(folder):
+            yield from ((path, node) for node in nodes(text))
+
+
+@cache
+def nodes(text: str) -> list[ast.AST]:
+    """The nodes of a file's syntax tree."""
+    return list(ast.walk(ast.parse(text)))
+
+
+def area(path: str) -> str:
+    """The part of the project that a file belongs to: Markdown is `docs` wherever it is."""
+    return "docs" if path.endswith(".md") else path.split("/")[0]
+
+
+def docstring(node: ast.AST) -> str | None:
+    """The docstring of a module, class or function."""
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    return ast.get_docstring(node) if isinstance(node, kinds) else None
+
+
+# Figures: each counts something, by file, folder or name.
+
+
+def token_count(text: str) -> int:
+    """The number of names, numbers, strings and operators, docstrings not counted."""
+    count, depth, first = 0, 0, True
+    for token, following in pairwise(tokenize.generate_tokens(io.StringIO(text).readline)):
+        if token.type == F_STRING_ENDS:
+            depth -= 1
+        elif depth == 0 and token.type in LAYOUT:
+            first = first or token.type in {tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
+        elif depth == 0:
+            alone = first and following.type == tokenize.NEWLINE
+            count += not (alone and token.type == tokenize.STRING)
+            first = False
+        depth += token.type == F_STRING_STARTS
+    return count
+
+
+def tokens(files: Texts) -> Figures:
+    """Tokens of each folder."""
+    counts = Counter[str]()
+    for path, text in files.items():
+        if path.endswith(".py"):
+            counts[PurePosixPath(path).parent.as_posix()] += token_count(text)
+    return counts
+
+
+def twice(names: Iterable[str]) -> Figures:
+    """Names that stand more than once, with how often they do."""
+    return {name: count for name, count in Counter(names).items() if count > 1}
+
+
+def class_names(files: Texts) -> list[str]:
+    """Names of the package's classes, without leading underscores."""
+    nodes = [node for _, node in syntax(files, "pinhole_jax/") if isinstance(node, ast.ClassDef)]
+    return [node.name.lstrip("_") for node in nodes]
+
+
+def file_names(files: Texts) -> list[str]:
+    """Names of the package's files, without leading underscores."""
+    paths = [PurePosixPath(path) for path in files if path.startswith("pinhole_jax/")]
+    return [p.stem.lstrip("_") for p in paths if p.suffix == ".py" and p.stem[:2] != "__"]
+
+
+def classes_of_one_name(files: Texts) -> Figures:
+    """Class names that stand more than once in the package."""
+    return twice(class_names(files))
+
+
+def files_of_one_name(files: Texts) -> Figures:
+    """File names that stand more than once in the package."""
+    return twice(file_names(files))
+
+
+def dotted(node: ast.AST) -> str:
+    """The dotted name that an expression is; empty if it is something else."""
+    if isinstance(node, ast.Name):
+        return node.id
+    inner = dotted(node.value) if isinstance(node, ast.Attribute) else ""
+    return f"{inner}.{node.attr}" if inner and isinstance(node, ast.Attribute) else ""
+
+
+def names_used(node: ast.AST) -> list[str]:
+    """The modules that a node imports or mentions, in dotted form."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom) and not node.level:
+        return [f"{node.module}.{alias.name}" for alias in node.names]
+    if isinstance(node, ast.Attribute):
+        return [dotted(node)]
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return [node.value]
+    return []
+
+
+def door(name: str) -> str:
+    """The private door that a dotted name or a string leads through; empty if there is none."""
+    within = [m for m in PRIVATE_MODULES if name == m or name.startswith(f"{m}.")]
+    if within:
+        return within[0]
+    if name == "jax.config" or name.startswith("jax.config."):
+        return "jax.config"
+    return "XLA's flags" if re.match(r"-*xla_|XLA_FLAGS", name) else ""
+
+
+def private_import(node: ast.AST) -> str:
+    """The module of another package, private by its underscore, that a node imports."""
+    if not isinstance(node, ast.Import | ast.ImportFrom) or getattr(node, "level", 0):
+        return ""
+    for name in names_used(node):
+        package, *inner = name.split(".")
+        hidden = [part for part in inner if part[0] == "_" and part[:2] != "__"]
+        if hidden and package not in OWN:
+            return f"{package}'s {hidden[0]}"
+    return ""
+
+
+def doors(files: Texts) -> Figures:
+    """Files of the package with the private doors that they go through."""
+    found = set()
+    for path, node in syntax(files, "pinhole_jax/"):
+        through = {door(name) for name in names_used(node)}
+        if isinstance(node, ast.keyword) and node.arg == "compiler_options":
+            through.add("compiler options")
+        if not any(through):
+            through.add(private_import(node))
+        found |= {f"{path}: {name}" for name in through if name}
+    return dict.fromkeys(found, 1)
+
+
+def line_count(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """The number of lines of a function, its docstring not counted."""
+    lines = (function.end_lineno or 0) - function.lineno + 1
+    if docstring(function) is None:
+        return lines
+    first = function.body[0]
+    return lines - ((first.end_lineno or 0) - first.lineno + 1)
+
+
+def functions(files: Texts) -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
+    """All functions and methods, each with the path of its file."""
+    for path, node in syntax(files):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield path, node
+
+
+def long_functions(files: Texts) -> Figures:
+    """Functions of more than 60 lines."""
+    lengths = {f"{path}: {node.name}": line_count(node) for path, node in functions(files)}
+    return {name: length for name, length in lengths.items() if length > LONG}
+
+
+def flat(text: str) -> str:
+    """Prose on one line: comment signs, quotes and line breaks between its words are left out."""
+    joined = re.sub(r"['\"]?\s*\n[\s#:>]*(?:[fr]?['\"])?", " ", text.lower())
+    return " ".join(joined.split())
+
+
+def phrases(files: Texts) -> Figures:
+    """Banned phrases, by part of the project. (This file lists them.)"""
+    counts = Counter[str]()
+    for path, text in files.items():
+        if path == "tests/test_house.py":
+            continue
+        prose = flat(text)
+        for phrase in PHRASES:
+            number = len(re.findall(rf"\b{phrase}\b", prose))
+            counts[f"{area(path)}: {phrase}"] += number
+    return {name: count for name, count in counts.items() if count}
+
+
+def vague_docstrings(files: Texts) -> Figures:
+    """Docstrings that begin with `Return what`, `Return whether` and the like."""
+    counts = Counter[str]()
+    for path, node in syntax(files):
+        match = VAGUE.match(docstring(node) or "")
+        if match:
+            counts[f"{area(path)}: {match.group()}"] += 1
+    return counts
+
+
+def names_no_thing(name: str) -> bool:
+    """Whether a class name or file name ends in a participle, a preposition or the like."""
+    words = re.findall(r"[A-Z][a-z]*", name) or [name.split("_")[-1].title()]
+    participle = words[-1].endswith("ed") and words[-1] not in NOUNS_IN_ED
+    return participle or words[-1] in NO_NOUNS
+
+
+def names_of_no_thing(files: Texts) -> Figures:
+    """Class names and file names that are no nouns."""
+    names = class_names(files) + [f"{name}.py" for name in file_names(files)]
+    return Counter(name for name in names if names_no_thing(name.removesuffix(".py")))
+
+
+def filler_functions(files: Texts) -> Figures:
+    """Functions called `one`, `of`, `at` or `some`."""
+    return Counter(
+        f"{area(path)}: {node.name}"
+        for path, node in functions(files)
+        if node.name.strip("_") in FILLERS
+    )
+
+
+FIGURES: dict[str, Callable[[Texts], Figures]] = {
+    count.__name__: count
+    for count in (
+        tokens,
+        classes_of_one_name,
+        files_of_one_name,
+        doors,
+        long_functions,
+        phrases,
+        vague_docstrings,
+        names_of_no_thing,
+        filler_functions,
+    )
+}
+
+
+# The ledger.
+
+
+def complaints(figures: Figures, ceilings: Figures) -> list[str]:
+    """What is above its ceiling, and which ceilings are too high."""
+    above = [
+        f"{name}: {number}, the ceiling is {ceilings.get(name, 0)}. Take it back; or raise the"
+        " ceiling with `python tests/test_house.py --update --grow` and say in the commit why."
+        for name, number in figures.items()
+        if number > ceilings.get(name, 0)
+    ]
+    loose = [
+        f"{name}: {figures.get(name, 0)}, the ceiling is still {ceiling}. Well done: lower it with"
+        " `python tests/test_house.py --update`."
+        for name, ceiling in ceilings.items()
+        if ceiling > SLACK * figures.get(name, 0)
+    ]
+    return above + loose
+
+
+def updated(figures: Figures, ceilings: Figures, room: float = 1.0, grow: bool = False) -> Figures:
+    """New ceilings: lower ones where the old are too high, higher ones only with `grow`."""
+    new = {}
+    for name in sorted({*figures, *ceilings}):
+        number, old = figures.get(name, 0), ceilings.get(name, 0)
+        fitting = int(room * number)
+        if old > SLACK * number:
+            new[name] = fitting
+        else:
+            new[name] = fitting if grow and number > old else old
+    return {name: ceiling for name, ceiling in new.items() if ceiling}
+
+
+def as_toml(ledger: dict[str, Figures]) -> str:
+    """The text of `house.toml`."""
+    lines = ["# Written by `python tests/test_house.py --update`; the ceilings only fall."]
+    for title, ceilings in ledger.items():
+        lines += ["", f"[{title}]"]
+        lines += [f'"{name}" = {ceiling}' for name, ceiling in sorted(ceilings.items())]
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: list[str]) -> None:
+    """Rewrite the ledger, and print the lines that changed."""
+    if "--update" not in arguments or set(arguments) - {"--update", "--grow"}:
+        sys.exit(__doc__)
+    old = tomllib.loads(LEDGER.read_text(encoding="utf-8")) if LEDGER.exists() else {}
+    new = {}
+    for title, count in FIGURES.items():
+        room = ROOM if title == "tokens" else 1.0
+        before, figures = old.get(title, {}), count(texts())
+        new[title] = updated(figures, before, room, "--grow" in arguments)
+        for name in sorted({*before, *new[title]}):
+            if before.get(name, 0) != new[title].get(name, 0):
+                print(f"{title}, {name}: {before.get(name, 0)} -> {new[title].get(name, 0)}")
+    LEDGER.write_text(as_toml(new), encoding="utf-8")
+
+
+# Tests.
+
+
+@pytest.mark.parametrize("title", FIGURES)
+def test_house_keeps_to_its_ceilings(title):
+    ceilings = tomllib.loads(LEDGER.read_text(encoding="utf-8"))
+    assert set(ceilings) <= set(FIGURES)
+    found = complaints(FIGURES[title](texts()), ceilings.get(title, {}))
+    if found:
+        pytest.fail("\n".join([f"{title}:", *found]), pytrace=False)
+
+
+# The counts, each on small sources that break its rule and on some that do not.
+
+CODE = '''"""Docstring."""
+
+def f(x):  # a comment
+    "Another."
+    return f"{x + 1} and {x}"
+'''
+BODY = "\n".join(f"  x = {k}" for k in range(60))
+
+
+PACKAGE, FIT, TESTS = "pinhole_jax", "pinhole_jax/_fit", "tests"  # with names of no real file
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        (CODE, 8),
+        ("x = [1,\n     2]\n\n# no more\n", 7),
+        ("'''A docstring\n\nof two lines.'''\n", 0),
+        ("x = 'no docstring'\n", 3),
+        ("f'{f'{x}'}' + 1\n" if sys.version_info >= (3, 12) else "f'{x}' + 1\n", 3),
+    ],
+)
+def test_tokens_leave_out_layout_comments_and_docstrings(text, number):
+    assert tokens({f"{FIT}/a.py": text, "a.md": text}) == {FIT: number}
+
+
+def test_class_names_that_stand_twice_are_counted():
+    text = "class A: ...\nclass B: ..."
+    assert classes_of_one_name({f"{FIT}/a.py": text, f"{PACKAGE}/b.py": "class _A: ..."}) == {
+        "A": 2
+    }
+    assert not classes_of_one_name({f"{PACKAGE}/a.py": text, f"{TESTS}/a.py": text})
+
+
+def test_file_names_that_stand_twice_are_counted():
+    names = ["a/b.py", "c/_b.py", "a/__init__.py", "c/__init__.py", "c/d.py", "b.md"]
+    assert files_of_one_name({f"{PACKAGE}/{name}": "" for name in names}) == {"b": 2}
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("from jax.extend.core import Primitive", "jax.extend"),
+        ("from jax import extend", "jax.extend"),
+        ("from jax.interpreters import mlir", "jax.interpreters"),
+        ("import jax\nx = jax.interpreters.ad.jvp", "jax.interpreters"),
+        ("import jax._src.core as core", "jax._src"),
+        ("import_module('jax._src.core')", "jax._src"),
+        ("from jax.experimental import xla_metadata", "jax.experimental.xla_metadata"),
+        ("jax.jit(f, compiler_options={})", "compiler options"),
+        ("OPTIONS = {'xla_cpu_small_call': 1}", "XLA's flags"),
+        ("os.environ['XLA_FLAGS'] = '--xla_dump_to='", "XLA's flags"),
+        ("jax.config.update('jax_enable_x64', True)", "jax.config"),
+        ("from jax import config", "jax.config"),
+        ("from numpy._core import umath", "numpy's _core"),
+        ("import optimistix._misc", "optimistix's _misc"),
+    ],
+)
+def test_private_doors_are_found(text, name):
+    assert doors({f"{PACKAGE}/a.py": text}) == {f"{PACKAGE}/a.py: {name}": 1}
+    assert not doors({f"{TESTS}/a.py": text})
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "from ._src import x",
+        "from pinhole_jax._fit import result",
+        "from jax.experimental import pallas",
+        "import jax\nx = jax.extended",
+        "from __future__ import annotations",
+        "x = camera.config",
+    ],
+)
+def test_public_doors_are_open(text):
+    assert not doors({f"{PACKAGE}/a.py": text})
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        (f"def f():\n{BODY}", 61),
+        (f"class A:\n async def f():\n{BODY}", 61),
+        (f"def f():\n  '''A\n\n  docstring.'''\n{BODY[8:]}", None),
+    ],
+)
+def test_long_functions_are_listed(text, lines):
+    expected = {f"{TESTS}/a.py: f": lines} if lines else {}
+    assert long_functions({f"{TESTS}/a.py": text}) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("Is told and,\n> of\n> which: tolder", ["is told", "of which"]),
+        ("# It is\n# told.", ["is told"]),
+        ("x = ('of '\n     'what')", ["of what"]),
+        ('x = ("so "\n     f"many")', ["so many"]),
+        ("this told, of whatever, in wordsworth", []),
+    ],
+)
+def test_banned_phrases_are_counted_across_line_breaks(text, names):
+    assert phrases({f"{TESTS}/a.py": text}) == {f"tests: {name}": 1 for name in names}
+    assert phrases({"experiments/README.md": text}) == {f"docs: {name}": 1 for name in names}
+
+
+def test_docstrings_that_return_what_or_whether_are_counted():
+    text = '"Return how it is."\ndef f(): "Return thatch."\ndef g(): "Return whether it is."'
+    counts = {"tests: Return how": 1, "tests: Return whether": 1}
+    assert vague_docstrings({f"{TESTS}/a.py": text}) == counts
+
+
+def test_class_and_file_names_that_are_no_nouns_are_counted():
+    text = "class _PointsSeen: ...\nclass At: ...\nclass FixedPoint: ...\nclass Speed: ..."
+    names = {"PointsSeen": 1, "At": 1, "cut_and_turned.py": 1}
+    assert names_of_no_thing({f"{FIT}/cut_and_turned.py": text}) == names
+
+
+def test_functions_called_of_are_counted():
+    text = "class A:\n def of(): ...\ndef office(): ...\ndef _one(): ..."
+    assert filler_functions({f"{TESTS}/a.py": text}) == {"tests: of": 1, "tests: _one": 1}
+
+
+@pytest.mark.parametrize(
+    ("figure", "ceiling", "message"),
+    [
+        (101, 100, "a: 101, the ceiling is 100. Take it back"),
+        (1, 0, "a: 1, the ceiling is 0. Take it back"),
+        (100, 103, "a: 100, the ceiling is still 103. Well done"),
+        (49, 50, "a: 49, the ceiling is still 50. Well done"),
+        (0, 1, "a: 0, the ceiling is still 1. Well done"),
+    ],
+)
+def test_ceilings_neither_give_nor_lag(figure, ceiling, message):
+    (complaint,) = complaints({"a": figure} if figure else {}, {"a": ceiling} if ceiling else {})
+    assert complaint.startswith(message)
+    assert not complaints({"a": 100, "b": 7}, {"a": 102, "b": 7})
+
+
+def test_update_only_lowers_ceilings_unless_they_may_grow():
+    figures, ceilings = (
+        {"above": 9, "loose": 50, "near": 100},
+        {"above": 8, "loose": 90, "near": 101},
+    )
+    assert updated(figures, ceilings | {"gone": 3}) == {"above": 8, "loose": 50, "near": 101}
+    assert updated(figures, ceilings, grow=True) == {"above": 9, "loose": 50, "near": 101}
+    assert updated({"new": 1000}, {}) == {}
+    assert updated({"new": 1000}, {}, room=1.01, grow=True) == {"new": 1010}
+
+
+def test_ledger_reads_back_as_it_was_written():
+    ledger = {"tokens": {FIT: 3}, "doors": {"a.py: XLA's flags": 1}, "phrases": {}}
+    assert tomllib.loads(as_toml(ledger)) == ledger
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
