@@ -40,14 +40,14 @@ STATUS = "\n".join(
 CONVERT = """\
 Turn the cameras of IN into another program's file. Formats, and the endings that ask for them:
   json            the one below                    .json
-  opencv          cv::FileStorage YAML             .yaml .yml
+  opencv          cv::FileStorage YAML (or XML)    .yaml .yml .xml
   colmap          a folder of text files           a folder (colmap-binary: of .bin files)
   nerf            NeRF, nerfstudio, instant-ngp    transforms*.json
   blender         Blender's settings as JSON       *blender*.json
   blender-script  a script to run in Blender       .py (written only)
   gltf            glTF 2.0                         .gltf .glb
   pytorch3d       PyTorch3D's arrays as JSON       *pytorch3d*.json
-  mitsuba         Mitsuba XML                      .xml
+  mitsuba         Mitsuba XML (the root decides)   .xml
 """
 
 

@@ -124,7 +124,7 @@ def parse_json(text: str, path: Any, kind: str = "JSON") -> Any:
     """
     try:
         data = json.loads(text, object_pairs_hook=_object)
-        if not _is_deep(data):
+        if not is_deep(data):
             return data
     except RecursionError:  # deeper than Python goes
         pass
@@ -198,7 +198,8 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return data
 
 
-def _is_deep(data: Any) -> bool:
+def is_deep(data: Any) -> bool:
+    """Return whether lists and maps lie in each other deeper than `MOST_DEPTH`."""
     level = [data]
     for _ in range(MOST_DEPTH + 1):
         level = [x for part in level for x in _inside(part) if isinstance(x, (dict, list))]

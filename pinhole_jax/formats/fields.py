@@ -2,6 +2,7 @@
 
 import json
 import os
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -13,6 +14,7 @@ from .._files.paths import read_json, replace_file
 Size = tuple[int, int]
 #: What a reader here reads.
 KIND = "a camera file"
+YES, NO = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
 class Fields:
@@ -88,6 +90,13 @@ class Fields:
         array = _numbers(self.get(name, "numbers"))
         return () if array is None else array.shape
 
+    def flag(self, name: str) -> bool:
+        """Return yes or no: true, 1, "true", "yes", "on", "1" and their opposites."""
+        word = str(self.get(name, "true or false")).strip().lower()
+        if word not in YES + NO:
+            raise self.wrong(name, "true or false", short(self.data[name]))
+        return word in YES
+
     def text(self, name: str, choices: Sequence[str] = (), default: str | None = None) -> str:
         """Return a string, one of `choices` if there are any."""
         expected = f"one of {', '.join(choices)}" if choices else "a text"
@@ -129,6 +138,26 @@ def load_json(path: str | os.PathLike[str]) -> Fields:
     if not isinstance(data, dict):
         raise ValueError(f"`path`: expected a JSON object, got {short(data)} in {str(path)!r}")
     return Fields(data, repr(str(path)))
+
+
+def is_xml(text: str) -> bool:
+    """Return whether a file's text is meant to be XML."""
+    return text.lstrip().startswith("<")
+
+
+def parse_xml(text: str, path: str | os.PathLike[str]) -> ET.Element:
+    """Return the root of a file's XML, which has no DOCTYPE."""
+    try:
+        return ET.fromstring(text, ET.XMLParser(target=_NoDoctype()))
+    except (ET.ParseError, ValueError) as error:
+        raise ValueError(f"`path`: expected XML, got {str(path)!r}: {error}") from None
+
+
+class _NoDoctype(ET.TreeBuilder):
+    """A tree without a DOCTYPE, whose entities can grow without bound."""
+
+    def doctype(self, name: str, public: str, system: str) -> None:
+        raise ValueError("a DOCTYPE, which no camera file has")
 
 
 def save_json(path: str | os.PathLike[str], data: Any) -> None:
@@ -194,4 +223,9 @@ def short(value: Any) -> str:
     if isinstance(value, str):
         value = value[:80]
     words = repr(value.tolist() if isinstance(value, np.ndarray) else value)
-    return words if len(words) <= 80 else words[:77] + "..."
+    return clipped(words, 80)
+
+
+def clipped(words: str, length: int) -> str:
+    """Return words, cut where they are longer."""
+    return words if len(words) <= length else words[: length - 3] + "..."

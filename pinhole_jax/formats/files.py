@@ -6,16 +6,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._camera.camera import Camera
-from .._files.paths import existing, is_folder, path_of
+from .._files.paths import existing, is_folder, path_of, read_json as load_json, read_text
 from .blender import SCHEMA as BLENDER_SCHEMA, read_blender, write_blender, write_blender_script
 from .colmap import read_colmap, write_colmap
-from .fields import KIND, Size, load_json, short
+from .fields import KIND, Size, parse_xml, short
 from .gltf import read_gltf, write_gltf
 from .mitsuba import read_mitsuba, write_mitsuba
 from .native import CAMERA_SCHEMA, CAMERAS_SCHEMA, read_json, write_json
 from .nerf import read_nerf, write_nerf
 from .opencv import read_opencv, write_opencv
 from .pytorch3d import SCHEMA as PYTORCH3D_SCHEMA, read_pytorch3d, write_pytorch3d
+from .unknown import unknown
 
 
 class Format(NamedTuple):
@@ -42,6 +43,8 @@ FORMATS = {
     "pytorch3d": Format(read_pytorch3d, write_pytorch3d),
     "mitsuba": Format(read_mitsuba, write_mitsuba),
 }
+#: Fields by which JSON is taken for the project's own, or for a format that has no schema.
+OWN = {"schema", "e", "p", "u", "phi", "phi_degrees", "lens", "W", "H"}
 ENDINGS = {
     ".yml": "opencv",
     ".yaml": "opencv",
@@ -57,7 +60,8 @@ def read(
 ) -> dict[str, Camera]:
     """Return the cameras of a file (COLMAP: a folder), by name.
 
-    `format` is one of `FORMATS`; None guesses it by the path's ending and, for JSON, its content.
+    `format` is one of `FORMATS`; None guesses it by the path's ending and, of JSON and XML, by
+    what is in it.
     `size` is the image's (W, H) in px, for files that do not hold it.
 
     Raises FileNotFoundError, or ValueError naming the file and the field that is missing or wrong.
@@ -144,16 +148,31 @@ def _checked(format: str | None) -> str | None:
 def _guess_read(path: Path) -> str:
     if is_folder(path) or path.name in ("cameras.txt", "images.txt", "cameras.bin", "images.bin"):
         return "colmap"
-    if path.suffix.lower() != ".json":
-        return _by_ending(path)
-    data = load_json(path).data
-    schema = data.get("schema")
-    if schema == BLENDER_SCHEMA or "matrix_world" in data:
+    if path.suffix.lower() == ".xml":
+        root = parse_xml(read_text(path, KIND), path)
+        return "opencv" if root.tag == "opencv_storage" else "mitsuba"
+    return _of_json(path) if path.suffix.lower() == ".json" else _by_ending(path)
+
+
+def _of_json(path: Path) -> str:
+    """Return the format of a JSON file, by its fields."""
+    data = load_json(path, KIND)
+    names = {*data} if isinstance(data, dict) else set()
+    schema = data.get("schema") if names else None
+    if schema == BLENDER_SCHEMA or "matrix_world" in names:
         return "blender"
-    if schema == PYTORCH3D_SCHEMA or {"R", "T", "in_ndc"} <= data.keys():
+    if schema == PYTORCH3D_SCHEMA or {"R", "T", "in_ndc"} <= names:
         return "pytorch3d"
-    if "frames" in data and schema not in (CAMERA_SCHEMA, CAMERAS_SCHEMA):
+    if "frames" in names and schema not in (CAMERA_SCHEMA, CAMERAS_SCHEMA):
         return "nerf"
+    if {"camera_matrix", "cameraMatrix"} & names:
+        return "opencv"
+    if not names & OWN:
+        known = ", ".join(name for name, format in FORMATS.items() if format.read)
+        if isinstance(data, dict) or unknown(data):
+            got = unknown(data) or f"JSON with the fields {short(sorted(names))}"
+            raise ValueError(f"`path`: expected one of {known}, got {got} (in {str(path)!r})")
+        raise ValueError(f"`path`: expected a JSON object, got {short(data)} in {str(path)!r}")
     return "json"
 
 

@@ -17,7 +17,17 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._files.paths import read_text
-from .fields import KIND, Fields, Size, add_named, check_cameras, number, save_text, short
+from .fields import (
+    KIND,
+    Fields,
+    Size,
+    add_named,
+    check_cameras,
+    number,
+    parse_xml,
+    save_text,
+    short,
+)
 from .pinhole import (
     LEFT_UP_FORWARD,
     Pinhole,
@@ -29,6 +39,7 @@ from .pinhole import (
     world_from_camera,
 )
 from .rotations import matrix_of_vector
+from .unknown import unknown
 
 AXES = ("x", "y", "diagonal", "smaller", "larger")
 FILM = {"width": 768, "height": 576}  # Mitsuba's own, where a film says nothing
@@ -52,10 +63,11 @@ def read_mitsuba(path: str | os.PathLike[str], *, size: Size | None = None) -> d
     cameras = pj.formats.read_mitsuba("left.xml")
     ```
     """
-    try:
-        root = ET.fromstring(read_text(path, KIND), ET.XMLParser(target=_NoDoctype()))
-    except (ET.ParseError, ValueError) as error:
-        raise ValueError(f"`path`: expected XML, got {str(path)!r}: {error}") from None
+    root = parse_xml(read_text(path, KIND), path)
+    if root.tag not in ("scene", "sensor"):
+        words = "expected Mitsuba's XML (its root is <scene>) or OpenCV's (<opencv_storage>)"
+        got = unknown(root.tag) or f"the root <{root.tag[:60]}>"
+        raise ValueError(f"`path`: {words}, got {got} (in {str(path)!r})")
     defaults = _defaults(root, repr(str(path)))
     sensors = [root] if root.tag == "sensor" else list(root.iter("sensor"))
     if not sensors:
@@ -117,13 +129,6 @@ SENSOR = """\
     </film>
   </sensor>
 """
-
-
-class _NoDoctype(ET.TreeBuilder):
-    """A tree without a DOCTYPE, whose entities can grow without bound."""
-
-    def doctype(self, name: str, public: str, system: str) -> None:
-        raise ValueError("a DOCTYPE, which no scene has")
 
 
 def _defaults(root: ET.Element, where: str) -> dict[str, str]:

@@ -25,6 +25,12 @@ from .pinhole import (
 )
 
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+#: Where a frame has one of these, the file's others of them do not count.
+GROUPS = (
+    {"fl_x", "fl_y", "camera_angle_x", "camera_angle_y"},
+    {"camera_model", "is_fisheye"},
+    {*COEFFICIENTS},
+)
 FISHEYE = "OPENCV_FISHEYE"
 MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", FISHEYE)
 
@@ -32,8 +38,9 @@ MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", FISH
 def read_nerf(path: str | os.PathLike[str], *, size: Size | None = None) -> dict[str, Camera]:
     """Return the cameras of a transforms.json, by each frame's `file_path`.
 
-    A frame's own intrinsics come before the file's. Where the file holds no `w`, `h` (NeRF's
-    Blender scenes), `size` gives them. World axes are the file's: no `applied_transform` is undone.
+    A frame's own focal lengths, model or coefficients replace all of the file's. Where the file
+    holds no `w`, `h` (NeRF's Blender scenes), `size` gives them. World axes are the file's: no
+    `applied_transform` is undone.
 
     Raises ValueError naming file and field where something is missing or wrong, for other camera
     models (equirectangular, ...), and for coefficients that OpenCV's models have not.
@@ -47,10 +54,12 @@ def read_nerf(path: str | os.PathLike[str], *, size: Size | None = None) -> dict
     cameras: dict[str, Camera] = {}
     shared = {name: value for name, value in top.data.items() if name != "frames"}
     for k, frame in enumerate(top.parts("frames")):
-        fields = Fields({**shared, **frame.data}, frame.where)
+        lost = set().union(*(group for group in GROUPS if group & frame.data.keys()))
+        kept = {name: value for name, value in shared.items() if name not in lost}
+        fields = Fields({**kept, **frame.data}, frame.where)
         name = fields.text("file_path", default=str(k))
         model = fields.text("camera_model", MODELS, "OPENCV")
-        fisheye = model == FISHEYE or bool(fields.data.get("is_fisheye"))
+        fisheye = model == FISHEYE or ("is_fisheye" in fields and fields.flag("is_fisheye"))
         short = "transform_matrix" in fields and fields.shape("transform_matrix") == (3, 4)
         matrix = fields.array("transform_matrix", (3 if short else 4, 4))
         pose = rigid(matrix, fields, "transform_matrix")

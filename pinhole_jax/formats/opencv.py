@@ -1,4 +1,4 @@
-"""OpenCV calibration files: YAML as `cv::FileStorage` writes it.
+"""OpenCV calibration files: YAML, XML or JSON as `cv::FileStorage` writes it.
 
 Axes: x right, y down, z forward; `R`, `t` are camera_from_world: `X_camera = R X_world + t`.
 Focal lengths in px (`camera_matrix`), no field of view. Pixel centres lie at integers, unless the
@@ -6,7 +6,9 @@ file's `pixel_centres` says "half".
 """
 
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -14,19 +16,21 @@ from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.matrices import Centres, half_pixel
 from .._camera.poses import inverse
-from .._files.paths import read_text
 from .._numerics.arrays import Input
-from . import yaml
-from .fields import KIND, Fields, Size, check_cameras, save_text, short
+from .fields import Fields, Size, check_cameras, save_text, short
 from .matrices import to_opencv
 from .pinhole import OPENCV, Pinhole, camera_of, distortion_of, model_of, rotation
 from .rotations import matrix_of_vector, vector_of_matrix
+from .unknown import unknown
 
-#: The names under which a field is known; case and underscores do not count.
+#: The names under which a field is known; case, underscores, dots and hyphens do not count.
 NAMES: dict[str, tuple[str, ...]] = {
     "camera_matrix": ("cameramatrix", "k"),
-    "distortion_coefficients": ("distortioncoefficients", "distcoeffs", "d"),
-    "distortion_model": ("distortionmodel",),
+    "distortion_coefficients": (
+        *("distortioncoefficients", "distortioncoeffs", "distortioncoeff", "distortioncoef"),
+        *("distortionparameters", "distortionparams", "distortion", "distortions"),
+        *("distcoeffs", "distcoeff", "distcoefs", "distcoef", "dist", "d"),
+    ),
     "R": ("r", "rotation", "rotationmatrix"),
     "rvec": ("rvec",),
     "t": ("t", "tvec", "translation"),
@@ -36,40 +40,61 @@ NAMES: dict[str, tuple[str, ...]] = {
     "camera_names": ("cameranames",),
     "pixel_centres": ("pixelcentres",),
 }
+PLAIN_NAMES = {plain: name for name, known in NAMES.items() for plain in known}
+#: What looks like coefficients of a lens under a name that is not known.
+LENS = re.compile(r"dist(?!anc)\w*|\w*(distort|coef)\w*|kc|[kp][1-6]")
+#: Fields that name the lens's model, and those that say yes or no to a fisheye.
+MODELS = ("distortionmodel", "distortiontype", "cameramodel", "modeltype", "lensmodel", "lenstype",
+          "projectionmodel", "projectiontype", "model", "cameratype")  # fmt: skip
+FLAGS = ("fisheyemodel", "isfisheye", "usefisheye", "fisheye")
+#: Models by the names that OpenCV, ROS, Kalibr, camodocal and COLMAP have for them.
+FISHEYES = ("fisheye", "opencvfisheye", "equidistant", "equidist", "equi", "pinholeequi",
+            "kannalabrandt", "kannalabrandt4", "kannalabrandt8", "kb", "kb4")  # fmt: skip
+PLAIN = ("plumbbob", "rationalpolynomial", "rational", "radtan", "pinholeradtan", "standard",
+         "radialtangential", "brown", "brownconrady", "opencv", "fullopencv", "radial",
+         "simpleradial")  # fmt: skip
+#: Models of a projection, which say nothing of the distortion.
+NEITHER = ("pinhole", "simplepinhole", "perspective", "none", "")
 COEFFICIENTS = (
     *("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     *("s1", "s2", "s3", "s4", "tau_x", "tau_y"),
 )
 FISHEYE = ("k1", "k2", "k3", "k4")
-#: What a file may call its model (the names are ROS's, too).
-FISHEYES = ("fisheye", "equidistant")
-PLAIN = ("plumb_bob", "rational_polynomial")
 #: A rotation vector that is longer (rad) has lost its angle to rounding.
 MOST_ANGLE = 1e4
+#: FileStorage's escapes that it can read again: not its `\xNN`, which swallows the letters behind.
+ESCAPES = {"\\": "\\", '"': '"', "\n": "n", "\r": "r", "\t": "t"}
+#: What YAML cannot hold as it stands, or takes for the end of a line.
+UNPRINTABLE = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
+#: The longest text that FileStorage reads.
+MOST_BYTES = 4095
 
 
 def read_opencv(
     path: str | os.PathLike[str], *, size: Size | None = None, pixel_centres: str | None = None
 ) -> dict[str, Camera]:
-    """Return the cameras of an OpenCV YAML file, by name.
+    """Return the cameras of an OpenCV calibration, by name: YAML, XML or JSON.
 
     One camera where the file has `R` (3, 3) or `rvec` (3,) and `t`, several where it has
     `extrinsic_parameters` (N, 6), rvec and tvec in each row, as OpenCV's calibration writes.
     `camera_matrix` is K in px; `image_width`, `image_height` in px, or `size` where there are none.
     `pixel_centres` ("integer", "half") overrules the file, which is "integer" if it says nothing.
 
-    `distortion_coefficients` are k1, k2, p1, p2, k3, k4, k5, k6, or of a fisheye (k1 to k4) where
-    the file's `distortion_model` is "fisheye" or "equidistant" (OpenCV's own files do not tell).
+    `distortion_coefficients` (also `dist`, `D`, `DistCoeff`, ...) are k1, k2, p1, p2, k3, k4, k5,
+    k6, or of a fisheye (k1 to k4) where the file says so: `fisheye_model: 1`, or a
+    `distortion_model`, `camera_model` or `model_type` of fisheye, equidistant or KANNALA_BRANDT.
 
-    Raises ValueError naming file and field where something is missing or wrong, and where
-    coefficients of other models are not zero.
+    Raises ValueError naming file and field where something is missing or wrong, where the model is
+    another, and where coefficients of other models are not zero.
 
     ```python
     pj.formats.write_opencv("left.yaml", {"left.png": camera})
     cameras = pj.formats.read_opencv("left.yaml")
     ```
     """
-    fields = _known(yaml.parse(read_text(path, KIND), repr(str(path))), repr(str(path)))
+    from . import storage  # PyYAML: of no use to who reads other files
+
+    fields = _known(storage.load(path), storage.array_of)
     K = fields.array("camera_matrix", (3, 3))
     if np.any(K[2] != [0, 0, 1]) or K[1, 0] != 0 or abs(K[0, 1]) > 1e-9 * abs(K[0, 0]):
         raise fields.wrong("camera_matrix", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", K)
@@ -101,7 +126,7 @@ def write_opencv(
     pj.formats.write_opencv("left.yaml", {"left.png": camera})
     ```
     """
-    check_cameras(cameras, "OpenCV", yaml.can_hold)
+    check_cameras(cameras, "OpenCV", _can_hold)
     matrices = [to_opencv(camera, pixel_centres=pixel_centres) for camera in cameras.values()]
     sizes = [(camera.W, camera.H) for camera in cameras.values()]
     models = [distortion_of(camera) for camera in cameras.values()]
@@ -114,36 +139,64 @@ def write_opencv(
                 f" {name!r} than in {next(iter(cameras))!r}; write one file each"
             )
     text = f"%YAML:1.0\n---\nimage_width: {sizes[0][0]}\nimage_height: {sizes[0][1]}\n"
-    text += f"pixel_centres: {yaml.quoted(pixel_centres)}\n"
-    text += "camera_names: [ " + ", ".join(yaml.quoted(name) for name in cameras) + " ]\n"
-    text += yaml.matrix("camera_matrix", K)
+    text += f"pixel_centres: {_quoted(pixel_centres)}\n"
+    text += "camera_names: [ " + ", ".join(_quoted(name) for name in cameras) + " ]\n"
+    text += _matrix("camera_matrix", K)
     if isinstance(models[0], Fisheye):
         text += 'distortion_model: "fisheye"\n'
     model = models[0] or BrownConrady()
     values = np.array(list(model.coefficients().values()))
-    text += yaml.matrix("distortion_coefficients", values[:, None])
+    text += _matrix("distortion_coefficients", values[:, None])
     if len(matrices) == 1:
         _, R, t = matrices[0]
-        text += yaml.matrix("R", R) + yaml.matrix("t", t[:, None])
+        text += _matrix("R", R) + _matrix("t", t[:, None])
     else:
         rows = [np.r_[vector_of_matrix(R), t] for _, R, t in matrices]
-        text += yaml.matrix("extrinsic_parameters", np.stack(rows))
+        text += _matrix("extrinsic_parameters", np.stack(rows))
     save_text(path, text)
 
 
-def _known(data: dict, where: str) -> Fields:
-    """Return the fields under the names of `NAMES`; a vector may lie or stand."""
-    plain = {key: name for name, keys in NAMES.items() for key in keys}
-    known = {}
-    for key, value in data.items():
-        name = plain.get(key.lower().replace("_", ""))
+def _known(file: Fields, array_of: Callable[[str, Any, str], Any]) -> Fields:
+    """Return the fields under the names of `NAMES`, and whether the lens is a `fisheye`; a vector
+    may lie or stand."""
+    known: dict[str, Any] = {}
+    for key, value in file.data.items():
+        plain = re.sub(r"[_.\-\s]", "", str(key)).lower()
+        name = PLAIN_NAMES.get(plain)
         if name is None:
+            known.update(_lens_model(file, str(key), plain, known))
             continue
         if name in known:
-            raise ValueError(f"`{name}`: expected one such field, got {key!r} too (in {where})")
+            words = f"expected one such field, got {str(key)!r} too"
+            raise ValueError(f"`{name}`: {words} (in {file.where})")
+        value = array_of(name, value, file.where)
         flat = isinstance(value, np.ndarray) and 1 in value.shape
         known[name] = value.ravel() if flat and name != "extrinsic_parameters" else value
-    return Fields(known, where)
+    if "camera_matrix" not in known and (whose := unknown(file.data)):
+        raise ValueError(f"`path`: expected OpenCV's calibration, got {whose} (in {file.where})")
+    return Fields(known, file.where)
+
+
+def _lens_model(file: Fields, key: str, plain: str, known: dict[str, Any]) -> dict[str, bool]:
+    """Return what a field says of the lens's model, nothing where it is of something else."""
+    if plain in FLAGS:
+        fisheye = file.flag(key)
+    elif plain in MODELS:
+        word = re.sub(r"[\W_]", "", str(file.data[key])).lower()
+        if word in NEITHER or (plain in ("model", "cameratype") and word not in FISHEYES + PLAIN):
+            return {}
+        if word not in FISHEYES + PLAIN:
+            words = "a model of OpenCV's (plumb_bob, rational_polynomial, fisheye, ...)"
+            raise file.wrong(key, words, short(file.data[key]))
+        fisheye = word in FISHEYES
+    elif LENS.fullmatch(plain):
+        words = "a lens's coefficients as `distortion_coefficients: [k1, k2, p1, p2, k3]`"
+        raise file.wrong(key, words, f"a field {key[:60]!r}, whose meaning is not known")
+    else:
+        return {}
+    if known.get("fisheye", fisheye) != fisheye:
+        raise file.wrong(key, "one model of the lens", "a fisheye here and none in another field")
+    return {"fisheye": fisheye}
 
 
 def _poses(fields: Fields) -> list[np.ndarray]:
@@ -166,7 +219,7 @@ def _poses(fields: Fields) -> list[np.ndarray]:
         parts = [(_rotation(rvec, fields, "R"), fields.array("t", (3,)))]
     else:
         if "R" not in fields:
-            words = "no pose: a file of intrinsics alone is no camera; see `from_opencv`"
+            words = "no pose: intrinsics alone are no camera; see `from_opencv` (or --K, --dist)"
             raise fields.wrong("R", "R and t, or extrinsic_parameters", words)
         parts = [(rotation(fields.array("R", (3, 3)), fields, "R"), fields.array("t", (3,)))]
     for R, t in parts:
@@ -186,19 +239,45 @@ def _names(fields: Fields, count: int) -> list[str]:
     if "camera_names" not in fields:
         return [str(k) for k in range(count)] if count > 1 else ["camera"]
     names = fields.data["camera_names"]
+    names = [names] if isinstance(names, str) else names
     if not isinstance(names, list) or len({str(n) for n in names}) != count or len(names) != count:
         raise fields.wrong("camera_names", f"{count} different names", short(names))
     return [str(name) for name in names]
 
 
 def _distortion(fields: Fields) -> Distortion | None:
-    name = "distortion_coefficients"
-    fisheye = fields.text("distortion_model", (*FISHEYES, *PLAIN), PLAIN[0]) in FISHEYES
+    name, fisheye = "distortion_coefficients", fields.data.get("fisheye", False)
     models = (Fisheye,) if fisheye else (BrownConrady, Rational)
+    if isinstance(fields.data.get(name), dict):
+        part = fields.part(name)
+        return model_of({key: part.number(key) for key in part.data}, fields, models)
     if name not in fields:
         return model_of({}, fields, models)
-    values = np.atleast_1d(fields.array(name, np.shape(fields.data[name])))
-    if values.ndim != 1 or len(values) not in (0, 1, 4, 5, 8, 12, 14):
-        raise fields.wrong(name, "4, 5, 8, 12 or 14 coefficients", values)
-    names = FISHEYE if fisheye else COEFFICIENTS
-    return model_of(dict(zip(names, values.tolist(), strict=fisheye)), fields, models)
+    values = np.ravel(fields.array(name, fields.shape(name)))
+    names, sizes = (FISHEYE, (0, 4)) if fisheye else (COEFFICIENTS, (0, 4, 5, 8, 12, 14))
+    if len(values) not in sizes:
+        words = " or ".join(map(str, sizes[1:])) + " coefficients"
+        raise fields.wrong(name, words + " of a fisheye" * fisheye, values)
+    return model_of(dict(zip(names, values.tolist(), strict=False)), fields, models)
+
+
+def _matrix(name: str, array: np.ndarray) -> str:
+    """Return a matrix as FileStorage writes it."""
+    numbers = [repr(float(x)) for x in array.ravel()]
+    lines = [", ".join(numbers[k : k + 4]) for k in range(0, len(numbers), 4)]
+    data = ",\n       ".join(lines)
+    rows, cols = array.shape
+    return (
+        f"{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: d\n"
+        f"   data: [ {data} ]\n"
+    )
+
+
+def _quoted(text: str) -> str:
+    """Return a text in quotes."""
+    return '"' + "".join(f"\\{ESCAPES[c]}" if c in ESCAPES else c for c in text) + '"'
+
+
+def _can_hold(text: str) -> bool:
+    """Return whether FileStorage reads a quoted text as it was."""
+    return len(text.encode()) <= MOST_BYTES and not UNPRINTABLE.search(text)

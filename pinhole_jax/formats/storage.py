@@ -1,0 +1,142 @@
+"""OpenCV's FileStorage: its YAML, XML or JSON as fields."""
+
+import math
+import os
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import yaml
+
+from .._files.paths import MOST_DEPTH, is_deep, parse_json, read_text
+from .fields import KIND, Fields, is_xml, parse_xml, short
+
+#: The largest YAML that is read here, in characters (it takes a second and 0.3 GB).
+MOST_YAML = 1 << 20
+INTEGER = re.compile(r"[-+]?\d{1,18}")
+NUMBER = re.compile(r"[-+]?(?:\d++\.?\d*+|\.\d++)(?:[eE][-+]?\d++)?")
+WORDS = re.compile(r'"[^"]*+"?|[^\s"]++')
+
+
+class _Loader(yaml.CSafeLoader):
+    """Plain values alone: a tag stands for the value that it is on, whatever its name."""
+
+    def get_single_node(self) -> yaml.Node | None:
+        """Return the document, without aliases, by which a small file may grow without bound."""
+        root, seen = super().get_single_node(), set()
+        nodes = [] if root is None else [root]
+        for node in nodes:
+            if id(node) in seen:
+                raise _wrong("an alias (*name), which is not read", node)
+            seen.add(id(node))
+            if isinstance(node, yaml.MappingNode):
+                nodes += [part for pair in node.value for part in pair]
+            elif isinstance(node, yaml.SequenceNode):
+                nodes += node.value
+        return root
+
+    def value(self, node: yaml.Node) -> Any:
+        """Return a node's value; a map has each field once."""
+        if isinstance(node, yaml.ScalarNode):
+            return node.value if node.style else _scalar(node.value)
+        if isinstance(node, yaml.SequenceNode):
+            return self.construct_sequence(node, deep=True)
+        if twice := _twice(str(key.value) for key, _ in node.value):
+            raise _wrong(f"the field {short(twice)} twice", node)
+        return self.construct_mapping(node, deep=True)
+
+    yaml_implicit_resolvers: ClassVar[dict] = {}
+    yaml_constructors: ClassVar[dict] = {None: value}
+
+
+def _wrong(words: str, node: yaml.Node) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=words, problem_mark=node.start_mark)
+
+
+def load(path: str | os.PathLike[str]) -> Fields:
+    """Return a file's top-level fields: numbers, texts, lists and maps.
+
+    Raises ValueError naming file and line where it is no YAML, XML or JSON of that kind.
+    """
+    text, where = read_text(path, KIND), repr(str(path))
+    if is_xml(text):
+        data = _of_xml(parse_xml(text, path), where)
+    elif Path(path).suffix.lower() == ".json":
+        data = parse_json(text, path)
+    else:
+        data = _of_yaml(text, where)
+    return Fields(data, where)
+
+
+def _of_yaml(text: str, where: str) -> Any:
+    if len(text) > MOST_YAML:
+        raise ValueError(f"`path`: expected YAML of at most {MOST_YAML} bytes, got {where}: more")
+    try:
+        data = yaml.load(re.sub(r"\A\s*%YAML:.*", "", text), _Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.context_mark or error.problem_mark
+        line = 0 if mark is None else mark.line
+        shown = text.splitlines()[line : line + 1] or [""]
+        words = f"line {line + 1}: expected YAML, got {short(shown[0])}: {error.problem}"
+        raise ValueError(f"{words[:400]} (in {where})") from None
+    except (yaml.YAMLError, RecursionError) as error:
+        words = str(error).partition("\n")[0][:200]
+        raise ValueError(f"`path`: expected YAML, got {where}: {words}") from None
+    if is_deep(data):
+        raise ValueError(f"`path`: expected YAML of at most {MOST_DEPTH} levels, got {where}: more")
+    return data
+
+
+def _of_xml(element: ET.Element, where: str, depth: int = 0) -> Any:
+    """Return an element's value: a map of its children, a list, a text or a number."""
+    children = list(element)
+    if depth > MOST_DEPTH:
+        raise ValueError(f"`path`: expected XML of at most {MOST_DEPTH} levels, got {where}: more")
+    values = [_of_xml(child, where, depth + 1) for child in children]
+    names = [child.tag for child in children]
+    if twice := _twice(name for name in names if name != "_"):
+        raise ValueError(f"`path`: expected XML, got {where}: the field {short(twice)} twice")
+    if names and set(names) != {"_"}:
+        return dict(zip(names, values, strict=True))
+    values += [_scalar(word) for word in WORDS.findall(element.text or "")]
+    return values[0] if len(values) == 1 and not children else values
+
+
+def _twice(names: Iterable[str]) -> str | None:
+    """Return the first name that comes again."""
+    seen: set[str] = set()
+    return next((name for name in names if name in seen or seen.add(name)), None)
+
+
+def _scalar(text: str) -> Any:
+    """Return a number where a text is one (also .Nan, -.Inf), else the text without quotes."""
+    if INTEGER.fullmatch(text):
+        return int(text)
+    if NUMBER.fullmatch(text):
+        return float(text)
+    special = text.lower().lstrip("+-")
+    if special in (".inf", ".nan"):
+        return float(text.replace(".", "", 1))
+    return text.strip('"')
+
+
+def array_of(name: str, value: Any, where: str) -> Any:
+    """Return the array of a matrix (rows, cols, dt, data), float64; another value as it is."""
+    if not isinstance(value, dict) or "data" not in value:
+        return value
+    fields = Fields({name: value["data"]}, where)
+    expected = f"`{name}`: expected an OpenCV matrix (rows, cols, dt, data)"
+    kind = str(value.get("dt", "d"))
+    if len(kind) != 1:
+        raise ValueError(f"{expected} with one channel, got dt {kind[:9]!r} (in {where})")
+    size = value.get("sizes", [value.get("rows"), value.get("cols")])
+    numbers = np.ravel(fields.array(name, fields.shape(name), "finite numbers of a matrix"))
+    if not isinstance(size, list) or not all(isinstance(n, int) and n >= 0 for n in size[:8]):
+        raise ValueError(f"{expected}, got the size {short(size)} (in {where})")
+    if len(numbers) != math.prod(size[:9]) or len(size) > 8:
+        count = math.prod(size[:9])
+        raise ValueError(f"{expected} of {count} numbers, got {len(numbers)} (in {where})")
+    return numbers.reshape(size)

@@ -1,0 +1,201 @@
+"""Calibrations as programs and people write them: OpenCV's own projections are the oracle."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pinhole_jax as pj
+from pinhole_jax import formats
+
+cv2 = pytest.importorskip("cv2")
+
+K = np.array([[300.0, 0, 320], [0, 310, 240], [0, 0, 1]])
+BENT = np.array([-0.03, 0.01, -0.004, 0.0006])
+TURN, SHIFT = np.array([0.1, -0.2, 0.05]), np.array([0.1, 0.2, 0.5])
+POINTS = np.random.default_rng(0).uniform([-1.2, -1, 0.6], [1.2, 1, 3], (30, 3))
+BROWN, FISHEYE = "BrownConrady", "Fisheye"
+HEAD = "image_width: 640\nimage_height: 480\n"
+TAIL = f"rvec: {TURN.tolist()}\ntvec: {SHIFT.tolist()}\n"
+MATRIX = f"camera_matrix: {{ rows: 3, cols: 3, data: {K.ravel().tolist()} }}\n"
+COEFFICIENTS = f"distortion_coefficients: {BENT.tolist()}\n"
+
+
+def seen_by_opencv(model, points=POINTS):
+    """Return px as OpenCV counts them: the first pixel's centre is (0, 0), y down."""
+    project = cv2.fisheye.projectPoints if model == FISHEYE else cv2.projectPoints
+    return project(points[:, None], TURN, SHIFT, K, BENT)[0][:, 0]
+
+
+def check_sees_as_opencv(path, model):
+    (camera,) = formats.read(path).values()
+    xy = np.asarray(pj.project(camera, jnp.asarray(POINTS)))
+    assert type(camera.lens.distortion).__name__ == model
+    seen = np.stack([xy[:, 0] - 0.5, camera.H - xy[:, 1] - 0.5], axis=1)
+    np.testing.assert_allclose(seen, seen_by_opencv(model), rtol=0, atol=1e-8)
+
+
+MODELS = {
+    **dict.fromkeys(
+        ("fisheye_model: 1", "is_fisheye: true", "fisheye: yes", "camera_model: fisheye",
+         "distortion_model: equidistant", "model_type: KANNALA_BRANDT", "model: KannalaBrandt8",
+         "camera_model: pinhole\ndistortion_model: equidistant", "distortion_model: equi",
+         'distortion_type: "OPENCV_FISHEYE"', "lens_model: Kannala-Brandt"),
+        FISHEYE,
+    ),
+    **dict.fromkeys(
+        ("", "fisheye_model: 0", "fisheye: 'off'", "distortion_model: plumb_bob", "model: D435",
+         "distortion_model: radtan", "camera_model: radial-tangential", "camera_model: pinhole",
+         "distortion_model: rational_polynomial", "model_type: PINHOLE", "distance: 3"),
+        BROWN,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("line", MODELS)
+def test_lens_model_is_the_one_that_a_calibration_names(tmp_path, line):
+    (tmp_path / "c.yaml").write_text(HEAD + MATRIX + COEFFICIENTS + f"{line}\n" + TAIL)
+    check_sees_as_opencv(tmp_path / "c.yaml", MODELS[line])
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["dist", "dist_coeff", "dist_coeffs", "distCoeffs", "DistCoeff", "distCoef", "D", "distortion",
+     "distortion_coefficients", "distortion_coeffs", "distortion_parameters"],
+)  # fmt: skip
+@pytest.mark.parametrize("nested", [False, True])
+def test_coefficients_have_many_names(tmp_path, name, nested):
+    value = [BENT.tolist()] if nested else BENT.tolist()
+    if nested and name == "distortion":
+        value = dict(zip(("k1", "k2", "p1", "p2"), BENT.tolist(), strict=True))
+    (tmp_path / "c.yaml").write_text(f"%YAML:1.0\n---\n{HEAD}{MATRIX}{name}: {value}\n{TAIL}")
+    check_sees_as_opencv(tmp_path / "c.yaml", BROWN)
+
+
+REFUSED = {
+    "distortion_model: omni": "`distortion_model`: expected a model of OpenCV's .*, got 'omni'",
+    "camera_model: MEI": "`camera_model`: expected a model of OpenCV's",
+    "model_type: inverse_brown_conrady": "`model_type`: expected a model of OpenCV's",
+    "fisheye_model: maybe": "`fisheye_model`: expected true or false, got 'maybe'",
+    "fisheye_model: 0\ncamera_model: fisheye": "`camera_model`: expected one model of the lens",
+    "distorsion: [ 1, 2, 3, 4 ]": "`distorsion`: expected a lens's coefficients as `distortion_c",
+    "radial_distortion: [ 1, 2 ]": "`radial_distortion`: expected a lens's coefficients",
+    "k1: 0.1": "`k1`: expected a lens's coefficients as `distortion_coefficients: ",
+    "D: [ 1, 2, 3, 4 ]": "`distortion_coefficients`: expected one such field, got 'D' too",
+    "fisheye: 1\nx: 2": None,
+}
+
+
+@pytest.mark.parametrize("line", REFUSED)
+def test_lens_that_is_not_understood_is_refused(tmp_path, line):
+    coefficients = "dist: [ 1, 2, 3, 4, 5 ]\n" if REFUSED[line] is None else COEFFICIENTS
+    message = REFUSED[line] or "`distortion_coefficients`: expected 4 coefficients of a fisheye"
+    (tmp_path / "c.yaml").write_text(f"{HEAD}{MATRIX}{coefficients}{line}\n{TAIL}")
+    with pytest.raises(ValueError, match=message):
+        formats.read(tmp_path / "c.yaml")
+
+
+@pytest.mark.parametrize("ending", ["yml", "xml", "json"])
+@pytest.mark.parametrize("model", [BROWN, FISHEYE])
+def test_opencvs_own_files_are_read(tmp_path, ending, model):
+    path = tmp_path / f"out_camera_data.{ending}"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("calibration_time", "Mon 01 Jan 2024 10:00:00")
+    storage.write("image_width", 640)
+    storage.write("image_height", 480)
+    storage.write("flags", 10)
+    storage.write("fisheye_model", int(model == FISHEYE))
+    storage.write("camera_matrix", K)
+    storage.write("distortion_coefficients", BENT[:, None])
+    storage.write("avg_reprojection_error", 0.25)
+    storage.write("extrinsic_parameters", np.r_[TURN, SHIFT][None])
+    storage.write("image_points", np.zeros((2, 3, 2), np.float32))
+    storage.release()
+    check_sees_as_opencv(path, model)
+
+
+XML = "<opencv_storage><image_width>640</image_width>{}</opencv_storage>"
+XML_CASES = {
+    "<!DOCTYPE a [<!ENTITY b 'c'>]><opencv_storage/>": "`path`: expected XML, .* a DOCTYPE",
+    XML.format(""): "`camera_matrix`: expected .* no such field",
+    XML.format("<image_width>1</image_width>"): "expected XML, .*: the field 'image_width' twice",
+    XML.format("<a>" * 99 + "</a>" * 99): "`path`: expected XML of at most 64 levels",
+    XML.format("<camera_matrix>1 2"): "`path`: expected XML",
+}
+
+
+@pytest.mark.parametrize("text", XML_CASES, ids=range(len(XML_CASES)))
+def test_wrong_opencv_xml(tmp_path, text):
+    (tmp_path / "c.xml").write_text(text)
+    with pytest.raises(ValueError, match=XML_CASES[text]):
+        formats.read(tmp_path / "c.xml", None if "storage>" in text[-9:] else "opencv")
+
+
+CAMCHAIN = """cam0:
+  camera_model: pinhole
+  distortion_coeffs: [0.0015, 0.0004, -3.0e-05, 0.0004]
+  distortion_model: radtan
+  intrinsics: [385.1, 385.1, 320.1, 240.2]
+  resolution: [640, 480]
+"""
+SPLAT = {"id": 0, "img_name": "a", "width": 8, "height": 6, "position": [0, 0, 5], "fx": 6}
+FOREIGN = {
+    "camchain.yaml": (CAMCHAIN, r"Kalibr.* --K 385.1 385.1 320.1 240.2 --dist 0.0015 0.0004 -3e"),
+    "chain.yaml": (CAMCHAIN.replace("radtan", "equidistant"), r"--K 385.1 385.1 320.1 240.2 \(in"),
+    "orb.yaml": ('%YAML:1.0\nCamera.type: "PinHole"\nCamera.fx: 500.0\n', "ORB-SLAM's settings"),
+    "cameras.json": (json.dumps([SPLAT]), "Gaussian splatting's cameras"),
+    "fspy.json": ('{"cameraTransform": {}, "imageWidth": 640}', "fSpy's camera .* export glTF"),
+    "rec.json": ('[{"cameras": {}, "shots": {}}]', "OpenSfM's reconstruction .* as COLMAP"),
+    "scene_camera.json": ('{"0": {"cam_K": [1], "depth_scale": 1}}', "BOP.* `pinhole-jax batch`"),
+    "a.json": ('{"width": 3}', r"expected one of json, opencv, .*, got JSON with .* \['width'\]"),
+    "cameras.xml": ('<document version="2"><sensor/></document>', "Metashape's .* as COLMAP"),
+    "a.xml": ("<project><sensor/></project>", "expected Mitsuba's XML .*, got the root <project>"),
+    "b.xml": ("<b:COLLADA xmlns:b='http://x.y'/>", "a Collada scene"),
+}
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_files_of_other_programs_are_named(tmp_path, name):
+    text, message = FOREIGN[name]
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=message):
+        formats.read(tmp_path / name)
+
+
+POSE = np.eye(4).tolist()
+SHARED = {"w": 640, "h": 480, "fl_x": 500, "fl_y": 510, "k1": 0.1, "p1": 0.02}
+FRAMES = [
+    ({"camera_angle_x": 2 * np.arctan(320 / 400)}, (400, 400, BROWN, 0.1, 0.02)),
+    ({"fl_x": 300}, (300, 300, BROWN, 0.1, 0.02)),
+    ({"fl_x": 300, "fl_y": 320, "k1": 0.05}, (300, 320, BROWN, 0.05, 0)),
+    ({"is_fisheye": "true", "k1": 0.05}, (500, 510, FISHEYE, 0.05, None)),
+    ({"is_fisheye": "false"}, (500, 510, BROWN, 0.1, 0.02)),
+    ({"camera_model": "OPENCV_FISHEYE", "k2": 0.05}, (500, 510, FISHEYE, 0, None)),
+]
+
+
+@pytest.mark.parametrize(("frame", "wanted"), FRAMES)
+@pytest.mark.parametrize("alone", [False, True])
+def test_frames_intrinsics_come_before_the_files(tmp_path, frame, wanted, alone):
+    """Whether they stand beside others in the file, or with all of them in the frame."""
+    fx, fy, model, k1, p1 = wanted
+    if alone:  # nothing but this frame's own: the same camera
+        lens = {"k1": k1} if p1 is None else {"k1": k1, "p1": p1}
+        frame = {"fl_x": fx, "fl_y": fy, **lens, "is_fisheye": model == FISHEYE, **frame}
+    shared = {"w": 640, "h": 480, "is_fisheye": "no"} if alone else SHARED
+    frames = [{"file_path": "a", "transform_matrix": POSE, **frame}]
+    (tmp_path / "t.json").write_text(json.dumps({**shared, "frames": frames}))
+    (camera,) = formats.read(tmp_path / "t.json").values()
+    lens = camera.lens.distortion
+    focal = np.diag(formats.to_opencv(camera, pixel_centres="half")[0])[:2]
+    np.testing.assert_allclose(focal, (fx, fy), rtol=1e-12)
+    assert type(lens).__name__ == model
+    assert (float(lens.k1), p1 and float(lens.p1)) == (k1, p1)
+
+
+def test_flag_that_is_neither_yes_nor_no_is_refused(tmp_path):
+    frames = [{"file_path": "a", "transform_matrix": POSE, "is_fisheye": "perhaps"}]
+    (tmp_path / "t.json").write_text(json.dumps({**SHARED, "frames": frames}))
+    with pytest.raises(ValueError, match="`is_fisheye`: expected true or false, got 'perhaps'"):
+        formats.read(tmp_path / "t.json")
