@@ -182,6 +182,54 @@ def test_what_is_not_read_is_said(tmp_path, name):
         pj.load_mesh(put(tmp_path, name, data))
 
 
+STL = ascii_stl(3) + b"endsolid\n"
+MARK = b"\xef\xbb\xbf"
+SPARE = b"v 9 9 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 5\nf 2 3 4\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [("a.obj", SPARE), ("a.obj", obj()), ("a.off", off()), ("a.ply", ply()), ("a.ply", ply("")),
+     ("a.stl", STL)],
+)  # fmt: skip
+def test_byte_order_marks_change_nothing(tmp_path, name, data):
+    plain = triangles_of(pj.load_mesh(put(tmp_path, name, data)))
+    marked = triangles_of(pj.load_mesh(put(tmp_path, name, MARK + data)))
+    np.testing.assert_array_equal(marked, plain)
+    if data.isascii():
+        for coding in ("utf-16", "utf-16-le", "utf-16-be"):
+            wide = data.decode().encode(coding)
+            with pytest.raises(ValueError, match="UTF-16"):
+                pj.load_mesh(put(tmp_path, name, wide))
+
+
+WORDS = ["1.#QNAN", "-1.#IND00", "1.#INF", "1#INF", "-nan(ind)", "nan", "inf"]
+
+
+@pytest.mark.parametrize("word", WORDS)
+@pytest.mark.parametrize("ending", ["obj", "off", "ply", "stl"])
+def test_numbers_that_windows_writes_are_never_one(tmp_path, word, ending):
+    texts = {
+        "obj": "v 0 0 0\nv 1 0 {}\nv 0 1 0\nf 1 2 3 # a face\n",
+        "off": "OFF\n3 1 0\n0 0 0\n1 0 {} # a corner\n0 1 0\n3 0 1 2\n",
+        "ply": "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+        "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        "0 0 0\n1 0 {}\n0 1 0\n3 0 1 2\n",
+        "stl": "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 {}\n"
+        "vertex 0 1 0\nendloop\nendfacet\nendsolid\n",
+    }
+    text = texts[ending]
+    assert len(pj.load_mesh(put(tmp_path, f"a.{ending}", text.format(1).encode())).faces) == 1
+    with pytest.raises(ValueError, match="`path`: expected"):
+        pj.load_mesh(put(tmp_path, f"b.{ending}", text.format(word).encode()))
+    if ending == "obj":
+        unread = f"vt {word} {word}\nvn {word} 0 1\n".encode() + obj("{}/1/1")
+        mesh = pj.load_mesh(put(tmp_path, "c.obj", unread))
+        np.testing.assert_array_equal(
+            triangles_of(mesh), triangles_of(pj.load_mesh(put(tmp_path, "d.obj", obj())))
+        )
+
+
 def test_no_file_that_an_obj_names_is_opened(tmp_path, monkeypatch):
     path = put(tmp_path, "a.obj", b"mtllib /etc/hostname\nmtllib ../x.mtl\n" + obj())
     opened, plain = [], os.open

@@ -73,6 +73,25 @@ def test_front_faces_are_those_whose_outside_is_seen():
     assert front_facing(mesh, jnp.array([0.2, 0.2, -5])).tolist() == [True, False, False, False]
 
 
+@pytest.mark.parametrize("kind", [np.float64, np.float32, list])
+def test_vertices_far_from_the_origin_are_warned_of_in_float32(kind):
+    """A cube of 1 m at UTM coordinates: float32 has steps of 0.5 m there."""
+    cube = trimesh.creation.box()
+    far = np.add(cube.vertices, [500000.3, 5400000.7, 300.2])
+    given = far.tolist() if kind is list else far.astype(kind)
+    near = pj.Mesh(cube.vertices.astype(np.float32) + 100, cube.faces)  # steps of 8e-6
+    assert near.vertices.dtype == np.float32
+    if kind is np.float64:
+        pj.Mesh(given, cube.faces)
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with pytest.warns(UserWarning, match=r"`vertices`: float32 .*steps of 0.5, 1/\d of the"):
+            mesh = pj.Mesh(given, cube.faces)
+    finally:
+        jax.config.update("jax_enable_x64", True)
+    assert np.max(np.abs(np.asarray(mesh.vertices, float) - far)) > 0.1
+
+
 def test_planes_are_never_stale():
     mesh = pj.Mesh(TETRAHEDRON, FACES)
     turned = eqx.tree_at(lambda m: m.vertices, mesh, -mesh.vertices[:, ::-1])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from .._files.paths import read_bytes
 from .accessors import MOST_BYTES
+from .dae import read_dae
 from .gltf import read_gltf
 from .obj import read_obj
 from .off import read_off
@@ -15,7 +16,7 @@ from .ply import read_ply
 from .polygons import Polygons as Polygons, triangulated as triangulated
 from .stl import read_stl
 
-READERS = {".obj": read_obj, ".ply": read_ply, ".stl": read_stl, ".off": read_off}
+READERS = {".dae": read_dae, ".obj": read_obj, ".off": read_off, ".ply": read_ply, ".stl": read_stl}
 MESH_ENDINGS = (*READERS, ".glb", ".gltf")
 
 

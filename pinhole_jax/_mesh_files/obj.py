@@ -8,7 +8,7 @@ import re
 import numpy as np
 
 from .polygons import Polygons
-from .text import counts_of, numbers_of, points_of
+from .text import COMMENT, counts_of, numbers_of, points_of, unmarked
 
 #: Statements that add faces which are not read here.
 OTHER_SHAPES = (b"surf", b"call", b"csh", b"bzp", b"bsp", b"cdc", b"cdp", b"res")
@@ -19,8 +19,9 @@ def read_obj(data: bytes) -> Polygons:
 
     Raises ValueError for vertices or faces that are no numbers, the index 0, and curved surfaces.
     """
+    data = unmarked(data)
     if b"#" in data:
-        data = re.sub(rb"#[^\r\n]*", b"", data)
+        data = COMMENT.sub(b"", data)
     if b"\\" in data:
         data = re.sub(rb"\\[ \t]*(\r\n|\n|\r)", b" ", data)
     lines = data.splitlines()

@@ -5,7 +5,7 @@ import re
 import numpy as np
 
 from .polygons import Polygons
-from .text import counts_of, numbers_of, points_of, taken, whole
+from .text import COMMENT, counts_of, numbers_of, points_of, taken, unmarked, whole
 
 HEADER = re.compile(rb"\s*((?:ST)?C?N?)(4?n?)OFF\b[ \t]*(BINARY)?|\s*(?=\d)|\s*OFF(?=\d)")
 
@@ -16,7 +16,7 @@ def read_off(data: bytes) -> Polygons:
     Raises ValueError for binary files, vertices of other than three dimensions, and fewer vertices
     or faces than the header says.
     """
-    header = HEADER.match(data := re.sub(rb"#[^\r\n]*", b"", data))
+    header = HEADER.match(data := COMMENT.sub(b"", unmarked(data)))
     if not header:
         raise ValueError("no OFF at its beginning")
     if header[2] or header[3]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .polygons import Polygons, strips_cut
-from .text import numbers_of, taken, whole
+from .text import numbers_of, taken, unmarked, whole
 
 #: What the header calls a type, and NumPy.
 TYPES = {
@@ -73,6 +73,7 @@ def read_ply(data: bytes) -> Polygons:
 
 def _header(data: bytes) -> tuple[list[Element], str, bytes]:
     """Return the tables that follow, their byte order, and their bytes."""
+    data = unmarked(data)
     end = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
     if not end:
         raise ValueError("no ply at its beginning")

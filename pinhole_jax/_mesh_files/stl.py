@@ -6,7 +6,7 @@ import struct
 import numpy as np
 
 from .polygons import Polygons
-from .text import counts_of, numbers_of
+from .text import counts_of, numbers_of, unmarked
 
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 BODY = 84
@@ -21,6 +21,7 @@ def read_stl(data: bytes) -> Polygons:
     (count,) = struct.unpack_from("<I", data.ljust(BODY, b"\0"), BODY - 4)
     if len(data) == BODY + count * RECORD.itemsize:
         return _own_corners(np.frombuffer(data, RECORD, count, BODY)["corners"])
+    data = unmarked(data) if data[:2] != b"\0\0" else data
     if not re.match(rb"\s*solid\b", data, re.IGNORECASE):
         raise ValueError(f"{len(data)} bytes for {count} faces, and no text either")
     return _read_text(data)

@@ -1,8 +1,21 @@
 """Numbers in the lines of a text, all of them at once."""
 
+import codecs
+import re
 import warnings
 
 import numpy as np
+
+#: A comment begins a word: Windows writes NaN and infinity as 1.#QNAN, -1.#IND00 and 1.#INF.
+COMMENT = re.compile(rb"(?<!\S)#[^\r\n]*")
+UTF_16 = codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE
+
+
+def unmarked(data: bytes) -> bytes:
+    """Return text without UTF-8's byte order mark, or raise ValueError where it is UTF-16."""
+    if data.startswith(UTF_16) or 0 in data[:2]:
+        raise ValueError("text in UTF-16: save it as UTF-8")
+    return data.removeprefix(codecs.BOM_UTF8)
 
 
 def numbers_of(text: bytes, kind: type, what: str, size: int | None = None) -> np.ndarray:
@@ -16,10 +29,20 @@ def numbers_of(text: bytes, kind: type, what: str, size: int | None = None) -> n
             # Of white space alone it makes a number.
             numbers = np.fromstring(text if text.strip() else b"", dtype=kind, sep=" ")
     except (DeprecationWarning, ValueError):
-        raise ValueError(f"expected numbers in {what}, got something else") from None
+        raise ValueError(f"expected numbers in {what}, got {_no_number(text, kind)}") from None
     if size is not None and numbers.size != size:
         raise ValueError(f"expected {size} numbers in {what}, got {numbers.size}")
     return numbers
+
+
+def _no_number(text: bytes, kind: type) -> str:
+    """Return the first word that is no number."""
+    for word in text.split():
+        try:
+            kind(word)
+        except ValueError:
+            return repr(word[:30].decode(errors="replace"))
+    return "something else"
 
 
 def whole(numbers: np.ndarray, what: str) -> np.ndarray:

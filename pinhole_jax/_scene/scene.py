@@ -37,6 +37,9 @@ from .topology import edge_records, without_copies
 #: Of a mesh with more than this share of its edges at a border it is asked whether its vertices
 #: stand at fewer places than this share of their number.
 MOSTLY_BORDER, LOOSE = 0.5, 0.6
+#: Steps between float32 numbers that are more than this share of the object are worth a warning: a
+#: fit's own rounding is far smaller.
+COARSE = 1 / 2000
 #: Faces (and vertices) that a small mesh's arrays are filled up to.
 FILLED_UP = (1 << 14, 1 << 16)
 
@@ -99,6 +102,7 @@ class Mesh(eqx.Module):
         points = np.asarray(self.vertices) if is_concrete(self.vertices) else None
         if points is not None:
             triangles = without_copies(points, triangles)
+            _say_if_coarse(points)
         edge_vertices, edge_faces = edge_records(triangles, points, self.vertices.shape[0])
         # (With no type named, JAX compiles a copy of an array of each size.)
         self.faces = jnp.asarray(triangles, np.int32)
@@ -419,6 +423,26 @@ def morton_codes(points: Any) -> Any:
     for bit in range(1, 10):
         spread |= ((cell >> bit) & 1) << (3 * bit)
     return spread[:, 0] | spread[:, 1] << 1 | spread[:, 2] << 2
+
+
+def coarse(points: np.ndarray) -> str:
+    """Return a warning that float32 rounds points to a good part of the object, if it does."""
+    if not points.size:
+        return ""
+    low, high = points.min(axis=0), points.max(axis=0)
+    size, far = float(np.max(high - low)), float(np.max(np.abs([low, high])))
+    step = float(np.spacing(np.float32(far)))
+    if step <= COARSE * size:
+        return ""
+    return (
+        f"float32 rounds vertices to steps of {step:.2g}, 1/{size / step:.0f} of the object, which"
+        f" lies {far:.3g} from the origin; move it there"
+    )
+
+
+def _say_if_coarse(points: np.ndarray) -> None:
+    if points.dtype == np.float32 and (words := coarse(points)):
+        warnings.warn(f"`vertices`: {words}, or set jax_enable_x64", stacklevel=3)
 
 
 def _say_if_loose(points: np.ndarray, triangles: np.ndarray) -> None:

@@ -9,16 +9,12 @@ import numpy as np
 
 from .._files.paths import existing, reason
 from .._mesh_files import MESH_ENDINGS, Polygons, read_polygons, triangulated
-from .._scene.scene import Mesh
+from .._scene.scene import Mesh, coarse
 from .._scene.topology import by_place
-
-#: Steps between float32 numbers that are more than this share of the object are told: a fit's own
-#: rounding is far smaller.
-COARSE = 1 / 2000
 
 
 def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None = None) -> Mesh:
-    """Return the triangles of a mesh file (obj, ply, stl, glb, gltf, off), as one mesh.
+    """Return the triangles of a mesh file (dae, glb, gltf, obj, off, ply, stl), as one mesh.
 
     Polygons of any shape in any plane are cut into triangles that run the way they do, and vertices
     at exactly the same place are merged so that faces share edges. Axes and lengths are the file's.
@@ -27,6 +23,8 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None 
       the file has them, with no animation. Triangles, strips and fans count, lines and points do
       not. Buffers are read from the file's folder and below.
     - Of an obj file all polygons count; the material files that it names are not opened.
+    - A Collada scene (needs pycollada and lxml, which `[robots]` installs) has its nodes'
+      transforms, and is in metres by its `<unit>`; `<up_axis>` turns nothing.
     - Of a ply file the faces and triangle strips count.
 
     Far from the origin float32 numbers, as those of binary stl files, have wide steps. Where these
@@ -66,32 +64,16 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None 
     merged, place = welded(polygons.points, faces)
     merged = merged.astype(float)
     try:
-        mesh = Mesh(merged, place)
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # see below
+            mesh = Mesh(merged, place)
     except ValueError as error:  # too large for float32
         raise ValueError(f"{error} (in {str(path)!r})") from error
-    if words := _coarse(merged, mesh):
-        words = f"`path`: {words} (in {str(path)!r})"
+    in_file = bool(np.all(merged == merged.astype(np.float32)))
+    if (in_file or mesh.vertices.dtype == np.float32) and (words := coarse(merged)):
+        cure = " (the file itself has float32 numbers)" if in_file else ", or set jax_enable_x64"
+        words = f"`path`: {words}{cure} (in {str(path)!r})"
         warnings.warn(words, stacklevel=2) if say is None else say(words)
     return mesh
-
-
-def _coarse(points: np.ndarray, mesh: Mesh) -> str:
-    """Return a sentence that says that vertices are rounded to a good part of the object, if they
-    are."""
-    in_file = bool(np.all(points == points.astype(np.float32)))
-    if not in_file and mesh.vertices.dtype != np.float32:
-        return ""
-    low, high = points.min(axis=0), points.max(axis=0)
-    size, far = float(np.max(high - low)), float(np.max(np.abs([low, high])))
-    step = float(np.spacing(np.float32(far)))
-    if step <= COARSE * size:
-        return ""
-    where = "the file has float32 numbers" if in_file else "JAX is set to float32"
-    cure = "move the object to the origin" + ("" if in_file else ", or set jax_enable_x64")
-    return (
-        f"vertices are rounded to steps of {step:.2g}, 1/{size / step:.0f} of the object: {where},"
-        f" and it lies {far:.3g} from the origin; {cure}"
-    )
 
 
 def _check_corners(polygons: Polygons, path: Any) -> None:

@@ -1,30 +1,18 @@
-"""Robots: the scene that a URDF and joint angles make, for `fit_joint` (needs `[robots]`).
+"""A robot: links whose poses follow from joint angles (yourdfpy's kinematics), and its scene."""
 
-yourdfpy reads the URDF and knows where links are; the meshes are welded by position, since in a
-mesh whose faces do not share their vertices every edge would be a border.
-"""
-
-import os
 import threading
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
-from ._files.paths import existing, reason
-from ._numerics.arrays import ArrayLike, Input
-from ._scene.assembly import Assembly, Posture
-from ._scene.scene import Mesh, Scene
-from .io.meshes import load_mesh, welded
+from .._numerics.arrays import ArrayLike, Input
+from .._scene.assembly import Assembly, Posture
+from .._scene.scene import Mesh, Scene
 
 if TYPE_CHECKING:
     from yourdfpy import URDF
-
-#: What only another library reads, of the mesh files that robots have.
-OTHERS = (".dae",)
-
 
 #: Of joints, by name or in their order: rad; of sliding ones m.
 Angles = Input[Mapping[str, float] | ArrayLike, "J"]
@@ -118,80 +106,3 @@ class Robot:
                 f"`angles`: expected finite numbers, got {given[wrong[0]]} of {wrong[0]}"
             )
         return given
-
-
-def load_urdf(path: str | os.PathLike[str], leave_out: Sequence[str] = ()) -> Robot:
-    """Return the robot of a URDF file: the visual shapes of its links, their meshes welded.
-
-    - `leave_out`: links that the masks do not show (a gripper).
-
-    Meshes are looked for beside the file (`package://` too, as yourdfpy does); any that `load_mesh`
-    reads, and Collada's (.dae). Lengths are the file's, as a rule metres.
-
-    Raises ModuleNotFoundError without yourdfpy (`pip install pinhole-jax[robots]`),
-    FileNotFoundError, and ValueError for what is no URDF, has no shapes, or no such link.
-
-    ```python
-    lamp = pj.robots.load_urdf("lamp.urdf")
-    ```
-    """
-    file = existing(path, "a URDF file")
-    try:
-        import yourdfpy
-    except ModuleNotFoundError as error:
-        words = "a URDF is read by yourdfpy: pip install 'pinhole-jax[robots]'"
-        raise ModuleNotFoundError(words, name=error.name) from error
-    try:
-        urdf = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
-    except Exception as error:  # whatever a reader meets that it did not expect
-        raise ValueError(
-            f"`path`: expected a URDF file, got {str(path)!r}: {reason(error)}"
-        ) from error
-    if unknown := [link for link in leave_out if link not in urdf.link_map]:
-        known = ", ".join(urdf.link_map)
-        raise ValueError(f"`leave_out`: expected links among {known}, got {unknown[0]!r}")
-    find = lambda name: yourdfpy.urdf.filename_handler_magic(name, dir=str(file.parent))
-    bodies = [
-        (name, np.eye(4) if visual.origin is None else visual.origin, _shape(visual.geometry, find))
-        for name, link in urdf.link_map.items()
-        if name not in leave_out
-        for visual in link.visuals
-    ]
-    if not bodies:
-        raise ValueError(f"`path`: expected links with visual shapes, got {str(path)!r}: none")
-    return Robot(urdf, bodies)
-
-
-def _shape(geometry: Any, find: Any) -> Mesh:
-    """Return the mesh of a link's shape, in the shape's frame."""
-    if geometry.mesh is not None:
-        mesh = _read(Path(find(geometry.mesh.filename)))
-        scale = geometry.mesh.scale
-        if scale is None:
-            return mesh
-        points = np.asarray(mesh.vertices) * np.asarray(scale, mesh.vertices.dtype)
-        return Mesh(points, mesh.faces)
-    from trimesh import creation
-
-    if geometry.box is not None:
-        solid = creation.box(geometry.box.size)
-    elif geometry.cylinder is not None:
-        solid = creation.cylinder(geometry.cylinder.radius, geometry.cylinder.length)
-    else:
-        solid = creation.icosphere(3, geometry.sphere.radius)
-    return Mesh(np.asarray(solid.vertices, np.float32), np.asarray(solid.faces))
-
-
-def _read(file: Path) -> Mesh:
-    if file.suffix.lower() not in OTHERS:
-        return load_mesh(file)
-    import trimesh
-
-    try:
-        found: Any = trimesh.load(existing(file, "a mesh file"), force="mesh")
-        points, faces = welded(np.asarray(found.vertices, float), np.asarray(found.faces))
-    except Exception as error:
-        raise ValueError(
-            f"`path`: expected a readable mesh, got {str(file)!r}: {reason(error)}"
-        ) from error
-    return Mesh(points, faces)

@@ -1,0 +1,97 @@
+"""Collada (.dae), by pycollada: polygons where the scene's nodes place them, in metres.
+
+Lengths are multiplied by the file's `<unit>`. Axes are the file's: `<up_axis>` turns nothing, as in
+the programs that robots' meshes are made for.
+"""
+
+import io
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from .polygons import Polygons
+
+#: What makes no shape and may be broken, and shapes that are not read.
+NO_SHAPE = ("animations", "cameras", "effects", "images", "lights", "materials")
+LEFT_OUT = ("bind_material", "instance_camera", "instance_light")
+UNREAD = ("instance_controller", "ph", "spline", "convex_mesh")
+#: A small file can stand for more nodes and corners than these: instances of instances.
+MOST_NODES, MOST_CORNERS = 1 << 16, 1 << 26
+
+
+def read_dae(data: bytes) -> Polygons:
+    """Return the polygons of a Collada file's scene.
+
+    Raises ValueError for skins and morphs, polygons with holes, and what pycollada refuses.
+    """
+    try:
+        from collada import Collada
+        from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
+    except ModuleNotFoundError as error:
+        raise ValueError(f"Collada is read by pycollada and lxml ({error}): install them") from None
+
+    parser = etree.XMLParser(resolve_entities=False, huge_tree=True)
+    root = etree.fromstring(data, parser)
+    libraries = (f"library_{name}" for name in NO_SHAPE)
+    etree.strip_elements(root, *(f"{{*}}{name}" for name in (*libraries, *LEFT_OUT)))
+    unread = next(root.iter(*(f"{{*}}{name}" for name in UNREAD)), None)
+    if unread is not None:
+        raise ValueError(f"<{etree.QName(unread).localname}> is not read: skins, holes or curves")
+
+    unit = next(root.iterfind("{*}asset/{*}unit"), None)
+    metres = 1.0 if unit is None else float(unit.get("meter", 1))
+    if not 0 < metres < np.inf:
+        raise ValueError(f"expected a positive <unit meter>, got {metres}")
+    # (It reads numbers up to the first that is none, and says so by this warning.)
+    with warnings.catch_warnings(action="error", category=DeprecationWarning):
+        document = Collada(io.BytesIO(etree.tostring(root)))
+    if document.scene is None:
+        raise ValueError("no <scene>")
+
+    points, corners, counts, start, total = [np.empty((0, 3))], [], [], 0, 0
+    for geometry, place in _instances(document.scene.nodes):
+        for primitive in geometry.primitives:
+            own, part, number = _polygons(primitive)
+            points.append(own @ place[:3, :3].T + place[:3, 3])
+            mirrored = np.linalg.det(place[:3, :3]) < 0
+            corners.append(start + (part[::-1] if mirrored else part))
+            counts.append(number[::-1] if mirrored else number)
+            start, total = start + len(own), total + len(own) + len(part)
+            if total > MOST_CORNERS:
+                raise ValueError(f"expected at most {MOST_CORNERS} corners, got more")
+    none = np.empty(0, int)
+    return Polygons(
+        metres * np.concatenate(points),
+        np.concatenate([none, *corners]),
+        np.concatenate([none, *counts]),
+    )
+
+
+def _instances(nodes: list[Any]) -> Iterator[tuple[Any, np.ndarray]]:
+    """Yield the scene's geometries and their places (4, 4)."""
+    waiting, number = [(node, np.eye(4)) for node in reversed(nodes)], 0
+    while waiting:
+        node, place = waiting.pop()
+        number += 1
+        if number > MOST_NODES:
+            raise ValueError(f"expected at most {MOST_NODES} nodes, got more")
+        if hasattr(node, "geometry"):
+            yield node.geometry, place
+        elif hasattr(node, "children"):
+            within = place @ node.matrix
+            waiting += [(child, within) for child in reversed(node.children)]
+
+
+def _polygons(primitive: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the points, corners and numbers of corners of one element; lines have none."""
+    from collada.lineset import LineSet
+
+    corners = primitive.vertex_index
+    if corners is None or isinstance(primitive, LineSet):
+        return np.empty((0, 3)), np.empty(0, int), np.empty(0, int)
+    counts = getattr(primitive, "vcounts", np.full(len(corners), 3))
+    if np.min(corners) < 0 or np.sum(counts) != corners.size:
+        raise ValueError("expected indices of at least 0, as many as polygons have corners")
+    return np.asarray(primitive.vertex, float), corners.ravel().astype(int), counts.astype(int)

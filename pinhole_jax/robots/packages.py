@@ -1,0 +1,62 @@
+"""The mesh files that a URDF names: relative to it, by `file://`, or in a package of ROS."""
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from urllib.parse import unquote
+
+from .._files.paths import read_text
+
+Folders = Mapping[str, str | os.PathLike[str]]
+
+
+def mesh_path(name: str, urdf: Path, packages: Folders) -> Path:
+    """Return the path of a mesh; only a package's file is known to exist.
+
+    Raises ValueError for other kinds of URI, FileNotFoundError for packages and files in them.
+    """
+    kind, _, rest = name.replace("\\", "/").rpartition("://")
+    if kind in ("package", "model"):
+        package, _, rest = rest.partition("/")
+        return _in_package(package, rest, urdf, packages)
+    if kind not in ("", "file"):
+        raise ValueError(f"expected a path, file:// or package://, got {name!r}")
+    return urdf.parent / (unquote(rest) if kind else rest)
+
+
+def _in_package(package: str, rest: str, urdf: Path, packages: Folders) -> Path:
+    """Return a package's file; a folder of the right name that lacks it may be a part of another
+    one (of Python's, say), so the next one is tried."""
+    given = [Path(packages[package])] if package in packages else _folders(package, urdf)
+    tried = []
+    for folder in given:
+        if (folder / rest).is_file():
+            return folder / rest
+        tried.append(str(folder))
+    where = ", ".join(tried) or f"no such package above or beside {str(urdf.parent)!r}"
+    raise FileNotFoundError(
+        f"expected {rest!r} of the package {package!r}, got no such file (looked in: {where});"
+        f" give `packages={{{package!r}: FOLDER}}`, or set ROS_PACKAGE_PATH"
+    )
+
+
+def _folders(package: str, urdf: Path) -> Iterator[Path]:
+    """Yield the folders of a package: those above the URDF and beside these, the nearest first,
+    then ROS's own."""
+    above = Path(os.path.abspath(urdf)).parents
+    ros = filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep))
+    for folder in [*above, *map(Path, ros)]:
+        beside = (file.parent for file in sorted(folder.glob("*/package.xml")))
+        for candidate in dict.fromkeys([folder, folder / package, *beside]):
+            if _name(candidate) == package:
+                yield candidate
+
+
+def _name(folder: Path) -> str | None:
+    """Return the name of a package: its manifest's, else its folder's."""
+    try:
+        named = re.search(r"<name>\s*([^<\s]+)\s*</name>", read_text(folder / "package.xml", ""))
+    except (OSError, ValueError):
+        named = None
+    return named[1] if named else folder.name if folder.is_dir() else None

@@ -1,0 +1,386 @@
+"""Robots' files: where meshes are, what Collada's numbers mean, which joints move, what is said."""
+
+import struct
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import pinhole_jax as pj
+
+pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
+
+CORNERS = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, 8).T
+#: A cube's faces, seen from outside.
+QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+TRIANGLES = [[a, *pair] for a, b, c, d in QUADS for pair in ((b, c), (c, d))]
+
+
+def write_stl(path, size):
+    """A cube of this size, with a corner at the origin."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows = (struct.pack("<12fH", 0, 0, 0, *size * CORNERS[t].ravel(), 0) for t in TRIANGLES)
+    path.write_bytes(bytes(80) + struct.pack("<I", 12) + b"".join(rows))
+
+
+def write_urdf(folder, body, name="a.urdf"):
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / name).write_text(f'<robot name="a">{body}</robot>')
+    return folder / name
+
+
+def link(name, shape):
+    return f'<link name="{name}"><visual><geometry>{shape}</geometry></visual></link>'
+
+
+def mesh(filename, scale=""):
+    return link("part", f'<mesh filename="{filename}" {scale}/>')
+
+
+def extent(robot, angles=()):
+    vertices = np.asarray(robot.scene(angles).mesh.vertices)
+    return np.r_[vertices.min(axis=0), vertices.max(axis=0)]
+
+
+def size_of(robot):
+    return extent(robot)[3]
+
+
+# --- packages ------------------------------------------------------------------------------------
+
+HAND = "package://hand/meshes/base.stl"
+
+
+@pytest.fixture
+def workspace(tmp_path):
+    """Two packages with a file of the same name: 1 m of an arm, 3 m of a hand."""
+    write_stl(tmp_path / "src/arm/meshes/base.stl", 1)
+    write_stl(tmp_path / "src/hand/meshes/base.stl", 3)
+    return tmp_path
+
+
+@pytest.mark.parametrize("kind", ["package", "model"])
+def test_meshes_of_two_packages_are_each_package_s_own(workspace, kind):
+    for name, size in (("arm", 1), ("hand", 3)):
+        file = write_urdf(workspace / "src/arm/urdf", mesh(f"{kind}://{name}/meshes/base.stl"))
+        assert size_of(pj.robots.load_urdf(file)) == size
+
+
+def test_package_manifests_name_packages(workspace):
+    hand = workspace / "src/hand"
+    hand.rename(workspace / "src/hand-main")
+    manifest = workspace / "src/hand-main/package.xml"
+    manifest.write_text("<package><name> hand </name><depend>arm</depend></package>")
+    file = write_urdf(workspace / "src/arm/urdf", mesh(HAND))
+    assert size_of(pj.robots.load_urdf(file)) == 3
+    # A folder of that name whose manifest says another is another package.
+    manifest.write_text("<package><name>foot</name></package>")
+    manifest.parent.rename(hand)
+    with pytest.raises(FileNotFoundError, match="no such package above or beside"):
+        pj.robots.load_urdf(file)
+
+
+def test_folders_of_packages_may_be_given(workspace, monkeypatch):
+    (workspace / "src/hand").rename(workspace / "elsewhere")
+    file = write_urdf(workspace / "src/arm/urdf", mesh(HAND))
+    found = pj.robots.load_urdf(file, packages={"hand": workspace / "elsewhere"})
+    assert size_of(found) == 3
+    words = rf"link 'part'.*'meshes/x.stl' of the package 'hand'.*looked in: {workspace}/src/arm\)"
+    other = write_urdf(workspace, mesh(HAND.replace("base", "x")))
+    with pytest.raises(FileNotFoundError, match=words):
+        pj.robots.load_urdf(other, packages={"hand": workspace / "src/arm"})
+    (workspace / "elsewhere").rename(workspace / "hand_2")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", f"/none:{workspace / 'ros'}")
+    (workspace / "ros").mkdir()
+    (workspace / "hand_2").rename(workspace / "ros/hand")
+    assert size_of(pj.robots.load_urdf(file)) == 3
+
+
+def test_files_of_other_packages_and_of_the_working_folder_are_not_taken(workspace, monkeypatch):
+    monkeypatch.chdir(workspace / "src")
+    write_stl(workspace / "src/meshes/base.stl", 9)
+    write_stl(workspace / "src/other/meshes/base.stl", 9)
+    for name in (HAND.replace("hand", "foot"), "package://foot/base.stl", "meshes/base.stl"):
+        file = write_urdf(workspace / "robots/urdf", mesh(name))
+        with pytest.raises(FileNotFoundError, match=r"link 'part'.*base.stl"):
+            pj.robots.load_urdf(file)
+    with pytest.raises(FileNotFoundError, match=r"give `packages=\{'foot': FOLDER\}`"):
+        pj.robots.load_urdf(write_urdf(workspace, mesh("package://foot/base.stl")))
+    with pytest.raises(ValueError, match="expected a path, file:// or package://, got 'http://"):
+        pj.robots.load_urdf(write_urdf(workspace, mesh("http://foot/base.stl")))
+
+
+def test_mesh_names_are_paths_or_uris_of_files(tmp_path):
+    write_stl(tmp_path / "my meshes/base.stl", 2)
+    folder = tmp_path / "urdf"
+    uri = (tmp_path / "my meshes/base.stl").as_uri()
+    for name in ("../my meshes/base.stl", "..\\my meshes\\base.stl", uri, uri[len("file://") :]):
+        file = write_urdf(folder, mesh(name.replace("%20", " ") if "://" not in name else name))
+        assert size_of(pj.robots.load_urdf(file)) == 2
+
+
+def test_mirroring_scales_turn_faces_outwards(tmp_path):
+    write_stl(tmp_path / "a.stl", 1)
+    for scale, low in (("1 1 1", 0), ("-2 1 1", -2), ("0.5", 0)):
+        robot = pj.robots.load_urdf(write_urdf(tmp_path, mesh("a.stl", f'scale="{scale}"')))
+        assert extent(robot)[0] == low
+        corners = np.asarray(robot.scene(()).mesh.vertices)[np.asarray(robot.scene(()).mesh.faces)]
+        assert np.sum(np.linalg.det(corners)) > 0
+
+
+# --- Collada -------------------------------------------------------------------------------------
+
+
+def collada(unit="1", node="", up="Z_UP", shape="", extra=""):
+    """A cube of a hundred units."""
+    triangles = " ".join(str(i) for t in TRIANGLES for i in t)
+    shape = shape or f'<triangles count="12">{{}}<p>{triangles}</p></triangles>'
+    shape = shape.format('<input semantic="VERTEX" source="#v" offset="0"/>')
+    numbers = " ".join(map(str, 100 * CORNERS.ravel()))
+    names = "".join(f'<param name="{x}" type="float"/>' for x in "XYZ")
+    return (
+        '<?xml version="1.0"?>'
+        '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>'
+        f'<unit name="u" meter="{unit}"/><up_axis>{up}</up_axis></asset>{extra}'
+        f'<library_geometries><geometry id="g"><mesh><source id="p"><float_array id="a" count="24">'
+        f'{numbers}</float_array><technique_common><accessor source="#a" count="8" stride="3">'
+        f'{names}</accessor></technique_common></source><vertices id="v"><input '
+        f'semantic="POSITION" source="#p"/></vertices>{shape}</mesh></geometry>'
+        '</library_geometries><library_visual_scenes><visual_scene id="s"><node id="n">'
+        f'{node}<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>'
+        '<scene><instance_visual_scene url="#s"/></scene></COLLADA>'
+    )
+
+
+@pytest.mark.parametrize("up", ["Z_UP", "Y_UP", "X_UP"])
+@pytest.mark.parametrize(
+    ("unit", "node", "scale", "expected"),
+    [
+        ("1", "", "", [0, 0, 0, 100, 100, 100]),
+        ("0.01", "", "", [0, 0, 0, 1, 1, 1]),
+        ("0.0254", "", "", [0, 0, 0, 2.54, 2.54, 2.54]),
+        ("0.01", "", 'scale="0.5 1 2"', [0, 0, 0, 0.5, 1, 2]),
+        ("0.01", "<scale>2 1 1</scale>", 'scale="3 1 1"', [0, 0, 0, 6, 1, 1]),
+        ("0.1", "<matrix>.01 0 0 5 0 .01 0 6 0 0 .01 7 0 0 0 1</matrix>", "",
+         [0.5, 0.6, 0.7, 0.6, 0.7, 0.8]),
+        ("0.01", "<translate>50 0 0</translate><rotate>0 0 1 90</rotate>", "",
+         [-0.5, 0, 0, 0.5, 1, 1]),
+    ],
+)  # fmt: skip
+def test_collada_units_count_once(tmp_path, up, unit, node, scale, expected):
+    (tmp_path / "a.dae").write_text(collada(unit, node, up))
+    robot = pj.robots.load_urdf(write_urdf(tmp_path, mesh("a.dae", scale)))
+    assert np.allclose(extent(robot), expected, atol=1e-5)
+
+
+def test_collada_polygons_are_cut_and_mirrors_turn_them(tmp_path):
+    """An L of six corners: a fan from its first covers more than it does."""
+    outline = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
+    numbers = " ".join(f"{x} {y} 0" for x, y in [*outline[1:], outline[0]])
+    part = '<polylist count="1">{}<vcount>6</vcount><p>0 1 2 3 4 5</p></polylist>'
+    for node, sign in (("", 1), ("<scale>-1 1 1</scale>", 1)):
+        text = collada(node=node, shape=part)
+        old = text[text.index('count="24">') + 11 : text.index("</float_array>")]
+        text = text.replace(old, numbers).replace('count="24"', 'count="18"')
+        (tmp_path / "a.dae").write_text(text.replace('count="8"', 'count="6"'))
+        loaded = pj.load_mesh(tmp_path / "a.dae")
+        a, b, c = np.moveaxis(np.asarray(loaded.vertices)[np.asarray(loaded.faces)], 1, 0)
+        areas = np.cross(b - a, c - a)[:, 2] / 2
+        assert np.allclose(sign * areas.sum(), 3)
+        assert np.all(sign * areas > 0)
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ("instance_controller", lambda: collada(node='<instance_controller url="#c"/>')),
+        ("<ph> is not read", lambda: collada(shape="<polygons count='1'>{}<ph/></polygons>")),
+        ("positive <unit meter>", lambda: collada(unit="0")),
+        ("could not convert", lambda: collada(unit="cm")),
+        ("`path`: expected a readable mesh", lambda: collada().replace("100", "1.#QNAN", 1)),
+        ("`path`: expected a readable mesh", lambda: collada()[:900]),
+        ("#h", lambda: collada().replace('url="#g"', 'url="#h"')),
+        ("at most 65536 nodes", lambda: collada(extra=doubled(40), node=instance(40))),
+        ("`path`: expected a readable mesh", lambda: entities(collada())),
+    ],
+)
+def test_collada_that_is_not_read_is_refused(tmp_path, words, text):
+    (tmp_path / "a.dae").write_text(text())
+    with pytest.raises(ValueError, match=words):
+        pj.load_mesh(tmp_path / "a.dae")
+
+
+def instance(k):
+    return f'<instance_node url="#n{k}"/>'
+
+
+def doubled(levels):
+    """Nodes that each stand for the one before twice."""
+    nodes = [f'<node id="n{k}">{2 * instance(k - 1)}</node>' for k in range(1, levels + 1)]
+    return f'<library_nodes><node id="n0"/>{"".join(nodes)}</library_nodes>'
+
+
+def entities(text):
+    """The same with a number that stands for more than memory holds."""
+    names = "abcdefghij"
+    rest = "".join(f'<!ENTITY {b} "{10 * f"&{a};"}">' for a, b in pairwise(names))
+    head = f'<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "1 1 1 1 1 1 1 1 1">{rest}]>'
+    return text.replace('<?xml version="1.0"?>', head).replace("100", "&j;", 1)
+
+
+# --- joints --------------------------------------------------------------------------------------
+
+BOX = '<box size="0.1 0.1 0.1"/>'
+
+
+def joint(name, parent, child, extra="", kind="prismatic", axis="1 0 0"):
+    """A joint one metre along y of the one before."""
+    ends = f'<parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}<origin xyz="0 1 0"/>{extra}</joint>'
+
+
+def chain(*joints):
+    return "".join(link(name, BOX) for name in "abcd") + "".join(joints)
+
+
+def mimic(leader, extra=""):
+    return f'<mimic joint="{leader}" {extra}/>'
+
+
+FREE = joint("j1", "a", "b")
+DOUBLE = joint("j2", "b", "c", mimic("j1", 'multiplier="2" offset="0.5"'))
+
+
+@pytest.mark.parametrize(
+    ("joints", "expected"),
+    [
+        # j1 = 0.3 throughout: what the others add is arithmetic.
+        ((FREE, DOUBLE, joint("j3", "c", "d", mimic("j1"))), [0.3 + 1.1 + 0.3, 3]),
+        ((FREE, DOUBLE, joint("j3", "c", "d", mimic("j2", 'multiplier="-3" offset="0.1"'))),
+         [0.3 + 1.1 - 3.3 + 0.1, 3]),
+        ((joint("j3", "c", "d", mimic("j2")), DOUBLE, FREE), [0.3 + 1.1 + 1.1, 3]),
+        ((joint("j1", "a", "b", axis="2 0 0"), joint("j2", "b", "c", kind="fixed"),
+          joint("j3", "c", "d", kind="fixed", extra=mimic("none"))), [0.3, 3]),
+        ((joint("j1", "a", "b", axis="0 0 3", kind="continuous"),
+          joint("j2", "b", "c", mimic("j1", 'multiplier="-1"'), "revolute", "0 0 0.5"),
+          joint("j3", "c", "d", mimic("j2"), axis="0 -4 0")), [-np.sin(0.3), 2.3 + np.cos(0.3)]),
+    ],
+)  # fmt: skip
+def test_joints_that_follow_others_and_long_axes(tmp_path, joints, expected):
+    robot = pj.robots.load_urdf(write_urdf(tmp_path, chain(*joints)))
+    assert robot.joints == ("j1",)
+    assert np.allclose(robot.poses([0.3])["d"][:2, 3], expected)
+
+
+SHUT = joint("j3", "c", "d", kind="fixed")
+
+
+@pytest.mark.parametrize(
+    ("words", "joints"),
+    [
+        ("joint 'j2' is floating.*fixed", (FREE, joint("j2", "b", "c", kind="floating"), SHUT)),
+        ("joint 'j2' is planar", (FREE, joint("j2", "b", "c", kind="planar"), SHUT)),
+        ("joint 'j2': expected revolute, .* got 'ball'",
+         (FREE, joint("j2", "b", "c", kind="ball"), SHUT)),
+        ("'j2' follows 'j9', which does not exist",
+         (FREE, joint("j2", "b", "c", mimic("j9")), SHUT)),
+        ("'j2' follows 'j3', which is fixed", (FREE, joint("j2", "b", "c", mimic("j3")), SHUT)),
+        ("joints j2, j3 follow each other",
+         (FREE, joint("j2", "b", "c", mimic("j3")), joint("j3", "c", "d", mimic("j2")))),
+        ("joints j2 follow each other", (FREE, joint("j2", "b", "c", mimic("j2")), SHUT)),
+        ("joint 'j2': expected an axis, got one of length 0",
+         (FREE, joint("j2", "b", "c", axis="0 0 0"), SHUT)),
+        ("joint 'j2': expected 3 finite numbers in xyz of <axis>, got '1 0'",
+         (FREE, joint("j2", "b", "c", axis="1 0"), SHUT)),
+        ("joint 'j2': expected 1 finite number in offset of <mimic>, got 'x'",
+         (FREE, joint("j2", "b", "c", mimic("j1", 'offset="x"')), SHUT)),
+        ("two of joint 'j1'", (FREE, joint("j1", "b", "c"), SHUT)),
+        ("joint 'j2': no link 'e'", (FREE, joint("j2", "b", "e"), SHUT)),
+        ("no joint's child, got a, c: join them", (FREE, SHUT)),
+        ("joint 'j4': link 'd' has a joint to 'c'",
+         (FREE, DOUBLE, SHUT, joint("j4", "a", "d"))),
+        ("link 'b' is in a circle", (joint("j1", "c", "b"), DOUBLE, joint("j3", "b", "d"))),
+        ("joint 'j2': expected a parent and a child, got no child",
+         (FREE, SHUT, '<joint name="j2" type="fixed"><parent link="b"/></joint>')),
+    ],
+)  # fmt: skip
+def test_joints_that_make_no_robot_are_named(tmp_path, words, joints):
+    with pytest.raises(ValueError, match=words):
+        pj.robots.load_urdf(write_urdf(tmp_path, chain(*joints)))
+
+
+# --- shapes, and files that are no URDF ----------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "body"),
+    [
+        ("link 'l': expected one shape .* got <capsule>.*leave_out",
+         link("l", '<capsule radius="1" length="2"/>')),
+        ("link 'l': expected one shape .* got none", link("l", "")),
+        ("link 'l': expected one shape .* got <box>, <sphere>",
+         link("l", BOX + '<sphere radius="1"/>')),
+        ("link 'l': expected one shape .* got none", '<link name="l"><visual/></link>'),
+        ("no link has a <visual> shape; <collision> shapes are not drawn",
+         link("l", BOX).replace("visual", "collision")),
+        ("no link has a <visual> shape$", '<link name="l"/>'),
+        ("got 0 links|no joint's child", ""),
+        ("link 'l': <sphere> without `radius`", link("l", "<sphere/>")),
+        ("link None: <link> without `name`", "<link/>"),
+        ("link 'l': expected 3 positive numbers in size of <box>, got '1 2'",
+         link("l", '<box size="1 2"/>')),
+        ("link 'l': expected 1 positive number in radius of <sphere>, got 'nan'",
+         link("l", '<sphere radius="nan"/>')),
+        ("two of link 'l'", 2 * link("l", BOX)),
+    ],
+)  # fmt: skip
+def test_shapes_that_are_not_read_are_named(tmp_path, words, body):
+    with pytest.raises(ValueError, match=r"`path`: expected a URDF file, got .*a.urdf") as said:
+        pj.robots.load_urdf(write_urdf(tmp_path, body))
+    assert said.match(words)
+
+
+def test_links_left_out_may_have_any_shape(tmp_path):
+    capsule = link("b", '<capsule radius="1" length="2"/>')
+    file = write_urdf(tmp_path, link("a", BOX) + capsule + joint("j", "a", "b"))
+    robot = pj.robots.load_urdf(file, leave_out=["b"])
+    assert (robot.links, robot.joints) == (("a",), ("j",))
+
+
+def test_elements_that_are_not_seen_may_be_anything(tmp_path):
+    """Collisions of other shapes, comments, namespaces that nobody declared."""
+    unseen = "<collision><geometry><capsule/></geometry></collision>"
+    unseen += '<inertial><mass value="?"/></inertial>'
+    body = link("a", f"<!-- one -->{BOX}").replace("</link>", f"{unseen}</link>")
+    file = write_urdf(tmp_path, body + '<gazebo><sensor:ray angle="$(x)"/></gazebo>')
+    file.write_text(file.read_text().replace("<robot", '<robot xmlns:xacro="http://ros.org/xacro"'))
+    assert np.allclose(extent(pj.robots.load_urdf(file)), [-0.05] * 3 + [0.05] * 3)
+
+
+XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        '<xacro:include filename="b.xacro"/>',
+        link("a", BOX) + '<xacro:macro name="m"><link name="b"/></xacro:macro>',
+        link("a", '<box size="1 1 ${height}"/>'),
+        mesh("$(find a)/a.stl"),
+        link("${prefix}a", BOX),
+    ],
+)
+@pytest.mark.parametrize("declared", [XACRO, ""])
+def test_xacro_that_is_not_expanded_is_refused(tmp_path, body, declared):
+    file = write_urdf(tmp_path, body, "a.urdf.xacro")
+    file.write_text(file.read_text().replace("<robot", f"<robot {declared}"))
+    with pytest.raises(ValueError, match=r"not expanded, .*xacro robot.urdf.xacro > robot.urdf"):
+        pj.robots.load_urdf(file)
+
+
+@pytest.mark.parametrize("text", ['<sdf version="1.6"><model name="a"/></sdf>', "", "<robot", "{}"])
+def test_files_that_are_no_urdf_are_refused(tmp_path, text):
+    (tmp_path / "a.urdf").write_text(text)
+    words = "<sdf> in place of <robot>: export" if "sdf" in text else "(no XML|Document is empty)"
+    with pytest.raises(ValueError, match=f"`path`: expected a URDF file, got .*: {words}"):
+        pj.robots.load_urdf(tmp_path / "a.urdf")
