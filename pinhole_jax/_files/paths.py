@@ -199,7 +199,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def is_deep(data: Any) -> bool:
-    """Return whether lists and maps lie in each other deeper than `MOST_DEPTH`."""
+    """Tell if lists and maps are nested deeper than `MOST_DEPTH`."""
     level = [data]
     for _ in range(MOST_DEPTH + 1):
         level = [x for part in level for x in _inside(part) if isinstance(x, (dict, list))]

@@ -140,11 +140,6 @@ def load_json(path: str | os.PathLike[str]) -> Fields:
     return Fields(data, repr(str(path)))
 
 
-def is_xml(text: str) -> bool:
-    """Return whether a file's text is meant to be XML."""
-    return text.lstrip().startswith("<")
-
-
 def parse_xml(text: str, path: str | os.PathLike[str]) -> ET.Element:
     """Return the root of a file's XML, which has no DOCTYPE."""
     try:
@@ -219,7 +214,7 @@ def number(text: str) -> float:
 
 
 def short(value: Any) -> str:
-    """Return a value in few words."""
+    """Return a value as a short text."""
     if isinstance(value, str):
         value = value[:80]
     words = repr(value.tolist() if isinstance(value, np.ndarray) else value)

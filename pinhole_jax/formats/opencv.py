@@ -178,7 +178,7 @@ def _known(file: Fields, array_of: Callable[[str, Any, str], Any]) -> Fields:
 
 
 def _lens_model(file: Fields, key: str, plain: str, known: dict[str, Any]) -> dict[str, bool]:
-    """Return what a field says of the lens's model, nothing where it is of something else."""
+    """Return a `fisheye` flag where a field is about the lens's model, else nothing."""
     if plain in FLAGS:
         fisheye = file.flag(key)
     elif plain in MODELS:
@@ -279,5 +279,5 @@ def _quoted(text: str) -> str:
 
 
 def _can_hold(text: str) -> bool:
-    """Return whether FileStorage reads a quoted text as it was."""
+    """Tell if FileStorage reads a quoted text as it was."""
     return len(text.encode()) <= MOST_BYTES and not UNPRINTABLE.search(text)

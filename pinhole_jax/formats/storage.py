@@ -6,19 +6,19 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import yaml
 
 from .._files.paths import MOST_DEPTH, is_deep, parse_json, read_text
-from .fields import KIND, Fields, is_xml, parse_xml, short
+from .fields import KIND, Fields, parse_xml, short
 
 #: The largest YAML that is read here, in characters (it takes a second and 0.3 GB).
 MOST_YAML = 1 << 20
 INTEGER = re.compile(r"[-+]?\d{1,18}")
 NUMBER = re.compile(r"[-+]?(?:\d++\.?\d*+|\.\d++)(?:[eE][-+]?\d++)?")
-WORDS = re.compile(r'"[^"]*+"?|[^\s"]++')
+PIECES = re.compile(r'"[^"]*+"?|[^\s"]++')
 
 
 class _Loader(yaml.CSafeLoader):
@@ -44,12 +44,13 @@ class _Loader(yaml.CSafeLoader):
             return node.value if node.style else _scalar(node.value)
         if isinstance(node, yaml.SequenceNode):
             return self.construct_sequence(node, deep=True)
+        assert isinstance(node, yaml.MappingNode)
         if twice := _twice(str(key.value) for key, _ in node.value):
             raise _wrong(f"the field {short(twice)} twice", node)
         return self.construct_mapping(node, deep=True)
 
-    yaml_implicit_resolvers: ClassVar[dict] = {}
-    yaml_constructors: ClassVar[dict] = {None: value}
+    yaml_implicit_resolvers = {}  # noqa: RUF012
+    yaml_constructors = {None: value}  # noqa: RUF012
 
 
 def _wrong(words: str, node: yaml.Node) -> yaml.MarkedYAMLError:
@@ -62,7 +63,7 @@ def load(path: str | os.PathLike[str]) -> Fields:
     Raises ValueError naming file and line where it is no YAML, XML or JSON of that kind.
     """
     text, where = read_text(path, KIND), repr(str(path))
-    if is_xml(text):
+    if text.lstrip().startswith("<"):
         data = _of_xml(parse_xml(text, path), where)
     elif Path(path).suffix.lower() == ".json":
         data = parse_json(text, path)
@@ -101,7 +102,7 @@ def _of_xml(element: ET.Element, where: str, depth: int = 0) -> Any:
         raise ValueError(f"`path`: expected XML, got {where}: the field {short(twice)} twice")
     if names and set(names) != {"_"}:
         return dict(zip(names, values, strict=True))
-    values += [_scalar(word) for word in WORDS.findall(element.text or "")]
+    values += [_scalar(word) for word in PIECES.findall(element.text or "")]
     return values[0] if len(values) == 1 and not children else values
 
 

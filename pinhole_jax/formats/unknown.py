@@ -47,7 +47,7 @@ def _names(data: Any) -> set[str]:
 
 
 def _kalibr(data: Any) -> str:
-    """Return what to do with the first camera's numbers."""
+    """Return advice with the first camera's numbers."""
     part = data["cam0"] if isinstance(data["cam0"], Mapping) else {}
     words = lambda name: " ".join(map(str, part[name])) if isinstance(part[name], list) else ""
     if part.get("camera_model") != "pinhole" or "intrinsics" not in part:
