@@ -144,13 +144,31 @@ def test_pycocotools_text_is_read():
         np.testing.assert_array_equal(io.mask_of_rle(rle), mask)
 
 
+def test_run_lengths_as_pycocotools_gives_them_are_read():
+    from pycocotools import mask as coco
+
+    inside = np.zeros((6, 9), np.uint8)
+    inside[1:5, 2:7] = 1
+    rle = coco.encode(np.asfortranarray(inside))
+    size, text = rle["size"], rle["counts"].decode()
+    plain = [13, 4, 2, 4, 2, 4, 2, 4, 2, 4, 13]
+    for counts in (rle["counts"], text, plain, tuple(plain), np.array(plain), [*np.array(plain)]):
+        for shape in (size, tuple(size), np.array(size), [*np.array(size)]):
+            found = io.mask_of_rle({"size": shape, "counts": counts})
+            np.testing.assert_array_equal(found, 255 * inside)
+
+
 @pytest.mark.parametrize(
     ("rle", "words"),
     [
+        ([[1.0, 1.0, 6.0, 1.0, 6.0, 4.0]], "got polygons; .*frPyObjects"),
+        (None, "got None"),
+        ({"size": [2, 2], "counts": [1.5, 2.5]}, "whole numbers"),
+        ({"size": [2, 2], "counts": b"\n"}, "pycocotools' text"),
         ({"counts": [4]}, "`size` and `counts`"),
         ({"size": [2, -2], "counts": [4]}, "`size`"),
         ({"size": [2, 2], "counts": [3]}, "runs of 4 pixels, got 3"),
-        ({"size": [2, 2], "counts": [5, -1]}, "at least 0 each"),
+        ({"size": [2, 2], "counts": [5, -1]}, "at least 0"),
         ({"size": [2, 2], "counts": "\n"}, "pycocotools' text"),
     ],
 )
@@ -346,6 +364,30 @@ def test_bop_results(rows, truths, tmp_path):
         batch.merge(batch.Results(tmp_path), tmp_path / "table.txt")
 
 
+def test_flat_table_has_a_line_for_every_row(rows, tmp_path):
+    names = ["first, of two", "second"]
+    found = [row | {"id": id} for id, row in zip(names, rows[:2], strict=True)]
+    writer = Writer(tmp_path)
+    for row in [*found, empty_row({"id": "test/1/2/3/4"}, "failed", 'no "mask"')]:
+        writer.add(row)
+    writer.flush()
+    assert batch.merge(batch.Results(tmp_path), tmp_path / "flat.csv") == 3
+    with open(tmp_path / "flat.csv", newline="") as stream:
+        *lines, last = list(csv.DictReader(stream))
+    for line, row in zip(lines, found, strict=True):
+        assert (line["id"], line["status"]) == (row["id"], "converged")
+        number = lambda *columns, line=line: [float(line[name]) for name in columns]
+        K = np.reshape(row["K"], (3, 3))
+        assert number("iou", "rms") == [row["iou"], row["rms"]]
+        assert number("fx", "fy", "cx", "cy") == [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+        R = [[float(line[f"R{i}{j}"]) for j in (1, 2, 3)] for i in (1, 2, 3)]
+        np.testing.assert_array_equal(R, np.reshape(row["R"], (3, 3)))
+        assert number("tx", "ty", "tz") == row["t"]
+        assert number(*(f"sigma_{name}" for name in row["names"])) == row["std"]
+    assert (last["id"], last["status"], last["words"]) == ("test/1/2/3/4", "failed", 'no "mask"')
+    assert last["iou"] == last["R11"] == last[f"sigma_{rows[0]['names'][0]}"] == ""
+
+
 def test_the_page_shows_the_worst(records, rows, tmp_path):
     writer = Writer(tmp_path)
     failed = {**records[0], "id": "<gone>"}
@@ -399,9 +441,49 @@ def test_detections_take_the_place_of_masks(folder, tmp_path):
     data = list(batch.read_dataset(folder / "test", detections=tmp_path / "found.json"))
     assert [record["id"] for record in data] == ["test/000003/1/7/0", "test/000003/1/7/1"]
     assert data[0]["mask"] == rle
-    (tmp_path / "found.json").write_text("{}")
-    with pytest.raises(ValueError, match=r"`detections`.*a list"):
-        batch.read_dataset(folder / "test", detections=tmp_path / "found.json")
+
+
+DETECTION = {"scene_id": 1, "image_id": 0, "category_id": 7, "segmentation": None}
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        ({}, "`detections`: expected a list of objects"),
+        ([3], "`detections`: expected a list of objects"),
+        ({"annotations": [DETECTION]}, "`detections`.*got COCO's annotations of its own images"),
+        ([{**DETECTION, "scene_id": None}], "`scene_id`.* in number 0, got None"),
+        ([DETECTION, {"image_id": 1}], "`scene_id`.* in number 1, got None"),
+        ([{**DETECTION, "image_id": "a.png"}], "`image_id`, a number, got 'a.png'"),
+        ([{**DETECTION, "category_id": 1.5}], "`category_id`, a number, got 1.5"),
+    ],
+)
+def test_detections_of_other_kinds_are_refused(folder, tmp_path, found, words):
+    (tmp_path / "found.json").write_text(json.dumps(found))
+    with pytest.raises(ValueError, match=words):
+        list(batch.read_dataset(folder / "test", detections=tmp_path / "found.json"))
+
+
+def test_scenes_of_other_names_and_objects_without_pose_are_refused(tmp_path):
+    scene = tmp_path / "test" / "scene1"
+    scene.mkdir(parents=True)
+    (tmp_path / "models").mkdir()
+    (tmp_path / "found.json").write_text(json.dumps([DETECTION]))
+    (scene / "scene_camera.json").write_text('{"0": {}}')
+    with pytest.raises(ValueError, match=r"`path`.*`scene_id`.*'scene1'"):
+        batch.read_dataset(tmp_path / "test", detections=tmp_path / "found.json")
+    for objects, start, words in (
+        ([], False, r"objects by image.*\[\]"),
+        ({"a": [{"obj_id": 7}]}, False, "the image's number, got 'a'"),
+        ({"0": {}}, False, "a list of objects"),
+        ({"0": [{}]}, False, "`obj_id`, a number, got None"),
+        ({"0": [{"obj_id": 7}]}, True, "`cam_R_m2c` and `cam_t_m2c` to start from"),
+    ):
+        (scene / "scene_gt.json").write_text(json.dumps(objects))
+        with pytest.raises(ValueError, match=f"`path`.*{words}"):
+            list(batch.read_dataset(tmp_path / "test", start=start))
+    (scene / "scene_gt.json").write_text('{"0": [{"obj_id": 7}]}')
+    assert [r["id"] for r in batch.read_dataset(tmp_path / "test")] == ["test/scene1/0/7/0"]
 
 
 @pytest.mark.parametrize("ending", [".csv", ".jsonl", ".parquet"])
@@ -742,6 +824,12 @@ def test_the_command(records, rows, folder, tmp_path, capsys):
     np.testing.assert_allclose(K.ravel(), rows[0]["K"], rtol=1e-12)
     np.testing.assert_allclose(t, rows[0]["t"], atol=1e-13 * np.linalg.norm(t))
     assert (tmp_path / "page.html").exists()
+
+    writer.add(empty_row({"id": "test/1/2/3/4"}, "failed", ""))
+    writer.flush()
+    command.main(["batch", "-o", str(out), "--merge", str(tmp_path / "bop.csv")])
+    assert "bop.csv (without 1 rows that have no camera)" in capsys.readouterr().out
+    sorted(out.glob("part-*"))[-1].unlink()
 
     # All is done: nothing is to be fitted. But that has to be asked for.
     again = ["batch", str(folder / "test"), "-o", str(out), "--start"]

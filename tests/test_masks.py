@@ -1,5 +1,7 @@
 """A mask that is black on white is noticed by its border; an object that is cut off is none."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from oracles import drawn
@@ -68,6 +70,188 @@ def test_a_mask_that_covers_all_or_nothing_is_left_to_the_fit(tmp_path):
     for value in (0, 255):
         Image.new("L", (9, 1), value).save(tmp_path / "mask.png")
         assert np.all(io.load_mask(tmp_path / "mask.png") == value)
+
+
+# --- transparency and colours ---------------------------------------------------------------------
+
+
+def disc(softness=1.0):
+    """A disc, its edge soft over so many pixels."""
+    y, x = np.mgrid[:H, :W]
+    return np.clip((28.5 - np.hypot(x - 50.3, y - 41.7)) / softness, 0, 1)
+
+
+SOFT = np.uint8(np.round(255 * disc()))
+WHITE, BLACK = np.full_like(SOFT, 255), np.zeros_like(SOFT)
+HARD = np.where(SOFT > 0, WHITE, BLACK)
+CHEQUER = np.uint8(255 * (np.indices((H, W)).sum(0) // 8 % 2))
+TEXTURE = np.random.default_rng(0).integers(20, 235, (H, W, 3), np.uint8)
+
+
+def palette(entries):
+    """The soft disc, each grey an entry of a palette."""
+    image = Image.fromarray(SOFT).convert("P")
+    image.putpalette([channel for k in entries for channel in (k, k, k)])
+    return image
+
+
+def channels(*parts):
+    return Image.fromarray(np.dstack(parts))
+
+
+@pytest.mark.parametrize(
+    ("image", "how"),
+    [
+        pytest.param(Image.fromarray(SOFT), {"transparency": 0}, id="grey, black is clear"),
+        pytest.param(Image.fromarray(np.uint16(257) * SOFT), {"transparency": 0}, id="16 bits"),
+        pytest.param(channels(SOFT, SOFT, SOFT), {"transparency": (0, 0, 0)}, id="RGB"),
+        pytest.param(channels(SOFT, BLACK, BLACK), {"transparency": (0, 0, 0)}, id="red"),
+        pytest.param(palette(range(256)), {"transparency": 0}, id="palette"),
+        pytest.param(palette(range(256)), {"transparency": b"\0"}, id="palette, bytes"),
+        pytest.param(palette([255] * 256), {"transparency": bytes(range(256))}, id="white palette"),
+        pytest.param(palette(range(256)), {"transparency": bytes(range(256))}, id="premultiplied"),
+        pytest.param(channels(SOFT, HARD), {}, id="hard alpha"),
+        pytest.param(channels(SOFT, SOFT, SOFT, HARD), {}, id="RGBA, hard alpha"),
+        pytest.param(channels(BLACK, SOFT, SOFT, HARD), {}, id="cyan, hard alpha"),
+        pytest.param(channels(SOFT, SOFT), {}, id="alpha is the same"),
+        pytest.param(channels(WHITE, SOFT), {}, id="white, soft alpha"),
+        pytest.param(channels(BLACK, SOFT), {}, id="black, soft alpha"),
+        pytest.param(channels(WHITE, BLACK, BLACK, SOFT), {}, id="red, soft alpha"),
+        pytest.param(channels(SOFT, BLACK, BLACK, SOFT), {}, id="red, premultiplied"),
+        pytest.param(channels(TEXTURE, SOFT), {}, id="cut out of a photo"),
+        pytest.param(channels(TEXTURE[..., 0], SOFT), {}, id="cut out of a grey photo"),
+        pytest.param(channels(SOFT, WHITE), {}, id="opaque"),
+        pytest.param(channels(SOFT, WHITE // 2), {}, id="half opaque everywhere"),
+    ],
+)
+def test_soft_edge_counts_once_whether_colours_or_transparency_hold_it(tmp_path, image, how):
+    image.save(tmp_path / "mask.png", **how)
+    np.testing.assert_array_equal(io.load_mask(tmp_path / "mask.png"), SOFT)
+
+
+@pytest.mark.parametrize(
+    ("image", "how"),
+    [
+        pytest.param(channels(CHEQUER, HARD), {}, id="black and white object"),
+        pytest.param(Image.fromarray(255 - SOFT), {"transparency": 255}, id="black object"),
+        pytest.param(Image.fromarray(SOFT), {"transparency": 255}, id="white is clear"),
+        pytest.param(channels(SOFT, np.roll(SOFT, 3)), {}, id="two soft edges"),
+    ],
+)
+def test_transparency_that_contradicts_colours_is_refused(tmp_path, image, how):
+    image.save(tmp_path / "mask.png", **how)
+    with pytest.raises(
+        ValueError, match=r"`mask_from` alpha \(--mask-from alpha\) or `mask_from` l"
+    ):
+        io.load_mask(tmp_path / "mask.png")
+
+
+def test_picture_that_is_transparent_everywhere_is_refused(tmp_path):
+    channels(SOFT, BLACK).save(tmp_path / "mask.png")
+    with pytest.raises(ValueError, match=r"transparent everywhere; .* luminance"):
+        io.load_mask(tmp_path / "mask.png")
+    np.testing.assert_array_equal(io.load_mask(tmp_path / "mask.png", "luminance"), SOFT)
+    channels(WHITE, BLACK).save(tmp_path / "mask.png")
+    assert not np.any(io.load_mask(tmp_path / "mask.png"))
+
+
+# --- labels ---------------------------------------------------------------------------------------
+
+
+def labelled(first, second, dtype, where="beside"):
+    """A disc of one label, and another label in a corner, or in a ring about the disc."""
+    y, x = np.mgrid[:H, :W]
+    radius = np.hypot(x - 50.3, y - 41.7)
+    labels = np.where(radius < 28.5, first, 0).astype(dtype)
+    labels[(x > 80) & (y < 20) if where == "beside" else np.abs(radius - 28.5) < 2.5] = second
+    return labels
+
+
+@pytest.mark.parametrize(
+    ("dtype", "first", "second"),
+    [
+        (np.uint8, 1, 2),
+        (np.uint8, 1, 255),
+        (np.uint8, 250, 251),
+        (np.uint8, 128, 255),
+        (np.uint16, 26001, 26002),
+        (np.uint16, 1, 1000),
+        (np.uint16, 300, 65535),
+        (np.int32, 70000, 70001),
+        (np.int32, 1, -1),
+        (np.float32, 1, 2),
+    ],
+)
+@pytest.mark.parametrize("where", ["beside", "ring"])
+def test_labels_of_any_depth_are_refused_and_listed(tmp_path, dtype, first, second, where):
+    if where == "ring" and second - first == 1 and first > 9:
+        pytest.skip("the same but for an edge")
+    labels = labelled(first, second, dtype, where)
+    Image.fromarray(labels).save(tmp_path / "mask.tiff")
+    listed = ", ".join(map(str, sorted({0, first, second})))
+    hint = rf"`mask_from` label={first} \(--mask-from label={first}\)"
+    with pytest.raises(ValueError, match=rf"the values {listed}\b.*{hint}") as caught:
+        io.load_mask(tmp_path / "mask.tiff")
+    assert ("often void" in str(caught.value)) == (second in (255, 65535))
+    said = []
+    mask = io.load_mask(tmp_path / "mask.tiff", f"label={first}", said.append)
+    np.testing.assert_array_equal(mask > 0, labels == first)
+    assert ("often void" in said[0]) == (second in (255, 65535))
+
+
+def test_labels_of_a_palette_or_a_clear_background_are_refused(tmp_path):
+    labels = labelled(1, 2, np.uint8)
+    grey = Image.fromarray(labels).convert("P")
+    grey.putpalette([0, 0, 0, 255, 255, 255, 90, 90, 90])
+    coloured = Image.fromarray(labels).convert("P")
+    coloured.putpalette([0, 0, 0, 128, 0, 0, 0, 128, 0])
+    rgb = Image.fromarray(np.dstack([100 * labels] * 3))
+    cases: list[tuple[Image.Image, dict[str, Any], str]] = [
+        (grey, {}, "0, 1, 2; .* label=1 "),
+        (coloured, {"transparency": 0}, "1, 2; .* label=1 "),
+        (Image.fromarray(labels), {"transparency": 0}, "1, 2; .* label=1 "),
+        (Image.fromarray(labels + np.uint16(26000)), {"transparency": 26000}, "26001, 26002; "),
+        (rgb, {}, "0, 100, 200; save it as grey"),
+        (rgb, {"transparency": (0, 0, 0)}, "100, 200; save it as grey"),
+    ]
+    for image, how, listed in cases:
+        image.save(tmp_path / "mask.png", **how)
+        with pytest.raises(ValueError, match=f"flat areas of the values {listed}"):
+            io.load_mask(tmp_path / "mask.png")
+
+
+def test_sixty_instances_of_one_class_are_refused(tmp_path):
+    numbers = np.zeros((H, W), np.uint16)
+    for k, (row, column) in enumerate(np.ndindex(6, 10)):
+        numbers[13 * row + 1 : 13 * row + 11, 9 * column + 1 : 9 * column + 8] = 26001 + k
+    Image.fromarray(numbers).save(tmp_path / "mask.png")
+    with pytest.raises(ValueError, match=r"0, 26001, 26002, .*, \.\.\.; "):
+        io.load_mask(tmp_path / "mask.png")
+
+
+@pytest.mark.parametrize("quality", [10, 40, 75, 95, 100])
+def test_masks_of_jpegs_are_masks_in_any_file(tmp_path, quality):
+    for mask in (SOFT, HARD):
+        Image.fromarray(mask).save(tmp_path / "mask.jpg", quality=quality)
+        with Image.open(tmp_path / "mask.jpg") as lossy:
+            lossy.save(tmp_path / "mask.png")
+        for name in ("mask.jpg", "mask.png"):
+            assert np.mean(np.abs(io.load_mask(tmp_path / name) / 255 - mask / 255)) < 0.03
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int32, np.float32])
+def test_masks_of_two_levels_and_soft_edges_are_read_in_any_depth(tmp_path, dtype):
+    mosts = (255,) if dtype == np.uint8 else (1000, 26001)
+    for softness in (1, 3, 9):
+        for most in mosts:
+            image = disc(softness) * most
+            image = image.astype(dtype) if dtype == np.float32 else np.round(image).astype(dtype)
+            Image.fromarray(image).save(tmp_path / "mask.tiff")
+            mask = io.load_mask(tmp_path / "mask.tiff")
+            np.testing.assert_allclose(mask / 255, disc(softness), atol=1 / 200)
+    enlarged = np.round(mosts[0] * disc()).astype(dtype).repeat(3, 0).repeat(3, 1)
+    Image.fromarray(enlarged).save(tmp_path / "mask.tiff")
+    assert io.load_mask(tmp_path / "mask.tiff").shape == (3 * H, 3 * W)
 
 
 # --- crumbs and pinholes --------------------------------------------------------------------------

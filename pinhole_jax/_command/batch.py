@@ -137,8 +137,9 @@ def _written(options: argparse.Namespace, results: Results) -> Iterator[str]:
     """Write what is asked for; yield the paths."""
     if options.merge is not None:
         with named(path="--merge"):
-            merge(results, options.merge)
-        yield options.merge
+            count = merge(results, options.merge)
+        left_out = len(results) - count
+        yield options.merge + (f" (without {left_out} rows that have no camera)" * (left_out > 0))
     if options.report is not None:
         with named(path="--report"):
             page.write(options.report, results)

@@ -6,9 +6,19 @@ import json
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from reprlib import repr as brief
 from typing import Any
 
-from .._files.paths import existing, is_folder, path_of, read_bytes, read_json, text_of
+from .._files.naming import named
+from .._files.paths import (
+    existing,
+    is_folder,
+    parse_json,
+    path_of,
+    read_bytes,
+    read_json,
+    text_of,
+)
 from .records import FIELDS, MAY_BE_NONE, PATHS, Record
 
 #: The endings of meshes, masks and tables.
@@ -56,8 +66,8 @@ def read_dataset(
     - BOP: the folder of a split, or of one scene: `scene_camera.json`, `scene_gt.json` (which
       object each mask shows; with `start` also where to start), `mask_visib`. `models` is the
       folder of obj_000001.ply and so on (None: beside the split). `detections`: a JSON of COCO's,
-      as BOP's segmentation challenge has them, whose masks take the place of `mask_visib`. Ids are
-      split/scene/image/object/number.
+      as BOP's segmentation challenge has them (with `scene_id`), whose masks take the place of
+      `mask_visib`. Ids are split/scene/image/object/number.
     - A table (.csv, .jsonl, .parquet): a record a row; paths are relative to it. A CSV's K, dist
       and start are numbers between blanks.
     - A folder: one mesh, masks (those in `masks`, if there is one), and a camera's file
@@ -85,7 +95,7 @@ def read_dataset(
     scenes = _scenes(place)
     if scenes:
         shapes = _models(place, models)
-        seen = None if detections is None else _detected(detections)
+        seen = None if detections is None else _detected(detections, scenes)
         return Dataset("BOP", lambda: _with(rest, _of_bop(scenes, shapes, seen, start)))
     return Dataset("folder", lambda: _with(rest, _of_folder(place)))
 
@@ -122,20 +132,27 @@ def _models(place: Path, models: str | os.PathLike[str] | None) -> Path:
 
 
 def _of_bop(
-    scenes: list[Path], models: Path, detections: dict[int, list[Any]] | None, start: bool
+    scenes: list[Path], models: Path, detections: dict[Path, list[Any]] | None, start: bool
 ) -> Iterator[Record]:
     for scene in scenes:
-        cameras = read_json(scene / "scene_camera.json", "BOP's cameras")
+        cameras = _by_image(scene / "scene_camera.json", "BOP's cameras")
         if detections is None:
-            objects = read_json(scene / "scene_gt.json", "BOP's objects")
-            found = _labelled(scene, objects, start)
+            found = _labelled(scene, _by_image(scene / "scene_gt.json", "BOP's objects"), start)
         else:
-            found = _segmented(detections.get(int(scene.name), []))
+            found = _segmented(detections.get(scene, []))
         for image, number, object_, fields in found:
             id = f"{scene.parent.name}/{scene.name}/{image}/{object_}/{number}"
-            K = cameras.get(image, {}).get("cam_K")
+            camera = cameras.get(image)
+            K = camera.get("cam_K") if isinstance(camera, dict) else None
             mesh = models / f"obj_{object_:06d}.ply"
             yield {"id": id, "mesh": str(mesh), **({} if K is None else {"K": K}), **fields}
+
+
+def _by_image(path: Path, kind: str) -> dict[str, Any]:
+    data = read_json(path, kind)
+    if not isinstance(data, dict):
+        raise ValueError(f"`path`: expected {kind} by image, got {str(path)!r}: {brief(data)}")
+    return data
 
 
 def _labelled(
@@ -143,33 +160,68 @@ def _labelled(
 ) -> Iterator[tuple[str, int, int, dict[str, Any]]]:
     """Yield the image, the number in it, the object, and the mask of each that BOP has labelled."""
     for image, poses in objects.items():
-        for number, pose in enumerate(poses):
-            mask = scene / "mask_visib" / f"{int(image):06d}_{number:06d}.png"
-            fields: dict[str, Any] = {"mask": str(mask)}
+        place = f"`path`: {scene / 'scene_gt.json'}, image {image!r}"
+        file = _whole(image, f"{place}: expected the image's number")
+        for number, pose in enumerate(_items(poses, place)):
+            object_ = _whole(pose.get("obj_id"), f"{place}: expected `obj_id`, a number")
+            fields: dict[str, Any] = {
+                "mask": str(scene / "mask_visib" / f"{file:06d}_{number:06d}.png")
+            }
             if start:
-                R, t = pose["cam_R_m2c"], pose["cam_t_m2c"]
+                R, t = pose.get("cam_R_m2c"), pose.get("cam_t_m2c")
+                if not (isinstance(R, list) and isinstance(t, list) and (len(R), len(t)) == (9, 3)):
+                    raise ValueError(f"{place}: expected `cam_R_m2c` and `cam_t_m2c` to start from")
                 rows = [[*R[3 * k : 3 * k + 3], t[k]] for k in range(3)]
                 fields["start"] = [*rows, [0, 0, 0, 1]]
-            yield image, number, int(pose["obj_id"]), fields
+            yield image, number, object_, fields
 
 
-def _detected(path: str | os.PathLike[str]) -> dict[int, list[Any]]:
-    """Return COCO's detections, by scene."""
-    data = json.loads(text_of(read_bytes(path, "COCO's detections", MOST_BYTES), path, "JSON"))
-    if not isinstance(data, list):
-        raise ValueError("`detections`: expected a list of detections, got something else")
-    scenes: dict[int, list[Any]] = {}
-    for found in data:
-        scenes.setdefault(int(found["scene_id"]), []).append(found)
-    return scenes
+def _detected(path: str | os.PathLike[str], scenes: list[Path]) -> dict[Path, list[Any]]:
+    """Return COCO's detections by the folder of their scene."""
+    with named(path="detections"):
+        text = text_of(read_bytes(path, "COCO's detections", MOST_BYTES), path, "JSON")
+        data = parse_json(text, path)
+    if isinstance(data, dict) and "annotations" in data:
+        words = "expected a list of detections, as BOP's segmentation challenge has them"
+        raise ValueError(f"`detections`: {words}, got COCO's annotations of its own images")
+    folders = {int(scene.name): scene for scene in scenes if scene.name.isdecimal()}
+    if others := [scene.name for scene in scenes if not scene.name.isdecimal()]:
+        words = "expected scenes' folders named by the `scene_id` of `detections`, as 000001"
+        raise ValueError(f"`path`: {words}, got {others[0]!r}")
+    found: dict[Path, list[Any]] = {}
+    for number, one in enumerate(_items(data, "`detections`")):
+        words = f"`detections`: expected `scene_id`, the number of a BOP scene, in number {number}"
+        scene = _whole(one.get("scene_id"), words)
+        if scene in folders:
+            found.setdefault(folders[scene], []).append(one)
+    return found
 
 
 def _segmented(found: list[Any]) -> Iterator[tuple[str, int, int, dict[str, Any]]]:
+    """Yield the image, the number in it, the object, and the mask of each detection."""
     numbers: dict[int, int] = {}
     for one in found:
-        image = int(one["image_id"])
+        image, object_ = (
+            _whole(one.get(name), f"`detections`: expected `{name}`, a number")
+            for name in ("image_id", "category_id")
+        )
         number = numbers[image] = numbers.get(image, -1) + 1
-        yield str(image), number, int(one["category_id"]), {"mask": one["segmentation"]}
+        yield str(image), number, object_, {"mask": one.get("segmentation")}
+
+
+def _items(values: Any, place: str) -> list[dict[str, Any]]:
+    """Return a list of JSON objects, or raise ValueError."""
+    if not isinstance(values, list) or not all(isinstance(one, dict) for one in values):
+        raise ValueError(f"{place}: expected a list of objects, got {brief(values)}")
+    return values
+
+
+def _whole(value: Any, words: str) -> int:
+    """Return a whole number, also of a text; raise ValueError with some words for what is none."""
+    with contextlib.suppress(TypeError, ValueError):
+        if not isinstance(value, bool) and int(value) == float(value):
+            return int(value)
+    raise ValueError(f"{words}, got {value!r}")
 
 
 def _of_table(path: Path) -> Iterator[Record]:

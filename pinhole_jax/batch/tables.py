@@ -1,9 +1,11 @@
-"""All rows as one table: Parquet, JSON lines, or BOP's results."""
+"""All rows as one table: Parquet, JSON lines, BOP's results, or a flat one."""
 
+import csv
 import itertools
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from io import StringIO
 from typing import TYPE_CHECKING, Any
 
 from .._files.paths import path_of, replace_file
@@ -19,6 +21,12 @@ else:
 GROUP = 1000
 #: What a path's ending asks for.
 ENDINGS = (".parquet", ".jsonl", ".csv")
+#: The columns of a flat table whose numbers are parts of a row's lists, and which parts.
+PARTS = {
+    "K": {"fx": 0, "fy": 4, "cx": 2, "cy": 5},
+    "R": {f"R{k // 3 + 1}{k % 3 + 1}": k for k in range(9)},
+    "t": {"tx": 0, "ty": 1, "tz": 2},
+}
 
 
 def merge(results: Results, path: str | os.PathLike[str]) -> int:
@@ -26,8 +34,10 @@ def merge(results: Results, path: str | os.PathLike[str]) -> int:
 
     - .parquet: columns as `batch.COLUMNS` has them; needs pyarrow.
     - .jsonl: a line of JSON for each row, without pyarrow.
-    - .csv: BOP's results (scene_id,im_id,obj_id,score,R,t,time) of the rows with a camera whose ids
-      come from a BOP data set; the score is the IoU, lengths are the models' (there mm).
+    - .csv: BOP's results (scene_id,im_id,obj_id,score,R,t,time) if all ids come from a BOP data
+      set: the rows with a camera; the score is the IoU, lengths are the models' (there mm). Of
+      other data a line for every row: id, status, iou, rms, fx, fy, cx, cy, R11 to R33, tx, ty, tz
+      (as `K`, `R` and `t` of the row), standard errors (sigma_) and words.
 
     Raises ValueError for other endings, and for a file that cannot be written.
 
@@ -44,9 +54,9 @@ def merge(results: Results, path: str | os.PathLike[str]) -> int:
 
     def lines() -> Iterator[bytes]:
         nonlocal count
-        for line in _bop_lines(results) if ending == ".csv" else map(line_of, results):
+        for line in _csv_lines(results) if ending == ".csv" else map(line_of, results):
             count += 1
-            yield f"{line}\n".encode()
+            yield f"{line}\n".encode(errors="backslashreplace")
 
     replace_file(path, lines())
     return count - (ending == ".csv")  # its first line has the names
@@ -89,11 +99,40 @@ def _groups(rows: Iterator[Row]) -> Iterator[list[Row]]:
         yield group
 
 
-def _bop_ids(row: Row) -> tuple[int, int, int] | None:
-    """Return a row's scene, image and object, None where its id has none."""
-    parts = row["id"].split("/")
+def _csv_lines(results: Results) -> Iterator[str]:
+    """Yield the lines of a CSV: BOP's results if all ids are BOP's."""
+    ids = results.ids()
+    if ids and all(_bop_ids(id) for id in ids):
+        return _bop_lines(results)
+    return _flat_lines(results)
+
+
+def _flat_lines(results: Results) -> Iterator[str]:
+    sigmas = [*dict.fromkeys(name for row in results for name in row["names"] or ())]
+    parts = [name for names in PARTS.values() for name in names]
+    errors = [f"sigma_{name}" for name in sigmas]
+    yield _csv_line(["id", "status", "iou", "rms", *parts, *errors, "words"])
+    for row in results:
+        found = dict(zip(row["names"] or (), row["std"] or (), strict=True))
+        numbers = [
+            "" if row[field] is None else row[field][k]
+            for field, names in PARTS.items()
+            for k in names.values()
+        ]
+        first = [row["id"], row["status"], row["iou"], row["rms"]]
+        yield _csv_line([*first, *numbers, *(found.get(name) for name in sigmas), row["words"]])
+
+
+def _csv_line(values: Iterable[object]) -> str:
+    line = StringIO()
+    csv.writer(line, lineterminator="").writerow(values)
+    return line.getvalue()
+
+
+def _bop_ids(id: str) -> tuple[int, int, int] | None:
+    """Return the scene, image and object of a row's id, None where it has none."""
     try:
-        scene, image, object_, _ = map(int, parts[-4:])
+        scene, image, object_, _ = map(int, id.split("/")[-4:])
     except ValueError:
         return None
     return scene, image, object_
@@ -103,12 +142,12 @@ def _bop_lines(results: Results) -> Iterator[str]:
     """Yield BOP's results. The time is a whole image's in each of its lines, as BOP's tools ask."""
     seconds: dict[tuple[int, int], float] = {}
     for row in results:
-        if row["R"] is not None and (ids := _bop_ids(row)):
+        if row["R"] is not None and (ids := _bop_ids(row["id"])):
             seconds[ids[:2]] = seconds.get(ids[:2], 0.0) + row["seconds"]
     numbers = lambda values: " ".join(repr(float(x)) for x in values)
     yield "scene_id,im_id,obj_id,score,R,t,time"
     for row in results:
-        if row["R"] is not None and (ids := _bop_ids(row)):
+        if row["R"] is not None and (ids := _bop_ids(row["id"])):
             scene, image, object_ = ids
             R, t = numbers(row["R"]), numbers(row["t"])
             time = f"{seconds[scene, image]:.6f}"

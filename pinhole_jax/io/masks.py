@@ -4,6 +4,7 @@ What a picture's values mean is not guessed where it matters: a picture that is 
 sight is refused, with the ways to read it.
 """
 
+import contextlib
 import os
 import re
 from collections.abc import Callable
@@ -13,16 +14,17 @@ import numpy as np
 
 from .._files.pictures import BAND, Image, bands, by_bands, eight_bits, from_picture, rows
 from .._mask.target import MOST_BORDER, covered_border
+from .labels import FEW, labels_in
 from .tidy import SPECK, parts
+from .transparency import DARK, GREY, LIGHT, opacity, opaque_pixels, seen_through
 
 #: The ways to read a mask, as `mask_from` and the command's `--mask-from` name them.
 WAYS = "alpha, luminance, label=N, background=COLOR (or COLOR,TOLERANCE)"
-#: Grey values (of 255) between these are the in-between of an edge.
-DARK, LIGHT = 26, 229
-#: Channels that differ by less than this (of 255) are grey: JPEG leaves a few.
-GREY = 8
-#: How a mask was read that is a picture's transparency.
+#: How a mask was read that is a picture's transparency, or that and its colours.
 ALPHA = "mask: the transparency (alpha)"
+BOTH = "mask: the colours where they are not transparent"
+#: What data sets write for pixels that nobody labelled.
+VOID = (255, 65535)
 #: Soft edges of a background mask reach this far (px) to both sides.
 BAND_PX = 2
 #: The nearest colour of the object is looked for this many rows (px) around.
@@ -43,8 +45,10 @@ def load_mask(
     `mask_from` is how to read it:
 
     - None: transparency if it varies, else a grey picture that is mostly black and white, soft
-      edges as they are (a JPEG's too: its ringing costs a fit less than a threshold would). One
-      that covers its border, as black on white does, is refused: give `invert`, or say how it is.
+      edges as they are (a JPEG's too: its ringing costs a fit less than a threshold would). Where
+      transparency is all or nothing and the colours hold the soft edge, both count. Refused are
+      pictures of more than two flat levels (labels) and those that cover their border, as black on
+      white does: give `invert`, or say how it is.
     - "alpha": the transparency. "luminance": the brightness, whatever it is.
     - "label=N": the pixels with this grey value or palette entry; edges are hard.
     - "background=COLOR": a photo before a background of one colour, by name or as #rrggbb. The
@@ -125,7 +129,7 @@ def _check_border(read: Read) -> None:
     share = covered_border(inside)
     if share <= MOST_BORDER or np.all(inside):
         return
-    ways = {"": "luminance", ALPHA: "alpha"}
+    ways = {"": "luminance", BOTH: "luminance", ALPHA: "alpha"}
     way = ways.get(read.words, "label=1")
     raise ValueError(
         f"a picture that covers {share:.0%} of its border, like a black object on white; give"
@@ -136,7 +140,7 @@ def _check_border(read: Read) -> None:
 
 def _read(image: Image, way: Way) -> Read:
     if way.name == "alpha":
-        return _alpha(image)
+        return Read(opacity(image), ALPHA)
     if way.name == "luminance":
         return Read(eight_bits(image), "mask: its brightness")
     if way.name == "label":
@@ -147,16 +151,14 @@ def _read(image: Image, way: Way) -> Read:
 
 
 def _at_first_sight(image: Image) -> Read:
-    if image.has_transparency_data:
-        read = _alpha(image)
-        if read.mask.min() < 255:
-            return read
+    if image.has_transparency_data and (read := _transparent(image)) is not None:
+        return read
     if _two_colours(image):
         return Read(_label(image, 1).mask, "mask: its palette's entry 1")
-    if not image.mode.startswith(("1", "L", "I", "F")):
-        grey = by_bands(image, _grey)
-    else:
-        grey = eight_bits(image)
+    is_grey = image.mode != "P" and _has_numbers(image)
+    grey = eight_bits(image) if is_grey else by_bands(image, _grey)
+    labels = labels_in(image, np.asarray if is_grey else _grey)
+    _check_labels(image, _entries(image, labels) if image.mode == "P" else labels)
     between = np.count_nonzero((grey >= DARK) & (grey <= LIGHT))
     if between > np.count_nonzero(grey > LIGHT):
         raise ValueError(
@@ -170,6 +172,70 @@ def _at_first_sight(image: Image) -> Read:
     return Read(grey, "")
 
 
+def _transparent(image: Image) -> Read | None:
+    """Return the mask of a picture whose transparency varies, None where it does not."""
+    opaque = opacity(image)
+    most = opaque.max()
+    if opaque.min() == most:
+        if most == 0 and _varies(image):
+            words = "a picture that is transparent everywhere; say what is the object"
+            raise ValueError(f"{words}: {WAYS}")
+        return None if most else Read(opaque, ALPHA)
+    _check_labels(image, _labels_that_show(image))
+    mask = seen_through(image, opaque)
+    return Read(opaque, ALPHA) if mask is None else Read(mask, BOTH)
+
+
+def _varies(image: Image) -> bool:
+    """Return whether a picture has more than one colour."""
+    return any(low != high for low, high in image.convert("RGBA").getextrema()[:3])
+
+
+def _labels_that_show(image: Image) -> np.ndarray:
+    """Return the labels of a picture in which one value or colour is transparent."""
+    none = np.zeros(0)
+    if image.mode in ("LA", "PA", "RGBA") or (image.mode == "P" and not image.getcolors(FEW)):
+        return none
+    numbers = np.asarray if _has_numbers(image) else _grey
+    hidden = lambda band: opaque_pixels(band) == 0
+    with contextlib.suppress(ValueError):
+        minus = np.int32(-1)
+        labels = labels_in(image, lambda band: np.where(hidden(band), minus, numbers(band)))
+        labels = labels[labels >= 0]
+        return labels if len(labels) > 1 else none
+    return none  # colours
+
+
+def _has_numbers(image: Image) -> bool:
+    """Return whether a pixel is one number."""
+    return image.mode in ("1", "L", "P") or image.mode.startswith(("I", "F"))
+
+
+def _check_labels(image: Image, labels: np.ndarray) -> None:
+    """Raise ValueError where there are labels."""
+    if not len(labels):
+        return
+    words = f"a label picture, it seems, with flat areas of the values {_listed(labels)}"
+    if void := [x for x in labels if x in VOID]:
+        words += f" ({void[0]:g} is often void: give such pixels weight 0)"
+    if not _has_numbers(image):
+        raise ValueError(f"{words}; save it as grey to pick one, or give one of {WAYS}")
+    whole = [int(x) for x in labels if x > 0 and x == int(x)]
+    hints = [f"`mask_from` label={x} (--mask-from label={x}), or " for x in whole[:1]]
+    raise ValueError(f"{words}; say which is the object: {''.join(hints)}one of {WAYS}")
+
+
+def _entries(image: Image, greys: np.ndarray) -> np.ndarray:
+    """Return the entries of a grey palette that have these values."""
+    palette = np.array(image.getpalette("RGB"))[::3]
+    return np.array([k for k in _values(image) if palette[k] in greys])
+
+
+def _listed(values: np.ndarray) -> str:
+    """Return the first of some values, between commas."""
+    return ", ".join(f"{x:.9g}" for x in values[:12]) + (", ..." if len(values) > 12 else "")
+
+
 def _two_colours(image: Image) -> bool:
     """Return whether a picture has a palette and uses its entries 0, which is black, and 1, which
     is a colour, alone: a label's."""
@@ -179,9 +245,14 @@ def _two_colours(image: Image) -> bool:
     return max(colours[:3]) < DARK < max(colours[3:]) and bool(np.ptp(colours[3:]) > GREY)
 
 
+def _values(image: Image) -> np.ndarray:
+    """Return the values that a picture of one channel has."""
+    return np.unique(np.concatenate([np.unique(np.asarray(band)) for _, band in bands(image)]))
+
+
 def _labels(image: Image) -> str:
     """Return the words that say how to read a picture of a few values."""
-    values = np.unique(np.concatenate([np.unique(np.asarray(band)) for _, band in bands(image)]))
+    values = _values(image)
     few = len(values) == 2 and values[0] == 0 and image.mode in ("L", "P")
     hint = f"`mask_from` label={values[1]} (--mask-from label={values[1]}) if its object is that;"
     return f"{hint} or one of {WAYS}" if few else f"labels? {WAYS}"
@@ -195,23 +266,19 @@ def _grey(band: Image) -> np.ndarray:
     return colours[..., 0]
 
 
-def _alpha(image: Image) -> Read:
-    if not image.has_transparency_data:
-        raise ValueError("no transparency")
-    opacity = lambda band: np.asarray(band.convert("RGBA"))[..., 3]
-    return Read(by_bands(image, opacity), ALPHA)
-
-
 def _label(image: Image, number: int) -> Read:
-    if image.mode not in ("1", "L", "P") and not image.mode.startswith("I"):
+    if not _has_numbers(image):
         raise ValueError(f"a picture of mode {image.mode}: labels are grey values or a palette's")
     mask = by_bands(image, lambda band: np.where(np.asarray(band) == number, 255, 0))
-    if not np.any(mask):
-        there = np.unique(np.concatenate([np.unique(np.asarray(b)) for _, b in bands(image)]))
-        some = ", ".join(str(int(x)) for x in there[:12]) + (", ..." if len(there) > 12 else "")
-        raise ValueError(f"no pixel with the label {number}; there are {some}")
+    there = _values(image)
+    if number not in there:
+        raise ValueError(f"no pixel with the label {number}; there are {_listed(there)}")
     share = np.count_nonzero(mask) / mask.size
-    return Read(mask, f"mask: label {number}, {share:.1%} of the picture, edges hard")
+    words = f"mask: label {number}, {share:.1%} of the picture, edges hard"
+    void = [x for x in VOID if x in there and x != number and len(there) > 2]
+    if void:
+        words += f"; {void[0]}, often void, counts as background: give such pixels weight 0"
+    return Read(mask, words)
 
 
 def _background(image: Image, name: str, tolerance: float | None) -> Read:

@@ -1,6 +1,7 @@
 """COCO's run lengths of a mask: how data sets of detections and segmentations write one."""
 
 from collections.abc import Mapping
+from reprlib import repr as brief
 from typing import Any
 
 import numpy as np
@@ -13,36 +14,49 @@ from .images import MOST_PIXELS
 def mask_of_rle(rle: Input[Mapping[str, object], "size, counts"]) -> UInt8[np.ndarray, "H W"]:
     """Return the mask of COCO's run lengths, 255 where the object is.
 
-    - `rle`: `size` [H, W], and `counts`: how many pixels are 0, then 1, then 0, ... down the
-      columns from the top left, as numbers or as pycocotools' text.
+    - `rle`: `size` (H, W), and `counts`: how many pixels are 0, then 1, then 0, ... down the
+      columns from the top left, as numbers or as pycocotools' text or bytes.
 
-    Raises ValueError where a field is missing, or the runs do not fill the picture.
+    Raises ValueError where a field is missing, for polygons, and where the runs do not fill the
+    picture.
 
     ```python
     pj.io.mask_of_rle({"size": [2, 3], "counts": [2, 4]})  # (2, 3): down the columns, 0 first
     ```
     """
-    if not isinstance(rle, dict) or not {"size", "counts"} <= rle.keys():
-        raise ValueError("`rle`: expected run lengths with `size` and `counts`")
-    size: Any = rle["size"]
+    if isinstance(rle, list | tuple):
+        raise ValueError(
+            "`rle`: expected run lengths with `size` and `counts`, got polygons; pycocotools makes"
+            " run lengths of them: mask.merge(mask.frPyObjects(polygons, H, W))"
+        )
+    if not isinstance(rle, Mapping) or not {"size", "counts"} <= rle.keys():
+        raise ValueError(f"`rle`: expected run lengths with `size` and `counts`, got {brief(rle)}")
+    size = _counts(rle["size"])
+    if size is None or len(size) != 2 or not 0 < size[0] * size[1] <= MOST_PIXELS:
+        raise ValueError(f"`rle`: expected `size` [H, W], got {brief(rle['size'])}")
+    H, W = size
     counts: Any = rle["counts"]
-    fits = isinstance(size, list) and len(size) == 2 and all(_is_count(n) for n in size)
-    if not fits or not 0 < size[0] * size[1] <= MOST_PIXELS:
-        raise ValueError(f"`rle`: expected `size` [H, W], got {size!r}")
-    if isinstance(counts, str):
-        counts = _counts_of_text(counts)
-    if not isinstance(counts, list) or not all(_is_count(n) for n in counts):
-        raise ValueError("`rle`: expected `counts`, at least 0 each, or their text")
-    if sum(counts) != size[0] * size[1]:
-        words = f"expected runs of {size[0] * size[1]} pixels, got {sum(counts)}"
-        raise ValueError(f"`rle`: {words}")
-    values = np.arange(len(counts), dtype=np.uint8) % 2 * 255
-    columns = np.repeat(values, counts).reshape(size[1], size[0])
-    return np.ascontiguousarray(columns.T)
+    if isinstance(counts, bytes):
+        counts = counts.decode("latin-1")
+    counts = _counts_of_text(counts) if isinstance(counts, str) else counts
+    runs = _counts(counts)
+    if runs is None:
+        words = "expected `counts`, whole numbers of at least 0, or pycocotools' text or bytes"
+        raise ValueError(f"`rle`: {words}, got {brief(counts)}")
+    if sum(runs) != H * W:
+        raise ValueError(f"`rle`: expected runs of {H * W} pixels, got {sum(runs)}")
+    values = np.arange(len(runs), dtype=np.uint8) % 2 * 255
+    return np.ascontiguousarray(np.repeat(values, runs).reshape(W, H).T)
 
 
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+def _counts(values: Any) -> list[int] | None:
+    """Return whole numbers of at least 0 as Python's, None for what is none."""
+    if isinstance(values, np.ndarray):
+        values = values.tolist()
+    if not isinstance(values, list | tuple):
+        return None
+    is_whole = lambda x: isinstance(x, int | np.integer) and not isinstance(x, bool) and x >= 0
+    return [int(x) for x in values] if all(map(is_whole, values)) else None
 
 
 def _counts_of_text(text: str) -> list[int]:
