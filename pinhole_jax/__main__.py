@@ -63,6 +63,7 @@ def _fit(options: argparse.Namespace) -> int:
         _set_up_jax(options)
         from . import formats, io, report
         from ._command.known import known
+        from ._command.outputs import check_outputs, replaced
         from ._files.pictures import three_channels
         from ._fit.fit_camera import fit_camera
         from ._scene.scene import Scene
@@ -72,6 +73,8 @@ def _fit(options: argparse.Namespace) -> int:
         clock = Clock()
         progress.count(clock)
         free = as_names(options.free)
+        written = [Path(options.output) / name for name in ("camera.json", "overlay.png")]
+        check_outputs(output=written[0], report=options.report)
         with named(path="MASK", mask_from="--mask-from"):
             mask = io.load_mask(
                 options.mask, options.mask_from, progress.tell, invert=options.invert
@@ -100,17 +103,6 @@ def _fit(options: argparse.Namespace) -> int:
         progress.say("drawing")
         drawing = overlay(picture, fit.camera, scene)
         notes = disagreement(fit.camera, scene, mask) if finite else ()
-    folder = Path(options.output)
-    with named(path="--output"):
-        io.save_fit(folder / "camera.json", fit, pixel_centres=options.pixel_centres)
-        io.save_image(folder / "overlay.png", drawing)
-    written = [folder / "camera.json", folder / "overlay.png"]
-    if options.report is not None and finite:
-        title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
-        with Progress("drawing the page"), named(path="--report"):
-            centres = options.pixel_centres
-            report.write(options.report, fit, scene, mask, picture, title, pixel_centres=centres)
-        written.append(options.report)
     print(fit)
     for note in notes:
         print(f"note       {note}")
@@ -119,7 +111,17 @@ def _fit(options: argparse.Namespace) -> int:
     print(
         f"time       {clock.compiling:.1f} s compile, {clock.elapsed() - clock.compiling:.1f} s run"
     )
-    print(f"written    {', '.join(map(str, written))}")
+    written += [options.report] if options.report is not None and finite else []
+    words = f"written    {', '.join(map(str, written))}{replaced(written)}"
+    with named(path="--output"):
+        io.save_fit(written[0], fit, pixel_centres=options.pixel_centres)
+        io.save_image(written[1], drawing)
+    if written[2:]:
+        title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
+        with Progress("drawing the page"), named(path="--report"):
+            centres = options.pixel_centres
+            report.write(options.report, fit, scene, mask, picture, title, pixel_centres=centres)
+    print(words)
     return 0 if fit.status == "converged" else 1
 
 
@@ -189,7 +191,9 @@ def _batch(options: argparse.Namespace) -> int:
     with Progress("reading", options.verbose) as progress:
         from ._command.batch import batch
 
-        return batch(options, progress.say, lambda: _set_up_jax(options, quick=False))
+        return batch(
+            options, progress.say, progress.tell, lambda: _set_up_jax(options, quick=False)
+        )
 
 
 def _studio(options: argparse.Namespace) -> int:

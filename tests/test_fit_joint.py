@@ -1158,6 +1158,10 @@ def test_the_command_names_what_is_wrong_about_a_robot(robot_files, capsys):
     start = ["--camera", "start.json"]
     Path("short.json").write_text('{"names": ["turn"], "postures": [[1, 2]]}')
     Path("other.csv").write_text("bend\n0\n0\n0\n")
+    Path("far.csv").write_text("turn\n0.1\n-34\n0.2\n")
+    for unit in ("deg", "gon"):
+        text = f'{{"unit": "{unit}", "names": ["turn"], "postures": [[400]]}}'
+        Path(f"{unit}.json").write_text(text)
     pj.io.save_image("small.png", np.zeros((30, 40, 3), np.uint8))
     robot, masks = robot_files[:2], robot_files[3:]
     for change, words in (
@@ -1183,6 +1187,12 @@ def test_the_command_names_what_is_wrong_about_a_robot(robot_files, capsys):
         ),
         ([*robot_files, *start, "--in-hand", "tool"], "`--in-hand`: expected a link among base"),
         ([*robot_files, *start, "--leave-out", "tool"], "`--leave-out`: expected links among base"),
+        ([*robot, "far.csv", *masks, *start], "-34 in row 2 of 'far.csv': degrees?"),
+        ([*robot, "deg.json", *masks, *start], "`JOINTS`: expected -3 to 3 rad of joint"),
+        (
+            [*robot, "gon.json", *masks, *start],
+            '`JOINTS`: expected "unit": "rad" or "deg", got \'unit\': \'gon\'',
+        ),
         ([*robot, "other.csv", *masks, *start], "`JOINTS`: expected one of each joint, got none"),
         ([*robot, "short.json", *masks[:1], *start], "`JOINTS`: expected 1 angles in row 1, got 2"),
     ):

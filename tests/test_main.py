@@ -603,3 +603,87 @@ def test_a_check_names_what_is_missing(folder, monkeypatch, capsys, files, words
     monkeypatch.chdir(folder)
     assert command.main(["check", "--no-cache", *files]) == 2
     assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("K", "more", "words"),
+    [
+        ((90, 91, 47, 40), (), ""),
+        ((90, 91, 44, 46), (), ""),
+        (
+            (90, 91, 60, 40),
+            (),
+            "+12, +0 px from the middle, at (60, 40) px in a picture",
+        ),
+        ((90, 91, 96, 80), ("--resize", 192, 160), ""),
+        ((90, 91, 38, 50), (), "are CX and CY exchanged?"),
+        ((90, 91, 24, 20), (), "--resize W H is the size that --K belongs to (some 48 x 40)"),
+        ((90, 91, 300, 20), ("--crop", 250, 0, 96, 80), ""),
+    ],
+)
+def test_principal_point_far_from_the_middle_is_noted(K, more, words, capsys):
+    known_of("--K", *K, *more)
+    assert words in capsys.readouterr().out
+    if not words:
+        known_of("--K", *K, *more)
+        assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("K", "size", "words"),
+    [
+        ((600, 600, 120, 320), (640, 240), r"\(120, 320\) px .* 640 x 240: are CX and CY exch"),
+        ((900, 320, 900, 240), (640, 480), "the order is FX FY CX CY"),
+        ((900, 900, 960, 540), (640, 360), r"was the picture resized\? .* \(some 1920 x 1080\)"),
+        ((900, 900, -3, 540), (640, 360), "inside the picture, .* was the picture resized"),
+    ],
+)
+def test_principal_point_outside_the_picture_is_refused(K, size, words):
+    with pytest.raises(ValueError, match=rf"`--K`: expected a principal point .*{words}"):
+        known_of("--K", *K, size=size)
+
+
+def test_field_of_view_in_rad_is_questioned(capsys):
+    with pytest.raises(ValueError, match=r"`--fov`: .* 0\.577: degrees\? 0\.577 rad are 33\.1"):
+        known_of("--fov", 0.577)
+    known_of("--fov", 1.2)
+    assert "note: --fov got 1.2: degrees?" in capsys.readouterr().out
+    known_of("--fov", 4)
+    assert capsys.readouterr().out == ""
+
+
+def test_output_that_cannot_be_written_is_found_before_the_fit(folder, monkeypatch, capsys):
+    (folder / "file").write_text("x")
+    monkeypatch.setattr(io, "load_mask", lambda *_, **__: pytest.fail("began"))
+    monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
+    fit = ["fit", str(folder / "bumpy.ply"), "mask.png", "--fov", "34", "--no-cache"]
+    for more, option in (
+        (("-o", folder / "file" / "out"), "--output"),
+        (("-o", folder / "new", "--report", folder), "--report"),
+    ):
+        assert command.main([*fit, *map(str, more)]) == 2
+        assert f"`{option}`: expected a file to write, got" in capsys.readouterr().err
+    assert not (folder / "new").exists()
+
+
+def test_fit_is_printed_where_it_cannot_be_written(folder, monkeypatch, capsys):
+    fit = fit_of(CAMERA, ("e_x",), [0.1])
+    monkeypatch.setattr("pinhole_jax._fit.fit_camera.fit_camera", lambda *_, **__: fit)
+    monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
+    io.save_image(folder / "dot.png", drawn(CAMERA, SCENE))
+    words = ["fit", str(folder / "bumpy.ply"), str(folder / "dot.png"), "--fov", "34"]
+    words += ["-o", str(folder / "full")]
+    command.main(words)
+    assert "(replaced" not in capsys.readouterr().out
+    command.main(words)
+    there = [str(folder / "full" / name) for name in ("camera.json", "overlay.png")]
+    assert f"{', '.join(there)} (replaced {', '.join(there)})" in capsys.readouterr().out
+
+    def full(*_, **__):
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(io, "save_fit", full)
+    assert command.main(words) == 2
+    told = capsys.readouterr()
+    assert "one sigma" in told.out
+    assert told.err == "pinhole-jax fit: No space left on device\n"

@@ -384,3 +384,68 @@ def test_files_that_are_no_urdf_are_refused(tmp_path, text):
     words = "<sdf> in place of <robot>: export" if "sdf" in text else "(no XML|Document is empty)"
     with pytest.raises(ValueError, match=f"`path`: expected a URDF file, got .*: {words}"):
         pj.robots.load_urdf(tmp_path / "a.urdf")
+
+
+# --- files of angles -----------------------------------------------------------------------------
+
+
+def moving(name, kind, parent, child, limit=""):
+    ends = f'<parent link="{parent}"/><child link="{child}"/><axis xyz="0 0 1"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}{limit}</joint>'
+
+
+@pytest.fixture
+def arm(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    body = link("a", '<box size="1 1 1"/>') + "".join(f'<link name="{x}"/>' for x in "bcd")
+    body += moving("turn", "revolute", "a", "b", '<limit lower="-2" upper="3" effort="x"/>')
+    body += moving("slide", "prismatic", "b", "c", '<limit lower="0" upper="0.4"/>')
+    body += moving("wheel", "continuous", "c", "d", '<limit effort="1" velocity="2"/>')
+    return pj.robots.load_urdf(write_urdf(tmp_path, body))
+
+
+def test_limits_of_joints_are_the_files(arm):
+    assert arm.limits == {"turn": (-2, 3), "slide": (0, 0.4)}
+    assert arm.sliding == ("slide",)
+
+
+NAMES = '"names": ["turn", "slide", "wheel"], "postures": [[{}]]'
+
+
+@pytest.mark.parametrize(
+    ("more", "row", "turn"),
+    [
+        ("", "1.5, 0.3, -6", 1.5),
+        ('"unit": "rad", ', "1.5, 0.3, -6", 1.5),
+        ('"units": "Degrees", ', "90, 0.3, -340", np.pi / 2),
+        ('"unit": "deg", ', "171.9, 0.3, 0", np.deg2rad(171.9)),
+        ("", "3.05, 0.45, 6.3", 3.05),  # a zero that is a little off
+    ],
+)
+def test_joint_angles_have_the_unit_that_their_file_names(arm, tmp_path, more, row, turn):
+    from pinhole_jax._command.joints import joint_angles
+
+    (tmp_path / "j.json").write_text("{" + more + NAMES.format(row) + "}")
+    (posture,) = joint_angles("j.json", arm)
+    assert posture["turn"] == pytest.approx(turn, rel=1e-15)
+    assert posture["slide"] == float(row.split(",")[1])
+
+
+@pytest.mark.parametrize(
+    ("more", "row", "message"),
+    [
+        ("", "90, 0, 0", "-2 to 3 rad of joint 'turn', .* limits, got 90 in row 1 .*: degrees?"),
+        ("", "0, 0, -69", "'wheel', a turn to either side, got -69 in row 1 of 'j.json': degrees?"),
+        ("", "0, 300, 0", "0 to 0.4 m of joint 'slide', .* got 300 in row 1 .*: other units?"),
+        ('"unit": "deg", ', "300, 0, 0", "'turn', the URDF's limits, got 5.236 in"),
+        ('"unit": "grad", ', "0, 0, 0", 'expected "unit": "rad" or "deg", got \'unit\': \'grad\''),
+        ('"joint_units": ["rad"], ', "0, 0, 0", 'expected "unit": "rad" or "deg"'),
+        ('"degrees": true, ', "0, 0, 0", "got 'degrees': 'True'"),
+    ],
+)
+def test_joint_angles_that_no_joint_reaches_are_refused(arm, tmp_path, more, row, message):
+    from pinhole_jax._command.joints import joint_angles
+
+    (tmp_path / "j.json").write_text("{" + more + NAMES.format(row) + "}")
+    with pytest.raises(ValueError, match=message.replace("?", r"\?")):
+        joint_angles("j.json", arm)

@@ -203,7 +203,7 @@ def _add_hand_eye(commands: Any) -> None:
         "joints",
         metavar="JOINTS",
         help="angles (rad): a CSV file whose first line has the joints' names, or JSON with"
-        " `names` and `postures`",
+        " `names` and `postures`, perhaps with `unit`: deg",
     )
     robot.add_argument("masks", metavar="MASK", nargs="+", help="an image for each row of JOINTS")
     start = robot.add_mutually_exclusive_group(required=True)

@@ -5,6 +5,7 @@ import contextlib
 import re
 import signal
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 from .. import formats
@@ -22,6 +23,8 @@ from ..batch import (
     read_dataset,
     shard_of,
 )
+from .known import check_fov
+from .outputs import check_outputs, replaced
 
 #: What the command calls the arguments of the library.
 ASKED = {
@@ -38,7 +41,10 @@ ASKED = {
 
 
 def batch(
-    options: argparse.Namespace, say: Callable[[str], Any], set_up: Callable[[], None]
+    options: argparse.Namespace,
+    say: Callable[[str], Any],
+    tell: Callable[[str], Any],
+    set_up: Callable[[], None],
 ) -> int:
     """Fit what is not done, write what is asked for; return 0, or 1 where a record failed.
 
@@ -47,6 +53,10 @@ def batch(
     asked = [options.merge, options.report, options.write]
     if options.dataset is None and not any(asked):
         raise ValueError("`DATASET`: expected one, or --merge, --report or --write, got none")
+    rows = None if options.dataset is None else Path(options.output) / "rows"
+    check_outputs(output=rows, merge=options.merge, report=options.report)
+    if options.fov is not None:
+        check_fov(options.fov, tell)
     with named(out="--output"):
         results = Results(options.output)
     if options.dataset is not None:
@@ -55,12 +65,13 @@ def batch(
     counts = results.counts()
     if options.report is not None or options.write is not None:
         set_up()
-    written = list(_written(options, results))
     print(f"rows       {len(results)} in {options.output}")
     for status, count in counts.items():
         print(f"  {count:6d}   {status}")
-    if written:
-        print(f"written    {', '.join(written)}")
+    asked = [options.merge, options.report, options.write and options.write[1]]
+    there = replaced([path for path in asked if path is not None])
+    if written := list(_written(options, results)):
+        print(f"written    {', '.join(written)}{there}")
     return 1 if NO_FIT.keys() & counts.keys() else 0
 
 

@@ -14,6 +14,7 @@ from .._fit.words import STATUSES
 from .._joint.fit_joint import fit_joint
 from .._scene.scene import Scene
 from .hand_eye import robot_of, views_of
+from .outputs import check_outputs, replaced
 
 #: What the command calls the arguments of the fits.
 ASKED = {"target": "MASK", "free": "--free", "camera": "CAMERA", "cameras": "CAMERA"}
@@ -24,6 +25,7 @@ def check(
 ) -> int:
     """Fit from the camera, print how far that leads; return 0, or 1 where it has moved or the masks
     do not tell."""
+    check_outputs(output=options.output)
     reference = _reference(options.camera)
     before = reference.camera if isinstance(reference, Fit) else reference
     if options.mesh.lower().endswith(".urdf"):
@@ -39,9 +41,10 @@ def check(
     for words in fit.weak:
         print(f"weak       {words}")
     if options.output is not None:
+        there = replaced([options.output])
         with named(path="--output"):
             io.save_fit(options.output, fit)
-        print(f"written    {options.output}")
+        print(f"written    {options.output}{there}")
     return 0 if fit.status == "converged" and not found.moved else 1
 
 

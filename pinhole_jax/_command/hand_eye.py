@@ -1,7 +1,6 @@
 """`pinhole-jax hand-eye`: the camera that sees a robot, from a URDF, joint angles and masks."""
 
 import argparse
-import csv
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from .. import io
 from .._camera.camera import Camera, unplaced
 from .._files.naming import named
-from .._files.paths import read_json, read_text, replace_file
+from .._files.paths import replace_file
 from .._files.pictures import three_channels
 from .._fit.drift import drift
 from .._joint.fit_joint import fit_joint
@@ -21,7 +20,9 @@ from .._solver.parameters import as_names
 from ..formats import object_pose
 from ..plot import overlay
 from ..robots import Robot, load_urdf
+from .joints import joint_angles
 from .known import known
+from .outputs import check_outputs, replaced
 from .photos import photo_beside
 from .proposals import Sight, in_words, worths
 from .robot_page import robot_page
@@ -34,6 +35,7 @@ def hand_eye(
     options: argparse.Namespace, say: Callable[[str], Any], tell: Callable[[str], Any]
 ) -> int:
     """Fit, write and print; return 0, or 1 for a fit that is not to be trusted."""
+    check_outputs(output=Path(options.output) / "camera.json", report=options.report)
     robot = robot_of(options)
     views = views_of(robot, options, tell)
     masks = [np.asarray(view.target) for view in views]
@@ -56,7 +58,20 @@ def hand_eye(
     apart = _halves(fit, views, options) if options.holdout else None
     usable = fit.status != "non_finite"
     more = None if proposed is None or not usable else _worths(fit, views, options, proposed)
-    written = _write(options, fit, pictures)
+    print(fit)
+    if usable:
+        print(object_pose(fit.cameras["camera"], pixel_centres=options.pixel_centres))
+    if apart is not None:
+        print(f"halves     {apart}")
+    if more is not None:
+        print(f"recorded   {_worth_most(fit)}")
+        print(f"proposed   {more}")
+    folder = Path(options.output)
+    written = [folder / "camera.json"]
+    written += [folder / f"overlay_{k}.png" for k in range(len(masks) * usable)]
+    written += [Path(options.report)] if options.report is not None and usable else []
+    there = replaced(written)
+    _write(written, options, fit, pictures)
     if options.report is not None and usable:
         say("drawing the page")
         text = robot_page(
@@ -71,17 +86,7 @@ def hand_eye(
         )
         with named(path="--report"):
             replace_file(options.report, text.encode(errors="backslashreplace"))
-        written.append(Path(options.report))
-    print(fit)
-    found = fit.cameras["camera"]
-    if usable:
-        print(object_pose(found, pixel_centres=options.pixel_centres))
-    if apart is not None:
-        print(f"halves     {apart}")
-    if more is not None:
-        print(f"recorded   {_worth_most(fit)}")
-        print(f"proposed   {more}")
-    print(f"written    {', '.join(map(str, written))}")
+    print(f"written    {', '.join(map(str, written))}{there}")
     return 0 if fit.status == "converged" else 1
 
 
@@ -90,7 +95,7 @@ def views_of(
 ) -> list[JointView]:
     """Return the views of a robot in the postures of a file (`joints`), with `masks`."""
     with named(path="JOINTS"):
-        postures = joint_angles(options.joints)
+        postures = joint_angles(options.joints, robot)
     if len(postures) != len(options.masks):
         raise ValueError(
             f"`MASK`: expected one of each of {len(postures)} rows of {options.joints!r}, got"
@@ -127,7 +132,7 @@ def _proposed(robot: Robot, options: argparse.Namespace) -> list[Sight]:
     if "pose" not in as_names(options.free):
         raise ValueError(f"`--propose`: expected `pose` in --free, got {options.free!r}")
     with named(path="--propose"):
-        postures = joint_angles(options.propose)
+        postures = joint_angles(options.propose, robot)
     return [_posed(robot, angles, options.in_hand, "--propose") for angles in postures]
 
 
@@ -151,35 +156,6 @@ def zeros_of(options: argparse.Namespace) -> float | None:
     if options.in_hand is not None:
         raise ValueError("`--joint-zeros`: expected none beside `--in-hand`, whose link they move")
     return float(np.deg2rad(degrees))
-
-
-def joint_angles(path: str) -> list[dict[str, float]]:
-    """Return a file's joint angles, by name: a CSV whose first line has the names, or JSON with
-    `names` and `postures`.
-
-    Raises FileNotFoundError, or ValueError for what is neither.
-    """
-    if path.lower().endswith(".json"):
-        data = read_json(path, "joint angles")
-        rows = [data.get("names"), *data.get("postures", ())] if isinstance(data, dict) else []
-    else:
-        lines = read_text(path, "joint angles").splitlines()
-        rows = [[cell.strip() for cell in row] for row in csv.reader(lines) if row]
-    if len(rows) < 2 or not all(isinstance(row, list) and row for row in rows):
-        words = "a line of joint names (JSON: names, postures) and at least one of angles"
-        raise ValueError(f"`path`: expected {words}, got none (in {path!r})")
-    names, *postures = rows
-    result = []
-    for number, row in enumerate(postures, 1):
-        try:
-            values = [float(x) for x in row]
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"`path`: expected numbers in row {number}, got {row}") from error
-        if len(values) != len(names):
-            words = f"expected {len(names)} angles in row {number}, got {len(values)}"
-            raise ValueError(f"`path`: {words} (in {path!r})")
-        result.append(dict(zip(map(str, names), values, strict=True)))
-    return result
 
 
 def _names(text: str | None) -> Sequence[str]:
@@ -239,15 +215,13 @@ def _pictures(options: argparse.Namespace, masks: list[np.ndarray]) -> list[np.n
     return [photo_beside(path, mask, "--images") for path, mask in pairs]
 
 
-def _write(options: argparse.Namespace, fit: JointFit, pictures: list[np.ndarray]) -> list[Path]:
-    """Write the camera, and each picture with the outline on it; return the paths."""
-    folder = Path(options.output)
-    written = [folder / "camera.json"]
+def _write(
+    paths: list[Path], options: argparse.Namespace, fit: JointFit, pictures: list[np.ndarray]
+) -> None:
+    """Write the camera, and each picture with the outline on it."""
     with named(path="--output"):
         found = fit.cameras["camera"]._replace(status=fit.status)
-        io.save_fit(written[0], found, pixel_centres=options.pixel_centres)
+        io.save_fit(paths[0], found, pixel_centres=options.pixel_centres)
         if fit.status != "non_finite":
-            for k, (view, picture) in enumerate(zip(fit.views, pictures, strict=True)):
-                written.append(folder / f"overlay_{k}.png")
-                io.save_image(written[-1], overlay(picture, view.camera, view.scene))
-    return written
+            for path, view, picture in zip(paths[1:], fit.views, pictures, strict=False):
+                io.save_image(path, overlay(picture, view.camera, view.scene))

@@ -4,7 +4,7 @@ that the mask shows a part of its picture, or is resized."""
 import argparse
 import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from .._camera.camera import Camera, unplaced
@@ -15,6 +15,9 @@ from ..formats import cropped, from_opencv, read_one, resized
 from ..io import photo_fov
 
 Size = tuple[int, int]
+#: A field of view (degrees) below this one is none; a principal point that is farther from the
+#: middle than this share of the picture's width is unusual.
+LEAST_FOV, MOST_OFF = 1.0, 0.1
 
 
 class Known(NamedTuple):
@@ -39,6 +42,8 @@ def known(
         camera = _of_file(options.camera, window.beside)
         return Known(camera=window.of(camera))
     if options.K is not None:
+        if window.crop is None:
+            check_centre(options.K, window.before, tell)
         camera = window.of(_of_K(options, window.beside))
         return Known(phi=camera.phi, lens=camera.lens)
     if window.crop:
@@ -47,8 +52,7 @@ def known(
             " photo, whose size --crop does not tell), got none"
         )
     if options.fov is not None:
-        if not 0 < options.fov < 180:
-            raise ValueError(f"`--fov`: expected degrees between 0 and 180, got {options.fov:g}")
+        check_fov(options.fov, tell)
         phi = math.radians(options.fov)
     else:
         phi = _phi_of_photo(options, free, tell)
@@ -57,6 +61,40 @@ def known(
     with named(phi="--fov"):
         camera = window.of(unplaced(phi, *window.before))
     return Known(phi=camera.phi, lens=camera.lens)
+
+
+def check_fov(fov: float, tell: Callable[[str], Any]) -> None:
+    """Raise ValueError unless this is a field of view in degrees; warn where it may be rad."""
+    if not 0 < fov < 180:
+        raise ValueError(f"`--fov`: expected degrees between 0 and 180, got {fov:g}")
+    words = f"got {fov:g}: degrees? {fov:g} rad are {math.degrees(fov):.1f} degrees"
+    if fov < LEAST_FOV:
+        raise ValueError(f"`--fov`: expected at least {LEAST_FOV:g} degree, {words}")
+    if fov < math.pi:
+        tell(f"note: --fov {words}")
+
+
+def check_centre(K: Sequence[float], size: Size, tell: Callable[[str], Any]) -> None:
+    """Raise ValueError where the principal point of `--K` is outside the picture; warn where it is
+    far from the middle."""
+    _, fy, cx, cy = K
+    W, H = size
+    near = lambda x, y: math.hypot(x - W / 2, y - H / 2) <= MOST_OFF * W
+    if not all(map(math.isfinite, K)) or near(cx, cy):
+        return
+    if near(cy, cx):
+        hint = "are CX and CY exchanged?"
+    elif near(fy, cy):
+        hint = "the order is FX FY CX CY"
+    else:
+        hint = "was the picture resized? --resize W H is the size that --K belongs to"
+        if min(cx, cy) > 0 and abs(cx / W / (cy / H) - 1) < MOST_OFF:
+            hint += f" (some {2 * cx:.0f} x {2 * cy:.0f})"
+    point = f"({cx:g}, {cy:g}) px in a picture of {_words(size)}: {hint}"
+    if not (0 <= cx <= W and 0 <= cy <= H):
+        raise ValueError(f"`--K`: expected a principal point inside the picture, got {point}")
+    off = f"{cx - W / 2:+.0f}, {cy - H / 2:+.0f} px from the middle"
+    tell(f"note: --K has its principal point {off}, at {point}")
 
 
 class _Window(NamedTuple):

@@ -162,6 +162,27 @@ def replace_file(path: Any, data: bytes | Iterable[bytes], *, lasting: bool = Fa
         ) from error
 
 
+def check_writable(path: Any) -> None:
+    """Raise ValueError, as `replace_file` would, where a file cannot be written: folders are made
+    and a file is written there, and both are removed again."""
+    target = path_of(path)
+    try:
+        if is_stream(target):
+            return
+        if (kind := _kind(target)) not in (None, "a file"):
+            raise ValueError(kind)
+        made = [folder for folder in target.parents if not folder.exists()]
+        trial = target.parent / f"tmp{secrets.token_hex(8)}"
+        _replace(trial, [b""], lasting=False)
+        trial.unlink()
+        for folder in made:
+            folder.rmdir()
+    except (OSError, ValueError) as error:
+        raise ValueError(
+            f"`path`: expected a file to write, got {_name(path)}: {reason(error)}"
+        ) from error
+
+
 def reason(error: Exception) -> str:
     """Return the first line of what a reader or a writer of files raised."""
     if isinstance(error, ModuleNotFoundError) and error.name in ("chardet", "charset_normalizer"):

@@ -174,6 +174,11 @@ def _of_K(record: Record, W: int, H: int) -> Any:
 
     numbers = _numbers("K", record["K"], (4, 9))
     K = numbers.reshape(3, 3) if len(numbers) == 9 else _matrix(*numbers)
+    if not (0 <= K[0, 2] <= W and 0 <= K[1, 2] <= H):
+        words = f"inside the picture of {W} x {H} px, got ({K[0, 2]:g}, {K[1, 2]:g})"
+        raise ValueError(
+            f"`K`: expected a principal point {words}: are cx and cy exchanged, was it resized?"
+        )
     pose = np.eye(4)
     if "start" in record:
         pose = _numbers("start", record["start"], (16,)).reshape(4, 4)

@@ -21,6 +21,9 @@ Angles = Input[Mapping[str, float] | ArrayLike, "J"]
 class Robot:
     """A robot: `joints` in the order that angles are given in, `links` that have a shape.
 
+    `limits` are the least and the greatest angle of each joint that the file gives any: rad, or m
+    of a sliding one. `sliding` names those.
+
     `scene(angles)` is what a camera sees of it, in the frame of its base.
 
     ```python
@@ -32,6 +35,8 @@ class Robot:
 
     joints: tuple[str, ...]
     links: tuple[str, ...]
+    limits: dict[str, tuple[float, float]]
+    sliding: tuple[str, ...]
 
     def __init__(
         self,
@@ -40,6 +45,12 @@ class Robot:
     ):
         self._urdf, self._posing = urdf, threading.Lock()
         self.joints = tuple(urdf.actuated_joint_names)
+        moving = {name: urdf.joint_map[name] for name in self.joints}
+        self.sliding = tuple(n for n, joint in moving.items() if joint.type == "prismatic")
+        ends = {
+            n: joint.limit and (joint.limit.lower, joint.limit.upper) for n, joint in moving.items()
+        }
+        self.limits = {n: x for n, x in ends.items() if x and None not in x and x[0] < x[1]}
         self._following = {n for n, j in urdf.joint_map.items() if j.mimic is not None}
         self._at = [(link, place) for link, place, _ in bodies]
         self.links = tuple(dict.fromkeys(link for link, _ in self._at))
@@ -71,8 +82,7 @@ class Robot:
             found = self.poses({name: checked[name] + x for name, x in added})
             return [found[link] @ place for link, place in self._at]
 
-        kinds = {name: self._urdf.joint_map[name].type for name in self.joints}
-        units = {n: "world" if kind == "prismatic" else "rad" for n, kind in kinds.items()}
+        units = {name: "world" if name in self.sliding else "rad" for name in self.joints}
         return Posture(self._assembly, poses, units)
 
     def at(self, poses: Input[Mapping[str, ArrayLike], "4 4 each"]) -> Scene:

@@ -26,9 +26,9 @@ NEEDED = {
 }
 #: How many numbers attributes are; sizes are positive.
 NUMBERS = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3, "radius": 1, "length": 1}
-NUMBERS |= {"multiplier": 1, "offset": 1}
+NUMBERS |= {"multiplier": 1, "offset": 1, "lower": 1, "upper": 1}
 SIZES = ("size", "radius", "length")
-READ = {"robot", "visual", "geometry", "origin", "axis", *NEEDED}
+READ = {"robot", "visual", "geometry", "origin", "axis", "limit", *NEEDED}
 MOVING = ("revolute", "continuous", "prismatic")
 
 
@@ -103,6 +103,8 @@ def _check_attributes(element: Any, where: str) -> None:
     for name in NEEDED.get(element.tag, ()):
         if not element.get(name):
             raise ValueError(f"{where}: <{element.tag}> without `{name}`")
+    for name in {"effort", "velocity"} & {*element.attrib}:  # of a limit: not read
+        del element.attrib[name]
     for name, text in element.attrib.items():
         if "${" in text or "$(" in text:
             _refuse_xacro(f"{name}={text!r} of {where}")

@@ -1,0 +1,22 @@
+"""Files that a command writes: it can, before the work begins, and says what it replaces."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from .._files.naming import named
+from .._files.paths import check_writable, is_stream
+
+
+def check_outputs(**options: Any) -> None:
+    """Raise ValueError where the file of an option, if it has one, cannot be written."""
+    for option, path in options.items():
+        if path is not None:
+            with named(path=f"--{option}"):
+                check_writable(path)
+
+
+def replaced(paths: Sequence[str | Path]) -> str:
+    """Return the words that end a line about files to write: which of them are there already."""
+    there = [str(path) for path in paths if not is_stream(path) and Path(path).exists()]
+    return f" (replaced {', '.join(there)})" if there else ""
