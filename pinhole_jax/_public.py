@@ -1,15 +1,6 @@
 """All that users may name, as `pinhole_jax.NAME`: `__init__` loads it when one is asked for."""
 
-from . import (
-    batch as batch,
-    formats as formats,
-    io as io,
-    plot as plot,
-    report as report,
-    robots as robots,
-    shapes as shapes,
-    testing as testing,
-)
+from . import names as names
 from ._camera.camera import Camera as Camera, camera_basis as camera_basis
 from ._camera.distortion import (
     BrownConrady as BrownConrady,
@@ -22,6 +13,7 @@ from ._camera.rays import (
     camera_rays as camera_rays,
     generate_rays as generate_rays,
     project as project,
+    rays_through as rays_through,
 )
 from ._files.cache import cache as cache
 from ._fit.drift import Drift as Drift, drift as drift
@@ -39,8 +31,22 @@ from ._points.fit_points import PointFit as PointFit, fit_points as fit_points
 from ._scene.assembly import Assembly as Assembly, Posture as Posture
 from ._scene.scene import Mesh as Mesh, Scene as Scene, Spheres as Spheres
 from ._silhouette.silhouette import silhouette as silhouette
+from ._silhouette.visible import contour_points as contour_points, outline as outline
 from ._trace.images import depth as depth, normals as normals
 from ._trace.trace import Hit as Hit, occluded as occluded, trace as trace
-from .batch import fit_many as fit_many, fit_one as fit_one
 from .io import load_mesh as load_mesh
 from .testing import Certificate as Certificate, check_gradients as check_gradients
+
+# isort: split
+# Guests, which import the names above from the package.
+from . import (
+    batch as batch,
+    formats as formats,
+    io as io,
+    plot as plot,
+    report as report,
+    robots as robots,
+    shapes as shapes,
+    testing as testing,
+)
+from .batch import fit_many as fit_many, fit_one as fit_one

@@ -5,7 +5,7 @@ import pytest
 from oracles import drawn
 from test_plot import AHEAD, SQUARE
 
-from pinhole_jax._show.disagreement import disagreement
+from pinhole_jax.plot import disagreement
 
 
 def square_mask():

@@ -128,7 +128,7 @@ def of_module(name, module):
     home = module.__name__
     for part, thing in vars(module).items():
         made = getattr(thing, "__module__", "")
-        own = made.startswith((home, "pinhole_jax._show", "pinhole_jax.formats.native"))
+        own = made.startswith((home, "pinhole_jax.show", "pinhole_jax.formats.native"))
         if (
             (inspect.isfunction(thing) or inspect.isclass(thing))
             and own

@@ -1137,6 +1137,9 @@ def test_the_command_finds_zeros_and_writes_a_page(robot_files, capsys):
     assert {"1", "2"} == set(re.findall(r"row (\d) 1\.\d\d", more))
     assert page.count("<img") == 3
     assert page.count("<section") == page.count("</section>") == 7
+    headings = re.findall("<h2>(.*?)</h2>", page)
+    assert headings[0] == "Outlines"
+    assert {"Halves of the postures", "Other postures"} < {*headings}
 
 
 @pytest.mark.long

@@ -400,3 +400,44 @@ def test_nothing_is_half_written(tmp_path):
         io.save_camera(path, CAMERA, rms=float("nan"))
     assert path.read_text() == "before"
     assert [p.name for p in tmp_path.iterdir()] == ["camera.json"]
+
+
+@pytest.mark.parametrize("mask", [[[0.0, 1, 1.5]], [[False, True, True]], [[0, 255, 255]]])
+def test_masks_of_any_type_are_read_as_coverage(mask):
+    array = np.array(mask, np.uint8 if mask[0][1] == 255 else None)
+    np.testing.assert_array_equal(io.as_coverage(array), [[0, 1, 1]])
+
+
+def test_mask_of_labels_is_no_coverage():
+    with pytest.raises(ValueError, match="`mask`: expected integers that are all 0 or 1"):
+        io.as_coverage(np.array([[0, 3, 7]]))
+    with pytest.raises(ValueError, match=r"`mask`: expected shape \(H, W\)"):
+        io.as_coverage(np.zeros(3))
+
+
+def test_text_is_written_whole_and_read_back(tmp_path):
+    path = tmp_path / "deep" / "page.txt"
+    io.save_text(path, "größer <b>1</b> \udcff")
+    assert io.load_text(path) == r"größer <b>1</b> \udcff"
+    with pytest.raises(ValueError, match="`path`: expected a text file of at most 10 bytes"):
+        io.load_text(path, most_bytes=10)
+    with pytest.raises(ValueError, match="`path`: expected a file to write"):
+        io.save_text(tmp_path, "")
+
+
+def test_json_names_each_field_once(tmp_path):
+    path = tmp_path / "data.json"
+    io.save_text(path, '{"a": [1, 2]}')
+    assert io.load_json(path) == {"a": [1, 2]}
+    io.save_text(path, '{"a": 1, "a": 2}')
+    with pytest.raises(ValueError, match=r"`path`: expected JSON, got .*data\.json"):
+        io.load_json(path)
+
+
+def test_picture_of_any_kind_is_read_as_rgb(tmp_path):
+    for shape in ((4, 5), (4, 5, 3), (4, 5, 4)):
+        image = np.random.default_rng(0).integers(0, 255, shape).astype(np.uint8)
+        io.save_image(tmp_path / "image.png", image)
+        rgb = io.load_image(tmp_path / "image.png", rgb=True)
+        expected = image[..., :3] if image.ndim == 3 else np.stack([image] * 3, axis=-1)
+        np.testing.assert_array_equal(rgb, expected)

@@ -21,8 +21,8 @@ from pinhole_jax._command.arguments import parse
 from pinhole_jax._command.known import known
 from pinhole_jax._files.naming import named
 from pinhole_jax._fit.words import STATUSES
-from pinhole_jax._names import DISTORTIONS, FREE, STATUSES as STATUSES_TOLD
 from pinhole_jax._solver.parameters import NAMES, check_free
+from pinhole_jax.names import DISTORTIONS, FREE, STATUSES as STATUSES_TOLD
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 

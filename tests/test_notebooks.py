@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import pinhole_jax as pj
-from pinhole_jax._camera.drawing import ROOM, H, W
 from pinhole_jax._fit.words import STATUSES
+from pinhole_jax.show.space import ROOM, H, W
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 SVG = "{http://www.w3.org/2000/svg}"

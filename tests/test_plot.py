@@ -9,7 +9,7 @@ from oracles import mesh_polygons, sphere_union
 
 import pinhole_jax as pj
 from pinhole_jax import plot, shapes
-from pinhole_jax._show.outline import STEP_PX, contour_points
+from pinhole_jax._silhouette.visible import STEP_PX
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 
@@ -48,7 +48,7 @@ def test_the_outline_under_distortion_is_where_points_of_the_contour_are_seen(wh
     ball = pj.Spheres([[0.1, 0.2, 0]], [1.0])
     scene = pj.Scene(mesh=shapes.bumpy(2)) if what == "mesh" else pj.Scene(spheres=ball)
     outline, plain = plot.outline(bent, scene), plot.outline(straight, scene)
-    seen = np.asarray(pj.project(bent, jnp.asarray(contour_points(bent, scene))))
+    seen = np.asarray(pj.project(bent, jnp.asarray(pj.contour_points(bent, scene))))
     points = shapely.multipoints(seen)
     off = shapely.distance(shapely.points(outline.mean(axis=1)), points)
     assert np.max(off) < STEP_PX / 2 + 0.05  # between two of the points

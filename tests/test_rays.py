@@ -150,3 +150,26 @@ def test_a_call_outside_of_jit_is_one_program(call):
     """Step by step each step would be compiled: 47 for the rays of a camera."""
     steps = jax.make_jaxpr(call)(pj.Camera(E, P, U, PHI, D, 4, 2), jnp.ones((5, 3))).eqns
     assert len(steps) == 1, steps
+
+
+@pytest.mark.parametrize("lens", [None, pj.Lens([30.0, 35.0], 1.1, pj.BrownConrady(-0.2, 0.05))])
+def test_rays_through_film_points_are_seen_there(lens):
+    camera = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48, lens)
+    points = np.random.default_rng(0).uniform(0, 48, (2, 3, 2))
+    rays = pj.rays_through(camera, points)
+    assert rays.direction.shape == (2, 3, 3)
+    np.testing.assert_allclose(np.linalg.norm(rays.direction, axis=-1), 1, rtol=1e-12)
+    np.testing.assert_allclose(
+        pj.project(camera, np.array(rays.origin) + 7 * np.array(rays.direction)), points
+    )
+    single = pj.rays_through(camera, points[1, 2]).direction
+    np.testing.assert_allclose(single, rays.direction[1, 2], rtol=1e-12)
+
+
+def test_ray_through_a_film_point_is_the_notes():
+    camera = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=96, H=80)
+    rays = pj.rays_through(camera, [58.0, 20])
+    direction = np.array([10.0, -20, -40 / np.tan(0.3)])
+    np.testing.assert_allclose(rays.direction, direction / np.linalg.norm(direction))
+    with pytest.raises(ValueError, match=r"`points`: expected shape \(..., 2\), got shape \(3,\)"):
+        pj.rays_through(camera, [1.0, 2, 3])

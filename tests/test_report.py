@@ -102,7 +102,7 @@ def test_pictures_decode_and_tables_have_a_row_for_each_parameter(text):
     assert len(page.all("td", "correlations")) == len(NAMES) ** 2
     assert "1.00" in page.text["correlations"]
     assert "<the focal length> is not visible." in page.text["what-the-mask-does-not-tell"]
-    assert re.search(r"one-sigma band \(yellow, drawn 10+ times as wide\)", page.text["outline"])
+    assert re.search(r"one sigma is 0\.0\d+ px \(median; largest 0\.\d+ px\)", page.text["outline"])
     assert "1 parameters are not determined" in page.text["outline"]
     assert len(page.all("tr", "convergence")) == 1 + len(FIT.history)
     assert "48 x 40 px" in page.text["convergence"]

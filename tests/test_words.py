@@ -106,3 +106,20 @@ def test_what_depends_on_an_unknown_parameter_is_unknown():
     found = carried(covariance, np.array([[2.0, 0.0], [1.0, 1.0], [0.0, 0.0]]))
     np.testing.assert_array_equal(found[:2, :2], [[4, np.nan], [np.nan, np.inf]])
     assert found[2, 2] == 0
+
+
+def test_displaced_camera_is_a_step_of_each_parameter_away():
+    camera = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=96, H=80)
+    names = ("rotation_b2", "e_x", "phi")
+    std = np.array([0.01, 0.2, 0.03])
+    fit = pj.Fit(camera, "converged", names, np.diag(std**2), std, 0.0, 1.0, (), ())
+    moved = fit.displaced([0.01, 0.2, 0.03])
+    angle, shift = pj.pose_error(moved, camera)
+    assert float(angle) == pytest.approx(0.01)
+    assert float(shift) == pytest.approx(0.2)
+    assert float(moved.phi) == pytest.approx(0.63)
+    rows = fit.parameters.rows
+    assert [row.name for row in rows] == ["yaw", "e_x", "phi"]
+    assert [row.std for row in rows] == pytest.approx([np.rad2deg(0.01), 0.2, np.rad2deg(0.03)])
+    assert rows[1].cells() == ("e_x", "0.00", "0.2", "world", "")
+    assert fit.notes == ()

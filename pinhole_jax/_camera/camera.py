@@ -20,7 +20,6 @@ THE CONVENTIONS
 """
 
 import operator
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -36,7 +35,6 @@ from .._numerics.one_kernel import at_once
 from .._numerics.pointwise import pointwise
 from .._numerics.safe import cross_of_difference, norm, normalize
 from .distortion import Distortion
-from .drawing import card, frustum, table
 from .film import Bend, FilmMap, FilmPart
 from .lens import Lens, check_lens
 from .matrices import Centres, from_matrices, is_rotation
@@ -151,7 +149,9 @@ class Camera(eqx.Module):
         """Return it as notebooks show it: a table, and the camera in space."""
         if not _is_plain(self):
             return None
-        return card(f"<b>Camera</b> of {self.W} x {self.H} px", table(_rows(self)), picture(self))
+        from ..show.table import camera_card
+
+        return camera_card(self, _rows(self))
 
     def replace(self, **changes: Input[ArrayLike | Lens | None, "by name"]) -> "Camera":
         """Return the camera with some of its arguments changed, checked as the constructor does."""
@@ -266,17 +266,6 @@ def _rows(camera: Camera) -> list[tuple[str, str, str]]:
         numbers = (f"{name} = {value:.6g}" for name, value in distortion.coefficients().items())
         rows.append(("", f"{type(distortion).__name__}: {', '.join(numbers)}", ""))
     return rows
-
-
-def picture(camera: Camera, way: Sequence[Camera] = (), others: Sequence[Camera] = ()) -> str:
-    """Return the camera in space as SVG, with where its eye was before and the eyes of others."""
-    e, p = np.asarray(camera.e, float), np.asarray(camera.p, float)
-    axes = np.stack([np.asarray(axis, float) for axis in basis(camera.e, camera.p, camera.u)])
-    up = float(np.tan(float(camera.phi) / 2))
-    wide = 1.0 if camera.lens is None else float(camera.lens.aspect)
-    half = (up * camera.W / camera.H / wide, up)
-    eyes = lambda cameras: np.array([np.asarray(c.e, float) for c in cameras]).reshape(-1, 3)
-    return frustum(axes, e, float(np.linalg.norm(p - e)), half, eyes(way), eyes(others))
 
 
 def check_camera(camera: Any, name: str = "camera") -> None:

@@ -1,4 +1,4 @@
-"""From film to rays and back: `generate_rays`, `camera_rays`, `project`."""
+"""From film to rays and back: `generate_rays`, `camera_rays`, `rays_through`, `project`."""
 
 from typing import NamedTuple
 
@@ -76,10 +76,34 @@ def camera_rays(
 @jitted
 def _rays(camera: Camera, samples: int | None, key: PRNGKeyArray | None) -> Rays:
     x, y = _film_samples(camera.W, camera.H, samples, key, camera.e.dtype)
-    return Rays(camera.e, rays_through(camera, x, y))
+    return Rays(camera.e, directions(camera, x, y))
 
 
-def rays_through(
+def rays_through(camera: Camera, points: Input[ArrayLike, "*batch 2"]) -> Rays:
+    """Return the rays through film points (..., 2): px from the bottom left, y up; a lens's
+    distortion is undone. `project` is the way back.
+
+    ```python
+    middle = pj.rays_through(camera, jnp.array([48.0, 40.0]))
+    distance = pj.trace(pj.Scene(mesh=pj.shapes.bumpy(3)), middle).t
+    ```
+    """
+    check_camera(camera)
+    at = as_array(points)
+    if at.shape[-1:] != (2,):
+        raise ValueError(f"`points`: expected shape (..., 2), got shape {at.shape}")
+    if not is_real(at):
+        raise ValueError(f"`points`: expected real numbers, got dtype {at.dtype}")
+    return Rays(camera.e, _directions(camera, at))
+
+
+@pointwise
+def _directions(camera: Camera, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch 3"]:
+    x, y = points.reshape(-1, 2).T
+    return directions(camera, x, y).reshape(*points.shape[:-1], 3)
+
+
+def directions(
     camera: Camera, x: Float[Array, "*#batch"], y: Float[Array, "*#batch"]
 ) -> Float[Array, "*batch 3"]:
     """Return unit directions of the rays through film points (x, y), in px: `q/|q|` of the note."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from .. import __version__
-from .._names import DISTORTIONS, FREE, STATUSES
+from ..names import DISTORTIONS, FREE, STATUSES
 
 #: The models of a lens's distortion, with their coefficients, as a camera file has them.
 EXAMPLES = "\n  ".join(

@@ -20,12 +20,12 @@ from .._solver.parameters import as_names
 from ..formats import object_pose
 from ..plot import overlay
 from ..robots import Robot, load_urdf
+from ..show.robot_page import robot_page
 from .joints import joint_angles
 from .known import known
 from .outputs import check_outputs, replaced
 from .photos import photo_beside
 from .proposals import Sight, in_words, worths
-from .robot_page import robot_page
 
 #: What the command calls the arguments of `fit_joint`.
 ASKED = {"target": "MASK", "free": "--free", "camera": "--camera", "cameras": "--camera"}

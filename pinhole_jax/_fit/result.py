@@ -9,18 +9,17 @@ from jaxtyping import Float
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
-from .._numerics.arrays import is_concrete
+from .._numerics.arrays import ArrayLike, Input, is_concrete
 from .._solver.kinds import Kind
-from .._solver.moves import Bounds, on_film
+from .._solver.moves import Bounds, displaced, on_film
 from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.parameters import LABELS, PARAMETERS, components, labels_of
 from .._solver.problem import COSINE, FINE_PX, UNIT_PX, View
 from .._solver.residuals import Sums
 from .._solver.solver import Found, Stop
 from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions, weak_moves
-from .card import fit_card
 from .places import Free
-from .words import table
+from .words import ParameterTable, notes, parameter_table, table
 
 #: Below this intersection over union a fit has found something else than the object.
 LEAST_IOU = 0.5
@@ -127,12 +126,45 @@ class Fit(NamedTuple):
     mask_error: MaskError | None = None
     unbelieved: Float[np.ndarray, "m 2"] | None = None
 
+    @property
+    def parameters(self) -> ParameterTable:
+        """The fitted parameters for people: `rows` of `name`, `value`, `std`, `unit` and `words`,
+        angles in degrees, the orientation as pitch, yaw and roll; and the rows' `covariance`.
+
+        ```python
+        [(row.name, row.value, row.std, row.unit) for row in fit.parameters.rows]
+        ```
+        """
+        return parameter_table(self)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What else there is to say, as sentences: `weak`, and how many `modes` there are.
+
+        ```python
+        print(*fit.notes, sep="\\n")
+        ```
+        """
+        return tuple(notes(self))
+
+    def displaced(self, step: Input[ArrayLike, "n"]) -> Camera:
+        """Return the camera with `names` changed by a small step, in the units of `std`.
+
+        ```python
+        step = np.random.default_rng(0).multivariate_normal(0 * fit.std, fit.covariance)
+        fit.displaced(step)  # a camera as likely as this one
+        ```
+        """
+        return displaced(self.camera, self.names, np.asarray(step, float))
+
     def __str__(self) -> str:
         """Return it as the command's table; what is traced in a line."""
         return table(self) if is_concrete(*jax.tree.leaves(self.camera)) else repr(self)
 
     def _repr_html_(self) -> str | None:
         """Return it as notebooks show it: its table, and its camera in space."""
+        from ..show.table import fit_card
+
         return fit_card(self) if is_concrete(*jax.tree.leaves(self.camera)) else None
 
     def __repr__(self) -> str:

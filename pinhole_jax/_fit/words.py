@@ -6,18 +6,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .._names import STATUSES as STATUSES
 from .._solver.heading import carried, heading
 from .._solver.parameters import LABELS
+from ..names import STATUSES as STATUSES
 
 #: What small turns about the camera's axes are told as.
 TURNS = {"rotation_b1": "pitch", "rotation_b2": "yaw", "rotation_v": "roll"}
 WORDS = {"phi": "vertical field of view", "d": "camera constant", "aspect": "fx / fy"}
 
 
-class Row(NamedTuple):
-    """A fitted parameter as it is told: name, value, one sigma, unit, and what it is, if its name
-    does not say it."""
+class Estimate(NamedTuple):
+    """A fitted parameter: name, value, one sigma, unit, and a description where the name is not
+    enough."""
 
     name: str
     value: float
@@ -25,11 +25,16 @@ class Row(NamedTuple):
     unit: str
     words: str
 
+    def cells(self) -> tuple[str, str, str, str, str]:
+        """Return it as text: a number has the digits that its error leaves it, and one more."""
+        sigma = f"{self.std:.2g}" if math.isfinite(self.std) else "not determined"
+        return self.name, in_digits(self.value, self.std), sigma, self.unit, self.words
+
 
 class ParameterTable(NamedTuple):
-    """The fitted parameters as they are told, angles in degrees, and their covariance."""
+    """The fitted parameters (`rows`), angles in degrees, and their `covariance`."""
 
-    rows: list[Row]
+    rows: list[Estimate]
     covariance: Float[np.ndarray, "n n"]
 
 
@@ -60,7 +65,7 @@ def parameter_table(fit: Any) -> ParameterTable:
         factor, unit = (180 / np.pi, "deg") if in_degrees[k] else (1.0, unit)
         std = float(np.sqrt(covariance[k, k]))
         own = TURNS.get(name) or name
-        rows.append(Row(own, factor * value, std, unit, words))
+        rows.append(Estimate(own, factor * value, std, unit, words))
     return ParameterTable(rows, covariance)
 
 

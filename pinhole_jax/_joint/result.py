@@ -22,13 +22,14 @@ from .._fit.result import (
     progress_at,
     widest_turn,
 )
-from .._names import STATUSES
+from .._fit.words import Estimate
 from .._scene.scene import Scene
 from .._solver.moves import on_film
 from .._solver.parameters import labels_of
 from .._solver.residuals import Sums
 from .._solver.solver import Stop
 from .._solver.uncertainty import in_words
+from ..names import STATUSES
 from .agreement import Agreement
 from .descent import Layout
 from .levels import End, Path
@@ -89,14 +90,21 @@ class JointZeros(NamedTuple):
         """Return the standard deviations."""
         return np.sqrt(np.diag(self.covariance))
 
+    @property
+    def rows(self) -> list[Estimate]:
+        """The zeros for people, angles in degrees."""
+        rows = zip(self.names, self.values, self.std, self.units, strict=True)
+        in_degrees = lambda name, value, std, unit: (
+            Estimate(name, np.rad2deg(value), np.rad2deg(std), "deg", "")
+            if unit == "rad"
+            else Estimate(name, value, std, unit, "")
+        )
+        return [in_degrees(*row) for row in rows]
+
     def __str__(self) -> str:
         """Return it as a table."""
         lines = ["joint         zero off   one sigma  unit"]
-        rows = zip(self.names, self.values, self.std, self.units, strict=True)
-        for name, value, std, unit in rows:
-            turns = unit == "rad"
-            value, std = (np.rad2deg(x) if turns else x for x in (value, std))
-            unit = "deg" if turns else unit
+        for name, value, std, unit, _ in self.rows:
             lines.append(f"{name:<12}{value:>+10.3g}{std:>12.2g}  {unit}")
         return "\n".join(lines)
 

@@ -18,8 +18,6 @@ from ..plot import outline, outline_sigma
 GRID = 8
 #: A bent line has this many points.
 POINTS = 49
-#: A band is drawn wider by a power of ten until its median half width is about this (px).
-BAND_PX = 4.0
 #: What is farther from the picture than this many of its sides is not drawn.
 FAR = 20
 
@@ -77,19 +75,15 @@ def joined(lines: list[list[float]]) -> list[list[float]]:
 
 
 def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
-    """Return the outline as lines, the half width (px) of a band about each that can be seen: how
-    far it moves at one standard error, times a power of ten; which one, and the median without."""
+    """Return the outline as lines, the half width (px) of a band about each, which is how far it
+    moves at one standard error, and the median of these."""
     lines = _flipped(outline(fit.camera, scene), fit.camera)
     sigma = outline_sigma(fit, scene)
     shown = sigma[np.isfinite(sigma) & (sigma > 0)]
-    middle = float(np.median(shown)) if shown.size else 0.0
-    wider = 0 < middle < BAND_PX / 4
-    factor = float(10.0 ** np.round(np.log10(BAND_PX / middle))) if wider else 1.0
     return {
         "lines": lines.round(2).reshape(-1, 4).tolist(),
-        "half_px": np.nan_to_num(factor * sigma).clip(0, 1e4).round(2).tolist(),
-        "median_px": middle,
-        "factor": factor,
+        "half_px": np.nan_to_num(sigma).clip(0, 1e4).round(3).tolist(),
+        "median_px": float(np.median(shown)) if shown.size else 0.0,
     }
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from concurrent.futures import Executor
 from typing import Any, NamedTuple, TypeGuard
 
-from .._names import STATUSES
+from ..names import STATUSES
 from .engine import rows_of
 from .parts import Done, Results, Writer
 from .records import Record, check_id, plain_record, shard_of

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from .._files.paths import replace_file
-from .._names import STATUSES
-from .._show.page import document, facts, figure, section, table
+from ..names import STATUSES
+from ..show.page import document, facts, figure, table
 from .parts import Results
 from .rows import NO_FIT, Row
 from .tables import fit_of
@@ -38,11 +38,11 @@ def write(
             "seconds in all": f"{np.sum(numbers.seconds):.0f}",
         }
     )
-    sections = [
-        section("Status", _statuses(numbers.status)),
-        section("Spread", "".join(_spread(numbers))),
-        section("The worst", _worst(results, numbers)),
-    ]
+    sections = {
+        "Status": _statuses(numbers.status),
+        "Spread": "".join(_spread(numbers)),
+        "The worst": _worst(results, numbers),
+    }
     replace_file(path, document(title, head, sections).encode(errors="backslashreplace"))
 
 
@@ -78,7 +78,7 @@ def _statuses(found: Sequence[str]) -> str:
         for name, number in counts.items()
         if number
     ]
-    return table("Of all rows", ("status", "rows", "share", "meaning"), rows, "parameters")
+    return table(("status", "rows", "share", "meaning"), rows, "Of all rows", "statuses")
 
 
 def _spread(numbers: _Numbers) -> Iterable[str]:

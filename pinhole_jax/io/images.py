@@ -8,14 +8,15 @@ import numpy as np
 
 from .._files.exif import FieldOfView, field_of_view
 from .._files.paths import path_of, reason, replace_file
-from .._files.pictures import by_bands, eight_bits, from_picture
+from .._files.pictures import by_bands, eight_bits, from_picture, three_channels
 
 #: The most pixels of a picture (Pillow's limit, too: what is written can be read).
 MOST_PIXELS = 178_956_970
 
 
-def load_image(path: str | os.PathLike[str]) -> np.ndarray:
-    """Return an image file as uint8: (H, W) if it is grey, else (H, W, 3) or (H, W, 4).
+def load_image(path: str | os.PathLike[str], *, rgb: bool = False) -> np.ndarray:
+    """Return an image file as uint8: (H, W) if it is grey, else (H, W, 3) or (H, W, 4); with `rgb`
+    always (H, W, 3): grey three times, and no transparency.
 
     A photo that says that it was taken sideways (EXIF) is turned upright. Grey values of more than
     8 bits are scaled so that the largest is 255; negative ones become 0.
@@ -36,7 +37,8 @@ def load_image(path: str | os.PathLike[str]) -> np.ndarray:
         mode = "RGBA" if through else "RGB"
         return by_bands(image, lambda band: np.asarray(band.convert(mode)), (len(mode),))
 
-    return from_picture(path, "a readable image", read)
+    image = from_picture(path, "a readable image", read)
+    return three_channels(image) if rgb else image
 
 
 def photo_fov(path: str | os.PathLike[str]) -> FieldOfView | None:

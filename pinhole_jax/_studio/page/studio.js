@@ -383,9 +383,9 @@ function showFit(fit) {
     for (const text of [name, value, std, unit]) cell(row, "td", text);
     body.append(row);
   }
-  const band = fit.band, wide = band && band.factor !== 1 ? `, drawn ${band.factor} times as wide` : "";
+  const band = fit.band;
   $("band").textContent = band && band.median_px
-    ? `Yellow: the outline's one-sigma band${wide}; one sigma is ${band.median_px.toPrecision(2)} px (median).` : "";
+    ? `Yellow: the outline's one-sigma band; one sigma is ${band.median_px.toPrecision(2)} px (median).` : "";
   list("notes", fit.notes);
   $("pose").textContent = fit.pose;
   $("modes").replaceChildren();

@@ -11,18 +11,18 @@ from .._camera.rays import project
 from .._files import programs
 from .._numerics.jitted import jitted
 from .._scene.scene import Mesh, Scene, Spheres, astype, check_view
-from .._silhouette.clip import clipped
-from .._silhouette.contour import contour_weights
-from .._silhouette.curves import Arcs, Segments, film_at
-from .._silhouette.spheres import ARCS_PER_SPHERE, sphere_arcs
-from .._silhouette.surrounding import surrounding
+from .clip import clipped
+from .contour import contour_weights
+from .curves import Arcs, Segments, film_at
+from .spheres import ARCS_PER_SPHERE, sphere_arcs
+from .surrounding import surrounding
 
 #: Outline points are at most this far apart (px), and no closer than that.
 STEP_PX = 2.0
 #: ... nor does a gap count that is shorter (px): rounding makes these.
 LEAST_PX = 1e-6
 #: A program that is kept.
-SEGMENTS = "pinhole_jax._show.outline:_segments"
+SEGMENTS = "pinhole_jax._silhouette.visible:_segments"
 
 
 def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
@@ -32,7 +32,7 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     parts behind it are left out.
 
     ```python
-    segments = pj.plot.outline(fit.camera, scene)  # (n, 2, 2) in px: matplotlib's LineCollection
+    segments = pj.outline(fit.camera, scene)  # (n, 2, 2) in px: matplotlib's LineCollection
     ```
     """
     check_view(camera, scene)
@@ -60,7 +60,7 @@ def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
     px apart, on spheres where rays touch them.
 
     ```python
-    pj.plot.contour_points(fit.camera, scene).shape
+    pj.contour_points(fit.camera, scene).shape
     ```
     """
     check_view(camera, scene)

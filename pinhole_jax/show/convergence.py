@@ -1,0 +1,105 @@
+"""The way of a fit to its camera, as numbers and as a diagram (SVG)."""
+
+from itertools import groupby
+
+import numpy as np
+
+from .. import Fit, Progress, Scene, contour_points, project
+from .outline import check_fit
+from .page import Svg
+
+#: The diagram's field on its page: left, top, width, height.
+FIELD = 64, 24, 640, 260
+STYLE = (
+    "text{font:12px sans-serif;fill:#456}.m{text-anchor:middle}.e{text-anchor:end}"
+    "line{stroke:#fff}polyline{fill:none;stroke:#0a6b8a;stroke-width:2}circle{fill:#0a6b8a}"
+)
+
+
+def off_px(fit: Fit, scene: Scene) -> list[float]:
+    """Return how far (px, root mean square over the final contour's points) the outline was from
+    its place at the end, at each entry of `fit.history`.
+
+    ```python
+    pj.plot.off_px(fit, scene)[-1]
+    ```
+    """
+    check_fit(fit)
+    points = np.asarray(contour_points(fit.camera, scene), fit.camera.e.dtype)
+    if not len(points):
+        return [float("nan")] * len(fit.history)
+    place = lambda camera: np.asarray(project(camera, points), float)
+    last = place(fit.camera)
+    moves = (place(stop.camera) - last for stop in fit.history)
+    return [float(np.sqrt(np.mean(np.sum(m**2, axis=1)))) for m in moves]
+
+
+def levels(fit: Fit) -> list[tuple[Progress, int, int]]:
+    """Return each level's end with all its steps, and at which entries of `fit.history` the level
+    begins (the end of the one before) and ends.
+
+    ```python
+    [end.W for end, first, last in pj.plot.levels(fit)]
+    ```
+    """
+    check_fit(fit)
+    found, last = [], 0
+    for _, each in groupby(fit.history[1:], lambda stop: (stop.W, stop.H)):
+        level, first = list(each), last
+        last += len(level)
+        end = level[-1]._replace(steps=sum(stop.steps for stop in level))
+        found.append((end, first, last))
+    return found
+
+
+def _text(x: float, y: float, words: object, kind: str = "m") -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" class="{kind}">{words}</text>'
+
+
+def convergence(fit: Fit, scene: Scene) -> Svg:
+    """Return a diagram of how far the outline was from its last place (px) by steps, at each entry
+    of `fit.history`; the levels are bands with their size in px.
+
+    ```python
+    diagram = pj.plot.convergence(fit, scene)  # SVG
+    ```
+    """
+    off = np.maximum(off_px(fit, scene), 1e-12)
+    if len(off) < 2 or not np.all(np.isfinite(off)):
+        return Svg('<svg xmlns="http://www.w3.org/2000/svg" width="1" height="1"/>')
+    steps = np.cumsum([stop.steps for stop in fit.history])
+    shown = np.maximum(off, max(off[off > 1e-12].min(initial=1.0), 1e-9) / 10)
+    low, high = np.floor(np.log10(shown.min())), np.ceil(np.log10(shown.max()) + 1e-9)
+    left, top, width, height = FIELD
+    across = lambda step: left + width * step / max(steps[-1], 1)
+    down = lambda power: top + height * (high - power) / (high - low)
+    parts = [
+        _text(left + width / 2, top + height + 38, "steps"),
+        _text(left - 8, top - 8, "px", "e"),
+    ]
+    x, y = across(steps), down(np.log10(shown))
+    for k, (level, first, last) in enumerate(levels(fit)):
+        a, b = x[first], x[last]
+        parts.append(
+            f'<rect x="{a:.1f}" y="{top}" width="{b - a:.1f}" height="{height}"'
+            f' fill="{("#eef2f6", "#dfe7ef")[k % 2]}"><title>{level}</title></rect>'
+        )
+        if b - a > 44:
+            parts.append(_text((a + b) / 2, top - 8, f"{level.W} x {level.H}"))
+    for power in range(int(low), int(high) + 1, max(int(high - low) // 7, 1)):
+        at = down(power)
+        parts.append(f'<line x1="{left}" x2="{left + width}" y1="{at:.1f}" y2="{at:.1f}"/>')
+        parts.append(_text(left - 8, at + 4, f"{10.0**power:g}", "e"))
+    for step in np.unique(np.linspace(0, steps[-1], 8).round().astype(int)):
+        parts.append(_text(across(step), top + height + 18, step))
+    line = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
+    parts.append(f'<polyline points="{line}"/>')
+    parts += [
+        f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3"><title>{o:.3g} px</title></circle>'
+        for a, b, o in zip(x, y, off, strict=True)
+    ]
+    box = f"0 0 {left + width + 16} {top + height + 46}"
+    return Svg(
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{box}" role="img"'
+        f' aria-label="convergence"><style>{STYLE}</style>{"".join(parts)}</svg>'
+    )

@@ -1,0 +1,236 @@
+"""The outline over a photo, its uncertainty, and where it and a mask differ: pictures (uint8 RGB)
+and sentences.
+"""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from .. import Camera, Fit, Scene, contour_points, outline, project, silhouette
+from ..io import as_coverage
+
+CYAN, RED = (0, 240, 255), (235, 40, 60)
+DARK, YELLOW = (0, 30, 60), (255, 220, 0)
+#: How much of 255 a band covers of the picture.
+TINT = 50
+MORE, LESS = (230, 90, 20), (30, 110, 210)
+#: Pictures are enlarged to about this many pixels.
+SHOWN_PX = 800
+#: Outline and mask differ where they are farther than this from one another (px) ...
+APART_PX = 3.0
+#: ... along more than this share: thin parts between pixels' centres are not worth a word.
+LEAST = 0.02
+
+Window = tuple[int, int, int, int]
+
+
+def outline_sigma(fit: Fit, scene: Scene) -> Float[np.ndarray, "n"]:
+    """Return how far (px) each segment of `outline(fit.camera, scene)` moves across itself at one
+    standard error of the camera.
+
+    To first order: points of the contour stay on the object while the camera moves by each
+    principal axis of its covariance. Parameters that the mask does not determine are left out.
+
+    ```python
+    sigma = pj.plot.outline_sigma(fit, scene)  # px, for each segment
+    ```
+    """
+    from scipy.spatial import KDTree
+
+    check_fit(fit)
+    camera, known = fit.camera, np.flatnonzero(np.isfinite(fit.std))
+    segments = outline(camera, scene)
+    if not known.size or not len(segments):
+        return np.zeros(len(segments))
+    variance, axes = np.linalg.eigh(fit.covariance[np.ix_(known, known)])
+    place = lambda camera: np.asarray(project(camera, points), float)
+    points = np.asarray(contour_points(camera, scene), camera.e.dtype)
+    points = points[KDTree(place(camera)).query(segments.mean(axis=1))[1]]
+    far = float(np.linalg.norm(np.mean(points - np.asarray(camera.e), axis=0)))
+    large = {"e": far, "d": float(camera.d), "principal": camera.H}
+    small = 1e-3 * np.array([large.get(name.split("_")[0], 1.0) for name in fit.names])
+    along = segments[:, 1] - segments[:, 0]
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
+    total = np.zeros(len(segments))
+    for size, axis in zip(np.sqrt(np.maximum(variance, 0)), axes.T, strict=True):
+        step = np.zeros(len(fit.std))
+        step[known] = size * axis
+        share = 1 / max(float(np.max(np.abs(step) / small)), 1)  # so far that it is still linear
+        ends = (place(fit.displaced(sign * share * step)) for sign in (1, -1))
+        change = np.subtract(*ends) / 2 / share
+        total += (change[:, 0] * along[:, 1] - change[:, 1] * along[:, 0]) ** 2
+    return np.sqrt(total)
+
+
+def overlay(
+    image: np.ndarray,
+    camera: Camera,
+    scene: Scene,
+    colour: tuple[int, int, int] = CYAN,
+    *,
+    band_px: np.ndarray | None = None,
+    window: Window | None = None,
+    dots: Float[np.ndarray, "m 2"] | None = None,
+) -> np.ndarray:
+    """Return the image as RGB uint8 with the outline drawn on it, enlarged to some 800 pixels.
+
+    `image` is uint8 (H, W), (H, W, 3) or (H, W, 4), of the camera's size, row 0 on top. `band_px`
+    is the half width of a yellow band about each segment of the outline (`outline_sigma`, or some
+    times as much): its two borders, and a tint that lets the picture be seen.
+    `window` is the part shown: left, top, right, bottom in px from the upper left. `dots` (film
+    coordinates, px), as `Fit.unbelieved` are, are drawn red.
+
+    ```python
+    picture = pj.plot.overlay(np.uint8(255 * mask), fit.camera, scene)  # (H', W', 3)
+    ```
+    """
+    from PIL import Image, ImageDraw
+
+    _check_size("image", image, camera)
+    left, top, right, bottom = window or (0, 0, camera.W, camera.H)
+    W, H = right - left, bottom - top
+    factor = -(-SHOWN_PX // max(W, H))
+    fine = 2 * factor  # lines are drawn at twice the size and averaged down: no jagged edges
+    shown = lambda film: (film * [1, -1] + [-left, camera.H - top]) * fine
+    canvas = Image.fromarray(np.ascontiguousarray(image[top:bottom, left:right])).convert("RGB")
+    canvas = canvas.resize((W * fine, H * fine), Image.Resampling.NEAREST)
+    corners = shown(outline(camera, scene))
+    near = np.all(np.abs(corners) < 1e4 * fine, axis=(1, 2))
+    if band_px is not None:
+        _draw_band(canvas, corners[near], band_px[near] * fine)
+    draw = ImageDraw.Draw(canvas)
+    for line, width in ((DARK, 6), (colour, 3)):
+        for segment in corners[near].reshape(-1, 4).tolist():
+            draw.line(segment, fill=line, width=width)
+    for dot in () if dots is None else shown(dots):
+        draw.ellipse([*(dot - factor), *(dot + factor)], fill=RED)
+    return np.asarray(canvas.resize((W * factor, H * factor), Image.Resampling.BOX))
+
+
+def _draw_band(canvas: Any, segments: np.ndarray, half: np.ndarray) -> None:
+    from PIL import Image, ImageChops, ImageDraw, ImageFilter
+
+    cover = Image.new("L", canvas.size)
+    draw = ImageDraw.Draw(cover)
+    for (a, b), wide in zip(segments, half, strict=True):
+        across = np.array([b[1] - a[1], a[0] - b[0]])
+        across *= wide / max(np.linalg.norm(across), 1e-30)
+        corners = np.concatenate([a + across, b + across, b - across, a - across])
+        draw.polygon(corners.tolist(), 255)
+        draw.ellipse([*(b - wide), *(b + wide)], 255)
+    border = ImageChops.subtract(cover, cover.filter(ImageFilter.MinFilter(7)))
+    tint = cover.point([TINT * value // 255 for value in range(256)])
+    canvas.paste(YELLOW, mask=ImageChops.lighter(border, tint))
+
+
+def error_map(
+    camera: Camera, scene: Scene, target: np.ndarray, *, window: Window | None = None
+) -> np.ndarray:
+    """Return as RGB uint8 where camera and mask differ, enlarged to some 800 pixels: orange where
+    the camera sees more of the object than the mask, blue where less; grey is the object.
+
+    `target` is a mask (H, W) as `fit_camera` takes it; `window` as in `overlay`.
+
+    ```python
+    differ = pj.plot.error_map(fit.camera, scene, mask)
+    ```
+    """
+    left, top, right, bottom = window or (0, 0, camera.W, camera.H)
+    both = np.asarray(silhouette(camera, scene), float), coverage_of(target, camera)
+    shown, mask = (x[top:bottom, left:right, None] for x in both)
+    ground = 255 - 45 * np.minimum(shown, mask)
+    more, less = (np.clip(x, 0, 1) for x in (shown - mask, mask - shown))
+    mixed = ground * (1 - more - less) + more * np.array(MORE) + less * np.array(LESS)
+    factor = -(-SHOWN_PX // max(mixed.shape[:2]))
+    return np.round(mixed).astype(np.uint8).repeat(factor, 0).repeat(factor, 1)
+
+
+def object_window(camera: Camera, scene: Scene) -> Window:
+    """Return the part of the picture (left, top, right, bottom, px) about the object's outline.
+
+    ```python
+    left, top, right, bottom = pj.plot.object_window(fit.camera, scene)
+    ```
+    """
+    size = np.array([camera.W, camera.H])
+    ends = (outline(camera, scene) * [1, -1] + [0, camera.H]).reshape(-1, 2)
+    ends = ends[np.all((ends >= 0) & (ends <= size), axis=1)]
+    if not len(ends):
+        return 0, 0, camera.W, camera.H
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    margin = 0.08 * np.max(high - low) + 2
+    left, top = np.floor(np.maximum(low - margin, 0)).astype(int).tolist()
+    right, bottom = np.ceil(np.minimum(high + margin, size)).astype(int).tolist()
+    return left, top, right, bottom
+
+
+def disagreement(camera: Camera, scene: Scene, target: np.ndarray) -> tuple[str, ...]:
+    """Return a sentence for each way in which the outline that a camera sees and a mask (H, W)
+    differ: cut off by the film, lost from the mask, added to it. Nothing where they agree.
+
+    ```python
+    for sentence in pj.plot.disagreement(fit.camera, scene, mask):
+        print(sentence)
+    ```
+    """
+    from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt
+
+    mask = coverage_of(target, camera) > 0.5
+    lines = outline(camera, scene)
+    if not len(lines) or np.all(mask) or not np.any(mask):
+        return ()
+    middle, length = lines.mean(axis=1), np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)
+    inside = np.all((middle > 0) & (middle < [camera.W, camera.H]), axis=1)
+    words, share = [], np.sum(length[~inside]) / np.sum(length)
+    if share > LEAST:
+        words.append(f"the film's edge cuts the object off: {share:.0%} of its outline is outside")
+    if not np.any(inside):
+        return tuple(words)
+    column, row = np.floor(middle[inside]).astype(int).T
+    row = camera.H - 1 - row
+    edge = np.not_equal(binary_dilation(mask), binary_erosion(mask, border_value=1))
+    off = np.asarray(distance_transform_edt(~edge))[row, column] > APART_PX
+    share = np.sum(length[inside][off]) / np.sum(length[inside])
+    if share > LEAST:
+        words.append(
+            f"{share:.0%} of the outline, about {_place(column[off], row[off])}, is more than"
+            f" {APART_PX:g} px from the mask's edge: the mask is cut off or covered there, or wrong"
+        )
+    free = np.ones(mask.shape, bool)
+    free[row, column] = False
+    apart = edge & (np.asarray(distance_transform_edt(free)) > APART_PX)
+    share = np.count_nonzero(apart) / np.count_nonzero(edge)
+    if share > LEAST:
+        y, x = np.nonzero(apart)
+        words.append(
+            f"{share:.0%} of the mask's edge, about {_place(x, y)}, is more than {APART_PX:g} px"
+            " from the outline: it is no edge of the object's"
+        )
+    return tuple(words)
+
+
+def _place(x: np.ndarray, y: np.ndarray) -> str:
+    """Return the one of some pixels that is nearest to their median."""
+    nearest = np.argmin(np.hypot(x - np.median(x), y - np.median(y)))
+    return f"column {x[nearest]}, row {y[nearest]}"
+
+
+def coverage_of(target: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return a mask of the camera's size as coverage."""
+    _check_size("target", target, camera)
+    return as_coverage(target)
+
+
+def check_fit(fit: Any) -> None:
+    """Raise ValueError unless this is a fit."""
+    if not isinstance(fit, Fit):
+        raise ValueError(f"`fit`: expected a Fit, got {type(fit).__name__}")
+
+
+def _check_size(name: str, image: Any, camera: Camera) -> None:
+    if np.shape(image)[:2] != (camera.H, camera.W):
+        raise ValueError(
+            f"`{name}`: expected the camera's size (H, W) = ({camera.H}, {camera.W}),"
+            f" got {np.shape(image)[:2]}"
+        )

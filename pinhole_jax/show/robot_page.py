@@ -1,0 +1,93 @@
+"""One HTML page about the camera that sees a robot: `pinhole-jax hand-eye --report`."""
+
+from collections.abc import Iterator, Sequence
+from typing import Literal
+
+import numpy as np
+
+from .. import JointFit, silhouette
+from ..formats import object_pose
+from ..io import as_coverage
+from .outline import disagreement, object_window, overlay
+from .page import document, escaped, facts, figure, items, status, table
+from .table import HEADS, parameters
+
+VIEW_WORDS = (
+    "<p>Sigma off: how surely a view disagrees with the others, in standard errors. Worth: how many"
+    " times as large the standard errors of the camera's pose would be without it. Mask only: what"
+    " is masked but not in the model, as a share of the mask; robot only: what the model shows"
+    " beside the mask.</p>"
+)
+
+
+def robot_page(
+    fit: JointFit,
+    masks: Sequence[np.ndarray],
+    pictures: Sequence[np.ndarray],
+    names: Sequence[str],
+    *,
+    frame: str,
+    halves: str | None = None,
+    proposed: str | None = None,
+    pixel_centres: Literal["integer", "half"] = "integer",
+) -> str:
+    """Return a fit to the masks (H, W) of files of such names as a page; `pictures` are what
+    outlines are drawn on (the masks, or photos), `frame` is the link that its camera stands in,
+    `halves` what the halves of the postures say, `proposed` what other postures would tell."""
+    camera = fit.cameras["camera"]
+    numbers = {
+        "views": str(len(fit.views)),
+        "IoU of all": f"{camera.iou:.4f}",
+        "picture": f"{fit.camera.W} x {fit.camera.H} px",
+        "disagreement": f"{fit.excess:.1f} x mask errors",
+    }
+    pose = object_pose(camera, pixel_centres=pixel_centres)
+    weak = [*fit.weak, *camera.weak]
+    if fit.modes:
+        weak.append(f"{len(fit.modes)} other places of the camera explain the masks as well")
+    well = "<p>Every parameter is well determined, and the views agree.</p>"
+    sections = {
+        "Outlines": "".join(_outlines(fit, pictures, names)),
+        f"The camera in the frame of {escaped(frame)}": parameters(camera, "What was fitted")
+        + _zeros(fit)
+        + "<p>A 95 % interval is 1.96 sigma to either side.</p>",
+        "What the masks do not tell": items(weak) or well,
+        "Postures": _views(fit, masks, names),
+        "K, R and t": f"<pre>{escaped(str(pose))}</pre>",
+    }
+    for heading, words in {"Halves of the postures": halves, "Other postures": proposed}.items():
+        if words is not None:
+            sections[heading] = f"<p>{escaped(words)}</p>"
+    return document("Camera of a robot", status(fit) + facts(numbers), sections)
+
+
+def _outlines(fit: JointFit, pictures: Sequence[np.ndarray], names: Sequence[str]) -> Iterator[str]:
+    for k, (view, picture, name) in enumerate(zip(fit.views, pictures, names, strict=True)):
+        if picture.ndim == 2:
+            picture = np.round(255 * as_coverage(picture)).astype(np.uint8)
+        window = object_window(view.camera, view.scene)
+        drawn = overlay(picture, view.camera, view.scene, window=window)
+        yield figure(drawn, f"View {k}, {name}: the recovered outline, IoU {view.iou:.4f}.")
+
+
+def _zeros(fit: JointFit) -> str:
+    if fit.joint_zeros is None:
+        return ""
+    rows = [row.cells() for row in fit.joint_zeros.rows]
+    heads = ("joint", "to be added to its readings", *HEADS[2:])
+    return table(heads, rows, "Zeros of the joints")
+
+
+def _views(fit: JointFit, masks: Sequence[np.ndarray], names: Sequence[str]) -> str:
+    rows, notes = [], []
+    for k, (view, mask, name) in enumerate(zip(fit.views, masks, names, strict=True)):
+        there = as_coverage(mask)
+        difference = there - np.asarray(silhouette(view.camera, view.scene), float)
+        whole = max(float(there.sum()), 1.0)
+        less, more = (float(part.clip(0).sum()) / whole for part in (difference, -difference))
+        cells = (view.iou, ".4f"), (view.sigma, ".1f"), (view.weight, ".2f"), (view.worth, ".2f")
+        shares = f"{less:.1%}", f"{more:.1%}"
+        rows.append([f"{k} {name}", *(f"{x:{digits}}" for x, digits in cells), *shares])
+        notes += [f"view {k}: {x}" for x in disagreement(view.camera, view.scene, mask)]
+    heads = ("view", "IoU", "sigma off", "weight", "worth", "mask only", "robot only")
+    return table(heads, rows, "Each mask", "views") + VIEW_WORDS + items(notes)

@@ -1,0 +1,166 @@
+"""The object and the camera in space, seen from beside."""
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from .. import Camera, Scene, camera_basis, rays_through
+from .page import Svg
+
+#: How far above and behind its own line of sight a camera is looked at from (rad).
+ABOVE, BEHIND = 0.44, 0.35
+#: Rays through each side of the film; those as wide as this are drawn no longer.
+SIDE = 16
+#: (The cosine from the axis: 78 degrees. At 90 they would be endless.)
+LEAST_COSINE = 0.2
+#: Width and height of a frustum's picture, and the room about what is drawn (px).
+W, H, ROOM = 240, 170, 16.0
+#: The film's corners, and the world's axes with their colours.
+CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+WORLD = (("x", "#d9691e"), ("y", "#3a9a4b"), ("z", "#2f6fb0"))
+TEAL, GREY = "#008573", "#8fa1ad"
+#: The colours of `scene_view`: faces, spheres and their border, the camera, the film, the ground.
+FACE, BALL, RIM = (214, 196, 168), (196, 180, 154), (120, 105, 80)
+LINE, FILM, GROUND = (0, 107, 138), (0, 150, 190, 28), (250, 251, 253)
+
+Points = Float[np.ndarray, "n 3"]
+
+
+def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
+    """Return a parallel view, RGB uint8 (3/4 size, size, 3), of the object with the camera: its
+    frustum reaches to the film through the object's middle, the tick shows up. Under distortion the
+    frustum is bent as the rays through the film's border are.
+
+    Faces are painted from back to front, shaded by their angle to the view.
+
+    ```python
+    space = pj.plot.scene_view(fit.camera, scene, size=200)
+    ```
+    """
+    from PIL import Image, ImageDraw
+
+    axes, eye = _axes(camera), np.asarray(camera.e, float)
+    triangles, balls = _solids(scene)
+    middle = np.concatenate([triangles.reshape(-1, 3), balls[:, :3]]).mean(axis=0)
+    depth = max(float((middle - eye) @ axes[2]), 1e-6 * float(np.linalg.norm(middle - eye)), 1e-30)
+    border = _border(camera)
+    border = eye + depth / np.maximum(border @ axes[2], LEAST_COSINE)[:, None] * border
+    film = border[::SIDE]
+    tick = (film[2] + film[3]) / 2 + 0.15 * np.linalg.norm(film[2] - film[1]) * axes[1]
+    ends = [b[:3] + s * b[3] for b in balls for s in (-1, 1)]
+    spread = np.concatenate([np.array([*border, eye, tick, *ends]), triangles.reshape(-1, 3)])
+    wide, high = 2 * size, 2 * (3 * size // 4)  # drawn at twice the size and averaged down
+    view = _beside(axes)
+    place, scale = _placing(spread, view, (wide, high), 0.06 * high)
+
+    canvas = Image.new("RGB", (wide, high), GROUND)
+    draw = ImageDraw.Draw(canvas, "RGBA")
+    flat = lambda points: place(points).ravel().tolist()
+    draw.polygon(flat(border), FILM)
+    corners = triangles @ view.T
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    light = np.abs(normal[:, 2]) / np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
+    colours = ((0.35 + 0.65 * light[:, None]) * FACE).astype(int).tolist()
+    depths = np.concatenate([corners[..., 2].mean(axis=1), balls[:, :3] @ view[2]])
+    placed = place(triangles).reshape(-1, 6).tolist()
+    for k in np.argsort(depths):
+        if k < len(placed):
+            draw.polygon(placed[k], tuple(colours[k]), tuple(colours[k]))
+        else:
+            ball = balls[k - len(placed)]
+            at, r = place(ball[:3]), ball[3] * scale
+            draw.ellipse([*(at - r), *(at + r)], BALL, RIM)
+    for path in (*([eye, corner] for corner in film), [*border, film[0]], [film[3], tick, film[2]]):
+        draw.line(flat(np.array(path)), (*LINE, 230), 4)
+    draw.ellipse([*(place(eye) - 9), *(place(eye) + 9)], LINE)
+    return np.asarray(canvas.resize((wide // 2, high // 2), Image.Resampling.BOX))
+
+
+def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera] = ()) -> Svg:
+    """Return a parallel view of a camera as SVG: its pyramid up to the view point, a tick upwards,
+    the world's axes at the view point. Nothing where numbers are not finite.
+
+    `way`: the camera before, whose eyes are a dotted line; `others`: cameras whose eyes are rings.
+    """
+    axes, eye = _axes(camera), np.asarray(camera.e, float)
+    b1, b2, v = axes * float(np.linalg.norm(np.asarray(camera.p, float) - eye))
+    up = float(np.tan(float(camera.phi) / 2))
+    aspect = 1.0 if camera.lens is None else float(camera.lens.aspect)
+    right = up * camera.W / camera.H / aspect
+    eyes = lambda cameras: [np.asarray(c.e, float) for c in cameras]
+    film = [eye + v + x * right * b1 + y * up * b2 for x, y in CORNERS]
+    tick, middle = eye + v + 1.3 * up * b2, eye + v
+    world = middle + 0.6 * up * np.linalg.norm(v) * np.eye(3)
+    steps, rings = [*eyes(way), eye], eyes(others)
+    spread = np.array([*film, *world, *steps, *rings, middle, tick])
+    if not np.all(np.isfinite(spread)):
+        return Svg()
+    place, _ = _placing(spread, _beside(axes), (W, H), ROOM)
+    at = lambda points: " ".join(f"{x:.1f},{y:.1f}" for x, y in place(np.array(points)))
+    line = lambda points, style: f'<polyline points="{at(points)}" fill="none" {style}/>'
+    dot = lambda point, style: "<circle cx='{:.1f}' cy='{:.1f}' r='3.5' {}/>".format(
+        *place(point), style
+    )
+    edge = f'stroke="{TEAL}" stroke-width="1.6"'
+    parts = [f'<polygon points="{at(film)}" fill="{TEAL}" fill-opacity="0.13" {edge}/>']
+    parts += [line([eye, corner], edge) for corner in film]
+    parts.append(line([film[3], tick, film[2]], edge))
+    for (name, colour), end in zip(WORLD, world, strict=True):
+        x, y = place(end)
+        parts.append(line([middle, end], f'stroke="{colour}" stroke-width="2"'))
+        parts.append(f'<text x="{x:.1f}" y="{y:.1f}" fill="{colour}" font-size="11">{name}</text>')
+    grey = f'stroke="{GREY}" stroke-width="1.5"'
+    if len(steps) > 1:
+        parts.append(line(steps, f'{grey} stroke-dasharray="2 3"'))
+    parts += [dot(ring, f'fill="none" {grey}') for ring in rings]
+    parts.append(dot(eye, f'fill="{TEAL}"'))
+    size = f'width="{W}" height="{H}" viewBox="0 0 {W} {H}"'
+    words = 'role="img" aria-label="the camera in the world" font-family="sans-serif"'
+    return Svg(f'<svg xmlns="http://www.w3.org/2000/svg" {size} {words}>{"".join(parts)}</svg>')
+
+
+def _axes(camera: Camera) -> np.ndarray:
+    return np.stack([np.asarray(axis, float) for axis in camera_basis(camera)])
+
+
+def _beside(axes: np.ndarray) -> np.ndarray:
+    """Return axes of a view from beside, as rows: to the right, upwards, towards the viewer."""
+    b1, b2, v = axes
+    aside = np.cos(BEHIND) * b1 - np.sin(BEHIND) * v
+    back = np.cos(ABOVE) * aside + np.sin(ABOVE) * b2
+    right = np.cross(b2, back)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(back, right), back])
+
+
+def _placing(
+    spread: Points, view: np.ndarray, size: tuple[int, int], room: float
+) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
+    """Return a function from points (..., 3) to px (..., 2) of a picture that shows all of
+    `spread`, and its px a unit."""
+    onto = view[:2].T * [1, -1]  # y runs down
+    low, high = (spread @ onto).min(axis=0), (spread @ onto).max(axis=0)
+    scale = float(np.min((np.array(size) - 2 * room) / np.maximum(high - low, 1e-30)))
+    shift = np.array(size) / 2 - scale * (low + high) / 2
+    return (lambda points: points @ onto * scale + shift), scale
+
+
+def _border(camera: Camera) -> Points:
+    """Return unit directions of rays through the film's border, counter-clockwise from its lower
+    left corner, as many to each side."""
+    share = np.linspace(0, 1, SIDE, endpoint=False)[:, None] * [camera.W, camera.H]
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * [camera.W, camera.H]
+    ways = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
+    points = np.concatenate([a + way * share for a, way in zip(corners, ways, strict=True)])
+    return np.asarray(rays_through(camera, points.astype(camera.e.dtype)).direction, float)
+
+
+def _solids(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return triangles (n, 3, 3), and spheres (m, 4) as centre and radius."""
+    triangles, balls = np.zeros((0, 3, 3)), np.zeros((0, 4))
+    if scene.mesh is not None:
+        triangles = np.asarray(scene.mesh.vertices, float)[np.asarray(scene.mesh.faces)]
+    if scene.spheres is not None:
+        balls = np.column_stack([scene.spheres.centers, scene.spheres.radii]).astype(float)
+    return triangles, balls
