@@ -120,7 +120,7 @@ def _fit(options: argparse.Namespace) -> int:
         title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
         with Progress("drawing the page"), named(path="--report"):
             centres = options.pixel_centres
-            report.write(options.report, fit, scene, mask, picture, title, pixel_centres=centres)
+            report.write(written[2], fit, scene, mask, picture, title, pixel_centres=centres)
     print(words)
     return 0 if fit.status == "converged" else 1
 
