@@ -1,18 +1,15 @@
 """The systems that the benchmark compares with, each set up as its own documentation advises.
 
 A peer is made once from a mesh. Its methods give jobs: a callable without arguments, which is what
-is timed, and how to read an image, a gradient, a Jacobian or rays from what that returns. Making
-rays, scenes and buffers ahead of the call is no part of its time.
+is timed, and how to read an image or a gradient from what that returns. Making rays, scenes and
+buffers ahead of the call is no part of its time.
 """
 
 import importlib
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any, ClassVar, NamedTuple
 
-import jax
 import numpy as np
 
 import pinhole_jax as pj
@@ -90,11 +87,6 @@ class Moves:
     def film(self, y: np.ndarray) -> np.ndarray:
         return film_matrix(self.pose(y), self.W, self.H)
 
-    def in_front_of_start(self, y: np.ndarray) -> np.ndarray:
-        """Return the (3, 4) map of world points that shows to the start what y's camera sees."""
-        start = self.film(np.zeros(7))
-        return np.linalg.solve(start[:, :3], self.film(y) - [[0, 0, 0, 1]] * start[:, 3:])
-
 
 def central_difference(function: Callable, y: np.ndarray, step: float = 1e-4) -> np.ndarray:
     """Return the derivative of an array by each entry of y, on a new last axis."""
@@ -113,8 +105,6 @@ class Peer:
     package: ClassVar[str]
     install: ClassVar[str]
     settings: ClassVar[str]
-    quick: ClassVar[bool] = True  # a fit takes seconds, not minutes
-    makes_rays: ClassVar[bool] = False
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):
         self.vertices = np.asarray(vertices, np.float32)
@@ -132,13 +122,7 @@ class Peer:
     def masks(self, camera: pj.Camera, side: int) -> dict[str, Job]:
         return {}
 
-    def rays(self, camera: pj.Camera) -> dict[str, Job]:
-        return {}
-
     def gradients(self, moves: Moves, y: np.ndarray, target: np.ndarray) -> dict[str, Job]:
-        return {}
-
-    def jacobians(self, moves: Moves, y: np.ndarray) -> dict[str, Job]:
         return {}
 
     def fits(self, moves: Moves, target: np.ndarray, budget_s: float) -> dict[str, Trail]:
@@ -154,33 +138,6 @@ def sample_rays(camera: pj.Camera, side: int) -> tuple[np.ndarray, np.ndarray]:
 def mean_of(camera: pj.Camera, hit: np.ndarray) -> np.ndarray:
     """Return the share of each pixel's rays that hit."""
     return np.reshape(hit, (camera.H, camera.W, -1)).mean(axis=-1)
-
-
-class Open3D(Peer):
-    name, package, install = "Open3D", "open3d", "pip install open3d"
-    settings = (
-        "RaycastingScene (Embree 4, all cores); rays made ahead and not timed, on a regular grid in"
-        " each pixel; cast_rays, and test_occlusions, which only asks whether there is a hit"
-    )
-
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray):
-        import open3d
-
-        super().__init__(vertices, faces)
-        self.tensor = open3d.core.Tensor
-        self.scene = open3d.t.geometry.RaycastingScene()
-        self.scene.add_triangles(self.tensor(self.vertices), self.tensor(self.faces))
-        # The first query builds the tree.
-        self.scene.test_occlusions(self.tensor(np.ones((1, 6), np.float32)))
-
-    def masks(self, camera: pj.Camera, side: int) -> dict[str, Job]:
-        rays = self.tensor(np.concatenate(sample_rays(camera, side), axis=1))
-        hit = lambda answer: mean_of(camera, np.isfinite(answer["t_hit"].numpy()))
-        blocked = lambda answer: mean_of(camera, answer.numpy())
-        return {
-            "Open3D cast_rays": Job(lambda: self.scene.cast_rays(rays), hit),
-            "Open3D test_occlusions": Job(lambda: self.scene.test_occlusions(rays), blocked),
-        }
 
 
 class Embreex(Peer):
@@ -203,24 +160,6 @@ class Embreex(Peer):
         rays = sample_rays(camera, side)
         blocked = lambda answer: mean_of(camera, answer == 0)
         return {"embreex": Job(lambda: self.scene.run(*rays, query="OCCLUDED"), blocked)}
-
-
-class Jaxcam(Peer):
-    name, package, install = "jaxcam", "jaxcam", "pip install jaxcam"
-    makes_rays = True
-    settings = "pixels_to_rays of get_pixel_centers, normalised, under jit with the camera given"
-
-    def rays(self, camera: pj.Camera) -> dict[str, Job]:
-        import jaxcam
-
-        size = (camera.W, camera.H)
-        focal = camera.H / (2 * np.tan(float(camera.phi) / 2))
-        theirs = jaxcam.Camera.create(
-            focal_length=np.float32(focal), image_size=np.array(size, np.float32)
-        )
-        theirs = jaxcam.look_at(theirs, camera.e, camera.p, camera.u)
-        rays = jax.jit(lambda c: jaxcam.pixels_to_rays(c, jaxcam.get_pixel_centers(*size)))
-        return {"jaxcam": Job(lambda: rays(theirs))}
 
 
 class Deodr(Peer):
@@ -319,192 +258,7 @@ class Deodr(Peer):
         return trail
 
 
-class Mitsuba(Peer):
-    name, package = "Mitsuba", "mitsuba"
-    install = "pip install mitsuba, with a libLLVM of 16 or newer (or DRJIT_LIBLLVM_PATH set to it)"
-    settings = (
-        "llvm_ad_rgb, area emitter of radiance 1, box filter, multijitter sampler; masks by path"
-        " with max_depth=1; derivatives by prb_projective with max_depth=1, sppi=0, sppc=0 (what"
-        " direct_projective estimates, without its second bounce), by moving the vertices (sensors"
-        " have no gradient), reverse for a loss, forward for each Jacobian column; fits by Adam on"
-        " 4 samples, cosine decay"
-    )
-    quick, makes_rays = False, True
-    fit_side, fit_steps = 2, 100
-
-    @classmethod
-    def missing(cls) -> str | None:
-        """Return what stops a tiny render: an LLVM that does not fit aborts the whole process."""
-        code = "import mitsuba as m; m.set_variant('llvm_ad_rgb'); import _peers; _peers.try_out()"
-        begun = [sys.executable, "-c", code]
-        here = __file__.rsplit("/", 1)[0] or "."
-        done = subprocess.run(begun, capture_output=True, text=True, cwd=here, check=False)
-        if done.returncode == 0:
-            return None
-        lines = [line for line in done.stderr.splitlines() if line and not line.startswith(" ")]
-        return (lines or [f"exit status {done.returncode}"])[-1][:160]
-
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray):
-        import drjit
-        import mitsuba
-
-        super().__init__(vertices, faces)
-        mitsuba.set_variant("llvm_ad_rgb")
-        # Shapes that leave the frame are not asked for: no border of samples outside it.
-        mitsuba.set_log_level(mitsuba.LogLevel.Error)
-        self.mi, self.dr = mitsuba, drjit
-        self.points = mitsuba.Point3f(*(mitsuba.Float(x) for x in self.vertices.T))
-        self.mesh = self._emitter()
-        path = {"type": "path", "max_depth": 1}
-        moving = {"type": "prb_projective", "max_depth": 1, "sppi": 0, "sppc": 0}
-        self.path, self.moving = mitsuba.load_dict(path), mitsuba.load_dict(moving)
-
-    def _emitter(self) -> Any:
-        grey = lambda value: {"type": "rgb", "value": value}
-        properties = self.mi.Properties()
-        parts = {
-            "emitter": {"type": "area", "radiance": grey(1.0)},
-            "bsdf": {"type": "diffuse", "reflectance": grey(0.0)},
-        }
-        for name, part in parts.items():
-            properties[name] = self.mi.load_dict(part)
-        mesh = self.mi.Mesh("mesh", len(self.vertices), len(self.faces), props=properties)
-        arrays = self.mi.traverse(mesh)
-        arrays["vertex_positions"] = self.mi.Float(self.vertices.ravel())
-        arrays["faces"] = self.mi.UInt32(self.faces.ravel())
-        arrays.update()
-        return mesh
-
-    def sensor(self, camera: pj.Camera) -> dict:
-        e, p, u = (np.asarray(x, float).tolist() for x in (camera.e, camera.p, camera.u))
-        film = {"type": "hdrfilm", "width": camera.W, "height": camera.H}
-        film |= {"pixel_format": "luminance", "component_format": "float32"}
-        return {
-            "type": "perspective",
-            "fov": float(np.rad2deg(float(camera.phi))),
-            "fov_axis": "y",
-            "to_world": self.mi.ScalarTransform4f().look_at(e, p, u),
-            "film": {**film, "rfilter": {"type": "box"}},
-            "sampler": {"type": "multijitter"},
-        }
-
-    def scene(self, camera: pj.Camera) -> Any:
-        return self.mi.load_dict({"type": "scene", "sensor": self.sensor(camera), "m": self.mesh})
-
-    def finished(self, *values: Any) -> Any:
-        self.dr.eval(*values)
-        self.dr.sync_thread()
-        return values[0]
-
-    def masks(self, camera: pj.Camera, side: int) -> dict[str, Job]:
-        scene = self.scene(camera)
-        render = lambda: self.mi.render(scene, integrator=self.path, spp=side * side)
-        return {"Mitsuba": Job(lambda: self.finished(render()), lambda x: np.array(x)[..., 0])}
-
-    def rays(self, camera: pj.Camera) -> dict[str, Job]:
-        sensor, (W, H) = self.mi.load_dict(self.sensor(camera)), (camera.W, camera.H)
-
-        def rays() -> Any:
-            index = self.dr.arange(self.mi.UInt32, W * H)
-            x, y = self.mi.Float(index % W) + 0.5, self.mi.Float(index // W) + 0.5
-            at = self.mi.Point2f(x / W, y / H)
-            return self.finished(sensor.sample_ray(0.0, 0.0, at, 0.0)[0].d)
-
-        return {"Mitsuba": Job(rays, lambda d: np.array(d).T.reshape(H, W, 3))}
-
-    def moved(self, entries: list) -> Any:
-        """Return the vertex positions after an affine map of 12 entries."""
-        rows = [entries[4 * k : 4 * k + 4] for k in range(3)]
-        x, y, z = self.points
-        return self.dr.ravel(self.mi.Point3f(*(a * x + b * y + c * z + d for a, b, c, d in rows)))
-
-    def opaque(self, entries: np.ndarray) -> list:
-        """Return numbers that no kernel has compiled in, so that new ones cost no compilation."""
-        return [self.dr.opaque(self.mi.Float, float(x)) for x in np.ravel(entries)]
-
-    def differentiable(self, moves: Moves) -> Callable:
-        """Return the image as a function of 12 entries of a map, and of samples per side."""
-        scene = self.scene(moves.camera(np.zeros(7)))
-        parameters = self.mi.traverse(scene)
-        key = next(k for k in parameters.keys() if k.endswith("vertex_positions"))  # noqa: SIM118
-
-        def image(entries: list, side: int, seed: int = 0) -> Any:
-            parameters[key] = self.moved(entries)
-            parameters.update()
-            how = {"integrator": self.moving, "spp": side * side, "seed": seed}
-            return self.mi.render(scene, parameters, **how)
-
-        return image
-
-    def loss_gradient(self, moves: Moves, target: np.ndarray) -> Callable[..., np.ndarray]:
-        image = self.differentiable(moves)
-        goal = self.mi.TensorXf(np.asarray(target, np.float32)[..., None])
-
-        def gradient(y: np.ndarray, side: int, seed: int = 0) -> np.ndarray:
-            entries = self.opaque(moves.in_front_of_start(y))
-            self.dr.enable_grad(*entries)
-            self.dr.backward(self.dr.mean(self.dr.square(image(entries, side, seed) - goal)))
-            by_entry = np.array([self.dr.grad(x)[0] for x in entries])
-            by_move = central_difference(moves.in_front_of_start, y).reshape(12, 7)
-            return by_entry @ by_move
-
-        return gradient
-
-    def gradients(self, moves: Moves, y: np.ndarray, target: np.ndarray) -> dict[str, Job]:
-        gradient = self.loss_gradient(moves, target)
-        job = lambda side: Job(lambda: gradient(y, side))
-        return {f"Mitsuba {side * side} spp": job(side) for side in (1, 4)}
-
-    def jacobians(self, moves: Moves, y: np.ndarray) -> dict[str, Job]:
-        image = self.differentiable(moves)
-        slopes = central_difference(moves.in_front_of_start, y).reshape(12, 7)
-
-        def column(k: int, side: int) -> Any:
-            along = self.mi.Float(0)
-            self.dr.enable_grad(along)
-            base, slope = self.opaque(moves.in_front_of_start(y)), self.opaque(slopes[:, k])
-            shown = image([a + along * b for a, b in zip(base, slope, strict=True)], side)
-            self.dr.forward(along)
-            return self.finished(self.dr.grad(shown))
-
-        read = lambda columns: np.concatenate([np.array(c) for c in columns], axis=-1)
-        job = lambda side: Job(lambda: [column(k, side) for k in range(7)], read)
-        return {f"Mitsuba {side * side} spp": job(side) for side in (1, 4)}
-
-    def fits(self, moves: Moves, target: np.ndarray, budget_s: float) -> dict[str, Trail]:
-        return {"Mitsuba": self.fit(moves, target, budget_s)}
-
-    def fit(self, moves: Moves, target: np.ndarray, budget_s: float) -> Trail:
-        gradient = self.loss_gradient(moves, target)
-        gradient(np.zeros(7), self.fit_side)  # compiles
-        y, mean, square = np.zeros((3, 7))
-        trail, begin = Trail([0.0], [y]), time.perf_counter()
-        for step in range(1, self.fit_steps + 1):
-            g = gradient(y, self.fit_side, step)
-            mean, square = 0.9 * mean + 0.1 * g, 0.99 * square + 0.01 * g * g
-            rate = 1 + np.cos(np.pi * step / self.fit_steps)
-            root = np.sqrt(square / (1 - 0.99**step)) + 1e-12
-            y = y - rate * mean / (1 - 0.9**step) / root
-            trail.seconds.append(time.perf_counter() - begin)
-            trail.moves.append(y)
-            if trail.seconds[-1] > budget_s:
-                break
-        return trail
-
-
-PEERS: tuple[type[Peer], ...] = (Mitsuba, Open3D, Embreex, Deodr, Jaxcam)
-
-
-def try_out() -> None:
-    """Run Mitsuba's jobs once, on a tetrahedron."""
-    vertices = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float32)
-    peer = Mitsuba(vertices, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]))
-    e, p, u = np.eye(3, dtype=np.float32) * [[8], [0], [1]]
-    camera = pj.Camera(e, p, u, 0.6, 1.0, 16, 16)
-    moves, y = Moves(camera), np.zeros(7)
-    jobs = {**peer.masks(camera, 1), **peer.gradients(moves, y, np.zeros((16, 16)))}
-    for job in jobs.values():
-        job.read(job.call())
+PEERS: tuple[type[Peer], ...] = (Embreex, Deodr)
 
 
 def usable() -> Iterator[type[Peer]]:

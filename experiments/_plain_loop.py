@@ -15,8 +15,6 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-import pinhole_jax as pj
-
 COLUMNS = 7  # e, p, phi
 
 
@@ -41,11 +39,15 @@ class Film(NamedTuple):
     H: int
 
 
-def shape_of(mesh: pj.Mesh) -> Shape:
-    rows = lambda x: np.ascontiguousarray(np.asarray(x).T)
-    planes = rows(mesh.planes.normal), rows(mesh.planes.corner)
-    edges = np.asarray(mesh.edge_vertices), np.asarray(mesh.edge_faces)
-    return Shape(np.asarray(mesh.vertices), *planes, *edges)
+def shape_of(vertices: np.ndarray, faces: np.ndarray) -> Shape:
+    """Return a closed mesh whose faces are counter-clockwise from outside."""
+    a, b, c = (vertices[faces[:, k]].astype(float) for k in range(3))
+    normal = np.cross(b - a, c - a).astype(np.float32)
+    sides = np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)])
+    face, up = np.tile(np.arange(len(faces)), 3), sides[:, 0] < sides[:, 1]
+    first, second = (np.flatnonzero(x)[np.lexsort(np.sort(sides[x]).T)] for x in (up, ~up))
+    beside = np.stack([face[first], face[second]], axis=1)
+    return Shape(vertices, normal, a.astype(np.float32), sides[first], beside)
 
 
 def film_of(parameters: np.ndarray, up: np.ndarray, W: int, H: int) -> Film:
@@ -69,9 +71,7 @@ def _matrix(parameters: np.ndarray, up: np.ndarray, W: int, H: int) -> np.ndarra
 def mask(shape: Shape, film: Film) -> np.ndarray:
     """Return the coverage, (H, W)."""
     image = np.zeros((film.H, film.W + 2), np.float32)
-    edges = _contour(
-        film.eye, shape.normal, shape.corner, shape.edge_faces, numba.get_num_threads()
-    )
+    edges = _edges(shape, film)
     _covered(edges, shape.vertices, shape.edge_vertices, film.matrix, image)
     return _summed(image)
 
@@ -80,9 +80,7 @@ def mask_and_jacobian(shape: Shape, film: Film) -> tuple[np.ndarray, np.ndarray]
     """Return the coverage, (H, W), and its derivatives, (H, W, 7)."""
     image = np.zeros((film.H, film.W + 2), np.float32)
     jacobian = np.zeros((film.H * film.W, COLUMNS), np.float32)
-    edges = _contour(
-        film.eye, shape.normal, shape.corner, shape.edge_faces, numba.get_num_threads()
-    )
+    edges = _edges(shape, film)
     ends = shape.vertices, shape.edge_vertices
     _covered(edges, *ends, film.matrix, image)
     every = np.zeros((0, 0), np.int32)
@@ -94,9 +92,7 @@ def step(shape: Shape, film: Film, target: np.ndarray) -> tuple[float, np.ndarra
     """Return the sum of squared differences from a target (H, W), and a damped step (7,) that makes
     it less (Levenberg-Marquardt)."""
     image = np.zeros((film.H, film.W + 2), np.float32)
-    edges = _contour(
-        film.eye, shape.normal, shape.corner, shape.edge_faces, numba.get_num_threads()
-    )
+    edges = _edges(shape, film)
     ends = shape.vertices, shape.edge_vertices
     _covered(edges, *ends, film.matrix, image)
     slot = np.zeros((film.H, film.W), np.int32)
@@ -105,6 +101,11 @@ def step(shape: Shape, film: Film, target: np.ndarray) -> tuple[float, np.ndarra
     squares, normal, along = _normal_equations(_summed(image), target, slot, rows)
     damping = 1e-3 * np.trace(normal) / COLUMNS
     return squares, np.linalg.solve(normal + damping * np.eye(COLUMNS), -along)
+
+
+def _edges(shape: Shape, film: Film) -> np.ndarray:
+    threads = numba.get_num_threads()
+    return _contour(film.eye, shape.normal, shape.corner, shape.edge_faces, threads)
 
 
 @numba.njit(parallel=True, cache=True)

@@ -1,47 +1,55 @@
-"""Do 95 % intervals hold, where a mask's outline errs by stretches?
+"""Do 95 % intervals hold?
 
-Masks of 256 x 256 pixels whose outline wavers by 0.3 to 2 px over 2 to 30 px, with a bias of -1 to
-1 px: of one bit, of 8 bits, with wide edges, and noisy; others that are grown or shrunk by up to
-2 px, and computed ones. Each fit starts at the truth, every other one is in float64. For each kind
-and float type: how many of the parameters' 95 % intervals hold it, errors in standard errors, and
-the same if pixels were independent. The picture: how often intervals hold, against the length over
-which outlines err.
+    python experiments/intervals.py one-view | few-views [OUT]
+
+- `one-view`: masks of 256 x 256 pixels whose outline wavers by 0.3 to 2 px over 2 to 30 px, with a
+  bias of -1 to 1 px: of one bit, of 8 bits, with wide edges, and noisy; others that are grown or
+  shrunk by up to 2 px, and computed ones. Each fit starts at the truth, every other one is in
+  float64. The picture: how often intervals hold, against the length over which outlines err.
+- `few-views`: where 2, 3 or 5 views say how far views differ. Masks of 64 x 64 pixels whose pixels
+  err independently (3 %): cameras that share an unknown focal length, and one object before cameras
+  at known places. In half of the fits nothing but masks errs, in the others each focal length, or
+  each camera's place, that is taken as known.
 """
 
-import sys
-import time
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
-from _common import camera_at, first, run, trials
+from _common import (
+    NORMAL_95,
+    Asked,
+    axes_of,
+    camera_at,
+    curves,
+    main,
+    mask_of,
+    show,
+    trials,
+    turn_by,
+)
+from honesty import DRAWN, PHI, Random, signed_distance, view
 from scipy.ndimage import gaussian_filter
-from wrong_masks import PHI, SHAPES, SIZE, signed_distance
+from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 
 WAVERING = ("one bit", "8 bits", "wide edges", "noisy")
 KINDS = (*WAVERING, "grown", "computed")
-DTYPES = (np.dtype(np.float32), np.dtype(np.float64))
-NORMAL_95 = 1.96
 #: Ends of the classes of lengths (px).
-LENGTHS = np.array([2, 4, 8, 16, 30.01])
+LENGTHS = (2, 4, 8, 16, 30.01)
 
 
 def error(found: pj.Camera, truth: pj.Camera) -> np.ndarray:
     """Return by how much a camera is off: turns about its own axes (rad), and its eye (6,)."""
-    from scipy.spatial.transform import Rotation
-
-    axes, wanted = (
-        np.stack([np.asarray(b, float) for b in pj.camera_basis(c)]) for c in (found, truth)
-    )
-    turn = Rotation.from_matrix(wanted.T @ axes).as_rotvec()
+    axes = axes_of(found)
+    turn = Rotation.from_matrix(axes_of(truth).T @ axes).as_rotvec()
     return np.concatenate([axes @ turn, np.asarray(truth.e, float) - np.asarray(found.e, float)])
 
 
-def spoilt(image: np.ndarray, kind: str, length: float, random: np.random.Generator) -> Any:
+def spoilt(image: np.ndarray, kind: str, length: float, random: Random) -> Any:
     """Return a mask whose outline errs over a length (px)."""
     if kind == "computed":
         return image > 0.5
@@ -60,101 +68,118 @@ def spoilt(image: np.ndarray, kind: str, length: float, random: np.random.Genera
     return np.round(255 * share).astype(np.uint8)
 
 
-def trial(number: int, shape: str, kind: str, dtype: np.dtype) -> dict:
+def trial(number: int, shape: str, kind: str) -> dict:
     """Return one fit: its errors in standard errors, and what it said."""
     random = np.random.default_rng([number, 7, *map(ord, shape)])
-    mesh, axes = SHAPES[shape](random)
-    scene = pj.Scene(mesh=mesh)
-    px = np.exp(random.uniform(np.log(60), np.log(220)))
-    distance = SIZE / np.tan(PHI / 2) / px
-    truth = camera_at(axes, random.uniform(-0.1, 0.1, 2), distance, PHI, SIZE)
+    scene, truth = view(shape, random, 60, 220)
     length = float(np.exp(random.uniform(np.log(2), np.log(30))))
-    mask = spoilt(np.asarray(pj.silhouette(truth, scene)), kind, length, random)
-    scene = pj.Scene(mesh=pj.Mesh(np.asarray(mesh.vertices, dtype), mesh.faces))
-    truth = jax.tree.map(lambda x: np.asarray(x, dtype), truth)
-    begin = time.perf_counter()
+    mask = spoilt(mask_of(truth, scene), kind, length, random)
+    if number % 2:
+        wide = lambda x: np.asarray(x, float)
+        truth = jax.tree.map(wide, truth)
+        scene = pj.Scene(mesh=pj.Mesh(wide(scene.mesh.vertices), scene.mesh.faces))
     fit = pj.fit_camera(scene, mask, truth)
-    seconds = time.perf_counter() - begin
-    off, alone = np.abs(error(fit.camera, truth)), fit.independent_covariance
-    known = np.isfinite(fit.std)
+    off, known = np.abs(error(fit.camera, truth)), np.isfinite(fit.std)
+    alone = np.sqrt(np.diag(fit.independent_covariance))
     return {
-        "shape": shape,
         "kind": kind,
-        "float": dtype.name,
+        "float": "float64" if number % 2 else "float32",
         "length": length,
         "status": fit.status,
-        "seconds": seconds,
         "errors": (off / fit.std)[known].tolist(),
-        "if independent": (off / np.sqrt(np.diag(alone)))[known].tolist(),
-        "turn": float(np.linalg.norm(off[:3]) / np.linalg.norm(fit.std[:3])),
+        "if independent": (off / alone)[known].tolist(),
     }
 
 
 def summary(rows: list[dict]) -> dict:
     errors, alone = (np.concatenate([r[k] for r in rows]) for k in ("errors", "if independent"))
-    turn = np.array([r["turn"] for r in rows])
     return {
         "fits": len(rows),
-        "95 % intervals that hold": float(np.mean(errors < NORMAL_95)),
-        "... if pixels were independent": float(np.mean(alone < NORMAL_95)),
-        "error / sigma, median": float(np.median(errors)),
-        "error / sigma, 90 %": float(np.quantile(errors, 0.9)),
-        "turn / sigma, median": float(np.median(turn)),
-        "turn / sigma, 90 %": float(np.quantile(turn, 0.9)),
+        "intervals": len(errors),
+        "hold": float(np.mean(errors < NORMAL_95)),
+        "if independent": float(np.mean(alone < NORMAL_95)),
+        "error / sigma": float(np.median(errors)),
+        "90 %": float(np.quantile(errors, 0.9)),
         "converged": sum(r["status"] == "converged" for r in rows),
     }
 
 
-def question() -> dict:
-    count, rows = trials(400), []
-    cases = [(shape, kind) for shape in SHAPES for kind in KINDS]
-    for number in range(count):
-        case = cases[number * len(cases) // count]
-        rows.append(trial(first() + number, *case, DTYPES[number % 2]))
-        if "-v" in sys.argv:
-            print(rows[-1], flush=True)
+def one_view(asked: Asked) -> dict:
+    cases = [(shape, kind) for shape in asked.names(DRAWN) for kind in KINDS]
+    rows = trials(asked, "one-view", asked.number(400, 24), cases, trial)
     told = [r for r in rows if r["errors"]]
-    table = {kind: [r for r in told if r["kind"] == kind] for kind in KINDS}
     wavering = [r for r in told if r["kind"] in WAVERING]
-    table |= {dtype.name: [r for r in wavering if r["float"] == dtype.name] for dtype in DTYPES}
-    by_length = {
-        f"{low:.0f} to {high:.0f} px": [r for r in wavering if low <= r["length"] < high]
-        for low, high in pairwise(LENGTHS)
-    }
-    table |= {"wavering": wavering, "all": told}
-    answer = {
-        name: {key: summary(some) for key, some in of.items() if some}
-        for name, of in (("by kind", table), ("by length", by_length))
-    }
-    for name, found in (answer["by kind"] | answer["by length"]).items():
-        print(f"{name:14} {found}")
-    return {"trials": count, **answer}
+    groups = {kind: [r for r in told if r["kind"] == kind] for kind in KINDS}
+    for name in ("float32", "float64"):
+        groups[name] = [r for r in wavering if r["float"] == name]
+    for low, high in pairwise(LENGTHS):
+        groups[f"{low:.0f} to {high:.0f} px"] = [r for r in wavering if low <= r["length"] < high]
+    groups |= {"wavering": wavering, "all": told}
+    table = {name: summary(some) for name, some in groups.items() if some}
+    show({"": name, **row} for name, row in table.items())
+    held = table.get("wavering", table["all"])
+    words = f"of {held['intervals']} intervals of masks that waver {held['hold']:.1%} hold"
+    return {"verdict": f"{words} (asked 93 to 97 %)", "table": table}
 
 
-def draw(answer: dict, path: Path) -> None:
-    import matplotlib.pyplot as plt
+def draw(found: dict, path: Path) -> None:
+    table = found["table"]
+    ways = {"hold": "as stated", "if independent": "if pixels were independent"}
+    groups = ([x for x in table if " to " in x], [x for x in KINDS if x in table])
+    lines = [{label: (of, [table[x][k] for x in of]) for k, label in ways.items()} for of in groups]
+    words = ("length over which the outline errs", "kind of mask")
+    curves(path, *(("share that hold", w, "plot", x) for w, x in zip(words, lines, strict=True)))
 
-    panels: Any = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained", sharey=True)
-    figure, axes = panels
-    of = (answer["by length"], {k: answer["by kind"][k] for k in KINDS if k in answer["by kind"]})
-    for axis, rows, style in zip(axes, of, ("o-", "o"), strict=True):
-        for key, label in (
-            ("95 % intervals that hold", "as stated"),
-            ("... if pixels were independent", "if pixels were independent"),
-        ):
-            names = [name.removesuffix(" px") for name in rows]
-            axis.plot(names, [row[key] for row in rows.values()], style, label=label)
-        axis.tick_params(labelsize=8)
-        axis.axhspan(0.93, 0.97, color="0.85", label="93 to 97 %")
-    axes[0].set(
-        ylim=(0, 1.02),
-        xlabel="length over which the outline errs (px)",
-        ylabel="share of 95 % intervals that hold",
-    )
-    axes[1].set_xlabel("kind of mask")
-    axes[0].legend(fontsize=8)
-    figure.savefig(path, dpi=100)
+
+SMALL, NOISE = 64, 0.03
+#: What is taken as known errs by: focal lengths (a share of it), and cameras (rad and world units).
+WRONG = {"phi": 2e-3, "object": 1e-3}
+
+
+def moved(camera: pj.Camera, by: np.ndarray) -> pj.Camera:
+    """Return a camera turned by a vector (rad) and shifted in its own frame: halves of `by`."""
+    axes = axes_of(camera)
+    turn = turn_by(np.rad2deg(np.linalg.norm(by[:3])), by[:3] @ axes)
+    e = np.asarray(camera.e, float) + by[3:] @ axes
+    e, p, u = (np.float32(x) for x in (e, e + turn @ axes[2], turn @ axes[1]))
+    return camera.replace(e=e, p=p, u=u)
+
+
+def joint(seed: int, kind: str, number: int, wrong: bool) -> dict:
+    """Return how many standard errors the unknowns of a joint fit are off."""
+    random = np.random.default_rng(seed)
+    scene, given, views = pj.Scene(mesh=pj.shapes.bumpy(2)), {}, []
+    for k in range(number):
+        axes = Rotation.random(random_state=random).as_matrix()
+        camera = there = given[str(k)] = camera_at(axes, np.zeros(2), 4.5, PHI, SMALL)
+        if wrong and kind == "phi":
+            there = camera.replace(phi=np.float32(PHI * (1 + WRONG[kind] * random.normal())))
+        elif wrong:
+            there = moved(camera, WRONG[kind] * random.normal(size=6))
+        mask = mask_of(there, scene) + NOISE * random.normal(size=(SMALL, SMALL))
+        views.append(pj.JointView(scene, mask, camera=str(k)))
+    if kind == "phi":
+        fit = pj.fit_joint(views, given, shared="phi").cameras["0"]
+        return {"errors": [float((fit.camera.phi - PHI) / fit.std[-1])]}
+    views = [v._replace(object="part") for v in views]
+    found = pj.fit_joint(views, given, (), objects={"part": np.eye(4)}).objects["part"]
+    turn = Rotation.from_matrix(found.pose[:3, :3]).as_rotvec()
+    return {"errors": (np.append(turn, found.pose[:3, 3]) / found.std).tolist()}
+
+
+def few_views(asked: Asked) -> dict:
+    table = []
+    for case in [(kind, n, wrong) for kind in WRONG for n in (2, 3, 5) for wrong in (False, True)]:
+        name = "few-views-" + "-".join(map(str, case))
+        rows = trials(asked, name, asked.number(16), [case], joint)
+        off = np.abs(np.concatenate([r["errors"] for r in rows]))
+        row = dict(zip(("unknown", "views", "what is known errs"), case, strict=True))
+        table.append({**row, "hold": float(np.mean(off < NORMAL_95)), "of": off.size})
+    show(table)
+    least = min(table, key=lambda row: row["hold"])
+    words = f"{least['hold']:.0%} hold at worst: {least['views']} views, {least['unknown']} unknown"
+    return {"verdict": words, "table": table}
 
 
 if __name__ == "__main__":
-    run(question, draw)
+    main(__doc__, {"one-view": (one_view, draw), "few-views": few_views})

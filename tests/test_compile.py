@@ -7,9 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-from _kernels import Kernels, kernels
+from kernels import Kernels, kernels
 
 #: At most this many kernels in all, that differ, and loops.
 MOST = {
@@ -26,13 +24,27 @@ WITH_ALL = {"mask_without_overlaps", "depth", "gradient_with_spheres_and_distort
 FLAGS = "--xla_disable_hlo_passes=hlo-verifier --xla_cpu_parallel_codegen_split_count=1"
 COUNT = """
 import json, sys
-import compile as table
-from _kernels import kernels
+import numpy as np
+import startup
+from kernels import kernels
+from pinhole_jax._solver.levenberg_marquardt import descended
+from pinhole_jax._solver.moves import canonical
+from pinhole_jax._solver.solver import Solver
+
+def fit():
+    camera, scene = startup.camera(), startup.scene()
+    weights = np.ones((camera.H, camera.W))
+    mask = np.hypot(*np.mgrid[-128:128, -128:128]) < 70
+    solver = Solver.of(scene, mask, weights, np.float32, ("pose", "phi"), 64)
+    ends = np.float32(1e-3), np.int32(1)
+    level = solver.levels[solver.finest], *ends, solver.freed, solver.capacity
+    return descended, (canonical(camera), solver.problem, *level)
 
 options = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 for name in sys.argv[1:]:
-    function, arguments = table.PROGRAMS[name]()
-    lowered = function.lower(*arguments)
+    function, arguments = startup.CALLS[name]
+    function, given = fit() if name == "fit" else (function, arguments())
+    lowered = function.lower(*given)
     compiled = getattr(lowered, "lowered", lowered).compile(compiler_options=options)
     print(json.dumps([name, kernels(getattr(compiled, "compiled", compiled).as_text())]))
 """
@@ -43,7 +55,8 @@ def test_programs_have_few_kernels(exhaustive):
     """How many there are depends on the compiler's version: by a twentieth at most."""
     # In a process of its own: `conftest` makes something else of this one's compiler.
     given = {**os.environ, "XLA_FLAGS": FLAGS, "JAX_ENABLE_X64": "1"}
-    given["PYTHONPATH"] = os.pathsep.join(sys.path)
+    scripts = Path(__file__).parents[1] / "experiments"
+    given["PYTHONPATH"] = os.pathsep.join([*sys.path, str(scripts)])
     given.pop("JAX_DISABLE_MOST_OPTIMIZATIONS", None)
     asked = [name for name in MOST if exhaustive or name not in WITH_ALL]
     words = [sys.executable, "-c", COUNT, *asked]

@@ -373,7 +373,7 @@ def test_a_page_that_runs_shows_what_its_code_left(hooks, another_cache):
     ("page", "link", "on_site"),
     [
         ("how-to/a.md", "../../experiments/README.md#b", f"../{EXPERIMENTS}/index.md#b"),
-        ("how-to/a.md", "../../experiments/gallery.py", "../experiments/gallery.py"),
+        ("how-to/a.md", "../../experiments/real.py", "../experiments/real.py"),
         ("how-to/a.md", "../../CONTRIBUTING.md", "../contributing.md"),
         ("how-to/a.md", "b.md#c", "b.md#c"),
         ("index.md", "../experiments/results/gallery.png", "experiments/results/gallery.png"),

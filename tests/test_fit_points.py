@@ -302,11 +302,11 @@ def test_bad_points_are_said_in_words(change, message):
 
 def test_chessboards_are_calibrated_as_opencv_calibrates_them(shared):
     sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-    import chessboards
+    import real
 
-    _, seen_at, size = chessboards.corners(shared / "calib" / "opencv_chessboard")
-    ours, fits = chessboards.by_fit(chessboards.board(), seen_at, size)
-    theirs = chessboards.by_opencv(chessboards.board(), seen_at, size)
+    seen_at, size = real.corners(shared / "calib" / "opencv_chessboard")
+    ours, fits = real.by_fit(real.board(), seen_at, size)
+    theirs = real.by_opencv(real.board(), seen_at, size)
     assert {f.status for f in fits} == {"converged"}
     assert ours["rms_px"] <= theirs["rms_px"] * 1.0001
     assert abs(ours["focal_px"] / theirs["focal_px"] - 1) < 1e-3

@@ -1,23 +1,18 @@
-"""Hypothesis draws the hard cases of `experiments/stress.py`, and properties of any image.
+"""Hypothesis draws the hard cases of `stress.py`, and properties of any image.
 
 All meshes are filled up to one size, so that they share a compiled program.
 """
-
-import sys
-from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import stress
 from chosen import first
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 import pinhole_jax as pj
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-import stress
 
 SEEDS = st.integers(0, 2**32 - 1)
 few = settings(

@@ -5,7 +5,7 @@
 Writes OUT/NAME.npz for each of 20 scenes: camera, scene, coverage, and its derivative by each
 parameter, in float64; each was held against central differences of polygon unions (`_oracle.py`).
 `reference.json` has the worst differences, `reference.jpg` all of it as pictures; README.md says
-how to compare a renderer of your own. `--scale` makes images so many times as large.
+how to compare a renderer of your own. `--scale` makes images this many times as large.
 """
 
 import argparse
@@ -24,7 +24,6 @@ from _oracle import coverage
 from _scenes import PARAMETERS, View, views
 
 import pinhole_jax as pj
-from pinhole_jax._silhouette import distorted
 from pinhole_jax.testing.differences import STEPS, Scales, outside, slopes
 
 SCHEMA = "pinhole_jax.reference/1"
@@ -212,6 +211,8 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", metavar="scene", help=", ".join(views()))
     parser.add_argument("--scale", type=int, default=1)
     given = parser.parse_args()
+    from pinhole_jax._silhouette import distorted
+
     pj.cache()
     distorted.TOLERANCE_PX = BENT_PX
     given.out.mkdir(parents=True, exist_ok=True)

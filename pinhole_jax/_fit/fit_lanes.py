@@ -104,7 +104,7 @@ def fit_lanes(
     alone, from its start: `Lanes.alone` says why.
 
     Made for accelerators, where a step of a thousand lanes takes little longer than one of a few.
-    On a CPU a lane takes as long as a fit alone (see `experiments/lanes.py`): there
+    On a CPU a lane takes as long as a fit alone: there
     `pinhole_jax.fit_many` is faster, which has all cores.
 
     Raises ValueError for arguments that make no fits; what the solver met is in each `Fit.status`.

@@ -95,7 +95,7 @@ class Agreement:
         It jumps where the excess passes 1, since few numbers do not tell 1 from 1.5: of intervals
         97 % hold where nothing but masks errs, 93 to 95 % where more does (86 to 90 % where one
         number alone says so). Of 2 to 6 numbers, widened by what is beyond 1 alone 91 to 94 % would
-        hold, by Birge's factor 83 to 92 % (`experiments/few_views.py`).
+        hold, by Birge's factor 83 to 92 % (`experiments/intervals.py`).
         """
         if self.excess <= 1:
             return 1.0

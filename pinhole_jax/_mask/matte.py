@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
 #: Statistics are local: of tiles of this many px, blurred by this many tiles.
-#: (Synthetic photos of experiments/photo.py: tiles of 12 and 18 px err 1.2 and 1.4 times as much.)
+#: (Synthetic photos of experiments/real.py: tiles of 12 and 18 px err 1.2 and 1.4 times as much.)
 TILE_PX, BLURRED = 8, 0.7
 #: What is seen all along the outline counts as much as this many pixels of a tile.
 PIXELS_OF_ALL = 3.0

@@ -19,7 +19,7 @@ FREE = {
     "tuple",
     "while",
 }
-#: What a call says of which the compiler makes a single kernel, with all that is in it.
+#: The mark of a call that the compiler makes a single kernel, with all that is in it.
 ONE = 'xla_cpu_small_call="true"'
 
 

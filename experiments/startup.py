@@ -1,15 +1,21 @@
-"""What does a newcomer's first hour take, and does it work: the installed wheel, step by step?
+"""How long does a newcomer wait, and for what?
 
-Builds the source distribution and from that the wheel, installs both into a fresh environment (with
-`--borrow` what they depend on is this one's, with nothing downloaded), and plays what newcomers do
-with files of their own: help, typos, masks as data sets have them, a known K, a crop, an interrupt,
-a report, files of other programs. Each step prints what it took. Pictures are small; `--all` plays
-the slow steps too.
+    python experiments/startup.py first-calls | first-use | hotspots [OUT]
+
+- `first-calls`: each first call in a process of its own with nothing kept: traced and lowered,
+  compiled, and run. Imports are not counted. `--against FOLDER`, another checkout, takes turns.
+- `first-use` (`--all`: the slow steps, too): builds the source distribution and from that the
+  wheel, installs both into a fresh environment (`--borrow`: what they depend on is this one's, with
+  nothing downloaded), and plays what newcomers do with files of their own: help, typos, masks as
+  data sets have them, a known K, a crop, an interrupt, a report, files of other programs.
+- `hotspots`: where a fit's time goes by Python's profiler; `import pinhole_jax`, and the command
+  `fit` on a mesh of 5k faces with an empty and a filled cache of compiled programs.
 """
 
-import argparse
+import cProfile
 import json
 import os
+import pstats
 import re
 import signal
 import subprocess
@@ -21,7 +27,104 @@ import venv
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+from _common import Asked, apart, camera_at, main, mask_of, show, start_from
+
+import pinhole_jax as pj
+
 ROOT = Path(__file__).parents[1]
+#: What names a mask's file.
+MASK = "PINHOLE_JAX_FIRST_MASK"
+
+
+# First calls
+
+
+def camera() -> pj.Camera:
+    return camera_at(np.eye(3), np.array([0.1, 0.05]), 5.0, 0.6)
+
+
+def scene(**more) -> pj.Scene:
+    return pj.Scene(mesh=pj.shapes.bumpy(4), **more)
+
+
+def loss(camera: pj.Camera, scene: pj.Scene):
+    return jnp.sum(pj.silhouette(camera, scene) ** 2)
+
+
+def distorted() -> tuple[pj.Camera, pj.Scene]:
+    c, lens = camera(), pj.Lens([128.0, 128.0], 1.0, pj.BrownConrady(0.1, 0.0, 0.0, 0.0, 0.0))
+    centers = np.array([[0.9, 0, 0], [0, 1.0, 0.2]], np.float32)
+    spheres = pj.Spheres(centers, np.float32([0.3, 0.2]))
+    return pj.Camera(c.e, c.p, c.u, c.phi, c.d, c.W, c.H, lens), scene(spheres=spheres)
+
+
+def by_vertices(camera: pj.Camera, vertices, faces):
+    return loss(camera, pj.Scene(mesh=pj.Mesh(vertices, faces)))
+
+
+def to_fit() -> tuple[pj.Scene, np.ndarray, pj.Camera]:
+    start = start_from(camera(), 5, 0.02, np.random.default_rng(0))
+    return scene(), np.load(os.environ[MASK]), start
+
+
+jitted = jax.jit
+#: Functions and what makes their arguments; those that `jit` makes tell what compiling takes.
+CALLS: dict[str, tuple[Callable, Callable[[], tuple]]] = {
+    "mask": (jitted(pj.silhouette), lambda: (camera(), scene())),
+    "mask_without_overlaps": (
+        jitted(lambda c, s: pj.silhouette(c, s, overlaps=False)),
+        lambda: (camera(), scene()),
+    ),
+    "depth": (jitted(pj.depth), lambda: (camera(), scene())),
+    "gradient_of_camera": (jitted(jax.grad(loss)), lambda: (camera(), scene())),
+    "gradient_of_vertices": (
+        jitted(jax.grad(by_vertices, (0, 1))),
+        lambda: (camera(), scene().mesh.vertices, np.asarray(scene().mesh.faces)),
+    ),
+    "gradient_with_spheres_and_distortion": (jitted(jax.grad(loss)), distorted),
+    "fit": (lambda *given: pj.fit_camera(*given).camera, to_fit),
+}
+
+
+def first(name: str) -> dict:
+    """Return the seconds of a first call in this process, by the clock and of the processor."""
+    function, arguments = CALLS[name]
+    given, clock, used = arguments(), [time.perf_counter()], time.process_time()
+    if name != "fit":
+        lowered = function.lower(*given)
+        clock.append(time.perf_counter())
+        function = lowered.compile()
+        clock.append(time.perf_counter())
+    jax.block_until_ready(jax.tree.leaves(function(*given)))
+    parts = np.diff([*clock, time.perf_counter()]).tolist()
+    names = ("traced", "compiled", "run") if len(parts) > 1 else ("run",)
+    whole = {"s": sum(parts), "processor s": time.process_time() - used}
+    return {**whole, **dict(zip(names, parts, strict=True))}
+
+
+def first_calls(asked: Asked) -> dict:
+    drawn, rows = asked.out.resolve() / "first_mask.npy", []
+    np.save(drawn, mask_of(camera(), scene()))
+    for name in asked.names(CALLS):
+        turns = [
+            apart(__file__, "--call", name, **{MASK: str(drawn)}) for _ in range(asked.number(3))
+        ]
+        rows.append(
+            {"call": name, **{k: float(np.median([t[k] for t in turns])) for k in turns[0]}}
+        )
+        print(rows[-1], flush=True)
+    drawn.unlink()
+    show(rows)
+    said = ", ".join(f"{row['call'].replace('_', ' ')} {row['s']:.1f}" for row in rows)
+    return {"verdict": f"Seconds: {said}", "table": rows}
+
+
+# A newcomer's first hour
+
 #: Help and words about a typo are to come within this many seconds of the processor.
 AT_ONCE = 0.3
 
@@ -30,6 +133,7 @@ WHERE = "import sysconfig; print(sysconfig.get_path('purelib'))"
 #: Makes the files that a newcomer has: a mesh, masks, a camera to start from, an OpenCV file.
 FILES = """
 import numpy as np
+import trimesh
 from PIL import Image
 from skimage.draw import polygon
 import pinhole_jax as pj
@@ -66,6 +170,7 @@ json.dump(data, open("edited.json", "w"))
 #: Wrong arguments of the library: refused at the door, with an error that names them.
 DOOR = """
 import numpy as np
+import trimesh
 import pinhole_jax as pj
 scene = pj.Scene(mesh=pj.load_mesh("part.obj"))
 camera = pj.io.load_camera("start.json")
@@ -90,6 +195,7 @@ for call, words in (
 RESULT = """
 import json
 import numpy as np
+import trimesh
 import pinhole_jax as pj
 fit = pj.io.load_fit("out/camera.json")
 print(fit)
@@ -253,27 +359,72 @@ def interrupted(step: Step) -> None:
     step.note("Ctrl-C after 4 s", time.perf_counter() - begin, 0.0)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("folder", nargs="?", help="where to write first_use.json")
-    parser.add_argument("--borrow", action="store_true", help="download nothing")
-    parser.add_argument("--all", action="store_true", help="play the slow steps, too")
-    options = parser.parse_args()
+def first_use(asked: Asked) -> dict:
     with tempfile.TemporaryDirectory() as name:
         folder, begin = Path(name), time.perf_counter()
-        step = Step(installed(folder, options.borrow), folder)
+        step = Step(installed(folder, "borrow" in asked.flags), folder)
         step.note("built and installed", time.perf_counter() - begin, 0.0)
         step.script("a mesh, masks and cameras, drawn", FILES)
-        parts: list[Callable[[Step], None]] = [at_the_door, fits, interrupted]
-        for part in [*parts, more] if options.all else parts:
+        for part in (at_the_door, fits, interrupted, *[more] * ("all" in asked.flags)):
             part(step)
     seconds = sum(row["seconds"] for row in step.rows)
-    print(f"All {len(step.rows)} steps did what they should, in {seconds:.0f} s.")
-    if options.folder:
-        place = Path(options.folder)
-        place.mkdir(parents=True, exist_ok=True)
-        (place / "first_use.json").write_text(json.dumps(step.rows, indent=1) + "\n")
+    words = f"All {len(step.rows)} steps did what they should, in {seconds:.0f} s."
+    return {"verdict": words, "table": step.rows}
+
+
+# Where the time goes
+
+
+def profile(call: Callable[[], object]) -> dict[str, float]:
+    """Return the share of a call's time that functions of the package take, the most first."""
+    call()
+    with cProfile.Profile() as profiler:
+        for _ in range(5):
+            call()
+    times: dict[str, float] = {}
+    for (file, _, name), (_, _, own, _, _) in pstats.Stats(profiler).stats.items():  # type: ignore[attr-defined]
+        path = Path(file)
+        key = f"{path.parent.name}/{path.stem}: {name}" if "pinhole_jax" in file else "JAX, NumPy"
+        times[key] = times.get(key, 0) + own
+    total = sum(times.values())
+    shares = sorted(((t / total, name) for name, t in times.items()), reverse=True)
+    return {name: share for share, name in shares[:12]}
+
+
+def hotspots(asked: Asked) -> dict:
+    truth = camera()
+    mask, start = mask_of(truth, scene()), start_from(truth, 10, 0.05, np.random.default_rng(0))
+
+    def seconds(*command: str, **more: str) -> float:
+        begin = time.perf_counter()
+        subprocess.run(command, check=True, capture_output=True, env=os.environ | more)
+        return time.perf_counter() - begin
+
+    python, found, turns = sys.executable, {}, asked.number(5)
+    for modules in ("jax, equinox", "jax, equinox, pinhole_jax"):
+        times = [seconds(python, "-c", f"import {modules}") for _ in range(turns)]
+        found[f"import {modules}"] = float(np.median(times))
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        mesh = scene().mesh
+        trimesh.Trimesh(mesh.vertices, mesh.faces).export(place / "mesh.ply")
+        pj.io.save_image(place / "mask.png", mask > 0.5)
+        pj.io.save_camera(place / "start.json", start)
+        paths = [str(place / x) for x in ("mesh.ply", "mask.png")]
+        options = ["--camera", str(place / "start.json"), "-o", str(place)]
+        command = [python, "-m", "pinhole_jax", "fit", *paths, *options]
+        first, *others = (seconds(*command, XDG_CACHE_HOME=name) for _ in range(1 + turns))
+    found |= {"fit, empty cache": first, "fit, filled cache": float(np.median(others))}
+    shares = profile(lambda: pj.fit_camera(scene(), mask, start))
+    show([{"": name, "s": s} for name, s in found.items()])
+    show([{"of a fit": name, "share": share} for name, share in shares.items()])
+    words = ", ".join(f"{name} {s:.2f}" for name, s in found.items())
+    return {"verdict": f"Seconds: {words}", "seconds": found, "shares": shares}
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1] == "--call":
+        print(json.dumps(first(sys.argv[2])))
+    else:
+        parts = {"first-calls": first_calls, "first-use": first_use, "hotspots": hotspots}
+        main(__doc__, parts, x64=False, flags=("all", "borrow"))

@@ -1,4 +1,4 @@
-"""How hard is it to break? Coverage under stress against projections in extended precision.
+"""Hard cases, and what is right there: projections in extended precision.
 
 Each case draws scenes and cameras at some extreme, rounds them to float32 and to float64, and takes
 what is rounded as exact: the oracle projects triangles in 60 digits, clips them in 80 bits and
@@ -9,7 +9,6 @@ float32, 2.2e-16 in float64). A case holds where it is below `LIMIT` of them.
 import decimal
 from collections.abc import Callable, Iterator
 from decimal import Decimal
-from pathlib import Path
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 import shapely
 import trimesh
-from _common import run, trials
 
 import pinhole_jax as pj
 from pinhole_jax._scene.scene import with_vertices
@@ -294,12 +292,12 @@ def scene_of(view: View, vertices: np.ndarray, room: int = 256) -> pj.Scene:
 
 
 def decimals(x: np.ndarray) -> np.ndarray:
-    """Return what a float stands for, exactly."""
+    """Return the exact values of floats."""
     return np.vectorize(lambda v: Decimal(float(v)), otypes=[object])(np.asarray(x))
 
 
 def film_matrix(camera: pj.Camera) -> np.ndarray:
-    """Return what takes points, from the eye, to (x z, y z, z): the equations of Frisvad's note in
+    """Return the matrix from points about the eye to (x z, y z, z): Frisvad's equations in
     decimals of 60 digits."""
     e, p, u = (decimals(x) for x in (camera.e, camera.p, camera.u))
     unit = lambda x: x / (x @ x).sqrt()
@@ -326,7 +324,7 @@ def extended(x: np.ndarray) -> np.ndarray:
 
 
 def clipped(corners: np.ndarray, W: int, H: int) -> np.ndarray:
-    """Return what the frame (a pixel larger) and the eye's plane leave of a polygon, (n, 2)."""
+    """Return the part (n, 2) of a polygon before the eye and in the frame (a pixel larger)."""
     planes = [[1, 0, 1], [0, 1, 1], [-1, 0, W + 1], [0, -1, H + 1], [0, 0, 1]]
     corners = extended(corners)
     corners = corners / np.abs(corners).max()
@@ -358,7 +356,7 @@ def sphere_oracle(camera: pj.Camera, center: np.ndarray, radius: float) -> np.nd
     rays = [(1 - sine * sine).sqrt() * axis, sine * first, sine * np.cross(axis, first)]
     frame = extended(np.stack(rays) @ film_matrix(camera).T)  # rows 1, cos, sin
 
-    def at(angle):
+    def on_film(angle):
         point = frame[0] + np.cos(angle)[..., None] * frame[1] + np.sin(angle)[..., None] * frame[2]
         slope = np.cos(angle)[..., None] * frame[2] - np.sin(angle)[..., None] * frame[1]
         xy = point[..., :2] / point[..., 2:]
@@ -375,7 +373,7 @@ def sphere_oracle(camera: pj.Camera, center: np.ndarray, radius: float) -> np.nd
     nodes, weights = (x.astype(Exact) / 2 for x in np.polynomial.legendre.leggauss(12))
     width = np.diff(cuts)[:, None]
     angles = cuts[:-1, None] + width * (nodes + 0.5)
-    xy, slope = at(angles)
+    xy, slope = on_film(angles)
     x, y = np.moveaxis(xy, -1, 0)
     column, row = (np.floor(z[:, 6]).astype(int) for z in (x, y))
     dy = weights * width * slope[..., 1]
@@ -436,55 +434,3 @@ def drawn(case: Callable, number: int, dtype: type) -> Iterator[View]:
         except ValueError:
             continue
         yield view
-
-
-def question() -> dict:
-    answer: dict = {"limit_in_epsilons": LIMIT, "cases": {}}
-    lines, broken = [], []
-    for name, case in CASES.items():
-        row: dict = {}
-        for kind, dtype in TYPES.items():
-            views = [*drawn(case, trials(100), dtype)]
-            errors = [worst(v, dtype) for v in views]
-            pairs = [
-                [float(f"{x:.3g}") for x in (v.stress, e)]
-                for v, e in zip(views, errors, strict=True)
-            ]
-            relative = max(e / v.unit for v, e in zip(views, errors, strict=True))
-            row[kind] = {
-                "tried": len(views),
-                "worst": max(errors),
-                "epsilons": relative / float(np.finfo(dtype).eps),
-                "all": pairs,
-            }
-        held = all(row[k]["epsilons"] <= LIMIT for k in TYPES)
-        broken += [] if held else [name]
-        tried = sum(row[k]["tried"] for k in TYPES)
-        figures = "  ".join(f"{row[k]['worst']:8.1e} ({row[k]['epsilons']:8.1e})" for k in TYPES)
-        lines.append(f"{name:36s} {tried:5d}  {figures}  {'holds' if held else 'BROKEN'}")
-        print(lines[-1], flush=True)
-        answer["cases"][name] = row
-    print(f"{len(CASES) - len(broken)} of {len(CASES)} cases hold {LIMIT:g} epsilons", *broken)
-    return answer
-
-
-def draw(answer: dict, path: Path) -> None:
-    import matplotlib.pyplot as plt
-
-    swept = {
-        k: v for k, v in answer["cases"].items() if len({x for x, _ in v["float64"]["all"]}) > 1
-    }
-    figure, axes = plt.subplots(2, -(-len(swept) // 2), figsize=(16, 6), sharey=True)
-    for axis, (name, row) in zip(axes.ravel(), swept.items(), strict=False):
-        for kind in TYPES:
-            x, y = np.array(row[kind]["all"]).T
-            axis.loglog(x, np.maximum(y, 1e-17), ".", label=kind, markersize=3)
-        axis.set_title(name, fontsize=8)
-    axes[0, 0].set_ylabel("worst pixel's error")
-    axes[0, 0].legend()
-    figure.tight_layout()
-    figure.savefig(path, dpi=100)
-
-
-if __name__ == "__main__":
-    run(question, draw)
