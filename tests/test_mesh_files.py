@@ -3,6 +3,7 @@
 import base64
 import json
 import os
+import re
 import struct
 import time
 
@@ -13,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from test_polygons import SHAPES, covered
 
 import pinhole_jax as pj
-from pinhole_jax._mesh_files import skins
 
 # --- polygons in every format --------------------------------------------------------------------
 
@@ -153,8 +153,11 @@ def ascii_stl(corners):
     return f"solid a vertex\nfacet normal 0 0 1\nouter loop\n{loop}endloop\nendfacet\n".encode()
 
 
+STL = ascii_stl(3) + b"endsolid\n"
 OTHERS = {
     "stl_quad.stl": (ascii_stl(6) + b"endsolid\n", "facets of three corners"),
+    "stl_number.stl": (STL.replace(b"vertex ", b"vertex 7 ", 1), "three coordinates"),
+    "stl_two.stl": (STL + STL[:-9], "without its end"),
     "stl_cut.stl": (ascii_stl(3), "without its end"),
     "stl_short.stl": (b"solid" + bytes(75) + struct.pack("<I", 2) + bytes(50), "without its end"),
     "surface.obj": (obj() + b"\nsurf 0 1 0 1 1 2 3 4", "the statement 'surf'"),
@@ -182,7 +185,18 @@ def test_what_is_not_read_is_said(tmp_path, name):
         pj.load_mesh(put(tmp_path, name, data))
 
 
-STL = ascii_stl(3) + b"endsolid\n"
+def test_stl_text_has_any_names_and_line_ends(tmp_path):
+    plain = triangles_of(pj.load_mesh(put(tmp_path, "a.stl", STL)))
+    for text in (
+        STL.upper(),
+        STL.replace(b"\n", b"\r"),
+        STL.replace(b"\n", b"\r\n"),
+        re.sub(rb"solid[^\n]*", rb"solid vertex normal 1", STL),
+    ):
+        mesh = pj.load_mesh(put(tmp_path, "b.stl", text))
+        np.testing.assert_array_equal(triangles_of(mesh), plain)
+
+
 MARK = b"\xef\xbb\xbf"
 SPARE = b"v 9 9 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 5\nf 2 3 4\n"
 
@@ -322,16 +336,19 @@ def test_indexed_triangles(tmp_path, kind, binary):
     check_triangles(f.load(tmp_path, binary), SQUARE[TWO])
 
 
-def test_strips_fans_triangles_lines_and_points_in_one_mesh(tmp_path):
+def test_strips_triangles_lines_and_points_in_one_mesh(tmp_path):
     strip = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 2, 0]], "<f4")
     fan = np.array([[9, 0, 0], [10, 0, 0], [10, 1, 0], [9, 1, 0]], "<f4")
     lines = np.array([[50, 50, 50], [60, 60, 60], [50, 60, 60]], "<f4")
     f = File()
-    parts = [f.primitive(strip, mode=5), f.primitive(fan, mode=6), f.primitive(SQUARE + 20, TWO)]
+    parts = [f.primitive(strip, mode=5), f.primitive(SQUARE + 20, TWO)]
     parts += [f.primitive(lines, mode=m) for m in (0, 1, 2, 3)]
     f.node(mesh=f.mesh(*parts, f.primitive(lines, np.array([0, 0, 1, 1, 1], "<u4"), mode=0)))
-    expected = [*strip[[[0, 1, 2], [1, 3, 2], [2, 3, 4]]], *fan[[[0, 1, 2], [0, 2, 3]]]]
-    check_triangles(f.load(tmp_path), [*expected, *(SQUARE + 20)[TWO]])
+    expected = [*strip[[[0, 1, 2], [1, 3, 2], [2, 3, 4]]], *(SQUARE + 20)[TWO]]
+    check_triangles(f.load(tmp_path), expected)
+    f.node(mesh=f.mesh(f.primitive(fan, mode=6)))
+    with pytest.raises(ValueError, match=r"meshes\[1\].primitives\[0\].mode.*fans are not read"):
+        f.load(tmp_path)
 
 
 def test_a_strip_that_repeats_corners_to_join_two(tmp_path):
@@ -352,27 +369,11 @@ def test_quantized_positions(tmp_path, kind, normalized):
     f.node(mesh=f.mesh(f.primitive(points)))
     f.top["accessors"][0]["normalized"] = normalized
     f.top["extensionsRequired"] = f.top["extensionsUsed"] = ["KHR_mesh_quantization"]
-    expected = np.maximum(points / top, -1) if normalized else points
-    check_triangles(f.load(tmp_path), [expected])
-
-
-@pytest.mark.parametrize("base", [True, False])
-def test_sparse_accessors(tmp_path, base):
-    f = File()
-    f.node(mesh=f.mesh(f.primitive(SQUARE, TWO)))
-    own = f.top["accessors"][0]
-    moved = np.array([[1, 0, 5], [0, 1, 7]], "<f4")
-    places = {"bufferView": f.view(np.array([1, 3], "<u2").tobytes()), "componentType": 5123}
-    own["sparse"] = {
-        "count": 2,
-        "indices": places,
-        "values": {"bufferView": f.view(b"skip" + moved.tobytes()), "byteOffset": 4},
-    }
-    expected = np.array(SQUARE) if base else np.zeros_like(SQUARE)
-    if not base:
-        del own["bufferView"]
-    expected[[1, 3]] = moved
-    check_triangles(f.load(tmp_path), expected[TWO])
+    if normalized:
+        with pytest.raises(ValueError, match=r"accessors\[0\].normalized"):
+            f.load(tmp_path)
+    else:
+        check_triangles(f.load(tmp_path), [points])
 
 
 def test_interleaved_data_at_offsets(tmp_path):
@@ -386,61 +387,44 @@ def test_interleaved_data_at_offsets(tmp_path):
     check_triangles(f.load(tmp_path), SQUARE[TWO])
 
 
-@pytest.mark.parametrize("at", ["mesh", "node", "neither"])
-def test_morph_targets_have_the_weights_of_the_file(tmp_path, at):
+DRACO = "KHR_draco_mesh_compression"
+#: What trimesh would pass over, and where it stands in a file.
+FEATURES = {
+    "skin": ("nodes", {"skin": 0}),
+    "weights": ("nodes", {"weights": [0, 0.5]}),
+    "meshes.0..weights": ("meshes", {"weights": [1.0]}),
+    "sparse": ("accessors", {"sparse": {"count": 0}}),
+    "EXT_mesh_gpu_instancing": ("nodes", {"extensions": {"EXT_mesh_gpu_instancing": {}}}),
+    "KHR_node_visibility": ("nodes", {"extensions": {"KHR_node_visibility": {"visible": False}}}),
+    "EXT_meshopt_compression": ("bufferViews", {"extensions": {"EXT_meshopt_compression": {}}}),
+    DRACO: ("primitives", {"extensions": {DRACO: {"bufferView": 0}}}),
+}
+
+
+@pytest.mark.parametrize("name", FEATURES)
+def test_features_of_gltf_that_are_not_read_are_named(tmp_path, name):
     f = File()
-    shifts = np.random.default_rng(0).integers(-3, 3, (2, 4, 3)).astype("<f4")
-    targets = [{"POSITION": f.accessor(shift)} for shift in shifts]
-    mesh = f.mesh(f.primitive(SQUARE, TWO, targets=targets))
-    node = {"mesh": mesh}
-    if at != "neither":
-        f.top["meshes"][0]["weights"] = [0.5, 2.0]
-    if at == "node":
-        node["weights"] = [-1.0, 0.25]
-    f.node(**node)
-    weights = {"mesh": [0.5, 2], "node": [-1, 0.25], "neither": [0, 0]}[at]
-    check_triangles(f.load(tmp_path), (SQUARE + np.tensordot(weights, shifts, 1))[TWO])
+    f.node(mesh=f.mesh(f.primitive(SQUARE, TWO, targets=[{}])))  # its weight is 0
+    check_triangles(f.load(tmp_path), SQUARE[TWO])
+    where, feature = FEATURES[name]
+    part = f.top["meshes"][0]["primitives"] if where == "primitives" else f.top[where]
+    part[0] |= feature
+    with pytest.raises(ValueError, match=f"`path`: expected .*a.gltf.*{name}"):
+        f.load(tmp_path)
 
 
-def test_skins_pose_the_mesh_by_its_joints_and_not_by_its_node(tmp_path):
-    turn = Rotation.from_euler("z", 90, degrees=True)
-    bind = np.eye(4)
-    bind[:3, 3] = [-1, 0, 0]  # the second joint was at (1, 0, 0) when it was bound
+def test_names_cameras_and_materials_are_no_shape(tmp_path):
+    """Names that trimesh uses itself, a camera that would cost its node the children, textures."""
     f = File()
-    inverse = f.accessor(np.stack([np.eye(4), bind.T]).astype("<f4"))  # columns first
-    primitive = f.primitive(SQUARE, TWO)
-    joints = np.array([[0, 1, 9, 0], [1, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0]], "<u1")
-    weights = np.array([[255, 0, 0, 0], [255, 0, 0, 0], [51, 204, 0, 0], [0, 255, 0, 0]], "<u1")
-    primitive["attributes"] |= {
-        "JOINTS_0": f.accessor(joints),
-        "WEIGHTS_0": f.accessor(weights, normalized=True),
-    }
-    f.node(mesh=f.mesh(primitive), skin=0, translation=[100, 100, 100])
-    second = f.node(False, translation=[1, 0, 0], rotation=turn.as_quat().tolist())
-    first = f.node(translation=[0, 0, 3], children=[second])
-    f.top["skins"] = [{"joints": [first, second], "inverseBindMatrices": inverse}]
-    one = np.add(SQUARE, [0, 0, 3])
-    other = np.add(turn.apply(SQUARE - [1, 0, 0]), [1, 0, 3])
-    expected = np.stack([one[0], other[1], 0.2 * other[2] + 0.8 * one[2], other[3]])
-    check_triangles(f.load(tmp_path), expected[TWO])
-
-
-def test_a_skin_s_joints_are_worked_out_once_for_all_its_meshes(tmp_path, monkeypatch):
-    of, seen = skins._joints_of, []
-    monkeypatch.setattr(skins, "_joints_of", lambda *args: seen.append(args) or of(*args))
-    f = File()
-    joints = f.accessor(np.zeros((4, 4), "<u1"))
-    weights = f.accessor(np.tile(np.array([1, 0, 0, 0], "<f4"), (4, 1)))
-    for x in range(3):
-        primitive = f.primitive(np.add(SQUARE, [x, 0, 0]).astype("<f4"), TWO)
-        primitive["attributes"] |= {"JOINTS_0": joints, "WEIGHTS_0": weights}
-        mesh = f.mesh(primitive)
-        f.node(mesh=mesh, skin=0)
-        f.node(mesh=mesh, skin=1)
-    f.top["skins"] = [{"joints": [f.node(translation=[0, 0, z])]} for z in (2, 5)]
-    copies = [np.add(SQUARE, [x, 0, z])[TWO] for x in range(3) for z in (2, 5)]
-    check_triangles(f.load(tmp_path), np.concatenate(copies))
-    assert len(seen) == 2
+    mesh = f.mesh(f.primitive(SQUARE, TWO, material=0), name="world", extras={"skin": 1})
+    child = f.node(False, mesh=mesh, name="world", translation=[0, 0, 1])
+    f.node(mesh=mesh, camera=0, name="world", translation=[1, 0, 0], children=[child])
+    f.top |= {"cameras": [{"type": "perspective", "perspective": {"yfov": 1, "znear": 1}}]}
+    f.top |= {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 9}}}]}
+    f.top |= {"images": [{"uri": "http://localhost/x.png"}], "skins": [{"joints": []}]}
+    expected = [*np.add(SQUARE, [1, 0, 0])[TWO], *np.add(SQUARE, [1, 0, 1])[TWO]]
+    check_triangles(f.load(tmp_path), expected)
+    check_triangles(f.load(tmp_path, binary=True), expected)
 
 
 def placed(points, translation, rotation, scale):
@@ -460,30 +444,6 @@ def test_nodes_place_by_matrix_and_by_parts_and_mirrors_turn_faces(tmp_path):
     assert np.linalg.det(matrix[:3, :3]) < 0
     expected = [*outer(inner)[TWO][:, ::-1], *outer(SQUARE)[TWO][:, ::-1]]
     check_triangles(f.load(tmp_path), expected)
-
-
-@pytest.mark.parametrize("names", [("TRANSLATION",), ("TRANSLATION", "ROTATION", "SCALE")])
-def test_instances_of_the_extension(tmp_path, names):
-    random, f = np.random.default_rng(0), File()
-    values = {
-        "TRANSLATION": random.normal(size=(5, 3)).astype("<f4"),
-        "ROTATION": Rotation.random(5, 2).as_quat().astype("<f4"),
-        "SCALE": random.uniform(0.5, 2, (5, 3)).astype("<f4"),
-    }
-    attributes = {name: f.accessor(values[name]) for name in names}
-    f.node(
-        mesh=f.mesh(f.primitive(SQUARE, TWO)),
-        translation=[10, 0, 0],
-        extensions={"EXT_mesh_gpu_instancing": {"attributes": attributes}},
-    )
-    f.top["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
-    none = {"ROTATION": np.tile([0, 0, 0, 1], (5, 1)), "SCALE": np.ones((5, 3))}
-    read = {**values, **{name: none[name] for name in values if name not in names}}
-    expected = [
-        placed(SQUARE, [10, 0, 0] + read["TRANSLATION"][k], read["ROTATION"][k], read["SCALE"][k])
-        for k in range(5)
-    ]
-    check_triangles(f.load(tmp_path), np.concatenate([one[TWO] for one in expected]))
 
 
 def test_twenty_thousand_instances_are_read(tmp_path):
@@ -511,23 +471,6 @@ def test_required_extensions_that_are_not_read_are_named(tmp_path, name):
     check_triangles(f.load(tmp_path), SQUARE[TWO])
 
 
-def test_compressed_data_without_others_are_named(tmp_path):
-    f = File()
-    primitive = f.primitive(SQUARE, TWO)
-    f.node(mesh=f.mesh(primitive))
-    primitive["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0}}
-    check_triangles(f.load(tmp_path), SQUARE[TWO])  # the data are there as well
-    view = f.top["accessors"][0].pop("bufferView")
-    with pytest.raises(ValueError, match="got KHR_draco_mesh_compression"):
-        f.load(tmp_path)
-    f.top["accessors"][0]["bufferView"] = view
-    f.top["bufferViews"][0] |= {"buffer": 1, "extensions": {"EXT_meshopt_compression": {}}}
-    text = json.loads(f.bytes())
-    text["buffers"].append({"byteLength": 10**9})
-    with pytest.raises(ValueError, match=r"bufferViews\[0\].*got EXT_meshopt_compression"):
-        pj.load_mesh(put(tmp_path, "a.gltf", json.dumps(text).encode()))
-
-
 # --- glTF files that lie -------------------------------------------------------------------------
 
 
@@ -540,11 +483,26 @@ def test_buffers_are_read_from_the_folder_only(tmp_path, kind):
     folder, secret = tmp_path / "meshes", put(tmp_path, "secret.bin", f.data)
     (folder / "folder").mkdir(parents=True)
     (folder / "link.bin").symlink_to(secret)
-    with pytest.raises(ValueError, match=r"`path`: .*`buffers\[0\].uri`: expected a file "):
+    with pytest.raises(ValueError, match=r"`path`: .*`buffers.uri`: expected a file "):
         f.load(folder, uri=kind.format(secret))
     for name in ("in a.bin", "folder/b.bin"):
         (folder / name).write_bytes(f.data)
         check_triangles(f.load(folder, uri=name.replace(" ", "%20")), SQUARE[TWO])
+
+
+def test_deep_and_wide_scenes_are_read_in_seconds(tmp_path):
+    """Every node of a chain has the mesh, one above the other; another has all children."""
+    f = File()
+    mesh = f.mesh(f.primitive(SQUARE, TWO))
+    leaf = f.node(False, mesh=mesh)
+    for _ in range(3000):
+        leaf = f.node(False, mesh=mesh, children=[leaf], translation=[0, 0, 1])
+    f.node(children=[leaf, *(f.node(False, mesh=mesh) for _ in range(3000))])
+    start = time.process_time()
+    corners = triangles_of(f.load(tmp_path))
+    assert time.process_time() - start < 10
+    assert len(corners) == 12_002
+    assert corners[..., 2].max() == 3000
 
 
 def bomb(levels, width=2):
@@ -575,11 +533,10 @@ def many_accessors():
     return f
 
 
-def many_targets():
+def many_views():
     f = File()
-    primitive = f.primitive(np.tile(SQUARE, (60_000, 1)))
-    primitive["targets"] = [dict(primitive["attributes"]) for _ in range(500)]
-    f.node(mesh=f.mesh(primitive, weights=[0.5] * 500))
+    f.node(mesh=f.mesh(f.primitive(np.tile(SQUARE, (50_000, 1)))))
+    f.top["bufferViews"] += [dict(f.top["bufferViews"][0]) for _ in range(1000)]
     return f
 
 
@@ -595,43 +552,43 @@ def changed(path, value):
 
 
 CHANGES = [
-    (("accessors", 0, "count"), 10**9, r"accessors\[0\].count"),
+    (("accessors", 0, "count"), 10**9, "accessors.: expected at most 268435456 numbers"),
     (("accessors", 0, "count"), -1, r"accessors\[0\].count"),
     (("accessors", 0, "count"), True, r"accessors\[0\].count"),
     (("accessors", 0, "count"), 1e400, r"accessors\[0\].count"),
-    (("accessors", 0, "byteOffset"), 1, r"accessors\[0\].count"),
-    (("accessors", 0, "byteOffset"), 10**30, r"accessors\[0\].count"),
+    (("accessors", 0, "byteOffset"), 1, "buffer size"),
+    (("accessors", 0, "byteOffset"), 10**30, r"accessors\[0\].byteOffset"),
     (("accessors", 0, "byteOffset"), -4, r"accessors\[0\].byteOffset"),
     (("accessors", 0, "type"), "VEC9", r"accessors\[0\].type"),
-    (("accessors", 0, "componentType"), 5124, r"accessors\[0\].componentType"),
-    (("accessors", 0, "componentType"), [], r"accessors\[0\].componentType"),
-    (("accessors", 0, "bufferView"), 9, "bufferViews"),
+    (("accessors", 0, "componentType"), 5124, "not in their place.* 5124"),
+    (("accessors", 0, "componentType"), [], "not in their place.*'list'"),
+    (("accessors", 0, "bufferView"), 9, r"accessors\[0\].bufferView"),
     (("accessors", 1, "componentType"), 5122, r"accessors\[1\].componentType"),
-    (("accessors", 1, "count"), 5, "three for each triangle"),
-    (("accessors", 0, "sparse"), {"count": 5}, r"accessors\[0\].sparse.count"),
-    (("accessors",), {}, "accessors"),
-    (("bufferViews", 0, "byteLength"), 10**9, r"bufferViews\[0\].byteLength"),
-    (("bufferViews", 0, "byteOffset"), 10**9, r"bufferViews\[0\].byteLength"),
-    (("bufferViews", 0, "byteStride"), 100, r"accessors\[0\].count"),
-    (("bufferViews", 0, "buffer"), 3, "buffers"),
-    (("nodes", 0, "mesh"), 5, "meshes"),
+    (("accessors", 1, "count"), 5, "array of size 5"),
+    (("accessors", 0, "sparse"), {"count": 5}, r"accessors\[0\].*sparse"),
+    (("accessors",), {}, "primitives.*expected a number below 0, at least 0"),
+    (("bufferViews", 0, "byteLength"), 10**9, "not in their place"),
+    (("bufferViews", 0, "byteOffset"), 10**9, "not in their place"),
+    (("bufferViews", 0, "byteStride"), 100, "not in their place"),
+    (("bufferViews", 0, "buffer"), 3, r"bufferViews\[0\].buffer"),
+    (("nodes", 0, "mesh"), 5, r"nodes\[0\].mesh"),
     (("nodes", 0, "mesh"), "0", r"nodes\[0\].mesh"),
     (("nodes", 0, "children"), [0], r"nodes\[0\]`: expected one parent"),
     (("nodes", 0, "children"), [7], "nodes"),
     (("nodes", 0, "children"), [[0]], "nodes"),
     (("nodes", 0, "children"), {}, r"nodes\[0\].children"),
-    (("nodes", 0, "matrix"), [1] * 15, r"nodes\[0\].matrix"),
-    (("nodes", 0, "matrix"), ["1"] * 16, r"nodes\[0\].matrix"),
+    (("nodes", 0, "matrix"), [1] * 15, "array of size 15"),
+    (("nodes", 0, "matrix"), ["a"] * 16, "could not convert string to float"),
     (("nodes", 0, "rotation"), [0, 0, 0, 0], r"nodes\[0\].rotation"),
-    (("nodes", 0, "scale"), [float("nan")] * 3, r"nodes\[0\].scale"),
-    (("nodes", 0, "weights"), [1], "targets"),
-    (("nodes", 0, "skin"), 0, "skins"),
-    (("nodes", 0), 5, r"nodes\[0\]"),
+    (("nodes", 0, "scale"), [float("nan")] * 3, "NaN or infinity"),
+    (("nodes", 0, "weights"), [1], "morph targets"),
+    (("nodes", 0, "skin"), 0, r"nodes\[0\].*skin"),
+    (("nodes", 0), 5, "not in their place.*'int'"),
     (("scenes", 0, "nodes"), [0, 0], "one parent"),
     (("scene",), 3, "scenes"),
     (("meshes", 0, "primitives", 0, "mode"), 7, "mode"),
     (("meshes", 0, "primitives", 0, "indices"), 0, r"accessors\[0\].type"),
-    (("meshes", 0, "primitives"), [3], r"primitives\[0\]"),
+    (("meshes", 0, "primitives"), [3], "not in their place.*'int'"),
     (("asset", "version"), "1.0", "asset.version"),
 ]
 
@@ -645,7 +602,8 @@ def test_wrong_fields_of_a_gltf_file_are_named(tmp_path, path, value, field):
 def test_indices_beyond_the_vertices(tmp_path):
     f = File()
     f.node(mesh=f.mesh(f.primitive(SQUARE, np.array([0, 1, 4], "<u1"))))
-    with pytest.raises(ValueError, match=r"primitives\[0\].indices`: expected numbers below 4"):
+    f.node(mesh=f.mesh(f.primitive(SQUARE, TWO)))  # all vertices together would be enough
+    with pytest.raises(ValueError, match="expected indices of 4 vertices, got 4"):
         f.load(tmp_path)
 
 
@@ -653,9 +611,9 @@ def test_indices_beyond_the_vertices(tmp_path):
     ("make", "message"),
     [
         (lambda: bomb(60), "one parent"),
-        (many_instances, "at most 16777216 triangles"),
+        (many_instances, "at most 67108864 corners"),
         (many_accessors, "at most 268435456 numbers"),
-        (many_targets, r"targets\[\d+\].: expected at most 268435456 numbers"),
+        (many_views, "bufferViews.: expected at most 2147483648 bytes"),
     ],
 )
 def test_small_files_that_stand_for_much_are_refused_in_seconds(tmp_path, make, message):

@@ -1,29 +1,28 @@
-"""The polygons of mesh files. Each format has its reader here, from the file's bytes to numbers.
+"""The polygons of mesh files, from a file's bytes to numbers.
 
-General libraries cut faces of more than three corners as a fan, and pass over what they do not
-know in a glTF file: shapes that are wrong and do not say so.
+trimesh cuts faces of more than three corners as fans: formats that have them have readers here. The
+others it reads, after a look for what it would pass over.
 """
 
 from pathlib import Path
 
 from .._files.paths import read_bytes
-from .accessors import MOST_BYTES
 from .dae import read_dae
-from .gltf import read_gltf
+from .gltf import MOST_BYTES
 from .obj import read_obj
 from .off import read_off
 from .ply import read_ply
 from .polygons import Polygons as Polygons, triangulated as triangulated
-from .stl import read_stl
+from .scenes import read_scene
 
-READERS = {".dae": read_dae, ".obj": read_obj, ".off": read_off, ".ply": read_ply, ".stl": read_stl}
-MESH_ENDINGS = (*READERS, ".glb", ".gltf")
+READERS = {".dae": read_dae, ".obj": read_obj, ".off": read_off, ".ply": read_ply}
+MESH_ENDINGS = (*READERS, ".stl", ".glb", ".gltf")
 
 
 def read_polygons(file: Path) -> Polygons:
-    """Return the polygons of a mesh file, by its ending; indices are not checked.
+    """Return the polygons of a mesh file, by its ending.
 
     Raises OSError, or ValueError that says what is wrong and where.
     """
     kind, data = file.suffix.lower(), read_bytes(file, "a mesh file", MOST_BYTES)
-    return READERS[kind](data) if kind in READERS else read_gltf(data, file)
+    return READERS[kind](data) if kind in READERS else read_scene(data, file)

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from .polygons import Polygons
+from .polygons import Polygons, assembled
 
 #: What makes no shape and may be broken, and shapes that are not read.
 NO_SHAPE = ("animations", "cameras", "effects", "images", "lights", "materials")
 LEFT_OUT = ("bind_material", "instance_camera", "instance_light")
 UNREAD = ("instance_controller", "ph", "spline", "convex_mesh")
-#: A small file can stand for more nodes and corners than these: instances of instances.
-MOST_NODES, MOST_CORNERS = 1 << 16, 1 << 26
+#: A small file can stand for more nodes than these: instances of instances.
+MOST_NODES = 1 << 16
 
 
 def read_dae(data: bytes) -> Polygons:
@@ -50,22 +50,11 @@ def read_dae(data: bytes) -> Polygons:
     if document.scene is None:
         raise ValueError("no <scene>")
 
-    points, corners, counts, start, total = [np.empty((0, 3))], [], [], 0, 0
-    for geometry, place in _instances(document.scene.nodes):
-        for primitive in geometry.primitives:
-            own, part, number = _polygons(primitive)
-            points.append(own @ place[:3, :3].T + place[:3, 3])
-            mirrored = np.linalg.det(place[:3, :3]) < 0
-            corners.append(start + (part[::-1] if mirrored else part))
-            counts.append(number[::-1] if mirrored else number)
-            start, total = start + len(own), total + len(own) + len(part)
-            if total > MOST_CORNERS:
-                raise ValueError(f"expected at most {MOST_CORNERS} corners, got more")
-    none = np.empty(0, int)
-    return Polygons(
-        metres * np.concatenate(points),
-        np.concatenate([none, *corners]),
-        np.concatenate([none, *counts]),
+    scale = np.diag([metres, metres, metres, 1])
+    return assembled(
+        (*_polygons(primitive), scale @ place)
+        for geometry, place in _instances(document.scene.nodes)
+        for primitive in geometry.primitives
     )
 
 
@@ -92,6 +81,6 @@ def _polygons(primitive: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if corners is None or isinstance(primitive, LineSet):
         return np.empty((0, 3)), np.empty(0, int), np.empty(0, int)
     counts = getattr(primitive, "vcounts", np.full(len(corners), 3))
-    if np.min(corners) < 0 or np.sum(counts) != corners.size:
-        raise ValueError("expected indices of at least 0, as many as polygons have corners")
+    if np.sum(counts) != corners.size:
+        raise ValueError("expected as many indices as polygons have corners")
     return np.asarray(primitive.vertex, float), corners.ravel().astype(int), counts.astype(int)

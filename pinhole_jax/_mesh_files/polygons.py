@@ -10,7 +10,7 @@ least area is taken; where that does not either, by more than 32 bits can tell, 
 """
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,8 @@ MOST_EAR_STEPS = 10**10
 MOST_LEAST_AREA = 400
 #: ... and this many steps for all faces of a file (some seconds).
 MOST_LEAST_AREA_STEPS = 6 * 10**8
+#: A small file can stand for more corners than these: instances of instances.
+MOST_CORNERS = 1 << 26
 #: Areas agree where they differ by less than this, the polygon being of size 1.
 EXACT = 1e-9
 
@@ -34,6 +36,32 @@ class Polygons(NamedTuple):
     points: Float[np.ndarray, "V 3"]
     corners: Int[np.ndarray, "K"]
     counts: Int[np.ndarray, "F"]
+
+
+def assembled(
+    parts: Iterable[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]],
+) -> Polygons:
+    """Return parts as one: of each its points, corners, counts, and its place (4, 4); a mirror's
+    polygons run the other way.
+
+    Raises ValueError for corners that a part has not, and for more than `MOST_CORNERS`.
+    """
+    points, corners, counts, start, total = [np.empty((0, 3))], [], [], 0, 0
+    for own, part, number, place in parts:
+        total += len(own) + len(part)
+        if total > MOST_CORNERS:
+            raise ValueError(f"expected at most {MOST_CORNERS} corners in all, got more")
+        if part.size and not (np.min(part) >= 0 and np.max(part) < len(own)):
+            raise ValueError(f"expected indices of {len(own)} vertices, got {np.max(part)}")
+        there = np.array_equal(place, np.eye(4))
+        points.append(own if there else own @ place[:3, :3].T + place[:3, 3])
+        step = -1 if np.linalg.det(place[:3, :3]) < 0 else 1
+        corners.append(start + part[::step])
+        counts.append(number[::step])
+        start += len(own)
+    none = np.empty(0, int)
+    joined = (np.concatenate([none, *arrays]) for arrays in (corners, counts))
+    return Polygons(np.concatenate(points), *joined)
 
 
 def triangulated(polygons: Polygons) -> Int[np.ndarray, "T 3"]:

@@ -19,9 +19,8 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None 
     Polygons of any shape in any plane are cut into triangles that run the way they do, and vertices
     at exactly the same place are merged so that faces share edges. Axes and lengths are the file's.
 
-    - A glTF scene is put together with its nodes' transforms, instances, morph weights and skins as
-      the file has them, with no animation. Triangles, strips and fans count, lines and points do
-      not. Buffers are read from the file's folder and below.
+    - trimesh reads STL and glTF. A glTF scene has its nodes' transforms; triangles and strips
+      count, lines and points do not. Buffers are read from the file's folder and below.
     - Of an obj file all polygons count; the material files that it names are not opened.
     - A Collada scene (needs pycollada and lxml, which `[robots]` installs) has its nodes'
       transforms, and is in metres by its `<unit>`; `<up_axis>` turns nothing.
@@ -34,8 +33,11 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None 
     data than its header says, vertices that are not finite, faces that name vertices it does not
     have, a polygon whose sides cross or that has too many corners to cut in seconds (some 100 000,
     unless its first corner sees them all), curved surfaces (obj), binary or not three dimensions
-    (off), or a required glTF extension that is not read (KHR_draco_mesh_compression,
-    EXT_meshopt_compression): the extension, field or face is named.
+    (off), skins or polygons with holes (dae), or a feature of glTF that is not read: skins, morph
+    targets whose weights are not 0, instances, fans, sparse or normalised positions, Draco's and
+    meshopt's compression, other required extensions. The feature, field or face is named.
+
+    What else trimesh reads (3mf), `pj.Mesh(trimesh.load_mesh(path))` takes, unchecked.
 
     ```python
     mesh = pj.load_mesh("part.off")

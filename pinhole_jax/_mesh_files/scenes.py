@@ -1,0 +1,86 @@
+"""The formats that trimesh reads: STL, and glTF's scenes."""
+
+import io
+import re
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .gltf import plain_gltf, resource
+from .polygons import Polygons, assembled
+from .text import unmarked
+
+STL_NAME = re.compile(rb"^([ \t]*(?:end)?solid\b).*", re.I | re.M)
+STL_WORD = re.compile(
+    rb"^[ \t]*(solid|endsolid|endloop|vertex(?=(?:[ \t]+\S+){3}[ \t]*$))\b", re.I | re.M
+)
+STL_WHOLE = re.compile(rb"vertex vertex vertex endloop|solid|endsolid| ")
+
+
+def read_scene(data: bytes, file: Path) -> Polygons:
+    """Return the triangles of an STL or glTF file.
+
+    Raises ValueError for what trimesh refuses or would pass over.
+    """
+    import trimesh
+    from trimesh.resolvers import FilePathResolver
+
+    class Folder(FilePathResolver):
+        """Files beside this one alone."""
+
+        def get(self, name: str) -> bytes:
+            return resource(file, name)
+
+    kind = file.suffix.lower()
+    # (NumPy reads numbers up to the first that is none, and says so by this warning.)
+    with (
+        warnings.catch_warnings(action="error", category=DeprecationWarning),
+        np.errstate(all="ignore"),
+    ):
+        try:
+            plain = _checked_stl(data) if kind == ".stl" else plain_gltf(unmarked(data))
+            scene = trimesh.load(
+                io.BytesIO(plain),
+                file_type=kind[1:],
+                resolver=Folder(str(file)),
+                force="scene",
+                process=False,
+            )
+        except (AssertionError, AttributeError, LookupError, TypeError) as error:
+            words = f"numbers or objects that are not in their place: {type(error).__name__}"
+            raise ValueError(f"{words} {error}") from error
+        return assembled(_parts(scene))
+
+
+def _parts(scene: Any) -> Iterator[tuple]:
+    """Yield points, corners, counts and places; trimesh takes n^3 steps for a chain of n nodes."""
+    places = {scene.graph.base_frame: np.eye(4)}
+    for parent, node, edge in scene.graph.to_edgelist():  # parents first
+        places[node] = places[parent] @ np.array(edge.get("matrix", np.eye(4)))
+        if "geometry" in edge:
+            mesh = scene.geometry[edge["geometry"]]
+            faces = np.asarray(mesh.faces)
+            faces = faces[np.all(faces != np.roll(faces, 1, axis=1), axis=1)]  # no joints of strips
+            points = np.asarray(mesh.vertices, float)
+            yield points, faces.ravel(), np.full(len(faces), 3), places[node]
+
+
+def _checked_stl(data: bytes) -> bytes:
+    """Return an STL file. One of text (its length is not that of its count) is whole, with three
+    corners in each loop and no names, none of which trimesh asks."""
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) == 84 + 50 * count:
+        return data
+    data = unmarked(data) if data[:2] != b"\0\0" else data
+    data = STL_NAME.sub(rb"\1", data.replace(b"\r", b"\n"))
+    words = b" ".join(STL_WORD.findall(data)).lower()
+    if not words.startswith(b"solid"):
+        raise ValueError(f"{len(data)} bytes for {count} faces, and no text either")
+    if not words.endswith(b"endsolid"):
+        raise ValueError("text without its end, `endsolid`")
+    if STL_WHOLE.sub(b"", words):
+        raise ValueError("expected facets of three corners, of three coordinates, got others")
+    return data
