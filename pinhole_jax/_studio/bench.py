@@ -16,17 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from .. import io
-from .._camera.camera import Camera
-from .._fit.fit_camera import fit_camera
-from .._fit.result import Fit, Progress
-from .._silhouette.silhouette import silhouette
-from .._solver.parameters import check_free
+from .. import Camera, Fit, Progress, fit_camera, io, silhouette
 from ..formats import FORMATS
 from . import hand
 from .drawing import camera_numbers, grid_lines, outline_paths, straight_lines
 from .exports import export, plain
-from .session import Session, line_of, save_session, session_from_text
+from .session import Session, free_of, line_of, save_session, session_from_text
 from .strokes import Loaded, Stroke, guessed, guides_about, guides_of, mask_of, stroke_of
 from .subject import Subject, subject_of
 from .telling import fit_described, holding, mask_described
@@ -246,7 +241,7 @@ class Bench:
         if self.mask is None or not np.any(self.mask):
             raise ValueError("there is no mask yet: draw on the object, or load one")
         self._stopping.clear()
-        self.free = check_free(free, self.camera)
+        self.free = free_of(free)
         focal_is_free = not {"phi", "d"}.isdisjoint(self.free)
         held = None if focal_is_free else self._phi_from()
         start = None if search else self.camera
@@ -313,7 +308,7 @@ class Bench:
 
     def save(self, name: str, free: Sequence[str]) -> dict[str, Any]:
         """Write the session as one file."""
-        self.free = check_free(free, self.camera)
+        self.free = free_of(free)
         path = self.folder / f"{plain(name)}.studio.json"
         save_session(path, self.session())
         return {"written": [str(path)]}

@@ -7,12 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from .._camera.axes import axes_of
-from .._camera.bent import bent, straightened
-from .._camera.camera import Camera, focal_px, principal_point
-from .._fit.result import Fit
-from .._scene.scene import Scene
-from ..plot import outline, outline_sigma
+from .. import Camera, Fit, Lens, Scene, outline, project, rays_through
+from ..plot import outline_sigma
+from .hand import axes_of, focal_px, principal_point
 
 #: A grid of straight lines has this many of them along the shorter side of the picture.
 GRID = 8
@@ -28,14 +25,13 @@ def camera_numbers(camera: Camera) -> dict[str, Any]:
     """Return what a shader needs to project points as the camera does, and what sliders show."""
     lens = camera.lens
     distortion = None if lens is None or lens.distortion is None else lens.distortion
-    where = np.asarray(principal_point(camera), float)
     return {
         "W": camera.W,
         "H": camera.H,
         "eye": np.asarray(camera.e, float).tolist(),
         "axes": axes_of(camera).tolist(),
-        "focal": [float(x) for x in focal_px(camera)],
-        "principal": where.tolist(),
+        "focal": focal_px(camera).tolist(),
+        "principal": principal_point(camera).tolist(),
         "phi_degrees": float(np.rad2deg(float(camera.phi))),
         "aspect": 1.0 if lens is None else float(lens.aspect),
         "model": None if distortion is None else type(distortion).__name__,
@@ -90,7 +86,7 @@ def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
 def grid_lines(camera: Camera) -> list[list[list[float]]]:
     """Return a grid of lines that are straight in space, as the lens shows them: rows of points."""
     spacing = min(camera.W, camera.H) / GRID
-    where = np.asarray(principal_point(camera), float)
+    where = principal_point(camera)
     reach = 1.6  # a barrel shows more than the ideal film
     lines = []
     for axis, size in enumerate((camera.W, camera.H)):
@@ -103,7 +99,11 @@ def grid_lines(camera: Camera) -> list[list[list[float]]]:
             line[:, axis] = where[axis] + spacing * (k - np.round((first + last) / 2))
             line[:, 1 - axis] = along
             lines.append(line)
-    return [part for line in bent(camera, np.array(lines)) for part in _within(line, camera)]
+    return [
+        part
+        for line in _elsewhere(_ideal(camera), camera, np.array(lines))
+        for part in _within(line, camera)
+    ]
 
 
 def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[float]]]:
@@ -113,9 +113,22 @@ def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[floa
         return []
     ends = np.array(lines, float) * [1, -1] + [0, camera.H]
     share = np.linspace(0, 1, POINTS)[:, None]
-    ideal = straightened(camera, ends)
+    ideal = _elsewhere(camera, _ideal(camera), ends)
     rows = ideal[:, None, 0] * (1 - share) + ideal[:, None, 1] * share
-    return _flipped(bent(camera, rows), camera).round(2).tolist()
+    return _flipped(_elsewhere(_ideal(camera), camera, rows), camera).round(2).tolist()
+
+
+def _ideal(camera: Camera) -> Camera:
+    """Return the camera without its distortion."""
+    aspect = 1.0 if camera.lens is None else camera.lens.aspect
+    return camera.replace(lens=Lens(principal_point(camera), aspect))
+
+
+def _elsewhere(before: Camera, after: Camera, points: np.ndarray) -> np.ndarray:
+    """Return where a camera shows what another one of its pose shows at these film points."""
+    at_origin = lambda camera: camera.with_pose([0, 0, 0], axes_of(camera))
+    rays = rays_through(at_origin(before), points.astype(before.e.dtype))
+    return np.asarray(project(at_origin(after), rays.direction), float)
 
 
 def _within(line: np.ndarray, camera: Camera) -> list[list[list[float]]]:

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import io
-from .._camera.camera import Camera
+from .. import Camera, io
 from ..formats import FORMATS, write
 
 #: What a format's path ends with, after the name that a person gives.

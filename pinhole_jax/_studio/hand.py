@@ -1,19 +1,15 @@
 """A camera in the hand: turned, shifted and moved about the middle of the object, its lens changed.
 
-Numbers, not traced: each move takes microseconds, and no program is compiled for it.
+Numbers, not traced: each move takes a millisecond.
 """
 
-from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
-from .._camera.axes import axes_of
-from .._camera.camera import Camera
-from .._camera.distortion import BrownConrady, Distortion
-from .._camera.lens import Lens
-from .._camera.poses import exponential
+from .. import BrownConrady, Camera, Lens, camera_basis
 
 #: How a camera first looks at an object that stands upright: from ahead, from the right and above.
 FIRST_LOOK = (0.4, 0.45, 1.0)
@@ -29,6 +25,24 @@ ROOM = 0.75
 NEAREST, FARTHEST = 1e-3, 1e5
 
 Vector = Float[np.ndarray, "3"]
+
+
+def axes_of(camera: Camera) -> Float[np.ndarray, "3 3"]:
+    """Return the camera's axes as rows: right, up, forward."""
+    return np.stack([np.asarray(axis, float) for axis in camera_basis(camera)])
+
+
+def focal_px(camera: Camera) -> Float[np.ndarray, "2"]:
+    """Return the focal length (px) along x and y."""
+    fy = camera.H / (2 * np.tan(float(camera.phi) / 2))
+    return fy * np.array([1.0 if camera.lens is None else float(camera.lens.aspect), 1.0])
+
+
+def principal_point(camera: Camera) -> Float[np.ndarray, "2"]:
+    """Return the principal point in film coordinates (px)."""
+    if camera.lens is None:
+        return np.array([camera.W, camera.H]) / 2
+    return np.asarray(camera.lens.principal_point, float)
 
 
 class Ball(NamedTuple):
@@ -58,8 +72,7 @@ def framed(camera: Camera, ball: Ball, up: str = "y") -> Camera:
 
 def _far(camera: Camera, ball: Ball) -> float:
     """Return how far from the eye a ball takes its room of the picture."""
-    fy = camera.H / (2 * np.tan(float(camera.phi) / 2))
-    half = np.arctan(ROOM * min(camera.W, camera.H) / 2 / fy)
+    half = np.arctan(ROOM * min(camera.W, camera.H) / 2 / focal_px(camera)[1])
     return float(ball.radius / np.sin(half))
 
 
@@ -67,7 +80,8 @@ def turned(camera: Camera, centre: Vector, right: float, up: float, clockwise: f
     """Return the camera that sees the object turned by these angles (rad): its front to the right,
     upwards, and clockwise in the picture; about its centre."""
     b1, b2, v = axes_of(camera)
-    rotation = _about(b1 * -up + b2 * right + v * clockwise).T  # the camera turns the other way
+    turn = Rotation.from_rotvec(b1 * -up + b2 * right + v * clockwise)
+    rotation = turn.inv().as_matrix()  # the camera turns the other way
     eye = centre + rotation @ (np.asarray(camera.e, float) - centre)
     return camera.with_pose(eye, axes_of(camera) @ rotation.T)
 
@@ -75,8 +89,7 @@ def turned(camera: Camera, centre: Vector, right: float, up: float, clockwise: f
 def shifted(camera: Camera, centre: Vector, right: float, down: float) -> Camera:
     """Return the camera that sees the object's centre shifted in the picture by this many px."""
     axes, eye = axes_of(camera), np.asarray(camera.e, float)
-    fy = camera.H / (2 * np.tan(float(camera.phi) / 2))
-    fx = fy if camera.lens is None else fy * float(camera.lens.aspect)
+    fx, fy = focal_px(camera)
     depth = abs(float(axes[2] @ (centre - eye)))
     return camera.with_pose(eye + depth * (down / fy * axes[1] - right / fx * axes[0]), axes)
 
@@ -107,10 +120,8 @@ def with_lens(camera: Camera, changes: dict[str, float]) -> Camera:
 
     Raises ValueError for other names, and where no such lens holds on the film.
     """
-    lens = camera.lens
-    centred = np.array([camera.W / 2, camera.H / 2])
-    where = centred if lens is None else np.asarray(lens.principal_point, float)
-    distortion: Distortion = (lens.distortion if lens is not None else None) or BrownConrady()
+    lens, where = camera.lens, principal_point(camera)
+    distortion: Any = (lens.distortion if lens is not None else None) or BrownConrady()
     values = {
         "principal_x": where[0],
         "principal_y": where[1],
@@ -120,16 +131,8 @@ def with_lens(camera: Camera, changes: dict[str, float]) -> Camera:
     if unknown := sorted(changes.keys() - values.keys()):
         raise ValueError(f"`lens`: expected some of {', '.join(values)}, got {', '.join(unknown)}")
     values.update(changes)
-    names = [field.name for field in fields(distortion)]
-    new: Any = type(distortion)(**{name: values[name] for name in names})
-    if not any(values[name] for name in names):
-        new = None
+    coefficients = {name: values[name] for name in distortion.coefficients()}
+    new = type(distortion)(**coefficients) if any(coefficients.values()) else None
     where, aspect = np.array([values["principal_x"], values["principal_y"]]), values["aspect"]
-    if new is None and aspect == 1 and np.array_equal(where, centred):
-        return camera.replace(lens=None)
-    return camera.replace(lens=Lens(where, aspect, new))
-
-
-def _about(vector: Vector) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation about a vector by its length (rad)."""
-    return exponential(np.append(vector, np.zeros(3)))[:3, :3]
+    says_nothing = new is None and aspect == 1 and np.array_equal(2 * where, [camera.W, camera.H])
+    return camera.replace(lens=None if says_nothing else Lens(where, aspect, new))

@@ -5,10 +5,9 @@ import math
 import os
 from typing import Any, NamedTuple
 
-from .._camera.camera import Camera
-from .._files.paths import parse_json, read_bytes, replace_file, text_of
-from .._solver.parameters import check_free
-from ..formats.native import camera_to_dict, fitted_camera_from_dict
+from .. import Camera
+from ..io import camera_from_dict, camera_to_dict, load_text, save_text
+from ..names import FREE
 from .strokes import Work, work_from_list, work_to_list
 
 SCHEMA = "pinhole_jax.studio/1"
@@ -52,7 +51,10 @@ def session_to_text(session: Session) -> str:
 
 def session_from_text(text: str, name: str = "session") -> Session:
     """Return the session of `session_to_text`, or raise ValueError naming what is wrong."""
-    data = parse_json(text, name, "a session file")
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"`path`: expected a session file, got {name!r}: {error}") from None
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:
         found = data.get("schema") if isinstance(data, dict) else type(data).__name__
         raise ValueError(f"`schema`: expected {SCHEMA!r}, got {found!r} (in {name!r})")
@@ -60,19 +62,19 @@ def session_from_text(text: str, name: str = "session") -> Session:
         if not isinstance(data.get(field), str) or not data[field]:
             raise ValueError(f"`{field}`: expected a path, got {data.get(field)!r} (in {name!r})")
     try:
-        camera = fitted_camera_from_dict(data.get("camera"))
+        camera = camera_from_dict(data.get("camera") or {}, fitted=True)
         work = work_from_list(data.get("strokes", []), camera.W, camera.H)
-        free = check_free(data.get("free", ["pose"]), camera, None)
+        free = free_of(data.get("free", ["pose"]))
         lines = tuple(map(line_of, data.get("lines", [])))
         known_phi = _phi_or_none(data.get("known_phi"))
     except (TypeError, ValueError) as error:
         raise ValueError(f"{error} (in {name!r})") from error
-    return Session(data["mesh"], data["photo"], camera, tuple(free), work, lines, known_phi)
+    return Session(data["mesh"], data["photo"], camera, free, work, lines, known_phi)
 
 
 def save_session(path: str | os.PathLike[str], session: Session) -> None:
     """Write a session, whole or not at all."""
-    replace_file(path, session_to_text(session).encode())
+    save_text(path, session_to_text(session))
 
 
 def load_session(path: str | os.PathLike[str]) -> Session:
@@ -80,8 +82,18 @@ def load_session(path: str | os.PathLike[str]) -> Session:
 
     Raises FileNotFoundError, or ValueError naming the field that is missing or wrong.
     """
-    text = text_of(read_bytes(path, "a session file", MOST_BYTES), path, "a session file")
-    return session_from_text(text, str(path))
+    return session_from_text(load_text(path, most_bytes=MOST_BYTES), str(path))
+
+
+def free_of(names: Any) -> tuple[str, ...]:
+    """Return what may move, or raise ValueError."""
+    known = ", ".join(FREE)
+    if not names:
+        raise ValueError(f"`free`: expected at least one of {known}, got none")
+    for name in names:
+        if name not in FREE:
+            raise ValueError(f"`free`: expected names among {known}, got {name!r}")
+    return tuple(names)
 
 
 def _phi_or_none(data: Any) -> float | None:

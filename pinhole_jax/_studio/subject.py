@@ -7,11 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .. import io
-from .._camera.camera import Camera, unplaced
-from .._camera.lens import Lens
-from .._files.pictures import three_channels
-from .._scene.scene import Scene
+from .. import Camera, Lens, Scene, io
 from .hand import Ball, ball_of, framed
 
 #: The field of view (rad) that a session starts from if nobody gives one: a guess.
@@ -59,7 +55,7 @@ def subject_of(
 
     Raises FileNotFoundError or ValueError as `load_mesh` and `load_image` do.
     """
-    picture = three_channels(io.load_image(photo))
+    picture = io.load_image(photo, rgb=True)
     H, W = picture.shape[:2]
     if camera is not None and (camera.W, camera.H) != (W, H):
         raise ValueError(
@@ -73,7 +69,9 @@ def subject_of(
     elif phi is None and (fov := io.photo_fov(photo)) is not None:
         phi = fov.phi
     if camera is None:
-        camera = framed(unplaced(PHI if phi is None else phi, W, H, lens), ball, up)
+        phi_or_guess = PHI if phi is None else phi
+        start = Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi_or_guess, 1.0, W, H, lens)
+        camera = framed(start, ball, up)
     return Subject(str(Path(mesh)), str(Path(photo)), scene, picture, ball, camera, phi)
 
 

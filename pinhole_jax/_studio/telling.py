@@ -4,10 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from .._fit.result import Fit
-from .._fit.words import STATUSES, in_digits, parameter_table
-from .._scene.scene import Scene
+from .. import Fit, Scene
 from ..formats import object_pose
+from ..names import STATUSES
 from ..plot import disagreement
 from .drawing import band_of
 from .strokes import Work, guides_of, png_of
@@ -51,22 +50,8 @@ def fit_described(
     return {
         **status,
         "iou": fit.iou,
-        "rows": _rows(fit),
+        "rows": [row.cells() for row in fit.parameters.rows],
         "notes": [*fit.weak, *notes],
         "band": band_of(fit, scene),
         "pose": str(object_pose(fit, pixel_centres="integer")),
     }
-
-
-def _rows(fit: Fit) -> list[list[str]]:
-    """Return the table of a fit: name, value, one sigma, unit, words."""
-    return [
-        [
-            row.name,
-            in_digits(row.value, row.std),
-            f"{row.std:.2g}" if np.isfinite(row.std) else "not told",
-            row.unit,
-            row.words,
-        ]
-        for row in parameter_table(fit).rows
-    ]

@@ -69,11 +69,12 @@ def _pose(camera: Camera) -> tuple[Basis, Any, Any]:
     return camera_basis(camera), focal_px(camera), principal_point(camera)
 
 
-def camera_from_dict(data: Input[Mapping[str, object], "JSON"]) -> Camera:
+def camera_from_dict(data: Input[Mapping[str, object], "JSON"], *, fitted: bool = False) -> Camera:
     """Return the camera of `camera_to_dict`'s numbers.
 
     `phi_degrees` stands for `phi` where that is not there. `pose` and `phi_degrees` say again what
     the other fields do, and may be left out; where they say something else, nothing is guessed.
+    `fitted`: the distortion need not hold beyond the object, as one that a fit found.
 
     Raises ValueError where a field is missing, is not what it should be, or contradicts others.
 
@@ -81,17 +82,10 @@ def camera_from_dict(data: Input[Mapping[str, object], "JSON"]) -> Camera:
     camera = pj.io.camera_from_dict(data)
     ```
     """
-    camera = Camera(*_numbers_and_lens(data))
-    _check_pose(camera, data.get("pose"))
-    return camera
-
-
-def fitted_camera_from_dict(data: Any) -> Camera:
-    """Return the camera of `camera_to_dict`'s numbers as a fit found it: its distortion need not
-    hold beyond the object."""
     *numbers, lens = _numbers_and_lens(data)
-    camera = Camera(*numbers)
-    camera = eqx.tree_at(lambda c: c.lens, camera, lens, is_leaf=lambda x: x is None)
+    camera = Camera(*numbers, lens=None if fitted else lens)
+    if fitted:
+        camera = eqx.tree_at(lambda c: c.lens, camera, lens, is_leaf=lambda x: x is None)
     _check_pose(camera, data.get("pose"))
     return camera
 

@@ -19,9 +19,9 @@ from .._fit.words import STATUSES
 from .._numerics.arrays import Input
 from ..formats.fields import Fields, short
 from ..formats.native import (
+    camera_from_dict,
     camera_to_dict,
     distortion_to_dict,
-    fitted_camera_from_dict,
     save_camera,
 )
 from ..formats.object_pose import object_pose
@@ -201,7 +201,7 @@ def _mask_error(fields: Fields) -> MaskError | None:
 
 def _camera(fields: Fields, dtype: np.dtype) -> Camera:
     try:
-        camera = fitted_camera_from_dict(fields.data)
+        camera = camera_from_dict(fields.data, fitted=True)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{error} (in {fields.where})") from None
     known = jax.dtypes.canonicalize_dtype(dtype)
