@@ -133,7 +133,7 @@ class Bench:
         }
 
     def _phi_from(self) -> str | None:
-        """Return where the field of view is from, None if somebody (or the photo) gave it."""
+        """Return the origin of a field of view that nobody gave, None for one that is known."""
         is_ = lambda phi: math.isclose(float(self.camera.phi), float(phi), rel_tol=1e-6)
         if self.known_phi is not None and is_(self.known_phi):
             return None

@@ -125,7 +125,7 @@ def _ideal(camera: Camera) -> Camera:
 
 
 def _elsewhere(before: Camera, after: Camera, points: np.ndarray) -> np.ndarray:
-    """Return where a camera shows what another one of its pose shows at these film points."""
+    """Return these film points of a camera as another one of its pose shows them."""
     at_origin = lambda camera: camera.with_pose([0, 0, 0], axes_of(camera))
     rays = rays_through(at_origin(before), points.astype(before.e.dtype))
     return np.asarray(project(at_origin(after), rays.direction), float)

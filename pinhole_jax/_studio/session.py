@@ -86,7 +86,7 @@ def load_session(path: str | os.PathLike[str]) -> Session:
 
 
 def free_of(names: Any) -> tuple[str, ...]:
-    """Return what may move, or raise ValueError."""
+    """Return the parameters that may move, or raise ValueError."""
     known = ", ".join(FREE)
     if not names:
         raise ValueError(f"`free`: expected at least one of {known}, got none")

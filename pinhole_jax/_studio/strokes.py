@@ -126,7 +126,7 @@ def guessed(photo: np.ndarray, guides: Sequence[Stroke]) -> np.ndarray | None:
     for level in _levels(W, H):
         inside = _walked(_resized(photo, level), _shrunk(seeds, level), inside)
     assert inside is not None
-    return np.where(_resized(inside, (W, H)), np.uint8(255), np.uint8(0))
+    return np.uint8(255) * _resized(inside, (W, H))
 
 
 def _levels(W: int, H: int) -> list[tuple[int, int]]:
@@ -179,26 +179,16 @@ def _resized(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     if (image.shape[1], image.shape[0]) == size:
         return image
     if image.dtype == bool:
-        grey = Image.fromarray(np.where(image, np.uint8(255), np.uint8(0)))
+        grey = Image.fromarray(np.uint8(255) * image)
         return np.asarray(grey.resize(size, Image.Resampling.BILINEAR)) > 127
     return np.asarray(Image.fromarray(image).resize(size, Image.Resampling.BOX))
 
 
 def _shrunk(seeds: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return seeds on a smaller picture: thin strokes stay."""
-    from PIL import Image
-
     if (seeds.shape[1], seeds.shape[0]) == size:
         return seeds
-    shares = [
-        np.asarray(
-            Image.fromarray(np.where(seeds == label, np.uint8(255), np.uint8(0))).resize(
-                size, Image.Resampling.BOX
-            )
-        )
-        for label in (1, 2)
-    ]
-    object_, back = shares
+    object_, back = (_resized(np.uint8(255) * (seeds == label), size) for label in (1, 2))
     return np.where(object_ > back, 1, np.where(back > 0, 2, 0)).astype(np.uint8)
 
 
