@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pinhole_jax._numerics.backend import for_cpus, is_for_cpus
 from pinhole_jax._numerics.later import later
-from pinhole_jax._numerics.one_kernel import for_cpus, is_for_cpus
 
 X = jnp.array([1.0, -2.0, 3.0])
 

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pinhole_jax._numerics.backend import for_this_machine
 from pinhole_jax._numerics.one_kernel import (
     at_once,
-    for_this_machine,
     on_cpu,
     one_kernel,
     rows,

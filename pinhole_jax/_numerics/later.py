@@ -10,13 +10,13 @@ from functools import partial
 from typing import Any
 
 import jax
-from jax.core import ShapedArray
 from jax.extend.core import Primitive
-from jax.interpreters import batching, mlir
+from jax.interpreters import batching
 from jaxtyping import PyTree
 
+from .backend import for_cpus, is_for_cpus
 from .literals import tidied
-from .one_kernel import for_cpus, is_for_cpus
+from .on_devices import lower, results, spread, varying_axes
 
 
 def later(function: Callable[..., PyTree], like: PyTree, *arguments: PyTree) -> PyTree:
@@ -32,8 +32,21 @@ def later(function: Callable[..., PyTree], like: PyTree, *arguments: PyTree) -> 
         with context():
             return out_tree.flatten_up_to(function(*tree.unflatten(leaves)))
 
+    leaves = spread(leaves, ())
     out = _later_p.bind(*leaves, function=flat, shapes=tuple((x.shape, x.dtype) for x in shapes))
     return out_tree.unflatten(out)
+
+
+def on_each_device(function: Callable[..., PyTree], *arguments: PyTree) -> PyTree:
+    """Return function(*arguments), where arrays vary over the devices of a `shard_map` too.
+
+    Each device works it out by itself there, and it cannot be differentiated.
+    """
+    leaves, tree = jax.tree.flatten(arguments)
+    if not varying_axes(leaves):
+        return function(*arguments)
+    plain = tree.unflatten([jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves])
+    return later(function, jax.eval_shape(function, *plain), *arguments)
 
 
 _later_p = Primitive("pinhole_later")
@@ -46,8 +59,8 @@ def _impl(*args, function, shapes):
 
 
 def _abstract(*args, function, shapes):
-    del args, function
-    return [ShapedArray(shape, dtype) for shape, dtype in shapes]
+    del function
+    return results(args, shapes)
 
 
 def _batch(args, dims, *, function, shapes):
@@ -60,5 +73,4 @@ def _batch(args, dims, *, function, shapes):
 _later_p.def_impl(_impl)
 _later_p.def_abstract_eval(_abstract)
 batching.primitive_batchers[_later_p] = _batch
-_lowered = lambda *args, **params: tidied(partial(_impl, **params))(*args)
-mlir.register_lowering(_later_p, mlir.lower_fun(_lowered, multiple_results=True))
+lower(_later_p, lambda *args, **params: tidied(partial(_impl, **params))(*args))

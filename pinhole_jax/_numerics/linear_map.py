@@ -11,14 +11,15 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.core import ShapedArray
 from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
+from jax.interpreters import ad, batching
 from jaxtyping import Array, PyTree
 
+from .backend import for_this_machine
 from .batches import in_turn
 from .literals import tidied
-from .one_kernel import by_machine, for_this_machine
+from .on_devices import lower, results, spread
+from .one_kernel import by_machine
 from .tracing import collector_at_rest
 
 Direction = Callable[[list, list], list]
@@ -42,6 +43,8 @@ def linear_map(
     residual_leaves, residual_tree = jax.tree.flatten(residuals)
     one = jax.tree.map(lambda x: jnp.asarray(x)[..., None], linear)
     linear_leaves, linear_tree = jax.tree.flatten(one)
+    linear_leaves = spread(linear_leaves, residual_leaves)
+    residual_leaves = spread(residual_leaves, linear_leaves)
     out_leaves, out_tree = jax.tree.flatten(like)
 
     @collector_at_rest()
@@ -76,8 +79,8 @@ def _impl(*args, forward: Direction, transpose: Direction, n_residuals: int, out
 
 
 def _abstract(*args, forward, transpose, n_residuals, out_shapes):
-    del args, forward, transpose, n_residuals
-    return [ShapedArray(shape, dtype) for shape, dtype in out_shapes]
+    del forward, transpose, n_residuals
+    return results(args, out_shapes)
 
 
 def _jvp(primals, tangents, *, n_residuals, **params):
@@ -168,5 +171,4 @@ _linear_map_p.def_abstract_eval(_abstract)
 ad.primitive_jvps[_linear_map_p] = _jvp
 ad.primitive_transposes[_linear_map_p] = _transpose
 batching.primitive_batchers[_linear_map_p] = _batch
-_lowered = lambda *args, **params: tidied(partial(_impl, **params))(*args)
-mlir.register_lowering(_linear_map_p, mlir.lower_fun(_lowered, multiple_results=True))
+lower(_linear_map_p, lambda *args, **params: tidied(partial(_impl, **params))(*args))

@@ -1,9 +1,7 @@
 """What XLA's CPU compiler makes a single kernel of: loops, and arithmetic of a few numbers."""
 
 import itertools
-from collections.abc import Callable, Hashable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
-from contextvars import ContextVar
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -17,40 +15,17 @@ from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float, Int, Num, PyTree
 
 from .alike import name_of
+from .backend import for_cpus, is_for_cpus
+from .later import on_each_device
 from .literals import folded, tidied
 from .safe import times
 
 T = TypeVar("T")
 
-_here: ContextVar[bool] = ContextVar("_here", default=False)
-
 #: Functions of which kernels were made, at most so many of them, and the programs of these.
 KEPT = 256
 _flats: dict[Hashable, Callable] = {}
 _short: WeakKeyDictionary[ClosedJaxpr, tuple[Callable, list[bool]]] = WeakKeyDictionary()
-
-
-@contextmanager
-def for_this_machine() -> Iterator[None]:
-    """Let programs that are traced within run on this process's machine alone: where that is a CPU,
-    what is for other machines is not traced (of a fit's program a quarter of the time)."""
-    with for_cpus() if jax.default_backend() == "cpu" else nullcontext():
-        yield
-
-
-@contextmanager
-def for_cpus() -> Iterator[None]:
-    """Let what is traced within be for CPUs alone: a branch of a program that is theirs."""
-    before = _here.set(True)
-    try:
-        yield
-    finally:
-        _here.reset(before)
-
-
-def is_for_cpus() -> bool:
-    """Return whether what is traced now is for CPUs alone."""
-    return _here.get()
 
 
 def one_kernel(function: Callable) -> Callable:
@@ -77,14 +52,17 @@ def one_kernel(function: Callable) -> Callable:
 
 def by_machine(*arguments: Any, cpu: Callable, elsewhere: Callable) -> Any:
     """Return what one function makes of arrays on a CPU, and another on other machines."""
-    if _here.get():
-        return cpu(*arguments)
 
     def there(*arguments: Any) -> Any:
         with for_cpus():
             return cpu(*arguments)
 
-    return jax.lax.platform_dependent(*arguments, cpu=there, default=elsewhere)
+    def chosen(*arguments: Any) -> Any:
+        if is_for_cpus():
+            return cpu(*arguments)
+        return jax.lax.platform_dependent(*arguments, cpu=there, default=elsewhere)
+
+    return on_each_device(chosen, *arguments)
 
 
 def on_cpu(function: Callable, *arguments: Any, elsewhere: Callable | None = None) -> Any:
@@ -184,7 +162,7 @@ def _flat(function: Callable, tree: Any) -> Callable:
         return flat
     if len(_flats) >= KEPT:
         _flats.clear()
-    return _flats.setdefault((name, tree, _here.get()), flat)
+    return _flats.setdefault((name, tree, is_for_cpus()), flat)
 
 
 def at_once(

@@ -13,11 +13,12 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.camera import Camera, film_at_once
 from .._camera.film import FilmMap
+from .._numerics.backend import for_this_machine
 from .._numerics.bitset import Selection, selection
 from .._numerics.jitted import jitted
-from .._numerics.later import later
+from .._numerics.later import later, on_each_device
 from .._numerics.linear_map import linear_map
-from .._numerics.one_kernel import by_machine, for_this_machine, one_by_one
+from .._numerics.one_kernel import by_machine, one_by_one
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Mesh, Scene, Spheres, astype, check_view
 from .asked import WORD, Asked, Corners, Drawn, words_in_row
@@ -320,9 +321,14 @@ def _resolve(moving: _Moving, given: _Given, keep: bool) -> tuple[Float[Array, "
 
     On a CPU one view after the other: of a thousand under `vmap`, what one takes is held once.
     """
-    turn = partial(_resolved, moving, given, keep, drawn_piece_by_piece, fold_in_turn)
-    beside = partial(_resolved, moving, given, keep, _drawn_in_vectors, fold_side_by_side)
-    return by_machine(cpu=lambda: one_by_one(turn), elsewhere=beside)
+
+    def drawn(moving: _Moving, given: _Given) -> tuple[Array, Any]:
+        resolved = partial(_resolved, moving, given, keep)
+        turn = partial(resolved, drawn_piece_by_piece, fold_in_turn)
+        beside = partial(resolved, _drawn_in_vectors, fold_side_by_side)
+        return by_machine(cpu=lambda: one_by_one(turn), elsewhere=beside)
+
+    return on_each_device(drawn, moving, given)
 
 
 def _drawn_in_vectors(asked: Asked, rows: Int[Array, "2"] | None) -> tuple[Drawn, None]:

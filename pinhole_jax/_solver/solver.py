@@ -13,8 +13,8 @@ from .._files import programs
 from .._mask.edges import Weights
 from .._mask.pyramid import LEAST_CELLS, Level
 from .._mask.target import Window, inside_of, object_window
+from .._numerics.backend import for_this_machine
 from .._numerics.jitted import jitted
-from .._numerics.one_kernel import for_this_machine
 from .._numerics.threads import in_threads, some_at_once
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._camera.camera import Camera, check_camera
 from .._camera.rays import Rays, camera_rays
 from .._numerics.jitted import jitted
+from .._numerics.later import on_each_device
 from .._numerics.pointwise import filled_up, may_be_filled_up, room
 from .._numerics.safe import binary_inverse, binary_scale, normalize
 from .._numerics.tracing import collector_at_rest
@@ -222,7 +223,14 @@ def _find(scene: Any, trees: Trees | None, given: Rays, camera: Any, search: str
     Give the scene or its trees. A program of its own: `trace`, `occluded`, `depth` and `normals`
     share it.
     """
-    scene, rays, camera = jax.lax.stop_gradient((scene, given, camera))
+    held = jax.lax.stop_gradient((scene, trees, given, camera))
+    return Found(given, *on_each_device(partial(_first_of, search), *held))
+
+
+def _first_of(
+    search: str, scene: Any, trees: Trees | None, rays: Rays, camera: Any
+) -> tuple[Int[Array, "*batch"], Int[Array, "*batch"]]:
+    """Return the indices of the face and of the sphere that each ray meets first."""
     mesh = None
     if trees is None:
         scene, scale = _to_unit_size(astype(scene, rays.direction.dtype))
@@ -245,7 +253,7 @@ def _find(scene: Any, trees: Trees | None, given: Rays, camera: Any, search: str
         face = _search(partial(first_met, trees.mesh), origin, direction, shape)
     if trees.spheres is not None:
         sphere = _search(partial(first_met, trees.spheres), origin, direction, shape)
-    return Found(given, face, sphere)
+    return face, sphere
 
 
 def _of_size_one(direction: Parts) -> Parts:

@@ -1,0 +1,136 @@
+"""Within `jax.shard_map`, as it is by default, each device gets what one device alone works out.
+
+All cases run in one process of four devices: this file itself.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.long
+
+#: Each with the devices that it is sharded over.
+CASES = {"mesh": (2,), "spheres and lens": (2,), "shared mesh": (4,), "hits": (2, 2)}
+
+
+@pytest.fixture(scope="module")
+def errors():
+    """The largest difference of each result from that of one device, relative to the largest."""
+    programs = Path(__file__).parents[1] / ".pytest_cache" / "programs"
+    kept = {"JAX_COMPILATION_CACHE_DIR": str(programs), "JAX_ENABLE_X64": "1"}
+    kept["PYTHONPATH"] = str(Path(__file__).parents[1])
+    given = {"env": {**os.environ, **kept}, "capture_output": True, "text": True, "check": False}
+    done = subprocess.run([sys.executable, __file__], **given)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_sharded_results_are_those_of_one_device(errors, case):
+    assert len(errors[case]) >= 3
+    assert max(errors[case].values()) < 1e-9, errors[case]
+
+
+def main():
+    """Print the errors of all cases."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count=4"
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+    from jax.sharding import Mesh as Devices, PartitionSpec as P
+
+    import pinhole_jax as pj
+
+    random = np.random.default_rng(0)
+    eyes = jnp.asarray(random.normal(size=(4, 3)) * 0.3 + [0, 0, 4])
+    weights = jnp.asarray(random.uniform(size=(4, 10, 12)))
+    lens = pj.Lens([6.2, 4.9], 1.1, pj.Fisheye(0.05, -0.01))
+    mesh, radii = pj.shapes.bumpy(0), jnp.array([0.5, 0.4])
+    shapes = mesh.vertices + jnp.asarray(random.normal(size=(4, *mesh.vertices.shape)) * 0.02)
+    centers = jnp.asarray(random.normal(size=(4, 2, 3)) * 0.5)
+    faces = np.asarray(mesh.faces)
+
+    def view(e, lens=None):
+        return pj.Camera(e, jnp.zeros(3), jnp.array([0.0, 1, 0]), 0.7, 1.0, 12, 10, lens)
+
+    def derivatives(function, x):
+        """The value, its derivative forward along all of `x`, and in reverse."""
+        value, push = jax.linearize(function, x)
+        forward = push(jax.tree.map(jnp.ones_like, x))
+        (reverse,) = jax.linear_transpose(push, x)(jnp.ones_like(value))
+        return {"value": value, "forward": forward, "reverse": reverse}
+
+    def of_mesh(x, weight):
+        scene_of = lambda vertices: pj.Scene(mesh=pj.Mesh(vertices, faces))
+        return derivatives(lambda x: total(weight, view(x[0]), scene_of(x[1])), x)
+
+    def of_spheres(x, weight):
+        scene_of = lambda centers: pj.Scene(spheres=pj.Spheres(centers, radii))
+        return derivatives(lambda x: total(weight, view(x[0], lens), scene_of(x[1])), x)
+
+    def total(weight, camera, scene):
+        return jnp.sum(weight * pj.silhouette(camera, scene))
+
+    def hits(e, weight):
+        """Of closest and any hits, of a camera's rays and of any."""
+        scene = pj.Scene(mesh=mesh, spheres=pj.Spheres(centers[0], radii))
+
+        def far(e):
+            there = pj.trace(scene, pj.camera_rays(view(e, lens))).t
+            return jnp.sum(weight * jnp.where(jnp.isfinite(there), there, 0))
+
+        blocked = pj.occluded(scene, pj.camera_rays(view(e))).astype(float)
+        images = pj.normals(view(e), scene), 1 / pj.depth(view(e), scene)
+        return {"blocked": blocked, "images": images, **derivatives(far, e)}
+
+    def by_device(function, x):
+        batch, spec = jax.vmap(function), P("d")
+        spread = lambda f, devices: jax.shard_map(f, mesh=devices, in_specs=spec, out_specs=spec)
+        return lambda devices: (spread(batch, devices)(x, weights), batch(x, weights))
+
+    def shared_mesh(devices):
+        """The derivative by vertices that all devices share is the sum over these."""
+
+        def every(vertices, eyes, weights):
+            scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
+            return sum(total(w, view(e), scene) for e, w in zip(eyes, weights, strict=True))
+
+        def summed(vertices, eyes, weights):
+            return jax.lax.psum(every(vertices, eyes, weights), "d")
+
+        def by_turns(vertices, eyes, weights):
+            one = lambda x: every(vertices, x[0][None], x[1][None])
+            return jnp.sum(jax.lax.map(one, (eyes, weights)))
+
+        specs = (P(), P("d"), P("d"))
+        spread = lambda f: jax.shard_map(f, mesh=devices, in_specs=specs, out_specs=P())
+        given = mesh.vertices, eyes, weights
+        value, outside = jax.value_and_grad(spread(summed))(*given)
+        inside = spread(jax.grad(summed))(*given)
+        wanted = jax.value_and_grad(by_turns)(*given)
+        names = ("value", "outside", "inside")
+        pairs = (value, outside, inside), (*wanted, wanted[1])
+        return tuple(dict(zip(names, found, strict=True)) for found in pairs)
+
+    def error(got, wanted):
+        leaves = zip(jax.tree.leaves(got), jax.tree.leaves(wanted), strict=True)
+        return max(float(jnp.max(jnp.abs(a - b)) / jnp.max(jnp.abs(b))) for a, b in leaves)
+
+    found = {}
+    masks = by_device(of_mesh, (eyes, shapes)), by_device(of_spheres, (eyes, centers))
+    runs = *masks, shared_mesh, by_device(hits, eyes)
+    for (name, shape), run in zip(CASES.items(), runs, strict=True):
+        among = np.array(jax.devices()[: int(np.prod(shape))]).reshape(shape)
+        devices = Devices(among, ("d", "other")[: len(shape)])
+        got, wanted = jax.jit(lambda run=run, devices=devices: run(devices))()
+        found[name] = {key: error(got[key], wanted[key]) for key in wanted}
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()
