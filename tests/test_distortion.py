@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 from oracles import central_difference
 
 import pinhole_jax as pj
+from pinhole_jax._camera import distortion
 
 W, H = 64, 48
 BROWN = pj.BrownConrady(-0.28, 0.07, 1.2e-3, -2.2e-4, 0.01)
@@ -132,3 +133,109 @@ def test_a_distortion_of_another_kind_is_refused():
         pj.Lens([1, 1], 1.0, [0.1, 0.2])
     with pytest.raises(ValueError, match=r"`k2`: expected finite values, got nan"):
         pj.BrownConrady(0.1, np.nan)
+
+
+#: Polynomials that grow to the plane of the eye, and some that fold before it.
+ANGLES = [
+    (0.03126, 0.005177, 0.000664, 0.0001007),
+    (-0.1, 0.0, 0.0, 0.0),
+    (-0.25, 0.1, 0.0, 0.0),
+    (1.0, 1.0, 1.0, 1.0),
+    (0.36330, -0.00498, 0.00433, -0.01487),
+    (-0.4, 0.0, 0.0, 0.0),
+    (10.0, -3.0, 0.0, 0.0),
+]
+
+
+def by_halves(function, most, value):
+    """Return where a growing function has values, by halving the interval (NumPy alone)."""
+    low, high = np.zeros_like(value), np.full_like(value, most)
+    for _ in range(60):
+        middle = (low + high) / 2
+        less = function(middle) < value
+        low, high = np.where(less, middle, low), np.where(less, high, middle)
+    return (low + high) / 2
+
+
+def fisheye_polynomial(k):
+    return lambda angle: angle * (1 + sum(c * angle ** (2 * n + 2) for n, c in enumerate(k)))
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("k", ANGLES)
+def test_fisheye_angles_are_those_of_bisection(k, dtype):
+    model = pj.Fisheye(*np.asarray(k, dtype))
+    k = np.array([*model.coefficients().values()])
+    bent, edge = fisheye_polynomial(k), float(np.arctan(np.float64(model.trusted_radius())))
+    around = np.random.default_rng(0).uniform(0, 2 * np.pi, 2001)
+    radius = bent(np.linspace(0, edge * (1 - 1e-6), 2001))
+    x, y = (radius * f(around) for f in (np.cos, np.sin))
+    x, y = np.asarray(x, dtype), np.asarray(y, dtype)
+    ideal = np.hypot(*np.asarray(model.undistorted(jnp.asarray(x), jnp.asarray(y)), float))
+    wanted = by_halves(bent, edge, np.hypot(x.astype(float), y))
+    # Rounding of the radius, where the image grows by a twentieth only.
+    allowed = 60 * np.finfo(dtype).eps if dtype == "float32" else 1e-12
+    np.testing.assert_allclose(np.arctan(ideal), wanted, rtol=0, atol=allowed * max(1, *radius))
+
+
+def test_fisheye_points_are_those_of_opencv():
+    k = np.array(ANGLES[0])
+    points = np.random.default_rng(1).uniform(-0.6, 0.6, (500, 2))
+    precise = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-15)
+    wanted = cv2.fisheye.undistortPoints(points[:, None], np.eye(3), k, criteria=precise)[:, 0]
+    found = pj.Fisheye(*k).undistorted(jnp.asarray(points[:, 0]), -jnp.asarray(points[:, 1]))
+    np.testing.assert_allclose(np.stack([found[0], -found[1]], 1), wanted, atol=1e-12)
+
+
+def test_derivatives_of_fisheye_rays_hold_to_89_degrees():
+    """Against what the polynomial's own derivatives say of its inverse."""
+    k, angle = np.array(ANGLES[0]), np.radians([0.0, 1e-6, 30, 60, 80, 88, 89])
+    powers = np.stack([angle ** (2 * n + 3) for n in range(4)])
+    radius = angle + k @ powers
+    growth = 1 + (k * np.arange(3, 10, 2)) @ np.stack([angle ** (2 * n + 2) for n in range(4)])
+
+    def angles(radius, k):
+        x, y = pj.Fisheye(*k).undistorted(0.6 * radius, 0.8 * radius)
+        return jnp.arctan(0.6 * x + 0.8 * y)
+
+    by_radius = np.diag(1 / growth)
+    for jacobian in (jax.jacfwd, jax.jacrev):
+        found = jax.jit(jacobian(angles, (0, 1)))(jnp.asarray(radius), jnp.asarray(k))
+        np.testing.assert_allclose(found[0], by_radius, atol=1e-11)
+        np.testing.assert_allclose(found[1], -(powers / growth).T, atol=1e-11)
+    second = jax.jit(jax.vmap(jax.grad(jax.grad(angles)), (0, None)))
+    bend = (k * [6, 20, 42, 72]) @ np.stack([angle ** (2 * n + 1) for n in range(4)])
+    found = second(jnp.asarray(radius)[2:], jnp.asarray(k))
+    np.testing.assert_allclose(found, (-bend / growth**3)[2:], atol=1e-9)
+
+
+def test_fisheye_rays_to_88_degrees_take_the_steps_of_rays_to_60():
+    model = pj.Fisheye(*ANGLES[0])
+    most = jnp.arctan(model.trusted_radius())
+    steps = jax.jit(distortion._newton_in_angle)
+    bent = fisheye_polynomial(ANGLES[0])
+    to = lambda degrees: jnp.asarray(bent(np.radians(np.linspace(0, degrees, 1001))))
+    number = {degrees: int(steps(model, most, to(degrees))[1]) for degrees in (60, 88)}
+    assert number[88] <= 2 * number[60] <= 12
+
+
+def test_points_beyond_a_lens_go_on_straight():
+    model = pj.Fisheye(*ANGLES[5])  # folds at 51 degrees
+    trusted = float(model.trusted_radius())
+    ideal = jnp.linspace(0.9, 30.0, 200) * trusted
+    x, y = model(0.6 * ideal, 0.8 * ideal)
+    found = model.undistorted(x, y)
+    np.testing.assert_allclose(found, np.stack([0.6 * ideal, 0.8 * ideal]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_wide_lenses_are_inverted_wherever_they_are_trusted(seed):
+    """Up to where the image grows by a hundred times, or by a twentieth, of what it does inside."""
+    k = np.random.default_rng(seed).normal(size=5) * [0.2, 0.1, 0.003, 0.003, 0.02]
+    wide = pj.Rational(0.3 + k[0], 0.02, 1e-3, -2e-4, 0.05, k[1], -0.1, 0.02)
+    for model in (pj.BrownConrady(*k), wide):
+        most = min(0.98 * float(model.trusted_radius()), 20.0)
+        radius = jnp.linspace(0.0, most, 500)
+        x, y = radius * jnp.cos(9 * radius), radius * jnp.sin(9 * radius)
+        found = model.undistorted(*model(x, y))
+        assert np.all(np.hypot(found[0] - x, found[1] - y) < 1e-12 * (1 + radius))

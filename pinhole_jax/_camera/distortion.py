@@ -12,7 +12,7 @@ has there (C1). A camera whose film shows more than that is refused.
 """
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from functools import partial
 from typing import Any, ClassVar
@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics.arrays import ArrayLike, Input, float_array, float_dtype
+from .._numerics.later import on_each_device
 from .._numerics.one_kernel import by_machine, one_kernel
 from .._numerics.safe import length, safe_divide, safe_sqrt
 
@@ -36,8 +37,8 @@ COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 LEAST_SLOPE, MOST_SLOPE = 0.05, 100.0
 #: Radii of the ideal image looked at: the last is a tenth of a degree from the plane of the eye.
 RADII = np.geomspace(1e-3, 600.0, 1024)
-#: Steps at most: lenses of cameras (k1 from -0.35 to 0.3, to 40 degrees from the axis) take 2 to 8
-#: to 1e-12; more only those that are about to fold.
+#: Steps at most: lenses of cameras take 2 to 6 to the last digit, those that are about to fold, or
+#: show 70 degrees by a polynomial in the ideal radius, up to 20.
 NEWTON_STEPS = 40
 
 
@@ -54,10 +55,6 @@ class Distortion(eqx.Module):
     @abc.abstractmethod
     def slope(self, radius: Array) -> Array:
         """Return a lower bound of how much the image grows at a radius, 1 on the axis."""
-
-    @abc.abstractmethod
-    def first_guess(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return an ideal point from which Newton's method finds the one of a distorted point."""
 
     def coefficients(self) -> dict[str, float]:
         """Return the coefficients by name."""
@@ -89,9 +86,9 @@ class Distortion(eqx.Module):
         edge = self.polynomial(x * share, y * share)
         return radius <= safe_sqrt(edge[0] * edge[0] + edge[1] * edge[1])
 
+    @abc.abstractmethod
     def undistorted(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
         """Return the ideal points of distorted ones (Newton; differentiated implicitly)."""
-        return _undistorted(self, x, y)
 
 
 class Decentred(Distortion):
@@ -121,9 +118,9 @@ class Decentred(Distortion):
         """Return a lower bound of how much the image grows at a radius."""
         return self.growth(radius * radius) - 6 * length(self.p1, self.p2) * radius
 
-    def first_guess(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the point itself."""
-        return x, y
+    def undistorted(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
+        """Return the ideal points of distorted ones."""
+        return _undistorted(self, x, y)
 
 
 class BrownConrady(Decentred):
@@ -266,17 +263,19 @@ class Fisheye(Distortion):
         """Return how much the image grows with the angle at a radius of the ideal image."""
         return self._growth(jnp.arctan(radius))
 
-    def first_guess(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the point at the angle that a few of Newton's steps on the polynomial give."""
-        radius = safe_sqrt(x * x + y * y)
-        most = jnp.arctan(self.trusted_radius())
+    def undistorted(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
+        """Return the ideal points of distorted ones.
 
-        def step(_, theta):
-            miss = theta * self._stretch(theta) - radius
-            return jnp.clip(theta - safe_divide(miss, self._growth(theta)), 0, most)
-
-        theta = jax.lax.fori_loop(0, 8, step, jnp.minimum(radius, most))
-        scale = jnp.where(radius > 0, safe_divide(jnp.tan(theta), radius), 1)
+        Newton's method looks for the angle: 90 degrees are a number like any other there, while
+        the ideal radius, its tangent, is infinite.
+        """
+        radius, trusted = safe_sqrt(x * x + y * y), self.trusted_radius()
+        edge = jnp.arctan(trusted)
+        most = edge * self._stretch(edge)
+        inner = jnp.minimum(radius, most)
+        beyond = (radius - inner) * (1 + trusted * trusted) / self._growth(edge)
+        ideal = jnp.tan(_angles(self, edge, inner)) + beyond
+        scale = jnp.where(radius > 0, safe_divide(ideal, radius), 1)
         return x * scale, y * scale
 
     def _stretch(self, theta: Array) -> Array:
@@ -350,21 +349,35 @@ def _distorted(model: Distortion, x: Array, y: Array) -> tuple[Array, Array]:
 
 @jax.custom_jvp
 @jax.jit
-def _undistorted(model: Distortion, x: Array, y: Array) -> tuple[Array, Array]:
-    goal = jnp.stack([x, y])
-    tiny, trusted = 4 * jnp.finfo(x.dtype).eps, model.trusted_radius()
-
-    def body(state):
-        number, at, _ = state
-        value, by_x, by_y = _linearised(model, trusted, *at)
-        step = _solved(by_x, by_y, goal - value)
-        size = 1 + jnp.sqrt(jnp.sum(at * at, axis=0))
-        return number + 1, at + step, jnp.max(jnp.abs(step) / size[None])
-
-    start = (jnp.int32(0), jnp.stack(model.first_guess(x, y)), jnp.asarray(jnp.inf, x.dtype))
-    going = lambda state: (state[0] < NEWTON_STEPS) & (state[2] > tiny)
-    _, at, _ = jax.lax.while_loop(going, body, start)
+def _undistorted(model: Decentred, x: Array, y: Array) -> tuple[Array, Array]:
+    at, _ = on_each_device(_newton, model, jnp.stack([x, y]))
     return at[0], at[1]
+
+
+def _newton(model: Decentred, goal: Float[Array, "2 *n"]) -> tuple[Array, Array]:
+    """Return the ideal points of distorted ones, and the number of steps to them: from those of the
+    lens on its axis."""
+    trusted = model.trusted_radius()
+    distorted = jnp.sqrt(jnp.sum(goal * goal, axis=0))
+    radius, before = _radii(model, trusted, distorted)
+
+    def step(at: Array) -> tuple[Array, Array]:
+        value, by_x, by_y = _linearised(model, trusted, *at)
+        move = _solved(by_x, by_y, goal - value)
+        size = 1 + jnp.sqrt(jnp.sum(at * at, axis=0))
+        return at + move, jnp.max(jnp.abs(move) / size[None])
+
+    start = goal * jnp.where(distorted > 0, safe_divide(radius, distorted), 1)[None]
+    at, number = _settled(step, start)
+    return at, before + number
+
+
+def _radii(model: Decentred, trusted: Array, distorted: Array) -> tuple[Array, Array]:
+    """Return the ideal radii of distorted ones without decentring, and the number of steps."""
+    bent, growth = lambda r: r * model.radial(r * r), lambda r: model.growth(r * r)
+    inner = jnp.minimum(distorted, bent(trusted))
+    radius, number = _increasing(bent, growth, trusted, inner)
+    return radius + (distorted - inner) / growth(trusted), number
 
 
 @_undistorted.defjvp
@@ -377,3 +390,73 @@ def _(primals: Any, tangents: Any):
     _, drift = jax.jvp(lambda m: m(*held), (model,), (moves,))
     change = _solved(by_x, by_y, jnp.stack(goal) - jnp.stack(drift))
     return ideal, (change[0], change[1])
+
+
+@jax.custom_jvp
+@jax.jit
+def _angles(model: Fisheye, most: Array, radius: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Return the angles from the axis, of `most` of them, of distorted radii."""
+    return on_each_device(_newton_in_angle, model, most, radius)[0]
+
+
+def _newton_in_angle(model: Fisheye, most: Array, radius: Array) -> tuple[Array, Array]:
+    """Return the angles, and the number of steps to them."""
+    return _increasing(lambda a: a * model._stretch(a), model._growth, most, radius)
+
+
+@_angles.defjvp
+def _(primals: Any, tangents: Any):
+    (model, most, radius), (moves, _, rise) = primals, tangents
+    angle = _angles(model, most, radius)
+    held = jax.lax.stop_gradient(angle)
+    _, drift = jax.jvp(lambda m: held * m._stretch(held), (model,), (moves,))
+    return angle, safe_divide(rise - drift, model._growth(angle))
+
+
+def _increasing(
+    function: Callable, slope: Callable, most: Array, value: Float[Array, "*n"]
+) -> tuple[Array, Array]:
+    """Return where a function, which grows from 0 to `most`, has these values, and the number of
+    steps: Newton's, or where these leave the interval that is left, or do not become half as long,
+    to its middle."""
+    tiny = _tiny(value.dtype)
+
+    def step(state: Array) -> tuple[Array, Array]:
+        at, low, high, before = state
+        miss = function(at) - value
+        low, high = jnp.where(miss < 0, at, low), jnp.where(miss > 0, at, high)
+        new = jnp.clip(at - safe_divide(miss, slope(at)), 0, most)
+        move, scale = jnp.abs(new - at), tiny * (1 + at)
+        within = (new > low - scale) & (new < high + scale)
+        within &= move <= jnp.maximum(before / 2, scale)
+        new = jnp.where(within, new, (low + high) / 2)
+        move = jnp.where(within, move, jnp.inf)
+        return jnp.stack([new, low, high, move]), jnp.max(move / (1 + at))
+
+    none = jnp.zeros_like(value)
+    start = jnp.stack([jnp.minimum(value, most), none, none + most, none + jnp.inf])
+    state, number = _settled(step, start)
+    return state[0], number
+
+
+def _settled(step: Callable[[Array], tuple[Array, Array]], start: Array) -> tuple[Array, Array]:
+    """Return where steps lead to, and the number of them; a step says how far it went.
+
+    The digits that are right double from step to step: what follows one that changes less than
+    half of them is rounding, and where the image hardly grows no less than that one.
+    """
+    tiny = _tiny(start.dtype)
+
+    def further(state):
+        number, at, _ = state
+        return number + 1, *step(at)
+
+    going = lambda state: (state[0] < NEWTON_STEPS) & (state[2] > tiny)
+    first = jnp.int32(0), start, jnp.asarray(jnp.inf, start.dtype)
+    number, at, _ = jax.lax.while_loop(going, further, first)
+    return at, number
+
+
+def _tiny(dtype: Any) -> float:
+    """Return the length of a step after which there is only rounding left."""
+    return float(jnp.finfo(dtype).eps) ** 0.5 / 4
