@@ -155,6 +155,14 @@ FOREIGN = {
 }
 
 
+def test_vectors_may_stand_in_lists(tmp_path):
+    tail = f"rvec: {TURN[:, None].tolist()}\ntvec: {SHIFT[:, None].tolist()}\n"
+    (tmp_path / "c.yaml").write_text(
+        HEAD + f"K: {K.tolist()}\ndist: {BENT[None].tolist()}\n" + tail
+    )
+    check_sees_as_opencv(tmp_path / "c.yaml", BROWN)
+
+
 @pytest.mark.parametrize("name", FOREIGN)
 def test_files_of_other_programs_are_named(tmp_path, name):
     text, message = FOREIGN[name]

@@ -215,17 +215,29 @@ XML_CASES = [
     (FOV + '<string name="focalLength" value="50mm"/>', "`fov`: expected it or focal_length, got"),
     (FOV + FILM, "`to_world`: expected one transform and one film, got two"),
     (FOV.replace("40", "$f"), r"`fov`: expected a finite number, got '\$f'"),
-    (FOV.replace("40", "nan"), "`fov`: expected a finite number, got 'nan'"),
-    (FOV.replace(' value="40"', ""), "`float`: expected the attribute 'value', got none"),
+    (FOV.replace("40", "nan"), "`fov`: expected a finite number, got nan"),
+    (FOV.replace(' value="40"', ""), "`value`: expected a value, got no such field .* <float>"),
     (FOV + '<string name="fov_axis" value="z"/>', "`fov_axis`: expected one of x, y, diagonal"),
     ("<up/>", r"`to_world`: expected matrix, lookat, rotate, translate or scale, got 'up'"),
     ('<scale value="2"/>', "`to_world`: expected a rotation"),
     ('<scale x="-1"/>', "`to_world`: expected a rotation"),
-    ('<translate value="1, 2"/>', "`translate`: expected 3 numbers, got 2"),
+    (
+        '<translate value="1, 2"/>',
+        r"`value`: .* of shape \(3,\), got .* <translate>",
+    ),
     ('<rotate angle="3"/>', "`rotate`: expected an axis, got none"),
-    ('<matrix value="1 2 3"/>', "`matrix`: expected 9 or 16 numbers, got 3"),
-    ('<lookat origin="1,2" target="0,0,0" up="0,1,0"/>', "`lookat`: expected three numbers"),
-    ('<lookat origin="0,1,0" target="0,0,0" up="0,1,0"/>', "`lookat`: expected up not along"),
+    (
+        '<matrix value="1 2 3"/>',
+        r"`value`: .* of shape \(16,\), got .* <matrix>",
+    ),
+    (
+        '<lookat origin="1,2" target="0,0,0" up="0,1,0"/>',
+        r"`origin`: .* of shape \(3,\), got",
+    ),
+    (
+        '<lookat origin="0,1,0" target="0,0,0" up="0,1,0"/>',
+        "`up`: expected another direction than",
+    ),
 ]
 
 
@@ -494,26 +506,6 @@ def test_bad_windows_are_said_in_words():
             change(0)
         with pytest.raises(ValueError, match="`W`: expected an integer of at least 1"):
             change(2.5)
-
-
-def test_turns_are_scipys():
-    from scipy.spatial.transform import Rotation
-
-    from pinhole_jax.formats import rotations
-
-    axes = np.random.default_rng(0).normal(size=(30, 3))
-    axes /= np.linalg.norm(axes, axis=1)[:, None]
-    angles = [0, 1e-9, 1e-5, np.pi, np.pi - 1e-7, *np.linspace(0.1, 3.1, 25)]
-    for axis, angle in zip(axes, angles, strict=True):
-        turn = Rotation.from_rotvec(angle * axis)
-        R = turn.as_matrix()
-        np.testing.assert_allclose(rotations.matrix_of_vector(angle * axis), R, atol=1e-15)
-        q = rotations.quaternion_of_matrix(R)
-        np.testing.assert_allclose(rotations.matrix_of_quaternion(q), R, atol=4e-15)
-        np.testing.assert_allclose(rotations.matrix_of_quaternion(-3 * q), R, atol=4e-15)
-        back = rotations.matrix_of_vector(rotations.vector_of_matrix(R))
-        np.testing.assert_allclose(back, R, atol=4e-15)
-        assert np.linalg.norm(rotations.vector_of_matrix(R)) <= np.pi + 1e-12
 
 
 def test_one_camera_is_read_by_name(tmp_path):

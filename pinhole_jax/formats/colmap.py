@@ -12,11 +12,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Fisheye, Rational
-from .._camera.poses import inverse
+from .._camera.poses import inverse, rigid
 from .._files.paths import opened, replace_file
 from .fields import KIND, Fields, add_named, check_cameras, number, save_text, short
 from .pinhole import (
@@ -28,7 +26,7 @@ from .pinhole import (
     model_of,
     pinhole,
 )
-from .rotations import is_unit, matrix_of_quaternion, quaternion_of_matrix
+from .rotations import is_unit, rotations
 
 #: COLMAP's models by number, with their parameters; distortion is what is not f, fx, fy, cx, cy.
 MODELS = {
@@ -149,15 +147,15 @@ def _camera(intrinsics: Fields, pose: Fields) -> Camera:
     q = pose.array("QUATERNION", (4,))
     if not is_unit(q):
         raise pose.wrong("QUATERNION", "one of length 1", q)
-    matrix = np.eye(4)
-    matrix[:3, :3] = matrix_of_quaternion(q)
-    matrix[:3, 3] = pose.array("TRANSLATION", (3,))
+    R = rotations().from_quat(q[[1, 2, 3, 0]]).as_matrix()
+    matrix = rigid(R, pose.array("TRANSLATION", (3,)))
     return camera_of(view, inverse(matrix), OPENCV, intrinsics, distortion)
 
 
 def _quaternion_and_translation(camera: Camera) -> list[float]:
     matrix = camera_from_world(camera, OPENCV)
-    return [*quaternion_of_matrix(matrix[:3, :3]).tolist(), *matrix[:3, 3].tolist()]
+    *xyz, w = rotations().from_matrix(matrix[:3, :3]).as_quat(canonical=True).tolist()
+    return [w, *xyz, *matrix[:3, 3].tolist()]
 
 
 def _fields_of(model: str, size: Any, parameters: Any, where: str) -> Fields:

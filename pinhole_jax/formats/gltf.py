@@ -31,7 +31,7 @@ from .pinhole import (
     rigid,
     world_from_camera,
 )
-from .rotations import is_unit, matrix_of_quaternion
+from .rotations import is_unit, rotations
 
 MAGIC, JSON_CHUNK = 0x46546C67, 0x4E4F534A
 
@@ -188,7 +188,7 @@ def _local(node: Fields) -> np.ndarray:
         q = node.array("rotation", (4,))
         if not is_unit(q):
             raise node.wrong("rotation", "a quaternion of length 1", q)
-        matrix[:3, :3] = matrix_of_quaternion(q[[3, 0, 1, 2]])
+        matrix[:3, :3] = rotations().from_quat(q).as_matrix()
     if "scale" in node:
         matrix[:3, :3] *= node.array("scale", (3,))
     if "translation" in node:

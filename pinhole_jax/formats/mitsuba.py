@@ -11,6 +11,7 @@ import os
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -38,7 +39,7 @@ from .pinhole import (
     rigid,
     world_from_camera,
 )
-from .rotations import matrix_of_vector
+from .rotations import rotations
 from .unknown import unknown
 
 AXES = ("x", "y", "diagonal", "smaller", "larger")
@@ -68,15 +69,16 @@ def read_mitsuba(path: str | os.PathLike[str], *, size: Size | None = None) -> d
         words = "expected Mitsuba's XML (its root is <scene>) or OpenCV's (<opencv_storage>)"
         got = unknown(root.tag) or f"the root <{root.tag[:60]}>"
         raise ValueError(f"`path`: {words}, got {got} (in {str(path)!r})")
-    defaults = _defaults(root, repr(str(path)))
+    where = repr(str(path))
+    defaults = _defaults(root, where)
     sensors = [root] if root.tag == "sensor" else list(root.iter("sensor"))
     if not sensors:
-        raise ValueError(f"`sensor`: expected one in a Mitsuba scene, got none (in {str(path)!r})")
+        raise ValueError(f"`sensor`: expected one in a Mitsuba scene, got none (in {where})")
     cameras: dict[str, Camera] = {}
     for k, sensor in enumerate(sensors):
         name = sensor.get("id") or (f"sensor_{k}" if k else "sensor")
-        camera = _read(sensor, defaults, f"{str(path)!r}, sensor {short(name)}", size)
-        add_named(cameras, name, camera, repr(str(path)))
+        scene = _Scene(defaults, f"{where}, sensor {short(name)}")
+        add_named(cameras, name, _read(sensor, scene, size), where)
     return cameras
 
 
@@ -132,15 +134,15 @@ SENSOR = """\
 
 
 def _defaults(root: ET.Element, where: str) -> dict[str, str]:
-    """Return what `$names` stand for; as in Mitsuba, the first of a name holds for what follows."""
+    """Return the values of `$names`; as in Mitsuba, the first of a name holds for what follows."""
     defaults: dict[str, str] = {}
     together = 0
     for element in root.iter("default"):
-        name = element.get("name", "")
+        name, value = element.get("name", ""), element.get("value", "")
         if not 0 < len(name) <= MOST_NAME:
             words = f"a name of 1 to {MOST_NAME} characters, got {short(name)}"
             raise ValueError(f"`default`: expected {words} (in {where})")
-        defaults.setdefault(name, _filled(element, "value", defaults, where))
+        defaults.setdefault(name, _filled("value", value, defaults, where))
         together += len(name) + len(defaults[name])
         if together > MOST_DEFAULTS:
             words = f"values of at most {MOST_DEFAULTS} characters together, got more"
@@ -148,139 +150,11 @@ def _defaults(root: ET.Element, where: str) -> dict[str, str]:
     return defaults
 
 
-def _read(sensor: ET.Element, defaults: Mapping[str, str], where: str, size: Size | None) -> Camera:
-    fields = _properties(sensor, defaults, where)
-    fields.text("type", ("perspective",))
-    film = sensor.find("film")
-    if film is None and size is not None:
-        full = Fields({"width": size[0], "height": size[1]}, "`size`")
-        frame = full.size("width", "height", None)
-    else:
-        full = _properties(film, defaults, f"{where}, film") if film is not None else fields
-        full = Fields({**FILM, **full.data}, full.where)
-        frame = full.size("width", "height", size)
-    focal = _focal(fields, *frame)
-    cx = frame[0] * (0.5 - fields.number("principal_point_offset_x", 0))
-    cy = frame[1] * (0.5 - fields.number("principal_point_offset_y", 0))
-    W = full.integer("crop_width") if "crop_width" in full else frame[0]
-    H = full.integer("crop_height") if "crop_height" in full else frame[1]
-    cx -= full.number("crop_offset_x", 0)
-    cy -= full.number("crop_offset_y", 0)
-    pose = np.eye(4)
-    moves = [t for t in sensor.findall("transform") if _snake(t.get("name", "")) == "to_world"]
-    if len(moves) > 1 or len(sensor.findall("film")) > 1:
-        raise ValueError(f"`to_world`: expected one transform and one film, got two (in {where})")
-    with np.errstate(all="ignore"):  # what overflows is no rotation
-        for step in (step for move in moves for step in move):
-            pose = _step(step, defaults, where) @ pose
-    pose = rigid(pose, fields, "to_world")
-    return camera_of(Pinhole(focal, focal, cx, cy, W, H), pose, LEFT_UP_FORWARD, fields)
-
-
-def _properties(element: ET.Element, defaults: Mapping[str, str], where: str) -> Fields:
-    """Return an element's type and its named numbers and texts, names as Mitsuba 3 has them."""
-    data: dict = {"type": _filled(element, "type", defaults, where, "")}
-    for part in element:
-        if part.tag in ("float", "integer", "string"):
-            name, value = _snake(part.get("name", "")), _filled(part, "value", defaults, where)
-            if name in data:
-                words = f"expected one such property, got two (in {where})"
-                raise ValueError(f"`{name[:60]}`: {words}")
-            data[name] = value if part.tag == "string" else _number(name, value, where)
-    return Fields(data, where)
-
-
-def _focal(fields: Fields, W: int, H: int) -> float:
-    """Return the focal length in px."""
-    if "fov" in fields and "focal_length" in fields:
-        raise fields.wrong("fov", "it or focal_length", "both")
-    if "fov" not in fields:
-        words = fields.text("focal_length", default="50mm")
-        focal_mm = _number("focal_length", words.removesuffix("mm"), fields.where)
-        lens = Fields({"focal_length": focal_mm}, fields.where).positive("focal_length")
-        return float(lens * np.hypot(W, H) / np.hypot(36, 24))
-    fov, axis = fields.number("fov"), fields.text("fov_axis", AXES, "x")
-    if not 0 < fov < 180:
-        raise fields.wrong("fov", "an angle in (0, 180) degrees", f"{fov:g}")
-    sides = {
-        "x": W,
-        "y": H,
-        "diagonal": float(np.hypot(W, H)),
-        "smaller": min(W, H),
-        "larger": max(W, H),
-    }
-    return focal_of_fov(float(np.deg2rad(fov)), sides[axis])
-
-
-def _step(element: ET.Element, defaults: Mapping[str, str], where: str) -> np.ndarray:
-    """Return one operation of a transform as a (4, 4) matrix."""
-    kind = _snake(element.tag)
-    vector = lambda name: _vector(element, name, defaults, where)
-    matrix = np.eye(4)
-    if kind == "matrix":
-        values = vector("value")
-        if len(values) not in (9, 16):
-            words = f"{len(values)} (in {where})"
-            raise ValueError(f"`matrix`: expected 9 or 16 numbers, got {words}")
-        side = int(len(values) ** 0.5)
-        matrix[:side, :side] = values.reshape(side, side)
-    elif kind in ("lookat", "look_at"):
-        origin, target, up = (vector(name) for name in ("origin", "target", "up"))
-        if any(len(v) != 3 for v in (origin, target, up)):
-            raise ValueError(f"`lookat`: expected three numbers in each, got others (in {where})")
-        forward, left = target - origin, np.cross(up, target - origin)
-        if not np.any(forward) or np.linalg.norm(left) < 1e-12 * np.linalg.norm(forward):
-            raise ValueError(f"`lookat`: expected up not along the view, got it (in {where})")
-        forward, left = forward / np.linalg.norm(forward), left / np.linalg.norm(left)
-        matrix[:3] = np.stack([left, np.cross(forward, left), forward, origin], axis=1)
-    elif kind == "rotate":
-        axis = _xyz(element, 0.0, defaults, where)
-        angle = _number("angle", _filled(element, "angle", defaults, where), where)
-        if not np.any(axis):
-            raise ValueError(f"`rotate`: expected an axis, got none (in {where})")
-        rotation = np.deg2rad(angle) * axis / np.linalg.norm(axis)
-        matrix[:3, :3] = matrix_of_vector(rotation)
-    elif kind == "translate":
-        matrix[:3, 3] = _xyz(element, 0.0, defaults, where)
-    elif kind == "scale":
-        matrix[:3, :3] = np.diag(_xyz(element, 1.0, defaults, where))
-    else:
-        raise ValueError(
-            "`to_world`: expected matrix, lookat, rotate, translate or scale, got"
-            f" {element.tag!r} (in {where})"
-        )
-    return matrix
-
-
-def _xyz(element: ET.Element, rest: float, defaults: Mapping[str, str], where: str) -> np.ndarray:
-    if element.get("value") is None:
-        words = [_filled(element, x, defaults, where, str(rest)) for x in "xyz"]
-        return np.array([_number(x, word, where) for x, word in zip("xyz", words, strict=True)])
-    values = _vector(element, "value", defaults, where)
-    if len(values) not in (1, 3):
-        raise ValueError(f"`{element.tag}`: expected 3 numbers, got {len(values)} (in {where})")
-    return np.broadcast_to(values, (3,))
-
-
-def _vector(element: ET.Element, name: str, defaults: Mapping[str, str], where: str) -> np.ndarray:
-    words = re.split(r"[,\s]+", _filled(element, name, defaults, where).strip())
-    return np.array([_number(element.tag, word, where) for word in words])
-
-
-def _filled(
-    element: ET.Element,
-    name: str,
-    defaults: Mapping[str, str],
-    where: str,
-    rest: str | None = None,
-) -> str:
-    """Return an attribute, its `$names` replaced."""
-    text = element.get(name, rest)
-    if text is None:
-        raise ValueError(f"`{element.tag}`: expected the attribute {name!r}, got none (in {where})")
+def _filled(name: str, text: str, defaults: Mapping[str, str], where: str) -> str:
+    """Return an attribute, its `$names` replaced in one pass."""
     head, *parts = text.split("$")
     filled, length = [head], len(head)
-    for part in parts:  # in one pass: what is filled in is not filled in again
+    for part in parts:
         ends = range(min(len(part), MOST_NAME), 0, -1)
         end = next((n for n in ends if part[:n] in defaults), 0)
         filled.append(defaults[part[:end]] + part[end:] if end else f"${part}")
@@ -291,14 +165,115 @@ def _filled(
     return "".join(filled)
 
 
-def _number(name: str, text: str, where: str) -> float:
+class _Scene(NamedTuple):
+    """Where a sensor is, and what `$names` stand for."""
+
+    defaults: Mapping[str, str]
+    where: str
+
+    def attributes(self, element: ET.Element) -> Fields:
+        """Return an element's attributes; what are numbers, separated by commas or blanks, is
+        numbers."""
+        where = f"{self.where}, <{element.tag[:60]}>"
+        texts = {k: _filled(k, text, self.defaults, where) for k, text in element.attrib.items()}
+        return Fields({name: _value(text) for name, text in texts.items()}, where)
+
+    def properties(self, element: ET.Element) -> Fields:
+        """Return an element's type and its named numbers and texts, names as Mitsuba 3's."""
+        data: dict[str, Any] = {"type": self.attributes(element).data.get("type", "")}
+        for part in element:
+            if part.tag in ("float", "integer", "string"):
+                name = _snake(part.get("name", ""))
+                if name in data:
+                    words = f"expected one such property, got two (in {self.where})"
+                    raise ValueError(f"`{name[:60]}`: {words}")
+                own = Fields({name: self.attributes(part).get("value", "a value")}, self.where)
+                data[name] = own.data[name] if part.tag == "string" else own.number(name)
+        return Fields(data, self.where)
+
+
+def _value(text: str) -> Any:
     try:
-        value = number(text)
+        numbers = [number(word) for word in re.split(r"[,\s]+", text.strip())]
     except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise ValueError(f"`{name[:60]}`: expected a finite number, got {short(text)} (in {where})")
-    return value
+        return text
+    return numbers if len(numbers) > 1 else numbers[0]
+
+
+def _read(sensor: ET.Element, scene: _Scene, size: Size | None) -> Camera:
+    fields = scene.properties(sensor)
+    fields.text("type", ("perspective",))
+    moves = [t for t in sensor.findall("transform") if _snake(t.get("name", "")) == "to_world"]
+    films = sensor.findall("film")
+    if len(moves) > 1 or len(films) > 1:
+        raise fields.wrong("to_world", "one transform and one film", "two")
+    own = scene.properties(films[0]).data if films else {}
+    if not films and size is not None:
+        own = {"width": size[0], "height": size[1]}
+    film = Fields({**FILM, **own}, f"{scene.where}, film")
+    W, H = film.size("width", "height", size)
+    focal = _focal(fields, W, H)
+    cx = W * (0.5 - fields.number("principal_point_offset_x", 0)) - film.number("crop_offset_x", 0)
+    cy = H * (0.5 - fields.number("principal_point_offset_y", 0)) - film.number("crop_offset_y", 0)
+    W = film.integer("crop_width") if "crop_width" in film else W
+    H = film.integer("crop_height") if "crop_height" in film else H
+    pose = np.eye(4)
+    with np.errstate(all="ignore"):  # what overflows is no rotation
+        for step in (step for move in moves for step in move):
+            pose = _step(_snake(step.tag), scene.attributes(step)) @ pose
+    pose = rigid(pose, fields, "to_world")
+    return camera_of(Pinhole(focal, focal, cx, cy, W, H), pose, LEFT_UP_FORWARD, fields)
+
+
+def _focal(fields: Fields, W: int, H: int) -> float:
+    """Return the focal length in px."""
+    diagonal = float(np.hypot(W, H))
+    if "fov" in fields and "focal_length" in fields:
+        raise fields.wrong("fov", "it or focal_length", "both")
+    if "fov" not in fields:
+        words = str(fields.data.get("focal_length", "50mm"))
+        focal = Fields({"focal_length": _value(words.removesuffix("mm"))}, fields.where)
+        return focal.positive("focal_length") * diagonal / float(np.hypot(36, 24))
+    fov, axis = fields.number("fov"), AXES.index(fields.text("fov_axis", AXES, "x"))
+    if not 0 < fov < 180:
+        raise fields.wrong("fov", "an angle in (0, 180) degrees", f"{fov:g}")
+    sides = (W, H, diagonal, min(W, H), max(W, H))  # as in AXES
+    return focal_of_fov(float(np.deg2rad(fov)), sides[axis])
+
+
+def _step(kind: str, fields: Fields) -> np.ndarray:
+    """Return one operation of a transform as a (4, 4) matrix."""
+    matrix = np.eye(4)
+    if kind == "matrix":
+        side = 3 if fields.shape("value") == (9,) else 4
+        matrix[:side, :side] = fields.array("value", (side * side,)).reshape(side, side)
+    elif kind in ("lookat", "look_at"):
+        origin, target, up = (fields.array(name, (3,)) for name in ("origin", "target", "up"))
+        forward, left = target - origin, np.cross(up, target - origin)
+        if not np.any(forward) or np.linalg.norm(left) < 1e-12 * np.linalg.norm(forward):
+            raise fields.wrong("up", "another direction than the view's", up)
+        forward, left = forward / np.linalg.norm(forward), left / np.linalg.norm(left)
+        matrix[:3] = np.stack([left, np.cross(forward, left), forward, origin], axis=1)
+    elif kind == "rotate":
+        axis = _xyz(fields, 0)
+        if not np.any(axis):
+            raise fields.wrong("rotate", "an axis", "none")
+        turn = np.deg2rad(fields.number("angle")) * axis / np.linalg.norm(axis)
+        matrix[:3, :3] = rotations().from_rotvec(turn).as_matrix()
+    elif kind == "translate":
+        matrix[:3, 3] = _xyz(fields, 0)
+    elif kind == "scale":
+        matrix[:3, :3] = np.diag(_xyz(fields, 1))
+    else:
+        raise fields.wrong("to_world", "matrix, lookat, rotate, translate or scale", repr(kind))
+    return matrix
+
+
+def _xyz(fields: Fields, rest: int) -> np.ndarray:
+    if "value" not in fields:
+        return np.array([fields.number(x, rest) for x in "xyz"])
+    alone = fields.shape("value") == ()
+    return np.broadcast_to(fields.array("value", () if alone else (3,)), (3,))
 
 
 def _snake(name: str) -> str:

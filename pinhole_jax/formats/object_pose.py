@@ -7,12 +7,13 @@ from jaxtyping import Float
 
 from .._camera.distortion import Distortion
 from .._camera.matrices import Centres
+from .._camera.poses import rigid
 from .._fit.result import Fit, check_fit
 from .._fit.words import in_digits
 from .._numerics.arrays import Input
 from .._solver.heading import carried
 from .matrices import to_opencv
-from .rotations import quaternion_of_matrix
+from .rotations import rotations
 
 #: A fit's parameters that the pose depends on, in the order of `_derivative`'s columns.
 POSE = ("rotation_b1", "rotation_b2", "rotation_v", "e_x", "e_y", "e_z")
@@ -45,17 +46,17 @@ class ObjectPose(NamedTuple):
     @property
     def camera_from_world(self) -> Float[np.ndarray, "4 4"]:
         """Return the object's pose in the camera's frame."""
-        return _rigid(self.R, self.t)
+        return rigid(self.R, self.t)
 
     @property
     def world_from_camera(self) -> Float[np.ndarray, "4 4"]:
         """Return the camera's pose in the object's frame."""
-        return _rigid(self.R.T, -self.R.T @ self.t)
+        return rigid(self.R.T, -self.R.T @ self.t)
 
     def __str__(self) -> str:
         """Return it as the command prints it."""
         turns, shifts = np.rad2deg(self.std[:3]), self.std[3:]
-        w, *xyz = quaternion_of_matrix(self.R)
+        quaternion = rotations().from_matrix(self.R).as_quat(canonical=True)
         t = "".join(f"{in_digits(*x):>15}" for x in zip(self.t.tolist(), shifts, strict=True))
         few = lambda numbers: "".join(f"{x:>15.2g}" for x in numbers)
         first = 0 if self.pixel_centres == "integer" else 0.5
@@ -67,7 +68,7 @@ class ObjectPose(NamedTuple):
                 f"  t        {t}   world",
                 f"  one sigma{few(shifts)}   world",
                 f"  turned by{few(turns)}   deg, one sigma about x, y, z",
-                *_lines("x y z w", [[*xyz, w]]),
+                *_lines("x y z w", [quaternion]),
                 "camera in the object's frame: world_from_camera",
                 *_lines("", self.world_from_camera[:3]),
                 f"intrinsics, px; the first pixel's centre is {first}",
@@ -117,12 +118,6 @@ def _derivative(R: np.ndarray, t: np.ndarray) -> np.ndarray:
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     turns = np.diag([1.0, -1.0, 1.0])
     return np.block([[-turns, np.zeros((3, 3))], [cross @ turns, -R]])
-
-
-def _rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = R, t
-    return matrix
 
 
 def _distorted(distortion: Distortion | None) -> list[str]:

@@ -15,12 +15,12 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.matrices import Centres, half_pixel
-from .._camera.poses import inverse
+from .._camera.poses import inverse, rigid
 from .._numerics.arrays import Input
 from .fields import Fields, Size, check_cameras, save_text, short
 from .matrices import to_opencv
 from .pinhole import OPENCV, Pinhole, camera_of, distortion_of, model_of, rotation
-from .rotations import matrix_of_vector, vector_of_matrix
+from .rotations import rotations
 from .unknown import unknown
 
 #: The names under which a field is known; case, underscores, dots and hyphens do not count.
@@ -151,7 +151,7 @@ def write_opencv(
         _, R, t = matrices[0]
         text += _matrix("R", R) + _matrix("t", t[:, None])
     else:
-        rows = [np.r_[vector_of_matrix(R), t] for _, R, t in matrices]
+        rows = [np.r_[rotations().from_matrix(R).as_rotvec(), t] for _, R, t in matrices]
         text += _matrix("extrinsic_parameters", np.stack(rows))
     save_text(path, text)
 
@@ -170,8 +170,8 @@ def _known(file: Fields, array_of: Callable[[str, Any, str], Any]) -> Fields:
             words = f"expected one such field, got {str(key)!r} too"
             raise ValueError(f"`{name}`: {words} (in {file.where})")
         value = array_of(name, value, file.where)
-        flat = isinstance(value, np.ndarray) and 1 in value.shape
-        known[name] = value.ravel() if flat and name != "extrinsic_parameters" else value
+        flat = name != "extrinsic_parameters" and 1 in Fields({name: value}, file.where).shape(name)
+        known[name] = np.ravel(value) if flat else value
     if "camera_matrix" not in known and (whose := unknown(file.data)):
         raise ValueError(f"`path`: expected OpenCV's calibration, got {whose} (in {file.where})")
     return Fields(known, file.where)
@@ -201,38 +201,29 @@ def _lens_model(file: Fields, key: str, plain: str, known: dict[str, Any]) -> di
 
 def _poses(fields: Fields) -> list[np.ndarray]:
     """Return camera_from_world, (4, 4), of every view."""
-    poses = []
-    if "extrinsic_parameters" in fields:
-        if {"R", "rvec", "t"} & fields.data.keys():
-            words = "both it and R or t"
-            raise fields.wrong("extrinsic_parameters", "one kind of pose", words)
-        rows = fields.array("extrinsic_parameters", (-1, 6))
-        name = "extrinsic_parameters"
-        parts = [(_rotation(row[:3], fields, name), row[3:]) for row in rows]
-    elif "rvec" in fields:
-        if "R" in fields:
-            raise fields.wrong("rvec", "one kind of pose", "both it and R")
-        rvec = fields.array("rvec", (3,))
-        parts = [(_rotation(rvec, fields, "rvec"), fields.array("t", (3,)))]
-    elif "R" in fields and np.ndim(fields.data["R"]) == 1:
-        rvec = fields.array("R", (3,))
-        parts = [(_rotation(rvec, fields, "R"), fields.array("t", (3,)))]
+    kinds = [name for name in ("extrinsic_parameters", "rvec", "R") if name in fields]
+    if not kinds:
+        words = "no pose: intrinsics alone are no camera; see `from_opencv` (or --K, --dist)"
+        raise fields.wrong("R", "R and t, or extrinsic_parameters", words)
+    name, *others = kinds
+    if name == "extrinsic_parameters" and "t" in fields:
+        others.append("t")
+    if others:
+        raise fields.wrong(name, "one kind of pose", f"both it and {others[0]}")
+    if name == "extrinsic_parameters":
+        rows = fields.array(name, (-1, 6))
+        return [rigid(_rotation(row[:3], fields, name), row[3:]) for row in rows]
+    if name == "rvec" or fields.shape(name) == (3,):
+        R = _rotation(fields.array(name, (3,)), fields, name)
     else:
-        if "R" not in fields:
-            words = "no pose: intrinsics alone are no camera; see `from_opencv` (or --K, --dist)"
-            raise fields.wrong("R", "R and t, or extrinsic_parameters", words)
-        parts = [(rotation(fields.array("R", (3, 3)), fields, "R"), fields.array("t", (3,)))]
-    for R, t in parts:
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = R, t
-        poses.append(pose)
-    return poses
+        R = rotation(fields.array(name, (3, 3)), fields, name)
+    return [rigid(R, fields.array("t", (3,)))]
 
 
 def _rotation(rvec: np.ndarray, fields: Fields, name: str) -> np.ndarray:
     if np.any(np.abs(rvec) > MOST_ANGLE):
         raise fields.wrong(name, f"a turn of at most {MOST_ANGLE:g} rad", rvec)
-    return matrix_of_vector(rvec)
+    return rotations().from_rotvec(rvec).as_matrix()
 
 
 def _names(fields: Fields, count: int) -> list[str]:

@@ -12,6 +12,7 @@ import numpy as np
 from .._camera.camera import Camera, check_camera
 from .._camera.distortion import Distortion, Fisheye
 from .._camera.matrices import is_rotation
+from .._camera.poses import rigid as transform
 from .fields import Fields
 from .matrices import from_opencv, to_opencv
 
@@ -74,17 +75,13 @@ def model_of(
 def camera_from_world(camera: Camera, axes: np.ndarray) -> np.ndarray:
     """Return the (4, 4) transform of world points to a camera frame with these axes."""
     _, R, t = to_opencv(camera, pixel_centres="half")
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = axes.T @ R, axes.T @ t
-    return matrix
+    return transform(axes.T @ R, axes.T @ t)
 
 
 def world_from_camera(camera: Camera, axes: np.ndarray) -> np.ndarray:
     """Return the (4, 4) transform of points in a camera frame with these axes to the world."""
     _, R, _ = to_opencv(camera, pixel_centres="half")
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = R.T @ axes, np.asarray(camera.e, float)
-    return matrix
+    return transform(R.T @ axes, np.asarray(camera.e, float))
 
 
 def rotation(matrix: np.ndarray, fields: Fields, name: str) -> np.ndarray:
@@ -100,9 +97,7 @@ def rigid(matrix: np.ndarray, fields: Fields, name: str) -> np.ndarray:
     """Return a (3, 4) or (4, 4) transform as (4, 4), its rotation freed of rounding."""
     if len(matrix) == 4 and not np.abs(matrix[3] - [0, 0, 0, 1]).max() <= 1e-9:
         raise fields.wrong(name, "a last row of 0 0 0 1", matrix[3])
-    result = np.eye(4)
-    result[:3, :3], result[:3, 3] = rotation(matrix[:3, :3], fields, name), matrix[:3, 3]
-    return result
+    return transform(rotation(matrix[:3, :3], fields, name), matrix[:3, 3])
 
 
 def camera_of(

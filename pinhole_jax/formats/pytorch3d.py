@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .._camera.camera import Camera
-from .._camera.poses import inverse
+from .._camera.poses import inverse, rigid
 from .._numerics.arrays import ArrayLike, Input
 from .fields import Fields, Size, add_named, check_cameras, load_json, save_json
 from .pinhole import (
@@ -95,9 +95,7 @@ def from_pytorch3d(
         centre = centre - half * given if in_ndc else given
     fx, fy = (float(f * unit) for f in focal)
     view = Pinhole(fx, fy, float(centre[0]), float(centre[1]), W, H)
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation(fields.array("R", (3, 3)), fields, "R").T
-    matrix[:3, 3] = fields.array("T", (3,))
+    matrix = rigid(rotation(fields.array("R", (3, 3)), fields, "R").T, fields.array("T", (3,)))
     return camera_of(view, inverse(matrix), LEFT_UP_FORWARD, fields)
 
 
