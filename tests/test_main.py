@@ -400,7 +400,7 @@ def test_only_a_fit_that_converged_has_status_0(folder, status, monkeypatch, cap
     fit = fit_of(CAMERA, ("e_x",), [0.1])._replace(status=status)
     if status == "non_finite":
         fit = fit._replace(rms=np.nan, iou=np.nan)
-    monkeypatch.setattr("pinhole_jax._fit.fit_camera.fit_camera", lambda *_, **__: fit)
+    monkeypatch.setattr("pinhole_jax._command.fit.fit_camera", lambda *_, **__: fit)
     # What the command sets for its own process would change those of the other tests.
     monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
     Image.new("L", (96, 80)).save(folder / "any.png")
@@ -415,7 +415,7 @@ def test_an_inverted_mask_is_turned_where_that_is_asked_for(folder, monkeypatch)
     given = []
     fit = fit_of(CAMERA, ("e_x",), [0.1])
     fitted = lambda scene, mask, *_, **__: given.append(mask) or fit
-    monkeypatch.setattr("pinhole_jax._fit.fit_camera.fit_camera", fitted)
+    monkeypatch.setattr("pinhole_jax._command.fit.fit_camera", fitted)
     monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
     mask = np.zeros((80, 96), np.uint8)
     mask[20:50, 30:60] = 255
@@ -433,10 +433,11 @@ def test_the_version_is_told(capsys):
 
 
 def test_an_interrupt_is_one_line_and_status_130(monkeypatch, capsys):
-    def interrupted(_):
+    def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "_render", interrupted)
+    monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
+    monkeypatch.setattr("pinhole_jax._command.render.run", interrupted)
     assert command.main(["render", "a.obj", "c.json", "-o", "x.png"]) == 130
     assert capsys.readouterr().err == "pinhole-jax render: interrupted\n"
 
@@ -448,10 +449,11 @@ def test_an_interrupt_that_is_lost_ends_the_command_all_the_same(folder, within)
 import signal, sys
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from pinhole_jax import __main__ as command
 from pinhole_jax._files.interrupt import interrupts_raise
 
-def lost(_):
+def lost(*_):
     half = Path("half.txt")
     try:
         with {within}:
@@ -461,7 +463,8 @@ def lost(_):
         half.unlink()
     return 0
 
-command._render = lost
+command._set_up_jax = lambda _: None
+command._verb = lambda _: SimpleNamespace(run=lost)
 signal.signal(signal.SIGINT, signal.default_int_handler)  # in the background it may be ignored
 sys.exit(command.main(["render", "a.obj", "c.json"]))
 """
@@ -668,7 +671,7 @@ def test_output_that_cannot_be_written_is_found_before_the_fit(folder, monkeypat
 
 def test_fit_is_printed_where_it_cannot_be_written(folder, monkeypatch, capsys):
     fit = fit_of(CAMERA, ("e_x",), [0.1])
-    monkeypatch.setattr("pinhole_jax._fit.fit_camera.fit_camera", lambda *_, **__: fit)
+    monkeypatch.setattr("pinhole_jax._command.fit.fit_camera", lambda *_, **__: fit)
     monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
     io.save_image(folder / "dot.png", drawn(CAMERA, SCENE))
     words = ["fit", str(folder / "bumpy.ply"), str(folder / "dot.png"), "--fov", "34"]

@@ -1,10 +1,10 @@
-"""What the command understands, and how it says so. JAX is not imported here: help, the version and
-words about a typo come at once."""
+"""The command's arguments, as tables. JAX is not imported here: help, the version and words about a
+typo come at once."""
 
 import argparse
 import json
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from .. import __version__
 from ..names import DISTORTIONS, FREE, STATUSES
@@ -63,15 +63,218 @@ failed. Processes on several machines may share it, each with a --shard of its o
 """
 
 
+class Verb(NamedTuple):
+    """A command: a line, a description, its options in order (`|` joins those that exclude each
+    other, `!` requires one of them), and an epilog."""
+
+    help: str
+    description: str
+    options: str
+    epilog: str = EPILOG
+
+
+TRUST = "Exit status: 0 converged, 1 not to be trusted (the status says why), 2 bad input."
+VERBS = {
+    "fit": Verb(
+        "recover the camera from a mesh and a mask",
+        "Recover the camera that sees MESH as MASK: from a start some 20 degrees off, or\n"
+        "without one from the field of view (or, with phi among --free, from nothing).\n"
+        "Writes camera.json and overlay.png, prints parameters with their standard errors.\n"
+        f"Photos that were taken sideways are turned upright as their EXIF data say.\n{TRUST}",
+        "mesh mask --camera|--K|--fov --dist --pixel-centres --crop --resize --free --mask-from"
+        " --invert --tidy --weight --image --refine --report --verbose -o/--output --no-cache",
+        f"{STATUS}\n\n{EPILOG}",
+    ),
+    "render": Verb(
+        "render the mask that a camera sees",
+        "Render MESH as CAMERA sees it: exact coverage, 8 bits.",
+        "mesh camera -o/--output --no-cache",
+    ),
+    "hand-eye": Verb(
+        "recover the camera that sees a robot, from a URDF, joint angles and masks",
+        "Recover the one camera that sees ROBOT, with its joints as JOINTS say row by row, as\n"
+        "the MASKs: in the frame of its base, or with --in-hand in that of a link.\n"
+        "Writes camera.json and overlay_K.png, prints the camera with its standard errors and\n"
+        f"which masks disagree. Needs yourdfpy: pip install 'pinhole-jax[robots]'.\n{TRUST}",
+        "robot joints masks !--camera|--K --dist --pixel-centres --in-hand --leave-out --free"
+        " --mask-from --images --refine --joint-zeros --holdout --propose --report --verbose"
+        " -o/--output --no-cache",
+        f"{STATUS}\n\n{EPILOG}",
+    ),
+    "check": Verb(
+        "say whether a mask is still explained by a camera, or how it has moved",
+        "Say whether CAMERA still sees MESH as MASK, by how many standard errors not, and which\n"
+        "way it has moved; or a robot: check CAMERA ROBOT.urdf JOINTS MASK...\n"
+        "Exit status: 0 it has not moved, 1 it has or the masks do not tell, 2 bad input.",
+        "camera mesh joints masks --in-hand --leave-out --free --mask-from --verbose -o/--output"
+        " --no-cache",
+        f"{STATUS}\n\n{EPILOG}",
+    ),
+    "batch": Verb(
+        "recover the cameras of a whole data set",
+        "Recover the camera of each record of DATASET; append a row for each to the parts in\n"
+        "RESULTS. What is stopped, by whatever, goes on with --resume.\n"
+        "Exit status: 0 each record has a row, 1 some have no fit (their rows say why), 2 bad"
+        " input.",
+        "dataset -o/--output --workers --shard --resume --retry --time-limit --merge --report"
+        " --write --start --models --detections --K|--fov --pixel-centres --free --mask-from"
+        " --verbose --no-cache",
+        DATASETS,
+    ),
+    "studio": Verb(
+        "get the camera of a photo by hand and eye: a page in the browser",
+        "Open a page in the browser: the mesh before the photo, to turn, to paint a mask for,\n"
+        "to fit, and to export in every format. Served on this machine alone, to who has the\n"
+        "address that is printed. Needs aiohttp: pip install 'pinhole-jax[studio]'.",
+        "mesh photo --session --camera|--K|--fov --dist --pixel-centres --up --mask --mask-from"
+        " --port --no-browser --verbose -o/--output --no-cache",
+    ),
+    "convert": Verb(
+        "turn a camera file into another program's", CONVERT, "input output --from --to --size"
+    ),
+}
+#: Options: a metavar (none: a switch), and help; those of one command stand under its name, too.
+OPTIONS = {
+    "mesh": ("MESH", "triangles: obj, ply, stl, glb, gltf or off"),
+    "check mesh": ("MESH", "as in `fit`; or a URDF file"),
+    "mask": ("MASK", "image of the camera's size, white on black"),
+    "camera": ("CAMERA", "a camera file, as `fit --camera` reads"),
+    "check camera": (
+        "CAMERA",
+        "any file that `convert` reads; of one that `fit` wrote the errors count, too",
+    ),
+    "robot": ("ROBOT", "a URDF file, its meshes beside it"),
+    "joints": (
+        "JOINTS",
+        "angles (rad): a CSV file whose first line has the joints' names, or JSON with `names` and"
+        " `postures`, perhaps with `unit`: deg",
+    ),
+    "check joints": ("MASK", "as in `fit`; of a robot JOINTS"),
+    "masks": ("MASK", "an image for each row of JOINTS"),
+    "check masks": ("MASK", "of a robot, one for each posture"),
+    "dataset": ("DATASET", "see below"),
+    "photo": ("PHOTO", "a picture of it"),
+    "input": ("IN", "a camera file; of COLMAP, the model's folder"),
+    "output": ("OUT", "what to write"),
+    "--camera": (
+        "START",
+        "where to start (else: search): a camera file, see below, or any that `convert` reads;"
+        " FILE:NAME is one of several",
+    ),
+    "--K": ("FX FY CX CY", "known intrinsics in px (OpenCV's K), to search with"),
+    "--fov": (
+        "DEGREES",
+        "vertical field of view, to search with (default: what the EXIF data of PHOTO say)",
+    ),
+    "batch --fov": ("DEGREES", "where DATASET says nothing"),
+    "studio --fov": (
+        "DEGREES",
+        "vertical field of view (default: what the EXIF data of PHOTO say, or 40)",
+    ),
+    "--dist": ("K1", "with --K: OpenCV's k1 k2 p1 p2, k3, k4 k5 k6"),
+    "--pixel-centres": (
+        "",
+        "where CX, CY of --K (and of the K that is printed) count from: the first pixel's centre is"
+        " 0 (OpenCV) or 0.5 (COLMAP); default: %(default)s",
+    ),
+    "--crop": (
+        "LEFT TOP W H",
+        "MASK shows this window (px from the top left) of the picture that --K or START is of",
+    ),
+    "--resize": (
+        "W H",
+        "MASK was resized from W x H px (with --crop: after it) to the size that it has",
+    ),
+    "--free": (
+        "NAMES",
+        f"what to fit, with commas, of {', '.join(FREE)}: pose is position and orientation, phi and"
+        " d are the focal length in two ways, distortion is all coefficients of the lens; the rest"
+        " stays as it is at the start (default: %(default)s)",
+    ),
+    "--mask-from": ("HOW", "how to read masks, see below (default: at first sight)"),
+    "batch --mask-from": ("HOW", "as in `fit`"),
+    "--invert": ("", "what MASK covers is the background"),
+    "--tidy": ("", "drop MASK's crumbs, fill its pinholes"),
+    "--weight": ("IMAGE", "grey image: how much each pixel counts"),
+    "--image": ("PHOTO", "what to draw the outline on (default: MASK)"),
+    "--images": ("PHOTO", "what to draw the outlines on (default: MASKs)"),
+    "--refine": ("", "fit to the colours of the photos, too, where they tell"),
+    "--report": ("PAGE.html", "write a page with pictures, errors, all formats"),
+    "hand-eye --report": ("PAGE.html", "write one page about all of it"),
+    "batch --report": ("PAGE.html", "write totals and the worst rows"),
+    "--in-hand": ("LINK", "the link that carries the camera"),
+    "--leave-out": ("LINKS", "links that the masks do not show, with commas"),
+    "--joint-zeros": (
+        "SIGMA",
+        "find the zeros of the turning joints, too, which are known to this many degrees",
+    ),
+    "--holdout": ("", "fit each half of the postures, too: do they agree?"),
+    "--propose": (
+        "JOINTS",
+        "say what a mask more would tell in each of these postures (a file as JOINTS)",
+    ),
+    "--workers": ("K", "processes (default: one a core)"),
+    "--shard": ("I/N", "fit the I-th of N parts of DATASET alone"),
+    "--resume": ("", "fit what has no row in RESULTS yet"),
+    "--retry": ("STATUSES", "fit these anew, too: failed,timed_out,crashed"),
+    "--time-limit": ("SECONDS", "what one record may take, 0: any time (default: %(default)g)"),
+    "--merge": ("TABLE", "write all rows: .parquet, .jsonl, .csv"),
+    "--write": ("ID CAMERA", "write a row's camera as any file that `convert` writes"),
+    "--start": ("", "start from BOP's poses, else search"),
+    "--models": ("FOLDER", "BOP's models (default: beside it)"),
+    "--detections": ("COCO.json", "masks instead of BOP's own"),
+    "--session": ("FILE", "go on with what the page saved"),
+    "--up": ("", "MESH's upward axis (default: y)"),
+    "--mask": ("MASK", "begin with this mask"),
+    "--port": ("N", "(default: any that is free)"),
+    "--no-browser": ("", "print the address, open nothing"),
+    "--from": ("FORMAT", "(default: IN says it)"),
+    "--to": ("FORMAT", "(default: OUT says it)"),
+    "--size": ("W H", "the image's size in px, where IN does not hold it (glTF, some NeRF files)"),
+    "--verbose": ("", "say on stderr what goes on"),
+    "-o/--output": ("FOLDER", "(default: %(default)s)"),
+    "render -o/--output": ("IMAGE", "(default: %(default)s)"),
+    "check -o/--output": ("CAMERA.json", "write where it is now"),
+    "batch -o/--output": ("RESULTS", "a folder"),
+    "--no-cache": ("", "do not keep compiled programs in the user's cache folder"),
+}
+#: What argparse is to know of them besides.
+MORE: dict[str, dict[str, Any]] = {
+    "check joints": {"nargs": "?"},
+    "masks": {"nargs": "+"},
+    "check masks": {"nargs": "*"},
+    "dataset": {"nargs": "?"},
+    "studio mesh": {"nargs": "?"},
+    "photo": {"nargs": "?"},
+    "--K": {"type": float},
+    "--fov": {"type": float},
+    "--dist": {"type": float, "nargs": "+"},
+    "--pixel-centres": {"choices": ("integer", "half"), "default": "integer"},
+    "--crop": {"type": float},
+    "--resize": {"type": int},
+    "--free": {"default": "pose"},
+    "--images": {"nargs": "+"},
+    "--joint-zeros": {"type": float},
+    "--workers": {"type": int},
+    "--shard": {"default": "1/1"},
+    "--time-limit": {"type": float, "default": 600.0},
+    "--up": {"choices": ("x", "y", "z"), "default": "y"},
+    "--port": {"type": int, "default": 0},
+    "--from": {"dest": "source"},
+    "--to": {"dest": "target"},
+    "--size": {"type": int},
+    "-o/--output": {"default": "out"},
+    "render -o/--output": {"default": "mask.png"},
+    "check -o/--output": {},
+    "batch -o/--output": {"required": True},
+}
+
+
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """Return the options of a command line (None: this process's); `command` is which command.
 
     Ends the process after help or the version, and with 2 and words where something is wrong.
     """
-    return _parser().parse_args(arguments)
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="pinhole-jax",
         description="A differentiable pinhole camera: recover it from a mask, or render a mask.",
@@ -80,356 +283,32 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"pinhole-jax {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    _add_fit(commands)
-    _add_render(commands)
-    _add_hand_eye(commands)
-    _add_check(commands)
-    _add_batch(commands)
-    _add_studio(commands)
-    _add_convert(commands)
-    return parser
+    for name, verb in VERBS.items():
+        own = commands.add_parser(
+            name,
+            help=verb.help,
+            description=verb.description,
+            epilog=verb.epilog,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        own.set_defaults(verbose=False, no_cache=name == "convert")
+        for part in verb.options.split():
+            group: Any = own
+            if "|" in part:
+                group = own.add_mutually_exclusive_group(required=part[0] == "!")
+            for option in part.lstrip("!").split("|"):
+                group.add_argument(*option.split("/"), **_keywords(name, option))
+    return parser.parse_args(arguments)
 
 
-def _add_fit(commands: Any) -> None:
-    fit = _command(
-        commands,
-        "fit",
-        help="recover the camera from a mesh and a mask",
-        description="Recover the camera that sees MESH as MASK: from a start some 20 degrees off,"
-        " or\nwithout one from the field of view (or, with phi among --free, from nothing).\n"
-        "Writes camera.json and overlay.png, prints parameters with their standard errors.\n"
-        "Photos that were taken sideways are turned upright as their EXIF data say.\n"
-        "Exit status: 0 converged, 1 not to be trusted (the status says why), 2 bad input.",
-        epilog=f"{STATUS}\n\n{EPILOG}",
-    )
-    fit.add_argument("mesh", metavar="MESH", help="triangles: obj, ply, stl, glb, gltf or off")
-    fit.add_argument("mask", metavar="MASK", help="image of the camera's size, white on black")
-    start = fit.add_mutually_exclusive_group()
-    start.add_argument(
-        "--camera",
-        metavar="START",
-        help="where to start (else: search): a camera file, see below, or any that `convert` reads;"
-        " FILE:NAME is one of several",
-    )
-    _add_K(start)
-    start.add_argument(
-        "--fov",
-        type=float,
-        metavar="DEGREES",
-        help="vertical field of view, to search with (default: what the EXIF data of PHOTO say)",
-    )
-    fit.add_argument(
-        "--dist",
-        nargs="+",
-        type=float,
-        metavar="K1",
-        help="with --K: OpenCV's k1 k2 p1 p2, k3, k4 k5 k6",
-    )
-    fit.add_argument(
-        "--pixel-centres",
-        choices=("integer", "half"),
-        default="integer",
-        help="where CX, CY of --K (and of the K that is told) count from: the first pixel's centre"
-        " is 0 (OpenCV) or 0.5 (COLMAP); default: %(default)s",
-    )
-    fit.add_argument(
-        "--crop",
-        nargs=4,
-        type=float,
-        metavar=("LEFT", "TOP", "W", "H"),
-        help="MASK shows this window (px from the top left) of the picture that --K or START is of",
-    )
-    fit.add_argument(
-        "--resize",
-        nargs=2,
-        type=int,
-        metavar=("W", "H"),
-        help="MASK was resized from W x H px (with --crop: after it) to the size that it has",
-    )
-    fit.add_argument(
-        "--free",
-        default="pose",
-        metavar="NAMES",
-        help=f"what to fit, with commas, of {', '.join(FREE)}: pose is position and orientation,"
-        " phi and d are the focal length in two ways, distortion is all coefficients of the lens;"
-        " the rest stays as it is at the start (default: %(default)s)",
-    )
-    fit.add_argument(
-        "--mask-from", metavar="HOW", help="how to read MASK, see below (default: at first sight)"
-    )
-    fit.add_argument("--invert", action="store_true", help="what MASK covers is the background")
-    fit.add_argument("--tidy", action="store_true", help="drop MASK's crumbs, fill its pinholes")
-    fit.add_argument("--weight", metavar="IMAGE", help="grey image: how much each pixel counts")
-    fit.add_argument("--image", metavar="PHOTO", help="what to draw the outline on (default: MASK)")
-    fit.add_argument(
-        "--refine", action="store_true", help="fit to the colours of --image, too, where they tell"
-    )
-    fit.add_argument(
-        "--report", metavar="PAGE.html", help="write a page with pictures, errors, all formats"
-    )
-    _add_folder(fit)
-    _add_cache(fit)
-
-
-def _add_render(commands: Any) -> None:
-    render = _command(
-        commands,
-        "render",
-        help="render the mask that a camera sees",
-        description="Render MESH as CAMERA sees it: exact coverage, 8 bits.",
-    )
-    render.add_argument("mesh", metavar="MESH", help="triangles: obj, ply, stl, glb, gltf or off")
-    render.add_argument("camera", metavar="CAMERA", help="a camera file, as `fit --camera` reads")
-    render.add_argument(
-        "-o", "--output", default="mask.png", metavar="IMAGE", help="(default: %(default)s)"
-    )
-    _add_cache(render)
-
-
-def _add_hand_eye(commands: Any) -> None:
-    robot = _command(
-        commands,
-        "hand-eye",
-        help="recover the camera that sees a robot, from a URDF, joint angles and masks",
-        description="Recover the one camera that sees ROBOT, with its joints as JOINTS say row by"
-        " row, as\nthe MASKs: in the frame of its base, or with --in-hand in that of a link.\n"
-        "Writes camera.json and overlay_K.png, prints the camera with its standard errors and\n"
-        "which masks disagree. Needs yourdfpy: pip install 'pinhole-jax[robots]'.\n"
-        "Exit status: 0 converged, 1 not to be trusted (the status says why), 2 bad input.",
-        epilog=f"{STATUS}\n\n{EPILOG}",
-    )
-    robot.add_argument("robot", metavar="ROBOT", help="a URDF file, its meshes beside it")
-    robot.add_argument(
-        "joints",
-        metavar="JOINTS",
-        help="angles (rad): a CSV file whose first line has the joints' names, or JSON with"
-        " `names` and `postures`, perhaps with `unit`: deg",
-    )
-    robot.add_argument("masks", metavar="MASK", nargs="+", help="an image for each row of JOINTS")
-    start = robot.add_mutually_exclusive_group(required=True)
-    start.add_argument(
-        "--camera", metavar="START", help="where to start: a file that `fit --camera` reads"
-    )
-    _add_K(start)
-    robot.add_argument("--dist", nargs="+", type=float, metavar="K1", help="as in `fit`")
-    robot.add_argument(
-        "--pixel-centres",
-        choices=("integer", "half"),
-        default="integer",
-        help="as in `fit` (default: %(default)s)",
-    )
-    robot.add_argument("--in-hand", metavar="LINK", help="the link that carries the camera")
-    robot.add_argument(
-        "--leave-out", metavar="LINKS", help="links that the masks do not show, with commas"
-    )
-    robot.add_argument(
-        "--free", default="pose", metavar="NAMES", help="as in `fit`: pose, phi, ..."
-    )
-    robot.add_argument("--mask-from", metavar="HOW", help="how to read the MASKs, see below")
-    robot.add_argument(
-        "--images", metavar="PHOTO", nargs="+", help="what to draw the outlines on (default: MASKs)"
-    )
-    robot.add_argument(
-        "--refine", action="store_true", help="fit to the colours of --images, too, where they tell"
-    )
-    robot.add_argument(
-        "--joint-zeros",
-        type=float,
-        metavar="SIGMA",
-        help="find the zeros of the turning joints, too, which are known to this many degrees",
-    )
-    robot.add_argument(
-        "--holdout", action="store_true", help="fit each half of the postures, too: do they agree?"
-    )
-    robot.add_argument(
-        "--propose",
-        metavar="JOINTS",
-        help="say what a mask more would tell in each of these postures (a file as JOINTS)",
-    )
-    robot.add_argument("--report", metavar="PAGE.html", help="write one page about all of it")
-    _add_folder(robot)
-    _add_cache(robot)
-
-
-def _add_check(commands: Any) -> None:
-    check = _command(
-        commands,
-        "check",
-        help="say whether a mask is still explained by a camera, or how it has moved",
-        description="Say whether CAMERA still sees MESH as MASK, by how many standard errors not,"
-        " and which way\nit has moved; or a robot: check CAMERA ROBOT.urdf JOINTS MASK...\n"
-        "Exit status: 0 it has not moved, 1 it has or the masks do not tell, 2 bad input.",
-        epilog=f"{STATUS}\n\n{EPILOG}",
-    )
-    check.add_argument(
-        "camera",
-        metavar="CAMERA",
-        help="any file that `convert` reads; of one that `fit` wrote the errors count, too",
-    )
-    check.add_argument("mesh", metavar="MESH", help="as in `fit`; or a URDF file")
-    check.add_argument("joints", metavar="MASK", nargs="?", help="as in `fit`; of a robot JOINTS")
-    check.add_argument("masks", metavar="MASK", nargs="*", help="of a robot, one for each posture")
-    check.add_argument("--in-hand", metavar="LINK", help="as in `hand-eye`")
-    check.add_argument("--leave-out", metavar="LINKS", help="as in `hand-eye`")
-    check.add_argument("--free", default="pose", metavar="NAMES", help="as in `fit`")
-    check.add_argument("--mask-from", metavar="HOW", help="how to read the MASKs, see below")
-    check.add_argument("--verbose", action="store_true", help="say on stderr what goes on")
-    check.add_argument("-o", "--output", metavar="CAMERA.json", help="write where it is now")
-    _add_cache(check)
-
-
-def _add_batch(commands: Any) -> None:
-    batch = _command(
-        commands,
-        "batch",
-        help="recover the cameras of a whole data set",
-        description="Recover the camera of each record of DATASET; append a row for each to the"
-        " parts in\nRESULTS. What is stopped, by whatever, goes on with --resume.\n"
-        "Exit status: 0 each record has a row, 1 some have no fit (their rows say why), 2 bad"
-        " input.",
-        epilog=DATASETS,
-    )
-    batch.add_argument("dataset", metavar="DATASET", nargs="?", help="see below")
-    batch.add_argument("-o", "--output", metavar="RESULTS", required=True, help="a folder")
-    batch.add_argument("--workers", type=int, metavar="K", help="processes (default: one a core)")
-    batch.add_argument(
-        "--shard", default="1/1", metavar="I/N", help="fit the I-th of N parts of DATASET alone"
-    )
-    batch.add_argument("--resume", action="store_true", help="fit what has no row in RESULTS yet")
-    batch.add_argument(
-        "--retry", metavar="STATUSES", help="fit these anew, too: failed,timed_out,crashed"
-    )
-    batch.add_argument(
-        "--time-limit",
-        type=float,
-        default=600.0,
-        metavar="SECONDS",
-        help="what one record may take, 0: any time (default: %(default)g)",
-    )
-    batch.add_argument("--merge", metavar="TABLE", help="write all rows: .parquet, .jsonl, .csv")
-    batch.add_argument("--report", metavar="PAGE.html", help="write totals and the worst rows")
-    batch.add_argument(
-        "--write",
-        nargs=2,
-        metavar=("ID", "CAMERA"),
-        help="write a row's camera as any file that `convert` writes",
-    )
-    batch.add_argument("--start", action="store_true", help="start from BOP's poses, else search")
-    batch.add_argument("--models", metavar="FOLDER", help="BOP's models (default: beside it)")
-    batch.add_argument("--detections", metavar="COCO.json", help="masks instead of BOP's own")
-    known = batch.add_mutually_exclusive_group()
-    _add_K(known)
-    known.add_argument("--fov", type=float, metavar="DEGREES", help="where DATASET says nothing")
-    batch.add_argument(
-        "--pixel-centres",
-        choices=("integer", "half"),
-        default="integer",
-        help="as in `fit`, of --K (default: %(default)s)",
-    )
-    batch.add_argument("--free", default="pose", metavar="NAMES", help="as in `fit`")
-    batch.add_argument("--mask-from", metavar="HOW", help="as in `fit`")
-    batch.add_argument("--verbose", action="store_true", help="say on stderr what goes on")
-    _add_cache(batch)
-
-
-def _add_studio(commands: Any) -> None:
-    studio = _command(
-        commands,
-        "studio",
-        help="get the camera of a photo by hand and eye: a page in the browser",
-        description="Open a page in the browser: the mesh before the photo, to turn, to paint a"
-        " mask for,\nto fit, and to export in every format. Served on this machine alone, to who"
-        " has the\naddress that is printed. Needs aiohttp: pip install 'pinhole-jax[studio]'.",
-    )
-    studio.add_argument(
-        "mesh", metavar="MESH", nargs="?", help="triangles: obj, ply, stl, glb, gltf or off"
-    )
-    studio.add_argument("photo", metavar="PHOTO", nargs="?", help="a picture of it")
-    studio.add_argument("--session", metavar="FILE", help="go on with what the page saved")
-    start = studio.add_mutually_exclusive_group()
-    start.add_argument(
-        "--camera", metavar="START", help="where to begin: a file that `fit --camera` reads"
-    )
-    _add_K(start)
-    start.add_argument(
-        "--fov",
-        type=float,
-        metavar="DEGREES",
-        help="vertical field of view (default: what the EXIF data of PHOTO say, or 40)",
-    )
-    studio.add_argument("--dist", nargs="+", type=float, metavar="K1", help="as in `fit`")
-    studio.add_argument(
-        "--pixel-centres",
-        choices=("integer", "half"),
-        default="integer",
-        help="as in `fit` (default: %(default)s)",
-    )
-    studio.add_argument(
-        "--up", choices=("x", "y", "z"), default="y", help="MESH's upward axis (default: y)"
-    )
-    studio.add_argument("--mask", metavar="MASK", help="begin with this mask")
-    studio.add_argument("--mask-from", metavar="HOW", help="how to read MASK, see below")
-    studio.add_argument(
-        "--port", type=int, default=0, metavar="N", help="(default: any that is free)"
-    )
-    studio.add_argument("--no-browser", action="store_true", help="print the address, open nothing")
-    _add_folder(studio)
-    _add_cache(studio)
-
-
-def _add_convert(commands: Any) -> None:
-    convert = _command(
-        commands,
-        "convert",
-        help="turn a camera file into another program's",
-        description=CONVERT,
-    )
-    convert.add_argument("input", metavar="IN", help="a camera file; of COLMAP, the model's folder")
-    convert.add_argument("output", metavar="OUT", help="what to write")
-    convert.add_argument("--from", dest="source", metavar="FORMAT", help="(default: IN says it)")
-    convert.add_argument("--to", dest="target", metavar="FORMAT", help="(default: OUT says it)")
-    convert.add_argument(
-        "--size",
-        nargs=2,
-        type=int,
-        metavar=("W", "H"),
-        help="the image's size in px, where IN does not hold it (glTF, some NeRF files)",
-    )
-    convert.set_defaults(no_cache=True)
-
-
-def _add_K(start: Any) -> None:
-    start.add_argument(
-        "--K",
-        nargs=4,
-        type=float,
-        metavar=("FX", "FY", "CX", "CY"),
-        help="known intrinsics in px (OpenCV's K), to search with",
-    )
-
-
-def _add_folder(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--verbose", action="store_true", help="say on stderr what goes on")
-    parser.add_argument(
-        "-o", "--output", default="out", metavar="FOLDER", help="(default: %(default)s)"
-    )
-
-
-def _add_cache(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--no-cache",
-        action="store_true",
-        help="do not keep compiled programs in the user's cache folder",
-    )
-
-
-def _command(
-    commands: Any, name: str, help: str, description: str, epilog: str = EPILOG
-) -> argparse.ArgumentParser:
-    return commands.add_parser(
-        name,
-        help=help,
-        description=description,
-        epilog=epilog,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def _keywords(verb: str, option: str) -> dict[str, Any]:
+    """Return the arguments of `add_argument` for a command's option."""
+    own = f"{verb} {option}"
+    metavar, words = OPTIONS.get(own, OPTIONS[option])
+    keywords: dict[str, Any] = {"help": words, **MORE.get(own, MORE.get(option, {}))}
+    names = metavar.split()
+    if len(names) > 1:
+        return {**keywords, "metavar": tuple(names), "nargs": len(names)}
+    if names:
+        return {**keywords, "metavar": metavar}
+    return keywords if "choices" in keywords else {**keywords, "action": "store_true"}

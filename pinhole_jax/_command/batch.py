@@ -25,6 +25,7 @@ from ..batch import (
 )
 from .known import check_fov
 from .outputs import check_outputs, replaced
+from .progress import Progress
 
 #: What the command calls the arguments of the library.
 ASKED = {
@@ -40,31 +41,22 @@ ASKED = {
 }
 
 
-def batch(
-    options: argparse.Namespace,
-    say: Callable[[str], Any],
-    tell: Callable[[str], Any],
-    set_up: Callable[[], None],
-) -> int:
-    """Fit what is not done, write what is asked for; return 0, or 1 where a record failed.
-
-    `set_up` sets up JAX, which this process needs for no more than cameras and pictures.
-    """
+def run(options: argparse.Namespace, progress: Progress) -> int:
+    """Fit what is not done, write what is asked for; return 0, or 1 where a record failed."""
     asked = [options.merge, options.report, options.write]
     if options.dataset is None and not any(asked):
         raise ValueError("`DATASET`: expected one, or --merge, --report or --write, got none")
     rows = None if options.dataset is None else Path(options.output) / "rows"
     check_outputs(output=rows, merge=options.merge, report=options.report)
     if options.fov is not None:
-        check_fov(options.fov, tell)
+        check_fov(options.fov, progress.tell)
     with named(out="--output"):
         results = Results(options.output)
     if options.dataset is not None:
         with named(**ASKED):
-            _fit(options, results, say)
+            _fit(options, results, progress.say)
     counts = results.counts()
-    if options.report is not None or options.write is not None:
-        set_up()
+    progress.done()
     print(f"rows       {len(results)} in {options.output}")
     for status, count in counts.items():
         print(f"  {count:6d}   {status}")

@@ -1,37 +1,30 @@
 """`pinhole-jax check`: is a mask still explained by a camera, or has it moved?"""
 
 import argparse
-from collections.abc import Callable
-from typing import Any
 
-from .. import formats, io
-from .._camera.camera import Camera
+from .. import Camera, Fit, drift, fit_camera, fit_joint, formats, io
 from .._files.naming import named
-from .._fit.drift import drift
-from .._fit.fit_camera import fit_camera
-from .._fit.result import Fit
-from .._fit.words import STATUSES
-from .._joint.fit_joint import fit_joint
-from .._scene.scene import Scene
+from ..names import STATUSES
 from .hand_eye import robot_of, views_of
+from .inputs import mask_of, scene_of
 from .outputs import check_outputs, replaced
+from .progress import Progress
 
 #: What the command calls the arguments of the fits.
 ASKED = {"target": "MASK", "free": "--free", "camera": "CAMERA", "cameras": "CAMERA"}
 
 
-def check(
-    options: argparse.Namespace, say: Callable[[str], Any], tell: Callable[[str], Any]
-) -> int:
+def run(options: argparse.Namespace, progress: Progress) -> int:
     """Fit from the camera, print how far that leads; return 0, or 1 where it has moved or the masks
     do not tell."""
     check_outputs(output=options.output)
     reference = _reference(options.camera)
     before = reference.camera if isinstance(reference, Fit) else reference
     if options.mesh.lower().endswith(".urdf"):
-        fit = _of_robot(options, before, say, tell)
+        fit = _of_robot(options, before, progress)
     else:
-        fit = _of_mesh(options, before, say, tell)
+        fit = _of_mesh(options, before, progress)
+    progress.done()
     if fit.status == "non_finite":
         print("cannot tell: NaN or infinity turned up")
         return 1
@@ -58,34 +51,22 @@ def _reference(path: str) -> Camera | Fit:
             return camera
 
 
-def _of_mesh(
-    options: argparse.Namespace,
-    camera: Camera,
-    say: Callable[[str], Any],
-    tell: Callable[[str], Any],
-) -> Fit:
+def _of_mesh(options: argparse.Namespace, camera: Camera, progress: Progress) -> Fit:
     if options.joints is None or options.masks:
         raise ValueError("`MASK`: expected one image of MESH (of a robot: ROBOT.urdf JOINTS MASKs)")
-    with named(path="MASK", mask_from="--mask-from"):
-        mask = io.load_mask(options.joints, options.mask_from, tell)
-    with named(path="MESH", vertices="MESH"):
-        scene = Scene(mesh=io.load_mesh(options.mesh, say=tell))
-    say("fitting (the first time compiles: seconds)")
+    mask = mask_of(options.joints, options.mask_from, progress.tell)
+    scene = scene_of(options.mesh, progress.tell)
+    progress.say("fitting (the first time compiles: seconds)")
     with named(**ASKED):
         return fit_camera(scene, mask, camera, options.free)
 
 
-def _of_robot(
-    options: argparse.Namespace,
-    camera: Camera,
-    say: Callable[[str], Any],
-    tell: Callable[[str], Any],
-) -> Fit:
+def _of_robot(options: argparse.Namespace, camera: Camera, progress: Progress) -> Fit:
     if options.joints is None or not options.masks:
         raise ValueError("`MASK`: expected JOINTS, and an image for each of its rows, got none")
     options.robot = options.mesh
-    views = views_of(robot_of(options), options, tell)
-    say(f"fitting {len(views)} views (the first time compiles: seconds)")
+    views = views_of(robot_of(options), options, progress.tell)
+    progress.say(f"fitting {len(views)} views (the first time compiles: seconds)")
     with named(**ASKED):
         fit = fit_joint(views, camera, options.free)
     return fit.cameras["camera"]._replace(status=fit.status)

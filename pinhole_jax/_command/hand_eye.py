@@ -7,57 +7,51 @@ from typing import Any
 
 import numpy as np
 
-from .. import io
-from .._camera.camera import Camera, unplaced
+from .. import Camera, JointFit, JointView, drift, fit_joint, io
 from .._files.naming import named
-from .._files.paths import replace_file
 from .._files.pictures import three_channels
-from .._fit.drift import drift
-from .._joint.fit_joint import fit_joint
-from .._joint.result import JointFit
-from .._joint.views import JointView
-from .._solver.parameters import as_names
 from ..formats import object_pose
 from ..plot import overlay
 from ..robots import Robot, load_urdf
 from ..show.robot_page import robot_page
+from .inputs import mask_of, photo_beside
 from .joints import joint_angles
-from .known import known
+from .known import known, names_of, unplaced
 from .outputs import check_outputs, replaced
-from .photos import photo_beside
+from .progress import Clock, Progress
 from .proposals import Sight, in_words, worths
 
 #: What the command calls the arguments of `fit_joint`.
 ASKED = {"target": "MASK", "free": "--free", "camera": "--camera", "cameras": "--camera"}
 
 
-def hand_eye(
-    options: argparse.Namespace, say: Callable[[str], Any], tell: Callable[[str], Any]
-) -> int:
-    """Fit, write and print; return 0, or 1 for a fit that is not to be trusted."""
+def run(options: argparse.Namespace, progress: Progress) -> int:
+    """Fit, print and write; return 0, or 1 for a fit that is not to be trusted."""
+    progress.count(Clock())
     check_outputs(output=Path(options.output) / "camera.json", report=options.report)
     robot = robot_of(options)
-    views = views_of(robot, options, tell)
+    views = views_of(robot, options, progress.tell)
     masks = [np.asarray(view.target) for view in views]
     pictures = _pictures(options, masks)
     if options.refine:
         photos = map(three_channels, pictures)
         views = [v._replace(photo=p) for v, p in zip(views, photos, strict=True)]
     proposed = None if options.propose is None else _proposed(robot, options)
-    camera, search = _start(options, masks[0], tell)
-    say(f"fitting {len(views)} views (the first time compiles: seconds)")
+    camera, search = _start(options, masks[0], progress.tell)
+    progress.say(f"fitting {len(views)} views (the first time compiles: seconds)")
     with named(**ASKED):
         fit = fit_joint(
             views,
             camera,
-            as_names(options.free),
+            names_of(options.free),
             search=search,
             joint_zeros=zeros_of(options),
-            progress=say,
+            progress=progress.say,
         )
     apart = _halves(fit, views, options) if options.holdout else None
     usable = fit.status != "non_finite"
     more = None if proposed is None or not usable else _worths(fit, views, options, proposed)
+    progress.done()
     print(fit)
     if usable:
         print(object_pose(fit.cameras["camera"], pixel_centres=options.pixel_centres))
@@ -73,7 +67,6 @@ def hand_eye(
     there = replaced(written)
     _write(written, options, fit, pictures)
     if options.report is not None and usable:
-        say("drawing the page")
         text = robot_page(
             fit,
             masks,
@@ -85,7 +78,7 @@ def hand_eye(
             pixel_centres=options.pixel_centres,
         )
         with named(path="--report"):
-            replace_file(options.report, text.encode(errors="backslashreplace"))
+            io.save_text(options.report, text)
     print(f"written    {', '.join(map(str, written))}{there}")
     return 0 if fit.status == "converged" else 1
 
@@ -101,8 +94,7 @@ def views_of(
             f"`MASK`: expected one of each of {len(postures)} rows of {options.joints!r}, got"
             f" {len(options.masks)}"
         )
-    with named(path="MASK", mask_from="--mask-from"):
-        masks = [io.load_mask(path, options.mask_from, tell) for path in options.masks]
+    masks = [mask_of(path, options.mask_from, tell) for path in options.masks]
     views = []
     for angles, mask in zip(postures, masks, strict=True):
         scene, mount = _posed(robot, angles, options.in_hand, "JOINTS")
@@ -129,7 +121,7 @@ def _posed(robot: Robot, angles: dict[str, float], link: str | None, file: str) 
 
 def _proposed(robot: Robot, options: argparse.Namespace) -> list[Sight]:
     """Return a robot in the postures of `--propose`."""
-    if "pose" not in as_names(options.free):
+    if "pose" not in names_of(options.free):
         raise ValueError(f"`--propose`: expected `pose` in --free, got {options.free!r}")
     with named(path="--propose"):
         postures = joint_angles(options.propose, robot)
@@ -143,7 +135,7 @@ def _worths(
     found = fit.cameras["camera"]
     mounts = [None if v.mount is None else np.asarray(v.mount) for v in views]
     seen = [(view.scene, mount) for view, mount in zip(fit.views, mounts, strict=True)]
-    return in_words(worths(found.camera, found.covariance, as_names(options.free), seen, proposed))
+    return in_words(worths(found.camera, found.covariance, names_of(options.free), seen, proposed))
 
 
 def zeros_of(options: argparse.Namespace) -> float | None:
@@ -159,7 +151,7 @@ def zeros_of(options: argparse.Namespace) -> float | None:
 
 
 def _names(text: str | None) -> Sequence[str]:
-    return [] if text is None else as_names(text, "leave_out")
+    return [] if text is None else names_of(text)
 
 
 def _start(
@@ -169,7 +161,7 @@ def _start(
     unused = dict.fromkeys(("crop", "resize", "fov", "image"))
     asked = argparse.Namespace(**{**unused, **vars(options)}, mask=options.masks[0])
     H, W = mask.shape
-    camera, phi, lens = known(asked, as_names(options.free), (W, H), tell)
+    camera, phi, lens = known(asked, names_of(options.free), (W, H), tell)
     if camera is not None:
         return camera, False
     return unplaced(phi, W, H, lens), True
@@ -179,7 +171,7 @@ def _halves(fit: JointFit, views: list[JointView], options: argparse.Namespace) 
     """Return a sentence that says how far apart the fits to each half of the views are."""
     if len(views) < 2:
         return "expected two views at least"
-    start, free = fit.camera, as_names(options.free)
+    start, free = fit.camera, names_of(options.free)
     known = zeros_of(options)
     one, other = (
         fit_joint(half, start, free, joint_zeros=known).cameras["camera"]

@@ -4,7 +4,7 @@ import csv
 import math
 from typing import Any, NamedTuple
 
-from .._files.paths import read_json, read_text
+from ..io import load_json, load_text
 from ..robots import Robot
 
 #: What a file may call its unit, and how many rad it is.
@@ -64,12 +64,12 @@ def _check_reach(robot: Robot, name: str, value: float, where: str) -> None:
 def _table(path: str) -> JointTable:
     data: dict[str, Any] = {}
     if path.lower().endswith(".json"):
-        found = read_json(path, "joint angles")
+        found = load_json(path)
         data = found if isinstance(found, dict) else {}
         postures = data.get("postures")
         rows = [data.get("names"), *(postures if isinstance(postures, list) else [])]
     else:
-        lines = read_text(path, "joint angles").splitlines()
+        lines = load_text(path).splitlines()
         rows = [[cell.strip() for cell in row] for row in csv.reader(lines) if row]
     if len(rows) < 2 or not all(isinstance(row, list) and row for row in rows):
         words = "a line of joint names (JSON: names, postures) and at least one of angles"

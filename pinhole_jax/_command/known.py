@@ -7,9 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from .._camera.camera import Camera, unplaced
-from .._camera.distortion import BrownConrady, Rational
-from .._camera.lens import Lens
+from .. import BrownConrady, Camera, Lens, Rational
 from .._files.naming import named
 from ..formats import cropped, from_opencv, read_one, resized
 from ..io import photo_fov
@@ -18,6 +16,16 @@ Size = tuple[int, int]
 #: A field of view (degrees) below this one is none; a principal point that is farther from the
 #: middle than this share of the picture's width is unusual.
 LEAST_FOV, MOST_OFF = 1.0, 0.1
+
+
+def names_of(text: str) -> tuple[str, ...]:
+    """Return the names of an option, which stand between commas."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def unplaced(phi: Any, W: int, H: int, lens: Lens | None = None) -> Camera:
+    """Return a camera with a known lens and no known pose: 1 unit from the origin."""
+    return Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, W, H, lens)
 
 
 class Known(NamedTuple):

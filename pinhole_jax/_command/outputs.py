@@ -1,6 +1,8 @@
 """Files that a command writes: it can, before the work begins, and says what it replaces."""
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,5 +20,13 @@ def check_outputs(**options: Any) -> None:
 
 def replaced(paths: Sequence[str | Path]) -> str:
     """Return the words that end a line about files to write: which of them are there already."""
-    there = [str(path) for path in paths if not is_stream(path) and Path(path).exists()]
+    there = [str(path) for path in paths if not is_stream(path) and Path(path).is_file()]
     return f" (replaced {', '.join(there)})" if there else ""
+
+
+@contextmanager
+def say_written(path: str, words: str) -> Iterator[None]:
+    """Print that a file was written, on stderr where it went to stdout or a pipe."""
+    there = ", replaced" * bool(replaced([path]))
+    yield
+    print(f"written    {path} ({words}{there})", file=sys.stderr if is_stream(path) else sys.stdout)

@@ -69,9 +69,14 @@ class Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.done()
+
+    def done(self) -> None:
+        """Clear the line, to print."""
         self._done.set()
         if self._thread is not None:
             self._thread.join()
+            self._thread = None
 
     def _run(self) -> None:
         begin = time.perf_counter()

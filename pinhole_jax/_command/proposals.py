@@ -5,10 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from .._camera.camera import Camera
+from .. import Camera, Scene
 from .._camera.poses import Pose, at_pose, pose_of
 from .._fit.observability import information
-from .._scene.scene import Scene
 from .._solver.parameters import check_free, labels_of
 
 #: The pose's parameters, as a fit names them.

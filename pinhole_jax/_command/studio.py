@@ -14,22 +14,22 @@ from .._studio.bench import Bench
 from .._studio.session import Session, load_session
 from .._studio.subject import Subject, subject_of
 from .known import known
+from .progress import Progress
 
 #: What the command calls the arguments of `subject_of`.
 ASKED = {"path": "MESH", "vertices": "MESH", "camera": "--camera", "mask": "--mask"}
 
 
-def studio(
-    options: argparse.Namespace, say: Callable[[str], Any], tell: Callable[[str], Any]
-) -> Callable[[], None]:
-    """Return a function that serves the page until interrupted.
+def run(options: argparse.Namespace, progress: Progress) -> int:
+    """Serve the page until interrupted; return 0.
 
     Raises ModuleNotFoundError where aiohttp is not installed.
     """
     server = _server()
     if not 0 <= options.port < 1 << 16:
         raise ValueError(f"`--port`: expected a port, 0 to 65535, got {options.port}")
-    say("reading mesh and photo")
+    tell = progress.tell
+    progress.say("reading mesh and photo")
     session = None
     if options.session is not None:
         with named(path="--session"):
@@ -57,14 +57,13 @@ def studio(
         if not options.no_browser:
             webbrowser.open(address)
 
-    def run() -> None:
-        try:
-            asyncio.run(server.serve(server.Studio(new_bench), options.port, ready))
-        except OSError as error:
-            words = f"expected a port that is free, got {options.port}: {error.strerror}"
-            raise ValueError(f"`--port`: {words}") from error
-
-    return run
+    progress.done()
+    try:
+        asyncio.run(server.serve(server.Studio(new_bench), options.port, ready))
+    except OSError as error:
+        words = f"expected a port that is free, got {options.port}: {error.strerror}"
+        raise ValueError(f"`--port`: {words}") from error
+    return 0
 
 
 def _server() -> Any:

@@ -77,7 +77,7 @@ def read_mitsuba(path: str | os.PathLike[str], *, size: Size | None = None) -> d
     cameras: dict[str, Camera] = {}
     for k, sensor in enumerate(sensors):
         name = sensor.get("id") or (f"sensor_{k}" if k else "sensor")
-        scene = _Scene(defaults, f"{where}, sensor {short(name)}")
+        scene = _Sensor(defaults, f"{where}, sensor {short(name)}")
         add_named(cameras, name, _read(sensor, scene, size), where)
     return cameras
 
@@ -165,7 +165,7 @@ def _filled(name: str, text: str, defaults: Mapping[str, str], where: str) -> st
     return "".join(filled)
 
 
-class _Scene(NamedTuple):
+class _Sensor(NamedTuple):
     """Where a sensor is, and what `$names` stand for."""
 
     defaults: Mapping[str, str]
@@ -183,10 +183,10 @@ class _Scene(NamedTuple):
         data: dict[str, Any] = {"type": self.attributes(element).data.get("type", "")}
         for part in element:
             if part.tag in ("float", "integer", "string"):
-                name = _snake(part.get("name", ""))
+                name = _snake(part.get("name", "")[:MOST_NAME])
                 if name in data:
                     words = f"expected one such property, got two (in {self.where})"
-                    raise ValueError(f"`{name[:60]}`: {words}")
+                    raise ValueError(f"`{name}`: {words}")
                 own = Fields({name: self.attributes(part).get("value", "a value")}, self.where)
                 data[name] = own.data[name] if part.tag == "string" else own.number(name)
         return Fields(data, self.where)
@@ -200,7 +200,7 @@ def _value(text: str) -> Any:
     return numbers if len(numbers) > 1 else numbers[0]
 
 
-def _read(sensor: ET.Element, scene: _Scene, size: Size | None) -> Camera:
+def _read(sensor: ET.Element, scene: _Sensor, size: Size | None) -> Camera:
     fields = scene.properties(sensor)
     fields.text("type", ("perspective",))
     moves = [t for t in sensor.findall("transform") if _snake(t.get("name", "")) == "to_world"]

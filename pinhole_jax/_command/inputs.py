@@ -1,0 +1,37 @@
+"""Files that several commands read: masks, meshes, and the photo that a mask was made of."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from .. import Scene, io
+from .._files.naming import named, renamed
+
+#: The command's names of the arguments of `load_mesh` and `Mesh`.
+MESH = {"path": "MESH", "vertices": "MESH"}
+
+
+def mask_of(
+    path: str, mask_from: str | None, tell: Callable[[str], Any], invert: bool = False
+) -> np.ndarray:
+    """Return the mask of a file."""
+    with named(path="MASK", mask_from="--mask-from"):
+        return io.load_mask(path, mask_from, tell, invert=invert)
+
+
+def scene_of(path: str, tell: Callable[[str], Any]) -> Scene:
+    """Return the mesh of a file as a scene."""
+    with named(**MESH):
+        return Scene(mesh=io.load_mesh(path, say=lambda words: tell(renamed(words, MESH))))
+
+
+def photo_beside(path: str, mask: np.ndarray, option: str) -> np.ndarray:
+    """Return the picture of a file that an option names, or raise ValueError if it has not the
+    mask's size."""
+    with named(path=option):
+        picture = io.load_image(path)
+    if picture.shape[:2] != mask.shape:
+        (h, w), (H, W) = picture.shape[:2], mask.shape
+        raise ValueError(f"`{option}`: expected the mask's size {W} x {H}, got {w} x {h} ({path})")
+    return picture

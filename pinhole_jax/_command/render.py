@@ -1,0 +1,32 @@
+"""`pinhole-jax render`: the mask that a camera sees."""
+
+import argparse
+
+import numpy as np
+
+from .. import formats, io
+from .._files import programs
+from .._files.naming import named
+from .inputs import scene_of
+from .outputs import say_written
+from .progress import Progress
+
+#: The program of `silhouette`.
+SILHOUETTE = "pinhole_jax._silhouette.silhouette:_silhouette"
+
+
+def run(options: argparse.Namespace, progress: Progress) -> int:
+    """Render and write; return 0."""
+    progress.say("rendering")
+    with named(path="CAMERA"):
+        camera = formats.read_one(options.camera)
+    if camera.W * camera.H > io.MOST_PIXELS:
+        words = f"at most {io.MOST_PIXELS} pixels, got {camera.W} x {camera.H}"
+        raise ValueError(f"`CAMERA`: expected {words} (in {options.camera!r})")
+    scene = scene_of(options.mesh, progress.tell)
+    image = np.asarray(programs.call(SILHOUETTE, (camera, scene, True), lambda: 0.0))
+    progress.done()
+    words = f"{camera.W} x {camera.H}, {image.mean():.1%} covered"
+    with say_written(options.output, words), named(path="--output"):
+        io.save_image(options.output, image)
+    return 0
