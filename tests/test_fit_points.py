@@ -4,6 +4,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import cv2
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -276,6 +277,218 @@ def test_a_plane_far_away_is_seen_as_well_with_its_depths_reversed(common, exhau
             assert float(pj.pose_error(fit.camera, true)[0]) < 0.05
 
 
+def by_opencv(points, points2d, true):
+    """Return all exact rotations (3, 3) of three points by OpenCV, those before the camera."""
+    focal = H / (2 * np.tan(float(true.phi) / 2))
+    K = np.array([[focal, 0, W / 2], [0, focal, H / 2], [0, 0, 1]])
+    uv = np.column_stack([points2d[:, 0], H - points2d[:, 1]])
+    found = []
+    for turn, shift in zip(*cv2.solveP3P(points, uv, K, None, cv2.SOLVEPNP_AP3P)[1:], strict=True):
+        rotation = cv2.Rodrigues(turn)[0]
+        seen_there = points @ rotation.T + shift.ravel()
+        off = seen_there[:, :2] / seen_there[:, 2:] * focal + [W / 2, H / 2] - uv
+        if seen_there[:, 2].min() > 0 and np.abs(off).max() < 1e-6:
+            found.append(rotation)
+    return found
+
+
+def rotation_of(camera):
+    return np.asarray(pj.formats.to_opencv(camera, pixel_centres="half")[1], float)
+
+
+def tumbled(rng):
+    """Return a camera that looks at the middle from anywhere, its field of view 0.75."""
+    eye, up = rng.normal(size=(2, 3))
+    eye *= rng.uniform(3, 5) / np.linalg.norm(eye)
+    return pj.Camera(eye, rng.normal(0, 0.2, 3), up, 0.75, W=W, H=H)
+
+
+def turned(true, rng, degrees):
+    """Return the camera turned about the origin by so many degrees about any axis."""
+    axis = rng.normal(size=3)
+    R = cv2.Rodrigues(np.deg2rad(degrees) * axis / np.linalg.norm(axis))[0]
+    return true.replace(**{k: R @ np.asarray(getattr(true, k)) for k in ("e", "p", "u")})
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_three_points_have_all_their_exact_poses_as_modes(seed):
+    """Against OpenCV's; the one nearest to the start is first, and a start at the truth is it."""
+    rng = np.random.default_rng(seed)
+    for k in range(5):
+        true, points = tumbled(rng), rng.uniform(-1, 1, (3, 3))
+        points2d = seen([true], points)[0]
+        exact = by_opencv(points, points2d, true)
+        start = true if k == 0 else turned(true, rng, 40 * k)
+        fit = pj.fit_points(points, points2d, start)
+        fits = [fit, *fit.modes]
+        for rotation in exact:
+            assert min(np.abs(rotation_of(f.camera) - rotation).max() for f in fits) < 1e-5
+        assert all(f.rms_px < 1e-5 and np.all(np.isinf(f.std)) for f in fits)
+        assert fit.status == ("ambiguous" if fit.modes else "unchecked")
+        away = [float(pj.pose_error(f.camera, start)[0]) for f in fits]
+        assert away == sorted(away)
+        if k == 0:
+            assert away[0] < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("number", "free"),
+    [
+        (3, "pose"),
+        long(4, ("pose", "phi", "aspect")),
+        (5, ("pose", "phi", "aspect", "principal_point")),
+    ],
+)
+def test_error_bars_are_infinite_where_no_coordinate_is_left_over(number, free):
+    rng = np.random.default_rng(number)
+    true = near(EYES[0])
+    points = rng.uniform(-1, 1, (number, 3))
+    points2d = seen([true], points)[0] + rng.normal(0, 0.1, (number, 2))
+    fit = pj.fit_points(points, points2d, true, free)
+    assert fit.status in ("unchecked", "ambiguous")
+    assert np.all(np.isinf(fit.std))
+    assert f"{2 * number} coordinates for {2 * number} unknowns: none is left over" in fit.weak[-1]
+    # Points that are given again tell nothing new.
+    again = np.arange(number).repeat(3)
+    twice = pj.fit_points(points[again], points2d[again], true, free)
+    assert twice.status in ("unchecked", "ambiguous")
+    assert np.all(np.isinf(twice.std))
+    assert "repeated points count once" in twice.weak[-1]
+
+
+def test_views_with_no_coordinate_left_over_together_are_unchecked():
+    """Three points in each of two views; but with eight in one, these show how points err."""
+    rng, true = np.random.default_rng(2), [near(EYES[0]), near(EYES[1])]
+    points = rng.uniform(-1, 1, (8, 3))
+    points2d = seen(true, points) + rng.normal(0, 0.1, (2, 8, 2))
+    for fit in pj.fit_points(points[:3], points2d[:, :3], true, shared=()):
+        assert fit.status in ("unchecked", "ambiguous")
+        assert np.all(np.isinf(fit.std))
+    points2d[1, 3:] = np.nan
+    many, few = pj.fit_points(points, points2d, true, shared=())
+    assert (many.status, few.status) == ("converged", "ambiguous")
+    assert np.all(np.isfinite(few.std))
+
+
+@pytest.mark.parametrize(
+    ("number", "free"), [(3, "pose"), long(4, ("pose", "phi", "aspect"))], ids=["three", "four"]
+)
+def test_error_bars_of_a_stated_noise_are_those_of_refits(number, free):
+    """Where nothing is left over: by the spread of 60 fits, which is good to 9 %."""
+    rng, true = np.random.default_rng(1), near(EYES[0])
+    points, noise = SOLID[[0, 5, 14, 27]][:number], 0.01
+    points2d = seen([true], points)[0] + rng.normal(0, noise, (60, number, 2))
+    fits = [pj.fit_points(points, x, true, free, noise_px=noise) for x in points2d]
+    places = [fits[0].names.index(f"e_{x}") for x in "xyz"]
+    eyes = np.array([f.camera.e for f in fits])
+    std = np.mean([f.std[places] for f in fits], axis=0)
+    np.testing.assert_allclose(eyes.std(axis=0), std, rtol=0.3)
+    assert {f.status for f in fits} <= {"converged", "ambiguous"}
+
+
+def test_weights_of_inverse_variances_take_a_noise_of_one():
+    rng, true = np.random.default_rng(3), near(EYES[0])
+    points2d = seen([true], SOLID)[0] + rng.normal(0, 0.2, (30, 2))
+    plain = pj.fit_points(SOLID, points2d, true, noise_px=0.2)
+    weighed = pj.fit_points(SOLID, points2d, true, weights=np.full(30, 25.0), noise_px=1.0)
+    np.testing.assert_allclose(plain.covariance, weighed.covariance, rtol=1e-6)
+    shown = pj.fit_points(SOLID, points2d, true)
+    np.testing.assert_allclose(plain.std, shown.std, rtol=0.3)
+    assert pj.fit_points(SOLID, points2d, true, noise_px=0.05).status == "misfit"
+
+
+def test_a_prior_makes_up_for_the_coordinate_that_is_missing():
+    """A known aspect: as if it were held, of four points with nine numbers for eight unknowns."""
+    rng, true, ratio = np.random.default_rng(4), near(EYES[0]), []
+    points = rng.uniform(-1, 1, (4, 3))
+    for _ in range(12):
+        points2d = seen([true], points)[0] + rng.normal(0, 0.05, (4, 2))
+        known = {"aspect": (1.0, 1e-4)}
+        fit = pj.fit_points(points, points2d, true, ("pose", "phi", "aspect"), prior=known)
+        held = pj.fit_points(points, points2d, true, ("pose", "phi"))
+        assert np.all(np.isfinite(fit.std))
+        np.testing.assert_allclose(fit.std[:-1], held.std, rtol=0.05)
+        assert fit.status == held.status != "misfit"
+        off = np.abs(np.asarray(fit.camera.e) - np.asarray(true.e))
+        ratio.append(np.max(off / fit.std[3:6]))
+    assert np.mean(np.array(ratio) < 2) > 0.9
+
+
+def test_few_points_are_found_from_any_start_or_not_called_converged():
+    """In none of 40 is the camera called converged and far off, by four sigma and a degree."""
+    rng = np.random.default_rng(5)
+    right = 0
+    for k in range(40):
+        true, number = tumbled(rng), 4 + k % 4
+        points = rng.uniform(-1, 1, (number, 3)) * [1, 1, k % 3 > 0]
+        noise = 0.1 * (k % 2)
+        points2d = seen([true], points)[0] + rng.normal(0, 1, (number, 2)) * noise
+        fit = pj.fit_points(points, points2d, turned(true, rng, rng.uniform(90, 180)))
+        off = [float(pj.pose_error(f.camera, true)[0]) for f in (fit, *fit.modes)]
+        sigma = float(np.linalg.norm(fit.std[:3]))
+        right += fit.status == "converged"
+        assert fit.status in ("converged", "ambiguous", "uncertain")
+        assert min(off) < max(4 * sigma, np.deg2rad(1))
+        assert fit.status == "ambiguous" or off[0] < max(4 * sigma, np.deg2rad(1))
+    assert right >= 20  # those that are exact
+
+
+def test_fewer_coordinates_than_unknowns_are_rank_deficient():
+    true = near(EYES[0])
+    points2d = seen([true], SOLID[:3])[0]
+    fit = pj.fit_points(SOLID[[0, 5, 14]], points2d, true, ("pose", "phi"))
+    assert fit.status == "rank_deficient"
+    assert np.all(np.isinf(fit.std))
+    assert "6 coordinates for 7 unknowns" in fit.weak[-1]
+
+
+def test_three_places_that_are_seen_again_and_again_keep_their_poses():
+    """What is seen ten times shows how points err, and no more of where the camera is."""
+    rng, true = np.random.default_rng(8), tumbled(np.random.default_rng(1))
+    points = np.random.default_rng(0).uniform(-1, 1, (3, 3))
+    exact = by_opencv(points, seen([true], points)[0], true)
+    many = np.arange(3).repeat(10)
+    points2d = seen([true], points)[0][many] + rng.normal(0, 0.01, (30, 2))
+    fit = pj.fit_points(points[many], points2d, true)
+    assert len(exact) > 1
+    assert fit.status == "ambiguous"
+    assert len(fit.modes) == len(exact) - 1
+    np.testing.assert_allclose(fit.rms_px, 0.01 * 2**0.5, rtol=0.3)
+
+
+def test_points_that_are_not_these_are_a_misfit():
+    rng, true = np.random.default_rng(6), near(EYES[0])
+    for number in (4, 6, 30):
+        points = rng.uniform(-1, 1, (number, 3))
+        fit = pj.fit_points(points, seen([true], points)[0][::-1], true)
+        assert fit.status == "misfit"
+        assert any("(rms) from where they are seen" in words for words in fit.weak)
+
+
+@pytest.mark.parametrize("rows", [[0, 1, 2], [0, 1, 2, 3], [0, 1, 0, 1, 0], [0, 0, 0]])
+def test_points_of_a_line_leave_a_turn_open(rows):
+    line = np.linspace([-1.0, 0, 0], [1, 0.2, 0.1], 5)[rows]
+    true = near(EYES[0])
+    fit = pj.fit_points(line, seen([true], line)[0], true)
+    assert fit.status == "rank_deficient"
+    assert np.all(np.isinf(fit.std[:3]))
+
+
+@pytest.mark.parametrize("part", ["position", "orientation"])
+def test_a_part_of_the_pose_is_found_from_any_start(part):
+    rng = np.random.default_rng(7)
+    for _ in range(10):
+        true, points = tumbled(rng), rng.uniform(-1, 1, (4, 3))
+        other = tumbled(rng)
+        start = other.replace(e=true.e, p=np.asarray(true.e) + other.p - other.e)
+        if part == "position":
+            start = true.replace(e=true.e + 2 * rng.normal(size=3))
+            start = start.replace(p=start.e + np.asarray(true.p) - np.asarray(true.e))
+        fit = pj.fit_points(points, seen([true], points)[0], start, part)
+        assert fit.status == "converged"
+        assert max(float(x) for x in pj.pose_error(fit.camera, true)) < 1e-6
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -291,6 +504,7 @@ def test_a_plane_far_away_is_seen_as_well_with_its_depths_reversed(common, exhau
         ({"weights": np.ones(29)}, r"`weights`: expected a real array of shape \(30,\), got"),
         ({"weights": np.full(30, -1.0)}, "`weights`: expected none below 0, got -1"),
         ({"weights": np.zeros(30)}, "`points2d`: expected at least 3 points in each"),
+        ({"noise_px": 0.0}, "`noise_px`: expected a positive number of px, got 0"),
         ({"outlier_px": 0.0}, "`outlier_px`: expected a positive number of px, got 0"),
     ],
 )

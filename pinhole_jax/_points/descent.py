@@ -4,26 +4,33 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
-from .._camera.axes import angle
-from .._fit.places import APART
 from .._joint.levels import REACHES
 from .._solver.least_squares import levenberg_marquardt
-from .._solver.parameters import components, labels_of
-from .._solver.priors import Prior
 from .._solver.problem import FINE_PX
-from .starts import seen_from_behind
+from .noise import Noise, left_over, noise_of, prior_rows, rms_limit, squares_of
+from .rivals import rivals
 from .views import PointProblem, PointView
 
 #: How often a prior is weighed anew by what the points err by.
 ROUNDS = 3
-#: A place is as good as the best where its squares are no larger than chance makes them with this
-#: probability (an F test). Then a plane's wrong pose passes for the only one at most once in 2000
-#: times.
-CHANCE = 1e-3
+#: A prior holds what is free where an error of a film height is not worth a thousandth of it.
+HOLDS = 1e3
+#: How often the views may go on from other places.
+JUMPS = 3
 
 Tell = Callable[[str], None]
+
+
+class Asked(NamedTuple):
+    """What a user says of points: from where on they are outliers (px), the variance of a
+    coordinate of weight 1 (px^2), None of what is not known; how many steps at most."""
+
+    reach: float | None
+    variance: float | None
+    most: int
 
 
 class Descended(NamedTuple):
@@ -33,6 +40,7 @@ class Descended(NamedTuple):
     - `steps`: how many it took.
     - `others`: other places of each view that are as good, what is shared held.
     - `way`: the views at the start, and where each descent ended, with its steps.
+    - `noise`: what the points err by; `limits`: by how much each view's may (rms, px).
     """
 
     views: list[PointView]
@@ -40,73 +48,59 @@ class Descended(NamedTuple):
     steps: int
     others: list[list[PointView]]
     way: list[tuple[list[PointView], int]]
+    noise: Noise
+    limits: list[float]
 
 
-def descended(
-    views: list[PointView], own: np.ndarray, reach: float | None, most: int, tell: Tell
-) -> Descended:
-    """Return where views descend to together, this many steps at most each time; points farther
-    than `reach` (px) lose their weight on the way (None: none do)."""
+def descended(views: list[PointView], own: np.ndarray, asked: Asked, tell: Tell) -> Descended:
+    """Return where views descend to together; points that are outliers lose their weight on the
+    way, and views that are seen better, or as well and nearer to the start, go on from there."""
     given, way = [view.weight for view in views], [(views, 0)]
+    reach = asked.reach
     for reach_px in [None] if reach is None else [times * reach for times in REACHES]:
         views = views if reach_px is None else _near(views, given, reach_px)
-        views, steps = _together(views, own, most, tell)
+        views, steps = _together(views, own, asked, tell)
         way.append((views, steps))
-    others = [_other(view, views, own, most) for view in views]
-    if any(other is not None and other.is_better for other in others):
-        pairs = zip(views, others, strict=True)
-        begin = [other.place if other and other.is_better else view for view, other in pairs]
-        views, steps = _together(begin, own, most, tell)
+    seen = _seen_best(views, own, asked)
+    for _ in range(JUMPS):
+        first = [places[0] for places in seen.places]
+        if all(a is b for a, b in zip(first, views, strict=True)):
+            break
+        views, steps = _together(first, own, asked, tell)
         way.append((views, steps))
-        others = [_other(view, views, own, most) for view in views]
-    places = [[] if other is None else [other.place] for other in others]
-    return Descended(views, own, sum(steps for _, steps in way), places, way)
+        seen = _seen_best(views, own, asked)
+    pairs = zip(seen.places, views, strict=True)
+    others = [[place for place in some if place is not view] for some, view in pairs]
+    steps = sum(steps for _, steps in way)
+    return Descended(views, own, steps, others, way, seen.noise, seen.limits)
+
+
+class _SeenBest(NamedTuple):
+    places: list[list[PointView]]
+    noise: Noise
+    limits: list[float]
+
+
+def _seen_best(views: list[PointView], own: np.ndarray, asked: Asked) -> _SeenBest:
+    """Return from where each view sees its points best, and what is as good by chance."""
+    noise = noise_of(views, own, asked.variance)
+    limits = [rms_limit(view, asked.variance, asked.reach) for view in views]
+    each = zip(views, limits, strict=True)
+    return _SeenBest([rivals(view, own, noise, limit) for view, limit in each], noise, limits)
 
 
 def _together(
-    views: list[PointView], own: np.ndarray, most: int, tell: Tell
+    views: list[PointView], own: np.ndarray, asked: Asked, tell: Tell
 ) -> tuple[list[PointView], int]:
     """Return views where the squares of all are least, and the number of steps."""
     steps, problem = 0, PointProblem.of(views, own)
-    for _ in range(ROUNDS if views[0].prior is not None else 1):
-        views = _prior_weighed(views, problem.size)
-        found = levenberg_marquardt(problem, views, most, FINE_PX[problem.dtype])
+    for k in range(ROUNDS if views[0].prior is not None else 1):
+        views = _prior_weighed(views, own, asked.variance, k)
+        found = levenberg_marquardt(problem, views, asked.most, FINE_PX[problem.dtype])
         views, steps = found.state, steps + found.steps
-    tell(f"{len(views)} views: {steps} steps, {variance(views, problem.size) ** 0.5:.3g} px")
+    rms = (squares_of(views) / sum(float(np.sum(view.weight)) for view in views)) ** 0.5
+    tell(f"{len(views)} views: {steps} steps, {rms:.3g} px")
     return views, steps
-
-
-class _Other(NamedTuple):
-    place: PointView
-    is_better: bool
-
-
-def _other(view: PointView, views: list[PointView], own: np.ndarray, most: int) -> _Other | None:
-    """Return the place to which a view of a plane descends by itself with the depths of its points
-    reversed, if it sees them as well as from where it is, or better; what is shared is held."""
-    start = seen_from_behind(view) if "pose" in view.freed else None
-    if start is None:
-        return None
-    alone = _alone(start, own)
-    problem = PointProblem.of([alone], np.ones(int(own.sum()), bool))
-    found = levenberg_marquardt(problem, [alone], most, FINE_PX[problem.dtype])
-    there = view._replace(camera=found.state[0].camera)
-    before, after = view.look(), there.look()
-    if angle(view.camera, there.camera) < APART or not float(after.nearest) > 0:
-        return None
-    size = PointProblem.of(views, own).size
-    chance = _by_chance(_freedom(views, size)) * variance(views, size)
-    if not after.squares <= before.squares + chance:
-        return None
-    return _Other(there, after.squares < before.squares)
-
-
-def _alone(view: PointView, own: np.ndarray) -> PointView:
-    """Return the view in which what is shared is held."""
-    moves = components(view.freed)
-    held = {move for move, is_own in zip(moves, own, strict=True) if not is_own}
-    freed = tuple(name for name in view.freed if held.isdisjoint(components((name,))))
-    return view._replace(freed=freed, prior=_of_labels(view.prior, labels_of(freed)))
 
 
 def _near(views: list[PointView], given: list[np.ndarray], reach: float) -> list[PointView]:
@@ -120,40 +114,26 @@ def _near(views: list[PointView], given: list[np.ndarray], reach: float) -> list
     return result
 
 
-def _freedom(views: list[PointView], unknowns: int) -> int:
-    """Return how many more coordinates count than there are unknowns, at least 1."""
-    return max(2 * sum(view.number for view in views) - unknowns, 1)
+def _prior_weighed(
+    views: list[PointView], own: np.ndarray, given: float | None, turn: int
+) -> list[PointView]:
+    """Return the views with their priors weighed by what the points of all err by.
 
-
-def variance(views: list[PointView], unknowns: int) -> float:
-    """Return the variance of a coordinate (px^2) that views' residuals show."""
-    squares = sum(float(view.look().sum_squares) for view in views)
-    return squares / _freedom(views, unknowns)
-
-
-def _prior_weighed(views: list[PointView], unknowns: int) -> list[PointView]:
-    """Return the views with their priors weighed by what the points of all err by."""
-    if views[0].prior is None:
+    Where only priors leave coordinates over, they hold what is free at first: what the points then
+    err by is no less than in truth.
+    """
+    prior = views[0].prior
+    if prior is None:
         return views
-    noise = np.asarray(variance(views, unknowns) ** 0.5, views[0].film.e.dtype)
+    left, rows = left_over(views, own), prior_rows(views, own)
+    if given is not None or left > 0:
+        px = noise_of(views, own, given).variance ** 0.5
+    elif left + rows > 0 and turn == 0:
+        px = HOLDS * views[0].film.H * float(np.max(prior.std))
+    elif left + rows > 0 and turn == 1:
+        px = Noise(squares_of(views) / (left + rows), left + rows).variance ** 0.5
+    else:
+        return views
+    noise = jnp.asarray(px, views[0].film.e.dtype)
     put = lambda view: eqx.tree_at(lambda p: p.noise, view.prior, noise)
     return [view._replace(prior=put(view)) for view in views]
-
-
-def _by_chance(freedom: int) -> float:
-    """Return how many variances a place's squares may be larger by chance."""
-    from scipy.stats import f
-
-    return float(f.ppf(1 - CHANCE, 1, freedom))
-
-
-def _of_labels(prior: Prior | None, labels: tuple[str, ...]) -> Prior | None:
-    """Return what a prior says of these labels, None if that is nothing."""
-    if prior is None:
-        return None
-    which = [k for k, label in enumerate(prior.labels) if label in labels]
-    if not which:
-        return None
-    some = np.array(which)
-    names = tuple(prior.labels[k] for k in which)
-    return Prior(names, prior.mean[some], prior.std[some], prior.noise)

@@ -11,39 +11,51 @@ from .._camera.axes import axes_of
 from .._camera.camera import Camera, check_camera
 from .._fit.fit_camera import check_reach, check_steps
 from .._fit.implicit import Through, check_plain
-from .._fit.result import Progress, at_rest, to_units, without_ended
+from .._fit.result import UNCERTAIN, Progress, at_rest, to_units, widest_turn, without_ended
 from .._fit.words import parameter_lines
 from .._joint.shared_unknowns import alike, joint, others, reduced, shared_and_free
 from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
 from .._solver.moves import on_film
 from .._solver.parameters import components, labels_of, with_lens
 from .._solver.priors import Pair, bounds_of, prior_of
-from .._solver.uncertainty import BLIND, covariance, weak_directions
-from .descent import Descended, descended, variance
+from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions
+from .descent import Asked, Descended, descended
+from .noise import FEW, Noise, coordinates
 from .starts import begun
 from .views import Given, PointProblem, PointsSeen, PointView, velocities
 
 #: What several views share by default: the intrinsics of one physical camera.
 INTRINSICS = ("phi", "principal_point", "distortion")
+#: Where standard errors may be so many times as large by chance, as 1 to 4 coordinates alone show
+#: how points err, a rotation is open that is uncertain by this much (rad). (By Student's t four of
+#: them are passed by 1 fit in 40 to 200 there, of 9 coordinates by 1 in 1000.)
+FOUR_SIGMA, UNCERTAIN_OF_FEW = 4.0, np.deg2rad(1)
+WRONG = "are they the same points, in the right order, units and focal length?"
 
 
 class PointFit(NamedTuple):
     """The result of `fit_points` for one view.
 
     - `camera`: the fitted camera.
-    - `status`: "converged" (trust the camera only then), "ambiguous" (points of a plane that are
-      seen as well by the cameras of `modes`), "rank_deficient" (some direction moves no point:
-      `weak` names it), "max_steps", "behind" (a point would lie behind the eye) or "non_finite".
+    - `status`: "converged" (trust the camera only then), "ambiguous" (the cameras of `modes` see
+      the points as well), "unchecked" (no more coordinates than unknowns: the camera meets the
+      points however far these err), "uncertain" (the points' errors may leave a rotation of several
+      degrees open), "misfit" (points lie far from where they are seen), "rank_deficient" (some
+      direction moves no point: `weak` names it), "max_steps", "behind" (a point would lie behind
+      the eye) or "non_finite".
     - `names`: the fitted parameters, in the order of `covariance` (n, n) and `std` (n,), as in
       `Fit`. The covariance is that of the joint problem and assumes that all coordinates err
       independently and alike (those of points with weights, with variances in inverse proportion
-      to these), by as much as the residuals say.
+      to these), by `noise_px`, or by as much as the residuals say. Few coordinates say it badly:
+      where up to 30 more than unknowns do, it is widened so that 95 % intervals hold the truth
+      (Student's t), and where none does it is infinite. Points that are repeated count once.
     - `rms_px`: root mean square distance of the view's points from where they are seen, each as it
       counts.
     - `steps`: Levenberg-Marquardt steps.
     - `weak`: directions that the points determine badly or not at all, and how many points do not
       count, as sentences.
-    - `modes`: other cameras that the view's points do not tell from this one.
+    - `modes`: other cameras that see the view's points as well; if these see them equally well, in
+      the order of their rotation away from the start, else the best first.
     - `history`: the way to `camera`: the start of the descents (0 steps), and where each of them
       ended; with `outlier_px` there are several.
 
@@ -83,6 +95,7 @@ def fit_points(
     *,
     weights: Input[ArrayLike | None, "*V N"] = None,
     outlier_px: float | None = None,
+    noise_px: float | None = None,
     prior: Input[Mapping[str, Pair] | None, "mean, sigma"] = None,
     bounds: Input[Mapping[str, Pair] | None, "low, high"] = None,
     max_steps: int = 100,
@@ -94,20 +107,23 @@ def fit_points(
     - `points2d`: (N, 2), or (V, N, 2) for V views: film coordinates (px, origin at the film's
       bottom-left corner, y up; of OpenCV's (u, v) they are (u + 1/2, H - v - 1/2)). NaN: not seen.
     - `camera`: resolution, and where to start; one for all views, or one for each. Its pose is used
-      only where it is nearer than what a plane homography (4 points of a plane) or a direct linear
-      transformation (6 points) says, or where there are fewer points. The focal length may be off
-      by some tens of percent.
+      only where it is nearer than what a plane homography (4 points of a plane), a direct linear
+      transformation (6 points) or three of few points say, and among equals: the nearest to it
+      comes first. The focal length may be off by some tens of percent.
     - `free`: what each view has of its own; `shared`: what all have in common. Names are those of
       `fit_camera`. None: with several views phi, principal_point and distortion, else nothing.
     - `weights`: (N,), or (V, N): how much each point counts, 0 or more. 1 / variance, up to a
       factor.
     - `outlier_px`: points that end farther than this from where they are seen do not count, as long
       as half of a view's points do; some five times what the others err by. None: all count.
+    - `noise_px`: the standard error of a coordinate, or of one whose weight is 1. None: the
+      residuals show it.
     - `prior`, `bounds`: as in `fit_camera`; of what is shared once, else for each view.
     - `max_steps`: a limit for each descent. `progress` is called with words after each.
 
     Points of a plane are seen almost as well with their depths reversed, the farther away the
-    better: each such view is asked whether its points tell the two apart (`PointFit.modes`).
+    better, and three points have up to four exact poses: each view of a plane, and of up to 8
+    points, is asked whether its points tell such cameras apart (`PointFit.modes`).
 
     Returns a `PointFit` for points2d (N, 2), a tuple of them for (V, N, 2). Levenberg-Marquardt as
     in `fit_cameras`: a step's cost is linear in the views. Works in the float type of `camera`.
@@ -128,6 +144,8 @@ def fit_points(
     """
     check_steps(max_steps)
     check_reach(outlier_px)
+    if noise_px is not None and not 0 < noise_px < np.inf:
+        raise ValueError(f"`noise_px`: expected a positive number of px, got {noise_px}")
     tell = progress if progress is not None else lambda words: None
 
     def run(inputs: Any) -> tuple[tuple[PointFit, ...], Descended]:
@@ -143,7 +161,8 @@ def fit_points(
             known = prior_of(prior, c, freed, common, len(given))
             view = view._replace(bounds=bounds_of(bounds, c, freed), prior=known)
             views.append(begun(view, outlier_px is not None))
-        found = descended(views, own, outlier_px, max_steps, tell)
+        variance = None if noise_px is None else noise_px**2 / scale
+        found = descended(views, own, Asked(outlier_px, variance, max_steps), tell)
         return _reports(found, given), found
 
     inputs = points3d, points2d, weights
@@ -249,19 +268,32 @@ def _reports(found: Descended, given: list[Given]) -> tuple[PointFit, ...]:
     seen = [v.look() for v in views]
     parts = [reduced(s, own) for s in seen]
     slope: Any = sum(part.slope for part in parts)
-    noise = variance(views, PointProblem.of(views, own).size)
     whole = sum(one.squares for one in seen), 2.0 * sum(view.number for view in views)
+    spare = () if found.noise.freedom > 0 else (_none_left_over(views, own),)
 
-    def report(view: PointView, one: PointsSeen, known: np.ndarray) -> PointFit:
-        return _report(view, joint(one, known, slope, own), noise, *whole)
+    def report(view: PointView, one: PointsSeen, known: np.ndarray, limit: float) -> PointFit:
+        fit = _report(view, joint(one, known, slope, own), found.noise, limit, *whole)
+        return fit._replace(weak=fit.weak + spare)
 
     fits = []
     for k, known in enumerate(others([p.rest for p in parts])):
-        fit = report(views[k], seen[k], known)._replace(steps=found.steps)
+        limit = found.limits[k]
+        fit = report(views[k], seen[k], known, limit)._replace(steps=found.steps)
         fit = fit._replace(history=_way(found, k))
         fit = _without(fit, views[k].number, int(np.sum(given[k].weight > 0)))
-        fits.append(_with_modes(fit, [report(v, v.look(), known) for v in found.others[k]]))
+        modes = [report(v, v.look(), known, limit) for v in found.others[k]]
+        fits.append(_with_modes(fit, modes))
     return tuple(fits)
+
+
+def _none_left_over(views: list[PointView], own: np.ndarray) -> str:
+    """Return in words that nothing shows how far points err."""
+    some, unknowns = coordinates(views), PointProblem.of(views, own).size
+    repeated = " (repeated points count once)" if some < 2 * sum(v.number for v in views) else ""
+    return (
+        f"{some} coordinates{repeated} for {unknowns} unknowns: none is left over to show how far"
+        " points err, so there are no error bars; `noise_px` gives them"
+    )
 
 
 def _way(found: Descended, number: int) -> tuple[Progress, ...]:
@@ -283,16 +315,17 @@ def _without(fit: PointFit, number: int, given: int) -> PointFit:
 
 def _with_modes(fit: PointFit, modes: list[PointFit]) -> PointFit:
     """Return the fit with the other cameras that see its points as well."""
-    if modes and fit.status in ("converged", "rank_deficient"):
+    if modes and fit.status in ("converged", "rank_deficient", "unchecked", "uncertain"):
         fit = fit._replace(status="ambiguous")
     return fit._replace(modes=tuple(modes))
 
 
 def _report(
-    view: PointView, seen: PointsSeen, variance: float, squares: float, count: float
+    view: PointView, seen: PointsSeen, noise: Noise, limit: float, squares: float, count: float
 ) -> PointFit:
-    """Return what a user reads of a view, given what is seen there and what others know, and the
-    sum of the squares of this many residuals of all views."""
+    """Return what a user reads of a view, given what is seen there and what others know, what
+    points err by, the rms (px) above which they are a misfit, and the sum of the squares of this
+    many residuals of all views."""
     freed, dtype = view.freed, np.dtype(view.film.e.dtype)
     triangle, ended = without_ended(seen.triangle, view.camera, freed, view.bounds)
     along = np.asarray(seen.along, float)
@@ -302,12 +335,50 @@ def _report(
         nan = float("nan")
         return PointFit(camera, "non_finite", labels, nothing, np.diag(nothing), nan, 0, ())
     blind, weak = weak_directions(triangle, components(freed), axes_of(camera), BLIND[dtype])
-    gradient = variance * triangle.T @ triangle
-    cov = covariance(triangle, to_units(seen.to_reported, freed, camera), gradient, BLIND[dtype])
-    status = "rank_deficient" if blind else "converged"
-    if not at_rest(triangle, along, squares, count, dtype):
+    cov = _covariance(triangle, to_units(seen.to_reported, freed, camera), noise, dtype)
+    rms = float(np.sqrt(float(seen.sum_squares) / np.sum(view.weight)))
+    rest = at_rest(triangle, along, squares, count, dtype)
+    status, words = _judged(cov, labels, camera, noise)
+    if blind:
+        status = "rank_deficient"
+    if rms > limit:
+        status, words = (
+            "misfit",
+            (f"points lie {rms:.3g} px (rms) from where they are seen: {WRONG}",),
+        )
+    if not rest:
         status = "max_steps"
     if not float(seen.nearest) > 0:
         status = "behind"
-    rms = float(np.sqrt(float(seen.sum_squares) / np.sum(view.weight)))
-    return PointFit(camera, status, labels, cov, np.sqrt(np.diag(cov)), rms, 0, weak + ended)
+    std = np.sqrt(np.diag(cov))
+    return PointFit(camera, status, labels, cov, std, rms, 0, (*weak, *ended, *words))
+
+
+def _covariance(
+    triangle: np.ndarray, to_reported: np.ndarray, noise: Noise, dtype: np.dtype
+) -> np.ndarray:
+    """Return the reported parameters' covariance, infinite where nothing shows how points err."""
+    if np.isfinite(noise.variance):
+        gradient = noise.variance * triangle.T @ triangle
+        return covariance(triangle, to_reported, gradient, BLIND[dtype])
+    result = np.full((len(to_reported), len(to_reported)), np.nan)
+    np.fill_diagonal(result, np.inf)
+    return result
+
+
+def _judged(
+    cov: np.ndarray, labels: tuple[str, ...], camera: Camera, noise: Noise
+) -> tuple[str, tuple[str, ...]]:
+    """Return a status by the error bars alone, and words about them."""
+    if not noise.freedom > 0:
+        return "unchecked", ()
+    turn, about = widest_turn(cov, labels)
+    limit = UNCERTAIN if noise.at_most < FOUR_SIGMA else UNCERTAIN_OF_FEW
+    if not turn * noise.at_most > limit:
+        return "converged", ()
+    axis, degrees = in_words(about @ axes_of(camera)), np.rad2deg(turn)
+    words = f"rotation about the axis {axis} is uncertain by {degrees:.2g} degrees (1 sigma)"
+    if noise.freedom <= FEW:
+        spare = f"{noise.freedom:.0f} coordinate{'s' * (noise.freedom > 1)}"
+        words += f", itself a guess from {spare} more than unknowns"
+    return "uncertain", (words,)

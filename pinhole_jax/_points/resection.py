@@ -7,8 +7,10 @@ plane Z. Zhang, "A Flexible New Technique for Camera Calibration" (2000), 3.1.
 import numpy as np
 from jaxtyping import Float
 
+from .._camera.axes import axes_of
 from .._camera.bent import straightened
 from .._camera.camera import Camera, focal_px, principal_point
+from .three_points import moved_onto, poses_of_three, triangles
 
 #: Points whose spread across a plane is below this share of that within are points of the plane.
 FLAT = 1e-3
@@ -54,6 +56,39 @@ def resected(
     return _posed(camera, rotation, translation)
 
 
+def resected_by_three(
+    camera: Camera, points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"], most: int
+) -> list[Camera]:
+    """Return the camera in all poses that see three of the points where they are seen, of this many
+    triangles at most: the only pose, or up to four, of each."""
+    rays = _rays(camera, seen_at)
+    threes = triangles(points, seen_at, most)
+    return [_posed(camera, *pose) for pose in poses_of_three(points[threes], rays[threes])]
+
+
+def turned(
+    camera: Camera, points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"]
+) -> Camera:
+    """Return the camera turned about its eye so that it sees points where they are seen (Kabsch
+    1976)."""
+    eye = np.asarray(camera.e, float)
+    towards = (points - eye) / np.linalg.norm(points - eye, axis=1, keepdims=True)
+    rotation, _ = moved_onto(towards, _rays(camera, seen_at), about_middle=False)
+    return _posed(camera, rotation, -rotation @ eye)
+
+
+def shifted(
+    camera: Camera, points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"]
+) -> Camera:
+    """Return the camera shifted, its axes as they are, so that it sees points where they are seen:
+    least squares of how far they are from their lines of sight."""
+    axes = axes_of(camera) * [[1], [-1], [1]]
+    rays = _rays(camera, seen_at) @ axes
+    across = np.eye(3) - rays[:, :, None] * rays[:, None]
+    eye = np.linalg.lstsq(across.sum(axis=0), (across @ points[..., None]).sum(axis=0)[:, 0])[0]
+    return _posed(camera, axes, -axes @ eye)
+
+
 def plane_of(points: Float[np.ndarray, "N 3"]) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the middle and the normal of the plane that points are of, None if of none."""
     middle, spread, axes = _spread(points)
@@ -76,6 +111,12 @@ def _normalised(camera: Camera, seen_at: np.ndarray) -> np.ndarray:
         np.array([float(z) for z in x]) for x in (focal_px(camera), principal_point(camera))
     )
     return (straightened(camera, seen_at) - centre) / focal * [1, -1]
+
+
+def _rays(camera: Camera, seen_at: np.ndarray) -> np.ndarray:
+    """Return unit vectors along the lines of sight, right, down, forward."""
+    view = np.column_stack([_normalised(camera, seen_at), np.ones(len(seen_at))])
+    return view / np.linalg.norm(view, axis=1, keepdims=True)
 
 
 def _posed(camera: Camera, rotation: np.ndarray, translation: np.ndarray) -> Camera:

@@ -1,12 +1,13 @@
-"""Where views of points begin, and where else a plane's points would look much the same."""
+"""Where views of points begin, and where else their points would look much the same."""
 
+import equinox as eqx
 import numpy as np
 
-from .._camera.axes import axes_of
+from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
-from .._solver.moves import canonical
+from .._solver.moves import canonical, on_film
 from .._solver.parameters import components
-from .resection import plane_of, resected
+from .resection import plane_of, resected, resected_by_three, shifted, turned
 from .views import PointView
 
 #: Draws of few points. Where 40 % are outliers 1 draw of 6 points in 21 has none, so 95 % of
@@ -14,13 +15,18 @@ from .views import PointView
 DRAWS = 64
 #: Points of a draw that are not of a plane, and that are.
 FEW, FEW_OF_PLANE = 6, 4
+#: So many points are few: direct solutions by all of them may fail, and those by three are asked,
+#: of this many triangles at most.
+SCANT, TRIANGLES = 8, 6
+#: What finds a part of the pose, the rest being known.
+PARTS = {"position": shifted, "orientation": turned}
 
 
 def begun(view: PointView, robust: bool) -> PointView:
     """Return the view from its own camera, or from where direct solutions say, what is nearer; if
     `robust` by half of the points (least median of squares, Rousseeuw 1984), else by all."""
     view = inside(view)
-    cameras = _direct(view, robust) if "pose" in view.freed else []
+    cameras = _direct(view, robust)
     places = [view, *(inside(view._replace(camera=canonical(c))) for c in cameras)]
     return min(places, key=lambda place: _distance(place, robust))
 
@@ -34,13 +40,55 @@ def _distance(view: PointView, robust: bool) -> float:
 def _direct(view: PointView, robust: bool) -> list[Camera]:
     """Return cameras that direct solutions find, of all points, and of few drawn at random."""
     counts = np.flatnonzero(view.weight > 0)
+    by_part = [way for name, way in PARTS.items() if name in view.freed]
+    if by_part or "pose" not in view.freed:
+        return [way(view.film, view.points[counts], view.seen_at[counts]) for way in by_part]
     draws = [counts]
     if robust:
         few = FEW if plane_of(view.points[counts]) is None else FEW_OF_PLANE
         random = np.random.default_rng(0)
         draws += [random.permutation(counts)[:few] for _ in range(DRAWS)]
     found = [resected(view.film, view.points[some], view.seen_at[some]) for some in draws]
+    if is_few(view):
+        found += _by_three(view, view.film)
     return [camera for camera in found if camera is not None]
+
+
+def is_few(view: PointView) -> bool:
+    """Return whether so few different points count that three of them are asked, too."""
+    return len(view.different(view.weight > 0, and_seen=False)) <= SCANT
+
+
+def by_three(view: PointView) -> list[PointView]:
+    """Return the view from where three of its points are met, its lens as it is, the best first."""
+    film = on_film(view.camera, view.film)
+    places = [placed(view, camera) for camera in _by_three(view, film)]
+    return sorted(places, key=lambda place: _distance(place, False))
+
+
+def _by_three(view: PointView, film: Camera) -> list[Camera]:
+    """Return a camera in all poses that three of the points have, of large triangles; of many
+    points, some that are spread evenly among them."""
+    counts = view.different(view.weight > 0, and_seen=False)
+    some = counts[np.unique(np.linspace(0, len(counts) - 1, SCANT).round().astype(int))]
+    if len(some) < 3:
+        return []
+    return resected_by_three(film, view.points[some], view.seen_at[some], TRIANGLES)
+
+
+def placed(view: PointView, camera: Camera) -> PointView:
+    """Return the view from a camera's pose, its lens as it is."""
+    pose = lambda c: (c.e, c.p, c.u)
+    return view._replace(camera=eqx.tree_at(pose, view.camera, pose(camera)))
+
+
+def apart(places: list[PointView], close: float) -> list[PointView]:
+    """Return those of some places that are not as close (rad) to one before."""
+    result: list[PointView] = []
+    for place in places:
+        if all(angle(place.camera, other.camera) > close for other in result):
+            result.append(place)
+    return result
 
 
 def inside(view: PointView) -> PointView:

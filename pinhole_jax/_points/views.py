@@ -27,6 +27,9 @@ from .._solver.problem import UNIT_PX
 #: A move of `UNIT_PX` counts as this many residuals of as much, as damping has it. (40 draws of 12
 #: points, phi and k1 free: 4.3 steps with 0.1 and 1, 4.8 with 10, 6.7 with 100, all end right.)
 FILM = 10.0
+#: Points, and where they are seen, are repeated where they differ by less than this share of how
+#: far all spread.
+REPEATED = 1e-9
 
 
 class PointsSeen(NamedTuple):
@@ -81,6 +84,16 @@ class PointView(NamedTuple):
     def number(self) -> int:
         """Return how many points count."""
         return int(np.sum(self.weight > 0))
+
+    def different(self, shows: np.ndarray, and_seen: bool) -> np.ndarray:
+        """Return the indices of points among those that show something, without those that repeat
+        another one (`and_seen`: and where that is seen)."""
+        some = np.flatnonzero(shows)
+        rows = []
+        for x in (self.points, self.seen_at)[: 1 + and_seen]:
+            spread = float(np.ptp(x[some], axis=0).max())
+            rows.append(np.round((x[some] - x[some[0]]) / (REPEATED * (spread or 1))))
+        return some[np.sort(np.unique(np.hstack(rows), axis=0, return_index=True)[1])]
 
     def look(self) -> PointsSeen:
         """Return what is seen."""

@@ -1,0 +1,141 @@
+"""What points err by: given, or shown by the coordinates that are left over."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .._joint.agreement import NORMAL_95
+from .._solver.parameters import components, labels_of
+from .._solver.problem import FINE_PX
+from .views import PointProblem, PointView
+
+#: Squares may be larger by chance with this probability (an F test). Then a plane's wrong pose
+#: passes for the only one at most once in 2000 times.
+CHANCE = 1e-3
+#: Intervals are widened where up to so many coordinates show the variance (by 4 % then); from so
+#: many on it is known.
+FEW, MANY = 30, 1e9
+#: Points whose distances from the camera's are this many times what a step may leave out are met
+#: exactly.
+EXACT = 100
+#: A point whose weight is a smaller share of the largest shows nothing.
+NEGLIGIBLE = 1e-6
+#: A camera that leaves this share of the points' spread on the film, or this share of its diagonal,
+#: is a misfit, but not below this many px; or this many times the error that is given.
+SPREAD, DIAGONAL, LEAST_PX, TIMES = 0.1, 0.02, 1.0, 2.0
+
+
+class Noise(NamedTuple):
+    """How points err.
+
+    - `shown`: the variance (px^2) of a coordinate of weight 1, infinite where none is left over.
+    - `freedom`: how many coordinates show it; infinite where it is given.
+    """
+
+    shown: float
+    freedom: float
+
+    @property
+    def variance(self) -> float:
+        """Return the variance with which 95 % intervals hold the truth, also where few coordinates
+        show it."""
+        return self.shown * _widening(self.freedom) ** 2
+
+    @property
+    def by_chance(self) -> float:
+        """Return how much larger squares (px^2) may be by chance, 0 where nothing is known."""
+        from scipy.stats import f
+
+        if not self.freedom > 0:
+            return 0.0
+        return self.shown * float(f.ppf(1 - CHANCE, 1, min(self.freedom, MANY)))
+
+    @property
+    def at_most(self) -> float:
+        """Return how many times as large as by `variance` standard errors may be by chance."""
+        from scipy.stats import chi2
+
+        if not np.isfinite(self.freedom):
+            return 1.0
+        least = float(chi2.ppf(CHANCE, self.freedom)) / self.freedom
+        return least**-0.5 / _widening(self.freedom)
+
+
+def _widening(freedom: float) -> float:
+    """Return how many times wider than a normal distribution's an interval of 95 % is where so many
+    coordinates show the variance (Student's t)."""
+    from scipy.stats import t
+
+    return float(t.ppf(0.975, freedom)) / NORMAL_95 if 0 < freedom <= FEW else 1.0
+
+
+def noise_of(views: Sequence[PointView], own: np.ndarray, given: float | None) -> Noise:
+    """Return what points err by: the `given` variance, or what residuals show. Where coordinates
+    do not suffice, priors count as well, as far as they hold what is free (`prior_weighed`)."""
+    if given is not None:
+        return Noise(given, np.inf)
+    left = left_over(views, own)
+    if left > 0:
+        count = 2 * sum(int(np.sum(_shows(view))) for view in views)
+        return Noise(squares_of(views) / (count - PointProblem.of(views, own).size), left)
+    prior, left = views[0].prior, left + prior_rows(views, own)
+    if prior is None or left <= 0:
+        return Noise(np.inf, 0)
+    return Noise((float(prior.noise) / _widening(left)) ** 2, left)
+
+
+def left_over(views: Sequence[PointView], own: np.ndarray) -> int:
+    """Return how many more coordinates there are than unknowns, those of points that are repeated
+    once."""
+    return coordinates(views) - PointProblem.of(views, own).size
+
+
+def coordinates(views: Sequence[PointView]) -> int:
+    """Return how many different numbers points are seen by."""
+    return 2 * sum(len(view.different(_shows(view), and_seen=True)) for view in views)
+
+
+def squares_of(views: Sequence[PointView]) -> float:
+    """Return the sum of the squares of all points' residuals (px^2)."""
+    return sum(float(view.look().sum_squares) for view in views)
+
+
+def prior_rows(views: Sequence[PointView], own: np.ndarray) -> int:
+    """Return how many numbers priors give: one of what is shared, else one for each view."""
+    prior = views[0].prior
+    if prior is None:
+        return 0
+    its_own = labels_of(own_of(views[0].freed, own))
+    return sum(len(views) if label in its_own else 1 for label in prior.labels)
+
+
+def own_of(freed: tuple[str, ...], own: np.ndarray) -> tuple[str, ...]:
+    """Return what of that which is free is each view's own."""
+    moves = components(freed)
+    held = {move for move, is_own in zip(moves, own, strict=True) if not is_own}
+    return tuple(name for name in freed if held.isdisjoint(components((name,))))
+
+
+def exact_squares(view: PointView) -> float:
+    """Return the squares (px^2) that rounding and the last step leave."""
+    px = EXACT * FINE_PX[np.dtype(view.film.e.dtype)]
+    return px**2 * view.number
+
+
+def rms_limit(view: PointView, given: float | None, reach: float | None) -> float:
+    """Return the root mean square distance (px) above which a view's points are not explained: that
+    of the variance that is given, of outliers, or what is large on the film."""
+    if given is not None:
+        return TIMES * float(np.sqrt(2 * given * view.number / np.sum(view.weight)))
+    if reach is not None:
+        return reach
+    seen_at = view.seen_at[view.weight > 0]
+    spread = float(np.sqrt(np.mean(np.sum((seen_at - seen_at.mean(axis=0)) ** 2, axis=1))))
+    diagonal = float(np.hypot(view.film.W, view.film.H))
+    return max(LEAST_PX, min(SPREAD * spread, DIAGONAL * diagonal))
+
+
+def _shows(view: PointView) -> np.ndarray:
+    """Return which points count enough to show anything."""
+    return view.weight > NEGLIGIBLE * np.max(view.weight)

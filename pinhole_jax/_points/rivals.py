@@ -1,0 +1,131 @@
+"""Other cameras that see a view's points as well: reversed depths of a plane, poses of three points
+of few."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .._camera.axes import angle
+from .._fit.places import APART
+from .._solver.least_squares import levenberg_marquardt
+from .._solver.parameters import labels_of
+from .._solver.priors import Prior
+from .._solver.problem import FINE_PX
+from .._solver.uncertainty import BLIND
+from .noise import Noise, exact_squares, own_of
+from .starts import apart, by_three, is_few, placed, seen_from_behind
+from .views import PointProblem, PointView
+
+#: This many descents from other places at most, of so many steps at most.
+DESCENTS, STEPS = 4, 50
+#: Starts closer than this (rad) lead to the same place; of three points all do that are apart.
+CLOSE, APART_OF_THREE = np.deg2rad(3), 1e-3
+#: Squares that differ by a smaller share are equal.
+EQUAL = 1e-6
+
+
+class _Place(NamedTuple):
+    view: PointView
+    squares: float
+    ended: bool
+
+
+def rivals(view: PointView, own: np.ndarray, noise: Noise, limit: float) -> list[PointView]:
+    """Return where a view's points are seen best, and the other places that are as good by chance:
+    those that are equal by their turn from the start, then by their squares.
+
+    What is shared is held. More is looked for where points are off by more than the limit (px).
+    """
+    here = _Place(view, _squares(view), True)
+    is_somewhere = bool(np.isfinite(here.squares))
+    explained = is_somewhere and _rms(view) <= limit
+    begin = view if is_somewhere else placed(view, view.film)
+    starts = _starts(begin, explained) if "pose" in view.freed else []
+    if not starts or (explained and _is_blind(_alone(view, own))):
+        return [view]
+    near = APART if noise.freedom > 0 else APART_OF_THREE
+    places = [here] if is_somewhere else []
+    for start in starts if is_somewhere else [begin, *starts]:
+        there = _descended(start, own)
+        if not np.isfinite(there.squares):
+            continue
+        same = [k for k, p in enumerate(places) if angle(p.view.camera, there.view.camera) <= near]
+        if not same:
+            places.append(there)
+        elif there.squares + exact_squares(view) < places[same[0]].squares / 2:
+            places[same[0]] = there
+    return _ranked(places, noise, view) if places else [view]
+
+
+def _ranked(places: list[_Place], noise: Noise, view: PointView) -> list[PointView]:
+    """Return the best places and those that are as good by chance."""
+    least = min(place.squares for place in places)
+    equal, likely = least * (1 + EQUAL) + exact_squares(view), least + noise.by_chance
+
+    def order(place: _Place) -> tuple[bool, float]:
+        is_worse = place.squares > equal
+        return is_worse, place.squares if is_worse else angle(place.view.camera, view.film)
+
+    good = [p for p in places if p.squares <= equal or (p.ended and p.squares <= likely)]
+    return [place.view for place in sorted(good, key=order)]
+
+
+def _rms(view: PointView) -> float:
+    """Return the root mean square distance of points from where they are seen (px)."""
+    return float(np.sqrt(float(view.look().sum_squares) / np.sum(view.weight)))
+
+
+def _squares(view: PointView) -> float:
+    """Return the sum of squares, infinite where points are behind the eye, or that is so far away
+    that it looks nowhere."""
+    seen = view.look()
+    looks = np.any(np.asarray(view.camera.p) != np.asarray(view.camera.e))
+    right = looks and float(seen.nearest) > 0 and np.isfinite(seen.squares)
+    return seen.squares if right else np.inf
+
+
+def _starts(view: PointView, explained: bool) -> list[PointView]:
+    """Return where else to descend from: the reversed depths of a plane; and of few points, or
+    where they are not explained, the user's pose and those that meet three points."""
+    reverse = seen_from_behind(view)
+    result = [] if reverse is None else [reverse]
+    if is_few(view) or not explained:
+        result += [placed(view, view.film), *by_three(view)]
+    if view.number == 3:
+        result.sort(key=_squares)
+    # (Those that are close to this view lead to it; those of three points are where they end.)
+    close = APART_OF_THREE if view.number == 3 else CLOSE
+    return apart([view, *result], close)[1 : 1 + DESCENTS]
+
+
+def _is_blind(view: PointView) -> bool:
+    """Return whether points do not show some direction: what lies along it is no other place."""
+    values = np.linalg.svd(np.asarray(view.look().triangle, float), compute_uv=False)
+    return not values[-1] > BLIND[np.dtype(view.film.e.dtype)] * values[0]
+
+
+def _descended(start: PointView, own: np.ndarray) -> _Place:
+    """Return where a view descends to by itself, what is shared being held."""
+    alone = _alone(start, own)
+    problem = PointProblem.of([alone], np.ones(int(own.sum()), bool))
+    found = levenberg_marquardt(problem, [alone], STEPS, FINE_PX[problem.dtype])
+    there = start._replace(camera=found.state[0].camera)
+    return _Place(there, _squares(there), found.ended)
+
+
+def _alone(view: PointView, own: np.ndarray) -> PointView:
+    """Return the view in which what is shared is held."""
+    freed = own_of(view.freed, own)
+    return view._replace(freed=freed, prior=_of_labels(view.prior, labels_of(freed)))
+
+
+def _of_labels(prior: Prior | None, labels: tuple[str, ...]) -> Prior | None:
+    """Return what a prior says of these labels, None if that is nothing."""
+    if prior is None:
+        return None
+    which = [k for k, label in enumerate(prior.labels) if label in labels]
+    if not which:
+        return None
+    some = np.array(which)
+    names = tuple(prior.labels[k] for k in which)
+    return Prior(names, prior.mean[some], prior.std[some], prior.noise)

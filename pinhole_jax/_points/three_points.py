@@ -1,0 +1,131 @@
+"""All poses from which three points are seen along three lines of sight: P3P.
+
+Source: R. Haralick et al., "Review and Analysis of Solutions of the Three Point Perspective Pose
+Estimation Problem" (1994): Grunert's equations and his quartic, of 1841.
+"""
+
+import itertools
+
+import numpy as np
+from jaxtyping import Float
+
+#: Newton steps on the three distances.
+STEPS = 12
+#: Three points are of a line where the sine of a corner of theirs is below this.
+THIN = 1e-6
+#: Distances that differ by a smaller share are the same, and ones that leave a side off by a larger
+#: share of the longest are none.
+SAME, OFF = 1e-6, 0.1
+
+Pose = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
+
+
+def poses_of_three(
+    points: Float[np.ndarray, "T 3 3"], rays: Float[np.ndarray, "T 3 3"]
+) -> list[Pose]:
+    """Return rotations and translations that bring three points (rows) onto their rays (unit), in
+    front of the eye: of each triangle up to four, none of three points of a line.
+
+    Where noise leaves no exact pose, two that nearly meet are replaced by what lies between them.
+    """
+    p, q = [1, 2, 0], [2, 0, 1]  # side k is opposite to point k, and so is the angle of two rays
+    sides = np.sum((points[:, p] - points[:, q]) ** 2, axis=2)
+    cosines = np.sum(rays[:, p] * rays[:, q], axis=2)
+    begin = [
+        (k, depths)
+        for k in np.flatnonzero(_are_triangles(points))
+        for depths in _depths(sides[k], cosines[k])
+    ]
+    if not begin:
+        return []
+    which = np.array([k for k, _ in begin])
+    depths, off = _polished(np.array([d for _, d in begin]), sides[which], cosines[which])
+    good = np.all(depths > 0, axis=1) & (off < OFF * sides[which].max(axis=1))
+    result: list[Pose] = []
+    for k in np.unique(which[good]):
+        some = depths[good & (which == k)]
+        for n, one in enumerate(some):
+            if not any(np.allclose(one, other, rtol=SAME) for other in some[:n]):
+                result.append(moved_onto(points[k], one[:, None] * rays[k]))
+    return result
+
+
+def _are_triangles(points: np.ndarray) -> np.ndarray:
+    """Return which threes of points (T, 3, 3) are of no line."""
+    a, b = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
+    size = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
+    return (np.linalg.norm(np.cross(a, b), axis=1) > THIN * size) & (size > 0)
+
+
+def _depths(sides: np.ndarray, cosines: np.ndarray) -> list[np.ndarray]:
+    """Return distances (3,) from the eye by Grunert's quartic, not yet polished."""
+    result = []
+    for v in _ratios(*sides, *cosines):
+        first = sides[1] / max(1 + v * v - 2 * v * cosines[1], 1e-300)
+        # The second point's distance, by the side between it and the first: one of two.
+        half = cosines[2]
+        root = np.sqrt(max(half * half - 1 + sides[2] / first, 0.0))
+        result += [np.sqrt(first) * np.array([1, u, v]) for u in (half - root, half + root)]
+    return result
+
+
+def _ratios(a: float, b: float, c: float, x: float, y: float, z: float) -> np.ndarray:
+    """Return the real parts of all ratios of the third distance to the first: the roots of
+    Grunert's quartic, of squared sides a, b, c and cosines x, y, z of the angles opposite."""
+    p, q, r, s = (a - c) / b, (a + c) / b, (b - c) / b, (b - a) / b
+    quartic = [
+        (p - 1) ** 2 - 4 * c / b * x * x,
+        4 * (p * (1 - p) * y - (1 - q) * x * z + 2 * c / b * x * x * y),
+        2 * (p * p - 1 + 2 * p * p * y * y + 2 * r * x * x - 4 * q * x * y * z + 2 * s * z * z),
+        4 * (-p * (1 + p) * y + 2 * a / b * z * z * y - (1 - q) * x * z),
+        (1 + p) ** 2 - 4 * a / b * z * z,
+    ]
+    roots = np.roots(quartic) if np.all(np.isfinite(quartic)) else np.zeros(0)
+    return np.unique(roots.real[roots.real > 0])
+
+
+def _polished(
+    depths: np.ndarray, sides: np.ndarray, cosines: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return distances (m, 3) after Gauss-Newton on the squared sides, and how far off the worst of
+    these then is (m,)."""
+    k, p, q = [0, 1, 2], [1, 2, 0], [2, 0, 1]
+
+    def off() -> np.ndarray:
+        a, b = depths[:, p], depths[:, q]
+        return a * a + b * b - 2 * a * b * cosines - sides
+
+    for _ in range(STEPS):
+        slope = np.zeros((len(depths), 3, 3))
+        slope[:, k, p] = 2 * (depths[:, p] - depths[:, q] * cosines)
+        slope[:, k, q] = 2 * (depths[:, q] - depths[:, p] * cosines)
+        depths = depths - (np.linalg.pinv(slope, rcond=1e-9) @ off()[..., None])[..., 0]
+    return depths, np.abs(off()).max(axis=1)
+
+
+def moved_onto(points: np.ndarray, seen: np.ndarray, about_middle: bool = True) -> Pose:
+    """Return the rotation and the translation that bring points onto others (Kabsch 1976), none
+    but a rotation unless it may be about their middle."""
+    middle, there = (x.mean(axis=0) * about_middle for x in (points, seen))
+    left, _, right = np.linalg.svd((seen - there).T @ (points - middle))
+    flip = np.array([1, 1, np.linalg.det(left @ right)])
+    rotation = (left * flip) @ right
+    return rotation, there - rotation @ middle
+
+
+def triangles(
+    points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"], most: int
+) -> np.ndarray:
+    """Return the indices (T, 3) of this many triangles at most, those that are largest in the world
+    and where they are seen first."""
+    threes = np.array([*itertools.combinations(range(len(points)), 3)])
+    world, image = (_areas(x[threes]) for x in (points, seen_at))
+    order = np.argsort(-np.round(np.log(np.maximum(world * image, 1e-300)), 9), kind="stable")
+    return threes[order[:most]]
+
+
+def _areas(corners: np.ndarray) -> np.ndarray:
+    """Return the areas of triangles (m, 3, k)."""
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across = np.sum(a * b, axis=1) ** 2
+    return np.sqrt(np.maximum(np.sum(a * a, axis=1) * np.sum(b * b, axis=1) - across, 0)) / 2
