@@ -16,6 +16,7 @@ from ._camera.rays import (
     rays_through as rays_through,
 )
 from ._files.cache import cache as cache
+from ._files.process import set_up as set_up
 from ._fit.drift import Drift as Drift, drift as drift
 from ._fit.fit_camera import fit_camera as fit_camera
 from ._fit.fit_lanes import Lanes as Lanes, fit_lanes as fit_lanes

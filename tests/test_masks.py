@@ -76,7 +76,7 @@ def test_a_mask_that_covers_all_or_nothing_is_left_to_the_fit(tmp_path):
 
 
 def disc(softness=1.0):
-    """A disc, its edge soft over so many pixels."""
+    """Return a disc whose edge is soft over some pixels."""
     y, x = np.mgrid[:H, :W]
     return np.clip((28.5 - np.hypot(x - 50.3, y - 41.7)) / softness, 0, 1)
 

@@ -54,7 +54,7 @@ Turn the cameras of IN into another program's file. Formats, and the endings tha
 DATASETS = """\
 a data set is one of
   BOP      a split's folder, or one scene's: scene_camera.json, scene_gt.json, mask_visib
-  a table  .csv, .jsonl or .parquet: a record a row, with the columns id, mesh, mask, and of K (four
+  a table  .csv or .jsonl: a record a row, with the columns id, mesh, mask, and of K (four
            numbers or nine), dist, fov, camera, start, free, ... what is known; paths are relative
            to it
   a folder with one mesh, masks (or a folder `masks`), and camera.json, --K or --fov
@@ -116,7 +116,7 @@ VERBS = {
         "RESULTS. What is stopped, by whatever, goes on with --resume.\n"
         "Exit status: 0 each record has a row, 1 some have no fit (their rows say why), 2 bad"
         " input.",
-        "dataset -o/--output --workers --shard --resume --retry --time-limit --merge --report"
+        "dataset -o/--output --workers --shard --resume --retry --time-limit --merge"
         " --write --start --models --detections --K|--fov --pixel-centres --free --mask-from"
         " --verbose --no-cache",
         DATASETS,
@@ -201,7 +201,6 @@ OPTIONS = {
     "--refine": ("", "fit to the colours of the photos, too, where they tell"),
     "--report": ("PAGE.html", "write a page with pictures, errors, all formats"),
     "hand-eye --report": ("PAGE.html", "write one page about all of it"),
-    "batch --report": ("PAGE.html", "write totals and the worst rows"),
     "--in-hand": ("LINK", "the link that carries the camera"),
     "--leave-out": ("LINKS", "links that the masks do not show, with commas"),
     "--joint-zeros": (
@@ -218,7 +217,7 @@ OPTIONS = {
     "--resume": ("", "fit what has no row in RESULTS yet"),
     "--retry": ("STATUSES", "fit these anew, too: failed,timed_out,crashed"),
     "--time-limit": ("SECONDS", "what one record may take, 0: any time (default: %(default)g)"),
-    "--merge": ("TABLE", "write all rows: .parquet, .jsonl, .csv"),
+    "--merge": ("TABLE", "write all rows: .jsonl or .csv"),
     "--write": ("ID CAMERA", "write a row's camera as any file that `convert` writes"),
     "--start": ("", "start from BOP's poses, else search"),
     "--models": ("FOLDER", "BOP's models (default: beside it)"),

@@ -19,7 +19,6 @@ from ..batch import (
     fit_many,
     fit_of,
     merge,
-    page,
     read_dataset,
     shard_of,
 )
@@ -43,11 +42,10 @@ ASKED = {
 
 def run(options: argparse.Namespace, progress: Progress) -> int:
     """Fit what is not done, write what is asked for; return 0, or 1 where a record failed."""
-    asked = [options.merge, options.report, options.write]
-    if options.dataset is None and not any(asked):
-        raise ValueError("`DATASET`: expected one, or --merge, --report or --write, got none")
+    if options.dataset is None and not (options.merge or options.write):
+        raise ValueError("`DATASET`: expected one, or --merge or --write, got none")
     rows = None if options.dataset is None else Path(options.output) / "rows"
-    check_outputs(output=rows, merge=options.merge, report=options.report)
+    check_outputs(output=rows, merge=options.merge)
     if options.fov is not None:
         check_fov(options.fov, progress.tell)
     with named(out="--output"):
@@ -60,7 +58,7 @@ def run(options: argparse.Namespace, progress: Progress) -> int:
     print(f"rows       {len(results)} in {options.output}")
     for status, count in counts.items():
         print(f"  {count:6d}   {status}")
-    asked = [options.merge, options.report, options.write and options.write[1]]
+    asked = [options.merge, options.write and options.write[1]]
     there = replaced([path for path in asked if path is not None])
     if written := list(_written(options, results)):
         print(f"written    {', '.join(written)}{there}")
@@ -143,10 +141,6 @@ def _written(options: argparse.Namespace, results: Results) -> Iterator[str]:
             count = merge(results, options.merge)
         left_out = len(results) - count
         yield options.merge + (f" (without {left_out} rows that have no camera)" * (left_out > 0))
-    if options.report is not None:
-        with named(path="--report"):
-            page.write(options.report, results)
-        yield options.report
     if options.write is not None:
         id, path = options.write
         with named(id="--write", row="--write", path="--write", cameras="--write"):

@@ -7,12 +7,18 @@ import jax
 from .cache import cache
 
 
-def set_up(cached: bool, *, quick: bool = False) -> None:
-    """Set what an application may and a library may not: float64, a cache of compiled programs, and
-    the CPU, unless `JAX_PLATFORMS` names another machine.
+def set_up(cached: bool = True, *, quick: bool = False) -> None:
+    """Set JAX up as the command does: float64, a cache of compiled programs, and the CPU, unless
+    `JAX_PLATFORMS` names another machine.
 
+    An application may set this, a library may not: call it first, before JAX has computed anything.
     One fit is many small kernels in turn: an NVIDIA H200 takes 2 to 13 times as long for it, and
     twice as long to compile it; and each process would claim most of the accelerator's memory.
+    `quick` as in `cache`.
+
+    ```python
+    pj.set_up(cached=False)  # float64, on the CPU
+    ```
     """
     jax.config.update("jax_enable_x64", True)
     if not jax.config.jax_platforms:  # pyright: ignore[reportAttributeAccessIssue]

@@ -5,7 +5,6 @@
 engines of other kinds.
 """
 
-from . import page as page
 from .datasets import Dataset as Dataset, read_dataset as read_dataset
 from .fit_many import Count as Count, fit_many as fit_many
 from .fit_one import fit_one as fit_one

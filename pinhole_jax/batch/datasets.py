@@ -9,28 +9,16 @@ from pathlib import Path
 from reprlib import repr as brief
 from typing import Any
 
-from .._files.naming import named
-from .._files.paths import (
-    existing,
-    is_folder,
-    parse_json,
-    path_of,
-    read_bytes,
-    read_json,
-    text_of,
-)
-from .records import FIELDS, MAY_BE_NONE, PATHS, Record
+from .records import FIELDS, PATHS, Record
 
 #: The endings of meshes, masks and tables.
 MESHES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
 MASKS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".pgm")
-TABLES = (".csv", ".jsonl", ".parquet")
+TABLES = (".csv", ".jsonl")
 #: Where BOP keeps its models, beside the splits.
 MODELS = ("models", "models_eval", "models_cad")
 #: What Python and spreadsheets write of JSON's words.
 WORDS = {"True": "true", "False": "false", "TRUE": "true", "FALSE": "false", "None": "null"}
-#: A table may be large.
-MOST_BYTES = 1 << 32
 
 
 class Dataset:
@@ -68,8 +56,8 @@ def read_dataset(
       folder of obj_000001.ply and so on (None: beside the split). `detections`: a JSON of COCO's,
       as BOP's segmentation challenge has them (with `scene_id`), whose masks take the place of
       `mask_visib`. Ids are split/scene/image/object/number.
-    - A table (.csv, .jsonl, .parquet): a record a row; paths are relative to it. A CSV's K, dist
-      and start are numbers between blanks.
+    - A table (.csv, .jsonl): a record a row; paths are relative to it. A CSV's K, dist and start
+      are numbers between blanks.
     - A folder: one mesh, masks (those in `masks`, if there is one), and a camera's file
       `camera.json` or what `fields` say. An id is a mask's path.
 
@@ -84,20 +72,23 @@ def read_dataset(
     """
     if unknown := [name for name in fields if name not in FIELDS]:
         raise ValueError(f"`{unknown[0]}`: expected fields among {', '.join(FIELDS)}")
-    place = path_of(path)
+    place = Path(path)
     rest = {name: value for name, value in fields.items() if value is not None}
-    if not is_folder(place):
-        existing(place, "a data set", MOST_BYTES)
+    if not place.exists():
+        raise FileNotFoundError(f"`path`: expected a data set, got {str(path)!r}: no such file")
+    if not place.is_dir():
         if place.suffix.lower() not in TABLES:
             words = f"expected a folder or one of {', '.join(TABLES)}, got {str(path)!r}"
             raise ValueError(f"`path`: {words}")
         return Dataset("table", lambda: _with(rest, _of_table(place)))
-    scenes = _scenes(place)
-    if scenes:
-        shapes = _models(place, models)
-        seen = None if detections is None else _detected(detections, scenes)
-        return Dataset("BOP", lambda: _with(rest, _of_bop(scenes, shapes, seen, start)))
-    return Dataset("folder", lambda: _with(rest, _of_folder(place)))
+    camera = "scene_camera.json"
+    folders = [place.resolve(), *sorted(place.resolve().iterdir())]
+    scenes = [folder for folder in folders if (folder / camera).is_file()]
+    if not scenes:
+        return Dataset("folder", lambda: _with(rest, _of_folder(place)))
+    shapes = _models(place, models)
+    seen = None if detections is None else _detected(Path(detections), scenes)
+    return Dataset("BOP", lambda: _with(rest, _of_bop(scenes, shapes, seen, start)))
 
 
 def _with(fields: dict[str, Any], records: Iterator[Record]) -> Iterator[Record]:
@@ -109,104 +100,96 @@ def _with(fields: dict[str, Any], records: Iterator[Record]) -> Iterator[Record]
         yield {**{n: v for n, v in fields.items() if not (own and n in of_way)}, **record}
 
 
-def _scenes(place: Path) -> list[Path]:
-    """Return the folders of BOP's scenes at a path, itself or those in it."""
-    if (place / "scene_camera.json").is_file():
-        return [place.resolve()]
-    return sorted(f for f in place.resolve().iterdir() if (f / "scene_camera.json").is_file())
-
-
 def _models(place: Path, models: str | os.PathLike[str] | None) -> Path:
-    if models is not None:
-        if not is_folder(models):
-            raise ValueError(f"`models`: expected a folder, got {str(models)!r}")
-        return path_of(models)
     above = place.resolve().parents[:2]
-    found = [folder / name for folder in above for name in MODELS if (folder / name).is_dir()]
-    if not found:
-        raise ValueError(
-            f"`models`: expected the folder of the models, as there is no {' or '.join(MODELS)}"
-            f" beside {str(place)!r}"
-        )
-    return found[0]
+    places = [Path(models)] if models else [folder / name for folder in above for name in MODELS]
+    if found := [folder for folder in places if folder.is_dir()]:
+        return found[0]
+    words = f"got {str(models)!r}" if models else f"as there is no {' or '.join(MODELS)} beside it"
+    raise ValueError(f"`models`: expected the folder of the models of {str(place)!r}, {words}")
 
 
 def _of_bop(
-    scenes: list[Path], models: Path, detections: dict[Path, list[Any]] | None, start: bool
+    scenes: list[Path], models: Path, detections: dict[int, list[Any]] | None, start: bool
 ) -> Iterator[Record]:
     for scene in scenes:
-        cameras = _by_image(scene / "scene_camera.json", "BOP's cameras")
+        cameras = _json(scene / "scene_camera.json", "`path`", dict)
         if detections is None:
-            found = _labelled(scene, _by_image(scene / "scene_gt.json", "BOP's objects"), start)
+            found = _labelled(scene, start)
         else:
-            found = _segmented(detections.get(scene, []))
+            found = _segmented(detections.get(int(scene.name), []))
         for image, number, object_, fields in found:
-            id = f"{scene.parent.name}/{scene.name}/{image}/{object_}/{number}"
-            camera = cameras.get(image)
-            K = camera.get("cam_K") if isinstance(camera, dict) else None
-            mesh = models / f"obj_{object_:06d}.ply"
-            yield {"id": id, "mesh": str(mesh), **({} if K is None else {"K": K}), **fields}
-
-
-def _by_image(path: Path, kind: str) -> dict[str, Any]:
-    data = read_json(path, kind)
-    if not isinstance(data, dict):
-        raise ValueError(f"`path`: expected {kind} by image, got {str(path)!r}: {brief(data)}")
-    return data
-
-
-def _labelled(
-    scene: Path, objects: dict[str, list[dict[str, Any]]], start: bool
-) -> Iterator[tuple[str, int, int, dict[str, Any]]]:
-    """Yield the image, the number in it, the object, and the mask of each that BOP has labelled."""
-    for image, poses in objects.items():
-        place = f"`path`: {scene / 'scene_gt.json'}, image {image!r}"
-        file = _whole(image, f"{place}: expected the image's number")
-        for number, pose in enumerate(_items(poses, place)):
-            object_ = _whole(pose.get("obj_id"), f"{place}: expected `obj_id`, a number")
-            fields: dict[str, Any] = {
-                "mask": str(scene / "mask_visib" / f"{file:06d}_{number:06d}.png")
+            K = cameras.get(image, {}).get("cam_K")
+            yield {
+                "id": f"{scene.parent.name}/{scene.name}/{image}/{object_}/{number}",
+                "mesh": str(models / f"obj_{object_:06d}.ply"),
+                **({} if K is None else {"K": K}),
+                **fields,
             }
+
+
+#: An image, a number in it, an object, and the fields of its record.
+_Objects = Iterator[tuple[str, int, int, dict[str, Any]]]
+
+
+def _labelled(scene: Path, start: bool) -> _Objects:
+    """Yield what BOP has labelled in a scene."""
+    file = scene / "scene_gt.json"
+    for image, poses in _json(file, "`path`", dict).items():
+        place = f"`path`: {str(file)!r}, image {image!r}"
+        stem = _whole(image, f"{place}: expected the image's number")
+        for number, pose in enumerate(_items(poses, place)):
+            mask = scene / "mask_visib" / f"{stem:06d}_{number:06d}.png"
+            fields: dict[str, Any] = {"mask": str(mask)}
             if start:
                 R, t = pose.get("cam_R_m2c"), pose.get("cam_t_m2c")
                 if not (isinstance(R, list) and isinstance(t, list) and (len(R), len(t)) == (9, 3)):
                     raise ValueError(f"{place}: expected `cam_R_m2c` and `cam_t_m2c` to start from")
                 rows = [[*R[3 * k : 3 * k + 3], t[k]] for k in range(3)]
                 fields["start"] = [*rows, [0, 0, 0, 1]]
+            object_ = _whole(pose.get("obj_id"), f"{place}: expected `obj_id`, a number")
             yield image, number, object_, fields
 
 
-def _detected(path: str | os.PathLike[str], scenes: list[Path]) -> dict[Path, list[Any]]:
-    """Return COCO's detections by the folder of their scene."""
-    with named(path="detections"):
-        text = text_of(read_bytes(path, "COCO's detections", MOST_BYTES), path, "JSON")
-        data = parse_json(text, path)
+def _detected(path: Path, scenes: list[Path]) -> dict[int, list[Any]]:
+    """Return COCO's detections by the number of their scene."""
+    data = _json(path, "`detections`", (list, dict))
     if isinstance(data, dict) and "annotations" in data:
         words = "expected a list of detections, as BOP's segmentation challenge has them"
         raise ValueError(f"`detections`: {words}, got COCO's annotations of its own images")
-    folders = {int(scene.name): scene for scene in scenes if scene.name.isdecimal()}
     if others := [scene.name for scene in scenes if not scene.name.isdecimal()]:
         words = "expected scenes' folders named by the `scene_id` of `detections`, as 000001"
         raise ValueError(f"`path`: {words}, got {others[0]!r}")
-    found: dict[Path, list[Any]] = {}
-    for number, one in enumerate(_items(data, "`detections`")):
+    by_scene: dict[int, list[Any]] = {}
+    for number, found in enumerate(_items(data, "`detections`")):
         words = f"`detections`: expected `scene_id`, the number of a BOP scene, in number {number}"
-        scene = _whole(one.get("scene_id"), words)
-        if scene in folders:
-            found.setdefault(folders[scene], []).append(one)
-    return found
+        by_scene.setdefault(_whole(found.get("scene_id"), words), []).append(found)
+    return by_scene
 
 
-def _segmented(found: list[Any]) -> Iterator[tuple[str, int, int, dict[str, Any]]]:
-    """Yield the image, the number in it, the object, and the mask of each detection."""
+def _segmented(detections: list[dict[str, Any]]) -> _Objects:
+    """Yield what was detected in a scene."""
     numbers: dict[int, int] = {}
-    for one in found:
+    for found in detections:
         image, object_ = (
-            _whole(one.get(name), f"`detections`: expected `{name}`, a number")
+            _whole(found.get(name), f"`detections`: expected `{name}`, a number")
             for name in ("image_id", "category_id")
         )
         number = numbers[image] = numbers.get(image, -1) + 1
-        yield str(image), number, object_, {"mask": one.get("segmentation")}
+        yield str(image), number, object_, {"mask": found.get("segmentation")}
+
+
+def _json(path: Path, name: str, kind: Any) -> Any:
+    """Return the data of a JSON file, which are of one of some kinds."""
+    try:
+        data = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{name}: expected a file, got {str(path)!r}: none") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise ValueError(f"{name}: expected JSON, got {str(path)!r}: {error}") from None
+    if not isinstance(data, kind):
+        raise ValueError(f"{name}: expected objects, got {str(path)!r}: {brief(data)}")
+    return data
 
 
 def _items(values: Any, place: str) -> list[dict[str, Any]]:
@@ -225,51 +208,26 @@ def _whole(value: Any, words: str) -> int:
 
 
 def _of_table(path: Path) -> Iterator[Record]:
-    for number, row in enumerate(_table_rows(path), 1):
-        record = {n: x for n, x in row.items() if x not in (None, "") or n in MAY_BE_NONE}
-        record["id"] = str(record.get("id", number))
-        for name in PATHS:
-            if isinstance(value := record.get(name), str):
-                record[name] = str(path.parent / value)
-        views = record.get("views")
-        for view in views if isinstance(views, list) else ():
-            if isinstance(view, dict) and isinstance(mask := view.get("mask"), str):
-                view["mask"] = str(path.parent / mask)
-        yield record
-
-
-def _table_rows(path: Path) -> Iterator[dict[str, Any]]:
-    ending = path.suffix.lower()
-    if ending == ".parquet":
-        try:
-            from pyarrow import parquet
-        except ModuleNotFoundError as error:
-            words = "Parquet is read by pyarrow: pip install 'pinhole-jax[batch]'"
-            raise ModuleNotFoundError(words, name=error.name) from error
-        for batch in parquet.ParquetFile(path).iter_batches(1000):
-            yield from batch.to_pylist()
-        return
     with open(path, encoding="utf-8-sig", newline="") as stream:
-        if ending == ".csv":
-            yield from map(_of_cells, csv.DictReader(stream))
-            return
-        for number, line in enumerate(filter(str.strip, stream), 1):
-            row = json.loads(line)
+        is_csv = path.suffix.lower() == ".csv"
+        rows: Any = csv.DictReader(stream) if is_csv else map(json.loads, filter(str.strip, stream))
+        for number, row in enumerate(rows, 1):
             if not isinstance(row, dict):
                 raise ValueError(f"`path`: expected an object in line {number} of {path.name}")
-            yield row
+            record = {n: _of_cell(n, x) if is_csv else x for n, x in row.items() if x != ""}
+            record["id"] = str(number if record.get("id") is None else record["id"])
+            for name in PATHS:
+                if isinstance(value := record.get(name), str):
+                    record[name] = str(path.parent / value)
+            yield record
 
 
-def _of_cells(cells: dict[str, Any]) -> dict[str, Any]:
-    """Return a CSV's cells as a record's values: what JSON reads is that, but for texts."""
-    row: dict[str, Any] = {}
-    for name, cell in cells.items():
-        row[name] = cell
-        is_text = name == "id" or (name in PATHS and not str(cell).startswith("{"))
-        if not is_text and isinstance(cell, str):
-            with contextlib.suppress(ValueError):
-                row[name] = json.loads(WORDS.get(cell, cell))
-    return row
+def _of_cell(name: str, cell: str) -> Any:
+    """Return a CSV's cell as a record's value: what JSON reads is that, but for texts."""
+    if name != "id" and (name not in PATHS or cell.startswith("{")):
+        with contextlib.suppress(TypeError, ValueError):
+            return json.loads(WORDS.get(cell, cell))
+    return cell
 
 
 def _of_folder(place: Path) -> Iterator[Record]:
@@ -281,9 +239,5 @@ def _of_folder(place: Path) -> Iterator[Record]:
     known = {"camera": str(camera)} if camera.is_file() else {}
     masks = place / "masks" if (place / "masks").is_dir() else place
     for file in sorted(f for f in masks.iterdir() if f.suffix.lower() in MASKS):
-        yield {
-            "id": file.relative_to(place).as_posix(),
-            "mesh": str(meshes[0]),
-            "mask": str(file),
-            **known,
-        }
+        id = file.relative_to(place).as_posix()
+        yield {"id": id, "mesh": str(meshes[0]), "mask": str(file), **known}

@@ -1,28 +1,18 @@
 """Records through an executor: each comes back as a row, whatever becomes of its process."""
 
 import itertools
-import math
 import multiprocessing
 import time
-from collections.abc import Generator, Iterable, Iterator
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    ThreadPoolExecutor,
-    wait,
-)
+from collections.abc import Generator, Iterable
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any
 
-from .._numerics.machine import usable_cores
 from . import worker
 from .records import Record
 from .rows import Row, empty_row
 from .worker import Setup
 
-#: Workers that end as they start are started this many times.
+#: A worker that ends as it starts is started this many times.
 STARTS = 3
 #: This many records a worker are on their way to an executor that is not our own.
 AHEAD = 4
@@ -33,160 +23,27 @@ def rows_of(
 ) -> Generator[Row, None, None]:
     """Yield a row for each record, as they come.
 
-    Without an executor: by worker processes that share the cores out. One that ends takes no
-    record with it: those that were being fitted are tried again, each alone in a process; what
-    ends that as well has "crashed".
+    Without an executor: by worker processes that share the cores out. A record that ends its
+    process, or fails in an executor, is given once more; then it has "crashed".
+
+    Raises RuntimeError where no worker starts, or the executor takes no more.
     """
-    if executor is not None:
-        yield from _by(executor, records, workers, setup)
-        return
-    count = workers if workers is not None else usable_cores()
-    pool = _Pool(count, setup._replace(workers=count))
-    try:
-        yield from _by_pool(pool, records)
-    finally:
-        pool.end()
-
-
-class _Pool:
-    """Worker processes, as many as asked for; `begin` makes new ones."""
-
-    def __init__(self, workers: int, setup: Setup):
-        self.workers, self.setup = workers, setup
-        self._context = multiprocessing.get_context("spawn")  # JAX does not survive a fork
-        self.begin()
-
-    def begin(self) -> None:
-        """Start workers; where one ends before it can work, start again a few times.
-
-        Raises RuntimeError where none can.
-        """
-        for _ in range(STARTS):
-            turn = self._context.Value("i", 0)
-            self._pool = ProcessPoolExecutor(
-                self.workers, self._context, worker.begin, (self.setup, turn)
-            )
-            try:
-                self._pool.submit(worker.ready).result()
-                return
-            except BrokenProcessPool:
-                self.end()
-        raise RuntimeError(
-            "no worker process could start: a script that calls `fit_many` does so below"
-            " `if __name__ == '__main__':`, since workers import it"
-        )
-
-    def submit(self, record: Record) -> Future[Row]:
-        return self._pool.submit(worker.run, record, self.setup)
-
-    def end(self) -> None:
-        """End all workers, whatever they are at."""
-        # (`kill_workers` does it from Python 3.14 on.)
-        for process in list((self._pool._processes or {}).values()):
-            process.kill()
-        self._pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _by_pool(pool: _Pool, records: Iterable[Record]) -> Iterator[Row]:
-    """Yield the rows that our own workers make, each of which has one record at a time."""
     waiting = iter(records)
-    running: _Running = {}
-    while True:
-        lost = False
-        while len(running) < pool.workers and (record := next(waiting, None)) is not None:
-            try:
-                running[pool.submit(record)] = record, time.monotonic()
-            except BrokenProcessPool:  # a worker ended while it had nothing to do
-                waiting, lost = itertools.chain([record], waiting), True
-                break
-        if not running and not lost:
-            return
-
-        # (With a limit the clock is looked at, too.)
-        pause = None if pool.setup.limit is None else 1.0
-        done, _ = wait(running, timeout=pause, return_when=FIRST_COMPLETED)
-        lost |= any(isinstance(future.exception(), BrokenProcessPool) for future in done)
-        stuck = _stuck(running, pool.setup.patience)
-        for future in [f for f in running if f.done() and not _is_broken(f)]:
-            record, _ = running.pop(future)
-            yield _row_of(future, record)
-        if lost or stuck:
-            pool.end()
-            yield from _each_alone(pool, running, stuck)
-            running = {}
-            pool.begin()
-
-
-def _is_broken(future: Future[Row]) -> bool:
-    return isinstance(future.exception(), BrokenProcessPool)
-
-
-def _row_of(future: Future[Row], record: Record) -> Row:
-    """Return a future's row; of one that its worker could not take or give back, why."""
-    error = future.exception()
-    if error is None:
-        return future.result()
-    return empty_row(record, "failed", f"{type(error).__name__}: {error}")
-
-
-_Running = dict[Future[Row], tuple[Record, float]]
-
-
-def _stuck(running: _Running, patience: float) -> set[str]:
-    """Return the ids of what has run for too long."""
-    now = time.monotonic()
-    return {record["id"] for record, since in running.values() if now - since > patience}
-
-
-def _each_alone(pool: _Pool, running: _Running, stuck: set[str]) -> Iterator[Row]:
-    """Yield the rows of what was running when all workers were ended: who was stuck has had its
-    time, and each of the others, which may have ended a process, has one of its own."""
-    patience = pool.setup.patience
-    too_long = f"took more than {pool.setup.limit} s, and did not end by itself"
-    suspects = []
-    for record, _ in running.values():
-        if record["id"] in stuck:
-            yield empty_row(record, "timed_out", too_long, patience)
-        else:
-            suspects.append(record)
-    pools: list[_Pool] = []
-
-    def alone(record: Record) -> Row:
-        single = _Pool(1, pool.setup)
-        pools.append(single)
-        future = single.submit(record)
-        wait([future], None if patience == math.inf else patience)
-        if not future.done():
-            return empty_row(record, "timed_out", too_long, patience)
-        if _is_broken(future):
-            return empty_row(record, "crashed", "its process ended, twice")
-        return _row_of(future, record)
-
-    with ThreadPoolExecutor(pool.workers) as threads:
-        try:
-            yield from threads.map(alone, suspects)
-        finally:
-            for single in pools:
-                single.end()
-
-
-def _by(
-    executor: Executor, records: Iterable[Record], workers: int | None, setup: Setup
-) -> Iterator[Row]:
-    """Yield the rows that any executor makes; a record that fails there is given once more.
-
-    Raises RuntimeError where the executor takes no more.
-    """
-    ahead = AHEAD * (workers if workers is not None else _size(executor))
-    waiting = iter(records)
-    running: dict[Future[Row], tuple[Record, int]] = {}
+    if executor is None:
+        ahead = workers if workers is not None else worker.usable_cores()
+        first = [*itertools.islice(waiting, ahead)]
+        waiting = itertools.chain(first, waiting)
+        own = [_Worker(k, setup._replace(workers=ahead)) for k in range(len(first))]
+    else:
+        ahead, own = AHEAD * (workers or getattr(executor, "_max_workers", 8)), []
+    running: dict[Future[Row], tuple[Record, int, float]] = {}
 
     def give(record: Record, tries: int) -> None:
-        try:
-            running[executor.submit(worker.run, record, setup)] = record, tries
-        except RuntimeError as error:  # (a broken pool's is one)
-            words = "it takes no more records; what is done is kept, call again with another one"
-            raise RuntimeError(f"`executor`: {words}: {error}") from error
+        if executor is None:
+            future = next(one for one in own if one.future not in running).give(record)
+        else:
+            future = _given(executor, record, setup)
+        running[future] = record, tries, time.monotonic()
 
     try:
         while True:
@@ -194,11 +51,18 @@ def _by(
                 give(record, 1)
             if not running:
                 return
-            done, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                record, tries = running.pop(future)
-                error = future.exception()
-                if error is None:
+            # (With a limit the clock is looked at, too.)
+            wait(running, None if setup.limit is None else 1.0, FIRST_COMPLETED)
+            for future, (record, tries, since) in [*running.items()]:
+                late = own and time.monotonic() - since > setup.patience
+                if not future.done() and not late:
+                    continue
+                del running[future]
+                if not future.done():
+                    next(one for one in own if one.future is future).begin()
+                    words = f"took more than {setup.limit} s, and did not end by itself"
+                    yield empty_row(record, "timed_out", words, setup.patience)
+                elif (error := future.exception()) is None:
                     yield future.result()
                 elif tries == 1:
                     give(record, 2)
@@ -207,14 +71,53 @@ def _by(
     finally:
         for future in running:
             future.cancel()
+        for one in own:
+            one.end()
 
 
-def _size(executor: Any) -> int:
-    """Return how many workers an executor has, as far as it tells."""
-    known = getattr(executor, "_max_workers", None)
-    if isinstance(known, int):
-        return known
-    client = getattr(executor, "_client", None)  # dask.distributed's
-    threads = getattr(client, "nthreads", None)
-    nodes: Any = threads() if callable(threads) else {}
-    return sum(nodes.values()) or 8
+def _given(executor: Executor, record: Record, setup: Setup) -> Future[Row]:
+    try:
+        return executor.submit(worker.run, record, setup)
+    except RuntimeError as error:  # (a broken pool's is one)
+        words = "it takes no more records; what is done is kept, call again with another one"
+        raise RuntimeError(f"`executor`: {words}: {error}") from error
+
+
+class _Worker:
+    """A process of our own, and the `future` of what it was given last: one record at a time."""
+
+    _pool: ProcessPoolExecutor | None = None
+
+    def __init__(self, number: int, setup: Setup):
+        self._arguments = setup, number
+        self.begin()
+
+    def begin(self) -> None:
+        """Start the process anew."""
+        self.end()
+        context = multiprocessing.get_context("spawn")  # JAX does not survive a fork
+        self._pool = ProcessPoolExecutor(1, context, worker.begin, self._arguments)
+        self.future = self._ready = self._pool.submit(worker.ready)
+
+    def give(self, record: Record) -> Future[Row]:
+        """Return the row to come of a record that the process is given, when it has started."""
+        for _ in range(STARTS):
+            try:
+                self._ready.result()
+                assert self._pool is not None
+                self.future = self._pool.submit(worker.run, record, self._arguments[0])
+                return self.future
+            except BrokenProcessPool:
+                self.begin()
+        raise RuntimeError(
+            "no worker process could start: a script that calls `fit_many` does so below"
+            " `if __name__ == '__main__':`, since workers import it"
+        )
+
+    def end(self) -> None:
+        """End the process, whatever it is at."""
+        # (`kill_workers` does it from Python 3.14 on.)
+        if self._pool is not None:
+            for process in list((self._pool._processes or {}).values()):
+                process.kill()
+            self._pool.shutdown(wait=True, cancel_futures=True)

@@ -102,38 +102,29 @@ def fit_many(
     """
     _check(items, executor, workers, shard, time_limit, retry)
     results = None if out is None else Results(out)
-    done = Done({}, None) if results is None else results.done(but=retry)
+    done = Done() if results is None else results.done(but=retry)
     total, before = _planned(items, shard, done)
-    order: list[str] = []
-    waiting = _sorted(_left(items, shard, done, order if results is None else None))
+    kept: dict[str, Row] = {}
+    waiting = _sorted(_left(items, shard, done, kept))
     found = rows_of(waiting, executor, workers, Setup(cached, time_limit, TOKEN))
-    keep = _Kept() if results is None else Writer(results.folder)
+    writer = None if results is None else Writer(results.folder)
     statuses: Counter[str] = Counter()
     begin = time.perf_counter()
     try:
         for row in found:
-            keep.add(row)
+            if writer is None:
+                kept[row["id"]] = row
+            else:
+                writer.add(row)
             statuses[row["status"]] += 1
             if progress is not None:
                 seconds = time.perf_counter() - begin
                 progress(Count(statuses.total(), total, before, dict(statuses), seconds))
     finally:
         found.close()  # ends the workers, also of what was interrupted
-        keep.flush()
-    return [keep.rows[id] for id in order] if isinstance(keep, _Kept) else Results(keep.folder)
-
-
-class _Kept:
-    """Rows in memory, in place of a `Writer`."""
-
-    def __init__(self):
-        self.rows: dict[str, Row] = {}
-
-    def add(self, row: Row) -> None:
-        self.rows[row["id"]] = row
-
-    def flush(self) -> None:
-        pass
+        if writer is not None:
+            writer.flush()
+    return [*kept.values()] if results is None else results
 
 
 def _check(
@@ -152,8 +143,8 @@ def _check(
         raise ValueError(f"`shard`: expected (i, n) with i from 1 to n, got {shard!r}")
     if time_limit is not None and not (isinstance(time_limit, int | float) and time_limit > 0):
         raise ValueError(f"`time_limit`: expected positive seconds, got {time_limit!r}")
-    known = [*STATUSES, *NO_FIT]
     for name in [retry] if isinstance(retry, str) else retry:
+        known = [*STATUSES, *NO_FIT]
         if isinstance(retry, str) or name not in known:
             words = f"expected a list of statuses among {', '.join(known)}, got {name!r}"
             raise ValueError(f"`retry`: {words}")
@@ -182,15 +173,14 @@ def _left(
     items: Iterable[Record],
     shard: tuple[int, int],
     done: Done,
-    order: list[str] | None,
+    kept: dict[str, Row],
 ) -> Iterator[Record]:
-    """Yield the records that are not done, and note their ids in `order`."""
+    """Yield the records that are not done; rows that stay in memory get their places."""
     for record in _checked(items, shard):
         if not done.has(record):
-            record = plain_record(record)  # no worker is asked what a process cannot be handed
-            if order is not None:
-                order.append(record["id"])
-            yield record
+            if done.results is None:
+                kept[record["id"]] = {}
+            yield plain_record(record)  # no worker is asked what a process cannot be handed
 
 
 def _checked(items: Iterable[Record], shard: tuple[int, int]) -> Iterator[Record]:
@@ -217,4 +207,4 @@ def _sorted(records: Iterator[Record]) -> Iterator[Record]:
 
 
 def _shape_of(record: Record) -> tuple[str, str]:
-    return str(record.get("mesh", record.get("robot"))), str(record.get("free"))
+    return str(record.get("mesh")), str(record.get("free"))

@@ -5,12 +5,15 @@ import functools
 import json
 import math
 import os
+import re
 import threading
 import time
 import warnings
+from collections.abc import Iterator
 from typing import Any
 
-from .._files.naming import named
+import pinhole_jax as pj
+
 from .records import Record, asked, check_id, check_record, digest_of
 from .rows import Row, empty_row
 
@@ -39,8 +42,7 @@ def fit_one(record: Record) -> Row:
     said: list[str] = []
     try:
         checked = check_record(record)
-        fit = _joint(checked, said) if "views" in checked else _single(checked, said)
-        row = _row_of(checked, fit, "; ".join(said))
+        row = _row_of(checked, _fit(checked, said), "; ".join(said))
     except Exception as error:  # whatever a file makes a reader do: the others go on
         known = isinstance(error, ValueError | OSError | ModuleNotFoundError)
         words = str(error) if known else f"{type(error).__name__}: {error}"
@@ -48,101 +50,54 @@ def fit_one(record: Record) -> Row:
     return row | {"seconds": time.perf_counter() - begin}
 
 
-def mask_of(record: Record) -> Any:
-    """Return the pixels (H, W) of a record's one mask, uint8."""
-    return _mask(record, record["mask"], [])
-
-
-def scene_of(record: Record) -> Any:
-    """Return the scene of a record's mesh."""
-    with _opening:
-        return _scene(*_state(record["mesh"]))[0]
-
-
-def _single(record: Record, said: list[str]) -> Any:
-    """Return the fit of one mask."""
-    from .. import io
-    from .._fit.fit_camera import fit_camera
-
-    mask = _mask(record, record["mask"], said)
-    H, W = mask.shape
-    arguments = dict(_start(record, W, H))
-    for name in ("outlier_px", "max_steps", "prior", "bounds"):
-        if name in record:
-            arguments[name] = record[name]
-    with named(path="weight"):
-        if "weight" in record:
-            arguments["weight"] = io.load_mask(record["weight"], "luminance") / 255.0
-    with named(path="photo"):
-        if "photo" in record:
-            arguments["photo"] = io.load_image(record["photo"])[..., :3]
-    with named(path="mesh", vertices="mesh"), _opening:
-        scene, words = _scene(*_state(record["mesh"]))
+def _fit(record: Record, said: list[str]) -> Any:
+    """Return the fit of a record's mask; what is to be said of its files is added to `said`."""
+    mask = _mask(record, said)
+    arguments = _start(record, *mask.shape)
+    for name in {"outlier_px", "max_steps", "prior", "bounds"} & record.keys():
+        arguments[name] = record[name]
+    if "weight" in record:
+        with _named("weight"):
+            arguments["weight"] = pj.io.load_mask(record["weight"], "luminance") / 255.0
+    if "photo" in record:
+        with _named("photo"):
+            arguments["photo"] = pj.io.load_image(record["photo"])[..., :3]
+    with _named("mesh"), _opening:
+        scene, words = _scene(record["mesh"], _changed(record["mesh"]))
     said += words
-    return fit_camera(scene, mask, free=asked(record, "free"), **arguments)
+    return pj.fit_camera(scene, mask, free=asked(record, "free"), **arguments)
 
 
-def _joint(record: Record, said: list[str]) -> Any:
-    """Return the camera's fit of a robot's views."""
-    from .._joint.fit_joint import fit_joint
-    from .._joint.views import JointView
-
-    with named(path="robot"), _opening:
-        robot = _robot(*_state(record["robot"]), tuple(record.get("leave_out", ())))
-    hand = record.get("in_hand")
-    views = []
-    for view in record["views"]:
-        poses = robot.poses(view["angles"])
-        if hand is not None and hand not in poses:
-            raise ValueError(f"`in_hand`: expected a link among {', '.join(poses)}, got {hand!r}")
-        mount = None if hand is None else poses[hand]
-        views.append(JointView(robot.at(poses), _mask(record, view["mask"], said), mount=mount))
-    H, W = views[0].target.shape
-    start, free = _start(record, W, H), asked(record, "free")
-    search = start["camera"] is None
-    camera = start["camera"] if not search else _anywhere(start, free, W, H)
-    more = {name: record[name] for name in ("outlier_px", "max_steps") if name in record}
-    fit = fit_joint(views, camera, free, search=search, **more)
-    said += [words for words in fit.weak if words not in fit.cameras["camera"].weak]
-    return fit.cameras["camera"]._replace(status=fit.status)
+@contextlib.contextmanager
+def _named(field: str) -> Iterator[None]:
+    """Name a record's field in errors that name the argument of a reader."""
+    try:
+        yield
+    except (ValueError, OSError) as error:
+        text = re.sub("`(path|rle|vertices)`", f"`{field}`", str(error))
+        raise ValueError(text) from error
 
 
-def _anywhere(start: dict[str, Any], free: Any, W: int, H: int) -> Any:
-    """Return a camera that has the lens alone of one to look for."""
-    from .._camera.camera import unplaced
-    from .._solver.parameters import as_names
-
-    phi = start.get("phi")
-    if phi is None and not {"phi", "d"} & {*as_names(free)}:
-        raise ValueError("`K`: expected the intrinsics (or `fov`, or phi among `free`), got none")
-    phi = 0.7 if phi is None else phi
-    return unplaced(phi, W, H, start.get("lens"))
-
-
-def _mask(record: Record, mask: Any, said: list[str]) -> Any:
-    """Return a mask's pixels, uint8."""
-    from .. import io
-
-    with named(path="mask", rle="mask"):
-        invert = asked(record, "invert")
+def _mask(record: Record, said: list[str]) -> Any:
+    """Return the pixels of a record's mask, uint8."""
+    mask, invert = record["mask"], asked(record, "invert")
+    with _named("mask"):
         if isinstance(mask, str):
-            image = io.load_mask(mask, record.get("mask_from"), said.append, invert=invert)
+            image = pj.io.load_mask(mask, record.get("mask_from"), said.append, invert=invert)
         else:
-            image = io.mask_of_rle(mask)
+            image = pj.io.mask_of_rle(mask)
             image = 255 - image if invert else image
     if asked(record, "tidy"):
-        image, done = io.tidy_mask(image)
+        image, done = pj.io.tidy_mask(image)
         said += done
     return image
 
 
-def _start(record: Record, W: int, H: int) -> dict[str, Any]:
+def _start(record: Record, H: int, W: int) -> dict[str, Any]:
     """Return `fit_camera`'s `camera`, `phi` and `lens`.
 
     Raises ValueError for fields that do not go together.
     """
-    from .. import formats
-
     ways = [name for name in ("camera", "K", "fov") if name in record]
     if len(ways) > 1:
         raise ValueError(f"`{ways[1]}`: expected none beside `{ways[0]}`")
@@ -150,8 +105,8 @@ def _start(record: Record, W: int, H: int) -> dict[str, Any]:
         if ways != ["K"]:
             raise ValueError(f"`{name}`: expected `K` beside it, got none")
     if ways == ["camera"]:
-        with named(path="camera"):
-            return {"camera": formats.read_one(record["camera"])}
+        with _named("camera"):
+            return {"camera": pj.formats.read_one(record["camera"])}
     if ways == ["fov"]:
         fov = record["fov"]
         if not isinstance(fov, int | float) or not 0 < fov < 180:
@@ -169,11 +124,10 @@ def _of_K(record: Record, W: int, H: int) -> Any:
     """Return the camera of `K`, `dist` and `start`; without a start at the origin."""
     import numpy as np
 
-    from .._camera.distortion import BrownConrady, Rational
-    from ..formats import from_opencv
-
-    numbers = _numbers("K", record["K"], (4, 9))
-    K = numbers.reshape(3, 3) if len(numbers) == 9 else _matrix(*numbers)
+    K = _numbers("K", record["K"], (4, 9))
+    if len(K) == 4:
+        K = np.array([K[0], 0, K[2], 0, K[1], K[3], 0, 0, 1])
+    K = K.reshape(3, 3)
     if not (0 <= K[0, 2] <= W and 0 <= K[1, 2] <= H):
         words = f"inside the picture of {W} x {H} px, got ({K[0, 2]:g}, {K[1, 2]:g})"
         raise ValueError(
@@ -185,17 +139,9 @@ def _of_K(record: Record, W: int, H: int) -> Any:
     distortion = None
     if "dist" in record:
         dist = _numbers("dist", record["dist"], (4, 5, 8))
-        distortion = (Rational if len(dist) == 8 else BrownConrady)(*dist.tolist())
-    centres = asked(record, "pixel_centres")
-    return from_opencv(
-        K, pose[:3, :3], pose[:3, 3], W, H, pixel_centres=centres, distortion=distortion
-    )
-
-
-def _matrix(fx: float, fy: float, cx: float, cy: float) -> Any:
-    import numpy as np
-
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        distortion = (pj.Rational if len(dist) == 8 else pj.BrownConrady)(*dist.tolist())
+    more = {"pixel_centres": asked(record, "pixel_centres"), "distortion": distortion}
+    return pj.formats.from_opencv(K, pose[:3, :3], pose[:3, 3], W, H, **more)
 
 
 def _numbers(name: str, value: Any, counts: tuple[int, ...]) -> Any:
@@ -211,51 +157,34 @@ def _numbers(name: str, value: Any, counts: tuple[int, ...]) -> Any:
     raise ValueError(f"`{name}`: expected {few} finite numbers, got {value!r}")
 
 
-def _state(path: str) -> tuple[str, float]:
-    """Return a path and when its file changed: one that is written anew is read anew."""
+def _changed(path: str) -> float:
+    """Return when a file changed: one that is written anew is read anew."""
     try:
-        return path, os.stat(path).st_mtime
+        return os.stat(path).st_mtime
     except (OSError, TypeError, ValueError):
-        return path, 0.0  # its reader says why
+        return 0.0  # its reader says why
 
 
 @functools.lru_cache(OPEN)
 def _scene(path: str, changed: float) -> tuple[Any, list[str]]:
     """Return a mesh's scene, and what is to be said of it."""
     del changed
-    from .. import io
-    from .._scene.scene import Scene
-
     words: list[str] = []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        scene = Scene(mesh=io.load_mesh(path, say=words.append))
+        scene = pj.Scene(mesh=pj.load_mesh(path, say=words.append))
     return scene, words + [str(warning.message) for warning in caught]
-
-
-@functools.lru_cache(OPEN)
-def _robot(path: str, changed: float, leave_out: tuple[str, ...]) -> Any:
-    del changed
-    from ..robots import load_urdf
-
-    return load_urdf(path, leave_out)
 
 
 def _row_of(record: Record, fit: Any, words: str) -> Row:
     """Return a fit as a row."""
-    import numpy as np
-
-    from ..formats import to_opencv
-    from ..formats.native import camera_to_dict
-    from ..io.fits import fit_to_dict
-
-    row = empty_row(record, fit.status, words) | {"hash": digest_of(record)}
-    row |= {
+    row = empty_row(record, fit.status, words) | {
+        "hash": digest_of(record),
         "iou": float(fit.iou),
         "rms": float(fit.rms),
         "names": list(fit.names),
-        "std": np.asarray(fit.std, float).tolist(),
-        "covariance": np.asarray(fit.covariance, float).ravel().tolist(),
+        "std": fit.std.astype(float).tolist(),
+        "covariance": fit.covariance.astype(float).ravel().tolist(),
         "weak": list(fit.weak),
         "modes": len(fit.modes),
         "steps": [int(n) for n in fit.steps],
@@ -263,12 +192,11 @@ def _row_of(record: Record, fit: Any, words: str) -> Row:
     if fit.status == "non_finite":
         return row
     centres = asked(record, "pixel_centres")
-    K, R, t = to_opencv(fit.camera, pixel_centres=centres)
-    camera = camera_to_dict(fit.camera)
-    plain = fit_to_dict(fit._replace(history=()), pixel_centres=centres)
+    K, R, t = pj.formats.to_opencv(fit.camera, pixel_centres=centres)
+    plain = pj.io.fit_to_dict(fit._replace(history=()), pixel_centres=centres)
     return row | {
-        **{name: camera[name] for name in ("e", "p", "u", "phi", "W", "H")},
+        **{name: plain[name] for name in ("e", "p", "u", "phi", "W", "H")},
         **{name: x.ravel().tolist() for name, x in (("K", K), ("R", R), ("t", t))},
-        "lens": json.dumps(camera["lens"]),
+        "lens": json.dumps(plain["lens"]),
         "fit": json.dumps(plain),
     }

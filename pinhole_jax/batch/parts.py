@@ -1,6 +1,7 @@
 """Rows on disk: parts that appear whole or not at all. What has been done is what they hold."""
 
 import hashlib
+import itertools
 import json
 import os
 import secrets
@@ -11,16 +12,40 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from reprlib import repr as brief
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
-from .._files.paths import path_of, replace_file
 from .records import Record, plain_record, settings_of
 from .rows import Row, line_of, row_of
 
 #: Rows wait in memory for a part of this many, or this many seconds: what a crash loses.
 ROWS, SECONDS = 500, 10.0
-#: This many parts are open at a time while rows are read.
-MOST_OPEN = 128
+
+
+def write_whole(path: str | os.PathLike[str], lines: Iterable[str]) -> int:
+    """Write lines to a file that is there whole or not at all; return their number.
+
+    What is no file (a pipe, a device) is written to. Raises ValueError for what cannot be written.
+    """
+    target, count = Path(path), itertools.count()
+    is_file = target.is_file() or not target.exists()
+    temporary = target.with_name(f"tmp{secrets.token_hex(8)}") if is_file else target
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with open(temporary, "wb") as stream:
+            for line, _ in zip(lines, count, strict=False):
+                stream.write(f"{line}\n".encode(errors="backslashreplace"))
+            if is_file:
+                stream.flush()
+                os.fsync(stream.fileno())  # the disk has it before its name says so
+        if is_file:
+            temporary.replace(target)
+    except OSError as error:
+        words = f"expected a file to write, got {str(path)!r}: {error.strerror}"
+        raise ValueError(f"`path`: {words}") from error
+    finally:
+        if is_file:
+            temporary.unlink(missing_ok=True)
+    return next(count)
 
 
 class Writer:
@@ -49,13 +74,20 @@ class Writer:
             if self._timer is not None:
                 self._timer.cancel()
                 self._timer = None
-            if not self._waiting:
-                return
-            lines = [f"{line}\n".encode() for line in self._waiting]
-            # (Named by time: of one record's rows the last one counts.)
-            name = f"part-{time.time_ns():020d}-{secrets.token_hex(4)}.jsonl"
-            replace_file(self.folder / name, lines, lasting=True)
-            self._waiting = []
+            if self._waiting:
+                # (Named by time: of one record's rows the last one counts.)
+                name = f"part-{time.time_ns():020d}-{secrets.token_hex(4)}.jsonl"
+                write_whole(self.folder / name, self._waiting)
+                self._waiting = []
+
+
+class _Place(NamedTuple):
+    """A row's part, the bytes before it there, its status, and a digest of its settings."""
+
+    path: Path
+    offset: int
+    status: str
+    settings: bytes
 
 
 class Results:
@@ -73,19 +105,13 @@ class Results:
     folder: Path
 
     def __init__(self, folder: str | os.PathLike[str]):
-        self.folder = path_of(folder)
+        self.folder = Path(folder)
         if self.folder.exists() and not self.folder.is_dir():
             raise ValueError(f"`out`: expected a folder, got {str(folder)!r}: a file")
 
     def ids(self, but: Collection[str] = ()) -> set[str]:
         """Return the ids of all rows, but for those of some statuses."""
-        return {*self.done(but).settings}
-
-    def done(self, but: Collection[str] = ()) -> "Done":
-        """Return what has been done: all rows, but for those of some statuses."""
-        places = self._places()
-        settings = {id: place.settings for id, place in places.items() if place.status not in but}
-        return Done(settings, self)
+        return {id for id, place in self._places().items() if place.status not in but}
 
     def __len__(self) -> int:
         return len(self._places())
@@ -96,8 +122,7 @@ class Results:
 
     def rows(self, ids: Iterable[str]) -> list[Row]:
         """Return the rows of some ids, in their order; raise ValueError where there is none."""
-        places = self._places()
-        asked = [*ids]
+        places, asked = self._places(), [*ids]
         if missing := [id for id in asked if id not in places]:
             words = f"expected one of the rows in {str(self.folder)!r}, got {missing[0]!r}"
             raise ValueError(f"`id`: {words}")
@@ -108,10 +133,15 @@ class Results:
         return self.rows([id])[0]
 
     def counts(self) -> dict[str, int]:
-        """Return how many rows have each status, the most frequent first."""
+        """Return the number of rows of each status, the most frequent first."""
         return dict(Counter(place.status for place in self._places().values()).most_common())
 
-    def _places(self) -> dict[str, "_Place"]:
+    def done(self, but: Collection[str] = ()) -> "Done":
+        """Return what has been done: all rows, but for those of some statuses."""
+        places = self._places()
+        return Done(self, {id: x.settings for id, x in places.items() if x.status not in but})
+
+    def _places(self) -> dict[str, _Place]:
         """Return where each row is; of those of one id the last."""
         places: dict[str, _Place] = {}
         for path in sorted(self.folder.glob("part-*.jsonl")):
@@ -125,23 +155,22 @@ class Results:
 
 
 class Done(NamedTuple):
-    """A digest of the settings of each id that has been done, and where its row is."""
+    """Results, and a digest of the settings of each record that has been done."""
 
-    settings: dict[str, bytes]
-    results: Results | None
+    results: Results | None = None
+    settings: dict[str, bytes] = {}  # noqa: RUF012
 
     def has(self, record: Record) -> bool:
-        """Return whether a record has its row.
+        """Return True for a record that has its row.
 
         Raises ValueError where the row is of another record, which had that id then.
         """
         id = record["id"]
-        if id not in self.settings:
+        if self.results is None or id not in self.settings:
             return False
         now = settings_of(plain_record(record))
         if self.settings[id] == _digest(now):
             return True
-        assert self.results is not None
         then = settings_of(json.loads(self.results.row(id)["record"]))
         other = next(name for name in now | then if now.get(name) != then.get(name))
         words = f"expected rows of records as they are now, got {id!r} with {other!r}"
@@ -153,29 +182,12 @@ def _digest(settings: Record) -> bytes:
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).digest()[:8]
 
 
-class _Place(NamedTuple):
-    """Where a row is: its part, the bytes before it; its status, and its record's settings."""
-
-    path: Path
-    offset: int
-    status: str
-    settings: bytes
-
-
 def _read(places: Iterable[_Place]) -> Iterator[Row]:
-    """Yield the rows at places; some parts are open at a time."""
-    streams: dict[Path, BinaryIO] = {}
-    try:
-        for path, offset, *_ in places:
-            if path not in streams:
-                if len(streams) >= MOST_OPEN:
-                    streams.pop(next(iter(streams))).close()
-                streams[path] = path.open("rb")
-            streams[path].seek(offset)
-            yield row_of(streams[path].readline().decode())
-    finally:
-        for stream in streams.values():
-            stream.close()
+    """Yield the rows at places."""
+    for path, offset, *_ in places:
+        with open(path, "rb") as stream:
+            stream.seek(offset)
+            yield row_of(stream.readline().decode())
 
 
 def _head_of(line: bytes, path: Path) -> tuple[str, str, bytes]:

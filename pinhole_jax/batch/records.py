@@ -9,7 +9,7 @@ from typing import Any
 #: A record as users write it: names of `FIELDS`, and values that JSON can hold.
 Record = Mapping[str, Any]
 
-#: What a record may hold. `id` and `mask` (or `views`) and a shape are needed, all else is not.
+#: The fields of a record. `id`, `mesh` and `mask` are needed, all else is not.
 FIELDS = {
     "id": "a text that no other record of the batch has",
     "mesh": "path of the mesh",
@@ -30,22 +30,11 @@ FIELDS = {
     "max_steps": "as in `fit_camera`",
     "prior": "as in `fit_camera`",
     "bounds": "as in `fit_camera`",
-    "robot": "path of a URDF, in place of mesh: its camera is found from all views together",
-    "views": "of a robot: each with `mask` and `angles`, by joint",
-    "in_hand": "the robot's link that carries the camera",
-    "leave_out": "links of the robot that the masks do not show",
 }
 #: Fields that name files.
-PATHS = ("mesh", "mask", "camera", "weight", "photo", "robot")
-#: What fields say that are not there.
-DEFAULTS: dict[str, Any] = {
-    "free": "pose",
-    "pixel_centres": "integer",
-    "invert": False,
-    "tidy": False,
-}
-#: Fields of one mask alone, and those in which null says something.
-ALONE, MAY_BE_NONE = {"weight", "photo", "prior", "bounds"}, {"outlier_px"}
+PATHS = ("mesh", "mask", "camera", "weight", "photo")
+#: The values of fields that a record does not have.
+DEFAULTS = {"free": "pose", "pixel_centres": "integer", "invert": False, "tidy": False}
 
 
 def check_record(record: Any) -> dict[str, Any]:
@@ -57,20 +46,22 @@ def check_record(record: Any) -> dict[str, Any]:
     if unknown := [name for name in record if name not in FIELDS]:
         known = ", ".join(FIELDS)
         raise ValueError(f"`item`: expected fields among {known}, got {unknown[0]!r}")
-    plain = {n: x for n, x in plain_record(record).items() if x is not None or n in MAY_BE_NONE}
-    _check_shape(plain)
+    plain = {n: x for n, x in plain_record(record).items() if _counts(n, x)}
+    if missing := {"mesh", "mask"} - plain.keys():
+        raise ValueError(f"`item`: expected `mesh` and `mask`, got no {' and no '.join(missing)}")
     for name in {"invert", "tidy"} & plain.keys():
         if not isinstance(plain[name], bool):
             raise ValueError(f"`{name}`: expected true or false, got {plain[name]!r}")
-    if "robot" in plain and (beside := sorted(ALONE & plain.keys())):
-        raise ValueError(f"`{beside[0]}`: expected none beside `robot`")
-    if "robot" not in plain and (beside := sorted({"in_hand", "leave_out"} & plain.keys())):
-        raise ValueError(f"`{beside[0]}`: expected `robot` beside it, got none")
     try:
         json.dumps(plain, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise ValueError(f"`item`: expected what JSON can hold, got {error}") from None
     return plain
+
+
+def _counts(name: str, value: Any) -> bool:
+    """Return False for a field that is as good as missing; `outlier_px` means something as null."""
+    return value is not None or name == "outlier_px"
 
 
 def plain_record(record: Record) -> dict[str, Any]:
@@ -86,26 +77,11 @@ def check_id(record: Any) -> None:
         raise ValueError(f"`id`: expected a text, got {record.get('id')!r}")
 
 
-def _check_shape(record: dict[str, Any]) -> None:
-    """Raise ValueError unless there is a shape, and a mask of it."""
-    alone, joint = {"mesh", "mask"}, {"robot", "views"}
-    got = sorted((alone | joint) & record.keys())
-    if set(got) not in (alone, joint):
-        words = ", ".join(got) or "none of them"
-        raise ValueError(f"`item`: expected `mesh` and `mask`, or `robot` and `views`, got {words}")
-    views = record.get("views", [])
-    if not isinstance(views, list) or not all(
-        isinstance(view, dict) and view.keys() == {"mask", "angles"} for view in views
-    ):
-        raise ValueError("`views`: expected a list of `mask` and `angles`, got something else")
-
-
 def _plain(value: Any) -> Any:
-    """Return a value without what JSON has not: paths are texts, arrays lists."""
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, Mapping):
-        return {str(name): _plain(part) for name, part in value.items()}
+        return plain_record(value)
     if hasattr(value, "tolist"):
         return value.tolist()
     if isinstance(value, list | tuple):
@@ -115,8 +91,7 @@ def _plain(value: Any) -> Any:
 
 
 def shard_of(id: str, count: int) -> int:
-    """Return which of this many shards (0, 1, ...) a record is in: its id alone says so,
-    anywhere.
+    """Return the shard (0, 1, ...) of a record, one of this many: its id alone says so, anywhere.
 
     ```python
     [record["id"] for record in records if pj.batch.shard_of(record["id"], 2) == 0]
@@ -132,33 +107,26 @@ def asked(record: Record, name: str) -> Any:
 
 
 def settings_of(record: Record) -> dict[str, Any]:
-    """Return what a plain record asks for, beside its id, where its files are, and its views."""
+    """Return what a plain record asks for, beside its id and where its files are."""
     return {
         name: value
         for name, value in record.items()
-        if not (name in ("id", "views") or (name in PATHS and isinstance(value, str)))
-        and not (value is None and name not in MAY_BE_NONE)
+        if name != "id"
+        and not (name in PATHS and isinstance(value, str))
+        and _counts(name, value)
         and value != DEFAULTS.get(name, ...)
     }
 
 
 def digest_of(record: Record) -> str:
     """Return a digest of a record's fields, but for its id, and of the contents of its files."""
-    digest = hashlib.sha256()
     rest = {name: value for name, value in record.items() if name != "id"}
-    digest.update(json.dumps(rest, sort_keys=True).encode())
-    views = record.get("views", [])
-    for part in (record, *views):
-        for name in PATHS:
-            if isinstance(path := part.get(name), str):
-                digest.update(_contents(path))
+    digest = hashlib.sha256(json.dumps(rest, sort_keys=True).encode())
+    for name in PATHS:
+        if isinstance(path := record.get(name), str):
+            try:
+                with open(path, "rb") as stream:
+                    digest.update(hashlib.file_digest(stream, "sha256").digest())
+            except OSError:
+                digest.update(bytes(32))
     return digest.hexdigest()
-
-
-def _contents(path: str) -> bytes:
-    """Return a digest of a file's bytes; of nothing where it cannot be read."""
-    try:
-        with open(path, "rb") as stream:
-            return hashlib.file_digest(stream, "sha256").digest()
-    except OSError:
-        return bytes(32)

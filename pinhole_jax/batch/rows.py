@@ -43,7 +43,7 @@ COLUMNS: dict[str, Any] = {
 NO_FIT = {
     "failed": "bad input: `words` say which",
     "timed_out": "stopped at the time limit",
-    "crashed": "ended its process, twice: once among others, once alone",
+    "crashed": "ended its process, twice",
 }
 #: How JSON writes numbers that it has no word for.
 NOT_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}

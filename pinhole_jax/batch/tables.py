@@ -1,39 +1,31 @@
-"""All rows as one table: Parquet, JSON lines, BOP's results, or a flat one."""
+"""All rows as one table, JSON lines or CSV; a row's fit."""
 
 import csv
-import itertools
 import json
 import os
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Iterator
 from io import StringIO
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
-from .._files.paths import path_of, replace_file
-from .parts import Results
-from .rows import COLUMNS, Row, line_of
+import pinhole_jax as pj
 
-if TYPE_CHECKING:
-    from .._fit.result import Fit
-else:
-    Fit = Any  # it needs JAX, which takes a second
+from .parts import Results, write_whole
+from .rows import Row, line_of
 
-#: This many rows at a time are in memory.
-GROUP = 1000
-#: What a path's ending asks for.
-ENDINGS = (".parquet", ".jsonl", ".csv")
-#: The columns of a flat table whose numbers are parts of a row's lists, and which parts.
-PARTS = {
-    "K": {"fx": 0, "fy": 4, "cx": 2, "cy": 5},
-    "R": {f"R{k // 3 + 1}{k % 3 + 1}": k for k in range(9)},
-    "t": {"tx": 0, "ty": 1, "tz": 2},
+#: The numbers of a row's lists that are columns of a CSV, and their places there.
+NUMBERS = {
+    **dict(zip(("fx", "fy", "cx", "cy"), (("K", k) for k in (0, 4, 2, 5)), strict=True)),
+    **{f"R{k // 3 + 1}{k % 3 + 1}": ("R", k) for k in range(9)},
+    **{f"t{axis}": ("t", k) for k, axis in enumerate("xyz")},
 }
 
 
 def merge(results: Results, path: str | os.PathLike[str]) -> int:
-    """Write all rows, sorted by id, as one table; return how many.
+    """Write all rows, sorted by id, as one table; return their number.
 
-    - .parquet: columns as `batch.COLUMNS` has them; needs pyarrow.
-    - .jsonl: a line of JSON for each row, without pyarrow.
+    - .jsonl: a line of JSON for each row.
     - .csv: BOP's results (scene_id,im_id,obj_id,score,R,t,time) if all ids come from a BOP data
       set: the rows with a camera; the score is the IoU, lengths are the models' (there mm). Of
       other data a line for every row: id, status, iou, rms, fx, fy, cx, cy, R11 to R33, tx, ty, tz
@@ -45,116 +37,52 @@ def merge(results: Results, path: str | os.PathLike[str]) -> int:
     pj.batch.merge(results, "table.jsonl")
     ```
     """
-    ending = path_of(path).suffix.lower()
-    if ending == ".parquet":
-        return _to_parquet(results, path)
-    if ending not in ENDINGS:
-        raise ValueError(f"`path`: expected one of {', '.join(ENDINGS)}, got {str(path)!r}")
-    count = 0
-
-    def lines() -> Iterator[bytes]:
-        nonlocal count
-        for line in _csv_lines(results) if ending == ".csv" else map(line_of, results):
-            count += 1
-            yield f"{line}\n".encode(errors="backslashreplace")
-
-    replace_file(path, lines())
-    return count - (ending == ".csv")  # its first line has the names
-
-
-def _to_parquet(results: Results, path: str | os.PathLike[str]) -> int:
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ModuleNotFoundError as error:
-        words = "Parquet is written by pyarrow: pip install 'pinhole-jax[batch]'"
-        raise ModuleNotFoundError(words, name=error.name) from error
-    kinds = {
-        str: pa.string(),
-        float: pa.float64(),
-        int: pa.int64(),
-        list[float]: pa.list_(pa.float64()),
-        list[int]: pa.list_(pa.int64()),
-        list[str]: pa.list_(pa.string()),
-    }
-    schema = pa.schema([(name, kinds[kind]) for name, kind in COLUMNS.items()])
-    sink = pa.BufferOutputStream()
-    count = 0
-    with parquet.ParquetWriter(sink, schema, compression="zstd") as writer:
-        for rows in _groups(iter(results)):
-            writer.write_table(pa.Table.from_pylist([*map(_in_text, rows)], schema))
-            count += len(rows)
-    replace_file(path, sink.getvalue().to_pybytes())
-    return count
-
-
-def _in_text(row: Row) -> Row:
-    """Return a row whose texts are UTF-8: a file's name need be none."""
-    text = lambda x: x.encode(errors="backslashreplace").decode() if isinstance(x, str) else x
-    return {name: text(value) for name, value in row.items()}
-
-
-def _groups(rows: Iterator[Row]) -> Iterator[list[Row]]:
-    while group := list(itertools.islice(rows, GROUP)):
-        yield group
-
-
-def _csv_lines(results: Results) -> Iterator[str]:
-    """Yield the lines of a CSV: BOP's results if all ids are BOP's."""
+    ending = Path(path).suffix.lower()
+    if ending not in (".jsonl", ".csv"):
+        raise ValueError(f"`path`: expected .jsonl or .csv, got {str(path)!r}")
+    if ending == ".jsonl":
+        return write_whole(path, map(line_of, results))
     ids = results.ids()
-    if ids and all(_bop_ids(id) for id in ids):
-        return _bop_lines(results)
-    return _flat_lines(results)
+    table = _bop if ids and all(map(_is_bop, ids)) else _flat
+    return write_whole(path, map(_csv_line, table(results))) - 1
 
 
-def _flat_lines(results: Results) -> Iterator[str]:
-    sigmas = [*dict.fromkeys(name for row in results for name in row["names"] or ())]
-    parts = [name for names in PARTS.values() for name in names]
-    errors = [f"sigma_{name}" for name in sigmas]
-    yield _csv_line(["id", "status", "iou", "rms", *parts, *errors, "words"])
-    for row in results:
-        found = dict(zip(row["names"] or (), row["std"] or (), strict=True))
-        numbers = [
-            "" if row[field] is None else row[field][k]
-            for field, names in PARTS.items()
-            for k in names.values()
-        ]
-        first = [row["id"], row["status"], row["iou"], row["rms"]]
-        yield _csv_line([*first, *numbers, *(found.get(name) for name in sigmas), row["words"]])
-
-
-def _csv_line(values: Iterable[object]) -> str:
+def _csv_line(values: list[Any]) -> str:
     line = StringIO()
     csv.writer(line, lineterminator="").writerow(values)
     return line.getvalue()
 
 
-def _bop_ids(id: str) -> tuple[int, int, int] | None:
-    """Return the scene, image and object of a row's id, None where it has none."""
-    try:
-        scene, image, object_, _ = map(int, id.split("/")[-4:])
-    except ValueError:
-        return None
-    return scene, image, object_
+def _flat(results: Results) -> Iterator[list[Any]]:
+    sigmas = [*dict.fromkeys(name for row in results for name in row["names"] or ())]
+    names = [*NUMBERS, *(f"sigma_{name}" for name in sigmas)]
+    yield ["id", "status", "iou", "rms", *names, "words"]
+    for row in results:
+        numbers = [row[field][k] if row[field] else None for field, k in NUMBERS.values()]
+        std = dict(zip(row["names"] or (), row["std"] or (), strict=True))
+        first = [row[name] for name in ("id", "status", "iou", "rms")]
+        yield [*first, *numbers, *map(std.get, sigmas), row["words"]]
 
 
-def _bop_lines(results: Results) -> Iterator[str]:
+def _is_bop(id: str) -> bool:
+    """Return True for an id that ends with a scene, an image, an object and a number."""
+    return bool(re.search(r"(^|/)\d+/\d+/\d+/\d+$", id))
+
+
+def _bop(results: Results) -> Iterator[list[Any]]:
     """Yield BOP's results. The time is a whole image's in each of its lines, as BOP's tools ask."""
-    seconds: dict[tuple[int, int], float] = {}
-    for row in results:
-        if row["R"] is not None and (ids := _bop_ids(row["id"])):
-            seconds[ids[:2]] = seconds.get(ids[:2], 0.0) + row["seconds"]
+    seconds: dict[Any, float] = {}
+    found = lambda: (([*map(int, row["id"].split("/")[-4:])], row) for row in results if row["R"])
+    for (scene, image, *_), row in found():
+        seconds[scene, image] = seconds.get((scene, image), 0.0) + row["seconds"]
     numbers = lambda values: " ".join(repr(float(x)) for x in values)
-    yield "scene_id,im_id,obj_id,score,R,t,time"
-    for row in results:
-        if row["R"] is not None and (ids := _bop_ids(row["id"])):
-            scene, image, object_ = ids
-            R, t = numbers(row["R"]), numbers(row["t"])
-            time = f"{seconds[scene, image]:.6f}"
-            yield f"{scene},{image},{object_},{row['iou']!r},{R},{t},{time}"
+    yield ["scene_id", "im_id", "obj_id", "score", "R", "t", "time"]
+    for (scene, image, object_, _), row in found():
+        time = f"{seconds[scene, image]:.6f}"
+        yield [scene, image, object_, row["iou"], numbers(row["R"]), numbers(row["t"]), time]
 
 
-def fit_of(row: Row) -> Fit:
+def fit_of(row: Row) -> "pj.Fit":
     """Return the `Fit` of a row, with covariance and modes; its `camera` goes into any format
     (`formats.write`).
 
@@ -165,9 +93,7 @@ def fit_of(row: Row) -> Fit:
     pj.formats.write("camera.yaml", {"a": fit.camera})
     ```
     """
-    from ..io.fits import fit_from_dict
-
     if row["fit"] is None:
         words = f"expected a row with a camera, got {row['id']!r}: {row['status']}, {row['words']}"
         raise ValueError(f"`row`: {words}")
-    return fit_from_dict(json.loads(row["fit"]))
+    return pj.io.fit_from_dict(json.loads(row["fit"]))

@@ -15,6 +15,8 @@ from collections.abc import Iterator
 from multiprocessing import parent_process
 from typing import Any, NamedTuple
 
+import pinhole_jax as pj
+
 from .fit_one import fit_one
 from .records import Record
 from .rows import Row, empty_row
@@ -49,23 +51,22 @@ class TimeLimit(BaseException):
     """A record took too long (no `Exception`: what a reader catches is not the clock)."""
 
 
-def begin(setup: Setup, turn: Any) -> None:
-    """Set up a worker process: it owns its share of the cores, and leaves Ctrl-C to who asked.
+def usable_cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
-    `turn` counts the workers.
-    """
+
+def begin(setup: Setup, number: int) -> None:
+    """Set up worker `number`: it owns its share of the cores, and leaves Ctrl-C to who asked."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent_process(),), daemon=True).start()
-    with turn.get_lock():
-        number = turn.value
-        turn.value += 1
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # NumPy's own threads would wait for one another
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
-        first, step = number % len(cores), min(setup.workers, len(cores))
+        step = min(setup.workers, len(cores))
         with contextlib.suppress(OSError):  # where a container forbids it
-            os.sched_setaffinity(0, cores[first % step :: step])
+            os.sched_setaffinity(0, cores[number % step :: step])
     _set_up(setup)
 
 
@@ -96,9 +97,7 @@ def _set_up(setup: Setup) -> None:
     global _is_set_up
     if _is_set_up or setup.parent == TOKEN:
         return
-    from .._files.process import set_up
-
-    set_up(setup.cached)
+    pj.set_up(setup.cached)
     _is_set_up = True
 
 
@@ -108,8 +107,7 @@ def _within(seconds: float | None) -> Iterator[None]:
     if seconds is None:
         yield
         return
-    thread, over = threading.get_ident(), threading.Event()
-    lock = threading.Lock()
+    thread, over, lock = threading.get_ident(), threading.Event(), threading.Lock()
 
     def stop() -> None:
         with lock:

@@ -187,7 +187,7 @@ def _transparent(image: Image) -> Read | None:
 
 
 def _varies(image: Image) -> bool:
-    """Return whether a picture has more than one colour."""
+    """Return True for a picture of more than one colour."""
     return any(low != high for low, high in image.convert("RGBA").getextrema()[:3])
 
 
@@ -207,7 +207,7 @@ def _labels_that_show(image: Image) -> np.ndarray:
 
 
 def _has_numbers(image: Image) -> bool:
-    """Return whether a pixel is one number."""
+    """Return True where a pixel is one number."""
     return image.mode in ("1", "L", "P") or image.mode.startswith(("I", "F"))
 
 

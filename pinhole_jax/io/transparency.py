@@ -19,7 +19,7 @@ SAME_PX = 0.02
 
 
 def opacity(image: Image) -> np.ndarray:
-    """Return how opaque each pixel is (H, W), 255 where it hides all.
+    """Return the opacity of each pixel (H, W), 255 where it hides all.
 
     Raises ValueError for a picture without transparency.
     """
@@ -66,7 +66,7 @@ def seen_through(image: Image, opaque: np.ndarray) -> np.ndarray | None:
 
 
 def _shade(image: Image, opaque: np.ndarray) -> np.ndarray | None:
-    """Return how light each pixel is (H, W), 255 for the lightest that is seen; None where the
+    """Return the lightness of each pixel (H, W), 255 for the lightest that is seen; None where the
     pixels that are seen have more than one hue."""
     if image.mode.startswith("I"):
         return eight_bits(image)
@@ -92,7 +92,7 @@ def _colours(band: Image) -> np.ndarray:
 
 
 def _is_same(opaque: np.ndarray, shade: np.ndarray) -> bool:
-    """Return whether colours leave the outline of the opacity where it is."""
+    """Return True where colours leave the outline of the opacity as it is."""
     soft = apart = lost = 0
     for part in rows(*opaque.shape):
         a, s = opaque[part].astype(np.int32), shade[part].astype(np.int32)
@@ -108,7 +108,7 @@ def _is_same(opaque: np.ndarray, shade: np.ndarray) -> bool:
 
 
 def _is_key(opaque: np.ndarray, shade: np.ndarray) -> bool:
-    """Return whether what is transparent is just what is black."""
+    """Return True where just what is black is transparent."""
     return bool(np.all((opaque > 0) == (shade > 0)))
 
 
