@@ -13,7 +13,6 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._trace import bvh, cores, packets, together, walk
 from pinhole_jax._trace.components import parts
-from pinhole_jax._trace.intersect import perpendicular, ray_triangle
 from pinhole_jax._trace.order import near_order
 from pinhole_jax._trace.turned import turned
 
@@ -78,18 +77,19 @@ def test_same_hits_as_embree(name, rays, request):
     np.testing.assert_allclose(np.asarray(hit.t)[both], t, rtol=1e-6)
 
 
-@jax.jit
 def brute_force(mesh, rays):
-    """Return t and face of each ray by testing every face."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]][None] for k in range(3))
-    axes = perpendicular(rays.direction)
-    spread = lambda x: x[:, None]
-    t = ray_triangle(
-        spread(rays.origin), spread(rays.direction), (spread(axes[0]), spread(axes[1])), a, b, c
-    ).t
-    face = jnp.argmin(t, axis=1)
-    best = jnp.min(t, axis=1)
-    return best, jnp.where(jnp.isfinite(best), face, -1)
+    """Return t and face of each ray by testing every face (Moller and Trumbore, in long double)."""
+    vertices, origin, direction = (np.asarray(x, np.longdouble) for x in (mesh.vertices, *rays))
+    a, b, c = (vertices[np.asarray(mesh.faces)[:, k]] for k in range(3))
+    across, offset = np.cross(direction[:, None], c - a), origin[:, None] - a
+    det = np.sum(across * (b - a), axis=-1)
+    beside = np.cross(offset, b - a)
+    u = np.sum(across * offset, axis=-1) / det
+    v = np.sum(beside * direction[:, None], axis=-1) / det
+    t = np.sum(beside * (c - a), axis=-1) / det
+    t = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0), t, np.inf)
+    best = np.min(t, axis=1)
+    return best.astype(float), np.where(np.isfinite(best), np.argmin(t, axis=1), -1)
 
 
 @pytest.mark.long

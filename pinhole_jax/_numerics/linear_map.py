@@ -47,21 +47,19 @@ def linear_map(
     residual_leaves = spread(residual_leaves, linear_leaves)
     out_leaves, out_tree = jax.tree.flatten(like)
 
-    @collector_at_rest()
-    def forward_flat(residual: list, x: list) -> list:
-        out = forward(residual_tree.unflatten(residual), linear_tree.unflatten(x))
-        return out_tree.flatten_up_to(out)
+    def flat(direction: Callable, given: Any, found: Any) -> Direction:
+        @collector_at_rest()
+        def call(residual: list, x: list) -> list:
+            out = direction(residual_tree.unflatten(residual), given.unflatten(x))
+            return found.flatten_up_to(out)
 
-    @collector_at_rest()
-    def transpose_flat(residual: list, y: list) -> list:
-        out = transpose(residual_tree.unflatten(residual), out_tree.unflatten(y))
-        return linear_tree.flatten_up_to(out)
+        return call
 
     out = _linear_map_p.bind(
         *residual_leaves,
         *linear_leaves,
-        forward=forward_flat,
-        transpose=transpose_flat,
+        forward=flat(forward, linear_tree, out_tree),
+        transpose=flat(transpose, out_tree, linear_tree),
         n_residuals=len(residual_leaves),
         out_shapes=tuple(((*x.shape, 1), x.dtype) for x in out_leaves),
     )

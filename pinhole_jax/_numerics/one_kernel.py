@@ -139,6 +139,16 @@ def put(x: Array, value: Any, place: Array) -> Array:
     return jax.lax.dynamic_update_index_in_dim(x, jnp.asarray(value, x.dtype), place, 0)
 
 
+def opened(
+    number: Array, later: Callable[..., Array], *lists: Array, read: Callable = lambda x, k: x[k]
+) -> tuple[Array, ...]:
+    """Return where one more belongs among so many entries in order, and the lists with those that
+    come later moved up by one; `later(k, *lists)` says whether the one at k does."""
+    goes_on = lambda s: (s[0] > 0) & later(jnp.maximum(s[0] - 1, 0), *s[1:])
+    shift = lambda s: (s[0] - 1, *(put(x, read(x, s[0] - 1), s[0]) for x in s[1:]))
+    return jax.lax.while_loop(goes_on, shift, (number, *lists))
+
+
 def _with_what_it_uses(function: Callable, arguments: tuple) -> tuple[Callable, list, Callable]:
     """Return a function as one of those arrays among its arguments that it uses, these, and the way
     back from what it returns: the compiler aborts where a kernel is given others."""

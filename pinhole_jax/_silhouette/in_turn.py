@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._numerics.bitset import Selection, any_bit, count_below, rank_in
 from .._numerics.bounds import least, most, within
-from .._numerics.one_kernel import one_kernel, put
+from .._numerics.one_kernel import one_kernel, opened, put
 from .._numerics.safe import safe_divide
 from .coverage import InRow, Monotone, Pieces, Rows, column_of, in_pixel, in_row, rows_of, taken
 from .curves import Segments, arc_flux, cut_circle, film_at, nodes, unit_at
@@ -541,11 +541,8 @@ def _lines(manner: Manner, cell: _Cell, up: Array, room: _Room):
 def _with_place(places: Array, number: Array, u: Array, value: Array, there: Array) -> Array:
     """Return so many places along a line and their values, in order, with one more if it is
     `there`."""
-    at, places = jax.lax.while_loop(
-        lambda s: (s[0] > 0) & (_row(s[1], jnp.maximum(s[0] - 1, 0))[0] > u),
-        lambda s: (s[0] - 1, put(s[1], _row(s[1], s[0] - 1), s[0])),
-        (jnp.where(there, number, 0), places),
-    )
+    later = lambda k, places: _row(places, k)[0] > u
+    at, places = opened(jnp.where(there, number, 0), later, places, read=_row)
     return put(places, jnp.stack([u, value]), jnp.where(there, at, number))
 
 
@@ -669,11 +666,7 @@ def _with_crossing(there, u, ahead, lost, places):
 
     def fill(state):
         _, ahead, places = state
-        at, places = jax.lax.while_loop(
-            lambda s: (s[0] > 0) & (s[1][jnp.maximum(s[0] - 1, 0)] < u),
-            lambda s: (s[0] - 1, put(s[1], s[1][s[0] - 1], s[0])),
-            (ahead, places),
-        )
+        at, places = opened(ahead, lambda k, places: places[k] < u, places)
         return jnp.bool_(False), ahead + 1, put(places, u, at)
 
     before = ahead
@@ -706,11 +699,8 @@ def _in_order(manner: Manner, reach, middle, line: _Line) -> _Line:
         own = _row(table, number)
         v = _height(manner, own, middle)
         there = own[2] > reach
-        place, order = jax.lax.while_loop(
-            lambda s: (s[0] > 0) & (_row(s[1], jnp.maximum(s[0] - 1, 0))[0] > v),
-            lambda s: (s[0] - 1, put(s[1], _row(s[1], s[0] - 1), s[0])),
-            (jnp.where(there, cuts, 0), order),
-        )
+        later = lambda k, order: _row(order, k)[0] > v
+        place, order = opened(jnp.where(there, cuts, 0), later, order, read=_row)
         # (One that ends is written where the next is.)
         row = jnp.stack([v, number.astype(v.dtype)])
         return k + 1, cuts + _one(there), put(order, row, jnp.where(there, place, cuts))

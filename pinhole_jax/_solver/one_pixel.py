@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._numerics.one_kernel import put
+from .._numerics.one_kernel import opened, put
 from .._numerics.safe import safe_divide
 from .._silhouette.sweep import Cells, Lines, along_x, along_y
 
@@ -160,10 +160,8 @@ def either(which: Array, a: Lines, b: Lines) -> Lines:
 
 def _with_begin(pieces: Listed, k: Array) -> Array:
     """Return the numbers of listed pieces with one more, after those that begin no later."""
-    u0 = pieces.u0
-    later = lambda s: (s[0] > 0) & (u0[s[1][jnp.maximum(s[0] - 1, 0)]] > u0[k])
-    shift = lambda s: (s[0] - 1, put(s[1], s[1][s[0] - 1], s[0]))
-    place, begin = jax.lax.while_loop(later, shift, (k, pieces.begin))
+    later = lambda i, begin: pieces.u0[begin[i]] > pieces.u0[k]
+    place, begin = opened(k, later, pieces.begin)
     return put(begin, k, place)
 
 
@@ -173,17 +171,14 @@ def _with_step(
     """Return where along the border layers change, in order, by how much, and how often, with one
     more."""
     border, step, number = state
-    later = lambda s: (s[0] > 0) & (s[1][jnp.maximum(s[0] - 1, 0)] > halt)
-    shift = lambda s: (s[0] - 1, *(put(x, x[s[0] - 1], s[0]) for x in s[1:]))
-    place, border, step = jax.lax.while_loop(later, shift, (number, border, step))
+    later = lambda k, border, _: border[k] > halt
+    place, border, step = opened(number, later, border, step)
     return put(border, halt, place), put(step, change, place), number + 1
 
 
 def _with_halt(halts: Array, number: Array, halt: Array) -> Array:
     """Return halts in order with one more."""
-    later = lambda s: (s[0] > 0) & (s[1][jnp.maximum(s[0] - 1, 0)] > halt)
-    shift = lambda s: (s[0] - 1, put(s[1], s[1][s[0] - 1], s[0]))
-    place, halts = jax.lax.while_loop(later, shift, (number, halts))
+    place, halts = opened(number, lambda k, halts: halts[k] > halt, halts)
     return put(halts, halt, place)
 
 

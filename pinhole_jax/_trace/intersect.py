@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._numerics.safe import dot, safe_divide, safe_sqrt
-from .components import Parts, inner, parts
+from .components import Parts, inner
 
 Vector = Float[Array, "*#batch 3"]
 
@@ -18,38 +18,16 @@ class Meeting(NamedTuple):
     barycentric: Float[Array, "*batch 3"]
 
 
-def perpendicular(direction: Float[Array, "*batch 3"]) -> tuple[Array, Array]:
+def _perpendicular(direction: Parts) -> tuple[Parts, Parts]:
     """Return two unit vectors orthogonal to a unit direction and to one another.
 
     Frisvad's basis (2012) in the form of Duff et al. (2017), which has no singular direction.
     """
-    first, second = _perpendicular(parts(direction))
-    return jnp.stack(first, axis=-1), jnp.stack(second, axis=-1)
-
-
-def _perpendicular(direction: Parts) -> tuple[Parts, Parts]:
     x, y, z = direction
     sign = jnp.where(z < 0, -1, 1).astype(z.dtype)
     a = -1 / (sign + z)
     b = x * y * a
     return (1 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)
-
-
-def ray_triangle(
-    origin: Vector, direction: Vector, axes: tuple[Vector, Vector], a: Vector, b: Vector, c: Vector
-) -> Meeting:
-    """Return where rays meet triangles, from either side, edges and vertices included.
-
-    Watertight in the sense of Woop, Benthin and Wald (2013): corners are seen from the ray in a
-    frame (`axes` from `perpendicular`, and the direction), and the signs of three edge functions
-    decide. Each corner's coordinates depend on ray and corner alone, and an edge function's sign
-    compares two products of them, so two triangles that share an edge never disagree about it.
-    """
-    first, second = axes
-    seen = [_seen(origin, direction, first, second, corner) for corner in (a, b, c)]
-    t, weights = _weighted(*seen)
-    met = _around(*seen) & (t > 0)
-    return Meeting(jnp.where(met, t, jnp.inf), jnp.stack(weights, axis=-1))
 
 
 def ray_plane(direction: Parts, a: Parts, b: Parts, c: Parts) -> tuple[Array, Parts]:
@@ -61,10 +39,13 @@ def ray_plane(direction: Parts, a: Parts, b: Parts, c: Parts) -> tuple[Array, Pa
 
 
 def triangle_depth(ray: Parts | Array, corners: Parts | Array) -> Float[Array, "*batch"]:
-    """Return how deep rays meet triangles, along the third axis; inf where they do not.
+    """Return how deep rays meet triangles, from either side, edges and vertices included, along the
+    third axis; inf where they do not.
 
     A ray is its origin and two slopes, (sx, sy): its direction is (sx, sy, 1); corners are nine
-    coordinates. The same test as `ray_triangle`, in a sheared frame: two products a corner.
+    coordinates. Watertight in the sense of Woop, Benthin and Wald (2013): each corner's coordinates
+    beside the ray depend on ray and corner alone, and the signs of three edge functions decide,
+    each of which compares two products of them: two triangles that share an edge never disagree.
     """
 
     def seen(k: int):
@@ -87,11 +68,6 @@ def sphere_depth(ray: Parts, sphere: Parts) -> Float[Array, "*batch"]:
     offset = jnp.stack([sphere[k] - ray[k] for k in range(3)], axis=-1)
     origin = jnp.zeros((*(1,) * (offset.ndim - 1), 3), offset.dtype)
     return ray_sphere(origin, direction, offset, sphere[3]).t / length
-
-
-def _seen(origin: Vector, direction: Vector, first: Vector, second: Vector, corner: Vector):
-    offset = corner - origin
-    return dot(offset, first), dot(offset, second), dot(offset, direction)
 
 
 def _edge(p, q) -> Array:
