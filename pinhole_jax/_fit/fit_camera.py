@@ -34,7 +34,6 @@ from .strategy import (
     EXACT,
     everywhere,
     free_about,
-    from_descent,
     from_start,
     most_agreeing,
     to_the_end,
@@ -250,25 +249,6 @@ def _answer(
         else from_start(solver, mask, start, on_stop)
     )
     return _described(solver, mask, places, start, settings)
-
-
-def fit_descended(
-    scene: Scene,
-    mask: Mask,
-    freed: tuple[str, ...],
-    settings: Settings,
-    start: Camera,
-    before: View,
-    found: Found,
-) -> Fit | None:
-    """Return the fit of a mask from a start (canonical), where the descent from there has been
-    taken: the view `before` it, and what it `found`. None where `from_descent` has none."""
-    solver = _solver(scene, mask, freed, settings)
-    places = from_descent(solver, mask, start, before, found, lambda stop: None)
-    if places is None:
-        return None
-    answer = _described(solver, mask, places, start, settings)
-    return _fit_of(_before_occluders(scene, answer, start, settings), settings)
 
 
 def _solver(scene: Scene, mask: Mask, freed: tuple[str, ...], settings: Settings) -> Solver:

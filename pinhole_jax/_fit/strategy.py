@@ -91,20 +91,6 @@ def from_start(solver: Solver, mask: Mask, start: Camera, on_stop: OnStop) -> Pl
     return looked_round(solver, mask, found, start, on_stop)
 
 
-def from_descent(
-    solver: Solver, mask: Mask, start: Camera, before: View, found: Found, on_stop: OnStop
-) -> Places | None:
-    """Return what explains the mask best, as `from_start` does, where the descent from the start
-    has been taken elsewhere: what it `found`, and the view `before` it. None where it did not lead
-    to less than there was, or shows more than the window."""
-    if not (solver.holds(start) and solver.holds(found.camera)):
-        return None
-    found = found._replace(view=solver.look(found.camera, solver.finest, found.view))
-    if not found.view.squares <= before.squares:
-        return None
-    return looked_round(solver, mask, found, start, on_stop)
-
-
 def looked_round(
     solver: Solver, mask: Mask, found: Found, start: Camera, on_stop: OnStop
 ) -> Places:

@@ -1,7 +1,6 @@
 """What a camera looks at: `Mesh`, `Spheres`, `Scene`, and what is worked out once per mesh."""
 
 import warnings
-from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
 import equinox as eqx
@@ -226,35 +225,6 @@ def padded(scene: Scene) -> Scene:
         (*parts, order, planes),
     )
     return Scene(mesh=mesh, spheres=scene.spheres)
-
-
-def filled_alike(scenes: Sequence[Scene]) -> list[Scene]:
-    """Return scenes with their meshes' arrays filled up to the largest one's, so that one program
-    serves them side by side: small meshes, whose edges are all looked at.
-
-    Raises ValueError where some have a mesh, or as many spheres, and others do not.
-    """
-    made = {(s.mesh is None, 0 if s.spheres is None else len(s.spheres.radii)) for s in scenes}
-    if len(made) > 1:
-        raise ValueError(
-            "`scene`: expected scenes that all have a mesh or none, and as many spheres"
-        )
-    if scenes[0].mesh is None:
-        return [*scenes]
-    meshes: list[Any] = [scene.mesh for scene in scenes]
-    arrays = ("vertices", "faces", "edge_vertices", "edge_faces")
-    sizes = [max(len(getattr(mesh, name)) for mesh in meshes) for name in arrays]
-    result = []
-    for scene, mesh in zip(scenes, meshes, strict=True):
-        own = (getattr(mesh, name) for name in arrays)
-        vertices, faces, *edges = (_with_room(x, n, 0) for x, n in zip(own, sizes, strict=True))
-        planes = planes_and_clusters(vertices, faces, edges[1])._replace(clusters=None)
-        parts = vertices, faces, *edges, jnp.zeros(0, jnp.int32), planes
-        of = lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.order, m.planes)
-        mesh = eqx.tree_at(of, mesh, parts)
-        object.__setattr__(mesh, "closed", None)  # (`tree_at` changes no static field)
-        result.append(Scene(mesh=mesh, spheres=scene.spheres))
-    return result
 
 
 def with_or_without_border(scene: Scene) -> Scene:
