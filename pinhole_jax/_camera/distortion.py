@@ -416,9 +416,11 @@ def _(primals: Any, tangents: Any):
 def _increasing(
     function: Callable, slope: Callable, most: Array, value: Float[Array, "*n"]
 ) -> tuple[Array, Array]:
-    """Return where a function, which grows from 0 to `most`, has these values, and the number of
-    steps: Newton's, or where these leave the interval that is left, or do not become half as long,
-    to its middle."""
+    """Return the places at which a function has these values, and the number of steps.
+
+    It grows from 0 to `most`. Steps are Newton's; one that leaves the interval which holds the
+    place, or is more than half as long as the one before, goes to the interval's middle.
+    """
     tiny = _tiny(value.dtype)
 
     def step(state: Array) -> tuple[Array, Array]:
@@ -440,7 +442,7 @@ def _increasing(
 
 
 def _settled(step: Callable[[Array], tuple[Array, Array]], start: Array) -> tuple[Array, Array]:
-    """Return where steps lead to, and the number of them; a step says how far it went.
+    """Return the point that steps lead to, and their number; a step returns its length, too.
 
     The digits that are right double from step to step: what follows one that changes less than
     half of them is rounding, and where the image hardly grows no less than that one.

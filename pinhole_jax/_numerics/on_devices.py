@@ -1,9 +1,10 @@
 """Values that differ from device to device within `jax.shard_map`.
 
 There JAX keeps, in a value's type, the axes of the devices that it varies over, and refuses loops
-and branches that mix values of different axes: a counter that starts at 0 beside a sum of what
-varies. What each device works out by itself has no use for that: it is traced without these axes
-(`lower`), and its results vary over all that its arguments vary over (`results`).
+and branches that mix values of different axes, such as a counter that starts at 0 and a sum of
+values that vary. A function that each device evaluates by itself does not need the axes: it is
+traced without them (`lower`), and its results vary over all that its arguments vary over
+(`results`).
 """
 
 from collections.abc import Callable, Sequence

@@ -142,8 +142,8 @@ def put(x: Array, value: Any, place: Array) -> Array:
 def opened(
     number: Array, later: Callable[..., Array], *lists: Array, read: Callable = lambda x, k: x[k]
 ) -> tuple[Array, ...]:
-    """Return where one more belongs among so many entries in order, and the lists with those that
-    come later moved up by one; `later(k, *lists)` says whether the one at k does."""
+    """Return the place of one more among a number of entries in order, and the lists with those
+    that come later moved up by one; `later(k, *lists)` says whether the entry at k does."""
     goes_on = lambda s: (s[0] > 0) & later(jnp.maximum(s[0] - 1, 0), *s[1:])
     shift = lambda s: (s[0] - 1, *(put(x, read(x, s[0] - 1), s[0]) for x in s[1:]))
     return jax.lax.while_loop(goes_on, shift, (number, *lists))
