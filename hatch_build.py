@@ -1,12 +1,19 @@
-"""What the built distribution says of itself: the README, its links as addresses.
+"""How the distribution is built: its README, with links as addresses, and its compiled library.
 
 In the repository its pictures and links are beside it. Where a package index shows it they are not:
 there each becomes an address that begins with `Repository` of `[project.urls]`.
 """
 
+import os
 import re
+import shlex
+import shutil
+import subprocess
+import sys
+import sysconfig
 from pathlib import Path
 
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 from hatchling.metadata.plugin.interface import MetadataHookInterface
 
 LINK = re.compile(r"(!?)\[([^\]]*)\]\((?!\w+:|#)([^)]+)\)")
@@ -30,3 +37,54 @@ class CustomMetadataHook(MetadataHookInterface):
         text = (Path(self.root) / "README.md").read_text(encoding="utf-8")
         text = with_addresses(text, metadata["urls"]["Repository"])
         metadata["readme"] = {"content-type": "text/markdown", "text": text}
+
+
+class CustomBuildHook(BuildHookInterface):
+    """Compiles the loops of `pinhole_jax/_native` into a library beside their sources.
+
+    Without a C++ compiler, or where compiling fails, the package is built without: it says so where
+    it is used, and what is slower.
+    """
+
+    def initialize(self, version: str, build_data: dict) -> None:
+        """Compile it, and have the wheel say for which platform."""
+        del version
+        if self.target_name != "wheel":
+            return
+        folder = Path(self.root) / "pinhole_jax" / "_native"
+        library = folder / LIBRARIES.get(sys.platform, "libpinhole.so")
+        why = compiled(folder / "handlers.cc", library)
+        if why:
+            self.app.display_warning(f"The compiled library is left out: {why}")
+            return
+        build_data["artifacts"].append(str(library.relative_to(self.root)))
+        build_data["pure_python"] = False
+        build_data["tag"] = f"py3-none-{platform_tag()}"
+
+
+#: The library's name by platform.
+LIBRARIES = {"darwin": "libpinhole.dylib", "win32": "pinhole.dll"}
+#: Products are rounded before they are added: shared points come out alike everywhere.
+FLAGS = ["-std=c++17", "-O2", "-ffp-contract=off", "-shared", "-fPIC", "-fvisibility=hidden"]
+
+
+def compiled(source: Path, library: Path) -> str:
+    """Compile the library; why it failed, or an empty string."""
+    names = [os.environ["CXX"]] if os.environ.get("CXX") else ["c++", "g++", "clang++"]
+    compiler = next((name for name in names if shutil.which(shlex.split(name)[0])), None)
+    if compiler is None:
+        return f"no C++ compiler was found ({', '.join(names)})"
+    command = [*shlex.split(compiler), *FLAGS, str(source), "-o", str(library)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return str(error)
+    if done.returncode:
+        library.unlink(missing_ok=True)
+        return (done.stderr.strip() or f"{compiler} failed").splitlines()[-1]
+    return ""
+
+
+def platform_tag() -> str:
+    """The platform that a wheel built here is for, as wheels name it."""
+    return sysconfig.get_platform().replace("-", "_").replace(".", "_")

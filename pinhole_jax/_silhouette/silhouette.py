@@ -14,6 +14,8 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from .._camera.camera import Camera, film_at_once
 from .._camera.film import FilmMap
 from .._numerics.backend import for_this_machine
+from .._native.coverage import coverage
+from .._native.library import is_available
 from .._numerics.bitset import Selection, selection
 from .._numerics.jitted import jitted
 from .._numerics.later import later, on_each_device
@@ -130,6 +132,18 @@ def _silhouette(
         mesh = None
     if mesh is None and spheres is None:
         return jnp.zeros((camera.H, camera.W), camera.e.dtype)
+    in_arrays = partial(_in_arrays, overlaps=overlaps, stops=stops)
+    scene = Scene(mesh=mesh, spheres=spheres)
+    if not is_available():
+        return in_arrays(film, scene)
+    return by_machine(film, scene, cpu=coverage, elsewhere=in_arrays)
+
+
+def _in_arrays(
+    film: FilmMap, scene: Scene, overlaps: bool, stops: Int[Array, ""] | None
+) -> Float[Array, "H W"]:
+    """The same by vectors of pieces: on accelerators, and where there is no compiled library."""
+    mesh, spheres = scene.mesh, scene.spheres
     alone = mesh is None and spheres is not None and spheres.radii.shape[0] == 1
     overlap = () if overlaps and not alone else None
     given = _Given(jax.lax.stop_gradient(scene), overlap, stops)

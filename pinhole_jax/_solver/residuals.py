@@ -10,6 +10,7 @@ only lead to finer ones. On the finest level such a pixel shows the union's cove
 does. One that holds more pieces than are swept is left out there.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -17,9 +18,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.camera import Camera, film_at_once, film_map, lens_holds
-from .._camera.film import FilmMap, FilmPart
+from .._camera.film import Bend, FilmMap, FilmPart
 from .._mask.pyramid import Level, Pyramid
+from .._native import coverage as native
+from .._native.library import is_available
 from .._numerics.bitset import in_order
+from .._numerics.one_kernel import by_machine
 from .._scene.scene import Scene
 from .._silhouette.curve_sets import edge_curves, find, outline_curves
 from .._silhouette.curves import Curves, Segments, piece_flux, placed
@@ -163,6 +167,43 @@ def touch(
     """Return the touched pixels of a level, and what they take of the capacities."""
     if film is None:
         film = film_at_once(camera).looking_at(_part(level))
+    in_arrays = partial(_in_arrays, capacity=capacity)
+    if not is_available():
+        return in_arrays(film, scene, level)
+    return by_machine(film, scene, level, cpu=partial(_native, capacity=capacity), elsewhere=in_arrays)
+
+
+def _native(
+    film: FilmMap, scene: Scene, level: Level, capacity: Capacity
+) -> tuple[Touched, Load]:
+    size = jnp.stack([level.W, level.H])
+    room = capacity.pieces + capacity.arc_pieces
+    cell, coverage, after, before, number = native.touch(_on_level(film, level), scene, size, room)
+    column, none = cell % (level.W + 2), jnp.zeros_like(number)
+    inside = (column > 0) & (column <= level.W)
+    touched = Touched(cell, inside, jnp.ones_like(inside), coverage, after, before)
+    # (A mesh is asked for room first.)
+    of_mesh = capacity.pieces > 1
+    return touched, Load(none, number, none, none) if of_mesh else Load(none, none, number, none)
+
+
+def _on_level(film: FilmMap, level: Level) -> FilmMap:
+    """Return a map to the level's window, in its pixels."""
+    scale, origin = jnp.asarray(level.scale), jnp.asarray(level.origin)
+    placed = lambda xyz: jnp.concatenate(
+        [xyz[:2] * scale - origin.reshape(2, *(1,) * (xyz.ndim - 1)) * xyz[2:], xyz[2:]]
+    )
+    bend = film.bend
+    if bend is not None:
+        bend = Bend(bend.distortion, bend.trusted, bend.focal * scale, bend.centre * scale - origin)
+    return FilmMap(
+        film.eye, film.view, placed(film.matrix), placed(film.base), film.W, film.H, bend
+    )
+
+
+def _in_arrays(
+    film: FilmMap, scene: Scene, level: Level, capacity: Capacity
+) -> tuple[Touched, Load]:
     totals, found, of_curves, parts = {}, [], [], []
     for kind, curves, homogeneous, (count, needed), size in _curves(film, scene, capacity):
         curves = jax.lax.stop_gradient(placed(curves, level.scale, level.origin / level.scale))

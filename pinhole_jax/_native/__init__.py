@@ -1,0 +1,1 @@
+"""Loops that follow their data, compiled ahead (C++) and called through `jax.ffi` on CPUs."""

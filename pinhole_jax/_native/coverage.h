@@ -1,0 +1,439 @@
+// Exact coverage of a film by the curves that bound it.
+//
+// A curve is cut where it crosses the pixel grid. In each pixel, the pieces add their signed areas
+// (Green's theorem) to the layers at its lower left corner, which are counted in integers. Where
+// one chain of pieces crosses a pixel that sum is the coverage. Any other pixel is swept: a line
+// halts where pieces begin, end or cross, so that the covered part falls into trapezoids.
+//
+// Points on a grid line count for the pixel above it or to its right.
+#pragma once
+
+#include "curves.h"
+
+namespace pinhole {
+
+// A part of a curve in one pixel, upwards, in pixel units from the pixel's lower left corner.
+struct Piece {
+  int32_t curve, column;
+  int32_t next;      // in the same row
+  int8_t jump;       // layers on its right less those on its left
+  int8_t left = 0;   // layers above less those below where it crosses the pixel's left side
+  bool bottom;       // crosses the line just above the row's bottom, in this pixel
+  bool on_bottom;    // lies on the row's bottom
+  bool enters;       // comes from another pixel, in the direction that has cover on the left
+  double x0, y0, x1, y1;
+
+  int up() const { return x1 >= x0 ? -jump : jump; }  // layers above less those below
+  double left_y() const { return x1 >= x0 ? y0 : y1; }
+};
+
+// A stretch of a straight curve, in a pixel, that the background is seen beside. The coverage grows by
+// `extent` times the speed across (up, or to the right if the curve is steep) at `moment / extent`.
+struct Visible {
+  int32_t curve;
+  int64_t pixel;
+  double extent, moment;
+};
+// The same of an arc: the derivative of the coverage by its frame.
+struct VisibleArc {
+  int32_t curve;
+  int64_t pixel;
+  double flux[9];
+};
+struct Seen {
+  std::vector<Visible> straight;
+  std::vector<VisibleArc> arcs;
+};
+
+struct Outline {
+  std::vector<Curve> curves;
+  std::vector<Frame> frames;
+  int base = 0;  // layers far to the left of the film
+};
+
+// --- pieces ---------------------------------------------------------------------------------------
+
+struct Pieces {
+  std::vector<Monotone> curves;
+  std::vector<Piece> pieces;
+  std::vector<int32_t> row;      // of each piece
+  std::vector<int32_t> beside;   // layers that each row gains left of the film
+};
+
+class Splitter {
+ public:
+  Splitter(Pieces& out, int W, int H) : out_(out), W_(W), H_(H) {}
+
+  void split(int32_t number) {
+    const Monotone& m = out_.curves[number];
+    if (m.jump == 0 || !(m.high.y >= 0 && m.low.y < H_)) return;
+    const double first = std::max(std::floor(m.low.y), 0.0);
+    const double last = std::min(std::max(std::ceil(m.high.y), first + 1), double(H_));
+    double x0 = x_at(m, first), y0 = std::max(m.low.y, 0.0);
+    for (double row = first; row < last; ++row) {
+      const double x1 = x_at(m, row + 1), y1 = std::min(m.high.y, row + 1);
+      split_row(number, m, row, x0, y0, x1, y1);
+      x0 = x1, y0 = y1;
+    }
+  }
+
+ private:
+  double column_of(double x) const { return std::floor(std::clamp(x, -1.0, double(W_))); }
+
+  void split_row(int32_t number, const Monotone& m, double row, double x0, double y0, double x1,
+                 double y1) {
+    const double c0 = column_of(x0), c1 = column_of(x1), step = c1 >= c0 ? 1 : -1;
+    const bool passes = m.high.y > row, bottom = passes && y0 <= row && m.high.y > m.low.y;
+    if (bottom && c0 < 0) out_.beside[size_t(row)] += m.jump;
+    double x_in = x0, y_in = y0;
+    for (double c = c0;; c += step) {
+      const bool last = c == c1;
+      const double x_out = last ? x1 : (step > 0 ? c + 1 : c);
+      const double y_out = last ? y1 : y_at(m, x_out, x0, y0, x1, y1);
+      if (c >= 0 && c < W_) {
+        Piece p;
+        p.curve = number, p.column = int32_t(c), p.jump = int8_t(m.jump);
+        p.bottom = bottom && c == c0;
+        p.on_bottom = !passes;
+        const bool crosses = step > 0 ? c != c0 : !last;
+        if (crosses && passes) p.left = int8_t(step > 0 ? -m.jump : m.jump);
+        const Vec2 start = m.jump <= 0 ? Vec2{x_in, y_in} : Vec2{x_out, y_out};
+        const Vec2 own = m.jump <= 0 ? m.low : m.high;
+        p.enters = start.x != own.x || start.y != own.y || start.x == c || start.x == c + 1 ||
+                   start.y == row || start.y == row + 1;
+        p.x0 = x_in - c, p.y0 = y_in - row, p.x1 = x_out - c, p.y1 = y_out - row;
+        out_.pieces.push_back(p);
+        out_.row.push_back(int32_t(row));
+      }
+      if (last) break;
+      x_in = x_out, y_in = y_out;
+    }
+  }
+
+  Pieces& out_;
+  int W_, H_;
+};
+
+// --- one pixel ------------------------------------------------------------------------------------
+
+// The pieces of a pixel, and what a sweep of it needs.
+class Pixel {
+ public:
+  Pixel(const Pieces& all, Seen* seen) : all_(all), seen_(seen) {}
+
+  // The coverage; `corner` layers lie at the lower left corner.
+  double coverage(int row, int column, int64_t index, int corner, const int32_t* some, int n) {
+    row_ = row, column_ = column, index_ = index, corner_ = corner, some_ = some, n_ = n;
+    double mean = corner, layers = 0, drops = 0;
+    int entries = 0, ways = 0;
+    bool single = true;
+    for (int k = 0; k < n; ++k) {
+      const Piece& p = piece(k);
+      const double dx = p.x1 - p.x0, dy = p.y1 - p.y0;
+      if (p.left) mean += p.left * (1 - p.left_y());
+      mean += p.jump * dy * (1 - (p.x0 + p.x1) / 2);
+      if (const Frame* f = curve(p).frame) {
+        const Vec2 o{double(column), double(row)};
+        mean -= p.jump * bulge(*f, o + Vec2{p.x0, p.y0}, o + Vec2{p.x1, p.y1});
+      }
+      layers += std::abs(p.jump);
+      single = single && std::abs(p.jump) == 1;
+      entries += p.enters;
+      const double up = -p.jump * dy, right = -p.jump * dx;
+      ways |= (up > kTiny) | (up < -kTiny) << 1 | (right > kTiny) << 2 | (right < -kTiny) << 3;
+      const int change = p.left && p.x1 >= p.x0 ? -p.jump : p.jump;
+      drops += p.on_bottom ? std::abs(p.jump) : std::max(-change, 0);
+    }
+    if (corner - drops > 0.5 || mean > layers + 0.5) return 1;
+    const bool straight = (ways & 3) != 3 || (ways & 12) != 12;
+    if (single && entries == 1 && straight && std::abs(mean - 1) > kTie) {
+      if (mean > 1) return 1;
+      if (seen_) show_all();
+      return std::clamp(mean, 0.0, 1.0);
+    }
+    return swept();
+  }
+
+ private:
+  static constexpr double kTiny = 2e-15, kTie = 1e-13;
+
+  struct Line {
+    double u0, v0, u1, v1;
+    int jump;                // going up in v
+    const Piece* piece;
+    const Frame* frame;
+    double growing;          // of an arc: 1 where u grows along it
+    double extent = 0, moment = 0;
+    double flux[9] = {};
+  };
+  struct Step {
+    double u;
+    int layers;
+  };
+  struct Met {
+    double v;
+    int line;
+  };
+
+  const Piece& piece(int k) const { return all_.pieces[some_[k]]; }
+  const Monotone& curve(const Piece& p) const { return all_.curves[p.curve]; }
+  double film(bool upward, double u) const { return u + (upward ? row_ : column_); }
+
+  void show_all() {
+    for (int k = 0; k < n_; ++k) {
+      const Piece& p = piece(k);
+      const Monotone& m = curve(p);
+      if (m.frame) {
+        const Vec2 o{double(column_), double(row_)};
+        Vec2 w0 = unit_of(*m.frame, o + Vec2{p.x0, p.y0}), w1 = unit_of(*m.frame, o + Vec2{p.x1, p.y1});
+        if (m.rising < 0) std::swap(w0, w1);
+        VisibleArc v{p.curve, index_, {}};
+        arc_flux(*m.frame, w0, w1, 1, v.flux);
+        seen_->arcs.push_back(v);
+      } else {
+        const bool steep = m.steep();
+        const double extent = steep ? -p.jump * (p.y1 - p.y0) : -p.up() * std::abs(p.x1 - p.x0);
+        const double middle = film(steep, steep ? (p.y0 + p.y1) / 2 : (p.x0 + p.x1) / 2);
+        if (extent != 0) seen_->straight.push_back({p.curve, index_, extent, extent * middle});
+      }
+    }
+  }
+
+  double swept() {
+    bool steep = false;
+    for (int k = 0; seen_ && k < n_; ++k) steep = steep || needs_upward(piece(k));
+    const double area = sweep(false);
+    if (steep) sweep(true);
+    return std::clamp(area, 0.0, 1.0);
+  }
+  bool needs_upward(const Piece& p) const {
+    return curve(p).frame ? p.y1 - p.y0 > std::abs(p.x1 - p.x0) : curve(p).steep();
+  }
+
+  void lines_of(bool upward) {
+    lines_.clear(), steps_.clear();
+    for (int k = 0; k < n_; ++k) {
+      const Piece& p = piece(k);
+      const Monotone& m = curve(p);
+      Line l;
+      l.piece = &p, l.frame = m.frame;
+      if (upward) {
+        l.u0 = p.y0, l.v0 = p.x0, l.u1 = p.y1, l.v1 = p.x1, l.jump = p.jump, l.growing = m.rising;
+        if (p.left) steps_.push_back({p.left_y(), p.left});
+      } else {
+        const bool right = p.x1 >= p.x0;
+        l.u0 = right ? p.x0 : p.x1, l.v0 = right ? p.y0 : p.y1;
+        l.u1 = right ? p.x1 : p.x0, l.v1 = right ? p.y1 : p.y0;
+        l.jump = p.up(), l.growing = m.rising * m.rightward;
+        if (p.bottom) steps_.push_back({p.x0, p.jump});
+        if (p.on_bottom) {  // what lies just above it is counted without it
+          steps_.push_back({l.u0, -l.jump});
+          steps_.push_back({l.u1, l.jump});
+        }
+      }
+      lines_.push_back(l);
+    }
+  }
+
+  double slope(const Line& l) const { return ratio(l.v1 - l.v0, l.u1 - l.u0); }
+
+  void add_crossing(const Line& a, const Line& b, bool upward) {
+    const double low = std::max(a.u0, b.u0), high = std::min(a.u1, b.u1);
+    if (!(low < high)) return;
+    if (a.frame || b.frame) return add_arc_crossing(a, b, low, high, upward);
+    const double sa = slope(a), sb = slope(b);
+    const auto gap = [&](double u) { return a.v0 + (u - a.u0) * sa - (b.v0 + (u - b.u0) * sb); };
+    const double before = gap(low), after = gap(high);
+    if ((before < 0) == (after < 0)) return;
+    halts_.push_back(low + (high - low) * ratio(before, before - after));
+  }
+
+  // An arc meets a line where the line cuts its circle, and another arc on a line as well: both
+  // cones hold the rays whose products with the two axes are in the cosines' ratio.
+  void add_arc_crossing(const Line& a, const Line& b, double low, double high, bool upward) {
+    const Line& arc = a.frame ? a : b;
+    const Line& other = a.frame ? b : a;
+    const Vec3 met = other.frame ? axis_of(*arc.frame) - axis_of(*other.frame) : through(other, upward);
+    const Frame& f = *arc.frame;
+    const Vec3 level{dot(met, f.row[0]), dot(met, f.row[1]), dot(met, f.row[2])};
+    for (double growing : {1.0, -1.0}) {
+      const Vec2 p = film_point(f.at(cut_circle(level, growing)));
+      const double u = upward ? p.y - row_ : p.x - column_;
+      if (u > low && u < high) halts_.push_back(u);
+    }
+  }
+  // Times a unit ray of the cone: 1.
+  static Vec3 axis_of(const Frame& f) {
+    const Vec3 n = cross(f.row[1], f.row[2]);
+    return ratio(1, dot(n, f.row[0])) * n;
+  }
+  // The homogeneous line (film coordinates) of a straight piece.
+  Vec3 through(const Line& l, bool upward) const {
+    const Vec3 o{double(column_), double(row_), 0};
+    const Vec3 a = upward ? Vec3{l.v0, l.u0, 1} : Vec3{l.u0, l.v0, 1};
+    const Vec3 b = upward ? Vec3{l.v1, l.u1, 1} : Vec3{l.u1, l.v1, 1};
+    return cross(a + o, b + o);
+  }
+
+  Vec2 unit_at(const Line& l, bool upward, double u) const {
+    return upward ? unit_at_y(*l.frame, film(true, u), l.growing)
+                  : unit_at_x(*l.frame, film(false, u), l.growing);
+  }
+
+  double height_at(const Line& l, bool upward, double u) const {
+    if (l.frame) {
+      const Vec2 p = film_point(l.frame->at(unit_at(l, upward, u)));
+      return clamp_between(upward ? p.x - column_ : p.y - row_, l.v0, l.v1);
+    }
+    const double t = std::clamp(ratio(u - l.u0, l.u1 - l.u0), 0.0, 1.0);
+    return l.v0 + t * (l.v1 - l.v0);
+  }
+
+  // The covered area under a line that moves right (or `upward`: then only what is seen counts).
+  double sweep(bool upward) {
+    lines_of(upward);
+    const int n = int(lines_.size());
+    halts_.assign({0.0, 1.0});
+    for (const Line& l : lines_) halts_.push_back(l.u0), halts_.push_back(l.u1);
+    for (int i = 0; i < n; ++i)
+      for (int j = i + 1; j < n; ++j) add_crossing(lines_[i], lines_[j], upward);
+    std::sort(halts_.begin(), halts_.end());
+    double area = 0;
+    for (size_t k = 0; k + 1 < halts_.size(); ++k) {
+      const double from = std::clamp(halts_[k], 0.0, 1.0), to = std::clamp(halts_[k + 1], 0.0, 1.0);
+      if (to > from) area += strip(upward, from, to);
+    }
+    if (seen_) collect(upward);
+    return area;
+  }
+
+  double strip(bool upward, double from, double to) {
+    const double middle = (from + to) / 2, width = to - from;
+    met_.clear();
+    for (int k = 0; k < int(lines_.size()); ++k) {
+      const Line& l = lines_[k];
+      if (!(l.u0 <= middle && middle < l.u1)) continue;
+      const Met here{height_at(l, upward, middle), k};
+      size_t at = met_.size();
+      met_.push_back(here);
+      for (; at > 0 && met_[at - 1].v > here.v; --at) met_[at] = met_[at - 1];
+      met_[at] = here;
+    }
+    int layers = corner_;
+    for (const Step& s : steps_) layers += s.u < middle ? s.layers : 0;
+    double under = 0;
+    for (const Met& m : met_) {
+      Line& l = lines_[m.line];
+      const bool below = layers > 0, above = (layers += l.jump) > 0;
+      if (below == above) continue;
+      const int change = above ? 1 : -1;
+      under += change * (l.frame && !upward ? area_under(l, from, to) : m.v * width);
+      if (!seen_) continue;
+      l.extent -= change * width, l.moment -= change * width * film(upward, middle);
+      if (l.frame) see_arc(l, upward, from, to);
+    }
+    return (layers > 0) * width - under;
+  }
+
+  double area_under(const Line& l, double from, double to) const {
+    double area = 0;
+    along_arc(*l.frame, unit_at(l, false, from), unit_at(l, false, to),
+              [&](Vec2, Vec2 p, Vec2 slope, double, double q) { area += q * (p.y - row_) * slope.x; });
+    return area;
+  }
+
+  void see_arc(Line& l, bool upward, double from, double to) {
+    if (needs_upward(*l.piece) != upward) return;
+    Vec2 w0 = unit_at(l, upward, from), w1 = unit_at(l, upward, to);
+    if (l.growing < 0) std::swap(w0, w1);
+    arc_flux(*l.frame, w0, w1, 1, l.flux);
+  }
+
+  void collect(bool upward) {
+    for (const Line& l : lines_) {
+      if (needs_upward(*l.piece) != upward || (l.extent == 0 && l.moment == 0)) continue;
+      if (l.frame) {
+        VisibleArc v{l.piece->curve, index_, {}};
+        std::copy(l.flux, l.flux + 9, v.flux);
+        seen_->arcs.push_back(v);
+      } else {
+        seen_->straight.push_back({l.piece->curve, index_, l.extent, l.moment});
+      }
+    }
+  }
+
+  const Pieces& all_;
+  Seen* seen_;
+  int row_ = 0, column_ = 0, corner_ = 0, n_ = 0;
+  int64_t index_ = 0;
+  const int32_t* some_ = nullptr;
+  std::vector<Line> lines_;
+  std::vector<Step> steps_;
+  std::vector<double> halts_;
+  std::vector<Met> met_;
+};
+
+// --- the film -------------------------------------------------------------------------------------
+
+// A film drawn from the bottom row up, each row from the left. A sink is told of each pixel that a
+// curve touches (`at` first asks for its number in `Seen`) and of the runs between them.
+//
+//   void begin(covered);  int64_t at(row, column);
+//   void pixel(row, column, coverage);  void run(row, from, to, covered);
+
+// A whole image (H, W), the top row first.
+template <class Real>
+struct ImageSink {
+  Real* image;
+  int W, H;
+  void begin(bool) {}
+  int64_t at(int row, int column) const { return int64_t(H - 1 - row) * W + column; }
+  void pixel(int row, int column, double coverage) { image[at(row, column)] = Real(coverage); }
+  void run(int row, int from, int to, bool covered) {
+    std::fill(image + at(row, from), image + at(row, to), Real(covered));
+  }
+};
+
+template <class Sink>
+void draw(const Outline& outline, int W, int H, Sink& sink, Seen* seen) {
+  Pieces all;
+  all.beside.assign(H, 0);
+  all.curves.reserve(outline.curves.size());
+  for (const Curve& c : outline.curves)
+    all.curves.push_back(monotone(c, c.arc ? &outline.frames[c.generator] : nullptr));
+  Splitter splitter(all, W, H);
+  for (size_t k = 0; k < all.curves.size(); ++k) splitter.split(int32_t(k));
+
+  std::vector<int32_t> first_of(H, -1);
+  for (size_t k = all.pieces.size(); k-- > 0;) {
+    all.pieces[k].next = first_of[all.row[k]];
+    first_of[all.row[k]] = int32_t(k);
+  }
+  sink.begin(outline.base > 0);
+  Pixel pixel(all, seen);
+  std::vector<int32_t> in_row;
+  for (int row = 0; row < H; ++row) {
+    int corner = outline.base + all.beside[row], from = 0;
+    in_row.clear();
+    for (int32_t k = first_of[row]; k >= 0; k = all.pieces[k].next) in_row.push_back(k);
+    const auto column_of = [&](int32_t k) { return all.pieces[k].column; };
+    std::stable_sort(in_row.begin(), in_row.end(),
+                     [&](int32_t a, int32_t b) { return column_of(a) < column_of(b); });
+    for (size_t k = 0; k < in_row.size();) {
+      const size_t first = k;
+      const int column = column_of(in_row[k]);
+      if (from < column) sink.run(row, from, column, corner > 0);
+      int gained = 0;
+      for (; k < in_row.size() && column_of(in_row[k]) == column; ++k) {
+        const Piece& p = all.pieces[in_row[k]];
+        gained += p.bottom ? p.jump : 0;
+      }
+      const int64_t index = sink.at(row, column);
+      sink.pixel(row, column, pixel.coverage(row, column, index, corner, in_row.data() + first, int(k - first)));
+      corner += gained, from = column + 1;
+    }
+    if (from < W) sink.run(row, from, W, corner > 0);
+  }
+}
+
+}  // namespace pinhole

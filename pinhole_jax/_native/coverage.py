@@ -1,0 +1,184 @@
+"""Coverage by the compiled library, with its exact derivative in both directions."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array, Bool, Float, Int
+
+from .._camera.distortion import BrownConrady, Fisheye, Rational
+from .._camera.film import FilmMap, turned
+from .._numerics.safe import length, safe_divide, safe_sqrt
+from .._scene.scene import Scene, Spheres
+from .linear import differentiable_once, linear
+
+#: Lens models as the library numbers them; 0 is none.
+MODELS = {BrownConrady: 1, Rational: 2, Fisheye: 3}
+
+
+class Moving(NamedTuple):
+    """What coverage can be differentiated by; what a scene lacks has no entries.
+
+    - `film`: eye, view, three rows of the matrix, base.
+    - `lens`: coefficients, focal lengths and principal point (px).
+    - `frames`: the spheres' outlines as conics, row by row.
+    """
+
+    film: Float[Array, "18"]
+    lens: Float[Array, "n"]
+    vertices: Float[Array, "V 3"]
+    frames: Float[Array, "S 9"]
+
+
+class Still(NamedTuple):
+    """What it is not differentiated by; `size` is W, H."""
+
+    trusted: Float[Array, "t"]
+    faces: Int[Array, "F 3"]
+    edge_vertices: Int[Array, "E 2"]
+    edge_faces: Int[Array, "E 2"]
+    centers: Float[Array, "S 3"]
+    radii: Float[Array, "S"]
+    size: Int[Array, "2"]
+
+
+class Touch(NamedTuple):
+    """The pixels that the outline touches, in raster order from the bottom.
+
+    `cell` counts a row's pixels from 1, `W + 2` to a row; unused slots are at `H (W + 2)`.
+    `covered_after` is of the untouched pixels after it in its row, `covered_before` of those before
+    a row's first; `number` is how many there are, whatever the room.
+    """
+
+    cell: Int[Array, "P"]
+    coverage: Float[Array, "P"]
+    covered_after: Bool[Array, "P"]
+    covered_before: Bool[Array, ""]
+    number: Int[Array, ""]
+
+
+def coverage(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
+    """Exact coverage of each pixel, row 0 on top."""
+    model, moving, still = _view(film, scene, np.array([film.W, film.H], np.int32))
+    shape = jax.ShapeDtypeStruct((film.H, film.W), moving.film.dtype)
+    return _drawn(("image", model, (shape,)), moving, still)[0]
+
+
+def touch(film: FilmMap, scene: Scene, size: Int[Array, "2"], room: int) -> Touch:
+    """Exact coverage of the pixels that the outline touches, of a film of a `size` (W, H)."""
+    model, moving, still = _view(film, scene, size)
+    kinds = jnp.int32, moving.film.dtype, jnp.bool_
+    shapes = *(jax.ShapeDtypeStruct((room,), kind) for kind in kinds), _FACTS
+    cell, covered, after, facts = _drawn(("touch", model, shapes), moving, still)
+    return Touch(cell, covered, after, facts[1] > 0, facts[0])
+
+
+_FACTS = jax.ShapeDtypeStruct((2,), jnp.int32)
+
+
+def _view(film: FilmMap, scene: Scene, size: Any) -> tuple[int, Moving, Still]:
+    """The number of the lens's model, what moves and what does not."""
+    real, mesh, spheres = film.eye.dtype, scene.mesh, scene.spheres
+    none, triples = jnp.zeros((0, 3), real), jnp.zeros((0, 3), jnp.int32)
+    lens, trusted, model = none[:, 0], none[:, 0], 0
+    if film.bend is not None:
+        lens, trusted = film.bend.numbers, film.bend.trusted[None]
+        model = MODELS[type(film.bend.distortion)]
+    vertices, faces, edges = none, triples, (triples[:, :2],) * 2
+    if mesh is not None:
+        vertices, faces, edges = mesh.vertices, mesh.faces, (mesh.edge_vertices, mesh.edge_faces)
+    frames, centers, radii = jnp.zeros((0, 9), real), none, none[:, 0]
+    if spheres is not None:
+        frames, centers, radii = sphere_frames(film, spheres), spheres.centers, spheres.radii
+    numbers = [film.eye, film.view, film.matrix.reshape(-1), film.base]
+    moving = Moving(jnp.concatenate(numbers), lens, vertices, frames)
+    still = Still(trusted, faces, *edges, centers, radii, jnp.asarray(size, jnp.int32))
+    return model, moving, jax.lax.stop_gradient(still)
+
+
+def sphere_frames(film: FilmMap, spheres: Spheres) -> Float[Array, "S 9"]:
+    """The spheres' outlines: homogeneous film points `row 0 + row 1 w_1 + row 2 w_2`, |w| = 1.
+
+    Rays touch a sphere (centre c from the eye, radius r) on a circle, in the directions
+    `c t / |c|^2 + (r / |c|) (e1 w_1 + e2 w_2)` of unit length, with t the tangent's length and e1,
+    e2 perpendicular to c. Their film points are a conic.
+    """
+    ring = jnp.stack(_ring(*(spheres.centers - film.eye[None]).T, spheres.radii), axis=1)
+    middle = film(spheres.centers) * ring[:, :1]
+    around = turned(film.matrix, ring[:, 1:].reshape(-1, 2, 3))
+    return jnp.concatenate([middle, around.reshape(-1, 6)], axis=1)
+
+
+def _ring(x: Array, y: Array, z: Array, radius: Array) -> Sequence[Array]:
+    """How much the centre counts, and the circle's two axes in space, one after the other."""
+    distance = length(x, y, z)
+    distance = jnp.where(jax.lax.stop_gradient(distance > radius), distance, 2 * radius)
+    sine = radius / distance
+    cosine = safe_sqrt((distance - radius) / distance * (1 + sine))
+    axis = x / distance, y / distance, z / distance
+    sizes = [jax.lax.stop_gradient(jnp.abs(a)) for a in axis]
+    is_x = (sizes[0] <= sizes[1]) & (sizes[0] <= sizes[2])
+    is_y = ~is_x & (sizes[1] <= sizes[2])
+    which = is_x, is_y, ~is_x & ~is_y
+    least = jnp.where(is_x, axis[0], jnp.where(is_y, axis[1], axis[2]))
+    aside = [there.astype(x.dtype) - a * least for there, a in zip(which, axis, strict=True)]
+    size = length(*aside)
+    e1 = [safe_divide(a, size) for a in aside]
+    pairs = (1, 2), (2, 0), (0, 1)
+    e2 = [e1[i] * axis[j] - e1[j] * axis[i] for i, j in pairs]  # counter-clockwise to the eye
+    return cosine / distance, *(sine * a for a in (*e1, *e2))
+
+
+# --- calls ----------------------------------------------------------------------------------------
+
+#: The name of a call, the number of a lens's model, and the results' shapes.
+Asked = tuple[str, int, tuple[jax.ShapeDtypeStruct, ...]]
+
+
+def _call(name: str, model: int, shapes: Sequence[Any], *arguments: Array) -> list[Array]:
+    call = jax.ffi.ffi_call(f"pinhole_{name}", [*shapes], vmap_method="expand_dims")
+    return call(*arguments, model=model)
+
+
+def _given(moving: Moving, still: Still) -> list[Array]:
+    film, lens, vertices, frames = moving
+    trusted, *scene, size = still
+    return [film, jnp.concatenate([lens, trusted]), vertices, *scene, frames, size]
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _drawn(asked: Asked, moving: Moving, still: Still) -> list[Array]:
+    """What a call returns; the coverage is its only result of real numbers."""
+    return _call(*asked, *_given(moving, still))
+
+
+@partial(_drawn.defjvp, symbolic_zeros=True)
+def _drawn_jvp(asked: Asked, primals: Any, tangents: Any):
+    """The coverage's change: the visible outline's length in each pixel times its velocity."""
+    (name, model, shapes), (moving, still) = asked, primals
+    moves = [not isinstance(v, SymbolicZero) for v in tangents[0]]
+    given = _given(*differentiable_once((moving, still)))
+    # (What stands still has no entries, and costs nothing.)
+    empty = [jnp.zeros((0,) * x.ndim, x.dtype) for x in moving]
+    like = [x if m else e for x, m, e in zip(moving, moves, empty, strict=True)]
+    place = next(k for k, shape in enumerate(shapes) if shape.dtype == moving.film.dtype)
+
+    def push(some: list[Array]) -> Array:
+        left = iter(some)
+        every = [next(left) if m else e for m, e in zip(moves, empty, strict=True)]
+        return _call(f"{name}_push", model, shapes[place : place + 1], *given, *every)[0]
+
+    def pull(weights: Array) -> list[Array]:
+        of = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in like]
+        every = _call(f"{name}_pull", model, of, *given, weights)
+        return [x for x, m in zip(every, moves, strict=True) if m]
+
+    some = [v for v, m in zip(tangents[0], moves, strict=True) if m]
+    results = _drawn(asked, moving, still)
+    changes: list[Any] = [np.zeros(x.shape, jax.dtypes.float0) for x in results]
+    changes[place] = linear(push, pull, some, shapes[place])
+    return results, changes

@@ -1,0 +1,168 @@
+// Curves on the film: straight segments, and arcs of the conics that spheres are seen as.
+// Each is monotone in x and in y, and has its covered side on the left.
+#pragma once
+
+#include "geometry.h"
+
+namespace pinhole {
+
+// A sphere's outline: homogeneous film points row[0] + row[1] w.x + row[2] w.y, w on the unit circle.
+struct Frame {
+  Vec3 row[3];
+  Vec3 at(Vec2 w) const { return row[0] + w.x * row[1] + w.y * row[2]; }
+};
+
+inline Vec2 film_point(Vec3 h) { return {ratio(h.x, h.z), ratio(h.y, h.z)}; }
+
+// An end of a curve, and what it moves with: a weighted sum of the homogeneous points of its
+// generators (an edge's two vertices, a frame's three rows), weights over depth. Through a lens the
+// film point moves with `slope` times the ideal one, and with the lens's own numbers.
+struct End {
+  Vec2 point;    // on the film
+  Vec2 ideal;    // before the lens
+  double share[3] = {0, 0, 0};
+};
+
+struct Curve {
+  End tail, head;        // in the curve's direction
+  int32_t generator = 0; // edge, or sphere
+  int8_t weight = 0;     // layers of cover on the left less those on the right
+  bool on_sphere = false;
+  bool arc = false;
+  Vec2 w_tail, w_head;   // an arc's ends on the unit circle
+};
+
+// A curve from its lower to its upper end.
+struct Monotone {
+  Vec2 low, high;
+  double rising = 1;     // 1 where it runs upwards, else -1
+  double rightward = 1;  // 1 where the upper end is the right one, else -1
+  int jump = 0;          // layers on its right less those on its left, seen going up
+  const Frame* frame = nullptr;
+
+  double width() const { return high.x - low.x; }
+  double height() const { return high.y - low.y; }
+  bool steep() const { return std::abs(height()) > std::abs(width()); }
+};
+
+inline Monotone monotone(const Curve& c, const Frame* frame) {
+  const Vec2 a = c.tail.point, b = c.head.point;
+  const bool up = b.y >= a.y;
+  Monotone m;
+  m.low = up ? a : b;
+  m.high = up ? b : a;
+  m.rising = up ? 1 : -1;
+  m.rightward = m.high.x >= m.low.x ? 1 : -1;
+  m.jump = up ? -c.weight : c.weight;
+  m.frame = c.arc ? frame : nullptr;
+  return m;
+}
+
+// w on the unit circle with level . (1, w) = 0, growing there (`growing` 1) or falling (-1).
+inline Vec2 cut_circle(Vec3 level, double growing) {
+  double b = -level.x, x = level.y, y = level.z;
+  const double length = std::sqrt(x * x + y * y);
+  if (length > 0) {
+    x /= length, y /= length, b = std::clamp(b / length, -1.0, 1.0);
+  } else {
+    x = 1, y = 0, b = std::clamp(b, -1.0, 1.0);
+  }
+  const double root = growing * std::sqrt((1 - b) * (1 + b));
+  return {x * b + y * root, y * b - x * root};
+}
+
+inline Vec2 unit_at_x(const Frame& f, double x, double growing) {
+  return cut_circle({f.row[0].x - x * f.row[0].z, f.row[1].x - x * f.row[1].z,
+                     f.row[2].x - x * f.row[2].z}, growing);
+}
+inline Vec2 unit_at_y(const Frame& f, double y, double growing) {
+  return cut_circle({f.row[0].y - y * f.row[0].z, f.row[1].y - y * f.row[1].z,
+                     f.row[2].y - y * f.row[2].z}, growing);
+}
+
+// The w of a film point that lies on the conic.
+inline Vec2 unit_of(const Frame& f, Vec2 p) {
+  const Vec2 c{f.row[0].x - p.x * f.row[0].z, f.row[0].y - p.y * f.row[0].z};
+  const Vec2 a{f.row[1].x - p.x * f.row[1].z, f.row[1].y - p.y * f.row[1].z};
+  const Vec2 b{f.row[2].x - p.x * f.row[2].z, f.row[2].y - p.y * f.row[2].z};
+  const double det = a.x * b.y - a.y * b.x;
+  const Vec2 w{ratio(b.x * c.y - b.y * c.x, det), ratio(a.y * c.x - a.x * c.y, det)};
+  const double length = std::sqrt(w.x * w.x + w.y * w.y);
+  return {ratio(w.x, length), ratio(w.y, length)};
+}
+
+// Gauss-Legendre on [0, 1], exact to 1e-14 over a quarter turn.
+inline constexpr double kNode[8] = {
+    0.01985507175123188, 0.10166676129318664, 0.2372337950418355, 0.4082826787521751,
+    0.5917173212478249,  0.7627662049581645,  0.8983332387068134, 0.9801449282487681};
+inline constexpr double kWeight[8] = {
+    0.05061426814518813, 0.11119051722668724, 0.15685332293894363, 0.18134189168918100,
+    0.18134189168918100, 0.15685332293894363, 0.11119051722668724, 0.05061426814518813};
+
+// Calls visit(w, film point, its derivative by the angle, depth, weight) along the arc, whichever
+// way is shorter.
+template <class Visit>
+void along_arc(const Frame& f, Vec2 w0, Vec2 w1, Visit visit) {
+  const double turn = std::atan2(w0.x * w1.y - w0.y * w1.x, w0.x * w1.x + w0.y * w1.y);
+  for (int k = 0; k < 8; ++k) {
+    const double angle = turn * kNode[k], c = std::cos(angle), s = std::sin(angle);
+    const Vec2 w{w0.x * c - w0.y * s, w0.y * c + w0.x * s};
+    const Vec3 h = f.at(w), change = (-w.y) * f.row[1] + w.x * f.row[2];
+    const Vec2 p = film_point(h);
+    const Vec2 slope{ratio(change.x - p.x * change.z, h.z), ratio(change.y - p.y * change.z, h.z)};
+    visit(w, p, slope, h.z, turn * kWeight[k]);
+  }
+}
+
+// The area between an arc's piece and its chord, positive if counter-clockwise.
+inline double bulge(const Frame& f, Vec2 start, Vec2 end) {
+  double twice = 0;
+  along_arc(f, unit_of(f, start), unit_of(f, end), [&](Vec2, Vec2 p, Vec2 slope, double, double q) {
+    twice += q * ((p.x - start.x) * slope.y - (p.y - start.y) * slope.x);
+  });
+  return twice / 2;
+}
+
+// The derivative, by the frame's nine numbers, of the area on the left of the arc from w0 to w1.
+inline void arc_flux(const Frame& f, Vec2 w0, Vec2 w1, double scale, double flux[9]) {
+  along_arc(f, w0, w1, [&](Vec2 w, Vec2 p, Vec2 slope, double z, double q) {
+    const double nx = slope.y, ny = -slope.x;
+    const Vec3 normal = ratio(q * scale, z) * Vec3{nx, ny, -(p.x * nx + p.y * ny)};
+    const double basis[3] = {1, w.x, w.y};
+    for (int k = 0; k < 3; ++k) {
+      flux[3 * k] += basis[k] * normal.x;
+      flux[3 * k + 1] += basis[k] * normal.y;
+      flux[3 * k + 2] += basis[k] * normal.z;
+    }
+  });
+}
+
+inline double clamp_between(double x, double a, double b) {
+  return std::clamp(x, std::min(a, b), std::max(a, b));
+}
+
+// The abscissa at height y, or that of the end which y lies beyond.
+inline double x_at(const Monotone& m, double y) {
+  if (y <= m.low.y) return m.low.x;
+  if (y >= m.high.y) return m.high.x;
+  double x;
+  if (m.frame) {
+    x = film_point(m.frame->at(unit_at_y(*m.frame, y, m.rising))).x;
+  } else {
+    x = m.low.x + (y - m.low.y) * ratio(m.width(), m.height());
+  }
+  return clamp_between(x, m.low.x, m.high.x);
+}
+
+// The height at abscissa x, within a stretch from (x0, y0) to (x1, y1) of the curve.
+inline double y_at(const Monotone& m, double x, double x0, double y0, double x1, double y1) {
+  double y;
+  if (m.frame) {
+    y = film_point(m.frame->at(unit_at_x(*m.frame, x, m.rising * m.rightward))).y;
+  } else {
+    y = y0 + (x - x0) * ratio(y1 - y0, x1 - x0);
+  }
+  return std::clamp(y, y0, y1);
+}
+
+}  // namespace pinhole

@@ -1,0 +1,51 @@
+"""The compiled library: found, loaded and registered with JAX once, where it is wanted and runs."""
+
+import ctypes
+import os
+import warnings
+from functools import cache
+from pathlib import Path
+
+import jax
+
+#: The library's handlers, by the names that JAX calls them.
+HANDLERS = tuple(
+    f"pinhole_{what}{way}" for what in ("image", "touch") for way in ("", "_push", "_pull")
+)
+#: `PINHOLE_JAX_NATIVE=0` chooses the array form in its place.
+SWITCH = "PINHOLE_JAX_NATIVE"
+NAMES = ("libpinhole.so", "libpinhole.dylib", "pinhole.dll")
+
+
+@cache
+def is_available() -> bool:
+    """Whether the library runs here; a warning says once why it does not, unless it is switched off."""
+    if os.environ.get(SWITCH) == "0":
+        return False
+    why = _registered()
+    if why:
+        warnings.warn(
+            f"pinhole_jax runs without its compiled library ({why}): masks take some 10 times as"
+            " long. With a C++ compiler, `pip install --force-reinstall --no-deps pinhole-jax`"
+            " builds it.",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+    return not why
+
+
+def _registered() -> str:
+    """Why the library cannot be used, or an empty string once it is registered."""
+    folder = Path(__file__).parent
+    path = next((folder / name for name in NAMES if (folder / name).exists()), None)
+    if path is None:
+        return "it was not built"
+    try:
+        jax.devices("cpu")  # (a library that XLA refuses would take a backend down that starts later)
+        library = ctypes.CDLL(str(path))
+        for name in HANDLERS:
+            handler = jax.ffi.pycapsule(getattr(library, name))
+            jax.ffi.register_ffi_target(name, handler, platform="cpu")
+    except Exception as error:  # whatever a loader or another version of XLA says
+        return str(error).splitlines()[0] if str(error) else type(error).__name__
+    return ""

@@ -1,0 +1,42 @@
+"""A linear map given by two functions: itself and its transpose."""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+T = TypeVar("T")
+
+
+def linear(
+    forward: Callable[[list[Array]], Array],
+    transpose: Callable[[Array], list[Array]],
+    x: list[Array],
+    like: jax.ShapeDtypeStruct,
+) -> Array:
+    """`forward(x)`, of which JAX takes `transpose` for the transpose, also under `vmap`.
+
+    Both directions make one symmetric map, `(x, y) -> (transpose(y), forward(x))`. JAX knows a way
+    to state such a map: the solution of a symmetric linear system. The half that is not used is not
+    run.
+    """
+    # (Zeros that are linear in `x`, as JAX asks: the sum of none of its numbers.)
+    zero = jnp.broadcast_to(jnp.sum(x[0].reshape(-1)[:0]), like.shape)
+    both = lambda _, right: (transpose(right[1]), forward(right[0]))
+    return jax.lax.custom_linear_solve(lambda x: x, (x, zero), both, symmetric=True)[1]
+
+
+@jax.custom_jvp
+def differentiable_once(x: T) -> T:
+    """`x`, held: to differentiate by it is an error."""
+    return x
+
+
+@differentiable_once.defjvp
+def _(primals, tangents):
+    raise NotImplementedError(
+        "silhouettes can be differentiated once: second derivatives of coverage are not defined by"
+        " its contour alone (use Gauss-Newton, J^T J, in their place)"
+    )
