@@ -17,14 +17,15 @@ struct Piece {
   int32_t curve, column;
   int32_t next;      // in the same row
   int8_t jump;       // layers on its right less those on its left
-  int8_t left = 0;   // layers above less those below where it crosses the pixel's left side
+  int8_t left = 0;   // layers above less those below where it crosses the pixel's left side,
+  bool left_at_end;  // and whether it does so at its upper end
   bool bottom;       // crosses the line just above the row's bottom, in this pixel
   bool on_bottom;    // lies on the row's bottom
   bool enters;       // comes from another pixel, in the direction that has cover on the left
   double x0, y0, x1, y1;
 
   int up() const { return x1 >= x0 ? -jump : jump; }  // layers above less those below
-  double left_y() const { return x1 >= x0 ? y0 : y1; }
+  double left_y() const { return left_at_end ? y1 : y0; }
 };
 
 // A stretch of a straight curve, in a pixel, that the background is seen beside. The coverage grows by
@@ -96,6 +97,7 @@ class Splitter {
         p.bottom = bottom && c == c0;
         p.on_bottom = !passes;
         const bool crosses = step > 0 ? c != c0 : !last;
+        p.left_at_end = step < 0;
         if (crosses && passes) p.left = int8_t(step > 0 ? -m.jump : m.jump);
         const Vec2 start = m.jump <= 0 ? Vec2{x_in, y_in} : Vec2{x_out, y_out};
         const Vec2 own = m.jump <= 0 ? m.low : m.high;
@@ -141,7 +143,7 @@ class Pixel {
       entries += p.enters;
       const double up = -p.jump * dy, right = -p.jump * dx;
       ways |= (up > kTiny) | (up < -kTiny) << 1 | (right > kTiny) << 2 | (right < -kTiny) << 3;
-      const int change = p.left && p.x1 >= p.x0 ? -p.jump : p.jump;
+      const int change = p.left && !p.left_at_end ? -p.jump : p.jump;
       drops += p.on_bottom ? std::abs(p.jump) : std::max(-change, 0);
     }
     if (corner - drops > 0.5 || mean > layers + 0.5) return 1;

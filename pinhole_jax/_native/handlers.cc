@@ -121,8 +121,8 @@ void draw_touched(XLA_FFI_CallFrame* frame) {
     views.find(batch, k);
     TouchSink<Real> sink{views.W, cell.size(), data_of<int32_t>(cell, k), data_of<Real>(coverage, k), data_of<bool>(after, k)};
     views.draw(sink, false);
-    for (int64_t n = sink.count; n < sink.room; ++n) sink.put((views.W + 2) * int64_t(views.H), 0), --sink.count;
     data_of<int32_t>(facts, k)[0] = int32_t(sink.count);
+    while (sink.count < sink.room) sink.put((views.W + 2) * int64_t(views.H), 0);
     data_of<int32_t>(facts, k)[1] = sink.covers_first;
   }
 }

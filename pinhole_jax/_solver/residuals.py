@@ -176,14 +176,14 @@ def touch(
 def _native(
     film: FilmMap, scene: Scene, level: Level, capacity: Capacity
 ) -> tuple[Touched, Load]:
-    size = jnp.stack([level.W, level.H])
-    room = capacity.pieces + capacity.arc_pieces
+    size, mesh = jnp.stack([level.W, level.H]), scene.mesh
+    of_mesh = mesh is not None and mesh.edge_faces.shape[0] > 0
+    of_spheres = scene.spheres is not None and scene.spheres.radii.shape[0] > 0
+    room = capacity.pieces * of_mesh + capacity.arc_pieces * of_spheres
     cell, coverage, after, before, number = native.touch(_on_level(film, level), scene, size, room)
     column, none = cell % (level.W + 2), jnp.zeros_like(number)
     inside = (column > 0) & (column <= level.W)
     touched = Touched(cell, inside, jnp.ones_like(inside), coverage, after, before)
-    # (A mesh is asked for room first.)
-    of_mesh = capacity.pieces > 1
     return touched, Load(none, number, none, none) if of_mesh else Load(none, none, number, none)
 
 

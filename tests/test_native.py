@@ -1,0 +1,169 @@
+"""The compiled library: the same numbers as by arrays, batches, hostile input, and life without it."""
+
+import os
+import subprocess
+import sys
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pinhole_jax as pj
+from pinhole_jax._camera.camera import film_at_once
+from pinhole_jax._native import coverage as native
+from pinhole_jax._native import library
+from pinhole_jax._silhouette.silhouette import _in_arrays
+
+pytestmark = pytest.mark.skipif(not library.is_available(), reason="the library was not built")
+EYE = jnp.array([0.3, 0.8, 4.0])
+
+
+def camera(e=EYE, W=24, H=18, lens=None):
+    return pj.Camera(e, jnp.zeros(3), jnp.array([0.0, 1, 0]), 0.8, W=W, H=H, lens=lens)
+
+
+def soup(rng, number=12):
+    corners = rng.normal(size=(3 * number, 3))
+    return pj.Mesh(corners, np.arange(3 * number).reshape(-1, 3))
+
+
+def balls(rng, number=5):
+    return pj.Spheres(rng.normal(size=(number, 3)), rng.uniform(0.1, 0.6, number))
+
+
+SCENES = {
+    "closed": lambda rng: pj.Scene(mesh=pj.shapes.bumpy(1)),
+    "soup": lambda rng: pj.Scene(mesh=soup(rng)),
+    "spheres": lambda rng: pj.Scene(spheres=balls(rng)),
+    "both": lambda rng: pj.Scene(mesh=soup(rng), spheres=balls(rng)),
+}
+
+
+def drawn(e, scene):
+    return native.coverage(film_at_once(camera(e)), scene)
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_coverage_is_that_by_arrays(kind):
+    scene, film = SCENES[kind](np.random.default_rng(3)), film_at_once(camera())
+    by_arrays = jax.jit(partial(_in_arrays, overlaps=True, stops=None))(film, scene)
+    np.testing.assert_allclose(native.coverage(film, scene), by_arrays, rtol=0, atol=5e-14)
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_derivative_is_the_central_difference(kind):
+    scene = SCENES[kind](np.random.default_rng(4))
+    slopes, step = jax.jit(jax.jacfwd(drawn))(EYE, scene), 1e-6
+    for k in range(3):
+        there, back = (drawn(EYE.at[k].add(s), scene) for s in (step, -step))
+        central = (there - back) / (2 * step)
+        assert jnp.max(jnp.abs(slopes[..., k] - central)) < 1e-6 * jnp.max(jnp.abs(slopes))
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_pull_is_the_transpose_of_push(kind):
+    scene = SCENES[kind](np.random.default_rng(5))
+    moved = lambda e, scale: drawn(e, jax.tree.map(lambda x: _scaled(x, scale), scene))
+    weights = jnp.asarray(np.random.default_rng(6).normal(size=(18, 24)))
+    forward = jax.jacfwd(moved, argnums=(0, 1))(EYE, 1.0)
+    back = jax.grad(lambda *x: jnp.sum(weights * moved(*x)), argnums=(0, 1))(EYE, 1.0)
+    for push, pull in zip(forward, back, strict=True):
+        total = jnp.tensordot(weights, push, axes=2)
+        np.testing.assert_allclose(pull, total, rtol=1e-10, atol=1e-10)
+
+
+def _scaled(x, scale):
+    return x * scale if jnp.issubdtype(x.dtype, jnp.floating) else x
+
+
+def test_batches_are_their_members():
+    scene, rng = SCENES["both"](np.random.default_rng(7)), np.random.default_rng(8)
+    eyes = EYE[None] + jnp.asarray(rng.normal(size=(3, 3))) * 0.1
+    loss = lambda e: jnp.sum(drawn(e, scene) ** 2)
+    for one in (partial(drawn, scene=scene), jax.grad(loss), jax.jacfwd(loss)):
+        together = jax.jit(jax.vmap(one))(eyes)
+        np.testing.assert_allclose(together, jnp.stack([one(e) for e in eyes]), rtol=0, atol=1e-12)
+
+
+def test_nested_batches_are_their_members():
+    scene = SCENES["closed"](None)
+    eyes = EYE[None, None] + jnp.arange(12.0).reshape(2, 2, 3) * 0.01
+    together = jax.vmap(jax.vmap(partial(drawn, scene=scene)))(eyes)
+    each = [[drawn(e, scene) for e in row] for row in eyes]
+    np.testing.assert_array_equal(together, jnp.array(each))
+
+
+def test_nan_of_a_member_leaves_the_others():
+    scene = SCENES["closed"](None)
+    eyes = jnp.stack([EYE, EYE * jnp.nan, EYE])
+    images = jax.vmap(partial(drawn, scene=scene))(eyes)
+    assert not jnp.any(images[1])
+    np.testing.assert_array_equal(images[0], images[2])
+
+
+def test_second_derivative_is_refused():
+    loss = lambda e: jnp.sum(drawn(e, SCENES["closed"](None)) ** 2)
+    with pytest.raises(NotImplementedError, match="differentiated once"):
+        jax.hessian(loss)(EYE)
+
+
+def test_touched_pixels_are_those_of_the_image():
+    scene, view = SCENES["both"](np.random.default_rng(9)), camera()
+    film, image = film_at_once(view), drawn(EYE, scene)
+    found = native.touch(film, scene, jnp.array([view.W, view.H]), 400)
+    number = int(found.number)
+    row, column = np.divmod(np.asarray(found.cell)[:number], view.W + 2)
+    inside = (column > 0) & (column <= view.W)
+    at = view.H - 1 - row[inside], column[inside] - 1
+    np.testing.assert_array_equal(np.asarray(found.coverage)[:number][inside], image[at])
+    assert np.all(np.asarray(found.cell)[number:] == view.H * (view.W + 2))
+    untouched = np.ones(image.shape, bool)
+    untouched[at] = False
+    assert set(np.unique(image[untouched])) <= {0, 1}
+
+
+def test_touched_pixels_beyond_the_room_are_counted():
+    scene, film = SCENES["both"](np.random.default_rng(9)), film_at_once(camera())
+    size = jnp.array([24, 18])
+    some, every = (native.touch(film, scene, size, room) for room in (5, 400))
+    assert int(some.number) == int(every.number) > 5
+    np.testing.assert_array_equal(some.cell, every.cell[:5])
+
+
+def test_indices_out_of_range_are_left_out():
+    mesh = pj.shapes.bumpy(1)
+    for name in ("faces", "edge_vertices", "edge_faces"):
+        broken = jax.tree.map(lambda x: x, mesh)
+        object.__setattr__(broken, name, getattr(mesh, name) + (1 << 28))
+        image = drawn(EYE, pj.Scene(mesh=broken))
+        assert jnp.all((image >= 0) & (image <= 1))
+
+
+def test_switch_chooses_arrays():
+    code = (
+        "import pinhole_jax as pj, numpy as np\n"
+        "from pinhole_jax._native.library import is_available\n"
+        "camera = pj.Camera([0., 1, 5], [0., 0, 0], [0., 1, 0], 0.6, W=16, H=16)\n"
+        "mask = pj.silhouette(camera, pj.Scene(mesh=pj.shapes.bumpy(0)))\n"
+        "print(is_available(), float(mask.sum()))"
+    )
+    said = {}
+    for switch in ("0", "1"):
+        environment = {**os.environ, library.SWITCH: switch}
+        run = [sys.executable, "-W", "error", "-c", code]
+        done = subprocess.run(run, capture_output=True, text=True, env=environment, check=True)
+        said[switch] = done.stdout.split()
+    assert (said["0"][0], said["1"][0]) == ("False", "True")
+    assert float(said["0"][1]) == pytest.approx(float(said["1"][1]), rel=1e-5)
+
+
+def test_missing_library_is_a_warning(monkeypatch):
+    monkeypatch.setattr(library, "NAMES", ())
+    library.is_available.cache_clear()
+    try:
+        with pytest.warns(RuntimeWarning, match="without its compiled library"):
+            assert not library.is_available()
+    finally:
+        library.is_available.cache_clear()
