@@ -1,4 +1,4 @@
-"""The compiled library: the same numbers as by arrays, batches, hostile input, and life without it."""
+"""The compiled library: the numbers of the array form, batches, hostile input, life without it."""
 
 import os
 import subprocess
@@ -12,8 +12,7 @@ import pytest
 
 import pinhole_jax as pj
 from pinhole_jax._camera.camera import film_at_once
-from pinhole_jax._native import coverage as native
-from pinhole_jax._native import library
+from pinhole_jax._native import library, rasteriser as native
 from pinhole_jax._silhouette.silhouette import _in_arrays
 
 pytestmark = pytest.mark.skipif(not library.is_available(), reason="the library was not built")

@@ -19,7 +19,7 @@ NAMES = ("libpinhole.so", "libpinhole.dylib", "pinhole.dll")
 
 @cache
 def is_available() -> bool:
-    """Whether the library runs here; a warning says once why it does not, unless it is switched off."""
+    """Whether the library runs here; a warning says once why it does not."""
     if os.environ.get(SWITCH) == "0":
         return False
     why = _registered()
@@ -41,7 +41,9 @@ def _registered() -> str:
     if path is None:
         return "it was not built"
     try:
-        jax.devices("cpu")  # (a library that XLA refuses would take a backend down that starts later)
+        jax.devices(
+            "cpu"
+        )  # (a library that XLA refuses would take a backend down that starts later)
         library = ctypes.CDLL(str(path))
         for name in HANDLERS:
             handler = jax.ffi.pycapsule(getattr(library, name))

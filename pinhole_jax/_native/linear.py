@@ -1,13 +1,11 @@
 """A linear map given by two functions: itself and its transpose."""
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
-
-T = TypeVar("T")
 
 
 def linear(
@@ -16,7 +14,7 @@ def linear(
     x: list[Array],
     like: jax.ShapeDtypeStruct,
 ) -> Array:
-    """`forward(x)`, of which JAX takes `transpose` for the transpose, also under `vmap`.
+    """`forward(x)`, which JAX transposes by `transpose`, also under `vmap`.
 
     Both directions make one symmetric map, `(x, y) -> (transpose(y), forward(x))`. JAX knows a way
     to state such a map: the solution of a symmetric linear system. The half that is not used is not
@@ -29,13 +27,13 @@ def linear(
 
 
 @jax.custom_jvp
-def differentiable_once(x: T) -> T:
+def differentiable_once(x: Any) -> Any:
     """`x`, held: to differentiate by it is an error."""
     return x
 
 
 @differentiable_once.defjvp
-def _(primals, tangents):
+def _(primals: Any, tangents: Any):
     raise NotImplementedError(
         "silhouettes can be differentiated once: second derivatives of coverage are not defined by"
         " its contour alone (use Gauss-Newton, J^T J, in their place)"

@@ -13,9 +13,9 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.camera import Camera, film_at_once
 from .._camera.film import FilmMap
-from .._numerics.backend import for_this_machine
-from .._native.coverage import coverage
 from .._native.library import is_available
+from .._native.rasteriser import coverage
+from .._numerics.backend import for_this_machine
 from .._numerics.bitset import Selection, selection
 from .._numerics.jitted import jitted
 from .._numerics.later import later, on_each_device

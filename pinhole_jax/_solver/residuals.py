@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._camera.camera import Camera, film_at_once, film_map, lens_holds
 from .._camera.film import Bend, FilmMap, FilmPart
 from .._mask.pyramid import Level, Pyramid
-from .._native import coverage as native
+from .._native import rasteriser as native
 from .._native.library import is_available
 from .._numerics.bitset import in_order
 from .._numerics.one_kernel import by_machine
@@ -170,12 +170,12 @@ def touch(
     in_arrays = partial(_in_arrays, capacity=capacity)
     if not is_available():
         return in_arrays(film, scene, level)
-    return by_machine(film, scene, level, cpu=partial(_native, capacity=capacity), elsewhere=in_arrays)
+    return by_machine(
+        film, scene, level, cpu=partial(_native, capacity=capacity), elsewhere=in_arrays
+    )
 
 
-def _native(
-    film: FilmMap, scene: Scene, level: Level, capacity: Capacity
-) -> tuple[Touched, Load]:
+def _native(film: FilmMap, scene: Scene, level: Level, capacity: Capacity) -> tuple[Touched, Load]:
     size, mesh = jnp.stack([level.W, level.H]), scene.mesh
     of_mesh = mesh is not None and mesh.edge_faces.shape[0] > 0
     of_spheres = scene.spheres is not None and scene.spheres.radii.shape[0] > 0

@@ -20,7 +20,7 @@ from .linear import differentiable_once, linear
 MODELS = {BrownConrady: 1, Rational: 2, Fisheye: 3}
 
 
-class Moving(NamedTuple):
+class Variables(NamedTuple):
     """What coverage can be differentiated by; what a scene lacks has no entries.
 
     - `film`: eye, view, three rows of the matrix, base.
@@ -34,7 +34,7 @@ class Moving(NamedTuple):
     frames: Float[Array, "S 9"]
 
 
-class Still(NamedTuple):
+class Constants(NamedTuple):
     """What it is not differentiated by; `size` is W, H."""
 
     trusted: Float[Array, "t"]
@@ -63,24 +63,24 @@ class Touch(NamedTuple):
 
 def coverage(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
     """Exact coverage of each pixel, row 0 on top."""
-    model, moving, still = _view(film, scene, np.array([film.W, film.H], np.int32))
-    shape = jax.ShapeDtypeStruct((film.H, film.W), moving.film.dtype)
-    return _drawn(("image", model, (shape,)), moving, still)[0]
+    model, variables, constants = _view(film, scene, np.array([film.W, film.H], np.int32))
+    shape = jax.ShapeDtypeStruct((film.H, film.W), variables.film.dtype)
+    return _drawn(("image", model, (shape,)), variables, constants)[0]
 
 
 def touch(film: FilmMap, scene: Scene, size: Int[Array, "2"], room: int) -> Touch:
     """Exact coverage of the pixels that the outline touches, of a film of a `size` (W, H)."""
-    model, moving, still = _view(film, scene, size)
-    kinds = jnp.int32, moving.film.dtype, jnp.bool_
+    model, variables, constants = _view(film, scene, size)
+    kinds = jnp.int32, variables.film.dtype, jnp.bool_
     shapes = *(jax.ShapeDtypeStruct((room,), kind) for kind in kinds), _FACTS
-    cell, covered, after, facts = _drawn(("touch", model, shapes), moving, still)
+    cell, covered, after, facts = _drawn(("touch", model, shapes), variables, constants)
     return Touch(cell, covered, after, facts[1] > 0, facts[0])
 
 
 _FACTS = jax.ShapeDtypeStruct((2,), jnp.int32)
 
 
-def _view(film: FilmMap, scene: Scene, size: Any) -> tuple[int, Moving, Still]:
+def _view(film: FilmMap, scene: Scene, size: Any) -> tuple[int, Variables, Constants]:
     """The number of the lens's model, what moves and what does not."""
     real, mesh, spheres = film.eye.dtype, scene.mesh, scene.spheres
     none, triples = jnp.zeros((0, 3), real), jnp.zeros((0, 3), jnp.int32)
@@ -88,16 +88,21 @@ def _view(film: FilmMap, scene: Scene, size: Any) -> tuple[int, Moving, Still]:
     if film.bend is not None:
         lens, trusted = film.bend.numbers, film.bend.trusted[None]
         model = MODELS[type(film.bend.distortion)]
-    vertices, faces, edges = none, triples, (triples[:, :2],) * 2
+    vertices, faces, ends, beside = none, triples, triples[:, :2], triples[:, :2]
     if mesh is not None:
-        vertices, faces, edges = mesh.vertices, mesh.faces, (mesh.edge_vertices, mesh.edge_faces)
+        vertices, faces, ends, beside = (
+            mesh.vertices,
+            mesh.faces,
+            mesh.edge_vertices,
+            mesh.edge_faces,
+        )
     frames, centers, radii = jnp.zeros((0, 9), real), none, none[:, 0]
     if spheres is not None:
         frames, centers, radii = sphere_frames(film, spheres), spheres.centers, spheres.radii
     numbers = [film.eye, film.view, film.matrix.reshape(-1), film.base]
-    moving = Moving(jnp.concatenate(numbers), lens, vertices, frames)
-    still = Still(trusted, faces, *edges, centers, radii, jnp.asarray(size, jnp.int32))
-    return model, moving, jax.lax.stop_gradient(still)
+    variables = Variables(jnp.concatenate(numbers), lens, vertices, frames)
+    constants = Constants(trusted, faces, ends, beside, centers, radii, jnp.asarray(size))
+    return model, variables, jax.lax.stop_gradient(constants)
 
 
 def sphere_frames(film: FilmMap, spheres: Spheres) -> Float[Array, "S 9"]:
@@ -107,7 +112,8 @@ def sphere_frames(film: FilmMap, spheres: Spheres) -> Float[Array, "S 9"]:
     `c t / |c|^2 + (r / |c|) (e1 w_1 + e2 w_2)` of unit length, with t the tangent's length and e1,
     e2 perpendicular to c. Their film points are a conic.
     """
-    ring = jnp.stack(_ring(*(spheres.centers - film.eye[None]).T, spheres.radii), axis=1)
+    x, y, z = (spheres.centers - film.eye[None]).T
+    ring = jnp.stack(_ring(x, y, z, spheres.radii), axis=1)
     middle = film(spheres.centers) * ring[:, :1]
     around = turned(film.matrix, ring[:, 1:].reshape(-1, 2, 3))
     return jnp.concatenate([middle, around.reshape(-1, 6)], axis=1)
@@ -141,31 +147,31 @@ Asked = tuple[str, int, tuple[jax.ShapeDtypeStruct, ...]]
 
 def _call(name: str, model: int, shapes: Sequence[Any], *arguments: Array) -> list[Array]:
     call = jax.ffi.ffi_call(f"pinhole_{name}", [*shapes], vmap_method="expand_dims")
-    return call(*arguments, model=model)
+    return [*call(*arguments, model=model)]
 
 
-def _given(moving: Moving, still: Still) -> list[Array]:
-    film, lens, vertices, frames = moving
-    trusted, *scene, size = still
+def _given(variables: Variables, constants: Constants) -> list[Array]:
+    film, lens, vertices, frames = variables
+    trusted, *scene, size = constants
     return [film, jnp.concatenate([lens, trusted]), vertices, *scene, frames, size]
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _drawn(asked: Asked, moving: Moving, still: Still) -> list[Array]:
+def _drawn(asked: Asked, variables: Variables, constants: Constants) -> list[Array]:
     """What a call returns; the coverage is its only result of real numbers."""
-    return _call(*asked, *_given(moving, still))
+    return _call(*asked, *_given(variables, constants))
 
 
 @partial(_drawn.defjvp, symbolic_zeros=True)
 def _drawn_jvp(asked: Asked, primals: Any, tangents: Any):
     """The coverage's change: the visible outline's length in each pixel times its velocity."""
-    (name, model, shapes), (moving, still) = asked, primals
+    (name, model, shapes), (variables, constants) = asked, primals
     moves = [not isinstance(v, SymbolicZero) for v in tangents[0]]
-    given = _given(*differentiable_once((moving, still)))
-    # (What stands still has no entries, and costs nothing.)
-    empty = [jnp.zeros((0,) * x.ndim, x.dtype) for x in moving]
-    like = [x if m else e for x, m, e in zip(moving, moves, empty, strict=True)]
-    place = next(k for k, shape in enumerate(shapes) if shape.dtype == moving.film.dtype)
+    given = _given(*differentiable_once((variables, constants)))
+    # (What does not move has no entries, and costs nothing.)
+    empty = [jnp.zeros((0,) * x.ndim, x.dtype) for x in variables]
+    like = [x if m else e for x, m, e in zip(variables, moves, empty, strict=True)]
+    place = next(k for k, shape in enumerate(shapes) if shape.dtype == variables.film.dtype)
 
     def push(some: list[Array]) -> Array:
         left = iter(some)
@@ -178,7 +184,7 @@ def _drawn_jvp(asked: Asked, primals: Any, tangents: Any):
         return [x for x, m in zip(every, moves, strict=True) if m]
 
     some = [v for v, m in zip(tangents[0], moves, strict=True) if m]
-    results = _drawn(asked, moving, still)
+    results = _drawn(asked, variables, constants)
     changes: list[Any] = [np.zeros(x.shape, jax.dtypes.float0) for x in results]
     changes[place] = linear(push, pull, some, shapes[place])
     return results, changes
