@@ -12,6 +12,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.distortion import BrownConrady, Fisheye, Rational
 from .._camera.film import FilmMap, turned
+from .._numerics.later import on_each_device
+from .._numerics.on_devices import spread
 from .._numerics.safe import length, safe_divide, safe_sqrt
 from .._scene.scene import Scene, Spheres
 from .linear import differentiable_once, linear
@@ -101,7 +103,7 @@ def _view(film: FilmMap, scene: Scene, size: Any) -> tuple[int, Variables, Const
         frames, centers, radii = sphere_frames(film, spheres), spheres.centers, spheres.radii
     numbers = [film.eye, film.view, film.matrix.reshape(-1), film.base]
     variables = Variables(jnp.concatenate(numbers), lens, vertices, frames)
-    constants = Constants(trusted, faces, ends, beside, centers, radii, jnp.asarray(size))
+    constants = Constants(trusted, faces, ends, beside, centers, radii, jnp.asarray(size, jnp.int32))
     return model, variables, jax.lax.stop_gradient(constants)
 
 
@@ -147,7 +149,7 @@ Asked = tuple[str, int, tuple[jax.ShapeDtypeStruct, ...]]
 
 def _call(name: str, model: int, shapes: Sequence[Any], *arguments: Array) -> list[Array]:
     call = jax.ffi.ffi_call(f"pinhole_{name}", [*shapes], vmap_method="expand_dims")
-    return [*call(*arguments, model=model)]
+    return [*on_each_device(partial(call, model=model), *arguments)]
 
 
 def _given(variables: Variables, constants: Constants) -> list[Array]:
@@ -170,6 +172,9 @@ def _drawn_jvp(asked: Asked, primals: Any, tangents: Any):
     given = _given(*differentiable_once((variables, constants)))
     # (What does not move has no entries, and costs nothing.)
     empty = [jnp.zeros((0,) * x.ndim, x.dtype) for x in variables]
+    some = [v for v, m in zip(tangents[0], moves, strict=True) if m]
+    given = spread(given, [*some, *empty])
+    empty, some = spread(empty, given), spread(some, given)
     like = [x if m else e for x, m, e in zip(variables, moves, empty, strict=True)]
     place = next(k for k, shape in enumerate(shapes) if shape.dtype == variables.film.dtype)
 
@@ -183,7 +188,6 @@ def _drawn_jvp(asked: Asked, primals: Any, tangents: Any):
         every = _call(f"{name}_pull", model, of, *given, weights)
         return [x for x, m in zip(every, moves, strict=True) if m]
 
-    some = [v for v, m in zip(tangents[0], moves, strict=True) if m]
     results = _drawn(asked, variables, constants)
     changes: list[Any] = [np.zeros(x.shape, jax.dtypes.float0) for x in results]
     changes[place] = linear(push, pull, some, shapes[place])

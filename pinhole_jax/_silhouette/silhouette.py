@@ -15,7 +15,7 @@ from .._camera.camera import Camera, film_at_once
 from .._camera.film import FilmMap
 from .._native.library import is_available
 from .._native.rasteriser import coverage
-from .._numerics.backend import for_this_machine
+from .._numerics.backend import for_this_machine, is_for_cpus
 from .._numerics.bitset import Selection, selection
 from .._numerics.jitted import jitted
 from .._numerics.later import later, on_each_device
@@ -136,7 +136,9 @@ def _silhouette(
     scene = Scene(mesh=mesh, spheres=spheres)
     if not is_available():
         return in_arrays(film, scene)
-    return by_machine(film, scene, cpu=coverage, elsewhere=in_arrays)
+    if is_for_cpus():
+        return coverage(film, scene)
+    return jax.lax.platform_dependent(film, scene, cpu=coverage, default=in_arrays)
 
 
 def _in_arrays(
