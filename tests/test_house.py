@@ -25,6 +25,8 @@ LEDGER = Path(__file__).with_name("house.toml")
 #: Source or prose by path.
 Texts = dict[str, str]
 Figures = dict[str, int]
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+Definition = ast.Module | ast.ClassDef | Function
 
 #: A ceiling that is this much above its figure has to be lowered.
 SLACK = 1.02
@@ -95,6 +97,13 @@ NO_NOUNS = {
 }
 NOUNS_IN_ED = {"Bed", "Feed", "Seed", "Shed", "Speed", "Embed"}
 FILLERS = {"one", "of", "at", "some"}
+#: First words of test names that are no nouns.
+NO_NOUN_FIRST = re.compile(
+    r"test_(an?|the|what|it|its|that|this|these|those|one|of|there|they|which|where|how|with|"
+    r"without|from|in|on|by|to|at|nothing|another|every|any|each|both|some|too|only|alone|all)_"
+)
+#: A promise's test, as pytest calls it.
+NODE = re.compile(r"`(tests/test_\w+\.py)::(test_\w+)`")
 
 
 @cache
@@ -110,28 +119,37 @@ def texts() -> Texts:
     }
 
 
-def syntax(files: Texts, folder: str = "") -> Iterator[tuple[str, ast.AST]]:
-    """All nodes of the syntax trees below a folder, each with the path of its file."""
+def syntax(files: Texts, folder: str = "") -> Iterator[tuple[str, ast.Module]]:
+    """The syntax trees of the Python files below a folder, each with its path."""
     for path, text in files.items():
         if path.endswith(".py") and path.startswith(folder):
-            yield from ((path, node) for node in nodes(text))
+            yield path, parsed(text)
 
 
 @cache
-def nodes(text: str) -> list[ast.AST]:
-    """The nodes of a file's syntax tree."""
-    return list(ast.walk(ast.parse(text)))
+def parsed(text: str) -> ast.Module:
+    """The syntax tree of a file."""
+    return ast.parse(text)
+
+
+@cache
+def definitions(tree: ast.AST) -> list[Definition]:
+    """A module and the classes and functions in it. (Expressions, which hold none, are skipped.)"""
+    own = [tree] if isinstance(tree, Definition) else []
+    fields = ("body", "orelse", "finalbody", "handlers", "cases")
+    below = [child for field in fields for child in getattr(tree, field, ())]
+    return own + [found for child in below for found in definitions(child)]
+
+
+def defined(files: Texts, folder: str = "") -> Iterator[tuple[str, Definition]]:
+    """All modules, classes and functions below a folder, each with the path of its file."""
+    for path, tree in syntax(files, folder):
+        yield from ((path, node) for node in definitions(tree))
 
 
 def area(path: str) -> str:
     """The part of the project that a file belongs to: Markdown is `docs` wherever it is."""
     return "docs" if path.endswith(".md") else path.split("/")[0]
-
-
-def docstring(node: ast.AST) -> str | None:
-    """The docstring of a module, class or function."""
-    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-    return ast.get_docstring(node) if isinstance(node, kinds) else None
 
 
 # Figures: each counts something, by file, folder or name.
@@ -169,8 +187,8 @@ def twice(names: Iterable[str]) -> Figures:
 
 def class_names(files: Texts) -> list[str]:
     """Names of the package's classes, without leading underscores."""
-    nodes = [node for _, node in syntax(files, "pinhole_jax/") if isinstance(node, ast.ClassDef)]
-    return [node.name.lstrip("_") for node in nodes]
+    nodes = [node for _, node in defined(files, "pinhole_jax/")]
+    return [node.name.lstrip("_") for node in nodes if isinstance(node, ast.ClassDef)]
 
 
 def file_names(files: Texts) -> list[str]:
@@ -235,7 +253,8 @@ def private_import(node: ast.AST) -> str:
 def doors(files: Texts) -> Figures:
     """Files of the package with the private doors that they go through."""
     found = set()
-    for path, node in syntax(files, "pinhole_jax/"):
+    trees = syntax(files, "pinhole_jax/")
+    for path, node in ((path, node) for path, tree in trees for node in ast.walk(tree)):
         through = {door(name) for name in names_used(node)}
         if isinstance(node, ast.keyword) and node.arg == "compiler_options":
             through.add("compiler options")
@@ -245,19 +264,19 @@ def doors(files: Texts) -> Figures:
     return dict.fromkeys(found, 1)
 
 
-def line_count(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+def line_count(function: Function) -> int:
     """The number of lines of a function, its docstring not counted."""
     lines = (function.end_lineno or 0) - function.lineno + 1
-    if docstring(function) is None:
+    if ast.get_docstring(function) is None:
         return lines
     first = function.body[0]
     return lines - ((first.end_lineno or 0) - first.lineno + 1)
 
 
-def functions(files: Texts) -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
+def functions(files: Texts) -> Iterator[tuple[str, Function]]:
     """All functions and methods, each with the path of its file."""
-    for path, node in syntax(files):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+    for path, node in defined(files):
+        if isinstance(node, Function):
             yield path, node
 
 
@@ -289,8 +308,8 @@ def phrases(files: Texts) -> Figures:
 def vague_docstrings(files: Texts) -> Figures:
     """Docstrings that begin with `Return what`, `Return whether` and the like."""
     counts = Counter[str]()
-    for path, node in syntax(files):
-        match = VAGUE.match(docstring(node) or "")
+    for path, node in defined(files):
+        match = VAGUE.match(ast.get_docstring(node) or "")
         if match:
             counts[f"{area(path)}: {match.group()}"] += 1
     return counts
@@ -318,6 +337,12 @@ def filler_functions(files: Texts) -> Figures:
     )
 
 
+def names_without_a_noun_first(files: Texts) -> Figures:
+    """Tests whose names begin with an article, a pronoun or the like."""
+    names = [node.name for path, node in functions(files) if path.startswith("tests/")]
+    return dict.fromkeys(filter(NO_NOUN_FIRST.match, names), 1)
+
+
 FIGURES: dict[str, Callable[[Texts], Figures]] = {
     count.__name__: count
     for count in (
@@ -330,8 +355,16 @@ FIGURES: dict[str, Callable[[Texts], Figures]] = {
         vague_docstrings,
         names_of_no_thing,
         filler_functions,
+        names_without_a_noun_first,
     )
 }
+
+
+def broken_promises(page: str, files: Texts) -> list[str]:
+    """Tests that a page names and no file has."""
+    there = {f"{path}::{node.name}" for path, node in functions(files)}
+    named = ["::".join(match.groups()) for match in NODE.finditer(page)]
+    return [name for name in named if name not in there]
 
 
 # The ledger.
@@ -402,6 +435,12 @@ def test_house_keeps_to_its_ceilings(title):
     found = complaints(FIGURES[title](texts()), ceilings.get(title, {}))
     if found:
         pytest.fail("\n".join([f"{title}:", *found]), pytrace=False)
+
+
+def test_promises_name_tests_that_exist():
+    page = texts()["docs/development/promises.md"]
+    assert page.count("\n| ") - page.count("\n| promise |") == len(NODE.findall(page)) > 50
+    assert broken_promises(page, texts()) == []
 
 
 # The counts, each on small sources that break its rule and on some that do not.
@@ -527,6 +566,21 @@ def test_class_and_file_names_that_are_no_nouns_are_counted():
 def test_functions_called_of_are_counted():
     text = "class A:\n def of(): ...\ndef office(): ...\ndef _one(): ..."
     assert filler_functions({f"{TESTS}/a.py": text}) == {"tests: of": 1, "tests: _one": 1}
+
+
+def test_names_of_tests_begin_with_a_noun():
+    text = (
+        "def test_a_hole(): ...\ndef test_itself(): ...\ndef the_hole(): ...\ndef test_it_is(): ..."
+    )
+    names = {"test_a_hole": 1, "test_it_is": 1}
+    assert names_without_a_noun_first({f"{TESTS}/a.py": text, f"{PACKAGE}/a.py": text}) == names
+
+
+def test_broken_promises_are_found():
+    node = f"{TESTS}/test_a.py::test_b"
+    files = {f"{TESTS}/test_a.py": "def test_b(): ..."}
+    assert broken_promises(f"| `{node}` |", files) == []
+    assert broken_promises(f"| `{node}` | `{node}c` |", files) == [f"{node}c"]
 
 
 @pytest.mark.parametrize(
