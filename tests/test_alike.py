@@ -66,11 +66,11 @@ def test_functions_do_the_same_if_their_code_and_all_they_hold_are_equal(one, ot
         times((1, [jnp.ones(2)])),
     ],
 )
-def test_a_function_that_holds_what_may_be_anything_is_like_no_other(function):
+def test_function_that_closes_over_an_unknown_object_has_no_name(function):
     assert name_of(function) is None
 
 
-def test_what_is_traced_is_like_no_other():
+def test_traced_values_give_a_function_no_name():
     named = []
     jax.jit(lambda x: named.append(name_of(times(x))) or x)(1.0)
     assert named == [None]
@@ -90,7 +90,7 @@ def test_equal_kernels_are_traced_once():
     assert text.count("func.func private @jaxpr_as_fun") == 3
 
 
-def test_a_kernel_of_other_types_is_another_one():
+def test_kernels_differ_by_their_types():
     for dtype in (jnp.float32, jnp.int32, jnp.float32):
         assert one_kernel(times(2))(jnp.ones(2, dtype)).dtype == dtype
 

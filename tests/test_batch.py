@@ -87,7 +87,7 @@ def same(row, other):
 # One record.
 
 
-def test_a_row_has_the_camera_of_the_mask(records, rows, truths):
+def test_row_has_the_camera_of_the_mask(records, rows, truths):
     for row, record, (K, R, t) in zip(rows, records, truths, strict=True):
         assert list(row) == list(batch.COLUMNS)
         assert row["status"] == "converged", row["words"]
@@ -103,7 +103,7 @@ def test_a_row_has_the_camera_of_the_mask(records, rows, truths):
         assert len(row["covariance"]) == size**2
 
 
-def test_a_row_holds_the_whole_fit_and_goes_into_any_format(rows, tmp_path):
+def test_row_holds_the_whole_fit_for_any_format(rows, tmp_path):
     fit = batch.fit_of(rows[0])
     assert (fit.status, list(fit.names)) == (rows[0]["status"], rows[0]["names"])
     np.testing.assert_array_equal(fit.covariance.ravel(), rows[0]["covariance"])
@@ -113,7 +113,7 @@ def test_a_row_holds_the_whole_fit_and_goes_into_any_format(rows, tmp_path):
         np.testing.assert_allclose(value.ravel(), rows[0][name], rtol=1e-9, atol=1e-9)
 
 
-def test_a_row_depends_on_nothing_but_its_record(records, rows):
+def test_row_depends_on_its_record_alone(records, rows):
     assert same(batch.fit_one(records[2]), rows[2])
 
 
@@ -238,7 +238,7 @@ def test_bad_items_are_rows_that_name_what_is_wrong(folder, records, tmp_path):
     ("record", "words"),
     [({"mesh": "a"}, "`id`.*None"), ({"id": ""}, "`id`.*''")],
 )
-def test_a_record_without_id_is_refused(record, words):
+def test_record_without_id_is_refused(record, words):
     with pytest.raises(ValueError, match=words):
         batch.fit_one(record)
     with pytest.raises(ValueError, match=words):
@@ -251,7 +251,7 @@ def test_paths_and_arrays_are_plain_in_a_record():
     assert plain == {"id": "a", "mesh": "a.ply", "mask": "a.png", "K": np.eye(3).tolist()}
 
 
-def test_the_digest_follows_contents(tmp_path):
+def test_digest_follows_file_contents(tmp_path):
     mask = tmp_path / "mask.png"
     mask.write_bytes(b"one")
     record = {"id": "a", "mesh": "none", "mask": str(mask)}
@@ -264,7 +264,7 @@ def test_the_digest_follows_contents(tmp_path):
 # Rows on disk.
 
 
-def test_a_line_holds_what_is_not_finite():
+def test_json_line_keeps_infinities_and_nan():
     row = empty_row({"id": "a"}, "rank_deficient", "") | {
         "std": [0.5, np.inf, -np.inf, np.nan],
         "iou": np.nan,
@@ -302,7 +302,7 @@ def test_rows_do_not_wait_for_others(tmp_path, monkeypatch):
     assert batch.Results(tmp_path).ids() == {"a"}
 
 
-def test_a_folder_of_other_files_is_refused(tmp_path):
+def test_folder_of_other_files_is_refused(tmp_path):
     (tmp_path / "part-1.jsonl").write_text("{}\n")
     with pytest.raises(ValueError, match=r"`out`.*part-1\.jsonl"):
         batch.Results(tmp_path).ids()
@@ -377,7 +377,7 @@ def test_flat_table_has_a_line_for_every_row(rows, tmp_path):
 # Data sets.
 
 
-def test_a_split_of_bop(folder, records):
+def test_bop_split_becomes_records(folder, records):
     ids = ["test/000001/0/7/0", "test/000001/1/7/0", "test/000003/0/7/0", "test/000003/1/7/0"]
     assert [record["id"] for record in records] == ids
     assert records[0]["mesh"].endswith("obj_000007.ply")
@@ -473,7 +473,7 @@ def test_table_of_records(folder, records, rows, tmp_path, ending):
     assert (row["status"], row["R"]) == (rows[0]["status"], rows[0]["R"])
 
 
-def test_a_folder_of_masks(folder, records, tmp_path):
+def test_folder_of_masks_is_a_dataset(folder, records, tmp_path):
     mesh = Path(records[0]["mesh"])
     (tmp_path / "part.ply").write_bytes(mesh.read_bytes())
     (tmp_path / "masks").mkdir()
@@ -490,7 +490,7 @@ def test_a_folder_of_masks(folder, records, tmp_path):
     assert data[0]["camera"].endswith("camera.json")
 
 
-def test_what_is_no_data_set_is_refused(folder, tmp_path):
+def test_input_that_is_no_dataset_is_refused(folder, tmp_path):
     with pytest.raises(ValueError, match=r"`path`.*got 0 meshes"):
         list(batch.read_dataset(tmp_path))
     with pytest.raises(FileNotFoundError, match=r"`path`.*a data set"):
@@ -517,7 +517,7 @@ def test_threads_give_rows_in_order(records, rows):
     assert counts[-1].statuses == {"converged": COUNT}
 
 
-def test_what_is_done_is_not_done_again(records, rows, tmp_path):
+def test_finished_rows_are_not_fitted_again(records, rows, tmp_path):
     """The rows that are there are marked: they have to stay."""
     writer = Writer(tmp_path)
     writer.add(rows[1] | {"words": "there before"})
@@ -534,7 +534,7 @@ def test_what_is_done_is_not_done_again(records, rows, tmp_path):
     assert len(counts) == 2
 
 
-def test_what_is_done_with_other_settings_is_told(records, rows, tmp_path):
+def test_finished_rows_with_other_settings_are_refused(records, rows, tmp_path):
     writer = Writer(tmp_path)
     writer.add(rows[0])
     writer.flush()
@@ -547,7 +547,7 @@ def test_what_is_done_with_other_settings_is_told(records, rows, tmp_path):
             pj.fit_many(items, out=tmp_path)  # no worker starts
 
 
-def test_what_failed_is_tried_again_if_asked(records, rows, tmp_path):
+def test_failed_rows_are_retried_on_request(records, rows, tmp_path):
     writer = Writer(tmp_path)
     for row in [empty_row(records[0], "crashed", ""), rows[1] | {"words": "there before"}]:
         writer.add(row)
@@ -584,7 +584,7 @@ class Failing(Executor):
         return future
 
 
-def test_what_an_executor_loses_is_tried_once_more():
+def test_records_that_the_executor_loses_are_retried_once():
     items = [{"id": id, "mesh": "none", "mask": "none"} for id in "abc"]
     executor = Failing({"a": 1, "b": 2})
     found = batch.fit_many(items, executor=executor, workers=1)
@@ -593,7 +593,7 @@ def test_what_an_executor_loses_is_tried_once_more():
     assert sorted(executor.asked) == ["a", "a", "b", "b", "c"]
 
 
-def test_an_executor_that_is_gone_is_named():
+def test_executor_that_is_shut_down_is_named():
     threads = ThreadPoolExecutor(1)
     threads.shutdown()
     with pytest.raises(RuntimeError, match=r"`executor`.*call again"):
@@ -621,7 +621,7 @@ def test_ids_that_are_there_twice_are_refused():
         batch.fit_many(items)
 
 
-def test_how_far_it_has_come_in_words():
+def test_progress_reads_as_a_sentence():
     count = batch.Count(30, 100, 20, {"converged": 28, "misfit": 2}, 60.0)
     assert str(count) == "50 of 100, 30.0 a minute, 0:01:40 left; 2 not converged"
     assert str(batch.Count(30, None, 0, {"converged": 30}, 3.0)) == "30, 10.0 a second"
@@ -678,7 +678,7 @@ def start(script, ids, out, limit=0.0, **more):
     return subprocess.Popen([sys.executable, script, json.dumps(ids), out, str(limit)], **more)
 
 
-def test_a_worker_that_ends_costs_its_record_one_more_try(script, tmp_path):
+def test_worker_crash_costs_its_record_one_retry(script, tmp_path):
     ids = ["kills", *(f"fine-{k}" for k in range(6)), "once"]
     assert start(script, ids, tmp_path / "out").wait(60) == 0
     found = {row["id"]: row["status"] for row in batch.Results(tmp_path / "out")}
@@ -688,7 +688,7 @@ def test_a_worker_that_ends_costs_its_record_one_more_try(script, tmp_path):
 
 
 @pytest.mark.long
-def test_a_record_has_its_time(script, tmp_path):
+def test_record_that_takes_too_long_times_out(script, tmp_path):
     ids = ["loops", "sleeps", *(f"fine-{k}" for k in range(4))]
     assert start(script, ids, tmp_path / "out", 1.0).wait(60) == 0
     found = {row["id"]: row for row in batch.Results(tmp_path / "out")}
@@ -699,7 +699,7 @@ def test_a_record_has_its_time(script, tmp_path):
 
 
 @pytest.mark.parametrize("number", first(1, [signal.SIGINT, signal.SIGKILL]))
-def test_what_is_stopped_goes_on(script, tmp_path, number):
+def test_stopped_run_resumes(script, tmp_path, number):
     """Workers end with the process that asked, and what is done is not done again."""
     ids = [f"fine-{k:03d}" for k in range(60)]  # 40 rows are a part
     ids += [f"waits-{k}" for k in range(4)]
@@ -726,7 +726,7 @@ def test_what_is_stopped_goes_on(script, tmp_path, number):
     assert all(after[id] == words for id, words in before.items())
 
 
-def test_a_script_without_guard_is_told_so(tmp_path):
+def test_script_without_main_guard_is_refused(tmp_path):
     path = tmp_path / "script.py"
     path.write_text("from pinhole_jax import batch\nbatch.fit_many([{'id': 'a'}])\n")
     done = subprocess.run([sys.executable, path], capture_output=True, text=True, check=False)
@@ -767,7 +767,7 @@ def test_worker_processes_and_a_cluster_make_the_same_rows(folder, records, rows
 # The command.
 
 
-def test_the_command(records, rows, folder, tmp_path, capsys):
+def test_command_writes_table_page_and_camera(records, rows, folder, tmp_path, capsys):
     """What is there is written and told without a worker."""
     out = tmp_path / "out"
     writer = Writer(out)
@@ -814,7 +814,7 @@ def test_the_command(records, rows, folder, tmp_path, capsys):
         (["-o", "none", "--merge", "table.txt"], "`--merge`.*.jsonl or .csv"),
     ],
 )
-def test_the_command_names_what_is_wrong(arguments, words, capsys, tmp_path, monkeypatch):
+def test_command_names_the_wrong_argument(arguments, words, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "none.csv").write_text("id,mesh,mask\n")
     assert command.main(["batch", *arguments]) == 2

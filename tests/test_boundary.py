@@ -40,7 +40,7 @@ def arcs(random):
 
 
 @pytest.mark.parametrize("kind", first(1, [segments, arcs]))
-def test_piece_by_piece_is_as_of_vectors(kind, random, monkeypatch):
+def test_piecewise_areas_equal_vectorised_ones(kind, random, monkeypatch):
     curves = jax.jit(Ordered.of)(kind(random))
     number, ends = len(curves.rising), 2 if kind is segments else 3
     some = Some(curves, jnp.int32(0), jnp.int32(number))
@@ -71,7 +71,7 @@ def test_piece_by_piece_is_as_of_vectors(kind, random, monkeypatch):
 
 
 @on_cpu
-def test_some_curves_of_a_list_are_as_these_alone(random):
+def test_curves_cut_from_a_list_equal_themselves_alone(random):
     ends = jnp.asarray(random.uniform(1, 8, (2, 20, 2)))
     curves = Ordered.of(Segments(ends[0], ends[1], jnp.ones(20)))
     seen = Seen(W, H, jnp.ones(W * H, bool), lambda add, start, lists: start)

@@ -117,7 +117,7 @@ GOOD = {"e": E, "p": P, "u": U, "phi": 0.5, "d": 1.0, "W": 4, "H": 4}
         ({"e": True}, r"`e`: expected .* got dtype bool"),
     ],
 )
-def test_bad_input_is_said_in_words(change, message):
+def test_bad_input_is_refused(change, message):
     with pytest.raises(ValueError, match=message):
         pj.Camera(**{**GOOD, **change})
 
@@ -130,7 +130,7 @@ def test_bad_input_is_said_in_words(change, message):
         ([1.0, 2.0], 0.0, r"`aspect`: expected a positive ratio, got 0.0"),
     ],
 )
-def test_bad_lens_is_said_in_words(point, aspect, message):
+def test_bad_lens_is_refused(point, aspect, message):
     with pytest.raises(ValueError, match=message):
         pj.Lens(point, aspect)
 
@@ -144,13 +144,13 @@ def test_traced_cameras_are_made_without_a_look_at_values():
     assert moves(jnp.array([0.0, 0, 5])).tolist() == [0, 0, 10]
 
 
-def test_a_camera_without_a_resolution_is_told_what_is_missing():
+def test_camera_without_a_resolution_names_what_is_missing():
     for arguments in ((), (640, 480)):
         with pytest.raises(TypeError, match=r"missing W or H, .* \(d comes before them\)"):
             pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, *arguments)
 
 
-def test_a_camera_is_printed_as_a_table():
+def test_camera_prints_as_a_table():
     lens = pj.Lens([320, 240], 1.01, pj.BrownConrady(-0.2, p1=1e-3))
     text = str(pj.Camera([1, 2, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 640, 480, lens))
     for part in ("640 x 480 px", "(1, 2, 5)", "0.6 rad", "34.3775 degrees", "aspect 1.01"):
@@ -176,7 +176,7 @@ def with_matrices(k, rotated, t):
     return pj.Camera.from_K(k, R, t, 64, 48, pixel_centres="half")
 
 
-def test_a_camera_of_matrices_projects_as_they_do_and_follows_them():
+def test_camera_from_K_projects_and_differentiates_as_by_hand():
     """u, v, w = K (R X + t) by themselves, and their derivative."""
     point, rotated, t = arrays([0.3, -0.2, 0.4], [2.9, 0.3, -0.2], [0.1, 0.2, 4.0])
 
@@ -203,7 +203,7 @@ def test_a_camera_of_matrices_projects_as_they_do_and_follows_them():
     assert centred.lens is None
 
 
-def test_another_focal_length_keeps_all_else():
+def test_focal_length_changes_nothing_else():
     camera = pj.Camera(E, P, U, 0.5, W=200, H=100, lens=pj.Lens([90.0, 40.0], 1.5))
     np.testing.assert_allclose(focal_px(camera.with_focal(80.0)), [120, 80])
     other = camera.with_focal([90.0, 80.0])
@@ -217,7 +217,7 @@ def test_another_focal_length_keeps_all_else():
 
 
 @pytest.mark.parametrize("focal", [0.0, [80.0, -1.0], [1.0, 2, 3], np.nan, None])
-def test_what_is_no_focal_length_is_refused(focal):
+def test_bad_focal_length_is_refused(focal):
     with pytest.raises(ValueError, match="`focal_px`: expected"):
         pj.Camera(E, P, U, 0.5, W=200, H=100).with_focal(focal)
 
@@ -233,6 +233,6 @@ def test_what_is_no_focal_length_is_refused(focal):
         ([1.0, 2, 3], np.full((3, 3), np.nan), "`axes`: expected unit vectors"),
     ],
 )
-def test_what_is_no_pose_is_refused(eye, axes, words):
+def test_bad_pose_is_refused(eye, axes, words):
     with pytest.raises(ValueError, match=words):
         pj.Camera(E, P, U, 0.5, W=4, H=4).with_pose(eye, axes)

@@ -45,7 +45,7 @@ def blob(camera, scene):
 
 
 @pytest.mark.full
-def test_the_silhouette_of_a_bumpy_mesh_through_a_lens(capsys):
+def test_silhouette_of_a_bumpy_mesh_through_a_lens_passes(capsys):
     found = pj.check_gradients(camera(lens=LENS), pj.Scene(mesh=shapes.bumpy(3)))
     assert found.passed, found
     axes = [f"{name}.{axis}" for name in "epu" for axis in "xyz"]
@@ -58,7 +58,7 @@ def test_the_silhouette_of_a_bumpy_mesh_through_a_lens(capsys):
 
 
 @pytest.mark.long
-def test_the_silhouette_of_spheres_in_float32():
+def test_silhouette_of_spheres_in_float32_passes():
     """Held against differences in float64, which x64 allows."""
     found = pj.check_gradients(camera("float32"), spheres("float32"), image, verbose=False)
     assert found.passed, found
@@ -80,7 +80,7 @@ def test_float32_without_x64_takes_longer_steps():
 @pytest.mark.full
 @pytest.mark.parametrize("size", [32, 256])
 @pytest.mark.parametrize("precision", ["float64", "float32", "float32 without x64"])
-def test_the_silhouette_at_full_size(precision, size):
+def test_silhouette_at_full_size_passes(precision, size):
     """Overlapping contours, spheres before and beside the mesh: takes a minute."""
     dtype = precision[:7]
     with jax.enable_x64("without" not in precision):
@@ -158,7 +158,7 @@ def test_no_fault_passes():
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["e", "phi", *(full(name) for name in "pu")])
-def test_a_flipped_sign_is_caught_and_named(name):
+def test_flipped_sign_is_caught_and_named(name):
     """Of one coordinate, or of phi; no other row is accused."""
     vector = name != "phi"
     found = faulty({name: [-1.0, 1, 1] if vector else -1.0})
@@ -170,14 +170,14 @@ def test_a_flipped_sign_is_caught_and_named(name):
 
 
 @pytest.mark.long
-def test_a_sign_flipped_in_one_pixel_is_caught(weak_pixel):
+def test_sign_flipped_in_one_pixel_is_caught(weak_pixel):
     found = faulty(pixel=weak_pixel, forward=-1.0, reverse=-1.0)
     assert {"e.x", "p.y", "u.x", "phi", "centers #1", "radii #1"} <= set(failures(found))
     assert all(row.pixel == weak_pixel for row in found.rows if row.verdict == "wrong derivative")
 
 
 @pytest.mark.long
-def test_one_contour_piece_dropped_is_caught(weak_pixel):
+def test_dropped_contour_piece_is_caught(weak_pixel):
     """One pixel of hundreds, in forward and reverse alike: no sum over the image would tell."""
     found = faulty(pixel=weak_pixel, forward=0.0, reverse=0.0)
     assert {"e.x", "p.y", "u.x", "phi", "centers #1", "radii #1"} <= set(failures(found))
@@ -221,13 +221,13 @@ def test_nan_is_a_failure(weak_pixel):
 
 
 @pytest.mark.long
-def test_an_image_that_is_not_finite_is_no_pass():
+def test_image_that_is_not_finite_fails():
     found = pj.check_gradients(camera(), SCENE, lambda c, s: jnp.log(-blob(c, s)), verbose=False)
     assert set(verdicts(found).values()) == {"not finite"}
 
 
 @pytest.mark.long
-def test_an_image_that_nothing_moves_is_no_pass():
+def test_image_that_nothing_moves_fails():
     """Out of the frame all derivatives are 0, and so are the differences: that proves nothing."""
     found = pj.check_gradients(camera(), SCENE, lambda c, s: jnp.zeros((H, W)), verbose=False)
     assert set(verdicts(found).values()) == {"moves nothing"}
@@ -235,7 +235,7 @@ def test_an_image_that_nothing_moves_is_no_pass():
     assert "FAILED: nothing moves the image" in str(found)
 
 
-def test_a_camera_at_a_kink_is_undecided():
+def test_camera_at_a_kink_is_undecided():
     """The derivative lies between the slopes to either side, which says little: no pass."""
     bent = lambda camera, scene: blob(camera, scene) + jnp.abs(camera.e[0] - 0.3)
     found = pj.check_gradients(camera(), SCENE, bent, verbose=False)
@@ -250,7 +250,7 @@ def test_a_camera_at_a_kink_is_undecided():
     assert failures(found) == {"e.x": "wrong derivative"}
 
 
-def test_the_table():
+def test_certificate_prints_as_a_table():
     image = lambda camera, scene: blob(jax.lax.stop_gradient(camera), scene)
     lines = str(pj.check_gradients(camera(), SCENE, image, directions=1, verbose=False)).split("\n")
     assert lines[0].startswith("FAILED: 9 of 13 derivatives (e.x, e.y, e.z, p.x,")
@@ -272,12 +272,12 @@ def test_the_table():
         ({"directions": 0}, "`directions`: expected at least 1, got 0"),
     ],
 )
-def test_bad_input_is_said_in_words(change, message):
+def test_bad_input_is_refused(change, message):
     arguments = {"camera": camera(), "scene": SCENE, "image": blob, "verbose": False} | change
     with pytest.raises(ValueError, match=message):
         pj.check_gradients(**arguments)
 
 
-def test_traced_input_is_said_in_words():
+def test_traced_input_is_refused():
     with pytest.raises(ValueError, match="`camera`: expected values, got traced ones"):
         eqx.filter_jit(lambda c: pj.check_gradients(c, SCENE, verbose=False).passed)(camera())

@@ -34,7 +34,7 @@ def test_nth_lists_what_select_holds(size, share):
     np.testing.assert_array_equal(listed[: mask.sum()], np.flatnonzero(mask))
 
 
-def test_the_contour_of_a_closed_mesh_closes():
+def test_contour_of_a_closed_mesh_is_closed():
     mesh = shapes.bumpy(2)
     weights = np.asarray(contour_weights(mesh, jnp.array([1.0, 2, 5])))
     ends = np.zeros(mesh.vertices.shape[0])
@@ -44,7 +44,7 @@ def test_the_contour_of_a_closed_mesh_closes():
     assert np.all(ends == 0)
 
 
-def test_the_contour_of_an_open_mesh_counts_both_sides():
+def test_contour_of_an_open_mesh_counts_both_sides():
     mesh = pj.Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]], [[0, 1, 2]])
     above = np.asarray(contour_weights(mesh, jnp.array([0.2, 0.2, 3.0])))
     below = np.asarray(contour_weights(mesh, jnp.array([0.2, 0.2, -3.0])))
@@ -53,7 +53,7 @@ def test_the_contour_of_an_open_mesh_counts_both_sides():
 
 
 @pytest.mark.parametrize("bulge", [1e-2, 3e-3, 1e-3])
-def test_edges_of_flat_parts_are_asked_for_from_afar(bulge):
+def test_edges_of_flat_parts_are_found_from_afar(bulge):
     """Of faces whose normals lie so close that the cosine of their angle is 1 in float32."""
     n, random = 40, np.random.default_rng(0)
     x, y = map(np.ravel, np.meshgrid(*2 * [np.linspace(-1, 1, n)]))
@@ -77,7 +77,7 @@ def test_edges_of_flat_parts_are_asked_for_from_afar(bulge):
 
 
 @pytest.mark.parametrize("draft", [2e-4, 5e-4])
-def test_edges_of_walls_are_asked_for_from_above(draft):
+def test_edges_of_walls_are_found_from_above(draft):
     """Walls all around that lean inwards by less than float32 tells of a cosine's complement."""
     n, random = 16, np.random.default_rng(0)  # (a cluster: as many diagonals as upright edges)
     turn = 2 * np.pi * np.arange(n) / n
@@ -133,7 +133,7 @@ def arcs_of(camera, spheres):
 
 
 @pytest.mark.long
-def test_the_outline_of_a_sphere_on_the_axis_is_a_circle():
+def test_outline_of_a_sphere_on_the_axis_is_a_circle():
     # At distance 5, radius 3: the cone's half angle has sine 3/5, tangent 3/4.
     camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], np.pi / 2, W=8, H=8)
     arcs = arcs_of(camera, pj.Spheres([[0.0, 0, 0]], [3.0]))

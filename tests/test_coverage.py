@@ -72,7 +72,7 @@ def test_polygons_have_their_exact_area_in_each_pixel(name):
     )
 
 
-def test_a_hole_is_a_contour_that_runs_the_other_way():
+def test_hole_is_a_contour_that_runs_backwards():
     outer, inner = [(0.5, 0.5), (6.5, 0.5), (6.5, 4.5), (0.5, 4.5)], [(2, 1), (3, 4), (5, 2)]
     both = Segments(*(jnp.concatenate(x) for x in zip(polygon(outer), polygon(inner), strict=True)))
     expected = area_per_pixel(shapely.Polygon(outer, [inner]), W, H)
@@ -106,7 +106,7 @@ def test_ellipses_have_their_exact_area_in_each_pixel(name):
     np.testing.assert_allclose(rasterise(arcs), expected, atol=1e-12 + 2 * sagitta)
 
 
-def test_a_curve_enters_a_row_once_however_near_to_a_pixel_corner():
+def test_curve_enters_a_row_once_next_to_a_pixel_corner():
     """In float32 rounding puts more of its pieces on the row's bottom than the first."""
     size, random = 1024, np.random.default_rng(0)
     corner = random.integers(100, size - 100, (512, 2)) - [1, 0] * random.choice(
@@ -135,7 +135,7 @@ def test_a_curve_enters_a_row_once_however_near_to_a_pixel_corner():
     assert np.any(pieces.valid & pieces.passes & ~pieces.first & (pieces.start[:, 1] == pieces.row))
 
 
-def test_the_pieces_of_a_band_of_rows_are_those_of_the_whole_film():
+def test_pieces_in_a_band_of_rows_match_the_whole_film():
     """To the last bit: winding numbers of the whole film are used with the pieces of a band."""
     random = np.random.default_rng(3)
     curves = Segments(

@@ -110,7 +110,7 @@ def test_no_pixel_is_called_covered_by_faces_that_is_not(mesh, dtype):
         assert np.all(area[found] > 1 - 1e-9)
 
 
-def test_of_pixels_that_are_asked_for_the_same_is_found():
+def test_covered_pixels_are_the_same_in_any_subset():
     """Few, some, most."""
     camera, (vertices, faces) = camera_of(float), filled(*loose(FACES, 0.5, 0.2), float)
     film = film_map(camera)
@@ -125,7 +125,7 @@ def test_of_pixels_that_are_asked_for_the_same_is_found():
         np.testing.assert_array_equal(found(jnp.asarray(asked)), every & asked)
 
 
-def test_what_one_face_covers_or_two_side_by_side_is_found():
+def test_pixels_covered_by_adjacent_faces_are_found():
     corners = np.array(
         [[-1.5, -1.5, 0.1], [1.5, -1.5, 0.1], [0, 2, 0], [0.4, -2, 0.2], [3, 2, 0.2]]
     )
@@ -165,7 +165,7 @@ def test_no_pixel_is_called_covered_by_spheres_that_is_not():
         assert np.sum(found) > 0.6 * np.sum(area > 1 - 1e-5)
 
 
-def test_nothing_is_called_covered_through_a_lens_that_bends_or_where_it_is_not_worth_it():
+def test_distortion_switches_the_covered_test_off():
     vertices, faces = filled(*bowl(), float)
     lens = pj.Lens([W / 2, H / 2], distortion=pj.BrownConrady(k1=-0.2))
 

@@ -13,12 +13,12 @@ def square_mask():
     return drawn(AHEAD, SQUARE) > 0.5
 
 
-def test_nothing_is_said_of_a_perfect_mask():
+def test_perfect_mask_gets_no_remark():
     assert disagreement(AHEAD, SQUARE, square_mask()) == ()
     assert disagreement(AHEAD, SQUARE, np.zeros((80, 96), bool)) == ()
 
 
-def test_a_mask_that_is_cut_off_says_where():
+def test_cut_mask_is_located():
     mask = square_mask()
     columns = np.flatnonzero(mask.any(axis=0))
     mask[:, : columns[0] + 10] = False
@@ -32,7 +32,7 @@ def test_a_mask_that_is_cut_off_says_where():
     assert abs(column - columns[0] - 10) <= 1
 
 
-def test_what_the_film_cuts_off_is_no_fault_of_the_mask():
+def test_object_cut_by_the_film_is_not_blamed_on_the_mask():
     camera = AHEAD.replace(p=[AHEAD.p[0] + 1.2, *AHEAD.p[1:]])
     mask = drawn(camera, SQUARE) > 0.5
     (words,) = disagreement(camera, SQUARE, mask)
@@ -40,7 +40,7 @@ def test_what_the_film_cuts_off_is_no_fault_of_the_mask():
 
 
 @pytest.mark.parametrize("extra", [True, False])
-def test_an_extra_part_is_told_from_a_missing_one(extra):
+def test_extra_and_missing_parts_are_told_apart(extra):
     mask = square_mask()
     rows, columns = (np.flatnonzero(mask.any(axis=k)) for k in (1, 0))
     middle = (rows[0] + rows[-1]) // 2

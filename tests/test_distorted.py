@@ -80,7 +80,7 @@ def test_sheets_on_the_pixel_grid():
         np.testing.assert_allclose(image, expected, atol=1.5e-3)
 
 
-def test_a_scene_through_the_plane_of_the_eye():
+def test_scene_through_the_eye_plane_is_clipped():
     """The far ends lie behind: what is seen is cut off where the lens sees no more."""
     view, mesh = camera(*CASES["brown"], distance=0.7), sheet(3.0)
     cut = pj.Mesh(*_in_front(view, mesh, 0.02))
@@ -182,7 +182,7 @@ def test_derivatives_are_differences_of_the_oracle():
 
 
 @pytest.mark.full
-def test_a_lens_that_bends_nothing_gives_the_ideal_image():
+def test_lens_without_distortion_gives_the_ideal_image():
     scene = pj.Scene(mesh=pj.shapes.bumpy(2), spheres=BALLS)
     images = [silhouette(camera(model, 0.6), scene) for model in (None, pj.BrownConrady())]
     np.testing.assert_allclose(*images, atol=5e-4)
@@ -207,7 +207,7 @@ def fitted():
 
 
 @pytest.mark.long
-def test_a_fit_finds_the_lens(fitted):
+def test_fit_finds_the_lens(fitted):
     _, truth, _, _, fit = fitted
     assert fit.status == "converged"
     assert fit.names[-1] == "k1"
@@ -230,7 +230,7 @@ def test_views_share_a_lens(fitted):
 
 
 @pytest.mark.full
-def test_a_prior_holds_what_a_hard_mask_hardly_shows(fitted):
+def test_prior_holds_phi_that_a_hard_mask_barely_shows(fitted):
     scene, _, mask, start, _ = fitted
     hard = np.asarray(mask) > 0.5
     plain, sure = (
@@ -243,7 +243,7 @@ def test_a_prior_holds_what_a_hard_mask_hardly_shows(fitted):
 
 
 @pytest.mark.full
-def test_a_search_sees_the_mask_without_its_distortion(fitted):
+def test_search_undistorts_the_mask(fitted):
     scene, bent, *_ = fitted
     ideal = pj.Camera(bent.e, bent.p, bent.u, bent.phi, W=FIT_W, H=FIT_H)
     weight = np.ones((FIT_H, FIT_W))
@@ -282,7 +282,7 @@ def test_bounds_are_kept(fitted):
         ({"free": "p3"}, r"`free`: expected names among .* got 'p3'"),
     ],
 )
-def test_bad_priors_and_bounds_are_said_in_words(more, message):
+def test_bad_priors_and_bounds_are_refused(more, message):
     scene, start = pj.Scene(mesh=pj.shapes.bumpy(2)), fit_camera([0.3, 0.4, 3.2], -0.25)
     with pytest.raises(ValueError, match=message):
         pj.fit_camera(scene, np.eye(FIT_H, FIT_W), start, **{"free": ("pose", "k1"), **more})

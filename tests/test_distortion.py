@@ -89,7 +89,7 @@ def test_derivatives_of_rays_and_projection_are_differences(model):
     np.testing.assert_allclose(forward, central_difference(image, flat), rtol=1e-5, atol=1e-7)
 
 
-def test_a_camera_may_be_made_while_tracing():
+def test_camera_can_be_made_while_tracing():
     made = jax.jit(lambda x: pj.project(camera(BROWN), x))(jnp.ones((1, 3)))
     np.testing.assert_allclose(made, pj.project(camera(BROWN), jnp.ones((1, 3))), atol=1e-12)
 
@@ -107,7 +107,7 @@ def test_no_distortion_is_the_ideal_camera_in_the_program_too():
 @pytest.mark.parametrize(
     "model", [pj.BrownConrady(-0.4), pj.Fisheye(-0.2), BROWN, pj.Fisheye(), RATIONAL]
 )
-def test_the_continuation_is_smooth_and_grows(model):
+def test_continuation_beyond_the_fold_is_smooth_and_increasing(model):
     """Beyond the fold, the image goes on: as a function of the radius it is C1 and increasing."""
     radius = np.concatenate([[0.0], np.geomspace(1e-2, 1e3, 20001)])
     x, rise = jax.jit(
@@ -126,7 +126,7 @@ def test_lenses_that_fold_within_the_film_are_refused(model, phi):
         camera(model, phi)
 
 
-def test_a_distortion_of_another_kind_is_refused():
+def test_distortion_of_another_kind_is_refused():
     with pytest.raises(
         ValueError, match=r"`distortion`: expected a BrownConrady, a Rational, a Fisheye or No"
     ):

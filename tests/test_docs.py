@@ -150,14 +150,14 @@ def annotations_of(thing):
 
 
 @pytest.mark.parametrize(("name", "thing"), [*public_names()])
-def test_a_public_name_says_its_types(name, thing):
+def test_public_names_declare_their_types(name, thing):
     """None of them is `Any`, which a reader and a type checker learn nothing from."""
     said = [ast.unparse(annotation) for annotation in annotations_of(thing) if annotation]
     assert not [words for words in said if re.search(r"\bAny\b", words)]
 
 
 @pytest.mark.parametrize("page", TEXTS)
-def test_there_is_no_block_that_no_test_knows(page):
+def test_code_blocks_have_known_languages(page):
     text = TEXTS[page]
     assert {word for _, word, _ in BLOCK.findall(text)} <= {"python", "sh", "text", ""}
     assert len(BLOCK.findall(text)) * 2 == len(re.findall(r"^ *```", text, re.M))
@@ -247,13 +247,13 @@ FOUND = {
 }
 
 
-def test_the_first_page_shows_what_readme_does():
+def test_first_page_shows_the_readme_example():
     (shown,), (readme,) = blocks("python", TEXTS["docs/index.md"]), blocks("python")
     plain = lambda code: ast.dump(ast.parse(code.replace("fit := ", "")))
     assert plain(shown) == plain(readme)
 
 
-def test_the_ten_questions_are_those_that_are_answered():
+def test_questions_listed_are_those_answered():
     asked = re.findall(r"^\d+\. \[(.*)\]\(#(.*)\)$", QUESTIONS, re.M)
     answered = re.findall(r"^## (\d+)\. (.*)$", QUESTIONS, re.M)
     assert [question for question, _ in asked] == [question for _, question in answered]
@@ -321,7 +321,7 @@ SOON = [*SAID][:3]
 
 
 @pytest.mark.parametrize("pages", [long(SOON), full([*SAID])])
-def test_the_site_builds_and_shows_what_its_code_found(tmp_path, pages):
+def test_site_builds_and_shows_its_results(tmp_path, pages):
     pytest.importorskip("mkdocs")
     pytest.importorskip("mkdocstrings_handlers.python")
     cache = ROOT / ".pytest_cache" / "of_the_site"
@@ -355,7 +355,7 @@ def hooks():
     return module
 
 
-def test_a_page_that_runs_shows_what_its_code_left(hooks, another_cache):
+def test_page_shows_the_output_of_its_code(hooks, another_cache):
     page = "# A\n\n```python\nx = 2\nprint(x, 'printed')\n```\n\nprose\n\n```python\nx + 40\n```\n"
     cells = hooks.run(page, "a.md")
     assert [cell.language for cell in cells] == ["", "python", "", "python", ""]
@@ -438,7 +438,7 @@ def test_names_of_the_library_exist(page):
             thing = getattr(thing, part)
 
 
-def test_every_public_name_is_in_the_reference_with_an_example():
+def test_public_names_are_in_the_reference_with_an_example():
     pages = [text for page, text in TEXTS.items() if page.startswith("docs/reference/")]
     told = {name for text in pages for name in SHOWN.findall(text)}
     names = [name for name, _ in public_names()]
@@ -447,7 +447,7 @@ def test_every_public_name_is_in_the_reference_with_an_example():
     assert [name for name in names if not blocks("python", docstrings(name))] == []
 
 
-def test_every_format_command_and_status_is_told():
+def test_formats_commands_and_statuses_are_documented():
     convert = TEXTS["docs/how-to/convert.md"]
     assert [name for name in pj.formats.FORMATS if f"`{name}`" not in convert] == []
     table = TEXTS["docs/explanation/error-bars.md"].partition("| status | meaning |")[2]
@@ -462,7 +462,7 @@ def test_readme_is_short_and_its_picture_light():
     assert (ROOT / moving).stat().st_size < 2e6
 
 
-def test_the_version_stands_in_one_place():
+def test_version_stands_in_one_place():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert "version" in project["dynamic"]
     assert "version" not in (ROOT / "CITATION.cff").read_text().replace("cff-version", "")
@@ -470,7 +470,7 @@ def test_the_version_stands_in_one_place():
     assert latest[1] == pj.__version__
 
 
-def test_the_map_has_every_module_once():
+def test_map_lists_each_module_once():
     page = TEXTS["docs/development/index.md"]
     (text,) = (block for block in blocks("", page) if block.startswith("__main__"))
     columns = [re.split(r" {3,}", line)[0] for line in text.splitlines()]

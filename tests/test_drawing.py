@@ -83,7 +83,7 @@ def same(vectors, *others, atol=1e-13):
 
 
 @pytest.mark.parametrize(("W", "H"), first(1, SIZES, of=4))
-def test_piece_by_piece_is_as_of_vectors(W, H, banded):
+def test_piecewise_areas_equal_vectorised_ones(W, H, banded):
     """All views by one program, one after the other."""
     scene = pj.Scene(mesh=crumpled(open_mesh=W % 2 == 0))
     draw = jax.jit(each_way)
@@ -100,7 +100,7 @@ SPHERES = pj.Spheres([[0.5, 0.9, 0.2], [0.3, 0.2, 1.1]], [0.4, 0.5])
 
 
 @pytest.mark.parametrize("what", first(0, ["spheres", "on the grid", "float32", "lens"], of=4))
-def test_piece_by_piece_is_as_of_vectors_whatever_curves_are(what):
+def test_piecewise_areas_equal_vectorised_ones_for_any_curves(what):
     """Arcs; vertices where pixels meet; parts of bent curves; the other float type."""
     camera, scene, atol = camera_of("whole", 40, 40), pj.Scene(crumpled(False), SPHERES), 1e-13
     if what == "spheres":

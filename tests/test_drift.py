@@ -31,7 +31,7 @@ def moved(turn=(0, 0, 0), shift=(0, 0, 0)):
     return at_pose(CAMERA, pose_of(CAMERA) @ exponential(twist))
 
 
-def test_it_says_which_way():
+def test_drift_has_the_right_direction():
     """Up is pitch, left is yaw: what was in the middle is then seen lower, or farther right."""
     middle = np.asarray(CAMERA.p)
     x, y = np.asarray(pj.project(CAMERA, middle))
@@ -56,7 +56,7 @@ def test_it_says_which_way():
 
 
 @pytest.mark.parametrize("both", [False, True])
-def test_a_camera_that_stands_still_has_moved_as_often_as_chance_says(both):
+def test_drift_of_a_still_camera_is_as_rare_as_chance(both):
     random = np.random.default_rng(1)
     root = np.linalg.cholesky(COVARIANCE + 1e-14 * np.eye(7))
     around = lambda: displaced(CAMERA, NAMES, root @ random.normal(size=7))
@@ -79,7 +79,7 @@ def test_errors_that_go_together_count_once():
     assert values[5] > 100 * values[0]
 
 
-def test_what_both_fits_hold_is_no_error_of_either():
+def test_parameters_held_in_both_fits_add_no_error():
     """A calibration with phi free, checked with phi held: its error is in both, and a move that is
     large beside the rest is seen."""
     whole = np.diag([1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2, 1e-2]) ** 2
@@ -94,7 +94,7 @@ def test_what_both_fits_hold_is_no_error_of_either():
     assert not pj.drift(fit_at(moved_on.camera, whole), fit_at(CAMERA, whole)).moved
 
 
-def test_what_masks_do_not_determine_does_not_count():
+def test_directions_that_masks_do_not_show_do_not_count():
     free = COVARIANCE.copy()
     free[2, :] = free[:, 2] = np.nan
     free[2, 2] = np.inf
@@ -108,19 +108,19 @@ def test_what_masks_do_not_determine_does_not_count():
     assert pj.drift(fit_at(camera, blind), CAMERA).sigma == 0
 
 
-def test_a_part_of_the_pose_may_be_fitted():
+def test_drift_of_a_partly_fitted_pose():
     found = pj.drift(fit_at(moved(turn=(0.01, 0, 0)), names=NAMES[:3]), CAMERA)
     assert found.moved
     assert np.all(np.isnan(found.by[3:]))
 
 
-def test_a_certain_move_is_no_infinity():
+def test_drift_of_a_certain_move_is_finite():
     found = pj.drift(fit_at(moved(shift=(5, 0, 0))), CAMERA)
     assert np.isfinite(found.sigma)
     assert found.sigma > 100
 
 
-def test_a_fit_without_pose_is_refused():
+def test_fit_without_pose_is_refused():
     with pytest.raises(ValueError, match="`fit`: expected one whose pose was free, got phi"):
         pj.drift(fit_at(CAMERA, np.eye(1), ("phi",)), CAMERA)
 

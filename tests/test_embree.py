@@ -40,7 +40,7 @@ def both(scene, rays):
 
 @pytest.mark.parametrize("dtype", first(0, ["float32", "float64"], of=2))
 @pytest.mark.usefixtures("optimised")
-def test_the_hits_of_the_tree(dtype):
+def test_hits_equal_those_of_the_tree(dtype):
     """Also with a sphere among the faces, and where half of the faces are there twice.
 
     (Of faces that are equally deep both take the first where the compiler contracts the same
@@ -113,7 +113,7 @@ def test_traced_scenes_batches_and_derivatives():
     np.testing.assert_array_equal(theirs, ours)
 
 
-def test_a_search_that_there_is_not(monkeypatch):
+def test_unknown_search_is_refused(monkeypatch):
     scene, rays = pj.Scene(mesh=shapes.bumpy(1)), pj.Rays(jnp.zeros(3), jnp.ones(3))
     with pytest.raises(ValueError, match="`search`: expected 'tree' or 'embree', got 'bvh'"):
         pj.trace(scene, rays, search="bvh")

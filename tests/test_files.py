@@ -49,7 +49,7 @@ NO_FILES = {
 
 
 @pytest.mark.parametrize("save", SAVES)
-def test_only_files_are_replaced(tmp_path, monkeypatch, save):
+def test_folders_and_devices_are_never_replaced(tmp_path, monkeypatch, save):
     monkeypatch.chdir(tmp_path)  # a socket's path is short
     for name, (make, words) in NO_FILES.items():
         make(Path(name))
@@ -61,7 +61,7 @@ def test_only_files_are_replaced(tmp_path, monkeypatch, save):
     assert sorted(os.listdir()) == sorted(NO_FILES)
 
 
-def test_a_link_is_replaced_and_not_what_it_leads_to(tmp_path):
+def test_link_is_replaced_and_not_its_target(tmp_path):
     (tmp_path / "there.json").write_text("kept")
     (tmp_path / "link.json").symlink_to("there.json")
     (tmp_path / "dangling.json").symlink_to("nowhere.json")
@@ -74,7 +74,7 @@ def test_a_link_is_replaced_and_not_what_it_leads_to(tmp_path):
 
 
 @pytest.mark.parametrize("save", SAVES)
-def test_a_pipe_that_is_read_gets_the_file(tmp_path, save):
+def test_pipe_with_a_reader_receives_the_file(tmp_path, save):
     SAVES[save](tmp_path / "file")
     os.mkfifo(tmp_path / "pipe")
     with subprocess.Popen(["cat", tmp_path / "pipe"], stdout=subprocess.PIPE) as reader:
@@ -89,7 +89,7 @@ def test_a_pipe_that_is_read_gets_the_file(tmp_path, save):
     assert (tmp_path / "pipe").is_fifo()
 
 
-def test_the_mask_of_modes_is_the_processes_and_stays(tmp_path, monkeypatch):
+def test_umask_is_respected_and_left_alone(tmp_path, monkeypatch):
     old = os.umask(0o027)
     try:
         with monkeypatch.context() as changed:  # a thread that makes a file now would see it
@@ -105,7 +105,7 @@ def command(*arguments, **more):
     return subprocess.run(arguments, capture_output=True, check=False, timeout=100, **more)
 
 
-def test_the_commands_output_can_be_its_standard_output(tmp_path):
+def test_output_can_go_to_standard_output(tmp_path):
     io.save_camera(tmp_path / "c.json", CAMERA)
     formats.write(tmp_path / "c.yaml", {"camera": CAMERA})
     # Not /dev/stdout itself, which a mistake here would replace; its name is checked below.
@@ -147,7 +147,7 @@ ENDLESS = {
 
 
 @pytest.mark.parametrize("read", READS)
-def test_what_does_not_end_is_not_read(tmp_path, monkeypatch, read):
+def test_endless_files_are_not_read(tmp_path, monkeypatch, read):
     monkeypatch.chdir(tmp_path)
     for name, make in ENDLESS.items():
         if (read, name) == ("mesh", "huge"):
@@ -159,7 +159,7 @@ def test_what_does_not_end_is_not_read(tmp_path, monkeypatch, read):
 
 @pytest.mark.parametrize("ending", ["txt", "bin"])
 @pytest.mark.parametrize("part", ["cameras", "images"])
-def test_a_model_of_what_does_not_end_is_not_read(tmp_path, monkeypatch, part, ending):
+def test_endless_files_of_a_model_are_not_read(tmp_path, monkeypatch, part, ending):
     formats.write(tmp_path, {"a": CAMERA}, "colmap-binary" if ending == "bin" else "colmap")
     monkeypatch.chdir(tmp_path)
     for make in ENDLESS.values():
@@ -169,7 +169,7 @@ def test_a_model_of_what_does_not_end_is_not_read(tmp_path, monkeypatch, part, e
             formats.read(".")
 
 
-def test_a_field_given_twice_is_not_taken_once(tmp_path):
+def test_field_given_twice_is_refused(tmp_path):
     text = json.dumps(io.camera_to_dict(CAMERA))
     (tmp_path / "c.json").write_text(text[:-1] + ', "phi": 0.3}')
     with pytest.raises(ValueError, match=r"expected JSON, got .*c.json': the field 'phi' twice"):
@@ -334,7 +334,7 @@ NUMBERS = ["1e999", "-1e999", "inf", "nan", "NaN", ".Nan", "1.7", "-1", "0", "1e
     ["own.json", "one.yaml", "model", "transforms.json", "blender.json", "scene.gltf",
      "pytorch3d.json", "one.xml"],
 )  # fmt: skip
-def test_every_number_may_be_any(tmp_path, name):
+def test_numbers_in_files_may_be_anything(tmp_path, name):
     """Of each number of a file: it is refused with the file's name, or the camera is one."""
     formats.write(tmp_path / name, {"a": CAMERA})
     place = tmp_path / name
@@ -361,7 +361,7 @@ def test_every_number_may_be_any(tmp_path, name):
 KNOWN = {"png": "PNG", "jpg": "JPEG", "tiff": "TIFF", "webp": "WEBP", "bmp": "BMP", "ppm": "PPM"}
 
 
-def test_only_the_formats_of_pictures_are_opened(tmp_path):
+def test_picture_formats_alone_are_opened(tmp_path):
     Image.init()
     image = Image.fromarray(np.full((20, 30, 3), 255, np.uint8))
     tried = 0
@@ -435,7 +435,7 @@ print(most() - before)
 
 @pytest.mark.long
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
-def test_a_large_picture_takes_ten_bytes_a_pixel(tmp_path, exhaustive):
+def test_large_picture_takes_ten_bytes_a_pixel(tmp_path, exhaustive):
     n = 6000 if exhaustive else 4000
     small = {k: image for k, (_, image, _, _) in enumerate(kinds(600))}
     for k, (ending, image, how, ways) in enumerate(kinds(n)):
@@ -467,7 +467,7 @@ def test_soft_edges_are_the_same_band_by_band(tmp_path, monkeypatch):
     assert len(np.unique(whole)) > 9
 
 
-def test_a_webp_that_takes_too_much_room_is_refused(tmp_path, monkeypatch):
+def test_webp_that_takes_too_much_memory_is_refused(tmp_path, monkeypatch):
     Image.new("L", (30, 20), 255).save(tmp_path / "w.webp")
     assert io.load_image(tmp_path / "w.webp").shape[:2] == (20, 30)
     monkeypatch.setattr("pinhole_jax._files.pictures.MOST_WEBP", 599)
@@ -491,7 +491,7 @@ def test_many_mitsuba_defaults_of_one_long_value_are_refused(tmp_path):
         formats.read(tmp_path / "a.xml")
 
 
-def test_a_file_s_name_need_be_no_text(tmp_path):
+def test_file_names_need_not_be_text(tmp_path):
     path = tmp_path / os.fsdecode(b"a\n\xff.json")
     try:
         io.save_camera(path, CAMERA)
@@ -508,6 +508,6 @@ def test_a_file_s_name_need_be_no_text(tmp_path):
 
 
 @pytest.mark.parametrize("path", ["", "x" * 5000 + ".json", "x" * 5000])
-def test_a_path_that_can_be_none_is_said(path):
+def test_impossible_path_is_refused(path):
     with pytest.raises(ValueError, match="`path`: expected a"):
         formats.read(path)

@@ -69,7 +69,7 @@ def test_pose_and_focal_length_from_exact_masks(convert, worst, exhaustive):
         (("pose", "aspect"), {"u": [0.3, 1, 0.1], "lens": pj.Lens([48.0, 40.0], 1.1)}),
     ],
 )
-def test_any_subset_of_parameters(scene, free, change):
+def test_fit_of_each_subset_of_parameters_finds_the_truth(scene, free, change):
     values = {name: getattr(CAMERA, name) for name in ("e", "p", "u", "phi", "d", "W", "H", "lens")}
     if free == ("position",) or "position" in free:  # an eye that moves takes its view point along
         change = {**change, "p": np.asarray(CAMERA.p) + change["e"] - np.asarray(CAMERA.e)}
@@ -101,7 +101,7 @@ def test_targets_may_be_bool_uint8_or_float(scene):
 
 
 @pytest.mark.long
-def test_what_weighs_nothing_does_not_count(scene):
+def test_pixels_of_zero_weight_do_not_count(scene):
     target, weight = mask_of(CAMERA, scene).copy(), np.ones((80, 96))
     target[:, :40] = 0.0
     weight[:, :42] = 0
@@ -110,7 +110,7 @@ def test_what_weighs_nothing_does_not_count(scene):
 
 
 @pytest.mark.long
-def test_the_gauge_of_the_start_is_kept(scene):
+def test_gauge_of_the_start_is_kept(scene):
     start = turned(CAMERA, [1, 2, 3], 8)
     fitted = pj.fit_camera(scene, mask_of(CAMERA, scene), start).camera
     for f in (lambda c: c.p - c.e, lambda c: c.u):
@@ -159,14 +159,14 @@ def test_covariance_is_that_of_refits_under_noise(scene, exhaustive):
 
 
 @pytest.mark.long
-def test_a_start_without_overlap_that_may_not_move_is_no_success(scene):
+def test_fixed_start_without_overlap_is_no_success(scene):
     behind = pj.Camera([0.3, 1, 5], [0.3, 1, 9], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
     fit = pj.fit_camera(scene, mask_of(CAMERA, scene), behind, "phi")
     assert fit.status == "no_overlap"
 
 
 @pytest.mark.long
-def test_an_inverted_mask_is_no_success(scene):
+def test_inverted_mask_is_no_success(scene):
     inverted = 1 - mask_of(CAMERA, scene)
     with pytest.raises(ValueError, match="like an inverted one"):
         pj.fit_camera(scene, inverted, CAMERA)
@@ -175,26 +175,26 @@ def test_an_inverted_mask_is_no_success(scene):
 
 
 @pytest.mark.long
-def test_an_object_that_fills_the_film_is_saturated(scene):
+def test_object_that_fills_the_film_is_saturated(scene):
     close = pj.Camera([0, 0, 2.2], [0, 0, 0], [0, 1, 0], 0.1, 1.0, 96, 80)
     assert pj.fit_camera(scene, mask_of(CAMERA, scene), close, "phi").status == "saturated"
 
 
 @pytest.mark.parametrize("manner", [{"outlier_px": None}, full({})])
-def test_the_exact_mask_of_another_shape_is_a_misfit(scene, manner):
+def test_exact_mask_of_another_shape_is_a_misfit(scene, manner):
     other = pj.Scene(mesh=shapes.bumpy(3, 1))
     fit = pj.fit_camera(scene, mask_of(CAMERA, other), turned(CAMERA, [1, 2, 3], 5), **manner)
     assert fit.status == "misfit"
     assert any("of the outline" in words for words in fit.weak)
 
 
-def test_too_few_steps_are_said(scene):
+def test_status_says_that_steps_ran_out(scene):
     fit = pj.fit_camera(scene, mask_of(CAMERA, scene), turned(CAMERA, [1, 2, 3], 15), max_steps=1)
     assert fit.status == "max_steps"
     assert fit.steps == (1,) * len(fit.steps)
 
 
-def test_the_fit_is_never_worse_than_its_start(scene):
+def test_fit_is_never_worse_than_its_start(scene):
     start = turned(CAMERA, [1, 2, 3], 0)
     fit = pj.fit_camera(scene, mask_of(CAMERA, scene), start, max_steps=1)
     assert fit.rms < 1e-8
@@ -212,7 +212,7 @@ def test_meshes_and_images_of_similar_size_share_compiled_programs(scene):
 
 
 @pytest.mark.long
-def test_a_view_that_outgrows_its_buffers_is_fitted_with_larger_ones(monkeypatch, scene):
+def test_buffers_grow_with_the_view(monkeypatch, scene):
     for module in (capacity, buffers):
         monkeypatch.setattr(module, "LEAST_CAPACITY", Capacity(1024, 1024, 1024, 1024))
     monkeypatch.setattr(solver, "first_capacity", lambda *_: Capacity(1024, 1024, 1))
@@ -224,7 +224,7 @@ def test_a_view_that_outgrows_its_buffers_is_fitted_with_larger_ones(monkeypatch
 
 
 @pytest.mark.long
-def test_a_wrong_view_that_fits_badly_is_no_success(scene):
+def test_wrong_view_that_fits_badly_is_no_success(scene):
     """The mask of something else: the best camera overlaps it by less than half."""
     rows, columns = np.mgrid[:80, :96]
     thin = np.abs(rows - columns + 8) < 2
@@ -233,7 +233,7 @@ def test_a_wrong_view_that_fits_badly_is_no_success(scene):
     assert fit.status == "no_overlap"
 
 
-def test_progress_is_told_after_each_level(scene):
+def test_progress_is_reported_after_each_level(scene):
     told = []
     start = turned(CAMERA, [1, 2, 3], 8, 1.05)
     fit = pj.fit_camera(scene, mask_of(CAMERA, scene), start, progress=told.append)
@@ -315,13 +315,13 @@ MASK[30:50, 30:60] = 1
         ({"max_steps": 0}, r"`max_steps`: expected an integer of at least 1, got 0"),
     ],
 )
-def test_bad_input_is_said_in_words(scene, change, message):
+def test_bad_input_is_refused(scene, change, message):
     good = {"scene": scene, "target": MASK, "camera": CAMERA, "free": ("pose",)}
     with pytest.raises(ValueError, match=message):
         pj.fit_camera(**{**good, **change})
 
 
-def test_a_covered_border_may_be_right(scene):
+def test_covered_border_is_accepted_where_it_can_be_right(scene):
     """Where the start sees the object reach out of the picture, or these pixels do not count."""
     ones = np.ones(MASK.shape)
     near = CAMERA.replace(e=CAMERA.p + 0.2 * (CAMERA.e - CAMERA.p))
@@ -344,7 +344,7 @@ def about(camera, centre, axis, distance, focal):
 
 
 @pytest.mark.long
-def test_the_cow_of_pytorch3d(shared):
+def test_pytorch3d_cow_is_recovered(shared):
     """Published camera: 0.1 degrees, 0.3 % of the distance and of the focal length, 2 sigma."""
     folder = shared / "renders" / "pytorch3d_cow"
     given = json.loads((folder / "camera.json").read_text())
@@ -369,7 +369,7 @@ def test_the_cow_of_pytorch3d(shared):
 @pytest.mark.usefixtures("optimised")
 @pytest.mark.full
 @pytest.mark.parametrize("photo", ["200", "201"])
-def test_the_shampoo_bottle_in_a_photo(shared, photo, exhaustive):
+def test_shampoo_bottle_in_a_photo_is_recovered(shared, photo, exhaustive):
     folder = shared / "photos" / "m3t_shampoo"
     given = json.loads((folder / "camera.json").read_text())
     bottle = given["objects"]["shampoo"]
@@ -394,7 +394,7 @@ def test_the_shampoo_bottle_in_a_photo(shared, photo, exhaustive):
 
 
 @pytest.mark.long
-def test_a_turn_that_no_mask_shows_is_named():
+def test_rotation_that_no_mask_shows_is_named():
     cylinder = trimesh.creation.cylinder(0.5, 2.0, sections=256)
     scene = pj.Scene(mesh=pj.Mesh(cylinder.vertices, cylinder.faces))
     camera = pj.Camera([3.0, 1, 2], [0, 0, 0], [0, 0, 1], 0.6, 1.0, 96, 80)

@@ -99,7 +99,7 @@ def images(cameras, scene):
 
 @pytest.mark.long
 @pytest.mark.parametrize("hard", [False, full(True)])
-def test_a_box_is_as_ambiguous_among_views_as_alone(hard):
+def test_box_is_as_ambiguous_among_views_as_alone(hard):
     masks = [m > 0.5 if hard else m for m in images(OF_BOX, BOX)]
     for fit, camera in zip(pj.fit_cameras(BOX, masks, None, phi=0.6), OF_BOX, strict=True):
         assert fit.status == "ambiguous"
@@ -108,7 +108,7 @@ def test_a_box_is_as_ambiguous_among_views_as_alone(hard):
         assert all(np.all(np.isfinite(f.std)) for f in (fit, *fit.modes))
 
 
-def test_a_start_rules_out_what_is_far_from_it():
+def test_start_rules_out_distant_cameras():
     starts = [turned(c, [1, 2, 3], 4, 1.02) for c in OF_BOX[:2]]
     fits = pj.fit_cameras(BOX, images(OF_BOX[:2], BOX), starts)
     for fit, camera in zip(fits, OF_BOX, strict=False):
@@ -117,7 +117,7 @@ def test_a_start_rules_out_what_is_far_from_it():
 
 
 @pytest.mark.long
-def test_a_hidden_handle_leaves_the_turn_of_its_view_free():
+def test_hidden_handle_leaves_the_rotation_of_its_view_free():
     scene = mug()
     masks = [m > 0.5 for m in images(OF_MUG, scene)]
     hidden, shown = pj.fit_cameras(scene, masks, [turned(c, [1, 2, 3], 4) for c in OF_MUG])
@@ -131,7 +131,7 @@ def test_a_hidden_handle_leaves_the_turn_of_its_view_free():
 
 
 @pytest.mark.long
-def test_a_nut_is_as_good_turned_by_a_side_among_views():
+def test_nut_among_views_fits_as_well_one_side_on():
     """One start is nearer to a camera one side on, the other to the truth."""
     nut = scene_of(trimesh.creation.cylinder(radius=1, height=0.8, sections=6))
     cameras = seen_from([(0.5, 4.0, 3.0), (-3.0, 1.0, 4.0)])
@@ -158,7 +158,7 @@ def test_views_help_each_other_and_the_covariance_knows(scene, masks):
 
 
 @pytest.mark.long
-def test_a_prior_of_what_views_share_adds_its_information_once(scene, masks):
+def test_prior_on_shared_intrinsics_counts_once(scene, masks):
     plain = pj.fit_cameras(scene, noisy(masks), STARTS)
     mean, std = 0.601, plain[0].std[-1] / 1.5
     prior, bounds = {"phi": (mean, std)}, {"phi": (0.5, 0.7)}
@@ -172,7 +172,7 @@ def test_a_prior_of_what_views_share_adds_its_information_once(scene, masks):
 
 
 @pytest.mark.long
-def test_a_view_with_outliers_is_named_and_spoils_no_other(scene, masks):
+def test_view_with_outliers_is_named_and_spoils_no_other(scene, masks):
     """Of one mask a stretch is cut off: believed, it is 22 degrees off, the others a degree."""
     seen, said = [mask > 0.5 for mask in masks], []
     edge = np.flatnonzero(np.any(seen[1], axis=0))[-1]
@@ -195,7 +195,7 @@ def test_a_view_with_outliers_is_named_and_spoils_no_other(scene, masks):
 
 
 @pytest.mark.long
-def test_what_is_known_of_a_view_s_own_place_counts_as_in_its_own_fit(scene, masks):
+def test_prior_on_one_position_counts_as_in_fit_camera(scene, masks):
     mask, known = noisy(masks)[0], {"e_x": (float(TRUTHS[0].e[0]) + 0.01, 0.004)}
     (one,) = pj.fit_cameras(scene, [mask], STARTS[:1], prior=known)
     fit = pj.fit_camera(scene, mask, STARTS[0], ("pose", "phi"), prior=known)
@@ -205,7 +205,7 @@ def test_what_is_known_of_a_view_s_own_place_counts_as_in_its_own_fit(scene, mas
 
 
 @pytest.mark.long
-def test_a_part_of_a_pose_may_be_free_or_none(scene, masks):
+def test_partly_free_and_frozen_poses(scene, masks):
     """The cameras' orientations, then all of their poses, are known."""
     aside = [c.replace(e=c.e + 0.05, p=c.p + 0.05, phi=0.62) for c in TRUTHS[:2]]
     for fit, camera in zip(
@@ -221,7 +221,7 @@ def test_a_part_of_a_pose_may_be_free_or_none(scene, masks):
 
 
 @pytest.mark.long
-def test_one_view_is_fit_camera(scene, masks):
+def test_single_view_equals_fit_camera(scene, masks):
     mask = noisy(masks)[0]
     (one,) = pj.fit_cameras(scene, [mask], STARTS[:1])
     fit = pj.fit_camera(scene, mask, STARTS[0], ("pose", "phi"))
@@ -229,7 +229,7 @@ def test_one_view_is_fit_camera(scene, masks):
     np.testing.assert_allclose(one.covariance, fit.covariance, rtol=1e-3)
 
 
-def test_what_the_others_know_is_what_elimination_leaves():
+def test_information_of_other_views_equals_elimination():
     random = np.random.default_rng(0)
     own = np.array([True, True, True, False, False])
     parts, expected = [], []
@@ -258,7 +258,7 @@ def test_what_the_others_know_is_what_elimination_leaves():
         ({"shared": "zoom"}, r"`free`: expected names among .* got 'zoom'"),
     ],
 )
-def test_bad_input_is_said_in_words(scene, masks, change, message):
+def test_bad_input_is_refused(scene, masks, change, message):
     good = {"targets": masks, "cameras": STARTS}
     with pytest.raises(ValueError, match=message):
         pj.fit_cameras(scene, **{**good, **change})
@@ -268,7 +268,7 @@ def test_bad_input_is_said_in_words(scene, masks, change, message):
 
 
 @pytest.mark.long
-def test_what_spheres_leave_free():
+def test_spheres_leave_three_one_and_no_directions_free():
     """DESIGN: one sphere fixes 4 of 7 directions, two 6, three 7."""
     camera = pj.Camera([0, 0.5, 6], [0, 0, 0], [0, 1, 0], 0.8, 1.0, 96, 80)
     centers = np.array([[-0.9, 0.3, 0], [0.7, -0.7, 1], [0.6, 0.9, -1]])
@@ -302,7 +302,7 @@ POSE_START = eqx.tree_at(lambda c: c.phi, STARTS[0], TRUTHS[0].phi)
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["exact", *(full(k) for k in ("noisy", "hard"))])
-def test_the_camera_moves_with_the_mesh_as_refits_do(scene, masks, kind):
+def test_derivative_by_the_mesh_equals_refits(scene, masks, kind):
     target = {"exact": masks[0], "noisy": noisy(masks)[0], "hard": masks[0] > 0.5}[kind]
 
     def eye(vertices):
@@ -322,7 +322,7 @@ def test_the_camera_moves_with_the_mesh_as_refits_do(scene, masks, kind):
 
 
 @pytest.mark.full
-def test_the_camera_moves_with_target_and_weight_as_refits_do(scene, masks):
+def test_derivative_by_target_and_weight_equals_refits(scene, masks):
     target, weight = jnp.asarray(noisy(masks)[0]), jnp.ones((80, 96))
     eye = lambda t, w: pj.fit_camera(scene, t, POSE_START, weight=w).camera.e
     random = np.random.default_rng(2)
@@ -367,7 +367,7 @@ def test_views_move_with_masks_and_weights_as_refits_do(scene, masks, free):
 
 
 @pytest.mark.full
-def test_a_view_alone_moves_with_a_rough_mesh_as_the_camera_of_one_fit():
+def test_derivative_of_a_single_view_by_a_rough_mesh_equals_fit_camera():
     """Outlines overlap in most pixels that decide: looks leave such pixels out."""
     ball = trimesh.creation.icosphere(4)
     spikes = 1 + 0.3 * np.random.default_rng(0).normal(size=(len(ball.vertices), 1))
@@ -415,13 +415,13 @@ def test_views_move_with_their_scene_as_refits_do(scene, masks):
     np.testing.assert_allclose(slope, refits, atol=1e-3 * np.abs(refits).max())
 
 
-def test_what_is_known_of_views_beforehand_is_not_differentiated(scene, masks):
+def test_priors_on_views_are_not_differentiated(scene, masks):
     fit = lambda t: pj.fit_cameras(scene, [t], STARTS[:1], prior={"phi": (0.6, 0.1)})[0].camera.phi
     with pytest.raises(ValueError, match="`prior`, `bounds`: expected none where the fit is diff"):
         jax.grad(fit)(jnp.asarray(masks[0]))
 
 
-def test_a_fit_under_jit_is_refused_in_words(scene, masks):
+def test_fit_under_jit_is_refused(scene, masks):
     with pytest.raises(ValueError, match="a fit runs outside `jit` and `vmap`"):
         jax.jit(lambda t: pj.fit_camera(scene, t, POSE_START).camera.e)(jnp.asarray(masks[0]))
 

@@ -67,7 +67,7 @@ def apart(a, b):
     return float(np.rad2deg(angle)), float(shift)
 
 
-def test_one_camera_of_several_postures(views):
+def test_camera_is_found_from_several_postures(views):
     fit = pj.fit_joint(views, START, ("pose", "phi"))
     assert (fit.status, fit.weak, fit.modes) == ("converged", (), ())
     assert max(apart(fit.camera, TRUTH)) < 1e-9
@@ -76,14 +76,14 @@ def test_one_camera_of_several_postures(views):
     assert all(view.iou > 1 - 1e-9 for view in fit.views)
 
 
-def test_it_is_found_with_no_start(views):
+def test_camera_is_found_with_no_start(views):
     fit = pj.fit_joint(views, START, search=True)
     assert (fit.status, fit.modes) == ("converged", ())
     assert max(apart(fit.camera, TRUTH)) < 1e-8
 
 
 @pytest.mark.long
-def test_the_camera_follows_a_rough_mesh_s_mask():
+def test_derivative_by_the_mask_of_a_rough_mesh():
     """In whose pixels lie more pieces than a look sweeps: these count as all others do."""
     smooth = pj.shapes.bumpy(4)
     size = 1 + 0.05 * np.random.default_rng(0).standard_normal((len(smooth.vertices), 1))
@@ -97,7 +97,7 @@ def test_the_camera_follows_a_rough_mesh_s_mask():
 
 
 @pytest.mark.long
-def test_a_start_that_leads_astray_is_searched_after(views):
+def test_misleading_start_triggers_a_search(views):
     far = at_pose(TRUTH, pose_of(START) @ exponential(np.array([0.1, 0.2, 2.5, 0.5, 0.3, 0.5])))
     fit = pj.fit_joint(views, far)
     assert fit.status == "converged"
@@ -118,7 +118,7 @@ def far_off(arm):
 
 
 @pytest.mark.long
-def test_an_end_that_covers_most_of_hard_masks_is_not_believed(far_off):
+def test_local_minimum_that_covers_most_of_hard_masks_is_rejected(far_off):
     """From 35 degrees off the descent comes to 0.86 of two masks, 31 degrees from the camera."""
     fit = pj.fit_joint(*far_off, ("pose", "phi"))
     assert fit.status == "converged"
@@ -126,7 +126,7 @@ def test_an_end_that_covers_most_of_hard_masks_is_not_believed(far_off):
 
 
 @pytest.mark.long
-def test_what_lies_beside_most_masks_is_no_fit_where_nothing_was_searched(far_off):
+def test_outline_beside_most_masks_is_no_fit_without_a_search(far_off):
     """A sixth of the outline is beside masks that were cut off. A camera by itself, whose views are
     all compared, is believed; one beside an object that is sought as well is not."""
     views = []
@@ -145,7 +145,7 @@ def test_what_lies_beside_most_masks_is_no_fit_where_nothing_was_searched(far_of
     assert re.match(words, fit.cameras["camera"].weak[0])
 
 
-def test_a_camera_on_a_hand(scenes):
+def test_hand_eye_camera_is_found(scenes):
     held = exponential(np.array([0.2, 0.1, -0.1, 0.1, 0.2, 0.3]))
     views = []
     for k in range(4):
@@ -169,7 +169,7 @@ def stereo(scenes):
 
 
 @pytest.mark.full
-def test_a_rig_is_better_determined_than_its_eyes(stereo):
+def test_rig_is_better_determined_than_its_eyes(stereo):
     right = at_pose(TRUTH, pose_of(RIGHT) @ OFF)
     together = pj.fit_joint(stereo, {"left": START, "right": right}, rig=RIG)
     alone = pj.fit_joint(stereo, {"left": START, "right": right})
@@ -183,7 +183,7 @@ def test_a_rig_is_better_determined_than_its_eyes(stereo):
     )
 
 
-def test_an_object_s_pose_before_known_cameras(arm, scenes):
+def test_object_pose_before_known_cameras_is_found(arm, scenes):
     place = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
     moved = arm.at([place @ pose for pose in posture(0)])
     cameras = {"left": TRUTH, "right": RIGHT}
@@ -218,7 +218,7 @@ def larger(arm, scenes):
     return views, {"part": place}
 
 
-def test_the_size_of_an_object_is_found_with_its_pose(arm, scenes, larger):
+def test_object_size_is_found_with_its_pose(arm, scenes, larger):
     """The same for both views of it; that of what a third view shows is another."""
     views, place = larger
     shrunk = drawn(TRUTH, arm.at([grown(0.93) @ pose for pose in posture(1)]))
@@ -239,7 +239,7 @@ def test_the_size_of_an_object_is_found_with_its_pose(arm, scenes, larger):
     assert np.max(np.abs(drawn(shown.camera, shown.scene) - shrunk)) < 1e-6
 
 
-def test_one_camera_does_not_tell_a_size_from_a_distance(larger):
+def test_size_and_distance_are_one_to_a_single_camera(larger):
     views, place = larger
     start = {"part": place["part"] @ OFF}
     one = {"left": TRUTH}
@@ -274,7 +274,7 @@ def of_inputs(views, place, target, vertices, mount, placed):
 
 
 @pytest.mark.full
-def test_the_answer_moves_with_masks_and_transforms_as_refits_do(larger):
+def test_derivative_by_masks_and_transforms_equals_refits(larger):
     views, place = larger
     random = np.random.default_rng(0)
     noise = lambda: 0.03 * random.normal(size=(SIZE, SIZE))
@@ -299,7 +299,7 @@ def test_the_answer_moves_with_masks_and_transforms_as_refits_do(larger):
 
 
 @pytest.mark.full
-def test_the_answer_moves_with_the_mesh_as_refits_do(larger):
+def test_derivative_by_the_mesh_equals_refits(larger):
     """Forward and reverse, where masks are explained."""
     views, place = larger
     vertices = jnp.asarray(views[0].scene.mesh.vertices)
@@ -312,7 +312,7 @@ def test_the_answer_moves_with_the_mesh_as_refits_do(larger):
     np.testing.assert_allclose(jnp.sum(gradient * wrong), slope[-1], rtol=1e-6)
 
 
-def test_what_is_known_beforehand_is_not_differentiated(larger):
+def test_priors_and_photos_are_not_differentiated(larger):
     views, place = larger
     known = {"part": {"scale": (1.1, 0.1)}}
     size = lambda target: (
@@ -332,7 +332,7 @@ def differences(image, h=1e-5):
     return np.stack([x.ravel() for x in ends], axis=1)
 
 
-def test_what_masks_of_several_views_would_tell(arm, larger):
+def test_observability_of_several_views_equals_polygon_differences(arm, larger):
     """The error bars are those of the polygons' differences; there is no mask yet."""
     views, place = larger
     views = [v._replace(target=None) for v in views]
@@ -378,7 +378,7 @@ def by_eyes(stereo, run, sides=tuple(BOTH_EYES)):
     return run(stereo, BOTH_EYES, {"rig": RIG}), *alone
 
 
-def test_what_both_eyes_of_a_rig_tell_adds_up(stereo):
+def test_information_of_both_eyes_of_a_rig_adds_up(stereo):
     """What a rig's masks tell of its pose is what its left eye's and its right eye's do."""
     told = lambda views, cameras, rig: pj.joint_observability(views, cameras, **rig)
     both, left, right = by_eyes(stereo, told)
@@ -392,7 +392,7 @@ def test_what_both_eyes_of_a_rig_tell_adds_up(stereo):
 
 
 @pytest.mark.long
-def test_a_rig_s_pose_is_as_much_better_as_theory_says(stereo):
+def test_rig_pose_is_as_much_better_as_theory_says(stereo):
     """Masks whose pixels err by 5 %: how far poses are off, beside what the limit is."""
     told = lambda views, cameras, rig: pj.joint_observability(views, cameras, noise=0.05, **rig)
     limits = [found.std[:6] for found in by_eyes(stereo, told, ["left"])]
@@ -412,7 +412,7 @@ def test_a_rig_s_pose_is_as_much_better_as_theory_says(stereo):
     assert abs(better / expected - 1) < 0.3
 
 
-def test_what_views_would_tell_of_cameras_is_what_a_fit_says(noisy):
+def test_observability_predicts_the_error_bars_of_a_fit(noisy):
     asked = START, ("pose", "phi")
     fit = pj.fit_joint(noisy[:1], *asked).cameras["camera"]
     told = pj.joint_observability(noisy[:1], fit.camera, ("pose", "phi"), noise=0.05)
@@ -425,7 +425,7 @@ def test_what_views_would_tell_of_cameras_is_what_a_fit_says(noisy):
 
 
 @pytest.mark.long
-def test_the_error_bars_of_a_size_hold(larger):
+def test_error_bars_of_a_size_hold(larger):
     views, place = larger
     off = []
     for seed in range(12):
@@ -440,7 +440,7 @@ def test_the_error_bars_of_a_size_hold(larger):
 
 
 @pytest.mark.full
-def test_the_size_of_one_body_of_several_is_found(arm):
+def test_size_of_one_body_among_several_is_found(arm):
     """A rig before two bodies, the second of which is 5 % larger than its mesh."""
 
     def shown(k):
@@ -471,7 +471,7 @@ def noisy(views):
 
 
 @pytest.mark.full
-def test_what_is_known_of_a_camera_counts_as_in_the_fit_of_one_mask(noisy):
+def test_prior_on_a_camera_counts_as_in_fit_camera(noisy):
     known = {"phi": (0.604, 0.004), "e_x": (0.42, 0.02)}
     asked = START, ("pose", "phi")
     one = pj.fit_camera(noisy[0].scene, noisy[0].target, *asked, prior=known)
@@ -483,7 +483,7 @@ def test_what_is_known_of_a_camera_counts_as_in_the_fit_of_one_mask(noisy):
     assert np.allclose(told, 1, rtol=4e-3)
 
 
-def test_what_is_known_of_an_object_counts(arm, scenes):
+def test_prior_on_an_object_counts(arm, scenes):
     """What is known better than the mask tells is found there, as surely as it is known."""
     place = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
     seen = drawn(TRUTH, arm.at([place @ pose for pose in posture(0)]))
@@ -514,7 +514,7 @@ def test_bounds_hold_what_the_masks_would_have_elsewhere(noisy):
 
 
 @pytest.mark.long
-def test_a_box_before_two_cameras_may_be_turned_by_half():
+def test_box_before_two_cameras_is_ambiguous_by_half_turns():
     bar = trimesh.creation.box((0.6, 0.9, 2.2))
     box = pj.Assembly([pj.Mesh(np.asarray(bar.vertices), bar.faces)])
     place = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
@@ -531,7 +531,7 @@ def test_a_box_before_two_cameras_may_be_turned_by_half():
 
 
 @pytest.mark.full
-def test_a_ball_tells_no_turn():
+def test_ball_shows_no_rotation():
     scene = pj.Scene(spheres=pj.Spheres([[0.2, 0, 0.1]], [0.8]))
     views = [
         pj.JointView(scene, np.asarray(pj.silhouette(c, scene)), camera=n)
@@ -543,7 +543,7 @@ def test_a_ball_tells_no_turn():
 
 
 @pytest.mark.long
-def test_a_wrong_posture_is_named_and_counts_for_nothing(arm, views):
+def test_wrong_posture_is_named_and_ignored(arm, views):
     wrong = posture(2)[1] @ exponential(np.array([0.1, 0, 0, 0, 0, 0.05]))
     bad = [*views[:2], pj.JointView(arm.at([np.eye(4), wrong]), views[2].target), views[3]]
     fit = pj.fit_joint(bad, START)
@@ -607,7 +607,7 @@ def test_moves_are_those_of_differences(stereo):
     assert np.max(np.abs(stated - numeric[: len(stated)])) < 1e-7
 
 
-def test_what_few_views_depend_on_is_eliminated_exactly():
+def test_elimination_equals_the_dense_solution():
     """Two views have a camera in common, all have the last numbers; of one, something is known."""
     random = np.random.default_rng(0)
     size, parts, dense, right = 9, [], [], []
@@ -634,7 +634,7 @@ def test_what_few_views_depend_on_is_eliminated_exactly():
     assert np.allclose(damped, expected, atol=1e-12)
 
 
-def test_what_stays_to_the_end_makes_the_least_work():
+def test_elimination_order_makes_the_least_work():
     """Cameras that share a lens; pictures of one part each, by both eyes of a head."""
     cameras = [[k, 50] for k in range(50)]
     held = held_to_the_end(cameras, [6] * 50 + [1])
@@ -710,7 +710,7 @@ def test_cameras_that_share_phi_are_those_of_fit_cameras(three):
     assert abs(float(fit.cameras["one"].camera.phi) - 0.6) < 4 * fit.cameras["one"].std[-1]
 
 
-def test_the_covariance_is_that_of_one_dense_matrix(three):
+def test_covariance_equals_that_of_one_dense_matrix(three):
     """All residuals' derivatives by all unknowns side by side; what is known of some among them."""
     views, _, starts = three
     known = {"phi": (0.61, 0.002), "e_x": (0.0, 3.0)}
@@ -787,7 +787,7 @@ def test_twists_and_adjoints():
     assert np.allclose(exponential(np.zeros(6)), np.eye(4))
 
 
-def test_an_assembly_is_its_parts(arm):
+def test_assembly_is_the_union_of_its_parts(arm):
     scene = arm.at(posture(1))
     box = trimesh.creation.box((0.6, 0.9, 2.2)).vertices
     moved = box @ posture(1)[1][:3, :3].T + posture(1)[1][:3, 3]
@@ -949,7 +949,7 @@ URDF = """<robot name="two">
 </robot>"""
 
 
-def test_a_urdf_is_a_scene(tmp_path):
+def test_urdf_becomes_a_scene(tmp_path):
     pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
     trimesh.creation.box((0.1, 0.1, 0.5)).export(tmp_path / "arm.stl")
     (tmp_path / "two.urdf").write_text(URDF)
@@ -1027,7 +1027,7 @@ def misread(tmp_path_factory):
     ]
 
 
-def test_the_zeros_of_joints_are_found_with_the_camera(misread):
+def test_joint_zeros_are_found_with_the_camera(misread):
     fit = pj.fit_joint(misread, NEAR, joint_zeros=np.deg2rad(1.5))
     assert fit.status == "converged"
     assert fit.joint_zeros.names == ("shoulder", "elbow", "wrist")
@@ -1046,7 +1046,7 @@ def test_zeros_that_are_not_sought_move_the_camera(misread):
 
 
 @pytest.mark.long
-def test_a_joint_that_the_masks_do_not_tell_is_as_well_known_as_before(misread):
+def test_joint_that_masks_do_not_show_keeps_its_prior(misread):
     """Two sigma from its readings at most; what is not named stays."""
     known = {"wrist": 1e-5}
     fit = pj.fit_joint(misread[:2], NEAR, joint_zeros=known)
@@ -1054,7 +1054,7 @@ def test_a_joint_that_the_masks_do_not_tell_is_as_well_known_as_before(misread):
     assert abs(fit.joint_zeros.std[0] / 1e-5 - 1) < 0.1
 
 
-def test_what_a_view_sees_of_joints_is_what_differences_say(misread):
+def test_jacobian_by_joint_zeros_equals_differences(misread):
     """But for pixels in which two links end: a small picture has some."""
     problem = JointProblem.of(
         misread[:1], BEFORE, ("pose",), None, None, None, 8, joint_zeros=1
@@ -1076,7 +1076,7 @@ def test_what_a_view_sees_of_joints_is_what_differences_say(misread):
         assert np.linalg.norm(stated[used, k] - here) < 0.1 * np.linalg.norm(here)
 
 
-def test_a_mask_more_tells_what_its_information_adds(scenes):
+def test_proposed_mask_adds_its_information(scenes):
     free, mesh = ("pose", "phi"), scenes[0].mesh
     ideal = information(TRUTH, scenes[0], free)
     expected = pj.observability(TRUTH, scenes[0], free, noise=1.0)
@@ -1118,7 +1118,7 @@ def robot_files(tmp_path, monkeypatch):
 
 
 @pytest.mark.long
-def test_the_command_finds_zeros_and_writes_a_page(robot_files, capsys):
+def test_command_finds_joint_zeros_and_writes_a_page(robot_files, capsys):
     Path("joints.csv").write_text("turn\n-0.61\n0.29\n1.09\n")
     Path("more.csv").write_text("turn\n0.31\n-1.9\n")
     words = [*robot_files, "--camera", "start.json", "--joint-zeros", "1", "-o", "found"]
@@ -1143,7 +1143,7 @@ def test_the_command_finds_zeros_and_writes_a_page(robot_files, capsys):
 
 
 @pytest.mark.long
-def test_the_command_finds_the_camera_of_a_robot(robot_files, capsys):
+def test_command_finds_the_camera_of_a_robot(robot_files, capsys):
     words = [*robot_files, "--camera", "start.json", "--holdout", "-o", "found"]
     words += ["--images", *robot_files[3:], "--refine"]
     assert command.main(words) == 0
@@ -1157,7 +1157,7 @@ def test_the_command_finds_the_camera_of_a_robot(robot_files, capsys):
     assert all(Path(path).exists() for path in written)
 
 
-def test_the_command_names_what_is_wrong_about_a_robot(robot_files, capsys):
+def test_command_names_the_wrong_robot_argument(robot_files, capsys):
     start = ["--camera", "start.json"]
     Path("short.json").write_text('{"names": ["turn"], "postures": [[1, 2]]}')
     Path("other.csv").write_text("bend\n0\n0\n0\n")
@@ -1203,7 +1203,7 @@ def test_the_command_names_what_is_wrong_about_a_robot(robot_files, capsys):
         assert words in capsys.readouterr().err
 
 
-def test_a_mesh_that_does_not_share_its_vertices_says_so():
+def test_mesh_with_unshared_vertices_warns():
     sphere = trimesh.creation.icosphere(2)
     loose = np.asarray(sphere.vertices)[sphere.faces].reshape(-1, 3)
     with pytest.warns(UserWarning, match="`vertices`: 960 stand at 162 places"):
@@ -1239,7 +1239,7 @@ def med7_fit(med7, side, **near):
 
 
 @pytest.mark.long
-def test_both_eyes_of_a_stereo_camera_before_a_real_robot(med7, exhaustive):
+def test_stereo_camera_before_a_real_robot_is_recovered(med7, exhaustive):
     """The left from nearby (of all tests: with no start), the right from where the left is: that
     they are 120.09 mm apart and parallel no fit knew."""
     near = {"e": [0.8, -1, 1.1], "p": [0, -0.4, 0.7], "u": [-0.5, 0, 0.9]}

@@ -32,7 +32,7 @@ def seen(cameras, points):
     return np.stack([np.asarray(pj.project(c, jnp.asarray(points))) for c in cameras])
 
 
-def test_one_view_gives_pose_and_focal_length_from_nowhere():
+def test_single_view_gives_pose_and_focal_length_without_a_start():
     truth = pj.Camera(EYES[1], [0.1, 0, 0], [0.1, 1, 0.05], 0.75, W=W, H=H)
     fit = pj.fit_points(SOLID, seen([truth], SOLID)[0], START, free=("pose", "phi"))
     assert fit.status == "converged"
@@ -46,7 +46,7 @@ def test_one_view_gives_pose_and_focal_length_from_nowhere():
 
 
 @on_cpu
-def test_another_number_of_points_compiles_nothing(compiled):
+def test_numbers_of_points_share_one_program(compiled):
     """Boards that are seen in part, cloud after cloud: each was 4 s."""
     truth = pj.Camera(EYES[1], [0.1, 0, 0], [0.1, 1, 0.05], 0.75, W=W, H=H)
     counts = []
@@ -121,7 +121,7 @@ def test_error_bars_are_those_of_the_linearised_problem():
     np.testing.assert_allclose(fit.rms_px, np.sqrt(rest @ rest / 30), rtol=1e-9)
 
 
-def test_what_points_do_not_show_is_said():
+def test_directions_that_points_do_not_show_are_named():
     line = np.linspace([-1.0, 0, 0], [1, 0.2, 0.1], 30)
     truth = pj.Camera(EYES[0], [0.1, 0, 0], [0.1, 1, 0.05], 0.75, W=W, H=H)
     fit = pj.fit_points(line, seen([truth], line)[0], truth, free=("pose", "phi"))
@@ -130,7 +130,7 @@ def test_what_points_do_not_show_is_said():
 
 
 @pytest.mark.parametrize("common", [("phi",), ()])
-def test_a_prior_adds_its_information_once(common):
+def test_prior_counts_once(common):
     """Of what views share once, else to each view: the estimate is the precision-weighted mean."""
     truth = [pj.Camera(e, [0.1, 0, 0], [0.1, 1, 0.05], 0.75, W=W, H=H) for e in EYES]
     noise = np.random.default_rng(1).normal(0, 0.2, (4, 30, 2))
@@ -202,7 +202,7 @@ def test_cameras_move_with_points_and_weights_as_refits_do(common):
     np.testing.assert_allclose(jnp.nansum(gradient * velocity[1]), along, rtol=1e-6)
 
 
-def test_what_points_err_by_makes_the_error_bars():
+def test_error_bars_equal_those_of_linear_theory():
     """The linear theory: the covariance is that of independent points, through the derivative."""
     truth = near(EYES[1])
     points2d = seen([truth], SOLID)[0] + np.random.default_rng(4).normal(0, 1e-4, (30, 2))
@@ -216,7 +216,7 @@ def test_what_points_err_by_makes_the_error_bars():
     np.testing.assert_allclose(variance * D @ D.T, fit.covariance[np.ix_(of, of)], rtol=1e-3)
 
 
-def test_what_is_known_of_points_beforehand_is_not_differentiated():
+def test_priors_are_not_differentiated():
     fit = lambda x: pj.fit_points(SOLID, x, START, prior={"e_x": (0.0, 1.0)}).camera.e[0]
     with pytest.raises(ValueError, match="`prior`, `bounds`: expected none where the fit is diff"):
         jax.grad(fit)(jnp.zeros((30, 2)))
@@ -224,7 +224,7 @@ def test_what_is_known_of_points_beforehand_is_not_differentiated():
         jax.jit(lambda x: pj.fit_points(SOLID, x, START).camera.e)(jnp.zeros((30, 2)))
 
 
-def test_a_weight_of_two_is_a_point_seen_twice():
+def test_weight_of_two_equals_a_point_seen_twice():
     points2d = seen([near(EYES[0])], SOLID)[0] + np.random.default_rng(5).normal(0, 0.3, (30, 2))
     weights = np.where(np.arange(30) < 10, 2.0, 1.0)
     start = START.replace(phi=0.75)
@@ -258,7 +258,7 @@ def test_points_that_are_somewhere_else_do_not_count(points):
 
 
 @pytest.mark.parametrize("common", [("phi",), long(())])
-def test_a_plane_far_away_is_seen_as_well_with_its_depths_reversed(common, exhaustive):
+def test_distant_plane_is_ambiguous_by_reversed_depths(common, exhaustive):
     """And is told apart where it is near, in many draws of the noise."""
     random, truth = np.random.default_rng(7), [near(e) for e in EYES[1:3]]
     points2d = seen(truth, 0.05 * PLANE) + random.normal(0, 0.05, (2, 30, 2))
@@ -397,7 +397,7 @@ def test_weights_of_inverse_variances_take_a_noise_of_one():
     assert pj.fit_points(SOLID, points2d, true, noise_px=0.05).status == "misfit"
 
 
-def test_a_prior_makes_up_for_the_coordinate_that_is_missing():
+def test_prior_makes_up_for_a_missing_coordinate():
     """A known aspect: as if it were held, of four points with nine numbers for eight unknowns."""
     rng, true, ratio = np.random.default_rng(4), near(EYES[0]), []
     points = rng.uniform(-1, 1, (4, 3))
@@ -475,7 +475,7 @@ def test_points_of_a_line_leave_a_turn_open(rows):
 
 
 @pytest.mark.parametrize("part", ["position", "orientation"])
-def test_a_part_of_the_pose_is_found_from_any_start(part):
+def test_parts_of_the_pose_are_found_from_any_start(part):
     rng = np.random.default_rng(7)
     for _ in range(10):
         true, points = tumbled(rng), rng.uniform(-1, 1, (4, 3))
@@ -508,7 +508,7 @@ def test_a_part_of_the_pose_is_found_from_any_start(part):
         ({"outlier_px": 0.0}, "`outlier_px`: expected a positive number of px, got 0"),
     ],
 )
-def test_bad_points_are_said_in_words(change, message):
+def test_bad_points_are_refused(change, message):
     arguments = {"points3d": PLANE, "points2d": np.ones((30, 2)), "camera": START, **change}
     with pytest.raises((ValueError, TypeError), match=message):
         pj.fit_points(**arguments)

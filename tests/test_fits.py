@@ -57,7 +57,7 @@ def as_float32(fit):
 
 
 @pytest.mark.parametrize("name", ["all", "float32", "plain", "non_finite", "nothing"])
-def test_a_fit_comes_back_to_the_last_bit(name, tmp_path):
+def test_fit_comes_back_to_the_last_bit(name, tmp_path):
     fit = fit_of(CAMERA, modes=[fit_of(PLAIN, "converged"), fit_of(CAMERA, "rank_deficient")])
     if name == "float32":
         fit = as_float32(fit)
@@ -77,7 +77,7 @@ def test_a_fit_comes_back_to_the_last_bit(name, tmp_path):
 
 
 @pytest.mark.long
-def test_a_fit_that_was_made_comes_back(tmp_path):
+def test_real_fit_comes_back(tmp_path):
     scene = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0], [0.6, 0.2, 0.3]], [0.5, 0.4]))
     truth = pj.Camera([0.3, 1, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 32, 24)
     start = truth.replace(e=[0.4, 1, 5])
@@ -90,7 +90,7 @@ def test_a_fit_that_was_made_comes_back(tmp_path):
     assert str(back) == str(fit)
 
 
-def test_a_fits_file_is_strict_json_and_a_camera_file(tmp_path):
+def test_fit_file_is_strict_json_and_a_camera_file(tmp_path):
     path = tmp_path / "fit.json"
     io.save_fit(path, fit_of(CAMERA, modes=[fit_of(PLAIN)]))
 
@@ -110,7 +110,7 @@ def test_a_fits_file_is_strict_json_and_a_camera_file(tmp_path):
     assert io.camera_from_dict(data["fit"]["modes"][0]).W == 64
 
 
-def test_what_is_no_fit_is_not_written(tmp_path):
+def test_non_fits_are_not_written(tmp_path):
     # Unwrapped, as users have it: the tests' own check of types would come first.
     with pytest.raises(ValueError, match="`fit`: expected a Fit, got Camera"):
         inspect.unwrap(io.fit_to_dict)(CAMERA)
@@ -142,7 +142,7 @@ def test_what_is_no_fit_is_not_written(tmp_path):
         ({"history": [{**STEP, "steps": -1}]}, "`steps`: expected an integer of at least 0"),
     ],
 )
-def test_a_field_that_is_wrong_is_named(tmp_path, change, message):
+def test_wrong_field_is_named(tmp_path, change, message):
     data = io.fit_to_dict(fit_of(CAMERA))
     path = tmp_path / "fit.json"
     path.write_text(json.dumps({**data, "fit": {**data["fit"], **change}}))
@@ -151,7 +151,7 @@ def test_a_field_that_is_wrong_is_named(tmp_path, change, message):
 
 
 @pytest.mark.parametrize("field", sorted({*io.fit_to_dict(fit_of(PLAIN))["fit"]} - WRITTEN_ONLY))
-def test_a_field_that_is_missing_is_named(tmp_path, field):
+def test_missing_field_is_named(tmp_path, field):
     data = io.fit_to_dict(fit_of(CAMERA))
     del data["fit"][field]
     (tmp_path / "fit.json").write_text(json.dumps(data))
@@ -183,7 +183,7 @@ def test_other_files_are_no_fits(tmp_path):
         io.load_fit(tmp_path / "no.json")
 
 
-def test_a_lens_that_holds_where_the_object_is_comes_back(tmp_path):
+def test_lens_that_folds_outside_the_object_comes_back(tmp_path):
     """A fit trusts a distortion in the object's window alone."""
     folding = pj.Lens([32, 24], 1.0, pj.BrownConrady(-3.0))
     camera = eqx.tree_at(lambda c: c.lens, CAMERA, folding)

@@ -22,14 +22,14 @@ def test_opencv_by_hand(centres, half, W, H):
     np.testing.assert_allclose(pj.project(camera, jnp.asarray(points)), film, atol=1e-12)
 
 
-def test_a_centred_camera_needs_no_lens():
+def test_centred_camera_needs_no_lens():
     K = np.array([[70.0, 0, 31.5], [0, 70.0, 23.5], [0, 0, 1]])
     assert formats.from_opencv(K, R, T, 64, 48, pixel_centres="integer").lens is None
     assert formats.from_opencv(K, R, T, 64, 48, pixel_centres="half").lens is not None
 
 
 @pytest.mark.long
-def test_the_published_reference_mask_of_m3t(shared):
+def test_m3t_reference_mask_is_reproduced(shared):
     """Half a pixel shows: the renderer's masks agree best with centres at integers."""
     import json
 
@@ -79,7 +79,7 @@ def test_the_published_reference_mask_of_m3t(shared):
         ({"pixel_centres": None}, "`pixel_centres`: expected 'integer' or 'half', got None"),
     ],
 )
-def test_bad_input_is_said_in_words(change, message):
+def test_bad_input_is_refused(change, message):
     good = {"K": np.diag([70.0, 70, 1]), "R": R, "t": T, "W": 64, "H": 48, "pixel_centres": "half"}
     with pytest.raises(ValueError, match=message):
         formats.from_opencv(**{**good, **change})

@@ -47,7 +47,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_every_convention_is_told(name):
+def test_conventions_are_told_apart(name):
     case = CASES[name]
     found = formats.detect(SCENE, MASK, case.pose, K=K)
     best = found.hypotheses[0]
@@ -60,7 +60,7 @@ def test_every_convention_is_told(name):
     assert [h.iou for h in found.hypotheses] == sorted(h.iou for h in found.hypotheses)[::-1]
 
 
-def test_which_field_of_view():
+def test_axis_of_the_field_of_view_is_found():
     lens = pj.Lens([W / 2, H / 2])
     centred = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.55, 1.0, W, H, lens)
     mask = np.asarray(pj.silhouette(centred, SCENE, overlaps=False))
@@ -74,7 +74,7 @@ def test_which_field_of_view():
     assert (found.hypotheses[0].fov_axis, found.hypotheses[0].pixel_centres) == ("", "half")
 
 
-def test_what_a_mask_does_not_tell_is_not_said():
+def test_ball_leaves_the_axes_undecided():
     """A ball on the axis looks alike when the picture is turned upside down."""
     sphere = trimesh.creation.icosphere(subdivisions=3)
     ball = pj.Scene(mesh=pj.Mesh(sphere.vertices, sphere.faces))
@@ -97,7 +97,7 @@ def test_no_reading_explains_another_objects_mask():
 
 
 @pytest.mark.long
-def test_the_renderer_of_m3t_has_integer_centres(shared):
+def test_m3t_renderer_has_integer_centres(shared):
     folder = shared / "renders" / "m3t_renderer"
     given = json.loads((folder / "camera.json").read_text())
     bottle = given["objects"]["shampoo"]
@@ -115,7 +115,7 @@ def test_the_renderer_of_m3t_has_integer_centres(shared):
 
 
 @pytest.mark.long
-def test_the_cow_of_pytorch3d(shared):
+def test_pytorch3d_cow_has_its_published_convention(shared):
     """From what its own test says: look_at_view_transform(3, 10, 4), 60 degrees, 256 x 256."""
     folder = shared / "renders" / "pytorch3d_cow"
     mask = np.any(io.load_image(folder / "cow.png")[..., :3] < 255, axis=-1)
@@ -163,7 +163,7 @@ def test_the_cow_of_pytorch3d(shared):
         ({"K": None, "focal_px": -1}, "`focal_px`: expected a positive number, got -1.0"),
     ],
 )
-def test_bad_input_is_said_in_words(change, message):
+def test_bad_input_is_refused(change, message):
     good = {"scene": SCENE, "mask": MASK, "pose": POSE, "K": K}
     with pytest.raises(ValueError, match=message):
         formats.detect(**{**good, **change})

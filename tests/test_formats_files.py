@@ -125,7 +125,7 @@ def test_wrong_gltf(tmp_path, data, message):
         formats.read(tmp_path / "c.gltf")
 
 
-def test_a_glb_cut_short(tmp_path):
+def test_truncated_glb_is_refused(tmp_path):
     formats.write(tmp_path / "c.glb", {"a": CAMERA})
     whole = (tmp_path / "c.glb").read_bytes()
     (tmp_path / "c.glb").write_bytes(whole[:-4])
@@ -319,7 +319,7 @@ def test_wrong_colmap_binary(tmp_path):
         formats.read(tmp_path)
 
 
-def test_a_model_is_not_written_beside_another(tmp_path):
+def test_model_is_not_written_beside_another(tmp_path):
     formats.write(tmp_path / "model", {"a": CAMERA})
     formats.write(tmp_path / "model", {"a": LENS})  # over its own kind it is
     with pytest.raises(
@@ -364,13 +364,13 @@ def test_a_model_is_not_written_beside_another(tmp_path):
         ),
     ],
 )
-def test_what_a_format_cannot_hold_is_not_written(tmp_path, name, cameras, format, message):
+def test_unsupported_cameras_are_not_written(tmp_path, name, cameras, format, message):
     with pytest.raises(ValueError, match=message):
         formats.write(tmp_path / name, cameras, format)
     assert not list(tmp_path.iterdir())
 
 
-def test_the_door_to_reading(tmp_path):
+def test_unreadable_paths_are_refused_by_name(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"`path`: expected a camera file, .* no such file"):
         formats.read(tmp_path / "no.json")
     (tmp_path / "a.usd").write_text("")
@@ -394,7 +394,7 @@ def test_the_door_to_reading(tmp_path):
         formats.read(tmp_path / "a.json", "usd")
 
 
-def test_a_size_is_for_files_that_hold_none(tmp_path):
+def test_size_is_for_files_without_one(tmp_path):
     (tmp_path / "transforms.json").write_text(
         json.dumps({"camera_angle_x": 1.0, "frames": NERF["frames"]})
     )
@@ -413,7 +413,7 @@ def test_a_size_is_for_files_that_hold_none(tmp_path):
     assert (camera.W, camera.H) == (8, 6)
 
 
-def test_nothing_is_half_written(tmp_path, monkeypatch):
+def test_files_are_never_half_written(tmp_path, monkeypatch):
     formats.write(tmp_path / "c.yaml", {"a": CAMERA})
     before = (tmp_path / "c.yaml").read_text()
 
@@ -445,14 +445,14 @@ def test_wrong_pytorch3d_arguments(change, message):
         formats.from_pytorch3d(**{**good, **change})
 
 
-def test_pixel_centres_are_said():
+def test_pixel_centres_shift_K_by_half_a_pixel():
     with pytest.raises(ValueError, match="`pixel_centres`: expected 'integer' or 'half'"):
         formats.to_opencv(CAMERA, pixel_centres="corner")
     half, integer = (formats.to_opencv(LENS, pixel_centres=c)[0] for c in ("half", "integer"))
     np.testing.assert_allclose((half - integer)[:2, 2], 0.5, rtol=0, atol=1e-12)
 
 
-def test_pixel_centres_of_a_file_are_said(tmp_path):
+def test_pixel_centres_of_a_file_are_respected(tmp_path):
     formats.write_opencv(tmp_path / "c.yaml", {"a": LENS}, pixel_centres="half")
     assert max(map(float, pj.pose_error(formats.read(tmp_path / "c.yaml")["a"], LENS))) < 1e-12
     back = formats.read(tmp_path / "c.yaml")["a"].lens.principal_point
@@ -495,7 +495,7 @@ def test_crops_and_resizes_differentiate():
     np.testing.assert_allclose(slope, (moved(0.7 + h) - moved(0.7 - h)) / (2 * h), rtol=1e-7)
 
 
-def test_bad_windows_are_said_in_words():
+def test_bad_windows_are_refused():
     with pytest.raises(ValueError, match="`left`: expected finite values"):
         formats.cropped(CAMERA, np.nan, 0, 5, 5)
     for change in (
@@ -508,7 +508,7 @@ def test_bad_windows_are_said_in_words():
             change(2.5)
 
 
-def test_one_camera_is_read_by_name(tmp_path):
+def test_camera_is_read_by_name(tmp_path):
     camera = lambda y: pj.Camera([0, y, 5], [0, 0, 0], [0, 1, 0], 0.6, 1, 8, 6)
     formats.write(tmp_path / "two.json", {"a": camera(0), "b": camera(1)})
     formats.write(tmp_path / "one.json", {"a": camera(0)})

@@ -21,7 +21,7 @@ POINTS = np.random.default_rng(0).uniform(-1, 1, (20, 3))
 @pytest.mark.parametrize(
     "file", ["a.yaml", "colmap", "colmap-binary", "transforms.json", "camera.json"]
 )
-def test_what_is_written_is_read_again(tmp_path, model, file):
+def test_distortion_survives_a_round_trip(tmp_path, model, file):
     view = camera(MODELS[model])
     if (model, file) == ("rational", "transforms.json"):
         with pytest.raises(ValueError, match=r"`cameras`: expected OpenCV's k1, .* got a Rational"):

@@ -133,5 +133,5 @@ def test_hostile_names_come_back_or_are_refused(tmp_path, format):
 )
 @given(names=st.lists(NAMES, min_size=1, max_size=4, unique=True))
 @example(names=["a\nR: 3", "b"])
-def test_any_names_come_back_or_are_refused(tmp_path, format, names):
+def test_names_come_back_or_are_refused(tmp_path, format, names):
     check_round_trip(tmp_path, format, names)

@@ -84,7 +84,7 @@ OBLONG = {
 
 
 @pytest.mark.parametrize("files", [SQUARE, OBLONG])
-def test_by_hand(tmp_path, files):
+def test_readers_match_numbers_worked_out_by_hand(tmp_path, files):
     for name, text in files.items():
         (tmp_path / name).write_text(text)
         (camera,) = formats.read(tmp_path / name).values()
@@ -121,7 +121,7 @@ ROUND_TRIPS = {
 
 
 @pytest.mark.parametrize("name", ROUND_TRIPS)
-def test_there_and_back(tmp_path, name):
+def test_round_trips_keep_the_camera(tmp_path, name):
     cameras = ROUND_TRIPS[name]
     groups = [{key: camera} for key, camera in cameras.items()]
     if name != "one.yaml":  # which has one K
@@ -255,7 +255,7 @@ def test_blender_recorded(tmp_path, settings, film):
     np.testing.assert_allclose(pj.project(camera, points).ravel(), film, rtol=0, atol=1e-5)
 
 
-def test_the_script_makes_the_camera_in_blender():
+def test_script_makes_the_camera_in_blender():
     bpy = pytest.importorskip("bpy")
     for name, camera in CAMERAS.items():
         exec(formats.to_blender_script({name: camera}), {})
@@ -275,7 +275,7 @@ def test_the_script_makes_the_camera_in_blender():
         np.testing.assert_allclose(theirs, image_points(camera), rtol=0, atol=2e-5)  # float32
 
 
-def test_the_script_is_python_that_says_what_the_json_says():
+def test_script_and_json_say_the_same():
     script = formats.to_blender_script({"crop": CROP})
     values = {}
     exec(script[script.index("RENDER") : script.index("scene =")], values)

@@ -68,7 +68,7 @@ def test_vertex_gradient_equals_central_differences_of_the_polygon_union(mesh, g
         np.testing.assert_allclose(found[vertex], expected, atol=1e-6 * np.abs(found).max())
 
 
-def test_the_gradient_of_all_vertices_is_minus_that_of_the_camera(gradients):
+def test_gradient_by_all_vertices_is_minus_the_camera_s(gradients):
     along = np.asarray(gradients[1].mesh.vertices).sum(axis=0)
     camera = np.asarray(gradients[0].e) + np.asarray(gradients[0].p)
     np.testing.assert_allclose(along, -camera, rtol=1e-10)
@@ -160,7 +160,7 @@ def test_frozen_leaves_cost_no_derivative(mesh):
 
 
 @pytest.mark.long
-def test_a_second_derivative_is_refused_in_words(mesh):
+def test_second_derivatives_are_refused(mesh):
     scene = pj.Scene(mesh=mesh)
     loss = lambda phi: jnp.sum(pj.silhouette(with_value(CAMERA, "phi", phi), scene) ** 2)
     with pytest.raises(NotImplementedError, match="differentiated once"):

@@ -247,7 +247,7 @@ def borders(covered) -> shapely.Geometry:
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", STEPS)
-def test_the_outline_on_the_grid_is_the_union_s_border(name):
+def test_outline_on_the_grid_is_the_border_of_the_union(name):
     frame = shapely.box(0.01, 0.01, W - 0.01, H - 0.01)
     for seed in range(SOME):
         (vertices, faces), spans = sheets(np.random.default_rng(seed), name)

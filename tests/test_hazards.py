@@ -65,7 +65,7 @@ def batch(cameras, scenes, whole):
 
 
 @pytest.mark.parametrize("bad", [np.nan, full(np.inf)])
-def test_one_poisoned_element_of_a_batch_leaves_the_others_bit_for_bit(bad, exhaustive):
+def test_poisoned_element_leaves_the_rest_of_a_batch_alone(bad, exhaustive):
     many = lambda x: jnp.stack([x, x, x]) if eqx.is_array(x) else x
     cameras, scenes = jax.tree.map(many, (CAMERA, SCENE))
     cameras = eqx.tree_at(lambda c: c.e, cameras, cameras.e + jnp.eye(3) / 10)
@@ -131,7 +131,7 @@ def looking(camera):
 
 
 @pytest.mark.parametrize("name", first(0, NO_CAMERAS, of=2))
-def test_what_is_traced_and_no_camera_sees_nothing(name):
+def test_traced_camera_that_is_none_sees_nothing(name):
     part, value = NO_CAMERAS[name]
     camera = eqx.tree_at(lambda c: getattr(c, part), CAMERA, value)
     slopes, (image, direction, t, points) = looking(camera)

@@ -41,7 +41,7 @@ def by_hand(camera):
 
 
 @pytest.mark.long
-def test_a_wall_that_faces_the_camera_has_one_depth():
+def test_wall_facing_the_camera_has_one_depth():
     """What is returned is z, not the ray's length: that one grows towards the corners."""
     camera = pj.Camera([1, 2, 5], [1, 2, 0], [0.3, 1, 0], 0.9, 1.0, W, H)
     wall = pj.Scene(mesh=pj.Mesh(WALL, FACES))
@@ -51,7 +51,7 @@ def test_a_wall_that_faces_the_camera_has_one_depth():
 
 
 @pytest.mark.long
-def test_a_slanted_wall_in_closed_form():
+def test_slanted_wall_has_its_closed_form():
     scene = pj.Scene(mesh=pj.Mesh(WALL, FACES))
     q, v = by_hand(CAMERA)
     # The wall is the plane z = 0: s q reaches it where e_z + s q_z = 0.
@@ -68,7 +68,7 @@ def test_normals_face_the_eye_whatever_the_winding():
 
 
 @pytest.mark.parametrize("radius", [0.7, 9.0])
-def test_a_sphere_in_closed_form(radius):
+def test_sphere_has_its_closed_form(radius):
     """From outside and, the eye within the larger one, from inside."""
     center = np.array([0.2, 0.3, -0.4])
     scene = pj.Scene(spheres=pj.Spheres(center[None], [radius]))
@@ -88,7 +88,7 @@ def test_a_sphere_in_closed_form(radius):
     assert np.all(np.sum(normal * q, axis=-1)[met] < 0)
 
 
-def test_a_miss_and_an_empty_scene():
+def test_misses_and_empty_scenes_have_infinite_depth():
     away = pj.Camera([0, 0, 5], [0, 0, 9], [0, 1, 0], 0.6, 1.0, W, H)
     for scene in (pj.Scene(), pj.Scene(mesh=pj.Mesh(WALL, FACES))):
         assert np.all(np.isposinf(depth(away, scene)))
@@ -96,7 +96,7 @@ def test_a_miss_and_an_empty_scene():
 
 
 @pytest.mark.long
-def test_the_same_surface_as_the_silhouette(scene):
+def test_depth_and_silhouette_show_the_same_surface(scene):
     """A pixel that is wholly covered has a depth, one that is wholly free has none."""
     cover = np.asarray(pj.silhouette(CAMERA, scene))
     met = np.isfinite(depth(CAMERA, scene))
@@ -115,7 +115,7 @@ def test_float32_stays_float32(scene):
 
 
 @pytest.mark.long
-def test_the_published_depth_image_of_m3t(shared):
+def test_m3t_depth_image_is_reproduced(shared):
     """An OpenGL renderer's two objects, one behind the other, to the step of its 16-bit depth."""
     from PIL import Image
 

@@ -19,7 +19,7 @@ def test_import_waits_with_what_is_heavy_and_changes_no_configuration():
     assert run(code) == "[]"
 
 
-def test_the_package_alone_imports_no_jax():
+def test_package_import_loads_no_jax():
     code = (
         "import sys, pinhole_jax as pj; pj.__version__; hasattr(pj, '__wrapped__');"
         "print([m for m in ('jax', 'numpy') if m in sys.modules])"
@@ -51,7 +51,7 @@ def imported_anew(codes):
     return run(code).splitlines()
 
 
-def test_a_public_name_is_there_when_it_is_asked_for():
+def test_public_names_load_on_demand():
     assert imported_anew(WAYS) == ["Camera"] * len(WAYS)
 
 
@@ -66,7 +66,7 @@ def test_modules_may_be_imported_first_and_in_any_way():
     assert imported_anew(codes) == ["True True False"] * len(MODULES)
 
 
-def test_a_name_that_is_not_there_is_told():
+def test_unknown_name_raises_attribute_error():
     code = (
         "import pinhole_jax\n"
         "try: pinhole_jax.camera\n"

@@ -69,7 +69,7 @@ def test_culled_and_listed_edges_are_those_of_counting_each_face(sizes):
 
 
 @pytest.mark.long
-def test_the_image_is_the_union_of_all_faces(sizes):
+def test_image_is_the_union_of_all_faces(sizes):
     for faces in sizes:
         vertices, triangles = soup(faces)
         image = pj.silhouette(CAMERA, padded(pj.Scene(mesh=pj.Mesh(vertices, triangles))))
@@ -100,7 +100,7 @@ def plain_hits(vertices, faces, origin, direction) -> tuple[np.ndarray, np.ndarr
 
 
 @pytest.mark.long
-def test_the_tree_and_its_packets_find_what_testing_every_face_finds(sizes):
+def test_tree_and_packets_match_brute_force(sizes):
     for faces in sizes:
         vertices, triangles = soup(faces)
         scene = pj.Scene(mesh=pj.Mesh(vertices, triangles))
@@ -114,7 +114,7 @@ def test_the_tree_and_its_packets_find_what_testing_every_face_finds(sizes):
 
 
 @pytest.mark.long
-def test_a_window_of_the_film_says_what_the_whole_film_does(sizes):
+def test_window_of_the_film_matches_the_whole_film(sizes):
     for faces in sizes[1:]:  # there is no fit to an empty scene
         vertices, triangles = soup(faces, 0.3)
         camera = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 96, 80)

@@ -15,7 +15,7 @@ CAMERA = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 2.0, 30, 20)
 
 
 @pytest.mark.parametrize("ending", ["obj", "ply", "stl", "off", "glb"])
-def test_every_format_gives_the_same_closed_mesh(tmp_path, ending):
+def test_formats_give_the_same_closed_mesh(tmp_path, ending):
     path = tmp_path / f"box.{ending}"
     BOX.export(path)
     mesh = pj.load_mesh(path)
@@ -29,7 +29,7 @@ def test_every_format_gives_the_same_closed_mesh(tmp_path, ending):
     assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume > 0.999
 
 
-def test_vertices_that_are_coarse_beside_the_object_are_told(tmp_path):
+def test_vertices_rounded_coarsely_are_reported(tmp_path):
     path = tmp_path / "far.stl"
     far = BOX.copy()
     far.apply_translation([1e5, 0, 0])
@@ -92,13 +92,13 @@ def test_quads_are_triangulated_and_equal_vertices_merged(tmp_path):
         ("mesh.txt", "v 0 0 0", "expected one of .dae, .obj"),
     ],
 )
-def test_what_is_wrong_with_a_mesh_file_is_said(tmp_path, name, text, message):
+def test_bad_mesh_files_are_refused_with_the_reason(tmp_path, name, text, message):
     (tmp_path / name).write_text(text)
     with pytest.raises(ValueError, match="`path`: " + message):
         pj.load_mesh(tmp_path / name)
 
 
-def test_a_missing_file_and_a_folder(tmp_path):
+def test_missing_files_and_folders_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"`path`: expected a mesh file, .*no such file"):
         pj.load_mesh(tmp_path / "no.obj")
     with pytest.raises(ValueError, match=r"`path`: .* a folder"):
@@ -158,7 +158,7 @@ def test_wrong_fields_are_named(tmp_path, change, message):
         io.load_camera(path)
 
 
-def test_what_a_file_says_twice_may_be_left_out_or_rounded(tmp_path):
+def test_redundant_fields_may_be_left_out_or_rounded(tmp_path):
     path = tmp_path / "camera.json"
     data = io.camera_to_dict(CAMERA)
     pose = {name: np.round(value, 5).tolist() for name, value in data["pose"].items()}
@@ -204,7 +204,7 @@ def test_masks_are_grey_or_transparency(tmp_path):
         io.load_mask(tmp_path / "none.png")
 
 
-def test_a_grey_picture_that_is_no_mask_is_refused_with_the_ways_to_read_it(tmp_path):
+def test_grey_picture_is_refused_with_the_ways_to_read_it(tmp_path):
     path = tmp_path / "ramp.png"
     ramp = np.tile(np.arange(256, dtype=np.uint8), (20, 1))
     Image.fromarray(ramp).save(path)
@@ -241,7 +241,7 @@ def test_pictures_of_the_values_0_and_1_are_masks(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["grey", "palette", "16 bits"])
-def test_a_label_image_gives_the_pixels_of_one_label(tmp_path, kind):
+def test_label_image_gives_the_pixels_of_one_label(tmp_path, kind):
     labels = np.random.default_rng(1).integers(0, 4, (9, 7), np.uint8)
     if kind == "palette":
         image = Image.fromarray(labels).convert("P")
@@ -262,7 +262,7 @@ def test_a_label_image_gives_the_pixels_of_one_label(tmp_path, kind):
         io.load_mask(tmp_path / "rgb.png", "label=1")
 
 
-def test_a_background_colour_tells_the_object_and_how_much_of_it_is_in_an_edge(tmp_path):
+def test_background_colour_gives_partial_coverage_at_edges(tmp_path):
     # A disk with a hole, 40 times finer than its pixels: coverage by counting.
     n, fine = 64, 40
     y, x = (np.mgrid[: n * fine, : n * fine] + 0.5) / fine
@@ -292,17 +292,17 @@ def test_a_background_colour_tells_the_object_and_how_much_of_it_is_in_an_edge(t
 
 
 @pytest.mark.parametrize("way", ["", "alpha=1", "label", "label=-1", "background=", "Alpha", "hue"])
-def test_a_way_that_is_none_is_refused(tmp_path, way):
+def test_unknown_mask_source_is_refused(tmp_path, way):
     with pytest.raises(ValueError, match=r"`mask_from`: expected one of alpha, .*got "):
         io.load_mask(tmp_path / "none.png", way)
 
 
-def test_a_colour_that_is_none_is_refused(tmp_path):
+def test_unknown_colour_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"`mask_from`: expected a colour such as .*'bluish'"):
         io.load_mask(tmp_path / "none.png", "background=bluish")
 
 
-def test_the_ringing_of_a_jpeg_mask_costs_less_than_a_threshold(tmp_path):
+def test_jpeg_ringing_costs_less_than_a_threshold(tmp_path):
     n = 96
     y, x = np.mgrid[:n, :n] + 0.5
     disk = np.clip(30.4 - np.hypot(x - 47.2, y - 45.9) + 0.5, 0, 1)  # soft over a pixel
@@ -365,7 +365,7 @@ SENSOR = {
         ((60, 40), 1, {**FULL_FRAME, **SENSOR}, 24, 50),
     ],
 )
-def test_exif_tells_the_field_of_view(tmp_path, size, orientation, tags, height_mm, focal_mm):
+def test_exif_gives_the_field_of_view(tmp_path, size, orientation, tags, height_mm, focal_mm):
     save_exif(tmp_path / "p.jpg", size, orientation, **tags)
     fov = io.photo_fov(tmp_path / "p.jpg")
     assert fov.phi == pytest.approx(2 * np.arctan(height_mm / 2 / focal_mm), rel=1e-6)
@@ -393,7 +393,7 @@ def test_exif_that_contradicts_itself_says_so(tmp_path):
     assert "0.54 times as long" in io.photo_fov(tmp_path / "p.jpg").words
 
 
-def test_nothing_is_half_written(tmp_path):
+def test_files_are_never_half_written(tmp_path):
     path = tmp_path / "camera.json"
     path.write_text("before")
     with pytest.raises(ValueError, match="Out of range"):

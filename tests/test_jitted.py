@@ -28,7 +28,7 @@ def told(monkeypatch):
 
 
 @pytest.mark.usefixtures("optimised")
-def test_alone_it_takes_options_and_within_others_it_is_a_part(told):
+def test_options_apply_to_outer_programs_alone(told):
     """JAX refuses options within another program, whether that hands on its arguments or not."""
     assert options() == OPTIONS
     np.testing.assert_array_equal(doubled(X)["value"], 2 * X)
@@ -44,7 +44,7 @@ def test_alone_it_takes_options_and_within_others_it_is_a_part(told):
     assert told.count(OPTIONS) == 1
 
 
-def test_a_compiler_that_is_told_to_hurry_is_told_nothing_else(told):
+def test_hurried_compiler_gets_no_options(told):
     if not jax.config.read("jax_disable_most_optimizations"):
         pytest.skip("the compiler is as users have it")
     assert doubled(X)["times"] == 2
@@ -52,19 +52,19 @@ def test_a_compiler_that_is_told_to_hurry_is_told_nothing_else(told):
 
 
 @pytest.mark.usefixtures("optimised")
-def test_a_compiler_that_does_not_know_an_option_gets_none(monkeypatch):
+def test_compiler_that_does_not_know_an_option_gets_none(monkeypatch):
     monkeypatch.setattr(module, "OPTIONS", {"xla_of_another_age": 1})
     module._known.cache_clear()
     assert options() == {}
     module._known.cache_clear()
 
 
-def test_it_keeps_its_name_and_says_what_it_does():
+def test_wrapped_function_keeps_its_name_and_docstring():
     assert (doubled.__name__, doubled.__doc__) == ("doubled", "Say what it does.")
     assert "multiply" in doubled.lower(X).as_text()
 
 
-def test_it_counts_its_programs():
+def test_programs_are_counted():
     made = []
     for shape in (7, 7, 8):
         doubled(np.ones(shape))

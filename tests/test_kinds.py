@@ -68,7 +68,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_a_right_camera_leaves_what_the_kind_says(mask, name):
+def test_residual_of_the_right_camera_matches_the_kind(mask, name):
     make, kind, exact = KINDS[name]
     target = make(mask)
     found = kind_of(target, np.ones(mask.shape), np.float64)
@@ -83,7 +83,7 @@ def test_a_right_camera_leaves_what_the_kind_says(mask, name):
         assert 0.3 < left / found.variance < 3
 
 
-def test_a_moved_outline_is_not_explained(mask):
+def test_moved_outline_is_not_explained(mask):
     """Half a pixel in a mask with soft edges, of any making that tells exactly."""
     moved = 0.5 * (mask + np.roll(mask, 1, axis=1))
     for name, (make, _, exact) in KINDS.items():
@@ -93,7 +93,7 @@ def test_a_moved_outline_is_not_explained(mask):
             assert np.mean((moved - mask)[outline] ** 2) > found.most
 
 
-def test_an_offset_that_is_the_same_everywhere_is_even(mask):
+def test_constant_offset_has_no_spread(mask):
     """Greys of 5 and 250: their squares do not spread, and tell all the same."""
     found = kind_of(np.where(mask > 0.5, 250, 5).astype(np.uint8), np.ones(mask.shape), np.float64)
     assert (found.name, found.exact) == ("noisy", True)

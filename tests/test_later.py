@@ -10,7 +10,7 @@ from pinhole_jax._numerics.later import later
 X = jnp.array([1.0, -2.0, 3.0])
 
 
-def test_it_is_not_traced_where_only_its_derivative_is_asked_for():
+def test_function_is_not_traced_for_its_derivative_alone():
     traced = []
 
     def whole(x):
@@ -40,7 +40,7 @@ def test_batches_go_along_any_axis():
     np.testing.assert_array_equal(found, np.stack([3 * X, 4 * X]))
 
 
-def test_what_is_for_cpus_stays_so():
+def test_choice_of_cpu_lasts_until_lowering():
     seen = []
 
     def look(x):

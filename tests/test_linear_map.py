@@ -38,7 +38,7 @@ def test_batches_over_residuals_and_over_what_is_linear():
     np.testing.assert_array_equal(slopes, np.repeat([[1], [3], [6]], 3, 1))
 
 
-def test_on_a_cpu_a_batch_is_mapped_one_after_the_other():
+def test_batch_on_a_cpu_runs_one_after_the_other():
     """What one takes for its loop is held once, not for each."""
 
     def with_room(n, x):
@@ -51,7 +51,7 @@ def test_on_a_cpu_a_batch_is_mapped_one_after_the_other():
         assert used.temp_size_in_bytes < 8 * 8 << 16
 
 
-def test_a_jacobian_maps_all_directions_at_once():
+def test_jacobian_maps_all_directions_at_once():
     widths = []
 
     def twice(r, x):
@@ -62,7 +62,7 @@ def test_a_jacobian_maps_all_directions_at_once():
     assert widths[-1] == (3, 3)
 
 
-def test_what_is_not_linear_has_no_derivative_and_says_so():
+def test_nonlinear_argument_has_no_derivative():
     def scaled(s):
         return linear_map(lambda r, x: r * x, lambda r, y: r * y, s, X, X).sum()
 

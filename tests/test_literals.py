@@ -19,7 +19,7 @@ def _steps(x, k):
     return jnp.where(total > 0, total, 1), (k - 2) - 3, jnp.uint32(0) - 1
 
 
-def test_they_return_the_same():
+def test_tidied_programs_return_the_same_bits():
     """Bit by bit, whole numbers that wrap around, too."""
     x = jnp.asarray(np.random.default_rng(0).normal(0, 4, 9))
     for found, true in zip(tidied(_steps)(x, jnp.int32(7)), _steps(x, jnp.int32(7)), strict=True):
@@ -38,7 +38,7 @@ def test_no_number_is_converted_or_taken_away():
         assert not (line.count("convert_element_type") and line.split()[-1][0].isdigit()), line
 
 
-def test_what_follows_in_a_set():
+def test_set_members_follow_one_another():
     """One after the other they are all that is in it."""
     mask = np.random.default_rng(1).random(300) < 0.03
     chosen, place, found = select(jnp.asarray(mask)), jnp.int32(-1), []

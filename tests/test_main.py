@@ -115,7 +115,7 @@ def test_render_then_fit(folder, report):
 
 
 @pytest.mark.long
-def test_a_camera_that_stands_still_has_not_moved(folder):
+def test_still_camera_has_not_moved(folder):
     mask = drawn(CAMERA, SCENE)
     io.save_image(folder / "still.png", mask)
     io.save_fit(folder / "still.json", pj.fit_camera(SCENE, mask, CAMERA))
@@ -126,7 +126,7 @@ def test_a_camera_that_stands_still_has_not_moved(folder):
 
 
 @pytest.mark.long
-def test_a_photo_refines_the_camera(folder):
+def test_photo_refines_the_camera(folder):
     mask = drawn(CAMERA, SCENE) > 0.5
     io.save_image(folder / "photo.png", 1.0 * mask)
     io.save_image(folder / "large.png", 1.0 * binary_dilation(mask, iterations=2))
@@ -225,7 +225,7 @@ def test_bad_input_ends_a_process_with_status_2(folder):
 
 
 @pytest.mark.long
-def test_a_fit_that_is_not_to_be_trusted_has_status_1(folder):
+def test_untrustworthy_fit_exits_with_1(folder):
     behind = pj.Camera([0.3, 1, 5], [0.3, 1, 9], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
     io.save_camera(folder / "behind.json", behind)
     mask = (drawn(CAMERA, SCENE) > 0.5).astype(np.uint8) * 255
@@ -247,7 +247,7 @@ def test_a_fit_that_is_not_to_be_trusted_has_status_1(folder):
 
 
 @pytest.mark.long
-def test_a_fit_needs_no_start(folder):
+def test_fit_needs_no_start(folder):
     # A photo before a blue background; its EXIF data tell the field of view: no start, no --fov.
     mask = drawn(CAMERA, SCENE)[..., None]
     photo = Image.fromarray(np.uint8(mask * [220, 90, 40] + (1 - mask) * [0, 0, 255] + 0.5))
@@ -289,7 +289,7 @@ def test_convert_there_and_back(folder, monkeypatch, capsys):
 
 
 @pytest.mark.long
-def test_a_user_without_a_home_keeps_no_programs(folder):
+def test_user_without_a_home_keeps_no_programs(folder):
     code = (
         "import pwd, sys; pwd.getpwuid = lambda uid: {}[uid];"
         "from pinhole_jax.__main__ import main; sys.exit(main(sys.argv[1:]))"
@@ -307,7 +307,7 @@ def test_a_user_without_a_home_keeps_no_programs(folder):
     assert io.load_image(folder / "homeless.png").shape == (80, 96)
 
 
-def test_a_picture_without_end_is_not_rendered(folder):
+def test_enormous_picture_is_not_rendered(folder):
     endless = {**io.camera_to_dict(CAMERA), "W": 20_000, "H": 20_000}
     del endless["pose"]
     (folder / "endless.json").write_text(json.dumps(endless))
@@ -354,7 +354,7 @@ def test_help_and_words_about_a_typo_need_no_jax(arguments, status, words):
     assert done.stdout.endswith("loaded []\n")
 
 
-def test_help_tells_what_the_tables_have():
+def test_help_lists_what_the_tables_hold():
     assert FREE == NAMES
     assert STATUSES_TOLD == STATUSES
     assert {name: tuple(model.powers) for name, model in MODELS.items()} == DISTORTIONS
@@ -396,7 +396,7 @@ def test_help_says_what_each_status_means(capsys):
 
 
 @pytest.mark.parametrize("status", STATUSES)
-def test_only_a_fit_that_converged_has_status_0(folder, status, monkeypatch, capsys):
+def test_converged_fit_alone_exits_with_0(folder, status, monkeypatch, capsys):
     fit = fit_of(CAMERA, ("e_x",), [0.1])._replace(status=status)
     if status == "non_finite":
         fit = fit._replace(rms=np.nan, iou=np.nan)
@@ -411,7 +411,7 @@ def test_only_a_fit_that_converged_has_status_0(folder, status, monkeypatch, cap
     assert io.load_fit(folder / status / "camera.json").status == status
 
 
-def test_an_inverted_mask_is_turned_where_that_is_asked_for(folder, monkeypatch):
+def test_inverted_mask_is_turned_on_request(folder, monkeypatch):
     given = []
     fit = fit_of(CAMERA, ("e_x",), [0.1])
     fitted = lambda scene, mask, *_, **__: given.append(mask) or fit
@@ -426,13 +426,13 @@ def test_an_inverted_mask_is_turned_where_that_is_asked_for(folder, monkeypatch)
     np.testing.assert_array_equal(given[0], mask)
 
 
-def test_the_version_is_told(capsys):
+def test_version_is_printed(capsys):
     with pytest.raises(SystemExit, match="0"):
         command.main(["--version"])
     assert capsys.readouterr().out == f"pinhole-jax {pj.__version__}\n"
 
 
-def test_an_interrupt_is_one_line_and_status_130(monkeypatch, capsys):
+def test_interrupt_prints_one_line_and_exits_with_130(monkeypatch, capsys):
     def interrupted(*_):
         raise KeyboardInterrupt
 
@@ -443,7 +443,7 @@ def test_an_interrupt_is_one_line_and_status_130(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("within", ["nullcontext()", "interrupts_raise()"])
-def test_an_interrupt_that_is_lost_ends_the_command_all_the_same(folder, within):
+def test_interrupt_that_is_swallowed_still_ends_the_command(folder, within):
     """As JAX's callbacks and exits lose it; what is being written is removed first."""
     script = f"""
 import signal, sys
@@ -503,7 +503,7 @@ def rays_of(camera, phi, lens):
     return np.asarray(pj.camera_rays(camera).direction)
 
 
-def test_a_part_of_a_photo_and_a_resized_one_have_the_rays_of_the_whole(folder):
+def test_cropped_and_resized_photos_keep_the_rays(folder):
     # Of a photo of 400 x 300 px: a window, one that was shrunk to a half, the whole one shrunk.
     fx, fy, cx, cy, k1 = 310, 308, 205, 140, -0.05
     K, turn = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.diag([1.0, -1, -1])
@@ -580,7 +580,7 @@ def test_errors_name_the_arguments_of_the_command(text, told):
 
 
 @pytest.mark.long
-def test_a_known_K_needs_no_pose(folder):
+def test_fit_with_K_needs_no_pose(folder):
     """The camera is found from K alone, off the image's middle."""
     K, R, t = [[150, 0, 55], [0, 150, 33], [0, 0, 1]], np.diag([1.0, -1, -1]), [0.1, 0.2, 5]
     truth = pj.formats.from_opencv(K, R, t, 96, 80, pixel_centres="integer")
@@ -602,7 +602,7 @@ def test_a_known_K_needs_no_pose(folder):
         (["none.json", "bumpy.ply", "a.png"], "`CAMERA`: expected"),
     ],
 )
-def test_a_check_names_what_is_missing(folder, monkeypatch, capsys, files, words):
+def test_check_names_what_is_missing(folder, monkeypatch, capsys, files, words):
     monkeypatch.chdir(folder)
     assert command.main(["check", "--no-cache", *files]) == 2
     assert words in capsys.readouterr().err

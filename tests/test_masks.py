@@ -35,7 +35,7 @@ def border_of(mask):
 
 
 @pytest.mark.parametrize("mode", ["L", "RGB", "1", "LA"])
-def test_a_silhouette_that_is_inverted_is_refused_and_can_be_turned(tmp_path, silhouette, mode):
+def test_inverted_silhouette_is_refused_and_can_be_turned(tmp_path, silhouette, mode):
     path = tmp_path / "black_on_white.png"
     image = Image.fromarray(255 - silhouette)
     if mode == "LA":  # the object is what shows through
@@ -57,7 +57,7 @@ def test_a_silhouette_that_is_inverted_is_refused_and_can_be_turned(tmp_path, si
 
 
 @pytest.mark.parametrize(("share", "corner"), [(0.4, (66, H)), (0.6, (30, H)), (0.85, (26, 27))])
-def test_an_object_that_the_frame_cuts_off_is_accepted(tmp_path, share, corner):
+def test_object_cut_off_by_the_frame_is_accepted(tmp_path, share, corner):
     mask = cut_off(*corner)
     assert abs(border_of(mask) - share) < 0.02
     Image.fromarray(mask).save(tmp_path / "mask.png")
@@ -66,7 +66,7 @@ def test_an_object_that_the_frame_cuts_off_is_accepted(tmp_path, share, corner):
     assert said == []
 
 
-def test_a_mask_that_covers_all_or_nothing_is_left_to_the_fit(tmp_path):
+def test_full_and_empty_masks_are_left_to_the_fit(tmp_path):
     for value in (0, 255):
         Image.new("L", (9, 1), value).save(tmp_path / "mask.png")
         assert np.all(io.load_mask(tmp_path / "mask.png") == value)
@@ -273,7 +273,7 @@ def soft_square():
 @pytest.mark.parametrize(
     "to", [np.float32, lambda m: np.uint8(np.round(255 * m)), lambda m: m > 0.49]
 )
-def test_crumbs_and_pinholes_are_taken_away_and_said(to):
+def test_crumbs_and_pinholes_are_removed_and_reported(to):
     mask = to(soft_square())
     result, notes = io.tidy_mask(mask)
     assert result.dtype == mask.dtype
@@ -285,7 +285,7 @@ def test_crumbs_and_pinholes_are_taken_away_and_said(to):
     assert io.tidy_mask(result) == (pytest.approx(result), ())
 
 
-def test_what_a_mask_is_is_said_and_left():
+def test_tidy_mask_describes_and_leaves_a_sound_mask():
     mask = np.zeros((60, 80), bool)
     mask[:30, 10:30] = mask[40:60, 50:60] = True
     result, notes = io.tidy_mask(mask)
@@ -307,6 +307,6 @@ def test_what_a_mask_is_is_said_and_left():
         ({"speck": 1.0}, "`speck`: expected a share of the object, 0 <= speck < 1, got 1.0"),
     ],
 )
-def test_what_is_no_mask_is_not_tidied(change, message):
+def test_bad_arguments_of_tidy_mask_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
         io.tidy_mask(**{"mask": np.zeros((3, 3)), **change})

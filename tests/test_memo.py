@@ -45,7 +45,7 @@ def same_as_built_within(scene, rays):
 
 
 @pytest.mark.long
-def test_a_tree_is_made_once_and_anew_for_a_scene_that_was_changed(rays, made):
+def test_tree_is_built_once_for_each_scene(rays, made):
     scene = new_scene()
     first = np.asarray(pj.trace(scene, rays).primitive)
     pj.trace(scene, rays)
@@ -75,7 +75,7 @@ def test_postures_of_an_assembly_have_trees_of_their_own(rays, made):
     assert len(made) == 2
 
 
-def test_a_tree_goes_with_its_scene(rays, made):
+def test_tree_is_freed_with_its_scene(rays, made):
     scene = new_scene()
     pj.trace(scene, rays)
     assert len(keeper._memo) == 1

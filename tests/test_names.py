@@ -73,7 +73,7 @@ def test_files_that_are_named_exist(path):
     assert [name for name in PATH.findall(text) if not (ROOT / name).exists()] == []
 
 
-def test_a_wrong_name_is_found():
+def test_wrong_name_is_found():
     prose = "`solver.Stopped`, `problem.View`, `_nowhere`, `io.read_camera`, `_own`, `self._rays`"
     assert wrong_names(prose, {"_own"}) == ["solver.Stopped", "_nowhere", "io.read_camera"]
 
@@ -81,7 +81,7 @@ def test_a_wrong_name_is_found():
 @pytest.mark.parametrize(
     "path", [p for p in SOURCES if ROOT / "experiments" in p.parents], ids=lambda p: p.stem
 )
-def test_an_experiment_imports_what_there_is(path):
+def test_experiments_import_existing_names(path):
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pinhole_jax"):
             module = importlib.import_module(node.module)

@@ -37,7 +37,7 @@ def circles(tree):
     return [(float(c.get("cx")), float(c.get("cy"))) for c in found]
 
 
-def test_a_camera_shows_what_it_prints():
+def test_camera_shows_the_numbers_that_it_prints():
     lens = pj.Lens([46.0, 41.0], 1.02, pj.BrownConrady(-0.1))
     for camera in (CAMERA, CAMERA.replace(lens=lens)):
         tree = parsed(camera._repr_html_())
@@ -46,7 +46,7 @@ def test_a_camera_shows_what_it_prints():
         assert " ".join(" ".join(cells).split()) == printed
 
 
-def test_the_picture_is_the_camera_seen_from_beside():
+def test_picture_is_the_camera_seen_from_the_side():
     lines = parsed(CAMERA._repr_html_()).findall(f".//{SVG}polyline")
     film = parsed(CAMERA._repr_html_()).find(f".//{SVG}polygon")
     at = lambda element: np.array(
@@ -63,7 +63,7 @@ def test_the_picture_is_the_camera_seen_from_beside():
     assert tick[1] < np.mean(corners[2:], axis=0)[1] - 5  # up is up
 
 
-def test_the_picture_does_not_change_with_the_unit_of_length():
+def test_picture_does_not_depend_on_the_unit_of_length():
     texts = []
     for unit in (1e-6, 1.0, 1e6):
         camera = CAMERA.replace(e=unit * np.array(CAMERA.e), p=unit * np.array(CAMERA.p))
@@ -71,7 +71,7 @@ def test_the_picture_does_not_change_with_the_unit_of_length():
     assert texts[0] == texts[1] == texts[2]
 
 
-def test_a_fit_shows_its_status_and_its_parameters():
+def test_fit_shows_its_status_and_parameters():
     text = a_fit()._repr_html_()
     assert "not determined" in text
     assert html.escape(STATUSES["converged"]) in text
@@ -83,7 +83,7 @@ def test_a_fit_shows_its_status_and_its_parameters():
     assert len(colours) == 2
 
 
-def test_a_fit_shows_the_way_of_its_eye_and_other_views():
+def test_fit_shows_the_path_of_its_eye_and_other_views():
     way = [pj.Progress(CAMERA.replace(e=e), 24, 20, 3) for e in ([3.0, 1, 4], [1.0, 1, 5])]
     history = (*way, pj.Progress(CAMERA, 96, 80, 2))
     other = a_fit()._replace(camera=CAMERA.replace(e=[-4.0, 1, 3]))
@@ -100,7 +100,7 @@ def test_words_are_escaped():
     assert '<script>alert("x")</script> & more' in "".join(parsed(text).itertext())
 
 
-def test_what_is_no_camera_of_numbers_is_shown_as_text():
+def test_batched_and_traced_cameras_are_shown_as_text():
     views = jax.tree.map(lambda *x: jnp.stack(x), CAMERA, CAMERA)
     assert views._repr_html_() is None
     shown = []
@@ -111,14 +111,14 @@ def test_what_is_no_camera_of_numbers_is_shown_as_text():
         str(fit)  # (neither is a stacked fit a table)
 
 
-def test_a_fit_that_is_not_finite_is_shown():
+def test_fit_that_is_not_finite_is_shown():
     nan = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), CAMERA)
     text = a_fit("non_finite", std=(np.nan,) * 3)._replace(camera=nan)._repr_html_()
     assert "svg" not in text
     assert "non_finite" in text
 
 
-def test_it_loads_nothing_more():
+def test_html_loads_no_other_package():
     code = (
         "import sys, pinhole_jax as pj;"
         "text = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=4, H=3)._repr_html_();"

@@ -27,7 +27,7 @@ def change(pose, other):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_covariance_is_that_of_differences(seed):
+def test_covariance_equals_that_of_differences(seed):
     camera = random_camera(np.random.default_rng(seed))
     fit = fit_of(camera, seed=seed)
     pose = formats.object_pose(fit, pixel_centres="half")
@@ -40,7 +40,7 @@ def test_the_covariance_is_that_of_differences(seed):
     np.testing.assert_allclose(pose.std**2, np.diag(pose.covariance))
 
 
-def test_the_covariance_is_that_of_random_cameras():
+def test_covariance_equals_that_of_random_cameras():
     camera = random_camera(np.random.default_rng(1))
     fit = fit_of(camera)
     pose = formats.object_pose(fit, pixel_centres="half")
@@ -53,7 +53,7 @@ def test_the_covariance_is_that_of_random_cameras():
     )
 
 
-def test_the_pose_projects_as_the_camera_does():
+def test_pose_projects_as_the_camera_does():
     camera = random_camera(np.random.default_rng(3))
     pose = formats.object_pose(fit_of(camera), pixel_centres="half")
     middle = 3 * np.asarray(camera.p) - 2 * np.asarray(camera.e)
@@ -67,7 +67,7 @@ def test_the_pose_projects_as_the_camera_does():
     np.testing.assert_allclose(pose.world_from_camera[:3, 3], camera.e)
 
 
-def test_what_is_held_has_no_error_and_what_is_not_seen_an_infinite_one():
+def test_frozen_parameters_have_no_error_and_hidden_ones_infinite():
     camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48)
     place = formats.object_pose(fit_of(camera, ("e_x", "e_y", "e_z")), pixel_centres="half")
     np.testing.assert_array_equal(place.std[:3], 0)
@@ -81,7 +81,7 @@ def test_what_is_held_has_no_error_and_what_is_not_seen_an_infinite_one():
     assert np.isnan(pose.covariance[2, 3])
 
 
-def test_it_is_printed_and_written_beside_the_fit():
+def test_pose_is_printed_and_saved_with_the_fit():
     fit = fit_of(pj.Camera([0.3, 1, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48))
     pose = formats.object_pose(fit, pixel_centres="integer")
     text = str(pose)
@@ -94,7 +94,7 @@ def test_it_is_printed_and_written_beside_the_fit():
     assert written["distortion"] is None
 
 
-def test_a_lens_and_where_its_pixels_count_from_are_told_too():
+def test_lens_and_pixel_centres_are_written():
     lens = pj.Lens([32, 24], 1.0, pj.BrownConrady(-0.1))
     fit = fit_of(pj.Camera([0.3, 1, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48, lens))
     assert "BrownConrady: k1 -0.1, k2 0" in str(formats.object_pose(fit, pixel_centres="half"))

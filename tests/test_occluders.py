@@ -46,7 +46,7 @@ def behind_a_wall(truth, scene, share: float) -> tuple[np.ndarray, float]:
     return inside & (wall < COLUMNS), float(wall)
 
 
-def test_an_edge_has_points_on_it_and_normals_outwards():
+def test_edge_has_points_on_it_and_outward_normals():
     """A disc with a soft edge: where it is one half is the circle."""
     row, column = np.mgrid[:80, :96] + 0.5
     away = np.hypot(80 - row - 33.3, column - 41.7)
@@ -61,7 +61,7 @@ def test_an_edge_has_points_on_it_and_normals_outwards():
     assert len(edge_of(mask, 40).at) == 40
 
 
-def test_of_a_large_photo_blocks_tell_what_pixels_do(monkeypatch):
+def test_blocks_of_a_large_photo_match_its_pixels(monkeypatch):
     """A square, one side of which is not trusted, rows and columns no multiples of a block's."""
     along = np.arange(10, 91) + 0.5
     sides = [(along, 10), (along, 91), (10, along), (91, along)]
@@ -108,7 +108,7 @@ def test_means_about_an_outline_are_those_of_whole_images(scene):
     np.testing.assert_allclose(got, mean, atol=1e-12 * np.abs(mean).max())
 
 
-def test_an_edge_lies_a_third_of_a_pixel_across_its_own_outline_and_farther_from_anothers(scene):
+def test_edge_lies_within_a_third_of_a_pixel_of_its_own_outline(scene):
     """Half a pixel along it, to the next point that is known, says nothing."""
     truth = anywhere(0)
     seen, _ = behind_a_wall(truth, scene, 0.3)
@@ -137,7 +137,7 @@ def check(fit, truth, wall):
     assert np.max(off) < 6
 
 
-def test_from_a_start_the_rest_of_the_edge_is_enough(scene):
+def test_visible_edge_is_enough_from_a_start(scene):
     truth = anywhere(0)
     seen, wall = behind_a_wall(truth, scene, 0.3)
     start = turned(truth, [1, 2, 3], 10)
@@ -156,7 +156,7 @@ def test_from_a_start_the_rest_of_the_edge_is_enough(scene):
 
 
 @pytest.mark.full
-def test_with_no_start_the_rest_of_the_edge_is_enough(scene):
+def test_visible_edge_is_enough_with_no_start(scene):
     truth = anywhere(1)
     seen, wall = behind_a_wall(truth, scene, 0.25)
     check(pj.fit_camera(scene, seen, None, phi=0.6), truth, wall)
@@ -164,7 +164,7 @@ def test_with_no_start_the_rest_of_the_edge_is_enough(scene):
 
 @pytest.mark.long
 @pytest.mark.parametrize("sign", [-1, full(1)])
-def test_an_occluder_that_leaves_what_another_view_shows_is_not_told_as_certain(sign):
+def test_occluder_that_mimics_another_view_is_not_called_certain(sign):
     """A box of 1 x 2 x 3; a wall leaves 1 x 2 of it: another side."""
     box = trimesh.creation.box([1.0, 2.0, 3.0])
     scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces))
@@ -179,7 +179,7 @@ def test_an_occluder_that_leaves_what_another_view_shows_is_not_told_as_certain(
 
 
 @pytest.mark.full
-def test_of_views_that_explain_most_of_an_edge_the_closest_is_found():
+def test_view_closest_to_the_edge_wins():
     """Three plates that meet at a corner, 40 % of the outline behind a half-plane, no start: a view
     turned by 179 degrees explains nearly as much of the edge, 0.5 px off."""
     parts = [([1.6, 1.2, 0.15], [0, 0, 0]), ([0.15, 1.2, 0.9], [-0.72, 0, 0.5])]
@@ -201,7 +201,7 @@ def test_of_views_that_explain_most_of_an_edge_the_closest_is_found():
 
 
 @pytest.mark.parametrize("seed", first(0, [2, 4], of=2))
-def test_another_shape_is_no_covered_one(seed):
+def test_different_shape_is_not_taken_for_an_occluded_one(seed):
     """Its outline lies within the object's here and there, as if something stood before it."""
     scene, other = (pj.Scene(mesh=shapes.bumpy(3, k)) for k in (0, seed))
     camera = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 192, 160)

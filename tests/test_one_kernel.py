@@ -22,7 +22,7 @@ def running(x, steps, unused):
     return jax.lax.fori_loop(1, len(x), put, x), jnp.array(3.0)
 
 
-def test_a_loop_is_one_kernel_and_may_be_given_constants_and_what_it_does_not_use():
+def test_loop_is_one_kernel_with_constants_and_unused_arguments():
     steps, unused = jnp.arange(5.0), jnp.ones((7, 3))
     kernel = lambda x: one_kernel(running)(x, steps, unused)  # (`steps` is a constant)
     program = jax.jit(kernel).lower(jnp.ones(5)).compile().as_text()
@@ -36,7 +36,7 @@ def test_a_loop_is_one_kernel_and_may_be_given_constants_and_what_it_does_not_us
     assert three.tolist() == [3] * 3
 
 
-def test_what_is_for_other_machines_is_traced_where_there_may_be_some():
+def test_branch_for_other_machines_is_traced_where_needed():
     traced = []
 
     def elsewhere(x):
@@ -57,7 +57,7 @@ def polar(x, unit):
 
 
 @pytest.mark.parametrize("transform", [jax.jacfwd, jax.jacrev, lambda f: jax.vmap(jax.jacfwd(f))])
-def test_a_derivative_comes_with_the_value(transform):
+def test_derivative_comes_with_the_value(transform):
     x = {"at": jnp.array([3.0, 4.0]), "turn": jnp.array(0.5)}
     if transform not in (jax.jacfwd, jax.jacrev):
         x = jax.tree.map(lambda x: jnp.stack([x, 2 * x]), x)
@@ -78,12 +78,12 @@ def test_slopes_come_with_the_value():
         np.testing.assert_allclose(slopes[name], slope, rtol=1e-12)
 
 
-def test_a_second_derivative_goes_step_by_step():
+def test_second_derivative_goes_step_by_step():
     bend = lambda x: at_once(lambda x: {"y": jnp.sin(x["at"])})({"at": x})["y"]
     assert jax.jit(jax.grad(jax.grad(bend)))(jnp.array(0.3)) == pytest.approx(-np.sin(0.3))
 
 
-def test_what_is_held_is_not_differentiated():
+def test_held_arguments_are_not_differentiated():
     x = {"at": jnp.array([3.0, 4.0]), "turn": jnp.array(0.5)}
     by_unit = jax.grad(lambda unit: at_once(polar)(x, unit)["length"])(jnp.array(2.0))
     assert by_unit == 0

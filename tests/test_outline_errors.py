@@ -62,7 +62,7 @@ def error(found, truth):
 
 @pytest.mark.long
 @pytest.mark.parametrize("px", [-2.0, -0.7, 0.0, 0.4, 3.0])
-def test_an_offset_is_the_px_that_a_mask_is_grown_by(scene, image, px):
+def test_offset_equals_the_growth_of_the_mask_in_px(scene, image, px):
     # Distances are to pixels' middles, as a person's brush is: offsets are right to a tenth.
     soft = np.clip(outward(image) + px + 0.5, 0, 1)
     stretches = stretches_of(*seen(scene, soft))
@@ -81,7 +81,7 @@ def test_stretches_are_moved_as_the_camera_is(scene, image):
     assert np.all((ratio > 0.8) & (ratio < 1.1))
 
 
-def test_a_computed_mask_of_one_bit_has_no_errors_but_quantisation(scene, image):
+def test_rendered_binary_mask_has_quantisation_errors_alone(scene, image):
     fit = pj.fit_camera(scene, image > 0.5, single(CAMERA))
     assert fit.mask_error == (0.0, 0.0)
     assert str(fit.mask_error) == "no more than quantisation leaves"
@@ -105,7 +105,7 @@ def test_single_pixels_tell_a_drawn_mask_whose_stretches_err_by_no_more_than_one
 
 
 @pytest.mark.long
-def test_a_computed_mask_of_loose_triangles_is_none_that_was_drawn():
+def test_rendered_triangle_soup_is_not_taken_for_drawn():
     """Pixels in which several edges lie err for each of them."""
     random = np.random.default_rng(0)
     corners = random.normal(0, 0.5, (800, 1, 3)) + random.normal(0, 0.1, (800, 3, 3))
@@ -118,7 +118,7 @@ def test_a_computed_mask_of_loose_triangles_is_none_that_was_drawn():
         assert is_drawn(solver_of(soup, mask).errors(view)) == told
 
 
-def test_what_a_walk_finds_free_widens_the_interval_of_a_drawn_mask(scene, image):
+def test_free_direction_widens_the_interval_of_a_drawn_mask(scene, image):
     mask = wavy(image, np.random.default_rng(0), 1.0, 10.0, 0.3)
     solver, weights = solver_of(scene, mask), np.ones(mask.shape)
     found = solver.solve(canonical(single(CAMERA)), [solver.finest])
@@ -130,7 +130,7 @@ def test_what_a_walk_finds_free_widens_the_interval_of_a_drawn_mask(scene, image
     assert [f.ahead for f in with_walk] == [0.8, *(f.ahead for f in without)]
 
 
-def test_a_computed_soft_mask_is_asked_nothing(scene, image):
+def test_rendered_soft_mask_has_no_mask_error(scene, image):
     fit = pj.fit_camera(scene, image, single(CAMERA))
     assert fit.mask_error is None
     np.testing.assert_array_equal(fit.covariance, fit.independent_covariance)
@@ -163,7 +163,7 @@ def test_intervals_hold_as_often_as_they_say(scene, image, exhaustive):
     assert 0.3 < np.median(stated) < 0.9
 
 
-def test_an_occluder_counts_by_its_outline(scene, image):
+def test_occluder_counts_by_its_outline(scene, image):
     cut = image > 0.5
     cut[:, : SIZE // 2 - 12] = False
     view, target, weights = seen(scene, cut)
@@ -172,7 +172,7 @@ def test_an_occluder_counts_by_its_outline(scene, image):
     assert area_between(view, target, weights, 4.0) > 1.5 * beside
 
 
-def test_what_weighs_nothing_is_no_error_of_the_mask(scene, image):
+def test_pixels_of_zero_weight_are_no_mask_error(scene, image):
     hidden = np.add.outer(np.arange(SIZE), np.arange(SIZE)) < SIZE
     cut = (image > 0.5) & ~hidden
     view, target, _ = seen(scene, cut)
@@ -184,7 +184,7 @@ def test_what_weighs_nothing_is_no_error_of_the_mask(scene, image):
 
 
 @pytest.mark.long
-def test_the_size_of_weights_changes_nothing(scene, image):
+def test_scale_of_the_weights_does_not_matter(scene, image):
     # (Descents end some thousandths of a px apart, and a profile is taken at a few places.)
     for mask, rtol in ((image > 0.5, 0.05), (wavy(image, np.random.default_rng(0), 1, 10), 1.0)):
         one, other = (
@@ -196,7 +196,7 @@ def test_the_size_of_weights_changes_nothing(scene, image):
         np.testing.assert_allclose(one.std, other.std, rtol=rtol)
 
 
-def test_what_last_steps_left_as_it_was_is_not_asked_again(scene, image):
+def test_errors_are_reused_after_small_steps(scene, image):
     mask = wavy(image, np.random.default_rng(0), 1, 10)
     solver, camera = solver_of(scene, mask), canonical(single(CAMERA))
     here, again = (solver.look(camera, solver.finest) for _ in range(2))
@@ -212,7 +212,7 @@ def test_what_last_steps_left_as_it_was_is_not_asked_again(scene, image):
     assert solver.errors(moved) is not errors
 
 
-def test_a_mask_that_tells_little_says_so(scene):
+def test_mask_that_shows_little_is_uncertain(scene):
     small = pj.Camera([1.8, 6.0, 30.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, SIZE, SIZE)
     shown = drawn(single(small), scene)
     fit = pj.fit_camera(scene, wavy(shown, np.random.default_rng(0), 1.5, 8.0), single(small))

@@ -120,7 +120,7 @@ def filled(vertices, faces, dtype=float, room=20_000) -> pj.Scene:
 
 
 @pytest.mark.parametrize("name", first(1, reversed(MESHES), of=6))
-def test_any_mesh_matches_the_polygon_union(name, exhaustive):
+def test_meshes_match_the_polygon_union(name, exhaustive):
     vertices, faces = MESHES[name]()
     scene = filled(vertices, faces)
     for camera in cameras(20 if exhaustive else 4):
@@ -129,7 +129,7 @@ def test_any_mesh_matches_the_polygon_union(name, exhaustive):
 
 
 @pytest.mark.parametrize("name", first(0, MESHES, of=3))
-def test_in_float32_to_1e_4(name, exhaustive):
+def test_float32_matches_the_polygon_union_to_1e_4(name, exhaustive):
     vertices, faces = MESHES[name]()
     vertices = vertices.astype(np.float32)
     scene = filled(vertices, faces, np.float32)
@@ -182,7 +182,7 @@ def test_spheres_that_overlap_match_the_polygon_union(name, mixed):
 
 
 @pytest.mark.long
-def test_an_eye_within_a_sphere_or_a_closed_mesh_sees_nothing_else():
+def test_eye_inside_a_closed_body_sees_nothing_else():
     camera = pj.Camera([0.1, 0, 0.2], [0, 1, 0], [0, 0, 1], 0.9, W=W, H=H)
     inside = [
         pj.Scene(spheres=pj.Spheres([[0, 0, 0], [0, 3, 0], [1, 1, 0]], [0.5, 0.1, 0.2])),
@@ -194,7 +194,7 @@ def test_an_eye_within_a_sphere_or_a_closed_mesh_sees_nothing_else():
 
 @pytest.mark.long
 @pytest.mark.parametrize("offset", [[0, 0, 0], [0.3, 0.1, -0.2]])
-def test_a_room_without_a_wall_around_the_eye(offset):
+def test_room_with_one_wall_missing_around_the_eye(offset):
     # Five sides of a box: rays along the axes meet vertices' diagonals exactly when centred.
     box = trimesh.creation.box(extents=[2, 2, 2])
     faces = box.faces[np.abs(box.face_normals @ [0, 0, 1] - 1) > 0.5]
@@ -208,7 +208,7 @@ def test_a_room_without_a_wall_around_the_eye(offset):
 
 
 @pytest.mark.long
-def test_one_pixel_that_holds_everything_is_resolved():
+def test_pixel_that_holds_everything_is_resolved():
     """Hundreds of pieces."""
     vertices, faces = soup(60)
     camera = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, W=2, H=2)
@@ -283,7 +283,7 @@ def test_no_pixel_of_a_rough_mesh_is_wrong_in_float32():
 
 
 @pytest.mark.long
-def test_what_there_is_no_room_for_is_resolved_all_the_same(way, monkeypatch):
+def test_overlaps_beyond_capacity_are_resolved(way, monkeypatch):
     monkeypatch.setattr(overlaps, "LEAST_CAPACITY", 64)
     monkeypatch.setattr(overlaps, "IN_TURN", 64)
     vertices, faces = soup(60)
@@ -330,7 +330,7 @@ def test_hard_masks_of_an_open_mesh_converge_to_it():
 
 
 @pytest.mark.full
-def test_what_is_known_not_to_overlap_is_compiled_without():
+def test_convex_scene_compiles_without_overlaps():
     camera = next(cameras(1))
     ball = trimesh.creation.icosphere(2)
     convex = pj.Scene(mesh=pj.Mesh(ball.vertices, ball.faces))
@@ -441,7 +441,7 @@ def slivers(number=300):
 @pytest.mark.parametrize(
     "make", first(0, [noisy_sphere, crowd, slivers, lambda: rough(4, 1.2)], of=3)
 )
-def test_a_mask_errs_by_its_tolerance_at_most(make):
+def test_mask_errs_by_its_tolerance_at_most(make):
     vertices, faces = make()
     scene = filled(vertices, faces)
     for camera in cameras(2):
@@ -511,7 +511,7 @@ def told(several, board, stops):
 @pytest.mark.parametrize(
     ("balls", "stops"), [long(False, None), full(True, None), full(True, np.int32(16))]
 )
-def test_pixels_in_turn_are_what_they_are_side_by_side(mixed, board, monkeypatch, balls, stops):
+def test_pixels_in_turn_equal_those_side_by_side(mixed, board, monkeypatch, balls, stops):
     """(With balls it takes twice as long.)"""
     scenes = [(c, s if balls else pj.Scene(mesh=s.mesh)) for c, s in (mixed, board)]
     one = told(*scenes, stops)
@@ -524,6 +524,6 @@ def test_pixels_in_turn_are_what_they_are_side_by_side(mixed, board, monkeypatch
 
 
 @pytest.mark.parametrize("tolerance", [-0.1, 1.0, np.nan, np.inf])
-def test_a_tolerance_that_is_none_is_refused(mixed, tolerance):
+def test_bad_tolerance_is_refused(mixed, tolerance):
     with pytest.raises(ValueError, match="`tolerance` must be at least 0"):
         pj.silhouette(*mixed, tolerance=tolerance)

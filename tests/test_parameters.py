@@ -46,7 +46,7 @@ def test_rotation_is_rodrigues():
     np.testing.assert_allclose(slope[..., 2], [[0, -1, 0], [1, 0, 0], [0, 0, 0]])
 
 
-def test_a_move_by_nothing_changes_nothing():
+def test_zero_move_changes_nothing():
     for before, after in zip(
         jax.tree.leaves(CAMERA), jax.tree.leaves(move(np.zeros(7), "pose", "phi")), strict=True
     ):
@@ -93,7 +93,7 @@ def test_focal_length_by_phi_and_by_d():
     np.testing.assert_allclose(by_phi.phi, by_d.phi)
 
 
-def test_a_canonical_camera_sees_the_same_in_film_heights():
+def test_canonical_camera_sees_the_same_in_film_heights():
     unit = canonical(CAMERA)
     points = jnp.array([[0.3, 0.2, 0.1], [1, 1, 1]])
     np.testing.assert_allclose(20 * pj.project(unit, points), pj.project(CAMERA, points))
@@ -118,7 +118,7 @@ def test_units_move_the_outline_by_about_a_pixel():
     assert np.all((sizes > 0.2) & (sizes < 2))
 
 
-def test_what_is_reported_is_measured_in_what_it_says():
+def test_reported_steps_have_their_stated_units():
     free = ("pose", "phi", "principal_point", "aspect")
     unit = canonical(CAMERA)
     shift = jnp.array([0, 0, 0, 0, 0, 0, 0, 0.5, 0.25, 0.1])
@@ -146,7 +146,7 @@ def test_what_is_reported_is_measured_in_what_it_says():
         (("pose", "position"), "`free`: expected pose, or position or orientation"),
     ],
 )
-def test_bad_names_are_said_in_words(free, message):
+def test_bad_names_are_refused(free, message):
     with pytest.raises(ValueError, match=message):
         check_free(free)
 
@@ -169,7 +169,7 @@ def test_names_may_be_one_word_or_in_any_order():
         ("position", "orientation", "d"),
     ],
 )
-def test_every_row_of_the_table_is_reported_as_it_is_displaced(free):
+def test_reported_steps_equal_the_displacement(free):
     """What a step of the reported parameters makes of a camera is what is reported of it."""
     lens = pj.Lens([14, 11], 1.1, pj.Rational(0.3, -0.1, 1e-3, -2e-3, 0.02, 0.6, 0.02, 0.05))
     camera = CAMERA.replace(phi=0.5, lens=lens)
@@ -180,14 +180,14 @@ def test_every_row_of_the_table_is_reported_as_it_is_displaced(free):
     np.testing.assert_allclose(after - before, step, rtol=0, atol=1e-11)
 
 
-def test_the_table_has_a_row_for_each_name_and_no_other_lists_them():
+def test_table_has_a_row_for_each_name():
     assert NAMES[-1] == "distortion"
     camera = CAMERA.replace(phi=0.5, lens=pj.Lens([14, 11], 1, pj.Rational()))
     everything = check_free(("pose", "phi", *NAMES[5:]), camera)
     assert {*everything} == {*NAMES} - {"position", "orientation", "d", "distortion"}
 
 
-def test_a_camera_is_changed_by_its_arguments_and_its_pose():
+def test_camera_is_changed_by_its_arguments_and_its_pose():
     wide = CAMERA.replace(phi=1.0, W=60)
     assert (float(wide.phi), wide.W, wide.H, float(wide.d)) == (1.0, 60, 20, 2.0)
     with pytest.raises(ValueError, match="`phi`: expected an angle"):

@@ -52,7 +52,7 @@ def off(fit):
     return np.array([np.rad2deg(angle), shift / 5])
 
 
-def test_a_photo_puts_a_grown_mask_right(scene, shown):
+def test_photo_corrects_a_grown_mask(scene, shown):
     by_mask = pj.fit_camera(scene, grown(shown), START)
     fit = pj.fit_camera(scene, grown(shown), START, photo=photo_of(shown))
     assert np.all(off(fit) < off(by_mask) / 6)
@@ -67,7 +67,7 @@ def test_a_photo_puts_a_grown_mask_right(scene, shown):
     np.testing.assert_allclose(pj.pose_error(again.camera, fit.camera), 0, atol=1e-4)
 
 
-def test_a_right_mask_is_kept(scene, shown):
+def test_right_mask_is_kept(scene, shown):
     for mask in (shown, shown > 0.5):
         by_mask = pj.fit_camera(scene, mask, START)
         fit = pj.fit_camera(scene, mask, START, photo=photo_of(shown))
@@ -122,13 +122,13 @@ def test_photos_put_grown_masks_right_together(scene, shown):
     assert np.all(off(fit.cameras["camera"]) < errors[1] / 3)
 
 
-def test_a_view_names_its_photo_that_is_none(scene, shown):
+def test_view_with_a_bad_photo_is_named(scene, shown):
     views = beside(scene, [shown, shown], [None, PHOTO[:, :100]])
     with pytest.raises(ValueError, match=r"`views\[1\]`: `photo`: expected .* \(160, 192, 3\)"):
         pj.fit_joint(views, START)
 
 
-def test_what_weighs_nothing_is_not_asked_of_the_photo(scene, shown):
+def test_pixels_of_zero_weight_do_not_count_in_the_photo(scene, shown):
     photo, mask, weight = photo_of(shown), grown(shown), np.ones(shown.shape)
     photo[:, :80], mask[:, :80], weight[:, :80] = (220, 0, 220), False, 0
     fit = pj.fit_camera(scene, mask, START, weight=weight, photo=photo)
@@ -155,7 +155,7 @@ def test_light_is_that_of_srgb():
     np.testing.assert_allclose(matte.light(values / 255), expected, atol=1e-4)
 
 
-def test_a_matte_shows_an_edge_where_it_is():
+def test_matte_shows_an_edge_where_it_is():
     # An upright edge at 30.3 px, blurred and noisy, learned from an outline that is 2 px off.
     random = np.random.default_rng(1)
     column = np.broadcast_to(np.arange(60), (40, 60))
@@ -195,7 +195,7 @@ def test_photos_are_checked_at_the_door(scene, shown, photo, words):
         pj.fit_camera(scene, shown, START, photo=photo)
 
 
-def test_a_fit_on_a_photo_is_not_differentiated(scene, shown):
+def test_fit_on_a_photo_is_not_differentiated(scene, shown):
     def eye(target):
         return pj.fit_camera(scene, target, START, photo=photo_of(shown)).camera.e[0]
 

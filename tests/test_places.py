@@ -67,7 +67,7 @@ def test_no_fit_says_converged_and_is_wrong(honesty, shape, exhaustive):
 
 
 @pytest.mark.long
-def test_a_handle_that_only_the_mask_shows_is_not_taken_for_noise(honesty):
+def test_handle_that_only_the_mask_shows_is_not_taken_for_noise(honesty):
     row = honesty.trial(16, "mug", "noisy")
     assert not honesty.is_lie(row), row
 
@@ -84,13 +84,13 @@ def test_a_handle_that_only_the_mask_shows_is_not_taken_for_noise(honesty):
         (905, "box", "one bit"),  # squares as of a right mask, but on the wrong side of a half
     ],
 )
-def test_what_lied_once_does_not_again(honesty, number, shape, kind):
+def test_fits_that_once_lied_are_honest(honesty, number, shape, kind):
     row = honesty.trial(number, shape, kind)
     assert not honesty.is_lie(row), row
 
 
 @pytest.mark.full
-def test_a_walk_leads_as_far_in_a_large_mask_as_in_a_small_one(honesty, monkeypatch):
+def test_walk_leads_as_far_in_a_large_mask_as_in_a_small_one(honesty, monkeypatch):
     """Ten steps on the finest level moved the outline by ten pixels of 1024: that was 12.7 degrees
     off."""
     monkeypatch.setattr(honesty, "SIZE", 1024)
@@ -136,7 +136,7 @@ def test_coarse_levels_of_a_large_mask_look_the_same_in_buffers_of_their_own():
 
 @pytest.mark.long
 @pytest.mark.parametrize("degrees", [122, full(-75), full(40)])
-def test_what_is_nearly_round_about_an_axis_is_looked_at_all_round_it(degrees):
+def test_nearly_round_body_is_searched_all_round_its_axis(degrees):
     """A ball with a dent: a turn about the dent shows facets alone, in valleys some degrees wide. A
     search led to wrong ones, which a hard mask of 2000 px told apart and strides passed over."""
     mesh = trimesh.creation.icosphere(subdivisions=3)
@@ -165,7 +165,7 @@ def test_what_is_nearly_round_about_an_axis_is_looked_at_all_round_it(degrees):
 
 @pytest.mark.long
 @pytest.mark.parametrize("clipped", [False, True])
-def test_a_noisy_mask_that_is_explained_is_not_searched(monkeypatch, clipped):
+def test_noisy_mask_that_is_explained_is_not_searched(monkeypatch, clipped):
     """Noise is no misfit, wherever in the image it is: one descent finds the camera."""
     monkeypatch.setattr(strategy, "searched", pytest.fail)
     scene = pj.Scene(mesh=shapes.bumpy(3))
@@ -179,7 +179,7 @@ def test_a_noisy_mask_that_is_explained_is_not_searched(monkeypatch, clipped):
 
 
 @pytest.mark.long
-def test_a_noisy_mask_of_a_box_is_as_ambiguous_as_an_exact_one():
+def test_noisy_mask_of_a_box_is_as_ambiguous_as_an_exact_one():
     box = trimesh.creation.box((1.2, 1.32, 1.05))
     scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces))
     mask, noise = mask_of(CAMERA, scene), np.random.default_rng(0).normal(size=(80, 96))
@@ -191,7 +191,7 @@ def test_a_noisy_mask_of_a_box_is_as_ambiguous_as_an_exact_one():
 
 
 @pytest.mark.long
-def test_a_body_of_facets_turned_by_one_is_as_good():
+def test_faceted_body_fits_as_well_one_facet_on():
     """The start is nearer to a camera one facet on: the mask cannot tell."""
     torus = trimesh.creation.torus(1.0, 0.35, major_sections=32, minor_sections=16)
     scene = pj.Scene(mesh=pj.Mesh(torus.vertices, torus.faces))
@@ -219,7 +219,7 @@ def test_contours_within_the_object_are_no_outline(kind):
 
 
 @pytest.mark.long
-def test_a_sigma_does_not_fall_below_rounding():
+def test_sigma_does_not_fall_below_rounding():
     """Exact masks in float32: errors are a few standard errors at most."""
     scene = pj.Scene(mesh=shapes.bumpy(3))
     single = jax.tree.map(lambda x: x.astype(jnp.float32), CAMERA)
@@ -234,7 +234,7 @@ def test_a_sigma_does_not_fall_below_rounding():
 
 
 @pytest.mark.long
-def test_a_hard_mask_on_the_grid_leaves_a_sigma():
+def test_hard_mask_on_the_grid_leaves_a_sigma():
     """Its right camera leaves no residual at all, and still is not known better than to a part of
     a pixel."""
     box = trimesh.creation.box((1, 1, 1))
@@ -247,7 +247,7 @@ def test_a_hard_mask_on_the_grid_leaves_a_sigma():
 
 @pytest.mark.long
 @pytest.mark.parametrize("sides", [5, 6, full(7)])
-def test_a_nut_is_as_good_turned_by_a_side(sides, monkeypatch):
+def test_nut_fits_as_well_one_side_on(sides, monkeypatch):
     """Neighbours of the start, none of them half a turn away; the same on any number of cores, on
     which looks and descents are worked out ahead."""
     nut = trimesh.creation.cylinder(radius=1, height=0.8, sections=sides)
@@ -268,7 +268,7 @@ def test_a_nut_is_as_good_turned_by_a_side(sides, monkeypatch):
 
 
 @pytest.mark.full
-def test_a_prior_says_from_where_a_round_body_is_seen_and_the_start_from_which_side():
+def test_prior_and_start_decide_the_view_of_a_round_body():
     """The front page's cup: half a turn on, the prior and the mask are as content."""
     profile = np.array([[0.0, 0], [0.55, 0], [1, 0.17], [0.43, 0.35], [0.54, 0.95], [0, 0.9]])
     scene = pj.Scene(mesh=shapes.revolved(profile, sections=32))
@@ -298,7 +298,7 @@ def test_a_prior_says_from_where_a_round_body_is_seen_and_the_start_from_which_s
         ([10.0, 30.0, 10.5], False, [0, 2]),  # as good before outliers were left out: no longer
     ],
 )
-def test_a_drawn_mask_asks_all_cameras_near_its_edge(monkeypatch, costs, anywhere, expected):
+def test_cameras_near_the_edge_of_a_drawn_mask_are_compared(monkeypatch, costs, anywhere, expected):
     """All three left equal squares before the outliers were out."""
     cameras = [turned(START, [0, 0, 1], degrees, 1.0) for degrees in (8, 4, 30)]
     views = [like(View)._replace(prior=cost) for cost in costs]
@@ -348,7 +348,7 @@ class Walked(Solver):
         (np.nan, 9, [FAR_LEVEL]),  # a view that the buffers do not hold
     ],
 )
-def test_a_walk_in_a_large_mask_asks_the_finest_level_for_what_is_left(squares, degrees, asked):
+def test_walk_in_a_large_mask_ends_on_the_finest_level(squares, degrees, asked):
     """Squares on the far level are far worse from 0.23 on: 400 variances, each 1/12 of a pixel's
     over 4^3, and at least what the best leaves there."""
     solver, best = Walked(squares), Found(canonical(START), like(View), ())
@@ -360,14 +360,14 @@ def test_a_walk_in_a_large_mask_asks_the_finest_level_for_what_is_left(squares, 
     assert again is None  # known by now, or as bad as before
 
 
-def test_a_walk_in_an_exact_mask_stays_on_the_finest_level():
+def test_walk_in_an_exact_mask_stays_on_the_finest_level():
     solver = Walked(0.12, exact=True)
     walk = places._Walk.of(solver, Found(canonical(START), like(View), ()))
     assert None not in list(walk.led_to([canonical(START)]))
     assert solver.asked == [-1]
 
 
-def test_what_other_views_know_is_weighed_on_the_finest_level():
+def test_information_of_other_views_counts_on_the_finest_level():
     assert Walked(0.12).far == FAR_LEVEL
     among_others = Walked(0.12, others=no_others(("pose",), np.dtype(float)))
     assert among_others.far == among_others.finest
@@ -383,7 +383,7 @@ def test_what_other_views_know_is_weighed_on_the_finest_level():
         ([np.nan] * 4, False),  # views that the buffers do not hold say nothing
     ],
 )
-def test_a_doubt_looks_nearer_where_squares_do_not_rise_as_foretold(monkeypatch, rises, doubted):
+def test_doubtful_directions_are_checked_closer_in(monkeypatch, rises, doubted):
     """Squares rise by so much, beside what the Jacobian foretells, in the looks that are taken."""
     asked = iter(rises)
     monkeypatch.setattr(places, "_beside", lambda *_: places._Beside(next(asked), 1.0))

@@ -15,7 +15,7 @@ CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80
 
 
 @pytest.mark.parametrize("name", ["bumpy", "torus", "box"])
-def test_the_outline_is_that_of_the_polygon_union(name):
+def test_outline_is_that_of_the_polygon_union(name):
     if name == "bumpy":
         mesh = shapes.bumpy(3)
     else:
@@ -30,7 +30,7 @@ def test_the_outline_is_that_of_the_polygon_union(name):
 
 
 @pytest.mark.long
-def test_the_outline_of_spheres():
+def test_outline_of_spheres_is_that_of_their_union():
     spheres = pj.Spheres([[0.0, 0, 0], [0.6, 0.2, 0.3]], [0.5, 0.4])
     union = sphere_union(CAMERA, spheres.centers, spheres.radii)
     lines = shapely.linestrings(plot.outline(CAMERA, pj.Scene(spheres=spheres)))
@@ -40,7 +40,7 @@ def test_the_outline_of_spheres():
 
 @pytest.mark.long
 @pytest.mark.parametrize("what", ["mesh", "spheres"])
-def test_the_outline_under_distortion_is_where_points_of_the_contour_are_seen(what):
+def test_outline_under_distortion_passes_through_contour_points(what):
     lens = pj.Lens([46.0, 41.0], 1.02, pj.BrownConrady(-0.3, 0.1, 2e-3, 1e-3, 0.02))
     c = CAMERA
     bent = pj.Camera(c.e, c.p, c.u, c.phi, c.d, c.W, c.H, lens)
@@ -58,7 +58,7 @@ def test_the_outline_under_distortion_is_where_points_of_the_contour_are_seen(wh
 
 @pytest.mark.long
 @pytest.mark.parametrize("shape", [(80, 96), (80, 96, 3), (80, 96, 4)])
-def test_the_overlay_draws_on_the_outline_and_nowhere_else(shape):
+def test_overlay_draws_on_the_outline_and_nowhere_else(shape):
     scene = pj.Scene(mesh=shapes.bumpy(2))
     image = np.full(shape, 200, np.uint8)
     drawn = plot.overlay(image, CAMERA, scene)
@@ -73,7 +73,7 @@ def test_the_overlay_draws_on_the_outline_and_nowhere_else(shape):
     assert changed.sum() > 3 * factor * union.boundary.length * 0.5
 
 
-def test_an_image_of_another_size_is_refused_in_words():
+def test_image_of_another_size_is_refused():
     with pytest.raises(ValueError, match=r"`image`: expected the camera's size .* got \(9, 9\)"):
         plot.overlay(np.zeros((9, 9), np.uint8), CAMERA, pj.Scene(mesh=shapes.bumpy(1)))
 
@@ -105,7 +105,7 @@ def fit_of(camera, names, std, history=()):
         ("e_x", np.inf, 0.0, 0.0),
     ],
 )
-def test_one_sigma_of_the_outline_is_its_way_across_itself(name, std, across_sides, across_foot):
+def test_outline_sigma_is_measured_across_the_outline(name, std, across_sides, across_foot):
     segments = plot.outline(AHEAD, SQUARE)
     sigma = plot.outline_sigma(fit_of(AHEAD, (name,), [std]), SQUARE)
     upright = np.abs(np.diff(segments[..., 1], axis=1)[:, 0]) > 1e-6
@@ -132,14 +132,14 @@ def test_sigmas_of_several_parameters_add_with_their_correlation():
 
 
 @pytest.mark.long
-def test_the_outline_of_spheres_has_a_sigma_too():
+def test_outline_of_spheres_has_a_sigma():
     ball = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [1.0]))
     sigma = plot.outline_sigma(fit_of(AHEAD, ("rotation_v", "e_z"), [1e-3, 0.01]), ball)
     # tan of the cone's half angle: 1 / sqrt(z^2 - 1).
     np.testing.assert_allclose(sigma, FOCAL * 5 / 24**1.5 * 0.01, rtol=0.01)
 
 
-def test_the_band_is_drawn_and_a_window_shows_a_part():
+def test_band_is_drawn_and_a_window_shows_a_part():
     image = np.zeros((80, 96, 3), np.uint8)
     n = len(plot.outline(AHEAD, SQUARE))
     drawn = plot.overlay(image, AHEAD, SQUARE, band_px=np.full(n, 4.0))
@@ -159,7 +159,7 @@ def test_the_band_is_drawn_and_a_window_shows_a_part():
 
 
 @pytest.mark.long
-def test_the_error_map_tells_more_from_less():
+def test_error_map_colours_extra_and_missing_pixels():
     mask = np.zeros((80, 96), bool)
     mask[20:60, 40:90] = True  # too far right
     drawn = plot.error_map(AHEAD, SQUARE, mask).astype(int)
@@ -209,7 +209,7 @@ def test_steps_of_a_level_are_one_band():
     assert "48 x 40 pixels: 2 steps" in svg
 
 
-def test_the_frustum_is_bent_as_the_lens_bends_it():
+def test_frustum_is_bent_by_the_lens():
     ball = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [0.1]))
     views = []
     for model in (None, pj.BrownConrady(0.0), pj.BrownConrady(-0.08)):
@@ -223,7 +223,7 @@ def test_the_frustum_is_bent_as_the_lens_bends_it():
 
 
 @pytest.mark.parametrize("what", ["mesh", "spheres"])
-def test_the_view_in_space_shows_object_and_camera(what):
+def test_scene_view_shows_object_and_camera(what):
     ball = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [0.8]))
     view = plot.scene_view(CAMERA, pj.Scene(mesh=shapes.bumpy(2)) if what == "mesh" else ball, 200)
     assert view.shape == (150, 200, 3)

@@ -29,7 +29,7 @@ def test_rooms_are_few_and_hold_what_they_are_for():
     assert all(room(int(n)) == n for n in set(rooms))
 
 
-def test_what_is_filled_up_is_like_the_first_or_of_a_value():
+def test_padding_repeats_the_first_row_or_a_value():
     points = RANDOM.standard_normal((3, 2))
     np.testing.assert_array_equal(filled_up(points, 5)[3:], points[[0, 0]])
     np.testing.assert_array_equal(filled_up(points, 5, 0)[3:], 0)
@@ -56,14 +56,14 @@ def test_no_points_are_projected_to_none():
     assert pj.project(PLAIN, np.zeros((4, 0, 3))).shape == (4, 0, 2)
 
 
-def test_a_point_that_is_not_finite_changes_no_other():
+def test_point_that_is_not_finite_changes_no_other():
     points = RANDOM.standard_normal((5, 3))
     whole = np.asarray(pj.project(BENT, points))
     points[0] = np.nan  # what is filled up is like it
     np.testing.assert_array_equal(np.asarray(pj.project(BENT, points))[1:], whole[1:])
 
 
-def test_the_type_of_points_is_what_it_was():
+def test_type_of_points_is_kept():
     single = jax.tree.map(lambda x: x.astype(np.float32), PLAIN)
     points = RANDOM.standard_normal((5, 3)).astype(np.float32)
     assert pj.project(single, points).dtype == np.float32
@@ -72,12 +72,12 @@ def test_the_type_of_points_is_what_it_was():
 
 
 @pytest.mark.parametrize("points", [["a", "b", "c"], [1j, 2, 3], np.zeros((2, 3), bool)], ids=str)
-def test_what_is_no_real_number_is_refused(points):
+def test_points_must_be_real_numbers(points):
     with pytest.raises(ValueError, match="`points`: expected real numbers, got dtype"):
         pj.project(PLAIN, points)
 
 
-def test_a_lens_bends_and_straightens():
+def test_lens_bends_and_straightens_points():
     ideal = RANDOM.uniform(0, 40, (70, 2))
     assert bent(PLAIN, ideal) is ideal
     seen = bent(BENT, ideal)
@@ -111,14 +111,14 @@ def test_derivatives_pass():
 
 
 @on_cpu
-def test_where_a_device_was_asked_for_points_stay():
+def test_points_stay_on_their_device():
     asked = jax.device_put(jnp.ones((5, 3)), jax.devices()[0])
     assert pj.project(PLAIN, asked).committed
     assert not pj.project(PLAIN, np.ones((5, 3))).committed
 
 
 @pytest.mark.parametrize("origins", ["one", "each"])
-def test_rays_in_a_row_meet_what_they_meet_among_others(origins):
+def test_rays_in_a_row_hit_the_same_among_others(origins):
     """Among 64 nothing is filled up."""
     mesh = pj.shapes.bumpy(1)
     spheres = pj.Spheres(np.array([[1.5, 0, 1.0]]), np.array([0.6]))
@@ -140,7 +140,7 @@ def test_rays_in_a_row_meet_what_they_meet_among_others(origins):
 
 
 @pytest.mark.long
-def test_rays_in_a_row_meet_what_a_program_of_their_own_says():
+def test_rays_in_a_row_hit_the_same_in_their_own_program():
     scene, way = pj.Scene(mesh=pj.shapes.bumpy(1)), RANDOM.uniform(-1, 1, (70, 3)) - [0, 0, 3]
     rays = pj.Rays(np.array([0.0, 0, 5]), way)
     alone = jax.jit(lambda rays: pj.trace(scene, rays))(rays)
@@ -173,7 +173,7 @@ def test_further_numbers_compile_nothing(compiled):
 
 
 @on_cpu
-def test_another_view_is_drawn_without_a_new_program(compiled):
+def test_drawing_a_new_view_compiles_nothing(compiled):
     """Its outline has another number of parts."""
     scene, image = pj.Scene(mesh=pj.shapes.bumpy(1)), np.zeros((40, 48), np.uint8)
     drawn, programs = [], []
@@ -187,7 +187,7 @@ def test_another_view_is_drawn_without_a_new_program(compiled):
     assert programs[0] == programs[2]
 
 
-def test_a_program_of_points_is_one_to_name():
+def test_pointwise_function_keeps_its_docstring():
     @pointwise
     def twice(factor, points):
         """Return them times a factor."""

@@ -89,7 +89,7 @@ def check(corners, space, triangles, closed=True):
 @pytest.mark.parametrize("name", SHAPES)
 @pytest.mark.parametrize("turned", [0, 1, 3])
 @pytest.mark.parametrize("way", [1, -1])
-def test_a_face_covers_what_its_polygon_covers(name, turned, way):
+def test_face_covers_its_polygon(name, turned, way):
     corners = np.roll(np.asarray(SHAPES[name], float), turned, axis=0)[::way]
     for place in (np.eye(3), *Rotation.random(3, turned).as_matrix()):
         space = np.pad(corners, ((0, 0), (0, 1))) @ place.T

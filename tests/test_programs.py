@@ -78,7 +78,7 @@ def another_process(kept):
 X = np.arange(3, dtype=np.float32)
 
 
-def test_what_an_earlier_process_traced_is_not_traced_again(kept):
+def test_programs_of_an_earlier_process_are_not_traced_again(kept):
     first = called(X)
     assert len(traces) == len(list(kept.iterdir())) == 1
     another_process(kept)
@@ -99,7 +99,7 @@ def test_what_an_earlier_process_traced_is_not_traced_again(kept):
         lambda: called(jax.numpy.asarray(X)[None]),
     ],
 )
-def test_another_program_is_another_one(kept, other):
+def test_different_programs_are_kept_apart(kept, other):
     called(X), called(X, power=1)
     another_process(kept)
     traces.clear()
@@ -108,14 +108,14 @@ def test_another_program_is_another_one(kept, other):
     assert len(list(kept.iterdir())) == 3
 
 
-def test_a_switch_of_jax_makes_another_program(kept):
+def test_switches_of_jax_keep_programs_apart(kept):
     called(X)
     with jax.default_matmul_precision("highest"):
         called(X)
     assert len(list(kept.iterdir())) == 2
 
 
-def test_a_program_is_compiled_once(kept, tmp_path, monkeypatch, compiled):
+def test_program_is_compiled_once(kept, tmp_path, monkeypatch, compiled):
     """Though to trace it imports its module, and what is read again is another object."""
     (tmp_path / "apart.py").write_text(
         "import equinox as eqx\nfrom test_programs import Pair\n\n@eqx.filter_jit\n"
@@ -146,7 +146,7 @@ def test_code_that_changed_while_the_process_ran_keeps_nothing(kept, monkeypatch
 @pytest.mark.parametrize(
     ("name", "other"), [("_source", lambda: None), ("version", lambda name: version(name + "?"))]
 )
-def test_nothing_is_kept_where_code_or_versions_cannot_be_told(kept, monkeypatch, name, other):
+def test_unknown_code_or_versions_keep_nothing(kept, monkeypatch, name, other):
     monkeypatch.setattr(programs, name, other)
     another_process(kept)
     assert np.array_equal(called(X).first, X**2 + 1)
@@ -161,13 +161,13 @@ def test_nothing_is_kept_where_code_or_versions_cannot_be_told(kept, monkeypatch
         lambda: jax.default_device(jax.devices("cpu")[0]),
     ],
 )
-def test_nothing_is_kept_where_jax_looks_at_each_call_or_is_told_where(kept, watched):
+def test_debug_modes_of_jax_keep_nothing(kept, watched):
     with watched():
         assert np.array_equal(called(X).first, X**2 + 1)
     assert not kept.exists()
 
 
-def test_another_function_of_the_same_name_is_called(kept, monkeypatch):
+def test_function_of_the_same_name_is_not_confused(kept, monkeypatch):
     called(X)
     other = eqx.filter_jit(lambda x, power, pair: Pair(-x, {"sum": x.sum()}))
     monkeypatch.setattr(sys.modules[__name__], "raised", other)
@@ -176,20 +176,20 @@ def test_another_function_of_the_same_name_is_called(kept, monkeypatch):
     assert np.array_equal(called(X).first, -X)
 
 
-def test_a_structure_of_somebody_elses_class_is_not_kept(kept):
+def test_foreign_classes_are_not_kept(kept):
     """Its code may change without a sign, and its name may be one of ours."""
     arguments = X, 2, Theirs(np.float32(1), None)
     assert np.array_equal(programs.call(WHERE, arguments, answer).first, X**2 + 1)
     assert not kept.exists()
 
 
-def test_a_wrong_structure_of_the_answer_keeps_nothing(kept):
+def test_wrong_structure_of_the_answer_keeps_nothing(kept):
     found = programs.call(WHERE, (X, 2, Pair(np.float32(1), None)), lambda: Pair(0, 0))
     assert found.second["sum"] == 3
     assert not kept.exists()
 
 
-def test_to_keep_in_the_same_folder_once_more_changes_nothing(kept):
+def test_setting_the_same_folder_again_changes_nothing(kept):
     called(X)
     before = dict(programs._programs)
     programs.keep_in(kept)
@@ -197,9 +197,7 @@ def test_to_keep_in_the_same_folder_once_more_changes_nothing(kept):
 
 
 @pytest.mark.parametrize("option", ["xla_disable_hlo_passes", "xla_of_another_age"])
-def test_a_quick_program_is_compiled_otherwise_where_the_compiler_knows_how(
-    kept, monkeypatch, option
-):
+def test_quick_programs_use_the_option_where_it_is_known(kept, monkeypatch, option):
     monkeypatch.setattr(programs, "QUICK", {option: ""})
     given = []
     compile_ = jax.stages.Lowered.compile
@@ -220,7 +218,7 @@ def test_a_quick_program_is_compiled_otherwise_where_the_compiler_knows_how(
 
 
 @pytest.mark.parametrize("what", ["prior, bounds and a lens", "spheres"])
-def test_a_fit_is_one_to_keep(kept, what, monkeypatch):
+def test_fit_programs_can_be_kept(kept, what, monkeypatch):
     """The structure of its answer is known before it is traced."""
     camera = pj.Camera([3.0, 1, 0.8], [0, 0, 0], [0, 0, 1], 0.8, W=48, H=40)
     spheres = pj.Spheres(np.eye(3) / 2, np.full(3, 0.4))
@@ -241,13 +239,13 @@ def test_a_fit_is_one_to_keep(kept, what, monkeypatch):
         pj.fit_camera(scene, np.eye(40, 48) + np.eye(40, 48, 1), camera, names, **more)
 
 
-def test_nothing_is_kept_that_only_this_process_can_name(kept):
+def test_local_functions_keep_nothing(kept):
     programs.call(WHERE, (X, 2, Pair(1.0, lambda: 0)), answer)
     assert not kept.exists()
 
 
 @pytest.mark.parametrize("damage", [b"", b"x" * 500, None])
-def test_a_damaged_file_is_written_anew(kept, damage):
+def test_damaged_file_is_written_anew(kept, damage):
     called(X)
     [path] = kept.iterdir()
     whole = path.read_bytes()
@@ -258,7 +256,7 @@ def test_a_damaged_file_is_written_anew(kept, damage):
     assert programs._read(path) is not None
 
 
-def test_a_folder_that_cannot_be_written_to_keeps_nothing(kept):
+def test_unwritable_folder_keeps_nothing(kept):
     kept.write_text("a file, not a folder")
     assert np.array_equal(called(X).first, X**2 + 1)
 
@@ -277,7 +275,7 @@ print("optimistix" in sys.modules)
 
 
 @pytest.mark.long
-def test_a_later_process_finds_the_same_camera_without_tracing_the_fit(tmp_path):
+def test_later_process_finds_the_same_camera_without_tracing(tmp_path):
     truth = pj.Camera([3, 1, 0.8], [0, 0, 0], [0, 0, 1], 0.8, W=96, H=80)
     np.save(tmp_path / "mask.npy", drawn(truth, pj.Scene(pj.shapes.bumpy(3))))
     words = [sys.executable, "-c", FIT, tmp_path / "cache", tmp_path / "mask.npy"]
@@ -291,7 +289,7 @@ def test_a_later_process_finds_the_same_camera_without_tracing_the_fit(tmp_path)
     assert (said[0][-1], said[1][-1]) == ("True", "False")
 
 
-def test_what_is_named_is_there():
+def test_functions_called_by_name_exist():
     """The functions that are called by their names."""
     root = HERE.parent / "pinhole_jax"
     named = {
@@ -304,7 +302,7 @@ def test_what_is_named_is_there():
 
 
 @pytest.mark.parametrize(("said", "expected"), [("", "cpu"), ("cuda,cpu", "cuda,cpu")])
-def test_our_own_processes_go_to_the_cpu_unless_told_otherwise(said, expected):
+def test_own_processes_use_the_cpu_by_default(said, expected):
     before = jax.config.jax_platforms
     try:
         jax.config.update("jax_platforms", said)

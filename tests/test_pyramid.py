@@ -51,7 +51,7 @@ KINDS = {
 
 @pytest.mark.parametrize("weights", WEIGHTS)
 @pytest.mark.parametrize("kind", KINDS)
-def test_pages_say_what_plain_running_sums_do(kind, weights):
+def test_pages_equal_plain_running_sums(kind, weights):
     H, W = 96, 160  # (whole pixels on all three levels: nothing reaches out of the film)
     target, weight = KINDS[kind](disc(H, W)), WEIGHTS[weights](H, W)
     data, levels = pyramid(target, weight, np.float64, coarsest_px=12)
@@ -70,7 +70,7 @@ def test_pages_say_what_plain_running_sums_do(kind, weights):
 
 
 @pytest.mark.parametrize("weights", WEIGHTS)
-def test_the_first_levels_stand_in_the_smallest_pyramid_as_they_are(weights):
+def test_coarse_levels_equal_those_of_the_smallest_pyramid(weights):
     """Its arrays are as large as a small mask's, so that these share a program."""
     soft = disc(1500, 1400)
     data, levels = pyramid(soft > 0.5, WEIGHTS[weights](*soft.shape), np.float32)
@@ -144,7 +144,7 @@ def test_pages_of_their_own_grow_like_the_outline(kind):
 
 
 @pytest.mark.parametrize("kind", ["one bit", "8 bits"])
-def test_a_large_photo_takes_no_image_of_floats(kind):
+def test_large_photo_takes_no_image_of_floats(kind):
     """What a fit asks of its mask, in bytes that are held at once for each pixel: a pass over all
     of it in float64 takes eight."""
     target = KINDS[kind](disc(1500, 2000))

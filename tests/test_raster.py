@@ -110,7 +110,7 @@ KINDS = ["scales", "lattice", "plane", "twice", "slivers", "film-covering"]
 
 @pytest.mark.parametrize("dtype", ["float32", full("float64")])
 @pytest.mark.usefixtures("optimised")
-def test_the_same_face_as_the_tree_finds(dtype, exhaustive):
+def test_raster_and_tree_find_the_same_face(dtype, exhaustive):
     """Ties too: of faces that are equally deep, to the last bit, both take the first.
 
     Which faces of one plane are equally deep to the last bit is the compiler's to say, by the
@@ -152,7 +152,7 @@ def test_films_of_any_size_from_before_and_within(size, kind):
     assert np.any(drawn >= 0)
 
 
-def test_a_film_across_which_the_axis_changes_in_a_tile():
+def test_tile_with_rays_of_two_axes_is_drawn():
     """Rays of one tile run along x and along z: each is tested along its own axis."""
     scene = pj.Scene(mesh=shapes.bumpy(2))
     camera = pj.Camera([0.05, 0.02, 0.1], [1.0, 0.3, 1.02], [0, 1.0, 0], 2.7, 1.0, 12, 9)
@@ -162,7 +162,7 @@ def test_a_film_across_which_the_axis_changes_in_a_tile():
 
 
 @pytest.mark.long
-def test_a_camera_stands_for_its_rays():
+def test_camera_stands_for_its_rays():
     scene = pj.Scene(mesh=shapes.bumpy(1), spheres=pj.Spheres([[1.1, 0.9, 0.2]], [0.4]))
     lens = pj.Lens([11.0, 7.0], aspect=1.1)
     for given in (None, lens, pj.Lens([11.0, 7.0], distortion=pj.BrownConrady(k1=-0.1))):
@@ -219,7 +219,7 @@ def test_derivatives_are_those_of_the_rays():
 
 
 @pytest.mark.long
-def test_a_camera_that_is_none_meets_nothing():
+def test_traced_camera_that_is_none_hits_nothing():
     """While it is traced nobody can refuse it: no endless work, no hit, no NaN."""
     scene = pj.Scene(mesh=shapes.bumpy(1))
     e = jnp.array([0.3, 1.0, 5.0])

@@ -120,7 +120,7 @@ def test_project_is_differentiable_at_the_eye_plane():
     ("samples", "key", "message"),
     [(0, None, "`samples`: expected at least 1"), (None, 0, "`key`: expected `samples`")],
 )
-def test_bad_samples_are_said_in_words(samples, key, message):
+def test_bad_samples_are_refused(samples, key, message):
     key = None if key is None else jax.random.key(key)
     with pytest.raises(ValueError, match=message):
         pj.generate_rays(E, P, U, PHI, D, 4, 2, samples, key)
@@ -146,7 +146,7 @@ def test_rays_jit_and_vmap_in_float32():
     ],
     ids=["generate_rays", "camera_rays", "project", "pose_error", "iou"],
 )
-def test_a_call_outside_of_jit_is_one_program(call):
+def test_call_outside_jit_is_one_program(call):
     """Step by step each step would be compiled: 47 for the rays of a camera."""
     steps = jax.make_jaxpr(call)(pj.Camera(E, P, U, PHI, D, 4, 2), jnp.ones((5, 3))).eqns
     assert len(steps) == 1, steps

@@ -32,13 +32,13 @@ def smaller(view):
     return replace(view, W=view.W // 3, H=view.H // 3, principal_point=centre)
 
 
-def test_there_are_twenty_scenes_and_each_has_its_file(views):
+def test_scenes_are_twenty_with_a_file_each(views):
     assert sorted(views) == NAMES
     assert len(NAMES) == 20
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_oracle_confirms_the_coverage_in_the_files(views, name):
+def test_oracle_confirms_the_coverage_in_the_files(views, name):
     """Without the renderer: polygons of the numbers that the file itself holds."""
     with np.load(REFERENCE / "set" / f"{name}.npz") as file:
         known = {key: file[key] for key in ("vertices", "faces", "centers", "radii", "e", "p", "u")}
@@ -54,7 +54,7 @@ def test_the_oracle_confirms_the_coverage_in_the_files(views, name):
     )
 
 
-def test_a_file_says_the_same_camera_as_K_R_t():
+def test_file_holds_the_same_camera_as_K_R_t():
     """As another renderer reads it: OpenCV's axes, pixel centres at halves."""
     with np.load(REFERENCE / "set" / "off_centre.npz") as file:
         xyz = file["vertices"] @ file["R"].T + file["t"]
@@ -86,7 +86,7 @@ def test_derivatives_are_the_oracle_s_differences(views, name):
 
 
 @pytest.mark.long
-def test_a_derivative_that_is_twice_too_large_is_not_confirmed(views, monkeypatch):
+def test_derivative_twice_too_large_is_not_confirmed(views, monkeypatch):
     right = make.images
 
     def doubled(view):
@@ -109,7 +109,7 @@ def planted(tmp_path, **factors):
     return compare.all_compared(tmp_path, REFERENCE / "set")
 
 
-def test_a_comparison_passes_what_is_right_and_names_what_is_not(tmp_path):
+def test_comparison_names_planted_errors(tmp_path):
     found = planted(tmp_path, coverage=1, e_x=1.002, e_y=2, phi=np.pi / 180, u_z=-1, d=1)
     wrong = {name: c.suspicion for (_, name), c in found.items() if not c.agrees}
     assert sorted(wrong) == ["e_y", "phi", "u_z"]
@@ -122,14 +122,14 @@ def test_a_comparison_passes_what_is_right_and_names_what_is_not(tmp_path):
     assert len(text.splitlines()) == 7
 
 
-def test_the_set_agrees_with_itself(capsys):
+def test_reference_set_agrees_with_itself(capsys):
     found = compare.all_compared(REFERENCE / "set", REFERENCE / "set")
     assert all(c.agrees for c in found.values())
     assert len(found) == 20 * 15 + 3  # 14 derivatives and coverage; k1 where a lens distorts
     assert not capsys.readouterr().out
 
 
-def test_a_picture_moved_by_a_pixel_or_with_a_bias_does_not_agree():
+def test_shifted_or_biased_picture_does_not_agree():
     ours = compare.images_of(REFERENCE / "set" / "bumpy.npz")["phi"]
     moved = compare.compared(np.roll(ours, 1, axis=1), ours)
     assert not moved.agrees
@@ -142,7 +142,7 @@ def test_a_picture_moved_by_a_pixel_or_with_a_bias_does_not_agree():
     assert biased.theirs == one[20, 30]
 
 
-def test_what_must_not_move_may_not():
+def test_still_image_must_stay_still():
     still = np.zeros((4, 5))
     assert compare.compared(still, still).agrees
     assert not compare.compared(still + 1e-3, still).agrees

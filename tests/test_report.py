@@ -60,7 +60,7 @@ def text(tmp_path_factory):
     return path.read_text(encoding="utf-8")
 
 
-def test_the_page_has_all_its_sections_and_nothing_from_elsewhere(text):
+def test_page_has_all_sections_and_loads_nothing(text):
     page = Page(text)
     assert page.open == []
     assert [a["id"] for a in page.all("section")] == [
@@ -83,7 +83,7 @@ def test_the_page_has_all_its_sections_and_nothing_from_elsewhere(text):
 
 
 @pytest.mark.parametrize("status", [s for s in STATUSES if s != "non_finite"])
-def test_the_page_says_what_the_status_means(status):
+def test_page_explains_the_status(status):
     page = Page(report.page(FIT._replace(status=status), SQUARE, MASK))
     assert page.all("p")[0]["class"] == f"status {status}"
     assert f"{status} {STATUSES[status]}.".lower() in page.text["header"].lower()
@@ -118,11 +118,11 @@ def test_tables_tell_their_heads_and_name_each_parameter_once(text):
     assert "rotation_b2" not in text
 
 
-def test_the_page_says_where_the_mask_is_apart(text):
+def test_page_locates_the_disagreement(text):
     assert "of the mask's edge, about column" in Page(text).text["where-mask-and-camera-differ"]
 
 
-def test_the_page_holds_the_camera_in_every_format(text, tmp_path):
+def test_page_holds_the_camera_in_all_formats(text, tmp_path):
     files = {a["download"]: data_of(a["href"]) for a in Page(text).all("a")}
     assert {"camera.py", "images.txt", "cameras.txt"} < set(files)
     for name in ("camera.json", "camera.yaml", "transforms.json", "camera.gltf", "camera.xml"):
@@ -132,7 +132,7 @@ def test_the_page_holds_the_camera_in_every_format(text, tmp_path):
 
 
 @pytest.mark.long
-def test_a_camera_that_a_format_cannot_hold_is_said():
+def test_page_names_formats_that_cannot_hold_the_camera():
     camera = pj.Camera(AHEAD.e, AHEAD.p, AHEAD.u, 0.6, 1.0, 96, 80, pj.Lens([40.0, 40], 1.0))
     page = Page(report.page(fit_of(camera, ("e_x",), [1e-3]), SQUARE, MASK))
     assert "camera.gltf" not in [a["download"] for a in page.all("a")]
@@ -153,14 +153,14 @@ def test_coefficients_of_distortion_have_rows_a_band_and_formats():
     assert "camera.gltf" not in [a["download"] for a in page.all("a")]
 
 
-def test_what_makes_no_page_is_refused():
+def test_bad_arguments_of_a_page_are_refused():
     with pytest.raises(ValueError, match="`fit`: expected a finite camera, got status non_finite"):
         report.page(FIT._replace(status="non_finite"), SQUARE, MASK)
     with pytest.raises(ValueError, match="`image`: expected the camera's size"):
         report.page(FIT, SQUARE, MASK, np.zeros((9, 9), np.uint8))
 
 
-def test_a_browser_shows_it(text, tmp_path):
+def test_browser_shows_the_page(text, tmp_path):
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is installed")

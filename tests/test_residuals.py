@@ -175,7 +175,7 @@ def test_exact_runs_cost_exactly_nothing_in_float32():
     assert float(rest) == 0
 
 
-def test_too_small_a_capacity_is_never_silent():
+def test_small_capacity_is_never_silent():
     short = Capacity(256, 16, 0)
     camera, scene, target, weight = setting()
     data, levels = pyramid(target, weight, float)
@@ -185,7 +185,7 @@ def test_too_small_a_capacity_is_never_silent():
     assert np.isnan(rest)
 
 
-def test_the_finest_level_alone_is_the_one_of_all():
+def test_finest_level_alone_equals_that_of_the_pyramid():
     """Hard and soft masks; weights that count nowhere, in a band, everywhere."""
     rng = np.random.default_rng(7)
     hard = np.zeros((203, 330))
@@ -222,7 +222,7 @@ def test_pieces_are_put_in_order_with_64_bits_and_with_32(wide):
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 8])
-def test_each_piece_meets_each_other_piece(number):
+def test_pieces_meet_in_all_pairs(number):
     beside = np.asarray(_turned(jnp.arange(number)[:, None]))[..., 0]
     met = {frozenset(pair) for row in beside for pair in enumerate(row.tolist())}
     assert met == {frozenset(pair) for pair in itertools.combinations(range(number), 2)}
@@ -236,7 +236,7 @@ def test_pixels_with_few_pieces_come_first():
 
 
 @pytest.mark.parametrize("filled", [0, 700, 2500, 3000])
-def test_a_table_with_more_room_than_rows_has_the_triangle_of_its_rows(filled):
+def test_empty_rows_do_not_change_the_triangle(filled):
     table = np.random.default_rng(filled).normal(size=(3000, 4))
     table[filled:] = 0
     found = np.asarray(jax.jit(triangle)(table))
@@ -244,13 +244,13 @@ def test_a_table_with_more_room_than_rows_has_the_triangle_of_its_rows(filled):
     assert np.allclose(found.T @ found, table.T @ table, rtol=1e-12, atol=1e-9)
 
 
-def test_what_is_not_finite_makes_a_triangle_that_is_not():
+def test_nan_rows_make_the_triangle_nan():
     table = np.zeros((3000, 4))
     table[2000, 1] = np.nan
     assert np.isnan(np.asarray(jax.jit(triangle)(table))).any()
 
 
-def test_a_pyramid_is_not_copied():
+def test_pyramid_is_not_copied():
     data = jax.device_put(pyramid(np.eye(32), np.ones((32, 32)), float)[0])
     at = [x.unsafe_buffer_pointer() for x in data[2:]]
     assert {*np.diff(at)} == {data.target.nbytes}  # side by side, as they were written

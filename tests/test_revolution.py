@@ -71,7 +71,7 @@ def found(vertices):
     "make", [mug, with_bump, lambda n: trimesh.creation.cylinder(0.5, 2, sections=n).vertices]
 )
 @pytest.mark.parametrize("sections", [20, 48, 64])
-def test_the_line_and_its_facets_are_those_it_was_made_of(make, sections, scale):
+def test_axis_and_facets_are_recovered(make, sections, scale):
     (line,) = found(scale * (np.asarray(make(sections)) @ TURN.T + SHIFT))
     axis = TURN @ [0, 0, 1]
     assert abs(line.axis @ axis) > np.cos(np.deg2rad(0.2))
@@ -80,14 +80,14 @@ def test_the_line_and_its_facets_are_those_it_was_made_of(make, sections, scale)
     assert line.pitch == pytest.approx(2 * np.pi / sections)
 
 
-def test_what_is_smooth_has_no_facets():
+def test_smooth_body_has_no_facets():
     angle, height = np.random.default_rng(0).uniform([0, -1], [2 * np.pi, 1], (4000, 2)).T
     radius = 1 + 0.2 * height
     (line,) = found(np.stack([radius * np.cos(angle), radius * np.sin(angle), 2 * height], axis=-1))
     assert line.pitch is None
 
 
-def test_a_million_vertices_on_a_circle_are_no_million_facets():
+def test_million_vertices_on_a_circle_are_smooth():
     angle = np.linspace(0, 2 * np.pi, 500_000, endpoint=False)
     ring = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], axis=-1)
     (line,) = found(np.concatenate([ring, -ring]))
@@ -123,11 +123,11 @@ def test_a_million_vertices_on_a_circle_are_no_million_facets():
         "a segment",
     ],
 )
-def test_what_is_not_round_has_no_line(vertices):
+def test_angular_body_has_no_axis(vertices):
     assert found(np.asarray(vertices, float)) == []
 
 
-def test_a_ball_is_round_about_all():
+def test_ball_is_round_about_three_axes():
     assert len(found(trimesh.creation.icosphere(4).vertices)) == 3
 
 

@@ -56,7 +56,7 @@ def test_opposite_windings_do_not_pair():
     assert mesh.edge_vertices.shape == (9, 2)  # 3 good pairs, 3 edges of 2 records each
 
 
-def test_an_edge_shared_by_four_faces_has_two_records():
+def test_edge_shared_by_four_faces_has_two_records():
     # Two tetrahedra that share the edge 0-3 alone: each closed by itself, so the whole is closed.
     other = np.array([[0, 0, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1.0]])
     vertices = np.concatenate([TETRAHEDRON, other[1:3]])
@@ -103,7 +103,7 @@ def test_planes_are_never_stale():
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("size", [1.0, 1e-30, 1e30])
 @pytest.mark.parametrize("cut", [0, 57], ids=["closed", "border"])
-def test_planes_and_clusters_are_what_they_say(dtype, size, cut):
+def test_planes_and_clusters_are_consistent(dtype, size, cut):
     ball = trimesh.creation.icosphere(2)
     vertices = np.random.default_rng(0).normal(1, 0.05, ball.vertices.shape) * ball.vertices
     mesh = pj.Mesh((size * vertices).astype(dtype), ball.faces[cut:])
@@ -135,7 +135,7 @@ def test_planes_and_clusters_are_what_they_say(dtype, size, cut):
     np.testing.assert_array_equal(mesh.order, order)
 
 
-def test_nothing_is_compiled_for_a_mesh(compiled):
+def test_mesh_compiles_nothing(compiled):
     ring = trimesh.creation.torus(1, 0.3, 11, 9)
     pj.Mesh(ring.vertices, ring.faces)
     compiled.clear()  # (to hold an array takes a program of JAX's own, once)
@@ -172,7 +172,7 @@ def test_vertices_may_be_traced_and_faces_may_not():
         (TETRAHEDRON, FACES - 1, r"`faces`: expected indices from 0 to 3, got -1 to 2"),
     ],
 )
-def test_bad_meshes_are_said_in_words(vertices, faces, message):
+def test_bad_meshes_are_refused(vertices, faces, message):
     with pytest.raises(ValueError, match=message):
         pj.Mesh(vertices, faces)
 
@@ -186,12 +186,12 @@ def test_bad_meshes_are_said_in_words(vertices, faces, message):
         ([[0, np.inf, 0]], [1.0], r"`centers`: expected finite values, got inf"),
     ],
 )
-def test_bad_spheres_are_said_in_words(centers, radii, message):
+def test_bad_spheres_are_refused(centers, radii, message):
     with pytest.raises(ValueError, match=message):
         pj.Spheres(centers, radii)
 
 
-def test_bad_scenes_are_said_in_words():
+def test_bad_scenes_are_refused():
     with pytest.raises(ValueError, match="`mesh`: expected a Mesh or None, got str"):
         pj.Scene(mesh="bunny.obj")
     with pytest.raises(ValueError, match="`spheres`: expected Spheres or None, got list"):
@@ -232,7 +232,7 @@ def test_padding_stale_planes_makes_them_anew():
     )
 
 
-def test_planes_at_rest_are_not_asked_whether_they_are_current():
+def test_planes_at_rest_are_not_checked_again():
     scene = at_rest(pj.Scene(mesh=shapes.bumpy(1)))
     assert bool(planes_are_current(scene.mesh))
     program = jax.jit(contour_bits).lower(scene.mesh, jnp.array([1.0, 2, 3])).compile()
@@ -246,7 +246,7 @@ def test_faces_are_ordered_alike_where_the_mesh_is_traced():
     np.testing.assert_array_equal(mesh.order, traced)
 
 
-def test_a_mesh_of_another_library_is_taken():
+def test_trimesh_mesh_is_accepted():
     theirs = trimesh.creation.box()
     ours = pj.Mesh(theirs)
     np.testing.assert_array_equal(ours.vertices, theirs.vertices)
@@ -257,7 +257,7 @@ def test_a_mesh_of_another_library_is_taken():
         pj.Scene(mesh=theirs)
 
 
-def test_camera_and_scene_in_the_wrong_order_or_stacked_are_said():
+def test_swapped_or_stacked_camera_and_scene_are_refused():
     scene = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [0.5]))
     camera = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 8, 6)
     check_view(camera, scene)
@@ -278,7 +278,7 @@ def test_camera_and_scene_in_the_wrong_order_or_stacked_are_said():
         pj.formats.to_opencv(stacked, pixel_centres="half")
 
 
-def test_what_is_made_for_a_fit_is_let_go():
+def test_memory_of_a_fit_is_freed():
     """A loop over many masks holds no more at its end: 2 MB a fit stayed, as equinox keeps what is
     made of a module by `copy`."""
     gone = weakref.ref(with_or_without_border(padded(pj.Scene(mesh=shapes.bumpy(1)))).mesh)

@@ -47,7 +47,7 @@ def mask_of(camera, scene):
     return drawn(camera, scene)
 
 
-def test_a_roll_is_found_by_correlation():
+def test_roll_is_found_by_correlation():
     disc = np.hypot(*(np.mgrid[:80, :96] - np.array([[[30]], [[50]]]))) < 12
     disc[30:, 50:] = False  # three quarters of a disc
     film = (np.array([200.0, 200.0]), np.array([48.0, 40.0]))
@@ -89,7 +89,7 @@ def test_thumbnails_are_silhouettes_whose_layers_are_clamped(what):
 
 
 @pytest.mark.parametrize("closed", [True, False])
-def test_a_fine_mesh_is_seen_from_afar_as_a_coarse_one(closed, monkeypatch):
+def test_fine_mesh_is_coarsened_for_the_search(closed, monkeypatch):
     """A search of all views of 5M faces took 35 s: pictures of 48 px need some 60 000 of them."""
     fine = shapes.bumpy(5)
     fine = fine if closed else pj.Mesh(fine.vertices, fine.faces[:-3000])
@@ -112,7 +112,7 @@ def test_a_fine_mesh_is_seen_from_afar_as_a_coarse_one(closed, monkeypatch):
     assert np.mean(drawn[0]) > 0.1
 
 
-def test_what_is_coarse_is_seen_as_it_is(scene):
+def test_coarse_mesh_is_searched_as_it_is(scene):
     assert coarse.seen_from_afar(scene.mesh) is scene.mesh
 
 
@@ -140,7 +140,7 @@ def test_contours_are_counted_as_they_are_seen(closed):
     assert np.all(length > 2)
 
 
-def test_a_mask_of_crumbs_is_as_large_as_the_object():
+def test_specks_do_not_enlarge_the_object():
     inside = np.zeros((200, 200))
     inside[40:80, 50:80] = 1
     crumbs = inside.copy()
@@ -150,7 +150,7 @@ def test_a_mask_of_crumbs_is_as_large_as_the_object():
     assert first_capacity(scene, np.zeros((9, 9))).pieces >= LEAST_CAPACITY.pieces
 
 
-def test_a_camera_is_found_with_no_start(scene):
+def test_camera_is_found_with_no_start(scene):
     for seed in range(3):
         truth = anywhere(seed)
         fit = pj.fit_camera(scene, mask_of(truth, scene), None, phi=0.6)
@@ -160,7 +160,7 @@ def test_a_camera_is_found_with_no_start(scene):
         assert float(fit.camera.phi) == 0.6
 
 
-def test_a_mask_that_is_round_to_all_rolls_is_looked_for_everywhere(scene, monkeypatch):
+def test_round_mask_is_tried_from_all_views(scene, monkeypatch):
     """No roll of a disc fits better than the next: there was no guess, and the fit of a ball to one
     ended in an error."""
     row, column = np.mgrid[:80, :96] + 0.5
@@ -171,7 +171,7 @@ def test_a_mask_that_is_round_to_all_rolls_is_looked_for_everywhere(scene, monke
 
 
 @pytest.mark.long
-def test_the_focal_length_may_be_a_guess(scene):
+def test_focal_length_can_be_a_guess(scene):
     truth = anywhere(3)
     fit = pj.fit_camera(scene, mask_of(truth, scene), None, ("pose", "phi"))
     assert fit.status == "converged"
@@ -180,7 +180,7 @@ def test_the_focal_length_may_be_a_guess(scene):
 
 
 @pytest.mark.parametrize("where", ["beside", "behind", "inside", "far", "upside down"])
-def test_a_start_that_shows_nothing_of_the_mask_is_pulled_in(scene, where):
+def test_start_that_misses_the_mask_is_pulled_in(scene, where):
     truth = anywhere(0)
     e, p, u = (np.asarray(x) for x in (truth.e, truth.p, truth.u))
     arrays = {
@@ -197,7 +197,7 @@ def test_a_start_that_shows_nothing_of_the_mask_is_pulled_in(scene, where):
 
 
 @pytest.mark.long
-def test_a_box_is_seen_in_four_ways():
+def test_box_has_four_views():
     """Half turns about its three axes change nothing: four cameras, all of them are given."""
     box = trimesh.creation.box((1.2, 0.8, 2)).subdivide()
     scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces))
@@ -215,7 +215,7 @@ def test_a_box_is_seen_in_four_ways():
 
 
 @pytest.mark.long
-def test_an_occluder_is_met_by_a_weight_image_and_else_said(scene):
+def test_occluder_is_masked_by_a_weight_or_reported(scene):
     truth = anywhere(0)
     mask, start = mask_of(truth, scene), turned(truth, [1, 2, 3], 5)
     hidden = np.broadcast_to(np.arange(96) < 48, mask.shape)
@@ -235,7 +235,7 @@ def test_an_occluder_is_met_by_a_weight_image_and_else_said(scene):
 
 
 @pytest.mark.long
-def test_a_symmetry_is_no_list_of_modes():
+def test_continuous_symmetry_is_no_list_of_modes():
     cylinder = trimesh.creation.cylinder(0.5, 2.0, sections=256)
     cylinder.vertices[cylinder.vertices[:, 2] > 0, :2] *= 0.6  # a cone's stump: no second axis
     scene = pj.Scene(mesh=pj.Mesh(cylinder.vertices, cylinder.faces))

@@ -13,13 +13,13 @@ def test_bumpy_is_closed_wound_outwards_and_repeatable():
     np.testing.assert_array_equal(mesh.vertices, shapes.bumpy(3, seed=2).vertices)
 
 
-def test_a_revolved_cylinder_has_its_volume():
+def test_revolved_cylinder_has_its_volume():
     mesh = shapes.revolved(np.array([(0, 0), (2, 0), (2, 3), (0, 3)]), sections=400)
     assert mesh.closed
     volume = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume
     np.testing.assert_allclose(volume, np.pi * 4 * 3, rtol=1e-3)
 
 
-def test_a_profile_off_the_axis_is_refused_in_words():
+def test_profile_off_the_axis_is_refused():
     with pytest.raises(ValueError, match="`profile`: expected radii 0"):
         shapes.revolved(np.array([(1, 0), (2, 0), (2, 3), (0, 3)]))

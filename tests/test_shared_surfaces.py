@@ -37,7 +37,7 @@ def beside_the_handle(random: np.random.Generator) -> pj.Camera:
 
 
 @pytest.mark.full
-def test_a_hard_mask_of_parts_that_share_a_surface_is_fitted_within_its_sigmas(exhaustive):
+def test_parts_that_share_a_surface_are_fitted_within_sigmas(exhaustive):
     scene, random, errors = mug(), np.random.default_rng(0), []
     cameras = CAMERAS if exhaustive else CAMERAS // 4
     for _ in range(cameras):

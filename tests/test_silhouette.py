@@ -66,7 +66,7 @@ def test_no_row_of_a_large_float32_image_is_covered_by_mistake():
         assert np.max(np.abs(told - plain)) < 2e-3
 
 
-def test_an_object_that_fills_the_frame_and_one_outside_it():
+def test_objects_that_fill_or_miss_the_frame():
     vertices, faces = bumpy()
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
     close = pj.Camera([0, 0, 2.5], [0, 0, 0], [0, 1, 0], 0.3, W=W, H=H)
@@ -88,7 +88,7 @@ def test_edges_along_pixel_rows_and_corners():
 
 
 @pytest.mark.long
-def test_a_hole_is_not_covered():
+def test_hole_is_not_covered():
     torus = trimesh.creation.torus(1.0, 0.3, 32, 12)
     camera = pj.Camera([0, 0.5, 5], [0, 0, 0], [0, 1, 0], 0.6, W=W, H=H)
     expected = mesh_coverage(camera, torus.vertices, torus.faces)
@@ -129,7 +129,7 @@ def test_mesh_and_spheres_apart_add_up():
     np.testing.assert_allclose(both, one + other, atol=1e-14)
 
 
-def test_an_empty_scene_covers_nothing():
+def test_empty_scene_covers_nothing():
     camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=3, H=2)
     none = pj.Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
     for scene in (
@@ -141,7 +141,7 @@ def test_an_empty_scene_covers_nothing():
 
 
 @pytest.mark.long
-def test_a_lens_moves_and_stretches_the_image():
+def test_lens_moves_and_stretches_the_image():
     vertices, faces = bumpy()
     lens = pj.Lens([14.3, 20.1], 1.2)
     camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.1, 1, 0], 0.6, 1.0, W, H, lens)
@@ -181,7 +181,7 @@ def test_no_number_of_contour_edges_or_pieces_is_too_many(monkeypatch):
 
 
 @pytest.mark.long
-def test_a_scene_that_reaches_behind_the_eye_gives_finite_values_and_derivatives():
+def test_scene_behind_the_eye_has_finite_derivatives():
     vertices, faces = box([-1, -1, -1], [1, 1, 9])
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces), spheres=pj.Spheres([[0.5, 0, 6.1]], [0.9]))
     camera = pj.Camera([0.2, 1.3, 6], [0, 0, 0], [0, 1, 0], 0.6, W=W, H=H)
@@ -191,7 +191,7 @@ def test_a_scene_that_reaches_behind_the_eye_gives_finite_values_and_derivatives
 
 
 @pytest.mark.full
-def test_it_converges_as_a_supersampled_hard_mask_does():
+def test_supersampled_hard_masks_converge_to_it():
     vertices, faces = bumpy()
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces), spheres=pj.Spheres([[1.1, 0.9, 0]], [0.3]))
     camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.1, 1, 0], 0.6, W=12, H=10)
@@ -233,7 +233,7 @@ def test_vmap_over_cameras_is_the_same_as_one_by_one():
 
 
 @pytest.mark.long
-def test_a_thousand_views_take_memory_for_their_masks_and_for_one():
+def test_thousand_views_take_memory_for_their_masks_and_one():
     scene = pj.Scene(mesh=pj.Mesh(*bumpy()))
     camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.1, 1, 0], 0.6, W=W, H=H)
     at = lambda e: pj.silhouette(eqx.tree_at(lambda c: c.e, camera, e), scene)

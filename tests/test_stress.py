@@ -85,7 +85,7 @@ def test_mirrored_scenes_give_mirrored_images(seed):
 @pytest.mark.long
 @few
 @given(seed=SEEDS)
-def test_the_order_of_faces_and_vertices_does_not_matter(seed):
+def test_order_of_faces_and_vertices_does_not_matter(seed):
     random, v = drawn(seed)
     order = random.permutation(len(v.vertices))
     faces = np.argsort(order)[v.faces]
@@ -98,7 +98,7 @@ def test_the_order_of_faces_and_vertices_does_not_matter(seed):
 @pytest.mark.long
 @few
 @given(seed=SEEDS)
-def test_a_union_covers_no_less_than_its_parts(seed):
+def test_union_covers_no_less_than_its_parts(seed):
     random, v = drawn(seed)
     other = stress.usual(random)
     faces = np.concatenate([v.faces, other.faces + len(v.vertices)])

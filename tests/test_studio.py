@@ -80,7 +80,7 @@ def do(bench: Bench, action: str, /, **numbers):
 
 
 @pytest.mark.parametrize("radius", [0.4, 3.0, 10.5])
-def test_a_stroke_covers_the_pixels_around_its_points(radius):
+def test_stroke_covers_the_pixels_around_its_points(radius):
     points = ((12.0, 20.0), (50.0, 33.5))
     drawn = strokes.drawn([Stroke("add", radius, points)], {"add": 7}, np.zeros((48, 60), np.uint8))
     y, x = np.mgrid[:48, :60] + 0.5
@@ -111,20 +111,20 @@ def test_strokes_on_the_object_tell_it_from_the_background(size, back):
     assert np.sum(inside & truth) / np.sum(inside | truth) > 0.985
 
 
-def test_without_a_stroke_on_the_object_nothing_is_guessed():
+def test_guess_needs_a_stroke_on_the_object():
     photo = np.zeros((20, 30, 3), np.uint8)
     assert strokes.guessed(photo, []) is None
     assert strokes.guessed(photo, [Stroke("background", 2.0, ((5, 5),))]) is None
 
 
-def test_an_object_over_all_of_the_picture_is_all_of_it():
+def test_object_over_the_whole_picture_is_all_of_it():
     photo = np.zeros((20, 30, 3), np.uint8)
     found = strokes.guessed(photo, [Stroke("object", 50.0, ((15, 10),))])
     assert found is not None
     assert np.all(found == 255)
 
 
-def test_what_is_painted_comes_on_top_and_a_loaded_mask_replaces_what_was_before():
+def test_paint_goes_on_top_and_a_loaded_mask_replaces():
     guide = Stroke("object", 2.0, ((5, 5),))
     loaded = Loaded(np.full((20, 30), 255, np.uint8))
     add, erase = Stroke("add", 3.0, ((10, 10),)), Stroke("erase", 3.0, ((10, 10),))
@@ -171,7 +171,7 @@ def test_strokes_and_masks_come_back_from_json():
         ([{"mask": png(np.zeros((3, 3), np.uint8))}], "`mask`: expected 8 bits, 30 x 20 px"),
     ],
 )
-def test_what_is_no_stroke_is_refused(data, words):
+def test_bad_stroke_is_refused(data, words):
     with pytest.raises(ValueError, match=words):
         strokes.work_from_list(data, 30, 20)
 
@@ -187,7 +187,7 @@ def seen(camera: pj.Camera, points) -> np.ndarray:
 
 
 @pytest.mark.parametrize("lens", [None, BENT])
-def test_a_turned_object_looks_as_if_it_had_turned_itself(lens):
+def test_camera_turn_looks_like_an_object_turn(lens):
     before = camera(lens)
     right, up, clockwise = 0.3, -0.2, 0.5
     b1, b2, v = axes_of(before)
@@ -197,7 +197,7 @@ def test_a_turned_object_looks_as_if_it_had_turned_itself(lens):
     np.testing.assert_allclose(seen(after, POINTS), seen(before, turned), atol=1e-9)
 
 
-def test_the_front_follows_the_pointer():
+def test_front_follows_the_pointer():
     before = camera(e=(0, 0, 5))
     front = np.array([0.0, 0, 1])
     was = seen(before, front)
@@ -209,7 +209,7 @@ def test_the_front_follows_the_pointer():
 
 
 @pytest.mark.parametrize("aspect", [1.0, 1.3])
-def test_a_shift_is_in_pixels(aspect):
+def test_shift_is_in_pixels(aspect):
     lens = None if aspect == 1 else pj.Lens([32.0, 32.0], aspect)
     before = camera(lens)
     after = hand.shifted(before, CENTRE, 5.0, 3.0)
@@ -225,7 +225,7 @@ def test_nearer_is_nearer_and_no_nearer_than_there_is_room():
     assert least == pytest.approx(hand.NEAREST * 0.5)
 
 
-def test_another_field_of_view_keeps_the_size():
+def test_field_of_view_changes_keep_the_size():
     before = camera()
     b1, b2, _ = axes_of(before)
     plane = CENTRE + np.outer([0.3, -0.2, 0.1], b1) + np.outer([0.1, 0.4, -0.3], b2)
@@ -236,7 +236,7 @@ def test_another_field_of_view_keeps_the_size():
 
 @pytest.mark.parametrize("up", ["x", "y", "z"])
 @pytest.mark.parametrize("size", [(64, 64), (120, 40), (40, 120)])
-def test_an_object_that_is_framed_is_within_the_picture_and_upright(up, size):
+def test_framed_object_is_inside_the_picture_and_upright(up, size):
     ball = hand.ball_of(POINTS)
     framed = hand.framed(camera(size=size), ball, up)
     places = seen(framed, POINTS)
@@ -254,7 +254,7 @@ def test_up_is_an_axis():
         hand.framed(camera(), hand.ball_of(POINTS), "w")
 
 
-def test_a_lens_is_changed_number_by_number_and_left_out_where_it_says_nothing():
+def test_lens_is_changed_by_its_numbers_and_dropped_when_trivial():
     bent = hand.with_lens(camera(), {"k1": -0.1, "principal_x": 30.0})
     assert bent.lens is not None
     np.testing.assert_allclose(bent.lens.principal_point, [30, 32])
@@ -272,7 +272,7 @@ def test_a_lens_is_changed_number_by_number_and_left_out_where_it_says_nothing()
 
 
 @pytest.mark.parametrize("bent", [None, BENT.distortion, pj.Fisheye(0.05, 0.01, -0.01, 0.002)])
-def test_the_shaders_formula_projects_as_the_camera_does(bent):
+def test_shader_formula_projects_as_the_camera_does(bent):
     """What page/studio.js computes from these numbers, in NumPy."""
     lens = None if bent is None else pj.Lens([30.0, 35.0], 1.1, bent)
     numbers = json.loads(json.dumps(drawing.camera_numbers(camera(lens))))
@@ -326,7 +326,7 @@ def straightened(points, lens: pj.Lens) -> np.ndarray:
     return ideal
 
 
-def test_a_straight_line_is_straight_where_the_lens_bends_nothing_and_in_space_where_it_does():
+def test_straight_line_follows_the_distortion():
     ends = ((5.0, 60.0), (58.0, 40.0))
     (plain,) = drawing.straight_lines(camera(), [ends])
     np.testing.assert_allclose(plain, np.linspace(*ends, drawing.POINTS), atol=0.006)
@@ -339,7 +339,7 @@ def test_a_straight_line_is_straight_where_the_lens_bends_nothing_and_in_space_w
     assert np.max(np.abs(off)) * H / 2 / np.tan(0.3) < 0.02  # px
 
 
-def test_a_grid_reaches_all_of_the_picture_and_its_lines_are_straight_in_space():
+def test_grid_fills_the_picture_with_lines_straight_in_space():
     for lens in (None, BENT):
         lines = drawing.grid_lines(camera(lens))
         points = np.concatenate(lines)
@@ -350,7 +350,7 @@ def test_a_grid_reaches_all_of_the_picture_and_its_lines_are_straight_in_space()
         assert min(np.ptp(ideal, axis=0)) < 0.01 / 30
 
 
-def test_a_mesh_and_a_photo_for_the_page(subject, scene):
+def test_page_gets_mesh_and_photo(subject, scene):
     data = mesh_file(subject)
     centre, (points, faces) = np.frombuffer(data, "<f8", 3), np.frombuffer(data, "<u4", 2, 24)
     vertices = np.frombuffer(data, "<f4", 3 * points, 32).reshape(-1, 3) + centre
@@ -372,7 +372,7 @@ def one_session() -> session.Session:
     return session.Session("part.obj", "photo.png", camera(BENT), ("pose", "phi"), work, lines)
 
 
-def test_a_session_comes_back_from_its_file(tmp_path):
+def test_session_comes_back_from_its_file(tmp_path):
     was = one_session()
     session.save_session(tmp_path / "a.json", was)
     again = session.load_session(tmp_path / "a.json")
@@ -400,14 +400,14 @@ def test_a_session_comes_back_from_its_file(tmp_path):
         ({"lines": [[[1, 2], [1e9, 2]]]}, "`line`: expected places on the picture"),
     ],
 )
-def test_what_is_no_session_is_refused_by_name(changes, words):
+def test_bad_session_is_refused_by_name(changes, words):
     data = json.loads(session.session_to_text(one_session()))
     with pytest.raises(ValueError, match=words) as caught:
         session.session_from_text(json.dumps({**data, **changes}), "some.json")
     assert "some.json" in str(caught.value)
 
 
-def test_a_list_is_no_session():
+def test_list_is_no_session():
     with pytest.raises(ValueError, match=r"`schema`: expected .*, got 'list'"):
         session.session_from_text("[]")
 
@@ -415,7 +415,7 @@ def test_a_list_is_no_session():
 # A tab's actions.
 
 
-def test_a_page_is_told_all_that_it_shows(bench):
+def test_page_gets_all_that_it_shows(bench):
     told = do(bench, "hello")
     assert (told["W"], told["H"], told["fit"]) == (W, H, None)
     assert told["formats"] == list(pj.formats.FORMATS)
@@ -457,7 +457,7 @@ def test_actions_are_methods(bench):
         ("save", {"name": ".a", "free": ["pose"]}, "`name`: expected letters"),
     ],
 )
-def test_what_cannot_be_done_is_said(bench, name, numbers, words):
+def test_impossible_actions_are_refused_with_the_reason(bench, name, numbers, words):
     with pytest.raises(ValueError, match=words):
         do(bench, name, **numbers)
 
@@ -477,14 +477,14 @@ def test_strokes_are_undone_and_redone(bench):
     assert do(bench, "undo")["share"] > 0
 
 
-def test_a_mask_of_another_size_or_none_is_refused(bench):
+def test_mask_of_another_size_is_refused(bench):
     with pytest.raises(ValueError, match="`mask`: expected the photo's size 64 x 64, got 10 x 20"):
         do(bench, "load_mask", data=png(np.eye(20, 10, dtype=np.uint8) * 255))
     with pytest.raises(ValueError, match=r"readable image .* got 'a.png'"):
         do(bench, "load_mask", data=base64.b64encode(b"no picture").decode(), name="a.png")
 
 
-def test_the_view_guides_the_guess(bench, mask, monkeypatch):
+def test_view_guides_the_guess(bench, mask, monkeypatch):
     bench.camera = camera(e=(1.1, 1.5, 5.0))
     told = do(bench, "view_guides")
     with monkeypatch.context() as patch:  # what was guessed is kept
@@ -508,7 +508,7 @@ def fitted(bench, mask) -> Bench:
 
 
 @pytest.mark.long
-def test_a_fit_finds_the_camera_and_tells_its_way(fitted):
+def test_fit_finds_the_camera_and_reports_its_path(fitted):
     pushed = []
     told = fitted.act("fit", {"free": ["position", "orientation"]}, pushed.append)
     angle, shift = pj.pose_error(fitted.camera, camera())
@@ -532,7 +532,7 @@ def test_a_fit_finds_the_camera_and_tells_its_way(fitted):
     assert do(fitted, "restore")["is_fit"]
 
 
-def test_a_fit_is_stopped_and_nothing_else_is_done_meanwhile(fitted):
+def test_fit_blocks_other_actions_and_can_be_stopped(fitted):
     start, met = fitted.camera, []
 
     def push(what):
@@ -620,7 +620,7 @@ def test_modes_are_chosen_by_number(fitted):
         do(fitted, "mode", number=2)
 
 
-def test_every_format_is_written_and_reads_as_the_same_camera(bench):
+def test_formats_are_written_and_read_as_the_same_camera(bench):
     written = do(bench, "export", format="all", name="view")["written"]
     assert len(written) == len(pj.formats.FORMATS)
     for path, name in zip(written, pj.formats.FORMATS, strict=True):
@@ -635,7 +635,7 @@ def test_every_format_is_written_and_reads_as_the_same_camera(bench):
         assert float(again.phi) == pytest.approx(float(bench.camera.phi), rel=1e-6)
 
 
-def test_a_session_is_saved_and_goes_on_in_another_tab(fitted, tmp_path):
+def test_session_goes_on_in_another_tab(fitted, tmp_path):
     do(fitted, "stroke", kind="erase", radius_px=2, points=[[30, 30]])
     do(fitted, "straight", grid=True, line=[[1, 2], [3, 40]])
     (path,) = do(fitted, "save", name="work", free=["pose", "phi"])["written"]
@@ -654,7 +654,7 @@ def test_a_session_is_saved_and_goes_on_in_another_tab(fitted, tmp_path):
         do(other, "undo")
 
 
-def test_a_session_of_other_files_brings_them(fitted, tmp_path, subject):
+def test_session_of_other_files_loads_them(fitted, tmp_path, subject):
     do(fitted, "save", name="work", free=["pose"])
     text = (tmp_path / "out" / "work.studio.json").read_text()
     pj.io.save_image(tmp_path / "other.png", np.zeros((H, W, 3), np.uint8))
@@ -686,7 +686,7 @@ def served(bench_of, ask):
     return asyncio.run(run())
 
 
-def test_without_the_token_nothing_is_answered(bench):
+def test_requests_without_the_token_are_refused(bench):
     async def ask(address, studio):
         bare = address.split("?")[0]
         port = bare.rstrip("/").rsplit(":", 1)[1]
@@ -729,7 +729,7 @@ def test_without_the_token_nothing_is_answered(bench):
     served(lambda: bench, ask)
 
 
-def test_it_listens_on_this_machine_alone(bench):
+def test_server_listens_on_this_machine_alone(bench):
     from pinhole_jax._studio import server
 
     async def ask(address, studio):
@@ -782,7 +782,7 @@ def test_tabs_do_not_mix_and_come_back_to_what_they_had(subject, tmp_path):
 # The command.
 
 
-def test_without_aiohttp_the_command_names_the_extra(monkeypatch, capsys, subject):
+def test_command_without_aiohttp_names_the_extra(monkeypatch, capsys, subject):
     import pinhole_jax._studio as package
     from pinhole_jax.__main__ import main
 
@@ -809,7 +809,7 @@ def test_without_aiohttp_the_command_names_the_extra(monkeypatch, capsys, subjec
         (["MESH", "PHOTO", "--mask", "SMALL"], "`--mask`: expected the photo's size 64 x 64"),
     ],
 )
-def test_the_command_says_what_is_wrong(arguments, words, capsys, subject, tmp_path):
+def test_command_says_what_is_wrong(arguments, words, capsys, subject, tmp_path):
     from pinhole_jax.__main__ import main
 
     files = {"MESH": subject.mesh, "PHOTO": subject.photo}
@@ -822,7 +822,7 @@ def test_the_command_says_what_is_wrong(arguments, words, capsys, subject, tmp_p
     assert re.search(words, capsys.readouterr().err)
 
 
-def test_a_port_that_is_taken_is_named(capsys, subject):
+def test_port_in_use_is_named(capsys, subject):
     from pinhole_jax.__main__ import main
 
     with socket.create_server(("127.0.0.1", 0)) as taken:
@@ -833,7 +833,7 @@ def test_a_port_that_is_taken_is_named(capsys, subject):
 
 
 @pytest.mark.parametrize("fov", [None, "30"])
-def test_the_command_begins_with_what_it_is_told(monkeypatch, subject, tmp_path, fov):
+def test_command_passes_its_options_to_the_bench(monkeypatch, subject, tmp_path, fov):
     from pinhole_jax.__main__ import main
     from pinhole_jax._studio import server
 

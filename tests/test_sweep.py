@@ -44,7 +44,7 @@ def reach(cells):
 
 
 @pytest.mark.parametrize("stops", [1, 3, 8, 50])
-def test_an_area_errs_by_half_a_distance_for_each_unit_across(cells, stops):
+def test_area_errs_by_half_a_stop_for_each_unit_across(cells, stops):
     some, expected = cells
     error = np.abs(swept(some, jnp.int32(stops))[0] - expected)
     assert np.all(error <= reach(some) / (2 * stops) + 1e-12)
@@ -52,7 +52,7 @@ def test_an_area_errs_by_half_a_distance_for_each_unit_across(cells, stops):
     assert np.max(error) > 0.02 / stops
 
 
-def test_the_visible_length_of_a_piece_errs_by_a_distance_for_each_stretch(cells):
+def test_visible_length_errs_by_one_stop_for_each_stretch(cells):
     some, _ = cells
     (_, [exact]), (_, [told]) = swept(some, None, True), swept(some, jnp.int32(20), True)
     error = np.abs(np.asarray(told.part - exact.part)[..., 5])

@@ -27,7 +27,7 @@ def with_a_part(body, radius=0.15, at=(0.8, 0.1, 0.3)):
     ids=["ball", "can", "can with a bump", "brick", "another", "ring"],
 )
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
-def test_a_body_has_the_turns_it_was_made_with(mesh, number, scale):
+def test_body_has_the_rotations_it_was_made_with(mesh, number, scale):
     turn = Rotation.from_rotvec([0.4, 1.1, -0.7]).as_matrix()
     vertices = scale * (np.asarray(mesh.vertices) @ turn.T + [3.0, -4.0, 5.0])
     found = turns_of_a_mesh(vertices.astype(np.float32), np.asarray(mesh.faces))
@@ -47,7 +47,7 @@ def test_a_body_has_the_turns_it_was_made_with(mesh, number, scale):
     ],
     ids=["none", "a point", "one face", "a line"],
 )
-def test_what_has_no_area_has_no_turns(vertices, faces):
+def test_mesh_without_area_has_no_rotations(vertices, faces):
     assert turns_of_a_mesh(vertices, np.asarray(faces)) == []
 
 

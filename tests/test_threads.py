@@ -18,7 +18,7 @@ def cores(monkeypatch):
     monkeypatch.setattr(threads, "_compiled", set())
 
 
-def test_two_run_at_once():
+def test_calls_run_two_at_once():
     """Else they wait for each other in vain."""
     beside = Barrier(2, timeout=30)
 
@@ -30,7 +30,7 @@ def test_two_run_at_once():
     assert in_threads(meet, list(range(5)), lambda x: "one") == [0, 1, 2, 3, 4]
 
 
-def test_the_first_of_each_program_is_alone():
+def test_first_call_of_each_program_runs_alone():
     """Several threads would compile the same."""
     running, met, lock = set(), {}, Lock()
 
@@ -49,7 +49,7 @@ def test_the_first_of_each_program_is_alone():
 
 
 @pytest.mark.parametrize("count", [1, 2], ids=["one core", "settings of another thread"])
-def test_one_thread_does_it_all_where_another_would_count_otherwise(monkeypatch, count):
+def test_single_thread_runs_all_where_types_would_differ(monkeypatch, count):
     monkeypatch.setattr(threads, "usable_cores", lambda: count)
     lengths, by = [np.dtype("float32"), np.dtype("float64")], []
     if count == 2:
@@ -58,14 +58,14 @@ def test_one_thread_does_it_all_where_another_would_count_otherwise(monkeypatch,
     assert set(by) == {get_ident()}
 
 
-def test_what_is_given_is_taken_as_it_is_asked_for():
+def test_items_are_taken_on_demand():
     taken = []
     some = some_at_once(taken.append(k) or k for k in range(5))
     assert (next(some), taken) == ([0, 1], [0, 1])
     assert list(some) == [[2, 3], [4]]
 
 
-def test_what_a_thread_raises_is_raised():
+def test_errors_in_threads_are_raised():
     def ask(x):
         if x > 3:
             raise ValueError("a mesh without faces")

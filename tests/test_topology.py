@@ -70,7 +70,7 @@ def test_walls_between_closed_bodies_stay():
     assert np.array_equal(mesh.faces, faces)
 
 
-def test_a_part_within_another_that_repeats_some_of_its_faces_stays_closed():
+def test_inner_part_that_repeats_faces_stays_closed():
     sheet = np.concatenate([FACES, FACES[:5, ::-1]])
     mesh = pj.Mesh(VERTICES, sheet)
     assert np.array_equal(mesh.faces, sheet)
@@ -126,7 +126,7 @@ def test_faces_without_area_at_a_border_are_no_border():
 
 @pytest.mark.long
 @pytest.mark.parametrize("shape", [two_sided, thrice, with_slivers])
-def test_a_fit_to_such_a_mesh_is_as_to_the_plain_one(shape):
+def test_fit_to_repeated_faces_equals_the_plain_one(shape):
     vertices, faces = shape()
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
     plain = pj.Scene(mesh=pj.Mesh(vertices[: len(VERTICES)], FACES))
@@ -137,7 +137,7 @@ def test_a_fit_to_such_a_mesh_is_as_to_the_plain_one(shape):
         assert np.rad2deg(pj.pose_error(fit.camera, CAMERA)[0]) < worst
 
 
-def test_a_long_row_of_faces_without_area_is_taken_out():
+def test_long_row_of_faces_without_area_is_removed():
     """Each is beside the next: a strip along one line, between two faces."""
     n = 3000
     line = np.stack([np.arange(n + 1) / 1024, np.zeros(n + 1), np.zeros(n + 1)], axis=1)
@@ -173,7 +173,7 @@ def test_points_are_put_in_order_of_place(kind, dtype):
     assert np.all(single)
 
 
-def test_no_points_and_one_are_in_order():
+def test_points_may_be_none_or_one():
     for number in (0, 1):
         order, first = by_place(np.zeros((number, 3)))
         assert len(order) == len(first) == number

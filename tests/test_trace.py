@@ -94,7 +94,7 @@ def brute_force(mesh, rays):
 
 @pytest.mark.long
 @pytest.mark.parametrize("faces", [1, 4, 5, 64, 65, *(full(n) for n in (2, 3, 63))])
-def test_the_tree_finds_what_testing_every_face_finds(faces, rays):
+def test_tree_matches_brute_force(faces, rays):
     whole = shapes.bumpy(1)
     mesh = pj.Mesh(whole.vertices, np.asarray(whole.faces)[:faces])
     some = pj.Rays(rays.origin[:500], rays.direction[:500])
@@ -106,7 +106,7 @@ def test_the_tree_finds_what_testing_every_face_finds(faces, rays):
 
 
 @pytest.mark.parametrize("faces", [1, 5, 9, 33, 65, 320])
-def test_every_face_is_in_one_leaf_and_every_box_holds_its_faces(faces):
+def test_tree_holds_each_face_once_in_its_boxes(faces):
     whole = shapes.bumpy(2)
     tree = mesh_tree(pj.Mesh(whole.vertices, np.asarray(whole.faces)[:faces]))
     nodes, leaves = tree.planes.shape[0], tree.primitive.shape[0]
@@ -180,7 +180,7 @@ def test_many_rays_do_not_leak(exhaustive, offset, tile):
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["faces", "spheres"])
-def test_rays_side_by_side_find_what_rays_in_turn_do(kind, rays, monkeypatch):
+def test_rays_side_by_side_hit_the_same_as_in_turn(kind, rays, monkeypatch):
     """Where XLA makes no loop of the walk, as on a GPU; and not all rays are asked about."""
     monkeypatch.setattr(walk, "BESIDE", 64)
     random = np.random.default_rng(0)
@@ -236,7 +236,7 @@ def hostile_packets(mesh, dtype):
     ("dtype", "kind", "leaves"),
     [("float32", "faces", 256), long("float64", "spheres", 256), long("float32", "faces", 3)],
 )
-def test_packets_find_what_their_rays_find_one_by_one(dtype, kind, leaves, monkeypatch):
+def test_packets_hit_the_same_as_single_rays(dtype, kind, leaves, monkeypatch):
     monkeypatch.setattr(packets, "FEW", 0)
     monkeypatch.setattr(together, "LEAVES", leaves)  # few: most packets give up
     mesh = shapes.bumpy(2)
@@ -314,7 +314,7 @@ def test_traces_on_all_cores_are_those_on_one(rays, monkeypatch):
 
 
 @on_cpu
-def test_the_walk_is_one_kernel():
+def test_walk_is_one_kernel():
     """XLA leaves the call alone, whose loop it makes one kernel of; else rays take 100 times as
     long."""
     tree, ray = mesh_tree(shapes.bumpy(1)), jnp.ones((40, 3))
@@ -326,7 +326,7 @@ def test_the_walk_is_one_kernel():
     assert " while(" not in entry
 
 
-def test_a_program_may_hold_the_scene_as_a_constant(rays):
+def test_program_can_hold_the_scene_as_a_constant(rays):
     """Of which XLA moved the tree into the walk, and then ended the process."""
     scene = pj.Scene(mesh=shapes.bumpy(2))
     inside = jax.jit(lambda rays: pj.trace(scene, rays).primitive)
@@ -351,7 +351,7 @@ def test_batches_of_rays_and_of_vertices(rays):
     np.testing.assert_allclose(both[1], first(sizes[1], *some), rtol=1e-13)
 
 
-def test_a_hit_by_hand():
+def test_hit_matches_numbers_worked_out_by_hand():
     mesh = pj.Mesh([[0, 0, 0], [2, 0, 0], [0, 2, 0.0]], [[0, 1, 2]])
     rays = pj.Rays(jnp.array([0.5, 0.25, 3.0]), jnp.array([[0.0, 0, -1], [0, 0, 1], [0.6, 0.8, 0]]))
     hit = pj.trace(pj.Scene(mesh=mesh), rays)
@@ -404,7 +404,7 @@ def test_t_counts_in_lengths_of_the_direction():
     np.testing.assert_allclose(one.barycentric, three.barycentric, atol=1e-14)
 
 
-def test_the_nearer_of_mesh_and_sphere_is_hit():
+def test_nearer_of_mesh_and_sphere_is_hit():
     mesh = pj.Mesh([[-2, -2, 0], [2, -2, 0], [0, 2, 0.0]], [[0, 1, 2]])
     scene = pj.Scene(mesh=mesh, spheres=pj.Spheres([[0.0, 0, 0]], [0.5]))
     rays = pj.Rays(jnp.array([[0.0, 0, 4], [1, -1, 4]]), jnp.tile(jnp.array([0.0, 0, -1]), (2, 1)))

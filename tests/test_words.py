@@ -21,11 +21,11 @@ TURNS = ("rotation_b1", "rotation_b2", "rotation_v")
         (2.0, 0.0, "2"),
     ],
 )
-def test_a_number_has_the_digits_that_its_error_leaves(value, std, text):
+def test_number_has_the_digits_that_its_error_allows(value, std, text):
     assert in_digits(value, std) == text
 
 
-def test_a_fit_is_printed_as_a_table():
+def test_fit_prints_as_a_table():
     camera = pj.Camera([1, 2, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48)
     names = ("rotation_b1", "e_x", "phi")
     std = np.array([1e-3, 1e-4, 1e-5])
@@ -73,7 +73,7 @@ def random_camera(random):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_the_derivative_of_pitch_yaw_and_roll_is_that_of_differences(seed):
+def test_derivative_of_pitch_yaw_and_roll_equals_differences(seed):
     random = np.random.default_rng(seed)
     camera = random_camera(random)
     moved = lambda step: heading(displaced(camera, TURNS, step)).angles
@@ -83,7 +83,7 @@ def test_the_derivative_of_pitch_yaw_and_roll_is_that_of_differences(seed):
     assert np.linalg.cond(change) < 5  # two axes never come together
 
 
-def test_turns_have_values_and_the_sigma_of_what_is_told():
+def test_rotations_have_values_and_sigmas():
     camera = pj.Camera([1, 2, 5], [0, 0, 0], [0.3, 1, 0], 0.6, 1.0, 64, 48)
     random = np.random.default_rng(0)
     root = 1e-3 * random.normal(size=(4, 4))
@@ -101,7 +101,7 @@ def test_turns_have_values_and_the_sigma_of_what_is_told():
     )
 
 
-def test_what_depends_on_an_unknown_parameter_is_unknown():
+def test_unknown_parameters_make_dependents_unknown():
     covariance = np.array([[1.0, np.nan], [np.nan, np.inf]])
     found = carried(covariance, np.array([[2.0, 0.0], [1.0, 1.0], [0.0, 0.0]]))
     np.testing.assert_array_equal(found[:2, :2], [[4, np.nan], [np.nan, np.inf]])
