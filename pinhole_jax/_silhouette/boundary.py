@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from .._numerics.batches import in_chunks
 from .._numerics.one_kernel import by_machine, on_cpu, put
 from .coverage import Monotone, Pieces, end_flux, shares, taken
 from .overlaps import fold_pieces
@@ -98,15 +99,13 @@ class _Found(NamedTuple):
         if not known.has_room(part):
             known = known.listing(part, begin - begin % known.room)
 
-        def body(state):
-            first, total = state
+        def body(total, first):
             ids = first + jnp.arange(part.size, dtype=jnp.int32)
             number = jnp.minimum(end - first, part.size)
             some = Some(known.curves, first - known.begin, number)
-            return first + part.size, add(total, ids, some)
+            return add(total, ids, some)
 
-        end = jnp.minimum(part.total, end)
-        return jax.lax.while_loop(lambda s: s[0] < end, body, (begin, start))[1]
+        return in_chunks(body, start, part.size, jnp.minimum(part.total, end), begin)
 
 
 def pushed(
@@ -169,7 +168,7 @@ def _pulled(
 ) -> list:
     parts, ways = build(changing), weights.shape[-1]
 
-    def block(first, total):
+    def block(total, first):
         def crowd(tables, number, pixel, visible: Visible):
             points = parts[number].homogeneous_of(visible.curve)
             weight = weights.at[pixel].get(mode="fill", fill_value=0)
@@ -193,23 +192,14 @@ def _pulled(
         return total
 
     nothing = jax.tree.map(lambda x: jnp.zeros((*x.shape, ways), x.dtype), changing)
-    return _each_block(parts, block, nothing)
+    most = jnp.max(jnp.stack([part.total for part in parts]))
+    return in_chunks(block, nothing, BLOCK, most)
 
 
 def _table(part: Part, ways: int) -> Float[Array, "rows n 3 ways"]:
     """Return a row of zeros for each curve of a block, in whole chunks."""
     rows = -(-min(BLOCK, part.most or BLOCK) // part.size) * part.size
     return jnp.zeros((rows, 2 if part.straight else 3, 3, ways), part.dtype)
-
-
-def _each_block(parts: list[Part], block: Callable[[Array, Any], Any], start: Any) -> Any:
-    most = jnp.max(jnp.stack([part.total for part in parts]))
-
-    def body(state):
-        first, total = state
-        return first + BLOCK, block(first, total)
-
-    return jax.lax.while_loop(lambda s: s[0] < most, body, (jnp.int32(0), start))[1]
 
 
 def _flux(

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.film import FilmMap, film_points, scaled
+from .._numerics.batches import in_chunks
 from .._numerics.bitset import Selection, bit, following, nth, select, selection, words_of
 from .._numerics.one_kernel import for_both, on_cpu, put, rows
 from .._numerics.safe import binary_inverse, safe_divide
@@ -216,8 +217,8 @@ def _looked_at_beside(
     """Return the bits with those of some clusters, side by side."""
     E, chosen = edge_faces.shape[0], select(look)
 
-    def body(state):
-        rank, words, positive = state
+    def chunk(state, rank):
+        words, positive = state
         some = rank + jnp.arange(CLUSTERS, dtype=jnp.int32)
         cluster = jnp.where(some < chosen.total, nth(chosen, some), words.shape[0])
         edge = cluster[:, None] * CLUSTER + jnp.arange(CLUSTER, dtype=jnp.int32)[None]
@@ -230,10 +231,9 @@ def _looked_at_beside(
         front = faces_eye(normal, corner, e)
         found = _seen_as(front[0], front[1], second < 0)
         into = lambda words, there: words.at[cluster].set(words_of((edge < E) & there), mode="drop")
-        return rank + CLUSTERS, into(words, found.contour), into(positive, found.positive)
+        return into(words, found.contour), into(positive, found.positive)
 
-    start = (jnp.int32(0), words, positive)
-    return jax.lax.while_loop(lambda s: s[0] < chosen.total, body, start)[1:]
+    return in_chunks(chunk, (words, positive), CLUSTERS, chosen.total)
 
 
 class _SeenAs(NamedTuple):

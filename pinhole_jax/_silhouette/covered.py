@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.film import FilmMap, film_points
+from .._numerics.batches import in_chunks
 from .._numerics.bitset import any_bit, count_upto, words_of
 from .._numerics.bounds import least, most, within
 from .._numerics.one_kernel import on_cpu, put
@@ -175,8 +176,7 @@ def _drawn(
     slack, outline_of = _slack(film), kind.outlines()
     size = _Size(film.W, H, fine)
 
-    def chunk(state):
-        begin, rows = state
+    def chunk(rows, begin):
         ids = begin + jnp.arange(THINGS, dtype=jnp.int32)
         outline = outline_of(jnp.minimum(ids, kind.number - 1))
         inside = lambda y: jnp.clip(y, 0, H).astype(jnp.int32)
@@ -185,11 +185,9 @@ def _drawn(
         after = jnp.where(ids < kind.number, after, 0)
         table = jax.lax.optimization_barrier(outline)
         of_each, of_all = (partial(f, kind.chords, size) for f in (_of_each, _of_all))
-        rows = on_cpu(of_each, first, after, table, asked, slack, rows, elsewhere=of_all)
-        return begin + THINGS, rows
+        return on_cpu(of_each, first, after, table, asked, slack, rows, elsewhere=of_all)
 
-    number = jnp.where(worth, kind.number, 0)
-    return jax.lax.while_loop(lambda s: s[0] < number, chunk, (jnp.int32(0), rows))[1]
+    return in_chunks(chunk, rows, THINGS, jnp.where(worth, kind.number, 0))
 
 
 class _Size(NamedTuple):
@@ -262,15 +260,14 @@ def _of_all(
     upto = running_sum(number)
     before = upto - number
 
-    def some(state):
-        begin, rows = state
+    def some(rows, begin):
         slot = begin + jnp.arange(ROWS, dtype=jnp.int32)
         own = jnp.minimum(count_upto(upto, slot), THINGS - 1)
         row = jnp.where(slot < upto[-1], first[own] + slot - before[own], size.H)
         left, right = _chord(chords, size, table[own], row, slack)
-        return begin + ROWS, _with_intervals(rows, row, left, right, size.W)
+        return _with_intervals(rows, row, left, right, size.W)
 
-    return jax.lax.while_loop(lambda s: s[0] < upto[-1], some, (jnp.int32(0), rows))[1]
+    return in_chunks(some, rows, ROWS, upto[-1])
 
 
 def _with_intervals(rows: _Rows, row: Array, left: Array, right: Array, W: int) -> _Rows:

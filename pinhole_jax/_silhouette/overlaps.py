@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
+from .._numerics.batches import in_chunks
 from .._numerics.bitset import Selection, count_below, count_upto, nth, rank_in, select
 from .._numerics.one_kernel import by_machine, one_by_one, one_kernel, put
 from .._numerics.running import running_sum
@@ -147,13 +148,11 @@ class Kept(NamedTuple):
     def fold(self, add: Callable[[Any, Array, Visible], Any], start: Any) -> Any:
         """Return `start` after `add(total, place, visible)` over all `used`, some at a time."""
 
-        def body(state):
-            first, total = state
+        def chunk(total, first):
             cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, KEPT_AT_A_TIME)
-            place, visible = jax.tree.map(cut, (self.place, self.visible))
-            return first + KEPT_AT_A_TIME, add(total, place, visible)
+            return add(total, *jax.tree.map(cut, (self.place, self.visible)))
 
-        return jax.lax.while_loop(lambda s: s[0] < self.used, body, (jnp.int32(0), start))[1]
+        return in_chunks(chunk, start, KEPT_AT_A_TIME, self.used)
 
 
 def nothing_kept(part: Part) -> Kept:
@@ -602,8 +601,7 @@ def _fold_shown(
 
     some = min(at_a_time, len(code))
 
-    def body(state):
-        first, total = state
+    def chunk(total, first):
         cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, some)
         # (Where it reaches past the end, the slice begins earlier.)
         index = jnp.minimum(first, len(code) - some) + jnp.arange(some, dtype=jnp.int32)
@@ -615,10 +613,9 @@ def _fold_shown(
             value = jnp.where(own, row[:, : STRAIGHT if part.straight else ARC], 0)
             visible.append(Visible((own_code >> 1)[:, None], value[:, None]))
         place = jnp.where(there, cut(places), NOWHERE)
-        total = add(total, Resolved(place, jnp.zeros(some, seen.dtype), visible))
-        return first + some, total
+        return add(total, Resolved(place, jnp.zeros(some, seen.dtype), visible))
 
-    return jax.lax.while_loop(lambda s: s[0] < shown, body, (jnp.int32(0), start))[1]
+    return in_chunks(chunk, start, some, shown)
 
 
 # --- side by side --------------------------------------------------------------------------------
@@ -801,12 +798,11 @@ def fold_pieces(
     W, H, max_H = size
     upto = running_sum(piece_counts(m, W, H, bottom))
 
-    def body(state):
-        slot, total = state
+    def chunk(total, slot):
         slots = slot + jnp.arange(number, dtype=jnp.int32)
-        return slot + number, add(total, split(m, upto, slots, W, H, max_H, bottom))
+        return add(total, split(m, upto, slots, W, H, max_H, bottom))
 
-    return jax.lax.while_loop(lambda s: s[0] < upto[-1], body, (jnp.int32(0), start))[1]
+    return in_chunks(chunk, start, number, upto[-1])
 
 
 def fold_chosen(
@@ -817,14 +813,13 @@ def fold_chosen(
     `there` is False for what fills up the last turn.
     """
 
-    def body(state):
-        rank, total = state
+    def chunk(total, rank):
         some = rank + jnp.arange(number, dtype=jnp.int32)
         there = some < chosen.total
         index = jnp.where(there, nth(chosen, jnp.minimum(some, chosen.total - 1)), 0)
-        return rank + number, add(total, index, there)
+        return add(total, index, there)
 
-    return jax.lax.while_loop(lambda s: s[0] < chosen.total, body, (jnp.int32(0), start))[1]
+    return in_chunks(chunk, start, number, chosen.total)
 
 
 class _Found(NamedTuple):
@@ -871,19 +866,16 @@ def _listed(
     cells = cells._replace(fits=cells.fits & (found.used <= batch.capacity))
     listed = cells.open & cells.fits & (cells.place >= 0)
 
-    def some(state):
-        first, number, lists = state
+    def some(state, first):
         cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, sizes.pieces)
         piece = jnp.stack([cut(x) for x in found.piece], axis=-1)
         curve, cell = cut(found.curve), cut(found.cell)
         place = first + jnp.arange(sizes.pieces, dtype=jnp.int32)
         cell = jnp.where(listed[cell] & (place < found.used), cell, sizes.cells)
-        more = _inserted(cells.begin, cell, piece, curve, batch.stamp, (number, lists))
-        return first + sizes.pieces, *more
+        return _inserted(cells.begin, cell, piece, curve, batch.stamp, state)
 
     upto = jnp.where(found.used <= batch.capacity, found.used, 0)
-    start = jnp.int32(0), cells.number, lists
-    _, number, lists = jax.lax.while_loop(lambda s: s[0] < upto, some, start)
+    number, lists = in_chunks(some, (cells.number, lists), sizes.pieces, upto)
     return cells._replace(number=number), found, lists
 
 
@@ -962,8 +954,8 @@ def _gone_through(
     whole = (films == 0) & (batch.begin < 0)
     upto = running_sum(jnp.where(whole, part.total, batch.number))
 
-    def chunk(state):
-        slot, (sums, found) = state
+    def chunk(state, slot):
+        sums, found = state
         slots = slot + jnp.arange(part.size, dtype=jnp.int32)
         source = _source(number, part, batch, lists, upto, slots)
         side = _side(source)
@@ -1001,10 +993,9 @@ def _gone_through(
             return sums, found.append(cell, cell < none, pieces, source.code[pieces.curve])
 
         size = batch.W, batch.top, batch.max_H
-        state = fold_pieces(source.m, size, add, (sums, found), batch.bottom, sizes.pieces)
-        return slot + part.size, state
+        return fold_pieces(source.m, size, add, (sums, found), batch.bottom, sizes.pieces)
 
-    return jax.lax.while_loop(lambda s: s[0] < upto[-1], chunk, (jnp.int32(0), state))[1]
+    return in_chunks(chunk, state, part.size, upto[-1])
 
 
 class _Side(NamedTuple):

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from .._numerics.batches import in_chunks
 from .._numerics.one_kernel import one_kernel, put
 from .coverage import Monotone, monotone, rightward, taken
 from .curves import Arcs, Curves, Point, Segments, placed
@@ -71,14 +72,13 @@ def fold_curves(
     begin, end = (jnp.int32(0), part.total) if block is None else block
     end = jnp.minimum(part.total, end)
 
-    def body(state):
-        first, total = state
+    def chunk(total, first):
         ids = first + jnp.arange(size, dtype=jnp.int32)
         curves = jax.lax.stop_gradient(part.curves(jnp.minimum(ids, part.total - 1)))
         weight = jnp.where(ids < part.total, curves.weight, 0)
-        return first + size, add(total, ids, curves._replace(weight=weight))
+        return add(total, ids, curves._replace(weight=weight))
 
-    return jax.lax.while_loop(lambda s: s[0] < end, body, (begin, start))[1]
+    return in_chunks(chunk, start, size, end, begin)
 
 
 # --- lists ---------------------------------------------------------------------------------------
@@ -228,15 +228,14 @@ def _listed(
 ) -> Ordered:
     """Return a list that begins with an id, with the curves up to another."""
 
-    def some(state):
-        first, known = state
+    def some(known, first):
         ids = first + jnp.arange(at_a_time, dtype=jnp.int32)
         curves = curves_of(jnp.minimum(ids, end - 1))
         number = jnp.minimum(end - first, at_a_time)
-        return first + at_a_time, _appended(curves, first - begin, known, number)
+        return _appended(curves, first - begin, known, number)
 
     first = jnp.where(begin >= end, end, begin - begin % at_a_time)
-    return jax.lax.while_loop(lambda s: s[0] < end, some, (first, known))[1]
+    return in_chunks(some, known, at_a_time, end, first)
 
 
 def _listed_in_turn(

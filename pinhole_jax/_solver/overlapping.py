@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from .._numerics.batches import in_chunks
 from .._numerics.one_kernel import on_cpu, put
 from .._silhouette.hidden import all_hidden
 from .._silhouette.sweep import STRAIGHT, Cells, sweep
@@ -236,10 +237,9 @@ def _fold(
     time, from the one number `first` on."""
     slots, total = among
 
-    def body(state):
-        rank, state = state
+    def chunk(state, rank):
         turn = rank + jnp.arange(TOGETHER, dtype=jnp.int32)
         slot = slots[jnp.minimum(turn, len(slots) - 1)]
-        return rank + TOGETHER, add(state, slot, turn < total)
+        return add(state, slot, turn < total)
 
-    return jax.lax.while_loop(lambda s: s[0] < total, body, (jnp.int32(first), start))[1]
+    return in_chunks(chunk, start, TOGETHER, total, jnp.int32(first))
