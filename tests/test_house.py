@@ -47,6 +47,17 @@ LAYOUT = {
 F_STRING_STARTS = getattr(tokenize, "FSTRING_START", None)
 F_STRING_ENDS = getattr(tokenize, "FSTRING_END", None)
 
+CPP = {".h", ".hpp", ".cc", ".cpp"}
+#: Comments, which are no tokens, then C++'s strings, names and numbers, operators.
+CPP_TOKENS = re.compile(
+    r"(?P<comment>//[^\n]*|/\*.*?\*/)|R\"(?P<mark>\w*)\(.*?\)(?P=mark)\"|\"(?:\\.|[^\"\\])*\""
+    r"|'(?:\\.|[^'\\])'|\.?\d(?:[eEpP][+-]|[\w.'])*|\w+|<=>|\.\.\.|->\*?|(?:<<|>>)=?|::|\+\+|--|&&"
+    r"|\|\||##|[-+*/%&|^=!<>]=|\S",
+    re.DOTALL,
+)
+#: Code that is another project's.
+VENDORED = "pinhole_jax/_native/xla/"
+
 #: Modules of JAX that it does not promise to keep.
 PRIVATE_MODULES = ("jax.extend", "jax.interpreters", "jax._src", "jax.experimental.xla_metadata")
 OWN = ("pinhole_jax", "_common", "_peers", "_plain_loop", "_scenes")
@@ -108,14 +119,15 @@ NODE = re.compile(r"`(tests/test_\w+\.py)::(test_\w+)`")
 
 @cache
 def texts() -> Texts:
-    """All Python and Markdown of the project, by path."""
+    """All Python, C++ and Markdown of the project, by path."""
     folders = ("pinhole_jax", "tests", "experiments", "docs")
     paths = [path for name in folders for path in (ROOT / name).rglob("*.*")]
     paths += ROOT.glob("*.md")
+    named = {path.relative_to(ROOT).as_posix(): path for path in sorted(paths)}
     return {
-        path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
-        for path in sorted(paths)
-        if path.suffix in {".py", ".md"}
+        name: path.read_text(encoding="utf-8")
+        for name, path in named.items()
+        if path.suffix in {".py", ".md", *CPP} and not name.startswith(VENDORED)
     }
 
 
@@ -171,12 +183,20 @@ def token_count(text: str) -> int:
     return count
 
 
+def cpp_token_count(text: str) -> int:
+    """The number of C++'s tokens, comments not counted."""
+    return sum(match["comment"] is None for match in CPP_TOKENS.finditer(text))
+
+
 def tokens(files: Texts) -> Figures:
-    """Tokens of each folder."""
+    """Tokens of each folder, those of C++ by themselves."""
     counts = Counter[str]()
-    for path, text in files.items():
-        if path.endswith(".py"):
-            counts[PurePosixPath(path).parent.as_posix()] += token_count(text)
+    for name, text in files.items():
+        path = PurePosixPath(name)
+        if path.suffix == ".py":
+            counts[path.parent.as_posix()] += token_count(text)
+        elif path.suffix in CPP:
+            counts[f"{path.parent}: C++"] += cpp_token_count(text)
     return counts
 
 
@@ -469,6 +489,20 @@ PACKAGE, FIT, TESTS = "pinhole_jax", "pinhole_jax/_fit", "tests"  # with names o
 )
 def test_tokens_leave_out_layout_comments_and_docstrings(text, number):
     assert tokens({f"{FIT}/a.py": text, "a.md": text}) == {FIT: number}
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        ("// Why.\n/* And\nhow. */\n", 0),
+        ("auto x = a->b::c(1.5e-3, 'x') <<= 2; // y", 16),
+        ('x = "a \\" // b" R"(c "d" // )";', 5),
+        ("#include <cmath>\nfor (;; ++i) {\n}\n", 14),
+        ("x = 1'000'000 + .5e+3 && !y <=> z;", 11),
+    ],
+)
+def test_tokens_of_cpp_leave_out_layout_and_comments(text, number):
+    assert tokens({f"{FIT}/a.cc": text}) == {f"{FIT}: C++": number}
 
 
 def test_class_names_that_stand_twice_are_counted():

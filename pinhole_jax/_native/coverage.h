@@ -377,8 +377,8 @@ class Pixel {
 
 // --- the film -------------------------------------------------------------------------------------
 
-// A film drawn from the bottom row up, each row from the left. A sink is told of each pixel that a
-// curve touches (`at` first asks for its number in `Seen`) and of the runs between them.
+// A film drawn from the bottom row up, each row from the left. A sink receives each pixel that a
+// curve touches (`at` first asks for its number in `Seen`) and the runs between them.
 //
 //   void begin(covered);  int64_t at(row, column);
 //   void pixel(row, column, coverage);  void run(row, from, to, covered);

@@ -131,8 +131,8 @@ inline BentSlopes bent_slopes(const Lens& lens, Vec2 p) {
   return s;
 }
 
-// An ideal rectangle (left, right, low, high) about the film, of which each side is seen beyond
-// that side of the film: the first of some ever larger ones.
+// An ideal rectangle (left, right, low, high) around the film: the first of ever larger ones whose
+// sides are all seen beyond the same side of the film.
 inline void ideal_bounds(const Lens& lens, int W, int H, double bounds[4]) {
   const double* f = lens.numbers + coefficients_of(lens.model);
   const double ends[4] = {-f[2] / f[0], (W - f[2]) / f[0], -f[3] / f[1], (H - f[3]) / f[1]};
