@@ -100,20 +100,19 @@ def ratios(mesh: pj.Mesh, px: int, fits: bool) -> dict:
     fit is held against one step of the loop's."""
     import _plain_loop as loop
 
-    scene, up = pj.Scene(mesh=mesh), np.array(UP)
+    scene = pj.Scene(mesh=mesh)
     shape = loop.shape_of(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-    film = loop.film_of(np.array(PARAMETERS), up, px, px)
+    film = loop.film_of(np.array(PARAMETERS), np.array(UP), px, px)
     ours = library(scene, px)
     theirs = {"mask": lambda: loop.mask(shape, film)}
     theirs["jacobian"] = lambda: loop.mask_and_jacobian(shape, film)
     if px > MOST_PX:
         del theirs["jacobian"]
-    if fits:
-        moved = np.add(PARAMETERS, (0, 0, 0, 0.01, 0.01, 0, 0.002))
-        target = loop.mask(shape, loop.film_of(moved, up, px, px))
-        start = seen(jnp.asarray(PARAMETERS, jnp.float32), px)
+    if fits:  # of a shape that its outline tells, with about as many faces
+        solid, there = bumpy(round(np.log(len(mesh.faces) / 20) / np.log(4))), general(px)
+        target, start = mask_of(there, solid), start_from(there, 8, 0.05, np.random.default_rng(0))
         theirs["fit"] = lambda: loop.step(shape, film, target)
-        ours["fit"] = lambda: pj.fit_camera(scene, target, start, FREE).camera
+        ours["fit"] = lambda: pj.fit_camera(solid, target, start, FREE).camera
     off = np.abs(np.asarray(ours["mask"]()) - theirs["mask"]()).max()
     if off > 1e-3:
         raise SystemExit(f"loop and library differ by {off}")

@@ -107,11 +107,11 @@ def speed(asked: Any) -> Iterator[Figure]:
         row = benchmark.ratios(benchmark.sphere(faces), px, fits=True)
         for name in ("mask", "jacobian", "fit"):
             words = f"{name}, {faces:.3g} faces, {px} px"
-            yield Figure(words, row[f"{name} ratio"], "times the loop", share=0.25)
-            yield Figure(f"{words}, time", row[name] / 1e3 / workload(), "workloads", share=0.4)
+            yield Figure(words, row[f"{name} ratio"], "times the loop", share=0.35)
+            yield Figure(f"{words}, time", row[name] / 1e3 / workload(), "workloads", share=0.5)
     camera, scene = benchmark.general(256), benchmark.scan()
     seconds = median_s(lambda: pj.silhouette(camera, scene), time.process_time)
-    yield Figure("mask of a scan, 82k faces, time", seconds / workload(), "workloads", share=0.4)
+    yield Figure("mask of a scan, 82k faces, time", seconds / workload(), "workloads", share=0.5)
 
 
 def first_calls(asked: Any) -> Iterator[Figure]:
