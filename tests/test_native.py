@@ -12,6 +12,7 @@ import pytest
 
 import pinhole_jax as pj
 from pinhole_jax._camera.camera import film_at_once
+from pinhole_jax._files.library import SWITCH
 from pinhole_jax._native import library, rasteriser as native
 from pinhole_jax._silhouette.silhouette import _in_arrays
 
@@ -150,7 +151,7 @@ def test_switch_chooses_arrays():
     )
     said = {}
     for switch in ("0", "1"):
-        environment = {**os.environ, library.SWITCH: switch}
+        environment = {**os.environ, SWITCH: switch}
         run = [sys.executable, "-W", "error", "-c", code]
         done = subprocess.run(run, capture_output=True, text=True, env=environment, check=True)
         said[switch] = done.stdout.split()
@@ -159,7 +160,7 @@ def test_switch_chooses_arrays():
 
 
 def test_missing_library_is_a_warning(monkeypatch):
-    monkeypatch.setattr(library, "NAMES", ())
+    monkeypatch.setattr(library, "library_path", lambda: None)
     library.is_available.cache_clear()
     try:
         with pytest.warns(RuntimeWarning, match="without its compiled library"):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from .. import __version__
+from .._files.library import is_switched_off, library_path
 from ..names import DISTORTIONS, FREE, STATUSES
 
 #: The models of a lens's distortion, with their coefficients, as a camera file has them.
@@ -269,6 +270,12 @@ MORE: dict[str, dict[str, Any]] = {
 }
 
 
+def _version() -> str:
+    """The version, and what draws silhouettes on a CPU."""
+    native = library_path() is not None and not is_switched_off()
+    return f"pinhole-jax {__version__} ({'compiled library' if native else 'arrays'} on CPUs)"
+
+
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """Return the options of a command line (None: this process's); `command` is which command.
 
@@ -280,7 +287,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"pinhole-jax {__version__}")
+    parser.add_argument("--version", action="version", version=_version())
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, verb in VERBS.items():
         own = commands.add_parser(

@@ -1,26 +1,23 @@
 """The compiled library: found, loaded and registered with JAX once, where it is wanted and runs."""
 
 import ctypes
-import os
 import warnings
 from functools import cache
-from pathlib import Path
 
 import jax
+
+from .._files.library import is_switched_off, library_path
 
 #: The library's handlers, by the names that JAX calls them.
 HANDLERS = tuple(
     f"pinhole_{what}{way}" for what in ("image", "touch") for way in ("", "_push", "_pull")
 )
-#: `PINHOLE_JAX_NATIVE=0` chooses the array form in its place.
-SWITCH = "PINHOLE_JAX_NATIVE"
-NAMES = ("libpinhole.so", "libpinhole.dylib", "pinhole.dll")
 
 
 @cache
 def is_available() -> bool:
     """Whether the library runs here; a warning says once why it does not."""
-    if os.environ.get(SWITCH) == "0":
+    if is_switched_off():
         return False
     why = _registered()
     if why:
@@ -36,8 +33,7 @@ def is_available() -> bool:
 
 def _registered() -> str:
     """Why the library cannot be used, or an empty string once it is registered."""
-    folder = Path(__file__).parent
-    path = next((folder / name for name in NAMES if (folder / name).exists()), None)
+    path = library_path()
     if path is None:
         return "it was not built"
     try:

@@ -103,7 +103,9 @@ def _view(film: FilmMap, scene: Scene, size: Any) -> tuple[int, Variables, Const
         frames, centers, radii = sphere_frames(film, spheres), spheres.centers, spheres.radii
     numbers = [film.eye, film.view, film.matrix.reshape(-1), film.base]
     variables = Variables(jnp.concatenate(numbers), lens, vertices, frames)
-    constants = Constants(trusted, faces, ends, beside, centers, radii, jnp.asarray(size, jnp.int32))
+    constants = Constants(
+        trusted, faces, ends, beside, centers, radii, jnp.asarray(size, jnp.int32)
+    )
     return model, variables, jax.lax.stop_gradient(constants)
 
 

@@ -96,9 +96,8 @@ def silhouette(
     hostile views the worst pixel erred by 0.7 times `tolerance`, and 1.1 times at 1/2.) Of the
     derivative, what is visible of each piece of contour errs by the distance of two stops for each
     stretch: where all moves by a pixel, by 1.5 times `tolerance` in the worst pixel of a scan, and
-    0.3 times in the mean. On a CPU a mask of a scan takes three quarters of the time with 1/16, as
-    long with 1/64, a smooth one what it did; below 5e-3 to be exact takes no longer anywhere, and
-    is what is done.
+    0.3 times in the mean. The compiled library, which draws on CPUs, is exact whatever the
+    `tolerance`; without it, below 5e-3 to be exact takes no longer, and is what is done.
 
     ```python
     mask = pj.silhouette(camera, scene)  # (H, W), in [0, 1]

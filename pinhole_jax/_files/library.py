@@ -1,0 +1,19 @@
+"""Where the compiled library is, and whether it is wanted: asked before JAX is loaded."""
+
+import os
+from pathlib import Path
+
+#: `PINHOLE_JAX_NATIVE=0` chooses JAX's own arrays in its place.
+SWITCH = "PINHOLE_JAX_NATIVE"
+NAMES = ("libpinhole.so", "libpinhole.dylib", "pinhole.dll")
+
+
+def is_switched_off() -> bool:
+    """Whether the environment chooses arrays."""
+    return os.environ.get(SWITCH) == "0"
+
+
+def library_path() -> Path | None:
+    """The library, None where it was not built."""
+    folder = Path(__file__).parents[1] / "_native"
+    return next((folder / name for name in NAMES if (folder / name).exists()), None)
