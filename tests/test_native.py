@@ -12,7 +12,7 @@ import pytest
 
 import pinhole_jax as pj
 from pinhole_jax._camera.camera import film_at_once
-from pinhole_jax._files.library import SWITCH
+from pinhole_jax._files.native_library import SWITCH
 from pinhole_jax._native import library, rasteriser as native
 from pinhole_jax._silhouette.silhouette import _in_arrays
 

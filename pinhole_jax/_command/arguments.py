@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from .. import __version__
-from .._files.library import is_switched_off, library_path
+from .._files.native_library import is_switched_off, library_path
 from ..names import DISTORTIONS, FREE, STATUSES
 
 #: The models of a lens's distortion, with their coefficients, as a camera file has them.

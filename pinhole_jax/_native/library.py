@@ -6,7 +6,7 @@ from functools import cache
 
 import jax
 
-from .._files.library import is_switched_off, library_path
+from .._files.native_library import is_switched_off, library_path
 
 #: The library's handlers, by the names that JAX calls them.
 HANDLERS = tuple(
