@@ -5,6 +5,10 @@ from pathlib import Path
 
 #: `PINHOLE_JAX_NATIVE=0` chooses JAX's own arrays in its place.
 SWITCH = "PINHOLE_JAX_NATIVE"
+#: The library's handlers, by the names that JAX calls them.
+HANDLERS = tuple(
+    f"pinhole_{call}{way}" for call in ("image", "touch") for way in ("", "_push", "_pull")
+)
 NAMES = ("libpinhole.so", "libpinhole.dylib", "pinhole.dll")
 
 

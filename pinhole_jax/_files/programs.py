@@ -23,6 +23,7 @@ import numpy as np
 from jax import export
 
 from .._numerics.jitted import options
+from .native_library import HANDLERS, is_switched_off, library_path
 from .paths import read_bytes, replace_file
 
 #: What a traced program depends on beside its own code: other people's code, and JAX's switches.
@@ -154,7 +155,9 @@ def _path(where: str, arguments: tuple[Any, ...]) -> Path | None:
     described = tuple(map(_described, leaves))
     with suppress(PackageNotFoundError):
         versions = tuple(map(version, PACKAGES))
-        text = repr((where, str(tree), names, described, _settings(SWITCHES), versions, _code))
+        library = library_path() is not None and not is_switched_off()
+        facts = (names, described, _settings(SWITCHES), versions, _code, library)
+        text = repr((where, str(tree), *facts))
         if " at 0x" not in text:  # an address is another one in the next process
             return _folder / f"{hashlib.sha256(text.encode()).hexdigest()}.stablehlo"
     return None
@@ -192,7 +195,10 @@ def _traced(where: str, arguments: tuple[Any, ...], structure: Any) -> Any:
         return result
 
     with suppress(NotImplementedError, ValueError):
-        return export.export(jax.jit(flat))(*filter(_is_array, leaves))
+        # (What the library promises from one process to the next is in the file's name.)
+        ours = [export.DisabledSafetyCheck.custom_call(name) for name in HANDLERS]
+        program = export.export(jax.jit(flat), disabled_checks=ours)
+        return program(*filter(_is_array, leaves))
     return None
 
 

@@ -6,12 +6,7 @@ from functools import cache
 
 import jax
 
-from .._files.native_library import is_switched_off, library_path
-
-#: The library's handlers, by the names that JAX calls them.
-HANDLERS = tuple(
-    f"pinhole_{what}{way}" for what in ("image", "touch") for way in ("", "_push", "_pull")
-)
+from .._files.native_library import HANDLERS, is_switched_off, library_path
 
 
 @cache

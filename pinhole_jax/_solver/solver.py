@@ -13,6 +13,7 @@ from .._files import programs
 from .._mask.edges import Weights
 from .._mask.pyramid import LEAST_CELLS, Level
 from .._mask.target import Window, inside_of, object_window
+from .._native.library import is_available
 from .._numerics.backend import for_this_machine
 from .._numerics.jitted import jitted
 from .._numerics.threads import in_threads, some_at_once
@@ -461,6 +462,7 @@ class Solver:
     def _further(self, camera: Camera, level: Level, px: float, steps: int):
         """Return `descents`'s from a camera: one program, whether it takes steps or only looks."""
         given = self._given(camera, level, px, steps)
+        is_available()  # (a program that is read, not traced, calls the library too)
         with for_this_machine():
             return programs.call(DESCENDED, given, lambda: like_descended(camera, level))
 
