@@ -17,6 +17,7 @@ from pinhole_jax._mask.mask import Mask
 from pinhole_jax._solver.moves import canonical
 from pinhole_jax._solver.solver import Solver
 from pinhole_jax._solver.stretches import coverage_of, outline_pixels, smoothed_about
+from pinhole_jax.show.outline import RED
 
 pytestmark = pytest.mark.optimised
 
@@ -147,10 +148,10 @@ def test_visible_edge_is_enough_from_a_start(scene):
     plain = pj.fit_camera(scene, seen, start, outlier_px=None)
     assert degrees(plain, truth) > 20
     assert plain.unbelieved is None
-    red = np.all(plot.overlay(seen * np.uint8(255), fit.camera, scene) == plot.RED, axis=-1)
+    red = np.all(plot.overlay(seen * np.uint8(255), fit.camera, scene) == RED, axis=-1)
     assert not red.any()
     shown = plot.overlay(seen * np.uint8(255), fit.camera, scene, dots=fit.unbelieved)
-    at = np.argwhere(np.all(shown == plot.RED, axis=-1))
+    at = np.argwhere(np.all(shown == RED, axis=-1))
     assert abs(np.median(at[:, 1]) / (shown.shape[1] / 96) - wall) < 1
     assert "Red: the mask's edge that was not believed" in report.page(fit, scene, seen)
 
