@@ -1,5 +1,6 @@
 """Something stands before the object, and nobody said so."""
 
+import html
 from typing import Any
 
 import numpy as np
@@ -153,7 +154,9 @@ def test_visible_edge_is_enough_from_a_start(scene):
     shown = plot.overlay(seen * np.uint8(255), fit.camera, scene, dots=fit.unbelieved)
     at = np.argwhere(np.all(shown == RED, axis=-1))
     assert abs(np.median(at[:, 1]) / (shown.shape[1] / 96) - wall) < 1
-    assert "Red: the mask's edge that was not believed" in report.page(fit, scene, seen)
+    assert "Red: the mask's edge that was not believed" in html.unescape(
+        report.page(fit, scene, seen)
+    )
 
 
 @pytest.mark.full
