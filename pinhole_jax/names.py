@@ -1,14 +1,14 @@
 """What users may name, and what each word means: plain data, which the help shows without JAX."""
 
 #: The models of a lens's distortion, each with its coefficients in OpenCV's order.
-DISTORTIONS = {
+DISTORTIONS: dict[str, tuple[str, ...]] = {
     "BrownConrady": ("k1", "k2", "p1", "p2", "k3"),
     "Rational": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "Fisheye": ("k1", "k2", "k3", "k4"),
 }
 
 #: All that `free` may name.
-FREE = (
+FREE: tuple[str, ...] = (
     "pose",
     "position",
     "orientation",

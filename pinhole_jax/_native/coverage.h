@@ -158,15 +158,16 @@ class Pixel {
 
  private:
   static constexpr double kTiny = 2e-15, kTie = 1e-13;
+  static constexpr int kLinesInPart = 3, kMostParts = 32;
 
   struct Line {
-    double u0, v0, u1, v1;
+    double u0, v0, u1, v1, slope;
     int jump;                // going up in v
     const Piece* piece;
     const Frame* frame;
     double growing;          // of an arc: 1 where u grows along it
     double extent = 0, moment = 0;
-    double flux[9] = {};
+    int arc = -1;            // its place in `fluxes_`
   };
   struct Step {
     double u;
@@ -174,7 +175,11 @@ class Pixel {
   };
   struct Met {
     double v;
-    int line;
+    int line, jump;
+  };
+  struct Here {  // a line in a part of the sweep
+    double u0, u1, v0, slope;
+    int line, jump;
   };
 
   const Piece& piece(int k) const { return all_.pieces[some_[k]]; }
@@ -213,12 +218,14 @@ class Pixel {
   }
 
   void lines_of(bool upward) {
-    lines_.clear(), steps_.clear();
+    lines_.clear(), steps_.clear(), fluxes_.clear();
+    has_arcs_ = false;
     for (int k = 0; k < n_; ++k) {
       const Piece& p = piece(k);
       const Monotone& m = curve(p);
       Line l;
       l.piece = &p, l.frame = m.frame;
+      has_arcs_ = has_arcs_ || m.frame;
       if (upward) {
         l.u0 = p.y0, l.v0 = p.x0, l.u1 = p.y1, l.v1 = p.x1, l.jump = p.jump, l.growing = m.rising;
         if (p.left) steps_.push_back({p.left_y(), p.left});
@@ -233,17 +240,17 @@ class Pixel {
           steps_.push_back({l.u1, l.jump});
         }
       }
+      l.slope = ratio(l.v1 - l.v0, l.u1 - l.u0);
+      if (l.frame && seen_) l.arc = int(fluxes_.size()), fluxes_.push_back({});
       lines_.push_back(l);
     }
   }
 
-  double slope(const Line& l) const { return ratio(l.v1 - l.v0, l.u1 - l.u0); }
-
-  void add_crossing(const Line& a, const Line& b, bool upward) {
-    const double low = std::max(a.u0, b.u0), high = std::min(a.u1, b.u1);
+  void add_crossing(const Line& a, const Line& b, bool upward, double from, double to) {
+    const double low = std::max({a.u0, b.u0, from}), high = std::min({a.u1, b.u1, to});
     if (!(low < high)) return;
     if (a.frame || b.frame) return add_arc_crossing(a, b, low, high, upward);
-    const double sa = slope(a), sb = slope(b);
+    const double sa = a.slope, sb = b.slope;
     const auto gap = [&](double u) { return a.v0 + (u - a.u0) * sa - (b.v0 + (u - b.u0) * sb); };
     const double before = gap(low), after = gap(high);
     if ((before < 0) == (after < 0)) return;
@@ -287,47 +294,67 @@ class Pixel {
       const Vec2 p = film_point(l.frame->at(unit_at(l, upward, u)));
       return clamp_between(upward ? p.x - column_ : p.y - row_, l.v0, l.v1);
     }
-    const double t = std::clamp(ratio(u - l.u0, l.u1 - l.u0), 0.0, 1.0);
-    return l.v0 + t * (l.v1 - l.v0);
+    return clamp_between(l.v0 + (u - l.u0) * l.slope, l.v0, l.v1);
   }
 
-  // The covered area under a line that moves right (or `upward`: then only what is seen counts).
+  // The covered area under a line that moves right (or `upward`: then only what is seen counts). Of
+  // many pieces most are hidden in most places: stretches that they cannot uncover are passed over.
   double sweep(bool upward) {
     lines_of(upward);
-    const int n = int(lines_.size());
-    halts_.assign({0.0, 1.0});
-    for (const Line& l : lines_) halts_.push_back(l.u0), halts_.push_back(l.u1);
-    for (int i = 0; i < n; ++i)
-      for (int j = i + 1; j < n; ++j) add_crossing(lines_[i], lines_[j], upward);
+    const int parts = std::clamp(int(lines_.size()) / kLinesInPart, 1, kMostParts);
+    double area = 0;
+    for (int k = 0; k < parts; ++k) area += sweep_part(upward, double(k) / parts, double(k + 1) / parts);
+    if (seen_) collect(upward);
+    return area;
+  }
+
+  double sweep_part(bool upward, double from, double to) {
+    int least = 0;
+    first_ = corner_;
+    here_.clear(), steps_here_.clear();
+    for (const Step& s : steps_) {
+      if (s.u < from) first_ += s.layers;
+      else if (s.u < to) least += std::min(s.layers, 0), steps_here_.push_back(s);
+    }
+    for (int k = 0; k < int(lines_.size()); ++k) {
+      const Line& l = lines_[k];
+      if (!(l.u0 < to && l.u1 > from)) continue;
+      here_.push_back({l.u0, l.u1, l.v0, l.slope, k, l.jump});
+      least += std::min(l.jump, 0);
+    }
+    if (first_ + least > 0) return to - from;
+    halts_.assign({from, to});
+    for (size_t i = 0; i < here_.size(); ++i) {
+      const Line& l = lines_[here_[i].line];
+      halts_.push_back(std::clamp(l.u0, from, to)), halts_.push_back(std::clamp(l.u1, from, to));
+      for (size_t j = i + 1; j < here_.size(); ++j) add_crossing(l, lines_[here_[j].line], upward, from, to);
+    }
     std::sort(halts_.begin(), halts_.end());
     double area = 0;
-    for (size_t k = 0; k + 1 < halts_.size(); ++k) {
-      const double from = std::clamp(halts_[k], 0.0, 1.0), to = std::clamp(halts_[k + 1], 0.0, 1.0);
-      if (to > from) area += strip(upward, from, to);
-    }
-    if (seen_) collect(upward);
+    for (size_t k = 0; k + 1 < halts_.size(); ++k)
+      if (halts_[k + 1] > halts_[k]) area += strip(upward, halts_[k], halts_[k + 1]);
     return area;
   }
 
   double strip(bool upward, double from, double to) {
     const double middle = (from + to) / 2, width = to - from;
     met_.clear();
-    for (int k = 0; k < int(lines_.size()); ++k) {
-      const Line& l = lines_[k];
+    for (const Here& l : here_) {
       if (!(l.u0 <= middle && middle < l.u1)) continue;
-      const Met here{height_at(l, upward, middle), k};
+      const double v = has_arcs_ ? height_at(lines_[l.line], upward, middle) : l.v0 + (middle - l.u0) * l.slope;
+      const Met here{v, l.line, l.jump};
       size_t at = met_.size();
       met_.push_back(here);
       for (; at > 0 && met_[at - 1].v > here.v; --at) met_[at] = met_[at - 1];
       met_[at] = here;
     }
-    int layers = corner_;
-    for (const Step& s : steps_) layers += s.u < middle ? s.layers : 0;
+    int layers = first_;
+    for (const Step& s : steps_here_) layers += s.u < middle ? s.layers : 0;
     double under = 0;
     for (const Met& m : met_) {
-      Line& l = lines_[m.line];
-      const bool below = layers > 0, above = (layers += l.jump) > 0;
+      const bool below = layers > 0, above = (layers += m.jump) > 0;
       if (below == above) continue;
+      Line& l = lines_[m.line];
       const int change = above ? 1 : -1;
       under += change * (l.frame && !upward ? area_under(l, from, to) : m.v * width);
       if (!seen_) continue;
@@ -348,15 +375,15 @@ class Pixel {
     if (needs_upward(*l.piece) != upward) return;
     Vec2 w0 = unit_at(l, upward, from), w1 = unit_at(l, upward, to);
     if (l.growing < 0) std::swap(w0, w1);
-    arc_flux(*l.frame, w0, w1, 1, l.flux);
+    arc_flux(*l.frame, w0, w1, 1, fluxes_[l.arc].flux);
   }
 
   void collect(bool upward) {
     for (const Line& l : lines_) {
       if (needs_upward(*l.piece) != upward || (l.extent == 0 && l.moment == 0)) continue;
       if (l.frame) {
-        VisibleArc v{l.piece->curve, index_, {}};
-        std::copy(l.flux, l.flux + 9, v.flux);
+        VisibleArc v = fluxes_[l.arc];
+        v.curve = l.piece->curve, v.pixel = index_;
         seen_->arcs.push_back(v);
       } else {
         seen_->straight.push_back({l.piece->curve, index_, l.extent, l.moment});
@@ -370,8 +397,13 @@ class Pixel {
   int64_t index_ = 0;
   const int32_t* some_ = nullptr;
   std::vector<Line> lines_;
+  std::vector<VisibleArc> fluxes_;
   std::vector<Step> steps_;
   std::vector<double> halts_;
+  std::vector<Here> here_;
+  std::vector<Step> steps_here_;
+  int first_ = 0;
+  bool has_arcs_ = false;
   std::vector<Met> met_;
 };
 
@@ -413,25 +445,26 @@ void draw(const Outline& outline, int W, int H, Sink& sink, Seen* seen) {
   }
   sink.begin(outline.base > 0);
   Pixel pixel(all, seen);
-  std::vector<int32_t> in_row;
+  std::vector<uint64_t> in_row;  // column, then the piece's number
+  std::vector<int32_t> in_pixel;
   for (int row = 0; row < H; ++row) {
     int corner = outline.base + all.beside[row], from = 0;
     in_row.clear();
-    for (int32_t k = first_of[row]; k >= 0; k = all.pieces[k].next) in_row.push_back(k);
-    const auto column_of = [&](int32_t k) { return all.pieces[k].column; };
-    std::stable_sort(in_row.begin(), in_row.end(),
-                     [&](int32_t a, int32_t b) { return column_of(a) < column_of(b); });
+    for (int32_t k = first_of[row]; k >= 0; k = all.pieces[k].next)
+      in_row.push_back(uint64_t(all.pieces[k].column) << 32 | uint32_t(k));
+    std::sort(in_row.begin(), in_row.end());
     for (size_t k = 0; k < in_row.size();) {
-      const size_t first = k;
-      const int column = column_of(in_row[k]);
+      const int column = int(in_row[k] >> 32);
       if (from < column) sink.run(row, from, column, corner > 0);
       int gained = 0;
-      for (; k < in_row.size() && column_of(in_row[k]) == column; ++k) {
-        const Piece& p = all.pieces[in_row[k]];
+      in_pixel.clear();
+      for (; k < in_row.size() && int(in_row[k] >> 32) == column; ++k) {
+        in_pixel.push_back(int32_t(in_row[k]));
+        const Piece& p = all.pieces[in_pixel.back()];
         gained += p.bottom ? p.jump : 0;
       }
       const int64_t index = sink.at(row, column);
-      sink.pixel(row, column, pixel.coverage(row, column, index, corner, in_row.data() + first, int(k - first)));
+      sink.pixel(row, column, pixel.coverage(row, column, index, corner, in_pixel.data(), int(in_pixel.size())));
       corner += gained, from = column + 1;
     }
     if (from < W) sink.run(row, from, W, corner > 0);

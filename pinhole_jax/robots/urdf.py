@@ -10,13 +10,13 @@ from collections.abc import Collection
 from typing import Any
 
 #: The shapes, and the attributes that elements must have.
-SHAPES = {
+SHAPES: dict[str, tuple[str, ...]] = {
     "box": ("size",),
     "cylinder": ("radius", "length"),
     "mesh": ("filename",),
     "sphere": ("radius",),
 }
-NEEDED = {
+NEEDED: dict[str, tuple[str, ...]] = {
     **SHAPES,
     "link": ("name",),
     "joint": ("name", "type"),
