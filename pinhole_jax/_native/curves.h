@@ -92,12 +92,12 @@ inline Vec2 unit_of(const Frame& f, Vec2 p) {
 }
 
 // Gauss-Legendre on [-1/2, 1/2], the positive half: 8 nodes are exact to 1e-14 over a quarter turn,
-// 4 over a quarter of a radian.
+// 4 over a tenth of a radian.
 inline constexpr double kNode8[4] = {0.09171732124782489, 0.2627662049581645, 0.39833323870681336, 0.4801449282487681};
 inline constexpr double kWeight8[4] = {0.18134189168918083, 0.15685332293894344, 0.11119051722668721, 0.05061426814518853};
 inline constexpr double kNode4[2] = {0.16999052179242813, 0.4305681557970263};
 inline constexpr double kWeight4[2] = {0.3260725774312732, 0.17392742256872679};
-constexpr double kShortTurn = 0.25;
+constexpr double kShortTurn = 0.1;
 
 // Calls visit(w, film point, its derivative by the angle, depth, weight) along the arc, whichever
 // way is shorter.

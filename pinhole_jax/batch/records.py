@@ -34,7 +34,12 @@ FIELDS = {
 #: Fields that name files.
 PATHS = ("mesh", "mask", "camera", "weight", "photo")
 #: The values of fields that a record does not have.
-DEFAULTS: dict[str, Any] = {"free": "pose", "pixel_centres": "integer", "invert": False, "tidy": False}
+DEFAULTS: dict[str, Any] = {
+    "free": "pose",
+    "pixel_centres": "integer",
+    "invert": False,
+    "tidy": False,
+}
 
 
 def check_record(record: Any) -> dict[str, Any]:
