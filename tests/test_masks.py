@@ -155,6 +155,57 @@ def test_picture_that_is_transparent_everywhere_is_refused(tmp_path):
     assert not np.any(io.load_mask(tmp_path / "mask.png"))
 
 
+def fading(softness):
+    """Return a red and blue disc, and one of a smooth texture, that fade over some pixels."""
+    y, x = np.mgrid[:H, :W]
+    left = x < 50
+    two = 255 * np.dstack([left, 0 * left, ~left])
+    smooth = 150 + 60 * np.dstack([np.sin(x / 9), np.cos(y / 7), np.sin((x + y) / 8)])
+    share = disc(softness)[..., None]
+    return {
+        "two hues": (two, share),
+        "smooth": (smooth, share),
+        "noise": (TEXTURE, share),
+        "grey": (np.dstack([TEXTURE[..., 0]] * 3) // 2 + 100, share),
+    }
+
+
+@pytest.mark.parametrize("kind", ["two hues", "smooth", "noise", "grey"])
+@pytest.mark.parametrize("softness", [1, 2, 3])
+@pytest.mark.parametrize("back", [0, 255])
+def test_many_colours_that_fade_to_the_background_are_refused(tmp_path, kind, softness, back):
+    if back and kind in ("noise", "grey"):
+        pytest.skip("about as light as their background")
+    colours, share = fading(softness)[kind]
+    mixed = np.uint8(np.round(colours * share + back * (1 - share)))
+    channels(mixed, np.uint8(255 * (share > 0))).save(tmp_path / "mask.png")
+    with pytest.raises(ValueError, match=r"a soft edge, too.* alpha .*--mask-from luminance\)"):
+        io.load_mask(tmp_path / "mask.png")
+
+
+def cut_outs():
+    """Yield pictures whose transparency alone is the mask, and how they are called."""
+    y, x = np.mgrid[:H, :W]
+    radius = np.hypot(x - 50.3, y - 41.7)
+    lit = np.sqrt(np.clip(1 - (radius / 28.5) ** 2, 0, 1))[..., None]
+    (smooth, share), half = fading(1)["smooth"], disc() > 0.5
+    yield "noise", TEXTURE, HARD > 0
+    yield "noise on black", TEXTURE * (HARD > 0)[..., None], HARD > 0
+    yield "lit from the camera", smooth * lit, HARD > 0
+    yield "lit, with ambient light", smooth * (0.2 + 0.8 * lit), HARD > 0
+    yield "dark rim", smooth * (radius < 26)[..., None], HARD > 0
+    yield "photo cut in the middle of its edge", smooth * share, half
+    yield "photo on green", smooth * share + np.array([40, 120, 40]) * (1 - share), half
+
+
+@pytest.mark.parametrize(
+    ("colours", "opaque"), [pytest.param(c, o, id=k) for k, c, o in cut_outs()]
+)
+def test_object_cut_out_hard_is_its_transparency(tmp_path, colours, opaque):
+    channels(np.uint8(colours), np.uint8(255 * opaque)).save(tmp_path / "mask.png")
+    np.testing.assert_array_equal(io.load_mask(tmp_path / "mask.png"), 255 * opaque)
+
+
 # --- labels ---------------------------------------------------------------------------------------
 
 
@@ -227,6 +278,108 @@ def test_sixty_instances_of_one_class_are_refused(tmp_path):
     Image.fromarray(numbers).save(tmp_path / "mask.png")
     with pytest.raises(ValueError, match=r"0, 26001, 26002, .*, \.\.\.; "):
         io.load_mask(tmp_path / "mask.png")
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "listed"),
+    [
+        ((255, 0, 0), (0, 255, 0), "#00ff00, #ff0000"),
+        ((255, 255, 255), (254, 254, 254), "#fefefe, #ffffff"),
+    ],
+)
+def test_opaque_instances_on_transparency_are_refused(tmp_path, first, second, listed):
+    labels = labelled(1, 2, np.uint8)
+    colours = np.array([(0, 0, 0), first, second], np.uint8)[labels]
+    channels(colours, 255 * np.uint8(labels > 0)).save(tmp_path / "rgba.png")
+    Image.fromarray(colours).save(tmp_path / "rgb.png", transparency=(0, 0, 0))
+    for name in ("rgba", "rgb") if first[1] == 0 else ("rgba",):
+        with pytest.raises(ValueError, match=f"flat areas of the colours {listed}; .* alpha"):
+            io.load_mask(tmp_path / f"{name}.png")
+    assert np.all(io.load_mask(tmp_path / "rgba.png", "alpha") == 255 * (labels > 0))
+
+
+@pytest.mark.parametrize("values", [(254, 255, 255), (0, 1, 2), (0, 100, 200), (1, 2, 2)])
+@pytest.mark.parametrize("colour", [0, 200])
+def test_labels_in_the_transparency_are_refused(tmp_path, values, colour):
+    opaque = np.array(values, np.uint8)[labelled(1, 2, np.uint8)]
+    channels(np.full_like(opaque, colour), opaque).save(tmp_path / "mask.png")
+    listed = ", ".join(map(str, sorted({*values})))
+    with pytest.raises(ValueError, match=rf"transparency \(alpha\) of the values {listed};"):
+        io.load_mask(tmp_path / "mask.png")
+
+
+@pytest.mark.parametrize("values", [(0, 1), (0, 128), (1, 255), (0, 254)])
+def test_transparency_of_two_values_is_a_mask(tmp_path, values):
+    inside = disc() > 0.5
+    channels(WHITE, np.where(inside, values[1], values[0]).astype(np.uint8)).save(
+        tmp_path / "mask.png"
+    )
+    said = []
+    mask = io.load_mask(tmp_path / "mask.png", say=said.append)
+    np.testing.assert_array_equal(mask, 255 * inside)
+    assert said == [f"mask: the transparency (alpha), its values {values[0]} to {values[1]}"]
+    channels(WHITE, SOFT // 2).save(tmp_path / "mask.png")
+    assert np.max(np.abs(io.load_mask(tmp_path / "mask.png") / 255 - SOFT / 255)) < 0.01
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("amid", ["frame", "all"])
+@pytest.mark.parametrize("label", [1, 7])
+def test_label_amid_void_is_advised(tmp_path, dtype, amid, label):
+    inside = disc() > 0.5
+    labels = np.full((H, W), np.iinfo(dtype).max, dtype)
+    if amid == "frame":
+        labels[1:-1, 1:-1] = 0
+    labels[inside] = label
+    Image.fromarray(labels).save(tmp_path / "mask.png")
+    with pytest.raises(ValueError, match=f"often void; .*label={label} ") as caught:
+        io.load_mask(tmp_path / "mask.png")
+    assert "invert" not in str(caught.value)
+    mask = io.load_mask(tmp_path / "mask.png", f"label={label}")
+    np.testing.assert_array_equal(mask, 255 * inside)
+
+
+def test_frame_of_one_pixel_is_to_be_cropped(tmp_path):
+    framed = np.full((H, W), 255, np.uint8)
+    framed[1:-1, 1:-1] = np.asarray(SOFT)[1:-1, 1:-1]
+    Image.fromarray(framed).save(tmp_path / "mask.png")
+    with pytest.raises(ValueError, match="a frame of one pixel: crop it"):
+        io.load_mask(tmp_path / "mask.png")
+
+
+def test_background_that_is_not_black_is_taken_out_or_told(tmp_path):
+    inside = disc() > 0.5
+    Image.fromarray(np.where(inside, np.uint8(255), np.uint8(25))).save(tmp_path / "mask.png")
+    said = []
+    mask = io.load_mask(tmp_path / "mask.png", say=said.append)
+    np.testing.assert_array_equal(mask, 255 * inside)
+    soft = np.uint8(np.round(25 + 230 * disc()))
+    Image.fromarray(soft).save(tmp_path / "mask.png")
+    np.testing.assert_array_equal(io.load_mask(tmp_path / "mask.png", say=said.append), soft)
+    assert "25 and 255" in said[0]
+    assert "25 of 255" in said[1]
+
+
+def test_run_lengths_of_several_masks_are_not_called_polygons():
+    from pycocotools import mask as coco
+
+    stack = np.asfortranarray(np.dstack([disc() > 0.5] * 3).astype(np.uint8))
+    encoded: Any = coco.encode(stack)
+    polygon = [1.0, 1.0, 6.0, 1.0, 6.0, 4.0]
+    for rle, words in (
+        (encoded, "a list of 3 masks: give one of them"),
+        (encoded[:1], "a list of 1 mask: give one of them"),
+        ([], "no mask"),
+        (np.zeros(0), "no mask"),
+        (np.array(3.0), "got array"),
+        (np.array(polygon), "polygons; .*frPyObjects"),
+        (np.array(polygon).reshape(3, 2), "polygons; .*frPyObjects"),
+        ([np.array(polygon)], "polygons; .*frPyObjects"),
+        (polygon, "polygons; .*frPyObjects"),
+        (stack[..., 0], "a mask already"),
+    ):
+        with pytest.raises(ValueError, match=f"`rle`: .*{words}"):
+            io.mask_of_rle(rle)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("quality", [10, 40, 75, 95, 100])

@@ -23,6 +23,10 @@ WAYS = "alpha, luminance, label=N, background=COLOR (or COLOR,TOLERANCE)"
 #: How a mask was read that is a picture's transparency, or that and its colours.
 ALPHA = "mask: the transparency (alpha)"
 BOTH = "mask: the colours where they are not transparent"
+#: How a mask was read whose background is not black: by more than this (of 255).
+HAZE, MOST_HAZE = "mask: its brightness", 16
+#: This share of the pixels may have another colour where colours are labels.
+FEW_OTHERS = 0.01
 #: What data sets write for pixels that nobody labelled.
 VOID = (255, 65535)
 #: Soft edges of a background mask reach this far (px) to both sides.
@@ -46,9 +50,10 @@ def load_mask(
 
     - None: transparency if it varies, else a grey picture that is mostly black and white, soft
       edges as they are (a JPEG's too: its ringing costs a fit less than a threshold would). Where
-      transparency is all or nothing and the colours hold the soft edge, both count. Refused are
-      pictures of more than two flat levels (labels) and those that cover their border, as black on
-      white does: give `invert`, or say how it is.
+      transparency is all or nothing and the colours hold the soft edge, both count; many colours
+      that do are refused. So are pictures of more than two flat levels, or of two colours before
+      what is clear (labels), and those that cover their border, as black on white does: give
+      `invert`, or say how it is. Two values, such as 25 and 255, become 0 and 255.
     - "alpha": the transparency. "luminance": the brightness, whatever it is.
     - "label=N": the pixels with this grey value or palette entry; edges are hard.
     - "background=COLOR": a photo before a background of one colour, by name or as #rrggbb. The
@@ -119,23 +124,46 @@ def read_mask(image: Image, way: Way, invert: bool = False) -> Read:
     if invert:
         return Read(255 - read.mask, f"{read.words or 'mask: its brightness'}, inverted")
     if way.name == "first sight":
-        _check_border(read)
+        _check_border(read, image)
     return read
 
 
-def _check_border(read: Read) -> None:
+def _check_border(read: Read, image: Image) -> None:
     """Raise ValueError for a mask that covers its border, and yet not all of the picture."""
     inside = read.mask > 127
     share = covered_border(inside)
     if share <= MOST_BORDER or np.all(inside):
         return
-    ways = {"": "luminance", BOTH: "luminance", ALPHA: "alpha"}
-    way = ways.get(read.words, "label=1")
+    if label := _label_amid_void(image):
+        raise ValueError(
+            f"a picture that covers {share:.0%} of its border with a value that is often void; give"
+            f" `mask_from` label={label} (--mask-from label={label}) if its object is that"
+        )
+    inner = inside[1:-1, 1:-1]
+    if inner.size and covered_border(inner) <= MOST_BORDER:
+        raise ValueError("a picture with a frame of one pixel: crop it, or make it background")
+    ways = {"": "luminance", HAZE: "luminance", BOTH: "luminance", ALPHA: "alpha"}
+    way = ways.get(read.words.partition(",")[0], "label=1")
     raise ValueError(
         f"a picture that covers {share:.0%} of its border, like a black object on white; give"
         " `invert` (on the command line: --invert), or where it is right"
         f" `mask_from` {way} (--mask-from {way}) and a camera to start from"
     )
+
+
+def _label_amid_void(image: Image) -> int:
+    """Return the one label of a picture whose border is void, as what is not labelled is, or a
+    frame of one pixel; else 0."""
+    if image.mode == "P" or not _has_numbers(image) or min(image.size) < 3:
+        return 0
+    values = _values(image)
+    if len(values) == 3 and values[0] == 0 and values[2] in VOID:
+        W, H = image.size
+        inner = _values(image.crop((1, 1, W - 1, H - 1)))
+        return int(values[1]) if np.array_equal(inner, values[:2]) else 0
+    if len(values) == 2 and values[0] >= 1 and values[1] in VOID:
+        return int(values[0])
+    return 0
 
 
 def _read(image: Image, way: Way) -> Read:
@@ -169,6 +197,16 @@ def _at_first_sight(image: Image) -> Read:
         return Read(255 * grey, "mask: its values 0 and 1")
     if 0 < grey.max() < DARK:
         raise ValueError(f"a picture no lighter than {grey.max()} of 255; {_labels(image)}")
+    return _without_haze(grey)
+
+
+def _without_haze(grey: np.ndarray) -> Read:
+    """Return a grey mask; 0 and 255 for its values where they are two and none is 0."""
+    low, high = int(grey.min()), int(grey.max())
+    if 0 < low < high and all(np.all((x == low) | (x == high)) for x in grey):
+        return Read(np.where(grey == high, np.uint8(255), np.uint8(0)), f"{HAZE}, {low} and {high}")
+    if low > MOST_HAZE:
+        return Read(grey, f"{HAZE}, whose background is at least {low} of 255")
     return Read(grey, "")
 
 
@@ -181,9 +219,73 @@ def _transparent(image: Image) -> Read | None:
             words = "a picture that is transparent everywhere; say what is the object"
             raise ValueError(f"{words}: {WAYS}")
         return None if most else Read(opaque, ALPHA)
+    _check_opacity(image)
     _check_labels(image, _labels_that_show(image))
+    words = ALPHA
+    if most < 255 or opaque.min() > 0:
+        words = f"{ALPHA}, its values {opaque.min()} to {most}"
+        opaque = _stretched(opaque)
     mask = seen_through(image, opaque)
-    return Read(opaque, ALPHA) if mask is None else Read(mask, BOTH)
+    if mask is not None:
+        return Read(mask, BOTH)
+    _check_colours(image)
+    return Read(opaque, words)
+
+
+def _check_opacity(image: Image) -> None:
+    """Raise ValueError where the transparency holds labels."""
+    if len(labels := labels_in(image, opaque_pixels)):
+        raise ValueError(
+            "a label picture, it seems, with flat areas of the transparency (alpha) of the values"
+            f" {_listed(labels)}; save it as grey to pick one, or give one of {WAYS}"
+        )
+
+
+def _stretched(opaque: np.ndarray) -> np.ndarray:
+    """Return an opacity whose largest value is not 255, or whose two values are not 0 and 255, so
+    that they are.
+
+    Raises ValueError where it is hardly there.
+    """
+    low, most = int(opaque.min()), int(opaque.max())
+    if all(np.all((x == low) | (x == most)) for x in opaque):
+        return np.where(opaque == most, np.uint8(255), np.uint8(0))
+    if most < DARK:
+        raise ValueError(f"transparency (alpha) of at most {most} of 255; labels? {WAYS}")
+    result = np.empty_like(opaque)
+    for part in rows(*opaque.shape):
+        result[part] = np.round(opaque[part] * (255 / most))
+    return result
+
+
+def _check_colours(image: Image) -> None:
+    """Raise ValueError for a picture of two or more flat colours and no others: each may be an
+    object."""
+    if _has_numbers(image):
+        return
+    labels = labels_in(image, _numbered)
+    labels = labels[labels >= 0]
+    if len(labels) < 2:
+        return
+    seen = others = 0
+    for _, band in bands(image):
+        numbers = _numbered(band)
+        numbers = numbers[numbers >= 0]
+        seen += numbers.size
+        others += np.count_nonzero(~np.isin(numbers, labels))
+    if others <= FEW_OTHERS * seen:
+        names = ", ".join(f"#{int(x):06x}" for x in labels[:12]) + ", ..." * (len(labels) > 12)
+        raise ValueError(
+            f"a label picture, it seems, with flat areas of the colours {names}; give `mask_from`"
+            " alpha (--mask-from alpha) if all of them are the object, or save one as the mask"
+        )
+
+
+def _numbered(band: Image) -> np.ndarray:
+    """Return a number for the colour of each pixel, -1 where it is transparent."""
+    rgba = np.asarray(band.convert("RGBA")).astype(np.int32)
+    red, green, blue, opaque = np.moveaxis(rgba, -1, 0)
+    return np.where(opaque == 0, -1, (red << 16) + (green << 8) + blue)
 
 
 def _varies(image: Image) -> bool:

@@ -24,13 +24,8 @@ def mask_of_rle(rle: Input[Mapping[str, object], "size, counts"]) -> UInt8[np.nd
     pj.io.mask_of_rle({"size": [2, 3], "counts": [2, 4]})  # (2, 3): down the columns, 0 first
     ```
     """
-    if isinstance(rle, list | tuple):
-        raise ValueError(
-            "`rle`: expected run lengths with `size` and `counts`, got polygons; pycocotools makes"
-            " run lengths of them: mask.merge(mask.frPyObjects(polygons, H, W))"
-        )
     if not isinstance(rle, Mapping) or not {"size", "counts"} <= rle.keys():
-        raise ValueError(f"`rle`: expected run lengths with `size` and `counts`, got {brief(rle)}")
+        raise ValueError(f"`rle`: expected run lengths with `size` and `counts`, got {_seen(rle)}")
     size = _counts(rle["size"])
     if size is None or len(size) != 2 or not 0 < size[0] * size[1] <= MOST_PIXELS:
         raise ValueError(f"`rle`: expected `size` [H, W], got {brief(rle['size'])}")
@@ -47,6 +42,22 @@ def mask_of_rle(rle: Input[Mapping[str, object], "size, counts"]) -> UInt8[np.nd
         raise ValueError(f"`rle`: expected runs of {H * W} pixels, got {sum(runs)}")
     values = np.arange(len(runs), dtype=np.uint8) % 2 * 255
     return np.ascontiguousarray(np.repeat(values, runs).reshape(W, H).T)
+
+
+def _seen(rle: Any) -> str:
+    """Return the words for what is no run lengths, and what to do with it."""
+    if not isinstance(rle, list | tuple | np.ndarray) or getattr(rle, "ndim", 1) == 0:
+        return brief(rle)
+    if len(rle) == 0:
+        return "nothing in a list: no mask"
+    if isinstance(rle, np.ndarray) and rle.dtype in (bool, np.uint8) and rle.ndim > 1:
+        return f"an array of shape {rle.shape}: a mask already?"
+    if all(isinstance(one, Mapping) for one in rle):
+        return f"a list of {len(rle)} mask{'s' * (len(rle) > 1)}: give one of them, such as rle[0]"
+    if not all(isinstance(one, list | tuple | np.ndarray | int | float | np.number) for one in rle):
+        return brief(rle)
+    words = "polygons; pycocotools makes run lengths of them"
+    return f"{words}: mask.merge(mask.frPyObjects(polygons, H, W)), each a list [x, y, x, y, ...]"
 
 
 def _counts(values: Any) -> list[int] | None:

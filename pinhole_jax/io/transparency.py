@@ -14,6 +14,8 @@ GREY = 8
 EDGE_PX = 3
 #: A share of the pixels that is noise.
 FEW = 0.01
+#: This many pixels of an edge tell how it is.
+MOST_PLACES = 4096
 #: An outline that moves by less than this (px) is the same.
 SAME_PX = 0.02
 
@@ -46,7 +48,9 @@ def seen_through(image: Image, opaque: np.ndarray) -> np.ndarray | None:
     from scipy.ndimage import binary_erosion
 
     shade = _shade(image, opaque)
-    if shade is None or _is_same(opaque, shade):
+    if shade is None:
+        return _cut_out(image, opaque)
+    if _is_same(opaque, shade):
         return None
     deep: Any = binary_erosion(opaque > LIGHT, np.ones((3, 3)), EDGE_PX, border_value=1)
     inner = shade[deep]
@@ -55,7 +59,7 @@ def seen_through(image: Image, opaque: np.ndarray) -> np.ndarray | None:
     mask = np.minimum(opaque, shade)  # one of them is all or nothing
     is_photo = _count_between(mask) > np.count_nonzero(mask > LIGHT)
     if mixed and is_photo:
-        return None
+        return _cut_out(image, opaque)
     is_hard = _count_between(opaque) <= FEW * _count_between(mask)
     if is_hard and not mixed and not is_photo and (not black or _is_key(opaque, shade)):
         return mask
@@ -63,6 +67,80 @@ def seen_through(image: Image, opaque: np.ndarray) -> np.ndarray | None:
         "transparency and colours that say different things; give `mask_from` alpha (--mask-from"
         " alpha) or `mask_from` luminance (--mask-from luminance), whichever is the object"
     )
+
+
+def _cut_out(image: Image, opaque: np.ndarray) -> None:
+    """Raise ValueError for an object of many colours that fade towards a background of one colour
+    where opacity is all or nothing: the soft edge is in the colours."""
+    if _fades(image, opaque):
+        raise ValueError(
+            "transparency that is all or nothing, and colours that hold a soft edge, too: the"
+            " outline of the transparency is too far out; save the soft edge as transparency, or"
+            " give `mask_from` alpha (--mask-from alpha) or `mask_from` luminance (--mask-from"
+            " luminance), whichever is the object"
+        )
+
+
+def _fades(image: Image, opaque: np.ndarray) -> bool:
+    """Return True where colours go over into the background's within a hard edge's last pixels.
+
+    The pixels along the edge are between both, some near each; shading that goes on farther in, as
+    a ball's, is none of it, nor is a dark rim.
+    """
+    seen = opaque > 0
+    edge = seen & ~_shrunk(seen, 1)
+    count = np.count_nonzero(edge)
+    if not count or _count_between(opaque) > FEW * count:
+        return False
+    places = np.argwhere(edge)[:: max(1, count // MOST_PLACES)]
+    found = [_nearest(ring, places) for ring in (*_rings(seen, (4, 6)), *_rings(~seen, (1,)))]
+    known = np.all([there for _, there in found], axis=0)
+    if np.count_nonzero(known) < max(16, len(places) // 2):
+        return False
+    near, deep, outside = (_colours_at(image, where[known]) for where, _ in found)
+    back = np.median(outside, axis=0)
+    if np.mean(np.max(np.abs(outside - back), axis=1) > GREY) > FEW:
+        return False
+    at_edge = _colours_at(image, places[known])
+    at_edge, near, deep = (np.linalg.norm(x - back, axis=1) for x in (at_edge, near, deep))
+    if np.median(near) <= GREY or np.mean(near) < 0.9 * np.mean(deep):
+        return False
+    low, middle, high = np.quantile(at_edge / np.maximum(near, 1), (0.25, 0.5, 0.9))
+    return bool(low < 0.4 and middle < 0.65 and high > 0.2)
+
+
+def _shrunk(inside: np.ndarray, by: int) -> np.ndarray:
+    from scipy.ndimage import binary_erosion
+
+    return np.asarray(binary_erosion(inside, iterations=by, border_value=1))
+
+
+def _rings(inside: np.ndarray, depths: tuple[int, ...]) -> list[np.ndarray]:
+    """Return the pixels that are so far (px) inside."""
+    shrunk = [_shrunk(inside, depth) for depth in depths]
+    return [part & ~_shrunk(part, 1) for part in shrunk]
+
+
+def _nearest(ring: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return for some pixels (n, 2) the nearest one of a ring, and whether there is one nearby."""
+    steps = np.stack(np.meshgrid(*2 * [np.arange(-8, 9)], indexing="ij"), -1).reshape(-1, 2)
+    result, found = places.copy(), np.zeros(len(places), bool)
+    for step in steps[np.argsort(np.sum(steps**2, axis=1), kind="stable")]:
+        there = places + step
+        fits = ~found & np.all((there >= 0) & (there < ring.shape), axis=1)
+        fits[fits] = ring[tuple(there[fits].T)]
+        result[fits] = there[fits]
+        found |= fits
+    return result, found
+
+
+def _colours_at(image: Image, places: np.ndarray) -> np.ndarray:
+    """Return the colours (n, 3) of some pixels (n, 2)."""
+    result = np.zeros((len(places), 3), np.float32)
+    for part, band in bands(image):
+        here = (places[:, 0] >= part.start) & (places[:, 0] < part.stop)
+        result[here] = _colours(band)[tuple((places[here] - (part.start, 0)).T)]
+    return result
 
 
 def _shade(image: Image, opaque: np.ndarray) -> np.ndarray | None:
