@@ -420,6 +420,8 @@ DETECTION = {"scene_id": 1, "image_id": 0, "category_id": 7, "segmentation": Non
         ({"annotations": [DETECTION]}, "`detections`.*got COCO's annotations of its own images"),
         ([{**DETECTION, "scene_id": None}], "`scene_id`.* in number 0, got None"),
         ([DETECTION, {"image_id": 1}], "`scene_id`.* in number 1, got None"),
+        ([{**DETECTION, "scene_id": np.inf}], "`scene_id`.* in number 0, got inf"),
+        ([{**DETECTION, "scene_id": 2}], r"`scene_id` among \[1, 3\].* got \[2\] in .*found.json"),
         ([{**DETECTION, "image_id": "a.png"}], "`image_id`, a number, got 'a.png'"),
         ([{**DETECTION, "category_id": 1.5}], "`category_id`, a number, got 1.5"),
     ],
@@ -450,6 +452,9 @@ def test_scenes_of_other_names_and_objects_without_pose_are_refused(tmp_path):
             list(batch.read_dataset(tmp_path / "test", start=start))
     (scene / "scene_gt.json").write_text('{"0": [{"obj_id": 7}]}')
     assert [r["id"] for r in batch.read_dataset(tmp_path / "test")] == ["test/scene1/0/7/0"]
+    (scene / "scene_camera.json").write_text('{"0": null}')
+    with pytest.raises(ValueError, match=r"`path`.*scene_camera.json', image '0'.*got None"):
+        list(batch.read_dataset(tmp_path / "test"))
 
 
 @pytest.mark.parametrize("ending", [".csv", ".jsonl"])
@@ -471,6 +476,21 @@ def test_table_of_records(folder, records, rows, tmp_path, ending):
     assert [record["id"] for record in data] == [record["id"] for record in records]
     row = batch.fit_one(data[0])
     assert (row["status"], row["R"]) == (rows[0]["status"], rows[0]["R"])
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        (b'{"id": 1}\n\n{"id": \n', r"`path`: .* in line 3 of '.*data.jsonl': Expecting"),
+        (b'{"id": 1}\n\n[1]\n', r"`path`: .* object in line 3 of '.*data.jsonl': got \[1\]"),
+        (b"[" * 99999, r"`path`: .* in line 1 of '.*data.jsonl'"),
+        (b'\xff{"id": 1}', r"`path`: .* of '.*data.jsonl'"),
+    ],
+)
+def test_lines_that_are_no_objects_are_named(tmp_path, lines, words):
+    (tmp_path / "data.jsonl").write_bytes(lines)
+    with pytest.raises(ValueError, match=words):
+        list(batch.read_dataset(tmp_path / "data.jsonl"))
 
 
 def test_folder_of_masks_is_a_dataset(folder, records, tmp_path):

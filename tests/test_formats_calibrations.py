@@ -41,13 +41,22 @@ MODELS = {
         ("fisheye_model: 1", "is_fisheye: true", "fisheye: yes", "camera_model: fisheye",
          "distortion_model: equidistant", "model_type: KANNALA_BRANDT", "model: KannalaBrandt8",
          "camera_model: pinhole\ndistortion_model: equidistant", "distortion_model: equi",
-         'distortion_type: "OPENCV_FISHEYE"', "lens_model: Kannala-Brandt"),
+         'distortion_type: "OPENCV_FISHEYE"', "lens_model: Kannala-Brandt", "lens: fisheye",
+         "type: equidistant", "projection: Equi", "calibration_type: fisheye",
+         "cameraModelType: KANNALA_BRANDT", "camera_model_type: kb4", "dist_model: fisheye",
+         "Camera.type: KannalaBrandt8", "type: opencv\nlens: fisheye"),
         FISHEYE,
     ),
     **dict.fromkeys(
         ("", "fisheye_model: 0", "fisheye: 'off'", "distortion_model: plumb_bob", "model: D435",
          "distortion_model: radtan", "camera_model: radial-tangential", "camera_model: pinhole",
-         "distortion_model: rational_polynomial", "model_type: PINHOLE", "distance: 3"),
+         "distortion_model: rational_polynomial", "model_type: PINHOLE", "distance: 3",
+         "undistorted: true", "undistorted: 1", "distorted: 0", "is_distorted: 1",
+         "distribution: x", "distinct: 3", "D: ~", "D:", "D: null", "fisheye_model: ~",
+         "lens: Kowa 8mm",
+         "type: stereo", "max_dist: 3.5", "k3: 0", "cam_dist: [ 0, 0 ]", "step_1: 3",
+         "RGBD: [ 1, 2 ]",
+         "undistorted_size: [ 3, 4 ]", "board: { width: 3, type: x }", "projection: perspective"),
         BROWN,
     ),
 }  # fmt: skip
@@ -83,6 +92,18 @@ REFUSED = {
     "radial_distortion: [ 1, 2 ]": "`radial_distortion`: expected a lens's coefficients",
     "k1: 0.1": "`k1`: expected a lens's coefficients as `distortion_coefficients: ",
     "D: [ 1, 2, 3, 4 ]": "`distortion_coefficients`: expected one such field, got 'D' too",
+    "cam_dist: [ 1, 2, 3, 4 ]": "`cam_dist`: expected a lens's coefficients",
+    "D1: [ 1, 2, 3, 4 ]": "`D1`: expected a lens's coefficients",
+    "fisheye_D: [ 1, 2, 3, 4 ]": "`fisheye_D`: expected a lens's coefficients",
+    "leftD: { rows: 1, cols: 2, data: [ 1, 2 ] }": "`leftD`: expected a lens's coefficients",
+    "radial: [ 0.1, 0 ]": "`radial`: expected a lens's coefficients",
+    "tangential: [ 0.1, 0 ]": "`tangential`: expected a lens's coefficients",
+    "Camera.k1: 0.1": "`Camera.k1`: expected a lens's coefficients",
+    "Camera: { p2: 0.1 }": "`Camera.p2`: expected a lens's coefficients",
+    "left: { lens: { D: [ 1, 2 ] } }": "`left.lens.D`: expected a lens's coefficients",
+    "xi: 1.2": "`xi`: expected a lens's coefficients",
+    "lens: fisheye by Kowa": "`lens`: expected a model of OpenCV's .*, got 'fisheye by Kowa'",
+    "type: kannala_brandt_9": "`type`: expected a model of OpenCV's",
     "fisheye: 1\nx: 2": None,
 }
 
@@ -139,10 +160,23 @@ CAMCHAIN = """cam0:
   intrinsics: [385.1, 385.1, 320.1, 240.2]
   resolution: [640, 480]
 """
+EUROC = """sensor_type: camera
+camera_model: pinhole
+intrinsics: [458.6, 457.2, 367.2, 248.3]
+distortion_model: radial-tangential
+distortion_coefficients: [-0.28, 0.07, 0.0002, 1.7e-05]
+"""
 SPLAT = {"id": 0, "img_name": "a", "width": 8, "height": 6, "position": [0, 0, 5], "fx": 6}
 FOREIGN = {
     "camchain.yaml": (CAMCHAIN, r"Kalibr.* --K 385.1 385.1 320.1 240.2 --dist 0.0015 0.0004 -3e"),
     "chain.yaml": (CAMCHAIN.replace("radtan", "equidistant"), r"--K 385.1 385.1 320.1 240.2 \(in"),
+    "right.yaml": (CAMCHAIN.replace("cam0", "cam1"), r"Kalibr.*'cam1'.* --K 385.1 385.1 "),
+    "no_numbers.yaml": (CAMCHAIN.replace("385.1, ", ""), "Kalibr.*: it holds no pose; .* --K FX "),
+    "texts.yaml": (CAMCHAIN.replace("[385", "[x385"), "Kalibr.*: it holds no pose; .* --K FX "),
+    "no_lens.yaml": (CAMCHAIN.replace("[0.0015, ", "["), r"Kalibr.* 320.1 240.2 \(in"),
+    "null.yaml": ("cam0:\n  camera_model: pinhole\n  intrinsics:\n", "Kalibr.* --K FX FY"),
+    "sensor.yaml": (EUROC, r"EuRoC's .* --K 458.6 457.2 367.2 248.3 --dist -0.28 0.07 0.0002 1.7e"),
+    "imu.yaml": ("sensor_type: imu\nrate_hz: 200\n", "EuRoC's sensor.yaml"),
     "orb.yaml": ('%YAML:1.0\nCamera.type: "PinHole"\nCamera.fx: 500.0\n', "ORB-SLAM's settings"),
     "cameras.json": (json.dumps([SPLAT]), "Gaussian splatting's cameras"),
     "fspy.json": ('{"cameraTransform": {}, "imageWidth": 640}', "fSpy's camera .* export glTF"),

@@ -301,6 +301,17 @@ def test_wrong_colmap_text(tmp_path, old, new, message):
         formats.read(tmp_path)
 
 
+@pytest.mark.parametrize("comment", ["", "# Camera list\n"])
+def test_colmap_text_may_begin_with_a_byte_order_mark(tmp_path, comment):
+    for mark in ("", "\ufeff"):
+        (tmp_path / f"m{mark}").mkdir()
+        for name, text in (("cameras", CAMERAS_TXT), ("images", IMAGES_TXT)):
+            (tmp_path / f"m{mark}" / f"{name}.txt").write_text(mark + comment + text, "utf-8")
+    plain, marked = (formats.read(tmp_path / f"m{mark}") for mark in ("", "\ufeff"))
+    assert [*marked] == [*plain] == ["a.png", "b.png"]
+    assert np.array_equal(marked["a.png"].e, plain["a.png"].e)
+
+
 def test_wrong_colmap_binary(tmp_path):
     formats.write(tmp_path, {"a": CAMERA, "b": LENS}, "colmap-binary")
     for name in ("cameras.bin", "images.bin"):

@@ -244,6 +244,17 @@ def test_numbers_that_windows_writes_are_never_one(tmp_path, word, ending):
         )
 
 
+@pytest.mark.parametrize("normal", ["-1.#IND -1.#IND -1.#IND", "0,0 0,0 1,0", "x y z"])
+def test_normals_that_are_no_numbers_are_passed_over_in_silence(tmp_path, caplog, normal):
+    text = ascii_stl(3) + b"endsolid\n"
+    plain = pj.load_mesh(put(tmp_path, "a.stl", text))
+    odd = text.replace(b"0 0 1\nouter", normal.encode() + b"\nouter")
+    assert odd != text
+    mesh = pj.load_mesh(put(tmp_path, "b.stl", odd))
+    np.testing.assert_array_equal(triangles_of(mesh), triangles_of(plain))
+    assert not caplog.records
+
+
 def test_no_file_that_an_obj_names_is_opened(tmp_path, monkeypatch):
     path = put(tmp_path, "a.obj", b"mtllib /etc/hostname\nmtllib ../x.mtl\n" + obj())
     opened, plain = [], os.open

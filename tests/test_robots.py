@@ -324,7 +324,7 @@ def test_joints_that_make_no_robot_are_named(tmp_path, words, joints):
         ("no link has a <visual> shape; <collision> shapes are not drawn",
          link("l", BOX).replace("visual", "collision")),
         ("no link has a <visual> shape$", '<link name="l"/>'),
-        ("got 0 links|no joint's child", ""),
+        ("no <link> in <robot>, expected at least one", ""),
         ("link 'l': <sphere> without `radius`", link("l", "<sphere/>")),
         ("link None: <link> without `name`", "<link/>"),
         ("link 'l': expected 3 positive numbers in size of <box>, got '1 2'",
@@ -338,6 +338,19 @@ def test_shapes_that_are_not_read_are_named(tmp_path, words, body):
     with pytest.raises(ValueError, match=r"`path`: expected a URDF file, got .*a.urdf") as said:
         pj.robots.load_urdf(write_urdf(tmp_path, body))
     assert said.match(words)
+
+
+def test_robots_need_no_name(tmp_path):
+    file = write_urdf(tmp_path, link("a", BOX))
+    file.write_text(file.read_text().replace(' name="a">', ">", 1))
+    assert pj.robots.load_urdf(file).links == ("a",)
+
+
+@pytest.mark.parametrize("packages", ["/ws/deep", ["deep"], {"deep": None}, {1: "deep"}, 3])
+def test_packages_that_are_no_mapping_to_folders_are_refused(tmp_path, packages):
+    words = "`packages`: expected a mapping of package name to folder, got"
+    with pytest.raises(ValueError, match=words):
+        pj.robots.load_urdf(write_urdf(tmp_path, link("a", BOX)), packages=packages)
 
 
 def test_links_left_out_may_have_any_shape(tmp_path):
@@ -368,6 +381,9 @@ XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
         link("a", '<box size="1 1 ${height}"/>'),
         mesh("$(find a)/a.stl"),
         link("${prefix}a", BOX),
+        link("a", BOX) + '<macro name="m"><link name="b"/></macro>',
+        link("a", BOX) + '<include filename="b.xacro"/>',
+        link("a", BOX) + '<property name="height" value="1"/>',
     ],
 )
 @pytest.mark.parametrize("declared", [XACRO, ""])
@@ -376,6 +392,17 @@ def test_xacro_that_is_not_expanded_is_refused(tmp_path, body, declared):
     file.write_text(file.read_text().replace("<robot", f"<robot {declared}"))
     with pytest.raises(ValueError, match=r"not expanded, .*xacro robot.urdf.xacro > robot.urdf"):
         pj.robots.load_urdf(file)
+
+
+def test_links_in_unknown_groups_are_named(tmp_path):
+    """A simulator's own groups are passed over, as are the joints that a transmission names."""
+    seen = link("a", BOX)
+    unread = f'<gazebo>{link("x", BOX)}</gazebo><transmission><joint name="j"/></transmission>'
+    assert pj.robots.load_urdf(write_urdf(tmp_path, seen + unread)).links == ("a",)
+    for inner, word in ((link("b", BOX), "link 'b'"), (joint("j", "a", "b"), "joint 'j'")):
+        file = write_urdf(tmp_path, f"{seen}<group>{inner}</group>")
+        with pytest.raises(ValueError, match=f"{word} is in <group>.* run `xacro .*move what is"):
+            pj.robots.load_urdf(file)
 
 
 @pytest.mark.parametrize("text", ['<sdf version="1.6"><model name="a"/></sdf>', "", "<robot", "{}"])

@@ -92,6 +92,14 @@ def test_vertices_far_from_the_origin_are_warned_of_in_float32(kind):
     assert np.max(np.abs(np.asarray(mesh.vertices, float) - far)) > 0.1
 
 
+def test_spheres_far_from_the_origin_are_warned_of_in_float32():
+    far = np.array([[500000.3, 5400000.7, 300.2], [500001.3, 5400000.7, 300.2]], np.float32)
+    pj.Spheres(far[:1], np.float32([4000]))  # steps of 0.5 are nothing to that
+    for centers in (far, far[:1]):
+        with pytest.warns(UserWarning, match=r"`centers`: float32 rounds .*steps of 0.5, 1/\d"):
+            pj.Spheres(centers, np.full(len(centers), 0.5, np.float32))
+
+
 def test_planes_are_never_stale():
     mesh = pj.Mesh(TETRAHEDRON, FACES)
     turned = eqx.tree_at(lambda m: m.vertices, mesh, -mesh.vertices[:, ::-1])

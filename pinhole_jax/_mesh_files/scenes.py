@@ -14,6 +14,7 @@ from .polygons import Polygons, assembled
 from .text import unmarked
 
 STL_NAME = re.compile(rb"^([ \t]*(?:end)?solid\b).*", re.I | re.M)
+STL_NORMAL = re.compile(rb"^([ \t]*facet[ \t]+normal)(?:[ \t]+\S+){3}", re.I | re.M)
 STL_WORD = re.compile(
     rb"^[ \t]*(solid|endsolid|endloop|vertex(?=(?:[ \t]+\S+){3}[ \t]*$))\b", re.I | re.M
 )
@@ -76,6 +77,8 @@ def _checked_stl(data: bytes) -> bytes:
         return data
     data = unmarked(data) if data[:2] != b"\0\0" else data
     data = STL_NAME.sub(rb"\1", data.replace(b"\r", b"\n"))
+    # (Of normals that are no numbers, -1.#IND, trimesh logs a traceback.)
+    data = STL_NORMAL.sub(rb"\1 0 0 1", data)
     words = b" ".join(STL_WORD.findall(data)).lower()
     if not words.startswith(b"solid"):
         raise ValueError(f"{len(data)} bytes for {count} faces, and no text either")

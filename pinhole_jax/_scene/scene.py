@@ -141,6 +141,9 @@ class Spheres(eqx.Module):
         self.radii = float_array("radii", radii, (self.centers.shape[0],), dtype)
         if is_concrete(self.radii) and not np.all(np.asarray(self.radii) > 0):
             raise ValueError(f"`radii`: expected positive radii, got {np.min(self.radii)}")
+        if is_concrete(self.centers) and is_concrete(self.radii):
+            middles, radii = np.asarray(self.centers), np.asarray(self.radii)[:, None]
+            _say_if_coarse(np.concatenate([middles - radii, middles + radii]), "centers")
 
 
 class Scene(eqx.Module):
@@ -395,7 +398,7 @@ def morton_codes(points: Any) -> Any:
     return spread[:, 0] | spread[:, 1] << 1 | spread[:, 2] << 2
 
 
-def coarse(points: np.ndarray) -> str:
+def coarse(points: np.ndarray, name: str = "vertices") -> str:
     """Return a warning that float32 rounds points to a good part of the object, if it does."""
     if not points.size:
         return ""
@@ -405,14 +408,14 @@ def coarse(points: np.ndarray) -> str:
     if step <= COARSE * size:
         return ""
     return (
-        f"float32 rounds vertices to steps of {step:.2g}, 1/{size / step:.0f} of the object, which"
+        f"float32 rounds {name} to steps of {step:.2g}, 1/{size / step:.0f} of the object, which"
         f" lies {far:.3g} from the origin; move it there"
     )
 
 
-def _say_if_coarse(points: np.ndarray) -> None:
-    if points.dtype == np.float32 and (words := coarse(points)):
-        warnings.warn(f"`vertices`: {words}, or set jax_enable_x64", stacklevel=3)
+def _say_if_coarse(points: np.ndarray, name: str = "vertices") -> None:
+    if points.dtype == np.float32 and (words := coarse(points, name)):
+        warnings.warn(f"`{name}`: {words}, or set jax_enable_x64", stacklevel=3)
 
 
 def _say_if_loose(points: np.ndarray, triangles: np.ndarray) -> None:

@@ -119,7 +119,11 @@ def _of_bop(
         else:
             found = _segmented(detections.get(int(scene.name), []))
         for image, number, object_, fields in found:
-            K = cameras.get(image, {}).get("cam_K")
+            camera = cameras.get(image, {})
+            if not isinstance(camera, dict):
+                place = f"{str(scene / 'scene_camera.json')!r}, image {image!r}"
+                raise ValueError(f"`path`: {place}: expected an object, got {brief(camera)}")
+            K = camera.get("cam_K")
             yield {
                 "id": f"{scene.parent.name}/{scene.name}/{image}/{object_}/{number}",
                 "mesh": str(models / f"obj_{object_:06d}.ply"),
@@ -164,6 +168,10 @@ def _detected(path: Path, scenes: list[Path]) -> dict[int, list[Any]]:
     for number, found in enumerate(_items(data, "`detections`")):
         words = f"`detections`: expected `scene_id`, the number of a BOP scene, in number {number}"
         by_scene.setdefault(_whole(found.get("scene_id"), words), []).append(found)
+    numbers = [int(scene.name) for scene in scenes]
+    if by_scene and not by_scene.keys() & {*numbers}:
+        words = f"expected `scene_id` among {brief(numbers)}, the scenes of `path`"
+        raise ValueError(f"`detections`: {words}, got {brief([*by_scene])} in {str(path)!r}")
     return by_scene
 
 
@@ -201,25 +209,41 @@ def _items(values: Any, place: str) -> list[dict[str, Any]]:
 
 def _whole(value: Any, words: str) -> int:
     """Return a whole number, also of a text; raise ValueError with some words for what is none."""
-    with contextlib.suppress(TypeError, ValueError):
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
         if not isinstance(value, bool) and int(value) == float(value):
             return int(value)
     raise ValueError(f"{words}, got {value!r}")
 
 
 def _of_table(path: Path) -> Iterator[Record]:
+    is_csv = path.suffix.lower() == ".csv"
+    for number, row in enumerate(_rows(path, is_csv), 1):
+        record = {n: _of_cell(n, x) if is_csv else x for n, x in row.items() if x != ""}
+        record["id"] = str(number if record.get("id") is None else record["id"])
+        for name in PATHS:
+            if isinstance(value := record.get(name), str):
+                record[name] = str(path.parent / value)
+        yield record
+
+
+def _rows(path: Path, is_csv: bool) -> Iterator[dict[str, Any]]:
+    """Yield the objects of a table's lines, or raise ValueError that names file and line."""
+    line = 0
     with open(path, encoding="utf-8-sig", newline="") as stream:
-        is_csv = path.suffix.lower() == ".csv"
-        rows: Any = csv.DictReader(stream) if is_csv else map(json.loads, filter(str.strip, stream))
-        for number, row in enumerate(rows, 1):
-            if not isinstance(row, dict):
-                raise ValueError(f"`path`: expected an object in line {number} of {path.name}")
-            record = {n: _of_cell(n, x) if is_csv else x for n, x in row.items() if x != ""}
-            record["id"] = str(number if record.get("id") is None else record["id"])
-            for name in PATHS:
-                if isinstance(value := record.get(name), str):
-                    record[name] = str(path.parent / value)
-            yield record
+        try:
+            if is_csv:
+                yield from csv.DictReader(stream)
+                return
+            for text in stream:
+                line += 1
+                if text.strip():
+                    row = json.loads(text)
+                    if not isinstance(row, dict):
+                        raise ValueError(f"got {brief(row)}")
+                    yield row
+        except (ValueError, RecursionError, csv.Error) as error:
+            kind = "a CSV" if is_csv else f"a JSON object in line {line}"
+            raise ValueError(f"`path`: expected {kind} of {str(path)!r}: {error}") from None
 
 
 def _of_cell(name: str, cell: str) -> Any:

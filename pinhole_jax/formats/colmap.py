@@ -218,7 +218,7 @@ def _lines(file: Path, comments: bool = False) -> Iterator[tuple[str, str]]:
             if len(raw) == MOST_LINE:
                 raise ValueError(f"expected less than {MOST_LINE} bytes in a line ({where})")
             try:
-                line = raw.decode("utf-8")
+                line = raw.decode("utf-8" if number > 1 else "utf-8-sig")
             except UnicodeDecodeError:
                 raise ValueError(f"expected text, got bytes that are no UTF-8 ({where})") from None
             if comments or not line.startswith("#"):

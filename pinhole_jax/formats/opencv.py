@@ -17,7 +17,7 @@ from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.matrices import Centres, half_pixel
 from .._camera.poses import inverse, rigid
 from .._numerics.arrays import Input
-from .fields import Fields, Size, check_cameras, save_text, short
+from .fields import NO, YES, Fields, Size, check_cameras, save_text, short
 from .matrices import to_opencv
 from .pinhole import OPENCV, Pinhole, camera_of, distortion_of, model_of, rotation
 from .rotations import rotations
@@ -42,10 +42,19 @@ NAMES: dict[str, tuple[str, ...]] = {
 }
 PLAIN_NAMES = {plain: name for name, known in NAMES.items() for plain in known}
 #: What looks like coefficients of a lens under a name that is not known.
-LENS = re.compile(r"dist(?!anc)\w*|\w*(distort|coef)\w*|kc|[kp][1-6]")
-#: Fields that name the lens's model, and those that say yes or no to a fisheye.
-MODELS = ("distortionmodel", "distortiontype", "cameramodel", "modeltype", "lensmodel", "lenstype",
-          "projectionmodel", "projectiontype", "model", "cameratype")  # fmt: skip
+LENS = re.compile(
+    r"dist(?!anc|rib|inct|rict|orted)\w*|\w*(?<!un)distort(?!ed)\w*|\w*coef\w*|kc|xi|[kp][1-6]"
+    r"|(radial|tangential)(params|parameters)?"
+)
+#: The same of fields that hold one number, and of those that hold several.
+LENS_NUMBER = re.compile(r".*[_.\-\s][kp][1-6]", re.I)
+LENS_NUMBERS = re.compile(r".*dist\d*|(.*[_.\-\s])?d\d*|.*(?-i:[a-z]D)\d*", re.I)
+#: Fields that say yes or no, to what is left out here.
+YES_OR_NO = re.compile(r"(is|has|use|with|apply|enable|un)\w*")
+#: Fields that name the lens's model, those that may, and those that say yes or no to a fisheye.
+MODELS = ("distortionmodel", "distortiontype", "distmodel", "cameramodel", "cameramodeltype",
+          "modeltype", "lensmodel", "lenstype", "projectionmodel", "projectiontype")  # fmt: skip
+MAYBE_MODELS = re.compile(r"\w*(model|type|lens|projection)\w*")
 FLAGS = ("fisheyemodel", "isfisheye", "usefisheye", "fisheye")
 #: Models by the names that OpenCV, ROS, Kalibr, camodocal and COLMAP have for them.
 FISHEYES = ("fisheye", "opencvfisheye", "equidistant", "equidist", "equi", "pinholeequi",
@@ -53,6 +62,9 @@ FISHEYES = ("fisheye", "opencvfisheye", "equidistant", "equidist", "equi", "pinh
 PLAIN = ("plumbbob", "rationalpolynomial", "rational", "radtan", "pinholeradtan", "standard",
          "radialtangential", "brown", "brownconrady", "opencv", "fullopencv", "radial",
          "simpleradial")  # fmt: skip
+MENTIONED = re.compile(r"fisheye|equidist|kannala", re.I)
+#: What YAML and JSON write where there is nothing.
+NULLS = (None, "~", "null", "")
 #: Models of a projection, which say nothing of the distortion.
 NEITHER = ("pinhole", "simplepinhole", "perspective", "none", "")
 COEFFICIENTS = (
@@ -82,7 +94,7 @@ def read_opencv(
 
     `distortion_coefficients` (also `dist`, `D`, `DistCoeff`, ...) are k1, k2, p1, p2, k3, k4, k5,
     k6, or of a fisheye (k1 to k4) where the file says so: `fisheye_model: 1`, or a
-    `distortion_model`, `camera_model` or `model_type` of fisheye, equidistant or KANNALA_BRANDT.
+    `distortion_model`, `camera_model`, `lens`, ... of fisheye, equidistant or KANNALA_BRANDT.
 
     Raises ValueError naming file and field where something is missing or wrong, where the model is
     another, and where coefficients of other models are not zero.
@@ -160,9 +172,12 @@ def _known(file: Fields, array_of: Callable[[str, Any, str], Any]) -> Fields:
     """Return the fields under the names of `NAMES`, and whether the lens is a `fisheye`; a vector
     may lie or stand."""
     known: dict[str, Any] = {}
-    for key, value in file.data.items():
-        plain = re.sub(r"[_.\-\s]", "", str(key)).lower()
-        name = PLAIN_NAMES.get(plain)
+    some = {k: x for k, x in file.data.items() if not (isinstance(x, str | None) and x in NULLS)}
+    names = {key: PLAIN_NAMES.get(_plain(key)) for key in some}
+    if "camera_matrix" not in names.values() and (whose := unknown(file.data)):
+        raise ValueError(f"`path`: expected OpenCV's calibration, got {whose} (in {file.where})")
+    for key, value in some.items():
+        plain, name = _plain(key), names[key]
         if name is None:
             known.update(_lens_model(file, str(key), plain, known))
             continue
@@ -172,31 +187,60 @@ def _known(file: Fields, array_of: Callable[[str, Any, str], Any]) -> Fields:
         value = array_of(name, value, file.where)
         flat = name != "extrinsic_parameters" and 1 in Fields({name: value}, file.where).shape(name)
         known[name] = np.ravel(value) if flat else value
-    if "camera_matrix" not in known and (whose := unknown(file.data)):
-        raise ValueError(f"`path`: expected OpenCV's calibration, got {whose} (in {file.where})")
     return Fields(known, file.where)
+
+
+def _plain(key: Any) -> str:
+    return re.sub(r"[_.\-\s]", "", str(key)).lower()
 
 
 def _lens_model(file: Fields, key: str, plain: str, known: dict[str, Any]) -> dict[str, bool]:
     """Return a `fisheye` flag where a field is about the lens's model, else nothing."""
     if plain in FLAGS:
         fisheye = file.flag(key)
-    elif plain in MODELS:
+    elif plain in MODELS or (MAYBE_MODELS.fullmatch(plain) and isinstance(file.data[key], str)):
         word = re.sub(r"[\W_]", "", str(file.data[key])).lower()
-        if word in NEITHER or (plain in ("model", "cameratype") and word not in FISHEYES + PLAIN):
+        known_word = word in FISHEYES + PLAIN
+        unsure = plain not in MODELS and not (known_word or MENTIONED.search(word))
+        library = plain not in MODELS and word in ("opencv", "standard")
+        if word in NEITHER or unsure or library:
             return {}
-        if word not in FISHEYES + PLAIN:
+        if not known_word:
             words = "a model of OpenCV's (plumb_bob, rational_polynomial, fisheye, ...)"
             raise file.wrong(key, words, short(file.data[key]))
         fisheye = word in FISHEYES
-    elif LENS.fullmatch(plain):
+    elif lost := _coefficients(key, file.data[key]):
         words = "a lens's coefficients as `distortion_coefficients: [k1, k2, p1, p2, k3]`"
-        raise file.wrong(key, words, f"a field {key[:60]!r}, whose meaning is not known")
+        raise file.wrong(lost, words, f"a field {lost[:60]!r}, whose meaning is not known")
     else:
         return {}
     if known.get("fisheye", fisheye) != fisheye:
         raise file.wrong(key, "one model of the lens", "a fisheye here and none in another field")
     return {"fisheye": fisheye}
+
+
+def _coefficients(key: str, value: Any) -> str:
+    """Return the name of a field that looks like coefficients other than 0, in a map or not; ""
+    where there is none."""
+    if isinstance(value, Mapping) and "data" not in value:
+        inner = (_coefficients(f"{key}.{name}", part) for name, part in value.items())
+        return next(filter(None, inner), "")
+    plain, last = _plain(key), _plain(key.rpartition(".")[2])
+    try:
+        numbers = np.ravel(
+            np.asarray(value["data"] if isinstance(value, Mapping) else value, float)
+        )
+    except (TypeError, ValueError, OverflowError):
+        numbers = None
+    if numbers is None:
+        lens = LENS if str(value).strip().lower() not in (*YES, *NO) else None
+    elif isinstance(value, bool) or not np.any(numbers):
+        lens = None
+    else:
+        lens = LENS_NUMBERS if len(numbers) > 1 else LENS_NUMBER
+    if lens is None or YES_OR_NO.fullmatch(plain):
+        return ""
+    return key if lens.fullmatch(key) or LENS.fullmatch(plain) or LENS.fullmatch(last) else ""
 
 
 def _poses(fields: Fields) -> list[np.ndarray]:

@@ -1,5 +1,7 @@
 """Words for files that are not read: which program's they are, and what to do instead."""
 
+import math
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -7,9 +9,11 @@ from .fields import clipped
 
 COLMAP = "export its cameras as COLMAP"
 INTRINSICS = "it holds no pose; give its numbers as --K FX FY CX CY --dist K1 K2 P1 P2"
+#: The cameras in Kalibr's camchain.
+CAMCHAIN = re.compile(r"cam\d+")
 #: By a field's name, or the root of XML: whose file it is, what to do.
 PROGRAMS = {
-    "cam0": ("Kalibr's camchain", INTRINSICS),
+    "sensor_type": ("EuRoC's sensor.yaml", INTRINSICS),
     "T_imu_cam": ("Basalt's calibration", INTRINSICS),
     "Camera.fx": ("ORB-SLAM's settings", INTRINSICS),
     "Camera1.fx": ("ORB-SLAM's settings", INTRINSICS),
@@ -33,9 +37,13 @@ PROGRAMS = {
 def unknown(data: Any) -> str | None:
     """Return words on whose file this is: JSON or YAML, or the root of XML; None: nobody's."""
     names = {data.rpartition("}")[2]} if isinstance(data, str) else _names(data)
+    for name in sorted(filter(CAMCHAIN.fullmatch, names)):
+        if isinstance(data, Mapping) and name in data:
+            return f"Kalibr's camchain (by its {name!r}): {_intrinsics(data[name], name)}"
     for name, (whose, advice) in PROGRAMS.items():
         if name in names:
-            return f"{whose} (by its {name!r}): {_kalibr(data) if name == 'cam0' else advice}"
+            advice = _intrinsics(data, "its") if name == "sensor_type" else advice
+            return f"{whose} (by its {name!r}): {advice}"
     return None
 
 
@@ -46,13 +54,23 @@ def _names(data: Any) -> set[str]:
     return {str(x) for part in (data, first) if isinstance(part, Mapping) for x in part}
 
 
-def _kalibr(data: Any) -> str:
-    """Return advice with the first camera's numbers."""
-    part = data["cam0"] if isinstance(data["cam0"], Mapping) else {}
-    words = lambda name: " ".join(map(str, part[name])) if isinstance(part[name], list) else ""
-    if part.get("camera_model") != "pinhole" or "intrinsics" not in part:
+def _intrinsics(part: Any, whose: str) -> str:
+    """Return advice with a camera's numbers, as Kalibr and EuRoC have them."""
+    part = part if isinstance(part, Mapping) else {}
+    K = _numbers(part.get("intrinsics"))
+    if part.get("camera_model") != "pinhole" or K is None:
         return INTRINSICS
-    text = f"it holds no pose; give cam0's numbers as --K {words('intrinsics')}"
-    if part.get("distortion_model") == "radtan" and "distortion_coeffs" in part:
-        text += f" --dist {words('distortion_coeffs')}"
+    owner = whose if whose == "its" else f"{whose}'s"
+    text = f"it holds no pose; give {owner} numbers as --K {K}"
+    dist = _numbers(part.get("distortion_coeffs", part.get("distortion_coefficients")))
+    if part.get("distortion_model") in ("radtan", "radial-tangential") and dist:
+        text += f" --dist {dist}"
     return clipped(text, 300)
+
+
+def _numbers(value: Any) -> str | None:
+    """Return four finite numbers as words, None of all else."""
+    if not isinstance(value, list) or len(value) != 4:
+        return None
+    fine = all(isinstance(x, int | float) and math.isfinite(x) for x in value)
+    return " ".join(map(str, value)) if fine else None

@@ -14,7 +14,7 @@ import numpy as np
 from .._files.paths import existing, read_bytes, reason
 from .._scene.scene import Mesh
 from ..io.meshes import load_mesh
-from .packages import mesh_path
+from .packages import checked_packages, mesh_path
 from .robot import Robot
 from .urdf import plain_urdf
 
@@ -43,6 +43,7 @@ def load_urdf(
     ```
     """
     file = existing(path, "a URDF file")
+    folders = checked_packages(packages)
     try:
         import yourdfpy
     except ModuleNotFoundError as error:
@@ -64,7 +65,7 @@ def load_urdf(
         for visual in link.visuals:
             place = np.eye(4) if visual.origin is None else visual.origin
             try:
-                find = lambda mesh: mesh_path(mesh, file, packages or {})
+                find = lambda mesh: mesh_path(mesh, file, folders)
                 bodies.append((name, place, _shape(visual.geometry, find)))
             except (FileNotFoundError, ValueError) as error:
                 words = f"`path`: {str(path)!r}, link {name!r}: {error}"

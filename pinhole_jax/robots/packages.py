@@ -4,11 +4,25 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 from .._files.paths import read_text
 
 Folders = Mapping[str, str | os.PathLike[str]]
+
+
+def checked_packages(packages: Any) -> Folders:
+    """Return the folders of packages by name, none for None; raise ValueError for all else."""
+    expected = "`packages`: expected a mapping of package name to folder, got"
+    if packages is None:
+        return {}
+    if not isinstance(packages, Mapping):
+        raise ValueError(f"{expected} {packages!r}; give {{NAME: FOLDER}}")
+    for name, folder in packages.items():
+        if not (isinstance(name, str) and isinstance(folder, str | os.PathLike)):
+            raise ValueError(f"{expected} {folder!r} for {name!r}")
+    return packages
 
 
 def mesh_path(name: str, urdf: Path, packages: Folders) -> Path:

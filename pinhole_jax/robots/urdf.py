@@ -29,6 +29,9 @@ NUMBERS = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3, "radius": 1, "length": 1}
 NUMBERS |= {"multiplier": 1, "offset": 1, "lower": 1, "upper": 1}
 SIZES = ("size", "radius", "length")
 READ = {"robot", "visual", "geometry", "origin", "axis", "limit", *NEEDED}
+#: Elements that xacro once had without a prefix, and those that describe no link or joint anew.
+OLD_XACRO = ("macro", "include", "property", "if", "unless", "arg", "insert_block")
+OTHERS = ("gazebo", "transmission", "ros2_control", "sensor")
 MOVING = ("revolute", "continuous", "prismatic")
 
 
@@ -40,6 +43,8 @@ def plain_urdf(data: bytes, leave_out: Collection[str]) -> bytes:
     from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
     root = _root(data)
+    _check_groups(root)
+    root.set("name", root.get("name") or "robot")  # which yourdfpy wants, and nobody reads
     collisions = root.find("link/collision") is not None
     for element in [*root.iter()]:
         shape = element.getparent() is not None and element.getparent().tag == "geometry"
@@ -48,6 +53,8 @@ def plain_urdf(data: bytes, leave_out: Collection[str]) -> bytes:
             element.getparent().remove(element)
 
     links, joints = _named(root, "link"), _named(root, "joint")
+    if not links:
+        raise ValueError("no <link> in <robot>, expected at least one")
     _check_tree(links, joints)
     _follow(joints)
     if root.find("link/visual") is None:
@@ -75,6 +82,22 @@ def _root(data: bytes) -> Any:
     if root.tag != "robot":
         raise ValueError(f"<{root.tag}> in place of <robot>: export the robot as URDF")
     return root
+
+
+def _check_groups(root: Any) -> None:
+    """Check that links and joints lie in <robot> itself, where they are read."""
+    for group in root:
+        if group.tag in OLD_XACRO:
+            _refuse_xacro(f"<{group.tag}>")
+        if group.tag in ("link", "joint", *OTHERS):
+            continue
+        for one in group.iter("link", "joint"):
+            if one.tag == "link" or one.find("parent") is not None:
+                raise ValueError(
+                    f"{one.tag} {one.get('name')!r} is in <{group.tag}>, which no URDF has:"
+                    " run `xacro robot.urdf.xacro > robot.urdf` if xacro makes it and load"
+                    f" robot.urdf, else move what is in <{group.tag}> to <robot>"
+                )
 
 
 def _refuse_xacro(words: str) -> None:
