@@ -88,6 +88,12 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 @pytest.fixture
+def in_arrays(monkeypatch):
+    """Have JAX's arrays draw silhouettes, as where there is no compiled library."""
+    monkeypatch.setattr("pinhole_jax._silhouette.silhouette.is_available", lambda: False)
+
+
+@pytest.fixture
 def exhaustive(pytestconfig) -> bool:
     """Whether tests are to run at full size."""
     return pytestconfig.option.exhaustive

@@ -179,6 +179,7 @@ def test_distortion_switches_the_covered_test_off():
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("in_arrays")
 def test_masks_and_derivatives_are_the_same_whether_or_not_it_is_looked_for(monkeypatch):
     """A crowd of faces, of whose pixels most are passed over."""
     vertices, faces = loose(9000, 0.5, 0.2)

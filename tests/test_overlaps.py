@@ -235,6 +235,7 @@ def way(request, monkeypatch) -> int:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("in_arrays")
 def test_crowded_cells_are_cut_until_they_are_resolved(way, monkeypatch):
     monkeypatch.setattr(in_turn, "MANY", 6)
     vertices, faces = soup(60)
@@ -438,6 +439,7 @@ def slivers(number=300):
     return corners.reshape(-1, 3), np.arange(3 * number).reshape(-1, 3)
 
 
+@pytest.mark.usefixtures("in_arrays")
 @pytest.mark.parametrize(
     "make", first(0, [noisy_sphere, crowd, slivers, lambda: rough(4, 1.2)], of=3)
 )
@@ -455,6 +457,7 @@ def test_mask_errs_by_its_tolerance_at_most(make):
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("in_arrays")
 def test_cells_that_are_cut_err_by_the_tolerance_at_most():
     vertices, faces = soup(60)
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces))

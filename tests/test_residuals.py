@@ -120,11 +120,7 @@ def test_squares_sums_and_jacobian_are_those_of_the_image(look_at, spheres, W, p
 
 @pytest.mark.long
 def test_coverage_of_a_rough_mesh_is_the_image():
-    """Most pixels with several pieces are covered: as with large buffers, one look tells these.
-
-    Lines sweep those with many, here with more than six.
-    """
-    monkeypatch.setattr(overlapping, "LARGE", 0)
+    """Most pixels with several pieces are covered."""
     mesh, (camera, _, target, weight) = shapes.bumpy(3), setting(W=60, H=50)
     off = np.random.default_rng(1).normal(0, 0.02, mesh.vertices.shape)
     scene = pj.Scene(mesh=pj.Mesh(np.asarray(mesh.vertices) + off, mesh.faces))

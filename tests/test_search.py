@@ -67,6 +67,7 @@ def test_facing_turns_to_a_direction():
     np.testing.assert_allclose(axes[:, 2], directions, atol=1e-12)
 
 
+@pytest.mark.usefixtures("in_arrays")  # (the library never sums layers)
 @pytest.mark.parametrize("what", first(1, ["closed", "open", "border untold", "spheres"]))
 def test_thumbnails_are_silhouettes_whose_layers_are_clamped(what):
     random = np.random.default_rng(0)

@@ -150,6 +150,7 @@ def test_lens_moves_and_stretches_the_image():
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("in_arrays")
 def test_no_number_of_contour_edges_or_pieces_is_too_many(monkeypatch):
     mesh = shapes.bumpy(3, bumps=0.05)
     scene = pj.Scene(mesh=pj.Mesh(mesh.vertices, mesh.faces))
