@@ -77,9 +77,9 @@ def silhouette(
     contours overlap pay for telling them apart. `overlaps=False` (static) says that no two parts of
     the contour meet in a pixel, as in every view of one convex body: then that code is not even
     compiled, and where it is not true arrays sum layers and clamp (the library does not). One
-    sphere alone needs no telling. No size of coordinates makes it anything but a number in [0, 1]; but which side of a
-    face is seen is not known where its corners' distances from the eye differ by more than
-    1 / epsilon of the float type.
+    sphere alone needs no telling. No size of coordinates makes it anything but a number in [0, 1];
+    but which side of a face is seen is not known where its corners' distances from the eye differ
+    by more than 1 / epsilon of the float type.
 
     The derivative, in forward and reverse mode, with respect to the camera, vertices, centers and
     radii is exact as well: the visible contour's normal velocity. Coverage is not differentiable
