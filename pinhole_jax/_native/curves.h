@@ -29,7 +29,6 @@ struct Curve {
   int8_t weight = 0;     // layers of cover on the left less those on the right
   bool on_sphere = false;
   bool arc = false;
-  Vec2 w_tail, w_head;   // an arc's ends on the unit circle
 };
 
 // A curve from its lower to its upper end.

@@ -117,14 +117,17 @@ def sphere_frames(film: FilmMap, spheres: Spheres) -> Float[Array, "S 9"]:
     e2 perpendicular to c. Their film points are a conic.
     """
     x, y, z = (spheres.centers - film.eye[None]).T
-    ring = jnp.stack(_ring(x, y, z, spheres.radii), axis=1)
+    ring = jnp.stack(ring_at(x, y, z, spheres.radii), axis=1)
     middle = film(spheres.centers) * ring[:, :1]
     around = turned(film.matrix, ring[:, 1:].reshape(-1, 2, 3))
     return jnp.concatenate([middle, around.reshape(-1, 6)], axis=1)
 
 
-def _ring(x: Array, y: Array, z: Array, radius: Array) -> Sequence[Array]:
-    """How much the centre counts, and the circle's two axes in space, one after the other."""
+def ring_at(x: Array, y: Array, z: Array, radius: Array) -> Sequence[Array]:
+    """The circle on which rays touch a sphere whose centre is at (x, y, z) from the eye.
+
+    How much the centre's direction counts, over the distance, then the two axes in space.
+    """
     distance = length(x, y, z)
     distance = jnp.where(jax.lax.stop_gradient(distance > radius), distance, 2 * radius)
     sine = radius / distance

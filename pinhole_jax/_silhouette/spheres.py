@@ -9,8 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .._camera.film import FilmMap, film_points, scaled, turned
+from .._native.rasteriser import ring_at
 from .._numerics.one_kernel import rows
-from .._numerics.safe import binary_scale, dot, length, norm, safe_divide, safe_sqrt
+from .._numerics.safe import binary_scale, dot, length, norm, safe_divide
 from .._scene.scene import Spheres
 from .curves import Arcs, Frame, Point, Segments, cut_at, frame_of, homogeneous_at
 from .distorted import Cuts, arc_part, arc_parts, arc_within, bent_parts, cuts, moving_parts
@@ -37,7 +38,7 @@ def sphere_frames(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Floa
 def _frame(film: FilmMap, centre: Sequence[Array], radius: Array) -> Frame:
     """Return one of these frames, by components."""
     x, y, z = (c - film.eye[k] for k, c in enumerate(centre))
-    ring = _ring_at(x, y, z, radius)
+    ring = ring_at(x, y, z, radius)
     unit = binary_scale(film.matrix)
     # Of the centre counts its place beside the view point, as for a mesh's vertices.
     middle = tuple(x * ring[0] / unit for x in scaled(film).at(*centre))
@@ -46,8 +47,8 @@ def _frame(film: FilmMap, centre: Sequence[Array], radius: Array) -> Frame:
 
 @jax.custom_jvp
 def _ring(seen: Float[Array, "K 4"]) -> Float[Array, "K 7"]:
-    """Return what a frame is made of: see `_ring_at`."""
-    return jnp.stack(_ring_at(*(seen[:, k] for k in range(4))), axis=1)
+    """Return what a frame is made of: see `ring_at`."""
+    return jnp.stack(ring_at(*(seen[:, k] for k in range(4))), axis=1)
 
 
 @_ring.defjvp
@@ -60,33 +61,11 @@ def _(primals: Any, tangents: Any):
 
 
 def _ring_row(id: Int[Array, ""], seen: Float[Array, "K 4"]) -> list[Array]:
-    """Return what `_ring_at` does, and the derivatives of each of its numbers."""
+    """Return what `ring_at` does, and the derivatives of each of its numbers."""
     at, number = [seen[id, k] for k in range(4)], range(4)
     along = lambda k: [jnp.asarray(m == k, seen.dtype) for m in number]
-    by = [jax.jvp(_ring_at, at, along(k)) for k in number]
+    by = [jax.jvp(ring_at, at, along(k)) for k in number]
     return [*by[0][0], *(by[k][1][m] for m in range(7) for k in number)]
-
-
-def _ring_at(x: Array, y: Array, z: Array, radius: Array) -> tuple[Array, ...]:
-    """Return of the circle on which rays touch a sphere, whose centre is at (x, y, z) from the eye:
-    by how much the centre's direction counts, over the distance, and the other two rows in space.
-    """
-    distance = length(x, y, z)
-    distance = jnp.where(jax.lax.stop_gradient(distance > radius), distance, 2 * radius)
-    sine = radius / distance
-    cosine = safe_sqrt((distance - radius) / distance * (1 + sine))
-    axis = x / distance, y / distance, z / distance
-    sizes = [jax.lax.stop_gradient(jnp.abs(a)) for a in axis]
-    is_x = (sizes[0] <= sizes[1]) & (sizes[0] <= sizes[2])
-    is_y = ~is_x & (sizes[1] <= sizes[2])
-    which = is_x, is_y, ~is_x & ~is_y
-    least = jnp.where(is_x, axis[0], jnp.where(is_y, axis[1], axis[2]))
-    aside = [there.astype(x.dtype) - a * least for there, a in zip(which, axis, strict=True)]
-    size = length(*aside)
-    e1 = [safe_divide(a, size) for a in aside]
-    pairs = (1, 2), (2, 0), (0, 1)
-    e2 = [e1[i] * axis[j] - e1[j] * axis[i] for i, j in pairs]  # counter-clockwise to the eye
-    return cosine / distance, *(sine * a for a in (*e1, *e2))
 
 
 def sphere_arcs(film: FilmMap, spheres: Spheres, ids: Int[Array, "K"]) -> Arcs:
