@@ -11,8 +11,8 @@ from io import TextIOWrapper
 from typing import Any
 
 from ._command.arguments import parse
-from ._command.progress import Progress
 from ._files.interrupt import STATUS, ending_at_once
+from ._files.progress import Ticker
 
 #: Commands that compile quick programs: not those that run them often.
 QUICK = ("fit", "render", "check", "convert")
@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with (
             ending_at_once(f"{command}: interrupted"),
-            Progress("reading", options.verbose) as progress,
+            Ticker("reading", options.verbose) as progress,
         ):
             _set_up_jax(options)
             return _verb(options.command).run(options, progress)

@@ -11,6 +11,7 @@ from typing import Any
 from .. import formats
 from .._files.interrupt import interrupts_raise
 from .._files.naming import named
+from .._files.progress import Ticker
 from ..batch import (
     NO_FIT,
     Count,
@@ -24,7 +25,6 @@ from ..batch import (
 )
 from .known import check_fov
 from .outputs import check_outputs, replaced
-from .progress import Progress
 
 #: What the command calls the arguments of the library.
 ASKED = {
@@ -40,7 +40,7 @@ ASKED = {
 }
 
 
-def run(options: argparse.Namespace, progress: Progress) -> int:
+def run(options: argparse.Namespace, progress: Ticker) -> int:
     """Fit what is not done, write what is asked for; return 0, or 1 where a record failed."""
     if options.dataset is None and not (options.merge or options.write):
         raise ValueError("`DATASET`: expected one, or --merge or --write, got none")

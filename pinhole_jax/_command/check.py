@@ -4,17 +4,17 @@ import argparse
 
 from .. import Camera, Fit, drift, fit_camera, fit_joint, formats, io
 from .._files.naming import named
+from .._files.progress import Ticker
 from ..names import STATUSES
 from .hand_eye import robot_of, views_of
 from .inputs import mask_of, scene_of
 from .outputs import check_outputs, replaced
-from .progress import Progress
 
 #: What the command calls the arguments of the fits.
 ASKED = {"target": "MASK", "free": "--free", "camera": "CAMERA", "cameras": "CAMERA"}
 
 
-def run(options: argparse.Namespace, progress: Progress) -> int:
+def run(options: argparse.Namespace, progress: Ticker) -> int:
     """Fit from the camera, print how far that leads; return 0, or 1 where it has moved or the masks
     do not tell."""
     check_outputs(output=options.output)
@@ -51,22 +51,22 @@ def _reference(path: str) -> Camera | Fit:
             return camera
 
 
-def _of_mesh(options: argparse.Namespace, camera: Camera, progress: Progress) -> Fit:
+def _of_mesh(options: argparse.Namespace, camera: Camera, progress: Ticker) -> Fit:
     if options.joints is None or options.masks:
         raise ValueError("`MASK`: expected one image of MESH (of a robot: ROBOT.urdf JOINTS MASKs)")
     mask = mask_of(options.joints, options.mask_from, progress.tell)
     scene = scene_of(options.mesh, progress.tell)
-    progress.say("fitting (the first time compiles: seconds)")
+    progress.say("fitting (the first time compiles, some seconds)")
     with named(**ASKED):
         return fit_camera(scene, mask, camera, options.free)
 
 
-def _of_robot(options: argparse.Namespace, camera: Camera, progress: Progress) -> Fit:
+def _of_robot(options: argparse.Namespace, camera: Camera, progress: Ticker) -> Fit:
     if options.joints is None or not options.masks:
         raise ValueError("`MASK`: expected JOINTS, and an image for each of its rows, got none")
     options.robot = options.mesh
     views = views_of(robot_of(options), options, progress.tell)
-    progress.say(f"fitting {len(views)} views (the first time compiles: seconds)")
+    progress.say(f"fitting {len(views)} views (the first time compiles, some seconds)")
     with named(**ASKED):
         fit = fit_joint(views, camera, options.free)
     return fit.cameras["camera"]._replace(status=fit.status)

@@ -4,11 +4,11 @@ import argparse
 
 from .. import formats
 from .._files.naming import named
+from .._files.progress import Ticker
 from .outputs import say_written
-from .progress import Progress
 
 
-def run(options: argparse.Namespace, progress: Progress) -> int:
+def run(options: argparse.Namespace, progress: Ticker) -> int:
     """Read and write; return 0."""
     size = None if options.size is None else (options.size[0], options.size[1])
     with named(path="IN", format="--from", size="--size"):

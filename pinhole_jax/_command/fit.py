@@ -9,11 +9,11 @@ import numpy as np
 from .. import Fit, fit_camera, formats, io, report
 from .._files.naming import named
 from .._files.pictures import three_channels
+from .._files.progress import Clock, Ticker
 from ..plot import disagreement, overlay
 from .inputs import mask_of, photo_beside, scene_of
 from .known import known, names_of
 from .outputs import check_outputs, replaced
-from .progress import Clock, Progress
 
 #: The command's names of the arguments of `fit_camera`.
 ASKED = {
@@ -27,10 +27,10 @@ ASKED = {
 }
 
 
-def run(options: argparse.Namespace, progress: Progress) -> int:
+def run(options: argparse.Namespace, progress: Ticker) -> int:
     """Fit, print and write; return 0, or 1 for a fit that is not to be trusted."""
     clock = Clock()
-    progress.count(clock)
+    progress.clock = clock
     written = [Path(options.output) / name for name in ("camera.json", "overlay.png")]
     check_outputs(output=written[0], report=options.report)
     free = names_of(options.free)
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace, progress: Progress) -> int:
     camera, phi, lens = known(options, free, (mask.shape[1], mask.shape[0]), progress.tell)
     weight, picture = _beside(options, mask)
     scene = scene_of(options.mesh, progress.tell)
-    progress.say("fitting (the first time compiles: seconds)")
+    progress.say("fitting (the first time compiles, some seconds)")
     with named(**ASKED):
         fit = fit_camera(
             scene,
@@ -49,7 +49,6 @@ def run(options: argparse.Namespace, progress: Progress) -> int:
             lens=lens,
             weight=weight,
             photo=three_channels(picture) if options.refine else None,
-            progress=lambda level: progress.say(str(level)),
             record=options.report is not None,
         )
     progress.say("drawing")
@@ -66,13 +65,13 @@ def run(options: argparse.Namespace, progress: Progress) -> int:
         io.save_image(written[1], drawing)
     for path in written[2:]:
         title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
-        with Progress("drawing the page"), named(path="--report"):
+        with Ticker("drawing the page"), named(path="--report"):
             report.write(path, fit, scene, mask, picture, title, pixel_centres=centres)
     print(words)
     return 0 if fit.status == "converged" else 1
 
 
-def _mask(options: argparse.Namespace, progress: Progress) -> np.ndarray:
+def _mask(options: argparse.Namespace, progress: Ticker) -> np.ndarray:
     mask = mask_of(options.mask, options.mask_from, progress.tell, invert=options.invert)
     if options.tidy:
         mask, done = io.tidy_mask(mask)

@@ -10,6 +10,7 @@ import numpy as np
 from .. import Camera, JointFit, JointView, drift, fit_joint, io
 from .._files.naming import named
 from .._files.pictures import three_channels
+from .._files.progress import Clock, Ticker
 from ..formats import object_pose
 from ..plot import overlay
 from ..robots import Robot, load_urdf
@@ -18,16 +19,15 @@ from .inputs import mask_of, photo_beside
 from .joints import joint_angles
 from .known import known, names_of, unplaced
 from .outputs import check_outputs, replaced
-from .progress import Clock, Progress
 from .proposals import Sight, in_words, worths
 
 #: What the command calls the arguments of `fit_joint`.
 ASKED = {"target": "MASK", "free": "--free", "camera": "--camera", "cameras": "--camera"}
 
 
-def run(options: argparse.Namespace, progress: Progress) -> int:
+def run(options: argparse.Namespace, progress: Ticker) -> int:
     """Fit, print and write; return 0, or 1 for a fit that is not to be trusted."""
-    progress.count(Clock())
+    progress.clock = Clock()
     check_outputs(output=Path(options.output) / "camera.json", report=options.report)
     robot = robot_of(options)
     views = views_of(robot, options, progress.tell)
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace, progress: Progress) -> int:
         views = [v._replace(photo=p) for v, p in zip(views, photos, strict=True)]
     proposed = None if options.propose is None else _proposed(robot, options)
     camera, search = _start(options, masks[0], progress.tell)
-    progress.say(f"fitting {len(views)} views (the first time compiles: seconds)")
+    progress.say(f"fitting {len(views)} views (the first time compiles, some seconds)")
     with named(**ASKED):
         fit = fit_joint(
             views,
@@ -46,7 +46,6 @@ def run(options: argparse.Namespace, progress: Progress) -> int:
             names_of(options.free),
             search=search,
             joint_zeros=zeros_of(options),
-            progress=progress.say,
         )
     apart = _halves(fit, views, options) if options.holdout else None
     usable = fit.status != "non_finite"

@@ -7,15 +7,15 @@ import numpy as np
 from .. import formats, io
 from .._files import programs
 from .._files.naming import named
+from .._files.progress import Ticker
 from .inputs import scene_of
 from .outputs import say_written
-from .progress import Progress
 
 #: The program of `silhouette`.
 SILHOUETTE = "pinhole_jax._silhouette.silhouette:_silhouette"
 
 
-def run(options: argparse.Namespace, progress: Progress) -> int:
+def run(options: argparse.Namespace, progress: Ticker) -> int:
     """Render and write; return 0."""
     progress.say("rendering")
     with named(path="CAMERA"):

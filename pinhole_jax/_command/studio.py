@@ -10,17 +10,17 @@ from typing import Any
 
 from .. import io
 from .._files.naming import named, renamed
+from .._files.progress import Ticker
 from .._studio.bench import Bench
 from .._studio.session import Session, load_session
 from .._studio.subject import Subject, subject_of
 from .known import known
-from .progress import Progress
 
 #: What the command calls the arguments of `subject_of`.
 ASKED = {"path": "MESH", "vertices": "MESH", "camera": "--camera", "mask": "--mask"}
 
 
-def run(options: argparse.Namespace, progress: Progress) -> int:
+def run(options: argparse.Namespace, progress: Ticker) -> int:
     """Serve the page until interrupted; return 0.
 
     Raises ModuleNotFoundError where aiohttp is not installed.

@@ -12,6 +12,7 @@ import numpy as np
 from .._camera.camera import Camera, camera_coordinates, check_camera
 from .._camera.lens import Lens
 from .._camera.rays import project
+from .._files.progress import say, shown
 from .._mask.mask import Mask
 from .._mask.target import MOST_BORDER, border_of, check_target, inside_of, levelled
 from .._numerics.arrays import ArrayLike, Input, float_dtype, is_concrete
@@ -60,7 +61,7 @@ def fit_camera(
     prior: Input[Mapping[str, Pair] | None, "mean, sigma"] = None,
     bounds: Input[Mapping[str, Pair] | None, "low, high"] = None,
     max_steps: int = 64,
-    progress: Callable[[Progress], None] | None = None,
+    progress: bool | Callable[[Progress], None] | None = None,
     record: bool = False,
     photo: Input[ArrayLike | None, "H W 3"] = None,
 ) -> Fit:
@@ -88,9 +89,10 @@ def fit_camera(
       residuals that the mask leaves.
     - `bounds`: between what phi, aspect or a coefficient of distortion is to stay, if free. One
       that ends at a bound is no longer determined: the status is then "rank_deficient".
-    - `max_steps`: a limit for each level. `progress` is called with a `Progress` after each level,
-      where it records with one for each of the level's steps.
-      `record`: `history` shall have each step (takes some more ms).
+    - `max_steps`: a limit for each level.
+    - `progress`: True shows a line on stderr that says what goes on, None does in notebooks; a
+      function is called with a `Progress` after each level, or with `record` after each step.
+    - `record`: `history` shall have each step (takes some more ms).
     - `photo`: (H, W, 3), sRGB, uint8 or float (0..1), that the mask was taken from. What is found
       for the mask is refined on it: colours beside the outline say what share of each pixel is the
       object's. `Fit.weak` says last by how many px photo and mask disagree, and if the camera is
@@ -135,13 +137,14 @@ def fit_camera(
 
     known = prior_of(prior, base, freed), bounds_of(bounds, base, freed)
     picture = None if photo is None else check_photo(photo, base.W, base.H)
-    settings = Settings(outlier_px, max_steps, progress, *known, record, picture)
     inputs = (scene, target, weight)
     concrete = is_concrete(*jax.tree.leaves(inputs))
-    if concrete:
-        return run(inputs)[0]
-    check_plain(prior=prior, bounds=bounds, photo=photo is not None)
-    return of_camera(run, freed)(inputs)
+    with shown(progress, "fitting") as tell:
+        settings = Settings(outlier_px, max_steps, tell, *known, record, picture)
+        if concrete:
+            return run(inputs)[0]
+        check_plain(prior=prior, bounds=bounds, photo=photo is not None)
+        return of_camera(run, freed)(inputs)
 
 
 def check_steps(max_steps: Any) -> None:
@@ -243,6 +246,7 @@ def _answer(
         if settings.progress is not None:
             settings.progress(progress_at(stop, mask.camera))
 
+    say("searching all views" if start is None else "fitting from the start")
     places = (
         everywhere(solver, mask, on_stop)
         if start is None
@@ -272,6 +276,7 @@ def _described(
     """Return what places lead to."""
     found = [places.best, *places.others]
     reach, free = settings.outlier_px, places.free
+    say("the last level: which views explain the mask as well?")
     if reach is not None and found[0].view.touched_misfit > EXACT:
         described = without_outliers(solver, mask, places, reach, start)
         described = most_agreeing(solver, mask, described, len(found), start)
@@ -292,6 +297,7 @@ def _before_occluders(
     asked = answer.reach is not None and turns_freely(solver.freed)
     if not asked or solver.explains(view):
         return answer
+    say("model and mask disagree: looking for something in front of the object")
     errors = solver.errors(best.view)
     error_px = min(errors.size, MOST_ERROR_PX) if errors else 0.0
     known = [f.camera for f, _ in answer.described[:KNOWN]]

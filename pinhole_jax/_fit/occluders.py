@@ -18,6 +18,7 @@ import numpy as np
 
 from .._camera.axes import angle
 from .._camera.camera import Camera
+from .._files.progress import say
 from .._mask.mask import Mask
 from .._mask.search import partly_hidden
 from .._mask.target import as_coverage, inside_of
@@ -279,7 +280,10 @@ def _followed(
     level = min(solver.far, max(solver.finest - 1, 0))
     scales = np.maximum(np.geomspace(FIRST * edge.size, LAST_PX, STEPS), LAST_PX)
     first, rest = scales[:SORTED_IN], scales[SORTED_IN:]
-    begun = [_brought(solver, edge, camera, level, first, window) for camera, window in begins]
+    begun = []
+    for k, (camera, window) in enumerate(begins, 1):
+        say(f"looking for something in front of the object: guess {k} of {len(begins)}")
+        begun.append(_brought(solver, edge, camera, level, first, window))
     begun = sorted((b for b in begun if b is not None), key=lambda b: -b[1])
     apart = _apart([camera for camera, _ in begun], np.deg2rad(2))[:FOLLOWED]
     ended = [_brought(solver, edge, camera, level, rest) for camera in apart]

@@ -9,6 +9,7 @@ import numpy as np
 from .._camera.camera import Camera, check_camera
 from .._camera.lens import Lens
 from .._camera.poses import pose_of
+from .._files.progress import say, shown
 from .._fit.fit_camera import check_alone, check_border, check_reach, check_steps, fit_camera
 from .._fit.places import at
 from .._fit.result import Context, Fit, report, with_modes
@@ -43,7 +44,7 @@ def fit_cameras(
     prior: Input[Mapping[str, Pair] | None, "mean, sigma"] = None,
     bounds: Input[Mapping[str, Pair] | None, "low, high"] = None,
     max_steps: int = 64,
-    progress: Callable[[str], None] | None = None,
+    progress: bool | Callable[[str], None] | None = None,
 ) -> tuple[Fit, ...]:
     """Return a `Fit` for each mask; what is `free` is each view's own, what is `shared` is one.
 
@@ -54,8 +55,8 @@ def fit_cameras(
     - `outlier_px`: as in `fit_camera`: pixels farther from a mask's edge lose their weight at the
       end, where masks are not exact. Then views that err by more than most count less, too.
     - `prior`, `bounds`: as in `fit_camera`; of what is shared once, else for each view.
-    - `max_steps`: a limit for each level, and for each descent from another place. `progress` is
-      called with words after each level.
+    - `max_steps`: a limit for each level, and for each descent from another place.
+    - `progress`: as in `fit_camera`; a function is called with words after each level.
 
     It is the joint fit (`fit_joint`) of one scene before cameras that stand apart. Then each view
     is asked what `fit_camera` asks, with what the others know of what is shared: are other places
@@ -95,10 +96,13 @@ def fit_cameras(
         for k, (target, weight) in enumerate(zip(targets, weights, strict=True))
     ]
     given = {"phi": phi, "lens": lens, "outlier_px": outlier_px, "max_steps": max_steps}
-    tell = progress if progress is not None else lambda words: None
     concrete = is_concrete(*jax.tree.leaves(views))
 
     def run(views: Sequence[JointView]) -> tuple[tuple[Fit, ...], list[Part]]:
+        with shown(progress, f"fitting {count} views") as tell:
+            return among(views, tell or say)
+
+    def among(views: Sequence[JointView], tell: Tell) -> tuple[tuple[Fit, ...], list[Part]]:
         starts, begun = (cameras, None) if cameras is not None else _alone(views, freed, given)
         starts = alike([with_lens(c, freed) for c in starts], common)
         masks = [_mask(*each, as_given=not concrete) for each in zip(views, starts, strict=True)]

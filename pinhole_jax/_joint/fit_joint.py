@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from .._camera.camera import Camera
+from .._files.progress import say, shown
 from .._numerics.arrays import ArrayLike, Input, is_concrete
 from .._solver.priors import Pair
 from .implicit import Answer, Differentiable, Part, differentiable
@@ -39,7 +40,7 @@ def fit_joint(
     bounds: Input[Mapping[str, Pair | Mapping[str, Pair]] | None, "low, high"] = None,
     joint_zeros: float | Mapping[str, float] | None = None,
     max_steps: int = 64,
-    progress: Callable[[str], None] | None = None,
+    progress: bool | Callable[[str], None] | None = None,
 ) -> JointFit:
     """Return the cameras and objects whose masks are closest to all those given, with error bars.
 
@@ -95,12 +96,13 @@ def fit_joint(
     ```
     """
     settings = outlier_px, max_steps, prior, bounds, joint_zeros, shared
-    tell = progress if progress is not None else _silent
     concrete = is_concrete(*jax.tree.leaves(views))
 
     def run(views: Any) -> tuple[JointFit, list[Part]]:
         asked = views, cameras, free, objects, rig, *settings
-        return _fit(JointProblem.of(*asked, as_given=not concrete), search, tell)
+        with shown(progress, f"fitting {len(views)} views") as tell:
+            problem = JointProblem.of(*asked, as_given=not concrete)
+            return _fit(problem, search, tell or say)
 
     photos = not concrete and any(view.photo is not None for view in views)
     refused = {"prior": prior, "bounds": bounds, "joint_zeros": joint_zeros, "photo": photos}
@@ -142,10 +144,6 @@ def _fit(problem: JointProblem, search: bool, tell: Tell) -> tuple[JointFit, lis
     ends = [end for _, end in fits]
     several = [(fit, end.numbers) for fit, end in fits]
     return several[0][0] if len(several) == 1 else as_one(several), ends
-
-
-def _silent(words: str) -> None:
-    del words
 
 
 def _led(problem: JointProblem, search: bool, tell: Tell) -> list[Path]:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera, check_camera
+from .._files.progress import say, shown
 from .._fit.fit_camera import check_reach, check_steps
 from .._fit.implicit import Through, check_plain
 from .._fit.result import UNCERTAIN, Progress, at_rest, to_units, widest_turn, without_ended
@@ -99,7 +100,7 @@ def fit_points(
     prior: Input[Mapping[str, Pair] | None, "mean, sigma"] = None,
     bounds: Input[Mapping[str, Pair] | None, "low, high"] = None,
     max_steps: int = 100,
-    progress: Callable[[str], None] | None = None,
+    progress: bool | Callable[[str], None] | None = None,
 ) -> PointFit | tuple[PointFit, ...]:
     """Return the camera that sees points where they were seen: a `PointFit`, or one for each view.
 
@@ -119,7 +120,8 @@ def fit_points(
     - `noise_px`: the standard error of a coordinate, or of one whose weight is 1. None: the
       residuals show it.
     - `prior`, `bounds`: as in `fit_camera`; of what is shared once, else for each view.
-    - `max_steps`: a limit for each descent. `progress` is called with words after each.
+    - `max_steps`: a limit for each descent. `progress`: as in `fit_camera`, a function is
+      called with words after each.
 
     Points of a plane are seen almost as well with their depths reversed, the farther away the
     better, and three points have up to four exact poses: each view of a plane, and of up to 8
@@ -146,7 +148,6 @@ def fit_points(
     check_reach(outlier_px)
     if noise_px is not None and not 0 < noise_px < np.inf:
         raise ValueError(f"`noise_px`: expected a positive number of px, got {noise_px}")
-    tell = progress if progress is not None else lambda words: None
 
     def run(inputs: Any) -> tuple[tuple[PointFit, ...], Descended]:
         given = _checked(*inputs)
@@ -162,7 +163,8 @@ def fit_points(
             view = view._replace(bounds=bounds_of(bounds, c, freed), prior=known)
             views.append(begun(view, outlier_px is not None))
         variance = None if noise_px is None else noise_px**2 / scale
-        found = descended(views, own, Asked(outlier_px, variance, max_steps), tell)
+        with shown(progress, "fitting points") as tell:
+            found = descended(views, own, Asked(outlier_px, variance, max_steps), tell or say)
         return _reports(found, given), found
 
     inputs = points3d, points2d, weights

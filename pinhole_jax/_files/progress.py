@@ -1,0 +1,158 @@
+"""What goes on, said by whoever does it, and shown on stderr to whoever waits for it."""
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cache
+from typing import Any
+
+#: Lines that stay are printed at least this often (s), a line that is overwritten is renewed this
+#: often, and what takes less than `SHORT` has none.
+OFTEN, RENEWED, SHORT = 10.0, 0.2, 1.0
+#: JAX's events that are tracing and compiling; the first ends each program.
+COMPILING = (
+    "/jax/core/compile/backend_compile_duration",
+    "/jax/core/compile/jaxpr_to_mlir_module_duration",
+    "/jax/core/compile/jaxpr_trace_duration",
+)
+_listener: ContextVar[Callable[[str], Any] | None] = ContextVar("listener", default=None)
+
+
+def say(words: object) -> None:
+    """Say what goes on now, to whoever listens in this thread."""
+    if (listener := _listener.get()) is not None:
+        listener(str(words))
+
+
+@contextmanager
+def _heard_by(listener: Callable[[str], Any]) -> Iterator[None]:
+    token = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(token)
+
+
+@contextmanager
+def shown(
+    progress: bool | Callable[[Any], Any] | None, text: str
+) -> Iterator[Callable[[Any], Any] | None]:
+    """Yield the function that a fit calls as it goes on, None where nobody listens.
+
+    A line is shown for True, and for None in a notebook. Raises ValueError for other arguments.
+    """
+    if not (callable(progress) or progress in (True, False, None)):
+        words = f"expected True, False, None or a function, got {progress!r}"
+        raise ValueError(f"`progress`: {words}")
+    if callable(progress) or progress is False:
+        with _heard_by(lambda words: None):
+            yield progress or None
+    elif _listener.get() is not None:
+        yield say
+    elif progress or (progress is None and _is_notebook()):
+        with Ticker(text, live=_is_notebook() or None) as ticker:
+            ticker.clock = Clock()
+            yield say
+        if progress:
+            ticker.tell(f"{text}: {ticker.clock.elapsed():.1f} s{ticker.clock.words()}")
+    else:
+        yield None
+
+
+def _is_notebook() -> bool:
+    ipython = sys.modules.get("IPython")
+    return ipython is not None and hasattr(ipython.get_ipython(), "kernel")
+
+
+@cache
+def _compiled() -> list[float]:
+    """Return the seconds and the number of programs that are compiled from now on, which grow."""
+    import jax.monitoring
+
+    total = [0.0, 0.0]
+
+    def listen(event: str, duration_secs: float, **kwargs: Any) -> None:
+        del kwargs
+        total[0] += duration_secs * (event in COMPILING)
+        total[1] += event == COMPILING[0]
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    return total
+
+
+class Clock:
+    """Time since it was made, and how much of it JAX spent tracing and compiling."""
+
+    def __init__(self) -> None:
+        self._before, self._begin = tuple(_compiled()), time.perf_counter()
+
+    @property
+    def compiling(self) -> float:
+        return _compiled()[0] - self._before[0]
+
+    def words(self) -> str:
+        """Return how much was compiled, nothing if that is little."""
+        programs = _compiled()[1] - self._before[1]
+        if self.compiling < SHORT or not programs:
+            return ""
+        return f", {self.compiling:.0f} s of it compiling ({programs:.0f} programs, the first time)"
+
+    def elapsed(self) -> float:
+        return time.perf_counter() - self._begin
+
+
+class Ticker:
+    """A line on stderr that says what goes on: on a terminal one that is overwritten, elsewhere one
+    every `OFTEN` seconds; where `verbose`, all that was said besides."""
+
+    clock: Clock | None = None
+
+    def __init__(self, text: str, verbose: bool = False, live: bool | None = None) -> None:
+        self._text, self._verbose = text, verbose
+        self._live = (sys.stderr.isatty() if live is None else live) and not verbose
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._begin = self._told = time.perf_counter()
+
+    def say(self, text: str) -> None:
+        self._text = text
+        if self._verbose:
+            self.tell(text)
+
+    def tell(self, text: str) -> None:
+        """Print a line that is to stay."""
+        self._told = time.perf_counter()
+        clear = "\r\x1b[K" if self._live and not self._done.is_set() else ""
+        print(f"{clear}{text}", file=sys.stderr, flush=True)
+
+    def __enter__(self) -> "Ticker":
+        self._heard = _heard_by(self.say)
+        self._heard.__enter__()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._heard.__exit__(None, None, None)
+        self.done()
+
+    def done(self) -> None:
+        """Clear the line, to print."""
+        self._done.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        shown = False
+        while not self._done.wait(RENEWED):
+            now = time.perf_counter()
+            more = self.clock.words() if self.clock else ""
+            line = f"{now - self._begin:4.0f} s  {self._text}{more}"
+            if self._live and now - self._begin > SHORT:
+                shown = True
+                print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
+            elif not self._live and now - self._told >= OFTEN:
+                self.tell(line)
+        if shown:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)

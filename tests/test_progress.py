@@ -1,0 +1,79 @@
+"""What a fit says while it runs, and who is shown it."""
+
+import sys
+import time
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pinhole_jax as pj
+from pinhole_jax._files import progress
+from pinhole_jax._files.progress import Ticker, say, shown
+
+CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 48, 40)
+SCENE = pj.Scene(mesh=pj.shapes.bumpy(2))
+
+
+def test_line_comes_often_where_there_is_no_terminal(monkeypatch, capsys):
+    monkeypatch.setattr(progress, "OFTEN", 0.3)
+    monkeypatch.setattr(progress, "RENEWED", 0.05)
+    with Ticker("reading"):
+        say("looking for a view: guess 3 of 16")
+        time.sleep(0.8)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2
+    assert all(line.endswith("s  looking for a view: guess 3 of 16") for line in lines)
+
+
+def test_quick_work_shows_nothing(capsys):
+    for live in (False, True):
+        with Ticker("reading", live=live):
+            say("fitting")
+    assert capsys.readouterr().err == ""
+
+
+def test_fit_tells_what_goes_on_and_how_long_it_took(monkeypatch, capsys):
+    monkeypatch.setattr(progress, "SHORT", 0.0)
+    monkeypatch.setattr(progress, "RENEWED", 0.01)
+    monkeypatch.setattr(progress, "OFTEN", 0.02)
+    mask = np.asarray(pj.silhouette(CAMERA, SCENE)) > 0.5
+    assert pj.fit_camera(SCENE, mask, CAMERA).status == "converged"
+    assert capsys.readouterr().err == ""
+    pj.fit_camera(SCENE, mask, CAMERA, progress=True)
+    said = capsys.readouterr().err
+    *lines, last = said.splitlines()
+    assert lines
+    assert last.startswith("fitting: ")
+
+
+def test_clock_tells_what_was_compiled(monkeypatch):
+    monkeypatch.setattr(progress, "SHORT", 1e-9)
+    clock = progress.Clock()
+    assert clock.words() == ""
+    jax.block_until_ready(jax.jit(lambda x: jnp.cos(x) + len("a program of its own"))(1.0))
+    assert "compiling (1 programs" in clock.words()
+
+
+def test_notebooks_show_a_line_unless_they_are_told_not_to(monkeypatch):
+    kernel = SimpleNamespace(get_ipython=lambda: SimpleNamespace(kernel=0))
+    monkeypatch.setitem(sys.modules, "IPython", kernel)
+    for asked, is_heard in ((None, True), (False, False)):
+        with shown(asked, "fitting") as tell:
+            assert (tell is not None) == is_heard
+
+
+def test_function_is_called_and_nothing_is_shown(monkeypatch):
+    told = []
+    with shown(told.append, "fitting") as tell:
+        assert tell is not None
+        tell("3 steps")
+        say("a stage, which is no `Progress`")
+    assert told == ["3 steps"]
+
+
+def test_progress_of_another_kind_is_refused():
+    with pytest.raises(ValueError, match="`progress`: expected True, False, None or a function"):
+        pj.fit_camera(SCENE, np.ones((40, 48)), CAMERA, progress="yes")
