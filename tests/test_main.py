@@ -18,7 +18,7 @@ import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io, shapes
 from pinhole_jax._camera.distortion import MODELS
 from pinhole_jax._command.arguments import parse
-from pinhole_jax._command.known import known
+from pinhole_jax._command.known import known, names_of
 from pinhole_jax._files.naming import named
 from pinhole_jax._fit.words import STATUSES
 from pinhole_jax._solver.parameters import NAMES, check_free
@@ -368,7 +368,7 @@ def help_of(name, capsys):
 
 def test_help_names_all_that_may_be_free(capsys):
     text = " ".join(help_of("fit", capsys).partition("--free NAMES ")[2].split())
-    named = re.search(r"with commas, of (.*?):", text)[1].split(", ")
+    named = re.search(r"what to fit, of (.*?):", text)[1].split(", ")
     assert tuple(named) == NAMES
     for name in named:
         lens = pj.Lens([48, 40], distortion=pj.Rational())
@@ -481,7 +481,7 @@ def known_of(*words, size=(96, 80), free=("pose",)):
     return known(parse(["fit", "a.ply", "b.png", *map(str, words)]), free, size, print)
 
 
-def test_known_intrinsics_are_read_as_opencv_has_them():
+def test_known_intrinsics_are_read_as_opencv_has_them(capsys):
     camera, phi, lens = known_of("--K", 90, 91, 47.5, 40)
     assert camera is None
     np.testing.assert_allclose(phi, 2 * np.arctan(80 / 2 / 91))
@@ -489,10 +489,32 @@ def test_known_intrinsics_are_read_as_opencv_has_them():
     np.testing.assert_allclose(lens.aspect, 90 / 91)
     bent = known_of("--K", 90, 91, 47.5, 40, "--dist", 0.1, 0, 0, 0, 0, 0.01, 0, 0)
     assert type(bent.lens.distortion) is pj.Rational
-    with pytest.raises(ValueError, match="`--dist`: expected 4, 5 or 8 coefficients, got 1"):
+    with pytest.raises(SystemExit):
         known_of("--K", 90, 91, 47.5, 40, "--dist", 0.1)
+    assert "expected 4, 5 or 8 coefficients, got 1" in capsys.readouterr().err
     with pytest.raises(ValueError, match="`--dist`: expected --K beside it, got none"):
         known_of("--fov", 30, "--dist", 0.1, 0, 0, 0)
+
+
+def test_numbers_and_names_are_read_with_commas_and_without():
+    words = ["--K", "90,91,47.5,40", "--dist", "-0.21,0.07,0,0", "--free", "pose", "focal", "k1"]
+    options = parse(["fit", *words, "a.ply", "b.png"])
+    assert (options.K, options.dist) == ([90, 91, 47.5, 40], [-0.21, 0.07, 0, 0])
+    assert names_of(options.free) == ("pose", "phi", "k1")
+    assert (options.mesh, options.mask) == ("a.ply", "b.png")
+    apart = parse(["fit", "--dist", "-.2", "1e-2", "0", "0", "a.ply", "b.png", "--K", "k.yaml"])
+    assert (apart.dist, apart.K, apart.mesh) == ([-0.2, 0.01, 0, 0], "k.yaml", "a.ply")
+
+
+def test_file_of_intrinsics_is_that_of_the_whole_picture(tmp_path):
+    path = tmp_path / "k.json"
+    path.write_text(json.dumps({"fx": 90, "fy": 91, "cx": 47.5, "cy": 40, "w": 96, "h": 80}))
+    _, phi, lens = known_of("--K", path, "--dist", -0.1, 0, 0, 0)
+    np.testing.assert_allclose(phi, 2 * np.arctan(80 / 2 / 91))
+    np.testing.assert_allclose(lens.principal_point, [48, 80 - 40.5])
+    assert float(lens.distortion.k1) == pytest.approx(-0.1)
+    with pytest.raises(ValueError, match="`--K`: expected a camera of 48 x 40, got one of 96 x 80"):
+        known_of("--K", path, size=(48, 40))
 
 
 def rays_of(camera, phi, lens):

@@ -153,6 +153,33 @@ class Camera(eqx.Module):
 
         return camera_card(self, _rows(self))
 
+    @property
+    def K(self) -> Float[Array, "3 3"]:
+        """OpenCV's K (px): y down, the first pixel's centre is (0, 0). (`formats.to_opencv` has it
+        from the first pixel's corner, too: `pixel_centres="half"`.) Differentiable."""
+        check_camera(self)
+        fx, fy = focal_px(self)
+        x, y = principal_point(self)  # film coordinates: y up
+        zero, one = jnp.zeros_like(fx), jnp.ones_like(fx)
+        rows = [fx, zero, x - 0.5], [zero, fy, self.H - y - 0.5], [zero, zero, one]
+        return jnp.stack([jnp.stack(row) for row in rows])
+
+    @property
+    def R(self) -> Float[Array, "3 3"]:
+        """OpenCV's R, x right, y down, z forward: `X_camera = R X_world + t`. Differentiable."""
+        b1, b2, v = camera_basis(self)
+        return jnp.stack([b1, -b2, v])
+
+    @property
+    def t(self) -> Float[Array, "3"]:
+        """OpenCV's t (world units): `X_camera = R X_world + t`. Differentiable."""
+        return -self.R @ self.e
+
+    @property
+    def distortion(self) -> Distortion | None:
+        """The lens's distortion, with OpenCV's coefficients; None: it bends nothing."""
+        return None if self.lens is None else self.lens.distortion
+
     def replace(self, **changes: Input[ArrayLike | Lens | None, "by name"]) -> "Camera":
         """Return the camera with some of its arguments changed, checked as the constructor does."""
         return replace(self, **changes)
@@ -214,8 +241,8 @@ class Camera(eqx.Module):
         phi = 2 * jnp.arctan(self.H / (2 * fy))
         if fx is None:
             return self.replace(phi=phi)
-        distortion = None if self.lens is None else self.lens.distortion
-        return self.replace(phi=phi, lens=Lens(principal_point(self), fx / fy, distortion))
+        lens = Lens(principal_point(self), fx / fy, self.distortion)
+        return self.replace(phi=phi, lens=lens)
 
     def with_pose(self, eye: Input[ArrayLike, "3"], axes: Input[ArrayLike, "3 3"]) -> "Camera":
         """Return the camera at an eye (3,) with these axes (3, 3), rows b1, b2, v: right, up,

@@ -3,6 +3,8 @@ typo come at once."""
 
 import argparse
 import json
+import re
+import sys
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -10,6 +12,8 @@ from .. import __version__
 from .._files.native_library import is_switched_off, library_path
 from ..names import DISTORTIONS, FREE, STATUSES
 
+#: Numbers with commas between.
+NUMBERS = re.compile(r"(?i:[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+]?(nan|inf)|,)+")
 #: The models of a lens's distortion, with their coefficients, as a camera file has them.
 EXAMPLES = "\n  ".join(
     json.dumps({"model": name, **dict.fromkeys(names, 0)}) for name, names in DISTORTIONS.items()
@@ -62,6 +66,54 @@ a data set is one of
 RESULTS holds rows as JSON lines: status, camera, K, R, t, covariance, seconds, and why a record
 failed. Processes on several machines may share it, each with a --shard of its own.
 """
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(number) for number in text.split(",") if number.strip()]
+
+
+def _intrinsics(text: str) -> list[float] | str:
+    """Return the numbers of `--K`, or the path of a file that has them."""
+    try:
+        numbers = _numbers(text)
+    except ValueError:
+        return text
+    if len(numbers) != 4:
+        words = f"expected FX FY CX CY (px) or a file, got {len(numbers)} numbers"
+        raise argparse.ArgumentTypeError(words)
+    return numbers
+
+
+def _coefficients(text: str) -> list[float]:
+    """Return the numbers of `--dist`."""
+    try:
+        numbers = _numbers(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected numbers, got {text!r}") from None
+    if len(numbers) not in (4, 5, 8):
+        words = f"expected 4, 5 or 8 coefficients, got {len(numbers)}"
+        raise argparse.ArgumentTypeError(words)
+    return numbers
+
+
+def _joined(arguments: Sequence[str]) -> list[str]:
+    """Return arguments with what follows --K, --dist and --free in one word each, with commas: so
+    it may begin with a minus, and what comes after it is MESH."""
+    rest, result = list(arguments), []
+    while rest:
+        name = rest.pop(0)
+        parts = []
+        while rest and _belongs(name, rest[0]):
+            parts.append(rest.pop(0).strip(","))
+        result.append(f"{name}={','.join(parts)}" if parts else name)
+    return result
+
+
+def _belongs(option: str, word: str) -> bool:
+    """True where a word goes on with the numbers, or the names, of an option."""
+    if option in ("--K", "--dist"):
+        return bool(NUMBERS.fullmatch(word))
+    return option == "--free" and {*word.split(",")} <= {*FREE, "focal", ""}
 
 
 class Verb(NamedTuple):
@@ -118,8 +170,8 @@ VERBS = {
         "Exit status: 0 each record has a row, 1 some have no fit (their rows say why), 2 bad"
         " input.",
         "dataset -o/--output --workers --shard --resume --retry --time-limit --merge"
-        " --write --start --models --detections --K|--fov --pixel-centres --free --mask-from"
-        " --verbose --no-cache",
+        " --write --start --models --detections --camera|--K|--fov --dist --pixel-centres --free"
+        " --mask-from --invert --tidy --verbose --no-cache",
         DATASETS,
     ),
     "studio": Verb(
@@ -162,7 +214,11 @@ OPTIONS = {
         "where to start (else: search): a camera file, see below, or any that `convert` reads;"
         " FILE:NAME is one of several",
     ),
-    "--K": ("FX FY CX CY", "known intrinsics in px (OpenCV's K), to search with"),
+    "--K": (
+        "K",
+        "known intrinsics, to search with: FX FY CX CY in px (OpenCV's), or a file that has them:"
+        " OpenCV's or ROS's calibration, COLMAP's cameras.txt, JSON with K",
+    ),
     "--fov": (
         "DEGREES",
         "vertical field of view, to search with (default: what the EXIF data of PHOTO say)",
@@ -172,7 +228,7 @@ OPTIONS = {
         "DEGREES",
         "vertical field of view (default: what the EXIF data of PHOTO say, or 40)",
     ),
-    "--dist": ("K1", "with --K: OpenCV's k1 k2 p1 p2, k3, k4 k5 k6"),
+    "--dist": ("K1,K2,...", "with --K: OpenCV's k1 k2 p1 p2, k3, k4 k5 k6"),
     "--pixel-centres": (
         "",
         "where CX, CY of --K (and of the K that is printed) count from: the first pixel's centre is"
@@ -188,7 +244,7 @@ OPTIONS = {
     ),
     "--free": (
         "NAMES",
-        f"what to fit, with commas, of {', '.join(FREE)}: pose is position and orientation, phi and"
+        f"what to fit, of {', '.join(FREE)}: pose is position and orientation, phi (or focal) and"
         " d are the focal length in two ways, distortion is all coefficients of the lens; the rest"
         " stays as it is at the start (default: %(default)s)",
     ),
@@ -246,9 +302,9 @@ MORE: dict[str, dict[str, Any]] = {
     "dataset": {"nargs": "?"},
     "studio mesh": {"nargs": "?"},
     "photo": {"nargs": "?"},
-    "--K": {"type": float},
+    "--K": {"type": _intrinsics},
     "--fov": {"type": float},
-    "--dist": {"type": float, "nargs": "+"},
+    "--dist": {"type": _coefficients},
     "--pixel-centres": {"choices": ("integer", "half"), "default": "integer"},
     "--crop": {"type": float},
     "--resize": {"type": int},
@@ -304,7 +360,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
                 group = own.add_mutually_exclusive_group(required=part[0] == "!")
             for option in part.lstrip("!").split("|"):
                 group.add_argument(*option.split("/"), **_keywords(name, option))
-    return parser.parse_args(arguments)
+    return parser.parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
 
 
 def _keywords(verb: str, option: str) -> dict[str, Any]:

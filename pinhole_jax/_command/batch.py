@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from .. import formats
+from .. import Fisheye, formats
 from .._files.interrupt import interrupts_raise
 from .._files.naming import named
 from .._files.progress import Ticker
@@ -23,7 +23,7 @@ from ..batch import (
     read_dataset,
     shard_of,
 )
-from .known import check_fov
+from .known import check_fov, names_of
 from .outputs import check_outputs, replaced
 
 #: What the command calls the arguments of the library.
@@ -110,12 +110,32 @@ def _dataset(options: argparse.Namespace) -> Dataset:
         start=options.start,
         models=options.models,
         detections=options.detections,
-        free=options.free,
-        K=options.K,
-        pixel_centres=options.pixel_centres if options.K is not None else None,
+        free=",".join(names_of(options.free)),
+        camera=options.camera,
         fov=options.fov,
         mask_from=options.mask_from,
+        invert=options.invert or None,
+        tidy=options.tidy or None,
+        **_intrinsics(options),
     )
+
+
+def _intrinsics(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the fields of records that say what `--K`, `--dist` and `--pixel-centres` do."""
+    if options.K is None:
+        if options.dist is not None:
+            raise ValueError("`--dist`: expected --K beside it, got none")
+        return {}
+    K, dist, centres = options.K, options.dist, options.pixel_centres
+    if isinstance(K, str):
+        with named(path="--K"):
+            camera = formats.read_intrinsics(K, size=(1, 1), pixel_centres=centres)
+        if isinstance(camera.distortion, Fisheye):
+            raise ValueError("`--K`: expected OpenCV's distortion, got a fisheye: give --camera")
+        K = formats.to_opencv(camera, pixel_centres=centres)[0].ravel().tolist()
+        if camera.distortion is not None:
+            dist = [*camera.distortion.coefficients().values()]
+    return {"K": K, "dist": dist, "pixel_centres": centres}
 
 
 def _ids(data: Dataset, shard: tuple[int, int]) -> Iterator[str]:

@@ -4,12 +4,12 @@ that the mask shows a part of its picture, or is resized."""
 import argparse
 import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from .. import BrownConrady, Camera, Lens, Rational
 from .._files.naming import named
-from ..formats import cropped, from_opencv, read_one, resized
+from ..formats import cropped, from_opencv, read_intrinsics, read_one, resized, to_opencv
 from ..io import photo_fov
 
 Size = tuple[int, int]
@@ -19,8 +19,9 @@ LEAST_FOV, MOST_OFF = 1.0, 0.1
 
 
 def names_of(text: str) -> tuple[str, ...]:
-    """Return the names of an option, which stand between commas."""
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+    """Return the names of an option, which stand between commas; focal is phi."""
+    names = (name.strip() for name in text.split(","))
+    return tuple("phi" if name == "focal" else name for name in names if name)
 
 
 def unplaced(phi: Any, W: int, H: int, lens: Lens | None = None) -> Camera:
@@ -50,9 +51,10 @@ def known(
         camera = _of_file(options.camera, window.beside)
         return Known(camera=window.of(camera))
     if options.K is not None:
+        camera = _of_K(options, window.beside)
         if window.crop is None:
-            check_centre(options.K, window.before, tell)
-        camera = window.of(_of_K(options, window.beside))
+            check_centre(camera, options.pixel_centres, tell)
+        camera = window.of(camera, "--K")
         return Known(phi=camera.phi, lens=camera.lens)
     if window.crop:
         raise ValueError(
@@ -82,13 +84,13 @@ def check_fov(fov: float, tell: Callable[[str], Any]) -> None:
         tell(f"note: --fov {words}")
 
 
-def check_centre(K: Sequence[float], size: Size, tell: Callable[[str], Any]) -> None:
+def check_centre(camera: Camera, pixel_centres: Any, tell: Callable[[str], Any]) -> None:
     """Raise ValueError where the principal point of `--K` is outside the picture; warn where it is
     far from the middle."""
-    _, fy, cx, cy = K
-    W, H = size
+    size = W, H = camera.W, camera.H
+    (_, _, cx), (_, fy, cy), _ = to_opencv(camera, pixel_centres=pixel_centres)[0].tolist()
     near = lambda x, y: math.hypot(x - W / 2, y - H / 2) <= MOST_OFF * W
-    if not all(map(math.isfinite, K)) or near(cx, cy):
+    if near(cx, cy):
         return
     if near(cy, cx):
         hint = "are CX and CY exchanged?"
@@ -121,7 +123,7 @@ class _Window(NamedTuple):
         left, top, W, H = self.crop
         return math.ceil(max(left, 0)) + W, math.ceil(max(top, 0)) + H
 
-    def of(self, camera: Camera) -> Camera:
+    def of(self, camera: Camera, option: str = "--camera") -> Camera:
         """Return the mask's camera, where this is the whole picture's."""
         with named(W="--crop", H="--crop"):
             if self.crop is not None:
@@ -129,10 +131,10 @@ class _Window(NamedTuple):
         if self.crop is None and self.before != (camera.W, camera.H):
             size = _words((camera.W, camera.H))
             if self.before != self.size:
-                words = f"expected the size of --camera, {size}, got {_words(self.before)}"
+                words = f"expected the size of {option}, {size}, got {_words(self.before)}"
                 raise ValueError(f"`--resize`: {words}")
             raise ValueError(
-                f"`--camera`: expected a camera of {_words(self.before)}, got one of {size}; if"
+                f"`{option}`: expected a camera of {_words(self.before)}, got one of {size}; if"
                 " MASK was cut out of its picture, or resized, add --crop or --resize"
             )
         return camera if self.before == self.size else resized(camera, *self.size)
@@ -173,19 +175,24 @@ def _of_file(path: str, size: Size) -> Camera:
 
 def _of_K(options: argparse.Namespace, size: Size) -> Camera:
     """Return a camera with the intrinsics of `--K`, `--dist`, `--pixel-centres`."""
+    centres = options.pixel_centres
+    model = None
+    if options.dist is not None:
+        model = (Rational if len(options.dist) == 8 else BrownConrady)(*options.dist)
+    if isinstance(options.K, str):
+        with named(path="--K"):
+            camera = read_intrinsics(options.K, size=size, pixel_centres=centres)
+        if model is not None and camera.distortion is not None:
+            raise ValueError(f"`--dist`: expected none beside the lens of {options.K!r}")
+        if model is None:
+            return camera
+        matrices = to_opencv(camera, pixel_centres=centres)
+        return from_opencv(*matrices, camera.W, camera.H, pixel_centres=centres, distortion=model)
     fx, fy, cx, cy = options.K
     if not all(map(math.isfinite, options.K)):
         words = " ".join(f"{x:g}" for x in options.K)
         raise ValueError(f"`--K`: expected four finite numbers (px), got {words}")
     K, turn = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-    coefficients, centres = options.dist, options.pixel_centres
-    if coefficients is not None and len(coefficients) not in (4, 5, 8):
-        raise ValueError(f"`--dist`: expected 4, 5 or 8 coefficients, got {len(coefficients)}")
-    model = (
-        None
-        if coefficients is None
-        else (Rational if len(coefficients) == 8 else BrownConrady)(*coefficients)
-    )
     with named(K="--K", lens="--dist"):
         return from_opencv(K, turn, [0, 0, 0], *size, pixel_centres=centres, distortion=model)
 

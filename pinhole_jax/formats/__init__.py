@@ -31,6 +31,7 @@ from .files import (
     write as write,
 )
 from .gltf import read_gltf as read_gltf, write_gltf as write_gltf
+from .intrinsics import read_intrinsics as read_intrinsics
 from .matrices import from_opencv as from_opencv, to_opencv as to_opencv
 from .mitsuba import read_mitsuba as read_mitsuba, write_mitsuba as write_mitsuba
 from .native import read_json as read_json, write_json as write_json

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._camera.camera import Camera
-from .._camera.distortion import BrownConrady, Fisheye, Rational
+from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.poses import inverse, rigid
 from .._files.paths import opened, replace_file
 from .fields import KIND, Fields, add_named, check_cameras, number, save_text, short
@@ -22,7 +22,6 @@ from .pinhole import (
     Pinhole,
     camera_from_world,
     camera_of,
-    distortion_of,
     model_of,
     pinhole,
 )
@@ -126,7 +125,13 @@ def _can_hold(name: str, binary: bool) -> bool:
     return in_one and "\0" not in name and 0 < len(name.encode()) <= MOST_NAME
 
 
-def _camera(intrinsics: Fields, pose: Fields) -> Camera:
+def colmap_intrinsics(file: Path) -> dict[str, tuple[Pinhole, Distortion | None]]:
+    """Return the intrinsics and lenses of a model's cameras.txt or .bin, by their numbers."""
+    read = _binary_cameras if file.suffix == ".bin" else _text_cameras
+    return {str(key): _intrinsics(fields) for key, fields in read(file).items()}
+
+
+def _intrinsics(intrinsics: Fields) -> tuple[Pinhole, Distortion | None]:
     number = intrinsics.number
     fx, fy = ("f", "f") if "f" in intrinsics else ("fx", "fy")
     view = Pinhole(
@@ -141,9 +146,12 @@ def _camera(intrinsics: Fields, pose: Fields) -> Camera:
     fisheye = bool(number("FISHEYE"))
     plain.add("FISHEYE")
     distorted = {name: number(name) for name in intrinsics.data if name not in plain}
-    distortion = model_of(
-        distorted, intrinsics, (Fisheye,) if fisheye else (BrownConrady, Rational)
-    )
+    models = (Fisheye,) if fisheye else (BrownConrady, Rational)
+    return view, model_of(distorted, intrinsics, models)
+
+
+def _camera(intrinsics: Fields, pose: Fields) -> Camera:
+    view, distortion = _intrinsics(intrinsics)
     q = pose.array("QUATERNION", (4,))
     if not is_unit(q):
         raise pose.wrong("QUATERNION", "one of length 1", q)
@@ -177,7 +185,7 @@ def _pose_of(numbers: Any, camera: int, where: str) -> Fields:
     return Fields(data, where)
 
 
-def _read_text(cameras: Path, images: Path) -> tuple[dict[int, Fields], list[tuple[str, Fields]]]:
+def _text_cameras(cameras: Path) -> dict[int, Fields]:
     intrinsics: dict[int, Fields] = {}
     for where, line in _lines(cameras):
         words = line.split()
@@ -190,6 +198,12 @@ def _read_text(cameras: Path, images: Path) -> tuple[dict[int, Fields], list[tup
         key, values = _id("CAMERA_ID", words[0], where), _numbers(words[2:], where)
         fields = _fields_of(words[1], values[:2], values[2:], where)
         _add(intrinsics, "CAMERA_ID", key, fields, where)
+    _check_count(cameras, len(intrinsics))
+    return intrinsics
+
+
+def _read_text(cameras: Path, images: Path) -> tuple[dict[int, Fields], list[tuple[str, Fields]]]:
+    intrinsics = _text_cameras(cameras)
     found: dict[int, tuple[str, Fields]] = {}
     lines = _lines(images)
     for where, line in lines:
@@ -205,7 +219,6 @@ def _read_text(cameras: Path, images: Path) -> tuple[dict[int, Fields], list[tup
         pose = _pose_of(_numbers(words[1:8], where), camera, where)
         _add(found, "IMAGE_ID", key, (words[9].strip(), pose), where)
         _check_points(*next(lines, (where, "")))
-    _check_count(cameras, len(intrinsics))
     _check_count(images, len(found))
     return intrinsics, list(found.values())
 
@@ -266,7 +279,7 @@ def _check_count(file: Path, count: int) -> None:
             raise ValueError(f"expected {words} ({where})")
 
 
-def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, Fields], list[tuple[str, Fields]]]:
+def _binary_cameras(cameras: Path) -> dict[int, Fields]:
     intrinsics: dict[int, Fields] = {}
     with _Reader(cameras) as reader:
         for _ in range(reader.take("<Q")[0]):
@@ -278,6 +291,11 @@ def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, Fields], list[t
             name, parameters = MODELS[model]
             values = reader.take(f"<{len(parameters.split())}d")
             _add(intrinsics, "CAMERA_ID", key, _fields_of(name, (W, H), values, where), where)
+    return intrinsics
+
+
+def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, Fields], list[tuple[str, Fields]]]:
+    intrinsics = _binary_cameras(cameras)
     found: dict[int, tuple[str, Fields]] = {}
     with _Reader(images) as reader:
         for _ in range(reader.take("<Q")[0]):
@@ -345,7 +363,7 @@ class View(NamedTuple):
 
 
 def _view(camera: Camera) -> View:
-    view, distortion = pinhole(camera, distorted=True), distortion_of(camera)
+    view, distortion = pinhole(camera, distorted=True), camera.distortion
     number = 5 if isinstance(distortion, Fisheye) else 1
     if isinstance(distortion, BrownConrady):
         number = 6 if float(distortion.k3) else 4

@@ -15,7 +15,6 @@ from .pinhole import (
     OPENGL,
     Pinhole,
     camera_of,
-    distortion_of,
     focal_of_fov,
     fov_of_focal,
     model_of,
@@ -80,7 +79,7 @@ def write_nerf(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> N
     ```
     """
     check_cameras(cameras, "JSON")
-    fisheye = [isinstance(distortion_of(camera), Fisheye) for camera in cameras.values()]
+    fisheye = [isinstance(camera.distortion, Fisheye) for camera in cameras.values()]
     if len({*fisheye}) > 1:
         raise ValueError("`cameras`: expected fisheyes or none in one file, got both")
     views = [_numbers(camera) for camera in cameras.values()]
@@ -113,7 +112,7 @@ def _intrinsics(fields: Fields, size: Size | None) -> Pinhole:
 
 
 def _numbers(camera: Camera) -> dict[str, float | int]:
-    view, distortion = pinhole(camera, distorted=True), distortion_of(camera)
+    view, distortion = pinhole(camera, distorted=True), camera.distortion
     if isinstance(distortion, Rational):  # k4 here is another term of the numerator
         raise ValueError("`cameras`: expected OpenCV's k1, k2, p1, p2, k3, got a Rational")
     distorted = {} if distortion is None else distortion.coefficients()

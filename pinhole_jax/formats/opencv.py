@@ -19,7 +19,7 @@ from .._camera.poses import inverse, rigid
 from .._numerics.arrays import Input
 from .fields import NO, YES, Fields, Size, check_cameras, save_text, short
 from .matrices import to_opencv
-from .pinhole import OPENCV, Pinhole, camera_of, distortion_of, model_of, rotation
+from .pinhole import OPENCV, Pinhole, camera_of, model_of, rotation
 from .rotations import rotations
 from .unknown import unknown
 
@@ -107,6 +107,30 @@ def read_opencv(
     from . import storage  # PyYAML: of no use to who reads other files
 
     fields = _known(storage.load(path), storage.array_of)
+    view, distortion = _intrinsics(fields, size, pixel_centres)
+    poses = _poses(fields)
+    names = _names(fields, len(poses))
+    return {
+        name: camera_of(view, inverse(pose), OPENCV, fields, distortion)
+        for name, pose in zip(names, poses, strict=True)
+    }
+
+
+def opencv_intrinsics(
+    file: Fields, size: Size | None, pixel_centres: str
+) -> tuple[Pinhole, Distortion | None]:
+    """Return the intrinsics and the lens of a calibration's fields; `size` and `pixel_centres`
+    where they do not say."""
+    from . import storage
+
+    fields = _known(file, storage.array_of)
+    own = size if {"image_width", "image_height"}.isdisjoint(fields.data) else None
+    return _intrinsics(fields, own, fields.data.get("pixel_centres", pixel_centres))
+
+
+def _intrinsics(
+    fields: Fields, size: Size | None, pixel_centres: str | None
+) -> tuple[Pinhole, Distortion | None]:
     K = fields.array("camera_matrix", (3, 3))
     if np.any(K[2] != [0, 0, 1]) or K[1, 0] != 0 or abs(K[0, 1]) > 1e-9 * abs(K[0, 0]):
         raise fields.wrong("camera_matrix", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", K)
@@ -114,12 +138,7 @@ def read_opencv(
     half = half_pixel(centres if pixel_centres is None else pixel_centres)
     W, H = fields.size("image_width", "image_height", size)
     view = Pinhole(K[0, 0], K[1, 1], K[0, 2] + half, K[1, 2] + half, W, H)
-    poses = _poses(fields)
-    names, distortion = _names(fields, len(poses)), _distortion(fields)
-    return {
-        name: camera_of(view, inverse(pose), OPENCV, fields, distortion)
-        for name, pose in zip(names, poses, strict=True)
-    }
+    return view, _distortion(fields)
 
 
 def write_opencv(
@@ -141,7 +160,7 @@ def write_opencv(
     check_cameras(cameras, "OpenCV", _can_hold)
     matrices = [to_opencv(camera, pixel_centres=pixel_centres) for camera in cameras.values()]
     sizes = [(camera.W, camera.H) for camera in cameras.values()]
-    models = [distortion_of(camera) for camera in cameras.values()]
+    models = [camera.distortion for camera in cameras.values()]
     distortion = [{} if m is None else {type(m).__name__: m.coefficients()} for m in models]
     K = matrices[0][0]
     for name, size, (other, _, _), own in zip(cameras, sizes, matrices, distortion, strict=True):
@@ -247,7 +266,7 @@ def _poses(fields: Fields) -> list[np.ndarray]:
     """Return camera_from_world, (4, 4), of every view."""
     kinds = [name for name in ("extrinsic_parameters", "rvec", "R") if name in fields]
     if not kinds:
-        words = "no pose: intrinsics alone are no camera; see `from_opencv` (or --K, --dist)"
+        words = "no pose: intrinsics alone are no camera; see `from_opencv` (or --K FILE)"
         raise fields.wrong("R", "R and t, or extrinsic_parameters", words)
     name, *others = kinds
     if name == "extrinsic_parameters" and "t" in fields:

@@ -42,7 +42,7 @@ def pinhole(camera: Camera, *, distorted: bool = False) -> Pinhole:
     """Return the camera's intrinsics, or raise ValueError for a distortion unless it goes beside
     (`distorted`)."""
     check_camera(camera)
-    model = distortion_of(camera)
+    model = camera.distortion
     if model is not None and not distorted:
         raise ValueError(
             "`cameras`: expected no lens distortion, which this format cannot hold, got a"
@@ -51,11 +51,6 @@ def pinhole(camera: Camera, *, distorted: bool = False) -> Pinhole:
     K = to_opencv(camera, pixel_centres="half")[0]
     fx, fy, cx, cy = K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     return Pinhole(fx, fy, cx, cy, camera.W, camera.H)
-
-
-def distortion_of(camera: Camera) -> Distortion | None:
-    """Return the camera's distortion."""
-    return None if camera.lens is None else camera.lens.distortion
 
 
 def model_of(

@@ -1,14 +1,11 @@
 """Words for files that are not read: which program's they are, and what to do instead."""
 
-import math
 import re
 from collections.abc import Mapping
 from typing import Any
 
-from .fields import clipped
-
 COLMAP = "export its cameras as COLMAP"
-INTRINSICS = "it holds no pose; give its numbers as --K FX FY CX CY --dist K1 K2 P1 P2"
+INTRINSICS = "it holds no pose; --K FILE takes its intrinsics (`read_intrinsics`)"
 #: The cameras in Kalibr's camchain.
 CAMCHAIN = re.compile(r"cam\d+")
 #: By a field's name, or the root of XML: whose file it is, what to do.
@@ -39,10 +36,9 @@ def unknown(data: Any) -> str | None:
     names = {data.rpartition("}")[2]} if isinstance(data, str) else _names(data)
     for name in sorted(filter(CAMCHAIN.fullmatch, names)):
         if isinstance(data, Mapping) and name in data:
-            return f"Kalibr's camchain (by its {name!r}): {_intrinsics(data[name], name)}"
+            return f"Kalibr's camchain (by its {name!r}): {INTRINSICS}"
     for name, (whose, advice) in PROGRAMS.items():
         if name in names:
-            advice = _intrinsics(data, "its") if name == "sensor_type" else advice
             return f"{whose} (by its {name!r}): {advice}"
     return None
 
@@ -52,25 +48,3 @@ def _names(data: Any) -> set[str]:
     parts = list(data.values()) if isinstance(data, Mapping) else data
     first = parts[0] if isinstance(parts, list) and parts else None
     return {str(x) for part in (data, first) if isinstance(part, Mapping) for x in part}
-
-
-def _intrinsics(part: Any, whose: str) -> str:
-    """Return advice with a camera's numbers, as Kalibr and EuRoC have them."""
-    part = part if isinstance(part, Mapping) else {}
-    K = _numbers(part.get("intrinsics"))
-    if part.get("camera_model") != "pinhole" or K is None:
-        return INTRINSICS
-    owner = whose if whose == "its" else f"{whose}'s"
-    text = f"it holds no pose; give {owner} numbers as --K {K}"
-    dist = _numbers(part.get("distortion_coeffs", part.get("distortion_coefficients")))
-    if part.get("distortion_model") in ("radtan", "radial-tangential") and dist:
-        text += f" --dist {dist}"
-    return clipped(text, 300)
-
-
-def _numbers(value: Any) -> str | None:
-    """Return four finite numbers as words, None of all else."""
-    if not isinstance(value, list) or len(value) != 4:
-        return None
-    fine = all(isinstance(x, int | float) and math.isfinite(x) for x in value)
-    return " ".join(map(str, value)) if fine else None

@@ -1,0 +1,151 @@
+"""Intrinsics alone, from whatever file holds them: calibrations, COLMAP's cameras, JSON."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._camera.camera import Camera, focal_px, principal_point
+from .._camera.distortion import Distortion
+from .._camera.matrices import Centres
+from .._files.paths import existing, is_folder, path_of, read_json
+from .._numerics.arrays import Input
+from .colmap import colmap_intrinsics
+from .fields import KIND, Fields, Size, short
+from .native import read_json as read_own
+from .opencv import opencv_intrinsics
+from .pinhole import OPENCV, Pinhole, camera_of
+from .unknown import CAMCHAIN, unknown
+
+#: Names of a matrix K, nine numbers or fx, fy, cx, cy; of these one by one; of coefficients.
+MATRIX = ("camera_matrix", "cameraMatrix", "K", "cam_K", "intrinsics", "intrinsic",
+          "intrinsic_matrix", "camera_intrinsics")  # fmt: skip
+FOCAL = ("f", "focal", "focal_length", "focal_px", "focallength_px")
+NUMBERS = (("fx", "fl_x", *FOCAL), ("fy", "fl_y", *FOCAL), ("cx",), ("cy",))
+COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+SIZES = {"image_width": ("width", "w", "W"), "image_height": ("height", "h", "H")}
+#: A focal length of fewer px is of a picture whose width counts as 1.
+LEAST_PX = 10.0
+
+
+def read_intrinsics(
+    path: str | os.PathLike[str],
+    *,
+    size: Size | None = None,
+    pixel_centres: Input[Centres, "of K"] = "integer",
+) -> Camera:
+    """Return the camera of a file's intrinsics and lens, one unit before the origin: poses are not
+    read.
+
+    - Calibrations of OpenCV, ROS, Kalibr, EuRoC, ORB-SLAM (YAML, XML, JSON).
+    - COLMAP's cameras.txt, cameras.bin or the folder of them.
+    - JSON with K, intrinsics, ... (3 x 3, nine numbers, or fx, fy, cx, cy), or fx, fy, cx, cy by
+      their names, as networks and NeRF's transforms.json have them; this project's own.
+
+    FILE:NAME is one of several (COLMAP's number, Kalibr's cam1).
+    `size` is the picture's (W, H) in px, and `pixel_centres` where its first pixel's centre is, for
+    files that do not say.
+
+    Raises FileNotFoundError, or ValueError naming file and field.
+
+    ```python
+    pj.formats.write_opencv("left.yaml", {"left": camera})
+    lens = pj.formats.read_intrinsics("left.yaml").lens
+    ```
+    """
+    place, number = path_of(path), None
+    if not place.exists() and ":" in place.name:
+        head, _, number = str(path).rpartition(":")
+        place = path_of(head)
+    if is_folder(place):
+        names = ("cameras.bin", "cameras.txt")
+        place = next((p for n in names if (p := place / n).exists()), place / names[-1])
+    existing(place, KIND)
+    if place.name in ("cameras.bin", "cameras.txt"):
+        where = repr(str(place))
+        view, distortion = _chosen(colmap_intrinsics(place), number, where)
+        return _unplaced(view, distortion, Fields({}, where))
+    fields = _fields(place, number)
+    if {"e", "p", "u", "phi"} <= fields.data.keys():
+        (own,) = read_own(place).values()
+        (fx, fy), (x, y) = focal_px(own), principal_point(own)
+        view = Pinhole(float(fx), float(fy), float(x), own.H - float(y), own.W, own.H)
+        return _unplaced(view, own.distortion, fields)
+    return _unplaced(*opencv_intrinsics(fields, size, pixel_centres), fields)
+
+
+def _unplaced(view: Pinhole, distortion: Distortion | None, fields: Fields) -> Camera:
+    pose = np.diag([1.0, -1, -1, 1])
+    pose[2, 3] = 1.0
+    return camera_of(view, pose, OPENCV, fields, distortion)
+
+
+def _chosen(cameras: Mapping[str, Any], name: str | None, where: str) -> Any:
+    """Return the camera of this name, without one that of all."""
+    if name is None and len({*map(str, cameras.values())}) == 1:
+        name = next(iter(cameras))
+    if name is None or name not in cameras:
+        known = short([*cameras])
+        words = f"one camera, or FILE:NAME with a name among {known}, got {name or known}"
+        raise ValueError(f"`path`: expected {words} (in {where})")
+    return cameras[name]
+
+
+def _fields(place: Path, camera: str | None) -> Fields:
+    """Return a file's fields, those of the intrinsics as OpenCV's calibrations name them."""
+    from . import storage
+
+    if place.suffix.lower() == ".json" and isinstance(data := read_json(place, KIND), list):
+        fields = Fields({"K": data}, repr(str(place)))
+    else:
+        fields = storage.load(place)
+    data = {str(name).rpartition(".")[2]: value for name, value in fields.data.items()}
+    chain = {name: part for name, part in data.items() if CAMCHAIN.fullmatch(name)}
+    if chain or camera is not None:
+        data = dict(Fields(_chosen(chain, camera, fields.where), fields.where).data)
+    for name in ("camera", "intrinsics", "projection_parameters"):
+        if isinstance(part := data.get(name), Mapping) and "data" not in part:
+            data = {**data, **part}
+            del data[name]
+    if {"e", "p", "u", "phi"} <= data.keys():
+        return fields
+    if isinstance(both := data.pop("resolution", None), list) and len(both) == 2:
+        data["image_width"], data["image_height"] = both
+    for name, others in SIZES.items():
+        found = [data.pop(other) for other in others if other in data]
+        data.update(dict.fromkeys([name], found[0]) if found else {})
+    bent = {name: data.pop(name) for name in COEFFICIENTS if data.get(name) is not None}
+    if any(bent.values()):
+        data["distortion_coefficients"] = bent
+    data["camera_matrix"] = _matrix(data, fields)
+    return Fields(data, fields.where)
+
+
+def _matrix(data: dict[str, Any], file: Fields) -> Any:
+    """Return K (3, 3) of a file's fields, which are taken out of `data`."""
+    name = next((name for name in MATRIX if name in data), None)
+    if name is None:
+        names = [next((n for n in known if n in data), known[0]) for known in NUMBERS]
+        if missing := [name for name in names if name not in data]:
+            got = unknown(file.data) or f"no {', no '.join(missing)}"
+            raise file.wrong("path", "K, or fx, fy, cx, cy (px)", got)
+        value = [data[name] for name in names]
+        if "fl_x" in names:  # NeRF's
+            data["pixel_centres"] = "half"
+        for name in set(names):
+            del data[name]
+    else:
+        value = data.pop(name)
+        value = value.get("data", value) if isinstance(value, Mapping) else value
+    numbers = Fields({"K": np.ravel(value).tolist()}, file.where).array("K", (-1,))
+    if len(numbers) == 4:
+        fx, fy, cx, cy = numbers
+        numbers = np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1])
+    if len(numbers) != 9:
+        raise file.wrong("K", "3 x 3 numbers, or fx, fy, cx, cy", f"{len(numbers)} numbers")
+    if 0 < numbers[0] < LEAST_PX:
+        words = f"fx = {numbers[0]:g}: of a picture whose sides count as 1? Multiply by its size"
+        raise file.wrong("K", "px", words)
+    return numbers.reshape(3, 3).tolist()
