@@ -14,8 +14,7 @@ from oracles import drawn, random_camera, turned
 import pinhole_jax as pj
 from pinhole_jax import formats, io, shapes
 from pinhole_jax._fit.fit_camera import check_border
-from pinhole_jax._solver import buffers, capacity, levenberg_marquardt, solver
-from pinhole_jax._solver.residuals import Capacity
+from pinhole_jax._solver.levenberg_marquardt import descended
 from pinhole_jax._solver.uncertainty import covariance
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
@@ -203,24 +202,12 @@ def test_fit_is_never_worse_than_its_start(scene):
 @pytest.mark.long
 def test_meshes_and_images_of_similar_size_share_compiled_programs(scene):
     pj.fit_camera(scene, mask_of(CAMERA, scene), turned(CAMERA, [1, 2, 3], 5))
-    programs = [levenberg_marquardt.descended.made()]
+    programs = [descended._cached._cache_size()]
     for subdivisions, size in ((2, (300, 160)), (3, (90, 84))):
         other = pj.Scene(mesh=shapes.bumpy(subdivisions, seed=1))
         camera = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, *size)
         pj.fit_camera(other, mask_of(camera, other), turned(camera, [1, 2, 3], 5))
-    assert programs == [levenberg_marquardt.descended.made()]
-
-
-@pytest.mark.long
-def test_buffers_grow_with_the_view(monkeypatch, scene):
-    for module in (capacity, buffers):
-        monkeypatch.setattr(module, "LEAST_CAPACITY", Capacity(1024, 1024, 1024, 1024))
-    monkeypatch.setattr(solver, "first_capacity", lambda *_: Capacity(1024, 1024, 1))
-    truth = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, 320, 320)
-    fit = pj.fit_camera(scene, mask_of(truth, scene), turned(truth, [1, 2, 3], 5, 2.5))
-    assert len(fit.steps) == 10  # two rounds of five levels
-    assert fit.status == "converged"
-    assert np.rad2deg(pj.pose_error(fit.camera, truth)[0]) < 1e-6
+    assert programs == [descended._cached._cache_size()]
 
 
 @pytest.mark.long

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
+from pinhole_jax._files.programs import like
 from pinhole_jax._joint.shared_unknowns import alike, others, reduced
-from pinhole_jax._solver.problem import View
+from pinhole_jax._solver.looks import Sums, View
 
 
 @pytest.fixture(scope="module")
@@ -236,7 +237,7 @@ def test_information_of_other_views_equals_elimination():
     for _ in range(4):
         unit, empty = random.uniform(0.5, 2, 5), np.zeros(5)
         triangle, along = np.triu(random.normal(size=(5, 5))), random.normal(size=5)
-        view = View(triangle, along, None, None, empty, unit, None, None)  # type: ignore[arg-type]
+        view = View(triangle, along, like(Sums), empty, unit, empty, 0.0)
         parts.append(reduced(view, own))
         normal = triangle.T @ triangle
         a, b, c = normal[~own][:, ~own], normal[~own][:, own], normal[own][:, own]

@@ -652,7 +652,7 @@ def test_many_views_hold_little_memory(scenes):
         JointProblem.of(views[:k], dict([*cameras.items()][:k]), ("pose",), *[None] * 3, 8)
         for k in (2, MANY_VIEWS)
     )
-    size = lambda problem: [e.solver.problem.pyramid.target.size for e in problem.layout.eyes]
+    size = lambda problem: [e.solver.problem.pyramid.cells.size for e in problem.layout.eyes]
     assert min(size(few)) > 10 * max(size(many))
     scene = [eye.solver.problem.scene.mesh for eye in many.layout.eyes]
     assert all(mesh.vertices is scene[0].vertices for mesh in scene)
@@ -688,10 +688,10 @@ def test_cameras_that_share_phi_are_those_of_fit_cameras(three):
     views, truths, starts = three
     scene, masks = views[0].scene, [view.target for view in views]
     pj.fit_camera(scene, masks[0], starts["one"], ("pose", "phi"))
-    programs = levenberg_marquardt.descended.made()
+    programs = levenberg_marquardt.descended._cached._cache_size()
     fit = pj.fit_joint(views, starts, shared="phi")
     others = pj.fit_cameras(scene, masks, [*starts.values()])
-    assert programs == levenberg_marquardt.descended.made()
+    assert programs == levenberg_marquardt.descended._cached._cache_size()
     assert fit.status == "converged"
     assert len({float(f.camera.phi) for f in fit.cameras.values()}) == 1
     for (name, one), other in zip(fit.cameras.items(), others, strict=True):
@@ -1064,8 +1064,8 @@ def test_jacobian_by_joint_zeros_equals_differences(misread):
     pixels, count = seen.view.pixels, len(seen.view.pixels.cell)
     stated = (np.asarray(seen.view.jacobian) @ seen.moves)[:count, -3:]
     used = np.asarray(pixels.weight) > 0
-    row, column = np.divmod(np.asarray(pixels.cell)[used], int(pixels.level.W) + 2)
-    left, bottom = np.asarray(pixels.level.origin, int)
+    row, column = np.divmod(np.asarray(pixels.cell)[used], int(seen.view.level.W) + 2)
+    left, bottom = np.asarray(seen.view.level.origin, int)
     for k, step in enumerate(1e-5 * np.eye(3)):
         one, other = (drawn(BEFORE, posture.scene(sign * step)) for sign in (1, -1))
         change = (one - other) / 2e-5

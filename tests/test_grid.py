@@ -10,14 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from chosen import first
 from oracles import mesh_coverage
 
 import pinhole_jax as pj
-from pinhole_jax._mask.pyramid import pyramid
 from pinhole_jax._scene.scene import padded
-from pinhole_jax._solver.moves import canonical
-from pinhole_jax._solver.residuals import Capacity, touch
 
 W, H = 40, 32
 UP = np.array([[0, 1, 0], [1, 0, 0], [0, -1, 0], [-1, 0, 0]])
@@ -25,7 +21,6 @@ HALVES = 32  # half pixels to a unit, in the plane z = 0
 BOX = [[0, 3, 1], [0, 2, 3], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4]]
 BOX += [[2, 7, 3], [2, 6, 7], [0, 4, 6], [0, 6, 2], [1, 3, 7], [1, 7, 5]]
 SOME, MANY = 24, 400
-CAPACITY = Capacity(64, 2048, 0)
 
 
 def camera(turn, dtype=float) -> pj.Camera:
@@ -195,44 +190,6 @@ def test_solids_on_the_grid_match_the_polygon_union(name, exhaustive):
         single = scene_of(vertices, faces, np.float32)
         image = pj.silhouette(camera(turn, np.float32), single)
         np.testing.assert_allclose(image, expected, atol=3e-5)
-
-
-@eqx.filter_jit
-def touched_with_change(camera, scene, level, direction):
-    """Return what residuals know of pixels, and their coverage's derivative where all moves."""
-    vertices = scene.mesh.vertices
-    velocity = jnp.broadcast_to(direction, vertices.shape)
-
-    def coverage(vertices):
-        moved = eqx.tree_at(lambda s: s.mesh.vertices, scene, vertices)
-        touched, load = touch(canonical(camera), moved, level, CAPACITY)
-        return touched.coverage, (touched, load.fits(CAPACITY))
-
-    return jax.jvp(coverage, (vertices,), (velocity,), has_aux=True)
-
-
-@pytest.mark.parametrize("name", first(1, STEPS))
-def test_residuals_on_the_grid_are_exact_where_known(name, exhaustive):
-    _, levels = pyramid(np.zeros((H, W)), np.ones((H, W)), float)
-    level = levels[-1]
-    for seed in range(MANY if exhaustive else SOME):
-        (vertices, faces), spans = sheets(np.random.default_rng(seed), name)
-        turn = seed % 4
-        direction = jnp.array((0.7 * right(turn) + 0.4 * UP[turn]) / 16)
-        scene = scene_of(vertices, faces)
-        coverage, change, (touched, fits) = touched_with_change(
-            camera(turn), scene, level, direction
-        )
-        assert bool(fits)
-        known = np.asarray(touched.inside & touched.known)
-        row, column = np.divmod(np.asarray(touched.cell)[known], W + 2)
-        pixel = H - 1 - row, column - 1
-        covered = half_pixels(spans, turn)
-        np.testing.assert_allclose(
-            np.asarray(coverage)[known], by_pixel(covered)[pixel], atol=5e-14
-        )
-        expected = shifted_change(covered, 0.7, 0.4)[pixel]
-        np.testing.assert_allclose(np.asarray(change)[known], expected, atol=1e-12)
 
 
 def borders(covered) -> shapely.Geometry:

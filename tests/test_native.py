@@ -109,29 +109,6 @@ def test_second_derivative_is_refused():
         jax.hessian(loss)(EYE)
 
 
-def test_touched_pixels_are_those_of_the_image():
-    scene, view = SCENES["both"](np.random.default_rng(9)), camera()
-    film, image = film_at_once(view), drawn(EYE, scene)
-    found = native.touch(film, scene, jnp.array([view.W, view.H]), 400)
-    number = int(found.number)
-    row, column = np.divmod(np.asarray(found.cell)[:number], view.W + 2)
-    inside = (column > 0) & (column <= view.W)
-    at = view.H - 1 - row[inside], column[inside] - 1
-    np.testing.assert_array_equal(np.asarray(found.coverage)[:number][inside], image[at])
-    assert np.all(np.asarray(found.cell)[number:] == view.H * (view.W + 2))
-    untouched = np.ones(image.shape, bool)
-    untouched[at] = False
-    assert set(np.unique(image[untouched])) <= {0, 1}
-
-
-def test_touched_pixels_beyond_the_room_are_counted():
-    scene, film = SCENES["both"](np.random.default_rng(9)), film_at_once(camera())
-    size = jnp.array([24, 18])
-    some, every = (native.touch(film, scene, size, room) for room in (5, 400))
-    assert int(some.number) == int(every.number) > 5
-    np.testing.assert_array_equal(some.cell, every.cell[:5])
-
-
 def test_indices_out_of_range_are_left_out():
     mesh = pj.shapes.bumpy(1)
     for name in ("faces", "edge_vertices", "edge_faces"):

@@ -2,6 +2,7 @@
 
 import importlib.util
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import ClassVar
@@ -25,11 +26,10 @@ from pinhole_jax._mask.pyramid import Level
 from pinhole_jax._numerics import threads
 from pinhole_jax._scene.scene import ball_about
 from pinhole_jax._solver.kinds import Kind
+from pinhole_jax._solver.looks import Sums, View
 from pinhole_jax._solver.moves import canonical
 from pinhole_jax._solver.outline_errors import OutlineErrors
 from pinhole_jax._solver.priors import no_others
-from pinhole_jax._solver.problem import View
-from pinhole_jax._solver.residuals import Sums
 from pinhole_jax._solver.solver import FAR_LEVEL, Found, Solver
 
 pytestmark = pytest.mark.optimised
@@ -108,30 +108,6 @@ def mask_of(camera, scene):
 
 def degrees(fit, truth=CAMERA):
     return float(np.rad2deg(pj.pose_error(fit.camera, truth)[0]))
-
-
-@pytest.mark.full
-def test_coarse_levels_of_a_large_mask_look_the_same_in_buffers_of_their_own():
-    scene, size = pj.Scene(mesh=shapes.bumpy(3)), 1500
-    truth = pj.Camera([3, 4, 2], [0, 0, 0], [0, 0, 1], 0.6, 1.0, size, size)
-    hard, off = drawn(truth, scene) > 0.5, canonical(turned(truth, [1, 2, 3], 5))
-    solver = Solver.of(scene, hard, np.ones(hard.shape), np.float64, ("pose",), 50)
-    seen = lambda: [solver.look(off, level) for level in range(solver.far + 1)]
-    before = seen()
-    solver.expect_many()
-    small = solver.buffers.small
-    assert small is not None
-    assert small.pieces < solver.capacity.pieces
-    for a, b in zip(before, seen(), strict=True):
-        assert len(b.pixels.cell) < len(a.pixels.cell)
-        np.testing.assert_allclose(b.squares, a.squares, rtol=1e-9)
-        np.testing.assert_allclose(abs(b.triangle), abs(a.triangle), rtol=1e-6, atol=1e-9)
-    assert len(solver.look(off, solver.far + 1).pixels.cell) == len(before[0].pixels.cell)
-
-    # What outgrows them is looked at in larger ones.
-    solver.buffers.small = small._replace(edges=16)
-    np.testing.assert_allclose(solver.look(off, 1).squares, before[1].squares, rtol=1e-9)
-    assert solver.buffers.small.edges > 16
 
 
 @pytest.mark.long
@@ -301,7 +277,7 @@ def test_prior_and_start_decide_the_view_of_a_round_body():
 def test_cameras_near_the_edge_of_a_drawn_mask_are_compared(monkeypatch, costs, anywhere, expected):
     """All three left equal squares before the outliers were out."""
     cameras = [turned(START, [0, 0, 1], degrees, 1.0) for degrees in (8, 4, 30)]
-    views = [like(View)._replace(prior=cost) for cost in costs]
+    views = [seen(cost) for cost in costs]
     described = [(Found(c, view, ()), view) for c, view in zip(cameras, views, strict=True)]
     monkeypatch.setattr(strategy, "area_between", lambda view, *_: view.prior)
     errors = OutlineErrors(1.0, 5.0, 0.0, 20.0, np.eye(6))
@@ -311,6 +287,12 @@ def test_cameras_near_the_edge_of_a_drawn_mask_are_compared(monkeypatch, costs, 
     start = None if anywhere else START
     kept = strategy.most_agreeing(solver, mask, described, 3, start)
     assert [next(k for k, d in enumerate(described) if d is x) for x in kept] == expected
+
+
+def seen(prior=0.0, sums=None) -> View:
+    """A view of which only squares are known."""
+    parts = np.zeros(0), np.zeros(0), sums or like(Sums), *[np.zeros(0)] * 3
+    return View(*parts, prior)
 
 
 class Walked(Solver):
@@ -329,14 +311,13 @@ class Walked(Solver):
     def errors(self, view):
         return None
 
-    def glance(self, unit, number=-1):
-        sums = like(Sums)._replace(touched=300.0, touched_squares=0.1)
-        return like(View)._replace(sums=sums, prior=0.1)
+    def look(self, unit, number=-1):
+        return seen(0.1, like(Sums)._replace(touched=300.0, touched_squares=0.1))
 
     def descents(self, units, steps, number=-1):
         for unit in units:
             self.asked.append(number)
-            yield Found(unit, like(View)._replace(sums=like(Sums), prior=self.squares), (1,))
+            yield Found(unit, seen(self.squares), (1,))
 
 
 @pytest.mark.parametrize(
@@ -345,13 +326,13 @@ class Walked(Solver):
         (0.12, 9, [FAR_LEVEL, -1]),  # another place, perhaps as good: the finest level says
         (0.12, 0.1, [FAR_LEVEL]),  # back at the best
         (3.0, 9, [FAR_LEVEL]),  # far worse
-        (np.nan, 9, [FAR_LEVEL]),  # a view that the buffers do not hold
+        (np.nan, 9, [FAR_LEVEL]),  # a lens that folds
     ],
 )
 def test_walk_in_a_large_mask_ends_on_the_finest_level(squares, degrees, asked):
     """Squares on the far level are far worse from 0.23 on: 400 variances, each 1/12 of a pixel's
     over 4^3, and at least what the best leaves there."""
-    solver, best = Walked(squares), Found(canonical(START), like(View), ())
+    solver, best = Walked(squares), Found(canonical(START), seen(), ())
     walk = places._Walk.of(solver, best)
     start = canonical(turned(START, [0, 0, 1], degrees, 1.0))
     found, again = walk.led_to([start, start])
@@ -362,7 +343,7 @@ def test_walk_in_a_large_mask_ends_on_the_finest_level(squares, degrees, asked):
 
 def test_walk_in_an_exact_mask_stays_on_the_finest_level():
     solver = Walked(0.12, exact=True)
-    walk = places._Walk.of(solver, Found(canonical(START), like(View), ()))
+    walk = places._Walk.of(solver, Found(canonical(START), seen(), ()))
     assert None not in list(walk.led_to([canonical(START)]))
     assert solver.asked == [-1]
 
@@ -380,7 +361,7 @@ def test_information_of_other_views_counts_on_the_finest_level():
         ([0.9, 0.4, 0.9, 0.9], False),
         ([0.9, 0.1], True),  # a part is about to show
         ([0.4, 0.4, 0.9, 20.0], True),
-        ([np.nan] * 4, False),  # views that the buffers do not hold say nothing
+        ([np.nan] * 4, False),  # views through a lens that folds say nothing
     ],
 )
 def test_doubtful_directions_are_checked_closer_in(monkeypatch, rises, doubted):
@@ -390,7 +371,7 @@ def test_doubtful_directions_are_checked_closer_in(monkeypatch, rises, doubted):
     solver = Walked(0.12)
     vars(solver).update(freed=("pose",))
     triangle = np.diag([0.05, 1, 1, 1, 1, 1])
-    view = solver.glance(None)._replace(triangle=triangle, scale=np.ones(6))
+    view = replace(solver.look(None), triangle=triangle, scale=np.ones(6))
     found = places._doubtful(solver, Found(canonical(START), view, ()))
     assert [direction.doubted for direction in found] == [True] * doubted
     assert next(asked, None) is None

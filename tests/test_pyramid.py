@@ -2,6 +2,7 @@
 
 import tracemalloc
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,9 +10,8 @@ import pytest
 import pinhole_jax as pj
 from pinhole_jax._mask.edges import NearWeights, near
 from pinhole_jax._mask.mask import Mask
-from pinhole_jax._mask.pyramid import PAGE, cells_of, first_of, pyramid
+from pinhole_jax._mask.pyramid import PAGE, cells_of, pyramid
 from pinhole_jax._mask.target import Window, object_window
-from pinhole_jax._solver.capacity import diagonal_of
 from pinhole_jax._solver.kinds import kind_of
 
 
@@ -20,6 +20,13 @@ def disc(H: int, W: int) -> np.ndarray:
     y, x = np.ogrid[:H, :W]
     far = np.hypot(y - 0.45 * H, x - 0.4 * W)
     return np.clip(H / 4 - far + 0.5, 0, 1).astype(np.float32)
+
+
+def told(data, level, cell) -> list[np.ndarray]:
+    """What a level holds at some cells: target, weight, and what is summed up before them."""
+    at = int(level.start) + cell
+    here = data.page[at // PAGE] * PAGE + at % PAGE
+    return [*data.cells[:2, here], *(data.sums[:, at // PAGE] + data.cells[2:, here])]
 
 
 def plain_levels(target, weight, depth):
@@ -60,31 +67,20 @@ def test_pages_equal_plain_running_sums(kind, weights):
     assert len(levels) == 3
     for level, (t, w) in zip(levels, plain, strict=True):
         t, w = (np.pad(x[::-1], ((0, 0), (1, 1))).ravel() for x in (t, w))
-        found = cells_of(data, level, jnp.arange(t.size + 1, dtype=jnp.int32))
-        np.testing.assert_allclose(found.weight[:-1], w, atol=1e-15)
-        np.testing.assert_allclose((found.weight * found.target)[:-1], w * t, atol=1e-15)
-        sums = w * t**2, w * (1 - t) ** 2, w, w * t
-        for told, each in zip(found[2:], sums, strict=True):
-            plain_sums = np.concatenate([[0], np.cumsum(each)])
-            np.testing.assert_allclose(told, plain_sums, rtol=1e-12, atol=1e-9)
-
-
-@pytest.mark.parametrize("weights", WEIGHTS)
-def test_coarse_levels_equal_those_of_the_smallest_pyramid(weights):
-    """Its arrays are as large as a small mask's, so that these share a program."""
-    soft = disc(1500, 1400)
-    data, levels = pyramid(soft > 0.5, WEIGHTS[weights](*soft.shape), np.float32)
-    least, _ = pyramid(disc(90, 80) > 0.5, np.broadcast_to(1.0, (90, 80)), np.float32)
-    small = first_of(data, int(levels[4].start))
-    assert small is not None
-    assert small.cells < data.cells
-    sizes = lambda of: [np.shape(x) for x in (of.page, *of.sums, *of[2:])]
-    assert sizes(small) == sizes(least)
-    for level in levels[:4]:
-        cells = jnp.arange(int(level.H) * (int(level.W) + 2) + 1, dtype=jnp.int32)
-        for a, b in zip(cells_of(small, level, cells), cells_of(data, level, cells), strict=True):
+        cell = np.arange(t.size + 1)
+        own, weighs, *rest = told(data, level, cell)
+        np.testing.assert_allclose(weighs[:-1], w, atol=1e-15)
+        np.testing.assert_allclose((weighs * own)[:-1], w * t, atol=1e-15)
+        for a, b in zip(
+            cells_of(*jax.tree.map(jnp.asarray, (data, level.start + cell.astype(np.int32)))),
+            (own, weighs),
+            strict=True,
+        ):
             np.testing.assert_array_equal(a, b)
-    assert first_of(data, int(levels[-1].start)) is None or weights != "random"
+        sums = w * t**2, w * (1 - t) ** 2, w, w * t
+        for found, each in zip(rest, sums, strict=True):
+            plain_sums = np.concatenate([[0], np.cumsum(each)])
+            np.testing.assert_allclose(found, plain_sums, rtol=1e-12, atol=1e-9)
 
 
 def test_weights_near_an_edge_are_those_of_an_image():
@@ -94,10 +90,8 @@ def test_weights_near_an_edge_are_those_of_an_image():
     window = Window(20, 30, 100, 50)
     found, (level,) = pyramid(target, weights, float, window=window, only_finest=True)
     plain, _ = pyramid(target, weights.image(), float, window=window, only_finest=True)
-    cell = jnp.arange(int(level.H) * (int(level.W) + 2) + 1, dtype=jnp.int32)
-    for a, b in zip(
-        cells_of(found, level, cell)[1:], cells_of(plain, level, cell)[1:], strict=True
-    ):
+    cell = np.arange(int(level.H) * (int(level.W) + 2) + 1)
+    for a, b in zip(told(found, level, cell)[1:], told(plain, level, cell)[1:], strict=True):
         np.testing.assert_allclose(a, b, atol=1e-12)
 
 
@@ -106,10 +100,10 @@ def test_runs_in_which_nothing_is_added_are_nothing_in_float32():
     target = disc(300, 400)
     data, (*_, level) = pyramid(target, np.broadcast_to(1.0, target.shape), np.float32)
     t = np.pad(target[::-1], ((0, 0), (1, 1))).ravel()
-    found = cells_of(data, level, jnp.arange(t.size + 1, dtype=jnp.int32))
+    _, _, empty, full, *_ = told(data, level, np.arange(t.size + 1))
     beside = ~np.pad(np.ones(target.shape, bool), ((0, 0), (1, 1))).ravel()
-    assert not np.any(np.diff(found.empty)[(t == 0) | beside])
-    assert not np.any(np.diff(found.full)[(t == 1) | beside])
+    assert not np.any(np.diff(empty)[(t == 0) | beside])
+    assert not np.any(np.diff(full)[(t == 1) | beside])
     assert np.any(t == 1)
 
 
@@ -155,7 +149,6 @@ def test_large_photo_takes_no_image_of_floats(kind):
     steps = {
         "window": lambda: object_window(target),
         "kind": lambda: kind_of(target, ones, np.float32),
-        "extent": lambda: diagonal_of(target > 0),
         "weights near the edge": lambda: mask.near_edge(2.0),
         "distance": lambda: mask.distance(
             Window(0, 0, 2000, 1500), np.arange(99), np.arange(99), 2.0
@@ -169,3 +162,34 @@ def test_large_photo_takes_no_image_of_floats(kind):
         _, peak = tracemalloc.get_traced_memory()
         assert peak - before < 4 * target.size, name
     tracemalloc.stop()
+
+
+def test_finest_level_alone_equals_that_of_the_pyramid():
+    """Hard and soft masks; weights that count nowhere, in a band, everywhere."""
+    rng = np.random.default_rng(7)
+    hard = np.zeros((203, 330))
+    hard[40:150, 60:220] = 1.0
+    soft = np.clip(hard + rng.normal(0, 0.1, hard.shape), 0, 1)
+    band = np.where(np.abs(np.arange(203) - 40)[:, None] < 9, 0.7, 0.0) * np.ones((1, 330))
+    for target in (hard, soft):
+        for weight in (band, rng.random(hard.shape)):
+            whole, (*_, finest) = pyramid(target, weight, float)
+            alone, (level,) = pyramid(target, weight, float, only_finest=True)
+            assert jax.tree.map(np.shape, whole) == jax.tree.map(np.shape, alone)
+            H, W = target.shape
+            cell = np.arange(H * (W + 2) + 1)
+            for a, b in zip(told(whole, finest, cell), told(alone, level, cell), strict=True):
+                np.testing.assert_array_equal(a, b)
+            assert int(level.start) == 0
+            assert level.window() == finest.window()
+            t, w = (np.pad(x[::-1], ((0, 0), (1, 1))).ravel() for x in (target, weight))
+            sums = (w * t**2, w * (1 - t) ** 2, w, w * t)
+            for own, cost in zip(told(alone, level, cell)[2:], sums, strict=True):
+                np.testing.assert_allclose(own, np.append(0.0, np.cumsum(cost)), atol=1e-9)
+
+
+def test_pyramid_is_not_copied():
+    host = pyramid(np.eye(32), np.ones((32, 32)), float)[0]
+    held = jax.device_put(host)
+    at = [x.unsafe_buffer_pointer() for x in held]
+    assert at == [x.ctypes.data for x in host]

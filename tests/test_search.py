@@ -1,7 +1,5 @@
 """A camera with no start, or a bad one."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -16,12 +14,8 @@ from pinhole_jax._mask.mask import Mask
 from pinhole_jax._mask.search import VIEWS, sphere_points
 from pinhole_jax._mask.signatures import ANGLES, distances, facing, signatures
 from pinhole_jax._mask.thumbnails import SIZE, axes_inward, thumbnails
-from pinhole_jax._numerics import memo
 from pinhole_jax._scene import coarse
 from pinhole_jax._scene.scene import ball_about, bounding_box, padded, with_or_without_border
-from pinhole_jax._silhouette.contour import contour_weights
-from pinhole_jax._solver import capacity
-from pinhole_jax._solver.capacity import FAR, LEAST_CAPACITY, SIDES, contours, first_capacity
 
 pytestmark = pytest.mark.optimised
 
@@ -115,40 +109,6 @@ def test_fine_mesh_is_coarsened_for_the_search(closed, monkeypatch):
 
 def test_coarse_mesh_is_searched_as_it_is(scene):
     assert coarse.seen_from_afar(scene.mesh) is scene.mesh
-
-
-def test_contours_of_a_fine_mesh_are_those_of_some_of_its_edges(monkeypatch):
-    mesh = shapes.bumpy(5)
-    number, length = contours(mesh)
-    monkeypatch.setattr(capacity, "MEASURED", len(mesh.edge_faces) // 4)
-    monkeypatch.setattr(memo, "_answers", {})
-    few, part = contours(mesh)
-    assert np.all(few % 4 == 0)
-    np.testing.assert_allclose(few, number, rtol=0.25)
-    np.testing.assert_allclose(part, length, rtol=0.25)
-
-
-@pytest.mark.parametrize("closed", [True, False])
-def test_contours_are_counted_as_they_are_seen(closed):
-    mesh = shapes.bumpy(2)
-    mesh = mesh if closed else pj.Mesh(mesh.vertices, mesh.faces[:-30])
-    ball = ball_about(np.asarray(bounding_box(pj.Scene(mesh=mesh)), float))
-    number, length = contours(mesh)
-    count = jax.jit(lambda e: jnp.sum(contour_weights(mesh, e) != 0))
-    for direction, edges in zip(sphere_points(SIDES), number, strict=True):
-        assert abs(int(count(ball.centre + FAR * ball.radius * direction)) - edges) <= 1
-    # A contour goes round what is seen at least once: twice its width and its height.
-    assert np.all(length > 2)
-
-
-def test_specks_do_not_enlarge_the_object():
-    inside = np.zeros((200, 200))
-    inside[40:80, 50:80] = 1
-    crumbs = inside.copy()
-    crumbs[199, 199] = crumbs[0, 0] = 1
-    scene = pj.Scene(mesh=shapes.bumpy(5))
-    assert first_capacity(scene, crumbs) == first_capacity(scene, inside)
-    assert first_capacity(scene, np.zeros((9, 9))).pieces >= LEAST_CAPACITY.pieces
 
 
 def test_camera_is_found_with_no_start(scene):

@@ -6,9 +6,7 @@ from pathlib import Path
 #: `PINHOLE_JAX_NATIVE=0` chooses JAX's own arrays in its place.
 SWITCH = "PINHOLE_JAX_NATIVE"
 #: The library's handlers, by the names that JAX calls them.
-HANDLERS = tuple(
-    f"pinhole_{call}{way}" for call in ("image", "touch") for way in ("", "_push", "_pull")
-)
+HANDLERS = ("pinhole_image", "pinhole_image_push", "pinhole_image_pull", "pinhole_look")
 NAMES = ("libpinhole.so", "libpinhole.dylib", "pinhole.dll")
 
 

@@ -18,12 +18,11 @@ from .._mask.target import MOST_BORDER, border_of, check_target, inside_of, leve
 from .._numerics.arrays import ArrayLike, Input, float_dtype, is_concrete
 from .._scene.scene import Scene, check_scene
 from .._solver.kinds import Kind
+from .._solver.looks import Sums, View
 from .._solver.moves import Bounds, canonical
 from .._solver.outline_errors import OutlineErrors
 from .._solver.parameters import check_free, focal_is_free, in_one, with_lens
 from .._solver.priors import Pair, Prior, bounds_of, prior_of
-from .._solver.problem import View
-from .._solver.residuals import Sums
 from .._solver.solver import Found, Solver, Stop
 from .drift import other_places
 from .implicit import check_plain, of_camera

@@ -188,7 +188,6 @@ def uncovered(
     few = len(edge.at) < 4 * len(solver.freed) + 16
     if few or not _is_covered(solver, edge, plain, _near(error_px)):
         return None
-    solver.expect_many()
     whole = edge_of(mask)
     explained = lambda begins: _explained(solver, mask, edge, whole, begins, error_px)
     begins = [(c, w) for c in cameras for w in (None, *_sectors(edge))]
@@ -374,7 +373,7 @@ def _seen(solver: Solver, camera: Camera, number: int) -> _Outline | None:
     place, rows, share = outline_pixels(view)
     if len(place) < 8 or not np.all(np.isfinite(rows)):
         return None
-    level, about = view.pixels.level, smoothed_about(view, place, rows)
+    level, about = view.level, smoothed_about(view, place, rows)
     px = len(solver.target) / float(level.scale)
     out = _units(-about.slope)
     by_move = about.rows / np.maximum(about.steepness, 1e-3)[:, None]
@@ -405,7 +404,7 @@ def covered_at(
 
     view = solver.look(camera, solver.finest)
     seen = np.zeros(mask.target.shape, bool)
-    view.pixels.level.window().of(seen)[:] = coverage_of(view)[::-1] > 0.5
+    view.level.window().of(seen)[:] = coverage_of(view)[::-1] > 0.5
     hidden = _hidden(mask, edge, trusted, seen, near)
     # Outline with no edge beside it has to be hidden.
     astray = _distances(edge.at, outline.at) > 2 * near

@@ -16,9 +16,9 @@ from .._mask.mask import Mask
 from .._mask.matte import Band, Matte, light, matte, tiles
 from .._mask.target import NOISE, Window, edge_distance
 from .._solver.kinds import Kind
+from .._solver.looks import Sums
 from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.problem import FINE_PX
-from .._solver.residuals import Sums
 from .._solver.solver import Found, Solver, onward
 from .._solver.stretches import coverage_of
 from .places import Free, interval
@@ -143,7 +143,7 @@ class Outline(NamedTuple):
     @classmethod
     def of(cls, solver: Solver, view: Any) -> "Outline":
         """Return it from a view on the finest level."""
-        seen, coverage = view.pixels.level.window(), coverage_of(view)[::-1]
+        seen, coverage = view.level.window(), coverage_of(view)[::-1]
         window = _about(np.abs(coverage - 0.5) < 0.5, seen)
         coverage = coverage[_part(window, seen)]
         inside = coverage > 0.5

@@ -15,9 +15,9 @@ import numpy as np
 from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .._mask.search import sphere_points
+from .._solver.looks import View
 from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.parameters import components
-from .._solver.problem import View
 from .._solver.revolution import Revolution
 from .._solver.solver import Found, Solver
 from .._solver.uncertainty import in_words, weak_moves
@@ -196,7 +196,7 @@ def interval(solver: Solver, best: Found, errors: OutlineErrors | None) -> list[
     turns = [name.startswith("turn") for name in components(solver.freed)]
     if errors is None or not (np.all(np.isfinite(triangle)) and any(turns)):
         return []
-    widest, least = Free(np.zeros(len(turns)), 0.0, 0.0, None), solver.glance(best.camera).squares
+    widest, least = Free(np.zeros(len(turns)), 0.0, 0.0, None), solver.look(best.camera).squares
     weak = weak_moves(triangle, components(solver.freed), 1.0)
     directions = [_direction(solver, best, *pair) for pair in weak]
     about = [d for d in directions if d.axis is not None and d.sigma < np.pi]
@@ -227,7 +227,7 @@ def _best_turned(
     camera, least = solver.step(best.camera, solver.finest, move), (best.camera, np.inf)
     far = angle(camera, best.camera)
     for _ in range(PROFILE_STEPS):
-        view = solver.glance(camera)
+        view = solver.look(camera)
         if not view.squares < least[1]:
             break
         least = camera, view.squares
@@ -327,7 +327,7 @@ def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
     direction = _direction(solver, found, *weak[-1])
     far = np.clip(DOUBT_SIGMAS * direction.sigma, *DOUBT_RAD) * _radian(solver, found)
     number = _walked_on(solver)
-    here = view if number == solver.finest else solver.glance(found.camera, number)
+    here = view if number == solver.finest else solver.look(found.camera, number)
     for part in (far, far / 2):
         moves = part * weak[-1][1], -part * weak[-1][1]
         beside = [_beside(solver, found, here, number, move) for move in moves]
@@ -340,8 +340,7 @@ def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
 
 class _Beside(NamedTuple):
     """What is seen at a camera beside another one: by how much squares rose, and how steeply they
-    rise on, beside what the Jacobian foretells, and whether another direction hardly shows there;
-    NaN of what buffers had no room for."""
+    rise on, beside what the Jacobian foretells; whether another direction hardly shows there."""
 
     rise: float
     slope: float
@@ -357,7 +356,7 @@ class _Beside(NamedTuple):
 
 def _beside(solver: Solver, found: Found, here: View, number: int, move: np.ndarray) -> _Beside:
     """Return what a level shows at a move of a camera whose view there is `here`."""
-    other = solver.glance(solver.step(found.camera, solver.finest, move), number)
+    other = solver.look(solver.step(found.camera, solver.finest, move), number)
     triangle = np.asarray(other.triangle, float)
     if not np.all(np.isfinite(triangle)):
         return _Beside(np.nan, np.nan)
@@ -398,7 +397,7 @@ def _is_explained(solver: Solver, best: Found) -> bool:
         return solver.explains(best.view)
     number = _walked_on(solver)
     least = _least_on(solver, number)
-    return solver.glance(best.camera, number).touched_misfit < UNEXPLAINED * least
+    return solver.look(best.camera, number).touched_misfit < UNEXPLAINED * least
 
 
 def _all_round(solver: Solver, best: Found, directions: list[_Direction]) -> list[Found]:
@@ -411,7 +410,6 @@ def _all_round(solver: Solver, best: Found, directions: list[_Direction]) -> lis
     turns = [d for d in directions if d.axis is not None and d.line is None and not d.doubted]
     if not 0 < len(turns) < 3 or _is_explained(solver, best):
         return []
-    solver.expect_many()
     number, walk = max(_walked_on(solver) - 1, 0), _Walk.of(solver, best)
     likely = [c for d in turns for c in _likely_round(solver, best, d, number)]
     return _finite(place for place in walk.led_to(likely) if place is not None)
@@ -427,7 +425,7 @@ def _likely_round(
     """
     far = np.arange(LONGEST, 2 * np.pi, LONGEST)
     turned = [solver.step(best.camera, solver.finest, x * direction.move) for x in far]
-    seen = zip(turned, solver.glances(turned, number), strict=True)
+    seen = zip(turned, solver.looks(turned, number), strict=True)
     rested = [_rested(solver, camera, view, number) for camera, view in seen]
     squares = _glances(solver, rested, number)
     lower = (squares <= np.roll(squares, 1)) & (squares <= np.roll(squares, -1))
@@ -498,7 +496,7 @@ class _Walk(NamedTuple):
         number = _walked_on(solver)
         if number == solver.finest:
             return cls(solver, number, best.view, np.inf, [])
-        here = solver.glance(best.camera, number)
+        here = solver.look(best.camera, number)
         worse = here.squares + FAR_TIMES * WALK_TIMES * _variance_on(solver, best, number, here)
         return cls(solver, number, here, worse, [best.camera])
 
@@ -549,7 +547,7 @@ def _alike(solver: Solver, best: Found) -> list[Found]:
 
 def _glances(solver: Solver, cameras: list[Camera], number: int) -> np.ndarray:
     """Return how badly cameras explain the mask, on a level."""
-    views = solver.glances(cameras, number)
+    views = solver.looks(cameras, number)
     if number == solver.finest:
         return np.array([_surplus(solver, view) for view in views])
     return np.array([view.squares if np.isfinite(view.squares) else np.inf for view in views])

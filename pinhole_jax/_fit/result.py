@@ -11,11 +11,11 @@ from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._numerics.arrays import ArrayLike, Input, is_concrete
 from .._solver.kinds import Kind
+from .._solver.looks import Sums, View
 from .._solver.moves import Bounds, displaced, on_film
 from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.parameters import LABELS, PARAMETERS, components, labels_of
-from .._solver.problem import COSINE, FINE_PX, UNIT_PX, View
-from .._solver.residuals import Sums
+from .._solver.problem import COSINE, FINE_PX, UNIT_PX
 from .._solver.solver import Found, Stop
 from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions, weak_moves
 from .places import Free
@@ -268,8 +268,7 @@ def gradients(view: View, variance: float, context: Context) -> tuple[np.ndarray
     if errors is None:
         return independent, context.design * independent
     # What is not of this mask's pixels, as a prior, keeps its variance.
-    rows = view.jacobian[len(view.pixels.cell) :].astype(float)
-    beside, share = variance * rows.T @ rows, errors.computed
+    beside, share = variance * view.known.T @ view.known, errors.computed
     return independent, share * independent + (1 - share) * beside + errors.gradient
 
 

@@ -11,10 +11,11 @@ from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .._mask.mask import Mask
 from .._mask.search import aimed, guesses
+from .._solver.looks import View
 from .._solver.moves import canonical
 from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.parameters import components, focal_is_free
-from .._solver.problem import COARSE_PX, FINE_PX, View
+from .._solver.problem import COARSE_PX, FINE_PX
 from .._solver.solver import Found, Solver, Stop, onward
 from .._solver.stretches import area_between, outline_of
 from .._solver.uncertainty import free_turns
@@ -191,7 +192,6 @@ def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[F
     Further rounds try guesses that lie closer together, and other focal lengths where that is free,
     until the mask is explained as its kind allows.
     """
-    solver.expect_many()
     found: list[Found] = []
     free = focal_is_free(solver.freed)
     source = guesses(mask, solver.subject.from_afar, solver.subject.ball)
@@ -324,7 +324,7 @@ def _is_alone(mask: Mask, places: Places, outlier_px: float) -> bool:
         return False
     view = places.best.view
     row, column = outline_of(view).T
-    window = view.pixels.level.window()
+    window = view.level.window()
     distance = mask.distance(window, window.H - 1 - row, column, outlier_px)
     return bool(np.all(distance <= outlier_px / 2))
 

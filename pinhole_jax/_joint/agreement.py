@@ -22,9 +22,10 @@ import numpy as np
 
 from .._fit.result import Context, gradients
 from .._solver.least_squares import Descent, Rows, Solved, solve
+from .._solver.looks import View
 from .._solver.outline_errors import OutlineErrors
 from .._solver.parameters import components
-from .._solver.problem import FINE_PX, UNIT_PX, View
+from .._solver.problem import FINE_PX, UNIT_PX
 from .._solver.uncertainty import BLIND
 from .descent import Layout, descend
 from .views import Eye

@@ -17,10 +17,10 @@ from .._camera.camera import Camera
 from .._fit.places import APART, EQUAL_TIMES, Places, better, separation, settled
 from .._fit.strategy import finished, looked_alike, looked_round, with_others
 from .._solver.least_squares import Descent, Rows
+from .._solver.looks import View
 from .._solver.moves import on_film
 from .._solver.parameters import LABELS, labels_of
 from .._solver.priors import Others
-from .._solver.problem import View
 from .._solver.solver import Found, Solver, Stop
 from .descent import Layout
 from .levels import Path
@@ -90,7 +90,7 @@ def known_by_others(
 def _weighed(view: View, weight: float) -> View:
     by = weight**0.5
     triangle, along = (by * np.asarray(x, float) for x in (view.triangle, view.along))
-    return view._replace(triangle=triangle, along=along)
+    return replace(view, triangle=triangle, along=along)
 
 
 def _of_moves(

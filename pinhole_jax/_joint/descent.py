@@ -77,18 +77,15 @@ class Layout:
         """Return where the numbers are that a view depends on."""
         return np.concatenate([self._places[j] for j in self._of[k]])
 
-    def look(self, state: State, depth: int, grow: bool = True) -> list[Seen]:
-        """Return what all views see on a level; NaN of what outgrows its buffers, unless these may
-        `grow`."""
+    def look(self, state: State, depth: int) -> list[Seen]:
+        """Return what all views see on a level."""
         solvers = [eye.looking(state) for eye in self.eyes]
         at = [(eye.canonical(state), eye.level(depth)) for eye in self.eyes]
-        begin = lambda given: given[0].begin(*given[1])
+        look = lambda given: given[0].look(*given[1])
         program = lambda given: given[0].program(*given[1])
-        begun = in_threads(begin, list(zip(solvers, at, strict=True)), program)
         result = []
-        for k, (solver, a, view) in enumerate(zip(solvers, at, begun, strict=True)):
+        for k, view in enumerate(in_threads(look, list(zip(solvers, at, strict=True)), program)):
             eye = self.eyes[k]
-            view = solver.look(*a, view) if grow else view
             rigid = [u for u in self.of(k) if u.kind != ZERO]
             seen = Seen(view, eye.moves(state, view, rigid))
             joints = [u.name for u in self.of(k)[len(rigid) :]]
@@ -136,13 +133,11 @@ class Layout:
 
 
 class _OnLevel(NamedTuple):
-    """Views of weights (V,) on one level, as `LeastSquares`; NaN is seen of what outgrows its
-    buffers, unless these may `grow`."""
+    """Views of weights (V,) on one level, as `LeastSquares`."""
 
     layout: Layout
     depth: int
     weights: np.ndarray
-    grow: bool
 
     @property
     def size(self) -> int:
@@ -156,7 +151,7 @@ class _OnLevel(NamedTuple):
 
     def look(self, state: State) -> list[Seen]:
         """Return what all views see."""
-        return self.layout.look(state, self.depth, self.grow)
+        return self.layout.look(state, self.depth)
 
     def noise(self, seen: list[Seen]) -> float:
         """Return what a residual errs by."""
@@ -198,7 +193,6 @@ def descend(
     weights: np.ndarray,
     most: int,
     px: float,
-    grow: bool = True,
 ) -> Descent:
-    """Return the state after Levenberg-Marquardt on one level; buffers as in `Layout.look`."""
-    return levenberg_marquardt(_OnLevel(layout, depth, weights, grow), state, most, px)
+    """Return the state after Levenberg-Marquardt on one level."""
+    return levenberg_marquardt(_OnLevel(layout, depth, weights), state, most, px)

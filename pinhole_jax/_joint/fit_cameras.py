@@ -16,10 +16,11 @@ from .._fit.result import Context, Fit, report, with_modes
 from .._mask.target import check_target, levelled
 from .._numerics.arrays import ArrayLike, Input, is_concrete
 from .._scene.scene import Scene, check_scene
+from .._solver.looks import View
 from .._solver.moves import canonical
 from .._solver.parameters import components, with_lens
 from .._solver.priors import Pair
-from .._solver.problem import FINE_PX, View
+from .._solver.problem import FINE_PX
 from .._solver.solver import Found
 from .among_views import Asked, Begun, asked, known_by_others
 from .implicit import Answer, Differentiable, Part, differentiable

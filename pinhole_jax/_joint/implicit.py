@@ -21,9 +21,10 @@ from .._camera.poses import Pose, adjoint, at_pose, exponential, inverse
 from .._fit.full_image import At
 from .._fit.implicit import End, Through, check_plain
 from .._numerics.arrays import is_concrete
+from .._solver.looks import View
 from .._solver.moves import on_film
 from .._solver.parameters import PARAMETERS
-from .._solver.problem import UNIT_PX, View
+from .._solver.problem import UNIT_PX
 from .agreement import Agreement
 from .descent import Layout
 from .problem import JointProblem

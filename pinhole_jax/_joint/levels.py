@@ -7,8 +7,8 @@ import numpy as np
 
 from .._fit.strategy import EXACT
 from .._solver.least_squares import Descent
+from .._solver.looks import Sums
 from .._solver.problem import COARSE_PX, FINE_PX
-from .._solver.residuals import Sums
 from .agreement import Agreement, agreed, priors_weighed
 from .descent import descend
 from .photo import OnPhotos, on_photos

@@ -12,10 +12,10 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.poses import skew
+from .._solver.looks import View
 from .._solver.moves import Bounds
 from .._solver.parameters import LABELS, labels_of
 from .._solver.priors import bounds_of, check_positive, pairs, prior_of
-from .._solver.problem import View
 from .views import MOTIONS, POSE, SCALE, ZERO, Eye, JointView, State, lens_reported
 
 #: Where an eye or an object is, and what these coordinates are called.

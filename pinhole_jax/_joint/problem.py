@@ -17,7 +17,6 @@ from .._scene.scene import check_scene
 from .._solver.moves import Bounds, canonical
 from .._solver.parameters import as_names, check_free, components, in_one, with_lens
 from .._solver.problem import COARSE_PX, FINE_PX
-from .._solver.residuals import Capacity
 from .._solver.solver import Solver
 from .._solver.subject import Subject
 from .descent import Layout
@@ -133,9 +132,6 @@ class JointProblem(NamedTuple):
                 subjects[id(view.scene)] = Subject.of(view.scene, dtype)
             subject, settings = subjects[id(view.scene)], (max_steps, outlier_px, cells)
             eyes.append(_eye(k, view, subject, mask, *of, settings))
-        largest = Capacity(*np.max([eye.solver.capacity for eye in eyes], axis=0).tolist())
-        for eye in eyes:
-            eye.solver.buffers.capacity = largest
         layout = Layout(_unknowns(freed, owners, moving, objects, scales), eyes, priors)
         if still := [k for k in range(len(eyes)) if not layout.of(k)]:
             raise ValueError(f"`views[{still[0]}]`: expected a view of something unknown, got none")

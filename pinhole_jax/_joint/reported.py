@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .._camera.poses import adjoint, inverse
+from .._solver.looks import View
 from .._solver.parameters import LABELS, labels_of
-from .._solver.problem import View
 from .problem import JointProblem
 from .views import POSE, SCALE, TO_B, TWIST, State, lens_reported
 

@@ -24,9 +24,9 @@ from .._fit.result import (
 )
 from .._fit.words import Estimate
 from .._scene.scene import Scene
+from .._solver.looks import Sums
 from .._solver.moves import on_film
 from .._solver.parameters import labels_of
-from .._solver.residuals import Sums
 from .._solver.solver import Stop
 from .._solver.uncertainty import in_words
 from ..names import STATUSES

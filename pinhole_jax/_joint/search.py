@@ -38,14 +38,11 @@ def searched_jointly(problem: JointProblem, tell: Tell) -> list[Path]:
     tell(f"{len(tried)} guesses of {len(ones)} views")
 
     def squares(state: State) -> float:
-        seen = few.layout.look(state, depth, grow=False)
+        seen = few.layout.look(state, depth)
         return _or_infinite(float(sum(s.view.squares for s in seen)))
 
     likely = _apart(few.layout, sorted(tried, key=squares))[: 2 * FOLLOWED]
-    begun = [
-        descend(few.layout, state, depth, ones, FIRST_STEPS, ROUGH_PX, grow=False)
-        for state in likely
-    ]
+    begun = [descend(few.layout, state, depth, ones, FIRST_STEPS, ROUGH_PX) for state in likely]
     begun = sorted(begun, key=lambda d: _or_infinite(d.squares))
     distinct = _apart(few.layout, [d.state for d in begun])[:FOLLOWED]
     paths = [Path(d, (d.steps,)) for d in begun if any(d.state is s for s in distinct)]
@@ -91,7 +88,7 @@ def looking_alike(problem: JointProblem, best: Path, tell: Tell) -> list[Path]:
     noise = sum(EXACT * float(seen.view.sums.touched) for seen in best.descent.seen)
     likely = []
     for other in alike[:ALIKE]:
-        begun = descend(few.layout, other, depth, ones, FIRST_STEPS, ROUGH_PX, grow=False)
+        begun = descend(few.layout, other, depth, ones, FIRST_STEPS, ROUGH_PX)
         if _or_infinite(begun.squares) <= WORSE * here + noise:
             likely.append(begun.state)
     depths = range(depth, 0, -1)

@@ -6,6 +6,7 @@ know of the shared ones, to this view.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,8 +15,8 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.distortion import COEFFICIENTS
 from .._camera.lens import Lens
+from .._solver.looks import View
 from .._solver.parameters import PARAMETERS, as_names, check_free, in_one
-from .._solver.problem import View
 
 #: What views may share.
 SHARED = tuple(name for name, row in PARAMETERS.items() if row.shared)
@@ -140,7 +141,7 @@ def joint(view: Any, others: np.ndarray, slope: np.ndarray, own: np.ndarray) -> 
     gradient[~own] = slope * scale
     along = np.linalg.lstsq(triangle.T, gradient, rcond=None)[0]
     # (As NumPy's: within `grad` JAX's would be traced, and no report could look at them.)
-    return view._replace(triangle=triangle, along=along)
+    return replace(view, triangle=triangle, along=along)
 
 
 def in_few(view: View, rows: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -166,4 +167,4 @@ def with_rows(view: View, rows: np.ndarray, left: np.ndarray) -> View:
     table: Any = np.linalg.qr(np.concatenate([seen, np.column_stack([rows, left])]), mode="r")
     n = rows.shape[1]
     prior = float(view.prior) + float(left @ left)
-    return view._replace(triangle=table[:n, :n], along=table[:n, n], prior=prior)
+    return replace(view, triangle=table[:n, :n], along=table[:n, n], prior=prior)

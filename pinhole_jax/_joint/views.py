@@ -21,8 +21,8 @@ from .._mask.mask import Mask
 from .._numerics.arrays import ArrayLike, Input
 from .._scene.assembly import Posture
 from .._scene.scene import Scene
+from .._solver.looks import View
 from .._solver.parameters import PARAMETERS, components, labels_of
-from .._solver.problem import View
 from .._solver.solver import Solver
 from .._solver.subject import Subject
 

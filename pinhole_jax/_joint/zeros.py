@@ -5,6 +5,7 @@ So what a view's program says of its own camera, pixel by pixel, says all about 
 other program is compiled. Pixels in which several bodies end count by the lengths of these ends.
 """
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,9 +13,9 @@ import numpy as np
 from .._camera.bent import bent
 from .._camera.camera import Camera
 from .._camera.poses import adjoint, inverse, pose_of
-from .._mask.pyramid import Level, target_at
-from .._solver.problem import View
-from .._solver.residuals import Pixels
+from .._mask.pyramid import Level
+from .._solver.looks import View
+from .._solver.stretches import Coverage
 from .._solver.subject import on_film_plane
 from .views import Eye, State
 
@@ -36,15 +37,15 @@ def with_joints(eye: Eye, state: State, seen: Seen, joints: list[str]) -> Seen:
     posture, view = eye.posture, seen.view
     assert posture is not None
     camera, pixels = eye.canonical(state), view.pixels
-    share = _shares(eye, state, camera, pixels)
+    share = _shares(eye, state, camera, view)
     twists = posture.twists(eye.offsets(state))[[posture.joints.index(name) for name in joints]]
     # (What grows looks as if it moved on, as seen from the eye.)
     grows, twists = twists[..., 6:], twists[..., :6]
     twists[..., 3:] += grows * np.asarray(camera.e, float)
 
     # How each touched pixel follows a twist of the whole scene, and of what is seen in it.
-    jacobian, weight = np.asarray(view.jacobian, float), np.asarray(pixels.weight)
-    used = np.flatnonzero(weight > 0)  # (of buffers with room for many more)
+    jacobian, weight = view.jacobian, pixels.weight
+    used = np.flatnonzero(weight > 0)
     of_scene = -jacobian[used] @ eye.by_twist(state, view) @ adjoint(inverse(pose_of(camera)))
     by_joint = np.zeros((len(jacobian), len(joints)))
     by_joint[used] = np.sum((of_scene @ twists.transpose(0, 2, 1)) * share[used], axis=-1).T
@@ -55,14 +56,15 @@ def with_joints(eye: Eye, state: State, seen: Seen, joints: list[str]) -> Seen:
     scale = np.where(size > 1e-9 * usual, usual / np.maximum(size, 1e-300), 1.0)
     together = np.concatenate([jacobian, by_joint * scale], axis=1)
     n = together.shape[1]
-    table = np.column_stack([together[used], _residuals(eye, pixels)[used]])
+    table = np.column_stack([together[used], pixels.residual[used]])
     table = np.concatenate([table, np.zeros((n, n + 1))])
     r: Any = np.linalg.qr(table, mode="r")
     ok = np.all(np.isfinite(np.asarray(view.triangle)))
-    whole = view._replace(
+    whole = replace(
+        view,
         triangle=r[:n, :n] if ok else np.full((n, n), np.nan),
         along=r[:n, n] if ok else np.full(n, np.nan),
-        columns=together.T,
+        by_joints=together,
     )
     moves = np.zeros((n, seen.moves.shape[1] + len(joints)))
     moves[: len(seen.moves), : seen.moves.shape[1]] = seen.moves
@@ -70,15 +72,7 @@ def with_joints(eye: Eye, state: State, seen: Seen, joints: list[str]) -> Seen:
     return Seen(whole, moves)
 
 
-def _residuals(eye: Eye, pixels: Pixels) -> np.ndarray:
-    """Return the weighted residuals of touched pixels (P,)."""
-    level, weight = pixels.level, np.asarray(pixels.weight, float)
-    cell = np.where(weight > 0, np.asarray(pixels.cell), 0)
-    here = target_at(eye.solver.problem.pyramid, level, cell)
-    return np.sqrt(weight) * (np.asarray(pixels.coverage, float) - here)
-
-
-def _shares(eye: Eye, state: State, camera: Camera, pixels: Pixels) -> np.ndarray:
+def _shares(eye: Eye, state: State, camera: Camera, view: View) -> np.ndarray:
     """Return how much of the outline in each touched pixel is each body's (P, B)."""
     mesh, posture = eye.scene(state).mesh, eye.posture
     assert mesh is not None
@@ -86,7 +80,7 @@ def _shares(eye: Eye, state: State, camera: Camera, pixels: Pixels) -> np.ndarra
     bodies = int(posture.body[-1]) + 1
     points = np.asarray(mesh.vertices, float)
     edges, third = _contour(points, mesh, np.asarray(camera.e, float))
-    ends, level = points[edges], pixels.level
+    ends, level = points[edges], view.level
     film = [_in_pixels(camera, level, x) for x in (ends[:, 0], ends[:, 1], points[third])]
     ahead = np.all([np.all(np.isfinite(x), axis=1) for x in film], axis=0)
     start, end, inner = (x[ahead] for x in film)
@@ -103,10 +97,10 @@ def _shares(eye: Eye, state: State, camera: Camera, pixels: Pixels) -> np.ndarra
     outside = at + BESIDE * np.where(inwards, -1, 1)[of, None] * right[of]
 
     # What lies within the object, or behind it, is no outline.
-    cell, cells = _cells(level, at), np.asarray(pixels.cell)
+    cell, cells = _cells(level, at), view.pixels.cell
     slot = np.searchsorted(cells, cell)
     found = (slot < len(cells)) & (cells[np.minimum(slot, len(cells) - 1)] == cell)
-    weight = (length / number)[of] * (1 - _covered(pixels, _cells(level, outside)))
+    weight = (length / number)[of] * (1 - _covered(view, outside))
     result = np.zeros((len(cells), bodies))
     np.add.at(result, (slot[found], body[of][found]), weight[found])
     total = result.sum(axis=1, keepdims=True)
@@ -142,13 +136,10 @@ def _cells(level: Level, at: np.ndarray) -> np.ndarray:
     return np.where(inside, row * (W + 2) + column + 1, -1)
 
 
-def _covered(pixels: Pixels, cell: np.ndarray) -> np.ndarray:
-    """Return how much of cells is covered (n,), 0 beside the window."""
-    cells, width = np.asarray(pixels.cell), int(pixels.level.W) + 2
-    slot = np.maximum(np.searchsorted(cells, cell, side="right") - 1, 0)
-    touched = cells[slot] == cell
-    follows = (cells[slot] < cell) & (cells[slot] // width == cell // width)
-    after = np.asarray(pixels.covered_after)[slot]
-    after = np.where(follows, after, bool(pixels.covered_before))
-    result = np.where(touched, np.asarray(pixels.coverage, float)[slot], after)
-    return np.where(cell < 0, 0.0, np.clip(result, 0, 1))
+def _covered(view: View, at: np.ndarray) -> np.ndarray:
+    """How much is covered (n,) of the pixels that points lie in, 0 beside the window."""
+    column, row = np.floor(at).astype(int).T
+    H, W = int(view.level.H), int(view.level.W)
+    inside = (column >= 0) & (column < W) & (row >= 0) & (row < H)
+    place = np.clip(row, 0, H - 1), np.clip(column, 0, W - 1)
+    return np.where(inside, Coverage.of(view).at(*place), 0.0)

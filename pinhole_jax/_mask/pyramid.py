@@ -35,48 +35,29 @@ BYTES = np.uint64(0x0101010101010101)
 class Pyramid(NamedTuple):
     """The levels' cells, a page at a time (see `cells_of`).
 
-    `page` says which page each stretch of the raster is. Of the cells of all pages, `target` and
-    `weight` are the pixels' own (the target only where there is a weight), the rest what is summed
-    up before the cell: of the squared residual if a pixel is uncovered (`empty`) or covered
-    (`full`), of the weight (`weights`) and of weight times target (`masses`); `sums` is to be added
-    to these where stretches share a page.
+    `page` says which page each stretch of the raster is. `cells` are those of all pages: the
+    target (only where there is a weight) and the weight, then what is summed up before the cell: of
+    the squared residual if a pixel is uncovered or covered, of the weight, and of weight times
+    target. `sums` is to be added to these four where stretches share a page.
     """
 
     page: Int[Array, "Q"]
-    sums: tuple[Float[Array, "Q"], ...]
-    target: Float[Array, "N"]
-    weight: Float[Array, "N"]
-    empty: Float[Array, "N"]
-    full: Float[Array, "N"]
-    weights: Float[Array, "N"]
-    masses: Float[Array, "N"]
+    sums: Float[Array, "4 Q"]
+    cells: Float[Array, "6 N"]
 
     @property
-    def cells(self) -> int:
-        """Return how many cells there is room for."""
+    def room(self) -> int:
+        """How many cells there is room for."""
         return self.page.size * PAGE
-
-
-class Cells(NamedTuple):
-    """What a level holds at some cells: target, weight, and the running sums of all cells before
-    (see `Pyramid`)."""
-
-    target: Float[Array, "*P"]
-    weight: Float[Array, "*P"]
-    empty: Float[Array, "*P"]
-    full: Float[Array, "*P"]
-    weights: Float[Array, "*P"]
-    masses: Float[Array, "*P"]
 
 
 class Level(NamedTuple):
     """One level of a pyramid: where it begins, the size of its window and where on the film that
     begins (its pixels), and its pixels per film height.
 
-    Rows from the window's bottom, each row with one cell before and after it. `resolved` says that
-    pixels in which contours overlap show the union's coverage, not the clamped sum of the layers;
-    a residual above `explained` is more than the mask's kind leaves. Arrays of NumPy: numbers of
-    shape (), `origin` (2,).
+    Rows from the window's bottom, each row with one cell before and after it. A residual above
+    `explained` is more than the mask's kind leaves. Arrays of NumPy: numbers of shape (), `origin`
+    (2,).
     """
 
     start: Any
@@ -84,7 +65,6 @@ class Level(NamedTuple):
     H: Any
     origin: Any
     scale: Any
-    resolved: Any
     explained: Any
 
     def window(self) -> Window:
@@ -93,23 +73,10 @@ class Level(NamedTuple):
         return Window(left, bottom, int(self.W), int(self.H))
 
 
-def cells_of(pyramid: Pyramid, level: Level, cell: Int[Array, "*P"]) -> Cells:
-    """Return what is at a level's cells."""
-    at = level.start + cell
-    stretch = at >> BITS
-    here = (pyramid.page[stretch] << BITS) + (at & (PAGE - 1))
-    sums = zip(pyramid.sums, pyramid[4:], strict=True)
-    return Cells(
-        pyramid.target[here],
-        pyramid.weight[here],
-        *(before[stretch] + inside[here] for before, inside in sums),
-    )
-
-
-def target_at(pyramid: Pyramid, level: Level, cell: np.ndarray) -> np.ndarray:
-    """Return the target at a level's cells, outside of compiled programs."""
-    stretch, rest = np.divmod(int(level.start) + cell, PAGE)
-    return np.asarray(pyramid.target)[np.asarray(pyramid.page)[stretch] * PAGE + rest]
+def cells_of(pyramid: Pyramid, at: Int[Array, "*P"]) -> tuple[Float[Array, "*P"], ...]:
+    """Target and weight at some cells of the raster."""
+    here = (pyramid.page[at >> BITS] << BITS) + (at & (PAGE - 1))
+    return pyramid.cells[0][here], pyramid.cells[1][here]
 
 
 def pyramid(
@@ -152,22 +119,10 @@ def pyramid(
         beyond = h * 2**level > window.H, w * 2**level > window.W
         rasters.append(_Raster.of(images[level], weights[level], most, beyond))
         origin, scale = real([left / 2**level, bottom / 2**level]), real(H / 2**level)
-        rest = np.array(level == 0), real(np.inf)
-        levels.append(Level(integer(start), integer(w), integer(h), origin, scale, *rest))
+        place = integer(start), integer(w), integer(h)
+        levels.append(Level(*place, origin, scale, real(np.inf)))
         start += _cells((h, w))
     return _written(rasters, most, room, min(least, LEAST_CELLS), dtype), levels
-
-
-def first_of(host: Pyramid, until: int) -> Pyramid | None:
-    """Return the first levels of a pyramid, those before the cell `until` of its raster, in the
-    smallest one; None where that has no room for them. Arrays of NumPy, which share its memory."""
-    stretches, cells = LEAST_CELLS // PAGE, LEAST_CELLS + 4 * PAGE
-    page = host.page[:stretches]
-    used = np.asarray(page[: until // PAGE])
-    if until > LEAST_CELLS or np.max(used, initial=0) >= cells // PAGE:
-        return None
-    sums = tuple(x[:stretches] for x in host.sums)
-    return Pyramid(page, sums, *(x[:cells] for x in host[2:]))
 
 
 class _Image(NamedTuple):
@@ -347,7 +302,7 @@ def _written(rasters: list[_Raster], most: float, room: int, least: int, dtype: 
             page[begin + first + mine] = number + np.arange(len(mine))
             ends, done, number = before[:, -1:], done + len(mine), number + len(mine)
         begin += len(raster.page)
-    host: Any = page, tuple(sums), *flat
+    host: Any = page, sums, flat
     return Pyramid(*host)
 
 

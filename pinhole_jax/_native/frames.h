@@ -35,6 +35,7 @@ struct Batch {
   std::vector<int64_t> shape;
   int64_t size = 1;
 
+  Batch() = default;
   explicit Batch(const Array& result)
       : shape(result.buffer->dims, result.buffer->dims + result.buffer->rank - result.own) {
     for (int64_t n : shape) size *= n;
@@ -52,11 +53,14 @@ struct Batch {
   }
 };
 
+inline Array array(const void* buffer, int64_t own) {
+  return {static_cast<const XLA_FFI_Buffer*>(buffer), own};
+}
 inline Array argument(const XLA_FFI_CallFrame* frame, int64_t k, int64_t own) {
-  return {static_cast<const XLA_FFI_Buffer*>(frame->args.args[k]), own};
+  return array(frame->args.args[k], own);
 }
 inline Array result(const XLA_FFI_CallFrame* frame, int64_t k, int64_t own) {
-  return {static_cast<const XLA_FFI_Buffer*>(frame->rets.rets[k]), own};
+  return array(frame->rets.rets[k], own);
 }
 
 // An attribute that is a 64-bit integer; 0 if there is none.

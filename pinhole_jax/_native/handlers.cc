@@ -1,7 +1,7 @@
-// The calls that JAX makes (`jax.ffi`), each of one view or a batch: a silhouette (`image`), or the
-// pixels alone that its outline touches (`touch`); their push and pull.
+// The calls that JAX makes (`jax.ffi`): a silhouette (`image`) of one view or a batch, its push and
+// pull, and a fit's `look`; and those that Python makes for the pixels of a look, by `ctypes`.
 #include "frames.h"
-#include "motion.h"
+#include "look.h"
 
 #ifdef _WIN32
 #define PINHOLE_HANDLER extern "C" __declspec(dllexport)
@@ -31,9 +31,10 @@ constexpr int64_t kOwn[kGiven] = {1, 1, 2, 2, 2, 2, 2, 1, 2, 1};
 
 class Views {
  public:
-  explicit Views(const XLA_FFI_CallFrame* frame) : model_(Model(attribute(frame, "model"))) {
-    for (int k = 0; k < kGiven; ++k) given_[k] = argument(frame, k, kOwn[k]);
+  Views(void* const* arguments, int64_t model) : model_(Model(model)) {
+    for (int k = 0; k < kGiven; ++k) given_[k] = array(arguments[k], kOwn[k]);
   }
+  explicit Views(const XLA_FFI_CallFrame* frame) : Views(frame->args.args, attribute(frame, "model")) {}
 
   // Goes to a member of a batch; false if it is of the same view as the last one.
   bool find(const Batch& batch, int64_t member) {
@@ -44,57 +45,36 @@ class Views {
     scene.mesh = {numbers(2), integers(3), integers(4), integers(5), given_[2].length(0), given_[3].length(0), given_[4].length(0)};
     scene.spheres = {numbers(6), numbers(7), numbers(8), given_[6].length(0)};
     W = integers(9)[0], H = integers(9)[1];
+    sound_ = finite(numbers(0)) && finite(numbers(1)) && finite(scene.mesh.vertices) &&
+             finite(scene.spheres.frames) && finite(scene.spheres.centers) && finite(scene.spheres.radii);
     return true;
   }
 
-  // Draws it. What is not of finite numbers is an empty view.
+  // What is not of finite numbers is an empty view.
+  Film film() const { return sound_ ? film_of(numbers(0), numbers(1), model_, W, H) : empty(); }
+  Scene seen_scene() const { return sound_ ? scene : Scene{}; }
+
   template <class Sink>
   View draw(Sink& sink, bool with_seen) const {
-    const Numbers film = numbers(0), lens = numbers(1);
-    const bool sound = finite(film) && finite(lens) && finite(scene.mesh.vertices) &&
-                       finite(scene.spheres.frames) && finite(scene.spheres.centers) && finite(scene.spheres.radii);
-    const Scene nothing{};
-    Film f = sound ? film_of(film, lens, model_, W, H) : Film();
-    f.W = W, f.H = H;
-    return look(f, sound ? scene : nothing, sink, with_seen);
+    return look(film(), seen_scene(), sink, with_seen);
   }
 
   Scene scene;
   int W = 0, H = 0;
 
  private:
+  Film empty() const {
+    Film film;
+    film.W = W, film.H = H;
+    return film;
+  }
   Numbers numbers(int k) const { return given_[k].numbers(entries_[k]); }
   const int32_t* integers(int k) const { return given_[k].integers(entries_[k]); }
 
   Array given_[kGiven];
   std::vector<int64_t> entries_;
   Model model_;
-};
-
-// Touched pixels, in raster order from the bottom, as far as there is room: each with its coverage,
-// and whether the untouched ones after it are covered. A row has one cell more at either end: what
-// lies left of the film has one where it covers the row's first pixels other than `begin` tells.
-template <class Real>
-struct TouchSink {
-  int64_t W, room;
-  int32_t* cell;
-  Real* coverage;
-  bool* after;
-  int64_t count = 0;
-  bool covers_first = false;
-
-  void begin(bool covered) { covers_first = covered; }
-  int64_t at(int, int) const { return count < room ? count : -1; }
-  void put(int64_t where, double value) {
-    if (count < room) cell[count] = int32_t(where), coverage[count] = Real(value), after[count] = false;
-    ++count;
-  }
-  void pixel(int row, int column, double value) { put(row * (W + 2) + column + 1, value); }
-  void run(int row, int from, int, bool covered) {
-    if (from == 0 && covered != covers_first) put(row * (W + 2), covered);
-    const int64_t last = count - 1;
-    if (covered && last >= 0 && last < room && cell[last] / (W + 2) == row) after[last] = true;
-  }
+  bool sound_ = false;
 };
 
 // --- what is drawn --------------------------------------------------------------------------------
@@ -111,36 +91,12 @@ void draw_images(XLA_FFI_CallFrame* frame) {
   }
 }
 
-template <class Real>
-void draw_touched(XLA_FFI_CallFrame* frame) {
-  Views views(frame);
-  const Array cell = result(frame, 0, 1), coverage = result(frame, 1, 1), after = result(frame, 2, 1);
-  const Array facts = result(frame, 3, 1);  // how many were touched; whether rows begin covered
-  const Batch batch(cell);
-  for (int64_t k = 0; k < batch.size; ++k) {
-    views.find(batch, k);
-    TouchSink<Real> sink{views.W, cell.size(), data_of<int32_t>(cell, k), data_of<Real>(coverage, k), data_of<bool>(after, k)};
-    views.draw(sink, false);
-    data_of<int32_t>(facts, k)[0] = int32_t(sink.count);
-    while (sink.count < sink.room) sink.put((views.W + 2) * int64_t(views.H), 0);
-    data_of<int32_t>(facts, k)[1] = sink.covers_first;
-  }
-}
-
 // --- how it changes -------------------------------------------------------------------------------
 
-// What is seen in a view, by pixels of an image, or by touched pixels where there is `room` for some.
 template <class Real>
-View seen_in(const Views& views, bool whole, int64_t room) {
-  if (whole) {
-    std::vector<Real> image(int64_t(views.W) * views.H);
-    ImageSink<Real> sink{image.data(), views.W, views.H};
-    return views.draw(sink, true);
-  }
-  std::vector<int32_t> cell(room);
-  std::vector<Real> coverage(room);
-  std::vector<uint8_t> after(room);
-  TouchSink<Real> sink{views.W, room, cell.data(), coverage.data(), reinterpret_cast<bool*>(after.data())};
+View seen_in(const Views& views) {
+  std::vector<Real> image(int64_t(views.W) * views.H);
+  ImageSink<Real> sink{image.data(), views.W, views.H};
   return views.draw(sink, true);
 }
 
@@ -148,14 +104,14 @@ View seen_in(const Views& views, bool whole, int64_t room) {
 constexpr int64_t kMovingOwn[4] = {1, 1, 2, 2};
 
 template <class Real>
-void push_all(XLA_FFI_CallFrame* frame, bool whole) {
+void push_all(XLA_FFI_CallFrame* frame) {
   Views views(frame);
-  const Array out = result(frame, 0, whole ? 2 : 1);
+  const Array out = result(frame, 0, 2);
   const Batch batch(out);
   std::fill_n(data_of<Real>(out, 0), out.size() * batch.size, Real(0));
   View view;
   for (int64_t member = 0; member < batch.size; ++member) {
-    if (views.find(batch, member)) view = seen_in<Real>(views, whole, out.size());
+    if (views.find(batch, member)) view = seen_in<Real>(views);
     const auto moving = [&](int k) {
       const Array a = argument(frame, kGiven + k, kMovingOwn[k]);
       return a.numbers(batch.entry(a, member));
@@ -166,13 +122,13 @@ void push_all(XLA_FFI_CallFrame* frame, bool whole) {
 }
 
 template <class Real>
-void pull_all(XLA_FFI_CallFrame* frame, bool whole) {
+void pull_all(XLA_FFI_CallFrame* frame) {
   Views views(frame);
   const Batch batch(result(frame, 0, kMovingOwn[0]));
-  const Array weights = argument(frame, kGiven, whole ? 2 : 1);
+  const Array weights = argument(frame, kGiven, 2);
   View view;
   for (int64_t member = 0; member < batch.size; ++member) {
-    if (views.find(batch, member)) view = seen_in<Real>(views, whole, weights.size());
+    if (views.find(batch, member)) view = seen_in<Real>(views);
     Array out[4];
     for (int k = 0; k < 4; ++k) out[k] = result(frame, k, kMovingOwn[k]);
     Gains gains;
@@ -183,20 +139,68 @@ void pull_all(XLA_FFI_CallFrame* frame, bool whole) {
   }
 }
 
+// --- looks ----------------------------------------------------------------------------------------
+
+// After what is given: how the film (n, 18), the lens (n, l) and the frames (n, S, 9) move, where the
+// level starts (1), what residual is explained (1), the mask's pages (Q), sums (4, Q) and cells (6, N),
+// and rows known beside it (m, n + 1).
+
+Look look_of(void* const* arguments, int64_t model) {
+  Views views(arguments, model);
+  views.find(Batch(), 0);
+  const auto own = [&](int k, int64_t axes) { return array(arguments[kGiven + k], axes); };
+  const Array film = own(0, 2), lens = own(1, 2), frames = own(2, 3), page = own(5, 1), cells = own(7, 2);
+  std::vector<Moves> ways(film.length(0));
+  const auto way = [&](const Array& a, size_t w) {
+    const int64_t size = a.size() / std::max(a.length(0), int64_t(1));
+    return a.numbers(0).from(size * int64_t(w), size);
+  };
+  for (size_t w = 0; w < ways.size(); ++w) ways[w] = {way(film, w), way(lens, w), {}, way(frames, w)};
+  const Mask mask{page.integers(0), own(6, 2).numbers(0), cells.numbers(0), page.size(), cells.length(1),
+                  own(3, 1).integers(0)[0], views.W, views.H, own(4, 1).numbers(0)[0]};
+  return Look(views.film(), views.seen_scene(), mask, ways, own(8, 2).numbers(0));
+}
+
+template <class Real>
+void take_look(XLA_FFI_CallFrame* frame) {
+  const Look look = look_of(frame->args.args, attribute(frame, "model"));
+  std::copy(look.triangle.begin(), look.triangle.end(), data_of<Real>(result(frame, 0, 2), 0));
+  const Sums& s = look.sums;
+  const double sums[] = {s.squares, s.overlap, s.united, s.weight, s.touched, s.touched_squares, s.off};
+  std::copy(std::begin(sums), std::end(sums), data_of<Real>(result(frame, 1, 1), 0));
+}
+
 bool is_single(const XLA_FFI_CallFrame* frame) { return argument(frame, 0, 1).single(); }
 
 }  // namespace
 
-#define PINHOLE_CALL(name, body, ...)                                                        \
+#define PINHOLE_CALL(name, body)                                                             \
   PINHOLE_HANDLER XLA_FFI_Error* name(XLA_FFI_CallFrame* frame) {                            \
     return guarded(frame, [&] {                                                              \
-      is_single(frame) ? body<float>(frame __VA_ARGS__) : body<double>(frame __VA_ARGS__);   \
+      is_single(frame) ? body<float>(frame) : body<double>(frame);                           \
     });                                                                                      \
   }
 
 PINHOLE_CALL(pinhole_image, draw_images)
-PINHOLE_CALL(pinhole_image_push, push_all, , true)
-PINHOLE_CALL(pinhole_image_pull, pull_all, , true)
-PINHOLE_CALL(pinhole_touch, draw_touched)
-PINHOLE_CALL(pinhole_touch_push, push_all, , false)
-PINHOLE_CALL(pinhole_touch_pull, pull_all, , false)
+PINHOLE_CALL(pinhole_image_push, push_all)
+PINHOLE_CALL(pinhole_image_pull, pull_all)
+PINHOLE_CALL(pinhole_look, take_look)
+
+// The pixels of a look, for Python: how many there are, then arrays of that length, once.
+PINHOLE_HANDLER void* pinhole_pixels(void* const* arguments, int64_t model, int64_t* number, uint8_t* before) {
+  try {
+    auto* look = new Look(look_of(arguments, model));
+    *number = int64_t(look->touched.cell.size()), *before = look->touched.before;
+    return look;
+  } catch (const std::exception&) {
+    return nullptr;
+  }
+}
+PINHOLE_HANDLER void pinhole_pixels_read(void* handle, int64_t* cell, double* coverage, uint8_t* after,
+                                         double* weight, double* residual, double* rows) {
+  const auto* look = static_cast<Look*>(handle);
+  const auto copy = [](const auto& from, auto* to) { std::copy(from.begin(), from.end(), to); };
+  copy(look->touched.cell, cell), copy(look->touched.coverage, coverage), copy(look->touched.after, after);
+  copy(look->weight, weight), copy(look->residual, residual), copy(look->rows, rows);
+  delete look;
+}

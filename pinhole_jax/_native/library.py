@@ -26,18 +26,22 @@ def is_available() -> bool:
     return not why
 
 
+@cache
+def library() -> ctypes.CDLL:
+    """The library's functions, for Python; it `is_available`."""
+    return ctypes.CDLL(str(library_path()))
+
+
 def _registered() -> str:
     """Why the library cannot be used, or an empty string once it is registered."""
-    path = library_path()
-    if path is None:
+    if library_path() is None:
         return "it was not built"
     try:
         jax.devices(
             "cpu"
         )  # (a library that XLA refuses would take a backend down that starts later)
-        library = ctypes.CDLL(str(path))
         for name in HANDLERS:
-            handler = jax.ffi.pycapsule(getattr(library, name))
+            handler = jax.ffi.pycapsule(getattr(library(), name))
             jax.ffi.register_ffi_target(name, handler, platform="cpu")
     except Exception as error:  # whatever a loader or another version of XLA says
         return str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from .._camera.distortion import BrownConrady, Fisheye, Rational
 from .._camera.film import FilmMap, turned
@@ -48,65 +48,50 @@ class Constants(NamedTuple):
     size: Int[Array, "2"]
 
 
-class Touch(NamedTuple):
-    """The pixels that the outline touches, in raster order from the bottom.
-
-    `cell` counts a row's pixels from 1, `W + 2` to a row; unused slots are at `H (W + 2)`.
-    `covered_after` is of the untouched pixels after it in its row, `covered_before` of those before
-    a row's first; `number` is how many there are, whatever the room.
-    """
-
-    cell: Int[Array, "P"]
-    coverage: Float[Array, "P"]
-    covered_after: Bool[Array, "P"]
-    covered_before: Bool[Array, ""]
-    number: Int[Array, ""]
-
-
 def coverage(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
     """Exact coverage of each pixel, row 0 on top."""
-    model, variables, constants = _view(film, scene, np.array([film.W, film.H], np.int32))
-    shape = jax.ShapeDtypeStruct((film.H, film.W), variables.film.dtype)
-    return _drawn(("image", model, (shape,)), variables, constants)[0]
+    shape = jax.ShapeDtypeStruct((film.H, film.W), film.eye.dtype)
+    size = np.array([film.W, film.H], np.int32)
+    constants = jax.lax.stop_gradient(constants_of(film, scene, size))
+    asked = "image", model_of(film), (shape,)
+    return _drawn(asked, variables_of(film, scene), constants)[0]
 
 
-def touch(film: FilmMap, scene: Scene, size: Int[Array, "2"], room: int) -> Touch:
-    """Exact coverage of the pixels that the outline touches, of a film of a `size` (W, H)."""
-    model, variables, constants = _view(film, scene, size)
-    kinds = jnp.int32, variables.film.dtype, jnp.bool_
-    shapes = *(jax.ShapeDtypeStruct((room,), kind) for kind in kinds), _FACTS
-    cell, covered, after, facts = _drawn(("touch", model, shapes), variables, constants)
-    return Touch(cell, covered, after, facts[1] > 0, facts[0])
+def model_of(film: FilmMap) -> int:
+    """The number of a lens's model."""
+    return 0 if film.bend is None else MODELS[type(film.bend.distortion)]
 
 
-_FACTS = jax.ShapeDtypeStruct((2,), jnp.int32)
-
-
-def _view(film: FilmMap, scene: Scene, size: Any) -> tuple[int, Variables, Constants]:
-    """The number of the lens's model, what moves and what does not."""
+def variables_of(film: FilmMap, scene: Scene) -> Variables:
+    """What moves of a view."""
     real, mesh, spheres = film.eye.dtype, scene.mesh, scene.spheres
-    none, triples = jnp.zeros((0, 3), real), jnp.zeros((0, 3), jnp.int32)
-    lens, trusted, model = none[:, 0], none[:, 0], 0
-    if film.bend is not None:
-        lens, trusted = film.bend.numbers, film.bend.trusted[None]
-        model = MODELS[type(film.bend.distortion)]
-    vertices, faces, ends, beside = none, triples, triples[:, :2], triples[:, :2]
-    if mesh is not None:
-        vertices, faces, ends, beside = (
-            mesh.vertices,
-            mesh.faces,
-            mesh.edge_vertices,
-            mesh.edge_faces,
-        )
-    frames, centers, radii = jnp.zeros((0, 9), real), none, none[:, 0]
-    if spheres is not None:
-        frames, centers, radii = sphere_frames(film, spheres), spheres.centers, spheres.radii
     numbers = [film.eye, film.view, film.matrix.reshape(-1), film.base]
-    variables = Variables(jnp.concatenate(numbers), lens, vertices, frames)
-    constants = Constants(
-        trusted, faces, ends, beside, centers, radii, jnp.asarray(size, jnp.int32)
+    return Variables(
+        jnp.concatenate(numbers),
+        jnp.zeros(0, real) if film.bend is None else film.bend.numbers,
+        jnp.zeros((0, 3), real) if mesh is None else mesh.vertices,
+        jnp.zeros((0, 9), real) if spheres is None else sphere_frames(film, spheres),
     )
-    return model, variables, jax.lax.stop_gradient(constants)
+
+
+def constants_of(film: FilmMap, scene: Scene, size: Any) -> Constants:
+    """What does not, of a film of a size (W, H)."""
+    real = film.eye.dtype
+    trusted = jnp.zeros(0, real) if film.bend is None else film.bend.trusted[None]
+    rest: Any = map(jnp.asarray, [*scene_arrays(scene, real)[1:], np.asarray(size, np.int32)])
+    return Constants(trusted, *rest)
+
+
+def scene_arrays(scene: Scene, real: Any) -> list[Any]:
+    """Vertices, faces, the edges' vertices and faces, centres and radii; empty without them."""
+    mesh, spheres = scene.mesh, scene.spheres
+    none, triples = np.zeros((0, 3), real), np.zeros((0, 3), np.int32)
+    arrays = [none, triples, triples[:, :2], triples[:, :2], none, none[:, 0]]
+    if mesh is not None:
+        arrays[:4] = mesh.vertices, mesh.faces, mesh.edge_vertices, mesh.edge_faces
+    if spheres is not None:
+        arrays[4:] = spheres.centers, spheres.radii
+    return arrays
 
 
 def sphere_frames(film: FilmMap, spheres: Spheres) -> Float[Array, "S 9"]:
@@ -157,7 +142,8 @@ def _call(name: str, model: int, shapes: Sequence[Any], *arguments: Array) -> li
     return [*on_each_device(partial(call, model=model), *arguments)]
 
 
-def _given(variables: Variables, constants: Constants) -> list[Array]:
+def operands(variables: Variables, constants: Constants) -> list[Array]:
+    """What the library is given of a view, in its order."""
     film, lens, vertices, frames = variables
     trusted, *scene, size = constants
     return [film, jnp.concatenate([lens, trusted]), vertices, *scene, frames, size]
@@ -166,7 +152,7 @@ def _given(variables: Variables, constants: Constants) -> list[Array]:
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _drawn(asked: Asked, variables: Variables, constants: Constants) -> list[Array]:
     """What a call returns; the coverage is its only result of real numbers."""
-    return _call(*asked, *_given(variables, constants))
+    return _call(*asked, *operands(variables, constants))
 
 
 @partial(_drawn.defjvp, symbolic_zeros=True)
@@ -174,7 +160,7 @@ def _drawn_jvp(asked: Asked, primals: Any, tangents: Any):
     """The coverage's change: the visible outline's length in each pixel times its velocity."""
     (name, model, shapes), (variables, constants) = asked, primals
     moves = [not isinstance(v, SymbolicZero) for v in tangents[0]]
-    given = _given(*differentiable_once((variables, constants)))
+    given = operands(*differentiable_once((variables, constants)))
     # (What does not move has no entries, and costs nothing.)
     empty = [jnp.zeros((0,) * x.ndim, x.dtype) for x in variables]
     some = [v for v, m in zip(tangents[0], moves, strict=True) if m]

@@ -140,6 +140,11 @@ def _silhouette(
     return jax.lax.platform_dependent(film, scene, cpu=coverage, default=in_arrays)
 
 
+def in_arrays(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
+    """The exact image by vectors of pieces."""
+    return _in_arrays(film, scene, True, None)
+
+
 def _in_arrays(
     film: FilmMap, scene: Scene, overlaps: bool, stops: Int[Array, ""] | None
 ) -> Float[Array, "H W"]:

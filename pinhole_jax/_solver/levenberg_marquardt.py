@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt in one compiled program (optimistix, with a linear solver of lineax's kind).
+"""Levenberg-Marquardt in one compiled program (optimistix, with a linear solver of lineax).
 
 Both take a while to import, so this is imported where a fit begins.
 """
@@ -12,18 +12,13 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._mask.pyramid import Level
-from .._numerics.jitted import jitted
-from .._numerics.one_kernel import on_cpu
-from .._numerics.thin_qr import solved, triangle_of
-from .linearised import columns_at
+from .looks import look
 from .parameters import components
 from .problem import COSINE, UNIT_PX, Problem
-from .residuals import Capacity
 
 #: Steps of a level that can be told one by one.
 RECORDED = 64
@@ -54,7 +49,7 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
 
     def __init__(self, atol: Any, steps: Any):
         self.rtol, self.atol, self.steps, self.norm = 0.0, atol, steps, optx.max_norm
-        self.descent = optx.DampedNewtonDescent(linear_solver=_ThinQR())
+        self.descent = optx.DampedNewtonDescent(linear_solver=lx.QR())
         self.search = _TrustRegion()
         self.verbose = _silent
 
@@ -69,10 +64,7 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
 
     def postprocess(self, fn, y, aux, args, options, state: Any, tags, result):
         del fn, args, options, tags, result
-        at = state.solver.f_info
-        seen, pixels, columns = state.solver.aux
-        view = seen.view((at.jac.as_matrix(), at.residual), pixels, columns)
-        return y, aux, {"path": state.path, "camera": seen.camera, "view": view}
+        return y, aux, {"path": state.path, "look": state.solver.aux}
 
     def terminate(self, fn, y, args, options, state: Any, tags):
         del fn, args, options, tags
@@ -110,61 +102,28 @@ def _residual(y: Float[Array, "n"], args: Any):
     the thousands.
     """
     at = jax.lax.stop_gradient(y)
-    R, aux = _linearised(at, args)
-    return R[:, -1] + R[:, :-1] @ (y - at), aux
-
-
-@jitted
-def _linearised(y: Float[Array, "n"], args: Any) -> tuple[Float[Array, "k k"], Any]:
-    """Return R of what optimistix hands on, and what else is known there."""
-    camera, problem, level, freed, capacity = args
-    given = camera, problem, level, freed.value, Capacity(*capacity.value)
-    columns, seen, pixels = columns_at(y, *given)
-    return triangle_of(columns, len(y) + 1), (seen, pixels, columns)
+    move, problem, level, freed, size = args
+    seen = look(at, move, problem, level, freed.value, size.value)
+    return seen.rows[:, -1] + seen.rows[:, :-1] @ (y - at), seen
 
 
 class _Static(eqx.Module):
     """A static value inside a pytree of arguments."""
 
-    value: tuple = eqx.field(static=True)
+    value: Any = eqx.field(static=True)
 
 
-@jitted
-def descended(camera: Camera, problem: Problem, level: Level, px, steps, freed, capacity):
-    """Return the camera after this many steps at most, or when steps are shorter than `px`; how
-    many it took, the first of them, and the view: after one step (which evaluates the start) of the
+@eqx.filter_jit
+def descended(camera: Camera, problem: Problem, level: Level, px, steps, freed, size):
+    """The number of steps until they are shorter than `px` (this many `steps` at most), where the
+    first of them ended, and the look at the end: after one step (which evaluates the start) at the
     start.
     """
-    args = (camera, problem, level, _Static(freed), _Static(tuple(capacity)))
-    zero = jnp.zeros(len(components(freed)), problem.pyramid.target.dtype)
+    move = problem.move(camera, level, freed)
+    args = (move, problem, level, _Static(freed), _Static(size))
+    zero = jnp.zeros(len(components(freed)), problem.pyramid.cells.dtype)
     solver = _LevenbergMarquardt(px / UNIT_PX, steps)
     found = optx.least_squares(
         _residual, solver, zero, args, has_aux=True, max_steps=None, throw=False
     )
-    return tuple(found.stats[name] for name in ("camera", "num_steps", "path", "view"))
-
-
-class _ThinQR(lx.AbstractLinearSolver[Any]):
-    """Least squares with far more equations than unknowns, which are one flat array.
-
-    A lineax solver. It has no transpose: it is not differentiated.
-    """
-
-    def init(self, operator, options):
-        del options
-        return operator.as_matrix()
-
-    def compute(self, state, vector, options):
-        del options
-        right = ravel_pytree(vector)[0]
-        table = jnp.concatenate([state, right[:, None]], axis=1)
-        return on_cpu(solved, table), lx.RESULTS.successful, {}
-
-    def transpose(self, state, options):
-        raise NotImplementedError("ThinQR has no transpose")
-
-    def conj(self, state, options):
-        raise NotImplementedError("ThinQR has no conjugate")
-
-    def assume_full_rank(self):
-        return True
+    return tuple(found.stats[name] for name in ("num_steps", "path", "look"))

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._mask.edges import Weights
-from .problem import View
+from .looks import View
 from .stretches import Stretches, stretches_of
 
 #: Sizes (px) and lengths (px) of errors, and the share of their variance that is each stretch's

@@ -6,35 +6,25 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array
 
 from .._camera.camera import Camera
 from .._files import programs
 from .._mask.edges import Weights
 from .._mask.pyramid import LEAST_CELLS, Level
-from .._mask.target import Window, inside_of, object_window
-from .._native.library import is_available
+from .._mask.target import Window, object_window
+from .._native.looks import Sight
 from .._numerics.backend import for_this_machine
-from .._numerics.jitted import jitted
 from .._numerics.threads import in_threads, some_at_once
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene
-from .buffers import Asked, Buffers, Levels
-from .capacity import first_capacity
 from .kinds import Kind, kind_of
+from .looks import Look, Place, Size, Sums, View, size_of_looks
 from .moves import Bounds, Move, moved
 from .outline_errors import OutlineErrors, is_drawn, outline_errors
 from .priors import Others, Prior, no_others
-from .problem import (
-    COARSE_PX,
-    FINE_PX,
-    Problem,
-    View,
-    like_descended,
-    move_about,
-)
-from .residuals import Capacity
+from .problem import COARSE_PX, FINE_PX, Problem, move_about
 from .revolution import Revolution
+from .shared import Levels, LevelsKey, Shared
 from .subject import Subject
 
 #: Noise leaves at most this many standard errors more than on average.
@@ -92,7 +82,7 @@ class Solver:
     """One subject, one mask, and what is asked of them.
 
     A value: with other weights, another scene or other views' knowledge it is another solver. What
-    grows with use is in its `buffers`, which they share.
+    it keeps of its mask is `shared` with those.
 
     - `target`: the mask (H, W); `weights`: how much its pixels count; `kind`: its kind.
     - `freed`: what is free; `bounds` and `prior`: what is known of it; `others`: what other views
@@ -100,7 +90,6 @@ class Solver:
     - `max_steps`: the most steps on a level; `fine_px`: what step is negligible on the finest.
     - `record`: whether the way is to hold each step.
     - `only_finest`: whether there is but one level, the finest.
-    - `least`: pyramids have room for this many cells.
     - `walked`: walks all round a line: from there another need not be taken.
     """
 
@@ -111,8 +100,7 @@ class Solver:
     freed: tuple[str, ...]
     max_steps: int
     fine_px: float
-    buffers: Buffers
-    least: int
+    shared: Shared
     bounds: Bounds | None = None
     prior: Prior | None = None
     others: Others | None = None
@@ -154,28 +142,25 @@ class Solver:
     ) -> "Solver":
         """Return the solver of a subject and a mask, whose pyramids hold `cells` at least."""
         window, dtype = object_window(target), subject.dtype
-        capacity = first_capacity(subject.given, inside_of(window.of(target)))
-        buffers = Buffers(capacity, window, cells)
         kind = kind_of(window.of(target), window.of(weights), dtype)
         ends = max_steps, last_px(kind, dtype, continued)
-        least = buffers.least_cells()
-        return cls(subject, target, weights, kind, freed, *ends, buffers, least, bounds)
+        return cls(subject, target, weights, kind, freed, *ends, Shared(window, cells), bounds)
 
     def weighed(
         self, weights: Weights, target: np.ndarray | None = None, only_finest: bool = False
     ) -> "Solver":
         """Return the solver to which pixels count otherwise, and of another mask if one is given;
         of the finest level alone, if that is all that is asked for."""
-        target, least = self.target if target is None else target, self.buffers.least_cells()
-        return replace(self, weights=weights, target=target, only_finest=only_finest, least=least)
+        target = self.target if target is None else target
+        return replace(self, weights=weights, target=target, only_finest=only_finest)
 
     def beside(self, others: Others) -> "Solver":
         """Return the solver to which what other views know counts. They weigh the prior, too."""
         return replace(self, others=others)
 
     def like(self, kind: Kind) -> "Solver":
-        """Return a solver for masks of another kind, with buffers of its own."""
-        return replace(self, kind=kind, buffers=self.buffers.copy())
+        """A solver for masks of another kind, which shares nothing with this one."""
+        return replace(self, kind=kind, shared=self.shared.copy())
 
     @property
     def dtype(self) -> np.dtype:
@@ -183,44 +168,10 @@ class Solver:
         return self.subject.dtype
 
     @property
-    def capacity(self) -> Capacity:
-        """Return what a view has room for."""
-        return self.buffers.capacity
-
-    def expect_many(self) -> None:
-        """Let coarse levels of a large mask have buffers of their own size from now on: where there
-        are hundreds of views to look at, these repay the program that is compiled for them."""
-        buffers, coarser = self.buffers, 2.0 ** (self.finest - self.far)
-        if self._levels.small is None or buffers.small is not None:
-            return
-        inside = inside_of(buffers.window.of(self.target))
-        small = first_capacity(self.subject.given, inside, coarser)
-        edges, arcs = self.capacity.edges, self.capacity.arcs
-        small = small._replace(edges=edges, arcs=arcs)
-        if small.pieces < self.capacity.pieces or small.arc_pieces < self.capacity.arc_pieces:
-            buffers.small = small
-
-    def _small(self, level: Level) -> Capacity | None:
-        """Return what a level's views have room for if they are looked at in small buffers."""
-        small = self.buffers.small
-        return small if small is not None and int(level.start) < self._levels.until else None
-
-    def _room(self) -> tuple[Any, ...]:
-        """Return what a descent that outgrew it is to be taken on in."""
-        return self.capacity, self.buffers.small, self.buffers.window
-
-    def _grow(self, view: View) -> bool:
-        """Give a view half as much room again as it takes; return whether it lacked any."""
-        if self._small(view.pixels.level) is not None:
-            return self.buffers.grow_small(view.load)
-        return self.buffers.grow(view.load)
-
-    @property
     def _levels(self) -> Levels:
-        buffers = self.buffers
-        least = max(self.least, buffers.least)
-        of = self.target, self.weights, self.kind, buffers.window, least, self.only_finest
-        return buffers.levels(Asked(*of), self.dtype)
+        window = self.shared.window
+        key = LevelsKey(self.target, self.weights, self.kind, window, self.only_finest)
+        return self.shared.levels(key, self.dtype)
 
     @property
     def levels(self) -> list[Level]:
@@ -248,9 +199,9 @@ class Solver:
 
     def _weighed_prior(self) -> Prior | None:
         """Return the prior, weighed by what a residual of the mask errs by."""
-        if self.prior is None or self.buffers.noise is None:
+        if self.prior is None or self.shared.noise is None:
             return self.prior
-        noise = np.asarray(self.buffers.noise, self.dtype)
+        noise = np.asarray(self.shared.noise, self.dtype)
         return eqx.tree_at(lambda prior: prior.noise, self.prior, noise)
 
     def misfit_above_noise(self, view: View) -> float:
@@ -315,41 +266,37 @@ class Solver:
         spread = np.trace(inverse.T @ errors.gradient @ inverse) / np.linalg.matrix_rank(triangle)
         return errors.computed + float(spread) / max(view.touched_misfit, self.kind.least)
 
-    def begin(self, camera: Camera, level: int) -> View:
-        """Return the view at a camera while it is being worked out, for `look`: views of several
-        solvers are worked out side by side."""
+    def look(self, camera: Camera, level: int = -1) -> View:
+        """The view at a camera, on a level (the last)."""
         self._widen(camera)
-        return self._further(camera, self.levels[level], 0.0, 1)[-1]
+        view = self._further(camera, self.levels[level], 0.0, 1)[-1]
+        share = float(self.levels[level].scale) / len(self.target)
+        weight = float(view.sums.weight) + share**2 * self._levels.beside
+        return replace(view, sums=view.sums._replace(weight=np.asarray(weight)))
 
-    def look(self, camera: Camera, level: int, begun: View | None = None) -> View:
-        """Return the view at a camera (that was `begun` there); capacities get half as much room
-        again as it takes."""
-        while True:
-            view = self.begin(camera, level) if begun is None else begun
-            begun = None
-            if not self._grow(view):
-                share = float(self.levels[level].scale) / len(self.target)
-                weight = float(view.sums.weight) + share**2 * self._levels.beside
-                return view._replace(sums=view.sums._replace(weight=np.asarray(weight)))
+    def looks(self, cameras: Sequence[Camera], level: int = -1) -> list[View]:
+        """The view at each camera, as many at once as there are cores."""
+        look = lambda camera: self.look(camera, level)
+        return in_threads(look, cameras, lambda camera: self.program(camera, level))
 
     def _weighs_prior(self) -> bool:
         return self.prior is not None and self.others is None
 
     def _heed(self, misfit: float) -> None:
         """Weigh a prior by the mean square that a touched pixel's residual errs by, from now on."""
-        self.buffers.noise = np.sqrt(max(misfit, np.finfo(self.dtype).eps ** 2))
+        self.shared.noise = np.sqrt(max(misfit, np.finfo(self.dtype).eps ** 2))
 
     def _widen(self, camera: Camera) -> None:
         """Look at the whole film from now on if a camera may show the scene beside the window."""
         if not self.holds(camera):
             H, W = self.target.shape
-            self.buffers.window = Window(0, 0, W, H)
+            self.shared.window = Window(0, 0, W, H)
 
     def holds(self, camera: Camera) -> bool:
         """Return whether a camera shows nothing of the scene beside the window, as far as a box
         about it tells."""
         H, W = self.target.shape
-        return self.subject.within(self.buffers.window, camera, W, H)
+        return self.subject.within(self.shared.window, camera, W, H)
 
     def move(self, camera: Camera, level: int) -> Move:
         """Return where moves of a camera start, in the solver's units."""
@@ -382,105 +329,86 @@ class Solver:
         way, taken = [Stop(camera, self.levels[levels[0]], 0)], []
         self._widen(camera)
         while True:
-            room, end = self._room(), None
+            window, end = self.shared.window, None
             for number in levels:
                 if self._weighs_prior():
                     self._heed(self.look(camera, number).touched_misfit)
                 level = self.levels[number]
                 finest = number == self.finest
                 tolerance = (fine_px or self.fine_px) if finest else coarse_px
-                further, n, path, end = self._further(camera, level, tolerance, most)
-                if self._small(level) is not None:  # (else the last level, which takes most, tells)
-                    self._grow(end)
-                stop = Stop(further, level, int(n))
+                n, path, end = self._further(camera, level, tolerance, most)
+                stop = Stop(end.camera, level, n)
                 stops = self._each_step(camera, number, stop, path) if self.record else [stop]
                 way += stops
                 if self._weighs_prior():
                     self._heed(end.touched_misfit)
-                camera = further
+                camera = end.camera
                 taken.append(stop.steps)
                 if on_stop is not None:
                     for passed in stops:
                         on_stop(passed)
             # (What a descent saw last is differentiated by moves of where it began.)
-            view = self.look(camera, levels[-1], None if looks else end)
-            if self._room() == room:
+            view = end if end is not None and not looks else self.look(camera, levels[-1])
+            self._widen(camera)
+            if self.shared.window == window:
                 return Found(camera, view, tuple(taken), tuple(way), taken[-1] < most)
-            # The view outgrew its buffers or window on the way: go on from there with larger ones.
-
-    def glance(self, camera: Camera, number: int = -1) -> View:
-        """Return the view on a level (the last), whose overlaps are resolved, in buffers as they
-        are: NaN where these are too small."""
-        return self.glances([camera], number)[0]
-
-    def glances(self, cameras: Sequence[Camera], number: int = -1) -> list[View]:
-        """Return the `glance` at each camera, as many at once as there are cores."""
-        return [end for *_, end in self._each_further(cameras, number, 0.0, 1)]
+            # The view outgrew its window on the way: go on from there with a larger one.
 
     def descents(self, cameras: Iterable[Camera], steps: int, number: int = -1) -> Iterator[Found]:
-        """Yield what some steps on a level (the last), whose overlaps are resolved, lead to from
-        each camera, in buffers as they are: NaN where these do not suffice. As many are worked out
-        at once as there are cores, asked for or not. They have no way, and views differentiated by
+        """What some steps on a level (the last) lead to from each camera. As many are worked out at
+        once as there are cores, asked for or not. They have no way, and views differentiated by
         moves of the beginning: what is to be reported is to be looked at."""
         px = FINE_PX[self.dtype] if number in (-1, self.finest) else COARSE_PX
         for some in some_at_once(cameras):
-            for camera, n, _, view in self._each_further(some, number, px, steps):
-                yield Found(camera, view, (int(n),), ended=int(n) < steps)
-
-    def _each_further(
-        self, cameras: Sequence[Camera], number: int, px: float, steps: int
-    ) -> list[Any]:
-        """Return `_further` from each camera on a level, whose overlaps are resolved."""
-        for camera in cameras:
-            self._widen(camera)
-        level = self._resolved(number)
-        further = lambda camera: self._further(camera, level, px, steps)
-        return in_threads(further, cameras, lambda camera: self._program(camera, level))
-
-    def _resolved(self, number: int) -> Level:
-        """Return a level on which pixels show the union's coverage, as on the finest: so it is not
-        biased."""
-        return self.levels[number]._replace(resolved=np.array(True))
+            for camera in some:
+                self._widen(camera)
+            further = lambda camera: self._further(camera, self.levels[number], px, steps)
+            ends = in_threads(further, some, lambda camera: self.program(camera, number))
+            for n, _, view in ends:
+                yield Found(view.camera, view, (n,), ended=n < steps)
 
     def program(self, camera: Camera, level: int) -> Hashable:
-        """Return the name of the program that looks at a camera."""
-        return self._program(camera, self.levels[level])
-
-    def _program(self, camera: Camera, level: Level) -> Hashable:
-        return programs.name_of(DESCENDED, self._given(camera, level, 0.0, 1))
+        """The name of the program that looks at a camera."""
+        return programs.name_of(DESCENDED, self._given(camera, self.levels[level], 0.0, 1))
 
     def _given(self, camera: Camera, level: Level, px: float, steps: int) -> tuple[Any, ...]:
-        """Return what the fit's program is given."""
-        problem, capacity = self.problem, self.capacity
-        if (small := self._small(level)) is not None:
-            problem = eqx.tree_at(lambda p: p.pyramid, problem, self._levels.small)
-            capacity = small
+        """What the fit's program is given."""
         ends = np.asarray(px, self.dtype), np.asarray(steps, np.int32)
-        return camera, problem, level, *ends, self.freed, capacity
+        return camera, self.problem, level, *ends, self.freed, size_of_looks(self.levels)
 
     @collector_at_rest()
     def _further(self, camera: Camera, level: Level, px: float, steps: int):
-        """Return `descents`'s from a camera: one program, whether it takes steps or only looks."""
+        """Number, path and view of steps from a camera: one program, whether it steps or looks."""
         given = self._given(camera, level, px, steps)
-        is_available()  # (a program that is read, not traced, calls the library too)
         with for_this_machine():
-            return programs.call(DESCENDED, given, lambda: like_descended(camera, level))
+            n, path, look = programs.call(
+                DESCENDED, given, lambda: _like_descended(camera, given[-1])
+            )
+        place = Place(look, given[1], level, self.freed, given[-1])
+        return int(n), np.asarray(path), View.of(place)
 
-    def _each_step(self, camera: Camera, level: int, end: Stop, path: Array) -> list[Stop]:
+    def _each_step(self, camera: Camera, level: int, end: Stop, path: np.ndarray) -> list[Stop]:
         """Return where each step of a level ended; those past `RECORDED` together."""
-        before = np.asarray(path)[: max(end.steps - 1, 0)]
+        before = path[: max(end.steps - 1, 0)]
         each = [Stop(self.step(camera, level, y), end.level, 1) for y in before]
         return [*each, end._replace(steps=end.steps - len(each))]
 
 
-@jitted
+@eqx.filter_jit
 def _move(camera: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, freed) -> Move:
     return move_about(camera, *about, scale, freed)
 
 
-@jitted
+@eqx.filter_jit
 def _step(
     camera: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, y: Any, freed
 ) -> Camera:
     """Return the camera moved by y in the solver's units, about a pivot with a radius."""
     return moved(move_about(camera, *about, scale, freed), y, freed)
+
+
+def _like_descended(camera: Camera, size: Size | None) -> tuple[Any, Any, Look]:
+    """Something of the structure of what `levenberg_marquardt.descended` returns."""
+    sight = programs.like(Sight) if size is None else None
+    look = programs.like(Look)._replace(camera=camera, sums=programs.like(Sums), sight=sight)
+    return 0, 0, look

@@ -8,9 +8,8 @@ import numpy as np
 from .._mask.edges import Weights, crossings, weights_at
 from .._mask.pyramid import Level
 from .._mask.target import Window, as_coverage, inside_of
-from .problem import View
-from .residuals import Pixels
-from .runs import HIDDEN
+from .._native.looks import TouchedPixels
+from .looks import HIDDEN, View
 
 #: About this many stretches. (On 90 masks that err over 2 to 30 px, of three shapes, 95 % intervals
 #: held 94 % of the truths with 48 or 60 stretches, 91 % with 80 or 100.)
@@ -90,13 +89,13 @@ def stretches_of(view: View, target: np.ndarray, weights: Weights) -> Stretches 
 
     `target` and `weights` (H, W) are those of the whole film, of the level that the view is of.
     """
-    level = view.pixels.level
+    level = view.level
     window = level.window()
     shown = _shown(view.pixels, level)
     weight = np.asarray(view.pixels.weight, float)[shown]
     if not np.any(weight):
         return None
-    coverage = _Coverage.of(view)
+    coverage = Coverage.of(view)
     place = _places(view.pixels, level)[shown]
     beside, slope = _slopes(coverage, place)
     steepness = np.linalg.norm(slope, axis=1)
@@ -142,7 +141,7 @@ def area_between(view: View, target: np.ndarray, weights: Weights, cap: float) -
     """
     from scipy.spatial import KDTree
 
-    stretches, level = stretches_of(view, target, weights), view.pixels.level
+    stretches, level = stretches_of(view, target, weights), view.level
     if stretches is None:
         return np.inf
     area = stretches.length @ np.minimum(np.abs(stretches.offset), cap)
@@ -160,18 +159,18 @@ def area_between(view: View, target: np.ndarray, weights: Weights, cap: float) -
 def outline_of(view: View) -> np.ndarray:
     """Return row (from the bottom of the level's window) and column of the pixels (P, 2) that show
     an outline and have weight."""
-    shown = _shown(view.pixels, view.pixels.level) & (np.asarray(view.pixels.weight) > 0)
-    return _places(view.pixels, view.pixels.level)[shown]
+    shown = _shown(view.pixels, view.level) & (np.asarray(view.pixels.weight) > 0)
+    return _places(view.pixels, view.level)[shown]
 
 
 def outline_pixels(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the places (P, 2) of `outline_of`, the derivatives (P, n) of their coverage by the
     solver's moves, and their coverage (P,)."""
     weight = np.asarray(view.pixels.weight, float)
-    shown = _shown(view.pixels, view.pixels.level) & (weight > 0)
+    shown = _shown(view.pixels, view.level) & (weight > 0)
     rows = view.jacobian[: len(shown)][shown].astype(float)
     share = np.asarray(view.pixels.coverage, float)[shown]
-    place = _places(view.pixels, view.pixels.level)[shown]
+    place = _places(view.pixels, view.level)[shown]
     return place, rows / np.sqrt(weight[shown])[:, None], share
 
 
@@ -187,7 +186,7 @@ class Smoothed(NamedTuple):
 def smoothed_about(view: View, place: np.ndarray, rows: np.ndarray, reach: int = 2) -> Smoothed:
     """Return means over the pixels up to `reach` away each way from those (P, 2) of an outline;
     `rows` (P, k) are 0 beside it, and all is beside the window."""
-    coverage = _Coverage.of(view)
+    coverage = Coverage.of(view)
     H, W = coverage.shape
     width = W + 2 * reach
     steps = np.indices((2 * reach + 1,) * 2).reshape(2, -1)
@@ -223,7 +222,7 @@ def _difference(at: Callable[[np.ndarray], np.ndarray], place: np.ndarray, size:
     return (at(after) - at(before)) / np.maximum(after - before, 1)
 
 
-def _stretched(place: np.ndarray, coverage: "_Coverage", length: float) -> _Outline:
+def _stretched(place: np.ndarray, coverage: "Coverage", length: float) -> _Outline:
     """Return pixels (P, 2) of an outline of a length (px) by stretches; both sides of a thin part
     are stretches of their own."""
     H, W = coverage.shape
@@ -238,7 +237,7 @@ def _stretched(place: np.ndarray, coverage: "_Coverage", length: float) -> _Outl
     return _Outline(place, stretch, int(stretch.max()) + 1)
 
 
-def _slopes(coverage: "_Coverage", place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _slopes(coverage: "Coverage", place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the pixels (k, 2) of an outline and beside it, and the coverage's slope there (k, 2):
     its sum is the outline's length."""
     H, W = coverage.shape
@@ -252,20 +251,20 @@ def _slopes(coverage: "_Coverage", place: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.column_stack([row, column]), np.column_stack([up, right])
 
 
-def _places(pixels: Pixels, level: Level) -> np.ndarray:
+def _places(pixels: TouchedPixels, level: Level) -> np.ndarray:
     """Return row (from the bottom) and column of touched pixels (P, 2)."""
     row, column = np.divmod(np.asarray(pixels.cell), int(level.W) + 2)
     return np.column_stack([row, column - 1])
 
 
-def _shown(pixels: Pixels, level: Level) -> np.ndarray:
+def _shown(pixels: TouchedPixels, level: Level) -> np.ndarray:
     """Return which touched pixels (P,) show an outline, in a level's window."""
     (row, column), share = _places(pixels, level).T, np.asarray(pixels.coverage)
     inside = (row < int(level.H)) & (column >= 0) & (column < int(level.W))
     return inside & (share > HIDDEN) & (share < 1 - HIDDEN)
 
 
-class _Coverage(NamedTuple):
+class Coverage(NamedTuple):
     """The coverage of a level's window (`shape`), row 0 at the bottom, as a view has it: cells of
     the raster that it touches, ascending, what is covered of these, whether what follows is, and
     whether rows begin covered."""
@@ -277,13 +276,10 @@ class _Coverage(NamedTuple):
     before: bool
 
     @classmethod
-    def of(cls, view: View) -> "_Coverage":
+    def of(cls, view: View) -> "Coverage":
         pixels = view.pixels
-        H, W = int(pixels.level.H), int(pixels.level.W)
-        cell, share, after = map(np.asarray, (pixels.cell, pixels.coverage, pixels.covered_after))
-        used = np.flatnonzero(cell < H * (W + 2))
-        share = share[used].astype(float)
-        return cls((H, W), cell[used], share, after[used], bool(pixels.covered_before))
+        shape = int(view.level.H), int(view.level.W)
+        return cls(shape, pixels.cell, pixels.coverage, pixels.after, pixels.before)
 
     def at(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """Return the coverage of pixels."""
@@ -314,7 +310,7 @@ class _Coverage(NamedTuple):
 
 
 def _differing(
-    outline: np.ndarray, coverage: _Coverage, target: np.ndarray
+    outline: np.ndarray, coverage: Coverage, target: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return pixels (k, 2) about those (P, 2) of an outline where a target (H, W), row 0 at the
     bottom, is not what is covered, and by how much it is more.
@@ -364,14 +360,12 @@ def _weights_at(weights: Weights, window: Window, place: np.ndarray, H: int) -> 
 def coverage_of(view: View) -> np.ndarray:
     """Return the coverage (H, W) of a level's window as a view has it, row 0 at the bottom."""
     pixels = view.pixels
-    H, W = int(pixels.level.H), int(pixels.level.W)
-    cell, share, after = map(np.asarray, (pixels.cell, pixels.coverage, pixels.covered_after))
-    used = cell < H * (W + 2)
-    cell, share, after = cell[used], share[used], after[used]
+    H, W = int(view.level.H), int(view.level.W)
+    cell, share, after = pixels.cell, pixels.coverage, pixels.after
     # What a row begins with, and what follows a touched pixel, lasts until the next one.
     starts = np.arange(H) * (W + 2)
     place = np.concatenate([starts, cell])
-    value = np.concatenate([np.full(H, bool(view.pixels.covered_before)), after])
+    value = np.concatenate([np.full(H, pixels.before), after])
     order = np.argsort(place, kind="stable")
     ends = np.append(place[order][1:], H * (W + 2))
     image = np.repeat(value[order].astype(float), ends - place[order])

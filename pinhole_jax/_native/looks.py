@@ -1,0 +1,140 @@
+"""A fit's look by the compiled library: compiled into a fit's program, or for Python alone."""
+
+import ctypes
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._camera.film import FilmMap
+from .._scene.scene import Scene
+from .library import library
+from .rasteriser import scene_arrays, variables_of
+
+#: How XLA numbers the types of arrays.
+TYPES = {np.dtype(np.int32): 4, np.dtype(np.float32): 11, np.dtype(np.float64): 12}
+
+
+class Sight(NamedTuple):
+    """What is drawn of a camera on a level, and how it changes with each of n moves.
+
+    The film and the lens's numbers as `Variables`; the lens's trusted radius follows these.
+    """
+
+    film: Float[Array, "18"]
+    lens: Float[Array, "l"]
+    frames: Float[Array, "S 9"]
+    film_by_move: Float[Array, "n 18"]
+    lens_by_move: Float[Array, "n l"]
+    frames_by_move: Float[Array, "n S 9"]
+
+
+def sight_of(film: FilmMap, scene: Scene) -> tuple[Array, Array, Array]:
+    """What moves of a sight: the film's numbers, the lens's, and frames."""
+    film_numbers, lens, _, frames = variables_of(film, scene)
+    if film.bend is not None:
+        lens = jnp.append(lens, film.bend.trusted)
+    return film_numbers, lens, frames
+
+
+def along_each(
+    at: Callable[[Array], tuple[Any, Any]], y: Float[Array, "n"]
+) -> tuple[Any, Any, Any]:
+    """What `at` returns first, its derivatives by each of the n numbers (n, ...), and the rest."""
+    along = lambda way: jax.jvp(at, (y,), (way,), has_aux=True)
+    return jax.vmap(along, out_axes=(None, 0, None))(jnp.eye(len(y), dtype=y.dtype))
+
+
+class MaskLevel(NamedTuple):
+    """A level of a mask: its W, H, where it starts in the raster of all levels, what residual is
+    explained; the raster's pages, what is to be added to their running sums, and their cells (see
+    `_mask/pyramid.py`)."""
+
+    size: Int[Array, "2"]
+    start: Int[Array, "1"]
+    explained: Float[Array, "1"]
+    page: Int[Array, "Q"]
+    sums: Float[Array, "4 Q"]
+    cells: Float[Array, "6 N"]
+
+
+class TouchedPixels(NamedTuple):
+    """The pixels that an outline touches, in raster order: row by row from the bottom, with one
+    cell more at either end of a row.
+
+    - `cell`, `coverage`, `weight`, `residual`: of each; weight and residual are 0 at a row's ends.
+    - `after`: whether the untouched pixels that follow in the row are covered.
+    - `before`: whether rows begin covered.
+    - `jacobian`: the weighted residuals' derivatives by moves.
+    """
+
+    cell: np.ndarray  # (P,)
+    coverage: np.ndarray  # (P,)
+    weight: np.ndarray  # (P,)
+    residual: np.ndarray  # (P,)
+    after: np.ndarray  # (P,)
+    before: bool
+    jacobian: np.ndarray  # (P, n)
+
+
+def look(
+    sight: Sight, known: Float[Array, "m k"], scene: Scene, level: MaskLevel, model: int
+) -> tuple[Float[Array, "k k"], Float[Array, "7"]]:
+    """R of [J, r], with rows that are `known` beside the mask's, and the sums (see `Sums`)."""
+    real, k = sight.film.dtype, len(sight.film_by_move) + 1
+    shapes = [jax.ShapeDtypeStruct(shape, real) for shape in ((k, k), (7,))]
+    call = jax.ffi.ffi_call("pinhole_look", shapes, vmap_method="sequential")
+    triangle, sums = call(*_operands(sight, scene, level), known, model=model)
+    return triangle, sums
+
+
+def pixels(sight: Sight, scene: Scene, level: MaskLevel, model: int) -> TouchedPixels:
+    """The pixels of a look. Arrays of NumPy, as long as there are pixels."""
+    none = np.zeros((0, len(sight.film_by_move) + 1), np.asarray(sight.film).dtype)
+    given = *_operands(sight, scene, level), none
+    arrays = [np.ascontiguousarray(x) for x in given]
+    buffers = [_Buffer.of(x) for x in arrays]
+    pointers = (ctypes.POINTER(_Buffer) * len(buffers))(*map(ctypes.pointer, buffers))
+    number, before, own = ctypes.c_int64(), ctypes.c_uint8(), library()
+    own.pinhole_pixels.restype = ctypes.c_void_p
+    facts = ctypes.c_int64(model), ctypes.byref(number), ctypes.byref(before)
+    handle = own.pinhole_pixels(pointers, *facts)
+    if handle is None:
+        raise MemoryError("no memory for the pixels of a look")
+    P, n = number.value, len(sight.film_by_move)
+    cell, after = np.empty(P, np.int64), np.empty(P, bool)
+    coverage, weight, residual = np.empty((3, P))
+    rows = np.empty((n, P))
+    arrays = cell, coverage, after, weight, residual, rows
+    results = (x.ctypes.data_as(ctypes.c_void_p) for x in arrays)
+    own.pinhole_pixels_read(ctypes.c_void_p(handle), *results)
+    return TouchedPixels(cell, coverage, weight, residual, after, bool(before.value), rows.T)
+
+
+def _operands(sight: Sight, scene: Scene, level: MaskLevel) -> list[Any]:
+    """What the library is given of a look, in its order."""
+    film, lens, frames, *moves = sight
+    view = film, lens, *scene_arrays(scene, film.dtype), frames
+    return [*view, level.size, *moves, *level[1:]]
+
+
+class _Buffer(ctypes.Structure):
+    """An array, as XLA hands it to a handler."""
+
+    _fields_ = (
+        ("struct_size", ctypes.c_size_t),
+        ("extension", ctypes.c_void_p),
+        ("dtype", ctypes.c_int),
+        ("data", ctypes.c_void_p),
+        ("rank", ctypes.c_int64),
+        ("dims", ctypes.POINTER(ctypes.c_int64)),
+    )
+
+    @classmethod
+    def of(cls, array: np.ndarray) -> "_Buffer":
+        dims = (ctypes.c_int64 * array.ndim)(*array.shape)
+        size, address = ctypes.sizeof(cls), array.ctypes.data
+        return cls(size, None, TYPES[array.dtype], address, array.ndim, dims)

@@ -1,0 +1,330 @@
+"""A fit's look at one camera: R of its residuals' derivatives, Q^T r, and sums over all pixels.
+
+The compiled library looks at what an outline touches. Elsewhere, and without it, a look is the
+whole window's image and its derivatives.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._camera.camera import Camera, film_map, lens_holds
+from .._camera.film import Bend, FilmMap, FilmPart
+from .._mask.pyramid import Level, Pyramid, cells_of
+from .._native import looks as native
+from .._native.library import is_available
+from .._native.looks import MaskLevel, Sight, TouchedPixels, along_each, sight_of
+from .._native.rasteriser import MODELS
+from .._numerics.thin_qr import triangle_of
+from .._scene.scene import Scene
+from .._silhouette.silhouette import in_arrays
+from .moves import Move, moved, reported
+from .parameters import components
+from .problem import Problem
+
+#: A pixel that is covered, or uncovered, but for less than this shows no outline.
+HIDDEN = 1e-4
+#: Sides of images that are compiled for (px) are multiples of a power of two: at most this many
+#: in a side.
+SIDES = 4
+
+Size = tuple[int, int]
+
+
+class Sums(NamedTuple):
+    """Weighted sums over all pixels: squared residual, min and max of coverage and target, weight.
+
+    `touched` counts the pixels with weight that the outline crosses, where the background is seen
+    beside the object (not contours within it), `touched_squares` is theirs; `off` counts those with
+    a residual that the mask's kind does not explain.
+    """
+
+    squares: Float[Array, ""]
+    overlap: Float[Array, ""]
+    union: Float[Array, ""]
+    weight: Float[Array, ""]
+    touched: Float[Array, ""]
+    touched_squares: Float[Array, ""]
+    off: Float[Array, ""]
+
+
+class Look(NamedTuple):
+    """What is known at a camera, moved by y.
+
+    - `triangle`, `along`: R of J = QR and Q^T r, the rows of a prior and of other views among them.
+      J is the residuals' derivative by moves about the camera, in units of `scale`.
+    - `rows`: R of [J, r], as a whole.
+    - `to_reported`: the reported parameters' derivative by moves.
+    - `known`, `prior`: derivatives of the residuals of a prior and other views, and their squares.
+    - `sight`: what the library draws; None where it does not look.
+    """
+
+    camera: Camera
+    rows: Float[Array, "k k"]
+    sums: Sums
+    to_reported: Float[Array, "n n"]
+    scale: Float[Array, "n"]
+    known: Float[Array, "m n"]
+    prior: Float[Array, ""]
+    sight: Sight | None
+
+
+def size_of_looks(levels: list[Level]) -> Size | None:
+    """The size W, H of a look's image on any of some levels; None where the library looks."""
+    if is_available() and jax.default_backend() == "cpu":
+        return None
+    sides = np.array([(level.W, level.H) for level in levels]).max(axis=0)
+    return _rounded_up(int(sides[0])), _rounded_up(int(sides[1]))
+
+
+def _rounded_up(side: int) -> int:
+    unit = 2 ** max((side // SIDES).bit_length() - 1, 3)
+    return -(-side // unit) * unit
+
+
+def look(
+    y: Float[Array, "n"],
+    move: Move,
+    problem: Problem,
+    level: Level,
+    freed: tuple[str, ...],
+    size: Size | None,
+) -> Look:
+    """The look at a camera moved by y. Where its lens folds within what is looked at all is NaN, so
+    that a solver does not step there."""
+
+    def at(y: Array) -> tuple[Any, Any]:
+        camera = moved(move, y, freed)
+        values = reported(move.camera, camera, freed)
+        known = [problem.others.residuals(values)]
+        if problem.prior is not None:
+            known.append(problem.prior.residuals(camera, freed))
+        drawn = sight_of(film_of(camera, level), problem.scene) if size is None else ()
+        return (values, jnp.concatenate(known), *drawn), camera
+
+    (_, left, *drawn), by_move, camera = along_each(at, y)
+    to_reported, J, *drawn_by_move = by_move
+    known = jnp.concatenate([J.T, left[:, None]], axis=1)
+    if size is None:
+        sight = Sight(*drawn, *drawn_by_move)
+        of_mask = _mask_of(jnp, problem.pyramid, level)
+        rows, sums = native.look(sight, known, problem.scene, of_mask, _model(camera))
+    else:
+        sight, film_at = None, lambda y: film_of(moved(move, y, freed), level, size)
+        _, table, sums = _seen(film_at, y, problem.scene, problem.pyramid, level, size)
+        rows = triangle_of(jnp.concatenate([table, known]))
+    ok = jnp.where(lens_holds(camera, _part(level)), 1, jnp.nan).astype(y.dtype)
+    facts = to_reported.T, move.scale, J.T, left @ left
+    return Look(camera, rows * ok, Sums(*sums * ok), *facts, sight)
+
+
+def film_of(camera: Camera, level: Level, size: Size = (1, 1)) -> FilmMap:
+    """A camera as a map to the level's window, in its pixels, and to a film of a size."""
+    film, scale, origin = film_map(camera), jnp.asarray(level.scale), jnp.asarray(level.origin)
+    placed = lambda xyz: jnp.concatenate(
+        [xyz[:2] * scale - origin.reshape(2, *(1,) * (xyz.ndim - 1)) * xyz[2:], xyz[2:]]
+    )
+    bend = film.bend
+    if bend is not None:
+        bend = Bend(bend.distortion, bend.trusted, bend.focal * scale, bend.centre * scale - origin)
+    return FilmMap(film.eye, film.view, placed(film.matrix), placed(film.base), *size, bend)
+
+
+def _part(level: Level) -> FilmPart:
+    """A level's window in film heights."""
+    scale = jnp.asarray(level.scale)
+    left, bottom = jnp.asarray(level.origin) / scale
+    W, H = (jnp.asarray(x, scale.dtype) / scale for x in (level.W, level.H))
+    return FilmPart(left, left + W, bottom, bottom + H, scale)
+
+
+def _mask_of(xp: Any, pyramid: Pyramid, level: Level) -> MaskLevel:
+    """A level as the library reads it, by `jax.numpy` or NumPy."""
+    W, H, start, explained = map(xp.asarray, (level.W, level.H, level.start, level.explained))
+    return MaskLevel(xp.stack([W, H]), start[None], explained[None], *pyramid)
+
+
+def _model(camera: Camera) -> int:
+    distortion = None if camera.lens is None else camera.lens.distortion
+    return 0 if distortion is None else MODELS[type(distortion)]
+
+
+# --- the whole window -----------------------------------------------------------------------------
+
+
+def _seen(
+    film_at: Callable[[Array], FilmMap],
+    y: Float[Array, "n"],
+    scene: Scene,
+    pyramid: Pyramid,
+    level: Level,
+    size: Size,
+) -> tuple[tuple[Array, Array], Float[Array, "P k"], Float[Array, "7"]]:
+    """Coverage and weight of each pixel of an image that holds the level's window, from its bottom;
+    the table [J, r] of weighted residuals, and the sums."""
+    W, H = size
+
+    def image(y: Array) -> Array:
+        film = film_at(y)
+        if film.bend is not None:
+            film = film.looking_at(FilmPart(0, level.W, 0, level.H, 1))
+        return in_arrays(film, scene)[::-1].reshape(-1)
+
+    coverage, moves, _ = along_each(lambda y: (image(y), ()), y)
+    row, column = (x.reshape(-1) for x in jnp.indices((H, W), jnp.int32))
+    inside = (row < level.H) & (column < level.W)
+    cell = jnp.where(inside, level.start + row * (level.W + 2) + column + 1, level.start)
+    target, weight = cells_of(pyramid, cell)
+    weight = jnp.where(inside, weight, 0)
+    r = jnp.sqrt(weight) * (coverage - target)
+    shown = (coverage > HIDDEN) & (coverage < 1 - HIDDEN) & (weight > 0)
+    table = jnp.concatenate([jnp.sqrt(weight) * moves, r[None]]).T
+    each = (
+        r * r,
+        weight * jnp.minimum(coverage, target),
+        weight * jnp.maximum(coverage, target),
+        weight,
+        shown,
+        jnp.where(shown, r * r, 0),
+        shown & (jnp.abs(r) > level.explained),
+    )
+    return (coverage, weight), table, jnp.stack([jnp.sum(x, dtype=y.dtype) for x in each])
+
+
+@eqx.filter_jit
+def _window(
+    camera: Camera, problem: Problem, level: Level, freed: tuple[str, ...], size: Size
+) -> tuple[Array, Array, Array]:
+    """Coverage, weight and weighted [J, r] of all pixels of a level."""
+    move = problem.move(camera, level, freed)
+    film_at = lambda y: film_of(moved(move, y, freed), level, size)
+    y = jnp.zeros(len(components(freed)), camera.e.dtype)
+    seen, table, _ = _seen(film_at, y, problem.scene, problem.pyramid, level, size)
+    return *seen, table
+
+
+def _touched(
+    seen: tuple[np.ndarray, np.ndarray, np.ndarray], level: Level, size: Size
+) -> TouchedPixels:
+    """Those pixels of an image (H, W), row 0 at the bottom, that an outline touches."""
+    (W, H), (w, h) = size, (int(level.W), int(level.H))
+    cut = lambda x: np.asarray(x, float).reshape(H, W, -1)[:h, :w]
+    image, weights, rows = map(cut, seen)
+    image, weights = image[..., 0], weights[..., 0]
+    touched = ((image > 0) & (image < 1)) | np.any(rows[..., :-1] != 0, axis=-1)
+    covered = ~touched & (image > 0.5)
+    # (Where a row's first pixel is covered, what lies left of it says so.)
+    cells = np.zeros((h, w + 2), bool)
+    cells[:, 1:-1], cells[:, 0] = touched, covered[:, 0]
+    spread = lambda x, *more: np.pad(x, ((0, 0), (1, 1), *more))
+    after = np.zeros((h, w + 2), bool)
+    after[:, :-2] = covered
+    chosen = cells.reshape(-1)
+    of = lambda x: x.reshape(h * (w + 2), -1)[chosen]
+    return TouchedPixels(
+        np.flatnonzero(chosen),
+        of(spread(image))[:, 0],
+        of(spread(weights))[:, 0],
+        of(spread(rows[..., -1]))[:, 0],
+        of(after)[:, 0],
+        False,
+        of(spread(rows[..., :-1], (0, 0))),
+    )
+
+
+# --- what a fit keeps -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where a look was taken, and the pixels that it touched once they are asked for."""
+
+    look: Look
+    problem: Problem
+    level: Level
+    freed: tuple[str, ...]
+    size: Size | None
+
+    @cached_property
+    def pixels(self) -> TouchedPixels:
+        """The pixels that the outline touches, with the residuals' derivatives."""
+        camera, sight, problem, level = self.look.camera, self.look.sight, self.problem, self.level
+        if sight is not None:
+            of_mask = _mask_of(np, problem.pyramid, level)
+            return native.pixels(sight, problem.scene, of_mask, _model(camera))
+        assert self.size is not None
+        seen = jax.device_get(_window(camera, problem, level, self.freed, self.size))
+        return _touched(seen, level, self.size)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What a fit keeps of a look (see `Look`): R of J = QR, Q^T r, sums, and where it was taken.
+
+    J is the residuals' derivative by moves, in the solver's units (`UNIT_PX` pixels): `scale`.
+    """
+
+    triangle: np.ndarray
+    along: np.ndarray
+    sums: Sums
+    to_reported: np.ndarray
+    scale: np.ndarray
+    known: np.ndarray
+    prior: float
+    place: Place | None = None
+    by_joints: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, place: Place) -> "View":
+        """The view of a look."""
+        look = place.look
+        rows, n = np.asarray(look.rows), len(look.scale)
+        sums: Sums = jax.tree.map(np.asarray, look.sums)
+        to_reported, scale, known = map(np.asarray, (look.to_reported, look.scale, look.known))
+        own = rows[:n, :n], rows[:n, n], sums
+        return cls(*own, to_reported, scale, known, float(look.prior), place)
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that it is of (canonical)."""
+        assert self.place is not None
+        return self.place.look.camera
+
+    @property
+    def level(self) -> Level:
+        """The level that it is of."""
+        assert self.place is not None
+        return self.place.level
+
+    @property
+    def pixels(self) -> TouchedPixels:
+        """The pixels that the outline touches."""
+        assert self.place is not None
+        return self.place.pixels
+
+    @property
+    def jacobian(self) -> Float[np.ndarray, "P n"]:
+        """The touched pixels' rows of J, with the columns of joints where there are some."""
+        return self.pixels.jacobian if self.by_joints is None else self.by_joints
+
+    @property
+    def squares(self) -> float:
+        """The sum of weighted squared residuals, those of a prior and of other views among them."""
+        return float(self.sums.squares) + self.prior
+
+    @property
+    def touched_misfit(self) -> float:
+        """The mean square residual of the touched pixels."""
+        return float(self.sums.touched_squares) / max(float(self.sums.touched), 1.0)
+
+    @property
+    def misfit(self) -> float:
+        """The mean square residual of a touched pixel, all squares put on these pixels."""
+        return self.squares / max(float(self.sums.touched), 1.0)

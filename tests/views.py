@@ -1,0 +1,32 @@
+"""Views of a fit, as its solver takes them, without the solver."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pinhole_jax._native.library import is_available
+from pinhole_jax._scene.scene import Ball
+from pinhole_jax._solver import looks
+from pinhole_jax._solver.priors import no_others
+from pinhole_jax._solver.problem import Problem
+
+FREE = ("pose", "phi")
+
+
+def problem_of(scene, data) -> Problem:
+    real = data.cells.dtype
+    scene = jax.tree.map(lambda x: x.astype(real) if x.dtype.kind == "f" else x, scene)
+    ball = Ball(np.zeros(3), np.asarray(1.0))
+    return Problem(scene, jax.device_put(data), ball, no_others(FREE, real))
+
+
+def taken(unit, scene, data, level, size=None) -> looks.View:
+    """The view at a canonical camera; `size` as `look` has it."""
+    if size is None and not is_available():
+        pytest.skip("there is no library")
+    problem, y = problem_of(scene, data), jnp.zeros(7, data.cells.dtype)
+    move = problem.move(unit, level, FREE)
+    look = eqx.filter_jit(looks.look)(y, move, problem, level, FREE, size)
+    return looks.View.of(looks.Place(look, problem, level, FREE, size))
