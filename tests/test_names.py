@@ -74,7 +74,7 @@ def test_files_that_are_named_exist(path):
 
 
 def test_wrong_name_is_found():
-    prose = "`solver.Stopped`, `problem.View`, `_nowhere`, `io.read_camera`, `_own`, `self._rays`"
+    prose = "`solver.Stopped`, `looks.View`, `_nowhere`, `io.read_camera`, `_own`, `self._rays`"
     assert wrong_names(prose, {"_own"}) == ["solver.Stopped", "_nowhere", "io.read_camera"]
 
 

@@ -290,7 +290,7 @@ def test_cameras_near_the_edge_of_a_drawn_mask_are_compared(monkeypatch, costs, 
 
 
 def seen(prior=0.0, sums=None) -> View:
-    """A view of which only squares are known."""
+    """A view that knows its squares alone."""
     parts = np.zeros(0), np.zeros(0), sums or like(Sums), *[np.zeros(0)] * 3
     return View(*parts, prior)
 

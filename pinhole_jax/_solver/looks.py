@@ -18,9 +18,9 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera, film_map, lens_holds
 from .._camera.film import Bend, FilmMap, FilmPart
 from .._mask.pyramid import Level, Pyramid, cells_of
-from .._native import looks as native
+from .._native import look as native
 from .._native.library import is_available
-from .._native.looks import MaskLevel, Sight, TouchedPixels, along_each, sight_of
+from .._native.look import MaskLevel, Sight, TouchedPixels, along_each, sight_of
 from .._native.rasteriser import MODELS
 from .._numerics.thin_qr import triangle_of
 from .._scene.scene import Scene
@@ -185,7 +185,7 @@ def _seen(
     weight = jnp.where(inside, weight, 0)
     r = jnp.sqrt(weight) * (coverage - target)
     shown = (coverage > HIDDEN) & (coverage < 1 - HIDDEN) & (weight > 0)
-    table = jnp.concatenate([jnp.sqrt(weight) * moves, r[None]]).T
+    table = jnp.concatenate([jnp.sqrt(weight)[None] * moves, r[None]]).T
     each = (
         r * r,
         weight * jnp.minimum(coverage, target),
@@ -243,7 +243,7 @@ def _touched(
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class Origin:
     """Where a look was taken, and the pixels that it touched once they are asked for."""
 
     look: Look
@@ -278,36 +278,36 @@ class View:
     scale: np.ndarray
     known: np.ndarray
     prior: float
-    place: Place | None = None
+    origin: Origin | None = None
     by_joints: np.ndarray | None = None
 
     @classmethod
-    def of(cls, place: Place) -> "View":
+    def of(cls, origin: Origin) -> "View":
         """The view of a look."""
-        look = place.look
+        look = origin.look
         rows, n = np.asarray(look.rows), len(look.scale)
         sums: Sums = jax.tree.map(np.asarray, look.sums)
         to_reported, scale, known = map(np.asarray, (look.to_reported, look.scale, look.known))
         own = rows[:n, :n], rows[:n, n], sums
-        return cls(*own, to_reported, scale, known, float(look.prior), place)
+        return cls(*own, to_reported, scale, known, float(look.prior), origin)
 
     @property
     def camera(self) -> Camera:
         """The camera that it is of (canonical)."""
-        assert self.place is not None
-        return self.place.look.camera
+        assert self.origin is not None
+        return self.origin.look.camera
 
     @property
     def level(self) -> Level:
         """The level that it is of."""
-        assert self.place is not None
-        return self.place.level
+        assert self.origin is not None
+        return self.origin.level
 
     @property
     def pixels(self) -> TouchedPixels:
         """The pixels that the outline touches."""
-        assert self.place is not None
-        return self.place.pixels
+        assert self.origin is not None
+        return self.origin.pixels
 
     @property
     def jacobian(self) -> Float[np.ndarray, "P n"]:

@@ -12,19 +12,19 @@ from .._files import programs
 from .._mask.edges import Weights
 from .._mask.pyramid import LEAST_CELLS, Level
 from .._mask.target import Window, object_window
-from .._native.looks import Sight
+from .._native.look import Sight
 from .._numerics.backend import for_this_machine
 from .._numerics.threads import in_threads, some_at_once
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene
 from .kinds import Kind, kind_of
-from .looks import Look, Place, Size, Sums, View, size_of_looks
+from .looks import Look, Origin, Size, Sums, View, size_of_looks
 from .moves import Bounds, Move, moved
 from .outline_errors import OutlineErrors, is_drawn, outline_errors
 from .priors import Others, Prior, no_others
 from .problem import COARSE_PX, FINE_PX, Problem, move_about
 from .revolution import Revolution
-from .shared import Levels, LevelsKey, Shared
+from .store import Levels, LevelsKey, Store
 from .subject import Subject
 
 #: Noise leaves at most this many standard errors more than on average.
@@ -82,7 +82,7 @@ class Solver:
     """One subject, one mask, and what is asked of them.
 
     A value: with other weights, another scene or other views' knowledge it is another solver. What
-    it keeps of its mask is `shared` with those.
+    it keeps of its mask is in its `store`, which they share.
 
     - `target`: the mask (H, W); `weights`: how much its pixels count; `kind`: its kind.
     - `freed`: what is free; `bounds` and `prior`: what is known of it; `others`: what other views
@@ -100,7 +100,7 @@ class Solver:
     freed: tuple[str, ...]
     max_steps: int
     fine_px: float
-    shared: Shared
+    store: Store
     bounds: Bounds | None = None
     prior: Prior | None = None
     others: Others | None = None
@@ -144,7 +144,7 @@ class Solver:
         window, dtype = object_window(target), subject.dtype
         kind = kind_of(window.of(target), window.of(weights), dtype)
         ends = max_steps, last_px(kind, dtype, continued)
-        return cls(subject, target, weights, kind, freed, *ends, Shared(window, cells), bounds)
+        return cls(subject, target, weights, kind, freed, *ends, Store(window, cells), bounds)
 
     def weighed(
         self, weights: Weights, target: np.ndarray | None = None, only_finest: bool = False
@@ -160,7 +160,7 @@ class Solver:
 
     def like(self, kind: Kind) -> "Solver":
         """A solver for masks of another kind, which shares nothing with this one."""
-        return replace(self, kind=kind, shared=self.shared.copy())
+        return replace(self, kind=kind, store=self.store.copy())
 
     @property
     def dtype(self) -> np.dtype:
@@ -169,9 +169,9 @@ class Solver:
 
     @property
     def _levels(self) -> Levels:
-        window = self.shared.window
+        window = self.store.window
         key = LevelsKey(self.target, self.weights, self.kind, window, self.only_finest)
-        return self.shared.levels(key, self.dtype)
+        return self.store.levels(key, self.dtype)
 
     @property
     def levels(self) -> list[Level]:
@@ -199,9 +199,9 @@ class Solver:
 
     def _weighed_prior(self) -> Prior | None:
         """Return the prior, weighed by what a residual of the mask errs by."""
-        if self.prior is None or self.shared.noise is None:
+        if self.prior is None or self.store.noise is None:
             return self.prior
-        noise = np.asarray(self.shared.noise, self.dtype)
+        noise = np.asarray(self.store.noise, self.dtype)
         return eqx.tree_at(lambda prior: prior.noise, self.prior, noise)
 
     def misfit_above_noise(self, view: View) -> float:
@@ -284,19 +284,19 @@ class Solver:
 
     def _heed(self, misfit: float) -> None:
         """Weigh a prior by the mean square that a touched pixel's residual errs by, from now on."""
-        self.shared.noise = np.sqrt(max(misfit, np.finfo(self.dtype).eps ** 2))
+        self.store.noise = np.sqrt(max(misfit, np.finfo(self.dtype).eps ** 2))
 
     def _widen(self, camera: Camera) -> None:
         """Look at the whole film from now on if a camera may show the scene beside the window."""
         if not self.holds(camera):
             H, W = self.target.shape
-            self.shared.window = Window(0, 0, W, H)
+            self.store.window = Window(0, 0, W, H)
 
     def holds(self, camera: Camera) -> bool:
         """Return whether a camera shows nothing of the scene beside the window, as far as a box
         about it tells."""
         H, W = self.target.shape
-        return self.subject.within(self.shared.window, camera, W, H)
+        return self.subject.within(self.store.window, camera, W, H)
 
     def move(self, camera: Camera, level: int) -> Move:
         """Return where moves of a camera start, in the solver's units."""
@@ -329,7 +329,7 @@ class Solver:
         way, taken = [Stop(camera, self.levels[levels[0]], 0)], []
         self._widen(camera)
         while True:
-            window, end = self.shared.window, None
+            window, end = self.store.window, None
             for number in levels:
                 if self._weighs_prior():
                     self._heed(self.look(camera, number).touched_misfit)
@@ -350,7 +350,7 @@ class Solver:
             # (What a descent saw last is differentiated by moves of where it began.)
             view = end if end is not None and not looks else self.look(camera, levels[-1])
             self._widen(camera)
-            if self.shared.window == window:
+            if self.store.window == window:
                 return Found(camera, view, tuple(taken), tuple(way), taken[-1] < most)
             # The view outgrew its window on the way: go on from there with a larger one.
 
@@ -384,8 +384,8 @@ class Solver:
             n, path, look = programs.call(
                 DESCENDED, given, lambda: _like_descended(camera, given[-1])
             )
-        place = Place(look, given[1], level, self.freed, given[-1])
-        return int(n), np.asarray(path), View.of(place)
+        origin = Origin(look, given[1], level, self.freed, given[-1])
+        return int(n), np.asarray(path), View.of(origin)
 
     def _each_step(self, camera: Camera, level: int, end: Stop, path: np.ndarray) -> list[Stop]:
         """Return where each step of a level ended; those past `RECORDED` together."""

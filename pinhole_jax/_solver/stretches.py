@@ -8,7 +8,7 @@ import numpy as np
 from .._mask.edges import Weights, crossings, weights_at
 from .._mask.pyramid import Level
 from .._mask.target import Window, as_coverage, inside_of
-from .._native.looks import TouchedPixels
+from .._native.look import TouchedPixels
 from .looks import HIDDEN, View
 
 #: About this many stretches. (On 90 masks that err over 2 to 30 px, of three shapes, 95 % intervals

@@ -52,7 +52,7 @@ class Levels(NamedTuple):
 
 
 @dataclass(eq=False)
-class Shared:
+class Store:
     """What all solvers of one mask and one scene share.
 
     - `window`: the part of the film that is looked at.
@@ -65,9 +65,9 @@ class Shared:
     noise: float | None = None
     _made: list[tuple[LevelsKey, Levels]] = field(default_factory=list)
 
-    def copy(self) -> "Shared":
+    def copy(self) -> "Store":
         """The same window and noise, for another mask."""
-        return Shared(self.window, self.cells, self.noise)
+        return Store(self.window, self.cells, self.noise)
 
     def levels(self, key: LevelsKey, dtype: Any) -> Levels:
         """A mask's levels: the first that were asked for, which fits come back to, and the last are
