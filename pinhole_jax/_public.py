@@ -19,6 +19,7 @@ from ._files.cache import cache as cache
 from ._files.process import set_up as set_up
 from ._fit.drift import Drift as Drift, drift as drift
 from ._fit.fit_camera import fit_camera as fit_camera
+from ._fit.full_image import residuals as residuals
 from ._fit.metrics import iou as iou, pose_error as pose_error
 from ._fit.observability import Observability as Observability, observability as observability
 from ._fit.result import Fit as Fit, Progress as Progress

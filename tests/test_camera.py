@@ -236,3 +236,14 @@ def test_bad_focal_length_is_refused(focal):
 def test_bad_pose_is_refused(eye, axes, words):
     with pytest.raises(ValueError, match=words):
         pj.Camera(E, P, U, 0.5, W=4, H=4).with_pose(eye, axes)
+
+
+def test_gradient_of_a_camera_is_shown_as_one():
+    camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, W=24, H=20)
+    slope = jax.grad(lambda c: pj.project(c, jnp.ones(3))[0])(camera)
+    shown = str(slope)
+    assert shown.startswith("Gradient, or change, of a camera of 24 x 20 px\n")
+    assert f"{float(slope.phi):.6g}" in shown
+    assert "degrees" not in shown
+    assert str(camera).startswith("Camera of 24 x 20 px\n")
+    assert "eye" not in slope._repr_html_()

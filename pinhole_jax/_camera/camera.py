@@ -143,7 +143,8 @@ class Camera(eqx.Module):
         if not _is_plain(self):
             return repr(self)
         rows = [f"  {name:<4} {value}   {words}".rstrip() for name, value, words in _rows(self)]
-        return "\n".join([f"Camera of {self.W} x {self.H} px", *rows])
+        title = "Camera" if _is_camera(self) else "Gradient, or change, of a camera"
+        return "\n".join([f"{title} of {self.W} x {self.H} px", *rows])
 
     def _repr_html_(self) -> str | None:
         """Return it as notebooks show it: a table, and the camera in space."""
@@ -267,8 +268,16 @@ def _is_plain(camera: Camera) -> bool:
     return numbers and is_concrete(*jax.tree.leaves(camera)) and not np.ndim(camera.phi)
 
 
+def _is_camera(camera: Camera) -> bool:
+    """Return False for what has a camera's parameters and is none: a gradient, whose d is 0."""
+    phi = float(camera.phi)
+    return not (phi <= 0 or phi >= np.pi or float(camera.d) <= 0)  # NaN is a camera that failed
+
+
 def _rows(camera: Camera) -> list[tuple[str, str, str]]:
     """Return a camera's parameters: name, value, what it is."""
+    if not _is_camera(camera):
+        return _slopes(camera)
     # Places are told to a millionth of how far the camera looks, wherever the world begins.
     far = float(np.linalg.norm(np.asarray(camera.p, float) - np.asarray(camera.e, float)))
     known = np.isfinite(far) and far > 0
@@ -293,6 +302,14 @@ def _rows(camera: Camera) -> list[tuple[str, str, str]]:
         numbers = (f"{name} = {value:.6g}" for name, value in distortion.coefficients().items())
         rows.append(("", f"{type(distortion).__name__}: {', '.join(numbers)}", ""))
     return rows
+
+
+def _slopes(camera: Camera) -> list[tuple[str, str, str]]:
+    """Return the rows of a gradient: its numbers, with no units of theirs."""
+    lens = [] if camera.lens is None else [("lens", camera.lens)]
+    parts = [(name, getattr(camera, name)) for name in ("e", "p", "u", "phi", "d")] + lens
+    numbers = lambda x: np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(x)])
+    return [(name, " ".join(f"{v:.6g}" for v in numbers(part)), "") for name, part in parts]
 
 
 def check_camera(camera: Any, name: str = "camera") -> None:
