@@ -20,15 +20,15 @@ FREE: tuple[str, ...] = (
     "distortion",
 )
 
-#: What `Fit.status` may be, and what each means.
+#: What `Fit.status` may be: what to do, and why.
 STATUSES = {
-    "converged": "the gradient vanishes, the masks overlap, every direction is determined",
-    "ambiguous": "at rest, but other views explain the mask as well",
-    "rank_deficient": "at rest, but the mask does not determine some direction",
-    "uncertain": "at rest, but the mask's errors leave a turn of several degrees open",
-    "misfit": "at rest, but the mask is not explained as its kind (exact, hard, noisy) allows",
-    "max_steps": "stopped while still moving",
-    "no_overlap": "object and mask hardly overlap: their IoU is below a half",
-    "saturated": "the object covers the whole film: there is no outline to follow",
-    "non_finite": "NaN or infinity turned up",
+    "converged": "trust it: at rest, the masks overlap, every direction is determined",
+    "ambiguous": "pick one of its views: others explain the mask as well",
+    "rank_deficient": "use what the notes do not name: the mask does not determine all",
+    "uncertain": "use it for a start: the mask's errors leave a turn of several degrees open",
+    "misfit": "do not use it: outline and mask disagree by more than such a mask may err",
+    "max_steps": "go on from it (`camera`): it stopped while still moving",
+    "no_overlap": "do not use it: IoU below a half. Another mesh, unit, or focal length?",
+    "saturated": "take another mask: the object covers the film, there is no outline to follow",
+    "non_finite": "do not use it: NaN or infinity turned up",
 }

@@ -241,6 +241,16 @@ def test_progress_is_reported_after_each_level(scene):
         np.testing.assert_allclose(way[last].camera.e, level.camera.e, rtol=1e-9)
 
 
+def test_weakness_is_named_where_the_mask_leaves_it(scene):
+    """Of an exact mask the focal length is known to 1e-6, of a hard one to half a degree."""
+    exact = pj.fit_camera(scene, mask_of(CAMERA, scene), CAMERA, ("pose", "phi"))
+    assert exact.status == "converged"
+    assert np.max(exact.std) < 1e-5
+    assert exact.weak == ()
+    hard = pj.fit_camera(scene, mask_of(CAMERA, scene) > 0.5, CAMERA, ("pose", "phi"))
+    assert "nearly free" in hard.weak[0]
+
+
 def test_covariance_by_hand():
     # Residuals 2 a and b / 2 with unit noise: a has variance 1/4, b has 4.
     triangle, reported = np.diag([2.0, 0.5]), np.array([[1.0, 0], [1, 1]])

@@ -17,7 +17,7 @@ LENS = pj.Lens([31.7, 24 + 1 / 3], 1 / 1.1, pj.BrownConrady(-0.01 / 3, 1e-3, 1e-
 PLAIN = pj.Camera([1 / 3, 1.1, 5], [0.1, 0, 0], [0, 1, 0.1], np.sqrt(0.4), 1 / 7, 64, 48)
 CAMERA = PLAIN.replace(lens=LENS)
 #: What a file has for other readers.
-WRITTEN_ONLY = {"object_in_camera"}
+WRITTEN_ONLY = {"object_in_camera", "covariance_frame"}
 STEP = {"camera": io.camera_to_dict(PLAIN), "W": 16, "H": 12, "steps": 3}
 
 

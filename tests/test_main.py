@@ -122,7 +122,7 @@ def test_still_camera_has_not_moved(folder):
     files = folder / "still.json", folder / "bumpy.ply", folder / "still.png"
     still = run("check", *files, cache=folder / "cache")
     assert still.returncode == 0, still.stdout + still.stderr
-    assert "no more than the errors say" in still.stdout
+    assert "not moved: " in still.stdout
 
 
 @pytest.mark.long
@@ -629,6 +629,20 @@ def test_check_names_what_is_missing(folder, monkeypatch, capsys, files, words):
     monkeypatch.chdir(folder)
     assert command.main(["check", "--no-cache", *files]) == 2
     assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("status", "sigma", "ended"),
+    [("converged", 1.0, 0), ("converged", 9.0, 1), ("misfit", 9.0, 3), ("non_finite", 0.0, 3)],
+)
+def test_check_ends_with_what_it_found(status, sigma, ended, folder, monkeypatch, capsys):
+    from pinhole_jax._command import check
+
+    fit = fit_of(CAMERA, ("e_x",), [0.01])._replace(status=status)
+    monkeypatch.setattr(check, "_of_mesh", lambda *_: fit)
+    monkeypatch.setattr(check, "drift", lambda *_: pj.drift(fit, fit)._replace(sigma=sigma))
+    assert command.main(["check", str(folder / "truth.json"), "a.ply", "b.png"]) == ended
+    assert ended or "not moved: 1.0 sigma" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

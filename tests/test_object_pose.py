@@ -89,8 +89,11 @@ def test_pose_is_printed_and_saved_with_the_fit():
         assert words in text
     written = io.fit_to_dict(fit)["fit"]["object_in_camera"]
     assert written["pixel_centres"] == "integer"
-    for name in ("K", "R", "t", "covariance", "camera_from_world", "world_from_camera"):
+    for name in ("K", "R", "t", "camera_from_world", "world_from_camera"):
         np.testing.assert_array_equal(written[name], getattr(pose, name))
+    np.testing.assert_array_equal(written["object_covariance"], pose.covariance)
+    assert "covariance" not in written  # that of the fit alone has this name
+    assert "right, down, forward" in written["object_frame"]
     assert written["distortion"] is None
 
 

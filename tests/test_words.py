@@ -33,11 +33,15 @@ def test_fit_prints_as_a_table():
     fit = other._replace(status="ambiguous", weak=("the distance",), modes=(other,))
     lines = str(fit).splitlines()
     assert [line.split() for line in lines[1:4]] == [
-        ["pitch", "-21.417", "0.057", "deg", "up", "from", "level"],
-        ["e_x", "1.00000", "0.0001", "world"],
+        ["pitch", "-21.417", "0.057", "deg", *["up", "from", "level,", "where", "+y", "is", "up"]],
+        ["e_x", "1.00000", "0.0001", "world", *["eye,", "units", "of", "the", "mesh"]],
         ["phi", "34.37747", "0.00057", "deg", "vertical", "field", "of", "view"],
     ]
-    assert lines[4].startswith("status     ambiguous   (at rest, but other views")
+    assert lines[4].startswith("status     ambiguous   (pick one of its views: others")
+    assert (
+        lines[5]
+        == "accuracy   rotation +-0.057 degrees, position +-0.0001 units of the mesh (1 sigma)"
+    )
     assert lines[-2:] == [
         "note       the distance",
         "note       another view explains the mask as well",
@@ -121,5 +125,5 @@ def test_displaced_camera_is_a_step_of_each_parameter_away():
     rows = fit.parameters.rows
     assert [row.name for row in rows] == ["yaw", "e_x", "phi"]
     assert [row.std for row in rows] == pytest.approx([np.rad2deg(0.01), 0.2, np.rad2deg(0.03)])
-    assert rows[1].cells() == ("e_x", "0.00", "0.2", "world", "")
+    assert rows[1].cells() == ("e_x", "0.00", "0.2", "world", "eye, units of the mesh")
     assert fit.notes == ()

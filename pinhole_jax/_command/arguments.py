@@ -158,7 +158,7 @@ VERBS = {
         "say whether a mask is still explained by a camera, or how it has moved",
         "Say whether CAMERA still sees MESH as MASK, by how many standard errors not, and which\n"
         "way it has moved; or a robot: check CAMERA ROBOT.urdf JOINTS MASK...\n"
-        "Exit status: 0 it has not moved, 1 it has or the masks do not tell, 2 bad input.",
+        "Exit status: 0 it has not moved, 1 it has, 3 the masks do not say, 2 bad input.",
         "camera mesh joints masks --in-hand --leave-out --free --mask-from --verbose -o/--output"
         " --no-cache",
         f"{STATUS}\n\n{EPILOG}",

@@ -10,13 +10,15 @@ from .hand_eye import robot_of, views_of
 from .inputs import mask_of, scene_of
 from .outputs import check_outputs, replaced
 
+#: The exit status where the fit is not to be trusted.
+UNTOLD = 3
 #: What the command calls the arguments of the fits.
 ASKED = {"target": "MASK", "free": "--free", "camera": "CAMERA", "cameras": "CAMERA"}
 
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:
-    """Fit from the camera, print how far that leads; return 0, or 1 where it has moved or the masks
-    do not tell."""
+    """Fit from the camera, print how far that leads; return 0, 1 where it has moved, or `UNTOLD`
+    where the masks do not say."""
     check_outputs(output=options.output)
     reference = _reference(options.camera)
     before = reference.camera if isinstance(reference, Fit) else reference
@@ -27,7 +29,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     progress.done()
     if fit.status == "non_finite":
         print("cannot tell: NaN or infinity turned up")
-        return 1
+        return UNTOLD
     found = drift(fit, reference)
     print(found)
     print(f"status     {fit.status}: {STATUSES[fit.status]}")
@@ -38,7 +40,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
         with named(path="--output"):
             io.save_fit(options.output, fit)
         print(f"written    {options.output}{there}")
-    return 0 if fit.status == "converged" and not found.moved else 1
+    return UNTOLD if fit.status != "converged" else int(found.moved)
 
 
 def _reference(path: str) -> Camera | Fit:

@@ -178,7 +178,7 @@ def _halves(fit: JointFit, views: list[JointView], options: argparse.Namespace) 
     )
     apart = drift(one, other)
     degrees = np.rad2deg(apart.angle)
-    words = f"{degrees:.2g} degrees, {apart.distance:.2g} apart, {apart.sigma:.1f} sigma"
+    words = f"{degrees:.2g} degrees, {apart.distance:.2g} (unit of the URDF) apart, {apart.size}"
     verdict = "they do not agree" if apart.moved else "they agree"
     return f"each half of the views by itself: {words}: {verdict}"
 

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .result import Fit, check_fit
+from .words import UNIT
 
 #: The reported names of a pose's six parameters, in the order of `Drift.by`.
 POSE = ("rotation_b1", "rotation_b2", "rotation_v", "e_x", "e_y", "e_z")
@@ -47,9 +48,14 @@ class Drift(NamedTuple):
         """Return whether this is more than errors make of a camera that stands still."""
         return self.sigma > MOVED
 
+    @property
+    def size(self) -> str:
+        """The size of the move, in standard errors, as words."""
+        return "less than 1 sigma" if self.sigma < 1 else f"{self.sigma:.1f} sigma"
+
     def __str__(self) -> str:
         """Return it in a line; pitch is up, yaw to the left, roll the right side down."""
-        verdict = "moved" if self.moved else "no more than the errors say"
+        verdict = "moved" if self.moved else "not moved"
         turn = ", ".join(
             f"{name} {np.rad2deg(x):+.2g}"
             for name, x in zip(("pitch", "yaw", "roll"), self.turn, strict=True)
@@ -59,8 +65,8 @@ class Drift(NamedTuple):
             for name, x in zip(("right", "up", "forward"), self.shift, strict=True)
         )
         return (
-            f"{verdict}: {self.sigma:.1f} sigma; turned by {np.rad2deg(self.angle):.2g} degrees"
-            f" ({turn}), shifted by {self.distance:.2g} ({shift})"
+            f"{verdict}: {self.size}; turned by {np.rad2deg(self.angle):.2g} degrees"
+            f" ({turn}), shifted by {self.distance:.2g} {UNIT} ({shift})"
         )
 
 

@@ -31,6 +31,8 @@ FLOOR = 1000
 #: A solver's last step is off by this share of what it calls negligible.
 LAST_STEP = 0.2
 WRONG = "there the mask, the mesh or the camera is wrong"
+#: A move that hardly shows is no weakness where it is known to this many px (one sigma).
+KNOWN_PX = 0.01
 #: An interval of one standard error in which a turn is wider than this (rad) is no camera. (Of 124
 #: fits to masks of photographs, this was said of 26 of 28 that were off by more than 10 degrees.)
 UNCERTAIN = np.deg2rad(4)
@@ -213,10 +215,8 @@ def report(
     triangle = without_free(triangle, context.free)
     noise = sums.touched_squares / max(sums.touched - n, 1)
     noise = max(noise if context.variance is None else context.variance, context.kind.least)
-    independent, cov = (
-        covariance(triangle, to_reported, gradient, BLIND[dtype])
-        for gradient in gradients(view, noise, context)
-    )
+    both = gradients(view, noise, context)
+    independent, cov = (covariance(triangle, to_reported, g, BLIND[dtype]) for g in both)
     tolerance, drawn = LAST_STEP * FINE_PX[dtype] / UNIT_PX, is_drawn(context.errors)
     independent = independent + widened(to_reported, [] if drawn else context.free, tolerance)
     known_by = cov if drawn else np.zeros_like(cov)
@@ -224,7 +224,7 @@ def report(
     names_of_moves = components(freed)
     # (How far a drawn mask's errors reach is in the covariance: no direction is free for that.)
     free = [f for f in context.free if not drawn or np.isinf(f.ahead)]
-    moves = [f.move for f in free]
+    moves = [f.move for f in free] + well_known(triangle, both[1])
     blind, weak = weak_directions(triangle, names_of_moves, axes_of(at), BLIND[dtype], moves)
     weak = (*map(str, free), *weak, *ended)
     turn, about = widest_turn(cov, labels)
@@ -235,11 +235,7 @@ def report(
     nearly_free = bool(context.free or weak_moves(triangle, names_of_moves))
     astray = 1 - sums.touched / whole.touched if whole.touched else 0.0
     explained = context.kind.explains(view.touched_misfit, nearly_free)
-    if context.kind.exact and not explained:
-        off = sums.off / max(sums.touched, 1)
-        weak += (f"{off:.0%} of the outline is off by more than the mask's kind explains",)
-    if astray > (SOME if context.kind.exact and not explained else ASTRAY):
-        weak += (f"{astray:.0%} of the outline is far from the mask's edge: {WRONG}",)
+    weak += _disagreement(sums, astray, context.kind.exact and not explained)
     explained = astray <= ASTRAY and (explained or not context.kind.exact)
     status = _status(triangle, rest, whole, explained, bool(blind or free))
     if status == "converged" and wide_open:
@@ -259,6 +255,24 @@ def report(
         independent_covariance=independent,
         mask_error=None if errors is None else MaskError(errors.size, errors.length),
     )
+
+
+def _disagreement(sums: Any, astray: float, unexplained: bool) -> tuple[str, ...]:
+    """Return sentences on how much of the outline the mask does not have, or has elsewhere."""
+    off, words = sums.off / max(sums.touched, 1), []
+    if unexplained:
+        words.append(f"{off:.0%} of the outline is off by more than the mask's kind explains")
+    if astray > (SOME if unexplained else ASTRAY):
+        words.append(f"{astray:.0%} of the outline is far from the mask's edge: {WRONG}")
+    return tuple(words)
+
+
+def well_known(triangle: np.ndarray, gradient: np.ndarray) -> list[np.ndarray]:
+    """Return the moves (n,) along which a camera is known to `KNOWN_PX`, however little they
+    show."""
+    _, values, directions = np.linalg.svd(triangle)
+    spread = np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", directions, gradient, directions), 0))
+    return [*directions[spread * UNIT_PX < KNOWN_PX * values**2]]
 
 
 def gradients(view: View, variance: float, context: Context) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,15 @@ from ..names import STATUSES as STATUSES
 
 #: What small turns about the camera's axes are told as.
 TURNS = {"rotation_b1": "pitch", "rotation_b2": "yaw", "rotation_v": "roll"}
-WORDS = {"phi": "vertical field of view", "d": "camera constant", "aspect": "fx / fy"}
+PLACE = ("e_x", "e_y", "e_z")
+#: Lengths in the world have the unit of the mesh, which no mesh file says.
+UNIT = "units of the mesh"
+WORDS = {
+    **dict.fromkeys(PLACE, f"eye, {UNIT}"),
+    "phi": "vertical field of view",
+    "d": "camera constant",
+    "aspect": "fx / fy",
+}
 
 
 class Estimate(NamedTuple):
@@ -53,7 +61,11 @@ def parameter_table(fit: Any) -> ParameterTable:
     derivative[in_degrees] *= 180 / np.pi
     covariance = carried(fit.covariance, derivative)
 
-    ways = ("up from level", f"about {looks.up}, from {looks.ahead}", "right side down")
+    ways = (
+        f"up from level, where {looks.up} is up",
+        f"about {looks.up}, from {looks.ahead}",
+        "right side down",
+    )
     turns = dict(zip(TURNS, zip(looks.angles.tolist(), ways, strict=True), strict=True))
     rows = []
     for k, name in enumerate(fit.names):
@@ -84,9 +96,24 @@ def table(fit: Any) -> str:
     """Return a fit as a short table: its parameters; status, IoU, what is weak."""
     lines = parameter_lines(fit)
     lines.append(f"status     {fit.status}   ({STATUSES[fit.status]})")
+    lines += [f"accuracy   {words}" for words in [accuracy(fit)] if words]
     lines.append(f"IoU        {fit.iou:.4f}   (rms of coverage {fit.rms:.2g})")
     lines += [f"note       {words}" for words in notes(fit)]
     return "\n".join(lines)
+
+
+def accuracy(fit: Any) -> str:
+    """Return the largest standard errors of turns and of places as a sentence, "" where no pose was
+    fitted or one is not determined."""
+    sizes = []
+    for known in (TURNS, PLACE):
+        own = [k for k, name in enumerate(fit.names) if name in known]
+        part = np.asarray(fit.covariance)[np.ix_(own, own)]
+        if not (own and np.all(np.isfinite(part))):
+            return ""
+        sizes.append(float(np.sqrt(max(np.linalg.eigvalsh(part)[-1], 0.0))))
+    turn, place = np.rad2deg(sizes[0]), sizes[1]
+    return f"rotation +-{turn:.2g} degrees, position +-{place:.2g} {UNIT} (1 sigma)"
 
 
 def notes(fit: Any) -> list[str]:

@@ -22,7 +22,7 @@ from .._fit.result import (
     progress_at,
     widest_turn,
 )
-from .._fit.words import Estimate
+from .._fit.words import UNIT, Estimate
 from .._scene.scene import Scene
 from .._solver.looks import Sums
 from .._solver.moves import on_film
@@ -180,14 +180,15 @@ class JointFit(NamedTuple):
             lines += [f"{name}:", str(fit)]
         for name, found in self.objects.items():
             place = ", ".join(f"{x:.6g}" for x in found.pose[:3, 3])
-            lines.append(f"{name}: at ({place})")
+            sigma = ", ".join(f"{x:.2g}" for x in found.std[3:])
+            lines.append(f"{name}: at ({place}), one sigma ({sigma}) {UNIT}")
         for name, scale in self.scales.items():
             lines.append(f"{name}: {scale.value:.6g} times as large, one sigma {scale.std:.2g}")
         if self.joint_zeros is not None:
             lines.append(str(self.joint_zeros))
-        lines.append("view   IoU     rms     off  weight")
+        lines.append("view   IoU     rms     off (sigma)  weight")
         for k, v in enumerate(self.views):
-            lines.append(f"{k:4d}  {v.iou:.4f}  {v.rms:.4f}  {v.off:4.1f}  {v.weight:.2f}")
+            lines.append(f"{k:4d}  {v.iou:.4f}  {v.rms:.4f}  {v.off:11.1f}  {v.weight:.2f}")
         return "\n".join(lines)
 
 

@@ -27,6 +27,15 @@ from ..formats.native import (
 from ..formats.object_pose import object_pose
 
 FIT_SCHEMA = "pinhole_jax.fit/1"
+#: What a file says of its covariances.
+CAMERA_FRAME = (
+    "small turns (rad) of the camera about its own axes right, up, forward (rotation_b1, _b2, _v);"
+    " its eye in the frame of the mesh (e_x, e_y, e_z, in its units); px for the principal point"
+)
+OBJECT_FRAME = (
+    "small turns (rad) of the object about the camera's axes right, down, forward, then t in these"
+    " axes (units of the mesh)"
+)
 #: What stands for numbers that JSON has no word for.
 NOT_FINITE: dict[str | None, float] = {None: np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
 
@@ -38,13 +47,14 @@ def fit_to_dict(
 
     - `dtype`: the camera's float type.
     - `std`: by name; null where the mask does not determine a parameter.
-    - `names`: in the order of `covariance`; NaN is null there, infinity "Infinity".
+    - `covariance`: of `names`, in their order, in the frame that `covariance_frame` says; NaN is
+      null there, infinity "Infinity".
     - `independent_covariance`, `mask_error` (`px`, `over_px`), `unbelieved` (points): null where
       the fit has none.
     - `object_in_camera`: the object's pose in the camera's frame (`formats.object_pose`): OpenCV's
-      `K` by its `pixel_centres`, `R`, `t`, `covariance`, the transforms `camera_from_world` and
-      `world_from_camera` (4, 4), and `distortion` (null, or a model and its coefficients). It is
-      not read back.
+      `K` by its `pixel_centres`, `R`, `t`, `object_covariance` of what `object_frame` says, the
+      transforms `camera_from_world` and `world_from_camera` (4, 4), and `distortion` (null, or a
+      model and its coefficients). It is not read back.
     - `modes`: each is a fit of its own. `history`: `camera`, `W`, `H`, `steps` of each.
     - all else as a `Fit` has it.
 
@@ -112,6 +122,7 @@ def _rest(fit: Fit, pixel_centres: Any) -> dict[str, Any]:
         "dtype": np.dtype(fit.camera.e.dtype).name,
         "std": dict(zip(fit.names, _words(std), strict=True)),
         "names": list(fit.names),
+        "covariance_frame": CAMERA_FRAME,
         "covariance": _words(fit.covariance),
         "independent_covariance": _words_or_none(fit.independent_covariance),
         "mask_error": None if fit.mask_error is None else fit.mask_error._asdict(),
@@ -128,10 +139,11 @@ def _pose(fit: Fit, pixel_centres: Any) -> dict[str, Any] | None:
     if fit.status == "non_finite":
         return None
     pose = object_pose(fit, pixel_centres=pixel_centres)
-    names = ("K", "R", "t", "covariance", "camera_from_world", "world_from_camera")
+    names = ("K", "R", "t", "camera_from_world", "world_from_camera")
     parts = {name: _words(getattr(pose, name)) for name in names}
+    covariance = {"object_frame": OBJECT_FRAME, "object_covariance": _words(pose.covariance)}
     distortion = None if pose.distortion is None else distortion_to_dict(pose.distortion)
-    return {"pixel_centres": pose.pixel_centres, **parts, "distortion": distortion}
+    return {"pixel_centres": pose.pixel_centres, **parts, **covariance, "distortion": distortion}
 
 
 def _words_or_none(numbers: Any) -> Any:
