@@ -14,9 +14,6 @@ from ._command.arguments import parse
 from ._files.interrupt import STATUS, ending_at_once
 from ._files.progress import Ticker
 
-#: Commands that compile quick programs: not those that run them often.
-QUICK = ("fit", "render", "check", "convert")
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return 0, 1 for a fit that is not to be trusted, 2 on bad input, 130 if
@@ -52,7 +49,7 @@ def _set_up_jax(options: argparse.Namespace) -> None:
     # Tracing makes objects that stay: to look for garbage among them takes a third of the start.
     gc.set_threshold(1_000_000)
     atexit.register(gc.freeze)
-    set_up(not options.no_cache, quick=options.command in QUICK)
+    set_up(not options.no_cache)
 
 
 if __name__ == "__main__":

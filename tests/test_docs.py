@@ -30,7 +30,6 @@ from PIL import Image
 
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io, shapes
-from pinhole_jax._files import programs
 from pinhole_jax._fit.words import STATUSES
 from pinhole_jax._trace.images import _ahead
 
@@ -178,7 +177,6 @@ def another_cache(monkeypatch, tmp_path):
     (tmp_path / "pinhole_jax").symlink_to(before)
     yield tmp_path / "pinhole_jax"
     pj.cache(before)
-    programs.keep_in(None)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", least)
 
 

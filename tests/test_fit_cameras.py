@@ -9,10 +9,10 @@ import trimesh
 from chosen import full
 from oracles import drawn, turned
 from scipy.spatial.transform import Rotation
+from views import like
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._files.programs import like
 from pinhole_jax._joint.shared_unknowns import alike, others, reduced
 from pinhole_jax._solver.looks import Sums, View
 

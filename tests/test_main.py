@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 
+import jax
 import numpy as np
 import pytest
 from chosen import full
@@ -20,6 +21,7 @@ from pinhole_jax._camera.distortion import MODELS
 from pinhole_jax._command.arguments import parse
 from pinhole_jax._command.known import known, names_of
 from pinhole_jax._files.naming import named
+from pinhole_jax._files.process import set_up
 from pinhole_jax._fit.words import STATUSES
 from pinhole_jax._solver.parameters import NAMES, check_free
 from pinhole_jax.names import DISTORTIONS, FREE, STATUSES as STATUSES_TOLD
@@ -727,3 +729,15 @@ def test_fit_is_printed_where_it_cannot_be_written(folder, monkeypatch, capsys):
     told = capsys.readouterr()
     assert "one sigma" in told.out
     assert told.err == "pinhole-jax fit: No space left on device\n"
+
+
+@pytest.mark.parametrize(("said", "expected"), [("", "cpu"), ("cuda,cpu", "cuda,cpu")])
+def test_own_processes_use_the_cpu_by_default(said, expected):
+    before = jax.config.jax_platforms
+    try:
+        jax.config.update("jax_platforms", said)
+        set_up(cached=False)
+        assert jax.config.jax_platforms == expected
+        assert jax.config.jax_enable_x64
+    finally:
+        jax.config.update("jax_platforms", before)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pinhole_jax as pj
-from pinhole_jax._camera.camera import film_at_once
+from pinhole_jax._camera.camera import film_map
 from pinhole_jax._files.native_library import SWITCH
 from pinhole_jax._native import library, rasteriser as native
 from pinhole_jax._silhouette.silhouette import _in_arrays
@@ -42,12 +42,12 @@ SCENES = {
 
 
 def drawn(e, scene):
-    return native.coverage(film_at_once(camera(e)), scene)
+    return native.coverage(film_map(camera(e)), scene)
 
 
 @pytest.mark.parametrize("kind", SCENES)
 def test_coverage_is_that_by_arrays(kind):
-    scene, film = SCENES[kind](np.random.default_rng(3)), film_at_once(camera())
+    scene, film = SCENES[kind](np.random.default_rng(3)), film_map(camera())
     by_arrays = jax.jit(partial(_in_arrays, overlaps=True, stops=None))(film, scene)
     np.testing.assert_allclose(native.coverage(film, scene), by_arrays, rtol=0, atol=5e-14)
 

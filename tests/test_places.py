@@ -16,10 +16,10 @@ from chosen import full
 from masks import wavy
 from oracles import drawn, turned
 from scipy.ndimage import binary_erosion, gaussian_filter
+from views import like
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._files.programs import like
 from pinhole_jax._fit import places, strategy
 from pinhole_jax._mask.mask import Mask
 from pinhole_jax._mask.pyramid import Level

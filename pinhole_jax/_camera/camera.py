@@ -30,8 +30,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics.arrays import MISSING, ArrayLike, Input, float_array, float_dtype, is_concrete
-from .._numerics.jitted import jitted
-from .._numerics.one_kernel import at_once
 from .._numerics.pointwise import pointwise
 from .._numerics.safe import cross_of_difference, norm, normalize
 from .distortion import Distortion
@@ -366,40 +364,12 @@ camera_coordinates = pointwise(to_camera)
 
 def film_map(camera: Camera) -> FilmMap:
     """Return the camera as a map to the film."""
-    return _film_of(camera, _film_numbers(camera))
-
-
-def film_at_once(camera: Camera) -> FilmMap:
-    """Return the camera as a map to the film; what is worked out for it is one kernel on a CPU."""
-    # (It knows no d: there is no derivative by that, not one of 0. Nor a distortion's.)
-    known = eqx.tree_at(lambda c: c.d, camera, None)
-    if has_distortion(camera):
-        known = eqx.tree_at(lambda c: c.lens.distortion, known, None)
-    return _film_of(camera, at_once(_film_numbers)(known))
-
-
-class _FilmNumbers(NamedTuple):
-    """What is worked out of a camera for its film."""
-
-    matrix: Float[Array, "3 3"]
-    base: Float[Array, "3"]
-    focal: Float[Array, "2"] | None
-
-
-def _film_numbers(camera: Camera) -> _FilmNumbers:
     b1, b2, v = camera_basis(camera)
     fx, fy = focal_px(camera)
     centre = principal_point(camera)
     matrix = jnp.stack([fx * b1 + centre[0] * v, fy * b2 + centre[1] * v, v])
     base = jnp.append(centre, jnp.ones(1, centre.dtype)) * norm(camera.p - camera.e)
-    return _FilmNumbers(matrix, base, None if camera.lens is None else jnp.stack([fx, fy]))
-
-
-def _film_of(camera: Camera, numbers: _FilmNumbers) -> FilmMap:
-    matrix, base, focal = numbers
-    film = FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H, bend(camera, focal))
-    whole = FilmPart(0, camera.W, 0, camera.H, 1)
-    return film if film.bend is None else film.looking_at(whole)
+    return FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H, bend(camera))
 
 
 def has_distortion(camera: Camera) -> bool:
@@ -407,14 +377,12 @@ def has_distortion(camera: Camera) -> bool:
     return camera.lens is not None and camera.lens.distortion is not None
 
 
-def bend(camera: Camera, focal: Float[Array, "2"] | None = None) -> Bend | None:
-    """Return what the lens's distortion does to film points, None if there is none; `focal` is
-    `focal_px`, where that is known."""
+def bend(camera: Camera) -> Bend | None:
+    """Return what the lens's distortion does to film points, None if there is none."""
     if camera.lens is None or camera.lens.distortion is None:
         return None
     distortion, centre = camera.lens.distortion, camera.lens.principal_point
-    focal = jnp.stack(focal_px(camera)) if focal is None else focal
-    return Bend(distortion, distortion.trusted_radius(), focal, centre)
+    return Bend(distortion, distortion.trusted_radius(), jnp.stack(focal_px(camera)), centre)
 
 
 def lens_holds(camera: Camera, part: FilmPart) -> Array:
@@ -449,7 +417,7 @@ def _cast(lens: Lens, dtype: np.dtype) -> Lens:
     return jax.tree.map(lambda x: x.astype(dtype), lens)
 
 
-@jitted
+@eqx.filter_jit
 def _lens_holds(camera: Camera) -> Array:
     return lens_holds(camera, FilmPart(0, camera.W, 0, camera.H, 1))
 

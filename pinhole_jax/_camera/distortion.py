@@ -24,8 +24,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics.arrays import ArrayLike, Input, float_array, float_dtype
-from .._numerics.later import on_each_device
-from .._numerics.one_kernel import by_machine, one_kernel
+from .._numerics.on_devices import spread
 from .._numerics.safe import length, safe_divide, safe_sqrt
 
 Real = Input[ArrayLike, ""]
@@ -64,7 +63,10 @@ class Distortion(eqx.Module):
         """Return up to which radius of the ideal image the formula counts; not differentiated."""
         held = jax.lax.stop_gradient(self)
         radii = jnp.asarray(RADII, jax.tree.leaves(self)[0].dtype)
-        return by_machine(held, radii, cpu=one_kernel(_walked), elsewhere=_looked_at)
+        slope = held.slope(radii)
+        holds = (slope > LEAST_SLOPE) & (slope < MOST_SLOPE)
+        first = jnp.argmin(jnp.append(holds, jnp.zeros(1, bool)))
+        return radii[jnp.maximum(first - 1, 0)]
 
     def __call__(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
         """Return the distorted points of ideal ones."""
@@ -303,26 +305,6 @@ def _coefficients(values: dict[str, ArrayLike]) -> list[Array]:
     return [float_array(name, value, (), dtype) for name, value in values.items()]
 
 
-def _walked(model: Distortion, radii: Float[Array, "N"]) -> Float[Array, ""]:
-    """Return the last of some radii up to which an image holds (the first at least), from one to
-    the next."""
-    goes_on = lambda k: (k < radii.shape[0]) & _holds(model, radii[jnp.minimum(k, len(radii) - 1)])
-    number = jax.lax.while_loop(goes_on, lambda k: k + 1, jnp.int32(0))
-    return radii[jnp.maximum(number - 1, 0)]
-
-
-def _looked_at(model: Distortion, radii: Float[Array, "N"]) -> Float[Array, ""]:
-    """Return the same, of all of them side by side."""
-    first = jnp.argmin(jnp.append(_holds(model, radii), jnp.zeros(1, bool)))
-    return radii[jnp.maximum(first - 1, 0)]
-
-
-def _holds(model: Distortion, radius: Array) -> Array:
-    """Return whether the image grows at a radius as lenses' do."""
-    slope = model.slope(radius)
-    return (slope > LEAST_SLOPE) & (slope < MOST_SLOPE)
-
-
 def _linearised(model: Distortion, trusted: Array, x: Array, y: Array) -> tuple:
     """Return the distorted point (2, ...), and its derivatives by x and by y."""
     one, none = jnp.ones_like(x), jnp.zeros_like(x)
@@ -350,7 +332,7 @@ def _distorted(model: Distortion, x: Array, y: Array) -> tuple[Array, Array]:
 @jax.custom_jvp
 @jax.jit
 def _undistorted(model: Decentred, x: Array, y: Array) -> tuple[Array, Array]:
-    at, _ = on_each_device(_newton, model, jnp.stack([x, y]))
+    at, _ = _newton(model, jnp.stack([x, y]))
     return at[0], at[1]
 
 
@@ -396,7 +378,7 @@ def _(primals: Any, tangents: Any):
 @jax.jit
 def _angles(model: Fisheye, most: Array, radius: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Return the angles from the axis, of `most` of them, of distorted radii."""
-    return on_each_device(_newton_in_angle, model, most, radius)[0]
+    return _newton_in_angle(model, most, radius)[0]
 
 
 def _newton_in_angle(model: Fisheye, most: Array, radius: Array) -> tuple[Array, Array]:
@@ -454,8 +436,8 @@ def _settled(step: Callable[[Array], tuple[Array, Array]], start: Array) -> tupl
         return number + 1, *step(at)
 
     going = lambda state: (state[0] < NEWTON_STEPS) & (state[2] > tiny)
-    first = jnp.int32(0), start, jnp.asarray(jnp.inf, start.dtype)
-    number, at, _ = jax.lax.while_loop(going, further, first)
+    first = spread([jnp.int32(0), start, jnp.asarray(jnp.inf, start.dtype)], [start])
+    number, at, _ = jax.lax.while_loop(going, further, tuple(first))
     return at, number
 
 

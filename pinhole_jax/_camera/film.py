@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._numerics.one_kernel import by_machine, one_kernel
 from .._numerics.safe import binary_scale
 from .distortion import Distortion
 
@@ -64,10 +63,12 @@ class Bend(eqx.Module):
         """Return an ideal rectangle (left, right, bottom, top) about a part of the film, of which
         each side is seen beyond that side of the part; not differentiated.
 
-        The first of `BOXES` that is.
+        The first of `BOXES` that is, or the last.
         """
-        held = jax.lax.stop_gradient((self, part, jnp.asarray(BOXES, self.focal.dtype)))
-        return by_machine(*held, cpu=one_kernel(_first_box), elsewhere=_box_of_all)
+        bend, part = jax.lax.stop_gradient((self, part))
+        boxes = jnp.asarray(BOXES, self.focal.dtype)
+        box, holds = jax.vmap(lambda size: _box(bend, part, size))(boxes)
+        return box[jnp.argmax(holds.at[-1].set(True))]
 
 
 class Moving(NamedTuple):
@@ -97,25 +98,6 @@ class FilmPart(NamedTuple):
     px: Any
 
 
-def _first_box(bend: Bend, part: FilmPart, boxes: Float[Array, "N"]) -> Float[Array, "4"]:
-    """Return the first rectangle about a part of the film that holds it, or the last."""
-
-    def larger(state):
-        k, _, _ = state
-        box, holds = _box(bend, part, boxes[k])
-        return k + 1, holds, box
-
-    start = jnp.int32(0), jnp.array(False), jnp.zeros(4, boxes.dtype)
-    goes_on = lambda state: ~state[1] & (state[0] < boxes.shape[0])
-    return jax.lax.while_loop(goes_on, larger, start)[2]
-
-
-def _box_of_all(bend: Bend, part: FilmPart, boxes: Float[Array, "N"]) -> Float[Array, "4"]:
-    """Return the same, of all that are tried side by side."""
-    box, holds = jax.vmap(lambda size: _box(bend, part, size))(boxes)
-    return box[jnp.argmax(holds.at[-1].set(True))]
-
-
 def _box(bend: Bend, part: FilmPart, scale: Array) -> tuple[Float[Array, "4"], Bool[Array, ""]]:
     """Return an ideal rectangle about a part of the film, and whether it is seen beyond it."""
     f, c = bend.focal, bend.centre
@@ -125,19 +107,19 @@ def _box(bend: Bend, part: FilmPart, scale: Array) -> tuple[Float[Array, "4"], B
     outward = [jnp.maximum(sign * x, size / 10) for sign, x in zip(OUT, ends, strict=True)]
     x0, x1, y0, y1 = box = [sign * scale * x for sign, x in zip(OUT, outward, strict=True)]
 
-    def along(k, least):
-        share = k.astype(f.dtype) / (SAMPLES - 1)
-        x, y = x0 * (1 - share) + x1 * share, y0 * (1 - share) + y1 * share
-
-        def of_side(side, least):
-            at = lambda *values: jax.lax.select_n(side, *values)
-            seen = bend.distortion.continued(bend.trusted, at(x0, x1, x, x), at(y, y, y0, y1))
-            beyond = at(left - seen[0], seen[0] - right, bottom - seen[1], seen[1] - top)
-            return jnp.minimum(least, beyond)
-
-        return jax.lax.fori_loop(0, 4, of_side, least)
-
-    least = jax.lax.fori_loop(0, SAMPLES, along, jnp.asarray(jnp.inf, f.dtype))
+    share = jnp.linspace(0, 1, SAMPLES, dtype=f.dtype)
+    x, y = x0 * (1 - share) + x1 * share, y0 * (1 - share) + y1 * share
+    seen = [
+        bend.distortion.continued(bend.trusted, *jnp.broadcast_arrays(*side))
+        for side in ((x0, y), (x1, y), (x, y0), (x, y1))
+    ]
+    beyond = (
+        left - seen[0][0],
+        seen[1][0] - right,
+        bottom - seen[2][1],
+        seen[3][1] - top,
+    )
+    least = jnp.min(jnp.stack(beyond))
     placed = [x * f[k // 2] + c[k // 2] for k, x in enumerate(box)]
     return jnp.stack(placed), least > size / 50
 
@@ -159,13 +141,15 @@ class FilmMap(eqx.Module):
     H: int = eqx.field(static=True)
     bend: Bend | None = None
     limits: Float[Array, "4"] | None = None
-    px: Any = None
+    px: Any = 1
 
     @property
     def bounds(self) -> list[Array]:
         """Return what contours are cut off at: left, right, bottom, top, well outside the film."""
         if self.limits is not None:
             return list(self.limits)
+        if self.bend is not None:
+            return list(self.bend.around(FilmPart(0, self.W, 0, self.H, 1)))
         sides = (-self.W, 2 * self.W, -self.H, 2 * self.H)
         return [jnp.asarray(x, self.eye.dtype) for x in sides]
 

@@ -2,12 +2,12 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._numerics.arrays import ArrayLike, Input, as_array, is_real
-from .._numerics.jitted import jitted
 from .._numerics.pointwise import pointwise
 from .._numerics.safe import binary_inverse, safe_divide
 from .camera import Camera, basis, check_camera, film_size, focal_px, principal_point, to_camera
@@ -73,7 +73,7 @@ def camera_rays(
     return _rays(camera, samples, key)
 
 
-@jitted
+@eqx.filter_jit
 def _rays(camera: Camera, samples: int | None, key: PRNGKeyArray | None) -> Rays:
     x, y = _film_samples(camera.W, camera.H, samples, key, camera.e.dtype)
     return Rays(camera.e, directions(camera, x, y))

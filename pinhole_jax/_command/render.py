@@ -4,15 +4,11 @@ import argparse
 
 import numpy as np
 
-from .. import formats, io
-from .._files import programs
+from .. import formats, io, silhouette
 from .._files.naming import named
 from .._files.progress import Ticker
 from .inputs import scene_of
 from .outputs import say_written
-
-#: The program of `silhouette`.
-SILHOUETTE = "pinhole_jax._silhouette.silhouette:_silhouette"
 
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:
@@ -24,7 +20,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
         words = f"at most {io.MOST_PIXELS} pixels, got {camera.W} x {camera.H}"
         raise ValueError(f"`CAMERA`: expected {words} (in {options.camera!r})")
     scene = scene_of(options.mesh, progress.tell)
-    image = np.asarray(programs.call(SILHOUETTE, (camera, scene, True), lambda: 0.0))
+    image = np.asarray(silhouette(camera, scene))
     progress.done()
     words = f"{camera.W} x {camera.H}, {image.mean():.1%} covered"
     with say_written(options.output, words), named(path="--output"):

@@ -6,19 +6,14 @@ from pathlib import Path
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
-from . import programs
 
-
-def cache(folder: str | os.PathLike[str] | None = None, *, quick: bool = False) -> Path:
+def cache(folder: str | os.PathLike[str] | None = None) -> Path:
     """Keep compiled programs in a folder, from which later processes read them; return the folder.
 
     The default is `pinhole_jax` in the user's cache folder (`$XDG_CACHE_HOME`, else `~/.cache`):
-    where the command keeps its own. A first fit then takes a process a second or two instead of
-    many: what it traces is kept there, too (on a CPU, not while JAX debugs). It sets JAX's
-    `jax_compilation_cache_dir`, for all of the process; delete the folder to clear it. With `quick`
-    a fit's programs are compiled in a third less time and run 1.3 to 1.6 times as long (on a CPU):
-    for a script that fits a few masks, as the command does. Raise ValueError where there is no home
-    folder and none is given.
+    where the command keeps its own. A later process's first fit then waits for tracing alone. It
+    sets JAX's `jax_compilation_cache_dir`, for all of the process; delete the folder to clear it.
+    Raise ValueError where there is no home folder and none is given.
 
     ```python
     folder = pj.cache()  # compiled programs are kept there from now on
@@ -33,6 +28,4 @@ def cache(folder: str | os.PathLike[str] | None = None, *, quick: bool = False) 
     jax.config.update("jax_compilation_cache_dir", os.fspath(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     compilation_cache.reset_cache()  # else what was set at the first program of all holds
-    remote = "://" in os.fspath(folder)  # JAX writes there, this package does not
-    programs.keep_in(None if remote else Path(folder).absolute() / "traced", quick)
     return Path(folder)

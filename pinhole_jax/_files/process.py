@@ -7,14 +7,13 @@ import jax
 from .cache import cache
 
 
-def set_up(cached: bool = True, *, quick: bool = False) -> None:
+def set_up(cached: bool = True) -> None:
     """Set JAX up as the command does: float64, a cache of compiled programs, and the CPU, unless
     `JAX_PLATFORMS` names another machine.
 
     An application may set this, a library may not: call it first, before JAX has computed anything.
     One fit is many small kernels in turn: an NVIDIA H200 takes 2 to 13 times as long for it, and
     twice as long to compile it; and each process would claim most of the accelerator's memory.
-    `quick` as in `cache`.
 
     ```python
     pj.set_up(cached=False)  # float64, on the CPU
@@ -25,4 +24,4 @@ def set_up(cached: bool = True, *, quick: bool = False) -> None:
         jax.config.update("jax_platforms", "cpu")
     if cached:
         with contextlib.suppress(ValueError):  # a user without a home folder
-            cache(quick=quick)
+            cache()

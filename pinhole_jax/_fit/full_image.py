@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,8 +12,6 @@ from .._camera.camera import Camera, check_camera
 from .._mask.mask import Mask
 from .._mask.target import check_target, levelled
 from .._numerics.arrays import ArrayLike, Input, is_concrete
-from .._numerics.jitted import jitted
-from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, check_scene
 from .._silhouette.silhouette import silhouette
 from .._solver.moves import Move, moved, on_film
@@ -70,14 +69,13 @@ class At(NamedTuple):
         return on_film(moved(self.move, y, self.freed), self.film)
 
 
-@jitted
+@eqx.filter_jit
 def image(y: Float[Array, "n"], at: At) -> Float[Array, "H W"]:
     """Return the image after a move."""
     return silhouette(at.camera(y), at.scene)
 
 
-@collector_at_rest()
-@jitted
+@eqx.filter_jit
 def image_and_jacobian(
     y: Float[Array, "n"] | Float[np.ndarray, "n"], at: At
 ) -> tuple[Float[Array, "H W"], Float[Array, "H W n"]]:

@@ -18,7 +18,6 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera
 from .._mask.target import as_coverage, check_image
 from .._numerics.arrays import is_concrete
-from .._numerics.jitted import jitted
 from .._scene.scene import Scene, bounding_sphere
 from .._solver.moves import Move, camera_velocity, canonical, scales
 from .full_image import At, image, image_and_jacobian
@@ -173,12 +172,12 @@ class End(NamedTuple):
         return np.concatenate([np.zeros((1, n), dtype), each, -each])
 
 
-@jitted
+@eqx.filter_jit
 def _move(start: Camera, pivot: Any, radius: Any, H: Any, freed: tuple[str, ...]) -> Move:
     return Move(start, pivot, scales(start, pivot, radius, H, freed))
 
 
-@jitted
+@eqx.filter_jit
 def _pull(end: End, changes: Any, of_target: Any, share: Any, of_weight: Any) -> Array:
     """Return `End.pull`, with the image's changes (k, H, W) at its places while the scene moves."""
     dtype, toward = end.weight.dtype, jnp.zeros_like(end.difference)
@@ -197,7 +196,7 @@ def _pull(end: End, changes: Any, of_target: Any, share: Any, of_weight: Any) ->
     return pull
 
 
-@jitted
+@eqx.filter_jit
 def _answer(move: Move, film: Camera, freed: tuple[str, ...], back: Any, pull: Array) -> Camera:
     """Return how the camera changes so that the gradient stays 0."""
     return camera_velocity(move, film, freed, -back @ pull)
@@ -210,13 +209,13 @@ def _of_all(scene: Scene, velocity: Any) -> Any:
     return eqx.combine(velocity, still)
 
 
-@jitted
+@eqx.filter_jit
 def _slopes(places: Any, at: At, held: Any) -> Float[Array, "k n"]:
     """Return at some moves (k, n) the derivative of the image's product with `held`."""
     return jax.lax.map(jax.grad(lambda y: jnp.sum(held * image(y, at))), places)
 
 
-@jitted
+@eqx.filter_jit
 def _along(places: Any, at: At, velocity: Any) -> Float[Array, "k H W"]:
     """Return the image's rate of change, at some moves (k, n), where the scene moves."""
     solid, fixed = eqx.partition(at.scene, eqx.is_inexact_array)

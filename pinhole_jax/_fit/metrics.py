@@ -1,11 +1,11 @@
 """How far two cameras, or two masks, are apart."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera, basis, check_camera
-from .._numerics.jitted import jitted
 from .._numerics.safe import norm
 
 
@@ -27,7 +27,7 @@ def pose_error(camera_a: Camera, camera_b: Camera) -> tuple[Float[Array, ""], Fl
     return _apart(*((c.e, c.p, c.u) for c in (camera_a, camera_b)))
 
 
-@jitted
+@eqx.filter_jit
 def _apart(placed_a: tuple, placed_b: tuple) -> tuple[Float[Array, ""], Float[Array, ""]]:
     a, b = (jnp.stack(basis(*placed)) for placed in (placed_a, placed_b))
     # |A - B|_F = 2 sqrt(2) sin(angle / 2)
@@ -50,7 +50,7 @@ def iou(mask_a: Float[Array, "H W"], mask_b: Float[Array, "H W"]) -> Float[Array
     return _iou(jnp.asarray(mask_a), jnp.asarray(mask_b))
 
 
-@jitted
+@eqx.filter_jit
 def _iou(mask_a: Array, mask_b: Array) -> Float[Array, ""]:
     both, either = jnp.sum(jnp.minimum(mask_a, mask_b)), jnp.sum(jnp.maximum(mask_a, mask_b))
     return jnp.where(either > 0, both / jnp.where(either > 0, either, 1), 1)

@@ -90,7 +90,7 @@ def known_by_others(
 def _weighed(view: View, weight: float) -> View:
     by = weight**0.5
     triangle, along = (by * np.asarray(x, float) for x in (view.triangle, view.along))
-    return replace(view, triangle=triangle, along=along)
+    return view._replace(triangle=triangle, along=along)
 
 
 def _of_moves(

@@ -6,7 +6,6 @@ know of the shared ones, to this view.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -141,7 +140,7 @@ def joint(view: Any, others: np.ndarray, slope: np.ndarray, own: np.ndarray) -> 
     gradient[~own] = slope * scale
     along = np.linalg.lstsq(triangle.T, gradient, rcond=None)[0]
     # (As NumPy's: within `grad` JAX's would be traced, and no report could look at them.)
-    return replace(view, triangle=triangle, along=along)
+    return view._replace(triangle=triangle, along=along)
 
 
 def in_few(view: View, rows: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -167,4 +166,4 @@ def with_rows(view: View, rows: np.ndarray, left: np.ndarray) -> View:
     table: Any = np.linalg.qr(np.concatenate([seen, np.column_stack([rows, left])]), mode="r")
     n = rows.shape[1]
     prior = float(view.prior) + float(left @ left)
-    return replace(view, triangle=table[:n, :n], along=table[:n, n], prior=prior)
+    return view._replace(triangle=table[:n, :n], along=table[:n, n], prior=prior)

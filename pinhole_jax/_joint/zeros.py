@@ -5,7 +5,6 @@ So what a view's program says of its own camera, pixel by pixel, says all about 
 other program is compiled. Pixels in which several bodies end count by the lengths of these ends.
 """
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,8 +59,7 @@ def with_joints(eye: Eye, state: State, seen: Seen, joints: list[str]) -> Seen:
     table = np.concatenate([table, np.zeros((n, n + 1))])
     r: Any = np.linalg.qr(table, mode="r")
     ok = np.all(np.isfinite(np.asarray(view.triangle)))
-    whole = replace(
-        view,
+    whole = view._replace(
         triangle=r[:n, :n] if ok else np.full((n, n), np.nan),
         along=r[:n, n] if ok else np.full(n, np.nan),
         by_joints=together,

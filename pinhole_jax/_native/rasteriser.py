@@ -12,7 +12,6 @@ from jaxtyping import Array, Float, Int
 
 from .._camera.distortion import BrownConrady, Fisheye, Rational
 from .._camera.film import FilmMap, turned
-from .._numerics.later import on_each_device
 from .._numerics.on_devices import spread
 from .._numerics.safe import length, safe_divide, safe_sqrt
 from .._scene.scene import Scene, Spheres
@@ -139,7 +138,8 @@ Asked = tuple[str, int, tuple[jax.ShapeDtypeStruct, ...]]
 
 def _call(name: str, model: int, shapes: Sequence[Any], *arguments: Array) -> list[Array]:
     call = jax.ffi.ffi_call(f"pinhole_{name}", [*shapes], vmap_method="expand_dims")
-    return [*on_each_device(partial(call, model=model), *arguments)]
+    given = spread(arguments, [])
+    return spread(call(*given, model=model), given)
 
 
 def operands(variables: Variables, constants: Constants) -> list[Array]:

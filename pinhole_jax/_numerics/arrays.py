@@ -125,3 +125,12 @@ def _first(bad: Any, array: np.ndarray) -> str:
     """Return the array's first bad value, and where it is."""
     index = tuple(int(i) for i in np.argwhere(bad)[0]) if array.ndim else ()
     return f"{array[index]} at index {index}" if index else f"{array}"
+
+
+#: A program in a program, which else runs: in 6 microseconds.
+_nothing = jax.jit(lambda: 0)
+
+
+def stands_alone(*given: Any) -> bool:
+    """Whether what is called with this is a program of its own: no part of another."""
+    return is_concrete(*jax.tree.leaves(given)) and is_concrete(_nothing())

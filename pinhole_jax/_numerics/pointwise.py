@@ -5,11 +5,12 @@ from collections.abc import Callable
 from functools import update_wrapper
 from typing import Any, Generic, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .jitted import jitted, stands_alone
+from .arrays import stands_alone
 
 S = TypeVar("S")
 
@@ -40,7 +41,7 @@ class pointwise(Generic[S]):
 
     def __init__(self, function: Callable[[S, Any], Any]):
         update_wrapper(self, function)
-        self._run: Any = jitted(function)
+        self._run: Any = eqx.filter_jit(function)
 
     def __call__(self, of: S, points: Any) -> Any:
         lead = points.shape[:-1]

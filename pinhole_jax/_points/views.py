@@ -6,6 +6,7 @@ The problem of `fit_cameras` with other residuals: where points are seen, less w
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +16,6 @@ from .._camera.camera import Camera, lens_holds, to_camera
 from .._camera.film import FilmPart
 from .._camera.rays import project
 from .._numerics.arrays import is_concrete
-from .._numerics.jitted import jitted
 from .._numerics.pointwise import filled_up, room
 from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
@@ -242,26 +242,26 @@ class PointProblem(NamedTuple):
         return result
 
 
-@jitted
+@eqx.filter_jit
 def _step(camera: Camera, data: _Data, y: Any, freed: tuple[str, ...]) -> Camera:
     return moved(data.move(camera, freed)._replace(scale=jnp.ones_like(y)), y, freed)
 
 
-@jitted
+@eqx.filter_jit
 def _camera_velocity(
     start: Camera, data: _Data, film: Camera, y: Float[Array, "n"], freed: tuple[str, ...]
 ) -> Camera:
     return camera_velocity(data.move(start, freed), film, freed, y)
 
 
-@jitted
+@eqx.filter_jit
 def _distances(camera: Camera, data: _Data) -> Float[Array, "N"]:
     off = data.given.off(camera, data.H)
     ahead = to_camera(camera, data.given.points)[:, 2] > 0
     return jnp.where(ahead, jnp.sqrt(jnp.sum(off * off, axis=1)), jnp.inf)
 
 
-@jitted
+@eqx.filter_jit
 def _look(start: Camera, data: _Data, freed: tuple[str, ...]) -> PointsSeen:
     move = data.move(start, freed)
     zero = jnp.zeros_like(move.scale)
@@ -294,14 +294,14 @@ def _slope(y: Any, given: Given, start: Camera, data: _Data, freed: tuple[str, .
     return jax.grad(half_squares)(y)
 
 
-@jitted
+@eqx.filter_jit
 def _pull(start: Camera, data: _Data, velocity: Given, freed: tuple[str, ...]) -> Array:
     zero = jnp.zeros_like(data.move(start, freed).scale)
     slope = lambda given: _slope(zero, given, start, data, freed)
     return jax.jvp(slope, (data.given,), (velocity,))[1]
 
 
-@jitted
+@eqx.filter_jit
 def _bend(start: Camera, data: _Data, freed: tuple[str, ...]) -> tuple[Array, Array]:
     scale = data.move(start, freed).scale
     slope = lambda y: _slope(y, data.given, start, data, freed)

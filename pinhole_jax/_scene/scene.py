@@ -18,8 +18,8 @@ from .._numerics.arrays import (
     float_array,
     float_dtype,
     is_concrete,
+    stands_alone,
 )
-from .._numerics.jitted import jitted, stands_alone
 from .planes import (
     CLUSTER,
     Clusters,
@@ -292,7 +292,7 @@ def _filled_sizes(vertices: int, faces: int, edges: int) -> tuple[int, int, int]
     return up(vertices), up(faces), up(edges)
 
 
-@jitted
+@eqx.filter_jit
 def planes_are_current(mesh: Mesh) -> Bool[Array, ""]:
     """Return whether the planes were made from the vertices as they are now."""
     if mesh.planes.fingerprint is None:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from .._camera.camera import Camera, film_at_once
+from .._camera.camera import Camera, film_map
 from .._camera.film import FilmMap
 from .._native.library import is_available
 from .._native.rasteriser import coverage
@@ -123,7 +123,7 @@ def _silhouette(
     camera: Camera, scene: Scene, overlaps: bool, stops: Int[Array, ""] | None = None
 ) -> Float[Array, "H W"]:
     scene = astype(scene, camera.e.dtype)
-    film, spheres = film_at_once(camera), scene.spheres
+    film, spheres = film_map(camera), scene.spheres
     if spheres is not None and not spheres.radii.shape[0]:
         spheres = None
     mesh = scene.mesh

@@ -8,7 +8,6 @@ from .._camera.axes import axes_of
 from .._camera.bent import bent
 from .._camera.camera import Camera, camera_coordinates, film_map
 from .._camera.rays import project
-from .._files import programs
 from .._numerics.jitted import jitted
 from .._scene.scene import Mesh, Scene, Spheres, astype, check_view
 from .clip import clipped
@@ -21,8 +20,6 @@ from .surrounding import surrounding
 STEP_PX = 2.0
 #: ... nor does a gap count that is shorter (px): rounding makes these.
 LEAST_PX = 1e-6
-#: A program that is kept.
-SEGMENTS = "pinhole_jax._silhouette.visible:_segments"
 
 
 def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
@@ -138,7 +135,7 @@ def _pieces(camera: Camera, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.nd
     """Return starts (n, 2), ends (n, 2) and weights (n,) of the whole contour, arcs sampled."""
     parts = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))]
     if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
-        segments = programs.call(SEGMENTS, (camera, scene.mesh), lambda: programs.like(Segments))
+        segments = _segments(camera, scene.mesh)
         on = np.asarray(segments.weight) != 0
         start, end, weight = (np.asarray(x, float)[on] for x in segments)
         parts.append((start, end, weight))

@@ -5,7 +5,7 @@ whole window's image and its derivatives.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -290,6 +290,10 @@ class View:
         to_reported, scale, known = map(np.asarray, (look.to_reported, look.scale, look.known))
         own = rows[:n, :n], rows[:n, n], sums
         return cls(*own, to_reported, scale, known, float(look.prior), origin)
+
+    def _replace(self, **changes: Any) -> "View":
+        """The view with other values, as of a named tuple: views of points are such."""
+        return replace(self, **changes)
 
     @property
     def camera(self) -> Camera:

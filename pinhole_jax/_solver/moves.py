@@ -12,7 +12,6 @@ from .._camera.axes import axes_of
 from .._camera.camera import Camera, camera_basis, focal_px, principal_point
 from .._camera.lens import Lens
 from .._numerics.arrays import at_hand
-from .._numerics.jitted import jitted
 from .._numerics.safe import norm, safe_divide, safe_sqrt, times
 from .parameters import AXES, COMPONENTS, LABELS, PARAMETERS, TABLE, Scale, components, labels_of
 
@@ -193,7 +192,7 @@ def rotation(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 
 #: The same as one program, for an array that is there.
-_rotation = jitted(rotation)
+_rotation = eqx.filter_jit(rotation)
 
 
 def canonical(camera: Camera) -> Camera:
@@ -223,7 +222,7 @@ def on_film(canonical_one: Camera, camera: Camera) -> Camera:
     return eqx.tree_at(moving, camera, values, is_leaf=lambda x: x is None)
 
 
-@jitted
+@eqx.filter_jit
 def camera_velocity(
     move: Move, film: Camera, free: tuple[str, ...], y: Float[Array, "n"]
 ) -> Camera:

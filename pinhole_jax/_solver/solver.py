@@ -5,20 +5,17 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import numpy as np
 
 from .._camera.camera import Camera
-from .._files import programs
 from .._mask.edges import Weights
 from .._mask.pyramid import LEAST_CELLS, Level
 from .._mask.target import Window, object_window
-from .._native.look import Sight
-from .._numerics.backend import for_this_machine
 from .._numerics.threads import in_threads, some_at_once
-from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene
 from .kinds import Kind, kind_of
-from .looks import Look, Origin, Size, Sums, View, size_of_looks
+from .looks import Origin, View, size_of_looks
 from .moves import Bounds, Move, moved
 from .outline_errors import OutlineErrors, is_drawn, outline_errors
 from .priors import Others, Prior, no_others
@@ -41,8 +38,6 @@ UNCHANGED = 1e-2
 #: 128 to 256 px. A residual tells of an outline that is a pixel away at most: of 12 degrees ten
 #: steps took 10 to 12 back on this level, 1.5 on one where the object had 1500 px.
 FAR_LEVEL = 3
-#: Named, since optimistix takes a third of this package's import.
-DESCENDED = "pinhole_jax._solver.levenberg_marquardt:descended"
 
 
 class Stop(NamedTuple):
@@ -368,22 +363,22 @@ class Solver:
                 yield Found(view.camera, view, (n,), ended=n < steps)
 
     def program(self, camera: Camera, level: int) -> Hashable:
-        """The name of the program that looks at a camera."""
-        return programs.name_of(DESCENDED, self._given(camera, self.levels[level], 0.0, 1))
+        """What tells the program that looks at a camera from others."""
+        leaves, tree = jax.tree.flatten(self._given(camera, self.levels[level], 0.0, 1))
+        return tree, *((x.shape, x.dtype) if hasattr(x, "shape") else x for x in leaves)
 
     def _given(self, camera: Camera, level: Level, px: float, steps: int) -> tuple[Any, ...]:
         """What the fit's program is given."""
         ends = np.asarray(px, self.dtype), np.asarray(steps, np.int32)
         return camera, self.problem, level, *ends, self.freed, size_of_looks(self.levels)
 
-    @collector_at_rest()
     def _further(self, camera: Camera, level: Level, px: float, steps: int):
         """Number, path and view of steps from a camera: one program, whether it steps or looks."""
+        # (optimistix takes a third of this package's import.)
+        from .levenberg_marquardt import descended
+
         given = self._given(camera, level, px, steps)
-        with for_this_machine():
-            n, path, look = programs.call(
-                DESCENDED, given, lambda: _like_descended(camera, given[-1])
-            )
+        n, path, look = descended(*given)
         origin = Origin(look, given[1], level, self.freed, given[-1])
         return int(n), np.asarray(path), View.of(origin)
 
@@ -405,10 +400,3 @@ def _step(
 ) -> Camera:
     """Return the camera moved by y in the solver's units, about a pivot with a radius."""
     return moved(move_about(camera, *about, scale, freed), y, freed)
-
-
-def _like_descended(camera: Camera, size: Size | None) -> tuple[Any, Any, Look]:
-    """Something of the structure of what `levenberg_marquardt.descended` returns."""
-    sight = programs.like(Sight) if size is None else None
-    look = programs.like(Look)._replace(camera=camera, sums=programs.like(Sums), sight=sight)
-    return 0, 0, look

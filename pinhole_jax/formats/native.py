@@ -15,7 +15,6 @@ from .._camera.distortion import MODELS, Distortion
 from .._camera.lens import Lens
 from .._files.paths import read_json as read_json_file, replace_file
 from .._numerics.arrays import Input
-from .._numerics.jitted import jitted
 from .fields import Fields, add_named, check_cameras, load_json, save_json, short
 
 CAMERA_SCHEMA = "pinhole_jax.camera/1"
@@ -63,7 +62,7 @@ def camera_to_dict(camera: Camera) -> dict[str, object]:
     }
 
 
-@jitted
+@eqx.filter_jit
 def _pose(camera: Camera) -> tuple[Basis, Any, Any]:
     """Return the axes, the focal length (px) and the principal point (px)."""
     return camera_basis(camera), focal_px(camera), principal_point(camera)

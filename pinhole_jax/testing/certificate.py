@@ -17,7 +17,6 @@ from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._numerics.arrays import is_concrete
-from .._numerics.jitted import jitted
 from .._scene.scene import Scene, astype, check_view
 from .._silhouette.silhouette import silhouette
 from .differences import STEPS, Scales, Slopes, outside, slopes
@@ -144,18 +143,18 @@ def check_gradients(
     return certificate
 
 
-@jitted
+@eqx.filter_jit
 def _render(image: Callable, point: Any) -> Any:
     return image(*point)
 
 
-@jitted
+@eqx.filter_jit
 def _forward(image: Callable, point: Any, tangent: Any) -> Float[Array, "H W"]:
     moving, still = eqx.partition(point, eqx.is_inexact_array)
     return jax.jvp(lambda m: image(*eqx.combine(m, still)), (moving,), (tangent,))[1]
 
 
-@jitted
+@eqx.filter_jit
 def _gradient(image: Callable, point: Any, weight: Array) -> Any:
     def loss(x):
         value = image(*x)
