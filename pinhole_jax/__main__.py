@@ -4,6 +4,7 @@ also `python -m pinhole_jax`."""
 import argparse
 import atexit
 import gc
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -14,10 +15,26 @@ from ._command.arguments import parse
 from ._files.interrupt import STATUS, ending_at_once
 from ._files.progress import Ticker
 
+#: The exit status where nobody reads what is printed: as a shell has it of SIGPIPE.
+PIPE = 141
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return 0, 1 for a fit that is not to be trusted, 2 on bad input, 130 if
     interrupted."""
+    try:
+        try:
+            return _run(arguments)
+        finally:
+            sys.stdout.flush()
+    except (
+        BrokenPipeError
+    ):  # who reads has what it wanted; Python would say so once more at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PIPE
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     options = parse(arguments)
     command = f"pinhole-jax {options.command}"
     for stream in (sys.stdout, sys.stderr):  # names of files need be no text that can be printed
@@ -30,6 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ):
             _set_up_jax(options)
             return _verb(options.command).run(options, progress)
+    except BrokenPipeError:
+        raise
     except (ValueError, OSError, ModuleNotFoundError) as error:
         print(f"{command}: {error}", file=sys.stderr)
         return 2

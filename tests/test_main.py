@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 
@@ -18,7 +19,7 @@ from test_plot import fit_of
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io, shapes
 from pinhole_jax._camera.distortion import MODELS
-from pinhole_jax._command.arguments import parse
+from pinhole_jax._command.arguments import VERBS, parse
 from pinhole_jax._command.known import known, names_of
 from pinhole_jax._files.naming import named
 from pinhole_jax._files.process import set_up
@@ -320,7 +321,7 @@ def test_enormous_picture_is_not_rendered(folder):
 
 
 def test_help_says_what_a_camera_file_is(folder):
-    for words in ([], ["fit"], ["render"], ["convert"]):
+    for words in (["fit"], ["render"], ["convert"]):
         done = run(*words, "--help", cache=folder)
         assert done.returncode == 0
         assert '"phi": 0.6' in done.stdout
@@ -375,6 +376,50 @@ def test_help_names_all_that_may_be_free(capsys):
     for name in named:
         lens = pj.Lens([48, 40], distortion=pj.Rational())
         assert check_free(name, pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1, 96, 80, lens))
+
+
+def test_help_has_groups_and_an_example_of_each_command(capsys):
+    for name in VERBS:
+        text = help_of(name, capsys)
+        (example,) = re.findall(r"^example: pinhole-jax (.*)$", text, re.M)
+        assert parse(shlex.split(example)).command == name
+        assert ("label=N" in text) == (name not in ("render", "convert"))
+    assert re.search(r"^camera:$(.|\n)*^masks:$(.|\n)*^output:$", help_of("fit", capsys), re.M)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["fit", "a.ply", "b.png", "--fvo", "3"], "--fvo 3 (did you mean --fov?)"),
+        (["fit", "a.ply"], "required: MASK"),
+        (["render", "a.ply", "b.json", "--fov", "3"], "unrecognized arguments: --fov 3"),
+    ],
+)
+def test_typo_shows_the_usage_of_its_command(words, told, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        command.main(words)
+    said = capsys.readouterr().err
+    assert said.startswith(f"usage: pinhole-jax {words[0]} ")
+    assert told in said
+    assert f"`pinhole-jax {words[0]} --help`" in said
+
+
+def test_closed_pipe_is_silent():
+    code = (
+        "import sys\nfrom pinhole_jax import __main__ as command\n"
+        "command._run = lambda _: print('converged')\nsys.exit(command.main([]))"
+    )
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run([sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (command.PIPE, b"")
+
+
+def test_mesh_and_mask_exchanged_are_told(folder, capsys):
+    files = [str(folder / name) for name in ("any.png", "bumpy.ply")]
+    assert command.main(["fit", *files, "--fov", "34"]) == 2
+    assert "are MESH and MASK exchanged?" in capsys.readouterr().err
 
 
 def test_help_shows_camera_files_that_can_be_read(capsys):

@@ -6,7 +6,8 @@ import json
 import re
 import sys
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from difflib import get_close_matches
+from typing import Any, NamedTuple, NoReturn
 
 from .. import __version__
 from .._files.native_library import is_switched_off, library_path
@@ -18,13 +19,17 @@ NUMBERS = re.compile(r"(?i:[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+]?(nan|inf)|,)+
 EXAMPLES = "\n  ".join(
     json.dumps({"model": name, **dict.fromkeys(names, 0)}) for name, names in DISTORTIONS.items()
 )
-EPILOG = """\
+FILES = """\
 camera files are JSON with the parameters of Frisvad's note, world units and radians:
   {"e": [x, y, z], "p": [x, y, z], "u": [x, y, z], "phi": 0.6, "d": 1, "W": 256, "H": 256}
 eye e, view point p, up u, vertical field of view phi, camera constant d, resolution W x H; "lens"
 may add {"principal_point": [x, y], "aspect": 1} (px, origin at the bottom left, y up), and in it
 "distortion", one of OpenCV's models:
   EXAMPLES
+Pictures are PNG, JPEG, TIFF, WebP, BMP or PNM. What is written replaces a file; to /dev/stdout or
+a pipe it is written through, and devices are refused.
+""".replace("EXAMPLES", EXAMPLES)
+MASKS = """\
 Masks are grey images (white is the object), or images whose transparency is the mask; --mask-from
 reads others:
   alpha                 the transparency
@@ -33,9 +38,7 @@ reads others:
   background=COLOR      a photo before a background of one colour (white, #1e90ff): what is farther
                         from it in CIE Lab than Otsu's threshold (scikit-image), or than T with
                         background=COLOR,T; edges are soft where colours mix
-Pictures are PNG, JPEG, TIFF, WebP, BMP or PNM. What is written replaces a file; to /dev/stdout or
-a pipe it is written through, and devices are refused.
-""".replace("EXAMPLES", EXAMPLES)
+"""
 
 STATUS = "\n".join(
     ["the status of a fit is converged where its camera is to be trusted, else why it is not:"]
@@ -118,12 +121,13 @@ def _belongs(option: str, word: str) -> bool:
 
 class Verb(NamedTuple):
     """A command: a line, a description, its options in order (`|` joins those that exclude each
-    other, `!` requires one of them), and an epilog."""
+    other, `!` requires one of them), an example, and an epilog."""
 
     help: str
     description: str
     options: str
-    epilog: str = EPILOG
+    example: str
+    epilog: str = FILES
 
 
 TRUST = "Exit status: 0 converged, 1 not to be trusted (the status says why), 2 bad input."
@@ -136,12 +140,14 @@ VERBS = {
         f"Photos that were taken sideways are turned upright as their EXIF data say.\n{TRUST}",
         "mesh mask --camera|--K|--fov --dist --pixel-centres --crop --resize --free --mask-from"
         " --invert --tidy --weight --image --refine --report --verbose -o/--output --no-cache",
-        f"{STATUS}\n\n{EPILOG}",
+        "part.stl mask.png --fov 34 --free pose phi --report page.html",
+        f"{STATUS}\n\n{MASKS}\n{FILES}",
     ),
     "render": Verb(
         "render the mask that a camera sees",
         "Render MESH as CAMERA sees it: exact coverage, 8 bits.",
         "mesh camera -o/--output --no-cache",
+        "part.stl camera.json -o mask.png",
     ),
     "hand-eye": Verb(
         "recover the camera that sees a robot, from a URDF, joint angles and masks",
@@ -152,7 +158,8 @@ VERBS = {
         "robot joints masks !--camera|--K --dist --pixel-centres --in-hand --leave-out --free"
         " --mask-from --images --refine --joint-zeros --holdout --propose --report --verbose"
         " -o/--output --no-cache",
-        f"{STATUS}\n\n{EPILOG}",
+        "arm.urdf joints.csv mask_*.png --K calibration.yaml --report page.html",
+        f"{STATUS}\n\n{MASKS}\n{FILES}",
     ),
     "check": Verb(
         "say whether a mask is still explained by a camera, or how it has moved",
@@ -161,7 +168,8 @@ VERBS = {
         "Exit status: 0 it has not moved, 1 it has, 3 the masks do not say, 2 bad input.",
         "camera mesh joints masks --in-hand --leave-out --free --mask-from --verbose -o/--output"
         " --no-cache",
-        f"{STATUS}\n\n{EPILOG}",
+        "out/camera.json part.stl mask.png",
+        f"{STATUS}\n\n{MASKS}\n{FILES}",
     ),
     "batch": Verb(
         "recover the cameras of a whole data set",
@@ -172,7 +180,8 @@ VERBS = {
         "dataset -o/--output --workers --shard --resume --retry --time-limit --merge"
         " --write --start --models --detections --camera|--K|--fov --dist --pixel-centres --free"
         " --mask-from --invert --tidy --verbose --no-cache",
-        DATASETS,
+        "set.csv -o results --workers 4 --merge table.csv",
+        f"{DATASETS}\n{MASKS}",
     ),
     "studio": Verb(
         "get the camera of a photo by hand and eye: a page in the browser",
@@ -181,9 +190,14 @@ VERBS = {
         "address that is printed. Needs aiohttp: pip install 'pinhole-jax[studio]'.",
         "mesh photo --session --camera|--K|--fov --dist --pixel-centres --up --mask --mask-from"
         " --port --no-browser --verbose -o/--output --no-cache",
+        "part.stl photo.jpg --fov 34",
+        f"{MASKS}\n{FILES}",
     ),
     "convert": Verb(
-        "turn a camera file into another program's", CONVERT, "input output --from --to --size"
+        "turn a camera file into another program's",
+        CONVERT,
+        "input output --from --to --size",
+        "camera.json transforms.json",
     ),
 }
 #: Options: a metavar (none: a switch), and help; those of one command stand under its name, too.
@@ -294,6 +308,15 @@ OPTIONS = {
     "batch -o/--output": ("RESULTS", "a folder"),
     "--no-cache": ("", "do not keep compiled programs in the user's cache folder"),
 }
+#: Under which heading help has which options; the others have none.
+GROUPS = {
+    "camera": "--camera --K --fov --dist --pixel-centres --crop --resize --up --in-hand --start",
+    "masks": "--mask --mask-from --invert --tidy --no-tidy --weight --models --detections",
+    "fit": "--free --refine --joint-zeros --leave-out --holdout --propose --track",
+    "rows": "--workers --shard --resume --retry --time-limit --merge --write",
+    "output": "-o/--output --report --image --images --verbose --no-cache --port --no-browser",
+}
+GROUPS = {title: options.split() for title, options in GROUPS.items()}
 #: What argparse is to know of them besides.
 MORE: dict[str, dict[str, Any]] = {
     "check joints": {"nargs": "?"},
@@ -337,30 +360,52 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 
     Ends the process after help or the version, and with 2 and words where something is wrong.
     """
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="pinhole-jax",
         description="A differentiable pinhole camera: recover it from a mask, or render a mask.",
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="`pinhole-jax COMMAND --help` has each command's options, and an example.",
     )
     parser.add_argument("--version", action="version", version=_version())
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, verb in VERBS.items():
-        own = commands.add_parser(
-            name,
-            help=verb.help,
-            description=verb.description,
-            epilog=verb.epilog,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        own.set_defaults(verbose=False, no_cache=name == "convert")
+        example = f"\n\nexample: pinhole-jax {name} {verb.example}"
+        text, epilog = verb.description.rstrip() + example, verb.epilog
+        own = commands.add_parser(name, help=verb.help, description=text, epilog=epilog)
+        own.set_defaults(verbose=False, no_cache=name == "convert", own=own)
+        groups: dict[str, Any] = {}
         for part in verb.options.split():
-            group: Any = own
-            if "|" in part:
-                group = own.add_mutually_exclusive_group(required=part[0] == "!")
-            for option in part.lstrip("!").split("|"):
+            options = part.lstrip("!").split("|")
+            title = next((title for title, names in GROUPS.items() if options[0] in names), "")
+            if title and title not in groups:
+                groups[title] = own.add_argument_group(title)
+            group = groups.get(title, own)
+            if len(options) > 1:
+                group = group.add_mutually_exclusive_group(required=part[0] == "!")
+            for option in options:
                 group.add_argument(*option.split("/"), **_keywords(name, option))
-    return parser.parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
+    words = _joined(sys.argv[1:] if arguments is None else arguments)
+    options, unknown = parser.parse_known_args(words)
+    if unknown:
+        options.own.error(f"unrecognized arguments: {' '.join(unknown)}{_meant(options, unknown)}")
+    return options
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors show the first line of the command's own usage, and where help is."""
+
+    def __init__(self, **given: Any) -> None:
+        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **given)
+
+    def error(self, message: str) -> NoReturn:
+        self.print_usage(sys.stderr)
+        self.exit(2, f"{self.prog}: error: {message}\n`{self.prog} --help` explains it.\n")
+
+
+def _meant(options: argparse.Namespace, unknown: Sequence[str]) -> str:
+    """Return a question about the option that an unknown one looks like."""
+    names = [f"--{name.replace('_', '-')}" for name in vars(options)]
+    known = [near for word in unknown for near in get_close_matches(word, names, 1)]
+    return f" (did you mean {known[0]}?)" if known else ""
 
 
 def _keywords(verb: str, option: str) -> dict[str, Any]:

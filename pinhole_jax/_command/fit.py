@@ -11,7 +11,7 @@ from .._files.naming import named
 from .._files.pictures import three_channels
 from .._files.progress import Clock, Ticker
 from ..plot import disagreement, overlay
-from .inputs import mask_of, photo_beside, scene_of
+from .inputs import check_order, mask_of, photo_beside, scene_of
 from .known import known, names_of
 from .outputs import check_outputs, replaced
 
@@ -33,6 +33,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     progress.clock = clock
     written = [Path(options.output) / name for name in ("camera.json", "overlay.png")]
     check_outputs(output=written[0], report=options.report)
+    check_order(options.mesh)
     free = names_of(options.free)
     mask = _mask(options, progress)
     camera, phi, lens = known(options, free, (mask.shape[1], mask.shape[0]), progress.tell)

@@ -10,6 +10,15 @@ from .._files.naming import named, renamed
 
 #: The command's names of the arguments of `load_mesh` and `Mesh`.
 MESH = {"path": "MESH", "vertices": "MESH"}
+#: Endings of pictures.
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".pgm", ".ppm")
+
+
+def check_order(mesh: str) -> None:
+    """Raise ValueError where a picture stands for the mesh."""
+    if mesh.lower().endswith(PICTURES):
+        words = f"expected triangles, got the picture {mesh!r}: are MESH and MASK exchanged?"
+        raise ValueError(f"`MESH`: {words}")
 
 
 def mask_of(
@@ -22,6 +31,7 @@ def mask_of(
 
 def scene_of(path: str, tell: Callable[[str], Any]) -> Scene:
     """Return the mesh of a file as a scene."""
+    check_order(path)
     with named(**MESH):
         return Scene(mesh=io.load_mesh(path, say=lambda words: tell(renamed(words, MESH))))
 

@@ -52,9 +52,9 @@ def fit_to_dict(
     - `independent_covariance`, `mask_error` (`px`, `over_px`), `unbelieved` (points): null where
       the fit has none.
     - `object_in_camera`: the object's pose in the camera's frame (`formats.object_pose`): OpenCV's
-      `K` by its `pixel_centres`, `R`, `t`, `object_covariance` of what `object_frame` says, the
-      transforms `camera_from_world` and `world_from_camera` (4, 4), and `distortion` (null, or a
-      model and its coefficients). It is not read back.
+      `K` by its `pixel_centres`, `R`, `t`, `object_covariance` and its frame, the transforms
+      `camera_from_world` and `world_from_camera` (4, 4), and `distortion` (null, or a model and its
+      coefficients). It is not read back.
     - `modes`: each is a fit of its own. `history`: `camera`, `W`, `H`, `steps` of each.
     - all else as a `Fit` has it.
 

@@ -12,6 +12,10 @@ from .._mesh_files import MESH_ENDINGS, Polygons, read_polygons, triangulated
 from .._scene.scene import Mesh, coarse
 from .._scene.topology import by_place
 
+#: Files of solids and scenes, which programs export as triangles.
+SOLIDS = (".step", ".stp", ".iges", ".igs", ".brep", ".sldprt", ".f3d", ".fcstd", ".ipt", ".blend",
+          ".fbx", ".3ds", ".usd", ".usdz")  # fmt: skip
+
 
 def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None = None) -> Mesh:
     """Return the triangles of a mesh file (dae, glb, gltf, obj, off, ply, stl), as one mesh.
@@ -45,7 +49,9 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None 
     """
     file = existing(path, "a mesh file")
     if file.suffix.lower() not in MESH_ENDINGS:
-        raise ValueError(f"`path`: expected one of {', '.join(MESH_ENDINGS)}, got {file.name!r}")
+        words = f"expected one of {', '.join(MESH_ENDINGS)}, got {file.name!r}"
+        hint = "; export it as STL" if file.suffix.lower() in SOLIDS else ""
+        raise ValueError(f"`path`: {words}{hint}")
     if file.stat().st_size == 0:
         raise ValueError(f"`path`: expected a mesh file, got {str(path)!r}: empty")
     try:
