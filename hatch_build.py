@@ -65,7 +65,7 @@ class CustomBuildHook(BuildHookInterface):
 #: The library's name by platform.
 LIBRARIES = {"darwin": "libpinhole.dylib", "win32": "pinhole.dll"}
 #: Products are rounded before they are added: shared points come out alike everywhere.
-FLAGS = ["-std=c++17", "-O2", "-ffp-contract=off", "-shared", "-fPIC", "-fvisibility=hidden"]
+FLAGS = shlex.split("-std=c++17 -O3 -ffp-contract=off -shared -fPIC -fvisibility=hidden -pthread")
 
 
 def compiled(source: Path, library: Path) -> str:

@@ -6,19 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from chosen import full, long, on_cpu
+from chosen import full
 from oracles import central_difference
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._trace import bvh, cores, packets, together, walk
-from pinhole_jax._trace.components import parts
-from pinhole_jax._trace.order import near_order
-from pinhole_jax._trace.turned import turned
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 24, 20)
-#: One program each: step by step they are some fifty.
-mesh_tree, sphere_tree, packed = map(jax.jit, (bvh.mesh_tree, bvh.sphere_tree, bvh.packed))
 
 
 @pytest.fixture(scope="module")
@@ -105,38 +99,6 @@ def test_tree_matches_brute_force(faces, rays):
     np.testing.assert_array_equal(pj.occluded(pj.Scene(mesh=mesh), some), face >= 0)
 
 
-@pytest.mark.parametrize("faces", [1, 5, 9, 33, 65, 320])
-def test_tree_holds_each_face_once_in_its_boxes(faces):
-    whole = shapes.bumpy(2)
-    tree = mesh_tree(pj.Mesh(whole.vertices, np.asarray(whole.faces)[:faces]))
-    nodes, leaves = tree.planes.shape[0], tree.primitive.shape[0]
-    assert set(np.unique(tree.primitive)) == set(range(faces))
-    planes, reached = np.asarray(tree.planes), set()
-
-    def look(node, low, high):
-        if node < nodes:
-            first = 8 * node + nodes + leaves - 8 * nodes
-            for k in np.flatnonzero(np.all(planes[node, :3] <= planes[node, 3:], axis=0)):
-                here = np.maximum(low, planes[node, :3, k]), np.minimum(high, planes[node, 3:, k])
-                look(first + k, *here)  # a box is inside all those above it
-            return
-        reached.add(node - nodes)
-        corners = np.asarray(tree.data[node - nodes]).reshape(3, 3, -1)
-        assert np.all(corners.min(axis=(1, 2)) >= low)
-        assert np.all(corners.max(axis=(1, 2)) <= high)
-
-    look(0, np.full(3, -np.inf), np.full(3, np.inf))
-    assert reached == set(range(leaves))
-
-
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.9, 1.0])
-def test_packed_keeps_what_is_wanted_in_order(share):
-    mask = np.random.default_rng(0).random(256) < share
-    values, number = packed(jnp.asarray(mask), jnp.arange(256, dtype=jnp.int32))
-    assert int(number) == mask.sum()
-    np.testing.assert_array_equal(values[: mask.sum()], np.flatnonzero(mask))
-
-
 @pytest.mark.parametrize(
     ("dtype", "offset"), [("float32", 0.0), ("float32", 1.0), ("float64", 1.0)]
 )
@@ -178,156 +140,7 @@ def test_many_rays_do_not_leak(exhaustive, offset, tile):
     assert int(jnp.sum(~blocked)) == 0
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("kind", ["faces", "spheres"])
-def test_rays_side_by_side_hit_the_same_as_in_turn(kind, rays, monkeypatch):
-    """Where XLA makes no loop of the walk, as on a GPU; and not all rays are asked about."""
-    monkeypatch.setattr(walk, "BESIDE", 64)
-    random = np.random.default_rng(0)
-    if kind == "faces":
-        tree = mesh_tree(shapes.bumpy(1))
-    else:
-        centers, radii = random.uniform(-1, 1, (50, 3)), random.uniform(0.05, 0.3, 50)
-        tree = sphere_tree(pj.Spheres(centers, radii))
-    some = pj.Rays(rays.origin[:300], rays.direction[:300])
-    axis = jax.jit(packets.axes_of)(parts(some.direction))
-    order = random.permutation(300).astype(np.int32)
-    order[250:] = -1
-    walked = lambda: jax.jit(lambda *given: walk.walk(*given))(tree, *some, axis, order)
-    in_turn = walked()
-    elsewhere = lambda *arguments, cpu, default: default(*arguments)
-    monkeypatch.setattr(jax.lax, "platform_dependent", elsewhere)
-    beside = walked()
-    np.testing.assert_array_equal(in_turn, beside)
-    asked = np.isin(np.arange(300), order)
-    assert np.all(np.asarray(in_turn)[~asked] == -1)
-    whole = jax.jit(packets.first_met)(tree, *some)  # in the order in which they come
-    np.testing.assert_array_equal(np.asarray(in_turn)[asked], np.asarray(whole)[asked])
-    assert np.mean(np.asarray(whole) >= 0) > 0.3
-
-
-def hostile_packets(mesh, dtype):
-    """Return rays by packets that stay together: along the axes, through corners and edges, from on
-    the surface; of some packets one ray is none, and one of a packet's comes from elsewhere."""
-    random = np.random.default_rng(0)
-    vertices = np.asarray(mesh.vertices)
-    a, b = vertices[np.asarray(mesh.edge_vertices)[random.integers(0, 400, 60)]].transpose(1, 0, 2)
-    along = np.linspace(0, 1, 16)[:, None, None]
-    edges = np.swapaxes(a + along * (b - a), 0, 1)  # each packet along one edge, ends included
-    from_afar = np.broadcast_to([0.3, 1.0, 3.0], edges.shape)
-    grid = np.stack(np.meshgrid(np.arange(4), np.arange(4)), -1).reshape(16, 2) / 16
-    corners = random.uniform(-0.8, 0.8, (60, 1, 2)) + grid
-    corners[:10] = vertices[:10, None, :2]  # all sixteen through one vertex
-    down = np.concatenate([corners, np.full((60, 16, 1), 3.0)], axis=2)
-    axis = np.broadcast_to([0.0, 0, -1], down.shape)
-    turn = [np.roll(x, k, axis=2) for k in range(3) for x in (down, axis)]
-    outward = edges / np.linalg.norm(edges, axis=2, keepdims=True)
-    origin = np.concatenate([from_afar, *turn[::2], edges, edges])
-    direction = np.concatenate([edges - from_afar, *turn[1::2], outward, -outward])
-    direction[3::17, 5] = [np.nan, 0, 1]
-    direction[4::17, 6] = 0
-    origin[5::17, 7] = np.inf
-    origin[6::17, 8] += 5
-    direction /= np.maximum(np.abs(direction).max(axis=2, keepdims=True), 1e-3)
-    return jnp.asarray(origin.reshape(-1, 3), dtype), jnp.asarray(direction.reshape(-1, 3), dtype)
-
-
-@pytest.mark.parametrize(
-    ("dtype", "kind", "leaves"),
-    [("float32", "faces", 256), long("float64", "spheres", 256), long("float32", "faces", 3)],
-)
-def test_packets_hit_the_same_as_single_rays(dtype, kind, leaves, monkeypatch):
-    monkeypatch.setattr(packets, "FEW", 0)
-    monkeypatch.setattr(together, "LEAVES", leaves)  # few: most packets give up
-    mesh = shapes.bumpy(2)
-    origin, direction = hostile_packets(mesh, dtype)
-    origin, direction = origin[:-5], direction[:-5]  # the last packet is not full
-    mesh = pj.Mesh(np.asarray(mesh.vertices, dtype), np.asarray(mesh.faces))
-    radii = np.full(len(mesh.vertices), 0.1, dtype)
-    tree = mesh_tree(mesh) if kind == "faces" else sphere_tree(pj.Spheres(mesh.vertices, radii))
-
-    @jax.jit  # a function of this test: none is taken that was compiled with other numbers
-    def both_ways(tree, origin, direction):
-        axis = packets.axes_of(parts(direction))
-        order = jnp.arange(len(axis), dtype=jnp.int32)
-        whole = together.beams(turned(parts(origin), parts(direction), axis)).whole
-        one_by_one = walk.walk(tree, origin, direction, axis, order)
-        return packets.first_met(tree, origin, direction), one_by_one, whole
-
-    by_packets, one_by_one, whole = both_ways(tree, origin, direction)
-    np.testing.assert_array_equal(by_packets, one_by_one)
-    assert 0.3 < np.mean(np.asarray(by_packets) >= 0) < 0.95
-    assert np.sum(whole) > 100  # of some 360
-
-
-def test_rays_that_enter_at_one_place_follow_one_another():
-    tree = mesh_tree(shapes.bumpy(1))
-    random = np.random.default_rng(0)
-    ends = random.normal(size=(40, 3))
-    origin = 4 * np.repeat(ends / np.linalg.norm(ends, axis=1, keepdims=True), 50, axis=0)
-    mixed = random.permutation(2000)
-    direction = -origin / 4
-    direction[::50] = [[np.nan, 0, 1]]  # one of each end is no ray
-    order = jax.jit(near_order)(tree, origin[mixed], direction[mixed])
-    assert sorted(np.asarray(order)) == list(range(2000))
-    number = mixed[np.asarray(order)]
-    end = number[number % 50 > 0] // 50
-    assert np.sum(np.diff(end) != 0) < 200  # (two ends may be in one cell); else some 1900
-
-
-@on_cpu
-@pytest.mark.parametrize("shape", [(640,), (40, 24), (12, 8, 5)], ids=str)
-def test_rays_shared_out_to_cores_find_the_same(shape, rays, monkeypatch):
-    """Whose packets are the same: shares begin where packets do."""
-    monkeypatch.setattr(cores, "LEAST", 64)
-    monkeypatch.setattr(cores, "usable_cores", lambda: 2)
-    number = int(np.prod(shape))
-    some = pj.Rays(rays.origin[0], rays.direction[:number].reshape(*shape, 3))
-    asked = []
-
-    @jax.jit
-    def axis(direction):
-        found = packets.axes_of([packets.in_packets(direction[..., k]) for k in range(3)])
-        return packets.out_of_packets(found, direction.shape[:-1])
-
-    def find(where, part):
-        asked.append(part.direction.shape)
-        return where + axis(part.direction)
-
-    shared = cores.by_cores(find, jnp.int32(1), some)
-    assert len(asked) > 1
-    np.testing.assert_array_equal(shared, find(jnp.int32(1), some))
-    assert cores._shares(pj.Rays(some.origin, some.direction[:-1])) == 1  # (does not divide)
-
-
-@pytest.mark.long
-def test_traces_on_all_cores_are_those_on_one(rays, monkeypatch):
-    scene = pj.Scene(mesh=shapes.bumpy(1), spheres=pj.Spheres([[0.9, 0, 0]], [0.4]))
-    some = pj.Rays(rays.origin[:512], rays.direction[:512])
-    monkeypatch.setattr(cores, "LEAST", 64)
-    monkeypatch.setattr(cores, "usable_cores", lambda: 1)
-    alone = pj.trace(scene, some)
-    monkeypatch.setattr(cores, "usable_cores", lambda: 3)
-    for _ in range(2):  # the first compiles
-        for one, other in zip(alone, pj.trace(scene, some), strict=True):
-            np.testing.assert_array_equal(one, other)
-
-
-@on_cpu
-def test_walk_is_one_kernel():
-    """XLA leaves the call alone, whose loop it makes one kernel of; else rays take 100 times as
-    long."""
-    tree, ray = mesh_tree(shapes.bumpy(1)), jnp.ones((40, 3))
-    order = jnp.arange(40, dtype=jnp.int32)
-    program = jax.jit(walk.walk).lower(tree, ray, ray, order % 3, order).compile().as_text()
-    assert program is not None
-    entry = program[program.index("\nENTRY") :]
-    assert 'xla_cpu_small_call="true"' in entry
-    assert " while(" not in entry
-
-
 def test_program_can_hold_the_scene_as_a_constant(rays):
-    """Of which XLA moved the tree into the walk, and then ended the process."""
     scene = pj.Scene(mesh=shapes.bumpy(2))
     inside = jax.jit(lambda rays: pj.trace(scene, rays).primitive)
     np.testing.assert_array_equal(inside(rays), pj.trace(scene, rays).primitive)
@@ -467,3 +280,55 @@ def test_shapes_follow_the_rays_and_no_rays_give_no_hits():
     assert (
         pj.trace(pj.Scene(), pj.Rays(jnp.zeros(3), jnp.ones((4, 3)))).primitive.tolist() == [-1] * 4
     )
+
+
+@pytest.mark.long
+def test_camera_stands_for_its_rays():
+    scene = pj.Scene(mesh=shapes.bumpy(1), spheres=pj.Spheres([[1.1, 0.9, 0.2]], [0.4]))
+    lens = pj.Lens([11.0, 7.0], aspect=1.1)
+    for given in (None, lens, pj.Lens([11.0, 7.0], distortion=pj.BrownConrady(k1=-0.1))):
+        camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 22, 18, given)
+        seen, traced = pj.trace(scene, camera), pj.trace(scene, pj.camera_rays(camera))
+        assert seen.t.shape == (18, 22)
+        assert {int(k) for k in np.unique(seen.primitive)} > {-1, 80}
+        np.testing.assert_array_equal(seen.primitive, traced.primitive)
+        np.testing.assert_allclose(seen.t, traced.t, rtol=1e-13)
+        np.testing.assert_array_equal(pj.occluded(scene, camera), np.isfinite(seen.t))
+
+
+@pytest.mark.long
+def test_many_cameras_and_many_shapes_by_vmap():
+    mesh = shapes.bumpy(1)
+    eyes = jnp.array([[0.3, 1.0, 5.0], [2.0, 1.0, 3.0], [0.1, 0.1, 0.2]])
+    sizes = jnp.array([1.0, 0.7, 1.2])
+
+    def image(eye, size):
+        scene = pj.Scene(mesh=eqx.tree_at(lambda m: m.vertices, mesh, size * mesh.vertices))
+        camera = pj.Camera(eye, [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 22, 18)
+        return pj.depth(camera, scene)
+
+    alone = jax.jit(image)
+    one_by_one = jnp.stack([alone(e, s) for e, s in zip(eyes, sizes, strict=True)])
+    np.testing.assert_allclose(jax.jit(jax.vmap(image))(eyes, sizes), one_by_one, rtol=1e-12)
+    of_one = jax.jit(jax.vmap(image, in_axes=(0, None)))(eyes, sizes[0])
+    np.testing.assert_allclose(of_one[0], one_by_one[0], rtol=1e-12)
+
+
+@pytest.mark.long
+def test_traced_camera_that_is_none_hits_nothing():
+    """While it is traced nobody can refuse it: no endless work, no hit, no NaN."""
+    scene = pj.Scene(mesh=shapes.bumpy(1))
+    e = jnp.array([0.3, 1.0, 5.0])
+
+    def image(p, u):
+        return pj.depth(pj.Camera(e, p, u, 0.6, 1.0, 22, 18), scene)
+
+    p, u = jnp.stack([e, jnp.zeros(3)]), jnp.stack([jnp.array([0.0, 1, 0]), e])
+    assert np.all(np.isposinf(jax.jit(jax.vmap(image))(p, u)))
+
+
+def test_unknown_search_is_refused():
+    scene, rays = pj.Scene(mesh=shapes.bumpy(1)), pj.Rays(jnp.zeros(3), jnp.ones(3))
+    for function in (pj.trace, pj.occluded):
+        with pytest.raises(ValueError, match=r"`search`: expected 'tree', got 'embree'; .*removed"):
+            function(scene, rays, search="embree")

@@ -6,7 +6,13 @@ from pathlib import Path
 #: `PINHOLE_JAX_NATIVE=0` chooses JAX's own arrays in its place.
 SWITCH = "PINHOLE_JAX_NATIVE"
 #: The library's handlers, by the names that JAX calls them.
-HANDLERS = ("pinhole_image", "pinhole_image_push", "pinhole_image_pull", "pinhole_look")
+HANDLERS = (
+    "pinhole_image",
+    "pinhole_image_push",
+    "pinhole_image_pull",
+    "pinhole_look",
+    "pinhole_walk",
+)
 NAMES = ("libpinhole.so", "libpinhole.dylib", "pinhole.dll")
 
 

@@ -1,7 +1,10 @@
 // The calls that JAX makes (`jax.ffi`): a silhouette (`image`) of one view or a batch, its push and
-// pull, and a fit's `look`; and those that Python makes for the pixels of a look, by `ctypes`.
+// pull; a fit's `look`; what rays meet (`walk`). And those that Python makes for the pixels of a look,
+// by `ctypes`.
 #include "frames.h"
 #include "look.h"
+#include "trees.h"
+#include "walk.h"
 
 #ifdef _WIN32
 #define PINHOLE_HANDLER extern "C" __declspec(dllexport)
@@ -170,6 +173,29 @@ void take_look(XLA_FFI_CallFrame* frame) {
   std::copy(std::begin(sums), std::end(sums), data_of<Real>(result(frame, 1, 1), 0));
 }
 
+// --- what rays meet -------------------------------------------------------------------------------
+
+// Vertices (V, 3), faces (F, 3), centres (S, 3), radii (S); origins (N or 1, 3), directions (N, 3).
+constexpr int64_t kRaysOwn[6] = {2, 2, 2, 1, 2, 2};
+
+template <class Real>
+void walk_all(XLA_FFI_CallFrame* frame) {
+  Array given[6];
+  for (int k = 0; k < 6; ++k) given[k] = argument(frame, k, kRaysOwn[k]);
+  const Array out = result(frame, 0, 1);
+  const Batch batch(out);
+  const bool any = attribute(frame, "any") != 0;
+  for (int64_t member = 0; member < batch.size; ++member) {
+    int64_t entry[6];
+    for (int k = 0; k < 6; ++k) entry[k] = batch.entry(given[k], member);
+    const auto reals = [&](int k) { return data_of<Real>(given[k], entry[k]); };
+    const Targets<Real> targets{reals(0), data_of<int32_t>(given[1], entry[1]), reals(2), reals(3),
+                                given[0].length(0), given[1].length(0), given[2].length(0)};
+    const Rays<Real> rays{reals(4), given[4].length(0) == 1 ? 0 : 3, reals(5), out.size()};
+    walk(*kept_tree(targets), targets, rays, any, data_of<int32_t>(out, member));
+  }
+}
+
 bool is_single(const XLA_FFI_CallFrame* frame) { return argument(frame, 0, 1).single(); }
 
 }  // namespace
@@ -185,6 +211,7 @@ PINHOLE_CALL(pinhole_image, draw_images)
 PINHOLE_CALL(pinhole_image_push, push_all)
 PINHOLE_CALL(pinhole_image_pull, pull_all)
 PINHOLE_CALL(pinhole_look, take_look)
+PINHOLE_CALL(pinhole_walk, walk_all)
 
 // The pixels of a look, for Python: how many there are, then arrays of that length, once.
 PINHOLE_HANDLER void* pinhole_pixels(void* const* arguments, int64_t model, int64_t* number, uint8_t* before) {

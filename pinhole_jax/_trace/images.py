@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera, camera_basis
+from .._numerics.backend import for_this_machine
 from .._numerics.jitted import jitted
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, check_view
@@ -17,6 +18,7 @@ from .trace import Found, found, hits
 
 
 @collector_at_rest()
+@for_this_machine()
 def depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
     """Return how far ahead of the eye each pixel's ray first meets the scene: (H, W), row 0 on top.
 
@@ -36,6 +38,7 @@ def depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
 
 
 @collector_at_rest()
+@for_this_machine()
 def normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
     """Return the unit normal of what each pixel's ray first meets: (H, W, 3), row 0 on top.
 

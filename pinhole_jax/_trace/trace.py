@@ -1,36 +1,32 @@
 """`trace` and `occluded`: closest and any hit of arbitrary rays, and of a camera's own.
 
-Arbitrary rays search a tree; what a camera's meet is found by drawing (`raster`). Which primitive
-is hit is not differentiated; what is returned is worked out again from that one primitive, so
-derivatives flow to the ray and to the primitive exactly.
+Which primitive is hit is not differentiated; what is returned is worked out again from that one
+primitive, so derivatives flow to the ray and to the primitive exactly.
 """
 
-from collections.abc import Callable
+import math
 from functools import partial
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._camera.camera import Camera, check_camera
+from .._camera.camera import Camera, camera_basis, check_camera
 from .._camera.rays import Rays, camera_rays
+from .._native.library import is_available
+from .._native.walker import walked
+from .._numerics.backend import for_this_machine, is_for_cpus
 from .._numerics.jitted import jitted
 from .._numerics.later import on_each_device
 from .._numerics.pointwise import filled_up, may_be_filled_up, room
-from .._numerics.safe import binary_inverse, binary_scale, normalize
+from .._numerics.safe import binary_inverse, normalize
 from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Mesh, Scene, Spheres, astype
-from . import embree
-from .bvh import Tree, mesh_tree, sphere_tree
 from .components import Parts, largest, length, outer, parts, unit, whole
-from .cores import by_cores
+from .heap import first_met
 from .intersect import ray_plane, ray_sphere
-from .memo import can_memoise, memoised
-from .packets import first_met, in_packets, out_of_packets
-from .raster import first_seen, view_of
 
 
 class Hit(NamedTuple):
@@ -54,42 +50,40 @@ class Hit(NamedTuple):
 
 
 @collector_at_rest()
+@for_this_machine()
 def trace(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Hit:
     """Return the closest hit of each ray with the scene's triangles (both sides) and spheres.
 
     Differentiable in the rays and in the scene, where the hit primitive stays the same. Watertight:
     no ray passes between two faces that share an edge. `t` counts in lengths of the direction.
-    Many rays are shared out to all cores of a CPU where nothing is traced, not within `jit`.
     A ray from inside a sphere meets its far wall, one that touches it meets it there: then the
     derivative leaves out the infinite part. A miss has derivative 0.
 
-    A camera in place of rays stands for `camera_rays(camera)`, shape (H, W): the same hits, several
-    times as fast, as the faces of an image from one point need not be searched for. (Where it makes
-    no camera, while it is traced, no face is met. Distorted ones are as fast as their rays.)
+    A camera in place of rays stands for `camera_rays(camera)`, shape (H, W). (Where it makes no
+    camera, while it is traced, nothing is met.)
 
     A unit of length changes nothing: sizes may be anything whose distances are finite numbers. Less
     than 1e-18 of the scene's largest coordinate (float32; 1e-153 in float64) is not seen. A ray
     that is not finite, or without a direction, misses.
 
-    `search="embree"` has Embree (`pip install 'pinhole-jax[embree]'`) find the faces, several times
-    as fast for arbitrary rays. Rays that pass an edge so near that float32 cannot tell are searched
-    for in the tree again, so hits are the same, but for two cases: of faces that share no edge and
-    lie over one another within some 1e-6 of the scene's size the second may be hit, that much
-    further; a sliver seen from its side may be missed. Spheres are searched for as before, and all
-    derivatives are the same.
+    On a CPU a compiled library searches a tree in float64, on all cores where rays are many. It
+    keeps the trees of the last four scenes; they are known by what their arrays hold. Elsewhere,
+    and where the library was not built, arrays search in the rays' own float type.
 
-    Raises ValueError for another `search`, ImportError where embreex is not installed.
+    Raises ValueError for another `search` than "tree" ("embree" was removed).
 
     ```python
     hit = pj.trace(scene, pj.camera_rays(camera))
     hit.t.shape
     ```
     """
+    _check_search(search)
     given, number = _with_room(scene, rays)
-    return _first(number, hits(scene, found(scene, given, search)))
+    return _first(number, hits(scene, found(scene, given)))
 
 
 @collector_at_rest()
+@for_this_machine()
 def occluded(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Bool[Array, "*batch"]:
     """Return whether each ray, or each ray of a camera, meets anything at all.
 
@@ -99,39 +93,35 @@ def occluded(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Bool
     shadow = pj.occluded(scene, pj.camera_rays(camera))  # any hit, bool
     ```
     """
+    _check_search(search)
     given, number = _with_room(scene, rays)
-    _, face, sphere = found(scene, given, search)
-    return _first(number, (face >= 0) | (sphere >= 0))
+    return _first(number, found(scene, given, any_hit=True).primitive >= 0)
+
+
+def _check_search(search: Any) -> None:
+    if search != "tree":
+        raise ValueError(
+            f"`search`: expected 'tree', got {search!r}; 'embree' was removed, as the tree is about"
+            " as fast now: leave `search` out"
+        )
 
 
 class Found(NamedTuple):
-    """Rays, and the indices of the face and of the sphere that each meets first; -1 for none."""
+    """Rays, and what each meets first: the face's index, or F + the sphere's; -1 for nothing."""
 
     rays: Rays
-    face: Int[Array, "*batch"]
-    sphere: Int[Array, "*batch"]
+    primitive: Int[Array, "*batch"]
 
 
-def found(scene: Any, rays: Any, search: Any = "tree") -> Found:
-    """Return what rays, or a camera's, meet first; of an undistorted one's faces by drawing."""
+def found(scene: Any, rays: Any, any_hit: bool = False) -> Found:
+    """What rays, or a camera's, meet first; of `any_hit` anything that they meet."""
     if not (isinstance(scene, Scene) and isinstance(rays, Rays | Camera)):
         kinds = f"{type(scene).__name__}, {type(rays).__name__}"
         raise ValueError(f"`scene`, `rays`: expected a Scene and Rays or a Camera, got {kinds}")
-    if search not in ("tree", "embree"):
-        raise ValueError(f"`search`: expected 'tree' or 'embree', got {search!r}")
-    if search == "embree":
-        embree.check_installed()
-    if isinstance(rays, Camera):
-        check_camera(rays, "rays")
-        distorted = rays.lens is not None and rays.lens.distortion is not None
-        if search == "tree" and not distorted:
-            return _find(scene, None, camera_rays(rays), rays)
-        rays = camera_rays(rays)
-    scene, trees = _searchable(scene, rays, search)
-    if search == "embree" or trees is None:
-        return _find(scene, trees, rays, None, search)
-    primitives = lambda trees, some: _find(None, trees, some, None)[1:]
-    return Found(rays, *by_cores(primitives, trees, rays))
+    if isinstance(rays, Rays):
+        return _find(scene, rays, None, any_hit)
+    check_camera(rays, "rays")
+    return _find(scene, camera_rays(rays), rays, any_hit)
 
 
 def _with_room(scene: Any, rays: Any) -> tuple[Any, int | None]:
@@ -155,122 +145,38 @@ def _first(number: int | None, found: Any) -> Any:
     return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[:number], x.dtype), found)
 
 
-class Trees(NamedTuple):
-    """Trees over a scene's faces and spheres, in a unit of length about the scene's size.
+@jitted
+def _find(scene: Scene, rays: Rays, camera: Camera | None, any_hit: bool) -> Found:
+    """What rays meet first, and the camera that they are of; not differentiated.
 
-    World lengths times `scale`, a power of 2, are lengths in this unit. `faces` are what Embree is
-    asked about, if it is.
+    A program of its own: `trace`, `occluded`, `depth` and `normals` share it.
     """
-
-    mesh: Tree | None
-    spheres: Tree | None
-    scale: Float[Array, ""]
-    faces: embree.Faces | None = None
-
-
-def _searchable(scene: Scene, rays: Rays, search: str) -> tuple[Any, Trees | None]:
-    """Return the scene's trees, made once per scene, or a traced scene itself."""
-    mesh, spheres = scene.mesh, scene.spheres
-    arrays = [] if mesh is None else [mesh.vertices, mesh.faces, mesh.order]
-    arrays += [] if spheres is None else [spheres.centers, spheres.radii]
-    if not (arrays and can_memoise(arrays)):
-        return scene, None
-    dtype = jnp.result_type(rays.direction)
-    trees = memoised(("trees", dtype, mesh is None), arrays, lambda: _trees_of(scene, dtype))
-    if search == "tree" or trees.mesh is None:
-        return None, trees
-    kind = ("embree", dtype, mesh is None)
-    faces, _ = memoised(kind, arrays, lambda: _held(_faces_of(scene, dtype)))
-    return None, trees._replace(faces=faces)
+    held = jax.lax.stop_gradient((astype(scene, rays.direction.dtype), rays))
+    met = _first_met(*held, any_hit)
+    if camera is not None:  # (where a traced one is none, no ray meets anything)
+        axes = jnp.stack(jax.lax.stop_gradient(camera_basis(camera)))
+        met = jnp.where(jnp.all(jnp.any(axes != 0, axis=1)), met, -1)
+    return Found(rays, met)
 
 
-def _held(faces: embree.Faces) -> tuple[embree.Faces, embree.Held]:
-    """Return faces that Embree holds, and what has to live as long."""
-    held = embree.Held(np.asarray(faces.vertices), np.asarray(faces.faces))
-    return faces._replace(held=jnp.int32(held.number)), held
-
-
-@jitted
-def _trees_of(scene: Scene, dtype: Any) -> Trees:
-    """Return the trees of a scene for rays of a float type."""
-    # Exact, and then the products of coordinates neither overflow nor vanish.
-    scene, scale = _to_unit_size(astype(jax.lax.stop_gradient(scene), dtype))
-    return _trees(scene, scale)
-
-
-@jitted
-def _faces_of(scene: Scene, dtype: Any) -> embree.Faces:
-    """Return the faces in the trees' unit, which Embree does not hold yet."""
-    scene, _ = _to_unit_size(astype(jax.lax.stop_gradient(scene), dtype))
-    return _faces(scene)
-
-
-def _faces(scene: Any) -> embree.Faces:
-    return embree.Faces(scene.mesh.vertices, scene.mesh.faces, jnp.int32(-1))
-
-
-def _trees(scene: Scene, scale: Float[Array, ""]) -> Trees:
-    mesh, spheres = scene.mesh, scene.spheres
-    of_mesh = None if mesh is None or not mesh.faces.shape[0] else mesh_tree(mesh)
-    of_spheres = None if spheres is None or not spheres.radii.shape[0] else sphere_tree(spheres)
-    return Trees(of_mesh, of_spheres, scale)
-
-
-@jitted
-def _find(scene: Any, trees: Trees | None, given: Rays, camera: Any, search: str = "tree") -> Found:
-    """Return what rays meet first, with the camera that they are of; not differentiated.
-
-    Give the scene or its trees. A program of its own: `trace`, `occluded`, `depth` and `normals`
-    share it.
-    """
-    held = jax.lax.stop_gradient((scene, trees, given, camera))
-    return Found(given, *on_each_device(partial(_first_of, search), *held))
-
-
-def _first_of(
-    search: str, scene: Any, trees: Trees | None, rays: Rays, camera: Any
-) -> tuple[Int[Array, "*batch"], Int[Array, "*batch"]]:
-    """Return the indices of the face and of the sphere that each ray meets first."""
-    mesh = None
-    if trees is None:
-        scene, scale = _to_unit_size(astype(scene, rays.direction.dtype))
-        mesh = scene.mesh if camera is not None else None
-        drawn = scene if camera is None else Scene(spheres=scene.spheres)
-        trees = _trees(drawn, scale)
-        if search == "embree" and trees.mesh is not None:
-            trees = trees._replace(faces=_faces(scene))
-    shape = jnp.broadcast_shapes(rays.origin.shape, rays.direction.shape)[:-1]
-    direction = [jnp.broadcast_to(x, shape) for x in _of_size_one(parts(rays.direction))]
-    origin = parts(rays.origin * trees.scale)
-    face = sphere = jnp.full(shape, -1, jnp.int32)
-    if camera is not None and mesh is not None and mesh.faces.shape[0]:
-        eye, film = jnp.stack(origin), view_of(camera)
-        face = first_seen(mesh.vertices, mesh.faces, film, eye, direction)
-    if trees.faces is not None:
-        ask = partial(embree.first_met, trees.mesh, trees.faces)
-        face = _search(ask, origin, direction, shape)
-    elif trees.mesh is not None:
-        face = _search(partial(first_met, trees.mesh), origin, direction, shape)
-    if trees.spheres is not None:
-        sphere = _search(partial(first_met, trees.spheres), origin, direction, shape)
-    return face, sphere
-
-
-def _of_size_one(direction: Parts) -> Parts:
-    """Return directions of about unit length, without rounding."""
-    size = binary_inverse(largest(direction))
-    return [x * size for x in direction]
-
-
-def _to_unit_size(scene: Scene) -> tuple[Scene, Float[Array, ""]]:
-    """Return the scene in a unit of length about its largest coordinate's size, and the factor."""
-    where = lambda s: [
-        *([] if s.mesh is None else [s.mesh.vertices]),
-        *([] if s.spheres is None else [s.spheres.centers, s.spheres.radii]),
-    ]
-    sizes = [jnp.max(jnp.abs(x), initial=0) for x in where(scene)]
-    scale = binary_scale(jnp.stack(sizes)) if sizes else jnp.ones(())
-    return eqx.tree_at(where, scene, [x * scale for x in where(scene)]), scale
+def _first_met(scene: Scene, rays: Rays, any_hit: bool) -> Int[Array, "*batch"]:
+    """The one seam: on CPUs by the library, where there is one, else by arrays."""
+    shape = jnp.broadcast_shapes(rays.origin.shape, rays.direction.shape)
+    nothing = scene.mesh is None and scene.spheres is None
+    if nothing or not math.prod(shape):
+        return jnp.full(shape[:-1], -1, jnp.int32)
+    shared = rays.origin.ndim == 1
+    origin = rays.origin if shared else jnp.broadcast_to(rays.origin, shape)
+    given = scene, origin.reshape(-1, 3), jnp.broadcast_to(rays.direction, shape).reshape(-1, 3)
+    native = partial(walked, any_hit=any_hit)
+    if not is_available():
+        met = on_each_device(first_met, *given)
+    elif is_for_cpus():
+        met = native(*given)
+    else:
+        choose = partial(jax.lax.platform_dependent, cpu=native, default=first_met)
+        met = on_each_device(choose, *given)
+    return met.reshape(shape[:-1])
 
 
 @jitted
@@ -282,24 +188,18 @@ def hits(scene: Scene, met: Found) -> Hit:
     flat = lambda x: jnp.broadcast_to(x, shape).reshape(-1)
     origin, along = ([flat(x) for x in parts(v)] for v in rays)
     direction, step = unit(along), length(along)
-    face, sphere = met.face.reshape(-1), met.sphere.reshape(-1)
-    hit, first = _miss(step), 0
+    which, first = met.primitive.reshape(-1), 0
+    hit = _miss(step)
     if scene.mesh is not None and scene.mesh.faces.shape[0]:
-        hit, first = _meet_face(scene.mesh, origin, direction, face), scene.mesh.faces.shape[0]
+        first = scene.mesh.faces.shape[0]
+        hit = _meet_face(scene.mesh, origin, direction, jnp.where(which < first, which, -1))
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
         ray = Rays(whole(origin), whole(direction))
-        hit = _nearer(hit, _meet_sphere(scene.spheres, ray, sphere, first))
+        sphere = _meet_sphere(scene.spheres, ray, which - first, first)
+        hit = _choose(which >= first, sphere, hit)
     far = jnp.isinf(hit.t)
     hit = hit._replace(t=jnp.where(far, jnp.inf, jnp.where(far, 0, hit.t) / step))
     return jax.tree.map(lambda x: x.reshape(shape + x.shape[1:]), hit)
-
-
-def _search(
-    first: Callable, origin: Parts, direction: Parts, shape: tuple[int, ...]
-) -> Int[Array, "*batch"]:
-    """Return the index of what each ray meets first; images are searched tile by tile."""
-    ordered = lambda vector: whole([in_packets(jnp.broadcast_to(x, shape)) for x in vector])
-    return out_of_packets(first(ordered(origin), ordered(direction)), shape)
 
 
 def _miss(like: Float[Array, "N"]) -> Hit:
@@ -341,11 +241,6 @@ def _meet_sphere(spheres: Spheres, rays: Rays, sphere: Int[Array, "N"], first: i
     normal = normalize(finite[:, None] * rays.direction - center)
     hit = Hit(finite / scale, first + sphere, barycentric, normal)
     return _choose(met, hit, _miss(far))
-
-
-def _nearer(a: Hit, b: Hit) -> Hit:
-    """Return the hit that comes first; of two at the same distance, a."""
-    return _choose(b.t < a.t, b, a)
 
 
 def _choose(where: Bool[Array, "N"], a: Hit, b: Hit) -> Hit:

@@ -1,0 +1,33 @@
+"""What rays meet, by the compiled library."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._numerics.later import on_each_device
+from .._scene.scene import Scene
+
+
+def walked(
+    scene: Scene,
+    origin: Float[Array, "m 3"],
+    direction: Float[Array, "N 3"],
+    *,
+    any_hit: bool = False,
+) -> Int[Array, "N"]:
+    """The face that each ray meets first, or F + the sphere; -1 for none.
+
+    All are of one float type, and rays have an origin each or one in common. `any_hit` stops at
+    anything that a ray meets.
+    """
+    real, mesh, spheres = direction.dtype, scene.mesh, scene.spheres
+    points = jnp.zeros((0, 3), real)
+    vertices, faces = (points, points) if mesh is None else (mesh.vertices, mesh.faces)
+    centers, radii = (points, points[:, 0]) if spheres is None else (spheres.centers, spheres.radii)
+    given = vertices, faces.astype(jnp.int32), centers, radii, origin, direction
+    like = jax.ShapeDtypeStruct(direction.shape[:1], jnp.int32)
+    call = jax.ffi.ffi_call("pinhole_walk", like, vmap_method="expand_dims")
+    return on_each_device(partial(call, any=np.int64(any_hit)), *given)

@@ -1,0 +1,173 @@
+"""What rays meet by arrays: on accelerators, where there is no library, and as tests' reference.
+
+Primitives in the order of a space-filling curve are leaves of a complete binary tree, in a row
+as a heap is: node n has the children 2n and 2n + 1. A ray visits it from left to right; where it
+misses a box goes on behind it, at a node whose number follows from n. So rays need no stack, and go
+side by side.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from .._numerics.safe import binary_inverse, binary_scale
+from .._scene.scene import Scene, morton_order
+from .components import Parts, parts
+from .intersect import sphere_depth, triangle_depth
+
+#: Rays side by side.
+BESIDE = 1 << 16
+
+
+class Tree(NamedTuple):
+    """Boxes by nodes (node 0 is none); the last half are leaves, of a primitive each.
+
+    - `data`: corners of faces, or centres.
+    - `radius`: of spheres; no entries of faces.
+    """
+
+    low: Float[Array, "nodes 3"]
+    high: Float[Array, "nodes 3"]
+    primitive: Int[Array, "leaves"]
+    data: Float[Array, "leaves points 3"]
+    radius: Float[Array, "leaves"] | None
+
+
+class Ray(NamedTuple):
+    """A ray, or many, and how it goes through boxes and beside primitives.
+
+    - `origin`: as it is.
+    - `scale`: how deep it goes, along its longest axis, while it passes a unit across each axis.
+    - `slack`: how much sooner or later a plane may be passed than is worked out.
+    - `axes`, `sign`: the longest axis is the last of these; the ray runs along it times the sign.
+    - `line`: origin and slopes, as primitives' tests take them.
+    - `real`: whether all this is finite.
+    """
+
+    origin: Float[Array, "*rays 3"]
+    scale: Float[Array, "*rays 3"]
+    slack: Float[Array, "*rays 3"]
+    axes: Int[Array, "*rays 3"]
+    sign: Float[Array, "*rays"]
+    line: Parts
+    real: Bool[Array, "*rays"]
+
+
+def first_met(
+    scene: Scene, origin: Float[Array, "m 3"], direction: Float[Array, "N 3"]
+) -> Int[Array, "N"]:
+    """The face that each ray meets first, or F + the sphere; -1 for none."""
+    scene, unit = _to_unit_size(scene)
+    rays = jax.vmap(_ray)(jnp.broadcast_to(origin * unit, direction.shape), direction)
+    depth, met = jnp.full(direction.shape[:1], jnp.inf, direction.dtype), jnp.int32(-1)
+    first = 0 if scene.mesh is None else scene.mesh.faces.shape[0]
+    for tree, number in ((_mesh_tree(scene), 0), (_sphere_tree(scene), first)):
+        if tree is not None:
+            walk = partial(_walk, tree)
+            here, which = jax.lax.map(walk, rays, batch_size=min(BESIDE, direction.shape[0]))
+            met = jnp.where(here < depth, number + which, met)
+            depth = jnp.minimum(here, depth)
+    return jnp.broadcast_to(met, depth.shape)
+
+
+def _to_unit_size(scene: Scene) -> tuple[Scene, Float[Array, ""]]:
+    """The scene in a unit of length about its largest coordinate's size, and the factor."""
+    where = lambda s: [
+        *([] if s.mesh is None else [s.mesh.vertices]),
+        *([] if s.spheres is None else [s.spheres.centers, s.spheres.radii]),
+    ]
+    sizes = [jnp.max(jnp.abs(x), initial=0) for x in where(scene)]
+    scale = binary_scale(jnp.stack(sizes)) if sizes else jnp.ones(())
+    return eqx.tree_at(where, scene, [x * scale for x in where(scene)]), scale
+
+
+def _mesh_tree(scene: Scene) -> Tree | None:
+    mesh = scene.mesh
+    if mesh is None or not mesh.faces.shape[0]:
+        return None
+    corners = mesh.vertices[mesh.faces]
+    low, high = jnp.min(corners, axis=1), jnp.max(corners, axis=1)
+    return _tree(mesh.order, low, high, corners, None)
+
+
+def _sphere_tree(scene: Scene) -> Tree | None:
+    if scene.spheres is None or not scene.spheres.radii.shape[0]:
+        return None
+    centers, radii = scene.spheres.centers, scene.spheres.radii
+    size = radii[:, None]
+    return _tree(morton_order(centers), centers - size, centers + size, centers[:, None], radii)
+
+
+def _tree(order: Array, low: Array, high: Array, data: Array, radius: Array | None) -> Tree:
+    eps, extent = jnp.finfo(low.dtype).eps, jnp.max(high - low, axis=1, keepdims=True)
+    # Slivers are met up to the root of the rounding beside them: so much their test leaves open.
+    pad = 4 * eps * jnp.maximum(jnp.abs(low), jnp.abs(high)) + 16 * eps**0.5 * extent
+    real = jnp.all(jnp.isfinite(low) & jnp.isfinite(high), axis=1, keepdims=True)
+    low, high = jnp.where(real, low - pad, jnp.inf), jnp.where(real, high + pad, -jnp.inf)
+    empty = ((0, (1 << (order.shape[0] - 1).bit_length()) - order.shape[0]), (0, 0))
+    low = jnp.pad(low[order], empty, constant_values=jnp.inf)
+    high = jnp.pad(high[order], empty, constant_values=-jnp.inf)
+    lows, highs = [low], [high]
+    while low.shape[0] > 1:
+        low, high = jnp.minimum(low[::2], low[1::2]), jnp.maximum(high[::2], high[1::2])
+        lows, highs = [low, *lows], [high, *highs]
+    low, high = jnp.concatenate([low, *lows]), jnp.concatenate([high, *highs])
+    return Tree(low, high, order, data[order], None if radius is None else radius[order])
+
+
+def _ray(origin: Float[Array, "3"], direction: Float[Array, "3"]) -> Ray:
+    """A ray as it goes through a tree, whose lengths are about 1. The slack is some times the
+    rounding of the tests of boxes and primitives: what the latter find the former never hide."""
+    sizes = jnp.abs(direction)
+    direction = direction * binary_inverse(jnp.max(sizes))
+    axes = (jnp.argmax(sizes) + jnp.arange(1, 4)) % 3
+    along = direction[axes]
+    sign = jnp.where(along[2] < 0, -1, 1).astype(direction.dtype)
+    slope = direction / (along[2] * sign)
+    eps, reach = jnp.finfo(slope.dtype).eps, 4 + jnp.max(jnp.abs(origin))
+    size = jnp.maximum(jnp.abs(slope), eps)  # flatter ones go aside by less than the slack
+    scale = jnp.where(slope < 0, -1 / size, 1 / size)
+    slack = 16 * eps * reach * (1 + size) / size
+    x, y, z = parts(origin[axes])
+    line = [x, y, z * sign, *parts(slope[axes])[:2]]
+    real = jnp.all(jnp.isfinite(origin * scale + slack)) & jnp.all(jnp.isfinite(jnp.stack(line)))
+    return Ray(origin, scale, slack, axes, sign, line, real)
+
+
+def _walk(tree: Tree, ray: Ray) -> tuple[Float[Array, ""], Int[Array, ""]]:
+    """How deep a ray meets what it meets first (inf for nothing), and which that is."""
+    leaves, number = tree.low.shape[0] // 2, tree.primitive.shape[0]
+
+    def visit(state):
+        node, best, met = state
+        a = (tree.low[node] - ray.origin) * ray.scale
+        b = (tree.high[node] - ray.origin) * ray.scale
+        enter = jnp.max(jnp.minimum(a, b) - ray.slack)
+        leave = jnp.min(jnp.maximum(a, b) + ray.slack)
+        passes = (enter <= leave) & (leave >= 0) & (enter <= best)
+        slot = jnp.clip(node - leaves, 0, number - 1)
+        depth = jnp.where(passes & (node >= leaves), _depth(tree, ray, slot), jnp.inf)
+        which = tree.primitive[slot]
+        nearer = (depth < best) | ((depth == best) & (depth < jnp.inf) & (which < met))
+        # Behind a node: up as long as it is a right child, then to the right.
+        behind = node + 1
+        behind = behind >> jax.lax.population_count((behind & -behind) - 1)
+        behind = jnp.where(behind == 1, 0, behind)
+        node = jnp.where(passes & (node < leaves), 2 * node, behind)
+        return node, jnp.where(nearer, depth, best), jnp.where(nearer, which, met)
+
+    start = ray.real.astype(jnp.int32), jnp.array(jnp.inf, ray.sign.dtype), jnp.int32(-1)
+    return jax.lax.while_loop(lambda state: state[0] > 0, visit, start)[1:]
+
+
+def _depth(tree: Tree, ray: Ray, slot: Int[Array, ""]) -> Float[Array, ""]:
+    """How deep a ray meets a primitive; inf if it does not."""
+    x, y, z = parts(tree.data[slot][:, ray.axes])
+    points = jnp.stack([x, y, z * ray.sign], axis=1).reshape(-1)
+    if tree.radius is None:
+        return triangle_depth(ray.line, points)
+    return sphere_depth(ray.line, [*points, tree.radius[slot]])
