@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -20,6 +21,7 @@ import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io, shapes
 from pinhole_jax._camera.distortion import MODELS
 from pinhole_jax._command.arguments import VERBS, parse
+from pinhole_jax._command.fit import _mask
 from pinhole_jax._command.known import known, names_of
 from pinhole_jax._files.naming import named
 from pinhole_jax._files.process import set_up
@@ -414,6 +416,21 @@ def test_closed_pipe_is_silent():
     done = subprocess.run([sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE)
     os.close(writer)
     assert (done.returncode, done.stderr) == (command.PIPE, b"")
+
+
+def test_crumbs_go_and_are_told_unless_they_are_to_stay(folder):
+    mask = drawn(CAMERA, SCENE) > 0.5
+    crumbs = mask.copy()
+    crumbs[2, 2] = True
+    for asked, kept in (("", False), ("--no-tidy", True)):
+        io.save_image(folder / "crumbs.png", crumbs)
+        words = []
+        options = parse(["fit", "a.ply", str(folder / "crumbs.png"), *asked.split()])
+        found = _mask(options, SimpleNamespace(tell=words.append))
+        assert np.array_equal(found > 127, crumbs if kept else mask)
+        assert words == (
+            [] if kept else ["mask: 1 island of at most 1 px dropped (--no-tidy keeps them)"]
+        )
 
 
 def test_mesh_and_mask_exchanged_are_told(folder, capsys):

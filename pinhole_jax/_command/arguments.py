@@ -139,7 +139,8 @@ VERBS = {
         "Writes camera.json and overlay.png, prints parameters with their standard errors.\n"
         f"Photos that were taken sideways are turned upright as their EXIF data say.\n{TRUST}",
         "mesh mask --camera|--K|--fov --dist --pixel-centres --crop --resize --free --mask-from"
-        " --invert --tidy --weight --image --refine --report --verbose -o/--output --no-cache",
+        " --invert --tidy|--no-tidy --weight --image --refine --report --verbose -o/--output"
+        " --no-cache",
         "part.stl mask.png --fov 34 --free pose phi --report page.html",
         f"{STATUS}\n\n{MASKS}\n{FILES}",
     ),
@@ -179,7 +180,7 @@ VERBS = {
         " input.",
         "dataset -o/--output --workers --shard --resume --retry --time-limit --merge"
         " --write --start --models --detections --camera|--K|--fov --dist --pixel-centres --free"
-        " --mask-from --invert --tidy --verbose --no-cache",
+        " --mask-from --invert --tidy|--no-tidy --track --verbose --no-cache",
         "set.csv -o results --workers 4 --merge table.csv",
         f"{DATASETS}\n{MASKS}",
     ),
@@ -265,7 +266,12 @@ OPTIONS = {
     "--mask-from": ("HOW", "how to read masks, see below (default: at first sight)"),
     "batch --mask-from": ("HOW", "as in `fit`"),
     "--invert": ("", "what MASK covers is the background"),
-    "--tidy": ("", "drop MASK's crumbs, fill its pinholes"),
+    "--tidy": ("", "drop crumbs and fill holes of MASK up to 1/200 of the object (else 1/1000)"),
+    "--no-tidy": ("", "take MASK as it is, with its crumbs and pinholes"),
+    "--track": (
+        "",
+        "one after another, each from the camera of the one before (frames of a video)",
+    ),
     "--weight": ("IMAGE", "grey image: how much each pixel counts"),
     "--image": ("PHOTO", "what to draw the outline on (default: MASK)"),
     "--images": ("PHOTO", "what to draw the outlines on (default: MASKs)"),

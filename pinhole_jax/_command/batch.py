@@ -80,6 +80,7 @@ def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any
     with interrupts_raise(), _ended_as_interrupted():
         fit_many(
             data,
+            track=options.track,
             workers=options.workers,
             out=options.output,
             progress=on_step,
@@ -115,7 +116,7 @@ def _dataset(options: argparse.Namespace) -> Dataset:
         fov=options.fov,
         mask_from=options.mask_from,
         invert=options.invert or None,
-        tidy=options.tidy or None,
+        tidy=options.tidy or (False if options.no_tidy else None),
         **_intrinsics(options),
     )
 

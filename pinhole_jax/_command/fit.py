@@ -11,7 +11,7 @@ from .._files.naming import named
 from .._files.pictures import three_channels
 from .._files.progress import Clock, Ticker
 from ..plot import disagreement, overlay
-from .inputs import check_order, mask_of, photo_beside, scene_of
+from .inputs import check_order, mask_of, photo_beside, scene_of, tidied
 from .known import known, names_of
 from .outputs import check_outputs, replaced
 
@@ -74,10 +74,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
 
 def _mask(options: argparse.Namespace, progress: Ticker) -> np.ndarray:
     mask = mask_of(options.mask, options.mask_from, progress.tell, invert=options.invert)
-    if options.tidy:
-        mask, done = io.tidy_mask(mask)
-        progress.tell(f"mask: {'; '.join(done) or 'no crumbs, no pinholes'}")
-    return mask
+    return mask if options.no_tidy else tidied(mask, options.tidy, progress.tell)
 
 
 def _beside(options: argparse.Namespace, mask: np.ndarray) -> tuple[Any, np.ndarray]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from .. import Scene, io
 from .._files.naming import named, renamed
+from ..batch.records import DEFAULTS
 
 #: The command's names of the arguments of `load_mesh` and `Mesh`.
 MESH = {"path": "MESH", "vertices": "MESH"}
@@ -27,6 +28,19 @@ def mask_of(
     """Return the mask of a file."""
     with named(path="MASK", mask_from="--mask-from"):
         return io.load_mask(path, mask_from, tell, invert=invert)
+
+
+def tidied(mask: np.ndarray, much: bool, tell: Callable[[str], Any]) -> np.ndarray:
+    """Return a mask without crumbs and pinholes; `much`, or what nobody means."""
+    if much:
+        mask, done = io.tidy_mask(mask)
+        tell(f"mask: {'; '.join(done) or 'no crumbs, no pinholes'}")
+        return mask
+    tidy, done = io.tidy_mask(mask, DEFAULTS["tidy"])
+    if done := [words for words in done if words.endswith(("dropped", "filled"))]:
+        tell(f"mask: {'; '.join(done)} (--no-tidy keeps them)")
+        return tidy
+    return mask
 
 
 def scene_of(path: str, tell: Callable[[str], Any]) -> Scene:

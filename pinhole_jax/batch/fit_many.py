@@ -13,6 +13,7 @@ from .engine import rows_of
 from .parts import Done, Results, Writer
 from .records import Record, check_id, plain_record, shard_of
 from .rows import NO_FIT, Row
+from .tracking import Tracking
 from .worker import TOKEN, Setup
 
 #: This many records at a time are sorted, so that a worker meets one mesh after another.
@@ -63,6 +64,7 @@ def fit_many(
     time_limit: float | None = TIME_LIMIT,
     cached: bool = True,
     retry: Collection[str] = (),
+    track: bool = False,
 ) -> Sequence[Row] | Results:
     """Return a row (`batch.COLUMNS`) for each record: a list in their order, or what is in `out`.
 
@@ -83,6 +85,8 @@ def fit_many(
     - `time_limit`: seconds that a record may take, compilation included; None: no limit. (In an
       executor's workers it holds as soon as Python runs again; our own are ended.)
     - `retry`: rows of these statuses ("failed", "timed_out", "crashed", ...) are made anew.
+    - `track`: records are frames of one object: they are fitted in this process one after another,
+      each from the camera of the last one that converged.
 
     No record ends the rest: one that is bad input makes a row with the status "failed", one that
     takes too long "timed_out". A process that ends costs its record one more try, alone; then it
@@ -101,6 +105,10 @@ def fit_many(
     ```
     """
     _check(items, executor, workers, shard, time_limit, retry)
+    if track:
+        if executor is not None:
+            raise ValueError("`executor`: expected None beside `track`, got one")
+        executor, workers = Tracking(), 1
     results = None if out is None else Results(out)
     done = Done() if results is None else results.done(but=retry)
     total, before = _planned(items, shard, done)

@@ -87,9 +87,9 @@ def _mask(record: Record, said: list[str]) -> Any:
         else:
             image = pj.io.mask_of_rle(mask)
             image = 255 - image if invert else image
-    if asked(record, "tidy"):
-        image, done = pj.io.tidy_mask(image)
-        said += done
+    if speck := asked(record, "tidy"):
+        image, done = pj.io.tidy_mask(image, *([] if speck is True else [speck]))
+        said += [x for x in done if speck is True or x.endswith(("dropped", "filled"))]
     return image
 
 

@@ -23,7 +23,7 @@ FIELDS = {
     "free": 'what to fit (default: "pose")',
     "mask_from": "how to read the mask, as `io.load_mask` has it",
     "invert": "true: what the mask covers is the background",
-    "tidy": "true: the mask's crumbs are dropped",
+    "tidy": "share of the object below which crumbs and holes go (default 1e-3); true: 5e-3",
     "weight": "path of a grey image: how much each pixel counts",
     "photo": "path of the photo, to refine the camera on",
     "outlier_px": "as in `fit_camera`; null: none",
@@ -33,12 +33,14 @@ FIELDS = {
 }
 #: Fields that name files.
 PATHS = ("mesh", "mask", "camera", "weight", "photo")
+#: (Crumbs and pinholes below this share of the object are no parts that anybody models.)
+SPECK = 1e-3
 #: The values of fields that a record does not have.
 DEFAULTS: dict[str, Any] = {
     "free": "pose",
     "pixel_centres": "integer",
     "invert": False,
-    "tidy": False,
+    "tidy": SPECK,
 }
 
 
@@ -55,7 +57,8 @@ def check_record(record: Any) -> dict[str, Any]:
     if missing := {"mesh", "mask"} - plain.keys():
         raise ValueError(f"`item`: expected `mesh` and `mask`, got no {' and no '.join(missing)}")
     for name in {"invert", "tidy"} & plain.keys():
-        if not isinstance(plain[name], bool):
+        share = name == "tidy" and isinstance(plain[name], float)  # below which specks go
+        if not (isinstance(plain[name], bool) or share):
             raise ValueError(f"`{name}`: expected true or false, got {plain[name]!r}")
     try:
         json.dumps(plain, allow_nan=False)
