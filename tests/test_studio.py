@@ -562,6 +562,8 @@ def test_field_of_view_that_nobody_gives_is_free_and_named(subject, tmp_path, ma
     told = do(bench, "hello")
     assert told["free"] == ["pose", "phi"]
     assert told["view"]["phi_is_assumed"]
+    assert told["view"]["upright"] == "y"
+    assert do(bench, "stand", up="z")["upright"] == "z"
     given = subject_of(subject.mesh, subject.photo, phi=0.6)
     assert given.phi == pytest.approx(0.6)
     told = do(Bench(given, tmp_path), "hello")

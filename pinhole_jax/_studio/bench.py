@@ -129,6 +129,7 @@ class Bench:
             "grid": grid_lines(camera) if self._straight else [],
             "lines": straight_lines(camera, self.lines),
             "is_fit": self.result is not None and camera is self.result.camera,
+            "upright": hand.upright(camera),
             "phi_is_assumed": self._phi_from() == "assumed",
         }
 

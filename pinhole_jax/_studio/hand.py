@@ -70,6 +70,13 @@ def framed(camera: Camera, ball: Ball, up: str = "y") -> Camera:
     return camera.replace(e=eye, p=ball.centre, u=upwards)
 
 
+def upright(camera: Camera) -> str | None:
+    """Return the axis x, y or z that a camera was framed upright along, None after turns."""
+    up = np.asarray(camera.u, float)
+    along = (axis for axis, (upwards, _) in UPRIGHT.items() if np.array_equal(up, upwards))
+    return next(along, None)
+
+
 def _far(camera: Camera, ball: Ball) -> float:
     """Return how far from the eye a ball takes its room of the picture."""
     half = np.arctan(ROOM * min(camera.W, camera.H) / 2 / focal_px(camera)[1])

@@ -176,6 +176,7 @@ function show(view) {
   const c = view.camera;
   set("phi", c.phi_degrees);
   $("assumed").hidden = !view.phi_is_assumed;
+  for (const button of document.querySelectorAll("[data-up]")) button.classList.toggle("on", button.dataset.up === view.upright);
   set("k1", c.distortion.k1 || 0);
   set("k2", c.distortion.k2 || 0);
   set("principal_x", c.principal[0]);
@@ -369,6 +370,7 @@ function list(id, lines) {
 function showFit(fit) {
   studio.fit = fit;
   $("result").hidden = !fit;
+  $("unfitted").hidden = !!fit;
   if (!fit) return;
   $("status").className = fit.status;
   $("status").innerHTML = "<b></b><span></span>";
