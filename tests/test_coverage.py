@@ -5,43 +5,34 @@ import pytest
 import shapely
 from oracles import area_per_pixel
 
-from pinhole_jax._silhouette.coverage import monotone, piece_counts, split
-from pinhole_jax._silhouette.curves import Arcs, Segments
-from pinhole_jax._silhouette.marks import winding_jumps
-from pinhole_jax._silhouette.spheres import _monotone_stretches
+from pinhole_jax._silhouette.conics import arc_end, frame_of
+from pinhole_jax._silhouette.contour import Contour
+from pinhole_jax._silhouette.pieces import fold_pieces
+from pinhole_jax._silhouette.pixels import drawn
+from pinhole_jax._silhouette.spheres import shown_arcs
 
 W, H = 7, 5
 
 
+def contour(tail, head, frames=None) -> Contour:
+    """Curves that are all seen; the last ones are arcs of frames, six to each."""
+    upto = jnp.arange(1, len(tail) + 1, dtype=jnp.int32)
+    return Contour(tail, head, jnp.ones(len(tail)), upto, None, None, frames, None, None)
+
+
 @jax.jit
-def pieces_of(curves):
-    m = monotone(curves)
-    upto = jnp.cumsum(piece_counts(m, W, H))
-    return split(m, upto, jnp.arange(128, dtype=jnp.int32), W, H, H)
+def image_of(curves):
+    return drawn(curves, (W, H), jnp.int32(0), False).coverage
 
 
 def rasterise(curves) -> np.ndarray:
-    """Sum the pieces as the library does, in plain numpy: (H, W), row 0 on top."""
-    pieces = pieces_of(curves)
-    image = np.zeros((H, W))
-    for row, column, height, area, valid in zip(
-        *(
-            np.asarray(x)
-            for x in (pieces.row, pieces.column, pieces.height, pieces.area, pieces.valid)
-        ),
-        strict=True,
-    ):
-        if valid:
-            assert 0 <= row < H
-            if 0 <= column < W:
-                image[row, column] += area
-            image[row, max(column + 1, 0) :] += height
-    return image[::-1]
+    """Layers, clamped: (H, W), row 0 on top."""
+    return np.asarray(image_of(curves)).reshape(H, W)[::-1]
 
 
-def polygon(points) -> Segments:
+def polygon(points) -> Contour:
     points = jnp.asarray(points, float)
-    return Segments(points, jnp.roll(points, -1, axis=0), jnp.ones(points.shape[0]))
+    return contour(points, jnp.roll(points, -1, axis=0))
 
 
 POLYGONS = {
@@ -74,7 +65,8 @@ def test_polygons_have_their_exact_area_in_each_pixel(name):
 
 def test_hole_is_a_contour_that_runs_backwards():
     outer, inner = [(0.5, 0.5), (6.5, 0.5), (6.5, 4.5), (0.5, 4.5)], [(2, 1), (3, 4), (5, 2)]
-    both = Segments(*(jnp.concatenate(x) for x in zip(polygon(outer), polygon(inner), strict=True)))
+    ends = zip(polygon(outer)[:2], polygon(inner)[:2], strict=True)
+    both = contour(*(jnp.concatenate(x) for x in ends))
     expected = area_per_pixel(shapely.Polygon(outer, [inner]), W, H)
     np.testing.assert_allclose(rasterise(both), expected, atol=1e-13)
 
@@ -95,8 +87,10 @@ ELLIPSES = {
 def test_ellipses_have_their_exact_area_in_each_pixel(name):
     centre, (l11, l21, l22) = ELLIPSES[name]
     frame = jnp.array([[*centre, 1], [l11, l21, 0], [0, l22, 0]], float)[None]
-    start, end = (w[:, 0] for w in jax.jit(_monotone_stretches)(frame))
-    arcs = Arcs(jnp.tile(frame, (6, 1, 1)), start, end, jnp.ones(6))
+    start, end, weight = shown_arcs(frame, jnp.ones(1, bool))
+    frames = frame_of(jnp.tile(frame, (6, 1, 1)))
+    tail, head = (jnp.stack(arc_end(frames, *x), -1) for x in ((start, 1), (end, -1)))
+    arcs = contour(tail, head, frame)._replace(weight=weight)
     n = 200_000
     angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
     points = np.array([[l11, 0], [l21, l22]]) @ [np.cos(angle), np.sin(angle)]
@@ -115,49 +109,29 @@ def test_curve_enters_a_row_once_next_to_a_pixel_corner():
     way = random.uniform(-1, 1, (512, 2)) * [1, 0.3]
     below, above = random.uniform(1, 40, (2, 512, 1))
     a, b = (jnp.asarray(x, jnp.float32) for x in (corner - below * way, corner + above * way))
+    ids, room = jnp.arange(512, dtype=jnp.int32), 1 << 15
 
     @jax.jit
     def found(curves):
-        m = monotone(curves)
-        upto = jnp.cumsum(piece_counts(m, size, size))
-        slots = jnp.arange(1 << 16, dtype=jnp.int32)
-        pieces = split(m, upto, slots, size, size, size)
-        return m, pieces, winding_jumps(pieces)
+        m = curves.monotone(ids)
 
-    m, pieces, turned = jax.tree.map(np.asarray, found(Segments(a, b, jnp.ones(512, jnp.float32))))
-    assert not pieces.valid[-1]
-    total = np.zeros((512, size))
-    np.add.at(total, (pieces.curve[pieces.valid], pieces.row[pieces.valid]), turned[pieces.valid])
-    row = np.arange(size)
-    crossed = (m.low[:, 1:] <= row) & (row < m.high[:, 1:])
-    np.testing.assert_array_equal(total, np.where(crossed, -m.rising[:, None], 0))
-    # The case is there: pieces that are not the first begin on the bottom, too.
-    assert np.any(pieces.valid & pieces.passes & ~pieces.first & (pieces.start[:, 1] == pieces.row))
+        def add(state, own, pieces):
+            used, table = state
+            slot = used + jnp.arange(len(pieces.row), dtype=jnp.int32)
+            put = lambda x, new: x.at[slot].set(new, mode="drop")
+            return used + len(slot), put(table, jnp.stack(some(pieces), axis=1))
 
+        some = lambda p: (p.curve, p.row, *(x.astype(jnp.int32) for x in (p.bottom, p.valid)))
+        start = jnp.int32(0), jnp.zeros((room, 4), jnp.int32)
+        return m, fold_pieces(ids, m, (size, size), add, start)[1]
 
-def test_pieces_in_a_band_of_rows_match_the_whole_film():
-    """To the last bit: winding numbers of the whole film are used with the pieces of a band."""
-    random = np.random.default_rng(3)
-    curves = Segments(
-        *(jnp.asarray(random.uniform(-1, 9, (40, 2))) for _ in range(2)), jnp.ones(40)
+    m, table = jax.tree.map(
+        np.asarray, found(contour(a, b)._replace(weight=jnp.ones(512, a.dtype)))
     )
-    bottom, top = 1, 4
-
-    @jax.jit
-    def pieces(low, high):
-        m = monotone(curves)
-        upto = jnp.cumsum(piece_counts(m, W, high, low))
-        return split(m, upto, jnp.arange(512, dtype=jnp.int32), W, high, H, low)
-
-    def rows(pieces, keep):
-        fields = [np.asarray(x) for x in pieces]
-        keep = keep & np.asarray(pieces.valid)
-        order = np.lexsort((fields[2][keep], fields[1][keep], fields[0][keep]))
-        return [x[keep][order] for x in fields]
-
-    whole, band = pieces(0, H), pieces(bottom, top)
-    row = np.asarray(whole.row)
-    inside = rows(whole, (row >= bottom) & (row < top))
-    assert len(inside[0]) > 50
-    for a, b in zip(inside, rows(band, True), strict=True):
-        np.testing.assert_array_equal(a, b)
+    curve, row, bottom, valid = table.T
+    assert not valid[-1]
+    total = np.zeros((512, size))
+    np.add.at(total, (curve, row), bottom * valid)
+    rows = np.arange(size)
+    crossed = (m.low[:, 1:] <= rows) & (rows < m.high[:, 1:])
+    np.testing.assert_array_equal(total, crossed)

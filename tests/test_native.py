@@ -5,16 +5,18 @@ import subprocess
 import sys
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chosen import long
 
 import pinhole_jax as pj
 from pinhole_jax._camera.camera import film_map
 from pinhole_jax._files.native_library import SWITCH
 from pinhole_jax._native import library, rasteriser as native
-from pinhole_jax._silhouette.silhouette import _in_arrays
+from pinhole_jax._silhouette.silhouette import in_arrays
 
 pytestmark = pytest.mark.skipif(not library.is_available(), reason="the library was not built")
 EYE = jnp.array([0.3, 0.8, 4.0])
@@ -45,11 +47,31 @@ def drawn(e, scene):
     return native.coverage(film_map(camera(e)), scene)
 
 
+@pytest.mark.parametrize("bends", [False, long(True)])
 @pytest.mark.parametrize("kind", SCENES)
-def test_coverage_is_that_by_arrays(kind):
-    scene, film = SCENES[kind](np.random.default_rng(3)), film_map(camera())
-    by_arrays = jax.jit(partial(_in_arrays, overlaps=True, stops=None))(film, scene)
-    np.testing.assert_allclose(native.coverage(film, scene), by_arrays, rtol=0, atol=5e-14)
+def test_coverage_and_derivatives_are_those_by_arrays(kind, bends):
+    """Forward and back, by the eye and by the scene."""
+    scene, random = SCENES[kind](np.random.default_rng(3)), np.random.default_rng(4)
+    lens = pj.Lens([12.5, 8.5], distortion=pj.BrownConrady(k1=-0.2, p1=0.01)) if bends else None
+    moving, held = eqx.partition((EYE, scene), eqx.is_inexact_array)
+    weights = jnp.asarray(random.normal(size=(18, 24)))
+    ways = jax.tree.map(lambda x: jnp.asarray(random.normal(size=x.shape)), moving)
+
+    def both_ways(draw):
+        def image(moving):
+            e, scene = eqx.combine(moving, held)
+            return draw(film_map(camera(e, lens=lens)), scene)
+
+        def at_once(moving):
+            pushed = jax.jvp(image, (moving,), (ways,))
+            return *pushed, jax.grad(lambda x: jnp.sum(weights * image(x)))(moving)
+
+        return jax.jit(at_once)(moving)
+
+    pairs = zip(*(jax.tree.leaves(both_ways(f)) for f in (native.coverage, in_arrays)), strict=True)
+    for number, (a, b) in enumerate(pairs):
+        tolerance = 5e-14 if number == 0 else 1e-10 * max(1, np.abs(b).max())
+        np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize("kind", SCENES)

@@ -10,14 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from chosen import first, full, long
+from chosen import first, full
 from oracles import mesh_coverage, mesh_polygons, sphere_polygons, union_per_pixel
 from slopes import both_ways
 
 import pinhole_jax as pj
 from pinhole_jax._scene.scene import with_vertices
-from pinhole_jax._silhouette import asked, in_turn, overlaps
-from pinhole_jax._silhouette.silhouette import _silhouette, _stops
+from pinhole_jax._silhouette import crowds
 
 pytestmark = pytest.mark.altered
 
@@ -216,40 +215,24 @@ def test_pixel_that_holds_everything_is_resolved():
     np.testing.assert_allclose(image, mesh_coverage(camera, vertices, faces), atol=1e-12)
 
 
-def resolve_side_by_side(monkeypatch):
-    """Let pixels be resolved as vectors, as on other machines."""
-    # (It needs no lists of curves, nor how much of what is visible is handed over at a time.)
-    beside = lambda *args: overlaps.fold_side_by_side(*args[:7])
-    for module in ("overlaps", "silhouette"):
-        monkeypatch.setattr(f"pinhole_jax._silhouette.{module}.fold_in_turn", beside)
-
-
-@pytest.fixture(params=["in turn", full("side by side")])
-def way(request, monkeypatch) -> int:
-    """Resolve pixels one after the other, as on a CPU, or as vectors, as elsewhere; return a number
-    of rows that is the way's own (what is compiled for one is not taken for the other)."""
-    if request.param == "in turn":
-        return 2
-    resolve_side_by_side(monkeypatch)
-    return 3
-
-
 @pytest.mark.long
 @pytest.mark.usefixtures("in_arrays")
-def test_crowded_cells_are_cut_until_they_are_resolved(way, monkeypatch):
-    monkeypatch.setattr(in_turn, "MANY", 6)
+@pytest.mark.parametrize(("few", "cells", "at_a_time"), [(6, 1024, 64), (6, 8, 4), (24, 64, 64)])
+def test_crowded_cells_are_cut_until_they_are_resolved(few, cells, at_a_time, monkeypatch):
+    for name, number in (("FEW", few), ("CELLS", cells), ("SWEPT", at_a_time)):
+        monkeypatch.setattr(crowds, name, number)
     vertices, faces = soup(60)
-    camera = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, W=4, H=way)
+    camera = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, W=4, H=3)
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
     expected = mesh_coverage(camera, vertices, faces)
-    np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-8)
+    np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-12)
+    jax.clear_caches()
     # Where the cutting ends early, what is left unresolved is bounded by the cells' size.
-    monkeypatch.setattr(overlaps, "LAST_FILM", {"float64": 1})
-    monkeypatch.setattr(overlaps, "LAST_CUT", {"float64": 1})
-    coarse = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, W=6, H=way)
-    image = pj.silhouette(coarse, scene)
-    error = np.abs(image - mesh_coverage(coarse, vertices, faces))
-    assert 1e-7 < np.max(error) < 0.5
+    monkeypatch.setattr(crowds, "FEW", 6)
+    monkeypatch.setattr(crowds, "DEPTH", {"float64": 1})
+    image = pj.silhouette(camera, scene)
+    jax.clear_caches()
+    assert 1e-7 < np.max(np.abs(image - expected)) < 0.5
 
 
 def rough(subdivisions, noise, seed=0):
@@ -284,27 +267,17 @@ def test_no_pixel_of_a_rough_mesh_is_wrong_in_float32():
 
 
 @pytest.mark.long
-def test_overlaps_beyond_capacity_are_resolved(way, monkeypatch):
-    monkeypatch.setattr(overlaps, "LEAST_CAPACITY", 64)
-    monkeypatch.setattr(overlaps, "IN_TURN", 64)
+@pytest.mark.usefixtures("in_arrays")
+def test_pieces_that_lists_lack_room_for_are_listed_later(monkeypatch):
+    monkeypatch.setattr(crowds, "LEAST_ROOM", 64)
+    monkeypatch.setattr(crowds, "PIECES_A_CURVE", 1)
     vertices, faces = soup(60)
     scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
     for distance in (30, 4):
-        camera = pj.Camera([0, 0, distance], [0, 0, 0], [0, 1, 0], 0.3, W=5, H=way)
+        camera = pj.Camera([0, 0, distance], [0, 0, 0], [0, 1, 0], 0.3, W=5, H=3)
         expected = mesh_coverage(camera, vertices, faces)
-        np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-8)
-
-
-@pytest.mark.long
-def test_corners_that_there_is_no_room_for_are_added_up(monkeypatch):
-    """The winding numbers at pixels' corners, of which so many words are kept."""
-    monkeypatch.setattr(asked, "CORNERS", 2)
+        np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-12)
     jax.clear_caches()
-    vertices, faces = rough(3, 0.6)
-    for camera in cameras(3):
-        expected = mesh_coverage(camera, vertices, faces)
-        image = pj.silhouette(camera, filled(vertices, faces))
-        np.testing.assert_allclose(image, expected, atol=1e-9)
 
 
 @pytest.mark.long
@@ -331,6 +304,7 @@ def test_hard_masks_of_an_open_mesh_converge_to_it():
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures("in_arrays")
 def test_convex_scene_compiles_without_overlaps():
     camera = next(cameras(1))
     ball = trimesh.creation.icosphere(2)
@@ -338,7 +312,6 @@ def test_convex_scene_compiles_without_overlaps():
     sphere = pj.Scene(spheres=pj.Spheres([[0.1, 0, 0]], [0.7]))
 
     def program(scene, **known):
-        # (A derivative's: a mask alone is traced where it is lowered.)
         at = lambda phi: eqx.tree_at(lambda c: c.phi, camera, phi)
         total = lambda phi: jnp.sum(pj.silhouette(at(phi), scene, **known))
         return str(jax.make_jaxpr(jax.grad(total))(camera.phi))
@@ -346,12 +319,6 @@ def test_convex_scene_compiles_without_overlaps():
     loops = lambda scene, **known: program(scene, **known).count("while[")
     assert loops(convex) > loops(convex, overlaps=False)
     assert loops(sphere) == loops(sphere, overlaps=False)
-    if jax.default_backend() == "cpu":  # then nothing is traced for other machines
-        assert "platform_index" not in program(convex)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(jax, "default_backend", lambda: "gpu")
-            jax.clear_caches()
-            assert "platform_index" in program(convex)
     expected = mesh_coverage(camera, ball.vertices, ball.faces)
     image = pj.silhouette(camera, convex, overlaps=False)
     np.testing.assert_allclose(image, expected, atol=1e-9)
@@ -384,16 +351,11 @@ def leaves(moving):
     )
 
 
-def image_of(mixed, x, stops):
-    moved = eqx.tree_at(leaves, mixed, x)
-    return pj.silhouette(*moved) if stops is None else _silhouette(*moved, True, stops)
-
-
 @jax.jit
-def pushed_and_pulled(mixed, directions, weight, stops=None):
+def pushed_and_pulled(mixed, directions, weight):
     """Return the image, its derivative along directions of all leaves, and those of its weighted
     sum by all leaves: one program for all."""
-    image = lambda x: image_of(mixed, x, stops)
+    image = lambda x: pj.silhouette(*eqx.tree_at(leaves, mixed, x))
     return both_ways(image, leaves(mixed), directions, weight)
 
 
@@ -427,106 +389,3 @@ def test_derivatives_of_a_union_equal_central_differences_of_the_oracle(mixed):
         # averages that out.
         np.testing.assert_allclose(column, expected, atol=2e-5 * scale)
         np.testing.assert_allclose(slope, np.sum(weight * expected), rtol=1e-5)
-
-
-def slivers(number=300):
-    random = np.random.default_rng(6)
-    middle, along, across = (
-        random.uniform(-1, 1, (number, 1, 3)),
-        *random.normal(size=(2, number, 1, 3)),
-    )
-    corners = np.concatenate([middle - along, middle + along, middle + 0.02 * across], axis=1)
-    return corners.reshape(-1, 3), np.arange(3 * number).reshape(-1, 3)
-
-
-@pytest.mark.usefixtures("in_arrays")
-@pytest.mark.parametrize(
-    "make", first(0, [noisy_sphere, crowd, slivers, lambda: rough(4, 1.2)], of=3)
-)
-def test_mask_errs_by_its_tolerance_at_most(make):
-    vertices, faces = make()
-    scene = filled(vertices, faces)
-    for camera in cameras(2):
-        expected = mesh_coverage(camera, vertices, faces)
-        for tolerance in (1 / 8, 0.03, 1 / 128):
-            error = np.abs(pj.silhouette(camera, scene, tolerance=tolerance) - expected)
-            assert np.max(error) <= tolerance
-        assert np.max(error) > 1e-6  # lines were swept
-    tiny = pj.silhouette(camera, scene, tolerance=1e-9)
-    np.testing.assert_allclose(tiny, expected, atol=1e-9)
-
-
-@pytest.mark.long
-@pytest.mark.usefixtures("in_arrays")
-def test_cells_that_are_cut_err_by_the_tolerance_at_most():
-    vertices, faces = soup(60)
-    scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
-    for distance in (30, 15):
-        camera = pj.Camera([0, 0, distance], [0, 0, 0], [0, 1, 0], 0.3, W=3, H=3)
-        image = pj.silhouette(camera, scene, tolerance=1 / 32)
-        error = np.abs(image - mesh_coverage(camera, vertices, faces))
-        assert 1e-5 < np.max(error) <= 1 / 32
-
-
-@pytest.mark.full
-def test_spheres_and_their_derivative_err_by_the_tolerance(mixed):
-    """... of what a pixel's width of motion changes, where arcs and edges are swept by lines."""
-    step = jnp.array([0.1, 0.05, 0])  # the picture slides by a pixel, roughly
-    slide = step, step, *map(jnp.zeros_like, leaves(mixed)[2:])
-    weight = jnp.asarray(np.random.default_rng(1).normal(size=(mixed[0].H, mixed[0].W)))
-    exact, slope, _ = pushed_and_pulled(mixed, slide, weight)
-    for tolerance in (1 / 8, 1 / 32):
-        image, near, pulled = pushed_and_pulled(mixed, slide, weight, _stops(tolerance))
-        assert 0 < np.max(np.abs(image - exact)) <= tolerance
-        assert 0 < np.max(np.abs(near - slope)) <= 4 * tolerance
-        np.testing.assert_allclose(dot(pulled, slide), jnp.sum(weight * near), rtol=1e-9)
-
-
-def checker():
-    """Squares of a chess board of one colour, which meet at their corners."""
-    place = np.stack(np.meshgrid(*2 * [np.arange(8)], indexing="ij"), axis=-1).reshape(-1, 2)
-    place = place[place.sum(axis=1) % 2 == 0]
-    corner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    flat = ((place[:, None] + corner - 4) / 4).reshape(-1, 2)
-    faces = np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(len(place))[:, None, None]
-    return np.column_stack([flat, np.zeros(len(flat))]), faces.reshape(-1, 3)
-
-
-@pytest.fixture(scope="module")
-def board():
-    """Edges along the sides of pixels, and balls behind the eye."""
-    camera = pj.Camera([0, 0, 2], [0, 0, 0], [0, 1, 0], 2 * np.arctan(0.5), W=24, H=18)
-    return camera, with_balls(checker(), [[0.0, 0, 20], [0, 1, 20]])
-
-
-def told(several, board, stops):
-    """Return images and derivatives, of edges and arcs; and of edges along the sides of pixels,
-    whose lines are bounded by `stops`."""
-    random = np.random.default_rng(3)
-    weight = random.normal(size=(several[0].H, several[0].W))
-    directions = tuple(random.normal(size=x.shape) for x in leaves(several))
-    all_of_it, (image, _, gradient) = (
-        pushed_and_pulled(scene, directions, weight, stops) for scene in (several, board)
-    )
-    return all_of_it, image, gradient[4]
-
-
-@pytest.mark.parametrize(
-    ("balls", "stops"), [long(False, None), full(True, None), full(True, np.int32(16))]
-)
-def test_pixels_in_turn_equal_those_side_by_side(mixed, board, monkeypatch, balls, stops):
-    """(With balls it takes twice as long.)"""
-    scenes = [(c, s if balls else pj.Scene(mesh=s.mesh)) for c, s in (mixed, board)]
-    one = told(*scenes, stops)
-    resolve_side_by_side(monkeypatch)
-    jax.clear_caches()
-    other = told(*scenes, stops)
-    jax.clear_caches()
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-11 * max(1, np.abs(b).max()))
-
-
-@pytest.mark.parametrize("tolerance", [-0.1, 1.0, np.nan, np.inf])
-def test_bad_tolerance_is_refused(mixed, tolerance):
-    with pytest.raises(ValueError, match="`tolerance` must be at least 0"):
-        pj.silhouette(*mixed, tolerance=tolerance)

@@ -24,7 +24,7 @@ from pinhole_jax._scene.scene import (
     planes_are_current,
     with_or_without_border,
 )
-from pinhole_jax._silhouette.contour import contour_bits
+from pinhole_jax._silhouette.contour import contour_weights
 
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])  # counter-clockwise from outside
@@ -243,7 +243,7 @@ def test_padding_stale_planes_makes_them_anew():
 def test_planes_at_rest_are_not_checked_again():
     scene = at_rest(pj.Scene(mesh=shapes.bumpy(1)))
     assert bool(planes_are_current(scene.mesh))
-    program = jax.jit(contour_bits).lower(scene.mesh, jnp.array([1.0, 2, 3])).compile()
+    program = jax.jit(contour_weights).lower(scene.mesh, jnp.array([1.0, 2, 3])).compile()
     assert "conditional(" not in program.as_text()
     assert at_rest(pj.Scene()).mesh is None
 

@@ -165,14 +165,9 @@ def test_no_number_of_contour_edges_or_pieces_is_too_many(monkeypatch):
 
     (_, image), gradient = loss(camera)
     assert np.sum(np.abs(image - simple) > 1e-6) > 4
-    monkeypatch.setattr("pinhole_jax._silhouette.silhouette.CURVES_AT_A_TIME", 16)
-    monkeypatch.setattr("pinhole_jax._silhouette.overlaps.PIECES", 8)
-    # So many pieces are visible in overlapping pixels that these are resolved again.
-    monkeypatch.setattr("pinhole_jax._silhouette.overlaps.KEPT", 4)
-    monkeypatch.setattr("pinhole_jax._silhouette.overlaps.KEPT_AT_A_TIME", 2)
-    monkeypatch.setattr("pinhole_jax._silhouette.overlaps.SWEPT", {8: 32, 24: 2})
-    # What is visible in overlapping pixels needs several tables.
-    monkeypatch.setattr("pinhole_jax._silhouette.boundary.BLOCK", 64)
+    monkeypatch.setattr("pinhole_jax._silhouette.pixels.AT_A_TIME", 16)
+    monkeypatch.setattr("pinhole_jax._silhouette.pieces.AT_A_TIME", 8)
+    monkeypatch.setattr("pinhole_jax._silhouette.crowds.SWEPT", 2)
     jax.clear_caches()
     (_, image_again), again = loss(camera)
     np.testing.assert_allclose(image_again, image, atol=1e-13)

@@ -4,29 +4,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array
 
 from .._numerics.safe import safe_divide
-from .curves import Point, Segments
-
-
-def clipped(
-    homogeneous: Float[Array, "K 2 3"],
-    weight: Int[Array, "K"],
-    beside: Bool[Array, "K"],
-    bounds: list[Array],
-) -> Segments:
-    """Return edges as segments on the film, cut off at bounds (left, right, low, high) outside it.
-
-    Edges are clipped before the division by depth, so those that pass the eye or end behind it lose
-    no accuracy. What lies right of the film shows nowhere in it and is left out; what lies left of
-    it still bounds the rows: where `beside`, that is returned, as an upright segment on the left.
-    A cut end lies at exactly its bound. An edge that passes through the eye's x axis leaves for
-    infinity at the top (`surrounding` decides alike).
-    """
-    end = lambda k: Homogeneous(homogeneous[:, k, 0], homogeneous[:, k, 1], homogeneous[:, k, 2])
-    (a, b), weight = cut_off(end(0), end(1), weight, beside, bounds)
-    return Segments(jnp.stack(a, axis=-1), jnp.stack(b, axis=-1), weight)
+from .conics import Point
 
 
 class Homogeneous(NamedTuple):
@@ -49,7 +30,15 @@ class _Spot(NamedTuple):
 def cut_off(
     first: Homogeneous, last: Homogeneous, weight: Array, beside: Array, bounds: list[Array]
 ) -> tuple[tuple[Point, Point], Array]:
-    """Return the ends of what `clipped` does, and the weight, by components."""
+    """Where edges end on the film, cut off at bounds (left, right, low, high) outside it, and their
+    weights (0: not seen).
+
+    Edges are cut before the division by depth, so those that pass the eye or end behind it lose no
+    accuracy. What lies right of the film shows nowhere in it and is left out; what lies left of it
+    still bounds the rows: where `beside`, that is returned, as an upright on the left. A cut end
+    lies at exactly its bound. An edge that passes through the eye's x axis leaves for infinity at
+    the top (`surrounding` decides alike).
+    """
     left, right, low, high = bounds
     edge = first, last
     spots, none = _between_rows(edge, low, high)

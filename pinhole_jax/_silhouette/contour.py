@@ -1,404 +1,271 @@
-"""What a mask sees of a scene: the occluding contour, as curves on the film.
+"""The curves that bound what a film sees of a scene, and how they move with it.
 
 A closed mesh is seen as its front-facing triangles; they end where a front- meets a back-facing
 one. An open mesh shows both sides of each triangle, and its borders end it too. A sphere is seen
-as a conic. Every curve is cut into parts that are monotone in x and in y, which is all that the
-rasteriser asks of a curve.
+as a conic. Every curve is monotone in x and in y and has its covered side on its left.
 
-Direction: the covered side lies on the left of a curve (counter-clockwise around what it bounds).
-A scene may surround the eye: then its curves leave towards infinity, and `surrounding` tells how
-many layers lie there.
+All edges and all arcs of all conics are looked at side by side; those that are not seen have no
+parts. Through a lens that bends, a curve has so many straight parts that they follow its image.
 """
 
-import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Array, Float, Int
 
-from .._camera.film import FilmMap, film_points, scaled
-from .._numerics.batches import in_chunks
-from .._numerics.bitset import Selection, bit, following, nth, select, selection, words_of
-from .._numerics.one_kernel import for_both, on_cpu, put, rows
-from .._numerics.safe import binary_inverse, safe_divide
-from .._scene.planes import CLUSTER, Clusters, faces_eye, in_front, planes_of, undecided
-from .._scene.scene import Mesh, front_facing, is_closed, planes_are_current
-from .clip import Homogeneous, clipped, cut_off
-from .curves import Point, Segments
-from .distorted import (
-    Bending,
-    Cuts,
-    End,
-    along,
-    bending,
-    bent_parts,
-    cuts,
-    fraction,
-    moving_parts,
-)
-from .surrounding import reaches_left
+from .._camera.film import Bend, FilmMap, film_points
+from .._native.rasteriser import sphere_frames
+from .._numerics.running import running_sum
+from .._numerics.safe import binary_inverse, norm, safe_divide
+from .._scene.scene import Mesh, Scene, Spheres, front_facing, is_closed
+from .clip import Homogeneous, cut_off
+from .conics import arc_end, film_at, frame_of, homogeneous
+from .pieces import Arcs, Monotone
+from .spheres import ARCS_PER_SPHERE, Arc, arc_within, shown_arcs
 
-#: Clusters of edges looked at together.
-CLUSTERS = 256
+#: Straight parts stray from a bent curve by so much at most (px), and so many one may have.
+STRAY_PX, MOST_PARTS = 2e-4, 1 << 14
+#: Second derivatives between the points where they are looked at are taken to be larger by this.
+MARGIN = 1.3
+#: Stretches in which a curve's bending is looked at; of edges that are short on the film, two.
+STRETCHES, SHORT = 16, 1 / 16
 
 
-class MeshContour(NamedTuple):
-    """The contour edges of a mesh; `segments` ids for `edge_segments`.
+class Moving(NamedTuple):
+    """What curves move with: homogeneous film points of a mesh's vertices, spheres' outlines as
+    conics, and a lens; None is what a scene lacks."""
 
-    Under distortion edges are cut into parts (`cuts`), whose ids come before those of what lies
-    left of the film. `positive` has a bit for each edge, set where it bounds more cover on its left
-    than on its right; `second` is None for a closed mesh, else the edges' second faces; `closed`
-    tells what the compiler does not know.
-    """
-
-    edge_vertices: Int[Array, "E 2"]
-    second: Int[Array, "E"] | None
-    closed: Bool[Array, ""] | None
-    positive: UInt32[Array, "words"]
-    chosen: Selection
-    segments: Int[Array, ""]
-    cuts: Cuts | None = None
+    points: Float[Array, "V 3"] | None
+    frames: Float[Array, "S 3 3"] | None
+    bend: Bend | None
 
     @staticmethod
-    def of(mesh: Mesh, of_view: tuple) -> "MeshContour":
-        """Return the contour edges of a mesh in a view: see `of_view`."""
-        second = None if mesh.closed else mesh.edge_faces[:, 1]
-        closed = is_closed(mesh) if mesh.closed is None else None
-        return MeshContour(mesh.edge_vertices, second, closed, *of_view)
+    def of(film: FilmMap, scene: Scene) -> "Moving":
+        """What the curves of a scene move with."""
+        mesh, spheres = scene.mesh, scene.spheres
+        points = None if mesh is None else film_points(film, mesh.vertices)
+        frames = None if spheres is None else sphere_frames(film, spheres).reshape(-1, 3, 3)
+        return Moving(points, frames, film.bend)
+
+
+class Contour(NamedTuple):
+    """A view's curves, cut into parts: `upto` counts those of all curves up to each.
+
+    Edges come first, then what of them lies left of the film, then the same of bent arcs, then
+    arcs. `tail` and `head` are a curve's ends before a lens bends it (px); `weight` is how many
+    layers of cover there are more on its left. `ends` are the vertices of edges, `arcs` stretches
+    of `frames` through a lens.
+    """
+
+    tail: Float[Array, "G 2"]
+    head: Float[Array, "G 2"]
+    weight: Float[Array, "G"]
+    upto: Int[Array, "G"]
+    ends: Int[Array, "E 2"] | None
+    points: Float[Array, "V 3"] | None
+    frames: Float[Array, "S 3 3"] | None
+    arcs: Arc | None
+    bend: Bend | None
+
+    @staticmethod
+    def of(moving: Moving, film: FilmMap, scene: Scene) -> "Contour":
+        """The curves of a scene."""
+        mesh, spheres, kinds, arcs = scene.mesh, scene.spheres, [], None
+        if mesh is not None and moving.points is not None:
+            kinds.extend(edge_curves(moving.points, film, mesh))
+        if spheres is not None and moving.frames is not None:
+            more, arcs = _arcs(moving.frames, film, spheres)
+            kinds.extend(more)
+        tail, head, weight = (jnp.concatenate(x) for x in zip(*kinds, strict=True))
+        ends = None if mesh is None else mesh.edge_vertices
+        seen = (weight != 0).astype(jnp.int32)
+        curves = Contour(tail, head, weight, seen, ends, *moving[:2], arcs, moving.bend)
+        parts = seen if film.bend is None else curves._parts(film)
+        return curves._replace(upto=running_sum(parts))
 
     @property
-    def of_view(self) -> tuple:
-        """What is of the view, and not of the mesh: `positive` and what follows."""
-        return self[3:]
+    def number(self) -> int:
+        """How many curves there are, seen or not."""
+        return self.weight.shape[0]
 
-    def weight(self, edge: Int[Array, "*K"]) -> Int[Array, "*K"]:
-        """Return how many layers of cover contour edges bound on their left less on their right."""
-        sign = jnp.where(bit(self.positive, edge), 1, -1)
-        if self.second is None:
-            return sign
-        alone = self.second[edge] < 0
-        return jnp.where(alone if self.closed is None else self.closed | alone, sign, 2 * sign)
+    def monotone(self, ids: Int[Array, "K"]) -> Monotone:
+        """Parts from their lower to their upper end; of an id past the last one nothing."""
+        curve, *shares = self._find(ids)
+        tail, head = (self._image(curve, share, self.bend) for share in shares)
+        weight = jnp.where(ids < self.upto[-1], self.weight[curve], 0)
+        if self.frames is None or self.bend is not None:  # (a lens makes straight parts of arcs)
+            return Monotone.of(tail, head, weight, None)
+        arc = self._arc(curve)
+        arcs = Arcs(self.frames[self._sphere(arc)], arc >= 0)
+        return Monotone.of(tail, head, weight, arcs)
+
+    def sphere(self, ids: Int[Array, "K"]) -> Int[Array, "K"]:
+        """Which sphere's outline parts belong to; of edges any."""
+        return self._sphere(self._arc(self._find(ids)[0]))
+
+    def speeds(self, moving: Moving, ids: Int[Array, "K"]) -> Float[Array, "K 2"]:
+        """What grows as fast as straight parts move at tail and head: upwards where they are flat,
+        to the right where they are steep."""
+        curve, *shares = self._find(ids)
+        tail, head = (self._image(curve, share, self.bend) for share in shares)
+        way = head - tail
+        steep = jnp.abs(way[:, 1]) > jnp.abs(way[:, 0])
+        slope = jnp.where(steep, *(safe_divide(way[:, k], way[:, 1 - k]) for k in (0, 1)))
+
+        def speed(share):
+            x, y = self._carried(moving, curve, share).T
+            return jnp.where(steep, x - slope * y, y - slope * x)
+
+        return jnp.stack([speed(share) for share in shares], axis=1)
+
+    # --- which part, and where ---
+
+    def _find(self, ids: Int[Array, "K"]) -> tuple[Array, Array, Array]:
+        """Which curve parts belong to, and from which share of it to which they are."""
+        curve = jnp.searchsorted(self.upto, ids, side="right").astype(jnp.int32)
+        curve = jnp.minimum(curve, self.number - 1)
+        before = jnp.where(curve > 0, self.upto[curve - 1], 0)
+        part, real = ids - before, self.weight.dtype
+        parts = jnp.maximum(self.upto[curve] - before, 1).astype(real)
+        return curve, part.astype(real) / parts, (part + 1).astype(real) / parts
+
+    def _arc(self, curve: Int[Array, "K"]) -> Int[Array, "K"]:
+        """Numbers of arcs, below 0 of what is none."""
+        spheres = 0 if self.frames is None else self.frames.shape[0]
+        return curve - (self.number - ARCS_PER_SPHERE * spheres)
+
+    def _sphere(self, arc: Int[Array, "K"]) -> Int[Array, "K"]:
+        return jnp.maximum(arc, 0) // ARCS_PER_SPHERE
+
+    def _ideal(self, curve: Int[Array, "K"], share: Float[Array, "K"]) -> Float[Array, "K 2"]:
+        """Points of curves before a lens bends them."""
+        (tail, head), t = (x[curve] for x in (self.tail, self.head)), share[:, None]
+        point = jnp.where(t >= 1, head, tail + t * (head - tail))
+        if self.arcs is None or self.frames is None:
+            return point
+        arc = self._arc(curve)
+        bent = film_at(self.frames[self._sphere(arc)], self._turned(arc, share))
+        return jnp.where(arc[:, None] >= 0, bent, point)
+
+    def _turned(self, arc: Int[Array, "K"], share: Float[Array, "K"]) -> Float[Array, "K 2"]:
+        """Points of the unit circle at a share of arcs."""
+        own: Any = jax.tree.map(lambda x: x[jnp.maximum(arc, 0)], self.arcs)
+        return jnp.stack(own.at(share), axis=-1)
+
+    def _image(self, curve: Array, share: Array, bend: Bend | None) -> Float[Array, "K 2"]:
+        point = self._ideal(curve, share)
+        return point if bend is None else bend(point)
+
+    def _carried(self, moving: Moving, curve: Array, share: Array) -> Float[Array, "K 2"]:
+        """Points that are held on the curves, where what these move with carries them."""
+        at, change = self._ideal(curve, share), jnp.zeros((len(curve), 2), self.tail.dtype)
+        if self.ends is not None and self.points is not None and moving.points is not None:
+            edge, E = curve, self.ends.shape[0]
+            own = self.ends[jnp.minimum(edge, E - 1)]
+            shares = jnp.where(edge[:, None] < E, _shares(self.points[own], at), 0)
+            change += _moved(moving.points[own], shares, at)
+        if self.arcs is not None and self.frames is not None and moving.frames is not None:
+            arc = self._arc(curve)
+            w, sphere = self._turned(arc, share), self._sphere(arc)
+            depth = homogeneous(self.frames[sphere], w)[:, 2:]
+            shares = safe_divide(jnp.concatenate([jnp.ones_like(depth), w], axis=1), depth)
+            shares = jnp.where(arc[:, None] >= 0, shares, 0)
+            change += _moved(moving.frames[sphere], shares, at)
+        at = at + change - jax.lax.stop_gradient(change)
+        if moving.bend is None:
+            return at
+        held = jax.lax.stop_gradient(moving.bend.trusted)
+        return eqx.tree_at(lambda b: b.trusted, moving.bend, held)(at)
+
+    def _parts(self, film: FilmMap) -> Int[Array, "G"]:
+        """Into how many parts a lens has curves cut."""
+        curve = jnp.arange(self.number, dtype=jnp.int32)
+        shorter = norm(self.head - self.tail) < SHORT * min(film.W, film.H)
+        stretches = jnp.where(shorter & (self._arc(curve) < 0), 2, STRETCHES)
+        at = lambda k: self._image(curve, k / stretches.astype(self.tail.dtype), self.bend)
+
+        def further(k, state):
+            before, last, second = state
+            here = at(k)
+            bent = jnp.where((k > 1) & (k <= stretches), norm(before - 2 * last + here), 0)
+            return last, here, jnp.maximum(second, bent)
+
+        start = at(0)
+        second = jax.lax.fori_loop(1, STRETCHES + 1, further, (start, start, start[:, 0] * 0))[2]
+        needed = jnp.ceil(jnp.sqrt(MARGIN * second * stretches**2 / (8 * STRAY_PX)))
+        parts = jnp.clip(needed, 1, MOST_PARTS).astype(jnp.int32)
+        # (What lies left of the film shows nowhere: it stays one part.)
+        edges = 0 if self.ends is None else self.ends.shape[0]
+        whole = (curve >= edges) & (self._arc(curve) < 0)
+        return jnp.where(self.weight == 0, 0, jnp.where(whole, 1, parts))
 
 
-def mesh_contour(film: FilmMap, mesh: Mesh) -> MeshContour:
-    """Return which edges are contour, and how many segments they can be seen as."""
-    film, mesh = jax.lax.stop_gradient((film, mesh))
-    words, positive = contour_bits(mesh, film.eye)
-    # Without the barrier the compiler works these out anew in each loop that reads some.
-    words, positive = jax.lax.optimization_barrier((words, positive))
-    contour = _contour(mesh, words, positive)
-    left = jnp.where(reaches_left(film, mesh), contour.segments, 0)
-    if film.bend is None:
-        return contour._replace(segments=contour.segments + left)
-    held = film, mesh.vertices, contour, bending(film)
-    parts = cuts(_parts_of, contour.segments, mesh.edge_faces.shape[0], *held)
-    return contour._replace(segments=parts.total + left, cuts=parts)
+Curve = tuple[Float[Array, "K 2"], Float[Array, "K 2"], Float[Array, "K"]]
 
 
-def _parts_of(
-    rank: Int[Array, ""], film: FilmMap, vertices: Array, contour: MeshContour, table: Bending
-) -> Int[Array, ""]:
-    """Return into how many parts a contour edge is to be cut."""
-    return table.parts(
-        film, *_Ideal.of(film, vertices, contour, _edge(contour, rank), rank < 0).cut_off
-    )
-
-
-def _contour(mesh: Mesh, words: Array, positive: Array) -> MeshContour:
-    """Return the edges of `contour_bits`, each seen as one segment."""
-    chosen = selection(words)
-    return MeshContour.of(mesh, (positive, chosen, chosen.total))
-
-
-def contour_bits(
-    mesh: Mesh, e: Float[Array, "3"]
-) -> tuple[UInt32[Array, "words"], UInt32[Array, "words"]]:
-    """Return which edges are on the contour, and which bound more cover on their left, as bits.
-
-    A closed mesh counts front-facing triangles only; any other mesh counts every triangle, from
-    whichever side it is seen. Whole clusters of edges whose faces all show the same side are passed
-    over.
-    """
-    clusters, current = mesh.planes.clusters, planes_are_current(mesh)
-
-    def plain(front):
-        first, second = mesh.edge_faces[:, 0], mesh.edge_faces[:, 1]
-        found = _seen_as(front[first], front[jnp.maximum(second, 0)], second < 0)
-        return words_of(found.contour), words_of(found.positive)
-
-    if clusters is None:
-        return plain(front_facing(mesh, e, current))
-    none = jnp.zeros(-(-mesh.edge_faces.shape[0] // CLUSTER), jnp.uint32)
-    anew = lambda: plain(in_front(planes_of(mesh.vertices, mesh.faces), e))
-    words, positive = jax.lax.cond(current, lambda: (none, none), anew)
-    return _culled(mesh, clusters, current, e, words, positive)
+def edge_curves(points: Float[Array, "V 3"], film: FilmMap, mesh: Mesh) -> list[Curve]:
+    """What the film may show of edges, and what of them lies left of it."""
+    weight = contour_weights(mesh, film.eye)
+    both = points[mesh.edge_vertices]
+    both = both * binary_inverse(jnp.max(jnp.abs(both), axis=-1))[..., None]
+    first, last = (Homogeneous(*both[:, k].T) for k in (0, 1))
+    kinds = []
+    for beside in (False, True):
+        (tail, head), seen = cut_off(first, last, weight, jnp.array(beside), film.bounds)
+        kinds.append((jnp.stack(tail, axis=-1), jnp.stack(head, axis=-1), seen))
+    return kinds
 
 
 def contour_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
-    """Return for each edge how many layers of cover it bounds on its left less on its right, 0 for
-    one that is not on the contour."""
-    words, positive = contour_bits(mesh, e)
-    edge = jnp.arange(mesh.edge_faces.shape[0], dtype=jnp.int32)
-    return jnp.where(bit(words, edge), _contour(mesh, words, positive).weight(edge), 0)
+    """How many layers of cover edges bound on their left less on their right.
 
-
-def _culled(
-    mesh: Mesh, clusters: Clusters, current: Array, e: Array, words: Array, positive: Array
-) -> tuple[UInt32[Array, "words"], UInt32[Array, "words"]]:
-    """Return the bits with those of the clusters that need to be looked at, if these are current.
-
-    (As a branch of a condition this loop would have its arguments copied.)
+    0 of one that is not on the contour. A closed mesh counts front-facing triangles only; any other
+    mesh counts every triangle, from whichever side it is seen.
     """
-    look = undecided(clusters, e) & current
-    arguments = look, clusters.planes, mesh.edge_faces, e, words, positive
-    if words.shape[0] < 2:  # (see `one_kernel`)
-        return _looked_at_beside(*arguments)
-    return on_cpu(_looked_at, *arguments, elsewhere=_looked_at_beside)
+    front, (first, second) = front_facing(mesh, e), mesh.edge_faces.T
+    border, positive = second < 0, front[first]
+    inner = 1 if mesh.closed else jnp.where(border | is_closed(mesh), 1, 2)
+    seen = border | (front[jnp.maximum(second, 0)] != positive)
+    return jnp.where(seen, jnp.where(positive, inner, -inner), 0)
 
 
-def _looked_at(
-    look: Bool[Array, "N"],
-    planes: Float[Array, "F 6"],
-    edge_faces: Int[Array, "E 2"],
-    e: Float[Array, "3"],
-    words: UInt32[Array, "N"],
-    positive: UInt32[Array, "N"],
-) -> tuple[UInt32[Array, "N"], UInt32[Array, "N"]]:
-    """Return the bits with those of some clusters, edge by edge."""
-    E = edge_faces.shape[0]
-
-    def of_cluster(state):
-        cluster, _, words, positive = state
-        first = cluster * CLUSTER
-
-        def of_side(turn, sides):
-            # One loop: the same rounding on both sides of an edge.
-            k, second = turn >> 1, (turn & 1) > 0
-            face = edge_faces[jnp.minimum(first + k, E - 1), turn & 1]
-            plane = [planes[jnp.maximum(face, 0), i] for i in range(6)]
-            front, there = faces_eye(plane[:3], plane[3:], e), jnp.uint32(1) << k
-            more = lambda bits, is_so: bits | jnp.where(is_so, there, 0)
-            return (
-                more(sides[0], ~second & front),
-                more(sides[1], second & front),
-                more(sides[2], second & (face < 0)),
-            )
-
-        none = jnp.uint32(0)
-        sides = jax.lax.fori_loop(0, 2 * CLUSTER, of_side, (none,) * 3)
-        past = jnp.clip(first + CLUSTER - E, 0, CLUSTER - 1).astype(jnp.uint32)
-        inside = ~none >> past
-        found = _seen_as(*sides)
-        done = jnp.array(False)
-        return (
-            cluster,
-            done,
-            put(words, found.contour & inside, cluster),
-            put(positive, found.positive & inside, cluster),
-        )
-
-    def one(cluster, state):
-        state = cluster, look[cluster], *state
-        return jax.lax.while_loop(lambda s: s[1], of_cluster, state)[2:]
-
-    return jax.lax.fori_loop(0, look.shape[0], one, (words, positive))
+def _arcs(
+    frames: Float[Array, "S 3 3"], film: FilmMap, spheres: Spheres
+) -> tuple[list[Curve], Arc | None]:
+    """The monotone arcs of spheres' outlines; through a lens also what lies left of the film, and
+    the arcs' stretches within its bounds."""
+    apart = norm(spheres.centers - film.eye[None])
+    start, end, weight = shown_arcs(frames, apart > spheres.radii)
+    frame = frame_of(jnp.repeat(frames, ARCS_PER_SPHERE, axis=0))
+    if film.bend is None:
+        tail, head = (jnp.stack(arc_end(frame, *x), -1) for x in ((start, 1), (end, -1)))
+        return [(tail, head, weight)], None
+    arc, heights, beside = arc_within(film.bounds, frame, start, end)
+    tail, head = (jnp.stack([jnp.full_like(y, film.bounds[0]), y], -1) for y in heights)
+    nowhere = jnp.zeros_like(tail)
+    left = tail, head, jnp.where(beside, weight, 0)
+    return [left, (nowhere, nowhere, jnp.where(arc.turn > 0, weight, 0))], arc
 
 
-def _looked_at_beside(
-    look: Bool[Array, "N"],
-    planes: Float[Array, "F 6"],
-    edge_faces: Int[Array, "E 2"],
-    e: Float[Array, "3"],
-    words: UInt32[Array, "N"],
-    positive: UInt32[Array, "N"],
-) -> tuple[UInt32[Array, "N"], UInt32[Array, "N"]]:
-    """Return the bits with those of some clusters, side by side."""
-    E, chosen = edge_faces.shape[0], select(look)
-
-    def chunk(state, rank):
-        words, positive = state
-        some = rank + jnp.arange(CLUSTERS, dtype=jnp.int32)
-        cluster = jnp.where(some < chosen.total, nth(chosen, some), words.shape[0])
-        edge = cluster[:, None] * CLUSTER + jnp.arange(CLUSTER, dtype=jnp.int32)[None]
-        faces = edge_faces[jnp.minimum(edge, E - 1)]
-        second = faces[..., 1]
-        # One list of faces: the same rounding on both sides of an edge.
-        both = jnp.stack([faces[..., 0], jnp.maximum(second, 0)])
-        plane = jax.lax.optimization_barrier(planes[both])
-        normal, corner = ([plane[..., k + i] for i in range(3)] for k in (0, 3))
-        front = faces_eye(normal, corner, e)
-        found = _seen_as(front[0], front[1], second < 0)
-        into = lambda words, there: words.at[cluster].set(words_of((edge < E) & there), mode="drop")
-        return into(words, found.contour), into(positive, found.positive)
-
-    return in_chunks(chunk, (words, positive), CLUSTERS, chosen.total)
+def _shares(ends: Float[Array, "K 2 3"], at: Float[Array, "K 2"]) -> Float[Array, "K 2"]:
+    """How much points of edges move with the edges' ends, over depth."""
+    scale = binary_inverse(jnp.max(jnp.abs(ends), axis=-1))
+    ends = ends * scale[..., None]
+    a, b = ends[:, 0], ends[:, 1]
+    line = jnp.cross(a, b)
+    steep = jnp.abs(line[:, 0]) > jnp.abs(line[:, 1])
+    past = ends[..., :2] - at[:, None] * ends[..., 2:]
+    past = jnp.where(steep[:, None], past[..., 1], past[..., 0])
+    t = jnp.clip(safe_divide(past[:, 0], past[:, 0] - past[:, 1]), 0, 1)
+    depth = a[:, 2] + t * (b[:, 2] - a[:, 2])
+    return safe_divide(jnp.stack([1 - t, t], axis=-1), depth[:, None]) * scale
 
 
-class _SeenAs(NamedTuple):
-    """Whether edges are contour, and whether they bound more cover on their left."""
-
-    contour: Any
-    positive: Any
-
-
-def _seen_as(first: Array, second: Array, border: Array) -> _SeenAs:
-    """Return what edges are seen as, from whether their two faces show their front: of those at a
-    border there is one. (Or of words of bits.)"""
-    return _SeenAs(border | (first ^ second), first & (border | ~second))
-
-
-def homogeneous_edges(
-    film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour, ids: Int[Array, "K"]
-) -> Float[Array, "K 2 3"]:
-    """Return the ends of contour edges as homogeneous film points, differentiably.
-
-    Under distortion those of the edges' parts, and what they move with is their images.
-    """
-    if contour.cuts is None:
-        return _edge_ends(film, vertices, contour, _edge(contour, _place(contour, ids)[0]))
-    ends = jax.lax.optimization_barrier(rows(_vertices_of, ids, contour))
-    points = film_points(film, vertices[ends])
-    return moving_parts(_part, points, film, ids, vertices, contour)
-
-
-def _vertices_of(id: Int[Array, ""], contour: MeshContour) -> list[Array]:
-    edge = _edge(contour, _place(contour, id)[0])
-    return [contour.edge_vertices[edge, k] for k in (0, 1)]
-
-
-class _Ideal(NamedTuple):
-    """A contour edge on the ideal film, or what of it lies left of the film: its ends as
-    homogeneous points, how many times as large these are as those of `film_points`, and the
-    `cut_off` of it."""
-
-    first: Homogeneous
-    last: Homogeneous
-    scales: tuple[Array, Array]
-    cut_off: tuple[tuple[Point, Point], Array]
-
-    @staticmethod
-    def of(
-        film: FilmMap, vertices: Array, contour: MeshContour, edge: Array, beside: Array
-    ) -> "_Ideal":
-        """Return a contour edge."""
-        to_film = scaled(film)
-
-        def end(k):
-            vertex = contour.edge_vertices[edge, k]
-            x, y, z = to_film.at(*(vertices[vertex, i] for i in range(3)))
-            size = functools.reduce(jnp.maximum, map(jnp.abs, (x, y, z)))
-            scale = binary_inverse(size)
-            return x * scale, y * scale, z * scale, scale
-
-        (*first, scale), (*last, other) = for_both(end)
-        ends = Homogeneous(*first), Homogeneous(*last)
-        cut = cut_off(*ends, contour.weight(edge), beside, film.bounds)
-        return _Ideal(*ends, (scale, other), cut)
-
-    def shares(self, x: Array, y: Array) -> list[Array]:
-        """Return how much a point of it moves with each end of `film_points`, over depth."""
-        a, b = self.first, self.last
-        steep = jnp.abs(a.y * b.z - a.z * b.y) > jnp.abs(a.z * b.x - a.x * b.z)
-        past = [jnp.where(steep, p.y - y * p.z, p.x - x * p.z) for p in (a, b)]
-        t = jnp.clip(safe_divide(past[0], past[0] - past[1]), 0, 1)
-        z = a.z + t * (b.z - a.z)
-        return [safe_divide(s, z) * scale for s, scale in zip((1 - t, t), self.scales, strict=True)]
-
-
-def _part(
-    id: Int[Array, ""], film: FilmMap, vertices: Array, contour: MeshContour
-) -> Callable[[Array], End]:
-    """Return the ends of a part of a contour edge, or of what of one lies left of the film."""
-    rank, beside, part, parts = _place(contour, id)
-    ideal = _Ideal.of(film, vertices, contour, _edge(contour, rank), beside)
-    ends, weight = ideal.cut_off
-    weight = jnp.where(id < contour.segments, weight, 0)
-
-    def end(k):
-        place = along(ends, fraction(part + k, parts, weight.dtype))
-        return End(*place, ideal.shares(*place), weight)
-
-    return end
-
-
-def _edge_ends(
-    film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour, edge: Int[Array, "K"]
-) -> Float[Array, "K 2 3"]:
-    """Return the ends of edges as homogeneous film points on the ideal film.
-
-    Times a power of 2 for each end: products of them neither overflow nor vanish.
-    """
-    # (Without the barrier the compiler finds the ends anew for each number of a derivative.)
-    ends = jax.lax.optimization_barrier(contour.edge_vertices[edge])
-    homogeneous = film_points(film, vertices[ends])
-    return homogeneous * binary_inverse(jnp.max(jnp.abs(homogeneous), axis=-1))[..., None]
-
-
-def _place(contour: MeshContour, ids: Int[Array, "*K"]) -> tuple[Array, ...]:
-    """Return which contour edge each id stands for, and whether for what of it lies left of the
-    film; under distortion also the part of the edge, and how many it has."""
-    if contour.cuts is None:
-        total = contour.chosen.total
-        return jnp.where(ids >= total, ids - total, ids), ids >= total
-    inner = contour.cuts.total
-    beside = ids >= inner
-    rank, part, parts = contour.cuts.find(ids)
-    one = jnp.ones_like(ids)
-    return (
-        jnp.where(beside, ids - inner, rank),
-        beside,
-        jnp.where(beside, 0, part),
-        jnp.where(beside, one, parts),
-    )
-
-
-def _edge(contour: MeshContour, rank: Int[Array, "*K"]) -> Int[Array, "*K"]:
-    return jnp.minimum(nth(contour.chosen, rank), contour.edge_vertices.shape[0] - 1)
-
-
-def edge_segments(
-    film: FilmMap, vertices: Float[Array, "V 3"], contour: MeshContour, ids: Int[Array, "K"]
-) -> Segments:
-    """Return contour edges in and near the film, then what of them lies left of it; then nothing.
-
-    The second half is there only if something may lie on the left. Under distortion edges are cut
-    into parts, the way they are seen.
-    """
-    if contour.cuts is not None:
-        return bent_parts(_part, film, ids, vertices, contour)
-    rank, beside = _place(contour, ids)
-    edge = _edge(contour, rank)
-    weight, homogeneous = contour.weight(edge), _edge_ends(film, vertices, contour, edge)
-    # Without the barriers the compiler repeats the gathers in each of the clip's many consumers.
-    homogeneous, weight = jax.lax.optimization_barrier((homogeneous, weight))
-    segments = clipped(homogeneous, weight, beside, film.bounds)
-    weight = jnp.where(ids < contour.segments, segments.weight, 0)
-    return jax.lax.optimization_barrier(segments._replace(weight=weight))
-
-
-def edge_before(contour: MeshContour, id: Int[Array, ""]) -> Int[Array, ""]:
-    """Return the edge that comes before the one of an id, -1 if there is none."""
-    rank = _place(contour, id)[0]
-    return jnp.where(rank > 0, nth(contour.chosen, jnp.maximum(rank - 1, 0)), -1)
-
-
-def next_edge(
-    film: FilmMap,
-    vertices: Float[Array, "V 3"],
-    contour: MeshContour,
-    id: Int[Array, ""],
-    before: Int[Array, ""],
-) -> tuple[Int[Array, ""], tuple[Point, Point], Array]:
-    """Return the edge of an id, and the ends and the weight that `edge_segments` finds of it, no
-    distortion; of it is known which edge comes `before`.
-
-    In single numbers: of these the compiler makes a third of what it makes of vectors. And to look
-    for each edge among all takes longer than all else, one after the other.
-    """
-    rank, beside = _place(contour, id)
-    edge = following(contour.chosen, jnp.where(rank > 0, before, -1))
-    edge = jnp.minimum(edge, contour.edge_vertices.shape[0] - 1)
-    ends, weight = _Ideal.of(film, vertices, contour, edge, beside).cut_off
-    return edge, ends, jnp.where(id < contour.segments, weight, 0)
+def _moved(
+    rows: Float[Array, "K n 3"], shares: Float[Array, "K n"], at: Float[Array, "K 2"]
+) -> Float[Array, "K 2"]:
+    """What moves as weighted sums of homogeneous points do, seen at film points."""
+    total = jnp.sum(jax.lax.stop_gradient(shares)[..., None] * rows, axis=1)
+    return total[:, :2] - jax.lax.stop_gradient(at) * total[:, 2:]

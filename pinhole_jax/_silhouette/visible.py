@@ -8,12 +8,13 @@ from .._camera.axes import axes_of
 from .._camera.bent import bent
 from .._camera.camera import Camera, camera_coordinates, film_map
 from .._camera.rays import project
+from .._native.rasteriser import sphere_frames
 from .._numerics.jitted import jitted
+from .._numerics.safe import norm
 from .._scene.scene import Mesh, Scene, Spheres, astype, check_view
-from .clip import clipped
-from .contour import contour_weights
-from .curves import Arcs, Segments, film_at
-from .spheres import ARCS_PER_SPHERE, sphere_arcs
+from .conics import film_at
+from .contour import Curve, contour_weights, edge_curves
+from .spheres import ARCS_PER_SPHERE, shown_arcs
 from .surrounding import surrounding
 
 #: Outline points are at most this far apart (px), and no closer than that.
@@ -93,14 +94,12 @@ def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
 
 
 @jitted
-def _segments(camera: Camera, mesh: Mesh) -> Segments:
-    """Return all edges as segments in and near the film, and then what of them lies left of it."""
+def _segments(camera: Camera, mesh: Mesh) -> Curve:
+    """All edges as segments in and near the film, and then what of them lies left of it."""
     film = film_map(camera)
-    twice = lambda x: jnp.concatenate([x, x])
-    weights = twice(contour_weights(mesh, camera.e))
-    homogeneous = twice(film(mesh.vertices[mesh.edge_vertices]))
-    beside = jnp.arange(len(weights)) >= len(weights) // 2
-    return clipped(homogeneous, weights, beside, film.bounds)
+    kinds = edge_curves(film(mesh.vertices), film, mesh)
+    start, end, weight = (jnp.concatenate(x) for x in zip(*kinds, strict=True))
+    return start, end, weight
 
 
 def _base(camera: Camera, scene: Scene) -> int:
@@ -126,9 +125,14 @@ def _edge_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
 
 
 @jitted
-def _arcs(camera: Camera, spheres: Spheres) -> Arcs:
-    ids = jnp.arange(ARCS_PER_SPHERE * spheres.radii.shape[0], dtype=jnp.int32)
-    return sphere_arcs(film_map(camera), spheres, ids)
+def _arcs(camera: Camera, spheres: Spheres) -> tuple[Array, ...]:
+    """Arcs' conics, from which angle to which they go, and their weights."""
+    film = film_map(camera)
+    frames = sphere_frames(film, spheres).reshape(-1, 3, 3)
+    outside = norm(spheres.centers - film.eye[None]) > spheres.radii
+    (*ends, weight) = shown_arcs(frames, outside)
+    begin, until = (jnp.arctan2(y, x) for x, y in ends)
+    return jnp.repeat(frames, ARCS_PER_SPHERE, axis=0), begin, until, weight
 
 
 def _pieces(camera: Camera, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -136,18 +140,17 @@ def _pieces(camera: Camera, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.nd
     parts = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))]
     if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
         segments = _segments(camera, scene.mesh)
-        on = np.asarray(segments.weight) != 0
+        on = np.asarray(segments[2]) != 0
         start, end, weight = (np.asarray(x, float)[on] for x in segments)
         parts.append((start, end, weight))
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
-        arcs = _arcs(camera, scene.spheres)
-        begin, until = (np.arctan2(w[:, 1], w[:, 0]) for w in map(np.asarray, arcs[1:3]))
+        frame, begin, until, weight = map(np.asarray, _arcs(camera, scene.spheres))
         sweep = (until - begin) % (2 * np.pi)
         angle = begin[:, None] + sweep[:, None] * np.linspace(1e-6, 1 - 1e-6, 65)
-        w = np.stack([np.cos(angle), np.sin(angle)], axis=-1).astype(arcs.frame.dtype)
-        frames = np.broadcast_to(np.asarray(arcs.frame)[:, None], (*angle.shape, 3, 3))
+        w = np.stack([np.cos(angle), np.sin(angle)], axis=-1).astype(frame.dtype)
+        frames = np.broadcast_to(frame[:, None], (*angle.shape, 3, 3))
         points = np.asarray(film_at(jnp.asarray(frames), jnp.asarray(w)), float)
-        points = np.clip(points, -1e9, 1e9)[np.asarray(arcs.weight) != 0]
+        points = np.clip(points, -1e9, 1e9)[weight != 0]
         ends = points[:, :-1].reshape(-1, 2), points[:, 1:].reshape(-1, 2)
         parts.append((*ends, np.ones(len(ends[0]))))
     start, end, weight = (np.concatenate(x) for x in zip(*parts, strict=True))

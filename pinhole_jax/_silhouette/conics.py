@@ -1,16 +1,15 @@
-"""Curves on the film: straight segments, and arcs of the conics that spheres are seen as.
+"""Conics that spheres are seen as: their points, and the area beside them.
 
-Every curve is monotone in x and in y and has its covered side on the left. An arc is the image of
-an arc of a circle in space: a homogeneous film point that is linear in a point of the unit circle.
-So one form holds ellipses, parabolas and hyperbolas, and a curve is found at a given abscissa or
-height by a line that cuts the unit circle.
+An arc is the image of an arc of a circle in space: `frame[0] + frame[1] w_1 + frame[2] w_2` are
+homogeneous film points (x z, y z, z), w on the unit circle. So one form holds ellipses, parabolas
+and hyperbolas, and a point with a given abscissa or height is found by a line that cuts the unit
+circle.
 """
 
 import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -25,60 +24,14 @@ _NODES, _WEIGHTS = (x / 2 for x in np.polynomial.legendre.leggauss(8))
 _NODES = _NODES + 0.5
 
 
-class Segments(NamedTuple):
-    """Straight pieces from `a` to `b` (film px); `weight` layers of cover more on the left."""
-
-    a: Float[Array, "*K 2"]
-    b: Float[Array, "*K 2"]
-    weight: Float[Array, "*K"]
-
-
-class Arcs(NamedTuple):
-    """Arcs `frame[0] + frame[1] w_1 + frame[2] w_2`, w on the unit circle from `start` to `end`.
-
-    The frame's rows are homogeneous film points (x z, y z, z), seen where z > 0. They are
-    scaled so that the ray that they stand for has unit length.
-    """
-
-    frame: Float[Array, "*K 3 3"]
-    start: Float[Array, "*K 2"]
-    end: Float[Array, "*K 2"]
-    weight: Float[Array, "*K"]
-
-
-Curves = Segments | Arcs
-
 #: A point of the film or of the unit circle, and an arc's frame, row by row, by components.
 Point = tuple[Array, Array]
 Frame = tuple[tuple[Array, ...], ...]
 
 
-def placed(curves: Curves, scale: Array | float, origin: Array | float = 0.0) -> Curves:
-    """Return curves in pixels `scale` times as small as now, from the new film's `origin`."""
-    shift = jnp.broadcast_to(jnp.asarray(origin, curves.weight.dtype), (*curves.weight.shape, 2))
-    if isinstance(curves, Segments):
-        return curves._replace(a=(curves.a - shift) * scale, b=(curves.b - shift) * scale)
-    xy, z = curves.frame[..., :2], curves.frame[..., 2:]
-    frame = jnp.concatenate([(xy - shift[..., None, :] * z) * scale, z], axis=-1)
-    return curves._replace(frame=frame)
-
-
-def ends(curves: Curves) -> tuple[Float[Array, "*K 2"], Float[Array, "*K 2"]]:
-    """Return where the curves begin and end (film px); `FAR` stands for infinity."""
-    if isinstance(curves, Segments):
-        return curves.a, curves.b
-    return _arc_end(curves.frame, curves.start, 1), _arc_end(curves.frame, curves.end, -1)
-
-
 def homogeneous(frame: Float[Array, "*#K 3 3"], w: Float[Array, "*K 2"]) -> Float[Array, "*K 3"]:
     """Return the homogeneous film point of w."""
     return frame[..., 0, :] + frame[..., 1, :] * w[..., :1] + frame[..., 2, :] * w[..., 1:]
-
-
-def _arc_end(frame: Float[Array, "*K 3 3"], w: Float[Array, "*K 2"], inward: int):
-    """Return the film point of w, as an array."""
-    point = arc_end(frame_of(frame), (w[..., 0], w[..., 1]), inward)
-    return jnp.stack(point, axis=-1)
 
 
 def arc_end(frame: Frame, w: Point, inward: int) -> Point:
@@ -150,7 +103,7 @@ def film_at(frame: Float[Array, "*#K 3 3"], w: Float[Array, "*K 2"]) -> Float[Ar
     return safe_divide(point[..., :2], point[..., 2:])
 
 
-def _unit(frame: Float[Array, "*K 3 3"], point: Float[Array, "*K 2"]) -> Float[Array, "*K 2"]:
+def unit_of(frame: Float[Array, "*K 3 3"], point: Float[Array, "*K 2"]) -> Float[Array, "*K 2"]:
     """Return the w of a film point that lies on the curve."""
     level = frame[..., :2] - point[..., None, :] * frame[..., 2:]  # rows 1, w_1, w_2; columns x, y
     (c0, c1), (a0, a1), (b0, b1) = ((level[..., k, 0], level[..., k, 1]) for k in range(3))
@@ -199,55 +152,9 @@ def bulge(
     frame: Float[Array, "*K 3 3"], start: Float[Array, "*K 2"], end: Float[Array, "*K 2"]
 ) -> Float[Array, "*K"]:
     """Return the area between an arc's piece and its chord, positive if counter-clockwise."""
-    n = nodes(frame, _unit(frame, start), _unit(frame, end))
+    n = nodes(frame, unit_of(frame, start), unit_of(frame, end))
     x, y = jnp.moveaxis(n.point - start[..., None, :], -1, 0)
     return jnp.sum(n.weight * (x * n.slope[..., 1] - y * n.slope[..., 0]), axis=-1) / 2
-
-
-# --- how the area grows as a curve moves ---------------------------------------------------------
-# A curve moves with its homogeneous points: the ends of a segment's edge, or the frame of an arc.
-
-
-def piece_flux(
-    homogeneous: Float[Array, "*K n 3"],
-    curves: Curves,
-    start: Float[Array, "*K 2"],
-    end: Float[Array, "*K 2"],
-) -> Float[Array, "*K n 3"]:
-    """Return the derivative, by its points, of the area left of a curve's piece from start to
-    end."""
-    if isinstance(curves, Arcs):
-        return arc_flux(homogeneous, _unit(homogeneous, start), _unit(homogeneous, end))
-    dx, dy = jnp.moveaxis(end - start, -1, 0)
-    steep = jnp.abs(dy) > jnp.abs(dx)
-    share = (
-        edge_fractions(homogeneous, steep, start) + edge_fractions(homogeneous, steep, end)
-    ) / 2
-    return edge_flux(homogeneous, steep, jnp.where(steep, dy, -dx)[..., None] * share)
-
-
-def edge_fractions(
-    homogeneous: Float[Array, "*K 2 3"], steep: Array, point: Float[Array, "*K 2"]
-) -> Float[Array, "*K 2"]:
-    """Return how much a film point of an edge moves with the edge's ends, over their depth.
-
-    Linear along the edge's image.
-    """
-    past = homogeneous[..., :2] - point[..., None, :] * homogeneous[..., 2:]  # (*K, end, xy)
-    past = jnp.where(steep[..., None], past[..., 1], past[..., 0])
-    t = jnp.clip(safe_divide(past[..., 0], past[..., 0] - past[..., 1]), 0, 1)
-    z = homogeneous[..., 0, 2] + t * (homogeneous[..., 1, 2] - homogeneous[..., 0, 2])
-    return jnp.stack([safe_divide(1 - t, z), safe_divide(t, z)], axis=-1)
-
-
-def edge_flux(
-    homogeneous: Float[Array, "*K 2 3"], steep: Array, fractions: Float[Array, "*K 2"]
-) -> Float[Array, "*K 2 3"]:
-    """Return what area gains by the ends, from the shares' integral over the height of a steep
-    edge (then of what lies left of it) or the width of another (what lies below)."""
-    line = jnp.cross(homogeneous[..., 0, :], homogeneous[..., 1, :])
-    across = jnp.where(steep, line[..., 0], line[..., 1])[..., None]
-    return fractions[..., None] * safe_divide(line, across)[..., None, :]
 
 
 def arc_flux(
@@ -261,8 +168,3 @@ def arc_flux(
     one = jnp.ones_like(n.weight)
     basis = jnp.stack([one, n.w[..., 0], n.w[..., 1]], axis=-1) * n.weight[..., None]
     return jnp.sum(basis[..., :, None] * normal[..., None, :], axis=-3)
-
-
-def moved(homogeneous: Float[Array, "*K n 3"], flux: Float[Array, "*K n 3"]) -> Float[Array, "*K"]:
-    """Return a function linear in the points whose derivative is the area's: `flux`, held."""
-    return jnp.sum(jax.lax.stop_gradient(flux) * homogeneous, axis=(-2, -1))
