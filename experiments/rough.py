@@ -4,7 +4,7 @@
 
 - `masks`: bumpy spheres with noise on their vertices (as a share of the mean edge: a scan has 0.12,
   a hedgehog 1.2), loose triangles, overlapping spheres, and real meshes where
-  `../shared` has them; beside a smooth mesh of about as many faces, and what `tolerance` gains.
+  `../shared` has them; beside a smooth mesh of about as many faces.
 - `fits`: to hard and soft masks of some of these, seconds of the processor.
 - `growth`: how the time of a mask grows with noise, faces and pixels.
 - `photos`: fits to photos of 500 to 4000 pixels' width, and the process's memory.
@@ -114,9 +114,6 @@ def masks(asked: Asked) -> dict:
         scene, row = make(), {"": name}
         row |= {f"{px} px": mask_ms(scene, px) for px in (256, 1024)}
         row["times smooth"] = row["256 px"] / mask_ms(bumpy(like)) if like else None
-        right, rough = mask_of(view(), scene), pj.silhouette(view(), scene, tolerance=1 / 16)
-        row["tolerance 1/16"] = mask_ms(scene, tolerance=1 / 16)
-        row["its error"] = float(np.abs(np.asarray(rough) - right).max())
         rows.append(row)
         print(row, flush=True)
     show(rows)

@@ -211,10 +211,10 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", metavar="scene", help=", ".join(views()))
     parser.add_argument("--scale", type=int, default=1)
     given = parser.parse_args()
-    from pinhole_jax._silhouette import distorted
+    from pinhole_jax._silhouette import contour
 
     pj.cache()
-    distorted.TOLERANCE_PX = BENT_PX
+    contour.STRAY_PX = BENT_PX
     given.out.mkdir(parents=True, exist_ok=True)
     done, table = {}, {}
     for name in given.scenes or views():
