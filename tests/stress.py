@@ -18,7 +18,6 @@ import shapely
 import trimesh
 
 import pinhole_jax as pj
-from pinhole_jax._scene.scene import with_vertices
 
 W, H = 24, 18
 LIMIT = 256.0
@@ -288,7 +287,7 @@ def scene_of(view: View, vertices: np.ndarray, room: int = 256) -> pj.Scene:
     edges = lambda m: (m.edge_vertices, m.edge_faces)
     fill = lambda x: jnp.pad(x, ((0, 2 * room - x.shape[0]), (0, 0)))
     mesh = eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh))))
-    return pj.Scene(mesh=with_vertices(mesh, mesh.vertices))  # (its clusters of edges: as many)
+    return pj.Scene(mesh=mesh)
 
 
 def decimals(x: np.ndarray) -> np.ndarray:

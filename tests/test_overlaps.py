@@ -15,7 +15,6 @@ from oracles import mesh_coverage, mesh_polygons, sphere_polygons, union_per_pix
 from slopes import both_ways
 
 import pinhole_jax as pj
-from pinhole_jax._scene.scene import with_vertices
 from pinhole_jax._silhouette import crowds
 
 pytestmark = pytest.mark.altered
@@ -115,7 +114,7 @@ def filled(vertices, faces, dtype=float, room=20_000) -> pj.Scene:
     fill = lambda x: jnp.pad(x, ((0, 2 * room - x.shape[0]), (0, 0)))
     edges = lambda m: (m.edge_vertices, m.edge_faces)
     mesh = eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh))))
-    return pj.Scene(mesh=with_vertices(mesh, mesh.vertices))  # (its clusters of edges: as many)
+    return pj.Scene(mesh=mesh)
 
 
 @pytest.mark.parametrize("name", first(1, reversed(MESHES), of=6))

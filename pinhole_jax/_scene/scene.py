@@ -21,14 +21,12 @@ from .._numerics.arrays import (
     stands_alone,
 )
 from .planes import (
-    CLUSTER,
-    Clusters,
     Planes,
     box_of,
     fingerprint,
     fingerprint_of,
     in_front,
-    planes_and_clusters,
+    planes_at_hand,
     planes_of,
 )
 from .topology import edge_records, without_copies
@@ -115,7 +113,7 @@ class Mesh(eqx.Module):
             edge_vertices, edge_faces = edge_vertices[along], edge_faces[along]
         self.edge_vertices = jnp.asarray(edge_vertices, np.int32)
         self.edge_faces = jnp.asarray(edge_faces, np.int32)
-        self.planes = _planes(corners, triangles, edge_faces)
+        self.planes = _planes(corners, triangles)
         self.closed = bool(np.all(edge_faces >= 0))
         borders = np.count_nonzero(edge_faces < 0)
         if points is not None and borders > MOSTLY_BORDER * len(edge_faces):
@@ -200,7 +198,7 @@ def astype(scene: Scene, dtype: Any) -> Scene:
 
 def with_vertices(mesh: Mesh, vertices: Float[Array, "V 3"]) -> Mesh:
     """Return the mesh with its vertices elsewhere, and planes made of these."""
-    planes = _planes(vertices, mesh.faces, mesh.edge_faces)
+    planes = _planes(vertices, mesh.faces)
     return eqx.tree_at(lambda m: (m.vertices, m.planes), mesh, (vertices, planes))
 
 
@@ -215,12 +213,12 @@ def padded(scene: Scene) -> Scene:
     mesh, planes = scene.mesh, None
     made_from = mesh.planes.fingerprint
     current = made_from is None or int(made_from) == fingerprint_of(np.asarray(mesh.vertices))
-    if current and mesh.planes.clusters is not None:
+    if current:
         planes = mesh.planes
     parts = (mesh.vertices, mesh.faces, mesh.edge_vertices, mesh.edge_faces)
     *parts, planes = _filled_up(*parts, planes)
     if planes is None:
-        planes = _planes(parts[0], parts[1], parts[3])
+        planes = _planes(parts[0], parts[1])
     order = jnp.asarray(np.zeros(0, np.int32), jnp.int32)
     mesh = eqx.tree_at(
         lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.order, m.planes),
@@ -262,24 +260,19 @@ def _filled_up(
     V, F, E = _filled_sizes(vertices.shape[0], faces.shape[0], edge_faces.shape[0])
     parts = (vertices, V), (faces, F), (edge_vertices, E), (edge_faces, E)
     arrays = tuple(_with_room(x, size, 0) for x, size in parts)
-    if planes is None or planes.clusters is None:
+    if planes is None:
         return *arrays, None
-    # What is filled up is behind everything: no contour.
-    number = -(-arrays[2].shape[0] // CLUSTER)
-    c = planes.clusters
-    axis, cosine, sine, middle = (_with_room(x, number, x.ndim - 1) for x in c[:4])
-    radius = _with_room(c.radius, number, 0, -np.inf)
-    clusters = Clusters(axis, cosine, sine, middle, radius, _with_room(c.planes, F, 0), *c[6:])
+    # What is filled up is before nothing: no contour.
     faces_of = _with_room(planes.normal, F, 1), _with_room(planes.corner, F, 1)
     # (Zeros add nothing to a fingerprint.)
-    return *arrays, Planes(*faces_of, planes.box, planes.fingerprint, clusters)
+    return *arrays, Planes(*faces_of, planes.box, planes.fingerprint)
 
 
-def _with_room(x: Array, size: int, axis: int, value: float = 0.0) -> Array:
+def _with_room(x: Array, size: int, axis: int) -> Array:
     """Return an array, filled up by NumPy: JAX would compile that for each size."""
     widths = [(0, 0)] * x.ndim
     widths[axis] = (0, size - x.shape[axis])
-    return jnp.asarray(np.pad(np.asarray(x), widths, constant_values=value), x.dtype)
+    return jnp.asarray(np.pad(np.asarray(x), widths), x.dtype)
 
 
 def _filled_sizes(vertices: int, faces: int, edges: int) -> tuple[int, int, int]:
@@ -363,11 +356,9 @@ def vertex_box(mesh: Mesh) -> Float[Array, "2 3"]:
     )
 
 
-def _planes(vertices: Any, faces: Any, edge_faces: Any) -> Planes:
-    at_hand = is_concrete(vertices, faces, edge_faces)
-    return (
-        planes_and_clusters(vertices, faces, edge_faces) if at_hand else planes_of(vertices, faces)
-    )
+def _planes(vertices: Any, faces: Any) -> Planes:
+    make = planes_at_hand if is_concrete(vertices, faces) else planes_of
+    return make(vertices, faces)
 
 
 def _face_order(vertices: Any, faces: np.ndarray) -> Any:
