@@ -9,7 +9,6 @@ import re
 import shlex
 import shutil
 import subprocess
-import sys
 import sysconfig
 from pathlib import Path
 
@@ -43,7 +42,8 @@ class CustomBuildHook(BuildHookInterface):
     """Compiles the loops of `pinhole_jax/_native` into a library beside their sources.
 
     Without a C++ compiler, or where compiling fails, the package is built without: it says so where
-    it is used, and what is slower.
+    it is used, and what is slower. A release says which platform `CXX` compiles for, as wheels name
+    it (`PINHOLE_JAX_PLATFORM`), and is not built without.
     """
 
     def initialize(self, version: str, build_data: dict) -> None:
@@ -52,23 +52,27 @@ class CustomBuildHook(BuildHookInterface):
         if self.target_name != "wheel":
             return
         folder = Path(self.root) / "pinhole_jax" / "_native"
-        library = folder / LIBRARIES.get(sys.platform, "libpinhole.so")
-        why = compiled(folder / "handlers.cc", library)
+        platform = os.environ.get("PINHOLE_JAX_PLATFORM", "")
+        system = (platform or sysconfig.get_platform()).partition("_")[0].partition("-")[0]
+        library = folder / LIBRARIES.get(system, "libpinhole.so")
+        why = compiled(folder / "handlers.cc", library, seconds=1800 if platform else 300)
+        if why and platform:
+            raise RuntimeError(f"The compiled library for {platform}: {why}")
         if why:
             self.app.display_warning(f"The compiled library is left out: {why}")
             return
         build_data["artifacts"].append(str(library.relative_to(self.root)))
         build_data["pure_python"] = False
-        build_data["tag"] = f"py3-none-{platform_tag()}"
+        build_data["tag"] = f"py3-none-{platform or platform_tag()}"
 
 
-#: The library's name by platform.
-LIBRARIES = {"darwin": "libpinhole.dylib", "win32": "pinhole.dll"}
+#: The library's name by the first word of a platform.
+LIBRARIES = {"macosx": "libpinhole.dylib", "win": "pinhole.dll", "mingw": "pinhole.dll"}
 #: Products are rounded before they are added: shared points come out alike everywhere.
 FLAGS = shlex.split("-std=c++17 -O3 -ffp-contract=off -shared -fPIC -fvisibility=hidden -pthread")
 
 
-def compiled(source: Path, library: Path) -> str:
+def compiled(source: Path, library: Path, seconds: float) -> str:
     """Compile the library; why it failed, or an empty string."""
     names = [os.environ["CXX"]] if os.environ.get("CXX") else ["c++", "g++", "clang++"]
     compiler = next((name for name in names if shutil.which(shlex.split(name)[0])), None)
@@ -76,7 +80,7 @@ def compiled(source: Path, library: Path) -> str:
         return f"no C++ compiler was found ({', '.join(names)})"
     command = [*shlex.split(compiler), *FLAGS, str(source), "-o", str(library)]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         return str(error)
     if done.returncode:

@@ -1,4 +1,4 @@
-"""What mkdocs does for this site beside its plugins.
+"""What ProperDocs does for this site beside its plugins.
 
 - With DRAFT=1 in the environment no page runs; with DRAFT=tutorials/many-fits.md this one does (of
   several there are commas between).
@@ -25,9 +25,9 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mkdocs.exceptions import PluginError
-from mkdocs.plugins import get_plugin_logger
-from mkdocs.structure.files import File
+from properdocs.exceptions import PluginError
+from properdocs.plugins import get_plugin_logger
+from properdocs.structure.files import File
 
 LOG = get_plugin_logger(__name__)
 ROOT = Path(__file__).parents[1]

@@ -98,7 +98,7 @@ def commands(pages=TEXTS):
 
 
 def slugs(text):
-    """Return the anchors of a page's headings, as GitHub and mkdocs make them."""
+    """Return the anchors of a page's headings, as GitHub and ProperDocs make them."""
     heads = re.findall(r"^#+ (.*)$", BLOCK.sub("", text), re.M)
     words = (re.sub(r"[`*]|\[([^\]]*)\]\([^)]*\)", r"\1", head) for head in heads)
     return {re.sub(r"[\s]+", "-", re.sub(r"[^\w\s-]", "", w).strip().lower()) for w in words}
@@ -164,7 +164,7 @@ def test_code_blocks_have_known_languages(page):
 
 def test_commands_are_of_programs_that_tests_know():
     first = {line.split()[0].removeprefix(".venv/bin/") for line in commands()}
-    tools = {"ruff", "pyright", "lint-imports", "python"}  # of CONTRIBUTING
+    tools = {"nox", "python"}  # of CONTRIBUTING
     assert first == {"python3", "pinhole-jax", "blender", *tools}
 
 
@@ -226,6 +226,22 @@ def found_by_masks(names, printed):
     assert not names["tidied"].mask[2:4, 2:4].any()
 
 
+def found_by_sam_masks(names, printed):
+    errors = re.findall(r"enlarged \w+ ([\d.]+)", printed)
+    assert float(errors[0]) < 0.5 < float(errors[1])
+    best = max(names["fits"], key=lambda fit: fit.iou)
+    assert best is names["fits"][1]
+    assert np.rad2deg(pj.pose_error(names["fit"].camera, names["truth"])[0]) < 1
+    assert len(names["tidied"].notes) == 2
+
+
+def found_by_a_focal_prior(names, printed):
+    fit = names["fit"]
+    assert fit.status == "converged"
+    assert fit.std[fit.names.index("phi")] < names["sigma"]
+    assert abs(fit.camera.phi - 0.6) < 0.25 * abs(names["phi"] - 0.6)
+
+
 def found_by_questions(names, printed):
     for name in ("fit", "found", "held", "known_to_1_percent"):
         assert names[name].status == "converged"
@@ -241,6 +257,8 @@ FOUND = {
     "docs/how-to/lenses.md": found_by_lenses,
     "docs/how-to/many-views.md": found_by_many_views,
     "docs/how-to/masks.md": found_by_masks,
+    "docs/how-to/sam-masks.md": found_by_sam_masks,
+    "docs/how-to/focal-prior.md": found_by_a_focal_prior,
     "docs/how-to/questions.md": found_by_questions,
 }
 
@@ -320,13 +338,13 @@ SOON = [*SAID][:3]
 
 @pytest.mark.parametrize("pages", [long(SOON), full([*SAID])])
 def test_site_builds_and_shows_its_results(tmp_path, pages):
-    pytest.importorskip("mkdocs")
+    pytest.importorskip("properdocs")
     pytest.importorskip("mkdocstrings_handlers.python")
     cache = ROOT / ".pytest_cache" / "of_the_site"
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "XDG_CACHE_HOME": str(cache)}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
     environment["DRAFT"] = ",".join(f"{page}.md" for page in pages) if pages == SOON else ""
-    build = [sys.executable, "-m", "mkdocs", "build", "--site-dir", str(tmp_path / "site")]
+    build = [sys.executable, "-m", "properdocs", "build", "--site-dir", str(tmp_path / "site")]
     done = subprocess.run(build, cwd=ROOT, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
@@ -346,7 +364,7 @@ def test_site_builds_and_shows_its_results(tmp_path, pages):
 
 @pytest.fixture
 def hooks():
-    pytest.importorskip("mkdocs")
+    pytest.importorskip("properdocs")
     spec = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -401,11 +419,12 @@ def test_install_lines_name_what_there_is():
     lines = [line for line in commands(["README.md"]) if line.startswith("python3 ")]
     assert len(lines) == 2
     assert commands(["docs/how-to/set-up.md"]) == lines
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = extras["optional-dependencies"]
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    extras, groups = settings["project"]["optional-dependencies"], settings["dependency-groups"]
     for line in commands():
         for named in re.findall(r"'\.\[([\w,]+)\]'", line):
             assert set(named.split(",")) <= set(extras)
+        assert set(re.findall(r"--group (\w+)", line)) <= set(groups)
     for line in lines:
         venv, install, use = (part.split() for part in line.split(" && "))
         assert venv == ["python3", "-m", "venv", ".venv"]
@@ -470,7 +489,7 @@ def test_version_stands_in_one_place():
 
 def test_map_lists_each_module_once():
     page = TEXTS["docs/development/index.md"]
-    (text,) = (block for block in blocks("", page) if block.startswith("__main__"))
+    (text,) = (block for block in blocks("text", page) if block.startswith("__main__"))
     columns = [re.split(r" {3,}", line)[0] for line in text.splitlines()]
     mapped = " ".join(columns).split()
     modules = {

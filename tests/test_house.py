@@ -8,9 +8,11 @@ run it after you delete something, and after a merge that conflicts in `house.to
 import ast
 import io
 import re
+import subprocess
 import sys
 import tokenize
 import tomllib
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
@@ -461,6 +463,29 @@ def test_promises_name_tests_that_exist():
     page = texts()["docs/development/promises.md"]
     assert page.count("\n| ") - page.count("\n| promise |") == len(NODE.findall(page)) > 50
     assert broken_promises(page, texts()) == []
+
+
+def test_wheel_is_as_small_and_imports_as_fast_as_its_page_says():
+    page = texts()["docs/how-to/set-up.md"]
+    megabytes, seconds = (
+        float(re.search(words, page)[1])
+        for words in (r"wheel is ([\d.]+) MB", r"`import pinhole_jax` takes ([\d.]+) s")
+    )
+    sources = [
+        path.read_bytes()
+        for path in (ROOT / "pinhole_jax").rglob("*.*")
+        if path.is_file() and path.suffix not in {*CPP, ".pyc", ".so", ".dylib", ".dll"}
+    ]
+    library = 0.15  # MB, packed; `nox -s wheel` weighs the whole wheel
+    packed = sum(len(zlib.compress(source)) for source in sources) / 1e6 + library
+    assert 0.85 * megabytes < packed < 1.1 * megabytes
+
+    code = (
+        "import time; begin = time.process_time(); import pinhole_jax;"
+        "print(time.process_time() - begin)"
+    )
+    took = [float(subprocess.check_output([sys.executable, "-c", code])) for _ in range(3)]
+    assert min(took) < 2 * seconds  # (a machine may be half as fast)
 
 
 # The counts, each on small sources that break its rule and on some that do not.

@@ -327,8 +327,9 @@ inline int turning_points(const Frame& f, Vec2 points[6]) {
 
 // The angle from a to b, counter-clockwise; as 0 if b is a little before a.
 inline double turn_between(Vec2 a, Vec2 b) {
+  const double pi = std::acos(-1.0);  // (M_PI is no standard name: Windows has none)
   const double angle = std::atan2(a.x * b.y - a.y * b.x, a.x * b.x + a.y * b.y);
-  return angle < -M_PI / 2 ? angle + 2 * M_PI : angle;
+  return angle < -pi / 2 ? angle + 2 * pi : angle;
 }
 
 // Adds what of an arc the film may show through a lens, as straight parts, and what lies left of it.
