@@ -131,19 +131,6 @@ def compiler(request):
     jax.config.update("jax_disable_most_optimizations", hurry)
 
 
-@pytest.fixture(autouse=True)
-def what_is_patched_is_traced(request):
-    """Kernels that were traced stand for equal ones, whatever the code that they call is by now."""
-    from pinhole_jax._numerics import one_kernel  # not before jaxtyping watches imports
-
-    patched = "monkeypatch" in request.fixturenames
-    if patched:
-        one_kernel._flats.clear()
-    yield
-    if patched:
-        one_kernel._flats.clear()
-
-
 @pytest.fixture
 def optimised():
     """Compile a test's programs with all optimisation."""

@@ -9,7 +9,6 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._camera.camera import film_map
 from pinhole_jax._native.rasteriser import sphere_frames
-from pinhole_jax._numerics.bitset import nth, rank_in, select
 from pinhole_jax._silhouette.clip import Homogeneous, cut_off
 from pinhole_jax._silhouette.conics import arc_end, film_at, frame_of
 from pinhole_jax._silhouette.contour import contour_weights as _contour_weights
@@ -17,21 +16,6 @@ from pinhole_jax._silhouette.spheres import shown_arcs
 
 #: One program a mesh: step by step they are some fifty.
 contour_weights = eqx.filter_jit(_contour_weights)
-
-
-@jax.jit
-def listed_by(mask):
-    chosen = select(mask)
-    return chosen.total, nth(chosen, jnp.arange(len(mask), dtype=jnp.int32))
-
-
-@pytest.mark.parametrize("size", [1, 31, 32, 33, 500])
-@pytest.mark.parametrize("share", [0.0, 0.05, 0.6, 1.0])
-def test_nth_lists_what_select_holds(size, share):
-    mask = np.random.default_rng(size).random(size) < share
-    total, listed = listed_by(mask)
-    assert int(total) == mask.sum()
-    np.testing.assert_array_equal(listed[: mask.sum()], np.flatnonzero(mask))
 
 
 def test_contour_of_a_closed_mesh_is_closed():
@@ -50,12 +34,6 @@ def test_contour_of_an_open_mesh_counts_both_sides():
     below = np.asarray(contour_weights(mesh, jnp.array([0.2, 0.2, -3.0])))
     np.testing.assert_array_equal(above, [1, 1, 1])
     np.testing.assert_array_equal(below, -above)
-
-
-def test_rank_in_is_the_inverse_of_nth():
-    mask = np.random.default_rng(0).random(100) < 0.3
-    ranks = jax.jit(lambda mask: rank_in(select(mask), jnp.arange(100, dtype=jnp.int32)))(mask)
-    np.testing.assert_array_equal(ranks, np.where(mask, np.cumsum(mask) - 1, -1))
 
 
 @pytest.mark.long

@@ -8,22 +8,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 
-def in_turn(function: Callable[..., Any], batched: Any, args: tuple[Any, ...]) -> Any:
-    """Return the function of each element of a batch, one element after another.
-
-    `batched` says of each leaf of the arguments whether its first axis counts the batch.
-    """
-    leaves, structure = jax.tree.flatten(args)
-    which = jax.tree.leaves(batched)
-
-    def one(moving):
-        rest = iter(moving)
-        whole = [next(rest) if b else x for x, b in zip(leaves, which, strict=True)]
-        return function(*jax.tree.unflatten(structure, whole))
-
-    return jax.lax.map(one, [x for x, b in zip(leaves, which, strict=True) if b])
-
-
 def in_chunks(
     add: Callable[[Any, Array], Any],
     start: Any,

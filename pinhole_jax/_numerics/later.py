@@ -6,7 +6,6 @@ these have in place of a function is not used, but tracing it takes as long.
 
 from collections.abc import Callable
 from contextlib import nullcontext
-from functools import partial
 from typing import Any
 
 import jax
@@ -15,7 +14,6 @@ from jax.interpreters import batching
 from jaxtyping import PyTree
 
 from .backend import for_cpus, is_for_cpus
-from .literals import tidied
 from .on_devices import lower, results, spread, varying_axes
 
 
@@ -73,4 +71,4 @@ def _batch(args, dims, *, function, shapes):
 _later_p.def_impl(_impl)
 _later_p.def_abstract_eval(_abstract)
 batching.primitive_batchers[_later_p] = _batch
-lower(_later_p, lambda *args, **params: tidied(partial(_impl, **params))(*args))
+lower(_later_p, _impl)
