@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import os
 import re
 from collections.abc import Iterator
@@ -11,8 +12,9 @@ from typing import Any
 
 import pinhole_jax as pj
 
+from ..names import STATUSES
 from .parts import Results, write_whole
-from .rows import Row, line_of
+from .rows import NO_FIT, Row, line_of
 
 #: The numbers of a row's lists that are columns of a CSV, and their places there.
 NUMBERS = {
@@ -29,7 +31,8 @@ def merge(results: Results, path: str | os.PathLike[str]) -> int:
     - .csv: BOP's results (scene_id,im_id,obj_id,score,R,t,time) if all ids come from a BOP data
       set: the rows with a camera; the score is the IoU, lengths are the models' (there mm). Of
       other data a line for every row: id, status, iou, rms, fx, fy, cx, cy, R11 to R33, tx, ty, tz
-      (as `K`, `R` and `t` of the row), standard errors (sigma_) and words.
+      (as `K`, `R` and `t` of the row), standard errors (sigma_) and words; those to be trusted most
+      first: by status, then by how surely the turn is known.
 
     Raises ValueError for other endings, and for a file that cannot be written.
 
@@ -57,11 +60,19 @@ def _flat(results: Results) -> Iterator[list[Any]]:
     sigmas = [*dict.fromkeys(name for row in results for name in row["names"] or ())]
     names = [*NUMBERS, *(f"sigma_{name}" for name in sigmas)]
     yield ["id", "status", "iou", "rms", *names, "words"]
-    for row in results:
+    for row in sorted(results, key=_distrust):
         numbers = [row[field][k] if row[field] else None for field, k in NUMBERS.values()]
         std = dict(zip(row["names"] or (), row["std"] or (), strict=True))
         first = [row[name] for name in ("id", "status", "iou", "rms")]
         yield [*first, *numbers, *map(std.get, sigmas), row["words"]]
+
+
+def _distrust(row: Row) -> tuple[int, float]:
+    """Return the key by which rows that are trusted less come later."""
+    known = [*STATUSES, *NO_FIT]
+    named = zip(row["names"] or (), row["std"] or (), strict=True)
+    turns = [std for name, std in named if name.startswith("rotation")]
+    return known.index(row["status"]), max(turns, default=math.inf)
 
 
 def _is_bop(id: str) -> bool:
