@@ -350,6 +350,9 @@ def test_bop_results(rows, truths, tmp_path):
         batch.merge(batch.Results(tmp_path), tmp_path / "table.txt")
 
 
+TURNS = ("b1", "b2", "v")
+
+
 def test_flat_table_has_a_line_for_every_row(rows, tmp_path):
     names = ["first, of two", "second"]
     found = [row | {"id": id} for id, row in zip(names, rows[:2], strict=True)]
@@ -360,7 +363,7 @@ def test_flat_table_has_a_line_for_every_row(rows, tmp_path):
     assert batch.merge(batch.Results(tmp_path), tmp_path / "flat.csv") == 3
     with open(tmp_path / "flat.csv", newline="") as stream:
         *lines, last = list(csv.DictReader(stream))
-    turn = lambda row: max(row["std"][row["names"].index(f"rotation_{b}")] for b in ("b1", "b2", "v"))
+    turn = lambda row: max(row["std"][row["names"].index(f"rotation_{b}")] for b in TURNS)
     for line, row in zip(lines, sorted(found, key=turn), strict=True):  # the surest first
         assert (line["id"], line["status"]) == (row["id"], "converged")
         number = lambda *columns, line=line: [float(line[name]) for name in columns]
