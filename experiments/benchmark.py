@@ -8,7 +8,7 @@
 - `peers`: masks, gradients and fits beside Embree and DEODR, as far as these are
   installed (`_peers.py` has their settings), against a union of the projected triangles in float64.
 - `memory`: what is resident while a mask is made, over scene and mask. (Linux alone tells.)
-- `tracer`: rays of an image, drawn and searched for, and rays from anywhere, beside Embree's.
+- `tracer`: rays of an image and rays from anywhere, beside Embree's.
 - `device`: is what an accelerator makes right, and how fast is it there? Each place in a process
   of its own; errors are the largest entry's distance from what the CPU makes in float64.
 
