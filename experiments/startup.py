@@ -165,6 +165,21 @@ data = pj.io.camera_to_dict(start)
 data["phi_degrees"] = 40
 import json
 json.dump(data, open("edited.json", "w"))
+dirty = mask.copy()
+dirty[4, 4:6] = dirty[70, 90] = dirty[75, 5] = True
+dirty[40, 48] = dirty[41, 50] = False
+Image.fromarray(dirty).save("network.png")
+open("ros.yaml", "w").write(
+    "image_width: 96\\nimage_height: 80\\ndistortion_model: plumb_bob\\n"
+    "camera_matrix: {rows: 3, cols: 3, data: [129.3, 0, 47.5, 0, 129.3, 39.5, 0, 0, 1]}\\n"
+    "distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0, 0, 0, 0]}\\n"
+)
+json.dump({"intrinsics": [[129.3, 0, 47.5], [0, 129.3, 39.5], [0, 0, 1]]}, open("net.json", "w"))
+open("cameras.txt", "w").write("1 PINHOLE 96 80 129.3 129.3 48 40\\n")
+open("part.step", "w").write("ISO-10303-21;")
+open("set.csv", "w").write(
+    "id,mesh,mask,fov\\n" + "".join(f"frame {k},part.obj,mask.png,34.4\\n" for k in range(2))
+)
 """
 
 #: Wrong arguments of the library: refused at the door, with an error that names them.
@@ -205,6 +220,25 @@ assert np.all(np.isfinite(pose.std)) and pose.covariance.shape == (6, 6)
 told = json.load(open("out/camera.json"))["fit"]["object_in_camera"]
 np.testing.assert_allclose(told["R"], pose.R, atol=1e-5)  # read as float32
 json.dumps(pj.io.fit_to_dict(fit))
+"""
+
+
+#: What a student of rendering does with the parts.
+PARTS = """
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pinhole_jax as pj
+scene = pj.Scene(mesh=pj.load_mesh("part.obj"))
+fit = pj.io.load_fit("out/camera.json")
+mask = pj.io.load_mask("mask.png") > 127
+loss = lambda camera: jnp.sum(pj.residuals(camera, scene, mask) ** 2)
+rms = np.sqrt(loss(fit.camera) / mask.size)
+np.testing.assert_allclose(rms, fit.rms, rtol=1e-3)
+assert str(jax.grad(loss)(fit.camera)).startswith("Gradient")
+K, R, t = pj.formats.to_opencv(fit.camera, pixel_centres="integer")
+np.testing.assert_allclose(fit.camera.K, K, rtol=1e-5)
+np.testing.assert_allclose(fit.camera.R, R, atol=1e-5)
 """
 
 
@@ -304,6 +338,19 @@ def at_the_door(step: Step) -> None:
         2,
         "expected a camera of 64 x 64, got one of 96 x 80",
     )
+    step.command("a solid", ["fit", "part.step", "mask.png", "--fov", "34"], 2, "export it as STL")
+    step.command("exchanged", ["fit", "mask.png", "part.obj"], 2, "MESH and MASK exchanged?")
+    K = "--K", "129.3,129.3,39.5,200", "--dist", "-0.2,0.1,0,0"
+    step.command(
+        "K of another picture", fit("mask.png", *K), 2, "point inside the picture", "resized?"
+    )
+    step.command("a field of view in rad", fit("mask.png", "--fov", "0.577"), 2, "degrees?")
+    step.command(
+        "an output that cannot be written",
+        fit("mask.png", "--fov", "34", "-o", "part.obj"),
+        2,
+        "`--output`: expected",
+    )
     step.script("wrong arguments of the library", DOOR)
 
 
@@ -317,6 +364,10 @@ def fits(step: Step) -> None:
         "the second fit, a camera of OpenCV's", fit("mask.png", "--camera", "start.yaml"), 0
     )
     step.script("a fit's file, its pose and covariance", RESULT)
+    network = fit("network.png", "--K", "ros.yaml")
+    step.command("a network's mask, ROS's calibration", network, None, "3 islands", "2 holes")
+    check = ["check", "out/camera.json", "part.obj", "mask.png"]
+    step.command("it has not moved", check, 0, "not moved: less than 1 sigma")
 
 
 def more(step: Step) -> None:
@@ -335,6 +386,11 @@ def more(step: Step) -> None:
     K = "--K", "129.3", "129.3", "47.5", "39.5"
     step.command("K known, no pose", fit("mask.png", *K), 0, "status     converged")
     step.command("a report", fit("mask.png", *start, "--report", "page.html"), 0, "page.html")
+    for name in ("net.json", "cameras.txt", "start.yaml"):
+        step.command(f"K in {name}", fit("mask.png", "--K", name), 0, "status     converged")
+    batch = ["batch", "set.csv", "-o", "rows", "--track", "--merge", "table.csv"]
+    step.command("frames, one after another", batch, 0, "2   converged", "table.csv")
+    step.script("residuals, matrices, a gradient in print", PARTS)
     step.command("a lens: pose and k1", fit("mask.png", *start, "--free", "pose,k1"), 0)
 
 
