@@ -83,6 +83,7 @@ class Splitter {
 
   void split_row(int32_t number, const Monotone& m, double row, double x0, double y0, double x1,
                  double y1) {
+    if (!std::isfinite(x0) || !std::isfinite(x1)) return;  // numbers too large to be told apart
     const double c0 = column_of(x0), c1 = column_of(x1), step = c1 >= c0 ? 1 : -1;
     const bool passes = m.high.y > row, bottom = passes && y0 <= row && m.high.y > m.low.y;
     if (bottom && c0 < 0) out_.beside[size_t(row)] += m.jump;
@@ -126,7 +127,8 @@ class Pixel {
   // The coverage; `corner` layers lie at the lower left corner.
   double coverage(int row, int column, int64_t index, int corner, const int32_t* some, int n) {
     row_ = row, column_ = column, index_ = index, corner_ = corner, some_ = some, n_ = n;
-    double mean = corner, layers = 0, drops = 0;
+    if (corner - drops() > 0) return 1;
+    double mean = corner, layers = 0;
     int entries = 0, ways = 0;
     bool single = true;
     for (int k = 0; k < n; ++k) {
@@ -143,10 +145,8 @@ class Pixel {
       entries += p.enters;
       const double up = -p.jump * dy, right = -p.jump * dx;
       ways |= (up > kTiny) | (up < -kTiny) << 1 | (right > kTiny) << 2 | (right < -kTiny) << 3;
-      const int change = p.left && !p.left_at_end ? -p.jump : p.jump;
-      drops += p.on_bottom ? std::abs(p.jump) : std::max(-change, 0);
     }
-    if (corner - drops > 0.5 || mean > layers + 0.5) return 1;
+    if (mean > layers + 0.5) return 1;
     const bool straight = (ways & 3) != 3 || (ways & 12) != 12;
     if (single && entries == 1 && straight && std::abs(mean - 1) > kTie) {
       if (mean > 1) return 1;
@@ -183,6 +183,16 @@ class Pixel {
   };
 
   const Piece& piece(int k) const { return all_.pieces[some_[k]]; }
+  // The layers that pieces may take from those at the corner, all together.
+  int drops() const {
+    int sum = 0;
+    for (int k = 0; k < n_; ++k) {
+      const Piece& p = piece(k);
+      const int change = p.left && !p.left_at_end ? -p.jump : p.jump;
+      sum += p.on_bottom ? std::abs(p.jump) : std::max(-change, 0);
+    }
+    return sum;
+  }
   const Monotone& curve(const Piece& p) const { return all_.curves[p.curve]; }
   double film(bool upward, double u) const { return u + (upward ? row_ : column_); }
 
@@ -326,7 +336,8 @@ class Pixel {
     halts_.assign({from, to});
     for (size_t i = 0; i < here_.size(); ++i) {
       const Line& l = lines_[here_[i].line];
-      halts_.push_back(std::clamp(l.u0, from, to)), halts_.push_back(std::clamp(l.u1, from, to));
+      if (l.u0 > from) halts_.push_back(l.u0);
+      if (l.u1 < to) halts_.push_back(l.u1);
       for (size_t j = i + 1; j < here_.size(); ++j) add_crossing(l, lines_[here_[j].line], upward, from, to);
     }
     std::sort(halts_.begin(), halts_.end());
