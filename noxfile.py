@@ -107,15 +107,29 @@ DRAWN = files("silhouette gradients fit_camera")
 
 
 @here
-def as_users(session: nox.Session) -> None:
-    """Some tests with the compiler as users have it."""
-    pytest(session, *DRAWN, XLA_FLAGS="")
-
-
-@here
 def arrays(session: nox.Session) -> None:
     """Some tests without the compiled library: JAX's arrays draw."""
     pytest(session, *DRAWN, "tests/test_trace.py", PINHOLE_JAX_NATIVE="0")
+
+
+@here
+def sanitized(session: nox.Session) -> None:
+    """Hostile scenes against a library with sanitizers; then a minute of fuzzing."""
+    library = f"{session.create_tmp()}/libpinhole.so"
+    checks = "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-g", "-O1"
+    kind = "-std=c++17", "-shared", "-fPIC", "-fvisibility=hidden", "-pthread"
+    source = "pinhole_jax/_native/handlers.cc"
+    session.run("g++", *kind, *checks, source, "-o", library, external=True)
+    # (Exceptions of C++ want its library loaded as early.)
+    said = [
+        session.run("g++", f"-print-file-name={name}.so", external=True, silent=True)
+        for name in ("libasan", "libstdc++")
+    ]
+    loaded = " ".join(str(path).strip() for path in said)
+    options = {"ASAN_OPTIONS": "detect_leaks=0", "LD_PRELOAD": loaded}
+    env = {"PINHOLE_JAX_NATIVE": library, **options}
+    pytest(session, *files("native walker stress garbage"), **env)
+    session.run("python", "tests/fuzz_native.py", "--seconds", "60", env=env)
 
 
 @apart()
@@ -150,7 +164,7 @@ def lowest_versions(session: nox.Session) -> None:
 
 #: What a newer Python, and the newer JAX for it, could change: also what scikit-image draws and
 #: shapely cuts.
-NEWER = files("import camera scene io formats main programs overlaps walker jitted trace")
+NEWER = files("import camera scene io formats main overlaps native walker trace")
 
 
 @apart(name="newest", python=newest())

@@ -1,17 +1,11 @@
 """JAX made strict: float64, no silent promotion of types or ranks; every test closes its oracle.
 
-Compiled programs are kept in `.pytest_cache`: modules and processes share them, and the next run.
-Nearly all of a test's time is compilation: without optimisation, and with what `QUICKLY` leaves
-out, it takes a third of the time (modules marked `optimised` do only the latter: what is made
-without optimisation runs slower). With XLA_FLAGS set, even to nothing, the compiler is as users
-have it.
+Programs are compiled as users have them, and kept in `.pytest_cache`: modules and processes share
+them, and the next run.
 """
 
 import gc
 import os
-import runpy
-import subprocess
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -21,35 +15,6 @@ import jaxtyping
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "pinhole_jax"
-#: XLA's passes that programs are compiled without. (Read, not imported: jaxtyping is to watch the
-#: package's imports.)
-LEFT_OUT = runpy.run_path(str(PACKAGE / "_numerics" / "passes.py"))["LEFT_OUT"]
-#: What XLA is told: to write kernels the older way, in one piece (workers fill the cores), and
-#: without those passes.
-QUICKLY = [
-    "--xla_cpu_use_fusion_emitters=false",
-    "--xla_cpu_parallel_codegen_split_count=1",
-    f"--xla_disable_hlo_passes={','.join(LEFT_OUT)}",
-]
-
-
-def known(flags: list[str]) -> bool:
-    """Return whether this XLA knows flags: one that it does not know ends the process."""
-    trial = subprocess.run(
-        [sys.executable, "-c", "import jax; jax.devices()"],
-        env={**os.environ, "XLA_FLAGS": " ".join(flags)},
-        capture_output=True,
-        check=False,
-    )
-    return trial.returncode == 0
-
-
-if "XLA_FLAGS" not in os.environ:
-    flags = QUICKLY if known(QUICKLY) else [flag for flag in QUICKLY if known([flag])]
-    os.environ["XLA_FLAGS"] = " ".join(flags)
-    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # workers and commands inherit it
-HURRY = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS") == "1"
-
 gc.set_threshold(1_000_000)  # tracing makes objects that stay: looking through them takes a third
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -117,30 +82,6 @@ def shared() -> Path:
     return SHARED
 
 
-@pytest.fixture(scope="module", autouse=True)
-def compiler(request):
-    """Compile in a hurry, but where what is compiled runs for longer than that takes.
-
-    What earlier modules compiled is there to be used again, if it was compiled in the same way: to
-    trace it anew takes longer than to read it from the disk.
-    """
-    marks = {mark.name for mark in request.node.iter_markers()}
-    hurry = HURRY and "optimised" not in marks
-    if "altered" in marks or hurry != jax.config.read("jax_disable_most_optimizations"):
-        jax.clear_caches()
-    jax.config.update("jax_disable_most_optimizations", hurry)
-
-
-@pytest.fixture
-def optimised():
-    """Compile a test's programs with all optimisation."""
-    jax.clear_caches()
-    jax.config.update("jax_disable_most_optimizations", False)
-    yield
-    jax.clear_caches()
-    jax.config.update("jax_disable_most_optimizations", HURRY)
-
-
 @pytest.fixture
 def compiled():
     """Return the programs that are compiled (or read) from now on: a growing list."""
@@ -163,19 +104,16 @@ def memory_maps() -> int:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def programs_are_let_go(compiler, request):
+def programs_are_let_go(request):
     """Compiled programs hold memory maps, and a process may have 65530: let go of a module's, where
-    there are many, or where it alone can use them.
-
-    Without it the compiler aborts in the middle of a long run. What they took is given back to the
-    system: the C library keeps gigabytes of it in small pieces.
+    there are many, or where it alone can use them. (Without it the compiler aborts in a long run.)
     """
-    yield
-    if request.node.get_closest_marker("altered") or memory_maps() >= KEPT:
+    altered = request.node.get_closest_marker("altered")
+    if altered:
         jax.clear_caches()
-        from pinhole_jax._numerics.tracing import give_back  # not before jaxtyping watches imports
-
-        give_back()
+    yield
+    if altered or memory_maps() >= KEPT:
+        jax.clear_caches()
 
 
 @pytest.fixture(autouse=True)

@@ -20,18 +20,15 @@ import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
-import equinox as eqx
 import jax
 import numpy as np
 import pytest
 from chosen import full, long
-from emitters import NEWER
 from PIL import Image
 
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io, shapes
 from pinhole_jax._fit.words import STATUSES
-from pinhole_jax._trace.images import _ahead
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -190,9 +187,6 @@ def test_programs_are_kept_where_the_cache_is(another_cache):
 @pytest.mark.parametrize("page", [full(page) if page in DEAR else long(page) for page in PYTHON])
 def test_python_runs(page, capsys, another_cache, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    if page == "docs/reference/images.md":  # (another asks for depths within a program)
-        depths = eqx.filter_jit(_ahead.__wrapped__, compiler_options=NEWER)
-        monkeypatch.setattr(_ahead, "_part", depths)
     Path("experiments").symlink_to(ROOT / "experiments")  # as in the repository's folder
     names = {}
     for number, block in enumerate(blocks("python", TEXTS[page]), 1):

@@ -140,7 +140,6 @@ def test_mesh_and_spheres_together(scene):
     np.testing.assert_allclose(pj.pose_error(fit.camera, CAMERA), 0, atol=1e-8)
 
 
-@pytest.mark.usefixtures("optimised")
 @pytest.mark.full
 def test_covariance_is_that_of_refits_under_noise(scene, exhaustive):
     random = np.random.default_rng(0)
@@ -363,7 +362,6 @@ def test_pytorch3d_cow_is_recovered(shared):
         assert abs(float(fit.camera.phi - truth.phi)) < 2 * fit.std[fit.names.index("phi")]
 
 
-@pytest.mark.usefixtures("optimised")
 @pytest.mark.full
 @pytest.mark.parametrize("photo", ["200", "201"])
 def test_shampoo_bottle_in_a_photo_is_recovered(shared, photo, exhaustive):

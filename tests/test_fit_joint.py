@@ -26,8 +26,6 @@ from pinhole_jax._solver import levenberg_marquardt
 from pinhole_jax._solver.least_squares import Rows, held_to_the_end, solve
 from pinhole_jax._solver.moves import reported
 
-pytestmark = pytest.mark.optimised
-
 SIZE = 96
 TRUTH = pj.Camera([0.4, -0.9, 6], [0, 0, 0.2], [0, 1, 0], 0.6, 1.0, SIZE, SIZE)
 #: Some 10 degrees and a fifth of a unit off.

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from chosen import first, full
-from emitters import NEWER
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -122,7 +121,7 @@ def test_no_operation_makes_nan(name):
 NO_CAMERAS = {"u along the view": ("u", CAMERA.p - CAMERA.e), "e = p": ("p", CAMERA.e)}
 
 
-@partial(jax.jit, compiler_options=NEWER)
+@jax.jit
 @partial(jax.jacrev, has_aux=True)
 def looking(camera):
     """Return derivatives of sums by the camera, and what it sees."""

@@ -1,7 +1,6 @@
 """Depth and normals by hand, against a published renderer, and their derivatives."""
 
 import json
-from functools import partial
 
 import equinox as eqx
 import jax
@@ -9,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from chosen import first
-from emitters import NEWER
 from oracles import central_difference
 
 import pinhole_jax as pj
@@ -19,7 +17,7 @@ W, H = 16, 12
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.3, W, H)
 WALL = np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
 FACES = np.array([[0, 1, 2], [0, 2, 3]])
-program = partial(jax.jit, compiler_options=NEWER)
+program = jax.jit
 depth = program(pj.depth)
 
 

@@ -20,8 +20,6 @@ from pinhole_jax._solver.solver import Solver
 from pinhole_jax._solver.stretches import coverage_of, outline_pixels, smoothed_about
 from pinhole_jax.show.outline import RED
 
-pytestmark = pytest.mark.optimised
-
 COLUMNS = np.arange(96) + 0.5
 
 

@@ -19,8 +19,6 @@ from pinhole_jax._solver.outline_errors import is_drawn, outline_errors
 from pinhole_jax._solver.solver import Solver
 from pinhole_jax._solver.stretches import area_between, stretches_of
 
-pytestmark = pytest.mark.optimised
-
 SIZE = 128
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, SIZE, SIZE)
 

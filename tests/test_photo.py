@@ -15,8 +15,6 @@ from pinhole_jax._solver.moves import canonical
 from pinhole_jax._solver.solver import Solver
 from pinhole_jax._solver.stretches import coverage_of
 
-pytestmark = pytest.mark.optimised
-
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 192, 160)
 START = turned(CAMERA, [1, 2, 3], 3)
 FRONT, BACK = np.array([0.7, 0.3, 0.1]), np.array([0.1, 0.3, 0.5])

@@ -32,8 +32,6 @@ from pinhole_jax._solver.outline_errors import OutlineErrors
 from pinhole_jax._solver.priors import no_others
 from pinhole_jax._solver.solver import FAR_LEVEL, Found, Solver
 
-pytestmark = pytest.mark.optimised
-
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 START = pj.Camera([3, 1, 0.8], [0, 0, 0], [0, 0, 1], 0.8, W=48, H=40)
 

@@ -17,8 +17,6 @@ from pinhole_jax._mask.thumbnails import SIZE, axes_inward, thumbnails
 from pinhole_jax._scene import coarse
 from pinhole_jax._scene.scene import ball_about, bounding_box, padded, with_or_without_border
 
-pytestmark = pytest.mark.optimised
-
 
 @pytest.fixture(scope="module")
 def scene():

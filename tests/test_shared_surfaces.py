@@ -7,8 +7,6 @@ from oracles import drawn
 
 import pinhole_jax as pj
 
-pytestmark = pytest.mark.optimised
-
 W, H, CAMERAS = 640, 480, 20
 
 

@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-#: `PINHOLE_JAX_NATIVE=0` chooses JAX's own arrays in its place.
+#: `PINHOLE_JAX_NATIVE=0` chooses JAX's own arrays in its place, a path another build of it.
 SWITCH = "PINHOLE_JAX_NATIVE"
 #: The library's handlers, by the names that JAX calls them.
 HANDLERS = (
@@ -23,5 +23,8 @@ def is_switched_off() -> bool:
 
 def library_path() -> Path | None:
     """The library, None where it was not built."""
+    other = os.environ.get(SWITCH, "")
+    if os.sep in other:
+        return Path(other)
     folder = Path(__file__).parents[1] / "_native"
     return next((folder / name for name in NAMES if (folder / name).exists()), None)

@@ -1,13 +1,11 @@
 """What rays meet, by the compiled library."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._numerics.later import on_each_device
+from .._numerics.on_devices import spread
 from .._scene.scene import Scene
 
 
@@ -30,4 +28,4 @@ def walked(
     given = vertices, faces.astype(jnp.int32), centers, radii, origin, direction
     like = jax.ShapeDtypeStruct(direction.shape[:1], jnp.int32)
     call = jax.ffi.ffi_call("pinhole_walk", like, vmap_method="expand_dims")
-    return on_each_device(partial(call, any=np.int64(any_hit)), *given)
+    return spread([call(*spread(given, []), any=np.int64(any_hit))], given)[0]

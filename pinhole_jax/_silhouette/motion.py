@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 
 from .._camera.film import FilmMap
 from .._native.linear import differentiable_once, linear
-from .._numerics.later import on_each_device
 from .._numerics.safe import safe_divide
 from .._scene.scene import Scene
 from .conics import arc_flux, unit_of
@@ -43,7 +42,7 @@ def coverage_in_arrays(film: FilmMap, scene: Scene, overlaps: bool) -> Float[Arr
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _coverage(overlaps: bool, moving: Moving, given: tuple[FilmMap, Scene]) -> Array:
-    return on_each_device(lambda *x: _view(overlaps, *x).image, moving, given)
+    return _view(overlaps, moving, given).image
 
 
 @partial(_coverage.defjvp, symbolic_zeros=True)
@@ -53,7 +52,7 @@ def _coverage_jvp(overlaps: bool, primals: Any, tangents: Any):
     leaves, tree = jax.tree.flatten(moving)
     velocities = tree.flatten_up_to(tangents[0])
     moves = [not isinstance(v, SymbolicZero) for v in velocities]
-    view = on_each_device(partial(_view, overlaps), *differentiable_once((moving, given)))
+    view = _view(overlaps, *differentiable_once((moving, given)))
     held, film = differentiable_once(leaves), (given[0].W, given[0].H)
     like = jax.ShapeDtypeStruct(view.image.shape, view.image.dtype)
     some_of = lambda xs: [x for x, m in zip(xs, moves, strict=True) if m]
@@ -83,7 +82,7 @@ def _coverage_jvp(overlaps: bool, primals: Any, tangents: Any):
 
         return _fold_seen(view, film, add, jax.tree.map(jnp.zeros_like, some_of(held)))
 
-    forward, back = (partial(on_each_device, way, view, held) for way in (push, pull))
+    forward, back = (partial(way, view, held) for way in (push, pull))
     return view.image, linear(forward, back, some_of(velocities), like)
 
 

@@ -11,12 +11,10 @@ from .._camera.camera import Camera, film_map
 from .._camera.film import FilmMap
 from .._native.library import is_available
 from .._native.rasteriser import coverage
-from .._numerics.backend import for_this_machine, is_for_cpus
 from .._scene.scene import Scene, astype, check_view
 from .motion import coverage_in_arrays
 
 
-@for_this_machine()
 def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Array, "H W"]:
     """The fraction of each pixel's square that the scene covers: (H, W), row 0 on top.
 
@@ -53,7 +51,7 @@ def _silhouette(camera: Camera, scene: Scene, overlaps: bool) -> Float[Array, "H
     arrays = partial(in_arrays, overlaps=overlaps)
     if not is_available():
         return arrays(film, scene)
-    if is_for_cpus():
+    if jax.default_backend() == "cpu":
         return coverage(film, scene)
     return jax.lax.platform_dependent(film, scene, cpu=coverage, default=arrays)
 

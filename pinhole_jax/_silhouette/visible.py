@@ -1,5 +1,6 @@
 """The silhouette's outline as lines on the film, and the points of the object that make it."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -9,7 +10,6 @@ from .._camera.bent import bent
 from .._camera.camera import Camera, camera_coordinates, film_map
 from .._camera.rays import project
 from .._native.rasteriser import sphere_frames
-from .._numerics.jitted import jitted
 from .._numerics.safe import norm
 from .._scene.scene import Mesh, Scene, Spheres, astype, check_view
 from .conics import film_at
@@ -93,7 +93,7 @@ def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
     return points[ahead]
 
 
-@jitted
+@eqx.filter_jit
 def _segments(camera: Camera, mesh: Mesh) -> Curve:
     """All edges as segments in and near the film, and then what of them lies left of it."""
     film = film_map(camera)
@@ -114,17 +114,17 @@ def _base(camera: Camera, scene: Scene) -> int:
     return 0 if min(nearest) > 0 else int(_layers(camera, scene))
 
 
-@jitted
+@eqx.filter_jit
 def _layers(camera: Camera, scene: Scene) -> Int[Array, ""]:
     return surrounding(film_map(camera), scene)
 
 
-@jitted
+@eqx.filter_jit
 def _edge_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
     return contour_weights(mesh, e)
 
 
-@jitted
+@eqx.filter_jit
 def _arcs(camera: Camera, spheres: Spheres) -> tuple[Array, ...]:
     """Arcs' conics, from which angle to which they go, and their weights."""
     film = film_map(camera)

@@ -5,20 +5,16 @@ the pixel. They are differentiable where the primitive that a ray hits stays the
 and folds they jump, and no derivative tells of it: how an edge moves is what `silhouette` knows.
 """
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera, camera_basis
-from .._numerics.backend import for_this_machine
-from .._numerics.jitted import jitted
-from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Scene, check_view
 from .components import inner, parts
 from .trace import Found, found, hits
 
 
-@collector_at_rest()
-@for_this_machine()
 def depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
     """Return how far ahead of the eye each pixel's ray first meets the scene: (H, W), row 0 on top.
 
@@ -37,8 +33,6 @@ def depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
     return _ahead(camera, scene, found(scene, camera))
 
 
-@collector_at_rest()
-@for_this_machine()
 def normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
     """Return the unit normal of what each pixel's ray first meets: (H, W, 3), row 0 on top.
 
@@ -57,7 +51,7 @@ def normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
     return _towards_eye(camera, scene, found(scene, camera))
 
 
-@jitted
+@eqx.filter_jit
 def _ahead(camera: Camera, scene: Scene, seen: Found) -> Float[Array, "H W"]:
     t = hits(scene, seen).t
     met = jnp.isfinite(t)
@@ -66,7 +60,7 @@ def _ahead(camera: Camera, scene: Scene, seen: Found) -> Float[Array, "H W"]:
     return jnp.where(met, jnp.where(met, t, 0) * ahead, jnp.inf)
 
 
-@jitted
+@eqx.filter_jit
 def _towards_eye(camera: Camera, scene: Scene, seen: Found) -> Float[Array, "H W 3"]:
     normal = hits(scene, seen).normal
     away = inner(parts(normal), parts(seen.rays.direction)) > 0

@@ -8,6 +8,7 @@ import math
 from functools import partial
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,12 +18,8 @@ from .._camera.camera import Camera, camera_basis, check_camera
 from .._camera.rays import Rays, camera_rays
 from .._native.library import is_available
 from .._native.walker import walked
-from .._numerics.backend import for_this_machine, is_for_cpus
-from .._numerics.jitted import jitted
-from .._numerics.later import on_each_device
 from .._numerics.pointwise import filled_up, may_be_filled_up, room
 from .._numerics.safe import binary_inverse, normalize
-from .._numerics.tracing import collector_at_rest
 from .._scene.scene import Mesh, Scene, Spheres, astype
 from .components import Parts, largest, length, outer, parts, unit, whole
 from .heap import first_met
@@ -49,8 +46,6 @@ class Hit(NamedTuple):
     normal: Float[Array, "*batch 3"]
 
 
-@collector_at_rest()
-@for_this_machine()
 def trace(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Hit:
     """Return the closest hit of each ray with the scene's triangles (both sides) and spheres.
 
@@ -82,8 +77,6 @@ def trace(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Hit:
     return _first(number, hits(scene, found(scene, given)))
 
 
-@collector_at_rest()
-@for_this_machine()
 def occluded(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Bool[Array, "*batch"]:
     """Return whether each ray, or each ray of a camera, meets anything at all.
 
@@ -145,7 +138,7 @@ def _first(number: int | None, found: Any) -> Any:
     return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[:number], x.dtype), found)
 
 
-@jitted
+@eqx.filter_jit
 def _find(scene: Scene, rays: Rays, camera: Camera | None, any_hit: bool) -> Found:
     """What rays meet first, and the camera that they are of; not differentiated.
 
@@ -170,16 +163,15 @@ def _first_met(scene: Scene, rays: Rays, any_hit: bool) -> Int[Array, "*batch"]:
     given = scene, origin.reshape(-1, 3), jnp.broadcast_to(rays.direction, shape).reshape(-1, 3)
     native = partial(walked, any_hit=any_hit)
     if not is_available():
-        met = on_each_device(first_met, *given)
-    elif is_for_cpus():
+        met = first_met(*given)
+    elif jax.default_backend() == "cpu":
         met = native(*given)
     else:
-        choose = partial(jax.lax.platform_dependent, cpu=native, default=first_met)
-        met = on_each_device(choose, *given)
+        met = jax.lax.platform_dependent(*given, cpu=native, default=first_met)
     return met.reshape(shape[:-1])
 
 
-@jitted
+@eqx.filter_jit
 def hits(scene: Scene, met: Found) -> Hit:
     """Return what is to be said of the rays' hits with what they are known to meet."""
     rays = met.rays

@@ -1,5 +1,0 @@
-"""Functions as programs."""
-
-import equinox as eqx
-
-jitted = eqx.filter_jit
