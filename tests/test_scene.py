@@ -126,7 +126,7 @@ def test_planes_at_hand_are_those_of_a_program(dtype, size, cut):
 
 def test_mesh_compiles_nothing(compiled):
     ring = trimesh.creation.torus(1, 0.3, 11, 9)
-    pj.Mesh(ring.vertices, ring.faces)
+    bounding_box(pj.Scene(mesh=pj.Mesh(ring.vertices, ring.faces)))
     compiled.clear()  # (to hold an array takes a program of JAX's own, once)
     sizes = []
     for sections in (11, 12, 17):
