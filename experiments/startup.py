@@ -62,7 +62,9 @@ def distorted() -> tuple[pj.Camera, pj.Scene]:
     return pj.Camera(c.e, c.p, c.u, c.phi, c.d, c.W, c.H, lens), scene(spheres=spheres)
 
 
-def by_vertices(camera: pj.Camera, vertices, faces):
+def by_vertices(camera: pj.Camera, vertices):
+    with jax.ensure_compile_time_eval():
+        faces = np.asarray(scene().mesh.faces)
     return loss(camera, pj.Scene(mesh=pj.Mesh(vertices, faces)))
 
 
@@ -83,7 +85,7 @@ CALLS: dict[str, tuple[Callable, Callable[[], tuple]]] = {
     "gradient_of_camera": (jitted(jax.grad(loss)), lambda: (camera(), scene())),
     "gradient_of_vertices": (
         jitted(jax.grad(by_vertices, (0, 1))),
-        lambda: (camera(), scene().mesh.vertices, np.asarray(scene().mesh.faces)),
+        lambda: (camera(), scene().mesh.vertices),
     ),
     "gradient_with_spheres_and_distortion": (jitted(jax.grad(loss)), distorted),
     "fit": (lambda *given: pj.fit_camera(*given).camera, to_fit),
