@@ -82,7 +82,7 @@ def _coverage_jvp(overlaps: bool, primals: Any, tangents: Any):
 
         return _fold_seen(view, film, add, jax.tree.map(jnp.zeros_like, some_of(held)))
 
-    forward, back = (partial(way, view, held) for way in (push, pull))
+    forward, back = partial(push, view, held), partial(pull, view, held)
     return view.image, linear(forward, back, some_of(velocities), like)
 
 
