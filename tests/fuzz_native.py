@@ -92,14 +92,17 @@ def drawn(random: Random) -> None:
     film, lens, vertices, frames = (given[k] for k in (0, 1, 2, 8))
     arrays = [jnp.asarray(x) for x in given]
     image = jax.ShapeDtypeStruct((H, W), film.dtype)
-    (seen,) = CALL("image", model, [image], *arrays)
+    room = jax.ShapeDtypeStruct((3 + random.count(9),), jnp.int32)
+    seen, edges = CALL("image", model, [image, room], *arrays)
+    if random.bits.random() < 0.5:
+        edges = jnp.asarray(random.integers(90, *edges.shape))
     assert np.all((np.asarray(seen) >= 0) & (np.asarray(seen) <= 1)), seen
     moves = film, lens[: NUMBERS[model]], vertices, frames
     own = [random.reals(*x.shape) if random.shapes.random() < 0.7 else x[:0] for x in moves]
     own = [x if x.size else np.zeros((0,) * x.ndim, x.dtype) for x in own]
-    CALL("image_push", model, [image], *arrays, *map(jnp.asarray, own))
+    CALL("image_push", model, [image], *arrays, edges, *map(jnp.asarray, own))
     results = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in own]
-    CALL("image_pull", model, results, *arrays, jnp.asarray(random.reals(H, W)))
+    CALL("image_pull", model, results, *arrays, edges, jnp.asarray(random.reals(H, W)))
 
 
 def looked(random: Random) -> None:

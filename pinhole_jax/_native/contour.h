@@ -267,21 +267,39 @@ inline bool reaches_behind(const MeshData& m, const Film& film) {
   return false;
 }
 
-inline void add_mesh(const Film& film, const MeshData& m, Outline& out) {
-  const std::vector<uint8_t> front = front_facing(m, film.eye);
+// The edges between front and back faces, and borders: twice an edge, and 1 where its first face is
+// a front; the layers far to the left of the film.
+struct ContourEdges {
+  std::vector<int32_t> edges;
   bool closed = true;
+  int base = 0;
+};
+
+inline ContourEdges contour_of(const Film& film, const MeshData& m) {
+  ContourEdges found;
+  bool& closed = found.closed;
+  const std::vector<uint8_t> front = front_facing(m, film.eye);
   for (int64_t e = 0; e < m.E && closed; ++e) closed = m.edge_faces[2 * e + 1] >= 0;
   for (int64_t e = 0; e < m.E; ++e) {
     const int32_t first = m.edge_faces[2 * e], second = m.edge_faces[2 * e + 1];
     if (!within(first, m.F) || second >= m.F) continue;
-    const bool border = second < 0, positive = front[first];
-    if (!border && front[second] == front[first]) continue;
-    const int weight = (positive ? 1 : -1) * (closed || border ? 1 : 2);
-    const int32_t* v = m.edge_vertices + 2 * e;
-    if (!within(v[0], m.V) || !within(v[1], m.V)) continue;
-    add_edge(film, film.at(m.vertices.point(v[0])), film.at(m.vertices.point(v[1])), int32_t(e), weight, out.curves);
+    if (second < 0 || front[second] != front[first]) found.edges.push_back(int32_t(2 * e + front[first]));
   }
-  if (m.F > 0 && reaches_behind(m, film)) out.base += layers_on_the_left(m, film, front, closed);
+  if (m.F > 0 && reaches_behind(m, film)) found.base = layers_on_the_left(m, film, front, closed);
+  return found;
+}
+
+inline void add_mesh(const Film& film, const MeshData& m, const ContourEdges& contour, Outline& out) {
+  out.base += contour.base;
+  for (const int32_t edge : contour.edges) {
+    const int32_t e = edge >> 1;
+    if (!within(e, m.E)) continue;
+    const bool border = m.edge_faces[2 * int64_t(e) + 1] < 0;
+    const int weight = (edge & 1 ? 1 : -1) * (contour.closed || border ? 1 : 2);
+    const int32_t* v = m.edge_vertices + 2 * int64_t(e);
+    if (!within(v[0], m.V) || !within(v[1], m.V)) continue;
+    add_edge(film, film.at(m.vertices.point(v[0])), film.at(m.vertices.point(v[1])), e, weight, out.curves);
+  }
 }
 
 // --- spheres --------------------------------------------------------------------------------------

@@ -58,8 +58,8 @@ class Views {
   Scene seen_scene() const { return sound_ ? scene : Scene{}; }
 
   template <class Sink>
-  View draw(Sink& sink, bool with_seen) const {
-    return look(film(), seen_scene(), sink, with_seen);
+  View draw(Sink& sink, bool with_seen, const ContourEdges* known = nullptr) const {
+    return look(film(), seen_scene(), sink, with_seen, known);
   }
 
   Scene scene;
@@ -82,6 +82,23 @@ class Views {
 
 // --- what is drawn --------------------------------------------------------------------------------
 
+// Which edges are contour, from an image to its derivative: which of a large mesh are takes most of
+// the time. Their number (-1: there is no room), whether the mesh is closed, the layers on the left.
+constexpr int64_t kFacts = 3;
+
+void write(const ContourEdges& contour, int32_t* record, int64_t size) {
+  const int64_t number = int64_t(contour.edges.size());
+  record[0] = number + kFacts <= size ? int32_t(number) : -1;
+  record[1] = contour.closed, record[2] = contour.base;
+  if (record[0] >= 0) std::copy(contour.edges.begin(), contour.edges.end(), record + kFacts);
+}
+bool read(const int32_t* record, int64_t size, ContourEdges& contour) {
+  if (record[0] < 0 || record[0] > size - kFacts) return false;
+  contour = {{record + kFacts, record + kFacts + record[0]}, record[1] != 0, record[2]};
+  return true;
+}
+
+// An image; of a call with two results also which edges are contour.
 template <class Real>
 void draw_images(XLA_FFI_CallFrame* frame) {
   Views views(frame);
@@ -90,20 +107,28 @@ void draw_images(XLA_FFI_CallFrame* frame) {
   for (int64_t k = 0; k < batch.size; ++k) {
     views.find(batch, k);
     ImageSink<Real> sink{data_of<Real>(out, k), views.W, views.H};
-    views.draw(sink, false);
+    const View view = views.draw(sink, false);
+    if (frame->rets.size < 2) continue;
+    const Array record = result(frame, 1, 1);
+    write(view.contour, data_of<int32_t>(record, k), record.size());
   }
 }
 
 // --- how it changes -------------------------------------------------------------------------------
 
+// What is seen of a member of a batch, whose contour's edges follow what is given.
 template <class Real>
-View seen_in(const Views& views) {
+View seen_in(const XLA_FFI_CallFrame* frame, const Views& views, const Batch& batch, int64_t member) {
   std::vector<Real> image(int64_t(views.W) * views.H);
   ImageSink<Real> sink{image.data(), views.W, views.H};
-  return views.draw(sink, true);
+  const Array record = argument(frame, kGiven, 1);
+  ContourEdges known;
+  const bool is_known = read(record.integers(batch.entry(record, member)), record.size(), known);
+  return views.draw(sink, true, is_known ? &known : nullptr);
 }
 
-// What moves, after what is given: film, lens, vertices, frames.
+// What moves, after these: film, lens, vertices, frames.
+constexpr int kMoving = kGiven + 1;
 constexpr int64_t kMovingOwn[4] = {1, 1, 2, 2};
 
 template <class Real>
@@ -114,9 +139,9 @@ void push_all(XLA_FFI_CallFrame* frame) {
   std::fill_n(data_of<Real>(out, 0), out.size() * batch.size, Real(0));
   View view;
   for (int64_t member = 0; member < batch.size; ++member) {
-    if (views.find(batch, member)) view = seen_in<Real>(views);
+    if (views.find(batch, member)) view = seen_in<Real>(frame, views, batch, member);
     const auto moving = [&](int k) {
-      const Array a = argument(frame, kGiven + k, kMovingOwn[k]);
+      const Array a = argument(frame, kMoving + k, kMovingOwn[k]);
       return a.numbers(batch.entry(a, member));
     };
     const Moves moves{moving(0), moving(1), moving(2), moving(3)};
@@ -128,10 +153,10 @@ template <class Real>
 void pull_all(XLA_FFI_CallFrame* frame) {
   Views views(frame);
   const Batch batch(result(frame, 0, kMovingOwn[0]));
-  const Array weights = argument(frame, kGiven, 2);
+  const Array weights = argument(frame, kMoving, 2);
   View view;
   for (int64_t member = 0; member < batch.size; ++member) {
-    if (views.find(batch, member)) view = seen_in<Real>(views);
+    if (views.find(batch, member)) view = seen_in<Real>(frame, views, batch, member);
     Array out[4];
     for (int k = 0; k < 4; ++k) out[k] = result(frame, k, kMovingOwn[k]);
     Gains gains;

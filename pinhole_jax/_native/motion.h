@@ -17,15 +17,19 @@ struct Scene {
 // All that was worked out of one view.
 struct View {
   Film film;
+  ContourEdges contour;
   Outline outline;
   Seen seen;
 };
 
 template <class Sink>
-View look(const Film& film, const Scene& scene, Sink& sink, bool with_seen) {
+View look(const Film& film, const Scene& scene, Sink& sink, bool with_seen, const ContourEdges* known = nullptr) {
   View view;
   view.film = film;
-  if (scene.mesh.E > 0) add_mesh(film, scene.mesh, view.outline);
+  if (scene.mesh.E > 0) {
+    view.contour = known ? *known : contour_of(film, scene.mesh);
+    add_mesh(film, scene.mesh, view.contour, view.outline);
+  }
   if (scene.spheres.S > 0) add_spheres(film, scene.spheres, view.outline);
   draw(view.outline, film.W, film.H, sink, with_seen ? &view.seen : nullptr);
   return view;

@@ -49,11 +49,10 @@ class Constants(NamedTuple):
 
 def coverage(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
     """Exact coverage of each pixel, row 0 on top."""
-    shape = jax.ShapeDtypeStruct((film.H, film.W), film.eye.dtype)
     size = np.array([film.W, film.H], np.int32)
     constants = jax.lax.stop_gradient(constants_of(film, scene, size))
-    asked = "image", model_of(film), (shape,)
-    return _drawn(asked, variables_of(film, scene), constants)[0]
+    film_of_image = model_of(film), (film.H, film.W)
+    return _image(film_of_image, variables_of(film, scene), constants)
 
 
 def model_of(film: FilmMap) -> int:
@@ -132,9 +131,6 @@ def ring_at(x: Array, y: Array, z: Array, radius: Array) -> Sequence[Array]:
 
 # --- calls ----------------------------------------------------------------------------------------
 
-#: The name of a call, the number of a lens's model, and the results' shapes.
-Asked = tuple[str, int, tuple[jax.ShapeDtypeStruct, ...]]
-
 
 def _call(name: str, model: int, shapes: Sequence[Any], *arguments: Array) -> list[Array]:
     call = jax.ffi.ffi_call(f"pinhole_{name}", [*shapes], vmap_method="expand_dims")
@@ -149,16 +145,26 @@ def operands(variables: Variables, constants: Constants) -> list[Array]:
     return [film, jnp.concatenate([lens, trusted]), vertices, *scene, frames, size]
 
 
+def _with_edges(model: int, shape: tuple[int, int], given: list[Array]) -> list[Array]:
+    """The image, and which edges are contour, for its derivative: a rough mesh has more of them
+    than there is room for, and there they are looked for again."""
+    edge_vertices = given[4]
+    room = jax.ShapeDtypeStruct((3 + len(edge_vertices) // 4,), jnp.int32)
+    return _call("image", model, (jax.ShapeDtypeStruct(shape, given[0].dtype), room), *given)
+
+
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _drawn(asked: Asked, variables: Variables, constants: Constants) -> list[Array]:
-    """What a call returns; the coverage is its only result of real numbers."""
-    return _call(*asked, *operands(variables, constants))
+def _image(
+    of: tuple[int, tuple[int, int]], variables: Variables, constants: Constants
+) -> Float[Array, "H W"]:
+    """The image by a model of a lens, of a shape."""
+    return _with_edges(*of, operands(variables, constants))[0]
 
 
-@partial(_drawn.defjvp, symbolic_zeros=True)
-def _drawn_jvp(asked: Asked, primals: Any, tangents: Any):
+@partial(_image.defjvp, symbolic_zeros=True)
+def _image_jvp(of: tuple[int, tuple[int, int]], primals: Any, tangents: Any):
     """The coverage's change: the visible outline's length in each pixel times its velocity."""
-    (name, model, shapes), (variables, constants) = asked, primals
+    (model, _), (variables, constants) = of, primals
     moves = [not isinstance(v, SymbolicZero) for v in tangents[0]]
     given = operands(*differentiable_once((variables, constants)))
     # (What does not move has no entries, and costs nothing.)
@@ -167,19 +173,17 @@ def _drawn_jvp(asked: Asked, primals: Any, tangents: Any):
     given = spread(given, [*some, *empty])
     empty, some = spread(empty, given), spread(some, given)
     like = [x if m else e for x, m, e in zip(variables, moves, empty, strict=True)]
-    place = next(k for k, shape in enumerate(shapes) if shape.dtype == variables.film.dtype)
+    image, edges = _with_edges(*of, given)
+    shape = jax.ShapeDtypeStruct(image.shape, image.dtype)
 
     def push(some: list[Array]) -> Array:
         left = iter(some)
         every = [next(left) if m else e for m, e in zip(moves, empty, strict=True)]
-        return _call(f"{name}_push", model, shapes[place : place + 1], *given, *every)[0]
+        return _call("image_push", model, [shape], *given, edges, *every)[0]
 
     def pull(weights: Array) -> list[Array]:
-        of = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in like]
-        every = _call(f"{name}_pull", model, of, *given, weights)
+        shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in like]
+        every = _call("image_pull", model, shapes, *given, edges, weights)
         return [x for x, m in zip(every, moves, strict=True) if m]
 
-    results = _drawn(asked, variables, constants)
-    changes: list[Any] = [np.zeros(x.shape, jax.dtypes.float0) for x in results]
-    changes[place] = linear(push, pull, some, shapes[place])
-    return results, changes
+    return image, linear(push, pull, some, shape)
