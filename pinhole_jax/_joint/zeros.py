@@ -63,6 +63,7 @@ def with_joints(eye: Eye, state: State, seen: Seen, joints: list[str]) -> Seen:
         triangle=r[:n, :n] if ok else np.full((n, n), np.nan),
         along=r[:n, n] if ok else np.full(n, np.nan),
         by_joints=together,
+        known=np.pad(view.known, ((0, 0), (0, len(joints)))),
     )
     moves = np.zeros((n, seen.moves.shape[1] + len(joints)))
     moves[: len(seen.moves), : seen.moves.shape[1]] = seen.moves
