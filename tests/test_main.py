@@ -6,7 +6,6 @@ import re
 import shlex
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -25,6 +24,7 @@ from pinhole_jax._command.fit import _mask
 from pinhole_jax._command.known import known, names_of
 from pinhole_jax._files.naming import named
 from pinhole_jax._files.process import set_up
+from pinhole_jax._files.progress import Ticker
 from pinhole_jax._fit.words import STATUSES
 from pinhole_jax._solver.parameters import NAMES, check_free
 from pinhole_jax.names import DISTORTIONS, FREE, STATUSES as STATUSES_TOLD
@@ -418,17 +418,16 @@ def test_closed_pipe_is_silent():
     assert (done.returncode, done.stderr) == (command.PIPE, b"")
 
 
-def test_crumbs_go_and_are_told_unless_they_are_to_stay(folder):
+def test_crumbs_go_and_are_told_unless_they_are_to_stay(folder, capsys):
     mask = drawn(CAMERA, SCENE) > 0.5
     crumbs = mask.copy()
     crumbs[2, 2] = True
     for asked, kept in (("", False), ("--no-tidy", True)):
         io.save_image(folder / "crumbs.png", crumbs)
-        words = []
         options = parse(["fit", "a.ply", str(folder / "crumbs.png"), *asked.split()])
-        found = _mask(options, SimpleNamespace(tell=words.append))
+        found = _mask(options, Ticker("reading", live=False))
         assert np.array_equal(found > 127, crumbs if kept else mask)
-        assert words == (
+        assert capsys.readouterr().err.splitlines() == (
             [] if kept else ["mask: 1 island of at most 1 px dropped (--no-tidy keeps them)"]
         )
 
