@@ -44,21 +44,6 @@ class Bend(eqx.Module):
         """Return the film point (px) of an ideal one, by components."""
         return _image(self.distortion, self.trusted, self.focal, self.centre, x, y)
 
-    def moving_at(self, x: Array, y: Array) -> "Moving":
-        """Return the film point of one ideal point, and how it moves."""
-        leaves, tree = jax.tree.flatten(self.distortion)
-        numbers = [*leaves, self.focal[0], self.focal[1], self.centre[0], self.centre[1]]
-
-        def image(x, y, *numbers):
-            focal, centre = numbers[-4:-2], numbers[-2:]
-            distortion = tree.unflatten(numbers[:-4])
-            return _image(distortion, self.trusted, focal, centre, x, y)
-
-        place, back = jax.vjp(image, x, y, *numbers)
-        one, none = jnp.ones_like(x), jnp.zeros_like(x)
-        of_x, of_y = back((one, none)), back((none, one))
-        return Moving(place, (of_x[:2], of_y[:2]), (of_x[2:], of_y[2:]))
-
     def around(self, part: "FilmPart") -> Float[Array, "4"]:
         """Return an ideal rectangle (left, right, bottom, top) about a part of the film, of which
         each side is seen beyond that side of the part; not differentiated.
@@ -69,15 +54,6 @@ class Bend(eqx.Module):
         boxes = jnp.asarray(BOXES, self.focal.dtype)
         box, holds = jax.vmap(lambda size: _box(bend, part, size))(boxes)
         return box[jnp.argmax(holds.at[-1].set(True))]
-
-
-class Moving(NamedTuple):
-    """A film point, and of each of its two numbers the derivatives: by the ideal point's two, and
-    by `Bend.numbers`."""
-
-    place: tuple[Array, Array]
-    by_point: tuple[Sequence[Array], Sequence[Array]]
-    by_numbers: tuple[Sequence[Array], Sequence[Array]]
 
 
 def _image(

@@ -29,7 +29,9 @@ def is_available() -> bool:
 @cache
 def library() -> ctypes.CDLL:
     """The library's functions, for Python; it `is_available`."""
-    return ctypes.CDLL(str(library_path()))
+    found = ctypes.CDLL(str(library_path()))
+    found.pinhole_pixels.restype = ctypes.c_void_p
+    return found
 
 
 def _registered() -> str:

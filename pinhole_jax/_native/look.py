@@ -99,7 +99,6 @@ def pixels(sight: Sight, scene: Scene, level: MaskLevel, model: int) -> TouchedP
     buffers = [_Buffer.of(x) for x in arrays]
     pointers = (ctypes.POINTER(_Buffer) * len(buffers))(*map(ctypes.pointer, buffers))
     number, before, own = ctypes.c_int64(), ctypes.c_uint8(), library()
-    own.pinhole_pixels.restype = ctypes.c_void_p
     facts = ctypes.c_int64(model), ctypes.byref(number), ctypes.byref(before)
     handle = own.pinhole_pixels(pointers, *facts)
     if handle is None:

@@ -11,7 +11,8 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
 from .._camera.distortion import BrownConrady, Fisheye, Rational
-from .._camera.film import FilmMap, turned
+from .._camera.film import Bend, FilmMap, turned
+from .._camera.lens import Lens
 from .._numerics.on_devices import spread
 from .._numerics.safe import length, safe_divide, safe_sqrt
 from .._scene.scene import Scene, Spheres
@@ -51,13 +52,14 @@ def coverage(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
     """Exact coverage of each pixel, row 0 on top."""
     size = np.array([film.W, film.H], np.int32)
     constants = jax.lax.stop_gradient(constants_of(film, scene, size))
-    film_of_image = model_of(film), (film.H, film.W)
+    film_of_image = model_of(film.bend), (film.H, film.W)
     return _image(film_of_image, variables_of(film, scene), constants)
 
 
-def model_of(film: FilmMap) -> int:
-    """The number of a lens's model."""
-    return 0 if film.bend is None else MODELS[type(film.bend.distortion)]
+def model_of(lens: Bend | Lens | None) -> int:
+    """The number of a lens's model; 0 without a distortion."""
+    distortion = None if lens is None else lens.distortion
+    return 0 if distortion is None else MODELS[type(distortion)]
 
 
 def variables_of(film: FilmMap, scene: Scene) -> Variables:

@@ -21,7 +21,7 @@ from .._mask.pyramid import Level, Pyramid, cells_of
 from .._native import look as native
 from .._native.library import is_available
 from .._native.look import MaskLevel, Sight, TouchedPixels, along_each, sight_of
-from .._native.rasteriser import MODELS
+from .._native.rasteriser import model_of
 from .._numerics.thin_qr import triangle_of
 from .._scene.scene import Scene
 from .._silhouette.silhouette import in_arrays
@@ -58,9 +58,8 @@ class Sums(NamedTuple):
 class Look(NamedTuple):
     """What is known at a camera, moved by y.
 
-    - `triangle`, `along`: R of J = QR and Q^T r, the rows of a prior and of other views among them.
-      J is the residuals' derivative by moves about the camera, in units of `scale`.
-    - `rows`: R of [J, r], as a whole.
+    - `rows`: R of [J, r], the rows of a prior and of other views among them; J is the residuals'
+      derivative by moves about the camera, in units of `scale`.
     - `to_reported`: the reported parameters' derivative by moves.
     - `known`, `prior`: derivatives of the residuals of a prior and other views, and their squares.
     - `sight`: what the library draws; None where it does not look.
@@ -115,7 +114,7 @@ def look(
     if size is None:
         sight = Sight(*drawn, *drawn_by_move)
         of_mask = _mask_of(jnp, problem.pyramid, level)
-        rows, sums = native.look(sight, known, problem.scene, of_mask, _model(camera))
+        rows, sums = native.look(sight, known, problem.scene, of_mask, model_of(camera.lens))
     else:
         sight, film_at = None, lambda y: film_of(moved(move, y, freed), level, size)
         _, table, sums = _seen(film_at, y, problem.scene, problem.pyramid, level, size)
@@ -149,11 +148,6 @@ def _mask_of(xp: Any, pyramid: Pyramid, level: Level) -> MaskLevel:
     """A level as the library reads it, by `jax.numpy` or NumPy."""
     W, H, start, explained = map(xp.asarray, (level.W, level.H, level.start, level.explained))
     return MaskLevel(xp.stack([W, H]), start[None], explained[None], *pyramid)
-
-
-def _model(camera: Camera) -> int:
-    distortion = None if camera.lens is None else camera.lens.distortion
-    return 0 if distortion is None else MODELS[type(distortion)]
 
 
 # --- the whole window -----------------------------------------------------------------------------
@@ -258,7 +252,7 @@ class Origin:
         camera, sight, problem, level = self.look.camera, self.look.sight, self.problem, self.level
         if sight is not None:
             of_mask = _mask_of(np, problem.pyramid, level)
-            return native.pixels(sight, problem.scene, of_mask, _model(camera))
+            return native.pixels(sight, problem.scene, of_mask, model_of(camera.lens))
         assert self.size is not None
         seen = jax.device_get(_window(camera, problem, level, self.freed, self.size))
         return _touched(seen, level, self.size)
