@@ -24,7 +24,7 @@ def test_line_comes_often_where_there_is_no_terminal(monkeypatch, capsys):
         say("looking for a view: guess 3 of 16")
         time.sleep(0.8)
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 2
+    assert 1 <= len(lines) <= 2
     assert all(line.endswith("s  looking for a view: guess 3 of 16") for line in lines)
 
 
@@ -37,16 +37,19 @@ def test_quick_work_shows_nothing(capsys):
 
 def test_fit_tells_what_goes_on_and_how_long_it_took(monkeypatch, capsys):
     monkeypatch.setattr(progress, "SHORT", 0.0)
-    monkeypatch.setattr(progress, "RENEWED", 0.01)
-    monkeypatch.setattr(progress, "OFTEN", 0.02)
     mask = np.asarray(pj.silhouette(CAMERA, SCENE)) > 0.5
     assert pj.fit_camera(SCENE, mask, CAMERA).status == "converged"
     assert capsys.readouterr().err == ""
     pj.fit_camera(SCENE, mask, CAMERA, progress=True)
-    said = capsys.readouterr().err
-    *lines, last = said.splitlines()
-    assert lines
-    assert last.startswith("fitting: ")
+    assert capsys.readouterr().err.splitlines()[-1].startswith("fitting: ")
+
+
+def test_fit_names_its_stages():
+    mask = np.asarray(pj.silhouette(CAMERA, SCENE)) > 0.5
+    stages: list[str] = []
+    with progress._heard_by(stages.append):
+        pj.fit_camera(SCENE, mask, CAMERA)
+    assert "fitting from the start" in stages
 
 
 def test_clock_tells_what_was_compiled(monkeypatch):
