@@ -1,13 +1,12 @@
-"""What ProperDocs does for this site beside its plugins.
+"""This site's own additions to ProperDocs.
 
 - With DRAFT=1 in the environment no page runs; with DRAFT=tutorials/many-fits.md this one does (of
   several there are commas between).
 - Pages whose header says `run: true` are notebooks: their code runs while the site is built, in
   order, in one namespace and an empty folder. What it prints and the value of each block's last
   line follow the block. The page says where the same as an .ipynb is.
-- The experiments' page with its pictures and scripts, the changelog and how to contribute stand
-  elsewhere in the repository: they become pages here.
-- `how-to/*` in the navigation stands for the folder's pages that it does not name.
+- The README, the experiments' page with its pictures and scripts, the changelog and how to
+  contribute stand elsewhere in the repository: they become pages here.
 """
 
 import ast
@@ -34,16 +33,17 @@ ROOT = Path(__file__).parents[1]
 HEADER = re.compile(r"\A---\n(.*?)\n---\n", re.S)
 BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.M | re.S)
 FENCED = re.compile(r"(^```.*?^```$)", re.M | re.S)
-#: A line of shell that runs here; others (that install, or start another program) do not.
+#: The lines of shell that run here; others install, or start another program.
 RUNS = ("pinhole-jax ", "python ")
 #: Pages that stand elsewhere in the repository.
 ELSEWHERE = {
+    "index.md": "README.md",
     "changelog.md": "CHANGELOG.md",
     "contributing.md": "CONTRIBUTING.md",
     "experiments/index.md": "experiments/README.md",
     "experiments/reference/index.md": "experiments/reference/README.md",
 }
-#: A link to a file (and a place in it), which is neither an address nor an image's data.
+#: A link to a file and a place in it, which is neither an address nor an image's data.
 LINK = re.compile(r"\]\((?!\w+:)([^)#\s]+)(#[^)\s]*)?\)")
 NOTEBOOK = {
     "metadata": {
@@ -55,14 +55,14 @@ NOTEBOOK = {
 
 
 class Output(NamedTuple):
-    """What a block leaves: by media type, as notebooks have it."""
+    """A block's output: its media type, as notebooks have it, and its text."""
 
     kind: str
     text: str
 
 
 class Cell(NamedTuple):
-    """A piece of prose, or a block of code with its language and what it left."""
+    """A piece of prose, or a block of code with its language and its outputs."""
 
     text: str
     language: str = ""
@@ -73,30 +73,8 @@ class Cell(NamedTuple):
 RAN: dict[str, list[Cell]] = {}
 
 
-def on_config(config: Any) -> Any:
-    """Return the configuration with `FOLDER/*` in the navigation spelled out."""
-    named = set(re.findall(r"[\w/-]+\.md", json.dumps(config.nav)))
-    for section in config.nav:
-        if isinstance(section, dict):
-            for name, pages in section.items():
-                section[name] = [path for page in pages for path in spelled_out(page, named)]
-    return config
-
-
-def spelled_out(page: Any, named: set[str]) -> list[Any]:
-    """Return the pages that an entry of the navigation stands for."""
-    if not (isinstance(page, str) and page.endswith("/*")):
-        return [page]
-    found = sorted((ROOT / "docs").glob(f"{page}.md"))
-    return [
-        path
-        for path in (f.relative_to(ROOT / "docs").as_posix() for f in found)
-        if path not in named
-    ]
-
-
 def on_files(files: Any, config: Any) -> Any:
-    """Return the site's files with those that stand elsewhere, and the notebooks."""
+    """The site's files with those that stand elsewhere, and the notebooks."""
     for page, source in ELSEWHERE.items():
         text = (ROOT / source).read_text(encoding="utf-8")
         files.append(File.generated(config, page, content=text))
@@ -107,8 +85,9 @@ def on_files(files: Any, config: Any) -> Any:
     draft = os.environ.get("DRAFT", "")
     for file in [*files.documentation_pages()]:
         header = HEADER.match(file.content_string)
-        asked = not draft or file.src_uri in draft.split(",")
-        if asked and header and "run: true" in header[1]:
+        if not header or (draft and file.src_uri not in draft.split(",")):
+            continue
+        if "run: true" in header[1]:
             begin = time.process_time()
             RAN[file.src_uri] = run(file.content_string[header.end() :], file.src_uri)
             LOG.info("%s: %.0f s of the processor", file.src_uri, time.process_time() - begin)
@@ -119,14 +98,14 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Return a page's text, with what its code left, and links as they are on this site."""
+    """A page's text, with its code's output, and links as they are on this site."""
     if page.file.src_uri in RAN:
         markdown = as_page(RAN[page.file.src_uri], Path(page.file.src_uri).stem)
     source = ELSEWHERE.get(page.file.src_uri, f"docs/{page.file.src_uri}")
     here = Path(page.file.src_uri).parent
 
     def link(found: re.Match[str]) -> str:
-        """Return a link that leads on this site to what it leads to in the repository."""
+        """A link to the same thing on this site as in the repository."""
         path = os.path.normpath(Path(source).parent / found[1])
         places = {source: place for place, source in ELSEWHERE.items()}
         place = places.get(path, path.removeprefix("docs/"))
@@ -138,7 +117,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
 
 
 def run(text: str, name: str) -> list[Cell]:
-    """Return a page's cells, its code having run."""
+    """Run a page's code; return its cells."""
     import pinhole_jax as pj
 
     pj.cache()
@@ -158,7 +137,7 @@ def run(text: str, name: str) -> list[Cell]:
 
 
 def python(code: str, names: dict[str, Any]) -> list[Output]:
-    """Return what Python prints, and the value of its last line."""
+    """The output of Python: what it prints, and the value of its last line."""
     tree, last = ast.parse(code), None
     if tree.body and isinstance(tree.body[-1], ast.Expr):
         last = ast.Expression(tree.body.pop().value)
@@ -170,7 +149,7 @@ def python(code: str, names: dict[str, Any]) -> list[Output]:
 
 
 def shown(value: Any) -> Output:
-    """Return a value as a notebook shows it."""
+    """A value as a notebook shows it."""
     if hasattr(value, "savefig"):  # matplotlib's figures
         value.savefig(drawn := io.BytesIO(), bbox_inches="tight", dpi=110)
         return Output("image/png", base64.b64encode(drawn.getvalue()).decode())
@@ -184,7 +163,7 @@ def shown(value: Any) -> Output:
 
 
 def shell(code: str) -> list[Output]:
-    """Return what commands print; an exit status of 1 is a fit that is not to be trusted."""
+    """The output of commands; an exit status of 1 is a fit that is not to be trusted."""
     outputs = []
     environment = {
         **os.environ,
@@ -204,7 +183,7 @@ def shell(code: str) -> list[Output]:
 
 
 def as_page(cells: list[Cell], name: str) -> str:
-    """Return cells as a page's Markdown, with a line that leads to the notebook."""
+    """Cells as a page's Markdown, with a link to the notebook."""
     parts = [
         cells[0].text,
         f"*Every block ran when this page was made; as a [notebook]({name}.ipynb).*{{ .ran }}",
@@ -219,7 +198,7 @@ def as_page(cells: list[Cell], name: str) -> str:
 
 
 def as_markdown(output: Output) -> str:
-    """Return what a block left, to stand below it."""
+    """A block's output, as Markdown to stand below it."""
     if output.kind in ("stdout", "text/plain"):
         return f"```{{ .text .output .no-copy }}\n{output.text.rstrip()}\n```"
     if output.kind == "image/png":
@@ -233,7 +212,7 @@ def as_markdown(output: Output) -> str:
 
 
 def as_notebook(cells: list[Cell]) -> str:
-    """Return cells as an .ipynb file, with what they left."""
+    """Cells with their outputs as an .ipynb file."""
     content, number = [], 0
     for cell in cells:
         lines = cell.text.splitlines(keepends=True)
@@ -258,7 +237,7 @@ def as_notebook(cells: list[Cell]) -> str:
 
 
 def as_json(output: Output, number: int) -> dict[str, Any]:
-    """Return what a block left as notebooks store it."""
+    """A block's output as notebooks store it."""
     if output.kind == "stdout":
         return {"output_type": "stream", "name": "stdout", "text": output.text}
     data = {output.kind: output.text}

@@ -1,6 +1,6 @@
 """What is found on real data that others made, how far off, and does sigma say so?
 
-    python experiments/real.py single | robots | knee | chessboards | photos | demos [OUT]
+    python experiments/real.py single | robots | knee | chessboards | photos | demos | command [OUT]
 
 - `single`: a bottle in two photos, a published render of a cow, knee implants under fluoroscopy:
   fits from 10 degrees and 5 % of the distance off, beside what a tracker, a renderer or an expert
@@ -12,6 +12,8 @@
 - `photos`: what a photo adds where the mask is off by 1 to 3 px: traced, textured, lit, noisy.
 - `demos`: four published pose demonstrations (PyTorch3D, nvdiffrast, Mitsuba, redner), redone from
   the outline alone, the whole pose free.
+- `command`: how long does `pinhole-jax fit` take with no start: a bottle's mask drawn
+  by hand, implants' masks by a network? Twice: with no programs kept, and with them.
 
 `../shared/data` holds what is real; where it is not there, a part says so and is skipped. Errors
 are of the object in the camera's frame. (A coffee cup: `coffee_cup.py`.)
@@ -19,6 +21,10 @@ are of the object in the camera's frame. (A coffee cup: `coffee_cup.py`.)
 
 import itertools
 import json
+import os
+import subprocess
+import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -489,5 +495,37 @@ def demos(asked: Asked) -> dict:
     return {"verdict": f"All four are found, the worst {worst:.2g} degrees off", "table": rows}
 
 
+# The command
+
+#: A mesh, a mask, and what is known of the camera.
+COMMANDS = {
+    "bottle": "photos/m3t_shampoo/schauma.obj photos/m3t_shampoo/shampoo_mask_200.png"
+    " --K 698.128 698.617 478.459 274.426",
+    "femur": "knee/femur.stl knee/femur_network_0.png --K 3211.8 3211.8 511.5 511.5",
+    "tibia": "knee/tibia.stl knee/tibia_network_0.png --K 3211.8 3211.8 511.5 511.5",
+}
+
+
+def command(asked: Asked) -> dict:
+    rows = []
+    for name, words in COMMANDS.items() if there(DATA) else ():
+        with tempfile.TemporaryDirectory() as out:
+            fit = [sys.executable, "-m", "pinhole_jax", "fit", *words.split(), "-o", out]
+            first, again = (processor_seconds(fit, XDG_CACHE_HOME=out) for _ in range(2))
+            status = pj.io.load_json(f"{out}/camera.json")["fit"]["status"]
+        rows.append({"": name, "status": status, "first s": first, "again s": again})
+    show(rows)
+    return {"verdict": "Seconds, first and again: see the table", "table": rows}
+
+
+def processor_seconds(line: list[str], **environment: str) -> float:
+    """The processor's seconds that a command line takes in the data's folder."""
+    spent = lambda: sum(os.times()[2:4])  # by children
+    begin = spent()
+    subprocess.run(line, cwd=DATA, env=os.environ | environment, stdout=-1, check=False)
+    return spent() - begin
+
+
 if __name__ == "__main__":
-    main(__doc__, {f.__name__: f for f in (single, robots, knee, chessboards, photos, demos)})
+    parts = (single, robots, knee, chessboards, photos, demos, command)
+    main(__doc__, {f.__name__: f for f in parts})

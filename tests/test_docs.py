@@ -80,11 +80,9 @@ DEAR = {
     *("docs/how-to/gradients.md", "docs/how-to/lenses.md", "docs/how-to/render.md"),
     *("docs/reference/fits.md", "docs/reference/images.md"),
 }
-#: Pages whose Python runs here; the site's first page shows what README does.
+#: Pages whose Python runs here.
 PYTHON = [
-    page
-    for page, text in TEXTS.items()
-    if blocks("python", text) and not runs_in_the_site(page) and page != "docs/index.md"
+    page for page, text in TEXTS.items() if blocks("python", text) and not runs_in_the_site(page)
 ]
 
 
@@ -257,12 +255,6 @@ FOUND = {
 }
 
 
-def test_first_page_shows_the_readme_example():
-    (shown,), (readme,) = blocks("python", TEXTS["docs/index.md"]), blocks("python")
-    plain = lambda code: ast.dump(ast.parse(code.replace("fit := ", "")))
-    assert plain(shown) == plain(readme)
-
-
 def test_questions_listed_are_those_answered():
     asked = re.findall(r"^\d+\. \[(.*)\]\(#(.*)\)$", QUESTIONS, re.M)
     answered = re.findall(r"^## (\d+)\. (.*)$", QUESTIONS, re.M)
@@ -356,13 +348,17 @@ def test_site_builds_and_shows_its_results(tmp_path, pages):
         assert any(cell.get("outputs") for cell in cells), path
 
 
-@pytest.fixture
-def hooks():
-    pytest.importorskip("properdocs")
-    spec = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
+def module_of_docs(name):
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture
+def hooks():
+    pytest.importorskip("properdocs")
+    return module_of_docs("hooks")
 
 
 def test_page_shows_the_output_of_its_code(hooks, another_cache):
@@ -386,7 +382,8 @@ def test_page_shows_the_output_of_its_code(hooks, another_cache):
         ("how-to/a.md", "../../experiments/real.py", "../experiments/real.py"),
         ("how-to/a.md", "../../CONTRIBUTING.md", "../contributing.md"),
         ("how-to/a.md", "b.md#c", "b.md#c"),
-        ("index.md", "../experiments/results/gallery.png", "experiments/results/gallery.png"),
+        ("index.md", "experiments/results/gallery.png", "experiments/results/gallery.png"),
+        ("index.md", "docs/how-to/a.md#b", "how-to/a.md#b"),
         ("contributing.md", "docs/development/index.md", "development/index.md"),
         ("contributing.md", "CHANGELOG.md", "changelog.md"),
         (f"{EXPERIMENTS}/index.md", "results/gallery.png", "results/gallery.png"),
@@ -399,14 +396,16 @@ def test_links_lead_on_the_site_where_they_lead_in_the_repository(hooks, page, l
     assert shown == f"[w]({on_site}) ![w]({on_site})\n\n{code}\n"
 
 
-def test_pages_that_the_navigation_does_not_name_follow_those_that_it_does(hooks):
-    pages = ["how-to/questions.md", "how-to/*"]
-    config = SimpleNamespace(nav=["index.md", {"How-to": pages}])
-    (_, section) = hooks.on_config(config).nav
-    assert section["How-to"][0] == "how-to/questions.md"
-    found = {path.relative_to(DOCS).as_posix() for path in (DOCS / "how-to").glob("*.md")}
-    assert set(section["How-to"]) == found
-    assert len(section["How-to"]) == len(found)
+@pytest.mark.parametrize("page", [page for page, text in TEXTS.items() if "<!-- fig" in text])
+def test_tables_of_figures_are_those_of_the_experiments(page):
+    assert module_of_docs("figures").filled(TEXTS[page]) == TEXTS[page]
+
+
+def test_figure_of_a_table_is_the_rounded_number_of_the_json():
+    text = (ROOT / "experiments" / "results" / "real_chessboards.json").read_text()
+    wrong = "<!-- figures: instead -->\n\n| OpenCV |\n\nThen."
+    filled = module_of_docs("figures").filled(wrong)
+    assert f"the same {json.loads(text)['fit_points']['rms_px']:.4f} px |\n\nThen." in filled
 
 
 def test_install_lines_name_what_there_is():
