@@ -13,23 +13,21 @@ from typing import Any
 
 from ._command.arguments import parse
 from ._files.interrupt import STATUS, ending_at_once
+from ._files.naming import renamed
 from ._files.progress import Ticker
 
-#: The exit status where nobody reads what is printed: as a shell has it of SIGPIPE.
+#: The exit status when nobody reads the output, as a shell gives it after SIGPIPE.
 PIPE = 141
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return 0, 1 for a fit that is not to be trusted, 2 on bad input, 130 if
-    interrupted."""
+    """Run the command; return 0, 1 for a fit not to trust, 2 on bad input, 130 if interrupted."""
     try:
         try:
             return _run(arguments)
         finally:
             sys.stdout.flush()
-    except (
-        BrokenPipeError
-    ):  # who reads has what it wanted; Python would say so once more at its end
+    except BrokenPipeError:  # the reader has enough; Python would report it again at its end
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE
 
@@ -37,22 +35,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     options = parse(arguments)
     command = f"pinhole-jax {options.command}"
-    for stream in (sys.stdout, sys.stderr):  # names of files need be no text that can be printed
+    for stream in (sys.stdout, sys.stderr):  # a file's name may be no text that can be printed
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
         with (
             ending_at_once(f"{command}: interrupted"),
-            Ticker("reading", options.verbose) as progress,
+            Ticker("reading", options.verbose, names=options.names) as progress,
         ):
             _set_up_jax(options)
             return _verb(options.command).run(options, progress)
     except BrokenPipeError:
         raise
     except (ValueError, OSError, ModuleNotFoundError) as error:
-        print(f"{command}: {error}", file=sys.stderr)
+        print(f"{command}: {renamed(str(error), options.names)}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:  # what was being written is whole or not there
+    except KeyboardInterrupt:  # a file that was being written is whole or not there
         print(f"{command}: interrupted", file=sys.stderr)
         return STATUS
 
@@ -65,7 +63,7 @@ def _verb(name: str) -> Any:
 def _set_up_jax(options: argparse.Namespace) -> None:
     from ._files.process import set_up
 
-    # Tracing makes objects that stay: to look for garbage among them takes a third of the start.
+    # Tracing makes objects that stay: looking for garbage among them takes a third of the start.
     gc.set_threshold(1_000_000)
     atexit.register(gc.freeze)
     set_up(not options.no_cache)

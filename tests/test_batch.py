@@ -117,6 +117,27 @@ def test_row_depends_on_its_record_alone(records, rows):
     assert same(batch.fit_one(records[2]), rows[2])
 
 
+def test_window_of_a_picture_gives_the_camera_of_the_window(records, truths, tmp_path):
+    """(It cuts the object off, and is enlarged twice; K is that of the whole picture.)"""
+    K, R, t = truths[0]
+    left, top, W, H = 5, 3, 52, 56
+    window = io.load_image(records[0]["mask"])[top : top + H, left : left + W]
+    io.save_image(tmp_path / "mask.png", window.repeat(2, axis=0).repeat(2, axis=1))
+    io.save_image(tmp_path / "ones.png", np.ones((2 * H, 2 * W)))
+    (tmp_path / "k.json").write_text(json.dumps({"K": K.tolist()}))
+    cells = {"crop": f"{left} {top} {W} {H}", "resize": f"{W} {H}", "K": "k.json"}
+    cells |= {"id": "a", "mesh": records[0]["mesh"], "mask": "mask.png", "weight": "ones.png"}
+    (tmp_path / "set.csv").write_text(f"{','.join(cells)}\n{','.join(cells.values())}\n")
+    (record,) = batch.read_dataset(tmp_path / "set.csv")
+    row = batch.fit_one(record)
+    assert row["status"] == "converged", row["words"]
+    assert angle(np.array(row["R"]).reshape(3, 3), R) < 2
+    assert np.linalg.norm(np.array(row["t"]) - t) < 0.05 * np.linalg.norm(t)
+    moved = np.array([[1, 0, 0.5 - left], [0, 1, 0.5 - top], [0, 0, 1]])  # the pixels' corner is 0
+    scaled = np.array([[2, 0, -0.5], [0, 2, -0.5], [0, 0, 1]]) @ moved @ K
+    np.testing.assert_allclose(np.array(row["K"]).reshape(3, 3), scaled, atol=1e-9)
+
+
 def test_run_lengths_are_as_good_as_a_picture(records, rows):
     mask = io.load_mask(records[0]["mask"]) > 127
     columns = mask.T.ravel()
@@ -208,8 +229,7 @@ def bad_items(folder, good, tmp_path):
         "weight": [{"weight": str(small)}, {"weight": str(tmp_path / "missing.png")}],
         "photo": [{"photo": str(small)}],
         "K": [{"K": [1, 2]}, {"K": "a b c d"}, {"K": [-60, -60, 32, 32]}],
-        "R": [{"start": np.ones((4, 4)).tolist()}],
-        "start": [{"start": [1.0]}],
+        "start": [{"start": [1.0]}, {"start": np.ones((4, 4)).tolist()}],
         "dist": [{"dist": [0.1]}],
         "free": [{"free": "zoom"}],
         "mask_from": [{"mask_from": "a guess"}],
@@ -828,10 +848,26 @@ def test_command_writes_table_page_and_camera(records, rows, folder, tmp_path, c
     assert command.main([*again, "--resume"]) == 1
 
 
+def test_command_hands_its_options_to_each_record(tmp_path, monkeypatch):
+    items = []
+    monkeypatch.setattr("pinhole_jax._command.batch.fit_many", lambda x, **_: items.extend(x))
+    (tmp_path / "set.csv").write_text("id,mesh,mask,fov\na,a.ply,a.png,\nb,b.ply,b.png,30\n")
+    words = "--K 9,9,4,4 --dist -0.1,0,0,0 --crop 1 2 8 8 --resize 8 8 --weight w.png --no-tidy"
+    out = ["-o", str(tmp_path / "out"), "--free", "pose", "focal"]
+    assert command.main(["batch", str(tmp_path / "set.csv"), *out, *words.split()]) == 0
+    shared = {"crop": [1, 2, 8, 8], "resize": [8, 8], "weight": "w.png", "free": "pose,phi"}
+    shared |= {"tidy": False}
+    first, second = items
+    files = {"mesh": str(tmp_path / "a.ply"), "mask": str(tmp_path / "a.png")}
+    known = {"K": "9,9,4,4", "dist": "-0.1,0,0,0", "pixel_centres": "integer"}
+    assert first == {"id": "a", **files, **known, **shared}
+    assert second.keys() == {"id", "mesh", "mask", "fov", *shared}
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["-o", "none"], "`DATASET`: expected one"),
+        (["-o", "none"], "`DATASET`: expected a data set"),
         (["none", "-o", "none"], "`DATASET`.*no such file"),
         (["none.csv", "-o", "none", "--shard", "one"], "`--shard`: expected I/N"),
         (["-o", "none", "--write", "a", "b.yaml"], "`--write`.*'a'"),

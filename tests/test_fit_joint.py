@@ -17,7 +17,7 @@ from scipy.stats import t
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, shapes
 from pinhole_jax._camera.poses import adjoint, at_pose, exponential, inverse, pose_of, skew
-from pinhole_jax._command.proposals import _tells as tells, worths
+from pinhole_jax._command.proposals import _information as tells, worths
 from pinhole_jax._fit.observability import information
 from pinhole_jax._joint.levels import depth_of, descended, to_the_end
 from pinhole_jax._joint.problem import MANY_VIEWS, JointProblem
@@ -1130,7 +1130,7 @@ def test_command_finds_joint_zeros_and_writes_a_page(robot_files, capsys):
     for words in ("95 % interval", "sigma off", "mask only", "they agree", "mask_2.png", "turn"):
         assert words in page
     assert re.search(r"^recorded +without view [012] .* were 1\.\d\d times as large$", out, re.M)
-    more = re.search(r"^proposed +(a mask more .*)$", out, re.M)[1]
+    more = re.search(r"^proposed +(one more mask .*)$", out, re.M)[1]
     assert more in page
     assert {"1", "2"} == set(re.findall(r"row (\d) 1\.\d\d", more))
     assert page.count("<img") == 3

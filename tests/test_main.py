@@ -20,13 +20,13 @@ import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io, shapes
 from pinhole_jax._camera.distortion import MODELS
 from pinhole_jax._command.arguments import VERBS, parse
-from pinhole_jax._command.fit import _mask
-from pinhole_jax._command.known import known, names_of
-from pinhole_jax._files.naming import named
+from pinhole_jax._command.inputs import record_of
+from pinhole_jax._files.naming import named, renamed
 from pinhole_jax._files.process import set_up
 from pinhole_jax._files.progress import Ticker
 from pinhole_jax._fit.words import STATUSES
 from pinhole_jax._solver.parameters import NAMES, check_free
+from pinhole_jax.batch.inputs import read_mask, read_start
 from pinhole_jax.names import DISTORTIONS, FREE, STATUSES as STATUSES_TOLD
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
@@ -154,7 +154,7 @@ def test_photo_refines_the_camera(folder):
         ),
         (
             ("fit", "bumpy.ply", "small.png", "--camera", "start.json"),
-            "`--camera`: expected a camera of 9 x 9, got one of 96 x 80; if MASK was cut out",
+            "`--camera`: expected a camera of the mask's size 9 x 9, got one of 96 x 80; if",
         ),
         (
             ("fit", "bumpy.ply", "black.png", "--camera", "start.json"),
@@ -164,14 +164,17 @@ def test_photo_refines_the_camera(folder):
             ("fit", "bumpy.ply", "black.png", "--camera", "start.json", "--free", "zoom"),
             "`--free`: expected names",
         ),
-        (("fit", "bumpy.ply", "black.png"), "expected --camera, --K or --fov, or phi among --free"),
+        (
+            ("fit", "bumpy.ply", "black.png"),
+            "give `--camera`, `--K` or `--fov`, or add phi to `--free`",
+        ),
         (
             ("fit", "bumpy.ply", "black.png", "--fov", "34", "--image", "small.png"),
             "`--image`: expected the mask's size 96 x 80, got 9 x 9",
         ),
         (
             ("fit", "bumpy.ply", "black.png", "--fov", "34", "--refine"),
-            "`--refine`: expected a photo, --image PHOTO",
+            "`--refine`: expected a photo beside it, got none: add --image PHOTO",
         ),
         (
             ("fit", "bumpy.ply", "black.png", "--fov", "34", "--mask-from", "label=9"),
@@ -193,7 +196,7 @@ def test_photo_refines_the_camera(folder):
         ),
         (
             ("fit", "bumpy.ply", "dot.png", "--K", "nan", "1", "1", "1"),
-            "`--K`: expected four finite numbers (px), got nan 1 1 1",
+            "`--K`: expected 4 or 9 finite numbers, got 'nan,1,1,1'",
         ),
         (
             ("fit", "bumpy.ply", "bumpy.ply", "--fov", "34"),
@@ -425,17 +428,20 @@ def test_crumbs_go_and_are_told_unless_they_are_to_stay(folder, capsys):
     for asked, kept in (("", False), ("--no-tidy", True)):
         io.save_image(folder / "crumbs.png", crumbs)
         options = parse(["fit", "a.ply", str(folder / "crumbs.png"), *asked.split()])
-        found = _mask(options, Ticker("reading", live=False))
+        said = Ticker("reading", live=False, names=options.names)
+        found = read_mask(record_of(options), said.tell)
         assert np.array_equal(found > 127, crumbs if kept else mask)
         assert capsys.readouterr().err.splitlines() == (
-            [] if kept else ["mask: 1 island of at most 1 px dropped (--no-tidy keeps them)"]
+            []
+            if kept
+            else ["mask: 1 island of at most 1 px dropped; turn this off with `--no-tidy`"]
         )
 
 
 def test_mesh_and_mask_exchanged_are_told(folder, capsys):
     files = [str(folder / name) for name in ("any.png", "bumpy.ply")]
     assert command.main(["fit", *files, "--fov", "34"]) == 2
-    assert "are MESH and MASK exchanged?" in capsys.readouterr().err
+    assert "are `MESH` and `MASK` exchanged?" in capsys.readouterr().err
 
 
 def test_help_shows_camera_files_that_can_be_read(capsys):
@@ -463,7 +469,7 @@ def test_converged_fit_alone_exits_with_0(folder, status, monkeypatch, capsys):
     fit = fit_of(CAMERA, ("e_x",), [0.1])._replace(status=status)
     if status == "non_finite":
         fit = fit._replace(rms=np.nan, iou=np.nan)
-    monkeypatch.setattr("pinhole_jax._command.fit.fit_camera", lambda *_, **__: fit)
+    monkeypatch.setattr(pj, "fit_camera", lambda *_, **__: fit)
     # What the command sets for its own process would change those of the other tests.
     monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
     Image.new("L", (96, 80)).save(folder / "any.png")
@@ -478,7 +484,7 @@ def test_inverted_mask_is_turned_on_request(folder, monkeypatch):
     given = []
     fit = fit_of(CAMERA, ("e_x",), [0.1])
     fitted = lambda scene, mask, *_, **__: given.append(mask) or fit
-    monkeypatch.setattr("pinhole_jax._command.fit.fit_camera", fitted)
+    monkeypatch.setattr(pj, "fit_camera", fitted)
     monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
     mask = np.zeros((80, 96), np.uint8)
     mask[20:50, 30:60] = 255
@@ -540,11 +546,15 @@ sys.exit(command.main(["render", "a.obj", "c.json"]))
     (folder / "half.txt").unlink(missing_ok=True)
 
 
-def known_of(*words, size=(96, 80), free=("pose",)):
-    return known(parse(["fit", "a.ply", "b.png", *map(str, words)]), free, size, print)
+def known_of(*words, size=(96, 80)):
+    """Return what a command line says of the camera, with errors as the command prints them."""
+    options = parse(["fit", "a.ply", "b.png", *map(str, words)])
+    said = lambda text: print(renamed(text, options.names))
+    with named(**options.names):
+        return read_start(record_of(options), size, said)
 
 
-def test_known_intrinsics_are_read_as_opencv_has_them(capsys):
+def test_known_intrinsics_are_read_as_opencv_has_them():
     camera, phi, lens = known_of("--K", 90, 91, 47.5, 40)
     assert camera is None
     np.testing.assert_allclose(phi, 2 * np.arctan(80 / 2 / 91))
@@ -552,21 +562,20 @@ def test_known_intrinsics_are_read_as_opencv_has_them(capsys):
     np.testing.assert_allclose(lens.aspect, 90 / 91)
     bent = known_of("--K", 90, 91, 47.5, 40, "--dist", 0.1, 0, 0, 0, 0, 0.01, 0, 0)
     assert type(bent.lens.distortion) is pj.Rational
-    with pytest.raises(SystemExit):
+    with pytest.raises(ValueError, match="`--dist`: expected 4 or 5 or 8 finite numbers"):
         known_of("--K", 90, 91, 47.5, 40, "--dist", 0.1)
-    assert "expected 4, 5 or 8 coefficients, got 1" in capsys.readouterr().err
-    with pytest.raises(ValueError, match="`--dist`: expected --K beside it, got none"):
+    with pytest.raises(ValueError, match="`--dist`: expected `--K` beside it, got none"):
         known_of("--fov", 30, "--dist", 0.1, 0, 0, 0)
 
 
 def test_numbers_and_names_are_read_with_commas_and_without():
     words = ["--K", "90,91,47.5,40", "--dist", "-0.21,0.07,0,0", "--free", "pose", "focal", "k1"]
     options = parse(["fit", *words, "a.ply", "b.png"])
-    assert (options.K, options.dist) == ([90, 91, 47.5, 40], [-0.21, 0.07, 0, 0])
-    assert names_of(options.free) == ("pose", "phi", "k1")
+    assert (options.K, options.dist) == ("90,91,47.5,40", "-0.21,0.07,0,0")
+    assert options.free == "pose,phi,k1"
     assert (options.mesh, options.mask) == ("a.ply", "b.png")
     apart = parse(["fit", "--dist", "-.2", "1e-2", "0", "0", "a.ply", "b.png", "--K", "k.yaml"])
-    assert (apart.dist, apart.K, apart.mesh) == ([-0.2, 0.01, 0, 0], "k.yaml", "a.ply")
+    assert (apart.dist, apart.K, apart.mesh) == ("-.2,1e-2,0,0", "k.yaml", "a.ply")
 
 
 def test_file_of_intrinsics_is_that_of_the_whole_picture(tmp_path):
@@ -576,7 +585,7 @@ def test_file_of_intrinsics_is_that_of_the_whole_picture(tmp_path):
     np.testing.assert_allclose(phi, 2 * np.arctan(80 / 2 / 91))
     np.testing.assert_allclose(lens.principal_point, [48, 80 - 40.5])
     assert float(lens.distortion.k1) == pytest.approx(-0.1)
-    with pytest.raises(ValueError, match="`--K`: expected a camera of 48 x 40, got one of 96 x 80"):
+    with pytest.raises(ValueError, match="`--K`: expected a camera of the mask's size 48 x 40"):
         known_of("--K", path, size=(48, 40))
 
 
@@ -626,21 +635,21 @@ def test_cropped_and_resized_photos_keep_the_rays(folder):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--fov", 30, "--crop", 0, 0, 96, 80), "`--crop`: expected --camera or --K beside it"),
+        (("--fov", 30, "--crop", 0, 0, 96, 80), "`--crop`: expected `--camera` or `--K` beside it"),
         (
             ("--K", 90, 91, 47, 40, "--crop", 0, 0, 48, 40),
-            "`--crop`: expected MASK's size 96 x 80, got 48 x 40; .* add --resize 48 40",
+            "`--crop`: expected the mask's size 96 x 80, got 48 x 40; .* add `--resize` 48 40",
         ),
         (
             ("--K", 90, 91, 47, 40, "--crop", 0, 0, 48, 40, "--resize", 50, 40),
-            "`--resize`: expected the size of --crop, 48 x 40, got 50 x 40",
+            "`--resize`: expected the size of `--crop`, 48 x 40, got 50 x 40",
         ),
         (("--K", 90, 91, 47, 40, "--crop", 0, 0, 0, 40), "`--crop`: expected a width and height"),
         (("--K", 90, 91, 47, 40, "--resize", 0, 40), "`--resize`: expected a width and height"),
         (("--K", 0, 91, 47, 40), "`--K`: expected positive focal lengths in px"),
         (
             ("--camera", "START", "--resize", 9, 9),
-            "`--resize`: expected the size of --camera, 96 x 80, got 9 x 9",
+            "`--resize`: expected the size of the camera of `--camera`, 96 x 80, got 9 x 9",
         ),
         (("--camera", "no.json"), "`--camera`: expected a camera file, got 'no.json': no such"),
     ],
@@ -702,7 +711,7 @@ def test_check_ends_with_what_it_found(status, sigma, ended, folder, monkeypatch
     from pinhole_jax._command import check
 
     fit = fit_of(CAMERA, ("e_x",), [0.01])._replace(status=status)
-    monkeypatch.setattr(check, "_of_mesh", lambda *_: fit)
+    monkeypatch.setattr(check, "_mesh_fit", lambda *_: fit)
     monkeypatch.setattr(check, "drift", lambda *_: pj.drift(fit, fit)._replace(sigma=sigma))
     assert command.main(["check", str(folder / "truth.json"), "a.ply", "b.png"]) == ended
     assert ended or "not moved: 1.0 sigma" in capsys.readouterr().out
@@ -719,8 +728,8 @@ def test_check_ends_with_what_it_found(status, sigma, ended, folder, monkeypatch
             "+12, +0 px from the middle, at (60, 40) px in a picture",
         ),
         ((90, 91, 96, 80), ("--resize", 192, 160), ""),
-        ((90, 91, 38, 50), (), "are CX and CY exchanged?"),
-        ((90, 91, 24, 20), (), "--resize W H is the size that --K belongs to (some 48 x 40)"),
+        ((90, 91, 38, 50), (), "are cx and cy exchanged?"),
+        ((90, 91, 24, 20), (), "the size that `--K` belongs to: `--resize` W H (about 48 x 40)"),
         ((90, 91, 300, 20), ("--crop", 250, 0, 96, 80), ""),
     ],
 )
@@ -735,9 +744,9 @@ def test_principal_point_far_from_the_middle_is_noted(K, more, words, capsys):
 @pytest.mark.parametrize(
     ("K", "size", "words"),
     [
-        ((600, 600, 120, 320), (640, 240), r"\(120, 320\) px .* 640 x 240: are CX and CY exch"),
-        ((900, 320, 900, 240), (640, 480), "the order is FX FY CX CY"),
-        ((900, 900, 960, 540), (640, 360), r"was the picture resized\? .* \(some 1920 x 1080\)"),
+        ((600, 600, 120, 320), (640, 240), r"\(120, 320\) px .* 640 x 240: are cx and cy exch"),
+        ((900, 320, 900, 240), (640, 480), "the order is fx fy cx cy"),
+        ((900, 900, 960, 540), (640, 360), r"was the picture resized\? .* \(about 1920 x 1080\)"),
         ((900, 900, -3, 540), (640, 360), "inside the picture, .* was the picture resized"),
     ],
 )
@@ -750,7 +759,7 @@ def test_field_of_view_in_rad_is_questioned(capsys):
     with pytest.raises(ValueError, match=r"`--fov`: .* 0\.577: degrees\? 0\.577 rad are 33\.1"):
         known_of("--fov", 0.577)
     known_of("--fov", 1.2)
-    assert "note: --fov got 1.2: degrees?" in capsys.readouterr().out
+    assert "note: `--fov`: got 1.2: degrees?" in capsys.readouterr().out
     known_of("--fov", 4)
     assert capsys.readouterr().out == ""
 
@@ -771,7 +780,7 @@ def test_output_that_cannot_be_written_is_found_before_the_fit(folder, monkeypat
 
 def test_fit_is_printed_where_it_cannot_be_written(folder, monkeypatch, capsys):
     fit = fit_of(CAMERA, ("e_x",), [0.1])
-    monkeypatch.setattr("pinhole_jax._command.fit.fit_camera", lambda *_, **__: fit)
+    monkeypatch.setattr(pj, "fit_camera", lambda *_, **__: fit)
     monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
     io.save_image(folder / "dot.png", drawn(CAMERA, SCENE))
     words = ["fit", str(folder / "bumpy.ply"), str(folder / "dot.png"), "--fov", "34"]

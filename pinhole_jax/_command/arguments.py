@@ -1,5 +1,5 @@
-"""The command's arguments, as tables. JAX is not imported here: help, the version and words about a
-typo come at once."""
+"""The command's arguments, as tables. JAX is not imported here: help, the version and messages
+about a typo appear at once."""
 
 import argparse
 import json
@@ -26,8 +26,8 @@ eye e, view point p, up u, vertical field of view phi, camera constant d, resolu
 may add {"principal_point": [x, y], "aspect": 1} (px, origin at the bottom left, y up), and in it
 "distortion", one of OpenCV's models:
   EXAMPLES
-Pictures are PNG, JPEG, TIFF, WebP, BMP or PNM. What is written replaces a file; to /dev/stdout or
-a pipe it is written through, and devices are refused.
+Pictures are PNG, JPEG, TIFF, WebP, BMP or PNM. An output file replaces the one at its path;
+/dev/stdout and pipes are written to, other devices are refused.
 """.replace("EXAMPLES", EXAMPLES)
 MASKS = """\
 Masks are grey images (white is the object), or images whose transparency is the mask; --mask-from
@@ -35,13 +35,13 @@ reads others:
   alpha                 the transparency
   luminance             the brightness, whatever it is
   label=N               a label image's pixels of this grey value or palette entry
-  background=COLOR      a photo before a background of one colour (white, #1e90ff): what is farther
+  background=COLOR      a photo before a background of one colour (white, #1e90ff): pixels farther
                         from it in CIE Lab than Otsu's threshold (scikit-image), or than T with
                         background=COLOR,T; edges are soft where colours mix
 """
 
 STATUS = "\n".join(
-    ["the status of a fit is converged where its camera is to be trusted, else why it is not:"]
+    ["the status of a fit: trust the camera if it is converged; else the status says why not"]
     + [f"  {status:16}{meaning}" for status, meaning in STATUSES.items()]
 )
 
@@ -63,45 +63,25 @@ DATASETS = """\
 a data set is one of
   BOP      a split's folder, or one scene's: scene_camera.json, scene_gt.json, mask_visib
   a table  .csv or .jsonl: a record a row, with the columns id, mesh, mask, and of K (four
-           numbers or nine), dist, fov, camera, start, free, ... what is known; paths are relative
-           to it
+           numbers, nine, or a file), dist, fov, camera, start, crop, free, ... all that you know;
+           paths are relative to the table
   a folder with one mesh, masks (or a folder `masks`), and camera.json, --K or --fov
-RESULTS holds rows as JSON lines: status, camera, K, R, t, covariance, seconds, and why a record
-failed. Processes on several machines may share it, each with a --shard of its own.
+RESULTS holds rows as JSON lines: status, camera, K, R, t, covariance, seconds, and the reason if a
+record failed. Processes on several machines may share it, each with a --shard of its own.
 """
 
 
-def _numbers(text: str) -> list[float]:
-    return [float(number) for number in text.split(",") if number.strip()]
-
-
-def _intrinsics(text: str) -> list[float] | str:
-    """Return the numbers of `--K`, or the path of a file that has them."""
-    try:
-        numbers = _numbers(text)
-    except ValueError:
-        return text
-    if len(numbers) != 4:
-        words = f"expected FX FY CX CY (px) or a file, got {len(numbers)} numbers"
-        raise argparse.ArgumentTypeError(words)
-    return numbers
-
-
-def _coefficients(text: str) -> list[float]:
-    """Return the numbers of `--dist`."""
-    try:
-        numbers = _numbers(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"expected numbers, got {text!r}") from None
-    if len(numbers) not in (4, 5, 8):
-        words = f"expected 4, 5 or 8 coefficients, got {len(numbers)}"
-        raise argparse.ArgumentTypeError(words)
-    return numbers
+def _free(text: str) -> str:
+    """Return the names of `--free`, with phi for its other name."""
+    names = (name.strip() for name in text.split(","))
+    return ",".join("phi" if name == "focal" else name for name in names if name)
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:
-    """Return arguments with what follows --K, --dist and --free in one word each, with commas: so
-    it may begin with a minus, and what comes after it is MESH."""
+    """Return the arguments with the values of --K, --dist and --free joined by commas.
+
+    So a value may begin with a minus, and MESH may follow it.
+    """
     rest, result = list(arguments), []
     while rest:
         name = rest.pop(0)
@@ -113,7 +93,7 @@ def _joined(arguments: Sequence[str]) -> list[str]:
 
 
 def _belongs(option: str, word: str) -> bool:
-    """True where a word goes on with the numbers, or the names, of an option."""
+    """Return True for a word that continues the numbers, or the names, of an option."""
     if option in ("--K", "--dist"):
         return bool(NUMBERS.fullmatch(word))
     return option == "--free" and {*word.split(",")} <= {*FREE, "focal", ""}
@@ -130,14 +110,14 @@ class Verb(NamedTuple):
     epilog: str = FILES
 
 
-TRUST = "Exit status: 0 converged, 1 not to be trusted (the status says why), 2 bad input."
+TRUST = "Exit status: 0 converged, 1 do not trust it (the status says why), 2 bad input."
 VERBS = {
     "fit": Verb(
         "recover the camera from a mesh and a mask",
         "Recover the camera that sees MESH as MASK: from a start some 20 degrees off, or\n"
         "without one from the field of view (or, with phi among --free, from nothing).\n"
         "Writes camera.json and overlay.png, prints parameters with their standard errors.\n"
-        f"Photos that were taken sideways are turned upright as their EXIF data say.\n{TRUST}",
+        f"Photos that were taken sideways are turned upright by their EXIF data.\n{TRUST}",
         "mesh mask --camera|--K|--fov --dist --pixel-centres --crop --resize --free --mask-from"
         " --invert --tidy|--no-tidy --weight --image --refine --report --verbose -o/--output"
         " --no-cache",
@@ -152,10 +132,10 @@ VERBS = {
     ),
     "hand-eye": Verb(
         "recover the camera that sees a robot, from a URDF, joint angles and masks",
-        "Recover the one camera that sees ROBOT, with its joints as JOINTS say row by row, as\n"
-        "the MASKs: in the frame of its base, or with --in-hand in that of a link.\n"
-        "Writes camera.json and overlay_K.png, prints the camera with its standard errors and\n"
-        f"which masks disagree. Needs yourdfpy: pip install 'pinhole-jax[robots]'.\n{TRUST}",
+        "Recover the one camera that sees ROBOT as the MASKs, one for each row of JOINTS: in the\n"
+        "frame of its base, or with --in-hand in that of a link.\n"
+        "Writes camera.json and overlay_K.png, prints the camera with its standard errors, and\n"
+        f"the masks that disagree. Needs yourdfpy: pip install 'pinhole-jax[robots]'.\n{TRUST}",
         "robot joints masks !--camera|--K --dist --pixel-centres --in-hand --leave-out --free"
         " --mask-from --images --refine --joint-zeros --holdout --propose --report --verbose"
         " -o/--output --no-cache",
@@ -163,11 +143,11 @@ VERBS = {
         f"{STATUS}\n\n{MASKS}\n{FILES}",
     ),
     "check": Verb(
-        "say whether a mask is still explained by a camera, or how it has moved",
-        "Say whether CAMERA still sees MESH as MASK, by how many standard errors not, and which\n"
-        "way it has moved; or a robot: check CAMERA ROBOT.urdf JOINTS MASK...\n"
-        "Exit status: 0 it has not moved, 1 it has, 3 the masks do not say, 2 bad input.",
-        "camera mesh joints masks --in-hand --leave-out --free --mask-from --verbose -o/--output"
+        "tell from a new mask whether a camera has moved, and how",
+        "Compare CAMERA with the camera that sees MESH as MASK: has it moved, by how many\n"
+        "standard errors, and which way? For a robot: check CAMERA ROBOT.urdf JOINTS MASK...\n"
+        "Exit status: 0 it has not moved, 1 it has, 3 the masks cannot tell, 2 bad input.",
+        "camera mesh files --in-hand --leave-out --free --mask-from --verbose -o/--output"
         " --no-cache",
         "out/camera.json part.stl mask.png",
         f"{STATUS}\n\n{MASKS}\n{FILES}",
@@ -175,20 +155,21 @@ VERBS = {
     "batch": Verb(
         "recover the cameras of a whole data set",
         "Recover the camera of each record of DATASET; append a row for each to the parts in\n"
-        "RESULTS. What is stopped, by whatever, goes on with --resume.\n"
+        "RESULTS. If it is stopped, continue with --resume.\n"
         "Exit status: 0 each record has a row, 1 some have no fit (their rows say why), 2 bad"
         " input.",
         "dataset -o/--output --workers --shard --resume --retry --time-limit --merge"
-        " --write --start --models --detections --camera|--K|--fov --dist --pixel-centres --free"
-        " --mask-from --invert --tidy|--no-tidy --track --verbose --no-cache",
+        " --write --start --models --detections --camera|--K|--fov --dist --pixel-centres --crop"
+        " --resize --free --mask-from --invert --tidy|--no-tidy --weight --track --verbose"
+        " --no-cache",
         "set.csv -o results --workers 4 --merge table.csv",
         f"{DATASETS}\n{MASKS}",
     ),
     "studio": Verb(
         "get the camera of a photo by hand and eye: a page in the browser",
-        "Open a page in the browser: the mesh before the photo, to turn, to paint a mask for,\n"
-        "to fit, and to export in every format. Served on this machine alone, to who has the\n"
-        "address that is printed. Needs aiohttp: pip install 'pinhole-jax[studio]'.",
+        "Open a page in the browser: turn the mesh over the photo, paint a mask, fit, and export\n"
+        "the camera in every format. Only this machine can open it, by the address that is\n"
+        "printed. Needs aiohttp: pip install 'pinhole-jax[studio]'.",
         "mesh photo --session --camera|--K|--fov --dist --pixel-centres --up --mask --mask-from"
         " --port --no-browser --verbose -o/--output --no-cache",
         "part.stl photo.jpg --fov 34",
@@ -201,10 +182,12 @@ VERBS = {
         "camera.json transforms.json",
     ),
 }
-#: Options: a metavar (none: a switch), and help; those of one command stand under its name, too.
-OPTIONS = {
+#: Each option: its metavar (none: a switch), its help, and other arguments of `add_argument`. An
+#: option that differs in one command is listed there as "command option".
+OPTIONS: dict[str, tuple[str, str] | tuple[str, str, dict[str, Any]]] = {
     "mesh": ("MESH", "triangles: obj, ply, stl, glb, gltf or off"),
     "check mesh": ("MESH", "as in `fit`; or a URDF file"),
+    "studio mesh": ("MESH", "triangles: obj, ply, stl, glb, gltf or off", {"nargs": "?"}),
     "mask": ("MASK", "image of the camera's size, white on black"),
     "camera": ("CAMERA", "a camera file, as `fit --camera` reads"),
     "check camera": (
@@ -217,16 +200,15 @@ OPTIONS = {
         "angles (rad): a CSV file whose first line has the joints' names, or JSON with `names` and"
         " `postures`, perhaps with `unit`: deg",
     ),
-    "check joints": ("MASK", "as in `fit`; of a robot JOINTS"),
-    "masks": ("MASK", "an image for each row of JOINTS"),
-    "check masks": ("MASK", "of a robot, one for each posture"),
-    "dataset": ("DATASET", "see below"),
-    "photo": ("PHOTO", "a picture of it"),
+    "masks": ("MASK", "an image for each row of JOINTS", {"nargs": "+"}),
+    "files": ("MASK", "as in `fit`; for a robot JOINTS, then a MASK for each row", {"nargs": "*"}),
+    "dataset": ("DATASET", "see below", {"nargs": "?"}),
+    "photo": ("PHOTO", "a picture of it", {"nargs": "?"}),
     "input": ("IN", "a camera file; of COLMAP, the model's folder"),
-    "output": ("OUT", "what to write"),
+    "output": ("OUT", "the file to write"),
     "--camera": (
         "START",
-        "where to start (else: search): a camera file, see below, or any that `convert` reads;"
+        "start from here (else: search): a camera file, see below, or any that `convert` reads;"
         " FILE:NAME is one of several",
     ),
     "--K": (
@@ -236,46 +218,49 @@ OPTIONS = {
     ),
     "--fov": (
         "DEGREES",
-        "vertical field of view, to search with (default: what the EXIF data of PHOTO say)",
+        "vertical field of view, to search with (default: from the EXIF data of PHOTO)",
+        {"type": float},
     ),
-    "batch --fov": ("DEGREES", "where DATASET says nothing"),
+    "batch --fov": ("DEGREES", "where DATASET says nothing", {"type": float}),
     "studio --fov": (
         "DEGREES",
-        "vertical field of view (default: what the EXIF data of PHOTO say, or 40)",
+        "vertical field of view (default: from the EXIF data of PHOTO, else 40)",
+        {"type": float},
     ),
     "--dist": ("K1,K2,...", "with --K: OpenCV's k1 k2 p1 p2, k3, k4 k5 k6"),
     "--pixel-centres": (
         "",
         "where CX, CY of --K (and of the K that is printed) count from: the first pixel's centre is"
         " 0 (OpenCV) or 0.5 (COLMAP); default: %(default)s",
+        {"choices": ("integer", "half"), "default": "integer"},
     ),
     "--crop": (
         "LEFT TOP W H",
-        "MASK shows this window (px from the top left) of the picture that --K or START is of",
+        "MASK shows this window (px from the top left) of the picture of --K or --camera",
+        {"type": float},
     ),
     "--resize": (
         "W H",
         "MASK was resized from W x H px (with --crop: after it) to the size that it has",
+        {"type": int},
     ),
     "--free": (
         "NAMES",
         f"what to fit, of {', '.join(FREE)}: pose is position and orientation, phi (or focal) and"
         " d are the focal length in two ways, distortion is all coefficients of the lens; the rest"
         " stays as it is at the start (default: %(default)s)",
+        {"type": _free, "default": "pose"},
     ),
-    "--mask-from": ("HOW", "how to read masks, see below (default: at first sight)"),
+    "--mask-from": ("HOW", "how to read masks, see below (default: from the picture itself)"),
     "batch --mask-from": ("HOW", "as in `fit`"),
-    "--invert": ("", "what MASK covers is the background"),
+    "--invert": ("", "MASK covers the background"),
     "--tidy": ("", "drop crumbs and fill holes of MASK up to 1/200 of the object (else 1/1000)"),
     "--no-tidy": ("", "take MASK as it is, with its crumbs and pinholes"),
-    "--track": (
-        "",
-        "one after another, each from the camera of the one before (frames of a video)",
-    ),
+    "--track": ("", "fit in order, each from the last camera (frames of a video)"),
     "--weight": ("IMAGE", "grey image: how much each pixel counts"),
-    "--image": ("PHOTO", "what to draw the outline on (default: MASK)"),
-    "--images": ("PHOTO", "what to draw the outlines on (default: MASKs)"),
-    "--refine": ("", "fit to the colours of the photos, too, where they tell"),
+    "--image": ("PHOTO", "draw the outline on this (default: MASK)"),
+    "--images": ("PHOTO", "draw the outlines on these (default: MASKs)", {"nargs": "+"}),
+    "--refine": ("", "fit to the edges in the photos, too, where they are clear"),
     "--report": ("PAGE.html", "write a page with pictures, errors, all formats"),
     "hand-eye --report": ("PAGE.html", "write one page about all of it"),
     "--in-hand": ("LINK", "the link that carries the camera"),
@@ -283,38 +268,47 @@ OPTIONS = {
     "--joint-zeros": (
         "SIGMA",
         "find the zeros of the turning joints, too, which are known to this many degrees",
+        {"type": float},
     ),
-    "--holdout": ("", "fit each half of the postures, too: do they agree?"),
+    "--holdout": ("", "fit each half of the postures, too, and compare them"),
     "--propose": (
         "JOINTS",
-        "say what a mask more would tell in each of these postures (a file as JOINTS)",
+        "say how much one more mask in each of these postures would help (a file as JOINTS)",
     ),
-    "--workers": ("K", "processes (default: one a core)"),
-    "--shard": ("I/N", "fit the I-th of N parts of DATASET alone"),
-    "--resume": ("", "fit what has no row in RESULTS yet"),
+    "--workers": ("K", "processes (default: one a core)", {"type": int}),
+    "--shard": ("I/N", "fit the I-th of N parts of DATASET alone", {"default": "1/1"}),
+    "--resume": ("", "fit the records that have no row in RESULTS yet"),
     "--retry": ("STATUSES", "fit these anew, too: failed,timed_out,crashed"),
-    "--time-limit": ("SECONDS", "what one record may take, 0: any time (default: %(default)g)"),
+    "--time-limit": (
+        "SECONDS",
+        "most time for one record, 0: no limit (default: %(default)g)",
+        {"type": float, "default": 600.0},
+    ),
     "--merge": ("TABLE", "write all rows: .jsonl or .csv"),
     "--write": ("ID CAMERA", "write a row's camera as any file that `convert` writes"),
     "--start": ("", "start from BOP's poses, else search"),
     "--models": ("FOLDER", "BOP's models (default: beside it)"),
     "--detections": ("COCO.json", "masks instead of BOP's own"),
-    "--session": ("FILE", "go on with what the page saved"),
-    "--up": ("", "MESH's upward axis (default: y)"),
+    "--session": ("FILE", "continue a session that the page saved"),
+    "--up": ("", "MESH's upward axis (default: y)", {"choices": ("x", "y", "z"), "default": "y"}),
     "--mask": ("MASK", "begin with this mask"),
-    "--port": ("N", "(default: any that is free)"),
+    "--port": ("N", "(default: any that is free)", {"type": int, "default": 0}),
     "--no-browser": ("", "print the address, open nothing"),
-    "--from": ("FORMAT", "(default: IN says it)"),
-    "--to": ("FORMAT", "(default: OUT says it)"),
-    "--size": ("W H", "the image's size in px, where IN does not hold it (glTF, some NeRF files)"),
-    "--verbose": ("", "say on stderr what goes on"),
-    "-o/--output": ("FOLDER", "(default: %(default)s)"),
-    "render -o/--output": ("IMAGE", "(default: %(default)s)"),
+    "--from": ("FORMAT", "(default: from IN)", {"dest": "source"}),
+    "--to": ("FORMAT", "(default: from OUT)", {"dest": "target"}),
+    "--size": (
+        "W H",
+        "the image's size in px, where IN does not hold it (glTF, some NeRF files)",
+        {"type": int},
+    ),
+    "--verbose": ("", "report each step on stderr"),
+    "-o/--output": ("FOLDER", "(default: %(default)s)", {"default": "out"}),
+    "render -o/--output": ("IMAGE", "(default: %(default)s)", {"default": "mask.png"}),
     "check -o/--output": ("CAMERA.json", "write where it is now"),
-    "batch -o/--output": ("RESULTS", "a folder"),
+    "batch -o/--output": ("RESULTS", "a folder", {"required": True}),
     "--no-cache": ("", "do not keep compiled programs in the user's cache folder"),
 }
-#: Under which heading help has which options; the others have none.
+#: The headings of the help, and the options below each; the others have none.
 GROUPS = {
     "camera": "--camera --K --fov --dist --pixel-centres --crop --resize --up --in-hand --start",
     "masks": "--mask --mask-from --invert --tidy --no-tidy --weight --models --detections",
@@ -322,49 +316,33 @@ GROUPS = {
     "rows": "--workers --shard --resume --retry --time-limit --merge --write",
     "output": "-o/--output --report --image --images --verbose --no-cache --port --no-browser",
 }
-GROUPS = {title: options.split() for title, options in GROUPS.items()}
-#: What argparse is to know of them besides.
-MORE: dict[str, dict[str, Any]] = {
-    "check joints": {"nargs": "?"},
-    "masks": {"nargs": "+"},
-    "check masks": {"nargs": "*"},
-    "dataset": {"nargs": "?"},
-    "studio mesh": {"nargs": "?"},
-    "photo": {"nargs": "?"},
-    "--K": {"type": _intrinsics},
-    "--fov": {"type": float},
-    "--dist": {"type": _coefficients},
-    "--pixel-centres": {"choices": ("integer", "half"), "default": "integer"},
-    "--crop": {"type": float},
-    "--resize": {"type": int},
-    "--free": {"default": "pose"},
-    "--images": {"nargs": "+"},
-    "--joint-zeros": {"type": float},
-    "--workers": {"type": int},
-    "--shard": {"default": "1/1"},
-    "--time-limit": {"type": float, "default": 600.0},
-    "--up": {"choices": ("x", "y", "z"), "default": "y"},
-    "--port": {"type": int, "default": 0},
-    "--from": {"dest": "source"},
-    "--to": {"dest": "target"},
-    "--size": {"type": int},
-    "-o/--output": {"default": "out"},
-    "render -o/--output": {"default": "mask.png"},
-    "check -o/--output": {},
-    "batch -o/--output": {"required": True},
+HEADINGS = {option: title for title, options in GROUPS.items() for option in options.split()}
+#: Other names that the library has for what an option gives.
+ALIASES = {
+    "target": ("mask", "masks", "files"),
+    "mask": ("masks", "files"),
+    "scene": ("mesh",),
+    "phi": ("fov",),
+    "photo": ("image", "images"),
+    "cameras": ("camera",),
+    "lens": ("dist",),
+    "out": ("output",),
+    "items": ("dataset",),
+    "tidy": ("no_tidy",),
 }
 
 
 def _version() -> str:
-    """The version, and what draws silhouettes on a CPU."""
+    """Return the version, and the way that silhouettes are drawn on a CPU."""
     native = library_path() is not None and not is_switched_off()
     return f"pinhole-jax {__version__} ({'compiled library' if native else 'arrays'} on CPUs)"
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
-    """Return the options of a command line (None: this process's); `command` is which command.
+    """Return the options of a command line (None: this process's).
 
-    Ends the process after help or the version, and with 2 and words where something is wrong.
+    `command` is the command, and `names` has what users call each argument of the library. Ends
+    the process after help or the version, and with 2 and a message for a bad command line.
     """
     parser = _Parser(
         prog="pinhole-jax",
@@ -374,21 +352,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--version", action="version", version=_version())
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, verb in VERBS.items():
-        example = f"\n\nexample: pinhole-jax {name} {verb.example}"
-        text, epilog = verb.description.rstrip() + example, verb.epilog
-        own = commands.add_parser(name, help=verb.help, description=text, epilog=epilog)
-        own.set_defaults(verbose=False, no_cache=name == "convert", own=own)
-        groups: dict[str, Any] = {}
-        for part in verb.options.split():
-            options = part.lstrip("!").split("|")
-            title = next((title for title, names in GROUPS.items() if options[0] in names), "")
-            if title and title not in groups:
-                groups[title] = own.add_argument_group(title)
-            group = groups.get(title, own)
-            if len(options) > 1:
-                group = group.add_mutually_exclusive_group(required=part[0] == "!")
-            for option in options:
-                group.add_argument(*option.split("/"), **_keywords(name, option))
+        _add(commands, name, verb)
     words = _joined(sys.argv[1:] if arguments is None else arguments)
     options, unknown = parser.parse_known_args(words)
     if unknown:
@@ -396,15 +360,41 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     return options
 
 
+def _add(commands: Any, name: str, verb: Verb) -> None:
+    """Add a command's parser."""
+    text = f"{verb.description.rstrip()}\n\nexample: pinhole-jax {name} {verb.example}"
+    own = commands.add_parser(name, help=verb.help, description=text, epilog=verb.epilog)
+    groups: dict[str, Any] = {}
+    actions = []
+    for part in verb.options.split():
+        options = part.lstrip("!").split("|")
+        group = own
+        if title := HEADINGS.get(options[0]):
+            group = groups[title] = groups.get(title) or own.add_argument_group(title)
+        if len(options) > 1:
+            group = group.add_mutually_exclusive_group(required=part[0] == "!")
+        for option in options:
+            keywords = _keywords(name, option)
+            actions.append(group.add_argument(*option.split("/"), **keywords))
+    own.set_defaults(verbose=False, no_cache=name == "convert", own=own, names=_names(actions))
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors show the first line of the command's own usage, and where help is."""
 
-    def __init__(self, **given: Any) -> None:
-        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **given)
+    def __init__(self, **keywords: Any) -> None:
+        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **keywords)
 
     def error(self, message: str) -> NoReturn:
         self.print_usage(sys.stderr)
         self.exit(2, f"{self.prog}: error: {message}\n`{self.prog} --help` explains it.\n")
+
+
+def _names(actions: Sequence[argparse.Action]) -> dict[str, str]:
+    """Return the user's names of the library's arguments: `mesh` is MESH, `crop` is --crop."""
+    own = {x.dest: x.option_strings[-1] if x.option_strings else str(x.metavar) for x in actions}
+    other = {name: [own[dest] for dest in dests if dest in own] for name, dests in ALIASES.items()}
+    return {**{name: shown[0] for name, shown in other.items() if shown}, **own}
 
 
 def _meant(options: argparse.Namespace, unknown: Sequence[str]) -> str:
@@ -416,9 +406,8 @@ def _meant(options: argparse.Namespace, unknown: Sequence[str]) -> str:
 
 def _keywords(verb: str, option: str) -> dict[str, Any]:
     """Return the arguments of `add_argument` for a command's option."""
-    own = f"{verb} {option}"
-    metavar, words = OPTIONS.get(own, OPTIONS[option])
-    keywords: dict[str, Any] = {"help": words, **MORE.get(own, MORE.get(option, {}))}
+    metavar, words, *more = OPTIONS.get(f"{verb} {option}", OPTIONS[option])
+    keywords: dict[str, Any] = {"help": words, **dict(*more)}
     names = metavar.split()
     if len(names) > 1:
         return {**keywords, "metavar": tuple(names), "nargs": len(names)}

@@ -1,4 +1,4 @@
-"""`pinhole-jax batch`: the cameras of a whole data set, and what is made of their rows."""
+"""`pinhole-jax batch`: the cameras of a whole data set, and tables and files of them."""
 
 import argparse
 import contextlib
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from .. import Fisheye, formats
+from .. import formats
 from .._files.interrupt import interrupts_raise
 from .._files.naming import named
 from .._files.progress import Ticker
@@ -23,43 +23,30 @@ from ..batch import (
     read_dataset,
     shard_of,
 )
-from .known import check_fov, names_of
+from ..batch.inputs import check_fov
+from .inputs import record_of
 from .outputs import check_outputs, replaced
-
-#: What the command calls the arguments of the library.
-ASKED = {
-    "out": "--output",
-    "workers": "--workers",
-    "shard": "--shard",
-    "time_limit": "--time-limit",
-    "retry": "--retry",
-    "items": "DATASET",
-    "path": "DATASET",
-    "models": "--models",
-    "detections": "--detections",
-}
 
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:
-    """Fit what is not done, write what is asked for; return 0, or 1 where a record failed."""
+    """Fit the records without a row, write tables and cameras; return 0, or 1 if any failed."""
     if options.dataset is None and not (options.merge or options.write):
-        raise ValueError("`DATASET`: expected one, or --merge or --write, got none")
+        raise ValueError("`dataset`: expected a data set, --merge or --write, got none")
     rows = None if options.dataset is None else Path(options.output) / "rows"
     check_outputs(output=rows, merge=options.merge)
     if options.fov is not None:
         check_fov(options.fov, progress.tell)
-    with named(out="--output"):
-        results = Results(options.output)
+    results = Results(options.output)
     if options.dataset is not None:
-        with named(**ASKED):
+        with named(path="dataset"):
             _fit(options, results, progress.say)
     counts = results.counts()
     progress.done()
     print(f"rows       {len(results)} in {options.output}")
     for status, count in counts.items():
         print(f"  {count:6d}   {status}")
-    asked = [options.merge, options.write and options.write[1]]
-    there = replaced([path for path in asked if path is not None])
+    paths = [options.merge, options.write and options.write[1]]
+    there = replaced([path for path in paths if path is not None])
     if written := list(_written(options, results)):
         print(f"written    {', '.join(written)}{there}")
     return 1 if NO_FIT.keys() & counts.keys() else 0
@@ -72,8 +59,8 @@ def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any
     resume = options.resume or options.retry is not None
     if not resume and not results.ids().isdisjoint(_ids(data, shard)):
         raise ValueError(
-            f"`--output`: expected a folder without rows of DATASET, got {options.output!r};"
-            " --resume goes on with what is not done"
+            f"`output`: expected a folder without rows of DATASET, got {options.output!r}; continue"
+            " that run with --resume"
         )
     say("counting records")
     on_step: Callable[[Count], Any] = lambda count: say(str(count))
@@ -93,7 +80,7 @@ def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any
 
 @contextlib.contextmanager
 def _ended_as_interrupted() -> Iterator[None]:
-    """Let a scheduler's SIGTERM be what Ctrl-C is: what is done is written first."""
+    """Treat a scheduler's SIGTERM as Ctrl-C: finished rows are written first."""
 
     def interrupted(number: int, frame: Any) -> None:
         raise KeyboardInterrupt
@@ -106,37 +93,16 @@ def _ended_as_interrupted() -> Iterator[None]:
 
 
 def _dataset(options: argparse.Namespace) -> Dataset:
+    fields = record_of(options)
+    if "dist" in fields and "K" not in fields:
+        raise ValueError("`dist`: expected `K` beside it, got none")
     return read_dataset(
         options.dataset,
         start=options.start,
         models=options.models,
         detections=options.detections,
-        free=",".join(names_of(options.free)),
-        camera=options.camera,
-        fov=options.fov,
-        mask_from=options.mask_from,
-        invert=options.invert or None,
-        tidy=options.tidy or (False if options.no_tidy else None),
-        **_intrinsics(options),
+        **fields,
     )
-
-
-def _intrinsics(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the fields of records that say what `--K`, `--dist` and `--pixel-centres` do."""
-    if options.K is None:
-        if options.dist is not None:
-            raise ValueError("`--dist`: expected --K beside it, got none")
-        return {}
-    K, dist, centres = options.K, options.dist, options.pixel_centres
-    if isinstance(K, str):
-        with named(path="--K"):
-            camera = formats.read_intrinsics(K, size=(1, 1), pixel_centres=centres)
-        if isinstance(camera.distortion, Fisheye):
-            raise ValueError("`--K`: expected OpenCV's distortion, got a fisheye: give --camera")
-        K = formats.to_opencv(camera, pixel_centres=centres)[0].ravel().tolist()
-        if camera.distortion is not None:
-            dist = [*camera.distortion.coefficients().values()]
-    return {"K": K, "dist": dist, "pixel_centres": centres}
 
 
 def _ids(data: Dataset, shard: tuple[int, int]) -> Iterator[str]:
@@ -151,19 +117,19 @@ def _statuses(text: str | None) -> list[str]:
 def _shard(text: str) -> tuple[int, int]:
     found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
     if found is None:
-        raise ValueError(f"`--shard`: expected I/N, as 3/10, got {text!r}")
+        raise ValueError(f"`shard`: expected I/N, as 3/10, got {text!r}")
     return int(found[1]), int(found[2])
 
 
 def _written(options: argparse.Namespace, results: Results) -> Iterator[str]:
-    """Write what is asked for; yield the paths."""
+    """Write the table and the camera asked for; yield their paths."""
     if options.merge is not None:
-        with named(path="--merge"):
+        with named(path="merge"):
             count = merge(results, options.merge)
         left_out = len(results) - count
         yield options.merge + (f" (without {left_out} rows that have no camera)" * (left_out > 0))
     if options.write is not None:
         id, path = options.write
-        with named(id="--write", row="--write", path="--write", cameras="--write"):
+        with named(**dict.fromkeys(("id", "row", "path", "cameras"), "write")):
             formats.write(path, {id: fit_of(results.row(id)).camera})
         yield path

@@ -1,4 +1,4 @@
-"""Files that a command writes: it can, before the work begins, and says what it replaces."""
+"""Files that a command writes: checked before the work begins, and named after it."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -14,7 +14,7 @@ def check_outputs(**options: Any) -> None:
     """Raise ValueError where the file of an option, if it has one, cannot be written."""
     for option, path in options.items():
         if path is not None:
-            with named(path=f"--{option}"):
+            with named(path=option):
                 check_writable(path)
 
 

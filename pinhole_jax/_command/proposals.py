@@ -1,4 +1,4 @@
-"""Which further posture of a robot would tell most of where its camera is."""
+"""The postures of a robot in which one more mask would determine its camera best."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from .._solver.parameters import check_free, labels_of
 POSE = labels_of(("pose",))
 #: A scene, and the pose (4, 4) of the link that carries the camera (None: none does).
 Sight = tuple[Scene, Pose | None]
-#: Information whose smallest share is below this one of its largest tells nothing of a direction.
+#: A direction is not determined if its information is below this share of the largest.
 SINGULAR = 1e-14
 
 
@@ -25,40 +25,40 @@ def worths(
     seen: Sequence[Sight],
     proposed: Sequence[Sight],
 ) -> list[float]:
-    """Return by how many times one more mask would shrink the standard errors of the camera's pose,
-    in the (geometric) mean, for each of the proposed sights.
+    """Return the factor by which one more mask of each proposed sight would reduce the standard
+    errors of the camera's pose (their geometric mean).
 
-    A further mask is taken to be as good as those of what was `seen`: their information is that of
-    masks without errors, less what the `covariance` of the reported parameters says they have lost.
-    Infinite where these masks do not determine all parameters, and with one more they would.
+    One more mask is taken to be as good as those `seen`: the `covariance` of the reported
+    parameters tells how much less information these gave than masks without errors. The factor is
+    infinite if the masks seen do not determine all parameters and one more would.
     """
     names = labels_of(check_free(free, camera))
-    tells = lambda sight: _tells(camera, sight[0], sight[1], free, names)
+    tells = lambda sight: _information(camera, sight[0], sight[1], free, names)
     ideal = np.sum([tells(sight) for sight in seen], axis=0)
     place = [names.index(name) for name in POSE]
     if not (np.all(np.isfinite(covariance)) and _regular(ideal)):
-        return [np.inf if _regular(ideal + tells(one)) else 1.0 for one in proposed]
+        return [np.inf if _regular(ideal + tells(sight)) else 1.0 for sight in proposed]
     size = lambda matrix: np.linalg.slogdet(matrix)[1]
     lost = np.exp((size(covariance) + size(ideal)) / len(covariance))
     before, result = np.linalg.inv(covariance), []
-    for one in proposed:
-        after = np.linalg.inv(before + tells(one) / lost)
+    for sight in proposed:
+        after = np.linalg.inv(before + tells(sight) / lost)
         grown = size(covariance[np.ix_(place, place)]) - size(after[np.ix_(place, place)])
         result.append(float(np.exp(grown / (2 * len(place)))))
     return result
 
 
-def in_words(numbers: Sequence[float]) -> str:
-    """Return which of the proposed postures tell most, the best first."""
-    best = sorted(range(len(numbers)), key=lambda k: -numbers[k])
-    each = ", ".join(f"row {k + 1} {numbers[k]:.2f}" for k in best[:5])
-    return f"a mask more would make the standard errors of the pose this many times smaller: {each}"
+def best_postures(factors: Sequence[float]) -> str:
+    """Return a sentence on the proposed postures that would help most, the best first."""
+    best = sorted(range(len(factors)), key=lambda k: -factors[k])
+    each = ", ".join(f"row {k + 1} {factors[k]:.2f}" for k in best[:5])
+    return f"one more mask would divide the standard errors of the pose by: {each}"
 
 
-def _tells(
+def _information(
     camera: Camera, scene: Scene, mount: Pose | None, free: Sequence[str], names: Sequence[str]
 ) -> Float[np.ndarray, "n n"]:
-    """Return what a mask tells of the camera in its own frame: the world, or the link it is on."""
+    """Return a mask's information about the camera in its own frame: the world's or its link's."""
     if mount is None:
         return information(camera, scene, free)
     known = information(at_pose(camera, mount @ pose_of(camera)), scene, free)
@@ -70,7 +70,7 @@ def _tells(
 
 
 def _regular(total: Float[np.ndarray, "n n"]) -> bool:
-    """Whether information tells all directions, each in its own unit."""
+    """Return True for information that determines all directions, each in its own unit."""
     size = np.sqrt(np.diagonal(total))
     if not np.all(size > 0):
         return False

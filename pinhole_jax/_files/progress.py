@@ -9,6 +9,8 @@ from contextvars import ContextVar
 from functools import cache
 from typing import Any
 
+from .naming import renamed
+
 #: Lines that stay are printed at least this often (s), a line that is overwritten is renewed this
 #: often, and what takes less than `SHORT` has none.
 OFTEN, RENEWED, SHORT = 10.0, 0.2, 1.0
@@ -110,8 +112,14 @@ class Ticker:
 
     clock: Clock | None = None
 
-    def __init__(self, text: str, verbose: bool = False, live: bool | None = None) -> None:
-        self._text, self._verbose = text, verbose
+    def __init__(
+        self,
+        text: str,
+        verbose: bool = False,
+        live: bool | None = None,
+        names: dict[str, str] | None = None,
+    ) -> None:
+        self._text, self._verbose, self._names = text, verbose, names or {}
         self._live = (sys.stderr.isatty() if live is None else live) and not verbose
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -123,10 +131,10 @@ class Ticker:
             self.tell(text)
 
     def tell(self, text: str) -> None:
-        """Print a line that is to stay."""
+        """Print a line that is to stay, with a user's names of the library's arguments."""
         self._told = time.perf_counter()
         clear = "\r\x1b[K" if self._live and not self._done.is_set() else ""
-        print(f"{clear}{text}", file=sys.stderr, flush=True)
+        print(f"{clear}{renamed(text, self._names)}", file=sys.stderr, flush=True)
 
     def __enter__(self) -> "Ticker":
         self._heard = _heard_by(self.say)

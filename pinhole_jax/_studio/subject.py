@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import Camera, Lens, Scene, io
+from .._files.naming import named
+from ..batch.inputs import read_scene
 from .hand import Ball, ball_of, framed
 
 #: The field of view (rad) that a session starts from if nobody gives one: a guess.
@@ -49,19 +51,20 @@ def subject_of(
     lens: Lens | None = None,
     up: str = "y",
 ) -> Subject:
-    """Return what these files hold. `camera` (of the photo's size) is where to begin; None: one
+    """Return the subject of two files. `camera` (of the photo's size) is where to begin; None: one
     that sees all of the mesh, upright along `up`, with the field of view `phi`, the one in the
     photo's EXIF data, or 40 degrees, which is a guess.
 
     Raises FileNotFoundError or ValueError as `load_mesh` and `load_image` do.
     """
-    picture = io.load_image(photo, rgb=True)
+    with named(path="photo"):
+        picture = io.load_image(photo, rgb=True)
     H, W = picture.shape[:2]
     if camera is not None and (camera.W, camera.H) != (W, H):
         raise ValueError(
             f"`camera`: expected one of the photo's size {W} x {H}, got {camera.W} x {camera.H}"
         )
-    scene = Scene(mesh=io.load_mesh(mesh, say=say))
+    scene = read_scene(mesh, say or (lambda words: None))
     assert scene.mesh is not None
     ball = ball_of(np.asarray(scene.mesh.vertices, float))
     if camera is not None:

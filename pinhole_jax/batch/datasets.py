@@ -9,11 +9,10 @@ from pathlib import Path
 from reprlib import repr as brief
 from typing import Any
 
-from .records import FIELDS, PATHS, Record
+from .records import FIELDS, PATHS, PICTURES, Record, files_of
 
-#: The endings of meshes, masks and tables.
+#: The endings of meshes and tables.
 MESHES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
-MASKS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".pgm")
 TABLES = (".csv", ".jsonl")
 #: Where BOP keeps its models, beside the splits.
 MODELS = ("models", "models_eval", "models_cad")
@@ -220,9 +219,8 @@ def _of_table(path: Path) -> Iterator[Record]:
     for number, row in enumerate(_rows(path, is_csv), 1):
         record = {n: _of_cell(n, x) if is_csv else x for n, x in row.items() if x != ""}
         record["id"] = str(number if record.get("id") is None else record["id"])
-        for name in PATHS:
-            if isinstance(value := record.get(name), str):
-                record[name] = str(path.parent / value)
+        for name, value in files_of(record).items():
+            record[name] = str(path.parent / value)
         yield record
 
 
@@ -248,7 +246,7 @@ def _rows(path: Path, is_csv: bool) -> Iterator[dict[str, Any]]:
 
 def _of_cell(name: str, cell: str) -> Any:
     """Return a CSV's cell as a record's value: what JSON reads is that, but for texts."""
-    if name != "id" and (name not in PATHS or cell.startswith("{")):
+    if name != "id" and (name not in PATHS or cell[0] in "{["):
         with contextlib.suppress(TypeError, ValueError):
             return json.loads(WORDS.get(cell, cell))
     return cell
@@ -262,6 +260,6 @@ def _of_folder(place: Path) -> Iterator[Record]:
     camera = place / "camera.json"
     known = {"camera": str(camera)} if camera.is_file() else {}
     masks = place / "masks" if (place / "masks").is_dir() else place
-    for file in sorted(f for f in masks.iterdir() if f.suffix.lower() in MASKS):
+    for file in sorted(f for f in masks.iterdir() if f.suffix.lower() in PICTURES):
         id = file.relative_to(place).as_posix()
         yield {"id": id, "mesh": str(meshes[0]), "mask": str(file), **known}

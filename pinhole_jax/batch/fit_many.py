@@ -13,7 +13,7 @@ from .engine import rows_of
 from .parts import Done, Results, Writer
 from .records import Record, check_id, plain_record, shard_of
 from .rows import NO_FIT, Row
-from .tracking import Tracking
+from .tracking import tracked_rows
 from .worker import TOKEN, Setup
 
 #: This many records at a time are sorted, so that a worker meets one mesh after another.
@@ -105,16 +105,15 @@ def fit_many(
     ```
     """
     _check(items, executor, workers, shard, time_limit, retry)
-    if track:
-        if executor is not None:
-            raise ValueError("`executor`: expected None beside `track`, got one")
-        executor, workers = Tracking(), 1
+    if track and executor is not None:
+        raise ValueError("`executor`: expected None beside `track`, got one")
     results = None if out is None else Results(out)
     done = Done() if results is None else results.done(but=retry)
     total, before = _planned(items, shard, done)
     kept: dict[str, Row] = {}
     waiting = _sorted(_left(items, shard, done, kept))
-    found = rows_of(waiting, executor, workers, Setup(cached, time_limit, TOKEN))
+    setup = Setup(cached, time_limit, TOKEN)
+    found = tracked_rows(waiting, setup) if track else rows_of(waiting, executor, workers, setup)
     writer = None if results is None else Writer(results.folder)
     statuses: Counter[str] = Counter()
     begin = time.perf_counter()

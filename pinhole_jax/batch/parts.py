@@ -14,6 +14,7 @@ from pathlib import Path
 from reprlib import repr as brief
 from typing import NamedTuple
 
+from .._files.paths import replace_file
 from .records import Record, plain_record, settings_of
 from .rows import Row, line_of, row_of
 
@@ -21,30 +22,16 @@ from .rows import Row, line_of, row_of
 ROWS, SECONDS = 500, 10.0
 
 
-def write_whole(path: str | os.PathLike[str], lines: Iterable[str]) -> int:
-    """Write lines to a file that is there whole or not at all; return their number.
+def write_lines(path: str | os.PathLike[str], lines: Iterable[str]) -> int:
+    """Write lines to a file, whole or not at all; return their number.
 
-    What is no file (a pipe, a device) is written to. Raises ValueError for what cannot be written.
+    Raises ValueError for a path that cannot be written.
     """
-    target, count = Path(path), itertools.count()
-    is_file = target.is_file() or not target.exists()
-    temporary = target.with_name(f"tmp{secrets.token_hex(8)}") if is_file else target
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with open(temporary, "wb") as stream:
-            for line, _ in zip(lines, count, strict=False):
-                stream.write(f"{line}\n".encode(errors="backslashreplace"))
-            if is_file:
-                stream.flush()
-                os.fsync(stream.fileno())  # the disk has it before its name says so
-        if is_file:
-            temporary.replace(target)
-    except OSError as error:
-        words = f"expected a file to write, got {str(path)!r}: {error.strerror}"
-        raise ValueError(f"`path`: {words}") from error
-    finally:
-        if is_file:
-            temporary.unlink(missing_ok=True)
+    count = itertools.count()
+    data = (
+        f"{line}\n".encode(errors="backslashreplace") for line, _ in zip(lines, count, strict=False)
+    )
+    replace_file(path, data, lasting=True)
     return next(count)
 
 
@@ -77,7 +64,7 @@ class Writer:
             if self._waiting:
                 # (Named by time: of one record's rows the last one counts.)
                 name = f"part-{time.time_ns():020d}-{secrets.token_hex(4)}.jsonl"
-                write_whole(self.folder / name, self._waiting)
+                write_lines(self.folder / name, self._waiting)
                 self._waiting = []
 
 

@@ -14,12 +14,14 @@ FIELDS = {
     "id": "a text that no other record of the batch has",
     "mesh": "path of the mesh",
     "mask": "path of the mask, or COCO's run lengths: size [H, W] and counts",
-    "K": "intrinsics, px: fx fy cx cy, or the 3 x 3 matrix in nine numbers or three rows",
-    "dist": "OpenCV's k1 k2 p1 p2 k3 k4 k5 k6, beside K",
+    "K": "intrinsics, px: fx fy cx cy, the 3 x 3 matrix by rows, or the path of a calibration",
+    "dist": "OpenCV's k1 k2 p1 p2 k3 k4 k5 k6, with K",
     "pixel_centres": 'what K counts from: "integer" (OpenCV, the default) or "half"',
     "fov": "vertical field of view in degrees, in place of K",
     "camera": "path of a camera's file to start from, in place of K",
-    "start": "object's pose to start from, beside K: camera_from_object, 4 x 4, OpenCV's axes",
+    "start": "object's pose to start from, with K: camera_from_object, 4 x 4, OpenCV's axes",
+    "crop": "left top W H: the mask shows this window (px) of the picture of K or camera",
+    "resize": "W H: the mask had this size (px; with crop: after it) before it was resized",
     "free": 'what to fit (default: "pose")',
     "mask_from": "how to read the mask, as `io.load_mask` has it",
     "invert": "true: what the mask covers is the background",
@@ -32,10 +34,12 @@ FIELDS = {
     "bounds": "as in `fit_camera`",
 }
 #: Fields that name files.
-PATHS = ("mesh", "mask", "camera", "weight", "photo")
-#: (Crumbs and pinholes below this share of the object are no parts that anybody models.)
+PATHS = ("mesh", "mask", "K", "camera", "weight", "photo")
+#: Endings of pictures.
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".pgm", ".ppm")
+#: Nobody models parts below this share of an object: they are crumbs and pinholes.
 SPECK = 1e-3
-#: The values of fields that a record does not have.
+#: Values of the fields that a record leaves out.
 DEFAULTS: dict[str, Any] = {
     "free": "pose",
     "pixel_centres": "integer",
@@ -94,7 +98,7 @@ def _plain(value: Any) -> Any:
         return value.tolist()
     if isinstance(value, list | tuple):
         return [_plain(part) for part in value]
-    # (Of any other kind it has no meaning, but is told as it was given.)
+    # (A value of any other kind means nothing, but the row shows it.)
     return value if isinstance(value, str | int | float | None) else repr(value)
 
 
@@ -109,18 +113,31 @@ def shard_of(id: str, count: int) -> int:
     return int.from_bytes(hashlib.sha256(id.encode(errors="surrogatepass")).digest()[:8]) % count
 
 
-def asked(record: Record, name: str) -> Any:
-    """Return what a record says in one of the fields that have a default."""
+def setting(record: Record, name: str) -> Any:
+    """Return a field's value, or its default."""
     return record.get(name, DEFAULTS[name])
 
 
+def files_of(record: Record) -> dict[str, str]:
+    """Return the paths in a record, by field: texts, but for those that hold numbers."""
+    texts = {name: record[name] for name in PATHS if isinstance(record.get(name), str)}
+    return {name: path for name, path in texts.items() if name != "K" or not has_numbers(path)}
+
+
+def has_numbers(text: str) -> bool:
+    """Return True for numbers between blanks or commas."""
+    try:
+        return bool([float(word) for word in text.replace(",", " ").split()])
+    except ValueError:
+        return False
+
+
 def settings_of(record: Record) -> dict[str, Any]:
-    """Return what a plain record asks for, beside its id and where its files are."""
+    """Return the fields of a plain record that change its fit, but for its id and its paths."""
     return {
         name: value
         for name, value in record.items()
-        if name != "id"
-        and not (name in PATHS and isinstance(value, str))
+        if name not in {"id", *files_of(record)}
         and _counts(name, value)
         and value != DEFAULTS.get(name, ...)
     }
@@ -130,11 +147,10 @@ def digest_of(record: Record) -> str:
     """Return a digest of a record's fields, but for its id, and of the contents of its files."""
     rest = {name: value for name, value in record.items() if name != "id"}
     digest = hashlib.sha256(json.dumps(rest, sort_keys=True).encode())
-    for name in PATHS:
-        if isinstance(path := record.get(name), str):
-            try:
-                with open(path, "rb") as stream:
-                    digest.update(hashlib.file_digest(stream, "sha256").digest())
-            except OSError:
-                digest.update(bytes(32))
+    for path in files_of(record).values():
+        try:
+            with open(path, "rb") as stream:
+                digest.update(hashlib.file_digest(stream, "sha256").digest())
+        except OSError:
+            digest.update(bytes(32))
     return digest.hexdigest()

@@ -13,7 +13,7 @@ from typing import Any
 import pinhole_jax as pj
 
 from ..names import STATUSES
-from .parts import Results, write_whole
+from .parts import Results, write_lines
 from .rows import NO_FIT, Row, line_of
 
 #: The numbers of a row's lists that are columns of a CSV, and their places there.
@@ -44,10 +44,10 @@ def merge(results: Results, path: str | os.PathLike[str]) -> int:
     if ending not in (".jsonl", ".csv"):
         raise ValueError(f"`path`: expected .jsonl or .csv, got {str(path)!r}")
     if ending == ".jsonl":
-        return write_whole(path, map(line_of, results))
+        return write_lines(path, map(line_of, results))
     ids = results.ids()
     table = _bop if ids and all(map(_is_bop, ids)) else _flat
-    return write_whole(path, map(_csv_line, table(results))) - 1
+    return write_lines(path, map(_csv_line, table(results))) - 1
 
 
 def _csv_line(values: list[Any]) -> str:

@@ -1,0 +1,345 @@
+"""The files that a record names, read: for `fit_one` and for every command."""
+
+import contextlib
+import functools
+import math
+import os
+import threading
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import pinhole_jax as pj
+
+from .._files.naming import named
+from .records import PICTURES, Record, has_numbers, setting
+
+#: Told sentences about what was read.
+Say = Callable[[str], Any]
+Size = tuple[int, int]
+#: A field of view (degrees) below `LEAST_FOV` is a mistake. A principal point farther from the
+#: middle than this share of the picture's width is unusual.
+LEAST_FOV, MOST_OFF = 1.0, 0.1
+#: This many meshes are kept.
+MESHES = 8
+#: Threads read one mesh after another: the mesh is kept, and its warnings are caught.
+_reading = threading.Lock()
+
+
+class Start(NamedTuple):
+    """A camera to start from, or else the field of view (rad) and the lens where they are known."""
+
+    camera: pj.Camera | None = None
+    phi: Any = None
+    lens: pj.Lens | None = None
+
+
+class Inputs(NamedTuple):
+    """The arguments of `fit_camera`; `photo` is for refinement or for drawing."""
+
+    scene: pj.Scene
+    mask: np.ndarray
+    start: Start
+    free: str | Sequence[str]
+    weight: np.ndarray | None = None
+    photo: np.ndarray | None = None
+
+    def fit(self, refine: bool, **more: Any) -> pj.Fit:
+        """Return the fit, refined on the photo if asked to."""
+        camera, phi, lens = self.start
+        return pj.fit_camera(
+            self.scene,
+            self.mask,
+            camera,
+            free=self.free,
+            phi=phi,
+            lens=lens,
+            weight=self.weight,
+            photo=self.photo if refine else None,
+            **more,
+        )
+
+
+def read_inputs(record: Record, say: Say) -> Inputs:
+    """Return the inputs of a fit, the mesh read last; raise ValueError naming the wrong field."""
+    if str(record["mesh"]).lower().endswith(PICTURES):
+        words = f"expected triangles, got the picture {record['mesh']!r}"
+        raise ValueError(f"`mesh`: {words}: are `mesh` and `mask` exchanged?")
+    mask = read_mask(record, say)
+    start = read_start(record, (mask.shape[1], mask.shape[0]), say)
+    weight = photo = None
+    if "weight" in record:
+        with named(path="weight"):
+            weight = pj.io.load_mask(record["weight"], "luminance") / 255.0
+    if "photo" in record:
+        photo = read_photo(record["photo"], mask)
+    scene = read_scene(record["mesh"], say)
+    return Inputs(scene, mask, start, setting(record, "free"), weight, photo)
+
+
+def read_mask(record: Record, say: Say) -> np.ndarray:
+    """Return the mask (H, W), uint8, without the crumbs and pinholes that `tidy` removes."""
+    mask, invert = record["mask"], setting(record, "invert")
+    with named(path="mask", rle="mask"):
+        if isinstance(mask, str):
+            image = pj.io.load_mask(mask, record.get("mask_from"), say, invert=invert)
+        else:
+            image = pj.io.mask_of_rle(mask)
+            image = 255 - image if invert else image
+    if speck := setting(record, "tidy"):
+        image, notes = pj.io.tidy_mask(image, *([] if speck is True else [speck]))
+        hint = ""
+        if speck is not True:
+            notes = [words for words in notes if words.endswith(("dropped", "filled"))]
+            hint = "; turn this off with `tidy` (on the command line: --no-tidy)"
+        if notes:
+            say(f"mask: {'; '.join(notes)}{hint}")
+    return image
+
+
+def read_photo(path: str, mask: np.ndarray) -> np.ndarray:
+    """Return a photo (H, W, 3) of the mask's size."""
+    with named(path="photo"):
+        picture = pj.io.load_image(path, rgb=True)
+    if picture.shape[:2] != mask.shape:
+        (h, w), (H, W) = picture.shape[:2], mask.shape
+        raise ValueError(f"`photo`: expected the mask's size {W} x {H}, got {w} x {h} ({path})")
+    return picture
+
+
+def read_scene(path: str, say: Say) -> pj.Scene:
+    """Return the mesh of a file, which is kept as long as the file stays the same."""
+    try:
+        changed = os.stat(path).st_mtime
+    except (OSError, TypeError, ValueError):
+        changed = 0.0  # its reader says why
+    with named(path="mesh", vertices="mesh"), _reading:
+        scene, words = _scene(path, changed)
+    for sentence in words:
+        say(sentence)
+    return scene
+
+
+@functools.lru_cache(MESHES)
+def _scene(path: str, changed: float) -> tuple[pj.Scene, list[str]]:
+    """Return a mesh's scene, and notes on it."""
+    del changed
+    words: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene = pj.Scene(mesh=pj.load_mesh(path, say=words.append))
+    words += [str(warning.message) for warning in caught]
+    return scene, [text.replace("`path`", "`mesh`") for text in words]
+
+
+# The camera.
+
+
+def read_start(record: Record, size: Size, say: Say) -> Start:
+    """Return what a record says of the camera of a mask of this size (W, H).
+
+    Raises ValueError for fields that do not go together, and for sizes that differ.
+    """
+    ways = [name for name in ("camera", "K", "fov") if name in record]
+    if len(ways) > 1:
+        raise ValueError(f"`{ways[1]}`: expected none beside `{ways[0]}`")
+    for name in ("start", "dist"):
+        if name in record and ways != ["K"]:
+            raise ValueError(f"`{name}`: expected `K` beside it, got none")
+    window = _window(record, size)
+    if ways == ["camera"]:
+        return Start(camera=window.camera(_file_camera(record, window.picture), "camera"))
+    if ways == ["K"]:
+        camera = _K_camera(record, window.picture)
+        if window.crop is None:
+            _check_centre(camera, setting(record, "pixel_centres"), say)
+        camera = window.camera(camera, "K")
+        has_pose = "start" in record
+        return Start(camera) if has_pose else Start(phi=camera.phi, lens=camera.lens)
+    if window.crop is not None:
+        raise ValueError(
+            "`crop`: expected `camera` or `K` beside it, got none: a field of view is that of the"
+            " whole photo, whose size is not known"
+        )
+    phi = _phi(record, say)
+    if phi is None or window.before == size:
+        return Start(phi=phi)
+    with named(phi="fov"):
+        camera = window.camera(unplaced(phi, *window.before), "fov")
+    return Start(phi=camera.phi, lens=camera.lens)
+
+
+def unplaced(phi: Any, W: int, H: int, lens: pj.Lens | None = None) -> pj.Camera:
+    """Return a camera of no known pose: 1 unit from the origin."""
+    return pj.Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, W, H, lens)
+
+
+def _file_camera(record: Record, size: Size) -> pj.Camera:
+    """Return a file's camera; of this size where the file does not say."""
+    with named(path="camera", size="resize"):
+        with contextlib.suppress(ValueError):
+            return pj.formats.read_one(record["camera"])
+        return pj.formats.read_one(record["camera"], size=size)
+
+
+def _K_camera(record: Record, size: Size) -> pj.Camera:
+    """Return the camera of `K`, `dist`, `pixel_centres` and `start`; at the origin without."""
+    K, centres, distortion, pose = record["K"], setting(record, "pixel_centres"), None, np.eye(4)
+    if "dist" in record:
+        numbers = _numbers(record, "dist", 4, 5, 8)
+        distortion = (pj.Rational if len(numbers) == 8 else pj.BrownConrady)(*numbers)
+    if isinstance(K, str) and not has_numbers(K):
+        with named(path="K"):
+            camera = pj.formats.read_intrinsics(K, size=size, pixel_centres=centres)
+        if distortion is not None and camera.distortion is not None:
+            raise ValueError(f"`dist`: expected none beside the lens of {K!r}")
+        matrix, *_ = pj.formats.to_opencv(camera, pixel_centres=centres)
+        distortion, size = distortion or camera.distortion, (camera.W, camera.H)
+    else:
+        matrix = _numbers(record, "K", 4, 9)
+        if len(matrix) == 4:
+            fx, fy, cx, cy = matrix
+            matrix = [fx, 0, cx, 0, fy, cy, 0, 0, 1]
+        matrix = np.reshape(matrix, (3, 3))
+    if "start" in record:
+        pose = np.reshape(_numbers(record, "start", 16), (4, 4))
+    with named(lens="dist", R="start", t="start"):
+        return pj.formats.from_opencv(
+            matrix, pose[:3, :3], pose[:3, 3], *size, pixel_centres=centres, distortion=distortion
+        )
+
+
+def _numbers(record: Record, name: str, *counts: int) -> list[float]:
+    """Return a field's numbers in a row; a text holds them between blanks or commas."""
+    value = record[name]
+    with contextlib.suppress(TypeError, ValueError):
+        parts = value.replace(",", " ").split() if isinstance(value, str) else value
+        numbers = np.asarray(parts, float).ravel()
+        if len(numbers) in counts and np.all(np.isfinite(numbers)):
+            return numbers.tolist()
+    words = f"expected {' or '.join(map(str, counts))} finite numbers"
+    raise ValueError(f"`{name}`: {words}, got {value!r}")
+
+
+def _check_centre(camera: pj.Camera, pixel_centres: Any, say: Say) -> None:
+    """Raise ValueError for a principal point outside the picture; say if it is far from the
+    middle."""
+    W, H = camera.W, camera.H
+    (_, _, cx), (_, fy, cy), _ = pj.formats.to_opencv(camera, pixel_centres=pixel_centres)[0]
+    near = lambda x, y: math.hypot(x - W / 2, y - H / 2) <= MOST_OFF * W
+    if near(cx, cy):
+        return
+    if near(cy, cx):
+        hint = "are cx and cy exchanged?"
+    elif near(fy, cy):
+        hint = "the order is fx fy cx cy"
+    else:
+        hint = "was the picture resized? Then add the size that `K` belongs to: `resize` W H"
+        if min(cx, cy) > 0 and abs(cx / W / (cy / H) - 1) < MOST_OFF:
+            hint += f" (about {2 * cx:.0f} x {2 * cy:.0f})"
+    point = f"({cx:g}, {cy:g}) px in a picture of {W} x {H}: {hint}"
+    if not (0 <= cx <= W and 0 <= cy <= H):
+        raise ValueError(f"`K`: expected a principal point inside the picture, got {point}")
+    say(f"note: `K` has its principal point {cx - W / 2:+.0f}, {cy - H / 2:+.0f} px from the"
+        f" middle, at {point}")  # fmt: skip
+
+
+def _phi(record: Record, say: Say) -> float | None:
+    """Return the field of view (rad) of `fov`, or of the EXIF data of the photo or the mask."""
+    if "fov" in record:
+        check_fov(record["fov"], say)
+        return math.radians(record["fov"])
+    photo, free = record.get("photo", record.get("mask")), setting(record, "free")
+    names = {name.strip() for name in (free.split(",") if isinstance(free, str) else free)}
+    focal_is_free = not names.isdisjoint({"phi", "d"})
+    with named(path="photo" if "photo" in record else "mask"):
+        fov = pj.io.photo_fov(photo) if isinstance(photo, str) else None
+    if fov is not None:
+        held = "a first guess" if focal_is_free else "held fixed: phi is not in `free`"
+        say(f"phi: {math.degrees(fov.phi):.2f} degrees by EXIF's {fov.words}; {held}")
+        return fov.phi
+    if focal_is_free:
+        return None
+    raise ValueError(
+        "expected the field of view, got none: give `camera`, `K` or `fov`, or add phi to `free`"
+        " (the EXIF data do not say it)"
+    )
+
+
+def check_fov(fov: Any, say: Say) -> None:
+    """Raise ValueError unless this is a field of view in degrees; say if it may be radians."""
+    if isinstance(fov, bool) or not isinstance(fov, int | float) or not 0 < fov < 180:
+        raise ValueError(f"`fov`: expected degrees between 0 and 180, got {fov!r}")
+    words = f"got {fov:g}: degrees? {fov:g} rad are {math.degrees(fov):.1f} degrees"
+    if fov < LEAST_FOV:
+        raise ValueError(f"`fov`: expected at least {LEAST_FOV:g} degree, {words}")
+    if fov < math.pi:
+        say(f"note: `fov`: {words}")
+
+
+# A mask that shows a part of its picture, or was resized.
+
+
+class _Window(NamedTuple):
+    """The part of the camera's picture that a mask shows.
+
+    - `crop`: left, top, W, H (px); None: the whole picture.
+    - `before`: the mask's size (W, H) before it was resized. `size`: its size now.
+    """
+
+    crop: tuple[float, float, int, int] | None
+    before: Size
+    size: Size
+
+    @property
+    def picture(self) -> Size:
+        """Return the size of a picture that holds the window."""
+        if self.crop is None:
+            return self.before
+        left, top, W, H = self.crop
+        return math.ceil(max(left, 0)) + W, math.ceil(max(top, 0)) + H
+
+    def camera(self, camera: pj.Camera, field: str) -> pj.Camera:
+        """Return the mask's camera, from the whole picture's, which `field` gave."""
+        if self.crop is not None:
+            with named(W="crop", H="crop"):
+                camera = pj.formats.cropped(camera, *self.crop)
+        elif self.before != (camera.W, camera.H):
+            before, size = _by(self.before), _by((camera.W, camera.H))
+            if self.before != self.size:
+                words = f"expected the size of the camera of `{field}`, {size}, got {before}"
+                raise ValueError(f"`resize`: {words}")
+            raise ValueError(
+                f"`{field}`: expected a camera of the mask's size {before}, got one of {size}; if"
+                " the mask was cut out of its picture, or resized, add `crop` or `resize`"
+            )
+        return camera if self.before == self.size else pj.formats.resized(camera, *self.size)
+
+
+def _window(record: Record, size: Size) -> _Window:
+    before = _whole("resize", *_numbers(record, "resize", 2)) if "resize" in record else size
+    if "crop" not in record:
+        return _Window(None, before, size)
+    left, top, *sides = _numbers(record, "crop", 4)
+    inside = _whole("crop", *sides)
+    if inside != before and "resize" not in record:
+        raise ValueError(
+            f"`crop`: expected the mask's size {_by(size)}, got {_by(inside)}; if it was resized"
+            f" after that, add `resize` {inside[0]} {inside[1]}"
+        )
+    if inside != before:
+        words = f"expected the size of `crop`, {_by(inside)}, got {_by(before)}"
+        raise ValueError(f"`resize`: {words}")
+    return _Window((left, top, *inside), before, size)
+
+
+def _whole(field: str, W: float, H: float) -> Size:
+    if W % 1 or H % 1 or min(W, H) < 1:
+        raise ValueError(f"`{field}`: expected a width and height in px, got {W:g} x {H:g}")
+    return int(W), int(H)
+
+
+def _by(size: Size) -> str:
+    return f"{size[0]} x {size[1]}"
