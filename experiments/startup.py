@@ -338,10 +338,10 @@ def at_the_door(step: Step) -> None:
         "a cropped mask and the whole photo's camera",
         fit("cropped.png", "--camera", "start.json"),
         2,
-        "expected a camera of 64 x 64, got one of 96 x 80",
+        "size 64 x 64, got one of 96 x 80",
     )
     step.command("a solid", ["fit", "part.step", "mask.png", "--fov", "34"], 2, "export it as STL")
-    step.command("exchanged", ["fit", "mask.png", "part.obj"], 2, "MESH and MASK exchanged?")
+    step.command("exchanged", ["fit", "mask.png", "part.obj"], 2, "`MESH` and `MASK` exchanged?")
     K = "--K", "129.3,129.3,39.5,200", "--dist", "-0.2,0.1,0,0"
     step.command(
         "K of another picture", fit("mask.png", *K), 2, "point inside the picture", "resized?"

@@ -20,7 +20,7 @@ import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io, shapes
 from pinhole_jax._camera.distortion import MODELS
 from pinhole_jax._command.arguments import VERBS, parse
-from pinhole_jax._command.inputs import record_of
+from pinhole_jax._command.options import record_of
 from pinhole_jax._files.naming import named, renamed
 from pinhole_jax._files.process import set_up
 from pinhole_jax._files.progress import Ticker
@@ -547,7 +547,7 @@ sys.exit(command.main(["render", "a.obj", "c.json"]))
 
 
 def known_of(*words, size=(96, 80)):
-    """Return what a command line says of the camera, with errors as the command prints them."""
+    """Return the camera of a command line; errors are as the command prints them."""
     options = parse(["fit", "a.ply", "b.png", *map(str, words)])
     said = lambda text: print(renamed(text, options.names))
     with named(**options.names):

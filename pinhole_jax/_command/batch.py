@@ -24,7 +24,7 @@ from ..batch import (
     shard_of,
 )
 from ..batch.inputs import check_fov
-from .inputs import record_of
+from .options import record_of
 from .outputs import check_outputs, replaced
 
 

@@ -8,7 +8,7 @@ from .._files.progress import Ticker
 from ..batch.inputs import read_mask, read_scene
 from ..names import STATUSES
 from .hand_eye import read_robot, read_views
-from .inputs import record_of
+from .options import record_of
 from .outputs import check_outputs, replaced
 
 #: The exit status when the masks cannot tell.

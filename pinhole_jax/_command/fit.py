@@ -10,7 +10,7 @@ from .._files.naming import named
 from .._files.progress import Clock, Ticker
 from ..batch.inputs import read_inputs
 from ..plot import disagreement, overlay
-from .inputs import record_of
+from .options import record_of
 from .outputs import check_outputs, replaced
 
 

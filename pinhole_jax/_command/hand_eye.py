@@ -15,8 +15,8 @@ from ..formats import object_pose
 from ..plot import overlay
 from ..robots import Robot, load_urdf
 from ..show.robot_page import robot_page
-from .inputs import record_of
 from .joints import joint_angles
+from .options import record_of
 from .outputs import check_outputs, replaced
 from .proposals import Sight, best_postures, worths
 

@@ -15,7 +15,7 @@ from .._studio.bench import Bench
 from .._studio.session import Session, load_session
 from .._studio.subject import Subject, subject_of
 from ..batch.inputs import Start, read_mask, read_start
-from .inputs import record_of
+from .options import record_of
 
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:

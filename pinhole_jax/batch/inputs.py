@@ -92,7 +92,7 @@ def read_mask(record: Record, say: Say) -> np.ndarray:
         image, notes = pj.io.tidy_mask(image, *([] if speck is True else [speck]))
         hint = ""
         if speck is not True:
-            notes = [words for words in notes if words.endswith(("dropped", "filled"))]
+            notes = [note for note in notes if note.endswith(("dropped", "filled"))]
             hint = "; turn this off with `tidy` (on the command line: --no-tidy)"
         if notes:
             say(f"mask: {'; '.join(notes)}{hint}")
@@ -116,9 +116,9 @@ def read_scene(path: str, say: Say) -> pj.Scene:
     except (OSError, TypeError, ValueError):
         changed = 0.0  # its reader says why
     with named(path="mesh", vertices="mesh"), _reading:
-        scene, words = _scene(path, changed)
-    for sentence in words:
-        say(sentence)
+        scene, notes = _scene(path, changed)
+    for note in notes:
+        say(note)
     return scene
 
 
@@ -126,19 +126,19 @@ def read_scene(path: str, say: Say) -> pj.Scene:
 def _scene(path: str, changed: float) -> tuple[pj.Scene, list[str]]:
     """Return a mesh's scene, and notes on it."""
     del changed
-    words: list[str] = []
+    notes: list[str] = []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        scene = pj.Scene(mesh=pj.load_mesh(path, say=words.append))
-    words += [str(warning.message) for warning in caught]
-    return scene, [text.replace("`path`", "`mesh`") for text in words]
+        scene = pj.Scene(mesh=pj.load_mesh(path, say=notes.append))
+    notes += [str(warning.message) for warning in caught]
+    return scene, [note.replace("`path`", "`mesh`") for note in notes]
 
 
 # The camera.
 
 
 def read_start(record: Record, size: Size, say: Say) -> Start:
-    """Return what a record says of the camera of a mask of this size (W, H).
+    """Return the camera, or its field of view and lens, for a mask of this size (W, H).
 
     Raises ValueError for fields that do not go together, and for sizes that differ.
     """
