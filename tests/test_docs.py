@@ -411,7 +411,6 @@ def test_figure_of_a_table_is_the_rounded_number_of_the_json():
 def test_install_lines_name_what_there_is():
     lines = [line for line in commands(["README.md"]) if line.startswith("python3 ")]
     assert len(lines) == 2
-    assert commands(["docs/how-to/set-up.md"]) == lines
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
     extras, groups = settings["project"]["optional-dependencies"], settings["dependency-groups"]
     for line in commands():
