@@ -137,7 +137,7 @@ def test_non_fits_are_not_written(tmp_path):
         ({"steps": [1.5]}, r"`steps`: expected a list of counts, got \[1.5\]"),
         ({"steps": [-1]}, r"`steps`: expected a list of counts, got \[-1"),
         ({"modes": [{}]}, "`fit`: expected what `save_fit` writes"),
-        ({"history": [{"camera": {}}]}, "`camera`: expected the field 'e'"),
+        ({"history": [{"camera": {}}]}, "`e`: expected a camera's field"),
         ({"history": [io.camera_to_dict(PLAIN)]}, "`camera`: expected an object"),
         ({"history": [{**STEP, "steps": -1}]}, "`steps`: expected an integer of at least 0"),
     ],
@@ -177,7 +177,7 @@ def test_other_files_are_no_fits(tmp_path):
     with pytest.raises(ValueError, match=r"`path`: expected JSON, got .*camera\.json"):
         io.load_fit(path)
     path.write_text(json.dumps({"fit": io.fit_to_dict(fit_of(CAMERA))["fit"]}))
-    with pytest.raises(ValueError, match=r"`camera`: expected the field 'e'.*camera\.json"):
+    with pytest.raises(ValueError, match=r"`e`: expected a camera's field.*camera\.json"):
         io.load_fit(path)
     with pytest.raises(FileNotFoundError, match=r"`path`: expected a fit's file, got .*no\.json"):
         io.load_fit(tmp_path / "no.json")

@@ -135,19 +135,22 @@ def test_cameras_go_to_files_and_back(tmp_path, lens):
     ("change", "message"),
     [
         ({"e": None}, "`e`: expected"),
-        ({"phi": "wide"}, "`phi`: expected a real number"),
+        ({"phi": "wide"}, "`phi`: expected a finite number"),
         ({"W": 0}, "`W`: expected an integer of at least 1"),
-        ({"schema": "other/7"}, "`schema`: expected 'pinhole_jax.camera/1', got 'other/7'"),
+        ({"schema": "other/7"}, "`schema`: expected one of pinhole_jax.camera/1, got 'other/7'"),
         ({"lens": 3}, "`lens`: expected principal_point"),
         ({"phi_degrees": 41}, r"`phi_degrees`: expected 40.107, as `phi` says \(0.7 rad\), got 41"),
-        ({"phi_degrees": "wide"}, "`phi_degrees`: expected 1 finite numbers, got 'wide'"),
+        ({"phi_degrees": "wide"}, "`phi_degrees`: expected a finite number, got 'wide'"),
         ({"phi": 0.71}, "`phi_degrees`: expected 40.68"),
-        ({"pose": 3}, "`pose`: expected an object with names, got int"),
-        ({"pose": {"eye": [1, 2, 6]}}, r"`pose`: expected eye = \[1.0, 2.0, 5.0\], as e say, got"),
-        ({"pose": {"up": [0, 1, 0]}}, "`pose`: expected up = .* as e, p, u say"),
-        ({"pose": {"focal_px": [30, 30]}}, "`pose`: expected focal_px = .* as phi and lens say"),
-        ({"pose": {"principal_point": [15, 9]}}, "`pose`: expected principal_point = .* as lens"),
-        ({"pose": {"eye": [1, 2]}}, "`eye`: expected 3 finite numbers"),
+        ({"pose": 3}, r"expected fields with names, got 3 \(in .*, pose\)"),
+        (
+            {"pose": {"eye": [1, 2, 6]}},
+            r"`pose`: expected eye = \[1.0, 2.0, 5.0\], as e, p, u, phi and",
+        ),
+        ({"pose": {"up": [0, 1, 0]}}, "`pose`: expected up = "),
+        ({"pose": {"focal_px": [30, 30]}}, "`pose`: expected focal_px = "),
+        ({"pose": {"principal_point": [15, 9]}}, "`pose`: expected principal_point = "),
+        ({"pose": {"eye": [1, 2]}}, "`eye`: expected finite numbers"),
         ({"e": [1, 2, 6]}, "`pose`: expected "),
     ],
 )
@@ -172,10 +175,10 @@ def test_redundant_fields_may_be_left_out_or_rounded(tmp_path):
 def test_missing_fields_and_files_that_are_no_json(tmp_path):
     path = tmp_path / "camera.json"
     path.write_text("[1, 2]")
-    with pytest.raises(ValueError, match="expected a JSON object, got list"):
+    with pytest.raises(ValueError, match=r"expected fields with names, got \[1, 2\]"):
         io.load_camera(path)
     path.write_text('{"e": [0, 0, 1]}')
-    with pytest.raises(ValueError, match="expected the field 'p'"):
+    with pytest.raises(ValueError, match="`p`: expected a camera's field"):
         io.load_camera(path)
     path.write_text("{")
     with pytest.raises(ValueError, match="expected JSON"):

@@ -10,12 +10,15 @@ import re
 import secrets
 import stat
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from .interrupt import interrupts_raise
 
+#: A file's or a folder's path, as users give it.
+FilePath = str | os.PathLike[str]
 #: The most bytes of a file that is read as a whole, and the deepest nesting of JSON.
 MOST_BYTES = 1 << 26
 MOST_DEPTH = 64
@@ -42,6 +45,15 @@ def path_of(path: Any) -> Path:
         raise ValueError(f"`path`: expected a path, got {type(path).__name__}") from None
 
 
+def file_and_name(path: Any) -> tuple[Path, str | None]:
+    """Return the path and the name of FILE:NAME, or a path and None."""
+    file = path_of(path)
+    if file.exists() or ":" not in file.name:
+        return file, None
+    head, _, name = str(path).rpartition(":")
+    return path_of(head), name
+
+
 def is_folder(path: Any) -> bool:
     """Return whether there is a folder at a path; a path that no system takes has none."""
     try:
@@ -57,14 +69,11 @@ def existing(path: Any, kind: str, most: int | None = None) -> Path:
     """
     file = path_of(path)
     try:
-        found = os.stat(file)
+        with _refusal(path, kind, FileNotFoundError):  # no permission, a name too long, a zero byte
+            _check_regular(os.stat(file), most)
     except FileNotFoundError:
-        raise FileNotFoundError(
-            f"`path`: expected {kind}, got {str(path)!r}: no such file"
-        ) from None
-    except (OSError, ValueError) as error:  # no permission, a name too long, a zero byte
-        raise ValueError(f"`path`: expected {kind}, got {_name(path)}: {reason(error)}") from error
-    _check_regular(found, path, kind, most)
+        words = f"`path`: expected {kind}, got {str(path)!r}: no such file"
+        raise FileNotFoundError(words) from None
     return file
 
 
@@ -74,28 +83,22 @@ def opened(path: Any, kind: str, most: int | None = MOST_BYTES) -> BinaryIO:
     Raises FileNotFoundError or ValueError like `existing`.
     """
     file = existing(path, kind, most)
-    try:
+    with _refusal(path, kind):
         stream = os.fdopen(os.open(file, os.O_RDONLY | NO_WAIT), "rb")
-    except OSError as error:
-        raise ValueError(f"`path`: expected {kind}, got {_name(path)}: {reason(error)}") from error
-    try:
-        _check_regular(os.fstat(stream.fileno()), path, kind, most)  # it may be another by now
-    except ValueError:
-        stream.close()
-        raise
+        try:
+            _check_regular(os.fstat(stream.fileno()), most)  # it may be another by now
+        except ValueError:
+            stream.close()
+            raise
     return stream
 
 
 def read_bytes(path: Any, kind: str, most: int = MOST_BYTES) -> bytes:
     """Return a file's contents, or raise as `existing`."""
-    with opened(path, kind, most) as stream:
-        try:
-            data = stream.read(most + 1)
-        except OSError as error:
-            words = f"`path`: expected {kind}, got {_name(path)}: {reason(error)}"
-            raise ValueError(words) from error
-    if len(data) > most:  # one that grows, or does not tell its size
-        raise _too_large(path, kind, most)
+    with opened(path, kind, most) as stream, _refusal(path, kind):
+        data = stream.read(most + 1)
+        if len(data) > most:  # one that grows, or does not tell its size
+            raise ValueError(f"more than {most} bytes")
     return data
 
 
@@ -113,25 +116,23 @@ def text_of(data: bytes, path: Any, kind: str = "text") -> str:
 
 
 def read_json(path: Any, kind: str) -> Any:
-    """Return what a JSON file says, or raise as `existing` and `parse_json`."""
+    """Return the data of a JSON file, or raise as `existing` and `parse_json`."""
     return parse_json(text_of(read_bytes(path, kind), path, "JSON"), path)
 
 
 def parse_json(text: str, path: Any, kind: str = "JSON") -> Any:
-    """Return what a file's JSON text says.
+    """Return the data of a file's JSON text.
 
     Raises ValueError where it is none, is deeper than `MOST_DEPTH`, or names a field twice.
     """
-    try:
-        data = json.loads(text, object_pairs_hook=_object)
-        if not is_deep(data):
-            return data
-    except RecursionError:  # deeper than Python goes
-        pass
-    except ValueError as error:
-        raise ValueError(f"`path`: expected {kind}, got {_name(path)}: {error}") from None
-    words = f"{kind} of at most {MOST_DEPTH} levels, got {_name(path)}: more"
-    raise ValueError(f"`path`: expected {words}")
+    with _refusal(path, kind):
+        data, deep = None, True
+        with suppress(RecursionError):  # deeper than Python goes
+            data = json.loads(text, object_pairs_hook=_object)
+            deep = is_deep(data)
+        if deep:
+            raise ValueError(f"more than {MOST_DEPTH} levels")
+    return data
 
 
 def is_stream(path: Any) -> bool:
@@ -149,38 +150,40 @@ def replace_file(path: Any, data: bytes | Iterable[bytes], *, lasting: bool = Fa
     Raises ValueError for folders, devices and sockets, and for what cannot be written.
     """
     target, data = path_of(path), [data] if isinstance(data, bytes) else data
-    try:
+    with _refusal(path, "a file to write"):
         if is_stream(target):
             _write_through(target, data)
-        elif (kind := _kind(target)) not in (None, "a file"):
-            raise ValueError(kind)
         else:
+            _check_replaceable(target)
             _replace(target, data, lasting)
-    except (OSError, ValueError) as error:
-        raise ValueError(
-            f"`path`: expected a file to write, got {_name(path)}: {reason(error)}"
-        ) from error
 
 
 def check_writable(path: Any) -> None:
     """Raise ValueError, as `replace_file` would, where a file cannot be written: folders are made
     and a file is written there, and both are removed again."""
     target = path_of(path)
-    try:
+    with _refusal(path, "a file to write"):
         if is_stream(target):
             return
-        if (kind := _kind(target)) not in (None, "a file"):
-            raise ValueError(kind)
+        _check_replaceable(target)
         made = [folder for folder in target.parents if not folder.exists()]
         trial = target.parent / f"tmp{secrets.token_hex(8)}"
         _replace(trial, [b""], lasting=False)
         trial.unlink()
         for folder in made:
             folder.rmdir()
+
+
+@contextmanager
+def _refusal(path: Any, kind: str, *passed: type[Exception]) -> Iterator[None]:
+    """Raise ValueError with the path and the `kind` of file that was expected, for any reason."""
+    try:
+        yield
+    except passed:
+        raise
     except (OSError, ValueError) as error:
-        raise ValueError(
-            f"`path`: expected a file to write, got {_name(path)}: {reason(error)}"
-        ) from error
+        words = f"`path`: expected {kind}, got {_name(path)}: {reason(error)}"
+        raise ValueError(words) from error
 
 
 def reason(error: Exception) -> str:
@@ -192,17 +195,16 @@ def reason(error: Exception) -> str:
     return re.sub(r"\s*<_io\.[^>]*>", "", first)  # how a reader calls the stream that it was given
 
 
-def _check_regular(found: os.stat_result, path: Any, kind: str, most: int | None) -> None:
+def _check_regular(found: os.stat_result, most: int | None) -> None:
     if not stat.S_ISREG(found.st_mode):
-        what = "a folder" if stat.S_ISDIR(found.st_mode) else "not a regular file"
-        raise ValueError(f"`path`: expected {kind}, got {_name(path)}: {what}")
+        raise ValueError("a folder" if stat.S_ISDIR(found.st_mode) else "not a regular file")
     if most is not None and found.st_size > most:
-        raise _too_large(path, kind, most)
+        raise ValueError(f"more than {most} bytes")
 
 
-def _too_large(path: Any, kind: str, most: int) -> ValueError:
-    words = f"{kind} of at most {most} bytes, got {_name(path)}: more"
-    return ValueError(f"`path`: expected {words}")
+def _check_replaceable(target: Path) -> None:
+    if (kind := _kind(target)) not in (None, "a file"):
+        raise ValueError(kind)
 
 
 def _name(path: Any) -> str:
@@ -211,26 +213,24 @@ def _name(path: Any) -> str:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    data = dict(pairs)
-    if len(data) < len(pairs):
-        seen: set[str] = set()
-        twice = next(name for name, _ in pairs if name in seen or seen.add(name))
+    if (twice := first_repeat(name for name, _ in pairs)) is not None:
         raise ValueError(f"the field {twice[:60]!r} twice")
-    return data
+    return dict(pairs)
+
+
+def first_repeat(names: Iterable[str]) -> str | None:
+    """Return the first name that comes again, None if all differ."""
+    seen: set[str] = set()
+    return next((name for name in names if name in seen or seen.add(name)), None)
 
 
 def is_deep(data: Any) -> bool:
     """Tell if lists and maps are nested deeper than `MOST_DEPTH`."""
-    level = [data]
-    for _ in range(MOST_DEPTH + 1):
-        level = [x for part in level for x in _inside(part) if isinstance(x, (dict, list))]
+    level: list[Any] = [[data]]
+    for _ in range(MOST_DEPTH + 2):
+        values = (part.values() if isinstance(part, dict) else part for part in level)
+        level = [x for part in values for x in part if isinstance(x, (dict, list))]
     return bool(level)
-
-
-def _inside(part: Any) -> Iterable[Any]:
-    if isinstance(part, dict):
-        return part.values()
-    return part if isinstance(part, list) else ()
 
 
 def _stream_number(target: Path) -> int | None:
@@ -238,18 +238,17 @@ def _stream_number(target: Path) -> int | None:
 
 
 def _kind(target: Path) -> str | None:
-    """Return what is at a path, through links: None if nothing is."""
+    """Return the kind of what is at a path, through links: None if nothing is."""
+    kinds = {
+        stat.S_IFREG: "a file",
+        stat.S_IFDIR: "a folder",
+        stat.S_IFIFO: "a pipe",
+        stat.S_IFSOCK: "a socket",
+    }
     try:
-        mode = os.stat(target).st_mode
+        return kinds.get(stat.S_IFMT(os.stat(target).st_mode), "a device")
     except FileNotFoundError:
         return None
-    kinds = (
-        (stat.S_ISREG, "a file"),
-        (stat.S_ISDIR, "a folder"),
-        (stat.S_ISFIFO, "a pipe"),
-        (stat.S_ISSOCK, "a socket"),
-    )
-    return next((words for is_kind, words in kinds if is_kind(mode)), "a device")
 
 
 def _write_through(target: Path, data: Iterable[bytes]) -> None:

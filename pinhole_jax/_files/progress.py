@@ -137,13 +137,12 @@ class Ticker:
         print(f"{clear}{renamed(text, self._names)}", file=sys.stderr, flush=True)
 
     def __enter__(self) -> "Ticker":
-        self._heard = _heard_by(self.say)
-        self._heard.__enter__()
+        self._token = _listener.set(self.say)
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._heard.__exit__(None, None, None)
+        _listener.reset(self._token)
         self.done()
 
     def done(self) -> None:

@@ -6,14 +6,13 @@ refused here, and names, cameras and materials, which are no shape, are left out
 """
 
 import json
-import struct
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from .._files.paths import read_bytes
+from .glb import HEAD, glb_of, json_size
 
-MAGIC, JSON_CHUNK, HEAD = 0x46546C67, 0x4E4F534A, 20
 #: The lists that are read, and fields that count their entries, bytes or numbers.
 LISTS = ("scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers")
 COUNTS = {"buffer": "buffers", "bufferView": "bufferViews", "mesh": "meshes"}
@@ -40,13 +39,9 @@ def plain_gltf(data: bytes) -> bytes:
     Raises ValueError, which names the field, for features that are not read, for what a small file
     can stand for and memory cannot hold, and for nodes with two parents.
     """
-    size = 0
-    if data[:4] == struct.pack("<I", MAGIC):
-        _, version, length, size, kind = struct.unpack_from("<5I", data.ljust(HEAD, b"\0"))
-        if version != 2 or kind != JSON_CHUNK or not HEAD + size <= length <= len(data):
-            raise ValueError(f"expected a glb of version 2, {length} bytes, got {len(data)}")
+    size, start = json_size(data, len(data)), HEAD.size
     try:
-        top = json.loads(data[HEAD : HEAD + size] if size else data)
+        top = json.loads(data if size is None else data[start : start + size])
     except RecursionError:
         raise ValueError("JSON that is nested too deeply") from None
     except ValueError as error:
@@ -59,11 +54,7 @@ def plain_gltf(data: bytes) -> bytes:
     _check_nodes(plain)
     _check_arrays(plain)
     text = json.dumps(plain).encode()
-    if not size:
-        return text
-    rest = data[HEAD + size :]
-    head = struct.pack("<5I", MAGIC, 2, HEAD + len(text) + len(rest), len(text), JSON_CHUNK)
-    return head + text + rest
+    return text if size is None else glb_of(text, data[start + size :])
 
 
 def wrong(name: str, expected: str, got: Any) -> ValueError:
@@ -143,13 +134,13 @@ def _check_arrays(plain: dict[str, Any]) -> None:
 
 
 def _used(plain: dict[str, Any], primitive: dict[str, Any], where: str) -> int:
-    """Return how many vertices and indices a primitive has, its accessors checked."""
-    named = {"VEC3": primitive.get("attributes", {}).get("POSITION")}
-    if "indices" in primitive:
-        named["SCALAR"] = primitive["indices"]
-    if named["VEC3"] is None:
+    """Return the number of a primitive's vertices and indices, its accessors checked."""
+    position = primitive.get("attributes", {}).get("POSITION")
+    if position is None:
         raise wrong(f"{where}.attributes", "POSITION", "none")
-    for kind, k in named.items():
+    used = [("VEC3", position)]
+    used += [("SCALAR", primitive["indices"])] if "indices" in primitive else []
+    for kind, k in used:
         accessor, place = plain["accessors"][k], f"accessors[{k}]"
         if accessor.get("type") != kind:
             raise wrong(f"{place}.type", kind, accessor.get("type"))
@@ -158,9 +149,9 @@ def _used(plain: dict[str, Any], primitive: dict[str, Any], where: str) -> int:
         if kind == "VEC3" and accessor.get("normalized"):
             raise wrong(f"{place}.normalized", "positions that are not normalised", True)
         if kind == "SCALAR" and accessor.get("componentType") not in UNSIGNED:
-            words = "indices of unsigned integers"
-            raise wrong(f"{place}.componentType", words, accessor.get("componentType"))
-    return sum(plain["accessors"][k].get("count", 0) for k in named.values())
+            expected = "indices of unsigned integers"
+            raise wrong(f"{place}.componentType", expected, accessor.get("componentType"))
+    return sum(plain["accessors"][k].get("count", 0) for _, k in used)
 
 
 def resource(file: Path, uri: str) -> bytes:

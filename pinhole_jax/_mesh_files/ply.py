@@ -1,7 +1,6 @@
 """Stanford PLY, text and binary: polygons and triangle strips."""
 
 import re
-import struct
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +15,6 @@ TYPES = {
     "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float16": "f2",
     "float32": "f4", "float64": "f8",
 }  # fmt: skip
-CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q",
-         "f2": "e", "f4": "f", "f8": "d"}  # fmt: skip
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 #: What a list of a face's vertices is called.
 CORNERS = ("vertex_indices", "vertex_index")
@@ -40,7 +37,7 @@ class Element(NamedTuple):
 
 
 class Lists(NamedTuple):
-    """A column of lists: the `values` of all rows, and how many each row has."""
+    """A column of lists: the `values` of all rows, and the length of each row's."""
 
     values: np.ndarray
     counts: np.ndarray
@@ -55,18 +52,16 @@ def read_ply(data: bytes) -> Polygons:
     elements, order, body = _header(data)
     if order == "=":
         body = numbers_of(body, float, "the rows").tobytes()
-        elements = [_of_doubles(element) for element in elements]
 
-    at, tables = 0, {}
+    end, tables = 0, {}
     for element in elements:
-        tables[element.name], at = _table(element, body, at, order)
-    if at != len(body):
-        raise ValueError(f"expected {at} bytes of rows as its header says, got {len(body)}")
+        tables[element.name], end = _table(element, body, end, order)
+    if end != len(body):
+        raise ValueError(f"expected {end} bytes of rows as its header says, got {len(body)}")
 
     points = _points(tables.get("vertex", {}))
     faces = _corners(tables.get("face"), "face")
-    strips = _corners(tables.get("tristrips"), "tristrips")
-    triangles = strips_cut(*strips)
+    triangles = strips_cut(*_corners(tables.get("tristrips"), "tristrips"))
     corners = np.concatenate([faces.values, triangles.ravel()])
     return Polygons(points, corners, np.concatenate([faces.counts, np.full(len(triangles), 3)]))
 
@@ -89,9 +84,10 @@ def _header(data: bytes) -> tuple[list[Element], str, bytes]:
             case ["element", name, number] if number.isdecimal() and len(number) < 19:
                 elements.append(Element(name, int(number), []))
             case ["property", "list", length, kind, name] if elements:
-                elements[-1].properties.append(Property(name, _type(kind), _type(length)))
+                column = Property(name, _type(kind, order), _type(length, order))
+                elements[-1].properties.append(column)
             case ["property", kind, name] if elements:
-                elements[-1].properties.append(Property(name, _type(kind), None))
+                elements[-1].properties.append(Property(name, _type(kind, order), None))
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case _:
@@ -99,94 +95,83 @@ def _header(data: bytes) -> tuple[list[Element], str, bytes]:
     if order is None:
         raise ValueError("no format in its header")
     names = [element.name for element in elements]
-    if len(set(names)) < len(names):
+    if len({*names}) < len(names):
         raise ValueError(f"an element twice in its header: {sorted(names)}")
     return elements, order, data[found.end() :]
 
 
-def _type(name: str) -> str:
+def _type(name: str, order: str | None) -> str:
+    """Return NumPy's name of a type; text is read as doubles, whatever the header says."""
     if name not in TYPES:
         raise ValueError(f"the type {name!r} in its header")
-    return TYPES[name]
+    return "f8" if order == "=" else TYPES[name]
 
 
-def _of_doubles(element: Element) -> Element:
-    """Return the table as one of doubles only, which is what text is read as."""
-    doubles = [p._replace(kind="f8", length=p.length and "f8") for p in element.properties]
-    return element._replace(properties=doubles)
+def _table(element: Element, body: bytes, start: int, order: str) -> tuple[dict[str, Lists], int]:
+    """Return the columns of a table that begins at byte `start`, and the byte at its end.
 
-
-def _table(element: Element, body: bytes, at: int, order: str) -> tuple[dict[str, Lists], int]:
-    """Return the columns of a table that begins at byte `at`, and where it ends.
-
-    A row that is as long as every other is the rule; only where it is not are rows gone through
-    one by one.
+    A row that is as long as every other is the rule; else rows are gone through one by one.
     """
-    names = [p.name for p in element.properties]
-    if not element.number or not names:
-        return {name: Lists(np.empty(0), np.empty(0, int)) for name in names}, at
-    lengths, end = _lengths(element, body, at, order)
-    last = at + element.number * (end - at)
-    columns = None
-    if last <= len(body):
-        columns = _alike(element, lengths, body, at, order)
-    if columns is None:
-        columns, last = _one_by_one(element, body, at, order)
-    return dict(zip(names, columns, strict=True)), last
+    names, number = [p.name for p in element.properties], element.number
+    if not number or not names:
+        return {name: Lists(np.empty(0), np.empty(0, int)) for name in names}, start
+    first, end = _row(element, body, start, order)
+    stride = end - start
+    if start + number * stride <= len(body):
+        even = (number, stride, order)
+        pairs = zip(element.properties, first, strict=True)
+        columns = [_column(p, body, place, length, even) for p, (place, length) in pairs]
+        known = {name: x for name, x in zip(names, columns, strict=True) if x is not None}
+        if len(known) == len(names):
+            return known, start + number * stride
+    rows, end = [], start
+    for _ in range(number):
+        row, end = _row(element, body, end, order)
+        rows.append(row)
+    octets, columns = np.frombuffer(body, np.uint8), {}
+    for p, (places, lengths) in zip(element.properties, np.transpose(rows, (1, 2, 0)), strict=True):
+        values = taken(octets, places, lengths * int(p.kind[1])).view(order + p.kind)
+        columns[p.name] = Lists(values, lengths)
+    return columns, end
 
 
-def _lengths(element: Element, body: bytes, at: int, order: str) -> tuple[list[int], int]:
-    """Return how many values each property has in the row at byte `at`, and where the row ends."""
-    lengths = []
+def _row(
+    element: Element, body: bytes, start: int, order: str
+) -> tuple[list[tuple[int, int]], int]:
+    """Return the place and the number of each property's values in the row at a byte, and its
+    end."""
+    row = []
     for p in element.properties:
         length = 1
-        if p.length and at + int(p.length[1]) <= len(body):
-            (given,) = struct.unpack_from(order + CODES[p.length], body, at)
-            length, at = int(given), at + int(p.length[1])
-            if length != given or length < 0:
+        if p.length and start + int(p.length[1]) <= len(body):
+            given = np.frombuffer(body, order + p.length, 1, start)[0]
+            start += int(p.length[1])
+            if not (given >= 0 and float(given).is_integer()):
                 raise ValueError(f"a list of {given} values in {element.name!r}")
-        lengths.append(length)
-        at += length * int(p.kind[1])
-    if at > len(body):
+            length = int(given)
+        row.append((start, length))
+        start += length * int(p.kind[1])
+    if start > len(body):
         raise ValueError(f"it ends before the {element.number} rows of {element.name!r}")
-    return lengths, at
+    return row, start
 
 
-def _alike(
-    element: Element, lengths: list[int], body: bytes, at: int, order: str
-) -> list[Lists] | None:
-    """Return the columns of a table of rows that all have these lengths, or None if they differ."""
-    fields = []
-    for k, (p, length) in enumerate(zip(element.properties, lengths, strict=True)):
-        fields += [(f"length {k}", order + p.length)] if p.length else []
-        fields.append((f"values {k}", order + p.kind, (length,)))
-    rows = np.frombuffer(body, np.dtype(fields), element.number, at)
+def _column(
+    p: Property, body: bytes, start: int, length: int, rows: tuple[int, int, str]
+) -> Lists | None:
+    """Return a column whose lists all have this length, or None if they differ.
 
-    columns = []
-    for k, (p, length) in enumerate(zip(element.properties, lengths, strict=True)):
-        if p.length and np.any(rows[f"length {k}"] != length):
-            return None
-        columns.append(Lists(rows[f"values {k}"].reshape(-1), np.full(len(rows), length)))
-    return columns
+    `rows`: their number, their size in bytes, and the order of bytes.
+    """
+    number, stride, order = rows
 
+    def values(kind: str, start: int, length: int) -> np.ndarray:
+        strides = (stride, int(kind[1]))
+        return np.ndarray((number, length), order + kind, body, start, strides)
 
-def _one_by_one(element: Element, body: bytes, at: int, order: str) -> tuple[list[Lists], int]:
-    """Return the columns of a table whose rows differ in length, and where it ends."""
-    ends, counts = [], []
-    for _ in range(element.number):
-        lengths, at = _lengths(element, body, at, order)
-        counts.append(lengths)
-        ends.append(at)
-
-    counts, octets, columns = np.array(counts), np.frombuffer(body, np.uint8), []
-    stop = np.array(ends)
-    for k in reversed(range(len(element.properties))):
-        p = element.properties[k]
-        sizes = counts[:, k] * int(p.kind[1])
-        values = taken(octets, stop - sizes, sizes).view(order + p.kind)
-        columns.append(Lists(values, counts[:, k]))
-        stop = stop - sizes - (int(p.length[1]) if p.length else 0)
-    return columns[::-1], at
+    if p.length and np.any(values(p.length, start - int(p.length[1]), 1) != length):
+        return None
+    return Lists(values(p.kind, start, length).reshape(-1), np.full(number, length))
 
 
 def _points(vertex: dict[str, Lists]) -> np.ndarray:

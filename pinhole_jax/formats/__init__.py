@@ -32,12 +32,12 @@ from .files import (
 )
 from .gltf import read_gltf as read_gltf, write_gltf as write_gltf
 from .intrinsics import read_intrinsics as read_intrinsics
-from .matrices import from_opencv as from_opencv, to_opencv as to_opencv
 from .mitsuba import read_mitsuba as read_mitsuba, write_mitsuba as write_mitsuba
 from .native import read_json as read_json, write_json as write_json
 from .nerf import read_nerf as read_nerf, write_nerf as write_nerf
 from .object_pose import ObjectPose as ObjectPose, object_pose as object_pose
 from .opencv import read_opencv as read_opencv, write_opencv as write_opencv
+from .pinhole import from_opencv as from_opencv, to_opencv as to_opencv
 from .pytorch3d import (
     from_pytorch3d as from_pytorch3d,
     read_pytorch3d as read_pytorch3d,

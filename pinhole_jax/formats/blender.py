@@ -9,20 +9,32 @@ positive where the window moves right and up. There are no pixel coordinates: th
 count.
 """
 
-import os
 from collections.abc import Mapping
 from typing import Any
 
 from .._camera.camera import Camera
-from .fields import Fields, Size, add_named, check_cameras, load_json, save_json, save_text
-from .pinhole import OPENGL, Pinhole, camera_of, pinhole, rigid, world_from_camera
+from .._files.paths import FilePath
+from .fields import (
+    Cameras,
+    Fields,
+    Size,
+    check_cameras,
+    named_cameras,
+    save_json,
+    save_text,
+)
+from .pinhole import OPENGL, Pinhole, camera_of, pinhole, pose_in, world_from_camera
 
 SCHEMA = "pinhole_jax.blender/1"
 FITS = ("AUTO", "HORIZONTAL", "VERTICAL")
 SENSOR_MM = 36.0
+#: Settings of Blender's scene, and of a camera's data.
+RENDER = ("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x",
+          "pixel_aspect_y")  # fmt: skip
+DATA = ("type", "lens", "sensor_width", "sensor_height", "sensor_fit", "shift_x", "shift_y")
 
 
-def read_blender(path: str | os.PathLike[str], *, size: Size | None = None) -> dict[str, Camera]:
+def read_blender(path: FilePath, *, size: Size | None = None) -> Cameras:
     """Return the cameras of a JSON of Blender settings, by name.
 
     Either one object with the fields of `write_blender`, or `{"cameras": {name: object}}`.
@@ -37,18 +49,11 @@ def read_blender(path: str | os.PathLike[str], *, size: Size | None = None) -> d
     cameras = pj.formats.read_blender("blender.json")
     ```
     """
-    top = load_json(path)
-    if "cameras" not in top:
-        return {top.text("name", default="camera"): _read(top, size)}
-    cameras: dict[str, Camera] = {}
-    parts = top.part("cameras")
-    for name in parts.data:
-        add_named(cameras, name, _read(parts.part(name), size), repr(str(path)))
-    return cameras
+    return named_cameras(path, lambda fields: _camera(fields, size))
 
 
-def write_blender(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
-    """Write what Blender's cameras have, as JSON: see `to_blender`.
+def write_blender(path: FilePath, cameras: Mapping[str, Camera]) -> None:
+    """Write the settings of Blender's cameras as JSON: see `to_blender`.
 
     ```python
     pj.formats.write_blender("blender.json", {"left.png": camera})
@@ -103,24 +108,22 @@ def to_blender_script(cameras: Mapping[str, Camera]) -> str:
     settings: dict[str, dict[str, Any]] = {
         name: to_blender(camera) for name, camera in cameras.items()
     }
-    shared = ("resolution_x", "resolution_y", "pixel_aspect_x", "pixel_aspect_y")
     first = next(iter(settings.values()))
-    for name, one in settings.items():
-        if any(abs(one[field] - first[field]) > 1e-9 for field in shared):
+    render = {field: first[field] for field in RENDER}
+    for name, own in settings.items():
+        if any(abs(own[field] - value) > 1e-9 for field, value in render.items()):
             raise ValueError(
                 "`cameras`: expected one resolution and pixel aspect in a Blender scene, got"
                 f" others in {name!r} than in {next(iter(settings))!r}; write one script each"
             )
-    render = {field: first[field] for field in (*shared, "resolution_percentage")}
-    data = ("type", "lens", "sensor_width", "sensor_height", "sensor_fit", "shift_x", "shift_y")
     poses = {
-        name: ({field: one[field] for field in data}, one["matrix_world"])
-        for name, one in settings.items()
+        name: ({field: own[field] for field in DATA}, own["matrix_world"])
+        for name, own in settings.items()
     }
     return SCRIPT.format(render=render, cameras=poses)
 
 
-def write_blender_script(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
+def write_blender_script(path: FilePath, cameras: Mapping[str, Camera]) -> None:
     """Write the script of `to_blender_script`.
 
     ```python
@@ -153,7 +156,7 @@ for name, (settings, matrix) in CAMERAS.items():
 """
 
 
-def _read(fields: Fields, size: Size | None) -> Camera:
+def _camera(fields: Fields, size: Size | None) -> Camera:
     fields.text("type", ("PERSP",), "PERSP")
     W, H = fields.size("resolution_x", "resolution_y", size)
     percentage = fields.positive("resolution_percentage", 100)
@@ -161,13 +164,11 @@ def _read(fields: Fields, size: Size | None) -> Camera:
         W, H = (max(1, int(n * percentage / 100)) for n in (W, H))
     tall = fields.positive("pixel_aspect_y", 1) / fields.positive("pixel_aspect_x", 1)
     fit = fields.text("sensor_fit", FITS, "AUTO")
-    sensor = fields.positive("sensor_width", 36)
-    if fit == "VERTICAL":
-        sensor = fields.positive("sensor_height", 24)
+    sensor = ("sensor_height", 24) if fit == "VERTICAL" else ("sensor_width", SENSOR_MM)
     horizontal = fit == "HORIZONTAL" or (fit == "AUTO" and H * tall <= W)
     side = W if horizontal else H * tall  # in widths of a pixel
-    fx = fields.positive("lens") * side / sensor
+    fx = fields.positive("lens") * side / fields.positive(*sensor)
     cx = W / 2 - fields.number("shift_x", 0) * side
     cy = H / 2 + fields.number("shift_y", 0) * side / tall
-    pose = rigid(fields.array("matrix_world", (4, 4)), fields, "matrix_world")
-    return camera_of(Pinhole(fx, fx / tall, cx, cy, W, H), pose, OPENGL, fields)
+    view = Pinhole(fx, fx / tall, cx, cy, W, H)
+    return camera_of(view, pose_in(fields, "matrix_world"), OPENGL, fields)

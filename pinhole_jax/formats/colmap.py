@@ -8,24 +8,17 @@ Focal lengths in px, no field of view. Pixel centres lie at halves: the image's 
 import os
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
-from .._camera.poses import inverse, rigid
-from .._files.paths import opened, replace_file
-from .fields import KIND, Fields, add_named, check_cameras, number, save_text, short
-from .pinhole import (
-    OPENCV,
-    Pinhole,
-    camera_from_world,
-    camera_of,
-    model_of,
-    pinhole,
-)
-from .rotations import is_unit, rotations
+from .._camera.poses import inverse, pose_of, rigid
+from .._files.paths import FilePath, opened, replace_file
+from .fields import KIND, Cameras, Fields, by_name, check_cameras, number, short
+from .pinhole import OPENCV, Pinhole, camera_of, model_of, pinhole
+from .rotations import rotation_of, rotations
 
 #: COLMAP's models by number, with their parameters; distortion is what is not f, fx, fy, cx, cy.
 MODELS = {
@@ -39,14 +32,19 @@ MODELS = {
     8: ("SIMPLE_RADIAL_FISHEYE", "f cx cy k1"),
     9: ("RADIAL_FISHEYE", "f cx cy k1 k2"),
 }
-PARAMETERS = {name: parameters.split() for name, parameters in MODELS.values()}
+NUMBERS = {name: number for number, (name, _) in MODELS.items()}
 PARTS = ("cameras", "images", "points3D")
 #: The most bytes of an image's name (a path, on any system), of a line, and of a file, whose points
 #: are passed over.
 MOST_NAME, MOST_LINE, MOST_MODEL = 4096, 1 << 26, 1 << 36
 
+#: A camera's intrinsics, its lens, and the place in its file.
+Intrinsics = tuple[Pinhole, Distortion | None, Fields]
+#: A line of text or a record of bytes: its numbers, a name, and the place in the file.
+Record = tuple[Sequence[Any], str, str]
 
-def read_colmap(folder: str | os.PathLike[str]) -> dict[str, Camera]:
+
+def read_colmap(folder: FilePath) -> Cameras:
     """Return the cameras of a COLMAP model, by image name.
 
     Reads cameras and images, binary if there are both kinds. Points are not read.
@@ -60,29 +58,22 @@ def read_colmap(folder: str | os.PathLike[str]) -> dict[str, Camera]:
     ```
     """
     place = Path(folder)
-    for ending, read in ((".bin", _read_binary), (".txt", _read_text)):
+    for ending in (".bin", ".txt"):
         files = [place / f"{part}{ending}" for part in ("cameras", "images")]
         if all(file.exists() for file in files):
-            intrinsics, images = read(*files)
             break
     else:
         raise FileNotFoundError(
             "`folder`: expected a COLMAP model (cameras.txt and images.txt, or .bin), got"
             f" {str(folder)!r}"
         )
-    cameras: dict[str, Camera] = {}
-    for name, pose in images:
-        key = pose.data["CAMERA_ID"]
-        if key not in intrinsics:
-            raise pose.wrong("CAMERA_ID", f"a camera of {str(files[0])!r}", f"{key}")
-        camera = _camera(intrinsics[key], pose)
-        add_named(cameras, name, camera, repr(str(files[1])))
-    return cameras
+    cameras, images = files
+    intrinsics = colmap_intrinsics(cameras)
+    records = _binary_images(images) if ending == ".bin" else _text_images(images)
+    return by_name(_posed(records, intrinsics, cameras), repr(str(images)))
 
 
-def write_colmap(
-    folder: str | os.PathLike[str], cameras: Mapping[str, Camera], *, binary: bool = False
-) -> None:
+def write_colmap(folder: FilePath, cameras: Mapping[str, Camera], *, binary: bool = False) -> None:
     """Write a COLMAP model without points: cameras, images, points3D.
 
     Cameras are PINHOLE, with distortion OPENCV (FULL_OPENCV if k3 is not zero) or OPENCV_FISHEYE.
@@ -102,129 +93,125 @@ def write_colmap(
     other = ".txt" if binary else ".bin"
     stale = [f"{part}{other}" for part in (*PARTS, "rigs", "frames")]
     stale += [f"rigs{ending}", f"frames{ending}"]
-    found = [name for name in stale if (place / name).exists()]
-    if found:
+    if found := [name for name in stale if (place / name).exists()]:
         raise ValueError(f"`folder`: expected none of another model, got {found[0]} in {folder!s}")
     check_cameras(cameras, "COLMAP", lambda name: _can_hold(name, binary))
-    views: dict[View, int] = {}
-    keys = [views.setdefault(_view(camera), len(views) + 1) for camera in cameras.values()]
-    poses = [_quaternion_and_translation(camera) for camera in cameras.values()]
-    images = list(zip(keys, poses, cameras, strict=True))
-    if binary:
-        data = _binary(views, images)
-        for part in PARTS:
-            replace_file(place / f"{part}.bin", data[part])
-    else:
-        texts = _text(views, images)
-        for part in PARTS:
-            save_text(place / f"{part}.txt", texts[part])
+    views: dict[tuple, int] = {}
+    images = [
+        (views.setdefault(_view(camera), len(views) + 1), _pose(camera), name)
+        for name, camera in cameras.items()
+    ]
+    parts = _binary(views, images) if binary else _text(views, images)
+    for part, data in zip(PARTS, parts, strict=True):
+        replace_file(place / f"{part}{ending}", data)
 
 
 def _can_hold(name: str, binary: bool) -> bool:
-    in_one = binary or name.split() == [name]
-    return in_one and "\0" not in name and 0 < len(name.encode()) <= MOST_NAME
+    whole = binary or name.split() == [name]
+    return whole and "\0" not in name and 0 < len(name.encode()) <= MOST_NAME
 
 
-def colmap_intrinsics(file: Path) -> dict[str, tuple[Pinhole, Distortion | None]]:
+def colmap_intrinsics(file: Path) -> dict[str, Intrinsics]:
     """Return the intrinsics and lenses of a model's cameras.txt or .bin, by their numbers."""
-    read = _binary_cameras if file.suffix == ".bin" else _text_cameras
-    return {str(key): _intrinsics(fields) for key, fields in read(file).items()}
+    records = _binary_cameras(file) if file.suffix == ".bin" else _text_cameras(file)
+    cameras: dict[str, Intrinsics] = {}
+    for (key, *numbers), model, where in records:
+        key = _key("CAMERA_ID", key, where, cameras)
+        cameras[key] = _intrinsics(model, numbers, where)
+    return cameras
 
 
-def _intrinsics(intrinsics: Fields) -> tuple[Pinhole, Distortion | None]:
-    number = intrinsics.number
-    fx, fy = ("f", "f") if "f" in intrinsics else ("fx", "fy")
+def _key(name: str, value: object, where: str, known: Iterable[str] = ()) -> str:
+    """Return the number of a camera or an image, which must not be known already."""
+    key = str(value)
+    if not re.fullmatch(r"[0-9]{1,10}", key):
+        raise ValueError(f"`{name}`: expected a whole number, got {short(key)} ({where})")
+    if key in known:
+        raise ValueError(f"`{name}`: expected each once, got {key} twice ({where})")
+    return key
+
+
+def _intrinsics(model: str, numbers: Sequence[float], where: str) -> Intrinsics:
+    if model not in NUMBERS:
+        raise ValueError(f"`MODEL`: expected one of {', '.join(NUMBERS)}, got {model} ({where})")
+    names = MODELS[NUMBERS[model]][1].split()
+    if len(numbers) != len(names) + 2:
+        raise ValueError(
+            f"`PARAMS`: expected {len(names)} numbers ({', '.join(names)}) of {model}, got"
+            f" {len(numbers) - 2} ({where})"
+        )
+    fields = Fields(dict(zip(("WIDTH", "HEIGHT", *names), numbers, strict=True)), where)
+    fx, fy = ("f", "f") if "f" in names else ("fx", "fy")
     view = Pinhole(
-        intrinsics.positive(fx),
-        intrinsics.positive(fy),
-        number("cx"),
-        number("cy"),
-        intrinsics.integer("WIDTH"),
-        intrinsics.integer("HEIGHT"),
+        fields.positive(fx),
+        fields.positive(fy),
+        fields.number("cx"),
+        fields.number("cy"),
+        fields.integer("WIDTH"),
+        fields.integer("HEIGHT"),
     )
-    plain = {"f", "fx", "fy", "cx", "cy", "WIDTH", "HEIGHT"}
-    fisheye = bool(number("FISHEYE"))
-    plain.add("FISHEYE")
-    distorted = {name: number(name) for name in intrinsics.data if name not in plain}
-    models = (Fisheye,) if fisheye else (BrownConrady, Rational)
-    return view, model_of(distorted, intrinsics, models)
+    distorted = {name: fields.number(name) for name in names if name[0] in "kp"}
+    models = (Fisheye,) if model.endswith("FISHEYE") else (BrownConrady, Rational)
+    return view, model_of(distorted, fields, models), fields
 
 
-def _camera(intrinsics: Fields, pose: Fields) -> Camera:
-    view, distortion = _intrinsics(intrinsics)
-    q = pose.array("QUATERNION", (4,))
-    if not is_unit(q):
-        raise pose.wrong("QUATERNION", "one of length 1", q)
-    R = rotations().from_quat(q[[1, 2, 3, 0]]).as_matrix()
-    matrix = rigid(R, pose.array("TRANSLATION", (3,)))
-    return camera_of(view, inverse(matrix), OPENCV, intrinsics, distortion)
+def _posed(
+    images: Iterable[Record], cameras: dict[str, Intrinsics], file: Path
+) -> Iterator[tuple[str, Camera]]:
+    """Yield the cameras of images, with their names."""
+    met: set[str] = set()
+    for (key, *pose, camera), name, where in images:
+        met.add(_key("IMAGE_ID", key, where, met))
+        number = _key("CAMERA_ID", camera, where)
+        if number not in cameras:
+            raise ValueError(
+                f"`CAMERA_ID`: expected a camera of {str(file)!r}, got {number} ({where})"
+            )
+        view, distortion, own = cameras[number]
+        fields = Fields({"QUATERNION": pose[:4], "TRANSLATION": pose[4:]}, where)
+        R = rotation_of(fields.array("QUATERNION", (4,))[[1, 2, 3, 0]], fields, "QUATERNION")
+        matrix = rigid(R, fields.array("TRANSLATION", (3,)))
+        yield name, camera_of(view, inverse(matrix), OPENCV, own, distortion)
 
 
-def _quaternion_and_translation(camera: Camera) -> list[float]:
-    matrix = camera_from_world(camera, OPENCV)
+def _pose(camera: Camera) -> list[float]:
+    """Return camera_from_world as a quaternion (w, x, y, z) and a translation."""
+    matrix = inverse(pose_of(camera))
     *xyz, w = rotations().from_matrix(matrix[:3, :3]).as_quat(canonical=True).tolist()
     return [w, *xyz, *matrix[:3, 3].tolist()]
 
 
-def _fields_of(model: str, size: Any, parameters: Any, where: str) -> Fields:
-    names = PARAMETERS.get(model)
-    if names is None:
-        raise ValueError(f"`MODEL`: expected one of {', '.join(PARAMETERS)}, got {model} ({where})")
-    if len(parameters) != len(names):
-        raise ValueError(
-            f"`PARAMS`: expected {len(names)} numbers ({', '.join(names)}) of {model}, got"
-            f" {len(parameters)} ({where})"
-        )
-    values = dict(zip(names, parameters, strict=True))
-    fisheye = float(model.endswith("FISHEYE"))
-    return Fields({"WIDTH": size[0], "HEIGHT": size[1], "FISHEYE": fisheye, **values}, where)
+def _text_cameras(file: Path) -> Iterator[Record]:
+    records = [*_split(_lines(file), "CAMERA_ID MODEL WIDTH HEIGHT PARAMS")]
+    _check_count(file, len(records))
+    for (key, model, *numbers), where in records:
+        yield (key, *_numbers(numbers, where)), model, where
 
 
-def _pose_of(numbers: Any, camera: int, where: str) -> Fields:
-    data = {"QUATERNION": numbers[:4], "TRANSLATION": numbers[4:], "CAMERA_ID": camera}
-    return Fields(data, where)
-
-
-def _text_cameras(cameras: Path) -> dict[int, Fields]:
-    intrinsics: dict[int, Fields] = {}
-    for where, line in _lines(cameras):
-        words = line.split()
-        if not words:
-            continue
-        if len(words) < 5:
-            raise ValueError(
-                f"expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, got {short(line)} ({where})"
-            )
-        key, values = _id("CAMERA_ID", words[0], where), _numbers(words[2:], where)
-        fields = _fields_of(words[1], values[:2], values[2:], where)
-        _add(intrinsics, "CAMERA_ID", key, fields, where)
-    _check_count(cameras, len(intrinsics))
-    return intrinsics
-
-
-def _read_text(cameras: Path, images: Path) -> tuple[dict[int, Fields], list[tuple[str, Fields]]]:
-    intrinsics = _text_cameras(cameras)
-    found: dict[int, tuple[str, Fields]] = {}
-    lines = _lines(images)
-    for where, line in lines:
-        words = line.split(maxsplit=9)
-        if not words:
-            continue
-        if len(words) < 10:
-            raise ValueError(
-                "expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got"
-                f" {short(line)} ({where})"
-            )
-        key, camera = _id("IMAGE_ID", words[0], where), _id("CAMERA_ID", words[8], where)
-        pose = _pose_of(_numbers(words[1:8], where), camera, where)
-        _add(found, "IMAGE_ID", key, (words[9].strip(), pose), where)
+def _text_images(file: Path) -> Iterator[Record]:
+    count, lines = 0, _lines(file)
+    columns = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
+    for (key, *pose, camera, name), where in _split(lines, columns, 9):
+        count += 1
+        yield (key, *_numbers(pose, where), camera), name.strip(), where
         _check_points(*next(lines, (where, "")))
-    _check_count(images, len(found))
-    return intrinsics, list(found.values())
+    _check_count(file, count)
 
 
-def _lines(file: Path, comments: bool = False) -> Iterator[tuple[str, str]]:
-    """Yield where a line is, and the line, one after the other: the points need not fit memory."""
+def _split(
+    lines: Iterator[tuple[str, str]], columns: str, splits: int = -1
+) -> Iterator[tuple[list[str], str]]:
+    """Yield the words of each line that is not empty, and its place."""
+    for where, line in lines:
+        words = line.split(maxsplit=splits)
+        if words and len(words) < len(columns.split()):
+            raise ValueError(f"expected {columns}, got {short(line)} ({where})")
+        if words:
+            yield words, where
+
+
+def _lines(file: Path) -> Iterator[tuple[str, str]]:
+    """Yield the place and the text of each line but comments; points need not fit memory."""
     with opened(file, KIND, MOST_MODEL) as stream:
         for number, raw in enumerate(iter(lambda: stream.readline(MOST_LINE), b""), 1):
             where = f"{str(file)!r}, line {number}"
@@ -234,21 +221,8 @@ def _lines(file: Path, comments: bool = False) -> Iterator[tuple[str, str]]:
                 line = raw.decode("utf-8" if number > 1 else "utf-8-sig")
             except UnicodeDecodeError:
                 raise ValueError(f"expected text, got bytes that are no UTF-8 ({where})") from None
-            if comments or not line.startswith("#"):
+            if not line.startswith("#"):
                 yield where, line
-
-
-def _id(name: str, word: str, where: str) -> int:
-    """Return a number that names a camera or an image."""
-    if not re.fullmatch(r"[0-9]{1,10}", word):
-        raise ValueError(f"`{name}`: expected a whole number, got {short(word)} ({where})")
-    return int(word)
-
-
-def _add(known: dict, name: str, key: int, value: Any, where: str) -> None:
-    if key in known:
-        raise ValueError(f"`{name}`: expected each once, got {key} twice ({where})")
-    known[key] = value
 
 
 def _numbers(words: list[str], where: str) -> list[float]:
@@ -259,7 +233,7 @@ def _numbers(words: list[str], where: str) -> list[float]:
 
 
 def _check_points(where: str, line: str) -> None:
-    """An image's second line: X Y POINT3D_ID, again and again. A pose there was taken for it."""
+    """Check an image's second line, X Y POINT3D_ID, repeated: it may be a pose by mistake."""
     words = line.split()
     if len(words) % 3 or not all(re.fullmatch(r"-?\d+", word) for word in words[2::3]):
         raise ValueError(
@@ -269,78 +243,68 @@ def _check_points(where: str, line: str) -> None:
 
 
 def _check_count(file: Path, count: int) -> None:
-    """The heading, where there is one, says how many entries there are."""
-    for where, line in _lines(file, comments=True):
-        if not line.startswith("#"):
-            return
-        said = re.match(r"# Number of (?:cameras|images): (\d{1,18})", line)
-        if said is not None and int(said[1]) != count:
-            words = f"{said[1]} entries, as its heading says, got {count}"
-            raise ValueError(f"expected {words} ({where})")
+    """Check the number of entries that a file's heading says, if it has one."""
+    with opened(file, KIND, MOST_MODEL) as stream:
+        said = re.search(rb"^# Number of (?:cameras|images): (\d{1,18})", stream.read(4096), re.M)
+    if said and int(said[1]) != count:
+        raise ValueError(
+            f"expected {int(said[1])} entries, as its heading says, got {count} (in {str(file)!r})"
+        )
 
 
-def _binary_cameras(cameras: Path) -> dict[int, Fields]:
-    intrinsics: dict[int, Fields] = {}
-    with _Reader(cameras) as reader:
-        for _ in range(reader.take("<Q")[0]):
+def _binary_cameras(file: Path) -> Iterator[Record]:
+    with _Reader(file) as reader:
+        for _ in range(*reader.take("<Q")):
             key, model, W, H = reader.take("<IiQQ")
-            where = f"{str(cameras)!r}, camera {key}"
-            if model not in MODELS:
-                words = f"one of {', '.join(PARAMETERS)}, got number {model}"
-                raise ValueError(f"`MODEL`: expected {words} ({where})")
-            name, parameters = MODELS[model]
-            values = reader.take(f"<{len(parameters.split())}d")
-            _add(intrinsics, "CAMERA_ID", key, _fields_of(name, (W, H), values, where), where)
-    return intrinsics
+            where = f"{str(file)!r}, camera {key}"
+            name, parameters = MODELS.get(model, (f"number {model}", ""))
+            numbers = reader.take(f"<{len(parameters.split())}d")
+            yield (key, W, H, *numbers), name, where
 
 
-def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, Fields], list[tuple[str, Fields]]]:
-    intrinsics = _binary_cameras(cameras)
-    found: dict[int, tuple[str, Fields]] = {}
-    with _Reader(images) as reader:
-        for _ in range(reader.take("<Q")[0]):
-            key, *numbers, camera = reader.take("<I7dI")
-            where = f"{str(images)!r}, image {key}"
-            name = reader.name(where)
-            _add(found, "IMAGE_ID", key, (name, _pose_of(numbers, camera, where)), where)
-            reader.skip(24 * reader.take("<Q")[0])
-    return intrinsics, list(found.values())
+def _binary_images(file: Path) -> Iterator[Record]:
+    with _Reader(file) as reader:
+        for _ in range(*reader.take("<Q")):
+            numbers = reader.take("<I7dI")
+            where = f"{str(file)!r}, image {numbers[0]}"
+            yield numbers, reader.name(where), where
+            reader.skip(24, *reader.take("<Q"))
 
 
 class _Reader:
-    """Little-endian values of a file, one after the other; from its beginning to its end."""
+    """Little-endian values of a file, from its beginning to its end."""
 
     def __init__(self, file: Path):
-        self.file = file
-        self.stream = opened(file, KIND, MOST_MODEL)
+        self.stream, self.file = opened(file, KIND, MOST_MODEL), repr(str(file))
         self.size = os.fstat(self.stream.fileno()).st_size
 
     def __enter__(self) -> "_Reader":
         return self
 
     def __exit__(self, kind: type | None, *_: object) -> None:
-        at = self.stream.tell()
+        end = self.stream.tell()
         self.stream.close()
-        if kind is None and at != self.size:
-            raise ValueError(f"expected {at} bytes, got {self.size} (in {str(self.file)!r})")
+        if kind is None and end != self.size:
+            raise ValueError(f"expected {end} bytes, got {self.size} (in {self.file})")
 
-    def skip(self, count: int) -> None:
-        if self.stream.tell() + count > self.size:
-            raise self._ends()
-        self.stream.seek(count, os.SEEK_CUR)
+    def skip(self, size: int, count: int = 1) -> None:
+        """Pass over values of this size."""
+        if self.stream.tell() + size * count > self.size:
+            raise ValueError(f"expected more than {self.size} bytes, got the end (in {self.file})")
+        self.stream.seek(size * count, os.SEEK_CUR)
 
     def take(self, form: str) -> tuple:
-        data = self.stream.read(struct.calcsize(form))
-        if len(data) < struct.calcsize(form):
-            raise self._ends()
-        return struct.unpack(form, data)
+        """Return the next values."""
+        start, size = self.stream.tell(), struct.calcsize(form)
+        self.skip(size)
+        self.stream.seek(start)
+        return struct.unpack(form, self.stream.read(size))
 
     def name(self, where: str) -> str:
+        """Return the text up to the next zero byte."""
         data = b""
-        while (byte := self.stream.read(1)) != b"\0":
+        while (byte := self.take("c")[0]) != b"\0":
             data += byte
-            if not byte:
-                raise self._ends()
             if len(data) > MOST_NAME:
                 raise ValueError(f"`NAME`: expected at most {MOST_NAME} bytes, got more ({where})")
         try:
@@ -348,51 +312,39 @@ class _Reader:
         except UnicodeDecodeError:
             raise ValueError(f"`NAME`: expected UTF-8, got {data[:60]!r} ({where})") from None
 
-    def _ends(self) -> ValueError:
-        words = f"expected more than {self.size} bytes, got the end"
-        return ValueError(f"{words} (in {str(self.file)!r})")
 
-
-class View(NamedTuple):
-    """Intrinsics as a COLMAP model has them: its number, and its parameters in order."""
-
-    model: int
-    W: int
-    H: int
-    parameters: tuple[float, ...]
-
-
-def _view(camera: Camera) -> View:
+def _view(camera: Camera) -> tuple:
+    """Return intrinsics as a COLMAP model has them: its number, W, H, its parameters in order."""
     view, distortion = pinhole(camera, distorted=True), camera.distortion
-    number = 5 if isinstance(distortion, Fisheye) else 1
-    if isinstance(distortion, BrownConrady):
-        number = 6 if float(distortion.k3) else 4
-    if isinstance(distortion, Rational):
-        number = 6
+    k3 = isinstance(distortion, BrownConrady) and float(distortion.k3)
+    name = "FULL_OPENCV" if k3 or isinstance(distortion, Rational) else "OPENCV"
+    if distortion is None or isinstance(distortion, Fisheye):
+        name = "OPENCV_FISHEYE" if distortion else "PINHOLE"
     values = {**view._asdict(), **({} if distortion is None else distortion.coefficients())}
-    names = MODELS[number][1].split()
-    return View(number, view.W, view.H, tuple(values.get(name, 0.0) for name in names))
+    parameters = MODELS[NUMBERS[name]][1].split()
+    return NUMBERS[name], view.W, view.H, *(values.get(name, 0.0) for name in parameters)
 
 
-def _text(views: dict[View, int], images: list) -> dict[str, str]:
-    words = lambda values: " ".join(map(repr, values))
-    cameras = "# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n" + "".join(
-        f"{key} {MODELS[v.model][0]} {v.W} {v.H} {words(v.parameters)}\n"
-        for v, key in views.items()
+def _text(views: dict[tuple, int], images: list[tuple]) -> Iterator[bytes]:
+    """Yield cameras.txt, images.txt and points3D.txt."""
+    words = lambda *values: " ".join(map(str, values))
+    cameras = [words(key, MODELS[model][0], *rest) for (model, *rest), key in views.items()]
+    poses = [words(k, *pose, key, name) for k, (key, pose, name) in enumerate(images, 1)]
+    yield "\n".join(["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]", *cameras, ""]).encode()
+    head = "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then its points: none\n"
+    yield (head + "".join(f"{pose}\n\n" for pose in poses)).encode()
+    yield b"# no points\n"
+
+
+def _binary(views: dict[tuple, int], images: list[tuple]) -> Iterator[bytes]:
+    """Yield cameras.bin, images.bin and points3D.bin."""
+    none = struct.pack("<Q", 0)
+    yield struct.pack("<Q", len(views)) + b"".join(
+        struct.pack(f"<IiQQ{len(numbers)}d", key, model, W, H, *numbers)
+        for (model, W, H, *numbers), key in views.items()
     )
-    poses = "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then its points: none\n" + "".join(
-        f"{k} {words(pose)} {key} {name}\n\n" for k, (key, pose, name) in enumerate(images, 1)
-    )
-    return {"cameras": cameras, "images": poses, "points3D": "# no points\n"}
-
-
-def _binary(views: dict[View, int], images: list) -> dict[str, bytes]:
-    cameras = struct.pack("<Q", len(views)) + b"".join(
-        struct.pack(f"<IiQQ{len(v.parameters)}d", key, v.model, v.W, v.H, *v.parameters)
-        for v, key in views.items()
-    )
-    poses = struct.pack("<Q", len(images)) + b"".join(
-        struct.pack("<I7dI", k, *pose, key) + name.encode() + b"\0" + struct.pack("<Q", 0)
+    yield struct.pack("<Q", len(images)) + b"".join(
+        struct.pack("<I7dI", k, *pose, key) + name.encode() + b"\0" + none
         for k, (key, pose, name) in enumerate(images, 1)
     )
-    return {"cameras": cameras, "images": poses, "points3D": struct.pack("<Q", 0)}
+    yield none

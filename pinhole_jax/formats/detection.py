@@ -1,4 +1,4 @@
-"""`detect`: which convention does a camera of unknown origin have? The one that explains a mask."""
+"""`detect`: the convention of a camera of unknown origin is the one that explains a mask."""
 
 from collections.abc import Iterator
 from itertools import product
@@ -8,7 +8,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.lens import Lens
-from .._camera.poses import inverse
+from .._camera.poses import Pose, inverse
 from .._mask.target import check_image
 from .._numerics.arrays import ArrayLike, Input
 from .._scene.scene import Scene
@@ -21,7 +21,7 @@ from .pinhole import (
     Pinhole,
     camera_of,
     focal_of_fov,
-    rigid,
+    pose_in,
 )
 from .window import resized
 
@@ -30,7 +30,7 @@ AXES = {
     "x right, y down, z forward (OpenCV, COLMAP)": OPENCV,
     "x right, y up, z backward (OpenGL, Blender, NeRF, glTF)": OPENGL,
     "x left, y up, z forward (PyTorch3D, Mitsuba)": LEFT_UP_FORWARD,
-    "x left, y down, z backward": np.diag([-1.0, 1.0, -1.0]),
+    "x left, y down, z backward": np.diag([-1.0, 1.0, -1.0, 1.0]),
 }
 LABELS = ("axes", "direction", "pixel_centres", "fov_axis")
 #: First look: the longer side, px; not worth a program of its own up to the second number.
@@ -65,7 +65,7 @@ class Hypothesis(NamedTuple):
     camera: Camera
 
     def __str__(self) -> str:
-        """Return the reading as words."""
+        """Return the reading as text."""
         fov = f", {self.fov_axis} field of view" if self.fov_axis else ""
         return f"{self.axes}; {self.direction}; pixel centres at {self.pixel_centres}{fov}"
 
@@ -120,139 +120,147 @@ def detect(
     if not 0 < target.sum() < target.size:
         raise ValueError("`mask`: expected one that covers some pixels, got none or all")
     H, W = target.shape
-    views = _intrinsics(W, H, K, focal_px, fov)
-    promising = _promising(scene, target, list(_poses(pose)), views)
+    views = _views(W, H, K, focal_px, fov)
+    poses = _promising(scene, target, list(_poses(pose)), views)
     scale = float(max(abs(np.asarray(pose, float)).max(), 1))
-    merged = _merged([(view, one) for one in promising for view in views], scale)
     ranked = []
-    for (view, (_, _, matrix)), words in merged:
-        camera = _with_lens(_camera(view[2], matrix))
-        image = np.asarray(silhouette(camera, scene, overlaps=False))
-        agreement = _iou(_like(image, target), target)
-        ranked.append((Hypothesis(iou=agreement, camera=camera, **words), image > 0.5))
+    for readings in _alike([(view, pose) for pose in poses for view in views], scale):
+        view, pose_read = readings[0]
+        camera = _camera(view, pose_read)
+        image = np.asarray(silhouette(camera, scene, overlaps=False), float)
+        seen = image > 0.5
+        iou = _iou(seen if np.all((target == 0) | (target == 1)) else image, target)
+        columns = zip(*((*pose[:2], *view[:2]) for view, pose in readings), strict=True)
+        words = [" or ".join(dict.fromkeys(column)) for column in columns]
+        named = dict(zip(LABELS, words, strict=True))
+        ranked.append((Hypothesis(iou=iou, camera=camera, **named), seen))
     ranked.sort(key=lambda pair: -pair[0].iou)
     return _verdict(ranked, target > 0.5)
 
 
-def _intrinsics(
+class _View(NamedTuple):
+    """A reading of the intrinsics."""
+
+    pixel_centres: str
+    fov_axis: str
+    pinhole: Pinhole
+
+
+class _Pose(NamedTuple):
+    """A reading of the pose: `world_from_camera` (4, 4) is in OpenCV's axes."""
+
+    axes: str
+    direction: str
+    world_from_camera: Pose
+
+
+def _views(
     W: int, H: int, K: ArrayLike | None, focal_px: ArrayLike | None, fov: ArrayLike | None
-) -> list[tuple[str, str, Pinhole]]:
-    """Return (pixel_centres, fov_axis, intrinsics) of every reading."""
+) -> list[_View]:
+    """Return every reading of the intrinsics."""
     given = {"K": K, "focal_px": focal_px, "fov": fov}
     data = {name: value for name, value in given.items() if value is not None}
     fields = Fields(data, "the arguments")
     if len(data) != 1:
         raise ValueError(f"expected one of `K`, `focal_px`, `fov`, got {', '.join(data) or 'none'}")
-    cx, cy = W / 2, H / 2
+    matrix = np.array([[1.0, 0, W / 2], [0, 1, H / 2], [0, 0, 1]])
+    focals = {"": 1.0}
     if "K" in data:
         matrix = fields.array("K", (3, 3))
         if np.any(matrix[2] != [0, 0, 1]) or matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
             raise fields.wrong("K", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", matrix)
-        focals = {"": (matrix[0, 0], matrix[1, 1])}
-        cx, cy = matrix[0, 2], matrix[1, 2]
     elif "focal_px" in data:
-        focal = fields.positive("focal_px")
-        focals = {"": (focal, focal)}
+        focals = {"": fields.positive("focal_px")}
     else:
         sides = {"vertical": H, "horizontal": W, "diagonal": float(np.hypot(W, H))}
         angle = fields.angle("fov")
-        each = {axis: focal_of_fov(angle, side) for axis, side in sides.items()}
-        focals = {axis: (focal, focal) for axis, focal in each.items()}
+        focals = {axis: focal_of_fov(angle, side) for axis, side in sides.items()}
+    (fx, _, cx), (_, fy, cy), _ = matrix
     return [
-        (centres, axis, Pinhole(fx, fy, cx + shift, cy + shift, W, H))
-        for axis, (fx, fy) in focals.items()
+        _View(centres, axis, Pinhole(fx * focal, fy * focal, cx + shift, cy + shift, W, H))
+        for axis, focal in focals.items()
         for centres, shift in (("half", 0.0), ("integer", 0.5))
     ]
 
 
-def _poses(pose: ArrayLike) -> Iterator[tuple[str, str, np.ndarray]]:
-    """Yield (axes, direction, world_from_camera in OpenCV's axes) of every reading."""
+def _poses(pose: ArrayLike) -> Iterator[_Pose]:
+    """Yield every reading of the pose."""
     fields = Fields({"pose": pose}, "the arguments")
-    matrix = fields.array("pose", (3, 4) if np.shape(pose) == (3, 4) else (4, 4))
-    rows = len(matrix) == 4 and np.any(matrix[3, :3]) and not np.any(matrix[:3, 3])
-    given = rigid(matrix.T if rows else matrix, fields, "pose")
-    readings = [(", row vectors" if rows else "", given)]
-    if not rows:  # R of row vectors beside a translation: [R | t] of PyTorch3D's R and T
-        transposed = given.copy()
-        transposed[:3, :3] = given[:3, :3].T
-        readings.append((", rotation for row vectors", transposed))
-    for (words, transform), (axes, columns) in product(readings, AXES.items()):
-        frame = np.eye(4)
-        frame[:3, :3] = columns.T
-        yield axes, "camera_from_world" + words, inverse(transform) @ frame
-        yield axes, "world_from_camera" + words, transform @ frame
+    shape = fields.shape("pose")
+    matrix = fields.array("pose", shape if shape == (3, 4) else (4, 4))
+    if len(matrix) == 4 and np.any(matrix[3, :3]) and not np.any(matrix[:3, 3]):
+        transposed = Fields({"pose": matrix.T}, fields.where)
+        readings = {", row vectors": pose_in(transposed, "pose")}
+    else:  # R of row vectors beside a translation: [R | t] of PyTorch3D's R and T
+        given = pose_in(fields, "pose")
+        turned = given.copy()
+        turned[:3, :3] = given[:3, :3].T
+        readings = {"": given, ", rotation for row vectors": turned}
+    for (words, transform), (axes, frame) in product(readings.items(), AXES.items()):
+        yield _Pose(axes, "camera_from_world" + words, inverse(transform) @ frame)
+        yield _Pose(axes, "world_from_camera" + words, transform @ frame)
 
 
-def _camera(view: Pinhole, world_from_camera: np.ndarray) -> Camera:
-    return camera_of(view, world_from_camera, OPENCV, Fields({}, "the arguments"))
-
-
-def _with_lens(camera: Camera) -> Camera:
+def _camera(view: _View, pose: _Pose) -> Camera:
     """Return the camera with a lens, needed or not: then one compiled program serves all."""
-    lens = camera.lens or Lens([camera.W / 2, camera.H / 2])
-    return camera.replace(lens=lens)
+    where = Fields({}, "the arguments")
+    camera = camera_of(view.pinhole, pose.world_from_camera, OPENCV, where)
+    return camera.replace(lens=camera.lens or Lens([camera.W / 2, camera.H / 2]))
 
 
-def _promising(scene: Scene, target: np.ndarray, poses: list, views: list) -> list:
+def _promising(
+    scene: Scene, target: np.ndarray, poses: list[_Pose], views: list[_View]
+) -> list[_Pose]:
     """Return the poses that explain a small image of the target best, with any intrinsics."""
     from PIL import Image
 
     H, W = target.shape
     factor = 1.0 if max(W, H) <= FULL_PX else COARSE_PX / max(W, H)
-    w, h = max(1, round(W * factor)), max(1, round(H * factor))
+    size = max(1, round(W * factor)), max(1, round(H * factor))
     picture = Image.fromarray(target.astype(np.float32))
-    small = np.asarray(picture.resize((w, h), Image.Resampling.BOX), float)
-    views = [view for view in views if view[0] == "half"]  # half a pixel is nothing here
-    agreement = []
-    for _, _, matrix in poses:
-        best = 0.0
-        for _, _, view in views:
-            camera = _with_lens(resized(_camera(view, matrix), w, h))
-            image = np.asarray(silhouette(camera, scene, overlaps=False), float)
-            best = max(best, _iou(image, small))
-        agreement.append(best)
-    order = np.argsort(agreement)[::-1][:KEPT]
-    return [poses[k] for k in order if agreement[k] >= 0.5 * agreement[order[0]]]
+    small = np.asarray(picture.resize(size, Image.Resampling.BOX), float)
+
+    def agreement(pose: _Pose, view: _View) -> float:
+        small_camera = resized(_camera(view, pose), *size)
+        lens = small_camera.lens or Lens([size[0] / 2, size[1] / 2])
+        image = silhouette(small_camera.replace(lens=lens), scene, overlaps=False)
+        return _iou(np.asarray(image, float), small)
+
+    halves = [
+        view for view in views if view.pixel_centres == "half"
+    ]  # half a pixel is nothing here
+    best = np.array([max(agreement(pose, view) for view in halves) for pose in poses])
+    order = np.argsort(best)[::-1][:KEPT]
+    return [poses[k] for k in order if best[k] >= 0.5 * best[order[0]]]
 
 
 def _iou(image: np.ndarray, target: np.ndarray) -> float:
     return float(np.minimum(image, target).sum() / np.maximum(image, target).sum())
 
 
-def _like(image: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Return coverage as the target has it: cut at a half where the target is black and white."""
-    hard = np.all((target == 0) | (target == 1))
-    return (image > 0.5).astype(float) if hard else image.astype(float)
-
-
-def _merged(readings: list, scale: float) -> list:
-    """Return readings with their words; those of one and the same camera are joined."""
-    groups: list[list] = []
+def _alike(readings: list[tuple[_View, _Pose]], scale: float) -> list[list[tuple[_View, _Pose]]]:
+    """Return groups of readings: each group's make one camera."""
+    groups: list[list[tuple[_View, _Pose]]] = []
     for view, pose in readings:
         for group in groups:
-            (_, _, other_view), (_, _, other_pose) = group[0]
-            same_view = np.allclose(view[2], other_view, rtol=0, atol=1e-6)
-            if same_view and np.allclose(pose[2], other_pose, rtol=0, atol=1e-7 * scale):
+            other, place = group[0][0].pinhole, group[0][1].world_from_camera
+            near = np.allclose(pose.world_from_camera, place, rtol=0, atol=1e-7 * scale)
+            if near and np.allclose(view.pinhole, other, rtol=0, atol=1e-6):
                 group.append((view, pose))
                 break
         else:
             groups.append([(view, pose)])
-    merged = []
-    for group in groups:
-        columns = zip(*((pose[0], pose[1], view[0], view[1]) for view, pose in group), strict=True)
-        words = [" or ".join(dict.fromkeys(column)) for column in columns]
-        merged.append((group[0], dict(zip(LABELS, words, strict=True))))
-    return merged
+    return groups
 
 
 def _verdict(ranked: list[tuple[Hypothesis, np.ndarray]], target: np.ndarray) -> Detection:
     hypotheses = tuple(hypothesis for hypothesis, _ in ranked)
     best, image = ranked[0]
     if best.iou < 0.5:
-        words = "No reading of the numbers explains the mask"
-        return Detection(hypotheses, f"{words}: the best, {best}, has IoU {best.iou:.3f}.", False)
+        words = f"No reading of the numbers explains the mask: the best, {best}, has IoU"
+        return Detection(hypotheses, f"{words} {best.iou:.3f}.", False)
     sentence = f"{best}: IoU {best.iou:.4f}."
-    rivals = [other for other, mask in ranked[1:] if not _told_apart(image, mask, target)]
+    rivals = [other for other, mask in ranked[1:] if not _is_decided(image, mask, target)]
     if rivals:
         unsure = [
             name.replace("_", " ")
@@ -262,11 +270,12 @@ def _verdict(ranked: list[tuple[Hypothesis, np.ndarray]], target: np.ndarray) ->
         sentence += f" But the mask does not tell {' and '.join(unsure)}: {rivals[0]} has IoU"
         sentence += f" {rivals[0].iou:.4f}."
     elif len(ranked) > 1:
-        sentence += f" Next: {ranked[1][0]}, IoU {ranked[1][0].iou:.4f}."
+        sentence += f" Next: {hypotheses[1]}, IoU {hypotheses[1].iou:.4f}."
     return Detection(hypotheses, sentence, not rivals)
 
 
-def _told_apart(image: np.ndarray, other: np.ndarray, target: np.ndarray) -> bool:
+def _is_decided(image: np.ndarray, other: np.ndarray, target: np.ndarray) -> bool:
+    """Tell if a target clearly prefers an image where it differs from another one."""
     disputed = image != other
     count, votes = int(disputed.sum()), int((disputed & (image == target)).sum())
     return votes > SHARE * count and 2 * votes - count > SIGMAS * count**0.5

@@ -1,24 +1,26 @@
 """The fields of a camera file, taken out with checks that name the file and the field."""
 
 import json
-import os
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from .._camera.camera import check_camera
-from .._files.paths import read_json, replace_file
+from .._camera.camera import Camera, check_camera
+from .._files.paths import FilePath, read_json, replace_file
 
+#: Width and height of an image, px.
 Size = tuple[int, int]
-#: What a reader here reads.
+#: Cameras by name.
+Cameras = dict[str, Camera]
+#: What readers here expect a file to be.
 KIND = "a camera file"
 YES, NO = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
 class Fields:
-    """A mapping of names to values, read from `where`: a file, and which part of it.
+    """A mapping of names to values, and `where` it was read: a file, and which part of it.
 
     Every getter raises ValueError with the field, what was expected, what came, and `where`.
     """
@@ -33,7 +35,7 @@ class Fields:
         return name in self.data
 
     def wrong(self, name: str, expected: str, got: Any) -> ValueError:
-        """Return the error of a field; `got` as it stands if it is words, else shortened."""
+        """Return the error of a field; `got` is quoted as it stands if it is text."""
         words = got if isinstance(got, str) else short(got)
         return ValueError(f"`{name}`: expected {expected}, got {words} (in {self.where})")
 
@@ -43,55 +45,57 @@ class Fields:
             raise self.wrong(name, expected, "no such field")
         return self.data[name]
 
-    def number(self, name: str, default: float | int | None = None) -> float:
-        """Return a finite number."""
+    def number(
+        self,
+        name: str,
+        default: float | None = None,
+        expected: str = "a finite number",
+        least: float = -np.inf,
+        most: float = np.inf,
+    ) -> float:
+        """Return a number between two others."""
         if default is not None and name not in self.data:
             return float(default)
-        return float(self.array(name, (), "a finite number"))
-
-    def positive(self, name: str, default: float | int | None = None) -> float:
-        """Return a finite number above 0."""
-        value = self.number(name, default)
-        if not value > 0:
-            raise self.wrong(name, "a positive number", f"{value}")
+        value = float(self.array(name, (), expected))
+        if not least < value < most:
+            raise self.wrong(name, expected, f"{value:g}")
         return value
+
+    def positive(self, name: str, default: float | None = None) -> float:
+        """Return a finite number above 0."""
+        return self.number(name, default, "a positive number", 0)
 
     def angle(self, name: str) -> float:
         """Return an angle in (0, pi) rad."""
-        value = self.number(name)
-        if not 0 < value < np.pi:
-            raise self.wrong(name, "an angle in (0, pi) rad", f"{value}")
-        return value
+        return self.number(name, None, "an angle in (0, pi) rad", 0, np.pi)
 
     def integer(self, name: str, least: int = 1) -> int:
         """Return a whole number of at least `least`, below 2**31; 640.0 counts as one."""
         expected = f"an integer of at least {least}"
-        value = float(self.array(name, (), expected))
-        if value != int(value) or not least <= value < 2**31:
+        value = self.number(name, None, expected, least - 1, 2**31)
+        if value != int(value):
             raise self.wrong(name, expected, f"{value:g}")
         return int(value)
 
     def array(self, name: str, shape: Sequence[int], expected: str = "") -> np.ndarray:
         """Return finite numbers of this shape (-1: any size), float64."""
-        expected = expected or f"finite numbers of shape {_shape(shape)}"
+        sizes = ", ".join("N" if n == -1 else str(n) for n in shape) + "," * (len(shape) == 1)
+        expected = expected or f"finite numbers of shape ({sizes})"
         value = self.get(name, expected)
         array = _numbers(value)
-        if array is None:
-            raise self.wrong(name, expected, short(value))
-        fits = len(array.shape) == len(shape) and all(
-            want in (-1, got) for want, got in zip(shape, array.shape, strict=True)
+        fits = array.ndim == len(shape) and all(
+            want in (-1, size) for want, size in zip(shape, array.shape, strict=True)
         )
         if not fits or not np.all(np.isfinite(array)):
             raise self.wrong(name, expected, short(value))
         return array
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of a field's numbers, () where it holds others."""
-        array = _numbers(self.get(name, "numbers"))
-        return () if array is None else array.shape
+        """Return the shape of a field's numbers, () if it holds none."""
+        return _numbers(self.get(name, "numbers")).shape
 
     def flag(self, name: str) -> bool:
-        """Return yes or no: true, 1, "true", "yes", "on", "1" and their opposites."""
+        """Return True for true, 1, "true", "yes", "on", "1", and False for their opposites."""
         word = str(self.get(name, "true or false")).strip().lower()
         if word not in YES + NO:
             raise self.wrong(name, "true or false", short(self.data[name]))
@@ -99,20 +103,25 @@ class Fields:
 
     def text(self, name: str, choices: Sequence[str] = (), default: str | None = None) -> str:
         """Return a string, one of `choices` if there are any."""
-        expected = f"one of {', '.join(choices)}" if choices else "a text"
         if default is not None and name not in self.data:
             return default
+        expected = f"one of {', '.join(choices)}" if choices else "a text"
         value = self.get(name, expected)
         if not isinstance(value, str) or (choices and value not in choices):
             raise self.wrong(name, expected, short(value))
         return value
 
+    def items(self, name: str, count: int | None = None, kind: str = "a list") -> list[Any]:
+        """Return a list, of `count` entries if that is given."""
+        value = self.get(name, kind)
+        if not isinstance(value, list) or count not in (None, len(value)):
+            raise self.wrong(name, kind, short(value))
+        return value
+
     def parts(self, name: str) -> list["Fields"]:
         """Return the objects of a list, each with its place in `where`."""
-        value = self.get(name, "a list")
-        if not isinstance(value, list):
-            raise self.wrong(name, "a list", short(value))
-        return [Fields(part, f"{self.where}, {name}[{k}]") for k, part in enumerate(value)]
+        entries = enumerate(self.items(name))
+        return [Fields(part, f"{self.where}, {name}[{k}]") for k, part in entries]
 
     def part(self, name: str) -> "Fields":
         """Return an object within this one."""
@@ -132,7 +141,7 @@ class Fields:
         return own
 
 
-def load_json(path: str | os.PathLike[str]) -> Fields:
+def load_json(path: FilePath) -> Fields:
     """Return the fields of a JSON file."""
     data = read_json(path, KIND)
     if not isinstance(data, dict):
@@ -140,7 +149,16 @@ def load_json(path: str | os.PathLike[str]) -> Fields:
     return Fields(data, repr(str(path)))
 
 
-def parse_xml(text: str, path: str | os.PathLike[str]) -> ET.Element:
+def named_cameras(path: FilePath, read: Callable[[Fields], Camera]) -> Cameras:
+    """Return the cameras of a JSON file: of its field `cameras` by name, or the file's one."""
+    top = load_json(path)
+    if "cameras" not in top:
+        return {top.text("name", default="camera"): read(top)}
+    parts = top.part("cameras")
+    return {name: read(parts.part(name)) for name in parts.data}
+
+
+def parse_xml(text: str, path: FilePath) -> ET.Element:
     """Return the root of a file's XML, which has no DOCTYPE."""
     try:
         return ET.fromstring(text, ET.XMLParser(target=_NoDoctype()))
@@ -155,12 +173,12 @@ class _NoDoctype(ET.TreeBuilder):
         raise ValueError("a DOCTYPE, which no camera file has")
 
 
-def save_json(path: str | os.PathLike[str], data: Any) -> None:
+def save_json(path: FilePath, data: Any) -> None:
     """Write JSON, whole or not at all."""
     save_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
-def save_text(path: str | os.PathLike[str], text: str) -> None:
+def save_text(path: FilePath, text: str) -> None:
     """Write a text, whole or not at all."""
     replace_file(path, text.encode())
 
@@ -168,7 +186,7 @@ def save_text(path: str | os.PathLike[str], text: str) -> None:
 def check_cameras(
     cameras: Any, program: str, can_hold: Callable[[str], Any] = lambda name: True
 ) -> None:
-    """Raise ValueError unless these are cameras by their names, which a program can hold."""
+    """Raise ValueError unless these are cameras by names that a program can hold."""
     if not isinstance(cameras, Mapping):
         kind = type(cameras).__name__
         raise ValueError(f"`cameras`: expected a dict of Cameras by their names, got {kind}")
@@ -184,31 +202,30 @@ def check_cameras(
             raise ValueError(f"`cameras`: expected names {program} can hold, got {short(name)}")
 
 
-def add_named(cameras: dict[str, Any], name: str, camera: Any, where: str) -> None:
-    """Add a camera under its name, which no other may have."""
-    if name in cameras:
-        words = f"expected one camera of each name, got two of {short(name)}"
-        raise ValueError(f"{words} (in {where})")
-    cameras[name] = camera
+def by_name(cameras: Iterable[tuple[str, Camera]], where: str) -> Cameras:
+    """Return cameras by name, or raise ValueError where two have the same."""
+    named: Cameras = {}
+    for name, camera in cameras:
+        if name in named:
+            raise ValueError(
+                f"expected one camera of each name, got two of {short(name)} (in {where})"
+            )
+        named[name] = camera
+    return named
 
 
-def _numbers(value: Any) -> np.ndarray | None:
-    """Return real numbers as an array, None where they are no such thing."""
+def _numbers(value: Any) -> np.ndarray:
+    """Return real numbers as an array, NaN for anything else."""
     try:
         array = np.asarray(value)
     except (TypeError, ValueError):
-        return None
-    return array.astype(float) if array.dtype.kind in "iuf" else None
-
-
-def _shape(shape: Sequence[int]) -> str:
-    sizes = ["N" if n == -1 else str(n) for n in shape]
-    return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
+        return np.array(np.nan)
+    return array.astype(float) if array.dtype.kind in "iuf" else np.array(np.nan)
 
 
 def number(text: str) -> float:
     """Return the number that a text is, or raise ValueError; Python would read 1_0 as 10."""
-    if "_" in text:
+    if "_" in text or not text.isascii():
         raise ValueError(f"could not convert to a number: {short(text)}")
     return float(text)
 
@@ -218,9 +235,4 @@ def short(value: Any) -> str:
     if isinstance(value, str):
         value = value[:80]
     words = repr(value.tolist() if isinstance(value, np.ndarray) else value)
-    return clipped(words, 80)
-
-
-def clipped(words: str, length: int) -> str:
-    """Return words, cut where they are longer."""
-    return words if len(words) <= length else words[: length - 3] + "..."
+    return words if len(words) <= 80 else f"{words[:77]}..."

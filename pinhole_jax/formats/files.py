@@ -1,15 +1,22 @@
 """One door for all files: `read` and `write` guess the format by name and content."""
 
-import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._camera.camera import Camera
-from .._files.paths import existing, is_folder, path_of, read_json as load_json, read_text
+from .._files.paths import (
+    FilePath,
+    existing,
+    file_and_name,
+    is_folder,
+    path_of,
+    read_json as load_json,
+    read_text,
+)
 from .blender import SCHEMA as BLENDER_SCHEMA, read_blender, write_blender, write_blender_script
 from .colmap import read_colmap, write_colmap
-from .fields import KIND, Size, parse_xml, short
+from .fields import KIND, Cameras, Size, parse_xml, short
 from .gltf import read_gltf, write_gltf
 from .mitsuba import read_mitsuba, write_mitsuba
 from .native import CAMERA_SCHEMA, CAMERAS_SCHEMA, read_json, write_json
@@ -20,44 +27,38 @@ from .unknown import unknown
 
 
 class Format(NamedTuple):
-    """A format: how it is read and written; `sized`, whether reading may need the image's size."""
+    """A format's reader, writer, the endings of its files, and the part of a JSON file's name that
+    asks for it; `sized`: reading may need the image's size."""
 
-    read: Callable[..., dict[str, Camera]] | None
+    read: Callable[..., Cameras] | None
     write: Callable[[Any, Mapping[str, Camera]], None]
+    endings: tuple[str, ...] = ()
+    word: str | None = None
     sized: bool = True
+
+
+def _write_colmap_binary(folder: FilePath, cameras: Mapping[str, Camera]) -> None:
+    write_colmap(folder, cameras, binary=True)
 
 
 FORMATS = {
     "json": Format(read_json, write_json, sized=False),
-    "opencv": Format(read_opencv, write_opencv),
+    "opencv": Format(read_opencv, write_opencv, (".yml", ".yaml")),
     "colmap": Format(read_colmap, write_colmap, sized=False),
-    "colmap-binary": Format(
-        read_colmap,
-        lambda folder, cameras: write_colmap(folder, cameras, binary=True),
-        sized=False,
-    ),
-    "nerf": Format(read_nerf, write_nerf),
-    "blender": Format(read_blender, write_blender),
-    "blender-script": Format(None, write_blender_script),
-    "gltf": Format(read_gltf, write_gltf),
-    "pytorch3d": Format(read_pytorch3d, write_pytorch3d),
-    "mitsuba": Format(read_mitsuba, write_mitsuba),
+    "colmap-binary": Format(read_colmap, _write_colmap_binary, sized=False),
+    "nerf": Format(read_nerf, write_nerf, word="transforms"),
+    "blender": Format(read_blender, write_blender, word="blender"),
+    "blender-script": Format(None, write_blender_script, (".py",)),
+    "gltf": Format(read_gltf, write_gltf, (".gltf", ".glb")),
+    "pytorch3d": Format(read_pytorch3d, write_pytorch3d, word="pytorch3d"),
+    "mitsuba": Format(read_mitsuba, write_mitsuba, (".xml",)),
 }
-#: Fields by which JSON is taken for the project's own, or for a format that has no schema.
+ENDINGS = {ending: name for name, format in FORMATS.items() for ending in format.endings}
+#: Fields by which JSON is taken for the project's own.
 OWN = {"schema", "e", "p", "u", "phi", "phi_degrees", "lens", "W", "H"}
-ENDINGS = {
-    ".yml": "opencv",
-    ".yaml": "opencv",
-    ".xml": "mitsuba",
-    ".gltf": "gltf",
-    ".glb": "gltf",
-    ".py": "blender-script",
-}
 
 
-def read(
-    path: str | os.PathLike[str], format: str | None = None, *, size: Size | None = None
-) -> dict[str, Camera]:
+def read(path: FilePath, format: str | None = None, *, size: Size | None = None) -> Cameras:
     """Return the cameras of a file (COLMAP: a folder), by name.
 
     `format` is one of `FORMATS`; None guesses it by the path's ending and, of JSON and XML, by
@@ -77,10 +78,10 @@ def read(
     name = _checked(format) or _guess_read(place)
     if place.is_file() and place.stem in ("cameras", "images") and name.startswith("colmap"):
         place = place.parent
-    reader, _, sized = FORMATS[name]
+    reader = FORMATS[name].read
     if reader is None:
         raise ValueError(f"`format`: expected one that can be read, got {name!r}: written only")
-    if sized:
+    if FORMATS[name].sized:
         return reader(place, size=size)
     cameras = reader(place)
     for camera in cameras.values() if size is not None else ():
@@ -90,7 +91,7 @@ def read(
     return cameras
 
 
-def read_one(path: str | os.PathLike[str], *, size: Size | None = None) -> Camera:
+def read_one(path: FilePath, *, size: Size | None = None) -> Camera:
     """Return the camera of a file that holds one, or by its name: "transforms.json:left".
 
     `size` is the image's (W, H) in px, for formats whose files need not hold it.
@@ -102,10 +103,7 @@ def read_one(path: str | os.PathLike[str], *, size: Size | None = None) -> Camer
     camera_again = pj.formats.read_one("camera.json")  # FILE:NAME is one of several
     ```
     """
-    place, name = path_of(path), None
-    if not place.exists() and ":" in place.name:
-        head, _, name = str(path).rpartition(":")
-        place = path_of(head)
+    place, name = file_and_name(path)
     if not is_folder(place):
         existing(place, KIND)
     format = _guess_read(place)
@@ -116,14 +114,13 @@ def read_one(path: str | os.PathLike[str], *, size: Size | None = None) -> Camer
             f"`path`: expected one camera, or a name after a colon, got {len(cameras)} in"
             f" {str(place)!r}: {known}"
         )
-    if name is not None and name not in cameras:
+    name = next(iter(cameras)) if name is None else name
+    if name not in cameras:
         raise ValueError(f"`path`: expected a name among {known}, got {name!r} (in {str(place)!r})")
-    return next(iter(cameras.values())) if name is None else cameras[name]
+    return cameras[name]
 
 
-def write(
-    path: str | os.PathLike[str], cameras: Mapping[str, Camera], format: str | None = None
-) -> None:
+def write(path: FilePath, cameras: Mapping[str, Camera], format: str | None = None) -> None:
     """Write cameras to a file (COLMAP: a folder), whole or not at all.
 
     `format` is one of `FORMATS`; None guesses it by the path: .yaml is OpenCV, .xml Mitsuba, .gltf
@@ -167,16 +164,16 @@ def _of_json(path: Path) -> str:
         return "nerf"
     if {"camera_matrix", "cameraMatrix"} & names:
         return "opencv"
-    if not names & OWN:
-        known = ", ".join(name for name, format in FORMATS.items() if format.read)
-        if isinstance(data, dict) or unknown(data):
-            got = unknown(data) or f"JSON with the fields {short(sorted(names))}"
-            raise ValueError(f"`path`: expected one of {known}, got {got} (in {str(path)!r})")
+    if names & OWN:
+        return "json"
+    if not (isinstance(data, dict) or unknown(data)):
         raise ValueError(f"`path`: expected a JSON object, got {short(data)} in {str(path)!r}")
-    return "json"
+    known = ", ".join(name for name, format in FORMATS.items() if format.read)
+    got = unknown(data) or f"JSON with the fields {short(sorted(names))}"
+    raise ValueError(f"`path`: expected one of {known}, got {got} (in {str(path)!r})")
 
 
-def guess_write(path: str | os.PathLike[str]) -> str:
+def guess_write(path: FilePath) -> str:
     """Return the format that a path to be written asks for.
 
     ```python
@@ -188,17 +185,16 @@ def guess_write(path: str | os.PathLike[str]) -> str:
         return "colmap"
     if place.suffix.lower() != ".json":
         return _by_ending(place)
-    for word, name in (("transforms", "nerf"), ("blender", "blender"), ("pytorch3d", "pytorch3d")):
-        if word in place.stem.lower():
-            return name
-    return "json"
+    stem = place.stem.lower()
+    named = (name for name, format in FORMATS.items() if format.word and format.word in stem)
+    return next(named, "json")
 
 
 def _by_ending(path: Path) -> str:
-    if path.suffix.lower() not in ENDINGS:
-        known = ", ".join([".json", *ENDINGS])
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
         raise ValueError(
-            f"`path`: expected a folder (COLMAP) or one of {known}, got {path.name!r}; formats"
-            f" are {', '.join(FORMATS)}"
+            f"`path`: expected a folder (COLMAP) or one of {', '.join(['.json', *ENDINGS])}, got"
+            f" {path.name!r}; formats are {', '.join(FORMATS)}"
         )
-    return ENDINGS[path.suffix.lower()]
+    return ENDINGS[ending]

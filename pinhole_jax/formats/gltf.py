@@ -11,32 +11,38 @@ Read here and not through trimesh, which keeps one camera of a file, no node abo
 
 import json
 import os
-import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .._camera.camera import Camera
-from .._files.paths import MOST_BYTES, opened, parse_json, read_text, replace_file, text_of
-from .fields import KIND, Fields, Size, add_named, check_cameras, short
+from .._files.paths import (
+    MOST_BYTES,
+    FilePath,
+    opened,
+    parse_json,
+    read_text,
+    replace_file,
+    text_of,
+)
+from .._mesh_files.glb import HEAD, glb_of, json_size
+from .fields import KIND, Cameras, Fields, Size, by_name, check_cameras, short
 from .pinhole import (
     OPENGL,
     Pinhole,
     camera_of,
+    checked_pose,
     focal_of_fov,
     fov_of_focal,
     pinhole,
-    rigid,
     world_from_camera,
 )
-from .rotations import is_unit, rotations
-
-MAGIC, JSON_CHUNK = 0x46546C67, 0x4E4F534A
+from .rotations import rotation_of
 
 
-def read_gltf(path: str | os.PathLike[str], *, size: Size | None = None) -> dict[str, Camera]:
+def read_gltf(path: FilePath, *, size: Size | None = None) -> Cameras:
     """Return the perspective cameras of a glTF file, by the name of their node.
 
     `size` is the image's (W, H) in px, unless the camera's `extras` hold `W` and `H`.
@@ -51,28 +57,13 @@ def read_gltf(path: str | os.PathLike[str], *, size: Size | None = None) -> dict
     ```
     """
     top = Fields(_header(path), repr(str(path)))
-    nodes = top.parts("nodes") if "nodes" in top else []
-    own = top.parts("cameras") if "cameras" in top else []
-    parents, worlds = _parents(nodes), {}
-    asset = top.data.get("asset", {})
-    by_trimesh = isinstance(asset, dict) and "trimesh" in str(asset.get("generator", ""))
-    cameras: dict[str, Camera] = {}
-    for k, node in enumerate(nodes):
-        if "camera" not in node:
-            continue
-        index = node.integer("camera", 0)
-        if index >= len(own):
-            raise node.wrong("camera", f"a number below {len(own)}", f"{index}")
-        name = node.text("name", default=own[index].text("name", default=f"camera_{k}"))
-        pose = rigid(_world(k, nodes, parents, worlds), node, "matrix")
-        view = _intrinsics(own[index], size, by_trimesh)
-        add_named(cameras, name, camera_of(view, pose, OPENGL, node), repr(str(path)))
+    cameras = by_name(_cameras(top, size), top.where)
     if not cameras:
         raise top.wrong("cameras", "a node with a camera", "none")
     return cameras
 
 
-def write_gltf(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
+def write_gltf(path: FilePath, cameras: Mapping[str, Camera]) -> None:
     """Write cameras as glTF, .gltf or .glb by the file's ending; their sizes go to `extras`.
 
     Raises ValueError for a camera that glTF cannot say: a principal point off the image's centre,
@@ -92,66 +83,66 @@ def write_gltf(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> N
                 f" nothing else, got ({view.cx:g}, {view.cy:g}) px of {view.W} x {view.H} and"
                 f" fx/fy = {view.fx / view.fy:g} in {name!r}"
             )
+    nodes = [
+        {"name": name, "camera": k, "matrix": world_from_camera(camera, OPENGL).T.ravel().tolist()}
+        for k, (name, camera) in enumerate(cameras.items())
+    ]
     data = {
         "asset": {"version": "2.0", "generator": "pinhole_jax"},
         "scene": 0,
-        "scenes": [{"nodes": list(range(len(cameras)))}],
-        "nodes": [
-            {
-                "name": name,
-                "camera": k,
-                "matrix": world_from_camera(camera, OPENGL).T.ravel().tolist(),
-            }
-            for k, (name, camera) in enumerate(cameras.items())
-        ],
+        "scenes": [{"nodes": list(range(len(nodes)))}],
+        "nodes": nodes,
         "cameras": [_perspective(name, pinhole(camera)) for name, camera in cameras.items()],
     }
     text = json.dumps(data, indent=1, allow_nan=False).encode()
-    if Path(path).suffix.lower() == ".glb":
-        text += b" " * (-len(text) % 4)
-        head = struct.pack("<5I", MAGIC, 2, 20 + len(text), len(text), JSON_CHUNK)
-        text = head + text
-    replace_file(path, text)
+    replace_file(path, glb_of(text) if Path(path).suffix.lower() == ".glb" else text)
 
 
 def _perspective(name: str, view: Pinhole) -> dict[str, Any]:
+    fov = fov_of_focal(view.fy, view.H)
     return {
         "name": name,
         "type": "perspective",
-        "perspective": {
-            "aspectRatio": view.W / view.H,
-            "yfov": fov_of_focal(view.fy, view.H),
-            "znear": 0.01,
-        },
+        "perspective": {"aspectRatio": view.W / view.H, "yfov": fov, "znear": 0.01},
         "extras": {"W": view.W, "H": view.H},
     }
 
 
-def _header(path: str | os.PathLike[str]) -> Any:
+def _header(path: FilePath) -> Any:
     """Return the JSON of a .gltf, or of a .glb's first chunk."""
     with opened(path, KIND, None) as stream:
-        head = stream.read(20)
-        if head[:4] != struct.pack("<I", MAGIC):
-            return parse_json(read_text(path, KIND), path, "glTF")
-        size = os.fstat(stream.fileno()).st_size
-        if len(head) < 20 or size < struct.unpack_from("<I", head, 8)[0]:
-            raise ValueError(f"`path`: expected a whole glb, got {str(path)!r}: cut short")
-        length, kind = struct.unpack_from("<2I", head, 12)
-        if kind != JSON_CHUNK:
-            raise ValueError(f"`path`: expected JSON first in a glb, got {str(path)!r}")
-        if length > MOST_BYTES:
-            words = f"JSON of at most {MOST_BYTES} bytes in a glb, got {str(path)!r}: {length}"
+        try:
+            size = json_size(stream.read(HEAD.size), os.fstat(stream.fileno()).st_size)
+        except ValueError as error:
+            raise ValueError(f"`path`: {error} (in {str(path)!r})") from None
+        if size is not None and size > MOST_BYTES:
+            words = f"JSON of at most {MOST_BYTES} bytes in a glb, got {str(path)!r}: {size}"
             raise ValueError(f"`path`: expected {words}")
-        return parse_json(text_of(stream.read(length), path), path, "glTF")
+        text = read_text(path, KIND) if size is None else text_of(stream.read(size), path)
+        return parse_json(text, path, "glTF")
+
+
+def _cameras(top: Fields, size: Size | None) -> Iterator[tuple[str, Camera]]:
+    """Yield the cameras of the nodes that have one, with their names."""
+    nodes, own = (top.parts(name) if name in top else [] for name in ("nodes", "cameras"))
+    parents = _parents(nodes)
+    worlds: dict[int, np.ndarray] = {}
+    asset = top.data.get("asset", {})
+    by_trimesh = isinstance(asset, dict) and "trimesh" in str(asset.get("generator", ""))
+    for k, node in enumerate(nodes):
+        if "camera" in node:
+            index = node.integer("camera", 0)
+            if index >= len(own):
+                raise node.wrong("camera", f"a number below {len(own)}", f"{index}")
+            name = node.text("name", default=own[index].text("name", default=f"camera_{k}"))
+            pose = checked_pose(_world(k, nodes, parents, worlds), node, "matrix")
+            yield name, camera_of(_intrinsics(own[index], size, by_trimesh), pose, OPENGL, node)
 
 
 def _parents(nodes: list[Fields]) -> dict[int, int]:
     parents: dict[int, int] = {}
     for k, node in enumerate(nodes):
-        children = node.data.get("children", [])
-        if not isinstance(children, list):
-            raise node.wrong("children", "a list", short(children))
-        for child in children:
+        for child in node.items("children") if "children" in node else ():
             if type(child) is not int or child in parents or not 0 <= child < len(nodes):
                 raise node.wrong("children", "nodes with one parent each", short(child))
             parents[child] = k
@@ -159,36 +150,33 @@ def _parents(nodes: list[Fields]) -> dict[int, int]:
 
 
 def _world(
-    k: int, nodes: list[Fields], parents: dict[int, int], known: dict[int, np.ndarray]
+    k: int, nodes: list[Fields], parents: dict[int, int], worlds: dict[int, np.ndarray]
 ) -> np.ndarray:
-    """Return the (4, 4) transform of a node's frame to the world; it becomes one of the `known`,
-    and so do those of the nodes above it."""
-    way: dict[int, None] = {}
+    """Return the (4, 4) transform of a node's frame to the world, and add it to `worlds`, with
+    those of the nodes above it."""
+    above: dict[int, None] = {}
     node: int | None = k
-    while node is not None and node not in known:
-        if node in way:
+    while node is not None and node not in worlds:
+        if node in above:
             raise nodes[node].wrong("children", "a tree", "a circle")
-        way[node] = None
+        above[node] = None
         node = parents.get(node)
-    matrix = np.eye(4) if node is None else known[node]
+    matrix = np.eye(4) if node is None else worlds[node]
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is no rotation
-        for node in reversed(way):
-            matrix = matrix @ _local(nodes[node])
-            known[node] = matrix
+        for node in reversed(above):
+            matrix = worlds[node] = matrix @ _local(nodes[node])
     return matrix
 
 
 def _local(node: Fields) -> np.ndarray:
+    """Return a node's own transform (4, 4)."""
     if "matrix" in node:
         if both := {"rotation", "scale", "translation"} & node.data.keys():
             raise node.wrong("matrix", "one kind of transform", f"both it and {min(both)}")
         return node.array("matrix", (16,)).reshape(4, 4).T
     matrix = np.eye(4)
     if "rotation" in node:
-        q = node.array("rotation", (4,))
-        if not is_unit(q):
-            raise node.wrong("rotation", "a quaternion of length 1", q)
-        matrix[:3, :3] = rotations().from_quat(q).as_matrix()
+        matrix[:3, :3] = rotation_of(node.array("rotation", (4,)), node, "rotation")
     if "scale" in node:
         matrix[:3, :3] *= node.array("scale", (3,))
     if "translation" in node:
@@ -200,8 +188,8 @@ def _intrinsics(fields: Fields, size: Size | None, by_trimesh: bool) -> Pinhole:
     fields.text("type", ("perspective",))
     perspective = fields.part("perspective")
     extras = fields.data.get("extras")
-    held = extras if isinstance(extras, dict) else {}
-    W, H = Fields(held, f"{fields.where}, extras").size("W", "H", size)
+    own = Fields(extras if isinstance(extras, dict) else {}, f"{fields.where}, extras")
+    W, H = own.size("W", "H", size)
     aspect = perspective.positive("aspectRatio", W / H)
     if abs(aspect * H / W - 1) > 0.01 and not by_trimesh:
         raise perspective.wrong("aspectRatio", f"W/H = {W / H:g} of {W} x {H} px", f"{aspect:g}")

@@ -1,22 +1,21 @@
 """Intrinsics alone, from whatever file holds them: calibrations, COLMAP's cameras, JSON."""
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .._camera.camera import Camera, focal_px, principal_point
+from .._camera.camera import Camera
 from .._camera.distortion import Distortion
 from .._camera.matrices import Centres
-from .._files.paths import existing, is_folder, path_of, read_json
+from .._files.paths import FilePath, existing, file_and_name, is_folder, read_json
 from .._numerics.arrays import Input
 from .colmap import colmap_intrinsics
 from .fields import KIND, Fields, Size, short
-from .native import read_json as read_own
+from .native import camera_of_fields
 from .opencv import opencv_intrinsics
-from .pinhole import OPENCV, Pinhole, camera_of
+from .pinhole import OPENGL, Pinhole, camera_of, pinhole
 from .unknown import CAMCHAIN, unknown
 
 #: Names of a matrix K, nine numbers or fx, fy, cx, cy; of these one by one; of coefficients.
@@ -26,12 +25,15 @@ FOCAL = ("f", "focal", "focal_length", "focal_px", "focallength_px")
 NUMBERS = (("fx", "fl_x", *FOCAL), ("fy", "fl_y", *FOCAL), ("cx",), ("cy",))
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 SIZES = {"image_width": ("width", "w", "W"), "image_height": ("height", "h", "H")}
+COLMAP = ("cameras.bin", "cameras.txt")
+#: Fields of the project's own cameras.
+OWN = {"e", "p", "u", "phi"}
 #: A focal length of fewer px is of a picture whose width counts as 1.
 LEAST_PX = 10.0
 
 
 def read_intrinsics(
-    path: str | os.PathLike[str],
+    path: FilePath,
     *,
     size: Size | None = None,
     pixel_centres: Input[Centres, "of K"] = "integer",
@@ -55,31 +57,24 @@ def read_intrinsics(
     lens = pj.formats.read_intrinsics("left.yaml").lens
     ```
     """
-    place, number = path_of(path), None
-    if not place.exists() and ":" in place.name:
-        head, _, number = str(path).rpartition(":")
-        place = path_of(head)
+    place, name = file_and_name(path)
     if is_folder(place):
-        names = ("cameras.bin", "cameras.txt")
-        place = next((p for n in names if (p := place / n).exists()), place / names[-1])
+        models = (place / model for model in COLMAP)
+        place = next((model for model in models if model.exists()), place / COLMAP[-1])
     existing(place, KIND)
-    if place.name in ("cameras.bin", "cameras.txt"):
-        where = repr(str(place))
-        view, distortion = _chosen(colmap_intrinsics(place), number, where)
-        return _unplaced(view, distortion, Fields({}, where))
-    fields = _fields(place, number)
-    if {"e", "p", "u", "phi"} <= fields.data.keys():
-        (own,) = read_own(place).values()
-        (fx, fy), (x, y) = focal_px(own), principal_point(own)
-        view = Pinhole(float(fx), float(fy), float(x), own.H - float(y), own.W, own.H)
-        return _unplaced(view, own.distortion, fields)
+    if place.name in COLMAP:
+        return _unplaced(*_chosen(colmap_intrinsics(place), name, repr(str(place))))
+    fields = _fields(place, name)
+    if fields.data.keys() >= OWN:
+        own = camera_of_fields(fields)
+        return _unplaced(pinhole(own, distorted=True), own.distortion, fields)
     return _unplaced(*opencv_intrinsics(fields, size, pixel_centres), fields)
 
 
 def _unplaced(view: Pinhole, distortion: Distortion | None, fields: Fields) -> Camera:
-    pose = np.diag([1.0, -1, -1, 1])
+    pose = np.eye(4)
     pose[2, 3] = 1.0
-    return camera_of(view, pose, OPENCV, fields, distortion)
+    return camera_of(view, pose, OPENGL, fields, distortion)
 
 
 def _chosen(cameras: Mapping[str, Any], name: str | None, where: str) -> Any:
@@ -109,13 +104,14 @@ def _fields(place: Path, camera: str | None) -> Fields:
         if isinstance(part := data.get(name), Mapping) and "data" not in part:
             data = {**data, **part}
             del data[name]
-    if {"e", "p", "u", "phi"} <= data.keys():
+    if data.keys() >= OWN:
         return fields
     if isinstance(both := data.pop("resolution", None), list) and len(both) == 2:
         data["image_width"], data["image_height"] = both
     for name, others in SIZES.items():
-        found = [data.pop(other) for other in others if other in data]
-        data.update(dict.fromkeys([name], found[0]) if found else {})
+        for other in others:
+            if other in data:
+                data[name] = data.pop(other)
     bent = {name: data.pop(name) for name in COEFFICIENTS if data.get(name) is not None}
     if any(bent.values()):
         data["distortion_coefficients"] = bent
@@ -126,19 +122,19 @@ def _fields(place: Path, camera: str | None) -> Fields:
 def _matrix(data: dict[str, Any], file: Fields) -> Any:
     """Return K (3, 3) of a file's fields, which are taken out of `data`."""
     name = next((name for name in MATRIX if name in data), None)
-    if name is None:
+    if name is not None:
+        value = data.pop(name)
+        value = value.get("data", value) if isinstance(value, Mapping) else value
+    else:
         names = [next((n for n in known if n in data), known[0]) for known in NUMBERS]
         if missing := [name for name in names if name not in data]:
             got = unknown(file.data) or f"no {', no '.join(missing)}"
             raise file.wrong("path", "K, or fx, fy, cx, cy (px)", got)
-        value = [data[name] for name in names]
         if "fl_x" in names:  # NeRF's
             data["pixel_centres"] = "half"
-        for name in set(names):
+        value = [data[name] for name in names]
+        for name in {*names}:
             del data[name]
-    else:
-        value = data.pop(name)
-        value = value.get("data", value) if isinstance(value, Mapping) else value
     numbers = Fields({"K": np.ravel(value).tolist()}, file.where).array("K", (-1,))
     if len(numbers) == 4:
         fx, fy, cx, cy = numbers

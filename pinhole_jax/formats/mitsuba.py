@@ -7,22 +7,22 @@ height, positive where the principal point moves left and up. Film positions cou
 pixel centres at halves.
 """
 
-import os
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from .._camera.camera import Camera
-from .._files.paths import read_text
+from .._files.paths import FilePath, read_text
 from .fields import (
     KIND,
+    Cameras,
     Fields,
     Size,
-    add_named,
+    by_name,
     check_cameras,
     number,
     parse_xml,
@@ -33,10 +33,10 @@ from .pinhole import (
     LEFT_UP_FORWARD,
     Pinhole,
     camera_of,
+    checked_pose,
     focal_of_fov,
     fov_of_focal,
     pinhole,
-    rigid,
     world_from_camera,
 )
 from .rotations import rotations
@@ -46,11 +46,12 @@ AXES = ("x", "y", "diagonal", "smaller", "larger")
 FILM = {"width": 768, "height": 576}  # Mitsuba's own, where a film says nothing
 #: Characters that XML 1.0 cannot hold, escaped or not.
 NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-#: The longest name of a `<default>`, and the longest attribute once it is filled in.
-MOST_NAME, MOST_TEXT, MOST_DEFAULTS = 64, 1 << 16, 1 << 20
+#: A small file can stand for a large text: the most characters of a default's name, `$names` of an
+#: attribute, characters of it once it is filled in, and characters that defaults add to a file.
+MOST_NAME, MOST_DOLLARS, MOST_TEXT, MOST_ADDED = 64, 100, 1 << 16, 1 << 20
 
 
-def read_mitsuba(path: str | os.PathLike[str], *, size: Size | None = None) -> dict[str, Camera]:
+def read_mitsuba(path: FilePath, *, size: Size | None = None) -> Cameras:
     """Return the perspective sensors of a Mitsuba scene, by `id`, or "sensor", "sensor_1" ...
 
     What a scene leaves out has Mitsuba's values: fov_axis x, 50 mm (of a 36 x 24 mm film's
@@ -69,20 +70,10 @@ def read_mitsuba(path: str | os.PathLike[str], *, size: Size | None = None) -> d
         words = "expected Mitsuba's XML (its root is <scene>) or OpenCV's (<opencv_storage>)"
         got = unknown(root.tag) or f"the root <{root.tag[:60]}>"
         raise ValueError(f"`path`: {words}, got {got} (in {str(path)!r})")
-    where = repr(str(path))
-    defaults = _defaults(root, where)
-    sensors = [root] if root.tag == "sensor" else list(root.iter("sensor"))
-    if not sensors:
-        raise ValueError(f"`sensor`: expected one in a Mitsuba scene, got none (in {where})")
-    cameras: dict[str, Camera] = {}
-    for k, sensor in enumerate(sensors):
-        name = sensor.get("id") or (f"sensor_{k}" if k else "sensor")
-        scene = _Sensor(defaults, f"{where}, sensor {short(name)}")
-        add_named(cameras, name, _read(sensor, scene, size), where)
-    return cameras
+    return by_name(_cameras(root, size, repr(str(path))), repr(str(path)))
 
 
-def write_mitsuba(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
+def write_mitsuba(path: FilePath, cameras: Mapping[str, Camera]) -> None:
     """Write perspective sensors, `fov_axis` y, as a Mitsuba 3 scene of nothing else.
 
     Raises ValueError for a camera whose pixels are not square (Mitsuba has no other), and for a
@@ -133,63 +124,71 @@ SENSOR = """\
 """
 
 
-def _defaults(root: ET.Element, where: str) -> dict[str, str]:
-    """Return the values of `$names`; as in Mitsuba, the first of a name holds for what follows."""
+def _cameras(root: ET.Element, size: Size | None, where: str) -> Iterator[tuple[str, Camera]]:
+    """Yield the cameras of a scene's sensors, with their names."""
+    _fill(root, where)
+    sensors = list(root.iter("sensor"))
+    if not sensors:
+        raise ValueError(f"`sensor`: expected one in a Mitsuba scene, got none (in {where})")
+    for k, sensor in enumerate(sensors):
+        name = sensor.get("id") or (f"sensor_{k}" if k else "sensor")
+        yield name, _camera(sensor, size, f"{where}, sensor {short(name)}")
+
+
+def _fill(root: ET.Element, where: str) -> None:
+    """Replace `$names` in attributes by their defaults: the first of a name holds, as in
+    Mitsuba."""
     defaults: dict[str, str] = {}
-    together = 0
-    for element in root.iter("default"):
-        name, value = element.get("name", ""), element.get("value", "")
-        if not 0 < len(name) <= MOST_NAME:
-            words = f"a name of 1 to {MOST_NAME} characters, got {short(name)}"
+    added = 0
+    inside = (element for sensor in root.iter("sensor") for element in sensor.iter())
+    for element in (*root.iter("default"), *inside):
+        for name, text in element.items():
+            filled = _filled(name, text, defaults, f"{where}, <{element.tag[:60]}>")
+            element.set(name, filled)
+            added += len(filled) - len(text)
+        if added > MOST_ADDED:
+            words = f"values of at most {MOST_ADDED} characters together, got more"
             raise ValueError(f"`default`: expected {words} (in {where})")
-        defaults.setdefault(name, _filled("value", value, defaults, where))
-        together += len(name) + len(defaults[name])
-        if together > MOST_DEFAULTS:
-            words = f"values of at most {MOST_DEFAULTS} characters together, got more"
-            raise ValueError(f"`default`: expected {words} (in {where})")
-    return defaults
+        if element.tag == "default":
+            name = element.get("name", "")
+            if not 0 < len(name) <= MOST_NAME:
+                words = f"a name of 1 to {MOST_NAME} characters, got {short(name)}"
+                raise ValueError(f"`default`: expected {words} (in {where})")
+            defaults.setdefault(name, element.get("value", ""))
 
 
 def _filled(name: str, text: str, defaults: Mapping[str, str], where: str) -> str:
-    """Return an attribute, its `$names` replaced in one pass."""
-    head, *parts = text.split("$")
-    filled, length = [head], len(head)
+    """Return an attribute, each `$name` replaced by the default of the longest name that fits."""
+    head, *parts = text.split("$", MOST_DOLLARS)
     for part in parts:
-        ends = range(min(len(part), MOST_NAME), 0, -1)
-        end = next((n for n in ends if part[:n] in defaults), 0)
-        filled.append(defaults[part[:end]] + part[end:] if end else f"${part}")
-        length += len(filled[-1])
-        if length > MOST_TEXT:
-            words = f"at most {MOST_TEXT} characters once it is filled in, got more (in {where})"
-            raise ValueError(f"`{name}`: expected {words}")
-    return "".join(filled)
+        names = (part[:n] for n in range(MOST_NAME, 0, -1))
+        known = next((name for name in names if name in defaults), None)
+        head += f"${part}" if known is None else defaults[known] + part[len(known) :]
+    if parts and (len(head) > MOST_TEXT or "$" in parts[-1]):
+        words = f"at most {MOST_TEXT} characters once it is filled in, got more (in {where})"
+        raise ValueError(f"`{name}`: expected {words}")
+    return head
 
 
-class _Sensor(NamedTuple):
-    """Where a sensor is, and what `$names` stand for."""
+def _attributes(element: ET.Element, where: str) -> Fields:
+    """Return an element's attributes, those that are numbers (parted by commas or blanks) as
+    such."""
+    data = {name: _value(text) for name, text in element.items()}
+    return Fields(data, f"{where}, <{element.tag[:60]}>")
 
-    defaults: Mapping[str, str]
-    where: str
 
-    def attributes(self, element: ET.Element) -> Fields:
-        """Return an element's attributes; what are numbers, separated by commas or blanks, is
-        numbers."""
-        where = f"{self.where}, <{element.tag[:60]}>"
-        texts = {k: _filled(k, text, self.defaults, where) for k, text in element.attrib.items()}
-        return Fields({name: _value(text) for name, text in texts.items()}, where)
-
-    def properties(self, element: ET.Element) -> Fields:
-        """Return an element's type and its named numbers and texts, names as Mitsuba 3's."""
-        data: dict[str, Any] = {"type": self.attributes(element).data.get("type", "")}
-        for part in element:
-            if part.tag in ("float", "integer", "string"):
-                name = _snake(part.get("name", "")[:MOST_NAME])
-                if name in data:
-                    words = f"expected one such property, got two (in {self.where})"
-                    raise ValueError(f"`{name}`: {words}")
-                own = Fields({name: self.attributes(part).get("value", "a value")}, self.where)
-                data[name] = own.data[name] if part.tag == "string" else own.number(name)
-        return Fields(data, self.where)
+def _properties(element: ET.Element, where: str) -> Fields:
+    """Return an element's type and its named numbers and texts, names as Mitsuba 3's."""
+    data: dict[str, Any] = {"type": element.get("type", "")}
+    for part in element:
+        if part.tag in ("float", "integer", "string"):
+            name = _snake(part.get("name", "")[:MOST_NAME])
+            if name in data:
+                raise ValueError(f"`{name}`: expected one such property, got two (in {where})")
+            value = _attributes(part, where).get("value", "a value")
+            own = Fields({name: value}, where)
+            data[name] = value if part.tag == "string" else own.number(name)
+    return Fields(data, where)
 
 
 def _value(text: str) -> Any:
@@ -200,17 +199,17 @@ def _value(text: str) -> Any:
     return numbers if len(numbers) > 1 else numbers[0]
 
 
-def _read(sensor: ET.Element, scene: _Sensor, size: Size | None) -> Camera:
-    fields = scene.properties(sensor)
+def _camera(sensor: ET.Element, size: Size | None, where: str) -> Camera:
+    fields = _properties(sensor, where)
     fields.text("type", ("perspective",))
     moves = [t for t in sensor.findall("transform") if _snake(t.get("name", "")) == "to_world"]
     films = sensor.findall("film")
     if len(moves) > 1 or len(films) > 1:
         raise fields.wrong("to_world", "one transform and one film", "two")
-    own = scene.properties(films[0]).data if films else {}
-    if not films and size is not None:
-        own = {"width": size[0], "height": size[1]}
-    film = Fields({**FILM, **own}, f"{scene.where}, film")
+    own: Mapping[str, Any] = dict(zip(FILM, size or (), strict=False))
+    if films:
+        own = _properties(films[0], where).data
+    film = Fields({**FILM, **own}, f"{where}, film")
     W, H = film.size("width", "height", size)
     focal = _focal(fields, W, H)
     cx = W * (0.5 - fields.number("principal_point_offset_x", 0)) - film.number("crop_offset_x", 0)
@@ -220,23 +219,22 @@ def _read(sensor: ET.Element, scene: _Sensor, size: Size | None) -> Camera:
     pose = np.eye(4)
     with np.errstate(all="ignore"):  # what overflows is no rotation
         for step in (step for move in moves for step in move):
-            pose = _step(_snake(step.tag), scene.attributes(step)) @ pose
-    pose = rigid(pose, fields, "to_world")
+            pose = _step(_snake(step.tag), _attributes(step, where)) @ pose
+    pose = checked_pose(pose, fields, "to_world")
     return camera_of(Pinhole(focal, focal, cx, cy, W, H), pose, LEFT_UP_FORWARD, fields)
 
 
 def _focal(fields: Fields, W: int, H: int) -> float:
     """Return the focal length in px."""
     diagonal = float(np.hypot(W, H))
-    if "fov" in fields and "focal_length" in fields:
-        raise fields.wrong("fov", "it or focal_length", "both")
     if "fov" not in fields:
         words = str(fields.data.get("focal_length", "50mm"))
-        focal = Fields({"focal_length": _value(words.removesuffix("mm"))}, fields.where)
-        return focal.positive("focal_length") * diagonal / float(np.hypot(36, 24))
-    fov, axis = fields.number("fov"), AXES.index(fields.text("fov_axis", AXES, "x"))
-    if not 0 < fov < 180:
-        raise fields.wrong("fov", "an angle in (0, 180) degrees", f"{fov:g}")
+        film = Fields({"focal_length": _value(words.removesuffix("mm"))}, fields.where)
+        return film.positive("focal_length") * diagonal / float(np.hypot(36, 24))
+    if "focal_length" in fields:
+        raise fields.wrong("fov", "it or focal_length", "both")
+    fov = fields.number("fov", None, "an angle in (0, 180) degrees", 0, 180)
+    axis = AXES.index(fields.text("fov_axis", AXES, "x"))
     sides = (W, H, diagonal, min(W, H), max(W, H))  # as in AXES
     return focal_of_fov(float(np.deg2rad(fov)), sides[axis])
 
@@ -269,11 +267,12 @@ def _step(kind: str, fields: Fields) -> np.ndarray:
     return matrix
 
 
-def _xyz(fields: Fields, rest: int) -> np.ndarray:
+def _xyz(fields: Fields, default: int) -> np.ndarray:
+    """Return a step's vector: of `value`, one number or three, or of x, y and z."""
     if "value" not in fields:
-        return np.array([fields.number(x, rest) for x in "xyz"])
-    alone = fields.shape("value") == ()
-    return np.broadcast_to(fields.array("value", () if alone else (3,)), (3,))
+        return np.array([fields.number(x, default) for x in "xyz"])
+    numbers = fields.array("value", (3,)[: len(fields.shape("value"))])
+    return np.broadcast_to(numbers, 3)
 
 
 def _snake(name: str) -> str:

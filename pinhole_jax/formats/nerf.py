@@ -5,12 +5,12 @@ is the HORIZONTAL field of view in rad, `camera_angle_y` the vertical; `fl_x`, `
 before them. `cx`, `cy` are px from the image's top-left corner, y down; pixel centres at halves.
 """
 
-import os
 from collections.abc import Mapping
 
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Fisheye, Rational
-from .fields import Fields, Size, add_named, check_cameras, load_json, save_json
+from .._files.paths import FilePath
+from .fields import Cameras, Fields, Size, by_name, check_cameras, load_json, save_json
 from .pinhole import (
     OPENGL,
     Pinhole,
@@ -19,7 +19,7 @@ from .pinhole import (
     fov_of_focal,
     model_of,
     pinhole,
-    rigid,
+    pose_in,
     world_from_camera,
 )
 
@@ -34,7 +34,7 @@ FISHEYE = "OPENCV_FISHEYE"
 MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", FISHEYE)
 
 
-def read_nerf(path: str | os.PathLike[str], *, size: Size | None = None) -> dict[str, Camera]:
+def read_nerf(path: FilePath, *, size: Size | None = None) -> Cameras:
     """Return the cameras of a transforms.json, by each frame's `file_path`.
 
     A frame's own focal lengths, model or coefficients replace all of the file's. Where the file
@@ -50,26 +50,13 @@ def read_nerf(path: str | os.PathLike[str], *, size: Size | None = None) -> dict
     ```
     """
     top = load_json(path)
-    cameras: dict[str, Camera] = {}
-    shared = {name: value for name, value in top.data.items() if name != "frames"}
-    for k, frame in enumerate(top.parts("frames")):
-        lost = set().union(*(group for group in GROUPS if group & frame.data.keys()))
-        kept = {name: value for name, value in shared.items() if name not in lost}
-        fields = Fields({**kept, **frame.data}, frame.where)
-        name = fields.text("file_path", default=str(k))
-        model = fields.text("camera_model", MODELS, "OPENCV")
-        fisheye = model == FISHEYE or ("is_fisheye" in fields and fields.flag("is_fisheye"))
-        short = "transform_matrix" in fields and fields.shape("transform_matrix") == (3, 4)
-        matrix = fields.array("transform_matrix", (3 if short else 4, 4))
-        pose = rigid(matrix, fields, "transform_matrix")
-        coefficients = {c: fields.number(c) for c in COEFFICIENTS if c in fields}
-        distortion = model_of(coefficients, fields, (Fisheye if fisheye else BrownConrady,))
-        camera = camera_of(_intrinsics(fields, size), pose, OPENGL, fields, distortion)
-        add_named(cameras, name, camera, repr(str(path)))
-    return cameras
+    frames = [_with_shared(frame, top) for frame in top.parts("frames")]
+    names = [frame.text("file_path", default=str(k)) for k, frame in enumerate(frames)]
+    cameras = (_camera(frame, size) for frame in frames)
+    return by_name(zip(names, cameras, strict=True), top.where)
 
 
-def write_nerf(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
+def write_nerf(path: FilePath, cameras: Mapping[str, Camera]) -> None:
     """Write a transforms.json that nerfstudio, instant-ngp and NeRF's own readers understand.
 
     Intrinsics that all cameras share stand at the top, otherwise with each frame.
@@ -79,45 +66,63 @@ def write_nerf(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> N
     ```
     """
     check_cameras(cameras, "JSON")
-    fisheye = [isinstance(camera.distortion, Fisheye) for camera in cameras.values()]
-    if len({*fisheye}) > 1:
+    models = {isinstance(camera.distortion, Fisheye) for camera in cameras.values()}
+    if len(models) > 1:
         raise ValueError("`cameras`: expected fisheyes or none in one file, got both")
-    views = [_numbers(camera) for camera in cameras.values()]
+    views = [_intrinsics(camera) for camera in cameras.values()]
     common = views[0] if all(view == views[0] for view in views) else {}
-    frames = []
-    for (name, camera), view in zip(cameras.items(), views, strict=True):
-        own = {} if common else view
-        matrix = world_from_camera(camera, OPENGL).tolist()
-        frames.append({"file_path": name, **own, "transform_matrix": matrix})
-    model = FISHEYE if fisheye[0] else "OPENCV"
+    frames = [
+        {
+            "file_path": name,
+            **({} if common else view),
+            "transform_matrix": world_from_camera(camera, OPENGL).tolist(),
+        }
+        for (name, camera), view in zip(cameras.items(), views, strict=True)
+    ]
+    model = FISHEYE if True in models else "OPENCV"
     save_json(path, {"camera_model": model, **common, "frames": frames})
 
 
-def _intrinsics(fields: Fields, size: Size | None) -> Pinhole:
+def _with_shared(frame: Fields, top: Fields) -> Fields:
+    """Return a frame's fields, with the file's where it has none of the same group."""
+    own = frame.data.keys()
+    replaced = {"frames"}.union(*(group for group in GROUPS if group & own))
+    shared = {name: value for name, value in top.data.items() if name not in replaced}
+    return Fields({**shared, **frame.data}, frame.where)
+
+
+def _camera(fields: Fields, size: Size | None) -> Camera:
+    model = fields.text("camera_model", MODELS, "OPENCV")
+    fisheye = model == FISHEYE or ("is_fisheye" in fields and fields.flag("is_fisheye"))
+    coefficients = {name: fields.number(name) for name in COEFFICIENTS if name in fields}
+    distortion = model_of(coefficients, fields, (Fisheye if fisheye else BrownConrady,))
     W, H = fields.size("w", "h", size)
-    if "fl_x" in fields:
-        fx = fields.positive("fl_x")
-    elif "camera_angle_x" in fields:
-        fx = focal_of_fov(fields.angle("camera_angle_x"), W)
-    else:
-        words = "neither"
-        raise fields.wrong("fl_x", "fl_x (px) or camera_angle_x (rad, horizontal)", words)
-    if "fl_y" in fields:
-        fy = fields.positive("fl_y")
-    elif "camera_angle_y" in fields and "fl_x" not in fields:
-        fy = focal_of_fov(fields.angle("camera_angle_y"), H)
-    else:
+    fx = _focal(fields, "x", W)
+    fy = _focal(fields, "y", H)
+    if fx is None:
+        expected = "fl_x (px) or camera_angle_x (rad, horizontal)"
+        raise fields.wrong("fl_x", expected, "neither")
+    if fy is None or ("fl_x" in fields and "fl_y" not in fields):
         fy = fx
-    return Pinhole(fx, fy, fields.number("cx", W / 2), fields.number("cy", H / 2), W, H)
+    centre = fields.number("cx", W / 2), fields.number("cy", H / 2)
+    pose = pose_in(fields, "transform_matrix")
+    return camera_of(Pinhole(fx, fy, *centre, W, H), pose, OPENGL, fields, distortion)
 
 
-def _numbers(camera: Camera) -> dict[str, float | int]:
+def _focal(fields: Fields, axis: str, length: int) -> float | None:
+    """Return the focal length along an axis, px; None if the file has none."""
+    if f"fl_{axis}" in fields:
+        return fields.positive(f"fl_{axis}")
+    angle = f"camera_angle_{axis}"
+    return focal_of_fov(fields.angle(angle), length) if angle in fields else None
+
+
+def _intrinsics(camera: Camera) -> dict[str, float | int]:
     view, distortion = pinhole(camera, distorted=True), camera.distortion
     if isinstance(distortion, Rational):  # k4 here is another term of the numerator
         raise ValueError("`cameras`: expected OpenCV's k1, k2, p1, p2, k3, got a Rational")
-    distorted = {} if distortion is None else distortion.coefficients()
     return {
-        **distorted,
+        **({} if distortion is None else distortion.coefficients()),
         "w": view.W,
         "h": view.H,
         "fl_x": view.fx,

@@ -7,12 +7,12 @@ from jaxtyping import Float
 
 from .._camera.distortion import Distortion
 from .._camera.matrices import Centres
-from .._camera.poses import rigid
+from .._camera.poses import Pose, inverse, rigid, skew
 from .._fit.result import Fit, check_fit
 from .._fit.words import in_digits
 from .._numerics.arrays import Input
 from .._solver.heading import carried
-from .matrices import to_opencv
+from .pinhole import to_opencv
 from .rotations import rotations
 
 #: A fit's parameters that the pose depends on, in the order of `_derivative`'s columns.
@@ -44,14 +44,14 @@ class ObjectPose(NamedTuple):
     distortion: Distortion | None = None
 
     @property
-    def camera_from_world(self) -> Float[np.ndarray, "4 4"]:
+    def camera_from_world(self) -> Pose:
         """Return the object's pose in the camera's frame."""
         return rigid(self.R, self.t)
 
     @property
-    def world_from_camera(self) -> Float[np.ndarray, "4 4"]:
+    def world_from_camera(self) -> Pose:
         """Return the camera's pose in the object's frame."""
-        return rigid(self.R.T, -self.R.T @ self.t)
+        return inverse(self.camera_from_world)
 
     def __str__(self) -> str:
         """Return it as the command prints it."""
@@ -114,10 +114,8 @@ def _derivative(R: np.ndarray, t: np.ndarray) -> np.ndarray:
     adjoint of camera_from_world in these coordinates. A fit counts its turns about b1, b2 and v,
     which are x, -y and z here.
     """
-    x, y, z = t
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     turns = np.diag([1.0, -1.0, 1.0])
-    return np.block([[-turns, np.zeros((3, 3))], [cross @ turns, -R]])
+    return np.block([[-turns, np.zeros((3, 3))], [skew(t) @ turns, -R]])
 
 
 def _distorted(distortion: Distortion | None) -> list[str]:

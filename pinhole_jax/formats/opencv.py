@@ -5,9 +5,8 @@ Focal lengths in px (`camera_matrix`), no field of view. Pixel centres lie at in
 file's `pixel_centres` says "half".
 """
 
-import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,32 +14,30 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.matrices import Centres, half_pixel
-from .._camera.poses import inverse, rigid
+from .._camera.poses import Pose, inverse, rigid
+from .._files.paths import FilePath
 from .._numerics.arrays import Input
-from .fields import NO, YES, Fields, Size, check_cameras, save_text, short
-from .matrices import to_opencv
-from .pinhole import OPENCV, Pinhole, camera_of, model_of, rotation
+from .fields import NO, YES, Cameras, Fields, Size, by_name, check_cameras, save_text, short
+from .pinhole import OPENCV, Pinhole, camera_of, checked_pose, model_of, to_opencv
 from .rotations import rotations
 from .unknown import unknown
 
 #: The names under which a field is known; case, underscores, dots and hyphens do not count.
-NAMES: dict[str, tuple[str, ...]] = {
-    "camera_matrix": ("cameramatrix", "k"),
-    "distortion_coefficients": (
-        *("distortioncoefficients", "distortioncoeffs", "distortioncoeff", "distortioncoef"),
-        *("distortionparameters", "distortionparams", "distortion", "distortions"),
-        *("distcoeffs", "distcoeff", "distcoefs", "distcoef", "dist", "d"),
-    ),
-    "R": ("r", "rotation", "rotationmatrix"),
-    "rvec": ("rvec",),
-    "t": ("t", "tvec", "translation"),
-    "extrinsic_parameters": ("extrinsicparameters",),
-    "image_width": ("imagewidth", "width"),
-    "image_height": ("imageheight", "height"),
-    "camera_names": ("cameranames",),
-    "pixel_centres": ("pixelcentres",),
+NAMES = {
+    "camera_matrix": "cameramatrix k",
+    "distortion_coefficients": "distortioncoefficients distortioncoeffs distortioncoeff"
+    " distortioncoef distortionparameters distortionparams distortion distortions distcoeffs"
+    " distcoeff distcoefs distcoef dist d",
+    "R": "r rotation rotationmatrix",
+    "rvec": "rvec",
+    "t": "t tvec translation",
+    "extrinsic_parameters": "extrinsicparameters",
+    "image_width": "imagewidth width",
+    "image_height": "imageheight height",
+    "camera_names": "cameranames",
+    "pixel_centres": "pixelcentres",
 }
-PLAIN_NAMES = {plain: name for name, known in NAMES.items() for plain in known}
+PLAIN_NAMES = {plain: name for name, known in NAMES.items() for plain in known.split()}
 #: What looks like coefficients of a lens under a name that is not known.
 LENS = re.compile(
     r"dist(?!anc|rib|inct|rict|orted)\w*|\w*(?<!un)distort(?!ed)\w*|\w*coef\w*|kc|xi|[kp][1-6]"
@@ -52,25 +49,24 @@ LENS_NUMBERS = re.compile(r".*dist\d*|(.*[_.\-\s])?d\d*|.*(?-i:[a-z]D)\d*", re.I
 #: Fields that say yes or no, to what is left out here.
 YES_OR_NO = re.compile(r"(is|has|use|with|apply|enable|un)\w*")
 #: Fields that name the lens's model, those that may, and those that say yes or no to a fisheye.
-MODELS = ("distortionmodel", "distortiontype", "distmodel", "cameramodel", "cameramodeltype",
-          "modeltype", "lensmodel", "lenstype", "projectionmodel", "projectiontype")  # fmt: skip
+MODELS = re.compile(
+    r"(distortion|lens|projection)(model|type)|distmodel|cameramodel(type)?|modeltype"
+)
 MAYBE_MODELS = re.compile(r"\w*(model|type|lens|projection)\w*")
 FLAGS = ("fisheyemodel", "isfisheye", "usefisheye", "fisheye")
 #: Models by the names that OpenCV, ROS, Kalibr, camodocal and COLMAP have for them.
-FISHEYES = ("fisheye", "opencvfisheye", "equidistant", "equidist", "equi", "pinholeequi",
-            "kannalabrandt", "kannalabrandt4", "kannalabrandt8", "kb", "kb4")  # fmt: skip
-PLAIN = ("plumbbob", "rationalpolynomial", "rational", "radtan", "pinholeradtan", "standard",
-         "radialtangential", "brown", "brownconrady", "opencv", "fullopencv", "radial",
-         "simpleradial")  # fmt: skip
+FISHEYES = re.compile(r"(opencv)?fisheye|(pinhole)?equi|equidist(ant)?|kannalabrandt[48]?|kb4?")
+PLAIN = re.compile(
+    r"plumbbob|rational(polynomial)?|(pinhole)?radtan|radialtangential|(simple)?radial|standard"
+    r"|brown(conrady)?|(full)?opencv"
+)
 MENTIONED = re.compile(r"fisheye|equidist|kannala", re.I)
 #: What YAML and JSON write where there is nothing.
 NULLS = (None, "~", "null", "")
 #: Models of a projection, which say nothing of the distortion.
 NEITHER = ("pinhole", "simplepinhole", "perspective", "none", "")
-COEFFICIENTS = (
-    *("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
-    *("s1", "s2", "s3", "s4", "tau_x", "tau_y"),
-)
+COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x",
+                "tau_y")  # fmt: skip
 FISHEYE = ("k1", "k2", "k3", "k4")
 #: A rotation vector that is longer (rad) has lost its angle to rounding.
 MOST_ANGLE = 1e4
@@ -83,8 +79,8 @@ MOST_BYTES = 4095
 
 
 def read_opencv(
-    path: str | os.PathLike[str], *, size: Size | None = None, pixel_centres: str | None = None
-) -> dict[str, Camera]:
+    path: FilePath, *, size: Size | None = None, pixel_centres: str | None = None
+) -> Cameras:
     """Return the cameras of an OpenCV calibration, by name: YAML, XML or JSON.
 
     One camera where the file has `R` (3, 3) or `rvec` (3,) and `t`, several where it has
@@ -106,14 +102,16 @@ def read_opencv(
     """
     from . import storage  # PyYAML: of no use to who reads other files
 
-    fields = _known(storage.load(path), storage.array_of)
+    fields = _known(storage.load(path))
     view, distortion = _intrinsics(fields, size, pixel_centres)
     poses = _poses(fields)
-    names = _names(fields, len(poses))
-    return {
-        name: camera_of(view, inverse(pose), OPENCV, fields, distortion)
-        for name, pose in zip(names, poses, strict=True)
-    }
+    names = [str(k) for k in range(len(poses))] if len(poses) > 1 else ["camera"]
+    if isinstance(alone := fields.data.get("camera_names"), str):
+        names = [alone]
+    elif "camera_names" in fields:
+        names = fields.items("camera_names", len(poses), f"{len(poses)} different names")
+    cameras = (camera_of(view, inverse(pose), OPENCV, fields, distortion) for pose in poses)
+    return by_name(zip(map(str, names), cameras, strict=True), fields.where)
 
 
 def opencv_intrinsics(
@@ -121,9 +119,7 @@ def opencv_intrinsics(
 ) -> tuple[Pinhole, Distortion | None]:
     """Return the intrinsics and the lens of a calibration's fields; `size` and `pixel_centres`
     where they do not say."""
-    from . import storage
-
-    fields = _known(file, storage.array_of)
+    fields = _known(file)
     own = size if {"image_width", "image_height"}.isdisjoint(fields.data) else None
     return _intrinsics(fields, own, fields.data.get("pixel_centres", pixel_centres))
 
@@ -142,7 +138,7 @@ def _intrinsics(
 
 
 def write_opencv(
-    path: str | os.PathLike[str],
+    path: FilePath,
     cameras: Mapping[str, Camera],
     *,
     pixel_centres: Input[Centres, "of K"] = "integer",
@@ -159,27 +155,23 @@ def write_opencv(
     """
     check_cameras(cameras, "OpenCV", _can_hold)
     matrices = [to_opencv(camera, pixel_centres=pixel_centres) for camera in cameras.values()]
-    sizes = [(camera.W, camera.H) for camera in cameras.values()]
-    models = [camera.distortion for camera in cameras.values()]
-    distortion = [{} if m is None else {type(m).__name__: m.coefficients()} for m in models]
-    K = matrices[0][0]
-    for name, size, (other, _, _), own in zip(cameras, sizes, matrices, distortion, strict=True):
-        if size != sizes[0] or np.abs(other - K).max() > 1e-9 or own != distortion[0]:
+    first, (K, R, t) = next(iter(cameras.values())), matrices[0]
+    for (name, camera), (other, _, _) in zip(cameras.items(), matrices, strict=True):
+        film = (camera.W, camera.H, camera.distortion)
+        if np.abs(other - K).max() > 1e-9 or film != (first.W, first.H, first.distortion):
             raise ValueError(
                 "`cameras`: expected one K, lens and image size in an OpenCV file, got others in"
                 f" {name!r} than in {next(iter(cameras))!r}; write one file each"
             )
-    text = f"%YAML:1.0\n---\nimage_width: {sizes[0][0]}\nimage_height: {sizes[0][1]}\n"
+    model = first.distortion or BrownConrady()
+    coefficients = np.array([*model.coefficients().values()])
+    text = f"%YAML:1.0\n---\nimage_width: {first.W}\nimage_height: {first.H}\n"
     text += f"pixel_centres: {_quoted(pixel_centres)}\n"
-    text += "camera_names: [ " + ", ".join(_quoted(name) for name in cameras) + " ]\n"
+    text += f"camera_names: [ {', '.join(map(_quoted, cameras))} ]\n"
     text += _matrix("camera_matrix", K)
-    if isinstance(models[0], Fisheye):
-        text += 'distortion_model: "fisheye"\n'
-    model = models[0] or BrownConrady()
-    values = np.array(list(model.coefficients().values()))
-    text += _matrix("distortion_coefficients", values[:, None])
+    text += 'distortion_model: "fisheye"\n' * isinstance(model, Fisheye)
+    text += _matrix("distortion_coefficients", coefficients[:, None])
     if len(matrices) == 1:
-        _, R, t = matrices[0]
         text += _matrix("R", R) + _matrix("t", t[:, None])
     else:
         rows = [np.r_[rotations().from_matrix(R).as_rotvec(), t] for _, R, t in matrices]
@@ -187,25 +179,27 @@ def write_opencv(
     save_text(path, text)
 
 
-def _known(file: Fields, array_of: Callable[[str, Any, str], Any]) -> Fields:
+def _known(file: Fields) -> Fields:
     """Return the fields under the names of `NAMES`, and whether the lens is a `fisheye`; a vector
     may lie or stand."""
+    from . import storage
+
     known: dict[str, Any] = {}
-    some = {k: x for k, x in file.data.items() if not (isinstance(x, str | None) and x in NULLS)}
-    names = {key: PLAIN_NAMES.get(_plain(key)) for key in some}
-    if "camera_matrix" not in names.values() and (whose := unknown(file.data)):
+    named = {key: PLAIN_NAMES.get(_plain(key)) for key in file.data}
+    if "camera_matrix" not in named.values() and (whose := unknown(file.data)):
         raise ValueError(f"`path`: expected OpenCV's calibration, got {whose} (in {file.where})")
-    for key, value in some.items():
-        plain, name = _plain(key), names[key]
-        if name is None:
-            known.update(_lens_model(file, str(key), plain, known))
+    for key, value in file.data.items():
+        name = named[key]
+        if isinstance(value, str | None) and value in NULLS:
             continue
-        if name in known:
-            words = f"expected one such field, got {str(key)!r} too"
-            raise ValueError(f"`{name}`: {words} (in {file.where})")
-        value = array_of(name, value, file.where)
-        flat = name != "extrinsic_parameters" and 1 in Fields({name: value}, file.where).shape(name)
-        known[name] = np.ravel(value) if flat else value
+        if name is None:
+            known.update(_lens_model(file, str(key), known))
+        elif name in known:
+            raise file.wrong(name, "one such field", f"{str(key)!r} too")
+        else:
+            value = storage.array_of(name, value, file.where)
+            flat = name != "extrinsic_parameters" and 1 in Fields({name: value}, "").shape(name)
+            known[name] = np.ravel(value) if flat else value
     return Fields(known, file.where)
 
 
@@ -213,22 +207,23 @@ def _plain(key: Any) -> str:
     return re.sub(r"[_.\-\s]", "", str(key)).lower()
 
 
-def _lens_model(file: Fields, key: str, plain: str, known: dict[str, Any]) -> dict[str, bool]:
-    """Return a `fisheye` flag where a field is about the lens's model, else nothing."""
+def _lens_model(file: Fields, key: str, known: dict[str, Any]) -> dict[str, bool]:
+    """Return a `fisheye` flag if a field is about the lens's model, else nothing."""
+    plain, value = _plain(key), file.data[key]
+    is_model = MODELS.fullmatch(plain)
     if plain in FLAGS:
         fisheye = file.flag(key)
-    elif plain in MODELS or (MAYBE_MODELS.fullmatch(plain) and isinstance(file.data[key], str)):
-        word = re.sub(r"[\W_]", "", str(file.data[key])).lower()
-        known_word = word in FISHEYES + PLAIN
-        unsure = plain not in MODELS and not (known_word or MENTIONED.search(word))
-        library = plain not in MODELS and word in ("opencv", "standard")
-        if word in NEITHER or unsure or library:
+    elif is_model or (MAYBE_MODELS.fullmatch(plain) and isinstance(value, str)):
+        word = re.sub(r"[\W_]", "", str(value)).lower()
+        fisheye = FISHEYES.fullmatch(word) is not None
+        known_word = fisheye or PLAIN.fullmatch(word)
+        unsure = not known_word and not MENTIONED.search(word)
+        if word in NEITHER or (not is_model and (unsure or word in ("opencv", "standard"))):
             return {}
         if not known_word:
             words = "a model of OpenCV's (plumb_bob, rational_polynomial, fisheye, ...)"
-            raise file.wrong(key, words, short(file.data[key]))
-        fisheye = word in FISHEYES
-    elif lost := _coefficients(key, file.data[key]):
+            raise file.wrong(key, words, short(value))
+    elif lost := _coefficients(key, value):
         words = "a lens's coefficients as `distortion_coefficients: [k1, k2, p1, p2, k3]`"
         raise file.wrong(lost, words, f"a field {lost[:60]!r}, whose meaning is not known")
     else:
@@ -240,47 +235,39 @@ def _lens_model(file: Fields, key: str, plain: str, known: dict[str, Any]) -> di
 
 def _coefficients(key: str, value: Any) -> str:
     """Return the name of a field that looks like coefficients other than 0, in a map or not; ""
-    where there is none."""
+    if there is none."""
     if isinstance(value, Mapping) and "data" not in value:
         inner = (_coefficients(f"{key}.{name}", part) for name, part in value.items())
         return next(filter(None, inner), "")
     plain, last = _plain(key), _plain(key.rpartition(".")[2])
     try:
-        numbers = np.ravel(
-            np.asarray(value["data"] if isinstance(value, Mapping) else value, float)
-        )
+        numbers = np.asarray(value["data"] if isinstance(value, Mapping) else value, float)
     except (TypeError, ValueError, OverflowError):
-        numbers = None
-    if numbers is None:
-        lens = LENS if str(value).strip().lower() not in (*YES, *NO) else None
-    elif isinstance(value, bool) or not np.any(numbers):
-        lens = None
+        suspect, lens = str(value).strip().lower() not in (*YES, *NO), LENS
     else:
-        lens = LENS_NUMBERS if len(numbers) > 1 else LENS_NUMBER
-    if lens is None or YES_OR_NO.fullmatch(plain):
-        return ""
-    return key if lens.fullmatch(key) or LENS.fullmatch(plain) or LENS.fullmatch(last) else ""
+        suspect = not isinstance(value, bool) and bool(np.any(numbers))
+        lens = LENS_NUMBERS if numbers.size > 1 else LENS_NUMBER
+    looks = lens.fullmatch(key) or LENS.fullmatch(plain) or LENS.fullmatch(last)
+    return key if suspect and looks and not YES_OR_NO.fullmatch(plain) else ""
 
 
-def _poses(fields: Fields) -> list[np.ndarray]:
-    """Return camera_from_world, (4, 4), of every view."""
+def _poses(fields: Fields) -> list[Pose]:
+    """Return camera_from_world of every view."""
     kinds = [name for name in ("extrinsic_parameters", "rvec", "R") if name in fields]
     if not kinds:
         words = "no pose: intrinsics alone are no camera; see `from_opencv` (or --K FILE)"
         raise fields.wrong("R", "R and t, or extrinsic_parameters", words)
     name, *others = kinds
-    if name == "extrinsic_parameters" and "t" in fields:
-        others.append("t")
+    others += ["t"] if name == "extrinsic_parameters" and "t" in fields else []
     if others:
         raise fields.wrong(name, "one kind of pose", f"both it and {others[0]}")
     if name == "extrinsic_parameters":
         rows = fields.array(name, (-1, 6))
         return [rigid(_rotation(row[:3], fields, name), row[3:]) for row in rows]
+    t = fields.array("t", (3,))
     if name == "rvec" or fields.shape(name) == (3,):
-        R = _rotation(fields.array(name, (3,)), fields, name)
-    else:
-        R = rotation(fields.array(name, (3, 3)), fields, name)
-    return [rigid(R, fields.array("t", (3,)))]
+        return [rigid(_rotation(fields.array(name, (3,)), fields, name), t)]
+    return [checked_pose(np.c_[fields.array(name, (3, 3)), t], fields, name)]
 
 
 def _rotation(rvec: np.ndarray, fields: Fields, name: str) -> np.ndarray:
@@ -289,24 +276,14 @@ def _rotation(rvec: np.ndarray, fields: Fields, name: str) -> np.ndarray:
     return rotations().from_rotvec(rvec).as_matrix()
 
 
-def _names(fields: Fields, count: int) -> list[str]:
-    if "camera_names" not in fields:
-        return [str(k) for k in range(count)] if count > 1 else ["camera"]
-    names = fields.data["camera_names"]
-    names = [names] if isinstance(names, str) else names
-    if not isinstance(names, list) or len({str(n) for n in names}) != count or len(names) != count:
-        raise fields.wrong("camera_names", f"{count} different names", short(names))
-    return [str(name) for name in names]
-
-
 def _distortion(fields: Fields) -> Distortion | None:
     name, fisheye = "distortion_coefficients", fields.data.get("fisheye", False)
     models = (Fisheye,) if fisheye else (BrownConrady, Rational)
-    if isinstance(fields.data.get(name), dict):
-        part = fields.part(name)
-        return model_of({key: part.number(key) for key in part.data}, fields, models)
     if name not in fields:
         return model_of({}, fields, models)
+    if isinstance(fields.data[name], dict):
+        part = fields.part(name)
+        return model_of({key: part.number(key) for key in part.data}, fields, models)
     values = np.ravel(fields.array(name, fields.shape(name)))
     names, sizes = (FISHEYE, (0, 4)) if fisheye else (COEFFICIENTS, (0, 4, 5, 8, 12, 14))
     if len(values) not in sizes:

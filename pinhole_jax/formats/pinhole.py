@@ -1,4 +1,4 @@
-"""What every format comes down to: focal lengths, a principal point, axes and a rigid transform.
+"""The common ground of all formats: focal lengths, a principal point, axes, a rigid transform.
 
 A format says which axes its camera frame has and where its pixel coordinates begin; all else is
 here, so that a reader or a writer is the list of its file's fields.
@@ -9,19 +9,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._camera.camera import Camera, check_camera
+from .._camera.camera import Camera, check_camera, focal_px, principal_point
 from .._camera.distortion import Distortion, Fisheye
-from .._camera.matrices import is_rotation
-from .._camera.poses import rigid as transform
+from .._camera.matrices import Centres, half_pixel
+from .._camera.poses import Pose, check_pose, inverse, pose_of
+from .._numerics.arrays import Input
 from .fields import Fields
-from .matrices import from_opencv, to_opencv
 
-#: A camera frame's axes, as columns, in OpenCV's frame (x right, y down, z forward).
-OPENCV = np.diag([1.0, 1.0, 1.0])
+#: Camera frames as poses in OpenCV's (x right, y down, z forward): each is its own inverse.
+OPENCV = np.eye(4)
 #: x right, y up, z backward: OpenGL, Blender, NeRF, glTF.
-OPENGL = np.diag([1.0, -1.0, -1.0])
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 #: x left, y up, z forward: PyTorch3D, Mitsuba.
-LEFT_UP_FORWARD = np.diag([-1.0, -1.0, 1.0])
+LEFT_UP_FORWARD = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 class Pinhole(NamedTuple):
@@ -39,79 +39,94 @@ class Pinhole(NamedTuple):
 
 
 def pinhole(camera: Camera, *, distorted: bool = False) -> Pinhole:
-    """Return the camera's intrinsics, or raise ValueError for a distortion unless it goes beside
-    (`distorted`)."""
+    """Return the camera's intrinsics.
+
+    Raises ValueError for a lens with distortion, unless the caller writes it too (`distorted`).
+    """
     check_camera(camera)
-    model = camera.distortion
-    if model is not None and not distorted:
+    if camera.distortion is not None and not distorted:
         raise ValueError(
             "`cameras`: expected no lens distortion, which this format cannot hold, got a"
-            f" {type(model).__name__}"
+            f" {type(camera.distortion).__name__}"
         )
-    K = to_opencv(camera, pixel_centres="half")[0]
-    fx, fy, cx, cy = K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
-    return Pinhole(fx, fy, cx, cy, camera.W, camera.H)
+    (fx, fy), (x, y) = (map(float, pair(camera)) for pair in (focal_px, principal_point))
+    return Pinhole(fx, fy, x, camera.H - y, camera.W, camera.H)
+
+
+from_opencv = Camera.from_K
+"""The camera of OpenCV's K, R and t: `Camera.from_K`, beside the other conventions."""
+
+
+def to_opencv(
+    camera: Camera, *, pixel_centres: Input[Centres, "of K"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return OpenCV's matrices in float64: x right, y down, z forward.
+
+    - K (3, 3): `(u, v, 1) ~ K X_camera`, px, y down.
+    - R (3, 3) and t (3,): `X_camera = R X_world + t`.
+
+    `pixel_centres` says where the reader puts them: "integer" (OpenCV: the first pixel's centre is
+    0) or "half" (0.5). A lens's distortion is not in them: `camera.lens.distortion` goes beside.
+
+    ```python
+    K, R, t = pj.formats.to_opencv(camera, pixel_centres="integer")
+    ```
+    """
+    half, view = half_pixel(pixel_centres), pinhole(camera, distorted=True)
+    K = np.array([[view.fx, 0, view.cx - half], [0, view.fy, view.cy - half], [0, 0, 1]])
+    pose = inverse(pose_of(camera))
+    return K, pose[:3, :3].copy(), pose[:3, 3].copy()  # OpenCV wants them contiguous
 
 
 def model_of(
     coefficients: Mapping[str, float], fields: Fields, models: Sequence[type[Distortion]]
 ) -> Distortion | None:
-    """Return the distortion with these coefficients, of the first of some models that has them;
-    None if those of no fisheye are all 0."""
+    """Return the distortion with these coefficients, of the first of some models that has them.
+
+    None if all are 0 and it is no fisheye.
+    """
     distorted = {name: value for name, value in coefficients.items() if value != 0}
     model = next((model for model in models if distorted.keys() <= model.powers.keys()), models[-1])
-    if unknown := {name: value for name, value in distorted.items() if name not in model.powers}:
-        words = ", ".join(f"{name} = {value:g}" for name, value in unknown.items())
-        known = ", ".join(model.powers)
-        raise fields.wrong("distortion", f"{known} of a {model.__name__} only", words)
+    if unknown := [f"{k} = {x:g}" for k, x in distorted.items() if k not in model.powers]:
+        known = f"{', '.join(model.powers)} of a {model.__name__} only"
+        raise fields.wrong("distortion", known, ", ".join(unknown))
     return model(**distorted) if distorted or model is Fisheye else None
 
 
-def camera_from_world(camera: Camera, axes: np.ndarray) -> np.ndarray:
-    """Return the (4, 4) transform of world points to a camera frame with these axes."""
-    _, R, t = to_opencv(camera, pixel_centres="half")
-    return transform(axes.T @ R, axes.T @ t)
+def world_from_camera(camera: Camera, axes: Pose) -> Pose:
+    """Return the transform of points in a camera frame with these axes to the world."""
+    return pose_of(camera) @ axes
 
 
-def world_from_camera(camera: Camera, axes: np.ndarray) -> np.ndarray:
-    """Return the (4, 4) transform of points in a camera frame with these axes to the world."""
-    _, R, _ = to_opencv(camera, pixel_centres="half")
-    return transform(R.T @ axes, np.asarray(camera.e, float))
-
-
-def rotation(matrix: np.ndarray, fields: Fields, name: str) -> np.ndarray:
-    """Return the rotation nearest to a (3, 3) matrix, which must be one to within rounding."""
-    small = np.all(np.abs(matrix) < 2)  # no product overflows
-    if not (small and is_rotation(matrix)):
-        raise fields.wrong(name, "a rotation (orthonormal, determinant 1)", matrix)
-    left, _, right = np.linalg.svd(matrix)
-    return left @ right
-
-
-def rigid(matrix: np.ndarray, fields: Fields, name: str) -> np.ndarray:
+def checked_pose(matrix: np.ndarray, fields: Fields, name: str) -> Pose:
     """Return a (3, 4) or (4, 4) transform as (4, 4), its rotation freed of rounding."""
-    if len(matrix) == 4 and not np.abs(matrix[3] - [0, 0, 0, 1]).max() <= 1e-9:
-        raise fields.wrong(name, "a last row of 0 0 0 1", matrix[3])
-    return transform(rotation(matrix[:3, :3], fields, name), matrix[:3, 3])
+    try:
+        with np.errstate(all="ignore"):  # what overflows is no rotation
+            return check_pose(name, np.vstack([matrix, np.eye(4)[len(matrix) :]]))
+    except ValueError:
+        expected = "a rotation (orthonormal, determinant 1) and a shift, its last row 0 0 0 1"
+        raise fields.wrong(name, expected, matrix) from None
+
+
+def pose_in(fields: Fields, name: str) -> Pose:
+    """Return the rigid transform of a field, (3, 4) or (4, 4)."""
+    rows = 3 if name in fields and fields.shape(name) == (3, 4) else 4
+    return checked_pose(fields.array(name, (rows, 4)), fields, name)
 
 
 def camera_of(
     view: Pinhole,
-    world_from_camera: np.ndarray,
-    axes: np.ndarray,
+    world_from_camera: Pose,
+    axes: Pose,
     fields: Fields,
     distortion: Distortion | None = None,
 ) -> Camera:
     """Return the camera of intrinsics and a rigid transform from a frame with these axes."""
-    for name in ("fx", "fy"):
-        if not getattr(view, name) > 0:
-            raise fields.wrong(name, "a positive focal length in px", f"{getattr(view, name)}")
-    R = (world_from_camera[:3, :3] @ axes.T).T
     K = np.array([[view.fx, 0, view.cx], [0, view.fy, view.cy], [0, 0, 1]])
-    t = -R @ world_from_camera[:3, 3]
+    pose, size = inverse(world_from_camera @ axes), (view.W, view.H)
+    R, t = pose[:3, :3], pose[:3, 3]
     try:
-        size = (view.W, view.H)
-        return from_opencv(K, R, t, *size, pixel_centres="half", distortion=distortion)
+        return Camera.from_K(K, R, t, *size, pixel_centres="half", distortion=distortion)
     except ValueError as error:
         raise ValueError(f"{error} (in {fields.where})") from None
 

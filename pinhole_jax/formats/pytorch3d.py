@@ -6,23 +6,23 @@ from the image's top-left corner, y down, pixel centres at halves. In NDC the im
 spans [-1, 1], x to the left, y up, and lengths are halves of that side. `image_size` is (H, W).
 """
 
-import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from .._camera.camera import Camera
-from .._camera.poses import inverse, rigid
+from .._camera.poses import inverse
+from .._files.paths import FilePath
 from .._numerics.arrays import ArrayLike, Input
-from .fields import Fields, Size, add_named, check_cameras, load_json, save_json
+from .fields import Cameras, Fields, Size, by_name, check_cameras, load_json, save_json
 from .pinhole import (
     LEFT_UP_FORWARD,
     Pinhole,
-    camera_from_world,
     camera_of,
+    checked_pose,
     pinhole,
-    rotation,
+    world_from_camera,
 )
 
 SCHEMA = "pytorch3d.PerspectiveCameras"
@@ -39,10 +39,10 @@ def to_pytorch3d(camera: Camera) -> dict[str, np.ndarray]:
     ```
     """
     view = pinhole(camera)
-    matrix = camera_from_world(camera, LEFT_UP_FORWARD)
+    pose = world_from_camera(camera, LEFT_UP_FORWARD)
     return {
-        "R": matrix[None, :3, :3].transpose(0, 2, 1),
-        "T": matrix[None, :3, 3],
+        "R": pose[None, :3, :3],
+        "T": inverse(pose)[None, :3, 3],
         "focal_length": np.array([[view.fx, view.fy]]),
         "principal_point": np.array([[view.cx, view.cy]]),
         "image_size": np.array([[view.H, view.W]]),
@@ -72,34 +72,37 @@ def from_pytorch3d(
     same = pj.formats.from_pytorch3d(**arrays, in_ndc=False)
     ```
     """
-    data = {"R": _one(R, 2), "T": _one(T, 1), "image_size": _one(image_size, 1)}
-    fields = Fields(data, "the arguments")
+    given = {
+        "R": _without_batch(R, 2),
+        "T": _without_batch(T, 1),
+        "image_size": _without_batch(image_size, 1),
+        "fov": fov,
+        "aspect_ratio": aspect_ratio,
+    }
+    fields = Fields({k: x for k, x in given.items() if x is not None}, "the arguments")
     H, W = _size(fields)
     if (fov is None) == (focal_length is None):
         raise ValueError("expected `focal_length` or `fov`, got both or neither")
     half = min(W, H) / 2
-    unit = half if in_ndc or fov is not None else 1.0
     if fov is not None:
-        given = Fields({"fov": fov, "aspect_ratio": aspect_ratio}, "the arguments")
-        fy = 1 / np.tan(given.angle("fov") / 2)
-        focal = np.array([fy / given.positive("aspect_ratio"), fy])
+        fy = half / np.tan(fields.angle("fov") / 2)
+        focal = np.array([fy / fields.positive("aspect_ratio"), fy])
     else:
-        focal = np.atleast_1d(_one(focal_length, 1))
+        focal = np.atleast_1d(_without_batch(focal_length, 1))
         if focal.shape not in ((1,), (2,)) or focal.dtype != float:
             raise fields.wrong("focal_length", "one number or two", focal_length)
-        focal = np.broadcast_to(focal, (2,))
-    centre = np.array([W / 2, H / 2])
+        focal = focal * (half if in_ndc else 1.0)
+    cx, cy = W / 2, H / 2
     if principal_point is not None:
-        given = Fields({"principal_point": _one(principal_point, 1)}, "the arguments")
-        given = given.array("principal_point", (2,))
-        centre = centre - half * given if in_ndc else given
-    fx, fy = (float(f * unit) for f in focal)
-    view = Pinhole(fx, fy, float(centre[0]), float(centre[1]), W, H)
-    matrix = rigid(rotation(fields.array("R", (3, 3)), fields, "R").T, fields.array("T", (3,)))
-    return camera_of(view, inverse(matrix), LEFT_UP_FORWARD, fields)
+        centre = {"principal_point": _without_batch(principal_point, 1)}
+        x, y = Fields(centre, fields.where).array("principal_point", (2,))
+        cx, cy = (cx - half * x, cy - half * y) if in_ndc else (x, y)
+    view = Pinhole(float(focal[0]), float(focal[-1]), float(cx), float(cy), W, H)
+    pose = np.c_[fields.array("R", (3, 3)).T, fields.array("T", (3,))]
+    return camera_of(view, inverse(checked_pose(pose, fields, "R")), LEFT_UP_FORWARD, fields)
 
 
-def read_pytorch3d(path: str | os.PathLike[str], *, size: Size | None = None) -> dict[str, Camera]:
+def read_pytorch3d(path: FilePath, *, size: Size | None = None) -> Cameras:
     """Return the cameras of a JSON of PyTorch3D's arrays, by `names`, or "0", "1" ...
 
     `R` (N, 3, 3), `T` (N, 3), `focal_length` (N, 2), `principal_point` (N, 2), `image_size` (N, 2)
@@ -111,34 +114,35 @@ def read_pytorch3d(path: str | os.PathLike[str], *, size: Size | None = None) ->
     ```
     """
     top = load_json(path)
-    R = top.array("R", (-1, 3, 3))
-    count = len(R)
-    arrays = {name: top.array(name, (count, 2)) for name in ("focal_length", "principal_point")}
+    count = len(top.array("R", (-1, 3, 3)))
     if "image_size" not in top and size is not None:
-        top = Fields({**top.data, "image_size": [[size[1], size[0]]] * count}, top.where)
-    sizes = top.array("image_size", (count, 2))
+        top = Fields({**top.data, "image_size": [size[::-1]] * count}, top.where)
+    names = [str(k) for k in range(count)]
+    if "names" in top:
+        names = map(str, top.items("names", count, f"{count} names"))
+    return by_name(zip(names, _cameras(top, count, size), strict=True), top.where)
+
+
+def _cameras(top: Fields, count: int, size: Size | None) -> Iterator[Camera]:
+    """Yield the cameras of a file's arrays."""
+    R, T = top.array("R", (count, 3, 3)), top.array("T", (count, 3))
+    names = ("focal_length", "principal_point", "image_size")
+    focals, centres, sizes = (top.array(name, (count, 2)) for name in names)
     in_ndc = top.get("in_ndc", "true or false")
     if not isinstance(in_ndc, bool):
         raise top.wrong("in_ndc", "true or false", repr(in_ndc))
-    names = top.data.get("names", [str(k) for k in range(count)])
-    if not isinstance(names, list) or len(names) != count:
-        raise top.wrong("names", f"{count} names", repr(names))
-    cameras: dict[str, Camera] = {}
-    for k, name in enumerate(names):
-        if size is not None and tuple(sizes[k]) != (size[1], size[0]):
+    for k in range(count):
+        if size is not None and tuple(sizes[k]) != size[::-1]:
             raise top.wrong("image_size", f"(H, W) = ({size[1]}, {size[0]})", sizes[k])
-        own = {field: values[k] for field, values in arrays.items()}
+        film = {"focal_length": focals[k], "principal_point": centres[k], "in_ndc": in_ndc}
         try:
-            camera = from_pytorch3d(
-                R[k], top.array("T", (count, 3))[k], sizes[k], in_ndc=in_ndc, **own
-            )
+            yield from_pytorch3d(R[k], T[k], sizes[k], **film)
         except ValueError as error:
-            raise ValueError(f"{error} (in {top.where}, camera {k})") from None
-        add_named(cameras, str(name), camera, top.where)
-    return cameras
+            words = str(error).replace("the arguments", f"{top.where}, camera {k}")
+            raise ValueError(words) from None
 
 
-def write_pytorch3d(path: str | os.PathLike[str], cameras: Mapping[str, Camera]) -> None:
+def write_pytorch3d(path: FilePath, cameras: Mapping[str, Camera]) -> None:
     """Write PyTorch3D's arrays of all cameras, screen space (px), as JSON.
 
     ```python
@@ -151,8 +155,8 @@ def write_pytorch3d(path: str | os.PathLike[str], cameras: Mapping[str, Camera])
     save_json(path, {"schema": SCHEMA, "in_ndc": False, "names": list(cameras), **arrays})
 
 
-def _one(value: Any, axes: int) -> Any:
-    """Return an array without its batch axis of 1; what is no array stays, to be refused later."""
+def _without_batch(value: Any, axes: int) -> Any:
+    """Return an array without its batch axis of 1; anything else as it is, to be refused later."""
     try:
         array = np.asarray(value, float)
     except (TypeError, ValueError):
@@ -161,6 +165,7 @@ def _one(value: Any, axes: int) -> Any:
 
 
 def _size(fields: Fields) -> tuple[int, int]:
+    """Return (H, W) of `image_size`."""
     H, W = fields.array("image_size", (2,))
-    whole = Fields({"H": float(H), "W": float(W)}, f"{fields.where}, image_size")
+    whole = Fields({"H": H, "W": W}, f"{fields.where}, image_size")
     return whole.integer("H"), whole.integer("W")

@@ -4,6 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .fields import Fields
+
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
@@ -15,6 +17,8 @@ def rotations() -> "type[Rotation]":
     return Rotation
 
 
-def is_unit(q: np.ndarray) -> bool:
-    """Tell if a quaternion has length 1, to within a file's rounding."""
-    return bool(np.all(np.abs(q) < 2) and abs(np.linalg.norm(q) - 1) <= 1e-4)
+def rotation_of(quaternion: np.ndarray, fields: Fields, name: str) -> np.ndarray:
+    """Return the rotation (3, 3) of a quaternion (x, y, z, w), of length 1 up to rounding."""
+    if np.any(np.abs(quaternion) > 2) or abs(np.linalg.norm(quaternion) - 1) > 1e-4:
+        raise fields.wrong(name, "a quaternion of length 1", quaternion)
+    return rotations().from_quat(quaternion).as_matrix()

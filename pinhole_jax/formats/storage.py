@@ -1,17 +1,15 @@
 """OpenCV's FileStorage: its YAML, XML or JSON as fields."""
 
 import math
-import os
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from .._files.paths import MOST_DEPTH, is_deep, parse_json, read_text
+from .._files.paths import MOST_DEPTH, FilePath, first_repeat, is_deep, parse_json, read_text
 from .fields import KIND, Fields, parse_xml, short
 
 #: The largest YAML that is read here, in characters (it takes a second and 0.3 GB).
@@ -45,7 +43,7 @@ class _Loader(yaml.CSafeLoader):
         if isinstance(node, yaml.SequenceNode):
             return self.construct_sequence(node, deep=True)
         assert isinstance(node, yaml.MappingNode)
-        if twice := _twice(str(key.value) for key, _ in node.value):
+        if twice := first_repeat(str(key.value) for key, _ in node.value):
             raise _wrong(f"the field {short(twice)} twice", node)
         return self.construct_mapping(node, deep=True)
 
@@ -57,7 +55,7 @@ def _wrong(words: str, node: yaml.Node) -> yaml.MarkedYAMLError:
     return yaml.MarkedYAMLError(problem=words, problem_mark=node.start_mark)
 
 
-def load(path: str | os.PathLike[str]) -> Fields:
+def load(path: FilePath) -> Fields:
     """Return a file's top-level fields: numbers, texts, lists and maps.
 
     Raises ValueError naming file and line where it is no YAML, XML or JSON of that kind.
@@ -98,18 +96,12 @@ def _of_xml(element: ET.Element, where: str, depth: int = 0) -> Any:
         raise ValueError(f"`path`: expected XML of at most {MOST_DEPTH} levels, got {where}: more")
     values = [_of_xml(child, where, depth + 1) for child in children]
     names = [child.tag for child in children]
-    if twice := _twice(name for name in names if name != "_"):
+    if twice := first_repeat(name for name in names if name != "_"):
         raise ValueError(f"`path`: expected XML, got {where}: the field {short(twice)} twice")
     if names and set(names) != {"_"}:
         return dict(zip(names, values, strict=True))
     values += [_scalar(word) for word in PIECES.findall(element.text or "")]
     return values[0] if len(values) == 1 and not children else values
-
-
-def _twice(names: Iterable[str]) -> str | None:
-    """Return the first name that comes again."""
-    seen: set[str] = set()
-    return next((name for name in names if name in seen or seen.add(name)), None)
 
 
 def _scalar(text: str) -> Any:
@@ -129,15 +121,15 @@ def array_of(name: str, value: Any, where: str) -> Any:
     if not isinstance(value, dict) or "data" not in value:
         return value
     fields = Fields({name: value["data"]}, where)
-    expected = f"`{name}`: expected an OpenCV matrix (rows, cols, dt, data)"
+    expected = "an OpenCV matrix (rows, cols, dt, data)"
     kind = str(value.get("dt", "d"))
     if len(kind) != 1:
-        raise ValueError(f"{expected} with one channel, got dt {kind[:9]!r} (in {where})")
+        raise fields.wrong(name, f"{expected} with one channel", f"dt {kind[:9]!r}")
     size = value.get("sizes", [value.get("rows"), value.get("cols")])
     numbers = np.ravel(fields.array(name, fields.shape(name), "finite numbers of a matrix"))
     if not isinstance(size, list) or not all(isinstance(n, int) and n >= 0 for n in size[:8]):
-        raise ValueError(f"{expected}, got the size {short(size)} (in {where})")
-    if len(numbers) != math.prod(size[:9]) or len(size) > 8:
-        count = math.prod(size[:9])
-        raise ValueError(f"{expected} of {count} numbers, got {len(numbers)} (in {where})")
+        raise fields.wrong(name, expected, f"the size {short(size)}")
+    if len(size) > 8 or len(numbers) != math.prod(size):
+        count = math.prod(size[:8])
+        raise fields.wrong(name, f"{expected} of {count} numbers", f"{len(numbers)}")
     return numbers.reshape(size)

@@ -19,7 +19,7 @@ from .._fit.words import STATUSES
 from .._numerics.arrays import Input
 from ..formats.fields import Fields, short
 from ..formats.native import (
-    camera_from_dict,
+    camera_of_fields,
     camera_to_dict,
     distortion_to_dict,
     save_camera,
@@ -212,11 +212,8 @@ def _mask_error(fields: Fields) -> MaskError | None:
 
 
 def _camera(fields: Fields, dtype: np.dtype) -> Camera:
-    try:
-        camera = camera_from_dict(fields.data, fitted=True)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{error} (in {fields.where})") from None
     known = jax.dtypes.canonicalize_dtype(dtype)
+    camera = camera_of_fields(fields, fitted=True)
     return jax.tree.map(lambda leaf: leaf.astype(known), camera)
 
 
