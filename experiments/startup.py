@@ -384,7 +384,7 @@ def more(step: Step) -> None:
     step.command("a crop", fit("cropped.png", *start, *window), 0, "status     converged")
     # Whether its camera is trusted hangs on how much is gone; where it is gone is told.
     cut = ["fit", "part.obj", "cut.png", "-o", "more", *start]
-    step.command("a mask that is cut off", cut, None, "the mask is cut off or covered there")
+    step.command("a mask that is cut off", cut, None, "is the mask cut off or covered there")
     K = "--K", "129.3", "129.3", "47.5", "39.5"
     step.command("K known, no pose", fit("mask.png", *K), 0, "status     converged")
     step.command("a report", fit("mask.png", *start, "--report", "page.html"), 0, "page.html")

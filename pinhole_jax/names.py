@@ -1,4 +1,4 @@
-"""What users may name, and what each word means: plain data, which the help shows without JAX."""
+"""The names that users may give and meet, as plain data: the help shows them without JAX."""
 
 #: The models of a lens's distortion, each with its coefficients in OpenCV's order.
 DISTORTIONS: dict[str, tuple[str, ...]] = {
@@ -20,15 +20,15 @@ FREE: tuple[str, ...] = (
     "distortion",
 )
 
-#: What `Fit.status` may be: what to do, and why.
+#: The values of `Fit.status`: what to do, and why.
 STATUSES = {
-    "converged": "trust it: at rest, the masks overlap, every direction is determined",
-    "ambiguous": "pick one of its views: others explain the mask as well",
-    "rank_deficient": "use what the notes do not name: the mask does not determine all",
-    "uncertain": "use it for a start: the mask's errors leave a turn of several degrees open",
-    "misfit": "do not use it: outline and mask disagree by more than such a mask may err",
-    "max_steps": "go on from it (`camera`): it stopped while still moving",
-    "no_overlap": "do not use it: IoU below a half. Another mesh, unit, or focal length?",
-    "saturated": "take another mask: the object covers the film, there is no outline to follow",
+    "converged": "trust it: it is at rest, the masks overlap, every direction is determined",
+    "ambiguous": "pick one of its views: others fit the mask equally well",
+    "rank_deficient": "the mask leaves open the directions in the notes: use the others",
+    "uncertain": "use it as a start only: the mask leaves several degrees of rotation open",
+    "misfit": "do not use it: outline and mask disagree by more than such a mask should",
+    "max_steps": "continue from its `camera`: it stopped while still moving",
+    "no_overlap": "do not use it: IoU below 0.5. Wrong mesh, unit, or focal length?",
+    "saturated": "use another mask: the object covers the whole picture and shows no outline",
     "non_finite": "do not use it: NaN or infinity turned up",
 }

@@ -1,5 +1,5 @@
 """Pictures of a fit, as arrays (uint8 RGB) and SVG text: the outline with its uncertainty over the
-photo, where mask and camera differ, how the fit came there, the object and the camera in space.
+photo, differences of mask and camera, convergence, the object and the camera in space.
 """
 
 from . import contour_points as contour_points, outline as outline

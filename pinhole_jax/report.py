@@ -1,3 +1,3 @@
-"""One HTML page about a fit, complete in itself: pictures, parameters, what is not known."""
+"""One self-contained HTML page about a fit: pictures, parameters, open questions."""
 
 from .show.fit_page import page as page, write as write

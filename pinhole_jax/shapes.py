@@ -1,4 +1,4 @@
-"""Example shapes, made by code: closed meshes for trying things out."""
+"""Example shapes: closed meshes for trying things out."""
 
 import numpy as np
 

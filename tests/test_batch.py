@@ -586,7 +586,7 @@ def test_finished_rows_with_other_settings_are_refused(records, rows, tmp_path):
     assert [*pj.fit_many([moved], out=tmp_path)] == [rows[0]]  # a mount of another name
     other = records[0] | {"max_steps": 7}
     for items in ([other], iter([other])):
-        words = rf"`out`.*{re.escape(other['id'])}.*'max_steps' None, which is 7 now"
+        words = rf"`out`.*{re.escape(other['id'])}.*'max_steps' was None, and now 7"
         with pytest.raises(ValueError, match=words):
             pj.fit_many(items, out=tmp_path)  # no worker starts
 
@@ -840,7 +840,7 @@ def test_command_writes_table_page_and_camera(records, rows, folder, tmp_path, c
     assert command.main(again) == 2
     assert "--resume" in capsys.readouterr().err
     assert command.main([*again[:-1], "--resume"]) == 2
-    assert "`--output`: expected rows of records as they are now" in capsys.readouterr().err
+    assert "`--output`: expected unchanged records" in capsys.readouterr().err
     assert command.main([*again, "--resume"]) == 0
     assert len(batch.Results(out)) == COUNT
     writer.add(empty_row({"id": "z"}, "failed", "words"))

@@ -23,11 +23,11 @@ def test_cut_mask_is_located():
     columns = np.flatnonzero(mask.any(axis=0))
     mask[:, : columns[0] + 10] = False
     lost, added = disagreement(AHEAD, SQUARE, mask)
-    assert "of the outline, about column" in lost
-    assert "the mask is cut off or covered there" in lost
+    assert "of the model's outline (near column" in lost
+    assert "is the mask cut off or covered there" in lost
     column = int(lost.partition("column ")[2].partition(",")[0])
     assert abs(column - columns[0]) < 10
-    assert "of the mask's edge, about column" in added
+    assert "of the mask's edge (near column" in added
     column = int(added.partition("column ")[2].partition(",")[0])
     assert abs(column - columns[0] - 10) <= 1
 
@@ -36,7 +36,7 @@ def test_object_cut_by_the_film_is_not_blamed_on_the_mask():
     camera = AHEAD.replace(p=[AHEAD.p[0] + 1.2, *AHEAD.p[1:]])
     mask = drawn(camera, SQUARE) > 0.5
     (words,) = disagreement(camera, SQUARE, mask)
-    assert words.startswith("the film's edge cuts the object off: ")
+    assert words.startswith("the picture's border cuts off ")
 
 
 @pytest.mark.parametrize("extra", [True, False])

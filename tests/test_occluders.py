@@ -152,7 +152,7 @@ def test_visible_edge_is_enough_from_a_start(scene):
     shown = plot.overlay(seen * np.uint8(255), fit.camera, scene, dots=fit.unbelieved)
     at = np.argwhere(np.all(shown == RED, axis=-1))
     assert abs(np.median(at[:, 1]) / (shown.shape[1] / 96) - wall) < 1
-    assert "Red: the mask's edge that was not believed" in html.unescape(
+    assert "Red: edges of the mask that were ignored" in html.unescape(
         report.page(fit, scene, seen)
     )
 

@@ -68,7 +68,7 @@ def test_page_has_all_sections_and_loads_nothing(text):
         "where-mask-and-camera-differ",
         "parameters",
         "correlations",
-        "what-the-mask-does-not-tell",
+        "what-the-mask-leaves-open",
         "convergence",
         "object-and-camera",
         "the-camera-for-other-programs",
@@ -101,9 +101,9 @@ def test_pictures_decode_and_tables_have_a_row_for_each_parameter(text):
     assert "not determined" in page.text["parameters"]
     assert len(page.all("td", "correlations")) == len(NAMES) ** 2
     assert "1.00" in page.text["correlations"]
-    assert "<the focal length> is not visible." in page.text["what-the-mask-does-not-tell"]
+    assert "<the focal length> is not visible." in page.text["what-the-mask-leaves-open"]
     assert re.search(r"one sigma is 0\.0\d+ px \(median; largest 0\.\d+ px\)", page.text["outline"])
-    assert "1 parameters are not determined" in page.text["outline"]
+    assert "leaves out 1 undetermined parameters" in page.text["outline"]
     assert len(page.all("tr", "convergence")) == 1 + len(FIT.history)
     assert "48 x 40 px" in page.text["convergence"]
 
@@ -119,7 +119,7 @@ def test_tables_tell_their_heads_and_name_each_parameter_once(text):
 
 
 def test_page_locates_the_disagreement(text):
-    assert "of the mask's edge, about column" in Page(text).text["where-mask-and-camera-differ"]
+    assert "of the mask's edge (near column" in Page(text).text["where-mask-and-camera-differ"]
 
 
 def test_page_holds_the_camera_in_all_formats(text, tmp_path):
@@ -137,8 +137,8 @@ def test_page_names_formats_that_cannot_hold_the_camera():
     page = Page(report.page(fit_of(camera, ("e_x",), [1e-3]), SQUARE, MASK))
     assert "camera.gltf" not in [a["download"] for a in page.all("a")]
     assert "principal point" in page.text["the-camera-for-other-programs"]
-    assert "was not recorded" in page.text["convergence"]
-    assert "no other view was found" in page.text["what-the-mask-does-not-tell"]
+    assert "were not recorded" in page.text["convergence"]
+    assert "no other view fits" in page.text["what-the-mask-leaves-open"]
 
 
 @pytest.mark.full

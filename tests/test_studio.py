@@ -297,20 +297,10 @@ def test_shader_formula_projects_as_the_camera_does(bent):
     np.testing.assert_allclose(film, seen(camera(lens), POINTS), atol=1e-9)
 
 
-def test_paths_have_the_lines_of_the_outline_each_once(scene):
+def test_outline_on_the_page_is_that_of_the_library(scene):
     lines = pj.plot.outline(camera(), scene) * [1, -1] + [0, H]
-    paths = drawing.outline_paths(camera(), scene)
-    found = {tuple(path[k : k + 4]) for path in paths for k in range(0, len(path) - 2, 2)}
-    assert found == {*map(tuple, lines.round(2).reshape(-1, 4).tolist())}
-    assert sum(len(path) // 2 - 1 for path in paths) == len(lines)
-    assert len(paths) < len(lines) / 4
-
-
-def test_lines_are_joined_whatever_their_order():
-    ring = [[0.0, 0.0, 1.0, 0.0], [1.0, 1.0, 0.0, 0.0], [1.0, 0.0, 1.0, 1.0]]
-    open_ = [[6.0, 5.0, 7.0, 5.0], [5.0, 5.0, 6.0, 5.0]]
-    paths = drawing.joined(ring + open_)
-    assert sorted(paths, key=len) == [[5, 5, 6, 5, 7, 5], [0, 0, 1, 0, 1, 1, 0, 0]]
+    found = drawing.outline_lines(camera(), scene)
+    assert found == lines.round(2).reshape(-1, 4).tolist()
 
 
 def straightened(points, lens: pj.Lens) -> np.ndarray:

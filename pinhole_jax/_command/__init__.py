@@ -1,1 +1,1 @@
-"""The command's arguments and its words on a terminal, with nothing that imports JAX."""
+"""The command line: its arguments, and a module for each command."""

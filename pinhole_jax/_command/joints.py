@@ -7,17 +7,17 @@ from typing import Any, NamedTuple
 from ..io import load_json, load_text
 from ..robots import Robot
 
-#: What a file may call its unit, and how many rad it is.
+#: The names of units, and their size in rad.
 UNITS: dict[str, float] = {
     **dict.fromkeys(("rad", "radian", "radians"), 1.0),
     **dict.fromkeys(("deg", "degree", "degrees"), math.pi / 180),
 }
-#: Readings may be beyond a joint's limits by this much (rad, m): its zero may be off.
+#: Readings may exceed a joint's limits by this much (rad, m): its zero may be off.
 BEYOND = 0.1
 
 
 class JointTable(NamedTuple):
-    """A file's rows of joint angles, and how many rad its unit is."""
+    """A file's rows of joint angles, and its unit in rad."""
 
     names: list[str]
     rows: list[list[float]]
@@ -25,11 +25,11 @@ class JointTable(NamedTuple):
 
 
 def joint_angles(path: str, robot: Robot) -> list[dict[str, float]]:
-    """Return a file's postures, angles by joint (rad; of sliding joints m): a CSV whose first line
-    has the names, or JSON with `names` and `postures`, and perhaps `unit`.
+    """Return a file's postures: angles by joint (rad; of sliding joints m).
 
-    Raises FileNotFoundError, or ValueError for a file that is neither, and for angles beyond what
-    the robot's joints reach, as degrees are.
+    The file is a CSV whose first line has the names, or JSON with `names` and `postures`, and
+    perhaps `unit`. Raises FileNotFoundError, or ValueError for other files, and for angles beyond
+    the reach of the robot's joints, as degrees usually are.
     """
     table = _table(path)
     postures = []

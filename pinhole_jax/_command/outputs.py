@@ -11,7 +11,7 @@ from .._files.paths import check_writable, is_stream
 
 
 def check_outputs(**options: Any) -> None:
-    """Raise ValueError where the file of an option, if it has one, cannot be written."""
+    """Raise ValueError if an option's file, if it has one, cannot be written."""
     for option, path in options.items():
         if path is not None:
             with named(path=option):
@@ -19,14 +19,14 @@ def check_outputs(**options: Any) -> None:
 
 
 def replaced(paths: Sequence[str | Path]) -> str:
-    """Return the words that end a line about files to write: which of them are there already."""
+    """Return the end of a line about files to write: the ones that are replaced, if any."""
     there = [str(path) for path in paths if not is_stream(path) and Path(path).is_file()]
     return f" (replaced {', '.join(there)})" if there else ""
 
 
 @contextmanager
 def say_written(path: str, words: str) -> Iterator[None]:
-    """Print that a file was written, on stderr where it went to stdout or a pipe."""
+    """Print that a file was written: on stderr if it went to stdout or a pipe."""
     there = ", replaced" * bool(replaced([path]))
     yield
     print(f"written    {path} ({words}{there})", file=sys.stderr if is_stream(path) else sys.stdout)

@@ -1,7 +1,7 @@
-"""The bench of one tab: what a person does to camera and mask, and what the page is told of it.
+"""The bench of one tab: a person's actions on camera and mask.
 
-An action is a method whose name the page sends, with numbers as JSON has them; it returns
-JSON-ready values, and raises ValueError, with a message for the person, where it cannot be.
+An action is a method that the page calls by name, with numbers from JSON. It returns JSON-ready
+values, and raises ValueError with a message for the person if it is impossible.
 """
 
 import base64
@@ -10,7 +10,7 @@ import math
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +19,14 @@ import numpy as np
 from .. import Camera, Fit, Progress, fit_camera, io, silhouette
 from ..formats import FORMATS
 from . import hand
-from .drawing import camera_numbers, grid_lines, outline_paths, straight_lines
+from .descriptions import fit_described, holding, mask_described
+from .drawing import camera_numbers, grid_lines, outline_lines, straight_lines
 from .exports import export, plain
 from .session import Session, free_of, line_of, save_session, session_from_text
 from .strokes import Loaded, Stroke, guessed, guides_about, guides_of, mask_of, stroke_of
 from .subject import Subject, subject_of
-from .telling import fit_described, holding, mask_described
 
-#: What the page may ask for.
+#: The actions that the page may call.
 ACTIONS = (
     "hello",
     "look",
@@ -49,7 +49,7 @@ ACTIONS = (
     "save",
     "open",
 )
-#: This many steps can be undone; this many guesses from strokes are kept for that.
+#: The number of steps to undo, and of guesses from strokes that are kept for them.
 MOST_UNDONE, MOST_GUESSES = 200, 16
 
 
@@ -71,7 +71,7 @@ class Bench:
         self.mask: np.ndarray | None = None
         self._candidates: tuple[Fit, ...] = ()
         self._phi_was_free, self._held_phi = False, None
-        self._guesses: dict[Any, np.ndarray | None] = {}
+        self._guess = _guesses_of(subject)
         self._undone: list[tuple[Stroke | Loaded, ...]] = []
         self._done: list[tuple[Stroke | Loaded, ...]] = []
         self._straight = False
@@ -79,9 +79,9 @@ class Bench:
         self._lock, self._fits = threading.Lock(), False
 
     def act(self, name: str, numbers: dict[str, Any], push: Callable[[Any], None]) -> Any:
-        """Do what the page asks for; `push` tells it of what happens on the way.
+        """Do an action and return its answer; `push` sends news to the page meanwhile.
 
-        Raises ValueError where that is nothing that can be done, or not while a fit runs.
+        Raises ValueError for unknown actions, wrong numbers, and while a fit runs.
         """
         if name not in ACTIONS:
             raise ValueError(f"`do`: expected one of {', '.join(ACTIONS)}, got {name!r}")
@@ -105,7 +105,7 @@ class Bench:
                 self._fits = False
 
     def hello(self) -> dict[str, Any]:
-        """Return all that a page shows when it opens."""
+        """Return the contents of a page that opens."""
         W, H = self.subject.size
         return {
             "mesh": Path(self.subject.mesh).name,
@@ -121,11 +121,11 @@ class Bench:
         }
 
     def look(self) -> dict[str, Any]:
-        """Return what is seen of the camera as it is."""
+        """Return the view of the current camera."""
         camera = self.camera
         return {
             "camera": camera_numbers(camera),
-            "outline": outline_paths(camera, self.subject.scene),
+            "outline": outline_lines(camera, self.subject.scene),
             "grid": grid_lines(camera) if self._straight else [],
             "lines": straight_lines(camera, self.lines),
             "is_fit": self.result is not None and camera is self.result.camera,
@@ -134,7 +134,7 @@ class Bench:
         }
 
     def _phi_from(self) -> str | None:
-        """Return the origin of a field of view that nobody gave, None for one that is known."""
+        """Return the origin of the field of view, None if a person, a file or the photo gave it."""
         is_ = lambda phi: math.isclose(float(self.camera.phi), float(phi), rel_tol=1e-6)
         if self.known_phi is not None and is_(self.known_phi):
             return None
@@ -186,29 +186,28 @@ class Bench:
         return self._with((*self.work, stroke_of(data)))
 
     def view_guides(self) -> dict[str, Any]:
-        """Guide the guess by the view: what is well within the outline is object, what is well
-        outside is background."""
+        """Guide the guess by the view: object well within the outline, background well outside."""
         inside = np.asarray(silhouette(self.camera, self.subject.scene)) > 0.5
         if not np.any(inside):
             raise ValueError("the object is not in the picture: turn or shift it there first")
         return self._with((*self.work, *guides_about(inside)))
 
     def undo(self) -> dict[str, Any]:
-        """Take back what was drawn or loaded last."""
+        """Take back the last stroke or mask."""
         if not self._done:
             raise ValueError("nothing to undo")
         self._undone.append(self.work)
         return self._drawn(self._done.pop())
 
     def redo(self) -> dict[str, Any]:
-        """Do again what was taken back last."""
+        """Restore the stroke or mask that was taken back last."""
         if not self._undone:
             raise ValueError("nothing to redo")
         self._done.append(self.work)
         return self._drawn(self._undone.pop())
 
     def clear(self) -> dict[str, Any]:
-        """Drop all that was drawn or loaded."""
+        """Drop all strokes and masks."""
         return self._with(()) if self.work else self._mask_described()
 
     def load_mask(self, data: str, name: str = "mask") -> dict[str, Any]:
@@ -223,7 +222,7 @@ class Bench:
         return self.take_mask(mask)
 
     def take_mask(self, mask: np.ndarray) -> dict[str, Any]:
-        """Take a mask (H, W), uint8, in place of what was drawn."""
+        """Take a mask (H, W), uint8, in place of the strokes."""
         W, H = self.subject.size
         if mask.shape != (H, W):
             size = f"{mask.shape[1]} x {mask.shape[0]}"
@@ -237,8 +236,8 @@ class Bench:
         refine: bool = False,
         push: Callable[[Any], None] | None = None,
     ) -> dict[str, Any]:
-        """Fit the camera to the mask, from the view as it is or (`search`) from all views; then, if
-        asked to `refine` it, to the photo."""
+        """Fit the camera to the mask, from the current view or (`search`) from all views; then,
+        with `refine`, to the photo."""
         if self.mask is None or not np.any(self.mask):
             raise ValueError("there is no mask yet: draw on the object, or load one")
         self._stopping.clear()
@@ -276,7 +275,7 @@ class Bench:
         return {
             "words": str(stop),
             "camera": camera_numbers(stop.camera),
-            "outline": outline_paths(stop.camera, self.subject.scene),
+            "outline": outline_lines(stop.camera, self.subject.scene),
         }
 
     def way(self) -> dict[str, Any]:
@@ -286,7 +285,7 @@ class Bench:
         return {"stops": [self._stop_described(stop) for stop in self.result.history]}
 
     def mode(self, number: Any) -> dict[str, Any]:
-        """Take one of the cameras that explain the mask: 0 is the best, others are its modes."""
+        """Take one of the cameras that fit the mask: 0 is the best, the others are its modes."""
         if not (isinstance(number, int) and 0 <= number < len(self._candidates)):
             count = len(self._candidates)
             raise ValueError(f"`number`: expected one of {count} cameras, got {number!r}")
@@ -303,8 +302,7 @@ class Bench:
         return self.look()
 
     def export(self, format: str, name: str) -> dict[str, Any]:
-        """Write the camera as it is in one of the formats, or in all of them ("all"); and the mask,
-        if there is one."""
+        """Write the current camera in a format, or in all of them ("all"), and the mask, if any."""
         return {"written": export(self.folder, name, self.camera, format, self.mask)}
 
     def save(self, name: str, free: Sequence[str]) -> dict[str, Any]:
@@ -320,16 +318,17 @@ class Bench:
         return Session(mesh, photo, self.camera, self.free, self.work, self.lines, self.known_phi)
 
     def open(self, text: str, name: str = "session") -> dict[str, Any]:
-        """Go on with a session's file (its text)."""
+        """Continue a session from its file's text."""
         self.resume(session_from_text(text, name))
         return self.hello()
 
     def resume(self, session: Session) -> None:
-        """Go on with a session."""
+        """Continue a session."""
         files = session.mesh, session.photo
         own = str(Path(self.subject.mesh).resolve()), str(Path(self.subject.photo).resolve())
         if files != own:
-            self.subject, self._guesses = subject_of(*files, session.camera), {}
+            self.subject = subject_of(*files, session.camera)
+            self._guess = _guesses_of(self.subject)
         elif self.subject.size != (session.camera.W, session.camera.H):
             raise ValueError("`camera`: expected one of the photo's size")
         self.camera, self.free, self.lines = session.camera, session.free, session.lines
@@ -345,15 +344,7 @@ class Bench:
 
     def _drawn(self, work: tuple[Stroke | Loaded, ...]) -> dict[str, Any]:
         W, H = self.subject.size
-        guides = guides_of(work)
-        guess = self._guesses.pop(guides, None)
-        if guess is None:
-            guess = guessed(self.subject.picture, guides)
-        self._guesses[guides] = guess  # the last of them: undo and redo need no new one
-        for oldest in list(self._guesses)[:-MOST_GUESSES]:
-            del self._guesses[oldest]
-        self.work = work
-        self.mask = mask_of(work, guess, W, H)
+        self.work, self.mask = work, mask_of(work, self._guess(guides_of(work)), W, H)
         return self._mask_described()
 
     def _mask_described(self) -> dict[str, Any]:
@@ -365,6 +356,11 @@ class Bench:
         modes = [m.iou for m in self._candidates] if fit.status != "non_finite" else []
         chosen = [m.camera is fit.camera for m in self._candidates].index(True)
         return {**described, "modes": modes, "chosen": chosen}
+
+
+def _guesses_of(subject: Subject) -> Callable[[tuple[Stroke, ...]], np.ndarray | None]:
+    """Return a function from strokes to a guess; it keeps some, so that undo needs no new one."""
+    return lru_cache(MOST_GUESSES)(lambda guides: guessed(subject.picture, guides))
 
 
 def _numbers(name: str, values: Any, count: int) -> list[float]:

@@ -1,5 +1,5 @@
-"""What the page draws of a camera: numbers for its shader, the outline and its band, straight lines
-as the lens bends them. Places are in px from the picture's upper left corner, x right, y down.
+"""Drawings of a camera for the page: numbers for its shader, the outline and its band, straight
+lines as the lens bends them. Places are in px from the upper left corner, x right, y down.
 """
 
 from collections.abc import Sequence
@@ -15,14 +15,14 @@ from .hand import axes_of, focal_px, principal_point
 GRID = 8
 #: A bent line has this many points.
 POINTS = 49
-#: What is farther from the picture than this many of its sides is not drawn.
+#: Lines farther from the picture than this many of its sides are not drawn.
 FAR = 20
 
 Line = tuple[tuple[float, float], tuple[float, float]]
 
 
 def camera_numbers(camera: Camera) -> dict[str, Any]:
-    """Return what a shader needs to project points as the camera does, and what sliders show."""
+    """Return the camera's numbers for the page's shader and sliders."""
     lens = camera.lens
     distortion = None if lens is None or lens.distortion is None else lens.distortion
     return {
@@ -39,40 +39,18 @@ def camera_numbers(camera: Camera) -> dict[str, Any]:
     }
 
 
-def outline_paths(camera: Camera, scene: Scene) -> list[list[float]]:
-    """Return the outline as paths [x, y, x, y, ...], to a hundredth of a px."""
+def outline_lines(camera: Camera, scene: Scene) -> list[list[float]]:
+    """Return the outline as lines [x, y, x, y], to a hundredth of a px."""
     lines = _flipped(outline(camera, scene), camera)
     near = np.all(np.abs(lines) < FAR * max(camera.W, camera.H), axis=(1, 2))
-    return joined(lines[near].round(2).reshape(-1, 4).tolist())
-
-
-def joined(lines: list[list[float]]) -> list[list[float]]:
-    """Return lines [x, y, x, y] as paths: each goes on with one that begins where it ends."""
-    starting: dict[tuple[float, float], list[int]] = {}
-    for k in range(len(lines) - 1, -1, -1):
-        starting.setdefault((lines[k][0], lines[k][1]), []).append(k)
-    ends = {(c, d) for _, _, c, d in lines}
-    # First those that nothing leads to; what is left runs in rings.
-    order = sorted(range(len(lines)), key=lambda k: (lines[k][0], lines[k][1]) in ends)
-    used, paths = [False] * len(lines), []
-    for first in order:
-        if used[first]:
-            continue
-        path, k = lines[first][:2], first
-        while k is not None:
-            used[k] = True
-            path += lines[k][2:]
-            after = starting.get((path[-2], path[-1]), [])
-            while after and used[after[-1]]:
-                after.pop()
-            k = after[-1] if after else None
-        paths.append(path)
-    return paths
+    return lines[near].round(2).reshape(-1, 4).tolist()
 
 
 def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
-    """Return the outline as lines, the half width (px) of a band about each, which is how far it
-    moves at one standard error, and the median of these."""
+    """Return the outline as lines, the half width (px) of a band about each, and their median.
+
+    A half width is the motion of its line at one standard error.
+    """
     lines = _flipped(outline(fit.camera, scene), fit.camera)
     sigma = outline_sigma(fit, scene)
     shown = sigma[np.isfinite(sigma) & (sigma > 0)]
@@ -84,7 +62,7 @@ def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
 
 
 def grid_lines(camera: Camera) -> list[list[list[float]]]:
-    """Return a grid of lines that are straight in space, as the lens shows them: rows of points."""
+    """Return a grid of lines straight in space, as the lens shows them: rows of points."""
     spacing = min(camera.W, camera.H) / GRID
     where = principal_point(camera)
     reach = 1.6  # a barrel shows more than the ideal film
@@ -107,8 +85,8 @@ def grid_lines(camera: Camera) -> list[list[list[float]]]:
 
 
 def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[float]]]:
-    """Return lines that are straight in space and pass through two places of the picture each, as
-    the lens shows them: from the one to the other."""
+    """Return lines straight in space, each from one place of the picture to another, as the lens
+    shows them."""
     if not lines:
         return []
     ends = np.array(lines, float) * [1, -1] + [0, camera.H]
@@ -125,14 +103,14 @@ def _ideal(camera: Camera) -> Camera:
 
 
 def _elsewhere(before: Camera, after: Camera, points: np.ndarray) -> np.ndarray:
-    """Return these film points of a camera as another one of its pose shows them."""
+    """Return film points of a camera as another camera of the same pose shows them."""
     at_origin = lambda camera: camera.with_pose([0, 0, 0], axes_of(camera))
     rays = rays_through(at_origin(before), points.astype(before.e.dtype))
     return np.asarray(project(at_origin(after), rays.direction), float)
 
 
 def _within(line: np.ndarray, camera: Camera) -> list[list[list[float]]]:
-    """Return the parts of a line of points that are on the film or beside it."""
+    """Return the parts of a line of points on the film or near it."""
     margin = np.array([camera.W, camera.H]) * 0.1
     on = np.all((line > -margin) & (line < np.array([camera.W, camera.H]) + margin), axis=1)
     cuts = np.flatnonzero(np.diff(on.astype(int))) + 1

@@ -1,4 +1,4 @@
-"""Files that a person asks for, whole or not at all: the camera in any format, and the mask."""
+"""The files of an export: the camera in any format, and the mask."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import numpy as np
 from .. import Camera, io
 from ..formats import FORMATS, write
 
-#: What a format's path ends with, after the name that a person gives.
+#: The ending of each format's path, after the name that a person gives.
 ENDINGS = {
     "json": ".json",
     "opencv": ".yaml",
@@ -25,8 +25,7 @@ ENDINGS = {
 def export(
     folder: Path, name: str, camera: Camera, format: str, mask: np.ndarray | None
 ) -> list[str]:
-    """Write a camera in one of the formats, or in all of them ("all"), and its mask, if any; return
-    the paths.
+    """Write a camera in a format, or in all ("all"), and its mask, if any; return the paths.
 
     Raises ValueError for other formats and names, and for a camera that the format cannot hold.
     """
@@ -44,7 +43,7 @@ def export(
 
 
 def plain(name: str) -> str:
-    """Return a name for files, or raise ValueError where it leads elsewhere."""
+    """Return a name for files; raise ValueError if it is a path."""
     good = 0 < len(name) <= 100 and name[0] != "." and all(c.isalnum() or c in "-_." for c in name)
     if not good:
         raise ValueError(f"`name`: expected letters, digits, - and _, got {name!r}")

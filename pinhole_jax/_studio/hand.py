@@ -1,6 +1,6 @@
-"""A camera in the hand: turned, shifted and moved about the middle of the object, its lens changed.
+"""Moves of a camera by hand: turn, shift and zoom about the middle of the object, change the lens.
 
-Numbers, not traced: each move takes a millisecond.
+Plain NumPy: each move takes a millisecond.
 """
 
 from typing import Any, NamedTuple
@@ -11,17 +11,17 @@ from scipy.spatial.transform import Rotation
 
 from .. import BrownConrady, Camera, Lens, camera_basis
 
-#: How a camera first looks at an object that stands upright: from ahead, from the right and above.
+#: The first direction from an upright object to the camera: ahead, to the right and above.
 FIRST_LOOK = (0.4, 0.45, 1.0)
-#: Objects stand with one of these axes upwards: its direction, and that of their front.
+#: The axes that an object may have upwards: the axis, and the direction of its front.
 UPRIGHT = {
     "x": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
     "y": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
     "z": ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
 }
-#: How much of the picture's height or width an object takes at first.
+#: The share of the picture's shorter side that an object first takes.
 ROOM = 0.75
-#: The nearest and the farthest that the eye goes from the object's middle, in its radii.
+#: The least and the greatest distance of the eye from the object's middle, in radii.
 NEAREST, FARTHEST = 1e-3, 1e5
 
 Vector = Float[np.ndarray, "3"]
@@ -46,7 +46,7 @@ def principal_point(camera: Camera) -> Float[np.ndarray, "2"]:
 
 
 class Ball(NamedTuple):
-    """The middle of an object's box, and how far its farthest corner is from there."""
+    """The middle of an object's box, and the distance of its farthest point."""
 
     centre: Vector
     radius: float
@@ -59,33 +59,32 @@ def ball_of(points: Float[np.ndarray, "n 3"]) -> Ball:
 
 
 def framed(camera: Camera, ball: Ball, up: str = "y") -> Camera:
-    """Return the camera looking at an object that stands with its axis x, y or z upwards, all of
-    it within the picture."""
+    """Return the camera looking at a whole object that stands with its axis x, y or z upwards."""
     if up not in UPRIGHT:
         raise ValueError(f"`up`: expected one of {', '.join(UPRIGHT)}, got {up!r}")
     upwards, ahead = np.array(UPRIGHT[up])
     right = np.cross(upwards, ahead)
     look = np.stack([right, upwards, ahead], axis=1) @ FIRST_LOOK
-    eye = ball.centre + _far(camera, ball) * look / np.linalg.norm(look)
+    eye = ball.centre + _distance(camera, ball) * look / np.linalg.norm(look)
     return camera.replace(e=eye, p=ball.centre, u=upwards)
 
 
 def upright(camera: Camera) -> str | None:
-    """Return the axis x, y or z that a camera was framed upright along, None after turns."""
+    """Return the axis x, y or z that `framed` put upwards, None after turns."""
     up = np.asarray(camera.u, float)
     along = (axis for axis, (upwards, _) in UPRIGHT.items() if np.array_equal(up, upwards))
     return next(along, None)
 
 
-def _far(camera: Camera, ball: Ball) -> float:
-    """Return how far from the eye a ball takes its room of the picture."""
+def _distance(camera: Camera, ball: Ball) -> float:
+    """Return the distance at which a ball takes its share of the picture."""
     half = np.arctan(ROOM * min(camera.W, camera.H) / 2 / focal_px(camera)[1])
     return float(ball.radius / np.sin(half))
 
 
 def turned(camera: Camera, centre: Vector, right: float, up: float, clockwise: float) -> Camera:
-    """Return the camera that sees the object turned by these angles (rad): its front to the right,
-    upwards, and clockwise in the picture; about its centre."""
+    """Return the camera that sees the object turned about its centre by these angles (rad): its
+    front to the right, upwards, and clockwise in the picture."""
     b1, b2, v = axes_of(camera)
     turn = Rotation.from_rotvec(b1 * -up + b2 * right + v * clockwise)
     rotation = turn.inv().as_matrix()  # the camera turns the other way
@@ -94,7 +93,7 @@ def turned(camera: Camera, centre: Vector, right: float, up: float, clockwise: f
 
 
 def shifted(camera: Camera, centre: Vector, right: float, down: float) -> Camera:
-    """Return the camera that sees the object's centre shifted in the picture by this many px."""
+    """Return the camera that sees the object's centre shifted in the picture (px)."""
     axes, eye = axes_of(camera), np.asarray(camera.e, float)
     fx, fy = focal_px(camera)
     depth = abs(float(axes[2] @ (centre - eye)))
@@ -102,7 +101,7 @@ def shifted(camera: Camera, centre: Vector, right: float, down: float) -> Camera
 
 
 def nearer(camera: Camera, ball: Ball, factor: float) -> Camera:
-    """Return the camera with its distance from the object's centre times a factor."""
+    """Return the camera with its distance from the object's centre scaled by a factor."""
     away = np.asarray(camera.e, float) - ball.centre
     far = float(np.linalg.norm(away))
     least, most = NEAREST * ball.radius, FARTHEST * ball.radius
@@ -111,8 +110,7 @@ def nearer(camera: Camera, ball: Ball, factor: float) -> Camera:
 
 
 def with_phi(camera: Camera, centre: Vector, phi: float) -> Camera:
-    """Return the camera with another field of view (rad), so far away that the object keeps its
-    size."""
+    """Return the camera with another field of view (rad), moved to keep the object's size."""
     axes, eye = axes_of(camera), np.asarray(camera.e, float)
     depth = float(axes[2] @ (centre - eye))
     wider = camera.replace(phi=phi)
@@ -121,11 +119,12 @@ def with_phi(camera: Camera, centre: Vector, phi: float) -> Camera:
 
 
 def with_lens(camera: Camera, changes: dict[str, float]) -> Camera:
-    """Return the camera with some numbers of its lens changed: principal_x, principal_y (px, from
-    the film's lower left corner), aspect, coefficients of its distortion (of one without: OpenCV's
-    k1, k2, p1, p2, k3). One that says nothing is left out.
+    """Return the camera with new numbers of its lens, without a lens if it changes nothing.
 
-    Raises ValueError for other names, and where no such lens holds on the film.
+    Their names are principal_x and principal_y (px, from the film's lower left corner), aspect, and
+    the coefficients of its distortion (of a camera without: OpenCV's k1, k2, p1, p2, k3).
+
+    Raises ValueError for other names, and if no such lens holds on the film.
     """
     lens, where = camera.lens, principal_point(camera)
     distortion: Any = (lens.distortion if lens is not None else None) or BrownConrady()
@@ -141,5 +140,5 @@ def with_lens(camera: Camera, changes: dict[str, float]) -> Camera:
     coefficients = {name: values[name] for name in distortion.coefficients()}
     new = type(distortion)(**coefficients) if any(coefficients.values()) else None
     where, aspect = np.array([values["principal_x"], values["principal_y"]]), values["aspect"]
-    says_nothing = new is None and aspect == 1 and np.array_equal(2 * where, [camera.W, camera.H])
-    return camera.replace(lens=None if says_nothing else Lens(where, aspect, new))
+    is_trivial = new is None and aspect == 1 and np.array_equal(2 * where, [camera.W, camera.H])
+    return camera.replace(lens=None if is_trivial else Lens(where, aspect, new))

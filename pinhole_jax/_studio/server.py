@@ -1,7 +1,7 @@
-"""The page's server: on this machine alone, for those who have the token; each tab has a bench.
+"""The page's server, on this machine alone. Each tab has a bench.
 
-Every request names the token that was drawn when the server started, and the host it is for: other
-users of the machine, and pages of other sites that a browser shows, get nothing.
+Every request must name the token drawn when the server started, and this host: other users of the
+machine, and pages of other sites, get nothing.
 """
 
 import asyncio
@@ -38,7 +38,7 @@ HEADERS = {
 
 
 class Studio:
-    """What the server keeps: the token, and the tabs' benches by a name that only the tab knows."""
+    """The token, and the tabs' benches by names that only the tabs know."""
 
     def __init__(self, new_bench: Callable[[], Bench]) -> None:
         self.token = secrets.token_urlsafe(24)
@@ -116,7 +116,7 @@ class Studio:
         return socket
 
     def _opened(self, tab: str) -> str:
-        """Return the name of a tab: the one that it had, unless another tab is open under it."""
+        """Return a tab's name: its former one, unless an open tab has that."""
         if tab not in self._benches or tab in self._open:
             tab = secrets.token_urlsafe(12)
             self._benches[tab] = self._new_bench()
@@ -147,7 +147,7 @@ class Studio:
 
 
 def _question(text: str) -> tuple[Any, str, dict[str, Any]]:
-    """Return a message's number, what it asks for and with which numbers, or raise ValueError."""
+    """Return a message's number, its action and the action's numbers, or raise ValueError."""
     asked = json.loads(text)
     if not (isinstance(asked, dict) and isinstance(asked.get("do"), str) and "id" in asked):
         raise ValueError("expected a JSON object with `id` and `do`")
@@ -162,7 +162,7 @@ async def _send_all(socket: web.WebSocketResponse, outgoing: "asyncio.Queue[Any]
 
 
 async def serve(studio: Studio, port: int, ready: Callable[[str], Any]) -> None:
-    """Serve until cancelled; `ready` is told the address, token and all. Port 0: any free one."""
+    """Serve until cancelled; call `ready` with the address and its token. Port 0: any free one."""
     runner = web.AppRunner(studio.application(), access_log=None)
     await runner.setup()
     try:

@@ -1,4 +1,4 @@
-"""A session as one file: which mesh and photo, the camera, what was drawn, what may move."""
+"""A session as one file: mesh, photo, camera, strokes, free parameters."""
 
 import json
 import math
@@ -16,12 +16,12 @@ MOST_BYTES = 1 << 28
 
 
 class Session(NamedTuple):
-    """What a person has made of a photo so far.
+    """The state of a person's work on a photo.
 
-    - `mesh`, `photo`: their files; what is drawn is on a photo of the camera's size.
-    - `camera`: as it is now. `free`: what a fit may change of it.
+    - `mesh`, `photo`: their files. The photo has the camera's size.
+    - `camera`: the current camera. `free`: the parameters that a fit may change.
     - `work`: strokes and loaded masks, in order.
-    - `lines`: pairs of places (px from the upper left corner) along edges that are straight.
+    - `lines`: pairs of places (px from the upper left corner) along straight edges.
     - `known_phi`: the field of view (rad) that an option, a file or the photo gave, if any.
     """
 
@@ -50,7 +50,7 @@ def session_to_text(session: Session) -> str:
 
 
 def session_from_text(text: str, name: str = "session") -> Session:
-    """Return the session of `session_to_text`, or raise ValueError naming what is wrong."""
+    """Return the session of `session_to_text`, or raise ValueError naming the wrong field."""
     try:
         data = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -1,5 +1,6 @@
-"""A mask from what a hand draws on a photo: strokes that tell object from background, and strokes
-that paint. Places are in px from the picture's upper left corner, x right, y down.
+"""A mask from strokes on a photo: some guide a guess of the object, some paint.
+
+Places are in px from the picture's upper left corner, x right, y down.
 """
 
 import base64
@@ -11,25 +12,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-#: What a stroke does: say where the object is, and the background (the rest is guessed from the
-#: photo), or add to the mask and take from it, just what it covers.
+#: The kinds of strokes. Guides mark object and background, and the rest is guessed from the photo;
+#: paint adds its pixels to the mask or takes them away.
 GUIDES, PAINTS = ("object", "background"), ("add", "erase")
 KINDS = (*GUIDES, *PAINTS)
-#: A guess is made on a picture of about this many pixels, then along its edge on finer ones, up to
-#: this many: there a stroke still takes no more than some seconds.
+#: A guess is made on a picture of about this many pixels, then along its edge on finer ones up to
+#: this many, where a stroke takes some seconds.
 COARSE_PX, FINEST_PX = 40_000, 800_000
-#: How far (px) the edge may move from one to the next.
+#: The most that the edge may move (px) from one picture to the next.
 EDGE_PX = 4
-#: How much a random walker shuns steps between colours: scikit-image's beta.
+#: The random walker's aversion to steps between colours: scikit-image's beta.
 CONTRAST = 2000.0
-#: How far (in shares of the object's size in the picture) dots keep off a view's outline.
+#: The distance of dots from a view's outline, as a share of the object's size in the picture.
 KEEP_OFF = 0.12
-#: Strokes of more points, or more of them, are no hand's.
+#: The most points of a stroke and the most strokes: nobody draws more by hand.
 MOST_POINTS, MOST_STROKES = 100_000, 10_000
 
 
 class Stroke(NamedTuple):
-    """A line that a round brush of this radius (px) drew through points, and what for (`KINDS`)."""
+    """A line through points, drawn with a round brush of a radius (px); `kind` is in `KINDS`."""
 
     kind: str
     radius: float
@@ -37,7 +38,7 @@ class Stroke(NamedTuple):
 
 
 class Loaded(NamedTuple):
-    """A mask from elsewhere (H, W), uint8, 255 where the object is; it replaces what was before."""
+    """A mask from a file (H, W), uint8, 255 on the object; it replaces all strokes before it."""
 
     mask: np.ndarray
 
@@ -46,8 +47,8 @@ Work = tuple[Stroke | Loaded, ...]
 
 
 def drawn(strokes: Sequence[Stroke], values: Mapping[str, int], picture: np.ndarray) -> np.ndarray:
-    """Return a picture (H, W), uint8, with strokes drawn over it, each kind in its value: on the
-    pixels whose centres it covers."""
+    """Return a picture (H, W), uint8, with strokes drawn over it: each has its kind's value, on
+    the pixels whose centres it covers."""
     from PIL import Image, ImageDraw
 
     image = Image.fromarray(picture)
@@ -64,7 +65,7 @@ def drawn(strokes: Sequence[Stroke], values: Mapping[str, int], picture: np.ndar
 
 
 def guides_of(work: Work) -> tuple[Stroke, ...]:
-    """Return the strokes that the mask is guessed from: none where a loaded one counts."""
+    """Return the guides since the last loaded mask."""
     guides: list[Stroke] = []
     for step in work:
         if isinstance(step, Loaded):
@@ -75,8 +76,7 @@ def guides_of(work: Work) -> tuple[Stroke, ...]:
 
 
 def guides_about(inside: np.ndarray) -> tuple[Stroke, ...]:
-    """Return dots on the object and on the background, well away from the outline of a view
-    (H, W), right by nobody knows how much."""
+    """Return guides for a view's silhouette (H, W): dots well inside it and well outside."""
     H, W = inside.shape
     off = max(KEEP_OFF * float(np.sqrt(np.count_nonzero(inside))), 2.0)
     step = int(off)
@@ -90,9 +90,9 @@ def guides_about(inside: np.ndarray) -> tuple[Stroke, ...]:
 
 
 def mask_of(work: Work, guess: np.ndarray | None, W: int, H: int) -> np.ndarray | None:
-    """Return the mask (H, W), 255 where the object is; None where nothing says where that is.
+    """Return the mask (H, W), 255 on the object; None without strokes or a mask.
 
-    `guess` is what `guessed` makes of `guides_of(work)`.
+    `guess` is `guessed` of `guides_of(work)`.
     """
     mask = guess
     for step in work if guess is None else ():
@@ -138,8 +138,7 @@ def _levels(W: int, H: int) -> list[tuple[int, int]]:
 
 
 def _walked(photo: np.ndarray, seeds: np.ndarray, before: np.ndarray | None) -> np.ndarray:
-    """Return where the object is on a picture: everywhere asked, or near the edge of a coarser
-    answer, which is right elsewhere."""
+    """Return the object's pixels of a picture, guessed anew near the edge of a coarser answer."""
     H, W = seeds.shape
     labels = seeds.astype(np.int32)
     if before is not None:
@@ -154,7 +153,7 @@ def _walked(photo: np.ndarray, seeds: np.ndarray, before: np.ndarray | None) -> 
 
 
 def _depth(part: np.ndarray) -> np.ndarray:
-    """Return how far (px) each pixel of a part of a picture is from the rest; 0 in the rest."""
+    """Return the distance (px) of each pixel of a part from the rest of the picture, 0 there."""
     from scipy import ndimage
 
     depth: Any = ndimage.distance_transform_edt(part)
@@ -167,7 +166,7 @@ def _random_walker(photo: np.ndarray, labels: np.ndarray) -> np.ndarray:
     from skimage.color import rgb2lab
     from skimage.segmentation import random_walker
 
-    with warnings.catch_warnings(action="ignore"):  # of pyamg, and of rounding
+    with warnings.catch_warnings(action="ignore"):  # about pyamg and rounding
         return random_walker(
             rgb2lab(photo) / 100, labels, beta=CONTRAST, mode="cg_j", tol=1e-3, channel_axis=-1
         )
@@ -185,7 +184,7 @@ def _resized(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _shrunk(seeds: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return seeds on a smaller picture: thin strokes stay."""
+    """Return seeds on a smaller picture, thin strokes included."""
     if (seeds.shape[1], seeds.shape[0]) == size:
         return seeds
     object_, back = (_resized(np.uint8(255) * (seeds == label), size) for label in (1, 2))
@@ -202,7 +201,7 @@ def png_of(mask: np.ndarray) -> str:
 
 
 def work_to_list(work: Work) -> list[dict[str, Any]]:
-    """Return what was drawn as JSON-ready values; masks as PNG files in base64."""
+    """Return strokes and masks as JSON-ready values; masks are PNG files in base64."""
     return [
         {"mask": png_of(step.mask)}
         if isinstance(step, Loaded)
@@ -212,7 +211,7 @@ def work_to_list(work: Work) -> list[dict[str, Any]]:
 
 
 def work_from_list(data: Any, W: int, H: int) -> Work:
-    """Return what `work_to_list` wrote for a picture of this size, or raise ValueError."""
+    """Return the work of `work_to_list` for a picture of this size, or raise ValueError."""
     if not isinstance(data, list) or len(data) > MOST_STROKES:
         raise ValueError("`strokes`: expected a list of strokes and masks")
     return tuple(_step(step, W, H) for step in data)

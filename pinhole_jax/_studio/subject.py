@@ -1,4 +1,4 @@
-"""What a session is about: a mesh and a photo, read once and shared by all tabs."""
+"""The subject of a session: a mesh and a photo, read once and shared by all tabs."""
 
 from collections.abc import Callable
 from io import BytesIO
@@ -12,7 +12,7 @@ from .._files.naming import named
 from ..batch.inputs import read_scene
 from .hand import Ball, ball_of, framed
 
-#: The field of view (rad) that a session starts from if nobody gives one: a guess.
+#: A guess of the field of view (rad), if nobody gives one.
 PHI = 0.7
 #: A photo is shown with at most this many pixels on a side.
 SHOWN_PX = 4096
@@ -22,9 +22,8 @@ class Subject(NamedTuple):
     """A mesh and a photo.
 
     - `mesh`, `photo`: their files. `picture`: the photo, uint8 (H, W, 3).
-    - `ball`: about the mesh. `start`: the camera that a new session begins with.
-    - `phi`: the field of view (rad) that an option, a file or the photo gives; None: `start` has
-      an assumed one.
+    - `ball`: around the mesh. `start`: the first camera of a session.
+    - `phi`: the field of view (rad) that an option, a file or the photo gives; None: it is a guess.
     """
 
     mesh: str

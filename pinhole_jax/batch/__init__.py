@@ -1,8 +1,8 @@
 """Many fits: records in, rows out, on one machine or on many.
 
-`fit_many` takes records (`FIELDS`) from anywhere, `read_dataset` makes them of data sets on disk;
-`Results` are the rows (`COLUMNS`) that a run has left in a folder. `fit_one` is one of them, for
-engines of other kinds.
+`fit_many` takes records (`FIELDS`) from anywhere; `read_dataset` makes them of data sets on disk.
+`Results` are the rows (`COLUMNS`) that a run has written to a folder. `fit_one` fits one record,
+for engines of your own.
 """
 
 from .datasets import Dataset as Dataset, read_dataset as read_dataset

@@ -1,4 +1,4 @@
-"""Records of data sets as they lie on disk: BOP's, a table of paths, a folder of masks."""
+"""Records of data sets on disk: BOP's, a table of paths, a folder of masks."""
 
 import contextlib
 import csv
@@ -14,14 +14,14 @@ from .records import FIELDS, PATHS, PICTURES, Record, files_of
 #: The endings of meshes and tables.
 MESHES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
 TABLES = (".csv", ".jsonl")
-#: Where BOP keeps its models, beside the splits.
+#: The folders of BOP's models, beside the splits.
 MODELS = ("models", "models_eval", "models_cad")
-#: What Python and spreadsheets write of JSON's words.
+#: JSON's words as Python and spreadsheets write them.
 WORDS = {"True": "true", "False": "false", "TRUE": "true", "FALSE": "false", "None": "null"}
 
 
 class Dataset:
-    """Records that are read anew each time they are gone through: none stays in memory.
+    """Records, read anew at each iteration: none stays in memory.
 
     ```python
     [record["id"] for record in data]
@@ -50,19 +50,19 @@ def read_dataset(
 ) -> Dataset:
     """Return the records of a data set.
 
-    - BOP: the folder of a split, or of one scene: `scene_camera.json`, `scene_gt.json` (which
-      object each mask shows; with `start` also where to start), `mask_visib`. `models` is the
-      folder of obj_000001.ply and so on (None: beside the split). `detections`: a JSON of COCO's,
-      as BOP's segmentation challenge has them (with `scene_id`), whose masks take the place of
-      `mask_visib`. Ids are split/scene/image/object/number.
-    - A table (.csv, .jsonl): a record a row; paths are relative to it. A CSV's K, dist and start
-      are numbers between blanks.
-    - A folder: one mesh, masks (those in `masks`, if there is one), and a camera's file
-      `camera.json` or what `fields` say. An id is a mask's path.
+    - BOP: the folder of a split, or of one scene: `scene_camera.json`, `scene_gt.json` (the object
+      of each mask; with `start` also its starting pose), `mask_visib`. `models` is the folder of
+      obj_000001.ply and so on (None: beside the split). `detections` is a JSON of COCO's, as in
+      BOP's segmentation challenge (with `scene_id`), whose masks replace `mask_visib`. Ids are
+      split/scene/image/object/number.
+    - A table (.csv, .jsonl): a record a row; paths are relative to it. A CSV's K, dist, start, crop
+      and resize are numbers between blanks.
+    - A folder: one mesh, masks (those in `masks`, if there is such a folder), and the camera in
+      `camera.json` or in `fields`. An id is a mask's path.
 
-    `fields` stand in records that have none of their own: `free`, `K`, `fov`, ...
+    `fields` are defaults for all records: `free`, `K`, `fov`, ...
 
-    Raises FileNotFoundError, or ValueError for what is none of these.
+    Raises FileNotFoundError, or ValueError for other files and folders.
 
     ```python
     data = pj.batch.read_dataset("data.csv", free="pose,phi")
@@ -91,12 +91,12 @@ def read_dataset(
 
 
 def _with(fields: dict[str, Any], records: Iterator[Record]) -> Iterator[Record]:
-    """Yield records with what they do not say themselves of the camera, and of all else."""
-    ways = {"K", "fov", "camera"}
-    of_way = {*ways, "pixel_centres", "dist", "start"}
+    """Yield records with defaults for their missing fields; a camera of their own stays whole."""
+    cameras = {"K", "fov", "camera"}
+    parts = {*cameras, "pixel_centres", "dist", "start"}
     for record in records:
-        own = ways & record.keys()
-        yield {**{n: v for n, v in fields.items() if not (own and n in of_way)}, **record}
+        own = cameras & record.keys()
+        yield {**{n: v for n, v in fields.items() if not (own and n in parts)}, **record}
 
 
 def _models(place: Path, models: str | os.PathLike[str] | None) -> Path:
@@ -136,7 +136,7 @@ _Objects = Iterator[tuple[str, int, int, dict[str, Any]]]
 
 
 def _labelled(scene: Path, start: bool) -> _Objects:
-    """Yield what BOP has labelled in a scene."""
+    """Yield the objects that BOP has labelled in a scene."""
     file = scene / "scene_gt.json"
     for image, poses in _json(file, "`path`", dict).items():
         place = f"`path`: {str(file)!r}, image {image!r}"
@@ -175,7 +175,7 @@ def _detected(path: Path, scenes: list[Path]) -> dict[int, list[Any]]:
 
 
 def _segmented(detections: list[dict[str, Any]]) -> _Objects:
-    """Yield what was detected in a scene."""
+    """Yield the objects detected in a scene."""
     numbers: dict[int, int] = {}
     for found in detections:
         image, object_ = (
@@ -187,7 +187,7 @@ def _segmented(detections: list[dict[str, Any]]) -> _Objects:
 
 
 def _json(path: Path, name: str, kind: Any) -> Any:
-    """Return the data of a JSON file, which are of one of some kinds."""
+    """Return the data of a JSON file, of the expected type."""
     try:
         data = json.loads(path.read_bytes())
     except FileNotFoundError:
@@ -201,13 +201,13 @@ def _json(path: Path, name: str, kind: Any) -> Any:
 
 def _items(values: Any, place: str) -> list[dict[str, Any]]:
     """Return a list of JSON objects, or raise ValueError."""
-    if not isinstance(values, list) or not all(isinstance(one, dict) for one in values):
+    if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
         raise ValueError(f"{place}: expected a list of objects, got {brief(values)}")
     return values
 
 
 def _whole(value: Any, words: str) -> int:
-    """Return a whole number, also of a text; raise ValueError with some words for what is none."""
+    """Return a whole number, also from a text; raise ValueError with `words` for anything else."""
     with contextlib.suppress(TypeError, ValueError, OverflowError):
         if not isinstance(value, bool) and int(value) == float(value):
             return int(value)
@@ -245,7 +245,7 @@ def _rows(path: Path, is_csv: bool) -> Iterator[dict[str, Any]]:
 
 
 def _of_cell(name: str, cell: str) -> Any:
-    """Return a CSV's cell as a record's value: what JSON reads is that, but for texts."""
+    """Return the value of a CSV's cell: JSON where it is JSON and the field no text."""
     if name != "id" and (name not in PATHS or cell[0] in "{["):
         with contextlib.suppress(TypeError, ValueError):
             return json.loads(WORDS.get(cell, cell))

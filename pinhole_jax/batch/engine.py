@@ -1,4 +1,4 @@
-"""Records through an executor: each comes back as a row, whatever becomes of its process."""
+"""Records through an executor: each comes back as a row, even if its process crashes."""
 
 import itertools
 import multiprocessing
@@ -12,9 +12,9 @@ from .records import Record
 from .rows import Row, empty_row
 from .worker import Setup
 
-#: A worker that ends as it starts is started this many times.
+#: The number of attempts to start a worker.
 STARTS = 3
-#: This many records a worker are on their way to an executor that is not our own.
+#: The number of records handed ahead to each worker of a user's executor.
 AHEAD = 4
 
 
@@ -23,10 +23,10 @@ def rows_of(
 ) -> Generator[Row, None, None]:
     """Yield a row for each record, as they come.
 
-    Without an executor: by worker processes that share the cores out. A record that ends its
-    process, or fails in an executor, is given once more; then it has "crashed".
+    Without an executor, worker processes share the cores. A record that ends its process, or
+    fails in an executor, gets one more try; then it has "crashed".
 
-    Raises RuntimeError where no worker starts, or the executor takes no more.
+    Raises RuntimeError if no worker starts, or the executor takes no more records.
     """
     waiting = iter(records)
     if executor is None:
@@ -40,7 +40,7 @@ def rows_of(
 
     def give(record: Record, tries: int) -> None:
         if executor is None:
-            future = next(one for one in own if one.future not in running).give(record)
+            future = next(w for w in own if w.future not in running).give(record)
         else:
             future = _given(executor, record, setup)
         running[future] = record, tries, time.monotonic()
@@ -51,7 +51,7 @@ def rows_of(
                 give(record, 1)
             if not running:
                 return
-            # (With a limit the clock is looked at, too.)
+            # With a time limit, the clock counts, too.
             wait(running, None if setup.limit is None else 1.0, FIRST_COMPLETED)
             for future, (record, tries, since) in [*running.items()]:
                 late = own and time.monotonic() - since > setup.patience
@@ -59,7 +59,7 @@ def rows_of(
                     continue
                 del running[future]
                 if not future.done():
-                    next(one for one in own if one.future is future).begin()
+                    next(w for w in own if w.future is future).begin()
                     words = f"took more than {setup.limit} s, and did not end by itself"
                     yield empty_row(record, "timed_out", words, setup.patience)
                 elif (error := future.exception()) is None:
@@ -71,20 +71,20 @@ def rows_of(
     finally:
         for future in running:
             future.cancel()
-        for one in own:
-            one.end()
+        for process in own:
+            process.end()
 
 
 def _given(executor: Executor, record: Record, setup: Setup) -> Future[Row]:
     try:
         return executor.submit(worker.run, record, setup)
     except RuntimeError as error:  # (a broken pool's is one)
-        words = "it takes no more records; what is done is kept, call again with another one"
+        words = "expected one that takes more records; call again with another to continue"
         raise RuntimeError(f"`executor`: {words}: {error}") from error
 
 
 class _Worker:
-    """A process of our own, and the `future` of what it was given last: one record at a time."""
+    """A worker process, and the `future` of its last record: it has one record at a time."""
 
     _pool: ProcessPoolExecutor | None = None
 
@@ -100,7 +100,7 @@ class _Worker:
         self.future = self._ready = self._pool.submit(worker.ready)
 
     def give(self, record: Record) -> Future[Row]:
-        """Return the row to come of a record that the process is given, when it has started."""
+        """Hand over a record when the process has started; return its row's future."""
         for _ in range(STARTS):
             try:
                 self._ready.result()
@@ -110,13 +110,13 @@ class _Worker:
             except BrokenProcessPool:
                 self.begin()
         raise RuntimeError(
-            "no worker process could start: a script that calls `fit_many` does so below"
-            " `if __name__ == '__main__':`, since workers import it"
+            "no worker process could start: call `fit_many` below `if __name__ == '__main__':` in"
+            " your script, since workers import it"
         )
 
     def end(self) -> None:
-        """End the process, whatever it is at."""
-        # (`kill_workers` does it from Python 3.14 on.)
+        """Kill the process."""
+        # (From Python 3.14 on, `kill_workers` does it.)
         if self._pool is not None:
             for process in list((self._pool._processes or {}).values()):
                 process.kill()

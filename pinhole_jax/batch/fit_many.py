@@ -1,4 +1,4 @@
-"""`fit_many`: any number of records through any executor; what stops is resumed."""
+"""`fit_many`: any number of records through any executor; a stopped run resumes."""
 
 import itertools
 import os
@@ -16,20 +16,23 @@ from .rows import NO_FIT, Row
 from .tracking import tracked_rows
 from .worker import TOKEN, Setup
 
-#: This many records at a time are sorted, so that a worker meets one mesh after another.
+#: This many records at a time are sorted by mesh, so that workers open few meshes at once.
 WINDOW = 4096
-#: A record's seconds, unless others are asked for.
+#: The default time limit of a record (s).
 TIME_LIMIT = 600.0
 
 
 class Count(NamedTuple):
-    """How far `fit_many` has come: rows that this run has `done`, of how many in all (None where
-    nobody knows), how many there were `before`, the `statuses` of those done, and the `seconds`.
+    """The progress of `fit_many`.
+
+    - `done`: rows of this run. `before`: rows that were there before.
+    - `total`: all records, None if their number is not known.
+    - `statuses`: how many of the rows done have each status. `seconds`: since the start.
 
     ```python
-    told = lambda count: print(count)  # "2 of 2, 3.1 a second, ..."
+    show = lambda count: print(count)  # "2 of 2, 3.1 a second, ..."
     with ThreadPoolExecutor(1) as threads:
-        rows = pj.fit_many(records, executor=threads, progress=told)
+        rows = pj.fit_many(records, executor=threads, progress=show)
     ```
     """
 
@@ -40,7 +43,7 @@ class Count(NamedTuple):
     seconds: float
 
     def __str__(self) -> str:
-        """Return it as a line."""
+        """Return the progress as a line."""
         rate = self.done / max(self.seconds, 1e-9)
         words = f"{self.done + self.before}"
         if self.total is not None:
@@ -49,8 +52,8 @@ class Count(NamedTuple):
         if self.total is not None and self.done:
             left = (self.total - self.done - self.before) / rate
             words += f", {int(left) // 3600}:{int(left) // 60 % 60:02d}:{int(left) % 60:02d} left"
-        not_so = self.done - self.statuses.get("converged", 0)
-        return words + (f"; {not_so} not converged" if not_so else "")
+        others = self.done - self.statuses.get("converged", 0)
+        return words + (f"; {others} not converged" if others else "")
 
 
 def fit_many(
@@ -66,37 +69,36 @@ def fit_many(
     retry: Collection[str] = (),
     track: bool = False,
 ) -> Sequence[Row] | Results:
-    """Return a row (`batch.COLUMNS`) for each record: a list in their order, or what is in `out`.
+    """Return a row (`batch.COLUMNS`) for each record: a list in their order, or the rows in `out`.
 
     - `items`: records (`batch.FIELDS`): mappings with an `id`, the paths of a mesh and of a mask,
-      and what is known of the camera. They may come from a generator.
+      and the known parts of the camera. They may come from a generator.
     - `executor`: any `concurrent.futures.Executor`: dask.distributed's
       (`Client.get_executor()`), mpi4py's, loky's. None: worker processes on this machine, each with
       its share of the cores, in float64, on the CPU (unless `JAX_PLATFORMS` is set), with one
       cache of compiled programs (`cached`: in the user's cache folder). Other processes are set up
-      likewise; threads have this one's JAX.
-    - `workers`: how many processes (None: one a core); of an executor, how many it has.
-    - `out`: a folder that rows are appended to, in parts that appear whole or not at all, some
-      seconds apart. Records whose ids it holds are not fitted again: to resume is to call again.
-      Where one of them says something else now (paths may have moved), that wants another folder.
+      likewise; threads use the JAX of this process.
+    - `workers`: the number of processes (None: one a core), or of the executor's workers.
+    - `out`: a folder to append rows to, in parts that appear whole or not at all, some seconds
+      apart. Records whose ids it holds are not fitted again, so call again to resume. A record
+      with new settings needs another folder; its paths may change.
     - `progress` is called with a `Count` after each row.
-    - `shard` (i, n): the i-th (1 to n) of n parts of the records, by their ids: other machines take
-      the others, into the same folder or their own.
-    - `time_limit`: seconds that a record may take, compilation included; None: no limit. (In an
-      executor's workers it holds as soon as Python runs again; our own are ended.)
-    - `retry`: rows of these statuses ("failed", "timed_out", "crashed", ...) are made anew.
-    - `track`: records are frames of one object: they are fitted in this process one after another,
-      each from the camera of the last one that converged.
+    - `shard` (i, n): fit the i-th (1 to n) of n parts of the records, chosen by their ids. Other
+      machines fit the other parts, into the same folder or their own.
+    - `time_limit`: the most seconds for a record, compilation included; None: no limit. (In an
+      executor's workers it takes effect as soon as Python runs again.)
+    - `retry`: fit rows of these statuses ("failed", "timed_out", "crashed", ...) anew.
+    - `track`: the records are frames of one object: fit them in this process in their order, each
+      from the last camera that converged.
 
-    No record ends the rest: one that is bad input makes a row with the status "failed", one that
-    takes too long "timed_out". A process that ends costs its record one more try, alone; then it
-    "crashed". Interrupted, what is done stays.
+    No record stops the others: bad input makes a row with the status "failed", a record that takes
+    too long one with "timed_out". If a process ends, its record gets one more try, alone; then it
+    "crashed". Rows that are done survive an interrupt.
 
-    A script that calls this without an executor does so below if __name__ == "__main__".
+    In a script, call this below if __name__ == "__main__", unless you give an executor.
 
-    Raises ValueError for arguments of other kinds, for items that have no `id` or one twice, and
-    for those that are done already with other settings;
-    RuntimeError where no worker starts.
+    Raises ValueError for arguments of other kinds, for items without an `id` or with the same one,
+    and for finished ones with other settings; RuntimeError if no worker starts.
 
     ```python
     records = [{"id": id, "mesh": "part.obj", "mask": "mask.png", "fov": 34.4} for id in "ab"]
@@ -128,7 +130,7 @@ def fit_many(
                 seconds = time.perf_counter() - begin
                 progress(Count(statuses.total(), total, before, dict(statuses), seconds))
     finally:
-        found.close()  # ends the workers, also of what was interrupted
+        found.close()  # ends the workers, also after an interrupt
         if writer is not None:
             writer.flush()
     return [*kept.values()] if results is None else results
@@ -162,10 +164,9 @@ def _is_integer(value: object) -> TypeGuard[int]:
 
 
 def _planned(items: Iterable[Record], shard: tuple[int, int], done: Done) -> tuple[int | None, int]:
-    """Return how many records there are in a shard, and how many of them are done.
+    """Return the number of records in a shard (None for an iterator), and of those done.
 
-    What can be gone through only once does not tell. All else is checked here: an id that is
-    missing ends no run of hours.
+    It checks all ids, so that a missing one does not end a run of hours.
     """
     if isinstance(items, Iterator):
         return None, 0
@@ -182,19 +183,16 @@ def _left(
     done: Done,
     kept: dict[str, Row],
 ) -> Iterator[Record]:
-    """Yield the records that are not done; rows that stay in memory get their places."""
+    """Yield the records that are not done; reserve the places of rows that stay in memory."""
     for record in _checked(items, shard):
         if not done.has(record):
             if done.results is None:
                 kept[record["id"]] = {}
-            yield plain_record(record)  # no worker is asked what a process cannot be handed
+            yield plain_record(record)  # processes can be handed plain values only
 
 
 def _checked(items: Iterable[Record], shard: tuple[int, int]) -> Iterator[Record]:
-    """Yield the records of a shard.
-
-    Raises ValueError for what has no id, or one that was there before.
-    """
+    """Yield the records of a shard; raise ValueError for a missing id, or the same one again."""
     number, count = shard
     seen: set[str] = set()
     for record in items:
@@ -207,11 +205,10 @@ def _checked(items: Iterable[Record], shard: tuple[int, int]) -> Iterator[Record
 
 
 def _sorted(records: Iterator[Record]) -> Iterator[Record]:
-    """Yield records, some thousands at a time by their shape: it is opened once, and what serves
-    one mask of it serves the next."""
+    """Yield records, some thousands at a time sorted by mesh, which is then opened once."""
     while window := list(itertools.islice(records, WINDOW)):
-        yield from sorted(window, key=_shape_of)
+        yield from sorted(window, key=_mesh_of)
 
 
-def _shape_of(record: Record) -> tuple[str, str]:
+def _mesh_of(record: Record) -> tuple[str, str]:
     return str(record.get("mesh")), str(record.get("free"))

@@ -1,4 +1,4 @@
-"""Rows on disk: parts that appear whole or not at all. What has been done is what they hold."""
+"""Rows on disk, in parts that appear whole or not at all: the record of finished work."""
 
 import hashlib
 import itertools
@@ -18,7 +18,7 @@ from .._files.paths import replace_file
 from .records import Record, plain_record, settings_of
 from .rows import Row, line_of, row_of
 
-#: Rows wait in memory for a part of this many, or this many seconds: what a crash loses.
+#: A part is written after this many rows or seconds: a crash loses no more.
 ROWS, SECONDS = 500, 10.0
 
 
@@ -36,7 +36,7 @@ def write_lines(path: str | os.PathLike[str], lines: Iterable[str]) -> int:
 
 
 class Writer:
-    """Rows go to a folder in parts: `add` one, `flush` at the end. Several may write at a time."""
+    """A writer of rows to a folder in parts: `add` each, `flush` at the end. Several may write."""
 
     def __init__(self, folder: Path):
         self.folder = folder
@@ -45,7 +45,7 @@ class Writer:
         self._timer: threading.Timer | None = None
 
     def add(self, row: Row) -> None:
-        """Append a row; it is on disk after `flush`, or some rows or seconds later."""
+        """Append a row; it reaches the disk with `flush`, or some rows or seconds later."""
         with self._lock:
             self._waiting.append(line_of(row))
             if self._timer is None:
@@ -56,13 +56,13 @@ class Writer:
             self.flush()
 
     def flush(self) -> None:
-        """Write what waits as a part."""
+        """Write the waiting rows as a part."""
         with self._lock:
             if self._timer is not None:
                 self._timer.cancel()
                 self._timer = None
             if self._waiting:
-                # (Named by time: of one record's rows the last one counts.)
+                # Named by time: the last row of a record counts.
                 name = f"part-{time.time_ns():020d}-{secrets.token_hex(4)}.jsonl"
                 write_lines(self.folder / name, self._waiting)
                 self._waiting = []
@@ -80,8 +80,8 @@ class _Place(NamedTuple):
 class Results:
     """The rows in a folder that `fit_many` wrote: iterate over them, sorted by id.
 
-    One row at a time is in memory. Of a record's rows the last one counts. Raises ValueError for a
-    file in place of a folder; one that is not there has no rows.
+    One row at a time is in memory; the last row of a record counts. A missing folder has no rows.
+    Raises ValueError for a file in place of a folder.
 
     ```python
     results = pj.batch.Results("results")
@@ -97,7 +97,7 @@ class Results:
             raise ValueError(f"`out`: expected a folder, got {str(folder)!r}: a file")
 
     def ids(self, but: Collection[str] = ()) -> set[str]:
-        """Return the ids of all rows, but for those of some statuses."""
+        """Return the ids of all rows, except those with the statuses `but`."""
         return {id for id, place in self._places().items() if place.status not in but}
 
     def __len__(self) -> int:
@@ -108,7 +108,7 @@ class Results:
         yield from _read(places[id] for id in sorted(places))
 
     def rows(self, ids: Iterable[str]) -> list[Row]:
-        """Return the rows of some ids, in their order; raise ValueError where there is none."""
+        """Return the rows of these ids, in their order; raise ValueError for an unknown id."""
         places, asked = self._places(), [*ids]
         if missing := [id for id in asked if id not in places]:
             words = f"expected one of the rows in {str(self.folder)!r}, got {missing[0]!r}"
@@ -116,7 +116,7 @@ class Results:
         return [*_read(places[id] for id in asked)]
 
     def row(self, id: str) -> Row:
-        """Return the row of an id, or raise ValueError where there is none."""
+        """Return the row of an id; raise ValueError for an unknown id."""
         return self.rows([id])[0]
 
     def counts(self) -> dict[str, int]:
@@ -124,12 +124,12 @@ class Results:
         return dict(Counter(place.status for place in self._places().values()).most_common())
 
     def done(self, but: Collection[str] = ()) -> "Done":
-        """Return what has been done: all rows, but for those of some statuses."""
+        """Return the finished records, except those with the statuses `but`."""
         places = self._places()
         return Done(self, {id: x.settings for id, x in places.items() if x.status not in but})
 
     def _places(self) -> dict[str, _Place]:
-        """Return where each row is; of those of one id the last."""
+        """Return the place of each id's last row."""
         places: dict[str, _Place] = {}
         for path in sorted(self.folder.glob("part-*.jsonl")):
             offset = 0
@@ -142,16 +142,13 @@ class Results:
 
 
 class Done(NamedTuple):
-    """Results, and a digest of the settings of each record that has been done."""
+    """Results, and a digest of the settings of each finished record."""
 
     results: Results | None = None
     settings: dict[str, bytes] = {}  # noqa: RUF012
 
     def has(self, record: Record) -> bool:
-        """Return True for a record that has its row.
-
-        Raises ValueError where the row is of another record, which had that id then.
-        """
+        """Return True for a finished record; raise ValueError if its settings have changed."""
         id = record["id"]
         if self.results is None or id not in self.settings:
             return False
@@ -160,9 +157,9 @@ class Done(NamedTuple):
             return True
         then = settings_of(json.loads(self.results.row(id)["record"]))
         other = next(name for name in now | then if now.get(name) != then.get(name))
-        words = f"expected rows of records as they are now, got {id!r} with {other!r}"
-        values = f"{brief(then.get(other))}, which is {brief(now.get(other))} now"
-        raise ValueError(f"`out`: {words} {values}; other settings want another folder")
+        values = f"{brief(then.get(other))}, and now {brief(now.get(other))}"
+        words = f"expected unchanged records, got {id!r}, whose {other!r} was {values}"
+        raise ValueError(f"`out`: {words}; use another folder for new settings")
 
 
 def _digest(settings: Record) -> bytes:
@@ -178,11 +175,11 @@ def _read(places: Iterable[_Place]) -> Iterator[Row]:
 
 
 def _head_of(line: bytes, path: Path) -> tuple[str, str, bytes]:
-    """Return a row's id and status, and its record's settings."""
+    """Return a row's id and status, and the digest of its record's settings."""
     try:
         data = json.loads(line)
         return data["id"], data["status"], _digest(settings_of(json.loads(data["record"])))
     except (ValueError, KeyError, TypeError, AttributeError):
-        words = f"expected rows as `fit_many` writes them, got {path.name}"
-        cure = "where a disk has lost it, remove it: its records are fitted again"
+        words = f"expected rows of `fit_many`, got {path.name}"
+        cure = "if it is damaged, delete it: its records are fitted again"
         raise ValueError(f"`out`: {words}; {cure}") from None

@@ -1,4 +1,4 @@
-"""A row: what became of one record, as plain values that fit into a line of a file."""
+"""A row: the result of one record, as plain values that fit into a line of a file."""
 
 import json
 import math
@@ -10,7 +10,7 @@ from .records import Record, plain_record
 #: A row: names of `COLUMNS`; numbers that are not finite stay floats.
 Row = dict[str, Any]
 
-#: What a row holds, with the kinds of its values; null where there is no camera.
+#: The columns of a row with their types; null if there is no camera.
 COLUMNS: dict[str, Any] = {
     "id": str,
     "status": str,  # a fit's, or one of `NO_FIT`
@@ -22,7 +22,7 @@ COLUMNS: dict[str, Any] = {
     "phi": float,
     "W": int,
     "H": int,
-    "K": list[float],  # OpenCV's, by rows; what it counts from is the record's `pixel_centres`
+    "K": list[float],  # OpenCV's, by rows, counted as the record's `pixel_centres` says
     "R": list[float],
     "t": list[float],
     "lens": str,  # JSON
@@ -30,27 +30,27 @@ COLUMNS: dict[str, Any] = {
     "std": list[float],
     "covariance": list[float],  # by rows
     "weak": list[str],
-    "modes": int,  # how many other cameras explain the mask as well: they are in `fit`
+    "modes": int,  # the number of other cameras that fit the mask equally well; `fit` has them
     "steps": list[int],
     "seconds": float,
-    "words": str,  # what was wrong, or what was said of the files
+    "words": str,  # the error, or notes on the files
     "version": str,
     "hash": str,  # of the record and the contents of its files
     "record": str,  # JSON
-    "fit": str,  # JSON: all of the fit, as `io.fit_from_dict` reads it
+    "fit": str,  # JSON of the whole fit, as `io.fit_from_dict` reads it
 }
-#: What a row's status may be beside a fit's.
+#: The statuses of rows without a fit.
 NO_FIT = {
     "failed": "bad input: `words` say which",
     "timed_out": "stopped at the time limit",
     "crashed": "ended its process, twice",
 }
-#: How JSON writes numbers that it has no word for.
+#: Numbers that JSON has no word for.
 NOT_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 
 
 def empty_row(record: Record, status: str, words: str, seconds: float = 0.0) -> Row:
-    """Return the row of a record that led to no camera."""
+    """Return the row of a record without a camera."""
     row: Row = dict.fromkeys(COLUMNS)
     known = {"id": record["id"], "status": status, "seconds": seconds, "words": words}
     return row | known | {"version": __version__, "record": json.dumps(plain_record(record))}

@@ -1,4 +1,4 @@
-"""All rows as one table, JSON lines or CSV; a row's fit."""
+"""Tables of all rows, as JSON lines or CSV; a row's fit."""
 
 import csv
 import json
@@ -16,7 +16,7 @@ from ..names import STATUSES
 from .parts import Results, write_lines
 from .rows import NO_FIT, Row, line_of
 
-#: The numbers of a row's lists that are columns of a CSV, and their places there.
+#: A CSV's columns for numbers in a row's lists: the list and the number's place in it.
 NUMBERS = {
     **dict(zip(("fx", "fy", "cx", "cy"), (("K", k) for k in (0, 4, 2, 5)), strict=True)),
     **{f"R{k // 3 + 1}{k % 3 + 1}": ("R", k) for k in range(9)},
@@ -29,10 +29,10 @@ def merge(results: Results, path: str | os.PathLike[str]) -> int:
 
     - .jsonl: a line of JSON for each row.
     - .csv: BOP's results (scene_id,im_id,obj_id,score,R,t,time) if all ids come from a BOP data
-      set: the rows with a camera; the score is the IoU, lengths are the models' (there mm). Of
+      set: the rows with a camera; the score is the IoU, lengths are in the models' unit (mm). For
       other data a line for every row: id, status, iou, rms, fx, fy, cx, cy, R11 to R33, tx, ty, tz
-      (as `K`, `R` and `t` of the row), standard errors (sigma_) and words; those to be trusted most
-      first: by status, then by how surely the turn is known.
+      (from the row's `K`, `R` and `t`), standard errors (sigma_) and words. The most trustworthy
+      rows come first: by status, then by the standard errors of the rotation.
 
     Raises ValueError for other endings, and for a file that cannot be written.
 
@@ -68,7 +68,7 @@ def _flat(results: Results) -> Iterator[list[Any]]:
 
 
 def _distrust(row: Row) -> tuple[int, float]:
-    """Return the key by which rows that are trusted less come later."""
+    """Return the sorting key of a row: less trustworthy rows come later."""
     known = [*STATUSES, *NO_FIT]
     named = zip(row["names"] or (), row["std"] or (), strict=True)
     turns = [std for name, std in named if name.startswith("rotation")]
@@ -81,7 +81,7 @@ def _is_bop(id: str) -> bool:
 
 
 def _bop(results: Results) -> Iterator[list[Any]]:
-    """Yield BOP's results. The time is a whole image's in each of its lines, as BOP's tools ask."""
+    """Yield BOP's results; each line has the time of its whole image, as BOP's tools require."""
     seconds: dict[Any, float] = {}
     found = lambda: (([*map(int, row["id"].split("/")[-4:])], row) for row in results if row["R"])
     for (scene, image, *_), row in found():

@@ -1,4 +1,4 @@
-"""What a process does that fits records: it is set up before JAX is loaded, and keeps time.
+"""A process that fits records: its set-up before JAX is loaded, and its time limit.
 
 Nothing here imports NumPy or JAX at the top: a worker's core is chosen before they count the cores.
 """
@@ -21,20 +21,23 @@ from .fit_one import fit_one
 from .records import Record
 from .rows import Row, empty_row
 
-#: A worker that does not heed a record's limit is ended after this many times the limit, and this
-#: many seconds: what it runs is not Python.
+#: A worker stuck outside Python is killed after this many times a record's limit, and this many
+#: seconds.
 PATIENCE, GRACE = 2.0, 30.0
 
-#: This process's, and those of its threads: no other has it.
+#: This process's token: no other has it.
 TOKEN = secrets.token_hex(16)
 
 _is_set_up = False
 
 
 class Setup(NamedTuple):
-    """How a worker fits: `cached`: what is compiled is kept in the user's cache folder; `limit`: a
-    record's seconds; `parent`: the `TOKEN` of the process that asked, whose JAX is its user's;
-    `workers`: how many share this machine's cores."""
+    """The settings of a worker.
+
+    - `cached`: keep compiled programs in the user's cache folder. `limit`: a record's seconds.
+    - `parent`: the `TOKEN` of the calling process, whose JAX belongs to its user.
+    - `workers`: the number of workers that share this machine's cores.
+    """
 
     cached: bool = True
     limit: float | None = None
@@ -43,12 +46,12 @@ class Setup(NamedTuple):
 
     @property
     def patience(self) -> float:
-        """Return after how many seconds a worker is ended, whatever it is at."""
+        """Return the time (s) after which a stuck worker is killed."""
         return math.inf if self.limit is None else PATIENCE * self.limit + GRACE
 
 
 class TimeLimit(BaseException):
-    """A record took too long (no `Exception`: what a reader catches is not the clock)."""
+    """A record took too long. (No `Exception`, which readers catch.)"""
 
 
 def usable_cores() -> int:
@@ -57,7 +60,7 @@ def usable_cores() -> int:
 
 
 def begin(setup: Setup, number: int) -> None:
-    """Set up worker `number`: it owns its share of the cores, and leaves Ctrl-C to who asked."""
+    """Set up worker `number`: it takes its share of the cores, and leaves Ctrl-C to the caller."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent_process(),), daemon=True).start()
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -71,17 +74,17 @@ def begin(setup: Setup, number: int) -> None:
 
 
 def _end_with(process: Any) -> None:
-    """End this process when another one has: an executor's workers would wait for ever."""
+    """End this process after another one: an executor's workers would wait for ever."""
     process.join()
     os._exit(1)
 
 
 def ready() -> None:
-    """Do nothing: a worker that comes so far can work."""
+    """Do nothing: a worker that gets here can work."""
 
 
 def run(record: Record, setup: Setup) -> Row:
-    """Return a record's row, whatever it is, within its time."""
+    """Return a record's row within its time limit."""
     _set_up(setup)
     start = time.perf_counter()
     try:
@@ -93,7 +96,7 @@ def run(record: Record, setup: Setup) -> Row:
 
 
 def _set_up(setup: Setup) -> None:
-    """Set JAX up as the command does, once, where this process is not its user's own."""
+    """Set up JAX as the command does, once, unless this is the user's own process."""
     global _is_set_up
     if _is_set_up or setup.parent == TOKEN:
         return
@@ -103,7 +106,7 @@ def _set_up(setup: Setup) -> None:
 
 @contextlib.contextmanager
 def _within(seconds: float | None) -> Iterator[None]:
-    """Raise `TimeLimit` in this thread after some seconds, as soon as it runs Python again."""
+    """Raise `TimeLimit` in this thread after a time (s), as soon as it runs Python again."""
     if seconds is None:
         yield
         return

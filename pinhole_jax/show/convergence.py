@@ -1,4 +1,4 @@
-"""The way of a fit to its camera, as numbers and as a diagram (SVG)."""
+"""The convergence of a fit, as numbers and as a diagram (SVG)."""
 
 from itertools import groupby
 
@@ -17,8 +17,8 @@ STYLE = (
 
 
 def off_px(fit: Fit, scene: Scene) -> list[float]:
-    """Return how far (px, root mean square over the final contour's points) the outline was from
-    its place at the end, at each entry of `fit.history`.
+    """Return the distance (px) of the outline from its final place at each entry of `fit.history`:
+    the root mean square over the points of the final contour.
 
     ```python
     pj.plot.off_px(fit, scene)[-1]
@@ -35,8 +35,8 @@ def off_px(fit: Fit, scene: Scene) -> list[float]:
 
 
 def levels(fit: Fit) -> list[tuple[Progress, int, int]]:
-    """Return each level's end with all its steps, and at which entries of `fit.history` the level
-    begins (the end of the one before) and ends.
+    """Return the end of each level with all its steps, and the entries of `fit.history` at which
+    the level begins (the end of the level before) and ends.
 
     ```python
     [end.W for end, first, last in pj.plot.levels(fit)]
@@ -57,8 +57,8 @@ def _text(x: float, y: float, words: object, kind: str = "m") -> str:
 
 
 def convergence(fit: Fit, scene: Scene) -> Svg:
-    """Return a diagram of how far the outline was from its last place (px) by steps, at each entry
-    of `fit.history`; the levels are bands with their size in px.
+    """Return a diagram of the outline's distance from its final place (px) over the steps, at each
+    entry of `fit.history`. The levels are bands, labelled with their size in px.
 
     ```python
     diagram = pj.plot.convergence(fit, scene)  # SVG

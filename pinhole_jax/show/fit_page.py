@@ -1,4 +1,4 @@
-"""One HTML page about a fit: pictures, parameters, what the mask does not determine."""
+"""One HTML page about a fit: pictures, parameters, and the directions that the mask leaves open."""
 
 import base64
 import html
@@ -26,7 +26,7 @@ from .page import Html, document, escaped, facts, figure, items, status, table
 from .space import scene_view
 from .table import parameters
 
-#: The file that shows each format; a folder's files are shown one after another.
+#: The file written for each format; all files of a folder are shown.
 FILES = {
     "json": "camera.json",
     "opencv": "camera.yaml",
@@ -37,11 +37,10 @@ FILES = {
     "pytorch3d": "pytorch3d.json",
     "mitsuba": "camera.xml",
 }
-#: An object that takes less than this share of the picture is shown enlarged, too.
+#: An object smaller than this share of the picture is also shown enlarged.
 SMALL = 0.3
 DIFFERENCE = (
-    "Orange: the camera sees the object where the mask has none; blue: the mask has it and the"
-    " camera does not; grey: both."
+    "Orange: only the camera sees the object there; blue: only the mask has it; grey: both."
 )
 
 
@@ -75,14 +74,13 @@ def page(
     *,
     pixel_centres: Literal["integer", "half"] = "integer",
 ) -> str:
-    """Return a fit as an HTML page.
+    """Return an HTML page about a fit.
 
-    `target` is the mask as `fit_camera` took it, `photo` what to draw the outline on (uint8 of the
-    camera's size; None: the mask). `pixel_centres` is where the reader of K puts them, as in
-    `formats.to_opencv`.
+    - `target`: the mask, as `fit_camera` took it.
+    - `photo`: draw the outline on this (uint8, of the camera's size; None: the mask).
+    - `pixel_centres`: the convention of the printed K, as in `formats.to_opencv`.
 
-    Raises ValueError for images that are not of the camera's size, and for a fit that is not
-    finite: there is no camera to show.
+    Raises ValueError for images of another size, and for a fit that is not finite.
 
     ```python
     html = pj.report.page(fit, scene, mask)
@@ -102,15 +100,15 @@ def page(
         "picture": f"{camera.W} x {camera.H} px",
     }
     pose = formats.object_pose(fit, pixel_centres=pixel_centres)
-    seen = "The object, and the camera's frustum up to the film through the object; the tick is up."
+    seen = "The object, and the camera's frustum up to the object; the tick points up."
     sections = {
         "Outline": _outline(fit, scene, photo),
         "Where mask and camera differ": differs,
-        "Parameters": f"{parameters(fit, 'What was fitted, with standard errors')}<p>Pitch, yaw and"
-        f" roll are the camera's in the world. {_assumed(fit)}</p><h3>K, R and t, and the object's"
-        f" pose</h3><pre>{escaped(str(pose))}</pre>",
+        "Parameters": f"{parameters(fit, 'Fitted parameters with standard errors')}<p>Pitch, yaw"
+        f" and roll are the camera's in the world. {_assumption(fit)}</p><h3>K, R and t, and the"
+        f" object's pose</h3><pre>{escaped(str(pose))}</pre>",
         "Correlations": _correlations(fit),
-        "What the mask does not tell": _unknown(fit),
+        "What the mask leaves open": _open_questions(fit),
         "Convergence": _convergence(fit, scene),
         "Object and camera": figure(scene_view(camera, scene), seen),
         "The camera for other programs": "".join(_files(camera)),
@@ -121,16 +119,16 @@ def page(
 def _outline(fit: Fit, scene: Scene, photo: np.ndarray) -> str:
     sigma = outline_sigma(fit, scene)
     shown = sigma[sigma > 0]
-    words = "The recovered outline. The mask determines no parameter: no band."
+    words = "The recovered outline. The mask determines no parameter, so there is no band."
     if shown.size:
         words = (
             "The recovered outline (cyan) and its one-sigma band (yellow): one sigma is"
             f" {np.median(shown):.2g} px (median; largest {shown.max():.2g} px)"
         )
         lost = int(np.sum(~np.isfinite(fit.std)))
-        words += f"; {lost} parameters are not determined and left out." if lost else "."
+        words += f"; it leaves out {lost} undetermined parameters." if lost else "."
     if fit.unbelieved is not None:
-        words += " Red: the mask's edge that was not believed, of something before the object."
+        words += " Red: edges of the mask that were ignored; something may be in front."
     drawn_on = lambda window: overlay(
         photo, fit.camera, scene, band_px=sigma, window=window, dots=fit.unbelieved
     )
@@ -140,16 +138,16 @@ def _outline(fit: Fit, scene: Scene, photo: np.ndarray) -> str:
     return figure(drawn_on(None), "The whole picture.") + figure(drawn_on(window), words)
 
 
-def _assumed(fit: Fit) -> str:
-    """Return a sentence that says what the standard errors take the mask and the mesh for."""
+def _assumption(fit: Fit) -> str:
+    """Return a sentence on the errors of mask and mesh that the standard errors allow for."""
     other = fit.independent_covariance
     if fit.mask_error is not None:
-        mask = f"The mask's outline errs by {fit.mask_error}, which the sigmas allow for"
+        mask = f"The sigmas allow for an error of the mask's outline of {fit.mask_error}"
     elif other is None or np.array_equal(fit.covariance, other, equal_nan=True):
-        mask = "The sigmas take the mask's pixels to err independently, by what the residuals say"
+        mask = "The sigmas assume that pixels err independently, as much as the residuals show"
     else:
-        mask = "The sigmas allow for residuals that go together along the outline"
-    return f"{mask}; the mesh is taken to be without error."
+        mask = "The sigmas allow for residuals that are correlated along the outline"
+    return f"{mask}; they assume an exact mesh."
 
 
 def _correlations(fit: Fit) -> str:
@@ -160,8 +158,8 @@ def _correlations(fit: Fit) -> str:
     lines = [[name, *map(_correlation, line)] for name, line in zip(names, matrix, strict=True)]
     return (
         table(("", *names), lines, "Correlations of the parameters", "matrix")
-        + "<p>Near 1 or -1, the mask tells a combination of two parameters far better than each of"
-        " them.</p>"
+        + "<p>Near 1 or -1, the mask determines a combination of two parameters far better than"
+        " either of them.</p>"
     )
 
 
@@ -172,26 +170,23 @@ def _correlation(r: float) -> str:
     return Html(f'<span style="background:rgba({hue},{abs(r) * 0.6:.2f})">{r:.2f}</span>')
 
 
-def _unknown(fit: Fit) -> str:
+def _open_questions(fit: Fit) -> str:
     words = [*fit.weak]
     for n, mode in enumerate(fit.modes, 1):
         eye = ", ".join(f"{float(x):.4g}" for x in mode.camera.e)
-        words.append(f"View {n} explains the mask as well: eye ({eye}), IoU {mode.iou:.4f}.")
-    well = "Every parameter that was fitted is well determined; no other view was found."
+        words.append(f"View {n} fits the mask equally well: eye ({eye}), IoU {mode.iou:.4f}.")
+    well = "Every fitted parameter is well determined, and no other view fits."
     return items(words) or f"<p>{well}</p>"
 
 
 def _convergence(fit: Fit, scene: Scene) -> str:
     if not fit.history:
-        return "<p>The way to the camera was not recorded.</p>"
+        return "<p>The steps of this fit were not recorded.</p>"
     off = off_px(fit, scene)
     rows = [["start", "0", f"{off[0]:.3g}"]]
     for level, _, last in levels(fit):
         rows.append([f"{level.W} x {level.H} px", str(level.steps), f"{off[last]:.3g}"])
-    words = (
-        "How far the outline is from its last place, by steps; each band is a level of the picture,"
-        " coarse to fine."
-    )
+    words = "The outline's distance from its final place; a band for each level, coarse to fine."
     heads = ("level", "steps", "outline off, px")
     return figure(convergence(fit, scene), words) + table(
         heads, rows, "Steps, level by level", "levels"
@@ -199,7 +194,7 @@ def _convergence(fit: Fit, scene: Scene) -> str:
 
 
 def _files(camera: Camera) -> Iterator[str]:
-    """Yield each format's text, or why it cannot hold the camera."""
+    """Yield each format's text, or the reason why it cannot hold the camera."""
     with tempfile.TemporaryDirectory() as folder:
         for name, file in FILES.items():
             path = Path(folder) / file

@@ -1,4 +1,4 @@
-"""The outline over a photo, its uncertainty, and where it and a mask differ: pictures (uint8 RGB)
+"""The outline over a photo, its uncertainty, and its differences from a mask: pictures (uint8 RGB)
 and sentences.
 """
 
@@ -12,24 +12,23 @@ from ..io import as_coverage
 
 CYAN, RED = (0, 240, 255), (235, 40, 60)
 DARK, YELLOW = (0, 30, 60), (255, 220, 0)
-#: How much of 255 a band covers of the picture.
+#: The opacity of a band, of 255.
 TINT = 50
 MORE, LESS = (230, 90, 20), (30, 110, 210)
 #: Pictures are enlarged to about this many pixels.
 SHOWN_PX = 800
-#: Outline and mask differ where they are farther than this from one another (px) ...
-APART_PX = 3.0
-#: ... along more than this share: thin parts between pixels' centres are not worth a word.
-LEAST = 0.02
+#: Outline and mask differ if they are farther apart than this (px) along more than this share:
+#: thin parts between pixels' centres do not count.
+APART_PX, LEAST = 3.0, 0.02
 
 Window = tuple[int, int, int, int]
 
 
 def outline_sigma(fit: Fit, scene: Scene) -> Float[np.ndarray, "n"]:
-    """Return how far (px) each segment of `outline(fit.camera, scene)` moves across itself at one
+    """Return the motion (px) of each segment of `outline(fit.camera, scene)` across itself at one
     standard error of the camera.
 
-    To first order: points of the contour stay on the object while the camera moves by each
+    To first order: points of the contour stay on the object while the camera moves along each
     principal axis of its covariance. Parameters that the mask does not determine are left out.
 
     ```python
@@ -56,7 +55,7 @@ def outline_sigma(fit: Fit, scene: Scene) -> Float[np.ndarray, "n"]:
     for size, axis in zip(np.sqrt(np.maximum(variance, 0)), axes.T, strict=True):
         step = np.zeros(len(fit.std))
         step[known] = size * axis
-        share = 1 / max(float(np.max(np.abs(step) / small)), 1)  # so far that it is still linear
+        share = 1 / max(float(np.max(np.abs(step) / small)), 1)  # within the linear range
         ends = (place(fit.displaced(sign * share * step)) for sign in (1, -1))
         change = np.subtract(*ends) / 2 / share
         total += (change[:, 0] * along[:, 1] - change[:, 1] * along[:, 0]) ** 2
@@ -75,11 +74,11 @@ def overlay(
 ) -> np.ndarray:
     """Return the image as RGB uint8 with the outline drawn on it, enlarged to some 800 pixels.
 
-    `image` is uint8 (H, W), (H, W, 3) or (H, W, 4), of the camera's size, row 0 on top. `band_px`
-    is the half width of a yellow band about each segment of the outline (`outline_sigma`, or some
-    times as much): its two borders, and a tint that lets the picture be seen.
-    `window` is the part shown: left, top, right, bottom in px from the upper left. `dots` (film
-    coordinates, px), as `Fit.unbelieved` are, are drawn red.
+    - `image`: uint8 (H, W), (H, W, 3) or (H, W, 4), of the camera's size, row 0 on top.
+    - `band_px`: the half width of a yellow band about each segment of the outline, as
+      `outline_sigma` or a multiple of it; the picture shows through.
+    - `window`: show this part alone: left, top, right, bottom in px from the upper left.
+    - `dots`: film coordinates (px) of red dots, as `Fit.unbelieved`.
 
     ```python
     picture = pj.plot.overlay(np.uint8(255 * mask), fit.camera, scene)  # (H', W', 3)
@@ -127,8 +126,8 @@ def _draw_band(canvas: Any, segments: np.ndarray, half: np.ndarray) -> None:
 def error_map(
     camera: Camera, scene: Scene, target: np.ndarray, *, window: Window | None = None
 ) -> np.ndarray:
-    """Return as RGB uint8 where camera and mask differ, enlarged to some 800 pixels: orange where
-    the camera sees more of the object than the mask, blue where less; grey is the object.
+    """Return a picture (RGB uint8) of the differences, enlarged to some 800 pixels: orange where
+    the camera sees more of the object than the mask has, blue where less; grey is the object.
 
     `target` is a mask (H, W) as `fit_camera` takes it; `window` as in `overlay`.
 
@@ -147,7 +146,7 @@ def error_map(
 
 
 def object_window(camera: Camera, scene: Scene) -> Window:
-    """Return the part of the picture (left, top, right, bottom, px) about the object's outline.
+    """Return the window (left, top, right, bottom, px) around the object's outline.
 
     ```python
     left, top, right, bottom = pj.plot.object_window(fit.camera, scene)
@@ -166,8 +165,8 @@ def object_window(camera: Camera, scene: Scene) -> Window:
 
 
 def disagreement(camera: Camera, scene: Scene, target: np.ndarray) -> tuple[str, ...]:
-    """Return a sentence for each way in which the outline that a camera sees and a mask (H, W)
-    differ: cut off by the film, lost from the mask, added to it. Nothing where they agree.
+    """Return a sentence for each difference between a camera's outline and a mask (H, W): cut off
+    by the film, lost from the mask, added to it. None if they agree.
 
     ```python
     for sentence in pj.plot.disagreement(fit.camera, scene, mask):
@@ -184,7 +183,7 @@ def disagreement(camera: Camera, scene: Scene, target: np.ndarray) -> tuple[str,
     inside = np.all((middle > 0) & (middle < [camera.W, camera.H]), axis=1)
     words, share = [], np.sum(length[~inside]) / np.sum(length)
     if share > LEAST:
-        words.append(f"the film's edge cuts the object off: {share:.0%} of its outline is outside")
+        words.append(f"the picture's border cuts off {share:.0%} of the object's outline")
     if not np.any(inside):
         return tuple(words)
     column, row = np.floor(middle[inside]).astype(int).T
@@ -194,8 +193,9 @@ def disagreement(camera: Camera, scene: Scene, target: np.ndarray) -> tuple[str,
     share = np.sum(length[inside][off]) / np.sum(length[inside])
     if share > LEAST:
         words.append(
-            f"{share:.0%} of the outline, about {_place(column[off], row[off])}, is more than"
-            f" {APART_PX:g} px from the mask's edge: the mask is cut off or covered there, or wrong"
+            f"{share:.0%} of the model's outline (near {_place(column[off], row[off])}) is more"
+            f" than {APART_PX:g} px from the mask's edge: is the mask cut off or covered there?"
+            " Give those pixels the weight 0"
         )
     free = np.ones(mask.shape, bool)
     free[row, column] = False
@@ -204,14 +204,14 @@ def disagreement(camera: Camera, scene: Scene, target: np.ndarray) -> tuple[str,
     if share > LEAST:
         y, x = np.nonzero(apart)
         words.append(
-            f"{share:.0%} of the mask's edge, about {_place(x, y)}, is more than {APART_PX:g} px"
-            " from the outline: it is no edge of the object's"
+            f"{share:.0%} of the mask's edge (near {_place(x, y)}) is more than {APART_PX:g} px"
+            " from the model's outline: holes, specks or background in the mask? Try --tidy"
         )
     return tuple(words)
 
 
 def _place(x: np.ndarray, y: np.ndarray) -> str:
-    """Return the one of some pixels that is nearest to their median."""
+    """Return the pixel nearest to the median of several."""
     nearest = np.argmin(np.hypot(x - np.median(x), y - np.median(y)))
     return f"column {x[nearest]}, row {y[nearest]}"
 
@@ -223,7 +223,7 @@ def coverage_of(target: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def check_fit(fit: Any) -> None:
-    """Raise ValueError unless this is a fit."""
+    """Raise ValueError for anything but a `Fit`."""
     if not isinstance(fit, Fit):
         raise ValueError(f"`fit`: expected a Fit, got {type(fit).__name__}")
 

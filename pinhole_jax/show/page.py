@@ -1,4 +1,4 @@
-"""HTML pages that are complete in themselves: pictures are data URIs, nothing else is loaded."""
+"""Self-contained HTML pages: pictures are data URIs, and nothing else is loaded."""
 
 import base64
 import html
@@ -12,7 +12,7 @@ from ..names import STATUSES
 
 
 class Html(str):
-    """Text that is HTML already; all other text is escaped."""
+    """HTML text; all other text is escaped."""
 
 
 class Svg(Html):
@@ -33,7 +33,7 @@ def escaped(text: str) -> str:
 
 
 def document(title: str, head: str, sections: Mapping[str, str]) -> str:
-    """Return a page: a title, what stands below it, and sections by their headings."""
+    """Return a page: a title, the HTML below it (`head`), and sections by their headings."""
     name = html.escape(title)
     body = "".join(
         f'<section id="{heading.lower().replace(" ", "-")}"><h2>{heading}</h2>{text}</section>\n'
@@ -49,7 +49,7 @@ def document(title: str, head: str, sections: Mapping[str, str]) -> str:
 
 
 def status(fit: Fit | JointFit) -> str:
-    """Return a fit's status and what it means."""
+    """Return a fit's status and its meaning."""
     meaning = STATUSES[fit.status]
     words = f"<b>{fit.status}</b> {meaning[0].upper()}{meaning[1:]}."
     return f'<p class="status {fit.status}">{words}</p>'
@@ -62,13 +62,13 @@ def facts(numbers: Mapping[str, str]) -> str:
 
 
 def items(sentences: Iterable[str]) -> str:
-    """Return sentences as a list, nothing if there are none."""
+    """Return a list of sentences, or nothing if there are none."""
     each = [f"<li>{escaped(words.removesuffix('.'))}.</li>" for words in sentences]
     return f"<ul>{''.join(each)}</ul>" if each else ""
 
 
 def figure(picture: np.ndarray | Svg, words: str) -> str:
-    """Return a picture (uint8 RGB or grey, or a diagram) with words below it."""
+    """Return a picture (uint8 RGB or grey, or a diagram) with a caption."""
     from PIL import Image
 
     caption = f"<figcaption>{escaped(words)}</figcaption></figure>"

@@ -13,10 +13,10 @@ from .page import document, escaped, facts, figure, items, status, table
 from .table import HEADS, parameters
 
 VIEW_WORDS = (
-    "<p>Sigma off: how surely a view disagrees with the others, in standard errors. Worth: how many"
-    " times as large the standard errors of the camera's pose would be without it. Mask only: what"
-    " is masked but not in the model, as a share of the mask; robot only: what the model shows"
-    " beside the mask.</p>"
+    "<p>Sigma off: a view's disagreement with the others, in standard errors. Worth: the factor by"
+    " which the standard errors of the camera's pose would grow without it. Mask only: the part of"
+    " the mask that the model does not cover; robot only: the part of the model outside the mask,"
+    " as a share of the mask.</p>"
 )
 
 
@@ -31,9 +31,11 @@ def robot_page(
     proposed: str | None = None,
     pixel_centres: Literal["integer", "half"] = "integer",
 ) -> str:
-    """Return a fit to the masks (H, W) of files of such names as a page; `pictures` are what
-    outlines are drawn on (the masks, or photos), `frame` is the link that its camera stands in,
-    `halves` what the halves of the postures say, `proposed` what other postures would tell."""
+    """Return a page about a fit to masks (H, W), which come from files of these names.
+
+    `pictures` (the masks, or photos) are drawn below the outlines. `frame` is the link whose frame
+    the camera is in. `halves` and `proposed` are sentences for sections of their own.
+    """
     camera = fit.cameras["camera"]
     numbers = {
         "views": str(len(fit.views)),
@@ -44,14 +46,14 @@ def robot_page(
     pose = object_pose(camera, pixel_centres=pixel_centres)
     weak = [*fit.weak, *camera.weak]
     if fit.modes:
-        weak.append(f"{len(fit.modes)} other places of the camera explain the masks as well")
+        weak.append(f"{len(fit.modes)} other camera poses fit the masks equally well")
     well = "<p>Every parameter is well determined, and the views agree.</p>"
     sections = {
         "Outlines": "".join(_outlines(fit, pictures, names)),
-        f"The camera in the frame of {escaped(frame)}": parameters(camera, "What was fitted")
+        f"The camera in the frame of {escaped(frame)}": parameters(camera, "Fitted parameters")
         + _zeros(fit)
         + "<p>A 95 % interval is 1.96 sigma to either side.</p>",
-        "What the masks do not tell": items(weak) or well,
+        "What the masks leave open": items(weak) or well,
         "Postures": _views(fit, masks, names),
         "K, R and t": f"<pre>{escaped(str(pose))}</pre>",
     }
@@ -74,7 +76,7 @@ def _zeros(fit: JointFit) -> str:
     if fit.joint_zeros is None:
         return ""
     rows = [row.cells() for row in fit.joint_zeros.rows]
-    heads = ("joint", "to be added to its readings", *HEADS[2:])
+    heads = ("joint", "add to its readings", *HEADS[2:])
     return table(heads, rows, "Zeros of the joints")
 
 

@@ -1,4 +1,4 @@
-"""The object and the camera in space, seen from beside."""
+"""The object and the camera in space, seen from the side."""
 
 from collections.abc import Callable, Iterable, Sequence
 
@@ -8,13 +8,12 @@ from jaxtyping import Float
 from .. import Camera, Scene, camera_basis, rays_through
 from .page import Svg
 
-#: How far above and behind its own line of sight a camera is looked at from (rad).
+#: The viewer's angles above and behind the camera's line of sight (rad).
 ABOVE, BEHIND = 0.44, 0.35
-#: Rays through each side of the film; those as wide as this are drawn no longer.
-SIDE = 16
-#: (The cosine from the axis: 78 degrees. At 90 they would be endless.)
-LEAST_COSINE = 0.2
-#: Width and height of a frustum's picture, and the room about what is drawn (px).
+#: The number of rays through each side of the film. Rays farther from the axis than this cosine
+#: (78 degrees) are drawn no longer than it: at 90 degrees they would be endless.
+SIDE, LEAST_COSINE = 16, 0.2
+#: Width, height and margin of a frustum's picture (px).
 W, H, ROOM = 240, 170, 16.0
 #: The film's corners, and the world's axes with their colours.
 CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
@@ -28,11 +27,11 @@ Points = Float[np.ndarray, "n 3"]
 
 
 def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
-    """Return a parallel view, RGB uint8 (3/4 size, size, 3), of the object with the camera: its
-    frustum reaches to the film through the object's middle, the tick shows up. Under distortion the
-    frustum is bent as the rays through the film's border are.
+    """Return a parallel view, RGB uint8 (3/4 size, size, 3), of the object and the camera.
 
-    Faces are painted from back to front, shaded by their angle to the view.
+    The frustum reaches to the film through the object's middle; its tick points up. Distortion
+    bends it as it bends rays through the film's border. Faces are painted from back to front,
+    shaded by their angle to the view.
 
     ```python
     space = pj.plot.scene_view(fit.camera, scene, size=200)
@@ -78,10 +77,10 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
 
 
 def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera] = ()) -> Svg:
-    """Return a parallel view of a camera as SVG: its pyramid up to the view point, a tick upwards,
-    the world's axes at the view point. Nothing where numbers are not finite.
+    """Return a parallel view of a camera as SVG, empty if its numbers are not finite.
 
-    `way`: the camera before, whose eyes are a dotted line; `others`: cameras whose eyes are rings.
+    It shows the pyramid up to the view point, a tick upwards, and the world's axes at the view
+    point. The eyes of `way`, earlier cameras of a fit, are a dotted line; those of `others` rings.
     """
     axes, eye = _axes(camera), np.asarray(camera.e, float)
     b1, b2, v = axes * float(np.linalg.norm(np.asarray(camera.p, float) - eye))
@@ -125,7 +124,7 @@ def _axes(camera: Camera) -> np.ndarray:
 
 
 def _beside(axes: np.ndarray) -> np.ndarray:
-    """Return axes of a view from beside, as rows: to the right, upwards, towards the viewer."""
+    """Return the axes of a view from the side as rows: right, up, towards the viewer."""
     b1, b2, v = axes
     aside = np.cos(BEHIND) * b1 - np.sin(BEHIND) * v
     back = np.cos(ABOVE) * aside + np.sin(ABOVE) * b2
@@ -137,8 +136,8 @@ def _beside(axes: np.ndarray) -> np.ndarray:
 def _placing(
     spread: Points, view: np.ndarray, size: tuple[int, int], room: float
 ) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
-    """Return a function from points (..., 3) to px (..., 2) of a picture that shows all of
-    `spread`, and its px a unit."""
+    """Return a function from points (..., 3) to px (..., 2) of a picture with all of `spread` in
+    it, and its scale (px a unit)."""
     onto = view[:2].T * [1, -1]  # y runs down
     low, high = (spread @ onto).min(axis=0), (spread @ onto).max(axis=0)
     scale = float(np.min((np.array(size) - 2 * room) / np.maximum(high - low, 1e-30)))
@@ -148,7 +147,7 @@ def _placing(
 
 def _border(camera: Camera) -> Points:
     """Return unit directions of rays through the film's border, counter-clockwise from its lower
-    left corner, as many to each side."""
+    left corner, `SIDE` for each side."""
     share = np.linspace(0, 1, SIDE, endpoint=False)[:, None] * [camera.W, camera.H]
     corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * [camera.W, camera.H]
     ways = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])

@@ -1,4 +1,4 @@
-"""A fit's numbers as HTML: its parameters, and the card that notebooks show."""
+"""A fit's numbers as HTML: its parameters, and its card in notebooks."""
 
 from collections.abc import Iterable, Sequence
 
@@ -8,26 +8,26 @@ from .page import escaped, items, table
 from .space import frustum
 
 HEADS = ("parameter", "value", "one sigma", "unit", "")
-#: Behind the status: a fit to be trusted, and one that is not.
+#: The background of a status: trusted or not.
 GOOD, BAD = "#2e7d4f", "#b4541a"
 
 
 def parameters(fit: Fit, caption: str = "") -> str:
-    """Return the fitted parameters with their standard errors as a table."""
+    """Return a table of the fitted parameters with their standard errors."""
     return table(HEADS, [row.cells() for row in fit.parameters.rows], caption)
 
 
 def camera_card(camera: Camera, rows: Iterable[Sequence[str]]) -> str:
-    """Return a camera as notebooks show it: its numbers and its frustum."""
+    """Return a camera's card for notebooks: its numbers and its frustum."""
     title = f"<b>Camera</b> of {camera.W} x {camera.H} px"
     return _card(title, table((), rows), frustum(camera))
 
 
 def fit_card(fit: Fit) -> str:
-    """Return a fit as notebooks show it.
+    """Return a fit's card for notebooks.
 
-    The picture shows the camera with the way of its eye from the start, and as rings the eyes of
-    other views that explain the mask as well.
+    The picture shows the camera, the path of its eye from the start, and as rings the eyes of
+    other views that fit the mask equally well.
     """
     colour = GOOD if fit.status == "converged" else BAD
     pill = f"background:{colour};color:#fff;border-radius:4px;padding:2px 8px"

@@ -1,9 +1,9 @@
-"""`check_gradients`: a certificate that an image's derivatives are what its own differences say.
+"""`check_gradients`: a certificate that an image's derivatives agree with its differences.
 
-A derivative that is nearly right still descends, so a fault in it goes unnoticed. Here each
-parameter is moved a little to either side and the change of every pixel is held against the
-forward-mode derivative; then reverse mode is held against forward mode. Neither the step nor the
-scale of an error is taken from the derivative under test: a fault cannot excuse itself.
+A derivative that is nearly right still descends, so its faults go unnoticed. The check moves each
+parameter a little to either side and compares the change of every pixel with the forward-mode
+derivative; then it compares reverse mode with forward mode. Neither the step nor the scale of an
+error comes from the derivative under test: a fault cannot excuse itself.
 """
 
 from collections.abc import Callable
@@ -22,25 +22,25 @@ from .._silhouette.silhouette import silhouette
 from .differences import STEPS, Scales, Slopes, outside, slopes
 from .directions import Direction, camera_and_scene
 
-#: A row is undecided where more than this part of the pixels that move are at a kink.
+#: A row is undecided if more than this share of its moving pixels are at a kink.
 KINKS_ALLOWED = 0.25
-#: A pixel moves where it changes by more than this part of what the image's fastest one does.
+#: A pixel moves if it changes by more than this share of the largest change.
 MOVING = 0.02
 RIGHT = ("ok", "moves nothing")
 
 
 class Row(NamedTuple):
-    """What was found for one parameter (or for one random direction in many).
+    """The check of one parameter, or of one random direction in an array.
 
-    - `derivative`, `difference`: of one pixel, per unit of the parameter: of the pixel that fails
-      worst or, where none fails, of the one that changes most.
+    - `derivative`, `difference`: of one pixel, per unit of the parameter: the pixel that fails
+      worst or, if none fails, the one that changes most.
     - `pixel`: its (row, column).
     - `step`: of the first central difference, in units of the direction.
     - `error`: the worst pixel's, relative to the image's largest difference.
-    - `reverse`: distance of reverse mode from forward mode, relative.
-    - `kinks`: pixels that have a slope to either side; their derivative must lie between these.
-    - `verdict`: "ok"; "moves nothing" (derivative and difference are both 0); or what is wrong:
-      "not finite", "wrong derivative", "reverse differs", "undecided" (too many kinks).
+    - `reverse`: relative distance of reverse mode from forward mode.
+    - `kinks`: pixels with two slopes; their derivative must lie between these.
+    - `verdict`: "ok"; "moves nothing" (derivative and difference are both 0); or the fault: "not
+      finite", "wrong derivative", "reverse differs", "undecided" (too many kinks).
     """
 
     parameter: str
@@ -55,7 +55,7 @@ class Row(NamedTuple):
 
 
 class Certificate(NamedTuple):
-    """The rows of `check_gradients`; `passed`: all of them are right, and at least one moves.
+    """The rows of `check_gradients`; `passed`: all are right, and at least one moves the image.
 
     ```python
     certificate.passed, {row.parameter: row.verdict for row in certificate.rows}
@@ -99,20 +99,20 @@ def check_gradients(
     """Return a certificate of an image's derivatives at this camera and scene, and print it.
 
     `image(camera, scene)`, (H, W) and finite, is `silhouette` or a differentiable renderer of your
-    own. Checked are e, p, u, phi, d, a lens, and `directions` random directions each in vertices,
-    centers and radii: that values are finite, then forward mode against central differences pixel
-    by pixel, then reverse mode against forward mode.
+    own. It checks e, p, u, phi, d, a lens, and `directions` random directions each in vertices,
+    centers and radii. Values must be finite; forward mode must agree with central differences in
+    each pixel, and reverse mode with forward mode.
 
-    A step moves the picture by some 1e-5 px. Where a pixel's differences over h and h/2 disagree,
-    smaller steps are taken; where these disagree too the pixel is at a kink (an edge along its
-    border, a face edge-on), and its derivative must lie between the slopes to either side.
+    A step moves the picture by some 1e-5 px. If a pixel's differences over h and h/2 disagree, it
+    takes smaller steps. If these disagree too, the pixel is at a kink (an edge along its border, a
+    face edge-on), and its derivative must lie between the slopes to either side.
 
-    `tolerance` of `Row.error`: 1e-6 in float64. A float32 camera's derivatives are held to 1e-3,
-    against float64 differences, if `jax_enable_x64` is on. If it is off, differences are float32's
-    own, with steps of some 0.02 px, and derivatives are held to 0.1: wrong signs and lost pieces
-    show, small errors do not.
+    The default `tolerance` of `Row.error` is 1e-6 in float64. A float32 camera's derivatives are
+    compared with float64 differences, to 1e-3, if `jax_enable_x64` is on. If it is off, differences
+    are in float32, over some 0.02 px, and the tolerance is 0.1: wrong signs and lost pieces show,
+    small errors do not.
 
-    Raises ValueError where camera or scene are traced, `tolerance` is not positive, `directions` is
+    Raises ValueError if camera or scene are traced, `tolerance` is not positive, `directions` is
     below 1, or the image is not (H, W) floats.
 
     ```python
@@ -122,12 +122,12 @@ def check_gradients(
     ```
     """
     _check(camera, scene, tolerance, directions)
-    # Casting up is exact: the differences are taken at the very same camera and scene.
+    # Casting up is exact: the differences are those of the very same camera and scene.
     point = (camera, astype(scene, camera.e.dtype))
     fine = _cast(point, jnp.zeros(()).dtype)
     middle = _render(image, fine)
     _check_image(middle, camera)
-    scales = Scales.of(camera.e.dtype, middle.dtype, max(middle.shape), tolerance)
+    scales = Scales.for_precision(camera.e.dtype, middle.dtype, max(middle.shape), tolerance)
     reverse = _reverse(image, point, seed)
     still = jax.tree.map(jnp.zeros_like, eqx.filter(point, eqx.is_inexact_array))
     rows = []
@@ -164,11 +164,11 @@ def _gradient(image: Callable, point: Any, weight: Array) -> Any:
 
 
 def _reverse(image: Callable, point: Any, seed: int) -> _Reverse:
-    """Return one pull through reverse mode; no weight is small, so every pixel is heard."""
+    """Return one pull through reverse mode; no weight is small, so every pixel counts."""
     random = np.random.default_rng(seed)
     shape = (point[0].H, point[0].W)
     weight = random.uniform(0.5, 1.5, shape) * random.choice([-1, 1], shape)
-    weight = weight.astype(np.float32)  # what either precision holds exactly
+    weight = weight.astype(np.float32)  # exact in either precision
     return _Reverse(weight.astype(float), _gradient(image, point, jnp.asarray(weight)))
 
 
@@ -176,11 +176,11 @@ def _moved(image: Callable, point: Any, direction: Direction) -> tuple[np.ndarra
     """Return the images at x + h and at x - h, for each of the steps h."""
     leaf = direction.where(point)
 
-    def at(h: float) -> np.ndarray:
+    def image_at(h: float) -> np.ndarray:
         value = jnp.asarray(np.asarray(leaf) + h * direction.value, leaf.dtype)
         return np.asarray(_render(image, eqx.tree_at(direction.where, point, value)), float)
 
-    up, down = ([at(sign * direction.step * k) for k in STEPS] for sign in (1, -1))
+    up, down = ([image_at(sign * direction.step * k) for k in STEPS] for sign in (1, -1))
     return np.stack(up), np.stack(down)
 
 
@@ -193,7 +193,7 @@ def _row(
 ) -> Row:
     middle, up, down = images
     tolerance, least = scales.tolerance, scales.least * scales.step_px / direction.step
-    with np.errstate(invalid="ignore"):  # what is not finite is found below, not warned of
+    with np.errstate(invalid="ignore"):  # the verdict reports it, no warning
         largest = np.max(np.abs(up[0] - down[0])) / (2 * direction.step)
         scale = max(largest, least)
         found = slopes(middle, up, down, direction.step, tolerance / 2 * scale)
@@ -230,7 +230,7 @@ def _verdict(errors: np.ndarray, apart: float, found: Slopes, scales: Scales, sc
 
 def _apart(direction: Direction, derivative: np.ndarray, least: float, reverse: _Reverse) -> float:
     """Return the relative distance of <gradient, direction> from <weight, derivative>."""
-    moved = direction.value != 0  # a NaN in another entry is another row's
+    moved = direction.value != 0  # a NaN elsewhere belongs to another row
     gradient = np.asarray(direction.where(reverse.gradient), float)
     pulled = np.sum(gradient[moved] * direction.value[moved])
     parts = reverse.weight * derivative

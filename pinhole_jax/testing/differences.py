@@ -1,9 +1,9 @@
-"""Central differences of an image, pixel by pixel, that know a kink when they meet one.
+"""Central differences of an image, pixel by pixel, that recognise kinks.
 
 Coverage is smooth in the camera almost everywhere. It has a kink (two slopes) where an edge lies
 along a pixel's border or a face is seen edge-on, and a bend where an outline passes a pixel's
-corner. Both spoil a central difference only if they lie within its step, so steps come in pairs of
-h and h/2, and of a pixel's pairs the first counts whose differences agree (Richardson's test).
+corner. Both spoil a central difference only within its step. So steps come in pairs of h and h/2,
+and each pixel takes the first pair whose differences agree (Richardson's test).
 """
 
 from typing import NamedTuple
@@ -16,13 +16,13 @@ STEPS = (1.0, 1 / 2, 1 / 8, 1 / 16)
 
 
 class Scales(NamedTuple):
-    """What follows from the precision of derivatives and differences.
+    """Steps and tolerances for the precision of derivatives and differences.
 
-    - `step_px`: how far the first step moves the picture, px.
+    - `step_px`: the motion of the picture by the first step (px).
     - `tolerance`: of a derivative, relative to the image's largest slope or to `least`.
     - `reverse`: the same for reverse against forward mode.
-    - `least`: in pixels' value per px of motion. What moves nothing has rounding for differences.
-    - `exact`: the differences are float64's.
+    - `least`: the least slope that is no rounding, in pixels' value per px of motion.
+    - `exact`: the differences are in float64.
     """
 
     step_px: float
@@ -32,7 +32,7 @@ class Scales(NamedTuple):
     exact: bool
 
     @classmethod
-    def of(
+    def for_precision(
         cls, derivative: np.dtype, difference: np.dtype, size: int, tolerance: float | None
     ) -> "Scales":
         """Return the scales for two float types and the picture's larger side (px)."""
@@ -52,8 +52,8 @@ class Slopes(NamedTuple):
 
     - `central`: the central difference at the chosen step.
     - `kink`: where no pair of steps agrees.
-    - `low`, `high`: between what a derivative must lie: at a kink the slopes to either side over
-      the least step, else twice the central difference.
+    - `low`, `high`: bounds of a right derivative: at a kink the slopes to either side over the
+      least step, elsewhere both are the central difference.
     """
 
     central: Float[np.ndarray, "H W"]
@@ -71,16 +71,15 @@ def slopes(
 ) -> Slopes:
     """Return the slopes of images at x, x + h and x - h, for each h of `step * STEPS`.
 
-    Differences agree that are within `allowed` (per unit of x) of one another. They must agree on
-    the slope, and on the gap between the slopes to either side: that one halves with the step
-    where the image is smooth, and stays where it has a kink at x itself, which central differences
-    of whatever step would average out of sight.
+    Two differences agree if they are within `allowed` (per unit of x). They must agree on the
+    slope, and on the gap between the slopes to either side. The gap halves with the step where the
+    image is smooth, and stays at a kink at x itself, which central differences would hide.
     """
     h = step * np.asarray(STEPS)[:, None, None]
     right, left = (up - middle) / h, (middle - down) / h
     central, gap = (right + left) / 2, right - left
     slope, kink = central[-1], np.ones(middle.shape, bool)
-    for k in range(len(STEPS) - 2, -1, -2):  # the largest step that will do has the least rounding
+    for k in range(len(STEPS) - 2, -1, -2):  # larger steps have less rounding
         agree = np.abs(central[k] - central[k + 1]) <= allowed
         agree &= np.abs(gap[k] - 2 * gap[k + 1]) <= allowed
         slope, kink = np.where(agree, central[k + 1], slope), kink & ~agree
@@ -89,5 +88,5 @@ def slopes(
 
 
 def outside(derivative: Float[np.ndarray, "H W"], found: Slopes) -> Float[np.ndarray, "H W"]:
-    """Return how far each pixel's derivative is from what its slopes allow."""
+    """Return the distance of each pixel's derivative from the bounds of its slopes."""
     return np.maximum(np.maximum(found.low - derivative, derivative - found.high), 0)

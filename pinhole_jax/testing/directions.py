@@ -1,4 +1,4 @@
-"""Directions to move a camera and a scene in, one at a time, and how far to step."""
+"""Directions to move a camera and a scene in, one at a time, and their steps."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -30,9 +30,9 @@ def camera_and_scene(
 ) -> Iterator[Direction]:
     """Yield each of the camera's parameters, then random directions of the scene's arrays.
 
-    Steps move the picture by some `scales.step_px` at most; they follow from the scales of camera
-    and scene alone. A vertex moves independently of its neighbours; where differences are coarse,
-    smoothly with them, since over a long step the outline would jump from vertex to vertex.
+    Steps move the picture by some `scales.step_px` at most; they depend on camera and scene alone.
+    A vertex moves independently of its neighbours. If differences are coarse it moves smoothly with
+    them: over a long step the outline would jump from vertex to vertex.
     """
     for name, where, scale in _camera_leaves(*point):
         leaf = np.asarray(where(point))
@@ -53,14 +53,14 @@ def camera_and_scene(
 
 
 def _waves(vertices: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Return a smooth displacement of each vertex, within -1 and 1: a wave in a random way."""
+    """Return a smooth displacement of each vertex, between -1 and 1: a random wave."""
     middle, extent = vertices.mean(axis=0), np.ptp(vertices, axis=0).max()
     wave = random.normal(size=(3, 3)) * np.pi / (extent or 1)
     return np.sin((vertices - middle) @ wave + random.uniform(0, 2 * np.pi, 3))
 
 
 def _camera_leaves(camera: Camera, scene: Scene) -> list[tuple[str, Callable, float]]:
-    """Return name, place and how much of each parameter moves the picture by about a pixel."""
+    """Return each parameter's name, leaf, and the change that moves the picture by a pixel."""
     half, fy = max(camera.W, camera.H) / 2, float(focal_px(camera)[1])
     e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
     view, phi, d = float(np.linalg.norm(p - e)), float(camera.phi), float(camera.d)
@@ -94,7 +94,7 @@ def _scene_leaves(scene: Scene) -> list[tuple[str, Callable]]:
 
 
 def _distance(camera: Camera, scene: Scene) -> float:
-    """Return how far the scene is from the eye: its middle or, from within, its radius."""
+    """Return the distance of the scene's middle from the eye or, from within, its radius."""
     if not _scene_leaves(scene):
         return float(np.linalg.norm(np.asarray(camera.p - camera.e)))
     parts = Scene(

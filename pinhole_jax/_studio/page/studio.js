@@ -6,10 +6,10 @@ const $ = (id) => document.getElementById(id);
 const token = new URLSearchParams(location.search).get("token");
 const TOOLS = {
   turn: "Drag to turn, Shift-drag to shift, Alt-drag to roll, wheel to come nearer; Ctrl-wheel zooms the photo",
-  object: "Draw on the object: a few strokes are enough. Wheel zooms, right-drag moves the photo, [ and ] set the brush",
+  object: "Draw on the object: a few strokes are enough. The wheel zooms, right-drag moves the photo, [ and ] set the brush",
   background: "Draw on the background where the mask is too large",
   add: "Paint onto the mask, exactly",
-  erase: "Take off the mask, exactly",
+  erase: "Erase from the mask, exactly",
   line: "Drag along an edge that is straight in space; move k1 in Lens until the line lies on it",
 };
 const KEYS = { t: "turn", o: "object", b: "background", a: "add", e: "erase", l: "line" };
@@ -59,9 +59,9 @@ function connect() {
   socket = new WebSocket(`ws://${location.host}/bench?token=${token}&tab=${tab}`);
   socket.onmessage = ({ data }) => heard(JSON.parse(data));
   socket.onclose = () => {
-    for (const { reject } of waiting.values()) reject(new Error("the server is gone"));
+    for (const { reject } of waiting.values()) reject(new Error("the server has stopped"));
     waiting.clear();
-    complain("The server is gone. Start it again, and open the address that it prints.", true);
+    complain("The server has stopped. Start it again, and open the address that it prints.", true);
   };
 }
 
@@ -112,7 +112,7 @@ const settled = () => new Promise((resolve) => {
 
 async function opened(answer) {
   [W, H] = [answer.W, answer.H];
-  $("files").textContent = `${answer.mesh} before ${answer.photo}, ${W} × ${H} px`;
+  $("files").textContent = `${answer.mesh} over ${answer.photo}, ${W} × ${H} px`;
   document.title = `${answer.photo} – pinhole_jax studio`;
   fillFree(answer.free);
   $("format").replaceChildren(...["all", ...answer.formats].map((name) => new Option(name)));
@@ -128,7 +128,7 @@ async function opened(answer) {
   ]);
   photo = picture;
   scene = makeScene($("scene"), mesh);
-  if (!scene) complain("This browser has no WebGL 2: the outline is shown, the mesh is not.");
+  if (!scene) complain("This browser has no WebGL 2: it shows the outline, but not the mesh.");
   if (!zoom.own) whole();
   await showMask(answer.mask);
   show(answer.view);
@@ -409,7 +409,7 @@ function took(answer) {
 
 async function fit(search) {
   if (studio.busy || $("fit").disabled) return;
-  if (!free().length) return complain("Free something that the fit may change.");
+  if (!free().length) return complain("Tick at least one parameter that the fit may change.");
   $("stop").hidden = false;
   rest = null;
   const answer = await act("fitting (the first time compiles: seconds)", "fit", { free: free(), search, refine: $("refine").checked });

@@ -1,4 +1,4 @@
-"""What the page tells of mask and fit, as text and numbers that JSON holds."""
+"""Descriptions of mask and fit for the page, as text and numbers that JSON holds."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from .strokes import Work, guides_of, png_of
 
 
 def mask_described(mask: np.ndarray | None, work: Work) -> dict[str, Any]:
-    """Return the mask as a picture, how much of the photo it is, and what it was guessed from."""
+    """Return the mask as a picture, its share of the photo, and the strokes of its guess."""
     return {
         "png": None if mask is None else png_of(mask),
         "share": 0.0 if mask is None else float(np.mean(mask > 127)),
@@ -22,8 +22,11 @@ def mask_described(mask: np.ndarray | None, work: Work) -> dict[str, Any]:
 
 
 def holding(fit: Fit, phi_from: str | None) -> Fit:
-    """Return a fit that names its field of view if that was held and nobody gave it: the camera is
-    only as right as that one is, so it has not `converged`. `phi_from`: where it is from."""
+    """Return a fit that names a field of view which it held fixed and nobody gave.
+
+    The camera is only as right as that guess, so it has not `converged`. `phi_from` is the guess's
+    origin, None if somebody gave it.
+    """
     if phi_from is None:
         return fit
     words = f"{_held(fit, phi_from)}; the sigmas leave out its error: free it, or give --fov"
@@ -38,8 +41,8 @@ def _held(fit: Fit, phi_from: str) -> str:
 def fit_described(
     fit: Fit, scene: Scene, mask: np.ndarray | None, phi_from: str | None = None
 ) -> dict[str, Any]:
-    """Return a fit: its status, table and notes, its outline's band, K, R and t; `phi_from` as
-    `holding` takes it."""
+    """Return a fit's status, table, notes, outline with its band, K, R and t. (`phi_from`: see
+    `holding`.)"""
     status = {"status": fit.status, "meaning": STATUSES[fit.status]}
     if phi_from is not None and fit.status == "uncertain":
         status["meaning"] = f"The {_held(fit, phi_from)}"
