@@ -1,6 +1,6 @@
 """An error names what is wrong with a camera file, the file and the field; and the doors."""
 
-import json
+import re
 import struct
 
 import jax
@@ -13,340 +13,263 @@ from pinhole_jax import formats
 
 CAMERA = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 1.0, 40, 31)
 LENS = formats.cropped(CAMERA, 3, -2, 30, 25)
-EYE = [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
-NERF = {"fl_x": 40, "w": 8, "h": 6, "frames": [{"file_path": "a", "transform_matrix": EYE}]}
-BLENDER = {"lens": 18, "resolution_x": 8, "resolution_y": 6, "matrix_world": EYE}
-GLTF = {
-    "nodes": [{"camera": 0}],
-    "cameras": [
-        {"type": "perspective", "perspective": {"yfov": 1}, "extras": {"W": 8, "H": 6}},
+EYE = "[[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]"
+FRAME = f'{{"file_path": "a", "transform_matrix": {EYE}}}'
+SENSOR = """<scene><sensor type="perspective"><float name="fov" value="40"/>
+<transform name="to_world"><scale value="1"/></transform>
+<film type="hdrfilm"><integer name="width" value="8"/></film></sensor></scene>"""
+OWN = '{"e": [0, 0, 5], "p": [0, 0, 0], "u": [0, 1, 0], "phi": 1, "W": 8, "H": 6}'
+MATRIX = """!!opencv-matrix
+   rows: 3
+   cols: %d
+   dt: d
+   data: [ %s ]
+"""
+YAML = f"""%YAML:1.0
+---
+image_width: 40
+image_height: 31
+pixel_centres: "integer"
+camera_names: [ "a" ]
+camera_matrix: {MATRIX % (3, "40., 0., 20., 0., 40., 15., 0., 0., 1.0")}
+distortion_coefficients: [ 0., 0., 0., 0., 0. ]
+R: {MATRIX % (3, "1., 0., 0., 0., 1., 0., 0., 0., 1.")}
+t: {MATRIX % (1, "0., 0., 3.")}
+"""
+#: Files that are right, as text.
+RIGHT = {
+    "nerf.json": f'{{"fl_x": 40, "w": 8, "h": 6, "frames": [{FRAME}]}}',
+    "blender.json": f'{{"lens": 18, "resolution_x": 8, "resolution_y": 6, "matrix_world": {EYE}}}',
+    "p3d.json": """{"R": [[[1, 0, 0], [0, 1, 0], [0, 0, 1]]], "T": [[0, 0, 3]], "in_ndc": false,
+        "focal_length": [[4, 4]], "principal_point": [[4, 3]], "image_size": [[6, 8]]}""",
+    "own.json": f'{{"schema": "pinhole_jax.cameras/1", "cameras": {{"a": {OWN}}}}}',
+    "c.gltf": """{"nodes": [{"camera": 0}], "cameras": [{"type": "perspective",
+        "perspective": {"yfov": 1}, "extras": {"W": 8, "H": 6}}]}""",
+    "c.xml": SENSOR,
+    "c.yaml": YAML,
+    "cameras.txt": "1 PINHOLE 8 6 4 4 4 3\n",
+    "images.txt": "1 0 1 0 0 -1 2 3 1 a.png\n\n2 0 1 0 0 -1 2 4 1 b.png\n1 2 -1 3 4 5\n",
+}
+ROTATION = r": expected a rotation \(orthonormal, determinant 1\)"
+#: Of each file: what is changed, and the error.
+WRONG = {
+    "nerf.json": [
+        ("[1, 0, 0, 1]", "[1, 0.1, 0, 0]", f"`transform_matrix`{ROTATION}"),
+        ("[1, 0, 0, 1]", "[-1, 0, 0, 1]", f"`transform_matrix`{ROTATION}"),
+        ("[0, 0, 0, 1]", "[0, 0, 0, 2]", "`transform_matrix`: .* its last row 0 0 0 1, got"),
+        ("[[1, 0", "[[NaN, 0", "`transform_matrix`: expected finite numbers"),
+        (EYE, '"x"', r"`transform_matrix`: .*got 'x' \(in '.*json', frames\[0\]\)"),
+        (EYE, "[[1, 2], [3, 4]]", r"`transform_matrix`: .* of shape \(4, 4\), got \[\[1,"),
+        ("transform_matrix", "matrix", "`transform_matrix`: .*no such field"),
+        (f"[{FRAME}]", "3", "`frames`: expected a list, got 3"),
+        (FRAME, "3", "expected fields with names, got 3"),
+        (FRAME, f"{FRAME}, {FRAME}", "expected one camera of each name, got two of 'a'"),
+        ("{", '{"k1": 0.1, "k4": -0.2, ', "`distortion`: expected k1, .* got k4 = -0.2"),
+        ("{", '{"k1": -60, ', "`lens`: expected a distortion that holds up to the film's corners"),
+        ("{", '{"is_fisheye": true, "p1": 1, ', "`distortion`: .* Fisheye only, got p1 = 1"),
+        ("{", '{"is_fisheye": "maybe", ', "`is_fisheye`: expected true or false, got 'maybe'"),
+        ("{", '{"camera_model": "ORTHO", ', "`camera_model`: expected one of OPENCV, PINHOLE"),
+        ('l_x": 40', 'l_x": true', "`fl_x`: expected a positive number, got True"),
+        ('l_x": 40', 'l_x": -4', "`fl_x`: expected a positive number, got -4"),
+        ("fl_x", "f", "`fl_x`: expected fl_x .* or camera_angle_x"),
+        ('fl_x": 40', 'camera_angle_x": 4', r"`camera_angle_x`: .*\(0, pi\) rad, got 4"),
+        ('"w": 8', '"w": 8.5', "`w`: expected an integer of at least 1, got 8.5"),
+        ('"h"', '"x"', "`h`: expected an integer of at least 1, got no such field"),
+        ('"w": 8, "h": 6, ', "", "`w`: .* no such field; give `size`"),
+    ],
+    "blender.json": [
+        ("{", '{"sensor_fit": "FILL", ', "`sensor_fit`: expected one of AUTO, HORIZONTAL, VERT"),
+        ("{", '{"type": "ORTHO", ', "`type`: expected one of PERSP, got 'ORTHO'"),
+        ("18", '"50mm"', "`lens`: expected a positive number, got '50mm'"),
+    ],
+    "p3d.json": [
+        ("false", '"no"', "`in_ndc`: expected true or false, got 'no'"),
+        ("[[0, 0, 3]]", "[[0, 0]]", r"`T`: expected finite numbers of shape \(1, 3\)"),
+        ("{", '{"names": [], ', r"`names`: expected 1 names, got \[\]"),
+        ("[[4, 4]]", "[[4, -4]]", r"`K`: expected positive .* fy = -4 \(in .*json', camera 0\)"),
+    ],
+    "own.json": [
+        (OWN, "4", "expected fields with names, got 4"),
+        ('"p"', '"q"', r"`p`: expected .*, got no such field \(in .*, cameras, a\)"),
+    ],
+    "c.gltf": [
+        ('"perspective",', '"orthographic",', "`type`: expected one of perspective"),
+        ('": 1', '": 1, "aspectRatio": 2', "`aspectRatio`: expected W/H"),
+        ('": 0', '": 0, "scale": [2, 2, 2]', f"`matrix`{ROTATION}"),
+        ('": 0', '": 0, "rotation": [0, 0, 0, 2]', "`rotation`: expected a quaternion of length 1"),
+        ('": 0', '": 0, "matrix": [], "scale": []', "`matrix`: .*, got both it and scale"),
+        ('": 0', '": 1', "`camera`: expected a number below 1, got 1"),
+        ('": 0', '": 0, "children": [0]', "`children`: expected a tree, got a circle"),
+        ('": 0', '": 0, "children": 7', "`children`: expected a list, got 7"),
+        ('": 0', '": 0, "children": [7]', "`children`: expected nodes with one parent"),
+        ('[{"camera": 0}]', "[]", "`cameras`: expected a node with a camera, got none"),
+        ("extras", "x", "`W`: .* no such field; give `size`"),
+    ],
+    "c.xml": [
+        ("</scene>", "", "`path`: expected XML, got"),
+        ("sensor", "shape", "`sensor`: expected one in a Mitsuba scene, got none"),
+        ("perspective", "thinlens", "`type`: expected one of perspective, got 'thinlens'"),
+        ("40", "200", r"`fov`: expected an angle in \(0, 180\) degrees, got 200"),
+        ("40", "$f", r"`fov`: expected a finite number, got '\$f'"),
+        (' value="40"', "", "`value`: expected a value, got no such field .* <float>"),
+        ("<film", '<float name="fov" value="1"/><film', "`fov`: expected one such property"),
+        ("<film", '<string name="focalLength" value="5mm"/><film', "`fov`: expected it or focal"),
+        ("<film", '<string name="fov_axis" value="z"/><film', "`fov_axis`: expected one of x, y"),
+        ("<film", '<film type="x"/><film', "`to_world`: expected one transform and one film"),
+        ('value="1"', 'x="-1"', f"`to_world`{ROTATION}"),
+        ('scale value="1"', "up", "`to_world`: expected matrix, lookat, rotate, translate or sc"),
+        ('scale value="1"', 'translate value="1, 2"', r"`value`: .* \(3,\), got .* <translate>"),
+        ('scale value="1"', 'matrix value="1 2 3"', r"`value`: .* of shape \(16,\), got .* <matr"),
+        ('scale value="1"', 'rotate angle="3"', "`rotate`: expected an axis, got none"),
+        (
+            'scale value="1"',
+            'lookat origin="0,1,0" target="0,0,0" up="0,1,0"',
+            "`up`: expected another direction than the view's",
+        ),
+    ],
+    "c.yaml": [
+        (
+            "   cols: 3\n",
+            "",
+            r"`camera_matrix`: expected an OpenCV matrix \(rows, cols, dt, data\)",
+        ),
+        ("dt: d", "dt: 2d", "`camera_matrix`: .* with one channel, got dt '2d'"),
+        (", 1.0 ]", " ]", "`camera_matrix`: .* of 9 numbers, got 8"),
+        ("1.0 ]", "one ]", r"`camera_matrix`: expected finite numbers of a matrix, got \["),
+        ("1.0 ]", ".Nan ]", "`camera_matrix`: expected finite numbers"),
+        ("1.0 ]", "2.0 ]", r"`camera_matrix`: expected \[\[fx, 0, cx\]"),
+        ("camera_matrix", "martix", r"`camera_matrix`: .* of shape \(3, 3\), got no such field"),
+        ("1.0 ]", "1.0 ]\nx: &a [ *a ]", "expected YAML, .* an alias"),
+        ('[ "a" ]', "[ !!python/tuple a ]", None),
+        ("camera_names", "&all camera_names", None),
+        ("width: 40", "width: wide", "`image_width`: expected an integer .* got 'wide'"),
+        ("width: 40", "width 40", "line 4: expected YAML, got 'image_height: 31': mapping"),
+        ("height: 31", "width: 31", "expected YAML, .*: the field 'image_width' twice"),
+        ("image_height: 31", "imageWidth: 31", "`image_width`: expected one such field, got 'im"),
+        ('"integer"', '"corner"', "`pixel_centres`: expected one of integer, half, got 'corner'"),
+        ('[ "a" ]', '[ "a", "b" ]', r"`camera_names`: expected 1 different names, got \['a', 'b"),
+        ('[ "a" ]', '[ "a"', "line 6: expected YAML, got .*: did not find expected"),
+        ("R: !!", "Q: !!", "`R`: expected R and t, or extrinsic_parameters, got no pose"),
+        ("\nt: !!", "\ns: !!", r"`t`: expected finite numbers of shape \(3,\), got no such field"),
+        ("0., 0., 0., 0., 0.", "0, 0, 0, 0, 0, 0, 0, 0, 1e-3, 0, 0, 0", "Rational only, got s1"),
+        ("0., 0., 0., 0., 0.", "1, 2, 3", "`distortion_coefficients`: expected 4 or 5"),
+        (
+            "R: !!",
+            "rvec: [ 0, 0, 1 ]\nR: !!",
+            "`rvec`: expected one kind of pose, got both it",
+        ),
+        ("R: !!", "rvec: [ 0, 1e9, 1 ]\nx: !!", "`rvec`: expected a turn of at most 10000 rad"),
+        (
+            "R: !!",
+            "extrinsic_parameters: [ 1 ]\nR: !!",
+            "`extrinsic_parameters`: expected one",
+        ),
+    ],
+    "cameras.txt": [
+        ("PINHOLE", "FOV", "`MODEL`: expected one of SIMPLE_PINHOLE, .* got FOV"),
+        (" 3\n", "\n", r"`PARAMS`: expected 4 numbers \(fx, fy, cx, cy\) of PINHOLE, got 3"),
+        ("4 4 4", "4 four 4", "expected numbers, got could not convert .* 'four'"),
+        ("4 4 4", "4 1_0 4", "expected numbers, got could not convert .* '1_0'"),
+        ("4 4 4", "4 nan 4", r"`fy`: expected a positive number, got nan \(in .*txt', line 1"),
+        ("PINHOLE 8 6 4 4 4 3", "PINHOLE", "expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, got"),
+        ("1", "1.7", r"`CAMERA_ID`: expected a whole number, got '1.7' \(.*, line 1\)"),
+        ("1", "2", "`CAMERA_ID`: expected a camera of .*cameras.txt', got 1"),
+        ("\n", "\n1 PINHOLE 8 6 4 4 4 3\n", "`CAMERA_ID`: expected each once, got 1 twice"),
+    ],
+    "images.txt": [
+        ("1 0", "inf 0", "`IMAGE_ID`: expected a whole number, got 'inf'"),
+        ("2 0", "1 0", "`IMAGE_ID`: expected each once, got 1 twice"),
+        ("0 1 0 0", "0 2 0 0", "`QUATERNION`: expected a quaternion of length 1"),
+        ("2 3", "2 inf", "`TRANSLATION`: expected finite numbers"),
+        ("1 a.png", "", "expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got"),
+        ("\n\n", "\n", r"expected the image's points \(X Y POINT3D_ID, or an empty line\)"),
+        ("b.png", "a.png", "expected one camera of each name, got two of 'a.png'"),
+        ("1 0", "# Number of images: 3, mean\n1 0", "expected 3 entries, as its heading says, got"),
     ],
 }
-P3D = {
-    "R": [np.eye(3).tolist()],
-    "T": [[0, 0, 3]],
-    "focal_length": [[4, 4]],
-    "principal_point": [[4, 3]],
-    "image_size": [[6, 8]],
-    "in_ndc": False,
-}
 
 
-def changed(data, path, value):
-    """Return a copy with one field changed, or without it (value None)."""
-    data = json.loads(json.dumps(data))
-    *way, last = path
-    part = data
-    for step in way:
-        part = part[step]
-    if value is None:
-        del part[last]
-    else:
-        part[last] = value
-    return data
+@pytest.mark.parametrize("file", WRONG)
+def test_wrong_fields_of_every_format_are_named(tmp_path, file):
+    for name, text in RIGHT.items():
+        (tmp_path / name).write_text(text)
+    path = tmp_path if file.endswith("txt") else tmp_path / file
+    for old, new, message in WRONG[file]:
+        assert old in RIGHT[file]
+        count = -1 if old == "sensor" else 1
+        (tmp_path / file).write_text(RIGHT[file].replace(old, new, count))
+        if message is None:
+            assert list(formats.read(path)) == ["a"]
+            continue
+        with pytest.raises(ValueError, match=message):
+            formats.read(path)
 
 
-def matrix(value):
-    return {"frames": [{"file_path": "a", "transform_matrix": value}]}
+@pytest.mark.parametrize("file", RIGHT)
+def test_right_files_are_read(tmp_path, file):
+    for name, text in RIGHT.items():
+        (tmp_path / name).write_text(text)
+    assert formats.read(tmp_path if file.endswith("txt") else tmp_path / file)
 
 
-SKEWED = [[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-MIRRORED = np.diag([-1.0, 1, 1, 1]).tolist()
-JSON_CASES = [
-    ({**NERF, **matrix(SKEWED)}, r"`transform_matrix`: expected a rotation \(orthonormal, det"),
-    ({**NERF, **matrix(MIRRORED)}, "`transform_matrix`: expected a rotation"),
-    ({**NERF, **matrix([[1, 2], [3, 4]])}, r"`transform_matrix`: .* of shape \(4, 4\), got \[\[1,"),
-    ({**NERF, **matrix("x")}, r"`transform_matrix`: .*got 'x' \(in '.*c.json', frames\[0\]\)"),
-    ({**NERF, **matrix(np.full((4, 4), np.nan).tolist())}, "`transform_matrix`: expected finite"),
-    (
-        {**NERF, **matrix([*EYE[:3], [0, 0, 0, 2]])},
-        "`transform_matrix`: .* its last row 0 0 0 1, got",
-    ),
-    (changed(NERF, ["frames", 0, "transform_matrix"], None), "`transform_matrix`: .*no such field"),
-    ({**NERF, "frames": 3}, "`frames`: expected a list, got 3"),
-    ({**NERF, "frames": [3]}, "expected fields with names, got 3"),
-    ({**NERF, "frames": NERF["frames"] * 2}, "expected one camera of each name, got two of 'a'"),
-    ({**NERF, "k1": 0.1, "k4": -0.2}, "`distortion`: expected k1, .* k3 of a .* got k4 = -0.2"),
-    ({**NERF, "k1": -60}, "`lens`: expected a distortion that holds up to the film's corners"),
-    ({**NERF, "fl_x": True}, "`fl_x`: expected a positive number, got True"),
-    ({**NERF, "fl_x": -4}, "`fl_x`: expected a positive number, got -4"),
-    ({**NERF, "w": 8.5}, "`w`: expected an integer of at least 1, got 8.5"),
-    ({**NERF, "camera_model": "ORTHOPHOTO"}, "`camera_model`: expected one of OPENCV, PINHOLE"),
-    ({**NERF, "is_fisheye": True, "p1": 1}, "`distortion`: .* k4 of a Fisheye only, got p1 = 1"),
-    (changed(NERF, ["fl_x"], None), "`fl_x`: expected fl_x .* or camera_angle_x"),
-    (changed(changed(NERF, ["w"], None), ["h"], None), "`w`: .* no such field; give `size`"),
-    (changed(NERF, ["h"], None), "`h`: expected an integer of at least 1, got no such field"),
-    ({**changed(NERF, ["fl_x"], None), "camera_angle_x": 4}, r"`camera_angle_x`: .*\(0, pi\) rad"),
-    ({**BLENDER, "sensor_fit": "FILL"}, "`sensor_fit`: expected one of AUTO, HORIZONTAL, VERTICAL"),
-    ({**BLENDER, "type": "ORTHO"}, "`type`: expected one of PERSP, got 'ORTHO'"),
-    ({**BLENDER, "lens": "50mm"}, "`lens`: expected a positive number, got '50mm'"),
-    ({**BLENDER, "matrix_world": (2 * np.eye(4)).tolist()}, "`matrix_world`: expected a rotation"),
-    (changed(BLENDER, ["lens"], None), "`lens`: expected a positive number, got no such field"),
-    ({**P3D, "in_ndc": "no"}, "`in_ndc`: expected true or false, got 'no'"),
-    ({**P3D, "T": [[0, 0]]}, r"`T`: expected finite numbers of shape \(1, 3\)"),
-    ({**P3D, "names": []}, r"`names`: expected 1 names, got \[\]"),
-    ({**P3D, "R": [SKEWED[0][:3] * 3]}, r"`R`: expected finite numbers of shape \(N, 3, 3\)"),
-    (
-        {**P3D, "focal_length": [[4, -4]]},
-        r"`K`: expected positive focal .* fy = -4 \(in '.*c.json', camera 0\)",
-    ),
-    ({"e": [0, 0, 1]}, r"`p`: expected a camera's field, got no such .* \(in '.*c.json'\)"),
-    ({"schema": "pinhole_jax.cameras/1", "cameras": {"a": 3}}, "expected fields with names, got 3"),
-]
-
-
-@pytest.mark.parametrize(("data", "message"), JSON_CASES)
-def test_wrong_json(tmp_path, data, message):
-    (tmp_path / "c.json").write_text(json.dumps(data))
-    with pytest.raises(ValueError, match=message):
-        formats.read(tmp_path / "c.json")
-
-
-GLTF_CASES = [
-    (changed(GLTF, ["cameras", 0, "type"], "orthographic"), "`type`: expected one of perspective"),
-    (changed(GLTF, ["cameras", 0, "perspective", "aspectRatio"], 2), "`aspectRatio`: expected W/H"),
-    (changed(GLTF, ["cameras", 0, "perspective", "yfov"], 4), r"`yfov`: expected an angle in"),
-    (changed(GLTF, ["nodes", 0, "scale"], [2, 2, 2]), "`matrix`: expected a rotation"),
-    (changed(GLTF, ["nodes", 0, "rotation"], [0, 0, 0, 2]), "`rotation`: expected a quaternion of"),
-    (changed(GLTF, ["nodes", 0, "camera"], 1), "`camera`: expected a number below 1, got 1"),
-    (changed(GLTF, ["nodes", 0, "children"], [0]), "`children`: expected a tree, got a circle"),
-    (changed(GLTF, ["nodes", 0, "children"], 7), "`children`: expected a list, got 7"),
-    (
-        {
-            **GLTF,
-            "nodes": [{"camera": 0, "matrix": np.eye(4).ravel().tolist(), "scale": [1, 1, 1]}],
-        },
-        "`matrix`: expected one kind of transform, got both it and scale",
-    ),
-    (changed(GLTF, ["nodes", 0, "children"], [7]), "`children`: expected nodes with one parent"),
-    (changed(GLTF, ["nodes"], []), "`cameras`: expected a node with a camera, got none"),
-    (changed(GLTF, ["cameras", 0, "extras"], None), "`W`: .* no such field; give `size`"),
-]
-
-
-@pytest.mark.parametrize(("data", "message"), GLTF_CASES)
-def test_wrong_gltf(tmp_path, data, message):
-    (tmp_path / "c.gltf").write_text(json.dumps(data))
-    with pytest.raises(ValueError, match=message):
-        formats.read(tmp_path / "c.gltf")
-
-
-def test_truncated_glb_is_refused(tmp_path):
+def test_truncated_files_are_refused(tmp_path):
+    for name in ("c.glb", "c.yaml"):
+        formats.write(tmp_path / name, {"a": CAMERA})
+        whole = (tmp_path / name).read_bytes()
+        first = whole.find(b"camera_matrix") if name == "c.yaml" else 1
+        for end in range(first, len(whole.rstrip()), 7):
+            (tmp_path / name).write_bytes(whole[:end])
+            with pytest.raises(ValueError, match="expected"):
+                formats.read(tmp_path / name)
     formats.write(tmp_path / "c.glb", {"a": CAMERA})
     whole = (tmp_path / "c.glb").read_bytes()
-    (tmp_path / "c.glb").write_bytes(whole[:-4])
-    with pytest.raises(ValueError, match=r"`path`: expected a whole glb of .* got .*: cut short"):
-        formats.read(tmp_path / "c.glb")
-    (tmp_path / "c.glb").write_bytes(whole[:16] + b"BIN\0" + whole[20:])
-    with pytest.raises(ValueError, match="`path`: expected JSON first in a glb"):
-        formats.read(tmp_path / "c.glb")
-    (tmp_path / "c.glb").write_text("{")
-    with pytest.raises(ValueError, match="`path`: expected glTF, got"):
-        formats.read(tmp_path / "c.glb")
-
-
-YAML_CASES = [
-    ("rows: 3\n   cols: 3", "rows: 3", r"`camera_matrix`: expected an OpenCV matrix \(rows, cols"),
-    ("dt: d", "dt: 2d", "`camera_matrix`: .* with one channel, got dt '2d'"),
-    ("camera_matrix: !!", "camera_matrix: 3\nx: !!", r"`camera_matrix`: .* \(3, 3\), got 3"),
-    ("camera_matrix", "camera_martix", "`camera_matrix`: .*no such field"),
-    ("      1.0 ]", " ]", "`camera_matrix`: .* of 9 numbers, got 8"),
-    ("      1.0 ]", " one ]", r"`camera_matrix`: expected finite numbers of a matrix, got \["),
-    ("      1.0 ]", " 1.0 ]\nx: &a [ *a ]", "expected YAML, .* an alias"),
-    ('[ "a" ]', "[ !!python/tuple a ]", None),
-    ("camera_names", "&all camera_names", None),
-    ("      1.0 ]", " .Nan ]", "`camera_matrix`: expected finite numbers"),
-    ("      1.0 ]", " 2.0 ]", r"`camera_matrix`: expected \[\[fx, 0, cx\]"),
-    ("image_width: 40", "image_width: wide", "`image_width`: expected an integer .* got 'wide'"),
-    ("image_width: 40", "image_width 40", "line 4: expected YAML, got 'image_height: 31': mapping"),
-    ("image_height: 31", "image_width: 31", "expected YAML, .*: the field 'image_width' twice"),
-    ("image_height: 31", "imageWidth: 31", "`image_width`: expected one such field, got 'imageW"),
-    ('"integer"', '"corner"', "`pixel_centres`: expected one of integer, half, got 'corner'"),
-    ('[ "a" ]', '[ "a", "b" ]', r"`camera_names`: expected 1 different names, got \['a', 'b'\]"),
-    ('[ "a" ]', '[ "a"', r"line 6: expected YAML, got .*: did not find expected"),
-    ("R: !!", "Q: !!", "`R`: expected R and t, or extrinsic_parameters, got no pose"),
-    ("\nt: !!", "\ns: !!", r"`t`: expected finite numbers of shape \(3,\), got no such field"),
-    (
-        "distortion_coefficients: !!",
-        "D: [ 0, 0, 0, 0, 0, 0, 0, 0, 1e-3, 0, 0, 0 ]\nq: !!",
-        "`distortion`: expected k1, .* of a Rational only, got s1 = 0.001",
-    ),
-    ("rows: 5\n   cols: 1", "rows: 1\n   cols: 1\n   sizes: [5]", None),
-    (
-        "distortion_coefficients: !!",
-        "D: [ 1, 2, 3 ]\nq: !!",
-        "`distortion_coefficients`: expected 4",
-    ),
-    (
-        "camera_names",
-        "rvec: [ 0, 0, 1 ]\nx",
-        "`rvec`: expected one kind of pose, got both it and R",
-    ),
-    ("R: !!", "rvec: [ 0, 1e9, 1 ]\nx: !!", "`rvec`: expected a turn of at most 10000 rad"),
-    ("camera_names", "extrinsic_parameters: [ 1 ]\nx", "`extrinsic_parameters`: expected one kind"),
-]
-
-
-@pytest.mark.parametrize(("old", "new", "message"), YAML_CASES)
-def test_wrong_yaml(tmp_path, old, new, message):
-    formats.write(tmp_path / "c.yaml", {"a": CAMERA})
-    text = (tmp_path / "c.yaml").read_text()
-    assert old in text
-    (tmp_path / "c.yaml").write_text(text.replace(old, new, 1))
-    if message is None:
-        assert list(formats.read(tmp_path / "c.yaml")) == ["a"]
-    else:
+    for data, message in (
+        (whole[:-4], "`path`: expected a whole glb of .* got .*: cut short"),
+        (whole[:16] + b"BIN\0" + whole[20:], "`path`: expected JSON first in a glb"),
+        (b"{", "`path`: expected glTF, got"),
+    ):
+        (tmp_path / "c.glb").write_bytes(data)
         with pytest.raises(ValueError, match=message):
-            formats.read(tmp_path / "c.yaml")
+            formats.read(tmp_path / "c.glb")
 
 
-def test_truncated_yaml_is_no_camera(tmp_path):
-    """Wherever it ends within its matrices."""
-    formats.write(tmp_path / "c.yaml", {"a": CAMERA})
-    text = (tmp_path / "c.yaml").read_text()
-    for end in range(text.index("camera_matrix"), len(text.rstrip()), 7):
-        (tmp_path / "c.yaml").write_text(text[:end])
-        with pytest.raises(ValueError, match="expected"):
-            formats.read(tmp_path / "c.yaml")
-
-
-FILM = '<film type="hdrfilm"><integer name="width" value="8"/></film>'
-FOV = '<float name="fov" value="40"/>'
-XML_CASES = [
-    ("<scene>", "`path`: expected XML, got"),
-    ("<scene/>", "`sensor`: expected one in a Mitsuba scene, got none"),
-    ('<sensor type="thinlens"/>', "`type`: expected one of perspective, got 'thinlens'"),
-    (FOV.replace("40", "200"), r"`fov`: expected an angle in \(0, 180\) degrees, got 200"),
-    (FOV + FOV, "`fov`: expected one such property, got two"),
-    (FOV + '<string name="focalLength" value="50mm"/>', "`fov`: expected it or focal_length, got"),
-    (FOV + FILM, "`to_world`: expected one transform and one film, got two"),
-    (FOV.replace("40", "$f"), r"`fov`: expected a finite number, got '\$f'"),
-    (FOV.replace("40", "nan"), "`fov`: expected a finite number, got nan"),
-    (FOV.replace(' value="40"', ""), "`value`: expected a value, got no such field .* <float>"),
-    (FOV + '<string name="fov_axis" value="z"/>', "`fov_axis`: expected one of x, y, diagonal"),
-    ("<up/>", r"`to_world`: expected matrix, lookat, rotate, translate or scale, got 'up'"),
-    ('<scale value="2"/>', "`to_world`: expected a rotation"),
-    ('<scale x="-1"/>', "`to_world`: expected a rotation"),
-    (
-        '<translate value="1, 2"/>',
-        r"`value`: .* of shape \(3,\), got .* <translate>",
-    ),
-    ('<rotate angle="3"/>', "`rotate`: expected an axis, got none"),
-    (
-        '<matrix value="1 2 3"/>',
-        r"`value`: .* of shape \(16,\), got .* <matrix>",
-    ),
-    (
-        '<lookat origin="1,2" target="0,0,0" up="0,1,0"/>',
-        r"`origin`: .* of shape \(3,\), got",
-    ),
-    (
-        '<lookat origin="0,1,0" target="0,0,0" up="0,1,0"/>',
-        "`up`: expected another direction than",
-    ),
-]
-
-
-@pytest.mark.parametrize(("part", "message"), XML_CASES)
-def test_wrong_xml(tmp_path, part, message):
-    if part.startswith(("<scene", "<sensor")):
-        text = part if part.startswith("<scene") else f"<scene>{part}</scene>"
-    elif part.startswith("<float"):
-        text = f'<scene><sensor type="perspective">{part}{FILM}</sensor></scene>'
-    else:
-        step = f'<transform name="to_world">{part}</transform>'
-        text = f'<scene><sensor type="perspective">{FOV}{step}</sensor></scene>'
-    (tmp_path / "c.xml").write_text(text)
-    with pytest.raises(ValueError, match=message):
-        formats.read(tmp_path / "c.xml")
-
-
-CAMERAS_TXT = "1 PINHOLE 8 6 4 4 4 3\n"
-IMAGES_TXT = "1 0 1 0 0 -1 2 3 1 a.png\n\n2 0 1 0 0 -1 2 4 1 b.png\n1 2 -1 3 4 5\n"
-COLMAP_CASES = [
-    ("PINHOLE", "FOV", "`MODEL`: expected one of SIMPLE_PINHOLE, .* got FOV"),
-    ("4 4 4 3", "4 4 4", r"`PARAMS`: expected 4 numbers \(fx, fy, cx, cy\) of PINHOLE, got 3"),
-    ("4 4 4 3", "4 four 4 3", "expected numbers, got could not convert .* 'four'"),
-    ("4 4 4 3", "4 1_0 4 3", "expected numbers, got could not convert .* '1_0'"),
-    (
-        "4 4 4 3",
-        "4 nan 4 3",
-        r"`fy`: expected a positive number, got nan \(in .*cameras.txt', line 1",
-    ),
-    (
-        "PINHOLE 8 6 4 4 4 3",
-        "FULL_OPENCV 8 6 4 4 4 3 0 0 0 0 0 -50 0 0",
-        "`lens`: expected a distortion that holds",
-    ),
-    ("1 PINHOLE 8 6 4 4 4 3", "1 PINHOLE", "expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, got"),
-    ("1 PINHOLE", "1.7 PINHOLE", r"`CAMERA_ID`: expected a whole number, got '1.7' \(.*, line 1\)"),
-    ("3 1 a.png", "3 1e999 a.png", "`CAMERA_ID`: expected a whole number, got '1e999'"),
-    ("1 0 1 0", "inf 0 1 0", "`IMAGE_ID`: expected a whole number, got 'inf'"),
-    ("2 0 1 0", "1 0 1 0", "`IMAGE_ID`: expected each once, got 1 twice"),
-    ("1 PINHOLE", "2 PINHOLE", "`CAMERA_ID`: expected a camera of .*cameras.txt', got 1"),
-    ("4 3\n", "4 3\n1 PINHOLE 8 6 4 4 4 3\n", "`CAMERA_ID`: expected each once, got 1 twice"),
-    ("0 1 0 0 -1 2 3", "0 2 0 0 -1 2 3", "`QUATERNION`: expected a quaternion of length 1"),
-    ("0 1 0 0 -1 2 3", "0 1 0 0 -1 2 inf", "`TRANSLATION`: expected finite numbers"),
-    ("1 a.png", "", "expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got"),
-    ("a.png\n\n", "a.png\n", r"expected the image's points \(X Y POINT3D_ID, or an empty"),
-    ("b.png", "a.png", "expected one camera of each name, got two of 'a.png'"),
-    (
-        "1 0 1",
-        "# Number of images: 3, mean\n1 0 1",
-        "expected 3 entries, as its heading says, got 2",
-    ),
-]
-
-
-@pytest.mark.parametrize(("old", "new", "message"), COLMAP_CASES)
-def test_wrong_colmap_text(tmp_path, old, new, message):
-    cameras, images = CAMERAS_TXT.replace(old, new, 1), IMAGES_TXT.replace(old, new, 1)
-    (tmp_path / "cameras.txt").write_text(cameras)
-    (tmp_path / "images.txt").write_text(images)
-    with pytest.raises(ValueError, match=message):
-        formats.read(tmp_path)
-
-
-@pytest.mark.parametrize("comment", ["", "# Camera list\n"])
-def test_colmap_text_may_begin_with_a_byte_order_mark(tmp_path, comment):
-    for mark in ("", "\ufeff"):
-        (tmp_path / f"m{mark}").mkdir()
-        for name, text in (("cameras", CAMERAS_TXT), ("images", IMAGES_TXT)):
-            (tmp_path / f"m{mark}" / f"{name}.txt").write_text(mark + comment + text, "utf-8")
-    plain, marked = (formats.read(tmp_path / f"m{mark}") for mark in ("", "\ufeff"))
-    assert [*marked] == [*plain] == ["a.png", "b.png"]
-    assert np.array_equal(marked["a.png"].e, plain["a.png"].e)
+def test_colmap_text_may_begin_with_a_byte_order_mark(tmp_path):
+    for comment in ("", "# Camera list\n"):
+        for name in ("cameras.txt", "images.txt"):
+            (tmp_path / name).write_text("\ufeff" + comment + RIGHT[name], "utf-8")
+        marked = formats.read(tmp_path)
+        assert [*marked] == ["a.png", "b.png"]
+        np.testing.assert_allclose(marked["a.png"].e, [1, 2, 3], atol=1e-12)
 
 
 def test_wrong_colmap_binary(tmp_path):
     formats.write(tmp_path, {"a": CAMERA, "b": LENS}, "colmap-binary")
     for name in ("cameras.bin", "images.bin"):
         whole = (tmp_path / name).read_bytes()
-        for end in range(len(whole)):
-            (tmp_path / name).write_bytes(whole[:end])
-            with pytest.raises(ValueError, match=rf"expected more than {end} bytes, .*{name}"):
+        wrong = {
+            whole[:end]: f"expected more than {end} bytes, .*{name}" for end in range(len(whole))
+        }
+        wrong[whole + b"\0"] = f"expected {len(whole)} bytes, got {len(whole) + 1}"
+        if name == "cameras.bin":
+            other = whole[:12] + struct.pack("<i", 7) + whole[16:]
+            wrong[other] = "`MODEL`: expected one of .*, got number 7"
+        for data, message in wrong.items():
+            (tmp_path / name).write_bytes(data)
+            with pytest.raises(ValueError, match=message):
                 formats.read(tmp_path)
-        (tmp_path / name).write_bytes(whole + b"\0")
-        with pytest.raises(ValueError, match=rf"expected {len(whole)} bytes, got {len(whole) + 1}"):
-            formats.read(tmp_path)
         (tmp_path / name).write_bytes(whole)
-    whole = (tmp_path / "cameras.bin").read_bytes()
-    (tmp_path / "cameras.bin").write_bytes(whole[:12] + struct.pack("<i", 7) + whole[16:])
-    with pytest.raises(ValueError, match=r"`MODEL`: expected one of .*, got number 7"):
-        formats.read(tmp_path)
 
 
 def test_model_is_not_written_beside_another(tmp_path):
     formats.write(tmp_path / "model", {"a": CAMERA})
     formats.write(tmp_path / "model", {"a": LENS})  # over its own kind it is
-    with pytest.raises(
-        ValueError, match=r"`folder`: expected none of another model, got cameras.txt"
-    ):
+    with pytest.raises(ValueError, match=r"`folder`: expected none of another model, got camera"):
         formats.write(tmp_path / "model", {"a": CAMERA}, "colmap-binary")
-    with pytest.raises(ValueError, match=r"`cameras`: expected names COLMAP can hold, got 'a\\nb'"):
-        formats.write(tmp_path / "other", {"a\nb": CAMERA})
     with pytest.raises(FileNotFoundError, match="`folder`: expected a COLMAP model"):
         formats.read(tmp_path)
+
+
+NAMES = "`format`: expected one of json, opencv, colmap, .* 'usd'"
 
 
 @pytest.mark.parametrize(
@@ -357,27 +280,22 @@ def test_model_is_not_written_beside_another(tmp_path):
             "c.xml",
             {"a": formats.resized(CAMERA, 40, 40)},
             None,
-            "`cameras`: expected square pixels, as Mitsuba",
+            "`cameras`: expected square pix",
         ),
         (
             "c.yaml",
             {"a": CAMERA, "b": LENS},
             None,
-            "`cameras`: expected one K, lens and image size",
+            "`cameras`: expected one K, lens and image",
         ),
         ("c.py", {"a": CAMERA, "b": LENS}, None, "`cameras`: expected one resolution and pixel"),
         ("c.json", {}, None, "`cameras`: expected at least one, got none"),
-        (
-            "c.json",
-            {"a": CAMERA},
-            "usd",
-            "`format`: expected one of json, opencv, colmap, .* 'usd'",
-        ),
+        ("c.json", {"a": CAMERA}, "usd", NAMES),
         (
             "c.usd",
             {"a": CAMERA},
             None,
-            r"`path`: expected a folder \(COLMAP\) or one of .json, .yml",
+            r"`path`: expected a folder \(COLMAP\) or one of .json",
         ),
     ],
 )
@@ -387,34 +305,36 @@ def test_unsupported_cameras_are_not_written(tmp_path, name, cameras, format, me
     assert not list(tmp_path.iterdir())
 
 
-def test_unreadable_paths_are_refused_by_name(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"`path`: expected a camera file, .* no such file"):
-        formats.read(tmp_path / "no.json")
-    (tmp_path / "a.usd").write_text("")
-    with pytest.raises(ValueError, match="formats are json, opencv, colmap, colmap-binary"):
-        formats.read(tmp_path / "a.usd")
-    formats.write(tmp_path / "a.py", {"a": CAMERA})
-    with pytest.raises(ValueError, match="`format`: expected one that can be read, got 'blender-s"):
-        formats.read(tmp_path / "a.py")
-    (tmp_path / "a.json").write_text("{")
-    with pytest.raises(ValueError, match="`path`: expected JSON, got"):
-        formats.read(tmp_path / "a.json")
-    (tmp_path / "a.json").write_text("[]")
-    with pytest.raises(ValueError, match=r"`path`: expected a JSON object, got \[\]"):
-        formats.read(tmp_path / "a.json")
-    (tmp_path / "a.json").write_bytes(b"\xff")
-    with pytest.raises(ValueError, match=r"`path`: expected JSON, got .*: not UTF-8"):
-        formats.read(tmp_path / "a.json")
-    with pytest.raises(ValueError, match=r"`path`: expected a camera file, got .*: a folder"):
-        formats.read(tmp_path, "json")
-    with pytest.raises(ValueError, match="`format`: expected one of"):
-        formats.read(tmp_path / "a.json", "usd")
+@pytest.mark.parametrize(
+    ("name", "data", "format", "message"),
+    [
+        ("no.json", None, None, "`path`: expected a camera file, .* no such file"),
+        ("a.usd", b"", None, "formats are json, opencv, colmap, colmap-binary"),
+        ("a.py", b"", None, "`format`: expected one that can be read, got 'blender-s"),
+        ("a.json", b"{", None, "`path`: expected JSON, got"),
+        ("a.json", b"[]", None, r"`path`: expected a JSON object, got \[\]"),
+        ("a.json", b"\xff", None, "`path`: expected JSON, got .*: not UTF-8"),
+        (".", None, "json", "`path`: expected a camera file, got .*: a folder"),
+        ("a.json", b"{}", "usd", NAMES),
+    ],
+)
+def test_unreadable_paths_are_refused_by_name(tmp_path, name, data, format, message):
+    if data is not None:
+        (tmp_path / name).write_bytes(data)
+    with pytest.raises((FileNotFoundError, ValueError), match=message):
+        formats.read(tmp_path / name, format)
 
 
 def test_size_is_for_files_without_one(tmp_path):
-    (tmp_path / "transforms.json").write_text(
-        json.dumps({"camera_angle_x": 1.0, "frames": NERF["frames"]})
-    )
+    nerf = f'{{"camera_angle_x": 1, "frames": [{FRAME}]}}'
+    for name, text in {
+        "transforms.json": nerf,
+        "p.json": RIGHT["p3d.json"].replace("image_size", "x"),
+        "s.xml": re.sub("(?s)<film.*</film>", "", SENSOR),
+    }.items():
+        (tmp_path / name).write_text(text)
+        (camera,) = formats.read(tmp_path / name, size=(20, 11)).values()
+        assert (camera.W, camera.H) == (20, 11)
     (camera,) = formats.read(tmp_path / "transforms.json", size=(20, 11)).values()
     np.testing.assert_allclose(np.tan(camera.phi / 2), np.tan(0.5) * 11 / 20, rtol=1e-12)
     for name in ("a.yaml", "own.json", "folder", "transforms_b.json", "pytorch3d.json"):
@@ -422,12 +342,6 @@ def test_size_is_for_files_without_one(tmp_path):
         assert list(formats.read(tmp_path / name, size=(40, 31))) == ["a"]
         with pytest.raises(ValueError, match=r"expected .*40"):
             formats.read(tmp_path / name, size=(20, 11))
-    (tmp_path / "p.json").write_text(json.dumps(changed(P3D, ["image_size"], None)))
-    (camera,) = formats.read(tmp_path / "p.json", size=(8, 6)).values()
-    assert (camera.W, camera.H) == (8, 6)
-    (tmp_path / "s.xml").write_text(f'<sensor type="perspective">{FOV}</sensor>')
-    (camera,) = formats.read(tmp_path / "s.xml", size=(8, 6)).values()
-    assert (camera.W, camera.H) == (8, 6)
 
 
 def test_files_are_never_half_written(tmp_path, monkeypatch):
@@ -462,20 +376,19 @@ def test_wrong_pytorch3d_arguments(change, message):
         formats.from_pytorch3d(**{**good, **change})
 
 
-def test_pixel_centres_shift_K_by_half_a_pixel():
-    with pytest.raises(ValueError, match="`pixel_centres`: expected 'integer' or 'half'"):
-        formats.to_opencv(CAMERA, pixel_centres="corner")
+def test_pixel_centres_are_those_that_are_asked_for(tmp_path):
     half, integer = (formats.to_opencv(LENS, pixel_centres=c)[0] for c in ("half", "integer"))
     np.testing.assert_allclose((half - integer)[:2, 2], 0.5, rtol=0, atol=1e-12)
-
-
-def test_pixel_centres_of_a_file_are_respected(tmp_path):
     formats.write_opencv(tmp_path / "c.yaml", {"a": LENS}, pixel_centres="half")
     assert max(map(float, pj.pose_error(formats.read(tmp_path / "c.yaml")["a"], LENS))) < 1e-12
     back = formats.read(tmp_path / "c.yaml")["a"].lens.principal_point
     np.testing.assert_allclose(back, LENS.lens.principal_point, atol=1e-12)
-    with pytest.raises(ValueError, match="`pixel_centres`: expected 'integer' or 'half'"):
-        formats.read_opencv(tmp_path / "c.yaml", pixel_centres="corner")
+    for call in (
+        lambda: formats.to_opencv(CAMERA, pixel_centres="corner"),
+        lambda: formats.read_opencv(tmp_path / "c.yaml", pixel_centres="corner"),
+    ):
+        with pytest.raises(ValueError, match="`pixel_centres`: expected 'integer' or 'half'"):
+            call()
 
 
 POINTS = jnp.asarray(np.random.default_rng(0).normal(size=(5, 3)) * 0.5)
@@ -488,18 +401,17 @@ def seen(camera):
 
 
 def test_crops_and_resizes_are_those_of_images():
-    np.testing.assert_allclose(seen(formats.cropped(LENS, 7, -3, 11, 44)), seen(LENS) - [7, -3])
-    np.testing.assert_allclose(
-        seen(formats.cropped(CAMERA, 0.25, 1.5, 9, 9)), seen(CAMERA) - [0.25, 1.5]
-    )
-    np.testing.assert_allclose(seen(formats.resized(LENS, 45, 10)), seen(LENS) * [45 / 30, 10 / 25])
-    assert formats.cropped(CAMERA, 5, 3, 30, 25).lens is None  # the middle stays the middle
-    assert formats.resized(CAMERA, 80, 62).lens is None
-    back = formats.cropped(formats.cropped(LENS, 7, -3, 11, 44), -7, 3, LENS.W, LENS.H)
-    np.testing.assert_allclose(seen(back), seen(LENS), atol=1e-12)
-    both = formats.resized(formats.cropped(CAMERA, 4, 2, 20, 10), 40, 20)
-    other = formats.cropped(formats.resized(CAMERA, 80, 62), 8, 4, 40, 20)
-    np.testing.assert_allclose(seen(both), seen(other), atol=1e-12)
+    crop, resize = formats.cropped, formats.resized
+    for camera, film in (
+        (crop(LENS, 7, -3, 11, 44), seen(LENS) - [7, -3]),
+        (crop(CAMERA, 0.25, 1.5, 9, 9), seen(CAMERA) - [0.25, 1.5]),
+        (resize(LENS, 45, 10), seen(LENS) * [45 / 30, 10 / 25]),
+        (crop(crop(LENS, 7, -3, 11, 44), -7, 3, LENS.W, LENS.H), seen(LENS)),
+        (resize(crop(CAMERA, 4, 2, 20, 10), 40, 20), 2 * (seen(CAMERA) - [4, 2])),
+    ):
+        np.testing.assert_allclose(seen(camera), film, atol=1e-12)
+    assert crop(CAMERA, 5, 3, 30, 25).lens is None  # the middle stays the middle
+    assert resize(CAMERA, 80, 62).lens is None
 
 
 def test_crops_and_resizes_differentiate():
@@ -512,17 +424,14 @@ def test_crops_and_resizes_differentiate():
     np.testing.assert_allclose(slope, (moved(0.7 + h) - moved(0.7 - h)) / (2 * h), rtol=1e-7)
 
 
-def test_bad_windows_are_refused():
+@pytest.mark.parametrize("W", [0, 2.5])
+def test_bad_windows_are_refused(W):
     with pytest.raises(ValueError, match="`left`: expected finite values"):
         formats.cropped(CAMERA, np.nan, 0, 5, 5)
-    for change in (
-        lambda W: formats.cropped(CAMERA, 0, 0, W, 5),
-        lambda W: formats.resized(CAMERA, W, 5),
-    ):
-        with pytest.raises(ValueError, match="`W`: expected an integer of at least 1"):
-            change(0)
-        with pytest.raises(ValueError, match="`W`: expected an integer of at least 1"):
-            change(2.5)
+    with pytest.raises(ValueError, match="`W`: expected an integer of at least 1"):
+        formats.cropped(CAMERA, 0, 0, W, 5)
+    with pytest.raises(ValueError, match="`W`: expected an integer of at least 1"):
+        formats.resized(CAMERA, W, 5)
 
 
 def test_camera_is_read_by_name(tmp_path):
