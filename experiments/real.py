@@ -12,8 +12,8 @@
 - `photos`: what a photo adds where the mask is off by 1 to 3 px: traced, textured, lit, noisy.
 - `demos`: four published pose demonstrations (PyTorch3D, nvdiffrast, Mitsuba, redner), redone from
   the outline alone, the whole pose free.
-- `command`: how long does `pinhole-jax fit` take with no start: a bottle's mask drawn
-  by hand, implants' masks by a network? Twice: with no programs kept, and with them.
+- `command`: how long does `pinhole-jax fit` take with no start: a bottle's mask by
+  GrabCut, implants' masks by a network? Twice: with no programs kept, and with them.
 
 `../shared/data` holds what is real; where it is not there, a part says so and is skipped. Errors
 are of the object in the camera's frame. (A coffee cup: `coffee_cup.py`.)
