@@ -79,6 +79,21 @@ def angle(R, other):
     return np.rad2deg(np.arccos(np.clip((np.trace(R.T @ other) - 1) / 2, -1, 1)))
 
 
+def check_pose(row, R, t):
+    """Assert that a row's pose is as near as a hard mask of 64 px tells."""
+    assert angle(np.reshape(row["R"], (3, 3)), R) < 2
+    assert np.linalg.norm(np.array(row["t"]) - t) < 0.05 * np.linalg.norm(t)
+
+
+def write_rows(folder, rows):
+    """Write rows as a run does; return the results in the folder."""
+    writer = Writer(folder)
+    for row in rows:
+        writer.add(row)
+    writer.flush()
+    return batch.Results(folder)
+
+
 def same(row, other):
     """Whether two rows are equal but for what the clock says."""
     return line_of({**row, "seconds": 0.0}) == line_of({**other, "seconds": 0.0})
@@ -91,16 +106,12 @@ def test_row_has_the_camera_of_the_mask(records, rows, truths):
     for row, record, (K, R, t) in zip(rows, records, truths, strict=True):
         assert list(row) == list(batch.COLUMNS)
         assert row["status"] == "converged", row["words"]
-        found = np.array(row["R"]).reshape(3, 3)
-        assert angle(found, R) < 2  # a hard mask of 64 px
-        assert np.linalg.norm(np.array(row["t"]) - t) < 0.05 * np.linalg.norm(t)
-        np.testing.assert_allclose(np.array(row["K"]).reshape(3, 3), K, atol=1e-9)
+        check_pose(row, R, t)
+        np.testing.assert_allclose(np.reshape(row["K"], (3, 3)), K, atol=1e-9)
         assert json.loads(row["record"]) == record
         assert row["hash"] == digest_of(record)
         assert row["seconds"] > 0
-        size = len(row["names"])
-        assert len(row["std"]) == size
-        assert len(row["covariance"]) == size**2
+        assert len(row["names"]) == len(row["std"]) == np.sqrt(len(row["covariance"]))
 
 
 def test_row_holds_the_whole_fit_for_any_format(rows, tmp_path):
@@ -109,12 +120,9 @@ def test_row_holds_the_whole_fit_for_any_format(rows, tmp_path):
     np.testing.assert_array_equal(fit.covariance.ravel(), rows[0]["covariance"])
     formats.write(tmp_path / "camera.yaml", {"camera": fit.camera})
     K, R, t = formats.to_opencv(formats.read_one(tmp_path / "camera.yaml"), pixel_centres="integer")
-    for value, name in ((K, "K"), (R, "R"), (t, "t")):
-        np.testing.assert_allclose(value.ravel(), rows[0][name], rtol=1e-9, atol=1e-9)
-
-
-def test_row_depends_on_its_record_alone(records, rows):
-    assert same(batch.fit_one(records[2]), rows[2])
+    found = np.concatenate([K.ravel(), R.ravel(), t])
+    expected = [x for name in "KRt" for x in rows[0][name]]
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_window_of_a_picture_gives_the_camera_of_the_window(records, truths, tmp_path):
@@ -131,38 +139,20 @@ def test_window_of_a_picture_gives_the_camera_of_the_window(records, truths, tmp
     (record,) = batch.read_dataset(tmp_path / "set.csv")
     row = batch.fit_one(record)
     assert row["status"] == "converged", row["words"]
-    assert angle(np.array(row["R"]).reshape(3, 3), R) < 2
-    assert np.linalg.norm(np.array(row["t"]) - t) < 0.05 * np.linalg.norm(t)
+    check_pose(row, R, t)
     moved = np.array([[1, 0, 0.5 - left], [0, 1, 0.5 - top], [0, 0, 1]])  # the pixels' corner is 0
     scaled = np.array([[2, 0, -0.5], [0, 2, -0.5], [0, 0, 1]]) @ moved @ K
     np.testing.assert_allclose(np.array(row["K"]).reshape(3, 3), scaled, atol=1e-9)
 
 
-def test_run_lengths_are_as_good_as_a_picture(records, rows):
+@pytest.mark.parametrize("invert", [False, True])
+def test_run_lengths_are_as_good_as_a_picture(records, rows, invert):
     mask = io.load_mask(records[0]["mask"]) > 127
-    columns = mask.T.ravel()
-    steps = np.flatnonzero(np.diff(columns)) + 1
-    counts = np.diff([0, *steps, columns.size]).tolist()
-    counts = [0, *counts] if columns[0] else counts
-    rle = {"size": list(mask.shape), "counts": counts}
-    np.testing.assert_array_equal(io.mask_of_rle(rle), np.uint8(255 * mask))
-    row = batch.fit_one({**records[0], "mask": rle})
+    columns = np.pad((mask ^ invert).T.ravel(), (1, 0))
+    steps = np.flatnonzero(np.diff(columns))
+    rle = {"size": list(mask.shape), "counts": np.diff([0, *steps, mask.size]).tolist()}
+    row = batch.fit_one({**records[0], "mask": rle, "invert": invert})
     assert (row["R"], row["status"]) == (rows[0]["R"], rows[0]["status"])
-    negative = {"size": rle["size"], "counts": [0, *rle["counts"]]}
-    row = batch.fit_one({**records[0], "mask": negative, "invert": True})
-    assert (row["R"], row["status"]) == (rows[0]["R"], rows[0]["status"])
-
-
-def test_pycocotools_text_is_read():
-    """The texts are pycocotools 2.0's."""
-    hole = np.zeros((6, 9), np.uint8)
-    hole[1:5, 2:7] = 255
-    hole[2, 4] = 0
-    box = np.zeros((120, 160), np.uint8)
-    box[10:100, 20:140] = 255
-    for mask, text in ((hole, "=4200MO11200;"), (box, f"Z[2j2n{'0' * 238}fZ2")):
-        rle = {"size": list(mask.shape), "counts": text}
-        np.testing.assert_array_equal(io.mask_of_rle(rle), mask)
 
 
 def test_run_lengths_as_pycocotools_gives_them_are_read():
@@ -198,60 +188,45 @@ def test_run_lengths_that_are_none_are_refused(rle, words):
         io.mask_of_rle(rle)
 
 
-def bad_items(folder, good, tmp_path):
-    """Return records that cannot be fitted, by what their words have to name."""
-    empty, short = tmp_path / "empty.png", tmp_path / "short.png"
-    Image.new("L", (SIZE, SIZE)).save(empty)
-    short.write_bytes(Path(good["mask"]).read_bytes()[:60])
-    text, small = tmp_path / "text.ply", tmp_path / "small.png"
-    text.write_text("no mesh")
-    Image.new("L", (3, 3)).save(small)
-    nan = tmp_path / "nan.obj"
-    nan.write_text("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n")
-    no_faces = tmp_path / "points.obj"
-    no_faces.write_text("v 0 0 0\nv 1 0 0\n")
-    return {
-        "mask": [
-            {"mask": str(tmp_path / "missing.png")},
-            {"mask": str(short)},
-            {"mask": str(text)},
-            {"mask": str(folder)},
-            {"mask": {"size": [2, 2], "counts": [3]}},
-        ],
-        "mesh": [
-            {"mesh": str(tmp_path / "missing.ply")},
-            {"mesh": str(text)},
-            {"mesh": str(nan)},
-            {"mesh": str(no_faces)},
-            {"mesh": str(folder)},
-        ],
-        "target": [{"mask": str(empty)}],
-        "weight": [{"weight": str(small)}, {"weight": str(tmp_path / "missing.png")}],
-        "photo": [{"photo": str(small)}],
-        "K": [{"K": [1, 2]}, {"K": "a b c d"}, {"K": [-60, -60, 32, 32]}],
-        "start": [{"start": [1.0]}, {"start": np.ones((4, 4)).tolist()}],
-        "dist": [{"dist": [0.1]}],
-        "free": [{"free": "zoom"}],
-        "mask_from": [{"mask_from": "a guess"}],
-        "pixel_centres": [{"pixel_centres": "somewhere"}],
-        "max_steps": [{"max_steps": 0}],
-        "fov": [{"fov": 30.0}],
-        "item": [{"colour": "red"}, {"mask": None}, {"max_steps": float("nan")}],
-        "invert": [{"invert": "False"}],
-        "prior": [{"prior": {"zoom": [1, 1]}}],
+@pytest.fixture
+def bad_items(folder, tmp_path):
+    """Records that cannot be fitted: the argument that their words name, and what is changed."""
+    Image.new("L", (SIZE, SIZE)).save(tmp_path / "empty.png")
+    Image.new("L", (3, 3)).save(tmp_path / "small.png")
+    (tmp_path / "short.png").write_bytes((tmp_path / "empty.png").read_bytes()[:60])
+    (tmp_path / "text.ply").write_text("no mesh")
+    (tmp_path / "nan.obj").write_text("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "points.obj").write_text("v 0 0 0\nv 1 0 0\n")
+    files = {
+        "mask": "missing.png short.png text.ply .",
+        "mesh": "missing.ply text.ply nan.obj points.obj .",
+        "weight": "small.png missing.png",
+        "photo": "small.png",
     }
+    return [
+        *((n, {n: str(tmp_path / file)}) for n, names in files.items() for file in names.split()),
+        ("mask", {"mask": {"size": [2, 2], "counts": [3]}}),
+        ("target", {"mask": str(tmp_path / "empty.png")}),
+        *(("K", {"K": K}) for K in ([1, 2], "a b c d", [-60, -60, 32, 32])),
+        *(("start", {"start": start}) for start in ([1.0], np.ones((4, 4)).tolist())),
+        ("dist", {"dist": [0.1]}),
+        ("free", {"free": "zoom"}),
+        ("mask_from", {"mask_from": "a guess"}),
+        ("pixel_centres", {"pixel_centres": "somewhere"}),
+        ("max_steps", {"max_steps": 0}),
+        ("fov", {"fov": 30.0}),
+        *(("item", x) for x in ({"colour": "red"}, {"mask": None}, {"max_steps": float("nan")})),
+        ("invert", {"invert": "False"}),
+        ("prior", {"prior": {"zoom": [1, 1]}}),
+    ]
 
 
-def test_bad_items_are_rows_that_name_what_is_wrong(folder, records, tmp_path):
-    good = records[0]
-    kinds = bad_items(folder, good, tmp_path)
-    assert sum(map(len, kinds.values())) >= 20
-    for name, changes in kinds.items():
-        for change in changes:
-            row = batch.fit_one({**good, **change, "id": "bad"})
-            assert row["status"] == "failed", change
-            assert f"`{name}`" in row["words"], (change, row["words"])
-            assert row_of(line_of(row)) == row
+def test_bad_items_are_rows_that_name_what_is_wrong(records, bad_items):
+    for name, change in bad_items:
+        row = batch.fit_one({**records[0], **change, "id": "bad"})
+        assert row["status"] == "failed", change
+        assert f"`{name}`" in row["words"], (change, row["words"])
+        assert row_of(line_of(row)) == row
 
 
 @pytest.mark.parametrize(
@@ -302,12 +277,9 @@ def test_rows_are_whole_and_each_counts_once(tmp_path):
         writer.add(empty_row({"id": id}, "failed", "first"))
     assert list(batch.Results(tmp_path)) == []
     writer.flush()
-    writer.add(empty_row({"id": "a"}, "crashed", "second"))
-    writer.flush()
-    results = batch.Results(tmp_path)
+    results = write_rows(tmp_path, [empty_row({"id": "a"}, "crashed", "second")])
     assert [(row["id"], row["words"]) for row in results] == [("a", "second"), ("b", "first")]
-    assert results.ids() == {"a", "b"}
-    assert results.ids(but=["crashed"]) == {"b"}
+    assert (results.ids(), results.ids(but=["crashed"])) == ({"a", "b"}, {"b"})
     assert results.counts() == {"crashed": 1, "failed": 1}
     assert [row["id"] for row in results.rows("ba")] == ["b", "a"]
     with pytest.raises(ValueError, match=r"`id`.*'c'"):
@@ -340,62 +312,52 @@ def test_shards_part_the_records():
 
 
 def test_table_has_all_rows(rows, tmp_path):
-    writer = Writer(tmp_path)
-    for row in [*rows[::-1], empty_row({"id": "z"}, "failed", "words")]:
-        writer.add(row)
-    writer.flush()
+    results = write_rows(tmp_path, [*rows[::-1], empty_row({"id": "z"}, "failed", "words")])
     path = tmp_path / "table.jsonl"
-    assert batch.merge(batch.Results(tmp_path), path) == COUNT + 1
+    assert batch.merge(results, path) == COUNT + 1
     read = [row_of(line) for line in path.read_text().splitlines()]
     assert [row["id"] for row in read] == [*sorted(row["id"] for row in rows), "z"]
-    assert all(same(a, b) for a, b in zip(read, batch.Results(tmp_path), strict=True))
+    assert all(same(a, b) for a, b in zip(read, results, strict=True))
+    with pytest.raises(ValueError, match=r"`path`.*\.jsonl or \.csv"):
+        batch.merge(results, tmp_path / "table.txt")
+
+
+def read_csv(path):
+    with open(path, newline="") as stream:
+        return list(csv.DictReader(stream))
 
 
 def test_bop_results(rows, truths, tmp_path):
-    writer = Writer(tmp_path)
-    for row in [*rows, empty_row({"id": "test/1/2/3/4"}, "failed", "")]:
-        writer.add(row)
-    writer.flush()
-    assert batch.merge(batch.Results(tmp_path), tmp_path / "bop.csv") == COUNT
-    with open(tmp_path / "bop.csv", newline="") as stream:
-        lines = list(csv.DictReader(stream))
+    results = write_rows(tmp_path, [*rows, empty_row({"id": "test/1/2/3/4"}, "failed", "")])
+    assert batch.merge(results, tmp_path / "bop.csv") == COUNT
+    lines = read_csv(tmp_path / "bop.csv")
     assert list(lines[0]) == ["scene_id", "im_id", "obj_id", "score", "R", "t", "time"]
     for line, row, (_, R, t) in zip(lines, rows, truths, strict=True):
-        assert line["obj_id"] == "7"
-        assert float(line["score"]) == row["iou"]
-        assert angle(np.array(line["R"].split(), float).reshape(3, 3), R) < 2
-        assert np.linalg.norm(np.array(line["t"].split(), float) - t) < 30
+        assert (line["obj_id"], float(line["score"])) == ("7", row["iou"])
+        check_pose({name: np.array(line[name].split(), float) for name in "Rt"}, R, t)
         assert float(line["time"]) == pytest.approx(row["seconds"], abs=1e-6)
-    with pytest.raises(ValueError, match=r"`path`.*\.jsonl or \.csv"):
-        batch.merge(batch.Results(tmp_path), tmp_path / "table.txt")
-
-
-TURNS = ("b1", "b2", "v")
 
 
 def test_flat_table_has_a_line_for_every_row(rows, tmp_path):
-    names = ["first, of two", "second"]
-    found = [row | {"id": id} for id, row in zip(names, rows[:2], strict=True)]
-    writer = Writer(tmp_path)
-    for row in [*found, empty_row({"id": "test/1/2/3/4"}, "failed", 'no "mask"')]:
-        writer.add(row)
-    writer.flush()
-    assert batch.merge(batch.Results(tmp_path), tmp_path / "flat.csv") == 3
-    with open(tmp_path / "flat.csv", newline="") as stream:
-        *lines, last = list(csv.DictReader(stream))
-    turn = lambda row: max(row["std"][row["names"].index(f"rotation_{b}")] for b in TURNS)
+    found = [row | {"id": id} for id, row in zip(("first, of two", "second"), rows, strict=False)]
+    failed = empty_row({"id": "test/1/2/3/4"}, "failed", 'no "mask"')
+    assert batch.merge(write_rows(tmp_path, [*found, failed]), tmp_path / "flat.csv") == 3
+    *lines, last = read_csv(tmp_path / "flat.csv")
+    turn = lambda row: max(
+        row["std"][row["names"].index(f"rotation_{b}")] for b in ("b1", "b2", "v")
+    )
     for line, row in zip(lines, sorted(found, key=turn), strict=True):  # the surest first
-        assert (line["id"], line["status"]) == (row["id"], "converged")
-        number = lambda *columns, line=line: [float(line[name]) for name in columns]
-        K = np.reshape(row["K"], (3, 3))
-        assert number("iou", "rms") == [row["iou"], row["rms"]]
-        assert number("fx", "fy", "cx", "cy") == [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
-        R = [[float(line[f"R{i}{j}"]) for j in (1, 2, 3)] for i in (1, 2, 3)]
-        np.testing.assert_array_equal(R, np.reshape(row["R"], (3, 3)))
-        assert number("tx", "ty", "tz") == row["t"]
-        assert number(*(f"sigma_{name}" for name in row["names"])) == row["std"]
-    assert (last["id"], last["status"], last["words"]) == ("test/1/2/3/4", "failed", 'no "mask"')
-    assert last["iou"] == last["R11"] == last[f"sigma_{rows[0]['names'][0]}"] == ""
+        fx, _, cx, _, fy, cy, *_ = row["K"]
+        expected = [row["iou"], row["rms"], fx, fy, cx, cy, *row["R"], *row["t"], *row["std"]]
+        (id, status, *numbers, words) = line.values()
+        assert (id, status, words) == (row["id"], "converged", row["words"])
+        assert [*map(float, numbers)] == expected
+    names = "id,status,iou,rms,fx,fy,cx,cy,R11,R12,R13,R21,R22,R23,R31,R32,R33,tx,ty,tz,"
+    names += ",".join(f"sigma_{name}" for name in rows[0]["names"])
+    assert (tmp_path / "flat.csv").read_text().startswith(f"{names},words\n")
+    assert {x: last[x] for x in last if last[x]} == {
+        x: failed[x] for x in ("id", "status", "words")
+    }
 
 
 # Data sets.
@@ -405,20 +367,17 @@ def test_bop_split_becomes_records(folder, records):
     ids = ["test/000001/0/7/0", "test/000001/1/7/0", "test/000003/0/7/0", "test/000003/1/7/0"]
     assert [record["id"] for record in records] == ids
     assert records[0]["mesh"].endswith("obj_000007.ply")
-    one = list(batch.read_dataset(folder / "test" / "000003", free="pose,phi"))
+    assert "free" not in records[0]
+    scene = folder / "test" / "000003"
+    one = list(batch.read_dataset(scene, free="pose,phi"))
     assert [record["id"] for record in one] == ids[2:]
     assert one[0]["free"] == "pose,phi"
     assert "start" not in one[0]
     # A scene's own K goes with its own centres; how a path is written makes no other id.
-    known = batch.read_dataset(folder / "test" / "..", K=[1, 1, 0, 0], pixel_centres="half")
-    assert known.kind == "folder"
-    known = batch.read_dataset(
-        folder / "test" / "000003" / "..", K=[1, 1, 0, 0], pixel_centres="half"
-    )
+    known = batch.read_dataset(scene / "..", K=[1, 1, 0, 0], pixel_centres="half")
     first = next(iter(known))
-    assert first["id"] == ids[0]
+    assert (known.kind, first["id"]) == ("BOP", ids[0])
     assert "pixel_centres" not in first
-    assert "free" not in records[0]
 
 
 def test_detections_take_the_place_of_masks(folder, tmp_path):
@@ -563,45 +522,29 @@ def test_threads_give_rows_in_order(records, rows):
 
 def test_finished_rows_are_not_fitted_again(records, rows, tmp_path):
     """The rows that are there are marked: they have to stay."""
-    writer = Writer(tmp_path)
-    writer.add(rows[1] | {"words": "there before"})
-    writer.flush()
+    there = rows[1] | {"words": "there before"}
+    write_rows(tmp_path, [there, empty_row(records[3], "crashed", "")])
     counts = []
+    run = lambda items, **more: batch.fit_many(items, out=tmp_path, progress=counts.append, **more)
     with ThreadPoolExecutor(1) as threads:
-        found = batch.fit_many(
-            iter(records[:3]), executor=threads, out=tmp_path, progress=counts.append
-        )
-    assert [row["words"] for row in found] == ["", "there before", ""]
-    assert (counts[-1].done, counts[-1].total) == (2, None)
-    again = batch.fit_many(records[:3], out=tmp_path, progress=counts.append)  # no worker starts
-    assert len(again) == 3
-    assert len(counts) == 2
+        found = run(iter(records), executor=threads)
+        assert [row["words"] for row in found] == ["", "there before", "", ""]
+        assert (counts[-1].done, counts[-1].total) == (2, None)
+        found = run(records, executor=threads, retry=["crashed"])
+    assert [row["status"] for row in found] == ["converged"] * COUNT
+    assert len(run(records)) == COUNT  # no worker starts
+    assert len(counts) == 3
 
 
 def test_finished_rows_with_other_settings_are_refused(records, rows, tmp_path):
-    writer = Writer(tmp_path)
-    writer.add(rows[0])
-    writer.flush()
+    write_rows(tmp_path, rows[:1])
     moved = records[0] | {"mask": "elsewhere.png", "mesh": "elsewhere.ply"}
     assert [*pj.fit_many([moved], out=tmp_path)] == [rows[0]]  # a mount of another name
     other = records[0] | {"max_steps": 7}
+    words = rf"`out`.*{re.escape(other['id'])}.*'max_steps' was None, and now 7"
     for items in ([other], iter([other])):
-        words = rf"`out`.*{re.escape(other['id'])}.*'max_steps' was None, and now 7"
         with pytest.raises(ValueError, match=words):
             pj.fit_many(items, out=tmp_path)  # no worker starts
-
-
-def test_failed_rows_are_retried_on_request(records, rows, tmp_path):
-    writer = Writer(tmp_path)
-    for row in [empty_row(records[0], "crashed", ""), rows[1] | {"words": "there before"}]:
-        writer.add(row)
-    writer.flush()
-    with ThreadPoolExecutor(1) as threads:
-        found = batch.fit_many(records[:2], executor=threads, out=tmp_path, retry=["crashed"])
-    assert [(row["status"], row["words"]) for row in found] == [
-        ("converged", ""),
-        ("converged", "there before"),
-    ]
 
 
 def test_shards_make_the_whole(records, rows, tmp_path):
@@ -811,41 +754,31 @@ def test_worker_processes_and_a_cluster_make_the_same_rows(folder, records, rows
 # The command.
 
 
-def test_command_writes_table_page_and_camera(records, rows, folder, tmp_path, capsys):
+def test_command_writes_table_and_camera(rows, folder, tmp_path, capsys, monkeypatch):
     """What is there is written and told without a worker."""
-    out = tmp_path / "out"
-    writer = Writer(out)
-    for row in rows:
-        writer.add(row)
-    writer.flush()
-    more = ["--merge", tmp_path / "table.jsonl"]
-    more += ["--write", rows[0]["id"], tmp_path / "camera.yaml"]
-    assert command.main(["batch", "-o", str(out), *map(str, more)]) == 0
-    told = capsys.readouterr().out
-    assert f"rows       {COUNT}" in told
-    assert f"{COUNT}   converged" in told
+    monkeypatch.chdir(tmp_path)
+    main = lambda words: command.main(["batch", *words.split()])
+    write_rows(tmp_path / "out", rows)
+    assert main(f"-o out --merge table.jsonl --write {rows[0]['id']} camera.yaml") == 0
+    printed = capsys.readouterr().out
+    assert f"rows       {COUNT}" in printed
+    assert f"{COUNT}   converged" in printed
     assert len((tmp_path / "table.jsonl").read_text().splitlines()) == COUNT
-    K, _, t = formats.to_opencv(formats.read_one(tmp_path / "camera.yaml"), pixel_centres="integer")
+    K, _, t = formats.to_opencv(formats.read_one("camera.yaml"), pixel_centres="integer")
     np.testing.assert_allclose(K.ravel(), rows[0]["K"], rtol=1e-12)
     np.testing.assert_allclose(t, rows[0]["t"], atol=1e-13 * np.linalg.norm(t))
 
-    writer.add(empty_row({"id": "test/1/2/3/4"}, "failed", ""))
-    writer.flush()
-    command.main(["batch", "-o", str(out), "--merge", str(tmp_path / "bop.csv")])
-    assert "bop.csv (without 1 rows that have no camera)" in capsys.readouterr().out
-    sorted(out.glob("part-*"))[-1].unlink()
-
     # All is done: nothing is to be fitted. But that has to be asked for.
-    again = ["batch", str(folder / "test"), "-o", str(out), "--start"]
-    assert command.main(again) == 2
+    again = f"{folder}/test -o out"
+    assert main(f"{again} --start") == 2
     assert "--resume" in capsys.readouterr().err
-    assert command.main([*again[:-1], "--resume"]) == 2
+    assert main(f"{again} --resume") == 2
     assert "`--output`: expected unchanged records" in capsys.readouterr().err
-    assert command.main([*again, "--resume"]) == 0
-    assert len(batch.Results(out)) == COUNT
-    writer.add(empty_row({"id": "z"}, "failed", "words"))
-    writer.flush()
-    assert command.main([*again, "--resume"]) == 1
+    assert main(f"{again} --start --resume") == 0
+    assert len(batch.Results("out")) == COUNT
+    write_rows(tmp_path / "out", [empty_row({"id": "test/1/2/3/4"}, "failed", "")])
+    assert main("-o out --merge bop.csv") == 1
+    assert "bop.csv (without 1 rows that have no camera)" in capsys.readouterr().out
 
 
 def test_command_hands_its_options_to_each_record(tmp_path, monkeypatch):
