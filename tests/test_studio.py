@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from oracles import drawn
 from PIL import Image
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
@@ -83,13 +84,18 @@ def do(bench: Bench, action: str, /, **numbers):
 def test_stroke_covers_the_pixels_around_its_points(radius):
     points = ((12.0, 20.0), (50.0, 33.5))
     drawn = strokes.drawn([Stroke("add", radius, points)], {"add": 7}, np.zeros((48, 60), np.uint8))
-    y, x = np.mgrid[:48, :60] + 0.5
-    a, b = np.array(points)
-    t = np.clip(((x - a[0]) * (b - a)[0] + (y - a[1]) * (b - a)[1]) / np.sum((b - a) ** 2), 0, 1)
-    far = np.hypot(x - a[0] - t * (b - a)[0], y - a[1] - t * (b - a)[1])
+    centres = np.stack(np.mgrid[:60, :48], axis=-1).transpose(1, 0, 2) + 0.5
+    line = np.linspace(*points, 1000)
+    far = cdist(centres.reshape(-1, 2), line).min(axis=1).reshape(48, 60)
     assert np.all(drawn[far < radius - 1] == 7)
     assert not np.any(drawn[far > max(radius, 0.5) + 1])
     assert np.any(drawn == 7)
+
+
+def overlap(mask, truth):
+    """Return the IoU of a mask of 8 bits and a truth."""
+    inside = np.asarray(mask) > 127
+    return np.sum(inside & truth) / np.sum(inside | truth)
 
 
 @pytest.mark.parametrize("size", [(90, 60), (240, 180)])  # some pixels, and more than `COARSE_PX`
@@ -100,80 +106,32 @@ def test_strokes_on_the_object_tell_it_from_the_background(size, back):
     truth = np.hypot((x - 0.45 * W) / W, (y - 0.5 * H) / H) < 0.28
     noise = np.random.default_rng(0).normal(0, 6, (H, W, 3))
     photo = np.where(truth[..., None], [200, 60, 40], [90, 120, 90]) + noise
-    photo = np.clip(photo, 0, 255).astype(np.uint8)
-    guides = [Stroke("object", W / 60, ((0.35 * W, 0.5 * H), (0.55 * W, 0.5 * H)))]
-    if back:
-        guides.append(Stroke("background", W / 60, ((0.05 * W, 0.1 * H), (0.95 * W, 0.1 * H))))
-    found = strokes.guessed(photo, guides)
-    assert found is not None
+    place = lambda *points: tuple((a * W, b * H) for a, b in points)
+    guides = [Stroke("object", W / 60, place((0.35, 0.5), (0.55, 0.5)))]
+    guides += [Stroke("background", W / 60, place((0.05, 0.1), (0.95, 0.1)))] * back
+    found = strokes.guessed(np.clip(photo, 0, 255).astype(np.uint8), guides)
     assert found.dtype == np.uint8
-    inside = found > 127
-    assert np.sum(inside & truth) / np.sum(inside | truth) > 0.985
+    assert overlap(found, truth) > 0.985
 
 
-def test_guess_needs_a_stroke_on_the_object():
+def test_guess_follows_the_strokes_alone_where_they_say_all():
     photo = np.zeros((20, 30, 3), np.uint8)
     assert strokes.guessed(photo, []) is None
     assert strokes.guessed(photo, [Stroke("background", 2.0, ((5, 5),))]) is None
-
-
-def test_object_over_the_whole_picture_is_all_of_it():
-    photo = np.zeros((20, 30, 3), np.uint8)
-    found = strokes.guessed(photo, [Stroke("object", 50.0, ((15, 10),))])
-    assert found is not None
-    assert np.all(found == 255)
+    assert np.all(strokes.guessed(photo, [Stroke("object", 50.0, ((15, 10),))]) == 255)
 
 
 def test_paint_goes_on_top_and_a_loaded_mask_replaces():
-    guide = Stroke("object", 2.0, ((5, 5),))
-    loaded = Loaded(np.full((20, 30), 255, np.uint8))
-    add, erase = Stroke("add", 3.0, ((10, 10),)), Stroke("erase", 3.0, ((10, 10),))
+    loaded, guess = Loaded(np.full((20, 30), 255, np.uint8)), np.zeros((20, 30), np.uint8)
+    guide, add, erase = (Stroke(kind, 3.0, ((10, 10),)) for kind in ("object", "add", "erase"))
     assert strokes.guides_of((guide, loaded)) == ()
     assert strokes.guides_of((loaded, guide, add)) == (guide,)
     assert strokes.mask_of((), None, 30, 20) is None
     added = strokes.mask_of((add,), None, 30, 20)
-    assert added is not None
-    assert added[10, 10] == 255
-    assert added[0, 0] == 0
     erased = strokes.mask_of((loaded, erase), None, 30, 20)
-    assert erased is not None
-    assert erased[10, 10] == 0
-    assert erased[0, 0] == 255
+    assert (added[10, 10], added[0, 0], erased[10, 10], erased[0, 0]) == (255, 0, 0, 255)
     assert np.all(loaded.mask == 255)  # as it was
-    guess = np.zeros((20, 30), np.uint8)
     assert strokes.mask_of((loaded, guide), guess, 30, 20) is guess
-
-
-def test_strokes_and_masks_come_back_from_json():
-    mask = np.random.default_rng(1).integers(0, 256, (20, 30), dtype=np.uint8)
-    work = (Stroke("background", 2.5, ((1.25, 2.0), (3.0, 4.5))), Loaded(mask))
-    again = strokes.work_from_list(json.loads(json.dumps(strokes.work_to_list(work))), 30, 20)
-    assert again[0] == work[0]
-    assert isinstance(again[1], Loaded)
-    np.testing.assert_array_equal(again[1].mask, mask)
-
-
-@pytest.mark.parametrize(
-    ("data", "words"),
-    [
-        ({}, "`strokes`: expected a list"),
-        (
-            [{"kind": "paint"}],
-            "`kind`: expected one of object, background, add, erase, got 'paint'",
-        ),
-        ([3], "`kind`: expected one of .*, got 3"),
-        ([{"kind": "add"}], "`points`: expected a radius_px and points"),
-        ([{"kind": "add", "radius_px": 1, "points": [[1]]}], "`points`: expected a radius_px and"),
-        ([{"kind": "add", "radius_px": 0, "points": [[1, 2]]}], "positive radius, got 1 points"),
-        ([{"kind": "add", "radius_px": 1, "points": []}], "got 0 points"),
-        ([{"kind": "add", "radius_px": 1, "points": [[1, 1e9]]}], "expected places on the picture"),
-        ([{"mask": "no picture"}], "`mask`: expected a PNG file in base64"),
-        ([{"mask": png(np.zeros((3, 3), np.uint8))}], "`mask`: expected 8 bits, 30 x 20 px"),
-    ],
-)
-def test_bad_stroke_is_refused(data, words):
-    with pytest.raises(ValueError, match=words):
-        strokes.work_from_list(data, 30, 20)
 
 
 # A hand on the camera.
@@ -195,17 +153,6 @@ def test_camera_turn_looks_like_an_object_turn(lens):
     after = hand.turned(before, CENTRE, right, up, clockwise)
     turned = CENTRE + turn.apply(POINTS - CENTRE)
     np.testing.assert_allclose(seen(after, POINTS), seen(before, turned), atol=1e-9)
-
-
-def test_front_follows_the_pointer():
-    before = camera(e=(0, 0, 5))
-    front = np.array([0.0, 0, 1])
-    was = seen(before, front)
-    centre = np.zeros(3)
-    assert seen(hand.turned(before, centre, 0.1, 0.0, 0.0), front)[0] > was[0] + 1
-    assert seen(hand.turned(before, centre, 0.0, 0.1, 0.0), front)[1] > was[1] + 1  # film: y up
-    side = np.array([0.0, 1, 0])
-    assert seen(hand.turned(before, centre, 0.0, 0.0, 0.1), side)[0] > seen(before, side)[0] + 1
 
 
 @pytest.mark.parametrize("aspect", [1.0, 1.3])
@@ -249,11 +196,6 @@ def test_framed_object_is_inside_the_picture_and_upright(up, size):
     assert (np.asarray(framed.e) - ball.centre) @ front > 0
 
 
-def test_up_is_an_axis():
-    with pytest.raises(ValueError, match="`up`: expected one of x, y, z, got 'w'"):
-        hand.framed(camera(), hand.ball_of(POINTS), "w")
-
-
 def test_lens_is_changed_by_its_numbers_and_dropped_when_trivial():
     bent = hand.with_lens(camera(), {"k1": -0.1, "principal_x": 30.0})
     assert bent.lens is not None
@@ -272,29 +214,19 @@ def test_lens_is_changed_by_its_numbers_and_dropped_when_trivial():
 
 
 @pytest.mark.parametrize("bent", [None, BENT.distortion, pj.Fisheye(0.05, 0.01, -0.01, 0.002)])
-def test_shader_formula_projects_as_the_camera_does(bent):
-    """What page/studio.js computes from these numbers, in NumPy."""
+def test_numbers_for_the_shader_are_the_camera_as_opencv_has_it(bent):
     lens = None if bent is None else pj.Lens([30.0, 35.0], 1.1, bent)
     numbers = json.loads(json.dumps(drawing.camera_numbers(camera(lens))))
-    at = (POINTS - numbers["eye"]) @ np.array(numbers["axes"]).T
-    n = at[:, :2] / at[:, 2:]
-    k = numbers["distortion"]
-    s = np.sum(n**2, axis=1)
-    if numbers["model"] == "BrownConrady":
-        radial = 1 + s * (k["k1"] + s * (k["k2"] + s * k["k3"]))
-        x, y = n.T
-        tangential = [
-            -2 * k["p1"] * x * y + k["p2"] * (s + 2 * x * x),
-            -k["p1"] * (s + 2 * y * y) + 2 * k["p2"] * x * y,
-        ]
-        n = n * radial[:, None] + np.stack(tangential, axis=1)
-    elif numbers["model"] == "Fisheye":
-        r = np.sqrt(s)
-        t = np.arctan(r)
-        powers = [k[name] * t ** (2 * j + 2) for j, name in enumerate(("k1", "k2", "k3", "k4"))]
-        n = n * (t * (1 + sum(powers)) / r)[:, None]
-    film = n * numbers["focal"] + numbers["principal"]
-    np.testing.assert_allclose(film, seen(camera(lens), POINTS), atol=1e-9)
+    (x, y), R = numbers["principal"], np.diag([1, -1, -1]) @ numbers["axes"] * [[1], [1], [-1]]
+    K = np.diag([*numbers["focal"], 1.0])
+    K[:2, 2] = x, H - y
+    order = "k1 k2 k3 k4" if isinstance(bent, pj.Fisheye) else "k1 k2 p1 p2 k3"
+    known = np.array([numbers["distortion"].get(name, 0.0) for name in order.split()])
+    project = cv2.fisheye.projectPoints if isinstance(bent, pj.Fisheye) else cv2.projectPoints
+    place = cv2.Rodrigues(R)[0], -R @ numbers["eye"]
+    found = project(POINTS[:, None], *place, K, known)[0][:, 0]
+    np.testing.assert_allclose(found, seen(camera(lens), POINTS) * [1, -1] + [0, H], atol=1e-9)
+    assert numbers["model"] == (None if bent is None else type(bent).__name__)
 
 
 def test_outline_on_the_page_is_that_of_the_library(scene):
@@ -357,7 +289,8 @@ def test_page_gets_mesh_and_photo(subject, scene):
 
 
 def one_session() -> session.Session:
-    work = (Stroke("object", 2.0, ((3.0, 4.0),)), Loaded(np.zeros((H, W), np.uint8)))
+    mask = np.random.default_rng(1).integers(0, 256, (H, W), dtype=np.uint8)
+    work = (Stroke("object", 2.5, ((3.0, 4.25), (1.0, 2.0))), Loaded(mask))
     lines = (((1.0, 2.0), (3.0, 4.0)),)
     return session.Session("part.obj", "photo.png", camera(BENT), ("pose", "phi"), work, lines)
 
@@ -366,15 +299,16 @@ def test_session_comes_back_from_its_file(tmp_path):
     was = one_session()
     session.save_session(tmp_path / "a.json", was)
     again = session.load_session(tmp_path / "a.json")
-    assert (again.mesh, again.photo, again.free, again.lines) == (
-        was.mesh,
-        was.photo,
-        was.free,
-        was.lines,
-    )
-    assert again.work[0] == was.work[0]
+    loaded = again.work[1].mask
+    np.testing.assert_array_equal(loaded, was.work[1].mask)
     for a, b in zip(jax.tree.leaves(again.camera), jax.tree.leaves(was.camera), strict=True):
         np.testing.assert_array_equal(a, b)
+    work = (again.work[0], was.work[1])
+    assert again._replace(camera=was.camera, work=work) == was
+
+
+def stroke(**changes):
+    return {"strokes": [{"kind": "add", "radius_px": 1, "points": [[1, 2]], **changes}]}
 
 
 @pytest.mark.parametrize(
@@ -383,9 +317,18 @@ def test_session_comes_back_from_its_file(tmp_path):
         ({"schema": "other"}, "`schema`: expected 'pinhole_jax.studio/1', got 'other'"),
         ({"mesh": 3}, "`mesh`: expected a path, got 3"),
         ({"photo": ""}, "`photo`: expected a path, got ''"),
-        ({"camera": {}}, "`camera`: expected the field 'e'"),
+        ({"camera": {}}, "`e`: expected a camera's field"),
         ({"free": ["nose"]}, "`free`: expected names among .*, got 'nose'"),
-        ({"strokes": [{"kind": "x"}]}, "`kind`: expected one of"),
+        ({"strokes": {}}, "`strokes`: expected a list"),
+        (stroke(kind="paint"), "`kind`: expected one of object, background, add, erase, got 'pain"),
+        ({"strokes": [3]}, "`kind`: expected one of .*, got 3"),
+        ({"strokes": [{"kind": "add"}]}, "`points`: expected a radius_px and points"),
+        (stroke(points=[[1]]), "`points`: expected a radius_px and"),
+        (stroke(radius_px=0), "positive radius, got 1 points"),
+        (stroke(points=[]), "got 0 points"),
+        (stroke(points=[[1, 1e9]]), "expected places on the picture"),
+        ({"strokes": [{"mask": "no picture"}]}, "`mask`: expected a PNG file in base64"),
+        ({"strokes": [{"mask": png(np.zeros((3, 3), np.uint8))}]}, "`mask`: expected 8 bits, 64 x"),
         ({"lines": [[1, 2]]}, "`line`: expected two places"),
         ({"lines": [[[1, 2], [1e9, 2]]]}, "`line`: expected places on the picture"),
     ],
@@ -411,20 +354,21 @@ def test_page_gets_all_that_it_shows(bench):
     assert told["formats"] == list(pj.formats.FORMATS)
     assert told["mask"]["png"] is None
     assert len(told["view"]["outline"]) > 0
-
-
-def test_actions_are_methods(bench):
-    for name in ACTIONS:
-        assert name == "stop" or callable(getattr(bench, name))
-    with pytest.raises(ValueError, match=r"`do`: expected one of hello, .*, got '__init__'"):
-        do(bench, "__init__")
-    with pytest.raises(ValueError, match="`stand`: "):
-        do(bench, "stand", down="y")
+    assert all(callable(getattr(bench, name)) for name in ACTIONS if name != "stop")
 
 
 @pytest.mark.parametrize(
     ("name", "numbers", "words"),
     [
+        ("__init__", {}, "`do`: expected one of hello, .*, got '__init__'"),
+        ("stand", {"down": "y"}, "`stand`: "),
+        ("stand", {"up": "w"}, "`up`: expected one of x, y, z, got 'w'"),
+        (
+            "load_mask",
+            {"data": png(np.zeros((20, 10), np.uint8))},
+            "`mask`: expected the photo's size 64 x 64, got 10 x 20",
+        ),
+        ("load_mask", {"data": "bm8=", "name": "a.png"}, "readable image .* got 'a.png'"),
         ("move", {"turn": [1, 2]}, "`turn`: expected 3 finite numbers"),
         ("move", {"shift": ["a", 2]}, "`shift`: expected 2 finite numbers"),
         ("move", {"nearer": 0}, "`nearer`: expected a positive factor, got 0"),
@@ -467,13 +411,6 @@ def test_strokes_are_undone_and_redone(bench):
     assert do(bench, "undo")["share"] > 0
 
 
-def test_mask_of_another_size_is_refused(bench):
-    with pytest.raises(ValueError, match="`mask`: expected the photo's size 64 x 64, got 10 x 20"):
-        do(bench, "load_mask", data=png(np.eye(20, 10, dtype=np.uint8) * 255))
-    with pytest.raises(ValueError, match=r"readable image .* got 'a.png'"):
-        do(bench, "load_mask", data=base64.b64encode(b"no picture").decode(), name="a.png")
-
-
 def test_view_guides_the_guess(bench, mask, monkeypatch):
     bench.camera = camera(e=(1.1, 1.5, 5.0))
     told = do(bench, "view_guides")
@@ -482,9 +419,7 @@ def test_view_guides_the_guess(bench, mask, monkeypatch):
         assert not do(bench, "undo")["png"]
         assert do(bench, "redo")["png"] == told["png"]
     assert {guide["kind"] for guide in told["guides"]} == {"object", "background"}
-    assert bench.mask is not None
-    inside, truth = bench.mask > 127, mask > 0.5
-    assert np.sum(inside & truth) / np.sum(inside | truth) > 0.97
+    assert overlap(bench.mask, mask > 0.5) > 0.97
     bench.camera = pj.Camera([0, 0, 50], [0, 0, 99], [0, 1, 0], 0.6, 1.0, W, H)
     with pytest.raises(ValueError, match="the object is not in the picture"):
         do(bench, "view_guides")
@@ -614,17 +549,12 @@ def test_modes_are_chosen_by_number(fitted):
 
 def test_formats_are_written_and_read_as_the_same_camera(bench):
     written = do(bench, "export", format="all", name="view")["written"]
-    assert len(written) == len(pj.formats.FORMATS)
-    for path, name in zip(written, pj.formats.FORMATS, strict=True):
-        if pj.formats.FORMATS[name].read is None:
-            assert "bpy" in Path(path).read_text()
-            continue
-        size = (W, H) if pj.formats.FORMATS[name].sized else None
-        (again,) = pj.formats.read(path, name, size=size).values()
-        angle, shift = pj.pose_error(again, bench.camera)
-        assert angle < 1e-5
-        assert shift < 1e-4
-        assert float(again.phi) == pytest.approx(float(bench.camera.phi), rel=1e-6)
+    for path, (name, format) in zip(written, pj.formats.FORMATS.items(), strict=True):
+        assert Path(path).exists()
+        if format.read is not None:
+            size = (W, H) if format.sized else None
+            (again,) = pj.formats.read(path, name, size=size).values()
+            assert max(map(float, pj.pose_error(again, bench.camera))) < 1e-4
 
 
 def test_session_goes_on_in_another_tab(fitted, tmp_path):
@@ -683,18 +613,10 @@ def test_requests_without_the_token_are_refused(bench):
         bare = address.split("?")[0]
         port = bare.rstrip("/").rsplit(":", 1)[1]
         known = f"token={studio.token}"
+        paths = ",scene.js,studio.js,studio.css,photo,mesh,bench,nothing"
         refused = [
             (path + query, headers)
-            for path in (
-                "",
-                "scene.js",
-                "studio.js",
-                "studio.css",
-                "photo",
-                "mesh",
-                "bench",
-                "nothing",
-            )
+            for path in paths.split(",")
             for query, headers in (
                 ("", {}),
                 ("?token=", {}),
@@ -792,7 +714,6 @@ def test_command_without_aiohttp_names_the_extra(monkeypatch, capsys, subject):
         (["MESH"], "expected MESH and PHOTO"),
         (["none.obj", "PHOTO"], "`MESH`: .*no such file"),
         (["MESH", "none.png"], "`PHOTO`: .*no such file"),
-        (["MESH", "PHOTO", "--session", "SESSION"], "`--session`: expected no MESH, PHOTO"),
         (["--session", "SESSION", "--fov", "30"], "`--session`: expected no MESH, PHOTO"),
         (["--session", "MESH"], "`--session`: expected "),
         (["MESH", "PHOTO", "--port", "70000"], "`--port`: expected a port, 0 to 65535, got 70000"),
