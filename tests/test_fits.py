@@ -136,7 +136,7 @@ def test_non_fits_are_not_written(tmp_path):
         ({"std": {}}, "`rotation_b1`: expected a number, got no such field"),
         ({"steps": [1.5]}, r"`steps`: expected a list of counts, got \[1.5\]"),
         ({"steps": [-1]}, r"`steps`: expected a list of counts, got \[-1"),
-        ({"modes": [{}]}, "`fit`: expected what `save_fit` writes"),
+        ({"modes": [{}]}, "`fit`: expected the field that `save_fit` writes"),
         ({"history": [{"camera": {}}]}, "`e`: expected a camera's field"),
         ({"history": [io.camera_to_dict(PLAIN)]}, "`camera`: expected an object"),
         ({"history": [{**STEP, "steps": -1}]}, "`steps`: expected an integer of at least 0"),
@@ -162,9 +162,7 @@ def test_missing_field_is_named(tmp_path, field):
 def test_other_files_are_no_fits(tmp_path):
     path = tmp_path / "camera.json"
     io.save_camera(path, CAMERA)
-    words = (
-        "`fit`: expected what `save_fit` writes beside a camera, got no such field .*camera.json"
-    )
+    words = "`fit`: expected the field that `save_fit` writes beside a camera, got no such field .*camera.json"
     with pytest.raises(ValueError, match=words):
         io.load_fit(path)
     io.save_camera(path, CAMERA, fit=3)

@@ -4,7 +4,6 @@ The command writes it, and whatever reads cameras reads its camera. JSON has no 
 finite: NaN is null, infinities are texts; a standard error is null where it is either.
 """
 
-import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.matrices import Centres
-from .._files.paths import read_json
+from .._files.paths import FilePath, read_json
 from .._fit.result import Fit, MaskError, Progress, check_fit
 from .._fit.words import STATUSES
 from .._numerics.arrays import Input
@@ -81,7 +80,7 @@ def fit_from_dict(data: Input[Mapping[str, object], "JSON"]) -> Fit:
 
 
 def save_fit(
-    path: str | os.PathLike[str], fit: Fit, *, pixel_centres: Input[Centres, "of K"] = "integer"
+    path: FilePath, fit: Fit, *, pixel_centres: Input[Centres, "of K"] = "integer"
 ) -> None:
     """Write a fit as JSON (see `fit_to_dict`); `load_camera` and `formats.read` read its camera.
 
@@ -96,7 +95,7 @@ def save_fit(
     save_camera(path, fit.camera, fit=rest)
 
 
-def load_fit(path: str | os.PathLike[str]) -> Fit:
+def load_fit(path: FilePath) -> Fit:
     """Return the fit of a JSON file that `save_fit` (or the command) wrote, as `fit_from_dict`.
 
     Raises FileNotFoundError, or ValueError naming the field that is missing or wrong.
@@ -109,24 +108,24 @@ def load_fit(path: str | os.PathLike[str]) -> Fit:
 
 
 def _rest(fit: Fit, pixel_centres: Any) -> dict[str, Any]:
-    std = np.where(np.isfinite(fit.std), fit.std, np.nan)
     history = [
         {"camera": camera_to_dict(camera), "W": int(W), "H": int(H), "steps": int(steps)}
         for camera, W, H, steps in fit.history
     ]
+    std = _plain(np.where(np.isfinite(fit.std), fit.std, np.nan))
     return {
         "schema": FIT_SCHEMA,
         "status": fit.status,
-        "iou": _words(fit.iou),
-        "rms": _words(fit.rms),
+        "iou": _plain(fit.iou),
+        "rms": _plain(fit.rms),
         "dtype": np.dtype(fit.camera.e.dtype).name,
-        "std": dict(zip(fit.names, _words(std), strict=True)),
+        "std": dict(zip(fit.names, std, strict=True)),
         "names": list(fit.names),
         "covariance_frame": CAMERA_FRAME,
-        "covariance": _words(fit.covariance),
-        "independent_covariance": _words_or_none(fit.independent_covariance),
+        "covariance": _plain(fit.covariance),
+        "independent_covariance": _plain(fit.independent_covariance),
         "mask_error": None if fit.mask_error is None else fit.mask_error._asdict(),
-        "unbelieved": _words_or_none(fit.unbelieved),
+        "unbelieved": _plain(fit.unbelieved),
         "object_in_camera": _pose(fit, pixel_centres),
         "steps": [int(count) for count in fit.steps],
         "weak": list(fit.weak),
@@ -140,27 +139,26 @@ def _pose(fit: Fit, pixel_centres: Any) -> dict[str, Any] | None:
         return None
     pose = object_pose(fit, pixel_centres=pixel_centres)
     names = ("K", "R", "t", "camera_from_world", "world_from_camera")
-    parts = {name: _words(getattr(pose, name)) for name in names}
-    covariance = {"object_frame": OBJECT_FRAME, "object_covariance": _words(pose.covariance)}
-    distortion = None if pose.distortion is None else distortion_to_dict(pose.distortion)
-    return {"pixel_centres": pose.pixel_centres, **parts, **covariance, "distortion": distortion}
+    return {
+        "pixel_centres": pose.pixel_centres,
+        **{name: _plain(getattr(pose, name)) for name in names},
+        "object_frame": OBJECT_FRAME,
+        "object_covariance": _plain(pose.covariance),
+        "distortion": None if pose.distortion is None else distortion_to_dict(pose.distortion),
+    }
 
 
-def _words_or_none(numbers: Any) -> Any:
-    return None if numbers is None else _words(numbers)
-
-
-def _words(numbers: Any) -> Any:
-    """Return a number or an array as JSON has it: lists, and words for what is not finite."""
-    if np.ndim(numbers):
-        return [_words(part) for part in numbers]
+def _plain(numbers: Any) -> Any:
+    """Return a number or an array as JSON has it: lists, and texts for what is not finite."""
+    if numbers is None or np.ndim(numbers):
+        return None if numbers is None else [_plain(part) for part in numbers]
     if np.isnan(numbers):
         return None
     return float(numbers) if np.isfinite(numbers) else "Infinity" if numbers > 0 else "-Infinity"
 
 
 def _fit(fields: Fields) -> Fit:
-    expected = "what `save_fit` writes beside a camera"
+    expected = "the field that `save_fit` writes beside a camera"
     if not isinstance(fields.get("fit", expected), dict):
         raise fields.wrong("fit", expected, fields.data["fit"])
     rest = fields.part("fit")
@@ -175,40 +173,24 @@ def _fit(fields: Fields) -> Fit:
         names=names,
         covariance=covariance,
         std=_std(rest.part("std"), names, covariance),
-        rms=float(_numbers(rest, "rms", ())),
-        iou=float(_numbers(rest, "iou", ())),
+        rms=_number(rest, "rms"),
+        iou=_number(rest, "iou"),
         steps=_counts(rest, "steps"),
         weak=_texts(rest, "weak"),
         modes=tuple(_fit(mode) for mode in rest.parts("modes")),
         history=tuple(_progress(step, dtype) for step in rest.parts("history")),
-        independent_covariance=_independent(rest, len(names)),
+        independent_covariance=_optional(rest, "independent_covariance", covariance.shape),
         mask_error=_mask_error(rest),
-        unbelieved=_points(rest),
+        unbelieved=_optional(rest, "unbelieved", (-1, 2)),
     )
 
 
-def _independent(fields: Fields, size: int) -> np.ndarray | None:
-    """Return the covariance if pixels were independent; None for null."""
-    name = "independent_covariance"
-    expected = f"numbers of shape {(size, size)}, or null"
-    return None if fields.get(name, expected) is None else _numbers(fields, name, (size, size))
-
-
-def _points(fields: Fields) -> np.ndarray | None:
-    """Return the mask's edge that was not believed; None for null."""
-    name = "unbelieved"
-    points = fields.get(name, "points (x, y), or null")
-    if points is None:
-        return None
-    return _numbers(fields, name, (len(points) if isinstance(points, list) else 0, 2))
-
-
 def _mask_error(fields: Fields) -> MaskError | None:
-    """Return how the mask's outline errs; None for null."""
+    """Return the error of the mask's outline; None for null."""
     if fields.get("mask_error", "`px` and `over_px`, or null") is None:
         return None
     part = fields.part("mask_error")
-    return MaskError(*(float(_numbers(part, name, ())) for name in MaskError._fields))
+    return MaskError(*(_number(part, name) for name in MaskError._fields))
 
 
 def _camera(fields: Fields, dtype: np.dtype) -> Camera:
@@ -224,7 +206,7 @@ def _progress(fields: Fields, dtype: np.dtype) -> Progress:
 
 def _std(fields: Fields, names: tuple[str, ...], covariance: np.ndarray) -> np.ndarray:
     """Return the standard errors; null is NaN where the variance is, else infinity."""
-    std = np.array([float(_numbers(fields, name, ())) for name in names])
+    std = np.array([_number(fields, name) for name in names])
     unknown = np.where(np.isnan(np.diag(covariance)), np.nan, np.inf)
     return np.where(np.isnan(std), unknown, std)
 
@@ -237,31 +219,41 @@ def _counts(fields: Fields, name: str) -> tuple[int, ...]:
 
 
 def _texts(fields: Fields, name: str) -> tuple[str, ...]:
-    value = fields.get(name, "a list of texts")
-    if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
+    value = fields.items(name, kind="a list of texts")
+    if not all(isinstance(text, str) for text in value):
         raise fields.wrong(name, "a list of texts", short(value))
     return tuple(value)
 
 
+def _optional(fields: Fields, name: str, shape: tuple[int, ...]) -> np.ndarray | None:
+    """Return numbers of this shape; None for null."""
+    value = fields.get(name, f"numbers of shape {shape}, or null")
+    return None if value is None else _numbers(fields, name, shape)
+
+
+def _number(fields: Fields, name: str) -> float:
+    return float(_numbers(fields, name, ()))
+
+
 def _numbers(fields: Fields, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Return numbers of this shape, float64, and what is not finite by its words."""
+    """Return numbers of this shape (-1: any size), float64, also those that are not finite."""
     expected = f"numbers of shape {shape}" if shape else "a number"
     value = fields.get(name, expected)
     try:
         array = np.array(_read(value), float)
     except (KeyError, TypeError, ValueError, OverflowError):
         raise fields.wrong(name, expected, short(value)) from None
-    # No parameters, no rows: an empty list has the shape of what is empty.
-    if array.shape != shape and (array.size or 0 not in shape):
+    if not array.size and min(shape, default=1) <= 0:  # an empty list: no parameters, no rows
+        return np.zeros([max(size, 0) for size in shape])
+    if array.shape[1:] != shape[1:] or shape[:1] not in ((-1,), array.shape[:1]):
         raise fields.wrong(name, expected, short(value))
-    return array.reshape(shape)
+    return array
 
 
 def _read(value: Any) -> Any:
+    """Return numbers in lists, with texts and null replaced by what they stand for."""
     if isinstance(value, list):
         return [_read(part) for part in value]
-    if value is None or isinstance(value, str):
-        return NOT_FINITE[value]
     if isinstance(value, bool):
         raise TypeError(value)
-    return value
+    return NOT_FINITE[value] if value is None or isinstance(value, str) else value
