@@ -443,12 +443,12 @@ def test_tidy_mask_describes_and_leaves_a_sound_mask():
     mask[:30, 10:30] = mask[40:60, 50:60] = True
     result, notes = io.tidy_mask(mask)
     np.testing.assert_array_equal(result, mask)
-    parts = "2 parts (75%, 25% of what is covered): all of one object?"
+    parts = "2 parts (75%, 25% of the covered area): all one object?"
     assert notes == (parts, "the film cuts the mask off: top, bottom")
     assert io.tidy_mask(mask | True).notes == ("the mask covers all",)
     assert io.tidy_mask(mask & False).notes == ("the mask covers nothing",)
     assert io.tidy_mask(soft_square(), speck=0.0).notes == (
-        "2 parts (100%, 0% of what is covered): all of one object?",
+        "2 parts (100%, 0% of the covered area): all one object?",
     )
 
 

@@ -1,7 +1,7 @@
 """The door of files: what is read is bounded, and what is written is whole.
 
 Every file from outside comes in here. It is a regular file (a pipe would hang, a device never end)
-of at most this many bytes; text is UTF-8, and JSON is no deeper than cameras are.
+of bounded size. Text is UTF-8, and the depth of JSON is bounded.
 """
 
 import json
@@ -55,7 +55,7 @@ def file_and_name(path: Any) -> tuple[Path, str | None]:
 
 
 def is_folder(path: Any) -> bool:
-    """Return whether there is a folder at a path; a path that no system takes has none."""
+    """Tell if there is a folder at a path; there is none at a path that no system takes."""
     try:
         return path_of(path).is_dir()
     except OSError:
@@ -136,7 +136,7 @@ def parse_json(text: str, path: Any, kind: str = "JSON") -> Any:
 
 
 def is_stream(path: Any) -> bool:
-    """Return whether to write to a path is to write to a pipe or to this process's own streams."""
+    """Tell if a path is a pipe or one of this process's own streams."""
     return _stream_number(path_of(path)) is not None or _kind(path_of(path)) == "a pipe"
 
 
@@ -187,7 +187,7 @@ def _refusal(path: Any, kind: str, *passed: type[Exception]) -> Iterator[None]:
 
 
 def reason(error: Exception) -> str:
-    """Return the first line of what a reader or a writer of files raised."""
+    """Return the first line of an error that a reader or a writer of files raised."""
     if isinstance(error, ModuleNotFoundError) and error.name in ("chardet", "charset_normalizer"):
         return "bytes that are no text in UTF-8"
     words = (isinstance(error, OSError) and error.strerror) or str(error)
@@ -238,7 +238,7 @@ def _stream_number(target: Path) -> int | None:
 
 
 def _kind(target: Path) -> str | None:
-    """Return the kind of what is at a path, through links: None if nothing is."""
+    """Return the kind of thing at a path, through links; None if there is nothing."""
     kinds = {
         stat.S_IFREG: "a file",
         stat.S_IFDIR: "a folder",

@@ -27,7 +27,7 @@ MOST_WEBP = 89_478_485
 
 
 def from_picture(path: Any, kind: str, read: Callable[[Image], Any]) -> Any:
-    """Return what `read` makes of an image file, turned upright.
+    """Return `read` of an image file's picture, turned upright.
 
     Raises FileNotFoundError, or ValueError where the file is no such image, or `read` raises it.
     """
@@ -69,7 +69,7 @@ def by_bands(
     channels: tuple[int, ...] = (),
     dtype: type = np.uint8,
 ) -> np.ndarray:
-    """Return the array (H, W, *channels) of what a function gives for a picture's rows."""
+    """Return a function's results for a picture's rows as one array (H, W, *channels)."""
     W, H = image.size
     result = np.empty((H, W, *channels), dtype)
     for part, band in bands(image):

@@ -12,8 +12,8 @@ def set_up(cached: bool = True) -> None:
     `JAX_PLATFORMS` names another machine.
 
     An application may set this, a library may not: call it first, before JAX has computed anything.
-    One fit is many small kernels in turn: an NVIDIA H200 takes 2 to 13 times as long for it, and
-    twice as long to compile it; and each process would claim most of the accelerator's memory.
+    One fit is many small kernels in turn. An NVIDIA H200 takes 2 to 13 times as long for it, and
+    twice as long to compile it. Each process would also claim most of the accelerator's memory.
 
     ```python
     pj.set_up(cached=False)  # float64, on the CPU

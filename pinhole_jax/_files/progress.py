@@ -1,4 +1,4 @@
-"""What goes on, said by whoever does it, and shown on stderr to whoever waits for it."""
+"""Progress: reported by long computations, shown on stderr to the user who waits."""
 
 import sys
 import threading
@@ -24,7 +24,7 @@ _listener: ContextVar[Callable[[str], Any] | None] = ContextVar("listener", defa
 
 
 def say(words: object) -> None:
-    """Say what goes on now, to whoever listens in this thread."""
+    """Report the current step to this thread's listener, if there is one."""
     if (listener := _listener.get()) is not None:
         listener(str(words))
 
@@ -96,7 +96,7 @@ class Clock:
         return _compiled()[0] - self._before[0]
 
     def words(self) -> str:
-        """Return how much was compiled, nothing if that is little."""
+        """Return the time and the number of programs compiled, as text; "" if that is little."""
         programs = _compiled()[1] - self._before[1]
         if self.compiling < SHORT or not programs:
             return ""
@@ -107,8 +107,8 @@ class Clock:
 
 
 class Ticker:
-    """A line on stderr that says what goes on: on a terminal one that is overwritten, elsewhere one
-    every `OFTEN` seconds; where `verbose`, all that was said besides."""
+    """A line on stderr with the current step: on a terminal overwritten in place, elsewhere printed
+    every `OFTEN` seconds; with `verbose`, every report is printed."""
 
     clock: Clock | None = None
 

@@ -1,8 +1,8 @@
 """glTF 2.0, .gltf and .glb, cut down to what trimesh reads right: triangles, strips and nodes.
 
-trimesh reads raw numbers where an accessor is sparse or normalised, and passes over skins, morph
-targets, instances, fans and compression; a camera costs a node its children. These features are
-refused here, and names, cameras and materials, which are no shape, are left out.
+trimesh reads raw numbers where an accessor is sparse or normalised. It passes over skins, morph
+targets, instances, fans and compression, and over the children of a node with a camera. These
+features are refused here, and names, cameras and materials, which are no shape, are left out.
 """
 
 import json
@@ -36,8 +36,8 @@ MOST_NUMBERS, MOST_BYTES = 1 << 28, 1 << 31
 def plain_gltf(data: bytes) -> bytes:
     """Return the file without what is no shape.
 
-    Raises ValueError, which names the field, for features that are not read, for what a small file
-    can stand for and memory cannot hold, and for nodes with two parents.
+    Raises ValueError, which names the field, for features that are not read, for nodes with two
+    parents, and for small files that stand for more than memory holds.
     """
     size, start = json_size(data, len(data)), HEAD.size
     try:

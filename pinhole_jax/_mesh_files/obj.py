@@ -46,7 +46,7 @@ def read_obj(data: bytes) -> Polygons:
 
 
 def _vertices_before_faces(lines: list[bytes]) -> np.ndarray:
-    """Return how many vertices there are above each face, (F,)."""
+    """Return the number of vertices above each face, (F,)."""
     is_vertex = np.array([line.startswith((b"v ", b"v\t")) for line in lines])
     is_face = np.array([line.startswith((b"f ", b"f\t")) for line in lines])
     return np.cumsum(is_vertex)[is_face]

@@ -1,12 +1,13 @@
 """Polygons of any number of corners, in any plane of space, cut into triangles.
 
 A fan from the first corner is right only where that corner sees all others. A polygon is therefore
-laid into the plane of its Newell normal (the sum of its fan's area vectors, whatever its shape) and
-cut there: quads by the diagonal that leaves both halves facing the normal's way, others as a fan
-where that is right, else by ear clipping. A triangle runs the way its polygon runs.
+laid into the plane of its Newell normal, the sum of its fan's area vectors, and cut there. Quads
+are cut by the diagonal that leaves both halves facing the normal's way, others as a fan where that
+is right, else by ear clipping. A triangle runs the way its polygon runs.
 
-The triangles' areas have to add up to the polygon's own. Where ear clipping's do not, the cut of
-least area is taken; where that does not either, by more than 32 bits can tell, its sides cross.
+The triangles' areas have to add up to the polygon's own. Where those of ear clipping do not, the
+cut of least area is taken. Where that fails too, by more than the rounding of 32 bits, the sides
+cross.
 """
 
 from collections import defaultdict
@@ -135,7 +136,7 @@ def _without_repeats(
     points: np.ndarray, corners: np.ndarray, counts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return corners and counts without corners at the place of the one before, and the faces'
-    numbers in the file, counted from 1; triangles stay as they are.
+    numbers in the file, from 1. Triangles stay as they are.
     """
     numbers = np.arange(1, len(counts) + 1)
     some = counts > 0
@@ -174,8 +175,8 @@ def _fan(n: int) -> np.ndarray:
 
 
 def _laid_flat(space: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (m, n, 2) corners in the planes of the Newell normals, counter-clockwise and of
-    size 1; and how much of that the rounding of the corners can be, in machine epsilons.
+    """Return (m, n, 2) corners in the planes of the Newell normals, counter-clockwise and of size
+    1. Also the largest rounding error of these corners, in machine epsilons.
     """
     # By powers of two, which change no digit: squares are not to overflow or vanish.
     exponent = np.frexp(np.max(np.abs(space), axis=(1, 2)))[1]
@@ -208,7 +209,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _fans_are_right(flat: np.ndarray) -> np.ndarray:
-    """Return whether the fans from the first corners (m,) turn one way, and at most once around."""
+    """Return True (m,) for fans from the first corners that turn one way, at most once around."""
     arms = flat[:, 1:] - flat[:, :1]
     one, next_one = arms[:, :-1], arms[:, 1:]
     cross = one[..., 0] * next_one[..., 1] - one[..., 1] * next_one[..., 0]
@@ -221,8 +222,8 @@ def _fans_are_right(flat: np.ndarray) -> np.ndarray:
 
 
 def _cut(space: np.ndarray, number: int, left: int) -> tuple[np.ndarray, int]:
-    """Return the triangles (t, 3) of one polygon (n, 3) as corners 0 to n - 1, and how many of the
-    steps that are `left` for cuts of least area it took."""
+    """Return the triangles (t, 3) of one polygon (n, 3) as corners 0 to n - 1, and the steps used
+    of those that are `left` for cuts of least area."""
     flat, rounding = (one[0] for one in _laid_flat(space[None]))
     own = float(np.sum(_areas(flat, _fan(len(flat)))))
     sides = float(np.sum(np.linalg.norm(flat - np.roll(flat, 1, axis=0), axis=-1)))
@@ -285,9 +286,9 @@ def _least_area(flat: np.ndarray) -> np.ndarray:
 def _fillers(triangles: np.ndarray, n: int) -> np.ndarray:
     """Return the triangles without area that ear clipping left out.
 
-    It drops corners that lie on the line between their neighbours. What remains of the polygon's
-    sides after its triangles' are loops without area; with them filled, the triangles meet edge
-    to edge, and the mesh stays closed.
+    It drops corners that lie on the line between their neighbours. The polygon's sides less its
+    triangles' sides are loops without area. With them filled, the triangles meet edge to edge, and
+    the mesh stays closed.
     """
     sides = np.stack([np.arange(n), np.roll(np.arange(n), -1)], axis=-1)
     cut = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])

@@ -70,8 +70,8 @@ def _parts(scene: Any) -> Iterator[tuple]:
 
 
 def _checked_stl(data: bytes) -> bytes:
-    """Return an STL file. One of text (its length is not that of its count) is whole, with three
-    corners in each loop and no names, none of which trimesh asks."""
+    """Return an STL file. A file whose length is not that of its count is text. It must be whole,
+    with three corners in each loop; names are removed. trimesh checks none of this."""
     count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + 50 * count:
         return data

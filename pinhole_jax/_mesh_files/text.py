@@ -1,4 +1,4 @@
-"""Numbers in the lines of a text, all of them at once."""
+"""Numbers in the lines of a text, all at once."""
 
 import codecs
 import re
@@ -21,8 +21,8 @@ def unmarked(data: bytes) -> bytes:
 def numbers_of(text: bytes, kind: type, what: str, size: int | None = None) -> np.ndarray:
     """Return the numbers (size,) of a text, float or int, parted by white space.
 
-    Raises ValueError, which says `what` they are, where something is no number or there are more
-    or fewer.
+    Raises ValueError, which names them by `what`, for words that are no numbers, and for more or
+    fewer numbers.
     """
     try:
         with warnings.catch_warnings(action="error", category=DeprecationWarning):
@@ -46,7 +46,7 @@ def _no_number(text: bytes, kind: type) -> str:
 
 
 def whole(numbers: np.ndarray, what: str) -> np.ndarray:
-    """Return floats as integers, or raise ValueError, which says `what` they are."""
+    """Return floats as integers, or raise ValueError, which names them by `what`."""
     fits = np.abs(numbers) <= 2**53
     if not np.all(fits & (numbers == np.round(np.where(fits, numbers, 0.5)))):
         raise ValueError(f"expected whole numbers in {what}, got others")
@@ -54,7 +54,7 @@ def whole(numbers: np.ndarray, what: str) -> np.ndarray:
 
 
 def counts_of(lines: list[bytes]) -> np.ndarray:
-    """Return how many words each line has, (L,)."""
+    """Return the number of words of each line, (L,)."""
     codes = np.frombuffer(b"\n".join([*lines, b""]), np.uint8)
     blank = codes <= 32
     begins = ~blank

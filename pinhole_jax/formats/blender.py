@@ -37,9 +37,9 @@ DATA = ("type", "lens", "sensor_width", "sensor_height", "sensor_fit", "shift_x"
 def read_blender(path: FilePath, *, size: Size | None = None) -> Cameras:
     """Return the cameras of a JSON of Blender settings, by name.
 
-    Either one object with the fields of `write_blender`, or `{"cameras": {name: object}}`.
-    Left out, `sensor_width` is 36, `sensor_height` 24, `sensor_fit` AUTO, shifts 0, the percentage
-    100 and the pixel aspects 1, as in Blender; the resolution may come as `size`.
+    Either one object with the fields of `write_blender`, or `{"cameras": {name: object}}`. Fields
+    that are left out have Blender's values: `sensor_width` 36, `sensor_height` 24, `sensor_fit`
+    AUTO, shifts 0, percentage 100, pixel aspects 1. The resolution may come as `size`.
 
     Raises ValueError naming file and field where something is missing or wrong; `type` other than
     PERSP, too.

@@ -50,7 +50,7 @@ def read_colmap(folder: FilePath) -> Cameras:
     Reads cameras and images, binary if there are both kinds. Points are not read.
 
     Raises FileNotFoundError, or ValueError naming file and field where something is missing,
-    truncated or wrong, and where the camera model is none of OpenCV's (FOV, thin prisms, ...).
+    truncated or wrong. Of the camera models, OpenCV's are read (no FOV, no thin prisms).
 
     ```python
     pj.formats.write_colmap("model", {"left.png": camera})
@@ -79,9 +79,9 @@ def write_colmap(folder: FilePath, cameras: Mapping[str, Camera], *, binary: boo
     Cameras are PINHOLE, with distortion OPENCV (FULL_OPENCV if k3 is not zero) or OPENCV_FISHEYE.
     The cameras' names become image names; equal intrinsics are written once.
 
-    Raises ValueError for names that are empty, long or, in text, hold white space, where COLMAP
-    would end them; and where the folder holds a model of the other kind, or rigs and frames: COLMAP
-    would read those, or take them together.
+    Raises ValueError for names that are empty or long, or in text hold white space, where COLMAP
+    would end them. Also for a folder with a model of the other kind, or with rigs and frames:
+    COLMAP would read those, or both together.
 
     ```python
     pj.formats.write_colmap("model", {"left.png": camera})

@@ -95,10 +95,10 @@ def detect(
     """Return which convention a camera's numbers follow, by agreement with a mask of the scene.
 
     `mask` (H, W) is bool, uint8 or float, row 0 on top, of the image that the numbers belong to.
-    `pose` is (3, 4) or (4, 4), rotation and translation, world units: of either direction, columns
-    or rows, and of any of the axes in `AXES`. The intrinsics are `K` (3, 3) in px, y down; or
-    `focal_px`; or `fov`, rad, of the vertical, the horizontal or the diagonal. Without `K` the
-    principal point is taken for (W/2, H/2).
+    `pose` is (3, 4) or (4, 4), rotation and translation, world units. Its direction may be either,
+    its vectors columns or rows, its axes any of `AXES`. The intrinsics are `K` (3, 3) in px, y
+    down; or `focal_px`; or `fov`, rad, of the vertical, the horizontal or the diagonal. Without `K`
+    the principal point is taken for (W/2, H/2).
 
     All readings are rendered small, the best in full, both with layers that overlap summed and
     clamped (`silhouette(..., overlaps=False)`): it compiles sooner. Scale,

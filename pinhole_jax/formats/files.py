@@ -123,9 +123,10 @@ def read_one(path: FilePath, *, size: Size | None = None) -> Camera:
 def write(path: FilePath, cameras: Mapping[str, Camera], format: str | None = None) -> None:
     """Write cameras to a file (COLMAP: a folder), whole or not at all.
 
-    `format` is one of `FORMATS`; None guesses it by the path: .yaml is OpenCV, .xml Mitsuba, .gltf
-    and .glb glTF, .py a Blender script, a name without ending a COLMAP folder; .json is the
-    project's own, unless its name holds transforms (NeRF), blender or pytorch3d.
+    `format` is one of `FORMATS`; None guesses it by the path. A file ending in .yaml is OpenCV,
+    .xml Mitsuba, .gltf and .glb glTF, .py a Blender script; a name without an ending is a COLMAP
+    folder. A .json is the project's own, unless its name holds transforms (NeRF), blender or
+    pytorch3d.
 
     Raises ValueError where there is no camera, or one that the format cannot hold.
 

@@ -48,8 +48,8 @@ def read_gltf(path: FilePath, *, size: Size | None = None) -> Cameras:
     `size` is the image's (W, H) in px, unless the camera's `extras` hold `W` and `H`.
 
     Raises ValueError naming file and field where something is missing or wrong: an orthographic
-    camera, a node that scales, an `aspectRatio` that is not W/H (to 1 %; trimesh's files, where it
-    is something else, are exempt).
+    camera, a node that scales, an `aspectRatio` that is not W/H to 1 %. (In trimesh's files that
+    field means something else and is ignored.)
 
     ```python
     pj.formats.write_gltf("left.gltf", {"left.png": camera})

@@ -43,8 +43,8 @@ def read_intrinsics(
 
     - Calibrations of OpenCV, ROS, Kalibr, EuRoC, ORB-SLAM (YAML, XML, JSON).
     - COLMAP's cameras.txt, cameras.bin or the folder of them.
-    - JSON with K, intrinsics, ... (3 x 3, nine numbers, or fx, fy, cx, cy), or fx, fy, cx, cy by
-      their names, as networks and NeRF's transforms.json have them; this project's own.
+    - JSON with K, intrinsics, ...: 3 x 3, nine numbers, or fx, fy, cx, cy. Or with fx, fy, cx, cy
+      by name, as networks and NeRF's transforms.json have them. This project's own.
 
     FILE:NAME is one of several (COLMAP's number, Kalibr's cam1).
     `size` is the picture's (W, H) in px, and `pixel_centres` where its first pixel's centre is, for

@@ -58,7 +58,7 @@ def read_mitsuba(path: FilePath, *, size: Size | None = None) -> Cameras:
     diagonal), 768 x 576 px. `size` is for a sensor without a film. `$names` take their `<default>`.
 
     Raises ValueError naming file and field where something is missing or wrong: another type of
-    sensor, a transform that scales or mirrors, an unknown transform, a property given twice.
+    sensor, a property given twice, a transform that scales, mirrors or is unknown.
 
     ```python
     pj.formats.write_mitsuba("left.xml", {"left.png": camera})
@@ -76,8 +76,8 @@ def read_mitsuba(path: FilePath, *, size: Size | None = None) -> Cameras:
 def write_mitsuba(path: FilePath, cameras: Mapping[str, Camera]) -> None:
     """Write perspective sensors, `fov_axis` y, as a Mitsuba 3 scene of nothing else.
 
-    Raises ValueError for a camera whose pixels are not square (Mitsuba has no other), and for a
-    name that XML cannot hold, or that holds a `$`, which Mitsuba fills in.
+    Raises ValueError for a camera whose pixels are not square: Mitsuba has no others. Also for
+    names that XML cannot hold, or with a `$`, which Mitsuba fills in.
 
     ```python
     pj.formats.write_mitsuba("left.xml", {"left.png": camera})

@@ -198,8 +198,8 @@ def _plain(numbers: Any) -> Any:
 def read_json(path: FilePath) -> Cameras:
     """Return the cameras of the project's own JSON: one (`io.save_camera`) or many.
 
-    Frisvad's parameters: world units, `phi` the VERTICAL field of view in rad, the principal point
-    in film coordinates (px from the film's bottom-left corner, y up; pixel centres at halves).
+    Frisvad's parameters: world units, and `phi`, the VERTICAL field of view in rad. The principal
+    point is in film coordinates: px from the bottom-left corner, y up, pixel centres at halves.
 
     ```python
     pj.formats.write_json("left.json", {"left.png": camera})

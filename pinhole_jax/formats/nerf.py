@@ -41,8 +41,8 @@ def read_nerf(path: FilePath, *, size: Size | None = None) -> Cameras:
     holds no `w`, `h` (NeRF's Blender scenes), `size` gives them. World axes are the file's: no
     `applied_transform` is undone.
 
-    Raises ValueError naming file and field where something is missing or wrong, for other camera
-    models (equirectangular, ...), and for coefficients that OpenCV's models have not.
+    Raises ValueError naming file and field where something is missing or wrong. Also for other
+    camera models (equirectangular, ...) and for coefficients that OpenCV's models do not have.
 
     ```python
     pj.formats.write_nerf("transforms.json", {"left.png": camera})

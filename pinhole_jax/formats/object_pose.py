@@ -1,4 +1,4 @@
-"""The object's pose in the camera's frame, with its covariance: what a robot's arm is told."""
+"""The object's pose in the camera's frame, with its covariance, as a robot's arm needs it."""
 
 from typing import Any, NamedTuple
 
@@ -25,9 +25,9 @@ class ObjectPose(NamedTuple):
     - `K` (3, 3): intrinsics, px. `pixel_centres`: where they count from, "integer" or "half".
     - `R` (3, 3), `t` (3,): X_camera = R X_object + t. The object's frame is the mesh's, which is
       the fit's world.
-    - `covariance` (6, 6), `std` (6,): of the turns (rad) about the camera's x, y and z axes that
-      the object makes about its own origin, and then of t (world units). Infinite, with NaN beside
-      it, where the mask does not determine one; 0 of what was not free.
+    - `covariance` (6, 6), `std` (6,): of the object's turns (rad) about the camera's x, y and z
+      axes, around its own origin; then of t (world units). Infinite, with NaN beside it, where the
+      mask does not determine one; 0 for frozen parameters.
     - `distortion`: the lens's, beside K; None if it has none.
 
     ```python
@@ -83,8 +83,8 @@ def object_pose(fit: Fit, *, pixel_centres: Input[Centres, "of K"]) -> ObjectPos
 
     `pixel_centres` ("integer", "half") says where the reader of K puts them, as in `to_opencv`.
 
-    The covariance is that of the inverse of what the fit has: `Fit.covariance` is the camera's, of
-    small turns about its own axes and of the eye in the world. It is exact to first order.
+    `Fit.covariance` is that of the camera: of small turns about its own axes and of the eye in the
+    world. This one is that of the inverse pose, exact to first order.
 
     ```python
     fit = pj.fit_camera(scene, pj.silhouette(camera, scene), camera.replace(e=[0.5, 1.2, 5]))
@@ -105,8 +105,8 @@ def object_pose(fit: Fit, *, pixel_centres: Input[Centres, "of K"]) -> ObjectPos
 def _derivative(R: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Return the derivative (6, 6) of the object's pose by the camera's.
 
-    A camera that turns by the small vector w, written in its own axes, and whose eye moves by de in
-    the world, has the new transform (a^ is the matrix of the cross product with a)
+    Let a camera turn by the small vector w, in its own axes, and its eye move by de in the world.
+    With a^ the matrix of the cross product with a, the new transform is
 
         R' = (1 - w^) R,    t' = -R' (e + de) = t - w x t - R de.
 

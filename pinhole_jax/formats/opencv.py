@@ -83,17 +83,17 @@ def read_opencv(
 ) -> Cameras:
     """Return the cameras of an OpenCV calibration, by name: YAML, XML or JSON.
 
-    One camera where the file has `R` (3, 3) or `rvec` (3,) and `t`, several where it has
-    `extrinsic_parameters` (N, 6), rvec and tvec in each row, as OpenCV's calibration writes.
-    `camera_matrix` is K in px; `image_width`, `image_height` in px, or `size` where there are none.
-    `pixel_centres` ("integer", "half") overrules the file, which is "integer" if it says nothing.
+    A file with `R` (3, 3) or `rvec` (3,) and `t` has one camera. With `extrinsic_parameters` (N,
+    6), as OpenCV's calibration writes, it has several: rvec and tvec in each row. `camera_matrix`
+    is K in px; `image_width`, `image_height` in px, or `size` where there are none. `pixel_centres`
+    ("integer", "half") overrules the file, which is "integer" if it says nothing.
 
     `distortion_coefficients` (also `dist`, `D`, `DistCoeff`, ...) are k1, k2, p1, p2, k3, k4, k5,
-    k6, or of a fisheye (k1 to k4) where the file says so: `fisheye_model: 1`, or a
+    k6. They are k1 to k4 of a fisheye where the file says so: `fisheye_model: 1`, or a
     `distortion_model`, `camera_model`, `lens`, ... of fisheye, equidistant or KANNALA_BRANDT.
 
-    Raises ValueError naming file and field where something is missing or wrong, where the model is
-    another, and where coefficients of other models are not zero.
+    Raises ValueError naming file and field where something is missing or wrong. Also for other
+    models, and for coefficients of other models that are not zero.
 
     ```python
     pj.formats.write_opencv("left.yaml", {"left.png": camera})

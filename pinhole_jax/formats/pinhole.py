@@ -1,7 +1,7 @@
 """The common ground of all formats: focal lengths, a principal point, axes, a rigid transform.
 
-A format says which axes its camera frame has and where its pixel coordinates begin; all else is
-here, so that a reader or a writer is the list of its file's fields.
+A format says which axes its camera frame has and where its pixel coordinates begin. All else is
+here: a reader or a writer is the list of its file's fields.
 """
 
 from collections.abc import Mapping, Sequence

@@ -29,7 +29,7 @@ SCHEMA = "pytorch3d.PerspectiveCameras"
 
 
 def to_pytorch3d(camera: Camera) -> dict[str, np.ndarray]:
-    """Return what `PerspectiveCameras(**arrays, in_ndc=False)` takes, a batch of one, float64.
+    """Return arguments of `PerspectiveCameras(**arrays, in_ndc=False)`: a batch of one, float64.
 
     `R` (1, 3, 3), `T` (1, 3), `focal_length` (1, 2) and `principal_point` (1, 2) in px, and
     `image_size` (1, 2) as (H, W). PyTorch3D wants tensors: `torch.as_tensor` each.
@@ -64,7 +64,7 @@ def from_pytorch3d(
 
     `R` (3, 3), `T` (3,), row vectors; a batch axis of 1 may lead. `image_size` is (H, W) in px.
     `focal_length` (a number, or x and y) and `principal_point` are in NDC, PyTorch3D's default, or
-    in px with `in_ndc=False`; left out, the principal point is the image's centre. `fov` is in rad
+    in px with `in_ndc=False`. The default principal point is the image's centre. `fov` is in rad
     and spans the image's SHORTER side (the vertical one of a wide image, as PyTorch3D's NDC has
     it); `aspect_ratio` is that of FoVPerspectiveCameras: fy over fx.
 

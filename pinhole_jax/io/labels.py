@@ -10,7 +10,7 @@ from .._files.pictures import Image, rows
 #: Pixels are flat where all that touch them are alike. A value is a level if it has at least this
 #: many of them, and they are this share of its pixels: values of edges and noise have fewer.
 FLAT_PX, FLAT_SHARE = 4, 0.25
-#: This many values are a few. Of more, a level covers this share of what is not background: soft
+#: This many values are a few. Of more, a level covers this share of all but the background: soft
 #: edges that were enlarged without smoothing have flat pixels, too.
 FEW, AREA = 16, 5e-3
 #: Edges are soft where this share of the pixels beside another value is of no level.

@@ -1,7 +1,7 @@
 """Masks from what users have: transparency, brightness, labels, a photo's background colour.
 
-What a picture's values mean is not guessed where it matters: a picture that is no mask at first
-sight is refused, with the ways to read it.
+The meaning of a picture's values is not guessed where it matters. A picture that is no mask at
+first sight is refused, with the ways to read it.
 """
 
 import contextlib
@@ -48,20 +48,20 @@ def load_mask(
 
     `mask_from` is how to read it:
 
-    - None: transparency if it varies, else a grey picture that is mostly black and white, soft
-      edges as they are (a JPEG's too: its ringing costs a fit less than a threshold would). Where
-      transparency is all or nothing and the colours hold the soft edge, both count; many colours
-      that do are refused. So are pictures of more than two flat levels, or of two colours before
-      what is clear (labels), and those that cover their border, as black on white does: give
-      `invert`, or say how it is. Two values, such as 25 and 255, become 0 and 255.
+    - None: transparency if it varies, else a grey picture that is mostly black and white. Soft
+      edges stay as they are, a JPEG's too: its ringing costs a fit less than a threshold would.
+      Where transparency is all or nothing and the colours hold the soft edge, both count; many
+      colours that do are refused. So are label pictures: more than two flat levels, or two colours
+      on transparency. A mask that covers its border, as black on white does, needs `invert` or a
+      way to read it. Two values, such as 25 and 255, become 0 and 255.
     - "alpha": the transparency. "luminance": the brightness, whatever it is.
     - "label=N": the pixels with this grey value or palette entry; edges are hard.
     - "background=COLOR": a photo before a background of one colour, by name or as #rrggbb. The
-      object is what is farther from it in CIE Lab than Otsu's threshold, or than the tolerance of
-      "background=COLOR,TOLERANCE" (2.3 is just noticeable); edges are soft where colours mix.
+      object is farther from it in CIE Lab than Otsu's threshold, or than the tolerance of
+      "background=COLOR,TOLERANCE" (2.3 is just noticeable). Edges are soft where colours mix.
 
-    `invert`: what was read is the background, the rest the object. `say` is told how it was read,
-    where that is not just a grey mask as it is.
+    `invert`: the mask covers the background. `say` is called with a text on how the file was read,
+    unless it is simply a grey mask.
 
     Raises FileNotFoundError or ValueError like `load_image`, and ValueError for a picture that does
     not hold what is asked for.
@@ -339,8 +339,7 @@ def _listed(values: np.ndarray) -> str:
 
 
 def _two_colours(image: Image) -> bool:
-    """Return whether a picture has a palette and uses its entries 0, which is black, and 1, which
-    is a colour, alone: a label's."""
+    """Tell if a picture uses two entries of its palette, 0 (black) and 1 (a colour): a label's."""
     if image.mode != "P" or max(image.getextrema()) != 1:
         return False
     colours = [*(image.getpalette() or ()), *6 * [0]][:6]
@@ -384,7 +383,7 @@ def _label(image: Image, number: int) -> Read:
 
 
 def _background(image: Image, name: str, tolerance: float | None) -> Read:
-    """Return what differs from a colour by more than a tolerance (distance in CIE Lab).
+    """Return a mask of pixels that differ from a colour by more than a tolerance (CIE Lab).
 
     Without one, Otsu's threshold parts near from far. Specks and pinholes are dropped, and the
     pixels beside an edge are taken for mixtures.
@@ -423,8 +422,9 @@ def _otsu(values: np.ndarray) -> float:
 def _with_soft_edges(inside: np.ndarray, image: Image, back: np.ndarray) -> np.ndarray:
     """Return a hard mask as uint8 with soft edges.
 
-    How much of the object is in a pixel beside the edge is read off between the background and the
-    object's nearest colour (in at most `REACH_PX` rows above and below), in the values as stored.
+    A pixel beside the edge is a mixture of the background and the object's nearest colour, in at
+    most `REACH_PX` rows above and below. Its coverage is its place between both, in the values as
+    stored.
     """
     from scipy import ndimage
 

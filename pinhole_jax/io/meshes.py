@@ -20,8 +20,8 @@ SOLIDS = (".step", ".stp", ".iges", ".igs", ".brep", ".sldprt", ".f3d", ".fcstd"
 def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None = None) -> Mesh:
     """Return the triangles of a mesh file (dae, glb, gltf, obj, off, ply, stl), as one mesh.
 
-    Polygons of any shape in any plane are cut into triangles that run the way they do, and vertices
-    at exactly the same place are merged so that faces share edges. Axes and lengths are the file's.
+    Polygons of any shape in any plane are cut into triangles that run the way they do. Vertices at
+    exactly the same place are merged so that faces share edges. Axes and lengths are the file's.
 
     - trimesh reads STL and glTF. A glTF scene has its nodes' transforms; triangles and strips
       count, lines and points do not. Buffers are read from the file's folder and below.
@@ -31,15 +31,15 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None 
     - Of a ply file the faces and triangle strips count.
 
     Far from the origin float32 numbers, as those of binary stl files, have wide steps. Where these
-    are not small beside the object, `say` is told (None: a UserWarning).
+    are not small beside the object, `say` is called with a text (None: a UserWarning).
 
-    Raises FileNotFoundError, or ValueError where the file is no mesh, has no faces, fewer or more
-    data than its header says, vertices that are not finite, faces that name vertices it does not
-    have, a polygon whose sides cross or that has too many corners to cut in seconds (some 100 000,
-    unless its first corner sees them all), curved surfaces (obj), binary or not three dimensions
-    (off), skins or polygons with holes (dae), or a feature of glTF that is not read: skins, morph
-    targets whose weights are not 0, instances, fans, sparse or normalised positions, Draco's and
-    meshopt's compression, other required extensions. The feature, field or face is named.
+    Raises FileNotFoundError, or ValueError where the file is no mesh, has no faces, or fewer or
+    more data than its header says. Also for vertices that are not finite, faces that name vertices
+    it does not have, and polygons whose sides cross or that take more than seconds to cut (some 100
+    000 corners, unless the first sees them all). The feature, field or face is named. Not read are
+    curved surfaces (obj), binary or not three dimensions (off), skins and polygons with holes
+    (dae). Of glTF: skins, morph targets whose weights are not 0, instances, fans, sparse or
+    normalised positions, compression (Draco, meshopt), other required extensions.
 
     What else trimesh reads (3mf), `pj.Mesh(trimesh.load_mesh(path))` takes, unchecked.
 

@@ -71,8 +71,8 @@ def _counts(values: Any) -> list[int] | None:
 
 
 def _counts_of_text(text: str) -> list[int]:
-    """Return the numbers of pycocotools' text: five bits a character, lowest first, a sixth where
-    more follow; from the fourth on they are differences to the last but one."""
+    """Return the numbers of pycocotools' text: five bits a character, lowest first, a sixth if more
+    follow. From the fourth number on they are differences to the last but one."""
     counts: list[int] = []
     number, shift = 0, 0
     for character in text:

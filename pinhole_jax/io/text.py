@@ -8,8 +8,8 @@ from .._files.paths import MOST_BYTES, read_bytes, read_json, replace_file, text
 def load_text(path: str | os.PathLike[str], *, most_bytes: int = MOST_BYTES) -> str:
     """Return a text file's contents (UTF-8).
 
-    Raises FileNotFoundError, or ValueError for a folder, a pipe or a device, for a file of more
-    than `most_bytes` (64 MiB), and for one that is not UTF-8.
+    Raises FileNotFoundError, or ValueError for a folder, a pipe or a device, for more than
+    `most_bytes` (64 MiB), and for text that is not UTF-8.
 
     ```python
     page = pj.io.load_text("page.html")

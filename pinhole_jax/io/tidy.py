@@ -1,4 +1,4 @@
-"""Crumbs and pinholes, which networks and thresholds leave in masks, taken away and said."""
+"""Crumbs and pinholes, which networks and thresholds leave in masks: removed and reported."""
 
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ from .._numerics.arrays import ArrayLike, Input
 SPECK = 5e-3
 #: Pixels that meet at a corner are of one part: thin parts of an object hang on so.
 CORNERS = np.ones((3, 3))
-#: Soft edges of what is taken away reach this far (px).
+#: Soft edges of dropped islands and filled holes reach this far (px).
 SOFT_PX = 2
 
 
@@ -32,8 +32,8 @@ def tidy_mask(mask: Input[ArrayLike, "H W"], speck: float = SPECK) -> Tidied:
     """Return a mask without crumbs and pinholes, and sentences on what was done and found.
 
     - `mask`: (H, W), as `fit_camera` takes it. A pixel that is half covered or more is inside.
-    - `speck`: islands smaller than this share of the largest part are dropped, and holes smaller
-      than this share of it filled, both with their soft edges; 0 changes nothing.
+    - `speck`: islands smaller than this share of the largest part are dropped, and smaller holes
+      filled, both with their soft edges; 0 changes nothing.
 
     The mask comes back as bool, uint8 or floats. Left as they are, but noted: several large parts,
     edges of the film that cut the mask off, a mask that covers all or nothing.
@@ -112,12 +112,12 @@ def _changed(what: str, sizes: np.ndarray, done: str) -> list[str]:
 
 
 def _found(sizes: np.ndarray, inside: np.ndarray) -> list[str]:
-    """Return what a mask is that a fit takes as it is, but a user may not have meant."""
+    """Return notes on a mask that fits accept, but that a user may not have meant."""
     notes = []
     if len(sizes) > 1:
         largest = np.sort(sizes)[::-1] / np.sum(sizes)
         some = ", ".join(f"{x:.0%}" for x in largest[:3])
-        notes.append(f"{len(sizes)} parts ({some} of what is covered): all of one object?")
+        notes.append(f"{len(sizes)} parts ({some} of the covered area): all one object?")
     sides = {"top": inside[0], "bottom": inside[-1], "left": inside[:, 0], "right": inside[:, -1]}
     if cut := [name for name, side in sides.items() if np.any(side)]:
         notes.append(f"the film cuts the mask off: {', '.join(cut)}")

@@ -38,8 +38,8 @@ def opaque_pixels(band: Image) -> np.ndarray:
 
 
 def seen_through(image: Image, opaque: np.ndarray) -> np.ndarray | None:
-    """Return the mask (H, W) that transparency and colours make together, None where the colours
-    have no part in it: one colour, a premultiplied one, an object cut out of a photo.
+    """Return the mask (H, W) that transparency and colours make together. None where transparency
+    alone is the mask: one colour, premultiplied or not, or an object cut out of a photo.
 
     Where opacity is all or nothing and colours darken towards the edge, they hold the edge.
 
@@ -70,8 +70,8 @@ def seen_through(image: Image, opaque: np.ndarray) -> np.ndarray | None:
 
 
 def _cut_out(image: Image, opaque: np.ndarray) -> None:
-    """Raise ValueError for an object of many colours that fade towards a background of one colour
-    where opacity is all or nothing: the soft edge is in the colours."""
+    """Raise ValueError for an object of many colours that fade to a background of one colour, if
+    opacity is all or nothing: the soft edge is in the colours."""
     if _fades(image, opaque):
         raise ValueError(
             "transparency that is all or nothing, and colours that hold a soft edge, too: the"
@@ -84,8 +84,8 @@ def _cut_out(image: Image, opaque: np.ndarray) -> None:
 def _fades(image: Image, opaque: np.ndarray) -> bool:
     """Return True where colours go over into the background's within a hard edge's last pixels.
 
-    The pixels along the edge are between both, some near each; shading that goes on farther in, as
-    a ball's, is none of it, nor is a dark rim.
+    The pixels along the edge lie between both colours, some near each. Shading that goes on farther
+    in, as a ball's, does not count, nor does a dark rim.
     """
     seen = opaque > 0
     edge = seen & ~_shrunk(seen, 1)

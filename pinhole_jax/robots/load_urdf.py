@@ -1,7 +1,7 @@
 """`load_urdf`: a robot's file, and the shapes that it names.
 
-yourdfpy reads the URDF, `load_mesh` the meshes: it welds them by position, since in a mesh whose
-faces do not share their vertices every edge would be a border.
+yourdfpy reads the URDF, `load_mesh` the meshes. It welds vertices by position: in a mesh whose
+faces share no vertices every edge would be a border.
 """
 
 import io
@@ -30,13 +30,15 @@ def load_urdf(
     - `packages`: the folders of packages, by name.
 
     Meshes are any that `load_mesh` reads. Their names are relative to the file, or in a package
-    (`package://NAME/...`): that of `packages`, else the folder NAME, or with a `package.xml` of
-    that name, above the file or beside a folder above it, else in `ROS_PACKAGE_PATH`. Lengths are
-    the file's, as a rule metres. Joints that follow others (`mimic`) need no angle.
+    (`package://NAME/...`). A package is looked up in `packages`, then above the file and beside the
+    folders above it, then in `ROS_PACKAGE_PATH`: a folder called NAME, or with a `package.xml` of
+    that name. Lengths are the file's, as a rule metres. Joints that follow others (`mimic`) need no
+    angle.
 
-    Raises ModuleNotFoundError without yourdfpy (`pip install pinhole-jax[robots]`),
-    FileNotFoundError, and ValueError for what is no URDF (SDF, xacro that is not expanded), has
-    shapes or joints that are not read (capsule; floating, planar), no shapes, or no such link.
+    Raises ModuleNotFoundError without yourdfpy (`pip install pinhole-jax[robots]`), and
+    FileNotFoundError. Raises ValueError for files that are no URDF (SDF, xacro that is not
+    expanded), for shapes and joints that are not read (capsule; floating, planar), and for no
+    shapes or no such link.
 
     ```python
     lamp = pj.robots.load_urdf("lamp.urdf")

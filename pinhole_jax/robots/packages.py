@@ -40,8 +40,8 @@ def mesh_path(name: str, urdf: Path, packages: Folders) -> Path:
 
 
 def _in_package(package: str, rest: str, urdf: Path, packages: Folders) -> Path:
-    """Return a package's file; a folder of the right name that lacks it may be a part of another
-    one (of Python's, say), so the next one is tried."""
+    """Return a package's file. A folder of the right name that lacks it may be part of another
+    package (of Python's, say), so the next one is tried."""
     given = [Path(packages[package])] if package in packages else _folders(package, urdf)
     tried = []
     for folder in given:

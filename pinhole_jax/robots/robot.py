@@ -73,8 +73,8 @@ class Robot:
         return self.at(self.poses(angles))
 
     def posture(self, angles: Angles) -> Posture:
-        """Return the robot with its joints at these angles (see `poses`), and how it moves with
-        their zeros: what a `JointView` takes where `fit_joint` shall find these."""
+        """Return the robot with its joints at these angles (see `poses`), and its motion by their
+        zeros. A `JointView` takes it where `fit_joint` is to find these."""
         checked = self._checked(angles)
 
         def poses(offsets: np.ndarray) -> list[np.ndarray]:
@@ -104,7 +104,7 @@ class Robot:
                     f" {values.shape}"
                 )
             angles = dict(zip(self.joints, values.tolist(), strict=True))
-        # (A joint that follows another one is told by that.)
+        # (The angle of a joint that follows another one is known from that.)
         given = {n: float(x) for n, x in angles.items() if n not in self._following}
         if missing := [name for name in self.joints if name not in given]:
             raise ValueError(f"`angles`: expected one of each joint, got none of {missing[0]}")

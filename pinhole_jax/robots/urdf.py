@@ -1,7 +1,7 @@
 """A URDF's XML, checked and cut down to what yourdfpy reads right: shapes that are seen, joints.
 
-yourdfpy moves only joints that follow a free one, slides along an axis as long as it is written,
-leaves out what xacro would have expanded, and stops at shapes that it does not know.
+yourdfpy moves only joints that follow a free one, and slides along an axis as long as it is
+written. It leaves out macros that xacro did not expand, and stops at unknown shapes.
 """
 
 import math
