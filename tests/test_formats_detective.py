@@ -78,8 +78,7 @@ def test_ball_leaves_the_axes_undecided():
     """A ball on the axis looks alike when the picture is turned upside down."""
     sphere = trimesh.creation.icosphere(subdivisions=3)
     ball = pj.Scene(mesh=pj.Mesh(sphere.vertices, sphere.faces))
-    lens = pj.Lens([W / 2, H / 2])
-    camera = pj.Camera([0, 0, 5.0], [0, 0, 0], [0, 1, 0], 0.6, 1.0, W, H, lens)
+    camera = pj.Camera([0, 0, 5.0], [0, 0, 0], [0, 1, 0], 0.6, 1.0, W, H, pj.Lens([W / 2, H / 2]))
     _, R, t = formats.to_opencv(camera, pixel_centres="half")
     mask = np.asarray(pj.silhouette(camera, ball, overlaps=False))
     found = formats.detect(ball, mask, np.c_[R, t], fov=0.6)
@@ -120,19 +119,11 @@ def test_pytorch3d_cow_has_its_published_convention(shared):
     folder = shared / "renders" / "pytorch3d_cow"
     mask = np.any(io.load_image(folder / "cow.png")[..., :3] < 255, axis=-1)
     scene = pj.Scene(mesh=pj.load_mesh(folder / "cow.obj"))
-    elevation, azimuth = np.deg2rad([10, 4])
-    eye = 3 * np.array(
-        [
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-            np.cos(elevation) * np.cos(azimuth),
-        ]
-    )
-    ahead = -eye / 3
-    left = np.cross([0, 1, 0], ahead)
-    left /= np.linalg.norm(left)
+    (up, ahead), (aside, along) = ((np.sin(x), np.cos(x)) for x in np.deg2rad([10, 4]))
+    eye = 3 * np.array([ahead * aside, up, ahead * along])
+    left = np.array([-along, 0, aside])
     world_to_view = np.eye(4)  # as get_world_to_view_transform().get_matrix() gives it
-    world_to_view[:3, :3] = np.stack([left, np.cross(ahead, left), ahead], axis=1)
+    world_to_view[:3, :3] = np.stack([left, np.cross(-eye / 3, left), -eye / 3], axis=1)
     world_to_view[3, :3] = -eye @ world_to_view[:3, :3]
     found = formats.detect(scene, mask, world_to_view, fov=np.pi / 3)
     assert found.certain

@@ -57,10 +57,8 @@ def test_formats_without_distortion_refuse_it(tmp_path, file):
 
 
 def test_crops_and_resizes_keep_the_lens():
-    view = camera(BROWN)
-    points = jnp.asarray(POINTS)
+    view, points = camera(BROWN), jnp.asarray(POINTS)
     film = np.asarray(pj.project(view, points))
-    part = formats.cropped(view, 5, 3, 40, 30)
+    part, small = formats.cropped(view, 5, 3, 40, 30), formats.resized(view, 32, 12)
     np.testing.assert_allclose(pj.project(part, points), film - [5, 48 - 30 - 3], atol=1e-10)
-    small = formats.resized(view, 32, 12)
     np.testing.assert_allclose(pj.project(small, points), film * [0.5, 0.25], atol=1e-10)

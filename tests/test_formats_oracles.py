@@ -94,20 +94,18 @@ def test_readers_match_numbers_worked_out_by_hand(tmp_path, files):
         )
 
 
-@pytest.mark.parametrize(
-    ("camera", "uv"),
-    [("1 PINHOLE 7 5 4 2 4 2", (5, 1)), ("1 SIMPLE_RADIAL 8 6 4 4 3 0", (5, 1))],
-)
-def test_colmap_by_hand(tmp_path, camera, uv):
+@pytest.mark.parametrize("camera", ["1 PINHOLE 7 5 4 2 4 2", "1 SIMPLE_RADIAL 8 6 4 4 3 0"])
+def test_colmap_by_hand(tmp_path, camera):
     (tmp_path / "cameras.txt").write_text(f"# a comment\n{camera}\n")
     # Half a turn about x, then t = -R e.
     (tmp_path / "images.txt").write_text("# Number of images: 1\n7 0 1 0 0 -1 2 3 1 a b.png\n")
-    cameras = formats.read(tmp_path)
-    assert list(cameras) == ["a b.png"]
-    np.testing.assert_allclose(image_points(cameras["a b.png"], [[1.5, 3, 1]]), [uv], atol=1e-12)
+    camera = formats.read(tmp_path)["a b.png"]
+    np.testing.assert_allclose(image_points(camera, [[1.5, 3, 1]]), [[5, 1]], atol=1e-12)
 
 
+TURNED = pj.Camera([0.0, 1, 4], [0, 0, 0.2], [0, 1, 0], 0.7, 1.0, 64, 49)
 ROUND_TRIPS = {
+    "many.yml": {"a": BASE, 'b "2", c': TURNED},
     "own.json": CAMERAS,
     "one.yaml": CAMERAS,
     "model": CAMERAS,
@@ -137,15 +135,6 @@ def test_round_trips_keep_the_camera(tmp_path, name):
                 image_points(back[key]), image_points(camera), rtol=0, atol=1e-10
             )
         assert not [p for p in path.parent.iterdir() if p.name.startswith("tmp")]
-
-
-def test_many_poses_of_one_opencv_camera(tmp_path):
-    turned = pj.Camera([0.0, 1, 4], [0, 0, 0.2], [0, 1, 0], 0.7, 1.0, 64, 49)
-    formats.write(tmp_path / "many.yml", {"a": BASE, 'b "2", c': turned})
-    back = formats.read(tmp_path / "many.yml")
-    assert list(back) == ["a", 'b "2", c']
-    for camera, original in zip(back.values(), (BASE, turned), strict=True):
-        np.testing.assert_allclose(image_points(camera), image_points(original), atol=1e-10)
 
 
 def test_opencv_projects_alike_and_its_files_are_read(tmp_path):
@@ -202,19 +191,12 @@ def test_colmap_projects_alike_and_its_models_are_read(tmp_path, binary):
             np.testing.assert_allclose(image_points(back[name]), image_points(camera), atol=1e-9)
 
 
-def test_gltf_is_what_trimesh_reads_and_writes(tmp_path):
+def test_gltf_is_what_trimesh_writes(tmp_path):
     import trimesh
 
-    # trimesh keeps no camera of a file without geometry, so the camera joins a box of its own.
-    formats.write_gltf(tmp_path / "ours.gltf", {"base": BASE})
-    data = json.loads((tmp_path / "ours.gltf").read_text())
-    loader = trimesh.exchange.gltf
-    camera = loader._cam_from_gltf(data["cameras"][0])
-    np.testing.assert_allclose(camera.fov[1], np.rad2deg(0.7), rtol=1e-12)
-
-    scene = trimesh.Scene(trimesh.creation.box())
+    scene = trimesh.Scene(trimesh.creation.box())  # trimesh keeps no camera of a file without one
     scene.camera = trimesh.scene.Camera(resolution=(64, 49), fov=(50, 40))
-    scene.camera_transform = np.array(data["nodes"][0]["matrix"]).reshape(4, 4).T
+    scene.camera_transform = np.array(formats.to_blender(BASE)["matrix_world"])
     scene.export(tmp_path / "theirs.glb")
     (back,) = formats.read(tmp_path / "theirs.glb", size=(64, 49)).values()
     np.testing.assert_allclose(float(back.phi), np.deg2rad(40), rtol=1e-9)
@@ -234,45 +216,21 @@ BLENDER = [
 
 @pytest.mark.parametrize(("settings", "film"), BLENDER)
 def test_blender_recorded(tmp_path, settings, film):
-    fit, W, H, percentage, aspect_x, aspect_y = settings
-    fields = {
+    names = ("sensor_fit", "resolution_x", "resolution_y", "resolution_percentage",
+             "pixel_aspect_x", "pixel_aspect_y")  # fmt: skip
+    lens = {
         "lens": 40,
         "sensor_width": 32,
         "sensor_height": 20,
-        "sensor_fit": fit,
         "shift_x": 0.125,
-        "shift_y": -0.0625,
-        "resolution_x": W,
-        "resolution_y": H,
-        "resolution_percentage": percentage,
-        "pixel_aspect_x": aspect_x,
-        "pixel_aspect_y": aspect_y,
-        "matrix_world": [[0, 0, 1, 4], [1, 0, 0, 0.5], [0, 1, 0, 0.25], [0, 0, 0, 1]],
+        "shift_y": -1 / 16,
     }
+    pose = {"matrix_world": [[0, 0, 1, 4], [1, 0, 0, 0.5], [0, 1, 0, 0.25], [0, 0, 0, 1]]}
+    fields = {**lens, **pose, **dict(zip(names, settings, strict=True))}
     (tmp_path / "b.json").write_text(json.dumps(fields))
     camera = formats.read(tmp_path / "b.json")["camera"]
     points = jnp.array([[0.5, 0.25, -0.5], [-0.25, 0.75, 0.5]])
     np.testing.assert_allclose(pj.project(camera, points).ravel(), film, rtol=0, atol=1e-5)
-
-
-def test_script_makes_the_camera_in_blender():
-    bpy = pytest.importorskip("bpy")
-    for name, camera in CAMERAS.items():
-        exec(formats.to_blender_script({name: camera}), {})
-        bpy.context.view_layer.update()
-        made, render = bpy.context.scene.camera, bpy.context.scene.render
-        matrix = made.calc_matrix_camera(
-            bpy.context.evaluated_depsgraph_get(),
-            x=render.resolution_x,
-            y=render.resolution_y,
-            scale_x=render.pixel_aspect_x,
-            scale_y=render.pixel_aspect_y,
-        )
-        clip = np.array(matrix) @ np.linalg.inv(np.array(made.matrix_world))
-        q = np.c_[POINTS, np.ones(len(POINTS))] @ clip.T
-        x, y = (q[:, :2] / q[:, 3:] * [1, -1] + 1).T / 2
-        theirs = np.stack([x * camera.W, y * camera.H], axis=1)
-        np.testing.assert_allclose(theirs, image_points(camera), rtol=0, atol=2e-5)  # float32
 
 
 def test_script_and_json_say_the_same():
@@ -319,19 +277,6 @@ def test_pytorch3d_recorded(size, ndc, fov):
     np.testing.assert_allclose(image_points(back, points).ravel(), ndc, atol=1e-12)
     camera = formats.from_pytorch3d(R, T, H_W, fov=np.deg2rad(50), aspect_ratio=1.25)
     np.testing.assert_allclose(image_points(camera, points).ravel(), fov, atol=1e-12)
-
-
-def test_pytorch3d_projects_alike():
-    cameras = pytest.importorskip("pytorch3d.renderer.cameras")
-    import torch
-
-    for camera in CAMERAS.values():
-        arrays = {k: torch.as_tensor(v).float() for k, v in formats.to_pytorch3d(camera).items()}
-        points = torch.as_tensor(POINTS).float()
-        theirs = cameras.PerspectiveCameras(**arrays, in_ndc=False).transform_points_screen(points)
-        np.testing.assert_allclose(
-            theirs[..., :2].numpy().reshape(-1, 2), image_points(camera), rtol=0, atol=2e-4
-        )
 
 
 FILM = """<film type="hdrfilm"><integer name="width" value="9"/>

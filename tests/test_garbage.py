@@ -410,11 +410,7 @@ def test_images_that_cannot_be_written(tmp_path, image):
 def test_paths_that_cannot_be_written(tmp_path, camera):
     (tmp_path / "file").write_text("")
     image = np.zeros((2, 2, 4), np.uint8)
-    for save in (lambda p: io.save_image(p, image), lambda p: io.save_camera(p, camera)):
-        for path in (tmp_path, tmp_path / "file" / "x.png"):
-            with pytest.raises(ValueError, match="`path`: expected"):
-                save(path)
-    for name in ("x.jpg", "x.xyz"):
+    for name in (".", "file/x.png", "x.jpg", "x.xyz"):
         with pytest.raises(ValueError, match="`path`: expected"):
             io.save_image(tmp_path / name, image)
     for more in ({"x": np.nan}, {"x": object()}, {"x": 1j}):
