@@ -275,75 +275,83 @@ def test_joints_that_follow_others_and_long_axes(tmp_path, joints, expected):
 SHUT = joint("j3", "c", "d", kind="fixed")
 
 
-@pytest.mark.parametrize(
-    ("words", "joints"),
-    [
-        ("joint 'j2' is floating.*fixed", (FREE, joint("j2", "b", "c", kind="floating"), SHUT)),
-        ("joint 'j2' is planar", (FREE, joint("j2", "b", "c", kind="planar"), SHUT)),
-        ("joint 'j2': expected revolute, .* got 'ball'",
-         (FREE, joint("j2", "b", "c", kind="ball"), SHUT)),
-        ("'j2' follows 'j9', which does not exist",
-         (FREE, joint("j2", "b", "c", mimic("j9")), SHUT)),
-        ("'j2' follows 'j3', which is fixed", (FREE, joint("j2", "b", "c", mimic("j3")), SHUT)),
-        ("joints j2, j3 follow each other",
-         (FREE, joint("j2", "b", "c", mimic("j3")), joint("j3", "c", "d", mimic("j2")))),
-        ("joints j2 follow each other", (FREE, joint("j2", "b", "c", mimic("j2")), SHUT)),
-        ("joint 'j2': expected an axis, got one of length 0",
-         (FREE, joint("j2", "b", "c", axis="0 0 0"), SHUT)),
-        ("joint 'j2': expected 3 finite numbers in xyz of <axis>, got '1 0'",
-         (FREE, joint("j2", "b", "c", axis="1 0"), SHUT)),
-        ("joint 'j2': expected 1 finite number in offset of <mimic>, got 'x'",
-         (FREE, joint("j2", "b", "c", mimic("j1", 'offset="x"')), SHUT)),
-        ("two of joint 'j1'", (FREE, joint("j1", "b", "c"), SHUT)),
-        ("joint 'j2': no link 'e'", (FREE, joint("j2", "b", "e"), SHUT)),
-        ("no joint's child, got a, c: join them", (FREE, SHUT)),
-        ("joint 'j4': link 'd' has a joint to 'c'",
-         (FREE, DOUBLE, SHUT, joint("j4", "a", "d"))),
-        ("link 'b' is in a circle", (joint("j1", "c", "b"), DOUBLE, joint("j3", "b", "d"))),
-        ("joint 'j2': expected a parent and a child, got no child",
-         (FREE, SHUT, '<joint name="j2" type="fixed"><parent link="b"/></joint>')),
-    ],
-)  # fmt: skip
-def test_joints_that_make_no_robot_are_named(tmp_path, words, joints):
-    with pytest.raises(ValueError, match=words):
-        pj.robots.load_urdf(write_urdf(tmp_path, chain(*joints)))
+def second(*extra, **more):
+    """Three joints, the second as it is given."""
+    return chain(FREE, joint("j2", "b", "c", *extra, **more), SHUT)
 
 
-# --- shapes, and files that are no URDF ----------------------------------------------------------
+SHAPE = "link 'l': expected one shape .* got"
+#: What a robot has, by the error.
+REFUSED = {
+    "joint 'j2' is floating.*fixed": second(kind="floating"),
+    "joint 'j2' is planar": second(kind="planar"),
+    "joint 'j2': expected revolute, .* got 'ball'": second(kind="ball"),
+    "'j2' follows 'j9', which does not exist": second(mimic("j9")),
+    "'j2' follows 'j3', which is fixed": second(mimic("j3")),
+    "joints j2 follow each other": second(mimic("j2")),
+    "joints j2, j3 follow each other": chain(
+        FREE, joint("j2", "b", "c", mimic("j3")), joint("j3", "c", "d", mimic("j2"))
+    ),
+    "joint 'j2': expected an axis, got one of length 0": second(axis="0 0 0"),
+    "'j2': expected 3 finite numbers in xyz of <axis>, got '1 0'": second(axis="1 0"),
+    "'j2': expected 1 finite number in offset of <mimic>, got 'x'": second(
+        mimic("j1", 'offset="x"')
+    ),
+    "two of joint 'j1'": chain(FREE, joint("j1", "b", "c"), SHUT),
+    "joint 'j2': no link 'e'": chain(FREE, joint("j2", "b", "e"), SHUT),
+    "no joint's child, got a, c: join them": chain(FREE, SHUT),
+    "joint 'j4': link 'd' has a joint to 'c'": second() + joint("j4", "a", "d"),
+    "link 'b' is in a circle": chain(joint("j1", "c", "b"), DOUBLE, joint("j3", "b", "d")),
+    "joint 'j2': expected a parent and a child, got no child": chain(FREE, SHUT)
+    + '<joint name="j2" type="fixed"><parent link="b"/></joint>',
+    f"{SHAPE} <capsule>.*leave_out": link("l", '<capsule radius="1" length="2"/>'),
+    f"{SHAPE} none": link("l", ""),
+    f"{SHAPE} <box>, <sphere>": link("l", BOX + '<sphere radius="1"/>'),
+    f"{SHAPE} none;": '<link name="l"><visual/></link>',
+    "no link has a <visual> shape; <collision> shapes are not drawn": link("l", BOX).replace(
+        "visual", "collision"
+    ),
+    "no link has a <visual> shape$": '<link name="l"/>',
+    "no <link> in <robot>, expected at least one": "",
+    "link 'l': <sphere> without `radius`": link("l", "<sphere/>"),
+    "link None: <link> without `name`": "<link/>",
+    "link 'l': expected 3 positive numbers in size of <box>, got '1 2'": link(
+        "l", '<box size="1 2"/>'
+    ),
+    "expected 1 positive number in radius of <sphere>, got 'nan'": link(
+        "l", '<sphere radius="nan"/>'
+    ),
+    "two of link 'l'": 2 * link("l", BOX),
+    "link 'b' is in <group>.* run `xacro .*move what is": f"<group>{link('b', BOX)}</group>",
+    "joint 'j' is in <group>.* run `xacro .*": f"<group>{joint('j', 'a', 'b')}</group>",
+    **{
+        f"not expanded, {part}.*: run `xacro robot.urdf.xacro > robot.urdf`": body
+        for part, body in {
+            "<xacro:include>": '<xacro:include filename="b.xacro"/>',
+            "<xacro:macro>": '<xacro:macro name="m"><link name="b"/></xacro:macro>',
+            "size=": link("a", '<box size="1 1 ${height}"/>'),
+            "filename=": mesh("$(find a)/a.stl"),
+            "name=": link("${prefix}a", BOX),
+            "<macro>": '<macro name="m"><link name="b"/></macro>',
+            "<include>": '<include filename="b.xacro"/>',
+            "<property>": '<property name="height" value="1"/>',
+        }.items()
+    },
+}
 
 
-@pytest.mark.parametrize(
-    ("words", "body"),
-    [
-        ("link 'l': expected one shape .* got <capsule>.*leave_out",
-         link("l", '<capsule radius="1" length="2"/>')),
-        ("link 'l': expected one shape .* got none", link("l", "")),
-        ("link 'l': expected one shape .* got <box>, <sphere>",
-         link("l", BOX + '<sphere radius="1"/>')),
-        ("link 'l': expected one shape .* got none", '<link name="l"><visual/></link>'),
-        ("no link has a <visual> shape; <collision> shapes are not drawn",
-         link("l", BOX).replace("visual", "collision")),
-        ("no link has a <visual> shape$", '<link name="l"/>'),
-        ("no <link> in <robot>, expected at least one", ""),
-        ("link 'l': <sphere> without `radius`", link("l", "<sphere/>")),
-        ("link None: <link> without `name`", "<link/>"),
-        ("link 'l': expected 3 positive numbers in size of <box>, got '1 2'",
-         link("l", '<box size="1 2"/>')),
-        ("link 'l': expected 1 positive number in radius of <sphere>, got 'nan'",
-         link("l", '<sphere radius="nan"/>')),
-        ("two of link 'l'", 2 * link("l", BOX)),
-    ],
-)  # fmt: skip
-def test_shapes_that_are_not_read_are_named(tmp_path, words, body):
-    with pytest.raises(ValueError, match=r"`path`: expected a URDF file, got .*a.urdf") as said:
-        pj.robots.load_urdf(write_urdf(tmp_path, body))
-    assert said.match(words)
+@pytest.mark.parametrize("words", REFUSED)
+def test_robots_that_are_not_read_are_refused_with_the_reason(tmp_path, words):
+    with pytest.raises(ValueError, match=rf"`path`: expected a URDF file, .*a.urdf.*{words}"):
+        pj.robots.load_urdf(write_urdf(tmp_path, REFUSED[words]))
 
 
-def test_robots_need_no_name(tmp_path):
-    file = write_urdf(tmp_path, link("a", BOX))
-    file.write_text(file.read_text().replace(' name="a">', ">", 1))
-    assert pj.robots.load_urdf(file).links == ("a",)
+@pytest.mark.parametrize("text", ['<sdf version="1.6"><model name="a"/></sdf>', "", "<robot", "{}"])
+def test_files_that_are_no_urdf_are_refused(tmp_path, text):
+    (tmp_path / "a.urdf").write_text(text)
+    words = "<sdf> in place of <robot>: export" if "sdf" in text else "(no XML|Document is empty)"
+    with pytest.raises(ValueError, match=f"`path`: expected a URDF file, got .*: {words}"):
+        pj.robots.load_urdf(tmp_path / "a.urdf")
 
 
 @pytest.mark.parametrize("packages", ["/ws/deep", ["deep"], {"deep": None}, {1: "deep"}, 3])
@@ -361,56 +369,18 @@ def test_links_left_out_may_have_any_shape(tmp_path):
 
 
 def test_elements_that_are_not_seen_may_be_anything(tmp_path):
-    """Collisions of other shapes, comments, namespaces that nobody declared."""
+    """Collisions, comments, simulators' groups, undeclared namespaces; and no name of the robot."""
     unseen = "<collision><geometry><capsule/></geometry></collision>"
     unseen += '<inertial><mass value="?"/></inertial>'
     body = link("a", f"<!-- one -->{BOX}").replace("</link>", f"{unseen}</link>")
-    file = write_urdf(tmp_path, body + '<gazebo><sensor:ray angle="$(x)"/></gazebo>')
-    file.write_text(file.read_text().replace("<robot", '<robot xmlns:xacro="http://ros.org/xacro"'))
-    assert np.allclose(extent(pj.robots.load_urdf(file)), [-0.05] * 3 + [0.05] * 3)
-
-
-XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
-
-
-@pytest.mark.parametrize(
-    "body",
-    [
-        '<xacro:include filename="b.xacro"/>',
-        link("a", BOX) + '<xacro:macro name="m"><link name="b"/></xacro:macro>',
-        link("a", '<box size="1 1 ${height}"/>'),
-        mesh("$(find a)/a.stl"),
-        link("${prefix}a", BOX),
-        link("a", BOX) + '<macro name="m"><link name="b"/></macro>',
-        link("a", BOX) + '<include filename="b.xacro"/>',
-        link("a", BOX) + '<property name="height" value="1"/>',
-    ],
-)
-@pytest.mark.parametrize("declared", [XACRO, ""])
-def test_xacro_that_is_not_expanded_is_refused(tmp_path, body, declared):
-    file = write_urdf(tmp_path, body, "a.urdf.xacro")
-    file.write_text(file.read_text().replace("<robot", f"<robot {declared}"))
-    with pytest.raises(ValueError, match=r"not expanded, .*xacro robot.urdf.xacro > robot.urdf"):
-        pj.robots.load_urdf(file)
-
-
-def test_links_in_unknown_groups_are_named(tmp_path):
-    """A simulator's own groups are passed over, as are the joints that a transmission names."""
-    seen = link("a", BOX)
-    unread = f'<gazebo>{link("x", BOX)}</gazebo><transmission><joint name="j"/></transmission>'
-    assert pj.robots.load_urdf(write_urdf(tmp_path, seen + unread)).links == ("a",)
-    for inner, word in ((link("b", BOX), "link 'b'"), (joint("j", "a", "b"), "joint 'j'")):
-        file = write_urdf(tmp_path, f"{seen}<group>{inner}</group>")
-        with pytest.raises(ValueError, match=f"{word} is in <group>.* run `xacro .*move what is"):
-            pj.robots.load_urdf(file)
-
-
-@pytest.mark.parametrize("text", ['<sdf version="1.6"><model name="a"/></sdf>', "", "<robot", "{}"])
-def test_files_that_are_no_urdf_are_refused(tmp_path, text):
-    (tmp_path / "a.urdf").write_text(text)
-    words = "<sdf> in place of <robot>: export" if "sdf" in text else "(no XML|Document is empty)"
-    with pytest.raises(ValueError, match=f"`path`: expected a URDF file, got .*: {words}"):
-        pj.robots.load_urdf(tmp_path / "a.urdf")
+    body += f'<gazebo>{link("x", BOX)}<sensor:ray angle="$(x)"/></gazebo>'
+    body += '<transmission><joint name="j"/></transmission>'
+    file = write_urdf(tmp_path, body)
+    head = '<robot xmlns:xacro="http://ros.org/xacro">'
+    file.write_text(file.read_text().replace('<robot name="a">', head))
+    robot = pj.robots.load_urdf(file)
+    assert robot.links == ("a",)
+    assert np.allclose(extent(robot), [-0.05] * 3 + [0.05] * 3)
 
 
 # --- files of angles -----------------------------------------------------------------------------
