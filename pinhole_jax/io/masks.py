@@ -5,13 +5,13 @@ first sight is refused, with the ways to read it.
 """
 
 import contextlib
-import os
 import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._files.paths import FilePath
 from .._files.pictures import BAND, Image, bands, by_bands, eight_bits, from_picture, rows
 from .._mask.target import MOST_BORDER, covered_border
 from .labels import FEW, labels_in
@@ -38,7 +38,7 @@ MOST_PARTS = 1 << 20
 
 
 def load_mask(
-    path: str | os.PathLike[str],
+    path: FilePath,
     mask_from: str | None = None,
     say: Callable[[str], object] | None = None,
     *,
@@ -152,18 +152,16 @@ def _check_border(read: Read, image: Image) -> None:
 
 
 def _label_amid_void(image: Image) -> int:
-    """Return the one label of a picture whose border is void, as what is not labelled is, or a
-    frame of one pixel; else 0."""
+    """Return the one label of a picture with void around it, or in a frame of one pixel; else 0."""
     if image.mode == "P" or not _has_numbers(image) or min(image.size) < 3:
         return 0
-    values = _values(image)
-    if len(values) == 3 and values[0] == 0 and values[2] in VOID:
-        W, H = image.size
+    values, (W, H) = _values(image), image.size
+    labels = [int(x) for x in values if x > 0 and x not in VOID]
+    amid_void = values[-1] in VOID and len(labels) == 1
+    if amid_void and 0 in values:
         inner = _values(image.crop((1, 1, W - 1, H - 1)))
-        return int(values[1]) if np.array_equal(inner, values[:2]) else 0
-    if len(values) == 2 and values[0] >= 1 and values[1] in VOID:
-        return int(values[0])
-    return 0
+        amid_void = np.array_equal(inner, [0, *labels])
+    return labels[0] if amid_void else 0
 
 
 def _read(image: Image, way: Way) -> Read:
@@ -201,13 +199,21 @@ def _at_first_sight(image: Image) -> Read:
 
 
 def _without_haze(grey: np.ndarray) -> Read:
-    """Return a grey mask; 0 and 255 for its values where they are two and none is 0."""
+    """Return a grey mask; 0 and 255 for its values if they are two and neither is 0."""
     low, high = int(grey.min()), int(grey.max())
-    if 0 < low < high and all(np.all((x == low) | (x == high)) for x in grey):
-        return Read(np.where(grey == high, np.uint8(255), np.uint8(0)), f"{HAZE}, {low} and {high}")
+    if low > 0 and (hard := _of_two_values(grey)) is not None:
+        return Read(hard, f"{HAZE}, {low} and {high}")
     if low > MOST_HAZE:
         return Read(grey, f"{HAZE}, whose background is at least {low} of 255")
     return Read(grey, "")
+
+
+def _of_two_values(array: np.ndarray) -> np.ndarray | None:
+    """Return an array of two values as 0 and 255; None if there are fewer or more."""
+    low, high = array.min(), array.max()
+    if low == high or not all(np.all((row == low) | (row == high)) for row in array):
+        return None
+    return np.where(array == high, np.uint8(255), np.uint8(0))
 
 
 def _transparent(image: Image) -> Read | None:
@@ -242,14 +248,13 @@ def _check_opacity(image: Image) -> None:
 
 
 def _stretched(opaque: np.ndarray) -> np.ndarray:
-    """Return an opacity whose largest value is not 255, or whose two values are not 0 and 255, so
-    that they are.
+    """Return an opacity scaled so that its largest value is 255, its two values 0 and 255.
 
     Raises ValueError where it is hardly there.
     """
-    low, most = int(opaque.min()), int(opaque.max())
-    if all(np.all((x == low) | (x == most)) for x in opaque):
-        return np.where(opaque == most, np.uint8(255), np.uint8(0))
+    if (hard := _of_two_values(opaque)) is not None:
+        return hard
+    most = int(opaque.max())
     if most < DARK:
         raise ValueError(f"transparency (alpha) of at most {most} of 255; labels? {WAYS}")
     result = np.empty_like(opaque)

@@ -14,7 +14,9 @@ GREY = 8
 EDGE_PX = 3
 #: A share of the pixels that is noise.
 FEW = 0.01
-#: This many pixels of an edge tell how it is.
+#: Pixels of a ring are looked for this far from an edge (px).
+NEAR_PX = 8
+#: This many pixels are a fair sample of an edge.
 MOST_PLACES = 4096
 #: An outline that moves by less than this (px) is the same.
 SAME_PX = 0.02
@@ -61,7 +63,8 @@ def seen_through(image: Image, opaque: np.ndarray) -> np.ndarray | None:
     if mixed and is_photo:
         return _cut_out(image, opaque)
     is_hard = _count_between(opaque) <= FEW * _count_between(mask)
-    if is_hard and not mixed and not is_photo and (not black or _is_key(opaque, shade)):
+    is_key = bool(np.all((opaque > 0) == (shade > 0)))  # just the black is transparent
+    if is_hard and not mixed and not is_photo and (not black or is_key):
         return mask
     raise ValueError(
         "transparency and colours that say different things; give `mask_from` alpha (--mask-from"
@@ -93,11 +96,12 @@ def _fades(image: Image, opaque: np.ndarray) -> bool:
     if not count or _count_between(opaque) > FEW * count:
         return False
     places = np.argwhere(edge)[:: max(1, count // MOST_PLACES)]
-    found = [_nearest(ring, places) for ring in (*_rings(seen, (4, 6)), *_rings(~seen, (1,)))]
-    known = np.all([there for _, there in found], axis=0)
+    rings = (_ring(seen, 4), _ring(seen, 6), _ring(~seen, 1))
+    nearest = [_nearest(ring, places) for ring in rings]
+    known = np.all([nearby for _, nearby in nearest], axis=0)
     if np.count_nonzero(known) < max(16, len(places) // 2):
         return False
-    near, deep, outside = (_colours_at(image, where[known]) for where, _ in found)
+    near, deep, outside = (_colours_at(image, points[known]) for points, _ in nearest)
     back = np.median(outside, axis=0)
     if np.mean(np.max(np.abs(outside - back), axis=1) > GREY) > FEW:
         return False
@@ -115,23 +119,22 @@ def _shrunk(inside: np.ndarray, by: int) -> np.ndarray:
     return np.asarray(binary_erosion(inside, iterations=by, border_value=1))
 
 
-def _rings(inside: np.ndarray, depths: tuple[int, ...]) -> list[np.ndarray]:
-    """Return the pixels that are so far (px) inside."""
-    shrunk = [_shrunk(inside, depth) for depth in depths]
-    return [part & ~_shrunk(part, 1) for part in shrunk]
+def _ring(inside: np.ndarray, depth: int) -> np.ndarray:
+    """Return the pixels that are this far (px) inside."""
+    shrunk = _shrunk(inside, depth)
+    return shrunk & ~_shrunk(shrunk, 1)
 
 
 def _nearest(ring: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return for some pixels (n, 2) the nearest one of a ring, and whether there is one nearby."""
-    steps = np.stack(np.meshgrid(*2 * [np.arange(-8, 9)], indexing="ij"), -1).reshape(-1, 2)
-    result, found = places.copy(), np.zeros(len(places), bool)
-    for step in steps[np.argsort(np.sum(steps**2, axis=1), kind="stable")]:
-        there = places + step
-        fits = ~found & np.all((there >= 0) & (there < ring.shape), axis=1)
-        fits[fits] = ring[tuple(there[fits].T)]
-        result[fits] = there[fits]
-        found |= fits
-    return result, found
+    """Return the pixel of a ring nearest to each place (n, 2), and True where one is nearby."""
+    from scipy.spatial import KDTree
+
+    points = np.argwhere(ring)
+    if not len(points):
+        return places, np.zeros(len(places), bool)
+    distance, index = KDTree(points).query(places, distance_upper_bound=NEAR_PX)
+    nearby = np.isfinite(distance)
+    return points[np.where(nearby, index, 0)], nearby
 
 
 def _colours_at(image: Image, places: np.ndarray) -> np.ndarray:
@@ -183,11 +186,6 @@ def _is_same(opaque: np.ndarray, shade: np.ndarray) -> bool:
     body = opaque > 127
     edge = np.count_nonzero(body[1:] != body[:-1]) + np.count_nonzero(body[:, 1:] != body[:, :-1])
     return bool(lost <= SAME_PX * max(edge, 1))
-
-
-def _is_key(opaque: np.ndarray, shade: np.ndarray) -> bool:
-    """Return True where just what is black is transparent."""
-    return bool(np.all((opaque > 0) == (shade > 0)))
 
 
 def _count_between(values: np.ndarray) -> int:
