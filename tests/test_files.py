@@ -147,14 +147,19 @@ ENDLESS = {
 
 
 @pytest.mark.parametrize("read", READS)
-def test_endless_files_are_not_read(tmp_path, monkeypatch, read):
+def test_endless_files_and_folders_are_not_read(tmp_path, monkeypatch, read):
     monkeypatch.chdir(tmp_path)
-    for name, make in ENDLESS.items():
+    for name, make in {**ENDLESS, "folder": Path.mkdir}.items():
         if (read, name) == ("mesh", "huge"):
             continue
         make(Path(f"{name}.obj"))
-        with pytest.raises(ValueError, match=rf"`path`: expected .*{name}\.obj': (not a reg|more)"):
+        words = rf"`path`: expected .*{name}\.obj': (not a reg|more|a folder)"
+        with pytest.raises(ValueError, match=words):
             READS[read](f"{name}.obj")
+    with pytest.raises(ValueError, match=r"`path`: expected .*too long"):
+        READS[read]("a" * 5000)
+    with pytest.raises(FileNotFoundError, match=r"`path`: expected .*no such file"):
+        READS[read]("no.obj")
 
 
 @pytest.mark.parametrize("file", ["cameras.txt", "images.txt", "cameras.bin", "images.bin"])

@@ -159,26 +159,19 @@ def test_missing_field_is_named(tmp_path, field):
         io.load_fit(tmp_path / "fit.json")
 
 
-def test_other_files_are_no_fits(tmp_path):
-    path = tmp_path / "camera.json"
-    io.save_camera(path, CAMERA)
-    words = "`fit`: expected the field that `save_fit` writes .*, got no such field .*camera.json"
-    with pytest.raises(ValueError, match=words):
-        io.load_fit(path)
-    io.save_camera(path, CAMERA, fit=3)
-    with pytest.raises(ValueError, match=r"`fit`: expected .*, got 3 .*camera\.json"):
-        io.load_fit(path)
-    path.write_text("[1]")
-    with pytest.raises(ValueError, match=r"expected fields with names, got \[1\] .*camera.json"):
-        io.load_fit(path)
-    path.write_text("no JSON")
-    with pytest.raises(ValueError, match=r"`path`: expected JSON, got .*camera\.json"):
-        io.load_fit(path)
-    path.write_text(json.dumps({"fit": io.fit_to_dict(fit_of(CAMERA))["fit"]}))
-    with pytest.raises(ValueError, match=r"`e`: expected a camera's field.*camera\.json"):
-        io.load_fit(path)
-    with pytest.raises(FileNotFoundError, match=r"`path`: expected a fit's file, got .*no\.json"):
-        io.load_fit(tmp_path / "no.json")
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (json.dumps(io.camera_to_dict(CAMERA)), "`fit`: expected the field .*, got no such field"),
+        ('{"fit": 3}', "`fit`: expected .*, got 3"),
+        ("[1]", r"expected fields with names, got \[1\]"),
+        ("no JSON", "`path`: expected JSON, got"),
+    ],
+)
+def test_other_files_are_no_fits(tmp_path, text, message):
+    (tmp_path / "camera.json").write_text(text)
+    with pytest.raises(ValueError, match=rf"{message}.*camera\.json"):
+        io.load_fit(tmp_path / "camera.json")
 
 
 def test_lens_that_folds_outside_the_object_comes_back(tmp_path):

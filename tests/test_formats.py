@@ -28,29 +28,6 @@ def test_centred_camera_needs_no_lens():
     assert formats.from_opencv(K, R, T, 64, 48, pixel_centres="half").lens is not None
 
 
-@pytest.mark.long
-def test_m3t_reference_mask_is_reproduced(shared):
-    """Half a pixel shows: the renderer's masks agree best with centres at integers."""
-    import json
-
-    from pinhole_jax import io
-
-    folder = shared / "renders" / "m3t_renderer"
-    given = json.loads((folder / "camera.json").read_text())
-    bottle = given["objects"]["shampoo"]
-    mask = io.load_image(folder / "silhouette_image.png") == bottle["id"]
-    scene = pj.Scene(mesh=pj.load_mesh(folder / bottle["mesh"]))
-    agreement = {}
-    for centres in ("integer", "half"):
-        camera = formats.from_opencv(
-            given["K"], bottle["R"], bottle["t"], 640, 480, pixel_centres=centres
-        )
-        hard = np.asarray(pj.silhouette(camera, scene, overlaps=False)) > 0.5  # compiles sooner
-        agreement[centres] = np.sum(hard & mask) / np.sum(hard | mask)
-    assert agreement["integer"] > 0.994
-    assert agreement["half"] < 0.992
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -305,43 +305,29 @@ def test_targets_that_are_no_masks_are_refused(camera, name):
 # --- mesh files ----------------------------------------------------------------------------------
 
 
+def spoilt(whole, changes):
+    """Return a file's bytes cut short at some places, and with some bytes changed, many times."""
+    random, size = np.random.default_rng(0), len(whole)
+    copies = [whole[:k] for k in (0, 1, 4, 8, 20, 30, size // 3, size // 2, size - 2)]
+    for _ in range(changes):
+        data = bytearray(whole)
+        for k in random.integers(0, size, 5):
+            data[k] = random.integers(256)
+        copies.append(bytes(data))
+    return [*copies, random.bytes(500)]
+
+
 @pytest.mark.parametrize("ending", ["obj", "ply", "stl", "off", "glb"])
 def test_mesh_files_cut_short_or_with_wrong_bytes(tmp_path, ending):
-    BOX.export(tmp_path / f"box.{ending}")
-    whole = (tmp_path / f"box.{ending}").read_bytes()
-    random, path = np.random.default_rng(0), tmp_path / f"bad.{ending}"
-    spoilt = [whole[:k] for k in (1, 4, 20, len(whole) // 3, len(whole) // 2)]
-    for _ in range(5):
-        data = bytearray(whole)
-        for k in random.integers(0, len(whole), 5):
-            data[k] = random.integers(256)
-        spoilt.append(bytes(data))
-    for data in (*spoilt, random.bytes(500), b""):
+    path = tmp_path / f"box.{ending}"
+    BOX.export(path)
+    for data in spoilt(path.read_bytes(), 5):
         path.write_bytes(data)
         try:
-            mesh = pj.load_mesh(path)
+            assert np.all(np.isfinite(pj.load_mesh(path).vertices))
         except ValueError as error:
             assert "`path`: expected" in str(error) or "(in " in str(error)  # noqa: PT017
-        else:
-            assert np.all(np.isfinite(mesh.vertices))
-    assert {x.name for x in tmp_path.iterdir()} == {f"box.{ending}", path.name}
-
-
-@pytest.mark.parametrize("load", [pj.load_mesh, io.load_image, io.load_mask, io.load_camera])
-def test_paths_that_lead_to_no_file(tmp_path, load):
-    import os
-
-    (tmp_path / "folder.obj").mkdir()
-    os.mkfifo(tmp_path / "pipe.obj")
-    for bad, what in (
-        (tmp_path / "folder.obj", "a folder"),
-        (tmp_path / "pipe.obj", "not a regular file"),
-        ("a" * 5000, "too long"),
-    ):
-        with pytest.raises(ValueError, match=f"`path`: expected .*{what}"):
-            load(bad)
-    with pytest.raises(FileNotFoundError, match=r"`path`: expected .*no such file"):
-        load(tmp_path / "no.obj")
+    assert [*tmp_path.iterdir()] == [path]
 
 
 # --- images --------------------------------------------------------------------------------------
@@ -368,15 +354,7 @@ def test_images_cut_short_or_with_wrong_bytes(tmp_path, ending):
     mask[5:15, 8:20] = 255
     path = tmp_path / f"x.{ending}"
     Image.fromarray(mask).save(path)
-    whole = path.read_bytes()
-    random = np.random.default_rng(0)
-    spoilt = [whole[:k] for k in (1, 8, 30, len(whole) // 2, len(whole) - 2)]
-    for _ in range(40):
-        data = bytearray(whole)
-        for k in random.integers(0, len(whole), 6):
-            data[k] = random.integers(256)
-        spoilt.append(bytes(data))
-    for data in spoilt:
+    for data in spoilt(path.read_bytes(), 40):
         path.write_bytes(data)
         try:
             assert io.load_mask(path).dtype == np.uint8

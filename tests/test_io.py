@@ -141,21 +141,6 @@ def test_redundant_fields_may_be_left_out_or_rounded(tmp_path):
     np.testing.assert_allclose(io.load_camera(path).phi, np.deg2rad(30))
 
 
-def test_missing_fields_and_files_that_are_no_json(tmp_path):
-    path = tmp_path / "camera.json"
-    path.write_text("[1, 2]")
-    with pytest.raises(ValueError, match=r"expected fields with names, got \[1, 2\]"):
-        io.load_camera(path)
-    path.write_text('{"e": [0, 0, 1]}')
-    with pytest.raises(ValueError, match="`p`: expected a camera's field"):
-        io.load_camera(path)
-    path.write_text("{")
-    with pytest.raises(ValueError, match="expected JSON"):
-        io.load_camera(path)
-    with pytest.raises(FileNotFoundError, match="expected a camera file"):
-        io.load_camera(tmp_path / "no.json")
-
-
 def save_exif(path, size, orientation=1, **tags):
     """Save a photo (a light patch in the stored picture's upper left) with EXIF data."""
     image = Image.new("RGB", size)
