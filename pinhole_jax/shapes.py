@@ -36,23 +36,10 @@ def revolved(profile: np.ndarray, sections: int = 64) -> Mesh:
     cone = pj.shapes.revolved(np.array([(0, 0), (1, 0), (0, 2)]))
     ```
     """
-    r, z = np.asarray(profile, float).T
-    if r.shape[0] < 3 or r[0] != 0 or r[-1] != 0 or np.any(r[1:-1] <= 0):
+    import trimesh
+
+    radii = np.asarray(profile, float)[:, 0]
+    if len(radii) < 3 or radii[0] != 0 or radii[-1] != 0 or np.any(radii[1:-1] <= 0):
         raise ValueError("`profile`: expected radii 0, then positive ones, then 0")
-    angle = 2 * np.pi * np.arange(sections) / sections
-    rings = np.stack([np.outer(r[1:-1], np.cos(angle)), np.outer(r[1:-1], np.sin(angle))], axis=-1)
-    heights = np.broadcast_to(z[1:-1, None, None], (*rings.shape[:2], 1))
-    points = np.concatenate([rings, heights], axis=-1).reshape(-1, 3)
-    n = len(r) - 2
-    first, last = n * sections, n * sections + 1
-    vertices = np.concatenate([points, [[0, 0, z[0]], [0, 0, z[-1]]]])
-    here = np.arange(sections)
-    there = np.roll(here, -1)
-    faces = [np.stack([np.full(sections, first), there, here], axis=1)]
-    for k in range(n - 1):
-        a, b = k * sections, (k + 1) * sections
-        faces.append(np.stack([a + here, a + there, b + there], axis=1))
-        faces.append(np.stack([a + here, b + there, b + here], axis=1))
-    a = (n - 1) * sections
-    faces.append(np.stack([a + here, a + there, np.full(sections, last)], axis=1))
-    return Mesh(vertices, np.concatenate(faces))
+    surface = trimesh.creation.revolve(profile, sections=sections)
+    return Mesh(np.asarray(surface.vertices), np.asarray(surface.faces))

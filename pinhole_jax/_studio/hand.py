@@ -34,15 +34,13 @@ def axes_of(camera: Camera) -> Float[np.ndarray, "3 3"]:
 
 def focal_px(camera: Camera) -> Float[np.ndarray, "2"]:
     """Return the focal length (px) along x and y."""
-    fy = camera.H / (2 * np.tan(float(camera.phi) / 2))
-    return fy * np.array([1.0 if camera.lens is None else float(camera.lens.aspect), 1.0])
+    return np.diagonal(np.asarray(camera.K, float))[:2]
 
 
 def principal_point(camera: Camera) -> Float[np.ndarray, "2"]:
     """Return the principal point in film coordinates (px)."""
-    if camera.lens is None:
-        return np.array([camera.W, camera.H]) / 2
-    return np.asarray(camera.lens.principal_point, float)
+    x, y = np.asarray(camera.K, float)[:2, 2] + 0.5
+    return np.array([x, camera.H - y])
 
 
 class Ball(NamedTuple):

@@ -15,7 +15,7 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from .bench import Bench
-from .subject import mesh_file, photo_file
+from .subject import Subject, mesh_file, photo_file
 
 HOST = "127.0.0.1"
 #: The most bytes of a message: a mask's or a session's file, in base64.
@@ -53,8 +53,8 @@ class Studio:
         app = web.Application(middlewares=[self._guarded], client_max_size=MOST_BYTES)
         for path in FILES:
             app.router.add_get(path, self._file)
-        app.router.add_get("/photo", self._photo)
-        app.router.add_get("/mesh", self._mesh)
+        app.router.add_get("/photo", self._answer_with(photo_file, "image/jpeg"))
+        app.router.add_get("/mesh", self._answer_with(mesh_file, "application/octet-stream"))
         app.router.add_get("/bench", self._talk)
         return app
 
@@ -81,18 +81,17 @@ class Studio:
         text = text.replace("{TOKEN}", self.token) if name == "index.html" else text
         return web.Response(text=text, content_type=FILES[request.path], charset="utf-8")
 
-    async def _photo(self, request: web.Request) -> web.Response:
-        return await self._made(request, photo_file, "image/jpeg")
+    def _answer_with(self, make: Callable[[Subject], bytes], kind: str) -> Any:
+        """Return a handler that sends a file of the tab's subject."""
 
-    async def _mesh(self, request: web.Request) -> web.Response:
-        return await self._made(request, mesh_file, "application/octet-stream")
+        async def handler(request: web.Request) -> web.Response:
+            bench = self._benches.get(request.query.get("tab", ""))
+            if bench is None:
+                return web.Response(status=404, text="404: no such tab\n")
+            data = await self._in_thread(make, bench.subject)
+            return web.Response(body=data, content_type=kind)
 
-    async def _made(self, request: web.Request, make: Callable[[Any], bytes], kind: str) -> Any:
-        bench = self._benches.get(request.query.get("tab", ""))
-        if bench is None:
-            return web.Response(status=404, text="404: no such tab\n")
-        data = await self._in_thread(make, bench.subject)
-        return web.Response(body=data, content_type=kind)
+        return handler
 
     async def _talk(self, request: web.Request) -> web.WebSocketResponse:
         """Answer a tab's messages as long as it is open."""

@@ -6,7 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, NamedTuple
 
 from ..names import STATUSES
 from .engine import rows_of
@@ -139,28 +139,27 @@ def fit_many(
 def _check(
     items: Any, executor: Any, workers: Any, shard: Any, time_limit: Any, retry: Any
 ) -> None:
-    if isinstance(items, str | Mapping) or not isinstance(items, Iterable):
-        words = f"expected records, one after another, got {type(items).__name__}"
-        raise ValueError(f"`items`: {words}")
-    if executor is not None and not isinstance(executor, Executor):
-        words = f"expected a concurrent.futures.Executor, got {type(executor).__name__}"
-        raise ValueError(f"`executor`: {words}")
-    if workers is not None and not (_is_integer(workers) and workers >= 1):
-        raise ValueError(f"`workers`: expected an integer of at least 1, got {workers!r}")
-    pair = isinstance(shard, tuple) and len(shard) == 2 and all(map(_is_integer, shard))
-    if not pair or not 1 <= shard[0] <= shard[1]:
-        raise ValueError(f"`shard`: expected (i, n) with i from 1 to n, got {shard!r}")
-    if time_limit is not None and not (isinstance(time_limit, int | float) and time_limit > 0):
-        raise ValueError(f"`time_limit`: expected positive seconds, got {time_limit!r}")
-    for name in [retry] if isinstance(retry, str) else retry:
-        known = [*STATUSES, *NO_FIT]
-        if isinstance(retry, str) or name not in known:
-            words = f"expected a list of statuses among {', '.join(known)}, got {name!r}"
-            raise ValueError(f"`retry`: {words}")
+    def check(is_right: bool, name: str, expected: str, value: object) -> None:
+        if not is_right:
+            raise ValueError(f"`{name}`: expected {expected}, got {value!r}")
+
+    records = isinstance(items, Iterable) and not isinstance(items, str | Mapping)
+    check(records, "items", "records, one after another", items)
+    pool = executor is None or isinstance(executor, Executor)
+    check(pool, "executor", "a concurrent.futures.Executor", executor)
+    check(workers is None or _counts(workers), "workers", "an integer of at least 1", workers)
+    pair = isinstance(shard, tuple) and len(shard) == 2 and all(map(_counts, shard))
+    check(pair and shard[0] <= shard[1], "shard", "(i, n) with i from 1 to n", shard)
+    limit = time_limit is None or (isinstance(time_limit, int | float) and time_limit > 0)
+    check(limit, "time_limit", "positive seconds", time_limit)
+    known = [*STATUSES, *NO_FIT]
+    listed = not isinstance(retry, str) and {*retry} <= {*known}
+    check(listed, "retry", f"a list of statuses among {', '.join(known)}", retry)
 
 
-def _is_integer(value: object) -> TypeGuard[int]:
-    return isinstance(value, int) and not isinstance(value, bool)
+def _counts(value: object) -> bool:
+    """Return True for an integer of at least 1."""
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 1
 
 
 def _planned(items: Iterable[Record], shard: tuple[int, int], done: Done) -> tuple[int | None, int]:

@@ -27,6 +27,10 @@ KINKS_ALLOWED = 0.25
 #: A pixel moves if it changes by more than this share of the largest change.
 MOVING = 0.02
 RIGHT = ("ok", "moves nothing")
+#: The head of the printed table.
+HEAD = (
+    "parameter           derivative   difference     pixel   step  error  reverse  kinks  verdict"
+)
 
 
 class Row(NamedTuple):
@@ -66,17 +70,8 @@ class Certificate(NamedTuple):
     passed: bool
 
     def __str__(self) -> str:
-        """Return the verdict, and below it the table with its columns aligned."""
-        cells = [Row._fields, *map(_cells, self.rows)]
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        lines = [
-            "  ".join(
-                cell.ljust(width) if k in (0, len(widths) - 1) else cell.rjust(width)
-                for k, (cell, width) in enumerate(zip(line, widths, strict=True))
-            ).rstrip()
-            for line in cells
-        ]
-        return "\n".join([_summary(self), *lines])
+        """Return the verdict, and below it the table."""
+        return "\n".join([_summary(self), HEAD, *map(_line, self.rows)])
 
 
 class _Reverse(NamedTuple):
@@ -264,10 +259,11 @@ def _check(camera: Camera, scene: Scene, tolerance: float | None, directions: in
         raise ValueError(f"`directions`: expected at least 1, got {directions}")
 
 
-def _cells(row: Row) -> list[str]:
-    numbers = f"{row.derivative:.6g}", f"{row.difference:.6g}", f"{row.pixel[0]},{row.pixel[1]}"
-    errors = f"{row.step:.0e}", f"{row.error:.0e}", f"{row.reverse:.0e}", str(row.kinks)
-    return [row.parameter, *numbers, *errors, row.verdict]
+def _line(row: Row) -> str:
+    pixel = "{},{}".format(*row.pixel)
+    values = f"{row.parameter:17} {row.derivative:12.6g} {row.difference:12.6g} {pixel:>9}"
+    errors = f"{row.step:6.0e} {row.error:6.0e} {row.reverse:8.0e} {row.kinks:6}"
+    return f"{values} {errors}  {row.verdict}"
 
 
 def _summary(certificate: Certificate) -> str:
