@@ -329,7 +329,7 @@ def stroke(**changes):
         (stroke(points=[[1, 1e9]]), "expected places on the picture"),
         ({"strokes": [{"mask": "no picture"}]}, "`mask`: expected a PNG file in base64"),
         ({"strokes": [{"mask": png(np.zeros((3, 3), np.uint8))}]}, "`mask`: expected 8 bits, 64 x"),
-        ({"lines": [[1, 2]]}, "`line`: expected two places"),
+        ({"lines": [[1, 2]]}, "`line`: expected 4 finite numbers"),
         ({"lines": [[[1, 2], [1e9, 2]]]}, "`line`: expected places on the picture"),
     ],
 )

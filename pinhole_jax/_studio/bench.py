@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from .. import Camera, Fit, Progress, fit_camera, io, silhouette
+from ..batch.inputs import numbers_of
 from ..formats import FORMATS
 from . import hand
 from .descriptions import fit_described, holding, mask_described
@@ -144,8 +145,8 @@ class Bench:
     def move(self, turn: Any = (0, 0, 0), shift: Any = (0, 0), nearer: Any = 1) -> dict[str, Any]:
         """Turn the object (rad: right, up, clockwise), shift it (px: right, down), scale its
         distance."""
-        moves = [*_numbers("turn", turn, 3), *_numbers("shift", shift, 2)]
-        (factor,) = _numbers("nearer", [nearer], 1)
+        moves = [*numbers_of("turn", turn, 3), *numbers_of("shift", shift, 2)]
+        (factor,) = numbers_of("nearer", nearer, 1)
         if not factor > 0:
             raise ValueError(f"`nearer`: expected a positive factor, got {factor}")
         ball, camera = self.subject.ball, self.camera
@@ -164,11 +165,11 @@ class Bench:
     def lens(self, phi_degrees: Any = None, **changes: Any) -> dict[str, Any]:
         """Change the field of view, or numbers of the lens as `hand.with_lens` names them."""
         if phi_degrees is not None:
-            (degrees,) = _numbers("phi_degrees", [phi_degrees], 1)
+            (degrees,) = numbers_of("phi_degrees", phi_degrees, 1)
             phi = np.deg2rad(degrees)
             self.camera = hand.with_phi(self.camera, self.subject.ball.centre, float(phi))
         if changes:
-            values = _numbers("lens", list(changes.values()), len(changes))
+            values = numbers_of("lens", list(changes.values()), len(changes))
             self.camera = hand.with_lens(self.camera, dict(zip(changes, values, strict=True)))
         return self.look()
 
@@ -361,14 +362,3 @@ class Bench:
 def _guesses_of(subject: Subject) -> Callable[[tuple[Stroke, ...]], np.ndarray | None]:
     """Return a function from strokes to a guess; it keeps some, so that undo needs no new one."""
     return lru_cache(MOST_GUESSES)(lambda guides: guessed(subject.picture, guides))
-
-
-def _numbers(name: str, values: Any, count: int) -> list[float]:
-    """Return this many finite numbers, or raise ValueError."""
-    try:
-        numbers = [float(x) for x in values]
-    except (TypeError, ValueError):
-        numbers = []
-    if len(numbers) != count or not np.all(np.isfinite(numbers)):
-        raise ValueError(f"`{name}`: expected {count} finite numbers, got {values!r}")
-    return numbers

@@ -6,6 +6,7 @@ import os
 from typing import Any, NamedTuple
 
 from .. import Camera
+from ..batch.inputs import numbers_of
 from ..io import camera_from_dict, camera_to_dict, load_text, save_text
 from ..names import FREE
 from .strokes import Work, work_from_list, work_to_list
@@ -105,12 +106,8 @@ def _phi_or_none(data: Any) -> float | None:
 
 
 def line_of(data: Any) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return two places [x, y], or raise ValueError."""
-    try:
-        (a, b), (c, d) = data
-        line = (float(a), float(b)), (float(c), float(d))
-    except (TypeError, ValueError):
-        raise ValueError(f"`line`: expected two places [x, y] (px), got {data!r}") from None
-    if not all(abs(x) < 1e6 for end in line for x in end):
+    """Return a line's ends, two places [x, y] near the picture, or raise ValueError."""
+    a, b, c, d = ends = numbers_of("line", data, 4)
+    if max(map(abs, ends)) > 1e6:
         raise ValueError("`line`: expected places on the picture (px), got some far away")
-    return line
+    return (a, b), (c, d)

@@ -188,7 +188,7 @@ def _K_camera(record: Record, size: Size) -> pj.Camera:
     """Return the camera of `K`, `dist`, `pixel_centres` and `start`; at the origin without."""
     K, centres, distortion, pose = record["K"], setting(record, "pixel_centres"), None, np.eye(4)
     if "dist" in record:
-        numbers = _numbers(record, "dist", 4, 5, 8)
+        numbers = numbers_of("dist", record["dist"], 4, 5, 8)
         distortion = (pj.Rational if len(numbers) == 8 else pj.BrownConrady)(*numbers)
     if isinstance(K, str) and not has_numbers(K):
         with named(path="K"):
@@ -198,22 +198,24 @@ def _K_camera(record: Record, size: Size) -> pj.Camera:
         matrix, *_ = pj.formats.to_opencv(camera, pixel_centres=centres)
         distortion, size = distortion or camera.distortion, (camera.W, camera.H)
     else:
-        matrix = _numbers(record, "K", 4, 9)
+        matrix = numbers_of("K", K, 4, 9)
         if len(matrix) == 4:
             fx, fy, cx, cy = matrix
             matrix = [fx, 0, cx, 0, fy, cy, 0, 0, 1]
         matrix = np.reshape(matrix, (3, 3))
     if "start" in record:
-        pose = np.reshape(_numbers(record, "start", 16), (4, 4))
+        pose = np.reshape(numbers_of("start", record["start"], 16), (4, 4))
     with named(lens="dist", R="start", t="start"):
         return pj.formats.from_opencv(
             matrix, pose[:3, :3], pose[:3, 3], *size, pixel_centres=centres, distortion=distortion
         )
 
 
-def _numbers(record: Record, name: str, *counts: int) -> list[float]:
-    """Return a field's numbers in a row; a text holds them between blanks or commas."""
-    value = record[name]
+def numbers_of(name: str, value: Any, *counts: int) -> list[float]:
+    """Return a value's numbers in a row; a text holds them between blanks or commas.
+
+    Raises ValueError for others than one of these counts of finite numbers.
+    """
     with contextlib.suppress(TypeError, ValueError):
         parts = value.replace(",", " ").split() if isinstance(value, str) else value
         numbers = np.asarray(parts, float).ravel()
@@ -319,10 +321,12 @@ class _Window(NamedTuple):
 
 
 def _window(record: Record, size: Size) -> _Window:
-    before = _whole("resize", *_numbers(record, "resize", 2)) if "resize" in record else size
+    before = (
+        _whole("resize", *numbers_of("resize", record["resize"], 2)) if "resize" in record else size
+    )
     if "crop" not in record:
         return _Window(None, before, size)
-    left, top, *sides = _numbers(record, "crop", 4)
+    left, top, *sides = numbers_of("crop", record["crop"], 4)
     inside = _whole("crop", *sides)
     if inside != before and "resize" not in record:
         raise ValueError(
