@@ -321,9 +321,9 @@ class _Window(NamedTuple):
 
 
 def _window(record: Record, size: Size) -> _Window:
-    before = (
-        _whole("resize", *numbers_of("resize", record["resize"], 2)) if "resize" in record else size
-    )
+    before = size
+    if "resize" in record:
+        before = _whole("resize", *numbers_of("resize", record["resize"], 2))
     if "crop" not in record:
         return _Window(None, before, size)
     left, top, *sides = numbers_of("crop", record["crop"], 4)
