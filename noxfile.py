@@ -162,9 +162,9 @@ def lowest_versions(session: nox.Session) -> None:
     pytest(session, *files(f"{first} main"), checked)
 
 
-#: What a newer Python, and the newer JAX for it, could change: also what scikit-image draws and
-#: shapely cuts.
-NEWER = files("import camera scene io formats main overlaps native walker trace")
+#: What a newer Python, and the newer JAX and NumPy for it, could change: also what scikit-image
+#: draws, shapely cuts and pycollada reads.
+NEWER = files("import camera scene io formats main overlaps native walker trace robots")
 
 
 @apart(name="newest", python=newest())

@@ -1,6 +1,7 @@
 """Robots' files: where meshes are, what Collada's numbers mean, which joints move, what is said."""
 
 import struct
+import warnings
 from itertools import pairwise
 
 import numpy as np
@@ -150,6 +151,20 @@ def collada(unit="1", node="", up="Z_UP", shape="", extra=""):
         f'{node}<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>'
         '<scene><instance_visual_scene url="#s"/></scene></COLLADA>'
     )
+
+
+def test_collada_is_read_though_its_reader_uses_what_is_deprecated(tmp_path, monkeypatch):
+    """As pycollada does with NumPy 2.5."""
+    import collada as reader
+
+    def outdated(data, collada=reader.Collada):
+        warnings.warn("Setting the shape on a NumPy array", DeprecationWarning, stacklevel=1)
+        return collada(data)
+
+    monkeypatch.setattr(reader, "Collada", outdated)
+    (tmp_path / "a.dae").write_text(collada())
+    with pytest.warns(DeprecationWarning, match="Setting the shape"):
+        assert len(pj.load_mesh(tmp_path / "a.dae").faces) == 12
 
 
 @pytest.mark.parametrize("up", ["Z_UP", "Y_UP", "X_UP"])

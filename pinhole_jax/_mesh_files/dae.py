@@ -44,8 +44,9 @@ def read_dae(data: bytes) -> Polygons:
     metres = 1.0 if unit is None else float(unit.get("meter", 1))
     if not 0 < metres < np.inf:
         raise ValueError(f"expected a positive <unit meter>, got {metres}")
-    # (It reads numbers up to the first that is none, and says so by this warning.)
-    with warnings.catch_warnings(action="error", category=DeprecationWarning):
+    # (It reads numbers up to the first that is none, and says so by this warning of NumPy.)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
         document = Collada(io.BytesIO(etree.tostring(root)))
     if document.scene is None:
         raise ValueError("no <scene>")
