@@ -54,8 +54,11 @@ def pytest_xdist_auto_num_workers() -> int:
 
 @pytest.fixture
 def in_arrays(monkeypatch):
-    """Have JAX's arrays draw silhouettes, as where there is no compiled library."""
+    """Draw silhouettes by JAX's arrays, as where there is no compiled library."""
     monkeypatch.setattr("pinhole_jax._silhouette.silhouette.is_available", lambda: False)
+    jax.clear_caches()  # (programs that call the library)
+    yield
+    jax.clear_caches()
 
 
 @pytest.fixture
@@ -104,15 +107,12 @@ def memory_maps() -> int:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def programs_are_let_go(request):
+def programs_are_let_go():
     """Compiled programs hold memory maps, and a process may have 65530: let go of a module's, where
-    there are many, or where it alone can use them. (Without it the compiler aborts in a long run.)
+    there are many. (Without it the compiler aborts in a long run.)
     """
-    altered = request.node.get_closest_marker("altered")
-    if altered:
-        jax.clear_caches()
     yield
-    if altered or memory_maps() >= KEPT:
+    if memory_maps() >= KEPT:
         jax.clear_caches()
 
 

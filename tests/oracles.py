@@ -66,17 +66,28 @@ def homogeneous(camera: pj.Camera, points) -> np.ndarray:
     return np.concatenate([film + z[..., None] * centre, z[..., None]], axis=-1)
 
 
-def clipped_polygon(corners: np.ndarray, W: int, H: int):
-    """Return what the frame (a pixel larger) shows of a convex polygon of homogeneous points."""
-    for plane in ([1, 0, 1], [0, 1, 1], [-1, 0, W + 1], [0, -1, H + 1]):
+def clipped(corners: np.ndarray, planes) -> np.ndarray:
+    """Return the part of a convex polygon of homogeneous points before some planes."""
+    for plane in planes:
         if not len(corners):
-            return None
+            break
         side, ahead = corners @ plane, np.roll(corners, -1, axis=0)
         after = np.roll(side, -1)
         crosses = (side > 0) != (after > 0)
         t = (side / np.where(crosses, side - after, 1))[:, None]
         both = np.stack([corners, corners + t * (ahead - corners)], axis=1)
         corners = both.reshape(-1, 3)[np.stack([side > 0, crosses], axis=1).ravel()]
+    return corners
+
+
+def sides_of_frame(W: int, H: int) -> np.ndarray:
+    """Return the planes through the eye and the sides of a frame that is a pixel larger."""
+    return np.array([[1, 0, 1], [0, 1, 1], [-1, 0, W + 1], [0, -1, H + 1]])
+
+
+def clipped_polygon(corners: np.ndarray, W: int, H: int):
+    """Return what the frame (a pixel larger) shows of a convex polygon of homogeneous points."""
+    corners = clipped(corners, sides_of_frame(W, H))
     corners = corners[corners[:, 2] > 1e-13] if len(corners) else corners
     if len(corners) < 3:
         return None
@@ -88,7 +99,7 @@ def mesh_polygons(camera: pj.Camera, vertices, faces) -> list:
     """Return the projected triangles, clipped at the frame: no facing, no contour, no winding."""
     triangles = homogeneous(camera, vertices)[np.asarray(faces)]
     inside = np.ones(len(triangles), bool)
-    for plane in ([1, 0, 1], [0, 1, 1], [-1, 0, camera.W + 1], [0, -1, camera.H + 1], [0, 0, 1]):
+    for plane in (*sides_of_frame(camera.W, camera.H), [0, 0, 1]):
         side = triangles @ plane > 0
         keep = np.any(side, axis=1)
         triangles, inside = triangles[keep], inside[keep] & np.all(side, axis=1)[keep]

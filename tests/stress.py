@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import shapely
 import trimesh
+from oracles import clipped, sides_of_frame, union_per_pixel
 
 import pinhole_jax as pj
 
@@ -70,12 +71,6 @@ def usual(random: np.random.Generator, stress: float = 1.0, far: float = 0.0) ->
 
 def log_uniform(random: np.random.Generator, low: float, high: float) -> float:
     return float(10 ** random.uniform(np.log10(low), np.log10(high)))
-
-
-def size(random: np.random.Generator) -> View:
-    s = log_uniform(random, 1e-8, 1e8)
-    v = usual(random, s)
-    return v._replace(vertices=v.vertices * s, e=v.e * s, p=v.p * s, d=s)
 
 
 def any_size(random: np.random.Generator) -> View:
@@ -248,7 +243,6 @@ def sphere(random: np.random.Generator) -> View:
 
 
 CASES: dict[str, Callable[[np.random.Generator], View]] = {
-    "size 1e-8 to 1e8": size,
     "size 1e-30 to 1e30": any_size,
     "distance 1e1 to 1e8 sizes": distance,
     "world offset to 1e6 sizes": offset,
@@ -322,20 +316,11 @@ def extended(x: np.ndarray) -> np.ndarray:
     return high.astype(Exact) + (x - decimals(high)).astype(float)
 
 
-def clipped(corners: np.ndarray, W: int, H: int) -> np.ndarray:
+def within_frame(corners: np.ndarray, W: int, H: int) -> np.ndarray:
     """Return the part (n, 2) of a polygon before the eye and in the frame (a pixel larger)."""
-    planes = [[1, 0, 1], [0, 1, 1], [-1, 0, W + 1], [0, -1, H + 1], [0, 0, 1]]
     corners = extended(corners)
-    corners = corners / np.abs(corners).max()
-    for plane in np.array(planes, Exact):
-        if not len(corners):
-            break
-        side, ahead = corners @ plane, np.roll(corners, -1, axis=0)
-        after = np.roll(side, -1)
-        crosses = (side > 0) != (after > 0)
-        t = (side / np.where(crosses, side - after, 1))[:, None]
-        both = np.stack([corners, corners + t * (ahead - corners)], axis=1)
-        corners = both.reshape(-1, 3)[np.stack([side > 0, crosses], axis=1).ravel()]
+    planes = np.array([*sides_of_frame(W, H), [0, 0, 1]], Exact)
+    corners = clipped(corners / np.abs(corners).max(), planes)
     corners = corners[corners[:, 2] > 0] if len(corners) else corners.reshape(0, 3)
     return (corners[:, :2] / corners[:, 2:]).astype(float)
 
@@ -389,25 +374,10 @@ def sphere_oracle(camera: pj.Camera, center: np.ndarray, radius: float) -> np.nd
 
 def oracle(camera: pj.Camera, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Return the coverage of the triangles' union, pixel by pixel (shapely)."""
-    W, H = camera.W, camera.H
     points = film_points(camera, vertices)[faces]
-    outlines = [x for x in (clipped(t, W, H) for t in points) if len(x) >= 3]
-    polygons = np.array([shapely.convex_hull(shapely.multipoints(x)) for x in outlines], object)
-    polygons = polygons[shapely.area(polygons) > 0] if len(polygons) else polygons
-    image = np.zeros((H, W))
-    i, j = np.meshgrid(np.arange(W), np.arange(H)[::-1])
-    squares = shapely.box(i, j, i + 1, j + 1).ravel()
-    if not len(polygons):
-        return image
-    square, of = shapely.STRtree(polygons).query(squares, predicate="intersects")
-    covered = np.isin(np.arange(W * H), square[shapely.covers(polygons[of], squares[square])])
-    image = covered.astype(float)
-    left = ~covered[square]
-    square, of = square[left], of[left]
-    parts = shapely.intersection(polygons[of], squares[square])
-    for k in np.unique(square):
-        image[k] = shapely.area(shapely.union_all(parts[square == k]))
-    return image.reshape(H, W)
+    outlines = [within_frame(corners, camera.W, camera.H) for corners in points]
+    hulls = [shapely.convex_hull(shapely.multipoints(x)) for x in outlines if len(x) >= 3]
+    return union_per_pixel(hulls, camera.W, camera.H)
 
 
 def worst(view: View, dtype: type) -> float:

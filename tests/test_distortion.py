@@ -11,9 +11,8 @@ from jax.flatten_util import ravel_pytree
 from oracles import central_difference
 
 import pinhole_jax as pj
-from pinhole_jax._camera import distortion
 
-W, H = 64, 48
+W, H = 16, 12
 BROWN = pj.BrownConrady(-0.28, 0.07, 1.2e-3, -2.2e-4, 0.01)
 FISHEYE = pj.Fisheye(-0.02, 0.011, -0.004, 0.0006)
 RATIONAL = pj.Rational(0.6, 0.02, 1.2e-3, -2.2e-4, 0.05, 0.31, -0.12, 0.02)
@@ -26,7 +25,7 @@ def camera(distortion, phi=1.0, W=W, H=H):
 
 def by_opencv(camera, points):
     """Return film coordinates by OpenCV: y down, pixel centres at integers there."""
-    K, R, t = pj.formats.to_opencv(camera.lens and _ideal(camera), pixel_centres="integer")
+    K, R, t = pj.formats.to_opencv(camera, pixel_centres="integer")
     model = camera.lens.distortion
     k = np.array([*model.coefficients().values()])
     rotation = cv2.Rodrigues(R)[0]
@@ -39,38 +38,25 @@ def by_opencv(camera, points):
     return np.stack([u + 0.5, camera.H - (v + 0.5)], axis=-1)
 
 
-def _ideal(camera):
-    return eqx.tree_at(lambda c: c.lens.distortion, camera, None, is_leaf=lambda x: x is None)
-
-
 @pytest.mark.parametrize("model", [BROWN, FISHEYE, RATIONAL], ids=["brown", "fisheye", "rational"])
 def test_points_project_as_opencv_projects_them(model):
     view = camera(model)
     points = np.random.default_rng(0).uniform(-1, 1, (200, 3))
-    np.testing.assert_allclose(
-        pj.project(view, jnp.asarray(points)), by_opencv(view, points), rtol=0, atol=1e-10
-    )
+    wanted = by_opencv(view, points)
+    np.testing.assert_allclose(pj.project(view, points), wanted, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize(
     ("model", "phi"),
-    [
-        (BROWN, 1.0),
-        (RATIONAL, 1.0),
-        (FISHEYE, 1.3),
-        (pj.BrownConrady(0.3, p2=0.01), 1.3),
-        (pj.BrownConrady(-0.15), 0.9),
-        (pj.Fisheye(), 1.3),
-    ],
+    [(BROWN, 1.0), (RATIONAL, 1.0), (FISHEYE, 1.3), (pj.BrownConrady(0.3, p2=0.01), 1.3)],
 )
 def test_rays_and_projection_undo_each_other(model, phi):
     view = camera(model, phi)
     rays = pj.camera_rays(view)
     np.testing.assert_allclose(np.linalg.norm(rays.direction, axis=-1), 1, rtol=1e-14)
-    film = pj.project(view, view.e[None, None] + 3.0 * rays.direction)
-    column, row = np.arange(W) + 0.5, np.arange(H)[::-1] + 0.5
-    np.testing.assert_allclose(film[..., 0], np.tile(column, (H, 1)), atol=1e-9)
-    np.testing.assert_allclose(film[..., 1], np.tile(row[:, None], (1, W)), atol=1e-9)
+    film = pj.project(view, np.asarray(view.e) + 3 * np.asarray(rays.direction))
+    column, row = np.meshgrid(np.arange(W) + 0.5, np.arange(H)[::-1] + 0.5)
+    np.testing.assert_allclose(film, np.stack([column, row], axis=-1), atol=1e-9)
 
 
 @pytest.mark.parametrize("model", first(1, [BROWN, FISHEYE]), ids=["brown", "fisheye"])
@@ -89,18 +75,10 @@ def test_derivatives_of_rays_and_projection_are_differences(model):
     np.testing.assert_allclose(forward, central_difference(image, flat), rtol=1e-5, atol=1e-7)
 
 
-def test_camera_can_be_made_while_tracing():
-    made = jax.jit(lambda x: pj.project(camera(BROWN), x))(jnp.ones((1, 3)))
-    np.testing.assert_allclose(made, pj.project(camera(BROWN), jnp.ones((1, 3))), atol=1e-12)
-
-
-def test_no_distortion_is_the_ideal_camera_in_the_program_too():
-    view = camera(None)
-    plain = pj.Camera(view.e, view.p, view.u, view.phi, view.d, W, H, pj.Lens([34.0, 23.0], 1.02))
-    text = [str(jax.make_jaxpr(lambda c: pj.camera_rays(c).direction)(c)) for c in (view, plain)]
-    assert text[0] == text[1]
-    zero = camera(pj.BrownConrady())
-    points = jnp.asarray(np.random.default_rng(0).uniform(-1, 1, (20, 3)))
+def test_no_distortion_costs_nothing_and_coefficients_of_0_change_nothing():
+    view, zero = camera(None), camera(pj.BrownConrady())
+    assert "while" not in str(jax.make_jaxpr(pj.camera_rays)(view))
+    points = np.random.default_rng(0).uniform(-1, 1, (20, 3))
     np.testing.assert_allclose(pj.project(zero, points), pj.project(view, points), atol=1e-12)
 
 
@@ -119,20 +97,23 @@ def test_continuation_beyond_the_fold_is_smooth_and_increasing(model):
 
 
 @pytest.mark.parametrize(
-    ("model", "phi"), [(pj.BrownConrady(-0.4), 1.6), (pj.Fisheye(), 2.8), (pj.Fisheye(-0.3), 2.0)]
+    ("make", "message"),
+    [
+        *(
+            (lambda model=model, phi=phi: camera(model, phi), "`lens`: expected a distortion that")
+            for model, phi in (
+                (pj.BrownConrady(-0.4), 1.6),
+                (pj.Fisheye(), 2.8),
+                (pj.Fisheye(-0.3), 2.0),
+            )
+        ),
+        (lambda: pj.Lens([1, 1], 1.0, [0.1]), "`distortion`: expected a BrownConrady, a Rational"),
+        (lambda: pj.BrownConrady(0.1, np.nan), "`k2`: expected finite values, got nan"),
+    ],
 )
-def test_lenses_that_fold_within_the_film_are_refused(model, phi):
-    with pytest.raises(ValueError, match=r"`lens`: expected a distortion that holds up to the"):
-        camera(model, phi)
-
-
-def test_distortion_of_another_kind_is_refused():
-    with pytest.raises(
-        ValueError, match=r"`distortion`: expected a BrownConrady, a Rational, a Fisheye or No"
-    ):
-        pj.Lens([1, 1], 1.0, [0.1, 0.2])
-    with pytest.raises(ValueError, match=r"`k2`: expected finite values, got nan"):
-        pj.BrownConrady(0.1, np.nan)
+def test_lens_that_folds_within_the_film_or_is_none_is_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
 
 
 #: Polynomials that grow to the plane of the eye, and some that fold before it.
@@ -178,15 +159,6 @@ def test_fisheye_angles_are_those_of_bisection(k, dtype):
     np.testing.assert_allclose(np.arctan(ideal), wanted, rtol=0, atol=allowed * max(1, *radius))
 
 
-def test_fisheye_points_are_those_of_opencv():
-    k = np.array(ANGLES[0])
-    points = np.random.default_rng(1).uniform(-0.6, 0.6, (500, 2))
-    precise = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-15)
-    wanted = cv2.fisheye.undistortPoints(points[:, None], np.eye(3), k, criteria=precise)[:, 0]
-    found = pj.Fisheye(*k).undistorted(jnp.asarray(points[:, 0]), -jnp.asarray(points[:, 1]))
-    np.testing.assert_allclose(np.stack([found[0], -found[1]], 1), wanted, atol=1e-12)
-
-
 def test_derivatives_of_fisheye_rays_hold_to_89_degrees():
     """Against what the polynomial's own derivatives say of its inverse."""
     k, angle = np.array(ANGLES[0]), np.radians([0.0, 1e-6, 30, 60, 80, 88, 89])
@@ -209,33 +181,25 @@ def test_derivatives_of_fisheye_rays_hold_to_89_degrees():
     np.testing.assert_allclose(found, (-bend / growth**3)[2:], atol=1e-9)
 
 
-def test_fisheye_rays_to_88_degrees_take_the_steps_of_rays_to_60():
-    model = pj.Fisheye(*ANGLES[0])
-    most = jnp.arctan(model.trusted_radius())
-    steps = jax.jit(distortion._newton_in_angle)
-    bent = fisheye_polynomial(ANGLES[0])
-    to = lambda degrees: jnp.asarray(bent(np.radians(np.linspace(0, degrees, 1001))))
-    number = {degrees: int(steps(model, most, to(degrees))[1]) for degrees in (60, 88)}
-    assert number[88] <= 2 * number[60] <= 12
-
-
 def test_points_beyond_a_lens_go_on_straight():
     model = pj.Fisheye(*ANGLES[5])  # folds at 51 degrees
-    trusted = float(model.trusted_radius())
-    ideal = jnp.linspace(0.9, 30.0, 200) * trusted
-    x, y = model(0.6 * ideal, 0.8 * ideal)
-    found = model.undistorted(x, y)
-    np.testing.assert_allclose(found, np.stack([0.6 * ideal, 0.8 * ideal]), rtol=1e-12)
+    ideal = np.linspace(0.9, 30.0, 200) * float(model.trusted_radius())
+    ideal = np.stack([0.6 * ideal, 0.8 * ideal])
+    np.testing.assert_allclose(inverted(model, ideal), ideal, rtol=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_wide_lenses_are_inverted_wherever_they_are_trusted(seed):
-    """Up to where the image grows by a hundred times, or by a twentieth, of what it does inside."""
-    k = np.random.default_rng(seed).normal(size=5) * [0.2, 0.1, 0.003, 0.003, 0.02]
-    wide = pj.Rational(0.3 + k[0], 0.02, 1e-3, -2e-4, 0.05, k[1], -0.1, 0.02)
-    for model in (pj.BrownConrady(*k), wide):
-        most = min(0.98 * float(model.trusted_radius()), 20.0)
-        radius = jnp.linspace(0.0, most, 500)
-        x, y = radius * jnp.cos(9 * radius), radius * jnp.sin(9 * radius)
-        found = model.undistorted(*model(x, y))
-        assert np.all(np.hypot(found[0] - x, found[1] - y) < 1e-12 * (1 + radius))
+def inverted(model, ideal):
+    """Points that are distorted, and undistorted."""
+    return np.asarray(model.undistorted(*model(*jnp.asarray(ideal))))
+
+
+def test_wide_lenses_are_inverted_wherever_they_are_trusted():
+    """Up to where the image grows by a hundred times, or by a twentieth, of its growth inside."""
+    for seed in range(4):
+        k = np.random.default_rng(seed).normal(size=5) * [0.2, 0.1, 0.003, 0.003, 0.02]
+        wide = pj.Rational(0.3 + k[0], 0.02, 1e-3, -2e-4, 0.05, k[1], -0.1, 0.02)
+        for model in (pj.BrownConrady(*k), wide):
+            radius = np.linspace(0, min(0.98 * float(model.trusted_radius()), 20.0), 500)
+            ideal = radius * np.stack([np.cos(9 * radius), np.sin(9 * radius)])
+            off = np.hypot(*inverted(model, ideal) - ideal)
+            assert np.all(off < 1e-12 * (1 + radius))

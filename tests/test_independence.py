@@ -2,9 +2,7 @@
 faces: random triples of few vertices, so edges of one, two and many faces, of either winding."""
 
 import itertools
-from collections import Counter
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ import pinhole_jax as pj
 from pinhole_jax._mask.pyramid import pyramid
 from pinhole_jax._mask.target import object_window
 from pinhole_jax._scene.scene import padded
-from pinhole_jax._silhouette.contour import contour_weights
 from pinhole_jax._solver.moves import canonical
 
 SIZES = sorted({0, 1, 2} | {2**k + d for k in range(1, 8) for d in (-1, 1)})
@@ -36,36 +33,6 @@ def soup(faces: int, extent: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     triples = np.array([*itertools.combinations(range(len(vertices)), 3)])
     chosen = random.permutation(len(triples))[:faces]
     return vertices, random.permuted(triples[chosen], axis=1)
-
-
-def plain_weights(vertices, faces, e) -> Counter:
-    """Return for each edge (a < b) the layers of cover on the left of a to b less the others."""
-    layers: Counter = Counter()
-    for face in faces:
-        a, b, c = vertices[face] - e
-        sign = 1 if np.linalg.det([a, b, c]) < 0 else -1
-        for k in range(3):
-            tail, head = face[k], face[(k + 1) % 3]
-            layers[min(tail, head), max(tail, head)] += sign if tail < head else -sign
-    return layers
-
-
-@pytest.mark.long
-def test_culled_and_listed_edges_are_those_of_counting_each_face(sizes):
-    for faces in sizes:
-        vertices, triangles = soup(faces)
-        scene = padded(pj.Scene(mesh=pj.Mesh(vertices, triangles)))
-        ends, random = np.asarray(scene.mesh.edge_vertices), np.random.default_rng(0)
-        weights = eqx.filter_jit(contour_weights)
-        for distance in (0.3, 2.0, 30.0):
-            e = distance * random.normal(size=3)
-            found: Counter = Counter()
-            for (a, b), weight in zip(
-                ends, np.asarray(weights(scene.mesh, jnp.asarray(e))), strict=True
-            ):
-                found[min(a, b), max(a, b)] += int(weight) if a < b else -int(weight)
-            plain = plain_weights(vertices, triangles, e)
-            assert {k: v for k, v in found.items() if v} == {k: v for k, v in plain.items() if v}
 
 
 @pytest.mark.long

@@ -74,55 +74,31 @@ def test_coverage_and_derivatives_are_those_by_arrays(kind, bends):
         np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
 
 
-@pytest.mark.parametrize("kind", SCENES)
-def test_derivative_is_the_central_difference(kind):
-    scene = SCENES[kind](np.random.default_rng(4))
-    slopes, step = jax.jit(jax.jacfwd(drawn))(EYE, scene), 1e-6
-    for k in range(3):
-        there, back = (drawn(EYE.at[k].add(s), scene) for s in (step, -step))
-        central = (there - back) / (2 * step)
-        assert jnp.max(jnp.abs(slopes[..., k] - central)) < 1e-6 * jnp.max(jnp.abs(slopes))
-
-
-@pytest.mark.parametrize("kind", SCENES)
-def test_pull_is_the_transpose_of_push(kind):
-    scene = SCENES[kind](np.random.default_rng(5))
-    moved = lambda e, scale: drawn(e, jax.tree.map(lambda x: _scaled(x, scale), scene))
-    weights = jnp.asarray(np.random.default_rng(6).normal(size=(18, 24)))
-    forward = jax.jacfwd(moved, argnums=(0, 1))(EYE, 1.0)
-    back = jax.grad(lambda *x: jnp.sum(weights * moved(*x)), argnums=(0, 1))(EYE, 1.0)
-    for push, pull in zip(forward, back, strict=True):
-        total = jnp.tensordot(weights, push, axes=2)
-        np.testing.assert_allclose(pull, total, rtol=1e-10, atol=1e-10)
-
-
-def _scaled(x, scale):
-    return x * scale if jnp.issubdtype(x.dtype, jnp.floating) else x
+@pytest.mark.parametrize("kind", ["both", *map(long, ("closed", "soup", "spheres"))])
+def test_derivative_is_the_central_difference_and_pull_the_transpose_of_push(kind):
+    scene, random = SCENES[kind](np.random.default_rng(4)), np.random.default_rng(6)
+    weights, image = jnp.asarray(random.normal(size=(18, 24))), jax.jit(drawn)
+    push = jax.jit(jax.jacfwd(drawn))(EYE, scene)
+    pull = jax.jit(jax.grad(lambda e, scene: jnp.sum(weights * drawn(e, scene))))(EYE, scene)
+    np.testing.assert_allclose(pull, np.tensordot(weights, push, 2), rtol=1e-10, atol=1e-10)
+    for k, step in enumerate(1e-6 * np.eye(3)):
+        central = (image(EYE + step, scene) - image(EYE - step, scene)) / 2e-6
+        assert np.max(np.abs(push[..., k] - central)) < 1e-6 * np.max(np.abs(push))
 
 
 def test_batches_are_their_members():
-    scene, rng = SCENES["both"](np.random.default_rng(7)), np.random.default_rng(8)
-    eyes = EYE[None] + jnp.asarray(rng.normal(size=(3, 3))) * 0.1
-    loss = lambda e: jnp.sum(drawn(e, scene) ** 2)
-    for one in (partial(drawn, scene=scene), jax.grad(loss), jax.jacfwd(loss)):
-        together = jax.jit(jax.vmap(one))(eyes)
-        np.testing.assert_allclose(together, jnp.stack([one(e) for e in eyes]), rtol=0, atol=1e-12)
+    """Of images and gradients, a batch of batches."""
+    scene, random = SCENES["both"](np.random.default_rng(7)), np.random.default_rng(8)
+    eyes = EYE[None, None] + jnp.asarray(random.normal(size=(2, 2, 3))) * 0.1
 
+    def seen(e):
+        image, push = jax.linearize(partial(drawn, scene=scene), e)
+        return image, push(jnp.ones(3)), jax.linear_transpose(push, e)(image)[0]
 
-def test_nested_batches_are_their_members():
-    scene = SCENES["closed"](None)
-    eyes = EYE[None, None] + jnp.arange(12.0).reshape(2, 2, 3) * 0.01
-    together = jax.vmap(jax.vmap(partial(drawn, scene=scene)))(eyes)
-    each = [[drawn(e, scene) for e in row] for row in eyes]
-    np.testing.assert_array_equal(together, jnp.array(each))
-
-
-def test_nan_of_a_member_leaves_the_others():
-    scene = SCENES["closed"](None)
-    eyes = jnp.stack([EYE, EYE * jnp.nan, EYE])
-    images = jax.vmap(partial(drawn, scene=scene))(eyes)
-    assert not jnp.any(images[1])
-    np.testing.assert_array_equal(images[0], images[2])
+    together, one = jax.jit(jax.vmap(jax.vmap(seen)))(eyes), jax.jit(seen)
+    for i, j in np.ndindex(2, 2):
+        for whole, own in zip(together, one(eyes[i, j]), strict=True):
+            np.testing.assert_allclose(whole[i, j], own, rtol=0, atol=1e-12)
 
 
 def test_second_derivative_is_refused():
@@ -140,22 +116,29 @@ def test_indices_out_of_range_are_left_out():
         assert jnp.all((image >= 0) & (image <= 1))
 
 
-def test_switch_chooses_arrays():
-    code = (
-        "import pinhole_jax as pj, numpy as np\n"
-        "from pinhole_jax._native.library import is_available\n"
-        "camera = pj.Camera([0., 1, 5], [0., 0, 0], [0., 1, 0], 0.6, W=16, H=16)\n"
-        "mask = pj.silhouette(camera, pj.Scene(mesh=pj.shapes.bumpy(0)))\n"
-        "print(is_available(), float(mask.sum()))"
-    )
-    said = {}
+@pytest.mark.long
+def test_switch_chooses_arrays(tmp_path):
+    """For masks and for hits, in a process of its own."""
+    code = """
+import sys, numpy as np, pinhole_jax as pj
+from pinhole_jax._native.library import is_available
+spheres = pj.Spheres(np.array([[1.1, 0.9, 0.2]]), np.array([0.4]))
+scene = pj.Scene(mesh=pj.shapes.bumpy(1), spheres=spheres)
+camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 22, 18)
+seen = pj.silhouette(camera, scene), pj.trace(scene, camera).primitive
+np.savez(sys.argv[1], available=is_available(), mask=seen[0], hits=seen[1])
+"""
+    found = []
     for switch in ("0", "1"):
-        environment = {**os.environ, SWITCH: switch}
-        run = [sys.executable, "-W", "error", "-c", code]
-        done = subprocess.run(run, capture_output=True, text=True, env=environment, check=True)
-        said[switch] = done.stdout.split()
-    assert (said["0"][0], said["1"][0]) == ("False", "True")
-    assert float(said["0"][1]) == pytest.approx(float(said["1"][1]), rel=1e-5)
+        path, environment = tmp_path / f"{switch}.npz", {**os.environ, SWITCH: switch}
+        run = [sys.executable, "-W", "error", "-c", code, path]
+        subprocess.run(run, env=environment, check=True)
+        found.append(np.load(path))
+    arrays, compiled = found
+    assert (bool(arrays["available"]), bool(compiled["available"])) == (False, True)
+    np.testing.assert_allclose(arrays["mask"], compiled["mask"], atol=1e-5)
+    np.testing.assert_array_equal(arrays["hits"], compiled["hits"])
+    assert compiled["hits"].max() == 80
 
 
 def test_missing_library_is_a_warning(monkeypatch):

@@ -15,9 +15,6 @@ from oracles import mesh_coverage, mesh_polygons, sphere_polygons, union_per_pix
 from slopes import both_ways
 
 import pinhole_jax as pj
-from pinhole_jax._silhouette import crowds
-
-pytestmark = pytest.mark.altered
 
 W, H = 64, 48
 SHARED = ["bob.obj", "counter.stl", "cycloidal.ply", "spot.obj", "suzanne.ply", "teapot.obj"]
@@ -206,32 +203,16 @@ def test_room_with_one_wall_missing_around_the_eye(offset):
 
 
 @pytest.mark.long
-def test_pixel_that_holds_everything_is_resolved():
-    """Hundreds of pieces."""
+@pytest.mark.parametrize("by", ["library", "arrays"])
+@pytest.mark.parametrize("size", [(2, 2), (4, 3)])
+def test_pixel_that_holds_everything_is_resolved(by, size, request):
+    """Hundreds of pieces: arrays cut it until few are left."""
+    if by == "arrays":
+        request.getfixturevalue("in_arrays")
     vertices, faces = soup(60)
-    camera = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, W=2, H=2)
+    camera = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, 1.0, *size)
     image = pj.silhouette(camera, pj.Scene(mesh=pj.Mesh(vertices, faces)))
     np.testing.assert_allclose(image, mesh_coverage(camera, vertices, faces), atol=1e-12)
-
-
-@pytest.mark.long
-@pytest.mark.usefixtures("in_arrays")
-@pytest.mark.parametrize(("few", "cells", "at_a_time"), [(6, 1024, 64), (6, 8, 4), (24, 64, 64)])
-def test_crowded_cells_are_cut_until_they_are_resolved(few, cells, at_a_time, monkeypatch):
-    for name, number in (("FEW", few), ("CELLS", cells), ("SWEPT", at_a_time)):
-        monkeypatch.setattr(crowds, name, number)
-    vertices, faces = soup(60)
-    camera = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, W=4, H=3)
-    scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
-    expected = mesh_coverage(camera, vertices, faces)
-    np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-12)
-    jax.clear_caches()
-    # Where the cutting ends early, what is left unresolved is bounded by the cells' size.
-    monkeypatch.setattr(crowds, "FEW", 6)
-    monkeypatch.setattr(crowds, "DEPTH", {"float64": 1})
-    image = pj.silhouette(camera, scene)
-    jax.clear_caches()
-    assert 1e-7 < np.max(np.abs(image - expected)) < 0.5
 
 
 def rough(subdivisions, noise, seed=0):
@@ -266,65 +247,16 @@ def test_no_pixel_of_a_rough_mesh_is_wrong_in_float32():
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("in_arrays")
-def test_pieces_that_lists_lack_room_for_are_listed_later(monkeypatch):
-    monkeypatch.setattr(crowds, "LEAST_ROOM", 64)
-    monkeypatch.setattr(crowds, "PIECES_A_CURVE", 1)
-    vertices, faces = soup(60)
-    scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
-    for distance in (30, 4):
-        camera = pj.Camera([0, 0, distance], [0, 0, 0], [0, 1, 0], 0.3, W=5, H=3)
-        expected = mesh_coverage(camera, vertices, faces)
-        np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-12)
-    jax.clear_caches()
-
-
-@pytest.mark.long
-def test_many_copies_of_a_face_are_one():
+@pytest.mark.parametrize("by", ["library", "arrays"])
+def test_many_copies_of_a_face_are_one(by, request):
+    """More pieces than arrays list at once."""
+    if by == "arrays":
+        request.getfixturevalue("in_arrays")
     corners = np.array([[-1.0, -0.7, 0], [0.9, -0.5, 0.1], [0.1, 0.8, -0.2]])
     camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=W, H=H)
     vertices, faces = np.tile(corners, (3000, 1)), np.arange(9000).reshape(-1, 3)
     image = pj.silhouette(camera, pj.Scene(mesh=pj.Mesh(vertices, faces)))
     np.testing.assert_allclose(image, mesh_coverage(camera, corners, [[0, 1, 2]]), atol=1e-9)
-
-
-@pytest.mark.full
-def test_hard_masks_of_an_open_mesh_converge_to_it():
-    vertices, faces = bowl()
-    scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
-    camera = next(cameras(1, W=24, H=18))
-    image = pj.silhouette(camera, scene)
-    errors = []
-    for samples in (4, 16):
-        hard = jnp.mean(pj.occluded(scene, pj.camera_rays(camera, samples)), axis=-1, dtype=float)
-        errors.append(float(jnp.sqrt(jnp.mean((hard - image) ** 2))))
-    assert errors[0] < 0.03
-    assert errors[1] < errors[0] / 4  # a regular grid: error about samples^-3/2
-
-
-@pytest.mark.full
-@pytest.mark.usefixtures("in_arrays")
-def test_convex_scene_compiles_without_overlaps():
-    camera = next(cameras(1))
-    ball = trimesh.creation.icosphere(2)
-    convex = pj.Scene(mesh=pj.Mesh(ball.vertices, ball.faces))
-    sphere = pj.Scene(spheres=pj.Spheres([[0.1, 0, 0]], [0.7]))
-
-    def program(scene, **known):
-        at = lambda phi: eqx.tree_at(lambda c: c.phi, camera, phi)
-        total = lambda phi: jnp.sum(pj.silhouette(at(phi), scene, **known))
-        return str(jax.make_jaxpr(jax.grad(total))(camera.phi))
-
-    loops = lambda scene, **known: program(scene, **known).count("while[")
-    assert loops(convex) > loops(convex, overlaps=False)
-    assert loops(sphere) == loops(sphere, overlaps=False)
-    expected = mesh_coverage(camera, ball.vertices, ball.faces)
-    image = pj.silhouette(camera, convex, overlaps=False)
-    np.testing.assert_allclose(image, expected, atol=1e-9)
-    expected = union_per_pixel(sphere_polygons(camera, [[0.1, 0, 0]], [0.7]), W, H)
-    np.testing.assert_allclose(pj.silhouette(camera, sphere), expected, atol=2e-6)
-    slope = jax.grad(lambda c: jnp.sum(pj.silhouette(c, sphere)), allow_int=True)(camera)
-    assert np.all(np.isfinite(slope.e))
 
 
 def with_balls(mesh, centers):

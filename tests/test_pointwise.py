@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chosen import first, on_cpu
+from chosen import first, long, on_cpu
 
 import pinhole_jax as pj
 from pinhole_jax import plot
 from pinhole_jax._camera.bent import bent, straightened
 from pinhole_jax._camera.camera import camera_coordinates, to_camera
-from pinhole_jax._numerics.pointwise import SIZES, filled_up, pointwise, room
+from pinhole_jax._numerics.pointwise import SIZES, filled_up, room
 
 LENS = pj.Lens([23.0, 21.0], 1.0, pj.BrownConrady(0.1, 0.02, 1e-3, -2e-3, 0.0))
 PLAIN = pj.Camera([0.3, 0.2, 4.0], [0.1, 0, 0], [0, 1, 0], 0.7, 1.0, 48, 40)
@@ -39,8 +39,8 @@ def test_padding_repeats_the_first_row_or_a_value():
 
 @pytest.mark.parametrize(
     ("camera", "shape"),
-    first(3, [(PLAIN, ()), (BENT, (3, 30)), (PLAIN, (65,)), (BENT, ()), (PLAIN, (64,))]),
-    ids=["plain one", "bent 3, 30", "plain 65", "bent one", "plain 64"],
+    first(1, [(BENT, (3, 30)), (PLAIN, ()), (PLAIN, (65,)), (BENT, ()), (PLAIN, (64,))]),
+    ids=["bent 3, 30", "plain one", "plain 65", "bent one", "plain 64"],
 )
 def test_points_are_where_a_program_of_their_own_has_them(camera, shape):
     points = RANDOM.standard_normal((*shape, 3))
@@ -71,12 +71,6 @@ def test_type_of_points_is_kept():
     assert pj.project(PLAIN, points.astype(float)).dtype == np.float64
 
 
-@pytest.mark.parametrize("points", [["a", "b", "c"], [1j, 2, 3], np.zeros((2, 3), bool)], ids=str)
-def test_points_must_be_real_numbers(points):
-    with pytest.raises(ValueError, match="`points`: expected real numbers, got dtype"):
-        pj.project(PLAIN, points)
-
-
 def test_lens_bends_and_straightens_points():
     ideal = RANDOM.uniform(0, 40, (70, 2))
     assert bent(PLAIN, ideal) is ideal
@@ -84,30 +78,23 @@ def test_lens_bends_and_straightens_points():
     assert 0.01 < np.max(np.abs(seen - ideal)) < 10
     np.testing.assert_allclose(straightened(BENT, seen), ideal, atol=1e-9)
     # By the rays, which undistort film points: an ideal point lies where its ray does.
-    film = np.array([[10.5, 30.5]])
-    direction = np.asarray(pj.camera_rays(BENT).direction)[40 - 1 - 30, 10]
-    there = np.asarray(
-        pj.project(
-            BENT.replace(lens=pj.Lens(LENS.principal_point)), direction * 2 + np.asarray(BENT.e)
-        )
-    )
-    np.testing.assert_allclose(straightened(BENT, film)[0], there, atol=1e-9)
+    film = [10.5, 30.5]
+    direction = np.asarray(pj.rays_through(BENT, film).direction)
+    ideal = BENT.replace(lens=pj.Lens(LENS.principal_point))
+    there = pj.project(ideal, np.asarray(BENT.e) + 2 * direction)
+    np.testing.assert_allclose(straightened(BENT, np.array([film]))[0], there, atol=1e-9)
 
 
 def test_derivatives_pass():
-    points = jnp.asarray(RANDOM.standard_normal((5, 3)))
-    slope = jax.jacfwd(lambda x: pj.project(BENT, x))(points)
-    h = 1e-6
-    for k in range(3):
-        step = h * np.eye(3)[[k]]
-        change = (pj.project(BENT, points + step) - pj.project(BENT, points - step)) / (2 * h)
-        own = np.stack([slope[n, :, n, k] for n in range(5)])
-        np.testing.assert_allclose(own, change, rtol=1e-6, atol=1e-6)
+    points, h = RANDOM.standard_normal((5, 3)), 1e-6
+    project = lambda x: pj.project(BENT, x)
+    slope = jax.jit(jax.vmap(jax.jacfwd(project)))(points)
+    for k, step in enumerate(h * np.eye(3)):
+        change = (np.asarray(project(points + step)) - project(points - step)) / (2 * h)
+        np.testing.assert_allclose(slope[..., k], change, rtol=1e-6, atol=1e-6)
     x, y, z = points[0]
-    of_a_list = jax.grad(lambda z: pj.project(BENT, [x, y, z])[1])(z)
-    np.testing.assert_allclose(of_a_list, slope[0, 1, 0, 2], rtol=1e-12)
-    batch = jax.vmap(lambda x: pj.project(BENT, x))(points)
-    np.testing.assert_allclose(batch, pj.project(BENT, points), rtol=1e-13)
+    of_a_list = jax.grad(lambda z: project([x, y, z])[1])(z)
+    np.testing.assert_allclose(of_a_list, slope[0, 1, 2], rtol=1e-12)
 
 
 @on_cpu
@@ -117,12 +104,11 @@ def test_points_stay_on_their_device():
     assert not pj.project(PLAIN, np.ones((5, 3))).committed
 
 
-@pytest.mark.parametrize("origins", ["one", "each"])
+@pytest.mark.parametrize("origins", ["each", long("one")])
 def test_rays_in_a_row_hit_the_same_among_others(origins):
     """Among 64 nothing is filled up."""
-    mesh = pj.shapes.bumpy(1)
-    spheres = pj.Spheres(np.array([[1.5, 0, 1.0]]), np.array([0.6]))
-    scene, random = pj.Scene(mesh=mesh, spheres=spheres), np.random.default_rng(1)
+    mesh, random = pj.shapes.bumpy(1), np.random.default_rng(1)
+    scene = pj.Scene(mesh=mesh, spheres=pj.Spheres([[1.5, 0, 1.0]], [0.6]))
     towards = np.column_stack([random.uniform(-2, 2, (64, 2)), np.zeros(64)])
     eyes = np.array([0.0, 0, 5]) + random.uniform(-1, 1, (64, 3))
     eyes = eyes[0] if origins == "one" else eyes
@@ -130,22 +116,12 @@ def test_rays_in_a_row_hit_the_same_among_others(origins):
     assert {*np.unique(whole.primitive >= len(mesh.faces))} == {False, True}  # faces and a sphere
     assert np.any(np.isinf(whole.t))
     for number in (1, 3, 5):
-        from_ = eyes if origins == "one" else eyes[:number]
-        rays = pj.Rays(from_, (towards - eyes)[:number])
+        rays = pj.Rays(eyes[:number] if eyes.ndim > 1 else eyes, (towards - eyes)[:number])
         hit = pj.trace(scene, rays)
         assert hit.normal.shape == (number, 3)
         for ours, theirs in zip(hit, whole, strict=True):
             np.testing.assert_array_equal(ours, theirs[:number])
         np.testing.assert_array_equal(pj.occluded(scene, rays), np.isfinite(hit.t))
-
-
-@pytest.mark.long
-def test_rays_in_a_row_hit_the_same_in_their_own_program():
-    scene, way = pj.Scene(mesh=pj.shapes.bumpy(1)), RANDOM.uniform(-1, 1, (70, 3)) - [0, 0, 3]
-    rays = pj.Rays(np.array([0.0, 0, 5]), way)
-    alone = jax.jit(lambda rays: pj.trace(scene, rays))(rays)
-    for ours, theirs in zip(pj.trace(scene, rays), alone, strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12)
 
 
 @on_cpu
@@ -185,13 +161,3 @@ def test_drawing_a_new_view_compiles_nothing(compiled):
         programs.append(len(compiled))
     assert len(set(drawn)) > 1
     assert programs[0] == programs[2]
-
-
-def test_pointwise_function_keeps_its_docstring():
-    @pointwise
-    def twice(factor, points):
-        """Return them times a factor."""
-        return factor * points
-
-    assert twice.__doc__ == "Return them times a factor."
-    np.testing.assert_array_equal(twice(jnp.asarray(2.0), np.ones((3, 1))), 2 * np.ones((3, 1)))

@@ -10,61 +10,50 @@ import trimesh
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._camera.camera import check_camera
-from pinhole_jax._scene.planes import planes_of
 from pinhole_jax._scene.scene import (
     astype,
-    at_rest,
     bounding_box,
     bounding_sphere,
-    check_view,
     front_facing,
-    morton_order,
     padded,
-    planes_are_current,
     with_or_without_border,
 )
-from pinhole_jax._silhouette.contour import contour_weights
 
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])  # counter-clockwise from outside
 
 
+def records_of(mesh):
+    """Edge records, each with the faces on either side."""
+    return [*zip(mesh.edge_vertices.tolist(), mesh.edge_faces.tolist(), strict=True)]
+
+
 def test_edges_of_a_closed_mesh_have_two_faces_each_and_run_as_in_the_first():
     mesh = pj.Mesh(TETRAHEDRON, FACES)
     assert mesh.closed
-    assert mesh.edge_vertices.shape == (6, 2)
-    for (a, b), (first, second) in zip(
-        mesh.edge_vertices.tolist(), mesh.edge_faces.tolist(), strict=True
-    ):
-        cycle = [FACES[f].tolist() * 2 for f in (first, second)]
-        assert any(cycle[0][k : k + 2] == [a, b] for k in range(3))
-        assert any(cycle[1][k : k + 2] == [b, a] for k in range(3))
+    assert len(mesh.edge_vertices) == 6
+    runs = lambda face, a, b: [a, b] in [[*FACES[face][[k, (k + 1) % 3]]] for k in range(3)]
+    for (a, b), (first, second) in records_of(mesh):
+        assert runs(first, a, b)
+        assert runs(second, b, a)
 
 
-def test_border_edges_have_one_face():
-    mesh = pj.Mesh(TETRAHEDRON, FACES[:3])
-    assert not mesh.closed
-    assert int(jnp.sum(mesh.edge_faces[:, 1] < 0)) == 3
-
-
-def test_opposite_windings_do_not_pair():
+def test_border_edges_and_edges_of_opposite_windings_have_one_face():
     flipped = FACES.copy()
     flipped[3] = flipped[3, ::-1]
-    mesh = pj.Mesh(TETRAHEDRON, flipped)
-    assert not mesh.closed
-    assert mesh.edge_vertices.shape == (9, 2)  # 3 good pairs, 3 edges of 2 records each
+    for faces, pairs, lone in ((FACES[:3], 3, 3), (flipped, 3, 6)):
+        mesh = pj.Mesh(TETRAHEDRON, faces)
+        assert not mesh.closed
+        second = np.asarray(mesh.edge_faces)[:, 1]
+        assert (np.sum(second >= 0), np.sum(second < 0)) == (pairs, lone)
 
 
 def test_edge_shared_by_four_faces_has_two_records():
     # Two tetrahedra that share the edge 0-3 alone: each closed by itself, so the whole is closed.
-    other = np.array([[0, 0, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1.0]])
-    vertices = np.concatenate([TETRAHEDRON, other[1:3]])
-    faces = np.concatenate([FACES, np.array([0, 4, 5, 3])[FACES]])
-    mesh = pj.Mesh(vertices, faces)
+    vertices = np.concatenate([TETRAHEDRON, [[-1, 0, 0], [0, -1, 0]]])
+    mesh = pj.Mesh(vertices, np.concatenate([FACES, np.array([0, 4, 5, 3])[FACES]]))
     assert mesh.closed
-    records = np.sort(np.asarray(mesh.edge_vertices), axis=1)
-    assert np.sum(np.all(records == [0, 3], axis=1)) == 2
+    assert sum(sorted(ends) == [0, 3] for ends, _ in records_of(mesh)) == 2
 
 
 def test_front_faces_are_those_whose_outside_is_seen():
@@ -108,20 +97,18 @@ def test_planes_are_never_stale():
         assert front_facing(turned, e).tolist() == front_facing(fresh, e).tolist()
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("size", [1.0, 1e-30, 1e30])
-@pytest.mark.parametrize("cut", [0, 57], ids=["closed", "border"])
-def test_planes_at_hand_are_those_of_a_program(dtype, size, cut):
+@pytest.mark.parametrize(
+    ("dtype", "size"), [(np.float32, 1e-30), (np.float32, 1e30), (np.float64, 1.0)]
+)
+def test_planes_and_order_are_those_of_a_program(dtype, size):
     ball = trimesh.creation.icosphere(2)
     vertices = np.random.default_rng(0).normal(1, 0.05, ball.vertices.shape) * ball.vertices
-    mesh = pj.Mesh((size * vertices).astype(dtype), ball.faces[cut:])
-    traced = planes_of(mesh.vertices, mesh.faces)
+    mesh = pj.Mesh((size * vertices).astype(dtype), ball.faces[57:])
+    traced = jax.jit(lambda x: pj.Mesh(x, ball.faces[57:]))(mesh.vertices)
     for name in ("corner", "box", "fingerprint"):
-        np.testing.assert_array_equal(getattr(mesh.planes, name), getattr(traced, name))
-    np.testing.assert_allclose(mesh.planes.normal, traced.normal, rtol=1e-5, atol=1e-6)
-
-    order = morton_order(jnp.mean(mesh.vertices[mesh.faces], axis=1))
-    np.testing.assert_array_equal(mesh.order, order)
+        np.testing.assert_array_equal(getattr(mesh.planes, name), getattr(traced.planes, name))
+    np.testing.assert_allclose(mesh.planes.normal, traced.planes.normal, rtol=1e-5, atol=1e-6)
+    np.testing.assert_array_equal(mesh.order, traced.order)
 
 
 def test_mesh_compiles_nothing(compiled):
@@ -139,52 +126,47 @@ def test_mesh_compiles_nothing(compiled):
     assert not compiled
 
 
-def test_vertices_may_be_traced_and_faces_may_not():
-    made = jax.jit(lambda v: pj.Mesh(v, FACES).vertices)(jnp.asarray(TETRAHEDRON))
-    np.testing.assert_array_equal(made, TETRAHEDRON)
-    with pytest.raises(ValueError, match="`faces`: expected a concrete array"):
-        jax.jit(lambda f: pj.Mesh(TETRAHEDRON, f).vertices)(jnp.asarray(FACES))
-
-
 @pytest.mark.parametrize(
-    ("vertices", "faces", "message"),
+    ("make", "message"),
     [
-        (np.zeros((4, 2)), FACES, r"`vertices`: expected .* shape \(N, 3\), got shape \(4, 2\)"),
-        (
-            TETRAHEDRON * np.nan,
-            FACES,
-            r"`vertices`: expected finite values, got nan at index \(0, 0\)",
+        *(
+            (lambda given=given: pj.Mesh(*given), message)
+            for given, message in (
+                (
+                    (np.zeros((4, 2)), FACES),
+                    r"`vertices`: expected .* \(N, 3\), got shape \(4, 2\)",
+                ),
+                ((TETRAHEDRON * np.nan, FACES), "`vertices`: expected finite values, got nan at"),
+                ((TETRAHEDRON, FACES[:, :2]), r"`faces`: expected shape \(F, 3\), got \(4, 2\)"),
+                ((TETRAHEDRON, FACES * 1.0), "`faces`: expected integers, got dtype float64"),
+                ((TETRAHEDRON, FACES + 1), "`faces`: expected indices from 0 to 3, got 1 to 4"),
+                ((TETRAHEDRON, FACES - 1), "`faces`: expected indices from 0 to 3, got -1 to 2"),
+            )
         ),
-        (TETRAHEDRON, FACES[:, :2], r"`faces`: expected shape \(F, 3\), got \(4, 2\)"),
-        (TETRAHEDRON, FACES * 1.0, r"`faces`: expected integers, got dtype float64"),
-        (TETRAHEDRON, FACES + 1, r"`faces`: expected indices from 0 to 3, got 1 to 4"),
-        (TETRAHEDRON, FACES - 1, r"`faces`: expected indices from 0 to 3, got -1 to 2"),
+        (
+            lambda: jax.jit(lambda f: pj.Mesh(TETRAHEDRON, f).vertices)(jnp.asarray(FACES)),
+            "`faces`: expected a concrete array",
+        ),
+        *(
+            (lambda given=given: pj.Spheres(*given), message)
+            for given, message in (
+                (([[0, 0]], [1.0]), r"`centers`: expected .* got shape \(1, 2\)"),
+                (([[0, 0, 0]], [1.0, 2.0]), r"`radii`: expected .* \(1,\), got shape \(2,\)"),
+                (([[0, 0, 0]], [0.0]), r"`radii`: expected positive radii, got 0.0"),
+                (([[0, np.inf, 0]], [1.0]), r"`centers`: expected finite values, got inf"),
+            )
+        ),
+        (lambda: pj.Scene(mesh="bunny.obj"), "`mesh`: expected a Mesh or None, got str"),
+        (
+            lambda: pj.Scene(mesh=trimesh.creation.box()),
+            r"`mesh`: expected a Mesh .* got Trimesh; give `Mesh",
+        ),
+        (lambda: pj.Scene(spheres=[1, 2]), "`spheres`: expected Spheres or None, got list"),
     ],
 )
-def test_bad_meshes_are_refused(vertices, faces, message):
+def test_bad_input_is_refused(make, message):
     with pytest.raises(ValueError, match=message):
-        pj.Mesh(vertices, faces)
-
-
-@pytest.mark.parametrize(
-    ("centers", "radii", "message"),
-    [
-        ([[0, 0]], [1.0], r"`centers`: expected .* got shape \(1, 2\)"),
-        ([[0, 0, 0]], [1.0, 2.0], r"`radii`: expected .* shape \(1,\), got shape \(2,\)"),
-        ([[0, 0, 0]], [0.0], r"`radii`: expected positive radii, got 0.0"),
-        ([[0, np.inf, 0]], [1.0], r"`centers`: expected finite values, got inf"),
-    ],
-)
-def test_bad_spheres_are_refused(centers, radii, message):
-    with pytest.raises(ValueError, match=message):
-        pj.Spheres(centers, radii)
-
-
-def test_bad_scenes_are_refused():
-    with pytest.raises(ValueError, match="`mesh`: expected a Mesh or None, got str"):
-        pj.Scene(mesh="bunny.obj")
-    with pytest.raises(ValueError, match="`spheres`: expected Spheres or None, got list"):
-        pj.Scene(spheres=[1, 2])
+        make()
 
 
 def test_bounding_sphere_holds_everything():
@@ -221,20 +203,6 @@ def test_padding_stale_planes_makes_them_anew():
     )
 
 
-def test_planes_at_rest_are_not_checked_again():
-    scene = at_rest(pj.Scene(mesh=shapes.bumpy(1)))
-    assert bool(planes_are_current(scene.mesh))
-    program = jax.jit(contour_weights).lower(scene.mesh, jnp.array([1.0, 2, 3])).compile()
-    assert "conditional(" not in program.as_text()
-    assert at_rest(pj.Scene()).mesh is None
-
-
-def test_faces_are_ordered_alike_where_the_mesh_is_traced():
-    mesh = shapes.bumpy(2)
-    traced = jax.jit(lambda x: pj.Mesh(x, mesh.faces).order)(mesh.vertices)
-    np.testing.assert_array_equal(mesh.order, traced)
-
-
 def test_trimesh_mesh_is_accepted():
     theirs = trimesh.creation.box()
     ours = pj.Mesh(theirs)
@@ -242,29 +210,21 @@ def test_trimesh_mesh_is_accepted():
     np.testing.assert_array_equal(ours.faces, theirs.faces)
     with pytest.raises(TypeError, match="missing 1 required argument: 'faces'"):
         pj.Mesh(theirs.vertices)
-    with pytest.raises(ValueError, match=r"`mesh`: expected a Mesh .* got Trimesh; give `Mesh"):
-        pj.Scene(mesh=theirs)
 
 
 def test_swapped_or_stacked_camera_and_scene_are_refused():
     scene = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [0.5]))
     camera = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 8, 6)
-    check_view(camera, scene)
-    for arguments, got in (
-        ((scene, camera), "got Scene, Camera"),
-        ((camera, scene.spheres), "got Camera, Spheres"),
-    ):
-        with pytest.raises(ValueError, match=f"expected a Camera and a Scene, {got}"):
-            check_view(*arguments)
-    with pytest.raises(ValueError, match="`camera_b`: expected a Camera, got Scene"):
-        check_camera(scene, "camera_b")
     stacked = jax.tree.map(lambda x: jnp.stack([x, x]), camera)
-    with pytest.raises(ValueError, match=r"got several \(e of shape \(2, 3\)\): `jax.vmap` takes"):
-        check_view(stacked, scene)
-    with pytest.raises(ValueError, match="`camera`: expected one camera, got several"):
-        pj.project(stacked, jnp.zeros(3))
-    with pytest.raises(ValueError, match="`camera`: expected one camera, got several"):
-        pj.formats.to_opencv(stacked, pixel_centres="half")
+    for call, message in (
+        (lambda: pj.silhouette(scene, camera), "expected a Camera and a Scene, got Scene, Camera"),
+        (lambda: pj.depth(camera, scene.spheres), "a Camera and a Scene, got Camera, Spheres"),
+        (lambda: pj.pose_error(camera, scene), "`camera_b`: expected a Camera, got Scene"),
+        (lambda: pj.normals(stacked, scene), r"got several \(e of shape \(2, 3\)\): `jax.vmap` t"),
+        (lambda: pj.project(stacked, jnp.zeros(3)), "`camera`: expected one camera, got several"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
 
 
 def test_memory_of_a_fit_is_freed():

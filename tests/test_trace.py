@@ -71,34 +71,6 @@ def test_same_hits_as_embree(name, rays, request):
     np.testing.assert_allclose(np.asarray(hit.t)[both], t, rtol=1e-6)
 
 
-def brute_force(mesh, rays):
-    """Return t and face of each ray by testing every face (Moller and Trumbore, in long double)."""
-    vertices, origin, direction = (np.asarray(x, np.longdouble) for x in (mesh.vertices, *rays))
-    a, b, c = (vertices[np.asarray(mesh.faces)[:, k]] for k in range(3))
-    across, offset = np.cross(direction[:, None], c - a), origin[:, None] - a
-    det = np.sum(across * (b - a), axis=-1)
-    beside = np.cross(offset, b - a)
-    u = np.sum(across * offset, axis=-1) / det
-    v = np.sum(beside * direction[:, None], axis=-1) / det
-    t = np.sum(beside * (c - a), axis=-1) / det
-    t = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0), t, np.inf)
-    best = np.min(t, axis=1)
-    return best.astype(float), np.where(np.isfinite(best), np.argmin(t, axis=1), -1)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("faces", [1, 4, 5, 64, 65, *(full(n) for n in (2, 3, 63))])
-def test_tree_matches_brute_force(faces, rays):
-    whole = shapes.bumpy(1)
-    mesh = pj.Mesh(whole.vertices, np.asarray(whole.faces)[:faces])
-    some = pj.Rays(rays.origin[:500], rays.direction[:500])
-    hit = pj.trace(pj.Scene(mesh=mesh), some)
-    t, face = brute_force(mesh, some)
-    np.testing.assert_array_equal(hit.primitive, face)
-    np.testing.assert_allclose(hit.t, t, rtol=1e-14)
-    np.testing.assert_array_equal(pj.occluded(pj.Scene(mesh=mesh), some), face >= 0)
-
-
 @pytest.mark.parametrize(
     ("dtype", "offset"), [("float32", 0.0), ("float32", 1.0), ("float64", 1.0)]
 )
@@ -119,81 +91,40 @@ def test_no_ray_leaks_through_edges_or_vertices(dtype, offset):
     assert int(jnp.sum(~blocked)) == 0
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("offset", [0.0, 1.0])
-@pytest.mark.parametrize("tile", [1, 40])
-def test_many_rays_do_not_leak(exhaustive, offset, tile):
-    """Rays aimed at vertices and edges, each apart from the next, and near together."""
-    count = 100_000 if exhaustive else 6_000
-    mesh = shapes.bumpy(3)
-    random = np.random.default_rng(1)
-    away = (offset * np.array([148376.0, 1234.0, -223423.0])).astype("float32")
-    vertices = np.asarray(mesh.vertices, "float32") + away
-    ends = vertices[np.asarray(mesh.edge_vertices)[random.integers(0, 1920, count // tile)]]
-    along = np.sort(random.integers(0, 5, (count // tile, tile, 1)) / np.float32(4), axis=1)
-    along = along.astype("float32")
-    aims = (ends[:, :1] + along * (ends[:, 1:] - ends[:, :1])).reshape(-1, 3)
-    direction = aims - away
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    scene = pj.Scene(mesh=pj.Mesh(vertices, np.asarray(mesh.faces)))
-    blocked = pj.occluded(scene, pj.Rays(jnp.asarray(away), jnp.asarray(direction)))
-    assert int(jnp.sum(~blocked)) == 0
-
-
 def test_program_can_hold_the_scene_as_a_constant(rays):
     scene = pj.Scene(mesh=shapes.bumpy(2))
     inside = jax.jit(lambda rays: pj.trace(scene, rays).primitive)
     np.testing.assert_array_equal(inside(rays), pj.trace(scene, rays).primitive)
 
 
-@pytest.mark.long
-def test_batches_of_rays_and_of_vertices(rays):
-    mesh = shapes.bumpy(1)
-    some = pj.Rays(rays.origin[:6], rays.direction[:6])
+TRIANGLE = pj.Mesh([[0, 0, 0], [2, 0, 0], [0, 2, 0.0]], [[0, 1, 2]])
+DOWN, UP, ASIDE = [0.0, 0, -1], [0.0, 0, 1], [0.6, 0.8, 0]
+BY_HAND = {  # origin, direction, t, primitive, normal
+    "triangle": ([0.5, 0.25, 3], DOWN, 3, 0, [0, 0, 1]),
+    "triangle from below": ([0.5, 0.25, -3], UP, 3, 0, [0, 0, 1]),
+    "triangle behind": ([0.5, 0.25, 3], UP, np.inf, -1, [0, 0, 0]),
+    "triangle edge-on": ([0.5, 0.25, 3], ASIDE, np.inf, -1, [0, 0, 0]),
+    "sphere": ([-5.0, 0, 4], DOWN, 3, 1, [0, 0, 1]),
+    "sphere's far wall": ([-5.0, 0, 0], DOWN, 1, 1, [0, 0, -1]),
+    "sphere off centre": ([-5.0, 0.6, 4], DOWN, 3.2, 1, [0, 0.6, 0.8]),
+    "sphere touched": ([-5.0, 1, 4], DOWN, 4, 1, [0, 1, 0]),
+    "sphere missed": ([-5.0, 1.1, 4], DOWN, np.inf, -1, [0, 0, 0]),
+    "between two spheres": ([-5.0, 0, -2], DOWN, 2, 2, [0, 0, 1]),
+    "sphere before the triangle": ([0.3, 1.0, 4], DOWN, 3.5, 3, [0, 0, 1]),
+}
 
-    def first(vertices, origin, direction):
-        moved = eqx.tree_at(lambda m: m.vertices, mesh, vertices)
-        return pj.trace(pj.Scene(mesh=moved), pj.Rays(origin, direction)).t
 
-    whole = first(mesh.vertices, *some)
-    one_by_one = jax.vmap(first, in_axes=(None, 0, 0))(mesh.vertices, *some)
-    np.testing.assert_allclose(one_by_one, whole, rtol=1e-13)
-    sizes = jnp.array([1.0, 0.5])[:, None, None] * mesh.vertices[None]
-    both = jax.vmap(first, in_axes=(0, None, None))(sizes, *some)
-    np.testing.assert_allclose(both[0], whole, rtol=1e-13)
-    np.testing.assert_allclose(both[1], first(sizes[1], *some), rtol=1e-13)
-
-
-def test_hit_matches_numbers_worked_out_by_hand():
-    mesh = pj.Mesh([[0, 0, 0], [2, 0, 0], [0, 2, 0.0]], [[0, 1, 2]])
-    rays = pj.Rays(jnp.array([0.5, 0.25, 3.0]), jnp.array([[0.0, 0, -1], [0, 0, 1], [0.6, 0.8, 0]]))
-    hit = pj.trace(pj.Scene(mesh=mesh), rays)
-    np.testing.assert_allclose(hit.t, [3, np.inf, np.inf])
-    assert hit.primitive.tolist() == [0, -1, -1]
+def test_hits_are_those_worked_out_by_hand():
+    spheres = pj.Spheres([[-5.0, 0, 0], [-5, 0, -5], [0.3, 1.0, 0]], [1.0, 1.0, 0.5])
+    origin, direction, t, primitive, normal = zip(*BY_HAND.values(), strict=True)
+    rays = pj.Rays(jnp.array(origin), jnp.array(direction))
+    hit = pj.trace(pj.Scene(mesh=TRIANGLE, spheres=spheres), rays)
+    np.testing.assert_allclose(hit.t, t, rtol=1e-12)
+    assert hit.primitive.tolist() == [*primitive]
+    np.testing.assert_allclose(hit.normal, normal, atol=1e-12)
     # (0.5, 0.25) = 0.625 a + 0.25 b + 0.125 c
-    np.testing.assert_allclose(
-        hit.barycentric, [[0.625, 0.25, 0.125], [0] * 3, [0] * 3], atol=1e-15
-    )
-    np.testing.assert_allclose(hit.normal, [[0, 0, 1], [0] * 3, [0] * 3], atol=1e-15)
-
-
-def test_triangles_are_hit_from_both_sides_and_keep_their_normal():
-    mesh = pj.Mesh([[0, 0, 0], [2, 0, 0], [0, 2, 0.0]], [[0, 1, 2]])
-    below = pj.Rays(jnp.array([0.5, 0.25, -3.0]), jnp.array([0.0, 0, 1]))
-    hit = pj.trace(pj.Scene(mesh=mesh), below)
-    np.testing.assert_allclose(hit.t, 3)
-    np.testing.assert_allclose(hit.normal, [0, 0, 1], atol=1e-15)
-
-
-def test_spheres_by_hand():
-    scene = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0], [0, 0, -5]], [1.0, 1.0]))
-    down = jnp.array([0.0, 0, -1])
-    origins = jnp.array([[0.0, 0, 4], [0, 0, 0], [0, 0.6, 4], [0, 1, 4], [0, 1.1, 4], [0, 0, -2]])
-    hit = pj.trace(scene, pj.Rays(origins, jnp.broadcast_to(down, (6, 3))))
-    # From outside; from within (far wall); off centre; grazing; past it; from between the two.
-    np.testing.assert_allclose(hit.t, [3, 1, 3.2, 4, np.inf, 2], rtol=1e-12)
-    assert hit.primitive.tolist() == [0, 0, 0, 0, -1, 1]
-    np.testing.assert_allclose(hit.normal[2], [0, 0.6, 0.8], atol=1e-12)
+    np.testing.assert_allclose(hit.barycentric[0], [0.625, 0.25, 0.125], atol=1e-15)
+    np.testing.assert_allclose(hit.barycentric[2:], 0, atol=1e-15)
 
 
 @pytest.mark.long
@@ -217,57 +148,31 @@ def test_t_counts_in_lengths_of_the_direction():
     np.testing.assert_allclose(one.barycentric, three.barycentric, atol=1e-14)
 
 
-def test_nearer_of_mesh_and_sphere_is_hit():
-    mesh = pj.Mesh([[-2, -2, 0], [2, -2, 0], [0, 2, 0.0]], [[0, 1, 2]])
-    scene = pj.Scene(mesh=mesh, spheres=pj.Spheres([[0.0, 0, 0]], [0.5]))
-    rays = pj.Rays(jnp.array([[0.0, 0, 4], [1, -1, 4]]), jnp.tile(jnp.array([0.0, 0, -1]), (2, 1)))
-    assert pj.trace(scene, rays).primitive.tolist() == [1, 0]
-
-
 @pytest.mark.long
 def test_derivatives_of_hits_equal_central_differences():
-    mesh = shapes.bumpy(1)
-    scene = pj.Scene(mesh=mesh, spheres=pj.Spheres([[1.3, 0.9, 0]], [0.4]))
+    """By rays and scene, of distance, barycentric coordinates and normal."""
+    scene = pj.Scene(mesh=shapes.bumpy(1), spheres=pj.Spheres([[1.3, 0.9, 0]], [0.4]))
     rays = pj.camera_rays(CAMERA)
-    hit = pj.trace(scene, rays)
-    on = np.asarray(hit.primitive) >= 0
-    random = np.random.default_rng(0)
-    weights = [jnp.asarray(random.normal(size=s)) for s in ((20, 24), (20, 24, 3), (20, 24, 3))]
+    hit, random = pj.trace(scene, rays), np.random.default_rng(0)
+    weights = jax.tree.map(lambda x: jnp.asarray(random.normal(size=x.shape)), hit)
+    where = lambda s: (s.mesh.vertices, s.spheres.centers, s.spheres.radii)
+    values = [*rays, *where(scene)]
 
-    def loss(origin, direction, vertices, centers, radii):
-        moved = eqx.tree_at(
-            lambda s: (s.mesh.vertices, s.spheres.centers, s.spheres.radii),
-            scene,
-            (vertices, centers, radii),
-        )
-        found = pj.trace(moved, pj.Rays(origin, direction))
-        same = jnp.asarray(on) & (found.primitive == hit.primitive)
-        parts = (jnp.where(same, found.t, 0), found.barycentric, found.normal)
-        masks = (same, same[..., None], same[..., None])
-        return sum(
-            jnp.sum(jnp.where(m, w * p, 0)) for m, w, p in zip(masks, weights, parts, strict=True)
-        )
+    def loss(*values):
+        moved = eqx.tree_at(where, scene, values[2:])
+        found = pj.trace(moved, pj.Rays(*values[:2]))
+        same = (found.primitive == hit.primitive) & (hit.primitive >= 0)
+        parts = zip((found.t, found.barycentric, found.normal), (0, 2, 3), strict=True)
+        kept = lambda x: jnp.where(same if x.ndim == 2 else same[..., None], x, 0)
+        return sum(jnp.sum(weights[k] * kept(x)) for x, k in parts)
 
-    at = [rays.origin, rays.direction, mesh.vertices, scene.spheres.centers, scene.spheres.radii]
-    compiled = jax.jit(loss)
-    slopes = jax.jit(jax.grad(loss, argnums=(0, 1, 2, 3, 4)))(*at)
-    for k, slope in enumerate(slopes):
-        direction = jnp.asarray(random.normal(size=at[k].shape))
-        along = lambda s, k=k, d=direction: compiled(
-            *(x + s * d if n == k else x for n, x in enumerate(at))
-        )
-        expected = central_difference(along, 0.0, 1e-7)
+    both = jax.jit(jax.value_and_grad(loss, argnums=tuple(range(5))))
+    for k, slope in enumerate(both(*values)[1]):
+        way = random.normal(size=slope.shape)
+        others = lambda s, k=k, way=way: [*values[:k], values[k] + s * way, *values[k + 1 :]]
+        wanted = central_difference(lambda s, others=others: both(*others(s))[0], 0.0, 1e-7)
         assert np.all(np.isfinite(slope))
-        np.testing.assert_allclose(jnp.sum(slope * direction), expected, rtol=2e-5, atol=2e-5)
-
-
-@pytest.mark.long
-def test_grazing_rays_have_finite_derivatives():
-    spheres = pj.Spheres([[0.0, 0, 0]], [1.0])
-    slope = jax.grad(
-        lambda o: pj.trace(pj.Scene(spheres=spheres), pj.Rays(o, jnp.array([0.0, 0, -1]))).t
-    )(jnp.array([0.0, 1.0, 4.0]))
-    assert np.all(np.isfinite(slope))
+        np.testing.assert_allclose(np.sum(slope * way), wanted, rtol=2e-5, atol=2e-5)
 
 
 @pytest.mark.long

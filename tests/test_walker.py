@@ -1,8 +1,5 @@
 """The library's walk: the hits of arrays and of brute force, hostile input, trees that are kept."""
 
-import os
-import subprocess
-import sys
 from itertools import pairwise
 
 import equinox as eqx
@@ -10,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chosen import first
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._files.native_library import SWITCH
 from pinhole_jax._native import library
 from pinhole_jax._native.walker import walked
 from pinhole_jax._trace import heap
@@ -105,7 +102,7 @@ def met_within(seen, direction, rounding):
 KINDS = ["scales", "lattice", "plane", "twice", "slivers", "film-covering"]
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("dtype", first(1, ["float32", "float64"]))
 def test_hits_in_soups_are_those_by_arrays(dtype, exhaustive):
     """Rays of images, from before and within, whose neighbours walk together."""
     random = np.random.default_rng(0)
@@ -147,9 +144,11 @@ def random_rays(number, dtype="float64"):
     return jnp.asarray(origin, dtype), jnp.asarray(direction, dtype)
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-@pytest.mark.parametrize("faces", [0, 1, 3, 4, 5, 65, 1280])
-def test_faces_and_spheres_are_hit_as_by_arrays(dtype, faces):
+@pytest.mark.parametrize(
+    ("faces", "dtype"),
+    first(1, [(65, "float32"), *((n, "float64") for n in (0, 1, 3, 4, 5, 1280))]),
+)
+def test_faces_and_spheres_are_hit_as_by_arrays(faces, dtype):
     random, whole = np.random.default_rng(1), shapes.bumpy(3)
     mesh = pj.Mesh(np.asarray(whole.vertices, dtype), np.asarray(whole.faces)[:faces])
     centers, radii = random.normal(size=(5, 3)), random.uniform(0.1, 0.3, 5)
@@ -183,9 +182,12 @@ def test_rays_together_hit_the_same_as_alone():
     origin[8::48] += 5
     rays = jnp.asarray(origin), jnp.asarray(direction)
     scene = pj.Scene(mesh=mesh)
-    alone = jnp.concatenate([walked(scene, *(x[k : k + 1] for x in rays)) for k in range(1600)])
+    one = jax.jit(walked)
+    alone = np.ravel(
+        [one(scene, *(x[k : k + 1] for x in (origin, direction))) for k in range(1600)]
+    )
     np.testing.assert_array_equal(walked(scene, *rays), alone)
-    assert 0.5 < np.mean(np.asarray(alone) >= 0) < 0.99
+    assert 0.5 < np.mean(alone >= 0) < 0.99
 
 
 def test_batches_are_their_members():
@@ -212,20 +214,15 @@ def test_equally_near_faces_are_the_first():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300, 1e-300, 5e-324, 0.0])
 def test_hostile_numbers_end_in_answers(value):
-    mesh, random = shapes.bumpy(2), np.random.default_rng(0)
-    origin, direction = (np.array(x) for x in random_rays(4096))
-    vertices, centers = np.array(mesh.vertices), random.normal(size=(40, 3))
-    radii = np.full(40, 0.1)
-    broken = lambda x, share: np.where(random.random(x.shape) < share, value, x)
+    random, mesh = np.random.default_rng(0), shapes.bumpy(2)
+    spheres = pj.Spheres(random.normal(size=(40, 3)), np.full(40, 0.1))
+    scene, rays = pj.Scene(mesh=mesh, spheres=spheres), random_rays(4096)
+    where = lambda s: (s.mesh.vertices, s.spheres.centers, s.spheres.radii)
     for share in (0.02, 1.0):
-        scene = pj.Scene(mesh=mesh, spheres=pj.Spheres(centers, radii))
-        scene = eqx.tree_at(
-            lambda s: (s.mesh.vertices, s.spheres.centers, s.spheres.radii),
-            scene,
-            tuple(jnp.asarray(broken(x, share)) for x in (vertices, centers, radii)),
-        )
-        for rays in ((origin, direction), (broken(origin, share), broken(direction, share))):
-            met = np.asarray(walked(scene, *map(jnp.asarray, rays)))
+        spoiled = lambda x, share=share: jnp.where(random.random(x.shape) < share, value, x)
+        broken = eqx.tree_at(where, scene, [spoiled(x) for x in where(scene)])
+        for given in (rays, [spoiled(x) for x in rays]):
+            met = np.asarray(walked(broken, *given))
             assert met.min() >= -1
             assert met.max() < len(mesh.faces) + 40
 
@@ -278,21 +275,3 @@ def test_kept_trees_are_of_what_arrays_hold():
     )
     loose *= 1.5
     np.testing.assert_array_equal(pj.trace(scene, pj.Rays(*rays)).primitive, first[-1])
-
-
-def test_arrays_trace_where_the_library_is_switched_off(tmp_path):
-    code = (
-        "import sys, numpy as np, pinhole_jax as pj\n"
-        "mesh = pj.shapes.bumpy(1)\n"
-        "spheres = pj.Spheres(np.array([[1.1, 0.9, 0.2]]), np.array([0.4]))\n"
-        "camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 22, 18)\n"
-        "hit = pj.trace(pj.Scene(mesh=mesh, spheres=spheres), camera)\n"
-        "np.save(sys.argv[1], hit.primitive)"
-    )
-    found = []
-    for switch in ("0", "1"):
-        path, environment = tmp_path / f"{switch}.npy", {**os.environ, SWITCH: switch}
-        subprocess.run([sys.executable, "-c", code, path], env=environment, check=True)
-        found.append(np.load(path))
-    np.testing.assert_array_equal(*found)
-    assert found[0].max() == 80

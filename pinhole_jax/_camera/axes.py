@@ -1,12 +1,13 @@
-"""A camera's axes in float64, without a compiled program."""
+"""A camera's axes in NumPy, in float64: no program is compiled for them."""
 
 import numpy as np
+from jaxtyping import Float
 
 from .camera import Camera
 
 
-def axes_of(camera: Camera) -> np.ndarray:
-    """Return the camera's axes as rows (3, 3) in float64, without a compiled program."""
+def axes_of(camera: Camera) -> Float[np.ndarray, "3 3"]:
+    """Return the camera's axes as rows: right, up, forward."""
     e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
     v = (p - e) / np.linalg.norm(p - e)
     b1 = _cross(v, u)
@@ -15,8 +16,7 @@ def axes_of(camera: Camera) -> np.ndarray:
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the cross product of two vectors (3,). (A fit asks a hundred times; NumPy's takes
-    fifty times as long, for all that it has to tell apart.)"""
+    """Return the cross product of vectors (3,): fifty times as fast as NumPy's, of any shape."""
     (a0, a1, a2), (b0, b1, b2) = a, b
     return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 

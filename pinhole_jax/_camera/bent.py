@@ -1,43 +1,43 @@
-"""Where a lens shows points of the ideal film, and back: arrays of any number of points."""
-
-from typing import Any
+"""A lens's distortion of film points, and back: arrays of any number of points."""
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from .._numerics.pointwise import pointwise
-from .camera import Camera, bend, focal_px, has_distortion, principal_point
+from .camera import Camera, ResizableCamera, bend, focal_px, principal_point
 
 
 def bent(camera: Camera, points: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
-    """Return where the camera's lens shows points of the ideal film (px)."""
-    return _on(_bent, camera, points)
+    """Return the distorted points (px) of ideal film points."""
+    return _by_lens(_bent, camera, points)
 
 
 def straightened(
     camera: Camera, points: Float[np.ndarray, "*batch 2"]
 ) -> Float[np.ndarray, "*batch 2"]:
-    """Return the points of the ideal film (px) that the camera's lens shows there."""
-    return _on(_straightened, camera, points)
+    """Return the ideal film points (px) of distorted ones."""
+    return _by_lens(_straightened, camera, points)
 
 
-def _on(way: pointwise, camera: Camera, points: np.ndarray) -> np.ndarray:
-    if not has_distortion(camera):
+def _by_lens(function: pointwise, camera: Camera, points: np.ndarray) -> np.ndarray:
+    if camera.distortion is None:
         return points
-    return np.asarray(way(camera, np.asarray(points, camera.e.dtype)), float)
+    points = np.asarray(points, camera.e.dtype)
+    return np.asarray(function(ResizableCamera.of(camera), points), float)
 
 
 @pointwise
-def _bent(camera: Camera, points: Any) -> Any:
-    lens: Any = bend(camera)
-    return lens(points)
+def _bent(camera: ResizableCamera, points: Array) -> Array:
+    lens = bend(camera)
+    return points if lens is None else lens(points)
 
 
 @pointwise
-def _straightened(camera: Camera, points: Any) -> Any:
+def _straightened(camera: ResizableCamera, points: Array) -> Array:
+    if (distortion := camera.distortion) is None:
+        return points
     focal, centre = jnp.stack(focal_px(camera)), principal_point(camera)
-    at = ((points[..., k] - centre[k]) / focal[k] for k in range(2))
-    lens: Any = camera.lens
-    ideal = lens.distortion.undistorted(*at)
+    seen = ((points[..., k] - centre[k]) / focal[k] for k in range(2))
+    ideal = distortion.undistorted(*seen)
     return jnp.stack([focal[k] * x + centre[k] for k, x in enumerate(ideal)], axis=-1)

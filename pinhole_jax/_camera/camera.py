@@ -27,7 +27,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._numerics.arrays import MISSING, ArrayLike, Input, float_array, float_dtype, is_concrete
 from .._numerics.pointwise import pointwise
@@ -37,7 +37,7 @@ from .film import Bend, FilmMap, FilmPart
 from .lens import Lens, check_lens
 from .matrices import Centres, from_matrices, is_rotation
 
-#: Pixels are counted in 32 bits, with some room beside the film.
+#: Pixels are counted in 32 bits, with a margin around the film.
 MOST_PIXELS = 1 << 30
 
 
@@ -59,14 +59,6 @@ def basis(e: Float[Array, "3"], p: Float[Array, "3"], u: Float[Array, "3"]) -> B
     v = normalize(p - e)
     b1 = normalize(cross_of_difference(p, e, u))
     return Basis(b1, jnp.cross(b1, v), v)
-
-
-def film_size(
-    phi: Float[Array, ""], d: Float[Array, ""], W: int, H: int
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Return the film's width and height in world units: `h = 2 d tan(phi/2)`, `w = h W/H`."""
-    h = 2 * d * jnp.tan(phi / 2)
-    return h * (W / H), h
 
 
 class Camera(eqx.Module):
@@ -124,29 +116,27 @@ class Camera(eqx.Module):
                 f"`W`, `H`: expected at most {MOST_PIXELS} pixels, got {self.W} x {self.H}"
             )
         check_lens(lens)
-        self.lens = None if lens is None else _cast(lens, dtype)
+        self.lens = jax.tree.map(lambda x: x.astype(dtype), lens)
         if is_concrete(self.phi) and not 0 < float(self.phi) < np.pi:
             raise ValueError(f"`phi`: expected an angle in (0, pi) rad, got {float(self.phi)}")
         if is_concrete(self.d) and not float(self.d) > 0:
             raise ValueError(f"`d`: expected a positive distance, got {float(self.d)}")
         if is_concrete(self.e, self.p, self.u):
             _check_view(*(np.asarray(x) for x in (self.e, self.p, self.u)))
-        distorted = self.lens is not None and self.lens.distortion is not None
-        pose = self.e, self.p, self.u, self.d
-        if distorted and is_concrete(*pose, self.phi, *jax.tree.leaves(self.lens)):
+        if self.distortion is not None and is_concrete(*jax.tree.leaves(self)):
             _check_lens(self)
 
     def __str__(self) -> str:
-        """Return it as a table; what is traced, stacked or no number as equinox shows it."""
-        if not _is_plain(self):
+        """Return a table; traced or stacked cameras look as equinox shows them."""
+        if not _is_single(self):
             return repr(self)
         rows = [f"  {name:<4} {value}   {words}".rstrip() for name, value, words in _rows(self)]
         title = "Camera" if _is_camera(self) else "Gradient, or change, of a camera"
         return "\n".join([f"{title} of {self.W} x {self.H} px", *rows])
 
     def _repr_html_(self) -> str | None:
-        """Return it as notebooks show it: a table, and the camera in space."""
-        if not _is_plain(self):
+        """Return the HTML of notebooks: a table, and the camera in space."""
+        if not _is_single(self):
             return None
         from ..show.table import camera_card
 
@@ -154,8 +144,10 @@ class Camera(eqx.Module):
 
     @property
     def K(self) -> Float[Array, "3 3"]:
-        """OpenCV's K (px): y down, the first pixel's centre is (0, 0). (`formats.to_opencv` has it
-        from the first pixel's corner, too: `pixel_centres="half"`.) Differentiable."""
+        """OpenCV's K (px): y down, the first pixel's centre is (0, 0). Differentiable.
+
+        `formats.to_opencv` also counts from the first pixel's corner (`pixel_centres="half"`).
+        """
         check_camera(self)
         fx, fy = focal_px(self)
         x, y = principal_point(self)  # film coordinates: y up
@@ -215,10 +207,9 @@ class Camera(eqx.Module):
         ```
         """
         W, H = resolution("W", W), resolution("H", H)
-        found = from_matrices(K, R, t, W, H, pixel_centres)
-        ideal = found.plain and distortion is None
-        lens = None if ideal else Lens(found.principal_point, found.aspect, distortion)
-        return cls(found.e, found.p, found.u, found.phi, d, W, H, lens)
+        pose, (phi, centre, aspect), centred = from_matrices(K, R, t, W, H, pixel_centres)
+        lens = None if centred and distortion is None else Lens(centre, aspect, distortion)
+        return cls(*pose, phi, d, W, H, lens)
 
     def with_focal(self, focal_px: Input[ArrayLike, "px"]) -> "Camera":
         """Return the camera with another focal length in px, all else as it is.
@@ -231,21 +222,19 @@ class Camera(eqx.Module):
         longer = camera.with_focal(200.0)  # px
         ```
         """
-        dtype = self.e.dtype
         both = np.ndim(focal_px) == 1
-        focal = float_array("focal_px", focal_px, (2,) if both else (), dtype)
+        focal = float_array("focal_px", focal_px, (2,) if both else (), self.e.dtype)
         if is_concrete(focal) and not np.all(np.asarray(focal) > 0):
             raise ValueError(f"`focal_px`: expected positive numbers, got {np.asarray(focal)}")
-        fx, fy = focal if both else (None, focal)
-        phi = 2 * jnp.arctan(self.H / (2 * fy))
-        if fx is None:
-            return self.replace(phi=phi)
-        lens = Lens(principal_point(self), fx / fy, self.distortion)
-        return self.replace(phi=phi, lens=lens)
+        fy = focal[1] if both else focal
+        lens = Lens(principal_point(self), focal[0] / fy, self.distortion) if both else self.lens
+        return self.replace(phi=2 * jnp.arctan(self.H / (2 * fy)), lens=lens)
 
     def with_pose(self, eye: Input[ArrayLike, "3"], axes: Input[ArrayLike, "3 3"]) -> "Camera":
-        """Return the camera at an eye (3,) with these axes (3, 3), rows b1, b2, v: right, up,
-        forward, in world coordinates. Numbers, not traced; p stays as far from the eye as it is.
+        """Return the camera at an eye (3,) with other axes (3, 3), in world coordinates.
+
+        The rows of `axes` are b1, b2, v: right, up, forward. Neither may be traced. The distance
+        from e to p stays.
 
         Raises ValueError where they have another shape, are not finite, or no such axes.
 
@@ -260,23 +249,61 @@ class Camera(eqx.Module):
         return eqx.tree_at(lambda c: [c.e, c.p, c.u], self, pose)
 
 
-def _is_plain(camera: Camera) -> bool:
-    """Return whether this is one camera of numbers."""
+class ResizableCamera(eqx.Module):
+    """A camera whose resolution is data: one compiled program serves all film sizes."""
+
+    e: Float[Array, "3"]
+    p: Float[Array, "3"]
+    u: Float[Array, "3"]
+    phi: Float[Array, ""]
+    d: Float[Array, ""]
+    size: Float[Array | np.ndarray, "2"]
+    lens: Lens | None
+
+    @staticmethod
+    def of(camera: Camera) -> "ResizableCamera":
+        """The same camera."""
+        size = np.array([camera.W, camera.H], camera.e.dtype)
+        return ResizableCamera(
+            camera.e, camera.p, camera.u, camera.phi, camera.d, size, camera.lens
+        )
+
+    @property
+    def W(self) -> Any:
+        """The number of columns."""
+        return self.size[0]
+
+    @property
+    def H(self) -> Any:
+        """The number of rows."""
+        return self.size[1]
+
+    @property
+    def distortion(self) -> Distortion | None:
+        """The lens's distortion."""
+        return None if self.lens is None else self.lens.distortion
+
+
+AnyCamera = Camera | ResizableCamera
+
+
+def _is_single(camera: Camera) -> bool:
+    """True for one camera of numbers, neither traced nor stacked."""
     numbers = all(map(eqx.is_array, (camera.e, camera.p, camera.u, camera.phi, camera.d)))
     return numbers and is_concrete(*jax.tree.leaves(camera)) and not np.ndim(camera.phi)
 
 
 def _is_camera(camera: Camera) -> bool:
-    """Return False for what has a camera's parameters and is none: a gradient, whose d is 0."""
+    """False for a gradient, which has a camera's parameters, and 0 for d."""
     phi = float(camera.phi)
     return not (phi <= 0 or phi >= np.pi or float(camera.d) <= 0)  # NaN is a camera that failed
 
 
 def _rows(camera: Camera) -> list[tuple[str, str, str]]:
-    """Return a camera's parameters: name, value, what it is."""
+    """Return a row of name, value and description for each parameter."""
     if not _is_camera(camera):
-        return _slopes(camera)
-    # Places are told to a millionth of how far the camera looks, wherever the world begins.
+        return _gradient_rows(camera)
+    # Places are shown to a millionth of the viewing distance, wherever the world begins.
     far = float(np.linalg.norm(np.asarray(camera.p, float) - np.asarray(camera.e, float)))
     known = np.isfinite(far) and far > 0
     decimals = min(max(6 - int(np.floor(np.log10(far))), 0), 12) if known else 6
@@ -295,15 +322,14 @@ def _rows(camera: Camera) -> list[tuple[str, str, str]]:
         aspect = f"aspect {float(camera.lens.aspect):.6g}"
         middle = f"principal point {point(camera.lens.principal_point)} px, {aspect}"
         rows.append(("lens", middle, ""))
-    if camera.lens is not None and camera.lens.distortion is not None:
-        distortion = camera.lens.distortion
+    if (distortion := camera.distortion) is not None:
         numbers = (f"{name} = {value:.6g}" for name, value in distortion.coefficients().items())
         rows.append(("", f"{type(distortion).__name__}: {', '.join(numbers)}", ""))
     return rows
 
 
-def _slopes(camera: Camera) -> list[tuple[str, str, str]]:
-    """Return the rows of a gradient: its numbers, with no units of theirs."""
+def _gradient_rows(camera: Camera) -> list[tuple[str, str, str]]:
+    """Return a row of name and numbers, which have no unit, for each parameter."""
     lens = [] if camera.lens is None else [("lens", camera.lens)]
     parts = [(name, getattr(camera, name)) for name in ("e", "p", "u", "phi", "d")] + lens
     numbers = lambda x: np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(x)])
@@ -311,7 +337,7 @@ def _slopes(camera: Camera) -> list[tuple[str, str, str]]:
 
 
 def check_camera(camera: Any, name: str = "camera") -> None:
-    """Raise ValueError unless this is one camera."""
+    """Raise ValueError for anything but a single camera."""
     if not isinstance(camera, Camera):
         raise ValueError(f"`{name}`: expected a Camera, got {type(camera).__name__}")
     if np.ndim(camera.e) != 1:
@@ -332,34 +358,40 @@ def camera_basis(camera: Camera) -> Basis:
     return basis(camera.e, camera.p, camera.u)
 
 
-def focal_px(camera: Camera) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Return the focal length in pixels along x and y: `H / (2 tan(phi/2))`, x times the aspect."""
+def focal_px(camera: AnyCamera) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Return the focal length (px) along x and y: `H / (2 tan(phi/2))`, x times the aspect."""
     fy = camera.H / (2 * jnp.tan(camera.phi / 2))
     return (fy if camera.lens is None else fy * camera.lens.aspect), fy
 
 
-def principal_point(camera: Camera) -> Float[Array, "2"]:
-    """Return where the view axis meets the film, in film coordinates (px)."""
-    if camera.lens is None:
-        middle = np.array([camera.W / 2, camera.H / 2], camera.e.dtype)
-        return jnp.asarray(middle, middle.dtype)
-    return camera.lens.principal_point
+def principal_point(camera: AnyCamera) -> Float[Array, "2"]:
+    """Return the view axis's point on the film, in film coordinates (px)."""
+    if camera.lens is not None:
+        return camera.lens.principal_point
+    if isinstance(camera, ResizableCamera):
+        return jnp.asarray(camera.size / 2)
+    middle = np.array([camera.W / 2, camera.H / 2], camera.e.dtype)
+    return jnp.asarray(middle, middle.dtype)
 
 
-def to_camera(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+def to_camera(camera: AnyCamera, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
     """Return world points in camera coordinates: (right, up, forward) from the eye.
 
     The eye (or the view point, if it is nearer) is subtracted before anything else, so a scene far
     from the origin or from the eye loses nothing more.
     """
-    axes = jnp.stack(camera_basis(camera))
+    axes = jnp.stack(basis(camera.e, camera.p, camera.u))
     far = norm(camera.p - camera.e)
     base = jnp.stack([jnp.zeros_like(far), jnp.zeros_like(far), far])
-    return FilmMap(camera.e, camera.p, axes, base, camera.W, camera.H)(points)
+    return FilmMap(camera.e, camera.p, axes, base, 0, 0)(points)
 
 
-#: The same as one program, for arrays that are there.
-camera_coordinates = pointwise(to_camera)
+def camera_coordinates(camera: Camera, points: Float[Array | np.ndarray, "*batch 3"]) -> Array:
+    """Return `to_camera` by one program for any number of points."""
+    return _coordinates(ResizableCamera.of(camera), points)
+
+
+_coordinates = pointwise(to_camera)
 
 
 def film_map(camera: Camera) -> FilmMap:
@@ -372,25 +404,20 @@ def film_map(camera: Camera) -> FilmMap:
     return FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H, bend(camera))
 
 
-def has_distortion(camera: Camera) -> bool:
-    """Return whether the camera's lens has a distortion."""
-    return camera.lens is not None and camera.lens.distortion is not None
-
-
-def bend(camera: Camera) -> Bend | None:
-    """Return what the lens's distortion does to film points, None if there is none."""
+def bend(camera: AnyCamera) -> Bend | None:
+    """Return the lens's map from ideal to distorted film points, None without a distortion."""
     if camera.lens is None or camera.lens.distortion is None:
         return None
     distortion, centre = camera.lens.distortion, camera.lens.principal_point
     return Bend(distortion, distortion.trusted_radius(), jnp.stack(focal_px(camera)), centre)
 
 
-def lens_holds(camera: Camera, part: FilmPart) -> Array:
-    """Return whether the distortion may be trusted on all of a part of the film."""
+def lens_holds(camera: AnyCamera, part: FilmPart) -> Bool[Array, ""]:
+    """Return True where the distortion's formula counts on all of a part of the film."""
     lens = bend(camera)
     if lens is None:
         return jnp.ones((), bool)
-    sides = jnp.stack([jnp.asarray(x, camera.e.dtype) for x in part[:4]]).reshape(2, 2)
+    sides = jnp.stack([jnp.asarray(x, camera.e.dtype) for x in part]).reshape(2, 2)
     x, y = (sides - lens.centre[:, None]) / lens.focal[:, None]
     return jnp.all(lens.distortion.trusts(jnp.tile(x, 2), jnp.repeat(y, 2)))
 
@@ -408,25 +435,16 @@ def resolution(name: str, value: Any) -> int:
     return size
 
 
-def unplaced(phi: ArrayLike, W: int, H: int, lens: Lens | None = None) -> Camera:
-    """Return a camera of which only the lens is known: it looks at the origin from 1 unit away."""
-    return Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, W, H, lens)
-
-
-def _cast(lens: Lens, dtype: np.dtype) -> Lens:
-    return jax.tree.map(lambda x: x.astype(dtype), lens)
-
-
 @eqx.filter_jit
-def _lens_holds(camera: Camera) -> Array:
-    return lens_holds(camera, FilmPart(0, camera.W, 0, camera.H, 1))
+def _lens_holds(camera: ResizableCamera) -> Bool[Array, ""]:
+    return lens_holds(camera, FilmPart(0, camera.W, 0, camera.H))
 
 
 def _check_lens(camera: Camera) -> None:
     with jax.ensure_compile_time_eval():
-        if bool(_lens_holds(camera)):
+        if bool(_lens_holds(ResizableCamera.of(camera))):
             return
-    model = type(camera.lens.distortion).__name__ if camera.lens else ""
+    model = type(camera.distortion).__name__
     raise ValueError(
         f"`lens`: expected a distortion that holds up to the film's corners, got a {model} whose"
         " image folds back, or shows 90 degrees from the axis, within the film"

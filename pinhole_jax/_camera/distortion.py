@@ -1,4 +1,4 @@
-"""How a lens bends the image: OpenCV's models, continued so that they can always be inverted.
+"""Lens distortion: OpenCV's models, continued so that they can always be inverted.
 
 A model maps the ideal image to the one on the film, in normalised coordinates: those of a film at
 distance 1, from the principal point, x right and y UP. OpenCV's y runs down, which turns the sign
@@ -21,7 +21,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._numerics.arrays import ArrayLike, Input, float_array, float_dtype
 from .._numerics.on_devices import spread
@@ -31,36 +31,38 @@ Real = Input[ArrayLike, ""]
 
 #: The coefficients of all models, in OpenCV's order.
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-#: Where the image grows by less than this share of what it does on the axis it is about to fold;
-#: where it grows by more than this many times that, no lens is left.
+#: Where the image grows by less than this share of its growth on the axis it is about to fold;
+#: where it grows by more than this multiple of it, no lens is left.
 LEAST_SLOPE, MOST_SLOPE = 0.05, 100.0
-#: Radii of the ideal image looked at: the last is a tenth of a degree from the plane of the eye.
+#: Radii of the ideal image that are tried: the last is a tenth of a degree from the eye's plane.
 RADII = np.geomspace(1e-3, 600.0, 1024)
-#: Steps at most: lenses of cameras take 2 to 6 to the last digit, those that are about to fold, or
-#: show 70 degrees by a polynomial in the ideal radius, up to 20.
+#: The most steps of Newton's method: lenses of cameras take 2 to 6 to the last digit, those that
+#: are about to fold, or show 70 degrees by a polynomial in the ideal radius, up to 20.
 NEWTON_STEPS = 40
 
 
 class Distortion(eqx.Module):
-    """What all models share; a model has its coefficients as fields, and in `powers` the power of
-    the radius that each of them bends with."""
+    """The interface of all models: their fields are coefficients.
+
+    `powers` has the power of the radius that each coefficient bends with.
+    """
 
     powers: ClassVar[Mapping[str, int]]
 
     @abc.abstractmethod
     def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the distorted point as the model's formula has it."""
+        """Return the distorted point by the model's formula."""
 
     @abc.abstractmethod
     def slope(self, radius: Array) -> Array:
-        """Return a lower bound of how much the image grows at a radius, 1 on the axis."""
+        """Return a lower bound of the image's growth at a radius, 1 on the axis."""
 
     def coefficients(self) -> dict[str, float]:
         """Return the coefficients by name."""
         return {field.name: float(getattr(self, field.name)) for field in fields(self)}
 
     def trusted_radius(self) -> Float[Array, ""]:
-        """Return up to which radius of the ideal image the formula counts; not differentiated."""
+        """Return the radius of the ideal image up to which the formula counts (a constant)."""
         held = jax.lax.stop_gradient(self)
         radii = jnp.asarray(RADII, jax.tree.leaves(self)[0].dtype)
         slope = held.slope(radii)
@@ -73,7 +75,7 @@ class Distortion(eqx.Module):
         return _distorted(self, x, y)
 
     def continued(self, trusted: Array, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the distorted points, by the formula up to a radius, and beyond it straight on."""
+        """Return the distorted points, by the formula up to a radius and straight on beyond it."""
         radius = safe_sqrt(x * x + y * y)
         share = jnp.minimum(safe_divide(trusted, radius), 1)
         share = jnp.where(radius > 0, share, 1)
@@ -81,8 +83,8 @@ class Distortion(eqx.Module):
         value, rise = jax.jvp(self.polynomial, inner, (x - inner[0], y - inner[1]))
         return value[0] + rise[0], value[1] + rise[1]
 
-    def trusts(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> Array:
-        """Return whether distorted points lie where the formula counts."""
+    def trusts(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> Bool[Array, "*n"]:
+        """Return True for distorted points where the formula counts."""
         radius = safe_sqrt(x * x + y * y)
         share = jnp.where(radius > 0, safe_divide(self.trusted_radius(), radius), 0)
         edge = self.polynomial(x * share, y * share)
@@ -93,22 +95,21 @@ class Distortion(eqx.Module):
         """Return the ideal points of distorted ones (Newton; differentiated implicitly)."""
 
 
-class Decentred(Distortion):
-    """A radial factor, and a lens off its axis by p1, p2 (the formulas with OpenCV's y, down)."""
+class RadialTangential(Distortion):
+    """Brown's models: a radial factor, and tangential terms of a lens off its axis (p1, p2)."""
 
-    p1: eqx.AbstractVar[Float[Array, ""]]
-    p2: eqx.AbstractVar[Float[Array, ""]]
+    k1: Float[Array, ""]
+    k2: Float[Array, ""]
+    p1: Float[Array, ""]
+    p2: Float[Array, ""]
+    k3: Float[Array, ""]
 
     @abc.abstractmethod
     def radial(self, s: Array) -> Array:
-        """Return the factor of a point whose radius has the square s."""
-
-    @abc.abstractmethod
-    def growth(self, s: Array) -> Array:
-        """Return the derivative of radius times factor by the radius."""
+        """Return the radial factor at a squared radius."""
 
     def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the distorted point as the formula has it."""
+        """Return the distorted point by the formula. (OpenCV's, with y up.)"""
         s, cross = x * x + y * y, 2 * x * y
         radial = self.radial(s)
         return (
@@ -117,16 +118,16 @@ class Decentred(Distortion):
         )
 
     def slope(self, radius: Array) -> Array:
-        """Return a lower bound of how much the image grows at a radius."""
-        return self.growth(radius * radius) - 6 * length(self.p1, self.p2) * radius
+        """Return a lower bound of the image's growth at a radius."""
+        return _growth(self.radial, radius) - 6 * length(self.p1, self.p2) * radius
 
     def undistorted(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
         """Return the ideal points of distorted ones."""
         return _undistorted(self, x, y)
 
 
-class BrownConrady(Decentred):
-    """OpenCV's `distCoeffs`, in its order: radial k1, k2, k3 and decentring p1, p2.
+class BrownConrady(RadialTangential):
+    """OpenCV's `distCoeffs`, in its order: radial k1, k2, k3 and tangential p1, p2.
 
     `x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)`, and so for y, with OpenCV's y
     (down). Raises ValueError for values that are not finite numbers.
@@ -138,12 +139,6 @@ class BrownConrady(Decentred):
 
     powers: ClassVar[Mapping[str, int]] = {"k1": 3, "k2": 5, "p1": 2, "p2": 2, "k3": 7}
 
-    k1: Float[Array, ""]
-    k2: Float[Array, ""]
-    p1: Float[Array, ""]
-    p2: Float[Array, ""]
-    k3: Float[Array, ""]
-
     def __init__(
         self,
         k1: Real = 0.0,
@@ -152,19 +147,15 @@ class BrownConrady(Decentred):
         p2: Real = 0.0,
         k3: Real = 0.0,
     ):
-        values = {"k1": k1, "k2": k2, "p1": p1, "p2": p2, "k3": k3}
-        self.k1, self.k2, self.p1, self.p2, self.k3 = _coefficients(values)
+        values = _coefficients(self, k1, k2, p1, p2, k3)
+        self.k1, self.k2, self.p1, self.p2, self.k3 = values
 
     def radial(self, s: Array) -> Array:
-        """Return the factor of a point."""
+        """Return the radial factor at a squared radius."""
         return 1 + _powers(s, self.k1, self.k2, self.k3)
 
-    def growth(self, s: Array) -> Array:
-        """Return the derivative of radius times factor."""
-        return 1 + _powers(s, 3 * self.k1, 5 * self.k2, 7 * self.k3)
 
-
-class Rational(Decentred):
+class Rational(RadialTangential):
     """OpenCV's rational model (`CALIB_RATIONAL_MODEL`), in the order of its `distCoeffs`.
 
     `BrownConrady` with the radial factor
@@ -178,11 +169,6 @@ class Rational(Decentred):
 
     powers: ClassVar[Mapping[str, int]] = {**BrownConrady.powers, "k4": 3, "k5": 5, "k6": 7}
 
-    k1: Float[Array, ""]
-    k2: Float[Array, ""]
-    p1: Float[Array, ""]
-    p2: Float[Array, ""]
-    k3: Float[Array, ""]
     k4: Float[Array, ""]
     k5: Float[Array, ""]
     k6: Float[Array, ""]
@@ -198,35 +184,26 @@ class Rational(Decentred):
         k5: Real = 0.0,
         k6: Real = 0.0,
     ):
-        given = (k1, k2, p1, p2, k3, k4, k5, k6)
-        values = _coefficients(dict(zip(COEFFICIENTS, given, strict=True)))
+        values = _coefficients(self, k1, k2, p1, p2, k3, k4, k5, k6)
         self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6 = values
 
     def radial(self, s: Array) -> Array:
-        """Return the factor of a point."""
-        return safe_divide(*self._above_and_below(s))
+        """Return the radial factor at a squared radius."""
+        return safe_divide(1 + _powers(s, self.k1, self.k2, self.k3), self._denominator(s))
 
-    def growth(self, s: Array) -> Array:
-        """Return the derivative of radius times factor, -1 beyond a pole."""
-        above, below = self._above_and_below(s)
-        # r d/dr of both.
-        above_rises = _powers(s, 2 * self.k1, 4 * self.k2, 6 * self.k3)
-        below_rises = _powers(s, 2 * self.k4, 4 * self.k5, 6 * self.k6)
-        ratio = safe_divide(above, below)
-        rises = safe_divide(above_rises, below) - ratio * safe_divide(below_rises, below)
-        return jnp.where(below > 0, ratio + rises, -1)
+    def slope(self, radius: Array) -> Array:
+        """Return a lower bound of the image's growth at a radius; -1 beyond a pole."""
+        return jnp.where(self._denominator(radius * radius) > 0, super().slope(radius), -1)
 
-    def _above_and_below(self, s: Array) -> tuple[Array, Array]:
-        """Return the factor's numerator and denominator."""
-        above = 1 + _powers(s, self.k1, self.k2, self.k3)
-        return above, 1 + _powers(s, self.k4, self.k5, self.k6)
+    def _denominator(self, s: Array) -> Array:
+        return 1 + _powers(s, self.k4, self.k5, self.k6)
 
 
 class Fisheye(Distortion):
     """Kannala-Brandt, as OpenCV's `fisheye` has it: an angle from the axis becomes a radius.
 
-    `theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)`, theta in rad. Only what lies in
-    front of the eye is seen: less than 90 degrees from the axis. Raises ValueError for values that
+    `theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)`, theta in rad. Only points in
+    front of the eye are seen: less than 90 degrees from the axis. Raises ValueError for values that
     are not finite numbers.
 
     ```python
@@ -248,47 +225,43 @@ class Fisheye(Distortion):
         k3: Real = 0.0,
         k4: Real = 0.0,
     ):
-        self.k1, self.k2, self.k3, self.k4 = _coefficients({"k1": k1, "k2": k2, "k3": k3, "k4": k4})
+        self.k1, self.k2, self.k3, self.k4 = _coefficients(self, k1, k2, k3, k4)
 
     def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the distorted point as the formula has it."""
+        """Return the distorted point by the formula."""
         s = x * x + y * y
         radius = safe_sqrt(s)
         theta = jnp.arctan(radius)
         # theta / radius, by its series where the quotient would lose its derivatives.
-        small = s < 1e-4
         series = 1 - s * (1 / 3 - s * (1 / 5 - s / 7))
-        scale = self._stretch(theta) * jnp.where(small, series, safe_divide(theta, radius))
+        per_radius = jnp.where(s < 1e-4, series, safe_divide(theta, radius))
+        scale = self.angular(theta * theta) * per_radius
         return x * scale, y * scale
 
     def slope(self, radius: Array) -> Array:
-        """Return how much the image grows with the angle at a radius of the ideal image."""
-        return self._growth(jnp.arctan(radius))
+        """Return the image's growth with the angle at a radius of the ideal image."""
+        return _growth(self.angular, jnp.arctan(radius))
 
     def undistorted(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
         """Return the ideal points of distorted ones.
 
-        Newton's method looks for the angle: 90 degrees are a number like any other there, while
+        Newton's method solves for the angle: 90 degrees are a number like any other there, while
         the ideal radius, its tangent, is infinite.
         """
         radius, trusted = safe_sqrt(x * x + y * y), self.trusted_radius()
         edge = jnp.arctan(trusted)
-        most = edge * self._stretch(edge)
-        inner = jnp.minimum(radius, most)
-        beyond = (radius - inner) * (1 + trusted * trusted) / self._growth(edge)
+        inner = jnp.minimum(radius, edge * self.angular(edge * edge))
+        beyond = (radius - inner) * (1 + trusted * trusted) / _growth(self.angular, edge)
         ideal = jnp.tan(_angles(self, edge, inner)) + beyond
         scale = jnp.where(radius > 0, safe_divide(ideal, radius), 1)
         return x * scale, y * scale
 
-    def _stretch(self, theta: Array) -> Array:
-        return 1 + _powers(theta * theta, self.k1, self.k2, self.k3, self.k4)
-
-    def _growth(self, theta: Array) -> Array:
-        rises = (3 * self.k1, 5 * self.k2, 7 * self.k3, 9 * self.k4)
-        return 1 + _powers(theta * theta, *rises)
+    def angular(self, s: Array) -> Array:
+        """Return the distorted radius over the angle, at a squared angle."""
+        return 1 + _powers(s, self.k1, self.k2, self.k3, self.k4)
 
 
-#: All models, by the names that files and the command call them.
+#: All models, by their names in files and in the command.
 MODELS: dict[str, Any] = {model.__name__: model for model in (BrownConrady, Rational, Fisheye)}
 
 
@@ -300,13 +273,22 @@ def _powers(s: Array, *factors: Array) -> Array:
     return total
 
 
-def _coefficients(values: dict[str, ArrayLike]) -> list[Array]:
-    dtype = float_dtype(*values.values())
-    return [float_array(name, value, (), dtype) for name, value in values.items()]
+def _growth(factor: Callable[[Array], Array], x: Array) -> Array:
+    """Return the derivative of `x factor(x^2)` by x."""
+    s = x * x
+    value, rise = jax.jvp(factor, (s,), (2 * s,))
+    return value + rise
 
 
-def _linearised(model: Distortion, trusted: Array, x: Array, y: Array) -> tuple:
-    """Return the distorted point (2, ...), and its derivatives by x and by y."""
+def _coefficients(model: Distortion, *values: ArrayLike) -> list[Array]:
+    dtype, names = float_dtype(*values), [field.name for field in fields(model)]
+    return [float_array(name, x, (), dtype) for name, x in zip(names, values, strict=True)]
+
+
+def _linearised(
+    model: Distortion, trusted: Array, x: Array, y: Array
+) -> tuple[Float[Array, "2 *n"], Float[Array, "2 *n"], Float[Array, "2 *n"]]:
+    """Return the distorted points, and their derivatives by x and by y."""
     one, none = jnp.ones_like(x), jnp.zeros_like(x)
     value, push = jax.linearize(partial(model.continued, trusted), x, y)
     by_x, by_y = push(one, none), push(none, one)
@@ -321,7 +303,7 @@ def _solved(by_x: Array, by_y: Array, right: Array) -> Array:
     return jnp.stack([safe_divide(dx, det), safe_divide(dy, det)])
 
 
-# Compiled as wholes, since outside of `jit` a loop would be compiled at each call.
+# Each is one program: outside of `jit` a loop would be compiled at each call.
 
 
 @jax.jit
@@ -331,17 +313,13 @@ def _distorted(model: Distortion, x: Array, y: Array) -> tuple[Array, Array]:
 
 @jax.custom_jvp
 @jax.jit
-def _undistorted(model: Decentred, x: Array, y: Array) -> tuple[Array, Array]:
-    at, _ = _newton(model, jnp.stack([x, y]))
-    return at[0], at[1]
-
-
-def _newton(model: Decentred, goal: Float[Array, "2 *n"]) -> tuple[Array, Array]:
-    """Return the ideal points of distorted ones, and the number of steps to them: from those of the
-    lens on its axis."""
-    trusted = model.trusted_radius()
+def _undistorted(model: RadialTangential, x: Array, y: Array) -> tuple[Array, Array]:
+    """Return the ideal points: Newton's method, from those of the lens without p1 and p2."""
+    goal, trusted = jnp.stack([x, y]), model.trusted_radius()
     distorted = jnp.sqrt(jnp.sum(goal * goal, axis=0))
-    radius, before = _radii(model, trusted, distorted)
+    inner = jnp.minimum(distorted, trusted * model.radial(trusted * trusted))
+    radius = _inverse(model.radial, trusted, inner)
+    radius += (distorted - inner) / _growth(model.radial, trusted)
 
     def step(at: Array) -> tuple[Array, Array]:
         value, by_x, by_y = _linearised(model, trusted, *at)
@@ -350,16 +328,8 @@ def _newton(model: Decentred, goal: Float[Array, "2 *n"]) -> tuple[Array, Array]
         return at + move, jnp.max(jnp.abs(move) / size[None])
 
     start = goal * jnp.where(distorted > 0, safe_divide(radius, distorted), 1)[None]
-    at, number = _settled(step, start)
-    return at, before + number
-
-
-def _radii(model: Decentred, trusted: Array, distorted: Array) -> tuple[Array, Array]:
-    """Return the ideal radii of distorted ones without decentring, and the number of steps."""
-    bent, growth = lambda r: r * model.radial(r * r), lambda r: model.growth(r * r)
-    inner = jnp.minimum(distorted, bent(trusted))
-    radius, number = _increasing(bent, growth, trusted, inner)
-    return radius + (distorted - inner) / growth(trusted), number
+    ideal = _settled(step, start)
+    return ideal[0], ideal[1]
 
 
 @_undistorted.defjvp
@@ -377,13 +347,8 @@ def _(primals: Any, tangents: Any):
 @jax.custom_jvp
 @jax.jit
 def _angles(model: Fisheye, most: Array, radius: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Return the angles from the axis, of `most` of them, of distorted radii."""
-    return _newton_in_angle(model, most, radius)[0]
-
-
-def _newton_in_angle(model: Fisheye, most: Array, radius: Array) -> tuple[Array, Array]:
-    """Return the angles, and the number of steps to them."""
-    return _increasing(lambda a: a * model._stretch(a), model._growth, most, radius)
+    """Return the angles from the axis, up to `most`, of distorted radii."""
+    return _inverse(model.angular, most, radius)
 
 
 @_angles.defjvp
@@ -391,43 +356,42 @@ def _(primals: Any, tangents: Any):
     (model, most, radius), (moves, _, rise) = primals, tangents
     angle = _angles(model, most, radius)
     held = jax.lax.stop_gradient(angle)
-    _, drift = jax.jvp(lambda m: held * m._stretch(held), (model,), (moves,))
-    return angle, safe_divide(rise - drift, model._growth(angle))
+    _, drift = jax.jvp(lambda m: held * m.angular(held * held), (model,), (moves,))
+    return angle, safe_divide(rise - drift, _growth(model.angular, angle))
 
 
-def _increasing(
-    function: Callable, slope: Callable, most: Array, value: Float[Array, "*n"]
-) -> tuple[Array, Array]:
-    """Return the places at which a function has these values, and the number of steps.
+def _inverse(
+    factor: Callable[[Array], Array], most: Array, value: Float[Array, "*n"]
+) -> Float[Array, "*n"]:
+    """Return x from 0 to `most`, where `x factor(x^2)` grows, at which it has these values.
 
-    It grows from 0 to `most`. Steps are Newton's; one that leaves the interval which holds the
-    place, or is more than half as long as the one before, goes to the interval's middle.
+    Steps are Newton's; one that leaves the interval around x, or is more than half as long as the
+    one before, goes to the interval's middle.
     """
     tiny = _tiny(value.dtype)
 
     def step(state: Array) -> tuple[Array, Array]:
-        at, low, high, before = state
-        miss = function(at) - value
-        low, high = jnp.where(miss < 0, at, low), jnp.where(miss > 0, at, high)
-        new = jnp.clip(at - safe_divide(miss, slope(at)), 0, most)
-        move, scale = jnp.abs(new - at), tiny * (1 + at)
+        x, low, high, before = state
+        miss = x * factor(x * x) - value
+        low, high = jnp.where(miss < 0, x, low), jnp.where(miss > 0, x, high)
+        new = jnp.clip(x - safe_divide(miss, _growth(factor, x)), 0, most)
+        move, scale = jnp.abs(new - x), tiny * (1 + x)
         within = (new > low - scale) & (new < high + scale)
         within &= move <= jnp.maximum(before / 2, scale)
         new = jnp.where(within, new, (low + high) / 2)
         move = jnp.where(within, move, jnp.inf)
-        return jnp.stack([new, low, high, move]), jnp.max(move / (1 + at))
+        return jnp.stack([new, low, high, move]), jnp.max(move / (1 + x))
 
     none = jnp.zeros_like(value)
     start = jnp.stack([jnp.minimum(value, most), none, none + most, none + jnp.inf])
-    state, number = _settled(step, start)
-    return state[0], number
+    return _settled(step, start)[0]
 
 
-def _settled(step: Callable[[Array], tuple[Array, Array]], start: Array) -> tuple[Array, Array]:
-    """Return the point that steps lead to, and their number; a step returns its length, too.
+def _settled(step: Callable[[Array], tuple[Array, Array]], start: Array) -> Array:
+    """Return the point that steps lead to; a step returns its length, too.
 
-    The digits that are right double from step to step: what follows one that changes less than
-    half of them is rounding, and where the image hardly grows no less than that one.
+    The number of right digits doubles from step to step: what follows a step that changes less than
+    half of them is rounding, and where the image hardly grows no less than that step.
     """
     tiny = _tiny(start.dtype)
 
@@ -437,10 +401,9 @@ def _settled(step: Callable[[Array], tuple[Array, Array]], start: Array) -> tupl
 
     going = lambda state: (state[0] < NEWTON_STEPS) & (state[2] > tiny)
     first = spread([jnp.int32(0), start, jnp.asarray(jnp.inf, start.dtype)], [start])
-    number, at, _ = jax.lax.while_loop(going, further, tuple(first))
-    return at, number
+    return jax.lax.while_loop(going, further, tuple(first))[1]
 
 
 def _tiny(dtype: Any) -> float:
-    """Return the length of a step after which there is only rounding left."""
+    """Return the length of a step after which only rounding is left."""
     return float(jnp.finfo(dtype).eps) ** 0.5 / 4

@@ -1,42 +1,36 @@
 """OpenCV's K, R and t as the note's parameters: x right, y down, z forward."""
 
 from types import ModuleType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
 
 from .._numerics.arrays import ArrayLike, float_array, float_dtype, is_concrete
 
-#: Where a pixel's centre lies: its first one's at 0, or at 1/2.
+#: The centre of the first pixel: at 0, or at 1/2.
 Centres = Literal["integer", "half"]
-#: A matrix is a rotation if it is orthogonal to this.
+#: A rotation matrix is orthogonal to this.
 ORTHOGONAL = 1e-4
 
-
-class FromMatrices(NamedTuple):
-    """What matrices say of a camera: eye, view point and up (3,), the vertical field of view (rad),
-    the principal point in film coordinates (px), fx / fy, and whether the last two are those of a
-    camera without a lens."""
-
-    e: Any
-    p: Any
-    u: Any
-    phi: Any
-    principal_point: Any
-    aspect: Any
-    plain: bool
+#: An array of NumPy's, or a traced one of JAX's.
+Numbers = Any
 
 
 def from_matrices(
     K: ArrayLike, R: ArrayLike, t: ArrayLike, W: int, H: int, pixel_centres: object
-) -> FromMatrices:
-    """Return what K (3, 3), R (3, 3) and t (3,) or (3, 1) say, or raise ValueError.
+) -> tuple[tuple[Numbers, Numbers, Numbers], tuple[Numbers, Numbers, Numbers], bool]:
+    """Return the pose, the intrinsics, and True for those of a camera without a lens.
 
-    In float64, where nothing is traced: the parameters are rounded once.
+    The pose is (e, p, u), the intrinsics are phi (rad), the principal point in film coordinates
+    (px) and fx / fy. K and R are (3, 3), t is (3,) or (3, 1). In float64 unless traced: the
+    parameters are rounded once. Raises ValueError for matrices that make no camera.
     """
     half = half_pixel(pixel_centres)
-    k, r, shift = _real("K", K, (3, 3)), _real("R", R, (3, 3)), _translation(t)
+    rows = isinstance(t, list) and all(np.ndim(row) == 1 for row in t)
+    column = rows or getattr(t, "shape", None) == (3, 1)
+    k, r = _real("K", K, (3, 3)), _real("R", R, (3, 3))
+    shift = _real("t", t, (3, 1) if column else (3,)).reshape(3)
     if is_concrete(k):
         _check_intrinsics(k, W, H)
     if is_concrete(r) and not is_rotation(r):
@@ -50,40 +44,30 @@ def from_matrices(
     eye = -r.T @ shift
     centred = not traced and np.allclose(centre, (W / 2, H / 2), rtol=0, atol=1e-9)
     plain = bool(centred and abs(aspect - 1) < 1e-12)
-    return FromMatrices(eye, eye + r[2], -r[1], 2 * xp.arctan(H / (2 * fy)), centre, aspect, plain)
+    return (eye, eye + r[2], -r[1]), (2 * xp.arctan(H / (2 * fy)), centre, aspect), plain
 
 
 def half_pixel(pixel_centres: object) -> float:
-    """Return what is added to pixel coordinates to count from the first pixel's corner."""
+    """Return the first pixel's centre less its place in the source (px)."""
     if not isinstance(pixel_centres, str) or pixel_centres not in ("integer", "half"):
         raise ValueError(f"`pixel_centres`: expected 'integer' or 'half', got {pixel_centres!r}")
     return 0.5 if pixel_centres == "integer" else 0.0
 
 
 def is_rotation(matrix: np.ndarray) -> bool:
-    """Return whether a matrix (3, 3) turns and does nothing else, to within rounding."""
+    """Return True for a rotation matrix (3, 3), to within rounding."""
     apart = np.abs(matrix @ matrix.T - np.eye(3)).max()
     return bool(apart < ORTHOGONAL and np.linalg.det(matrix) > 0)
 
 
-def _translation(t: ArrayLike) -> Any:
-    """Return a translation (3,), of a column (3, 1), too."""
-    column = getattr(t, "shape", None) == (3, 1) or (isinstance(t, list) and _is_column(t))
-    return _real("t", t, (3, 1))[:, 0] if column else _real("t", t, (3,))
-
-
-def _is_column(t: list) -> bool:
-    return len(t) == 3 and all(isinstance(row, list | tuple) and len(row) == 1 for row in t)
-
-
-def _real(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Any:
-    """Return finite numbers of this shape, in float64 where they are not traced; or raise."""
+def _real(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Numbers:
+    """Return finite numbers of this shape, in float64 unless traced; or raise ValueError."""
     array = float_array(name, value, shape, float_dtype(value))
     return np.asarray(value, float) if is_concrete(array) else array
 
 
 def _check_intrinsics(K: np.ndarray, W: int, H: int) -> None:
-    """Raise ValueError unless K is that of a pinhole without skew."""
+    """Raise ValueError for skew, another last row, or focal lengths that are not positive."""
     if abs(K[0, 1]) > 1e-9 * abs(K[0, 0]):
         raise ValueError(f"`K`: expected no skew, got {K[0, 1]}")
     if K[1, 0] != 0 or np.any(K[2] != [0, 0, 1]):

@@ -1,6 +1,6 @@
-"""Rigid transforms in float64: where a frame lies in another one, as a matrix (4, 4).
+"""Rigid transforms in float64: the pose of one frame in another, as a matrix (4, 4).
 
-A camera's own frame is the field's (OpenCV's): x right, y down, z forward.
+A camera's own frame is OpenCV's: x right, y down, z forward.
 """
 
 from typing import Any
@@ -24,7 +24,7 @@ def pose_of(camera: Camera) -> Pose:
 
 
 def at_pose(camera: Camera, pose: Pose) -> Camera:
-    """Return the camera moved rigidly to a pose in its world: u stands to its axes as it did."""
+    """Return the camera moved rigidly to a pose in its world; u keeps its angle to the axes."""
     right, down, forward = pose[:3, :3].T
     axes = np.stack([right, -down, forward])
     up = (axes_of(camera) @ np.asarray(camera.u, float)) @ axes
@@ -33,7 +33,7 @@ def at_pose(camera: Camera, pose: Pose) -> Camera:
 
 
 def rigid(rotation: np.ndarray, translation: np.ndarray) -> Pose:
-    """Return x -> rotation x + translation as a matrix (4, 4)."""
+    """Return the matrix (4, 4) of x -> rotation x + translation."""
     result = np.eye(4)
     result[:3, :3], result[:3, 3] = rotation, translation
     return result
@@ -45,10 +45,15 @@ def inverse(pose: Pose) -> Pose:
     return rigid(back, -back @ pose[:3, 3])
 
 
-def exponential(twist: Float[np.ndarray, "6"]) -> Pose:
-    """Return the rotation about a vector by its length (rad), and the shift: a twist's halves.
+def moved(pose: Pose, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """Return points of a frame at `pose` in the world."""
+    return points @ pose[:3, :3].T + pose[:3, 3]
 
-    The shift is not the screw's: to first order both are the same.
+
+def exponential(twist: Float[np.ndarray, "6"]) -> Pose:
+    """Return a twist's pose: a rotation vector (rad), then a translation.
+
+    The translation is not the screw's: both are the same to first order.
     """
     turn = twist[:3]
     angle = float(np.linalg.norm(turn))
@@ -59,7 +64,7 @@ def exponential(twist: Float[np.ndarray, "6"]) -> Pose:
 
 
 def adjoint(pose: Pose) -> Float[np.ndarray, "6 6"]:
-    """Return how a twist is seen from a frame that lies at `pose`: pose exp(x) = exp(Ad x) pose."""
+    """Return the map Ad of twists to the frame that `pose` is in: pose exp(x) = exp(Ad x) pose."""
     rotation = pose[:3, :3]
     result = np.zeros((6, 6))
     result[:3, :3] = result[3:, 3:] = rotation
@@ -68,8 +73,7 @@ def adjoint(pose: Pose) -> Float[np.ndarray, "6 6"]:
 
 
 def check_pose(name: str, value: Any) -> Pose:
-    """Return a rigid transform, its rotation made orthogonal to the last digit, or raise
-    ValueError."""
+    """Return a rigid transform, its rotation orthogonal to the last digit; or raise ValueError."""
     try:
         matrix = np.asarray(value, float)
     except (TypeError, ValueError) as error:

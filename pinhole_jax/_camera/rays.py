@@ -5,12 +5,22 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._numerics.arrays import ArrayLike, Input, as_array, is_real
 from .._numerics.pointwise import pointwise
 from .._numerics.safe import binary_inverse, safe_divide
-from .camera import Camera, basis, check_camera, film_size, focal_px, principal_point, to_camera
+from .camera import (
+    AnyCamera,
+    Camera,
+    ResizableCamera,
+    basis,
+    check_camera,
+    focal_px,
+    principal_point,
+    to_camera,
+)
 
 
 class Rays(NamedTuple):
@@ -59,10 +69,10 @@ def camera_rays(
 ) -> Rays:
     """Return the camera's rays: origin (3,), direction (H, W, 3) or (H, W, samples**2, 3).
 
-    The same as `generate_rays` for a `Camera`; a lens shifts, stretches and bends the film.
+    As `generate_rays` for a `Camera`, lens included: it shifts, stretches and bends the film.
 
     ```python
-    rays = pj.camera_rays(camera)  # the lens is counted, too
+    rays = pj.camera_rays(camera)
     ```
     """
     check_camera(camera)
@@ -89,36 +99,44 @@ def rays_through(camera: Camera, points: Input[ArrayLike, "*batch 2"]) -> Rays:
     ```
     """
     check_camera(camera)
-    at = as_array(points)
-    if at.shape[-1:] != (2,):
-        raise ValueError(f"`points`: expected shape (..., 2), got shape {at.shape}")
-    if not is_real(at):
-        raise ValueError(f"`points`: expected real numbers, got dtype {at.dtype}")
-    return Rays(camera.e, _directions(camera, at))
+    return Rays(camera.e, _directions(ResizableCamera.of(camera), _real_points(points, 2)))
+
+
+def _real_points(points: ArrayLike, size: int) -> Array | np.ndarray:
+    """Return points as an array (..., size) of real numbers; or raise ValueError."""
+    array = as_array(points)
+    if array.shape[-1:] != (size,):
+        raise ValueError(f"`points`: expected shape (..., {size}), got shape {array.shape}")
+    if not is_real(array):
+        raise ValueError(f"`points`: expected real numbers, got dtype {array.dtype}")
+    return array
 
 
 @pointwise
-def _directions(camera: Camera, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch 3"]:
+def _directions(
+    camera: ResizableCamera, points: Float[Array, "*batch 2"]
+) -> Float[Array, "*batch 3"]:
     x, y = points.reshape(-1, 2).T
     return directions(camera, x, y).reshape(*points.shape[:-1], 3)
 
 
 def directions(
-    camera: Camera, x: Float[Array, "*#batch"], y: Float[Array, "*#batch"]
+    camera: AnyCamera, x: Float[Array, "*#batch"], y: Float[Array, "*#batch"]
 ) -> Float[Array, "*batch 3"]:
-    """Return unit directions of the rays through film points (x, y), in px: `q/|q|` of the note."""
+    """Return the unit directions `q/|q|` of the rays through film points (x, y) in px."""
     axes = basis(camera.e, camera.p, camera.u)
     d = camera.d * binary_inverse(camera.d)  # what counts is d over the film's size: no overflow
-    w, h = film_size(camera.phi, d, camera.W, camera.H)
+    h = 2 * d * jnp.tan(camera.phi / 2)
+    w = h * (camera.W / camera.H)
     if camera.lens is None:
         film_x, film_y = (x / camera.W - 0.5) * w, (y / camera.H - 0.5) * h
     else:
         centre = camera.lens.principal_point
         film_x = (x - centre[0]) / camera.H * (h / camera.lens.aspect)
         film_y = (y - centre[1]) / camera.H * h
-        if camera.lens.distortion is not None:
+        if camera.distortion is not None:
             both = jnp.broadcast_arrays(film_x / d, film_y / d)
-            film_x, film_y = (d * z for z in camera.lens.distortion.undistorted(*both))
+            film_x, film_y = (d * z for z in camera.distortion.undistorted(*both))
     # Each ray's three components lie side by side on one long last axis: the compiler runs through
     # it in vectors, which an axis of length 3 prevents (jax 0.10: 38 ms, so 1 ms, for 1920 x 1080).
     n = max(film_x.shape[-1], film_y.shape[-1])
@@ -137,8 +155,8 @@ def project(camera: Camera, points: Input[ArrayLike, "*batch 3"]) -> Float[Array
     """Return the film coordinates (px, origin bottom left, y up) of world points (..., 3).
 
     A point behind the eye projects through it, as the equations say; one in the eye's own plane
-    gives the principal point. `to_camera(camera, points)[..., 2] > 0` tells points in front. Where
-    a lens's polynomial would fold back it goes on straight (see `distortion`).
+    gives the principal point. Points in front have `to_camera(camera, points)[..., 2] > 0`. Where a
+    lens's polynomial would fold back it goes on straight (see `distortion`).
 
     ```python
     corner = jnp.array([0.5, 0.5, 0.5])
@@ -147,29 +165,26 @@ def project(camera: Camera, points: Input[ArrayLike, "*batch 3"]) -> Float[Array
     ```
     """
     check_camera(camera)
-    at = as_array(points)
-    if at.shape[-1:] != (3,):
-        raise ValueError(f"`points`: expected shape (..., 3), got shape {at.shape}")
-    if not is_real(at):
-        raise ValueError(f"`points`: expected real numbers, got dtype {at.dtype}")
-    return _projected(camera, at)
+    return _projected(ResizableCamera.of(camera), _real_points(points, 3))
 
 
 @pointwise
-def _projected(camera: Camera, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
+def _projected(
+    camera: ResizableCamera, points: Float[Array, "*batch 3"]
+) -> Float[Array, "*batch 2"]:
     x, y, z = jnp.moveaxis(to_camera(camera, points), -1, 0)
     fx, fy = focal_px(camera)
     centre = principal_point(camera)
     x, y = safe_divide(x, z), safe_divide(y, z)
-    if camera.lens is not None and camera.lens.distortion is not None:
-        x, y = camera.lens.distortion(x, y)
+    if camera.distortion is not None:
+        x, y = camera.distortion(x, y)
     return jnp.stack([fx * x + centre[0], fy * y + centre[1]], -1)
 
 
 def _film_samples(
     W: int, H: int, samples: int | None, key: PRNGKeyArray | None, dtype: jnp.dtype
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Return film coordinates of the samples, broadcastable to (H, W) or (H, W, samples**2)."""
+    """Return film coordinates of the samples; they broadcast to (H, W) or (H, W, samples**2)."""
     column = jnp.arange(W, dtype=dtype)
     row = jnp.arange(H - 1, -1, -1, dtype=dtype)
     if samples is None:

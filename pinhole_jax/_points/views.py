@@ -165,7 +165,7 @@ class _Data(NamedTuple):
     def residuals(self, camera: Camera) -> Float[Array, "k"]:
         """Return what is squared: how far off points are (px), NaN where the lens folds."""
         off = jnp.sqrt(self.given.weight)[:, None] * self.given.off(camera, self.H)
-        holds = lens_holds(camera, FilmPart(0, self.width, 0, 1, self.H))
+        holds = lens_holds(camera, FilmPart(0, self.width, 0, 1))
         return jnp.where(holds, off.reshape(-1), jnp.nan)
 
 

@@ -5,25 +5,25 @@ from collections.abc import Callable, Mapping, Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from .._camera.poses import moved
 from .._numerics.arrays import ArrayLike, Input
 from .scene import Mesh, Scene, with_vertices
 
-#: What the numbers of joints are measured in: those that turn, those that slide; a body that is as
-#: many times larger, and one.
+#: The units of joints that turn and that slide, and of a body's size.
 UNITS = ("rad", "world", "scale")
-#: Half the step of a joint by which motions are told.
+#: Half the step of a joint in the central difference of its motion.
 STEP = 1e-4
-#: A body's shape changes by no more for a joint's unit.
+#: The most that a body's shape changes per unit of a joint.
 STIFF = 1e-2
 
 
 class Assembly:
     """Rigid bodies, each a `Mesh`: `at` puts them in their places.
 
-    Which faces share which edges is worked out once, so that a posture costs no more than to move
-    the vertices; scenes of all postures share their faces, and compiled programs.
+    Edges are found once, so that a posture costs no more than moving the vertices; scenes of all
+    postures share their faces, and compiled programs.
 
-    Raises ValueError for what are no meshes.
+    Raises ValueError for anything but meshes.
 
     ```python
     arm = pj.Assembly([mesh, mesh])
@@ -42,10 +42,11 @@ class Assembly:
         begin = np.cumsum([0, *counts[:-1]])
         faces = [np.asarray(b.faces) + n for b, n in zip(bodies, begin, strict=True)]
         self._dtype = bodies[0].vertices.dtype
-        self._points = np.concatenate([np.asarray(body.vertices, float) for body in bodies])
-        #: The number of the body that each vertex is one of.
+        self._bodies = [np.asarray(body.vertices, float) for body in bodies]
+        #: The body of each vertex (V,).
         self.body: np.ndarray = np.repeat(np.arange(len(bodies)), counts)
-        self._mesh = Mesh(self._points.astype(self._dtype), np.concatenate(faces))
+        points = np.concatenate(self._bodies).astype(self._dtype)
+        self._mesh = Mesh(points, np.concatenate(faces))
 
     def __len__(self) -> int:
         """Return the number of bodies."""
@@ -56,25 +57,22 @@ class Assembly:
 
         Raises ValueError for another shape, and for numbers that are not finite.
         """
-        matrices = np.asarray(poses, float)
-        if matrices.shape != (len(self), 4, 4) or not np.all(np.isfinite(matrices)):
-            got = "numbers that are not finite"
-            got = got if matrices.shape == (len(self), 4, 4) else f"shape {matrices.shape}"
-            raise ValueError(f"`poses`: expected finite numbers ({len(self)}, 4, 4), got {got}")
-        rotation, shift = matrices[:, :3, :3][self.body], matrices[:, :3, 3][self.body]
-        points = np.einsum("nij,nj->ni", rotation, self._points) + shift
+        matrices, shape = np.asarray(poses, float), (len(self), 4, 4)
+        if matrices.shape != shape or not np.all(np.isfinite(matrices)):
+            got = f"shape {matrices.shape}" if matrices.shape != shape else "others"
+            raise ValueError(f"`poses`: expected finite numbers {shape}, got {got}")
+        places = [moved(pose, points) for pose, points in zip(matrices, self._bodies, strict=True)]
+        points = np.concatenate(places)
         return Scene(mesh=with_vertices(self._mesh, jnp.asarray(points, self._dtype)))
 
 
 class Posture:
-    """Bodies in one posture, and where they are if the zeros of joints are elsewhere, which
-    `fit_joint` may find.
+    """Bodies in one posture, as a function of the joints' zeros, which `fit_joint` may find.
 
-    - `poses`: returns the poses (B, 4, 4) of the bodies of an `assembly`, by what is added to the
-      joints' readings (J,).
-    - `joints`: their names, and what each is measured in: "rad", or "world" for one that slides. A
-      body whose size is not known has a "joint" of its own, "scale": `poses` returns then what
-      makes it 1 + x times as large, too.
+    - `poses`: returns the poses (B, 4, 4) of the bodies of an `assembly` for offsets (J,) that are
+      added to the joints' readings.
+    - `joints`: their names and units: "rad", or "world" for one that slides. A body of unknown size
+      has a "joint" of its own with the unit "scale": its poses also make it 1 + x times as large.
 
     Raises ValueError for another unit.
 
@@ -108,7 +106,7 @@ class Posture:
 
     @property
     def body(self) -> np.ndarray:
-        """Return the number of the body that each vertex is one of (V,)."""
+        """Return the body of each vertex (V,)."""
         return self._assembly.body
 
     def scene(self, offsets: Input[ArrayLike | None, "J"] = None) -> Scene:
@@ -116,15 +114,15 @@ class Posture:
         return self._assembly.at(self._poses(self._checked(offsets)))
 
     def twists(self, offsets: Input[ArrayLike | None, "J"] = None) -> np.ndarray:
-        """Return how each joint's offset moves each body (J, B, 7), about and along the scene's
-        axes: a small rotation about its origin, a shift, and by how much it grows about it.
+        """Return each body's motion by each joint's offset (J, B, 7), along the scene's axes.
 
+        A small rotation about the scene's origin, a translation, and growth about the origin.
         Raises ValueError for bodies that are bent, or stretched more one way than another.
         """
         at, result = self._checked(offsets), []
         for step in STEP * np.eye(len(self.joints)):
-            one, other = (np.asarray(self._poses(at + s), float) for s in (step, -step))
-            result.append(_motion(one @ np.linalg.inv(other)) / (2 * STEP))
+            ahead, back = (np.asarray(self._poses(at + s), float) for s in (step, -step))
+            result.append(_motion(ahead @ np.linalg.inv(back)) / (2 * STEP))
         return np.array(result)
 
     def _checked(self, offsets: ArrayLike | None) -> np.ndarray:

@@ -1,8 +1,8 @@
-"""A mesh as it looks from afar: vertices near one another made one.
+"""A mesh as it looks from afar: vertices near one another are merged.
 
 A small picture of a mesh of millions of faces shows no more than one of some ten thousand. Whatever
-the map of vertices is, a closed mesh's image is closed, and shows as many layers: what sticks
-together cancels.
+the map of vertices is, a closed mesh's image is closed and has as many layers: coinciding faces
+cancel.
 """
 
 import equinox as eqx
@@ -16,16 +16,15 @@ from .topology import edge_records
 
 #: A mesh is coarsened from this many faces on.
 FINE = 1 << 17
-#: Cells along the longest side of a mesh's box: vertices in one are made one.
+#: Cells along the longest side of a mesh's box: vertices in a cell are merged.
 CELLS = 96
 
 
 def seen_from_afar(mesh: Mesh) -> Mesh:
-    """Return a mesh of a few ten thousand faces that looks like a fine one to within a cell, or a
-    coarse one itself.
+    """Return a mesh of a few ten thousand faces that looks like a fine one, to within a cell.
 
-    For pictures that are worked out from the edge records (`_mask.thumbnails`) only: what else is
-    known of a mesh, planes and the faces' order, is left out.
+    Coarse meshes are returned as they are. For pictures that are drawn from the edge records
+    (`_mask.thumbnails`) only: planes and the faces' order are left out.
     """
     if mesh.faces.shape[0] < FINE:
         return mesh
@@ -43,8 +42,7 @@ def seen_from_afar(mesh: Mesh) -> Mesh:
 def _joined(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"]]:
-    """Return the middles of the vertices in each cell of a grid, and the faces that have their
-    corners in three of them."""
+    """Return the mean vertex of each cell of a grid, and the faces with corners in three cells."""
     low, high = (f(axis=0).astype(float) for f in (vertices.min, vertices.max))
     size = max(float(np.max(high - low)), np.finfo(float).tiny)
     number = np.zeros(len(vertices), np.int32)

@@ -1,4 +1,4 @@
-"""What a camera looks at: `Mesh`, `Spheres`, `Scene`, and what is worked out once per mesh."""
+"""The scene before a camera: `Mesh`, `Spheres`, `Scene`; computed once per mesh: edges, planes."""
 
 import warnings
 from typing import Any, NamedTuple, Protocol
@@ -20,19 +20,11 @@ from .._numerics.arrays import (
     is_concrete,
     stands_alone,
 )
-from .planes import (
-    Planes,
-    box_of,
-    fingerprint,
-    fingerprint_of,
-    in_front,
-    planes_at_hand,
-    planes_of,
-)
+from .planes import Planes, box_of, fingerprint, in_front, planes_of
 from .topology import edge_records, without_copies
 
-#: Of a mesh with more than this share of its edges at a border it is asked whether its vertices
-#: stand at fewer places than this share of their number.
+#: A mesh with more than this share of its edges at a border is checked for vertices that stand at
+#: fewer places than this share of their number.
 MOSTLY_BORDER, LOOSE = 0.5, 0.6
 #: Steps between float32 numbers that are more than this share of the object are worth a warning: a
 #: fit's own rounding is far smaller.
@@ -42,7 +34,7 @@ FILLED_UP = (1 << 14, 1 << 16)
 
 
 class Triangles(Protocol):
-    """What other libraries hold a mesh in, as trimesh does."""
+    """A mesh of another library, as trimesh's."""
 
     @property
     def vertices(self) -> ArrayLike: ...
@@ -55,16 +47,16 @@ class Mesh(eqx.Module):
     """Triangles: `vertices` (V, 3) in world units, `faces` (F, 3) indices of vertices; or one
     object that has both, as trimesh's.
 
-    A face whose corners are those of another adds nothing to what is seen (a mesh that has every
-    face twice, or once more turned over): the later one's three indices are made equal, so that the
-    others keep their numbers. Walls between parts, which two closed bodies share, stay.
+    A face with the corners of another adds nothing to the image (a mesh that has every face twice,
+    or once more turned over): the later one's three indices are made equal, so that the others keep
+    their numbers. Walls between parts, which two closed bodies share, stay.
 
-    Worked out once, on the host: the edges with the faces on either side. An edge record (a, b)
+    Computed once, on the host: the edges with the faces on either side. An edge record (a, b)
     runs as in its first face; the second face, if any, runs through it from b to a, and is -1 at a
     border. Edges that more than two faces, or two of opposite winding, share have several records.
-    `closed` says that there is no border: closed and consistently wound (per shared vertex index;
-    `load_mesh` merges equal vertices). `order` lists the faces along a space-filling curve, for the
-    tracer; the edges follow their first faces along it.
+    `closed`: there is no border, the mesh is closed and consistently wound (per shared vertex
+    index; `load_mesh` merges equal vertices). `order` lists the faces along a space-filling curve,
+    for the tracer; the edges follow their first faces along it.
 
     `vertices` may be traced and differentiated, also by way of `eqx.tree_at`; `faces` may not.
     Raises ValueError for wrong shapes or dtypes, non-finite vertices and indices out of range.
@@ -96,28 +88,27 @@ class Mesh(eqx.Module):
             raise TypeError("Mesh() missing 1 required argument: 'faces'")
         self.vertices = float_array("vertices", vertices, (None, 3), float_dtype(vertices))
         triangles = _face_indices(faces, self.vertices.shape[0])
-        points = np.asarray(self.vertices) if is_concrete(self.vertices) else None
-        if points is not None:
+        known = is_concrete(self.vertices)
+        points = at_hand(self.vertices)
+        if known:
             triangles = without_copies(points, triangles)
-            _say_if_coarse(points)
-        edge_vertices, edge_faces = edge_records(triangles, points, self.vertices.shape[0])
-        # (With no type named, JAX compiles a copy of an array of each size.)
-        self.faces = jnp.asarray(triangles, np.int32)
-        corners = self.vertices if points is None else points
-        order = _face_order(corners, triangles)
-        self.order = jnp.asarray(order, np.int32)
-        if points is not None and edge_faces.size:
+            _warn_if_coarse(points)
+        edge_vertices, edge_faces = edge_records(triangles, points if known else None, len(points))
+        order = _face_order(points, triangles)
+        if known and edge_faces.size:
             rank = np.empty(len(triangles), np.int32)
             rank[order] = np.arange(len(triangles), dtype=np.int32)
             along = np.argsort(rank[edge_faces[:, 0]], kind="stable")
             edge_vertices, edge_faces = edge_vertices[along], edge_faces[along]
-        self.edge_vertices = jnp.asarray(edge_vertices, np.int32)
-        self.edge_faces = jnp.asarray(edge_faces, np.int32)
-        self.planes = _planes(corners, triangles)
+        # (With no type named, JAX compiles a copy of an array of each size.)
+        self.faces, self.order, self.edge_vertices, self.edge_faces = (
+            jnp.asarray(x, np.int32) for x in (triangles, order, edge_vertices, edge_faces)
+        )
+        self.planes = planes_of(points, triangles)
         self.closed = bool(np.all(edge_faces >= 0))
         borders = np.count_nonzero(edge_faces < 0)
-        if points is not None and borders > MOSTLY_BORDER * len(edge_faces):
-            _say_if_loose(points, triangles)
+        if known and borders > MOSTLY_BORDER * len(edge_faces):
+            _warn_if_loose(points, triangles)
 
 
 class Spheres(eqx.Module):
@@ -141,7 +132,7 @@ class Spheres(eqx.Module):
             raise ValueError(f"`radii`: expected positive radii, got {np.min(self.radii)}")
         if is_concrete(self.centers) and is_concrete(self.radii):
             middles, radii = np.asarray(self.centers), np.asarray(self.radii)[:, None]
-            _say_if_coarse(np.concatenate([middles - radii, middles + radii]), "centers")
+            _warn_if_coarse(np.concatenate([middles - radii, middles + radii]), "centers")
 
 
 class Scene(eqx.Module):
@@ -169,7 +160,7 @@ class Scene(eqx.Module):
 
 
 def check_view(camera: Any, scene: Any) -> None:
-    """Raise ValueError unless these are one camera and a scene, in this order."""
+    """Raise ValueError for anything but a single camera and a scene, in this order."""
     if not (isinstance(camera, Camera) and isinstance(scene, Scene)):
         kinds = f"{type(camera).__name__}, {type(scene).__name__}"
         raise ValueError(f"`camera`, `scene`: expected a Camera and a Scene, got {kinds}")
@@ -177,7 +168,7 @@ def check_view(camera: Any, scene: Any) -> None:
 
 
 def check_scene(scene: Any) -> None:
-    """Raise ValueError unless there is something to look at."""
+    """Raise ValueError for anything but a scene with a face or a sphere."""
     if not isinstance(scene, Scene):
         hint = "; give `Scene(mesh=...)`" if isinstance(scene, Mesh) else ""
         raise ValueError(f"`scene`: expected a Scene, got {type(scene).__name__}{hint}")
@@ -187,7 +178,7 @@ def check_scene(scene: Any) -> None:
 
 
 def astype(scene: Scene, dtype: Any) -> Scene:
-    """Return the scene in a float type; planes are made anew where the vertices change."""
+    """Return the scene in a float type, with new planes if the vertices change."""
     mesh, spheres = scene.mesh, scene.spheres
     if mesh is not None and mesh.vertices.dtype != dtype:
         mesh = with_vertices(mesh, mesh.vertices.astype(dtype))
@@ -197,78 +188,68 @@ def astype(scene: Scene, dtype: Any) -> Scene:
 
 
 def with_vertices(mesh: Mesh, vertices: Float[Array, "V 3"]) -> Mesh:
-    """Return the mesh with its vertices elsewhere, and planes made of these."""
-    planes = _planes(vertices, mesh.faces)
+    """Return the mesh with other vertices, and their planes."""
+    planes = planes_of(vertices, mesh.faces)
     return eqx.tree_at(lambda m: (m.vertices, m.planes), mesh, (vertices, planes))
 
 
 def padded(scene: Scene) -> Scene:
     """Return the scene with its mesh's arrays filled up to one of a few sizes.
 
-    What is added is on no contour, so the silhouette is the same, and meshes of similar size share
+    Added faces are on no contour, so the silhouette is the same, and meshes of similar size share
     compiled programs. Not for tracing: the faces' order is left out.
     """
-    if scene.mesh is None or not scene.mesh.edge_faces.shape[0]:
+    mesh = scene.mesh
+    if mesh is None or not mesh.edge_faces.shape[0]:
         return scene
-    mesh, planes = scene.mesh, None
-    made_from = mesh.planes.fingerprint
-    current = made_from is None or int(made_from) == fingerprint_of(np.asarray(mesh.vertices))
-    if current:
-        planes = mesh.planes
-    parts = (mesh.vertices, mesh.faces, mesh.edge_vertices, mesh.edge_faces)
-    *parts, planes = _filled_up(*parts, planes)
-    if planes is None:
-        planes = _planes(parts[0], parts[1])
-    order = jnp.asarray(np.zeros(0, np.int32), jnp.int32)
-    mesh = eqx.tree_at(
-        lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.order, m.planes),
-        mesh,
-        (*parts, order, planes),
+    planes, points = mesh.planes, np.asarray(mesh.vertices)
+    if planes.fingerprint is not None and int(planes.fingerprint) != fingerprint(points, np):
+        planes = planes_of(points, mesh.faces)
+    V, F, E = _filled_sizes(len(points), mesh.faces.shape[0], mesh.edge_faces.shape[0])
+    arrays = (points, V), (mesh.faces, F), (mesh.edge_vertices, E), (mesh.edge_faces, E)
+    normal, corner = (_with_room(x, F, 1) for x in (planes.normal, planes.corner))
+    new = (
+        *(_with_room(x, size, 0) for x, size in arrays),
+        jnp.asarray(np.zeros(0, np.int32), jnp.int32),
+        Planes(normal, corner, planes.box, planes.fingerprint),
     )
-    return Scene(mesh=mesh, spheres=scene.spheres)
+    where = lambda m: (
+        m.vertices,
+        m.faces,
+        m.edge_vertices,
+        m.edge_faces,
+        m.order,
+        m.planes,
+    )
+    return Scene(mesh=eqx.tree_at(where, mesh, new), spheres=scene.spheres)
 
 
 def with_or_without_border(scene: Scene) -> Scene:
-    """Return the scene with a small mesh that does not tell a compiler if it is closed: open ones
+    """Return the scene with a small mesh that hides from a compiler if it is closed: open meshes
     share programs with closed ones."""
     mesh = scene.mesh
     if mesh is None or len(mesh.vertices) not in FILLED_UP:
         return scene
-    mesh = jax.tree.map(lambda x: x, mesh)  # (equinox never lets go of what `copy` makes)
+    mesh = jax.tree.map(lambda x: x, mesh)  # (equinox never lets go of the results of `copy`)
     object.__setattr__(mesh, "closed", None)  # (`tree_at` changes no static field)
     return Scene(mesh=mesh, spheres=scene.spheres)
 
 
 def at_rest(scene: Scene) -> Scene:
-    """Return a scene whose mesh's planes are current, and whose vertices nobody will move: no view
-    of it asks again, which takes as long as to find the contour of millions of faces."""
+    """Return a scene whose planes are current and stay so: no view checks their fingerprint, which
+    takes as long as finding the contour of millions of faces."""
     if scene.mesh is None:
         return scene
-    of = lambda s: s.mesh.planes.fingerprint
-    return eqx.tree_at(of, scene, None, is_leaf=lambda x: x is None)
+    where = lambda s: s.mesh.planes.fingerprint
+    return eqx.tree_at(where, scene, None, is_leaf=lambda x: x is None)
 
 
-def is_closed(mesh: Mesh) -> Any:
-    """Return whether a mesh is closed: a bool, or a traced one where a compiler is not told."""
+def is_closed(mesh: Mesh) -> Array | bool:
+    """Return the mesh's `closed`, or a traced bool where a compiler does not know it."""
     return jnp.all(mesh.edge_faces >= 0) if mesh.closed is None else mesh.closed
 
 
-def _filled_up(
-    vertices: Array, faces: Array, edge_vertices: Array, edge_faces: Array, planes: Planes | None
-) -> tuple:
-    """Return a mesh's arrays filled up to one of a few sizes, and its planes, which are current."""
-    V, F, E = _filled_sizes(vertices.shape[0], faces.shape[0], edge_faces.shape[0])
-    parts = (vertices, V), (faces, F), (edge_vertices, E), (edge_faces, E)
-    arrays = tuple(_with_room(x, size, 0) for x, size in parts)
-    if planes is None:
-        return *arrays, None
-    # What is filled up is before nothing: no contour.
-    faces_of = _with_room(planes.normal, F, 1), _with_room(planes.corner, F, 1)
-    # (Zeros add nothing to a fingerprint.)
-    return *arrays, Planes(*faces_of, planes.box, planes.fingerprint)
-
-
-def _with_room(x: Array, size: int, axis: int) -> Array:
+def _with_room(x: Array | np.ndarray, size: int, axis: int) -> Array:
     """Return an array, filled up by NumPy: JAX would compile that for each size."""
     widths = [(0, 0)] * x.ndim
     widths[axis] = (0, size - x.shape[axis])
@@ -276,8 +257,10 @@ def _with_room(x: Array, size: int, axis: int) -> Array:
 
 
 def _filled_sizes(vertices: int, faces: int, edges: int) -> tuple[int, int, int]:
-    """Return how many vertices, faces and edges a mesh is filled up to: few sizes, as each is
-    compiled for; in steps of an eighth where the mesh is large and memory counts."""
+    """Return the numbers of vertices, faces and edges that a mesh is filled up to.
+
+    Few sizes, as each is compiled for; in steps of an eighth for large meshes, whose memory counts.
+    """
     for most in FILLED_UP:
         if max(vertices, faces) <= most and 2 * edges <= 3 * most:
             return most, most, 3 * most // 2
@@ -287,32 +270,28 @@ def _filled_sizes(vertices: int, faces: int, edges: int) -> tuple[int, int, int]
 
 @eqx.filter_jit
 def planes_are_current(mesh: Mesh) -> Bool[Array, ""]:
-    """Return whether the planes were made from the vertices as they are now."""
+    """Return True if the planes were made from the vertices as they are now."""
     if mesh.planes.fingerprint is None:
         return jnp.array(True)
     return mesh.planes.fingerprint == fingerprint(mesh.vertices)
 
 
-def front_facing(
-    mesh: Mesh, e: Float[Array, "3"], current: Bool[Array, ""] | None = None
-) -> Bool[Array, "F"]:
-    """Return which faces show their front (counter-clockwise) side to the eye; edge-on: False.
+def front_facing(mesh: Mesh, e: Float[Array, "3"]) -> Bool[Array, "F"]:
+    """Return the faces that show their front (counter-clockwise) side to the eye; edge-on: False.
 
-    Uses the stored planes; where the vertices are no longer those that the planes were made from
-    (`eqx.tree_at`, an optimiser's update), the planes are made anew, so they are never stale.
-    (Within a branch `current` is for those who asked `planes_are_current` before it: the compiler
-    makes that anew for each branch.)
+    Uses the stored planes, or new ones where the vertices have changed since (by `eqx.tree_at`, an
+    optimiser's update): they are never stale.
     """
     mesh, e = jax.lax.stop_gradient((mesh, e))
     return jax.lax.cond(
-        planes_are_current(mesh) if current is None else current,
+        planes_are_current(mesh),
         lambda: in_front(mesh.planes, e),
         lambda: in_front(planes_of(mesh.vertices, mesh.faces), e),
     )
 
 
 class Ball(NamedTuple):
-    """A sphere: `centre` (3,) and `radius`, world units."""
+    """A sphere, in world units: `centre` (3,) and `radius`; of NumPy or JAX."""
 
     centre: Any
     radius: Any
@@ -328,10 +307,9 @@ def bounding_box(scene: Scene) -> Float[Array, "2 3"]:
     if scene.spheres is not None:
         centers, radii = scene.spheres.centers, scene.spheres.radii[:, None]
         points += [centers - radii, centers + radii]
-    if isinstance(points[0], np.ndarray):
-        every = np.concatenate(points)
-        return jnp.asarray(np.stack([every.min(axis=0), every.max(axis=0)]), every.dtype)
-    return box_of(jnp.concatenate(points))
+    xp = np if isinstance(points[0], np.ndarray) else jnp
+    box = box_of(xp.concatenate(points), xp)
+    return jnp.asarray(box, box.dtype)
 
 
 def bounding_sphere(scene: Scene) -> Ball:
@@ -340,7 +318,7 @@ def bounding_sphere(scene: Scene) -> Ball:
 
 
 def ball_about(box: Any) -> Ball:
-    """Return the sphere through a box's corners; of NumPy or JAX, as the box is."""
+    """Return the sphere through a box's corners, of NumPy or JAX as the box is."""
     low, high = box
     half = (high - low) / 2
     size = abs(half).max()
@@ -349,25 +327,21 @@ def ball_about(box: Any) -> Ball:
 
 
 def vertex_box(mesh: Mesh) -> Float[Array, "2 3"]:
-    """Return the least and largest coordinates of the vertices, as far as known already."""
+    """Return the least and largest coordinates of the vertices: the stored ones, if current."""
     mesh = jax.lax.stop_gradient(mesh)
     return jax.lax.cond(
         planes_are_current(mesh), lambda: mesh.planes.box, lambda: box_of(mesh.vertices)
     )
 
 
-def _planes(vertices: Any, faces: Any) -> Planes:
-    make = planes_at_hand if is_concrete(vertices, faces) else planes_of
-    return make(vertices, faces)
-
-
-def _face_order(vertices: Any, faces: np.ndarray) -> Any:
-    if not (faces.shape[0] and vertices.shape[0]):
+def _face_order(points: Array | np.ndarray, faces: np.ndarray) -> Array | np.ndarray:
+    """Return the order of the faces by their middles' Morton codes."""
+    if not (faces.shape[0] and points.shape[0]):
         return np.zeros(faces.shape[0], np.int32)
-    if not isinstance(vertices, np.ndarray):
-        return morton_order(jnp.mean(jax.lax.stop_gradient(vertices)[faces], axis=1))
+    if not isinstance(points, np.ndarray):
+        return morton_order(jnp.mean(jax.lax.stop_gradient(points)[faces], axis=1))
     with np.errstate(all="ignore"):
-        middles = sum(np.take(vertices, corner, axis=0) for corner in faces.T) / 3
+        middles = sum(np.take(points, corner, axis=0) for corner in faces.T) / 3
         return np.argsort(morton_codes(middles), kind="stable").astype(np.int32)
 
 
@@ -378,8 +352,7 @@ def morton_order(points: Float[Array, "N 3"]) -> Int[Array, "N"]:
 
 
 def morton_codes(points: Any) -> Any:
-    """Return the Morton codes of at least one point, 10 bits an axis; of NumPy or JAX, as points
-    are."""
+    """Return the Morton codes of at least one point, 10 bits an axis."""
     low, high = points.min(axis=0), points.max(axis=0)
     extent = (high - low).max(initial=np.finfo(points.dtype).tiny)
     cell = ((points - low[None]) / extent * 1024).clip(0, 1023).astype(np.uint32)
@@ -390,7 +363,7 @@ def morton_codes(points: Any) -> Any:
 
 
 def coarse(points: np.ndarray, name: str = "vertices") -> str:
-    """Return a warning that float32 rounds points to a good part of the object, if it does."""
+    """Return a warning if float32 rounds points to a good part of the object, else nothing."""
     if not points.size:
         return ""
     low, high = points.min(axis=0), points.max(axis=0)
@@ -404,12 +377,12 @@ def coarse(points: np.ndarray, name: str = "vertices") -> str:
     )
 
 
-def _say_if_coarse(points: np.ndarray, name: str = "vertices") -> None:
+def _warn_if_coarse(points: np.ndarray, name: str = "vertices") -> None:
     if points.dtype == np.float32 and (words := coarse(points, name)):
         warnings.warn(f"`{name}`: {words}, or set jax_enable_x64", stacklevel=3)
 
 
-def _say_if_loose(points: np.ndarray, triangles: np.ndarray) -> None:
+def _warn_if_loose(points: np.ndarray, triangles: np.ndarray) -> None:
     """Warn of faces that do not share their vertices, though these are at the same places."""
     used = np.unique(triangles)
     places = len(np.unique(points[used], axis=0))

@@ -1,8 +1,8 @@
-"""Which faces share which edges, and which faces add nothing to what is seen."""
+"""Edges and the faces that share them; faces that add nothing to the image."""
 
 import numpy as np
 
-#: Faces looked at at a time: what is worked out of these stays in the processor's cache.
+#: Faces at a time: intermediate arrays stay in the processor's cache.
 BLOCK = 1 << 14
 
 
@@ -98,12 +98,11 @@ def _sides(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def without_copies(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return the faces (F, 3) with equal indices for those that only repeat others.
+    """Return the faces (F, 3), with equal indices for those that only repeat others.
 
-    A copy has the same corners by place, in any order. Left out are parts (of faces that share
-    vertices) that repeat faces of other parts, all of them, and in parts in which every face is
-    there twice the later ones. Of a single wall between two closed bodies both sides stay, since
-    both bodies need it.
+    A copy has the same corners by place, in any order. Removed are parts (of faces that share
+    vertices) all of whose faces repeat those of other parts; and the later copies in parts in which
+    every face is there twice. Both sides of a wall between two closed bodies stay.
     """
     if len(faces) < 2:
         return faces
@@ -156,8 +155,10 @@ def _places(vertices: np.ndarray) -> np.ndarray:
 
 
 def by_place(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the order (n,) of points (n, 3) by x, then y, then z, and which of them, in this
-    order, is the first at its place (n,)."""
+    """Return the order (n,) of points (n, 3) by x, then y, then z.
+
+    And, in this order, True for the first point at each place (n,).
+    """
     x, y, z = points.T
     if _ascend(x, y, z):  # as `load_mesh` leaves them
         return np.arange(len(points)), np.ones(len(points), bool)
@@ -171,7 +172,7 @@ def by_place(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ascend(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> bool:
-    """Return whether points, each at a place of its own, are in order already."""
+    """Return True for points at different places that are in order already."""
     if len(x) < 2 or x[0] > x[1]:
         return len(x) < 2
     before, after = (tuple(v[s] for v in (x, y, z)) for s in (slice(-1), slice(1, None)))
@@ -183,8 +184,11 @@ def _ascend(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> bool:
 
 
 def _by_place_of_float32(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what `by_place` does of float32 points (n, 3): one sort of 64-bit numbers for x and y,
-    four times as fast as three of floats, and one more of those that tie in both, but not in z."""
+    """Return `by_place` of float32 points (n, 3).
+
+    One sort of 64-bit numbers for x and y, four times as fast as three of floats, and one more of
+    those that tie in both, but not in z.
+    """
     x, y, z = (_ascending_bits(points[:, k]) for k in range(3))
     name = x.astype(np.uint64) << np.uint64(32) | y
     order = np.argsort(name)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from .._numerics.safe import safe_divide
 from .conics import Point
@@ -28,7 +28,7 @@ class _Spot(NamedTuple):
 
 
 def cut_off(
-    first: Homogeneous, last: Homogeneous, weight: Array, beside: Array, bounds: list[Array]
+    first: Homogeneous, last: Homogeneous, weight: Array, beside: Array, bounds: Float[Array, "4"]
 ) -> tuple[tuple[Point, Point], Array]:
     """Where edges end on the film, cut off at bounds (left, right, low, high) outside it, and their
     weights (0: not seen).

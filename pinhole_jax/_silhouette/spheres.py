@@ -75,7 +75,7 @@ class Arc(NamedTuple):
 
 
 def arc_within(
-    bounds: list[Array], frame: Frame, start: Point, end: Point
+    bounds: Float[Array, "4"], frame: Frame, start: Point, end: Point
 ) -> tuple[Arc, tuple[Array, Array], Array]:
     """What of arcs is within bounds (left, right, low, high); between which heights they are left
     of these, and whether they are there at all."""

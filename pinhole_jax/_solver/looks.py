@@ -141,7 +141,7 @@ def _part(level: Level) -> FilmPart:
     scale = jnp.asarray(level.scale)
     left, bottom = jnp.asarray(level.origin) / scale
     W, H = (jnp.asarray(x, scale.dtype) / scale for x in (level.W, level.H))
-    return FilmPart(left, left + W, bottom, bottom + H, scale)
+    return FilmPart(left, left + W, bottom, bottom + H)
 
 
 def _mask_of(xp: Any, pyramid: Pyramid, level: Level) -> MaskLevel:
@@ -168,7 +168,7 @@ def _seen(
     def image(y: Array) -> Array:
         film = film_at(y)
         if film.bend is not None:
-            film = film.looking_at(FilmPart(0, level.W, 0, level.H, 1))
+            film = film.looking_at(FilmPart(0, level.W, 0, level.H))
         return in_arrays(film, scene)[::-1].reshape(-1)
 
     coverage, moves, _ = along_each(lambda y: (image(y), ()), y)

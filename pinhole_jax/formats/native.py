@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._camera.camera import Camera, camera_basis, check_camera, focal_px, principal_point
+from .._camera.camera import Camera, ResizableCamera, basis, check_camera, focal_px, principal_point
 from .._camera.distortion import MODELS, Distortion
 from .._camera.lens import Lens
 from .._files.paths import FilePath, read_json as load_json, replace_file
@@ -39,7 +39,7 @@ def camera_to_dict(camera: Camera) -> dict[str, object]:
     ```
     """
     check_camera(camera)
-    lens, pose = camera.lens, _pose(camera)
+    lens, pose = camera.lens, _pose(ResizableCamera.of(camera))
     return {
         "schema": CAMERA_SCHEMA,
         **{name: _plain(getattr(camera, name)) for name in ("e", "p", "u", "phi")},
@@ -53,10 +53,10 @@ def camera_to_dict(camera: Camera) -> dict[str, object]:
 
 
 @eqx.filter_jit
-def _pose(camera: Camera) -> tuple[Any, ...]:
+def _pose(camera: ResizableCamera) -> tuple[Any, ...]:
     """Return the camera's pose and film, free of the gauge: the values of `POSE`."""
     focal = jnp.stack(focal_px(camera))
-    return camera.e, *camera_basis(camera), focal, principal_point(camera)
+    return camera.e, *basis(camera.e, camera.p, camera.u), focal, principal_point(camera)
 
 
 def camera_from_dict(data: Input[Mapping[str, object], "JSON"], *, fitted: bool = False) -> Camera:
@@ -109,7 +109,7 @@ def _phi(fields: Fields) -> Any:
 
 def _check_pose(camera: Camera, pose: Fields) -> None:
     """Raise ValueError where a file's `pose` contradicts its other fields."""
-    own = [np.asarray(value, float) for value in _pose(camera)]
+    own = [np.asarray(value, float) for value in _pose(ResizableCamera.of(camera))]
     eye, view = np.asarray(camera.e, float), np.asarray(camera.p, float)
     far = float(np.max(np.abs([view - eye, eye])))
     # As far as the camera's float type tells a direction from e to p.
