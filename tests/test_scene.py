@@ -219,7 +219,6 @@ def test_swapped_or_stacked_camera_and_scene_are_refused():
     for call, message in (
         (lambda: pj.silhouette(scene, camera), "expected a Camera and a Scene, got Scene, Camera"),
         (lambda: pj.depth(camera, scene.spheres), "a Camera and a Scene, got Camera, Spheres"),
-        (lambda: pj.pose_error(camera, scene), "`camera_b`: expected a Camera, got Scene"),
         (lambda: pj.normals(stacked, scene), r"got several \(e of shape \(2, 3\)\): `jax.vmap` t"),
         (lambda: pj.project(stacked, jnp.zeros(3)), "`camera`: expected one camera, got several"),
     ):

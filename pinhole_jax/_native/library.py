@@ -1,4 +1,4 @@
-"""The compiled library: found, loaded and registered with JAX once, where it is wanted and runs."""
+"""The compiled library: loaded and registered with JAX once, where it is wanted and runs."""
 
 import ctypes
 import warnings
@@ -11,7 +11,7 @@ from .._files.native_library import HANDLERS, is_switched_off, library_path
 
 @cache
 def is_available() -> bool:
-    """Whether the library runs here; a warning says once why it does not."""
+    """True if the library runs here; else a warning says once why it does not."""
     if is_switched_off():
         return False
     why = _registered()
@@ -35,16 +35,15 @@ def library() -> ctypes.CDLL:
 
 
 def _registered() -> str:
-    """Why the library cannot be used, or an empty string once it is registered."""
+    """The reason why the library cannot be used, or nothing once it is registered."""
     if library_path() is None:
         return "it was not built"
     try:
-        jax.devices(
-            "cpu"
-        )  # (a library that XLA refuses would take a backend down that starts later)
+        # (A library that XLA refuses would take a backend down that starts later.)
+        jax.devices("cpu")
         for name in HANDLERS:
             handler = jax.ffi.pycapsule(getattr(library(), name))
             jax.ffi.register_ffi_target(name, handler, platform="cpu")
-    except Exception as error:  # whatever a loader or another version of XLA says
+    except Exception as error:  # of a loader or of another version of XLA
         return str(error).splitlines()[0] if str(error) else type(error).__name__
     return ""

@@ -16,9 +16,8 @@ def linear(
 ) -> Array:
     """`forward(x)`, which JAX transposes by `transpose`, also under `vmap`.
 
-    Both directions make one symmetric map, `(x, y) -> (transpose(y), forward(x))`. JAX knows a way
-    to state such a map: the solution of a symmetric linear system. The half that is not used is not
-    run.
+    Both directions make one symmetric map, `(x, y) -> (transpose(y), forward(x))`, stated as the
+    solution of a symmetric linear system. The half that is not used does not run.
     """
     # (Zeros that are linear in `x`, as JAX asks: the sum of none of its numbers.)
     zero = jnp.broadcast_to(jnp.sum(x[0].reshape(-1)[:0]), like.shape)

@@ -14,12 +14,12 @@ from .._scene.scene import Scene
 from .library import library
 from .rasteriser import scene_arrays, variables_of
 
-#: How XLA numbers the types of arrays.
+#: XLA's numbers of array types.
 TYPES = {np.dtype(np.int32): 4, np.dtype(np.float32): 11, np.dtype(np.float64): 12}
 
 
 class Sight(NamedTuple):
-    """What is drawn of a camera on a level, and how it changes with each of n moves.
+    """The variables of a view on a level of a mask, and their derivatives by n moves.
 
     The film and the lens's numbers as `Variables`; the lens's trusted radius follows these.
     """
@@ -33,7 +33,7 @@ class Sight(NamedTuple):
 
 
 def sight_of(film: FilmMap, scene: Scene) -> tuple[Array, Array, Array]:
-    """What moves of a sight: the film's numbers, the lens's, and frames."""
+    """The variables of a sight: the film's numbers, the lens's, and frames."""
     film_numbers, lens, _, frames = variables_of(film, scene)
     if film.bend is not None:
         lens = jnp.append(lens, film.bend.trusted)
@@ -43,15 +43,17 @@ def sight_of(film: FilmMap, scene: Scene) -> tuple[Array, Array, Array]:
 def along_each(
     at: Callable[[Array], tuple[Any, Any]], y: Float[Array, "n"]
 ) -> tuple[Any, Any, Any]:
-    """What `at` returns first, its derivatives by each of the n numbers (n, ...), and the rest."""
+    """The first result of `at`, its derivatives by each of the n numbers (n, ...), and the rest."""
     along = lambda way: jax.jvp(at, (y,), (way,), has_aux=True)
     return jax.vmap(along, out_axes=(None, 0, None))(jnp.eye(len(y), dtype=y.dtype))
 
 
 class MaskLevel(NamedTuple):
-    """A level of a mask: its W, H, where it starts in the raster of all levels, what residual is
-    explained; the raster's pages, what is to be added to their running sums, and their cells (see
-    `_mask/pyramid.py`)."""
+    """A level of a mask, and the raster of all levels (see `_mask/pyramid.py`).
+
+    - `size`: W and H; `start`: its place in the raster; `explained`: the explained residual.
+    - `page`, `sums`, `cells`: the raster's pages, offsets of their running sums, and cells.
+    """
 
     size: Int[Array, "2"]
     start: Int[Array, "1"]
@@ -114,14 +116,14 @@ def pixels(sight: Sight, scene: Scene, level: MaskLevel, model: int) -> TouchedP
 
 
 def _operands(sight: Sight, scene: Scene, level: MaskLevel) -> list[Any]:
-    """What the library is given of a look, in its order."""
+    """The library's operands of a look, in its order."""
     film, lens, frames, *moves = sight
     view = film, lens, *scene_arrays(scene, film.dtype), frames
     return [*view, level.size, *moves, *level[1:]]
 
 
 class _Buffer(ctypes.Structure):
-    """An array, as XLA hands it to a handler."""
+    """An array in XLA's form for handlers."""
 
     _fields_ = (
         ("struct_size", ctypes.c_size_t),

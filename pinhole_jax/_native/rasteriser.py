@@ -23,7 +23,7 @@ MODELS = {BrownConrady: 1, Rational: 2, Fisheye: 3}
 
 
 class Variables(NamedTuple):
-    """What coverage can be differentiated by; what a scene lacks has no entries.
+    """The variables that coverage can be differentiated by; empty where a scene has none.
 
     - `film`: eye, view, three rows of the matrix, base.
     - `lens`: coefficients, focal lengths and principal point (px).
@@ -37,7 +37,7 @@ class Variables(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """What it is not differentiated by; `size` is W, H."""
+    """The operands that coverage is not differentiated by; `size` is W, H."""
 
     trusted: Float[Array, "t"]
     faces: Int[Array, "F 3"]
@@ -63,7 +63,7 @@ def model_of(lens: Bend | Lens | None) -> int:
 
 
 def variables_of(film: FilmMap, scene: Scene) -> Variables:
-    """What moves of a view."""
+    """The variables of a view."""
     real, mesh, spheres = film.eye.dtype, scene.mesh, scene.spheres
     numbers = [film.eye, film.view, film.matrix.reshape(-1), film.base]
     return Variables(
@@ -75,7 +75,7 @@ def variables_of(film: FilmMap, scene: Scene) -> Variables:
 
 
 def constants_of(film: FilmMap, scene: Scene, size: Any) -> Constants:
-    """What does not, of a film of a size (W, H)."""
+    """The constants of a view on a film of a size (W, H)."""
     real = film.eye.dtype
     trusted = jnp.zeros(0, real) if film.bend is None else film.bend.trusted[None]
     rest: Any = map(jnp.asarray, [*scene_arrays(scene, real)[1:], np.asarray(size, np.int32)])
@@ -111,7 +111,7 @@ def sphere_frames(film: FilmMap, spheres: Spheres) -> Float[Array, "S 9"]:
 def ring_at(x: Array, y: Array, z: Array, radius: Array) -> Sequence[Array]:
     """The circle on which rays touch a sphere whose centre is at (x, y, z) from the eye.
 
-    How much the centre's direction counts, over the distance, then the two axes in space.
+    The factor of the centre's offset, then the two axes in space.
     """
     distance = length(x, y, z)
     distance = jnp.where(jax.lax.stop_gradient(distance > radius), distance, 2 * radius)
@@ -141,15 +141,17 @@ def _call(name: str, model: int, shapes: Sequence[Any], *arguments: Array) -> li
 
 
 def operands(variables: Variables, constants: Constants) -> list[Array]:
-    """What the library is given of a view, in its order."""
+    """The library's operands of a view, in its order."""
     film, lens, vertices, frames = variables
     trusted, *scene, size = constants
     return [film, jnp.concatenate([lens, trusted]), vertices, *scene, frames, size]
 
 
 def _with_edges(model: int, shape: tuple[int, int], given: list[Array]) -> list[Array]:
-    """The image, and which edges are contour, for its derivative: a rough mesh has more of them
-    than there is room for, and there they are looked for again."""
+    """The image, and the edges of the contour, for its derivative.
+
+    A rough mesh has more of them than there is room for: they are found again there.
+    """
     edge_vertices = given[4]
     room = jax.ShapeDtypeStruct((3 + len(edge_vertices) // 4,), jnp.int32)
     return _call("image", model, (jax.ShapeDtypeStruct(shape, given[0].dtype), room), *given)
@@ -169,7 +171,7 @@ def _image_jvp(of: tuple[int, tuple[int, int]], primals: Any, tangents: Any):
     (model, _), (variables, constants) = of, primals
     moves = [not isinstance(v, SymbolicZero) for v in tangents[0]]
     given = operands(*differentiable_once((variables, constants)))
-    # (What does not move has no entries, and costs nothing.)
+    # (Variables that do not move are empty, and cost nothing.)
     empty = [jnp.zeros((0,) * x.ndim, x.dtype) for x in variables]
     some = [v for v, m in zip(tangents[0], moves, strict=True) if m]
     given = spread(given, [*some, *empty])

@@ -1,4 +1,4 @@
-"""What rays meet, by the compiled library."""
+"""Rays' first hits by the compiled library."""
 
 import jax
 import jax.numpy as jnp
@@ -16,10 +16,10 @@ def walked(
     *,
     any_hit: bool = False,
 ) -> Int[Array, "N"]:
-    """The face that each ray meets first, or F + the sphere; -1 for none.
+    """The face that each ray hits first, or F + the sphere; -1 for none.
 
-    All are of one float type, and rays have an origin each or one in common. `any_hit` stops at
-    anything that a ray meets.
+    All are of one float type, and rays have an origin each or one in common. `any_hit` stops at the
+    first primitive found.
     """
     real, mesh, spheres = direction.dtype, scene.mesh, scene.spheres
     points = jnp.zeros((0, 3), real)

@@ -1,4 +1,4 @@
-"""The door: what a user hands in becomes arrays of one float type, or an error that names it."""
+"""The door: a user's arguments become arrays of one float type, or an error that names them."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -8,9 +8,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array
 
-# What a function that users call is given: `Input[ArrayLike, "N 3"]`, `Input[int, "px"]`. To a type
-# checker it is the type, its shape or unit beside it. While the program runs it is anything: the
-# function's own check names the argument, and a checker of annotations would speak before it.
+# An argument of a public function: `Input[ArrayLike, "N 3"]`, `Input[int, "px"]`. A type checker
+# sees the type; its shape or unit is for readers. At run time it is anything: the function's own
+# check names the argument, and a checker of annotations would speak before it.
 if TYPE_CHECKING:
     from typing import Annotated as Input
 
@@ -19,30 +19,31 @@ else:
     ArrayLike = Any
 
     class Input:
-        """What a user gives, checked by the function that takes it."""
+        """An argument that the function itself checks."""
 
         def __class_getitem__(cls, _):
             return Any
 
 
-#: The default of an argument that must be given, where None is an answer that is refused with an
-#: error of its own.
+#: The default of a required argument, where None is refused with an error of its own.
 MISSING: Any = object()
 
 
 def is_concrete(*values: Any) -> bool:
-    """Return whether every value can be looked at now (none is traced by a transformation)."""
+    """Return True if no value is traced by a transformation."""
     return not any(isinstance(v, Tracer) for v in values)
 
 
 def is_real(array: Any) -> bool:
-    """Return whether an array's entries are floats or integers."""
+    """Return True for an array of floats or integers."""
     return any(jnp.issubdtype(array.dtype, kind) for kind in (jnp.floating, jnp.integer))
 
 
 def as_array(value: Any) -> Any:
-    """Return numbers as an array, of NumPy's where they are none of JAX's: JAX would compile a copy
-    of each shape."""
+    """Return numbers as an array: of JAX's as it is, others as NumPy's.
+
+    (JAX would compile a copy of each shape.)
+    """
     plain = isinstance(value, np.ndarray | np.number | list | tuple | float | int)
     if plain and is_concrete(*jax.tree.leaves(value)):
         return np.asarray(value)
@@ -50,8 +51,7 @@ def as_array(value: Any) -> Any:
 
 
 def at_hand(value: Any) -> Any:
-    """Return an array that can be looked at now as NumPy's, which compiles nothing of what is done
-    with it; a traced one as it is."""
+    """Return an array as NumPy's, whose operations compile nothing; a traced one as it is."""
     return np.asarray(value) if is_concrete(value) else value
 
 
@@ -83,8 +83,10 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.
 
 
 def checked(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.dtype) -> Any:
-    """Return the same, an array of JAX's as it is and another as NumPy's of this type: in float64
-    too, which JAX may not know."""
+    """Return the value, checked as in `float_array`: of JAX's as it is, others as NumPy's.
+
+    NumPy's have this type: also float64, which JAX may not know.
+    """
     expected = f"a real array of shape {_words(shape)}" if shape else "a real number"
     try:
         array = value if isinstance(value, jax.Array) else np.asarray(value)
@@ -122,15 +124,15 @@ def _words(shape: tuple[int | None, ...]) -> str:
 
 
 def _first(bad: Any, array: np.ndarray) -> str:
-    """Return the array's first bad value, and where it is."""
+    """Return the array's first bad value, and its index."""
     index = tuple(int(i) for i in np.argwhere(bad)[0]) if array.ndim else ()
     return f"{array[index]} at index {index}" if index else f"{array}"
 
 
-#: A program in a program, which else runs: in 6 microseconds.
+#: Traced within another program; runs, in 6 microseconds, outside of one.
 _nothing = jax.jit(lambda: 0)
 
 
 def stands_alone(*given: Any) -> bool:
-    """Whether what is called with this is a program of its own: no part of another."""
+    """Return True if a call with these arrays is a program of its own, not part of another."""
     return is_concrete(*jax.tree.leaves(given)) and is_concrete(_nothing())

@@ -1,4 +1,4 @@
-"""Batches of what is better worked off one after another than in lock step."""
+"""Loops over chunks, one after another rather than in lock step."""
 
 from collections.abc import Callable
 from typing import Any

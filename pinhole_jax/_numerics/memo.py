@@ -1,4 +1,4 @@
-"""What is worked out once for the same arrays: properties of a mesh that many fits ask for."""
+"""Results that are computed once for the same arrays: properties of a mesh that many fits need."""
 
 import hashlib
 from collections.abc import Callable
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-#: The most answers that are held.
+#: The largest number of results that are kept.
 MEMOISED = 64
 _answers: dict[Any, Any] = {}
 
@@ -14,10 +14,9 @@ _answers: dict[Any, Any] = {}
 def memoised(
     function: Callable[..., Any], *arrays: np.ndarray, given: tuple[Any, ...] | None = None
 ) -> Any:
-    """Return a function of arrays, or its answer for the same ones before.
+    """Return a function's result for arrays, or the one it returned for the same before.
 
-    The function is `given` something else than what tells the arrays from others, where there is
-    such.
+    `given` are the function's arguments if they are not the arrays.
     """
     digest = hashlib.sha1(usedforsecurity=False)
     for array in arrays:

@@ -1,4 +1,4 @@
-"""Programs for any number of points: few sizes are compiled, what is given is filled up to one."""
+"""Programs for any number of points: few sizes are compiled, points are filled up to one."""
 
 import math
 from collections.abc import Callable
@@ -20,23 +20,23 @@ SIZES = (64, 256, 1024, 4096)
 
 
 def room(number: int) -> int:
-    """Return the least of these sizes that holds so many points."""
+    """Return the least size that holds a number of points."""
     enough = [size for size in SIZES if size >= number]
     unit = 1 << max((number - 1).bit_length() - 3, 0)
     return enough[0] if enough else number + -number % unit
 
 
 def filled_up(points: np.ndarray, number: int, value: Any = None) -> np.ndarray:
-    """Return so many points, those that are added like the first, or of a value."""
+    """Return a number of points: some are added, like the first, or of a value."""
     size = number - len(points)
     added = np.broadcast_to(points[:1] if value is None else value, (size, *points.shape[1:]))
     return np.concatenate([points, added.astype(points.dtype)]) if size else points
 
 
 class pointwise(Generic[S]):
-    """A function of something and of points (*batch, m), each by itself, as `jitted` makes it.
+    """A compiled function of something and of points (*batch, m), each by itself.
 
-    Outside of other programs, on a CPU, it is one of few sizes.
+    Outside of other programs, on a CPU, it is compiled for few sizes.
     """
 
     def __init__(self, function: Callable[[S, Any], Any]):
@@ -54,8 +54,10 @@ class pointwise(Generic[S]):
 
 
 def may_be_filled_up(*given: Any) -> bool:
-    """Return whether what is called with this is a program of its own, on a CPU, where NumPy reads
-    arrays without a copy; and nobody asked for a device."""
+    """Return True if a call with these arrays is a program of its own, on a CPU of no choice.
+
+    There NumPy reads arrays without a copy.
+    """
     if jax.default_backend() != "cpu" or not stands_alone(given):
         return False
     return not any(getattr(x, "committed", False) for x in jax.tree.leaves(given))

@@ -62,7 +62,7 @@ def binary_scale(x: Float[Array, "..."]) -> Float[Array, ""]:
     """Return a power of 2 that brings the largest entry's size to between 1/2 and 1; not
     differentiated.
 
-    Products of what is scaled by it do not overflow, and nothing is rounded. 1 where all is 0.
+    Products of numbers scaled by it do not overflow, and nothing is rounded. 1 where all are 0.
     """
     x = jax.lax.stop_gradient(x)
     return binary_inverse(jnp.max(jnp.abs(x), initial=0))

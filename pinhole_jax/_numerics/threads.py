@@ -12,19 +12,19 @@ from .machine import usable_cores
 X = TypeVar("X")
 Y = TypeVar("Y")
 
-#: What programs were run: from the second time on none is compiled.
+#: Programs that were run: from the second time on none is compiled.
 _compiled: set[Hashable] = set()
 
 
 def in_threads(
     run: Callable[[X], Y], given: Sequence[X], program: Callable[[X], Hashable]
 ) -> list[Y]:
-    """Return what programs make of each that is given, as many at once as there are cores.
+    """Return the results of `run` for each item, as many at once as there are cores.
 
-    `program` names the program that one takes: where it is the first that takes it, it is alone,
-    since several threads would compile the same. Where a thread would count otherwise (it knows
-    nothing of the `with` blocks of JAX's settings that another is in), and where a program has a
-    device of its own, one thread does it all.
+    `program` names the compiled program that an item takes. The first item of each program runs
+    alone, since several threads would compile the same. One thread does it all on other devices
+    than CPUs, and where threads would use other types: JAX's `with` blocks of settings hold for one
+    thread only.
     """
     ask = lambda x: jax.block_until_ready(run(x))
     cores = min(usable_cores(), len(given)) if jax.default_backend() == "cpu" else 1
@@ -44,7 +44,7 @@ def in_threads(
 
 
 def some_at_once(given: Iterable[X]) -> Iterator[list[X]]:
-    """Yield what is given, as many at once as there are cores."""
+    """Yield the items in lists, each of as many as there are cores."""
     rest = iter(given)
     while some := list(islice(rest, usable_cores())):
         yield some

@@ -1,4 +1,4 @@
-"""Edges cut off where they leave what the film can show."""
+"""Edges cut off at bounds outside the film."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -7,7 +7,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._numerics.safe import safe_divide
-from .conics import Point
 
 
 class Homogeneous(NamedTuple):
@@ -19,7 +18,7 @@ class Homogeneous(NamedTuple):
 
 
 class _Spot(NamedTuple):
-    """Where an edge ends between two rows: a homogeneous point, and its height."""
+    """An edge's end between two rows: a homogeneous point, and its height."""
 
     x: Array
     y: Array
@@ -29,15 +28,14 @@ class _Spot(NamedTuple):
 
 def cut_off(
     first: Homogeneous, last: Homogeneous, weight: Array, beside: Array, bounds: Float[Array, "4"]
-) -> tuple[tuple[Point, Point], Array]:
-    """Where edges end on the film, cut off at bounds (left, right, low, high) outside it, and their
-    weights (0: not seen).
+) -> tuple[tuple[tuple[Array, Array], tuple[Array, Array]], Array]:
+    """The ends of edges on the film, cut off at bounds (left, right, low, high), and their weights.
 
     Edges are cut before the division by depth, so those that pass the eye or end behind it lose no
-    accuracy. What lies right of the film shows nowhere in it and is left out; what lies left of it
-    still bounds the rows: where `beside`, that is returned, as an upright on the left. A cut end
-    lies at exactly its bound. An edge that passes through the eye's x axis leaves for infinity at
-    the top (`surrounding` decides alike).
+    accuracy. Parts right of the film are invisible and have weight 0; parts left of it still bound
+    the rows: with `beside` these are returned, as uprights on the left. A cut end lies at exactly
+    its bound. An edge that passes through the eye's x axis leaves for infinity at the top
+    (`surrounding` decides alike).
     """
     left, right, low, high = bounds
     edge = first, last
@@ -61,14 +59,14 @@ def cut_off(
 
 
 def _past(bound: Array, side: int) -> Callable[[_Spot], Array]:
-    """Return how far a point lies past an upright bound, times depth."""
+    """Return the function of points' distance past an upright bound, times depth."""
     return lambda p: side * (p.x - bound * p.z)
 
 
 def _between_rows(
     edge: tuple[Homogeneous, Homogeneous], low: Array, high: Array
 ) -> tuple[tuple[_Spot, _Spot], Array]:
-    """Return where an edge ends between two heights, and whether none of it is there."""
+    """Return an edge's ends between two heights, and True if no part is there."""
     below, above = [low * p.z - p.y for p in edge], [p.y - high * p.z for p in edge]
     is_low, is_high = ([f > 0 for f in out] for out in (below, above))
     t_low, t_high = _crossing(*below), _crossing(*above)
@@ -91,7 +89,7 @@ def _between_rows(
 
 
 def _crossing(first: Array, last: Array) -> Array:
-    """Return where along an edge a value given at its ends is 0."""
+    """Return the share of an edge at which a value, known at its ends, is 0."""
     return safe_divide(first, first - last)
 
 

@@ -6,8 +6,6 @@ and hyperbolas, and a point with a given abscissa or height is found by a line t
 circle.
 """
 
-import functools
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -24,46 +22,28 @@ _NODES, _WEIGHTS = (x / 2 for x in np.polynomial.legendre.leggauss(8))
 _NODES = _NODES + 0.5
 
 
-#: A point of the film or of the unit circle, and an arc's frame, row by row, by components.
-Point = tuple[Array, Array]
-Frame = tuple[tuple[Array, ...], ...]
-
-
 def homogeneous(frame: Float[Array, "*#K 3 3"], w: Float[Array, "*K 2"]) -> Float[Array, "*K 3"]:
     """Return the homogeneous film point of w."""
     return frame[..., 0, :] + frame[..., 1, :] * w[..., :1] + frame[..., 2, :] * w[..., 1:]
 
 
-def arc_end(frame: Frame, w: Point, inward: int) -> Point:
-    """Return the film point of w; at infinity the arc's next points, `inward`, tell the sides."""
-    *point, z = homogeneous_at(frame, w)
-    tiny = 64 * jnp.finfo(z.dtype).eps
+def film_at(frame: Float[Array, "*#K 3 3"], w: Float[Array, "*K 2"]) -> Float[Array, "*K 2"]:
+    """Return the film point of w (px)."""
+    point = homogeneous(frame, w)
+    return safe_divide(point[..., :2], point[..., 2:])
+
+
+def arc_end(
+    frame: Float[Array, "*K 3 3"], w: Float[Array, "*K 2"], inward: int
+) -> Float[Array, "*K 2"]:
+    """Return the film point of an arc's end w, at infinity by its next points `inward`."""
+    point = homogeneous(frame, w)
+    xy, z, tiny = point[..., :2], point[..., 2:], 64 * jnp.finfo(frame.dtype).eps
+    change = (frame[..., 2, :2] * w[..., :1] - frame[..., 1, :2] * w[..., 1:]) * inward
+    none = jnp.abs(xy) <= tiny * jnp.max(jnp.abs(frame[..., :2]), axis=-2)
+    far = jnp.copysign(FAR, jnp.where(none, change, xy))
     at_infinity = z <= tiny
-
-    def of_axis(i):
-        change = (frame[2][i] * w[0] - frame[1][i] * w[1]) * inward
-        largest = functools.reduce(jnp.maximum, (jnp.abs(row[i]) for row in frame))
-        none = jnp.abs(point[i]) <= tiny * largest
-        far = jnp.copysign(FAR, jnp.where(none, change, point[i]))
-        return jnp.where(at_infinity, far, point[i] / jnp.where(at_infinity, 1, z))
-
-    return of_axis(0), of_axis(1)
-
-
-def frame_of(frame: Float[Array, "*K 3 3"]) -> Frame:
-    """Return a frame by components."""
-    return tuple(tuple(frame[..., k, i] for i in range(3)) for k in range(3))
-
-
-def homogeneous_at(frame: Frame, w: Point) -> tuple[Array, ...]:
-    """Return the homogeneous film point of w, by components."""
-    return tuple(a + b * w[0] + c * w[1] for a, b, c in zip(*frame, strict=True))
-
-
-def point_at(frame: Frame, w: Point) -> Point:
-    """Return the film point of w (px), by components."""
-    x, y, z = homogeneous_at(frame, w)
-    return safe_divide(x, z), safe_divide(y, z)
+    return jnp.where(at_infinity, far, xy / jnp.where(at_infinity, 1, z))
 
 
 # --- points of an arc ----------------------------------------------------------------------------
@@ -81,26 +61,17 @@ def unit_at(
     return cut_circle(level, growing)
 
 
-def cut_circle(level: Float[Array, "*K 3"], growing: Float[Array, "*K"]) -> Float[Array, "*K 2"]:
+def cut_circle(
+    level: Float[Array, "*K 3"], growing: Float[Array, "*K"] | float
+) -> Float[Array, "*K 2"]:
     """Return w on the unit circle with `level . (1, w_1, w_2) = 0`, growing there or falling."""
-    return jnp.stack(cut_at([level[..., k] for k in range(3)], growing), axis=-1)
-
-
-def cut_at(level: Sequence[Array], growing: Array | float) -> Point:
-    """Return the same, by components."""
-    b, x, y = -level[0], level[1], level[2]
+    b, x, y = -level[..., 0], level[..., 1], level[..., 2]
     length = jnp.sqrt(x * x + y * y)
     found = length > 0
     length = jnp.where(found, length, 1)
     x, y, b = jnp.where(found, x / length, 1), y / length, jnp.clip(b / length, -1, 1)
     root = growing * jnp.sqrt((1 - b) * (1 + b))
-    return x * b + y * root, y * b - x * root
-
-
-def film_at(frame: Float[Array, "*#K 3 3"], w: Float[Array, "*K 2"]) -> Float[Array, "*K 2"]:
-    """Return the film point of w (px)."""
-    point = homogeneous(frame, w)
-    return safe_divide(point[..., :2], point[..., 2:])
+    return jnp.stack([x * b + y * root, y * b - x * root], axis=-1)
 
 
 def unit_of(frame: Float[Array, "*K 3 3"], point: Float[Array, "*K 2"]) -> Float[Array, "*K 2"]:

@@ -1,11 +1,11 @@
-"""The curves that bound what a film sees of a scene, and how they move with it.
+"""The curves that bound a scene's image, and their motion.
 
-A closed mesh is seen as its front-facing triangles; they end where a front- meets a back-facing
-one. An open mesh shows both sides of each triangle, and its borders end it too. A sphere is seen
-as a conic. Every curve is monotone in x and in y and has its covered side on its left.
+A closed mesh is seen as its front-facing triangles; they end where a front-facing one meets a
+back-facing one. An open mesh shows both sides of each triangle, and its borders end it too. A
+sphere is seen as a conic. Every curve is monotone in x and in y, with its covered side on the left.
 
-All edges and all arcs of all conics are looked at side by side; those that are not seen have no
-parts. Through a lens that bends, a curve has so many straight parts that they follow its image.
+All edges and all arcs of all conics go side by side; invisible ones have no parts. Through a lens
+with distortion, a curve has enough straight parts to follow its image.
 """
 
 from typing import Any, NamedTuple
@@ -21,21 +21,21 @@ from .._numerics.running import running_sum
 from .._numerics.safe import binary_inverse, norm, safe_divide
 from .._scene.scene import Mesh, Scene, Spheres, front_facing, is_closed
 from .clip import Homogeneous, cut_off
-from .conics import arc_end, film_at, frame_of, homogeneous
+from .conics import arc_end, film_at, homogeneous
 from .pieces import Arcs, Monotone
 from .spheres import ARCS_PER_SPHERE, Arc, arc_within, shown_arcs
 
-#: Straight parts stray from a bent curve by so much at most (px), and so many one may have.
+#: The largest distance of straight parts from a bent curve (px), and the largest number of parts.
 STRAY_PX, MOST_PARTS = 2e-4, 1 << 14
-#: Second derivatives between the points where they are looked at are taken to be larger by this.
+#: The allowance for second derivatives between the points where they are measured.
 MARGIN = 1.3
-#: Stretches in which a curve's bending is looked at; of edges that are short on the film, two.
+#: Stretches in which a curve's bending is measured; two for edges shorter than this on the film.
 STRETCHES, SHORT = 16, 1 / 16
 
 
 class Moving(NamedTuple):
-    """What curves move with: homogeneous film points of a mesh's vertices, spheres' outlines as
-    conics, and a lens; None is what a scene lacks."""
+    """The variables of curves: homogeneous film points of a mesh's vertices, spheres' outlines as
+    conics, and a lens; None where a scene has none."""
 
     points: Float[Array, "V 3"] | None
     frames: Float[Array, "S 3 3"] | None
@@ -43,7 +43,7 @@ class Moving(NamedTuple):
 
     @staticmethod
     def of(film: FilmMap, scene: Scene) -> "Moving":
-        """What the curves of a scene move with."""
+        """The variables of a scene's curves."""
         mesh, spheres = scene.mesh, scene.spheres
         points = None if mesh is None else film_points(film, mesh.vertices)
         frames = None if spheres is None else sphere_frames(film, spheres).reshape(-1, 3, 3)
@@ -51,12 +51,12 @@ class Moving(NamedTuple):
 
 
 class Contour(NamedTuple):
-    """A view's curves, cut into parts: `upto` counts those of all curves up to each.
+    """A view's curves, cut into parts: `upto` is the running sum of their numbers of parts.
 
-    Edges come first, then what of them lies left of the film, then the same of bent arcs, then
-    arcs. `tail` and `head` are a curve's ends before a lens bends it (px); `weight` is how many
-    layers of cover there are more on its left. `ends` are the vertices of edges, `arcs` stretches
-    of `frames` through a lens.
+    Edges come first, then their parts left of the film, then those of bent arcs, then arcs. `tail`
+    and `head` are a curve's ends before a lens bends it (px); `weight` is the number of layers on
+    its left less those on its right. `ends` are the vertices of edges, `arcs` stretches of `frames`
+    through a lens.
     """
 
     tail: Float[Array, "G 2"]
@@ -87,11 +87,11 @@ class Contour(NamedTuple):
 
     @property
     def number(self) -> int:
-        """How many curves there are, seen or not."""
+        """The number of curves, visible or not."""
         return self.weight.shape[0]
 
     def monotone(self, ids: Int[Array, "K"]) -> Monotone:
-        """Parts from their lower to their upper end; of an id past the last one nothing."""
+        """Parts from their lower to their upper end; without weight past the last one."""
         curve, *shares = self._find(ids)
         tail, head = (self._image(curve, share, self.bend) for share in shares)
         weight = jnp.where(ids < self.upto[-1], self.weight[curve], 0)
@@ -102,12 +102,12 @@ class Contour(NamedTuple):
         return Monotone.of(tail, head, weight, arcs)
 
     def sphere(self, ids: Int[Array, "K"]) -> Int[Array, "K"]:
-        """Which sphere's outline parts belong to; of edges any."""
+        """The sphere of each part; any for edges."""
         return self._sphere(self._arc(self._find(ids)[0]))
 
     def speeds(self, moving: Moving, ids: Int[Array, "K"]) -> Float[Array, "K 2"]:
-        """What grows as fast as straight parts move at tail and head: upwards where they are flat,
-        to the right where they are steep."""
+        """Numbers with the derivatives of straight parts' motion at tail and head: upwards for flat
+        parts, to the right for steep ones."""
         curve, *shares = self._find(ids)
         tail, head = (self._image(curve, share, self.bend) for share in shares)
         way = head - tail
@@ -120,10 +120,10 @@ class Contour(NamedTuple):
 
         return jnp.stack([speed(share) for share in shares], axis=1)
 
-    # --- which part, and where ---
+    # --- parts and their points ---
 
     def _find(self, ids: Int[Array, "K"]) -> tuple[Array, Array, Array]:
-        """Which curve parts belong to, and from which share of it to which they are."""
+        """The curve of each part, and the shares of it at which the part begins and ends."""
         curve = jnp.searchsorted(self.upto, ids, side="right").astype(jnp.int32)
         curve = jnp.minimum(curve, self.number - 1)
         before = jnp.where(curve > 0, self.upto[curve - 1], 0)
@@ -132,7 +132,7 @@ class Contour(NamedTuple):
         return curve, part.astype(real) / parts, (part + 1).astype(real) / parts
 
     def _arc(self, curve: Int[Array, "K"]) -> Int[Array, "K"]:
-        """Numbers of arcs, below 0 of what is none."""
+        """Numbers of arcs; below 0 for other curves."""
         spheres = 0 if self.frames is None else self.frames.shape[0]
         return curve - (self.number - ARCS_PER_SPHERE * spheres)
 
@@ -152,14 +152,14 @@ class Contour(NamedTuple):
     def _turned(self, arc: Int[Array, "K"], share: Float[Array, "K"]) -> Float[Array, "K 2"]:
         """Points of the unit circle at a share of arcs."""
         own: Any = jax.tree.map(lambda x: x[jnp.maximum(arc, 0)], self.arcs)
-        return jnp.stack(own.at(share), axis=-1)
+        return own.at(share)
 
     def _image(self, curve: Array, share: Array, bend: Bend | None) -> Float[Array, "K 2"]:
         point = self._ideal(curve, share)
         return point if bend is None else bend(point)
 
     def _carried(self, moving: Moving, curve: Array, share: Array) -> Float[Array, "K 2"]:
-        """Points that are held on the curves, where what these move with carries them."""
+        """Points fixed on the curves, as functions of the variables."""
         at, change = self._ideal(curve, share), jnp.zeros((len(curve), 2), self.tail.dtype)
         if self.ends is not None and self.points is not None and moving.points is not None:
             edge, E = curve, self.ends.shape[0]
@@ -180,7 +180,7 @@ class Contour(NamedTuple):
         return eqx.tree_at(lambda b: b.trusted, moving.bend, held)(at)
 
     def _parts(self, film: FilmMap) -> Int[Array, "G"]:
-        """Into how many parts a lens has curves cut."""
+        """The number of straight parts of each curve through the lens."""
         curve = jnp.arange(self.number, dtype=jnp.int32)
         shorter = norm(self.head - self.tail) < SHORT * min(film.W, film.H)
         stretches = jnp.where(shorter & (self._arc(curve) < 0), 2, STRETCHES)
@@ -196,7 +196,7 @@ class Contour(NamedTuple):
         second = jax.lax.fori_loop(1, STRETCHES + 1, further, (start, start, start[:, 0] * 0))[2]
         needed = jnp.ceil(jnp.sqrt(MARGIN * second * stretches**2 / (8 * STRAY_PX)))
         parts = jnp.clip(needed, 1, MOST_PARTS).astype(jnp.int32)
-        # (What lies left of the film shows nowhere: it stays one part.)
+        # (Parts left of the film are invisible: they stay whole.)
         edges = 0 if self.ends is None else self.ends.shape[0]
         whole = (curve >= edges) & (self._arc(curve) < 0)
         return jnp.where(self.weight == 0, 0, jnp.where(whole, 1, parts))
@@ -206,7 +206,7 @@ Curve = tuple[Float[Array, "K 2"], Float[Array, "K 2"], Float[Array, "K"]]
 
 
 def edge_curves(points: Float[Array, "V 3"], film: FilmMap, mesh: Mesh) -> list[Curve]:
-    """What the film may show of edges, and what of them lies left of it."""
+    """The parts of edges near the film, and those left of it."""
     weight = contour_weights(mesh, film.eye)
     both = points[mesh.edge_vertices]
     both = both * binary_inverse(jnp.max(jnp.abs(both), axis=-1))[..., None]
@@ -219,10 +219,10 @@ def edge_curves(points: Float[Array, "V 3"], film: FilmMap, mesh: Mesh) -> list[
 
 
 def contour_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
-    """How many layers of cover edges bound on their left less on their right.
+    """The number of layers on each edge's left less those on its right; 0 off the contour.
 
-    0 of one that is not on the contour. A closed mesh counts front-facing triangles only; any other
-    mesh counts every triangle, from whichever side it is seen.
+    A closed mesh counts front-facing triangles only; any other mesh counts every triangle, from
+    whichever side it is seen.
     """
     front, (first, second) = front_facing(mesh, e), mesh.edge_faces.T
     border, positive = second < 0, front[first]
@@ -234,14 +234,15 @@ def contour_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
 def _arcs(
     frames: Float[Array, "S 3 3"], film: FilmMap, spheres: Spheres
 ) -> tuple[list[Curve], Arc | None]:
-    """The monotone arcs of spheres' outlines; through a lens also what lies left of the film, and
-    the arcs' stretches within its bounds."""
+    """The monotone arcs of spheres' outlines.
+
+    Through a lens also the parts left of the film, and the arcs' stretches within its bounds.
+    """
     apart = norm(spheres.centers - film.eye[None])
     start, end, weight = shown_arcs(frames, apart > spheres.radii)
-    frame = frame_of(jnp.repeat(frames, ARCS_PER_SPHERE, axis=0))
+    frame = jnp.repeat(frames, ARCS_PER_SPHERE, axis=0)
     if film.bend is None:
-        tail, head = (jnp.stack(arc_end(frame, *x), -1) for x in ((start, 1), (end, -1)))
-        return [(tail, head, weight)], None
+        return [(arc_end(frame, start, 1), arc_end(frame, end, -1), weight)], None
     arc, heights, beside = arc_within(film.bounds, frame, start, end)
     tail, head = (jnp.stack([jnp.full_like(y, film.bounds[0]), y], -1) for y in heights)
     nowhere = jnp.zeros_like(tail)
@@ -250,7 +251,7 @@ def _arcs(
 
 
 def _shares(ends: Float[Array, "K 2 3"], at: Float[Array, "K 2"]) -> Float[Array, "K 2"]:
-    """How much points of edges move with the edges' ends, over depth."""
+    """The shares in which points of edges move with the edges' ends, over depth."""
     scale = binary_inverse(jnp.max(jnp.abs(ends), axis=-1))
     ends = ends * scale[..., None]
     a, b = ends[:, 0], ends[:, 1]
@@ -266,6 +267,6 @@ def _shares(ends: Float[Array, "K 2 3"], at: Float[Array, "K 2"]) -> Float[Array
 def _moved(
     rows: Float[Array, "K n 3"], shares: Float[Array, "K n"], at: Float[Array, "K 2"]
 ) -> Float[Array, "K 2"]:
-    """What moves as weighted sums of homogeneous points do, seen at film points."""
+    """The motion at film points of weighted sums of homogeneous points."""
     total = jnp.sum(jax.lax.stop_gradient(shares)[..., None] * rows, axis=1)
     return total[:, :2] - jax.lax.stop_gradient(at) * total[:, 2:]

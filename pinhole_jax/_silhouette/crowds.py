@@ -1,9 +1,9 @@
 """Coverage of a union, in pixels where contours overlap.
 
-The pieces of some crowded pixels are listed, pixel by pixel, and equal ones merged. A cell (first a
-pixel) that its pieces cannot uncover is covered; one with few pieces is swept; any other is cut
-into smaller ones, depth first, so that memory is bounded. Nearly all of these are covered whatever
-their pieces do. At the last cut the corner speaks for a cell of 2^-24 px.
+The pieces of crowded pixels are listed pixel by pixel, batch by batch, and equal ones merged. A
+cell, at first a pixel, is covered if its pieces cannot uncover it; it is swept if they are few; and
+else it is cut into smaller cells, depth first, so that memory is bounded. Nearly all of these are
+covered whatever their pieces do. At the last cut the corner decides for a cell of 2^-24 px.
 """
 
 from collections.abc import Callable
@@ -18,20 +18,23 @@ from .._numerics.running import running_sum
 from .contour import Contour
 from .pieces import Arcs, Monotone, Pieces, in_row, piece_in, rows_met
 from .pixels import Pixels, fold_film, place
-from .sweep import Lines, swept
+from .sweep import Lines, sweep
 
-#: Cells with at most `FEW` pieces are swept, `SWEPT` at a time; so many are looked at together.
+#: Cells with at most `FEW` pieces are swept, `SWEPT` at a time; `CELLS` are examined together.
 FEW, SWEPT, CELLS = 24, 64, 1024
-#: A cell is cut into `CUT` x `CUT`, so often at most.
+#: A cell is cut into `CUT` x `CUT` smaller ones, at most `DEPTH` times.
 CUT, DEPTH = 4, {"float32": 4, "float64": 12}
-#: At least and at most so many pieces are listed, some for each curve that there may be.
+#: The least and the largest number of pieces in a list, and their number for each possible curve.
 LEAST_ROOM, ROOM, PIECES_A_CURVE = 1 << 12, 1 << 20, 2
 
 
-class Seen(NamedTuple):
-    """Stretches of curves that the background is seen beside, each in a pixel (past the last:
-    none): the length along y if the curve is steep, else along x (`extent`, px, signed), and its
-    first `moment` (px^2); how the area grows with an arc's conic (px^2)."""
+class VisiblePieces(NamedTuple):
+    """Stretches of curves beside the background, each in a pixel (past the last: none).
+
+    - `extent`: the signed length (px) along y if the curve is steep, else along x.
+    - `moment`: its first moment (px^2).
+    - `flux`: the area's derivative by an arc's conic (px^2).
+    """
 
     pixel: Int[Array, "N"]
     curve: Int[Array, "N"]
@@ -40,17 +43,17 @@ class Seen(NamedTuple):
     flux: Float[Array, "N 3 3"] | None
 
 
-class Resolved(NamedTuple):
-    """Cells: their pixel (past the last: none), by how much of it more is covered, and what is seen
-    there, if that was asked for and anything is."""
+class CellCoverage(NamedTuple):
+    """Cells: their pixel (past the last: none), their share of its coverage, and the visible
+    pieces in them, if wanted."""
 
     pixel: Int[Array, "C"]
     area: Float[Array, "C"]
-    seen: Seen | None
+    seen: VisiblePieces | None
 
 
-class _Listed(NamedTuple):
-    """Pieces, pixel by pixel: their curve's number, ends, `jump`, and facts as bits (`_kinds`)."""
+class _PieceList(NamedTuple):
+    """Pieces, pixel by pixel: their curve's number, ends, `jump`, and flags as bits (`_flags`)."""
 
     pixel: Int[Array, "N"]
     curve: Int[Array, "N"]
@@ -58,19 +61,13 @@ class _Listed(NamedTuple):
     jump: Float[Array, "N"]
     kind: Int[Array, "N"]
 
-    def bit(self, k: int) -> Bool[Array, "N"]:
-        """Which have a fact of `_kinds`."""
+    def flag(self, k: int) -> Bool[Array, "N"]:
+        """The k-th flag of `_flags`."""
         return (self.kind >> k & 1) > 0
-
-    @property
-    def arc(self) -> Bool[Array, "N"]:
-        """Which are parts of arcs."""
-        return self.bit(0)
 
 
 class _Cells(NamedTuple):
-    """Cells: the place of their pixel in a batch, how often that is cut, and where in it they are,
-    in units of a cell."""
+    """Cells: their pixel's place in a batch, number of cuts, and row and column in the pixel."""
 
     pixel: Int[Array, "C"]
     level: Int[Array, "C"]
@@ -78,14 +75,16 @@ class _Cells(NamedTuple):
     column: Int[Array, "C"]
 
 
-Add = Callable[[Any, Resolved], Any]
+Add = Callable[[Any, CellCoverage], Any]
 
 
-def resolved(
+def fold_crowded(
     curves: Contour, film: tuple[int, int], pixels: Pixels, add: Add, start: Any, seen: bool
 ) -> Any:
-    """`start` after `add(total, resolved)` over all crowded pixels of a film of W x H; with `seen`
-    also of what the background is seen beside."""
+    """`start` after `add(total, cells)` over all crowded pixels of a film of W x H.
+
+    With `seen`, cells have their visible pieces.
+    """
     if pixels.crowded is None:
         return start
     number = jnp.where(pixels.crowded, pixels.number, 0)
@@ -102,8 +101,8 @@ def resolved(
         # (One pixel at least.)
         end = jnp.where(end > first, end, jnp.min(jnp.where(begins, upto, upto[-1])))
         chosen = begins & (upto <= end)
-        listed = _merged(_listed(curves, film, chosen, room))
-        return end, _worked_off(curves, film, pixels, chosen, listed, add, total, seen)
+        listed = _merge(_list_pieces(curves, film, chosen, room))
+        return end, _fold_batch(curves, film, pixels, chosen, listed, add, total, seen)
 
     return jax.lax.while_loop(lambda s: s[0] < upto[-1], batch, (jnp.int32(0), start))[1]
 
@@ -111,13 +110,13 @@ def resolved(
 # --- lists ----------------------------------------------------------------------------------------
 
 
-def _listed(
+def _list_pieces(
     curves: Contour, film: tuple[int, int], chosen: Bool[Array, "pixels"], room: int
-) -> _Listed:
-    """The pieces in chosen pixels, in the order in which they are found."""
+) -> _PieceList:
+    """The pieces in chosen pixels, in no order."""
     whole, real = jnp.zeros(room, jnp.int32), jnp.zeros(room, curves.tail.dtype)
     nowhere = film[0] * film[1]
-    empty = _Listed(whole + nowhere, whole, (real,) * 4, real, whole)
+    empty = _PieceList(whole + nowhere, whole, (real,) * 4, real, whole)
 
     def add(state, m, pieces: Pieces):
         used, listed = state
@@ -126,23 +125,23 @@ def _listed(
         upto = used + running_sum(there.astype(jnp.int32))
         slot = jnp.where(there, upto - 1, room)
         ends = (*pieces.low.T, *pieces.high.T)
-        more = _Listed(pixel, pieces.curve, ends, pieces.jump, _kinds(m, pieces))
+        more = _PieceList(pixel, pieces.curve, ends, pieces.jump, _flags(m, pieces))
         put = lambda old, new: old.at[slot].set(new, mode="drop")
         return upto[-1], jax.tree.map(put, listed, more)
 
     return fold_film(curves, film, add, (jnp.int32(0), empty))[1]
 
 
-def _kinds(m: Monotone, pieces: Pieces) -> Int[Array, "P"]:
-    """Facts that equal pieces share, as bits."""
+def _flags(m: Monotone, pieces: Pieces) -> Int[Array, "P"]:
+    """Bits that equal pieces share: arc, crosses the left side, at its end, bottom, on bottom."""
     arc = jnp.zeros(pieces.jump.shape, bool) if m.arcs is None else m.arcs.there
     left = pieces.left != 0
-    facts = arc, left, left & pieces.left_at_end, pieces.bottom, pieces.on_bottom
-    return jnp.asarray(sum(fact.astype(jnp.int32) << k for k, fact in enumerate(facts)))
+    flags = arc, left, left & pieces.left_at_end, pieces.bottom, pieces.on_bottom
+    return jnp.asarray(sum(flag.astype(jnp.int32) << k for k, flag in enumerate(flags)))
 
 
-def _merged(listed: _Listed) -> _Listed:
-    """Pieces pixel by pixel, equal ones as one; such as cancel each other are left out."""
+def _merge(listed: _PieceList) -> _PieceList:
+    """Pieces pixel by pixel, equal ones merged; those that cancel each other are removed."""
     nowhere, number = jnp.max(listed.pixel), len(listed.pixel)
     keys = listed.pixel, listed.kind, *listed.ends
     *keys, curve, jump = jax.lax.sort((*keys, listed.curve, listed.jump), num_keys=len(keys))
@@ -154,11 +153,11 @@ def _merged(listed: _Listed) -> _Listed:
     pixel, kind, *ends = keys
     put = lambda x: jnp.zeros_like(x).at[slot].set(x, mode="drop")
     last = jnp.full_like(pixel, nowhere).at[slot].set(pixel, mode="drop")
-    return _Listed(last, put(curve), tuple(map(put, ends)), put(jump), put(kind))
+    return _PieceList(last, put(curve), tuple(map(put, ends)), put(jump), put(kind))
 
 
 def _differ(keys: list[Array]) -> Bool[Array, "N"]:
-    """Which entries of lists differ from the ones before, but for the first."""
+    """True for entries that differ from the ones before, without the first."""
     return jnp.any(jnp.stack([x[1:] != x[:-1] for x in keys]), axis=0)
 
 
@@ -166,30 +165,33 @@ def _differ(keys: list[Array]) -> Bool[Array, "N"]:
 
 
 class _Batch(NamedTuple):
-    """Pixels that are worked off: their `pixel` (past the last: none), layers at their corners, and
-    where in the lists their pieces are."""
+    """Pixels of a batch (past the last: none), their layers at the corner, and the begin and number
+    of their pieces in the list; `add`, `seen` as in `fold_crowded`."""
 
     curves: Contour
     W: int
-    listed: _Listed
+    listed: _PieceList
     pixel: Int[Array, "N"]
     corner: Float[Array, "N"]
     begin: Int[Array, "N"]
     number: Int[Array, "N"]
     nowhere: int
+    depth: int
+    add: Add
+    seen: bool
 
 
-def _worked_off(
+def _fold_batch(
     curves: Contour,
     film: tuple[int, int],
     pixels: Pixels,
     chosen: Bool[Array, "pixels"],
-    listed: _Listed,
+    listed: _PieceList,
     add: Add,
     start: Any,
     seen: bool,
 ) -> Any:
-    """`start` after all chosen pixels, whose pieces are listed."""
+    """`start` after all chosen pixels, whose pieces are in the list."""
     nowhere, room = len(chosen), len(listed.pixel)
     most, real = min(room, nowhere), curves.tail.dtype
     depth = DEPTH[jnp.dtype(real).name]
@@ -197,7 +199,8 @@ def _worked_off(
     find = lambda side: jnp.searchsorted(listed.pixel, pixel, side=side).astype(jnp.int32)
     begin, corner = find("left"), pixels.corner[jnp.minimum(pixel, nowhere - 1)]
     number, total = find("right") - begin, jnp.sum(chosen, dtype=jnp.int32)
-    batch = _Batch(curves, film[0], listed, pixel, corner, begin, number, nowhere)
+    spans, rest = (pixel, corner, begin, number), (nowhere, depth, add, seen)
+    batch = _Batch(curves, film[0], listed, *spans, *rest)
     size = (depth + 1) * CELLS * CUT**2
     rank = jnp.arange(CELLS, dtype=jnp.int32)
 
@@ -217,7 +220,7 @@ def _worked_off(
             next_ + jnp.where(on_stack, 0, taken),
             height - jnp.where(on_stack, taken, 0),
         )
-        cut, sums = _looked_at(batch, cells, there, depth, add, sums, seen)
+        cut, sums = _fold_cells(batch, cells, there, sums)
         stack = _with_parts(stack, height, cells, cut)
         return next_, height + CUT**2 * jnp.sum(cut, dtype=jnp.int32), stack, sums
 
@@ -227,7 +230,7 @@ def _worked_off(
 
 
 def _with_parts(stack: _Cells, height: Array, cells: _Cells, cut: Bool[Array, "C"]) -> _Cells:
-    """A stack of this height with the parts of cells that are cut on top."""
+    """A stack of some height with the parts of cut cells on top."""
     slot = height + CUT**2 * (running_sum(cut.astype(jnp.int32)) - 1)
     slot = jnp.where(cut, slot, len(stack.pixel))[:, None]
     part = jnp.arange(CUT**2, dtype=jnp.int32)[None]
@@ -239,8 +242,8 @@ def _with_parts(stack: _Cells, height: Array, cells: _Cells, cut: Bool[Array, "C
 
 
 class _InCells(NamedTuple):
-    """Pieces as they are in cells (`jump` is 0 of what is not), the cell's number, arcs in units of
-    a cell from its corner, and how layers change from a pixel's corner to the cell's."""
+    """Pieces in cells (`jump` is 0 of others), the cell's number, arcs in units of a cell from its
+    corner, and the change of layers from the pixel's corner to the cell's."""
 
     cell: Int[Array, "N"]
     pieces: Pieces
@@ -248,16 +251,10 @@ class _InCells(NamedTuple):
     change: Float[Array, "N"]
 
 
-def _looked_at(
-    batch: _Batch,
-    cells: _Cells,
-    there: Bool[Array, "C"],
-    depth: int,
-    add: Add,
-    total: Any,
-    seen: bool,
+def _fold_cells(
+    batch: _Batch, cells: _Cells, there: Bool[Array, "C"], total: Any
 ) -> tuple[Bool[Array, "C"], Any]:
-    """Which of the cells that are there must be cut, and the total with all others."""
+    """True for cells, of those that are there, that must be cut; and the total with all others."""
     real = batch.corner.dtype
     number = jnp.where(there, batch.number[cells.pixel], 0)
     found = _in_cells(batch, cells, number)
@@ -266,12 +263,12 @@ def _looked_at(
     drop, number, change = jnp.zeros((CELLS, 3), real).at[found.cell].add(sums, mode="drop").T
     corner = batch.corner[cells.pixel] + change
     few = number <= FEW
-    known = (corner - drop > 0.5) | (number == 0) | ((cells.level >= depth) & ~few)
+    known = (corner - drop > 0.5) | (number == 0) | ((cells.level >= batch.depth) & ~few)
     pixel = jnp.where(there & known, batch.pixel[cells.pixel], batch.nowhere)
     area = jnp.where(corner > 0.5, 1 / _scale(cells.level, real) ** 2, 0)
-    total = add(total, Resolved(pixel, area, None))
+    total = batch.add(total, CellCoverage(pixel, area, None))
 
-    # Of each cell that is swept, its pieces in a row of a table.
+    # A table with a row of pieces for each cell to be swept.
     upto = running_sum(inside.astype(jnp.int32))
     before = jnp.cumsum(number.astype(jnp.int32)) - number.astype(jnp.int32)
     at = found.cell * FEW + upto - 1 - before[jnp.minimum(found.cell, CELLS - 1)]
@@ -281,23 +278,23 @@ def _looked_at(
     table = jnp.full(CELLS * FEW, -1, jnp.int32).at[at].set(slots, mode="drop").reshape(-1, FEW)
     order = jnp.nonzero(sweeps, size=CELLS, fill_value=CELLS)[0].astype(jnp.int32)
 
-    def some(total, first):
+    def chunk(total, first):
         chosen = jax.lax.dynamic_slice_in_dim(order, first, SWEPT)
         own = jnp.minimum(chosen, CELLS - 1)
         places = jnp.where((chosen < CELLS)[:, None], table[own], -1)
         here = jax.tree.map(lambda x: x[own], cells)
-        return add(total, _swept(batch, here, corner[own], found, places, seen))
+        return batch.add(total, _sweep_cells(batch, here, corner[own], found, places))
 
-    return there & ~known & ~few, in_chunks(some, total, SWEPT, jnp.sum(sweeps, dtype=jnp.int32))
+    return there & ~known & ~few, in_chunks(chunk, total, SWEPT, jnp.sum(sweeps, dtype=jnp.int32))
 
 
 def _scale(level: Int[Array, "*C"], real: Any) -> Float[Array, "*C"]:
-    """How many cells are side by side in a pixel."""
+    """The number of cells along a pixel's side."""
     return jnp.asarray(CUT, real) ** level.astype(real)
 
 
 def _in_cells(batch: _Batch, cells: _Cells, number: Int[Array, "C"]) -> _InCells:
-    """The pieces of the cells' pixels, `number` for each cell, as they are in the cells."""
+    """The parts in cells of their pixels' pieces, `number` for each cell."""
     listed, upto = batch.listed, running_sum(number)
     slot = jnp.arange(len(listed.pixel), dtype=jnp.int32)
     cell = jnp.searchsorted(upto, slot, side="right").astype(jnp.int32)
@@ -313,7 +310,7 @@ def _in_cells(batch: _Batch, cells: _Cells, number: Int[Array, "C"]) -> _InCells
     m = Monotone(low, high, curve.rising, jnp.where(there, piece.jump, 0), None)
     if curve.arcs is not None:
         conic = _placed(curve.arcs.conic, _corner(batch, here), scale)
-        m = m._replace(arcs=Arcs(conic, piece.arc))
+        m = m._replace(arcs=Arcs(conic, piece.flag(0)))
     return _cut(m, piece, here, jnp.where(there, cell, CELLS))
 
 
@@ -324,19 +321,19 @@ def _corner(batch: _Batch, cells: _Cells) -> Float[Array, "C 2"]:
 
 
 def _placed(frame: Float[Array, "*C 3 3"], origin: Array, scale: Array) -> Float[Array, "*C 3 3"]:
-    """Conics in pixels `scale` times as small, from an origin."""
+    """Conics from another origin, in pixels `scale` times as small."""
     xy, z = frame[..., :2], frame[..., 2:]
     xy = (xy - origin[..., None, :] * z) * scale[..., None, None]
     return jnp.concatenate([xy, z], axis=-1)
 
 
-def _cut(m: Monotone, piece: _Listed, cells: _Cells, cell: Int[Array, "N"]) -> _InCells:
-    """What of pieces (in units of the cells) is in cells.
+def _cut(m: Monotone, piece: _PieceList, cells: _Cells, cell: Int[Array, "N"]) -> _InCells:
+    """The parts of pieces, in units of the cells, that are in cells.
 
-    What a piece does on its pixel's sides is as it was found there, not anew.
+    On its pixel's sides a piece keeps its flags: they are not found again.
     """
     row, column, n = cells.row, cells.column, CUT**cells.level
-    left, left_at_end, bottom, on_bottom = (piece.bit(k) for k in (1, 2, 3, 4))
+    left, left_at_end, bottom, on_bottom = (piece.flag(k) for k in (1, 2, 3, 4))
     first, end = rows_met(m, n)
     own = in_row(m, row, (0, n - 1))
     inside = (first <= row) & (row < end)
@@ -345,7 +342,7 @@ def _cut(m: Monotone, piece: _Listed, cells: _Cells, cell: Int[Array, "N"]) -> _
     )
     found = piece_in(m, own, row, column, piece.curve, inside & between)
 
-    # Where the pixel's left side and the row's bottom are crossed.
+    # Crossings of the pixel's left side and of the row's bottom.
     row_of_left = jnp.where(left_at_end, end - 1, first)
     aside = jnp.where(left, jnp.where(left_at_end, m.jump, -m.jump), 0)
     real = row.astype(m.low.dtype)
@@ -370,15 +367,14 @@ def _cut(m: Monotone, piece: _Listed, cells: _Cells, cell: Int[Array, "N"]) -> _
 # --- sweeps ---------------------------------------------------------------------------------------
 
 
-def _swept(
+def _sweep_cells(
     batch: _Batch,
     cells: _Cells,
     corner: Float[Array, "C"],
     found: _InCells,
     places: Int[Array, "C M"],
-    seen: bool,
-) -> Resolved:
-    """Cells with the pieces at these places (-1: none), resolved; those without pieces are none."""
+) -> CellCoverage:
+    """Coverage of cells with the pieces at these places (-1: none); of none without pieces."""
     _, pieces, arcs, _ = jax.tree.map(lambda x: x[jnp.maximum(places, 0)], found)
     there, scale = places >= 0, _scale(cells.level, corner.dtype)
     pieces = pieces._replace(
@@ -391,13 +387,13 @@ def _swept(
     own = jax.tree.map(lambda x: x.reshape(*places.shape, *x.shape[1:]), own)
     pixel = jnp.where(jnp.any(there, axis=1), batch.pixel[cells.pixel], batch.nowhere)
     lines = _along_x(pieces, arcs, own.rising * own.rightward)
-    if not seen:
-        return Resolved(pixel, swept(lines, corner, None).area / scale**2, None)
+    if not batch.seen:
+        return CellCoverage(pixel, sweep(lines, corner, None).area / scale**2, None)
 
     both = lambda a, b: jax.tree.map(lambda *x: jnp.concatenate(x), a, b)
     lines = both(lines, _along_y(pieces, arcs, own.rising))
     conics = None if own.arcs is None else both(own.arcs.conic, own.arcs.conic)
-    sweeps = swept(lines, both(corner, corner), conics)
+    sweeps = sweep(lines, both(corner, corner), conics)
     flat, upright = (jax.tree.map(lambda x, k=k: jnp.split(x, 2)[k], sweeps) for k in (0, 1))
     # Steep ones by the sweep along y.
     steep, way = own.steep, pieces.high - pieces.low
@@ -409,26 +405,26 @@ def _swept(
     extent, moment = extent / scale[:, None], moment / scale[:, None] ** 2
     moment += extent * pick(begin[..., 0], begin[..., 1])
     pixels = jnp.broadcast_to(pixel[:, None], places.shape)
-    some = Seen(pixels, pieces.curve, extent, moment, flux)
-    some = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), some)
-    return Resolved(pixel, flat.area / scale**2, some)
+    visible = VisiblePieces(pixels, pieces.curve, extent, moment, flux)
+    visible = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), visible)
+    return CellCoverage(pixel, flat.area / scale**2, visible)
 
 
 def _along_x(pieces: Pieces, arcs: Arcs | None, grows: Array) -> Lines:
-    """Pieces as a line sweeps them that moves to the right."""
+    """Pieces for a sweep line that moves to the right."""
     (x0, y0), (x1, y1) = (jnp.moveaxis(p, -1, 0) for p in (pieces.low, pieces.high))
     right, up = x1 >= x0, pieces.up
     u0, u1 = jnp.minimum(x0, x1), jnp.maximum(x0, x1)
     v0, v1 = jnp.where(right, y0, y1), jnp.where(right, y1, y0)
     enters = jnp.where(pieces.bottom, pieces.jump, 0)
-    # What lies just above a piece on the row's bottom is counted without it.
+    # Layers just above a piece on the row's bottom are counted without it.
     lies = jnp.where(pieces.on_bottom, up, 0)
     halt, step = (jnp.concatenate(x, axis=1) for x in ((x0, u0, u1), (enters, -lies, lies)))
     return Lines(u0, v0, u1, v1, up, halt, step, grows, arcs)
 
 
 def _along_y(pieces: Pieces, arcs: Arcs | None, grows: Array) -> Lines:
-    """Pieces as a line sweeps them that moves up."""
+    """Pieces for a sweep line that moves up."""
     (x0, y0), (x1, y1) = (jnp.moveaxis(p, -1, 0) for p in (pieces.low, pieces.high))
     if arcs is not None:
         arcs = arcs._replace(conic=arcs.conic[..., jnp.array([1, 0, 2])])

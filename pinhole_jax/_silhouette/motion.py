@@ -1,8 +1,7 @@
-"""The image by arrays, and its derivative: the visible outline's length in each pixel times its
-speed across.
+"""The image by arrays, and its derivative: the visible outline's length in a pixel times its speed.
 
-A straight curve's speed across is linear between its ends. What is seen is found anew for each
-derivative: no list of it is kept.
+The speed is across the outline, and linear between the ends of a straight curve. Visible pieces are
+found again for each derivative: no list of them is kept.
 """
 
 from collections.abc import Callable
@@ -20,14 +19,14 @@ from .._numerics.safe import safe_divide
 from .._scene.scene import Scene
 from .conics import arc_flux, unit_of
 from .contour import Contour, Moving
-from .crowds import Resolved, Seen, resolved
+from .crowds import CellCoverage, VisiblePieces, fold_crowded
 from .pieces import Monotone, Pieces
 from .pixels import Pixels, drawn, fold_film, place
 from .surrounding import surrounding
 
 
 class View(NamedTuple):
-    """What a film of a scene shows: its curves, how many layers lie far to the left, its pixels."""
+    """A film's view of a scene: curves, pixels, and the image."""
 
     curves: Contour
     pixels: Pixels
@@ -47,7 +46,7 @@ def _coverage(overlaps: bool, moving: Moving, given: tuple[FilmMap, Scene]) -> A
 
 @partial(_coverage.defjvp, symbolic_zeros=True)
 def _coverage_jvp(overlaps: bool, primals: Any, tangents: Any):
-    """The image, and its change for what moves; what does not costs nothing."""
+    """The image, and its change by the arrays that move; others cost nothing."""
     moving, given = primals
     leaves, tree = jax.tree.flatten(moving)
     velocities = tree.flatten_up_to(tangents[0])
@@ -55,19 +54,19 @@ def _coverage_jvp(overlaps: bool, primals: Any, tangents: Any):
     view = _view(overlaps, *differentiable_once((moving, given)))
     held, film = differentiable_once(leaves), (given[0].W, given[0].H)
     like = jax.ShapeDtypeStruct(view.image.shape, view.image.dtype)
-    some_of = lambda xs: [x for x, m in zip(xs, moves, strict=True) if m]
+    moving_of = lambda xs: [x for x, m in zip(xs, moves, strict=True) if m]
 
-    def grows(view: View, held: list[Array], seen: Seen) -> Callable[[list[Array]], Array]:
-        def of(some: list[Array]) -> Array:
-            left = iter(some)
+    def change_by(view: View, held: list[Array], seen: VisiblePieces) -> Callable:
+        def change(moving: list[Array]) -> Array:
+            left = iter(moving)
             every = [next(left) if m else x for x, m in zip(held, moves, strict=True)]
             return _change(view.curves, tree.unflatten(every), seen)
 
-        return of
+        return change
 
     def push(view: View, held: list[Array], velocity: list[Array]) -> Array:
         def add(image, seen):
-            more = jax.jvp(grows(view, held, seen), (some_of(held),), (velocity,))[1]
+            more = jax.jvp(change_by(view, held, seen), (moving_of(held),), (velocity,))[1]
             return image.at[seen.pixel].add(more, mode="drop")
 
         none = jnp.zeros(film[0] * film[1], like.dtype)
@@ -77,13 +76,13 @@ def _coverage_jvp(overlaps: bool, primals: Any, tangents: Any):
         flat = jnp.append(weights[::-1].reshape(-1), 0)
 
         def add(total, seen):
-            back = jax.vjp(grows(view, held, seen), some_of(held))[1]
+            back = jax.vjp(change_by(view, held, seen), moving_of(held))[1]
             return jax.tree.map(jnp.add, total, back(flat[seen.pixel])[0])
 
-        return _fold_seen(view, film, add, jax.tree.map(jnp.zeros_like, some_of(held)))
+        return _fold_seen(view, film, add, jax.tree.map(jnp.zeros_like, moving_of(held)))
 
     forward, back = partial(push, view, held), partial(pull, view, held)
-    return view.image, linear(forward, back, some_of(velocities), like)
+    return view.image, linear(forward, back, moving_of(velocities), like)
 
 
 def _upright(image: Float[Array, "N"], film: tuple[int, int]) -> Float[Array, "H W"]:
@@ -91,8 +90,8 @@ def _upright(image: Float[Array, "N"], film: tuple[int, int]) -> Float[Array, "H
     return image.reshape(film[1], film[0])[::-1]
 
 
-def _change(curves: Contour, moving: Moving, seen: Seen) -> Float[Array, "N"]:
-    """What grows as coverage does where curves are seen."""
+def _change(curves: Contour, moving: Moving, seen: VisiblePieces) -> Float[Array, "N"]:
+    """A number for each visible piece with the same derivative as the pixel's coverage."""
     _, ids, extent, moment, flux = seen
     curves, extent, moment, flux = jax.lax.stop_gradient((curves, extent, moment, flux))
     m = curves.monotone(ids)
@@ -112,31 +111,31 @@ def _view(overlaps: bool, moving: Moving, given: tuple[FilmMap, Scene]) -> View:
     curves = Contour.of(moving, film, scene)
     pixels = drawn(curves, size, surrounding(film, scene), overlaps)
 
-    def add(image, cells: Resolved):
+    def add(image, cells: CellCoverage):
         return image.at[cells.pixel].add(cells.area, mode="drop")
 
-    image = resolved(curves, size, pixels, add, pixels.coverage, False)
+    image = fold_crowded(curves, size, pixels, add, pixels.coverage, False)
     return View(curves, pixels, _upright(jnp.clip(image, 0, 1), size))
 
 
 def _fold_seen(
-    view: View, film: tuple[int, int], add: Callable[[Any, Seen], Any], start: Any
+    view: View, film: tuple[int, int], add: Callable[[Any, VisiblePieces], Any], start: Any
 ) -> Any:
-    """`start` after `add(total, seen)` over all that the background is seen beside."""
+    """`start` after `add(total, seen)` over all visible pieces."""
     curves, pixels, _ = view
 
     def whole(total, m: Monotone, pieces: Pieces):
         return add(total, _whole(m, pieces, pixels, film))
 
-    def some(total, cells: Resolved):
+    def in_cells(total, cells: CellCoverage):
         return total if cells.seen is None else add(total, cells.seen)
 
     total = fold_film(curves, film, whole, start)
-    return resolved(curves, film, pixels, some, total, True)
+    return fold_crowded(curves, film, pixels, in_cells, total, True)
 
 
-def _whole(m: Monotone, pieces: Pieces, pixels: Pixels, film: tuple[int, int]) -> Seen:
-    """Pieces as they are seen where the background is beside all of them."""
+def _whole(m: Monotone, pieces: Pieces, pixels: Pixels, film: tuple[int, int]) -> VisiblePieces:
+    """The visible pieces of pixels where the background is beside all pieces."""
     W, H = film
     pixel = place(film, pieces)
     alone = (pixel < W * H) & pixels.alone[jnp.minimum(pixel, W * H - 1)]
@@ -148,4 +147,4 @@ def _whole(m: Monotone, pieces: Pieces, pixels: Pixels, film: tuple[int, int]) -
         conic = m.arcs.conic
         ends = (unit_of(conic, pieces.corner + p) for p in (pieces.low, pieces.high))
         flux = -pieces.jump[:, None, None] * arc_flux(conic, *ends)
-    return Seen(jnp.where(alone, pixel, W * H), pieces.curve, extent, moment, flux)
+    return VisiblePieces(jnp.where(alone, pixel, W * H), pieces.curve, extent, moment, flux)

@@ -17,22 +17,22 @@ from .._numerics.running import running_sum
 from .._numerics.safe import safe_divide
 from .conics import bulge, film_at, unit_at
 
-#: So many pieces are worked on together.
+#: Pieces in a chunk.
 AT_A_TIME = 4096
 
 
 class Arcs(NamedTuple):
-    """Which curves are arcs, and the conics that these are on."""
+    """The conics of curves that are arcs, and True for these."""
 
     conic: Float[Array, "*K 3 3"]
     there: Bool[Array, "*K"]
 
 
 class Monotone(NamedTuple):
-    """Curves from a lower to an upper end (px); `rising` is 1 where that is their direction, else
-    -1; `jump` is how many layers more there are right of them than left.
+    """Curves from a lower to an upper end (px).
 
-    `arcs` is None where all are straight.
+    `rising` is 1 where that is their direction, else -1; `jump` is the number of layers on their
+    right less those on their left; `arcs` is None where all are straight.
     """
 
     low: Float[Array, "*K 2"]
@@ -56,11 +56,11 @@ class Monotone(NamedTuple):
 
     @property
     def steep(self) -> Bool[Array, "*K"]:
-        """Which reach further in height than in width."""
+        """True for curves of more height than width."""
         return (self.high - self.low)[..., 1] > jnp.abs((self.high - self.low)[..., 0])
 
     def x_at(self, y: Float[Array, "*K"]) -> Float[Array, "*K"]:
-        """The abscissa at a height, or of the end that this lies beyond."""
+        """The abscissa at a height, or at the nearer end."""
         (x0, y0), (x1, y1) = (jnp.moveaxis(p, -1, 0) for p in (self.low, self.high))
         x = x0 + _share(x1 - x0, (y - y0) * safe_divide(x1 - x0, y1 - y0))
         if self.arcs is not None:
@@ -82,7 +82,7 @@ class Monotone(NamedTuple):
 
 
 def _share(whole: Array, part: Array) -> Array:
-    """A part of the whole, which it is not beyond by rounding.
+    """A part of a whole, bounded: rounding does not take it beyond.
 
     Kernels work out a curve's point anew, and must agree on it. A sum of a product is rounded once
     or twice, as the compiler likes; a bounded product is rounded before it is added.
@@ -132,7 +132,7 @@ class Pieces(NamedTuple):
 
     @property
     def drop(self) -> Float[Array, "*P"]:
-        """How many layers fewer than at the pixel's corner there may be on one side.
+        """The most layers that one side may have less than the pixel's corner.
 
         The way from the corner to a point goes up the left side, then to the right. A piece that
         comes in on that side is met there, and left behind where the way turns.
@@ -142,7 +142,7 @@ class Pieces(NamedTuple):
         return jnp.where(self.on_bottom, jnp.abs(change), jnp.maximum(-change, 0))
 
     def gain(self, m: Monotone) -> Float[Array, "*P"]:
-        """By how much the pixel's mean layers exceed those at its corner: Green's theorem."""
+        """The pixel's mean layers less those at its corner: Green's theorem."""
         middle = (self.low[:, 0] + self.high[:, 0]) / 2
         gain = self.left * (1 - self.left_y)
         gain += self.jump * (self.high[:, 1] - self.low[:, 1]) * (1 - middle)
@@ -153,7 +153,7 @@ class Pieces(NamedTuple):
 
 
 class InRow(NamedTuple):
-    """Where curves come into a row and leave it, and in which columns."""
+    """Curves' points of entry into a row and exit, and their columns."""
 
     low: Float[Array, "P 2"]
     high: Float[Array, "P 2"]
@@ -162,7 +162,7 @@ class InRow(NamedTuple):
 
 
 def in_row(m: Monotone, row: Int[Array, "P"], columns: tuple[Any, Any]) -> InRow:
-    """What of curves is in rows; columns are bounded."""
+    """The parts of curves in rows; columns are bounded."""
     heights = row.astype(m.low.dtype), (row + 1).astype(m.low.dtype)
     x0, x1 = (m.x_at(y) for y in heights)
     y0, y1 = (jnp.clip(y, m.low[:, 1], m.high[:, 1]) for y in heights)
@@ -176,11 +176,11 @@ def _column(x: Float[Array, "P"], columns: tuple[Any, Any]) -> Int[Array, "P"]:
 
 
 def rows_met(m: Monotone, H: Any) -> tuple[Int[Array, "K"], Int[Array, "K"]]:
-    """The first row of those from 0 to H that curves meet, and the one after the last."""
+    """The first row from 0 to H that curves meet, and the one after the last."""
     low, high, top = m.low[:, 1], m.high[:, 1], jnp.asarray(H, m.low.dtype)
     first = jnp.clip(jnp.floor(low), 0, top)
     last = jnp.minimum(jnp.maximum(jnp.ceil(high), first + 1), top)
-    # (False of what is no number.)
+    # (False for NaN.)
     met = (m.jump != 0) & (high >= 0) & (low < top) & (m.low[:, 0] + m.high[:, 0] < jnp.inf)
     return first.astype(jnp.int32), jnp.where(met, last, first).astype(jnp.int32)
 
@@ -228,10 +228,9 @@ def fold_pieces(
     add: Callable[[Any, Monotone, Pieces], Any],
     start: Any,
 ) -> Any:
-    """`start` after `add(total, curves, pieces)` over all pieces of curves with these ids, some at
-    a time; on a film of W x H pixels.
+    """`start` after `add(total, curves, pieces)` over all pieces of curves, chunk by chunk.
 
-    Columns -1 and W hold what lies left and right of the film.
+    On a film of W x H pixels; columns -1 and W hold the pieces left and right of it.
     """
     W, H = film
     columns, (first, end) = (-1, W), rows_met(m, H)

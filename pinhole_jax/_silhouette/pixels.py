@@ -1,8 +1,7 @@
-"""A film's pixels by the pieces of contour in them: coverage where one chain of it crosses a pixel,
-and which pixels must be resolved.
+"""A film's pixels: coverage where one chain of contour crosses a pixel; others are crowded.
 
 Layers at a pixel's lower left corner are counted, exactly; the areas of the pieces in it (Green's
-theorem) say by how much its mean differs. Where one chain of contour crosses it, that mean is the
+theorem) give the difference of its mean. Where one chain of contour crosses it, that mean is the
 coverage: it holds k layers and k + 1. Where more do, winding numbers add up and coverage does not.
 """
 
@@ -16,7 +15,7 @@ from .._numerics.batches import in_chunks
 from .contour import Contour
 from .pieces import Monotone, Pieces, fold_pieces
 
-#: So many curves are worked on together.
+#: Curves in a chunk.
 AT_A_TIME = 4096
 
 
@@ -38,8 +37,10 @@ class Pixels(NamedTuple):
 
 
 class _Sums(NamedTuple):
-    """Sums over the pieces in pixels: what `Pieces.gain` and `drop` say, layers, how many pieces
-    there are, are of more than one layer, enter, rise, fall, go right and left."""
+    """Sums over the pieces in pixels: `Pieces.gain` and `drop`, layers, and numbers of pieces.
+
+    All pieces, those of more than one layer, and those that enter, rise, fall, go right and left.
+    """
 
     gain: Array
     drop: Array
@@ -70,7 +71,7 @@ def fold_film(
 
 
 def place(film: tuple[int, int], pieces: Pieces) -> Int[Array, "P"]:
-    """The pixels that pieces are in, past the last of those that are in none."""
+    """The pixels of pieces; past the last for pieces in none."""
     W, H = film
     inside = pieces.valid & (pieces.column >= 0) & (pieces.column < W)
     return jnp.where(inside, pieces.row * W + pieces.column, W * H)

@@ -1,4 +1,4 @@
-"""Scenes that surround the eye: how many layers lie where no curve is."""
+"""Scenes that surround the eye: the number of layers where no curve is."""
 
 import jax
 import jax.numpy as jnp
@@ -9,15 +9,15 @@ from .._camera.film import FilmMap, film_points
 from .._numerics.safe import binary_inverse, dot, norm, normalize, safe_sqrt
 from .._scene.scene import Mesh, Scene, front_facing, is_closed, vertex_box
 
-#: Layers that cover everything, whatever else there is.
+#: A number of layers that covers everything.
 EVERYWHERE = 1 << 20
 
 
 def surrounding(film: FilmMap, scene: Scene) -> Int[Array, ""]:
-    """How many layers lie far to the left of the film, where no curve is.
+    """The number of layers far to the left of the film, where no curve is.
 
-    Not 0 only where the scene reaches through the plane of the eye; `EVERYWHERE` and more if the
-    eye is within a closed mesh or a sphere.
+    0 unless the scene reaches through the plane of the eye; `EVERYWHERE` and more if the eye is
+    within a closed mesh or a sphere.
     """
     layers = jnp.int32(0)
     film, scene = jax.lax.stop_gradient((film, scene))
@@ -47,7 +47,7 @@ def _corners(film: FilmMap, bounds: Float[Array, "2 3"]) -> Float[Array, "8 3"]:
 
 
 def _layers_on_the_left(mesh: Mesh, film: FilmMap) -> Int[Array, ""]:
-    """How many layers the ray along -x from the eye meets, by signed crossings.
+    """The number of layers on the ray along -x from the eye, by signed crossings.
 
     The ray is thought to lie a little below y = 0, and much less in front of z = 0, so that it
     never meets an edge.
@@ -69,8 +69,7 @@ def _layers_on_the_left(mesh: Mesh, film: FilmMap) -> Int[Array, ""]:
 
 
 def _side(points: Float[Array, "V 3"], first: Int[Array, "F"], second: Int[Array, "F"]):
-    """The side of the edge between two vertices, seen along x, that the ray passes on: value and
-    sign.
+    """The side on which the ray passes an edge, seen along x: value and sign.
 
     The same for both faces that share the edge, but for the sign.
     """

@@ -1,9 +1,9 @@
-"""A line sweeps cells that hold a few pieces each: what is covered, and which pieces bound it.
+"""A sweep of cells that hold a few pieces each: the covered area, and the pieces that bound it.
 
-It halts where a piece begins, ends or crosses another: between two halts the pieces keep their
-order, so what is covered is a row of trapezoids (with arcs for sides). Areas are compared, never
-whether two pieces touch: pieces that coincide, end on one another or have no length put halts too
-close to matter, and nothing else.
+The line halts where a piece begins, ends or crosses another: between two halts the pieces keep
+their order, so the covered part is a row of trapezoids (with arcs for sides). Areas are compared,
+contact of pieces is never tested: pieces that coincide, end on one another or have no length only
+put halts too close to matter.
 """
 
 from typing import NamedTuple
@@ -18,12 +18,11 @@ from .pieces import Arcs
 
 
 class Lines(NamedTuple):
-    """Pieces as a line sweeps them along u, from (u0, v0) to (u1, v1), v across: cell by cell, in
-    units of a cell.
+    """Pieces for a sweep along u, from (u0, v0) to (u1, v1), cell by cell, in units of a cell.
 
-    `jump` is met going up in v. `halt` and `step` say where along the border v = 0 the number of
-    layers changes, and by how much. The conics of `arcs` have rows (u, v, 1); along an
-    arc u `grows` (1) or falls (-1).
+    `jump` is the change of layers going up in v. Along the border v = 0 the number of layers
+    changes at each `halt` by its `step`. The conics of `arcs` have rows (u, v, 1); along an arc u
+    `grows` (1) or falls (-1).
     """
 
     u0: Float[Array, "C M"]
@@ -37,11 +36,11 @@ class Lines(NamedTuple):
     arcs: Arcs | None
 
     def unit_at(self, conic: Float[Array, "C M 3 3"], u: Float[Array, "C"]) -> Array:
-        """Points of the unit circle (C, M, 2) at which arcs have an abscissa."""
+        """The points of the unit circle (C, M, 2) of arcs' points with an abscissa."""
         return unit_at(conic, 0, jnp.broadcast_to(u[:, None], self.u0.shape), self.grows)
 
     def height(self, u: Float[Array, "C"]) -> Float[Array, "C M"]:
-        """The pieces' v at an abscissa; at the nearer end where it is beyond one."""
+        """The pieces' v at an abscissa, or at the nearer end."""
         t = jnp.clip(safe_divide(u[:, None] - self.u0, self.u1 - self.u0), 0, 1)
         v = self.v0 + t * (self.v1 - self.v0)
         if self.arcs is None:
@@ -52,9 +51,11 @@ class Lines(NamedTuple):
         return jnp.where(there, jnp.clip(bent, low, high), v)
 
 
-class Swept(NamedTuple):
-    """The covered `area` of cells; the stretch of each piece that the background is seen beside
-    (`extent`, signed, and its first `moment`); how the area grows with an arc's conic (px^2)."""
+class Sweep(NamedTuple):
+    """The covered `area` of cells, and each piece's stretch beside the background.
+
+    Its signed `extent`, its first `moment`, and the area's derivative by an arc's conic (px^2).
+    """
 
     area: Float[Array, "C"]
     extent: Float[Array, "C M"]
@@ -62,11 +63,13 @@ class Swept(NamedTuple):
     flux: Float[Array, "C M 3 3"] | None
 
 
-def swept(lines: Lines, corner: Float[Array, "C"], conics: Float[Array, "C M 3 3"] | None) -> Swept:
-    """What a sweep finds; `corner` layers lie at the cells' lower left corners, `conics` are those
-    of arcs on the film (None where derivatives by them are not asked for)."""
+def sweep(lines: Lines, corner: Float[Array, "C"], conics: Float[Array, "C M 3 3"] | None) -> Sweep:
+    """The sweep of cells with `corner` layers at their lower left corners.
+
+    `conics` are those of arcs on the film, None if derivatives by them are not wanted.
+    """
     halts, zero, none = _halts(lines), jnp.zeros_like(corner), jnp.zeros_like(lines.u0)
-    start = zero, Swept(zero, none, none, None if conics is None else jnp.zeros_like(conics))
+    start = zero, Sweep(zero, none, none, None if conics is None else jnp.zeros_like(conics))
 
     def strip(state):
         u0, total = state
@@ -77,14 +80,14 @@ def swept(lines: Lines, corner: Float[Array, "C"], conics: Float[Array, "C M 3 3
 
 
 def _with_strip(
-    total: Swept, lines: Lines, corner: Array, conics: Array | None, u0: Array, u1: Array
-) -> Swept:
+    total: Sweep, lines: Lines, corner: Array, conics: Array | None, u0: Array, u1: Array
+) -> Sweep:
     middle, width = (u0 + u1) / 2, u1 - u0
     u = middle[:, None]
     jump = jnp.where((lines.u0 <= u) & (u < lines.u1), lines.jump, 0)
     v = lines.height(middle)
     first = corner + jnp.sum(jnp.where(lines.halt < u, lines.step, 0), axis=1)
-    # (Of equal ones the first in the list is the lower.)
+    # (Of pieces at one height the first in the list is the lower.)
     one, other = _pairs(v)
     lower = (other < one) | ((other == one) & jnp.tri(v.shape[1], k=-1, dtype=bool)[None])
     below = first[:, None] + jnp.sum(jnp.where(lower, jump[:, None], 0), axis=2)
@@ -105,11 +108,11 @@ def _with_strip(
     top = covers(first + jnp.sum(jump, axis=1))
     area = total.area + top * width - jnp.sum(under * change, axis=1)
     extent = -change * width[:, None]
-    return Swept(area, total.extent + extent, total.moment + extent * u, fluxes)
+    return Sweep(area, total.extent + extent, total.moment + extent * u, fluxes)
 
 
 def _halts(lines: Lines) -> Float[Array, "C N"]:
-    """Where pieces begin, end or cross; at most 1."""
+    """The u at which pieces begin, end or cross; at most 1."""
     halts = [lines.u0, lines.u1, _straight_crossings(lines)]
     if lines.arcs is not None:
         halts.append(_arc_crossings(lines, lines.arcs))
@@ -121,7 +124,7 @@ def _pairs(x: Array) -> tuple[Array, Array]:
 
 
 def _common(lines: Lines) -> tuple[Array, Array]:
-    """Where both pieces of a pair are: from and to."""
+    """The interval of u that both pieces of a pair span."""
     return jnp.maximum(*_pairs(lines.u0)), jnp.minimum(*_pairs(lines.u1))
 
 
@@ -145,7 +148,7 @@ def _straight_crossings(lines: Lines) -> Float[Array, "C N"]:
 
 
 def _arc_crossings(lines: Lines, arcs: Arcs) -> Float[Array, "C N"]:
-    """The u at which arcs may cross other pieces; others without harm, or 1.
+    """The u at which arcs may cross other pieces; more halts do no harm, 1 is none.
 
     An arc meets a line where the line cuts its circle, and another arc on a line as well: both
     cones hold the rays whose products with the two axes are in the cosines' ratio.

@@ -1,4 +1,4 @@
-"""What rays meet by arrays: on accelerators, where there is no library, and as tests' reference.
+"""Rays' first hits by arrays: on accelerators, without the library, and as the tests' reference.
 
 Primitives in the order of a space-filling curve are leaves of a complete binary tree, in a row
 as a heap is: node n has the children 2n and 2n + 1. A ray visits it from left to right; where it
@@ -38,14 +38,14 @@ class Tree(NamedTuple):
 
 
 class Ray(NamedTuple):
-    """A ray, or many, and how it goes through boxes and beside primitives.
+    """A ray, or many, in the form of the tests of boxes and primitives.
 
     - `origin`: as it is.
-    - `scale`: how deep it goes, along its longest axis, while it passes a unit across each axis.
-    - `slack`: how much sooner or later a plane may be passed than is worked out.
+    - `scale`: its depth, along its longest axis, per unit along each axis.
+    - `slack`: the largest error of the depth of a plane.
     - `axes`, `sign`: the longest axis is the last of these; the ray runs along it times the sign.
-    - `line`: origin and slopes, as primitives' tests take them.
-    - `real`: whether all this is finite.
+    - `line`: origin and slopes, for the primitives' tests.
+    - `real`: True if all this is finite.
     """
 
     origin: Float[Array, "*rays 3"]
@@ -60,7 +60,7 @@ class Ray(NamedTuple):
 def first_met(
     scene: Scene, origin: Float[Array, "m 3"], direction: Float[Array, "N 3"]
 ) -> Int[Array, "N"]:
-    """The face that each ray meets first, or F + the sphere; -1 for none."""
+    """The face that each ray hits first, or F + the sphere; -1 for none."""
     scene, unit = _to_unit_size(scene)
     rays = jax.vmap(_ray)(jnp.broadcast_to(origin * unit, direction.shape), direction)
     depth, met = jnp.full(direction.shape[:1], jnp.inf, direction.dtype), jnp.int32(-1)
@@ -139,7 +139,7 @@ def _ray(origin: Float[Array, "3"], direction: Float[Array, "3"]) -> Ray:
 
 
 def _walk(tree: Tree, ray: Ray) -> tuple[Float[Array, ""], Int[Array, ""]]:
-    """How deep a ray meets what it meets first (inf for nothing), and which that is."""
+    """The depth of a ray's first hit (inf for a miss), and its primitive."""
     leaves, number = tree.low.shape[0] // 2, tree.primitive.shape[0]
 
     def visit(state):
@@ -165,7 +165,7 @@ def _walk(tree: Tree, ray: Ray) -> tuple[Float[Array, ""], Int[Array, ""]]:
 
 
 def _depth(tree: Tree, ray: Ray, slot: Int[Array, ""]) -> Float[Array, ""]:
-    """How deep a ray meets a primitive; inf if it does not."""
+    """The depth of a ray's hit of a primitive; inf for a miss."""
     x, y, z = parts(tree.data[slot][:, ray.axes])
     points = jnp.stack([x, y, z * ray.sign], axis=1).reshape(-1)
     if tree.radius is None:

@@ -2,7 +2,7 @@
 
 One ray through each pixel's centre: unlike a silhouette, these are samples and not averages over
 the pixel. They are differentiable where the primitive that a ray hits stays the same. At outlines
-and folds they jump, and no derivative tells of it: how an edge moves is what `silhouette` knows.
+and folds they jump, which no derivative shows: edges move in the derivative of `silhouette`.
 """
 
 import equinox as eqx
@@ -12,11 +12,11 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera, camera_basis
 from .._scene.scene import Scene, check_view
 from .components import inner, parts
-from .trace import Found, found, hits
+from .trace import FirstHits, first_hits, hits
 
 
 def depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
-    """Return how far ahead of the eye each pixel's ray first meets the scene: (H, W), row 0 on top.
+    """Return the depth of each pixel's first hit along the view axis: (H, W), row 0 on top.
 
     World units along the view axis (z-depth, as depth buffers hold it), not along the ray: a wall
     that faces the camera has one depth in all pixels. Rays go through pixel centres; inf where
@@ -30,11 +30,11 @@ def depth(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
     ```
     """
     check_view(camera, scene)
-    return _ahead(camera, scene, found(scene, camera))
+    return _ahead(camera, scene, first_hits(scene, camera))
 
 
 def normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
-    """Return the unit normal of what each pixel's ray first meets: (H, W, 3), row 0 on top.
+    """Return the unit normal at each pixel's first hit: (H, W, 3), row 0 on top.
 
     In world coordinates, turned towards the eye whatever way a face is wound, and for a sphere seen
     from inside. Of a mesh the flat normals of its faces. Rays go through pixel centres; zeros where
@@ -48,11 +48,11 @@ def normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
     ```
     """
     check_view(camera, scene)
-    return _towards_eye(camera, scene, found(scene, camera))
+    return _towards_eye(camera, scene, first_hits(scene, camera))
 
 
 @eqx.filter_jit
-def _ahead(camera: Camera, scene: Scene, seen: Found) -> Float[Array, "H W"]:
+def _ahead(camera: Camera, scene: Scene, seen: FirstHits) -> Float[Array, "H W"]:
     t = hits(scene, seen).t
     met = jnp.isfinite(t)
     ahead = inner(parts(seen.rays.direction), parts(camera_basis(camera).v))
@@ -61,7 +61,7 @@ def _ahead(camera: Camera, scene: Scene, seen: Found) -> Float[Array, "H W"]:
 
 
 @eqx.filter_jit
-def _towards_eye(camera: Camera, scene: Scene, seen: Found) -> Float[Array, "H W 3"]:
+def _towards_eye(camera: Camera, scene: Scene, seen: FirstHits) -> Float[Array, "H W 3"]:
     normal = hits(scene, seen).normal
     away = inner(parts(normal), parts(seen.rays.direction)) > 0
     return jnp.where(away[..., None], -normal, normal)

@@ -31,16 +31,19 @@ def _perpendicular(direction: Parts) -> tuple[Parts, Parts]:
 
 
 def ray_plane(direction: Parts, a: Parts, b: Parts, c: Parts) -> tuple[Array, Parts]:
-    """Return how far rays from the origin meet triangles that they are known to meet (never inf),
-    and the barycentric coordinates; all by components."""
+    """Return the distance (never inf) and barycentric coordinates of known hits of triangles.
+
+    Rays begin at the origin; all is by components.
+    """
     first, second = _perpendicular(direction)
     seen = (tuple(inner(p, axis) for axis in (first, second, direction)) for p in (a, b, c))
     return _weighted(*seen)
 
 
 def triangle_depth(ray: Parts | Array, corners: Parts | Array) -> Float[Array, "*batch"]:
-    """Return how deep rays meet triangles, from either side, edges and vertices included, along the
-    third axis; inf where they do not.
+    """Return the depth of hits of triangles along the third axis; inf for misses.
+
+    Either side counts, and so do edges and vertices.
 
     A ray is its origin and two slopes, (sx, sy): its direction is (sx, sy, 1); corners are nine
     coordinates. Watertight in the sense of Woop, Benthin and Wald (2013): each corner's coordinates
@@ -62,7 +65,7 @@ def triangle_depth(ray: Parts | Array, corners: Parts | Array) -> Float[Array, "
 
 
 def sphere_depth(ray: Parts, sphere: Parts) -> Float[Array, "*batch"]:
-    """Return how deep rays, as in `triangle_depth`, meet spheres (centre and radius)."""
+    """Return the depth of hits of spheres (centre and radius) by rays as in `triangle_depth`."""
     length = jnp.sqrt(1 + ray[3] * ray[3] + ray[4] * ray[4])
     direction = jnp.stack([ray[3] / length, ray[4] / length, 1 / length], axis=-1)
     offset = jnp.stack([sphere[k] - ray[k] for k in range(3)], axis=-1)
@@ -76,7 +79,7 @@ def _edge(p, q) -> Array:
 
 
 def _around(p, q, r) -> Array:
-    """Return whether the ray is in a triangle that it sees, of either winding, or on its edge.
+    """Return True for rays within a triangle of either winding, or on its edge.
 
     An edge's sign is taken from its two products, not from their difference: a fused multiply and
     add would round the two differently, and the edge's two triangles could both lose the ray. Of a
@@ -109,7 +112,7 @@ def _weighted(p, q, r) -> tuple[Array, Parts]:
 def ray_sphere(
     origin: Vector, direction: Vector, center: Vector, radius: Float[Array, "*#batch"]
 ) -> Meeting:
-    """Return where rays first meet spheres in front of the origin (from inside: the far wall).
+    """Return the first hits of spheres in front of the origin (from inside: the far wall).
 
     The discriminant is taken from the perpendicular distance to the ray, and the near root from the
     product of the roots: no cancellation at a distance (Haines et al., Ray Tracing Gems, ch. 7). A

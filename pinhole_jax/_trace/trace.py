@@ -1,7 +1,7 @@
 """`trace` and `occluded`: closest and any hit of arbitrary rays, and of a camera's own.
 
-Which primitive is hit is not differentiated; what is returned is worked out again from that one
-primitive, so derivatives flow to the ray and to the primitive exactly.
+The search for the primitive is not differentiated; the hit is recomputed from that primitive, so
+derivatives flow to the ray and to the primitive exactly.
 """
 
 import math
@@ -74,11 +74,11 @@ def trace(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Hit:
     """
     _check_search(search)
     given, number = _with_room(scene, rays)
-    return _first(number, hits(scene, found(scene, given)))
+    return _first(number, hits(scene, first_hits(scene, given)))
 
 
 def occluded(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Bool[Array, "*batch"]:
-    """Return whether each ray, or each ray of a camera, meets anything at all.
+    """Return True for each ray, or each ray of a camera, that hits anything.
 
     `search` as in `trace`.
 
@@ -88,7 +88,7 @@ def occluded(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Bool
     """
     _check_search(search)
     given, number = _with_room(scene, rays)
-    return _first(number, found(scene, given, any_hit=True).primitive >= 0)
+    return _first(number, first_hits(scene, given, any_hit=True).primitive >= 0)
 
 
 def _check_search(search: Any) -> None:
@@ -99,15 +99,15 @@ def _check_search(search: Any) -> None:
         )
 
 
-class Found(NamedTuple):
-    """Rays, and what each meets first: the face's index, or F + the sphere's; -1 for nothing."""
+class FirstHits(NamedTuple):
+    """Rays, and the primitive that each hits first: the face, or F + the sphere; -1 for none."""
 
     rays: Rays
     primitive: Int[Array, "*batch"]
 
 
-def found(scene: Any, rays: Any, any_hit: bool = False) -> Found:
-    """What rays, or a camera's, meet first; of `any_hit` anything that they meet."""
+def first_hits(scene: Any, rays: Any, any_hit: bool = False) -> FirstHits:
+    """Return the primitives that rays, or a camera's, hit first; with `any_hit` any of these."""
     if not (isinstance(scene, Scene) and isinstance(rays, Rays | Camera)):
         kinds = f"{type(scene).__name__}, {type(rays).__name__}"
         raise ValueError(f"`scene`, `rays`: expected a Scene and Rays or a Camera, got {kinds}")
@@ -118,8 +118,10 @@ def found(scene: Any, rays: Any, any_hit: bool = False) -> Found:
 
 
 def _with_room(scene: Any, rays: Any) -> tuple[Any, int | None]:
-    """Return rays in a row filled up to one of few sizes, which are compiled, and how many they
-    are; None of what is not filled up (the rays of an image have a size that stays)."""
+    """Return rays in a row filled up to one of few sizes, and their number before that.
+
+    The number is None for rays that are not filled up, as those of an image, whose size stays.
+    """
     if not (isinstance(scene, Scene) and isinstance(rays, Rays) and may_be_filled_up(scene, rays)):
         return rays, None
     origin, direction = rays
@@ -131,16 +133,16 @@ def _with_room(scene: Any, rays: Any) -> tuple[Any, int | None]:
     return Rays(*filled), len(direction)
 
 
-def _first(number: int | None, found: Any) -> Any:
-    """Return what there was before it was filled up."""
+def _first(number: int | None, results: Any) -> Any:
+    """Return the results of the first rays, without those that were added."""
     if number is None:
-        return found
-    return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[:number], x.dtype), found)
+        return results
+    return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[:number], x.dtype), results)
 
 
 @eqx.filter_jit
-def _find(scene: Scene, rays: Rays, camera: Camera | None, any_hit: bool) -> Found:
-    """What rays meet first, and the camera that they are of; not differentiated.
+def _find(scene: Scene, rays: Rays, camera: Camera | None, any_hit: bool) -> FirstHits:
+    """The primitives that rays, of a camera or of none, hit first; not differentiated.
 
     A program of its own: `trace`, `occluded`, `depth` and `normals` share it.
     """
@@ -149,11 +151,11 @@ def _find(scene: Scene, rays: Rays, camera: Camera | None, any_hit: bool) -> Fou
     if camera is not None:  # (where a traced one is none, no ray meets anything)
         axes = jnp.stack(jax.lax.stop_gradient(camera_basis(camera)))
         met = jnp.where(jnp.all(jnp.any(axes != 0, axis=1)), met, -1)
-    return Found(rays, met)
+    return FirstHits(rays, met)
 
 
 def _first_met(scene: Scene, rays: Rays, any_hit: bool) -> Int[Array, "*batch"]:
-    """The one seam: on CPUs by the library, where there is one, else by arrays."""
+    """The first hits, by the library on CPUs if there is one, else by arrays."""
     shape = jnp.broadcast_shapes(rays.origin.shape, rays.direction.shape)
     nothing = scene.mesh is None and scene.spheres is None
     if nothing or not math.prod(shape):
@@ -172,8 +174,8 @@ def _first_met(scene: Scene, rays: Rays, any_hit: bool) -> Int[Array, "*batch"]:
 
 
 @eqx.filter_jit
-def hits(scene: Scene, met: Found) -> Hit:
-    """Return what is to be said of the rays' hits with what they are known to meet."""
+def hits(scene: Scene, met: FirstHits) -> Hit:
+    """Recompute each hit differentiably from the primitive already found."""
     rays = met.rays
     scene = astype(scene, rays.direction.dtype)
     shape = jnp.broadcast_shapes(rays.origin.shape, rays.direction.shape)[:-1]
@@ -195,7 +197,7 @@ def hits(scene: Scene, met: Found) -> Hit:
 
 
 def _miss(like: Float[Array, "N"]) -> Hit:
-    """Return as many hits of nothing."""
+    """Return as many misses."""
     N = like.shape[0]
     zeros = jnp.zeros((N, 3), like.dtype)
     return Hit(jnp.full(N, jnp.inf, like.dtype), jnp.full(N, -1, jnp.int32), zeros, zeros)
