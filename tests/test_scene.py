@@ -14,6 +14,7 @@ from pinhole_jax._scene.scene import (
     astype,
     bounding_box,
     bounding_sphere,
+    check_view,
     front_facing,
     padded,
     with_or_without_border,
@@ -217,8 +218,8 @@ def test_swapped_or_stacked_camera_and_scene_are_refused():
     camera = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 8, 6)
     stacked = jax.tree.map(lambda x: jnp.stack([x, x]), camera)
     for call, message in (
-        (lambda: pj.silhouette(scene, camera), "expected a Camera and a Scene, got Scene, Camera"),
-        (lambda: pj.depth(camera, scene.spheres), "a Camera and a Scene, got Camera, Spheres"),
+        (lambda: check_view(scene, camera), "expected a Camera and a Scene, got Scene, Camera"),
+        (lambda: check_view(camera, scene.spheres), "a Camera and a Scene, got Camera, Spheres"),
         (lambda: pj.normals(stacked, scene), r"got several \(e of shape \(2, 3\)\): `jax.vmap` t"),
         (lambda: pj.project(stacked, jnp.zeros(3)), "`camera`: expected one camera, got several"),
     ):
