@@ -172,7 +172,7 @@ def numbers(fits):
     return jnp.concatenate([jnp.stack([*f.camera.e, *f.camera.p, f.camera.phi]) for f in fits])
 
 
-@pytest.mark.parametrize("common", [("phi",), full(())])
+@pytest.mark.parametrize("common", [long(("phi",)), full(())])
 def test_cameras_move_with_points_and_weights_as_refits_do(common):
     """Residuals are large, so the second derivatives count; one point is not seen by one view."""
     random = np.random.default_rng(3)
@@ -336,7 +336,7 @@ def test_three_points_have_all_their_exact_poses_as_modes(seed):
     [
         (3, "pose"),
         long(4, ("pose", "phi", "aspect")),
-        (5, ("pose", "phi", "aspect", "principal_point")),
+        long(5, ("pose", "phi", "aspect", "principal_point")),
     ],
 )
 def test_error_bars_are_infinite_where_no_coordinate_is_left_over(number, free):
@@ -397,6 +397,7 @@ def test_weights_of_inverse_variances_take_a_noise_of_one():
     assert pj.fit_points(SOLID, points2d, true, noise_px=0.05).status == "misfit"
 
 
+@pytest.mark.long
 def test_prior_makes_up_for_a_missing_coordinate():
     """A known aspect: as if it were held, of four points with nine numbers for eight unknowns."""
     rng, true, ratio = np.random.default_rng(4), near(EYES[0]), []

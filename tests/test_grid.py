@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import shapely
 from chosen import long
 from oracles import mesh_coverage
 
@@ -174,29 +173,3 @@ def test_solids_on_the_grid_match_the_polygon_union(name, exhaustive):
         single = scene_of(vertices, faces, np.float32)
         image = pj.silhouette(camera(turn, np.float32), single)
         np.testing.assert_allclose(image, expected, atol=3e-5)
-
-
-def borders(covered) -> shapely.Geometry:
-    """Return the half pixels' sides with cover on one side only, in film coordinates."""
-    row, column = np.nonzero(np.diff(covered, axis=1))
-    upright = [(column + 1, row), (column + 1, row + 1)]
-    row, column = np.nonzero(np.diff(covered, axis=0))
-    level = [(column, row + 1), (column + 1, row + 1)]
-    sides = np.concatenate([np.array(x).transpose(2, 0, 1) for x in (upright, level)])
-    return shapely.union_all(shapely.linestrings(sides / 2 - 1))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", STEPS)
-def test_outline_on_the_grid_is_the_border_of_the_union(name):
-    frame = shapely.box(0.01, 0.01, W - 0.01, H - 0.01)
-    for seed in range(SOME):
-        (vertices, faces), spans = sheets(np.random.default_rng(seed), name)
-        # Three corners on a line: a face of no area bounds nothing.
-        vertices = np.concatenate([vertices, [[-1, 0.5, 0], [1.1, -0.2, 0], [0.05, 0.15, 0]]])
-        faces = np.concatenate([faces, [[len(vertices) - 3, len(vertices) - 2, len(vertices) - 1]]])
-        outline = pj.plot.outline(camera(seed % 4), pj.Scene(mesh=pj.Mesh(vertices, faces)))
-        drawn = shapely.intersection(shapely.linestrings(outline), frame)
-        expected = borders(half_pixels(spans, seed % 4)).intersection(frame)
-        assert expected.difference(shapely.union_all(drawn).buffer(1e-6)).length < 1e-4
-        assert np.sum(shapely.length(shapely.difference(drawn, expected.buffer(1e-6)))) < 1e-4

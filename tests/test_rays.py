@@ -35,7 +35,7 @@ def test_pixel_centres_and_row_order_by_hand():
 
 
 def test_film_is_centred_on_the_axis_and_d_changes_no_direction():
-    """q = b1 x + b2 y + v d, of which the film's size grows as d does."""
+    """q = b1 x + b2 y + v d: the film grows with d."""
     plain = pj.camera_rays(CAMERA).direction
     for change in ({"p": E + 0.01 * (P - E)}, {"p": E + 7 * (P - E)}, {"d": 0.1}, {"d": 40.0}):
         other = pj.camera_rays(CAMERA.replace(**change)).direction

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from oracles import drawn, mesh_coverage, turned
+from oracles import mesh_coverage
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -122,19 +122,6 @@ def test_faces_without_area_at_a_border_are_no_border():
     plain, scene = (padded(pj.Scene(mesh=m)) for m in (pj.Mesh(corners, faces[:2]), mesh))
     target = np.asarray(pj.silhouette(CAMERA, plain))
     np.testing.assert_allclose(pj.silhouette(CAMERA, scene), target, atol=1e-13)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("shape", [two_sided, thrice, with_slivers])
-def test_fit_to_repeated_faces_equals_the_plain_one(shape):
-    vertices, faces = shape()
-    scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
-    plain = pj.Scene(mesh=pj.Mesh(vertices[: len(VERTICES)], FACES))
-    mask = drawn(CAMERA, plain)
-    for target, worst in ((mask, 1e-6), (mask > 0.5, 1.0)):
-        fit = pj.fit_camera(scene, target, turned(CAMERA, [1, 2, 3], 8))
-        assert fit.status == "converged"
-        assert np.rad2deg(pj.pose_error(fit.camera, CAMERA)[0]) < worst
 
 
 def test_long_row_of_faces_without_area_is_removed():

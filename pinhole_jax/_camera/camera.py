@@ -252,11 +252,11 @@ class Camera(eqx.Module):
 class ResizableCamera(eqx.Module):
     """A camera whose resolution is data: one compiled program serves all film sizes."""
 
-    e: Float[Array, "3"]
-    p: Float[Array, "3"]
-    u: Float[Array, "3"]
-    phi: Float[Array, ""]
-    d: Float[Array, ""]
+    e: Any
+    p: Any
+    u: Any
+    phi: Any
+    d: Any
     size: Float[Array | np.ndarray, "2"]
     lens: Lens | None
 
