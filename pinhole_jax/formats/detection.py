@@ -221,14 +221,10 @@ def _promising(
     small = np.asarray(picture.resize(size, Image.Resampling.BOX), float)
 
     def agreement(pose: _Pose, view: _View) -> float:
-        small_camera = resized(_camera(view, pose), *size)
-        lens = small_camera.lens or Lens([size[0] / 2, size[1] / 2])
-        image = silhouette(small_camera.replace(lens=lens), scene, overlaps=False)
-        return _iou(np.asarray(image, float), small)
+        camera = resized(_camera(view, pose), *size)
+        return _iou(np.asarray(silhouette(camera, scene, overlaps=False), float), small)
 
-    halves = [
-        view for view in views if view.pixel_centres == "half"
-    ]  # half a pixel is nothing here
+    halves = [view for view in views if view.pixel_centres == "half"]  # too fine to see here
     best = np.array([max(agreement(pose, view) for view in halves) for pose in poses])
     order = np.argsort(best)[::-1][:KEPT]
     return [poses[k] for k in order if best[k] >= 0.5 * best[order[0]]]

@@ -125,7 +125,10 @@ class Fields:
 
     def part(self, name: str) -> "Fields":
         """Return an object within this one."""
-        return Fields(self.get(name, "an object"), f"{self.where}, {name[:60]}")
+        value = self.get(name, "an object")
+        if not isinstance(value, Mapping):
+            raise self.wrong(name, "fields with names", short(value))
+        return Fields(value, f"{self.where}, {name[:60]}")
 
     def size(self, width: str, height: str, size: Size | None) -> Size:
         """Return the image's width and height, px: the file's, or `size` where it holds none."""

@@ -87,8 +87,9 @@ def camera_of_fields(fields: Fields, *, fitted: bool = False) -> Camera:
         if fitted:  # `tree_at` skips `Camera`'s check of the lens
             camera = eqx.tree_at(lambda c: c.lens, camera, lens, is_leaf=lambda x: x is None)
     except (TypeError, ValueError) as error:
-        place = f" (in {fields.where})"
-        raise ValueError(str(error).removesuffix(place) + place) from None
+        if fields.where in str(error):
+            raise
+        raise ValueError(f"{error} (in {fields.where})") from None
     if fields.data.get("pose") is not None:
         _check_pose(camera, fields.part("pose"))
     return camera
@@ -140,19 +141,21 @@ def distortion_to_dict(distortion: Distortion) -> dict[str, Any]:
 
 
 def _lens(fields: Fields) -> Lens:
-    """Return the lens of a camera's field."""
-    data, known = fields.data["lens"], ("principal_point", "aspect", "distortion")
-    if not isinstance(data, dict) or known[0] not in data or {*data} - {*known}:
-        raise fields.wrong("lens", "principal_point and aspect", short(data))
-    distortion = data.get("distortion")
-    if distortion is not None:
-        model = MODELS.get(str(distortion.get("model"))) if isinstance(distortion, dict) else None
-        names = {field.name for field in fields_of(model)} if model else set()
-        if model is None or set(distortion) - names - {"model"}:
-            expected = f"a model ({', '.join(MODELS)}) and its coefficients"
-            raise fields.wrong("distortion", expected, repr(distortion))
-        distortion = model(**{name: distortion[name] for name in distortion if name != "model"})
-    return Lens(data["principal_point"], data.get("aspect", 1.0), distortion)
+    """Return the lens of a camera's fields."""
+    lens = fields.part("lens")
+    if unknown := sorted(lens.data.keys() - {"principal_point", "aspect", "distortion"}):
+        raise fields.wrong("lens", "principal_point, aspect and distortion", f"also {unknown}")
+    distortion = None
+    if lens.data.get("distortion") is not None:
+        part = lens.part("distortion")
+        model = MODELS[part.text("model", [*MODELS])]
+        names = {field.name for field in fields_of(model)}
+        if unknown := sorted(part.data.keys() - names - {"model"}):
+            known = f"coefficients of a {model.__name__} ({', '.join(names)})"
+            raise lens.wrong("distortion", known, f"also {unknown}")
+        distortion = model(**{name: part.data[name] for name in names & part.data.keys()})
+    centre = lens.get("principal_point", "x and y, px")
+    return Lens(centre, lens.data.get("aspect", 1.0), distortion)
 
 
 def save_camera(path: FilePath, camera: Camera, **more: object) -> None:

@@ -22,20 +22,6 @@ PIECES = re.compile(r'"[^"]*+"?|[^\s"]++')
 class _Loader(yaml.CSafeLoader):
     """Plain values alone: a tag stands for the value that it is on, whatever its name."""
 
-    def get_single_node(self) -> yaml.Node | None:
-        """Return the document, without aliases, by which a small file may grow without bound."""
-        root, seen = super().get_single_node(), set()
-        nodes = [] if root is None else [root]
-        for node in nodes:
-            if id(node) in seen:
-                raise _wrong("an alias (*name), which is not read", node)
-            seen.add(id(node))
-            if isinstance(node, yaml.MappingNode):
-                nodes += [part for pair in node.value for part in pair]
-            elif isinstance(node, yaml.SequenceNode):
-                nodes += node.value
-        return root
-
     def value(self, node: yaml.Node) -> Any:
         """Return a node's value; a map has each field once."""
         if isinstance(node, yaml.ScalarNode):
@@ -51,8 +37,8 @@ class _Loader(yaml.CSafeLoader):
     yaml_constructors = {None: value}  # noqa: RUF012
 
 
-def _wrong(words: str, node: yaml.Node) -> yaml.MarkedYAMLError:
-    return yaml.MarkedYAMLError(problem=words, problem_mark=node.start_mark)
+def _wrong(words: str, part: yaml.Node | yaml.Event) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=words, problem_mark=part.start_mark)
 
 
 def load(path: FilePath) -> Fields:
@@ -73,8 +59,12 @@ def load(path: FilePath) -> Fields:
 def _of_yaml(text: str, where: str) -> Any:
     if len(text) > MOST_YAML:
         raise ValueError(f"`path`: expected YAML of at most {MOST_YAML} bytes, got {where}: more")
+    plain = re.sub(r"\A\s*%YAML:.*", "", text)
     try:
-        data = yaml.load(re.sub(r"\A\s*%YAML:.*", "", text), _Loader)
+        for event in yaml.parse(plain, _Loader):  # by aliases a small file grows without bound
+            if isinstance(event, yaml.AliasEvent):
+                raise _wrong("an alias (*name), which is not read", event)
+        data = yaml.load(plain, _Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.context_mark or error.problem_mark
         line = 0 if mark is None else mark.line

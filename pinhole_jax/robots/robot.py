@@ -96,23 +96,20 @@ class Robot:
 
     def _checked(self, angles: Angles) -> dict[str, float]:
         if not isinstance(angles, Mapping):
-            values = np.asarray(angles, float)
-            if values.shape != (len(self.joints),):
+            values, number = np.asarray(angles, float), len(self.joints)
+            if values.shape != (number,):
                 names = ", ".join(self.joints)
-                raise ValueError(
-                    f"`angles`: expected {len(self.joints)} numbers ({names}), got shape"
-                    f" {values.shape}"
-                )
+                words = f"expected {number} numbers ({names}), got shape {values.shape}"
+                raise ValueError(f"`angles`: {words}")
             angles = dict(zip(self.joints, values.tolist(), strict=True))
         # (The angle of a joint that follows another one is known from that.)
         given = {n: float(x) for n, x in angles.items() if n not in self._following}
         if missing := [name for name in self.joints if name not in given]:
             raise ValueError(f"`angles`: expected one of each joint, got none of {missing[0]}")
-        if unknown := [name for name in given if name not in self.joints]:
-            known = ", ".join(self.joints)
-            raise ValueError(f"`angles`: expected joints among {known}, got {unknown[0]!r}")
-        if wrong := [n for n, x in given.items() if not np.isfinite(x)]:
-            raise ValueError(
-                f"`angles`: expected finite numbers, got {given[wrong[0]]} of {wrong[0]}"
-            )
+        for name, angle in given.items():
+            if name not in self.joints:
+                known = ", ".join(self.joints)
+                raise ValueError(f"`angles`: expected joints among {known}, got {name!r}")
+            if not np.isfinite(angle):
+                raise ValueError(f"`angles`: expected finite numbers, got {angle} of {name}")
         return given

@@ -91,10 +91,10 @@ def _check_groups(root: Any) -> None:
             _refuse_xacro(f"<{group.tag}>")
         if group.tag in ("link", "joint", *OTHERS):
             continue
-        for one in group.iter("link", "joint"):
-            if one.tag == "link" or one.find("parent") is not None:
+        for part in group.iter("link", "joint"):
+            if part.tag == "link" or part.find("parent") is not None:
                 raise ValueError(
-                    f"{one.tag} {one.get('name')!r} is in <{group.tag}>, which no URDF has:"
+                    f"{part.tag} {part.get('name')!r} is in <{group.tag}>, which no URDF has:"
                     " run `xacro robot.urdf.xacro > robot.urdf` if xacro makes it and load"
                     f" robot.urdf, else move what is in <{group.tag}> to <robot>"
                 )
