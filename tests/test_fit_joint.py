@@ -1166,7 +1166,7 @@ def test_command_names_the_wrong_robot_argument(robot_files, capsys):
     pj.io.save_image("small.png", np.zeros((30, 40, 3), np.uint8))
     robot, masks = robot_files[:2], robot_files[3:]
     for change, words in (
-        ([*robot_files[:-1], *start], "`MASK`: expected one of each of 3 rows of 'joints.csv'"),
+        ([*robot_files[:-1], *start], "`MASK`: expected one for each of 3 rows of 'joints.csv'"),
         ([*robot_files, *start, "--joint-zeros", "-1"], "`--joint-zeros`: expected a positive"),
         (
             [*robot_files, *start, "--joint-zeros", "1", "--in-hand", "arm"],
@@ -1181,7 +1181,7 @@ def test_command_names_the_wrong_robot_argument(robot_files, capsys):
             "`--propose`: expected `pose` in --free",
         ),
         ([*robot_files, *start, "--refine"], "`--refine`: expected photos, --images"),
-        ([*robot_files, *start, "--images", masks[0]], "`--images`: expected one of each of 3"),
+        ([*robot_files, *start, "--images", masks[0]], "`--images`: expected one for each of 3"),
         (
             [*robot_files, *start, "--images", *masks[:2], "small.png"],
             "`--images`: expected the mask's size 96 x 96, got 40 x 30 (small.png)",

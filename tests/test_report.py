@@ -103,7 +103,7 @@ def test_pictures_decode_and_tables_have_a_row_for_each_parameter(text):
     assert "1.00" in page.text["correlations"]
     assert "<the focal length> is not visible." in page.text["what-the-mask-leaves-open"]
     assert re.search(r"one sigma is 0\.0\d+ px \(median; largest 0\.\d+ px\)", page.text["outline"])
-    assert "leaves out 1 undetermined parameters" in page.text["outline"]
+    assert "undetermined, and left out: 1." in page.text["outline"]
     assert len(page.all("tr", "convergence")) == 1 + 3  # the start and two levels
     assert "48 x 40 px" in page.text["convergence"]
 

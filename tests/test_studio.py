@@ -371,8 +371,8 @@ def test_page_gets_all_that_it_shows(bench):
         ("lens", {"phi_degrees": 190}, "`phi`: expected an angle"),
         ("undo", {}, "nothing to undo"),
         ("redo", {}, "nothing to redo"),
-        ("restore", {}, "nothing was fitted yet"),
-        ("way", {}, "nothing was fitted yet"),
+        ("restore", {}, "there is no result yet"),
+        ("way", {}, "there is no result yet"),
         ("mode", {"number": 0}, "`number`: expected one of 0 cameras"),
         ("fit", {"free": ["pose"]}, "there is no mask yet"),
         (
@@ -456,12 +456,12 @@ def test_fit_blocks_other_actions_and_can_be_stopped(fitted):
     start, met = fitted.camera, []
 
     def push(what):
-        with pytest.raises(ValueError, match="a fit runs: wait for it, or stop it"):
+        with pytest.raises(ValueError, match="a fit is running: wait for it, or stop it"):
             fitted.act("look", {}, met.append)
         met.append(what)
         fitted.act("stop", {}, met.append)
 
-    with pytest.raises(ValueError, match="stopped: the camera is where it was"):
+    with pytest.raises(ValueError, match="stopped: the camera has not changed"):
         fitted.act("fit", {"free": ["pose"]}, push)
     assert len(met) == 1
     assert fitted.camera is start

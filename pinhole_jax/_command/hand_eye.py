@@ -71,7 +71,7 @@ def read_views(
         postures = joint_angles(options.joints, robot)
     if len(postures) != len(options.masks):
         raise ValueError(
-            f"`MASK`: expected one of each of {len(postures)} rows of {options.joints!r}, got"
+            f"`MASK`: expected one for each of {len(postures)} rows of {options.joints!r}, got"
             f" {len(options.masks)}"
         )
     masks = [read_mask(record_of(options, mask=x, tidy=False), say) for x in options.masks]
@@ -164,7 +164,7 @@ def _pictures(options: argparse.Namespace, masks: list[np.ndarray]) -> list[np.n
         return masks
     if len(options.images) != len(masks):
         raise ValueError(
-            f"`images`: expected one of each of {len(masks)} masks, got {len(options.images)}"
+            f"`images`: expected one for each of {len(masks)} masks, got {len(options.images)}"
         )
     return [read_photo(path, mask) for path, mask in zip(options.images, masks, strict=True)]
 

@@ -99,5 +99,5 @@ def _subject(
     )
     if subject.phi is None:
         degrees = math.degrees(float(subject.start.phi))
-        tell(f"phi: assumed {degrees:.0f} degrees, and free: the photo does not say (--fov does)")
+        tell(f"phi: assumed {degrees:.0f} degrees, and left free; give --fov if you know it")
     return subject

@@ -90,7 +90,7 @@ class Bench:
             self._stopping.set()
             return {}
         if self._fits:
-            raise ValueError("a fit runs: wait for it, or stop it")
+            raise ValueError("a fit is running: wait for it, or stop it")
         with self._lock:
             action = getattr(self, name)
             if name == "fit":
@@ -260,7 +260,7 @@ class Bench:
                 **known,
             )
         except Stopped:
-            raise ValueError("stopped: the camera is where it was") from None
+            raise ValueError("stopped: the camera has not changed") from None
         self._candidates = tuple(holding(each, held) for each in (found, *found.modes))
         self._phi_was_free, self._held_phi = focal_is_free, held
         self.result, self.camera = self._candidates[0], found.camera
@@ -282,7 +282,7 @@ class Bench:
     def way(self) -> dict[str, Any]:
         """Return each step of the last fit, from its start."""
         if self.result is None or not self.result.history:
-            raise ValueError("nothing was fitted yet")
+            raise ValueError("there is no result yet: fit first")
         return {"stops": [self._stop_described(stop) for stop in self.result.history]}
 
     def mode(self, number: Any) -> dict[str, Any]:
@@ -298,7 +298,7 @@ class Bench:
     def restore(self) -> dict[str, Any]:
         """Go back to the camera of the last fit."""
         if self.result is None:
-            raise ValueError("nothing was fitted yet")
+            raise ValueError("there is no result yet: fit first")
         self.camera = self.result.camera
         return self.look()
 

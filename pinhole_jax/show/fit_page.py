@@ -126,7 +126,7 @@ def _outline(fit: Fit, scene: Scene, photo: np.ndarray) -> str:
             f" {np.median(shown):.2g} px (median; largest {shown.max():.2g} px)"
         )
         lost = int(np.sum(~np.isfinite(fit.std)))
-        words += f"; it leaves out {lost} undetermined parameters." if lost else "."
+        words += f"; undetermined, and left out: {lost}." if lost else "."
     if fit.unbelieved is not None:
         words += " Red: edges of the mask that were ignored; something may be in front."
     drawn_on = lambda window: overlay(
