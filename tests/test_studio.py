@@ -24,8 +24,8 @@ from pinhole_jax import __main__ as command
 from pinhole_jax._camera.axes import axes_of
 from pinhole_jax._studio import drawing, hand, session, strokes
 from pinhole_jax._studio.bench import ACTIONS, Bench
-from pinhole_jax._studio.strokes import Loaded, Stroke
-from pinhole_jax._studio.subject import Subject, mesh_file, photo_file, subject_of
+from pinhole_jax._studio.strokes import LoadedMask, Stroke
+from pinhole_jax._studio.workpiece import Workpiece, mesh_file, photo_file, workpiece_of
 
 aiohttp = pytest.importorskip("aiohttp", reason="the page's server needs aiohttp")
 
@@ -53,17 +53,17 @@ def eight_bits(mask: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture
-def subject(scene, mask, tmp_path) -> Subject:
+def workpiece(scene, mask, tmp_path) -> Workpiece:
     vertices, faces = np.asarray(scene.mesh.vertices), np.asarray(scene.mesh.faces) + 1
     lines = [*("v {:.17g} {:.17g} {:.17g}".format(*v) for v in vertices)]
     (tmp_path / "part.obj").write_text("\n".join(lines + ["f {} {} {}".format(*f) for f in faces]))
     pj.io.save_image(tmp_path / "photo.png", np.repeat(eight_bits(mask)[..., None], 3, axis=2))
-    return subject_of(str(tmp_path / "part.obj"), str(tmp_path / "photo.png"))
+    return workpiece_of(str(tmp_path / "part.obj"), str(tmp_path / "photo.png"))
 
 
 @pytest.fixture
-def bench(subject, tmp_path) -> Bench:
-    return Bench(subject, tmp_path / "out")
+def bench(workpiece, tmp_path) -> Bench:
+    return Bench(workpiece, tmp_path / "out")
 
 
 def png(array: np.ndarray) -> str:
@@ -124,7 +124,7 @@ def test_guess_follows_the_strokes_alone_where_they_say_all():
 
 
 def test_paint_goes_on_top_and_a_loaded_mask_replaces():
-    loaded, guess = Loaded(np.full((20, 30), 255, np.uint8)), np.zeros((20, 30), np.uint8)
+    loaded, guess = LoadedMask(np.full((20, 30), 255, np.uint8)), np.zeros((20, 30), np.uint8)
     guide, add, erase = (Stroke(kind, 3.0, ((10, 10),)) for kind in ("object", "add", "erase"))
     assert strokes.guides_of((guide, loaded)) == ()
     assert strokes.guides_of((loaded, guide, add)) == (guide,)
@@ -166,11 +166,11 @@ def test_shift_is_in_pixels(aspect):
 
 
 def test_nearer_is_nearer_and_no_nearer_than_there_is_room():
-    ball = hand.Ball(CENTRE, 0.5)
+    extent = hand.Extent(CENTRE, 0.5)
     away = lambda c: np.asarray(c.e) - CENTRE
-    after = hand.nearer(camera(), ball, 0.5)
+    after = hand.nearer(camera(), extent, 0.5)
     np.testing.assert_allclose(away(after), 0.5 * away(camera()))
-    least = np.linalg.norm(away(hand.nearer(camera(), ball, 0.0)))
+    least = np.linalg.norm(away(hand.nearer(camera(), extent, 0.0)))
     assert least == pytest.approx(hand.NEAREST * 0.5)
 
 
@@ -186,14 +186,16 @@ def test_field_of_view_changes_keep_the_size():
 @pytest.mark.parametrize(("up", "front"), [("x", (0, 0, 1)), ("y", (0, 0, 1)), ("z", (0, -1, 0))])
 @pytest.mark.parametrize("size", [(64, 64), (120, 40), (40, 120)])
 def test_framed_object_is_inside_the_picture_and_upright(up, front, size):
-    ball = hand.ball_of(POINTS)
-    framed = hand.framed(camera(size=size), ball, up)
+    extent = hand.extent_of(POINTS)
+    framed = hand.framed(camera(size=size), extent, up)
     places = seen(framed, POINTS)
     assert np.all((places > 0) & (places < size))
     assert np.ptp(places, axis=0).max() > 0.2 * min(size)
-    x, y = seen(framed, ball.centre + 0.1 * np.eye(3)["xyz".index(up)]) - seen(framed, ball.centre)
+    x, y = seen(framed, extent.centre + 0.1 * np.eye(3)["xyz".index(up)]) - seen(
+        framed, extent.centre
+    )
     assert (x, y > 0) == (pytest.approx(0, abs=1e-9), True)
-    assert (np.asarray(framed.e) - ball.centre) @ front > 0
+    assert (np.asarray(framed.e) - extent.centre) @ front > 0
 
 
 def test_lens_is_changed_by_its_numbers_and_dropped_when_trivial():
@@ -267,8 +269,8 @@ def test_grid_fills_the_picture_with_lines_straight_in_space():
         assert min(np.ptp(ideal, axis=0)) < 0.01 / 30
 
 
-def test_page_gets_mesh_and_photo(subject, scene):
-    data = mesh_file(subject)
+def test_page_gets_mesh_and_photo(workpiece, scene):
+    data = mesh_file(workpiece)
     centre, (points, faces) = np.frombuffer(data, "<f8", 3), np.frombuffer(data, "<u4", 2, 24)
     vertices = np.frombuffer(data, "<f4", 3 * points, 32).reshape(-1, 3) + centre
     triangles = np.frombuffer(data, "<u4", 3 * faces, 32 + 12 * points).reshape(-1, 3)
@@ -277,7 +279,7 @@ def test_page_gets_mesh_and_photo(subject, scene):
         np.asarray(scene.mesh.vertices)[np.asarray(scene.mesh.faces)],
         atol=1e-6,
     )
-    assert Image.open(BytesIO(photo_file(subject))).size == (W, H)
+    assert Image.open(BytesIO(photo_file(workpiece))).size == (W, H)
 
 
 # A session.
@@ -285,7 +287,7 @@ def test_page_gets_mesh_and_photo(subject, scene):
 
 def one_session() -> session.Session:
     mask = np.random.default_rng(1).integers(0, 256, (H, W), dtype=np.uint8)
-    work = (Stroke("object", 2.5, ((3.0, 4.25), (1.0, 2.0))), Loaded(mask))
+    work = (Stroke("object", 2.5, ((3.0, 4.25), (1.0, 2.0))), LoadedMask(mask))
     lines = (((1.0, 2.0), (3.0, 4.0)),)
     return session.Session("part.obj", "photo.png", camera(BENT), ("pose", "phi"), work, lines)
 
@@ -437,7 +439,7 @@ def test_fit_finds_the_camera_and_reports_its_path(fitted):
     assert told["fit"]["status"] == fitted.result.status
     assert told["view"]["is_fit"]
     band = told["fit"]["band"]
-    sigma = pj.plot.outline_sigma(fitted.result, fitted.subject.scene)
+    sigma = pj.plot.outline_sigma(fitted.result, fitted.workpiece.scene)
     assert band["median_px"] == pytest.approx(np.median(sigma))
     np.testing.assert_allclose(band["half_px"], sigma, atol=6e-4)
     assert len(band["lines"]) == len(sigma)
@@ -476,20 +478,20 @@ def unsaid(fitted) -> Bench:
     return fitted
 
 
-def test_field_of_view_that_nobody_gives_is_free_and_named(subject, tmp_path, mask):
-    assert subject.phi is None
-    bench = Bench(subject, tmp_path)
+def test_field_of_view_that_nobody_gives_is_free_and_named(workpiece, tmp_path, mask):
+    assert workpiece.phi is None
+    bench = Bench(workpiece, tmp_path)
     told = do(bench, "hello")
     assert told["free"] == ["pose", "phi"]
     assert told["view"]["phi_is_assumed"]
     assert told["view"]["upright"] == "y"
     assert do(bench, "stand", up="z")["upright"] == "z"
-    given = subject_of(subject.mesh, subject.photo, phi=0.6)
+    given = workpiece_of(workpiece.mesh, workpiece.photo, phi=0.6)
     assert given.phi == pytest.approx(0.6)
     told = do(Bench(given, tmp_path), "hello")
     assert told["free"] == ["pose"]
     assert not told["view"]["phi_is_assumed"]
-    assert subject_of(subject.mesh, subject.photo, camera()).phi == pytest.approx(0.6)
+    assert workpiece_of(workpiece.mesh, workpiece.photo, camera()).phi == pytest.approx(0.6)
 
 
 @pytest.mark.long
@@ -556,7 +558,7 @@ def test_session_goes_on_in_another_tab(fitted, tmp_path):
     do(fitted, "stroke", kind="erase", radius_px=2, points=[[30, 30]])
     do(fitted, "straight", grid=True, line=[[1, 2], [3, 40]])
     (path,) = do(fitted, "save", name="work", free=["pose", "phi"])["written"]
-    other = Bench(fitted.subject, tmp_path)
+    other = Bench(fitted.workpiece, tmp_path)
     do(other, "stroke", kind="add", radius_px=2, points=[[1, 1]])
     told = do(other, "open", text=Path(path).read_text(), name="work.json")
     np.testing.assert_array_equal(other.mask, fitted.mask)
@@ -571,7 +573,7 @@ def test_session_goes_on_in_another_tab(fitted, tmp_path):
         do(other, "undo")
 
 
-def test_session_of_other_files_loads_them(fitted, tmp_path, subject):
+def test_session_of_other_files_loads_them(fitted, tmp_path, workpiece):
     (path,) = do(fitted, "save", name="work", free=["pose"])["written"]
     text = Path(path).read_text()
     pj.io.save_image(tmp_path / "other.png", np.zeros((H, W, 3)))
@@ -579,7 +581,7 @@ def test_session_of_other_files_loads_them(fitted, tmp_path, subject):
     do(fitted, "open", text=text.replace("photo.png", "other.png"))
     with pytest.raises(ValueError, match="`camera`: expected one of the photo's size 8 x 8"):
         do(fitted, "open", text=text.replace("photo.png", "small.png"))
-    assert fitted.subject.photo.endswith("other.png")
+    assert fitted.workpiece.photo.endswith("other.png")
 
 
 # Who is answered.
@@ -661,7 +663,7 @@ class Tab:
         return heard.get("answer", heard.get("error"))
 
 
-def test_tabs_do_not_mix_and_come_back_to_what_they_had(subject, tmp_path):
+def test_tabs_do_not_mix_and_come_back_to_what_they_had(workpiece, tmp_path):
     async def ask(address, studio):
         line = address.replace("/?", "/bench?")
         async with aiohttp.ClientSession() as client:
@@ -684,7 +686,7 @@ def test_tabs_do_not_mix_and_come_back_to_what_they_had(subject, tmp_path):
                 await again.socket.send_str(nothing)
                 assert "error" in await again.socket.receive_json()
 
-    served(lambda: Bench(subject, tmp_path), ask)
+    served(lambda: Bench(workpiece, tmp_path), ask)
 
 
 # The command.
@@ -694,13 +696,13 @@ def main(words):
     return command.main(["studio", *words.split(), "--no-browser", "--no-cache"])
 
 
-def test_command_without_aiohttp_names_the_extra(monkeypatch, capsys, subject):
+def test_command_without_aiohttp_names_the_extra(monkeypatch, capsys, workpiece):
     import pinhole_jax._studio as package
 
     monkeypatch.setitem(sys.modules, "aiohttp", None)
     monkeypatch.delitem(sys.modules, "pinhole_jax._studio.server", raising=False)
     monkeypatch.delattr(package, "server", raising=False)
-    assert main(f"{subject.mesh} {subject.photo}") == 2
+    assert main(f"{workpiece.mesh} {workpiece.photo}") == 2
     assert "pip install 'pinhole-jax[studio]'" in capsys.readouterr().err
 
 
@@ -719,24 +721,24 @@ def test_command_without_aiohttp_names_the_extra(monkeypatch, capsys, subject):
         ("part.obj photo.png --mask small.png", "`--mask`: expected the photo's size 64 x 64"),
     ],
 )
-def test_command_says_what_is_wrong(arguments, words, capsys, subject, tmp_path, monkeypatch):
+def test_command_says_what_is_wrong(arguments, words, capsys, workpiece, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    kept = one_session()._replace(mesh=subject.mesh, photo=subject.photo)
+    kept = one_session()._replace(mesh=workpiece.mesh, photo=workpiece.photo)
     session.save_session("s.json", kept)
     pj.io.save_image("small.png", np.eye(8))
     assert main(arguments) == 2
     assert re.search(words, capsys.readouterr().err)
 
 
-def test_port_in_use_is_named(capsys, subject):
+def test_port_in_use_is_named(capsys, workpiece):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        assert main(f"{subject.mesh} {subject.photo} --port {port}") == 2
+        assert main(f"{workpiece.mesh} {workpiece.photo} --port {port}") == 2
     assert f"`--port`: expected a port that is free, got {port}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("fov", "phi"), [("", 0.7), ("--fov 30", np.deg2rad(30))])
-def test_command_passes_its_options_to_the_bench(monkeypatch, subject, tmp_path, fov, phi):
+def test_command_passes_its_options_to_the_bench(monkeypatch, workpiece, tmp_path, fov, phi):
     from pinhole_jax._studio import server
 
     benches = []
@@ -747,7 +749,9 @@ def test_command_passes_its_options_to_the_bench(monkeypatch, subject, tmp_path,
 
     monkeypatch.setattr(server, "serve", serve)
     pj.io.save_image(tmp_path / "mask.png", np.pad(np.ones((20, 20)), 22))
-    words = f"{subject.mesh} {subject.photo} --mask {tmp_path}/mask.png --up z {fov} --port 1234"
+    words = (
+        f"{workpiece.mesh} {workpiece.photo} --mask {tmp_path}/mask.png --up z {fov} --port 1234"
+    )
     assert main(words) == 0
     (bench,) = benches
     assert float(bench.mask.mean()) == pytest.approx(255 * 400 / W / H)

@@ -13,7 +13,7 @@ from .._files.naming import named
 from .._files.progress import Ticker
 from .._studio.bench import Bench
 from .._studio.session import Session, load_session
-from .._studio.subject import Subject, subject_of
+from .._studio.workpiece import Workpiece, workpiece_of
 from ..batch.inputs import Start, read_mask, read_start
 from .options import record_of
 
@@ -32,13 +32,13 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     if options.session is not None:
         with named(path="session"):
             session = load_session(options.session)
-    subject = _subject(options, session, tell)
+    workpiece = _workpiece(options, session, tell)
     mask = None
     if options.mask is not None:
         mask = read_mask(record_of(options, tidy=False), tell)
 
     def new_bench() -> Bench:
-        bench = Bench(subject, Path(options.output))
+        bench = Bench(workpiece, Path(options.output))
         if session is not None:
             bench.resume(session)
         if mask is not None:
@@ -75,9 +75,9 @@ def _server() -> Any:
     return server
 
 
-def _subject(
+def _workpiece(
     options: argparse.Namespace, session: Session | None, tell: Callable[[str], Any]
-) -> Subject:
+) -> Workpiece:
     """Return the mesh and the photo of the command line or of the session."""
     if session is not None:
         known = (options.mesh, options.photo, options.camera, options.fov, options.K, options.mask)
@@ -85,7 +85,7 @@ def _subject(
             words = "expected no MESH, PHOTO, camera or mask beside it: it has its own"
             raise ValueError(f"`session`: {words}")
         with named(mesh="session", photo="session", camera="session"):
-            return subject_of(session.mesh, session.photo, session.camera, tell)
+            return workpiece_of(session.mesh, session.photo, session.camera, tell)
     if None in (options.mesh, options.photo):
         raise ValueError("expected MESH and PHOTO, or --session FILE")
     start, record = Start(), record_of(options)
@@ -94,10 +94,10 @@ def _subject(
             H, W = io.load_image(options.photo).shape[:2]
         start = read_start(record, (W, H), tell)
     phi = None if start.phi is None else float(start.phi)
-    subject = subject_of(
+    workpiece = workpiece_of(
         options.mesh, options.photo, start.camera, tell, phi=phi, lens=start.lens, up=options.up
     )
-    if subject.phi is None:
-        degrees = math.degrees(float(subject.start.phi))
+    if workpiece.phi is None:
+        degrees = math.degrees(float(workpiece.start.phi))
         tell(f"phi: assumed {degrees:.0f} degrees, and left free; give --fov if you know it")
-    return subject
+    return workpiece

@@ -24,8 +24,8 @@ from .descriptions import fit_described, holding, mask_described
 from .drawing import camera_numbers, grid_lines, outline_lines, straight_lines
 from .exports import export, plain
 from .session import Session, free_of, line_of, save_session, session_from_text
-from .strokes import Loaded, Stroke, guessed, guides_about, guides_of, mask_of, stroke_of
-from .subject import Subject, subject_of
+from .strokes import LoadedMask, Stroke, guessed, guides_about, guides_of, mask_of, stroke_of
+from .workpiece import Workpiece, workpiece_of
 
 #: The actions that the page may call.
 ACTIONS = (
@@ -54,27 +54,27 @@ ACTIONS = (
 MOST_UNDONE, MOST_GUESSES = 200, 16
 
 
-class Stopped(Exception):
+class StopRequest(Exception):
     """A person stopped a fit."""
 
 
 class Bench:
     """A tab's camera, mask and fit; `folder` is where files are written."""
 
-    def __init__(self, subject: Subject, folder: Path) -> None:
-        self.subject, self.folder = subject, folder
-        self.camera: Camera = subject.start
-        self.known_phi = subject.phi
+    def __init__(self, workpiece: Workpiece, folder: Path) -> None:
+        self.workpiece, self.folder = workpiece, folder
+        self.camera: Camera = workpiece.start
+        self.known_phi = workpiece.phi
         self.free: tuple[str, ...] = ("pose",) if self.known_phi is not None else ("pose", "phi")
-        self.work: tuple[Stroke | Loaded, ...] = ()
+        self.work: tuple[Stroke | LoadedMask, ...] = ()
         self.lines: tuple[Any, ...] = ()
         self.result: Fit | None = None
         self.mask: np.ndarray | None = None
         self._candidates: tuple[Fit, ...] = ()
         self._phi_was_free, self._held_phi = False, None
-        self._guess = _guesses_of(subject)
-        self._undone: list[tuple[Stroke | Loaded, ...]] = []
-        self._done: list[tuple[Stroke | Loaded, ...]] = []
+        self._guess = _guesses_of(workpiece)
+        self._undone: list[tuple[Stroke | LoadedMask, ...]] = []
+        self._done: list[tuple[Stroke | LoadedMask, ...]] = []
         self._straight = False
         self._stopping = threading.Event()
         self._lock, self._fits = threading.Lock(), False
@@ -107,10 +107,10 @@ class Bench:
 
     def hello(self) -> dict[str, Any]:
         """Return the contents of a page that opens."""
-        W, H = self.subject.size
+        W, H = self.workpiece.size
         return {
-            "mesh": Path(self.subject.mesh).name,
-            "photo": Path(self.subject.photo).name,
+            "mesh": Path(self.workpiece.mesh).name,
+            "photo": Path(self.workpiece.photo).name,
             "W": W,
             "H": H,
             "free": list(self.free),
@@ -126,7 +126,7 @@ class Bench:
         camera = self.camera
         return {
             "camera": camera_numbers(camera),
-            "outline": outline_lines(camera, self.subject.scene),
+            "outline": outline_lines(camera, self.workpiece.scene),
             "grid": grid_lines(camera) if self._straight else [],
             "lines": straight_lines(camera, self.lines),
             "is_fit": self.result is not None and camera is self.result.camera,
@@ -149,17 +149,17 @@ class Bench:
         (factor,) = numbers_of("nearer", nearer, 1)
         if not factor > 0:
             raise ValueError(f"`nearer`: expected a positive factor, got {factor}")
-        ball, camera = self.subject.ball, self.camera
+        extent, camera = self.workpiece.extent, self.camera
         if any(moves[:3]):
-            camera = hand.turned(camera, ball.centre, *moves[:3])
+            camera = hand.turned(camera, extent.centre, *moves[:3])
         if any(moves[3:]):
-            camera = hand.shifted(camera, ball.centre, *moves[3:])
-        self.camera = camera if factor == 1 else hand.nearer(camera, ball, factor)
+            camera = hand.shifted(camera, extent.centre, *moves[3:])
+        self.camera = camera if factor == 1 else hand.nearer(camera, extent, factor)
         return self.look()
 
     def stand(self, up: str) -> dict[str, Any]:
         """Look at the whole object, standing with its axis x, y or z upwards."""
-        self.camera = hand.framed(self.camera, self.subject.ball, up)
+        self.camera = hand.framed(self.camera, self.workpiece.extent, up)
         return self.look()
 
     def lens(self, phi_degrees: Any = None, **changes: Any) -> dict[str, Any]:
@@ -167,7 +167,7 @@ class Bench:
         if phi_degrees is not None:
             (degrees,) = numbers_of("phi_degrees", phi_degrees, 1)
             phi = np.deg2rad(degrees)
-            self.camera = hand.with_phi(self.camera, self.subject.ball.centre, float(phi))
+            self.camera = hand.with_phi(self.camera, self.workpiece.extent.centre, float(phi))
         if changes:
             values = numbers_of("lens", list(changes.values()), len(changes))
             self.camera = hand.with_lens(self.camera, dict(zip(changes, values, strict=True)))
@@ -188,7 +188,7 @@ class Bench:
 
     def view_guides(self) -> dict[str, Any]:
         """Guide the guess by the view: object well within the outline, background well outside."""
-        inside = np.asarray(silhouette(self.camera, self.subject.scene)) > 0.5
+        inside = np.asarray(silhouette(self.camera, self.workpiece.scene)) > 0.5
         if not np.any(inside):
             raise ValueError("the object is not in the picture: turn or shift it there first")
         return self._with((*self.work, *guides_about(inside)))
@@ -224,11 +224,11 @@ class Bench:
 
     def take_mask(self, mask: np.ndarray) -> dict[str, Any]:
         """Take a mask (H, W), uint8, in place of the strokes."""
-        W, H = self.subject.size
+        W, H = self.workpiece.size
         if mask.shape != (H, W):
             size = f"{mask.shape[1]} x {mask.shape[0]}"
             raise ValueError(f"`mask`: expected the photo's size {W} x {H}, got {size}")
-        return self._with((*self.work, Loaded(mask)))
+        return self._with((*self.work, LoadedMask(mask)))
 
     def fit(
         self,
@@ -247,11 +247,11 @@ class Bench:
         held = None if focal_is_free else self._phi_from()
         start = None if search else self.camera
         known: Any = {"phi": self.camera.phi, "lens": self.camera.lens} if search else {}
-        known["photo"] = self.subject.picture if refine else None
+        known["photo"] = self.workpiece.picture if refine else None
         on_step = partial(self._on_the_way, push)
         try:
             found = fit_camera(
-                self.subject.scene,
+                self.workpiece.scene,
                 self.mask,
                 start,
                 self.free,
@@ -259,7 +259,7 @@ class Bench:
                 record=True,
                 **known,
             )
-        except Stopped:
+        except StopRequest:
             raise ValueError("stopped: the camera has not changed") from None
         self._candidates = tuple(holding(each, held) for each in (found, *found.modes))
         self._phi_was_free, self._held_phi = focal_is_free, held
@@ -268,7 +268,7 @@ class Bench:
 
     def _on_the_way(self, push: Callable[[Any], None] | None, progress: Progress) -> None:
         if self._stopping.is_set():
-            raise Stopped
+            raise StopRequest
         if push is not None:
             push(self._stop_described(progress))
 
@@ -276,7 +276,7 @@ class Bench:
         return {
             "words": str(stop),
             "camera": camera_numbers(stop.camera),
-            "outline": outline_lines(stop.camera, self.subject.scene),
+            "outline": outline_lines(stop.camera, self.workpiece.scene),
         }
 
     def way(self) -> dict[str, Any]:
@@ -315,7 +315,7 @@ class Bench:
 
     def session(self) -> Session:
         """Return the session as it is."""
-        mesh, photo = (str(Path(p).resolve()) for p in (self.subject.mesh, self.subject.photo))
+        mesh, photo = (str(Path(p).resolve()) for p in (self.workpiece.mesh, self.workpiece.photo))
         return Session(mesh, photo, self.camera, self.free, self.work, self.lines, self.known_phi)
 
     def open(self, text: str, name: str = "session") -> dict[str, Any]:
@@ -326,11 +326,11 @@ class Bench:
     def resume(self, session: Session) -> None:
         """Continue a session."""
         files = session.mesh, session.photo
-        own = str(Path(self.subject.mesh).resolve()), str(Path(self.subject.photo).resolve())
+        own = str(Path(self.workpiece.mesh).resolve()), str(Path(self.workpiece.photo).resolve())
         if files != own:
-            self.subject = subject_of(*files, session.camera)
-            self._guess = _guesses_of(self.subject)
-        elif self.subject.size != (session.camera.W, session.camera.H):
+            self.workpiece = workpiece_of(*files, session.camera)
+            self._guess = _guesses_of(self.workpiece)
+        elif self.workpiece.size != (session.camera.W, session.camera.H):
             raise ValueError("`camera`: expected one of the photo's size")
         self.camera, self.free, self.lines = session.camera, session.free, session.lines
         self.known_phi, self.result, self._candidates = session.known_phi, None, ()
@@ -338,13 +338,13 @@ class Bench:
         self._done, self._undone = [work[:k] for k in range(len(work))][-MOST_UNDONE:], []
         self._drawn(work)
 
-    def _with(self, work: tuple[Stroke | Loaded, ...]) -> dict[str, Any]:
+    def _with(self, work: tuple[Stroke | LoadedMask, ...]) -> dict[str, Any]:
         self._done = [*self._done, self.work][-MOST_UNDONE:]
         self._undone = []
         return self._drawn(work)
 
-    def _drawn(self, work: tuple[Stroke | Loaded, ...]) -> dict[str, Any]:
-        W, H = self.subject.size
+    def _drawn(self, work: tuple[Stroke | LoadedMask, ...]) -> dict[str, Any]:
+        W, H = self.workpiece.size
         self.work, self.mask = work, mask_of(work, self._guess(guides_of(work)), W, H)
         return self._mask_described()
 
@@ -353,12 +353,12 @@ class Bench:
         return {**described, "can_undo": bool(self._done), "can_redo": bool(self._undone)}
 
     def _fit_described(self, fit: Fit) -> dict[str, Any]:
-        described = fit_described(fit, self.subject.scene, self.mask, self._held_phi)
+        described = fit_described(fit, self.workpiece.scene, self.mask, self._held_phi)
         modes = [m.iou for m in self._candidates] if fit.status != "non_finite" else []
         chosen = [m.camera is fit.camera for m in self._candidates].index(True)
         return {**described, "modes": modes, "chosen": chosen}
 
 
-def _guesses_of(subject: Subject) -> Callable[[tuple[Stroke, ...]], np.ndarray | None]:
+def _guesses_of(workpiece: Workpiece) -> Callable[[tuple[Stroke, ...]], np.ndarray | None]:
     """Return a function from strokes to a guess; it keeps some, so that undo needs no new one."""
-    return lru_cache(MOST_GUESSES)(lambda guides: guessed(subject.picture, guides))
+    return lru_cache(MOST_GUESSES)(lambda guides: guessed(workpiece.picture, guides))

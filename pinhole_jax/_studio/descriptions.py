@@ -29,7 +29,8 @@ def holding(fit: Fit, phi_from: str | None) -> Fit:
     """
     if phi_from is None:
         return fit
-    words = f"{_held(fit, phi_from)}; the sigmas ignore its error: let the fit change it, or give --fov"
+    cure = "the sigmas ignore its error: let the fit change it, or give --fov"
+    words = f"{_held(fit, phi_from)}; {cure}"
     status = "uncertain" if fit.status == "converged" else fit.status
     return fit._replace(status=status, weak=(words, *fit.weak))
 

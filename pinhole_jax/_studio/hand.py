@@ -43,28 +43,28 @@ def principal_point(camera: Camera) -> Float[np.ndarray, "2"]:
     return np.array([x, camera.H - y])
 
 
-class Ball(NamedTuple):
+class Extent(NamedTuple):
     """The middle of an object's box, and the distance of its farthest point."""
 
     centre: Vector
     radius: float
 
 
-def ball_of(points: Float[np.ndarray, "n 3"]) -> Ball:
-    """Return the ball about points, centred in the middle of their box."""
+def extent_of(points: Float[np.ndarray, "n 3"]) -> Extent:
+    """Return the extent about points, centred in the middle of their box."""
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    return Ball(centre, float(np.max(np.linalg.norm(points - centre, axis=1), initial=1e-12)))
+    return Extent(centre, float(np.max(np.linalg.norm(points - centre, axis=1), initial=1e-12)))
 
 
-def framed(camera: Camera, ball: Ball, up: str = "y") -> Camera:
+def framed(camera: Camera, extent: Extent, up: str = "y") -> Camera:
     """Return the camera looking at a whole object that stands with its axis x, y or z upwards."""
     if up not in UPRIGHT:
         raise ValueError(f"`up`: expected one of {', '.join(UPRIGHT)}, got {up!r}")
     upwards, ahead = np.array(UPRIGHT[up])
     right = np.cross(upwards, ahead)
     look = np.stack([right, upwards, ahead], axis=1) @ FIRST_LOOK
-    eye = ball.centre + _distance(camera, ball) * look / np.linalg.norm(look)
-    return camera.replace(e=eye, p=ball.centre, u=upwards)
+    eye = extent.centre + _distance(camera, extent) * look / np.linalg.norm(look)
+    return camera.replace(e=eye, p=extent.centre, u=upwards)
 
 
 def upright(camera: Camera) -> str | None:
@@ -74,10 +74,10 @@ def upright(camera: Camera) -> str | None:
     return next(along, None)
 
 
-def _distance(camera: Camera, ball: Ball) -> float:
-    """Return the distance at which a ball takes its share of the picture."""
+def _distance(camera: Camera, extent: Extent) -> float:
+    """Return the distance at which an extent takes its share of the picture."""
     half = np.arctan(ROOM * min(camera.W, camera.H) / 2 / focal_px(camera)[1])
-    return float(ball.radius / np.sin(half))
+    return float(extent.radius / np.sin(half))
 
 
 def turned(camera: Camera, centre: Vector, right: float, up: float, clockwise: float) -> Camera:
@@ -98,13 +98,13 @@ def shifted(camera: Camera, centre: Vector, right: float, down: float) -> Camera
     return camera.with_pose(eye + depth * (down / fy * axes[1] - right / fx * axes[0]), axes)
 
 
-def nearer(camera: Camera, ball: Ball, factor: float) -> Camera:
+def nearer(camera: Camera, extent: Extent, factor: float) -> Camera:
     """Return the camera with its distance from the object's centre scaled by a factor."""
-    away = np.asarray(camera.e, float) - ball.centre
+    away = np.asarray(camera.e, float) - extent.centre
     far = float(np.linalg.norm(away))
-    least, most = NEAREST * ball.radius, FARTHEST * ball.radius
+    least, most = NEAREST * extent.radius, FARTHEST * extent.radius
     away = away * np.clip(far * factor, least, most) / max(far, 1e-300)
-    return camera.with_pose(ball.centre + away, axes_of(camera))
+    return camera.with_pose(extent.centre + away, axes_of(camera))
 
 
 def with_phi(camera: Camera, centre: Vector, phi: float) -> Camera:

@@ -15,7 +15,7 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from .bench import Bench
-from .subject import Subject, mesh_file, photo_file
+from .workpiece import Workpiece, mesh_file, photo_file
 
 HOST = "127.0.0.1"
 #: The most bytes of a message: a mask's or a session's file, in base64.
@@ -81,14 +81,14 @@ class Studio:
         text = text.replace("{TOKEN}", self.token) if name == "index.html" else text
         return web.Response(text=text, content_type=FILES[request.path], charset="utf-8")
 
-    def _answer_with(self, make: Callable[[Subject], bytes], kind: str) -> Any:
-        """Return a handler that sends a file of the tab's subject."""
+    def _answer_with(self, make: Callable[[Workpiece], bytes], kind: str) -> Any:
+        """Return a handler that sends a file of the tab's workpiece."""
 
         async def handler(request: web.Request) -> web.Response:
             bench = self._benches.get(request.query.get("tab", ""))
             if bench is None:
                 return web.Response(status=404, text="404: no such tab\n")
-            data = await self._in_thread(make, bench.subject)
+            data = await self._in_thread(make, bench.workpiece)
             return web.Response(body=data, content_type=kind)
 
         return handler

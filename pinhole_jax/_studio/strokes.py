@@ -37,13 +37,13 @@ class Stroke(NamedTuple):
     points: tuple[tuple[float, float], ...]
 
 
-class Loaded(NamedTuple):
+class LoadedMask(NamedTuple):
     """A mask from a file (H, W), uint8, 255 on the object; it replaces all strokes before it."""
 
     mask: np.ndarray
 
 
-Work = tuple[Stroke | Loaded, ...]
+Work = tuple[Stroke | LoadedMask, ...]
 
 
 def drawn(strokes: Sequence[Stroke], values: Mapping[str, int], picture: np.ndarray) -> np.ndarray:
@@ -68,7 +68,7 @@ def guides_of(work: Work) -> tuple[Stroke, ...]:
     """Return the guides since the last loaded mask."""
     guides: list[Stroke] = []
     for step in work:
-        if isinstance(step, Loaded):
+        if isinstance(step, LoadedMask):
             guides.clear()
         elif step.kind in GUIDES:
             guides.append(step)
@@ -96,7 +96,7 @@ def mask_of(work: Work, guess: np.ndarray | None, W: int, H: int) -> np.ndarray 
     """
     mask = guess
     for step in work if guess is None else ():
-        mask = step.mask if isinstance(step, Loaded) else mask
+        mask = step.mask if isinstance(step, LoadedMask) else mask
     painted = [step for step in work if isinstance(step, Stroke) and step.kind in PAINTS]
     if not painted:
         return mask
@@ -204,7 +204,7 @@ def work_to_list(work: Work) -> list[dict[str, Any]]:
     """Return strokes and masks as JSON-ready values; masks are PNG files in base64."""
     return [
         {"mask": png_of(step.mask)}
-        if isinstance(step, Loaded)
+        if isinstance(step, LoadedMask)
         else {"kind": step.kind, "radius_px": step.radius, "points": [[*p] for p in step.points]}
         for step in work
     ]
@@ -217,9 +217,9 @@ def work_from_list(data: Any, W: int, H: int) -> Work:
     return tuple(_step(step, W, H) for step in data)
 
 
-def _step(data: Any, W: int, H: int) -> Stroke | Loaded:
+def _step(data: Any, W: int, H: int) -> Stroke | LoadedMask:
     if isinstance(data, dict) and "mask" in data:
-        return Loaded(_mask_of_png(data["mask"], W, H))
+        return LoadedMask(_mask_of_png(data["mask"], W, H))
     return stroke_of(data)
 
 

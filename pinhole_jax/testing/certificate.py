@@ -20,7 +20,7 @@ from .._numerics.arrays import is_concrete
 from .._scene.scene import Scene, astype, check_view
 from .._silhouette.silhouette import silhouette
 from .differences import STEPS, Scales, Slopes, outside, slopes
-from .directions import Direction, camera_and_scene
+from .directions import Probe, camera_and_scene
 
 #: A row is undecided if more than this share of its moving pixels are at a kink.
 KINKS_ALLOWED = 0.25
@@ -167,7 +167,7 @@ def _reverse(image: Callable, point: Any, seed: int) -> _Reverse:
     return _Reverse(weight.astype(float), _gradient(image, point, jnp.asarray(weight)))
 
 
-def _moved(image: Callable, point: Any, direction: Direction) -> tuple[np.ndarray, np.ndarray]:
+def _moved(image: Callable, point: Any, direction: Probe) -> tuple[np.ndarray, np.ndarray]:
     """Return the images at x + h and at x - h, for each of the steps h."""
     leaf = direction.where(point)
 
@@ -180,7 +180,7 @@ def _moved(image: Callable, point: Any, direction: Direction) -> tuple[np.ndarra
 
 
 def _row(
-    direction: Direction,
+    direction: Probe,
     derivative: np.ndarray,
     images: tuple[np.ndarray, np.ndarray, np.ndarray],
     scales: Scales,
@@ -223,7 +223,7 @@ def _verdict(errors: np.ndarray, apart: float, found: Slopes, scales: Scales, sc
     return "undecided" if np.sum(found.kink) > KINKS_ALLOWED * np.sum(moving) else "ok"
 
 
-def _apart(direction: Direction, derivative: np.ndarray, least: float, reverse: _Reverse) -> float:
+def _apart(direction: Probe, derivative: np.ndarray, least: float, reverse: _Reverse) -> float:
     """Return the relative distance of <gradient, direction> from <weight, derivative>."""
     moved = direction.value != 0  # a NaN elsewhere belongs to another row
     gradient = np.asarray(direction.where(reverse.gradient), float)

@@ -13,7 +13,7 @@ from .differences import Scales
 Point = tuple[Camera, Scene]
 
 
-class Direction(NamedTuple):
+class Probe(NamedTuple):
     """A direction `value` in the leaf that `where` picks from (camera, scene).
 
     `step` is a power of two, in the leaf's units: the rounding of x + step is then the least.
@@ -25,9 +25,7 @@ class Direction(NamedTuple):
     step: float
 
 
-def camera_and_scene(
-    point: Point, scales: Scales, directions: int, seed: int
-) -> Iterator[Direction]:
+def camera_and_scene(point: Point, scales: Scales, directions: int, seed: int) -> Iterator[Probe]:
     """Yield each of the camera's parameters, then random directions of the scene's arrays.
 
     Steps move the picture by some `scales.step_px` at most; they depend on camera and scene alone.
@@ -40,7 +38,7 @@ def camera_and_scene(
             unit = np.zeros_like(leaf)
             unit[index] = 1
             axis = "." + "xyz"[index[0]] if index else ""
-            yield Direction(name + axis, where, unit, _power_of_two(scales.step_px * scale))
+            yield Probe(name + axis, where, unit, _power_of_two(scales.step_px * scale))
     random = np.random.default_rng(seed)
     step = _power_of_two(scales.step_px * _distance(*point) / float(focal_px(point[0])[1]))
     for name, where in _scene_leaves(point[1]):
@@ -49,7 +47,7 @@ def camera_and_scene(
             value = random.uniform(-1, 1, leaf.shape)
             if name == "vertices" and not scales.exact:
                 value = _waves(leaf, random)
-            yield Direction(f"{name} #{k + 1}", where, value.astype(leaf.dtype), step)
+            yield Probe(f"{name} #{k + 1}", where, value.astype(leaf.dtype), step)
 
 
 def _waves(vertices: np.ndarray, random: np.random.Generator) -> np.ndarray:
