@@ -16,6 +16,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from .._camera.camera import Camera
+from .._camera.poses import Pose, rigid
 from .._files.paths import FilePath, read_text
 from .fields import (
     KIND,
@@ -239,32 +240,33 @@ def _focal(fields: Fields, W: int, H: int) -> float:
     return focal_of_fov(float(np.deg2rad(fov)), sides[axis])
 
 
-def _step(kind: str, fields: Fields) -> np.ndarray:
+def _step(kind: str, fields: Fields) -> Pose:
     """Return one operation of a transform as a (4, 4) matrix."""
-    matrix = np.eye(4)
+    turn, shift = np.eye(3), np.zeros(3)
+    if kind == "matrix" and fields.shape("value") != (9,):
+        return fields.array("value", (16,)).reshape(4, 4)
     if kind == "matrix":
-        side = 3 if fields.shape("value") == (9,) else 4
-        matrix[:side, :side] = fields.array("value", (side * side,)).reshape(side, side)
+        turn = fields.array("value", (9,)).reshape(3, 3)
     elif kind in ("lookat", "look_at"):
-        origin, target, up = (fields.array(name, (3,)) for name in ("origin", "target", "up"))
-        forward, left = target - origin, np.cross(up, target - origin)
+        shift, target, up = (fields.array(name, (3,)) for name in ("origin", "target", "up"))
+        forward, left = target - shift, np.cross(up, target - shift)
         if not np.any(forward) or np.linalg.norm(left) < 1e-12 * np.linalg.norm(forward):
             raise fields.wrong("up", "another direction than the view's", up)
         forward, left = forward / np.linalg.norm(forward), left / np.linalg.norm(left)
-        matrix[:3] = np.stack([left, np.cross(forward, left), forward, origin], axis=1)
+        turn = np.stack([left, np.cross(forward, left), forward], axis=1)
     elif kind == "rotate":
         axis = _xyz(fields, 0)
         if not np.any(axis):
             raise fields.wrong("rotate", "an axis", "none")
-        turn = np.deg2rad(fields.number("angle")) * axis / np.linalg.norm(axis)
-        matrix[:3, :3] = rotations().from_rotvec(turn).as_matrix()
+        angle = np.deg2rad(fields.number("angle"))
+        turn = rotations().from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
     elif kind == "translate":
-        matrix[:3, 3] = _xyz(fields, 0)
+        shift = _xyz(fields, 0)
     elif kind == "scale":
-        matrix[:3, :3] = np.diag(_xyz(fields, 1))
+        turn = np.diag(_xyz(fields, 1))
     else:
         raise fields.wrong("to_world", "matrix, lookat, rotate, translate or scale", repr(kind))
-    return matrix
+    return rigid(turn, shift)
 
 
 def _xyz(fields: Fields, default: int) -> np.ndarray:
