@@ -392,52 +392,63 @@ def test_detections_take_the_place_of_masks(folder, tmp_path):
     assert data[0]["mask"] == rle
 
 
-DETECTION = {"scene_id": 1, "image_id": 0, "category_id": 7, "segmentation": None}
+#: A BOP split of one scene, and files that are wrong in its place.
+SPLIT = {"models/x.ply": "", "test/1/scene_camera.json": '{"0": {}}'}
+LABELS, CAMERAS, FOUND = "test/1/scene_gt.json", "test/1/scene_camera.json", "found.json"
+FINE = '{"scene_id": 1, "image_id": 0, "category_id": 7, "segmentation": null}'
+LOST = FINE.replace("0,", '"a.png",')
 
 
 @pytest.mark.parametrize(
-    ("found", "words"),
+    ("file", "text", "words"),
     [
-        ({}, "`detections`: expected a list of objects"),
-        ([3], "`detections`: expected a list of objects"),
-        ({"annotations": [DETECTION]}, "`detections`.*got COCO's annotations of its own images"),
-        ([{**DETECTION, "scene_id": None}], "`scene_id`.* in number 0, got None"),
-        ([DETECTION, {"image_id": 1}], "`scene_id`.* in number 1, got None"),
-        ([{**DETECTION, "scene_id": np.inf}], "`scene_id`.* in number 0, got inf"),
-        ([{**DETECTION, "scene_id": 2}], r"`scene_id` among \[1, 3\].* got \[2\] in .*found.json"),
-        ([{**DETECTION, "image_id": "a.png"}], "`image_id`, a number, got 'a.png'"),
-        ([{**DETECTION, "category_id": 1.5}], "`category_id`, a number, got 1.5"),
+        (LABELS, "[]", r"`path`: expected objects.*\[\]"),
+        (LABELS, '{"a": [{"obj_id": 7}]}', "`path`.*the image's number, got 'a'"),
+        (LABELS, '{"0": {}}', "`path`.*a list of objects"),
+        (LABELS, '{"0": [{}]}', "`path`.*`obj_id`, a number, got None"),
+        (LABELS, '{"0": [{"obj_id": 7}]}', "`path`.*`cam_R_m2c` and `cam_t_m2c` to start from"),
+        (CAMERAS, '{"0": null}', r"`path`.*scene_camera.json', image '0'.*got None"),
+        (FOUND, "{}", "`detections`: expected a list of objects"),
+        (FOUND, "[3]", "`detections`: expected a list of objects"),
+        (FOUND, f'{{"annotations": [{FINE}]}}', "got COCO's annotations of its own images"),
+        (FOUND, '[{"image_id": 1}]', "`scene_id`.* in number 0, got None"),
+        (FOUND, f"[{FINE}, {{}}]", "`scene_id`.* in number 1, got None"),
+        (FOUND, '[{"scene_id": Infinity}]', "`scene_id`.* in number 0, got inf"),
+        (FOUND, '[{"scene_id": 2}]', r"`scene_id` among \[1\].* got \[2\] in .*found.json"),
+        (FOUND, f"[{LOST}]", "`image_id`, a number, got 'a.png'"),
+        (FOUND, f"[{FINE.replace('7', '1.5')}]", "`category_id`, a number, got 1.5"),
+        ("test/b/scene_camera.json", "{}", r"`path`.*`scene_id`.*'b'"),
+        ("a.jsonl", '{"id": 1}\n\n{"id": \n', r"`path`: .* in line 3 of '.*a.jsonl': Expecting"),
+        ("a.jsonl", '{"id": 1}\n\n[1]\n', r"`path`: .* object in line 3 of '.*a.jsonl': got"),
+        ("a.jsonl", "[" * 99999, r"`path`: .* in line 1 of '.*a.jsonl'"),
+        ("a.jsonl", b'\xff{"id": 1}', r"`path`: .* of '.*a.jsonl'"),
+        ("a.txt", "", r"`path`.*\.csv"),
+        ("none", None, "`path`.*a data set"),
+        ("other/a.txt", "", r"`path`.*got 0 meshes"),
     ],
 )
-def test_detections_of_other_kinds_are_refused(folder, tmp_path, found, words):
-    (tmp_path / "found.json").write_text(json.dumps(found))
-    with pytest.raises(ValueError, match=words):
-        list(batch.read_dataset(folder / "test", detections=tmp_path / "found.json"))
+def test_data_sets_of_other_kinds_are_refused(tmp_path, file, text, words):
+    labels = {LABELS: '{"0": [{"obj_id": 7}]}'}
+    write_files(tmp_path, {FOUND: f"[{FINE}]", **labels, **SPLIT, file: text})
+    in_split = file in (LABELS, CAMERAS, FOUND) or file.startswith("test")
+    more = {"start": "cam_" in words} if file == LABELS else {"detections": tmp_path / FOUND}
+    path = "test" if in_split else "other" if "/" in file else file
+    with pytest.raises((ValueError, FileNotFoundError), match=words):
+        list(batch.read_dataset(tmp_path / path, **more))
 
 
-def test_scenes_of_other_names_and_objects_without_pose_are_refused(tmp_path):
-    scene = tmp_path / "test" / "scene1"
-    scene.mkdir(parents=True)
-    (tmp_path / "models").mkdir()
-    (tmp_path / "found.json").write_text(json.dumps([DETECTION]))
-    (scene / "scene_camera.json").write_text('{"0": {}}')
-    with pytest.raises(ValueError, match=r"`path`.*`scene_id`.*'scene1'"):
-        batch.read_dataset(tmp_path / "test", detections=tmp_path / "found.json")
-    for objects, start, words in (
-        ([], False, r"expected objects.*\[\]"),
-        ({"a": [{"obj_id": 7}]}, False, "the image's number, got 'a'"),
-        ({"0": {}}, False, "a list of objects"),
-        ({"0": [{}]}, False, "`obj_id`, a number, got None"),
-        ({"0": [{"obj_id": 7}]}, True, "`cam_R_m2c` and `cam_t_m2c` to start from"),
-    ):
-        (scene / "scene_gt.json").write_text(json.dumps(objects))
-        with pytest.raises(ValueError, match=f"`path`.*{words}"):
-            list(batch.read_dataset(tmp_path / "test", start=start))
-    (scene / "scene_gt.json").write_text('{"0": [{"obj_id": 7}]}')
-    assert [r["id"] for r in batch.read_dataset(tmp_path / "test")] == ["test/scene1/0/7/0"]
-    (scene / "scene_camera.json").write_text('{"0": null}')
-    with pytest.raises(ValueError, match=r"`path`.*scene_camera.json', image '0'.*got None"):
-        list(batch.read_dataset(tmp_path / "test"))
+def write_files(folder, files):
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        if content is not None:
+            data = content if isinstance(content, bytes) else content.encode()
+            (folder / name).write_bytes(data)
+
+
+def test_scene_may_have_any_name(tmp_path):
+    files = {"test/b/scene_camera.json": "{}", "test/b/scene_gt.json": '{"0": [{"obj_id": 7}]}'}
+    write_files(tmp_path, {**SPLIT, **files, LABELS: "{}"})
+    assert [r["id"] for r in batch.read_dataset(tmp_path / "test")] == ["test/b/0/7/0"]
 
 
 @pytest.mark.parametrize("ending", [".csv", ".jsonl"])
@@ -461,21 +472,6 @@ def test_table_of_records(folder, records, rows, tmp_path, ending):
     assert (row["status"], row["R"]) == (rows[0]["status"], rows[0]["R"])
 
 
-@pytest.mark.parametrize(
-    ("lines", "words"),
-    [
-        (b'{"id": 1}\n\n{"id": \n', r"`path`: .* in line 3 of '.*data.jsonl': Expecting"),
-        (b'{"id": 1}\n\n[1]\n', r"`path`: .* object in line 3 of '.*data.jsonl': got \[1\]"),
-        (b"[" * 99999, r"`path`: .* in line 1 of '.*data.jsonl'"),
-        (b'\xff{"id": 1}', r"`path`: .* of '.*data.jsonl'"),
-    ],
-)
-def test_lines_that_are_no_objects_are_named(tmp_path, lines, words):
-    (tmp_path / "data.jsonl").write_bytes(lines)
-    with pytest.raises(ValueError, match=words):
-        list(batch.read_dataset(tmp_path / "data.jsonl"))
-
-
 def test_folder_of_masks_is_a_dataset(folder, records, tmp_path):
     mesh = Path(records[0]["mesh"])
     (tmp_path / "part.ply").write_bytes(mesh.read_bytes())
@@ -493,18 +489,10 @@ def test_folder_of_masks_is_a_dataset(folder, records, tmp_path):
     assert data[0]["camera"].endswith("camera.json")
 
 
-def test_input_that_is_no_dataset_is_refused(folder, tmp_path):
-    with pytest.raises(ValueError, match=r"`path`.*got 0 meshes"):
-        list(batch.read_dataset(tmp_path))
-    with pytest.raises(FileNotFoundError, match=r"`path`.*a data set"):
-        batch.read_dataset(tmp_path / "none")
-    (tmp_path / "data.txt").touch()
-    with pytest.raises(ValueError, match=r"`path`.*\.csv"):
-        batch.read_dataset(tmp_path / "data.txt")
-    with pytest.raises(ValueError, match="`colour`"):
-        batch.read_dataset(folder / "test", colour="red")
-    with pytest.raises(ValueError, match=r"`models`.*folder"):
-        batch.read_dataset(folder / "test", models=tmp_path / "none")
+@pytest.mark.parametrize("wrong", [{"colour": "red"}, {"models": "none"}])
+def test_wrong_arguments_of_a_dataset_are_refused(folder, wrong):
+    with pytest.raises(ValueError, match=f"`{[*wrong][0]}`"):
+        batch.read_dataset(folder / "test", **wrong)
 
 
 # Many.
