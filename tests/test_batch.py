@@ -489,10 +489,10 @@ def test_folder_of_masks_is_a_dataset(folder, records, tmp_path):
     assert data[0]["camera"].endswith("camera.json")
 
 
-@pytest.mark.parametrize("wrong", [{"colour": "red"}, {"models": "none"}])
-def test_wrong_arguments_of_a_dataset_are_refused(folder, wrong):
-    with pytest.raises(ValueError, match=f"`{[*wrong][0]}`"):
-        batch.read_dataset(folder / "test", **wrong)
+@pytest.mark.parametrize("name", ["colour", "models"])
+def test_wrong_arguments_of_a_dataset_are_refused(folder, name):
+    with pytest.raises(ValueError, match=f"`{name}`"):
+        batch.read_dataset(folder / "test", **{name: "none"})
 
 
 # Many.
