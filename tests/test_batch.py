@@ -764,9 +764,11 @@ def test_command_writes_table_and_camera(rows, folder, tmp_path, capsys, monkeyp
     assert "`--output`: expected unchanged records" in capsys.readouterr().err
     assert main(f"{again} --start --resume") == 0
     assert len(batch.Results("out")) == COUNT
-    write_rows(tmp_path / "out", [empty_row({"id": "test/1/2/3/4"}, "failed", "")])
+    write_rows(tmp_path / "out", [empty_row({"id": "test/1/2/3/4"}, "failed", "`mask`: none")])
     assert main("-o out --merge bop.csv") == 1
-    assert "bop.csv (without 1 rows that have no camera)" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "failure    test/1/2/3/4: `mask`: none\n" in printed
+    assert "bop.csv (without 1 rows that have no camera)" in printed
 
 
 def test_command_hands_its_options_to_each_record(tmp_path, monkeypatch):

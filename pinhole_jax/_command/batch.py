@@ -45,11 +45,14 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     print(f"rows       {len(results)} in {options.output}")
     for status, count in counts.items():
         print(f"  {count:6d}   {status}")
+    failure = next((row for row in results if row["status"] in NO_FIT), None)
+    if failure is not None:
+        print(f"failure    {failure['id']}: {failure['words']}")
     paths = [options.merge, options.write and options.write[1]]
     there = replaced([path for path in paths if path is not None])
     if written := list(_written(options, results)):
         print(f"written    {', '.join(written)}{there}")
-    return 1 if NO_FIT.keys() & counts.keys() else 0
+    return int(failure is not None)
 
 
 def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any]) -> None:
