@@ -400,7 +400,7 @@ LOST = FINE.replace("0,", '"a.png",')
 
 
 @pytest.mark.parametrize(
-    ("file", "text", "words"),
+    ("file", "text", "message"),
     [
         (LABELS, "[]", r"`path`: expected objects.*\[\]"),
         (LABELS, '{"a": [{"obj_id": 7}]}', "`path`.*the image's number, got 'a'"),
@@ -427,13 +427,13 @@ LOST = FINE.replace("0,", '"a.png",')
         ("other/a.txt", "", r"`path`.*got 0 meshes"),
     ],
 )
-def test_data_sets_of_other_kinds_are_refused(tmp_path, file, text, words):
+def test_data_sets_of_other_kinds_are_refused(tmp_path, file, text, message):
     labels = {LABELS: '{"0": [{"obj_id": 7}]}'}
     write_files(tmp_path, {FOUND: f"[{FINE}]", **labels, **SPLIT, file: text})
     in_split = file in (LABELS, CAMERAS, FOUND) or file.startswith("test")
-    more = {"start": "cam_" in words} if file == LABELS else {"detections": tmp_path / FOUND}
+    more = {"start": "cam_" in message} if file == LABELS else {"detections": tmp_path / FOUND}
     path = "test" if in_split else "other" if "/" in file else file
-    with pytest.raises((ValueError, FileNotFoundError), match=words):
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
         list(batch.read_dataset(tmp_path / path, **more))
 
 
