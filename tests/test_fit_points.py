@@ -218,7 +218,7 @@ def test_error_bars_equal_those_of_linear_theory():
 
 def test_priors_are_not_differentiated():
     fit = lambda x: pj.fit_points(SOLID, x, START, prior={"e_x": (0.0, 1.0)}).camera.e[0]
-    with pytest.raises(ValueError, match="`prior`, `bounds`: expected none where the fit is diff"):
+    with pytest.raises(ValueError, match="`prior`: expected none where the fit is diff"):
         jax.grad(fit)(jnp.zeros((30, 2)))
     with pytest.raises(ValueError, match="`points3d`, `points2d`, `weights`: expected concrete"):
         jax.jit(lambda x: pj.fit_points(SOLID, x, START).camera.e)(jnp.zeros((30, 2)))

@@ -25,7 +25,7 @@ from .._solver.parameters import check_free, focal_is_free, in_one, with_lens
 from .._solver.priors import Pair, Prior, bounds_of, prior_of
 from .._solver.solver import Found, Solver, Stop
 from .drift import other_places
-from .implicit import check_plain, of_camera
+from .implicit import camera_velocity, check_plain, through
 from .occluders import covered_at, edge_of, is_sure, is_trusted, uncovered
 from .photo import check_photo, on_photo
 from .places import Free, Places, at
@@ -122,10 +122,10 @@ def fit_camera(
         check_camera(camera)
         check_alone("camera", phi=phi, lens=lens)
     freed = in_one(check_free(free, camera, lens))
-    start = _anywhere(scene, target, freed, phi, lens) if camera is None else camera
+    start = anywhere(scene, target, freed, phi, lens) if camera is None else camera
     base = with_lens(start, freed)
 
-    def run(inputs: Any) -> tuple[Fit, Callable]:
+    def run(inputs: Any) -> tuple[Fit, Callable[[], np.ndarray]]:
         scene, target, weight = inputs
         image, weights = check_target(target, weight, base.W, base.H)
         check_border(image, weights, scene, camera)
@@ -143,7 +143,12 @@ def fit_camera(
         if concrete:
             return run(inputs)[0]
         check_plain(prior=prior, bounds=bounds, photo=photo is not None)
-        return of_camera(run, freed)(inputs)
+        of_camera = lambda fit: fit.camera
+        with_camera = lambda fit, camera: fit._replace(camera=camera)
+        velocity = lambda fit, trust, *given: camera_velocity(
+            fit.camera, freed, given[0], trust(), given[1]
+        )
+        return through(run, inputs, of_camera, with_camera, velocity)
 
 
 def check_steps(max_steps: Any) -> None:
@@ -357,7 +362,7 @@ def _reported(
     return report(answer.mask.camera, found, whole, answer.solver.freed, context)
 
 
-def _anywhere(
+def anywhere(
     scene: Scene,
     target: ArrayLike,
     freed: tuple[str, ...],

@@ -1,9 +1,5 @@
-"""The whole exact image less a mask; and as a function of a camera's moves, with its derivative."""
+"""The whole exact image less a mask."""
 
-from typing import NamedTuple
-
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -14,7 +10,6 @@ from .._mask.target import check_target, levelled
 from .._numerics.arrays import ArrayLike, Input, is_concrete
 from .._scene.scene import Scene, check_scene
 from .._silhouette.silhouette import silhouette
-from .._solver.moves import Move, moved, on_film
 
 
 def residuals(
@@ -54,32 +49,3 @@ def residuals(
     dtype = camera.e.dtype
     difference = silhouette(camera, scene) - jnp.asarray(mask.image, dtype)
     return jnp.asarray(np.sqrt(weights), dtype) * difference
-
-
-class At(NamedTuple):
-    """Where an image's moves start, on which film, of what."""
-
-    move: Move
-    film: Camera
-    scene: Scene
-    freed: tuple[str, ...]
-
-    def camera(self, y: Float[Array, "n"]) -> Camera:
-        """Return the camera moved by y."""
-        return on_film(moved(self.move, y, self.freed), self.film)
-
-
-@eqx.filter_jit
-def image(y: Float[Array, "n"], at: At) -> Float[Array, "H W"]:
-    """Return the image after a move."""
-    return silhouette(at.camera(y), at.scene)
-
-
-@eqx.filter_jit
-def image_and_jacobian(
-    y: Float[Array, "n"] | Float[np.ndarray, "n"], at: At
-) -> tuple[Float[Array, "H W"], Float[Array, "H W n"]]:
-    """Return the image after a move, and its derivative by further ones."""
-    both = lambda y: (lambda x: (x, x))(image(y, at))
-    jacobian, value = jax.jacfwd(both, has_aux=True)(y)
-    return value, jacobian

@@ -1,12 +1,13 @@
-"""How a fitted camera moves with what it was fitted to: the implicit function theorem.
+"""A fit's answer as a function of what it was fitted to: the implicit function theorem.
 
-The fit ends where g = J^T w (image - target) is 0 (J: the image's derivative by the moves of the
-camera), so a change of scene, target or weight moves it by -(dg/dmoves)^-1 dg. That takes the
-image's second derivatives, which coverage does not have as a program; where the residual is not 0
-they are central differences of its exact first derivatives.
+The fit ends where the sum of all views' J^T w (image - target) is 0 (J: the image's derivative by
+the unknowns), so a change of scene, target or weight moves it by minus the inverse of that sum's
+derivative, times its change. That takes the image's second derivatives, which coverage does not
+have as a program; where the residual is not 0 they are central differences of its exact first
+derivatives. A single camera is a problem of one view.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,156 +17,315 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
+from .._camera.poses import Pose, pose_of
 from .._mask.target import as_coverage, check_image
 from .._numerics.arrays import is_concrete
-from .._scene.scene import Scene, bounding_sphere
-from .._solver.moves import Move, camera_velocity, canonical, scales
-from .full_image import At, image, image_and_jacobian
+from .._scene.scene import Scene
+from .._silhouette.silhouette import silhouette
+from .._solver.moves import canonical, on_film, rotation
+from .._solver.parameters import PARAMETERS, components
 
 #: The step of central differences, in px, by float type. (Derivatives by it agree with refits to
 #: 1e-4 where masks are exact, to 1e-2 and 3e-2 of noisy and hard ones, whose second derivatives
-#: jump.)
-STEP_PX = {np.dtype(np.float32): 0.1, np.dtype(np.float64): 1e-3}
+#: jump: of two noisy masks to 1e-6 with up to 3e-4, to 3e-3 with 1e-3.)
+STEP_PX = {np.dtype(np.float32): 0.03, np.dtype(np.float64): 1e-4}
 #: Below this root mean square over the image the residual's part of the second derivative is left
 #: out: it is as small as that.
 NO_RESIDUAL = 1e-5
+#: An unknown that shows less than this share of the best-seen one has that one's unit times this.
+LEAST_SHOWN = 1e-3
+#: Unknowns beside a camera's own parameters: an object's pose, and the size of what is seen.
+OBJECT, SCALE = "object", "scale"
+#: The part of a twist (a rotation vector, a shift) that each motion of a camera has.
+TWISTS = {"pose": slice(0, 6), "position": slice(3, 6), "orientation": slice(0, 3)}
 
-Inputs = tuple[Scene, Any, Any]
 
+def through(
+    run: Callable[[Any], tuple[Any, Any]],
+    inputs: Any,
+    answer: Callable[[Any], Any],
+    with_answer: Callable[[Any, Any], Any],
+    velocity: Callable[[Any, Any, Any, Any], Any],
+    names: str = "`target`, `scene`, `weight`",
+) -> Any:
+    """The result of a fit to inputs, its answer differentiable by those of them that are traced.
 
-class Through(NamedTuple):
-    """How a fit's result is made differentiable.
-
-    - `run`: returns the result of inputs, and something that `velocity` needs.
-    - `answer`: what of the result is differentiable, a pytree.
-    - `put`: returns the result with such an answer in place of its own.
-    - `velocity`: returns the answer's rate of change, given the result, that something, the inputs
-      and their velocities: None of what does not change.
+    - `run`: makes the result of inputs, and something that `velocity` needs.
+    - `answer`: the part of the result that is differentiable, a pytree.
+    - `with_answer`: the result with such an answer in place of its own.
+    - `velocity`: the answer's rate of change, given the result, that something, the inputs and
+      their velocities: None of what does not change.
     - `names`: the arguments that inputs come from, as errors name them.
     """
+    changing, fixed = eqx.partition(inputs, lambda leaf: not is_concrete(leaf))
+    results: list[Any] = []
 
-    run: Callable[[Any], tuple[Any, Any]]
-    answer: Callable[[Any], Any]
-    put: Callable[[Any, Any], Any]
-    velocity: Callable[[Any, Any, Any, Any], Any]
-    names: str = "`target`, `scene`, `weight`"
+    def solve(changing: Any) -> tuple[Any, Any, Any]:
+        if not is_concrete(*jax.tree.leaves(changing)):
+            raise ValueError(
+                f"{names}: expected concrete arrays, got traced ones; a fit runs outside"
+                " `jit` and `vmap` (in `grad`, `jvp` and `jacfwd`, if these are outside)"
+            )
+        whole = eqx.combine(changing, fixed)
+        result, end = run(whole)
+        results.append(result)
+        return result, end, whole
 
-    def __call__(self, inputs: Any) -> Any:
-        """Return the result, its answer differentiable by those of the inputs that are traced."""
-        changing, fixed = eqx.partition(inputs, lambda leaf: not is_concrete(leaf))
-        box: list[Any] = []
+    @jax.custom_jvp
+    def answer_of(changing: Any) -> Any:
+        return answer(solve(changing)[0])
 
-        def solve(changing: Any) -> tuple[Any, Any]:
-            if not is_concrete(*jax.tree.leaves(changing)):
-                raise ValueError(
-                    f"{self.names}: expected concrete arrays, got traced ones; a fit runs outside"
-                    " `jit` and `vmap` (in `grad`, `jvp` and `jacfwd`, if these are outside)"
-                )
-            result, more = self.run(eqx.combine(changing, fixed))
-            box.append(result)
-            return result, more
+    @answer_of.defjvp
+    def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
+        solved = solve(primals[0])
+        return answer(solved[0]), velocity(*solved, tangents[0])
 
-        @jax.custom_jvp
-        def answer_of(changing: Any) -> Any:
-            return self.answer(solve(changing)[0])
-
-        @answer_of.defjvp
-        def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
-            result, more = solve(primals[0])
-            still = eqx.combine(primals[0], fixed)
-            return self.answer(result), self.velocity(result, more, still, tangents[0])
-
-        answer = answer_of(changing)
-        return self.put(box[-1], answer)
+    found = answer_of(changing)
+    return with_answer(results[-1], found)
 
 
 def check_plain(**given: Any) -> None:
     """Raise ValueError where some of these arguments, which no derivative knows, are given."""
-    if any(given.values()):
-        names = ", ".join(f"`{name}`" for name in given)
+    if names := ", ".join(f"`{name}`" for name, value in given.items() if value):
         raise ValueError(f"{names}: expected none where the fit is differentiated")
 
 
-def of_camera(
-    run: Callable[[Inputs], tuple[Any, Callable[[], np.ndarray]]], freed: tuple[str, ...]
-) -> Through:
-    """Return how a fit of one camera is made differentiable by scene, target and weight; `run` has
-    a function that gives the weights (H, W) of the pixels that decided."""
+class Slope(NamedTuple):
+    """Half the gradient of a view's squares by the unknowns `columns` (p,): its derivative by these
+    (p, p), and its rate of change with the inputs (p,)."""
 
-    def velocity(result: Any, decided: Callable, inputs: Inputs, velocity: Inputs) -> Camera:
-        camera = result.camera
-        start, dtype = canonical(camera), camera.e.dtype
-        pivot, radius = (np.asarray(x, dtype) for x in bounding_sphere(inputs[0]))
-        move = _move(start, pivot, radius, np.asarray(camera.H, dtype), freed)
-        end = End.of(At(move, camera, inputs[0], freed), inputs, decided())
-        return _answer(move, camera, freed, end.back(), end.pull(inputs, velocity))
+    columns: np.ndarray
+    bend: np.ndarray
+    pull: Float[Array, "p"]
 
-    put = lambda result, camera: result._replace(camera=camera)
-    return Through(run, lambda result: result.camera, put, velocity)
+
+def steps_of(slopes: Sequence[Slope]) -> list[Float[Array, "p"]]:
+    """The rates of change of each view's unknowns, so that the whole gradient stays 0.
+
+    What one view alone depends on is eliminated, so the cost is linear in the views.
+    """
+    columns = np.concatenate([slope.columns for slope in slopes])
+    count, size = np.bincount(columns), np.zeros(columns.max() + 1)
+    for slope in slopes:
+        size[slope.columns] += np.abs(np.diag(slope.bend))
+    unit = np.where(size > 0, size, 1.0) ** -0.5
+    shared = np.flatnonzero(count > 1)
+    left, parts = np.zeros((len(shared), len(shared))), []
+    pull = jnp.zeros(len(shared), slopes[0].pull.dtype)
+    for slope in slopes:
+        dtype, units = slope.pull.dtype, unit[slope.columns]
+        bend, own = units[:, None] * slope.bend * units, count[slope.columns] == 1
+        place = np.searchsorted(shared, slope.columns[~own])
+        back, across = _inverse(bend[np.ix_(own, own)]), bend[np.ix_(own, ~own)]
+        left[np.ix_(place, place)] += bend[np.ix_(~own, ~own)] - across.T @ back @ across
+        # (What is linear in the pulls is products with matrices: entries one by one are a program
+        # each.)
+        toward = np.zeros((len(shared), len(own)))
+        toward[np.ix_(place, ~own)] = np.eye(len(place))
+        toward[np.ix_(place, own)] = -across.T @ back
+        alone = np.zeros(bend.shape)
+        alone[np.ix_(own, own)] = back
+        parts.append(
+            [
+                jnp.asarray(x, dtype)
+                for x in (units[:, None] * toward.T, units[:, None] * alone * units)
+            ]
+        )
+        pull = pull + jnp.asarray(toward * units, dtype) @ slope.pull
+    step = -jnp.asarray(_inverse(left), pull.dtype) @ pull
+    return [
+        by_shared @ step - by_own @ slope.pull
+        for (by_shared, by_own), slope in zip(parts, slopes, strict=True)
+    ]
+
+
+def _inverse(bend: np.ndarray) -> np.ndarray:
+    least = 10 * len(bend) * float(np.finfo(bend.dtype).eps)
+    return np.linalg.pinv((bend + bend.T) / 2, least, hermitian=True)
+
+
+class Sight(eqx.Module):
+    """A camera that sees an object, and its unknowns.
+
+    - `camera`: canonical, in the frame of what carries it; `film`: its film.
+    - `pose`: the frame that twists of the camera are taken in.
+    - `place`: the object's pose in the world; `scale`: its size.
+    - `units` (n,): the sizes of moves; `kinds`: what they move: motions, `OBJECT`, `SCALE`, and
+      parameters of the lens.
+    """
+
+    camera: Camera
+    film: Camera
+    pose: Float[Array, "4 4"] | Pose
+    place: Float[Array, "4 4"] | Pose
+    scale: Float[Array, ""] | Float[np.ndarray, ""]
+    units: Float[Array, "n"] | np.ndarray
+    kinds: tuple[str, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls,
+        camera: Camera,
+        film: Camera,
+        pose: Pose,
+        kinds: tuple[str, ...],
+        place: Pose | None = None,
+        scale: float = 1.0,
+    ) -> "Sight":
+        """A sight whose moves are in units as such."""
+        dtype, units = film.e.dtype, np.ones(sum(number_of(kind) for kind in kinds))
+        place = np.eye(4) if place is None else place
+        to = lambda x: np.asarray(x, dtype)
+        return cls(camera, film, to(pose), to(place), to(scale), to(units), kinds)
+
+    def moved(self, y: Float[Array, "n"]) -> tuple[Camera, Float[Array, "4 4"], Float[Array, ""]]:
+        """The camera on its film, the object's pose and its size after moves."""
+        camera, place, scale = self.camera, jnp.asarray(self.place), jnp.asarray(self.scale)
+        step, begin = y * self.units, 0
+        for kind in self.kinds:
+            part = step[begin : begin + number_of(kind)]
+            begin += number_of(kind)
+            if kind in TWISTS:
+                camera = _carried(camera, self.pose, _motion(part, TWISTS[kind]))
+            elif kind == OBJECT:
+                place = place @ _motion(part, TWISTS["pose"])
+            elif kind == SCALE:
+                scale = scale * jnp.exp(part[0])
+            else:
+                for leaf in PARAMETERS[kind].leaves:
+                    camera = eqx.tree_at(leaf.of, camera, leaf.moved(leaf.of(camera), part))
+        return on_film(camera, self.film), place, scale
+
+
+def number_of(kind: str) -> int:
+    """The number of moves of a kind."""
+    sizes = {OBJECT: 6, SCALE: 1}
+    return sizes[kind] if kind in sizes else len(components((kind,)))
+
+
+def _motion(part: Float[Array, "k"], where: slice) -> Float[Array, "4 4"]:
+    twist = jnp.zeros(6, part.dtype).at[where].set(part)
+    top = jnp.concatenate([rotation(twist[:3]), twist[3:, None]], axis=1)
+    return jnp.concatenate([top, jnp.asarray([[0, 0, 0, 1]], part.dtype)])
+
+
+def _inverted(pose: Any) -> Float[Array, "4 4"]:
+    back = pose[:3, :3].T
+    top = jnp.concatenate([back, -back @ pose[:3, 3:]], axis=1)
+    return jnp.concatenate([top, jnp.asarray([[0, 0, 0, 1]], back.dtype)])
+
+
+def _carried(camera: Camera, pose: Any, motion: Float[Array, "4 4"]) -> Camera:
+    """A camera moved with a pose by a motion in that frame."""
+    pose = jnp.asarray(pose)
+    return _transformed(camera, pose @ motion @ _inverted(pose))
+
+
+def _transformed(camera: Camera, by: Float[Array, "4 4"], scale: Any = 1.0) -> Camera:
+    turned = by[:3, :3]
+    point = lambda q: (turned @ q + by[:3, 3]) / scale
+    values = point(camera.e), point(camera.p), turned @ camera.u
+    return eqx.tree_at(lambda c: (c.e, c.p, c.u), camera, values)
+
+
+class Shown(NamedTuple):
+    """What a camera sees: a scene, what carries the camera, and the scene's pose on the object."""
+
+    scene: Scene
+    mount: Any
+    placed: Any
+
+    @classmethod
+    def of(cls, scene: Scene, dtype: Any, mount: Any = None, placed: Any = None) -> "Shown":
+        """What is seen, in a float type."""
+        known = (np.eye(4) if x is None else x for x in (mount, placed))
+        return cls(scene, *(np.asarray(x, dtype) for x in known))
+
+
+@eqx.filter_jit
+def _image(y: Float[Array, "n"], sight: Sight, shown: Shown) -> Float[Array, "H W"]:
+    camera, place, scale = sight.moved(y)
+    by = _inverted(place @ shown.placed) @ shown.mount
+    return silhouette(_transformed(camera, by, scale), shown.scene)
+
+
+@eqx.filter_jit
+def _image_and_jacobian(
+    y: Float[Array, "n"] | np.ndarray, sight: Sight, shown: Shown
+) -> tuple[Float[Array, "H W"], Float[Array, "H W n"]]:
+    both = lambda y: (lambda x: (x, x))(_image(y, sight, shown))
+    jacobian, value = jax.jacfwd(both, has_aux=True)(y)
+    return value, jacobian
 
 
 class End(NamedTuple):
-    """Where a fit ended: the image's `jacobian` (H, W, n) there by moves, the image less the target
-    (H, W), and how much pixels count (H, W).
+    """Where a fit ended in a view: the image's `jacobian` (H, W, n) there by moves, the image less
+    the target (H, W), and how much pixels count (H, W).
 
-    `step`: of the differences that tell second derivatives, in the moves' unit; None where what is
-    left of the target is as good as nothing.
+    `step`: of the differences that give second derivatives, in px; None where what is left of the
+    target is as good as nothing.
     """
 
-    at: At
-    jacobian: Float[Array, "H W n"]
+    sight: Sight
+    shown: Shown
+    jacobian: np.ndarray
     difference: np.ndarray
     weight: np.ndarray
     step: float | None
 
     @classmethod
-    def of(cls, at: At, inputs: Inputs, weight: np.ndarray, unit_px: float = 1.0) -> "End":
-        """Return the end of a fit whose moves are in units of this many px."""
-        film, dtype = at.film, np.dtype(at.film.e.dtype)
-        shown, jacobian = image_and_jacobian(np.zeros(at.move.scale.shape, dtype), at)
-        target = as_coverage(check_image("target", inputs[1], film.W, film.H))
-        difference, weight = np.asarray(shown) - target.astype(dtype), weight.astype(dtype)
+    def of(cls, sight: Sight, shown: Shown, target: Any, weight: np.ndarray) -> "End":
+        """The end of a fit to a target, in units of moves that show as a pixel's do."""
+        film, dtype = sight.film, np.dtype(sight.film.e.dtype)
+        image, jacobian = _image_and_jacobian(np.zeros_like(sight.units), sight, shown)
+        target = as_coverage(check_image("target", target, film.W, film.H))
+        difference, weight = np.asarray(image) - target.astype(dtype), weight.astype(dtype)
         left = float(np.mean(weight * difference * difference)) ** 0.5
-        step = STEP_PX[dtype] / unit_px if left > NO_RESIDUAL else None
-        return cls(at, jacobian, difference, weight, step)
+        rows = np.asarray(jacobian)
+        touched = max(int(np.sum(np.any(rows != 0, axis=-1))), 1)
+        size = np.sqrt(np.sum(rows**2, axis=(0, 1)) / touched)
+        units = 1 / np.maximum(size, max(LEAST_SHOWN * size.max(), np.finfo(dtype).tiny))
+        sight = eqx.tree_at(lambda s: s.units, sight, units.astype(dtype))
+        step = STEP_PX[dtype] if left > NO_RESIDUAL else None
+        return cls(sight, shown, (rows * units).astype(dtype), difference, weight, step)
 
-    def back(self) -> np.ndarray:
-        """Return the inverse of how half the gradient changes with the moves (n, n)."""
-        bend, n = self.seen(), self.jacobian.shape[-1]
+    def slope(self, columns: np.ndarray, counts: float, inputs: Any, velocity: Any) -> Slope:
+        """The slope of the view's squares, which count so much, by unknowns at some columns.
+
+        `inputs` are the weight (H, W) and `Shown`, as `velocity` with the target's first; None of
+        what does not change.
+        """
+        units = np.asarray(self.sight.units, float)
+        n, rows = len(units), self.jacobian.reshape(-1, len(units)).astype(float)
+        bend = rows.T @ (self.weight.reshape(-1, 1) * rows)
         if self.step is not None:
-            places = self._places()[1:]
-            slopes = np.asarray(_slopes(places, self.at, self.weight * self.difference))
+            held = self.weight * self.difference
+            slopes = np.asarray(_slopes(self._places()[1:], self.sight, self.shown, held), float)
             bend = bend + (slopes[:n] - slopes[n:]) / (2 * self.step)
-        least = 10 * n * float(np.finfo(bend.dtype).eps)
-        return np.linalg.pinv((bend + bend.T) / 2, least, hermitian=True)
+        pull = self._pull(inputs, *velocity) / units.astype(self.weight.dtype)
+        return Slope(columns, counts * bend / np.outer(units, units), counts * pull)
 
-    def seen(self) -> np.ndarray:
-        """Return how half the gradient changes with the moves where nothing is left (n, n)."""
-        rows = np.asarray(self.jacobian).reshape(-1, self.jacobian.shape[-1])
-        return rows.T @ (self.weight.reshape(-1, 1) * rows)
-
-    def left_along(self, at: At) -> np.ndarray:
-        """Return what is left of the target along the image's derivative elsewhere (n,)."""
-        still = np.zeros(at.move.scale.shape, self.weight.dtype)
-        rows = np.asarray(image_and_jacobian(still, at)[1], float)
-        return np.einsum("hwn,hw->n", rows, self.weight * self.difference)
-
-    def pull(self, inputs: Inputs, velocity: Inputs) -> Float[Array, "n"]:
-        """Return how half the gradient changes with the inputs while the camera stays: linear in
-        their velocities."""
-        scene, of_target, of_weight = velocity
+    def _pull(self, given: Any, of_target: Any, of_weight: Any, of_shown: Any) -> Array:
         changes = share = None
-        if jax.tree.leaves(scene):
-            changes = _along(self._places(), self.at, _of_all(inputs[0], scene))
+        if jax.tree.leaves(of_shown):
+            moving = of_shown
+            if jax.tree.leaves(of_shown.scene):  # (all of a scene's arrays move, or none)
+                solid = eqx.filter(self.shown.scene, eqx.is_inexact_array)
+                still = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), solid)
+                moving = of_shown._replace(scene=eqx.combine(of_shown.scene, still))
+            else:
+                moving = of_shown._replace(scene=eqx.filter(self.shown.scene, False))
+            changes = _along(self._places(), self.sight, self.shown, moving)
         if of_weight is not None:
-            given = np.asarray(inputs[2])
+            given = np.asarray(given)
             share = np.where(given > 0, self.weight / np.where(given > 0, given, 1), 0)
             share = share.astype(self.weight.dtype)
-        return _pull(self._replace(at=None), changes, of_target, share, of_weight)
+        arrays = self.jacobian, self.difference, self.weight, self.step
+        return _pull_of(*arrays, changes, of_target, share, of_weight)
 
     def _places(self) -> np.ndarray:
-        """Return no move; and, where second derivatives count, a step each way along each."""
-        n, dtype = self.jacobian.shape[-1], self.weight.dtype
+        """No move; and, where second derivatives count, a step each way along each."""
+        n, dtype = len(self.sight.units), self.weight.dtype
         if self.step is None:
             return np.zeros((1, n), dtype)
         each = self.step * np.eye(n, dtype=dtype)
@@ -173,55 +333,72 @@ class End(NamedTuple):
 
 
 @eqx.filter_jit
-def _move(start: Camera, pivot: Any, radius: Any, H: Any, freed: tuple[str, ...]) -> Move:
-    return Move(start, pivot, scales(start, pivot, radius, H, freed))
-
-
-@eqx.filter_jit
-def _pull(end: End, changes: Any, of_target: Any, share: Any, of_weight: Any) -> Array:
-    """Return `End.pull`, with the image's changes (k, H, W) at its places while the scene moves."""
-    dtype, toward = end.weight.dtype, jnp.zeros_like(end.difference)
-    if changes is not None:
-        toward = changes[0]
+def _pull_of(
+    jacobian: Any,
+    difference: Any,
+    weight: Any,
+    step: float | None,
+    changes: Any,
+    of_target: Any,
+    share: Any,
+    of_weight: Any,
+) -> Array:
+    """The gradient's rate of change while the camera stays, with the image's changes (k, H, W) at
+    `End._places`."""
+    toward = jnp.zeros_like(difference) if changes is None else changes[0]
     if of_target is not None:
-        toward = toward - of_target.astype(dtype)
-    toward = end.weight * toward
+        toward = toward - of_target.astype(weight.dtype)
+    toward = weight * toward
     if of_weight is not None:
-        toward = toward + share * of_weight.astype(dtype) * end.difference
-    pull = jnp.einsum("hwn,hw->n", end.jacobian, toward)
-    if changes is not None and end.step is not None:
-        along = jnp.einsum("khw,hw->k", changes[1:], end.weight * end.difference)
+        toward = toward + share * of_weight.astype(weight.dtype) * difference
+    pull = jnp.einsum("hwn,hw->n", jacobian, toward)
+    if changes is not None and step is not None:
+        along = jnp.einsum("khw,hw->k", changes[1:], weight * difference)
         ahead, behind = jnp.split(along, 2)
-        pull = pull + (ahead - behind) / (2 * end.step)
+        pull = pull + (ahead - behind) / (2 * step)
     return pull
 
 
 @eqx.filter_jit
-def _answer(move: Move, film: Camera, freed: tuple[str, ...], back: Any, pull: Array) -> Camera:
-    """Return how the camera changes so that the gradient stays 0."""
-    return camera_velocity(move, film, freed, -back @ pull)
-
-
-def _of_all(scene: Scene, velocity: Any) -> Any:
-    """Return the velocity of a scene's arrays, 0 of those that do not change."""
-    solid = eqx.filter(scene, eqx.is_inexact_array)
-    still = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), solid)
-    return eqx.combine(velocity, still)
+def _slopes(places: Any, sight: Sight, shown: Shown, held: Any) -> Float[Array, "k n"]:
+    """The derivative of the image's product with `held` at some moves (k, n)."""
+    return jax.lax.map(jax.grad(lambda y: jnp.sum(held * _image(y, sight, shown))), places)
 
 
 @eqx.filter_jit
-def _slopes(places: Any, at: At, held: Any) -> Float[Array, "k n"]:
-    """Return at some moves (k, n) the derivative of the image's product with `held`."""
-    return jax.lax.map(jax.grad(lambda y: jnp.sum(held * image(y, at))), places)
-
-
-@eqx.filter_jit
-def _along(places: Any, at: At, velocity: Any) -> Float[Array, "k H W"]:
-    """Return the image's rate of change, at some moves (k, n), where the scene moves."""
-    solid, fixed = eqx.partition(at.scene, eqx.is_inexact_array)
+def _along(places: Any, sight: Sight, shown: Shown, velocity: Any) -> Float[Array, "k H W"]:
+    """The image's rate of change, at some moves (k, n), where what it shows moves."""
+    moving = jax.tree.map(lambda x: x is not None, velocity, is_leaf=lambda x: x is None)
+    solid, fixed = eqx.partition(shown, moving)
 
     def change(y: Any) -> Any:
-        shown = lambda solid: image(y, at._replace(scene=eqx.combine(solid, fixed)))
-        return jax.jvp(shown, (solid,), (velocity,))[1]
+        image = lambda solid: _image(y, sight, eqx.combine(solid, fixed))
+        return jax.jvp(image, (solid,), (velocity,))[1]
 
     return jax.lax.map(change, places)
+
+
+@eqx.filter_jit
+def velocity_of(
+    sight: Sight, step: Float[Array, "n"]
+) -> tuple[Camera, Float[Array, "4 4"], Float[Array, ""]]:
+    """The rates of change of a sight's camera, object and size, with unknowns that move so."""
+    y = step / sight.units
+    return jax.jvp(sight.moved, (jnp.zeros_like(y),), (y,))[1]
+
+
+def camera_velocity(
+    camera: Camera,
+    freed: tuple[str, ...],
+    inputs: tuple[Scene, Any, Any],
+    weight: np.ndarray,
+    velocity: tuple[Any, Any, Any],
+) -> Camera:
+    """The rate of change of a camera that was fitted to scene, target and weight, of which these
+    weights (H, W) of pixels decided."""
+    scene, of_target, of_weight = velocity
+    sight = Sight.of(canonical(camera), camera, pose_of(camera), freed)
+    end = End.of(sight, Shown.of(inputs[0], camera.e.dtype), inputs[1], weight)
+    moving = of_target, of_weight, Shown(scene, None, None)
+    (step,) = steps_of([end.slope(np.arange(len(end.sight.units)), 1.0, inputs[2], moving)])
+    return velocity_of(end.sight, step)[0]

@@ -1,19 +1,20 @@
 """The way of many views from coarse to fine, and to the end, where outliers lose their weight."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from .._fit.places import Free
 from .._fit.strategy import EXACT
 from .._solver.least_squares import Descent
 from .._solver.looks import Sums
 from .._solver.problem import COARSE_PX, FINE_PX
 from .agreement import Agreement, agreed, priors_weighed
-from .descent import descend
-from .photo import OnPhotos, on_photos
+from .photo import refined
 from .problem import JointProblem
-from .views import Eye, State
+from .views import State
 
 #: This many steps at most on a level that leads to finer ones. (An arm in three postures, 24 fits:
 #: with 6 to 48 all end at the right place; most levels take 1 to 12, now and then one all of them.)
@@ -26,8 +27,8 @@ DRAWN_PX = 5e-3
 Tell = Callable[[str], None]
 
 
-class Passed(NamedTuple):
-    """Where steps on a level ended: how far it is from the finest, and how many they were."""
+class Stop(NamedTuple):
+    """Where steps on a level ended: how far it is from the finest, and their number."""
 
     state: State
     depth: int
@@ -35,20 +36,24 @@ class Passed(NamedTuple):
 
 
 class Path(NamedTuple):
-    """A state that steps led to, how many on each level, and the way there."""
+    """A descent's end, the number of steps on each level, and the way there; directions along which
+    a view's mask tells no difference."""
 
     descent: Descent
     steps: tuple[int, ...]
-    way: tuple[Passed, ...] = ()
+    way: tuple[Stop, ...] = ()
+    free: tuple[Free, ...] = ()
+
+    @property
+    def squares(self) -> float:
+        """The sum of squares, infinite where it is none."""
+        return self.descent.squares if np.isfinite(self.descent.squares) else np.inf
 
     def then(self, further: "Path") -> "Path":
-        """Return a further descent, with the steps of both."""
-        return Path(further.descent, self.steps + further.steps, self.way + further.way[1:])
-
-
-def depth_of(problem: JointProblem) -> int:
-    """Return the number of levels of the view that has most."""
-    return max(len(eye.solver.levels) for eye in problem.layout.eyes)
+        """A further descent, with the steps of both."""
+        return further._replace(
+            steps=self.steps + further.steps, way=self.way + further.way[1:], free=self.free
+        )
 
 
 def descended(
@@ -58,29 +63,28 @@ def descended(
     depths: Sequence[int],
     px: float | None = None,
 ) -> Path:
-    """Return where a descent from level to level leads to, steps on the finest of which are
-    negligible below this many px (None: as many as tell such masks apart)."""
-    layout, steps, way = problem.layout, [], [Passed(state, depths[0], 0)]
-    ones = np.ones(len(layout.eyes))
+    """The path from level to level, on the finest of which steps below this many px are negligible
+    (None: as `problem.px` has it)."""
+    steps, way = [], [Stop(state, depths[0], 0)]
     found = Descent(state, [], np.inf, 0, False)
     for depth in depths:
         least = (px or problem.px) if depth == 1 else COARSE_PX
         most = problem.max_steps if depth == 1 else min(problem.max_steps, COARSE_STEPS)
-        found = descend(layout, found.state, depth, ones, most, least)
+        found = replace(problem, depth=depth).descend(found.state, most, least)
         steps.append(found.steps)
-        way.append(Passed(found.state, depth, found.steps))
-        left = depth - 1
-        tell(f"{len(ones)} views: {found.steps} steps, {left} level{'s' * (left != 1)} left")
+        way.append(Stop(found.state, depth, found.steps))
+        left = f"{depth - 1} level{'s' * (depth != 2)} left"
+        tell(f"{len(problem.eyes)} views: {found.steps} steps, {left}")
     return Path(found, tuple(steps), tuple(way))
 
 
 class End(NamedTuple):
-    """Where a path ends, and how far the views agree there.
+    """The end of a path, and the views' agreement there.
 
     - `problem`: whose views look at their masks, or at their photos where these decided.
     - `whole`: the sums over all pixels of each mask.
-    - `astray`: the share of each outline that is far from the mask's edge.
-    - `said`: what photos say, as sentences.
+    - `astray`: the share of each outline that is far from the mask's edge: no fit looked at it.
+    - `notes`: what photos say, as sentences.
     """
 
     problem: JointProblem
@@ -88,47 +92,39 @@ class End(NamedTuple):
     found: Agreement
     whole: list[Sums]
     astray: list[float]
-    said: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def to_the_end(problem: JointProblem, path: Path, tell: Tell, photos: bool = False) -> End:
-    """Return where a path to the finest level ends: where masks are not exact, pixels far from
-    their edges lose their weight, and views that err by more than most count less. Then views are
-    refined on `photos`, if that is asked for."""
-    eyes, reach, near = problem.layout.eyes, problem.outlier_px, problem
+    """The end of a path to the finest level: where masks are not exact, pixels far from their edges
+    lose their weight, and views that err by more than most count less. Then views are refined on
+    `photos`, if that is asked for."""
+    eyes, reach, near = problem.eyes, problem.outlier_px, problem
     misfits = [seen.view.touched_misfit for seen in path.descent.seen]
     inexact = [k for k, misfit in enumerate(misfits) if misfit > EXACT]
-    px = DRAWN_PX if inexact else FINE_PX[eyes[0].solver.dtype]
+    px = DRAWN_PX if inexact else FINE_PX[problem.dtype]
     if reach is None or not inexact:
         path = path.then(descended(problem, path.descent.state, tell, [1], px))
     else:
         for times in REACHES:
             edges = {k: eyes[k].mask.near_edge(times * reach) for k in inexact}
             near = problem.seeing({k: eyes[k].weighed(edges[k], only_finest=True) for k in inexact})
+            near = priors_weighed(near, path.descent) if times == 1 else near
             last = px if times == 1 else COARSE_PX
-            if times == 1:
-                near = near._replace(layout=priors_weighed(near.layout, path.descent))
             path = path.then(descended(near, path.descent.state, tell, [1], last))
 
-    found = agreed(near.layout, path.descent, problem.max_steps, px)
-    on = on_photos(near, found, px, tell) if photos else OnPhotos(near, found, (), ())
-    whole = _over_masks(eyes, found.descent.state)
-    astray = _astray(found, whole)
-    if on.found is not found:
-        whole = _over_masks(eyes, on.found.descent.state)
-    path = path._replace(steps=path.steps + on.steps)
-    again = {k: eyes[k] for k in inexact if on.problem.layout.eyes[k] is near.layout.eyes[k]}
-    return End(on.problem.seeing(again), path, on.found, whole, astray, on.words)
-
-
-def _over_masks(eyes: list[Eye], state: State) -> list[Sums]:
-    """Return the sums over all pixels of each mask."""
-    return [eye.look(state).sums for eye in eyes]
-
-
-def _astray(found: Agreement, whole: list[Sums]) -> list[float]:
-    """Return the share of each outline that is far from the mask's edge, so that the fit did not
-    look at it."""
-    near = [float(seen.view.sums.touched) for seen in found.descent.seen]
+    by_masks = agreed(near, path.descent, px)
+    whole = [eye.look(by_masks.descent.state).sums for eye in eyes]
+    counted = [float(seen.view.sums.touched) for seen in by_masks.descent.seen]
     touched = [float(sums.touched) for sums in whole]
-    return [1 - n / t if t else 0.0 for n, t in zip(near, touched, strict=True)]
+    astray = [1 - n / t if t else 0.0 for n, t in zip(counted, touched, strict=True)]
+    if not photos:
+        return End(problem, path, by_masks, whole, astray, ())
+
+    found, steps, notes = refined(by_masks, px, tell)
+    if found is not by_masks:
+        whole = [eye.look(found.descent.state).sums for eye in eyes]
+    path = path._replace(steps=path.steps + steps)
+    kept = zip(found.problem.eyes, near.eyes, eyes, strict=True)
+    decided = [mask if eye is looked else eye for eye, looked, mask in kept]
+    return End(replace(problem, eyes=decided), path, found, whole, astray, notes)

@@ -12,10 +12,10 @@ from .._solver.least_squares import solve
 from .._solver.priors import Pair
 from .._solver.problem import UNIT_PX
 from .._solver.uncertainty import BLIND, WEAK
+from .door import joint_problem
+from .estimates import of_all
 from .problem import JointProblem
-from .reported import Reported, of_camera, of_object, of_scale, together
-from .views import MOTIONS, SCALE, ZERO, JointView
-from .zeros import Seen
+from .views import MOTIONS, JointView
 
 #: An unknown's part in a direction is named if it is no smaller.
 CHIEF = 0.35
@@ -33,7 +33,7 @@ def joint_observability(
     joint_zeros: float | Mapping[str, float] | None = None,
     noise: float = 0.1,
 ) -> Observability:
-    """Return which directions of a joint fit's unknowns masks can determine, and how well.
+    """Directions of a joint fit's unknowns that masks can determine, and how well.
 
     All is as in `fit_joint`, but for the masks: nobody looks at a view's `target` (None will do).
     Cameras and objects are where they will be. `names` are those of the unknowns' owners and of the
@@ -48,32 +48,31 @@ def joint_observability(
     """
     if not noise > 0:
         raise ValueError(f"`noise`: expected a positive standard deviation, got {noise}")
-    views = [_blank(view, cameras) for view in views]
-    asked = views, cameras, free, objects, rig, None, 1, prior, None, joint_zeros, shared
-    problem = JointProblem.of(*asked)
+    blank = [_blank(view, cameras) for view in views]
+    given = {"shared": shared, "objects": objects, "rig": rig, "prior": prior}
+    problem = joint_problem(blank, cameras, free, joint_zeros=joint_zeros, **given)
     problem = problem.with_zeros() if problem.zeros else problem
-    layout, state = problem.layout, problem.start
-    seen = layout.look(state, 1)
-    parts = [
-        *layout.least_squares(seen, np.ones(len(seen))),
-        *layout.prior_rows(state, seen, noise),
-    ]
-    solved = solve(parts, layout.size, np.zeros(layout.size))
-    unseen = solved.unseen(BLIND[layout.eyes[0].solver.dtype])
-    told = _reported(problem, seen)
-    covariance = told.covariance(lambda at: noise**2 * solved.inverse(at, at), unseen)
+    state, seen, size = problem.start, problem.look(problem.start), problem.size
+    parts = problem.parts(state, seen, noise)
+    solved = solve(parts, size, np.zeros(size))
+    unseen = solved.unseen(BLIND[problem.dtype])
+    told = of_all(problem, state, [rows.view for rows in seen])
+    covariance = told.covariance(lambda place: noise**2 * solved.inverse(place, place), unseen)
 
-    table = np.zeros((sum(len(part.rows) for part in parts), layout.size))
-    begin, unit = 0, _pixels(problem, seen)
-    for part in parts:
-        table[begin : begin + len(part.rows), part.columns] = part.rows * unit[part.columns]
-        begin += len(part.rows)
-    _, values, directions = np.linalg.svd(table, full_matrices=len(table) < layout.size)
-    values = np.append(values, np.zeros(layout.size - len(values)))
+    most = np.zeros(size)
+    for k, rows in enumerate(seen):
+        columns = problem.columns(k)
+        most[columns] = np.maximum(most[columns], np.max(np.abs(rows.moves), axis=0))
+    unit = 1 / (UNIT_PX * np.maximum(most, 1e-300))  # moves an outline by about a pixel
+    table = np.zeros((sum(len(part.rows) for part in parts), size))
+    for row, part in zip(np.cumsum([0, *(len(p.rows) for p in parts)]), parts, strict=False):
+        table[row : row + len(part.rows), part.columns] = part.rows * unit[part.columns]
+    _, values, directions = np.linalg.svd(table, full_matrices=len(table) < size)
+    values = np.append(values, np.zeros(size - len(values)))
     return Observability(
         names=told.labels,
-        rank=layout.size - unseen.shape[1],
-        of=layout.size,
+        rank=size - unseen.shape[1],
+        of=size,
         values=values,
         std=np.sqrt(np.diag(covariance)),
         covariance=covariance,
@@ -82,7 +81,7 @@ def joint_observability(
 
 
 def _blank(view: Any, cameras: Any) -> Any:
-    """Return a view with a mask that nobody will look at."""
+    """A view with a mask that nobody will look at."""
     if not isinstance(view, JointView):
         return view
     camera = cameras.get(view.camera) if isinstance(cameras, Mapping) else cameras
@@ -93,42 +92,10 @@ def _blank(view: Any, cameras: Any) -> Any:
     return view._replace(target=mask, photo=None)
 
 
-def _reported(problem: JointProblem, seen: list[Seen]) -> Reported:
-    """Return all that is reported, with the names of whose it is."""
-    layout, state, parts = problem.layout, problem.start, {}
-    for eye, one in zip(layout.eyes, seen, strict=True):
-        parts[eye.camera] = of_camera(problem, eye.camera, state, one.view)
-    result = [*parts.items()]
-    objects = dict.fromkeys(eye.object for eye in layout.eyes if eye.object is not None)
-    result += [(name, of_object(problem, name, state)) for name in objects]
-    for unknown in layout.unknowns:
-        place = layout.place(unknown.name, unknown.kind)
-        if unknown.kind == SCALE:
-            result.append((unknown.name, of_scale(problem, unknown.name, state)))
-        elif unknown.kind == ZERO and place is not None:
-            result.append((unknown.name, Reported((ZERO,), place, np.eye(1))))
-    return together(
-        [
-            part._replace(labels=tuple(f"{name} {label}" for label in part.labels))
-            for name, part in result
-        ]
-    )
-
-
-def _pixels(problem: JointProblem, seen: list[Seen]) -> np.ndarray:
-    """Return how much of each unknown (size,) moves an outline by about a pixel."""
-    most = np.zeros(problem.layout.size)
-    for k, one in enumerate(seen):
-        place = problem.layout.columns(k)
-        most[place] = np.maximum(most[place], np.max(np.abs(one.moves), axis=0))
-    return 1 / (UNIT_PX * np.maximum(most, 1e-300))
-
-
 def _weak(
     problem: JointProblem, values: np.ndarray, directions: np.ndarray, hidden: int
 ) -> list[str]:
-    """Return the directions that change masks little, or not at all (this many of them), as
-    sentences."""
+    """Sentences on directions that change masks little, or not at all (this many of them)."""
     top, result = max(float(values[0]), 1e-300), []
     for k, (value, direction) in enumerate(zip(values[::-1], directions[::-1], strict=True)):
         if k >= hidden and value > WEAK * top:
@@ -139,13 +106,12 @@ def _weak(
 
 
 def _words(problem: JointProblem, direction: np.ndarray) -> str:
-    """Return what moves along a direction of the unknowns."""
+    """The unknowns that move along a direction."""
     sizes: dict[str, float] = {}
-    for unknown in problem.layout.unknowns:
-        place = problem.layout.place(unknown.name, unknown.kind)
-        assert place is not None
+    for unknown in problem.unknowns:
         whole = np.zeros(6)
-        whole[MOTIONS.get(unknown.kind, slice(0, unknown.size))] = direction[place]
+        part = MOTIONS.get(unknown.kind, slice(0, unknown.size))
+        whole[part] = direction[problem.place(unknown.name, unknown.kind)]
         if unknown.kind in MOTIONS:
             sizes[f"the turn of {unknown.name}"] = float(np.linalg.norm(whole[:3]))
             sizes[f"the place of {unknown.name}"] = float(np.linalg.norm(whole[3:]))

@@ -1,4 +1,4 @@
-"""Views of a joint fit refined on their photos: what colours tell stands in for the masks.
+"""Views of a joint fit refined on their photos: colours stand in for the masks.
 
 Each view learns its own colours beside its own outline, where all views' camera puts it; the mattes
 that they make are fitted together, and learned again closer to the outline. A view whose colours
@@ -7,7 +7,6 @@ tell too little, or whose photo is no better founded than its mask, keeps the ma
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,9 +26,8 @@ from .._fit.photo import (
 )
 from .._solver.problem import COARSE_PX
 from .agreement import Agreement, agreed
-from .descent import Layout, descend
 from .problem import JointProblem
-from .views import Eye, State
+from .views import State
 
 #: Beside a photo that tells as much as one alone has to, others tell of the camera where they do so
 #: along this share of the outline: of something else they would not fit the other's camera.
@@ -38,68 +36,60 @@ LEAST_BESIDE = LEAST_RESOLVED / 2
 FIRST_DEPTH = 3
 
 
-class OnPhotos(NamedTuple):
-    """What photos lead to: the problem whose views look at them, how far these agree, the steps,
-    and what each photo says, as sentences."""
-
-    problem: JointProblem
-    found: Agreement
-    steps: tuple[int, ...]
-    words: tuple[str, ...]
+Photos = dict[int, np.ndarray]
+Outlines = dict[int, Outline]
 
 
-def on_photos(
-    problem: JointProblem, before: Agreement, px: float, tell: Callable[[str], None]
-) -> OnPhotos:
-    """Return what photos make of the answer `before`, that of masks; steps of `px` are negligible.
-
-    The problem is the one that was given where no photo is better founded than its mask.
-    """
-    of_masks, begun = problem.layout, before.descent.state
-    photos = {k: eye.photo for k, eye in enumerate(of_masks.eyes) if eye.photo is not None}
-    first = _outlines(of_masks, begun, photos)
-    resolved = {
-        k: first[k].resolved(first[k].read(photo, of_masks.eyes[k].mask, ROUNDS[0]))
+def refined(
+    before: Agreement, px: float, tell: Callable[[str], None]
+) -> tuple[Agreement, tuple[int, ...], tuple[str, ...]]:
+    """The agreement of photos, with the steps to it and a note on each photo; that of masks, where
+    no photo is better founded than its mask. Steps of `px` are negligible."""
+    of_masks, begin = before.problem, before.descent.state
+    eyes = of_masks.eyes
+    photos = {k: np.asarray(e.shot.photo) for k, e in enumerate(eyes) if e.shot.photo is not None}
+    first = _outlines(of_masks, begin, photos)
+    shares = {
+        k: first[k].resolved(first[k].read(photo, eyes[k].mask, ROUNDS[0]))
         for k, photo in photos.items()
     }
-    alone = max(resolved.values(), default=0.0) < LEAST_RESOLVED
+    alone = max(shares.values(), default=0.0) < LEAST_RESOLVED
     least = LEAST_RESOLVED if alone else LEAST_BESIDE
-    telling = {k: photos[k] for k, share in resolved.items() if share >= least}
-    words = {k: unresolved(share) for k, share in resolved.items() if k not in telling}
+    notes = {k: unresolved(share) for k, share in shares.items() if share < least}
+    photos = {k: photo for k, photo in photos.items() if k not in notes}
+
     found, steps = before, ()
-    while telling:
-        layout = of_masks.seeing({k: _on_photo(of_masks.eyes[k]) for k in telling})
-        counts = np.array([1.0 if k in telling else OF_MASK for k in range(len(layout.eyes))])
-        weights = counts * before.weights
-        given = layout, telling, first, begun
-        layout, state, now, further = _followed(*given, weights, px, tell)
+    while photos:
+        on_photo = {k: replace(eyes[k], solver=eyes[k].solver.like(COLOURS)) for k in photos}
+        counts = np.array([1.0 if k in photos else OF_MASK for k in range(len(eyes))])
+        weights = counts * of_masks.weights
+        problem = replace(of_masks.seeing(on_photo), weights=weights)
+        problem, state, now, further = _learned(problem, photos, first, begin, px, tell)
         steps += further
-        left = _trusted(layout, telling, first, now, least, words)
-        if len(left) == len(telling):
-            problem = problem._replace(layout=layout)
-            there = descend(layout, state, 1, counts, problem.max_steps, px)
-            found = agreed(layout, there, problem.max_steps, px, counts)
+        trusted = _trusted(problem, photos, first, now, least, notes)
+        if len(trusted) == len(photos):
+            there = replace(problem, weights=counts).descend(state, problem.max_steps, px)
+            found = agreed(problem, there, px, counts)
             steps += (found.descent.steps,)
             break
-        telling = left
-    said = tuple(f"view {k}: {words[k]}" for k in sorted(words))
-    return OnPhotos(problem, found, steps, said)
+        photos = trusted
+    return found, steps, tuple(f"view {k}: {notes[k]}" for k in sorted(notes))
 
 
 def _trusted(
-    layout: Layout,
-    photos: dict[int, np.ndarray],
-    first: dict[int, Outline],
-    now: dict[int, Outline],
+    problem: JointProblem,
+    photos: Photos,
+    first: Outlines,
+    now: Outlines,
     least: float,
-    words: dict[int, str],
-) -> dict[int, np.ndarray]:
-    """Return the photos that are better founded than their masks, or may be without others; say
-    why in `words`."""
+    notes: dict[int, str],
+) -> Photos:
+    """The photos that are better founded than their masks, or may be without others; `notes` say
+    why."""
     wrong = {}
     for k, photo in photos.items():
-        mask = layout.eyes[k].mask
-        better, words[k] = judged(mask, photo, first[k], now[k], least)
+        mask = problem.eyes[k].mask
+        better, notes[k] = judged(mask, photo, first[k], now[k], least)
         if not better:
             wrong[k] = now[k].off(now[k].read(photo, mask, ROUNDS[-1]))
     # (Photos of something else pull at the others: these may be right without them.)
@@ -108,47 +98,36 @@ def _trusted(
     return {k: photo for k, photo in photos.items() if k not in out}
 
 
-def _followed(
-    layout: Layout,
-    photos: dict[int, np.ndarray],
-    now: dict[int, Outline],
+def _learned(
+    problem: JointProblem,
+    photos: Photos,
+    now: Outlines,
     state: State,
-    weights: np.ndarray,
     px: float,
     tell: Callable[[str], None],
-) -> tuple[Layout, State, dict[int, Outline], tuple[int, ...]]:
-    """Return where colours lead to, learned round by round: the layout that looks at the last of
-    them, the state, the outlines there, and the steps."""
+) -> tuple[JointProblem, State, Outlines, tuple[int, ...]]:
+    """The problem that looks at the last of the colours that are learned round by round; the state
+    that they lead to, the outlines there, and the steps."""
     steps = []
-    depths = range(FIRST_DEPTH, 0, -1)
     for number, band in enumerate(ROUNDS):
         last = number == len(ROUNDS) - 1
         looking = {}
         for k, photo in photos.items():
-            eye = layout.eyes[k]
+            eye = problem.eyes[k]
             read = now[k].read(photo, eye.mask, band)
             looking[k] = eye.weighed(*whole(eye.mask, now[k].window, read))
-        layout = layout.seeing(looking)
-        for depth in (1,) if number else depths:
+        problem = problem.seeing(looking)
+        for depth in (1,) if number else range(FIRST_DEPTH, 0, -1):
             least = COARSE_PX if depth > 1 else px if last else max(px, ROUGH_PX)
-            most = LAST_STEPS if last else STEPS
-            there = descend(layout, state, depth, weights, most, least)
+            level = replace(problem, depth=depth)
+            there = level.descend(state, LAST_STEPS if last else STEPS, least)
             state = there.state
             steps.append(there.steps)
-        now = _outlines(layout, state, photos)
+        now = _outlines(problem, state, photos)
         tell(f"{len(photos)} photos: round {number + 1} of {len(ROUNDS)}")
-    return layout, state, now, tuple(steps)
+    return problem, state, now, tuple(steps)
 
 
-def _on_photo(eye: Eye) -> Eye:
-    """Return an eye for the photo's matte."""
-    return replace(eye, solver=eye.solver.like(COLOURS))
-
-
-def _outlines(layout: Layout, state: State, photos: dict[int, np.ndarray]) -> dict[int, Outline]:
-    """Return what views with photos show near their outlines."""
-    result = {}
-    for k in photos:
-        eye = layout.eyes[k]
-        result[k] = Outline.of(eye.solver, eye.look(state))
-    return result
+def _outlines(problem: JointProblem, state: State, photos: Photos) -> Outlines:
+    eyes = {k: problem.eyes[k] for k in photos}
+    return {k: Outline.of(eye.solver, eye.look(state)) for k, eye in eyes.items()}

@@ -1,11 +1,10 @@
-"""What is known of a joint fit's cameras and objects before it: as in `fit_camera`, by their names.
+"""Knowledge of cameras, objects and joints before a joint fit: as in `fit_camera`, by their names.
 
 A prior of a number is a residual beside those of the masks, in units in which the masks'
 noise is its standard deviation.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,72 +17,98 @@ from .._solver.parameters import LABELS, labels_of
 from .._solver.priors import bounds_of, check_positive, pairs, prior_of
 from .views import MOTIONS, POSE, SCALE, ZERO, Eye, JointView, State, lens_reported
 
-#: Where an eye or an object is, and what these coordinates are called.
+#: Coordinates of an eye, and of an object.
 EYE, PLACE = ("e_x", "e_y", "e_z"), ("x", "y", "z")
+
+#: Means and standard deviations, by labels.
+Known = Mapping[str, tuple[float, float]]
 
 
 class JointPrior(NamedTuple):
-    """What is known of numbers (k,) that follow one unknown: their means and standard deviations.
-
-    `reported` returns the numbers and how they follow the unknown (k, n), at a state, as any view
-    that depends on it sees it.
-    """
+    """Means and standard deviations (k,) of numbers that follow one unknown: these `rows` of all
+    that it reports. A pose reports the place of a `point` in its frame."""
 
     name: str
     kind: str
+    rows: list[int]
     mean: np.ndarray
     std: np.ndarray
-    reported: Callable[[State, Eye, View], tuple[np.ndarray, np.ndarray]]
+    point: np.ndarray
 
     def residuals(self, state: State, eye: Eye, view: View) -> tuple[np.ndarray, np.ndarray]:
-        """Return how many deviations off the means the numbers are, and how that follows."""
-        values, rows = self.reported(state, eye, view)
-        return (values - self.mean) / self.std, rows / self.std[:, None]
+        """Deviations from the means, in standard deviations (k,), and their derivative (k, n) by
+        the unknown, as a view that depends on it sees it."""
+        values, by_unknown = self._reported(state, eye, view)
+        off = (values[self.rows] - self.mean) / self.std
+        return off, by_unknown[self.rows] / self.std[:, None]
+
+    def _reported(self, state: State, eye: Eye, view: View) -> tuple[np.ndarray, np.ndarray]:
+        if self.kind in MOTIONS:
+            rotation, shift = state.poses[self.name][:3, :3], state.poses[self.name][:3, 3]
+            by_twist = rotation @ np.concatenate([-skew(self.point), np.eye(3)], axis=1)
+            return rotation @ self.point + shift, by_twist[:, MOTIONS[self.kind]]
+        if self.kind == SCALE:
+            value = np.array([state.scales[self.name]])  # whose logarithm is sought
+            return value, value[:, None]
+        if self.kind == ZERO:
+            return np.array([state.zeros.get(self.name, 0.0)]), np.eye(1)
+        labels = (LABELS[label].value for label in labels_of((self.kind,)))
+        values = [float(value(state.lenses[self.name])) for value in labels if value is not None]
+        return np.array(values), lens_reported(view, eye.solver.freed, self.kind)
 
 
 def priors_of(
     prior: Any,
     cameras: Mapping[str, Camera],
     freed: tuple[str, ...],
-    owners: Mapping[str, Mapping[str, str]],
-    moving: Mapping[str, str],
-    rig: Mapping[str, np.ndarray],
+    eyes: Sequence[Eye],
     objects: Sequence[str],
     scales: Sequence[str],
 ) -> list[JointPrior]:
-    """Return what is known of cameras, objects and scales, or raise ValueError; `freed` are free of
-    each camera, whose lens's parameters are the `owners`', and which goes with the pose that
-    `moving` names, at its place on the `rig`. What is the same of one unknown counts once."""
-    result, seen = [], set()
+    """Priors of cameras, of which `freed` are free, of objects and scales: one for each unknown
+    that cameras have in common.
+
+    Raises ValueError for what is no prior of these.
+    """
+    result: list[JointPrior] = []
     others = list(dict.fromkeys([*objects, *scales]))
     for name, given in by_name("prior", prior, cameras, others).items():
         if name in others:
             labels = [*(PLACE if name in objects else ()), *([SCALE] if name in scales else ())]
             known = _checked(given, labels)
-            result += _prior(name, POSE, known, PLACE, partial(_place, name, np.zeros(3)))
-            result += _prior(name, SCALE, known, [SCALE], partial(_scale, name))
+            result += _prior(name, POSE, known, PLACE)
+            result += _prior(name, SCALE, known, (SCALE,))
             continue
         checked = prior_of(given, cameras[name], freed)
         if checked is None:
             continue
         numbers = (np.asarray(x, float).tolist() for x in (checked.mean, checked.std))
         known = dict(zip(checked.labels, zip(*numbers, strict=True), strict=True))
-        place = rig[name][:3, 3] if name in rig else np.zeros(3)
+        eye = next(eye for eye in eyes if eye.shot.camera == name)
         kind = "position" if "position" in freed else POSE
-        follows = partial(_place, moving[name], place)
-        result += _prior(moving[name], kind, known, EYE, follows, MOTIONS[kind])
-        for row, owner in owners[name].items():
-            labels = labels_of((row,))
-            which = owner, row, tuple((label, known.get(label)) for label in labels)
-            if which not in seen:
-                result += _prior(owner, row, known, labels, partial(_lens, owner, row))
-            seen.add(which)
-    return result
+        result += _prior(eye.moving, kind, known, EYE, eye.rig[:3, 3])
+        for row, owner in eye.owners.items():
+            result += _prior(owner, row, known, labels_of((row,)))
+    by_content = {str(prior): prior for prior in result}
+    return [*by_content.values()]
+
+
+def _prior(
+    name: str, kind: str, known: Known, labels: Sequence[str], point: np.ndarray | None = None
+) -> list[JointPrior]:
+    """The prior of an unknown that reports these labels; none where nothing is known of them."""
+    rows = [k for k, label in enumerate(labels) if label in known]
+    if not rows:
+        return []
+    mean, std = np.array([known[labels[k]] for k in rows]).T
+    return [JointPrior(name, kind, rows, mean, std, np.zeros(3) if point is None else point)]
 
 
 def scales_of(prior: Any, views: Sequence[JointView]) -> dict[str, float]:
-    """Return where the scales that views name begin: where a prior has them, or at 1; or raise
-    ValueError for a scale that is not positive."""
+    """Where the scales that views name begin: at the mean of a prior, or at 1.
+
+    Raises ValueError for a scale that is not positive.
+    """
     result = {}
     for name in dict.fromkeys(view.scale for view in views if view.scale is not None):
         given = prior.get(name) if isinstance(prior, Mapping) else None
@@ -95,30 +120,28 @@ def scales_of(prior: Any, views: Sequence[JointView]) -> dict[str, float]:
     return result
 
 
-def _checked(given: Any, labels: list[str]) -> dict[str, tuple[float, float]]:
-    """Return means and standard deviations by labels, or raise ValueError."""
+def _checked(given: Any, labels: list[str]) -> Known:
     mean, std = pairs("prior", given, labels, "(mean, standard deviation)")
     check_positive(given, std)
     return {label: (float(m), float(s)) for label, m, s in zip(given, mean, std, strict=True)}
 
 
-def zeros_of(given: Any, views: Sequence[JointView]) -> dict[str, float]:
-    """Return how surely the zeros of joints are known (standard deviations), by the names of those
-    that are sought; or raise ValueError."""
+def zeros_of(given: Any, views: Sequence[JointView]) -> list[JointPrior]:
+    """Priors of the zeros of joints that are sought: about where their readings have them.
+
+    Raises ValueError for what is no standard deviation of a joint.
+    """
     if given is None:
-        return {}
-    units = {
-        name: unit
-        for view in views
-        if view.posture is not None
-        for name, unit in zip(view.posture.joints, view.posture.units, strict=True)
-    }
+        return []
+    units = {}
+    for k, view in enumerate(views):
+        if view.posture is not None:
+            units |= dict(zip(view.posture.joints, view.posture.units, strict=True))
+            if view.mount is not None:
+                words = "expected no `mount` beside a `posture`, as joints move it too"
+                raise ValueError(f"`joint_zeros`: {words}, got both in views[{k}]")
     if not units:
         raise ValueError("`joint_zeros`: expected views with a `posture`, got none")
-    for k, view in enumerate(views):
-        if view.posture is not None and view.mount is not None:
-            words = "expected no `mount` beside a `posture`, as joints move it too"
-            raise ValueError(f"`joint_zeros`: {words}, got both in views[{k}]")
     if not isinstance(given, Mapping):
         given = {name: given for name, unit in units.items() if unit == "rad"}
     if unknown := [name for name in given if name not in units]:
@@ -128,16 +151,7 @@ def zeros_of(given: Any, views: Sequence[JointView]) -> dict[str, float]:
         if not (np.ndim(std) == 0 and np.isfinite(std) and std > 0):
             words = f"expected a positive deviation of {name!r}, got {std!r}"
             raise ValueError(f"`joint_zeros`: {words}")
-    return {name: float(std) for name, std in given.items()}
-
-
-def prior_of_zero(name: str, std: float) -> JointPrior:
-    """Return that the zero of a joint is about where its readings have it."""
-    return JointPrior(name, ZERO, np.zeros(1), np.full(1, std), partial(_zero, name))
-
-
-def _zero(name: str, state: State, *_: Any):
-    return np.array([state.zeros.get(name, 0.0)]), np.eye(1)
+    return [_prior(name, ZERO, {ZERO: (0.0, std)}, (ZERO,))[0] for name, std in given.items()]
 
 
 def bounds_by_name(
@@ -146,19 +160,20 @@ def bounds_by_name(
     freed: tuple[str, ...],
     owners: Mapping[str, Mapping[str, str]],
 ) -> dict[str, Bounds | None]:
-    """Return the bounds of each camera's parameters, or raise ValueError."""
+    """Bounds of each camera's parameters. Raises ValueError for what is no bound of these, or not
+    the same for cameras that share a parameter."""
     given = by_name("bounds", bounds, cameras, ())
     result = {n: bounds_of(given.get(n), camera, freed) for n, camera in cameras.items()}
 
     def ends(name: str, row: str) -> tuple[float, ...]:
-        of = result[name]
-        if of is None or row not in of.labels:
+        own = result[name]
+        if own is None or row not in own.labels:
             return ()
-        k = of.labels.index(row)
-        return float(of.low[k]), float(of.high[k])
+        k = own.labels.index(row)
+        return float(own.low[k]), float(own.high[k])
 
-    for name, of in owners.items():
-        for row, owner in of.items():
+    for name, owner_of in owners.items():
+        for row, owner in owner_of.items():
             if ends(name, row) != ends(owner, row):
                 words = f"expected the same of {row} for {owner} and {name}, which share it"
                 raise ValueError(f"`bounds`: {words}")
@@ -168,7 +183,7 @@ def bounds_by_name(
 def by_name(
     argument: str, given: Any, cameras: Mapping[str, Camera], objects: Sequence[str]
 ) -> dict[str, Any]:
-    """Return what is given for each camera and object: by their names, or the same for each camera.
+    """Values for each camera and object: by their names, or the same for each camera.
 
     Raises ValueError for names of neither.
     """
@@ -182,41 +197,3 @@ def by_name(
             f"`{argument}`: expected names among {', '.join(known)}, got {unknown[0]!r}"
         )
     return dict(given)
-
-
-def _prior(
-    name: str,
-    kind: str,
-    known: Mapping[str, tuple[float, float]],
-    labels: Sequence[str],
-    reported: Callable[..., tuple[np.ndarray, np.ndarray]],
-    part: slice = MOTIONS[POSE],
-) -> list[JointPrior]:
-    """Return what is known of some of the labels, which `reported` tells by their numbers; or none.
-    They follow a `part` of what moves."""
-    chosen = [k for k, label in enumerate(labels) if label in known]
-    if not chosen:
-        return []
-    mean, std = np.array([known[labels[k]] for k in chosen]).T
-    return [JointPrior(name, kind, mean, std, partial(reported, chosen, part))]
-
-
-def _place(name: str, point: np.ndarray, chosen: list[int], part: slice, state: State, *_: Any):
-    """Return where a point that goes with a pose is."""
-    pose = state.poses[name]
-    rows = pose[:3, :3] @ np.concatenate([-skew(point), np.eye(3)], axis=1)
-    return (pose[:3, :3] @ point + pose[:3, 3])[chosen], rows[chosen, part]
-
-
-def _scale(name: str, chosen: list[int], part: slice, state: State, *_: Any):
-    """Return a scale; its logarithm is what is sought."""
-    del chosen, part
-    return np.array([state.scales[name]]), np.array([[state.scales[name]]])
-
-
-def _lens(name: str, kind: str, chosen: list[int], _: slice, state: State, eye: Eye, view: View):
-    """Return what is reported of a lens's parameter, in film heights."""
-    labels = labels_of((kind,))
-    value: Any = [LABELS[labels[k]].value for k in chosen]
-    values = np.array([float(of(state.lenses[name])) for of in value])
-    return values, lens_reported(view, eye.solver.freed, kind)[chosen]

@@ -1,22 +1,39 @@
-"""Where one camera (or object) of many views may be, with no start: guesses of all views, held to
-all masks.
+"""Other places of a camera (or object) that several views, or one, show by themselves.
 
-What one view alone leaves open, the others tell: guesses are ranked, and followed, together.
+What one view alone leaves open, the others tell: guesses are ranked, and followed, together. A pose
+that only one view shows is asked for what `fit_camera` asks of its mask: do walks along nearly free
+moves, or views that look alike, explain it as well or better? What the other views know of the lens
+that they share is among its residuals then, linear in its parameters.
 """
 
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax.numpy as jnp
 import numpy as np
 
 from .._camera.axes import angle
 from .._camera.camera import Camera
-from .._camera.poses import pose_of
-from .._fit.places import EQUAL_TIMES, mirrored
-from .._fit.strategy import EQUAL, EXACT, ROUGH_PX, SAME
+from .._fit.places import APART as ONE_PLACE, EQUAL_TIMES, Free, better, mirrored, separation
+from .._fit.strategy import (
+    EQUAL,
+    EXACT,
+    ROUGH_PX,
+    SAME,
+    everywhere,
+    looked_alike,
+    looked_round,
+)
 from .._mask.search import guesses
-from .._solver.solver import Found
-from .descent import Layout, descend
-from .levels import Path, Tell, depth_of, descended
+from .._solver.least_squares import Solved, solve
+from .._solver.moves import canonical, on_film
+from .._solver.parameters import LABELS, labels_of
+from .._solver.priors import Others
+from .._solver.solver import Found, Solver
+from .levels import Path, Tell, descended
 from .problem import JointProblem
-from .views import State
+from .shared import alike_in_groups, known_by_others
+from .views import SCALE, State
 
 #: Of each view this many guesses are tried, so far apart (rad), and this many of all followed
 #: further. (Before an arm 4 and 2 find all of 8 cameras as well, in half the time, 1.6 for 3.0 s;
@@ -28,98 +45,283 @@ ALIKE = 6
 LOOKED_AT = 4
 #: Steps on the coarsest level at first; what leaves this many times the least squares is given up.
 FIRST_STEPS, WORSE = 8, 4.0
+#: What covers less than this share of a drawn mask may have come from a wrong start. (An arm's hard
+#: masks: right ends have 0.98, of some 55 wrong ones two 0.82 and 0.86. A robot's, by a network,
+#: have 0.93 to 0.97.)
+LIKELY_IOU = 0.9
+#: Poses are compared at most this many times, where one of them is better elsewhere.
+ROUNDS = 3
 
 
-def searched_jointly(problem: JointProblem, tell: Tell) -> list[Path]:
-    """Return where the views' guesses lead to that explain the masks best, the best first."""
-    few = problem.few(LOOKED_AT)
-    depth, ones = depth_of(few), np.ones(len(few.layout.eyes))
-    tried = _guessed(few)
-    tell(f"{len(tried)} guesses of {len(ones)} views")
+class LonePose(NamedTuple):
+    """A pose whose views depend on no other unknown one: its name, and the problem of these views,
+    in which what others show, too, is held or known."""
 
-    def squares(state: State) -> float:
-        seen = few.layout.look(state, depth)
-        return _or_infinite(float(sum(s.view.squares for s in seen)))
+    name: str
+    problem: JointProblem
+    numbers: list[int]
 
-    likely = _apart(few.layout, sorted(tried, key=squares))[: 2 * FOLLOWED]
-    begun = [descend(few.layout, state, depth, ones, FIRST_STEPS, ROUGH_PX) for state in likely]
-    begun = sorted(begun, key=lambda d: _or_infinite(d.squares))
-    distinct = _apart(few.layout, [d.state for d in begun])[:FOLLOWED]
-    paths = [Path(d, (d.steps,)) for d in begun if any(d.state is s for s in distinct)]
-    for level in range(depth, 0, -1):
-        # (All views are looked at where few states are left.)
-        part = few if level > 2 else problem
-        further = [descended(part, p.descent.state, tell, [level]) for p in paths]
-        paths = [p.then(f) for p, f in zip(paths, further, strict=True)]
-        paths = sorted(paths, key=lambda p: _or_infinite(p.descent.squares))
-        least = paths[0].descent.squares
-        times = WORSE if level > 1 else 1 + EQUAL
-        distinct = _apart(problem.layout, [p.descent.state for p in paths], SAME)
-        likely = [p for p in paths if any(p.descent.state is s for s in distinct)]
-        paths = [p for p in likely if p is paths[0] or p.descent.squares <= times * least]
+    def seen_in(self, path: Path) -> Path:
+        """A path of all views, as these see it."""
+        seen = [path.descent.seen[k] for k in self.numbers]
+        squares = float(sum(s.view.squares for s in seen))
+        return path._replace(descent=path.descent._replace(seen=seen, squares=squares))
+
+
+class Alternatives(NamedTuple):
+    """Other paths of a lone pose that explain its masks as well as the best, which is `free` along
+    some directions."""
+
+    pose: LonePose
+    others: list[Path]
+    free: tuple[Free, ...]
+
+
+def compared(
+    problem: JointProblem, path: Path | None, tell: Tell
+) -> tuple[Path, list[Alternatives]]:
+    """The best path, and what explains the masks as well, a lone pose at a time; without a path
+    from a start all poses are searched.
+
+    Where a pose is better elsewhere, all views descend from there, and are compared again. If that
+    is worse for all together they stay, and the place is one of that pose's others.
+    """
+    start, found = None if path is None else problem.start, []
+    for turn in range(ROUNDS):
+        state = problem.start if path is None else path.descent.state
+        poses = _lone_poses(problem, path)
+        places = [_places(pose, path, start, tell) for pose in poses]
+        if len(poses) == 1 and len(poses[0].numbers) == len(problem.eyes):
+            best, *others = places[0]
+            return best, [Alternatives(poses[0], others, best.free)]
+        found = [
+            Alternatives(pose, [p for p in paths if _is_elsewhere(pose, p, state)], paths[0].free)
+            for pose, paths in zip(poses, places, strict=True)
+        ]
+        bests = [paths[0].descent.state for paths in places]
+        moved = [x for x in zip(poses, bests, strict=True) if x[1] is not state]
+        if path is not None and (not moved or turn == ROUNDS - 1):
+            return path, found
+        there = descended(problem, joined(problem, state, moved), tell, [1])
+        if path is None:
+            path = there
+        elif there.squares <= path.squares + _noise(problem, path):
+            path = path.then(there)
+        else:
+            return path, found
+    assert path is not None
+    return path, found
+
+
+def _is_elsewhere(pose: LonePose, path: Path, state: State) -> bool:
+    eye = pose.problem.eyes[0]
+    cameras = eye.canonical(path.descent.state), eye.canonical(state)
+    return bool(separation(eye.solver, *cameras) > ONE_PLACE)
+
+
+def joined(problem: JointProblem, state: State, moved: list[tuple[LonePose, State]]) -> State:
+    """The state with lone poses, and what else their views show, of other states."""
+    poses, lenses, scales = dict(state.poses), dict(state.lenses), dict(state.scales)
+    for pose, there in moved:
+        poses[pose.name] = there.poses[pose.name]
+        lenses |= {name: there.lenses[name] for name in pose.problem.cameras}
+        scales |= {name: there.scales[name] for name in pose.problem.named(SCALE)}
+    groups: dict[str, list[tuple[str, ...]]] = {}
+    for unknown in problem.unknowns:
+        if len(unknown.cameras) > 1:
+            groups.setdefault(unknown.kind, []).append(unknown.cameras)
+    return State(poses, alike_in_groups(lenses, groups), scales, state.zeros)
+
+
+def _noise(problem: JointProblem, path: Path) -> float:
+    """The most by which sums of squares of equal places differ."""
+    pairs = zip(problem.eyes, path.descent.seen, strict=True)
+    return EQUAL_TIMES * max(max(e.solver.kind.variance, s.view.touched_misfit) for e, s in pairs)
+
+
+def _lone_poses(problem: JointProblem, path: Path | None) -> list[LonePose]:
+    """The poses that views show by themselves. What several of them show is held; a pose of one
+    view knows of that what the others do at a path's end."""
+    groups, solved, result = problem.lone_poses, None, []
+    views = [set(problem.of(k)) for k in range(len(problem.eyes))]
+    number = {unknown: sum(unknown in view for view in views) for unknown in problem.unknowns}
+    if path is not None and all(np.all(np.isfinite(s.view.triangle)) for s in path.descent.seen):
+        state, seen = path.descent.state, path.descent.seen
+        parts = problem.parts(state, seen, problem.noise(seen))
+        solved = solve(parts, problem.size, np.zeros(problem.size))
+    for name, numbers in groups.items():
+        depends = set().union(*(views[k] for k in numbers))
+        alone = [u for u in depends if number[u] == sum(u in views[k] for k in numbers)]
+        part = problem.only(numbers, [u for u in problem.unknowns if u in alone])
+        if len(numbers) == 1 and len(alone) < len(depends):
+            unknowns = [u for u in problem.unknowns if u in depends]
+            part = replace(part, unknowns=unknowns)
+            if path is not None and solved is not None:
+                others = _others(problem, numbers[0], path, solved)
+                eye = replace(part.eyes[0], solver=part.eyes[0].solver.beside(others))
+                part = replace(part, eyes=[eye])
+        result.append(LonePose(name, part, numbers))
+    return result
+
+
+def _others(problem: JointProblem, k: int, path: Path, solved: Solved) -> Others:
+    """The knowledge that other views have of the lens's parameters that a view shares with them."""
+    eye, seen, state = problem.eyes[k], path.descent.seen[k], path.descent.state
+    rows = problem.view_rows(k, seen)
+    shared = np.concatenate([np.full(u.size, len(u.cameras) > 1) for u in problem.of(k)])
+    root = known_by_others(solved, rows, shared)
+    slope = -(rows.left @ rows.rows)[shared]  # all views' squares are least
+
+    # By moves. None counts more than what the view itself sees best: it is that to which it
+    # compares what it hardly sees, and with many others it would hardly see anything.
+    by_unknown = np.linalg.pinv(seen.moves[:, shared])
+    _, values, directions = np.linalg.svd(root @ by_unknown, full_matrices=False)
+    values = np.minimum(values, np.linalg.norm(np.asarray(seen.view.triangle, float), 2))
+    by_moves = np.pad(values[:, None] * directions, ((0, len(seen.moves) - len(values)), (0, 0)))
+    left = np.linalg.lstsq(by_moves.T, by_unknown.T @ slope, rcond=None)[0]
+    of_label = [LABELS[label].value for label in labels_of(eye.solver.freed)]
+    here = [0.0 if value is None else float(value(eye.canonical(state))) for value in of_label]
+    by_labels = by_moves @ np.linalg.pinv(np.asarray(seen.view.to_reported, float))
+    return Others(*(jnp.asarray(x, eye.solver.dtype) for x in (by_labels, here, left)))
+
+
+def _places(pose: LonePose, path: Path | None, start: State | None, tell: Tell) -> list[Path]:
+    """Paths of a lone pose that explain its masks as well as the best, which is the first."""
+    here = None if path is None else pose.seen_in(path)
+    if len(pose.numbers) == 1:
+        return _of_one_view(pose, here, start)
+    problem, paths = pose.problem, [] if here is None else [here]
+    if here is None or not _is_content(problem, here):
+        state = problem.start if here is None else here.descent.state
+        found = _searched_together(pose, state, tell)
+        paths = [f for f in found if here is None or f.squares < here.squares] or paths
+    return _equally_good(problem, [*paths, *_looking_alike(pose, paths[0], tell)])
+
+
+def _of_one_view(pose: LonePose, here: Path | None, start: State | None) -> list[Path]:
+    """Paths of the pose of one view, by what `fit_camera` asks of its mask."""
+    problem, (eye,) = pose.problem, pose.problem.eyes
+    state = problem.start if here is None else here.descent.state
+    solver, camera = eye.solver_at(state), eye.canonical(state)
+    mask = replace(eye.mask, camera=on_film(camera, eye.mask.camera))
+    silent = lambda news: None
+    found = None if here is None else Found(camera, solver.look(camera), ())
+    if found is None:
+        places = everywhere(solver, mask, silent)
+    elif start is None:
+        places = looked_alike(solver, found, [])
+    else:
+        places = looked_round(solver, mask, found, eye.canonical(start), silent)
+
+    paths = []
+    for place in (places.best, *places.others):
+        if here is not None and found is not None and _is_same(solver, place, found):
+            paths += [] if any(p is here for p in paths) else [here]
+        else:
+            there = eye.with_camera(pose.name, place.camera, state)
+            paths.append(descended(problem, there, silent, [1]))
+    if here is not None and found is not None:
+        known = any(p is here for p in paths)
+        if start is None if known else not better(solver, places.best.view, found.view):
+            paths = [here, *(p for p in paths if p is not here)]
+    paths[0] = paths[0]._replace(free=tuple(places.free))
     return paths
 
 
-def equally_good(problem: JointProblem, paths: list[Path]) -> list[Path]:
-    """Return the ends of descents that explain the masks as well as the best of them, which stands
-    first unless the first does as well; each once."""
-    least = min(_or_infinite(p.descent.squares) for p in paths)
-    noise = sum(EQUAL_TIMES * eye.solver.kind.variance for eye in problem.layout.eyes)
-    limit = (1 + EQUAL) * least + noise
-    good = [p for p in paths if _or_infinite(p.descent.squares) <= limit] or paths[:1]
+def _is_same(solver: Solver, place: Found, found: Found) -> bool:
+    near = separation(solver, place.camera, found.camera) < ONE_PLACE
+    return bool(near and not better(solver, place.view, found.view))
+
+
+def _is_content(problem: JointProblem, path: Path) -> bool:
+    """Whether a descent's end may be right: where masks are exact, whether they are explained, else
+    whether it is at rest and the scenes lie on the masks."""
+    views = [seen.view for seen in path.descent.seen]
+    pairs = zip(problem.eyes, views, strict=True)
+    # (Zeros that are not where they are sought explain no mask.)
+    if all(eye.solver.kind.exact for eye in problem.eyes) and not problem.zeros:
+        return all(eye.solver.explains(view) for eye, view in pairs)
+    overlap, union = (sum(float(getattr(v.sums, x)) for v in views) for x in ("overlap", "union"))
+    return path.descent.ended and overlap >= LIKELY_IOU * union
+
+
+def _searched_together(pose: LonePose, state: State, tell: Tell) -> list[Path]:
+    """Paths from the views' guesses that explain the masks best, the best first."""
+    problem = pose.problem
+    few = problem.few(LOOKED_AT)
+    coarsest = replace(few, depth=few.levels)
+    tried = _guessed(few, pose.name, state)
+    tell(f"{len(tried)} guesses of {len(few.eyes)} views")
+
+    def squares(state: State) -> float:
+        total = float(sum(s.view.squares for s in coarsest.look(state)))
+        return total if np.isfinite(total) else np.inf
+
+    tried.sort(key=squares)
+    likely = [tried[k] for k in _apart(few, tried)][: 2 * FOLLOWED]
+    begun = [coarsest.descend(state, FIRST_STEPS, ROUGH_PX) for state in likely]
+    paths = sorted((Path(d, (d.steps,)) for d in begun), key=lambda p: p.squares)
+    paths = _distinct(few, paths)[:FOLLOWED]
+    for level in range(few.levels, 0, -1):
+        # (All views are looked at where few states are left.)
+        part = few if level > 2 else problem
+        paths = [p.then(descended(part, p.descent.state, tell, [level])) for p in paths]
+        paths.sort(key=lambda p: p.squares)
+        most = (WORSE if level > 1 else 1 + EQUAL) * paths[0].squares
+        best, *others = _distinct(problem, paths, SAME)
+        paths = [best, *(p for p in others if p.squares <= most)]
+    return paths
+
+
+def _equally_good(problem: JointProblem, paths: list[Path]) -> list[Path]:
+    """The paths that explain the masks as well as the best of them, which stands first unless the
+    first does as well; each once."""
+    least = min(path.squares for path in paths)
+    noise = sum(EQUAL_TIMES * eye.solver.kind.variance for eye in problem.eyes)
+    good = [p for p in paths if p.squares <= (1 + EQUAL) * least + noise] or paths[:1]
     if good[0] is not paths[0]:
-        good.sort(key=lambda p: p.descent.squares)
-    distinct = _apart(problem.layout, [p.descent.state for p in good], SAME)
-    return [p for p in good if any(p.descent.state is state for state in distinct)]
+        good.sort(key=lambda p: p.squares)
+    return _distinct(problem, good, SAME)
 
 
-def looking_alike(problem: JointProblem, best: Path, tell: Tell) -> list[Path]:
-    """Return where views lead to that look like the best one: its object is near its own mirror
-    image, or turned into itself."""
-    moving = problem.searchable()
-    if moving is None:
-        return []
-    eye, state = problem.layout.eyes[0], best.descent.state
+def _looking_alike(pose: LonePose, best: Path, tell: Tell) -> list[Path]:
+    """Paths from views that look like the best one: its object is near its own mirror image, or
+    turned into itself."""
+    problem, state = pose.problem, best.descent.state
+    eye, few = problem.eyes[0], problem.few(LOOKED_AT)
     found = Found(eye.canonical(state), best.descent.seen[0].view, ())
-    alike = [eye.at(moving, pose_of(c), state) for c in mirrored(eye.solver, found)]
-    few, depth = problem.few(LOOKED_AT), min(depth_of(problem), 2)
-    ones = np.ones(len(few.layout.eyes))
-    here = sum(seen.view.squares for seen in few.layout.look(state, depth))
+    alike = [eye.with_camera(pose.name, c, state) for c in mirrored(eye.solver, found)]
+    coarse = replace(few, depth=min(problem.levels, 2))
+    here = sum(seen.view.squares for seen in coarse.look(state))
     noise = sum(EXACT * float(seen.view.sums.touched) for seen in best.descent.seen)
-    likely = []
-    for other in alike[:ALIKE]:
-        begun = descend(few.layout, other, depth, ones, FIRST_STEPS, ROUGH_PX)
-        if _or_infinite(begun.squares) <= WORSE * here + noise:
-            likely.append(begun.state)
-    depths = range(depth, 0, -1)
-    return [descended(problem, other, tell, depths) for other in likely]
+    begun = [coarse.descend(other, FIRST_STEPS, ROUGH_PX) for other in alike[:ALIKE]]
+    likely = [d.state for d in begun if d.squares <= WORSE * here + noise]
+    return [descended(problem, other, tell, range(coarse.depth, 0, -1)) for other in likely]
 
 
-def _guessed(problem: JointProblem) -> list[State]:
-    """Return states in which the searched pose is a guess of one of the views."""
-    moving, start = problem.searchable(), problem.start
-    assert moving is not None
+def _guessed(problem: JointProblem, name: str, state: State) -> list[State]:
+    """States in which the searched pose is a guess of one of the views."""
     result = []
-    for eye in problem.layout.eyes:
+    for eye in problem.eyes:
         seen: list[Camera] = []
         for guess in guesses(eye.mask, eye.solver.subject.scene, eye.solver.subject.ball):
             if len(seen) == TRIED:
                 break
             if all(angle(guess, other) > APART for other in seen):
                 seen.append(guess)
-                result.append(eye.at(moving, pose_of(guess), start))
+                result.append(eye.with_camera(name, canonical(guess), state))
     return result
 
 
-def _or_infinite(x: float) -> float:
-    return x if np.isfinite(x) else np.inf
+def _distinct(problem: JointProblem, paths: list[Path], apart: float = APART) -> list[Path]:
+    return [paths[k] for k in _apart(problem, [p.descent.state for p in paths], apart)]
 
 
-def _apart(layout: Layout, states: list[State], apart: float = APART) -> list[State]:
-    """Return the states whose cameras look other ways than those before them."""
-    distinct: list[tuple[State, Camera]] = []
-    for state in states:
-        camera = layout.eyes[0].canonical(state)
-        if all(angle(camera, other) > apart for _, other in distinct):
-            distinct.append((state, camera))
-    return [state for state, _ in distinct]
+def _apart(problem: JointProblem, states: list[State], apart: float = APART) -> list[int]:
+    """Indices of the states whose cameras look other ways than those before them."""
+    distinct: dict[int, Camera] = {}
+    for k, state in enumerate(states):
+        camera = problem.eyes[0].canonical(state)
+        if all(angle(camera, other) > apart for other in distinct.values()):
+            distinct[k] = camera
+    return [*distinct]

@@ -73,9 +73,8 @@ class JointView(NamedTuple):
 
 
 class State(NamedTuple):
-    """What is sought: poses by the names of cameras (or the rig) and objects, and cameras
-    (canonical) whose focal length and lens count; scales of what is seen; what is added to
-    joints' readings."""
+    """Values of the unknowns: poses by the names of cameras (or the rig) and objects; cameras
+    (canonical), whose focal length and lens count; scales; offsets of joints' readings."""
 
     poses: Mapping[str, Pose]
     lenses: Mapping[str, Camera]
@@ -84,8 +83,8 @@ class State(NamedTuple):
 
 
 class Unknown(NamedTuple):
-    """Some columns of the problem: a pose (6, or 3 of them), a parameter of a lens, a scale's
-    logarithm, a joint's zero.
+    """Columns of the problem: a pose (6, or 3 of them), a parameter of a lens, a scale's logarithm,
+    a joint's zero.
 
     `kind` is one of `MOTIONS`, `SCALE`, `ZERO`, or the parameter's name; `cameras` are those that
     have such a parameter in common, the first of which gives it its name.
@@ -97,137 +96,116 @@ class Unknown(NamedTuple):
     cameras: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Eye:
-    """One view of the problem: its mask, the solver of its own camera, and its known transforms.
+    """A view of the problem: its mask, the solver of its own camera, and its known transforms.
 
-    `owners` names for each parameter of the lens the unknown that it is, by a camera that has it.
+    `owners` names for each parameter of the lens the unknown that it is, by a camera that has it;
+    `moving` the pose that its camera goes with.
     """
 
+    shot: JointView
     mask: Mask
     solver: Solver
-    camera: str
     owners: Mapping[str, str]
     moving: str
-    object: str | None
-    sized: str | None
     mount: Pose
     rig: Pose
     placed: Pose
-    posture: Posture | None
-    photo: np.ndarray | None = None
-    #: The last offsets that were asked for, and the subject with its joints' zeros there.
-    shown: list[tuple[np.ndarray, Subject]] = field(default_factory=list)
-    #: The last state, the view's own camera in it, and this one's pose: each look asks many times.
-    standing: list[tuple[State, Camera, Pose]] = field(default_factory=list)
+    #: The last state, and the view's own camera and its pose there: each look asks many times.
+    _cameras: list[tuple[State, Camera, Pose]] = field(default_factory=list, init=False)
+    #: The last offsets of joints, and the subject with these.
+    _subjects: list[tuple[np.ndarray, Subject]] = field(default_factory=list, init=False)
 
-    def scene(self, state: State) -> Scene:
-        """Return the view's scene, with its joints' zeros where they are."""
-        return self._subject(state).given
-
-    def looking(self, state: State) -> Solver:
-        """Return the solver that looks at the scene with its joints' zeros where they are."""
-        subject = self._subject(state)
-        same = subject is self.solver.subject
-        return self.solver if same else replace(self.solver, subject=subject)
+    def solver_at(self, state: State) -> Solver:
+        """The solver of the scene with its joints' zeros where they are."""
+        posture, offsets = self.shot.posture, self.offsets(state)
+        if posture is None or not np.any(offsets):
+            return self.solver
+        if not (self._subjects and np.array_equal(self._subjects[0][0], offsets)):
+            subject = self.solver.subject.elsewhere(posture.scene(offsets))
+            self._subjects[:] = [(offsets, subject)]
+        return replace(self.solver, subject=self._subjects[0][1])
 
     def look(self, state: State) -> View:
-        """Return what is seen on the finest level."""
-        solver = self.looking(state)
+        """The view on the finest level."""
+        solver = self.solver_at(state)
         return solver.look(self.canonical(state), solver.finest)
 
     def weighed(
         self, weights: Weights, target: np.ndarray | None = None, only_finest: bool = False
     ) -> "Eye":
-        """Return the eye to which pixels count otherwise, as `Solver.weighed` has it."""
+        """The eye with other weights of pixels, as `Solver.weighed` has it."""
         return replace(self, solver=self.solver.weighed(weights, target, only_finest))
 
-    def _subject(self, state: State) -> Subject:
-        offsets = self.offsets(state)
-        if self.posture is None or not np.any(offsets):
-            return self.solver.subject
-        if not (self.shown and np.array_equal(self.shown[0][0], offsets)):
-            subject = self.solver.subject.elsewhere(self.posture.scene(offsets))
-            self.shown[:] = [(offsets, subject)]
-        return self.shown[0][1]
-
     def offsets(self, state: State) -> np.ndarray:
-        """Return what is added to the joints' readings (J,)."""
-        names = () if self.posture is None else self.posture.joints
+        """Offsets of the joints' readings (J,)."""
+        names = () if self.shot.posture is None else self.shot.posture.joints
         return np.array([state.zeros.get(name, 0.0) for name in names])
 
     def canonical(self, state: State) -> Camera:
-        """Return the view's own camera (canonical) in its scene's frame, as the scene is given."""
-        return self._stands(state)[1]
+        """The view's own camera (canonical) in its scene's frame, as the scene is given."""
+        return self._placed_camera(state)[1]
 
     def pose(self, state: State) -> Pose:
-        """Return the pose of the view's own camera in its scene's frame, as the scene is given."""
-        return self._stands(state)[2]
+        """The pose of the view's own camera in its scene's frame, as the scene is given."""
+        return self._placed_camera(state)[2]
+
+    def _placed_camera(self, state: State) -> tuple[State, Camera, Pose]:
+        if not (self._cameras and self._cameras[0][0] is state):
+            pose = self.mount @ state.poses[self.moving] @ self.rig
+            there = stretched(inverse(self._scene_pose(state)) @ pose, 1 / self.scale(state))
+            camera = at_pose(state.lenses[self.shot.camera], there)
+            self._cameras[:] = [(state, camera, pose_of(camera))]
+        return self._cameras[0]
 
     def scale(self, state: State) -> float:
-        """Return by how many times the scene is larger than it is given."""
-        return 1.0 if self.sized is None else state.scales[self.sized]
+        """The scene's size, in that of the given scene."""
+        return 1.0 if self.shot.scale is None else state.scales[self.shot.scale]
 
-    def _stands(self, state: State) -> tuple[State, Camera, Pose]:
-        for known in self.standing:
-            if known[0] is state:
-                return known
-        pose = self.mount @ state.poses[self.moving] @ self.rig
-        there = stretched(inverse(self._scene(state)) @ pose, 1 / self.scale(state))
-        camera = at_pose(state.lenses[self.camera], there)
-        known = state, camera, pose_of(camera)
-        self.standing[:] = [known]
-        return known
+    def _scene_pose(self, state: State) -> Pose:
+        name = self.shot.object
+        return self.placed if name is None else state.poses[name] @ self.placed
 
-    def at(self, name: str, pose: Pose, state: State) -> State:
-        """Return the state in which the view's camera is at a pose in its scene's frame, as the
-        scene is given, by moving the camera or the object of that name alone."""
-        pose = stretched(pose, self.scale(state))
+    def with_camera(self, name: str, camera: Camera, state: State) -> State:
+        """The state in which the view's own camera is this one (canonical, in its scene's frame, as
+        the scene is given): by moving the camera or the object of that name, and by the lens."""
+        pose = stretched(pose_of(camera), self.scale(state))
         if name == self.moving:
-            moved = inverse(self.mount) @ self._scene(state) @ pose @ inverse(self.rig)
+            moved = inverse(self.mount) @ self._scene_pose(state) @ pose @ inverse(self.rig)
         else:
-            camera = self.mount @ state.poses[self.moving] @ self.rig
-            moved = camera @ inverse(self.placed @ pose)
-        return state._replace(poses={**state.poses, name: moved})
+            moved = self.mount @ state.poses[self.moving] @ self.rig @ inverse(self.placed @ pose)
+        lenses = dict(state.lenses)
+        for row, owner in self.owners.items():
+            if owner == self.shot.camera:
+                lenses[owner] = with_parameter(lenses[owner], row, camera)
+        return state._replace(poses={**state.poses, name: moved}, lenses=lenses)
 
     def by_twist(self, state: State, view: View) -> np.ndarray:
-        """Return the view's moves (n, 6), in its solver's units, by a twist of its own camera (by
-        the part of one that these moves are)."""
-        freed, pose = self.solver.freed, self.pose(state)
-        known = components(freed)
-        of_pose = np.array([name in _POSE for name in known])
-        labels = labels_of(freed)
-        reported = np.array([label in _REPORTED for label in labels])
-        # How the camera's own twist is reported, and what moves do to that.
-        twisted = np.zeros((TWIST, TWIST))
-        twisted[:3, :3], twisted[3:, 3:] = TO_B, pose[:3, :3]
-        twisted = twisted[[_REPORTED.index(label) for label in labels if label in _REPORTED]]
+        """Moves of the view's own camera (n, 6), in its solver's units, by a twist of it in the
+        world: whatever the scale of its scene."""
+        freed, rotation = self.solver.freed, self.pose(state)[:3, :3]
+        of_pose = np.array([name in _POSE for name in components(freed)])
+        reported = np.array([label in _REPORTED for label in labels_of(freed)])
         by_moves = np.asarray(view.to_reported, float)[np.ix_(reported, of_pose)]
-        by_twist = np.zeros((len(known), TWIST))
-        by_twist[of_pose] = np.linalg.solve(by_moves, twisted)
-        return by_twist
-
-    def by_motion(self, state: State, view: View) -> np.ndarray:
-        """Return the view's moves (n, 6), in its solver's units, by a twist of its own camera in
-        the world, whatever the scale of what it sees."""
-        result = self.by_twist(state, view)
+        result = np.zeros((len(of_pose), TWIST))
+        result[of_pose] = np.linalg.solve(by_moves, reported_twist(rotation))
         result[:, 3:] /= self.scale(state)
         return result
 
     def moves(self, state: State, view: View, unknowns: list[Unknown]) -> np.ndarray:
-        """Return the view's moves (n, k), in its solver's units, by the poses and lenses that it
-        depends on."""
-        freed, pose, scale = self.solver.freed, self.pose(state), self.scale(state)
-        known, sizes = components(freed), np.asarray(view.scale, float)
-        by_twist = self.by_motion(state, view)
-        nearer = by_twist[:, 3:] @ pose[:3, :3].T @ (-scale * pose[:3, 3])
-        parts = [np.zeros((len(known), 0))]
+        """Moves of the view's own camera (n, k), in its solver's units, by the poses and lenses
+        that it depends on."""
+        pose, scale = self.pose(state), self.scale(state)
+        sizes, by_twist = np.asarray(view.scale, float), self.by_twist(state, view)
+        parts = [np.zeros((len(sizes), 0))]
         for unknown in unknowns:
             if unknown.kind == SCALE:
+                nearer = by_twist[:, 3:] @ pose[:3, :3].T @ (-scale * pose[:3, 3])
                 columns = nearer[:, None]
             elif unknown.kind not in MOTIONS:
-                place = _places(freed, unknown.kind)
-                columns = np.zeros((len(known), len(place)))
+                place = _places(self.solver.freed, unknown.kind)
+                columns = np.zeros((len(sizes), len(place)))
                 columns[place, np.arange(len(place))] = 1 / sizes[place]
             elif unknown.name == self.moving:
                 columns = (by_twist @ adjoint(inverse(self.rig)))[:, MOTIONS[unknown.kind]]
@@ -236,70 +214,73 @@ class Eye:
             parts.append(columns)
         return np.concatenate(parts, axis=1)
 
-    def _scene(self, state: State) -> Pose:
-        return self.placed if self.object is None else state.poses[self.object] @ self.placed
-
     def depends_on(self) -> Iterator[tuple[str, str]]:
-        """Yield names and kinds of what the view depends on, if it is unknown."""
+        """Names and kinds that the view depends on, if they are unknown."""
         yield from ((self.moving, kind) for kind in MOTIONS)
-        if self.object is not None:
-            yield self.object, POSE
-        if self.sized is not None:
-            yield self.sized, SCALE
+        if self.shot.object is not None:
+            yield self.shot.object, POSE
+        if self.shot.scale is not None:
+            yield self.shot.scale, SCALE
         yield from ((owner, kind) for kind, owner in self.owners.items())
-        if self.posture is not None:
-            yield from ((joint, ZERO) for joint in self.posture.joints)
+        if self.shot.posture is not None:
+            yield from ((joint, ZERO) for joint in self.shot.posture.joints)
 
     def ways_out(self, state: State, view: View, unknown: Unknown) -> np.ndarray:
-        """Return which way an unknown's numbers (size,) would leave their bounds, where they are at
-        an end of these: 1, -1, and 0 of the others."""
+        """The way in which an unknown's numbers (size,) would leave their bounds, where they are at
+        an end of these: 1 or -1, and 0 of the others."""
         result, bounds, kind = np.zeros(unknown.size), self.solver.bounds, unknown.kind
         if bounds is None or kind not in self.ended(state):
             return result
-        one, k = bounds.labels.index(kind), labels_of(self.solver.freed).index(kind)
-        middle = float(bounds.low[one] + bounds.high[one]) / 2
-        value = float(PARAMETERS[kind].leaves[0].of(state.lenses[self.camera]))
+        bound, k = bounds.labels.index(kind), labels_of(self.solver.freed).index(kind)
+        middle = float(bounds.low[bound] + bounds.high[bound]) / 2
+        value = float(PARAMETERS[kind].leaves[0].of(state.lenses[self.shot.camera]))
         result[:] = np.sign(np.asarray(view.to_reported)[k, k]) * (1 if value > middle else -1)
         return result
 
     def ended(self, state: State) -> tuple[str, ...]:
-        """Return which of the camera's parameters are at an end of their bounds."""
+        """The camera's parameters that are at an end of their bounds."""
         bounds = self.solver.bounds
-        return () if bounds is None else bounds.ended(state.lenses[self.camera])
+        return () if bounds is None else bounds.ended(state.lenses[self.shot.camera])
 
     def level(self, depth: int) -> int:
-        """Return the number of the level this far from the last, or of the first."""
+        """The number of the level this far from the last, or of the first."""
         return max(len(self.solver.levels) - depth, 0)
 
 
 def stretched(pose: Pose, times: float) -> Pose:
-    """Return the pose in a world that is this many times as large."""
+    """The pose in a world that is this many times as large."""
     return rigid(pose[:3, :3], times * pose[:3, 3])
 
 
-_POSE = frozenset(components(("pose",)))
-_REPORTED = labels_of(("pose",))
+def reported_twist(rotation: np.ndarray) -> np.ndarray:
+    """Reported pose parameters (6, 6) by a twist of a camera of this rotation."""
+    result = np.zeros((TWIST, TWIST))
+    result[:3, :3], result[3:, 3:] = TO_B, rotation
+    return result
+
+
+_POSE = frozenset(components((POSE,)))
+_REPORTED = labels_of((POSE,))
 
 
 def _places(freed: tuple[str, ...], kind: str) -> np.ndarray:
-    """Return where a parameter's moves are among those that names free."""
+    """Indices of a parameter's moves among those that names free."""
     begin = len(components(freed[: freed.index(kind)]))
     return begin + np.arange(len(components((kind,))))
 
 
 def lens_reported(view: View, freed: tuple[str, ...], kind: str) -> np.ndarray:
-    """Return how what is reported of a lens's parameter (film coordinates in film heights) follows
-    its moves."""
-    at, begin = _places(freed, kind), labels_of(freed).index(labels_of((kind,))[0])
-    rows = np.array(view.to_reported, float)[begin : begin + len(at)]
-    return rows[:, at] / np.asarray(view.scale, float)[at]
+    """Reported values of a lens's parameter (film coordinates in film heights) by its moves."""
+    moves, begin = _places(freed, kind), labels_of(freed).index(labels_of((kind,))[0])
+    rows = np.array(view.to_reported, float)[begin : begin + len(moves)]
+    return rows[:, moves] / np.asarray(view.scale, float)[moves]
 
 
 def stepped(state: State, unknowns: list[Unknown], x: np.ndarray, eyes: Sequence[Eye]) -> State:
-    """Return the state after a step: twists of poses, and moves of what is free of lenses."""
+    """The state after a step: twists of poses, moves of lenses, logarithms of scales."""
     poses, lenses = dict(state.poses), dict(state.lenses)
     scales, zeros = dict(state.scales), dict(state.zeros)
-    by_camera = {eye.camera: eye for eye in eyes}
+    by_camera = {eye.shot.camera: eye for eye in eyes}
     begin = 0
     for unknown in unknowns:
         part = x[begin : begin + unknown.size]
@@ -312,23 +293,23 @@ def stepped(state: State, unknowns: list[Unknown], x: np.ndarray, eyes: Sequence
             scales[unknown.name] *= float(np.exp(part[0]))
         elif unknown.kind == ZERO:
             zeros[unknown.name] = zeros.get(unknown.name, 0.0) + float(part[0])
-        elif seen_by := [name for name in unknown.cameras if name in by_camera]:
-            name, kind = seen_by[0], unknown.kind
-            moved = _lens_moved(by_camera[name], lenses[name], kind, part)
+        else:
+            name = next(name for name in unknown.cameras if name in by_camera)
+            moved = _lens_moved(by_camera[name], lenses[name], unknown.kind, part)
             for name in unknown.cameras:
-                lenses[name] = with_parameter(lenses[name], kind, moved)
+                lenses[name] = with_parameter(lenses[name], unknown.kind, moved)
     return State(poses, lenses, scales, zeros)
 
 
 def with_parameter(camera: Camera, kind: str, other: Camera) -> Camera:
-    """Return the camera with a parameter of another one."""
+    """The camera with a parameter of another one."""
     for leaf in PARAMETERS[kind].leaves:
         camera = eqx.tree_at(leaf.of, camera, leaf.of(other))
     return camera
 
 
 def _lens_moved(eye: Eye, camera: Camera, kind: str, part: np.ndarray) -> Camera:
-    """Return a canonical camera with a parameter of its lens moved."""
+    """A canonical camera with a parameter of its lens moved."""
     solver = eye.solver
     start, place = solver.move(camera, solver.finest), _places(solver.freed, kind)
     y = np.zeros(len(components(solver.freed)))

@@ -1,11 +1,11 @@
-"""What a view sees of its joints: a body that moves is a camera that moves the other way, where the
+"""Rows of a view by its joints: a body that moves is a camera that moves the other way, where the
 outline is that body's.
 
 So what a view's program says of its own camera, pixel by pixel, says all about the joints, and no
 other program is compiled. Pixels in which several bodies end count by the lengths of these ends.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -24,16 +24,13 @@ SAMPLES, BESIDE = 2.0, 1.0
 MOST = 2000
 
 
-class Seen(NamedTuple):
-    """A view at a state, and its moves (n, k) by the unknowns."""
+def with_joints(
+    eye: Eye, state: State, view: View, moves: np.ndarray, joints: list[str]
+) -> tuple[View, np.ndarray]:
+    """A view and its moves (n, k) by the unknowns, with the offsets of joints among these."""
+    from scipy.linalg import block_diag
 
-    view: View
-    moves: np.ndarray
-
-
-def with_joints(eye: Eye, state: State, seen: Seen, joints: list[str]) -> Seen:
-    """Return what is seen with the offsets of some joints among its moves."""
-    posture, view = eye.posture, seen.view
+    posture = eye.shot.posture
     assert posture is not None
     camera, pixels = eye.canonical(state), view.pixels
     share = _shares(eye, state, camera, view)
@@ -43,8 +40,8 @@ def with_joints(eye: Eye, state: State, seen: Seen, joints: list[str]) -> Seen:
     twists[..., 3:] += grows * np.asarray(camera.e, float)
 
     # How each touched pixel follows a twist of the whole scene, and of what is seen in it.
-    jacobian, weight = view.jacobian, pixels.weight
-    used = np.flatnonzero(weight > 0)
+    jacobian = view.jacobian
+    used = np.flatnonzero(pixels.weight > 0)
     of_scene = -jacobian[used] @ eye.by_twist(state, view) @ adjoint(inverse(pose_of(camera)))
     by_joint = np.zeros((len(jacobian), len(joints)))
     by_joint[used] = np.sum((of_scene @ twists.transpose(0, 2, 1)) * share[used], axis=-1).T
@@ -56,31 +53,28 @@ def with_joints(eye: Eye, state: State, seen: Seen, joints: list[str]) -> Seen:
     together = np.concatenate([jacobian, by_joint * scale], axis=1)
     n = together.shape[1]
     table = np.column_stack([together[used], pixels.residual[used]])
-    table = np.concatenate([table, np.zeros((n, n + 1))])
-    r: Any = np.linalg.qr(table, mode="r")
-    ok = np.all(np.isfinite(np.asarray(view.triangle)))
+    r: Any = np.linalg.qr(np.concatenate([table, np.zeros((n, n + 1))]), mode="r")
+    if not np.all(np.isfinite(np.asarray(view.triangle))):
+        r = np.full(r.shape, np.nan)
     whole = view._replace(
-        triangle=r[:n, :n] if ok else np.full((n, n), np.nan),
-        along=r[:n, n] if ok else np.full(n, np.nan),
+        triangle=r[:n, :n],
+        along=r[:n, n],
         by_joints=together,
         known=np.pad(view.known, ((0, 0), (0, len(joints)))),
     )
-    moves = np.zeros((n, seen.moves.shape[1] + len(joints)))
-    moves[: len(seen.moves), : seen.moves.shape[1]] = seen.moves
-    moves[len(seen.moves) :, seen.moves.shape[1] :] = np.diag(1 / scale)
-    return Seen(whole, moves)
+    return whole, np.asarray(block_diag(moves, np.diag(1 / scale)))
 
 
 def _shares(eye: Eye, state: State, camera: Camera, view: View) -> np.ndarray:
-    """Return how much of the outline in each touched pixel is each body's (P, B)."""
-    mesh, posture = eye.scene(state).mesh, eye.posture
+    """Each body's share of the outline in each touched pixel (P, B)."""
+    mesh, posture = eye.solver_at(state).subject.given.mesh, eye.shot.posture
     assert mesh is not None
     assert posture is not None
     bodies = int(posture.body[-1]) + 1
-    points = np.asarray(mesh.vertices, float)
-    edges, third = _contour(points, mesh, np.asarray(camera.e, float))
-    ends, level = points[edges], view.level
-    film = [_in_pixels(camera, level, x) for x in (ends[:, 0], ends[:, 1], points[third])]
+    vertices = np.asarray(mesh.vertices, float)
+    edges, third = _contour(vertices, mesh, np.asarray(camera.e, float))
+    ends, level = vertices[edges], view.level
+    film = [_in_pixels(camera, level, x) for x in (ends[:, 0], ends[:, 1], vertices[third])]
     ahead = np.all([np.all(np.isfinite(x), axis=1) for x in film], axis=0)
     start, end, inner = (x[ahead] for x in film)
     body = posture.body[edges[ahead, 0]]
@@ -88,26 +82,26 @@ def _shares(eye: Eye, state: State, camera: Camera, view: View) -> np.ndarray:
     along = end - start
     length = np.linalg.norm(along, axis=1)
     number = np.clip(np.ceil(SAMPLES * length), 1, MOST).astype(int)
-    of = np.repeat(np.arange(len(number)), number)
-    part = (np.arange(len(of)) - (np.cumsum(number) - number)[of] + 0.5) / number[of]
-    at = start[of] + part[:, None] * along[of]
+    edge = np.repeat(np.arange(len(number)), number)
+    part = (np.arange(len(edge)) - (np.cumsum(number) - number)[edge] + 0.5) / number[edge]
+    points = start[edge] + part[:, None] * along[edge]
     right = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.maximum(length, 1e-12)[:, None]
     inwards = np.sum(right * (inner - start), axis=1) > 0
-    outside = at + BESIDE * np.where(inwards, -1, 1)[of, None] * right[of]
+    outside = points + BESIDE * np.where(inwards, -1, 1)[edge, None] * right[edge]
 
     # What lies within the object, or behind it, is no outline.
-    cell, cells = _cells(level, at), view.pixels.cell
+    cell, cells = _cells(level, points), view.pixels.cell
     slot = np.searchsorted(cells, cell)
     found = (slot < len(cells)) & (cells[np.minimum(slot, len(cells) - 1)] == cell)
-    weight = (length / number)[of] * (1 - _covered(view, outside))
+    weight = (length / number)[edge] * (1 - _covered(view, outside))
     result = np.zeros((len(cells), bodies))
-    np.add.at(result, (slot[found], body[of][found]), weight[found])
+    np.add.at(result, (slot[found], body[edge][found]), weight[found])
     total = result.sum(axis=1, keepdims=True)
     return result / np.where(total > 0, total, 1.0)
 
 
 def _contour(points: np.ndarray, mesh: Any, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the contour's edges (n, 2), and the third corner (n,) of the front face of each."""
+    """The contour's edges (n, 2), and the third corner (n,) of the front face of each."""
     faces, sides = np.asarray(mesh.faces), np.asarray(mesh.edge_faces)
     a, b, c = points[faces].transpose(1, 0, 2)
     front = np.append(np.sum(np.cross(b - a, c - a) * (e - a), axis=1) > 0, False)
@@ -119,7 +113,7 @@ def _contour(points: np.ndarray, mesh: Any, e: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _in_pixels(camera: Camera, level: Level, points: np.ndarray) -> np.ndarray:
-    """Return where points (n, 3) are on a level's window (n, 2), NaN behind the eye."""
+    """Points (n, 3) on a level's window (n, 2), NaN behind the eye."""
     x, y, z = on_film_plane(camera, points).T
     ahead = z > 0
     film = np.stack([x, y], axis=1) / np.where(ahead, z, np.nan)[:, None]
@@ -127,18 +121,19 @@ def _in_pixels(camera: Camera, level: Level, points: np.ndarray) -> np.ndarray:
     return film * float(level.scale) - np.asarray(level.origin, float)
 
 
-def _cells(level: Level, at: np.ndarray) -> np.ndarray:
-    """Return the cells that points lie in, -1 beside the window."""
-    column, row = np.floor(at).astype(int).T
-    W, H = int(level.W), int(level.H)
-    inside = (column >= 0) & (column < W) & (row >= 0) & (row < H)
-    return np.where(inside, row * (W + 2) + column + 1, -1)
+def _cells(level: Level, points: np.ndarray) -> np.ndarray:
+    """Cells that points lie in, -1 beside the window."""
+    row, column, inside = _rows_and_columns(level, points)
+    return np.where(inside, row * (int(level.W) + 2) + column + 1, -1)
 
 
-def _covered(view: View, at: np.ndarray) -> np.ndarray:
-    """How much is covered (n,) of the pixels that points lie in, 0 beside the window."""
-    column, row = np.floor(at).astype(int).T
-    H, W = int(view.level.H), int(view.level.W)
-    inside = (column >= 0) & (column < W) & (row >= 0) & (row < H)
-    place = np.clip(row, 0, H - 1), np.clip(column, 0, W - 1)
+def _covered(view: View, points: np.ndarray) -> np.ndarray:
+    """Coverage (n,) of the pixels that points lie in, 0 beside the window."""
+    row, column, inside = _rows_and_columns(view.level, points)
+    place = np.where(inside, row, 0), np.where(inside, column, 0)
     return np.where(inside, Coverage.of(view).at(*place), 0.0)
+
+
+def _rows_and_columns(level: Level, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
+    column, row = np.floor(points).astype(int).T
+    return row, column, (column >= 0) & (column < level.W) & (row >= 0) & (row < level.H)

@@ -11,11 +11,12 @@ from .._camera.axes import axes_of
 from .._camera.camera import Camera, check_camera
 from .._files.progress import say, shown
 from .._fit.fit_camera import check_reach, check_steps
-from .._fit.implicit import Through, check_plain
+from .._fit.implicit import check_plain, steps_of, through
 from .._fit.result import UNCERTAIN, Progress, at_rest, to_units, widest_turn, without_ended
 from .._fit.words import parameter_lines
-from .._joint.shared_unknowns import alike, joint, others, reduced, shared_and_free
+from .._joint.shared import alike, known_by_others, shared_and_free
 from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
+from .._solver.least_squares import solve
 from .._solver.moves import on_film
 from .._solver.parameters import components, labels_of, with_lens
 from .._solver.priors import Pair, bounds_of, prior_of
@@ -23,7 +24,7 @@ from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions
 from .descent import Asked, Descended, descended
 from .noise import FEW, Noise, coordinates
 from .starts import begun
-from .views import Given, PointProblem, PointsSeen, PointView, velocities
+from .views import Given, PointProblem, PointsSeen, PointView
 
 #: What several views share by default: the intrinsics of one physical camera.
 INTRINSICS = ("phi", "principal_point", "distortion")
@@ -173,7 +174,7 @@ def fit_points(
     else:
         check_plain(prior=prior, bounds=bounds)
         named = "`points3d`, `points2d`, `weights`"
-        fits = Through(run, _answer, _put, _velocity, named)(inputs)
+        fits = through(run, inputs, _answer, _put, _velocity, named)
     return fits if np.ndim(points2d) == 3 else fits[0]
 
 
@@ -200,8 +201,11 @@ def _velocity(
 
     points, seen_at, weights = velocity
     each = of_each(points, (N, 3)), of_each(seen_at, (N, 2)), of_each(weights, (N,), _scale(given))
-    changes = [Given(*parts) for parts in zip(*each, strict=True)]
-    return velocities(found.views, changes, found.own)
+    problem = PointProblem.of(found.views, found.own)
+    pairs = enumerate(zip(found.views, zip(*each, strict=True), strict=True))
+    slopes = [view.slope(Given(*change), problem.columns(k)) for k, (view, change) in pairs]
+    steps = zip(found.views, steps_of(slopes), strict=True)
+    return tuple(view.camera_velocity(step) for view, step in steps)
 
 
 def _scale(given: list[Given]) -> float:
@@ -265,27 +269,40 @@ def _weights(weights: ArrayLike | None, V: int, N: int) -> np.ndarray:
 
 
 def _reports(found: Descended, given: list[Given]) -> tuple[PointFit, ...]:
-    """Return what a user reads of each view, and of its other places."""
+    """The fits of all views, and of their other places."""
     views, own = found.views, found.own
-    seen = [v.look() for v in views]
-    parts = [reduced(s, own) for s in seen]
-    slope: Any = sum(part.slope for part in parts)
-    whole = sum(one.squares for one in seen), 2.0 * sum(view.number for view in views)
+    problem, seen = PointProblem.of(views, own), [view.look() for view in views]
+    parts = problem.parts(views, seen, 1.0)
+    solved = solve(parts, problem.size, np.zeros(problem.size))
+    slope = np.sum([part.left @ part.rows[:, ~own] for part in parts], axis=0)
+    whole = sum(each.squares for each in seen), 2.0 * sum(view.number for view in views)
     spare = () if found.noise.freedom > 0 else (_none_left_over(views, own),)
 
-    def report(view: PointView, one: PointsSeen, known: np.ndarray, limit: float) -> PointFit:
-        fit = _report(view, joint(one, known, slope, own), found.noise, limit, *whole)
-        return fit._replace(weak=fit.weak + spare)
-
     fits = []
-    for k, known in enumerate(others([p.rest for p in parts])):
-        limit = found.limits[k]
-        fit = report(views[k], seen[k], known, limit)._replace(steps=found.steps)
-        fit = fit._replace(history=_way(found, k))
-        fit = _without(fit, views[k].number, int(np.sum(given[k].weight > 0)))
-        modes = [report(v, v.look(), known, limit) for v in found.others[k]]
-        fits.append(_with_modes(fit, modes))
+    for k, view in enumerate(views):
+        known = np.zeros((len(own), len(own)))[: np.sum(~own)]
+        known[:, ~own] = known_by_others(solved, parts[k], ~own)
+        places = [(view, seen[k]), *((other, other.look()) for other in found.others[k])]
+        fit, *modes = (
+            _report(place, _beside(look, known, slope, own), found.noise, found.limits[k], *whole)
+            for place, look in places
+        )
+        fit = fit._replace(steps=found.steps, history=_way(found, k))
+        fit = _without(fit, view.number, int(np.sum(given[k].weight > 0)))
+        fits.append(_with_modes(fit._replace(weak=fit.weak + spare), modes))
     return tuple(fits)
+
+
+def _beside(seen: PointsSeen, known: np.ndarray, slope: np.ndarray, own: np.ndarray) -> PointsSeen:
+    """What is seen, with what other views know (., n) of moves as such, and with the `slope` of all
+    views' squares by those that are shared."""
+    scale = np.asarray(seen.scale, float)
+    triangle, along = (np.asarray(x, float) for x in (seen.triangle, seen.along))
+    gradient = np.where(own, triangle.T @ along, 0.0)
+    gradient[~own] = slope * scale[~own]
+    whole: Any = np.linalg.qr(np.concatenate([triangle, known * scale]), mode="r")
+    # (As NumPy's: within `grad` JAX's would be traced, and no report could look at them.)
+    return seen._replace(triangle=whole, along=np.linalg.lstsq(whole.T, gradient, rcond=None)[0])
 
 
 def _none_left_over(views: list[PointView], own: np.ndarray) -> str:

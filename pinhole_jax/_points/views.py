@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera, lens_holds, to_camera
 from .._camera.film import FilmPart
 from .._camera.rays import project
+from .._fit.implicit import Slope
 from .._numerics.arrays import is_concrete
 from .._numerics.pointwise import filled_up, room
 from .._numerics.thin_qr import triangle_and_rhs
@@ -108,18 +109,15 @@ class PointView(NamedTuple):
         """Return how far points project from where they are seen (px), infinite behind the eye."""
         return np.asarray(_distances(self.camera, self._data()), float)
 
-    def pull(self, velocity: "Given") -> Float[Array, "n"]:
-        """Return how half the gradient of the squares, by moves, changes with what is given."""
+    def slope(self, velocity: "Given", columns: np.ndarray) -> Slope:
+        """The slope of the view's squares, as what it is given moves, by unknowns at some columns
+        (moves as such)."""
         changes = (_change(*pair) for pair in zip(velocity, self._given(), strict=True))
-        return _pull(self.camera, self._data(), Given(*changes), self.freed)
-
-    def bend(self) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
-        """Return how it changes with the moves, and these ones' scale."""
-        bend, scale = _bend(self.camera, self._data(), self.freed)
-        return np.asarray(bend, float), np.asarray(scale, float)
+        bend, pull = _bend_and_pull(self.camera, self._data(), Given(*changes), self.freed)
+        return Slope(columns, np.asarray(bend, float), pull)
 
     def camera_velocity(self, y: Float[Array, "n"]) -> Camera:
-        """Return how the camera, on its film, changes with moves."""
+        """The camera's rate of change, on its film, with moves as such."""
         return _camera_velocity(self.camera, self._data(), self.film, y, self.freed)
 
     def _given(self) -> "Given":
@@ -204,7 +202,7 @@ class PointProblem(NamedTuple):
             Rows(
                 np.asarray(one.triangle, float) / np.asarray(one.scale, float),
                 np.asarray(one.along, float),
-                self._columns(k),
+                self.columns(k),
                 self.own,
             )
             for k, one in enumerate(seen)
@@ -215,7 +213,7 @@ class PointProblem(NamedTuple):
         del parts
         result = np.zeros(self.size)
         for k, one in enumerate(seen):
-            columns = self._columns(k)
+            columns = self.columns(k)
             result[columns] = np.maximum(result[columns], FILM / np.asarray(one.scale, float))
         return result
 
@@ -226,14 +224,14 @@ class PointProblem(NamedTuple):
 
     def stepped(self, state: list[PointView], x: np.ndarray) -> list[PointView]:
         """Return the views after a step."""
-        return [view.stepped(x[self._columns(k)]) for k, view in enumerate(state)]
+        return [view.stepped(x[self.columns(k)]) for k, view in enumerate(state)]
 
     def moved(self, seen: list[PointsSeen], x: np.ndarray) -> float:
         """Return the largest move that a step makes in any view, in its units."""
-        moves = (x[self._columns(k)] / np.asarray(one.scale) for k, one in enumerate(seen))
+        moves = (x[self.columns(k)] / np.asarray(one.scale) for k, one in enumerate(seen))
         return max(float(np.max(np.abs(y))) for y in moves)
 
-    def _columns(self, k: int) -> np.ndarray:
+    def columns(self, k: int) -> np.ndarray:
         """Return where the numbers are that a view depends on."""
         m, shared = int(self.own.sum()), int((~self.own).sum())
         result = np.empty(len(self.own), int)
@@ -251,7 +249,8 @@ def _step(camera: Camera, data: _Data, y: Any, freed: tuple[str, ...]) -> Camera
 def _camera_velocity(
     start: Camera, data: _Data, film: Camera, y: Float[Array, "n"], freed: tuple[str, ...]
 ) -> Camera:
-    return camera_velocity(data.move(start, freed), film, freed, y)
+    move = data.move(start, freed)
+    return camera_velocity(move._replace(scale=jnp.ones_like(y)), film, freed, y)
 
 
 @eqx.filter_jit
@@ -283,29 +282,22 @@ def _look(start: Camera, data: _Data, freed: tuple[str, ...]) -> PointsSeen:
     return PointsSeen(triangle, along, move.scale, to_reported, squares, prior, nearest)
 
 
-def _slope(y: Any, given: Given, start: Camera, data: _Data, freed: tuple[str, ...]) -> Array:
-    """Return half the gradient (n,) of the squares by moves."""
+@eqx.filter_jit
+def _bend_and_pull(
+    start: Camera, data: _Data, velocity: Given, freed: tuple[str, ...]
+) -> tuple[Array, Array]:
+    """Half the gradient of the squares by moves as such: its derivative by these (n, n), and its
+    rate of change (n,) with what is given."""
     move = data.move(start, freed)
+    move = move._replace(scale=jnp.ones_like(move.scale))
 
-    def half_squares(y: Any) -> Array:
+    def half_squares(y: Array, given: Given) -> Array:
         off = given.off(moved(move, y, freed), data.H)
         return jnp.sum(given.weight[:, None] * off * off) / 2
 
-    return jax.grad(half_squares)(y)
-
-
-@eqx.filter_jit
-def _pull(start: Camera, data: _Data, velocity: Given, freed: tuple[str, ...]) -> Array:
-    zero = jnp.zeros_like(data.move(start, freed).scale)
-    slope = lambda given: _slope(zero, given, start, data, freed)
-    return jax.jvp(slope, (data.given,), (velocity,))[1]
-
-
-@eqx.filter_jit
-def _bend(start: Camera, data: _Data, freed: tuple[str, ...]) -> tuple[Array, Array]:
-    scale = data.move(start, freed).scale
-    slope = lambda y: _slope(y, data.given, start, data, freed)
-    return jax.jacfwd(slope)(jnp.zeros_like(scale)), scale
+    slope, still = jax.grad(half_squares), jnp.zeros_like(move.scale)
+    pull = jax.jvp(lambda given: slope(still, given), (data.given,), (velocity,))[1]
+    return jax.jacfwd(slope)(still, data.given), pull
 
 
 def _change(velocity: Any, of: np.ndarray) -> Any:
@@ -316,44 +308,3 @@ def _change(velocity: Any, of: np.ndarray) -> Any:
         return filled_up(np.asarray(velocity), len(of), 0)
     rest = jnp.zeros((len(of) - len(velocity), *of.shape[1:]), of.dtype)
     return jnp.concatenate([velocity, rest])
-
-
-def velocities(
-    views: Sequence[PointView], changes: Sequence[Given], own: np.ndarray
-) -> tuple[Camera, ...]:
-    """Return how views' cameras, where the squares are least, change with what is given (the
-    implicit function theorem): half the gradient of all squares stays 0.
-
-    A view's own moves are eliminated, as in a step, so the cost is linear in the views.
-    """
-    dtype = views[0].film.e.dtype
-    to = lambda x: jnp.asarray(x, dtype)
-    bends, pulls, ratios, unit = [], [], [], np.ones(len(own))
-    for view, change in zip(views, changes, strict=True):
-        bend, scale = view.bend()
-        # What is shared is measured by the first view's moves.
-        unit = unit if ratios else scale
-        ratio = np.where(own, 1, unit / scale)
-        ratios.append(to(ratio))
-        bends.append(ratio[:, None] * bend * ratio[None])
-        pulls.append(to(ratio) * view.pull(change))
-
-    alone = [np.linalg.pinv(bend[np.ix_(own, own)], hermitian=True) for bend in bends]
-    # How a view's own moves follow the shared ones, and what is left of these.
-    follow = [-back @ bend[np.ix_(own, ~own)] for back, bend in zip(alone, bends, strict=True)]
-    left: Any = sum(
-        bend[np.ix_(~own, ~own)] + bend[np.ix_(~own, own)] @ by
-        for bend, by in zip(bends, follow, strict=True)
-    )
-    # (What is linear in the velocities is products with matrices: entries one by one are a program
-    # each.)
-    among, its = np.eye(len(own))[~own], np.eye(len(own))[own]
-    toward = [among + by.T @ its for by in follow]  # from a view's pull to that on the shared ones
-    pull: Any = sum(to(by) @ p for by, p in zip(toward, pulls, strict=True))
-    shared = -to(np.linalg.pinv((left + left.T) / 2, hermitian=True)) @ pull
-
-    result = []
-    for view, ratio, back, by, p in zip(views, ratios, alone, toward, pulls, strict=True):
-        step = to(by.T) @ shared - to(its.T @ back @ its) @ p
-        result.append(view.camera_velocity(ratio * step))
-    return tuple(result)

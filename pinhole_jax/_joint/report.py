@@ -1,0 +1,308 @@
+"""What a joint fit found, put in its result: covariances, statuses, sentences."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from .._camera.axes import axes_of
+from .._camera.camera import Camera
+from .._camera.poses import at_pose
+from .._fit.places import Free, at
+from .._fit.result import (
+    ASTRAY,
+    LEAST_IOU,
+    UNCERTAIN,
+    WRONG,
+    Fit,
+    MaskError,
+    Progress,
+    progress_at,
+    widened,
+    widest_turn,
+)
+from .._solver.looks import Sums
+from .._solver.moves import on_film
+from .._solver.parameters import labels_of
+from .._solver.solver import Found, Stop
+from .._solver.uncertainty import in_words
+from ..names import STATUSES
+from .agreement import Agreement
+from .estimates import HARDLY, Estimates, forget, of_camera, of_number, of_object, together
+from .levels import End
+from .result import JointFit, JointZeros, ObjectPose, SceneScale, ViewFit
+from .views import POSE, SCALE, ZERO
+
+#: A view this many times farther off than is usual is named: it has less than 0.28 of the weight.
+OFF = 2.5
+#: Views that differ by this many times what their masks' errors say do not do so by chance: where
+#: two views determine one pose (6 numbers) that has a chance of 5e-4 (chi-squared), with more less.
+TELLING = 2.0
+#: A view with more than this share of its outline far from the mask's edge shows something else; a
+#: fit to more than this share of such views is none.
+LOST, MOST_LOST = 0.25, 1 / 3
+#: A view with less weight than this decides nothing: it is 4.4 times as far off as the middle one.
+COUNTS = 0.1
+
+
+def reported(end: End, free: Mapping[str, Sequence[Free]]) -> JointFit:
+    """The end of a fit as a user reads it; poses are `free` along these directions."""
+    problem, found, state = end.problem, end.found, end.found.descent.state
+    covariance = lambda told: told.covariance(found.covariance, found.unseen)
+    views = tuple(_view_fit(end, k) for k in range(len(problem.eyes)))
+    cameras = {
+        name: _camera_fit(end, name, views, free.get(problem.eye_of(name)[1].moving, []))
+        for name in problem.cameras
+    }
+    objects = {
+        name: ObjectPose(state.poses[name], covariance(of_object(problem, name, state)))
+        for name in problem.objects()
+    }
+    scales = _scales(end)
+    open_still = [f"{name}: {f}" for name in objects for f in free.get(name, [])]
+    stds = [part.std for part in (*objects.values(), *scales.values())]
+    known = bool(np.all([np.all(np.isfinite(std)) for std in stds])) and not open_still
+    return JointFit(
+        status=worst(
+            [*(fit.status for fit in cameras.values()), "converged" if known else "rank_deficient"]
+        ),
+        cameras=cameras,
+        objects=objects,
+        views=views,
+        excess=found.excess,
+        weak=(*_weak_scales(scales), *open_still, *_disagreement(found, views), *end.notes),
+        modes=(),
+        steps=end.path.steps,
+        scales=scales,
+        joint_zeros=_zeros(found),
+    )
+
+
+def worst(statuses: Sequence[str]) -> str:
+    """The status that is the least to be trusted."""
+    return max(statuses, key=[*STATUSES].index)
+
+
+def _view_fit(end: End, k: int) -> ViewFit:
+    problem, found = end.problem, end.found
+    eye, state, errors = problem.eyes[k], found.descent.state, found.errors[k]
+    total = _plain(end.whole[k])
+    return ViewFit(
+        camera=on_film(eye.canonical(state), problem.cameras[eye.shot.camera]),
+        iou=total.overlap / total.union if total.union > 0 else 0.0,
+        rms=_rms(total.squares, total.weight),
+        off=float(found.off[k]),
+        weight=float(found.problem.weights[k]),
+        astray=end.astray[k],
+        mask_error=None if errors is None else MaskError(errors.size, errors.length),
+        scene=eye.solver_at(state).subject.given,
+        sigma=float(found.sigma[k]),
+        worth=_worth(found, k),
+    )
+
+
+def _plain(sums: Sums) -> Any:
+    return jax.tree.map(float, sums)
+
+
+def _rms(squares: float, weight: float) -> float:
+    return float(np.sqrt(squares / weight)) if weight > 0 else float("nan")
+
+
+def _worth(found: Agreement, k: int) -> float:
+    """The factor by which the errors of a view's camera would grow without the view."""
+    problem = found.problem
+    moving = problem.eyes[k].moving
+    if (place := problem.place(moving, POSE)) is None:
+        return float("nan")
+    known = [*(eye.moving for eye in problem.eyes), *(prior.name for prior in problem.priors)]
+    if known.count(moving) == 1:
+        return float("inf")
+    less = found.without(k)
+    if np.any(np.abs(less.unseen[place]) > HARDLY):
+        return float("inf")
+    with np.errstate(all="ignore"):
+        before, after = (np.linalg.slogdet(x.covariance(place))[1] for x in (found, less))
+        return float(np.exp((after - before) / (2 * len(place))))
+
+
+def _camera_fit(end: End, name: str, views: tuple[ViewFit, ...], free: Sequence[Free]) -> Fit:
+    problem, found, film = end.problem, end.found, end.problem.cameras[name]
+    numbers = [k for k, eye in enumerate(problem.eyes) if eye.shot.camera == name]
+    eye, seen, state = problem.eyes[numbers[0]], found.descent.seen[numbers[0]], found.descent.state
+    seen_from = lambda state: at_pose(state.lenses[name], state.poses[eye.moving] @ eye.rig)
+    camera = on_film(seen_from(state), film)
+
+    told = of_camera(problem, name, state, seen.view)
+    covariance = told.covariance(found.covariance, found.unseen)
+    free = [at(eye.solver, Found(eye.canonical(state), seen.view, ()), f) for f in free]
+    if free:
+        _widen(covariance, found, numbers[0], told, free)
+
+    sums = [_plain(end.whole[k]) for k in numbers]
+    total = lambda part: sum(getattr(x, part) for x in sums)
+    iou = total("overlap") / total("union") if total("union") > 0 else 0.0
+    status, weak = _status(end, numbers, views, covariance, told.labels, camera, iou)
+    if free:
+        weak = (*map(str, free), *weak)
+        status = "rank_deficient" if status == "converged" else status
+    weak += tuple(f"{label} is held at an end of its bounds" for label in eye.ended(state))
+    errors = [views[k].mask_error for k in numbers]
+    known = [error for error in errors if error is not None]
+    return Fit(
+        camera=camera,
+        status=status,
+        names=told.labels,
+        covariance=covariance,
+        std=np.sqrt(np.diag(covariance)),
+        rms=_rms(total("squares"), total("weight")),
+        iou=iou,
+        steps=end.path.steps,
+        weak=weak,
+        history=_history(end, numbers[0], seen_from, film),
+        independent_covariance=told.covariance(found.independent, found.unseen),
+        mask_error=max(known, key=lambda e: e.px) if known else None,
+    )
+
+
+def _widen(
+    covariance: np.ndarray, found: Agreement, k: int, told: Estimates, free: Sequence[Free]
+) -> None:
+    """Let the covariance (p, p) of a view's camera hold what is free about it."""
+    back = np.linalg.pinv(found.descent.seen[k].moves)
+    rows = np.searchsorted(found.problem.columns(k), told.place)
+    to_reported = told.by_unknowns @ back[rows]
+    covariance += widened(to_reported, free, 0.0)
+    lost = [to_reported @ f.move for f in free if np.isinf(f.ahead)]
+    if lost:
+        forget(covariance, np.array(lost).T)
+
+
+def _history(
+    end: End, k: int, seen_from: Callable[[Any], Camera], film: Camera
+) -> tuple[Progress, ...]:
+    """The way of a camera, canonical from `seen_from`, by the levels of one of its views."""
+    eye = end.problem.eyes[k]
+    levels = eye.solver.levels
+    stops = [Stop(seen_from(p.state), levels[eye.level(p.depth)], p.steps) for p in end.path.way]
+    return tuple(progress_at(stop, film) for stop in stops)
+
+
+def _status(
+    end: End,
+    numbers: list[int],
+    views: tuple[ViewFit, ...],
+    covariance: np.ndarray,
+    labels: tuple[str, ...],
+    camera: Camera,
+    iou: float,
+) -> tuple[str, tuple[str, ...]]:
+    """The status of a camera, and what its masks determine badly, as sentences."""
+    found, variances = end.found, np.diag(covariance)
+    if not np.isfinite(found.descent.squares) or np.any(np.isnan(variances)):
+        return "non_finite", ()
+    if iou < LEAST_IOU:
+        return "no_overlap", ()
+    if not found.descent.ended:
+        return "max_steps", ()
+    wrong = [k for k in numbers if not _is_explained(found, k)]
+    if wrong:
+        which = ", ".join(map(str, wrong))
+        return "misfit", (f"the masks of views {which} are not explained as exact ones would be",)
+    lost = [k for k in numbers if views[k].astray > LOST]
+    if len(lost) > MOST_LOST * len(numbers):
+        return "misfit", (f"{len(lost)} of {len(numbers)} masks show something else",)
+    far = float(np.median([views[k].astray for k in numbers]))
+    # (What several masks show alone was compared with all places that it may be seen from.)
+    if far > ASTRAY and not _is_compared(end, numbers[0]):
+        edges = "the edges of most masks" if len(numbers) > 1 else "the mask's edge"
+        return "misfit", (f"{far:.0%} of the outline is far from {edges}: {WRONG}",)
+    if np.any(np.isinf(variances)):
+        return "rank_deficient", ("some move changes no mask",)
+    turn, about = widest_turn(covariance, labels)
+    if turn > UNCERTAIN:
+        axis, degrees = in_words(about @ axes_of(camera)), np.rad2deg(turn)
+        words = f"the turn about the axis {axis} is told to {degrees:.0f} degrees (one sigma)"
+        return "uncertain", (words,)
+    return "converged", ()
+
+
+def _is_compared(end: End, k: int) -> bool:
+    poses, lone = [u.name for u in end.problem.of(k) if u.kind == POSE], end.problem.lone_poses
+    alone = len(poses) == 1 and poses[0] in lone
+    return alone and (len(lone) == 1 or len(lone[poses[0]]) > 1)
+
+
+def _is_explained(found: Agreement, k: int) -> bool:
+    """Whether a view's mask is not exact, explained, or counts for nothing."""
+    kind, view = found.problem.eyes[k].solver.kind, found.descent.seen[k].view
+    explained = not kind.exact or kind.explains(view.touched_misfit, False)
+    return bool(explained or found.problem.weights[k] < COUNTS)
+
+
+def _scales(end: End) -> dict[str, SceneScale]:
+    problem, found, state = end.problem, end.found, end.found.descent.state
+    if not (names := problem.named(SCALE)):
+        return {}
+    poses = {name: of_object(problem, name, state) for name in problem.objects()}
+    for name in problem.cameras:
+        whole = of_camera(problem, name, state, found.descent.seen[problem.eye_of(name)[0]].view)
+        n = sum(label in labels_of((POSE,)) for label in whole.labels)
+        poses[name] = Estimates(whole.labels[:n], whole.place[:n], whole.by_unknowns[:n, :n])
+    result = {}
+    for name in names:
+        told = of_number(problem, name, SCALE, state)
+        variance = told.covariance(found.covariance, found.unseen)
+        across = {
+            owner: together([pose, told]).covariance(found.covariance, found.unseen)[:-1, -1]
+            for owner, pose in poses.items()
+            if pose.labels
+        }
+        result[name] = SceneScale(state.scales[name], float(variance[0, 0] ** 0.5), across)
+    return result
+
+
+def _zeros(found: Agreement) -> JointZeros | None:
+    problem, state = found.problem, found.descent.state
+    if not (names := tuple(problem.named(ZERO))):
+        return None
+    units = {}
+    for posture in (eye.shot.posture for eye in problem.eyes):
+        units |= {} if posture is None else dict(zip(posture.joints, posture.units, strict=True))
+    told = together([of_number(problem, name, ZERO, state) for name in names])
+    values = np.array([state.zeros[name] for name in names])
+    covariance = found.covariance(told.place)
+    return JointZeros(names, values, tuple(units[name] for name in names), covariance)
+
+
+def _weak_scales(scales: dict[str, SceneScale]) -> list[str]:
+    return [
+        f"the scale of {name!r} and how far it is away are one: larger and farther it looks the"
+        " same; a camera more at a known place, a known distance or scale (`prior`) would tell"
+        for name, found in scales.items()
+        if np.isinf(found.std)
+    ]
+
+
+def _disagreement(found: Agreement, views: tuple[ViewFit, ...]) -> list[str]:
+    """Sentences on how far views differ, and which of them do."""
+    result = []
+    if found.excess > TELLING:
+        result.append(
+            f"the views differ by {found.excess:.1f} times what their masks' errors say: joint"
+            " angles, meshes, transforms or the lens are off"
+        )
+    for k, view in enumerate(views):
+        if len(views) > 2 and view.off > OFF:
+            result.append(
+                f"view {k}: mask and outline go {view.off:.1f} times as far apart as in most"
+                f" views: it counts {view.weight:.2g}"
+            )
+    for k, view in enumerate(views):
+        if view.astray > LOST:
+            result.append(
+                f"view {k}: {view.astray:.0%} of the outline is far from the mask's edge: there"
+                " its mask, joint angles or transforms are wrong"
+            )
+    return result
