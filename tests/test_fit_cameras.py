@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._joint.shared import alike, known_by_others
+from pinhole_jax._joint.lenses import alike, known_by_others
 from pinhole_jax._solver.least_squares import Rows, solve
 
 

@@ -96,10 +96,10 @@ class Slope(NamedTuple):
 
     columns: np.ndarray
     bend: np.ndarray
-    pull: Float[Array, "p"]
+    pull: Array
 
 
-def steps_of(slopes: Sequence[Slope]) -> list[Float[Array, "p"]]:
+def steps_of(slopes: Sequence[Slope]) -> list[Array]:
     """The rates of change of each view's unknowns, so that the whole gradient stays 0.
 
     What one view alone depends on is eliminated, so the cost is linear in the views.
@@ -144,7 +144,7 @@ def _inverse(bend: np.ndarray) -> np.ndarray:
     return np.linalg.pinv((bend + bend.T) / 2, least, hermitian=True)
 
 
-class Sight(eqx.Module):
+class Vantage(eqx.Module):
     """A camera that sees an object, and its unknowns.
 
     - `camera`: canonical, in the frame of what carries it; `film`: its film.
@@ -162,23 +162,7 @@ class Sight(eqx.Module):
     units: Float[Array, "n"] | np.ndarray
     kinds: tuple[str, ...] = eqx.field(static=True)
 
-    @classmethod
-    def of(
-        cls,
-        camera: Camera,
-        film: Camera,
-        pose: Pose,
-        kinds: tuple[str, ...],
-        place: Pose | None = None,
-        scale: float = 1.0,
-    ) -> "Sight":
-        """A sight whose moves are in units as such."""
-        dtype, units = film.e.dtype, np.ones(sum(number_of(kind) for kind in kinds))
-        place = np.eye(4) if place is None else place
-        to = lambda x: np.asarray(x, dtype)
-        return cls(camera, film, to(pose), to(place), to(scale), to(units), kinds)
-
-    def moved(self, y: Float[Array, "n"]) -> tuple[Camera, Float[Array, "4 4"], Float[Array, ""]]:
+    def moved(self, y: Array) -> tuple[Camera, Array, Array]:
         """The camera on its film, the object's pose and its size after moves."""
         camera, place, scale = self.camera, jnp.asarray(self.place), jnp.asarray(self.scale)
         step, begin = y * self.units, 0
@@ -197,63 +181,75 @@ class Sight(eqx.Module):
         return on_film(camera, self.film), place, scale
 
 
+def vantage_of(
+    camera: Camera,
+    film: Camera,
+    pose: Pose,
+    kinds: tuple[str, ...],
+    place: Pose | None = None,
+    scale: float = 1.0,
+) -> Vantage:
+    """A vantage whose moves are in units as such."""
+    place, units = np.eye(4) if place is None else place, np.ones(sum(map(number_of, kinds)))
+    to = lambda x: np.asarray(x, film.e.dtype)
+    return Vantage(camera, film, to(pose), to(place), to(scale), to(units), kinds)
+
+
 def number_of(kind: str) -> int:
     """The number of moves of a kind."""
     sizes = {OBJECT: 6, SCALE: 1}
     return sizes[kind] if kind in sizes else len(components((kind,)))
 
 
-def _motion(part: Float[Array, "k"], where: slice) -> Float[Array, "4 4"]:
+def _motion(part: Array, where: slice) -> Array:
     twist = jnp.zeros(6, part.dtype).at[where].set(part)
     top = jnp.concatenate([rotation(twist[:3]), twist[3:, None]], axis=1)
     return jnp.concatenate([top, jnp.asarray([[0, 0, 0, 1]], part.dtype)])
 
 
-def _inverted(pose: Any) -> Float[Array, "4 4"]:
+def _inverted(pose: Any) -> Array:
     back = pose[:3, :3].T
     top = jnp.concatenate([back, -back @ pose[:3, 3:]], axis=1)
     return jnp.concatenate([top, jnp.asarray([[0, 0, 0, 1]], back.dtype)])
 
 
-def _carried(camera: Camera, pose: Any, motion: Float[Array, "4 4"]) -> Camera:
+def _carried(camera: Camera, pose: Any, motion: Array) -> Camera:
     """A camera moved with a pose by a motion in that frame."""
     pose = jnp.asarray(pose)
     return _transformed(camera, pose @ motion @ _inverted(pose))
 
 
-def _transformed(camera: Camera, by: Float[Array, "4 4"], scale: Any = 1.0) -> Camera:
+def _transformed(camera: Camera, by: Array, scale: Any = 1.0) -> Camera:
     turned = by[:3, :3]
     point = lambda q: (turned @ q + by[:3, 3]) / scale
     values = point(camera.e), point(camera.p), turned @ camera.u
     return eqx.tree_at(lambda c: (c.e, c.p, c.u), camera, values)
 
 
-class Shown(NamedTuple):
+class Arrangement(NamedTuple):
     """What a camera sees: a scene, what carries the camera, and the scene's pose on the object."""
 
     scene: Scene
     mount: Any
     placed: Any
 
-    @classmethod
-    def of(cls, scene: Scene, dtype: Any, mount: Any = None, placed: Any = None) -> "Shown":
-        """What is seen, in a float type."""
-        known = (np.eye(4) if x is None else x for x in (mount, placed))
-        return cls(scene, *(np.asarray(x, dtype) for x in known))
+
+def arrangement_of(scene: Scene, dtype: Any, mount: Any = None, placed: Any = None) -> Arrangement:
+    """What is seen, in a float type."""
+    known = (np.eye(4) if x is None else x for x in (mount, placed))
+    return Arrangement(scene, *(np.asarray(x, dtype) for x in known))
 
 
 @eqx.filter_jit
-def _image(y: Float[Array, "n"], sight: Sight, shown: Shown) -> Float[Array, "H W"]:
-    camera, place, scale = sight.moved(y)
-    by = _inverted(place @ shown.placed) @ shown.mount
-    return silhouette(_transformed(camera, by, scale), shown.scene)
+def _image(y: Array, vantage: Vantage, arranged: Arrangement) -> Array:
+    camera, place, scale = vantage.moved(y)
+    by = _inverted(place @ arranged.placed) @ arranged.mount
+    return silhouette(_transformed(camera, by, scale), arranged.scene)
 
 
 @eqx.filter_jit
-def _image_and_jacobian(
-    y: Float[Array, "n"] | np.ndarray, sight: Sight, shown: Shown
-) -> tuple[Float[Array, "H W"], Float[Array, "H W n"]]:
-    both = lambda y: (lambda x: (x, x))(_image(y, sight, shown))
+def _image_and_jacobian(y: Any, vantage: Vantage, arranged: Arrangement) -> tuple[Array, Array]:
+    both = lambda y: (lambda x: (x, x))(_image(y, vantage, arranged))
     jacobian, value = jax.jacfwd(both, has_aux=True)(y)
     return value, jacobian
 
@@ -266,125 +262,101 @@ class End(NamedTuple):
     target is as good as nothing.
     """
 
-    sight: Sight
-    shown: Shown
+    vantage: Vantage
+    arranged: Arrangement
     jacobian: np.ndarray
     difference: np.ndarray
     weight: np.ndarray
     step: float | None
 
-    @classmethod
-    def of(cls, sight: Sight, shown: Shown, target: Any, weight: np.ndarray) -> "End":
-        """The end of a fit to a target, in units of moves that show as a pixel's do."""
-        film, dtype = sight.film, np.dtype(sight.film.e.dtype)
-        image, jacobian = _image_and_jacobian(np.zeros_like(sight.units), sight, shown)
-        target = as_coverage(check_image("target", target, film.W, film.H))
-        difference, weight = np.asarray(image) - target.astype(dtype), weight.astype(dtype)
-        left = float(np.mean(weight * difference * difference)) ** 0.5
-        rows = np.asarray(jacobian)
-        touched = max(int(np.sum(np.any(rows != 0, axis=-1))), 1)
-        size = np.sqrt(np.sum(rows**2, axis=(0, 1)) / touched)
-        units = 1 / np.maximum(size, max(LEAST_SHOWN * size.max(), np.finfo(dtype).tiny))
-        sight = eqx.tree_at(lambda s: s.units, sight, units.astype(dtype))
-        step = STEP_PX[dtype] if left > NO_RESIDUAL else None
-        return cls(sight, shown, (rows * units).astype(dtype), difference, weight, step)
+    def slope(self, columns: np.ndarray, counts: float, weight: Any, velocity: Any) -> Slope:
+        """The slope of the view's squares, which count this much, by unknowns at some columns.
 
-    def slope(self, columns: np.ndarray, counts: float, inputs: Any, velocity: Any) -> Slope:
-        """The slope of the view's squares, which count so much, by unknowns at some columns.
-
-        `inputs` are the weight (H, W) and `Shown`, as `velocity` with the target's first; None of
-        what does not change.
+        `weight` is the user's; `velocity` that of target, weight and `Arrangement`, None of what
+        does not change.
         """
-        units = np.asarray(self.sight.units, float)
-        n, rows = len(units), self.jacobian.reshape(-1, len(units)).astype(float)
-        bend = rows.T @ (self.weight.reshape(-1, 1) * rows)
+        units = np.asarray(self.vantage.units, float)
+        n, dtype, rows = len(units), self.weight.dtype, self.jacobian.astype(float)
+        bend = np.einsum("hwm,hw,hwn->mn", rows, self.weight, rows, optimize=True)
+        places = np.zeros((1, n), dtype)
         if self.step is not None:
-            held = self.weight * self.difference
-            slopes = np.asarray(_slopes(self._places()[1:], self.sight, self.shown, held), float)
+            each = self.step * np.eye(n, dtype=dtype)
+            places = np.concatenate([places, each, -each])
+            slopes = np.asarray(_slopes(self, places[1:]), float)
             bend = bend + (slopes[:n] - slopes[n:]) / (2 * self.step)
-        pull = self._pull(inputs, *velocity) / units.astype(self.weight.dtype)
-        return Slope(columns, counts * bend / np.outer(units, units), counts * pull)
-
-    def _pull(self, given: Any, of_target: Any, of_weight: Any, of_shown: Any) -> Array:
-        changes = share = None
-        if jax.tree.leaves(of_shown):
-            moving = of_shown
-            if jax.tree.leaves(of_shown.scene):  # (all of a scene's arrays move, or none)
-                solid = eqx.filter(self.shown.scene, eqx.is_inexact_array)
-                still = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), solid)
-                moving = of_shown._replace(scene=eqx.combine(of_shown.scene, still))
-            else:
-                moving = of_shown._replace(scene=eqx.filter(self.shown.scene, False))
-            changes = _along(self._places(), self.sight, self.shown, moving)
+        of_target, of_weight, moving = velocity
+        share = None
         if of_weight is not None:
-            given = np.asarray(given)
+            given = np.asarray(weight)
             share = np.where(given > 0, self.weight / np.where(given > 0, given, 1), 0)
-            share = share.astype(self.weight.dtype)
-        arrays = self.jacobian, self.difference, self.weight, self.step
-        return _pull_of(*arrays, changes, of_target, share, of_weight)
-
-    def _places(self) -> np.ndarray:
-        """No move; and, where second derivatives count, a step each way along each."""
-        n, dtype = len(self.sight.units), self.weight.dtype
-        if self.step is None:
-            return np.zeros((1, n), dtype)
-        each = self.step * np.eye(n, dtype=dtype)
-        return np.concatenate([np.zeros((1, n), dtype), each, -each])
+        scene = eqx.filter(self.arranged.scene, False)
+        if jax.tree.leaves(moving.scene):  # (all of a scene's arrays move, or none)
+            solid = eqx.filter(self.arranged.scene, eqx.is_inexact_array)
+            still = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), solid)
+            scene = eqx.combine(moving.scene, still)
+        pull = _pull(self, places, of_target, share, of_weight, moving._replace(scene=scene))
+        bend, pull = bend / np.outer(units, units), pull / units.astype(dtype)
+        return Slope(columns, counts * bend, counts * pull)
 
 
 @eqx.filter_jit
-def _pull_of(
-    jacobian: Any,
-    difference: Any,
-    weight: Any,
-    step: float | None,
-    changes: Any,
-    of_target: Any,
-    share: Any,
-    of_weight: Any,
+def _slopes(end: End, places: Any) -> Array:
+    """The derivative (k, n) of the image's product with what is left, at some moves."""
+    held = end.weight * end.difference
+    product = lambda y: jnp.sum(held * _image(y, end.vantage, end.arranged))
+    return jax.lax.map(jax.grad(product), places)
+
+
+@eqx.filter_jit
+def _pull(
+    end: End, places: Any, of_target: Any, share: Any, of_weight: Any, moving: Arrangement
 ) -> Array:
-    """The gradient's rate of change while the camera stays, with the image's changes (k, H, W) at
-    `End._places`."""
-    toward = jnp.zeros_like(difference) if changes is None else changes[0]
+    """The gradient's rate of change (n,) while the camera stays: linear in the velocities."""
+    dtype, toward, changes = end.weight.dtype, jnp.zeros_like(end.difference), None
+    if jax.tree.leaves(moving):
+        is_moving = jax.tree.map(lambda x: x is not None, moving, is_leaf=lambda x: x is None)
+        solid, fixed = eqx.partition(end.arranged, is_moving)
+
+        def change(y: Array) -> Array:
+            image = lambda solid: _image(y, end.vantage, eqx.combine(solid, fixed))
+            return jax.jvp(image, (solid,), (moving,))[1]
+
+        changes = jax.lax.map(change, places)
+        toward = changes[0]
     if of_target is not None:
-        toward = toward - of_target.astype(weight.dtype)
-    toward = weight * toward
+        toward = toward - of_target.astype(dtype)
+    toward = end.weight * toward
     if of_weight is not None:
-        toward = toward + share * of_weight.astype(weight.dtype) * difference
-    pull = jnp.einsum("hwn,hw->n", jacobian, toward)
-    if changes is not None and step is not None:
-        along = jnp.einsum("khw,hw->k", changes[1:], weight * difference)
+        toward = toward + share.astype(dtype) * of_weight.astype(dtype) * end.difference
+    pull = jnp.einsum("hwn,hw->n", end.jacobian, toward)
+    if changes is not None and end.step is not None:
+        along = jnp.einsum("khw,hw->k", changes[1:], end.weight * end.difference)
         ahead, behind = jnp.split(along, 2)
-        pull = pull + (ahead - behind) / (2 * step)
+        pull = pull + (ahead - behind) / (2 * end.step)
     return pull
 
 
-@eqx.filter_jit
-def _slopes(places: Any, sight: Sight, shown: Shown, held: Any) -> Float[Array, "k n"]:
-    """The derivative of the image's product with `held` at some moves (k, n)."""
-    return jax.lax.map(jax.grad(lambda y: jnp.sum(held * _image(y, sight, shown))), places)
+def end_of(vantage: Vantage, arranged: Arrangement, target: Any, weight: np.ndarray) -> End:
+    """The end of a fit to a target, in units of moves that show as a pixel's do."""
+    film, dtype = vantage.film, np.dtype(vantage.film.e.dtype)
+    image, jacobian = _image_and_jacobian(np.zeros_like(vantage.units), vantage, arranged)
+    target = as_coverage(check_image("target", target, film.W, film.H))
+    difference, weight = np.asarray(image) - target.astype(dtype), weight.astype(dtype)
+    left = float(np.mean(weight * difference * difference)) ** 0.5
+    rows = np.asarray(jacobian)
+    touched = max(int(np.sum(np.any(rows != 0, axis=-1))), 1)
+    size = np.sqrt(np.sum(rows**2, axis=(0, 1)) / touched)
+    units = 1 / np.maximum(size, max(LEAST_SHOWN * size.max(), np.finfo(dtype).tiny))
+    vantage = eqx.tree_at(lambda v: v.units, vantage, units.astype(dtype))
+    step = STEP_PX[dtype] if left > NO_RESIDUAL else None
+    return End(vantage, arranged, (rows * units).astype(dtype), difference, weight, step)
 
 
 @eqx.filter_jit
-def _along(places: Any, sight: Sight, shown: Shown, velocity: Any) -> Float[Array, "k H W"]:
-    """The image's rate of change, at some moves (k, n), where what it shows moves."""
-    moving = jax.tree.map(lambda x: x is not None, velocity, is_leaf=lambda x: x is None)
-    solid, fixed = eqx.partition(shown, moving)
-
-    def change(y: Any) -> Any:
-        image = lambda solid: _image(y, sight, eqx.combine(solid, fixed))
-        return jax.jvp(image, (solid,), (velocity,))[1]
-
-    return jax.lax.map(change, places)
-
-
-@eqx.filter_jit
-def velocity_of(
-    sight: Sight, step: Float[Array, "n"]
-) -> tuple[Camera, Float[Array, "4 4"], Float[Array, ""]]:
-    """The rates of change of a sight's camera, object and size, with unknowns that move so."""
-    y = step / sight.units
-    return jax.jvp(sight.moved, (jnp.zeros_like(y),), (y,))[1]
+def velocity_of(vantage: Vantage, step: Array) -> tuple[Camera, Array, Array]:
+    """The rates of change of a vantage's camera, object and size, with unknowns that move so."""
+    y = step / vantage.units
+    return jax.jvp(vantage.moved, (jnp.zeros_like(y),), (y,))[1]
 
 
 def camera_velocity(
@@ -394,11 +366,11 @@ def camera_velocity(
     weight: np.ndarray,
     velocity: tuple[Any, Any, Any],
 ) -> Camera:
-    """The rate of change of a camera that was fitted to scene, target and weight, of which these
-    weights (H, W) of pixels decided."""
+    """The rate of change of a camera that was fitted to scene, target and weight, where pixels of
+    these weights (H, W) decided."""
     scene, of_target, of_weight = velocity
-    sight = Sight.of(canonical(camera), camera, pose_of(camera), freed)
-    end = End.of(sight, Shown.of(inputs[0], camera.e.dtype), inputs[1], weight)
-    moving = of_target, of_weight, Shown(scene, None, None)
-    (step,) = steps_of([end.slope(np.arange(len(end.sight.units)), 1.0, inputs[2], moving)])
-    return velocity_of(end.sight, step)[0]
+    vantage = vantage_of(canonical(camera), camera, pose_of(camera), freed)
+    end = end_of(vantage, arrangement_of(inputs[0], camera.e.dtype), inputs[1], weight)
+    rates = of_target, of_weight, Arrangement(scene, None, None)
+    (step,) = steps_of([end.slope(np.arange(len(vantage.units)), 1.0, inputs[2], rates)])
+    return velocity_of(end.vantage, step)[0]

@@ -18,9 +18,9 @@ from .._solver.moves import canonical
 from .._solver.parameters import as_names, check_free, components, in_one, with_lens
 from .._solver.solver import Solver
 from .._solver.subject import Subject
+from .lenses import alike_in_groups, groups_of
 from .priors import bounds_by_name, priors_of, scales_of, zeros_of
 from .problem import JointProblem
-from .shared import alike_in_groups, groups_of
 from .views import MOTIONS, POSE, SCALE, TWIST, Eye, JointView, State, Unknown
 
 #: From this many views on, small masks have pyramids of few cells (MB less for each of them, and a
@@ -56,15 +56,10 @@ def joint_problem(
     check_reach(outlier_px)
     _check_views(views)
     zeros = zeros_of(joint_zeros, views)
-    cameras = {"camera": cameras} if isinstance(cameras, Camera) else cameras
-    if not isinstance(cameras, Mapping):
-        kind = type(cameras).__name__
-        raise ValueError(f"`cameras`: expected a Camera, or a dict of them, got {kind}")
-    for name, camera in cameras.items():
-        check_camera(camera, f"cameras[{name!r}]")
-    poses = {n: check_pose(f"objects[{n!r}]", x) for n, x in (objects or {}).items()}
-    places = {n: check_pose(f"rig[{n!r}]", x) for n, x in (rig or {}).items()}
+    cameras = _checked_cameras(cameras)
+    poses, places = _poses("objects", objects), _poses("rig", rig)
     _check_names(views, cameras, poses, places)
+    parts = [*poses]
 
     groups = groups_of(shared, cameras)
     names = (*as_names(free), *groups)
@@ -80,33 +75,23 @@ def joint_problem(
     subjects: dict[int, Subject] = {}  # (a scene's arrays are not copied for each view)
     eyes = []
     for k, view in enumerate(views):
-        camera = cameras[view.camera]
-        known = [_pose(f"views[{k}].{n}", getattr(view, n)) for n in ("mount", "placed")]
-        image, weight = _checked_mask(k, view, camera, search)
-        image = image if as_given else levelled(image, weight)
-        if id(view.scene) not in subjects:
-            subjects[id(view.scene)] = Subject.of(view.scene, camera.e.dtype)
-        solver = Solver.on(
-            subjects[id(view.scene)],
-            image,
-            weight,
-            (POSE, *lens),
-            max_steps,
-            limits[view.camera],
-            continued=outlier_px is not None,
-            cells=cells,
-        )
-        owner_of, place = owners[view.camera], places.get(view.camera, np.eye(4))
-        mask, (mount, placed) = Mask(image, weight, camera), known
-        eyes.append(Eye(view, mask, solver, owner_of, moving[view.camera], mount, place, placed))
+        name, camera = view.camera, cameras[view.camera]
+        mask = _checked_mask(k, view, camera, search, as_given)
+        key, dtype = id(view.scene), camera.e.dtype
+        subject = subjects[key] = subjects.get(key) or Subject.of(view.scene, dtype)
+        own = subject, mask.target, mask.weight, (POSE, *lens), max_steps
+        solver = Solver.on(*own, limits[name], outlier_px is not None, cells)
+        mount, placed = _transforms(k, view)
+        place = places.get(name, np.eye(4))
+        eyes.append(Eye(view, mask, solver, owners[name], moving[name], mount, placed, place))
 
     scales = scales_of(prior, views)
-    for name, camera in cameras.items():
-        poses.setdefault(moving[name], pose_of(camera) @ inverse(places.get(name, np.eye(4))))
+    for eye in eyes:
+        poses.setdefault(eye.moving, pose_of(eye.mask.camera) @ inverse(eye.rig))
     problem = JointProblem(
-        unknowns=_unknowns(freed, owners, moving, [*(objects or ())], [*scales]),
+        unknowns=_unknowns(freed, owners, moving, parts, [*scales]),
         eyes=eyes,
-        priors=priors_of(prior, cameras, freed, eyes, [*(objects or ())], [*scales]),
+        priors=priors_of(prior, cameras, freed, eyes, parts, [*scales]),
         zeros=zeros,
         start=State(poses, {n: canonical(c) for n, c in cameras.items()}, scales, {}),
         cameras=cameras,
@@ -115,9 +100,14 @@ def joint_problem(
         weights=np.ones(len(eyes)),
         widens=widens,
     )
-    if idle := [k for k in range(len(eyes)) if not problem.of(k)]:
-        raise ValueError(f"`views[{idle[0]}]`: expected a view of something unknown, got none")
+    _check_idle(problem)
     return problem
+
+
+def _transforms(k: int, view: JointView) -> list[Pose]:
+    """Where a view's camera is carried, and its scene placed. Raises ValueError for these."""
+    given = {"mount": view.mount, "placed": view.placed}.items()
+    return [np.eye(4) if x is None else check_pose(f"views[{k}].{n}", x) for n, x in given]
 
 
 def _unknowns(
@@ -144,8 +134,18 @@ def _unknowns(
     return result
 
 
-def _pose(name: str, given: Any) -> Pose:
-    return np.eye(4) if given is None else check_pose(name, given)
+def _poses(argument: str, given: Mapping[str, Any] | None) -> dict[str, Pose]:
+    return {n: check_pose(f"{argument}[{n!r}]", x) for n, x in (given or {}).items()}
+
+
+def _checked_cameras(cameras: Any) -> Mapping[str, Camera]:
+    cameras = {"camera": cameras} if isinstance(cameras, Camera) else cameras
+    if not isinstance(cameras, Mapping):
+        kind = type(cameras).__name__
+        raise ValueError(f"`cameras`: expected a Camera, or a dict of them, got {kind}")
+    for name, camera in cameras.items():
+        check_camera(camera, f"cameras[{name!r}]")
+    return cameras
 
 
 def _check_views(views: Any) -> None:
@@ -191,10 +191,14 @@ def _check_names(
             raise ValueError(f"`views[{k}].scale`: {words}")
 
 
-def _checked_mask(
-    k: int, view: JointView, camera: Camera, search: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """A view's mask and weights. Raises ValueError for these, and for its photo."""
+def _check_idle(problem: JointProblem) -> None:
+    for k in range(len(problem.eyes)):
+        if not problem.of(k):
+            raise ValueError(f"`views[{k}]`: expected a view of something unknown, got none")
+
+
+def _checked_mask(k: int, view: JointView, camera: Camera, search: bool, as_given: bool) -> Mask:
+    """A view's mask. Raises ValueError for this, and for its photo."""
     is_world = view.mount is None and view.object is None and view.placed is None
     try:
         image, weight = check_target(view.target, view.weight, camera.W, camera.H)
@@ -203,4 +207,4 @@ def _checked_mask(
             check_photo(view.photo, camera.W, camera.H)
     except ValueError as error:
         raise ValueError(f"`views[{k}]`: {error}") from error
-    return image, weight
+    return Mask(image if as_given else levelled(image, weight), weight, camera)

@@ -15,7 +15,7 @@ from .._scene.scene import Scene, check_scene
 from .._solver.parameters import as_names, check_free
 from .._solver.priors import Pair
 from .fit_joint import joint_fit
-from .shared import SHARED
+from .lenses import SHARED
 from .views import JointView
 
 

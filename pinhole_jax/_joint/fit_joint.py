@@ -16,9 +16,9 @@ from .door import joint_problem
 from .implicit import answer_of, velocity, with_answer
 from .levels import Path, Tell, descended, to_the_end
 from .problem import JointProblem
-from .report import reported
 from .result import JointFit
 from .search import Alternatives, compared, joined
+from .summary import reported
 from .views import POSE, JointView
 
 #: With the zeros of joints a fit goes on from this many levels before the finest. (Zeros off by 3
@@ -59,9 +59,9 @@ def fit_joint(
     - `objects`: where unknown objects are at first (4, 4), by the names that views give.
     - `rig`: poses (4, 4) of cameras on a rig, by name: they move as one, from where the first of
       them is.
-    - `search`: poses are not known at all, each of which, a camera's (or rig's) or an object's, its
-      views show by itself: these are searched, all together. Without it that is done where the
-      start leads to what does not explain the masks.
+    - `search`: poses are not known at all: cameras, rig or objects, each alone in its views. All
+      views of a pose are searched together. Without it that is done where the start leads to what
+      does not explain the masks.
     - `outlier_px`: as in `fit_camera`: pixels farther from a mask's edge lose their weight at the
       end, where masks are not exact.
     - `prior`, `bounds`: as in `fit_camera`, the same for each camera, or by the names of cameras

@@ -7,7 +7,16 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.poses import at_pose
-from .._fit.implicit import OBJECT, End, Shown, Sight, steps_of, velocity_of
+from .._fit.implicit import (
+    OBJECT,
+    Arrangement,
+    Vantage,
+    arrangement_of,
+    end_of,
+    steps_of,
+    vantage_of,
+    velocity_of,
+)
 from .agreement import Agreement
 from .problem import JointProblem
 from .result import JointFit
@@ -46,18 +55,18 @@ def velocity(
     """The answer's rate of change, with the views' scenes, targets, weights, mounts and places."""
     problem, state, ends, slopes = found.problem, found.descent.state, [], []
     for k, (view, change) in enumerate(zip(views, moving, strict=True)):
-        sight = _sight(problem, k, state)
-        shown = Shown.of(view.scene, sight.film.e.dtype, view.mount, view.placed)
+        vantage = _vantage_of(problem, k, state)
+        arranged = arrangement_of(view.scene, vantage.film.e.dtype, view.mount, view.placed)
         weights = problem.eyes[k].solver.weights
         weight = weights if isinstance(weights, np.ndarray) else weights.image()
-        ends.append(End.of(sight, shown, view.target, weight))
-        of_shown = Shown(change.scene, change.mount, change.placed)
-        rates = change.target, change.weight, of_shown
+        ends.append(end_of(vantage, arranged, view.target, weight))
+        moved = Arrangement(change.scene, change.mount, change.placed)
+        rates = change.target, change.weight, moved
         counts = float(problem.weights[k])
         slopes.append(ends[-1].slope(problem.columns(k), counts, view.weight, rates))
     result = Answer({}, {}, {})
     for eye, end, step in zip(problem.eyes, ends, steps_of(slopes), strict=True):
-        camera, place, scale = velocity_of(end.sight, step)
+        camera, place, scale = velocity_of(end.vantage, step)
         result.cameras[eye.shot.camera] = camera
         if eye.shot.object is not None:
             result.poses[eye.shot.object] = place
@@ -67,12 +76,12 @@ def velocity(
     return Answer(*({name: rates[name] for name in own} for own, rates in pairs))
 
 
-def _sight(problem: JointProblem, k: int, state: State) -> Sight:
+def _vantage_of(problem: JointProblem, k: int, state: State) -> Vantage:
     eye = problem.eyes[k]
     name, pose = eye.shot.camera, state.poses[eye.moving]
     unknowns = problem.of(k)
     is_object = lambda u: u.kind in MOTIONS and u.name != eye.moving
-    return Sight.of(
+    return vantage_of(
         at_pose(state.lenses[name], pose @ eye.rig),
         problem.cameras[name],
         pose,

@@ -27,7 +27,7 @@ DRAWN_PX = 5e-3
 Tell = Callable[[str], None]
 
 
-class Stop(NamedTuple):
+class LevelEnd(NamedTuple):
     """Where steps on a level ended: how far it is from the finest, and their number."""
 
     state: State
@@ -41,7 +41,7 @@ class Path(NamedTuple):
 
     descent: Descent
     steps: tuple[int, ...]
-    way: tuple[Stop, ...] = ()
+    way: tuple[LevelEnd, ...] = ()
     free: tuple[Free, ...] = ()
 
     @property
@@ -63,16 +63,16 @@ def descended(
     depths: Sequence[int],
     px: float | None = None,
 ) -> Path:
-    """The path from level to level, on the finest of which steps below this many px are negligible
-    (None: as `problem.px` has it)."""
-    steps, way = [], [Stop(state, depths[0], 0)]
+    """The path from level to level; steps on the finest are negligible below this many px (None: as
+    `problem.px` has it)."""
+    steps, way = [], [LevelEnd(state, depths[0], 0)]
     found = Descent(state, [], np.inf, 0, False)
     for depth in depths:
         least = (px or problem.px) if depth == 1 else COARSE_PX
         most = problem.max_steps if depth == 1 else min(problem.max_steps, COARSE_STEPS)
         found = replace(problem, depth=depth).descend(found.state, most, least)
         steps.append(found.steps)
-        way.append(Stop(found.state, depth, found.steps))
+        way.append(LevelEnd(found.state, depth, found.steps))
         left = f"{depth - 1} level{'s' * (depth != 2)} left"
         tell(f"{len(problem.eyes)} views: {found.steps} steps, {left}")
     return Path(found, tuple(steps), tuple(way))

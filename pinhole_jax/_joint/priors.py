@@ -65,8 +65,7 @@ def priors_of(
     objects: Sequence[str],
     scales: Sequence[str],
 ) -> list[JointPrior]:
-    """Priors of cameras, of which `freed` are free, of objects and scales: one for each unknown
-    that cameras have in common.
+    """Priors of cameras, objects and scales: one for each unknown that cameras have in common.
 
     Raises ValueError for what is no prior of these.
     """

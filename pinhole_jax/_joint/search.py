@@ -23,16 +23,18 @@ from .._fit.strategy import (
     everywhere,
     looked_alike,
     looked_round,
+    most_agreeing,
+    without_outliers,
 )
 from .._mask.search import guesses
 from .._solver.least_squares import Solved, solve
 from .._solver.moves import canonical, on_film
 from .._solver.parameters import LABELS, labels_of
 from .._solver.priors import Others
-from .._solver.solver import Found, Solver
+from .._solver.solver import Found
+from .lenses import alike_in_groups, known_by_others
 from .levels import Path, Tell, descended
 from .problem import JointProblem
-from .shared import alike_in_groups, known_by_others
 from .views import SCALE, State
 
 #: Of each view this many guesses are tried, so far apart (rad), and this many of all followed
@@ -188,7 +190,7 @@ def _others(problem: JointProblem, k: int, path: Path, solved: Solved) -> Others
 def _places(pose: LonePose, path: Path | None, start: State | None, tell: Tell) -> list[Path]:
     """Paths of a lone pose that explain its masks as well as the best, which is the first."""
     here = None if path is None else pose.seen_in(path)
-    if len(pose.numbers) == 1:
+    if len(pose.numbers) == 1 and pose.name not in pose.problem.objects():
         return _of_one_view(pose, here, start)
     problem, paths = pose.problem, [] if here is None else [here]
     if here is None or not _is_content(problem, here):
@@ -213,9 +215,23 @@ def _of_one_view(pose: LonePose, here: Path | None, start: State | None) -> list
     else:
         places = looked_round(solver, mask, found, eye.canonical(start), silent)
 
+    found_again = lambda place: (
+        found is not None
+        and (
+            separation(solver, place.camera, found.camera) < ONE_PLACE
+            and not better(solver, place.view, found.view)
+        )
+    )
+    kept, reach = [places.best, *places.others], problem.outlier_px
+    if reach is not None and places.best.view.touched_misfit > EXACT:
+        # What masks do not tell apart is another place only where most of the outline agrees.
+        begin = None if start is None else eye.canonical(start)
+        described = without_outliers(solver, mask, places, reach, begin)
+        described = most_agreeing(solver, mask, described, len(kept), begin)
+        kept = [f._replace(view=whole) for f, whole in described]
     paths = []
-    for place in (places.best, *places.others):
-        if here is not None and found is not None and _is_same(solver, place, found):
+    for place in kept:
+        if here is not None and found_again(place):
             paths += [] if any(p is here for p in paths) else [here]
         else:
             there = eye.with_camera(pose.name, place.camera, state)
@@ -226,11 +242,6 @@ def _of_one_view(pose: LonePose, here: Path | None, start: State | None) -> list
             paths = [here, *(p for p in paths if p is not here)]
     paths[0] = paths[0]._replace(free=tuple(places.free))
     return paths
-
-
-def _is_same(solver: Solver, place: Found, found: Found) -> bool:
-    near = separation(solver, place.camera, found.camera) < ONE_PLACE
-    return bool(near and not better(solver, place.view, found.view))
 
 
 def _is_content(problem: JointProblem, path: Path) -> bool:

@@ -87,7 +87,7 @@ class Unknown(NamedTuple):
     a joint's zero.
 
     `kind` is one of `MOTIONS`, `SCALE`, `ZERO`, or the parameter's name; `cameras` are those that
-    have such a parameter in common, the first of which gives it its name.
+    have such a parameter in common; the first gives it its name.
     """
 
     name: str
@@ -110,8 +110,8 @@ class Eye:
     owners: Mapping[str, str]
     moving: str
     mount: Pose
-    rig: Pose
     placed: Pose
+    rig: Pose
     #: The last state, and the view's own camera and its pose there: each look asks many times.
     _cameras: list[tuple[State, Camera, Pose]] = field(default_factory=list, init=False)
     #: The last offsets of joints, and the subject with these.

@@ -14,7 +14,7 @@ from .._fit.fit_camera import check_reach, check_steps
 from .._fit.implicit import check_plain, steps_of, through
 from .._fit.result import UNCERTAIN, Progress, at_rest, to_units, widest_turn, without_ended
 from .._fit.words import parameter_lines
-from .._joint.shared import alike, known_by_others, shared_and_free
+from .._joint.lenses import alike, known_by_others, shared_and_free
 from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
 from .._solver.least_squares import solve
 from .._solver.moves import on_film
