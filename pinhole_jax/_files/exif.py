@@ -35,26 +35,31 @@ def field_of_view(image: Any) -> FieldOfView | None:
     """
     from PIL import ExifTags
 
+    Base = ExifTags.Base
     tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
-    number = lambda tag: _positive(tags.get(tag))
+    film, length, density, *full = (
+        _positive(tags.get(tag))
+        for tag in (
+            Base.FocalLengthIn35mmFilm,
+            Base.FocalLength,
+            Base.FocalPlaneXResolution,
+            Base.ExifImageWidth,
+            Base.ExifImageHeight,
+        )
+    )
     W, H = image.size
-    longer = max(W, H)
-    full = number(ExifTags.Base.ExifImageWidth), number(ExifTags.Base.ExifImageHeight)
-    if full[0] and full[1]:
-        was, now = max(full) / min(full), longer / min(W, H)
-        if abs(was / now - 1) > SAME_SHAPE:
+    smaller = 1.0
+    if all(full):
+        smaller = max(W, H) / max(full)
+        if abs(min(full) * smaller / min(W, H) - 1) > SAME_SHAPE:
             return None
-    film, length = number(ExifTags.Base.FocalLengthIn35mmFilm), number(ExifTags.Base.FocalLength)
-    density = number(ExifTags.Base.FocalPlaneXResolution)
-    unit = UNIT_MM.get(tags.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))
     focals_px = {}
     if film:
         focals_px[f"FocalLengthIn35mmFilm {film:g} mm"] = film * math.hypot(W, H) / FILM_DIAGONAL_MM
+    unit = UNIT_MM.get(tags.get(Base.FocalPlaneResolutionUnit, 2))
     if length and density and unit:
-        smaller = longer / max(full) if full[0] and full[1] else 1.0
-        focals_px[f"FocalLength {length:g} mm and FocalPlaneXResolution"] = (
-            length * density / unit * smaller
-        )
+        words = f"FocalLength {length:g} mm and FocalPlaneXResolution"
+        focals_px[words] = length * density / unit * smaller
     if not focals_px:
         return None
     (words, focal), *others = focals_px.items()

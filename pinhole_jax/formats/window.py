@@ -25,19 +25,17 @@ def cropped(
     ```
     """
     check_camera(camera)
-    camera.replace(W=W, H=H, lens=None)  # checks W and H
+    plain = camera.replace(W=W, H=H, lens=None)  # checks W and H
     x0, y0 = (
         float_array(name, x, (), camera.e.dtype) for name, x in (("left", left), ("top", top))
     )
-    phi = 2 * jnp.arctan(jnp.tan(camera.phi / 2) * (H / camera.H))
+    plain = plain.replace(phi=2 * jnp.arctan(jnp.tan(camera.phi / 2) * (H / camera.H)))
     centred = is_concrete(x0, y0) and (2 * x0 + W, 2 * y0 + H) == (camera.W, camera.H)
-    lens = None
-    if camera.lens is not None or not centred:
-        fx, fy = focal_px(camera)
-        x, y = principal_point(camera)
-        corner = jnp.stack([x - x0, y - (camera.H - H - y0)])
-        lens = Lens(corner, fx / fy, camera.lens and camera.lens.distortion)
-    return camera.replace(phi=phi, W=W, H=H, lens=lens)
+    if camera.lens is None and centred:
+        return plain
+    (fx, fy), (x, y) = focal_px(camera), principal_point(camera)
+    corner = jnp.stack([x - x0, y - (camera.H - H - y0)])
+    return plain.replace(lens=Lens(corner, fx / fy, camera.distortion))
 
 
 def resized(camera: Camera, W: Input[int, "px"], H: Input[int, "px"]) -> Camera:
@@ -52,13 +50,10 @@ def resized(camera: Camera, W: Input[int, "px"], H: Input[int, "px"]) -> Camera:
     ```
     """
     check_camera(camera)
-    camera.replace(W=W, H=H, lens=None)  # checks W and H
-    lens = None
-    if camera.lens is not None or W * camera.H != H * camera.W:
-        fx, fy = focal_px(camera)
-        x, y = principal_point(camera)
-        scale_x, scale_y = W / camera.W, H / camera.H
-        aspect = fx / fy * (scale_x / scale_y)
-        centre = jnp.stack([x * scale_x, y * scale_y])
-        lens = Lens(centre, aspect, camera.lens and camera.lens.distortion)
-    return camera.replace(W=W, H=H, lens=lens)
+    plain = camera.replace(W=W, H=H, lens=None)  # checks W and H
+    if camera.lens is None and W * camera.H == H * camera.W:
+        return plain
+    (fx, fy), (x, y) = focal_px(camera), principal_point(camera)
+    scale_x, scale_y = W / camera.W, H / camera.H
+    centre = jnp.stack([x * scale_x, y * scale_y])
+    return plain.replace(lens=Lens(centre, fx / fy * (scale_x / scale_y), camera.distortion))
