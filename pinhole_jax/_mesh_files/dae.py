@@ -53,7 +53,7 @@ def read_dae(data: bytes) -> Polygons:
 
     scale = np.diag([metres, metres, metres, 1])
     return assembled(
-        (*_polygons(primitive), scale @ place)
+        (_polygons(primitive), scale @ place)
         for geometry, place in _instances(document.scene.nodes)
         for primitive in geometry.primitives
     )
@@ -74,14 +74,15 @@ def _instances(nodes: list[Any]) -> Iterator[tuple[Any, np.ndarray]]:
             waiting += [(child, within) for child in reversed(node.children)]
 
 
-def _polygons(primitive: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the points, corners and numbers of corners of one element; lines have none."""
+def _polygons(primitive: Any) -> Polygons:
+    """Return the polygons of one element; lines have none."""
     from collada.lineset import LineSet
 
-    corners = primitive.vertex_index
+    corners, none = primitive.vertex_index, np.empty(0, int)
     if corners is None or isinstance(primitive, LineSet):
-        return np.empty((0, 3)), np.empty(0, int), np.empty(0, int)
+        return Polygons(np.empty((0, 3)), none, none)
     counts = getattr(primitive, "vcounts", np.full(len(corners), 3))
     if np.sum(counts) != corners.size:
         raise ValueError("expected as many indices as polygons have corners")
-    return np.asarray(primitive.vertex, float), corners.ravel().astype(int), counts.astype(int)
+    points = np.asarray(primitive.vertex, float)
+    return Polygons(points, corners.ravel().astype(int), counts.astype(int))

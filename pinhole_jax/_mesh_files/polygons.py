@@ -39,27 +39,25 @@ class Polygons(NamedTuple):
     counts: Int[np.ndarray, "F"]
 
 
-def assembled(
-    parts: Iterable[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]],
-) -> Polygons:
-    """Return parts as one: of each its points, corners, counts, and its place (4, 4); a mirror's
-    polygons run the other way.
+def assembled(parts: Iterable[tuple[Polygons, np.ndarray]]) -> Polygons:
+    """Return parts as one, each moved to its place (4, 4); a mirror turns its polygons round.
 
-    Raises ValueError for corners that a part has not, and for more than `MOST_CORNERS`.
+    Raises ValueError for corners that a part does not have, and for more than `MOST_CORNERS`.
     """
     points, corners, counts, start, total = [np.empty((0, 3))], [], [], 0, 0
-    for own, part, number, place in parts:
-        total += len(own) + len(part)
+    for part, place in parts:
+        number = len(part.points)
+        total += number + len(part.corners)
         if total > MOST_CORNERS:
             raise ValueError(f"expected at most {MOST_CORNERS} corners in all, got more")
-        if part.size and not (np.min(part) >= 0 and np.max(part) < len(own)):
-            raise ValueError(f"expected indices of {len(own)} vertices, got {np.max(part)}")
-        there = np.array_equal(place, np.eye(4))
-        points.append(own if there else own @ place[:3, :3].T + place[:3, 3])
+        if part.corners.size and not 0 <= np.min(part.corners) <= np.max(part.corners) < number:
+            raise ValueError(f"expected indices of {number} vertices, got {np.max(part.corners)}")
+        still = np.array_equal(place, np.eye(4))
+        points.append(part.points if still else part.points @ place[:3, :3].T + place[:3, 3])
         step = -1 if np.linalg.det(place[:3, :3]) < 0 else 1
-        corners.append(start + part[::step])
-        counts.append(number[::step])
-        start += len(own)
+        corners.append(start + part.corners[::step])
+        counts.append(part.counts[::step])
+        start += number
     none = np.empty(0, int)
     joined = (np.concatenate([none, *arrays]) for arrays in (corners, counts))
     return Polygons(np.concatenate(points), *joined)
@@ -125,7 +123,7 @@ def strips_cut(corners: Int[np.ndarray, "K"], counts: Int[np.ndarray, "S"]) -> n
 
 def _check_time(uneven: list[tuple[int, np.ndarray]], numbers: np.ndarray) -> None:
     if sum(len(corner) ** 2 for _, corner in uneven) > MOST_EAR_STEPS:
-        k, corner = max(uneven, key=lambda one: len(one[1]))
+        k, corner = max(uneven, key=lambda face: len(face[1]))
         raise ValueError(
             f"face {numbers[k]}: {len(corner)} corners, not all seen from the first; that many take"
             " more than seconds to cut"
@@ -211,9 +209,8 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 def _fans_are_right(flat: np.ndarray) -> np.ndarray:
     """Return True (m,) for fans from the first corners that turn one way, at most once around."""
     arms = flat[:, 1:] - flat[:, :1]
-    one, next_one = arms[:, :-1], arms[:, 1:]
-    cross = one[..., 0] * next_one[..., 1] - one[..., 1] * next_one[..., 0]
-    dot = np.sum(one * next_one, axis=-1)
+    cross = _cross(arms[:, :-1], arms[:, 1:])
+    dot = np.sum(arms[:, :-1] * arms[:, 1:], axis=-1)
 
     # Corners in line as seen from the first are no harm; a turn by half a circle is no fan's.
     ahead = (cross > 1e-15) | ((np.abs(cross) <= 1e-15) & (dot > 0))
@@ -224,7 +221,7 @@ def _fans_are_right(flat: np.ndarray) -> np.ndarray:
 def _cut(space: np.ndarray, number: int, left: int) -> tuple[np.ndarray, int]:
     """Return the triangles (t, 3) of one polygon (n, 3) as corners 0 to n - 1, and the steps used
     of those that are `left` for cuts of least area."""
-    flat, rounding = (one[0] for one in _laid_flat(space[None]))
+    (flat,), (rounding,) = _laid_flat(space[None])
     own = float(np.sum(_areas(flat, _fan(len(flat)))))
     sides = float(np.sum(np.linalg.norm(flat - np.roll(flat, 1, axis=0), axis=-1)))
     excess = lambda triangles: abs(float(np.sum(np.abs(_areas(flat, triangles)))) - own)
@@ -325,6 +322,10 @@ def _loops(edges: list[list[int]]) -> Iterator[list[int]]:
 
 def _areas(flat: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return twice the triangles' areas, positive where they run counter-clockwise."""
-    a, b, c = (flat[triangles[:, k]] for k in range(3))
-    one, other = b - a, c - a
-    return one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+    a, b, c = np.moveaxis(flat[triangles], 1, 0)
+    return _cross(b - a, c - a)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the cross products of vectors (..., 2)."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -167,11 +167,11 @@ def _posed(
             raise ValueError(
                 f"`CAMERA_ID`: expected a camera of {str(file)!r}, got {number} ({where})"
             )
-        view, distortion, own = cameras[number]
+        view, distortion, source = cameras[number]
         fields = Fields({"QUATERNION": pose[:4], "TRANSLATION": pose[4:]}, where)
         R = rotation_of(fields.array("QUATERNION", (4,))[[1, 2, 3, 0]], fields, "QUATERNION")
         matrix = rigid(R, fields.array("TRANSLATION", (3,)))
-        yield name, camera_of(view, inverse(matrix), OPENCV, own, distortion)
+        yield name, camera_of(view, inverse(matrix), OPENCV, source, distortion)
 
 
 def _pose(camera: Camera) -> list[float]:
@@ -245,11 +245,11 @@ def _check_points(where: str, line: str) -> None:
 def _check_count(file: Path, count: int) -> None:
     """Check the number of entries that a file's heading says, if it has one."""
     with opened(file, KIND, MOST_MODEL) as stream:
-        said = re.search(rb"^# Number of (?:cameras|images): (\d{1,18})", stream.read(4096), re.M)
-    if said and int(said[1]) != count:
-        raise ValueError(
-            f"expected {int(said[1])} entries, as its heading says, got {count} (in {str(file)!r})"
-        )
+        start = stream.read(4096)
+    heading = re.search(rb"^# Number of (?:cameras|images): (\d{1,18})", start, re.M)
+    if heading and (expected := int(heading[1])) != count:
+        where = f"in {str(file)!r}"
+        raise ValueError(f"expected {expected} entries, as its heading says, got {count} ({where})")
 
 
 def _binary_cameras(file: Path) -> Iterator[Record]:

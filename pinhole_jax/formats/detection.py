@@ -37,7 +37,7 @@ LABELS = ("axes", "direction", "pixel_centres", "fov_axis")
 COARSE_PX, FULL_PX = 96, 320
 #: How many poses get a second look.
 KEPT = 6
-#: Two hypotheses are told apart where, of the pixels in which their masks differ, the target takes
+#: A mask decides between two hypotheses where, of the pixels that differ, the target takes
 #: one's side in this share, and in more than chance would by this many standard deviations.
 SHARE = 0.6
 SIGMAS = 4.0
@@ -74,7 +74,7 @@ class Detection(NamedTuple):
     """Hypotheses, best first; a sentence that says which one it is; whether the mask tells.
 
     ```python
-    told.sentence, told.hypotheses[0].camera
+    detection.sentence, detection.hypotheses[0].camera
     ```
     """
 
@@ -110,8 +110,8 @@ def detect(
     ```python
     K, R, t = pj.formats.to_opencv(camera, pixel_centres="half")
     pose = np.block([[R, t[:, None]], [np.zeros(3), 1]])
-    told = pj.formats.detect(scene, pj.silhouette(camera, scene), pose, K=K)
-    print(told)
+    detection = pj.formats.detect(scene, pj.silhouette(camera, scene), pose, K=K)
+    print(detection)
     ```
     """
     if np.ndim(mask) != 2:

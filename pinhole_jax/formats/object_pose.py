@@ -58,7 +58,7 @@ class ObjectPose(NamedTuple):
         turns, shifts = np.rad2deg(self.std[:3]), self.std[3:]
         quaternion = rotations().from_matrix(self.R).as_quat(canonical=True)
         t = "".join(f"{in_digits(*x):>15}" for x in zip(self.t.tolist(), shifts, strict=True))
-        few = lambda numbers: "".join(f"{x:>15.2g}" for x in numbers)
+        digits = lambda numbers: "".join(f"{x:>15.2g}" for x in numbers)
         first = 0 if self.pixel_centres == "integer" else 0.5
         return "\n".join(
             [
@@ -66,8 +66,8 @@ class ObjectPose(NamedTuple):
                 " X_camera = R X_object + t",
                 *_lines("R", self.R),
                 f"  t        {t}   world",
-                f"  one sigma{few(shifts)}   world",
-                f"  turned by{few(turns)}   deg, one sigma about x, y, z",
+                f"  one sigma{digits(shifts)}   world",
+                f"  turned by{digits(turns)}   deg, one sigma about x, y, z",
                 *_lines("x y z w", [quaternion]),
                 "camera in the object's frame: world_from_camera",
                 *_lines("", self.world_from_camera[:3]),

@@ -376,12 +376,12 @@ def _label(image: Image, number: int) -> Read:
     if not _has_numbers(image):
         raise ValueError(f"a picture of mode {image.mode}: labels are grey values or a palette's")
     mask = by_bands(image, lambda band: np.where(np.asarray(band) == number, 255, 0))
-    there = _values(image)
-    if number not in there:
-        raise ValueError(f"no pixel with the label {number}; there are {_listed(there)}")
+    values = _values(image)
+    if number not in values:
+        raise ValueError(f"no pixel with the label {number}; there are {_listed(values)}")
     share = np.count_nonzero(mask) / mask.size
     words = f"mask: label {number}, {share:.1%} of the picture, edges hard"
-    void = [x for x in VOID if x in there and x != number and len(there) > 2]
+    void = [x for x in VOID if x in values and x != number and len(values) > 2]
     if void:
         words += f"; {void[0]}, often void, counts as background: give such pixels weight 0"
     return Read(mask, words)

@@ -52,9 +52,11 @@ def _seen(rle: Any) -> str:
         return "nothing in a list: no mask"
     if isinstance(rle, np.ndarray) and rle.dtype in (bool, np.uint8) and rle.ndim > 1:
         return f"an array of shape {rle.shape}: a mask already?"
-    if all(isinstance(one, Mapping) for one in rle):
+    if all(isinstance(part, Mapping) for part in rle):
         return f"a list of {len(rle)} mask{'s' * (len(rle) > 1)}: give one of them, such as rle[0]"
-    if not all(isinstance(one, list | tuple | np.ndarray | int | float | np.number) for one in rle):
+    if not all(
+        isinstance(part, list | tuple | np.ndarray | int | float | np.number) for part in rle
+    ):
         return brief(rle)
     words = "polygons; pycocotools makes run lengths of them"
     return f"{words}: mask.merge(mask.frPyObjects(polygons, H, W)), each a list [x, y, x, y, ...]"

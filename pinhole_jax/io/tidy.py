@@ -86,8 +86,8 @@ def parts(
     found: Any = ndimage.label(inside, neighbours)
     labels, count = found
     sizes = np.zeros(count + 1, np.int64)
-    for some in rows(*inside.shape):  # a large mask's numbers are eight times as large as it
-        here = np.bincount(labels[some].ravel())
+    for part in rows(*inside.shape):  # a large mask's numbers are eight times as large as it
+        here = np.bincount(labels[part].ravel())
         sizes[: len(here)] += here
     sizes[0] = 0
     return labels, sizes
@@ -116,8 +116,8 @@ def _found(sizes: np.ndarray, inside: np.ndarray) -> list[str]:
     notes = []
     if len(sizes) > 1:
         largest = np.sort(sizes)[::-1] / np.sum(sizes)
-        some = ", ".join(f"{x:.0%}" for x in largest[:3])
-        notes.append(f"{len(sizes)} parts ({some} of the covered area): all one object?")
+        shares = ", ".join(f"{x:.0%}" for x in largest[:3])
+        notes.append(f"{len(sizes)} parts ({shares} of the covered area): all one object?")
     sides = {"top": inside[0], "bottom": inside[-1], "left": inside[:, 0], "right": inside[:, -1]}
     if cut := [name for name, side in sides.items() if np.any(side)]:
         notes.append(f"the film cuts the mask off: {', '.join(cut)}")
