@@ -1,0 +1,72 @@
+"""An arm of two links, its postures, and a camera before it: what joint fits are tried on."""
+
+from functools import cache
+
+import numpy as np
+import trimesh
+from oracles import drawn
+
+import pinhole_jax as pj
+from pinhole_jax import shapes
+from pinhole_jax._camera.poses import at_pose, exponential, pose_of
+
+SIZE = 96
+TRUTH = pj.Camera([0.4, -0.9, 6], [0, 0, 0.2], [0, 1, 0], 0.6, 1.0, SIZE, SIZE)
+#: Some 10 degrees and a fifth of a unit off.
+OFF = exponential(np.array([0.1, -0.12, 0.08, 0.1, 0.05, -0.2]))
+START = at_pose(TRUTH, pose_of(TRUTH) @ OFF)
+RIG = {"left": np.eye(4), "right": exponential(np.array([0, -0.1, 0, 0.6, 0, 0]))}
+RIGHT = at_pose(TRUTH, pose_of(TRUTH) @ RIG["right"])
+BOTH_EYES = {"left": TRUTH, "right": RIGHT}
+
+
+def posture(k):
+    """Where an arm and its second link are."""
+    random = np.random.default_rng(100 + k)
+    turn, aside = random.uniform(-1, 1, 3), 1.2 * random.uniform(-1, 1, 2)
+    return [np.eye(4), exponential(np.array([*turn, *aside, 0.9]))]
+
+
+@cache
+def arm():
+    bar = trimesh.creation.box((0.6, 0.9, 2.2))
+    return pj.Assembly([shapes.bumpy(2), pj.Mesh(np.asarray(bar.vertices), bar.faces)])
+
+
+@cache
+def scenes():
+    return [arm().at(posture(k)) for k in range(4)]
+
+
+@cache
+def views():
+    return [pj.JointView(scene, drawn(TRUTH, scene)) for scene in scenes()]
+
+
+def apart(a, b):
+    """Degrees and world units between two cameras."""
+    angle, shift = pj.pose_error(a, b)
+    return float(np.rad2deg(angle)), float(shift)
+
+
+@cache
+def stereo():
+    return [
+        pj.JointView(scene, drawn(camera, scene), camera=name)
+        for scene in scenes()[:2]
+        for name, camera in (("left", TRUTH), ("right", RIGHT))
+    ]
+
+
+def grown(times):
+    return np.diag([times, times, times, 1.0])
+
+
+@cache
+def noisy():
+    """Masks whose pixels err independently."""
+    random = np.random.default_rng(0)
+    noise = [0.05 * random.normal(size=(SIZE, SIZE)) for _ in views()]
+    return [
+        v._replace(target=np.clip(v.target + n, 0, 1)) for v, n in zip(views(), noise, strict=True)
+    ]

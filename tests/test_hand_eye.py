@@ -1,0 +1,212 @@
+"""The command `hand-eye`, its robots' files, and a real robot."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from arm import START, TRUTH, apart
+from oracles import drawn
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+import pinhole_jax as pj
+from pinhole_jax import __main__ as command, shapes
+from pinhole_jax._camera.poses import inverse, pose_of
+
+URDF = """<robot name="two">
+  <link name="base"><visual><geometry><box size="0.5 0.5 0.2"/></geometry></visual></link>
+  <link name="arm"><visual><origin xyz="0 0 0.5"/><geometry><mesh filename="arm.stl" scale="2 2 2"/>
+  </geometry></visual></link>
+  <link name="tip"/>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/>
+  <origin xyz="0 0 0.1"/><axis xyz="0 1 0"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <joint name="held" type="fixed"><parent link="arm"/><child link="tip"/>
+  <origin xyz="0 0 1"/></joint>
+</robot>"""
+
+
+def test_urdf_becomes_a_scene(tmp_path):
+    pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
+    trimesh.creation.box((0.1, 0.1, 0.5)).export(tmp_path / "arm.stl")
+    (tmp_path / "two.urdf").write_text(URDF)
+    robot = pj.robots.load_urdf(tmp_path / "two.urdf")
+    assert (robot.joints, robot.links) == (("turn",), ("base", "arm"))
+    tip = robot.poses([np.pi / 2])["tip"]
+    assert np.allclose(tip[:3, 3], [1, 0, 0.1])
+    low, high = (
+        f(np.asarray(robot.scene({"turn": np.pi / 2}).mesh.vertices), axis=0)
+        for f in (np.min, np.max)
+    )
+    assert np.allclose(low, [-0.25, -0.25, -0.1], atol=1e-6)
+    assert np.allclose(high, [1, 0.25, 0.2], atol=1e-6)
+    alone = pj.robots.load_urdf(tmp_path / "two.urdf", leave_out=["base"])
+    assert len(alone.scene([0.0]).mesh.vertices) == 8
+    with pytest.raises(ValueError, match="`angles`: expected one of each joint, got none of turn"):
+        robot.poses({})
+    with pytest.raises(ValueError, match="`angles`: expected joints among turn, got 'bend'"):
+        robot.poses({"turn": 0, "bend": 1})
+    with pytest.raises(ValueError, match=r"`angles`: expected 1 numbers \(turn\), got shape"):
+        robot.scene([0, 1])
+    with pytest.raises(ValueError, match="`leave_out`: expected links among base"):
+        pj.robots.load_urdf(tmp_path / "two.urdf", leave_out=["hand"])
+    with pytest.raises(ValueError, match="`poses`: expected one of each link, got none of arm"):
+        robot.at({"base": np.eye(4)})
+    (tmp_path / "no.urdf").write_text("<robot")
+    with pytest.raises(ValueError, match="`path`: expected a URDF file, got"):
+        pj.robots.load_urdf(tmp_path / "no.urdf")
+
+
+@pytest.fixture
+def robot_files(tmp_path, monkeypatch):
+    """A robot of two links, angles and masks of three postures, a camera to start from."""
+    pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
+    # What the command sets for its own process would change those of the other tests.
+    monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
+    monkeypatch.chdir(tmp_path)
+    body = shapes.bumpy(2)
+    trimesh.Trimesh(body.vertices, body.faces, process=False).export("body.stl")
+    trimesh.creation.box((0.6, 0.9, 2.2)).export("arm.stl")
+    base = '<box size="0.5 0.5 0.2"/>', '<mesh filename="body.stl"/>'
+    text = URDF.replace(*base).replace(' scale="2 2 2"', "").replace('xyz="0 0 0.1"', 'xyz="1 0 0"')
+    Path("arm.urdf").write_text(text)
+    Path("joints.csv").write_text("turn\n-0.6\n0.3\n1.1\n")
+    robot = pj.robots.load_urdf("arm.urdf")
+    for k, angle in enumerate((-0.6, 0.3, 1.1)):
+        pj.io.save_image(f"mask_{k}.png", drawn(TRUTH, robot.scene([angle])))
+    pj.io.save_camera("start.json", START)
+    return ["hand-eye", "arm.urdf", "joints.csv", *(f"mask_{k}.png" for k in range(3))]
+
+
+@pytest.mark.long
+def test_command_finds_joint_zeros_and_writes_a_page(robot_files, capsys):
+    Path("joints.csv").write_text("turn\n-0.61\n0.29\n1.09\n")
+    Path("more.csv").write_text("turn\n0.31\n-1.9\n")
+    words = [*robot_files, "--camera", "start.json", "--joint-zeros", "1", "-o", "found"]
+    words += ["--propose", "more.csv", "--holdout", "--report", "page.html"]
+    assert command.main(words) == 0
+    out = capsys.readouterr().out
+    assert max(apart(pj.io.load_fit("found/camera.json").camera, TRUTH)) < 0.02
+    found = float(re.search(r"^turn +([-+0-9.]+) ", out, re.M)[1])
+    assert abs(found - np.rad2deg(0.01)) < 0.05
+    page = Path("page.html").read_text()
+    for words in ("95 % interval", "sigma off", "mask only", "they agree", "mask_2.png", "turn"):
+        assert words in page
+    assert re.search(r"^recorded +without view [012] .* were 1\.\d\d times as large$", out, re.M)
+    more = re.search(r"^proposed +(one more mask .*)$", out, re.M)[1]
+    assert more in page
+    assert {"1", "2"} == set(re.findall(r"row (\d) 1\.\d\d", more))
+    assert page.count("<img") == 3
+    assert page.count("<section") == page.count("</section>") == 7
+    headings = re.findall("<h2>(.*?)</h2>", page)
+    assert headings[0] == "Outlines"
+    assert {"Halves of the postures", "Other postures"} < {*headings}
+
+
+@pytest.mark.long
+def test_command_finds_the_camera_of_a_robot(robot_files, capsys):
+    words = [*robot_files, "--camera", "start.json", "--holdout", "-o", "found"]
+    words += ["--images", *robot_files[3:], "--refine"]
+    assert command.main(words) == 0
+    out = capsys.readouterr().out
+    assert len(re.findall(r"view \d: the camera is the mask's", out)) == 3
+    found = pj.io.load_fit("found/camera.json")
+    assert max(apart(found.camera, TRUTH)) < 2e-3
+    assert re.search(r"^halves .* sigma: they agree$", out, re.M)
+    written = re.search(r"^written +(.*)$", out, re.M)[1].split(", ")
+    assert len(written) == 4
+    assert all(Path(path).exists() for path in written)
+
+
+def test_command_names_the_wrong_robot_argument(robot_files, capsys):
+    start = ["--camera", "start.json"]
+    Path("short.json").write_text('{"names": ["turn"], "postures": [[1, 2]]}')
+    Path("other.csv").write_text("bend\n0\n0\n0\n")
+    Path("far.csv").write_text("turn\n0.1\n-34\n0.2\n")
+    for unit in ("deg", "gon"):
+        text = f'{{"unit": "{unit}", "names": ["turn"], "postures": [[400]]}}'
+        Path(f"{unit}.json").write_text(text)
+    pj.io.save_image("small.png", np.zeros((30, 40, 3), np.uint8))
+    robot, masks = robot_files[:2], robot_files[3:]
+    for change, words in (
+        ([*robot_files[:-1], *start], "`MASK`: expected one for each of 3 rows of 'joints.csv'"),
+        ([*robot_files, *start, "--joint-zeros", "-1"], "`--joint-zeros`: expected a positive"),
+        (
+            [*robot_files, *start, "--joint-zeros", "1", "--in-hand", "arm"],
+            "`--joint-zeros`: expected none beside `--in-hand`",
+        ),
+        (
+            [*robot_files, *start, "--propose", "short.json"],
+            "`--propose`: expected 1 angles in row 1",
+        ),
+        (
+            [*robot_files, *start, "--free", "phi", "--propose", "joints.csv"],
+            "`--propose`: expected `pose` in --free",
+        ),
+        ([*robot_files, *start, "--refine"], "`--refine`: expected photos, --images"),
+        ([*robot_files, *start, "--images", masks[0]], "`--images`: expected one for each of 3"),
+        (
+            [*robot_files, *start, "--images", *masks[:2], "small.png"],
+            "`--images`: expected the mask's size 96 x 96, got 40 x 30 (small.png)",
+        ),
+        ([*robot_files, *start, "--in-hand", "tool"], "`--in-hand`: expected a link among base"),
+        ([*robot_files, *start, "--leave-out", "tool"], "`--leave-out`: expected links among base"),
+        ([*robot, "far.csv", *masks, *start], "-34 in row 2 of 'far.csv': degrees?"),
+        ([*robot, "deg.json", *masks, *start], "`JOINTS`: expected -3 to 3 rad of joint"),
+        (
+            [*robot, "gon.json", *masks, *start],
+            '`JOINTS`: expected "unit": "rad" or "deg", got \'unit\': \'gon\'',
+        ),
+        ([*robot, "other.csv", *masks, *start], "`JOINTS`: expected one of each joint, got none"),
+        ([*robot, "short.json", *masks[:1], *start], "`JOINTS`: expected 1 angles in row 1, got 2"),
+    ):
+        assert command.main(change) == 2
+        assert words in capsys.readouterr().err
+
+
+@pytest.fixture
+def med7(shared):
+    pytest.importorskip("yourdfpy", reason="no yourdfpy here: robots are not tried")
+    folder = shared / "robots" / "lbr_med7"
+    joints = json.loads((folder / "joints.json").read_text())
+    robot = pj.robots.load_urdf(folder / "lbr_med7.urdf")
+    return folder, [robot.scene(angles) for angles in joints["postures"]]
+
+
+#: The stereo camera's, both eyes', centres at integers.
+FOCAL, CENTRE, BASELINE = 534.6265258789062, (478.0846252441406, 260.9943542480469), 0.12009
+
+
+def med7_fit(med7, side, **near):
+    folder, scenes = med7
+    K = [[FOCAL, 0, CENTRE[0]], [0, FOCAL, CENTRE[1]], [0, 0, 1]]
+    pose = np.eye(3), np.zeros(3)
+    camera = pj.formats.from_opencv(K, *pose, 960, 540, pixel_centres="integer")
+    views = []
+    for k, scene in enumerate(scenes):
+        mask = np.asarray(Image.open(folder / f"{side}_mask_{k}.png"))
+        views.append(pj.JointView(scene, mask))
+    # (With no start it takes three times as long.)
+    start = camera.replace(**near)
+    return pj.fit_joint(views, start, search=not near).cameras["camera"]
+
+
+@pytest.mark.long
+def test_stereo_camera_before_a_real_robot_is_recovered(med7, exhaustive):
+    """The left from nearby (of all tests: with no start), the right from where the left is: that
+    they are 120.09 mm apart and parallel no fit knew."""
+    near = {"e": [0.8, -1, 1.1], "p": [0, -0.4, 0.7], "u": [-0.5, 0, 0.9]}
+    left = med7_fit(med7, "left", **({} if exhaustive else near))
+    right = med7_fit(med7, "right", **{name: getattr(left.camera, name) for name in near})
+    assert (left.status, right.status) == ("converged", "converged")
+    between = inverse(pose_of(left.camera)) @ pose_of(right.camera)
+    assert abs(np.linalg.norm(between[:3, 3]) - BASELINE) < 1.5e-3
+    turn = Rotation.from_matrix(between[:3, :3]).as_rotvec()
+    assert np.rad2deg(np.linalg.norm(turn)) < 0.2  # (0.1 was asked)
+    sigma = np.hypot(left.std, right.std)
+    assert np.all(np.abs(turn) < 1.96 * sigma[:3])
+    apart_by = pose_of(left.camera)[:3, :3] @ (between[:3, 3] - [BASELINE, 0, 0])
+    assert np.all(np.abs(apart_by) < 1.96 * sigma[3:])

@@ -1,0 +1,232 @@
+"""Joint fits of objects: their poses and sizes, before known cameras."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from arm import BOTH_EYES, OFF, RIGHT, SIZE, TRUTH, grown, posture
+from oracles import drawn
+
+import pinhole_jax as pj
+from pinhole_jax._camera.poses import exponential
+
+
+def test_object_pose_before_known_cameras_is_found(arm, scenes):
+    place = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
+    moved = arm.at([place @ pose for pose in posture(0)])
+    cameras = {"left": TRUTH, "right": RIGHT}
+    views = [
+        pj.JointView(scenes[0], drawn(camera, moved), camera=name, object="part")
+        for name, camera in cameras.items()
+    ]
+    fit = pj.fit_joint(views, cameras, (), objects={"part": place @ OFF})
+    found = fit.objects["part"]
+    assert fit.status == "converged"
+    assert np.max(np.abs(found.pose - place)) < 1e-9
+    assert np.all(found.std > 0)
+    assert np.all(found.std < 1e-6)
+
+
+@pytest.fixture(scope="module")
+def larger(arm, scenes):
+    """Views of a part that is 1.1 times as large as its mesh, somewhere before known cameras."""
+    place = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
+    moved = arm.at([place @ grown(1.1) @ pose for pose in posture(0)])
+    views = [
+        pj.JointView(scenes[0], drawn(camera, moved), camera=name, object="part", scale="part")
+        for name, camera in BOTH_EYES.items()
+    ]
+    return views, {"part": place}
+
+
+def test_object_size_is_found_with_its_pose(arm, scenes, larger):
+    """The same for both views of it; that of what a third view shows is another."""
+    views, place = larger
+    shrunk = drawn(TRUTH, arm.at([grown(0.93) @ pose for pose in posture(1)]))
+    other = pj.JointView(scenes[1], shrunk, camera="left", scale="other")
+    start = {"part": place["part"] @ OFF}
+    fit = pj.fit_joint([*views, other], BOTH_EYES, (), objects=start)
+    assert (fit.status, fit.weak) == ("converged", ())
+    assert abs(fit.scales["part"].value - 1.1) < 1e-9
+    assert abs(fit.scales["other"].value - 0.93) < 1e-9
+    assert np.max(np.abs(fit.objects["part"].pose - place["part"])) < 1e-9
+    assert all(0 < scale.std < 1e-6 for scale in fit.scales.values())
+    # What is larger is farther away, and the other way round.
+    away = place["part"][:3, 3] - np.asarray(TRUTH.e)
+    correlation = fit.scales["part"].across["part"] / fit.objects["part"].std
+    assert correlation[3:] @ away / np.linalg.norm(away) > 0.9 * fit.scales["part"].std
+    # (Each view's camera is in its scene's frame, as the scene is given.)
+    shown = fit.views[2]
+    assert np.max(np.abs(drawn(shown.camera, shown.scene) - shrunk)) < 1e-6
+
+
+def test_size_and_distance_are_one_to_a_single_camera(larger):
+    views, place = larger
+    start = {"part": place["part"] @ OFF}
+    one = {"left": TRUTH}
+    fit = pj.fit_joint(views[:1], one, (), objects=start)
+    assert fit.status == "rank_deficient"
+    assert fit.weak[0].startswith("the scale of 'part' and how far it is away are one")
+    assert np.isinf(fit.scales["part"].std)
+    assert np.any(np.isinf(fit.objects["part"].std[3:]))
+    assert np.all(fit.objects["part"].std[:3] < 1e-6)
+    # What is known of it makes it as surely known, and the distance with it.
+    known = {"part": {"scale": (1.1, 0.02)}}
+    fit = pj.fit_joint(views[:1], one, (), objects=start, prior=known)
+    found = fit.scales["part"]
+    assert (fit.status, fit.weak) == ("converged", ())
+    assert abs(found.value - 1.1) < 0.2 * 0.02
+    assert abs(found.std / 0.02 - 1) < 1e-3
+    away = place["part"][:3, 3] - np.asarray(TRUTH.e)
+    assert np.allclose(found.across["part"][3:], 0.02**2 * away / 1.1, rtol=2e-2)
+    assert abs(fit.objects["part"].std[5] / (0.02 * abs(away[2]) / 1.1) - 1) < 2e-2
+
+
+def of_inputs(views, place, target, vertices, mount, placed):
+    """Return the pose and size of a part, as they follow a mask, its mesh and known transforms."""
+    scene = pj.Scene(mesh=pj.Mesh(vertices, np.asarray(views[0].scene.mesh.faces)))
+    given = [
+        views[0]._replace(scene=scene, target=target, mount=mount),
+        views[1]._replace(scene=scene, placed=placed),
+    ]
+    fit = pj.fit_joint(given, BOTH_EYES, (), objects=place, outlier_px=None)
+    pose, size = fit.objects["part"].pose, fit.scales["part"].value
+    return jnp.append(jnp.ravel(pose[:3]), size)
+
+
+@pytest.mark.full
+def test_derivative_by_masks_and_transforms_equals_refits(larger):
+    views, place = larger
+    random = np.random.default_rng(0)
+    noise = lambda: 0.03 * random.normal(size=(SIZE, SIZE))
+    views = [v._replace(target=v.target + noise()) for v in views]
+    vertices = np.asarray(views[0].scene.mesh.vertices)
+    answer = lambda t, m, p: of_inputs(views, place, t, vertices, m, p)
+    # A mask that changes, a camera's carrier and what the other sees move, all at once.
+    change = random.normal(size=(SIZE, SIZE))
+    twists = random.normal(size=(2, 6))
+
+    def at(h):
+        return views[0].target + h * change, *(exponential(10 * h * x) for x in twists)
+
+    h = 1e-5
+    velocity = [(a - b) / (2 * h) for a, b in zip(at(h), at(-h), strict=True)]
+    value, slope = jax.jvp(
+        answer, tuple(map(jnp.asarray, at(0.0))), tuple(map(jnp.asarray, velocity))
+    )
+    refits = (answer(*at(h)) - answer(*at(-h))) / (2 * h)
+    np.testing.assert_allclose(value, answer(*at(0.0)), atol=1e-9)
+    np.testing.assert_allclose(slope, refits, atol=1e-3 * np.abs(refits).max())
+
+
+@pytest.mark.full
+def test_derivative_by_the_mesh_equals_refits(larger):
+    """Forward and reverse, where masks are explained."""
+    views, place = larger
+    vertices = jnp.asarray(views[0].scene.mesh.vertices)
+    answer = lambda v: of_inputs(views, place, views[0].target, v, None, None)
+    wrong = 0.01 * jnp.asarray(np.random.default_rng(1).normal(size=vertices.shape))
+    slope, h = jax.jvp(answer, (vertices,), (wrong,))[1], 1e-3
+    refits = (answer(vertices + h * wrong) - answer(vertices - h * wrong)) / (2 * h)
+    np.testing.assert_allclose(slope, refits, atol=1e-3 * np.abs(refits).max())
+    gradient = jax.grad(lambda v: answer(v)[-1])(vertices)
+    np.testing.assert_allclose(jnp.sum(gradient * wrong), slope[-1], rtol=1e-6)
+
+
+def test_priors_and_photos_are_not_differentiated(larger):
+    views, place = larger
+    known = {"part": {"scale": (1.1, 0.1)}}
+    size = lambda target: (
+        pj.fit_joint(
+            [views[0]._replace(target=target)], {"left": TRUTH}, (), objects=place, prior=known
+        )
+        .scales["part"]
+        .value
+    )
+    with pytest.raises(ValueError, match="`prior`: expected none where the fit is differentiated"):
+        jax.grad(size)(jnp.asarray(views[0].target))
+
+
+def differences(image, h=1e-5):
+    """Return how an image follows seven numbers."""
+    ends = [(image(h * x) - image(-h * x)) / (2 * h) for x in np.eye(7)]
+    return np.stack([x.ravel() for x in ends], axis=1)
+
+
+def test_observability_of_several_views_equals_polygon_differences(arm, larger):
+    """The error bars are those of the polygons' differences; there is no mask yet."""
+    views, place = larger
+    views = [v._replace(target=None) for v in views]
+    told = pj.joint_observability(views, BOTH_EYES, (), objects=place, noise=0.1)
+    assert told.names[:3] == ("part rotation_x", "part rotation_y", "part rotation_z")
+    assert told.names[3:] == ("part x", "part y", "part z", "part scale")
+    assert (told.rank, told.of) == (7, 7)
+
+    def shown(camera, x):
+        moved = place["part"] @ exponential(np.append(x[:3], place["part"][:3, :3].T @ x[3:6]))
+        return drawn(camera, arm.at([moved @ grown(1 + x[6]) @ pose for pose in posture(0)]))
+
+    J = [differences(lambda x, c=camera: shown(c, x)) for camera in BOTH_EYES.values()]
+    information = sum(j.T @ j for j in J) / 0.1**2
+    np.testing.assert_allclose(told.std, np.sqrt(np.diag(np.linalg.inv(information))), rtol=1e-4)
+    # What is known beforehand adds to it.
+    known = {"part": {"scale": (1.0, 1e-3), "y": (0.0, 2e-3)}}
+    both = pj.joint_observability(views, BOTH_EYES, (), objects=place, prior=known)
+    information[6, 6] += 1e-3**-2
+    information[4, 4] += 2e-3**-2
+    np.testing.assert_allclose(both.covariance, np.linalg.inv(information), rtol=1e-3, atol=1e-9)
+    # One eye does not tell a size from a distance.
+    one = pj.joint_observability(views[:1], {"left": TRUTH}, (), objects=place)
+    assert (one.rank, one.of, len(one.values)) == (6, 7, 7)
+    assert np.isinf(one.std[-1])
+    assert one.weak[0] == "the place of part against the scale of part is not visible"
+    assert "6 of 7 directions are visible" in str(one)
+
+
+@pytest.mark.long
+def test_error_bars_of_a_size_hold(larger):
+    views, place = larger
+    off = []
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        noisy = [
+            v._replace(target=v.target + 0.05 * random.normal(size=(SIZE, SIZE))) for v in views
+        ]
+        fit = pj.fit_joint(noisy, BOTH_EYES, (), objects=place)
+        off.append((fit.scales["part"].value - 1.1) / fit.scales["part"].std)
+    assert np.mean(np.abs(off) < 1.96) >= 10 / 12
+    assert np.max(np.abs(off)) > 0.3
+
+
+def test_prior_on_an_object_counts(arm, scenes):
+    """What is known better than the mask tells is found there, as surely as it is known."""
+    place = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
+    seen = drawn(TRUTH, arm.at([place @ pose for pose in posture(0)]))
+    seen = np.clip(seen + 0.05 * np.random.default_rng(1).normal(size=seen.shape), 0, 1)
+    view = pj.JointView(scenes[0], seen, object="part")
+    known = {"part": {"x": (0.2, 1e-5), "z": (0.3, 10.0)}}
+    fit = pj.fit_joint([view], TRUTH, (), objects={"part": place @ OFF}, prior=known)
+    found = fit.objects["part"]
+    assert fit.status == "converged"
+    assert abs(found.pose[0, 3] - 0.2) < 4e-5
+    assert abs(found.std[3] / 1e-5 - 1) < 0.01
+    assert np.all(np.abs(found.pose[1:3, 3] - place[1:3, 3]) < 4 * found.std[4:])
+    assert np.all(found.std[4:] > 1e-4)
+
+
+@pytest.mark.long
+def test_box_before_two_cameras_is_ambiguous_by_half_turns():
+    bar = trimesh.creation.box((0.6, 0.9, 2.2))
+    box = pj.Assembly([pj.Mesh(np.asarray(bar.vertices), bar.faces)])
+    place = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
+    cameras = {"left": TRUTH, "right": RIGHT}
+    views = [
+        pj.JointView(box.at([np.eye(4)]), drawn(c, box.at([place])), n, object="box")
+        for n, c in cameras.items()
+    ]
+    fit = pj.fit_joint(views, cameras, (), objects={"box": place @ OFF})
+    assert fit.status == "ambiguous"
+    assert len(fit.modes) == 3
+    turns = [place[:3, :3].T @ m.objects["box"].pose[:3, :3] for m in (fit, *fit.modes)]
+    assert max(np.max(np.abs(np.abs(turn) - np.eye(3))) for turn in turns) < 1e-6

@@ -1,0 +1,93 @@
+"""Observability of several views, before there is a mask."""
+
+import numpy as np
+import pytest
+from arm import BOTH_EYES, RIG, SIZE, START, TRUTH
+
+import pinhole_jax as pj
+from pinhole_jax._camera.poses import at_pose, exponential, inverse, pose_of, skew
+from pinhole_jax._command.proposals import _information as tells, worths
+from pinhole_jax._fit.observability import information
+from pinhole_jax._solver.moves import reported
+
+
+def by_the_left_eye():
+    """Return how what is reported of the right eye follows what is of the left one."""
+    flip, step, turned = np.diag([1, -1, 1]), RIG["right"], pose_of(TRUTH)[:3, :3]
+    follows = np.eye(6)
+    follows[:3, :3] = flip @ step[:3, :3].T @ flip
+    follows[3:, :3] = -skew(turned @ step[:3, 3]) @ turned @ flip
+    return follows
+
+
+def by_eyes(stereo, run, sides=tuple(BOTH_EYES)):
+    """Return what a rig leads to, and its left and right eye by themselves."""
+    own = {side: [v for v in stereo if v.camera == side] for side in sides}
+    alone = [run(own[side], {side: BOTH_EYES[side]}, {}) for side in sides]
+    return run(stereo, BOTH_EYES, {"rig": RIG}), *alone
+
+
+def test_information_of_both_eyes_of_a_rig_adds_up(stereo):
+    """What a rig's masks tell of its pose is what its left eye's and its right eye's do."""
+    told = lambda views, cameras, rig: pj.joint_observability(views, cameras, **rig)
+    both, left, right = by_eyes(stereo, told)
+    assert both.names[:6] == left.names
+    assert both.of == 6
+    follows = by_the_left_eye()
+    information = np.linalg.inv(left.covariance)
+    information = information + follows.T @ np.linalg.inv(right.covariance) @ follows
+    expected = np.sqrt(np.diag(np.linalg.inv(information)))
+    np.testing.assert_allclose(both.std[:6], expected, rtol=1e-6)
+
+
+@pytest.mark.long
+def test_rig_pose_is_as_much_better_as_theory_says(stereo):
+    """Masks whose pixels err by 5 %: how far poses are off, beside what the limit is."""
+    told = lambda views, cameras, rig: pj.joint_observability(views, cameras, noise=0.05, **rig)
+    limits = [found.std[:6] for found in by_eyes(stereo, told, ["left"])]
+    off = []
+    for seed in range(10):
+        random = np.random.default_rng(seed)
+        noise = lambda r=random: 0.05 * r.normal(size=(SIZE, SIZE))
+        noisy = [v._replace(target=v.target + noise()) for v in stereo]
+        fitted = lambda views, cameras, rig: pj.fit_joint(views, cameras, **rig)
+        cameras = [f.cameras["left"].camera for f in by_eyes(noisy, fitted, ["left"])]
+        turns = [np.array(reported(c, TRUTH, ("pose",)))[:3] for c in cameras]
+        off.append([np.append(t, TRUTH.e - c.e) for t, c in zip(turns, cameras, strict=True)])
+    rms = np.sqrt(np.mean(np.square(off), axis=0))
+    np.testing.assert_allclose(np.sqrt(np.mean((rms / limits) ** 2, axis=1)), 1, atol=0.25)
+    better, expected = (np.exp(np.mean(np.log(x[0] / x[1]))) for x in (rms, limits))
+    assert expected < 0.75
+    assert abs(better / expected - 1) < 0.3
+
+
+def test_observability_predicts_the_error_bars_of_a_fit(noisy):
+    asked = START, ("pose", "phi")
+    fit = pj.fit_joint(noisy[:1], *asked).cameras["camera"]
+    told = pj.joint_observability(noisy[:1], fit.camera, ("pose", "phi"), noise=0.05)
+    assert told.names == tuple(f"camera {name}" for name in fit.names)
+    np.testing.assert_allclose(told.std, np.sqrt(np.diag(fit.independent_covariance)), rtol=0.15)
+    alone = pj.observability(fit.camera, noisy[0].scene, ("pose", "phi"), noise=0.05)
+    np.testing.assert_allclose(told.covariance, alone.covariance, rtol=1e-6)
+    with pytest.raises(ValueError, match="`noise`: expected a positive standard deviation"):
+        pj.joint_observability(noisy[:1], *asked, noise=0.0)
+
+
+def test_proposed_mask_adds_its_information(scenes):
+    free, mesh = ("pose", "phi"), scenes[0].mesh
+    ideal = information(TRUTH, scenes[0], free)
+    expected = pj.observability(TRUTH, scenes[0], free, noise=1.0)
+    np.testing.assert_allclose(np.linalg.inv(ideal), expected.covariance, rtol=1e-6)
+    # A camera on a link sees what it sees where the scene is given in the link's frame.
+    mount = exponential(np.array([0.4, -1.0, 0.3, 0.5, 2.0, -1.0]))
+    held = at_pose(TRUTH, inverse(mount) @ pose_of(TRUTH))
+    points = (np.asarray(mesh.vertices) - mount[:3, 3]) @ mount[:3, :3]
+    before = pj.Scene(mesh=pj.Mesh(points, mesh.faces))
+    told = tells(held, scenes[0], mount, free, expected.names)
+    np.testing.assert_allclose(told, information(held, before, free), rtol=1e-6, atol=1e-3)
+    # Of two masks that are alike a third one is worth its share; one that shows nothing, none.
+    seen, lost = (scenes[0], None), 3 * np.linalg.inv(ideal)
+    aside = pj.Scene(mesh=pj.Mesh(mesh.vertices + 90.0, mesh.faces)), None
+    found = worths(TRUTH, lost, free, [seen, seen], [seen, aside])
+    np.testing.assert_allclose(found, [1.5**0.5, 1], rtol=1e-6)
+    assert worths(TRUTH, np.nan * lost, free, [seen], [seen]) == [np.inf]

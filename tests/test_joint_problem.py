@@ -1,0 +1,258 @@
+"""The rows of a joint fit, their elimination, and arguments that are refused."""
+
+import numpy as np
+import pytest
+import trimesh
+from arm import RIG, RIGHT, START, TRUTH, posture
+from oracles import drawn
+
+import pinhole_jax as pj
+from pinhole_jax import shapes
+from pinhole_jax._camera.poses import adjoint, at_pose, exponential, inverse, pose_of
+from pinhole_jax._joint.door import MANY_VIEWS, joint_problem
+from pinhole_jax._solver.least_squares import Rows, held_to_the_end, solve
+from pinhole_jax._solver.moves import reported
+
+
+def test_moves_are_those_of_differences(stereo):
+    """What a view sees of a step is what its own camera's moves say."""
+    cameras, place = {"left": START, "right": RIGHT}, exponential(np.full(6, 0.1))
+    view = stereo[1]._replace(object="part", placed=exponential(np.full(6, 0.2)), mount=place)
+    problem = joint_problem(
+        [view._replace(scale="size"), stereo[0]._replace(object="part")],
+        cameras,
+        ("pose", "phi"),
+        objects={"part": exponential(np.full(6, -0.1))},
+        rig=RIG,
+        prior={"size": {"scale": (1.2, 0.1)}},
+    )
+    state, eye = problem.start, problem.eyes[0]
+    seen = problem.look(state)[0]
+    before, n = eye.canonical(state), len(problem.columns(0))
+    numeric = np.zeros((n, n))
+    to_reported = np.asarray(seen.view.to_reported)
+    for k, column in enumerate(problem.columns(0)):
+        x = np.zeros(problem.size)
+        sides = []
+        for sign in (1, -1):
+            x[column] = sign * 1e-6
+            there = eye.canonical(problem.stepped(state, x))
+            sides.append(np.asarray(reported(before, there, eye.solver.freed)))
+        numeric[: len(to_reported), k] = (sides[0] - sides[1]) / 2e-6
+    stated = to_reported @ seen.moves
+    assert np.max(np.abs(stated - numeric[: len(stated)])) < 1e-7
+
+
+def test_elimination_equals_the_dense_solution():
+    """Two views have a camera in common, all have the last numbers; of one, something is known."""
+    random = np.random.default_rng(0)
+    size, parts, dense, right = 9, [], [], []
+    for own, number in (([0, 1], 7), ([0, 1], 4), ([2, 3], 7), ([4, 5], 7), ([2], 1)):
+        columns = np.array([6, *own, 7, 8] if number > 1 else own)
+        rows, left = random.normal(size=(number, len(columns))), random.normal(size=number)
+        parts.append(Rows(rows, left, columns, np.isin(columns, own)))
+        whole = np.zeros((number, size))
+        whole[:, columns] = rows
+        dense.append(whole)
+        right.append(left)
+    matrix, left = np.concatenate(dense), np.concatenate(right)
+    found = solve(parts, size, np.zeros(size))
+    assert found.shared.tolist() == [6, 7, 8]
+    assert len(found.own) == 3
+    assert np.allclose(found.x, -np.linalg.lstsq(matrix, left, rcond=None)[0], atol=1e-12)
+    everything = np.arange(size)
+    inverse_normal = np.linalg.inv(matrix.T @ matrix)
+    assert np.allclose(found.inverse(everything, everything), inverse_normal, atol=1e-12)
+    damping = np.linspace(0.1, 2, size)
+    damped = solve(parts, size, damping).x
+    more = np.concatenate([matrix, np.diag(damping)])
+    expected = -np.linalg.lstsq(more, np.append(left, np.zeros(size)), rcond=None)[0]
+    assert np.allclose(damped, expected, atol=1e-12)
+
+
+def test_elimination_order_makes_the_least_work():
+    """Cameras that share a lens; pictures of one part each, by both eyes of a head."""
+    cameras = [[k, 50] for k in range(50)]
+    held = held_to_the_end(cameras, [6] * 50 + [1])
+    assert np.flatnonzero(held).tolist() == [50]
+    frames = [[eye, 2 + k] for k in range(50) for eye in (0, 1)]
+    assert np.flatnonzero(held_to_the_end(frames, [6] * 52)).tolist() == [0, 1]
+    assert np.all(held_to_the_end([[0, 1], [0, 1]], [6, 1]))
+
+
+def test_many_views_hold_little_memory(scenes):
+    """Views of one scene share its arrays, and each has room for its own mask alone."""
+    mask, cameras = drawn(TRUTH, scenes[0]), {f"{k}": TRUTH for k in range(MANY_VIEWS)}
+    views = [pj.JointView(scenes[0], mask, camera=name) for name in cameras]
+    few, many = (
+        joint_problem(views[:k], dict([*cameras.items()][:k]), "pose") for k in (2, MANY_VIEWS)
+    )
+    size = lambda problem: [e.solver.problem.pyramid.cells.size for e in problem.eyes]
+    assert min(size(few)) > 10 * max(size(many))
+    scene = [eye.solver.problem.scene.mesh for eye in many.eyes]
+    assert all(mesh.vertices is scene[0].vertices for mesh in scene)
+
+
+def test_twists_and_adjoints():
+    random = np.random.default_rng(1)
+    pose, twist = exponential(random.normal(size=6)), 1e-5 * random.normal(size=6)
+    seen = pose @ exponential(twist) @ inverse(pose)
+    assert np.allclose(seen, exponential(adjoint(pose) @ twist), atol=1e-9)
+    assert np.allclose(pose_of(at_pose(TRUTH, pose)), pose, atol=1e-12)
+    assert np.allclose(exponential(np.zeros(6)), np.eye(4))
+
+
+def test_assembly_is_the_union_of_its_parts(arm):
+    scene = arm.at(posture(1))
+    box = trimesh.creation.box((0.6, 0.9, 2.2)).vertices
+    moved = box @ posture(1)[1][:3, :3].T + posture(1)[1][:3, 3]
+    assert np.allclose(np.asarray(scene.mesh.vertices)[-8:], moved)
+    assert scene.mesh.closed
+    assert scene.mesh.faces is arm.at(posture(2)).mesh.faces
+    with pytest.raises(ValueError, match=r"`poses`: expected finite numbers \(2, 4, 4\)"):
+        arm.at(np.eye(4))
+
+
+def hinged():
+    """Return the posture of one body that turns about z."""
+    turned_by = lambda x: [exponential(np.array([0, 0, x[0], 0, 0, 0]))]
+    return pj.Posture(pj.Assembly([shapes.bumpy(1)]), turned_by, {"hinge": "rad"})
+
+
+def one(views, **change):
+    """One view, something of it changed."""
+    return {"views": [views[0]._replace(**change)]}
+
+
+BOTH = {"camera": TRUTH, "other": TRUTH}
+
+
+@pytest.mark.parametrize(
+    ("words", "change"),
+    [
+        (r"`views`: expected at least one JointView", lambda v: {"views": []}),
+        (
+            r"`cameras`: expected left among them, got camera",
+            lambda v: one(v, camera="left"),
+        ),
+        (
+            r"`cameras`: expected what a view names, got other",
+            lambda v: {"cameras": {"camera": TRUTH, "other": TRUTH}},
+        ),
+        (
+            r"`objects`: expected part among them, got none",
+            lambda v: one(v, object="part"),
+        ),
+        (
+            r"`views\[0\].mount`: expected shape \(4, 4\)",
+            lambda v: one(v, mount=np.eye(3)),
+        ),
+        (
+            r"`views\[0\].placed`: expected a rotation and a",
+            lambda v: one(v, placed=2 * np.eye(4)),
+        ),
+        (r"`rig\['left'\]`: expected a matrix", lambda v: {"rig": {"left": "here"}}),
+        (
+            r"`views\[0\]`: `target`: expected the camera's shape",
+            lambda v: one(v, target=np.ones((2, 3))),
+        ),
+        (r"`free`: expected something to fit, got none", lambda v: {"free": ()}),
+        (r"`search`: expected one unknown pose", lambda v: {"free": "phi", "search": True}),
+        (
+            r"`views\[1\]`: expected a view of something unknown",
+            lambda v: {
+                "views": [v[0]._replace(object="part"), v[1]],
+                "free": (),
+                "objects": {"part": np.eye(4)},
+            },
+        ),
+        (
+            r"`cameras`: expected names other than 'rig'",
+            lambda v: {
+                "views": [v[0]._replace(camera="rig"), v[1]._replace(camera="left")],
+                "cameras": {"rig": TRUTH, "left": TRUTH},
+                "rig": {"left": np.eye(4)},
+            },
+        ),
+        (
+            r"`views\[0\].scale`: expected a name that no camera has, got 'camera'",
+            lambda v: one(v, scale="camera"),
+        ),
+        (
+            r"`prior`: expected a positive scale of 'size', got -1.0",
+            lambda v: {**one(v, scale="size"), "prior": {"size": {"scale": (-1, 0.1)}}},
+        ),
+        (
+            r"`prior`: expected free parameters among scale, got 'x'",
+            lambda v: {**one(v, scale="size"), "prior": {"size": {"x": (0, 0.1)}}},
+        ),
+        (r"`outlier_px`: expected a positive", lambda v: {"outlier_px": -1.0}),
+        (r"`shared`: expected names among phi, .* got pose", lambda v: {"shared": "pose"}),
+        (
+            r"`shared`: expected groups of cameras among camera, got 'left'",
+            lambda v: {"shared": {"phi": [("camera", "left")]}},
+        ),
+        (
+            r"`shared`: expected each camera in one group of phi, got more",
+            lambda v: {"shared": {"phi": [("camera",), ("camera",)]}},
+        ),
+        (
+            r"`bounds`: expected the same of phi for camera and other, which share it",
+            lambda v: {
+                "views": [v[0], v[1]._replace(camera="other")],
+                "cameras": BOTH,
+                "shared": "phi",
+                "bounds": {"other": {"phi": (0.5, 0.7)}},
+            },
+        ),
+        (r"`max_steps`: expected an integer", lambda v: {"max_steps": 0}),
+        (
+            r"`prior`: expected free parameters among e_x, e_y, e_z, got 'phi'",
+            lambda v: {"prior": {"phi": (0.6, 0.1)}},
+        ),
+        (
+            r"`prior`: expected names among camera, got 'left'",
+            lambda v: {"prior": {"left": {"e_x": (0, 1)}}},
+        ),
+        (
+            r"`prior`: expected a positive deviation of 'x', got 0.0",
+            lambda v: {
+                **one(v, object="part"),
+                "objects": {"part": np.eye(4)},
+                "free": (),
+                "prior": {"part": {"x": (0, 0)}},
+            },
+        ),
+        (
+            r"`joint_zeros`: expected views with a `posture`, got none",
+            lambda v: {"joint_zeros": 0.01},
+        ),
+        (
+            r"`joint_zeros`: expected no `mount` beside a `posture`.*views\[0\]",
+            lambda v: {
+                **one(v, posture=hinged(), mount=np.eye(4)),
+                "joint_zeros": 0.01,
+            },
+        ),
+        (
+            r"`views\[0\].posture`: expected a Posture or None, got list",
+            lambda v: one(v, posture=[0.1]),
+        ),
+        (
+            r"`bounds`: expected low < high of 'phi'",
+            lambda v: {"free": ("pose", "phi"), "bounds": {"phi": (1, 0.5)}},
+        ),
+    ],
+)
+def test_wrong_arguments_are_named(views, words, change):
+    arguments = {"views": views[:1], "cameras": TRUTH, **change(views)}
+    with pytest.raises(ValueError, match=words):
+        pj.fit_joint(**arguments)
+
+
+def test_mesh_with_unshared_vertices_warns():
+    sphere = trimesh.creation.icosphere(2)
+    loose = np.asarray(sphere.vertices)[sphere.faces].reshape(-1, 3)
+    with pytest.warns(UserWarning, match="`vertices`: 960 stand at 162 places"):
+        pj.Mesh(loose, np.arange(len(loose)).reshape(-1, 3))
+    pj.Mesh(sphere.vertices, sphere.faces)  # (a warning here is an error)

@@ -1,0 +1,133 @@
+"""Joint fits of the zeros of a robot's joints."""
+
+import numpy as np
+import pytest
+import trimesh
+from arm import RIG, RIGHT, SIZE, START, TRUTH, apart, grown, posture
+from oracles import drawn
+
+import pinhole_jax as pj
+from pinhole_jax import shapes
+from pinhole_jax._camera.poses import at_pose, exponential, pose_of
+from pinhole_jax._joint.door import joint_problem
+
+
+@pytest.mark.full
+def test_size_of_one_body_among_several_is_found(arm):
+    """A rig before two bodies, the second of which is 5 % larger than its mesh."""
+
+    def shown(k):
+        return lambda x: [posture(k)[0], posture(k)[1] @ grown(1 + x[0])]
+
+    postures = [pj.Posture(arm, shown(k), {"bar": "scale"}) for k in range(2)]
+    views = [
+        pj.JointView(p.scene(), drawn(camera, p.scene([0.05])), name, posture=p)
+        for p in postures
+        for name, camera in (("left", TRUTH), ("right", RIGHT))
+    ]
+    right = at_pose(TRUTH, pose_of(START) @ RIG["right"])
+    fit = pj.fit_joint(views, {"left": START, "right": right}, rig=RIG, joint_zeros={"bar": 0.1})
+    assert fit.status == "converged"
+    assert abs(fit.joint_zeros.values[0] - 0.05) < 1e-5
+    assert fit.joint_zeros.units == ("scale",)
+    assert max(apart(fit.cameras["left"].camera, TRUTH)) < 1e-4
+
+
+#: A lump and three links, their joints' axes this way and that.
+THREE = """<robot name="three">
+  <link name="base"><visual><geometry><mesh filename="body.stl"/></geometry></visual></link>
+  <link name="upper"><visual><origin xyz="0 0 0.6"/><geometry><box size="0.3 0.4 1.2"/></geometry>
+  </visual></link>
+  <link name="fore"><visual><origin xyz="0.1 0 0.5"/><geometry><box size="0.35 0.2 1.0"/></geometry>
+  </visual></link>
+  <link name="hand"><visual><origin xyz="0.15 0 0.2"/><geometry><box size="0.5 0.2 0.3"/></geometry>
+  </visual></link>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
+  <origin xyz="0 0 0.2"/><axis xyz="0 1 0"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <joint name="elbow" type="revolute"><parent link="upper"/><child link="fore"/>
+  <origin xyz="0 0 1.2"/><axis xyz="0 1 0.3"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <joint name="wrist" type="revolute"><parent link="fore"/><child link="hand"/>
+  <origin xyz="0.1 0 1.0"/><axis xyz="1 0 0"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+</robot>"""
+
+
+#: What its joints' readings lack (rad), the camera before it, and where a fit starts.
+LACK = np.deg2rad([0.7, -1.3, 2.0])
+
+
+BEFORE = pj.Camera([3, -5.5, 3], [0, 0, 0.8], [0, 0, 1], 0.6, 1.0, SIZE, SIZE)
+
+
+NEAR = at_pose(
+    BEFORE, pose_of(BEFORE) @ exponential(np.array([0.05, -0.06, 0.04, 0.1, 0.05, -0.2]))
+)
+
+
+@pytest.fixture(scope="module")
+def misread(tmp_path_factory):
+    """Views of five postures of a robot whose joints' zeros are off."""
+    pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
+    folder, body = tmp_path_factory.mktemp("three"), shapes.bumpy(2)
+    half = trimesh.Trimesh(0.5 * np.asarray(body.vertices), body.faces, process=False)
+    half.export(folder / "body.stl")
+    (folder / "three.urdf").write_text(THREE)
+    robot = pj.robots.load_urdf(folder / "three.urdf")
+    postures = np.random.default_rng(3).uniform(-1, 1, (3, 3))
+    return [
+        pj.JointView(
+            robot.scene(read),
+            drawn(BEFORE, robot.scene(read + LACK)),
+            posture=robot.posture(read),
+        )
+        for read in postures
+    ]
+
+
+def test_joint_zeros_are_found_with_the_camera(misread):
+    fit = pj.fit_joint(misread, NEAR, joint_zeros=np.deg2rad(1.5))
+    assert fit.status == "converged"
+    assert fit.joint_zeros.names == ("shoulder", "elbow", "wrist")
+    assert np.rad2deg(np.max(np.abs(fit.joint_zeros.values - LACK))) < 1e-4  # (0.01 was asked)
+    assert max(apart(fit.camera, BEFORE)) < 1e-5
+    assert np.all(fit.joint_zeros.std < 1e-5)
+    assert all(view.iou > 1 - 1e-6 for view in fit.views)
+
+
+@pytest.mark.long
+def test_zeros_that_are_not_sought_move_the_camera(misread):
+    fit = pj.fit_joint(misread, NEAR)
+    angle, _ = apart(fit.camera, BEFORE)
+    assert fit.status == "misfit"
+    assert angle > 0.1
+
+
+@pytest.mark.long
+def test_joint_that_masks_do_not_show_keeps_its_prior(misread):
+    """Two sigma from its readings at most; what is not named stays."""
+    known = {"wrist": 1e-5}
+    fit = pj.fit_joint(misread[:2], NEAR, joint_zeros=known)
+    assert fit.joint_zeros.names == ("wrist",)
+    assert abs(fit.joint_zeros.std[0] / 1e-5 - 1) < 0.1
+
+
+def test_jacobian_by_joint_zeros_equals_differences(misread):
+    """But for pixels in which two links end: a small picture has some."""
+    problem = joint_problem(misread[:1], BEFORE, "pose", joint_zeros=1).with_zeros()
+    state, posture = problem.start, misread[0].posture
+    seen = problem.look(state)[0]
+    pixels, count = seen.view.pixels, len(seen.view.pixels.cell)
+    stated = (np.asarray(seen.view.jacobian) @ seen.moves)[:count, -3:]
+    used = np.asarray(pixels.weight) > 0
+    row, column = np.divmod(np.asarray(pixels.cell)[used], int(seen.view.level.W) + 2)
+    left, bottom = np.asarray(seen.view.level.origin, int)
+    for k, step in enumerate(1e-5 * np.eye(3)):
+        one, other = (drawn(BEFORE, posture.scene(sign * step)) for sign in (1, -1))
+        change = (one - other) / 2e-5
+        here = change[SIZE - 1 - row - bottom, column - 1 + left]
+        assert np.isclose(np.linalg.norm(here), np.linalg.norm(change))
+        off = np.abs(stated[used, k] - here) > 1e-3 * np.max(np.abs(here))
+        assert np.mean(off) < 0.06
+        assert np.linalg.norm(stated[used, k] - here) < 0.1 * np.linalg.norm(here)
