@@ -209,24 +209,20 @@ def test_stl_text_has_any_names_normals_and_line_ends(tmp_path, caplog):
     assert not caplog.records
 
 
-MARK = b"\xef\xbb\xbf"
 SPARE = b"v 9 9 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 5\nf 2 3 4\n"
 
 
 @pytest.mark.parametrize(
-    ("name", "data"),
-    [("a.obj", SPARE), ("a.obj", obj()), ("a.off", off()), ("a.ply", ply()), ("a.ply", ply("")),
-     ("a.stl", STL)],
-)  # fmt: skip
-def test_byte_order_marks_change_nothing(tmp_path, name, data):
+    "name", ["spare.obj", "plain.obj", "plain.off", "little.ply", "text.ply", "a.stl"]
+)
+def test_byte_order_marks_change_nothing(tmp_path, name):
+    data = {**FILES, "spare.obj": SPARE, "a.stl": STL}[name]
     plain = triangles_of(pj.load_mesh(put(tmp_path, name, data)))
-    marked = triangles_of(pj.load_mesh(put(tmp_path, name, MARK + data)))
+    marked = triangles_of(pj.load_mesh(put(tmp_path, name, b"\xef\xbb\xbf" + data)))
     np.testing.assert_array_equal(marked, plain)
-    if data.isascii():
-        for coding in ("utf-16", "utf-16-le", "utf-16-be"):
-            wide = data.decode().encode(coding)
-            with pytest.raises(ValueError, match="UTF-16"):
-                pj.load_mesh(put(tmp_path, name, wide))
+    for coding in ("utf-16", "utf-16-le", "utf-16-be") if data.isascii() else ():
+        with pytest.raises(ValueError, match="UTF-16"):
+            pj.load_mesh(put(tmp_path, name, data.decode().encode(coding)))
 
 
 WORDS = ["1.#QNAN", "-1.#IND00", "1.#INF", "1#INF", "-nan(ind)", "nan", "inf"]
@@ -250,10 +246,8 @@ def test_numbers_that_windows_writes_are_never_one(tmp_path, word, ending):
         pj.load_mesh(put(tmp_path, f"b.{ending}", text.format(word).encode()))
     if ending == "obj":
         unread = f"vt {word} {word}\nvn {word} 0 1\n".encode() + obj("{}/1/1")
-        mesh = pj.load_mesh(put(tmp_path, "c.obj", unread))
-        np.testing.assert_array_equal(
-            triangles_of(mesh), triangles_of(pj.load_mesh(put(tmp_path, "d.obj", obj())))
-        )
+        mesh, plain = (pj.load_mesh(put(tmp_path, "c.obj", x)) for x in (unread, obj()))
+        np.testing.assert_array_equal(triangles_of(mesh), triangles_of(plain))
 
 
 def test_no_file_that_an_obj_names_is_opened(tmp_path, monkeypatch):
