@@ -268,7 +268,7 @@ def _binary_images(file: Path) -> Iterator[Record]:
             numbers = reader.take("<I7dI")
             where = f"{str(file)!r}, image {numbers[0]}"
             yield numbers, reader.name(where), where
-            reader.skip(24, *reader.take("<Q"))
+            reader.skip(24 * reader.take("<Q")[0])
 
 
 class _Reader:
@@ -287,18 +287,18 @@ class _Reader:
         if kind is None and end != self.size:
             raise ValueError(f"expected {end} bytes, got {self.size} (in {self.file})")
 
-    def skip(self, size: int, count: int = 1) -> None:
-        """Pass over values of this size."""
-        if self.stream.tell() + size * count > self.size:
-            raise ValueError(f"expected more than {self.size} bytes, got the end (in {self.file})")
-        self.stream.seek(size * count, os.SEEK_CUR)
+    def skip(self, count: int) -> None:
+        """Pass over some bytes."""
+        if self.stream.tell() + count > self.size:
+            raise self._early_end()
+        self.stream.seek(count, os.SEEK_CUR)
 
     def take(self, form: str) -> tuple:
         """Return the next values."""
-        start, size = self.stream.tell(), struct.calcsize(form)
-        self.skip(size)
-        self.stream.seek(start)
-        return struct.unpack(form, self.stream.read(size))
+        data = self.stream.read(struct.calcsize(form))
+        if len(data) < struct.calcsize(form):
+            raise self._early_end()
+        return struct.unpack(form, data)
 
     def name(self, where: str) -> str:
         """Return the text up to the next zero byte."""
@@ -311,6 +311,9 @@ class _Reader:
             return data.decode("utf-8")
         except UnicodeDecodeError:
             raise ValueError(f"`NAME`: expected UTF-8, got {data[:60]!r} ({where})") from None
+
+    def _early_end(self) -> ValueError:
+        return ValueError(f"expected more than {self.size} bytes, got the end (in {self.file})")
 
 
 def _view(camera: Camera) -> tuple:
