@@ -24,7 +24,7 @@ from .descriptions import fit_described, holding, mask_described
 from .drawing import camera_numbers, grid_lines, outline_lines, straight_lines
 from .exports import export, plain
 from .session import Session, free_of, line_of, save_session, session_from_text
-from .strokes import LoadedMask, Stroke, guessed, guides_about, guides_of, mask_of, stroke_of
+from .strokes import LoadedMask, Stroke, Work, guessed, guides_about, guides_of, mask_of, stroke_of
 from .workpiece import Workpiece, workpiece_of
 
 #: The actions that the page may call.
@@ -66,15 +66,15 @@ class Bench:
         self.camera: Camera = workpiece.start
         self.known_phi = workpiece.phi
         self.free: tuple[str, ...] = ("pose",) if self.known_phi is not None else ("pose", "phi")
-        self.work: tuple[Stroke | LoadedMask, ...] = ()
+        self.work: Work = ()
         self.lines: tuple[Any, ...] = ()
         self.result: Fit | None = None
         self.mask: np.ndarray | None = None
         self._candidates: tuple[Fit, ...] = ()
         self._phi_was_free, self._held_phi = False, None
         self._guess = _guesses_of(workpiece)
-        self._undone: list[tuple[Stroke | LoadedMask, ...]] = []
-        self._done: list[tuple[Stroke | LoadedMask, ...]] = []
+        self._undone: list[Work] = []
+        self._done: list[Work] = []
         self._straight = False
         self._stopping = threading.Event()
         self._lock, self._fits = threading.Lock(), False
@@ -338,12 +338,12 @@ class Bench:
         self._done, self._undone = [work[:k] for k in range(len(work))][-MOST_UNDONE:], []
         self._drawn(work)
 
-    def _with(self, work: tuple[Stroke | LoadedMask, ...]) -> dict[str, Any]:
+    def _with(self, work: Work) -> dict[str, Any]:
         self._done = [*self._done, self.work][-MOST_UNDONE:]
         self._undone = []
         return self._drawn(work)
 
-    def _drawn(self, work: tuple[Stroke | LoadedMask, ...]) -> dict[str, Any]:
+    def _drawn(self, work: Work) -> dict[str, Any]:
         W, H = self.workpiece.size
         self.work, self.mask = work, mask_of(work, self._guess(guides_of(work)), W, H)
         return self._mask_described()

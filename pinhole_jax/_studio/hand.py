@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from .. import BrownConrady, Camera, Lens, camera_basis
+from .. import BrownConrady, Camera, Lens
+from ..show.space import axes_of
 
 #: The first direction from an upright object to the camera: ahead, to the right and above.
 FIRST_LOOK = (0.4, 0.45, 1.0)
@@ -25,11 +26,6 @@ ROOM = 0.75
 NEAREST, FARTHEST = 1e-3, 1e5
 
 Vector = Float[np.ndarray, "3"]
-
-
-def axes_of(camera: Camera) -> Float[np.ndarray, "3 3"]:
-    """Return the camera's axes as rows: right, up, forward."""
-    return np.stack([np.asarray(axis, float) for axis in camera_basis(camera)])
 
 
 def focal_px(camera: Camera) -> Float[np.ndarray, "2"]:

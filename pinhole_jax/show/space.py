@@ -39,7 +39,7 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
     """
     from PIL import Image, ImageDraw
 
-    axes, eye = _axes(camera), np.asarray(camera.e, float)
+    axes, eye = axes_of(camera), np.asarray(camera.e, float)
     triangles, balls = _solids(scene)
     middle = np.concatenate([triangles.reshape(-1, 3), balls[:, :3]]).mean(axis=0)
     depth = max(float((middle - eye) @ axes[2]), 1e-6 * float(np.linalg.norm(middle - eye)), 1e-30)
@@ -82,7 +82,7 @@ def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera]
     It shows the pyramid up to the view point, a tick upwards, and the world's axes at the view
     point. The eyes of `way`, earlier cameras of a fit, are a dotted line; those of `others` rings.
     """
-    axes, eye = _axes(camera), np.asarray(camera.e, float)
+    axes, eye = axes_of(camera), np.asarray(camera.e, float)
     b1, b2, v = axes * float(np.linalg.norm(np.asarray(camera.p, float) - eye))
     up = float(np.tan(float(camera.phi) / 2))
     aspect = 1.0 if camera.lens is None else float(camera.lens.aspect)
@@ -119,7 +119,8 @@ def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera]
     return Svg(f'<svg xmlns="http://www.w3.org/2000/svg" {size} {words}>{"".join(parts)}</svg>')
 
 
-def _axes(camera: Camera) -> np.ndarray:
+def axes_of(camera: Camera) -> Float[np.ndarray, "3 3"]:
+    """Return the camera's axes as rows: right, up, forward."""
     return np.stack([np.asarray(axis, float) for axis in camera_basis(camera)])
 
 
