@@ -118,10 +118,10 @@ def _statuses(text: str | None) -> list[str]:
 
 
 def _shard(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
-    if found is None:
+    parts = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
+    if parts is None:
         raise ValueError(f"`shard`: expected I/N, as 3/10, got {text!r}")
-    return int(found[1]), int(found[2])
+    return int(parts[1]), int(parts[2])
 
 
 def _written(options: argparse.Namespace, results: Results) -> Iterator[str]:

@@ -117,10 +117,10 @@ def _worths(
     fit: JointFit, views: list[JointView], options: argparse.Namespace, proposed: list[Sight]
 ) -> list[float]:
     """Return the factor by which a mask of each proposed posture would reduce the errors."""
-    found, free = fit.cameras["camera"], options.free.split(",")
+    fitted, free = fit.cameras["camera"], options.free.split(",")
     mounts = [None if view.mount is None else np.asarray(view.mount) for view in views]
     seen = [(view.scene, mount) for view, mount in zip(fit.views, mounts, strict=True)]
-    return worths(found.camera, found.covariance, free, seen, proposed)
+    return worths(fitted.camera, fitted.covariance, free, seen, proposed)
 
 
 def _most_worth(fit: JointFit) -> str:
@@ -184,8 +184,8 @@ def _write(
     written += [Path(options.report)] if options.report is not None and finite else []
     words = f"written    {', '.join(map(str, written))}{replaced(written)}"
     with named(path="output"):
-        found = fit.cameras["camera"]._replace(status=fit.status)
-        io.save_fit(written[0], found, pixel_centres=centres)
+        fitted = fit.cameras["camera"]._replace(status=fit.status)
+        io.save_fit(written[0], fitted, pixel_centres=centres)
         for path, view, picture in zip(drawings, fit.views, pictures, strict=False):
             io.save_image(path, overlay(picture, view.camera, view.scene))
     for path in written[1 + len(drawings) :]:

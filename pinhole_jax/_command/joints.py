@@ -64,8 +64,8 @@ def _check_reach(robot: Robot, name: str, value: float, where: str) -> None:
 def _table(path: str) -> JointTable:
     data: dict[str, Any] = {}
     if path.lower().endswith(".json"):
-        found = load_json(path)
-        data = found if isinstance(found, dict) else {}
+        content = load_json(path)
+        data = content if isinstance(content, dict) else {}
         postures = data.get("postures")
         rows = [data.get("names"), *(postures if isinstance(postures, list) else [])]
     else:

@@ -29,20 +29,20 @@ def worths(
     errors of the camera's pose (their geometric mean).
 
     One more mask is taken to be as good as those `seen`: the `covariance` of the reported
-    parameters tells how much less information these gave than masks without errors. The factor is
+    parameters says how much less information these gave than masks without errors. The factor is
     infinite if the masks seen do not determine all parameters and one more would.
     """
     names = labels_of(check_free(free, camera))
-    tells = lambda sight: _information(camera, sight[0], sight[1], free, names)
-    ideal = np.sum([tells(sight) for sight in seen], axis=0)
+    information_of = lambda sight: _information(camera, sight[0], sight[1], free, names)
+    ideal = np.sum([information_of(sight) for sight in seen], axis=0)
     place = [names.index(name) for name in POSE]
     if not (np.all(np.isfinite(covariance)) and _regular(ideal)):
-        return [np.inf if _regular(ideal + tells(sight)) else 1.0 for sight in proposed]
+        return [np.inf if _regular(ideal + information_of(sight)) else 1.0 for sight in proposed]
     size = lambda matrix: np.linalg.slogdet(matrix)[1]
     lost = np.exp((size(covariance) + size(ideal)) / len(covariance))
     before, result = np.linalg.inv(covariance), []
     for sight in proposed:
-        after = np.linalg.inv(before + tells(sight) / lost)
+        after = np.linalg.inv(before + information_of(sight) / lost)
         grown = size(covariance[np.ix_(place, place)]) - size(after[np.ix_(place, place)])
         result.append(float(np.exp(grown / (2 * len(place)))))
     return result
@@ -62,7 +62,7 @@ def _information(
     if mount is None:
         return information(camera, scene, free)
     known = information(at_pose(camera, mount @ pose_of(camera)), scene, free)
-    # Turns are about the camera's own axes, in whatever frame it is; its eye is in the link's.
+    # Turns are about the camera's own axes, whatever its frame; its eye is in the link's.
     eye = [names.index(name) for name in ("e_x", "e_y", "e_z")]
     frame = np.eye(len(names))
     frame[np.ix_(eye, eye)] = mount[:3, :3]

@@ -250,7 +250,7 @@ class Bench:
         known["photo"] = self.workpiece.picture if refine else None
         on_step = partial(self._on_the_way, push)
         try:
-            found = fit_camera(
+            fit = fit_camera(
                 self.workpiece.scene,
                 self.mask,
                 start,
@@ -261,9 +261,9 @@ class Bench:
             )
         except StopRequest:
             raise ValueError("stopped: the camera has not changed") from None
-        self._candidates = tuple(holding(each, held) for each in (found, *found.modes))
+        self._candidates = tuple(holding(each, held) for each in (fit, *fit.modes))
         self._phi_was_free, self._held_phi = focal_is_free, held
-        self.result, self.camera = self._candidates[0], found.camera
+        self.result, self.camera = self._candidates[0], fit.camera
         return {"fit": self._fit_described(self.result), "view": self.look()}
 
     def _on_the_way(self, push: Callable[[Any], None] | None, progress: Progress) -> None:

@@ -22,7 +22,7 @@ def mask_described(mask: np.ndarray | None, work: Work) -> dict[str, Any]:
 
 
 def holding(fit: Fit, phi_from: str | None) -> Fit:
-    """Return a fit that names a field of view which it held fixed and nobody gave.
+    """Return a fit that names the guess of the field of view that it held fixed.
 
     The camera is only as right as that guess, so it has not `converged`. `phi_from` is the guess's
     origin, None if somebody gave it.

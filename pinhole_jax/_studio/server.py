@@ -132,8 +132,8 @@ class Studio:
         )
         number = None
         try:
-            number, name, asked = _question(text)
-            answer = await self._in_thread(bench.act, name, asked, push)
+            number, name, numbers = _question(text)
+            answer = await self._in_thread(bench.act, name, numbers, push)
             outgoing.put_nowait({"id": number, "answer": answer})
         except (ValueError, OSError) as error:
             outgoing.put_nowait({"id": number, "error": str(error)})
@@ -147,10 +147,12 @@ class Studio:
 
 def _question(text: str) -> tuple[Any, str, dict[str, Any]]:
     """Return a message's number, its action and the action's numbers, or raise ValueError."""
-    asked = json.loads(text)
-    if not (isinstance(asked, dict) and isinstance(asked.get("do"), str) and "id" in asked):
+    question = json.loads(text)
+    if not (
+        isinstance(question, dict) and isinstance(question.get("do"), str) and "id" in question
+    ):
         raise ValueError("expected a JSON object with `id` and `do`")
-    return asked.pop("id"), asked.pop("do"), asked
+    return question.pop("id"), question.pop("do"), question
 
 
 async def _send_all(socket: web.WebSocketResponse, outgoing: "asyncio.Queue[Any]") -> None:
@@ -167,9 +169,9 @@ async def serve(studio: Studio, port: int, ready: Callable[[str], Any]) -> None:
     try:
         site = web.TCPSite(runner, HOST, port)
         await site.start()
-        found = runner.addresses[0][1]
-        studio.hosts.update({f"{HOST}:{found}", f"localhost:{found}"})
-        ready(f"http://{HOST}:{found}/?token={studio.token}")
+        number = runner.addresses[0][1]
+        studio.hosts.update({f"{HOST}:{number}", f"localhost:{number}"})
+        ready(f"http://{HOST}:{number}/?token={studio.token}")
         await asyncio.Event().wait()
     finally:
         await runner.cleanup()

@@ -57,8 +57,8 @@ def session_from_text(text: str, name: str = "session") -> Session:
     except (ValueError, RecursionError) as error:
         raise ValueError(f"`path`: expected a session file, got {name!r}: {error}") from None
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:
-        found = data.get("schema") if isinstance(data, dict) else type(data).__name__
-        raise ValueError(f"`schema`: expected {SCHEMA!r}, got {found!r} (in {name!r})")
+        schema = data.get("schema") if isinstance(data, dict) else type(data).__name__
+        raise ValueError(f"`schema`: expected {SCHEMA!r}, got {schema!r} (in {name!r})")
     for field in ("mesh", "photo"):
         if not isinstance(data.get(field), str) or not data[field]:
             raise ValueError(f"`{field}`: expected a path, got {data.get(field)!r} (in {name!r})")

@@ -25,7 +25,7 @@ EDGE_PX = 4
 CONTRAST = 2000.0
 #: The distance of dots from a view's outline, as a share of the object's size in the picture.
 KEEP_OFF = 0.12
-#: The most points of a stroke and the most strokes: nobody draws more by hand.
+#: The most points of a stroke and the most strokes: a hand draws no more.
 MOST_POINTS, MOST_STROKES = 100_000, 10_000
 
 
@@ -246,7 +246,7 @@ def _mask_of_png(text: Any, W: int, H: int) -> np.ndarray:
 
     try:
         mask = np.asarray(Image.open(BytesIO(base64.b64decode(text)), formats=("PNG",)))
-    except Exception as error:  # the reader raises whatever it meets
+    except Exception as error:  # the reader raises many kinds
         raise ValueError(f"`mask`: expected a PNG file in base64, got none: {error}") from None
     if mask.dtype != np.uint8 or mask.shape != (H, W):
         raise ValueError(f"`mask`: expected 8 bits, {W} x {H} px, got shape {mask.shape}")

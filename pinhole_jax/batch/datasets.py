@@ -102,8 +102,8 @@ def _with(fields: dict[str, Any], records: Iterator[Record]) -> Iterator[Record]
 def _models(place: Path, models: str | os.PathLike[str] | None) -> Path:
     above = place.resolve().parents[:2]
     places = [Path(models)] if models else [folder / name for folder in above for name in MODELS]
-    if found := [folder for folder in places if folder.is_dir()]:
-        return found[0]
+    if existing := [folder for folder in places if folder.is_dir()]:
+        return existing[0]
     words = f"got {str(models)!r}" if models else f"as there is no {' or '.join(MODELS)} beside it"
     raise ValueError(f"`models`: expected the folder of the models of {str(place)!r}, {words}")
 
@@ -114,10 +114,10 @@ def _of_bop(
     for scene in scenes:
         cameras = _json(scene / "scene_camera.json", "`path`", dict)
         if detections is None:
-            found = _labelled(scene, start)
+            objects = _labelled(scene, start)
         else:
-            found = _segmented(detections.get(int(scene.name), []))
-        for image, number, object_, fields in found:
+            objects = _segmented(detections.get(int(scene.name), []))
+        for image, number, object_, fields in objects:
             camera = cameras.get(image, {})
             if not isinstance(camera, dict):
                 place = f"{str(scene / 'scene_camera.json')!r}, image {image!r}"
@@ -164,9 +164,9 @@ def _detected(path: Path, scenes: list[Path]) -> dict[int, list[Any]]:
         words = "expected scenes' folders named by the `scene_id` of `detections`, as 000001"
         raise ValueError(f"`path`: {words}, got {others[0]!r}")
     by_scene: dict[int, list[Any]] = {}
-    for number, found in enumerate(_items(data, "`detections`")):
+    for number, detection in enumerate(_items(data, "`detections`")):
         words = f"`detections`: expected `scene_id`, the number of a BOP scene, in number {number}"
-        by_scene.setdefault(_whole(found.get("scene_id"), words), []).append(found)
+        by_scene.setdefault(_whole(detection.get("scene_id"), words), []).append(detection)
     numbers = [int(scene.name) for scene in scenes]
     if by_scene and not by_scene.keys() & {*numbers}:
         words = f"expected `scene_id` among {brief(numbers)}, the scenes of `path`"
@@ -177,13 +177,13 @@ def _detected(path: Path, scenes: list[Path]) -> dict[int, list[Any]]:
 def _segmented(detections: list[dict[str, Any]]) -> _Objects:
     """Yield the objects detected in a scene."""
     numbers: dict[int, int] = {}
-    for found in detections:
+    for detection in detections:
         image, object_ = (
-            _whole(found.get(name), f"`detections`: expected `{name}`, a number")
+            _whole(detection.get(name), f"`detections`: expected `{name}`, a number")
             for name in ("image_id", "category_id")
         )
         number = numbers[image] = numbers.get(image, -1) + 1
-        yield str(image), number, object_, {"mask": found.get("segmentation")}
+        yield str(image), number, object_, {"mask": detection.get("segmentation")}
 
 
 def _json(path: Path, name: str, kind: Any) -> Any:

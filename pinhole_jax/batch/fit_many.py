@@ -115,12 +115,12 @@ def fit_many(
     kept: dict[str, Row] = {}
     waiting = _sorted(_left(items, shard, done, kept))
     setup = Setup(cached, time_limit, TOKEN)
-    found = tracked_rows(waiting, setup) if track else rows_of(waiting, executor, workers, setup)
+    rows = tracked_rows(waiting, setup) if track else rows_of(waiting, executor, workers, setup)
     writer = None if results is None else Writer(results.folder)
     statuses: Counter[str] = Counter()
     begin = time.perf_counter()
     try:
-        for row in found:
+        for row in rows:
             if writer is None:
                 kept[row["id"]] = row
             else:
@@ -130,7 +130,7 @@ def fit_many(
                 seconds = time.perf_counter() - begin
                 progress(Count(statuses.total(), total, before, dict(statuses), seconds))
     finally:
-        found.close()  # ends the workers, also after an interrupt
+        rows.close()  # ends the workers, also after an interrupt
         if writer is not None:
             writer.flush()
     return [*kept.values()] if results is None else results

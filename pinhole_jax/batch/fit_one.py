@@ -38,7 +38,7 @@ def fit_one(record: Record) -> Row:
         names = {"outlier_px", "max_steps", "prior", "bounds"} & checked.keys()
         more = {name: checked[name] for name in names}
         row = _row_of(checked, inputs.fit("photo" in checked, **more), "; ".join(notes))
-    except Exception as error:  # whatever a reader raises: the other records go on
+    except Exception as error:  # one bad record does not stop the others
         known = isinstance(error, ValueError | OSError | ModuleNotFoundError)
         words = str(error) if known else f"{type(error).__name__}: {error}"
         row = empty_row(record, "failed", words)

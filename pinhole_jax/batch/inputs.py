@@ -16,7 +16,7 @@ import pinhole_jax as pj
 from .._files.naming import named
 from .records import PICTURES, Record, has_numbers, setting
 
-#: Told sentences about what was read.
+#: A function that prints or keeps a sentence about an input.
 Say = Callable[[str], Any]
 Size = tuple[int, int]
 #: A field of view (degrees) below `LEAST_FOV` is a mistake. A principal point farther from the

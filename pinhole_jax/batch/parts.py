@@ -109,11 +109,11 @@ class Results:
 
     def rows(self, ids: Iterable[str]) -> list[Row]:
         """Return the rows of these ids, in their order; raise ValueError for an unknown id."""
-        places, asked = self._places(), [*ids]
-        if missing := [id for id in asked if id not in places]:
+        places, wanted = self._places(), [*ids]
+        if missing := [id for id in wanted if id not in places]:
             words = f"expected one of the rows in {str(self.folder)!r}, got {missing[0]!r}"
             raise ValueError(f"`id`: {words}")
-        return [*_read(places[id] for id in asked)]
+        return [*_read(places[id] for id in wanted)]
 
     def row(self, id: str) -> Row:
         """Return the row of an id; raise ValueError for an unknown id."""

@@ -83,12 +83,13 @@ def _is_bop(id: str) -> bool:
 def _bop(results: Results) -> Iterator[list[Any]]:
     """Yield BOP's results; each line has the time of its whole image, as BOP's tools require."""
     seconds: dict[Any, float] = {}
-    found = lambda: (([*map(int, row["id"].split("/")[-4:])], row) for row in results if row["R"])
-    for (scene, image, *_), row in found():
+    place = lambda row: [*map(int, row["id"].split("/")[-4:])]
+    with_camera = lambda: ((place(row), row) for row in results if row["R"])
+    for (scene, image, *_), row in with_camera():
         seconds[scene, image] = seconds.get((scene, image), 0.0) + row["seconds"]
     numbers = lambda values: " ".join(repr(float(x)) for x in values)
     yield ["scene_id", "im_id", "obj_id", "score", "R", "t", "time"]
-    for (scene, image, object_, _), row in found():
+    for (scene, image, object_, _), row in with_camera():
         time = f"{seconds[scene, image]:.6f}"
         yield [scene, image, object_, row["iou"], numbers(row["R"]), numbers(row["t"]), time]
 

@@ -43,13 +43,13 @@ def levels(fit: Fit) -> list[tuple[Progress, int, int]]:
     ```
     """
     check_fit(fit)
-    found, last = [], 0
+    ends, last = [], 0
     for _, each in groupby(fit.history[1:], lambda stop: (stop.W, stop.H)):
         level, first = list(each), last
         last += len(level)
         end = level[-1]._replace(steps=sum(stop.steps for stop in level))
-        found.append((end, first, last))
-    return found
+        ends.append((end, first, last))
+    return ends
 
 
 def _text(x: float, y: float, words: object, kind: str = "m") -> str:

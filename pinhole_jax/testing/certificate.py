@@ -191,39 +191,39 @@ def _row(
     with np.errstate(invalid="ignore"):  # the verdict reports it, no warning
         largest = np.max(np.abs(up[0] - down[0])) / (2 * direction.step)
         scale = max(largest, least)
-        found = slopes(middle, up, down, direction.step, tolerance / 2 * scale)
-        errors = outside(derivative, found) / scale
-        apart = _apart(direction, derivative, least, reverse)
-    verdict = _verdict(errors, apart, found, scales, scale)
+        nearby = slopes(middle, up, down, direction.step, tolerance / 2 * scale)
+        errors = outside(derivative, nearby) / scale
+        gap = _mode_gap(direction, derivative, least, reverse)
+    verdict = _verdict(errors, gap, nearby, scales, scale)
     if verdict == "ok" and largest <= tolerance * least:
         verdict = "moves nothing"
-    shown = np.abs(found.central) if np.max(errors) <= tolerance else errors
+    shown = np.abs(nearby.central) if np.max(errors) <= tolerance else errors
     pixel = np.unravel_index(np.argmax(shown), shown.shape)  # the first NaN, if there is one
     return Row(
         direction.name,
         float(derivative[pixel]),
-        float(found.central[pixel]),
+        float(nearby.central[pixel]),
         (int(pixel[0]), int(pixel[1])),
         direction.step,
         float(np.max(errors)),
-        apart,
-        int(np.sum(found.kink)),
+        gap,
+        int(np.sum(nearby.kink)),
         verdict,
     )
 
 
-def _verdict(errors: np.ndarray, apart: float, found: Slopes, scales: Scales, scale: float) -> str:
-    if not (np.all(np.isfinite(errors)) and np.isfinite(apart)):
+def _verdict(errors: np.ndarray, gap: float, nearby: Slopes, scales: Scales, scale: float) -> str:
+    if not (np.all(np.isfinite(errors)) and np.isfinite(gap)):
         return "not finite"
     if np.max(errors) > scales.tolerance:
         return "wrong derivative"
-    if apart > scales.reverse:
+    if gap > scales.reverse:
         return "reverse differs"
-    moving = np.abs(found.central) > MOVING * scale
-    return "undecided" if np.sum(found.kink) > KINKS_ALLOWED * np.sum(moving) else "ok"
+    moving = np.abs(nearby.central) > MOVING * scale
+    return "undecided" if np.sum(nearby.kink) > KINKS_ALLOWED * np.sum(moving) else "ok"
 
 
-def _apart(direction: Probe, derivative: np.ndarray, least: float, reverse: _Reverse) -> float:
+def _mode_gap(direction: Probe, derivative: np.ndarray, least: float, reverse: _Reverse) -> float:
     """Return the relative distance of <gradient, direction> from <weight, derivative>."""
     moved = direction.value != 0  # a NaN elsewhere belongs to another row
     gradient = np.asarray(direction.where(reverse.gradient), float)

@@ -87,6 +87,6 @@ def slopes(
     return Slopes(slope, kink, np.where(kink, low, slope), np.where(kink, high, slope))
 
 
-def outside(derivative: Float[np.ndarray, "H W"], found: Slopes) -> Float[np.ndarray, "H W"]:
+def outside(derivative: Float[np.ndarray, "H W"], nearby: Slopes) -> Float[np.ndarray, "H W"]:
     """Return the distance of each pixel's derivative from the bounds of its slopes."""
-    return np.maximum(np.maximum(found.low - derivative, derivative - found.high), 0)
+    return np.maximum(np.maximum(nearby.low - derivative, derivative - nearby.high), 0)
