@@ -105,6 +105,7 @@ def command(*arguments, **more):
     return subprocess.run(arguments, capture_output=True, check=False, timeout=100, **more)
 
 
+@pytest.mark.long
 def test_output_can_go_to_standard_output(tmp_path):
     io.save_camera(tmp_path / "c.json", CAMERA)
     formats.write(tmp_path / "c.yaml", {"camera": CAMERA})
@@ -479,6 +480,7 @@ def test_noise_is_no_mask(tmp_path):
         io.load_mask(tmp_path / "n.png", "background=white")
 
 
+@pytest.mark.long
 def test_file_names_need_not_be_text(tmp_path):
     path = tmp_path / os.fsdecode(b"a\n\xff.json")
     try:

@@ -56,26 +56,24 @@ def summary(camera, scene, overlaps):
 
 
 @eqx.filter_jit
-def batch(cameras, scenes, whole):
-    """Return what a batch sees; `whole`: with overlaps told apart, and with its derivatives."""
-    each = lambda f: eqx.filter_vmap(f)(cameras, scenes)
-    image = each(lambda *x: seen(*x, whole))
-    return image, each(lambda *x: eqx.filter_grad(lambda x: summary(*x, True))(x)) if whole else ()
+@eqx.filter_vmap
+def batch(camera, scene):
+    """Return what each element of a batch sees."""
+    return seen(camera, scene)
 
 
 @pytest.mark.parametrize("bad", [np.nan, full(np.inf)])
-def test_poisoned_element_leaves_the_rest_of_a_batch_alone(bad, exhaustive):
+def test_poisoned_element_leaves_the_rest_of_a_batch_alone(bad):
     many = lambda x: jnp.stack([x, x, x]) if eqx.is_array(x) else x
     cameras, scenes = jax.tree.map(many, (CAMERA, SCENE))
     cameras = eqx.tree_at(lambda c: c.e, cameras, cameras.e + jnp.eye(3) / 10)
-    whole = batch(cameras, scenes, exhaustive)
-    for leaf in jax.tree.leaves(whole):
-        assert not np.any(np.isnan(leaf))
+    whole = batch(cameras, scenes)
+    assert not any(np.any(np.isnan(leaf)) for leaf in jax.tree.leaves(whole))
     for part in PARTS.values():
         where = lambda both, part=part: part(*both)
-        old = where((cameras, scenes))
-        new = old.reshape(3, -1).at[1, 0].set(bad).reshape(old.shape)
-        poisoned = batch(*eqx.tree_at(where, (cameras, scenes), new), exhaustive)
+        new = np.array(where((cameras, scenes)))
+        new.reshape(3, -1)[1, 0] = bad
+        poisoned = batch(*eqx.tree_at(where, (cameras, scenes), jnp.asarray(new)))
         for x, y in zip(jax.tree.leaves(poisoned), jax.tree.leaves(whole), strict=True):
             np.testing.assert_array_equal(x[::2], y[::2])
 

@@ -47,8 +47,9 @@ def drawn(e, scene):
     return native.coverage(film_map(camera(e)), scene)
 
 
-@pytest.mark.parametrize("bends", [False, long(True)])
-@pytest.mark.parametrize("kind", ["closed", long("soup"), long("spheres"), long("both")])
+@pytest.mark.long
+@pytest.mark.parametrize("bends", [False, True])
+@pytest.mark.parametrize("kind", ["closed", "both"])
 def test_coverage_and_derivatives_are_those_by_arrays(kind, bends):
     """Forward and back, by the eye and by the scene."""
     scene, random = SCENES[kind](np.random.default_rng(3)), np.random.default_rng(4)

@@ -118,6 +118,7 @@ def test_fit_that_is_not_finite_is_shown():
     assert "non_finite" in text
 
 
+@pytest.mark.long
 def test_html_loads_no_other_package():
     code = (
         "import sys, pinhole_jax as pj;"

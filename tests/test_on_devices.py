@@ -14,7 +14,7 @@ import pytest
 pytestmark = pytest.mark.long
 
 #: Each with the devices that it is sharded over.
-CASES = {"mesh": (2,), "spheres and lens": (2,), "shared mesh": (4,), "hits": (2, 2)}
+CASES = {"masks": (2,), "shared mesh": (4,), "hits": (2, 2)}
 
 
 @pytest.fixture(scope="module")
@@ -65,13 +65,12 @@ def main():
         (reverse,) = jax.linear_transpose(push, x)(jnp.ones_like(value))
         return {"value": value, "forward": forward, "reverse": reverse}
 
-    def of_mesh(x, weight):
-        scene_of = lambda vertices: pj.Scene(mesh=pj.Mesh(vertices, faces))
-        return derivatives(lambda x: total(weight, view(x[0]), scene_of(x[1])), x)
+    def masks(x, weight):
+        def weighed(x):
+            scene = pj.Scene(mesh=pj.Mesh(x[1], faces), spheres=pj.Spheres(x[2], radii))
+            return total(weight, view(x[0], lens), scene)
 
-    def of_spheres(x, weight):
-        scene_of = lambda centers: pj.Scene(spheres=pj.Spheres(centers, radii))
-        return derivatives(lambda x: total(weight, view(x[0], lens), scene_of(x[1])), x)
+        return derivatives(weighed, x)
 
     def total(weight, camera, scene):
         return jnp.sum(weight * pj.silhouette(camera, scene))
@@ -122,8 +121,7 @@ def main():
         return max(float(jnp.max(jnp.abs(a - b)) / jnp.max(jnp.abs(b))) for a, b in leaves)
 
     found = {}
-    masks = by_device(of_mesh, (eyes, shapes)), by_device(of_spheres, (eyes, centers))
-    runs = *masks, shared_mesh, by_device(hits, eyes)
+    runs = by_device(masks, (eyes, shapes, centers)), shared_mesh, by_device(hits, eyes)
     for (name, shape), run in zip(CASES.items(), runs, strict=True):
         among = np.array(jax.devices()[: int(np.prod(shape))]).reshape(shape)
         devices = Devices(among, ("d", "other")[: len(shape)])

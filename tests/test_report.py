@@ -160,6 +160,7 @@ def test_bad_arguments_of_a_page_are_refused():
         report.page(FIT, SQUARE, MASK, np.zeros((9, 9), np.uint8))
 
 
+@pytest.mark.long
 def test_browser_shows_the_page(text, tmp_path):
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
