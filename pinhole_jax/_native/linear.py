@@ -1,6 +1,6 @@
 """A linear map given by two functions: itself and its transpose."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -23,6 +23,17 @@ def linear(
     zero = jnp.broadcast_to(jnp.sum(x[0].reshape(-1)[:0]), like.shape)
     both = lambda _, right: (transpose(right[1]), forward(right[0]))
     return jax.lax.custom_linear_solve(lambda x: x, (x, zero), both, symmetric=True)[1]
+
+
+def moving_of(values: Sequence[Any], moves: Sequence[bool]) -> list[Any]:
+    """The values of the variables that move."""
+    return [x for x, m in zip(values, moves, strict=True) if m]
+
+
+def merged(moving: Sequence[Any], still: Sequence[Any], moves: Sequence[bool]) -> list[Any]:
+    """The values of all variables, from those that move and those that do not."""
+    left = iter(moving)
+    return [next(left) if m else x for x, m in zip(still, moves, strict=True)]
 
 
 @jax.custom_jvp

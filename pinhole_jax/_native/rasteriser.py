@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from .._camera.distortion import BrownConrady, Fisheye, Rational
 from .._camera.film import Bend, FilmMap, turned
@@ -16,7 +16,7 @@ from .._camera.lens import Lens
 from .._numerics.on_devices import spread
 from .._numerics.safe import length, safe_divide, safe_sqrt
 from .._scene.scene import Scene, Spheres
-from .linear import differentiable_once, linear
+from .linear import differentiable_once, linear, merged, moving_of
 
 #: Lens models as the library numbers them; 0 is none.
 MODELS = {BrownConrady: 1, Rational: 2, Fisheye: 3}
@@ -36,24 +36,18 @@ class Variables(NamedTuple):
     frames: Float[Array, "S 9"]
 
 
-class Constants(NamedTuple):
-    """The operands that coverage is not differentiated by; `size` is W, H."""
-
-    trusted: Float[Array, "t"]
-    faces: Int[Array, "F 3"]
-    edge_vertices: Int[Array, "E 2"]
-    edge_faces: Int[Array, "E 2"]
-    centers: Float[Array, "S 3"]
-    radii: Float[Array, "S"]
-    size: Int[Array, "2"]
+#: Operands that coverage is not differentiated by: trusted radius, faces, vertices and faces of
+#: edges, centres, radii, W and H.
+Constants = list[Array]
 
 
 def coverage(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
     """Exact coverage of each pixel, row 0 on top."""
-    size = np.array([film.W, film.H], np.int32)
-    constants = jax.lax.stop_gradient(constants_of(film, scene, size))
+    real, size = film.eye.dtype, np.array([film.W, film.H], np.int32)
+    trusted = jnp.zeros(0, real) if film.bend is None else film.bend.trusted[None]
+    constants = [jnp.asarray(x) for x in (trusted, *scene_arrays(scene, real)[1:], size)]
     film_of_image = model_of(film.bend), (film.H, film.W)
-    return _image(film_of_image, variables_of(film, scene), constants)
+    return _image(film_of_image, variables_of(film, scene), jax.lax.stop_gradient(constants))
 
 
 def model_of(lens: Bend | Lens | None) -> int:
@@ -72,14 +66,6 @@ def variables_of(film: FilmMap, scene: Scene) -> Variables:
         jnp.zeros((0, 3), real) if mesh is None else mesh.vertices,
         jnp.zeros((0, 9), real) if spheres is None else sphere_frames(film, spheres),
     )
-
-
-def constants_of(film: FilmMap, scene: Scene, size: Any) -> Constants:
-    """The constants of a view on a film of a size (W, H)."""
-    real = film.eye.dtype
-    trusted = jnp.zeros(0, real) if film.bend is None else film.bend.trusted[None]
-    rest: Any = map(jnp.asarray, [*scene_arrays(scene, real)[1:], np.asarray(size, np.int32)])
-    return Constants(trusted, *rest)
 
 
 def scene_arrays(scene: Scene, real: Any) -> list[Any]:
@@ -173,21 +159,19 @@ def _image_jvp(of: tuple[int, tuple[int, int]], primals: Any, tangents: Any):
     given = operands(*differentiable_once((variables, constants)))
     # (Variables that do not move are empty, and cost nothing.)
     empty = [jnp.zeros((0,) * x.ndim, x.dtype) for x in variables]
-    some = [v for v, m in zip(tangents[0], moves, strict=True) if m]
-    given = spread(given, [*some, *empty])
-    empty, some = spread(empty, given), spread(some, given)
-    like = [x if m else e for x, m, e in zip(variables, moves, empty, strict=True)]
+    velocities = moving_of(tangents[0], moves)
+    given = spread(given, [*velocities, *empty])
+    empty, velocities = spread(empty, given), spread(velocities, given)
+    like = merged(moving_of(variables, moves), empty, moves)
     image, edges = _with_edges(*of, given)
     shape = jax.ShapeDtypeStruct(image.shape, image.dtype)
 
-    def push(some: list[Array]) -> Array:
-        left = iter(some)
-        every = [next(left) if m else e for m, e in zip(moves, empty, strict=True)]
+    def push(velocities: list[Array]) -> Array:
+        every = merged(velocities, empty, moves)
         return _call("image_push", model, [shape], *given, edges, *every)[0]
 
     def pull(weights: Array) -> list[Array]:
         shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in like]
-        every = _call("image_pull", model, shapes, *given, edges, weights)
-        return [x for x, m in zip(every, moves, strict=True) if m]
+        return moving_of(_call("image_pull", model, shapes, *given, edges, weights), moves)
 
-    return image, linear(push, pull, some, shape)
+    return image, linear(push, pull, velocities, shape)

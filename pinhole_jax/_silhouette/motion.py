@@ -14,7 +14,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from .._camera.film import FilmMap
-from .._native.linear import differentiable_once, linear
+from .._native.linear import differentiable_once, linear, merged, moving_of
 from .._numerics.safe import safe_divide
 from .._scene.scene import Scene
 from .conics import arc_flux, unit_of
@@ -54,19 +54,14 @@ def _coverage_jvp(overlaps: bool, primals: Any, tangents: Any):
     view = _view(overlaps, *differentiable_once((moving, given)))
     held, film = differentiable_once(leaves), (given[0].W, given[0].H)
     like = jax.ShapeDtypeStruct(view.image.shape, view.image.dtype)
-    moving_of = lambda xs: [x for x, m in zip(xs, moves, strict=True) if m]
 
     def change_by(view: View, held: list[Array], seen: VisiblePieces) -> Callable:
-        def change(moving: list[Array]) -> Array:
-            left = iter(moving)
-            every = [next(left) if m else x for x, m in zip(held, moves, strict=True)]
-            return _change(view.curves, tree.unflatten(every), seen)
-
-        return change
+        every = lambda moving: tree.unflatten(merged(moving, held, moves))
+        return lambda moving: _change(view.curves, every(moving), seen)
 
     def push(view: View, held: list[Array], velocity: list[Array]) -> Array:
         def add(image, seen):
-            more = jax.jvp(change_by(view, held, seen), (moving_of(held),), (velocity,))[1]
+            more = jax.jvp(change_by(view, held, seen), (moving_of(held, moves),), (velocity,))[1]
             return image.at[seen.pixel].add(more, mode="drop")
 
         none = jnp.zeros(film[0] * film[1], like.dtype)
@@ -76,13 +71,14 @@ def _coverage_jvp(overlaps: bool, primals: Any, tangents: Any):
         flat = jnp.append(weights[::-1].reshape(-1), 0)
 
         def add(total, seen):
-            back = jax.vjp(change_by(view, held, seen), moving_of(held))[1]
+            back = jax.vjp(change_by(view, held, seen), moving_of(held, moves))[1]
             return jax.tree.map(jnp.add, total, back(flat[seen.pixel])[0])
 
-        return _fold_seen(view, film, add, jax.tree.map(jnp.zeros_like, moving_of(held)))
+        none = jax.tree.map(jnp.zeros_like, moving_of(held, moves))
+        return _fold_seen(view, film, add, none)
 
     forward, back = partial(push, view, held), partial(pull, view, held)
-    return view.image, linear(forward, back, moving_of(velocities), like)
+    return view.image, linear(forward, back, moving_of(velocities, moves), like)
 
 
 def _upright(image: Float[Array, "N"], film: tuple[int, int]) -> Float[Array, "H W"]:
