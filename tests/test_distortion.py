@@ -59,7 +59,7 @@ def test_rays_and_projection_undo_each_other(model, phi):
     np.testing.assert_allclose(film, np.stack([column, row], axis=-1), atol=1e-9)
 
 
-@pytest.mark.parametrize("model", first(1, [BROWN, FISHEYE]), ids=["brown", "fisheye"])
+@pytest.mark.parametrize("model", first(0, [BROWN, FISHEYE]), ids=["brown", "fisheye"])
 def test_derivatives_of_rays_and_projection_are_differences(model):
     view = camera(model, 1.2, 4, 3)
     points = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, (5, 3)))
@@ -128,6 +128,9 @@ ANGLES = [
 ]
 
 
+undistorted = jax.jit(lambda model, x, y: model.undistorted(x, y))
+
+
 def by_halves(function, most, value):
     """Return where a growing function has values, by halving the interval (NumPy alone)."""
     low, high = np.zeros_like(value), np.full_like(value, most)
@@ -152,7 +155,7 @@ def test_fisheye_angles_are_those_of_bisection(k, dtype):
     radius = bent(np.linspace(0, edge * (1 - 1e-6), 2001))
     x, y = (radius * f(around) for f in (np.cos, np.sin))
     x, y = np.asarray(x, dtype), np.asarray(y, dtype)
-    ideal = np.hypot(*np.asarray(model.undistorted(jnp.asarray(x), jnp.asarray(y)), float))
+    ideal = np.hypot(*np.asarray(undistorted(model, x, y), float))
     wanted = by_halves(bent, edge, np.hypot(x.astype(float), y))
     # Rounding of the radius, where the image grows by a twentieth only.
     allowed = 60 * np.finfo(dtype).eps if dtype == "float32" else 1e-12
@@ -190,7 +193,7 @@ def test_points_beyond_a_lens_go_on_straight():
 
 def inverted(model, ideal):
     """Points that are distorted, and undistorted."""
-    return np.asarray(model.undistorted(*model(*jnp.asarray(ideal))))
+    return np.asarray(undistorted(model, *model(*jnp.asarray(ideal))))
 
 
 def test_wide_lenses_are_inverted_wherever_they_are_trusted():

@@ -41,6 +41,7 @@ WAYS = [
 ]
 
 
+@pytest.mark.long
 def test_public_names_and_modules_load_on_demand_in_any_order():
     """One after the other in one process that keeps JAX alone."""
     code = (
