@@ -11,7 +11,7 @@ import jax
 import numpy as np
 import pytest
 import trimesh
-from chosen import full
+from chosen import full, long
 from oracles import drawn, turned
 from PIL import ExifTags, Image
 from scipy.ndimage import binary_dilation
@@ -89,7 +89,7 @@ def fitted(here, monkeypatch):
     return fit, asked
 
 
-@pytest.mark.parametrize("report", ["", full("--report out/page.html")])
+@pytest.mark.parametrize("report", [long(""), full("--report out/page.html")])
 def test_render_then_fit_then_check(folder, report):
     cache, out = folder / "cache", folder / "out"
     rendered = run(f"render {folder}/bumpy.ply {folder}/truth.json -o {folder}/drawn.png", cache)
