@@ -36,7 +36,7 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    """Check the annotations of modules that tell shapes there: types alone are what pyright checks.
+    """Check the annotations of modules with shapes; pyright checks types.
 
     `--jaxtyping-packages=pinhole_jax,beartype.beartype` checks all, in a twentieth more time.
     """
@@ -49,7 +49,7 @@ def pytest_configure(config):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Return how many workers `-n auto` is: each takes about 1 GB."""
+    """Return the number of workers of `-n auto`: each takes about 1 GB."""
     return min(os.cpu_count() or 1, 8)
 
 
@@ -102,7 +102,7 @@ def compiled():
 
 
 def memory_maps() -> int:
-    """Return how many the process has; where that is not told, more than are kept."""
+    """Return the number that the process has; where that is unknown, more than are kept."""
     maps = Path("/proc/self/maps")
     return maps.read_bytes().count(b"\n") if maps.exists() else KEPT
 

@@ -86,7 +86,7 @@ def sides_of_frame(W: int, H: int) -> np.ndarray:
 
 
 def clipped_polygon(corners: np.ndarray, W: int, H: int):
-    """Return what the frame (a pixel larger) shows of a convex polygon of homogeneous points."""
+    """Return a convex polygon of homogeneous points within the frame (a pixel larger)."""
     corners = clipped(corners, sides_of_frame(W, H))
     corners = corners[corners[:, 2] > 1e-13] if len(corners) else corners
     if len(corners) < 3:

@@ -132,7 +132,7 @@ undistorted = jax.jit(lambda model, x, y: model.undistorted(x, y))
 
 
 def by_halves(function, most, value):
-    """Return where a growing function has values, by halving the interval (NumPy alone)."""
+    """Return the places of values of a growing function, by halving (NumPy alone)."""
     low, high = np.zeros_like(value), np.full_like(value, most)
     for _ in range(60):
         middle = (low + high) / 2

@@ -104,7 +104,7 @@ def by_pixel(halves) -> np.ndarray:
 
 
 def shifted_change(covered, across, up) -> np.ndarray:
-    """Return how fast pixels fill when all moves to the right and up, by this many px."""
+    """Return the change of coverage as all moves right and up, by these numbers of px."""
     own = covered
     change = across * (np.roll(own, 1, axis=1) - own) + up * (np.roll(own, 1, axis=0) - own)
     return by_pixel(2 * change)

@@ -58,7 +58,7 @@ def summary(camera, scene, overlaps):
 @eqx.filter_jit
 @eqx.filter_vmap
 def batch(camera, scene):
-    """Return what each element of a batch sees."""
+    """Return the views of a batch's elements."""
     return seen(camera, scene)
 
 

@@ -27,7 +27,7 @@ def rays():
 
 
 def edge_distance(vertices, faces, origin, direction, face):
-    """Return how far each ray passes from the edges of a face, over the face's size."""
+    """Return the rays' distances from the edges of faces, over the faces' size."""
     corners = vertices[faces[face]]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     t = np.sum(normal * (corners[:, 0] - origin), axis=1) / np.sum(normal * direction, axis=1)

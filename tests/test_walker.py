@@ -259,7 +259,7 @@ def test_rays_from_far_away_end_soon(distance):
 
 
 def test_kept_trees_are_of_what_arrays_hold():
-    """Six scenes in turn, of which four are kept; and an array that is written to."""
+    """Six scenes in turn, four of them kept; and an array that is written to."""
     mesh, rays = shapes.bumpy(1), random_rays(300)
     moved = lambda size: pj.Scene(
         mesh=eqx.tree_at(lambda m: m.vertices, mesh, size * mesh.vertices)
