@@ -121,14 +121,6 @@ def test_error_bars_are_those_of_the_linearised_problem():
     np.testing.assert_allclose(fit.rms_px, np.sqrt(rest @ rest / 30), rtol=1e-9)
 
 
-def test_directions_that_points_do_not_show_are_named():
-    line = np.linspace([-1.0, 0, 0], [1, 0.2, 0.1], 30)
-    truth = pj.Camera(EYES[0], [0.1, 0, 0], [0.1, 1, 0.05], 0.75, W=W, H=H)
-    fit = pj.fit_points(line, seen([truth], line)[0], truth, free=("pose", "phi"))
-    assert fit.status == "rank_deficient"
-    assert any("is not visible" in words for words in fit.weak)
-
-
 @pytest.mark.parametrize("common", [("phi",), ()])
 def test_prior_counts_once(common):
     """Of what views share once, else to each view: the estimate is the precision-weighted mean."""
@@ -200,20 +192,6 @@ def test_cameras_move_with_points_and_weights_as_refits_do(common):
     still = [0 * velocity[0], velocity[1], 0 * velocity[2]]
     along = jax.jvp(answer, inputs, still)[1][-1]
     np.testing.assert_allclose(jnp.nansum(gradient * velocity[1]), along, rtol=1e-6)
-
-
-def test_error_bars_equal_those_of_linear_theory():
-    """The linear theory: the covariance is that of independent points, through the derivative."""
-    truth = near(EYES[1])
-    points2d = seen([truth], SOLID)[0] + np.random.default_rng(4).normal(0, 1e-4, (30, 2))
-    eye = lambda x: jnp.append(
-        (fit := pj.fit_points(SOLID, x, truth, ("pose", "phi"))).camera.e, fit.camera.phi
-    )
-    D = np.asarray(jax.jacrev(eye)(jnp.asarray(points2d))).reshape(4, -1)
-    fit = pj.fit_points(SOLID, points2d, truth, ("pose", "phi"))
-    of = [fit.names.index(name) for name in ("e_x", "e_y", "e_z", "phi")]
-    variance = fit.rms_px**2 * 30 / (60 - 7)
-    np.testing.assert_allclose(variance * D @ D.T, fit.covariance[np.ix_(of, of)], rtol=1e-3)
 
 
 def test_priors_are_not_differentiated():
@@ -473,6 +451,7 @@ def test_points_of_a_line_leave_a_turn_open(rows):
     fit = pj.fit_points(line, seen([true], line)[0], true)
     assert fit.status == "rank_deficient"
     assert np.all(np.isinf(fit.std[:3]))
+    assert any("is not visible" in words for words in fit.weak)
 
 
 @pytest.mark.parametrize("part", ["position", "orientation"])

@@ -57,7 +57,7 @@ def observability(
     weight: Input[ArrayLike | None, "H W"] = None,
     noise: float = 0.1,
 ) -> Observability:
-    """Return which directions of the free parameters a mask can determine, and how well.
+    """Directions of the free parameters that a mask can determine, and how well.
 
     `noise` is the standard deviation of coverage in a pixel that the outline touches (a hard edge
     has 0.29), `weight` (H, W) as in `fit_camera`. Singular directions have infinite `std` and are
@@ -92,7 +92,7 @@ def observability(
 def information(
     camera: Camera, scene: Scene, free: str | Sequence[str]
 ) -> Float[np.ndarray, "n n"]:
-    """Return the information (n, n) on the reported parameters in a mask whose noise has a standard
+    """The information (n, n) on the reported parameters in a mask whose noise has a standard
     deviation of 1: the inverse of a covariance, such that more masks' add up; 0 where nothing
     shows.
     """
@@ -104,7 +104,7 @@ def information(
 def _look(
     camera: Camera, scene: Scene, free: str | Sequence[str], weight: ArrayLike | None
 ) -> tuple[tuple[str, ...], Camera, np.ndarray, np.ndarray, float]:
-    """Return the names, the camera with all of these, R of J = QR, the derivative of the reported
+    """The names, the camera with all of these, R of J = QR, the derivative of the reported
     parameters by the moves, and what counts as blind."""
     check_view(camera, scene)
     check_scene(scene)

@@ -1,6 +1,6 @@
 """A camera refined on the photo: a mask is a first guess of what the photo shows exactly.
 
-Beside the outline of the camera that the mask gave, colours of the object and of what is behind it
+Beside the outline of the camera that the mask gave, colours of the object and of its background
 are learned; the matte that they make is a soft mask with weights, which the same solver fits the
 exact coverage to. Then they are learned again, closer to the outline. The photo's camera is taken
 where its edge fits an outline of the scene better than the mask's edge does; where it does not,
@@ -75,7 +75,7 @@ class Refined(NamedTuple):
 
 
 def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
-    """Return a photo (H, W, 3) of type uint8 or float, or raise ValueError."""
+    """A photo (H, W, 3) of type uint8 or float, or raise ValueError."""
     array = np.asarray(photo)
     expected = f"the mask's size and three colours, shape (H, W, 3) = ({H}, {W}, 3)"
     if array.shape != (H, W, 3):
@@ -102,7 +102,7 @@ def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
 
 
 def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Refined:
-    """Return what a photo says of the camera that was found for a mask."""
+    """The camera that was found for a mask, refined on a photo."""
     before = Outline.of(solver, solver.look(found.camera, solver.finest))
     read = before.read(photo, mask, ROUNDS[0])
     resolved = before.resolved(read)
@@ -152,26 +152,26 @@ class Outline(NamedTuple):
         return cls(window, coverage, distance, np.hypot(*np.gradient(coverage)))
 
     def read(self, photo: np.ndarray, mask: Mask, band: Band) -> Matte:
-        """Return the photo's matte about the outline."""
+        """The photo's matte about the outline."""
         weight = self.window.of(mask.weight)
         read = matte(light(self.window.of(photo)), self.distance, band, weight > 0)
         return read._replace(weight=np.where(weight > 0, read.weight, 0))
 
     def resolved(self, read: Matte) -> float:
-        """Return the share of the outline that colours show."""
+        """The share of the outline that colours show."""
         clear = np.sum(self.length[read.weight > TELLING])
         return float(clear / max(np.sum(self.length), 1.0))
 
     def off(self, read: Matte) -> float:
-        """Return by how many px (rms) a matte's edge is off the outline."""
+        """The distance of a matte's edge from the outline (rms, px)."""
         return self.offsets(read.share, read.weight)[1]
 
     def of_mask(self, mask: Mask) -> tuple[float, float]:
-        """Return the offsets of a mask's edge."""
+        """The offsets of a mask's edge."""
         return self.offsets(self.window.of(mask.image), self.window.of(mask.weight))
 
     def offsets(self, image: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
-        """Return by how many px an image's edge lies outside the outline: the mean, and the root
+        """The offset (px) of an image's edge to the outside of the outline: the mean, and the root
         mean square over stretches of it."""
         tile, (rows, columns) = tiles(self.coverage.shape)
         add = lambda x: np.bincount(tile.ravel(), np.ravel(x), minlength=rows * columns)
@@ -184,7 +184,7 @@ class Outline(NamedTuple):
 
 
 def _about(marked: np.ndarray, seen: Window) -> Window:
-    """Return the part of a window that is near what is marked in it (h, w)."""
+    """The part of a window that is near what is marked in it (h, w)."""
     spans = []
     for axis, size in ((1, seen.W), (0, seen.H)):
         there = np.flatnonzero(np.any(marked, axis=1 - axis))
@@ -195,14 +195,14 @@ def _about(marked: np.ndarray, seen: Window) -> Window:
 
 
 def _part(window: Window, seen: Window) -> tuple[slice, slice]:
-    """Return the rows and columns of a window (row 0 on top) that another one in it is."""
+    """The rows and columns of a window (row 0 on top) that another one in it is."""
     top = seen.bottom + seen.H - window.bottom - window.H
     left = window.left - seen.left
     return slice(top, top + window.H), slice(left, left + window.W)
 
 
 def whole(mask: Mask, window: Window, read: Matte) -> tuple[np.ndarray, np.ndarray]:
-    """Return weights and target (H, W): the matte's, and a little of the mask's."""
+    """Weights and target (H, W): the matte's, and a little of the mask's."""
     weight, target = np.zeros(mask.target.shape), mask.image + 0.0
     total = read.weight + OF_MASK
     both = read.weight * read.share + OF_MASK * window.of(target)
@@ -214,7 +214,7 @@ def whole(mask: Mask, window: Window, read: Matte) -> tuple[np.ndarray, np.ndarr
 def judged(
     mask: Mask, photo: np.ndarray, before: Outline, now: Outline, least: float = LEAST_RESOLVED
 ) -> tuple[bool, str]:
-    """Return whether the photo's camera is better founded than the mask's, and a note; colours are
+    """Whether the photo's camera is better founded than the mask's, and a note; colours are
     to tell along the share `least` of the outline."""
     read, first = (x.read(photo, mask, ROUNDS[-1]) for x in (now, before))
     resolved = now.resolved(read)

@@ -13,7 +13,7 @@ from .views import MOTIONS, POSE, SCALE, TWIST, ZERO, State, lens_reported, repo
 
 #: The six numbers of an object's pose, as they are reported.
 OF_OBJECT = ("rotation_x", "rotation_y", "rotation_z", "x", "y", "z")
-#: A parameter moves along a direction if by more than this share of what moves most.
+#: A parameter moves along a direction if by more than this share of the largest move.
 HARDLY = 1e-6
 
 

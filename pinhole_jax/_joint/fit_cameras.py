@@ -43,13 +43,13 @@ def fit_cameras(
     - `weights`: for each mask, or None.
     - `outlier_px`: as in `fit_camera`: pixels farther from a mask's edge lose their weight at the
       end, where masks are not exact. Then views that err by more than most count less, too.
-    - `prior`, `bounds`: as in `fit_camera`; of what is shared once, else for each view.
+    - `prior`, `bounds`: as in `fit_camera`; once for shared parameters, else for each view.
     - `max_steps`: a limit for each level, and for each descent from another place.
     - `progress`: as in `fit_camera`; a function is called with words after each level.
 
     It is the joint fit (`fit_joint`) of one scene before cameras that stand apart. Each view is
-    asked what `fit_camera` asks, with what the others know of what is shared: are other places as
-    good (its `modes`, and the status "ambiguous") or better (then all descend from there), is a
+    asked what `fit_camera` asks, with the others' knowledge of shared parameters: are other places
+    as good (its `modes`, and the status "ambiguous") or better (then all descend from there), is a
     move free over an interval (`weak`, "rank_deficient", and a covariance that says so)? As there,
     a start rules out what is far from it, and where a mask is explained badly the whole sphere of
     views is searched.

@@ -61,7 +61,7 @@ def check_shared(shared: tuple[str, ...], camera: Camera) -> tuple[str, ...]:
 def alike_in_groups(
     cameras: Mapping[str, Camera], groups: Mapping[str, list[tuple[str, ...]]]
 ) -> dict[str, Camera]:
-    """The cameras with the mean of what each group shares."""
+    """The cameras with the mean of each group's shared parameters."""
     result = dict(cameras)
     for row, members in groups.items():
         for group in members:
@@ -71,7 +71,7 @@ def alike_in_groups(
 
 
 def alike(cameras: Sequence[Camera], common: tuple[str, ...]) -> list[Camera]:
-    """The cameras with the mean of what they share."""
+    """The cameras with the mean of shared parameters."""
     kinds = {type(c.lens and c.lens.distortion) for c in cameras}
     if len(kinds) > 1 and not {*COEFFICIENTS}.isdisjoint(common):
         words = " and ".join(sorted(k.__name__ for k in kinds))

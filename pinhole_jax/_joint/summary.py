@@ -223,7 +223,7 @@ def _status(
     turn, about = widest_turn(covariance, labels)
     if turn > UNCERTAIN:
         axis, degrees = in_words(about @ axes_of(camera)), np.rad2deg(turn)
-        words = f"the turn about the axis {axis} is told to {degrees:.0f} degrees (one sigma)"
+        words = f"the turn about the axis {axis} is known to {degrees:.0f} degrees (one sigma)"
         return "uncertain", (words,)
     return "converged", ()
 

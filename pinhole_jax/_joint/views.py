@@ -26,12 +26,12 @@ from .._solver.parameters import PARAMETERS, components, labels_of
 from .._solver.solver import Solver
 from .._solver.subject import Subject
 
-#: What an unknown may be, beside a parameter of a camera's lens: a pose, the scale of what is seen,
+#: What an unknown may be, beside a parameter of a camera's lens: a pose, the scale of the scene,
 #: or the zero of a joint.
 POSE, SCALE, ZERO = "pose", "scale", "zero"
 #: The numbers of a rigid motion: a small rotation (rad), a shift (world units).
 TWIST = 6
-#: Which of these are free of what moves rigidly.
+#: The parts of these that each motion has.
 MOTIONS = {POSE: slice(0, TWIST), "orientation": slice(0, 3), "position": slice(3, TWIST)}
 #: A twist's numbers by the camera's own axes, as reported parameters have them: b1, b2, v are x,
 #: -y and z of the camera's frame.
@@ -44,7 +44,7 @@ class JointView(NamedTuple):
     - `scene`: what the mask shows, in a frame of its own.
     - `target`: the mask (H, W), as in `fit_camera`; `weight` (H, W) says which pixels count.
     - `camera`: the name of the camera that saw it.
-    - `mount`: the pose in the world (4, 4) of what carries the camera, as of a robot's link; None:
+    - `mount`: the pose in the world (4, 4) of the camera's carrier, as a robot's link; None:
       the camera's pose is one in the world.
     - `object`: the name of an unknown pose in the world that the scene has a place in; None: its
       place is one in the world.

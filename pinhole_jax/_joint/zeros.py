@@ -39,7 +39,7 @@ def with_joints(
     grows, twists = twists[..., 6:], twists[..., :6]
     twists[..., 3:] += grows * np.asarray(camera.e, float)
 
-    # How each touched pixel follows a twist of the whole scene, and of what is seen in it.
+    # How each touched pixel follows a twist of the whole scene, and of the body in it.
     jacobian = view.jacobian
     used = np.flatnonzero(pixels.weight > 0)
     of_scene = -jacobian[used] @ eye.by_twist(state, view) @ adjoint(inverse(pose_of(camera)))

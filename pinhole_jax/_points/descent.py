@@ -24,16 +24,16 @@ JUMPS = 3
 Tell = Callable[[str], None]
 
 
-class Asked(NamedTuple):
-    """What a user says of points: from where on they are outliers (px), the variance of a
-    coordinate of weight 1 (px^2), None of what is not known; how many steps at most."""
+class Options(NamedTuple):
+    """Options for points: the distance of outliers (px), the variance of a coordinate of weight 1
+    (px^2), both None if unknown; the most steps."""
 
     reach: float | None
     variance: float | None
     most: int
 
 
-class Descended(NamedTuple):
+class PointDescent(NamedTuple):
     """Views where the squares of all are least.
 
     - `own` (n,): which of a view's moves are its own, not shared.
@@ -52,9 +52,9 @@ class Descended(NamedTuple):
     limits: list[float]
 
 
-def descended(views: list[PointView], own: np.ndarray, asked: Asked, tell: Tell) -> Descended:
-    """Return where views descend to together; points that are outliers lose their weight on the
-    way, and views that are seen better, or as well and nearer to the start, go on from there."""
+def descended(views: list[PointView], own: np.ndarray, asked: Options, tell: Tell) -> PointDescent:
+    """Descend with all views together. Outliers lose their weight on the way. Views that other
+    places fit better, or as well and nearer to the start, go on from there."""
     given, way = [view.weight for view in views], [(views, 0)]
     reach = asked.reach
     for reach_px in [None] if reach is None else [times * reach for times in REACHES]:
@@ -72,7 +72,7 @@ def descended(views: list[PointView], own: np.ndarray, asked: Asked, tell: Tell)
     pairs = zip(seen.places, views, strict=True)
     others = [[place for place in some if place is not view] for some, view in pairs]
     steps = sum(steps for _, steps in way)
-    return Descended(views, own, steps, others, way, seen.noise, seen.limits)
+    return PointDescent(views, own, steps, others, way, seen.noise, seen.limits)
 
 
 class _SeenBest(NamedTuple):
@@ -81,8 +81,8 @@ class _SeenBest(NamedTuple):
     limits: list[float]
 
 
-def _seen_best(views: list[PointView], own: np.ndarray, asked: Asked) -> _SeenBest:
-    """Return from where each view sees its points best, and what is as good by chance."""
+def _seen_best(views: list[PointView], own: np.ndarray, asked: Options) -> _SeenBest:
+    """The places from where each view sees its points best, or as well by chance."""
     noise = noise_of(views, own, asked.variance)
     limits = [rms_limit(view, asked.variance, asked.reach) for view in views]
     each = zip(views, limits, strict=True)
@@ -90,9 +90,9 @@ def _seen_best(views: list[PointView], own: np.ndarray, asked: Asked) -> _SeenBe
 
 
 def _together(
-    views: list[PointView], own: np.ndarray, asked: Asked, tell: Tell
+    views: list[PointView], own: np.ndarray, asked: Options, tell: Tell
 ) -> tuple[list[PointView], int]:
-    """Return views where the squares of all are least, and the number of steps."""
+    """Views where the squares of all are least, and the number of steps."""
     steps, problem = 0, PointProblem.of(views, own)
     for k in range(ROUNDS if views[0].prior is not None else 1):
         views = _prior_weighed(views, own, asked.variance, k)
@@ -104,7 +104,7 @@ def _together(
 
 
 def _near(views: list[PointView], given: list[np.ndarray], reach: float) -> list[PointView]:
-    """Return views in which points count that are no farther than this from where they are seen
+    """Views in which points count that are no farther than this from where they are seen
     (px), of their given weights; half of them in any case."""
     result = []
     for view, weight in zip(views, given, strict=True):
@@ -117,7 +117,7 @@ def _near(views: list[PointView], given: list[np.ndarray], reach: float) -> list
 def _prior_weighed(
     views: list[PointView], own: np.ndarray, given: float | None, turn: int
 ) -> list[PointView]:
-    """Return the views with their priors weighed by what the points of all err by.
+    """The views with their priors weighed by what the points of all err by.
 
     Where only priors leave coordinates over, they hold what is free at first: what the points then
     err by is no less than in truth.

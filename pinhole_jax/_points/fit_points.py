@@ -21,14 +21,14 @@ from .._solver.moves import on_film
 from .._solver.parameters import components, labels_of, with_lens
 from .._solver.priors import Pair, bounds_of, prior_of
 from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions
-from .descent import Asked, Descended, descended
+from .descent import Options, PointDescent, descended
 from .noise import FEW, Noise, coordinates
 from .starts import begun
 from .views import Given, PointProblem, PointsSeen, PointView
 
 #: What several views share by default: the intrinsics of one physical camera.
 INTRINSICS = ("phi", "principal_point", "distortion")
-#: Where standard errors may be so many times as large by chance, as 1 to 4 coordinates alone show
+#: Where standard errors may be this many times as large by chance, as 1 to 4 coordinates alone show
 #: how points err, a rotation is open that is uncertain by this much (rad). (By Student's t four of
 #: them are passed by 1 fit in 40 to 200 there, of 9 coordinates by 1 in 1000.)
 FOUR_SIGMA, UNCERTAIN_OF_FEW = 4.0, np.deg2rad(1)
@@ -103,7 +103,7 @@ def fit_points(
     max_steps: int = 100,
     progress: bool | Callable[[str], None] | None = None,
 ) -> PointFit | tuple[PointFit, ...]:
-    """Return the camera that sees points where they were seen: a `PointFit`, or one for each view.
+    """The camera that sees points where they were seen: a `PointFit`, or one for each view.
 
     - `points3d`: (N, 3), world units; or (V, N, 3) if each of V views has its own.
     - `points2d`: (N, 2), or (V, N, 2) for V views: film coordinates (px, origin at the film's
@@ -120,7 +120,7 @@ def fit_points(
       as half of a view's points do; some five times what the others err by. None: all count.
     - `noise_px`: the standard error of a coordinate, or of one whose weight is 1. None: the
       residuals show it.
-    - `prior`, `bounds`: as in `fit_camera`; of what is shared once, else for each view.
+    - `prior`, `bounds`: as in `fit_camera`; once for shared parameters, else for each view.
     - `max_steps`: a limit for each descent. `progress`: as in `fit_camera`, a function is
       called with words after each.
 
@@ -150,7 +150,7 @@ def fit_points(
     if noise_px is not None and not 0 < noise_px < np.inf:
         raise ValueError(f"`noise_px`: expected a positive number of px, got {noise_px}")
 
-    def run(inputs: Any) -> tuple[tuple[PointFit, ...], Descended]:
+    def run(inputs: Any) -> tuple[tuple[PointFit, ...], PointDescent]:
         given = _checked(*inputs)
         cameras = _cameras(camera, len(given))
         several = INTRINSICS if len(given) > 1 else ()
@@ -165,7 +165,7 @@ def fit_points(
             views.append(begun(view, outlier_px is not None))
         variance = None if noise_px is None else noise_px**2 / scale
         with shown(progress, "fitting points") as tell:
-            found = descended(views, own, Asked(outlier_px, variance, max_steps), tell or say)
+            found = descended(views, own, Options(outlier_px, variance, max_steps), tell or say)
         return _reports(found, given), found
 
     inputs = points3d, points2d, weights
@@ -183,14 +183,14 @@ def _answer(fits: tuple[PointFit, ...]) -> tuple[Camera, ...]:
 
 
 def _put(fits: tuple[PointFit, ...], cameras: tuple[Camera, ...]) -> tuple[PointFit, ...]:
-    """Return the fits with other cameras."""
+    """The fits with other cameras."""
     return tuple(fit._replace(camera=c) for fit, c in zip(fits, cameras, strict=True))
 
 
 def _velocity(
-    fits: tuple[PointFit, ...], found: Descended, inputs: Any, velocity: Any
+    fits: tuple[PointFit, ...], found: PointDescent, inputs: Any, velocity: Any
 ) -> tuple[Camera, ...]:
-    """Return how the cameras change with the inputs."""
+    """The cameras' rates of change with the inputs."""
     given = _checked(*inputs)
     V, N, dtype = len(given), len(given[0].points), fits[0].camera.e.dtype
 
@@ -209,13 +209,13 @@ def _velocity(
 
 
 def _scale(given: list[Given]) -> float:
-    """Return the mean of all weights that count: what weights are times is nothing."""
+    """The mean of all weights that count: what weights are times is nothing."""
     weights = np.concatenate([one.weight for one in given])
     return float(np.mean(weights[weights > 0]))
 
 
 def _cameras(camera: Any, count: int) -> list[Camera]:
-    """Return a camera for each of this many views, or raise ValueError."""
+    """A camera for each of this many views, or raise ValueError."""
     cameras = [camera] * count if isinstance(camera, Camera) else camera
     if not isinstance(cameras, Sequence):
         kind = type(camera).__name__
@@ -228,8 +228,8 @@ def _cameras(camera: Any, count: int) -> list[Camera]:
 
 
 def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None) -> list[Given]:
-    """Return what each view is given in float64, NaN and a weight of 0 of points that are not seen,
-    or raise ValueError."""
+    """Each view's points in float64, NaN and a weight of 0 where not seen. Raises ValueError for
+    others."""
     many = np.ndim(points2d) == 3
     seen_at = np.asarray(points2d)
     if seen_at.dtype.kind not in "fiu" or seen_at.ndim not in (2, 3) or seen_at.shape[-1] != 2:
@@ -258,7 +258,7 @@ def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None
 
 
 def _weights(weights: ArrayLike | None, V: int, N: int) -> np.ndarray:
-    """Return weights that broadcast to (V, N), or raise ValueError."""
+    """Weights that broadcast to (V, N), or raise ValueError."""
     if weights is None:
         return np.ones(N)
     shape = (V, N) if np.ndim(weights) == 2 else (N,)
@@ -268,7 +268,7 @@ def _weights(weights: ArrayLike | None, V: int, N: int) -> np.ndarray:
     return weight
 
 
-def _reports(found: Descended, given: list[Given]) -> tuple[PointFit, ...]:
+def _reports(found: PointDescent, given: list[Given]) -> tuple[PointFit, ...]:
     """The fits of all views, and of their other places."""
     views, own = found.views, found.own
     problem, seen = PointProblem.of(views, own), [view.look() for view in views]
@@ -306,7 +306,7 @@ def _beside(seen: PointsSeen, known: np.ndarray, slope: np.ndarray, own: np.ndar
 
 
 def _none_left_over(views: list[PointView], own: np.ndarray) -> str:
-    """Return in words that nothing shows how far points err."""
+    """A sentence: nothing shows how far points err."""
     some, unknowns = coordinates(views), PointProblem.of(views, own).size
     repeated = " (repeated points count once)" if some < 2 * sum(v.number for v in views) else ""
     return (
@@ -315,8 +315,8 @@ def _none_left_over(views: list[PointView], own: np.ndarray) -> str:
     )
 
 
-def _way(found: Descended, number: int) -> tuple[Progress, ...]:
-    """Return the cameras of a view on its way."""
+def _way(found: PointDescent, number: int) -> tuple[Progress, ...]:
+    """The cameras of a view on its way."""
     at = [(views[number], steps) for views, steps in found.way]
     return tuple(
         Progress(on_film(view.camera, view.film), view.film.W, view.film.H, steps)
@@ -325,7 +325,7 @@ def _way(found: Descended, number: int) -> tuple[Progress, ...]:
 
 
 def _without(fit: PointFit, number: int, given: int) -> PointFit:
-    """Return the fit with a sentence on how many points do not count."""
+    """The fit with a sentence on how many points do not count."""
     if number == given:
         return fit
     words = f"{given - number} of {given} points are far from where they are seen, and left out"
@@ -333,7 +333,7 @@ def _without(fit: PointFit, number: int, given: int) -> PointFit:
 
 
 def _with_modes(fit: PointFit, modes: list[PointFit]) -> PointFit:
-    """Return the fit with the other cameras that see its points as well."""
+    """The fit with the other cameras that see its points as well."""
     if modes and fit.status in ("converged", "rank_deficient", "unchecked", "uncertain"):
         fit = fit._replace(status="ambiguous")
     return fit._replace(modes=tuple(modes))
@@ -342,9 +342,11 @@ def _with_modes(fit: PointFit, modes: list[PointFit]) -> PointFit:
 def _report(
     view: PointView, seen: PointsSeen, noise: Noise, limit: float, squares: float, count: float
 ) -> PointFit:
-    """Return what a user reads of a view, given what is seen there and what others know, what
-    points err by, the rms (px) above which they are a misfit, and the sum of the squares of this
-    many residuals of all views."""
+    """The fit of a view, given what is seen there and what other views know.
+
+    Above the rms `limit` (px) it is a misfit; `squares` is the sum of this many residuals' squares
+    of all views.
+    """
     freed, dtype = view.freed, np.dtype(view.film.e.dtype)
     triangle, ended = without_ended(seen.triangle, view.camera, freed, view.bounds)
     along = np.asarray(seen.along, float)
@@ -376,7 +378,7 @@ def _report(
 def _covariance(
     triangle: np.ndarray, to_reported: np.ndarray, noise: Noise, dtype: np.dtype
 ) -> np.ndarray:
-    """Return the reported parameters' covariance, infinite where nothing shows how points err."""
+    """The reported parameters' covariance, infinite where nothing shows how points err."""
     if np.isfinite(noise.variance):
         gradient = noise.variance * triangle.T @ triangle
         return covariance(triangle, to_reported, gradient, BLIND[dtype])
@@ -388,7 +390,7 @@ def _covariance(
 def _judged(
     cov: np.ndarray, labels: tuple[str, ...], camera: Camera, noise: Noise
 ) -> tuple[str, tuple[str, ...]]:
-    """Return a status by the error bars alone, and words about them."""
+    """A status by the error bars alone, and words about them."""
     if not noise.freedom > 0:
         return "unchecked", ()
     turn, about = widest_turn(cov, labels)

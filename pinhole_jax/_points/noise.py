@@ -13,8 +13,8 @@ from .views import PointProblem, PointView
 #: Squares may be larger by chance with this probability (an F test). Then a plane's wrong pose
 #: passes for the only one at most once in 2000 times.
 CHANCE = 1e-3
-#: Intervals are widened where up to so many coordinates show the variance (by 4 % then); from so
-#: many on it is known.
+#: Intervals are widened where up to `FEW` coordinates show the variance (by 4 % then); from
+#: `MANY` on it is known.
 FEW, MANY = 30, 1e9
 #: Points whose distances from the camera's are this many times what a step may leave out are met
 #: exactly.
@@ -38,13 +38,13 @@ class Noise(NamedTuple):
 
     @property
     def variance(self) -> float:
-        """Return the variance with which 95 % intervals hold the truth, also where few coordinates
+        """The variance with which 95 % intervals hold the truth, also where few coordinates
         show it."""
         return self.shown * _widening(self.freedom) ** 2
 
     @property
     def by_chance(self) -> float:
-        """Return how much larger squares (px^2) may be by chance, 0 where nothing is known."""
+        """The most by which squares (px^2) are larger by chance, 0 where nothing is known."""
         from scipy.stats import f
 
         if not self.freedom > 0:
@@ -53,7 +53,7 @@ class Noise(NamedTuple):
 
     @property
     def at_most(self) -> float:
-        """Return how many times as large as by `variance` standard errors may be by chance."""
+        """The factor by which standard errors may exceed those by `variance`, by chance."""
         from scipy.stats import chi2
 
         if not np.isfinite(self.freedom):
@@ -63,15 +63,15 @@ class Noise(NamedTuple):
 
 
 def _widening(freedom: float) -> float:
-    """Return how many times wider than a normal distribution's an interval of 95 % is where so many
-    coordinates show the variance (Student's t)."""
+    """The width of a 95 % interval where this many coordinates show the variance (Student's t), in
+    that of a normal distribution."""
     from scipy.stats import t
 
     return float(t.ppf(0.975, freedom)) / NORMAL_95 if 0 < freedom <= FEW else 1.0
 
 
 def noise_of(views: Sequence[PointView], own: np.ndarray, given: float | None) -> Noise:
-    """Return what points err by: the `given` variance, or what residuals show. Where coordinates
+    """The error of points: the `given` variance, or what residuals show. Where coordinates
     do not suffice, priors count as well, as far as they hold what is free (`prior_weighed`)."""
     if given is not None:
         return Noise(given, np.inf)
@@ -86,23 +86,22 @@ def noise_of(views: Sequence[PointView], own: np.ndarray, given: float | None) -
 
 
 def left_over(views: Sequence[PointView], own: np.ndarray) -> int:
-    """Return how many more coordinates there are than unknowns, those of points that are repeated
-    once."""
+    """The number of coordinates less that of unknowns; repeated points count once."""
     return coordinates(views) - PointProblem.of(views, own).size
 
 
 def coordinates(views: Sequence[PointView]) -> int:
-    """Return how many different numbers points are seen by."""
+    """The number of different coordinates that points are seen by."""
     return 2 * sum(len(view.different(_shows(view), and_seen=True)) for view in views)
 
 
 def squares_of(views: Sequence[PointView]) -> float:
-    """Return the sum of the squares of all points' residuals (px^2)."""
+    """The sum of the squares of all points' residuals (px^2)."""
     return sum(float(view.look().sum_squares) for view in views)
 
 
 def prior_rows(views: Sequence[PointView], own: np.ndarray) -> int:
-    """Return how many numbers priors give: one of what is shared, else one for each view."""
+    """The number of priors: one for a shared parameter, else one for each view."""
     prior = views[0].prior
     if prior is None:
         return 0
@@ -111,20 +110,20 @@ def prior_rows(views: Sequence[PointView], own: np.ndarray) -> int:
 
 
 def own_of(freed: tuple[str, ...], own: np.ndarray) -> tuple[str, ...]:
-    """Return what of that which is free is each view's own."""
+    """Free parameters that each view has for itself."""
     moves = components(freed)
     held = {move for move, is_own in zip(moves, own, strict=True) if not is_own}
     return tuple(name for name in freed if held.isdisjoint(components((name,))))
 
 
 def exact_squares(view: PointView) -> float:
-    """Return the squares (px^2) that rounding and the last step leave."""
+    """The squares (px^2) that rounding and the last step leave."""
     px = EXACT * FINE_PX[np.dtype(view.film.e.dtype)]
     return px**2 * view.number
 
 
 def rms_limit(view: PointView, given: float | None, reach: float | None) -> float:
-    """Return the root mean square distance (px) above which a view's points are not explained: that
+    """The root mean square distance (px) above which a view's points are not explained: that
     of the variance that is given, of outliers, or what is large on the film."""
     if given is not None:
         return TIMES * float(np.sqrt(2 * given * view.number / np.sum(view.weight)))
@@ -137,5 +136,5 @@ def rms_limit(view: PointView, given: float | None, reach: float | None) -> floa
 
 
 def _shows(view: PointView) -> np.ndarray:
-    """Return which points count enough to show anything."""
+    """Whether points (N,) count enough to show anything."""
     return view.weight > NEGLIGIBLE * np.max(view.weight)

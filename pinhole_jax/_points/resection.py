@@ -19,7 +19,7 @@ FLAT = 1e-3
 def resected(
     camera: Camera, points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"]
 ) -> Camera | None:
-    """Return the camera posed so that it sees points (world) where they are seen (px), or None.
+    """The camera posed so that it sees points (world) where they are seen (px), or None.
 
     None where there are too few points (4 of a plane, else 6), or where they are degenerate.
     """
@@ -59,7 +59,7 @@ def resected(
 def resected_by_three(
     camera: Camera, points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"], most: int
 ) -> list[Camera]:
-    """Return the camera in all poses that see three of the points where they are seen, of this many
+    """The camera in all poses that see three of the points where they are seen, of this many
     triangles at most: the only pose, or up to four, of each."""
     rays = _rays(camera, seen_at)
     threes = triangles(points, seen_at, most)
@@ -69,7 +69,7 @@ def resected_by_three(
 def turned(
     camera: Camera, points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"]
 ) -> Camera:
-    """Return the camera turned about its eye so that it sees points where they are seen (Kabsch
+    """The camera turned about its eye so that it sees points where they are seen (Kabsch
     1976)."""
     eye = np.asarray(camera.e, float)
     towards = (points - eye) / np.linalg.norm(points - eye, axis=1, keepdims=True)
@@ -80,7 +80,7 @@ def turned(
 def shifted(
     camera: Camera, points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"]
 ) -> Camera:
-    """Return the camera shifted, its axes as they are, so that it sees points where they are seen:
+    """The camera shifted, its axes as they are, so that it sees points where they are seen:
     least squares of how far they are from their lines of sight."""
     axes = axes_of(camera) * [[1], [-1], [1]]
     rays = _rays(camera, seen_at) @ axes
@@ -90,7 +90,7 @@ def shifted(
 
 
 def plane_of(points: Float[np.ndarray, "N 3"]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the middle and the normal of the plane that points are of, None if of none."""
+    """The middle and the normal of the plane that points are of, None if of none."""
     middle, spread, axes = _spread(points)
     if not spread[-1] <= FLAT * spread[0] < spread[1]:
         return None
@@ -98,14 +98,14 @@ def plane_of(points: Float[np.ndarray, "N 3"]) -> tuple[np.ndarray, np.ndarray] 
 
 
 def _spread(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the middle of points, how far they spread along three axes, and these (rows)."""
+    """The middle of points, how far they spread along three axes, and these (rows)."""
     middle = points.mean(axis=0)
     _, spread, axes = np.linalg.svd(points - middle, full_matrices=True)
     return middle, np.pad(spread, (0, 3 - len(spread))), axes
 
 
 def _normalised(camera: Camera, seen_at: np.ndarray) -> np.ndarray:
-    """Return ideal film points at distance 1, y down, in which right, down, forward are turned as
+    """Ideal film points at distance 1, y down, in which right, down, forward are turned as
     the world's axes are."""
     focal, centre = (
         np.array([float(z) for z in x]) for x in (focal_px(camera), principal_point(camera))
@@ -114,12 +114,12 @@ def _normalised(camera: Camera, seen_at: np.ndarray) -> np.ndarray:
 
 
 def _rays(camera: Camera, seen_at: np.ndarray) -> np.ndarray:
-    """Return unit vectors along the lines of sight, right, down, forward."""
+    """Unit vectors along the lines of sight, right, down, forward."""
     view = np.column_stack([_normalised(camera, seen_at), np.ones(len(seen_at))])
     return view / np.linalg.norm(view, axis=1, keepdims=True)
 
 
 def _posed(camera: Camera, rotation: np.ndarray, translation: np.ndarray) -> Camera:
-    """Return the camera with `rotation @ x + translation` right, down and forward of the eye."""
+    """The camera with `rotation @ x + translation` right, down and forward of the eye."""
     right, down, forward = rotation
     return camera.with_pose(-rotation.T @ translation, np.stack([right, -down, forward]))

@@ -16,7 +16,7 @@ from .noise import Noise, exact_squares, own_of
 from .starts import apart, by_three, is_few, placed, seen_from_behind
 from .views import PointProblem, PointView
 
-#: This many descents from other places at most, of so many steps at most.
+#: This many descents from other places at most, of this many steps at most.
 DESCENTS, STEPS = 4, 50
 #: Starts closer than this (rad) lead to the same place; of three points all do that are apart.
 CLOSE, APART_OF_THREE = np.deg2rad(3), 1e-3
@@ -31,7 +31,7 @@ class _Place(NamedTuple):
 
 
 def rivals(view: PointView, own: np.ndarray, noise: Noise, limit: float) -> list[PointView]:
-    """Return where a view's points are seen best, and the other places that are as good by chance:
+    """The place that sees a view's points best, and others that are as good by chance:
     those that are equal by their turn from the start, then by their squares.
 
     What is shared is held. More is looked for where points are off by more than the limit (px).
@@ -58,7 +58,7 @@ def rivals(view: PointView, own: np.ndarray, noise: Noise, limit: float) -> list
 
 
 def _ranked(places: list[_Place], noise: Noise, view: PointView) -> list[PointView]:
-    """Return the best places and those that are as good by chance."""
+    """The best places and those that are as good by chance."""
     least = min(place.squares for place in places)
     equal, likely = least * (1 + EQUAL) + exact_squares(view), least + noise.by_chance
 
@@ -71,12 +71,12 @@ def _ranked(places: list[_Place], noise: Noise, view: PointView) -> list[PointVi
 
 
 def _rms(view: PointView) -> float:
-    """Return the root mean square distance of points from where they are seen (px)."""
+    """The root mean square distance of points from where they are seen (px)."""
     return float(np.sqrt(float(view.look().sum_squares) / np.sum(view.weight)))
 
 
 def _squares(view: PointView) -> float:
-    """Return the sum of squares, infinite where points are behind the eye, or that is so far away
+    """The sum of squares, infinite where points are behind the eye, or that is so far away
     that it looks nowhere."""
     seen = view.look()
     looks = np.any(np.asarray(view.camera.p) != np.asarray(view.camera.e))
@@ -85,7 +85,7 @@ def _squares(view: PointView) -> float:
 
 
 def _starts(view: PointView, explained: bool) -> list[PointView]:
-    """Return where else to descend from: the reversed depths of a plane; and of few points, or
+    """Other places to descend from: the reversed depths of a plane; and of few points, or
     where they are not explained, the user's pose and those that meet three points."""
     reverse = seen_from_behind(view)
     result = [] if reverse is None else [reverse]
@@ -99,13 +99,13 @@ def _starts(view: PointView, explained: bool) -> list[PointView]:
 
 
 def _is_blind(view: PointView) -> bool:
-    """Return whether points do not show some direction: what lies along it is no other place."""
+    """Whether points do not show some direction: places along it are the same."""
     values = np.linalg.svd(np.asarray(view.look().triangle, float), compute_uv=False)
     return not values[-1] > BLIND[np.dtype(view.film.e.dtype)] * values[0]
 
 
 def _descended(start: PointView, own: np.ndarray) -> _Place:
-    """Return where a view descends to by itself, what is shared being held."""
+    """The end of a view's own descent; shared parameters are held."""
     alone = _alone(start, own)
     problem = PointProblem.of([alone], np.ones(int(own.sum()), bool))
     found = levenberg_marquardt(problem, [alone], STEPS, FINE_PX[problem.dtype])
@@ -114,13 +114,13 @@ def _descended(start: PointView, own: np.ndarray) -> _Place:
 
 
 def _alone(view: PointView, own: np.ndarray) -> PointView:
-    """Return the view in which what is shared is held."""
+    """The view in which what is shared is held."""
     freed = own_of(view.freed, own)
     return view._replace(freed=freed, prior=_of_labels(view.prior, labels_of(freed)))
 
 
 def _of_labels(prior: Prior | None, labels: tuple[str, ...]) -> Prior | None:
-    """Return what a prior says of these labels, None if that is nothing."""
+    """A prior's part for these labels, None if it has none."""
     if prior is None:
         return None
     which = [k for k, label in enumerate(prior.labels) if label in labels]

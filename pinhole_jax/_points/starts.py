@@ -23,7 +23,7 @@ PARTS = {"position": shifted, "orientation": turned}
 
 
 def begun(view: PointView, robust: bool) -> PointView:
-    """Return the view from its own camera, or from where direct solutions say, what is nearer; if
+    """The view from its own camera, or from where direct solutions say, what is nearer; if
     `robust` by half of the points (least median of squares, Rousseeuw 1984), else by all."""
     view = inside(view)
     cameras = _direct(view, robust)
@@ -32,13 +32,13 @@ def begun(view: PointView, robust: bool) -> PointView:
 
 
 def _distance(view: PointView, robust: bool) -> float:
-    """Return how far off points are (px): their middle one, or all together."""
+    """The distance of points (px) from where they are seen: of the middle one, or all together."""
     off = view.distances()[view.weight > 0]
     return float(np.median(off) if robust else np.sum(off**2))
 
 
 def _direct(view: PointView, robust: bool) -> list[Camera]:
-    """Return cameras that direct solutions find, of all points, and of few drawn at random."""
+    """Cameras that direct solutions find, of all points, and of few drawn at random."""
     counts = np.flatnonzero(view.weight > 0)
     by_part = [way for name, way in PARTS.items() if name in view.freed]
     if by_part or "pose" not in view.freed:
@@ -55,19 +55,19 @@ def _direct(view: PointView, robust: bool) -> list[Camera]:
 
 
 def is_few(view: PointView) -> bool:
-    """Return whether so few different points count that three of them are asked, too."""
+    """Whether few different points count, so that poses of three of them are starts, too."""
     return len(view.different(view.weight > 0, and_seen=False)) <= SCANT
 
 
 def by_three(view: PointView) -> list[PointView]:
-    """Return the view from where three of its points are met, its lens as it is, the best first."""
+    """The view from where three of its points are met, its lens as it is, the best first."""
     film = on_film(view.camera, view.film)
     places = [placed(view, camera) for camera in _by_three(view, film)]
     return sorted(places, key=lambda place: _distance(place, False))
 
 
 def _by_three(view: PointView, film: Camera) -> list[Camera]:
-    """Return a camera in all poses that three of the points have, of large triangles; of many
+    """A camera in all poses that three of the points have, of large triangles; of many
     points, some that are spread evenly among them."""
     counts = view.different(view.weight > 0, and_seen=False)
     some = counts[np.unique(np.linspace(0, len(counts) - 1, SCANT).round().astype(int))]
@@ -77,13 +77,13 @@ def _by_three(view: PointView, film: Camera) -> list[Camera]:
 
 
 def placed(view: PointView, camera: Camera) -> PointView:
-    """Return the view from a camera's pose, its lens as it is."""
+    """The view from a camera's pose, its lens as it is."""
     pose = lambda c: (c.e, c.p, c.u)
     return view._replace(camera=eqx.tree_at(pose, view.camera, pose(camera)))
 
 
 def apart(places: list[PointView], close: float) -> list[PointView]:
-    """Return those of some places that are not as close (rad) to one before."""
+    """Places without those that are as close (rad) to one before."""
     result: list[PointView] = []
     for place in places:
         if all(angle(place.camera, other.camera) > close for other in result):
@@ -92,12 +92,12 @@ def apart(places: list[PointView], close: float) -> list[PointView]:
 
 
 def inside(view: PointView) -> PointView:
-    """Return the view from within its bounds."""
+    """The view from within its bounds."""
     return view if view.bounds is None else view.stepped(np.zeros(len(components(view.freed))))
 
 
 def seen_from_behind(view: PointView) -> PointView | None:
-    """Return the view from where a plane's points look the same but for their perspective, their
+    """The view from where a plane's points look the same but for their perspective, their
     depths reversed (Necker's cube); None where points are of no plane.
 
     Half a turn about the plane's normal, then half a turn about the line of sight, leave each point

@@ -23,7 +23,7 @@ Pose = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
 def poses_of_three(
     points: Float[np.ndarray, "T 3 3"], rays: Float[np.ndarray, "T 3 3"]
 ) -> list[Pose]:
-    """Return rotations and translations that bring three points (rows) onto their rays (unit), in
+    """Rotations and translations that bring three points (rows) onto their rays (unit), in
     front of the eye: of each triangle up to four, none of three points of a line.
 
     Where noise leaves no exact pose, two that nearly meet are replaced by what lies between them.
@@ -51,14 +51,14 @@ def poses_of_three(
 
 
 def _are_triangles(points: np.ndarray) -> np.ndarray:
-    """Return which threes of points (T, 3, 3) are of no line."""
+    """Whether triples of points (T, 3, 3) lie on no line (T,)."""
     a, b = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
     size = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
     return (np.linalg.norm(np.cross(a, b), axis=1) > THIN * size) & (size > 0)
 
 
 def _depths(sides: np.ndarray, cosines: np.ndarray) -> list[np.ndarray]:
-    """Return distances (3,) from the eye by Grunert's quartic, not yet polished."""
+    """Distances (3,) from the eye by Grunert's quartic, not yet polished."""
     result = []
     for v in _ratios(*sides, *cosines):
         first = sides[1] / max(1 + v * v - 2 * v * cosines[1], 1e-300)
@@ -70,7 +70,7 @@ def _depths(sides: np.ndarray, cosines: np.ndarray) -> list[np.ndarray]:
 
 
 def _ratios(a: float, b: float, c: float, x: float, y: float, z: float) -> np.ndarray:
-    """Return the real parts of all ratios of the third distance to the first: the roots of
+    """The real parts of all ratios of the third distance to the first: the roots of
     Grunert's quartic, of squared sides a, b, c and cosines x, y, z of the angles opposite."""
     p, q, r, s = (a - c) / b, (a + c) / b, (b - c) / b, (b - a) / b
     quartic = [
@@ -87,7 +87,7 @@ def _ratios(a: float, b: float, c: float, x: float, y: float, z: float) -> np.nd
 def _polished(
     depths: np.ndarray, sides: np.ndarray, cosines: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return distances (m, 3) after Gauss-Newton on the squared sides, and how far off the worst of
+    """Distances (m, 3) after Gauss-Newton on the squared sides, and how far off the worst of
     these then is (m,)."""
     k, p, q = [0, 1, 2], [1, 2, 0], [2, 0, 1]
 
@@ -104,7 +104,7 @@ def _polished(
 
 
 def moved_onto(points: np.ndarray, seen: np.ndarray, about_middle: bool = True) -> Pose:
-    """Return the rotation and the translation that bring points onto others (Kabsch 1976), none
+    """The rotation and the translation that bring points onto others (Kabsch 1976), none
     but a rotation unless it may be about their middle."""
     middle, there = (x.mean(axis=0) * about_middle for x in (points, seen))
     left, _, right = np.linalg.svd((seen - there).T @ (points - middle))
@@ -116,7 +116,7 @@ def moved_onto(points: np.ndarray, seen: np.ndarray, about_middle: bool = True) 
 def triangles(
     points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"], most: int
 ) -> np.ndarray:
-    """Return the indices (T, 3) of this many triangles at most, those that are largest in the world
+    """The indices (T, 3) of this many triangles at most, those that are largest in the world
     and where they are seen first."""
     threes = np.array([*itertools.combinations(range(len(points)), 3)])
     world, image = (_areas(x[threes]) for x in (points, seen_at))
@@ -125,7 +125,7 @@ def triangles(
 
 
 def _areas(corners: np.ndarray) -> np.ndarray:
-    """Return the areas of triangles (m, 3, k)."""
+    """The areas of triangles (m, 3, k)."""
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     across = np.sum(a * b, axis=1) ** 2
     return np.sqrt(np.maximum(np.sum(a * a, axis=1) * np.sum(b * b, axis=1) - across, 0)) / 2

@@ -50,7 +50,7 @@ class PointsSeen(NamedTuple):
 
     @property
     def squares(self) -> float:
-        """Return the sum of squared residuals, those of a prior among them."""
+        """The sum of squared residuals, those of a prior among them."""
         return float(self.sum_squares) + float(self.prior_squares)
 
 
@@ -71,7 +71,7 @@ class PointView(NamedTuple):
 
     @classmethod
     def of(cls, film: Camera, given: "Given", freed: tuple[str, ...]) -> "PointView":
-        """Return the view from where its film's camera is."""
+        """The view from where its film's camera is."""
         points, seen_at, weight = given
         used = points[weight > 0]
         ball = ball_about(np.stack([used.min(axis=0), used.max(axis=0)]))
@@ -83,11 +83,11 @@ class PointView(NamedTuple):
 
     @property
     def number(self) -> int:
-        """Return how many points count."""
+        """The number of points that count."""
         return int(np.sum(self.weight > 0))
 
     def different(self, shows: np.ndarray, and_seen: bool) -> np.ndarray:
-        """Return the indices of points among those that show something, without those that repeat
+        """The indices of points among those that show something, without those that repeat
         another one (`and_seen`: and where that is seen)."""
         some = np.flatnonzero(shows)
         rows = []
@@ -97,16 +97,16 @@ class PointView(NamedTuple):
         return some[np.sort(np.unique(np.hstack(rows), axis=0, return_index=True)[1])]
 
     def look(self) -> PointsSeen:
-        """Return what is seen."""
+        """The view's least squares."""
         return _look(self.camera, self._data(), self.freed)
 
     def stepped(self, y: np.ndarray) -> "PointView":
-        """Return the view after a step."""
+        """The view after a step."""
         y = np.asarray(y, self.film.e.dtype)
         return self._replace(camera=_step(self.camera, self._data(), y, self.freed))
 
     def distances(self) -> Float[np.ndarray, "N"]:
-        """Return how far points project from where they are seen (px), infinite behind the eye."""
+        """Distances (px) of points from where they are seen, infinite behind the eye."""
         return np.asarray(_distances(self.camera, self._data()), float)
 
     def slope(self, velocity: "Given", columns: np.ndarray) -> Slope:
@@ -134,14 +134,14 @@ class PointView(NamedTuple):
 
 class Given(NamedTuple):
     """Points in the world (N, 3), where they are seen (N, 2) in px, and how much each counts (N,);
-    or velocities of these, None of what stays."""
+    or velocities of these, None where they stay."""
 
     points: Any
     seen_at: Any
     weight: Any
 
     def off(self, camera: Camera, H: Any) -> Float[Array, "N 2"]:
-        """Return where points project less where they are seen (px), 0 of what does not count."""
+        """Projected points less where they are seen (px), 0 of those that do not count."""
         off = project(camera, self.points) * H - self.seen_at
         return jnp.where((self.weight > 0)[:, None], off, 0)
 
@@ -156,12 +156,12 @@ class _Data(NamedTuple):
     prior: Prior | None
 
     def move(self, camera: Camera, freed: tuple[str, ...]) -> Move:
-        """Return where moves of a camera start, in the solver's units."""
+        """A start of moves of a camera, in the solver's units."""
         pivot, radius, H = (jnp.asarray(x) for x in (self.pivot, self.radius, self.H))
         return Move(camera, pivot, UNIT_PX * scales(camera, pivot, radius, H, freed), self.bounds)
 
     def residuals(self, camera: Camera) -> Float[Array, "k"]:
-        """Return what is squared: how far off points are (px), NaN where the lens folds."""
+        """Residuals (px): projected less seen points, weighed; NaN where the lens folds."""
         off = jnp.sqrt(self.given.weight)[:, None] * self.given.off(camera, self.H)
         holds = lens_holds(camera, FilmPart(0, self.width, 0, 1))
         return jnp.where(holds, off.reshape(-1), jnp.nan)
@@ -177,26 +177,26 @@ class PointProblem(NamedTuple):
 
     @classmethod
     def of(cls, views: Sequence[PointView], own: np.ndarray) -> "PointProblem":
-        """Return the problem in which `own` (n,) of each view's moves are its own."""
+        """The problem in which `own` (n,) of each view's moves are its own."""
         size = len(views) * int(own.sum()) + int((~own).sum())
         return cls(own, size, np.dtype(views[0].film.e.dtype))
 
     def look(self, state: list[PointView]) -> list[PointsSeen]:
-        """Return what is seen in each view."""
+        """The views' least squares."""
         return [view.look() for view in state]
 
     def noise(self, seen: list[PointsSeen]) -> float:
-        """Return that priors are weighed already."""
+        """1: priors are weighed already."""
         del seen
         return 1.0
 
     def squares(self, state: list[PointView], seen: list[PointsSeen], noise: float) -> float:
-        """Return the sum of the squares of all residuals."""
+        """The sum of the squares of all residuals."""
         del state, noise
         return sum(one.squares for one in seen)
 
     def parts(self, state: list[PointView], seen: list[PointsSeen], noise: float) -> list[Rows]:
-        """Return the rows of all views."""
+        """The rows of all views."""
         del state, noise
         return [
             Rows(
@@ -209,7 +209,7 @@ class PointProblem(NamedTuple):
         ]
 
     def sizes(self, seen: list[PointsSeen], parts: list[Rows]) -> np.ndarray:
-        """Return a step's size on the film: where points hardly tell a lens, it would soon fold."""
+        """A step's size on the film: where points hardly tell a lens, it would soon fold."""
         del parts
         result = np.zeros(self.size)
         for k, one in enumerate(seen):
@@ -218,21 +218,21 @@ class PointProblem(NamedTuple):
         return result
 
     def ways_out(self, state: list[PointView], seen: list[PointsSeen]) -> np.ndarray:
-        """Return that bounds hold nothing: within them steps swing to and fro."""
+        """Zeros: bounds hold nothing, as steps swing to and fro within them."""
         del state, seen
         return np.zeros(self.size)
 
     def stepped(self, state: list[PointView], x: np.ndarray) -> list[PointView]:
-        """Return the views after a step."""
+        """The views after a step."""
         return [view.stepped(x[self.columns(k)]) for k, view in enumerate(state)]
 
     def moved(self, seen: list[PointsSeen], x: np.ndarray) -> float:
-        """Return the largest move that a step makes in any view, in its units."""
+        """The largest move that a step makes in any view, in its units."""
         moves = (x[self.columns(k)] / np.asarray(one.scale) for k, one in enumerate(seen))
         return max(float(np.max(np.abs(y))) for y in moves)
 
     def columns(self, k: int) -> np.ndarray:
-        """Return where the numbers are that a view depends on."""
+        """Indices of the numbers that a view depends on."""
         m, shared = int(self.own.sum()), int((~self.own).sum())
         result = np.empty(len(self.own), int)
         result[self.own] = k * m + np.arange(m)
@@ -301,7 +301,7 @@ def _bend_and_pull(
 
 
 def _change(velocity: Any, of: np.ndarray) -> Any:
-    """Return the velocity of what is filled up: none of what was added."""
+    """The velocity of a filled-up array: 0 where it was added to."""
     if velocity is None:
         return np.zeros_like(of)
     if is_concrete(velocity):
