@@ -24,7 +24,6 @@ MATRIX = ("camera_matrix", "cameraMatrix", "K", "cam_K", "intrinsics", "intrinsi
 FOCAL = ("f", "focal", "focal_length", "focal_px", "focallength_px")
 NUMBERS = (("fx", "fl_x", *FOCAL), ("fy", "fl_y", *FOCAL), ("cx",), ("cy",))
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-SIZES = {"image_width": ("width", "w", "W"), "image_height": ("height", "h", "H")}
 COLMAP = ("cameras.bin", "cameras.txt")
 #: Fields of the project's own cameras.
 OWN = {"e", "p", "u", "phi"}
@@ -108,10 +107,6 @@ def _fields(place: Path, camera: str | None) -> Fields:
         return fields
     if isinstance(both := data.pop("resolution", None), list) and len(both) == 2:
         data["image_width"], data["image_height"] = both
-    for name, others in SIZES.items():
-        for other in others:
-            if other in data:
-                data[name] = data.pop(other)
     bent = {name: data.pop(name) for name in COEFFICIENTS if data.get(name) is not None}
     if any(bent.values()):
         data["distortion_coefficients"] = bent

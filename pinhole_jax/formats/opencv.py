@@ -32,8 +32,8 @@ NAMES = {
     "rvec": "rvec",
     "t": "t tvec translation",
     "extrinsic_parameters": "extrinsicparameters",
-    "image_width": "imagewidth width",
-    "image_height": "imageheight height",
+    "image_width": "imagewidth width w",
+    "image_height": "imageheight height h",
     "camera_names": "cameranames",
     "pixel_centres": "pixelcentres",
 }
@@ -120,8 +120,8 @@ def opencv_intrinsics(
     """Return the intrinsics and the lens of a calibration's fields; `size` and `pixel_centres`
     where they do not say."""
     fields = _known(file)
-    own = size if {"image_width", "image_height"}.isdisjoint(fields.data) else None
-    return _intrinsics(fields, own, fields.data.get("pixel_centres", pixel_centres))
+    known = None if "image_width" in fields or "image_height" in fields else size
+    return _intrinsics(fields, known, fields.data.get("pixel_centres", pixel_centres))
 
 
 def _intrinsics(
