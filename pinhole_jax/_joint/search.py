@@ -14,7 +14,15 @@ import numpy as np
 
 from .._camera.axes import angle
 from .._camera.camera import Camera
-from .._fit.places import APART as ONE_PLACE, EQUAL_TIMES, Free, better, mirrored, separation
+from .._fit.places import (
+    APART as ONE_PLACE,
+    EQUAL_TIMES,
+    Free,
+    Places,
+    better,
+    mirrored,
+    separation,
+)
 from .._fit.strategy import (
     EQUAL,
     EXACT,
@@ -26,12 +34,13 @@ from .._fit.strategy import (
     most_agreeing,
     without_outliers,
 )
+from .._mask.mask import Mask
 from .._mask.search import guesses
 from .._solver.least_squares import Solved, solve
 from .._solver.moves import canonical, on_film
 from .._solver.parameters import LABELS, labels_of
 from .._solver.priors import Others
-from .._solver.solver import Found
+from .._solver.solver import Found, Solver
 from .lenses import alike_in_groups, known_by_others
 from .levels import Path, Tell, descended
 from .problem import JointProblem
@@ -205,43 +214,52 @@ def _of_one_view(pose: LonePose, here: Path | None, start: State | None) -> list
     problem, (eye,) = pose.problem, pose.problem.eyes
     state = problem.start if here is None else here.descent.state
     solver, camera = eye.solver_at(state), eye.canonical(state)
+    begin = None if start is None else eye.canonical(start)
     mask = replace(eye.mask, camera=on_film(camera, eye.mask.camera))
     silent = lambda news: None
-    found = None if here is None else Found(camera, solver.look(camera), ())
-    if found is None:
-        places = everywhere(solver, mask, silent)
-    elif start is None:
-        places = looked_alike(solver, found, [])
-    else:
-        places = looked_round(solver, mask, found, eye.canonical(start), silent)
-
-    found_again = lambda place: (
-        found is not None
-        and (
-            separation(solver, place.camera, found.camera) < ONE_PLACE
-            and not better(solver, place.view, found.view)
-        )
+    onward = lambda place: descended(
+        problem, eye.with_camera(pose.name, place.camera, state), silent, [1]
     )
-    kept, reach = [places.best, *places.others], problem.outlier_px
-    if reach is not None and places.best.view.touched_misfit > EXACT:
-        # What masks do not tell apart is another place only where most of the outline agrees.
-        begin = None if start is None else eye.canonical(start)
-        described = without_outliers(solver, mask, places, reach, begin)
-        described = most_agreeing(solver, mask, described, len(kept), begin)
-        kept = [f._replace(view=whole) for f, whole in described]
-    paths = []
-    for place in kept:
-        if here is not None and found_again(place):
-            paths += [] if any(p is here for p in paths) else [here]
-        else:
-            there = eye.with_camera(pose.name, place.camera, state)
-            paths.append(descended(problem, there, silent, [1]))
-    if here is not None and found is not None:
-        known = any(p is here for p in paths)
-        if start is None if known else not better(solver, places.best.view, found.view):
-            paths = [here, *(p for p in paths if p is not here)]
-    paths[0] = paths[0]._replace(free=tuple(places.free))
-    return paths
+    if here is None:
+        places = everywhere(solver, mask, silent)
+        found = _agreeing(problem, solver, mask, places, begin)
+        paths = [onward(place) for place in found]
+    else:
+        now = Found(camera, solver.look(camera), ())
+        places = (
+            looked_alike(solver, now, [])
+            if begin is None
+            else looked_round(solver, mask, now, begin, silent)
+        )
+        found = _agreeing(problem, solver, mask, places, begin)
+        others = [place for place in found if not _is_same(solver, place, now)]
+        paths = [here.then(onward(place)) for place in others]
+        # (From a start, what is as good and nearer to it comes first.)
+        known = len(others) < len(found)
+        first = begin is None or _is_same(solver, found[0], now)
+        if first if known else not better(solver, places.best.view, now.view):
+            paths = [here, *paths]
+        elif known:
+            paths.append(here)
+    return [paths[0]._replace(free=tuple(places.free)), *paths[1:]]
+
+
+def _agreeing(
+    problem: JointProblem, solver: Solver, mask: Mask, places: Places, start: Camera | None
+) -> list[Found]:
+    """The best place, and others: of masks with outliers those that agree with most of the outline,
+    as `fit_camera` has it."""
+    found, reach = [places.best, *places.others], problem.outlier_px
+    if reach is None or places.best.view.touched_misfit <= EXACT:
+        return found
+    described = without_outliers(solver, mask, places, reach, start)
+    described = most_agreeing(solver, mask, described, len(found), start)
+    return [f._replace(view=whole) for f, whole in described]
+
+
+def _is_same(solver: Solver, place: Found, other: Found) -> bool:
+    near = separation(solver, place.camera, other.camera) < ONE_PLACE
+    return bool(near and not better(solver, place.view, other.view))
 
 
 def _is_content(problem: JointProblem, path: Path) -> bool:
