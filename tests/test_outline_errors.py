@@ -10,14 +10,11 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._fit.places import Free
-from pinhole_jax._fit.strategy import with_errors
-from pinhole_jax._mask.mask import Mask
 from pinhole_jax._mask.target import levelled
 from pinhole_jax._solver.moves import canonical
 from pinhole_jax._solver.outline_errors import is_drawn, outline_errors
 from pinhole_jax._solver.solver import Solver
-from pinhole_jax._solver.stretches import area_between, stretches_of
+from pinhole_jax._solver.stretches import stretches_of
 
 SIZE = 128
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, SIZE, SIZE)
@@ -116,18 +113,6 @@ def test_rendered_triangle_soup_is_not_taken_for_drawn():
         assert is_drawn(solver_of(soup, mask).errors(view)) == told
 
 
-def test_free_direction_widens_the_interval_of_a_drawn_mask(scene, image):
-    mask = wavy(image, np.random.default_rng(0), 1.0, 10.0, 0.3)
-    solver, weights = solver_of(scene, mask), np.ones(mask.shape)
-    found = solver.solve(canonical(single(CAMERA)), [solver.finest])
-    assert is_drawn(solver.errors(found.view))
-    axis = np.array([0.0, 1.0, 0.0])
-    walked = Free(np.zeros(6), 0.3, 0.8, axis)
-    given = solver, Mask(mask, weights, single(CAMERA)), found
-    without, with_walk = (with_errors(*given, free, None) for free in ([], [walked]))
-    assert [f.ahead for f in with_walk] == [0.8, *(f.ahead for f in without)]
-
-
 def test_rendered_soft_mask_has_no_mask_error(scene, image):
     fit = pj.fit_camera(scene, image, single(CAMERA))
     assert fit.mask_error is None
@@ -161,15 +146,6 @@ def test_intervals_hold_as_often_as_they_say(scene, image, exhaustive):
     assert 0.3 < np.median(stated) < 0.9
 
 
-def test_occluder_counts_by_its_outline(scene, image):
-    cut = image > 0.5
-    cut[:, : SIZE // 2 - 12] = False
-    view, target, weights = seen(scene, cut)
-    beside = area_between(view, target, weights, 2.0)
-    assert view.squares > 1.5 * beside
-    assert area_between(view, target, weights, 4.0) > 1.5 * beside
-
-
 def test_pixels_of_zero_weight_are_no_mask_error(scene, image):
     hidden = np.add.outer(np.arange(SIZE), np.arange(SIZE)) < SIZE
     cut = (image > 0.5) & ~hidden
@@ -192,22 +168,6 @@ def test_scale_of_the_weights_does_not_matter(scene, image):
         assert one.mask_error == other.mask_error
         assert one.status == other.status
         np.testing.assert_allclose(one.std, other.std, rtol=rtol)
-
-
-def test_errors_are_reused_after_small_steps(scene, image):
-    mask = wavy(image, np.random.default_rng(0), 1, 10)
-    solver, camera = solver_of(scene, mask), canonical(single(CAMERA))
-    here, again = (solver.look(camera, solver.finest) for _ in range(2))
-    errors = solver.errors(here)
-    assert errors is not None
-    solver.take_errors(again, here)  # of which nothing is known
-    assert solver.errors(here) is errors
-    solver.take_errors(here, again)
-    assert solver.errors(again) is errors
-    aside = solver.step(camera, solver.finest, np.array([0, 0, 0, 2.0, 0, 0]))
-    moved = solver.look(aside, solver.finest)
-    solver.take_errors(again, moved)
-    assert solver.errors(moved) is not errors
 
 
 def test_mask_that_shows_little_is_uncertain(scene):

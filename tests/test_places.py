@@ -5,7 +5,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,8 @@ from views import like
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._fit import places, strategy
-from pinhole_jax._mask.mask import Mask
+from pinhole_jax._fit.likelihood import Account
+from pinhole_jax._fit.refine import Candidate, likeliest
 from pinhole_jax._mask.pyramid import Level
 from pinhole_jax._numerics import threads
 from pinhole_jax._scene.scene import ball_about
@@ -262,29 +263,26 @@ def test_prior_and_start_decide_the_view_of_a_round_body():
 
 
 @pytest.mark.parametrize(
-    ("costs", "anywhere", "expected"),
+    ("logs", "anywhere", "expected"),
     [
-        ([10.0, 10.5, 30.0], True, [0, 1]),  # equal: the least squares stand first
-        ([10.5, 10.0, 30.0], True, [0, 1]),
-        ([30.0, 10.0, 10.5], True, [1, 2]),  # the least squares were an occluder's
-        ([10.0, 10.02, 30.0], False, [1, 0]),  # equal: the nearest to the start stands first
-        ([10.0, 10.5, 30.0], False, [0, 1]),  # a start says less than 20 errors that are smaller
-        ([10.0, 30.0, 10.5], False, [0, 2]),  # as good before outliers were left out: no longer
+        ([0.0, 1.0, -30.0], True, [1, 0]),
+        ([-30.0, 1.0, 0.0], True, [1, 2]),
+        ([0.0, 0.1, -3.0], False, [1, 0, 2]),  # equal: the nearest to the start stands first
+        ([10.0, 0.0, 0.0], False, [0]),
+        ([0.0, 0.0, 3.0], False, [2, 1, 0]),  # 30 degrees from the start are 2 less
     ],
 )
-def test_cameras_near_the_edge_of_a_drawn_mask_are_compared(monkeypatch, costs, anywhere, expected):
-    """All three left equal squares before the outliers were out."""
+def test_likeliest_candidates_stand_first(logs, anywhere, expected):
     cameras = [turned(START, [0, 0, 1], degrees, 1.0) for degrees in (8, 4, 30)]
-    views = [seen(cost) for cost in costs]
-    described = [(Found(c, view, ()), view) for c, view in zip(cameras, views, strict=True)]
-    monkeypatch.setattr(strategy, "area_between", lambda view, *_: view.prior)
     errors = OutlineErrors(1.0, 5.0, 0.0, 20.0, np.eye(6))
-    solver = object.__new__(Solver)
-    vars(solver).update(errors=lambda view: errors)
-    mask = Mask(np.eye(40, 48), np.ones((40, 48)), START)
-    start = None if anywhere else START
-    kept = strategy.most_agreeing(solver, mask, described, 3, start)
-    assert [next(k for k, d in enumerate(described) if d is x) for x in kept] == expected
+    near: Any = SimpleNamespace(errors=lambda view: errors)
+    none = np.zeros(0, bool)
+    candidates = [
+        Candidate(Found(c, seen(), ()), seen(), Account(log, 1, 5, none, none, 0), near, near)
+        for c, log in zip(cameras, logs, strict=True)
+    ]
+    kept = likeliest(candidates, 3, None if anywhere else START)
+    assert [candidates.index(c) for c in kept] == expected
 
 
 def seen(prior=0.0, sums=None) -> View:

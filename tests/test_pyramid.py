@@ -150,9 +150,6 @@ def test_large_photo_takes_no_image_of_floats(kind):
         "window": lambda: object_window(target),
         "kind": lambda: kind_of(target, ones, np.float32),
         "weights near the edge": lambda: mask.near_edge(2.0),
-        "distance": lambda: mask.distance(
-            Window(0, 0, 2000, 1500), np.arange(99), np.arange(99), 2.0
-        ),
     }
     tracemalloc.start()
     for name, step in steps.items():

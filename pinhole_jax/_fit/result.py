@@ -102,8 +102,8 @@ class Fit(NamedTuple):
       how much of the outline is far from the mask's edge.
     - `mask_error`: how the mask's outline errs; None where it is exact, and explained.
     - `unbelieved`: points (px, film coordinates) of the mask's edge that were taken for the edge of
-      something before the object, and left out with what it hides; None where nothing was. `rms`
-      and `iou` are then of the rest; `weak` says which share of the mask's edge it is.
+      something before the object, and left out; None where nothing was. `weak` says which share of
+      the mask's edge it is. `rms` and `iou` are of the whole mask all the same.
     - `modes`: other cameras that were found to explain the mask as well, the best first.
     - `history`: the way to `camera`, from the start (0 steps) to the end of each level, or with
       `record` of each step.
@@ -192,6 +192,15 @@ class Context(NamedTuple):
     errors: OutlineErrors | None = None
     variance: float | None = None
     design: float = 1.0
+    astray: float | None = None
+    hidden: bool = False
+
+    def share_astray(self, near: Any, whole: Any) -> float:
+        """The share of the outline that nothing explains: where nothing better is known, that which
+        is far from the mask's edge, by the sums near it and over the whole."""
+        if self.astray is not None:
+            return self.astray
+        return 1 - near.touched / whole.touched if whole.touched else 0.0
 
 
 def report(
@@ -233,11 +242,11 @@ def report(
         axis, degrees = in_words(about @ axes_of(at)), np.rad2deg(turn)
         weak += (f"the turn about the axis {axis} is told to {degrees:.0f} degrees (one sigma)",)
     nearly_free = bool(context.free or weak_moves(triangle, names_of_moves))
-    astray = 1 - sums.touched / whole.touched if whole.touched else 0.0
+    astray = context.share_astray(sums, whole)
     explained = context.kind.explains(view.touched_misfit, nearly_free)
     weak += _disagreement(sums, astray, context.kind.exact and not explained)
     explained = astray <= ASTRAY and (explained or not context.kind.exact)
-    status = _status(triangle, rest, whole, explained, bool(blind or free))
+    status = _status(triangle, rest, whole, context.hidden, explained, bool(blind or free))
     if status == "converged" and wide_open:
         status = "uncertain"
     errors = context.errors
@@ -304,9 +313,17 @@ def with_modes(fit: Fit, modes: Sequence[Fit]) -> Fit:
 
 
 def with_unbelieved(fit: Fit, edge: np.ndarray, words: str, doubted: bool) -> Fit:
-    """Return the fit with the part of the mask's edge that was not believed."""
-    status = "misfit" if doubted and fit.status == "converged" else fit.status
-    return fit._replace(unbelieved=edge, weak=(*fit.weak, words), status=status)
+    """The fit with the part (n, 2) of the mask's edge that was not believed, if there is one; where
+    that leaves doubts, the camera is not called right."""
+    if not len(edge):
+        return fit
+    weak = (*fit.weak, words)
+    if doubted:
+        weak += (
+            "so little of the edge may look the same from elsewhere: give a `camera` to start from",
+        )
+    status = "uncertain" if doubted and fit.status == "converged" else fit.status
+    return fit._replace(unbelieved=edge, weak=weak, status=status)
 
 
 def without_free(triangle: np.ndarray, free: Sequence[Free]) -> np.ndarray:
@@ -362,12 +379,14 @@ def to_units(derivative: Any, freed: tuple[str, ...], camera: Camera) -> np.ndar
     return to_reported
 
 
-def _status(triangle: np.ndarray, rest: bool, whole: Any, explained: bool, blind: bool) -> str:
+def _status(
+    triangle: np.ndarray, rest: bool, whole: Any, hidden: bool, explained: bool, blind: bool
+) -> str:
     if not np.any(triangle):
         # As much as there is to cover: `union` counts a pixel by the larger of image and target.
         covered = whole.touched == 0 and whole.union >= (1 - 1e-6) * whole.weight
         return "no_overlap" if whole.overlap == 0 else "saturated" if covered else "rank_deficient"
-    if whole.overlap < LEAST_IOU * whole.union:
+    if whole.overlap < LEAST_IOU * whole.union and not hidden:
         return "no_overlap"
     if not rest:
         return "max_steps"

@@ -5,28 +5,23 @@ from itertools import tee
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .._mask.mask import Mask
 from .._mask.search import aimed, guesses
-from .._solver.looks import View
 from .._solver.moves import canonical
-from .._solver.outline_errors import OutlineErrors, is_drawn
+from .._solver.outline_errors import is_drawn
 from .._solver.parameters import components, focal_is_free
-from .._solver.problem import COARSE_PX, FINE_PX
+from .._solver.problem import FINE_PX
 from .._solver.solver import Found, Solver, Stop, onward
-from .._solver.stretches import area_between, outline_of
 from .._solver.uncertainty import free_turns
 from .places import (
-    DRAWN_TIMES,
     NEAR_START,
     Free,
     Places,
     better,
     equal_views,
-    interval,
     mirrored,
     separation,
     settled,
@@ -40,16 +35,6 @@ POOR = 0.7
 #: Cameras that leave up to this many times the least squares may be right if a part of the mask is
 #: not to be believed; this many are looked at.
 RIVAL, RIVALS = 6.0, 6
-#: ... and near the mask's edge twice as many as its errors leave undecided.
-HOPELESS = 2.0
-#: An outline that is farther from the mask's than this (px), or this many times the size of the
-#: mask's errors, is no farther for it: something else is wrong there.
-CAP_PX, CAP_SIZES = 2.0, 2.5
-#: How far (rad) a start is off, one standard error, where a mask's errors leave several cameras.
-#: (Of 338 such fits, starts 10 to 30 degrees off, 82 of them with a right one, it stands first in
-#: 75, as it does with 10 degrees; with 30 in 70, with the smallest errors first in 57, and with the
-#: nearest to the start first in 75, but then in 3 a right one that left fewer squares is behind.)
-START_RAD = np.deg2rad(15)
 #: A camera that is farther from the best so far than this (rad) is another one.
 ELSEWHERE = np.deg2rad(10)
 #: A fit that ends this far (rad) from its start has lost it, and looks elsewhere too.
@@ -277,137 +262,11 @@ def to_the_end(solver: Solver, found: list[Found]) -> list[Found]:
     return [onward(f, solver.solve(f.camera, [solver.finest], fine_px=px)) for f in found]
 
 
-def without_outliers(
-    solver: Solver, mask: Mask, places: Places, outlier_px: float, start: Camera | None
-) -> list[tuple[Found, View]]:
-    """Return the cameras fitted to pixels near the mask's edge only, and views of all pixels.
-
-    At first the surroundings are wide, so that what other stretches of the outline pulled away
-    comes back; where nothing is far away, they are narrow at once. Rivals that are far worse there
-    are left out.
-    """
-    alike = [(f, f.camera) for f in (places.best, *places.others)]
-    rivals = [(f, f.camera) for f in places.rivals]
-    alone, near = _is_alone(mask, places, outlier_px), solver
-    for reach in (1,) if alone else (8, 4, 2, 1):
-        near = solver.weighed(mask.near_edge(reach * outlier_px), only_finest=True)
-        # (What comes next moves it by more.)
-        px = COARSE_PX if reach > 1 else FINE_PX[solver.dtype]
-        # (Where there are rivals their errors are asked for on the way.)
-        looks = bool(rivals) or reach == 1
-        finer = lambda f, near=near, px=px, looks=looks: onward(
-            f, near.solve(f.camera, [near.finest], fine_px=px, looks=looks)
-        )
-        alike, rivals = ([(finer(f), camera) for f, camera in x] for x in (alike, rivals))
-        # (Farther out, what covers the object counts against the right one.)
-        if rivals and reach <= 2:
-            view = alike[0][0].view
-            most = HOPELESS * _times(near.errors(view)) * view.squares
-            rivals = [(f, camera) for f, camera in rivals if f.view.squares <= most]
-    result = []
-    for f, before in (*alike, *rivals):
-        # (A descent that began there, with these weights, does not end higher.)
-        others = [] if alone else [before]
-        for camera in others if start is None else [*others, start]:
-            if not near.look(camera, near.finest).squares >= f.view.squares:
-                px = FINE_PX[near.dtype]
-                f = onward(f, near.solve(camera, [near.finest], fine_px=px))
-        result.append(f)
-    solver.take_errors(places.best.view, result[0].view)
-    return [(f, solver.look(f.camera, solver.finest)) for f in result]
-
-
-def _is_alone(mask: Mask, places: Places, outlier_px: float) -> bool:
-    """Return whether there is one camera, with all of its outline so near to the mask's edge that
-    nothing is to come back from farther away."""
-    if places.others or places.rivals:
-        return False
-    view = places.best.view
-    row, column = outline_of(view).T
-    window = view.level.window()
-    distance = mask.distance(window, window.H - 1 - row, column, outlier_px)
-    return bool(np.all(distance <= outlier_px / 2))
-
-
-def _times(errors: OutlineErrors | None) -> float:
-    """Return how many times as large as the best one's the errors of a camera may be that the mask
-    does not tell from it."""
-    # Errors grow like a size: its logarithm, for each independent one, is the odds'.
-    return float(np.exp(DRAWN_TIMES / 2 / max(errors.independent, 1))) if errors else 1.0
-
-
-def most_agreeing(
-    solver: Solver,
-    mask: Mask,
-    described: list[tuple[Found, View]],
-    alike: int,
-    start: Camera | None,
-) -> list[tuple[Found, View]]:
-    """Return the cameras whose outline is the mask's but for some of it, the likeliest first: the
-    mask does not tell one from the other.
-
-    The first `alike` of them leave equal squares: these stay together, where they are the best,
-    unless the mask is a drawn one, whose outliers were among those squares.
-    """
-    drawn = is_drawn(solver.errors(described[0][0].view))
-    if len(described) == alike and not drawn:
-        return described
-    errors = [e for e in (solver.errors(f.view) for f, _ in described) if e is not None]
-    if not errors:
-        return described
-    cap = max(CAP_PX, CAP_SIZES * min(e.size for e in errors))
-    costs = [area_between(view, mask.target, mask.weight, cap) for _, view in described]
-    least = int(np.argmin(costs))
-    closest = described[least]
-    found = solver.errors(closest[0].view)
-    limit = _times(found) * costs[least]
-    places = [
-        k
-        for k, cost in enumerate(costs)
-        if cost <= limit or k == least or (max(k, least) < alike and not drawn)
-    ]
-    chosen = [described[k] for k in places]
-    if start is None:  # the first left the least squares of all pixels: it stands first if it may
-        return (
-            chosen if chosen[0] is described[0] else sorted(chosen, key=lambda d: d is not closest)
-        )
-    if not drawn:
-        return sorted(chosen, key=lambda d: angle(d[0].camera, start))
-    far = np.array([angle(f.camera, start) for f, _ in chosen])
-    agreed = np.array([costs[k] for k in places])
-    independent = found.independent if found else 1.0
-    return [chosen[k] for k in np.argsort(unlikely(agreed, far, independent), kind="stable")]
-
-
-def unlikely(
-    costs: Float[np.ndarray, " n"], far: Float[np.ndarray, " n"], independent: float
-) -> Float[np.ndarray, " n"]:
-    """Return how unlikely cameras are, minus a logarithm, from what they and a mask disagree by,
-    with this many independent errors, and how far (rad) they are from the start."""
-    return max(independent, 1) * np.log(costs) + (far / START_RAD) ** 2 / 2
-
-
 def free_about(solver: Solver, found: Found, places: Places) -> list[Free]:
     """Return what is free about a camera, one of some places or a rival of these."""
     if separation(solver, found.camera, places.best.camera) > ELSEWHERE:
         return settled(solver, found).free
     return places.free
-
-
-def with_errors(
-    solver: Solver, mask: Mask, found: Found, free: list[Free], reach: float | None
-) -> list[Free]:
-    """Return what is free about a camera: of a drawn mask, too, how far its errors leave what shows
-    least, pixels farther than `reach` (px) from its edge left out."""
-    errors = solver.errors(found.view) if turns_freely(solver.freed) else None
-    if not is_drawn(errors):
-        return free
-    near = solver
-    if reach is not None:
-        near = solver.weighed(mask.near_edge(reach), only_finest=True)
-    left = interval(near, found, errors)
-    # (Facets make minima along a turn, and a profile sees but the one that it begins in.)
-    return [*free, *left]
 
 
 def _finite(found: list[Found]) -> list[Found]:

@@ -23,6 +23,7 @@ from .._fit.places import (
     mirrored,
     separation,
 )
+from .._fit.refine import Refiner, likeliest
 from .._fit.strategy import (
     EQUAL,
     EXACT,
@@ -31,8 +32,6 @@ from .._fit.strategy import (
     everywhere,
     looked_alike,
     looked_round,
-    most_agreeing,
-    without_outliers,
 )
 from .._mask.mask import Mask
 from .._mask.search import guesses
@@ -252,9 +251,10 @@ def _agreeing(
     found, reach = [places.best, *places.others], problem.outlier_px
     if reach is None or places.best.view.touched_misfit <= EXACT:
         return found
-    described = without_outliers(solver, mask, places, reach, start)
-    described = most_agreeing(solver, mask, described, len(found), start)
-    return [f._replace(view=whole) for f, whole in described]
+    refiner = Refiner.on(solver, mask, reach)
+    candidates = refiner.candidates([*found, *places.rivals], start)
+    kept = likeliest(candidates, min(len(found), len(candidates)), start)
+    return [c.found._replace(view=c.whole) for c in kept]
 
 
 def _is_same(solver: Solver, place: Found, other: Found) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._camera.bent import bent
 from .._camera.camera import Camera, film_map, focal_px, principal_point
-from .edges import Near, NearWeights, looked_up, near, near_weights
+from .edges import Near, NearWeights, near, near_weights
 from .signatures import Signature, signatures
 from .target import Window, as_coverage, inside_of, object_window
 
@@ -34,19 +34,6 @@ class Mask:
             some = self._near(reach)
             made[reach] = near_weights(inside_of(self.target), self.weight, window, some, reach)
         return made[reach]
-
-    def distance(
-        self, window: Window, row: np.ndarray, column: np.ndarray, reach: float
-    ) -> np.ndarray:
-        """Return how far (px) pixels of a window, by rows (from the top) and columns, are from the
-        nearest beside the mask's edge; infinite from `reach` + 1 on, and far from the object."""
-        own, some, H = self._window, self._near(reach), len(self.target)
-        row = row + (H - window.bottom - window.H) - (H - own.bottom - own.H)
-        column = column + window.left - own.left
-        inside = (row >= 0) & (row < own.H) & (column >= 0) & (column < own.W)
-        place = np.where(inside, row * own.W + column, -1)
-        found = looked_up(some.place, some.distance, place, np.inf)
-        return np.where(found < 1 + reach, found, np.inf)
 
     def _near(self, reach: float) -> Near:
         """Return the pixels of the object's window so near the edge, and perhaps others."""

@@ -14,7 +14,7 @@ covariance is the mean of the hypotheses'.
 """
 
 from math import lgamma
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -118,16 +118,8 @@ def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineE
     """Return the mean of the hypotheses, each as likely as the offsets are under it, and as the
     mask is of being computed (by logarithmic `odds`)."""
     model = _Model(stretches, quantisation)
-    none = np.zeros(1)
-    exact = model.hypotheses(0.0, none, none, none, np.full(1, COMPUTED))
-    found = [exact._replace(independent=np.full(1, np.sum(stretches.length)))]
-    bias, likely = np.array(BIASES).T
-    sizes, own, bias = (x.ravel() for x in np.meshgrid(SIZES, OWN, bias, indexing="ij"))
-    each = (1 - COMPUTED) / (len(SIZES) * len(LENGTHS) * len(OWN))
-    prior, bias = each * np.resize(likely, sizes.shape), bias * sizes
-    for length in LENGTHS:
-        found.append(model.hypotheses(length, sizes, own, bias, prior))
-    together = _Hypotheses(*map(np.concatenate, zip(*found, strict=True)))
+    together = _hypotheses(model)
+    together.independent[0] = np.sum(stretches.length)
     logs = together.log_likelihood
     logs[0] += odds
     weights = np.exp(logs - logs.max())
@@ -144,6 +136,20 @@ def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineE
     )
 
 
+def _hypotheses(
+    model: "_Model", lengths: tuple[float, ...] = LENGTHS, own: tuple[float, ...] = OWN
+) -> _Hypotheses:
+    """The hypotheses on a mask's errors: that it is computed, and all sizes, lengths, biases."""
+    none = np.zeros(1)
+    found = [model.hypotheses(0.0, none, none, none, np.full(1, COMPUTED))]
+    bias, likely = np.array(BIASES).T
+    each = (1 - COMPUTED) / (len(SIZES) * len(lengths) * len(own))
+    sizes, shares, bias = (x.ravel() for x in np.meshgrid(SIZES, own, bias, indexing="ij"))
+    prior, bias = each * np.resize(likely, sizes.shape), bias * sizes
+    found += [model.hypotheses(length, sizes, shares, bias, prior) for length in lengths]
+    return _Hypotheses(*map(np.concatenate, zip(*found, strict=True)))
+
+
 def _felt(offset: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Return the offsets (px) that would move the camera as these do if each counted in full.
 
@@ -155,12 +161,46 @@ def _felt(offset: np.ndarray, share: np.ndarray) -> np.ndarray:
     return (near - near * np.abs(near) / 2) / max(rate, LEAST_RATE)
 
 
+class Offsets(NamedTuple):
+    """Offsets (N,) of a mask's edge at blocks of a `length` (N,) in px, `by_move` (N, n) of the
+    solver, and the `covariance` (N, N) of gross errors."""
+
+    at: np.ndarray
+    length: np.ndarray
+    offset: np.ndarray
+    by_move: np.ndarray
+    covariance: np.ndarray
+
+
+class ErrorFit(NamedTuple):
+    """A likelihood's logarithm, and the errors' size and length at the likeliest hypothesis."""
+
+    log: float
+    size: float
+    length: float
+
+
+def weigh(offsets: Offsets, quantisation: float, roughly: bool = False) -> ErrorFit:
+    """How likely offsets are, all hypotheses on the mask's errors together, or some of them."""
+    from scipy.special import logsumexp
+
+    stretches = Stretches(*offsets[:4], np.zeros(len(offsets.offset)), 0, 0)
+    model = _Model(stretches, quantisation, offsets.covariance)
+    together = _hypotheses(model, LENGTHS[1:2], OWN[:1]) if roughly else _hypotheses(model)
+    logs = together.log_likelihood
+    likeliest = int(np.argmax(logs))
+    size, length = together.size[likeliest], together.length[likeliest]
+    total: Any = logsumexp(logs)
+    return ErrorFit(float(total), float(size), float(length))
+
+
 class _Model:
     """Offsets at stretches, and what hypotheses make of them."""
 
-    def __init__(self, stretches: Stretches, quantisation: float):
+    def __init__(self, stretches: Stretches, quantisation: float, gross: np.ndarray | None = None):
+        self._gross = gross
         X, self.count = stretches.by_move, len(stretches.offset)
-        felt = _felt(stretches.offset, stretches.share)
+        felt = _felt(stretches.offset, stretches.share) if gross is None else stretches.offset
         between = stretches.at[:, None] - stretches.at[None]
         self._distance = np.sqrt(np.sum(between**2, axis=-1))
         crowded = max(1.0, stretches.pixels / float(np.sum(stretches.length)) / STRAIGHT)
@@ -187,6 +227,8 @@ class _Model:
         (far_once, near_once), which = np.unique([far, near], axis=1, return_inverse=True)
         own_errors = near_once[:, None, None] * np.eye(self.count)
         covariance = far_once[:, None, None] * correlation + own_errors
+        if self._gross is not None:
+            covariance = covariance + self._gross
         white, log_determinant = _whitened(covariance, self._columns, near_once)
         products = (white @ np.swapaxes(white, 1, 2))[which.ravel()]
 

@@ -31,9 +31,6 @@ ONE_BIT, LEAST_VARIANCE = 1 / 12, 1 / 12 / 255**2
 #: A step that is negligible (px) where a fit goes on to fewer pixels: half as many steps as to the
 #: end of what float32 resolves, and squares within a hundred thousandth.
 CONTINUED_PX = 5e-3
-#: Views whose pixels that count, and their mean square residual, differ by less than this share
-#: show the same errors of a mask.
-UNCHANGED = 1e-2
 #: Where there are finer levels, a fit looks for what is far away on this one, where the object has
 #: 128 to 256 px. A residual tells of an outline that is a pixel away at most: of 12 degrees ten
 #: steps took 10 to 12 back on this level, 1.5 on one where the object had 1500 px.
@@ -231,15 +228,6 @@ class Solver:
             found = outline_errors(view, self.target, self.weights, noise, self.kind.hard)
             self._errors[:] = [(view, found)]
         return self._errors[0][1]
-
-    def take_errors(self, before: View, after: View) -> None:
-        """Let a view have the errors that were found for one before it, if all but nothing has
-        changed since: the pixels that count, and what they are off by."""
-        if not self._errors or self._errors[0][0] is not before:
-            return
-        had, has = ([v.sums.touched, v.touched_misfit] for v in (before, after))
-        if np.allclose(np.array(had, float), np.array(has, float), rtol=UNCHANGED, atol=0):
-            self._errors[:] = [(after, self._errors[0][1])]
 
     def variance(self, view: View) -> float:
         """Return by what, times two, squares at two cameras differ for each standard error between

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._mask.edges import Weights, crossings, weights_at
+from .._mask.edges import Weights, weights_at
 from .._mask.pyramid import Level
-from .._mask.target import Window, as_coverage, inside_of
+from .._mask.target import Window, as_coverage
 from .._native.look import TouchedPixels
 from .looks import HIDDEN, View
 
@@ -132,40 +132,10 @@ def stretches_of(view: View, target: np.ndarray, weights: Weights) -> Stretches 
     return Stretches(at, length, offset, by_move, share, beyond, len(differs))
 
 
-def area_between(view: View, target: np.ndarray, weights: Weights, cap: float) -> float:
-    """Return by how much a view's outline and a mask's disagree (px^2): the area between them, but
-    no more than `cap` px for each px of either.
-
-    Squares grow with the area that an occluder hides. Here it counts by its outline only.
-    `target` and `weights` (H, W) as for `stretches_of`.
-    """
-    from scipy.spatial import KDTree
-
-    stretches, level = stretches_of(view, target, weights), view.level
-    if stretches is None:
-        return np.inf
-    area = stretches.length @ np.minimum(np.abs(stretches.offset), cap)
-
-    window = level.window()
-    down, right = crossings(inside_of(window.of(target))[::-1])
-    places = np.unique(np.concatenate([down + window.W, right + 1]))
-    edge = np.column_stack(np.divmod(places, window.W))
-    edge = edge[_weights_at(weights, window, edge, target.shape[0]) > 0]
-    own = _places(view.pixels, level)[_shown(view.pixels, level)]
-    far, _ = KDTree(own).query(edge, distance_upper_bound=NEAREST)
-    return float(area + cap * np.sum(np.isinf(far)))
-
-
-def outline_of(view: View) -> np.ndarray:
-    """Return row (from the bottom of the level's window) and column of the pixels (P, 2) that show
-    an outline and have weight."""
-    shown = _shown(view.pixels, view.level) & (np.asarray(view.pixels.weight) > 0)
-    return _places(view.pixels, view.level)[shown]
-
-
 def outline_pixels(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the places (P, 2) of `outline_of`, the derivatives (P, n) of their coverage by the
-    solver's moves, and their coverage (P,)."""
+    """The pixels that show an outline and have weight: row (from the bottom of the level's window)
+    and column (P, 2), the derivatives (P, n) of their coverage by the solver's moves, and their
+    coverage (P,)."""
     weight = np.asarray(view.pixels.weight, float)
     shown = _shown(view.pixels, view.level) & (weight > 0)
     rows = view.jacobian[: len(shown)][shown].astype(float)

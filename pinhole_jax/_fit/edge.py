@@ -1,0 +1,191 @@
+"""A mask's edge and a camera's outline as points, and how far the one lies from the other."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from .._camera.camera import Camera
+from .._mask.mask import Mask
+from .._mask.target import as_coverage, inside_of
+from .._solver.solver import Solver
+from .._solver.stretches import outline_pixels, smoothed_about
+
+#: The normals of a mask's edge are those of a mask that is smoothed over this many px.
+SMOOTH_PX = 2
+#: A turn of the normal by a rad is as far as this many px, and normals face one another if the
+#: angle between them has at least this cosine.
+TURN_PX, FACES = 8.0, 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """The points of a mask's edge, curve by curve.
+
+    - `at` (n, 2): where they are (px, film coordinates); `out` (n, 2): the normals outwards.
+    - `step` (n,): the length of edge that each stands for (px).
+    - `curve` (n,): the number of its curve.
+    - `size`: the object's size (px), the root of its area.
+    """
+
+    at: np.ndarray
+    out: np.ndarray
+    step: np.ndarray
+    curve: np.ndarray
+    size: float
+
+    @property
+    def length(self) -> float:
+        """Its length (px)."""
+        return max(float(np.sum(self.step)), 1e-9)
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """How far (k,) points (k, 2) are from the nearest of the edge (px)."""
+        return self._tree.query(points)[0] if len(self.at) else np.full(len(points), np.inf)
+
+    def nearest(self, points: np.ndarray) -> np.ndarray:
+        """Which of its points (k,) is the nearest to each of some (k, 2)."""
+        return self._tree.query(points)[1]
+
+    def blocks(self, number: int, shortest: float) -> "Blocks":
+        """The edge cut into about `number` blocks, each at least `shortest` px long."""
+        length = max(float(np.sum(self.step)) / number, shortest)
+        before = np.cumsum(self.step) - self.step
+        key = np.column_stack([self.curve, before // length])
+        _, of = np.unique(key, axis=0, return_inverse=True)
+        return Blocks(of.ravel(), np.bincount(of.ravel(), self.step))
+
+    def thinned(self, most: int) -> "Edge":
+        """`most` of the points, evenly."""
+        every = max(-(-len(self.at) // most), 1)
+        return replace(self.where(np.s_[::every]), step=every * self.step[::every])
+
+    def where(self, chosen: Any) -> "Edge":
+        """Some of the points."""
+        return replace(
+            self,
+            at=self.at[chosen],
+            out=self.out[chosen],
+            step=self.step[chosen],
+            curve=self.curve[chosen],
+        )
+
+    @cached_property
+    def _tree(self) -> Any:
+        from scipy.spatial import KDTree
+
+        return KDTree(self.at)
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Blocks of an edge: which one each point is `of` (n,), and their `length` (N,) in px."""
+
+    of: np.ndarray
+    length: np.ndarray
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """The means (N, ...) of the points' values (n, ...)."""
+        count = np.bincount(self.of)
+        if values.ndim == 1:
+            return np.bincount(self.of, values) / count
+        return np.stack([np.bincount(self.of, x) / count for x in values.T], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """Points of the outline that a camera sees: `at` (n, 2) px, normals `out` (n, 2) outwards, and
+    how far these go outwards `by_move` (n, k) of the solver; its `length` (px)."""
+
+    at: np.ndarray
+    out: np.ndarray
+    by_move: np.ndarray
+    length: float
+
+    @cached_property
+    def tree(self) -> Any:
+        from scipy.spatial import KDTree
+
+        return KDTree(np.column_stack([self.at, TURN_PX * self.out]))
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """An edge's points beside the nearest of an outline: how far they lie outside it, `off` (n,)
+    px, and `across` it, the outline being known at points that are a pixel apart; `by_move`
+    (n, k); whether the normals `faces` (n,) one another."""
+
+    off: np.ndarray
+    across: np.ndarray
+    by_move: np.ndarray
+    faces: np.ndarray
+
+
+def edge_of(mask: Mask) -> Edge:
+    """The edge of a mask: where it passes 1/2 between pixels that count."""
+    from scipy.ndimage import gaussian_filter
+    from skimage.measure import find_contours
+
+    box, H = about(inside_of(mask.target), SMOOTH_PX * 5), len(mask.target)
+    image, weighs = as_coverage(mask.target[box]), mask.weight[box] > 0
+    smooth: Any = gaussian_filter(image, SMOOTH_PX)
+    down, right = np.gradient(smooth)
+    curves = find_contours(image, 0.5) if min(image.shape) > 1 else []
+    at, out, step, curve = ([np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros(0)], [np.zeros(0)])
+    for number, points in enumerate(curves):
+        middle, along = (points[1:] + points[:-1]) / 2, np.diff(points, axis=0)
+        row, column = np.round(middle).astype(int).T
+        known = np.ones(len(middle), bool)
+        for corner in (np.floor, np.ceil):
+            known &= weighs[tuple(corner(middle).astype(int).T)]
+        at.append(middle[known] + [box[0].start, box[1].start])
+        out.append(np.column_stack([-right[row, column], down[row, column]])[known])
+        step.append(np.linalg.norm(along, axis=1)[known])
+        curve.append(np.full(np.count_nonzero(known), number))
+    row, column = np.concatenate(at).T
+    size = float(np.sqrt(np.count_nonzero(image > 0.5)))
+    place = np.column_stack([column + 0.5, H - 0.5 - row])
+    return Edge(
+        place, units(np.concatenate(out)), np.concatenate(step), np.concatenate(curve), size
+    )
+
+
+def outline_seen(solver: Solver, camera: Camera, number: int) -> Outline | None:
+    """The outline that a camera sees on a level, None where it sees none."""
+    view = solver.look(camera, number)
+    place, rows, share = outline_pixels(view)
+    if len(place) < 8 or not np.all(np.isfinite(rows)):
+        return None
+    level, around = view.level, smoothed_about(view, place, rows)
+    px = len(solver.target) / float(level.scale)
+    out = units(-around.slope)
+    by_move = around.rows / np.maximum(around.steepness, 1e-3)[:, None]
+    at = place[:, ::-1] + 0.5 + np.asarray(level.origin, float)
+    points = px * (at + out * (share - 0.5)[:, None])
+    return Outline(points, out, px * by_move, px * float(np.sum(around.steepness)))
+
+
+def matched(edge: Edge, outline: Outline) -> Pairs:
+    """The points of an edge beside the nearest of an outline, whose normals count, too."""
+    nearest = outline.tree.query(np.column_stack([edge.at, TURN_PX * edge.out]))[1]
+    at, out = outline.at[nearest], outline.out[nearest]
+    away = edge.at - at
+    across = np.sum(away * out, axis=1)
+    off = np.copysign(np.maximum(np.abs(across), np.linalg.norm(away, axis=1)), across)
+    return Pairs(off, across, outline.by_move[nearest], np.sum(edge.out * out, axis=1) > FACES)
+
+
+def units(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (n, 2) of length 1."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-9)[:, None]
+
+
+def about(shown: np.ndarray, margin: int) -> tuple[slice, slice]:
+    """The rows and columns around what is shown, with a margin: a photo is much larger."""
+    found = (np.flatnonzero(np.any(shown, axis=axis)) for axis in (1, 0))
+    rows, columns = (
+        slice(max(int(x[0]) - margin, 0), int(x[-1]) + 1 + margin) if x.size else slice(0, size)
+        for x, size in zip(found, shown.shape, strict=True)
+    )
+    return rows, columns

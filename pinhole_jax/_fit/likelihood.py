@@ -1,0 +1,183 @@
+"""How likely a mask is if a camera saw it: one number for all of its edge.
+
+The offsets y (px, outwards) of the mask's edge from the outline that a camera sees, at N blocks of
+the edge, are X t + b + g + q, as `outline_errors` has them, plus gross errors over runs of blocks:
+an occluder, a hole, a part that the mesh lacks. A gross error is a smooth curve as large as the
+object, so a run costs what its length takes to describe, and each of its ends log N, since it may
+be at any block. Outline that the mask has no edge beside, and that nothing hides, costs as much.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._mask.edges import NearWeights
+from .._solver.outline_errors import ErrorFit, Offsets, weigh
+from .edge import Blocks, Edge, Outline, matched
+
+#: Blocks of a mask's edge, each of at least this many px.
+BLOCKS, SHORTEST = 90, 2.0
+#: The standard deviation of a gross error, the length over which it is smooth (shares of the
+#: object's size), and its own roughness (px).
+GROSS, SMOOTH, ROUGH_PX = 0.4, 0.25, 1.0
+#: Sizes (px) that the other errors may have where runs are looked for, over this length (px).
+SIZES, OVER = (0.3, 0.6, 1.2, 2.4), 8.0
+#: At least this share of an edge is the object's.
+LEAST_BELIEVED = 0.2
+#: So much about an edge that is not believed does not count (a share of the object's size; px).
+ROOM, ROOM_PX = 0.1, 3.0
+#: Less of an edge than this share that is not believed is not worth a word.
+LEAST_TOLD = 0.03
+#: Outline within this distance (px, or sizes of the errors) of an edge has one beside it.
+BESIDE_PX, BESIDE_SIZES = 3.0, 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Account:
+    """What a mask's edge is to a camera.
+
+    - `log`: the logarithm of its likelihood, up to a constant of the mask.
+    - `size`, `length`: how the edge errs where it is believed (px).
+    - `gross` (n,): which points of the edge are not believed; `inside` (n,): which lie inside the
+      outline, where something may hide the rest.
+    - `missing`: which share of the outline has no edge beside it, and nothing hides it.
+    """
+
+    log: float
+    size: float
+    length: float
+    gross: np.ndarray
+    inside: np.ndarray
+    missing: float
+
+    def unbelieved(self, edge: Edge) -> float:
+        """The share of a mask's edge that is not believed."""
+        return float(np.sum(edge.step[self.gross]) / edge.length)
+
+    def astray(self, edge: Edge) -> float:
+        """The share of edge and outline that no occluder explains."""
+        return self.missing + float(np.sum(edge.step[self.gross & ~self.inside]) / edge.length)
+
+    def words(self, edge: Edge, height: int) -> tuple[np.ndarray, str]:
+        """The points (n, 2) of the edge that are not believed, and a sentence on them; a few are
+        no matter."""
+        some = edge.at[self.gross]
+        share = self.unbelieved(edge)
+        if share < LEAST_TOLD:
+            return some[:0], ""
+        x, y = some[np.argmin(np.linalg.norm(some - np.median(some, axis=0), axis=1))]
+        place = f"about column {int(x)}, row {height - 1 - int(y)}"
+        why = "something stands before the object there"
+        return some, f"{share:.0%} of the mask's edge, {place}, was not believed: {why}"
+
+    def hidden(self, edge: Edge, least: float) -> float:
+        """The share of a mask's edge that may be an occluder's: of curves that are no crumbs."""
+        whole = np.bincount(edge.curve.astype(int), edge.step)
+        large = whole[edge.curve.astype(int)] > least * np.sum(whole)
+        return float(np.sum(edge.step[self.gross & self.inside & large]) / np.sum(whole))
+
+
+def account(edge: Edge, outline: Outline | None, quantisation: float) -> Account | None:
+    """The account of a mask's edge by a camera that sees an outline; None where there is none.
+
+    Its pixels' quantisation leaves them this mean square residual.
+    """
+    blocks = edge.blocks(BLOCKS, SHORTEST)
+    if outline is None or len(blocks.length) < outline.by_move.shape[1] + 4:
+        return None
+    pairs = matched(edge, outline)
+    limit = edge.size / 2
+    offset = blocks.mean(np.clip(pairs.off, -limit, limit))
+    found = _explained(edge, blocks, offset, blocks.mean(pairs.by_move), quantisation)
+    gross = found.gross[blocks.of]
+    inside = (offset < 0)[blocks.of]
+    away = edge.distance(outline.at)
+    alone = away > max(BESIDE_SIZES * found.errors.size, BESIDE_PX)
+    alone[alone] = ~_is_hidden(edge, gross & inside, outline.at[alone], away[alone])
+    missing = float(np.mean(alone))
+    price = _price(missing * outline.length, edge.size, found.errors.size)
+    errors = found.errors
+    return Account(found.log - price, errors.size, errors.length, gross, inside, missing)
+
+
+def _is_hidden(edge: Edge, hides: np.ndarray, points: np.ndarray, away: np.ndarray) -> np.ndarray:
+    """Which points (k, 2) of an outline, so far from an edge, an occluder may hide: one whose edge
+    is about as near as any."""
+    if not (np.any(hides) and len(points)):
+        return np.zeros(len(points), bool)
+    return edge.where(hides).distance(points) < 1.5 * away + 2
+
+
+def _price(px: float, size: float, error: float) -> float:
+    """The cost of a gross error of an outline along a length (px)."""
+    costs = (1 + px / (SMOOTH * size)) * np.log(GROSS * size / max(error, 0.3))
+    return float(max(costs, 0.0) * min(px / 3, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Segmentation:
+    log: float
+    errors: ErrorFit
+    gross: np.ndarray
+
+
+def _explained(
+    edge: Edge, blocks: Blocks, offset: np.ndarray, by_move: np.ndarray, quantisation: float
+) -> _Segmentation:
+    """The likeliest runs of gross errors among offsets."""
+    at = blocks.mean(edge.at)
+    away = np.sqrt(np.sum((at[:, None] - at[None]) ** 2, axis=-1))
+    far = (GROSS * edge.size) ** 2 * np.exp(-((away / (SMOOTH * edge.size)) ** 2) / 2)
+    far += ROUGH_PX**2 * np.eye(len(at))
+    ends = float(np.log(len(at)))
+
+    def weighed(gross: np.ndarray, roughly: bool) -> _Segmentation:
+        offsets = Offsets(at, blocks.length, offset, by_move, far * np.outer(gross, gross))
+        errors = weigh(offsets, quantisation, roughly)
+        changes = np.count_nonzero(gross != np.roll(gross, 1))
+        return _Segmentation(errors.log - ends * changes, errors, gross)
+
+    def runs(size: float) -> np.ndarray:
+        size = float(np.hypot(size, quantisation**0.5))
+        price = float(np.log(max(GROSS * edge.size / size, 1.5)))
+        share = np.clip(blocks.length / (2 * OVER), 0, 1)
+        believed = share * ((offset / size) ** 2 - 1) / 2
+        return _cheapest(believed, blocks.length / (SMOOTH * edge.size) * price, ends + price / 2)
+
+    several = {x.tobytes(): x for x in (np.zeros(len(at), bool), *map(runs, SIZES))}
+    some = [x for x in several.values() if np.mean(x) <= 1 - LEAST_BELIEVED]
+    if len(some) > 1:
+        some = sorted((weighed(x, True) for x in some), key=lambda x: -x.log)
+        some = [x.gross for x in some[:2]]
+    return max((weighed(x, False) for x in some), key=lambda x: x.log)
+
+
+def _cheapest(zero: np.ndarray, one: np.ndarray, change: float) -> np.ndarray:
+    """The cheapest way round a closed curve (N,) of zeros and ones (Viterbi)."""
+    best: tuple[float, np.ndarray] | None = None
+    for first in (0, 1):
+        total = np.where([first == 0, first == 1], [zero[0], one[0]], np.inf)
+        came = np.zeros((len(zero), 2), int)
+        for k in range(1, len(zero)):
+            step = total[:, None] + change * (1 - np.eye(2))
+            came[k] = np.argmin(step, axis=0)
+            total = step[came[k], [0, 1]] + [zero[k], one[k]]
+        total += change * (np.arange(2) != first)
+        way = np.full(len(zero), np.argmin(total))
+        for k in range(len(zero) - 1, 0, -1):
+            way[k - 1] = came[k, way[k]]
+        if best is None or total.min() < best[0]:
+            best = float(total.min()), way == 1
+    assert best is not None
+    return best[1]
+
+
+def believed(near: NearWeights, edge: Edge, gross: np.ndarray) -> NearWeights:
+    """Weights of pixels near a mask's edge, 0 where its nearest point is not believed, and in some
+    room about such points: else the camera that they were taken from is confirmed."""
+    if not np.any(gross):
+        return near
+    row, column = np.divmod(near.place, near.shape[1])
+    at = np.column_stack([column + 0.5, near.shape[0] - row - 0.5])
+    close = edge.where(gross).distance(at) < max(ROOM * edge.size, ROOM_PX)
+    return near._replace(value=np.where(gross[edge.nearest(at)] | close, 0.0, near.value))

@@ -1,0 +1,152 @@
+"""Each camera proposed is refined on what its own account believes of the mask; one likelihood
+says which of them are kept, the likeliest first."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._camera.axes import angle
+from .._camera.camera import Camera
+from .._mask.edges import NearWeights
+from .._mask.mask import Mask
+from .._solver.looks import View
+from .._solver.outline_errors import OutlineErrors, is_drawn
+from .._solver.problem import COARSE_PX, FINE_PX
+from .._solver.solver import LEAST_VARIANCE, ONE_BIT, Found, Solver, onward
+from .edge import Edge, edge_of, outline_seen
+from .likelihood import Account, account, believed
+
+#: Pixels count near the mask's edge: within these times `outlier_px`, what other stretches of
+#: the outline pulled away coming back at first.
+REACHES = (8, 4, 2, 1)
+#: A camera is one of several if its likelihood is at least this share of the best one's; while
+#: they are refined, cameras whose logarithm is less by `HOPELESS` are left.
+LEAST_SHARE, HOPELESS = 1e-3, 60.0
+#: How far (rad) a start is off, one standard error.
+START_RAD = np.deg2rad(15)
+#: Cameras so near (rad) are one.
+SAME = np.deg2rad(0.3)
+#: Curves of a mask's edge that are a smaller share of it than this are crumbs, and more than this
+#: share of the edge has to lie inside the outline for something to be looked for there.
+CRUMB, LEAST_HIDDEN = 0.2, 0.05
+#: Outline of so small a share may be missed.
+LITTLE = 0.02
+#: ... or the edge to err by this many px all along.
+LARGE_PX = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A camera that may be right: what was `found` on the pixels that count, the `whole` view,
+    the account of the mask's edge, and the solver of the pixels that count."""
+
+    found: Found
+    whole: View
+    account: Account | None
+    near: Solver
+    wide: Solver
+
+    @property
+    def log(self) -> float:
+        """The logarithm of the likelihood."""
+        return -np.inf if self.account is None else self.account.log
+
+    def is_explained(self) -> bool:
+        """Whether nearly all of the camera's outline has an edge beside it, or is hidden."""
+        return self.account is not None and self.account.missing < LITTLE
+
+    @property
+    def errors(self) -> OutlineErrors | None:
+        """How the mask's outline errs where it is believed."""
+        return self.wide.errors(self.found.view)
+
+
+@dataclass(frozen=True, eq=False)
+class Refiner:
+    """A mask whose pixels count near its edge, within `outlier_px`."""
+
+    solver: Solver
+    mask: Mask
+    edge: Edge
+    outlier_px: float
+
+    @classmethod
+    def on(cls, solver: Solver, mask: Mask, outlier_px: float) -> "Refiner":
+        """The refiner on a mask's edge."""
+        return cls(solver, mask, edge_of(mask), outlier_px)
+
+    def candidates(self, cameras: Iterable[Found], start: Camera | None = None) -> list[Candidate]:
+        """The candidates that cameras become, but for those that the first ones rule out."""
+        done: list[Candidate] = []
+        for found in cameras:
+            best = max((c.log for c in done), default=-np.inf)
+            made = self._refined(found, start, best - HOPELESS)
+            done += [] if made is None else [made]
+        return done
+
+    def _refined(self, found: Found, start: Camera | None, least: float) -> Candidate | None:
+        begin, said = found.camera, self.account(found.camera)
+        gross = np.zeros(len(self.edge.at), bool) if said is None else said.gross
+        near = self.solver
+        alone = said is not None and not np.any(gross) and said.missing == 0
+        for reach in REACHES[-1:] if alone else REACHES:
+            near = self.solver.weighed(self._weights(reach, gross), only_finest=True)
+            px = COARSE_PX if reach > 1 else FINE_PX[self.solver.dtype]
+            found = onward(found, near.solve(found.camera, [near.finest], fine_px=px))
+            said = self.account(found.camera)
+            if said is not None and reach > 1:
+                gross = said.gross
+            if said is not None and said.log < least and reach == REACHES[-2]:
+                return None
+        # (A descent that began there, with these weights, does not end higher.)
+        for camera in [] if alone else [begin] if start is None else [begin, start]:
+            if not near.look(camera, near.finest).squares >= found.view.squares:
+                px = FINE_PX[near.dtype]
+                found = onward(found, near.solve(camera, [near.finest], fine_px=px))
+                said = self.account(found.camera)
+        wide = self.solver
+        if np.any(gross):
+            wide = self.solver.weighed(self._weights(REACHES[0], gross))
+        whole = self.solver.look(found.camera, self.solver.finest)
+        return Candidate(found, whole, said, near, wide)
+
+    def account(self, camera: Camera) -> Account | None:
+        """The account of the mask's edge by a camera."""
+        kind, weight = self.solver.kind, self.mask.weight
+        scale = float(np.median(weight[weight > 0])) if np.any(weight > 0) else 1.0
+        noise = float(np.clip(kind.variance / scale, LEAST_VARIANCE, ONE_BIT))
+        outline = outline_seen(self.solver, camera, self.solver.finest)
+        return account(self.edge, outline, noise)
+
+    def _weights(self, reach: int, gross: np.ndarray) -> NearWeights:
+        return believed(self.mask.near_edge(reach * self.outlier_px), self.edge, gross)
+
+    def is_hidden(self, candidate: Candidate) -> bool:
+        """Whether something may stand before the object that a camera sees."""
+        said = candidate.account
+        if said is None:
+            return False
+        astray = max(said.hidden(self.edge, CRUMB), said.missing)
+        return astray > LEAST_HIDDEN or said.size > LARGE_PX
+
+
+def likeliest(candidates: Sequence[Candidate], alike: int, start: Camera | None) -> list[Candidate]:
+    """The candidates that a mask does not tell apart, the likeliest first.
+
+    The first `alike` of them leave equal squares: they stay together unless a person or a network
+    drew the mask, whose errors are among those squares. A start is another measurement.
+    """
+    far = [0.0 if start is None else angle(c.found.camera, start) for c in candidates]
+    logs = [c.log - (x / START_RAD) ** 2 / 2 for c, x in zip(candidates, far, strict=True)]
+    order = sorted(range(len(logs)), key=lambda k: -logs[k])
+    least = logs[order[0]] + np.log(LEAST_SHARE)
+    together = order[0] < alike and not is_drawn(candidates[order[0]].errors)
+    kept: list[Candidate] = []
+    for k in order:
+        camera = candidates[k].found.camera
+        if (logs[k] >= least or (together and k < alike)) and all(
+            angle(camera, c.found.camera) > SAME for c in kept
+        ):
+            kept.append(candidates[k])
+    return kept
