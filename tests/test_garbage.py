@@ -103,7 +103,7 @@ def calls():
             lambda: pj.fit_joint([pj.JointView(scene, mask)], [camera])
         ],
         "`bodies`: expected at least one Mesh, got Scene": [lambda: pj.Assembly([scene])],
-        "`executor`: expected a concurrent.futures.Executor, got str": [
+        "`executor`: expected a concurrent.futures.Executor, got 'dask'": [
             lambda: pj.fit_many([], executor="dask")
         ],
         "`items`: expected records, one after another, got dict": [
