@@ -106,10 +106,10 @@ def calls():
         "`executor`: expected a concurrent.futures.Executor, got 'dask'": [
             lambda: pj.fit_many([], executor="dask")
         ],
-        "`items`: expected records, one after another, got dict": [
+        "`items`: expected records, one after another, got {'id': 'a'}": [
             lambda: pj.fit_many({"id": "a"})
         ],
-        "`items`: expected records, one after another, got int": [lambda: pj.fit_many(3)],
+        "`items`: expected records, one after another, got 3": [lambda: pj.fit_many(3)],
         "`item`: expected a mapping of fields, got str": [
             lambda: pj.fit_many(["a"]),
             lambda: pj.fit_one("a"),
