@@ -27,7 +27,7 @@ from .stretches import Stretches, stretches_of
 SIZES, LENGTHS, OWN = (0.08, 0.2, 0.5, 1.2, 3.0), (6.0, 16.0, 40.0, 100.0), (0.0, 0.7)
 #: The standard deviation of the bias, in sizes of the other errors, and how likely it is:
 #: segmenters are off by as much as they waver, masks that were grown or shrunk by more.
-BIASES = ((1.5, 0.5), (8.0, 0.5))
+BIASES = ((1.0, 0.85), (6.0, 0.15))
 #: How likely it is beforehand that a mask is computed; above `SURE`, it is. (An interval of 95 %
 #: has no room for what is less likely.)
 COMPUTED, SURE = 0.5, 0.9
