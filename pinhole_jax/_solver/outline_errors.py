@@ -25,9 +25,9 @@ from .stretches import Stretches, stretches_of
 #: Sizes (px) and lengths (px) of errors, and the share of their variance that is each stretch's
 #: own. (Twice as fine grids gave the same intervals.)
 SIZES, LENGTHS, OWN = (0.08, 0.2, 0.5, 1.2, 3.0), (6.0, 16.0, 40.0, 100.0), (0.0, 0.7)
-#: The standard deviation of the bias, in sizes of the other errors, and how likely it is:
-#: segmenters are off by as much as they waver, masks that were grown or shrunk by more.
-BIASES = ((1.0, 0.85), (6.0, 0.15))
+#: The bias's standard deviation, in sizes of the other errors and in px beside that, and how likely
+#: it is: segmenters are off by as much as they waver, masks that were grown or shrunk by more.
+BIASES = ((1.0, 0.5, 0.8), (2.0, 2.5, 0.2))
 #: How likely it is beforehand that a mask is computed; above `SURE`, it is. (An interval of 95 %
 #: has no room for what is less likely.)
 COMPUTED, SURE = 0.5, 0.9
@@ -142,10 +142,11 @@ def _hypotheses(
     """The hypotheses on a mask's errors: that it is computed, and all sizes, lengths, biases."""
     none = np.zeros(1)
     found = [model.hypotheses(0.0, none, none, none, np.full(1, COMPUTED))]
-    bias, likely = np.array(BIASES).T
+    times, px, likely = np.array(BIASES).T
     each = (1 - COMPUTED) / (len(SIZES) * len(lengths) * len(own))
-    sizes, shares, bias = (x.ravel() for x in np.meshgrid(SIZES, own, bias, indexing="ij"))
-    prior, bias = each * np.resize(likely, sizes.shape), bias * sizes
+    sizes, shares, times = (x.ravel() for x in np.meshgrid(SIZES, own, times, indexing="ij"))
+    bias = np.hypot(times * sizes, np.resize(px, sizes.shape))
+    prior = each * np.resize(likely, sizes.shape)
     found += [model.hypotheses(length, sizes, shares, bias, prior) for length in lengths]
     return _Hypotheses(*map(np.concatenate, zip(*found, strict=True)))
 
