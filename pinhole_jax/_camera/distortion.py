@@ -147,8 +147,8 @@ class BrownConrady(RadialTangential):
         p2: Real = 0.0,
         k3: Real = 0.0,
     ):
-        values = _coefficients(self, k1, k2, p1, p2, k3)
-        self.k1, self.k2, self.p1, self.p2, self.k3 = values
+        for name, value in zip(self.powers, _coefficients(self, k1, k2, p1, p2, k3), strict=True):
+            setattr(self, name, value)
 
     def radial(self, s: Array) -> Array:
         """Return the radial factor at a squared radius."""
@@ -185,7 +185,8 @@ class Rational(RadialTangential):
         k6: Real = 0.0,
     ):
         values = _coefficients(self, k1, k2, p1, p2, k3, k4, k5, k6)
-        self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6 = values
+        for name, value in zip(self.powers, values, strict=True):
+            setattr(self, name, value)
 
     def radial(self, s: Array) -> Array:
         """Return the radial factor at a squared radius."""

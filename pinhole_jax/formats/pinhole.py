@@ -13,7 +13,7 @@ from .._camera.camera import Camera, check_camera, focal_px, principal_point
 from .._camera.distortion import Distortion, Fisheye
 from .._camera.matrices import Centres, half_pixel
 from .._camera.poses import Pose, check_pose, inverse, pose_of
-from .._numerics.arrays import Input
+from .._numerics.arrays import ArrayLike, Input
 from .fields import Fields
 
 #: Camera frames as poses in OpenCV's (x right, y down, z forward): each is its own inverse.
@@ -53,8 +53,27 @@ def pinhole(camera: Camera, *, distorted: bool = False) -> Pinhole:
     return Pinhole(fx, fy, x, camera.H - y, camera.W, camera.H)
 
 
-from_opencv = Camera.from_K
-"""The camera of OpenCV's K, R and t: `Camera.from_K`, beside the other conventions."""
+def from_opencv(
+    K: Input[ArrayLike, "3 3"],
+    R: Input[ArrayLike, "3 3"],
+    t: Input[ArrayLike, "3"],
+    W: Input[int, "px"],
+    H: Input[int, "px"],
+    *,
+    pixel_centres: Input[Centres, "of K"],
+    d: float = 1.0,
+    distortion: Distortion | None = None,
+) -> Camera:
+    """Return the camera of OpenCV's K (3, 3) in px, R (3, 3) and t (3,): `Camera.from_K`, beside
+    the other conventions.
+
+    Raises ValueError as it does.
+
+    ```python
+    same = pj.formats.from_opencv(K, R, t, 96, 80, pixel_centres="integer")
+    ```
+    """
+    return Camera.from_K(K, R, t, W, H, pixel_centres=pixel_centres, d=d, distortion=distortion)
 
 
 def to_opencv(
