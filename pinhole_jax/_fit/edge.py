@@ -14,6 +14,8 @@ from .._solver.stretches import outline_pixels, smoothed_about
 
 #: The normals of a mask's edge are those of a mask that is smoothed over this many px.
 SMOOTH_PX = 2
+#: At most this many points stand for an edge (a mask of noise has millions).
+MOST_POINTS = 20_000
 #: A turn of the normal by a rad is as far as this many px, and normals face one another if the
 #: angle between them has at least this cosine.
 TURN_PX, FACES = 8.0, 0.5
@@ -132,23 +134,26 @@ def edge_of(mask: Mask) -> Edge:
     smooth: Any = gaussian_filter(image, SMOOTH_PX)
     down, right = np.gradient(smooth)
     curves = find_contours(image, 0.5) if min(image.shape) > 1 else []
-    at, out, step, curve = ([np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros(0)], [np.zeros(0)])
-    for number, points in enumerate(curves):
-        middle, along = (points[1:] + points[:-1]) / 2, np.diff(points, axis=0)
-        row, column = np.round(middle).astype(int).T
-        known = np.ones(len(middle), bool)
-        for corner in (np.floor, np.ceil):
-            known &= weighs[tuple(corner(middle).astype(int).T)]
-        at.append(middle[known] + [box[0].start, box[1].start])
-        out.append(np.column_stack([-right[row, column], down[row, column]])[known])
-        step.append(np.linalg.norm(along, axis=1)[known])
-        curve.append(np.full(np.count_nonzero(known), number))
-    row, column = np.concatenate(at).T
-    size = float(np.sqrt(np.count_nonzero(image > 0.5)))
-    place = np.column_stack([column + 0.5, H - 0.5 - row])
-    return Edge(
-        place, units(np.concatenate(out)), np.concatenate(step), np.concatenate(curve), size
+    if not curves:
+        empty = np.zeros((0, 2))
+        return Edge(empty, empty, empty[:, 0], np.zeros(0, int), 0.0)
+    points = np.concatenate(curves)
+    number = np.repeat(np.arange(len(curves)), [len(curve) for curve in curves])
+    middle, along = (points[1:] + points[:-1]) / 2, np.diff(points, axis=0)
+    known = number[1:] == number[:-1]
+    for corner in (np.floor, np.ceil):
+        known &= weighs[tuple(corner(middle).astype(int).T)]
+    middle, along, number = middle[known], along[known], number[1:][known]
+    nearest = tuple(np.round(middle).astype(int).T)
+    row, column = (middle + np.array([box[0].start, box[1].start])).T
+    edge = Edge(
+        at=np.column_stack([column + 0.5, H - 0.5 - row]),
+        out=units(np.column_stack([-right[nearest], down[nearest]])),
+        step=np.linalg.norm(along, axis=1),
+        curve=number,
+        size=float(np.sqrt(np.count_nonzero(image > 0.5))),
     )
+    return edge.thinned(MOST_POINTS)
 
 
 def outline_seen(solver: Solver, camera: Camera, number: int) -> Outline | None:

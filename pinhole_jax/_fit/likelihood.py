@@ -72,8 +72,8 @@ class Account:
 
     def hidden(self, edge: Edge, least: float) -> float:
         """The share of a mask's edge that may be an occluder's: of curves that are no crumbs."""
-        whole = np.bincount(edge.curve.astype(int), edge.step)
-        large = whole[edge.curve.astype(int)] > least * np.sum(whole)
+        whole = np.bincount(edge.curve, edge.step)
+        large = whole[edge.curve] > least * np.sum(whole)
         return float(np.sum(edge.step[self.gross & self.inside & large]) / np.sum(whole))
 
 
