@@ -45,7 +45,7 @@ class Drift(NamedTuple):
 
     @property
     def moved(self) -> bool:
-        """Return whether this is more than errors make of a camera that stands still."""
+        """True if this is more than errors make of a camera that stands still."""
         return self.sigma > MOVED
 
     @property
@@ -71,7 +71,7 @@ class Drift(NamedTuple):
 
 
 def drift(fit: Fit, reference: Camera | Fit) -> Drift:
-    """Return how far a fit's camera has moved from a reference, and how surely.
+    """The move of a fit's camera from a reference, and its significance.
 
     - `reference`: a camera that is taken as exact, or a fit of other masks, whose covariance counts
       as well.
@@ -140,7 +140,7 @@ def other_places(
 
 
 def _turned_about(a: Fit, b: Fit, axis: np.ndarray) -> bool:
-    """Return whether two cameras are the same but for a turn about an axis (3,) of the world."""
+    """True if two cameras are the same but for a turn about an axis (3,) of the world."""
     turned = axes_of(b.camera).T @ axes_of(a.camera) @ axis
     return bool(np.linalg.norm(turned - axis) < SAME)
 
@@ -170,7 +170,7 @@ def _covariance(fit: Fit, held: Sequence[str] | None = None) -> Any:
 
 
 def _sigma(change: np.ndarray, covariance: np.ndarray) -> float:
-    """Return how unlikely a change is, as the distance of a normal number from its mean."""
+    """The significance of a change, as the distance of a normal number from its mean."""
     from scipy.stats import chi2, norm
 
     known = np.isfinite(np.diagonal(covariance))

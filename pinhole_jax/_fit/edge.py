@@ -96,7 +96,7 @@ class Blocks:
 
 
 @dataclass(frozen=True, eq=False)
-class Outline:
+class OutlinePoints:
     """Points of the outline that a camera sees: `at` (n, 2) px, normals `out` (n, 2) outwards, and
     how far these go outwards `by_move` (n, k) of the solver; its `length` (px)."""
 
@@ -156,7 +156,7 @@ def edge_of(mask: Mask) -> Edge:
     return edge.thinned(MOST_POINTS)
 
 
-def outline_seen(solver: Solver, camera: Camera, number: int) -> Outline | None:
+def outline_seen(solver: Solver, camera: Camera, number: int) -> OutlinePoints | None:
     """The outline that a camera sees on a level, None where it sees none."""
     view = solver.look(camera, number)
     place, rows, share = outline_pixels(view)
@@ -168,10 +168,10 @@ def outline_seen(solver: Solver, camera: Camera, number: int) -> Outline | None:
     by_move = around.rows / np.maximum(around.steepness, 1e-3)[:, None]
     at = place[:, ::-1] + 0.5 + np.asarray(level.origin, float)
     points = px * (at + out * (share - 0.5)[:, None])
-    return Outline(points, out, px * by_move, px * float(np.sum(around.steepness)))
+    return OutlinePoints(points, out, px * by_move, px * float(np.sum(around.steepness)))
 
 
-def matched(edge: Edge, outline: Outline) -> Pairs:
+def matched(edge: Edge, outline: OutlinePoints) -> Pairs:
     """The points of an edge beside the nearest of an outline, whose normals count, too."""
     nearest = outline.tree.query(np.column_stack([edge.at, TURN_PX * edge.out]))[1]
     at, out = outline.at[nearest], outline.out[nearest]

@@ -184,7 +184,7 @@ def check_border(
 
 
 def _is_within(scene: Scene, camera: Camera) -> bool:
-    """Return whether all corners of a scene (of its spheres' boxes) are seen within the picture."""
+    """True if all corners of a scene (of its spheres' boxes) are seen within the picture."""
     points, mesh = [], scene.mesh
     if mesh is not None:
         points.append(np.asarray(mesh.vertices)[np.unique(np.asarray(mesh.faces))])

@@ -13,7 +13,7 @@ import numpy as np
 
 from .._mask.edges import NearWeights
 from .._solver.outline_errors import ErrorFit, Offsets, weigh
-from .edge import Blocks, Edge, Outline, matched
+from .edge import Blocks, Edge, OutlinePoints, matched
 
 #: Blocks of a mask's edge, each of at least this many px.
 BLOCKS, SHORTEST = 90, 2.0
@@ -77,7 +77,7 @@ class Account:
         return float(np.sum(edge.step[self.gross & self.inside & large]) / np.sum(whole))
 
 
-def account(edge: Edge, outline: Outline | None, quantisation: float) -> Account | None:
+def account(edge: Edge, outline: OutlinePoints | None, quantisation: float) -> Account | None:
     """The account of a mask's edge by a camera that sees an outline; None where there is none.
 
     Its pixels' quantisation leaves them this mean square residual.

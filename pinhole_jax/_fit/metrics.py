@@ -10,7 +10,7 @@ from .._numerics.safe import norm
 
 
 def pose_error(camera_a: Camera, camera_b: Camera) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Return how far two cameras are from one another.
+    """The distance between two cameras: angle and length.
 
     - the angle between their orientations (rad), from the chord between the frames: accurate down
       to rounding.

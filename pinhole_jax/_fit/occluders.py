@@ -21,7 +21,7 @@ from .._mask.mask import Mask
 from .._mask.search import partly_hidden
 from .._solver.moves import canonical
 from .._solver.solver import Solver
-from .edge import Edge, Outline, Pairs, matched, outline_seen
+from .edge import Edge, OutlinePoints, Pairs, matched, outline_seen
 
 #: The mask's edge is taken by stretches of this share of the object's size.
 STRETCH = 0.08
@@ -135,7 +135,7 @@ def _brought(
     return None if outline is None else (camera, _closeness(edge, outline, stretch))
 
 
-def _closeness(edge: Edge, outline: Outline, stretch: Any) -> float:
+def _closeness(edge: Edge, outline: OutlinePoints, stretch: Any) -> float:
     """How close an edge is to an outline: 1 where it lies on it, less where it is outside."""
     pairs, near = matched(edge, outline), max(CLOSE * edge.size, 2.0)
     close = np.clip(1 - (pairs.off / near) ** 2, 0, 1) * pairs.faces

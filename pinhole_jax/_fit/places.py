@@ -248,7 +248,7 @@ def _best_turned(
 
 
 def equal_views(solver: Solver, view: View, best: View, times: float = EQUAL_TIMES) -> bool:
-    """Return whether the mask's own noise allows a view beside the best."""
+    """True if the mask's own noise allows a view as well as the best."""
     errors = solver.errors(best)
     if is_drawn(errors):
         times = min(times, DRAWN_TIMES)
@@ -267,7 +267,7 @@ def _surplus(solver: Solver, view: View) -> float:
 
 
 def better(solver: Solver, view: View, best: View) -> bool:
-    """Return whether a view explains the mask better than the best so far, not by rounding only."""
+    """True if a view explains the mask better than the best so far, not by rounding only."""
     have, now = _surplus(solver, best), _surplus(solver, view)
     return now < have - max(0.01 * abs(have), 2 * solver.kind.variance)
 
@@ -355,7 +355,7 @@ class _Beside(NamedTuple):
 
 
 def _beside(solver: Solver, found: Found, here: View, number: int, move: np.ndarray) -> _Beside:
-    """Return what a level shows at a move of a camera whose view there is `here`."""
+    """A level's view at a move of a camera whose view there is `here`."""
     other = solver.look(solver.step(found.camera, solver.finest, move), number)
     triangle = np.asarray(other.triangle, float)
     if not np.all(np.isfinite(triangle)):
@@ -382,14 +382,14 @@ def _radian(solver: Solver, found: Found) -> float:
 
 
 def _along(solver: Solver, best: Found, direction: _Direction) -> list[Found]:
-    """Return where descents lead to from both sides of a camera."""
+    """The ends of descents from both sides of a camera."""
     if direction.line is not None:
         return _around(solver, best, direction.line)
     return _strides(solver, best, direction, [s * x for s in (1, -1) for x in STRIDES])
 
 
 def _is_explained(solver: Solver, best: Found) -> bool:
-    """Return whether a camera leaves no more of a mask than a right one does.
+    """True if a camera leaves no more of a mask than a right one does.
 
     On coarser levels a hard edge averages out, and what the wrong facets leave does not.
     """
@@ -401,7 +401,7 @@ def _is_explained(solver: Solver, best: Found) -> bool:
 
 
 def _all_round(solver: Solver, best: Found, directions: list[_Direction]) -> list[Found]:
-    """Return where descents lead to from the likeliest cameras all round turns that are nearly
+    """The ends of descents from the likeliest cameras all round turns that are nearly
     free, where the mask is not explained: of a body that has such turns every way there are none.
 
     What is nearly round about an axis may show its facets: each leaves a valley some degrees wide,
@@ -443,13 +443,13 @@ def _rested(solver: Solver, camera: Camera, view: View, number: int) -> Camera:
 
 
 def _strides(solver: Solver, best: Found, direction: _Direction, far: list[float]) -> list[Found]:
-    """Return where descents lead to from so far (rad) along a direction."""
+    """The ends of descents from distances (rad) along a direction."""
     starts = (solver.step(best.camera, solver.finest, x * direction.move) for x in far)
     return _finite(p for p in _Walk.of(solver, best).led_to(starts) if p is not None)
 
 
 def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
-    """Return where descents lead to from likely cameras all round a line, and this many more while
+    """The ends of descents from likely cameras all round a line, and this many more while
     those are as good."""
     for camera, other, places in solver.walked:
         if other is line and separation(solver, camera, best.camera) < WALKED:
@@ -522,7 +522,7 @@ def _walked_on(solver: Solver) -> int:
 
 
 def _variance_on(solver: Solver, best: Found, number: int, view: View) -> float:
-    """Return what `Solver.variance` is on a coarser level, where the best camera has a view."""
+    """`Solver.variance` on a coarser level, where the best camera has a view."""
     errors, touched = solver.errors(best.view), max(float(view.sums.touched), 1.0)
     if errors is not None and is_drawn(errors):
         return view.squares / errors.independent
@@ -538,7 +538,7 @@ def _least_on(solver: Solver, number: int) -> float:
 
 
 def _alike(solver: Solver, best: Found) -> list[Found]:
-    """Return where descents lead to from the likeliest cameras that see the facets alike."""
+    """The ends of descents from the likeliest cameras that see the facets alike."""
     cameras = [_rotated(best.camera, *turn) for turn in solver.subject.turns]
     surplus = _glances(solver, cameras, solver.finest)
     nearest = [cameras[k] for k in np.argsort(surplus)[:FEW] if np.isfinite(surplus[k])]
@@ -546,7 +546,7 @@ def _alike(solver: Solver, best: Found) -> list[Found]:
 
 
 def _glances(solver: Solver, cameras: list[Camera], number: int) -> np.ndarray:
-    """Return how badly cameras explain the mask, on a level."""
+    """The misfit of cameras, on a level."""
     views = solver.looks(cameras, number)
     if number == solver.finest:
         return np.array([_surplus(solver, view) for view in views])
@@ -607,7 +607,7 @@ def at(solver: Solver, found: Found, direction: Any) -> Any:
 def _intervals(
     solver: Solver, best: Found, equal: list[Found], directions: list[_Direction]
 ) -> list[Free]:
-    """Return how far the directions are free if these places are as good as the best."""
+    """The free intervals of directions if these places are as good as the best."""
     turns = [turned_by(best.camera, p.camera) for p in equal]
     far: list[list[float]] = [[] for _ in directions]
     for place, turn in zip(equal, turns, strict=True):
@@ -640,7 +640,7 @@ def _distinct(solver: Solver, places: list[Found], apart: float) -> list[Found]:
 
 
 def separation(solver: Solver, a: Camera, b: Camera) -> float:
-    """Return how far two cameras are apart: the angle between them, or how far aside they see the
+    """The distance of two cameras: the angle between them, or how far aside they see the
     object, in its radii."""
     centre = np.asarray(solver.subject.ball.centre, float)
     seen = [axes_of(c) @ (centre - np.asarray(c.e, float)) for c in (a, b)]

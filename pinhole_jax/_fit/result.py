@@ -175,7 +175,7 @@ class Fit(NamedTuple):
 
 
 def progress_at(stop: Stop, camera: Camera) -> Progress:
-    """Return how far a fit has come at a stop, on the user's film."""
+    """The progress of a fit at a stop, on the user's film."""
     shrunk = float(stop.level.scale) / camera.H
     W, H = (int(np.ceil(shrunk * x)) for x in (camera.W, camera.H))
     return Progress(on_film(stop.camera, camera), W, H, stop.steps)
@@ -206,7 +206,7 @@ class Context(NamedTuple):
 def report(
     camera: Camera, found: Found, over_all: Sums, freed: tuple[str, ...], context: Context
 ) -> Fit:
-    """Return what was found, as a user reads it."""
+    """The fit that a user reads."""
     at, view, steps, way, _ = found
     fitted = on_film(at, camera)
     dtype = np.dtype(camera.e.dtype)
@@ -341,7 +341,7 @@ def widened(
     tolerance: float,
     already: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return what to add to the reported parameters' covariance (n, n): the solver's `tolerance`
+    """The addition to the reported parameters' covariance (n, n): the solver's `tolerance`
     (in its units), and intervals of directions that are free (all places in one as likely), but for
     what of them the covariance `already` has."""
     added = tolerance**2 * to_reported @ to_reported.T
@@ -398,7 +398,7 @@ def _status(
 def at_rest(
     triangle, along, squares: float, count: float, dtype: np.dtype, ended: bool = False
 ) -> bool:
-    """Return whether `count` residuals, whose squares sum up to `squares`, have come to a minimum.
+    """True if `count` residuals, whose squares sum up to `squares`, have come to a minimum.
 
     MINPACK's test: the residual is orthogonal to every column of the Jacobian. Near the rounding
     floor the residual has no direction; there the Newton step must be negligible, and on it nothing

@@ -60,12 +60,12 @@ OnStop = Callable[[Stop], None]
 
 
 def turns_freely(freed: tuple[str, ...]) -> bool:
-    """Return whether the whole pose is free."""
+    """True if the whole pose is free."""
     return "pose" in freed
 
 
 def from_start(solver: Solver, mask: Mask, start: Camera, on_stop: OnStop) -> Places:
-    """Return what explains the mask best, the nearest to the start first if several do equally."""
+    """The places that explain the mask best, the nearest to the start first among equals."""
     before = solver.look(start, -1)
     begin = start
     if turns_freely(solver.freed) and float(before.sums.overlap) <= POOR * float(before.sums.union):
@@ -80,7 +80,7 @@ def from_start(solver: Solver, mask: Mask, start: Camera, on_stop: OnStop) -> Pl
 def looked_round(
     solver: Solver, mask: Mask, found: Found, start: Camera, on_stop: OnStop
 ) -> Places:
-    """Return what explains the mask best or as well as what a descent from a start found, the
+    """The places that explain the mask best, or as well as a descent from a start, the
     nearest to the start first."""
     if not turns_freely(solver.freed):
         return settled(solver, found, start)
@@ -121,7 +121,7 @@ def _with_the_searched(solver: Solver, places: Places, seen: list[Found], start:
 
 
 def _copied(solver: Solver, found: Found, near: Found, start: Camera) -> bool:
-    """Return whether a camera is as good as another one, but only far from the start."""
+    """True if a camera is as good as another one, but only far from the start."""
     views = (found.view, near.view), (near.view, found.view)
     equal = not any(better(solver, *pair) for pair in views)
     known = np.isfinite(near.view.squares)
@@ -155,7 +155,7 @@ def with_others(
 
 
 def _within(places: Places, solver: Solver, found: Found) -> bool:
-    """Return whether a camera is the best one but for a move that is free."""
+    """True if a camera is the best one but for a move that is free."""
     turn = turned_by(places.best.camera, found.camera)
     far = float(np.linalg.norm(turn))
     for free in places.free:
@@ -201,9 +201,9 @@ def looked_alike(solver: Solver, found: Found, others: list[Found]) -> Places:
 
 
 def finished(solver: Solver, views: Iterable[Camera]) -> list[Found]:
-    """Return where views that are nearly right lead to on the last levels, but for those that the
-    first of these shows to be far worse than the best. (Coarser ones do not tell a tilt from its
-    mirror image, and finer ones do not lead far.)"""
+    """The ends of descents from views that are nearly right, on the last levels, but for those that
+    the first of these shows to be far worse than the best. (Coarser ones do not separate a tilt
+    from its mirror image, and finer ones do not lead far.)"""
     coarse, *fine = range(max(solver.far - 1, 0), len(solver.levels))
     begun = _finite([solver.solve(view, [coarse], steps=FIRST_STEPS) for view in views])
     further = lambda f: f if f.ended else onward(f, solver.solve(f.camera, [coarse]))
@@ -240,7 +240,7 @@ def _followed(
 
 
 def equally_good(solver: Solver, found: list[Found]) -> list[Found]:
-    """Return those that explain the mask as well as the first, the best, does."""
+    """The cameras that explain the mask as well as the first, the best, does."""
     best = found[0].view
     share = 0.0 if solver.kind.exact else EQUAL
     return [
@@ -263,7 +263,7 @@ def to_the_end(solver: Solver, found: list[Found]) -> list[Found]:
 
 
 def free_about(solver: Solver, found: Found, places: Places) -> list[Free]:
-    """Return what is free about a camera, one of some places or a rival of these."""
+    """The free directions of a camera, one of some places or a rival of these."""
     if separation(solver, found.camera, places.best.camera) > ELSEWHERE:
         return settled(solver, found).free
     return places.free
@@ -283,7 +283,7 @@ def _one_of_each(found: list[Found], freed: tuple[str, ...]) -> list[Found]:
 
 
 def _same(a: Found, b: Found, freed: tuple[str, ...]) -> bool:
-    """Return whether two cameras look the same way, but for a turn that changes no pixel of a's."""
+    """True if two cameras look the same way, but for a turn that changes no pixel of a's."""
     axes_a, axes_b = (axes_of(f.camera) for f in (a, b))
     turn: Any = axes_a.T @ axes_b - np.eye(3)
     free = free_turns(np.asarray(a.view.triangle, float), components(freed), axes_a)

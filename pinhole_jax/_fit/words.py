@@ -117,7 +117,7 @@ def accuracy(fit: Any) -> str:
 
 
 def notes(fit: Any) -> list[str]:
-    """Return what else there is to say: what is weak, whether other views explain the mask."""
+    """The notes: weak directions, and other views that explain the mask."""
     if not fit.modes:
         return [*fit.weak]
     several = f"{len(fit.modes)} other views explain"

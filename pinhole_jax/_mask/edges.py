@@ -77,7 +77,7 @@ def total(weights: Weights) -> float:
 
 
 def counted(weights: Weights) -> int:
-    """Return how many pixels have a weight."""
+    """The number of pixels that have a weight."""
     if isinstance(weights, NearWeights):
         return int(np.count_nonzero(weights.value))
     if alike(weights):
@@ -86,7 +86,7 @@ def counted(weights: Weights) -> int:
 
 
 def alike(weights: Weights) -> bool:
-    """Return whether all weights are for certain the same: one number, seen as an image."""
+    """True if all weights are for certain the same: one number, seen as an image."""
     return not isinstance(weights, NearWeights) and weights.size > 0 and weights.strides == (0, 0)
 
 

@@ -179,7 +179,7 @@ class _Raster(NamedTuple):
     def of(
         cls, image: _Image, weight: Weights, most: float, beyond: tuple[bool, bool]
     ) -> "_Raster":
-        """Return those of an image; the top row or last column is perhaps `beyond` the window."""
+        """The pages of an image; the top row or last column is perhaps `beyond` the window."""
         H, W = image.values.shape
         shown = _pages(image.values)
         zero, one = _throughout(shown, image.one)
@@ -307,7 +307,7 @@ def _written(rasters: list[_Raster], most: float, room: int, least: int, dtype: 
 
 
 def _sums(t: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """Return what pages (n, PAGE) sum up to with each of their cells: the squared residuals, the
+    """Running sums over pages (n, PAGE), cell by cell: the squared residuals, the
     weights and the masses, (4, n, PAGE)."""
     return np.cumsum(np.stack([w * t**2, w * (1 - t) ** 2, w, w * t]), axis=2)
 
@@ -322,7 +322,7 @@ def _aligned_zeros(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
 
 
 def _cells(shape: tuple[int, int]) -> int:
-    """Return how many cells the pages of a level of (H, W) pixels have, the one past its end among
+    """The number of cells in the pages of a level of (H, W) pixels, the one past its end among
     them."""
     H, W = shape
     return -(-(H * (W + 2) + 1) // PAGE) * PAGE

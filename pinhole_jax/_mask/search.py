@@ -54,7 +54,7 @@ def partly_hidden(
 
 
 def _reach(scene: Scene, ball: Ball, goal: Signature) -> float:
-    """Return how far away, in radii, the scene is in the mean from where it has a mask's size."""
+    """The mean distance (radii) from which the scene has a mask's size."""
     few, _ = _seen(scene, ball, sphere_points(VIEWS // 10), 5.0)
     reach = 5.0 * np.sqrt(np.median(few.solid_angle) / goal.solid_angle[0])
     return float(np.clip(reach, NEAREST, 50))

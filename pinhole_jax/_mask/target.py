@@ -31,7 +31,7 @@ class Window(NamedTuple):
         return image[top - self.H : top, self.left : self.left + self.W]
 
     def holds(self, points: Float[np.ndarray, "n 2"], W: int, H: int) -> bool:
-        """Return whether all points (px) of a film of this size are inside, or beside the film."""
+        """True if all points (px) of a film of this size are inside, or off the film."""
         x, y = points.T
         right, top = self.left + self.W, self.bottom + self.H
         return bool(
@@ -211,7 +211,7 @@ def object_window(target: np.ndarray) -> Window:
 
 
 def extent_of(image: np.ndarray) -> int:
-    """Return how many pixels, the longer way, an image's object is from end to end; all the image's
+    """The longer extent (px) of an image's object; all the image's
     where it shows none."""
     columns, rows = _shown(image > 0.5 if image.dtype.kind == "f" else image != 0)
     if not columns.size:

@@ -115,7 +115,7 @@ def _draw_spheres(
 
 
 def _outlines(centre: np.ndarray, radius: np.ndarray, points: int) -> np.ndarray:
-    """Return where rays touch spheres (K,) at centres (K, 3) from the eye: (K, points, 2), on a
+    """The points where rays touch spheres (K,) at centres (K, 3) from the eye: (K, points, 2), on a
     film at distance 1."""
     far = np.linalg.norm(centre, axis=1, keepdims=True)
     axis = centre / far

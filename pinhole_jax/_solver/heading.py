@@ -33,7 +33,7 @@ class Heading(NamedTuple):
 
 
 def heading(camera: Camera) -> Heading:
-    """Return where a camera looks.
+    """The direction that a camera looks in.
 
     A turn of the camera is w = pitch' level + yaw' up + roll' v: `level` is its right without roll,
     v forward, and dots are derivatives. Solved for these, it is the derivative.

@@ -65,11 +65,11 @@ class Kind(NamedTuple):
 
     @property
     def hard(self) -> bool:
-        """Return whether every pixel is 0 or 1."""
+        """True if every pixel is 0 or 1."""
         return self.name == "one bit"
 
     def explains(self, misfit: float, nearly_free: bool) -> bool:
-        """Return whether a right camera may leave this mean square residual of an outline pixel;
+        """True if a right camera may leave this mean square residual of an outline pixel;
         where a turn or shift is nearly free, no more than the kind has to leave."""
         strict = nearly_free and self.exact
         return misfit <= (TIMES * self.variance if strict else self.most)

@@ -113,7 +113,7 @@ def _slope(parts: list[Rows], size: int) -> np.ndarray:
 
 
 def column_norms(parts: list[Rows], size: int) -> np.ndarray:
-    """Return how much each unknown (size,) shows."""
+    """The sensitivity of the rows to each unknown (size,)."""
     total = np.zeros(size)
     for part in parts:
         np.add.at(total, part.columns, np.sum(part.rows**2, axis=0))
@@ -191,7 +191,7 @@ class Solved(NamedTuple):
         return np.array(directions).reshape(-1, size).T
 
     def by_shared(self, place: np.ndarray) -> np.ndarray:
-        """Return how unknowns follow the shared ones (p, s)."""
+        """The derivative of the unknowns by the shared ones (p, s)."""
         result = np.zeros((len(place), len(self.shared)))
         held = np.flatnonzero(self.owner[place] < 0)
         result[held, np.searchsorted(self.shared, place[held])] = 1

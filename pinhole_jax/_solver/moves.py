@@ -69,7 +69,7 @@ def scales(
     scale: Float[Array, ""] | Float[np.ndarray, ""],
     free: tuple[str, ...],
 ) -> Float[Array, "n"]:
-    """Return how much of each component moves the outline by about one pixel, in a film's corner
+    """The size of each component that moves the outline by about one pixel, in a film's corner
     if it is one of the distortion's.
 
     `camera` is canonical, `radius` that of the scene about the pivot, `scale` px per film height.
@@ -226,6 +226,6 @@ def on_film(canonical_one: Camera, camera: Camera) -> Camera:
 def camera_velocity(
     move: Move, film: Camera, free: tuple[str, ...], y: Float[Array, "n"]
 ) -> Camera:
-    """Return how a camera, on its film, changes with moves by y from where it is."""
+    """The derivative of a camera, on its film, by moves y, at the camera."""
     at = lambda y: on_film(moved(move, y, free), film)
     return jax.jvp(at, (jnp.zeros_like(y),), (y,))[1]

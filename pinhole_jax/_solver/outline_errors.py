@@ -68,7 +68,7 @@ class OutlineErrors(NamedTuple):
 
 
 def is_drawn(errors: OutlineErrors | None) -> bool:
-    """Return whether a person or a network made the mask, not a program."""
+    """True if a person or a network made the mask, not a program."""
     return errors is not None and errors.computed < DRAWN
 
 
@@ -83,7 +83,7 @@ class _Hypotheses(NamedTuple):
 def outline_errors(
     view: View, target: np.ndarray, weights: Weights, quantisation: float, hard: bool
 ) -> OutlineErrors | None:
-    """Return how the mask's outline errs, None where too little of an outline is seen.
+    """The errors of the mask's outline, None if too little of an outline is seen.
 
     `target` and `weights` are (H, W), `quantisation` is the mean square residual that quantisation
     leaves in an outline pixel of weight 1; a mask is `hard` whose pixels are 0 or 1.
@@ -96,7 +96,7 @@ def outline_errors(
 
 
 def _odds_of_computed(beyond: int, pixels: int) -> float:
-    """Return how likely it is that a computed mask of one bit has this many of an outline's pixels
+    """The log odds that a computed mask of one bit has this many of an outline's pixels
     on the wrong side, beside that a drawn one has (any share that is not less than its least): the
     logarithm.
 
@@ -218,8 +218,7 @@ class _Model:
         bias: np.ndarray,
         prior: np.ndarray,
     ) -> _Hypotheses:
-        """Return what errors of sizes (h,), over a length, with biases and shares of their own make
-        of the offsets."""
+        """The hypotheses of errors of sizes (h,), over a length, with biases and own shares."""
         correlation = np.exp(-self._distance / length) if length else np.eye(self.count)
         far, near = size**2 * (1 - own), size**2 * own + self._quantisation
         near = np.maximum(near, 1e-12 * far)

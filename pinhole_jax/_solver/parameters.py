@@ -204,7 +204,7 @@ def as_names(names: Any, argument: str = "free") -> tuple[str, ...]:
 
 
 def focal_is_free(free: Sequence[str]) -> bool:
-    """Return whether the focal length is fitted, under either of its names."""
+    """True if the focal length is fitted, under either of its names."""
     return not {"phi", "d"}.isdisjoint(free)
 
 

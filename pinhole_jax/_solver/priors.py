@@ -27,7 +27,7 @@ class Prior(eqx.Module):
     noise: Float[Array, ""]
 
     def residuals(self, camera: Camera, free: tuple[str, ...]) -> Float[Array, "k"]:
-        """Return how far off the means parameters are, in units in which noise is a residual's."""
+        """The parameters' distances from their means, in units in which noise is a residual's."""
         known = labels_of(free)
         values = reported(camera, camera, free)
         off = jnp.stack([values[known.index(label)] for label in self.labels]) - self.mean
@@ -42,13 +42,13 @@ class Others(eqx.Module):
     left: Float[Array, "n"]
 
     def residuals(self, values: Float[Array, "n"]) -> Float[Array, "n"]:
-        """Return what the parameters' values leave of that knowledge."""
+        """The residuals of the other views' knowledge at the parameters' values."""
         return self.rows @ (values - self.at) + self.left
 
 
 @functools.lru_cache  # (asked for at each new weight image)
 def no_others(free: tuple[str, ...], dtype: Any) -> Others:
-    """Return that no other views know anything of what is free."""
+    """An empty `Others`."""
     n = len(labels_of(free))
     return Others(*(jnp.asarray(np.zeros(shape, dtype), dtype) for shape in ((n, n), n, n)))
 

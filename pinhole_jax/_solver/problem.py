@@ -63,6 +63,6 @@ def move_about(
     scale: Any,
     freed: tuple[str, ...],
 ) -> Move:
-    """Return where moves of a camera start, in the solver's units, from what a problem says of it
+    """The origin of a camera's moves, in the solver's units, from a problem's view of it
     and a level's scale."""
     return Move(camera, pivot, UNIT_PX * scales(camera, pivot, radius, scale, freed), bounds)

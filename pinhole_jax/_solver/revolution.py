@@ -103,7 +103,7 @@ def _revolutions(vertices: np.ndarray) -> list[Revolution]:
 
 
 def _different(lines: Iterable[_Line]) -> list[_Line]:
-    """Return those that fit best, of those that are near one another the best."""
+    """The lines that fit best, of near ones the best."""
     distinct: list[_Line] = []
     for line in sorted(lines, key=lambda line: line[2]):
         if all(abs(line[0] @ other[0]) < APART for other in distinct):
@@ -142,7 +142,7 @@ def _normal_to(axis: np.ndarray) -> np.ndarray:
 
 
 def _directions(axis: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return those in the plane (D, 3), heights above it (D,) and the directions there (D, 3)."""
+    """The points in the plane (D, 3), heights above it (D,) and the directions there (D, 3)."""
     angle = np.arange(ROUND_ABOUT) * (2 * np.pi / ROUND_ABOUT)
     flat = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ normals
     height = np.repeat(HEIGHTS, ROUND_ABOUT)

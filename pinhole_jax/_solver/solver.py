@@ -58,13 +58,13 @@ class Found(NamedTuple):
 
 
 def onward(before: Found, after: Found) -> Found:
-    """Return what a further descent found, with the steps of both."""
+    """The end of a further descent, with the steps of both."""
     steps, way = before.steps + after.steps, before.way + after.way[1:]
     return after._replace(steps=steps, way=way)
 
 
 def last_px(kind: Kind, dtype: Any, continued: bool) -> float:
-    """Return what step (px) is negligible on the finest level. What is `continued` on fewer pixels,
+    """The step (px) that is negligible on the finest level. A fit `continued` on fewer pixels,
     as any mask that is not exact, moves by more then."""
     return CONTINUED_PX if continued and not kind.exact else FINE_PX[np.dtype(dtype)]
 
@@ -184,7 +184,7 @@ class Solver:
 
     @property
     def problem(self) -> Problem:
-        """Return what the fit's programs are given beside a camera and a level."""
+        """The problem that the fit's programs solve, beside a camera and a level."""
         others = self.others or no_others(self.freed, self.dtype)
         known = others, self.bounds, self._weighed_prior()
         return Problem(self.subject.scene, self._levels.pyramid, self.subject.pivot, *known)
@@ -204,7 +204,7 @@ class Solver:
         return max(view.squares - noise, 0.0) / max(touched, 1.0)
 
     def explains(self, view: View) -> bool:
-        """Return whether a right camera may leave these squares in a mask of this kind.
+        """True if a right camera may leave these squares in a mask of this kind.
 
         Noise that is even says how much it leaves in all, and how exactly: what is beyond that is
         something else, as a handle that only the mask shows.
@@ -216,7 +216,7 @@ class Solver:
         return bool(excess <= ERRORS * kind.spread)
 
     def errors(self, view: View) -> OutlineErrors | None:
-        """Return how the mask's outline errs, as a view's shows it; None for a mask that is
+        """The errors of the mask's outline, as a view shows them; None for a mask that is
         computed and explained, and where too little is seen."""
         if self.kind.exact and self.kind.explains(view.touched_misfit, False):
             return None
@@ -240,7 +240,7 @@ class Solver:
         return variance * max(float(view.sums.touched) / errors.independent, 1.0)
 
     def design(self, view: View) -> float:
-        """Return how many times as large as of independent residuals the variance is that a mask's
+        """The ratio to the variance of independent residuals of the variance that a mask's
         errors leave, in the mean of what it determines (a survey's design effect)."""
         errors, triangle = self.errors(view), np.asarray(view.triangle, float)
         if errors is None or not np.any(triangle):
@@ -276,13 +276,13 @@ class Solver:
             self.store.window = Window(0, 0, W, H)
 
     def holds(self, camera: Camera) -> bool:
-        """Return whether a camera shows nothing of the scene beside the window, as far as a box
+        """True if a camera shows nothing of the scene outside the window, as far as a box
         about it tells."""
         H, W = self.target.shape
         return self.subject.within(self.store.window, camera, W, H)
 
     def move(self, camera: Camera, level: int) -> Move:
-        """Return where moves of a camera start, in the solver's units."""
+        """The origin of a camera's moves, in the solver's units."""
         about = *self.subject.pivot, self.bounds
         return _move(camera, about, self.levels[level].scale, self.freed)
 
@@ -371,7 +371,7 @@ class Solver:
         return int(n), np.asarray(path), View.of(origin)
 
     def _each_step(self, camera: Camera, level: int, end: Stop, path: np.ndarray) -> list[Stop]:
-        """Return where each step of a level ended; those past `RECORDED` together."""
+        """The end of each step of a level; those past `RECORDED` together."""
         before = path[: max(end.steps - 1, 0)]
         each = [Stop(self.step(camera, level, y), end.level, 1) for y in before]
         return [*each, end._replace(steps=end.steps - len(each))]

@@ -261,7 +261,7 @@ class Coverage(NamedTuple):
         return np.where(touched, self.share[last], self._covered(last, row))
 
     def begins(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-        """Return whether what comes just before pixels in their rows is covered."""
+        """The cover (bool) just before pixels, in their rows."""
         cell = row * (self.shape[1] + 2) + column + 1
         return self._covered(np.searchsorted(self.cell, cell) - 1, row)
 
@@ -273,7 +273,7 @@ class Coverage(NamedTuple):
         return self.after.astype(np.int8) - before.astype(np.int8)
 
     def _covered(self, last: np.ndarray, row: np.ndarray) -> np.ndarray:
-        """Return whether what follows the last touched cells is covered, in rows: these may begin
+        """The cover (bool) after the last touched cells, in rows: these may begin
         later."""
         same = (last >= 0) & (self.cell[last] // (self.shape[1] + 2) == row)
         return np.where(same, self.after[last], self.before)

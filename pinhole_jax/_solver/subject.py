@@ -89,7 +89,7 @@ class Subject:
         return turns_of_a_mesh(*self.mesh)
 
     def within(self, window: Window, camera: Camera, W: int, H: int) -> bool:
-        """Return whether a camera (canonical) shows nothing of the scene beside a window of the
+        """True if a camera (canonical) shows nothing of the scene outside a window of the
         film, as far as a box about the scene tells."""
         if window == (0, 0, W, H):
             return True

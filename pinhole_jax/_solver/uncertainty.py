@@ -47,7 +47,7 @@ def weak_directions(
     blind: float,
     named: Sequence[np.ndarray] = (),
 ) -> tuple[bool, tuple[str, ...]]:
-    """Return whether a direction is not seen at all, and each weak direction as a sentence, but for
+    """True if a direction is not seen at all, and each weak direction as a sentence, but for
     those that are `named` already.
 
     `components` names the moves (in pixels), `axes` (3, 3) are the camera's in world coordinates.
@@ -90,7 +90,7 @@ def free_turns(triangle: np.ndarray, components: list[str], axes: np.ndarray) ->
 
 
 def _words(direction: np.ndarray, components: list[str], axes: np.ndarray) -> str:
-    """Return what a direction of moves does to the camera."""
+    """A direction of moves as words: its effect on the camera."""
     groups: dict[str, list[int]] = {}  # the parts of a vector share their words
     for k, name in enumerate(components):
         groups.setdefault(COMPONENTS[name].words, []).append(k)
