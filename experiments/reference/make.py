@@ -112,7 +112,7 @@ def made(view: View) -> Made:
     expected = coverage(view)
     edge = (expected > 0) & (expected < 1) | (image > 0) & (image < 1)
     edge = scipy.ndimage.binary_dilation(edge, np.ones((3, 3)))
-    scales = Scales.of(np.dtype(float), np.dtype(float), max(image.shape), None)
+    scales = Scales.for_precision(np.dtype(float), np.dtype(float), max(image.shape), None)
     errors, kinks = {}, np.zeros(image.shape, bool)
     for name, derivative in zip(view.parameters, derivatives, strict=True):
         up, down, step = differences(view, name, scales, edge)

@@ -241,7 +241,7 @@ def _fit(
     else:
         places = from_start(solver, mask, start, on_stop)
     say("the last level: which views explain the mask as well?")
-    if reach is None or places.best.view.touched_misfit <= EXACT:
+    if reach is None or places.best.view.touched_misfit <= EXACT * mask.usual_weight:
         ended = to_the_end(solver, [places.best, *places.others])
         modes = [_Mode(f, f.view.sums, solver.errors(f.view)) for f in ended]
         free, near, edge = free_about(solver, ended[0], places), solver, None

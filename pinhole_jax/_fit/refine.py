@@ -113,9 +113,8 @@ class Refiner:
 
     def account(self, camera: Camera) -> Account | None:
         """The account of the mask's edge by a camera."""
-        kind, weight = self.solver.kind, self.mask.weight
-        scale = float(np.median(weight[weight > 0])) if np.any(weight > 0) else 1.0
-        noise = float(np.clip(kind.variance / scale, LEAST_VARIANCE, ONE_BIT))
+        noise = self.solver.kind.variance / self.mask.usual_weight
+        noise = float(np.clip(noise, LEAST_VARIANCE, ONE_BIT))
         outline = outline_seen(self.solver, camera, self.solver.finest)
         return account(self.edge, outline, noise)
 

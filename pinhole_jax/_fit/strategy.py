@@ -85,7 +85,7 @@ def looked_round(
     if not turns_freely(solver.freed):
         return settled(solver, found, start)
     places, content = Places(found, [], []), solver.explains(found.view)
-    if content or solver.misfit_above_noise(found.view) <= EXACT:
+    if content or solver.misfit_above_noise(found.view) <= EXACT * mask.usual_weight:
         places = settled(solver, found, start)
         alike = [c for c in mirrored(solver, places.best) if angle(c, start) < NEAR_START]
         places = with_others(solver, places, finished(solver, alike))

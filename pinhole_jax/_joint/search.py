@@ -249,7 +249,7 @@ def _agreeing(
     """The best place, and others: of masks with outliers those that agree with most of the outline,
     as `fit_camera` has it."""
     found, reach = [places.best, *places.others], problem.outlier_px
-    if reach is None or places.best.view.touched_misfit <= EXACT:
+    if reach is None or places.best.view.touched_misfit <= EXACT * mask.usual_weight:
         return found
     refiner = Refiner.on(solver, mask, reach)
     candidates = refiner.candidates([*found, *places.rivals], start)

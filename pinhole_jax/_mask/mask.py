@@ -9,7 +9,7 @@ import numpy as np
 
 from .._camera.bent import bent
 from .._camera.camera import Camera, film_map, focal_px, principal_point
-from .edges import Near, NearWeights, near, near_weights
+from .edges import Near, NearWeights, alike, near, near_weights
 from .signatures import Signature, signatures
 from .target import Window, as_coverage, inside_of, object_window
 
@@ -26,6 +26,13 @@ class Mask:
     def image(self) -> np.ndarray:
         """Return the target as floats."""
         return as_coverage(self.target)
+
+    @cached_property
+    def usual_weight(self) -> float:
+        """The median weight of the pixels that count: residuals' squares are in its unit."""
+        some = self.weight[:1, :1] if alike(self.weight) else self.weight
+        weighed = some[some > 0]
+        return float(np.median(weighed)) if weighed.size else 1.0
 
     def near_edge(self, reach: float) -> NearWeights:
         """Return the weights of pixels near the mask's edge; 0 farther than `reach` (px)."""
