@@ -131,7 +131,7 @@ def _key(name: str, value: object, where: str, known: Iterable[str] = ()) -> str
     return key
 
 
-def _intrinsics(model: str, numbers: Sequence[float], where: str) -> Intrinsics:
+def _intrinsics(model: str, numbers: Sequence[float | int], where: str) -> Intrinsics:
     if model not in NUMBERS:
         raise ValueError(f"`MODEL`: expected one of {', '.join(NUMBERS)}, got {model} ({where})")
     names = MODELS[NUMBERS[model]][1].split()

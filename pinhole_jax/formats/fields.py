@@ -48,10 +48,10 @@ class Fields:
     def number(
         self,
         name: str,
-        default: float | None = None,
+        default: float | int | None = None,
         expected: str = "a finite number",
-        least: float = -np.inf,
-        most: float = np.inf,
+        least: float | int = -np.inf,
+        most: float | int = np.inf,
     ) -> float:
         """Return a number between two others."""
         if default is not None and name not in self.data:
@@ -61,7 +61,7 @@ class Fields:
             raise self.wrong(name, expected, f"{value:g}")
         return value
 
-    def positive(self, name: str, default: float | None = None) -> float:
+    def positive(self, name: str, default: float | int | None = None) -> float:
         """Return a finite number above 0."""
         return self.number(name, default, "a positive number", 0)
 
