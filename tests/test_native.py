@@ -99,7 +99,8 @@ def test_batches_are_their_members():
     together, one = jax.jit(jax.vmap(jax.vmap(seen)))(eyes), jax.jit(seen)
     for i, j in np.ndindex(2, 2):
         for whole, own in zip(together, one(eyes[i, j]), strict=True):
-            np.testing.assert_allclose(whole[i, j], own, rtol=0, atol=1e-12)
+            # (Sums of hundreds of pixels, in an order that XLA chooses.)
+            np.testing.assert_allclose(whole[i, j], own, rtol=1e-12, atol=1e-12)
 
 
 def test_second_derivative_is_refused():
