@@ -115,11 +115,9 @@ class OutlinePoints:
 @dataclass(frozen=True, eq=False)
 class Pairs:
     """An edge's points beside the nearest of an outline: how far they lie outside it, `off` (n,)
-    px, and `across` it, the outline being known at points that are a pixel apart; `by_move`
-    (n, k); whether the normals `faces` (n,) one another."""
+    px; `by_move` (n, k); whether the normals `faces` (n,) one another."""
 
     off: np.ndarray
-    across: np.ndarray
     by_move: np.ndarray
     faces: np.ndarray
 
@@ -178,7 +176,7 @@ def matched(edge: Edge, outline: OutlinePoints) -> Pairs:
     away = edge.at - at
     across = np.sum(away * out, axis=1)
     off = np.copysign(np.maximum(np.abs(across), np.linalg.norm(away, axis=1)), across)
-    return Pairs(off, across, outline.by_move[nearest], np.sum(edge.out * out, axis=1) > FACES)
+    return Pairs(off, outline.by_move[nearest], np.sum(edge.out * out, axis=1) > FACES)
 
 
 def units(vectors: np.ndarray) -> np.ndarray:

@@ -278,13 +278,14 @@ def behind_something(refiner: Refiner, plain: Candidate, start: Camera | None) -
     solver, mask, edge = refiner.solver, refiner.mask, refiner.edge
     look = lambda camera: Found(camera, solver.look(camera, solver.finest), ())
     found: list[Candidate] = []
+    best: Candidate | None = None
     for proposed in (
         lambda: near_starts(solver, edge, known),
         lambda: from_all_sides(solver, mask, edge),
     ):
         found += refiner.candidates(map(look, proposed()))
-        best = max(found, key=lambda c: c.log, default=None)
-        if best is not None:
+        before, best = best, max(found, key=lambda c: c.log, default=None)
+        if best is not None and best is not before:
             found += refiner.candidates([look(c) for c in mirrored(solver, best.found)])
         if start is not None and best is not None and best.is_explained():
             break
