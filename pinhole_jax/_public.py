@@ -25,8 +25,8 @@ from ._fit.observability import Observability as Observability, observability as
 from ._fit.result import Fit as Fit, Progress as Progress
 from ._joint.fit_cameras import fit_cameras as fit_cameras
 from ._joint.fit_joint import fit_joint as fit_joint
-from ._joint.observability import joint_observability as joint_observability
-from ._joint.result import JointFit as JointFit
+from ._joint.joint_fit import JointFit as JointFit
+from ._joint.joint_observability import joint_observability as joint_observability
 from ._joint.views import JointView as JointView
 from ._points.fit_points import PointFit as PointFit, fit_points as fit_points
 from ._scene.assembly import Assembly as Assembly, Posture as Posture

@@ -27,7 +27,7 @@ from .._solver.parameters import components
 from .._solver.problem import FINE_PX, UNIT_PX
 from .._solver.solver import Solver
 from .._solver.uncertainty import BLIND
-from .problem import JointProblem, ViewRows
+from .system import JointProblem, ViewRows
 
 #: Degrees of freedom of the t distribution of views' residuals: a few bad views count for little.
 #: (With 1 a view 3 times as far off as the middle one has a fifth of the weight, one 10 times a

@@ -18,9 +18,9 @@ from .._solver.moves import canonical
 from .._solver.parameters import as_names, check_free, components, in_one, with_lens
 from .._solver.solver import Solver
 from .._solver.subject import Subject
+from .knowledge import bounds_by_name, priors_of, scales_of, zeros_of
 from .lenses import alike_in_groups, groups_of
-from .priors import bounds_by_name, priors_of, scales_of, zeros_of
-from .problem import JointProblem
+from .system import JointProblem
 from .views import MOTIONS, POSE, SCALE, TWIST, Eye, JointView, State, Unknown
 
 #: From this many views on, small masks have pyramids of few cells (MB less for each of them, and a

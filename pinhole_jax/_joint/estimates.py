@@ -8,7 +8,7 @@ import numpy as np
 from .._camera.poses import adjoint, inverse
 from .._solver.looks import View
 from .._solver.parameters import LABELS, labels_of
-from .problem import JointProblem
+from .system import JointProblem
 from .views import MOTIONS, POSE, SCALE, TWIST, ZERO, State, lens_reported, reported_twist
 
 #: The six numbers of an object's pose, as they are reported.

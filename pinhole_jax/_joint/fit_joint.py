@@ -12,13 +12,13 @@ from .._fit.result import with_modes
 from .._numerics.arrays import ArrayLike, Input, is_concrete
 from .._solver.priors import Pair
 from .agreement import Agreement
+from .alternatives import Alternatives, compared, joined
 from .door import joint_problem
-from .implicit import answer_of, velocity, with_answer
+from .joint_fit import JointFit
 from .levels import Path, Tell, descended, to_the_end
-from .problem import JointProblem
-from .result import JointFit
-from .search import Alternatives, compared, joined
 from .summary import reported
+from .system import JointProblem
+from .velocities import answer_of, velocity, with_answer
 from .views import POSE, JointView
 
 #: With the zeros of joints a fit goes on from this many levels before the finest. (Zeros off by 3

@@ -12,8 +12,8 @@ from .._solver.least_squares import Descent
 from .._solver.looks import Sums
 from .._solver.problem import COARSE_PX, FINE_PX
 from .agreement import Agreement, agreed, priors_weighed
-from .photo import refined
-from .problem import JointProblem
+from .photos import refined
+from .system import JointProblem
 from .views import State
 
 #: This many steps at most on a level that leads to finer ones. (An arm in three postures, 24 fits:
@@ -78,7 +78,7 @@ def descended(
     return Path(found, tuple(steps), tuple(way))
 
 
-class End(NamedTuple):
+class Outcome(NamedTuple):
     """The end of a path, and the views' agreement there.
 
     - `problem`: whose views look at their masks, or at their photos where these decided.
@@ -95,7 +95,7 @@ class End(NamedTuple):
     notes: tuple[str, ...]
 
 
-def to_the_end(problem: JointProblem, path: Path, tell: Tell, photos: bool = False) -> End:
+def to_the_end(problem: JointProblem, path: Path, tell: Tell, photos: bool = False) -> Outcome:
     """The end of a path to the finest level: where masks are not exact, pixels far from their edges
     lose their weight, and views that err by more than most count less. Then views are refined on
     `photos`, if that is asked for."""
@@ -119,7 +119,7 @@ def to_the_end(problem: JointProblem, path: Path, tell: Tell, photos: bool = Fal
     touched = [float(sums.touched) for sums in whole]
     astray = [1 - n / t if t else 0.0 for n, t in zip(counted, touched, strict=True)]
     if not photos:
-        return End(problem, path, by_masks, whole, astray, ())
+        return Outcome(problem, path, by_masks, whole, astray, ())
 
     found, steps, notes = refined(by_masks, px, tell)
     if found is not by_masks:
@@ -127,4 +127,4 @@ def to_the_end(problem: JointProblem, path: Path, tell: Tell, photos: bool = Fal
     path = path._replace(steps=path.steps + steps)
     kept = zip(found.problem.eyes, near.eyes, eyes, strict=True)
     decided = [mask if eye is looked else eye for eye, looked, mask in kept]
-    return End(replace(problem, eyes=decided), path, found, whole, astray, notes)
+    return Outcome(replace(problem, eyes=decided), path, found, whole, astray, notes)

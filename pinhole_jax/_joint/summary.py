@@ -30,8 +30,8 @@ from .._solver.uncertainty import in_words
 from ..names import STATUSES
 from .agreement import Agreement
 from .estimates import HARDLY, Estimates, forget, of_camera, of_number, of_object, together
-from .levels import End
-from .result import JointFit, JointZeros, ObjectPose, SceneScale, ViewFit
+from .joint_fit import JointFit, JointZeros, ObjectFit, SceneScale, ViewFit
+from .levels import Outcome
 from .views import POSE, SCALE, ZERO
 
 #: A view this many times farther off than is usual is named: it has less than 0.28 of the weight.
@@ -46,7 +46,7 @@ LOST, MOST_LOST = 0.25, 1 / 3
 COUNTS = 0.1
 
 
-def reported(end: End, free: Mapping[str, Sequence[Free]]) -> JointFit:
+def reported(end: Outcome, free: Mapping[str, Sequence[Free]]) -> JointFit:
     """The end of a fit as a user reads it; poses are `free` along these directions."""
     problem, found, state = end.problem, end.found, end.found.descent.state
     covariance = lambda told: told.covariance(found.covariance, found.unseen)
@@ -56,7 +56,7 @@ def reported(end: End, free: Mapping[str, Sequence[Free]]) -> JointFit:
         for name in problem.cameras
     }
     objects = {
-        name: ObjectPose(state.poses[name], covariance(of_object(problem, name, state)))
+        name: ObjectFit(state.poses[name], covariance(of_object(problem, name, state)))
         for name in problem.objects()
     }
     scales = _scales(end)
@@ -84,7 +84,7 @@ def worst(statuses: Sequence[str]) -> str:
     return max(statuses, key=[*STATUSES].index)
 
 
-def _view_fit(end: End, k: int) -> ViewFit:
+def _view_fit(end: Outcome, k: int) -> ViewFit:
     problem, found = end.problem, end.found
     eye, state, errors = problem.eyes[k], found.descent.state, found.errors[k]
     total = _plain(end.whole[k])
@@ -127,7 +127,7 @@ def _worth(found: Agreement, k: int) -> float:
         return float(np.exp((after - before) / (2 * len(place))))
 
 
-def _camera_fit(end: End, name: str, views: tuple[ViewFit, ...], free: Sequence[Free]) -> Fit:
+def _camera_fit(end: Outcome, name: str, views: tuple[ViewFit, ...], free: Sequence[Free]) -> Fit:
     problem, found, film = end.problem, end.found, end.problem.cameras[name]
     numbers = [k for k, eye in enumerate(problem.eyes) if eye.shot.camera == name]
     eye, seen, state = problem.eyes[numbers[0]], found.descent.seen[numbers[0]], found.descent.state
@@ -180,7 +180,7 @@ def _widen(
 
 
 def _history(
-    end: End, k: int, seen_from: Callable[[Any], Camera], film: Camera
+    end: Outcome, k: int, seen_from: Callable[[Any], Camera], film: Camera
 ) -> tuple[Progress, ...]:
     """The way of a camera, canonical from `seen_from`, by the levels of one of its views."""
     eye = end.problem.eyes[k]
@@ -190,7 +190,7 @@ def _history(
 
 
 def _status(
-    end: End,
+    end: Outcome,
     numbers: list[int],
     views: tuple[ViewFit, ...],
     covariance: np.ndarray,
@@ -228,7 +228,7 @@ def _status(
     return "converged", ()
 
 
-def _is_compared(end: End, k: int) -> bool:
+def _is_compared(end: Outcome, k: int) -> bool:
     poses, lone = [u.name for u in end.problem.of(k) if u.kind == POSE], end.problem.lone_poses
     alone = len(poses) == 1 and poses[0] in lone
     return alone and (len(lone) == 1 or len(lone[poses[0]]) > 1)
@@ -241,7 +241,7 @@ def _is_explained(found: Agreement, k: int) -> bool:
     return bool(explained or found.problem.weights[k] < COUNTS)
 
 
-def _scales(end: End) -> dict[str, SceneScale]:
+def _scales(end: Outcome) -> dict[str, SceneScale]:
     problem, found, state = end.problem, end.found, end.found.descent.state
     if not (names := problem.named(SCALE)):
         return {}

@@ -23,8 +23,8 @@ from .._solver.priors import Pair, bounds_of, prior_of
 from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions
 from .descent import Options, PointDescent, descended
 from .noise import FEW, Noise, coordinates
+from .reprojection import Given, PointProblem, PointsSeen, PointView
 from .starts import begun
-from .views import Given, PointProblem, PointsSeen, PointView
 
 #: What several views share by default: the intrinsics of one physical camera.
 INTRINSICS = ("phi", "principal_point", "distortion")

@@ -8,7 +8,7 @@ import numpy as np
 from .._joint.agreement import NORMAL_95
 from .._solver.parameters import components, labels_of
 from .._solver.problem import FINE_PX
-from .views import PointProblem, PointView
+from .reprojection import PointProblem, PointView
 
 #: Squares may be larger by chance with this probability (an F test). Then a plane's wrong pose
 #: passes for the only one at most once in 2000 times.

@@ -13,8 +13,8 @@ from .._solver.priors import Prior
 from .._solver.problem import FINE_PX
 from .._solver.uncertainty import BLIND
 from .noise import Noise, exact_squares, own_of
+from .reprojection import PointProblem, PointView
 from .starts import apart, by_three, is_few, placed, seen_from_behind
-from .views import PointProblem, PointView
 
 #: This many descents from other places at most, of this many steps at most.
 DESCENTS, STEPS = 4, 50
@@ -24,7 +24,7 @@ CLOSE, APART_OF_THREE = np.deg2rad(3), 1e-3
 EQUAL = 1e-6
 
 
-class _Place(NamedTuple):
+class _Rival(NamedTuple):
     view: PointView
     squares: float
     ended: bool
@@ -36,7 +36,7 @@ def rivals(view: PointView, own: np.ndarray, noise: Noise, limit: float) -> list
 
     What is shared is held. More is looked for where points are off by more than the limit (px).
     """
-    here = _Place(view, _squares(view), True)
+    here = _Rival(view, _squares(view), True)
     is_somewhere = bool(np.isfinite(here.squares))
     explained = is_somewhere and _rms(view) <= limit
     begin = view if is_somewhere else placed(view, view.film)
@@ -57,12 +57,12 @@ def rivals(view: PointView, own: np.ndarray, noise: Noise, limit: float) -> list
     return _ranked(places, noise, view) if places else [view]
 
 
-def _ranked(places: list[_Place], noise: Noise, view: PointView) -> list[PointView]:
+def _ranked(places: list[_Rival], noise: Noise, view: PointView) -> list[PointView]:
     """The best places and those that are as good by chance."""
     least = min(place.squares for place in places)
     equal, likely = least * (1 + EQUAL) + exact_squares(view), least + noise.by_chance
 
-    def order(place: _Place) -> tuple[bool, float]:
+    def order(place: _Rival) -> tuple[bool, float]:
         is_worse = place.squares > equal
         return is_worse, place.squares if is_worse else angle(place.view.camera, view.film)
 
@@ -104,13 +104,13 @@ def _is_blind(view: PointView) -> bool:
     return not values[-1] > BLIND[np.dtype(view.film.e.dtype)] * values[0]
 
 
-def _descended(start: PointView, own: np.ndarray) -> _Place:
+def _descended(start: PointView, own: np.ndarray) -> _Rival:
     """The end of a view's own descent; shared parameters are held."""
     alone = _alone(start, own)
     problem = PointProblem.of([alone], np.ones(int(own.sum()), bool))
     found = levenberg_marquardt(problem, [alone], STEPS, FINE_PX[problem.dtype])
     there = start._replace(camera=found.state[0].camera)
-    return _Place(there, _squares(there), found.ended)
+    return _Rival(there, _squares(there), found.ended)
 
 
 def _alone(view: PointView, own: np.ndarray) -> PointView:

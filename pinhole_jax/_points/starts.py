@@ -7,8 +7,8 @@ from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .._solver.moves import canonical, on_film
 from .._solver.parameters import components
+from .reprojection import PointView
 from .resection import plane_of, resected, resected_by_three, shifted, turned
-from .views import PointView
 
 #: Draws of few points. Where 40 % are outliers 1 draw of 6 points in 21 has none, so 95 % of
 #: searches meet one; with draws of 4, or fewer outliers, all do.

@@ -73,7 +73,7 @@ class JointZeros(NamedTuple):
         return "\n".join(lines)
 
 
-class ObjectPose(NamedTuple):
+class ObjectFit(NamedTuple):
     """An object's `pose` in the world (4, 4); the `covariance` (6, 6) of a small rotation about the
     object's own axes x, y, z (rad) and of its place (world units)."""
 
@@ -102,7 +102,7 @@ class JointFit(NamedTuple):
     - `status`: as in `Fit`; trust the answer only where it is "converged".
     - `cameras`: for each camera's name a `Fit`: its camera's pose is on what carries it (in the
       world, if nothing does), its covariance is that of all views together.
-    - `objects`: for each unknown object an `ObjectPose`.
+    - `objects`: for each unknown object an `ObjectFit`.
     - `views`: what became of each mask, in their order.
     - `excess`: by how many times views differ more than their masks' errors say (1: no more): joint
       angles, meshes or lenses err. The covariances have grown by its square.
@@ -119,7 +119,7 @@ class JointFit(NamedTuple):
 
     status: str
     cameras: Mapping[str, Fit]
-    objects: Mapping[str, ObjectPose]
+    objects: Mapping[str, ObjectFit]
     views: tuple[ViewFit, ...]
     excess: float
     weak: tuple[str, ...]

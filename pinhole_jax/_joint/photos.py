@@ -26,7 +26,7 @@ from .._fit.photo import (
 )
 from .._solver.problem import COARSE_PX
 from .agreement import Agreement, agreed
-from .problem import JointProblem
+from .system import JointProblem
 from .views import State
 
 #: Beside a photo that tells as much as one alone has to, others tell of the camera where they do so

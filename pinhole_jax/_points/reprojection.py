@@ -34,7 +34,7 @@ REPEATED = 1e-9
 
 
 class PointsSeen(NamedTuple):
-    """What is known at one camera (as `problem.View`): in px over `UNIT_PX`.
+    """What is known at one camera (as `looks.View`): in px over `UNIT_PX`.
 
     - `sum_squares` (px^2, weighed) is of the points alone, `prior_squares` of a prior.
     - `nearest`: the least depth of a point.

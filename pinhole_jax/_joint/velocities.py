@@ -18,8 +18,8 @@ from .._fit.implicit import (
     velocity_of,
 )
 from .agreement import Agreement
-from .problem import JointProblem
-from .result import JointFit
+from .joint_fit import JointFit
+from .system import JointProblem
 from .views import MOTIONS, JointView, State
 
 

@@ -21,7 +21,7 @@ from .._solver.least_squares import (
 )
 from .._solver.looks import View
 from .._solver.problem import COARSE_PX, FINE_PX
-from .priors import JointPrior
+from .knowledge import JointPrior
 from .views import POSE, ZERO, Eye, State, Unknown, stepped
 from .zeros import with_joints
 

@@ -42,7 +42,7 @@ from .._solver.priors import Others
 from .._solver.solver import Found, Solver
 from .lenses import alike_in_groups, known_by_others
 from .levels import Path, Tell, descended
-from .problem import JointProblem
+from .system import JointProblem
 from .views import SCALE, State
 
 #: Of each view this many guesses are tried, so far apart (rad), and this many of all followed

@@ -14,7 +14,7 @@ from .._solver.problem import UNIT_PX
 from .._solver.uncertainty import BLIND, WEAK
 from .door import joint_problem
 from .estimates import of_all
-from .problem import JointProblem
+from .system import JointProblem
 from .views import MOTIONS, JointView
 
 #: An unknown's part in a direction is named if it is no smaller.
