@@ -7,7 +7,7 @@ import pytest
 import shapely
 from scipy.spatial.transform import Rotation
 
-from pinhole_jax._mesh_files import Polygons, polygons, triangulated
+from pinhole_jax._mesh_files import Polygons, triangulated
 
 
 def blob(n, seed=0, spread=0.5):
@@ -172,16 +172,3 @@ def test_two_million_corners_are_cut_in_seconds_or_refused():
         cut(in_space(blob(n)))
     assert time.process_time() - start < 60
     assert len(cut(in_space(blob(20_000)))) == 19_998
-
-
-def test_many_faces_that_ear_clipping_cannot_cut_are_refused_not_waited_for(monkeypatch):
-    """The sure way takes n^3 steps a face, so a file has a budget of them for all of its faces."""
-    monkeypatch.setattr(polygons, "_ears", lambda flat: np.zeros((0, 3), int))
-    corner = comb(20)
-    n = len(corner)
-    points = np.concatenate([np.pad(corner, ((0, 0), (0, 1)), constant_values=k) for k in range(3)])
-    three = Polygons(points, np.arange(3 * n), np.full(3, n))
-    assert len(triangulated(three)) == 3 * (n - 2)
-    monkeypatch.setattr(polygons, "MOST_LEAST_AREA_STEPS", 2 * n**3)
-    with pytest.raises(ValueError, match="face 3: like many before it, its sides touch"):
-        triangulated(three)

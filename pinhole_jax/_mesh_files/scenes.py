@@ -64,7 +64,6 @@ def _parts(scene: Any) -> Iterator[tuple[Polygons, np.ndarray]]:
         if "geometry" in edge:
             mesh = scene.geometry[edge["geometry"]]
             faces = np.asarray(mesh.faces)
-            faces = faces[np.all(faces != np.roll(faces, 1, axis=1), axis=1)]  # no joints of strips
             points, counts = np.asarray(mesh.vertices, float), np.full(len(faces), 3)
             yield Polygons(points, faces.ravel(), counts), places[node]
 
