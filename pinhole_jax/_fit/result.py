@@ -1,7 +1,7 @@
 """What a fit found, as a user reads it: `Fit`, its status, covariance and words."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -36,6 +36,9 @@ KNOWN_PX = 0.01
 #: An interval of one standard error in which a turn is wider than this (rad) is no camera. (Of 124
 #: fits to masks of photographs, this was said of 26 of 28 that were off by more than 10 degrees.)
 UNCERTAIN = np.deg2rad(4)
+
+
+AnyFit = TypeVar("AnyFit", bound=Any)
 
 
 class MaskError(NamedTuple):
@@ -305,9 +308,9 @@ def widest_turn(covariance: np.ndarray, labels: tuple[str, ...]) -> tuple[float,
     return float(np.sqrt(max(values[-1], 0.0))), vectors[:, -1]
 
 
-def with_modes(fit: Fit, modes: Sequence[Fit]) -> Fit:
-    """Return the fit with the other cameras that explain its mask as well."""
-    if modes and fit.status in ("converged", "rank_deficient", "uncertain"):
+def with_modes(fit: AnyFit, modes: Sequence[AnyFit]) -> AnyFit:
+    """The fit with the other answers that explain what it was fitted to as well."""
+    if modes and fit.status in ("converged", "rank_deficient", "unchecked", "uncertain"):
         fit = fit._replace(status="ambiguous")
     return fit._replace(modes=tuple(modes))
 

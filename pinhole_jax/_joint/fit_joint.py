@@ -191,6 +191,4 @@ def _with_modes(fit: JointFit, modes: list[tuple[str, JointFit]]) -> JointFit:
             x.cameras[name] for pose, x in modes if name in x.cameras and pose not in fit.objects
         ]
         cameras[name] = with_modes(found, own)
-    if modes and fit.status in ("converged", "rank_deficient", "uncertain"):
-        fit = fit._replace(status="ambiguous")
-    return fit._replace(cameras=cameras, modes=tuple(mode for _, mode in modes))
+    return with_modes(fit._replace(cameras=cameras), [mode for _, mode in modes])

@@ -61,32 +61,20 @@ def descended(views: list[PointView], own: np.ndarray, asked: Options, tell: Tel
         views = views if reach_px is None else _near(views, given, reach_px)
         views, steps = _together(views, own, asked, tell)
         way.append((views, steps))
-    seen = _seen_best(views, own, asked)
-    for _ in range(JUMPS):
-        first = [places[0] for places in seen.places]
-        if all(a is b for a, b in zip(first, views, strict=True)):
+    for turn in range(JUMPS + 1):
+        noise = noise_of(views, own, asked.variance)
+        limits = [rms_limit(view, asked.variance, reach) for view in views]
+        each = zip(views, limits, strict=True)
+        places = [rivals(view, own, noise, limit) for view, limit in each]
+        first = [best for best, *_ in places]
+        if turn == JUMPS or all(a is b for a, b in zip(first, views, strict=True)):
             break
         views, steps = _together(first, own, asked, tell)
         way.append((views, steps))
-        seen = _seen_best(views, own, asked)
-    pairs = zip(seen.places, views, strict=True)
+    pairs = zip(places, views, strict=True)
     others = [[place for place in some if place is not view] for some, view in pairs]
     steps = sum(steps for _, steps in way)
-    return PointDescent(views, own, steps, others, way, seen.noise, seen.limits)
-
-
-class _SeenBest(NamedTuple):
-    places: list[list[PointView]]
-    noise: Noise
-    limits: list[float]
-
-
-def _seen_best(views: list[PointView], own: np.ndarray, asked: Options) -> _SeenBest:
-    """The places from where each view sees its points best, or as well by chance."""
-    noise = noise_of(views, own, asked.variance)
-    limits = [rms_limit(view, asked.variance, asked.reach) for view in views]
-    each = zip(views, limits, strict=True)
-    return _SeenBest([rivals(view, own, noise, limit) for view, limit in each], noise, limits)
+    return PointDescent(views, own, steps, others, way, noise, limits)
 
 
 def _together(

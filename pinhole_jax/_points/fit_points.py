@@ -12,7 +12,15 @@ from .._camera.camera import Camera, check_camera
 from .._files.progress import say, shown
 from .._fit.fit_camera import check_reach, check_steps
 from .._fit.implicit import check_plain, steps_of, through
-from .._fit.result import UNCERTAIN, Progress, at_rest, to_units, widest_turn, without_ended
+from .._fit.result import (
+    UNCERTAIN,
+    Progress,
+    at_rest,
+    to_units,
+    widest_turn,
+    with_modes,
+    without_ended,
+)
 from .._fit.words import parameter_lines
 from .._joint.lenses import alike, known_by_others, shared_and_free
 from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
@@ -159,7 +167,7 @@ def fit_points(
         cameras, scale = alike([with_lens(c, freed) for c in cameras], common), _scale(given)
         views = []
         for one, c in zip(given, cameras, strict=True):
-            view = PointView.of(c, one._replace(weight=one.weight / scale), freed)
+            view = PointView.from_points(c, one._replace(weight=one.weight / scale), freed)
             known = prior_of(prior, c, freed, common, len(given))
             view = view._replace(bounds=bounds_of(bounds, c, freed), prior=known)
             views.append(begun(view, outlier_px is not None))
@@ -174,36 +182,31 @@ def fit_points(
     else:
         check_plain(prior=prior, bounds=bounds)
         named = "`points3d`, `points2d`, `weights`"
-        fits = through(run, inputs, _answer, _put, _velocity, named)
+        answer = lambda fits: tuple(fit.camera for fit in fits)
+        put = lambda fits, cameras: tuple(
+            fit._replace(camera=camera) for fit, camera in zip(fits, cameras, strict=True)
+        )
+        fits = through(run, inputs, answer, put, _velocity, named)
     return fits if np.ndim(points2d) == 3 else fits[0]
-
-
-def _answer(fits: tuple[PointFit, ...]) -> tuple[Camera, ...]:
-    return tuple(fit.camera for fit in fits)
-
-
-def _put(fits: tuple[PointFit, ...], cameras: tuple[Camera, ...]) -> tuple[PointFit, ...]:
-    """The fits with other cameras."""
-    return tuple(fit._replace(camera=c) for fit, c in zip(fits, cameras, strict=True))
 
 
 def _velocity(
     fits: tuple[PointFit, ...], found: PointDescent, inputs: Any, velocity: Any
 ) -> tuple[Camera, ...]:
     """The cameras' rates of change with the inputs."""
-    given = _checked(*inputs)
-    V, N, dtype = len(given), len(given[0].points), fits[0].camera.e.dtype
+    given, dtype = _checked(*inputs), fits[0].camera.e.dtype
 
-    def of_each(change: Any, shape: tuple[int, ...], scale: float = 1.0) -> Sequence[Any]:
+    def in_each(change: Any, array: np.ndarray, scale: float) -> Sequence[Any]:
         if change is None:
-            return [None] * V
-        return list(jnp.broadcast_to(jnp.asarray(change, dtype) / scale, (V, *shape)))
+            return [None] * len(given)
+        shape = len(given), *array.shape
+        return list(jnp.broadcast_to(jnp.asarray(change, dtype) / scale, shape))
 
-    points, seen_at, weights = velocity
-    each = of_each(points, (N, 3)), of_each(seen_at, (N, 2)), of_each(weights, (N,), _scale(given))
+    units = 1.0, 1.0, _scale(given)
+    each = zip(*map(in_each, velocity, given[0], units), strict=True)
     problem = PointProblem.of(found.views, found.own)
-    pairs = enumerate(zip(found.views, zip(*each, strict=True), strict=True))
-    slopes = [view.slope(Given(*change), problem.columns(k)) for k, (view, change) in pairs]
+    pairs = enumerate(zip(found.views, each, strict=True))
+    slopes = [view.slope(Given(*moving), problem.columns(k)) for k, (view, moving) in pairs]
     steps = zip(found.views, steps_of(slopes), strict=True)
     return tuple(view.camera_velocity(step) for view, step in steps)
 
@@ -287,9 +290,13 @@ def _reports(found: PointDescent, given: list[Given]) -> tuple[PointFit, ...]:
             _report(place, _beside(look, known, slope, own), found.noise, found.limits[k], *whole)
             for place, look in places
         )
-        fit = fit._replace(steps=found.steps, history=_way(found, k))
-        fit = _without(fit, view.number, int(np.sum(given[k].weight > 0)))
-        fits.append(_with_modes(fit._replace(weak=fit.weak + spare), modes))
+        words = (*_left_out(view.number, int(np.sum(given[k].weight > 0))), *spare)
+        way = tuple(
+            Progress(on_film(there[k].camera, view.film), view.film.W, view.film.H, steps)
+            for there, steps in found.way
+        )
+        fit = fit._replace(steps=found.steps, history=way, weak=(*fit.weak, *words))
+        fits.append(with_modes(fit, modes))
     return tuple(fits)
 
 
@@ -315,28 +322,10 @@ def _none_left_over(views: list[PointView], own: np.ndarray) -> str:
     )
 
 
-def _way(found: PointDescent, number: int) -> tuple[Progress, ...]:
-    """The cameras of a view on its way."""
-    at = [(views[number], steps) for views, steps in found.way]
-    return tuple(
-        Progress(on_film(view.camera, view.film), view.film.W, view.film.H, steps)
-        for view, steps in at
-    )
-
-
-def _without(fit: PointFit, number: int, given: int) -> PointFit:
-    """The fit with a sentence on how many points do not count."""
-    if number == given:
-        return fit
+def _left_out(number: int, given: int) -> list[str]:
+    """Sentences on how many points do not count."""
     words = f"{given - number} of {given} points are far from where they are seen, and left out"
-    return fit._replace(weak=(*fit.weak, words))
-
-
-def _with_modes(fit: PointFit, modes: list[PointFit]) -> PointFit:
-    """The fit with the other cameras that see its points as well."""
-    if modes and fit.status in ("converged", "rank_deficient", "unchecked", "uncertain"):
-        fit = fit._replace(status="ambiguous")
-    return fit._replace(modes=tuple(modes))
+    return [] if number == given else [words]
 
 
 def _report(
@@ -356,35 +345,24 @@ def _report(
         nan = float("nan")
         return PointFit(camera, "non_finite", labels, nothing, np.diag(nothing), nan, 0, ())
     blind, weak = weak_directions(triangle, components(freed), axes_of(camera), BLIND[dtype])
-    cov = _covariance(triangle, to_units(seen.to_reported, freed, camera), noise, dtype)
+    reported = to_units(seen.to_reported, freed, camera)
+    cov = covariance(triangle, reported, triangle.T @ triangle, BLIND[dtype])
+    # (Where nothing shows how points err, nothing is known.)
+    known = np.isfinite(noise.variance)
+    cov = noise.variance * cov if known else np.where(np.eye(len(cov)) > 0, np.inf, np.nan)
     rms = float(np.sqrt(float(seen.sum_squares) / np.sum(view.weight)))
-    rest = at_rest(triangle, along, squares, count, dtype)
     status, words = _judged(cov, labels, camera, noise)
     if blind:
         status = "rank_deficient"
     if rms > limit:
-        status, words = (
-            "misfit",
-            (f"points lie {rms:.3g} px (rms) from where they are seen: {WRONG}",),
-        )
-    if not rest:
+        status = "misfit"
+        words = (f"points lie {rms:.3g} px (rms) from where they are seen: {WRONG}",)
+    if not at_rest(triangle, along, squares, count, dtype):
         status = "max_steps"
     if not float(seen.nearest) > 0:
         status = "behind"
     std = np.sqrt(np.diag(cov))
     return PointFit(camera, status, labels, cov, std, rms, 0, (*weak, *ended, *words))
-
-
-def _covariance(
-    triangle: np.ndarray, to_reported: np.ndarray, noise: Noise, dtype: np.dtype
-) -> np.ndarray:
-    """The reported parameters' covariance, infinite where nothing shows how points err."""
-    if np.isfinite(noise.variance):
-        gradient = noise.variance * triangle.T @ triangle
-        return covariance(triangle, to_reported, gradient, BLIND[dtype])
-    result = np.full((len(to_reported), len(to_reported)), np.nan)
-    np.fill_diagonal(result, np.inf)
-    return result
 
 
 def _judged(

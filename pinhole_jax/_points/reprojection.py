@@ -16,14 +16,13 @@ from .._camera.camera import Camera, lens_holds, to_camera
 from .._camera.film import FilmPart
 from .._camera.rays import project
 from .._fit.implicit import Slope
-from .._numerics.arrays import is_concrete
 from .._numerics.pointwise import filled_up, room
 from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
 from .._solver.least_squares import Rows
-from .._solver.moves import Bounds, Move, camera_velocity, canonical, moved, reported, scales
+from .._solver.moves import Bounds, Move, camera_velocity, canonical, moved, reported
 from .._solver.priors import Prior
-from .._solver.problem import UNIT_PX
+from .._solver.problem import move_about
 
 #: A move of `UNIT_PX` counts as this many residuals of as much, as damping has it. (40 draws of 12
 #: points, phi and k1 free: 4.3 steps with 0.1 and 1, 4.8 with 10, 6.7 with 100, all end right.)
@@ -54,6 +53,20 @@ class PointsSeen(NamedTuple):
         return float(self.sum_squares) + float(self.prior_squares)
 
 
+class Given(NamedTuple):
+    """Points in the world (N, 3), where they are seen (N, 2) in px, and how much each counts (N,);
+    or velocities of these, None where they stay."""
+
+    points: Any
+    seen_at: Any
+    weight: Any
+
+    def off(self, camera: Camera, H: Any) -> Float[Array, "N 2"]:
+        """Projected points less where they are seen (px), 0 of those that do not count."""
+        off = project(camera, self.points) * H - self.seen_at
+        return jnp.where((self.weight > 0)[:, None], off, 0)
+
+
 class PointView(NamedTuple):
     """One view: its film, points in the world, where these are seen (px) and how much each counts
     (filled up: there is a program of few sizes), what is free, and the camera so far (canonical).
@@ -70,7 +83,7 @@ class PointView(NamedTuple):
     prior: Prior | None = None
 
     @classmethod
-    def of(cls, film: Camera, given: "Given", freed: tuple[str, ...]) -> "PointView":
+    def from_points(cls, film: Camera, given: Given, freed: tuple[str, ...]) -> "PointView":
         """The view from where its film's camera is."""
         points, seen_at, weight = given
         used = points[weight > 0]
@@ -109,47 +122,29 @@ class PointView(NamedTuple):
         """Distances (px) of points from where they are seen, infinite behind the eye."""
         return np.asarray(_distances(self.camera, self._data()), float)
 
-    def slope(self, velocity: "Given", columns: np.ndarray) -> Slope:
+    def slope(self, velocity: Given, columns: np.ndarray) -> Slope:
         """The slope of the view's squares, as what it is given moves, by unknowns at some columns
         (moves as such)."""
-        changes = (_change(*pair) for pair in zip(velocity, self._given(), strict=True))
-        bend, pull = _bend_and_pull(self.camera, self._data(), Given(*changes), self.freed)
+        data = self._data()
+        pairs = zip(velocity, data.given, strict=True)
+        changes = Given(*(_change(rate, array) for rate, array in pairs))
+        bend, pull = _bend_and_pull(self.camera, data, changes, self.freed)
         return Slope(columns, np.asarray(bend, float), pull)
 
     def camera_velocity(self, y: Float[Array, "n"]) -> Camera:
         """The camera's rate of change, on its film, with moves as such."""
         return _camera_velocity(self.camera, self._data(), self.film, y, self.freed)
 
-    def _given(self) -> "Given":
-        return Given(*(self._typed(x) for x in (self.points, self.seen_at, self.weight)))
-
     def _data(self) -> "_Data":
-        (centre, radius), film, to = self.ball, self.film, self._typed
-        about = to(centre), to(radius), to(film.W / film.H), to(film.H)
-        return _Data(self._given(), *about, self.bounds, self.prior)
-
-    def _typed(self, x: Any) -> np.ndarray:
-        return np.asarray(x, self.film.e.dtype)
-
-
-class Given(NamedTuple):
-    """Points in the world (N, 3), where they are seen (N, 2) in px, and how much each counts (N,);
-    or velocities of these, None where they stay."""
-
-    points: Any
-    seen_at: Any
-    weight: Any
-
-    def off(self, camera: Camera, H: Any) -> Float[Array, "N 2"]:
-        """Projected points less where they are seen (px), 0 of those that do not count."""
-        off = project(camera, self.points) * H - self.seen_at
-        return jnp.where((self.weight > 0)[:, None], off, 0)
+        film, given = self.film, Given(self.points, self.seen_at, self.weight)
+        arrays = given, self.ball, film.W / film.H, film.H
+        typed = jax.tree.map(lambda x: np.asarray(x, film.e.dtype), arrays)
+        return _Data(*typed, self.bounds, self.prior)
 
 
 class _Data(NamedTuple):
     given: Given
-    pivot: Any
-    radius: Any
+    ball: Ball
     width: Any
     H: Any
     bounds: Bounds | None
@@ -157,8 +152,12 @@ class _Data(NamedTuple):
 
     def move(self, camera: Camera, freed: tuple[str, ...]) -> Move:
         """A start of moves of a camera, in the solver's units."""
-        pivot, radius, H = (jnp.asarray(x) for x in (self.pivot, self.radius, self.H))
-        return Move(camera, pivot, UNIT_PX * scales(camera, pivot, radius, H, freed), self.bounds)
+        return move_about(camera, *self.ball, self.bounds, self.H, freed)
+
+    def plain_move(self, camera: Camera, freed: tuple[str, ...]) -> Move:
+        """A start of moves of a camera as such."""
+        move = self.move(camera, freed)
+        return move._replace(scale=jnp.ones_like(move.scale))
 
     def residuals(self, camera: Camera) -> Float[Array, "k"]:
         """Residuals (px): projected less seen points, weighed; NaN where the lens folds."""
@@ -242,15 +241,14 @@ class PointProblem(NamedTuple):
 
 @eqx.filter_jit
 def _step(camera: Camera, data: _Data, y: Any, freed: tuple[str, ...]) -> Camera:
-    return moved(data.move(camera, freed)._replace(scale=jnp.ones_like(y)), y, freed)
+    return moved(data.plain_move(camera, freed), y, freed)
 
 
 @eqx.filter_jit
 def _camera_velocity(
     start: Camera, data: _Data, film: Camera, y: Float[Array, "n"], freed: tuple[str, ...]
 ) -> Camera:
-    move = data.move(start, freed)
-    return camera_velocity(move._replace(scale=jnp.ones_like(y)), film, freed, y)
+    return camera_velocity(data.plain_move(start, freed), film, freed, y)
 
 
 @eqx.filter_jit
@@ -288,8 +286,7 @@ def _bend_and_pull(
 ) -> tuple[Array, Array]:
     """Half the gradient of the squares by moves as such: its derivative by these (n, n), and its
     rate of change (n,) with what is given."""
-    move = data.move(start, freed)
-    move = move._replace(scale=jnp.ones_like(move.scale))
+    move = data.plain_move(start, freed)
 
     def half_squares(y: Array, given: Given) -> Array:
         off = given.off(moved(move, y, freed), data.H)
@@ -300,11 +297,9 @@ def _bend_and_pull(
     return jax.jacfwd(slope)(still, data.given), pull
 
 
-def _change(velocity: Any, of: np.ndarray) -> Any:
+def _change(velocity: Any, array: np.ndarray) -> Any:
     """The velocity of a filled-up array: 0 where it was added to."""
     if velocity is None:
-        return np.zeros_like(of)
-    if is_concrete(velocity):
-        return filled_up(np.asarray(velocity), len(of), 0)
-    rest = jnp.zeros((len(of) - len(velocity), *of.shape[1:]), of.dtype)
+        return np.zeros_like(array)
+    rest = np.zeros((len(array) - len(velocity), *array.shape[1:]), array.dtype)
     return jnp.concatenate([velocity, rest])

@@ -8,6 +8,7 @@ import itertools
 
 import numpy as np
 from jaxtyping import Float
+from numpy.polynomial import Polynomial
 
 #: Newton steps on the three distances.
 STEPS = 12
@@ -72,14 +73,11 @@ def _depths(sides: np.ndarray, cosines: np.ndarray) -> list[np.ndarray]:
 def _ratios(a: float, b: float, c: float, x: float, y: float, z: float) -> np.ndarray:
     """The real parts of all ratios of the third distance to the first: the roots of
     Grunert's quartic, of squared sides a, b, c and cosines x, y, z of the angles opposite."""
-    p, q, r, s = (a - c) / b, (a + c) / b, (b - c) / b, (b - a) / b
-    quartic = [
-        (p - 1) ** 2 - 4 * c / b * x * x,
-        4 * (p * (1 - p) * y - (1 - q) * x * z + 2 * c / b * x * x * y),
-        2 * (p * p - 1 + 2 * p * p * y * y + 2 * r * x * x - 4 * q * x * y * z + 2 * s * z * z),
-        4 * (-p * (1 + p) * y + 2 * a / b * z * z * y - (1 - q) * x * z),
-        (1 + p) ** 2 - 4 * a / b * z * z,
-    ]
+    p = (a - c) / b
+    # The second distance's ratio is `over / under`, by two sides; the third side is the quartic.
+    over, under = Polynomial([1 + p, -2 * p * y, p - 1]), Polynomial([2 * z, -2 * x])
+    rest = 1 - c / b * Polynomial([1, -2 * y, 1])
+    quartic = (over**2 - 2 * z * over * under + rest * under**2).coef[::-1]
     roots = np.roots(quartic) if np.all(np.isfinite(quartic)) else np.zeros(0)
     return np.unique(roots.real[roots.real > 0])
 
