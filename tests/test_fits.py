@@ -138,7 +138,7 @@ def test_non_fits_are_not_written(tmp_path):
         ({"steps": [-1]}, r"`steps`: expected a list of counts, got \[-1"),
         ({"modes": [{}]}, "`fit`: expected the field that `save_fit` writes"),
         ({"history": [{"camera": {}}]}, "`e`: expected a camera's field"),
-        ({"history": [io.camera_to_dict(PLAIN)]}, "`camera`: expected an object"),
+        ({"history": [io.camera_to_dict(PLAIN)]}, "`camera`: expected fields with names"),
         ({"history": [{**STEP, "steps": -1}]}, "`steps`: expected an integer of at least 0"),
     ],
 )

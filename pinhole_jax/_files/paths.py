@@ -13,10 +13,11 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 from .interrupt import interrupts_raise
 
+Name = TypeVar("Name", str, int)
 #: A file's or a folder's path, as users give it.
 FilePath = str | os.PathLike[str]
 #: The most bytes of a file that is read as a whole, and the deepest nesting of JSON.
@@ -218,9 +219,9 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return dict(pairs)
 
 
-def first_repeat(names: Iterable[str]) -> str | None:
+def first_repeat(names: Iterable[Name]) -> Name | None:
     """Return the first name that comes again, None if all differ."""
-    seen: set[str] = set()
+    seen: set[Name] = set()
     return next((name for name in names if name in seen or seen.add(name)), None)
 
 

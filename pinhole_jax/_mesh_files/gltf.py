@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from .._files.paths import read_bytes
+from .._files.paths import first_repeat, read_bytes
 from .glb import HEAD, glb_of, json_size
 
 #: The lists that are read, and fields that count their entries, bytes or numbers.
@@ -18,9 +18,11 @@ LISTS = ("scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers")
 COUNTS = {"buffer": "buffers", "bufferView": "bufferViews", "mesh": "meshes"}
 COUNTS |= dict.fromkeys(("POSITION", "indices"), "accessors")
 COUNTS |= dict.fromkeys(("byteLength", "byteOffset", "byteStride", "count", "mode"))
+#: Fields that list nodes.
+FAMILIES = ("children", "nodes")
 PARTS = {"rotation", "scale", "translation"}
-READ = {*COUNTS, *PARTS, "attributes", "children", "componentType", "matrix", "nodes"}
-READ |= {"normalized", "primitives", "type", "uri"}
+READ = {*COUNTS, *PARTS, *FAMILIES, "attributes", "componentType", "matrix", "normalized"}
+READ |= {"primitives", "type", "uri"}
 UNREAD = ("skin", "sparse", "EXT_mesh_gpu_instancing", "KHR_node_visibility",
           "KHR_draco_mesh_compression", "EXT_meshopt_compression",
           "KHR_meshopt_compression")  # fmt: skip
@@ -51,6 +53,7 @@ def plain_gltf(data: bytes) -> bytes:
     sizes = {name: len(top.get(name, ())) for name in LISTS}
     plain = {name: _plain(top.get(name, []), name, sizes) for name in LISTS}
     plain |= {"scene": top.get("scene", 0), "asset": {"version": "2.0"}}
+    _check_below(sizes["scenes"], plain["scene"], "scene")
     _check_nodes(plain)
     _check_arrays(plain)
     text = json.dumps(plain).encode()
@@ -85,34 +88,29 @@ def _plain(part: Any, where: str, sizes: dict[str, int]) -> Any:
     if any(part.get("weights", ())):
         raise wrong(f"{where}.weights", "zeros: morph targets are not read", part["weights"])
     for name, value in part.items():
-        most = sizes.get(COUNTS.get(name) or "", 1 << 62)
-        if name in COUNTS and not (type(value) is int and 0 <= value < most):
-            raise wrong(f"{where}.{name}", f"a number below {most}, at least 0", value)
+        if name in COUNTS:
+            _check_below(sizes.get(COUNTS[name] or "", 1 << 62), value, f"{where}.{name}")
+        for child in value if name in FAMILIES else ():
+            _check_below(sizes["nodes"], child, f"{where}.{name}")
     return {name: _plain(x, f"{where}.{name}", sizes) for name, x in part.items() if name in READ}
+
+
+def _check_below(most: int, number: Any, where: str) -> None:
+    if not (type(number) is int and 0 <= number < most):
+        raise wrong(where, f"a number below {most}, at least 0", number)
 
 
 def _check_nodes(plain: dict[str, Any]) -> None:
     """Check that nodes make trees: with two parents, they could stand for 2^depth copies."""
-    scene, scenes, nodes = plain["scene"], plain["scenes"], plain["nodes"]
-    if type(scene) is not int or not 0 <= scene < len(scenes):
-        raise wrong("scene", f"one of {len(scenes)} scenes", scene)
-    named = [("scenes", scenes[scene].get("nodes", []))]
-    for k, node in enumerate(nodes):
-        named.append((f"nodes[{k}].children", node.get("children", [])))
+    for k, node in enumerate(plain["nodes"]):
         if "matrix" in node and PARTS & node.keys():
             raise wrong(f"nodes[{k}].matrix", "none beside it", PARTS & node.keys())
         if not any(node.get("rotation", (1,))):
             raise wrong(f"nodes[{k}].rotation", "a quaternion of length 1", node["rotation"])
-    met: set[int] = set()
-    for where, children in named:
-        if not isinstance(children, list):
-            raise wrong(where, "a list", children)
-        for k in children:
-            if type(k) is not int or not 0 <= k < len(nodes):
-                raise wrong(where, f"a list of nodes below {len(nodes)}", k)
-            if k in met:
-                raise wrong(f"nodes[{k}]", "one parent", "two, or itself")
-            met.add(k)
+    parents = (plain["scenes"][plain["scene"]], *plain["nodes"])
+    children = (k for part in parents for name in FAMILIES for k in part.get(name, ()))
+    if (twice := first_repeat(children)) is not None:
+        raise wrong(f"nodes[{twice}]", "one parent", "two, or itself")
 
 
 def _check_arrays(plain: dict[str, Any]) -> None:

@@ -112,24 +112,20 @@ def _table(element: Element, body: bytes, start: int, order: str) -> tuple[dict[
 
     A row that is as long as every other is the rule; else rows are gone through one by one.
     """
-    names, number = [p.name for p in element.properties], element.number
-    if not number or not names:
-        return {name: Lists(np.empty(0), np.empty(0, int)) for name in names}, start
+    _, number, properties = element
+    if not number or not properties:
+        return {p.name: Lists(np.empty(0), np.empty(0, int)) for p in properties}, start
     first, end = _row(element, body, start, order)
-    stride = end - start
-    if start + number * stride <= len(body):
-        even = (number, stride, order)
-        pairs = zip(element.properties, first, strict=True)
-        columns = [_column(p, body, place, length, even) for p, (place, length) in pairs]
-        known = {name: x for name, x in zip(names, columns, strict=True) if x is not None}
-        if len(known) == len(names):
-            return known, start + number * stride
+    columns = _even_columns(element, body, start, order, [length for _, length in first])
+    if columns is not None:
+        return columns, start + number * (end - start)
+
     rows, end = [], start
     for _ in range(number):
         row, end = _row(element, body, end, order)
         rows.append(row)
     octets, columns = np.frombuffer(body, np.uint8), {}
-    for p, (places, lengths) in zip(element.properties, np.transpose(rows, (1, 2, 0)), strict=True):
+    for p, (places, lengths) in zip(properties, np.transpose(rows, (1, 2, 0)), strict=True):
         values = taken(octets, places, lengths * int(p.kind[1])).view(order + p.kind)
         columns[p.name] = Lists(values, lengths)
     return columns, end
@@ -156,22 +152,25 @@ def _row(
     return row, start
 
 
-def _column(
-    p: Property, body: bytes, start: int, length: int, rows: tuple[int, int, str]
-) -> Lists | None:
-    """Return a column whose lists all have this length, or None if they differ.
-
-    `rows`: their number, their size in bytes, and the order of bytes.
-    """
-    number, stride, order = rows
-
-    def values(kind: str, start: int, length: int) -> np.ndarray:
-        strides = (stride, int(kind[1]))
-        return np.ndarray((number, length), order + kind, body, start, strides)
-
-    if p.length and np.any(values(p.length, start - int(p.length[1]), 1) != length):
+def _even_columns(
+    element: Element, body: bytes, start: int, order: str, lengths: list[int]
+) -> dict[str, Lists] | None:
+    """Return the columns of a table whose lists are as long as in its first row, else None."""
+    _, number, properties = element
+    layout = []
+    for p, length in zip(properties, lengths, strict=True):
+        layout += [(f"{p.name} length", order + p.length)] if p.length else []
+        layout += [(p.name, order + p.kind, (length,))]
+    row = np.dtype(layout)
+    if start + number * row.itemsize > len(body):
         return None
-    return Lists(values(p.kind, start, length).reshape(-1), np.full(number, length))
+    rows = np.frombuffer(body, row, number, start)
+    columns = {}
+    for p, length in zip(properties, lengths, strict=True):
+        if p.length and np.any(rows[f"{p.name} length"] != length):
+            return None
+        columns[p.name] = Lists(rows[p.name].reshape(-1), np.full(number, length))
+    return columns
 
 
 def _points(vertex: dict[str, Lists]) -> np.ndarray:

@@ -3,6 +3,7 @@
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ Size = tuple[int, int]
 Cameras = dict[str, Camera]
 #: What readers here expect a file to be.
 KIND = "a camera file"
+#: What stands for numbers that JSON has no word for.
+NOT_FINITE: dict[str | None, float] = {None: np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
 YES, NO = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
@@ -77,22 +80,28 @@ class Fields:
             raise self.wrong(name, expected, f"{value:g}")
         return int(value)
 
-    def array(self, name: str, shape: Sequence[int], expected: str = "") -> np.ndarray:
-        """Return finite numbers of this shape (-1: any size), float64."""
+    def array(
+        self, name: str, shape: Sequence[int], expected: str = "", finite: bool = True
+    ) -> np.ndarray:
+        """Return numbers of this shape (-1: any size), float64; unless `finite`, null is NaN."""
         sizes = ", ".join("N" if n == -1 else str(n) for n in shape) + "," * (len(shape) == 1)
-        expected = expected or f"finite numbers of shape ({sizes})"
+        words = f"numbers of shape ({sizes})" if shape else "a number"
+        expected = expected or "finite " * finite + words
         value = self.get(name, expected)
-        array = _numbers(value)
-        fits = array.ndim == len(shape) and all(
-            want in (-1, size) for want, size in zip(shape, array.shape, strict=True)
-        )
-        if not fits or not np.all(np.isfinite(array)):
+        array = _numbers(value if finite else _with_not_finite(value))
+        if array is None or (finite and not np.all(np.isfinite(array))):
+            raise self.wrong(name, expected, short(value))
+        if not finite and array.shape == (0,):  # no parameters, no rows
+            array = array.reshape(0, *shape[1:])
+        pairs = zip_longest(shape, array.shape)
+        if not all(want == size or (want == -1 and size is not None) for want, size in pairs):
             raise self.wrong(name, expected, short(value))
         return array
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Return the shape of a field's numbers, () if it holds none."""
-        return _numbers(self.get(name, "numbers")).shape
+        array = _numbers(self.get(name, "numbers"))
+        return () if array is None else array.shape
 
     def flag(self, name: str) -> bool:
         """Return True for true, 1, "true", "yes", "on", "1", and False for their opposites."""
@@ -123,11 +132,11 @@ class Fields:
         entries = enumerate(self.items(name))
         return [Fields(part, f"{self.where}, {name}[{k}]") for k, part in entries]
 
-    def part(self, name: str) -> "Fields":
+    def part(self, name: str, expected: str = "fields with names") -> "Fields":
         """Return an object within this one."""
-        value = self.get(name, "an object")
+        value = self.get(name, expected)
         if not isinstance(value, Mapping):
-            raise self.wrong(name, "fields with names", short(value))
+            raise self.wrong(name, expected, short(value))
         return Fields(value, f"{self.where}, {name[:60]}")
 
     def size(self, width: str, height: str, size: Size | None) -> Size:
@@ -217,13 +226,20 @@ def by_name(cameras: Iterable[tuple[str, Camera]], where: str) -> Cameras:
     return named
 
 
-def _numbers(value: Any) -> np.ndarray:
-    """Return real numbers as an array, NaN for anything else."""
+def _numbers(value: Any) -> np.ndarray | None:
+    """Return real numbers as an array, None for anything else."""
     try:
         array = np.asarray(value)
     except (TypeError, ValueError):
-        return np.array(np.nan)
-    return array.astype(float) if array.dtype.kind in "iuf" else np.array(np.nan)
+        return None
+    return array.astype(float) if array.dtype.kind in "iuf" else None
+
+
+def _with_not_finite(value: Any) -> Any:
+    """Return numbers in lists, with texts and null replaced by what they stand for."""
+    if isinstance(value, list):
+        return [_with_not_finite(part) for part in value]
+    return NOT_FINITE.get(value, value) if value is None or isinstance(value, str) else value
 
 
 def number(text: str) -> float:

@@ -35,8 +35,6 @@ OBJECT_FRAME = (
     "small turns (rad) of the object about the camera's axes right, down, forward, then t in these"
     " axes (units of the mesh)"
 )
-#: What stands for numbers that JSON has no word for.
-NOT_FINITE: dict[str | None, float] = {None: np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
 
 
 def fit_to_dict(
@@ -158,15 +156,14 @@ def _plain(numbers: Any) -> Any:
 
 
 def _fit(fields: Fields) -> Fit:
-    expected = "the field that `save_fit` writes beside a camera"
-    if not isinstance(fields.get("fit", expected), dict):
-        raise fields.wrong("fit", expected, fields.data["fit"])
-    rest = fields.part("fit")
+    rest = fields.part("fit", "the field that `save_fit` writes beside a camera")
     rest.text("schema", (FIT_SCHEMA,))
     status = rest.text("status", [*STATUSES])
     dtype = np.dtype(rest.text("dtype", ("float32", "float64")))
     names = _texts(rest, "names")
-    covariance = _numbers(rest, "covariance", (len(names), len(names)))
+    square = (len(names), len(names))
+    covariance = rest.array("covariance", square, finite=False)
+    error = rest.get("mask_error", "`px` and `over_px`, or null") and rest.part("mask_error")
     return Fit(
         camera=_camera(fields, dtype),
         status=status,
@@ -179,18 +176,10 @@ def _fit(fields: Fields) -> Fit:
         weak=_texts(rest, "weak"),
         modes=tuple(_fit(mode) for mode in rest.parts("modes")),
         history=tuple(_progress(step, dtype) for step in rest.parts("history")),
-        independent_covariance=_optional(rest, "independent_covariance", covariance.shape),
-        mask_error=_mask_error(rest),
-        unbelieved=_optional(rest, "unbelieved", (-1, 2)),
+        independent_covariance=_optional_array(rest, "independent_covariance", square),
+        mask_error=error and MaskError(_number(error, "px"), _number(error, "over_px")),
+        unbelieved=_optional_array(rest, "unbelieved", (-1, 2)),
     )
-
-
-def _mask_error(fields: Fields) -> MaskError | None:
-    """Return the error of the mask's outline; None for null."""
-    if fields.get("mask_error", "`px` and `over_px`, or null") is None:
-        return None
-    part = fields.part("mask_error")
-    return MaskError(*(_number(part, name) for name in MaskError._fields))
 
 
 def _camera(fields: Fields, dtype: np.dtype) -> Camera:
@@ -225,35 +214,12 @@ def _texts(fields: Fields, name: str) -> tuple[str, ...]:
     return tuple(value)
 
 
-def _optional(fields: Fields, name: str, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Return numbers of this shape; None for null."""
-    value = fields.get(name, f"numbers of shape {shape}, or null")
-    return None if value is None else _numbers(fields, name, shape)
-
-
 def _number(fields: Fields, name: str) -> float:
-    return float(_numbers(fields, name, ()))
+    return float(fields.array(name, (), finite=False))
 
 
-def _numbers(fields: Fields, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Return numbers of this shape (-1: any size), float64, also those that are not finite."""
-    expected = f"numbers of shape {shape}" if shape else "a number"
-    value = fields.get(name, expected)
-    try:
-        array = np.array(_read(value), float)
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise fields.wrong(name, expected, short(value)) from None
-    if not array.size and min(shape, default=1) <= 0:  # an empty list: no parameters, no rows
-        return np.zeros([max(size, 0) for size in shape])
-    if array.shape[1:] != shape[1:] or shape[:1] not in ((-1,), array.shape[:1]):
-        raise fields.wrong(name, expected, short(value))
-    return array
-
-
-def _read(value: Any) -> Any:
-    """Return numbers in lists, with texts and null replaced by what they stand for."""
-    if isinstance(value, list):
-        return [_read(part) for part in value]
-    if isinstance(value, bool):
-        raise TypeError(value)
-    return NOT_FINITE[value] if value is None or isinstance(value, str) else value
+def _optional_array(fields: Fields, name: str, shape: tuple[int, ...]) -> np.ndarray | None:
+    """Return numbers of this shape; None for null."""
+    if fields.get(name, f"numbers of shape {shape}, or null") is None:
+        return None
+    return fields.array(name, shape, finite=False)
