@@ -9,8 +9,9 @@ import os
 import re
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
@@ -182,36 +183,38 @@ def _pose(camera: Camera) -> list[float]:
 
 
 def _text_cameras(file: Path) -> Iterator[Record]:
-    records = [*_split(_lines(file), "CAMERA_ID MODEL WIDTH HEIGHT PARAMS")]
-    _check_count(file, len(records))
-    for (key, model, *numbers), where in records:
+    for (key, model, *numbers), where in _entries(file, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS"):
         yield (key, *_numbers(numbers, where)), model, where
 
 
 def _text_images(file: Path) -> Iterator[Record]:
-    count, lines = 0, _lines(file)
     columns = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
-    for (key, *pose, camera, name), where in _split(lines, columns, 9):
-        count += 1
+    for (key, *pose, camera, name), where in _entries(file, columns, points=True):
         yield (key, *_numbers(pose, where), camera), name.strip(), where
-        _check_points(*next(lines, (where, "")))
-    _check_count(file, count)
 
 
-def _split(
-    lines: Iterator[tuple[str, str]], columns: str, splits: int = -1
-) -> Iterator[tuple[list[str], str]]:
-    """Yield the words of each line that is not empty, and its place."""
+def _entries(file: Path, columns: str, *, points: bool = False) -> Iterator[tuple[list[str], str]]:
+    """Yield the words of each entry, and its place; `points`: a line of points follows each."""
+    counts: list[int] = []
+    names, number, lines = columns.split(), 0, _lines(file, counts)
     for where, line in lines:
-        words = line.split(maxsplit=splits)
-        if words and len(words) < len(columns.split()):
+        words = line.split(maxsplit=len(names) - 1 if points else -1)
+        if not words:
+            continue
+        if len(words) < len(names):
             raise ValueError(f"expected {columns}, got {short(line)} ({where})")
-        if words:
-            yield words, where
+        yield words, where
+        number += 1
+        if points:
+            _check_points(*next(lines, (where, "")))
+    if counts and counts[0] != number:
+        words = f"{counts[0]} entries, as its heading says, got {number}"
+        raise ValueError(f"expected {words} (in {str(file)!r})")
 
 
-def _lines(file: Path) -> Iterator[tuple[str, str]]:
-    """Yield the place and the text of each line but comments; points need not fit memory."""
+def _lines(file: Path, counts: list[int]) -> Iterator[tuple[str, str]]:
+    """Yield the place and the text of each line but comments, whose number of entries is added to
+    `counts`; points need not fit memory."""
     with opened(file, KIND, MOST_MODEL) as stream:
         for number, raw in enumerate(iter(lambda: stream.readline(MOST_LINE), b""), 1):
             where = f"{str(file)!r}, line {number}"
@@ -223,6 +226,8 @@ def _lines(file: Path) -> Iterator[tuple[str, str]]:
                 raise ValueError(f"expected text, got bytes that are no UTF-8 ({where})") from None
             if not line.startswith("#"):
                 yield where, line
+            elif heading := re.match(r"# Number of (?:cameras|images): (\d{1,18})", line):
+                counts.append(int(heading[1]))
 
 
 def _numbers(words: list[str], where: str) -> list[float]:
@@ -242,78 +247,58 @@ def _check_points(where: str, line: str) -> None:
         )
 
 
-def _check_count(file: Path, count: int) -> None:
-    """Check the number of entries that a file's heading says, if it has one."""
-    with opened(file, KIND, MOST_MODEL) as stream:
-        start = stream.read(4096)
-    heading = re.search(rb"^# Number of (?:cameras|images): (\d{1,18})", start, re.M)
-    if heading and (expected := int(heading[1])) != count:
-        where = f"in {str(file)!r}"
-        raise ValueError(f"expected {expected} entries, as its heading says, got {count} ({where})")
-
-
 def _binary_cameras(file: Path) -> Iterator[Record]:
-    with _Reader(file) as reader:
-        for _ in range(*reader.take("<Q")):
-            key, model, W, H = reader.take("<IiQQ")
+    with _stream(file) as stream:
+        for _ in range(*_take(stream, "<Q")):
+            key, model, W, H = _take(stream, "<IiQQ")
             where = f"{str(file)!r}, camera {key}"
             name, parameters = MODELS.get(model, (f"number {model}", ""))
-            numbers = reader.take(f"<{len(parameters.split())}d")
+            numbers = _take(stream, f"<{len(parameters.split())}d")
             yield (key, W, H, *numbers), name, where
 
 
 def _binary_images(file: Path) -> Iterator[Record]:
-    with _Reader(file) as reader:
-        for _ in range(*reader.take("<Q")):
-            numbers = reader.take("<I7dI")
+    with _stream(file) as stream:
+        for _ in range(*_take(stream, "<Q")):
+            numbers = _take(stream, "<I7dI")
             where = f"{str(file)!r}, image {numbers[0]}"
-            yield numbers, reader.name(where), where
-            reader.skip(24 * reader.take("<Q")[0])
+            yield numbers, _name(stream, where), where
+            points = 24 * _take(stream, "<Q")[0]
+            stream.seek(min(points, MOST_MODEL), os.SEEK_CUR)
 
 
-class _Reader:
-    """Little-endian values of a file, from its beginning to its end."""
-
-    def __init__(self, file: Path):
-        self.stream, self.file = opened(file, KIND, MOST_MODEL), repr(str(file))
-        self.size = os.fstat(self.stream.fileno()).st_size
-
-    def __enter__(self) -> "_Reader":
-        return self
-
-    def __exit__(self, kind: type | None, *_: object) -> None:
-        end = self.stream.tell()
-        self.stream.close()
-        if kind is None and end != self.size:
-            raise ValueError(f"expected {end} bytes, got {self.size} (in {self.file})")
-
-    def skip(self, count: int) -> None:
-        """Pass over some bytes."""
-        if self.stream.tell() + count > self.size:
-            raise self._early_end()
-        self.stream.seek(count, os.SEEK_CUR)
-
-    def take(self, form: str) -> tuple:
-        """Return the next values."""
-        data = self.stream.read(struct.calcsize(form))
-        if len(data) < struct.calcsize(form):
-            raise self._early_end()
-        return struct.unpack(form, data)
-
-    def name(self, where: str) -> str:
-        """Return the text up to the next zero byte."""
-        data = b""
-        while (byte := self.take("c")[0]) != b"\0":
-            data += byte
-            if len(data) > MOST_NAME:
-                raise ValueError(f"`NAME`: expected at most {MOST_NAME} bytes, got more ({where})")
+@contextmanager
+def _stream(file: Path) -> Iterator[BinaryIO]:
+    """Yield a file to read from its beginning to its end, which has to be reached."""
+    with opened(file, KIND, MOST_MODEL) as stream:
+        size = os.fstat(stream.fileno()).st_size
         try:
-            return data.decode("utf-8")
-        except UnicodeDecodeError:
-            raise ValueError(f"`NAME`: expected UTF-8, got {data[:60]!r} ({where})") from None
+            yield stream
+        except struct.error:
+            words = f"expected more than {size} bytes, got the end (in {str(file)!r})"
+            raise ValueError(words) from None
+        if stream.tell() != size:
+            words = f"expected {stream.tell()} bytes, got {size} (in {str(file)!r})"
+            raise ValueError(words)
 
-    def _early_end(self) -> ValueError:
-        return ValueError(f"expected more than {self.size} bytes, got the end (in {self.file})")
+
+def _take(stream: BinaryIO, form: str) -> tuple[Any, ...]:
+    """Return the next values; raise struct.error at the end."""
+    return struct.unpack(form, stream.read(struct.calcsize(form)))
+
+
+def _name(stream: BinaryIO, where: str) -> str:
+    """Return the text up to the next zero byte."""
+    start = stream.tell()
+    name, end, _ = stream.read(MOST_NAME + 1).partition(b"\0")
+    if not end:
+        _take(stream, "c")
+        raise ValueError(f"`NAME`: expected at most {MOST_NAME} bytes, got more ({where})")
+    stream.seek(start + len(name) + 1)
+    try:
+        return name.decode("utf-8")
+    except UnicodeDecodeError:
+        raise ValueError(f"`NAME`: expected UTF-8, got {name[:60]!r} ({where})") from None
 
 
 def _view(camera: Camera) -> tuple:
