@@ -43,6 +43,12 @@ def rounded(mask):
     return mask
 
 
+def few_greys(mask):
+    """A picture without soft edges, matted: a tenth of its edge's pixels is grey."""
+    some = np.random.default_rng(0).random(mask.shape) < 0.1
+    return np.round(255 * np.where(some, mask, mask > 0.5)).astype(np.uint8)
+
+
 KINDS = {
     "exact": (lambda m: m, "soft", True),
     "exact but for rounding": (rounded, "soft", True),
@@ -61,6 +67,7 @@ KINDS = {
     "noisy": (noisy, "noisy", True),
     "noisy and clipped": (lambda m: np.clip(noisy(m), 0, 1), "noisy", True),
     "one bit": (lambda m: m > 0.5, "one bit", False),
+    "one bit, a few greys": (few_greys, "one bit", False),
     "a little blurred": (lambda m: gaussian_filter(m, 0.5), "wide edges", False),
     "blurred": (lambda m: gaussian_filter(m, 1.5), "wide edges", False),
     "JPEG": (jpeg, "noisy", False),

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._mask.edges import Near, alike, counted, looked_up, near
+from .._mask.edges import Near, alike, beside, counted, looked_up, near
 from .._mask.target import as_coverage, inside_of
 from .problem import FINE_PX
 
@@ -22,6 +22,9 @@ CUT_CORNERS = 0.6
 ROUNDING = 100
 #: As many samples a pixel at most are told from 8 bits.
 SAMPLES = 64
+#: A mask with fewer greys than this share of the pixels beside its edge is cut to one bit. (Exact
+#: coverage: half and more; 2 x 2 samples: a quarter; a matted picture without soft edges: 0.07.)
+GREY_SHARE = 0.12
 #: Far from edges: this many px away.
 FAR_PX = 3.0
 #: Edges are wide if this share of the pixels between 0 and 1 lies in runs of 3 and more both ways.
@@ -107,7 +110,7 @@ def _between(target: np.ndarray, weights: np.ndarray) -> _Between:
 def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     """Return the kind of a mask (see `check_target`) that is fitted in a float type."""
     some = _between(target, weights)
-    if not some.place.size:
+    if not some.place.size or some.place.size < GREY_SHARE * len(beside(inside_of(target))):
         uniform = (scale := _weight_at_edges(target, weights)) * UNIFORM
         return Kind("one bit", uniform, scale * HARD, CUT_CORNERS * uniform, False)
     # A sum along a row of a fine mesh's mask is 1 to rounding only: one such pixel in an image is
