@@ -32,8 +32,15 @@ KALIBR = f"""cam0:
 """
 COLMAP = "# Camera list\n1 OPENCV 640 480 300 310 321.5 238.5 -0.21 0.07 0.001 -0.002\n"
 NAMED = {"fx": 300, "fy": 310, "cx": 321, "cy": 238}
+#: A message of ROS 2, as `ros2 topic echo --once /camera_info` prints it.
+CAMERA_INFO = json.dumps(
+    {"height": 480, "width": 640, "distortion_model": "plumb_bob", "d": [*BENT, 0.0], "k": FLAT}
+    | {"r": np.eye(3).ravel().tolist(), "p": np.eye(3, 4).ravel().tolist()}
+    | {"binning_x": 0, "roi": {"width": 0, "do_rectify": False}}
+)
 FILES = {
     "ros.yaml": ROS,
+    "camera_info.yaml": CAMERA_INFO,
     "camchain.yaml": KALIBR,
     "cameras.txt": COLMAP,
     "two/cameras.txt": COLMAP + "2 PINHOLE 640 480 500 500 320 240\n",

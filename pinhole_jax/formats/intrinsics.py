@@ -19,7 +19,7 @@ from .pinhole import OPENGL, Pinhole, camera_of, pinhole
 from .unknown import CAMCHAIN, unknown
 
 #: Names of a matrix K, nine numbers or fx, fy, cx, cy; of these one by one; of coefficients.
-MATRIX = ("camera_matrix", "cameraMatrix", "K", "cam_K", "intrinsics", "intrinsic",
+MATRIX = ("camera_matrix", "cameraMatrix", "K", "k", "cam_K", "intrinsics", "intrinsic",
           "intrinsic_matrix", "camera_intrinsics")  # fmt: skip
 FOCAL = ("f", "focal", "focal_length", "focal_px", "focallength_px")
 NUMBERS = (("fx", "fl_x", *FOCAL), ("fy", "fl_y", *FOCAL), ("cx",), ("cy",))
