@@ -152,5 +152,5 @@ class JointFit(NamedTuple):
             lines.append(str(self.joint_zeros))
         lines.append("view   IoU     rms     off (sigma)  weight")
         for k, v in enumerate(self.views):
-            lines.append(f"{k:4d}  {v.iou:.4f}  {v.rms:.4f}  {v.off:11.1f}  {v.weight:.2f}")
+            lines.append(f"{k:4d}  {v.iou:.4f}  {v.rms:.4f}  {v.sigma:11.1f}  {v.weight:.2f}")
         return "\n".join(lines)
