@@ -353,7 +353,8 @@ def test_flat_table_has_a_line_for_every_row(rows, tmp_path):
         assert (id, status, words) == (row["id"], "converged", row["words"])
         assert [*map(float, numbers)] == expected
     names = "id,status,iou,rms,fx,fy,cx,cy,R11,R12,R13,R21,R22,R23,R31,R32,R33,tx,ty,tz,"
-    names += ",".join(f"sigma_{name}" for name in rows[0]["names"])
+    rad = {name: "_rad" for name in rows[0]["names"] if name.startswith("rotation")}
+    names += ",".join(f"sigma_{name}{rad.get(name, '')}" for name in rows[0]["names"])
     assert (tmp_path / "flat.csv").read_text().startswith(f"{names},words\n")
     assert {x: last[x] for x in last if last[x]} == {
         x: failed[x] for x in ("id", "status", "words")

@@ -15,6 +15,8 @@ from scipy.spatial.transform import Rotation
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, shapes
 from pinhole_jax._camera.poses import inverse, pose_of
+from pinhole_jax._command.arguments import parse
+from pinhole_jax._command.hand_eye import read_robot, read_views
 
 URDF = """<robot name="two">
   <link name="base"><visual><geometry><box size="0.5 0.5 0.2"/></geometry></visual></link>
@@ -81,6 +83,18 @@ def robot_files(tmp_path, monkeypatch):
     return ["hand-eye", "arm.urdf", "joints.csv", *(f"mask_{k}.png" for k in range(3))]
 
 
+@pytest.mark.parametrize("keep", [False, True])
+def test_crumbs_of_a_robots_mask_go_unless_they_are_to_stay(robot_files, capsys, keep):
+    clean = pj.io.load_mask("mask_0.png")
+    crumbs = clean.copy()
+    crumbs[1, 1] = 255
+    pj.io.save_image("mask_0.png", crumbs)
+    options = parse([*robot_files, "--camera", "start.json", *["--no-tidy"] * keep])
+    view, *_ = read_views(read_robot(options), options, print)
+    np.testing.assert_array_equal(view.target, crumbs if keep else clean)
+    assert ("1 island of at most 1 px dropped" in capsys.readouterr().out) == (not keep)
+
+
 @pytest.mark.long
 def test_command_finds_joint_zeros_and_writes_a_page(robot_files, capsys):
     Path("joints.csv").write_text("turn\n-0.61\n0.29\n1.09\n")
@@ -95,6 +109,9 @@ def test_command_finds_joint_zeros_and_writes_a_page(robot_files, capsys):
     page = Path("page.html").read_text()
     for words in ("95 % interval", "sigma off", "mask only", "they agree", "mask_2.png", "turn"):
         assert words in page
+    printed = re.findall(r"^ +\d  0\.\d{4}  0\.\d{4} +(\d+\.\d)  \d", out, re.M)
+    assert printed == re.findall(r"mask_\d\.png</th><td>0\.\d+</td><td>(\d+\.\d)<", page)
+    assert len(printed) == 3
     assert re.search(r"^recorded +without view [012] .* were 1\.\d\d times as large$", out, re.M)
     more = re.search(r"^proposed +(one more mask .*)$", out, re.M)[1]
     assert more in page

@@ -572,7 +572,9 @@ def test_check_ends_with_its_finding(here, status, sigma, ended, monkeypatch, ca
     monkeypatch.setattr(f"{check}_mesh_fit", lambda *_: fit)
     monkeypatch.setattr(f"{check}drift", lambda *_: pj.drift(fit, fit)._replace(sigma=sigma))
     assert main("check truth.json a.ply b.png") == ended
-    assert ended or "not moved: 1.0 sigma" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert ended or "not moved: 1.0 sigma" in out
+    assert status == "non_finite" or f"status     {status}   (" in out
 
 
 @pytest.mark.parametrize(
@@ -581,6 +583,7 @@ def test_check_ends_with_its_finding(here, status, sigma, ended, monkeypatch, ca
         ("600 600 120 320", (640, 240), r"\(120, 320\) px .* 640 x 240: are cx and cy exch"),
         ("900 320 900 240", (640, 480), "the order is fx fy cx cy"),
         ("900 900 960 540", (640, 360), r"was the picture resized\? .* \(about 1920 x 1080\)"),
+        ("900 900 639.5 359.5", (640, 360), r"was the picture resized\? .* \(about 1280 x 720\)"),
         ("900 900 -3 540", (640, 360), "inside the picture, .* was the picture resized"),
     ],
 )

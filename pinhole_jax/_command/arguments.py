@@ -137,8 +137,8 @@ VERBS = {
         "Writes camera.json and overlay_K.png, prints the camera with its standard errors, and\n"
         f"the masks that disagree. Needs yourdfpy: pip install 'pinhole-jax[robots]'.\n{TRUST}",
         "robot joints masks !--camera|--K --dist --pixel-centres --in-hand --leave-out --free"
-        " --mask-from --images --refine --joint-zeros --holdout --propose --report --verbose"
-        " -o/--output --no-cache",
+        " --mask-from --tidy|--no-tidy --images --refine --joint-zeros --holdout --propose --report"
+        " --verbose -o/--output --no-cache",
         "arm.urdf joints.csv mask_*.png --K calibration.yaml --report page.html",
         f"{STATUS}\n\n{MASKS}\n{FILES}",
     ),
@@ -147,8 +147,8 @@ VERBS = {
         "Compare CAMERA with the camera that sees MESH as MASK: has it moved, by how many\n"
         "standard errors, and which way? For a robot: check CAMERA ROBOT.urdf JOINTS MASK...\n"
         "Exit status: 0 it has not moved, 1 it has, 3 the masks cannot tell, 2 bad input.",
-        "camera mesh files --in-hand --leave-out --free --mask-from --verbose -o/--output"
-        " --no-cache",
+        "camera mesh files --in-hand --leave-out --free --mask-from --tidy|--no-tidy --verbose"
+        " -o/--output --no-cache",
         "out/camera.json part.stl mask.png",
         f"{STATUS}\n\n{MASKS}\n{FILES}",
     ),

@@ -28,7 +28,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
         return UNTOLD
     motion = drift(fit, reference)
     print(motion)
-    print(f"status     {fit.status}: {STATUSES[fit.status]}")
+    print(f"status     {fit.status}   ({STATUSES[fit.status]})")
     for words in fit.weak:
         print(f"weak       {words}")
     if options.output is not None:
@@ -52,7 +52,7 @@ def _reference(path: str) -> Camera | Fit:
 def _mesh_fit(options: argparse.Namespace, camera: Camera, progress: Ticker) -> Fit:
     if len(options.files) != 1:
         raise ValueError("`MASK`: expected one image of MESH (of a robot: ROBOT.urdf JOINTS MASKs)")
-    mask = read_mask(record_of(options, mask=options.files[0], tidy=False), progress.tell)
+    mask = read_mask(record_of(options, mask=options.files[0]), progress.tell)
     scene = read_scene(options.mesh, progress.tell)
     progress.say("fitting (the first time compiles, some seconds)")
     return fit_camera(scene, mask, camera, options.free)

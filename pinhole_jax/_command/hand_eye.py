@@ -52,7 +52,8 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     if helpful is not None:
         print(f"recorded   {_most_worth(fit)}")
         print(f"proposed   {helpful}")
-    _write(options, fit, masks, pictures, {"halves": halves, "proposed": helpful})
+    with Ticker("drawing"):
+        _write(options, fit, masks, pictures, {"halves": halves, "proposed": helpful})
     return 0 if fit.status == "converged" else 1
 
 
@@ -74,7 +75,7 @@ def read_views(
             f"`MASK`: expected one for each of {len(postures)} rows of {options.joints!r}, got"
             f" {len(options.masks)}"
         )
-    masks = [read_mask(record_of(options, mask=x, tidy=False), say) for x in options.masks]
+    masks = [read_mask(record_of(options, mask=x), say) for x in options.masks]
     zeros, views = joint_zeros(options), []
     for angles, mask in zip(postures, masks, strict=True):
         scene, mount = _posed(robot, angles, options.in_hand, "JOINTS")

@@ -46,7 +46,7 @@ def fit_described(
     `holding`.)"""
     status = {"status": fit.status, "meaning": STATUSES[fit.status]}
     if phi_from is not None and fit.status == "uncertain":
-        status["meaning"] = f"The {_held(fit, phi_from)}"
+        status["meaning"] = f"use it as a start only: {_held(fit, phi_from)}"
     if fit.status == "non_finite":
         none: dict[str, Any] = {"iou": None, "rows": [], "notes": [], "band": None, "pose": ""}
         return {**status, **none}

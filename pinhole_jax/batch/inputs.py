@@ -240,9 +240,9 @@ def _check_centre(camera: pj.Camera, pixel_centres: Any, say: Say) -> None:
     else:
         hint = "was the picture resized? Then add the size that `K` belongs to: `resize` W H"
         if min(cx, cy) > 0 and abs(cx / W / (cy / H) - 1) < MOST_OFF:
-            hint += f" (about {2 * cx:.0f} x {2 * cy:.0f})"
+            hint += f" (about {2 * math.ceil(cx)} x {2 * math.ceil(cy)})"
     point = f"({cx:g}, {cy:g}) px in a picture of {W} x {H}: {hint}"
-    if not (0 <= cx <= W and 0 <= cy <= H):
+    if not (0 <= cx < W - 1 and 0 <= cy < H - 1):
         raise ValueError(f"`K`: expected a principal point inside the picture, got {point}")
     say(f"note: `K` has its principal point {cx - W / 2:+.0f}, {cy - H / 2:+.0f} px from the"
         f" middle, at {point}")  # fmt: skip

@@ -22,6 +22,8 @@ NUMBERS = {
     **{f"R{k // 3 + 1}{k % 3 + 1}": ("R", k) for k in range(9)},
     **{f"t{axis}": ("t", k) for k, axis in enumerate("xyz")},
 }
+#: The first words of parameters in rad.
+ANGLES = ("rotation", "phi")
 
 
 def merge(results: Results, path: str | os.PathLike[str]) -> int:
@@ -31,8 +33,9 @@ def merge(results: Results, path: str | os.PathLike[str]) -> int:
     - .csv: BOP's results (scene_id,im_id,obj_id,score,R,t,time) if all ids come from a BOP data
       set: the rows with a camera; the score is the IoU, lengths are in the models' unit (mm). For
       other data a line for every row: id, status, iou, rms, fx, fy, cx, cy, R11 to R33, tx, ty, tz
-      (from the row's `K`, `R` and `t`), standard errors (sigma_) and words. The most trustworthy
-      rows come first: by status, then by the standard errors of the rotation.
+      (from the row's `K`, `R` and `t`), standard errors (sigma_) and words: in px, in the mesh's
+      unit and in rad. The most trustworthy rows come first: by status, then by the standard
+      errors of the rotation.
 
     Raises ValueError for other endings, and for a file that cannot be written.
 
@@ -58,7 +61,7 @@ def _csv_line(values: list[Any]) -> str:
 
 def _flat(results: Results) -> Iterator[list[Any]]:
     sigmas = [*dict.fromkeys(name for row in results for name in row["names"] or ())]
-    names = [*NUMBERS, *(f"sigma_{name}" for name in sigmas)]
+    names = [*NUMBERS, *(f"sigma_{name}{'_rad' * name.startswith(ANGLES)}" for name in sigmas)]
     yield ["id", "status", "iou", "rms", *names, "words"]
     for row in sorted(results, key=_distrust):
         numbers = [row[field][k] if row[field] else None for field, k in NUMBERS.values()]
