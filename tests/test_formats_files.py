@@ -134,7 +134,7 @@ WRONG = {
             r"`camera_matrix`: expected an OpenCV matrix \(rows, cols, dt, data\)",
         ),
         ("dt: d", "dt: 2d", "`camera_matrix`: .* with one channel, got dt '2d'"),
-        (", 1.0 ]", " ]", "`camera_matrix`: .* of 9 numbers, got 8"),
+        (", 1.0 ]", " ]", r"`camera_matrix`: .* of the size \[3, 3\], got 8"),
         ("1.0 ]", "one ]", r"`camera_matrix`: expected finite numbers of a matrix, got \["),
         ("1.0 ]", ".Nan ]", "`camera_matrix`: expected finite numbers"),
         ("1.0 ]", "2.0 ]", r"`camera_matrix`: expected \[\[fx, 0, cx\]"),

@@ -143,14 +143,9 @@ def _intrinsics(model: str, numbers: Sequence[float | int], where: str) -> Intri
         )
     fields = Fields(dict(zip(("WIDTH", "HEIGHT", *names), numbers, strict=True)), where)
     fx, fy = ("f", "f") if "f" in names else ("fx", "fy")
-    view = Pinhole(
-        fields.positive(fx),
-        fields.positive(fy),
-        fields.number("cx"),
-        fields.number("cy"),
-        fields.integer("WIDTH"),
-        fields.integer("HEIGHT"),
-    )
+    focals = fields.positive(fx), fields.positive(fy)
+    centre = fields.number("cx"), fields.number("cy")
+    view = Pinhole(*focals, *centre, fields.integer("WIDTH"), fields.integer("HEIGHT"))
     distorted = {name: fields.number(name) for name in names if name[0] in "kp"}
     models = (Fisheye,) if model.endswith("FISHEYE") else (BrownConrady, Rational)
     return view, model_of(distorted, fields, models), fields

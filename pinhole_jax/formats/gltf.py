@@ -74,15 +74,6 @@ def write_gltf(path: FilePath, cameras: Mapping[str, Camera]) -> None:
     ```
     """
     check_cameras(cameras, "JSON")
-    for name, camera in cameras.items():
-        view = pinhole(camera)
-        off = max(abs(view.cx - view.W / 2), abs(view.cy - view.H / 2))
-        if off > 1e-9 * max(view.W, view.H) or abs(view.fx / view.fy - 1) > 1e-9:
-            raise ValueError(
-                "`cameras`: expected a centred principal point and square pixels, as glTF has"
-                f" nothing else, got ({view.cx:g}, {view.cy:g}) px of {view.W} x {view.H} and"
-                f" fx/fy = {view.fx / view.fy:g} in {name!r}"
-            )
     nodes = [
         {"name": name, "camera": k, "matrix": world_from_camera(camera, OPENGL).T.ravel().tolist()}
         for k, (name, camera) in enumerate(cameras.items())
@@ -99,6 +90,14 @@ def write_gltf(path: FilePath, cameras: Mapping[str, Camera]) -> None:
 
 
 def _perspective(name: str, view: Pinhole) -> dict[str, Any]:
+    """Return glTF's camera of intrinsics that it can say."""
+    off = max(abs(view.cx - view.W / 2), abs(view.cy - view.H / 2))
+    if off > 1e-9 * max(view.W, view.H) or abs(view.fx / view.fy - 1) > 1e-9:
+        raise ValueError(
+            "`cameras`: expected a centred principal point and square pixels, as glTF has"
+            f" nothing else, got ({view.cx:g}, {view.cy:g}) px of {view.W} x {view.H} and"
+            f" fx/fy = {view.fx / view.fy:g} in {name!r}"
+        )
     fov = fov_of_focal(view.fy, view.H)
     return {
         "name": name,

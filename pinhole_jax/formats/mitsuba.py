@@ -47,9 +47,10 @@ AXES = ("x", "y", "diagonal", "smaller", "larger")
 FILM = {"width": 768, "height": 576}  # Mitsuba's own, where a film says nothing
 #: Characters that XML 1.0 cannot hold, escaped or not.
 NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-#: A small file can stand for a large text: the most characters of a default's name, `$names` of an
-#: attribute, characters of it once it is filled in, and characters that defaults add to a file.
-MOST_NAME, MOST_DOLLARS, MOST_TEXT, MOST_ADDED = 64, 100, 1 << 16, 1 << 20
+#: A small file can stand for a large text: the most characters of a default's name and of its
+#: value, `$names` of an attribute, and characters that defaults add to a file.
+MOST_NAME, MOST_TEXT, MOST_DOLLARS, MOST_ADDED = 64, 1 << 16, 100, 1 << 20
+DOLLAR = re.compile(rf"\$[^$]{{0,{MOST_NAME}}}")
 
 
 def read_mitsuba(path: FilePath, *, size: Size | None = None) -> Cameras:
@@ -144,31 +145,28 @@ def _fill(root: ET.Element, where: str) -> None:
     inside = (element for sensor in root.iter("sensor") for element in sensor.iter())
     for element in (*root.iter("default"), *inside):
         for name, text in element.items():
-            filled = _filled(name, text, defaults, f"{where}, <{element.tag[:60]}>")
+            if text.count("$") > MOST_DOLLARS:
+                words = f"at most {MOST_DOLLARS} `$names`, got more (in {where})"
+                raise ValueError(f"`{name}`: expected {words}")
+            filled = DOLLAR.sub(lambda dollar: _filled(dollar[0], defaults), text)
             element.set(name, filled)
             added += len(filled) - len(text)
-        if added > MOST_ADDED:
-            words = f"values of at most {MOST_ADDED} characters together, got more"
-            raise ValueError(f"`default`: expected {words} (in {where})")
-        if element.tag == "default":
-            name = element.get("name", "")
-            if not 0 < len(name) <= MOST_NAME:
-                words = f"a name of 1 to {MOST_NAME} characters, got {short(name)}"
+            if added > MOST_ADDED:
+                words = f"values of at most {MOST_ADDED} characters together, got more"
                 raise ValueError(f"`default`: expected {words} (in {where})")
-            defaults.setdefault(name, element.get("value", ""))
+        if element.tag == "default":
+            name, value = element.get("name", ""), element.get("value", "")
+            if not 0 < len(name) <= MOST_NAME or len(value) > MOST_TEXT:
+                words = f"a name of 1 to {MOST_NAME} characters, a value of at most {MOST_TEXT}"
+                raise ValueError(f"`default`: expected {words}, got {short(name)} (in {where})")
+            defaults.setdefault(name, value)
 
 
-def _filled(name: str, text: str, defaults: Mapping[str, str], where: str) -> str:
-    """Return an attribute, each `$name` replaced by the default of the longest name that fits."""
-    head, *parts = text.split("$", MOST_DOLLARS)
-    for part in parts:
-        names = (part[:n] for n in range(MOST_NAME, 0, -1))
-        known = next((name for name in names if name in defaults), None)
-        head += f"${part}" if known is None else defaults[known] + part[len(known) :]
-    if parts and (len(head) > MOST_TEXT or "$" in parts[-1]):
-        words = f"at most {MOST_TEXT} characters once it is filled in, got more (in {where})"
-        raise ValueError(f"`{name}`: expected {words}")
-    return head
+def _filled(text: str, defaults: Mapping[str, str]) -> str:
+    """Return a `$name` and what follows it, with the default of the longest name that fits."""
+    names = (text[1:end] for end in range(len(text), 1, -1))
+    name = next((name for name in names if name in defaults), None)
+    return text if name is None else defaults[name] + text[1 + len(name) :]
 
 
 def _attributes(element: ET.Element, where: str) -> Fields:

@@ -279,17 +279,15 @@ def _rotation(rvec: np.ndarray, fields: Fields, name: str) -> np.ndarray:
 def _distortion(fields: Fields) -> Distortion | None:
     name, fisheye = "distortion_coefficients", fields.data.get("fisheye", False)
     models = (Fisheye,) if fisheye else (BrownConrady, Rational)
-    if name not in fields:
-        return model_of({}, fields, models)
-    if isinstance(fields.data[name], dict):
+    names, sizes = (FISHEYE, (4,)) if fisheye else (COEFFICIENTS, (4, 5, 8, 12, 14))
+    if isinstance(fields.data.get(name), Mapping):
         part = fields.part(name)
         return model_of({key: part.number(key) for key in part.data}, fields, models)
-    values = np.ravel(fields.array(name, fields.shape(name)))
-    names, sizes = (FISHEYE, (0, 4)) if fisheye else (COEFFICIENTS, (0, 4, 5, 8, 12, 14))
-    if len(values) not in sizes:
-        words = " or ".join(map(str, sizes[1:])) + " coefficients"
+    values = np.ravel(fields.array(name, fields.shape(name))) if name in fields else ()
+    if len(values) not in (0, *sizes):
+        words = " or ".join(map(str, sizes)) + " coefficients"
         raise fields.wrong(name, words + " of a fisheye" * fisheye, values)
-    return model_of(dict(zip(names, values.tolist(), strict=False)), fields, models)
+    return model_of(dict(zip(names, map(float, values), strict=False)), fields, models)
 
 
 def _matrix(name: str, array: np.ndarray) -> str:

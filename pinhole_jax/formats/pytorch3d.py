@@ -125,18 +125,17 @@ def read_pytorch3d(path: FilePath, *, size: Size | None = None) -> Cameras:
 
 def _cameras(top: Fields, count: int, size: Size | None) -> Iterator[Camera]:
     """Yield the cameras of a file's arrays."""
-    R, T = top.array("R", (count, 3, 3)), top.array("T", (count, 3))
-    names = ("focal_length", "principal_point", "image_size")
-    focals, centres, sizes = (top.array(name, (count, 2)) for name in names)
     in_ndc = top.get("in_ndc", "true or false")
     if not isinstance(in_ndc, bool):
         raise top.wrong("in_ndc", "true or false", repr(in_ndc))
-    for k in range(count):
-        if size is not None and tuple(sizes[k]) != size[::-1]:
-            raise top.wrong("image_size", f"(H, W) = ({size[1]}, {size[0]})", sizes[k])
-        film = {"focal_length": focals[k], "principal_point": centres[k], "in_ndc": in_ndc}
+    shapes = {"R": (3, 3), "T": (3,), "focal_length": (2,), "principal_point": (2,)}
+    shapes["image_size"] = (2,)
+    arrays = [top.array(name, (count, *shape)) for name, shape in shapes.items()]
+    for k, values in enumerate(zip(*arrays, strict=True)):
+        if size is not None and tuple(values[-1]) != size[::-1]:
+            raise top.wrong("image_size", f"(H, W) = ({size[1]}, {size[0]})", values[-1])
         try:
-            yield from_pytorch3d(R[k], T[k], sizes[k], **film)
+            yield from_pytorch3d(**dict(zip(shapes, values, strict=True)), in_ndc=in_ndc)
         except ValueError as error:
             words = str(error).replace("the arguments", f"{top.where}, camera {k}")
             raise ValueError(words) from None

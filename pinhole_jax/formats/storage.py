@@ -1,6 +1,5 @@
 """OpenCV's FileStorage: its YAML, XML or JSON as fields."""
 
-import math
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -115,11 +114,12 @@ def array_of(name: str, value: Any, where: str) -> Any:
     kind = str(value.get("dt", "d"))
     if len(kind) != 1:
         raise fields.wrong(name, f"{expected} with one channel", f"dt {kind[:9]!r}")
-    size = value.get("sizes", [value.get("rows"), value.get("cols")])
     numbers = np.ravel(fields.array(name, fields.shape(name), "finite numbers of a matrix"))
-    if not isinstance(size, list) or not all(isinstance(n, int) and n >= 0 for n in size[:8]):
-        raise fields.wrong(name, expected, f"the size {short(size)}")
-    if len(size) > 8 or len(numbers) != math.prod(size):
-        count = math.prod(size[:8])
-        raise fields.wrong(name, f"{expected} of {count} numbers", f"{len(numbers)}")
-    return numbers.reshape(size)
+    size = value.get("sizes", [value.get("rows"), value.get("cols")])
+    try:
+        array = numbers.reshape(size)
+    except (TypeError, ValueError):
+        array = numbers
+    if list(array.shape) != size:
+        raise fields.wrong(name, f"{expected} of the size {short(size)}", f"{len(numbers)} numbers")
+    return array
