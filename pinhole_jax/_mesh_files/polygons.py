@@ -62,7 +62,7 @@ def triangulated(polygons: Polygons) -> Int[np.ndarray, "T 3"]:
     """Return the polygons' triangles in the order of the polygons, as indices of points.
 
     Faces of fewer than three corners cover nothing and are left out, as are triangles that name a
-    corner twice, and corners at the same place as the one before. All corners have to name points.
+    corner twice. All corners have to name points.
 
     Raises ValueError for a polygon whose sides cross, and for more corners than can be cut in
     seconds.
@@ -71,7 +71,6 @@ def triangulated(polygons: Polygons) -> Int[np.ndarray, "T 3"]:
     if counts.size and np.all(counts == 3):
         return _without_joints(corners.reshape(-1, 3))
 
-    corners, counts, numbers = _without_repeats(points, corners, counts)
     starts = np.cumsum(counts) - counts
     triangles, owners, left = [np.empty((0, 3), int)], [np.empty(0, int)], MOST_STEPS
 
@@ -83,10 +82,10 @@ def triangulated(polygons: Polygons) -> Int[np.ndarray, "T 3"]:
         for k in np.flatnonzero(~right):
             if left < 0:
                 raise ValueError(
-                    f"face {numbers[alike[k]]}: {count} corners, not all seen from the first; that"
-                    " many take more than seconds to cut"
+                    f"face {alike[k] + 1}: {count} corners, not all seen from the first; that many"
+                    " take more than seconds to cut"
                 )
-            local[k] = _cut(points[shared[k]], int(numbers[alike[k]]))
+            local[k] = _cut(points[shared[k]], int(alike[k]) + 1)
         triangles.append(np.take_along_axis(shared[:, None], local, axis=2).reshape(-1, 3))
         owners.append(np.repeat(alike, count - 2))
 
@@ -107,24 +106,6 @@ def strips_cut(corners: Int[np.ndarray, "K"], counts: Int[np.ndarray, "S"]) -> n
 def _without_joints(triangles: np.ndarray) -> np.ndarray:
     """Return the triangles whose corners differ: others only join strips."""
     return triangles[np.all(triangles != np.roll(triangles, 1, axis=1), axis=1)]
-
-
-def _without_repeats(
-    points: np.ndarray, corners: np.ndarray, counts: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return corners and counts without corners at the place of the one before, and the faces'
-    numbers in the file, from 1. Triangles stay as they are.
-    """
-    numbers = np.arange(1, len(counts) + 1)
-    some = counts > 0
-    counts, numbers = counts[some], numbers[some]
-    starts = np.cumsum(counts) - counts
-
-    before = np.arange(len(corners)) - 1
-    before[starts] = starts + counts - 1
-    repeated = np.all(points[corners] == points[corners[before]], axis=-1)
-    repeated &= np.repeat(counts > 3, counts)
-    return corners[~repeated], counts - np.add.reduceat(repeated, starts, dtype=int), numbers
 
 
 def _fans(space: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
