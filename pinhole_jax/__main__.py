@@ -33,6 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
+    """Run the verb of a command line; print its errors, and return its exit status."""
     options = parse(arguments)
     command = f"pinhole-jax {options.command}"
     for stream in (sys.stdout, sys.stderr):  # a file's name may be no text that can be printed
@@ -61,6 +62,7 @@ def _verb(name: str) -> Any:
 
 
 def _set_up_jax(options: argparse.Namespace) -> None:
+    """Set JAX up for the command, and let Python's garbage collector run rarely."""
     from ._files.process import set_up
 
     # Tracing makes objects that stay: looking for garbage among them takes a third of the start.

@@ -129,7 +129,7 @@ def test_command_finds_the_camera_of_a_robot(robot_files, capsys):
     words += ["--images", *robot_files[3:], "--refine"]
     assert command.main(words) == 0
     out = capsys.readouterr().out
-    assert len(re.findall(r"view \d: the camera is the mask's", out)) == 3
+    assert len(re.findall(r"view \d: fitted to the mask", out)) == 3
     found = pj.io.load_fit("found/camera.json")
     assert max(apart(found.camera, TRUTH)) < 2e-3
     assert re.search(r"^halves .* sigma: they agree$", out, re.M)

@@ -137,7 +137,7 @@ def test_photo_refines_the_camera(here, capsys):
     io.save_image("photo.png", 1.0 * mask)
     io.save_image("large.png", 1.0 * binary_dilation(mask, iterations=2))
     main("fit bumpy.ply large.png --camera start.json --image photo.png --refine -o refined")
-    assert "the camera is the photo's" in capsys.readouterr().out
+    assert "fitted to the photo" in capsys.readouterr().out
     angle, _ = pj.pose_error(io.load_camera("refined/camera.json"), CAMERA)
     assert np.rad2deg(angle) < 0.5  # 2 px too large: 3.4 without the photo
 
@@ -172,7 +172,7 @@ def test_photo_refines_the_camera(here, capsys):
         ("fit bumpy.ply dot.png --fov 234", "`--fov`: expected degrees between 0 and 180, got 234"),
         (
             "fit bumpy.ply dot.png --fov 34 --free phi",
-            "`--camera`: expected a camera to start from where the pose is not free",
+            "`--camera`: expected a camera to start from, as the pose is not free",
         ),
         ("fit bumpy.ply dot.png --K nan 1 1 1", "`--K`: expected 4 or 9 finite numbers, got 'nan"),
         ("fit bumpy.ply bumpy.ply --fov 34", "bumpy.ply': cannot identify image file\n"),

@@ -91,7 +91,7 @@ def test_fit_shows_the_path_of_its_eye_and_other_views():
     assert len(circles(tree)) == 2  # the other eye, the eye
     dashed = [x for x in tree.findall(f".//{SVG}polyline") if x.get("stroke-dasharray")]
     assert len(dashed[0].get("points").split()) == 3
-    assert "another view explains the mask as well" in "".join(tree.itertext())
+    assert "another view fits the mask equally well" in "".join(tree.itertext())
 
 
 def test_words_are_escaped():

@@ -189,7 +189,7 @@ def test_occluder_is_masked_by_a_weight_or_reported(scene):
     robust = pj.fit_camera(scene, bite, start)
     assert degrees(robust, truth) < 0.5 * degrees(plain, truth)
     assert "of the mask's edge" in robust.weak[-1]
-    assert "was not believed" in robust.weak[-1]
+    assert "was ignored" in robust.weak[-1]
     assert np.all(np.hypot(*(robust.unbelieved - [column + 0.5, 79.5 - row]).T) < 16)
 
 

@@ -44,7 +44,7 @@ def test_fit_prints_as_a_table():
     )
     assert lines[-2:] == [
         "note       the distance",
-        "note       another view explains the mask as well",
+        "note       another view fits the mask equally well",
     ]
     assert repr(fit) == "<Fit: ambiguous, IoU 0.9900, rotation_b1, e_x, phi>"
 

@@ -178,8 +178,8 @@ def check_border(
         return
     raise ValueError(
         f"`target`: expected a mask of the object, got one that covers {share:.0%} of its border,"
-        " like an inverted one; invert it, or where it is right give a `camera` to start from that"
-        " sees the object reach out of the picture"
+        " like an inverted one; invert it, or if it is right give a starting `camera` in which the"
+        " object reaches past the picture"
     )
 
 
@@ -240,7 +240,7 @@ def _fit(
         places = everywhere(solver, mask, on_stop)
     else:
         places = from_start(solver, mask, start, on_stop)
-    say("the last level: which views explain the mask as well?")
+    say("last level: looking for other views that fit")
     if reach is None or places.best.view.touched_misfit <= EXACT * mask.usual_weight:
         ended = to_the_end(solver, [places.best, *places.others])
         modes = [_Mode(f, f.view.sums, solver.errors(f.view)) for f in ended]
@@ -356,7 +356,7 @@ def anywhere(
     """Return a camera of the target's size to begin a search with."""
     if not turns_freely(freed):
         raise ValueError(
-            "`camera`: expected a camera to start from where the pose is not free, got none with"
+            "`camera`: expected a camera to start from, as the pose is not free, got none with"
             f" `free` {','.join(freed)}"
         )
     shape = np.shape(target)
@@ -365,8 +365,7 @@ def anywhere(
     if phi is None:
         if not focal_is_free(freed):
             raise ValueError(
-                "`phi`: expected the field of view (rad) where there is no `camera` and phi is not"
-                " free, got None"
+                "`phi`: expected the field of view (rad), a `camera`, or phi in `free`, got none"
             )
         phi = 0.7
     if np.ndim(phi) or not isinstance(phi, Real | np.ndarray | jax.Array):

@@ -66,9 +66,9 @@ class Account:
         if share < LEAST_TOLD:
             return some[:0], ""
         x, y = some[np.argmin(np.linalg.norm(some - np.median(some, axis=0), axis=1))]
-        place = f"about column {int(x)}, row {height - 1 - int(y)}"
-        why = "something stands before the object there"
-        return some, f"{share:.0%} of the mask's edge, {place}, was not believed: {why}"
+        place = f"near column {int(x)}, row {height - 1 - int(y)}"
+        why = "something may be in front of the object"
+        return some, f"{share:.0%} of the mask's edge ({place}) was ignored: {why}"
 
     def hidden(self, edge: Edge, least: float) -> float:
         """The share of a mask's edge that may be an occluder's: of curves that are no crumbs."""

@@ -225,19 +225,19 @@ def judged(
     own, at_first = now.off(read), before.off(first)
     better = of_mask > MASK_PX and own < of_mask
     if own < STRANGE_PX and (better or at_first > SURE * max(own, PHOTO_PX)):
-        side = "outside" if bias > 0 else "inside"
+        size = "large" if bias > 0 else "small"
         return True, (
-            f"the camera is the photo's, whose edge is {own:.2f} px (rms) from its outline; the"
-            f" mask's is {apart:.2f} px off, {abs(bias):.2f} px {side} on average"
+            f"fitted to the photo: its edge lies within {own:.2f} px (rms) of the outline; the mask"
+            f" is {apart:.2f} px off, on average {abs(bias):.2f} px too {size}"
         )
     return False, (
-        f"the camera is the mask's, whose edge is {of_mask:.2f} px (rms) from its outline; the"
-        f" photo's is {at_first:.2f} px off, and {own:.2f} px at best: that is no better founded"
+        f"fitted to the mask: its edge lies within {of_mask:.2f} px (rms) of the outline; the"
+        f" photo's is {at_first:.2f} px off, at best {own:.2f} px, which is no better"
     )
 
 
 def unresolved(resolved: float) -> str:
     return (
-        f"the photo tells the object from its surroundings along {resolved:.0%} of the outline"
-        " only: the camera is the mask's"
+        f"fitted to the mask: the photo shows the object's edge along only {resolved:.0%} of the"
+        " outline"
     )

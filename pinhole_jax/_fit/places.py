@@ -103,7 +103,7 @@ class Free(NamedTuple):
         if np.isinf(self.ahead):
             return f"{name} is not visible"
         low, high = -np.rad2deg(self.behind), np.rad2deg(self.ahead)
-        return f"{name} is free from {low:.0f} to {high:+.0f} degrees: the mask tells no difference"
+        return f"{name} may be off by {low:.0f} to {high:+.0f} degrees: the mask fits equally well"
 
 
 class Places(NamedTuple):

@@ -243,7 +243,7 @@ def report(
     wide_open = bool(turn > UNCERTAIN)
     if wide_open:
         axis, degrees = in_words(about @ axes_of(at)), np.rad2deg(turn)
-        weak += (f"the turn about the axis {axis} is told to {degrees:.0f} degrees (one sigma)",)
+        weak += (f"rotation about the axis {axis} is uncertain by {degrees:.0f} degrees (1 sigma)",)
     nearly_free = bool(context.free or weak_moves(triangle, names_of_moves))
     astray = context.share_astray(sums, whole)
     explained = context.kind.explains(view.touched_misfit, nearly_free)
@@ -273,7 +273,7 @@ def _disagreement(sums: Any, astray: float, unexplained: bool) -> tuple[str, ...
     """Return sentences on how much of the outline the mask does not have, or has elsewhere."""
     off, words = sums.off / max(sums.touched, 1), []
     if unexplained:
-        words.append(f"{off:.0%} of the outline is off by more than the mask's kind explains")
+        words.append(f"{off:.0%} of the outline is farther off than a mask of this kind should be")
     if astray > (SOME if unexplained else ASTRAY):
         words.append(f"{astray:.0%} of the outline is far from the mask's edge: {WRONG}")
     return tuple(words)
@@ -323,7 +323,7 @@ def with_unbelieved(fit: Fit, edge: np.ndarray, words: str, doubted: bool) -> Fi
     weak = (*fit.weak, words)
     if doubted:
         weak += (
-            "so little of the edge may look the same from elsewhere: give a `camera` to start from",
+            "other views may fit so little of the edge as well: give a `camera` to start from",
         )
     status = "uncertain" if doubted and fit.status == "converged" else fit.status
     return fit._replace(unbelieved=edge, weak=weak, status=status)

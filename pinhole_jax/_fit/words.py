@@ -120,9 +120,9 @@ def notes(fit: Any) -> list[str]:
     """The notes: weak directions, and other views that explain the mask."""
     if not fit.modes:
         return [*fit.weak]
-    several = f"{len(fit.modes)} other views explain"
-    views = "another view explains" if len(fit.modes) == 1 else several
-    return [*fit.weak, f"{views} the mask as well"]
+    several = f"{len(fit.modes)} other views fit"
+    views = "another view fits" if len(fit.modes) == 1 else several
+    return [*fit.weak, f"{views} the mask equally well"]
 
 
 def in_digits(value: float, std: float) -> str:

@@ -133,6 +133,7 @@ class _Image(NamedTuple):
 
     @classmethod
     def of(cls, image: np.ndarray) -> "_Image":
+        """The image as bytes if it has bits or bytes, else as floats, and the value of 1 in it."""
         if image.dtype == bool:
             return cls(image.view(np.uint8), 1.0)
         if image.dtype == np.uint8:
@@ -264,8 +265,11 @@ def _near_pages(weight: NearWeights, H: int, W: int) -> tuple[np.ndarray, np.nda
 
 
 def _written(rasters: list[_Raster], most: float, room: int, least: int, dtype: Any) -> Pyramid:
-    """Return the pages of levels, one after the other, where JAX takes them as they are; room for
-    the first of few sizes, `least` at least, that holds those that are not shared."""
+    """The pages of levels with their running sums, in memory that JAX takes without a copy.
+
+    Pages that are all object or all background are shared. The others have room for `least` cells
+    or more, in one of few sizes.
+    """
     own = 3 + sum(len(raster.target) for raster in rasters)
     size = max(room // ONE_IN, least) + 4 * PAGE  # (the first few come on top)
     size = size if own * PAGE <= size else room + 4 * PAGE

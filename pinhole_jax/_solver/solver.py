@@ -338,9 +338,11 @@ class Solver:
             # The view outgrew its window on the way: go on from there with a larger one.
 
     def descents(self, cameras: Iterable[Camera], steps: int, number: int = -1) -> Iterator[Found]:
-        """What some steps on a level (the last) lead to from each camera. As many are worked out at
-        once as there are cores, asked for or not. They have no way, and views differentiated by
-        moves of the beginning: what is to be reported is to be looked at."""
+        """The camera that `steps` steps on a level (-1: the last) reach from each start.
+
+        A core works on each, also ahead of the caller. Each result lacks the way to it, and its
+        view is differentiated by moves of the start: look again at what you report.
+        """
         px = FINE_PX[self.dtype] if number in (-1, self.finest) else COARSE_PX
         for some in some_at_once(cameras):
             for camera in some:

@@ -56,12 +56,7 @@ def weak_directions(
     top = max(values[0], np.finfo(values.dtype).tiny)
     share = values / top
     words = tuple(
-        f"{_words(direction, components, axes)} "
-        + (
-            "is not visible"
-            if s <= blind
-            else f"is nearly free ({s:.1%} as visible as the best-seen move)"
-        )
+        _sentence(_words(direction, components, axes), s, s <= blind)
         for s, direction in zip(share[::-1], directions[::-1], strict=True)
         if s < WEAK and all(abs(direction @ m) < 0.7 * np.linalg.norm(m) for m in named)
     )
@@ -89,8 +84,16 @@ def free_turns(triangle: np.ndarray, components: list[str], axes: np.ndarray) ->
     return vectors[: np.sum(size > 0.3)]
 
 
-def _words(direction: np.ndarray, components: list[str], axes: np.ndarray) -> str:
-    """A direction of moves as words: its effect on the camera."""
+def _sentence(moves: list[str], share: float, hidden: bool) -> str:
+    """A sentence on moves that hardly show together: a `share` of the best-seen move."""
+    if hidden:
+        return f"{' against '.join(moves)} is not visible"
+    what = "is hardly visible" if len(moves) == 1 else "are hard to tell apart"
+    return f"{' and '.join(moves)} {what} ({share:.1%} as visible as the best-seen move)"
+
+
+def _words(direction: np.ndarray, components: list[str], axes: np.ndarray) -> list[str]:
+    """The chief parts of a direction of moves in words: their effects on the camera."""
     groups: dict[str, list[int]] = {}  # the parts of a vector share their words
     for k, name in enumerate(components):
         groups.setdefault(COMPONENTS[name].words, []).append(k)
@@ -103,9 +106,7 @@ def _words(direction: np.ndarray, components: list[str], axes: np.ndarray) -> st
         if COMPONENTS[components[group[0]]].is_turn:
             words += " about the axis " + in_words(direction[group] @ axes)
         named.append(words)
-    if len(named) < 2:
-        return named[0] if named else "a mixture of all parameters"
-    return " against ".join(named)
+    return named or ["a mixture of all parameters"]
 
 
 def in_words(vector: np.ndarray) -> str:

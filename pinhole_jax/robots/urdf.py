@@ -113,7 +113,7 @@ def _named(root: Any, kind: str) -> dict[str, Any]:
     for element in root.findall(kind):
         name = element.get("name")
         for part in element.iter():
-            _check_attributes(part, f"{kind} {name!r}")
+            _read_attributes(part, f"{kind} {name!r}")
         for visual in element.findall("visual"):
             _check_shape(visual, name)
         if name in named:
@@ -122,7 +122,8 @@ def _named(root: Any, kind: str) -> dict[str, Any]:
     return named
 
 
-def _check_attributes(element: Any, where: str) -> None:
+def _read_attributes(element: Any, where: str) -> None:
+    """Check an element's attributes, write its numbers in Python's form, drop those not read."""
     for name in NEEDED.get(element.tag, ()):
         if not element.get(name):
             raise ValueError(f"{where}: <{element.tag}> without `{name}`")
