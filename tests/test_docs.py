@@ -59,7 +59,6 @@ TEXTS = {
 README = TEXTS["README.md"]
 #: The examples of all pages beside it continue its block.
 REFERENCE = "docs/reference/index.md"
-QUESTIONS = TEXTS["docs/how-to/questions.md"]
 BLOCK = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.M | re.S)
 LINK = re.compile(r"\]\((?!\w+:)([^)#\s]*)(?:#([\w.-]+))?\)")
 #: The files that stand for words in capitals.
@@ -257,16 +256,6 @@ FOUND = {
     "docs/how-to/focal-prior.md": found_by_a_focal_prior,
     "docs/how-to/questions.md": found_by_questions,
 }
-
-
-def test_questions_listed_are_those_answered():
-    asked = re.findall(r"^\d+\. \[(.*)\]\(#(.*)\)$", QUESTIONS, re.M)
-    answered = re.findall(r"^## (\d+)\. (.*)$", QUESTIONS, re.M)
-    assert [question for question, _ in asked] == [question for _, question in answered]
-    for (_, anchor), (number, question) in zip(asked, answered, strict=True):
-        words = re.sub(r"[^\w\s-]", "", f"{number} {question}").lower()
-        assert anchor == words.replace(" ", "-")
-    assert len(asked) == 10
 
 
 def write_mesh(path):
